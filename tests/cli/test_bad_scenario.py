@@ -67,9 +67,7 @@ def test_a_net_without_crossings(wcsim, folder, theirs):
     put_net(theirs, *(word for word in PAVED if word != "--crossings.guess"))
     checked = wcsim("town", "check", theirs, "--json", "check.json")
     assert checked.code == 1
-    assert "pedestrians cannot cross a street; add crossings and walking areas: wcsim town pave /" in one_line(
-        checked
-    )
+    assert "pedestrians cannot cross a street; add crossings and walking areas: wcsim town pave /" in one_line(checked)
     assert json.loads(Path("check.json").read_text())["crossings"] == 0
     assert wcsim("town", "run", theirs, *RUN).code == 0
 

@@ -47,7 +47,6 @@ def events(crashed=False) -> Events:
     return replace(CALM, crashed=crashed, crash_reason="tilt" if crashed else "")
 
 
-
 def contact(kind, part, impulse=1.0) -> Contact:
     return Contact(kind=kind, part=part, impulse_Ns=impulse, cause="own")
 

@@ -26,6 +26,7 @@ class Bullet:
         """End the world; a second call does nothing."""
         if self.number >= 0:
             pybullet.disconnect(self.number)
+            vars(self).clear()  # the functions know a number that the next world may get
             self.number = -1
 
     def __getattr__(self, name: str) -> Any:

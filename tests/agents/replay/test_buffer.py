@@ -115,8 +115,7 @@ def test_every_draw_is_the_references_transition(data):
     assert starts.max() < buffer.total
     check(buffer, reference, starts, drawn)
     kept = {(index, seat) for seat in range(seats) for index, s in enumerate(reference.steps[seat]) if s[4] == "crash"}
-    crashes = {tuple(step) for step in buffer._flagged(buffer.terminated).tolist()}
-    assert crashes == {c for c in kept if c[0] >= buffer.total - buffer.size()}
+    assert set(buffer.crashes) == {c for c in kept if c[0] >= buffer.total - buffer.size()}
     assert len(buffer.after_end) <= buffer.size() * seats
 
 

@@ -31,7 +31,7 @@ def test_what_was_done_before_takes_no_time_now(capsys):
 def test_where_less_is_done_than_before_another_part_begins():
     now_s = [0.0]
     with StageBar("making", clock=lambda: now_s[0]) as bar:
-        for at_s, share, left in ((10.0, 0.0, ""), (40.0, 0.5, "about 30 s left"), (50.0, 1.0, ""), (60.0, 0.25, "")):
+        for at_s, share, left in ((0.0, 0.0, ""), (30.0, 0.5, "about 30 s left"), (50.0, 1.0, ""), (60.0, 0.25, "")):
             now_s[0] = at_s
             bar.show(share, "")
             assert bar.left == left

@@ -91,15 +91,16 @@ def test_buildings_of_a_file_of_any_name_are_seen(corner_town: Town, tmp_path: P
         assert len([note for note in notes if "no buildings or trees" in note]) == len(notes) == missed
 
 
-def test_a_net_in_degrees_is_refused_with_the_cure(corner_town: Town, tmp_path: Path) -> None:
+@pytest.mark.parametrize("scale", [1e-5, 1 / 60])  # the second is metres across, and its lanes say other lengths
+def test_a_net_in_degrees_is_refused_with_the_cure(corner_town: Town, tmp_path: Path, scale: float) -> None:
     root = ElementTree.fromstring(read_bytes(corner_town.net))  # noqa: S314 - our own
     for element in root.iter():
         if element.get("shape"):
             points = [part.split(",")[:2] for part in element.attrib["shape"].split()]
-            element.set("shape", " ".join(f"{float(x) * 1e-5:.7f},{float(y) * 1e-5:.7f}" for x, y in points))
+            element.set("shape", " ".join(f"{float(x) * scale:.7f},{float(y) * scale:.7f}" for x, y in points))
     net = tmp_path / "degrees.net.xml"
     ElementTree.ElementTree(root).write(net)
-    with pytest.raises(TownError, match=r"degrees.net.xml.*look like degrees.*--proj.utm"):
+    with pytest.raises(TownError, match=r"degrees.net.xml.*in degrees or another unit.*--proj.utm"):
         check_town(replace(corner_town, net=net))
 
 

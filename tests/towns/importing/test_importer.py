@@ -14,6 +14,7 @@ import pytest
 
 from tests.cli.towns import tiny_osm
 from tests.towns.checks.test_faults import FINE
+from tests.towns.made.imported import imported
 from wcsim.cli.main import main
 from wcsim.core.files import whole_folder
 from wcsim.errors import SumoError, TownError
@@ -44,12 +45,7 @@ def order(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ImportOrder:
 @pytest.fixture(scope="module")
 def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A town of the tiny extract, which nobody changes."""
-    folder = tmp_path_factory.mktemp("built")
-    (folder / "tiny.osm").write_text(tiny_osm(), encoding="utf-8")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(demand, "TRIAL_S", 20)
-        out = folder / "small"
-        return import_town(ImportOrder(osm=folder / "tiny.osm", name="small", split="test", out=out)).town.folder
+    return imported(tiny_osm(), tmp_path_factory.mktemp("built")).town.folder
 
 
 @pytest.fixture

@@ -8,13 +8,13 @@ import shapely
 
 from tests.cli.towns import tiny_osm
 from tests.towns.furniture.standing_samples import item
+from tests.towns.made.imported import imported
 from tests.towns.made.nets import street, write_net
 from wcsim.towns.build_street import build_street
 from wcsim.towns.cache.street_cache import unpack_street
 from wcsim.towns.furniture.road_marks import unmarked_crossings
 from wcsim.towns.ground.surfaces import covered, lane_area, make_surfaces
-from wcsim.towns.importing import demand
-from wcsim.towns.importing.importer import Imported, ImportOrder, import_town
+from wcsim.towns.importing.importer import Imported
 from wcsim.towns.importing.map_marks import _unpainted
 from wcsim.towns.sumo.additional import read_items
 from wcsim.towns.sumo.net import LaneKind, read_net
@@ -57,11 +57,7 @@ def marked_osm() -> str:
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Imported:
-    folder = tmp_path_factory.mktemp("marked")
-    (folder / "marked.osm").write_text(marked_osm(), encoding="utf-8")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(demand, "TRIAL_S", 20)
-        return import_town(ImportOrder(osm=folder / "marked.osm", name="marked", split="test", out=folder / "town"))
+    return imported(marked_osm(), tmp_path_factory.mktemp("marked"))
 
 
 @pytest.fixture(scope="module")

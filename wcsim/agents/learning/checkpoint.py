@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+import numpy.typing as npt
 import torch
 import zstandard
 
@@ -110,7 +111,7 @@ def _restore(model: SeqDQN, state: SeqFile, arrays: Arrays, replay: Arrays, aliv
     _check_fit(memory, replay)
     for prefix, net in _nets(model):
         held = {key: torch.from_numpy(value) for key, value in _below(prefix, arrays).items()}
-        net.load_state_dict(checked_tensors(_MODEL, held, net.state_dict()))
+        net.load_state_dict(checked_tensors(_MODEL, held, net.state_dict(), "this configuration"))
     slots = _optimizer_slots(model, _below("optimizer", arrays))
     optimizer.load_state_dict({"state": slots, "param_groups": optimizer.state_dict()["param_groups"]})
     _restore_replay(memory, replay, alive)
@@ -168,8 +169,9 @@ def _replay_arrays(replay: FrameReplay, alive: Callable[[], object] = lambda: No
     arrays["end_at"] = np.array(ends, dtype=np.int64).reshape(-1, 2)
     empty_image = np.zeros((0, replay.layout.image_bytes), dtype=np.uint8)
     empty_vector = np.zeros((0, replay.layout.vector_size), dtype=np.float32)
-    arrays["end_images"] = np.stack([replay.after_end[key][0] for key in ends]) if ends else empty_image
-    arrays["end_vectors"] = np.stack([replay.after_end[key][1] for key in ends]) if ends else empty_vector
+    after = [replay.observation_after_end(*key) for key in ends]
+    arrays["end_images"] = np.stack([image for image, _ in after]) if ends else empty_image
+    arrays["end_vectors"] = np.stack([vector for _, vector in after]) if ends else empty_vector
     arrays["whole_at"] = np.array(_whole(replay), dtype=np.int64).reshape(-1, 2)
     arrays["whole_images"] = replay.windows.read(*arrays["whole_at"].T)
     arrays["next_images"], arrays["next_vectors"] = replay.expected or (empty_image, empty_vector)
@@ -185,12 +187,26 @@ def _whole(replay: FrameReplay) -> list[tuple[int, int]]:
 
 def _check_fit(replay: FrameReplay, arrays: Arrays) -> None:
     """Raise ValueError unless the arrays are those of a memory like this one, each of its shape and type."""
-    _, size = arrays["total"].tolist()
+    size = _stored_steps(replay, arrays["total"])
     for name, own in _replay_arrays(replay).items():
         got, count = arrays[name], size if name in _per_step(replay) else len(arrays[name])
         shape = (count, *own.shape[1:])
         if got.shape != shape or got.dtype != own.dtype:
             raise ValueError(f"replay: {name} is {got.dtype} {got.shape}; expected {own.dtype} {shape}")
+    lengths, coming = arrays["blob_bytes"], {len(arrays["next_images"]), len(arrays["next_vectors"])}
+    if coming not in ({0}, {replay.n_envs}):
+        raise ValueError("replay: its images do not go together")
+    if (lengths < 0).any() or int(lengths.sum()) != len(arrays["frames"]):
+        raise ValueError("replay: its frames have other lengths than it says")
+
+
+def _stored_steps(replay: FrameReplay, counts: npt.NDArray[Any]) -> int:
+    if counts.dtype != np.int64 or counts.shape != (2,):
+        raise ValueError(f"replay has counts {counts.dtype} {counts.shape}; expected two numbers")
+    total, size = counts.tolist()
+    if not 0 <= size <= total or size != min(total, replay.buffer_size):
+        raise ValueError(f"replay holds {size} of {total} steps; expected the last {replay.buffer_size}, or all")
+    return int(size)
 
 
 def _restore_replay(replay: FrameReplay, arrays: Arrays, alive: Callable[[], object] = lambda: None) -> None:
@@ -208,8 +224,11 @@ def _restore_replay(replay: FrameReplay, arrays: Arrays, alive: Callable[[], obj
     rows = index % replay.buffer_size
     for name in _per_step(replay):
         getattr(replay, name)[rows] = arrays[name]
-    safe = replay.safe(index[:, None], np.arange(replay.n_envs))
-    replay.advice_tight[rows] = replay.advice_known[rows] & ~safe.all(axis=-1)
+    for k, seat in np.argwhere(replay.terminated[rows]).tolist():
+        replay.crashes.append((total - size + k, seat))
+    for k, seat in np.argwhere(replay.advice_known[rows]).tolist():
+        safe = replay.safe(index[k : k + 1], np.array([seat]))
+        replay.list_advice(total - size + k, seat, tight=not safe.all())
     if replay.groups is not None:
         keys = map(tuple, arrays["state_at"].tolist())
         replay.groups.states = dict(zip(keys, arrays["states"], strict=True))
@@ -217,7 +236,7 @@ def _restore_replay(replay: FrameReplay, arrays: Arrays, alive: Callable[[], obj
     for (step, seat), window in zip(arrays["whole_at"], arrays["whole_images"], strict=True):
         replay.windows.whole[int(step), int(seat)] = window
     for (step, seat), image, vector in zip(arrays["end_at"], arrays["end_images"], arrays["end_vectors"], strict=True):
-        replay.after_end[int(step), int(seat)] = image, vector
+        replay.store_end(int(step), int(seat), image, vector)
     replay.total, replay.pos, replay.full = total, total % replay.buffer_size, size == replay.buffer_size
     if len(arrays["next_images"]):
         replay.expected = (arrays["next_images"], arrays["next_vectors"])

@@ -93,7 +93,7 @@ class QNet(BasePolicy):
 
 
 class SeqQPolicy(DQNPolicy):
-    """Online and target network for `SeqDQN`, in the form that SB3's `predict`, `save` and `load` expect."""
+    """Online and target network for `SeqDQN`, in the form that SB3's `predict` expects."""
 
     q_net: QNet  # type: ignore[assignment]
 

@@ -22,6 +22,7 @@ reset, whose info Stable-Baselines3 does not hand to the memory: that row stays 
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -37,7 +38,7 @@ from stable_baselines3.common.vec_env import VecNormalize
 
 from wcsim.agents.envs.episode_view import WORLD_RESTARTED
 from wcsim.agents.policy_api import DEPTH_KEY
-from wcsim.agents.replay.frame_store import WindowStore
+from wcsim.agents.replay.frame_store import PACK_ABOVE_BYTES, WindowStore, pack_each, unpack_each
 from wcsim.agents.replay.groups import Groups, SequenceBatch
 from wcsim.config import LearnConfig
 from wcsim.core import seeding
@@ -46,6 +47,7 @@ from wcsim.types import F32, I64, U8, Bool
 
 Advice = tuple[dict[str, torch.Tensor], torch.Tensor]
 """Observations (B, ...), and which actions end well in them, (B, A) bool."""
+_Listed = deque[tuple[int, int]]  # steps (absolute index, seat), oldest first
 Shapes = tuple[tuple[str, tuple[int, ...]], ...]
 
 
@@ -194,7 +196,6 @@ class FrameReplay(ReplayBuffer):
         self.advised = settings.aid == "oracle"
         self.advice_bits = np.zeros((rows, n_envs, (count + 7) // 8), dtype=np.uint8)  # 1 where safe, packed
         self.advice_known = np.zeros((rows, n_envs), dtype=bool)
-        self.advice_tight = np.zeros((rows, n_envs), dtype=bool)  # some action ends badly
         self.reset()
 
     def _smooth_bytes(self) -> int:
@@ -206,9 +207,12 @@ class FrameReplay(ReplayBuffer):
         """Forget everything."""
         self.total = 0  # steps added per seat, ever
         self.pos, self.full = 0, False
-        self.ended[:] = self.terminated[:] = self.advice_known[:] = self.advice_tight[:] = False
+        self.ended[:] = self.terminated[:] = self.advice_known[:] = False
         self.windows.reset()
-        self.after_end: dict[tuple[int, int], tuple[U8, F32]] = {}  # images and vectors, by (absolute index, seat)
+        # Images, packed where they are large, and vectors, by (absolute index, seat).
+        self.after_end: dict[tuple[int, int], tuple[U8 | bytes, F32]] = {}
+        # A batch is drawn at almost every step: lists, for a search would read the whole memory each time.
+        self.crashes, self.known, self.tight = _Listed(), _Listed(), _Listed()
         self.expected: tuple[U8, F32] | None = None  # the observations that should come next
         self._coming: list[Any] = []  # the truth of the next row, by seat
         if self.groups is not None:
@@ -236,8 +240,7 @@ class FrameReplay(ReplayBuffer):
         if restarted:
             return
         row = self.pos
-        for seat in range(self.n_envs):
-            self.after_end.pop((self.total - self.buffer_size, seat), None)
+        self._forget(self.total - self.buffer_size)
         previous = (row - 1) % self.buffer_size
         fresh = self.ended[previous] if self.total > 0 else np.ones(self.n_envs, dtype=bool)
         self.windows.write(self.total, images, fresh)
@@ -254,6 +257,8 @@ class FrameReplay(ReplayBuffer):
         self.expected = (self.layout.image_rows(next_obs), self.layout.vector_rows(next_obs))
         for seat in (int(k) for k in np.flatnonzero(self.ended[row])):
             self._store_expected(self.total, seat)
+            if self.terminated[row, seat]:
+                self.crashes.append((self.total, seat))
         self.total += 1
         self.pos = (row + 1) % self.buffer_size
         self.full = self.full or self.pos == 0
@@ -262,11 +267,18 @@ class FrameReplay(ReplayBuffer):
         """Keep the advice of a step; its `infos` hold that of the next one."""
         for seat, begins in enumerate(fresh):
             truth = None if begins or not self._coming else self._coming[seat]
-            self.advice_known[row, seat], self.advice_tight[row, seat] = truth is not None, False
+            self.advice_known[row, seat] = truth is not None
             if truth is not None:
                 safe = np.asarray(truth.safe_actions, dtype=bool)
-                self.advice_bits[row, seat], self.advice_tight[row, seat] = np.packbits(safe), not safe.all()
+                self.advice_bits[row, seat] = np.packbits(safe)
+                self.list_advice(self.total, seat, tight=not safe.all())
         self._coming = [info.get("truth") if self.advised else None for info in infos]
+
+    def list_advice(self, index: int, seat: int, *, tight: bool) -> None:
+        """Note a step with advice as the newest one; `tight`: some action ends badly."""
+        self.known.append((index, seat))
+        if tight:
+            self.tight.append((index, seat))
 
     def sample(  # type: ignore[override]
         self, batch_size: int, env: VecNormalize | None = None
@@ -305,10 +317,8 @@ class FrameReplay(ReplayBuffer):
         known = self.total - 1 - first + self.ended[(self.total - 1) % self.buffer_size, seats]
         starts = first + np.floor(self.rng.random(batch_size) * known).astype(np.int64)
         count = round(self.precrash_share * batch_size)
-        crashes = self._flagged(self.terminated)
-        if count > 0 and len(crashes):
-            drawn = crashes[self.rng.integers(0, len(crashes), count)]
-            starts[:count], seats[:count] = self._before_crashes(drawn)
+        if count > 0 and self.crashes:
+            starts[:count], seats[:count] = self._before_crashes(count, first)
         return starts, seats
 
     def gather(self, starts: I64, seats: I64) -> DictReplayBufferSamples:
@@ -336,12 +346,10 @@ class FrameReplay(ReplayBuffer):
         """
         if not self.advised:
             raise ValueError("replay stores no advice; build it with advice=True (learn.aid=oracle)")
-        known, tight = self._flagged(self.advice_known), self._flagged(self.advice_tight)
-        if not len(known):
+        if not self.known:
             return None
-        many = round(tight_share * count) if len(tight) else 0
-        picks = tight[self.rng.integers(0, max(len(tight), 1), many)]
-        index, seats = np.concatenate([picks, known[self.rng.integers(0, len(known), count - many)]]).T
+        many = round(tight_share * count) if self.tight else 0
+        index, seats = np.concatenate([self._drawn(self.tight, many), self._drawn(self.known, count - many)]).T
         rows = index % self.buffer_size
         seen = self.layout.split(self.windows.read(index, seats), self.vectors[rows, seats])
         observations = {key: self.to_torch(value, copy=False) for key, value in seen.items()}
@@ -389,21 +397,24 @@ class FrameReplay(ReplayBuffer):
         rows = (chains.last + 1) % self.buffer_size
         images, vectors = self.windows.read(chains.last + 1, seats), self.vectors[rows, seats]
         for k in np.flatnonzero(chains.ended):
-            images[k], vectors[k] = self.after_end[int(chains.last[k]), int(seats[k])]
+            images[k], vectors[k] = self.observation_after_end(int(chains.last[k]), int(seats[k]))
         return self.layout.split(images, vectors)
 
-    def _flagged(self, flags: Bool) -> I64:
-        """Absolute index and seat, (K, 2), of the stored steps that are true in `flags` (rows, seats), oldest first."""
-        found: I64 = np.argwhere(np.roll(flags, -self.pos, axis=0))
-        found[:, 0] += self.total - self.buffer_size
-        return found
+    def observation_after_end(self, index: int, seat: int) -> tuple[U8, F32]:
+        """Images and vectors after the last step of a chain."""
+        image, vector = self.after_end[index, int(seat)]
+        return unpack_each([image], self.layout.image_bytes)[0] if isinstance(image, bytes) else image, vector
 
-    def _before_crashes(self, crashes: I64) -> tuple[I64, I64]:
-        """Steps 0..window-1 before crashes (K, 2), within their episodes and the ring."""
-        index, seats = crashes.T
-        first = self.total - self.size()
+    def _drawn(self, listed: _Listed, count: int) -> I64:
+        """Absolute index and seat, (count, 2), of some of these steps."""
+        picks = self.rng.integers(0, max(len(listed), 1), count)
+        return np.array([listed[k] for k in picks], np.int64).reshape(-1, 2)
+
+    def _before_crashes(self, count: int, first: int) -> tuple[I64, I64]:
+        """Steps 0..window-1 before crashes, within their episodes and the ring."""
+        index, seats = self._drawn(self.crashes, count).T
         reach = np.minimum(self.episode_step[index % self.buffer_size, seats], index - first)
-        back = np.minimum(self.rng.integers(0, self.precrash_window, len(crashes)), reach)
+        back = np.minimum(self.rng.integers(0, self.precrash_window, count), reach)
         return index - back, seats
 
     def _goes_on(self) -> list[int]:
@@ -420,4 +431,17 @@ class FrameReplay(ReplayBuffer):
     def _store_expected(self, index: int, seat: int) -> None:
         if self.expected is not None:
             images, vectors = self.expected
-            self.after_end[index, seat] = images[seat].copy(), vectors[seat].copy()
+            self.store_end(index, seat, images[seat], vectors[seat])
+
+    def store_end(self, index: int, seat: int, image: U8, vector: F32) -> None:
+        """Store images and vectors after the last step of a chain."""
+        folded = pack_each(image[None])[0] if len(image) > PACK_ABOVE_BYTES else image.copy()
+        self.after_end[index, seat] = folded, vector.copy()
+
+    def _forget(self, index: int) -> None:
+        """Drop what belongs to the row that is overwritten now."""
+        for seat in range(self.n_envs):
+            self.after_end.pop((index, seat), None)
+        for listed in (self.crashes, self.known, self.tight):
+            while listed and listed[0][0] <= index:
+                listed.popleft()

@@ -154,7 +154,8 @@ def _observations(memory: FrameReplay, index: I64, seats: I64, last: I64) -> Ten
     images[row, place] = memory.windows.read(steps[inside], seat[inside])
     vectors[row, place] = memory.vectors[steps[inside] % memory.buffer_size, seat[inside]]
     for k in np.flatnonzero(beyond):
-        images[tuple(wanted[k])], vectors[tuple(wanted[k])] = memory.after_end[int(steps[k]) - 1, int(seat[k])]
+        at = tuple(wanted[k])
+        images[at], vectors[at] = memory.observation_after_end(int(steps[k]) - 1, int(seat[k]))
     return _split(memory, images, vectors)
 
 

@@ -93,14 +93,16 @@ def _read_weights(path: Path, sha256: str, wanted: Iterable[torch.Tensor]) -> by
     return data
 
 
-def checked_tensors(where: str, tensors: dict[str, torch.Tensor], wanted: Tensors) -> dict[str, torch.Tensor]:
+def checked_tensors(
+    where: str, tensors: dict[str, torch.Tensor], wanted: Tensors, of: str = "the network that policy.json describes"
+) -> dict[str, torch.Tensor]:
     """The same tensors. Raises PolicyError where they are not those of `wanted` in name, type and shape, or finite."""
     got, expected = ({name: _facts(tensor) for name, tensor in each.items()} for each in (tensors, wanted))
     odd = sorted(name for name in expected.keys() | got.keys() if expected.get(name) != got.get(name))
     if odd:
         first = odd[0]
         raise PolicyError(
-            f"{where} does not fit the network that policy.json describes: {escaped(first, 80)} is "
+            f"{where} does not fit {of}: {escaped(first, 80)} is "
             f"{got.get(first, 'missing')}, expected {expected.get(first, 'nothing')} "
             f"({len(odd)} tensors differ); use the weights it was trained with"
         )

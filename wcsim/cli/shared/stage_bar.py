@@ -56,7 +56,9 @@ class StageBar:
 
     def show(self, share: float, says: str, name: str | None = None) -> None:
         """A share of the work (0 to 1) is done; `says` is what goes on, in 30 characters or so."""
-        if self._first is None or share < self._share:
+        if self._first is None:
+            self._first = share
+        elif share < self._share:
             self._first, self._began_s = share, self._clock()
         self._share = share
         self._bar.update(self._task, completed=share, says=says, left=self.left, description=name)

@@ -29,7 +29,7 @@ from wcsim.config import RunConfig, resolve
 from wcsim.core import seeding
 from wcsim.errors import ConfigError
 from wcsim.supervisor.rewards import blamed
-from wcsim.towns.checks.cures import Cures
+from wcsim.towns.checks.cures import PAVED_LATER, Cures
 from wcsim.towns.scenario.town import Town, content_hash, find_town
 from wcsim.towns.sumo.net import LaneKind, read_net
 
@@ -181,4 +181,5 @@ def _no_persons(town: Town) -> str:
     if net.lanes(LaneKind.WALKINGAREA):
         return f"{told}; {Cures(town).walkers()}"
     told = f"{told}, and the net has no walking areas"
-    return f"{told}; {Cures(town).pave()}"
+    later = "" if net.slowest_mps is None else f"\n{PAVED_LATER}"  # else there will be no paved copy
+    return f"{told}; {Cures(town).pave()}{later}"

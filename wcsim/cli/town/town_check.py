@@ -36,7 +36,7 @@ _TOLD = 3
 
 @dataclass
 class CheckOptions:
-    """Check a town: connected pavements, routes, ground, and whether SUMO runs it."""
+    """Check a town: connected pavements, routes, and whether SUMO runs it."""
 
     town: TownWord
     """A town's name, its folder, or a .sumocfg file."""

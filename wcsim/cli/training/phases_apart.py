@@ -116,6 +116,10 @@ def _choose(options: GroupOptions, run: GroupRun, by: str, suite: Suite | None) 
         with locked(run.out):
             figures = _followed(run) if suite is None else _tested(options, run, suite, by)
             best = by if by in figures else _best_of(figures)
+            figures = {
+                name: {key: round(figure, 4) if key == KPI1 else figure for key, figure in own.items()}
+                for name, own in figures.items()
+            }  # for people; the choice is made by all digits
             kept = {"list_sha256": suite.sha256} if suite else {}
             # Written last: a run without it compares again, one with it goes on with the second phase.
             (run.out / SELECTION).mkdir(exist_ok=True)
@@ -135,7 +139,7 @@ def _choose(options: GroupOptions, run: GroupRun, by: str, suite: Suite | None) 
 
 def _followed(run: GroupRun) -> Figures:
     """KPI 1 of each client's own choice at the end of its first phase, a mean of at most 2,000 steps."""
-    return {client.name: {KPI1: round(kpi1_of(run.out / client.name), 4)} for client in run.clients}
+    return {client.name: {KPI1: kpi1_of(run.out / client.name)} for client in run.clients}
 
 
 def _tested(options: GroupOptions, run: GroupRun, suite: Suite, name: str) -> Figures:

@@ -6,6 +6,7 @@ import math
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
+from functools import cache
 
 import numpy as np
 import numpy.typing as npt
@@ -20,7 +21,6 @@ _STRIDE = 0.8  # length of two steps against a walker's height
 _WALKING_MPS = 0.2  # slower than this, a pedestrian stands
 _GAIT_HEADINGS = 16
 _CHILD_BELOW_M = 1.45
-_TEMPLATES = {kind: int(template_of(kind)) for kind in ActorKind}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -59,6 +59,11 @@ def chair_pose(seat: int, plant: PlantState, outline: Outline) -> ChairPose:
     return ChairPose(seat=seat, p_WB_m=plant.p_WB_m, q_WB=plant.q_WB, outline=outline)
 
 
+@cache
+def _usual_templates() -> dict[ActorKind, int]:
+    return {kind: int(template_of(kind)) for kind in ActorKind}
+
+
 def instances_of(actors: Sequence[ActorState], chairs: Sequence[ChairPose] = ()) -> Instances:
     """Models for the actors, in their order, and then for the chairs."""
     return joined(actor_instances(actors), chair_instances(chairs))
@@ -71,8 +76,9 @@ def actor_instances(actors: Sequence[ActorState]) -> Instances:
     p_W_m, v_W_mps = _rows([actor.p_W_m for actor in actors]), _rows([actor.v_W_mps for actor in actors])
     yaw_rad = np.array([actor.yaw_rad for actor in actors], np.float64)
     scale_m = np.array([actor.size_lwh_m for actor in actors], np.float64).reshape(-1, 3)
+    usual = _usual_templates()
     template = np.array(
-        [_TEMPLATES[a.kind] if a.look is ActorLook.USUAL else template_of(a.kind, a.look) for a in actors], np.int32
+        [usual[a.kind] if a.look is ActorLook.USUAL else template_of(a.kind, a.look) for a in actors], np.int32
     )
     walks = template == Template.PEDESTRIAN
     speed_mps = np.hypot(v_W_mps[:, 0], v_W_mps[:, 1])

@@ -68,12 +68,12 @@ class _Child(subprocess.Popen[bytes]):
                     pass_fds=(theirs,),
                     start_new_session=True,
                 )
+            self._end_fd = os.pidfd_open(self.pid)
         except BaseException:
             os.close(self._pipe)
             raise
         finally:
             os.close(theirs)
-        self._end_fd = os.pidfd_open(self.pid)
         self._rest = b""
         self._reads = True
         selector.register(self._pipe, selectors.EVENT_READ)

@@ -240,9 +240,20 @@ def _decode(data: bytes, decoder: msgspec.msgpack.Decoder[Any], limit_bytes: int
     if len(data) > limit_bytes:
         raise errors.OverloadedError(f"a message has {len(data)} bytes; expected at most {limit_bytes}")
     try:
-        return decoder.decode(data)
+        message = decoder.decode(data)
+        if isinstance(message, Join):
+            _require_plain(message.spec, data)
+        return message
     except (msgspec.MsgspecError, TypeError, ValueError, ArithmeticError, RecursionError) as error:
         raise ProtocolError(f"a message does not fit protocol {PROTOCOL}: {escaped(error, 200)}") from None
+
+
+def _require_plain(spec: SeatSpec, data: bytes) -> None:
+    """Refuse what the types of a join leave open: msgspec passes over fields that a dataclass does not have."""
+    msgspec.convert(spec.profile, b.Place)
+    sent = msgspec.msgpack.decode(data)[1 + Join.__struct_fields__.index("spec")]
+    if msgspec.msgpack.decode(_ENCODER.encode(spec)) != sent:
+        raise ValueError("a seat is asked for with fields of another protocol")
 
 
 def failure_of(error: WcsimError, session: bytes = b"") -> Failure:

@@ -83,15 +83,20 @@ def _removed_if_stale(folder: Path) -> bool:
 
 
 def _remove(folder: Path) -> None:
-    """Remove a folder whose lock is held; the lock goes last, so that nobody takes half a folder for another's."""
+    """Remove a folder whose lock is held; the lock goes last, so that nobody takes half a folder for another's.
+
+    It stays where something else does, so that the next sweep tries again.
+    """
     with contextlib.suppress(OSError):
         for entry in list(os.scandir(folder)):
             if entry.is_dir(follow_symlinks=False):
                 shutil.rmtree(entry.path, ignore_errors=True)
             elif entry.name != LOCK:
-                Path(entry.path).unlink()
-        (folder / LOCK).unlink(missing_ok=True)
-        folder.rmdir()
+                with contextlib.suppress(OSError):
+                    Path(entry.path).unlink()
+        if [entry.name for entry in os.scandir(folder)] in ([LOCK], []):
+            (folder / LOCK).unlink(missing_ok=True)
+            folder.rmdir()
 
 
 def _home() -> Path:

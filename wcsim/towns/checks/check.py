@@ -13,11 +13,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from xml.etree.ElementTree import Element, ElementTree
 
+import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
 from wcsim.config import RunConfig
-from wcsim.errors import SumoError
+from wcsim.errors import SumoError, TownError
 from wcsim.towns.checks.cures import FOR_ROUTES, PAVED_LATER, Cures
 from wcsim.towns.checks.validate import validate_net
 from wcsim.towns.ground.plane_geometry import length_of
@@ -35,8 +36,10 @@ from wcsim.towns.walking.islands import CutOff, cut_off, largest_share, walkable
 
 _ENOUGH_SHARE = 0.95
 _WALKER = "pedestrian"
+_LARGEST_M = 200_000.0  # across; a net that is larger was projected wrongly
 STEEPEST = 0.25
 AROUND_M = 100.0  # of the streets: what lies farther outside belongs to something else
+_PROJECT = "build the net again from the same files, with netconvert's option --proj.utm"
 _BUILT_UP = ("building", "tree", "tree_row")
 _TOLD_PARTS = 5  # of those that are cut off
 LEAST_M2 = 3.0  # of one pair: less comes of rounded corners
@@ -66,6 +69,20 @@ def _find_notes(town: Town, net: Net, over: tuple[Overlap, ...] = ()) -> tuple[s
     if _polygons(town) is None and not _built_up(town, net):
         notes.append("there are no buildings or trees: the town has no .poly.xml")
     return tuple(notes)
+
+
+def _projection_faults(town: Town, net: Net) -> tuple[str, ...]:
+    """Nets whose coordinates are no metres."""
+    low_m, high_m = net.corners_m()
+    size_m = high_m - low_m
+    size = f"{town.net.name} is {size_m[0]:.4g} x {size_m[1]:.4g} m"
+    if size_m.max() > _LARGEST_M:
+        return (f"{size}, so its projection is wrong; {_PROJECT}",)
+    drawn_m = sum(float(np.hypot(*np.diff(lane.points_m, axis=0).T).sum()) for lane in net.every_lane)
+    noted_m = sum(lane.length_m for lane in net.every_lane if lane.kind is not LaneKind.WALKINGAREA)
+    if size_m.max() < 2.0 or noted_m > 20.0 * drawn_m:
+        return (f"{size}, so its coordinates are in degrees or another unit; {_PROJECT}",)
+    return ()
 
 
 def _foreign_polygons(town: Town, net: Net) -> list[str]:
@@ -189,10 +206,12 @@ class TownReport:
 def check_town(town: Town, share: float | None = None) -> TownReport:
     """Check a town; `share` is the walkable share when it is known already.
 
-    Raises TownError when the town cannot be read at all, or its net is not in metres: see `validate_net`.
+    Raises TownError when the town cannot be read at all, or its net is not in metres.
     """
     files_of(town, RunConfig())  # missing files are reported before SUMO opens a large net
     net = read_net(town.net, town.file.origin_m)
+    if wrong := _projection_faults(town, net):
+        raise TownError(f"{town.net}: {wrong[0]}")
     validate_net(town.net, border=town.border)
     street = load_street(town)
     parts = walkable_parts(net, town.file.chair_ways) if share is None else []

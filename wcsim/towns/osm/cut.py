@@ -19,10 +19,11 @@ def _cut(source: str, file_format: str, out: str, box: Box | None) -> None:
     header = osmium.io.Reader(file, osmium.osm.osm_entity_bits.NOTHING).header()
     nodes, ways, needed = osmium.IdTracker(), osmium.IdTracker(), osmium.IdTracker()
     if box is not None:
+        west, south, east, north = box  # unpacked once: each node of a country is looked at
         for node in osmium.FileProcessor(file, osmium.osm.NODE):
             assert isinstance(node, osmium.osm.Node)  # noqa: S101 - only nodes were requested
             place = node.location
-            if place.valid() and box.holds((place.lon, place.lat)):
+            if place.valid() and west <= place.lon <= east and south <= place.lat <= north:
                 nodes.add_node(node.id)
         for way in osmium.FileProcessor(file, osmium.osm.WAY).with_filter(nodes.contains_filter()):
             ways.add_way(way.id)

@@ -21,19 +21,14 @@ _LinkKey = tuple[str, str, int, int]  # edges and lanes, from and to
 _NEAR_END_M = 1.0  # how far before its end a lane still sees what lay beyond it: SUMO's vehicles stand so far back
 
 
-def _line(lane: Lane) -> shapely.LineString:
-    points_m = lane.points_m
-    return shapely.LineString(points_m if len(points_m) > 1 else [*points_m, *points_m])
-
-
 def _length_m(lane: Lane) -> float:
     """SUMO's length of a lane, which may be drawn longer or shorter."""
     return max(0.01, lane.length_m)
 
 
-def _point(lane: Lane, pos_m: float) -> shapely.Point:
-    """The place of a position on a lane."""
-    point: shapely.Point = _line(lane).interpolate(min(1.0, max(0.0, pos_m / _length_m(lane))), normalized=True)
+def _point(line: shapely.LineString, pos_m: float, length_m: float) -> shapely.Point:
+    """The place of a position on a lane of that length."""
+    point: shapely.Point = line.interpolate(min(1.0, max(0.0, pos_m / length_m)), normalized=True)
     return point
 
 
@@ -47,6 +42,7 @@ class _LaneMap:
             {lane.id: lane for lanes in _edges(net, "", "connector", "internal").values() for lane in lanes}
             for net in (before, after)
         )
+        self._drawn: dict[tuple[bool, str], shapely.LineString] = {}  # whether before, id
         self.moved: dict[str, str] = {}  # id of every lane before -> after
         for edge, lanes in self.before.items():
             new = self.after.get(edge, ())
@@ -83,16 +79,25 @@ class _LaneMap:
             unless a junction has grown over it.
         """
         old, new = self.lines[lane], self.new_lines[self.moved[lane]]
-        old_m, new_m, line = _length_m(old), _length_m(new), _line(new)
+        old_m, new_m = _length_m(old), _length_m(new)
+        old_line, line = self._line(old, before=True), self._line(new, before=False)
         at_m = min(old_m, max(0.0, old_m + pos_m if pos_m < 0.0 else pos_m))
-        place = _point(old, at_m)
+        place = _point(old_line, at_m, old_m)
         found_m = float(line.project(place, normalized=True)) * new_m
         if not span:
             low_m, high_m = min(at_m, _NEAR_END_M), new_m - min(old_m - at_m, _NEAR_END_M)
             found_m = min(max(found_m, min(low_m, high_m)), high_m)
         found_m = math.floor(found_m * 100.0 + 0.5) / 100.0
         found_m = max(0.0, min(found_m, math.floor(new_m * 100.0 + 1e-6) / 100.0))
-        return found_m, _along_m(line, place, _point(new, found_m))
+        return found_m, _along_m(line, place, _point(line, found_m, new_m))
+
+    def _line(self, lane: Lane, *, before: bool) -> shapely.LineString:
+        """A lane as it is drawn; made once, for scenarios have a hundred thousand positions."""
+        key = before, lane.id
+        if key not in self._drawn:
+            points_m = lane.points_m
+            self._drawn[key] = shapely.LineString(points_m if len(points_m) > 1 else [*points_m, *points_m])
+        return self._drawn[key]
 
 
 def _along_m(line: shapely.LineString, old: shapely.Point, new: shapely.Point) -> float:

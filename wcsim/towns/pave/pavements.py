@@ -21,6 +21,7 @@ from wcsim.towns.checks.cures import FASTEST_MPS, Cures
 from wcsim.towns.importing.adopt import copy_scenario
 from wcsim.towns.importing.folder_texts import check_new
 from wcsim.towns.pave.elements import Paving
+from wcsim.towns.scenario.files import without_namespaces
 from wcsim.towns.scenario.options import read_configuration
 from wcsim.towns.scenario.town import Town
 from wcsim.towns.sumo.net import LaneKind, Net, net_of, read_net
@@ -82,7 +83,7 @@ def pave_town(town: Town, out: Path, fastest_mps: float = FASTEST_MPS) -> Paved:
     """Copy a scenario into the new folder `out`, with pavements, crossings and walking areas, and all that follows.
 
     Stops, detectors and departures by lane move to the lane that they meant, signal programs get letters for the new
-    crossings. Nothing else of the files is changed.
+    crossings. No other value in the files is changed.
 
     Args:
         town: A scenario whose net has no crossings.
@@ -263,4 +264,4 @@ def _is_xml(path: Path) -> bool:
 def _root(path: Path) -> Element:
     """The root of a copy, with the comments inside it: the original was looked through when it was copied."""
     parser = ElementTree.XMLParser(target=ElementTree.TreeBuilder(insert_comments=True))  # noqa: S314 - no DTD gets here
-    return ElementTree.fromstring(read_bytes(path), parser)  # noqa: S314 - nor here
+    return without_namespaces(ElementTree.fromstring(read_bytes(path), parser))  # noqa: S314 - nor here

@@ -292,7 +292,7 @@ class FilteredFiles:
         plain = _PLAIN.fullmatch(str(path)) is not None
         if plain and not names.found:
             return path
-        root = _without_namespaces(parse_root(data, escaped(path)))
+        root = without_namespaces(parse_root(data, escaped(path)))
         changes = [self._change(element, path, above) for element in root.iter()]
         if plain and not any(changes):
             return path
@@ -341,10 +341,13 @@ def _make_absolute(element: Element, path: Path) -> None:
             element.set(key, str((path.parent / value).absolute()))
 
 
-def _without_namespaces(root: Element) -> Element:
+def without_namespaces(root: Element) -> Element:
     """The same tree with the bare names that SUMO goes by; attributes of other namespaces are left out."""
     for element in root.iter():
-        element.tag = element.tag.rpartition("}")[2]
+        tag: object = element.tag
+        if not isinstance(tag, str):  # a comment
+            continue
+        element.tag = tag.rpartition("}")[2]
         for key in [key for key in element.attrib if key.startswith("{")]:
             del element.attrib[key]
     return root

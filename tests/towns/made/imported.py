@@ -1,0 +1,18 @@
+"""A town that is imported from the text of an extract."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from wcsim.towns.importing import demand
+from wcsim.towns.importing.importer import Imported, ImportOrder, import_town
+
+
+def imported(osm: str, folder: Path) -> Imported:
+    """The test town `small` in a folder; its demand is tried for 20 s alone."""
+    (folder / "small.osm").write_text(osm, encoding="utf-8")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(demand, "TRIAL_S", 20)
+        return import_town(ImportOrder(osm=folder / "small.osm", name="small", split="test", out=folder / "small"))
