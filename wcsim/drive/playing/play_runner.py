@@ -5,8 +5,8 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from multiprocessing import get_context
 from multiprocessing.connection import Connection, wait
+from multiprocessing.process import BaseProcess
 from typing import Any, ClassVar, Final
 
 import msgspec
@@ -17,7 +17,7 @@ from wcsim.drive.pictures import StreetPictures
 from wcsim.drive.playing.film_states import FilmAbout, FilmFrame, FilmLine, FilmNames, Said
 from wcsim.drive.playing.sources.source_process import FilmSource, run_at_low_priority, run_source
 from wcsim.drive.playing.tick_film import TickFilm
-from wcsim.drive.runner import Does, PageRunner, run_page
+from wcsim.drive.runner import Does, PageRunner, run_page, start_child
 from wcsim.errors import WcsimError
 from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.kpi import KpiTotals
@@ -140,7 +140,7 @@ class PlayRunner(PageRunner):
         self._said_s = self._marked_s = 0.0
         self._marked = 0
         self._source: Connection | None = None
-        self._process: Any = None  # spawn's own class of processes has no public name
+        self._process: BaseProcess | None = None
         does: Does = {
             m.Pause: self._pause,
             m.Pace: lambda said: self._player.set_pace(said.times),
@@ -294,11 +294,7 @@ class PlayRunner(PageRunner):
         self._busy(f"Opening the street{waits} ...")
         self._film, self._told, self._ended = None, "", ""
         self._names, self._marked, self._opened = {}, 0, source
-        context = get_context("spawn")
-        self._source, theirs = context.Pipe()
-        self._process = context.Process(target=run_source, args=(theirs, source), daemon=True, name="wcsim-film")
-        self._process.start()
-        theirs.close()
+        self._source, self._process = start_child(run_source, source, name="wcsim-film", daemon=True)
 
     def _show_first(self, about: FilmAbout) -> None:
         """A film begins: its street is loaded here too. One that cannot be drawn is told of."""
