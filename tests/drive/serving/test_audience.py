@@ -12,11 +12,13 @@ NOTICE = spoken("notice", {"kind": "note", "told": "read me"})
 class SlowPage:
     """A connection that takes what it is sent, one thing after another, when it is let."""
 
+    closed = False
+
     def __init__(self) -> None:
         self.got: list[Any] = []
         self.may = asyncio.Event()
 
-    async def send(self, data: Any) -> None:
+    async def send_frame(self, data: Any, _: object) -> None:
         await self.may.wait()
         self.got.append(data)
 
@@ -46,7 +48,7 @@ def test_a_slow_page_misses_states_and_never_a_line() -> None:
             line.put(state(tick))
         return await sent_to(page, line)
 
-    assert asyncio.run(drive()) == [NOTICE.decode(), state(999).decode()]
+    assert asyncio.run(drive()) == [NOTICE, state(999)]
 
 
 def test_pictures_wait_for_those_before_and_the_newest_come() -> None:

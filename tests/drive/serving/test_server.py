@@ -7,8 +7,8 @@ import signal
 import socket
 import subprocess
 import threading
-from collections.abc import Iterator
-from contextlib import ExitStack
+from collections.abc import AsyncIterator, Iterator
+from contextlib import ExitStack, asynccontextmanager
 from pathlib import Path
 
 import pytest
@@ -18,12 +18,13 @@ from websockets.sync.client import ClientConnection, connect
 from tests.drive.serving.served import FakePage, served
 from wcsim.drive.runner import DriveOrder
 from wcsim.drive.serving import server as server_module
-from wcsim.drive.serving.server import MOST_PAGES, DriveServer, ServeOrder, serve_drive
+from wcsim.drive.serving.server import MOST_PAGES, DriveServer
 from wcsim.drive.starting import DriveStart
 from wcsim.errors import ConfigError
 
 pytestmark = pytest.mark.timeout(900)  # a busy machine opens a street in minutes
 Served = tuple[str, subprocess.Popen[str]]
+START = DriveOrder(start=DriveStart())
 
 
 @pytest.fixture(scope="module")
@@ -34,36 +35,30 @@ def running(corner: Path) -> Iterator[Served]:
 
 @pytest.mark.parametrize("host", ["192.0.2.1", "no-such-host.invalid"])
 def test_a_host_that_is_not_this_machine_is_named_and_not_the_port(host: str) -> None:
-    order = ServeOrder(start=DriveOrder(start=DriveStart()), host=host, port=0)
     with pytest.raises(ConfigError, match=f"^{host}:0: cannot be served .*; expected --host with a name or address"):
-        serve_drive(order)
+        asyncio.run(DriveServer(START, host, 0).run())
 
 
 def test_a_port_that_somebody_has_is_named() -> None:
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        order = ServeOrder(start=DriveOrder(start=DriveStart()), port=taken.getsockname()[1])
-        with pytest.raises(ConfigError, match=r"choose another --port; 0 takes a free one$"):
-            serve_drive(order)
+    refused = pytest.raises(ConfigError, match=r"choose another --port; 0 takes a free one$")
+    with socket.create_server(("127.0.0.1", 0)) as taken, refused:
+        asyncio.run(DriveServer(START, port=taken.getsockname()[1]).run())
 
 
-class NoProcess:
+@asynccontextmanager
+async def no_process(*_: object) -> AsyncIterator[asyncio.Future[None]]:
     """Stands for the process of a drive, which these tests do without."""
-
-    def __init__(self, *_: object) -> None: ...
-
-    def send(self, _: object) -> None: ...
-
-    def close(self) -> None: ...
+    yield asyncio.Future()
 
 
 @pytest.fixture
 def bare(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
     """The address of a server without a drive."""
-    monkeypatch.setattr(server_module, "_Process", NoProcess)
+    monkeypatch.setattr(server_module, "_running", no_process)
     said: list[str] = []
     begun, loop = threading.Event(), asyncio.new_event_loop()
-    order = ServeOrder(start=DriveOrder(start=DriveStart()), port=0, say=lambda told: (said.append(told), begun.set()))
-    serving = loop.create_task(DriveServer(order).run())
+    server = DriveServer(START, port=0, say=lambda told: (said.append(told), begun.set()))
+    serving = loop.create_task(server.run())
 
     def serve() -> None:
         with pytest.raises(asyncio.CancelledError):
@@ -84,20 +79,41 @@ def asked(address: str, *lines: str) -> bytes:
     """The whole answer to requests that come at once."""
     host, _, port = address.partition(":")
     with socket.create_connection((host, int(port)), timeout=60) as line:
-        line.sendall("".join(f"{each} HTTP/1.1\r\nHost: {address}\r\n\r\n" for each in lines).encode())
+        line.sendall(
+            "".join(f"{each} HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n" for each in lines).encode()
+        )
         return b"".join(iter(lambda: line.recv(1 << 16), b""))
 
 
 def test_whatever_is_asked_is_answered_without_a_traceback(bare: str, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO)
-    for request, status in (("GET //[", 400), ("OPTIONS /", 405), ("POST /socket", 405), ("HEAD /nothing", 404)):
+    for request, status in (("GET //[", 404), ("OPTIONS /", 405), ("POST /socket", 405), ("HEAD /nothing", 404)):
         assert asked(bare, request).startswith(b"HTTP/1.1 %d " % status), request
     got, head = asked(bare, "GET /"), asked(bare, "HEAD /")
     assert head == got[: got.index(b"\r\n\r\n") + 4] and b"Content-Length: " in head
-    for request in ("GET /", "GET //["):
+    for request in ("GET /", "GET /\xff"):
         asked(bare, request, request)
     assert "Traceback" not in caplog.text and "\n" not in "".join(record.getMessage() for record in caplog.records)
     assert sum(record.levelno >= logging.WARNING for record in caplog.records) <= 2, "a line for each that came at once"
+
+
+def test_who_asks_nothing_and_who_reads_nothing_is_gone_after_a_while(
+    bare: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A ping is answered: who sends many and reads no answer holds what fits into the kernel."""
+    monkeypatch.setattr(server_module, "_PING_S", 0.2)
+    host, _, port = bare.partition(":")
+    key = (
+        "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\nSec-WebSocket-Key: "
+        + 22 * "A"
+        + "=="
+    )
+    with socket.create_connection((host, int(port)), timeout=60) as page:
+        page.sendall(f"GET /socket HTTP/1.1\r\nHost: {bare}\r\nOrigin: http://{bare}\r\n{key}\r\n\r\n".encode())
+        with pytest.raises(ConnectionError):
+            while True:
+                page.sendall(1000 * (b"\x89\xfd" + bytes(4 + 125)))
+    assert asked(bare) == b""
 
 
 def test_a_page_that_says_nothing_yields_its_place_and_one_that_speaks_keeps_it(bare: str) -> None:
@@ -123,7 +139,7 @@ def read(address: str, path: str, headers: dict[str, str]) -> http.client.HTTPRe
     host, _, port = address.partition(":")
     line = http.client.HTTPConnection(host, int(port), timeout=60)
     line.putrequest("GET", path, skip_host=True)
-    for name, value in headers.items():
+    for name, value in {**headers, "Connection": "close"}.items():
         line.putheader(name, value)
     line.endheaders()
     return line.getresponse()

@@ -28,10 +28,12 @@ class PageOptions:
 
 def serve_page(start: DriveOrder | PlayStart, page: PageOptions) -> int:
     """Serve the page until Ctrl-C."""
-    from wcsim.drive.serving.server import ServeOrder, serve_drive
+    import asyncio
+
+    from wcsim.drive.serving.server import DriveServer
 
     try:
-        serve_drive(ServeOrder(start=start, host=page.host, port=page.port, say=partial(print, flush=True)))
+        asyncio.run(DriveServer(start, page.host, page.port, partial(print, flush=True)).run())
     except KeyboardInterrupt:
         print("the page is closed")
     return 0

@@ -14,33 +14,27 @@ import errno
 import logging
 import socket
 import struct
-import threading
 from collections import deque
-from collections.abc import Callable
-from dataclasses import dataclass
-from http import HTTPStatus
-from multiprocessing import get_context
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Final
-from urllib.parse import urlsplit
 
-from websockets.asyncio.server import Server, ServerConnection, serve
-from websockets.datastructures import Headers
-from websockets.exceptions import ConnectionClosed
-from websockets.http11 import Request, Response
+from aiohttp import WSCloseCode, WSMsgType, web
+from aiohttp.typedefs import Handler
 
-from wcsim.core.closing import Closing
 from wcsim.core.reading import escaped
 from wcsim.drive import messages as m
 from wcsim.drive.playing.play_runner import PlayStart
-from wcsim.drive.runner import DONE, JSON, LINE, PICTURES, DriveOrder
+from wcsim.drive.runner import DONE, JSON, LINE, PICTURES, DriveOrder, start_child
 from wcsim.drive.serving.access_control import LOOPBACK, AccessControl, content_policy, new_token
 from wcsim.drive.stick_watch import rests
 from wcsim.errors import ConfigError, ProtocolError, WorkersError
-from wcsim.server.launch.stop_signals import unheard_by_children
 
 _MOST_WAITING: Final = 64  # lines to a page; of a page that reads too slowly the oldest are lost
+_PING_S: Final = 20.0  # a page that is gone without a word; its stick has long been at rest
+_SOON_S, _END_S = 0.5, 10.0  # for a page or process that hears, and for one that does not
 _NUMBER = struct.Struct("<I")
 _STATE: Final = b'{"say":"state"'
 _TAKEN: Final = "Another page is driving. You are watching."
@@ -49,8 +43,8 @@ _TAKEN: Final = "Another page is driving. You are watching."
 class PageLine:
     """What is on its way to one page: lines in order, and of states and pictures the newest alone."""
 
-    def __init__(self, connection: ServerConnection) -> None:
-        self._connection = connection
+    def __init__(self, socket: web.WebSocketResponse, transport: asyncio.Transport | None = None) -> None:
+        self._socket, self._transport = socket, transport
         self.silent = True  # it has said nothing yet, which a page does as soon as it is there
         self._lines = deque[bytes](maxlen=_MOST_WAITING)
         self._state: bytes | None = None
@@ -84,23 +78,34 @@ class PageLine:
 
     def hang_up(self) -> None:
         """End the connection, without a word."""
-        self._connection.transport.abort()
+        if self._transport is not None:
+            self._transport.abort()
 
     async def write(self) -> None:
-        """Send what there is, for as long as the page is there."""
-        with contextlib.suppress(ConnectionClosed):
-            while True:
-                await self._some.wait()
+        """Send what there is, for as long as the page is there.
+
+        One that takes nothing for long is hung up: to close its connection in good order would wait for it forever.
+        """
+        with contextlib.suppress(ConnectionResetError, TimeoutError):
+            while not self._socket.closed:
+                with contextlib.suppress(TimeoutError):
+                    async with asyncio.timeout(_PING_S):
+                        await self._some.wait()
                 self._some.clear()
-                while self._lines:
-                    await self._connection.send(self._lines.popleft().decode())
-                if self._state is not None:
-                    state, self._state = self._state, None
-                    await self._connection.send(state.decode())
-                if self._pictures is not None and self._on_the_way is None:
-                    pictures, self._pictures = self._pictures, None
-                    (self._on_the_way,) = _NUMBER.unpack_from(pictures)
-                    await self._connection.send(pictures)
+                async with asyncio.timeout(_PING_S):
+                    await self._send()
+        self.hang_up()
+
+    async def _send(self) -> None:
+        while self._lines:
+            await self._socket.send_frame(self._lines.popleft(), WSMsgType.TEXT)
+        if self._state is not None:
+            state, self._state = self._state, None
+            await self._socket.send_frame(state, WSMsgType.TEXT)
+        if self._pictures is not None and self._on_the_way is None:
+            pictures, self._pictures = self._pictures, None
+            (self._on_the_way,) = _NUMBER.unpack_from(pictures)
+            await self._socket.send_frame(pictures, WSMsgType.BINARY)
 
 
 class Audience:
@@ -123,6 +128,11 @@ class Audience:
             page.put(line)
         self._tell_roles()
         self._asked = False  # it has no pictures yet
+
+    async def close(self, _: object = None) -> None:
+        """The server goes."""
+        for page in self._pages:
+            page.hang_up()
 
     def leave(self, page: PageLine) -> bool:
         """A page has gone; whether it drove. Nobody drives then, until a page asks for it or comes."""
@@ -179,12 +189,15 @@ class Audience:
 
 log = logging.getLogger("wcsim.drive")
 PAGE: Final = Path(__file__).parents[1] / "page"
-_SOCKET: Final = "/socket"
 _KINDS: Final = {".html": "text/html", ".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml"}
+_HEADERS: Final = {
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cache-Control": "no-store",
+}
 MOST_PAGES: Final = 8
-_PING_S: Final = 20.0  # a page that is gone without a word; its stick has long been at rest
 _MOST_REFUSED: Final = 20  # messages of a page that are no messages
-_SOON_S, _END_S = 0.5, 10.0  # for a process that hears, and for one that does not
 
 
 _MOST: Final = 256  # of steps, which add up
@@ -195,30 +208,29 @@ class Words:
     """Messages in order; one that says as much as one before it takes its place, at the end."""
 
     def __init__(self) -> None:
-        self._lock = threading.Lock()
         self._waiting = deque[m.PageMessage](maxlen=_MOST)
         self._busy = False  # with a slow wish
+        self.some = asyncio.Event()
 
     def put(self, message: m.PageMessage) -> None:
         """Say this too."""
-        with self._lock:
-            for before in [each for each in self._waiting if _says_as_much(message, each)]:
-                self._waiting.remove(before)
-            self._waiting.append(message)
+        for before in [each for each in self._waiting if _says_as_much(message, each)]:
+            self._waiting.remove(before)
+        self._waiting.append(message)
+        self.some.set()
 
     def take(self) -> list[m.PageMessage]:
         """All that waits; while a slow wish is being done, what comes before the next one."""
         said = list[m.PageMessage]()
-        with self._lock:
-            while self._waiting and not (self._busy and self._waiting[0].slow):
-                said.append(self._waiting.popleft())
-                self._busy = self._busy or said[-1].slow
+        while self._waiting and not (self._busy and self._waiting[0].slow):
+            said.append(self._waiting.popleft())
+            self._busy = self._busy or said[-1].slow
         return said
 
     def done(self) -> None:
         """The slow wish is done."""
-        with self._lock:
-            self._busy = False
+        self._busy = False
+        self.some.set()
 
 
 def _says_as_much(message: m.PageMessage, before: m.PageMessage) -> bool:
@@ -233,96 +245,73 @@ def _says_as_much(message: m.PageMessage, before: m.PageMessage) -> bool:
     return type(message) is type(before) and not isinstance(message, m.StepBy)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ServeOrder:
-    """Where the page is served, and what is behind it."""
+@asynccontextmanager
+async def _running(
+    start: DriveOrder | PlayStart, words: Words, hear: Callable[[bytes], object]
+) -> AsyncIterator[asyncio.Task[None]]:
+    """The drive's process, and the task that listens to it until it has ended; another task says the words to it.
 
-    start: DriveOrder | PlayStart
-    host: str = "127.0.0.1"
-    port: int = 8080  # 0 for a free one
-    say: Callable[[str], object] = log.info  # hears of the address, and how each drive ended
-
-
-class _Process(Closing):
-    """The drive's process, a thread that listens to it, and one that speaks to it.
-
-    It hears nothing while it opens a street, and a pipe holds little: so nobody waits for it here, see `Words`.
+    It hears nothing while it opens a street, and a pipe holds little: so threads wait for it, see `Words`. At the end
+    it closes its end of the pipe when all else is closed; the seconds that it takes then are of use to nobody. One
+    that does not hear of the end is told by a signal.
     """
-
-    def __init__(self, order: ServeOrder, hear: Callable[[bytes], object], ended: Callable[[], object]) -> None:
-        context = get_context("spawn")
-        self._pipe, theirs = context.Pipe()
-        name = f"wcsim-{order.start.word}"  # no daemon: a player starts the process that makes its film
-        self._process = context.Process(target=order.start.run, args=(theirs,), name=name)
-        with unheard_by_children():  # Ctrl-C is for this process, which ends that one
-            self._process.start()
-        theirs.close()
-        self._words, self._some = Words(), threading.Event()
-        self._over = False
-        self._threads = (
-            threading.Thread(target=_listen, args=(self._pipe, hear, ended), daemon=True),
-            threading.Thread(target=self._speak, daemon=True),
-        )
-        for thread in self._threads:
-            thread.start()
-
-    def send(self, message: m.PageMessage) -> None:
-        """Say something to the drive, as soon as it hears; nothing happens when it has ended."""
-        self._words.put(message)
-        self._some.set()
-
-    def done(self) -> None:
-        """It has done a slow wish, and may hear the next one."""
-        self._words.done()
-        self._some.set()
-
-    def close(self) -> None:
-        """End the drive; one that does not hear of it is told by a signal.
-
-        It closes its end of the pipe when all else is closed; the seconds that it takes then are of use to nobody.
-        """
-        self.send(m.End())
-        listening = self._threads[0]
-        listening.join(_SOON_S)
-        if listening.is_alive():
-            self._process.terminate()
-            listening.join(_END_S)
-        self._process.kill()
-        self._process.join()
-        self._over = True
-        self._some.set()
-        for thread in self._threads:
-            thread.join(_END_S)
-        self._pipe.close()
-
-    def _speak(self) -> None:
-        with contextlib.suppress(OSError):
-            while not self._over:
-                self._some.wait()
-                self._some.clear()
-                for message in self._words.take():
-                    self._pipe.send(message)
-
-
-def _listen(pipe: Connection, hear: Callable[[bytes], object], ended: Callable[[], object]) -> None:
+    # no daemon: a player starts the process that makes its film
+    pipe, process = start_child(start.run, name=f"wcsim-{start.word}")
+    listening, speaking = asyncio.create_task(_listen(pipe, hear)), asyncio.create_task(_speak(pipe, words))
     try:
+        try:
+            yield listening
+        finally:
+            words.put(m.End())
+            await asyncio.wait([listening], timeout=_SOON_S)
+            if not listening.done():
+                process.terminate()
+                await asyncio.wait([listening], timeout=_END_S)
+    finally:  # also where the wait is cancelled
+        process.kill()
+        process.join()
+        words.put(m.End())  # nobody is at the other end, which ends the speaking
+        await asyncio.wait([listening, speaking], timeout=_END_S)
+        pipe.close()
+
+
+async def _listen(pipe: Connection, hear: Callable[[bytes], object]) -> None:
+    soon = asyncio.get_running_loop().call_soon  # what goes wrong in hearing does not end the listening
+    with contextlib.suppress(EOFError, OSError):
         while True:
-            hear(pipe.recv_bytes())
-    except (EOFError, OSError):
-        ended()
+            soon(hear, await asyncio.to_thread(pipe.recv_bytes))
+
+
+async def _speak(pipe: Connection, words: Words) -> None:
+    with contextlib.suppress(OSError):
+        while True:
+            await words.some.wait()
+            words.some.clear()
+            for message in words.take():
+                await asyncio.to_thread(pipe.send, message)
 
 
 class DriveServer:
-    """Serves one drive to pages; `run` ends when it is cancelled, or the drive's process has ended."""
+    """Serves one drive or film to pages; `run` ends when it is cancelled, or the drive's process has ended.
 
-    def __init__(self, order: ServeOrder) -> None:
-        self._order = order
-        token = "" if order.host in LOOPBACK else new_token()
-        self._access = AccessControl(host=order.host, token=token)
+    Args:
+        start: What is behind the page.
+        host: Where it is served.
+        port: 0 for a free one.
+        say: Hears of the address, and how each drive ended.
+    """
+
+    def __init__(
+        self,
+        start: DriveOrder | PlayStart,
+        host: str = "127.0.0.1",
+        port: int = 8080,
+        say: Callable[[str], object] = log.info,
+    ) -> None:
+        self._start, self._host, self._port, self._say = start, host, port, say
+        self._access = AccessControl(host=host, token="" if host in LOOPBACK else new_token())
         self._audience = Audience()
-        self._process: _Process | None = None
-        self._over = asyncio.Event()
-        self._died = False
+        self._words = Words()
 
     async def run(self) -> None:
         """Serve until cancelled.
@@ -331,127 +320,116 @@ class DriveServer:
             ConfigError: The address is taken, or not this machine's.
             WorkersError: The process that is served has died.
         """
-        loop = asyncio.get_running_loop()
+        app = web.Application(middlewares=[self._guarded])
+        app.router.add_get("/socket", self._meet, allow_head=False)
+        app.router.add_get("/{name:.*}", self._page)
+        app.on_response_prepare.append(_say_no_version)
+        app.on_shutdown.append(self._audience.close)
+        runner = web.AppRunner(
+            app,
+            access_log=None,
+            logger=_logger(),
+            keepalive_timeout=_END_S,  # counts from the beginning: who connects and asks nothing is gone after it
+            shutdown_timeout=_SOON_S,
+            auto_decompress=False,  # of bodies, which nobody reads
+        )
+        await runner.setup()
         try:
-            server = await serve(
-                self._meet,
-                self._order.host,
-                self._order.port,
-                process_request=self._read,
-                max_size=m.MOST_BYTES,
-                max_queue=64,
-                ping_interval=_PING_S,
-                ping_timeout=_PING_S,
-                compression=None,
-                server_header=None,
-                logger=_logger(),
-            )
-        except OSError as error:
-            raise _not_served(self._order, error) from None
-        try:
-            self._order.say(f"{self._order.start.word} at {self._address(server)}  (Ctrl-C to stop)")
-            self._order.say(self._order.start.begins)
-            self._process = _Process(
-                self._order,
-                lambda data: loop.call_soon_threadsafe(self._told, data),
-                lambda: loop.call_soon_threadsafe(self._ended),
-            )
-            await self._over.wait()
+            await _listen_at(runner, self._host, self._port)
+            self._say(f"{self._start.word} at {self._address(runner)}  (Ctrl-C to stop)")
+            self._say(self._start.begins)
+            async with _running(self._start, self._words, self._told) as listening:
+                await asyncio.wait([listening])
+                self._audience.tell(m.spoken("notice", {"kind": "bad", "told": self._start.over}))
+                await asyncio.sleep(_SOON_S)
         finally:
-            server.close()
-            await asyncio.to_thread(self._close)
-        if self._died:
-            what = f"the {self._order.start.word}'s process"
-            raise WorkersError(f"{what} has ended; the messages above say why: start it again")
+            await runner.cleanup()
+        what = f"the {self._start.word}'s process"
+        raise WorkersError(f"{what} has ended; the messages above say why: start it again")
 
-    def _close(self) -> None:
-        if self._process is not None:
-            self._process.close()
-
-    def _address(self, server: Server) -> str:
-        port = server.sockets[0].getsockname()[1]
-        host = f"[{self._order.host}]" if ":" in self._order.host else self._order.host
+    def _address(self, runner: web.AppRunner) -> str:
+        port = runner.addresses[0][1]
+        host = f"[{self._host}]" if ":" in self._host else self._host
         token = f"?token={self._access.token}" if self._access.token else ""
         return f"http://{host}:{port}/{token}"
 
     # --- what a browser reads ---
 
-    def _read(self, connection: ServerConnection, request: Request) -> Response | None:
-        """Hand out a file of the page, or let a socket through."""
-        if request.method not in ("GET", "HEAD"):
-            response = connection.respond(HTTPStatus.METHOD_NOT_ALLOWED, "expected GET or HEAD\n")
-            response.headers["Allow"] = "GET, HEAD"
-            return response
-        try:
-            answer = self._answer(connection, request)
-        except ValueError:  # of a path that is no address, such as //[
-            answer = connection.respond(HTTPStatus.BAD_REQUEST, "this is not the address of a page\n")
-        if answer is not None and request.method == "HEAD":
-            answer.body = b""
-        return answer
-
-    def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
-        path, headers = urlsplit(request.path).path, request.headers
-        hosts, origins = headers.get_all("Host"), headers.get_all("Origin")
-        wants_socket = path == _SOCKET
-        twice = len(hosts) != 1 or len(origins) > 1
-        why = self._access.refusal(
-            None if twice else hosts[0], origins[0] if origins else None, request.path, socket=wants_socket
-        )
+    @web.middleware
+    async def _guarded(self, request: web.Request, handler: Handler) -> web.StreamResponse:
+        """Let a request through that access control does not refuse."""
+        hosts, origins = request.headers.getall("Host", []), request.headers.getall("Origin", [])
+        host = None if len(hosts) != 1 or len(origins) > 1 else hosts[0]
+        socket = request.match_info.handler == self._meet  # whatever the path is that leads there
+        why = self._access.refusal(host, origins[0] if origins else None, request.path_qs, socket=socket)
         if why:
-            return connection.respond(HTTPStatus.FORBIDDEN, f"{why}\n")
-        if wants_socket:
-            return None
-        name = self._order.start.page if path == "/" else path.removeprefix("/")
+            raise web.HTTPForbidden(text=f"{why}\n")
+        return await handler(request)
+
+    async def _page(self, request: web.Request) -> web.Response:
+        """Hand out a file of the page."""
+        name = request.match_info["name"] or self._start.page
         file = next((each for each in PAGE.iterdir() if each.name == name and each.suffix in _KINDS), None)
         if file is None:
-            return connection.respond(HTTPStatus.NOT_FOUND, "there is no such page\n")
-        return _file(file.read_bytes(), _KINDS[file.suffix], hosts[0])
+            raise web.HTTPNotFound(text="there is no such page\n")
+        headers = {**_HEADERS, "Content-Security-Policy": content_policy(request.headers["Host"])}
+        return web.Response(body=file.read_bytes(), content_type=_KINDS[file.suffix], charset="utf-8", headers=headers)
 
     # --- what a page says ---
 
-    async def _meet(self, connection: ServerConnection) -> None:
+    async def _meet(self, request: web.Request) -> web.WebSocketResponse:
         """One page, from its coming to its going."""
+        socket = web.WebSocketResponse(
+            timeout=_SOON_S,
+            heartbeat=_PING_S,
+            compress=False,
+            max_msg_size=m.MOST_BYTES + 1,  # the first that is too long
+            writer_limit=0,  # whoever writes waits for a page that reads too slowly
+        )
+        await socket.prepare(request)
         if len(self._audience) >= MOST_PAGES and not self._audience.hang_up_silent():
-            await connection.close(1013, "too many pages")
-            return
-        line = PageLine(connection)
+            await socket.close(code=WSCloseCode.TRY_AGAIN_LATER, message=b"too many pages")
+            return socket
+        line = PageLine(socket, request.transport)
         writing = asyncio.create_task(line.write())
         self._audience.enter(line)
         self._ask_for_pictures()
         try:
-            await self._hear(line, connection)
-        except ConnectionClosed:
-            log.debug("a page has gone")
+            await self._hear(line, socket)
         finally:
             if self._audience.leave(line):
-                self._send(m.Gone())
+                self._words.put(m.Gone())
             writing.cancel()
+            line.hang_up()  # closed by now, but for what a page that reads too slowly has not read
+        return socket
 
-    async def _hear(self, line: PageLine, connection: ServerConnection) -> None:
+    async def _hear(self, line: PageLine, socket: web.WebSocketResponse) -> None:
         refused = 0
-        async for data in connection:
+        async for said in socket:
+            if said.type not in (WSMsgType.TEXT, WSMsgType.BINARY):  # too long, or the connection is lost
+                return
             line.silent = False
             try:
-                message = m.of_page(data)
+                message = m.of_page(said.data)
             except ProtocolError as error:
                 refused += 1
                 line.put(m.spoken("notice", {"kind": "refused", "told": str(error)}))
                 if refused >= _MOST_REFUSED:
-                    await connection.close(1008, "not a page of wcsim")
+                    await socket.close(code=WSCloseCode.POLICY_VIOLATION, message=b"not a page of wcsim")
                     return
                 continue
             self._obey(line, message)
+            await asyncio.sleep(0)  # a page that says much at once keeps nobody waiting
 
     def _obey(self, line: PageLine, message: m.PageMessage) -> None:
         if isinstance(message, m.Shown):
             line.seen(message.number)
             self._ask_for_pictures()
         elif isinstance(message, m.TakeOver):
-            self._send(m.Gone())
+            self._words.put(m.Gone())
             self._audience.take_over(line)
         elif line is self._audience.driver:
-            self._send(message)
+            self._words.put(message)
 
     # --- what the drive says ---
 
@@ -463,57 +441,40 @@ class DriveServer:
         elif kind == JSON:
             self._audience.tell(body)
         elif kind == LINE:
-            self._order.say(body.decode())
-        elif kind == DONE and self._process is not None:
-            self._process.done()
-
-    def _ended(self) -> None:
-        if not self._over.is_set():
-            self._died = True
-            told = m.spoken("notice", {"kind": "bad", "told": self._order.start.over})
-            self._audience.tell(told)
-            asyncio.get_running_loop().call_later(0.5, self._over.set)
+            self._say(body.decode())
+        elif kind == DONE:
+            self._words.done()
 
     def _ask_for_pictures(self) -> None:
         """Ask for pictures where a page takes them and none are on the way."""
         if self._audience.wants():
-            self._send(m.Ready())
-
-    def _send(self, message: m.PageMessage) -> None:
-        if self._process is not None:
-            self._process.send(message)
+            self._words.put(m.Ready())
 
 
-def _not_served(order: ServeOrder, error: OSError) -> ConfigError:
-    """What is wrong with an address: the host is no name or address of this machine, or the port cannot be had."""
-    of_host = isinstance(error, socket.gaierror) or error.errno in (None, errno.EADDRNOTAVAIL)  # None: tried several
-    cure = (
-        "expected --host with a name or address of this machine, or 0.0.0.0 for all of them"
-        if of_host
-        else "choose another --port; 0 takes a free one"
-    )
-    return ConfigError(f"{order.host}:{order.port}: cannot be served ({error.strerror or error}); {cure}")
+async def _listen_at(runner: web.AppRunner, host: str, port: int) -> None:
+    """Raises ConfigError: the host is no name or address of this machine, or the port cannot be had."""
+    try:
+        await web.TCPSite(runner, host, port).start()
+    except OSError as error:
+        of_host = isinstance(error, socket.gaierror) or error.errno in (
+            None,
+            errno.EADDRNOTAVAIL,
+        )  # None: tried several
+        cure = (
+            "expected --host with a name or address of this machine, or 0.0.0.0 for all of them"
+            if of_host
+            else "choose another --port; 0 takes a free one"
+        )
+        raise ConfigError(f"{host}:{port}: cannot be served ({error.strerror or error}); {cure}") from None
 
 
-def _file(data: bytes, kind: str, host: str) -> Response:
-    headers = Headers(
-        {
-            "Content-Type": f"{kind}; charset=utf-8",
-            "Content-Length": str(len(data)),
-            "Content-Security-Policy": content_policy(host),
-            "X-Content-Type-Options": "nosniff",
-            "Referrer-Policy": "no-referrer",
-            "Cross-Origin-Opener-Policy": "same-origin",
-            "Cache-Control": "no-store",
-            "Connection": "close",
-        }
-    )
-    return Response(HTTPStatus.OK.value, HTTPStatus.OK.phrase, headers, data)
+async def _say_no_version(_: web.Request, response: web.StreamResponse) -> None:
+    response.headers.popall("Server", None)
 
 
 def _logger() -> logging.Logger:
-    """Of websockets: what a request breaks there is a line, as whoever finds the address could fill a terminal."""
-    logger = logging.getLogger("wcsim.drive.websockets")
+    """Of aiohttp: what a request breaks there is a line, as whoever finds the address could fill a terminal."""
+    logger = logging.getLogger("wcsim.drive.aiohttp")
     logger.addFilter(_in_a_line)
     return logger
 
@@ -523,8 +484,3 @@ def _in_a_line(record: logging.LogRecord) -> bool:
         record.msg, record.args = escaped(f"{record.getMessage()}: {record.exc_info[1]!r}"), ()
         record.exc_info = None
     return True
-
-
-def serve_drive(order: ServeOrder) -> None:
-    """Serve until Ctrl-C. Raises ConfigError, see `DriveServer.run`; KeyboardInterrupt goes on to the caller."""
-    asyncio.run(DriveServer(order).run())
