@@ -180,7 +180,7 @@ def test_unroutable_trips_are_counted(corner_town: Town, tmp_path: Path) -> None
 
 
 @pytest.mark.shared
-@pytest.mark.parametrize("name", ["leeds", "neukolln"])
+@pytest.mark.parametrize("name", ["leeds", pytest.param("neukolln", marks=pytest.mark.proof)])
 def test_traffic_keeps_to_the_side_of_the_country(name: str, tmp_path: Path) -> None:
     made = import_town(
         ImportOrder(
