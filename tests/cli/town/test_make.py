@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 
 from tests.cli.conftest import Run, files_in
-from wcsim.towns.importing import demand
 from wcsim.towns.scenario.town import open_town
 
 SMALL = ("--size", "300", "--kind", "grid", "--hill", "5", "--parked", "1", "--traffic", "0.5")
@@ -18,7 +17,6 @@ SMALL = ("--size", "300", "--kind", "grid", "--hill", "5", "--parked", "1", "--t
 @pytest.fixture(autouse=True)
 def _own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    monkeypatch.setattr(demand, "TRIAL_S", 20)
 
 
 def test_a_town_is_made_checked_found_by_name_and_made_again_by_its_own_command(
