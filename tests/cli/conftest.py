@@ -10,6 +10,8 @@ import pytest
 
 from tests.support.one_process import in_this_process
 from wcsim.cli.main import main
+from wcsim.cli.town import town_check
+from wcsim.towns.importing import demand
 
 QUICK = ("--set", "world.warmup_s=0", "--set", "cameras.0.width_px=32", "--set", "cameras.0.height_px=24")
 
@@ -37,8 +39,13 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.fixture
-def wcsim(folder: Path, capfd: pytest.CaptureFixture[str]) -> Iterator[Run]:
-    """Run `wcsim WORDS` in this process, workers and all; capfd sees what native code writes too."""
+def wcsim(folder: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Iterator[Run]:
+    """Run `wcsim WORDS` in this process, workers and all; capfd sees what native code writes too.
+
+    The traffic of a town that is checked or made is tried for some seconds alone, not for minutes.
+    """
+    monkeypatch.setattr(town_check, "COLLIDING_S", 30.0)
+    monkeypatch.setattr(demand, "TRIAL_S", 20)
     with in_this_process():
         yield runner(main, capfd)
 

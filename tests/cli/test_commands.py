@@ -97,8 +97,8 @@ def test_an_imported_town_can_be_checked_seen_and_tested_in(wcsim, folder, tiny)
     assert report["crossings"] >= 12
     assert report["walkable_largest_share"] > 0.95
     assert {"passenger", "pedestrian", "bicycle"} <= set(report["classes"])
-    words = ("--episodes", "1", "--max-steps", "20", "--set", "world.warmup_s=20", "--json", "test.json")
-    assert wcsim("test", "--town", tiny, *words).code == 0
+    words = ("--only", "--episodes", "1", "--max-steps", "20", "--set", "world.warmup_s=20", "--json", "test.json")
+    assert wcsim("test", "--town", tiny, *words, *QUICK[2:]).code == 0
     assert {row["part"] for row in read("test.json")["rows"]} == {"tiny, inattentive user"}
 
 
@@ -157,14 +157,14 @@ def test_long_names_of_policies_are_shown_whole(wcsim, folder, corner, tmp_path)
     trained = wcsim("train-q", "--town", corner, "--out", run, "--json", "train.json", *small)
     assert trained.code == 0
     assert read("train.json") == {"run": str(run), "town": "pedestrian-crossing", "seed": 0}
-    words = ("--town", corner, "--allow-train-town", "--episodes", "1", "--max-steps", "5")
+    words = ("--town", corner, "--allow-train-town", "--only", "--episodes", "1", "--max-steps", "5", *QUICK[:2])
     told = wcsim("test", run, f"{run}:phase1", run / "policies" / "final", *words, "--json", "t.json")
     assert told.code == 0
     assert fits(told.out)
     shown = "".join(re.sub(r"(\s+[\d.%-]+){9}\s*$", "", line).strip() for line in told.out.splitlines())
     for name in (str(run), f"{run}:phase1", str(run / "policies" / "final")):
         assert name in shown
-    assert len(read("t.json")["pooled"]) == 3 + len(BASELINES)
+    assert len(read("t.json")["pooled"]) == 3 + len(("follow",))
 
 
 HOW = ("low", "high", "method", "source", "ok", "note", "judged")

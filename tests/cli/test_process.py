@@ -15,49 +15,28 @@ import pytest
 from tests.cli.towns import TINY_BBOX, tiny_osm
 from wcsim.cli.shared.exit_codes import Exit
 
-COMMAND = (sys.executable, "-m", "wcsim")
 
-
-def start(folder: Path, *words: object, **more: object) -> subprocess.Popen[str]:
+def start(folder: Path, *words: object) -> subprocess.Popen[str]:
     environment = {**os.environ, "OMP_NUM_THREADS": "1", "COLUMNS": "80"}
     return subprocess.Popen(
-        [*COMMAND, *(str(word) for word in words)],
+        [sys.executable, "-m", "wcsim", *(str(word) for word in words)],
         cwd=folder,
         env=environment,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
-        **more,
     )
 
 
-@pytest.mark.parametrize(
-    ("words", "told"),
-    [
-        (("snapshot", "atlantis"), "unknown town 'atlantis'"),
-        (("scene", "run", "nothing"), "unknown scene 'nothing'"),
-    ],
-    ids=lambda value: value[0] if isinstance(value, tuple) else "",
-)
-def test_a_mistake_is_one_line_and_code_2(tmp_path, words, told):
-    child = start(tmp_path, *words)
-    out, err = child.communicate(timeout=200)
-    assert (child.returncode, out, err.count("\n")) == (2, "", 1)
-    assert err.startswith("wcsim: ")
-    assert told in err
-    assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize("words", [("snapshot", "--out", "x.png"), ("video", "--out", "x.webm")], ids=lambda w: w[0])
-def test_pictures_and_videos_come_without_chatter(tmp_path, corner, words):
-    child = start(tmp_path, *words[:1], corner, "--seconds", "0.3", "--width", "64", *words[1:])
+def test_a_video_comes_without_chatter_of_what_is_loaded_for_it(tmp_path, corner):
+    child = start(tmp_path, "video", corner, "--seconds", "0.3", "--width", "64", "--out", "x.webm")
     out, err = child.communicate(timeout=200)
     assert (child.returncode, err) == (0, "")
-    assert out.startswith(words[-1])
+    assert out.startswith("x.webm")
     assert out.count("\n") == 1
 
 
-@pytest.mark.parametrize("words", [("town", "list"), ("town", "--help"), ("test", "--help"), ("--help",)], ids=" ".join)
+@pytest.mark.parametrize("words", [("town", "list"), ("test", "--help")], ids=" ".join)
 def test_a_reader_that_leaves_early_hears_nothing(tmp_path, words):
     with start(tmp_path, *words) as child:
         child.stdout.close()
@@ -80,7 +59,7 @@ def test_an_import_that_is_ended_leaves_nothing(tmp_path):
 
 
 def test_ctrl_c_keeps_what_was_learned_and_resume_goes_on(wcsim, folder, corner):
-    total = 300
+    total = 150  # it is told of 50, and has to have some left when the signal comes
     words = (
         *("train-q", "--town", corner, "--out", "run"),
         *("--set", f"learn.total_steps={total}", "--set", "learn.phase1_steps=40", "--set", "learn.train_every=10"),
@@ -99,8 +78,8 @@ def test_ctrl_c_keeps_what_was_learned_and_resume_goes_on(wcsim, folder, corner)
     assert manifest["status"] == "interrupted"
     assert 0 < manifest["steps"] < total
     assert (folder / "run" / "policies" / "final" / "policy.json").is_file()
-    told = wcsim("resume", "run", "--steps", 299)
-    assert (told.code, told.err.count("\n"), "299" in told.err) == (Exit.REFUSED, 1, True), told
+    told = wcsim("resume", "run", "--steps", total - 1)
+    assert (told.code, told.err.count("\n"), str(total - 1) in told.err) == (Exit.REFUSED, 1, True), told
     told = wcsim("resume", "run")
     assert told.code == 0, told
     assert "\nrun folder: run" in told.out

@@ -6,14 +6,16 @@ from pathlib import Path
 
 import pytest
 
+from wcsim.core.files import user_cache
 from wcsim.towns.build_street import build_street
 from wcsim.towns.cache.street_cache import unpack_street
-from wcsim.towns.ground.tiles import Packed
 from wcsim.towns.scenario.town import Town, find_town
 from wcsim.towns.scene_folders.build import build_scene, find_scene
+from wcsim.towns.street import load_street
 from wcsim.types import Street
 
 REPOSITORY = Path(__file__).resolve().parents[2]
+KEPT = user_cache().parent
 
 
 @pytest.fixture(autouse=True)
@@ -39,10 +41,8 @@ def manhattan_town() -> Town:
 
 
 @pytest.fixture(scope="session")
-def manhattan_packed(manhattan_town: Town) -> Packed:
-    return build_street(manhattan_town)
-
-
-@pytest.fixture(scope="session")
-def manhattan(manhattan_packed: Packed) -> Street:
-    return unpack_street(manhattan_packed)
+def manhattan(manhattan_town: Town) -> Street:
+    """Kept where whoever runs the tests keeps streets: it is built anew when any code that makes it has changed."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_CACHE_HOME", str(KEPT))
+        return load_street(manhattan_town)

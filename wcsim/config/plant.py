@@ -7,6 +7,7 @@ Wheels, casters and anti-tips come in pairs, left and right alike. The files of 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -15,6 +16,8 @@ from pydantic import Field
 from wcsim.config import CONFIG_FILE, Model, Text, parse, read_toml
 from wcsim.core import reading
 from wcsim.errors import ConfigError
+
+_PLANTS = Path(__file__).parent / "plants"
 
 Friction = Annotated[float, Field(ge=0.0, le=2.0)]  # times that of the ground, which is 1
 PartKg = Annotated[float, Field(ge=0.1, le=30.0)]
@@ -159,7 +162,7 @@ class PlantFile(Model):
 
 def known_plants() -> tuple[str, ...]:
     """Names of the plants that come with wcsim, sorted."""
-    return tuple(sorted(path.stem for path in _folder().glob("*.toml")))
+    return tuple(sorted(path.stem for path in _PLANTS.glob("*.toml")))
 
 
 def read_plant(plant: str) -> PlantFile:
@@ -168,12 +171,15 @@ def read_plant(plant: str) -> PlantFile:
     Raises:
         ConfigError: No such plant, or a parameter is missing, unknown or out of bounds.
     """
-    if plant.endswith(".toml"):
-        return read_toml(Path(plant), PlantFile)
+    return read_toml(Path(plant), PlantFile) if plant.endswith(".toml") else _shipped_plant(plant)
+
+
+@cache  # a world asks for its chairs' plant several times, and a file of the package stays as it is
+def _shipped_plant(plant: str) -> PlantFile:
     if plant not in known_plants():
         names, got = ", ".join(known_plants()), reading.escaped(plant)
         raise ConfigError(f"chair.plant is {got!r}; expected one of: {names}, or the path of a .toml file")
-    return read_toml(_folder() / f"{plant}.toml", PlantFile)
+    return read_toml(_PLANTS / f"{plant}.toml", PlantFile)
 
 
 def plant_text(plant: str) -> bytes:
@@ -216,7 +222,3 @@ def _keys(node: Any, key: str) -> list[Any]:
     if isinstance(node, list):
         return [i for i in range(len(node)) if key in ("*", str(i))]
     return [key] if isinstance(node, dict) and key in node else []
-
-
-def _folder() -> Path:
-    return Path(__file__).parent / "plants"

@@ -41,12 +41,11 @@ def sources_of(module: str) -> tuple[Path, ...]:
         if name and _file_of(inner) is not None:
             wanted.append((inner, ""))
             continue
-        passed_on = [(other, what) for other, what, here in _imports(path) if name and here == name]
-        if passed_on:
-            wanted += passed_on
-            continue
-        files.add(path)
-        wanted += [(other, what) for other, what, _ in _imports(path)]
+        imported, _ = _parsed(path)
+        passed_on = [(other, what) for other, what, here in imported if name and here == name]
+        if not passed_on:
+            files.add(path)
+        wanted += passed_on or [(other, what) for other, what, _ in imported]
     return tuple(sorted(files))
 
 
@@ -65,10 +64,6 @@ def _file_of(module: str) -> Path | None:
         return None
     stem = _ROOT.joinpath(*module.split("."))
     return next((path for path in (stem.with_suffix(".py"), stem / "__init__.py") if path.is_file()), None)
-
-
-def _imports(path: Path) -> tuple[Imported, ...]:
-    return _parsed(path)[0]
 
 
 @cache

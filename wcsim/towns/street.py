@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
+from functools import cache
 from importlib.metadata import version
 from threading import Event, Thread
 from types import MappingProxyType
@@ -88,6 +89,7 @@ def _street_key(town: Town) -> str:
     return hashlib.sha256(f"{still} {ground} {_maker_digest()}".encode()).hexdigest()[:32]
 
 
+@cache  # whoever edits the code of a process that runs changes nothing of what it makes
 def _maker_digest() -> str:
     """SHA-256 over the code that makes a street, by source text, and the versions of the libraries that it uses."""
     versions = " ".join(version(distribution) for distribution in LIBRARIES.values())

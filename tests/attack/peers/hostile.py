@@ -119,8 +119,13 @@ def beside(words: Sequence[str]) -> Iterator[psutil.Process]:
 def phases(endpoint: str, keys: Path, rounds: int, phase_s: float) -> Iterator[Phase]:
     """Flood and burn in turns; the burner takes what the flood took in the round before it."""
     for number in range(rounds):
-        taken = yield from _phase("flood", ["flood", endpoint, str(keys), str(number)], phase_s)
+        taken = yield from flooded(endpoint, keys, number, phase_s)
         yield from _phase("burn", ["burn", str(min(1.0, taken))], phase_s)
+
+
+def flooded(endpoint: str, keys: Path, seed: int, phase_s: float) -> Generator[Phase, None, float]:
+    """One flood; returns the share of a core that it took."""
+    return (yield from _phase("flood", ["flood", endpoint, str(keys), str(seed)], phase_s))
 
 
 def _phase(what: str, words: list[str], phase_s: float) -> Generator[Phase, None, float]:

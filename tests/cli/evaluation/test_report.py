@@ -8,6 +8,7 @@ import sys
 import pytest
 
 from tests.agents.evaluation.suite.lists import written_list
+from tests.support.one_process import in_this_process
 from tests.view.report.results import write_result
 from wcsim.cli.main import main
 
@@ -40,8 +41,9 @@ def finished(corner, tmp_path_factory):
     place = tmp_path_factory.mktemp("finished")
     (place / "own.py").write_text(OWN, encoding="utf-8")
     written_list(corner, place, max_steps=30)
-    with contextlib.chdir(place):
+    with contextlib.chdir(place), in_this_process():
         assert main(["test", "own:Still", "--suite", "corner.json", "--only", "--out", "runs/out"]) == 0
+    del sys.modules["own"]
     (place / "ran").unlink()
     return place
 

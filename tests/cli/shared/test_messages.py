@@ -164,7 +164,7 @@ def test_a_run_with_an_own_network_is_tested_filmed_and_driven_by_the_name_of_th
     hint = trained.out.rstrip().rpartition("test it: ")[2]
     assert hint == "wcsim test 'runs/my own' --network own_network:OwnNet --town monaco"
     typed = shlex.split(hint)[1:-1]
-    assert wcsim(*typed, corner, "--allow-train-town", "--episodes", "1", "--max-steps", "3").code == 0
+    assert wcsim(*typed, corner, "--allow-train-town", "--only", "--episodes", "1", "--max-steps", "3").code == 0
     unnamed = [word for word in typed if word not in ("--network", "own_network:OwnNet")]
     told = wcsim(*unnamed, corner, "--allow-train-town")
     unnamed_says = "if you trust it, name it: --network own_network:OwnNet"

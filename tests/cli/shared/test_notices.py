@@ -5,19 +5,20 @@ from __future__ import annotations
 import os
 import pty
 import re
-import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from tests.cli.conftest import QUICK, files_in
 from wcsim.cli import serve
+from wcsim.cli.main import main
 from wcsim.server.transport.keys import make_keys
 
 SMALL = ("--set", "learn.total_steps=8", "--set", "learn.phase1_steps=4", *QUICK)
 
 
 def test_what_is_overridden_is_one_line_and_a_table_when_it_is_asked_for(wcsim, corner):
-    words = ("test", "follow", "--town", corner, "--episodes", "1", "--max-steps", "2", *QUICK)
+    words = ("test", "follow", "--only", "--town", corner, "--episodes", "1", "--max-steps", "2", *QUICK)
     short, long = wcsim(*words), wcsim(*words, "--verbose")
     line = " ".join(short.out[: short.out.index("safety")].split())
     assert "of SUMO's options are not as in pedestrian-crossing's scenario (" in line
@@ -45,22 +46,30 @@ def test_progress_of_a_short_run_is_said_once_for_each_tenth(wcsim, corner):
     assert shown == ["0.2", "0.4", "0.6", "0.8", "1", "1.2", "1.4", "1.6", "1.8", "2"]
 
 
-def test_on_a_terminal_the_bar_and_what_is_said_beside_it_have_lines_of_their_own(folder, corner):
-    ours, theirs = pty.openpty()
-    words = ("train-q", "--town", str(corner), "--out", "run", *SMALL)
-    environment = {**os.environ, "COLUMNS": "200", "TERM": "xterm"}
-    child = subprocess.Popen(
-        [sys.executable, "-m", "wcsim", *words], stdin=theirs, stdout=theirs, stderr=theirs, env=environment
-    )
-    os.close(theirs)
+def all_of(terminal: int) -> bytes:
+    """What is written at its other end, until that is closed."""
     seen = b""
     try:
-        while part := os.read(ours, 4096):
+        while part := os.read(terminal, 4096):
             seen += part
-    except OSError:  # the child has closed its end
+    except OSError:  # nobody has the other end open any more
         pass
+    return seen
+
+
+def test_on_a_terminal_the_bar_and_what_is_said_beside_it_have_lines_of_their_own(folder, corner, monkeypatch):
+    ours, theirs = pty.openpty()
+    monkeypatch.setenv("COLUMNS", "200")
+    monkeypatch.setenv("TERM", "xterm")
+    with ThreadPoolExecutor() as pool, monkeypatch.context() as typed:
+        seen = pool.submit(all_of, ours)
+        with os.fdopen(theirs, "w", encoding="utf-8") as terminal:
+            typed.setattr(sys, "stdout", terminal)
+            typed.setattr(sys, "stderr", terminal)
+            code = main(["train-q", "--town", str(corner), "--out", "run", *SMALL])
+        seen = seen.result(60.0)
     os.close(ours)
-    assert child.wait(timeout=60) == 0, seen
+    assert code == 0, seen
     (line,) = [line for line in seen.decode().split("\n") if "of SUMO's options" in line]
     before = line[: line.index("of SUMO's options")].rpartition("\x1b[2K")[2]
     assert re.fullmatch(r"(\x1b\[[\d;?]*[a-zA-Z]|\r)*\d+ ", before), line

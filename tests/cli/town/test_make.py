@@ -9,8 +9,7 @@ from pathlib import Path
 import pytest
 
 from tests.cli.conftest import Run, files_in
-from wcsim.towns.importing import demand
-from wcsim.towns.scenario.town import open_town
+from wcsim.towns.scenario.town import find_town
 
 SMALL = ("--size", "300", "--kind", "grid", "--hill", "5", "--parked", "1", "--traffic", "0.5")
 
@@ -18,7 +17,6 @@ SMALL = ("--size", "300", "--kind", "grid", "--hill", "5", "--parked", "1", "--t
 @pytest.fixture(autouse=True)
 def _own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    monkeypatch.setattr(demand, "TRIAL_S", 20)
 
 
 def test_a_town_is_made_checked_found_by_name_and_made_again_by_its_own_command(
@@ -30,9 +28,8 @@ def test_a_town_is_made_checked_found_by_name_and_made_again_by_its_own_command(
     assert told["faults"] == [] and told["crossings"] > 5
     assert "drawing the streets" in made.err
     place = folder / "scenarios" / "sumo" / "mine"
-    town = open_town(place)
-    assert (town.name, town.split) == ("mine", "test")
-    assert wcsim("town", "check", "mine").code == 0
+    town = find_town("mine")
+    assert (town.folder, town.name, town.split) == (place, "mine", "test")
     before = {path.name: path.read_bytes() for path in place.iterdir()}
     monkeypatch.chdir(place)
     again = wcsim(*shlex.split(town.file.rebuild)[1:])

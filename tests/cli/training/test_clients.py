@@ -20,7 +20,6 @@ from wcsim.agents.clients.paid_times import read_paid_times
 from wcsim.agents.networks.names import NETWORK_NAMES
 from wcsim.agents.networks.registry import NETWORKS
 from wcsim.agents.runs.run_folder import create_run, make_manifest, open_run
-from wcsim.bridge.replay.replayed import worlds_of
 from wcsim.cli.main import main
 from wcsim.cli.shared.exit_codes import Exit
 from wcsim.cli.shared.run_config import how_it_learns, learning
@@ -35,7 +34,7 @@ from wcsim.log.records import EpochBegun
 from wcsim.log.writer import JOURNAL
 from wcsim.server.launch.states import ClientState, LaunchState, RestartRules
 from wcsim.server.specs import ClientStatus, RunInfo
-from wcsim.towns.scenario.town import find_town, open_town, streets_hash
+from wcsim.towns.scenario.town import find_town, streets_hash
 from wcsim.towns.scene_folders.build import build_scene, find_scene
 
 SMALL = (
@@ -48,9 +47,9 @@ def q_config(asked, *more):
     return resolve(asked.preset, *q_layers(asked, *more))
 
 
-def start(folder, *words, program="wcsim"):
+def start(folder, *words):
     return subprocess.Popen(
-        [sys.executable, "-m", program, *(str(word) for word in words)],
+        [sys.executable, "-m", "wcsim", *(str(word) for word in words)],
         cwd=folder,
         env={**os.environ, "OMP_NUM_THREADS": "1", "COLUMNS": "100"},
         stdout=subprocess.PIPE,
@@ -297,12 +296,7 @@ def test_two_networks_learn_in_one_world_of_a_town_a_generation(tmp_path, corner
         open_run(tmp_path / "run")
     assert places(child) == []
     journal = tmp_path / "run" / JOURNAL
-    header = read_header(journal)
-    assert header.more_towns == (str(other),)
-    worlds = worlds_of(header)
-    for epoch, town in enumerate((corner, other, corner)):
-        with worlds((), 1, epoch) as world:
-            assert world.town.name == open_town(town).name
+    assert read_header(journal).more_towns == (str(other),)
     assert [record.epoch for record in iter_inputs(journal) if isinstance(record, EpochBegun)] == [0, 1]
     assert main(["log", "verify", str(journal)]) == Exit.DONE
 
@@ -316,13 +310,12 @@ def test_a_network_that_cannot_be_loaded_leaves_nothing(tmp_path, corner):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_more_cameras_than_a_ring_has_places_for_are_refused(tmp_path, corner):
+def test_more_cameras_than_a_ring_has_places_for_are_refused(wcsim, folder, corner):
     camera = '[[cameras]]\nname = "c%d"\nwidth_px = 16\nheight_px = 12\n'
-    (tmp_path / "many.toml").write_text("".join(camera % number for number in range(65)))
-    child = start(tmp_path, "train-clients", "patch", "--town", corner, "--config", "many.toml", "--out", "run")
-    _, err = child.communicate(timeout=90)
-    assert (child.returncode, "64" in err, "Traceback" in err) == (Exit.REFUSED, True, False), err
-    assert not (tmp_path / "run").exists()
+    (folder / "many.toml").write_text("".join(camera % number for number in range(65)))
+    told = wcsim("train-clients", "patch", "--town", corner, "--config", "many.toml", "--out", "run")
+    assert (told.code, "64" in told.err, "Traceback" in told.err) == (Exit.REFUSED, True, False), told
+    assert not (folder / "run").exists()
 
 
 @pytest.mark.proof

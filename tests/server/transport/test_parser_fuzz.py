@@ -88,9 +88,9 @@ def test_what_claims_to_be_endless_is_refused(data):
 
 def test_messages_that_were_spoilt_are_messages_or_named_errors():
     rng = np.random.default_rng(3)
-    refused = sum(not taken_in(m.decode_request, data) for data in (mutated(rng) for _ in range(20_000)))
-    assert 10_000 < refused < 20_000
-    for _ in range(5_000):
+    refused = sum(not taken_in(m.decode_request, data) for data in (mutated(rng) for _ in range(6_000)))
+    assert 3_000 < refused < 6_000
+    for _ in range(2_000):
         taken_in(m.decode_reply, mutated(rng))
 
 
@@ -159,7 +159,7 @@ def test_a_good_client_loses_nothing_whatever_others_send(tmp_path):
             for tick in itertools.count():
                 frame = a.act(frame.tick, AHEAD)
                 assert frame.tick == tick + 1
-                if frame.tick >= 1500 and vandal.sent > 200 and vandal.told:
+                if frame.tick >= 300 and vandal.sent > 200 and vandal.told:
                     break
         finally:
             vandal.done.set()

@@ -26,35 +26,49 @@ from wcsim.types import street as street_types
 ROOT = Path(wcsim.__file__).parent
 
 
+@pytest.fixture(autouse=True)
+def _forgotten() -> Iterator[None]:
+    yield
+    forget()
+
+
 @pytest.fixture
-def copy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+def copy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The package's text in a folder of its own, which is what counts as long as this test runs."""
     shutil.copytree(ROOT, tmp_path / "wcsim", ignore=lambda _, names: [n for n in names if n == "__pycache__"])
     monkeypatch.setattr(sources, "_ROOT", tmp_path)
+    return tmp_path
+
+
+def forget() -> None:
+    """What a process has read of its code, as in one that begins."""
     sources._parsed.cache_clear()
-    yield tmp_path
-    sources._parsed.cache_clear()
+    street._maker_digest.cache_clear()
+
+
+def key_of(town: Town) -> str:
+    forget()
+    return street._street_key(town)
 
 
 def edit(copy: Path, module: ModuleType, more: str = "# a comment\n") -> None:
     path = copy / Path(str(module.__file__)).relative_to(ROOT.parent)
     path.write_text(path.read_text(encoding="utf-8") + more, encoding="utf-8")
-    sources._parsed.cache_clear()
 
 
 def test_what_makes_a_street_makes_its_name(copy: Path, corner_town: Town) -> None:
-    keys = [street._street_key(corner_town)]
+    keys = [key_of(corner_town)]
     for module in (build_street, net, mesh, tiles, street_types, arrays, seeding, jit):
         edit(copy, module)
-        keys.append(street._street_key(corner_town))
+        keys.append(key_of(corner_town))
     assert len(set(keys)) == len(keys)
 
 
 def test_what_only_stands_beside_it_does_not(copy: Path, corner_town: Town) -> None:
-    key = street._street_key(corner_town)
+    key = key_of(corner_town)
     for module in (read, importer, demand, stage, episode, street, sys.modules["wcsim.config"], wcsim):
         edit(copy, module)
-    assert street._street_key(corner_town) == key
+    assert key_of(corner_town) == key
 
 
 def test_a_file_in_a_folder_below_counts_from_the_import_on(copy: Path, corner_town: Town) -> None:
@@ -62,20 +76,19 @@ def test_a_file_in_a_folder_below_counts_from_the_import_on(copy: Path, corner_t
     below.parent.mkdir()
     below.with_name("__init__.py").write_text('"""Gathers names."""\n\nfrom wcsim.towns.deep.er import EDGE as EDGE\n')
     below.write_text("EDGE = 1\n")
-    before = street._street_key(corner_town)
+    before = key_of(corner_town)
     edit(copy, net, "\nfrom wcsim.towns.deep import EDGE\n")
-    imported = street._street_key(corner_town)
+    imported = key_of(corner_town)
     below.write_text("EDGE = 2\n")
-    sources._parsed.cache_clear()
-    assert len({before, imported, street._street_key(corner_town)}) == 3
+    assert len({before, imported, key_of(corner_town)}) == 3
 
 
 def test_the_versions_of_all_its_libraries_count(corner_town: Town, monkeypatch: pytest.MonkeyPatch) -> None:
     files = sources.sources_of(build_street.__name__)
     used = {name for path in files for name in sources._parsed(path)[1]} - sys.stdlib_module_names
     assert used == set(street.LIBRARIES)
-    key, known = street._street_key(corner_town), {name: version(name) for name in street.LIBRARIES.values()}
+    key, known = key_of(corner_town), {name: version(name) for name in street.LIBRARIES.values()}
     for library in known:
         with monkeypatch.context() as patch:
             patch.setattr(street, "version", {**known, library: "0.0"}.__getitem__)
-            assert street._street_key(corner_town) != key
+            assert key_of(corner_town) != key

@@ -1,6 +1,7 @@
 """Runs the fuzzer's mutants as a user would, many in one child process, and says what came of each.
 
-`python -m tests.towns.fuzz.run FOLDER NUMBER,NUMBER,... [PLANTED FAULT]`: a mutant that is a fault stays in FOLDER.
+`python -m tests.towns.fuzz.run FOLDER CASE,CASE,...`: a mutant that is a fault stays in FOLDER. A case is the number of
+a mutant, or NUMBER:FAULT for it in a wcsim with a planted fault.
 """
 
 from __future__ import annotations
@@ -21,6 +22,8 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+
+import pytest
 
 from tests.cli.towns import tiny_osm
 from tests.towns.fuzz.scenarios import Case, make_case
@@ -205,25 +208,25 @@ def _state(work: Path) -> dict[str, str]:
 # --- many of them ---
 
 
-def run_batch(numbers: Sequence[int], folder: Path, plant: str = "", limit_s: float = LIMIT_S) -> list[Outcome]:
+def run_batch(cases: Sequence[int | str], folder: Path, limit_s: float = LIMIT_S) -> list[Outcome]:
     """Run mutants in a child; where it dies or hangs, that is the mutant's outcome, and a new child goes on."""
-    left, outcomes = list(numbers), []
+    left, outcomes = [str(case) for case in cases], []
     while left:
         (folder / "report.jsonl").write_text("", encoding="utf-8")
-        done, end = _child(left, folder, plant, limit_s)
+        done, end = _child(left, folder, limit_s)
         outcomes += done
         left = left[len(done) :]
         if left and end:
-            case = make_case(left[0])
+            case = make_case(int(left.pop(0).partition(":")[0]))
             outcomes.append(
-                Outcome(number=left.pop(0), family=case.family, changes=case.changes, result="fault", told=end)
+                Outcome(number=case.number, family=case.family, changes=case.changes, result="fault", told=end)
             )
     return outcomes
 
 
-def _child(numbers: Sequence[int], folder: Path, plant: str, limit_s: float) -> tuple[list[Outcome], str]:
+def _child(cases: Sequence[str], folder: Path, limit_s: float) -> tuple[list[Outcome], str]:
     """Outcomes of the mutants that were finished, and how the child ended, "" for well."""
-    words = [sys.executable, "-m", "tests.towns.fuzz.run", str(folder), ",".join(map(str, numbers)), plant]
+    words = [sys.executable, "-m", "tests.towns.fuzz.run", str(folder), ",".join(cases)]
     with (folder / "output.txt").open("wb") as output:
         child = subprocess.Popen(words, cwd=REPOSITORY, stdout=output, stderr=subprocess.STDOUT)
         done, since, end = 0, time.monotonic(), ""
@@ -249,8 +252,7 @@ def _reported(folder: Path) -> list[Outcome]:
 def main() -> int:
     """Run mutants and append their outcomes to report.jsonl in the folder."""
     faulthandler.enable()
-    folder, numbers = Path(sys.argv[1]).resolve(), [int(word) for word in sys.argv[2].split(",")]
-    _plant("".join(sys.argv[3:]))
+    folder, cases = Path(sys.argv[1]).resolve(), [word.partition(":") for word in sys.argv[2].split(",")]
     if not (folder / "base").is_dir():
         write_base(folder / "base")
     tmp = folder / "tmp"
@@ -259,16 +261,17 @@ def main() -> int:
     os.environ |= {"XDG_CACHE_HOME": str(folder / "cache"), "TMPDIR": str(tmp)}
     tempfile.tempdir = str(tmp)
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, resource.getrlimit(resource.RLIMIT_AS)[1]))
-    for number in numbers:
-        case, started_s = make_case(number), time.monotonic()
+    for number, _, fault in cases:
+        case, started_s = make_case(int(number)), time.monotonic()
         work = folder / f"case-{number}"
         shutil.rmtree(work, ignore_errors=True)
-        with warnings.catch_warnings():
+        with warnings.catch_warnings(), pytest.MonkeyPatch.context() as plant:
             warnings.simplefilter("error")
+            _plant(fault, plant)
             result, told = run_case(case, folder / "base", work)
         os.chdir(folder)
         outcome = Outcome(
-            number=number,
+            number=case.number,
             family=case.family,
             changes=case.changes,
             result=result,
@@ -287,14 +290,14 @@ def _nameless(net: Path, *, border: Path | None = None) -> None:
     raise TownError("something is wrong")
 
 
-def _plant(fault: str) -> None:
+def _plant(fault: str, plant: pytest.MonkeyPatch) -> None:
     """Break wcsim on purpose, to see that the fuzzer tells."""
     from wcsim.bridge import world
     from wcsim.bridge.sumo import open_scenario
 
     if fault == "unchecked":  # SUMO meets in this process what was not tried in a child
-        world.validate_net = lambda net, *, border=None: None
-        open_scenario._try_scenario = lambda town, settings, digest: None
+        plant.setattr(world, "validate_net", lambda net, *, border=None: None)
+        plant.setattr(open_scenario, "_try_scenario", lambda town, settings, digest: None)
     elif fault == "leaky":
         real = open_scenario.stage_scenario
 
@@ -302,13 +305,13 @@ def _plant(fault: str) -> None:
             Path("leak.xml").write_text("x", encoding="utf-8")
             return real(*words)  # type: ignore[arg-type]
 
-        open_scenario.stage_scenario = leaky  # type: ignore[assignment]
+        plant.setattr(open_scenario, "stage_scenario", leaky)
     elif fault == "stuck":
-        world.validate_net = lambda net, *, border=None: time.sleep(60.0)
+        plant.setattr(world, "validate_net", lambda net, *, border=None: time.sleep(60.0))
     elif fault == "blunt":
-        world.validate_net = lambda net, *, border=None: {}["a"]
+        plant.setattr(world, "validate_net", lambda net, *, border=None: {}["a"])
     elif fault == "nameless":
-        world.validate_net = _nameless
+        plant.setattr(world, "validate_net", _nameless)
     elif fault:
         raise ValueError(f"no fault {fault!r}")
 

@@ -180,20 +180,12 @@ def test_unroutable_trips_are_counted(corner_town: Town, tmp_path: Path) -> None
 
 
 @pytest.mark.shared
-@pytest.mark.parametrize("name", ["leeds", "neukolln"])
-def test_traffic_keeps_to_the_side_of_the_country(name: str, tmp_path: Path) -> None:
-    made = import_town(
-        ImportOrder(
-            osm=SHARED / f"{name}.osm.xml.gz",
-            bbox=Box.of((SHARED / f"{name}.bbox").read_text("utf-8")),
-            name=name,
-            split="test",
-            out=tmp_path / name,
-            traffic=0.0,
-        )
-    )
+def test_traffic_keeps_to_the_side_of_the_country(order: ImportOrder) -> None:
+    west, south, east, north = Box.of((SHARED / "leeds.bbox").read_text("utf-8"))
+    quarter = Box((west + east) / 2, (south + north) / 2, east, north)
+    made = import_town(replace(order, osm=SHARED / "leeds.osm.xml.gz", bbox=quarter, traffic=0.0))
     net = gzip.decompress(made.town.net.read_bytes())
-    assert (b'lefthand="true"' in net[:2000]) == made.side.lefthand == (name == "leeds")
+    assert b'lefthand="true"' in net[:2000] and made.side.lefthand
     assert made.walkable_share >= 0.95
 
 

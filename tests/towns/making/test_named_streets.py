@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import networkx
 import numpy as np
@@ -16,14 +18,18 @@ from wcsim.towns.making.plan import StreetPlan, _connected, _least_angle_rad, _m
 DRAWS = [(kind, seed) for kind in KINDS for seed in range(4)]
 
 
-def shaped_plan(kind: str, seed: int, folder: Path) -> StreetPlan:
+@cache  # nobody changes one
+def shaped_plan(kind: str, seed: int) -> StreetPlan:
     rng = generator(seed, "test")
-    return shape_plan(draw_plan(kind, 700.0, seed, rng, folder), rng)
+    with TemporaryDirectory() as folder:
+        plan = draw_plan(kind, 700.0, seed, rng, Path(folder))
+        assert not list(Path(folder).iterdir())
+    return shape_plan(plan, rng)
 
 
 @pytest.mark.parametrize(("kind", "seed"), DRAWS)
-def test_plans_are_as_large_as_ordered_and_have_room_at_junctions(kind: str, seed: int, tmp_path: Path) -> None:
-    shaped = shaped_plan(kind, seed, tmp_path)
+def test_plans_are_as_large_as_ordered_and_have_room_at_junctions(kind: str, seed: int) -> None:
+    shaped = shaped_plan(kind, seed)
     graph = shaped.graph()
     assert networkx.is_connected(graph)
     assert 0.7 * 700.0 < np.ptp(shaped.nodes_m, axis=0).max() < 1.5 * 700.0
@@ -32,12 +38,11 @@ def test_plans_are_as_large_as_ordered_and_have_room_at_junctions(kind: str, see
     for (a, b), line in zip(shaped.links, shaped.lines_m, strict=True):
         assert np.allclose(line[[0, -1]], shaped.nodes_m[[a, b]])
         assert np.hypot(*(line[-1] - line[0])) > 20.0
-    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize(("kind", "seed"), DRAWS)
-def test_every_link_is_of_one_street_and_everybody_gets_everywhere(kind: str, seed: int, tmp_path: Path) -> None:
-    shaped = shaped_plan(kind, seed, tmp_path)
+def test_every_link_is_of_one_street_and_everybody_gets_everywhere(kind: str, seed: int) -> None:
+    shaped = shaped_plan(kind, seed)
     streets = _make_streets(shaped, generator(seed, "streets"))
     assert sorted(link for street in streets for link in street.links) == list(range(len(shaped.links)))
     driven = networkx.DiGraph()
@@ -51,11 +56,9 @@ def test_every_link_is_of_one_street_and_everybody_gets_everywhere(kind: str, se
     assert {MAIN, COLLECTOR, RESIDENTIAL} <= {street.kind for street in streets}
 
 
-def test_one_way_streets_and_streets_for_walkers_exist(tmp_path: Path) -> None:
+def test_one_way_streets_and_streets_for_walkers_exist() -> None:
     streets = [
-        street
-        for seed in range(6)
-        for street in _make_streets(shaped_plan("grid", seed, tmp_path), generator(seed, "streets"))
+        street for seed in range(6) for street in _make_streets(shaped_plan("grid", seed), generator(seed, "streets"))
     ]
     assert any(street.oneway and street.kind is RESIDENTIAL for street in streets)
     assert any(street.kind is WALK for street in streets)

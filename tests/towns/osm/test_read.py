@@ -138,7 +138,7 @@ def test_a_small_file_that_unpacks_to_a_large_one_is_refused_at_once(tmp_path: P
     blanks = b"".join(packer.compress(b" " * (1 << 20)) for _ in range(60)) + packer.flush()
     (tmp_path / "a.osm.bz2").write_bytes(blanks)
     (tmp_path / "b.osm.bz2").write_bytes(bz2.compress(b"<osm") + blanks)
-    (tmp_path / "c.osm.gz").write_bytes(gzip.compress(b"<osm>" + b" " * (220 << 20)))
+    (tmp_path / "c.osm.gz").write_bytes(gzip.compress(b"<osm>" + b" " * (220 << 20), 1))
     (tmp_path / "d.osm").write_bytes(b"<osm>" + b" " * (60 << 20))
     with (tmp_path / "e.osm").open("wb") as sparse:
         sparse.write(b"<osm>")

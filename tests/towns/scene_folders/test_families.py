@@ -11,10 +11,7 @@ import pytest
 from wcsim.core import seeding
 from wcsim.errors import ConfigError, DiskFullError
 from wcsim.scenes.run import _open_scene, play
-from wcsim.towns.build_street import build_street
-from wcsim.towns.cache.street_cache import unpack_street
-from wcsim.towns.checks.validate import validate_net
-from wcsim.towns.scene_folders.build import build_scene, scene_of
+from wcsim.towns.scene_folders.build import scene_of
 from wcsim.towns.scene_folders.draft import Push, mirrored, predict_path
 from wcsim.towns.scene_folders.families import FAMILIES, _scooter_cuts_in, write_scene
 from wcsim.types import ClassId
@@ -33,6 +30,11 @@ MEANT = {
     "turning-beside-drop": (0, "drop", ""),
     "twisted-ramp": (0, "drop", ""),
 }
+
+
+@pytest.fixture(autouse=True)
+def own_cache() -> None:
+    """None: these scenes are those of every run, and their streets are kept until what makes them changes."""
 
 
 def texts(folder: Path) -> dict[str, bytes]:
@@ -59,19 +61,12 @@ def test_both_sides_and_short_scenes_are_drawn(family: str, tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("family", FAMILIES)
-def test_streets_build_and_the_chair_starts_on_pavement(family: str, tmp_path: Path) -> None:
-    town, scene = build_scene(write_scene(family, 5, tmp_path / "scene"), tmp_path / "work")
-    validate_net(town.net)
-    grid = unpack_street(build_street(town)).grid
-    start_m = np.array(scene.seats[0].start_m)
-    assert int(grid.class_at(start_m)) == ClassId.SIDEWALK
-    assert float(grid.clearance_at(start_m)) > 0.3
-
-
-@pytest.mark.parametrize("family", FAMILIES)
-def test_who_only_follows_meets_the_danger_that_is_meant(family: str, tmp_path: Path) -> None:
+def test_who_only_follows_from_a_start_on_pavement_meets_the_danger_that_is_meant(family: str, tmp_path: Path) -> None:
     seed, reason, partner = MEANT[family]
     with _open_scene(write_scene(family, seed, tmp_path / "scene")) as (world, scene):
+        start_m = np.array(scene.seats[0].start_m)
+        assert int(world.street.grid.class_at(start_m)) == ClassId.SIDEWALK
+        assert float(world.street.grid.clearance_at(start_m)) > 0.3
         ticks = (step.after.clients[0] for step in play(world, scene))
         end = next(client for client in ticks if client.events.crashed)
     assert end.events.crash_reason == reason

@@ -25,11 +25,12 @@ def checked_device(name: str) -> str:
 @contextmanager
 def torch_settings(learn: LearnConfig) -> Iterator[None]:
     """Threads and determinism while a network learns, and what was set before after it."""
-    threads, deterministic = torch.get_num_threads(), torch.are_deterministic_algorithms_enabled()
+    threads, mode = torch.get_num_threads(), torch.get_deterministic_debug_mode()
     torch.set_num_threads(learn.threads)
-    torch.use_deterministic_algorithms(True, warn_only=learn.device != "cpu")
+    # As `torch.use_deterministic_algorithms`, which loads PyTorch's compiler besides: a second and a half.
+    torch.set_deterministic_debug_mode("error" if learn.device == "cpu" else "warn")
     try:
         yield
     finally:
         torch.set_num_threads(threads)
-        torch.use_deterministic_algorithms(deterministic)
+        torch.set_deterministic_debug_mode(mode)
