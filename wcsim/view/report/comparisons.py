@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from statistics import fmean
 from textwrap import wrap
 from typing import Any, Final
 
@@ -124,7 +123,10 @@ WEIGHTINGS: Final = (
 
 def weighted(result: TestResult) -> dict[str, list[tuple[float, int]]]:
     """By policy: its mean under each of WEIGHTINGS, and its rank; equal means share a rank."""
-    means = {name: [fmean(map(way.of, episodes)) for way in WEIGHTINGS] for name, episodes in result.episodes.items()}
+    means = {
+        name: [math.fsum(map(way.of, episodes)) / len(episodes) for way in WEIGHTINGS]
+        for name, episodes in result.episodes.items()
+    }
     return {
         name: [
             (mean, 1 + sum(other[place] > mean + 1e-12 for other in means.values())) for place, mean in enumerate(own)

@@ -6,14 +6,12 @@ It is the one module that draws with matplotlib.
 from __future__ import annotations
 
 import io
-import math
 import re
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import matplotlib as mpl
 import numpy as np
@@ -76,8 +74,7 @@ _ENDS: Final = ("#009e73", "#d55e00", "#e69f00", "#56b4e9", "#6a3d9a", "#444444"
 _Ground = tuple[U8, tuple[float, float, float, float]]  # (H, W, 3) from above; west, east, south and north edge
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Curve:
+class Curve(NamedTuple):
     """A value over steps, raw and as a running mean."""
 
     name: str
@@ -143,7 +140,7 @@ def figures_of(result: TestResult, folder: Path) -> list[Exhibit]:
 
 def _bounds(row: ResultRow, key: str) -> tuple[float, float]:
     """An interval of a row; of few episodes there is none, and a point has no bar."""
-    return getattr(row, f"{key}_ci") or (math.nan, math.nan)
+    return getattr(row, f"{key}_ci") or (np.nan, np.nan)
 
 
 def _arms(row: ResultRow, key: str) -> list[list[float]]:

@@ -67,11 +67,11 @@ def page(template: str, **shown: object) -> str:
     return TEMPLATES.get_template(template).render(shown)
 
 
-def write_page(folder: Path, text: str, exhibits: Sequence[Exhibit]) -> Path:
+def write_page(folder: Path, text: str, exhibits: Sequence[Exhibit], name: str = PAGE) -> Path:
     """Write the page, and its figures and numbers beside it. Raises DiskFullError."""
     for exhibit in exhibits:
         write_bytes(folder / _FIGURES / f"{exhibit.stem}.csv", exhibit.csv.encode())
         if exhibit.svg:
             write_bytes(folder / _FIGURES / f"{exhibit.stem}.svg", exhibit.svg)
-    write_bytes(folder / PAGE, text.encode())
-    return folder / PAGE
+    write_bytes(folder / name, text.encode())
+    return folder / name

@@ -11,7 +11,6 @@ from wcsim.agents.evaluation.suite.records import EpisodeRecord
 from wcsim.agents.evaluation.suite.result_files import TestResult
 from wcsim.agents.evaluation.suite.rows import FEWEST, ResultRow
 from wcsim.core.constants import RECORDED
-from wcsim.core.files import write_bytes
 from wcsim.core.reading import counted
 from wcsim.view.report.columns import COLUMNS, GROUPS, Column
 from wcsim.view.report.comparisons import WEIGHTINGS, Paired, compared, verdict, weighted
@@ -159,6 +158,4 @@ def write_demo_page(folder: Path, result: TestResult, **shown: object) -> Path:
     """
     tables = {part: _result_table(result, part) for part in result.parts}
     text = page("demo.jinja", title="wcsim demo", tables=tables, rows=result.rows, groups=GROUPS, **shown)
-    path = folder / DEMO_PAGE
-    write_bytes(path, text.encode())
-    return path
+    return write_page(folder, text, (), DEMO_PAGE)
