@@ -21,7 +21,7 @@ from wcsim.cli.shared.exit_codes import Exit
 HEAVY = (
     *("torch", "stable_baselines3", "pettingzoo", "gymnasium"),
     *("libsumo", "traci", "sumolib", "pybullet", "numba", "cv2"),
-    *("matplotlib", "shapely", "networkx", "rasterio", "osmium", "timezonefinder"),
+    *("matplotlib", "shapely", "networkx", "rasterio", "osmium", "timezonefinder", "scipy"),
 )
 PROBE = f"""
 import contextlib, json, os, sys
@@ -144,5 +144,5 @@ def test_what_must_not_be_loaded_is_what_work_loads():
     for work in ("bridge.world", "agents.learning.train", "agents.envs.parallel_env", "towns.street"):
         importlib.import_module(f"wcsim.{work}")
     late = {name for name in HEAVY if name not in sys.modules}
-    assert late <= {"rasterio", "osmium", "timezonefinder", "matplotlib"}  # for single pieces of work
+    assert late <= {"rasterio", "osmium", "timezonefinder", "matplotlib", "scipy"}  # for single pieces of work
     assert all(find_spec(name) for name in HEAVY)

@@ -14,7 +14,8 @@ from wcsim.server.protocol.members import Member
 from wcsim.server.specs import ClientStatus, WorldStatus
 from wcsim.types import SeatSpec
 from wcsim.view.live_table import PAYS, _pays_of
-from wcsim.view.report.training_page import _PAID, _waiting_rows
+from wcsim.view.report import training_page
+from wcsim.view.report.training_page import _PAID, _waiting
 
 
 def state(learned_s, waited_s, pid=1, names=("a", "b"), lives=(7, 8)):
@@ -91,16 +92,21 @@ def test_who_comes_back_is_not_waited_for_again_in_what_it_was_waited_for_before
 def test_a_table_says_who_waits_for_whom(tmp_path):
     log = PaidTimesLog(tmp_path)
     log.add(state((5.0, 6.0), 2.0))
-    headings, rows = _waiting_rows(log.times)
-    assert headings == (*_PAID, "for a s", "for b s")
-    assert rows == [["a", 1.0, 5.0, 2.0, 3.0, 1.0, 4.0, None, 2.0], ["b", 1.0, 6.0, 2.0, 3.0, 1.0, 4.0, 0.2, None]]
+    log.save()
+    shown = _waiting(tmp_path, "")
+    assert shown.columns == (*_PAID, "for a s", "for b s")
+    assert shown.rows == [
+        ["a", 1.0, 5.0, 2.0, 3.0, 1.0, 4.0, None, 2.0],
+        ["b", 1.0, 6.0, 2.0, 3.0, 1.0, 4.0, 0.2, None],
+    ]
     assert PAYS.startswith("acts") and _pays_of(ClientStatus(name="a")) == "-"
 
 
-def test_parts_of_waiting_sum_to_it_where_most_of_it_was_spent_on_learning():
+def test_parts_of_waiting_sum_to_it_where_most_of_it_was_spent_on_learning(monkeypatch, tmp_path):
     paid = PaidShares(acting_s=10.0, learning_s=50.0, overlap_s=35.0, world_s=40.0)
-    headings, ((_, *told),) = _waiting_rows(PaidTimes(clients={"a": paid}, waited_s={}))
-    row = dict(zip(headings[1:], told, strict=True))
+    monkeypatch.setattr(training_page, "read_paid_times", lambda _: PaidTimes(clients={"a": paid}, waited_s={}))
+    shown = _waiting(tmp_path, "")
+    row = dict(zip(shown.columns[1:], shown.rows[0][1:], strict=True))
     assert (row["waiting for the world s"], row["of both learning s"], row["idle s"]) == (40.0, 35.0, 5.0)
     waited_s = row["waiting for the world s"] + row["for others and messages s"]
     assert row["of both learning s"] + row["idle s"] == waited_s

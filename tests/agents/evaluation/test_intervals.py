@@ -2,7 +2,7 @@
 
 import pytest
 
-from wcsim.agents.evaluation.suite.rows import FEWEST, at_most, bootstrapped, garwood, mcnemar, wilson
+from wcsim.agents.evaluation.suite.rows import FEWEST, bootstrapped, garwood, mcnemar, wilson
 
 
 @pytest.mark.parametrize(
@@ -19,11 +19,6 @@ def test_many_events_give_an_interval_that_shrinks_towards_them():
     assert high == pytest.approx(10_000 + 1.96 * 100, rel=1e-3)
 
 
-def test_probabilities_of_all_numbers_add_up():
-    assert at_most(200, 50.0) == pytest.approx(1.0)
-    assert at_most(0, 0.0) == 1.0
-
-
 @pytest.mark.parametrize(
     ("count", "of", "low", "high"),
     [(0, 10, 0.0, 0.2775), (10, 10, 0.7225, 1.0), (5, 10, 0.2366, 0.7634), (81, 263, 0.2553, 0.3662)],
@@ -38,7 +33,7 @@ def test_a_share_of_nothing_is_none():
 
 def test_pairs_that_differ_decide_by_their_number_however_many_there_are():
     assert mcnemar(0, 0) == mcnemar(3, 3) == 1.0
-    assert mcnemar(0, 5) == mcnemar(5, 0) == 2 / 2**5
+    assert mcnemar(0, 5) == mcnemar(5, 0) == pytest.approx(2 / 2**5)
     assert mcnemar(500, 520) == pytest.approx(0.5519, abs=1e-4)
     assert mcnemar(5000, 5000) == 1.0
     assert mcnemar(4900, 5100) == pytest.approx(0.0466, abs=1e-3)  # as the normal distribution has it

@@ -37,7 +37,7 @@ def test_charts_are_the_same_bytes_each_time_and_ask_for_nothing(corner, tmp_pat
 
 @pytest.mark.parametrize("name", ["_run", "_" * 28])
 def test_a_run_whose_name_begins_with_a_line_has_its_curve_and_its_legend(name):
-    svg = curve_chart("fig", "y", [dataclasses.replace(CURVE, name=name)])
+    svg = curve_chart("fig", "y", [CURVE._replace(name=name)])
     assert f"_{name[1:]}".encode() in svg or f"…{name[1:]}".encode() in svg
 
 

@@ -3,7 +3,7 @@
 import jinja2
 import pytest
 
-from wcsim.view.report.pages import Exhibit, Figure, Section, ShownTable, page
+from wcsim.view.report.pages import TEMPLATES, Exhibit, page
 
 EVIL = '"><script>alert(1)</script>'
 
@@ -15,22 +15,23 @@ def exhibit(**changes):
 
 
 def written(*exhibits):
-    sections = [Section(name="s", title=EVIL, exhibits=exhibits)]
-    return page("training.jinja", title=EVIL, about=[(EVIL, EVIL)], policies=EVIL, sections=sections)
+    about = {"clients": [EVIL], "manifests": {EVIL: {"town": EVIL, "status": EVIL}}, "by_rounds": ()}
+    limits = {"limit": 0.1, "mean_steps": 2000, "over": 20}
+    return page("training.jinja", title=EVIL, policies=EVIL, sections=[("s", EVIL, exhibits)], **about, **limits)
 
 
 def test_what_is_no_markup_is_escaped_in_elements_attributes_and_cells():
-    cells = ShownTable(headings=[EVIL, "b"], rows=[(EVIL, Figure(EVIL, EVIL, EVIL))])
-    text = written(exhibit(), exhibit(tables=[cells]), exhibit(svg=b"<svg/>"))
-    assert "<script>alert" not in text and text.count("&lt;script&gt;alert") == 18
-    assert '<td data-key="&#34;&gt;&lt;script' in text and "<td>–</td>" in text
+    text = written(exhibit(svg=b"<svg/>"), exhibit())
+    assert "<script>alert" not in text and text.count("&lt;script&gt;alert") == 16 and "<td>–</td>" in text
+    cell = str(TEMPLATES.get_template("parts.jinja").module.cell(EVIL, EVIL, EVIL))
+    assert "<script" not in cell and '<td data-key="&#34;&gt;&lt;script' in cell
     demo = {**dict.fromkeys(("learned", "film", "film_says"), EVIL), "still_png": b"", "commands": [(EVIL, EVIL)]}
-    assert "<script>alert" not in page("demo.jinja", title=EVIL, tables=[], **demo)
+    assert "<script>alert" not in page("demo.jinja", title=EVIL, tables={}, rows=(), groups={}, **demo)
 
 
 def test_what_a_template_does_not_get_is_no_silent_gap():
-    with pytest.raises(jinja2.UndefinedError, match="policies"):
-        page("training.jinja", title="", about=[], sections=[])
+    with pytest.raises(jinja2.UndefinedError, match="over"):
+        page("training.jinja", title="", sections=[])
 
 
 def test_csv_keeps_commas_quotes_and_nothing():

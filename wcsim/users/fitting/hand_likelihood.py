@@ -390,14 +390,13 @@ def _guess(series: Sequence[HandSeries]) -> F64:
 
 def _swing(series: Sequence[HandSeries]) -> tuple[float, float]:
     """Amplitude and frequency of the strongest swing to the side between 2.5 and 12 Hz."""
+    from scipy.signal import welch
+
     longest = max(series, key=lambda item: len(item.hand))
     apart_s, x = longest.apart_s, longest.hand[:, 0]
     size = min(len(x), round(12.0 / apart_s))
-    window = np.hanning(size)
-    pieces = np.array([x[k : k + size] for k in range(0, len(x) - size + 1, max(1, size // 2))])
-    power = (np.abs(np.fft.rfft((pieces - pieces.mean(axis=1, keepdims=True)) * window)) ** 2).mean(axis=0)
-    power *= 2.0 / (size * float((window**2).sum()))
-    hz = np.fft.rfftfreq(size, apart_s)
+    hz, density = welch(x, 1.0 / apart_s, np.hanning(size), size)
+    power = density / (size * apart_s)
     band = np.flatnonzero((hz >= _TREMOR_BAND_HZ[0]) & (hz <= min(_TREMOR_BAND_HZ[1], _BAND_OF_RATE / apart_s)))
     usual = np.median(power[band])
     peak = int(band[(power[band] * hz[band] ** 2).argmax()])

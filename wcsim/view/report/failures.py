@@ -18,16 +18,7 @@ from wcsim.agents.evaluation.suite.drive import Piece
 from wcsim.agents.evaluation.suite.list_file import open_suite
 from wcsim.agents.evaluation.suite.named_policy import config_for
 from wcsim.agents.evaluation.suite.playback import Played, PlayedStep, play, require_same
-from wcsim.agents.evaluation.suite.records import (
-    CRASHED,
-    FINISHED,
-    GAVE_UP,
-    ON_THE_WAY,
-    POLICY_FAILED,
-    REFUSED,
-    TIMED_OUT,
-    EpisodeRecord,
-)
+from wcsim.agents.evaluation.suite.records import CRASHED, FINISHED, GAVE_UP, ON_THE_WAY, TIMED_OUT, EpisodeRecord
 from wcsim.agents.evaluation.suite.result_files import TestResult
 from wcsim.agents.evaluation.suite.run import SuiteOrder, piece_of, town_addresses
 from wcsim.agents.policy_api import UNAIDED
@@ -39,11 +30,6 @@ from wcsim.types import U8, ActorKind
 from wcsim.view.filming import around_picture, seen_picture, sticks
 from wcsim.view.map import MapView
 
-WORST: Final = (
-    "Worst first: own crashes with road users, own crashes with objects and falls, crashes by others, failed policies, "
-    "red lights, routes given up or not completed in time, crashes before the policy took over. In each group the "
-    "faster in the last second come first."
-)
 _SOMEBODY: Final = frozenset(kind.value for kind in ActorKind)
 _FAULTS: Final = {"own": "own fault", "other": "other's fault"}
 _SHORT_S: Final = 0.3  # a last leg of the path below this says nothing of the speed
@@ -107,7 +93,7 @@ def judged(record: EpisodeRecord) -> tuple[str, str, int]:
     if record.status == CRASHED:
         own = record.fault == "own"
         return record.reason, record.fault, (0 if record.partner in _SOMEBODY else 1) if own else 2
-    if record.status in (POLICY_FAILED, REFUSED):
+    if not record.held:
         return record.status.replace("_", " "), "policy", 3
     if record.red_entries:
         return "red light", "own", 4

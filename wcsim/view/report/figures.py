@@ -6,13 +6,12 @@ It is the one module that draws with matplotlib.
 from __future__ import annotations
 
 import io
-import math
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import matplotlib as mpl
 import numpy as np
@@ -20,23 +19,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from wcsim.agents.evaluation.suite.list_file import TIGHT
-from wcsim.agents.evaluation.suite.records import (
-    CRASHED,
-    FINISHED,
-    GAVE_UP,
-    POLICY_FAILED,
-    REFUSED,
-    STATUSES,
-    TIMED_OUT,
-    EpisodeRecord,
-)
+from wcsim.agents.evaluation.suite.records import STATUSES, EpisodeRecord
 from wcsim.agents.evaluation.suite.result_files import TOWNS, TestResult
 from wcsim.agents.evaluation.suite.rows import ResultRow
 from wcsim.core.reading import counted
 from wcsim.errors import WcsimError
 from wcsim.towns.scenario.town import find_town
 from wcsim.towns.street import load_street
-from wcsim.types import U8, ClassId, Ground
+from wcsim.types import U8, ClassId
 from wcsim.view.report.pages import Cell, Exhibit
 
 _WIDTH_IN, _HEIGHT_IN = 4.8, 3.4
@@ -62,7 +52,6 @@ _STYLE: Final[Mapping[Any, Any]] = {
 }
 _MARGIN_M: Final = 25.0
 _MOST_CELLS: Final = 700
-_ROWS_AT_ONCE: Final = 64
 _GROUND_RGB: Final = {
     ClassId.ROAD: (214, 216, 220),
     ClassId.PARKING: (222, 222, 224),
@@ -78,22 +67,14 @@ _GROUND_RGB: Final = {
 _SOLID_RGB: Final = (196, 190, 188)  # houses, walls, trunks
 _OTHER_RGB: Final = (248, 248, 248)
 _OBEYS: Final = 0.5  # who does as asked more rarely would squeeze all others into a corner of the figure
-_ENDINGS: Final = {
-    FINISHED: "arrived",
-    CRASHED: "crashed",
-    GAVE_UP: "user gave up",
-    TIMED_OUT: "time up",
-    POLICY_FAILED: "policy failed",
-    REFUSED: "policy refused",
-}
+_ENDINGS: Final = ("arrived", "crashed", "user gave up", "time up", "policy failed", "policy refused")  # as STATUSES
 _NAME: Final = re.compile(r"[\w-]+")
 _LEVEL: Final = re.compile(r"(.+)@([0-9]+(?:\.[0-9]+)?)")
 _ENDS: Final = ("#009e73", "#d55e00", "#e69f00", "#56b4e9", "#6a3d9a", "#444444")
 _Ground = tuple[U8, tuple[float, float, float, float]]  # (H, W, 3) from above; west, east, south and north edge
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Curve:
+class Curve(NamedTuple):
     """A value over steps, raw and as a running mean."""
 
     name: str
@@ -133,25 +114,16 @@ def _ground_around(town: str, points_m: Sequence[tuple[float, float]]) -> _Groun
         street = load_street(find_town(town))
     except WcsimError:
         return None
-    x, y = np.asarray(points_m, np.float64).T
-    west, east = float(x.min()) - _MARGIN_M, float(x.max()) + _MARGIN_M
-    south, north = float(y.min()) - _MARGIN_M, float(y.max()) + _MARGIN_M
+    (west, south), (east, north) = np.min(points_m, axis=0) - _MARGIN_M, np.max(points_m, axis=0) + _MARGIN_M
     cell = max(east - west, north - south) / _MOST_CELLS
     columns, rows = max(1, round((east - west) / cell)), max(1, round((north - south) / cell))
     at_x = west + (np.arange(columns) + 0.5) * (east - west) / columns
     at_y = north - (np.arange(rows) + 0.5) * (north - south) / rows
-    strips = [_strip(street.grid, at_x, at_y[row : row + _ROWS_AT_ONCE]) for row in range(0, rows, _ROWS_AT_ONCE)]
-    return np.vstack(strips), (west, east, south, north)
-
-
-def _strip(grid: Ground, at_x: np.ndarray, at_y: np.ndarray) -> U8:
-    points = np.stack(np.broadcast_arrays(at_x[None, :], at_y[:, None]), axis=-1)
+    points = np.stack(np.meshgrid(at_x, at_y), axis=-1)
     table = np.full((256, 3), _OTHER_RGB, np.uint8)
-    for class_id, colour in _GROUND_RGB.items():
-        table[class_id] = colour
-    image = table[grid.class_at(points)]
-    image[grid.clearance_at(points) <= 0.0] = _SOLID_RGB
-    return np.asarray(image, np.uint8)
+    table[list(_GROUND_RGB)] = list(_GROUND_RGB.values())
+    image = np.where(street.grid.clearance_at(points)[..., None] > 0.0, table[street.grid.class_at(points)], _SOLID_RGB)
+    return image.astype(np.uint8), (float(west), float(east), float(south), float(north))
 
 
 def figures_of(result: TestResult, folder: Path) -> list[Exhibit]:
@@ -168,13 +140,18 @@ def figures_of(result: TestResult, folder: Path) -> list[Exhibit]:
 
 def _bounds(row: ResultRow, key: str) -> tuple[float, float]:
     """An interval of a row; of few episodes there is none, and a point has no bar."""
-    low, high = getattr(row, key) or (math.nan, math.nan)
-    return low, high
+    return getattr(row, f"{key}_ci") or (np.nan, np.nan)
 
 
-def _arms(value: float, bounds: tuple[float, float]) -> list[list[float]]:
-    """How far an interval reaches below and above a value."""
-    return [[max(0.0, value - bounds[0])], [max(0.0, bounds[1] - value)]]
+def _arms(row: ResultRow, key: str) -> list[list[float]]:
+    """How far an interval reaches below and above the figure."""
+    value, (low, high) = getattr(row, key), _bounds(row, key)
+    return [[max(0.0, value - low)], [max(0.0, high - value)]]
+
+
+def _look(place: int) -> dict[str, Any]:
+    """The mark and the colour of the policy at a place of the result."""
+    return {"fmt": _MARKS[place % len(_MARKS)], "color": _colour_of(place)}
 
 
 def _scores(result: TestResult, places: Mapping[str, int]) -> Exhibit:
@@ -186,12 +163,10 @@ def _scores(result: TestResult, places: Mapping[str, int]) -> Exhibit:
         panels = figure.subplots(tall, 2, sharex=True, sharey=True, squeeze=False).flatten()
         for panel, part in zip(panels, parts, strict=False):
             for row in result.rows if part else result.pooled:
-                if row.part != part or row.score is None:
-                    continue
-                bounds, place = _bounds(row, "score_ci"), places[row.policy]
-                look = {"fmt": _MARKS[place % len(_MARKS)], "color": _colour_of(place), "markersize": 4}
-                panel.errorbar([row.score], [place], xerr=_arms(row.score, bounds), **look)
-                plain.append([part or "all", row.policy, row.score, *bounds])
+                if row.part == part and row.score is not None:
+                    place = places[row.policy]
+                    panel.errorbar([row.score], [place], xerr=_arms(row, "score"), markersize=4, **_look(place))
+                    plain.append([part or "all", row.policy, row.score, *_bounds(row, "score")])
             panel.set_title(part or "all", fontsize=8, loc="left")
             panel.tick_params(labelsize=7)
             panel.grid(visible=False, axis="y")
@@ -201,14 +176,7 @@ def _scores(result: TestResult, places: Mapping[str, int]) -> Exhibit:
         panels[0].set_xlim(0.0, 1.0)
         panels[0].set_ylim(len(places) - 0.4, -0.6)
         figure.supxlabel("score, 95 % interval over episodes", fontsize=8)
-    return Exhibit(
-        name="scores",
-        title="Scores",
-        says="One point per policy, with its 95 % interval.",
-        columns=("part", "policy", "score", "low", "high"),
-        rows=plain,
-        svg=out.getvalue(),
-    )
+    return Exhibit(name="scores", columns=("part", "policy", "score", "low", "high"), rows=plain, svg=out.getvalue())
 
 
 _AXES: Final = ("crashes_per_km", "kpi1_free_within")
@@ -216,41 +184,25 @@ _AXES: Final = ("crashes_per_km", "kpi1_free_within")
 
 def _obedience_figure(result: TestResult, places: Mapping[str, int]) -> Exhibit:
     """Obedience over own crashes a kilometre, of those who obey half of the time at least."""
-    points, plain = {}, list[list[Cell]]()
-    for row in result.pooled:
-        values = [getattr(row, key) for key in _AXES]
-        if None not in values:
-            bounds = [_bounds(row, f"{key}_ci") for key in _AXES]
-            points[row.policy] = [(value, _arms(value, each)) for value, each in zip(values, bounds, strict=True)]
-            plain.append([row.policy, values[0], *bounds[0], values[1], *bounds[1]])
-    says = (
-        "Upper left is best. Bars are 95 % intervals over all parts. A line joins the assistance levels of one policy "
-        "(NAME@LEVEL)."
-    )
-    shown = {name: point for name, point in points.items() if point[1][0] >= _OBEYS}
-    if 0 < len(shown) < len(points):
-        left_out = [name for name in points if name not in shown]
-        says += f" Not drawn, below 50 %: {', '.join(left_out)}."
-    else:
-        shown = points
-    out = io.BytesIO()
+    crashes, obeyed = _AXES
+    known = {row.policy: row for row in result.pooled if None not in (row.crashes_per_km, row.kpi1_free_within)}
+    shown = {name: row for name, row in known.items() if (row.kpi1_free_within or 0.0) >= _OBEYS} or known
+    left_out, out = [name for name in known if name not in shown], io.BytesIO()
     with _drawn("obedience", out, 4.0) as axes:
         for line in _levels_of(shown):
-            x, y = ([shown[name][axis][0] for name in line] for axis in (0, 1))
+            x, y = ([getattr(shown[name], key) for name in line] for key in _AXES)
             axes.plot(x, y, color="#888888", linewidth=1.0, zorder=1)
-        for name, ((crashes, left_right), (obeyed, up_down)) in shown.items():
-            place = places[name]
+        for name, row in shown.items():
             axes.errorbar(
-                [crashes],
-                [obeyed],
-                xerr=left_right,
-                yerr=up_down,
-                fmt=_MARKS[place % len(_MARKS)],
-                color=_colour_of(place),
+                [getattr(row, crashes)],
+                [getattr(row, obeyed)],
+                xerr=_arms(row, crashes),
+                yerr=_arms(row, obeyed),
                 markersize=5,
                 elinewidth=0.8,
                 capsize=2,
                 label=_short(name),
+                **_look(places[name]),
             )
         axes.set_xlim(left=0.0)
         axes.set_xlabel("own crashes per km (left is better)")
@@ -258,11 +210,13 @@ def _obedience_figure(result: TestResult, places: Mapping[str, int]) -> Exhibit:
         _legend(axes, len(shown))
     return Exhibit(
         name="obedience",
-        title="Obedience against crashes",
-        says=says,
         columns=("policy", "own_crashes_per_km", "low", "high", "obeyed", "obeyed_low", "obeyed_high"),
-        rows=plain,
+        rows=[
+            [name, *(cell for key in _AXES for cell in (getattr(row, key), *_bounds(row, key)))]
+            for name, row in known.items()
+        ],
         svg=out.getvalue(),
+        says=f" Not drawn, below 50 %: {', '.join(left_out)}." if left_out else "",
     )
 
 
@@ -325,82 +279,66 @@ def _town(town: str, here: Sequence[tuple[str, EpisodeRecord]], places: Mapping[
 
 def _draw_ways(axes: Axes, here: Sequence[tuple[str, EpisodeRecord]], places: Mapping[str, int]) -> None:
     """Ways and crashes of all policies."""
-    crashes: dict[str, list[tuple[float, float]]] = {}
-    for name, e in here:
-        crashes.setdefault(name, []).extend([e.end_m] if e.own else [])
-        if len(e.path_m) > 1:
-            x, y = zip(*e.path_m, strict=True)
-            axes.plot(x, y, color=_colour_of(places[name]), linewidth=0.7, alpha=0.75)
-    for name, ends in crashes.items():
-        axes.scatter(
-            [x for x, _ in ends],
-            [y for _, y in ends],
-            marker="x",
-            s=22,
-            linewidths=1.3,
-            color=_colour_of(places[name]),
-            label=f"{_short(name)}: {counted(len(ends), 'own crash')}",
-        )
+    policies = dict.fromkeys(name for name, _ in here)
+    for name in policies:
+        driven, colour = [e for whose, e in here if whose == name], _colour_of(places[name])
+        for e in driven:
+            if len(e.path_m) > 1:
+                axes.plot(*np.transpose(e.path_m), color=colour, linewidth=0.7, alpha=0.75)
+        ends = np.reshape([e.end_m for e in driven if e.own], (-1, 2))
+        label = f"{_short(name)}: {counted(len(ends), 'own crash')}"
+        axes.scatter(ends[:, 0], ends[:, 1], marker="x", s=22, linewidths=1.3, color=colour, label=label)
     axes.set_aspect("equal")
     axes.set_xlabel("east, m")
     axes.set_ylabel("north, m")
-    _legend(axes, len(crashes))
+    _legend(axes, len(policies))
 
 
 def _comfort(result: TestResult, places: Mapping[str, int]) -> list[Exhibit]:
     """How a ride feels: accelerations, and how much the stick that was given moves beside the user's."""
     columns = ("accel_rms_mps2", "stick_travel_per_s", "asked_travel_per_s")
-    plain: list[list[Cell]] = [[row.policy, *(getattr(row, name) for name in columns)] for row in result.pooled]
-    kinds = (
-        ("comfort-acceleration", "Comfort: acceleration", "root mean square of the acceleration, m/s²", columns[0]),
-        ("comfort-stick", "Comfort: movement of the stick", "travel of the driven stick per second", columns[1]),
-    )
+    plain = [[row.policy, *(getattr(row, name) for name in columns)] for row in result.pooled]
+    names = [row.policy for row in result.pooled]
     exhibits = []
-    for name, title, label, key in kinds:
-        values = {row.policy: getattr(row, key) or 0.0 for row in result.pooled}
+    for name, label, key in (
+        ("comfort-acceleration", "root mean square of the acceleration, m/s²", columns[0]),
+        ("comfort-stick", "travel of the driven stick per second", columns[1]),
+    ):
         out = io.BytesIO()
-        with _drawn(name, out, 0.7 + 0.24 * len(values)) as axes:
-            colours = [_colour_of(places[each]) for each in values]
-            axes.barh(range(len(values)), list(values.values()), color=colours)
-            _with_names(axes, values)
-            axes.set_xlabel(label)
-        says, svg = f"{label[0].upper()}{label[1:]}; less is smoother.", out.getvalue()
-        exhibits.append(Exhibit(name=name, title=title, says=says, columns=("policy", *columns), rows=plain, svg=svg))
+        with _bars(name, out, names, 0.7, label) as axes:
+            values = [getattr(row, key) or 0.0 for row in result.pooled]
+            axes.barh(range(len(names)), values, color=[_colour_of(places[each]) for each in names])
+        exhibits.append(Exhibit(name=name, columns=("policy", *columns), rows=plain, svg=out.getvalue()))
     return exhibits
 
 
-def _with_names(axes: Axes, names: Iterable[str]) -> None:
-    """A bar for each policy, the first one on top."""
-    shown = [_short(each) for each in names]
-    axes.set_yticks(range(len(shown)), shown)
-    axes.invert_yaxis()
-    axes.grid(visible=False, axis="y")
+@contextmanager
+def _bars(name: str, out: io.BytesIO, policies: Collection[str], above_in: float, label: str) -> Iterator[Axes]:
+    """The axes of a figure with a bar for each policy, the first one on top."""
+    with _drawn(name, out, above_in + 0.24 * len(policies)) as axes:
+        yield axes
+        axes.set_yticks(range(len(policies)), [_short(each) for each in policies])
+        axes.invert_yaxis()
+        axes.grid(visible=False, axis="y")
+        axes.set_xlabel(label)
+        _legend(axes, len(STATUSES))
 
 
 def _statuses(result: TestResult) -> Exhibit:
     """Stacked shares: for each policy how many episodes ended in each way."""
-    plain: list[list[Cell]] = []
-    before, out = [0.0] * len(result.episodes), io.BytesIO()
-    with _drawn("status", out, 1.3 + 0.24 * len(result.episodes)) as axes:
-        for place, status in enumerate(STATUSES):
-            shares = [sum(e.status == status for e in each) / max(1, len(each)) for each in result.episodes.values()]
-            if any(shares):
-                axes.barh(range(len(shares)), shares, left=before, color=_ENDS[place], label=_ENDINGS[status])
-            before = [low + share for low, share in zip(before, shares, strict=True)]
-        _with_names(axes, result.episodes)
+    counts = [Counter(e.status for e in episodes) for episodes in result.episodes.values()]
+    before, out = np.zeros(len(counts)), io.BytesIO()
+    with _bars("status", out, result.episodes, 1.3, "share of episodes") as axes:
+        for status, ending, colour in zip(STATUSES, _ENDINGS, _ENDS, strict=True):
+            shares = np.array([found[status] / max(1, found.total()) for found in counts])
+            if shares.any():
+                axes.barh(range(len(counts)), shares, left=before, color=colour, label=ending)
+            before = before + shares
         axes.set_xlim(0.0, 1.0)
-        axes.set_xlabel("share of episodes")
-        _legend(axes, len(STATUSES))
-    for name, episodes in result.episodes.items():
-        plain.append([name, *(sum(e.status == status for e in episodes) for status in STATUSES)])
-    return Exhibit(
-        name="status",
-        title="How episodes ended",
-        says="In the parts hazard and tight, time up is good: it means no crash until the end.",
-        columns=("policy", *STATUSES),
-        rows=plain,
-        svg=out.getvalue(),
-    )
+    rows: list[list[Cell]] = [
+        [name, *(found[status] for status in STATUSES)] for name, found in zip(result.episodes, counts, strict=True)
+    ]
+    return Exhibit(name="status", columns=("policy", *STATUSES), rows=rows, svg=out.getvalue())
 
 
 def curve_chart(name: str, label: str, curves: Sequence[Curve], limit: float | None = None) -> bytes:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final, TypeVar
@@ -99,8 +99,8 @@ def read_training(folders: Sequence[Path]) -> Training:
             if is_file(home / METRICS) and logs_rounds(home / METRICS):
                 rounds[label] = read_rounds(home / METRICS)
             else:
-                clients[label] = _rows(home / METRICS, COLUMNS, _episode)
-                steps[label] = _rows(home / STEPS, STEP_COLUMNS, _steps)
+                clients[label] = _rows(home / METRICS, COLUMNS, TrainedEpisode)
+                steps[label] = _rows(home / STEPS, STEP_COLUMNS, TrainedSteps)
     return Training(manifests=manifests, clients=clients, steps=steps, rounds=rounds)
 
 
@@ -109,42 +109,32 @@ def _homes(folder: Path, manifest: Mapping[str, Any]) -> Iterable[tuple[str, Pat
     return [(folder.resolve().name, folder)] if names is None else [(name, folder / name) for name in names]
 
 
-def _rows(path: Path, columns: tuple[str, ...], made: Callable[[Mapping[str, str]], _Row]) -> tuple[_Row, ...]:
+def _rows(path: Path, columns: tuple[str, ...], kind: type[_Row]) -> tuple[_Row, ...]:
     """The rows of a log; none where there is no such file. Raises PolicyError for one that has no finite numbers."""
     found = []
     for row in read_metrics(path, columns) if is_file(path) else []:
         try:
-            found.append(made(row))
+            read = {each.name: _READ[str(each.type)](row[_LOGGED.get(each.name, each.name)]) for each in fields(kind)}
         except ValueError:
             where = f"{path}: is damaged at step {escaped_value(row['step'])}"
             raise PolicyError(f"{where}; expected finite numbers") from None
+        found.append(kind(**read))
     return tuple(found)
-
-
-def _episode(row: Mapping[str, str]) -> TrainedEpisode:
-    return TrainedEpisode(
-        step=int(row["step"]),
-        phase=int(row["phase"]),
-        length=int(row["length"]),
-        crashed=bool(int(row["crashed"])),
-        cut=bool(int(row["cut"])),
-        overestimate=_finite(row["overestimate"]) if row["overestimate"] else None,
-    )
-
-
-def _steps(row: Mapping[str, str]) -> TrainedSteps:
-    return TrainedSteps(
-        step=int(row["step"]),
-        phase=int(row["phase"]),
-        kpi1=_finite(row["kpi1_greedy"]),
-        elapsed_s=_finite(row["elapsed_s_wall"]),
-    )
 
 
 def _finite(text: str) -> float:
     if not math.isfinite(value := float(text)):
         raise ValueError(text)
     return value
+
+
+_READ: Final[Mapping[str, Callable[[str], Any]]] = {
+    "int": int,
+    "bool": lambda text: bool(int(text)),
+    "float": _finite,
+    "float | None": lambda text: _finite(text) if text else None,
+}
+_LOGGED: Final = {"kpi1": "kpi1_greedy", "elapsed_s": "elapsed_s_wall"}  # columns of other names
 
 
 def running_means(values: Sequence[float], over: int = OVER) -> list[float]:
@@ -175,7 +165,7 @@ def kpi1_of(run: Path) -> float:
     Raises:
         PolicyError: None is logged, or the log is damaged.
     """
-    found = [row.kpi1 for row in _rows(run / STEPS, STEP_COLUMNS, _steps) if row.phase == 1]
+    found = [row.kpi1 for row in _rows(run / STEPS, STEP_COLUMNS, TrainedSteps) if row.phase == 1]
     if not found:
         raise PolicyError(f"{run / STEPS}: no row of the first phase; expected a run of {ROW_STEPS} steps or more")
     return running_means(found)[-1]

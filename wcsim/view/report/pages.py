@@ -9,7 +9,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final
 
 import jinja2
 
@@ -22,34 +22,16 @@ PAGE: Final = "report.html"
 _FIGURES: Final = "report"
 
 
-class Figure(NamedTuple):
-    """A cell of a table that shows something else than it is sorted by."""
-
-    text: str
-    key: Cell
-    below: str = ""  # in small letters
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ShownTable:
-    """A table that a reader can sort; a heading is a text, or something with a `heading` and what it `says`."""
-
-    name: str = ""  # its anchor
-    headings: Sequence[object]
-    rows: Sequence[Sequence[Cell | Figure]]
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Exhibit:
-    """Something that is shown, and the numbers that it is made of."""
+    """Numbers that a page shows, in a table or drawn. What every page says of them stands in its template."""
 
     name: str
-    title: str
-    says: str  # how to read it
-    columns: Sequence[str]  # of the numbers
+    columns: Sequence[str]
     rows: Sequence[Sequence[Cell]]
-    tables: Sequence[ShownTable] = ()  # that are shown instead of the numbers
-    svg: bytes = b""  # of a figure, which is shown instead of them
+    svg: bytes = b""  # of a figure, which is shown instead of the numbers
+    title: str = ""  # of those whose title follows from the data, as the next
+    says: str = ""
 
     @property
     def stem(self) -> str:
@@ -64,36 +46,32 @@ class Exhibit:
         return out.getvalue()
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Section:
-    """A part of a page."""
-
-    name: str  # its anchor
-    title: str
-    exhibits: Sequence[Exhibit]
-
-
 def _data_uri(data: bytes, kind: str) -> str:
     """Data as an address that holds it."""
     return f"data:{kind};base64,{base64.b64encode(data).decode()}"
 
 
+TEMPLATES: Final = jinja2.Environment(
+    loader=jinja2.FileSystemLoader([Path(__file__).parent / name for name in ("templates", "assets")]),
+    autoescape=jinja2.select_autoescape(disabled_extensions=("txt.jinja",), default=True),
+    undefined=jinja2.StrictUndefined,
+    trim_blocks=True,
+    lstrip_blocks=True,
+)
+TEMPLATES.filters["data_uri"] = _data_uri
+TEMPLATES.globals["counted"] = counted
+
+
 def page(template: str, **shown: object) -> str:
-    """The whole file, by one of the templates."""
-    places = jinja2.FileSystemLoader([Path(__file__).parent / name for name in ("templates", "assets")])
-    templates = jinja2.Environment(
-        loader=places, autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
-    templates.filters["data_uri"] = _data_uri
-    templates.globals["counted"] = counted
-    return templates.get_template(template).render(shown)
+    """The whole text, by one of the templates; those of a .txt.jinja escape nothing."""
+    return TEMPLATES.get_template(template).render(shown)
 
 
-def write_page(folder: Path, text: str, exhibits: Sequence[Exhibit]) -> Path:
+def write_page(folder: Path, text: str, exhibits: Sequence[Exhibit], name: str = PAGE) -> Path:
     """Write the page, and its figures and numbers beside it. Raises DiskFullError."""
     for exhibit in exhibits:
         write_bytes(folder / _FIGURES / f"{exhibit.stem}.csv", exhibit.csv.encode())
         if exhibit.svg:
             write_bytes(folder / _FIGURES / f"{exhibit.stem}.svg", exhibit.svg)
-    write_bytes(folder / PAGE, text.encode())
-    return folder / PAGE
+    write_bytes(folder / name, text.encode())
+    return folder / name

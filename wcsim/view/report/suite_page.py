@@ -9,103 +9,43 @@ from typing import Final
 
 from wcsim.agents.evaluation.suite.records import EpisodeRecord
 from wcsim.agents.evaluation.suite.result_files import TestResult
-from wcsim.agents.evaluation.suite.rows import ResultRow
+from wcsim.agents.evaluation.suite.rows import FEWEST, ResultRow
 from wcsim.core.constants import RECORDED
-from wcsim.core.files import write_bytes
 from wcsim.core.reading import counted
 from wcsim.view.report.columns import COLUMNS, GROUPS, Column
-from wcsim.view.report.comparisons import WEIGHTINGS, Paired, compared, verdict, verdicts, weighted
-from wcsim.view.report.failures import WORST, FailedEpisode, Illustration, Key, where_typed
+from wcsim.view.report.comparisons import WEIGHTINGS, Paired, compared, verdict, weighted
+from wcsim.view.report.failures import FailedEpisode, Illustration, Key, where_typed
 from wcsim.view.report.figures import figures_of
-from wcsim.view.report.pages import Cell, Exhibit, Figure, ShownTable, page, write_page
+from wcsim.view.report.pages import Cell, Exhibit, page, write_page
 
 
 def _result_table(result: TestResult, part: str) -> Exhibit:
     """The table of a part, "" for all parts."""
     rows = [row for row in (result.rows if part else result.pooled) if row.part == part]
-    name = f"table-{part or 'all'}"
-    tables = [
-        ShownTable(
-            name=f"{name}-{what.split()[0]}",
-            headings=["policy", *columns],
-            rows=[[row.policy, *(_figure(row, column) for column in columns)] for row in rows],
-        )
-        for what, columns in GROUPS.items()
-    ]
     return Exhibit(
-        name=name,
-        title=f"Part {part}" if part else "All parts",
-        says="Small figures are 95 % intervals.",
+        name=f"table-{part or 'all'}",
         columns=["policy", *(key for column in COLUMNS for key in _keys(column))],
         rows=[[row.policy, *(cell for column in COLUMNS for cell in _plain(row, column))] for row in rows],
-        tables=tables,
     )
 
 
 def comparison_table(pairs: Sequence[Paired]) -> Exhibit:
     """Policies against their rivals over the same episodes: those of all parts, and part by part."""
-    counts = ("episodes", "saved", "lost")
-    headings = ("policy", "against", "part", *counts, "p (McNemar)", "difference of scores", "different")
-    columns = ("policy", "rival", "part", *counts, "mcnemar_p", "difference")
-    return Exhibit(
-        name="comparison",
-        title="Paired comparisons over the same episodes",
-        says="saved: only the policy that it is compared with has an own crash; lost: only this policy has one. "
-        "Intervals are bootstrapped over the differences of single episodes. Each comparison stands alone: of twenty "
-        "between equal policies, about one looks different by chance.",
-        columns=(*columns, "low", "high"),
-        rows=[[*(getattr(pair, name) for name in columns), *(pair.interval or (None, None))] for pair in pairs],
-        tables=[
-            ShownTable(name=name, headings=headings, rows=[_pair_row(pair) for pair in pairs if bool(pair.part) is by])
-            for name, by in (("comparison", False), ("comparison-parts", True))
-        ],
-    )
+    columns = ("policy", "rival", "part", "episodes", "saved", "lost", "mcnemar_p", "difference")
+    rows = [[*(getattr(pair, name) for name in columns), *(pair.interval or (None, None))] for pair in pairs]
+    return Exhibit(name="comparison", columns=(*columns, "low", "high"), rows=rows)
 
 
-def _pair_row(pair: Paired) -> tuple[Cell | Figure, ...]:
-    between = f"{pair.interval[0]:+.3f} to {pair.interval[1]:+.3f}" if pair.interval else "too few episodes"
-    return (
-        pair.policy,
-        pair.rival,
-        pair.part or "all",
-        pair.episodes,
-        pair.saved,
-        pair.lost,
-        Figure(f"{pair.mcnemar_p:.2g}", pair.mcnemar_p),
-        Figure(f"{pair.difference:+.3f}", pair.difference, between),
-        "yes" if pair.separated else "no" if pair.interval else None,
-    )
-
-
-def _weights_table(result: TestResult) -> Exhibit:
+def _weights_table(means: Mapping[str, Sequence[tuple[float, int]]]) -> Exhibit:
     """The score and what other weights would say."""
-    found = weighted(result)
-    shown: list[list[Cell | Figure]] = [
-        [name, *(Figure(f"{mean:.3f}", mean, f"rank {rank}") for mean, rank in values)]
-        for name, values in found.items()
-    ]
     return Exhibit(
         name="weights",
-        title="Scores with other weights",
-        says=f"{'; '.join(f'{way.heading}: {way.says}' for way in WEIGHTINGS)}.",
         columns=["policy", *(f"{way.heading}, {what}" for way in WEIGHTINGS for what in ("mean", "rank"))],
         rows=[
             [name, *(cell for mean, rank in values for cell in (round(mean, 6), rank))]
-            for name, values in found.items()
+            for name, values in means.items()
         ],
-        tables=[ShownTable(name="weights", headings=["policy", *WEIGHTINGS], rows=shown)],
     )
-
-
-def _figure(row: ResultRow, column: Column) -> Figure:
-    value = column.value(row)
-    if value is None:
-        return Figure("–", None)
-    if column.key == "mcnemar_p" and value == 0:
-        return Figure("< 1e-6", value)  # a result keeps six digits
-    bounds = getattr(row, column.interval) if column.interval else None
-    below = " to ".join(map(column.form.format, bounds)) if bounds is not None else ""
-    return Figure(column.form.format(value), value, below)
 
 
 def _keys(column: Column) -> list[str]:
@@ -141,29 +81,28 @@ def write_suite_page(
     Raises:
         DiskFullError: It cannot be written.
     """
-    pairs, parts = compared(result), result.parts
+    pairs, means, figures = compared(result), weighted(result), figures_of(result, folder)
+    tables = {part: _result_table(result, part) for part in ("", *result.parts)}
     shown = {
-        "pooled": _result_table(result, ""),
         "against": comparison_table(pairs),
-        "weights": _weights_table(result),
+        "weights": _weights_table(means),
         "failed": _failed(failures),
         "episodes": _episodes(result),
     }
-    by_part, figures = [_result_table(result, part) for part in parts], figures_of(result, folder)
     text = page(
         "suite.jinja",
         title=f"{result.suite} {result.set}: {counted(len(result.episodes), 'policy', 'policies')}",
         result=result,
         verdict=verdict(result),
         best=sorted(result.pooled, key=lambda row: -(row.score or 0.0))[:_BEST],
-        columns=COLUMNS,
-        names=list(result.episodes),
-        parts=parts,
+        groups=GROUPS,
         users=sorted({e.profile for episodes in result.episodes.values() for e in episodes}),
         recorded=RECORDED,
         pairs=pairs,
-        verdicts=verdicts,
-        by_part=by_part,
+        fewest=FEWEST,
+        weightings=WEIGHTINGS,
+        weighted=means,
+        tables=tables,
         figures=figures,
         failures=failures,
         pictures=pictures,
@@ -171,7 +110,7 @@ def write_suite_page(
         where_typed=where_typed(result),
         **shown,
     )
-    return write_page(out, text, (*shown.values(), *by_part, *figures))
+    return write_page(out, text, (*tables.values(), *shown.values(), *figures))
 
 
 def _failed(failures: Sequence[FailedEpisode]) -> Exhibit:
@@ -182,13 +121,8 @@ def _failed(failures: Sequence[FailedEpisode]) -> Exhibit:
         for failure in failures
         for record in (failure.record,)
     ]  # fmt: skip
-    return Exhibit(
-        name="failures",
-        title="All failures, worst first",
-        says=WORST,
-        columns=(*columns, "last_second_mps", "severity", "unaided", "command"),
-        rows=rows,
-    )
+    speed = ("last_second_mps", "severity", "unaided", "command")
+    return Exhibit(name="failures", columns=(*columns, *speed), rows=rows)
 
 
 def _episodes(result: TestResult) -> Exhibit:
@@ -202,8 +136,6 @@ def _episodes(result: TestResult) -> Exhibit:
     ]  # fmt: skip
     return Exhibit(
         name="episodes",
-        title="Every episode",
-        says=f"{counted(len(rows), 'row')}: every episode of every policy, with the parts of its score.",
         columns=("policy", *plain, "x_m", "y_m", "interventions", "way_share", "pace", "obeyed", "score"),
         rows=rows,
     )
@@ -224,7 +156,6 @@ def write_demo_page(folder: Path, result: TestResult, **shown: object) -> Path:
     Raises:
         DiskFullError: It cannot be written.
     """
-    tables = [_result_table(result, part) for part in result.parts]
-    path = folder / DEMO_PAGE
-    write_bytes(path, page("demo.jinja", title="wcsim demo", tables=tables, **shown).encode())
-    return path
+    tables = {part: _result_table(result, part) for part in result.parts}
+    text = page("demo.jinja", title="wcsim demo", tables=tables, rows=result.rows, groups=GROUPS, **shown)
+    return write_page(folder, text, (), DEMO_PAGE)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Final
 
@@ -26,11 +26,9 @@ from wcsim.core import seeding
 from wcsim.supervisor.kpi import DROP
 from wcsim.types import F64
 
-_HALVINGS = 80  # each halves the interval in which the answer lies
 _DRAWS = 2000
 FEWEST = 6  # of so many coins one in 32 shows one side alone, of five one in 16: fewer tell nothing at 95 %
 _TAIL = 0.5 * (1.0 - 0.95)  # of a distribution on each side of the interval
-_NORMAL_95 = 1.959964  # 95 % of a normal distribution lie within so many standard deviations
 
 Interval = tuple[float, float]
 
@@ -41,30 +39,10 @@ def garwood(events: int) -> Interval:
     >>> [round(bound, 3) for bound in garwood(5)]
     [1.623, 11.668]
     """
-    far = events + 20.0 * math.sqrt(events + 1.0) + 40.0 * abs(math.log(_TAIL))
-    high = _solved(lambda mean: at_most(events, mean) > _TAIL, far)
-    low = 0.0 if events == 0 else _solved(lambda mean: 1.0 - at_most(events - 1, mean) < _TAIL, far)
-    return low, high
+    from scipy.stats import chi2
 
-
-def at_most(events: int, mean: float) -> float:
-    """The probability of `events` or fewer when `mean` are expected.
-
-    >>> round(at_most(0, 1.0), 6)
-    0.367879
-    """
-    if mean <= 0.0:
-        return 1.0
-    return math.fsum(math.exp(k * math.log(mean) - mean - math.lgamma(k + 1.0)) for k in range(events + 1))
-
-
-def _solved(below: Callable[[float], bool], far: float) -> float:
-    """Where `below` turns from true to false between 0 and `far`."""
-    low, high = 0.0, far
-    for _ in range(_HALVINGS):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if below(middle) else (low, middle)
-    return 0.5 * (low + high)
+    low = 0.5 * float(chi2.ppf(_TAIL, 2 * events)) if events else 0.0
+    return low, 0.5 * float(chi2.isf(_TAIL, 2 * events + 2))
 
 
 def wilson(count: int, of: int) -> Interval | None:
@@ -73,11 +51,12 @@ def wilson(count: int, of: int) -> Interval | None:
     >>> [round(bound, 3) for bound in wilson(20, 20)]
     [0.839, 1.0]
     """
+    from scipy.stats import binomtest
+
     if of == 0:
         return None
-    share, spread = count / of, _NORMAL_95**2 / of
-    middle, half = share + 0.5 * spread, math.sqrt(spread * (share * (1.0 - share) + 0.25 * spread))
-    return max(0.0, (middle - half) / (1.0 + spread)), min(1.0, (middle + half) / (1.0 + spread))
+    low, high = binomtest(count, of).proportion_ci(method="wilson")
+    return float(low), float(high)
 
 
 def bootstrapped(values: Sequence[float] | F64, weights: Sequence[float] | F64 | None = None) -> Interval | None:
@@ -102,12 +81,10 @@ def mcnemar(only_first: int, only_second: int) -> float:
     >>> round(mcnemar(1, 9), 4)
     0.0215
     """
+    from scipy.stats import binomtest
+
     pairs = only_first + only_second
-    ways = term = 1
-    for k in range(min(only_first, only_second)):
-        term = term * (pairs - k) // (k + 1)
-        ways += term
-    return min(1.0, 2 * ways / (1 << pairs))  # of whole numbers: no float holds the powers of two of a long list
+    return float(binomtest(only_first, pairs).pvalue) if pairs else 1.0
 
 
 _DIGITS: Final = 6
