@@ -237,7 +237,6 @@ def _server_order(order: SoakOrder, place: Path) -> WorldSpec:
         config=order.config.world_digest(),
         expected=order.clients,
         lease_s=order.lease_s,
-        tick_lease_s=order.lease_s,
         rejoin_s=_REJOIN_LEASES * order.lease_s,
         recordings=recordings([order.config.env.profile]),
     )

@@ -95,7 +95,7 @@ class Simulation:
         self.capacity = self.clients
         self.rules = Rules(
             capacity=self.capacity, expected=1 + self.draws.below(self.clients), gather_s=8.0, lease_s=12.0,
-            tick_lease_s=4.0, rejoin_s=10.0, notice_s=1.0,
+            rejoin_s=10.0, notice_s=1.0,
         )  # fmt: skip
         self.now_s, self.jump_s = 0.0, 1000.0 * self.draws.unit()
         self.core, self.world = ServerCore(self.rules), SimWorld()
@@ -363,7 +363,6 @@ class Simulation:
             session = bytes([200 + k]) * (k * 4)
             kinds: tuple[m.Request, ...] = (
                 m.Act(session, -big, big, -1, float("nan"), float("inf")),
-                m.Tick(session, big, -big, big),
                 m.Join(m.PROTOCOL, m.schema_hash(), "", session, b"", 99 - k, "?" * 99, SeatSpec(), 0, (big, -big)),
                 m.Join(k, "x", "y", session, b"", -big, "", SeatSpec()),
                 m.Leave(session),

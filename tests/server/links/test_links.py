@@ -219,7 +219,7 @@ def test_who_does_not_fit_hears_why(hall):
 
 def test_another_version_is_named(hall, monkeypatch):
     monkeypatch.setattr(m, "PROTOCOL", 99)
-    with SocketSeat(hall.seat("a")) as a, pytest.raises(VersionMismatchError, match=r"protocol 99.*server has 7"):
+    with SocketSeat(hall.seat("a")) as a, pytest.raises(VersionMismatchError, match=r"protocol 99.*server has 8"):
         a.join()
 
 
@@ -294,7 +294,7 @@ def test_a_world_of_this_machine_that_dies_in_the_handshake_has_refused_nobody(t
     assert met, "nobody came"
 
 
-def test_work_between_send_and_receive_is_done_while_the_master_ticks(tmp_path):
+def test_work_between_send_and_receive_is_done_while_the_world_ticks(tmp_path):
     """The master works longer than the others wait for word of it, and its world has gone on all the same."""
     rules = Rules(capacity=2, expected=2, gather_s=60.0, notice_s=0.2)
     with Server(stand_in_order(tmp_path, rules=rules), tmp_path) as server, ExitStack() as held:

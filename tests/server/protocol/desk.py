@@ -55,16 +55,10 @@ class Desk:
         """A client acts."""
         return self.say(who, m.Act(session_of(who), 0, tick, 0, x, y))
 
-    def ask(self, who: int, tick: int = 0, term: int = 1) -> list[Effect]:
-        """A client asks for a tick."""
-        return self.say(who, m.Tick(session_of(who), 0, tick, term))
-
     def step(self, tick: int = 0) -> list[Effect]:
-        """Everybody acts, the master asks, the world is done."""
-        for member in list(self.core.cycle.roll.members):
-            self.act(member.session[0], tick)
-        asked = self.ask(self.core.cycle.master[0], tick, self.core.cycle.term)
-        return asked + self.feed(Stepped(tick + 1))
+        """Everybody acts, the world is done."""
+        acted = [self.act(member.session[0], tick) for member in list(self.core.cycle.roll.members)]
+        return acted[-1] + self.feed(Stepped(tick + 1))
 
     def wait(self, seconds: float) -> list[Effect]:
         """Time passes."""

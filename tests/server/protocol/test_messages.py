@@ -27,7 +27,6 @@ REQUESTS = [
         resume=(1, 2),
     ),
     m.Act(SESSION, 0, 3, 0, 0.25, -1.0),
-    m.Tick(SESSION, 0, 3, 1),
     m.Respawn(SESSION, 0, 3, 0),
     m.Rebuild(SESSION, 0, 9),
     m.Beat(SESSION, 5),
@@ -35,10 +34,7 @@ REQUESTS = [
 ]
 REPLIES = [
     m.Welcome(SESSION, 0, 3, 1, 1, False, "/ring/seat-1", "{}", "monaco"),
-    m.BarrierFull(0, 3, 1),
-    m.Promote(2),
-    m.Demoted(2),
-    m.TickDone(0, 3, 0.01),
+    m.TickDone(0, 3, 1, 0.01),
     m.Frame(0, 3, 0, None),
     m.Restarted(1, "why"),
     m.Waiting(0, 3, ("a", "b")),

@@ -16,7 +16,6 @@ QUICK = {
     "crash, noticed by leases": Scope(budget=Budget(crash=1), last_tick=1, remote=True),
     "hang and wake": Scope(budget=Budget(hang=1, wake=1), last_tick=1),
     "suspicion": Scope(budget=Budget(suspect=1), last_tick=1),
-    "slow master": Scope(budget=Budget(slow=1)),
     "twice": Scope(budget=Budget(duplicate=1), split_step=True),
     "one message lost": Scope(budget=Budget(lose=1), last_tick=1),
     "connection lost": Scope(budget=Budget(cut=1), last_tick=1),
@@ -39,18 +38,20 @@ FULL = {
     "new epoch and connection": Scope(budget=Budget(world=1, cut=1), last_tick=1),
     "lost and suspicion": Scope(budget=Budget(lose=1, suspect=1), last_tick=1),
     "respawn and rebuild": Scope(budget=Budget(respawn=1, rebuild=1, cut=1), last_tick=1),
-    "leases alone": Scope(budget=Budget(crash=1, suspect=1, slow=1), remote=True, last_tick=1),
+    "leases alone": Scope(budget=Budget(crash=1, suspect=1), remote=True, last_tick=1),
     "recovery, and a message lost": Scope(budget=Budget(recover=1, lose=1), last_tick=1),
     "three clients": Scope(budget=Budget(), clients=3, capacity=3, starts=1, last_tick=1),
 }
 
 BUGS = {
-    "no check of tick and term": (Scope(budget=Budget(duplicate=1), server=bugs.UncheckedTick), "step"),
+    "a tick before the barrier is full": (Scope(budget=Budget(), server=bugs.TooEarly), "step"),
+    "an action lost": (Scope(budget=Budget(), server=bugs.LosesAnAction), "step"),
+    "a double step": (Scope(budget=Budget(), server=bugs.StepsTwice), "step twice"),
+    "an old action taken for one of now": (Scope(budget=Budget(duplicate=1), server=bugs.AnyTick), "step"),
     "no lease": (Scope(budget=Budget(hang=1), server=bugs.NoLease), "no way on"),
-    "no promotion": (Scope(budget=Budget(crash=1), server=bugs.NoPromotion), "the master"),
+    "no heir": (Scope(budget=Budget(crash=1), server=bugs.NoHeir), "the master"),
     "barrier not looked at again": (Scope(budget=Budget(crash=1), server=bugs.NotLookedAtAgain), "no way on"),
     "a frame taken twice": (Scope(budget=Budget(cut=1), client=bugs.ShowsAnyFrame), "frame"),
-    "ticks once": (Scope(budget=Budget(lose=1), client=bugs.TicksOnce), "no way on"),
     "never asks again": (Scope(budget=Budget(cut=1), client=bugs.NeverAsksAgain), "no way on"),
 }
 

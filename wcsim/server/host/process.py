@@ -46,7 +46,7 @@ from wcsim.server.launch.awake_clock import AwakeClock
 from wcsim.server.launch.states import WorldExit
 from wcsim.server.launch.stop_signals import die_with_parent
 from wcsim.server.protocol import messages as m
-from wcsim.server.protocol.events import Clock, EpochOver, Event, Lost, Peer, Received, Stop
+from wcsim.server.protocol.events import Clock, Event, Lost, Peer, Received, Stop
 from wcsim.server.protocol.limits import NO_ROOM, last_words, told_limit
 from wcsim.server.specs import WorldSpec, read_order
 from wcsim.server.transport.shared_images import RingSink
@@ -227,7 +227,7 @@ class _ServerLoop:
         self._encoded: tuple[m.Reply | None, bytes] = (None, b"")  # the last one said
         self._clock_s = 0.0  # of the last Clock event
         self._alone = False
-        self._cap = EpochCap(order)
+        self._cap = EpochCap(order, opened.core.cycle)
         doors.watch(lifelines.fileno())
 
     def run(self, asked_to_end: Callable[[], str]) -> str:
@@ -244,8 +244,8 @@ class _ServerLoop:
             while not reason:
                 self._turn()
                 reason = asked_to_end() or ("the process that started it is gone" if self._alone else self._cap.reached)
-            # Who has left by the last tick is in the journal as gone, for those who were in are waited for.
-            self._feed(EpochOver() if self._cap.reached else Stop(reason))
+            if not self._cap.reached:
+                self._feed(Stop(reason))
         except WcsimError as error:
             self._tell_all(error)
             raise
@@ -258,8 +258,6 @@ class _ServerLoop:
         self._clock.look(time.monotonic())
         for heard in self._doors.messages():
             self._hear(heard)
-            if self._cap.is_reached(self._core.cycle):
-                return
         due = self._clock.now_s - self._clock_s >= _CLOCK_S
         if woken or due:
             lost, self._alone = self._lifelines.news()
@@ -272,7 +270,7 @@ class _ServerLoop:
             self._lifelines.keep(here)
             self._homes = {session: home for session, home in self._homes.items() if session in here}
             self._reporter.report(self._core, self._hub, self._clock.now_s)
-            self._cap.weigh(self._core.cycle.tick)
+            self._cap.weigh()
 
     def _hear(self, heard: Heard) -> None:
         peer = heard.peer

@@ -209,7 +209,6 @@ def private_rules(capacity: int, expected: int) -> Rules:
         expected=expected,
         gather_s=_NEVER_S,
         lease_s=_NEVER_S,
-        tick_lease_s=_NEVER_S,
         notice_s=_NEVER_S,
         recordings=None,
     )

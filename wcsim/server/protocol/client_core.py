@@ -3,7 +3,7 @@
 The methods that a driver calls (`join`, `act`, `respawn`, `rebuild`, `leave`) and `handle(message, now_s)`,
 `clock(now_s)` return what is to be done. A client has seen tick n, acts for n, hears that the simulation is at n + 1
 (the paper's tick wait), and gets the frame of n + 1 (its sensors wait); anything else in between is an error or a
-message that came twice. A master also asks for the tick whenever it hears that the barrier is full.
+message that came twice. A master does nothing else: its action is the tick request.
 """
 
 from __future__ import annotations
@@ -16,14 +16,12 @@ import msgspec
 
 from wcsim.errors import (
     BadActionError,
-    BarrierNotFullError,
     EvictedError,
     NotMasterError,
     ProtocolError,
     SeatTakenError,
     ServerGoneError,
     StaleSessionError,
-    StaleTermError,
     StaleTickError,
     TickTimeoutError,
     WcsimError,
@@ -108,7 +106,6 @@ _WAITS = (
     ClientPhase.WAIT_RESPAWN,
 )
 _WAITS_OF = {m.Act: ClientPhase.WAIT_TICK, m.Respawn: ClientPhase.WAIT_RESPAWN, m.Rebuild: ClientPhase.WAIT_FIRST}
-_TICKS_NO_MORE = {error.__name__ for error in (StaleTermError, NotMasterError, BarrierNotFullError)}
 
 
 class ClientCore:
@@ -121,7 +118,8 @@ class ClientCore:
         self.session = b""
         self.seat = ask.seat
         self.epoch = self.tick = -1
-        self.life = self.term = 0
+        self.life = 0
+        self._master_seat: int | None = None
         self.late: tuple[str, ...] = ()  # for whom the server waits, as far as it told
         self.pending: m.Act | m.Respawn | m.Rebuild | None = None  # what is not answered yet
         self._restarted = ""  # why an epoch began that the driver has not heard of
@@ -176,8 +174,8 @@ class ClientCore:
 
     @property
     def master(self) -> bool:
-        """Whether this client has the right to tick."""
-        return self.term > 0
+        """Whether this client's action is the tick request, as last heard."""
+        return self._master_seat == self.seat
 
     def copied(self) -> ClientCore:
         """A core in the same state that goes its own way; it draws its sessions from the same source."""
@@ -195,12 +193,6 @@ class ClientCore:
         match message:
             case m.Welcome():
                 return self._welcomed(message, now_s)
-            case m.BarrierFull():
-                return self._barrier_full(message)
-            case m.Promote():
-                self.term = max(self.term, message.term)
-            case m.Demoted():
-                self.term = 0
             case m.TickDone():
                 return self._tick_done(message)
             case m.Frame():
@@ -275,7 +267,7 @@ class ClientCore:
     def _welcomed(self, welcome: m.Welcome, now_s: float) -> list[Outcome]:
         if self.phase is not ClientPhase.JOINING or welcome.session != self.session:
             return []
-        self.seat, self.term = welcome.seat, welcome.term
+        self.seat, self._master_seat = welcome.seat, welcome.master
         out: list[Outcome] = [Welcomed(welcome)]
         if welcome.resumed and self.pending is not None:
             return [*out, *self._ask(msgspec.structs.replace(self.pending, session=self.session), now_s)]
@@ -286,20 +278,13 @@ class ClientCore:
         self.phase = ClientPhase.WAIT_FIRST
         return out
 
-    def _barrier_full(self, full: m.BarrierFull) -> list[Outcome]:
-        """Ask for the tick: only a master hears of a full barrier."""
-        if full.term < self.term:
-            return []
-        self.term = full.term
-        return [Say(m.Tick(self.session, full.epoch, full.tick, full.term))]
-
     def _tick_done(self, done: m.TickDone) -> list[Outcome]:
         early = self.phase in (ClientPhase.JOINING, ClientPhase.WAIT_FIRST)  # a frame comes next, from wherever it is
         if early or (done.epoch, done.tick) <= (self.epoch, self.tick) or self._ahead == done.tick:
             return []
         if self.phase is not ClientPhase.WAIT_TICK or (done.epoch, done.tick) != (self.epoch, self.tick + 1):
             return self._broken(f"the server is at epoch {done.epoch}, tick {done.tick}")
-        self.phase, self._ahead = ClientPhase.WAIT_SENSORS, done.tick
+        self.phase, self._ahead, self._master_seat = ClientPhase.WAIT_SENSORS, done.tick, done.master
         return []
 
     def _frame(self, frame: m.Frame) -> list[Outcome]:
@@ -349,9 +334,8 @@ class ClientCore:
             return self._knock(now_s, again=self.phase is ClientPhase.JOINING) if self.waiting else []
         if failure.error == StaleTickError.__name__:
             return []  # a request that came late once more: who is a member is never two ticks behind
-        if failure.error in _TICKS_NO_MORE and not isinstance(self.pending, m.Rebuild):
-            self.term = 0 if failure.error != BarrierNotFullError.__name__ else self.term
-            return []
+        if failure.error == NotMasterError.__name__ and not isinstance(self.pending, m.Rebuild):
+            return []  # this one had its answer before
         error = m.error_of(failure)
         if isinstance(error, SeatTakenError) and self.ask.seat == m.ANY_SEAT and self.seat != m.ANY_SEAT:
             self.seat = m.ANY_SEAT  # the seat it once had is another's in this world; any other one will do

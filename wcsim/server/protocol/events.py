@@ -23,8 +23,8 @@ class BarrierState(Enum):
 
     EMPTY = "empty"  # nobody is here, or not yet all of those who are expected
     COLLECT = "collect"  # waits for everybody's action of this tick
-    READY = "ready"  # the barrier is full, the master was told
-    STEPPING = "stepping"  # the master asked, the world is on its way to the next tick
+    STEPPING = "stepping"  # the barrier is full, the world is on its way to the next tick
+    EPOCH_OVER = "epoch over"  # the barrier of the last tick is full; another server goes on with the next epoch
     STOPPED = "stopped"
 
 
@@ -37,7 +37,6 @@ class Rules:
     expected: int = 1  # clients without whom the first tick is not begun ...
     gather_s: float = 120.0  # ... unless so much time is over
     lease_s: float = 120.0  # a client that owes an action and shows no progress for so long is given up
-    tick_lease_s: float = 30.0  # a master that was told of a full barrier must ask for the tick within this time
     rejoin_s: float = REJOIN_S  # so long a seat waits for its client after an exact recovery; as `rejoin_within` says
     notice_s: float = 1.0  # how often those who wait are told for whom
     max_think_s: float | None = None  # a client that takes longer for an action is given up, alive or not
@@ -92,12 +91,7 @@ class Stop:
     reason: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class EpochOver:
-    """The epoch ends with the tick of now; another server goes on with the next one."""
-
-
-Event = Received | Lost | Clock | Stepped | Stop | EpochOver
+Event = Received | Lost | Clock | Stepped | Stop
 
 
 # --- what is to be done, in this order ---

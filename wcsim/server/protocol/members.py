@@ -96,9 +96,10 @@ class Roster:
         """Members in seat order: what is done to all is done in this order, never in that of arrival."""
         return sorted(self.members, key=lambda m: m.seat)
 
-    def oldest(self, but: bytes = b"") -> Member | None:
-        """The member of longest standing whose client is here; another one than that of session `but`."""
-        return next((m for m in self.members if not m.vacant and m.session != but), None)
+    @property
+    def master(self) -> Member | None:
+        """The member of longest standing whose client is here."""
+        return next((m for m in self.members if not m.vacant), None)
 
     def retire(self, session: bytes) -> None:
         """Remember a session that is over, so that its late messages are known as such."""

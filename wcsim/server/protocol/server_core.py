@@ -3,9 +3,9 @@
 `handle(event, now_s)` takes what happened and returns what is to be done. There is no socket, clock, thread or random
 number in here: a world process, a checker of all states and a simulator of faults run the same code.
 
-The server owns membership and the barrier; the master owns the right to tick. A tick is done when every member has
-acted and the master asked for exactly that tick in its term. Everything is said with its number, so that what comes
-twice or late does nothing twice. docs/protocol.md shows the states.
+The server owns membership and the barrier. A tick is done when every member has acted; the master's action is the tick
+request of the paper. Everything is said with its number, so that what comes twice or late does nothing twice.
+docs/protocol.md shows the states.
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ from dataclasses import dataclass, replace
 from wcsim.core.reading import escaped
 from wcsim.errors import (
     BadActionError,
-    BarrierNotFullError,
     ConfigError,
     ConfigMismatchError,
     EvictedError,
@@ -25,7 +24,6 @@ from wcsim.errors import (
     ProtocolError,
     SeatTakenError,
     StaleSessionError,
-    StaleTermError,
     StaleTickError,
     VersionMismatchError,
     WcsimError,
@@ -37,7 +35,6 @@ from wcsim.server.protocol.events import (
     BarrierState,
     Clock,
     Effect,
-    EpochOver,
     Event,
     Lost,
     Peer,
@@ -138,7 +135,7 @@ class ServerCore:
         """Take in one event; returns what is to be done, in this order. Time must not run backwards."""
         cycle = self.cycle
         cycle.out = []
-        if cycle.stage is BarrierState.STOPPED:
+        if cycle.stage in (BarrierState.EPOCH_OVER, BarrierState.STOPPED):
             return []
         match event:
             case Received():
@@ -151,8 +148,6 @@ class ServerCore:
                 cycle.watch(now_s)
             case Stop():
                 cycle.stop(event.reason)
-            case EpochOver():
-                cycle.dismiss()
         return cycle.out
 
     def copied(self) -> ServerCore:
@@ -211,19 +206,15 @@ class ServerCore:
             self.cycle.send(older.peer, m.failure_of(told, older.session))
 
     def _take_over(self, holder: Member, peer: Peer, join: m.Join, now_s: float) -> None:
-        cycle, old = self.cycle, holder.session
-        cycle.roll.retire(old)
+        cycle = self.cycle
+        cycle.roll.retire(holder.session)
         if not (holder.vacant or holder.ready):  # a client that comes again has what is left of its time to think
             holder.thought_s += now_s - holder.asked_s
         holder.session, holder.peer, holder.claim = join.session, peer, join.claim
         holder.heard_s = holder.asked_s = now_s
         holder.progress = -1  # a new life counts anew
         holder.resumed = True
-        if not cycle.master or cycle.master == old:
-            cycle.promote(holder, tell=False)
         cycle.welcome(holder, resumed=True)
-        if cycle.stage is BarrierState.READY:
-            cycle.announce(now_s)
 
     def _lose(self, session: bytes, reason: str, now_s: float) -> None:
         roll = self.cycle.roll
@@ -256,8 +247,6 @@ class ServerCore:
         match message:
             case m.Act():
                 self._act(member, message, now_s)
-            case m.Tick():
-                self._tick(member, message)
             case m.Respawn():
                 self._respawn(member, message, now_s)
             case m.Rebuild():
@@ -300,24 +289,6 @@ class ServerCore:
             member.action = action
             self.cycle.advance(now_s)
 
-    def _tick(self, member: Member, tick: m.Tick) -> None:
-        cycle = self.cycle
-        asked, now = (tick.epoch, tick.tick), (cycle.epoch, cycle.tick)
-        if asked < now:
-            return  # it was done, and everybody heard of it
-        if asked > now:
-            raise FutureTickError(f"a request for epoch, tick {asked}; the server is at {now}")
-        if tick.term < cycle.term:
-            raise StaleTermError(f"term {tick.term} is over; now the master of term {cycle.term} requests ticks")
-        if member.session != cycle.master or tick.term != cycle.term:
-            raise NotMasterError(
-                f"seat {member.seat} is not the master of term {tick.term}; only the master may request a tick"
-            )
-        if cycle.stage is BarrierState.COLLECT:
-            raise BarrierNotFullError(f"tick {cycle.tick} waits for {', '.join(cycle.late())}; wait for all to act")
-        if cycle.stage is BarrierState.READY:
-            cycle.step()
-
     def _respawn(self, member: Member, respawn: m.Respawn, now_s: float) -> None:
         if not self._is_now(member, respawn.epoch, respawn.tick, respawn.life):
             return
@@ -340,9 +311,9 @@ class ServerCore:
             self._tell_of_epoch(member)  # it was done, by this client or before it asked
         elif rebuild.seed < 0:
             raise ProtocolError(f"a new world of seed {rebuild.seed}; expected 0 or more")
-        elif member.session != cycle.master and len(cycle.roll.members) > 1:
+        elif member is not cycle.roll.master:
             raise NotMasterError(f"seat {member.seat} is not the master; only the master may restart the shared world")
-        elif rebuild.epoch > cycle.epoch or cycle.stage not in (BarrierState.COLLECT, BarrierState.READY):
+        elif rebuild.epoch > cycle.epoch or cycle.stage is not BarrierState.COLLECT:
             raise ProtocolError(f"a new world was requested in stage {cycle.stage.value}; request it between ticks")
         else:
             cycle.rebuild(rebuild.seed, now_s)
@@ -361,7 +332,7 @@ class ServerCore:
         if tick < cycle.tick - 1:
             raise StaleTickError(f"tick {tick} of epoch {epoch} is long over; the server is at tick {cycle.tick}")
         if tick < cycle.tick:
-            cycle.send(member.peer, m.TickDone(cycle.epoch, cycle.tick))
+            cycle.tell_tick(member)
         cycle.show(member)
         return False
 
