@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.barrier import Barrier
 from wcsim.server.protocol.client_core import ClientCore, ClientPhase, Outcome
@@ -80,8 +78,8 @@ def _server(kind: type[Barrier]) -> type[ServerCore]:
     """A server whose cycle has a fault."""
 
     class Buggy(ServerCore):
-        def __init__(self, rules: Rules, epoch: int = 0, tick: int = 0, kept: Sequence[Member] = ()) -> None:
-            super().__init__(rules, epoch, tick, kept)
+        def __init__(self, rules: Rules, epoch: int = 0) -> None:
+            super().__init__(rules, epoch)
             self.cycle.__class__ = kind
 
     return Buggy

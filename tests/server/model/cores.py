@@ -11,7 +11,6 @@ from tests.server.model.scope import Scope
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.client_core import Ask, ClientCore, Failed, Outcome, Patience
 from wcsim.server.protocol.events import Clock, Effect, Event, Rules
-from wcsim.server.protocol.members import Member
 from wcsim.server.protocol.server_core import ServerCore
 from wcsim.types import SeatSpec
 
@@ -27,7 +26,6 @@ def rules(scope: Scope) -> Rules:
         expected=scope.expected,
         gather_s=20.0,
         lease_s=100.0,
-        rejoin_s=50.0,
         notice_s=1.0,
     )
 
@@ -46,9 +44,9 @@ class Servers:
         self._ids: dict[Hashable, int] = {}
         self._done: dict[Hashable, tuple[int, tuple[Effect, ...]]] = {}
 
-    def new(self, epoch: int = 0, tick: int = 0, kept: tuple[Member, ...] = ()) -> int:
+    def new(self, epoch: int = 0) -> int:
         """A server that has just begun."""
-        return self._number(self._make(self.rules, epoch, tick, kept))
+        return self._number(self._make(self.rules, epoch))
 
     def handle(self, state: int, event: Event) -> tuple[int, tuple[Effect, ...]]:
         """What follows from an event, at once."""
@@ -93,7 +91,7 @@ class Servers:
             cycle.tick,
             cycle.gathering,
             cycle._gather_s is None,
-            tuple((x.seat, x.session, x.peer, x.claim, x.resumed) for x in cycle.roll.members),
+            tuple((x.seat, x.session, x.peer, x.claim) for x in cycle.roll.members),
             tuple((x.life, x.action, x.respawning) for x in cycle.roll.members),
             tuple((p.seat, p.session, p.peer, p.claim) for p in cycle.roll.pending),
             tuple(sorted(cycle.roll.going)),
@@ -111,7 +109,7 @@ def _is_note(effect: Effect) -> bool:
 
 def _timeless(core: ServerCore) -> None:
     cycle = core.cycle
-    cycle._told_s = cycle._since_s = 0.0
+    cycle._told_s = 0.0
     cycle._gather_s = None if cycle._gather_s is None else 0.0
     for mate in cycle.roll.members:
         mate.heard_s = mate.asked_s = 0.0

@@ -26,7 +26,6 @@ class Budget:
     lose: int = 0  # one message, either way
     cut: int = 0  # all messages on their way from and to a client
     world: int = 0  # the server dies, a new epoch begins
-    recover: int = 0  # the server dies and comes back exactly where it was
     respawn: int = 0
     leave: int = 0
     rebuild: int = 0

@@ -112,9 +112,9 @@ class Space:
                 return
         alive = self._alive(at)
         for mate in cycle.roll.members:
-            fault = mate.session in alive or (mate.vacant and self._may_return(at, mate.seat))
+            fault = mate.session in alive
             yield from self._paid(at, f"overdue seat {mate.seat}", "suspect", fault, self.servers.overdue, mate.seat)
-            if mate.session and (fault or not self.scope.remote) and not self._hung(at, mate.session):
+            if (fault or not self.scope.remote) and not self._hung(at, mate.session):
                 yield from self._lost(at, mate.session, fault)
         for waiting in cycle.roll.pending:
             if waiting.session not in alive and not self.scope.remote and not self._hung(at, waiting.session):
@@ -150,10 +150,6 @@ class Space:
         if paid is not None:
             shadow = Shadow(epoch=at.shadow.epoch + 1, made=at.shadow.made)
             yield "!world", replace(paid, server=self.servers.new(shadow.epoch), shadow=shadow, slots=slots)
-        paid = self._pay(at, "recover")
-        if paid is not None:
-            server = self.servers.new(at.shadow.epoch, at.shadow.tick, at.shadow.kept())
-            yield "!recover", replace(paid, server=server, slots=slots)
 
     def _carry_out(self, at: World, effects: tuple[Effect, ...]) -> World:
         if sum(isinstance(effect, Step) for effect in effects) > 1:
@@ -166,7 +162,7 @@ class Space:
                 case SendFrame():
                     at = self._show(at, effect)
                 case Admit():
-                    at = self._admit(at, effect)
+                    at = replace(at, shadow=at.shadow.admit(effect.seat, effect.name))
                 case Dismiss():
                     at = replace(at, shadow=at.shadow.dismiss(effect.seat))
                 case RespawnSeats():
@@ -181,16 +177,11 @@ class Space:
         """The master is who has been there for longest."""
         if isinstance(message, m.TickDone | m.Welcome):
             members = self.servers.cores[at.server].cycle.roll.members
-            seats = [mate.seat for mate in members if not mate.vacant]
+            seats = [mate.seat for mate in members]
             here = [chair for chair in at.shadow.chairs if chair.seat in seats]
             oldest = min(here, key=lambda chair: chair.number).seat
             if message.master != oldest:
                 raise Violation(f"the master is said to be seat {message.master}; seat {oldest} is the oldest")
-
-    def _admit(self, at: World, admit: Admit) -> World:
-        member = self.servers.cores[at.server].cycle.roll.at(admit.seat)
-        claim = b"" if member is None else member.claim
-        return replace(at, shadow=at.shadow.admit(admit.seat, admit.name, claim))
 
     def _show(self, at: World, show: SendFrame) -> World:
         chair = at.shadow.at(show.seat)
@@ -301,14 +292,6 @@ class Space:
     def _hung(self, at: World, session: bytes) -> bool:
         slot = at.slots[session[0]]
         return slot.mode == "hung" and self.clients[session[0]].cores[slot.core].session == session
-
-    def _may_return(self, at: World, seat: int) -> bool:
-        chair = at.shadow.at(seat)
-        slot = None if chair is None else at.slots[int(chair.owner[1:])]
-        return slot is not None and slot.mode == "live" and self._waits(slot, int(chair.owner[1:]) if chair else 0)
-
-    def _waits(self, slot: Slot, i: int) -> bool:
-        return self.clients[i].cores[slot.core].phase is not ClientPhase.OFF
 
     def _pay(self, at: World, budget: str) -> World | None:
         k = BUDGETS.index(budget)

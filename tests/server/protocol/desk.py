@@ -6,7 +6,6 @@ from typing import TypeVar
 
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.events import Clock, Effect, Event, Received, Rules, Send, Stepped
-from wcsim.server.protocol.members import Member
 from wcsim.server.protocol.server_core import ServerCore
 from wcsim.types import SeatSpec
 
@@ -36,9 +35,9 @@ def join_of(who: int, **other: object) -> m.Join:
 class Desk:
     """A server, of two seats unless told otherwise, with `members` clients in it; every call returns the effects."""
 
-    def __init__(self, members: int = 2, tick: int = 0, kept: tuple[Member, ...] = (), **rules: float) -> None:
+    def __init__(self, members: int = 2, **rules: float) -> None:
         told = {"capacity": 2, "expected": max(1, members), "config": "cfg", **rules}
-        self.core = ServerCore(Rules(**told), 0, tick, kept)  # type: ignore[arg-type]
+        self.core = ServerCore(Rules(**told))  # type: ignore[arg-type]
         self.now_s = 5000.0
         for who in range(members):
             self.say(who, join_of(who))

@@ -24,7 +24,6 @@ REQUESTS = [
         name="a-client",
         spec=SeatSpec(truth_visible=True, start=StartSpec(p_W_m=(0.0, 1.0), yaw_rad=0.5, goal_W_m=(2.0, 3.0))),
         pid=7,
-        resume=(1, 2),
     ),
     m.Act(SESSION, 0, 3, 0, 0.25, -1.0),
     m.Respawn(SESSION, 0, 3, 0),
@@ -33,7 +32,7 @@ REQUESTS = [
     m.Leave(SESSION),
 ]
 REPLIES = [
-    m.Welcome(SESSION, 0, 3, 1, 1, False, "/ring/seat-1", "{}", "monaco"),
+    m.Welcome(SESSION, 0, 3, 1, 0, "/ring/seat-1", "{}", "monaco"),
     m.TickDone(0, 3, 1, 0.01),
     m.Frame(0, 3, 0, None),
     m.Restarted(1, "why"),

@@ -21,9 +21,7 @@ QUICK = {
     "connection lost": Scope(budget=Budget(cut=1), last_tick=1),
     "new epoch": Scope(budget=Budget(world=1), last_tick=1),
     "new epoch, any seat": Scope(budget=Budget(world=1), last_tick=1, any_seat=True),
-    "exact recovery": Scope(budget=Budget(recover=1), last_tick=1),
-    "exact recovery, any seat": Scope(budget=Budget(recover=1), last_tick=1, any_seat=True),
-    "recovery of respawned": Scope(budget=Budget(recover=1, respawn=1), last_tick=1),
+    "respawn": Scope(budget=Budget(respawn=1), last_tick=1),
     "rebuild": Scope(budget=Budget(rebuild=1), last_tick=1),
     "leave": Scope(budget=Budget(leave=1), last_tick=1),
     "one seat for two": Scope(budget=Budget(leave=1), capacity=1, last_tick=1),
@@ -31,15 +29,14 @@ QUICK = {
 
 FULL = {
     "crash and suspicion": Scope(budget=Budget(crash=1, suspect=1), last_tick=1),
-    "crash and recovery": Scope(budget=Budget(crash=1, recover=1), any_seat=True, last_tick=1),
+    "crash and new epoch": Scope(budget=Budget(crash=1, world=1), any_seat=True, last_tick=1),
     "hang and twice": Scope(budget=Budget(hang=1, wake=1, duplicate=1), last_tick=1),
-    "recovery and suspicion on one seat": Scope(budget=Budget(recover=1, suspect=1), capacity=1, last_tick=1),
-    "new epoch and recovery": Scope(budget=Budget(world=1, recover=1), last_tick=1),
+    "new epoch and suspicion on one seat": Scope(budget=Budget(world=1, suspect=1), capacity=1, last_tick=1),
     "new epoch and connection": Scope(budget=Budget(world=1, cut=1), last_tick=1),
     "lost and suspicion": Scope(budget=Budget(lose=1, suspect=1), last_tick=1),
     "respawn and rebuild": Scope(budget=Budget(respawn=1, rebuild=1, cut=1), last_tick=1),
     "leases alone": Scope(budget=Budget(crash=1, suspect=1), remote=True, last_tick=1),
-    "recovery, and a message lost": Scope(budget=Budget(recover=1, lose=1), last_tick=1),
+    "new epoch, and a message lost": Scope(budget=Budget(world=1, lose=1), last_tick=1),
     "three clients": Scope(budget=Budget(), clients=3, capacity=3, starts=1, last_tick=1),
 }
 

@@ -30,9 +30,8 @@ from wcsim.server.protocol.events import (
     Stepped,
     Stop,
 )
-from wcsim.server.protocol.members import MOST_LIVES, Member
+from wcsim.server.protocol.members import MOST_LIVES
 from wcsim.server.protocol.server_core import ServerCore
-from wcsim.types import SeatSpec
 
 
 def test_a_tick_in_short() -> None:
@@ -161,19 +160,13 @@ def test_new_lives_give_a_client_no_new_time_to_think_and_have_an_end() -> None:
     assert only(desk.say(0, m.Respawn(session_of(0), 0, 1, 0)), RespawnSeats).seats == (0,)
 
 
-def test_a_client_that_comes_again_has_what_is_left_of_its_time_to_think() -> None:
-    desk = Desk(members=1, lease_s=100.0, max_think_s=50.0)
-    assert desk.wait(40.0) == []
-    desk.say(0, join_of(0, session=session_of(7), resume=(0, 0)))
-    assert desk.core.cycle.roll.at(0).session == session_of(7)
-    assert desk.wait(9.0) == []
-    assert failure(desk.wait(2.0)) == ("EvictedError", "the server dropped this client: no action within 50 s")
+def test_a_client_that_comes_again_gets_a_new_chair_and_holds_nobody_up() -> None:
     desk = Desk(members=2, lease_s=300.0, max_think_s=50.0)
-    desk.act(0)
-    desk.wait(45.0)
-    desk.say(0, join_of(0, session=session_of(7), resume=(0, 0)))
     desk.act(1)
-    assert len(desk.core.cycle.roll.members) == 2, "who has acted owed nothing"
+    again = desk.say(0, join_of(0, session=session_of(7)))
+    assert failure(again) == ("EvictedError", "the server dropped this client: its client restarted")
+    assert [c.seat for c in only(again, Step).commands] == [1]
+    assert only(desk.feed(Stepped(1)), m.Welcome, peer=0).session == session_of(7)
 
 
 def test_seat_taken() -> None:
@@ -211,7 +204,7 @@ def test_the_same_claim_takes_its_seat_over_whatever_seat_it_asks_for() -> None:
     effects = desk.step(0)
     assert only(effects, Dismiss).seat == 1
     assert only(effects, Admit).seat == 1
-    assert only(effects, m.Welcome, peer=7).resumed is False
+    assert only(effects, m.Welcome, peer=7).seat == 1
 
 
 def test_who_waits_is_found_at_its_new_address() -> None:
@@ -226,38 +219,6 @@ def test_an_older_life_that_waits_hears_that_it_is_over() -> None:
     desk.say(1, join_of(1))
     assert failure(desk.say(1, join_of(1, session=session_of(7))))[0] == "EvictedError"
     assert failure(desk.say(1, join_of(1)))[0] == "EvictedError"
-
-
-def kept(seat: int, claim: bytes = b"") -> Member:
-    return Member(seat=seat, name=f"c{seat}", spec=SeatSpec(), life=0, claim=claim)
-
-
-def test_a_seat_waits_for_its_client_after_a_recovery_on_any_clock() -> None:
-    desk = Desk(members=0, tick=4, kept=(kept(0), kept(1)), rejoin_s=30.0)
-    assert [e for e in desk.wait(0.0) if not isinstance(e, Send)] == []
-    assert len(desk.core.cycle.roll.members) == 2
-    desk.wait(29.0)
-    assert len(desk.core.cycle.roll.members) == 2
-    desk.wait(2.0)
-    assert desk.core.cycle.roll.members == []
-
-
-def test_a_seat_goes_on_for_who_saw_its_last_frame_and_knows_its_claim() -> None:
-    desk = Desk(members=0, tick=4, kept=(kept(0, claim=bytes([0])),))
-    assert failure(desk.say(1, join_of(1, seat=0, resume=(0, 4))))[0] == "SeatTakenError"
-    assert only(desk.say(0, join_of(0, resume=(0, 3))), m.Welcome).resumed is True
-    assert only(desk.say(0, join_of(0, resume=(0, 3))), m.Welcome).resumed is True
-
-
-def test_the_beats_of_a_new_life_count_anew() -> None:
-    desk = Desk(members=1, lease_s=100.0)
-    desk.say(0, m.Beat(session_of(0), 50))
-    claim = desk.core.cycle.roll.members[0].claim
-    joined = desk.say(0, join_of(0, session=session_of(9), claim=claim, resume=(0, 0)))
-    assert only(joined, m.Welcome).resumed is True
-    for progress in (1, 2):
-        desk.say(0, m.Beat(session_of(9), progress))
-        assert desk.wait(90.0) == []
 
 
 def test_a_sole_master_that_hangs_does_not_hold_the_next_one_up() -> None:
@@ -329,9 +290,9 @@ class AnyRequests(RuleBasedStateMachine):
             elif not isinstance(effect, Send):
                 self.world = changed(self.world, effect)
 
-    @rule(session=SESSIONS, seat=NUMBERS, claim=st.binary(max_size=2), resume=st.none() | st.tuples(NUMBERS, NUMBERS))
-    def join(self, session: bytes, seat: int, claim: bytes, resume: tuple[int, int] | None) -> None:
-        self.feed(Received(b"p", join_of(0, session=session, seat=seat, claim=claim, resume=resume)))
+    @rule(session=SESSIONS, seat=NUMBERS, claim=st.binary(max_size=2))
+    def join(self, session: bytes, seat: int, claim: bytes) -> None:
+        self.feed(Received(b"p", join_of(0, session=session, seat=seat, claim=claim)))
 
     @rule(who=st.integers(0, 4))
     def join_well(self, who: int) -> None:
@@ -380,7 +341,7 @@ def changed(world: Shadow, effect: Effect) -> Shadow:
     """The world after what is done to it between ticks."""
     match effect:
         case Admit():
-            return world.admit(effect.seat, effect.name, b"")
+            return world.admit(effect.seat, effect.name)
         case Dismiss():
             return world.dismiss(effect.seat)
         case RespawnSeats():

@@ -352,8 +352,7 @@ class _ServerLoop:
 
     def _tell_all(self, error: WcsimError) -> None:
         for p in self._core.cycle.roll.everyone():
-            if p.peer:
-                self._doors.send(p.peer, [m.encode(m.failure_of(error, p.session))])
+            self._doors.send(p.peer, [m.encode(m.failure_of(error, p.session))])
 
 
 _ORDER_FAULTS = (ConfigError, TownError, HookError, JournalError)
@@ -400,7 +399,7 @@ def _prepared(
     """Open the doors first, so that an order that cannot be used fails before the world is loaded."""
     doors = held.enter_context(ServerSockets(order.endpoint, order.listen, order.keys))
     lifelines = held.enter_context(Lifelines(order.status_fd))
-    opened = open_server(order, make, reporter.loading)  # a long silence would be taken for a hang
+    opened = open_server(order, make)
     if opened.journal is not None:
         held.enter_context(opened.journal)
     held.callback(opened.world.close)

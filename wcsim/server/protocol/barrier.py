@@ -10,7 +10,6 @@ one. So two runs in which the same clients do the same give the same world, what
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import replace
 
 from wcsim.errors import EvictedError, ProtocolError
@@ -35,16 +34,15 @@ from wcsim.types import Command
 class Barrier:
     """The state of a server and what moves it; `out` collects what is to be done."""
 
-    def __init__(self, rules: Rules, epoch: int, tick: int, kept: Sequence[Member]) -> None:
+    def __init__(self, rules: Rules, epoch: int) -> None:
         self.rules = rules
-        self.epoch, self.tick = epoch, tick
-        self.stage = BarrierState.COLLECT if kept else BarrierState.EMPTY
+        self.epoch, self.tick = epoch, 0
+        self.stage = BarrierState.EMPTY
         self.last_tick: int | None = None  # of this epoch, where another server is to go on
-        self.gathering = not kept
-        self.roll = Roster(list(kept))
+        self.gathering = True
+        self.roll = Roster()
         self.out: list[Effect] = []
         self._gather_s: float | None = None  # since when somebody waits for the others to come
-        self._since_s: float | None = None  # when the clock was seen first
         self._told_s = -math.inf  # when those who wait were told for whom
 
     def copied(self) -> Barrier:
@@ -86,7 +84,7 @@ class Barrier:
         for p in coming:
             member = self.roll.at(p.seat)
             if member is not None:
-                self.welcome(member, resumed=False)
+                self.welcome(member)
         if self.roll.members:
             self.gathering, self.stage = False, BarrierState.COLLECT
         else:
@@ -173,8 +171,6 @@ class Barrier:
 
     def watch(self, now_s: float) -> None:
         """Leases, and word to those who wait."""
-        if self._since_s is None:
-            self._since_s = now_s
         if self.stage is BarrierState.EMPTY:
             self.gather(now_s)
         elif self.stage is BarrierState.COLLECT:
@@ -190,12 +186,9 @@ class Barrier:
 
     # --- what is sent ---
 
-    def welcome(self, member: Member, resumed: bool) -> None:
+    def welcome(self, member: Member) -> None:
         """Tell a client that it is in, and show it what its seat sees."""
-        here = (member.session, self.epoch, self.tick, member.seat)
-        self.send(member.peer, m.Welcome(*here, self._master_seat, resumed))
-        if resumed:
-            self.tell_tick(member)
+        self.send(member.peer, m.Welcome(member.session, self.epoch, self.tick, member.seat, self._master_seat))
         self.show(member)
 
     def tell_tick(self, member: Member) -> None:
@@ -204,13 +197,11 @@ class Barrier:
 
     def show(self, member: Member) -> None:
         """Send a client the frame of now."""
-        if member.peer:
-            self.out.append(SendFrame(member.peer, member.seat, self.epoch, self.tick, member.life))
+        self.out.append(SendFrame(member.peer, member.seat, self.epoch, self.tick, member.life))
 
     def send(self, peer: Peer, message: m.Reply) -> None:
-        """Send a message to whoever is there to hear it."""
-        if peer:
-            self.out.append(Send(peer, message))
+        """Send a message."""
+        self.out.append(Send(peer, message))
 
     # --- inside ---
 
@@ -230,9 +221,6 @@ class Barrier:
         if mate.ready:
             return ""
         owes_s = now_s - mate.asked_s
-        if mate.vacant:
-            away_s = min(owes_s, now_s - (now_s if self._since_s is None else self._since_s))
-            return "it did not come back" if away_s > self.rules.rejoin_s else ""
         silent_s = now_s - max(mate.heard_s, mate.asked_s)
         if silent_s > self.rules.lease_s:
             return f"no sign of progress for {silent_s:.0f} s"

@@ -12,8 +12,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 
-import msgspec
-
 from wcsim.errors import (
     BadActionError,
     EvictedError,
@@ -192,7 +190,7 @@ class ClientCore:
         self._heard_s = now_s
         match message:
             case m.Welcome():
-                return self._welcomed(message, now_s)
+                return self._welcomed(message)
             case m.TickDone():
                 return self._tick_done(message)
             case m.Frame():
@@ -233,19 +231,14 @@ class ClientCore:
             raise ProtocolError(f"{call} in phase {self.phase.value!r}; wait for the frame first")
 
     def _request(self, message: m.Act | m.Respawn | m.Rebuild, now_s: float) -> list[Outcome]:
-        self._asked_s = self._heard_s = now_s
-        return self._ask(message, now_s)
-
-    def _ask(self, message: m.Act | m.Respawn | m.Rebuild, now_s: float) -> list[Outcome]:
-        """Ask for something, for the first time or again in a session that goes on with an older one's episode."""
-        self.pending, self.phase, self._ahead, self._sent_s = message, _WAITS_OF[type(message)], None, now_s
+        self._asked_s = self._heard_s = self._sent_s = now_s
+        self.pending, self.phase, self._ahead = message, _WAITS_OF[type(message)], None
         return [Say(message)]
 
     def _knock(self, now_s: float, again: bool = False) -> list[Outcome]:
         if not again:
             self.session = self._new_session()
         self.phase, self._sent_s = ClientPhase.JOINING, now_s
-        resume = (self.epoch, self.tick) if self.tick >= 0 else None
         ask = self.ask
         return [
             Say(
@@ -259,24 +252,20 @@ class ClientCore:
                     name=ask.name,
                     spec=ask.spec,
                     pid=ask.pid,
-                    resume=resume,
                 )
             )
         ]
 
-    def _welcomed(self, welcome: m.Welcome, now_s: float) -> list[Outcome]:
+    def _welcomed(self, welcome: m.Welcome) -> list[Outcome]:
         if self.phase is not ClientPhase.JOINING or welcome.session != self.session:
             return []
         self.seat, self._master_seat = welcome.seat, welcome.master
-        out: list[Outcome] = [Welcomed(welcome)]
-        if welcome.resumed and self.pending is not None:
-            return [*out, *self._ask(msgspec.structs.replace(self.pending, session=self.session), now_s)]
         if self.tick >= 0:
             self._restarted = self._restarted or f"the world is now in epoch {welcome.epoch}"
         self.pending = None
         self.epoch, self.tick, self.life = welcome.epoch, -1, 0
         self.phase = ClientPhase.WAIT_FIRST
-        return out
+        return [Welcomed(welcome)]
 
     def _tick_done(self, done: m.TickDone) -> list[Outcome]:
         early = self.phase in (ClientPhase.JOINING, ClientPhase.WAIT_FIRST)  # a frame comes next, from wherever it is

@@ -12,8 +12,6 @@ from enum import Enum
 from wcsim.server.protocol.messages import Reply, Request
 from wcsim.types import Command, SeatSpec
 
-REJOIN_S = 30.0  # for a connection to be made again
-
 Peer = bytes
 """Where a message came from, and where an answer goes: known to the host alone."""
 
@@ -37,19 +35,9 @@ class Rules:
     expected: int = 1  # clients without whom the first tick is not begun ...
     gather_s: float = 120.0  # ... unless so much time is over
     lease_s: float = 120.0  # a client that owes an action and shows no progress for so long is given up
-    rejoin_s: float = REJOIN_S  # so long a seat waits for its client after an exact recovery; as `rejoin_within` says
     notice_s: float = 1.0  # how often those who wait are told for whom
     max_think_s: float | None = None  # a client that takes longer for an action is given up, alive or not
     recordings: tuple[str, ...] | None = ()  # "recorded:FILE" that clients may ask for; None: any
-
-
-def rejoin_within(lease_s: float) -> float:
-    """How long a seat has to wait for its client: who thinks cannot hear that the server is another one now.
-
-    >>> rejoin_within(120.0), rejoin_within(10.0)
-    (120.0, 30.0)
-    """
-    return max(REJOIN_S, lease_s)
 
 
 # --- what happens ---

@@ -53,7 +53,6 @@ class Join(_Message, frozen=True):
     name: b.Name
     spec: SeatSpec
     pid: b.Process = 0  # of a client on the same machine, which gets its pictures through shared memory; 0 for others
-    resume: tuple[b.Count, b.Count] | None = None  # epoch and tick of the last frame that the client has, to go on from
 
 
 class Act(_Message, frozen=True):
@@ -108,7 +107,6 @@ class Welcome(_Message, frozen=True):
     tick: b.Count
     seat: b.Seat
     master: b.Seat  # of the client that carries the simulators on
-    resumed: bool  # the seat's episode goes on as if nothing had happened
     ring: b.Place = ""  # where the seat's pictures are, for a client on the same machine
     config_json: b.Document = ""  # the world's configuration
     town: b.Place = ""
