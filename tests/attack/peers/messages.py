@@ -192,6 +192,9 @@ class _Doors:
         while self.inbox:
             yield self.inbox.pop(0)
 
+    def lost(self) -> set[bytes]:
+        return set()
+
     def send(self, peer: bytes, parts: list[bytes]) -> None:
         self.sent.append((peer, [bytes(part) for part in parts]))
 

@@ -112,12 +112,14 @@ def test_a_client_that_hangs_is_given_up_and_the_other_goes_on(tmp_path):
             links[0].act(0, AHEAD)
 
 
+@pytest.mark.parametrize("remote", [False, True], ids=["ipc", "tcp"])
 @pytest.mark.parametrize("victim", ["a", "b"])
-def test_a_client_that_is_killed_does_not_stop_the_other(tmp_path, victim):
-    order = stand_in_order(tmp_path, rules=BOTH)
+def test_a_client_that_is_killed_does_not_stop_the_other(tmp_path, victim, remote):
+    order = stand_in_order(tmp_path, rules=BOTH, listen="tcp://127.0.0.1:*")
     with Server(order, tmp_path) as server, ExitStack() as held:
-        server.status()
-        clients = {seat.name: held.enter_context(stub_client(seat, tmp_path)) for seat in two_seats(server, tmp_path)}
+        address = server.status().listening if remote else order.endpoint
+        seats = [replace(seat, endpoint=address) for seat in two_seats(server, tmp_path)]
+        clients = {seat.name: held.enter_context(stub_client(seat, tmp_path)) for seat in seats}
         running = server.status(lambda s: s.ticks > 10)
         assert running.members == ("a", "b")
         clients[victim].kill()
@@ -125,6 +127,20 @@ def test_a_client_that_is_killed_does_not_stop_the_other(tmp_path, victim):
         (survivor,) = alone.members
         assert survivor != victim
         assert server.status(lambda s: s.tick > alone.tick).master == survivor
+
+
+def test_a_client_on_another_machine_that_is_stopped_for_a_while_keeps_its_seat(tmp_path):
+    order = stand_in_order(tmp_path, rules=BOTH, listen="tcp://127.0.0.1:*")
+    with Server(order, tmp_path) as server, ExitStack() as held:
+        address = server.status().listening
+        seats = [replace(seat, endpoint=address) for seat in two_seats(server, tmp_path)]
+        _, b = [held.enter_context(stub_client(seat, tmp_path)) for seat in seats]
+        server.status(lambda s: s.ticks > 10)
+        b.send_signal(signal.SIGSTOP)
+        time.sleep(8.0)  # longer than a cut would take to be noticed
+        b.send_signal(signal.SIGCONT)
+        stopped = server.status()
+        assert server.status(lambda s: s.tick > stopped.tick).members == ("a", "b")
 
 
 def test_it_ends_when_it_is_asked_to_and_says_goodbye(tmp_path):

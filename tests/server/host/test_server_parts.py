@@ -5,9 +5,11 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import time
 from dataclasses import replace
 
 import pytest
+import zmq
 
 from benchmarks.barrier.fake_world import FakeWorld
 from tests.server.servers import stand_in_order
@@ -84,6 +86,40 @@ def test_the_end_of_a_process_and_of_the_reader_is_news():
         os.close(reader)
         assert lifelines.news() == ([], True)
     os.close(writer)
+
+
+def test_the_end_of_a_connection_is_told_once_and_of_whom(tmp_path):
+    """Also when the next one has the same descriptor, as it mostly does."""
+
+    peers: list[bytes] = []
+    lost: list[bytes] = []
+
+    def look(seconds: float) -> None:
+        end_s = time.monotonic() + seconds
+        while time.monotonic() < end_s and (seconds < 1.0 or not peers):
+            doors.wait(50)
+            lost.extend(doors.lost())
+            peers.extend(one.peer for one in doors.messages())
+
+    def spoken(socket: zmq.Socket[bytes]) -> None:
+        socket.connect(doors.listening)
+        socket.send(b"here")
+
+    with ServerSockets(f"ipc://{tmp_path}/s/world", "tcp://127.0.0.1:*") as doors, zmq.Context() as context:
+        for early in (False, True, False):  # also one that is gone before it is heard
+            peers.clear()
+            with context.socket(zmq.DEALER) as socket:
+                spoken(socket)
+                if not early:
+                    look(30.0)
+                    look(0.3)
+                    assert peers[-1] not in lost
+            if early:
+                time.sleep(0.5)
+                lost.extend(doors.lost())
+            look(30.0)
+            look(0.9)
+            assert lost.count(peers[-1]) == 1
 
 
 @pytest.mark.parametrize(

@@ -246,6 +246,17 @@ def test_a_client_that_is_to_end_does_not_wait_for_a_world_that_does_not_answer(
             a.receive()
 
 
+def test_a_client_says_that_its_world_is_gone_long_before_it_gives_up(tmp_path, monkeypatch, caplog):
+    monkeypatch.setattr("wcsim.server.links.socket._CUT_S", 0.3)
+    with Server(stand_in_order(tmp_path), tmp_path) as server, SocketSeat(server.seat("a")) as a:
+        a.join()
+        a.core.patience = replace(QUICK, reconnect_s=4.0)
+        server.kill()
+        with pytest.raises(ServerGoneError, match="silent"):
+            a.act(0, AHEAD)
+    assert [record.getMessage().startswith("wcsim: the connection to ipc:") for record in caplog.records] == [True]
+
+
 def test_a_client_that_is_asked_to_end_gives_up_a_silent_world_sooner(tmp_path, monkeypatch):
     monkeypatch.setattr("wcsim.server.links.base.LEAVING_S", 0.5)
     with Server(stand_in_order(tmp_path), tmp_path) as server, SocketSeat(server.seat("a")) as a:

@@ -263,6 +263,8 @@ class _ServerLoop:
             lost, self._alone = self._lifelines.news()
             for session in lost:
                 self._feed(Lost(session))
+            for session in self._cut_off():
+                self._feed(Lost(session, "its connection was lost"))
         if due:
             self._clock_s = self._clock.now_s
             self._feed(Clock())
@@ -296,6 +298,12 @@ class _ServerLoop:
             self._homes.setdefault(message.session, peer)
             if message.pid > 0 and peer.startswith(LOCAL):
                 self._watch(message)
+
+    def _cut_off(self) -> list[bytes]:
+        """Sessions whose connections have ended: as good as dead, for nobody else can be waited for so long."""
+        lost = self._doors.lost()
+        everyone = self._core.cycle.roll.everyone() if lost else ()
+        return [p.session for p in everyone if self._homes.get(p.session) in lost]
 
     def _shut_out(self, peer: Peer) -> None:
         """Who is not heard any more cannot act: nobody shall wait for it."""
