@@ -25,12 +25,10 @@
     │   │   ├── WorldFullError      ... and no other is free
     │   │   ├── EvictedError        ... any more: the server dropped the client
     │   │   ├── StaleSessionError   ... as far as this server knows
-    │   │   ├── NotMasterError      ... or may not tick or rebuild
-    │   │   └── StaleTermError      ... or had that right earlier
+    │   │   └── NotMasterError      ... or may not restart the world
     │   └── ProtocolError           a message does not fit the state of the link
     │       ├── VersionMismatchError, ConfigMismatchError
     │       ├── StaleTickError, FutureTickError
-    │       ├── BarrierNotFullError a tick was requested before all clients acted
     │       ├── BadActionError      not an action or joystick position, or a second one for a tick
     │       ├── OverloadedError     more or larger messages than the server accepts
     │       └── PicturesError       shared memory exists, but has no pictures of this version
@@ -146,11 +144,7 @@ class StaleSessionError(MembershipError):
 
 
 class NotMasterError(MembershipError):
-    """Raised when a client that is not the master requests a tick or a new world."""
-
-
-class StaleTermError(MembershipError):
-    """Raised when a former master requests a tick."""
+    """Raised when a client that is not the master requests a new world."""
 
 
 class ProtocolError(LinkError):
@@ -171,10 +165,6 @@ class StaleTickError(ProtocolError):
 
 class FutureTickError(ProtocolError):
     """Raised for an action of a future tick."""
-
-
-class BarrierNotFullError(ProtocolError):
-    """Raised when a tick is requested before all clients acted."""
 
 
 class BadActionError(ProtocolError):

@@ -204,9 +204,7 @@ def _sizes(config: RunConfig, remote: bool) -> Sizes:
     frame = m.Frame(0, 1000, 0, world.snapshot.clients[0], -1 if remote else 0)
     return Sizes(
         act=len(m.encode(m.Act(_SESSION, 0, 1000, 0, 0.1, 0.8))),
-        full=len(m.encode(m.BarrierFull(0, 1000, 1))),
-        tick=len(m.encode(m.Tick(_SESSION, 0, 1000, 1))),
-        done=len(m.encode(m.TickDone(0, 1000, 1e-4))),
+        done=len(m.encode(m.TickDone(0, 1000, 0, 1e-4))),
         frame=len(m.encode(frame)),
     )
 

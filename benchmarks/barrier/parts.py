@@ -1,9 +1,8 @@
 """The processes of the barrier bench: `python -m benchmarks.barrier.parts ROLE ORDER_FILE`.
 
 The `world` is a process with a `TimedWorld`. A `client` has a seat in a world and a socket to an `echo` server, which
-does with bare messages what a world does with its own: wait for one of each client, ask the first client, wait for its
-answer, send one to each. Blocks of ticks and of echo rounds are asked for on stdin, so that both are measured in turns;
-times of each are written to stdout.
+does with bare messages what a world does with its own: wait for one of each client, send one to each. Blocks of ticks
+and of echo rounds are asked for on stdin, so that both are measured in turns; times of each are written to stdout.
 """
 
 from __future__ import annotations
@@ -29,7 +28,6 @@ from wcsim.types import ClientSnapshot, Command, Joystick, SensorFrame, Snapshot
 TICK_TIMES = "tick-times.json"  # in the run folder of a `TimedWorld`
 _WAIT_MS = 60_000
 _AHEAD = Joystick(0.1, 0.8)
-_FIRST = b"1"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -37,8 +35,6 @@ class Sizes:
     """Bytes of the messages of a round."""
 
     act: int
-    full: int
-    tick: int
     done: int
     frame: int
 
@@ -52,7 +48,7 @@ class PartOrder:
     keys: str
     clients: int
     sizes: Sizes
-    number: int = 0  # of a client; the echo server asks the one of number 0
+    number: int = 0  # of a client
 
 
 class TimedWorld(FakeWorld):
@@ -132,12 +128,9 @@ def _ticks(link: WorldLink, count: int) -> list[float]:
 
 
 def _rounds(socket: zmq.Socket[bytes], order: PartOrder, count: int) -> list[float]:
-    act, tick, times_s = bytes(order.sizes.act), bytes(order.sizes.tick), []
+    act, times_s = bytes(order.sizes.act), []
     for _ in range(count):
         socket.send(act)
-        if order.number == 0:
-            socket.recv()
-            socket.send(tick)
         socket.recv_multipart()
         times_s.append(time.monotonic())
     return times_s
@@ -153,20 +146,18 @@ def _echo(context: zmq.Context[zmq.Socket[bytes]], order: PartOrder) -> None:
             socket.curve_secretkey, socket.curve_publickey = pair.secret, pair.public
         socket.bind(order.echo)
         _say([])
-        full, answer = bytes(sizes.full), (bytes(sizes.done), bytes(sizes.frame))
+        answer = (bytes(sizes.done), bytes(sizes.frame))
         try:
             for line in sys.stdin.buffer:
-                _say([_round(socket, order.clients, full, answer) for _ in range(int(line.split()[1]))])
+                _say([_round(socket, order.clients, answer) for _ in range(int(line.split()[1]))])
         finally:
             if guard is not None:
                 guard.stop()
 
 
-def _round(socket: zmq.Socket[bytes], clients: int, full: bytes, answer: tuple[bytes, bytes]) -> float:
-    """One round; returns when the first client had answered."""
+def _round(socket: zmq.Socket[bytes], clients: int, answer: tuple[bytes, bytes]) -> float:
+    """One round; returns when all had spoken."""
     peers = sorted(socket.recv_multipart()[0] for _ in range(clients))
-    socket.send_multipart((_FIRST, full))
-    socket.recv_multipart()
     now_s = time.monotonic()
     for peer in peers:
         socket.send_multipart((peer, *answer))

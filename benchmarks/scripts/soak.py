@@ -8,7 +8,7 @@ import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 from rich.progress import Progress
@@ -54,8 +54,6 @@ class SoakOptions:
     """Setting of the learners as section.key=value."""
     town: str = ""
     """Where: a town's name, its folder, or a .sumocfg file. (default: monaco; with --networks helsinki)"""
-    recovery: Literal["new_epoch", "replay"] = "new_epoch"
-    """What a restarted world does: start a new world generation (epoch), or recompute the old one."""
     lease: Annotated[float | None, tyro.conf.arg(metavar="S")] = None
     """Seconds without progress after which a client is dropped. (default: 3; with --networks 10)"""
     seed: int = 0
@@ -162,7 +160,6 @@ def _soaked(options: SoakOptions, town: Town, folder: Path, struck: FaultOrder) 
         faults=struck,
         steps=(options.steps or _STEPS) if options.minutes is None else None,
         seconds=60.0 * (options.minutes or 0.0),
-        recovery=options.recovery,
     )
     trained = Options(
         town=town.address,
@@ -171,7 +168,6 @@ def _soaked(options: SoakOptions, town: Town, folder: Path, struck: FaultOrder) 
         steps=order.steps or ENDLESS,
         set=(*SETTINGS, *options.set),
         lease=struck.lease_s,
-        recovery=options.recovery,
         seed=options.seed,
         out=folder,
         json=folder.with_name(f"{folder.name}.json"),
@@ -274,7 +270,6 @@ def _run(options: SoakOptions, town: str, folder: Path) -> SoakFacts:
         clients=options.clients or 3,
         seed=options.seed,
         lease_s=3.0 if options.lease is None else options.lease,
-        recovery=options.recovery,
     )
     with Progress(console=stderr_console(), transient=True) as bar:
         task = bar.add_task("soaking", total=order.seconds)

@@ -90,22 +90,12 @@ def _blocks(life: Sequence[tuple[float, float]], warm_s: float) -> list[tuple[fl
     return [(float(part[:, 0].mean()), float(part[:, 1].mean())) for part in parts if len(part)]
 
 
-def predicted_s(points: Sequence[tuple[float, float]], at: float) -> float:
-    """A bound for the next y at x=`at` by a straight line through (x, y), 95 %; where x does not vary, by the mean."""
-    if len(points) < 3:
+def predicted_s(values_s: Sequence[float]) -> float:
+    """A bound for the next of these, 95 %."""
+    if len(values_s) < 3:
         return math.inf
-    x, y = np.array(points).T
-    off = x - x.mean()
-    spread = float(off @ off)
-    slope = max(0.0, float(off @ y) / spread) if spread > 0.0 else 0.0
-    freedom = len(points) - (2 if spread > 0.0 else 1)
-    error = math.sqrt(float(np.sum((y - y.mean() - slope * off) ** 2)) / freedom)
-    far = (at - float(x.mean())) ** 2 / spread if spread > 0.0 else 0.0
-    return (
-        float(y.mean())
-        + slope * (at - float(x.mean()))
-        + t_quantile(freedom) * error * math.sqrt(1.0 + 1.0 / len(points) + far)
-    )
+    values = np.array(values_s)
+    return float(values.mean() + t_quantile(len(values) - 1) * values.std(ddof=1) * math.sqrt(1.0 + 1.0 / len(values)))
 
 
 class _Samples:
@@ -213,7 +203,7 @@ def long_run(
             whole run.
         disk: MB of the run folder.
         epoch_h: Hours that an epoch lasts.
-        recovery_s: A bound for a world in its last tick of an epoch, after which it does not grow.
+        recovery_s: A bound for a world that dies.
         client_growth_mb: By how much a client has grown when it is replaced, at the begin of the next epoch.
     """
     hours = {who: min(epoch_h, RUN_H) if who == WORLD else RUN_H for who in memory}

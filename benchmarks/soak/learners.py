@@ -22,7 +22,6 @@ from wcsim.agents.runs.checkpoint import KEEP
 from wcsim.config import LearnConfig
 from wcsim.errors import InterruptedRunError
 from wcsim.server.launch.states import ClientState, LaunchState
-from wcsim.server.specs import Recovery
 
 SETTINGS = ("learn.replay_frames=1000", "learn.checkpoint_every=100", "learn.updates=while_waiting")
 """Laid over the preset: a replay that is full soon, so that what grows afterwards is no replay; and checkpoints that
@@ -40,7 +39,6 @@ class LearnersOrder:
     faults: FaultOrder
     steps: int | None = None  # of each; None: until `seconds` are over
     seconds: float = 0.0
-    recovery: Recovery = "new_epoch"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -157,7 +155,7 @@ def soak_learners(
             memory,
             disk,
             _epoch_h(run, watch),
-            _recovery_s(order, run, watch.faults.recovered),
+            _recovery_s(watch.faults.recovered),
             max(client.config.learn.process_growth_mb for client in run.clients),
         ),
         paid=read_paid_times(order.folder),
@@ -186,13 +184,9 @@ def _epoch_h(run: GroupRun, watch: _Watch) -> float:
     return ticks / max(watch.pace.ticks_per_s, 1e-3) / 3600.0
 
 
-def _recovery_s(order: LearnersOrder, run: GroupRun, recovered: Sequence[Recovered]) -> float:
-    """A bound for the recovery of a world that dies in the last tick of an epoch."""
-    kills = [each for each in recovered if each.fault.who == WORLD and each.fault.what == "kill"]
-    if order.recovery == "replay":
-        cap = float(run.clients[0].config.epoch_ticks or math.inf)
-        return predicted_s([(float(each.ticks), each.after_s) for each in kills], cap)
-    return predicted_s([(0.0, each.after_s) for each in kills], 0.0)
+def _recovery_s(recovered: Sequence[Recovered]) -> float:
+    """A bound for the recovery of a world that dies."""
+    return predicted_s([one.after_s for one in recovered if one.fault.who == WORLD and one.fault.what == "kill"])
 
 
 def p99(values_s: Sequence[float]) -> float | None:

@@ -19,14 +19,13 @@ from benchmarks.soak.faults import WORLD, Chaos, Fault
 from benchmarks.soak.growth import GrowthLog, LongRun, SettledPace, Slope, long_run, predicted_s
 from benchmarks.soak.stub_client import StubSight, read_sights
 from wcsim.config import RunConfig
-from wcsim.config.world import EPOCH_TICKS
 from wcsim.log.reader import iter_inputs
 from wcsim.log.writer import JOURNAL
 from wcsim.server.launch.launcher import Launcher
 from wcsim.server.launch.states import ClientPlan, LaunchOutcome, LaunchRules, LaunchState
 from wcsim.server.ledger import Audit, audit, iter_ledger
 from wcsim.server.protocol.events import Rules
-from wcsim.server.specs import Recovery, SeatRequest, WorldSpec, to_line
+from wcsim.server.specs import SeatRequest, WorldSpec, to_line
 from wcsim.server.transport.world_folder import endpoint_in, workplace
 from wcsim.types import SeatSpec
 from wcsim.users.profiles import recordings
@@ -35,10 +34,9 @@ _LEASE_S = 3.0
 _CALM_SHARE = 0.25  # of the time, at the end
 _LEAST_CALM_S = 11.0  # beyond a lease
 _WORLD_LEASE_S = 6.0  # longer than any step, and than a pause
-_REJOIN_LEASES = 3.0  # so long a seat waits for its client after an exact recovery; no stop is longer
+_WAITED_LEASES = 3.0  # for clients that are stopped one after the other while the world is not there
 _NOTICED_S = 2.0  # after a lease, till the others have gone on
 _MADE_AGAIN_S = 30.0  # for a world that died to be started again
-_REPLAYED_S = 300.0  # for EPOCH_TICKS to be done again
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,7 +50,6 @@ class SoakOrder:
     clients: int = 3
     seed: int = 0
     lease_s: float = _LEASE_S
-    recovery: Recovery = "new_epoch"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,16 +62,9 @@ class RecoveryBars:
 
 
 def recovery_bars(order: SoakOrder) -> RecoveryBars:
-    """The bars of a soak: a client is given up after its lease, a world that is to be exact does its epoch again."""
-    again_s = 0.0
-    if order.recovery == "replay":
-        again_s = _REPLAYED_S * (order.config.epoch_ticks or math.inf) / EPOCH_TICKS
-    waits_s = _REJOIN_LEASES * max(0.0, order.lease_s - _LEASE_S)
-    return RecoveryBars(
-        client_s=order.lease_s + _NOTICED_S,
-        world_s=_MADE_AGAIN_S + again_s,
-        overlap_s=_MADE_AGAIN_S + again_s + waits_s,
-    )
+    """The bars of a soak: a client is given up after its lease."""
+    waits_s = _WAITED_LEASES * max(0.0, order.lease_s - _LEASE_S)
+    return RecoveryBars(client_s=order.lease_s + _NOTICED_S, world_s=_MADE_AGAIN_S, overlap_s=_MADE_AGAIN_S + waits_s)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -225,10 +215,9 @@ class _Watch:
 
 
 def _bounds(order: SoakOrder, watch: _Watch, times: RecoveryTimes) -> LongRun:
-    """For a run of many hours; a recovery by replay is not in it, for which learners' soaks know the ticks."""
+    """For a run of many hours."""
     epoch_h = (order.config.epoch_ticks or math.inf) / max(watch.pace.ticks_per_s, 1e-3) / 3600.0
-    recovery_s = predicted_s([(0.0, took_s) for took_s in times.world_s], 0.0)
-    return long_run(watch.growth.memory, watch.growth.disk, epoch_h, recovery_s)
+    return long_run(watch.growth.memory, watch.growth.disk, epoch_h, predicted_s(times.world_s))
 
 
 def _server_order(order: SoakOrder, place: Path) -> WorldSpec:
@@ -237,8 +226,6 @@ def _server_order(order: SoakOrder, place: Path) -> WorldSpec:
         config=order.config.world_digest(),
         expected=order.clients,
         lease_s=order.lease_s,
-        tick_lease_s=order.lease_s,
-        rejoin_s=_REJOIN_LEASES * order.lease_s,
         recordings=recordings([order.config.env.profile]),
     )
     return WorldSpec(
@@ -250,7 +237,6 @@ def _server_order(order: SoakOrder, place: Path) -> WorldSpec:
         ring=str(place),
         name="soak",
         run=str(order.folder),
-        recovery=order.recovery,
         epoch_ticks=order.config.epoch_ticks,
     )
 

@@ -42,7 +42,7 @@ QUIET_S = 400.0  # the longest time that is left to go on in afterwards
 GOAL_TICKS = 2  # that every live client must see after the last fault
 PATIENCE = Patience(resend_s=2.0, reconnect_s=90.0, tick_s=3600.0)
 FAULTS = (
-    "crash", "hang", "leave", "cut", "duplicate", "slow", "jump", "world", "recover", "garbage", "replay", "rebuild",
+    "crash", "hang", "leave", "cut", "duplicate", "slow", "jump", "world", "garbage", "replay", "rebuild",
     "lose prefix", "suspect", "rival",
 )  # fmt: skip
 
@@ -95,7 +95,7 @@ class Simulation:
         self.capacity = self.clients
         self.rules = Rules(
             capacity=self.capacity, expected=1 + self.draws.below(self.clients), gather_s=8.0, lease_s=12.0,
-            tick_lease_s=4.0, rejoin_s=10.0, notice_s=1.0,
+            notice_s=1.0,
         )  # fmt: skip
         self.now_s, self.jump_s = 0.0, 1000.0 * self.draws.unit()
         self.core, self.world = ServerCore(self.rules), SimWorld()
@@ -158,8 +158,7 @@ class Simulation:
                 chair = self.world.show(effect.seat, effect.epoch, effect.tick, effect.life)
                 self._post(effect.peer, m.Frame(effect.epoch, effect.tick, effect.life, None, chair))
             case Admit():
-                member = self.core.cycle.roll.at(effect.seat)
-                self.world.admit(effect.seat, effect.name, b"" if member is None else member.claim)
+                self.world.admit(effect.seat, effect.name)
             case Dismiss():
                 self.world.dismiss(effect.seat)
             case RespawnSeats():
@@ -289,7 +288,7 @@ class Simulation:
     def _on_fault(self, kind: str) -> None:
         alive = [process for process in self.slots.values() if process.alive]
         self._tell("fault:", kind)
-        if kind in ("world", "recover", "garbage", "replay", "jump", "rival"):
+        if kind in ("world", "garbage", "replay", "jump", "rival"):
             getattr(self, f"_fault_{kind}")()
         elif alive:
             getattr(self, f"_fault_{kind.replace(' ', '_')}")(alive[self.draws.below(len(alive))])
@@ -363,8 +362,7 @@ class Simulation:
             session = bytes([200 + k]) * (k * 4)
             kinds: tuple[m.Request, ...] = (
                 m.Act(session, -big, big, -1, float("nan"), float("inf")),
-                m.Tick(session, big, -big, big),
-                m.Join(m.PROTOCOL, m.schema_hash(), "", session, b"", 99 - k, "?" * 99, SeatSpec(), 0, (big, -big)),
+                m.Join(m.PROTOCOL, m.schema_hash(), "", session, b"", 99 - k, "?" * 99, SeatSpec(), -big),
                 m.Join(k, "x", "y", session, b"", -big, "", SeatSpec()),
                 m.Leave(session),
                 m.Respawn(session, big, -1, -big),
@@ -373,19 +371,12 @@ class Simulation:
             )
             self._at(self.now_s + self.draws.unit(), "stray", b"else", kinds[self.draws.below(len(kinds))])
 
-    def _die(self) -> None:
+    def _fault_world(self) -> None:
         for process in self.processes.values():
             process.wire += 1
         self.down_until_s = self.now_s + 5.0 * self.draws.unit()
-
-    def _fault_world(self) -> None:
-        self._die()
         self.world.begin_again()
         self.core = ServerCore(self.rules, self.world.epoch)
-
-    def _fault_recover(self) -> None:
-        self._die()
-        self.core = ServerCore(self.rules, self.world.epoch, self.world.tick, self.world.kept())
 
 
 if __name__ == "__main__":

@@ -6,7 +6,6 @@ import zlib
 
 from tests.server.model.shadow import Shadow, stick_of
 from wcsim.server.protocol.events import Step
-from wcsim.server.protocol.members import Member
 
 
 class Wrong(Exception):
@@ -52,9 +51,9 @@ class SimWorld:
             raise Wrong(f"a frame of {(epoch, tick, life)} for seat {seat}: {chair} at {(self.epoch, self.tick)}")
         return chair.number
 
-    def admit(self, seat: int, owner: str, claim: bytes) -> None:
+    def admit(self, seat: int, owner: str) -> None:
         """A chair comes."""
-        self._shadow = self._shadow.admit(seat, owner, claim)
+        self._shadow = self._shadow.admit(seat, owner)
 
     def dismiss(self, seat: int) -> None:
         """A chair goes."""
@@ -71,10 +70,6 @@ class SimWorld:
     def begin_again(self) -> None:
         """A new epoch after the world's death: nobody is in."""
         self._shadow = Shadow(epoch=self.epoch + 1, made=self._shadow.made)
-
-    def kept(self) -> tuple[Member, ...]:
-        """The seats after an exact recovery."""
-        return self._shadow.kept()
 
     def audit(self) -> None:
         """Raise Wrong unless no tick was done twice or left out."""

@@ -22,9 +22,9 @@ from wcsim.log.reader import part_files
 from wcsim.log.writer import JOURNAL, LogWriter, told_torn
 from wcsim.server.launch.launcher import Launcher
 from wcsim.server.launch.states import LaunchState
-from wcsim.server.protocol.events import Rules, rejoin_within
+from wcsim.server.protocol.events import Rules
 from wcsim.server.protocol.limits import require_files
-from wcsim.server.specs import Recovery, WorldSpec
+from wcsim.server.specs import WorldSpec
 from wcsim.server.transport.keys import is_loopback, known_names, make_keys
 from wcsim.server.transport.world_folder import endpoint_in, workplace
 from wcsim.towns.checks.validate import validate_net
@@ -58,8 +58,6 @@ class Options(SettingsOptions):
     """Generate missing keys for these clients and the server in the folder --keys."""
     run: OutFolder = None
     """Save journal, logs and the outputs of the town's scenario here; continues a world in the folder."""
-    recovery: Recovery = "new_epoch"
-    """How a world continues after a restart: as a new generation (epoch), or recomputed from its journal."""
     lease: Annotated[float, tyro.conf.arg(metavar="S"), Bounds(1.0, 86_400.0)] = 120.0
     """Seconds without a sign of progress after which a client is dropped."""
     max_think: Annotated[float | None, tyro.conf.arg(metavar="S"), Bounds(0.1, 86_400.0)] = None
@@ -182,7 +180,6 @@ def _order(options: Options, town: Town, config: RunConfig, place: Path) -> Worl
             expected=options.expected,
             gather_s=GATHER_S,
             lease_s=options.lease,
-            rejoin_s=rejoin_within(options.lease),
             max_think_s=options.max_think,
             recordings=recordings([config.env.profile]),
         ),
@@ -193,6 +190,5 @@ def _order(options: Options, town: Town, config: RunConfig, place: Path) -> Worl
         hook=options.hook,
         listen=options.listen,
         keys="" if options.keys is None else str(options.keys.absolute()),
-        recovery=options.recovery,
         epoch_ticks=config.epoch_ticks if options.run is not None else 0,
     )

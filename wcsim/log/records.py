@@ -68,7 +68,7 @@ class Header(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_
     tick_s: Annotated[float, Meta(ge=1e-3, le=10.0)]
     fingerprint: Document
     hook: Document = ""  # the user's own step hook, module:Class
-    recovery: Document = "new_epoch"  # what a server does with the log after a crash
+    recovery: Document = "new_epoch"  # of older logs
     origin_m: tuple[Number, Number] = (0.0, 0.0)  # W's origin in the town's net coordinates
     origin_z_m: Number = 0.0
     chair_box_m: tuple[Number, Number] | None = None  # length of a wheelchair, and its middle ahead of the drive axle
@@ -103,7 +103,7 @@ class Admitted(_Record, frozen=True, kw_only=True, tag="a"):
     seat: Seat
     spec: SeatSpec
     name: Document = ""
-    claim: Document = ""  # see `hub.sealed`; hexadecimal
+    claim: Document = ""  # of older logs
 
 
 class Dismissed(_Record, frozen=True, kw_only=True, tag="d"):

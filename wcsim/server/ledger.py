@@ -111,7 +111,7 @@ class _Pages:
         self.found.phantom += len(seen - done)
 
     def _count(self, now: SeenFrame) -> None:
-        """What the ledger shows by itself; a session that was taken over goes on with the same life."""
+        """What the ledger shows by itself."""
         found = self.found
         if self._before is None:
             found.first_tick = now.tick

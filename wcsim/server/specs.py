@@ -6,7 +6,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal, TypeVar
+from typing import TypeVar
 
 import msgspec
 
@@ -21,7 +21,6 @@ from wcsim.towns.scenario.overrides import Override
 from wcsim.types import SeatSpec
 
 _MOST_ORDER_BYTES = 16 << 20
-Recovery = Literal["new_epoch", "replay"]
 
 
 def seat_spec(env: EnvConfig) -> SeatSpec:
@@ -68,7 +67,6 @@ class WorldSpec(WorldOrder):
     journal: bool = True  # in the run folder; False: that is for the outputs alone
     listen: str = ""  # tcp://..., for clients on other machines
     keys: str = ""  # folder of CURVE keys; needed beyond loopback
-    recovery: Recovery = "new_epoch"
     epoch_ticks: int = 0  # after which it ends, or by its growth; whoever starts it has to start it again
     begins: bool = False  # no world of this launch has been there yet, and its clients take their time to load
     status_fd: int = -1  # a pipe for WorldStatus lines; the process ends when its other end is closed

@@ -33,7 +33,7 @@ def main() -> None:
     """Print a row a kind of message."""
     peers, rules, roll, join = PeerLimits(), Rules(capacity=4), Roster(), a_join(name="ann")
     said: tuple[m.Request, ...] = (
-        m.Act(SESSION, 1, 2, 0, 0.5, 0.5), m.Tick(SESSION, 1, 2, 1), m.Beat(SESSION, 3), m.Leave(SESSION), join
+        m.Act(SESSION, 1, 2, 0, 0.5, 0.5), m.Beat(SESSION, 3), m.Leave(SESSION), join
     )  # fmt: skip
     write = sys.stdout.write
     clock_s = itertools.count()

@@ -90,7 +90,7 @@ def _readable(rng: np.random.Generator, epoch: int, tick: int) -> m.Request:
     session = rng.bytes(16)
     join = m.Join(m.PROTOCOL, m.schema_hash(), "", session, rng.bytes(8), int(rng.integers(-1, 4)), "evil", SeatSpec())
     said: tuple[m.Request, ...] = (
-        join, m.Act(session, epoch, tick, 0, 0.1, 0.2), m.Tick(session, epoch, tick, 1),
+        join, m.Act(session, epoch, tick, 0, 0.1, 0.2),
         m.Respawn(session, epoch, tick, 0), m.Rebuild(session, epoch, 7), m.Beat(session, 1), m.Leave(session),
     )  # fmt: skip
     return said[int(rng.integers(len(said)))]

@@ -65,7 +65,7 @@ class Besieged:
     def __init__(self, work: Path, capacity: int = 3) -> None:
         work.mkdir(parents=True, exist_ok=True)
         config = quick_config()
-        rules = Rules(capacity=capacity, lease_s=1e9, tick_lease_s=1e9, notice_s=1e9)
+        rules = Rules(capacity=capacity, lease_s=1e9, notice_s=1e9)
         order = WorldSpec(town="x", config=config, seed=1, rules=rules, endpoint="", ring=str(work))
         world = FakeWorld(WorldOrder(town="x", config=config, seed=1), (None,) * capacity, 1)
         self.core = ServerCore(rules)
@@ -114,7 +114,6 @@ class Besieged:
             return False
         before = self.world.snapshot.tick
         self.say(HONEST, m.encode(m.Act(SESSION, cycle.epoch, cycle.tick, mine.life, 0.5, 0.5)))
-        self.say(HONEST, m.encode(m.Tick(SESSION, cycle.epoch, before, cycle.term)))
         return self.world.snapshot.tick == before + 1 == cycle.tick
 
     def _bounded(self) -> bool:
@@ -153,7 +152,6 @@ def hostile_request(kinds: list[Any], rng: np.random.Generator, epoch: int, tick
     epoch, tick = epoch + int(rng.integers(-1, 2)), tick + int(rng.integers(-2, 3))
     said: tuple[m.Request, ...] = (
         m.Act(session, epoch, tick, 0, float(rng.normal()), math.nan),
-        m.Tick(session, epoch, tick, 1),
         m.Respawn(session, epoch, tick, 0),
         m.Rebuild(session, epoch, 7),
         m.Beat(session, int(rng.integers(1 << 62))),
@@ -193,6 +191,9 @@ class _Doors:
     def messages(self) -> Iterator[Heard]:
         while self.inbox:
             yield self.inbox.pop(0)
+
+    def lost(self) -> set[bytes]:
+        return set()
 
     def send(self, peer: bytes, parts: list[bytes]) -> None:
         self.sent.append((peer, [bytes(part) for part in parts]))

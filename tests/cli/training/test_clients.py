@@ -331,10 +331,9 @@ def test_equal_seeds_give_equal_worlds(tmp_path, corner):
 
 
 @pytest.mark.proof
-@pytest.mark.parametrize("recovery", ["new_epoch", "replay"])
-def test_killed_processes_cost_no_step(tmp_path, corner, recovery):
+def test_killed_processes_cost_no_step(tmp_path, corner):
     words = ("train-clients", "conv3d,fig6", "--town", corner, "--steps", 120, "--out", "run", "--json", "x.json")
-    child = start(tmp_path, *words, *SMALL, "--set", "learn.checkpoint_every=20", "--recovery", recovery)
+    child = start(tmp_path, *words, *SMALL, "--set", "learn.checkpoint_every=20")
     run = tmp_path / "run"
 
     def pid_of(who):
@@ -351,7 +350,7 @@ def test_killed_processes_cost_no_step(tmp_path, corner, recovery):
     assert [e["who"] for e in read_events(run) if e["event"] == "death"] == ["fig6", "world"]
     assert [e["who"] for e in read_events(run) if e["event"] == "recovery"] == ["fig6", "world"]
     epochs = [record.epoch for record in iter_inputs(run / "journal") if isinstance(record, EpochBegun)]
-    assert epochs == ([0, 1] if recovery == "new_epoch" else [0])
+    assert epochs == [0, 1]
 
 
 @pytest.mark.proof

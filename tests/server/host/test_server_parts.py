@@ -5,15 +5,17 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import time
 from dataclasses import replace
 
 import pytest
+import zmq
 
 from benchmarks.barrier.fake_world import FakeWorld
 from tests.server.servers import stand_in_order
 from wcsim.errors import ConfigError
 from wcsim.log.reader import read_header
-from wcsim.log.records import Admitted, Ended
+from wcsim.log.records import Ended
 from wcsim.log.writer import JOURNAL, LogWriter
 from wcsim.server.host.epoch_cap import EPOCH_OVER
 from wcsim.server.host.process import BURST, MAX_PEERS, MOST_FAULTS, Lifelines, PeerLimits
@@ -21,7 +23,6 @@ from wcsim.server.host.recovery import REGATHER_S, open_server
 from wcsim.server.launch.awake_clock import LEAP_S, AwakeClock
 from wcsim.server.protocol.events import Rules
 from wcsim.server.transport.sockets import ServerSockets
-from wcsim.types import SeatSpec
 
 
 def nobody():
@@ -87,6 +88,40 @@ def test_the_end_of_a_process_and_of_the_reader_is_news():
     os.close(writer)
 
 
+def test_the_end_of_a_connection_is_told_once_and_of_whom(tmp_path):
+    """Also when the next one has the same descriptor, as it mostly does."""
+
+    peers: list[bytes] = []
+    lost: list[bytes] = []
+
+    def look(seconds: float) -> None:
+        end_s = time.monotonic() + seconds
+        while time.monotonic() < end_s and (seconds < 1.0 or not peers):
+            doors.wait(50)
+            lost.extend(doors.lost())
+            peers.extend(one.peer for one in doors.messages())
+
+    def spoken(socket: zmq.Socket[bytes]) -> None:
+        socket.connect(doors.listening)
+        socket.send(b"here")
+
+    with ServerSockets(f"ipc://{tmp_path}/s/world", "tcp://127.0.0.1:*") as doors, zmq.Context() as context:
+        for early in (False, True, False):  # also one that is gone before it is heard
+            peers.clear()
+            with context.socket(zmq.DEALER) as socket:
+                spoken(socket)
+                if not early:
+                    look(30.0)
+                    look(0.3)
+                    assert peers[-1] not in lost
+            if early:
+                time.sleep(0.5)
+                lost.extend(doors.lost())
+            look(30.0)
+            look(0.9)
+            assert lost.count(peers[-1]) == 1
+
+
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
@@ -117,9 +152,10 @@ def test_a_world_that_died_before_its_first_epoch_waits_for_all_as_a_new_one_doe
     (tmp_path / "died").mkdir()
     LogWriter(tmp_path / "died" / JOURNAL, read_header(tmp_path / "new" / JOURNAL)).close()
     again = replace(order, run=str(tmp_path / "died"))
-    for epoch, gather_s in ((0, 20.0), (1, REGATHER_S)):
+    for epoch, expected, gather_s in ((0, 2, 20.0), (1, 1, REGATHER_S)):
         opened = open_server(again, FakeWorld)
-        assert (opened.core.cycle.epoch, opened.core.cycle.rules.gather_s) == (epoch, gather_s)
+        rules = opened.core.cycle.rules
+        assert (opened.core.cycle.epoch, rules.expected, rules.gather_s) == (epoch, expected, gather_s)
         assert opened.journal is not None
         opened.journal.close()
 
@@ -135,17 +171,3 @@ def test_the_first_world_of_a_launch_waits_for_all_who_load_whatever_its_journal
     assert resumed.journal is not None
     resumed.journal.close()
     assert (resumed.core.cycle.epoch, resumed.core.cycle.rules) == (1, order.rules)
-
-
-@pytest.mark.parametrize("begins", [True, False])
-def test_the_first_world_of_a_launch_keeps_seats_that_it_replayed_until_their_clients_have_loaded(tmp_path, begins):
-    rules = Rules(capacity=2, expected=2, gather_s=600.0, rejoin_s=30.0)
-    order = stand_in_order(tmp_path, run=str(tmp_path / "run"), rules=rules, recovery="replay")
-    first = open_server(order, FakeWorld).journal
-    assert first is not None
-    with first:
-        first.append(Admitted(epoch=0, tick=0, seat=0, spec=SeatSpec(), name="a"))
-    again = open_server(replace(order, begins=begins), FakeWorld)
-    assert again.journal is not None
-    again.journal.close()
-    assert again.core.cycle.rules.rejoin_s == (600.0 if begins else 30.0)

@@ -219,7 +219,7 @@ def test_who_does_not_fit_hears_why(hall):
 
 def test_another_version_is_named(hall, monkeypatch):
     monkeypatch.setattr(m, "PROTOCOL", 99)
-    with SocketSeat(hall.seat("a")) as a, pytest.raises(VersionMismatchError, match=r"protocol 99.*server has 7"):
+    with SocketSeat(hall.seat("a")) as a, pytest.raises(VersionMismatchError, match=r"protocol 99.*server has 8"):
         a.join()
 
 
@@ -244,6 +244,17 @@ def test_a_client_that_is_to_end_does_not_wait_for_a_world_that_does_not_answer(
             a.wait_no_more()
         with pytest.raises(ServerGoneError, match="requested to stop"):
             a.receive()
+
+
+def test_a_client_says_that_its_world_is_gone_long_before_it_gives_up(tmp_path, monkeypatch, caplog):
+    monkeypatch.setattr("wcsim.server.links.socket._CUT_S", 0.3)
+    with Server(stand_in_order(tmp_path), tmp_path) as server, SocketSeat(server.seat("a")) as a:
+        a.join()
+        a.core.patience = replace(QUICK, reconnect_s=4.0)
+        server.kill()
+        with pytest.raises(ServerGoneError, match="silent"):
+            a.act(0, AHEAD)
+    assert [record.getMessage().startswith("wcsim: the connection to ipc:") for record in caplog.records] == [True]
 
 
 def test_a_client_that_is_asked_to_end_gives_up_a_silent_world_sooner(tmp_path, monkeypatch):
@@ -294,7 +305,7 @@ def test_a_world_of_this_machine_that_dies_in_the_handshake_has_refused_nobody(t
     assert met, "nobody came"
 
 
-def test_work_between_send_and_receive_is_done_while_the_master_ticks(tmp_path):
+def test_work_between_send_and_receive_is_done_while_the_world_ticks(tmp_path):
     """The master works longer than the others wait for word of it, and its world has gone on all the same."""
     rules = Rules(capacity=2, expected=2, gather_s=60.0, notice_s=0.2)
     with Server(stand_in_order(tmp_path, rules=rules), tmp_path) as server, ExitStack() as held:

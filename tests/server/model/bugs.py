@@ -2,59 +2,68 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.barrier import Barrier
 from wcsim.server.protocol.client_core import ClientCore, ClientPhase, Outcome
-from wcsim.server.protocol.events import Rules
+from wcsim.server.protocol.events import BarrierState, Rules
 from wcsim.server.protocol.members import Member
 from wcsim.server.protocol.server_core import ServerCore
 
 
-class UncheckedTick(ServerCore):
-    """Steps whenever somebody asks, for whatever tick and term."""
+class AnyTick(ServerCore):
+    """Takes an action for one of now, whatever tick it was meant for."""
 
-    def _tick(self, member: Member, tick: m.Tick) -> None:
-        self.cycle.step()
+    def _is_now(self, member: Member, epoch: int, tick: int, life: int) -> bool:
+        return True
 
 
-class NoLease(ServerCore):
+class _TooEarly(Barrier):
+    """Steps as soon as somebody has acted."""
+
+    def advance(self, now_s: float) -> None:
+        acted = any(mate.action is not None for mate in self.roll.members)
+        if self.stage is BarrierState.COLLECT and acted:
+            self.dismiss()
+            self.step()
+        else:
+            super().advance(now_s)
+
+
+class _LosesAnAction(Barrier):
+    """Steps without what the last one in seat order has said."""
+
+    def step(self) -> None:
+        self.roll.by_seat()[-1].action = None
+        super().step()
+
+
+class _StepsTwice(Barrier):
+    """Asks for the same step again."""
+
+    def step(self) -> None:
+        super().step()
+        super().step()
+
+
+class _NoLease(Barrier):
     """Waits for ever."""
 
-    def __init__(self, rules: Rules, epoch: int = 0, tick: int = 0, kept: Sequence[Member] = ()) -> None:
-        super().__init__(rules, epoch, tick, kept)
-        self.cycle.__class__ = _Patient
-
-
-class _Patient(Barrier):
     def watch(self, now_s: float) -> None:
         if now_s - self._told_s >= self.rules.notice_s:
             self._tell(now_s)
 
 
-class NoPromotion(ServerCore):
-    """A world whose master is gone has none."""
+class _NoHeir(Barrier):
+    """Says that the youngest member is the master."""
 
-    def __init__(self, rules: Rules, epoch: int = 0, tick: int = 0, kept: Sequence[Member] = ()) -> None:
-        super().__init__(rules, epoch, tick, kept)
-        self.cycle.__class__ = _Headless
-
-
-class _Headless(Barrier):
-    def promote(self, member: Member | None, tell: bool) -> None:
-        super().promote(None if tell else member, tell)
+    @property
+    def _master_seat(self) -> int:
+        return self.roll.members[-1].seat
 
 
-class NotLookedAtAgain(ServerCore):
+class _NotLookedAtAgain(Barrier):
     """A barrier that became full because somebody went is not noticed."""
 
-    def __init__(self, rules: Rules, epoch: int = 0, tick: int = 0, kept: Sequence[Member] = ()) -> None:
-        super().__init__(rules, epoch, tick, kept)
-        self.cycle.__class__ = _Absent
-
-
-class _Absent(Barrier):
     def remove(self, member: Member, reason: str, now_s: float) -> None:
         self._removing = True
         super().remove(member, reason, now_s)
@@ -65,6 +74,21 @@ class _Absent(Barrier):
             super().advance(now_s)
 
 
+def _server(kind: type[Barrier]) -> type[ServerCore]:
+    """A server whose cycle has a fault."""
+
+    class Buggy(ServerCore):
+        def __init__(self, rules: Rules, epoch: int = 0) -> None:
+            super().__init__(rules, epoch)
+            self.cycle.__class__ = kind
+
+    return Buggy
+
+
+TooEarly, LosesAnAction, StepsTwice = map(_server, (_TooEarly, _LosesAnAction, _StepsTwice))
+NoLease, NoHeir, NotLookedAtAgain = map(_server, (_NoLease, _NoHeir, _NotLookedAtAgain))
+
+
 class ShowsAnyFrame(ClientCore):
     """Takes a frame that it has had for the next one."""
 
@@ -72,16 +96,6 @@ class ShowsAnyFrame(ClientCore):
         if self.phase in (ClientPhase.THINK, ClientPhase.WAIT_TICK, ClientPhase.WAIT_SENSORS):
             return self._seen(frame)
         return super()._frame(frame)
-
-
-class TicksOnce(ClientCore):
-    """Does not answer when it is told again that the barrier is full."""
-
-    def _barrier_full(self, full: m.BarrierFull) -> list[Outcome]:
-        if self._ahead == full.tick:
-            return []
-        self._ahead = full.tick
-        return super()._barrier_full(full)
 
 
 class NeverAsksAgain(ClientCore):

@@ -7,11 +7,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable
 
-from tests.server.model.scope import Scope, Violation
+from tests.server.model.scope import Scope
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.client_core import Ask, ClientCore, Failed, Outcome, Patience
-from wcsim.server.protocol.events import BarrierState, Clock, Effect, Event, Rules
-from wcsim.server.protocol.members import Member
+from wcsim.server.protocol.events import Clock, Effect, Event, Rules
 from wcsim.server.protocol.server_core import ServerCore
 from wcsim.types import SeatSpec
 
@@ -27,8 +26,6 @@ def rules(scope: Scope) -> Rules:
         expected=scope.expected,
         gather_s=20.0,
         lease_s=100.0,
-        tick_lease_s=10.0,
-        rejoin_s=50.0,
         notice_s=1.0,
     )
 
@@ -47,9 +44,9 @@ class Servers:
         self._ids: dict[Hashable, int] = {}
         self._done: dict[Hashable, tuple[int, tuple[Effect, ...]]] = {}
 
-    def new(self, epoch: int = 0, tick: int = 0, kept: tuple[Member, ...] = ()) -> int:
+    def new(self, epoch: int = 0) -> int:
         """A server that has just begun."""
-        return self._number(self._make(self.rules, epoch, tick, kept))
+        return self._number(self._make(self.rules, epoch))
 
     def handle(self, state: int, event: Event) -> tuple[int, tuple[Effect, ...]]:
         """What follows from an event, at once."""
@@ -61,29 +58,10 @@ class Servers:
         def pass_time(core: ServerCore) -> list[Effect]:
             for mate in core.cycle.roll.members:
                 mate.heard_s = mate.asked_s = 0.0 if mate.seat == seat else LATER_S
-            _told(core, LATER_S)
-            core.cycle._full_s = 0.0 if _is_master(core, seat) else LATER_S
+            core.cycle._told_s = LATER_S
             return core.handle(Clock(), LATER_S)
 
         return self._memo((state, "overdue", seat), state, pass_time)
-
-    def tick_lease(self, state: int) -> tuple[int, tuple[Effect, ...]]:
-        """The master does not ask for the tick."""
-
-        def pass_time(core: ServerCore) -> list[Effect]:
-            _told(core, 11.0)
-            return core.handle(Clock(), 11.0)
-
-        return self._memo((state, "lease"), state, pass_time)
-
-    def notice(self, state: int) -> tuple[int, tuple[Effect, ...]]:
-        """Time for a word to those who wait."""
-
-        def pass_time(core: ServerCore) -> list[Effect]:
-            core.cycle._told_s = -10.0
-            return core.handle(Clock(), 0.0)
-
-        return self._memo((state, "notice"), state, pass_time)
 
     def gathered(self, state: int) -> tuple[int, tuple[Effect, ...]]:
         """The time for gathering is over."""
@@ -100,9 +78,7 @@ class Servers:
         found = self._done.get(key)
         if found is None:
             core = self.cores[state].copied()
-            before = (core.cycle.master, core.cycle.term)
             effects = tuple(effect for effect in act(core) if not _is_note(effect))
-            _one_master(before, core)
             found = self._done[key] = (self._number(core), effects)
         return found
 
@@ -113,11 +89,9 @@ class Servers:
             cycle.stage,
             cycle.epoch,
             cycle.tick,
-            cycle.term,
-            cycle.master,
             cycle.gathering,
             cycle._gather_s is None,
-            tuple((x.seat, x.session, x.peer, x.claim, x.resumed) for x in cycle.roll.members),
+            tuple((x.seat, x.session, x.peer, x.claim) for x in cycle.roll.members),
             tuple((x.life, x.action, x.respawning) for x in cycle.roll.members),
             tuple((p.seat, p.session, p.peer, p.claim) for p in cycle.roll.pending),
             tuple(sorted(cycle.roll.going)),
@@ -125,18 +99,8 @@ class Servers:
         )
         number = self._ids.setdefault(key, len(self.cores))
         if number == len(self.cores):
-            _master_is_member(core)
             self.cores.append(core)
         return number
-
-
-def _told(core: ServerCore, now_s: float) -> None:
-    core.cycle._told_s = now_s
-
-
-def _is_master(core: ServerCore, seat: int) -> bool:
-    holder = core.cycle.roll.at(seat)
-    return holder is not None and not holder.vacant and holder.session == core.cycle.master
 
 
 def _is_note(effect: Effect) -> bool:
@@ -145,24 +109,10 @@ def _is_note(effect: Effect) -> bool:
 
 def _timeless(core: ServerCore) -> None:
     cycle = core.cycle
-    cycle._full_s = cycle._told_s = cycle._ready_s = cycle._since_s = 0.0
+    cycle._told_s = 0.0
     cycle._gather_s = None if cycle._gather_s is None else 0.0
     for mate in cycle.roll.members:
         mate.heard_s = mate.asked_s = 0.0
-
-
-def _one_master(before: tuple[bytes, int], core: ServerCore) -> None:
-    master, term = before
-    now = core.cycle
-    if now.term < term or (now.master not in (b"", master) and now.term == term):
-        raise Violation(f"two masters in term {now.term}")
-
-
-def _master_is_member(core: ServerCore) -> None:
-    cycle = core.cycle
-    here = [mate.session for mate in cycle.roll.members if not mate.vacant]
-    if cycle.stage is not BarrierState.STOPPED and (cycle.master not in here if here else cycle.master != b""):
-        raise Violation(f"the master {cycle.master!r} is none of the members {here}")
 
 
 class Clients:
@@ -201,7 +151,7 @@ class Clients:
         core._heard_s = core._sent_s = core._asked_s = 0.0
         core.late = ()
         core._restarted = "yes" if core._restarted else ""
-        place = (core.phase, core.session, core.seat, core.epoch, core.tick, core.life, core.term)
+        place = (core.phase, core.session, core.seat, core.epoch, core.tick, core.life, core.master)
         key = (*place, core.pending, core._restarted, core._ahead)
         number = self._ids.setdefault(key, len(self.cores))
         if number == len(self.cores):

@@ -22,12 +22,10 @@ class Budget:
     hang: int = 0
     wake: int = 0  # a hung one goes on
     suspect: int = 0  # a live session is given up
-    slow: int = 0  # a live master loses its right to tick
     duplicate: int = 0  # any request arrives again behind those of now
     lose: int = 0  # one message, either way
     cut: int = 0  # all messages on their way from and to a client
     world: int = 0  # the server dies, a new epoch begins
-    recover: int = 0  # the server dies and comes back exactly where it was
     respawn: int = 0
     leave: int = 0
     rebuild: int = 0

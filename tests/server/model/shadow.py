@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from tests.server.model.scope import Violation
-from wcsim.server.protocol.members import Member
-from wcsim.types import Command, SeatSpec
+from wcsim.types import Command
 
 
 @dataclass(frozen=True, slots=True)
@@ -16,7 +15,6 @@ class Chair:
     seat: int
     number: int
     owner: str
-    claim: bytes
     life: int = 0
 
 
@@ -33,11 +31,11 @@ class Shadow:
         """The chair on a seat."""
         return next((chair for chair in self.chairs if chair.seat == seat), None)
 
-    def admit(self, seat: int, owner: str, claim: bytes) -> Shadow:
+    def admit(self, seat: int, owner: str) -> Shadow:
         """A new chair. Raises Violation for a seat that is taken."""
         if self.at(seat) is not None:
             raise Violation(f"admit for seat {seat}, which is taken")
-        chairs = sorted((*self.chairs, Chair(seat, self.made, owner, claim)), key=lambda chair: chair.seat)
+        chairs = sorted((*self.chairs, Chair(seat, self.made, owner)), key=lambda chair: chair.seat)
         return replace(self, chairs=tuple(chairs), made=self.made + 1)
 
     def dismiss(self, seat: int) -> Shadow:
@@ -71,12 +69,6 @@ class Shadow:
     def stepped(self) -> Shadow:
         """One tick on."""
         return self._at(self.epoch, self.tick + 1)
-
-    def kept(self) -> tuple[Member, ...]:
-        """The seats as they are after an exact recovery."""
-        return tuple(
-            Member(seat=c.seat, name=c.owner, spec=SeatSpec(), life=c.life, claim=c.claim) for c in self.chairs
-        )
 
     def _at(self, epoch: int, tick: int) -> Shadow:
         return replace(self, epoch=epoch, tick=tick, chairs=tuple(replace(c, life=0) for c in self.chairs))

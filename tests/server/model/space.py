@@ -112,20 +112,15 @@ class Space:
                 return
         alive = self._alive(at)
         for mate in cycle.roll.members:
-            fault = mate.session in alive or (mate.vacant and self._may_return(at, mate.seat))
+            fault = mate.session in alive
             yield from self._paid(at, f"overdue seat {mate.seat}", "suspect", fault, self.servers.overdue, mate.seat)
-            if mate.session and (fault or not self.scope.remote) and not self._hung(at, mate.session):
+            if (fault or not self.scope.remote) and not self._hung(at, mate.session):
                 yield from self._lost(at, mate.session, fault)
         for waiting in cycle.roll.pending:
             if waiting.session not in alive and not self.scope.remote and not self._hung(at, waiting.session):
                 yield from self._lost(at, waiting.session, fault=False)
-        if cycle.stage is BarrierState.READY:
-            slow = cycle.master in alive
-            yield from self._paid(at, "tick lease", "slow", slow, lambda server, _: self.servers.tick_lease(server), 0)
-            if not any(isinstance(x, m.Tick) for slot in at.slots for _, x in slot.up):
-                yield from self._paid(at, "notice", "slow", False, lambda server, _: self.servers.notice(server), 0)
         if cycle.stage is BarrierState.EMPTY and cycle.roll.pending:
-            yield from self._paid(at, "gathered", "slow", False, lambda server, _: self.servers.gathered(server), 0)
+            yield from self._paid(at, "gathered", "", False, lambda server, _: self.servers.gathered(server), 0)
         yield from self._deaths(at)
 
     def _paid(self, at: World, label: str, budget: str, fault: bool, act: ClockMove, seat: int) -> Iterator[Move]:
@@ -155,22 +150,19 @@ class Space:
         if paid is not None:
             shadow = Shadow(epoch=at.shadow.epoch + 1, made=at.shadow.made)
             yield "!world", replace(paid, server=self.servers.new(shadow.epoch), shadow=shadow, slots=slots)
-        paid = self._pay(at, "recover")
-        if paid is not None:
-            server = self.servers.new(at.shadow.epoch, at.shadow.tick, at.shadow.kept())
-            yield "!recover", replace(paid, server=server, slots=slots)
 
     def _carry_out(self, at: World, effects: tuple[Effect, ...]) -> World:
-        todo = list(effects)
-        while todo:
-            effect = todo.pop(0)
+        if sum(isinstance(effect, Step) for effect in effects) > 1:
+            raise Violation(f"step twice at tick {at.shadow.tick}")
+        for effect in effects:
             match effect:
                 case Send():
+                    self._names_the_master(at, effect.message)
                     at = self._post(at, effect.peer, effect.message)
                 case SendFrame():
                     at = self._show(at, effect)
                 case Admit():
-                    at = self._admit(at, effect)
+                    at = replace(at, shadow=at.shadow.admit(effect.seat, effect.name))
                 case Dismiss():
                     at = replace(at, shadow=at.shadow.dismiss(effect.seat))
                 case RespawnSeats():
@@ -181,10 +173,15 @@ class Space:
                     at.shadow.check(effect.tick, effect.commands, self.sticks)
         return at
 
-    def _admit(self, at: World, admit: Admit) -> World:
-        member = self.servers.cores[at.server].cycle.roll.at(admit.seat)
-        claim = b"" if member is None else member.claim
-        return replace(at, shadow=at.shadow.admit(admit.seat, admit.name, claim))
+    def _names_the_master(self, at: World, message: m.Reply) -> None:
+        """The master is who has been there for longest."""
+        if isinstance(message, m.TickDone | m.Welcome):
+            members = self.servers.cores[at.server].cycle.roll.members
+            seats = [mate.seat for mate in members]
+            here = [chair for chair in at.shadow.chairs if chair.seat in seats]
+            oldest = min(here, key=lambda chair: chair.number).seat
+            if message.master != oldest:
+                raise Violation(f"the master is said to be seat {message.master}; seat {oldest} is the oldest")
 
     def _show(self, at: World, show: SendFrame) -> World:
         chair = at.shadow.at(show.seat)
@@ -196,8 +193,7 @@ class Space:
     def _post(self, at: World, peer: Peer, message: m.Reply) -> World:
         i, process = peer
         slot = at.slots[i]
-        again = isinstance(message, m.BarrierFull) and message in slot.down
-        if slot.process != process or slot.mode == "dead" or again:
+        if slot.process != process or slot.mode == "dead":
             return at
         return _with(at, i, replace(slot, down=(*slot.down, message)))
 
@@ -222,7 +218,7 @@ class Space:
         old, new = self.servers.cores[before].cycle, self.servers.cores[after].cycle
         if isinstance(message, m.Join) or old.roll.member(message.session) is not None:
             return
-        same = [(c.stage, c.epoch, c.tick, c.term, c.master, c.roll.members) for c in (old, new)]
+        same = [(c.stage, c.epoch, c.tick, c.roll.members) for c in (old, new)]
         if same[0] != same[1]:
             raise Violation(f"a fenced session acts: {_short(message)}")
 
@@ -297,14 +293,6 @@ class Space:
         slot = at.slots[session[0]]
         return slot.mode == "hung" and self.clients[session[0]].cores[slot.core].session == session
 
-    def _may_return(self, at: World, seat: int) -> bool:
-        chair = at.shadow.at(seat)
-        slot = None if chair is None else at.slots[int(chair.owner[1:])]
-        return slot is not None and slot.mode == "live" and self._waits(slot, int(chair.owner[1:]) if chair else 0)
-
-    def _waits(self, slot: Slot, i: int) -> bool:
-        return self.clients[i].cores[slot.core].phase is not ClientPhase.OFF
-
     def _pay(self, at: World, budget: str) -> World | None:
         k = BUDGETS.index(budget)
         if not at.left[k]:
@@ -317,7 +305,7 @@ def _with(at: World, i: int, slot: Slot) -> World:
 
 
 def _short(message: m.Request | m.Reply) -> str:
-    names = ("epoch", "tick", "life", "term", "error")
+    names = ("epoch", "tick", "life", "master", "error")
     told = [str(getattr(message, name)) for name in names if hasattr(message, name)]
     session = getattr(message, "session", b"")[:2].hex()
     return f"{type(message).__name__}({','.join([*told, session])})"

@@ -6,7 +6,6 @@ from typing import TypeVar
 
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.events import Clock, Effect, Event, Received, Rules, Send, Stepped
-from wcsim.server.protocol.members import Member
 from wcsim.server.protocol.server_core import ServerCore
 from wcsim.types import SeatSpec
 
@@ -36,9 +35,9 @@ def join_of(who: int, **other: object) -> m.Join:
 class Desk:
     """A server, of two seats unless told otherwise, with `members` clients in it; every call returns the effects."""
 
-    def __init__(self, members: int = 2, tick: int = 0, kept: tuple[Member, ...] = (), **rules: float) -> None:
+    def __init__(self, members: int = 2, **rules: float) -> None:
         told = {"capacity": 2, "expected": max(1, members), "config": "cfg", **rules}
-        self.core = ServerCore(Rules(**told), 0, tick, kept)  # type: ignore[arg-type]
+        self.core = ServerCore(Rules(**told))  # type: ignore[arg-type]
         self.now_s = 5000.0
         for who in range(members):
             self.say(who, join_of(who))
@@ -55,16 +54,10 @@ class Desk:
         """A client acts."""
         return self.say(who, m.Act(session_of(who), 0, tick, 0, x, y))
 
-    def ask(self, who: int, tick: int = 0, term: int = 1) -> list[Effect]:
-        """A client asks for a tick."""
-        return self.say(who, m.Tick(session_of(who), 0, tick, term))
-
     def step(self, tick: int = 0) -> list[Effect]:
-        """Everybody acts, the master asks, the world is done."""
-        for member in list(self.core.cycle.roll.members):
-            self.act(member.session[0], tick)
-        asked = self.ask(self.core.cycle.master[0], tick, self.core.cycle.term)
-        return asked + self.feed(Stepped(tick + 1))
+        """Everybody acts, the world is done."""
+        acted = [self.act(member.session[0], tick) for member in list(self.core.cycle.roll.members)]
+        return acted[-1] + self.feed(Stepped(tick + 1))
 
     def wait(self, seconds: float) -> list[Effect]:
         """Time passes."""

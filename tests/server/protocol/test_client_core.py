@@ -40,21 +40,21 @@ def seen(tick: int, epoch: int = 0, stepped: bool = False) -> FrameSeen:
     return FrameSeen(epoch, tick, None, -1, stepped)
 
 
-def welcome(core: ClientCore, epoch: int = 0, tick: int = 0, term: int = 0, resumed: bool = False) -> m.Welcome:
-    return m.Welcome(core.session, epoch, tick, 0, term, resumed)
+def welcome(core: ClientCore, epoch: int = 0, tick: int = 0) -> m.Welcome:
+    return m.Welcome(core.session, epoch, tick, 0, 0)
 
 
-def thinking(tick: int = 0, term: int = 0) -> ClientCore:
+def thinking(tick: int = 0) -> ClientCore:
     core = client()
     core.join(0.0)
-    core.handle(welcome(core, tick=tick, term=term), 0.0)
+    core.handle(welcome(core, tick=tick), 0.0)
     core.handle(frame(tick), 0.0)
     assert core.phase is ClientPhase.THINK
     return core
 
 
-def waiting(tick: int = 0, term: int = 0) -> ClientCore:
-    core = thinking(tick, term)
+def waiting(tick: int = 0) -> ClientCore:
+    core = thinking(tick)
     core.act(tick, AHEAD, 0.0)
     return core
 
@@ -75,12 +75,11 @@ def error_in(outcomes: list[Outcome]) -> WcsimError:
 def test_a_tick_in_short() -> None:
     core = client()
     (join,) = said(core.join(0.0))
-    assert isinstance(join, m.Join) and join.resume is None
-    assert [type(x) for x in core.handle(welcome(core, term=1), 0.1)] == [Welcomed]
+    assert isinstance(join, m.Join)
+    assert [type(x) for x in core.handle(welcome(core), 0.1)] == [Welcomed]
     assert core.handle(frame(0), 0.2) == [seen(0)]
     assert said(core.act(0, AHEAD, 0.3)) == [m.Act(core.session, 0, 0, 0, 0.0, 1.0)]
-    assert said(core.handle(m.BarrierFull(0, 0, 1), 0.4)) == [m.Tick(core.session, 0, 0, 1)]
-    assert core.handle(m.TickDone(0, 1), 0.5) == []
+    assert core.handle(m.TickDone(0, 1, 0), 0.5) == []
     assert core.phase is ClientPhase.WAIT_SENSORS
     assert core.handle(frame(1), 0.6) == [seen(1, stepped=True)]
 
@@ -115,8 +114,8 @@ def test_what_was_lost_is_asked_for_again(lost: tuple[str, ...]) -> None:
     assert core.clock(1.0) == []
     assert said(core.clock(3.0)) == [m.Act(core.session, 0, 0, 0, 0.0, 1.0)]
     assert core.clock(4.0) == []
-    core.handle(m.TickDone(0, 1), 5.0)
-    core.handle(m.TickDone(0, 1), 5.0)
+    core.handle(m.TickDone(0, 1, 0), 5.0)
+    core.handle(m.TickDone(0, 1, 0), 5.0)
     assert core.handle(frame(1), 5.0) == [seen(1, stepped=True)]
     assert core.handle(frame(1), 5.0) == []
 
@@ -126,27 +125,17 @@ def test_a_lost_first_frame_is_asked_for_by_joining_again_and_cuts_nothing() -> 
     core.join(0.0)
     core.handle(welcome(core), 0.0)
     (join,) = said(core.clock(3.0))
-    assert isinstance(join, m.Join) and join.session == core.session and join.resume is None
+    assert isinstance(join, m.Join) and join.session == core.session
     core.handle(welcome(core), 3.0)
     assert core.handle(frame(0), 3.0) == [seen(0)]
 
 
 def test_a_step_that_is_left_out_or_comes_uncalled_ends_the_client() -> None:
-    for core, message in ((waiting(), frame(2)), (waiting(), m.TickDone(0, 2)), (thinking(), m.TickDone(0, 1))):
+    done = m.TickDone(0, 1, 0), m.TickDone(0, 2, 0)
+    for core, message in ((waiting(), frame(2)), (waiting(), done[1]), (thinking(), done[0])):
         error = error_in(core.handle(message, 1.0))
         assert isinstance(error, ProtocolError) and "lost or doubled" in str(error)
         assert core.phase is ClientPhase.GONE
-
-
-def test_another_server_is_joined_anew_and_the_action_said_again() -> None:
-    core = waiting(tick=4)
-    old = core.session
-    (join,) = said(core.handle(failure(core, "StaleSessionError"), 1.0))
-    assert isinstance(join, m.Join) and join.resume == (0, 4) and join.session != old
-    outcomes = core.handle(welcome(core, tick=4, resumed=True), 1.0)
-    assert said(outcomes) == [m.Act(core.session, 0, 4, 0, 0.0, 1.0)]
-    core.handle(m.TickDone(0, 5), 2.0)
-    assert core.handle(frame(5), 2.0) == [seen(5, stepped=True)]
 
 
 def test_a_join_that_was_lost_before_a_beat_is_said_again() -> None:
@@ -158,8 +147,10 @@ def test_a_join_that_was_lost_before_a_beat_is_said_again() -> None:
 
 def test_world_restarted_by_another_server() -> None:
     core = waiting(tick=4)
-    core.handle(failure(core, "StaleSessionError"), 1.0)
-    core.handle(welcome(core, epoch=1), 1.0)
+    old = core.session
+    (join,) = said(core.handle(failure(core, "StaleSessionError"), 1.0))
+    assert isinstance(join, m.Join) and join.session != old
+    assert said(core.handle(welcome(core, epoch=1), 1.0)) == [], "the action was for the world before"
     shown, failed = core.handle(frame(0, epoch=1), 1.0)
     assert shown == seen(0, epoch=1)
     assert type(failed.error).__name__ == "WorldRestartedError" and "epoch 1" in str(failed.error)
@@ -207,7 +198,7 @@ def test_evicted_and_in_again() -> None:
     assert type(error_in(core.handle(failure(core, "EvictedError"), 1.0))).__name__ == "EvictedError"
     assert core.phase is ClientPhase.OFF
     (join,) = said(core.join(2.0))
-    assert isinstance(join, m.Join) and (join.seat, join.resume) == (0, None)
+    assert isinstance(join, m.Join) and join.seat == 0
     core.handle(welcome(core, tick=9), 2.0)
     assert core.handle(frame(9), 2.0) == [seen(9)]
 
@@ -228,18 +219,13 @@ def test_who_wanted_any_seat_takes_another_one_when_its_own_is_gone() -> None:
     assert isinstance(join, m.Join) and join.seat == m.ANY_SEAT
 
 
-def test_a_master_no_more_is_no_error_of_its_driver() -> None:
-    core = waiting(term=1)
+def test_a_tick_says_who_is_master() -> None:
+    core = client()
+    assert not core.master
+    core = waiting()
     assert core.master
-    for name in ("StaleTermError", "NotMasterError"):
-        core.term = 1
-        assert core.handle(failure(core, name), 0.0) == []
-        assert not core.master
-    core.handle(m.Promote(3), 0.0)
-    assert core.handle(m.BarrierFull(0, 0, 2), 0.0) == []
-    assert said(core.handle(m.BarrierFull(0, 0, 3), 0.0)) == [m.Tick(core.session, 0, 0, 3)]
-    assert core.handle(failure(core, "BarrierNotFullError"), 0.0) == []
-    assert core.master
+    core.handle(m.TickDone(0, 1, 3), 0.0)
+    assert not core.master
 
 
 def test_a_refused_rebuild_leaves_the_driver_where_it_was() -> None:
@@ -247,6 +233,8 @@ def test_a_refused_rebuild_leaves_the_driver_where_it_was() -> None:
     core.rebuild(3, 0.0)
     assert type(error_in(core.handle(failure(core, "NotMasterError"), 0.0))).__name__ == "NotMasterError"
     assert said(core.act(2, AHEAD, 0.0)) == [m.Act(core.session, 0, 2, 0, 0.0, 1.0)]
+    assert core.handle(failure(core, "NotMasterError"), 0.0) == [], "it came twice"
+    assert core.phase is ClientPhase.WAIT_TICK
 
 
 def test_a_late_double_of_an_old_request_does_not_fail_the_one_of_now() -> None:

@@ -46,9 +46,11 @@ def test_one_seed_is_one_run() -> None:
 @pytest.mark.parametrize(
     ("name", "core"),
     [
-        ("ServerCore", bugs.UncheckedTick),
+        ("ServerCore", bugs.TooEarly),
+        ("ServerCore", bugs.LosesAnAction),
+        ("ServerCore", bugs.StepsTwice),
+        ("ServerCore", bugs.AnyTick),
         ("ServerCore", bugs.NoLease),
-        ("ServerCore", bugs.NoPromotion),
         ("ServerCore", bugs.NotLookedAtAgain),
         ("ClientCore", bugs.ShowsAnyFrame),
         ("ClientCore", bugs.NeverAsksAgain),

@@ -30,19 +30,17 @@ from wcsim.server.protocol.events import (
     Stepped,
     Stop,
 )
-from wcsim.server.protocol.members import MOST_LIVES, Member
+from wcsim.server.protocol.members import MOST_LIVES
 from wcsim.server.protocol.server_core import ServerCore
-from wcsim.types import SeatSpec
 
 
 def test_a_tick_in_short() -> None:
     desk = Desk()
     desk.act(0)
-    full = only(desk.act(1, x=-1.0), m.BarrierFull, peer=0)
-    step = only(desk.ask(0, full.tick, full.term), Step)
+    step = only(desk.act(1, x=-1.0), Step)
     assert [(c.seat, c.tick, c.joystick.x) for c in step.commands] == [(0, 0, 0.5), (1, 0, -1.0)]
     effects = desk.feed(Stepped(1))
-    assert [e.message for e in effects if isinstance(e, Send)] == [m.TickDone(0, 1)] * 2
+    assert [e.message for e in effects if isinstance(e, Send)] == [m.TickDone(0, 1, master=0)] * 2
     assert [(e.seat, e.tick) for e in effects if isinstance(e, SendFrame)] == [(0, 1), (1, 1)]
 
 
@@ -59,9 +57,6 @@ def test_future_tick() -> None:
     error, text = failure(Desk().act(0, tick=9))
     assert error == "FutureTickError"
     assert "(0, 9, 0)" in text and "(0, 0, 0)" in text
-    desk = Desk(members=1)
-    desk.act(0)
-    assert failure(desk.ask(0, tick=4))[0] == "FutureTickError"
 
 
 @pytest.mark.parametrize(("x", "y"), [(1.01, 0.0), (math.nan, 0.0), (0.0, -math.inf)])
@@ -72,27 +67,36 @@ def test_bad_action(x: float, y: float) -> None:
 
 
 def test_a_second_action_that_differs_is_bad_and_the_first_one_counts() -> None:
-    desk = Desk(members=1)
+    desk = Desk()
     desk.act(0, x=0.5)
     assert failure(desk.act(0, x=0.25))[0] == "BadActionError"
     assert desk.act(0, x=0.5) == []
-    assert only(desk.ask(0), Step).commands[0].joystick.x == 0.5
+    assert only(desk.act(1), Step).commands[0].joystick.x == 0.5
 
 
-def test_barrier_not_full_names_the_late() -> None:
+def test_those_who_have_acted_are_told_for_whom_they_wait() -> None:
     desk = Desk()
     desk.act(0)
-    error, text = failure(desk.ask(0))
-    assert error == "BarrierNotFullError"
-    assert "c1" in text and "c0" not in text
+    assert only(desk.wait(1.0), m.Waiting, peer=0).late == ("c1",)
 
 
 def test_not_master() -> None:
-    desk = Desk()
-    error, text = failure(desk.ask(1))
+    error, text = failure(Desk().say(1, m.Rebuild(session_of(1), 0, 3)))
     assert error == "NotMasterError"
-    assert "seat 1" in text and "term 1" in text
-    assert failure(desk.say(1, m.Rebuild(session_of(1), 0, 3)))[0] == "NotMasterError"
+    assert "seat 1" in text
+
+
+@pytest.mark.parametrize("leaves", [True, False])
+def test_the_next_oldest_is_master_when_the_master_goes_and_all_are_told(leaves: bool) -> None:
+    desk = Desk(members=3, capacity=3)
+    desk.act(1)
+    desk.act(2)
+    went = desk.say(0, m.Leave(session_of(0))) if leaves else desk.feed(Lost(session_of(0)))
+    assert [c.seat for c in only(went, Step).commands] == [1, 2], "nobody waits for a new master"
+    done = desk.feed(Stepped(1))
+    assert [only(done, m.TickDone, peer=who).master for who in (1, 2)] == [1, 1]
+    desk.say(0, join_of(0, session=session_of(7)))
+    assert only(desk.step(1), m.Welcome, peer=0).master == 1, "it is the youngest now"
 
 
 def test_a_new_world_needs_a_seed_that_there_is() -> None:
@@ -101,19 +105,6 @@ def test_a_new_world_needs_a_seed_that_there_is() -> None:
     assert error == "ProtocolError"
     assert "-5" in text
     assert only(desk.say(0, m.Rebuild(session_of(0), 0, 5)), RebuildWorld).seed == 5
-
-
-def test_stale_term() -> None:
-    desk = Desk(tick_lease_s=10.0)
-    desk.act(0)
-    desk.act(1)
-    effects = desk.wait(11.0)
-    assert only(effects, m.Demoted, peer=0).term == 1
-    assert only(effects, m.Promote, peer=1).term == 2
-    error, text = failure(desk.ask(0, term=1))
-    assert error == "StaleTermError"
-    assert "term 1" in text and "term 2" in text
-    assert only(desk.ask(1, term=2), Step).tick == 0
 
 
 def test_stale_session() -> None:
@@ -165,24 +156,17 @@ def test_new_lives_give_a_client_no_new_time_to_think_and_have_an_end() -> None:
         respawn(life)
     assert failure(respawn(MOST_LIVES))[0] == "ProtocolError"
     desk.say(0, m.Act(session_of(0), 0, 0, MOST_LIVES, 0.0, 0.0))
-    desk.ask(0)
     desk.feed(Stepped(1))
     assert only(desk.say(0, m.Respawn(session_of(0), 0, 1, 0)), RespawnSeats).seats == (0,)
 
 
-def test_a_client_that_comes_again_has_what_is_left_of_its_time_to_think() -> None:
-    desk = Desk(members=1, lease_s=100.0, max_think_s=50.0)
-    assert desk.wait(40.0) == []
-    desk.say(0, join_of(0, session=session_of(7), resume=(0, 0)))
-    assert desk.core.cycle.roll.at(0).session == session_of(7)
-    assert desk.wait(9.0) == []
-    assert failure(desk.wait(2.0)) == ("EvictedError", "the server dropped this client: no action within 50 s")
+def test_a_client_that_comes_again_gets_a_new_chair_and_holds_nobody_up() -> None:
     desk = Desk(members=2, lease_s=300.0, max_think_s=50.0)
-    desk.act(0)
-    desk.wait(45.0)
-    desk.say(0, join_of(0, session=session_of(7), resume=(0, 0)))
     desk.act(1)
-    assert len(desk.core.cycle.roll.members) == 2, "who has acted owed nothing"
+    again = desk.say(0, join_of(0, session=session_of(7)))
+    assert failure(again) == ("EvictedError", "the server dropped this client: its client restarted")
+    assert [c.seat for c in only(again, Step).commands] == [1]
+    assert only(desk.feed(Stepped(1)), m.Welcome, peer=0).session == session_of(7)
 
 
 def test_seat_taken() -> None:
@@ -220,7 +204,7 @@ def test_the_same_claim_takes_its_seat_over_whatever_seat_it_asks_for() -> None:
     effects = desk.step(0)
     assert only(effects, Dismiss).seat == 1
     assert only(effects, Admit).seat == 1
-    assert only(effects, m.Welcome, peer=7).resumed is False
+    assert only(effects, m.Welcome, peer=7).seat == 1
 
 
 def test_who_waits_is_found_at_its_new_address() -> None:
@@ -237,61 +221,31 @@ def test_an_older_life_that_waits_hears_that_it_is_over() -> None:
     assert failure(desk.say(1, join_of(1)))[0] == "EvictedError"
 
 
-def kept(seat: int, claim: bytes = b"") -> Member:
-    return Member(seat=seat, name=f"c{seat}", spec=SeatSpec(), life=0, claim=claim)
-
-
-def test_a_seat_waits_for_its_client_after_a_recovery_on_any_clock() -> None:
-    desk = Desk(members=0, tick=4, kept=(kept(0), kept(1)), rejoin_s=30.0)
-    assert [e for e in desk.wait(0.0) if not isinstance(e, Send)] == []
-    assert len(desk.core.cycle.roll.members) == 2
-    desk.wait(29.0)
-    assert len(desk.core.cycle.roll.members) == 2
-    desk.wait(2.0)
-    assert desk.core.cycle.roll.members == []
-
-
-def test_a_seat_goes_on_for_who_saw_its_last_frame_and_knows_its_claim() -> None:
-    desk = Desk(members=0, tick=4, kept=(kept(0, claim=bytes([0])),))
-    assert failure(desk.say(1, join_of(1, seat=0, resume=(0, 4))))[0] == "SeatTakenError"
-    assert only(desk.say(0, join_of(0, resume=(0, 3))), m.Welcome).resumed is True
-    assert only(desk.say(0, join_of(0, resume=(0, 3))), m.Welcome).resumed is True
-
-
-def test_the_beats_of_a_new_life_count_anew() -> None:
+def test_a_sole_master_that_hangs_does_not_hold_the_next_one_up() -> None:
     desk = Desk(members=1, lease_s=100.0)
-    desk.say(0, m.Beat(session_of(0), 50))
-    claim = desk.core.cycle.roll.members[0].claim
-    joined = desk.say(0, join_of(0, session=session_of(9), claim=claim, resume=(0, 0)))
-    assert only(joined, m.Welcome).resumed is True
-    for progress in (1, 2):
-        desk.say(0, m.Beat(session_of(9), progress))
-        assert desk.wait(90.0) == []
-
-
-def test_a_sole_master_that_hangs_before_its_tick_does_not_hold_the_next_one_up() -> None:
-    desk = Desk(members=1, tick_lease_s=10.0, lease_s=100.0)
-    desk.act(0)
     desk.say(1, join_of(1))
     assert not any(isinstance(e, Admit) for e in desk.wait(50.0))
     effects = desk.wait(51.0)
     assert failure(effects)[0] == "EvictedError"
     assert only(effects, Admit).seat == 1
-    assert only(effects, m.Welcome, peer=1).term == 2
+    assert only(effects, m.Welcome, peer=1).master == 1
 
 
-def test_the_right_to_tick_reaches_who_lives_past_two_that_hang() -> None:
-    desk = Desk(members=3, capacity=3, tick_lease_s=10.0, lease_s=100.0)
-    for who in range(3):
-        desk.act(who)
-    masters = set()
-    for _ in range(13):
-        desk.wait(11.0)
-        masters.add(desk.core.cycle.master[0])
-        if desk.core.cycle.master == session_of(2):
-            break
-    assert masters == {0, 1, 2}
-    assert only(desk.ask(2, term=desk.core.cycle.term), Step).tick == 0
+def test_who_lives_goes_on_past_two_that_hang() -> None:
+    desk = Desk(members=3, capacity=3, lease_s=100.0)
+    desk.act(2)
+    step = only(desk.wait(101.0), Step)
+    assert [c.seat for c in step.commands] == [2]
+    assert only(desk.feed(Stepped(1)), m.TickDone).master == 2
+
+
+def test_an_epoch_ends_at_a_full_barrier_with_those_gone_who_have_left() -> None:
+    desk = Desk()
+    desk.core.cycle.last_tick = 0
+    desk.act(0)
+    assert [type(e) for e in desk.say(1, m.Leave(session_of(1)))] == [Send, Dismiss]
+    assert desk.core.cycle.stage is BarrierState.EPOCH_OVER
+    assert desk.act(0) == desk.wait(1000.0) == []
 
 
 def test_a_lost_session_that_nobody_knows_is_refused_when_it_joins_late() -> None:
@@ -319,7 +273,7 @@ class AnyRequests(RuleBasedStateMachine):
 
     def __init__(self) -> None:
         super().__init__()
-        self.core = ServerCore(Rules(capacity=2, expected=1, lease_s=50.0, tick_lease_s=5.0, gather_s=10.0))
+        self.core = ServerCore(Rules(capacity=2, expected=1, lease_s=50.0, gather_s=10.0))
         self.world, self.now_s = Shadow(), 0.0
 
     def feed(self, event: Event) -> None:
@@ -336,9 +290,9 @@ class AnyRequests(RuleBasedStateMachine):
             elif not isinstance(effect, Send):
                 self.world = changed(self.world, effect)
 
-    @rule(session=SESSIONS, seat=NUMBERS, claim=st.binary(max_size=2), resume=st.none() | st.tuples(NUMBERS, NUMBERS))
-    def join(self, session: bytes, seat: int, claim: bytes, resume: tuple[int, int] | None) -> None:
-        self.feed(Received(b"p", join_of(0, session=session, seat=seat, claim=claim, resume=resume)))
+    @rule(session=SESSIONS, seat=NUMBERS, claim=st.binary(max_size=2))
+    def join(self, session: bytes, seat: int, claim: bytes) -> None:
+        self.feed(Received(b"p", join_of(0, session=session, seat=seat, claim=claim)))
 
     @rule(who=st.integers(0, 4))
     def join_well(self, who: int) -> None:
@@ -353,15 +307,6 @@ class AnyRequests(RuleBasedStateMachine):
         for member in self.core.cycle.roll.members[which : which + 1]:
             now = (self.core.cycle.epoch, self.core.cycle.tick, member.life)
             self.feed(Received(member.peer, m.Act(member.session, *now, 0.5, 0.5)))
-
-    @rule(session=SESSIONS, epoch=NUMBERS, tick=NUMBERS, term=NUMBERS)
-    def tick(self, session: bytes, epoch: int, tick: int, term: int) -> None:
-        self.feed(Received(b"p", m.Tick(session, epoch, tick, term)))
-
-    @rule()
-    def tick_well(self) -> None:
-        cycle = self.core.cycle
-        self.feed(Received(b"p", m.Tick(cycle.master, cycle.epoch, cycle.tick, cycle.term)))
 
     @rule(session=SESSIONS, epoch=NUMBERS, number=NUMBERS, life=NUMBERS, kind=st.integers(0, 3))
     def other(self, session: bytes, epoch: int, number: int, life: int, kind: int) -> None:
@@ -385,11 +330,9 @@ class AnyRequests(RuleBasedStateMachine):
     @invariant()
     def holds(self) -> None:
         cycle = self.core.cycle
-        sessions = [member.session for member in cycle.roll.members]
-        assert (cycle.master in sessions) if sessions else cycle.master == b""
-        assert len({member.seat for member in cycle.roll.members}) == len(sessions) <= 2
+        assert len({member.seat for member in cycle.roll.members}) == len(cycle.roll.members) <= 2
         assert (cycle.epoch, cycle.tick) == (self.world.epoch, self.world.tick)
-        assert cycle.stage in (BarrierState.EMPTY, BarrierState.COLLECT, BarrierState.READY)
+        assert cycle.stage in (BarrierState.EMPTY, BarrierState.COLLECT)
         there = {member.seat for member in cycle.roll.members} | set(cycle.roll.going)
         assert {chair.seat for chair in self.world.chairs} == there
 
@@ -398,7 +341,7 @@ def changed(world: Shadow, effect: Effect) -> Shadow:
     """The world after what is done to it between ticks."""
     match effect:
         case Admit():
-            return world.admit(effect.seat, effect.name, b"")
+            return world.admit(effect.seat, effect.name)
         case Dismiss():
             return world.dismiss(effect.seat)
         case RespawnSeats():

@@ -42,8 +42,8 @@ from wcsim.log.writer import JOURNAL
 from wcsim.server.launch.states import ClientPlan
 from wcsim.server.ledger import iter_ledger
 from wcsim.server.protocol.client_core import Patience
-from wcsim.server.protocol.events import Rules, rejoin_within
-from wcsim.server.specs import ClientSpec, Recovery, RunInfo, SeatRequest, WorldSpec, seat_spec, to_line
+from wcsim.server.protocol.events import Rules
+from wcsim.server.specs import ClientSpec, RunInfo, SeatRequest, WorldSpec, seat_spec, to_line
 from wcsim.server.transport.world_folder import endpoint_in
 from wcsim.towns.making.asked_town import made_seed
 from wcsim.towns.scenario.town import find_town
@@ -273,7 +273,6 @@ def world_order(
     place: Path,
     expected: int,
     lease_s: float,
-    recovery: Recovery = "new_epoch",
 ) -> WorldSpec:
     """The world of a run, with its rules.
 
@@ -284,7 +283,6 @@ def world_order(
         place: Where sockets and orders lie.
         expected: Clients that the first tick waits for.
         lease_s: So long a client may be silent.
-        recovery: What follows when it dies.
     """
     rules = Rules(
         capacity=len(run.clients),
@@ -292,7 +290,6 @@ def world_order(
         expected=expected,
         gather_s=GATHER_S,
         lease_s=lease_s,
-        rejoin_s=rejoin_within(lease_s),
         recordings=recordings(client.config.env.profile for client in run.clients),
     )
     more = [word if made_seed(word) is not None else find_town(word).address for word in run.info.more_towns]
@@ -307,7 +304,6 @@ def world_order(
         name=folder.path.name,
         run=str(folder.path.absolute()),
         hook=run.info.hook,
-        recovery=recovery,
         epoch_ticks=_epoch_ticks(run),
     )
 

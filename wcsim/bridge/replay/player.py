@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Sequence
 from typing import Generic, Protocol, TypeVar
 
 from wcsim.errors import ReplayMismatchError, WcsimError
-from wcsim.log.records import Admitted, Dismissed, DriveTick, Ended, EpochBegun, Input, Respawned, Ticked, WorldTick
+from wcsim.log.records import Admitted, Dismissed, Ended, EpochBegun, Input, Respawned, Ticked, WorldTick
 from wcsim.physics.buffers import ImageSink
 from wcsim.types import ClientSnapshot, Command, SeatSpec, Snapshot, StartSpec
 
@@ -51,24 +50,16 @@ class Seats:
 
     def __init__(self) -> None:
         self.taken: dict[int, Admitted] = {}
-        self.lives: Counter[int] = Counter()  # respawns of a seat since the last tick
 
     def note(self, record: Input) -> None:
         """Hear the next record."""
         match record:
             case Admitted():
                 self.taken[record.seat] = record
-                del self.lives[record.seat]
             case Dismissed():
                 self.taken.pop(record.seat, None)
-            case Respawned():
-                self.lives[record.seat] += 1
-            case Ticked() | DriveTick():
-                self.lives.clear()
-            case EpochBegun():
-                self.lives.clear()
-                if record.fresh:
-                    self.taken.clear()
+            case EpochBegun() if record.fresh:
+                self.taken.clear()
 
     def specs(self, capacity: int) -> Specs:
         """The seats of a world."""

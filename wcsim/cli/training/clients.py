@@ -42,7 +42,6 @@ from wcsim.server.launch.states import ClientState, LaunchOutcome, LaunchRules, 
 from wcsim.server.launch.stop_signals import StopSignals
 from wcsim.server.ledger import Audit, audits, iter_ledger
 from wcsim.server.protocol.limits import require_files
-from wcsim.server.specs import Recovery
 from wcsim.server.transport.world_folder import workplace
 from wcsim.towns.scenario.town import Town
 from wcsim.view.live_table import LiveTable
@@ -176,8 +175,6 @@ class GroupOptions(ToldOptions):
     """Worker processes that compare clients by a suite or list. None: one per core, at most 4."""
     lease: Annotated[float, tyro.conf.arg(metavar="S"), Bounds(1.0, 86_400.0)] = LEASE_S
     """Seconds without progress after which a client is restarted."""
-    recovery: Recovery = "new_epoch"
-    """If the world of several clients dies: start a new one, or rebuild the same one step by step."""
 
 
 def train_clients(
@@ -208,7 +205,7 @@ def train_clients(
         place = held.enter_context(workplace())
         left = tuple(client for client in run.clients if not folder.done(client.name, client.steps))
         plans = [client_plan(run, folder, place, client) for client in left]
-        order = world_order(run, town.address, folder, place, len(left), options.lease, options.recovery)
+        order = world_order(run, town.address, folder, place, len(left), options.lease)
         rate, paid = TickRate(), PaidTimesLog(folder.path)
         held.callback(paid.save)
         with LiveTable() as table:

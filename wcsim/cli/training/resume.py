@@ -110,7 +110,6 @@ def _resume_group(options: Options) -> int:
         lease_s = LEASE_S
     again = GroupOptions(
         lease=lease_s if 1.0 <= lease_s <= 86_400.0 else LEASE_S,
-        recovery="replay" if _value_of(command, "recovery") == "replay" else "new_epoch",
         worlds=options.worlds,
         verbose=options.verbose,
         json=options.json,

@@ -18,25 +18,27 @@ class EpochCap:
     So it depends on the tick alone, unless memory has grown, and two runs with equal seeds end their epochs alike.
     """
 
-    def __init__(self, order: WorldSpec) -> None:
-        """As the order says; never, where nobody would go on."""
-        self._ticks = order.epoch_ticks
+    def __init__(self, order: WorldSpec, cycle: Barrier) -> None:
+        """Have the barrier end its epoch as the order says; never, where nobody would go on."""
+        self._cycle = cycle
+        cycle.last_tick = order.epoch_ticks or None
         self._begun_mb: float | None = None
         self._why = ""
-        self.reached = ""  # why it is over, "" as long as it is not
 
-    def weigh(self, tick: int) -> None:
-        """Look at how much memory this process has; to be called now and then."""
-        if not self._ticks or tick < SETTLED_TICKS:
+    def weigh(self) -> None:
+        """Look at how much memory this process has, and end the epoch if it is too much; to be called now and then."""
+        cycle = self._cycle
+        if cycle.last_tick is None or cycle.tick < SETTLED_TICKS:
             return
         now_mb = rss_mb()
         self._begun_mb = now_mb if self._begun_mb is None else self._begun_mb
         if now_mb - self._begun_mb > _GROWTH_MB:
             self._why = f"{EPOCH_OVER}: its process has grown from {self._begun_mb:.0f} to {now_mb:.0f} MB"
+            cycle.last_tick = min(cycle.last_tick, cycle.tick)
 
-    def is_reached(self, cycle: Barrier) -> bool:
-        """Whether the epoch ends here; to be asked after every message."""
-        if not self._ticks or cycle.stage is not BarrierState.READY:
-            return False
-        self.reached = f"{EPOCH_OVER}: tick {cycle.tick}" if cycle.tick >= self._ticks else self._why
-        return bool(self.reached)
+    @property
+    def reached(self) -> str:
+        """Why the epoch is over, "" as long as it is not."""
+        if self._cycle.stage is not BarrierState.EPOCH_OVER:
+            return ""
+        return self._why or f"{EPOCH_OVER}: tick {self._cycle.tick}"

@@ -46,7 +46,7 @@ from wcsim.server.launch.awake_clock import AwakeClock
 from wcsim.server.launch.states import WorldExit
 from wcsim.server.launch.stop_signals import die_with_parent
 from wcsim.server.protocol import messages as m
-from wcsim.server.protocol.events import Clock, EpochOver, Event, Lost, Peer, Received, Stop
+from wcsim.server.protocol.events import Clock, Event, Lost, Peer, Received, Stop
 from wcsim.server.protocol.limits import NO_ROOM, last_words, told_limit
 from wcsim.server.specs import WorldSpec, read_order
 from wcsim.server.transport.shared_images import RingSink
@@ -227,7 +227,7 @@ class _ServerLoop:
         self._encoded: tuple[m.Reply | None, bytes] = (None, b"")  # the last one said
         self._clock_s = 0.0  # of the last Clock event
         self._alone = False
-        self._cap = EpochCap(order)
+        self._cap = EpochCap(order, opened.core.cycle)
         doors.watch(lifelines.fileno())
 
     def run(self, asked_to_end: Callable[[], str]) -> str:
@@ -244,8 +244,8 @@ class _ServerLoop:
             while not reason:
                 self._turn()
                 reason = asked_to_end() or ("the process that started it is gone" if self._alone else self._cap.reached)
-            # Who has left by the last tick is in the journal as gone, for those who were in are waited for.
-            self._feed(EpochOver() if self._cap.reached else Stop(reason))
+            if not self._cap.reached:
+                self._feed(Stop(reason))
         except WcsimError as error:
             self._tell_all(error)
             raise
@@ -258,13 +258,13 @@ class _ServerLoop:
         self._clock.look(time.monotonic())
         for heard in self._doors.messages():
             self._hear(heard)
-            if self._cap.is_reached(self._core.cycle):
-                return
         due = self._clock.now_s - self._clock_s >= _CLOCK_S
         if woken or due:
             lost, self._alone = self._lifelines.news()
             for session in lost:
                 self._feed(Lost(session))
+            for session in self._cut_off():
+                self._feed(Lost(session, "its connection was lost"))
         if due:
             self._clock_s = self._clock.now_s
             self._feed(Clock())
@@ -272,7 +272,7 @@ class _ServerLoop:
             self._lifelines.keep(here)
             self._homes = {session: home for session, home in self._homes.items() if session in here}
             self._reporter.report(self._core, self._hub, self._clock.now_s)
-            self._cap.weigh(self._core.cycle.tick)
+            self._cap.weigh()
 
     def _hear(self, heard: Heard) -> None:
         peer = heard.peer
@@ -298,6 +298,12 @@ class _ServerLoop:
             self._homes.setdefault(message.session, peer)
             if message.pid > 0 and peer.startswith(LOCAL):
                 self._watch(message)
+
+    def _cut_off(self) -> list[bytes]:
+        """Sessions whose connections have ended: as good as dead, for nobody else can be waited for so long."""
+        lost = self._doors.lost()
+        everyone = self._core.cycle.roll.everyone() if lost else ()
+        return [p.session for p in everyone if self._homes.get(p.session) in lost]
 
     def _shut_out(self, peer: Peer) -> None:
         """Who is not heard any more cannot act: nobody shall wait for it."""
@@ -354,8 +360,7 @@ class _ServerLoop:
 
     def _tell_all(self, error: WcsimError) -> None:
         for p in self._core.cycle.roll.everyone():
-            if p.peer:
-                self._doors.send(p.peer, [m.encode(m.failure_of(error, p.session))])
+            self._doors.send(p.peer, [m.encode(m.failure_of(error, p.session))])
 
 
 _ORDER_FAULTS = (ConfigError, TownError, HookError, JournalError)
@@ -402,7 +407,7 @@ def _prepared(
     """Open the doors first, so that an order that cannot be used fails before the world is loaded."""
     doors = held.enter_context(ServerSockets(order.endpoint, order.listen, order.keys))
     lifelines = held.enter_context(Lifelines(order.status_fd))
-    opened = open_server(order, make, reporter.loading)  # a long silence would be taken for a hang
+    opened = open_server(order, make)
     if opened.journal is not None:
         held.enter_context(opened.journal)
     held.callback(opened.world.close)

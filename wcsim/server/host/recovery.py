@@ -1,24 +1,26 @@
-"""The world of a server: made new, or gone on with where another died. Loads SUMO and PyBullet."""
+"""The world of a server, and its journal: the first epoch, or the next one where another ended or died.
+
+Loads SUMO and PyBullet.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol
 
 from wcsim.bridge.recording.fingerprint import fingerprint
-from wcsim.bridge.replay.player import LogPlayer, MakesEpoch, Seats, SeatWorld, Specs, W, W_co, require_equal
+from wcsim.bridge.replay.player import Seats, SeatWorld, Specs, W_co
 from wcsim.bridge.world import World
 from wcsim.core import seeding
-from wcsim.errors import ConfigError, WcsimError
+from wcsim.errors import ConfigError
 from wcsim.log.reader import inputs_of_part, part_files, put_aside, read_header
-from wcsim.log.records import Ended, EpochBegun, Header, Input
+from wcsim.log.records import Ended, EpochBegun, Header
 from wcsim.log.writer import JOURNAL, LogWriter, told_torn
 from wcsim.server.host.epoch_cap import EPOCH_OVER
 from wcsim.server.launch.event_log import RunLog
 from wcsim.server.protocol.events import Rules
-from wcsim.server.protocol.members import Member
 from wcsim.server.protocol.server_core import ServerCore
 from wcsim.server.specs import WorldOrder, WorldSpec, town_of_epoch
 from wcsim.towns.making.asked_town import asked_town
@@ -48,9 +50,8 @@ def epoch_seed(seed: int, epoch: int) -> int:
     return seed if epoch == 0 else seeding.derive(seed, "epoch", epoch)
 
 
-ALIVE_EVERY = 10  # records between two signs of life while a world is made again
-GATHER_AGAIN_S = 60.0  # the same at the planned end of an epoch, after which all who were in it come back
-REGATHER_S = 5.0  # how long a server that was restarted waits for all to come back before it goes on with those here
+GATHER_AGAIN_S = 60.0  # for all who were in an epoch to come back after its planned end ...
+REGATHER_S = 5.0  # ... and after its world died: perhaps not alone
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -62,15 +63,14 @@ class Opened:
     journal: LogWriter | None
 
 
-def open_server(
-    order: WorldSpec, make: MakesWorld[SeatWorld] = street_world, alive: Callable[[], object] = lambda: None
-) -> Opened:
-    """Make the world of an order, or go on with the journal in its run folder.
+def open_server(order: WorldSpec, make: MakesWorld[SeatWorld] = street_world) -> Opened:
+    """Make the world of an order: the next epoch where the journal in its run folder has one.
+
+    An epoch whose world died is over as one that ended as planned: no state of it is needed, as no client waits for it.
 
     Args:
         order: The order.
         make: Makes the worlds; a stand-in's have no town.
-        alive: Called now and then while a world is made again from its journal.
 
     Raises:
         ConfigError: The order cannot be used, or does not fit the journal.
@@ -80,40 +80,25 @@ def open_server(
         return Opened(world=_fresh(order, make, 0), core=ServerCore(order.rules), journal=None)
     path, header = Path(order.run) / JOURNAL, _header(order, has_town=make is street_world)
     parts = part_files(path)
-    if not parts:
-        Path(order.run).mkdir(parents=True, exist_ok=True)
-        return _begun(order, make, LogWriter(path, header), 0, order.rules)
-    _require_same(parts[-1], header)
+    if parts:
+        _require_same(parts[-1], header)
+    else:
+        path.parent.mkdir(parents=True, exist_ok=True)
     last = _last_epoch(parts)
-    if last.epoch < 0:
-        return _begun(order, make, _opened_part(path, header), 0, order.rules)
-    if last.is_over or last.part != path:
-        return _next(order, make, path, header, last)
-    again = _rules_again(order, REGATHER_S)
-    if order.recovery == "new_epoch":
-        return _begun(order, make, _appended(path), last.epoch + 1, again)
-    return _gone_on(order, make, path, again, alive)
-
-
-def _next(order: WorldSpec, make: MakesWorld[SeatWorld], path: Path, header: Header, last: _LastEpoch) -> Opened:
-    """The epoch after one that ended as planned, in a new part of the journal; all who were in it are waited for."""
     if last.part == path:
-        _appended(path).close()
+        _appended(path).close()  # cuts a torn record off before anybody reads on
         put_aside(path)
-    rules = _rules_again(order, GATHER_AGAIN_S)
-    if not order.begins:
-        rules = replace(rules, expected=max(1, last.seated))
-    return _begun(order, make, _opened_part(path, header), last.epoch + 1, rules)
+    # A part that is there now is of a world that ended before its epoch began.
+    journal = _appended(path) if path.exists() else LogWriter(path, header)
+    return _begun(order, make, journal, last.epoch + 1, _rules_after(order, last))
 
 
-def _rules_again(order: WorldSpec, most_s: float) -> Rules:
-    """The rules of an order, waiting for `most_s` at most where those who come were in a world of this launch."""
-    return order.rules if order.begins else replace(order.rules, gather_s=min(order.rules.gather_s, most_s))
-
-
-def _opened_part(path: Path, header: Header) -> LogWriter:
-    """The part to write in: a new one, or one whose world ended before its epoch began."""
-    return _appended(path) if path.exists() else LogWriter(path, header)
+def _rules_after(order: WorldSpec, last: _LastEpoch) -> Rules:
+    """The rules of an order; where an epoch of this launch came before, those who were in it are waited for."""
+    if order.begins or last.epoch < 0:
+        return order.rules
+    most_s = GATHER_AGAIN_S if last.is_over else REGATHER_S
+    return replace(order.rules, expected=max(1, last.seated), gather_s=min(order.rules.gather_s, most_s))
 
 
 def _begun(order: WorldSpec, make: MakesWorld[SeatWorld], journal: LogWriter, epoch: int, rules: Rules) -> Opened:
@@ -125,66 +110,6 @@ def _begun(order: WorldSpec, make: MakesWorld[SeatWorld], journal: LogWriter, ep
         journal.close()
         raise
     return Opened(world=world, core=ServerCore(rules, epoch), journal=journal)
-
-
-def _gone_on(
-    order: WorldSpec, make: MakesWorld[SeatWorld], path: Path, rules: Rules, alive: Callable[[], object]
-) -> Opened:
-    """Exactly the world that there was; its clients have to come back."""
-    journal = _appended(path)  # cuts a torn record off before anybody reads on
-    try:
-        world, kept = rebuild_world(path, lambda specs, seed, epoch: make(order, specs, seed, epoch=epoch), alive)
-    except BaseException:
-        journal.close()
-        raise
-    if order.begins:  # those who come back have yet to load what they learn with
-        rules = replace(rules, rejoin_s=max(rules.rejoin_s, rules.gather_s))
-    now = world.snapshot
-    return Opened(world=world, core=ServerCore(rules, now.epoch, now.tick, kept), journal=journal)
-
-
-def rebuild_world(
-    journal: Path, make: MakesEpoch[W], alive: Callable[[], object] = lambda: None
-) -> tuple[W, tuple[Member, ...]]:
-    """The world exactly as it was after the last record, and who sits in it.
-
-    Args:
-        journal: The file.
-        make: Makes the world of the last epoch: that of `worlds_of`, or a stand-in's.
-        alive: Called now and then, for it takes long.
-
-    Raises:
-        ReplayMismatchError: A tick gave another state than the journal says.
-        WcsimError: What `make` raises; or it is no journal, or its records do not follow from each other.
-    """
-    player = LogPlayer(make, read_header(journal, "journal").seats)
-    records: list[Input] = []
-    for record in inputs_of_part(journal):  # those before it are over
-        if isinstance(record, EpochBegun):
-            for before in records:
-                player.seats.note(before)
-            records = []
-        records.append(record)
-    if not records or not isinstance(records[0], EpochBegun):
-        raise WcsimError(f"{journal}: it contains no epoch, so there is no world to recompute")
-    try:
-        for number, record in enumerate(records):
-            world = player.play(record)
-            require_equal(world, record)
-            if number % ALIVE_EVERY == 0:
-                alive()
-        return world, kept_of(player.seats)
-    except BaseException:
-        player.close()
-        raise
-
-
-def kept_of(seats: Seats) -> tuple[Member, ...]:
-    """Who is in, in seat order."""
-    return tuple(
-        Member(seat=seat, name=it.name, spec=it.spec, life=seats.lives[seat], claim=bytes.fromhex(it.claim))
-        for seat, it in sorted(seats.taken.items())
-    )
 
 
 def _appended(path: Path) -> LogWriter:
@@ -212,7 +137,6 @@ def _header(order: WorldSpec, has_town: bool) -> Header:
         tick_s=order.config.world.tick_s,
         fingerprint=fingerprint(),
         hook=order.hook,
-        recovery=order.recovery,
     )
 
 

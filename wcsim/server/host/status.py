@@ -121,6 +121,7 @@ class Reporter:
         """An event was dealt with: note how long the step was, and who is waited for from now on."""
         if stepped_s > 0.0:
             self._steps_s.append(stepped_s)
+            self._holdups.saw((), (), now_s - stepped_s)  # the last one's action and the step are one event
         acted = isinstance(event, Received) and isinstance(event.message, Act)
         if acted or stepped_s > 0.0 or isinstance(event, Clock):
             names, late = _names_and_late(core.cycle, core.cycle.roll.members)
@@ -136,7 +137,7 @@ class Reporter:
         cycle = core.cycle
         members = cycle.roll.by_seat()
         names, late = _names_and_late(cycle, members)
-        master = cycle.roll.member(cycle.master)
+        master = cycle.roll.master
         owing = [mate for mate in members if not mate.ready] if cycle.stage is BarrierState.COLLECT else []
         self._say(
             WorldStatus(

@@ -1,23 +1,19 @@
 """A server core with a world: carries out what the core wants done, writes the journal, keeps everybody's frame.
 
-The order is always: the world changes, the journal has it, the clients hear of it. So what a client has seen can be
-computed again from the journal, whatever dies when.
+The order is always: the world changes, the journal has it, the clients hear of it. So what a client has seen is in the
+journal, whatever dies when.
 """
 
 from __future__ import annotations
 
-import hashlib
 import logging
 import time
 from collections import deque
 from collections.abc import Callable
 
-import msgspec
-
 from wcsim.bridge.replay.player import SeatWorld
 from wcsim.errors import PhysicsError, WcsimError
 from wcsim.log.records import Admitted, Dismissed, EpochBegun, Input, Respawned, ticked
-from wcsim.physics.sensors.camera import copied
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.events import (
     Admit,
@@ -27,7 +23,6 @@ from wcsim.server.protocol.events import (
     Lost,
     Peer,
     RebuildWorld,
-    Received,
     RespawnSeats,
     Send,
     SendFrame,
@@ -36,7 +31,6 @@ from wcsim.server.protocol.events import (
 )
 from wcsim.server.protocol.server_core import ServerCore
 from wcsim.server.transport.shared_images import RingSink
-from wcsim.types import Snapshot
 
 log = logging.getLogger("wcsim.server.host.world_host")
 
@@ -69,7 +63,6 @@ class WorldHost:
         self.core, self.world = core, world
         self._post, self._keep, self._sink, self._loading = post, keep, sink, loading
         self._frames = {client.seat: client for client in world.snapshot.clients}
-        self._lay_out(world.snapshot)
         self._refused: set[int] = set()
         self.step_s = 0.0  # what the last step took
         self.ticks = 0  # steps done by this hub
@@ -80,9 +73,6 @@ class WorldHost:
         Raises:
             WcsimError: The world failed, or the journal cannot be written; the hub is of no use then.
         """
-        if isinstance(event, Received) and isinstance(event.message, m.Join):
-            join = event.message
-            event = Received(event.peer, msgspec.structs.replace(join, claim=sealed(join.claim)))
         todo: deque[Effect] = deque(self.core.handle(event, now_s))
         while todo:
             effect = todo.popleft()
@@ -124,11 +114,7 @@ class WorldHost:
                 raise
             return self._refuse(admit.seat, _as_refusal(error), now_s)
         self._frames[admit.seat] = client
-        member = self.core.cycle.roll.at(admit.seat)
-        claim = "" if member is None else member.claim.hex()
-        self._keep(
-            Admitted(epoch=now.epoch, tick=now.tick, seat=admit.seat, spec=admit.spec, name=admit.name, claim=claim)
-        )
+        self._keep(Admitted(epoch=now.epoch, tick=now.tick, seat=admit.seat, spec=admit.spec, name=admit.name))
         return []
 
     def _refuse(self, seat: int, error: WcsimError, now_s: float) -> list[Effect]:
@@ -167,17 +153,6 @@ class WorldHost:
         if self._sink is not None:
             self._sink.turn(tick)
 
-    def _lay_out(self, snapshot: Snapshot) -> None:
-        """A world that was computed again has its pictures elsewhere: bring them to where its clients look for them."""
-        if self._sink is None:
-            return
-        self._sink.turn(snapshot.tick)
-        for client in snapshot.clients:
-            for shown in filter(None, (client, client.first)):
-                images = self._sink.buffers(client.seat, shown.events.step == 0).images
-                for frame, out in zip(shown.sensors.cameras, images, strict=True):
-                    copied(frame, out)
-
     # --- the clients ---
 
     def _send_frame(self, wanted: SendFrame) -> None:
@@ -185,11 +160,6 @@ class WorldHost:
         if client is not None:
             slot = -1 if self._sink is None else self._sink.slot(wanted.tick)
             self._post(wanted.peer, m.Frame(wanted.epoch, wanted.tick, wanted.life, client, slot))
-
-
-def sealed(claim: bytes) -> bytes:
-    """A claim as a core and a journal keep it: enough to know it again, of no use to who reads it; none stays none."""
-    return hashlib.blake2b(claim, digest_size=16).digest() if claim else b""
 
 
 def _as_refusal(error: Exception) -> WcsimError:

@@ -109,7 +109,7 @@ class LaunchRules:
     """How long a launcher waits for what, in seconds."""
 
     world_lease_s: float = 10.0  # a world that says nothing for so long hangs ...
-    loading_lease_s: float = 300.0  # ... unless it has not done a tick yet; one that replays says so now and then
+    loading_lease_s: float = 300.0  # ... unless it has not done a tick yet
     client_lease_s: float = 120.0  # a client that the world gave up, and that lives on without its seat
     joining_s: float = 600.0  # a client that never took its seat
     saving_s: float = 300.0  # clients that were asked to end, with all their replay to write

@@ -96,7 +96,7 @@ class Seat(Closing):
     def while_waiting(self, work: Callable[[], object]) -> None:
         """Do something between `send` and `receive`; its time is part of the waiting as long as there is no answer.
 
-        A link whose world is elsewhere hears it meanwhile: as the master it ticks once the barrier is full.
+        A link whose world is elsewhere hears it meanwhile: it asks again for what was lost.
         """
         work()
 
@@ -242,7 +242,7 @@ class WorldLink(Seat):
 
     @property
     def master(self) -> bool:
-        """Whether this client is the one that ticks."""
+        """Whether this client's action is the tick request."""
         return self.core.master
 
     @property

@@ -11,6 +11,8 @@ While the caller works, a thread listens in its stead; the two never use the sam
 from __future__ import annotations
 
 import contextlib
+import logging
+import math
 import os
 import secrets
 import subprocess
@@ -36,13 +38,18 @@ from wcsim.server.protocol.events import Rules
 from wcsim.server.specs import SeatRequest, WorldOrder, WorldSpec, WorldStatus, of_line, to_line
 from wcsim.server.transport.keys import client_keys, is_ipv6, server_public
 from wcsim.server.transport.shared_images import RingView
+from wcsim.server.transport.sockets import notice_cuts
 from wcsim.server.transport.world_folder import OwnFolder, endpoint_in, remove_stale
 from wcsim.types import ClientSnapshot, SeatSpec
 
+log = logging.getLogger("wcsim.server.links.socket")
+
 _POLL_MS = 200
+_CUT_S = 12.0  # a world that is replaced as planned is mostly there again by then
 _BYE_S = 1.0
 QUEUE = 64
 _REFUSED = zmq.EVENT_HANDSHAKE_FAILED_AUTH | zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL | zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL
+_MADE, _LOST = zmq.EVENT_HANDSHAKE_SUCCEEDED, zmq.EVENT_DISCONNECTED
 
 
 class SocketSeat(WorldLink):
@@ -65,10 +72,11 @@ class SocketSeat(WorldLink):
         self._let_go = weakref.finalize(self, self._context.destroy, 0)
         self._ring: RingView | None = None
         self._welcome: m.Welcome | None = None
+        self._cut_s: float | None = None  # since when a connection is missing; infinite once that was said
         self._said_leave = False
         try:
             self._socket = _connected(self._context, order)
-            self._monitor = self._socket.get_monitor_socket(_REFUSED)
+            self._monitor = self._socket.get_monitor_socket(_REFUSED | _MADE | _LOST)
             ledger = open_ledger(Path(order.ledger), order.name) if order.ledger else None
             super().__init__(ClientCore(ask, order.patience, new_session), ledger)
         except BaseException:
@@ -118,7 +126,7 @@ class SocketSeat(WorldLink):
                 more = part.more
                 self.hear(m.decode_reply(part.bytes, self._ring))
         except zmq.Again:
-            self._check_access()
+            self._look_at_connection()
         self.take(self.core.clock(self._now_s()))
 
     def _open_frame(self, seen: FrameSeen) -> ClientSnapshot | None:
@@ -145,16 +153,24 @@ class SocketSeat(WorldLink):
         gone = isinstance(reply, m.Bye | m.Failure)
         return gone and getattr(reply, "session", b"") in (b"", self.core.session)
 
-    def _check_access(self) -> None:
-        """Raise AccessError when the server has refused this client's key, or is not the one it should be.
+    def _look_at_connection(self) -> None:
+        """Say so when it is lost. Raises AccessError when the server has refused this client's key, or has another one.
 
         On the same machine there are no keys: a handshake that failed was with a world that was dying.
         """
-        if self._order.endpoint.startswith("ipc://"):
-            return
-        if self.core.phase is ClientPhase.JOINING and self._monitor.poll(0):
+        while self._monitor.poll(0):
             event = recv_monitor_message(self._monitor, zmq.NOBLOCK)
-            raise AccessError(_refusal(self._order.endpoint, self._order.keys, event["event"], event["value"]))
+            if event["event"] == _MADE:
+                self._cut_s = None
+            elif event["event"] == _LOST:
+                self._cut_s = self._now_s() if self._cut_s is None else self._cut_s
+            elif self.core.phase is ClientPhase.JOINING and not self._order.endpoint.startswith("ipc://"):
+                raise AccessError(_refusal(self._order.endpoint, self._order.keys, event["event"], event["value"]))
+        if self._welcome is not None and self._cut_s is not None and self._now_s() - self._cut_s > _CUT_S:
+            self._cut_s = math.inf
+            log.warning(
+                "wcsim: the connection to %s was lost; waiting for its world to come back", self._order.endpoint
+            )
 
 
 def _refusal(endpoint: str, keys: str, event: int, code: int) -> str:
@@ -184,6 +200,7 @@ def _connected(context: zmq.Context[zmq.Socket[bytes]], order: SeatRequest) -> z
     socket.setsockopt(zmq.RECONNECT_IVL, 50)
     socket.setsockopt(zmq.RECONNECT_IVL_MAX, 1000)
     socket.setsockopt(zmq.IPV6, is_ipv6(order.endpoint))
+    notice_cuts(socket)
     if order.keys:
         pair = client_keys(Path(order.keys), order.name)
         socket.curve_serverkey = server_public(Path(order.keys))
@@ -209,7 +226,6 @@ def private_rules(capacity: int, expected: int) -> Rules:
         expected=expected,
         gather_s=_NEVER_S,
         lease_s=_NEVER_S,
-        tick_lease_s=_NEVER_S,
         notice_s=_NEVER_S,
         recordings=None,
     )

@@ -1,4 +1,7 @@
-"""The cycle of a server: who is in, when the barrier is full, who may tick, who is given up.
+"""The cycle of a server: who is in, when the barrier is full, who is given up.
+
+The master's action is the tick request of the paper's Fig. 4: it is granted once all others have acted, too, or at once
+where they have. A tick thus costs a client one message and its answer, and no master can hold a full barrier up.
 
 What changes the world is done in seat order and between ticks only: chairs go just before a step, and come just after
 one. So two runs in which the same clients do the same give the same world, whatever the order of their messages.
@@ -7,7 +10,6 @@ one. So two runs in which the same clients do the same give the same world, what
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import replace
 
 from wcsim.errors import EvictedError, ProtocolError
@@ -32,19 +34,15 @@ from wcsim.types import Command
 class Barrier:
     """The state of a server and what moves it; `out` collects what is to be done."""
 
-    def __init__(self, rules: Rules, epoch: int, tick: int, kept: Sequence[Member]) -> None:
+    def __init__(self, rules: Rules, epoch: int) -> None:
         self.rules = rules
-        self.epoch, self.tick = epoch, tick
-        self.stage = BarrierState.COLLECT if kept else BarrierState.EMPTY
-        self.term = 0
-        self.master: bytes = b""  # session of the master
-        self.gathering = not kept
-        self.roll = Roster(list(kept))
+        self.epoch, self.tick = epoch, 0
+        self.stage = BarrierState.EMPTY
+        self.last_tick: int | None = None  # of this epoch, where another server is to go on
+        self.gathering = True
+        self.roll = Roster()
         self.out: list[Effect] = []
         self._gather_s: float | None = None  # since when somebody waits for the others to come
-        self._since_s: float | None = None  # when the clock was seen first
-        self._ready_s = 0.0  # since when the barrier is full
-        self._full_s = 0.0  # since when the master of now knows of it
         self._told_s = -math.inf  # when those who wait were told for whom
 
     def copied(self) -> Barrier:
@@ -56,6 +54,11 @@ class Barrier:
     def late(self) -> tuple[str, ...]:
         """Names of those for whom the barrier waits."""
         return tuple(member.name for member in self.roll.by_seat() if not member.ready)
+
+    @property
+    def _master_seat(self) -> int:
+        master = self.roll.master
+        return m.ANY_SEAT if master is None else master.seat
 
     # --- ticks ---
 
@@ -78,19 +81,17 @@ class Barrier:
         for p in coming:
             self.out.append(Admit(p.seat, p.spec, p.name))
             self.roll.members.append(replace(p, heard_s=now_s, asked_s=now_s))
-        if coming and not self.master:
-            self.promote(self.roll.oldest(), tell=False)
         for p in coming:
             member = self.roll.at(p.seat)
             if member is not None:
-                self.welcome(member, resumed=False)
+                self.welcome(member)
         if self.roll.members:
             self.gathering, self.stage = False, BarrierState.COLLECT
         else:
             self.stage = BarrierState.EMPTY
 
     def advance(self, now_s: float) -> None:
-        """Go on when nobody owes anything: first with respawns, then to the full barrier."""
+        """Go on when nobody owes anything: first with respawns, then through the full barrier."""
         members = self.roll.members
         if self.stage is not BarrierState.COLLECT or not members or not all([mate.ready for mate in members]):
             return
@@ -101,18 +102,16 @@ class Barrier:
                 mate.respawning, mate.life, mate.asked_s = False, mate.life + 1, now_s
                 self.show(mate)
             return
-        self.stage, self._ready_s = BarrierState.READY, now_s
-        self.announce(now_s)
-
-    def announce(self, now_s: float) -> None:
-        """Tell the master that the barrier is full; its time to ask for the tick begins."""
-        self._full_s = now_s
-        self._say_full()
+        # Who has left by the last tick is gone from the journal, too: those who were in at its end are waited for.
+        self.dismiss()
+        if self.last_tick is not None and self.tick >= self.last_tick:
+            self.stage = BarrierState.EPOCH_OVER
+        else:
+            self.step()
 
     def step(self) -> None:
-        """The master has asked: chairs that were to go are gone, then the world moves."""
+        """All have acted, and the chairs that were to go are gone: the world moves."""
         self.stage = BarrierState.STEPPING
-        self.dismiss()
         actions = [(mate.seat, mate.action) for mate in self.roll.by_seat()]
         commands = tuple(Command(seat=s, tick=self.tick, joystick=a) for s, a in actions if a is not None)
         self.out.append(Step(self.tick, commands))
@@ -124,7 +123,7 @@ class Barrier:
         self.tick = tick
         self._begin_tick(now_s)
         members = self.roll.by_seat()
-        done = m.TickDone(self.epoch, tick, step_s)
+        done = m.TickDone(self.epoch, tick, self._master_seat, step_s)
         for mate in members:
             self.send(mate.peer, done)
         for mate in members:
@@ -144,7 +143,7 @@ class Barrier:
             self.send(mate.peer, m.Restarted(self.epoch, f"the world was restarted with seed {seed}"))
             self.show(mate)
 
-    # --- who goes, who may tick ---
+    # --- who goes ---
 
     def evict(self, member: Member, reason: str, now_s: float) -> None:
         """Give a client up; should it live, it hears of it."""
@@ -153,14 +152,10 @@ class Barrier:
         self.remove(member, reason, now_s)
 
     def remove(self, member: Member, reason: str, now_s: float) -> None:
-        """Take a member off the roll, crown another master where it was one, and look at the barrier again."""
+        """Take a member off the roll, and look at the barrier again: the others may owe nothing."""
         self.roll.members.remove(member)
         self.roll.retire(member.session)
         self.roll.going[member.seat] = reason
-        if member.session == self.master:
-            self.promote(self.roll.oldest(), tell=True)
-            if self.stage is BarrierState.READY and self.roll.members:
-                self.announce(now_s)
         if self.stage is BarrierState.STEPPING:
             return
         if self.roll.members:
@@ -174,25 +169,12 @@ class Barrier:
             self.out.append(Dismiss(seat, reason))
         self.roll.going.clear()
 
-    def promote(self, member: Member | None, tell: bool) -> None:
-        """Make a member the master of a new term; without one there is no master."""
-        if member is None:
-            self.master = b""
-            return
-        self.master, self.term = member.session, self.term + 1
-        if tell:
-            self.send(member.peer, m.Promote(self.term))
-
     def watch(self, now_s: float) -> None:
         """Leases, and word to those who wait."""
-        if self._since_s is None:
-            self._since_s = now_s
         if self.stage is BarrierState.EMPTY:
             self.gather(now_s)
         elif self.stage is BarrierState.COLLECT:
             self._give_up_overdue(now_s)
-        elif self.stage is BarrierState.READY and now_s - self._full_s > self.rules.tick_lease_s:
-            self._demote(now_s)
         if now_s - self._told_s >= self.rules.notice_s:
             self._tell(now_s)
 
@@ -204,23 +186,22 @@ class Barrier:
 
     # --- what is sent ---
 
-    def welcome(self, member: Member, resumed: bool) -> None:
+    def welcome(self, member: Member) -> None:
         """Tell a client that it is in, and show it what its seat sees."""
-        term = self.term if member.session == self.master else 0
-        self.send(member.peer, m.Welcome(member.session, self.epoch, self.tick, member.seat, term, resumed))
-        if resumed:
-            self.send(member.peer, m.TickDone(self.epoch, self.tick))
+        self.send(member.peer, m.Welcome(member.session, self.epoch, self.tick, member.seat, self._master_seat))
         self.show(member)
+
+    def tell_tick(self, member: Member) -> None:
+        """Tell a client again which tick the simulation has reached."""
+        self.send(member.peer, m.TickDone(self.epoch, self.tick, self._master_seat))
 
     def show(self, member: Member) -> None:
         """Send a client the frame of now."""
-        if member.peer:
-            self.out.append(SendFrame(member.peer, member.seat, self.epoch, self.tick, member.life))
+        self.out.append(SendFrame(member.peer, member.seat, self.epoch, self.tick, member.life))
 
     def send(self, peer: Peer, message: m.Reply) -> None:
-        """Send a message to whoever is there to hear it."""
-        if peer:
-            self.out.append(Send(peer, message))
+        """Send a message."""
+        self.out.append(Send(peer, message))
 
     # --- inside ---
 
@@ -240,9 +221,6 @@ class Barrier:
         if mate.ready:
             return ""
         owes_s = now_s - mate.asked_s
-        if mate.vacant:
-            away_s = min(owes_s, now_s - (now_s if self._since_s is None else self._since_s))
-            return "it did not come back" if away_s > self.rules.rejoin_s else ""
         silent_s = now_s - max(mate.heard_s, mate.asked_s)
         if silent_s > self.rules.lease_s:
             return f"no sign of progress for {silent_s:.0f} s"
@@ -250,27 +228,8 @@ class Barrier:
         late = limit_s is not None and mate.thought_s + owes_s > limit_s  # a new life gives no new time
         return f"no action within {limit_s:g} s" if late else ""
 
-    def _demote(self, now_s: float) -> None:
-        """A master that does not ask for the tick loses the right to; it stays a member while it is heard of."""
-        old, heir = self.roll.member(self.master), self.roll.oldest(but=self.master)
-        silent_s = 0.0 if old is None else now_s - max(old.heard_s, self._ready_s)
-        if old is not None and silent_s > self.rules.lease_s:
-            self.evict(old, f"the master did not ask for the tick for {silent_s:.0f} s", now_s)
-            return
-        if old is not None and heir is not None:
-            self.send(old.peer, m.Demoted(self.term))
-            self.promote(heir, tell=True)
-        self.announce(now_s)
-
     def _tell(self, now_s: float) -> None:
         self._told_s = now_s
         note = m.Waiting(self.epoch, self.tick, self.late())
         for one in [mate for mate in self.roll.by_seat() if mate.ready] + self.roll.pending:
             self.send(one.peer, note)
-        if self.stage is BarrierState.READY:  # a lost message must not stop the world
-            self._say_full()
-
-    def _say_full(self) -> None:
-        master = self.roll.member(self.master)
-        if master is not None:
-            self.send(master.peer, m.BarrierFull(self.epoch, self.tick, self.term))

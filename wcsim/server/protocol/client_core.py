@@ -3,7 +3,7 @@
 The methods that a driver calls (`join`, `act`, `respawn`, `rebuild`, `leave`) and `handle(message, now_s)`,
 `clock(now_s)` return what is to be done. A client has seen tick n, acts for n, hears that the simulation is at n + 1
 (the paper's tick wait), and gets the frame of n + 1 (its sensors wait); anything else in between is an error or a
-message that came twice. A master also asks for the tick whenever it hears that the barrier is full.
+message that came twice. A master does nothing else: its action is the tick request.
 """
 
 from __future__ import annotations
@@ -12,18 +12,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 
-import msgspec
-
 from wcsim.errors import (
     BadActionError,
-    BarrierNotFullError,
     EvictedError,
     NotMasterError,
     ProtocolError,
     SeatTakenError,
     ServerGoneError,
     StaleSessionError,
-    StaleTermError,
     StaleTickError,
     TickTimeoutError,
     WcsimError,
@@ -108,7 +104,6 @@ _WAITS = (
     ClientPhase.WAIT_RESPAWN,
 )
 _WAITS_OF = {m.Act: ClientPhase.WAIT_TICK, m.Respawn: ClientPhase.WAIT_RESPAWN, m.Rebuild: ClientPhase.WAIT_FIRST}
-_TICKS_NO_MORE = {error.__name__ for error in (StaleTermError, NotMasterError, BarrierNotFullError)}
 
 
 class ClientCore:
@@ -121,7 +116,8 @@ class ClientCore:
         self.session = b""
         self.seat = ask.seat
         self.epoch = self.tick = -1
-        self.life = self.term = 0
+        self.life = 0
+        self._master_seat: int | None = None
         self.late: tuple[str, ...] = ()  # for whom the server waits, as far as it told
         self.pending: m.Act | m.Respawn | m.Rebuild | None = None  # what is not answered yet
         self._restarted = ""  # why an epoch began that the driver has not heard of
@@ -176,8 +172,8 @@ class ClientCore:
 
     @property
     def master(self) -> bool:
-        """Whether this client has the right to tick."""
-        return self.term > 0
+        """Whether this client's action is the tick request, as last heard."""
+        return self._master_seat == self.seat
 
     def copied(self) -> ClientCore:
         """A core in the same state that goes its own way; it draws its sessions from the same source."""
@@ -194,13 +190,7 @@ class ClientCore:
         self._heard_s = now_s
         match message:
             case m.Welcome():
-                return self._welcomed(message, now_s)
-            case m.BarrierFull():
-                return self._barrier_full(message)
-            case m.Promote():
-                self.term = max(self.term, message.term)
-            case m.Demoted():
-                self.term = 0
+                return self._welcomed(message)
             case m.TickDone():
                 return self._tick_done(message)
             case m.Frame():
@@ -241,19 +231,14 @@ class ClientCore:
             raise ProtocolError(f"{call} in phase {self.phase.value!r}; wait for the frame first")
 
     def _request(self, message: m.Act | m.Respawn | m.Rebuild, now_s: float) -> list[Outcome]:
-        self._asked_s = self._heard_s = now_s
-        return self._ask(message, now_s)
-
-    def _ask(self, message: m.Act | m.Respawn | m.Rebuild, now_s: float) -> list[Outcome]:
-        """Ask for something, for the first time or again in a session that goes on with an older one's episode."""
-        self.pending, self.phase, self._ahead, self._sent_s = message, _WAITS_OF[type(message)], None, now_s
+        self._asked_s = self._heard_s = self._sent_s = now_s
+        self.pending, self.phase, self._ahead = message, _WAITS_OF[type(message)], None
         return [Say(message)]
 
     def _knock(self, now_s: float, again: bool = False) -> list[Outcome]:
         if not again:
             self.session = self._new_session()
         self.phase, self._sent_s = ClientPhase.JOINING, now_s
-        resume = (self.epoch, self.tick) if self.tick >= 0 else None
         ask = self.ask
         return [
             Say(
@@ -267,31 +252,20 @@ class ClientCore:
                     name=ask.name,
                     spec=ask.spec,
                     pid=ask.pid,
-                    resume=resume,
                 )
             )
         ]
 
-    def _welcomed(self, welcome: m.Welcome, now_s: float) -> list[Outcome]:
+    def _welcomed(self, welcome: m.Welcome) -> list[Outcome]:
         if self.phase is not ClientPhase.JOINING or welcome.session != self.session:
             return []
-        self.seat, self.term = welcome.seat, welcome.term
-        out: list[Outcome] = [Welcomed(welcome)]
-        if welcome.resumed and self.pending is not None:
-            return [*out, *self._ask(msgspec.structs.replace(self.pending, session=self.session), now_s)]
+        self.seat, self._master_seat = welcome.seat, welcome.master
         if self.tick >= 0:
             self._restarted = self._restarted or f"the world is now in epoch {welcome.epoch}"
         self.pending = None
         self.epoch, self.tick, self.life = welcome.epoch, -1, 0
         self.phase = ClientPhase.WAIT_FIRST
-        return out
-
-    def _barrier_full(self, full: m.BarrierFull) -> list[Outcome]:
-        """Ask for the tick: only a master hears of a full barrier."""
-        if full.term < self.term:
-            return []
-        self.term = full.term
-        return [Say(m.Tick(self.session, full.epoch, full.tick, full.term))]
+        return [Welcomed(welcome)]
 
     def _tick_done(self, done: m.TickDone) -> list[Outcome]:
         early = self.phase in (ClientPhase.JOINING, ClientPhase.WAIT_FIRST)  # a frame comes next, from wherever it is
@@ -299,7 +273,7 @@ class ClientCore:
             return []
         if self.phase is not ClientPhase.WAIT_TICK or (done.epoch, done.tick) != (self.epoch, self.tick + 1):
             return self._broken(f"the server is at epoch {done.epoch}, tick {done.tick}")
-        self.phase, self._ahead = ClientPhase.WAIT_SENSORS, done.tick
+        self.phase, self._ahead, self._master_seat = ClientPhase.WAIT_SENSORS, done.tick, done.master
         return []
 
     def _frame(self, frame: m.Frame) -> list[Outcome]:
@@ -349,9 +323,8 @@ class ClientCore:
             return self._knock(now_s, again=self.phase is ClientPhase.JOINING) if self.waiting else []
         if failure.error == StaleTickError.__name__:
             return []  # a request that came late once more: who is a member is never two ticks behind
-        if failure.error in _TICKS_NO_MORE and not isinstance(self.pending, m.Rebuild):
-            self.term = 0 if failure.error != BarrierNotFullError.__name__ else self.term
-            return []
+        if failure.error == NotMasterError.__name__ and not isinstance(self.pending, m.Rebuild):
+            return []  # this one had its answer before
         error = m.error_of(failure)
         if isinstance(error, SeatTakenError) and self.ask.seat == m.ANY_SEAT and self.seat != m.ANY_SEAT:
             self.seat = m.ANY_SEAT  # the seat it once had is another's in this world; any other one will do

@@ -12,8 +12,6 @@ from enum import Enum
 from wcsim.server.protocol.messages import Reply, Request
 from wcsim.types import Command, SeatSpec
 
-REJOIN_S = 30.0  # for a connection to be made again
-
 Peer = bytes
 """Where a message came from, and where an answer goes: known to the host alone."""
 
@@ -23,8 +21,8 @@ class BarrierState(Enum):
 
     EMPTY = "empty"  # nobody is here, or not yet all of those who are expected
     COLLECT = "collect"  # waits for everybody's action of this tick
-    READY = "ready"  # the barrier is full, the master was told
-    STEPPING = "stepping"  # the master asked, the world is on its way to the next tick
+    STEPPING = "stepping"  # the barrier is full, the world is on its way to the next tick
+    EPOCH_OVER = "epoch over"  # the barrier of the last tick is full; another server goes on with the next epoch
     STOPPED = "stopped"
 
 
@@ -37,20 +35,9 @@ class Rules:
     expected: int = 1  # clients without whom the first tick is not begun ...
     gather_s: float = 120.0  # ... unless so much time is over
     lease_s: float = 120.0  # a client that owes an action and shows no progress for so long is given up
-    tick_lease_s: float = 30.0  # a master that was told of a full barrier must ask for the tick within this time
-    rejoin_s: float = REJOIN_S  # so long a seat waits for its client after an exact recovery; as `rejoin_within` says
     notice_s: float = 1.0  # how often those who wait are told for whom
     max_think_s: float | None = None  # a client that takes longer for an action is given up, alive or not
     recordings: tuple[str, ...] | None = ()  # "recorded:FILE" that clients may ask for; None: any
-
-
-def rejoin_within(lease_s: float) -> float:
-    """How long a seat has to wait for its client: who thinks cannot hear that the server is another one now.
-
-    >>> rejoin_within(120.0), rejoin_within(10.0)
-    (120.0, 30.0)
-    """
-    return max(REJOIN_S, lease_s)
 
 
 # --- what happens ---
@@ -92,12 +79,7 @@ class Stop:
     reason: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class EpochOver:
-    """The epoch ends with the tick of now; another server goes on with the next one."""
-
-
-Event = Received | Lost | Clock | Stepped | Stop | EpochOver
+Event = Received | Lost | Clock | Stepped | Stop
 
 
 # --- what is to be done, in this order ---

@@ -14,21 +14,17 @@ MOST_LIVES = 1000  # respawns at one tick: each is work for the world, and a lin
 
 @dataclass(slots=True, kw_only=True)
 class Member:
-    """A client with a seat, or one that waits for it.
-
-    A member without a session is one whose client has yet to come back: after an exact recovery.
-    """
+    """A client with a seat, or one that waits for it."""
 
     seat: int
     name: str
     spec: SeatSpec
-    session: bytes = b""
-    peer: Peer = b""
+    session: bytes
+    peer: Peer
     claim: bytes = b""  # who shows another one does not get the seat
     life: int = 0  # respawns at the tick of now
     action: Joystick | None = None  # for the tick of now
     respawning: bool = False
-    resumed: bool = False  # its episode is older than its session
     progress: int = -1
     heard_s: float = 0.0
     asked_s: float = 0.0  # since when it owes an action
@@ -38,11 +34,6 @@ class Member:
     def ready(self) -> bool:
         """Whether nothing is owed."""
         return self.action is not None or self.respawning
-
-    @property
-    def vacant(self) -> bool:
-        """Whether its client has yet to come back."""
-        return not self.session
 
 
 @dataclass(slots=True)
@@ -58,10 +49,7 @@ class Roster:
 
     def member(self, session: bytes) -> Member | None:
         """The member of this session."""
-        for member in self.members if session else ():
-            if member.session == session:
-                return member
-        return None
+        return next((m for m in self.members if m.session == session), None)
 
     def at(self, seat: int) -> Member | None:
         """The member on this seat."""
@@ -96,9 +84,10 @@ class Roster:
         """Members in seat order: what is done to all is done in this order, never in that of arrival."""
         return sorted(self.members, key=lambda m: m.seat)
 
-    def oldest(self, but: bytes = b"") -> Member | None:
-        """The member of longest standing whose client is here; another one than that of session `but`."""
-        return next((m for m in self.members if not m.vacant and m.session != but), None)
+    @property
+    def master(self) -> Member | None:
+        """The member of longest standing."""
+        return self.members[0] if self.members else None
 
     def retire(self, session: bytes) -> None:
         """Remember a session that is over, so that its late messages are known as such."""

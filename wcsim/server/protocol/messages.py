@@ -27,7 +27,7 @@ from wcsim.server.protocol.frame_codec import (
 from wcsim.types import ClientSnapshot, SeatSpec
 from wcsim.types import bounds as b
 
-PROTOCOL = 7
+PROTOCOL = 8
 MAX_REQUEST_BYTES = 1 << 13  # a server refuses more; the longest join has less
 MAX_REPLY_BYTES = 64 << 20  # a client refuses more: pictures travel inside when there is no shared memory
 SESSION_BYTES = b.SESSION_BYTES
@@ -53,11 +53,10 @@ class Join(_Message, frozen=True):
     name: b.Name
     spec: SeatSpec
     pid: b.Process = 0  # of a client on the same machine, which gets its pictures through shared memory; 0 for others
-    resume: tuple[b.Count, b.Count] | None = None  # epoch and tick of the last frame that the client has, to go on from
 
 
 class Act(_Message, frozen=True):
-    """Drive through a tick."""
+    """Drive through a tick; that of the master is the paper's tick request, granted once the barrier is full."""
 
     session: b.Session
     epoch: b.Count
@@ -65,15 +64,6 @@ class Act(_Message, frozen=True):
     life: b.Count
     x: b.Stick
     y: b.Stick
-
-
-class Tick(_Message, frozen=True):
-    """The master carries both simulators on; refused unless the barrier of that tick is full."""
-
-    session: b.Session
-    epoch: b.Count
-    tick: b.Count
-    term: b.Count
 
 
 class Respawn(_Message, frozen=True):
@@ -116,31 +106,10 @@ class Welcome(_Message, frozen=True):
     epoch: b.Count
     tick: b.Count
     seat: b.Seat
-    term: b.Count  # of its mastership, 0 for a client that is not the master
-    resumed: bool  # the seat's episode goes on as if nothing had happened
+    master: b.Seat  # of the client that carries the simulators on
     ring: b.Place = ""  # where the seat's pictures are, for a client on the same machine
     config_json: b.Document = ""  # the world's configuration
     town: b.Place = ""
-
-
-class BarrierFull(_Message, frozen=True):
-    """To the master: everybody has acted, ask for the tick."""
-
-    epoch: b.Count
-    tick: b.Count
-    term: b.Count
-
-
-class Promote(_Message, frozen=True):
-    """The client is the master from now on."""
-
-    term: b.Count
-
-
-class Demoted(_Message, frozen=True):
-    """The client is the master no more."""
-
-    term: b.Count
 
 
 class TickDone(_Message, frozen=True):
@@ -148,6 +117,7 @@ class TickDone(_Message, frozen=True):
 
     epoch: b.Count
     tick: b.Count
+    master: b.Seat  # of the client that is the master from now on
     step_s: b.Seconds = 0.0  # what the world took for it
 
 
@@ -191,8 +161,8 @@ class Bye(_Message, frozen=True):
     reason: b.Text = ""
 
 
-Request = Join | Act | Tick | Respawn | Rebuild | Beat | Leave
-Reply = Welcome | BarrierFull | Promote | Demoted | TickDone | Frame | Restarted | Waiting | Failure | Bye
+Request = Join | Act | Respawn | Rebuild | Beat | Leave
+Reply = Welcome | TickDone | Frame | Restarted | Waiting | Failure | Bye
 
 
 _ENCODER = msgspec.msgpack.Encoder(enc_hook=packed)

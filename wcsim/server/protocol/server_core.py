@@ -3,20 +3,18 @@
 `handle(event, now_s)` takes what happened and returns what is to be done. There is no socket, clock, thread or random
 number in here: a world process, a checker of all states and a simulator of faults run the same code.
 
-The server owns membership and the barrier; the master owns the right to tick. A tick is done when every member has
-acted and the master asked for exactly that tick in its term. Everything is said with its number, so that what comes
-twice or late does nothing twice. docs/protocol.md shows the states.
+The server owns membership and the barrier. A tick is done when every member has acted; the master's action is the tick
+request of the paper. Everything is said with its number, so that what comes twice or late does nothing twice.
+docs/protocol.md shows the states.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from wcsim.core.reading import escaped
 from wcsim.errors import (
     BadActionError,
-    BarrierNotFullError,
     ConfigError,
     ConfigMismatchError,
     EvictedError,
@@ -25,7 +23,6 @@ from wcsim.errors import (
     ProtocolError,
     SeatTakenError,
     StaleSessionError,
-    StaleTermError,
     StaleTickError,
     VersionMismatchError,
     WcsimError,
@@ -37,7 +34,6 @@ from wcsim.server.protocol.events import (
     BarrierState,
     Clock,
     Effect,
-    EpochOver,
     Event,
     Lost,
     Peer,
@@ -52,16 +48,8 @@ from wcsim.types.bounds import MOST_STEPS
 from wcsim.users.profiles import is_of_file, profile_names
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Admission:
-    """A seat for a client; `resumes` when the episode on it goes on."""
-
-    seat: int
-    resumes: bool
-
-
-def admission(join: m.Join, rules: Rules, roll: Roster, now: tuple[int, int]) -> _Admission | WcsimError:
-    """The seat that a client gets at (epoch, tick) `now`, or the error that says why it gets none."""
+def admission(join: m.Join, rules: Rules, roll: Roster) -> int | WcsimError:
+    """The seat that a client gets, or the error that says why it gets none."""
     fault = _unfit(join, rules)
     if fault is not None:
         return fault
@@ -69,19 +57,15 @@ def admission(join: m.Join, rules: Rules, roll: Roster, now: tuple[int, int]) ->
         return EvictedError("this session is over; join with a new one")
     if join.seat == m.ANY_SEAT:
         own = roll.claimed(join.claim)
-        return _free_seat(rules, roll) if own is None else _own_seat(join, own, roll, now)
+        return _free_seat(rules, roll) if own is None else own
     if not 0 <= join.seat < rules.capacity:
         return SeatTakenError(f"seat {join.seat} does not exist; expected 0 to {rules.capacity - 1}")
     holder, waiting = roll.at(join.seat), roll.waiting_at(join.seat)
     for other in (holder, waiting):
         same = bool(join.claim) and other is not None and other.claim == join.claim
-        if other is not None and (other.session or other.claim) and not same:
+        if other is not None and not same:
             return SeatTakenError(f"seat {join.seat} belongs to {other.name}; choose a free one")
-    return _own_seat(join, join.seat, roll, now)
-
-
-def _own_seat(join: m.Join, seat: int, roll: Roster, now: tuple[int, int]) -> _Admission:
-    return _Admission(seat=seat, resumes=roll.at(seat) is not None and _goes_on(join, now))
+    return join.seat
 
 
 def _unfit(join: m.Join, rules: Rules) -> WcsimError | None:
@@ -114,31 +98,25 @@ def _unfit_spec(spec: SeatSpec, rules: Rules) -> WcsimError | None:
     return None
 
 
-def _free_seat(rules: Rules, roll: Roster) -> _Admission | WcsimError:
+def _free_seat(rules: Rules, roll: Roster) -> int | WcsimError:
     seat = roll.free_seat(rules.capacity)
     if seat is None:
         return WorldFullError(f"all {rules.capacity} seats are taken; wait until a client leaves")
-    return _Admission(seat=seat, resumes=False)
-
-
-def _goes_on(join: m.Join, now: tuple[int, int]) -> bool:
-    """Whether the client has seen all that its seat has, but perhaps the frame of now."""
-    epoch, tick = now
-    return join.resume in ((epoch, tick), (epoch, tick - 1))
+    return seat
 
 
 class ServerCore:
     """A server; see the module's text."""
 
-    def __init__(self, rules: Rules, epoch: int = 0, tick: int = 0, kept: Sequence[Member] = ()) -> None:
-        """An empty server at `tick` of `epoch`; with `kept`, one that waits for those clients to come back."""
-        self.cycle = Barrier(rules, epoch, tick, kept)
+    def __init__(self, rules: Rules, epoch: int = 0) -> None:
+        """An empty server at the beginning of `epoch`."""
+        self.cycle = Barrier(rules, epoch)
 
     def handle(self, event: Event, now_s: float) -> list[Effect]:
         """Take in one event; returns what is to be done, in this order. Time must not run backwards."""
         cycle = self.cycle
         cycle.out = []
-        if cycle.stage is BarrierState.STOPPED:
+        if cycle.stage in (BarrierState.EPOCH_OVER, BarrierState.STOPPED):
             return []
         match event:
             case Received():
@@ -151,8 +129,6 @@ class ServerCore:
                 cycle.watch(now_s)
             case Stop():
                 cycle.stop(event.reason)
-            case EpochOver():
-                cycle.dismiss()
         return cycle.out
 
     def copied(self) -> ServerCore:
@@ -168,7 +144,7 @@ class ServerCore:
         known = roll.member(join.session)
         if known is not None:
             known.peer, known.heard_s = peer, now_s
-            self.cycle.welcome(known, known.resumed)
+            self.cycle.welcome(known)
             return
         if roll.waiting(join.session) is not None:
             roll.pending = [replace(p, peer=peer) if p.session == join.session else p for p in roll.pending]
@@ -177,23 +153,18 @@ class ServerCore:
             error = SeatTakenError("this connection already has a seat; use one connection per client")
             self.cycle.send(peer, m.failure_of(error, join.session))
             return
-        found = admission(join, self.cycle.rules, roll, (self.cycle.epoch, self.cycle.tick))
-        if isinstance(found, _Admission):
+        found = admission(join, self.cycle.rules, roll)
+        if isinstance(found, int):
             self._let_in(peer, join, found, now_s)
         else:
             self.cycle.send(peer, m.failure_of(found, join.session))
 
-    def _let_in(self, peer: Peer, join: m.Join, found: _Admission, now_s: float) -> None:
-        """Onto its old seat as if nothing had happened, or into the row of those who wait."""
+    def _let_in(self, peer: Peer, join: m.Join, seat: int, now_s: float) -> None:
+        """Into the row of those who wait; an older life of the client goes."""
         roll = self.cycle.roll
-        holder = roll.at(found.seat)
-        if holder is not None and found.resumes:
-            self._take_over(holder, peer, join, now_s)
-            return
-        self._turn_away(found.seat)
-        waiting = Member(
-            seat=found.seat, session=join.session, peer=peer, claim=join.claim, name=join.name, spec=join.spec
-        )
+        holder = roll.at(seat)
+        self._turn_away(seat)
+        waiting = Member(seat=seat, session=join.session, peer=peer, claim=join.claim, name=join.name, spec=join.spec)
         roll.pending.append(waiting)
         if holder is not None:
             self.cycle.evict(holder, "its client restarted", now_s)
@@ -209,21 +180,6 @@ class ServerCore:
             roll.retire(older.session)
             told = EvictedError("the server dropped this client: its client restarted")
             self.cycle.send(older.peer, m.failure_of(told, older.session))
-
-    def _take_over(self, holder: Member, peer: Peer, join: m.Join, now_s: float) -> None:
-        cycle, old = self.cycle, holder.session
-        cycle.roll.retire(old)
-        if not (holder.vacant or holder.ready):  # a client that comes again has what is left of its time to think
-            holder.thought_s += now_s - holder.asked_s
-        holder.session, holder.peer, holder.claim = join.session, peer, join.claim
-        holder.heard_s = holder.asked_s = now_s
-        holder.progress = -1  # a new life counts anew
-        holder.resumed = True
-        if not cycle.master or cycle.master == old:
-            cycle.promote(holder, tell=False)
-        cycle.welcome(holder, resumed=True)
-        if cycle.stage is BarrierState.READY:
-            cycle.announce(now_s)
 
     def _lose(self, session: bytes, reason: str, now_s: float) -> None:
         roll = self.cycle.roll
@@ -256,8 +212,6 @@ class ServerCore:
         match message:
             case m.Act():
                 self._act(member, message, now_s)
-            case m.Tick():
-                self._tick(member, message)
             case m.Respawn():
                 self._respawn(member, message, now_s)
             case m.Rebuild():
@@ -300,24 +254,6 @@ class ServerCore:
             member.action = action
             self.cycle.advance(now_s)
 
-    def _tick(self, member: Member, tick: m.Tick) -> None:
-        cycle = self.cycle
-        asked, now = (tick.epoch, tick.tick), (cycle.epoch, cycle.tick)
-        if asked < now:
-            return  # it was done, and everybody heard of it
-        if asked > now:
-            raise FutureTickError(f"a request for epoch, tick {asked}; the server is at {now}")
-        if tick.term < cycle.term:
-            raise StaleTermError(f"term {tick.term} is over; now the master of term {cycle.term} requests ticks")
-        if member.session != cycle.master or tick.term != cycle.term:
-            raise NotMasterError(
-                f"seat {member.seat} is not the master of term {tick.term}; only the master may request a tick"
-            )
-        if cycle.stage is BarrierState.COLLECT:
-            raise BarrierNotFullError(f"tick {cycle.tick} waits for {', '.join(cycle.late())}; wait for all to act")
-        if cycle.stage is BarrierState.READY:
-            cycle.step()
-
     def _respawn(self, member: Member, respawn: m.Respawn, now_s: float) -> None:
         if not self._is_now(member, respawn.epoch, respawn.tick, respawn.life):
             return
@@ -340,9 +276,9 @@ class ServerCore:
             self._tell_of_epoch(member)  # it was done, by this client or before it asked
         elif rebuild.seed < 0:
             raise ProtocolError(f"a new world of seed {rebuild.seed}; expected 0 or more")
-        elif member.session != cycle.master and len(cycle.roll.members) > 1:
+        elif member is not cycle.roll.master:
             raise NotMasterError(f"seat {member.seat} is not the master; only the master may restart the shared world")
-        elif rebuild.epoch > cycle.epoch or cycle.stage not in (BarrierState.COLLECT, BarrierState.READY):
+        elif rebuild.epoch > cycle.epoch or cycle.stage is not BarrierState.COLLECT:
             raise ProtocolError(f"a new world was requested in stage {cycle.stage.value}; request it between ticks")
         else:
             cycle.rebuild(rebuild.seed, now_s)
@@ -361,7 +297,7 @@ class ServerCore:
         if tick < cycle.tick - 1:
             raise StaleTickError(f"tick {tick} of epoch {epoch} is long over; the server is at tick {cycle.tick}")
         if tick < cycle.tick:
-            cycle.send(member.peer, m.TickDone(cycle.epoch, cycle.tick))
+            cycle.tell_tick(member)
         cycle.show(member)
         return False
 

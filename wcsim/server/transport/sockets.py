@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import zmq
 from zmq.auth.thread import ThreadAuthenticator
+from zmq.utils.monitor import recv_monitor_message
 
 from wcsim.core.closing import Closing
 from wcsim.errors import ConfigError
@@ -31,6 +32,7 @@ _LINGER_MS = 500
 BATCH = 256  # messages that are taken in at a time
 _HANDSHAKE_MS = 5_000  # a connection that has not shown its key by then is closed
 _IPC_PATH_BYTES = 107
+_CUT_S = 5  # a machine that vanished, or cannot be reached any more, says nothing
 # Measured: as members of an enum, these take longer to combine than a message takes to send.
 _NOW, _MORE, _IN, _EVENTS = int(zmq.NOBLOCK), int(zmq.NOBLOCK | zmq.SNDMORE), int(zmq.POLLIN), int(zmq.EVENTS)
 
@@ -62,6 +64,10 @@ class ServerSockets(Closing):
         self._watched: set[int] = set()
         self._empty: set[bytes] = set()  # doors that had no news when they were last touched
         self._guard: ThreadAuthenticator | None = None
+        self._monitor: zmq.Socket[bytes] | None = None  # tells of connections of other machines that have ended
+        self._numbers: set[int] = set()  # descriptors of connections
+        self._connected: dict[int, Peer] = {}  # who speaks through them
+        self._lost: set[Peer] = set()
         self._keys: KnownKeys | None = None
         self._sockets: dict[bytes, zmq.Socket[bytes]] = {}
         try:
@@ -103,8 +109,16 @@ class ServerSockets(Closing):
                 peer, last = socket.recv(_NOW), socket.recv(_NOW, copy=False)
                 if last.more:
                     socket.recv_multipart(_NOW)
+                if door == REMOTE:
+                    self._note_connection(int(last.get(zmq.SRCFD)), door + peer)
                 key = None if self._keys is None or door == LOCAL else self._keys.name(str(last.get("User-Id")))
                 yield Heard(door + peer, b"" if last.more else last.bytes, key)
+
+    def lost(self) -> set[Peer]:
+        """Peers on other machines whose connections have ended since the last call."""
+        self._note_ends()
+        lost, self._lost = self._lost, set()
+        return lost
 
     def send(self, peer: Peer, parts: Sequence[bytes]) -> None:
         """Send messages together, or drop them when the peer is gone or does not read."""
@@ -124,11 +138,38 @@ class ServerSockets(Closing):
         if self._guard is not None:
             self._guard.stop()
             self._guard = None
+        if self._monitor is not None:
+            self._sockets[REMOTE].disable_monitor()
+            self._monitor.close(0)
+            self._monitor = None
         for socket in self._sockets.values():
             socket.close(_LINGER_MS)
         self._sockets.clear()
         self._context.term()
         self._wakes.close()
+
+    def _note_connection(self, number: int, peer: Peer) -> None:
+        """A peer has spoken through the connection with this descriptor."""
+        if self._connected.get(number) == peer:
+            return
+        # The descriptor may be one that was another peer's: that one's end was told before it could be used again.
+        self._note_ends()
+        if number in self._numbers:
+            self._connected[number] = peer
+        else:  # it has spoken and gone, and its end was told before its words
+            self._lost.add(peer)
+
+    def _note_ends(self) -> None:
+        while self._monitor is not None and _has_news(self._monitor):
+            event = recv_monitor_message(self._monitor, _NOW)
+            number = int(event["value"])
+            if event["event"] == zmq.EVENT_ACCEPTED:
+                self._numbers.add(number)
+                continue
+            self._numbers.discard(number)
+            peer = self._connected.pop(number, None)
+            if peer is not None:
+                self._lost.add(peer)
 
     def _listen(self, address: str, keys: str) -> None:
         if not keys:
@@ -152,10 +193,11 @@ class ServerSockets(Closing):
         socket.setsockopt(zmq.SNDHWM, _SEND_QUEUE[door])
         socket.setsockopt(zmq.RCVHWM, QUEUE)
         socket.setsockopt(zmq.IPV6, is_ipv6(address))
-        if door == REMOTE:  # a machine that vanished says nothing
-            socket.setsockopt(zmq.HEARTBEAT_IVL, 5_000)
-            socket.setsockopt(zmq.HEARTBEAT_TIMEOUT, 60_000)
+        if door == REMOTE:
+            notice_cuts(socket)
             socket.setsockopt(zmq.HANDSHAKE_IVL, _HANDSHAKE_MS)
+            self._monitor = socket.get_monitor_socket(zmq.EVENT_ACCEPTED | zmq.EVENT_DISCONNECTED)
+            self.watch(int(self._monitor.getsockopt(zmq.FD)))
         if keys is not None:
             pair = server_keys(keys)
             socket.curve_server = True
@@ -167,6 +209,18 @@ class ServerSockets(Closing):
         self._wakes.register(int(socket.getsockopt(zmq.FD)), select.EPOLLIN)
         if door == LOCAL:
             Path(address.removeprefix("ipc://")).chmod(0o600)
+
+
+def notice_cuts(socket: zmq.Socket[bytes]) -> None:
+    """Have the kernel end TCP connections to a machine that is not there any more.
+
+    It answers for a process that is stopped, so that one keeps its connection; ZeroMQ's own heartbeats would not.
+    """
+    socket.setsockopt(zmq.TCP_KEEPALIVE, 1)
+    socket.setsockopt(zmq.TCP_KEEPALIVE_IDLE, 2)
+    socket.setsockopt(zmq.TCP_KEEPALIVE_INTVL, 1)
+    socket.setsockopt(zmq.TCP_KEEPALIVE_CNT, _CUT_S - 2)
+    socket.setsockopt(zmq.TCP_MAXRT, 1000 * _CUT_S)
 
 
 def _has_news(socket: zmq.Socket[bytes]) -> bool:
