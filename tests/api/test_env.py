@@ -179,20 +179,10 @@ def as_vec_env_shows(seen: Shown) -> Shown:
     return out
 
 
-def test_ctrl_c_is_not_for_the_second_world(corner):
-    """At a terminal it reaches every process of the group."""
-    with made(corner) as env, made(corner) as second:
-        env.reset(seed=1)
-        second.reset(seed=1)
-        second.unwrapped._link._child.process.send_signal(signal.SIGINT)
-        for _ in range(3):
-            assert second.step(44)[4]["events"].step == env.step(44)[4]["events"].step
-
-
 def test_a_program_ends_though_its_second_world_died_and_nobody_closed_anything(corner):
     code = (
         "import gymnasium, wcsim\n"
-        f"make = lambda: gymnasium.make(wcsim.ENV_ID, town={str(corner)!r}, overrides=({NO_WARMUP!r},))\n"
+        f"make = lambda: gymnasium.make(wcsim.ENV_ID, town={str(corner)!r}, overrides={(NO_WARMUP, *TINY)!r})\n"
         "one, two = make(), make()\n"
         "one.reset(seed=1); two.reset(seed=1)\n"
         "world = two.unwrapped._link._child.process; world.kill(); world.wait()\n"
@@ -302,11 +292,15 @@ def test_a_step_that_was_interrupted_is_gone_on_from_by_reset(corner, monkeypatc
     env.close()
 
 
-def test_so_it_is_where_the_world_is_a_process_of_its_own(corner, monkeypatch):
+def test_so_it_is_where_the_world_is_a_process_of_its_own_which_ctrl_c_is_not_for(corner, monkeypatch):
+    """At a terminal it reaches every process of the group."""
     with made(corner) as first, made(corner, seed=1) as other:
         first.reset(seed=2)
         env = other.unwrapped
         env.reset()
+        env._link._child.process.send_signal(signal.SIGINT)
+        for _ in range(3):
+            assert env.step(44)[4]["events"].step == first.step(44)[4]["events"].step
         with interrupted(monkeypatch, "wcsim.server.links.socket.ChildSeat._pump"):
             env.step(40)
         env.reset()
