@@ -15,7 +15,6 @@ import pytest
 
 from tests.drive.page.test_page import CHROMIUM, open_page, picture_of, wait
 from tests.drive.serving.served import PATIENCE_S, serving
-from tests.support.journals import eventful_run
 from wcsim.log.reader import log_digest
 
 pytestmark = [
@@ -42,9 +41,8 @@ def axe_finds_nothing(page: Any) -> None:
     assert [(each["id"], [node["html"][:90] for node in each["nodes"]]) for each in found] == []
 
 
-def test_a_journal_is_played_jumped_in_and_looked_through(browser: Any, corner: Path, tmp_path: Path) -> None:
-    eventful_run(corner, tmp_path / "run")
-    with serving("log", "play", str(tmp_path / "run")) as (address, _), paged(browser, address) as page:
+def test_a_journal_is_played_jumped_in_and_looked_through(browser: Any, run: Path) -> None:
+    with serving("log", "play", str(run)) as (address, _), paged(browser, address) as page:
         wait(page, f"{COUNT} === 150 && document.getElementById('told').textContent.includes('whole journal')")
         page.keyboard.press("Home")
         wait(page, f"{AT} < 140")
