@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterator
 
 import pytest
 
-from tests.scenes.pinned import RunScene, pinned_scenes
+from tests.scenes.pinned import pinned_scenes
 from tests.scenes.planted import PLANTED, plant
 from wcsim.config import read_toml
 from wcsim.config.scene import SceneExpect, SceneFile
@@ -37,10 +36,7 @@ MUST_BE_THERE = {
 MOST_TRACE_BYTES = 300_000
 
 
-@pytest.fixture(scope="module")
-def run_pinned() -> Iterator[RunScene]:
-    with pinned_scenes() as run:
-        yield run
+run_pinned = pytest.fixture(scope="module")(pinned_scenes)
 
 
 def test_all_scenes_are_there():

@@ -34,18 +34,13 @@ JOURNAL = FilmAbout(title="a journal", town="nowhere", tick_s=0.1, actions="squa
 
 
 @pytest.fixture(scope="module")
-def only_film(browser: Any) -> Iterator[PageAlone]:
-    """The page of a film, on a phone."""
+def film(browser: Any) -> Iterator[PageAlone]:
+    """The page of a film, on a phone; each test reads it anew."""
     context = browser.new_context(viewport={"width": 390, "height": 844})
-    yield PageAlone(context, "play.html")
+    page = PageAlone(context, "play.html")
+    yield page
+    assert page.errors == []
     context.close()
-
-
-@pytest.fixture
-def film(only_film: PageAlone) -> Iterator[PageAlone]:
-    only_film.anew()
-    yield only_film
-    assert only_film.errors == []
 
 
 def test_the_hint_goes_when_the_chair_drives_or_is_in_danger(stage: Stage) -> None:
@@ -127,6 +122,7 @@ def test_a_notice_of_a_film_does_not_lie_on_its_crash(film: PageAlone) -> None:
         made.add(frame(at, chair(0, at, "crashed" * (at == 1), reason="hit a scooter" * (at == 1))))
     player = Player()
     player.seek(2, range(3))
+    film.open()
     film.hear("about", **film_about(FILM, (), "", -1))
     film.hear("marks", marks=made.there)
     film.hear("state", **film_state(made, player, 0, {0: "ann"}, ("", "", False)))
@@ -139,6 +135,7 @@ def test_a_notice_of_a_film_does_not_lie_on_its_crash(film: PageAlone) -> None:
 
 
 def test_the_lamp_says_who_decides_where_that_is_known(film: PageAlone) -> None:
+    film.open()
     for about, told in ((FILM, DECIDES), (JOURNAL, [("", "not known")])):
         film.hear("about", **film_about(about, (), "", -1))
         for happened, words in told:
@@ -147,6 +144,7 @@ def test_the_lamp_says_who_decides_where_that_is_known(film: PageAlone) -> None:
 
 
 def test_both_pages_count_the_seconds_that_a_street_takes(stage: Stage, film: PageAlone) -> None:
+    film.open()
     for page in (stage, film):
         page.hear("busy", told=BUSY, waits=True)
         page.until(lambda page=page: re.fullmatch(re.escape(BUSY) + r" \(\d+ s\)", page.text("#big")))
