@@ -78,8 +78,8 @@ def at_rest(page: Any) -> None:
     wait(page, f"{SPEED} < 0.05")
 
 
-def picture_of(page: Any, what: str = "#scene") -> np.ndarray:
-    data = np.frombuffer(page.locator(what).screenshot(), np.uint8)
+def picture_of(page: Any) -> np.ndarray:
+    data = np.frombuffer(page.locator("#scene").screenshot(), np.uint8)
     return cv2.imdecode(data, cv2.IMREAD_COLOR).astype(int)
 
 
