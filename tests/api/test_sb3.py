@@ -21,6 +21,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 
 import wcsim
 from tests.agents.toy import ToyStreet, a_run
+from tests.support.one_process import in_this_process
 from wcsim.agents.learning.saved_policy import load_policy
 from wcsim.agents.learning.train import train
 from wcsim.cli.main import main
@@ -157,7 +158,8 @@ def test_a_network_and_a_reward_of_ones_own_train_and_are_tested_from_the_comman
     assert main([*test, "--json", "without.json"]) == 2, "whoever tests must name foreign code himself"
     assert "own_network:OwnNet" in capsys.readouterr().err
     assert not Path("without.json").exists()
-    assert main([*test, "--network", "own_network:OwnNet", "--json", "with.json"]) == 0
+    with in_this_process():
+        assert main([*test, "--network", "own_network:OwnNet", "--json", "with.json"]) == 0
     assert [row["policy"] for row in json.loads(Path("with.json").read_text())["rows"]][:2] == ["follow", "run"]
 
 
@@ -170,7 +172,8 @@ def test_networks_with_windows_of_their_own_train_and_are_tested_beside_each_oth
         policy = json.loads((tmp_path / network / "policies" / "final" / "policy.json").read_text())
         assert (config["env"]["window"], policy["window"]) == (window, window)
     words = ["--town", str(corner), "--allow-train-town", "--episodes", "1", "--max-steps", "10", "--json", "test.json"]
-    assert main(["test", "patch", "fig6", *words]) == 0
+    with in_this_process():
+        assert main(["test", "patch", "fig6", *words]) == 0
     rows = json.loads(Path("test.json").read_text())["rows"]
     baselines = ["follow", "random", "zero", "stop", "dwa", "oracle-visible", "oracle"]
     assert [row["policy"] for row in rows] == ["follow", "patch", "fig6", *baselines[1:]]

@@ -1,4 +1,4 @@
-"""A drive in the little town of `corner`, without any page."""
+"""A drive in the little town of `corner`, without any page, and a run in it."""
 
 from __future__ import annotations
 
@@ -8,8 +8,17 @@ from pathlib import Path
 import pytest
 
 from tests.drive.lookers import Noted
+from tests.support.journals import eventful_run
 from wcsim.drive.session import DriveSession
 from wcsim.drive.starting import DriveStart
+
+
+@pytest.fixture(scope="session")
+def run(corner: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a run with everything that a server does, which tests only read."""
+    folder = tmp_path_factory.mktemp("filmed")
+    eventful_run(corner, folder)
+    return folder
 
 
 @pytest.fixture

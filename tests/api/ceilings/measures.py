@@ -8,6 +8,7 @@ import tokenize
 from collections import Counter
 from collections.abc import Callable
 from functools import cache
+from itertools import pairwise
 from typing import Final
 
 from tests.support.tracked import ROOT, tracked
@@ -15,8 +16,8 @@ from tools.readability import pages, words
 from tools.settings_page import keys, sections
 
 TOKENS_A_LINE: Final = 10.5  # of the code when the table was begun, so joined lines save nothing
-_LAYOUT: Final = ("COMMENT", "NL", "NEWLINE", "INDENT", "DEDENT", "ENDMARKER")
-_NO_CODE: Final = tuple(getattr(tokenize, name) for name in _LAYOUT)
+_BETWEEN: Final = (tokenize.COMMENT, tokenize.NL)
+_NO_CODE: Final = (tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENDMARKER)
 _COMMENTED: Final = ("wcsim/physics", "wcsim/bridge", "wcsim/agents/danger", "wcsim/supervisor")
 _STARTS: Final = ("run", "Popen", "fork", "ProcessPoolExecutor", "Process", "remote")
 _STARTERS: Final = ("subprocess", "os", "context", "ray", "")
@@ -166,10 +167,14 @@ def _tokens(text: str) -> tuple[int, int]:
 @cache
 def _lines(text: str) -> Counter[int]:
     """Of each line how many tokens of code begin on it; strings that stand alone are docstrings."""
-    nodes = [node.value for node in _nodes(text) if isinstance(node, ast.Expr)]
-    docs = {(node.lineno, node.col_offset) for node in nodes if isinstance(getattr(node, "value", None), str)}
-    tokens = tokenize.generate_tokens(io.StringIO(text).readline)
-    return Counter(each.start[0] for each in tokens if each.type not in _NO_CODE and each.start not in docs)
+    tokens = [each for each in tokenize.generate_tokens(io.StringIO(text).readline) if each.type not in _BETWEEN]
+    found, before = Counter[int](), tokenize.NEWLINE
+    for token, after in pairwise(tokens):
+        is_doc = token.type == tokenize.STRING and before in _NO_CODE and after.type == tokenize.NEWLINE
+        if token.type not in _NO_CODE and not is_doc:
+            found[token.start[0]] += 1
+        before = token.type
+    return found
 
 
 def _calls(text: str, is_one: Callable[[str], bool]) -> bool:

@@ -95,7 +95,7 @@ def test_a_chair_that_waits_gets_green_and_crosses(road):
 
 
 def test_without_the_button_it_waits_in_vain_and_stays_off_the_road(road):
-    seen = drive(road, 60.0, "world.button=false")
+    seen = drive(road, 25.0, "world.button=false")
     assert not any(free for _, free in seen)
     assert not any(events.crossed or events.on_carriageway for events, _ in seen)
 
@@ -105,7 +105,7 @@ def test_the_person_presses_whoever_drives_the_chair(road):
     for start, presses in (((-1.3, 4.2, math.atan2(-1.5, 2.0)), True), ((-6.0, 4.75, 0.0), False)):
         with open_world(road, spec=spec(*start)) as world:
             free = False
-            for _ in range(200):
+            for _ in range(120):
                 at_rest = Command(seat=0, tick=world.snapshot.tick, joystick=Joystick(0.0, 0.0))
                 free |= world.tick((at_rest,)).signals[0].frees(CROSSING_LINKS)
             assert free == presses, start
@@ -113,6 +113,6 @@ def test_the_person_presses_whoever_drives_the_chair(road):
 
 def test_a_world_with_the_button_repeats_itself(road):
     with open_world(road, spec=spec()) as world:
-        first = hashes(world, 200)
+        first = hashes(world, 150)
         world.rebuild(1)
-        assert hashes(world, 200) == first
+        assert hashes(world, 150) == first

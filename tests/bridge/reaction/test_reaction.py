@@ -44,14 +44,12 @@ def stage_in(streets, name, attention=1.0, warmup_s=BEFORE_S):
     ],
 )
 def test_nobody_touches_a_chair_that_stands_and_without_attention_somebody_does(streets, name, kind, x, y, yaw):
-    contacts = {}
-    for attention in (1.0, 0.0):
-        with stage_in(streets, name, attention) as stage:
-            result = stand(stage, ChairPlace(kind=kind, p_W_m=(x, y), yaw_rad=yaw), 60.0)
-        assert result is not None
-        contacts[attention] = result.contacts
-    assert contacts[1.0] == frozenset()
-    assert contacts[0.0] != frozenset()
+    place = ChairPlace(kind=kind, p_W_m=(x, y), yaw_rad=yaw)
+    with stage_in(streets, name, warmup_s=30.0) as stage:
+        result = stand(stage, place, 60.0)
+    assert result is not None and result.contacts == frozenset()
+    with stage_in(streets, name, attention=0.0, warmup_s=30.0) as stage:
+        assert any(stand(stage, place, 10.0).contacts for _ in range(6))  # till the first one
 
 
 def test_cars_take_the_next_lane_and_people_walk_round(streets):

@@ -16,6 +16,7 @@ PAD = "window.pads = []; navigator.getGamepads = () => window.pads;"
 PATIENCE_MS = 60_000
 STEADY = 4  # so many alike, one after the other, are what the page says of its stick now
 REST = (0.0, 0.0)
+PRESSED = ("ArrowUp", "ArrowDown", "Control", "Meta", "Space", "Enter", "b", "o", "1", "2", "3")
 
 ABOUT: dict[str, Any] = {
     "place": "a corner", "town": "corner", "seed": 21, "policy": "dwa", "profile": "competent", "points": [REST],
@@ -32,6 +33,16 @@ STATE = {
     "help_s": 0.0, "warning": False, "intervening": False, "overruled": False, "on_road": False, "speed_mps": 0.0,
     "left_m": 9.0, "bearing_deg": 0.0, "crash": "", "profile": "competent", "kpis": KPIS, "rate": 10.0,
 }  # fmt: skip
+
+
+def let_go(page: Any) -> None:
+    """Release whatever a test may have pressed on a page, and make its browser forget what it has kept."""
+    for key in PRESSED:
+        page.keyboard.up(key)
+    for button in ("left", "middle", "right"):
+        page.mouse.up(button=button)
+    page.mouse.move(0, 0)
+    page.evaluate("localStorage.clear()")
 
 
 class PageAlone:
@@ -61,6 +72,13 @@ class PageAlone:
         self._socket = None
         self.page.goto(ADDRESS)
         self.until(lambda: self._socket is not None)
+
+    def anew(self) -> None:
+        """Read the page as somebody does who comes for the first time and holds nothing."""
+        let_go(self.page)
+        self.said.clear()
+        self.errors.clear()
+        self.open()
 
     def hear(self, say: str, **told: object) -> None:
         """The server says something."""

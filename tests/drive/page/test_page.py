@@ -14,14 +14,11 @@ import cv2
 import numpy as np
 import pytest
 
+from tests.drive.page.stage import let_go
 from tests.drive.serving.served import PATIENCE_S, served
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 FLAGS = ["--headless=new", "--no-sandbox", "--disable-dev-shm-usage"]
-PAD = """
-window.fakePad = null;
-navigator.getGamepads = () => [window.fakePad];
-"""
 pytestmark = [
     pytest.mark.browser,
     pytest.mark.timeout(1800),
@@ -36,20 +33,29 @@ def running(corner: Path) -> Iterator[Served]:
         yield drive
 
 
-@pytest.fixture
-def page(browser: Any, running: Served) -> Iterator[Any]:
-    context = browser.new_context(viewport={"width": 1280, "height": 800}, has_touch=True)
+@pytest.fixture(scope="module")
+def only_page(browser: Any, running: Served) -> Iterator[Any]:
+    context = browser.new_context(has_touch=True)
     context.set_default_timeout(1000 * PATIENCE_S)
-    new = open_page(context, running[0])
-    yield new
+    yield open_page(context, running[0])
     context.close()
+
+
+@pytest.fixture
+def page(only_page: Any) -> Any:
+    """It is read again for each test."""
+    let_go(only_page)
+    only_page.set_viewport_size({"width": 1280, "height": 800})
+    only_page.errors.clear()
+    only_page.reload()
+    only_page.wait_for_selector("body[data-pictures]")
+    return only_page
 
 
 def open_page(context: Any, address: str) -> Any:
     new = context.new_page()
     new.errors = []
     new.on("pageerror", lambda error: new.errors.append(str(error)))
-    new.add_init_script(PAD)
     new.goto(f"http://{address}/")
     new.wait_for_selector("body[data-pictures]")
     return new
@@ -72,8 +78,8 @@ def at_rest(page: Any) -> None:
     wait(page, f"{SPEED} < 0.05")
 
 
-def picture_of(page: Any, what: str = "#scene") -> np.ndarray:
-    data = np.frombuffer(page.locator(what).screenshot(), np.uint8)
+def picture_of(page: Any) -> np.ndarray:
+    data = np.frombuffer(page.locator("#scene").screenshot(), np.uint8)
     return cv2.imdecode(data, cv2.IMREAD_COLOR).astype(int)
 
 
@@ -89,133 +95,6 @@ def test_keys_move_the_chair_and_the_picture_and_letting_go_stops_it(page: Any) 
     page.keyboard.up("ArrowUp")
     at_rest(page)
     assert page.errors == []
-
-
-def test_a_key_that_is_released_elsewhere_is_released(page: Any) -> None:
-    at_rest(page)
-    for elsewhere in ("document.getElementById('level').focus()", "document.getElementById('user').focus()"):
-        page.evaluate("document.getElementById('steering').focus()")
-        page.keyboard.down("ArrowUp")
-        wait(page, f"{SPEED} > 0.3")
-        page.evaluate(elsewhere)
-        page.keyboard.up("ArrowUp")
-        at_rest(page)
-    page.evaluate("document.getElementById('steering').focus()")
-    page.keyboard.down("ArrowUp")
-    wait(page, f"{SPEED} > 0.3")
-    page.keyboard.down("Control")
-    page.keyboard.up("ArrowUp")
-    page.keyboard.up("Control")
-    at_rest(page)
-    page.keyboard.down("ArrowUp")
-    wait(page, f"{SPEED} > 0.3")
-    page.evaluate("document.getElementById('level').focus()")
-    page.keyboard.press("Space")
-    wait(page, f"{SPEED} < 0.05")
-    page.keyboard.up("ArrowUp")
-    page.evaluate("document.activeElement.blur()")
-    assert page.errors == []
-
-
-def test_a_gamepad_moves_the_chair_and_unplugging_it_stops_it(page: Any) -> None:
-    at_rest(page)
-    page.evaluate("window.fakePad = {id: 'test pad', connected: true, axes: [0, 0.05], buttons: []}")
-    wait(page, "document.getElementById('pad').textContent.includes('test pad')")
-    page.evaluate("window.fakePad.axes = [0, 0.9]")
-    wait(page, f"{SPEED} > 0.3")
-    page.evaluate("window.fakePad = null")
-    wait(page, "document.getElementById('pad').textContent.includes('unplugged')")
-    at_rest(page)
-
-
-def test_a_finger_on_the_disc_moves_the_chair(page: Any) -> None:
-    at_rest(page)
-    box = page.locator("#stick svg").bounding_box()
-    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
-    send = page.context.new_cdp_session(page).send
-    send("Input.dispatchTouchEvent", {"type": "touchStart", "touchPoints": [{"x": x, "y": y}]})
-    send("Input.dispatchTouchEvent", {"type": "touchMove", "touchPoints": [{"x": x, "y": y + 0.35 * box["height"]}]})
-    wait(page, f"{SPEED} > 0.3")
-    send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
-    at_rest(page)
-
-
-def test_a_hint_says_what_to_press_until_the_person_has_set_out(page: Any) -> None:
-    at_rest(page)
-    page.click("#new-place")
-    wait(page, "document.getElementById('hint').innerText.endsWith('follow the green dots.')")
-    wait(page, "document.getElementById('live').textContent === document.getElementById('hint').textContent")
-    wait(page, "document.getElementById('live').textContent === ''")
-    page.keyboard.down("ArrowUp")
-    wait(page, "document.getElementById('hint').hidden || document.getElementById('big').textContent !== ''")
-    page.keyboard.up("ArrowUp")
-    at_rest(page)
-    assert page.errors == []
-
-
-def test_the_simulated_user_is_not_called_you_and_the_level_of_what_is_off_is_off(page: Any) -> None:
-    wait(page, "document.querySelectorAll('#own-level b').length === 1 && !document.getElementById('level').disabled")
-    page.select_option("#driver", "simulated")
-    wait(page, "document.getElementById('legend-you').textContent === 'simulated user'")
-    page.select_option("#driver", "person")
-    wait(page, "document.getElementById('legend-you').textContent === 'you'")
-    page.click("#assist")
-    wait(page, "document.getElementById('level').disabled")
-    page.click("#assist")
-    wait(page, "!document.getElementById('level').disabled")
-
-
-DEEDS = (
-    ([0, 1], [0, 0], "braked"),
-    ([0, 1], [0, 0.5], "slowed"),
-    ([0, 1], [-0.5, 0.5], "slowed, turned left"),
-    ([0.5, 0.5], [0.75, 0.5], "turned right"),
-    ([0, 0], [0, -0.5], "moved while your stick was at rest"),
-    ([0, 0.5], [0, -0.5], "went back"),
-)
-
-
-def test_what_the_assistance_did_is_told_in_words(page: Any) -> None:
-    for stick, commanded, told in DEEDS:
-        script = "async ([a, b]) => (await import('/panel.js')).deed(a, b)"
-        assert page.evaluate(script, [stick, commanded]) == told
-
-
-def test_leaving_the_page_lets_the_stick_go(page: Any) -> None:
-    page.click("#new-place")  # which faces its way: where a chair has come to, `dwa` may let it go nowhere
-    wait(page, f"Number(document.body.dataset.tick) >= {int(page.evaluate('document.body.dataset.tick')) + 5}")
-    at_rest(page)
-    page.keyboard.down("ArrowUp")
-    wait(page, f"{SPEED} > 0.2")
-    page.evaluate("window.dispatchEvent(new Event('blur'))")
-    wait(
-        page, f"{SPEED} < 0.05 || document.getElementById('big').textContent.includes('in the background')"
-    )  # time stands then
-    page.evaluate("window.dispatchEvent(new Event('focus'))")
-    at_rest(page)
-    began = int(page.evaluate("document.body.dataset.tick"))
-    for ahead in range(2, 12, 3):
-        page.keyboard.down("ArrowUp")  # repeats by itself
-        wait(page, f"Number(document.body.dataset.tick) >= {began + ahead}")
-        assert page.evaluate(SPEED) < 0.05, "the key that is still down does nothing before it is up"
-    page.keyboard.up("ArrowUp")
-    page.keyboard.down("ArrowUp")
-    wait(page, f"{SPEED} > 0.2")
-    page.keyboard.up("ArrowUp")
-
-
-def test_stop_holds_while_a_key_is_still_down(page: Any) -> None:
-    at_rest(page)
-    page.keyboard.down("ArrowUp")
-    wait(page, f"{SPEED} > 0.3")
-    page.click("#stop")
-    wait(page, f"{SPEED} < 0.05")
-    began = int(page.evaluate("document.body.dataset.tick"))
-    for ahead in range(2, 12, 3):
-        page.keyboard.down("ArrowUp")  # repeats by itself
-        wait(page, f"Number(document.body.dataset.tick) >= {began + ahead}")
-        assert page.evaluate(SPEED) < 0.05
-    page.keyboard.up("ArrowUp")
 
 
 def test_assistance_help_and_overruling_are_on_the_page(page: Any) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Iterator
 from typing import Any
@@ -11,7 +12,9 @@ import pytest
 from tests.drive.page.stage import ABOUT, KPIS, PageAlone, Stage
 from tests.drive.page.test_page import CHROMIUM
 from tests.drive.playing.films import ABOUT as FILM
-from tests.drive.playing.films import chair, frame
+from tests.drive.playing.films import chair, film_of, frame
+from wcsim.drive.messages import DriveBy, of_page
+from wcsim.drive.playing.film_states import FilmAbout
 from wcsim.drive.playing.play_runner import Player, film_about, film_state
 from wcsim.drive.playing.tick_film import TickFilm
 
@@ -21,11 +24,18 @@ pytestmark = [
     pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here: install Debian's package chromium"),
 ]
 BUSY = "Opening the street ..."
+DECIDES = (
+    ("", "policy"),
+    ("unaided", "user, not assisted"),
+    ("unaided alone", "user alone"),
+    ("overruled", "user overrules"),
+)
+JOURNAL = FilmAbout(title="a journal", town="nowhere", tick_s=0.1, actions="square81")
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def film(browser: Any) -> Iterator[PageAlone]:
-    """The page of a film, on a phone."""
+    """The page of a film, on a phone; each test reads it anew."""
     context = browser.new_context(viewport={"width": 390, "height": 844})
     page = PageAlone(context, "play.html")
     yield page
@@ -44,6 +54,45 @@ def test_the_hint_goes_when_the_chair_drives_or_is_in_danger(stage: Stage) -> No
     assert "behind you" in hint.inner_text(), "who turns is still told to"
     stage.state(kpis=KPIS | {"way_m": 1.5})
     assert not hint.is_visible()
+
+
+def test_the_hint_is_said_once_at_each_new_place(stage: Stage) -> None:
+    stage.until(lambda: stage.text("#live") == "")  # a new page says it too
+    stage.page.click("#new-place")
+    stage.state()
+    assert stage.text("#live") == stage.text("#hint") and stage.text("#hint").endswith("follow the green dots.")
+    assert stage.heard("newplace")
+    stage.until(lambda: stage.text("#live") == "")
+
+
+def test_the_simulated_user_is_not_called_you_and_the_level_of_what_is_off_is_off(stage: Stage) -> None:
+    assert stage.page.locator("#own-level b").count() == 1 and stage.page.is_enabled("#level")
+    for driver, called in (("simulated", "simulated user"), ("person", "you")):
+        stage.page.select_option("#driver", driver)
+        assert [of_page(json.dumps(said).encode()) for said in stage.heard("driveby")] == [DriveBy(who=driver)]
+        stage.state(driver=driver)
+        assert stage.text("#legend-you") == called
+    for on in (False, True):
+        stage.page.click("#assist")
+        assert [said["on"] for said in stage.heard("assist")] == [on]
+        stage.state(assisted=on)
+        assert stage.page.is_enabled("#level") is on
+
+
+DEEDS = (
+    ([0, 1], [0, 0], "braked"),
+    ([0, 1], [0, 0.5], "slowed"),
+    ([0, 1], [-0.5, 0.5], "slowed, turned left"),
+    ([0.5, 0.5], [0.75, 0.5], "turned right"),
+    ([0, 0], [0, -0.5], "moved while your stick was at rest"),
+    ([0, 0.5], [0, -0.5], "went back"),
+)
+
+
+def test_what_the_assistance_did_is_told_in_words(stage: Stage) -> None:
+    for stick, commanded, told in DEEDS:
+        script = "async ([a, b]) => (await import('/panel.js')).deed(a, b)"
+        assert stage.page.evaluate(script, [stick, commanded]) == told
 
 
 def test_what_the_assistance_did_is_not_told_while_it_is_overruled(stage: Stage) -> None:
@@ -73,6 +122,7 @@ def test_a_notice_of_a_film_does_not_lie_on_its_crash(film: PageAlone) -> None:
         made.add(frame(at, chair(0, at, "crashed" * (at == 1), reason="hit a scooter" * (at == 1))))
     player = Player()
     player.seek(2, range(3))
+    film.open()
     film.hear("about", **film_about(FILM, (), "", -1))
     film.hear("marks", marks=made.there)
     film.hear("state", **film_state(made, player, 0, {0: "ann"}, ("", "", False)))
@@ -84,7 +134,17 @@ def test_a_notice_of_a_film_does_not_lie_on_its_crash(film: PageAlone) -> None:
     assert "1 crash" in film.text("#legend") and film.text("#chairs .more").endswith("· 1 crash")
 
 
+def test_the_lamp_says_who_decides_where_that_is_known(film: PageAlone) -> None:
+    film.open()
+    for about, told in ((FILM, DECIDES), (JOURNAL, [("", "not known")])):
+        film.hear("about", **film_about(about, (), "", -1))
+        for happened, words in told:
+            film.hear("state", **film_state(film_of(1, {0: happened}), Player(), 0, {0: "ann"}, ("", "", True)))
+            film.until(lambda words=words: film.text("#lamp-who span") == words)
+
+
 def test_both_pages_count_the_seconds_that_a_street_takes(stage: Stage, film: PageAlone) -> None:
+    film.open()
     for page in (stage, film):
         page.hear("busy", told=BUSY, waits=True)
         page.until(lambda page=page: re.fullmatch(re.escape(BUSY) + r" \(\d+ s\)", page.text("#big")))

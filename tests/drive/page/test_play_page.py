@@ -13,9 +13,8 @@ from typing import Any
 
 import pytest
 
-from tests.drive.page.test_page import CHROMIUM, FLAGS, open_page, picture_of, wait
+from tests.drive.page.test_page import CHROMIUM, open_page, picture_of, wait
 from tests.drive.serving.served import PATIENCE_S, serving
-from tests.support.journals import eventful_run
 from wcsim.log.reader import log_digest
 
 pytestmark = [
@@ -28,15 +27,11 @@ COUNT = "Number(document.body.dataset.count)"
 
 
 @contextmanager
-def paged(address: str) -> Iterator[Any]:
-    from playwright.sync_api import sync_playwright
-
-    with sync_playwright() as play:
-        chromium = play.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
-        context = chromium.new_context(viewport={"width": 1440, "height": 900})
-        context.set_default_timeout(1000 * PATIENCE_S)
-        yield open_page(context, address)
-        chromium.close()
+def paged(browser: Any, address: str) -> Iterator[Any]:
+    context = browser.new_context(viewport={"width": 1440, "height": 900})
+    context.set_default_timeout(1000 * PATIENCE_S)
+    yield open_page(context, address)
+    context.close()
 
 
 def axe_finds_nothing(page: Any) -> None:
@@ -46,9 +41,8 @@ def axe_finds_nothing(page: Any) -> None:
     assert [(each["id"], [node["html"][:90] for node in each["nodes"]]) for each in found] == []
 
 
-def test_a_journal_is_played_jumped_in_and_looked_through(corner: Path, tmp_path: Path) -> None:
-    eventful_run(corner, tmp_path / "run")
-    with serving("log", "play", str(tmp_path / "run")) as (address, _), paged(address) as page:
+def test_a_journal_is_played_jumped_in_and_looked_through(browser: Any, run: Path) -> None:
+    with serving("log", "play", str(run)) as (address, _), paged(browser, address) as page:
         wait(page, f"{COUNT} === 150 && document.getElementById('told').textContent.includes('whole journal')")
         page.keyboard.press("Home")
         wait(page, f"{AT} < 140")
@@ -92,7 +86,7 @@ def trained(corner: Path, out: Path) -> subprocess.Popen[str]:
 
 
 @pytest.mark.proof
-def test_a_watched_run_is_the_run_that_nobody_watched(corner: Path, tmp_path: Path) -> None:
+def test_a_watched_run_is_the_run_that_nobody_watched(browser: Any, corner: Path, tmp_path: Path) -> None:
     """The same journal and weights to the bit; the page shows all of it, through the change of its world."""
     alone, watched = tmp_path / "alone", tmp_path / "watched"
     assert trained(corner, alone).wait(4 * PATIENCE_S) == 0
@@ -102,7 +96,7 @@ def test_a_watched_run_is_the_run_that_nobody_watched(corner: Path, tmp_path: Pa
         while not (watched / "journal").exists():
             assert process.poll() is None
             time.sleep(0.2)
-        with serving("watch", str(watched)) as (address, _), paged(address) as page:
+        with serving("watch", str(watched)) as (address, _), paged(browser, address) as page:
             wait(page, f"{COUNT} > 20")
             wait(page, "document.querySelectorAll('#chairs button').length === 2")
             page.click("#back")

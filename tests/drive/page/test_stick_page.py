@@ -89,6 +89,30 @@ def test_a_finger_counts_only_once_it_has_been_let_go_of(stage: Stage, how: str)
     touch("touchEnd", 0.0)
 
 
+def test_a_key_that_is_released_elsewhere_is_released(stage: Stage) -> None:
+    keyboard = stage.page.keyboard
+
+    def ahead() -> None:
+        stage.page.focus("#steering")
+        keyboard.down("ArrowUp")
+        assert stage.sticks() == AHEAD
+
+    for elsewhere in ("#level", "#user"):
+        ahead()
+        stage.page.focus(elsewhere)
+        keyboard.up("ArrowUp")
+        assert stage.sticks() == STILL
+    ahead()
+    keyboard.down("Control")
+    keyboard.up("ArrowUp")
+    keyboard.up("Control")
+    assert stage.sticks() == STILL
+    ahead()
+    stage.page.focus("#level")
+    keyboard.press("Space")
+    assert stage.sticks() == STILL
+
+
 def test_two_keys_that_cancel_out_are_not_let_go_of(stage: Stage) -> None:
     keyboard = stage.page.keyboard
     for key in ("ArrowUp", "ArrowDown"):

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from tests.drive.page.test_page import CHROMIUM, FLAGS, wait
+from tests.drive.page.test_page import CHROMIUM, wait
 from tests.drive.recording.studies import write_study
 from tests.drive.serving.served import PATIENCE_S, served
 from tests.drive.serving.test_served_study import SHORT
@@ -23,20 +23,17 @@ GO = "document.getElementById('study-go')"
 
 
 @pytest.fixture
-def page(corner: Path, tmp_path: Path) -> Iterator[Any]:
-    from playwright.sync_api import sync_playwright
-
+def page(browser: Any, corner: Path, tmp_path: Path) -> Iterator[Any]:
     words = ("--study", str(write_study(tmp_path, corner, SHORT)), "--participant", "1", "--out", str(tmp_path / "out"))
-    with served(None, *words) as (address, _), sync_playwright() as play:
-        chromium = play.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
-        context = chromium.new_context(viewport={"width": 1280, "height": 800})
+    with served(None, *words) as (address, _):
+        context = browser.new_context(viewport={"width": 1280, "height": 800})
         context.set_default_timeout(1000 * PATIENCE_S)
         new = context.new_page()
         new.errors = []
         new.on("pageerror", lambda error: new.errors.append(str(error)))
         new.goto(f"http://{address}/")
         yield new
-        chromium.close()
+        context.close()
 
 
 def until_button(page: Any, text: str) -> None:

@@ -15,7 +15,6 @@ from unittest.mock import MagicMock
 import pytest
 
 from tests.drive.lookers import as_said
-from tests.support.journals import eventful_run
 from wcsim.drive.playing import play_runner
 from wcsim.drive.playing.play_runner import PlayRunner, PlayStart
 from wcsim.drive.playing.sources.source_process import FilmSource
@@ -60,16 +59,9 @@ class Desk:
         PlayRunner(pipe, start).run()
 
 
-@pytest.fixture(scope="module")
-def journal(corner: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("played")
-    eventful_run(corner, folder)
-    return folder / "journal"
-
-
 @pytest.fixture
-def desk(journal: Path) -> Iterator[Desk]:
-    found = Desk(FilmSource(kind="log", path=journal))
+def desk(run: Path) -> Iterator[Desk]:
+    found = Desk(FilmSource(kind="log", path=run / "journal"))
     yield found
     found.close()
 

@@ -55,14 +55,19 @@ def said(folder):
     return write_result(folder)
 
 
-@pytest.fixture(scope="module")
-def text(folder, said):
+def written(folder):
+    """The page of a finished test, with pictures of one failure."""
     result = read_result(folder)
     failures = failures_of(result, folder)
     moment = SeenMoment(before_s=0.5, speed_mps=1.0, asked="+0.00 +1.00", given="+0.00 +0.50", png=PNG)
     pictures = {("follow", 0, 1): Illustration(seen=(moment,) * 8, street_png=PNG, near=("car 1.0 m",))}
     pictures["follow", 0, 0] = Illustration(missing=f"it went {SCRIPT}")
-    path = write_suite_page(result, folder, failures, pictures, "", folder)
+    return write_suite_page(result, folder, failures, pictures, "", folder)
+
+
+@pytest.fixture(scope="module")
+def text(folder, said):
+    path = written(folder)
     assert path == folder / "report.html"
     return path.read_text(encoding="utf-8")
 
@@ -141,10 +146,7 @@ def test_why_there_are_no_pictures_is_said(tmp_path):
 
 
 def test_the_same_result_gives_the_same_bytes(folder, text):
-    result = read_result(folder)
-    failures = failures_of(result, folder)
-    first = write_suite_page(result, folder, failures, {}, "", folder).read_bytes()
-    assert write_suite_page(result, folder, failures, {}, "", folder).read_bytes() == first
+    assert written(folder).read_text(encoding="utf-8") == text
 
 
 def test_who_hardly_obeys_does_not_squeeze_the_figure_of_obedience(folder, said):

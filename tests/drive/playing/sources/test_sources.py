@@ -12,7 +12,7 @@ import pytest
 
 from tests.agents.evaluation.suite.lists import block_of, suite_in
 from tests.support.framing import read_whole
-from tests.support.journals import eventful_run, nudged, rewritten
+from tests.support.journals import nudged, rewritten
 from wcsim.agents.evaluation.suite.list_file import write_list
 from wcsim.agents.evaluation.suite.run import SuiteOrder, drive_piece, piece_of, town_addresses
 from wcsim.bridge.sumo.session import world_in_this_process
@@ -62,13 +62,6 @@ class Filmed:
 
     def frames(self) -> list:
         return [self.film.shot(at).frame for at in range(self.film.count)]
-
-
-@pytest.fixture(scope="module")
-def run(corner: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("filmed")
-    eventful_run(corner, folder)
-    return folder
 
 
 def test_a_journal_shows_everybody_where_they_were(run: Path, corner: Path) -> None:
