@@ -13,12 +13,12 @@ from wcsim.errors import PolicyError
 
 
 @pytest.mark.parametrize("words", [(), ("danger.eye=picture", "learn.network=patch")], ids=str)
-def test_64_steps_are_learned_by_heart(words):
-    fast = ("danger.batch=32", "danger.learning_rate=0.004")
+def test_32_steps_are_learned_by_heart(words):
+    fast = ("danger.batch=16", "danger.learning_rate=0.004")
     config = small_config(*fast, "danger.weight_decay=0", "danger.ahead=0", *words)
     lessons, learner = Dataset(config), DangerLearner(config, 1, 60)
-    ends = () if words else tuple(range(64))  # a street map of noise tells nothing of a step once it has seen others
-    lessons.add(a_segment(64, ends=(9, *ends)))
+    ends = () if words else tuple(range(32))  # a street map of noise tells nothing of a step once it has seen others
+    lessons.add(a_segment(32, ends=(9, *ends)))
     lessons.begin(np.random.default_rng(0))
     before = float(learner.learn(lessons, 1))
     learner.learn(lessons, 59)

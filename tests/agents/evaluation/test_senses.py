@@ -61,27 +61,27 @@ def test_dwa_asks_for_what_a_chair_has_and_who_does_not_ask_gets_nothing():
 
 
 def test_the_world_is_the_same_with_further_senses_in_it(corner):
-    order = order_of(corner, block_of(corner, max_steps=80))
+    order = order_of(corner, block_of(corner, max_steps=30))
     feeling = replace(order, config=resolve(order.config, sense_settings(order.config, BOTH)))
     alone, beside = (drive_block(one, lambda: Held(0.1, 0.6)) for one in (order, feeling))
-    assert alone == beside and alone[0].m > 1.0
+    assert alone == beside and alone[0].m > 0.5
 
 
 def test_dwa_drives_the_same_way_again(corner):
-    order = order_of(corner, block_of(corner, max_steps=80))
+    order = order_of(corner, block_of(corner, max_steps=30))
     harder = resolve(order.config, ("world.action_delay_ticks=2", "cameras.0.noise=typical"))
     order = replace(order, config=resolve(harder, sense_settings(harder, BOTH)))
     first, again = (drive_block(order, lambda: baseline("dwa", order.config)) for _ in range(2))
-    assert first == again and all(record.status != "policy_failed" and record.m > 1.0 for record in first)
+    assert first == again and all(record.status != "policy_failed" and record.m > 0.3 for record in first)
 
 
 def test_a_suite_turns_on_what_a_policy_asks_for(corner, tmp_path):
     names = [f"{__name__}:{name}" for name in ("Feels", "Numb")]
-    suite = suite_in(corner, block_of(corner, max_steps=20))
+    suite = suite_in(corner, block_of(corner, max_steps=5))
     with in_this_process():
         feels, numb = (
             run_suite(SuiteOrder(suite=suite, out=tmp_path, preset="quick"), [name], lambda *_: None)[name]
             for name in names
         )
-    assert {record.status for record in feels} == {"timed_out"} and feels[0].steps == 20
+    assert {record.status for record in feels} == {"timed_out"} and feels[0].steps == 5
     assert {record.status for record in numb} == {"policy_failed"} and "odometry" in numb[0].reason

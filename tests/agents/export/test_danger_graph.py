@@ -71,7 +71,7 @@ def test_the_graph_moves_as_the_policy_thinks_that_the_chair_does(delay):
     eye, points = FeatureExtractor(config), action_set(config.env.actions)
     graph = DangerGraph(network(), config, DangerRule()).eval()
     state = [torch.zeros(shape) for shape in graph.shapes().values()]
-    for seen in ride(25):
+    for seen in ride(12):
         eye.extract(seen)
         with torch.inference_mode():
             values, _, _, *state = graph(*(torch.as_tensor(seen[key])[None] for key in graph.inputs), *state)
@@ -100,7 +100,7 @@ def test_the_graph_sees_what_the_policy_sees_and_does_what_it_does(width, height
     state = [torch.zeros(shape) for shape in graph.shapes().values()]
     policy.reset()
     actions, same = [], 0
-    for seen in ride(shape=(height, width)):
+    for seen in ride(15, (height, width)):
         sight = eye.extract(seen)
         with torch.inference_mode():
             values, warning, danger, *state = graph(*(torch.as_tensor(seen[key])[None] for key in graph.inputs), *state)

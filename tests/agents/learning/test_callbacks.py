@@ -80,7 +80,7 @@ def known(monkeypatch):
     monkeypatch.setitem(registry.NETWORKS, "mean-of-planes", MeanOfPlanes)
 
 
-def overestimates(folder, double_q, seed):
+def overestimates(folder, double_q, seed, steps=400):
     """The column of every episode of a short training on the worthless chain.
 
     Double Q-learning helps as far as the two networks err independently; here the target's values begin with noise.
@@ -95,7 +95,7 @@ def overestimates(folder, double_q, seed):
     )  # fmt: skip
     torch.manual_seed(seed)
     learner.q_net_target.advantage.bias.data += torch.randn(81)  # it errs in a way of its own, and forgets that slowly
-    learner.learn(400, callback=EpisodeMetrics(*logs_in(folder), 0.0))
+    learner.learn(steps, callback=EpisodeMetrics(*logs_in(folder), 0.0))
     return [float(row["overestimate"]) for row in read_metrics(folder / "metrics.csv")]
 
 
@@ -110,7 +110,7 @@ def test_without_double_q_values_promise_more_of_what_never_comes(tmp_path):
 
 
 def test_the_column_is_that_of_the_greedy_value_at_the_start(tmp_path):
-    overestimates(tmp_path, True, 1)
+    overestimates(tmp_path, True, 1, steps=100)
     rows = read_metrics(tmp_path / "metrics.csv")
     assert {row["length"] for row in rows} == {str(LENGTH)}
     assert all(float(row["return_start"]) == 0.0 for row in rows)

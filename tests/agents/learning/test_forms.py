@@ -25,8 +25,8 @@ from wcsim.supervisor.palette import palette
 
 CAMERA = toy_camera(16, 20).model_copy(update={"rgb": True})
 SMALL = (
-    *("learn.total_steps=120", "learn.phase1_steps=60", "learn.learning_starts=20", "learn.replay_frames=100"),
-    *("learn.batch_size=8", "learn.checkpoint_every=30", "learn.head=plain", "learn.group_steps=4", "learn.burn_in=2"),
+    *("learn.total_steps=48", "learn.phase1_steps=24", "learn.learning_starts=16", "learn.replay_frames=100"),
+    *("learn.batch_size=8", "learn.checkpoint_every=12", "learn.head=plain", "learn.group_steps=4", "learn.burn_in=2"),
 )
 STATEFUL = ("learn.network=fig6", "learn.memory=groups")
 FORMS = [("table3", STATEFUL), ("table3", ()), ("compact_rgb", STATEFUL), ("compact_rgb", ("learn.mirror=true",))]
@@ -70,7 +70,7 @@ def test_a_network_learns_from_it_goes_on_and_is_loaded(tmp_path: Path, form: st
     whole = train(asked, lambda: Formed(form))
     again = replace(asked, out=tmp_path / "parts")
     with pytest.raises(InterruptedRunError):
-        train(again, lambda: Formed(form, stop_at=70))
+        train(again, lambda: Formed(form, stop_at=30))
     assert train(replace(again, resume=True), lambda: Formed(form)) == again.out
     policy = load_policy(whole / "policies" / "final")
     assert policy.file.observation == form

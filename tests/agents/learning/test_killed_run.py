@@ -82,7 +82,7 @@ def test_killed_with_groups_it_learns_what_it_would_have_learned(tmp_path, epsil
 
 def test_a_checkpoint_restores_states(tmp_path):
     wrote = build_model(config(), DummyVecEnv([Fixed]), 1)
-    wrote.learn(200)
+    wrote.learn(120)
     save_checkpoint(tmp_path / "checkpoints", wrote, {})
     again = build_model(config(), DummyVecEnv([Fixed]), 2)
     load_checkpoint(tmp_path / "checkpoints", again)

@@ -136,6 +136,7 @@ def test_burn_in_moves_a_stale_state_towards_the_true_one():
         for p in learner.q_net.parameters():
             p += 0.1 * p.abs().mean() * torch.randn_like(p)
     buffer, net, gaps = learner.replay_buffer, learner.q_net, {}
+    old = model(learning_starts=10_000, phase1_steps=0).q_net
     places = [k for k in buffer.groups.whole(buffer) if buffer.episode_step[k[0] % buffer.buffer_size, 0] >= 12]
     for burn_in in (8, 0):
         gaps[burn_in] = []
@@ -146,7 +147,6 @@ def test_burn_in_moves_a_stale_state_towards_the_true_one():
                 true = net.unroll({key: value[None] for key, value in before.items()}, net.begin(1))[1]
             batch = buffer.groups.gather(buffer, np.array([index]), np.array([seat]))
             if burn_in == 0:  # the state at the group's start as the old weights made it
-                old = model(learning_starts=10_000, phase1_steps=0).q_net
                 with torch.no_grad():
                     here = old.unroll({key: value[None] for key, value in before.items()}, old.begin(1))[1]
             else:

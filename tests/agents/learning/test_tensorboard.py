@@ -43,7 +43,7 @@ def board(monkeypatch):
 
 
 def test_every_number_of_the_log_is_a_scalar(board, tmp_path):
-    run = train(a_run(config(tensorboard=True), tmp_path / "run", 1), street)
+    run = train(a_run(config(tensorboard=True, total_steps=120, phase1_steps=40), tmp_path / "run", 1), street)
     (writer,) = board
     assert (writer.folder, writer.purge_step, writer.closed) == (str(run / "tensorboard"), None, True)
     rows = read_metrics(run / "metrics.csv")

@@ -82,14 +82,14 @@ def weights(path, stage="final"):
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
-    seen = []
+    seen, heard = [], []
     asked = a_run(config(), tmp_path_factory.mktemp("a") / "run", 5, town="toy", town_sha256="00")
-    path = train(asked, street, seen.append)
-    return path, seen
+    path = train(asked, street, seen.append, alive=lambda: heard.append(len(list(asked.out.rglob("step-*")))))
+    return path, seen, heard
 
 
 def test_a_run_folder_says_everything(run):
-    path, seen = run
+    path, seen, _ = run
     names = {"manifest.json", "config.json", "metrics.csv", "steps.csv", "events.jsonl", "checkpoints", "policies"}
     assert {p.name for p in path.iterdir()} == names
     opened = open_run(path)
@@ -146,7 +146,7 @@ def test_work_is_saved_by_wall_time(tmp_path, monkeypatch):
 
 
 def test_both_policies_can_be_named(run):
-    path, _ = run
+    path, *_ = run
     assert policy_path(str(path)) == policy_path(f"{path}:final") == path / "policies" / "final"
     assert open_policy(f"{path}:phase1", config()).name == f"{path}:phase1"
     assert weights(path) != weights(path, "phase1")
@@ -154,7 +154,7 @@ def test_both_policies_can_be_named(run):
 
 
 def test_what_a_policy_was_made_with_can_be_asked(run, tmp_path):
-    path, _ = run
+    path, *_ = run
     for name in (str(path), f"{path}:phase1", str(path / "policies" / "final")):
         assert run_of(name) == open_run(path)
         assert config_for(name, "dqn", ("learn.gamma=0.5",)).learn == config(gamma=0.5).learn
@@ -168,7 +168,7 @@ def test_what_a_policy_was_made_with_can_be_asked(run, tmp_path):
 
 
 def test_equal_seeds_give_equal_runs_and_other_seeds_do_not(run, tmp_path):
-    path, _ = run
+    path, *_ = run
     again = train(a_run(config(), tmp_path / "again", 5), street)
     other = train(a_run(config(), tmp_path / "other", 6), street)
     assert weights(path) == weights(again) != weights(other)
@@ -176,13 +176,8 @@ def test_equal_seeds_give_equal_runs_and_other_seeds_do_not(run, tmp_path):
     assert not torch.are_deterministic_algorithms_enabled()
 
 
-def test_a_checkpoint_is_heard_of_while_it_is_written(tmp_path):
-    heard = []
-    train(
-        a_run(config(), tmp_path / "run", 5),
-        street,
-        alive=lambda: heard.append(len(list(tmp_path.rglob("step-*")))),
-    )
+def test_a_checkpoint_is_heard_of_while_it_is_written(run):
+    _, _, heard = run
     written = config().learn.total_steps // config().learn.checkpoint_every
     assert len(heard) >= 2 * written
     assert heard[0] == 0, "before the first one was whole"
@@ -220,15 +215,16 @@ def test_an_interrupted_run_is_usable_and_can_be_continued(stop, tmp_path):
 def test_the_first_decision_of_a_sitting_explores_as_any_other(tmp_path, monkeypatch):
     rates, begins = [], SeqDQN._begins
     monkeypatch.setattr(SeqDQN, "_begins", lambda self, n: rates.append(self.exploration_rate) or begins(self, n))
-    asked = a_run(config(phase1_steps=0, epsilon_start=0.7, epsilon_end=0.7), tmp_path / "run", 5)
+    always = {"phase1_steps": 0, "epsilon_start": 0.7, "epsilon_end": 0.7}
+    asked = a_run(config(total_steps=60, **always), tmp_path / "run", 5)
     with pytest.raises(InterruptedRunError):
-        train(asked, lambda: Nervous(150, lambda: os.kill(os.getpid(), signal.SIGINT)))
+        train(asked, lambda: Nervous(30, lambda: os.kill(os.getpid(), signal.SIGINT)))
     train(replace(asked, resume=True), street)
-    assert rates == [pytest.approx(0.7)] * 240
+    assert rates == [pytest.approx(0.7)] * 60
 
 
 def test_a_damaged_checkpoint_is_passed_over(run, tmp_path):
-    path, _ = run
+    path, *_ = run
     files_of = sorted((path / "checkpoints").glob("step-*"))
     keep = (files_of[-1] / "model.safetensors").read_bytes()
     (files_of[-1] / "model.safetensors").write_bytes(keep[:1000])
@@ -253,17 +249,17 @@ def test_a_checkpoint_restores_the_whole_learner(tmp_path):
 @pytest.mark.parametrize("reward", [float("nan"), float("inf")])
 def test_a_reward_that_is_no_number_is_refused_where_it_comes_and_the_run_goes_on_without_it(reward, tmp_path):
     """Once is enough: kept, it would be in every tenth batch of this memory, and in the returns of five steps."""
-    asked = config()
+    asked = config(total_steps=120, phase1_steps=40, checkpoint_every=30)
     assert asked.learn.n_step > 1
-    broken = Nervous(150, lambda: None)
+    broken = Nervous(70, lambda: None)
     step = broken.step
 
     def told(action):
         seen, good, *rest = step(action)
-        return seen, (reward if broken.done_steps == 150 else good), *rest
+        return seen, (reward if broken.done_steps == 70 else good), *rest
 
     broken.step = told
-    with pytest.raises(PolicyError, match=rf"reward of step 150 was {reward}; expected a finite .*--reward") as said:
+    with pytest.raises(PolicyError, match=rf"reward of step 70 was {reward}; expected a finite .*--reward") as said:
         train(a_run(asked, tmp_path / "run", 5), lambda: broken)
     assert "\n" not in str(said.value)
     train(a_run(asked, tmp_path / "run", 5, resume=True), street)
@@ -274,7 +270,8 @@ def test_a_reward_that_is_no_number_is_refused_where_it_comes_and_the_run_goes_o
 @pytest.mark.parametrize(("value", "told"), [(1e6, 1e6), (float("inf"), "inf")])
 def test_values_beyond_all_returns_are_said_once(value, told, tmp_path, monkeypatch):
     monkeypatch.setattr(SeqDQN, "_update", lambda self, loss: setattr(self, "max_abs_q", value))
-    run = train(a_run(config(), tmp_path / "run", 5), street)
+    short = config(total_steps=60, phase1_steps=20, checkpoint_every=20)
+    run = train(a_run(short, tmp_path / "run", 5), street)
     events = [json.loads(line) for line in (run / "events.jsonl").read_text().splitlines()]
     assert [event["max_abs_q"] for event in events if event["event"] == "q_alarm"] == [told]
     assert open_run(run).manifest.status == "done"
@@ -282,7 +279,7 @@ def test_values_beyond_all_returns_are_said_once(value, told, tmp_path, monkeypa
 
 def test_a_disk_that_is_full_at_the_switch_costs_no_policy(run, tmp_path, monkeypatch):
     full_once(monkeypatch, "wcsim.agents.learning.train.save_policy", "phase1")
-    asked = a_run(config(), tmp_path / "run", 5, town="toy", town_sha256="00")
+    asked = a_run(config(total_steps=100), tmp_path / "run", 5, town="toy", town_sha256="00")
     with pytest.raises(DiskFullError, match=r"make room, then continue: wcsim resume"):
         train(asked, street)
     again = train(replace(asked, resume=True), street)
@@ -297,15 +294,13 @@ def test_a_disk_that_is_full_when_a_run_is_stopped_is_said(tmp_path, monkeypatch
         monkeypatch.setattr("wcsim.agents.learning.train.save_checkpoint", full)
         os.kill(os.getpid(), signal.SIGINT)
 
-    with pytest.raises(
-        DiskFullError, match=r"stopped after 152 of 240 .*No space left.*wcsim resume .* continues from"
-    ):
-        train(a_run(config(), tmp_path / "run", 5), lambda: Nervous(150, stop))
+    with pytest.raises(DiskFullError, match=r"stopped after 32 of 60 .*No space left.*wcsim resume .* continues from"):
+        train(a_run(config(total_steps=60, phase1_steps=20), tmp_path / "run", 5), lambda: Nervous(30, stop))
     assert open_run(tmp_path / "run").manifest.status == "interrupted"
 
 
 def test_wrong_folders_are_explained(run, tmp_path):
-    path, _ = run
+    path, *_ = run
     with pytest.raises(PolicyError, match="not empty"):
         train(a_run(config(), path, 5), street)
     with pytest.raises(PolicyError, match="not a run"):
@@ -336,13 +331,13 @@ def test_a_run_of_one_phase_has_both_policies(tmp_path):
     assert weights(path) == weights(path, "phase1")
 
 
-def test_callbacks_of_stable_baselines3_run_beside_wcsim_s_own_and_what_they_save_is_loaded(tmp_path):
+def test_callbacks_of_stable_baselines3_run_beside_wcsim_s_own_and_what_they_save_is_loaded(run, tmp_path):
     judge = EvalCallback(
         Monitor(street()), eval_freq=60, n_eval_episodes=1, verbose=0, log_path=str(tmp_path / "judged"),
         best_model_save_path=str(tmp_path / "best"),
     )  # fmt: skip
     keep = CheckpointCallback(100, str(tmp_path / "kept"))
-    run = train(a_run(config(), tmp_path / "run", 5), street, callbacks=(judge, keep))
+    watched = train(a_run(config(), tmp_path / "run", 5), street, callbacks=(judge, keep))
     assert list(np.load(tmp_path / "judged" / "evaluations.npz")["timesteps"]) == [60, 120, 180, 240]
     assert {path.name for path in (tmp_path / "kept").iterdir()} == {f"rl_model_{k}_steps.zip" for k in (100, 200)}
     seen = street().reset(seed=2)[0]
@@ -350,7 +345,7 @@ def test_callbacks_of_stable_baselines3_run_beside_wcsim_s_own_and_what_they_sav
         again = SeqDQN.load(path, device="cpu")
         action, _ = again.predict({key: value[None] for key, value in seen.items()}, deterministic=True)
         assert again.num_timesteps > 0 and 0 <= int(action[0]) < 81
-    assert weights(run) == weights(train(a_run(config(), tmp_path / "alone", 5), street))  # they change nothing
+    assert weights(watched) == weights(run[0])  # they change nothing
 
 
 # --- the parts ---

@@ -185,7 +185,7 @@ def test_motion_is_learnt_from_a_window(network):
     encoder = ObservationEncoder(space(16, 32, 4), network)
     net = nn.ModuleList([encoder, nn.Linear(encoder.features_dim, 2)])
     optimizer = torch.optim.Adam(net.parameters(), 1e-3)
-    for _ in range(150):
+    for _ in range(120):
         seen, way = moving(32)
         optimizer.zero_grad()
         nn.functional.cross_entropy(net[1](encoder(seen)), way).backward()

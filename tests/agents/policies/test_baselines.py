@@ -115,11 +115,11 @@ def test_baselines_in_the_toy_street_rank_as_they_must():
     camera = toy_camera(48, 64)
     config = RunConfig(cameras=(camera,), chair=ChairConfig(v_max_mps=1.6))
     rows = {
-        name: driven(baseline(name, config, seed=3), ToyStreet(camera, max_steps=200), 6, 200, seed=11)
+        name: driven(baseline(name, config, seed=3), ToyStreet(camera, max_steps=200), 4, 200, seed=11)
         for name in BASELINES
     }
     assert rows["follow"].kpi1_within == pytest.approx(1.0)
-    assert rows["follow"].crashes_own >= 5
+    assert rows["follow"].crashes_own >= 3
     assert rows["stop"].crashes_own <= 1
     assert rows["stop"].speed_mps > 0.2
     assert rows["dwa"].crashes_own < rows["follow"].crashes_own  # the toy's chair is wider than the one it reckons with

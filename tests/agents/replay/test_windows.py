@@ -279,8 +279,8 @@ def test_every_image_of_a_window_is_mirrored():
 
 def config(window=3, **learn):
     small = {
-        "total_steps": 120, "phase1_steps": 40, "learning_starts": 20, "replay_frames": 100, "batch_size": 8,
-        "checkpoint_every": 30, "network": "fig6", "mirror": True,
+        "total_steps": 80, "phase1_steps": 24, "learning_starts": 20, "replay_frames": 100, "batch_size": 8,
+        "checkpoint_every": 20, "network": "fig6", "mirror": True,
     }  # fmt: skip
     return RunConfig(cameras=(CAMERA,), learn=LearnConfig(**{**small, **learn}), env=EnvConfig(window=window))
 
@@ -311,7 +311,7 @@ def test_a_stopped_run_goes_on(tmp_path):
 
         def step(self, action):
             self.steps += 1
-            if self.steps == 70:
+            if self.steps == 50:
                 raise KeyboardInterrupt
             return super().step(action)
 
@@ -327,7 +327,7 @@ def test_a_run_that_is_stopped_while_its_town_loads_goes_on(tmp_path):
             os.kill(os.getpid(), signal.SIGINT)
             return super().reset(**options)
 
-    with pytest.raises(InterruptedRunError, match="stopped after 0 of 120"):
+    with pytest.raises(InterruptedRunError, match="stopped after 0 of 80"):
         train(a_run(config(), tmp_path / "run", 5), lambda: StopsAtOnce(street()))
     train(a_run(config(), tmp_path / "run", 5, resume=True), street)
     assert open_run(tmp_path / "run").manifest.status == "done"
@@ -356,7 +356,7 @@ def test_a_policy_says_what_it_must_see(run, tmp_path):
 
 
 def test_a_policy_from_before_there_were_windows_sees_one_image(tmp_path):
-    path = train(a_run(config(window=1, network="patch", total_steps=60), tmp_path / "run", 5), lambda: street(1))
+    path = train(a_run(config(window=1, network="patch", total_steps=48), tmp_path / "run", 5), lambda: street(1))
     file = policy_path(str(path)) / POLICY_JSON
     data = json.loads(file.read_text())
     assert data.pop("window") == 1
@@ -365,16 +365,16 @@ def test_a_policy_from_before_there_were_windows_sees_one_image(tmp_path):
     kept = json.loads((path / "config.json").read_text())
     del kept["env"]["window"]
     (path / "config.json").write_text(json.dumps(kept))
-    train(a_run(config(window=1, network="patch", total_steps=60), path, 5, resume=True), lambda: street(1))
+    train(a_run(config(window=1, network="patch", total_steps=48), path, 5, resume=True), lambda: street(1))
 
 
 def test_policies_with_different_windows_are_tested_in_one_environment(run, tmp_path):
     """Each drives as it does in an environment of its own."""
-    single = train(a_run(config(window=1, network="patch", total_steps=60), tmp_path / "run", 5), lambda: street(1))
+    single = train(a_run(config(window=1, network="patch", total_steps=48), tmp_path / "run", 5), lambda: street(1))
     policies = [open_policy(str(path), CONFIG) for path in (run, single)] + [baseline("stop", CONFIG)]
     assert [window_of(policy) for policy in policies] == [3, 1, 1]
     for policy, own in zip(policies, (3, 1, 1), strict=True):
-        rows = [driven(policy, WindowedStreet(n, CAMERA, 40), 2, 40, seed=4) for n in (own, 3, 5)]
+        rows = [driven(policy, WindowedStreet(n, CAMERA, 20), 2, 20, seed=4) for n in (own, 3, 5)]
         assert rows[0] == rows[1] == rows[2]
 
 

@@ -155,12 +155,21 @@ def _checkpoint_path(folder: Path, number: int) -> Path:
     return folder / tag("round", number)
 
 
+@pytest.fixture(scope="module")
+def straight(corner: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run that nothing happened to."""
+    run = run_in(corner, tmp_path_factory.mktemp("rounds") / "straight", *SETTINGS)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(train_rounds, "SegmentCrew", NoiseCrew)
+        train_danger(run, find_town(str(corner)))
+    return run.out
+
+
 @pytest.mark.parametrize("step", ["_save", "note_round", "_save_round"])
 def test_a_round_whose_files_cannot_be_written_is_done_again_to_the_same_weights(
-    corner: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: str
+    corner: Path, straight: Path, tmp_path: Path, step: str
 ) -> None:
     town = find_town(str(corner))
-    train_danger(run_in(corner, tmp_path / "straight", *SETTINGS), town)
 
     def full(*words: object) -> None:
         raise DiskFullError("no room")
@@ -170,7 +179,7 @@ def test_a_round_whose_files_cannot_be_written_is_done_again_to_the_same_weights
         with pytest.raises(DiskFullError):
             train_danger(run_in(corner, tmp_path / "full", *SETTINGS), town)
     train_danger(run_in(corner, tmp_path / "full", *SETTINGS, resume=True), town)
-    assert outcome(tmp_path / "full") == outcome(tmp_path / "straight")
+    assert outcome(tmp_path / "full") == outcome(straight)
     assert [row.round for row in read_rounds(tmp_path / "full" / "metrics.csv")] == [0, 1, 2]
 
 

@@ -201,7 +201,7 @@ def soaked(corner: Path, folder: Path, seconds: float, seed: int) -> SoakFacts:
 
 
 def test_some_seconds_of_faults_lose_nothing(corner: Path, tmp_path: Path):
-    facts = soaked(corner, tmp_path / "run", 14.0, seed=1)
+    facts = soaked(corner, tmp_path / "run", 10.0, seed=1)
     assert facts.outcome.code == 0, facts.outcome.message
     assert len(facts.faults) >= 2 and facts.audit.ticks > 50
     exact = ("lost", "doubled", "phantom", "orphans", "leaked_shm", "unrecovered")

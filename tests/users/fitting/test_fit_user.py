@@ -49,9 +49,13 @@ def shaking():
     return drawn("tremor", 3), plane_drive(drawn("tremor", 3), 90.0, 1)
 
 
-def test_a_hand_is_found_in_a_minute_and_a_half(shaking):
-    user, drive = shaking
-    fit = fit_user([drive], BASE)
+@pytest.fixture(scope="module")
+def fit(shaking):
+    return fit_user([shaking[1]], BASE)
+
+
+def test_a_hand_is_found_in_a_minute_and_a_half(shaking, fit):
+    user, _ = shaking
     assert {"reaction_s", "lag_s", "gain_x", "noise", "tremor", "tremor_hz", "away_share"} <= set(fit.estimates)
     assert set(wrong(fit, user)) <= {"noise_rate", "lag_s"}
     assert wrong(fit, user, 0.5) == {}
@@ -76,7 +80,7 @@ def test_a_steady_hand_has_no_tremor_and_another_reaction_is_noticed():
 
 def test_switches_are_known_and_fitted(shaking):
     user = drawn("switch", 1)
-    drive = plane_drive(user, 60.0, 4)
+    drive = plane_drive(user, 20.0, 4)
     assert _by_switches(hand_series([drive])) and not _by_switches(hand_series([shaking[1]]))
     fit = fit_user([drive], BASE)
     assert fit.profile.discrete and fit.profile.noise == 0.0
@@ -84,8 +88,7 @@ def test_switches_are_known_and_fitted(shaking):
     assert fit.estimates["hold_s"].low <= user.hold_s + 0.1
 
 
-def test_the_file_of_a_fit_is_a_profile(shaking, tmp_path):
-    fit = fit_user([shaking[1]], BASE)
+def test_the_file_of_a_fit_is_a_profile(fit, tmp_path):
     (tmp_path / "me.toml").write_text(profile_text(fit.profile, {}))
     assert read_profile(tmp_path / "me.toml") == fit.profile
     assert sample(fit.profile, generator(1, "user")) == fit.profile

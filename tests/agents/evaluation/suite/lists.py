@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from functools import cache
 from pathlib import Path
 
 from tests.support.worlds import QUICK
@@ -22,11 +23,17 @@ def config() -> RunConfig:
     return resolve("quick", QUICK)
 
 
-def block_of(corner: Path, part: str = "free", max_steps: int = 60, handover: int = 0) -> BlockFile:
+@cache
+def drawn_in(corner: Path) -> tuple[BlockFile, ...]:
+    """Two blocks of one episode each: the ways are too near each other for one block of a list."""
     town = find_town(str(corner))
     place = DrawPlace(town.name, load_street(town), config())
     wanted = Wanted(part="free", profiles=("inattentive",), way_m=(15.0, 40.0))
-    drawn = [free_blocks(place, wanted, 1, seed)[0] for seed in (3, 4)]  # too near each other for one block of a list
+    return tuple(free_blocks(place, wanted, 1, seed)[0] for seed in (3, 4))
+
+
+def block_of(corner: Path, part: str = "free", max_steps: int = 60, handover: int = 0) -> BlockFile:
+    drawn = drawn_in(corner)
     cut = {"max_steps": max_steps, "handover_step": handover}
     episodes = tuple(block.episodes[0].model_copy(update=cut) for block in drawn)
     return drawn[0].model_copy(update={"part": part, "episodes": episodes})

@@ -41,7 +41,6 @@ def test_who_follows_obeys_and_ends_in_one_of_the_ways_that_there_are(corner):
         assert record.route_m == pytest.approx(episode.route_m) and record.done_m <= record.route_m + 1.0
         if record.status == "finished":
             assert record.done_m == record.route_m
-    assert drive_block(order_of(corner, block, judged=True), follow) == records
 
 
 @pytest.mark.parametrize(
@@ -56,7 +55,7 @@ def test_who_follows_obeys_and_ends_in_one_of_the_ways_that_there_are(corner):
 )
 def test_a_policy_that_fails_fails_its_episode_and_the_others_go_on(corner, policy, late_s, said):
     made = iter([policy(), follow()])
-    failed, other = drive_block(order_of(corner, block_of(corner), late_s=late_s), lambda: next(made))
+    failed, other = drive_block(order_of(corner, block_of(corner, max_steps=8), late_s=late_s), lambda: next(made))
     assert failed.status == "policy_failed" and said in failed.reason
     assert failed.steps == {Dies: 5, Sleeps: 1}.get(policy, 0) and failed.score == 0.0
     assert other.status != "policy_failed" and other.steps > 5
@@ -69,21 +68,24 @@ def test_a_policy_that_a_busy_machine_keeps_waiting_has_not_failed(corner):
 
 def test_before_the_handover_the_user_drives_alone(corner):
     held, handed = (
-        drive_block(order_of(corner, block_of(corner, handover=steps)), lambda: Held(0.0, 0.0)) for steps in (0, 40)
+        drive_block(order_of(corner, block_of(corner, max_steps=30, handover=steps)), lambda: Held(0.0, 0.0))
+        for steps in (0, 20)
     )
     assert all(record.m < 0.1 for record in held)
-    assert all(record.steps == 20 and record.status == "timed_out" for record in handed)
+    assert all(record.steps == 10 and record.status == "timed_out" for record in handed)
     block = block_of(corner)
     for record, episode in zip(handed, block.episodes, strict=True):
         assert record.route_m < episode.route_m  # what was driven before is not the policy's
         assert record.reference_s / episode.reference_s == pytest.approx(record.route_m / episode.route_m, rel=1e-3)
 
 
-def test_what_a_policy_does_against_the_wish_is_judged_by_letting_the_user_drive_alone(corner):
-    stands = drive_block(order_of(corner, block_of(corner), judged=True), lambda: Held(0.0, 0.0))
-    found = [item for record in stands for item in record.interventions]
-    assert found and all(item.verdict in ("needed", "needless") for item in found)
-    unjudged = drive_block(order_of(corner, block_of(corner)), lambda: Held(0.0, 0.0))
+def test_what_a_policy_does_and_warns_of_is_judged_by_letting_the_user_drive_alone(corner):
+    block, policies = block_of(corner, max_steps=30), iter((Held(0.0, 0.0), WarnsAlways(0.0, 0.0)))
+    stands = drive_block(order_of(corner, block, judged=True), policies.__next__)
+    assert all(item.verdict in ("needed", "needless") for record in stands for item in record.interventions)
+    assert all(record.interventions for record in stands)
+    assert [(record.false_warnings, record.to_warn) for record in stands] == [(0, 0), (1, 0)]
+    unjudged = drive_block(order_of(corner, block), lambda: Held(0.0, 0.0))
     assert [len(record.interventions) for record in unjudged] == [len(record.interventions) for record in stands]
     assert all(item.verdict == "not_judged" for record in unjudged for item in record.interventions)
     for one, other in zip(stands, unjudged, strict=True):  # a fork leaves no trace in the world
@@ -91,23 +93,17 @@ def test_what_a_policy_does_against_the_wish_is_judged_by_letting_the_user_drive
         assert one.distance_sum == other.distance_sum
 
 
-def test_who_warns_always_warns_falsely(corner):
-    records = drive_block(order_of(corner, block_of(corner), judged=True), lambda: WarnsAlways(0.0, 0.0))
-    assert all(record.false_warnings == 1 for record in records if record.to_warn == 0)
-    assert any(record.to_warn == 0 for record in records)
-
-
 def test_users_requests_for_help_are_counted_and_raise_levels_where_that_is_set(corner, monkeypatch):
-    monkeypatch.setattr(SimulatedUser, "look", _asks_after(SimulatedUser.look, 20))
+    monkeypatch.setattr(SimulatedUser, "look", _asks_after(SimulatedUser.look, 10))
     found = []
-    for settings in ((), ("world.help_users=true", "world.help_s=1.5")):
-        block = block_of(corner, max_steps=60, handover=10).model_copy(update={"settings": settings})
+    for settings in ((), ("world.help_users=true", "world.help_s=0.5")):
+        block = block_of(corner, max_steps=20, handover=5).model_copy(update={"settings": settings})
         policies = [Levels(0.0, 0.0), Levels(0.0, 0.0)]
         records = drive_block(order_of(corner, block), iter(policies).__next__)
-        assert [(record.helps, record.steps) for record in records] == [(1, 50), (1, 50)]
+        assert [(record.helps, record.steps) for record in records] == [(1, 15), (1, 15)]
         found.append({tuple(policy.noted) for policy in policies})
     plain, helped = found
-    assert plain == {(1.0,) * 50} and helped == {(*[1.0] * 10, *[2.0] * 15, *[1.0] * 25)}
+    assert plain == {(1.0,) * 15} and helped == {(*[1.0] * 5, *[2.0] * 5, *[1.0] * 5)}
 
 
 def _asks_after(look, steps):

@@ -32,9 +32,9 @@ def run(corner: Path, tmp_path_factory: pytest.TempPathFactory) -> str:
 
 
 def test_a_block_with_what_travels_gives_the_same_records(corner, run, tmp_path):
-    order = SuiteOrder(suite=suite_in(corner, block_of(corner, max_steps=12)), out=tmp_path)
+    order = SuiteOrder(suite=suite_in(corner, block_of(corner, max_steps=6)), out=tmp_path)
     towns = town_addresses(order)
-    for number, policy in enumerate(("dwa", run, f"{run}@0.3", f"{run}:final")):
+    for number, policy in enumerate(("follow", run, f"{run}@0.3", f"{run}:final")):
         work = tmp_path / f"node-{number}"
         piece = piece_of(order, 0, policy, towns, judged=False)
         places = {}
@@ -44,8 +44,8 @@ def test_a_block_with_what_travels_gives_the_same_records(corner, run, tmp_path)
             cluster_node._unpack(cluster_node.packed(parcel), there)
             assert cluster_node.digest_of(there, parcel.names) == cluster_node.digest_of(parcel.folder, parcel.names)
             places[parcel.address] = str(there / parcel.inner)
-        assert len(places) == (1 if policy == "dwa" else 2)
-        if policy in ("dwa", f"{run}@0.3"):
+        assert len(places) == (1 if policy == "follow" else 2)
+        if policy in ("follow", f"{run}@0.3"):
             there_found = _drive_alone(piece, lambda address, places=places: places.get(address, address))
             assert there_found == _drive_alone(piece, str)
 

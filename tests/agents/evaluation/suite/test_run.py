@@ -28,7 +28,7 @@ def told(records):
 
 
 def test_one_process_and_two_give_the_same_bytes_and_what_is_kept_is_not_driven_again(corner, tmp_path):
-    block = block_of(corner, max_steps=30)
+    block = block_of(corner, max_steps=15)
     suite = suite_in(corner, block, block.model_copy(update={"part": "crossing", "seed": 77}))
     heard = []
     with in_this_process():
