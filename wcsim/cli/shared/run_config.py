@@ -127,7 +127,11 @@ def resolve_run(config: RunConfig, info: RunInfo, town: Town, out: Path, resume:
         PolicyError, ConfigError, HookError: A name stands for nothing, or the folder cannot be one.
     """
     check_folder("--out", out)
-    require_known(config.learn.network, info.rewards, info.hook)
+    check_network(config.learn.network)
+    for name in info.rewards:
+        find_reward_term(name)
+    if info.hook:
+        find_hook(info.hook)
     require_user(config.env.profile)
 
     from wcsim.agents.learning.build import network_settings  # torch is loaded here: not for --help, nor for a refusal
@@ -172,22 +176,6 @@ def learning(config: RunConfig) -> dict[str, Any]:
 def learns_in_rounds(config: RunConfig) -> bool:
     """Whether a danger network learns in rounds, from worlds of its own."""
     return config.learn.head == "danger"
-
-
-def require_known(network: str, rewards: Sequence[str] = (), hook: str = "") -> None:
-    """Refuse names that stand for nothing before torch and the simulators are loaded; "" is none.
-
-    Raises:
-        PolicyError: There is no such network, or no such class.
-        ConfigError: A reward term is none.
-        HookError: The step hook is none.
-    """
-    if network:
-        check_network(network)
-    for name in rewards:
-        find_reward_term(name)
-    if hook:
-        find_hook(hook)
 
 
 def require_user(name: str) -> None:

@@ -191,7 +191,7 @@ def _minutes(spent_s: float) -> str:
 def _towns(train_town: str, trial: test.Options) -> tuple[Town, dict[str, Town]]:
     """The town to train in and those to test in; what would be refused later is refused now."""
     school = checked_town(train_town, False)
-    tested, _ = test.check(trial)
+    tested, _ = test.tested(trial)
     same = [town.name for town in tested.values() if streets_hash(town) == streets_hash(school)]
     if same:
         raise TownError(f"{same[0]} is the training town {school.name} itself; expected another --test-town")
