@@ -23,8 +23,7 @@ from wcsim.core.reading import counted, escaped
 from wcsim.errors import ConfigError, PolicyError
 from wcsim.server.specs import RunInfo
 from wcsim.supervisor.rewards import find_reward_term
-from wcsim.towns.scenario.overrides import Override, Settings
-from wcsim.towns.scenario.stage import scenario_overrides
+from wcsim.towns.scenario.overrides import Override, Settings, scenario_overrides
 from wcsim.towns.scenario.town import Town, streets_hash
 from wcsim.users.profiles import HELD_OUT, find_profile
 
@@ -205,4 +204,4 @@ def how_to_test(run: Path, network: str, trained_in: Collection[str] = ()) -> st
 
 def overrides_of(town: Town, config: RunConfig, seed: int) -> tuple[Override, ...]:
     """What a run overrides of a town's own SUMO options."""
-    return tuple(scenario_overrides(town, Settings(world=config.world, seed=seeding.derive(seed, "sumo"))))
+    return scenario_overrides(town.sumocfg, Settings(world=config.world, seed=seeding.derive(seed, "sumo")))
