@@ -132,9 +132,9 @@ def make_list(words: list[str]) -> int:
 
             file = make_suite(order, towns, tell)
     write_list(file, options.suite_file)
-    suite, many = suite_of(file), len(file.blocks)
-    counted = f"{suite.episodes} episode{'s' * (suite.episodes != 1)} in {many} block{'s' * (many != 1)}"
-    stdout_console().print(f"{options.suite_file}: {counted}, {suite.sha256[:12]}", markup=False)
+    suite = suite_of(file)
+    held = f"{counted(suite.episodes, 'episode')} in {counted(len(file.blocks), 'block')}"
+    stdout_console().print(f"{options.suite_file}: {held}, {suite.sha256[:12]}", markup=False)
     return 0
 
 

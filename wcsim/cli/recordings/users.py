@@ -131,16 +131,12 @@ def _fit(options: _FitOptions) -> int:
     with result_file(options.out) as part:
         part.write_text(text, encoding="utf-8")
     _print(fit)
-    print(f"wrote {options.out}; try it: {_trial(options.out)}")
+    minute = ["--profile", str(options.out), "--only", "--episodes", "1", "--max-steps", "600"]
+    print(f"wrote {options.out}; try it: {shlex.join(['wcsim', 'test', *minute])}")
     if options.json is not None:
         told = {name: asdict(item) | {"told": is_told(name, item)} for name, item in fit.estimates.items()}
         write_json(options.json, {"seconds": fit.seconds, "estimates": told, "warnings": list(fit.warnings)})
     return 0
-
-
-def _trial(out: Path) -> str:
-    """A minute with the fitted user alone, as it can be typed."""
-    return shlex.join(["wcsim", "test", "--profile", str(out), "--only", "--episodes", "1", "--max-steps", "600"])
 
 
 def _base_name(path: Path) -> str:

@@ -58,10 +58,6 @@ def require_policy(name: str, network: str, *, alone: bool = False, bare_for: st
             raise PolicyError(f"--network {escaped(network, 80)}: {escaped(name)} does not use it; leave it out")
 
 
-QUICK = "quick"
-"""The preset of `wcsim train` and `wcsim demo`."""
-
-
 def require_head(config: RunConfig, *, in_rounds: bool) -> None:
     """Refuse settings of the other kind of learning.
 

@@ -16,7 +16,6 @@ from wcsim.cli.evaluation.result_tables import show_result
 from wcsim.cli.shared.common import Keys, OutFolder, Repeated, check_folder, parse
 from wcsim.cli.shared.consoles import stdout_console
 from wcsim.cli.shared.run_config import (
-    QUICK,
     how_it_learns,
     learning,
     require_head,
@@ -92,7 +91,7 @@ def run(words: list[str]) -> int:
     check_folder("--out", out)
     town = next(iter(tested.values()))
     demo = _Demo(options=options, trial=trial, town=town, out=out, console=stdout_console())
-    config = resolve(QUICK, options.set)
+    config = resolve("quick", options.set)
     config = resolve(config, learning(config))
     require_head(config, in_rounds=True)
     require_users(config, (options.set, None))

@@ -107,7 +107,7 @@ def run(words: list[str]) -> int:
     require_head(config, in_rounds=True)
     require_users(config, (options.set, options.config))
     town, info = placed(options, RunInfo(seed=options.seed, command=("wcsim", "train", *words)), config)
-    made = resolve_run(config, info, town, out_of(options, options.preset, town))
+    made = resolve_run(config, info, town, out_of(options, town))
     train_in(made, town, note=how_it_learns(config), machines=machines)
     return told(options, made)
 
@@ -124,9 +124,9 @@ def told(options: ToldOptions, run: ResolvedRun) -> int:
     return Exit.DONE
 
 
-def out_of(options: TrainingOptions, preset: str, town: Town) -> Path:
+def out_of(options: TrainingOptions, town: Town) -> Path:
     """The run folder that is asked for, or the usual one."""
-    return options.out or Path("runs") / f"{town.name}-{preset}-{options.seed}"
+    return options.out or Path("runs") / f"{town.name}-{options.preset}-{options.seed}"
 
 
 def placed(options: TrainingOptions, info: RunInfo, config: RunConfig) -> tuple[Town, RunInfo]:

@@ -45,7 +45,7 @@ def run(words: list[str]) -> int:
     clients = resolved(options)
     config = clients[0].config
     town, info = placed(options, options.info(("wcsim", "train-clients", *words)), config)
-    out = out_of(options, options.preset, town)
+    out = out_of(options, town)
     return train_group(options, GroupRun(clients=clients, out=out, info=in_town(info, town, config)), town)
 
 

@@ -61,7 +61,7 @@ def run(words: list[str]) -> int:
     board = {"learn": {"tensorboard": True}} if options.tensorboard else None
     config = resolve(options.preset, *q_layers(options, options.network, board))
     town, info = placed(options, options.info(("wcsim", "train-q", *words)), config)
-    made = resolve_run(config, info, town, out_of(options, options.preset, town))
+    made = resolve_run(config, info, town, out_of(options, town))
     train_in(made, town, note=how_it_learns(config), verbose=options.verbose)
     return told(options, made)
 
