@@ -271,9 +271,7 @@ def first_few(lines: Sequence[str], what: str) -> list[str]:
 
 def worlds_of(asked: int | None) -> int:
     """How many processes `--worlds` means: one for each core, 4 at the most, where nothing is said."""
-    if asked is not None:
-        return asked
-    return min(len(os.sched_getaffinity(0)), _MOST_UNASKED)
+    return min(len(os.sched_getaffinity(0)), _MOST_UNASKED) if asked is None else asked
 
 
 def machines_of(cluster: str, asked: int | None, option: str) -> Machines:

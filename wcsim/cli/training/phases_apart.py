@@ -64,8 +64,7 @@ def train_group(options: GroupOptions, run: GroupRun, town: Town) -> int:
     suite = _checked(options, run, by)
     chosen = read_choice(run.out, [client.name for client in run.clients]) if run.resume else ""
     if not chosen:
-        first = replace(run, clients=tuple(map(_until_switch, run.clients)), last=False)
-        code = train_clients(options, first, town)
+        code = train_clients(options, _first_phase(run), town)
         if code != Exit.DONE:
             return code
         chosen = _choose(options, run, by, suite)
@@ -91,6 +90,11 @@ def _checked(options: GroupOptions, run: GroupRun, by: str) -> Suite | None:
             "set learn.phase1_steps"
         )
     return suite
+
+
+def _first_phase(run: GroupRun) -> GroupRun:
+    """The run as far as all learn."""
+    return replace(run, clients=tuple(map(_until_switch, run.clients)), last=False)
 
 
 def _second_phase(run: GroupRun, best: str) -> GroupRun:

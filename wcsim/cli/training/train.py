@@ -52,8 +52,6 @@ if TYPE_CHECKING:  # these load torch, which --help must not
     from wcsim.agents.learning.callbacks import TrainProgress
     from wcsim.agents.rounds.train_rounds import RoundProgress
 
-_DOES = {False: "driving", True: "learning"}  # a round, by whether its segments are driven
-
 
 @dataclass(kw_only=True)
 class ToldOptions:
@@ -209,7 +207,11 @@ def _train_rounds_in(run: ResolvedRun, town: Town, machines: Machines, note: str
             bar.rows({row.name: f"segment {row.key}, {row.for_s:.0f} s" if row.key else "free" for row in now.workers})
             learns = now.learned > 0 or now.segments == now.of
             at = f"update {now.learned}" if learns else f"segment {now.segments} of {now.of}"
-            bar.show(_share_done(now, run.config), f"round {now.round + 1} of {now.rounds}, {at}", _DOES[learns])
+            bar.show(
+                _share_done(now, run.config),
+                f"round {now.round + 1} of {now.rounds}, {at}",
+                "learning" if learns else "driving",
+            )
             if not bar.console.is_terminal:
                 _log(bar, now)
 
