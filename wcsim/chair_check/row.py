@@ -150,12 +150,9 @@ def changes(tables: Mapping[int, Sequence[Row]]) -> list[Change]:
     for name, first in by_rate[0].items():
         rows = [rows[name] for rows in by_rate if name in rows]
         values = tuple(row.value for row in rows)
-        whole = max([abs(value) for value in values] + ([abs(first.low), abs(first.high)] if _near_zero(first) else []))
+        bounds = (first.low, first.high) if first.low <= 0.0 <= first.high else ()
+        whole = max(map(abs, (*values, *bounds)))
         change = (max(values) - min(values)) / whole if whole > 0.0 else 0.0
         most = _MOST_CHANGE_IMPACT if first.impact else _MOST_CHANGE
         out.append(Change(name=name, unit=first.unit, values=values, change=change, most=most, ok=change <= most))
     return out
-
-
-def _near_zero(row: Row) -> bool:
-    return row.low <= 0.0 <= row.high

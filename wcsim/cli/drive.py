@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-import tyro
+from tyro.conf import arg
 
 from wcsim.cli.recordings.film_page import PageOptions, serve_page
 from wcsim.cli.shared.common import Bounds, OutFolder, SomeTown, Writes, parse, says
@@ -28,7 +28,7 @@ class _AssistedOptions(PageOptions):
     """Your own network as module:Class, for a run that was trained with it."""
     profile: str = ""
     """The simulated user, who drives when you select it on the page; by default that of the episode."""
-    record: Annotated[Path | None, tyro.conf.arg(metavar="FILE"), Writes(new=True)] = None
+    record: Annotated[Path | None, arg(metavar="FILE"), Writes(new=True)] = None
     """Record the drive in this new file; a further town or world is recorded in FILE-2, FILE-3."""
 
 
@@ -66,7 +66,7 @@ class _EpisodeOptions(_AssistedOptions):
 class _StudyOptions(PageOptions):
     """Run a study with a participant."""
 
-    study: Annotated[str, tyro.conf.arg(metavar="FILE.toml")]
+    study: Annotated[str, arg(metavar="FILE.toml")]
     """The study: assistance (shipped), or a file of your own. docs/studies.md"""
     participant: int
     """The participant's number from 1, which sets the order; the same number again resumes."""

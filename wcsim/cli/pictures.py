@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import tyro
+from tyro.conf import arg
 
 from wcsim.cli.shared.common import (
     Bounds,
@@ -40,7 +40,7 @@ class _LookOptions:
     """A town's name, its folder, or a .sumocfg file."""
     seed: int = 4
     """Seed of the traffic and of the chair's start."""
-    out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")] = Path("look")
+    out: Annotated[Path, arg(metavar="FOLDER")] = Path("look")
     """Folder for TOWN-street.png, TOWN.png and TOWN.webm."""
     seconds: Annotated[float, Bounds(MIN_SECONDS, MAX_SECONDS)] = 10.0
     """Length of the film. The pictures show its busiest moment in which the chair faces its route."""
@@ -92,7 +92,7 @@ class _SnapshotOptions:
     """A town's name, its folder, or a .sumocfg file."""
     seed: int = 0
     """Seed of the traffic and of the chair's start."""
-    out: Annotated[Path, tyro.conf.arg(metavar="FILE"), Writes(".png")] = Path("snapshot.png")
+    out: Annotated[Path, arg(metavar="FILE"), Writes(".png")] = Path("snapshot.png")
     """The picture (PNG)."""
     width: int = 640
     """Width of each of the three images, in pixels."""
@@ -139,7 +139,7 @@ class _VideoOptions:
     """A town's name, its folder, or a .sumocfg file."""
     seed: int = 0
     """Seed of the traffic and of the chair's start."""
-    out: Annotated[Path, tyro.conf.arg(metavar="FILE"), Writes(".webm")] = Path("video.webm")
+    out: Annotated[Path, arg(metavar="FILE"), Writes(".webm")] = Path("video.webm")
     """The video (WebM)."""
     seconds: Annotated[float, Bounds(MIN_SECONDS, MAX_SECONDS)] = 10.0
     """Length of the film."""

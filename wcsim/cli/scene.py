@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-import tyro
 from rich.table import Table
 from rich.text import Text
+from tyro.conf import Positional, arg
 
 from wcsim.cli.shared.common import OutFile, Parts, Writes, run_part, write_json
 from wcsim.cli.shared.consoles import stdout_console
@@ -23,7 +23,7 @@ from wcsim.scenes.facts import Facts, faults
 from wcsim.scenes.template import write_scene
 from wcsim.towns.scene_folders.build import GOLDEN, NETCONVERT_FILES, find_scene, list_scenes
 
-Scenes = Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[SCENE ...]")]
+Scenes = Annotated[tuple[str, ...], Positional, arg(metavar="[SCENE ...]")]
 HOME = Path("scenarios") / "sumo" / "scenes"
 
 
@@ -35,7 +35,7 @@ class _RunOptions:
     """Names or folders of scenes."""
     json: OutFile = None
     """Write the results to this file."""
-    film: Annotated[Path | None, tyro.conf.arg(metavar="FILE"), Writes(".webm")] = None
+    film: Annotated[Path | None, arg(metavar="FILE"), Writes(".webm")] = None
     """Write a video (WebM) of the scene to this file; one scene must be named."""
 
 
@@ -56,9 +56,9 @@ class _ListOptions:
 class _NewOptions:
     """Create a small scene that runs as it is, as a template for your own."""
 
-    name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")]
+    name: Annotated[str, Positional, arg(metavar="NAME")]
     """Name of the scene and its folder."""
-    out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")] = HOME
+    out: Annotated[Path, arg(metavar="FOLDER")] = HOME
     """Where the scene's folder is created; scenes in the default folder are found by name."""
 
 
@@ -66,9 +66,9 @@ class _NewOptions:
 class _MakeOptions:
     """Generate a scene of a family from a seed: a hazard and a recorded joystick."""
 
-    family: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FAMILY")]
+    family: Annotated[str, Positional, arg(metavar="FAMILY")]
     """One of the families listed in docs/authoring.md."""
-    out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
+    out: Annotated[Path, arg(metavar="FOLDER")]
     """Folder to create."""
     seed: int = 0
     """Seed of places, times, speeds and the side; the same seed writes the same files."""

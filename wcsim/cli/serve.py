@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import shlex
 import socket
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-import tyro
+from tyro.conf import arg
 
 from wcsim.cli.shared.common import Bounds, Flag, OutFolder, SettingsOptions, check_folder, parse, some_words
+from wcsim.cli.shared.consoles import warn
 from wcsim.cli.shared.exit_codes import Exit
 from wcsim.cli.shared.overrides import beside, print_overrides
 from wcsim.cli.shared.run_config import overrides_of
@@ -50,17 +50,17 @@ class Options(SettingsOptions):
     """Number of clients that the first tick waits for."""
     hook: str = ""
     """Your own step hook as module:Class, called around every step of SUMO with the libsumo module."""
-    listen: Annotated[str, tyro.conf.arg(metavar="tcp://HOST:PORT")] = ""
+    listen: Annotated[str, arg(metavar="tcp://HOST:PORT")] = ""
     """Also accept clients from other machines; beyond 127.0.0.1 this needs keys."""
     keys: OutFolder = None
     """Folder with the server's keys and those of clients that may join over the network."""
-    make_keys: Annotated[str, tyro.conf.arg(metavar="NAME,...")] = ""
+    make_keys: Annotated[str, arg(metavar="NAME,...")] = ""
     """Generate missing keys for these clients and the server in the folder --keys."""
     run: OutFolder = None
     """Save journal, logs and the outputs of the town's scenario here; continues a world in the folder."""
-    lease: Annotated[float, tyro.conf.arg(metavar="S"), Bounds(1.0, 86_400.0)] = 120.0
+    lease: Annotated[float, arg(metavar="S"), Bounds(1.0, 86_400.0)] = 120.0
     """Seconds without a sign of progress after which a client is dropped."""
-    max_think: Annotated[float | None, tyro.conf.arg(metavar="S"), Bounds(0.1, 86_400.0)] = None
+    max_think: Annotated[float | None, arg(metavar="S"), Bounds(0.1, 86_400.0)] = None
     """Seconds that a client may take for an action before it is dropped; unlimited by default."""
     seed: int = 0
     """Random seed of the world."""
@@ -102,7 +102,7 @@ def _served(options: Options, town: Town, config: RunConfig, place: Path) -> int
     if outcome.code == Exit.REFUSED:
         raise ConfigError(outcome.message)
     if outcome.code:
-        print(f"wcsim: {outcome.message}", file=sys.stderr)
+        warn(outcome.message)
         return Exit.FAILED
     return Exit.DONE
 
@@ -166,7 +166,7 @@ def _prepare(folder: Path) -> None:
     if journal.is_file():
         with LogWriter.append_to(journal) as writer:
             if writer.cut_bytes:
-                print(f"wcsim: {told_torn(journal, writer.cut_bytes)}", file=sys.stderr)
+                warn(told_torn(journal, writer.cut_bytes))
 
 
 def _order(options: Options, town: Town, config: RunConfig, place: Path) -> WorldSpec:

@@ -11,10 +11,16 @@ from pydantic import BaseModel, ConfigDict, Field
 from wcsim.core.reading import escaped
 from wcsim.errors import meant
 
+
+def within(low: float, high: float) -> Any:
+    """A bound for `Annotated`: a number from `low` to `high`, both of them allowed."""
+    return Field(ge=low, le=high)
+
+
 _LARGEST = 1e9  # of numbers that nothing else bounds: nothing that is computed of them overflows
 Positive = Annotated[float, Field(gt=0.0, le=_LARGEST, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0.0, le=_LARGEST, allow_inf_nan=False)]
-Share = Annotated[float, Field(ge=0.0, le=1.0)]
+Share = Annotated[float, within(0.0, 1.0)]
 Finite = Annotated[float, Field(ge=-_LARGEST, le=_LARGEST, allow_inf_nan=False)]
 Word = Annotated[str, Field(max_length=400)]
 Text = Annotated[str, Field(max_length=16_384)]  # paths, commands, attributions
@@ -78,14 +84,14 @@ def _table(model: type[BaseModel], item: Any) -> str:
 
 def _bounds(model: type[BaseModel], loc: tuple[str | int, ...]) -> list[tuple[str, float]]:
     """The bounds (their name in pydantic, the limit) of the number at `loc` of a model; empty when there are none."""
-    held = [note for kind in _parts(_at(model, loc)) for note in getattr(kind, "metadata", _notes(kind))]
+    held = [
+        note
+        for kind in _parts(_at(model, loc))
+        for note in getattr(kind, "metadata", getattr(kind, "__metadata__", ()))
+    ]
     notes = [note for extra in held for note in (extra, *getattr(extra, "metadata", ()))]
     found = {name: getattr(note, name) for note in notes for name in _BOUNDS if getattr(note, name, None) is not None}
     return list(found.items())
-
-
-def _notes(kind: Any) -> tuple[Any, ...]:
-    return getattr(kind, "__metadata__", ())
 
 
 def _at(model: type[BaseModel], loc: tuple[str | int, ...]) -> Any:

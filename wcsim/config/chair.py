@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from wcsim.config.base import Model, NotNegative, Positive, Share, Text
+from wcsim.config.base import Model, NotNegative, Positive, Share, Text, within
 
 PROFILE_SPEED_MPS: dict[str, float] = {"indoor": 0.6, "pavement": 1.67, "road": 2.78}
 
@@ -25,18 +25,18 @@ class ChairConfig(Model):
     yaw_accel_radps2: Positive = 2.5  # Angular acceleration of turns.
     jerk_mps3: Positive = 4.0  # Rate of change of the acceleration.
     yaw_rate_max_radps: Positive = 1.5  # Turn rate at full stick.
-    deadband: Annotated[float, Field(ge=0.0, le=0.5)] = 0.08  # Stick travel without effect, as a share.
-    shape_exponent: Annotated[float, Field(ge=1.0, le=3.0)] = (
+    deadband: Annotated[float, within(0.0, 0.5)] = 0.08  # Stick travel without effect, as a share.
+    shape_exponent: Annotated[float, within(1.0, 3.0)] = (
         1.0  # Exponent of the stick's curve. Above 1 the stick is finer near its centre.
     )
-    tremor_damping_s: Annotated[float, Field(ge=0.0, le=0.4)] = (
+    tremor_damping_s: Annotated[float, within(0.0, 0.4)] = (
         0.0  # Time constant of a low-pass on the joystick. 0: no filter.
     )
     brake_after_s: NotNegative = 0.5  # Time at rest before the parking brake locks.
-    user_mass_kg: Annotated[float, Field(ge=25.0, le=150.0)] | None = (
+    user_mass_kg: Annotated[float, within(25.0, 150.0)] | None = (
         None  # Mass of the user. Without a value: that of the plant.
     )
-    com_height_m: Annotated[float, Field(ge=0.3, le=0.9)] | None = (
+    com_height_m: Annotated[float, within(0.3, 0.9)] | None = (
         None  # Height of the centre of mass. Without a value: that of the plant.
     )
 

@@ -6,7 +6,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from wcsim.config.base import Finite, Model, NotNegative, Positive, Text
+from wcsim.config.base import Finite, Model, NotNegative, Positive, Text, within
 
 JoystickDistance = Annotated[float, Field(gt=0.0, le=100.0)]
 
@@ -53,7 +53,7 @@ class RewardConfig(FollowReward):
         return self
 
 
-Window = Annotated[int, Field(ge=1, le=16)]
+Window = Annotated[int, within(1, 16)]
 
 
 class EnvConfig(Model):
@@ -72,7 +72,7 @@ class EnvConfig(Model):
     observe_yaw: bool = False  # Whether the observation contains the heading. Not in the paper.
     window: Window | None = None  # Images in an observation, one per tick. Without a value: the network decides.
     actions: Literal["square81", "disc69"] = "square81"  # Joystick positions: a 9 by 9 grid, or those on the unit disc.
-    max_steps: Annotated[int, Field(ge=1, le=1_000_000)] = (
+    max_steps: Annotated[int, within(1, 1_000_000)] = (
         10_000  # Longest episode in steps. Training uses learn.episode_steps.
     )
     profile: Text = "inattentive"  # Simulated user: a name, FILE.toml, or recorded:FILE (docs/user.md).

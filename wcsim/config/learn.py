@@ -6,20 +6,20 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from wcsim.config.base import Model, NotNegative, Positive, Share, Text, Word
+from wcsim.config.base import Model, NotNegative, Positive, Share, Text, Word, within
 
 
 class DangerConfig(Model):
     """The danger network: its parts, its training, and its rule."""
 
     eye: Literal["map", "picture", "both"] = "map"  # Input: the street map, camera images (`learn.network`), or both.
-    width: Annotated[int, Field(ge=4, le=256)] = 20  # Channels of the first layer.
-    updates: Annotated[int, Field(ge=1, le=10**7)] = 1500  # Updates in a round.
-    batch: Annotated[int, Field(ge=2, le=4096)] = 64  # Steps in a batch.
+    width: Annotated[int, within(4, 256)] = 20  # Channels of the first layer.
+    updates: Annotated[int, within(1, 10**7)] = 1500  # Updates in a round.
+    batch: Annotated[int, within(2, 4096)] = 64  # Steps in a batch.
     learning_rate: Positive = 2e-3  # Learning rate of Adam.
     weight_decay: NotNegative = 1e-3  # Weight decay of Adam.
     tight_share: Share = 0.5  # Share of a batch from steps with an unsafe action.
-    ahead: Annotated[int, Field(ge=0, le=20)] = 1  # Steps before danger in which an action already counts as unsafe.
+    ahead: Annotated[int, within(0, 20)] = 1  # Steps before danger in which an action already counts as unsafe.
     teacher: Annotated[str, Field(pattern="^(visible|truth)$")] = (
         "visible"  # Labels from an oracle limited to what cameras showed (visible), or all-knowing (truth).
     )
@@ -30,23 +30,21 @@ class DangerConfig(Model):
     warn: Share = 0.3  # Warns above this danger of the user's own stick, smoothed over about three ticks.
 
 
-Count = Annotated[int, Field(ge=1, le=100_000)]
+Count = Annotated[int, within(1, 100_000)]
 
 
 class CollectConfig(Model):
     """Driving for training data: where, by which users, and with how many perturbations."""
 
-    rounds: Annotated[int, Field(ge=1, le=100_000)] = 2  # Rounds of driving and learning.
-    segments: Annotated[int, Field(ge=0, le=100_000)] = (
+    rounds: Annotated[int, within(1, 100_000)] = 2  # Rounds of driving and learning.
+    segments: Annotated[int, within(0, 100_000)] = (
         6  # Segments of driving in a round. 0: learn only from recorded data.
     )
-    ticks: Annotated[int, Field(ge=10, le=100_000)] = 400  # Ticks in a segment.
-    chairs: Annotated[int, Field(ge=1, le=12)] = 6  # Chairs in its world.
+    ticks: Annotated[int, within(10, 100_000)] = 400  # Ticks in a segment.
+    chairs: Annotated[int, within(1, 12)] = 6  # Chairs in its world.
     episode_steps: Count = 300  # Longest episode.
     towns: Annotated[tuple[Text, ...], Field(max_length=64)] = ()  # Towns used in turn with those of --town.
-    made_towns: Annotated[int, Field(ge=0, le=1000)] = (
-        0  # Number of towns that `wcsim town make` generates for this run.
-    )
+    made_towns: Annotated[int, within(0, 1000)] = 0  # Number of towns that `wcsim town make` generates for this run.
     data: Annotated[tuple[Text, ...], Field(max_length=64)] = ()  # Folders of `wcsim collect` to learn from as well.
     scene_share: Share = 0.3  # Share of segments in generated scenes: hidden road users and narrow places.
     profiles: Annotated[tuple[Text, ...], Field(min_length=1, max_length=64)] = (  # Simulated users to draw from.
@@ -60,13 +58,13 @@ class CollectConfig(Model):
     astray_share: Share = 0.33  # Share of time with a random offset on the stick.
 
 
-Steps = Annotated[int, Field(ge=1, le=10**9)]
+Steps = Annotated[int, within(1, 10**9)]
 
 PROCESS_GROWTH_MB = 400.0
 
 UpdateTime = Literal["before_acting", "while_waiting"]
 
-StepsOrNone = Annotated[int, Field(ge=0, le=10**9)]
+StepsOrNone = Annotated[int, within(0, 10**9)]
 
 
 class LearnConfig(Model):
@@ -92,22 +90,20 @@ class LearnConfig(Model):
     )
     learning_rate: Positive = 3e-4  # Learning rate of Adam.
     learning_rate_fade: Share = 0.0  # Last share of the run in which the learning rate falls to zero.
-    batch_size: Annotated[int, Field(ge=1, le=4096)] = 32  # Steps in a batch.
-    replay_frames: Annotated[int, Field(ge=100, le=10**7)] = 50_000  # Steps in the replay memory.
+    batch_size: Annotated[int, within(1, 4096)] = 32  # Steps in a batch.
+    replay_frames: Annotated[int, within(100, 10**7)] = 50_000  # Steps in the replay memory.
     process_growth_mb: Annotated[float, Field(ge=10.0, le=10**6, exclude_if=lambda mb: mb == PROCESS_GROWTH_MB)] = (
         PROCESS_GROWTH_MB  # Memory in MB, beyond a full replay, after which a client's process is restarted.
     )
     memory: Literal["steps", "groups", "windows"] = "steps"  # What the replay samples (docs/replay.md).
-    group_steps: Annotated[int, Field(ge=1, le=1_000)] = 16  # Consecutive steps in a group.
-    burn_in: Annotated[int, Field(ge=0, le=1_000)] = (
-        8  # Steps before a group that run without loss, to warm up the state.
-    )
+    group_steps: Annotated[int, within(1, 1_000)] = 16  # Consecutive steps in a group.
+    burn_in: Annotated[int, within(0, 1_000)] = 8  # Steps before a group that run without loss, to warm up the state.
     learning_starts: StepsOrNone = 500  # Steps before the first update.
-    train_every: Annotated[int, Field(ge=1, le=10**4)] = 4  # Steps between updates.
+    train_every: Annotated[int, within(1, 10**4)] = 4  # Steps between updates.
     updates: Annotated[UpdateTime, Field(exclude_if=lambda when: when == "before_acting")] = (
         "before_acting"  # When updates run: before an action, or while waiting for the world.
     )
-    n_step: Annotated[int, Field(ge=1, le=50)] = 5  # Rewards summed before the value is used.
+    n_step: Annotated[int, within(1, 50)] = 5  # Rewards summed before the value is used.
     tau: Annotated[float, Field(gt=0.0, le=1.0)] = 0.01  # Share by which an update moves the target network.
     reward_scale: Positive = 0.05  # Factor on the reward.
     double_q: bool = True  # Double DQN. False: DQN.
@@ -117,7 +113,7 @@ class LearnConfig(Model):
     exploration: Literal["local", "uniform"] = "local"  # Explore near the user's stick, or any action.
     epsilon_start: Share = 0.2  # Share of explored steps at the start of the second phase.
     epsilon_end: Share = 0.05  # Share of explored steps at its end.
-    epsilon_hold: Annotated[int, Field(ge=1, le=100)] = 1  # Steps for which an explored offset is held.
+    epsilon_hold: Annotated[int, within(1, 100)] = 1  # Steps for which an explored offset is held.
     aid: Literal["none", "oracle"] = (
         "none"  # Whether training also uses safe actions from the oracle. Not in the paper.
     )
@@ -127,9 +123,9 @@ class LearnConfig(Model):
         False  # Whether to write TensorBoard scalars, if it is installed.
     )
     checkpoint_every: Steps = 5_000  # Steps between checkpoints.
-    threads: Annotated[int, Field(ge=1, le=64)] = 1  # Threads of PyTorch.
+    threads: Annotated[int, within(1, 64)] = 1  # Threads of PyTorch.
     device: Word = "cpu"  # cpu, or cuda.
-    episode_steps: Annotated[int, Field(ge=1, le=1_000_000)] = 1_000  # Longest episode in training.
+    episode_steps: Annotated[int, within(1, 1_000_000)] = 1_000  # Longest episode in training.
 
     @model_validator(mode="after")
     def _can_wait(self) -> LearnConfig:

@@ -14,14 +14,15 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from wcsim.config import CONFIG_FILE, Model, Text, parse, read_toml
+from wcsim.config.base import within
 from wcsim.core import reading
 from wcsim.errors import ConfigError
 
 _PLANTS = Path(__file__).parent / "plants"
 
-Friction = Annotated[float, Field(ge=0.0, le=2.0)]  # times that of the ground, which is 1
-PartKg = Annotated[float, Field(ge=0.1, le=30.0)]
-Metre = Annotated[float, Field(ge=-1.5, le=1.5)]
+Friction = Annotated[float, within(0.0, 2.0)]  # times that of the ground, which is 1
+PartKg = Annotated[float, within(0.1, 30.0)]
+Metre = Annotated[float, within(-1.5, 1.5)]
 Vec3 = tuple[Metre, Metre, Metre]
 Rises = Annotated[tuple[Annotated[float, Field(gt=0.0, le=0.3)], ...], Field(max_length=64)]
 
@@ -29,59 +30,59 @@ Rises = Annotated[tuple[Annotated[float, Field(gt=0.0, le=0.3)], ...], Field(max
 class _MassPart(Model):
     """Chair and user together; wheels, forks, arms, beams and anti-tips are part of the chair's mass."""
 
-    chair_kg: Annotated[float, Field(ge=50.0, le=200.0)]
-    user_kg: Annotated[float, Field(ge=25.0, le=150.0)]
-    com_x_m: Annotated[float, Field(ge=-0.5, le=0.6)]  # of chair and user, ahead of the drive axle
-    com_z_m: Annotated[float, Field(ge=0.3, le=0.9)]
+    chair_kg: Annotated[float, within(50.0, 200.0)]
+    user_kg: Annotated[float, within(25.0, 150.0)]
+    com_x_m: Annotated[float, within(-0.5, 0.6)]  # of chair and user, ahead of the drive axle
+    com_z_m: Annotated[float, within(0.3, 0.9)]
     inertia_box_m: tuple[  # frame and user resist turning like a box of this size
-        Annotated[float, Field(ge=0.2, le=1.5)],
-        Annotated[float, Field(ge=0.2, le=1.5)],
-        Annotated[float, Field(ge=0.2, le=2.0)],
+        Annotated[float, within(0.2, 1.5)],
+        Annotated[float, within(0.2, 1.5)],
+        Annotated[float, within(0.2, 2.0)],
     ]
 
 
 class _WheelPart(Model):
     """The two drive wheels."""
 
-    radius_m: Annotated[float, Field(ge=0.12, le=0.32)]
-    width_m: Annotated[float, Field(ge=0.02, le=0.15)]
+    radius_m: Annotated[float, within(0.12, 0.32)]
+    width_m: Annotated[float, within(0.02, 0.15)]
     mass_kg: PartKg
-    track_m: Annotated[float, Field(ge=0.40, le=0.75)]
+    track_m: Annotated[float, within(0.40, 0.75)]
     friction: Friction
 
 
 class ArmPart(Model):
     """A sprung arm that carries a caster up and down. `preload_N` is its push at the height where all wheels stand."""
 
-    stiffness_Npm: Annotated[float, Field(ge=1e3, le=1e5)]
-    damping_Nspm: Annotated[float, Field(ge=0.0, le=5e3)]
-    preload_N: Annotated[float, Field(ge=0.0, le=2e3)]
-    up_m: Annotated[float, Field(ge=0.0, le=0.15)]  # travel towards the frame
-    down_m: Annotated[float, Field(ge=0.0, le=0.15)]
+    stiffness_Npm: Annotated[float, within(1e3, 1e5)]
+    damping_Nspm: Annotated[float, within(0.0, 5e3)]
+    preload_N: Annotated[float, within(0.0, 2e3)]
+    up_m: Annotated[float, within(0.0, 0.15)]  # travel towards the frame
+    down_m: Annotated[float, within(0.0, 0.15)]
     mass_kg: PartKg
 
 
 class BeamPart(Model):
     """A beam across the frame that carries both casters of a pair and rocks about a lengthwise pivot in its middle."""
 
-    pivot_z_m: Annotated[float, Field(ge=0.0, le=0.5)]
-    stop_deg: Annotated[float, Field(ge=0.5, le=15.0)]  # to either side; less is a value in rad
-    friction_Nm: Annotated[float, Field(ge=0.0, le=200.0)]
+    pivot_z_m: Annotated[float, within(0.0, 0.5)]
+    stop_deg: Annotated[float, within(0.5, 15.0)]  # to either side; less is a value in rad
+    friction_Nm: Annotated[float, within(0.0, 200.0)]
     mass_kg: PartKg
 
 
 class CasterPart(Model):
     """A pair of swivelling casters: rigid, each on a sprung arm, or both on a rocking beam."""
 
-    swivel_x_m: Annotated[float, Field(ge=-0.8, le=0.8)]  # from the drive axle to the swivel's axis
-    track_m: Annotated[float, Field(ge=0.30, le=0.75)]
-    radius_m: Annotated[float, Field(ge=0.05, le=0.18)]
-    width_m: Annotated[float, Field(ge=0.02, le=0.10)]
+    swivel_x_m: Annotated[float, within(-0.8, 0.8)]  # from the drive axle to the swivel's axis
+    track_m: Annotated[float, within(0.30, 0.75)]
+    radius_m: Annotated[float, within(0.05, 0.18)]
+    width_m: Annotated[float, within(0.02, 0.10)]
     mass_kg: PartKg
-    trail_m: Annotated[float, Field(ge=0.02, le=0.10)]
+    trail_m: Annotated[float, within(0.02, 0.10)]
     fork_mass_kg: PartKg
-    fork_inertia_kgm2: Annotated[float, Field(ge=1e-4, le=0.1)]
-    swivel_friction_Nm: Annotated[float, Field(ge=0.0, le=5.0)]
+    fork_inertia_kgm2: Annotated[float, within(1e-4, 0.1)]
+    swivel_friction_Nm: Annotated[float, within(0.0, 5.0)]
     friction: Friction
     arm: ArmPart | None = None
     beam: BeamPart | None = None
@@ -91,9 +92,9 @@ class _AntitipPart(Model):
     """A pair of anti-tip wheels on the frame."""
 
     p_m: Vec3  # the left one's middle
-    radius_m: Annotated[float, Field(ge=0.01, le=0.10)]
+    radius_m: Annotated[float, within(0.01, 0.10)]
     mass_kg: PartKg
-    inertia_kgm2: Annotated[float, Field(ge=1e-5, le=0.1)]
+    inertia_kgm2: Annotated[float, within(1e-5, 0.1)]
     friction: Friction
 
 
@@ -103,16 +104,16 @@ class _BoxPart(Model):
     part: Literal["body", "footplate"]
     centre_m: Vec3
     size_m: tuple[
-        Annotated[float, Field(ge=0.01, le=1.5)],
-        Annotated[float, Field(ge=0.01, le=1.0)],
-        Annotated[float, Field(ge=0.01, le=1.5)],
+        Annotated[float, within(0.01, 1.5)],
+        Annotated[float, within(0.01, 1.0)],
+        Annotated[float, within(0.01, 1.5)],
     ]
 
 
 class _FramePart(Model):
     """The frame with its user as others meet it."""
 
-    height_m: Annotated[float, Field(ge=0.8, le=2.0)]  # top of the user's head
+    height_m: Annotated[float, within(0.8, 2.0)]  # top of the user's head
     friction: Friction
     boxes: Annotated[tuple[_BoxPart, ...], Field(min_length=1, max_length=64)]
 
@@ -120,22 +121,22 @@ class _FramePart(Model):
 class _MotorPart(Model):
     """A geared permanent-magnet motor at each drive wheel, and its spring-applied parking brake."""
 
-    stall_torque_Nm: Annotated[float, Field(ge=20.0, le=300.0)]
-    no_load_radps: Annotated[float, Field(ge=5.0, le=60.0)]
-    least_torque_share: Annotated[float, Field(ge=0.0, le=1.0)]  # of the stall torque, however fast it turns
-    rotor_inertia_kgm2: Annotated[float, Field(ge=0.0, le=2.0)]  # as the wheel feels it, times the gear ratio squared
-    brake_torque_Nm: Annotated[float, Field(ge=20.0, le=500.0)]
+    stall_torque_Nm: Annotated[float, within(20.0, 300.0)]
+    no_load_radps: Annotated[float, within(5.0, 60.0)]
+    least_torque_share: Annotated[float, within(0.0, 1.0)]  # of the stall torque, however fast it turns
+    rotor_inertia_kgm2: Annotated[float, within(0.0, 2.0)]  # as the wheel feels it, times the gear ratio squared
+    brake_torque_Nm: Annotated[float, within(20.0, 500.0)]
 
 
 class _LimitPart(Model):
     """The most that the chair's controller may be set to."""
 
     speed_mps: Annotated[float, Field(gt=0.1, le=5.0)]
-    accel_mps2: Annotated[float, Field(ge=0.2, le=6.0)]
-    decel_mps2: Annotated[float, Field(ge=0.2, le=6.0)]
-    jerk_mps3: Annotated[float, Field(ge=0.5, le=100.0)]
-    yaw_rate_radps: Annotated[float, Field(ge=0.1, le=4.0)]
-    yaw_accel_radps2: Annotated[float, Field(ge=0.1, le=20.0)]
+    accel_mps2: Annotated[float, within(0.2, 6.0)]
+    decel_mps2: Annotated[float, within(0.2, 6.0)]
+    jerk_mps3: Annotated[float, within(0.5, 100.0)]
+    yaw_rate_radps: Annotated[float, within(0.1, 4.0)]
+    yaw_accel_radps2: Annotated[float, within(0.1, 20.0)]
 
 
 class _ClimbPart(Model):
@@ -202,7 +203,7 @@ def with_values(file: PlantFile, values: Mapping[str, float]) -> PlantFile:
         *path, last = name.split(".")
         nodes: list[Any] = [data]
         for key in path:
-            nodes = [child for node in nodes for child in _children(node, key)]
+            nodes = [node[k] for node in nodes for k in _keys(node, key)]
         places = [(node, key) for node in nodes for key in _keys(node, last)]
         if not places or any(isinstance(node[key], (dict, list)) for node, key in places):
             raise ConfigError(
@@ -211,10 +212,6 @@ def with_values(file: PlantFile, values: Mapping[str, float]) -> PlantFile:
         for node, key in places:
             node[key] = value
     return parse(PlantFile, data, "plant")
-
-
-def _children(node: Any, key: str) -> list[Any]:
-    return [node[k] for k in _keys(node, key)]
 
 
 def _keys(node: Any, key: str) -> list[Any]:

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal, TypeVar
 from pydantic import AfterValidator, Field, StrictBool, model_validator
 
 from wcsim.config import MAX_SEEN_PX, CameraConfig, ChairConfig, Window
-from wcsim.config.base import Model, NotNegative, Positive, Share, Text, Word
+from wcsim.config.base import Model, NotNegative, Positive, Share, Text, Word, within
 from wcsim.config.env import FollowReward, Form
 from wcsim.core.reading import MAX_INTEGER
 from wcsim.types import CLIENT_NAME
@@ -43,7 +43,7 @@ class NetSpec(Model):
     network: Name = "patch"
     head: Literal["residual", "plain"] = "residual"
     dueling: bool = True
-    hidden: Annotated[int, Field(ge=1, le=65_536)] = 128
+    hidden: Annotated[int, within(1, 65_536)] = 128
     actions: Literal["square81", "disc69"] = "square81"
     classes: Literal["cityscapes", "wcsim"] = "cityscapes"
     prior: FollowPrior = FollowPrior()
@@ -56,9 +56,9 @@ class PolicyFile(Model):
     schema_version: Literal[1]
     algorithm: Literal["SeqDQN"]
     net: Annotated[NetSpec, AfterValidator(_all_named)]
-    image_hw_px: tuple[Annotated[int, Field(ge=8, le=2048)], Annotated[int, Field(ge=8, le=2048)]]
-    vector_size: Annotated[int, Field(ge=3, le=1024)]
-    sensors: Annotated[dict[Name, Annotated[int, Field(ge=1, le=1021)]], Field(max_length=64)] = Field(
+    image_hw_px: tuple[Annotated[int, within(8, 2048)], Annotated[int, within(8, 2048)]]
+    vector_size: Annotated[int, within(3, 1024)]
+    sensors: Annotated[dict[Name, Annotated[int, within(1, 1021)]], Field(max_length=64)] = Field(
         default_factory=dict
     )  # numbers of each sensor of [sensors] among them
     window: Window = 1
@@ -89,7 +89,7 @@ class PolicyFile(Model):
 class DangerNetFile(Model):
     """The shape of a danger network."""
 
-    width: Annotated[int, Field(ge=4, le=256)]
+    width: Annotated[int, within(4, 256)]
     actions: Literal["square81", "disc69"]
     eye: Literal["map", "picture", "both"] = "map"
     network: Name = "patch"
@@ -152,7 +152,7 @@ class _OverrideFile(Model):
 class ManifestFile(Model):
     """`manifest.json`: what a run was made with; `clients` is there in the folder of a run of several."""
 
-    seed: Annotated[int, Field(ge=0, le=MAX_INTEGER)]
+    seed: Annotated[int, within(0, MAX_INTEGER)]
     town: Text
     town_sha256: Word
     config_sha256: Word
@@ -162,7 +162,7 @@ class ManifestFile(Model):
     versions: Versions
     git_revision: Word
     status: Literal["running", "done", "interrupted"] = "running"
-    steps: Annotated[int, Field(ge=0, le=10**12)] = 0
+    steps: Annotated[int, within(0, 10**12)] = 0
     hook: Word = ""
     own_code: Sha256 | Literal[""] = ""  # see agents/runs/own_code.py
     more_towns: Annotated[dict[Text, Sha256], Field(max_length=4096)] = Field(default_factory=dict)
@@ -242,7 +242,7 @@ class RoundFile(Model):
     segments: Segments  # that it has learned from
 
 
-_Whole = Annotated[int, Field(ge=0, le=10**15)]
+_Whole = Annotated[int, within(0, 10**15)]
 _Measured = Annotated[float, Field(ge=0.0, le=1e15, allow_inf_nan=False)]
 
 
@@ -267,7 +267,7 @@ class GuardRule(Model):
     deadline_s: Annotated[float, Field(gt=0.0, le=10.0)] = 0.1  # from a frame's arrival to the answer
     tick_s: Annotated[float, Field(gt=0.0, le=1.0)] = 0.1
     stop_s: Annotated[float, Field(gt=0.0, le=10.0)] = 0.5  # within so long the command is zero
-    good_ticks: Annotated[int, Field(ge=1, le=10_000)] = 10  # one after the other, until the policy drives again
+    good_ticks: Annotated[int, within(1, 10_000)] = 10  # one after the other, until the policy drives again
 
 
 class GuardFile(Model):

@@ -7,9 +7,9 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from wcsim.config.base import Finite, Model, NotNegative, Share, Text, Word
+from wcsim.config.base import Finite, Model, NotNegative, Share, Text, Word, within
 
-Stick = Annotated[float, Field(ge=-1.0, le=1.0)]
+Stick = Annotated[float, within(-1.0, 1.0)]
 Window = tuple[Finite, Finite]
 FileName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}\.csv$")]
 ScriptStep = tuple[NotNegative, Stick, Stick]  # from this second on: right, forward
@@ -26,14 +26,14 @@ class TownFile(Model):
         0,
         0,
     )  # Net coordinates of the world's origin. Far nets: the middle of the net.
-    kerb_height_m: Annotated[float, Field(ge=0.0, le=0.4)] = 0.12  # Height of pavements above the road.
-    lowered_kerb_m: Annotated[float, Field(ge=0.0, le=0.1)] = (
+    kerb_height_m: Annotated[float, within(0.0, 0.4)] = 0.12  # Height of pavements above the road.
+    lowered_kerb_m: Annotated[float, within(0.0, 0.1)] = (
         0.0  # Height of lowered kerbs, at crossings and where the map has them.
     )
     chair_ways: Annotated[tuple[ChairWay, ...], Field(max_length=16)] = (  # Ways that users drive on.
         "sidewalk", "crossing", "shared",
     )  # fmt: skip
-    warmup_s: Annotated[float, Field(ge=0.0, le=3600.0)] | None = (
+    warmup_s: Annotated[float, within(0.0, 3600.0)] | None = (
         None  # Time that SUMO simulates before the first step, unless you set world.warmup_s.
     )
     sumocfg: Text = ""  # Path of the scenario, if it is not the only .sumocfg here.
@@ -71,34 +71,37 @@ class SceneSeat(Model):
         return self
 
 
+_Between = Window | None
+
+
 class SceneExpect(Model):
     """Expected results over all seats, as lowest and highest value. A missing key is not checked."""
 
     crashed: bool | None = None  # Whether any chair crashed.
-    arrivals: Window | None = None  # Chairs that reached their goals.
-    travelled_m: Window | None = None  # Distance that all chairs drove together.
-    climb_m: Window | None = None  # Highest rise of a chair above its start.
-    drop_m: Window | None = None  # Deepest fall of a chair below its start.
-    rolled_back_m: Window | None = None  # Longest distance that a chair rolled back at once.
-    aside_m: Window | None = None  # Distance of a chair from the straight line to its goal, or ahead.
-    narrowest_m: Window | None = None  # Smallest free width of the pavement across a chair.
-    max_roll_deg: Window | None = None  # Largest roll of a chair.
-    max_pitch_deg: Window | None = None  # Largest pitch of a chair.
-    jolt_mps2: Window | None = None  # Largest acceleration of an IMU.
-    standing_s: Window | None = None  # Time that chairs stood before they arrived.
-    red_starts: Window | None = None  # Times that a chair entered a crossing without green.
-    green_starts: Window | None = None  # Times that a chair entered a crossing at green.
-    closest_actor_m: Window | None = None  # Smallest gap between a chair and any road user.
-    closest_vehicle_m: Window | None = None  # Smallest gap to a car, bus, tram or similar.
-    closest_rider_m: Window | None = None  # Smallest gap to a cyclist, scooter or motorcyclist.
-    closest_person_m: Window | None = None  # Smallest gap to a pedestrian.
-    closest_chair_m: Window | None = None  # Smallest gap to another wheelchair.
-    overtaken: Window | None = None  # Road users that overtook a chair.
-    slowest_mps: Window | None = None  # Lowest speed of a vehicle near a chair, once it moved.
-    gave_way: Window | None = None  # Vehicles that slowed below walking pace near a chair.
-    went_on: Window | None = None  # Number of those that drove on.
-    made_way_m: Window | None = None  # Largest distance that a pedestrian stepped aside.
-    actors_seen: Window | None = None  # Road users that came near a chair.
+    arrivals: _Between = None  # Chairs that reached their goals.
+    travelled_m: _Between = None  # Distance that all chairs drove together.
+    climb_m: _Between = None  # Highest rise of a chair above its start.
+    drop_m: _Between = None  # Deepest fall of a chair below its start.
+    rolled_back_m: _Between = None  # Longest distance that a chair rolled back at once.
+    aside_m: _Between = None  # Distance of a chair from the straight line to its goal, or ahead.
+    narrowest_m: _Between = None  # Smallest free width of the pavement across a chair.
+    max_roll_deg: _Between = None  # Largest roll of a chair.
+    max_pitch_deg: _Between = None  # Largest pitch of a chair.
+    jolt_mps2: _Between = None  # Largest acceleration of an IMU.
+    standing_s: _Between = None  # Time that chairs stood before they arrived.
+    red_starts: _Between = None  # Times that a chair entered a crossing without green.
+    green_starts: _Between = None  # Times that a chair entered a crossing at green.
+    closest_actor_m: _Between = None  # Smallest gap between a chair and any road user.
+    closest_vehicle_m: _Between = None  # Smallest gap to a car, bus, tram or similar.
+    closest_rider_m: _Between = None  # Smallest gap to a cyclist, scooter or motorcyclist.
+    closest_person_m: _Between = None  # Smallest gap to a pedestrian.
+    closest_chair_m: _Between = None  # Smallest gap to another wheelchair.
+    overtaken: _Between = None  # Road users that overtook a chair.
+    slowest_mps: _Between = None  # Lowest speed of a vehicle near a chair, once it moved.
+    gave_way: _Between = None  # Vehicles that slowed below walking pace near a chair.
+    went_on: _Between = None  # Number of those that drove on.
+    made_way_m: _Between = None  # Largest distance that a pedestrian stepped aside.
+    actors_seen: _Between = None  # Road users that came near a chair.
 
     @model_validator(mode="after")
     def _windows_are_open(self) -> SceneExpect:
@@ -115,10 +118,10 @@ class SceneFile(Model):
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")]  # Letters, digits, _ and -.
     shows: Text  # What the scene is about, in a sentence.
     seed: Annotated[int, Field(ge=0, lt=1 << 31)]  # Seed of traffic and users.
-    duration_s: Annotated[float, Field(ge=0.1, le=60.0)]  # Simulated time after the warm-up.
-    kerb_height_m: Annotated[float, Field(ge=0.0, le=0.4)] = 0.12  # Height of pavements above the road.
+    duration_s: Annotated[float, within(0.1, 60.0)]  # Simulated time after the warm-up.
+    kerb_height_m: Annotated[float, within(0.0, 0.4)] = 0.12  # Height of pavements above the road.
     lefthand: bool = False  # Whether traffic keeps left.
-    warmup_s: Annotated[float, Field(ge=0.0, le=600.0)] = 0.0  # Time that SUMO simulates before the first step.
+    warmup_s: Annotated[float, within(0.0, 600.0)] = 0.0  # Time that SUMO simulates before the first step.
     attention_share: Share = 1.0  # Share of road users who look for wheelchairs.
     seats: Annotated[tuple[SceneSeat, ...], Field(min_length=1, max_length=64)]
     expect: SceneExpect = SceneExpect()

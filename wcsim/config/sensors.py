@@ -7,14 +7,14 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from wcsim.config.base import Model, Positive, Share
+from wcsim.config.base import Model, Positive, Share, within
 from wcsim.types import Measure
 
 Along = Annotated[float, Field(ge=-2.0, le=2.0, allow_inf_nan=False)]
 Height = Annotated[float, Field(ge=0.02, le=3.0, allow_inf_nan=False)]
 Turn = Annotated[float, Field(ge=-180.0, le=180.0, allow_inf_nan=False)]
 UNTURNED = (0.0, 0.0, 0.0)
-Pixels = Annotated[int, Field(ge=8, le=2048)]
+Pixels = Annotated[int, within(8, 2048)]
 
 
 _TYPICAL: dict[str, dict[str, Any]] = {"noise": {"depth": {}, "classes": {}, "rgb": {}}}  # without a line: no keys
@@ -38,18 +38,16 @@ class DepthNoiseConfig(Model):
 
     stand_ins = ("none",)
 
-    baseline_m: Annotated[float, Field(ge=0.005, le=1.0)] = 0.05  # Distance between the two imagers.
-    sigma_px: Annotated[float, Field(ge=0.0, le=2.0)] = 0.08  # Standard deviation of the disparity.
-    step_px: Annotated[float, Field(ge=0.0, le=1.0)] = (
-        0.03125  # Step to which the disparity is rounded. 0: not rounded.
-    )
-    matcher_width_px: Annotated[int, Field(ge=8, le=8192)] = 848  # Image width at which the two images are matched.
-    z_min_m: Annotated[float, Field(ge=0.0, le=5.0)] = 0.28  # Nearer surfaces are not measured.
+    baseline_m: Annotated[float, within(0.005, 1.0)] = 0.05  # Distance between the two imagers.
+    sigma_px: Annotated[float, within(0.0, 2.0)] = 0.08  # Standard deviation of the disparity.
+    step_px: Annotated[float, within(0.0, 1.0)] = 0.03125  # Step to which the disparity is rounded. 0: not rounded.
+    matcher_width_px: Annotated[int, within(8, 8192)] = 848  # Image width at which the two images are matched.
+    z_min_m: Annotated[float, within(0.0, 5.0)] = 0.28  # Nearer surfaces are not measured.
     shadow: bool = True  # Whether surfaces that only one imager sees are lost.
     dropout: Share = 0.01  # Share of the image lost in random patches.
-    grazing_deg: Annotated[float, Field(ge=0.0, le=45.0)] = 3.0  # Surfaces seen at a smaller angle lose more pixels.
+    grazing_deg: Annotated[float, within(0.0, 45.0)] = 3.0  # Surfaces seen at a smaller angle lose more pixels.
     grazing_dropout: Share = 0.3  # Share of pixels that such surfaces lose.
-    patch_px: Annotated[int, Field(ge=1, le=64)] = 3  # Size of a lost patch.
+    patch_px: Annotated[int, within(1, 64)] = 3  # Size of a lost patch.
 
 
 class ClassNoiseConfig(Model):
@@ -57,11 +55,11 @@ class ClassNoiseConfig(Model):
 
     stand_ins = ("none",)
 
-    border_px: Annotated[int, Field(ge=0, le=8)] = 2  # Distance over which a pixel may take a neighbour's class.
+    border_px: Annotated[int, within(0, 8)] = 2  # Distance over which a pixel may take a neighbour's class.
     border_share: Share = 0.5  # Share of border pixels that do.
-    grain_px: Annotated[int, Field(ge=1, le=16)] = 2  # Size of the squares that share an error.
+    grain_px: Annotated[int, within(1, 16)] = 2  # Size of the squares that share an error.
     dropout: Share = 0.01  # Share of the image without a class, in random patches.
-    patch_px: Annotated[int, Field(ge=1, le=64)] = 6  # Size of such a patch.
+    patch_px: Annotated[int, within(1, 64)] = 6  # Size of such a patch.
 
 
 class ColourNoiseConfig(Model):
@@ -69,7 +67,7 @@ class ColourNoiseConfig(Model):
 
     stand_ins = ("none",)
 
-    snr_db: Annotated[float, Field(ge=6.0, le=80.0)] = 40.0  # Signal-to-noise ratio, 20 log10(255 / sigma).
+    snr_db: Annotated[float, within(6.0, 80.0)] = 40.0  # Signal-to-noise ratio, 20 log10(255 / sigma).
 
 
 class CameraNoiseConfig(Model):
@@ -95,21 +93,21 @@ class CameraConfig(Model):
     )
     width_px: Pixels = 320  # Image width.
     height_px: Pixels = 240  # Image height.
-    hfov_deg: Annotated[float, Field(ge=20.0, le=140.0)] = 87.0  # Horizontal field of view.
-    range_m: Annotated[float, Field(ge=1.0, le=200.0)] = 40.0  # Largest depth that is measured.
+    hfov_deg: Annotated[float, within(20.0, 140.0)] = 87.0  # Horizontal field of view.
+    range_m: Annotated[float, within(1.0, 200.0)] = 40.0  # Largest depth that is measured.
     near_m: Annotated[float, Field(gt=0.0, le=1.0)] = 0.1  # Smallest depth that is measured.
     p_BC_m: tuple[Along, Along, Height] = (
         0.35,
         0.0,
         1.0,
     )  # Position x, y, z in the chair's frame. The default is at the armrest.
-    yaw_deg: Annotated[float, Field(ge=-180.0, le=180.0)] = 0.0  # Direction, to the left.
-    pitch_deg: Annotated[float, Field(ge=-80.0, le=80.0)] = -15.0  # Direction, upwards. Negative looks down.
+    yaw_deg: Annotated[float, within(-180.0, 180.0)] = 0.0  # Direction, to the left.
+    pitch_deg: Annotated[float, within(-80.0, 80.0)] = -15.0  # Direction, upwards. Negative looks down.
     roll_deg: Annotated[float, Field(ge=-180.0, le=180.0, exclude_if=lambda roll: roll == 0.0)] = (
         0.0  # Rotation about its direction, right side down.
     )
-    every_ticks: Annotated[int, Field(ge=1, le=100)] = 1  # Ticks between two images.
-    lost_share: Annotated[float, Field(ge=0.0, le=0.95)] = 0.0  # Share of images that never arrive.
+    every_ticks: Annotated[int, within(1, 100)] = 1  # Ticks between two images.
+    lost_share: Annotated[float, within(0.0, 0.95)] = 0.0  # Share of images that never arrive.
     rgb: bool = False  # Whether to draw a colour image too, for people.
     renderer: Literal["numba", "pybullet"] = "numba"  # Renderer. numba is many times faster; pybullet is the reference.
     noise: CameraNoiseConfig | None = None  # A table, none, or typical for all parts with their defaults.
@@ -146,9 +144,7 @@ class ImuConfig(Model):
         20.0  # Corner frequency of the low-pass for the peak acceleration.
     )
     saturation_mps2: Positive = 156.9  # Largest acceleration that it measures. The default is 16 g.
-    gyro_range_deg: Annotated[float, Field(ge=250.0, le=2000.0)] = (
-        2000.0  # Largest turn rate that it measures, in deg/s.
-    )
+    gyro_range_deg: Annotated[float, within(250.0, 2000.0)] = 2000.0  # Largest turn rate that it measures, in deg/s.
     # what the supervisor judges
     accel_window: Literal["lp20_peak", "tick_mean"] = (
         "lp20_peak"  # Acceleration for reward and crash: a tick's filtered peak, or its mean.
@@ -160,28 +156,24 @@ class ImuConfig(Model):
     tilt_range_deg: Annotated[float, Field(ge=1.0, le=180.0, exclude_if=lambda most: most == 180.0)] = (
         180.0  # Largest roll and pitch that the tilt sensor measures.
     )
-    tilt_tau_s: Annotated[float, Field(ge=0.05, le=10.0)] = (
+    tilt_tau_s: Annotated[float, within(0.05, 10.0)] = (
         1.0  # Time constant with which the accelerometer corrects the gyroscope.
     )
-    tilt_noise_deg: Annotated[float, Field(ge=0.0, le=5.0)] = (
+    tilt_noise_deg: Annotated[float, within(0.0, 5.0)] = (
         0.3  # White noise of the tilt in each tick. The ideal sensor has none.
     )
-    tilt_bias_deg: Annotated[float, Field(ge=0.0, le=5.0)] = 0.5  # Mounting error, standard deviation over episodes.
+    tilt_bias_deg: Annotated[float, within(0.0, 5.0)] = 0.5  # Mounting error, standard deviation over episodes.
     # errors of a small, calibrated part
     noise: bool = True  # Whether the IMU has errors. False: exact.
-    accel_density_ug: Annotated[float, Field(ge=0.0, le=10_000.0)] = (
+    accel_density_ug: Annotated[float, within(0.0, 10_000.0)] = (
         300.0  # White noise of the accelerometer, per root hertz.
     )
-    gyro_density_deg: Annotated[float, Field(ge=0.0, le=1.0)] = (
-        0.005  # White noise of the gyroscope, deg/s per root hertz.
-    )
-    accel_bias_mg: Annotated[float, Field(ge=0.0, le=200.0)] = (
-        5.0  # Bias at power-on, standard deviation over episodes.
-    )
-    gyro_bias_deg: Annotated[float, Field(ge=0.0, le=10.0)] = 0.1  # The same of the gyroscope, in deg/s.
-    accel_instability_mg: Annotated[float, Field(ge=0.0, le=50.0)] = 0.1  # Standard deviation of the bias drift.
-    gyro_instability_deg: Annotated[float, Field(ge=0.0, le=5.0)] = 0.0012  # The same of the gyroscope, in deg/s.
-    bias_tau_s: Annotated[float, Field(ge=1.0, le=100_000.0)] = 300.0  # Time constant of the drift.
+    gyro_density_deg: Annotated[float, within(0.0, 1.0)] = 0.005  # White noise of the gyroscope, deg/s per root hertz.
+    accel_bias_mg: Annotated[float, within(0.0, 200.0)] = 5.0  # Bias at power-on, standard deviation over episodes.
+    gyro_bias_deg: Annotated[float, within(0.0, 10.0)] = 0.1  # The same of the gyroscope, in deg/s.
+    accel_instability_mg: Annotated[float, within(0.0, 50.0)] = 0.1  # Standard deviation of the bias drift.
+    gyro_instability_deg: Annotated[float, within(0.0, 5.0)] = 0.0012  # The same of the gyroscope, in deg/s.
+    bias_tau_s: Annotated[float, within(1.0, 100_000.0)] = 300.0  # Time constant of the drift.
 
 
 class SensorConfig(Model):
@@ -198,15 +190,13 @@ class SensorConfig(Model):
 class OdometryConfig(SensorConfig):
     """Encoders on the drive wheels (docs/senses.md)."""
 
-    ticks_per_turn: Annotated[int, Field(ge=1, le=1_000_000)] = 2048  # Encoder marks in one turn of a wheel.
-    radius_error: Annotated[float, Field(ge=0.0, le=0.2)] = (
+    ticks_per_turn: Annotated[int, within(1, 1_000_000)] = 2048  # Encoder marks in one turn of a wheel.
+    radius_error: Annotated[float, within(0.0, 0.2)] = (
         0.01  # Relative error of each wheel's radius, standard deviation over episodes.
     )
-    speed_density_mps: Annotated[float, Field(ge=0.0, le=1.0)] = 0.002  # White noise of the speed, per root hertz.
-    turn_density_deg: Annotated[float, Field(ge=0.0, le=90.0)] = (
-        0.2  # White noise of the turn rate, deg/s per root hertz.
-    )
-    delay_ticks: Annotated[int, Field(ge=0, le=100)] = 0  # Age of a reading when it arrives.
+    speed_density_mps: Annotated[float, within(0.0, 1.0)] = 0.002  # White noise of the speed, per root hertz.
+    turn_density_deg: Annotated[float, within(0.0, 90.0)] = 0.2  # White noise of the turn rate, deg/s per root hertz.
+    delay_ticks: Annotated[int, within(0, 100)] = 0  # Age of a reading when it arrives.
 
     @property
     def measure(self) -> Measure:

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
 from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from wcsim.config.base import Model
+from wcsim.config.base import Model, within
 
 MOST_BLOCKS = 12
 MOST_QUESTIONS = 20
@@ -18,11 +17,11 @@ _Name = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_-]{0,31}$")]
 _Line = Annotated[str, Field(min_length=1, max_length=200)]
 _Paragraph = Annotated[str, Field(min_length=1, max_length=1000)]
 _Told = Annotated[tuple[_Paragraph, ...], Field(max_length=12)]
-_Minutes = Annotated[float, Field(ge=0.05, le=120.0)]
-_Level = Annotated[float, Field(ge=0.0, le=100.0)]
+_Minutes = Annotated[float, within(0.05, 120.0)]
+_Level = Annotated[float, within(0.0, 100.0)]
 _Reference = Annotated[str, Field(min_length=1, max_length=400)]
 _Number = Annotated[int, Field(ge=0, lt=1 << 31)]
-_Arrivals = Annotated[int, Field(ge=1, le=100)]
+_Arrivals = Annotated[int, within(1, 100)]
 _ANSWERS = {"scale": ("low", "high"), "choice": ("choices",), "yes_no": ()}
 
 
@@ -72,7 +71,7 @@ class StudyQuestion(Model):
     kind: Literal["scale", "yes_no", "choice"] = "scale"
     low: Annotated[str, Field(max_length=60)] = ""  # what 1 means
     high: Annotated[str, Field(max_length=60)] = ""  # what the last step means
-    steps: Annotated[int, Field(ge=3, le=MOST_STEPS)] = _STEPS
+    steps: Annotated[int, within(3, MOST_STEPS)] = _STEPS
     choices: Annotated[tuple[Annotated[str, Field(min_length=1, max_length=60)], ...], Field(max_length=8)] = ()
     after: Literal["block", "end"] = "block"  # each block but the practice, or all of them
 
@@ -96,7 +95,7 @@ class StudyFile(Model):
     policy: _Reference = "dwa"  # who assists, in every block
     profile: _Reference = "competent"  # of the simulated user beside, who says where the way goes
     balanced: bool = True  # the blocks' order by participant number; else as they stand
-    pause_s: Annotated[float, Field(ge=0.0, le=3600.0)] = 30.0  # at least so long between two blocks
+    pause_s: Annotated[float, within(0.0, 3600.0)] = 30.0  # at least so long between two blocks
     places: Annotated[tuple[StudyPlace, ...], Field(min_length=1, max_length=MOST_BLOCKS)]
     practice: StudyBlock | None = None
     practice_place: StudyPlace | None = None  # None for the first of `places`
@@ -111,8 +110,9 @@ class StudyFile(Model):
             ("blocks", [block.name for block in blocks]),
             ("questions", [question.name for question in self.questions]),
         ):
-            if twice := _twice(names):
-                raise ValueError(f"two {what} are called {twice}; expected names that differ")
+            twice = [name for name, count in Counter(names).items() if count > 1]
+            if twice:
+                raise ValueError(f"two {what} are called {twice[0]}; expected names that differ")
         if self.practice_place is not None and self.practice is None:
             raise ValueError("practice_place needs a practice")
         if len(self.blocks) % len(self.places) and len(self.places) > 1:
@@ -121,7 +121,3 @@ class StudyFile(Model):
                 "a divisor of the number of blocks, so that each place is used equally often"
             )
         return self
-
-
-def _twice(names: Iterable[str]) -> str:
-    return next((name for name, count in Counter(names).items() if count > 1), "")

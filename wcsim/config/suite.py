@@ -7,12 +7,13 @@ from typing import Annotated, Self
 from pydantic import Field, model_validator
 
 from wcsim.config import Finite, Model, NotNegative, Text
+from wcsim.config.base import within
 from wcsim.config.run_file import Sha256
 
 MOST_SEATS = 12
 MOST_NAME, MOST_SET = 64, 32  # characters of a list's name, and of that of its set
 Part = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9 ,.-]{0,127}$")]  # free, crossing, hazard, tight, or drawn
-Steps = Annotated[int, Field(ge=1, le=1_000_000)]
+Steps = Annotated[int, within(1, 1_000_000)]
 
 
 def name_pattern(most: int) -> str:
@@ -30,7 +31,7 @@ class EpisodeFile(Model):
     max_steps: Steps
     route_m: NotNegative  # from start to goal
     reference_s: Annotated[float, Field(gt=0.0, le=1e6)]  # the way's time with nothing to hinder it
-    handover_step: Annotated[int, Field(ge=0, le=1_000_000)] = 0  # until here the user drives alone
+    handover_step: Annotated[int, within(0, 1_000_000)] = 0  # until here the user drives alone
 
     @model_validator(mode="after")
     def _is_given_or_drawn(self) -> Self:
@@ -65,5 +66,5 @@ class SuiteFile(Model):
     set: Annotated[str, Field(pattern=name_pattern(MOST_SET))]  # dev, validation, v1, or a town's
     settings: Annotated[tuple[Text, ...], Field(max_length=64)]  # section.key=value, over the policy's own
     towns: Annotated[tuple[TownOfSuite, ...], Field(min_length=1, max_length=64)]
-    forks: Annotated[int, Field(ge=0, le=1_000_000)] = 1_000_000  # episodes whose interventions are judged, at most
+    forks: Annotated[int, within(0, 1_000_000)] = 1_000_000  # episodes whose interventions are judged, at most
     blocks: Annotated[tuple[BlockFile, ...], Field(min_length=1, max_length=100_000)]

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import AfterValidator, Field, model_validator
 
-from wcsim.config.base import Finite, Model, Share, Word
+from wcsim.config.base import Finite, Model, Share, Word, within
 
 Number = TypeVar("Number", int, float)
 
@@ -20,14 +20,14 @@ def _ordered(span: tuple[Number, Number]) -> tuple[Number, Number]:
 
 
 Range = Annotated[tuple[Number, Number], AfterValidator(_ordered)]
-Factor = Annotated[float, Field(ge=0.05, le=2.0)]
-Brightness = Annotated[float, Field(ge=0.1, le=4.0)]
-UserMass = Annotated[float, Field(ge=25.0, le=150.0)]
-Shift = Annotated[float, Field(ge=-0.5, le=0.5)]
-Turn = Annotated[float, Field(ge=-45.0, le=45.0)]
-Delay = Annotated[int, Field(ge=0, le=10)]
+Factor = Annotated[float, within(0.05, 2.0)]
+Brightness = Annotated[float, within(0.1, 4.0)]
+UserMass = Annotated[float, within(25.0, 150.0)]
+Shift = Annotated[float, within(-0.5, 0.5)]
+Turn = Annotated[float, within(-45.0, 45.0)]
+Delay = Annotated[int, within(0, 10)]
 Span = Range[Finite]
-Reaction = Annotated[float, Field(ge=0.0, le=60.0)]
+Reaction = Annotated[float, within(0.0, 60.0)]
 Driver = Literal["car", "truck", "bus", "tram", "motorcycle", "bicycle", "scooter", "other"]
 Watcher = Literal[Driver, "pedestrian"]
 EVERYBODY = "all"  # who has no range of its own
@@ -82,23 +82,23 @@ _USUAL_HZ, _CONTACT_HZ = 120.0, 240.0
 class WorldConfig(Model):
     """Clock, traffic, and how road users react to a chair."""
 
-    tick_s: Annotated[float, Field(ge=0.02, le=1.0)] = (
+    tick_s: Annotated[float, within(0.02, 1.0)] = (
         0.1  # Length of a world step, in whole milliseconds. SUMO and each action take one step.
     )
-    substeps: Annotated[int, Field(ge=1, le=480)] | None = (
+    substeps: Annotated[int, within(1, 480)] | None = (
         None  # Physics steps per tick. Without a value: 120 per second, and 240 with a contact ahead.
     )
-    warmup_s: Annotated[float, Field(ge=0.0, le=3600.0)] | None = (
+    warmup_s: Annotated[float, within(0.0, 3600.0)] | None = (
         None  # Time that SUMO simulates before the first step. Without a value: the town's own, or 240.
     )
-    demand_scale: Annotated[float, Field(ge=0.0, le=10.0)] = 1.0  # Factor on the town's own traffic.
-    mirror_radius_m: Annotated[float, Field(ge=5.0, le=300.0)] = (
+    demand_scale: Annotated[float, within(0.0, 10.0)] = 1.0  # Factor on the town's own traffic.
+    mirror_radius_m: Annotated[float, within(5.0, 300.0)] = (
         50.0  # Road users within this distance of a chair are drawn and may react.
     )
-    jam_teleport_s: Annotated[float, Field(ge=-1.0, le=36000.0)] | None = (
+    jam_teleport_s: Annotated[float, within(-1.0, 36000.0)] | None = (
         None  # SUMO's time to teleport. Without a value: that of the scenario.
     )
-    action_step_s: Annotated[float, Field(ge=0.02, le=10.0)] | None = (
+    action_step_s: Annotated[float, within(0.02, 10.0)] | None = (
         None  # Time between decisions of SUMO's drivers, a multiple of tick_s.
     )
     street: Literal["usual", "careless"] = "usual"  # Careless sets attention_share to 0.7 and reaction_s to 1.5.
@@ -112,7 +112,7 @@ class WorldConfig(Model):
     )  # Reaction time in seconds by class of road user.
     crossing_share: Share = 0.5  # Share of destinations chosen beyond a nearby crossing.
     button: bool = True  # Whether a chair that waits at a red crossing of its route requests green.
-    action_delay_ticks: Annotated[int, Field(ge=0, le=10)] = 0  # Delay from an action to the motion of the chair.
+    action_delay_ticks: Annotated[int, within(0, 10)] = 0  # Delay from an action to the motion of the chair.
     epoch_ticks: Annotated[int | None, Field(ge=0, le=10**9, exclude_if=lambda ticks: ticks is None)] = (
         None  # Ticks after which a new world replaces a shared one. None: 10 episodes, at least 6,000. 0: never.
     )
@@ -122,7 +122,7 @@ class WorldConfig(Model):
     help_users: Annotated[bool, Field(exclude_if=lambda on: not on)] = (
         False  # Whether requests of simulated users raise it too. Without it they are only counted.
     )
-    draw_threads: Annotated[int, Field(ge=0, le=64)] = 0  # Threads that draw camera images. 0: one per core.
+    draw_threads: Annotated[int, within(0, 64)] = 0  # Threads that draw camera images. 0: one per core.
 
     @model_validator(mode="after")
     def _substep_is_sane(self) -> WorldConfig:

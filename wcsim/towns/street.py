@@ -91,9 +91,11 @@ def _street_key(town: Town) -> str:
 
 @cache  # whoever edits the code of a process that runs changes nothing of what it makes
 def _maker_digest() -> str:
-    """SHA-256 over the code that makes a street, by source text, and the versions of the libraries that it uses."""
+    """SHA-256 over the code that makes a street, its text and data, and the versions of libraries that it uses."""
     versions = " ".join(version(distribution) for distribution in LIBRARIES.values())
     digest = hashlib.sha256(versions.encode())
     for path in sources_of(_BUILDER):
         digest.update(path.read_bytes())
+        data = path.with_suffix(".toml")  # that a module reads stands beside it
+        digest.update(data.read_bytes() if data.is_file() else b"")
     return digest.hexdigest()

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import os
+
 import pytest
 
 from wcsim.cli.shared.common import worlds_of
-from wcsim.physics.sensors import drawing_threads
 
 
 @pytest.mark.parametrize(("cores", "worlds"), [(1, 1), (2, 2), (64, 4)])
 def test_a_world_for_each_core_where_nobody_says_how_many(
     cores: int, worlds: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(drawing_threads, "cores", lambda: cores)
+    monkeypatch.setattr(os, "sched_getaffinity", lambda process: set(range(cores)))
     assert worlds_of(None) == worlds
 
 

@@ -138,15 +138,17 @@ def _train_rounds(
     """
     config = folder.config
     seed, total = folder.manifest.seed, config.collect.rounds
-    learner = DangerLearner(config, seed, config.danger.updates * total)
-    found = go_on(folder, _restoring(learner), log)
-    first, segments = (0, {}) if found is None else (number_of(found.path) + 1, dict(found.value))
-    dataset = Dataset(config)
-    for segment in _learned_segments(folder):
-        dataset.add(segment)
-    for name in in_order(segments):
-        dataset.add(read_segment(folder.path / DATA / SEGMENTS / name, segments[name]))
     with SegmentCrew(config, folder.path / DATA, machines, folder.path) as workers:
+        if newest_number(folder.checkpoints) < 0:
+            workers.ask(_orders(folder, towns, 0))  # worlds load while the learner is made
+        learner = DangerLearner(config, seed, config.danger.updates * total)
+        found = go_on(folder, _restoring(learner), log)
+        first, segments = (0, {}) if found is None else (number_of(found.path) + 1, dict(found.value))
+        dataset = Dataset(config)
+        for segment in _learned_segments(folder):
+            dataset.add(segment)
+        for name in in_order(segments):
+            dataset.add(read_segment(folder.path / DATA / SEGMENTS / name, segments[name]))
         for number in range(first, total):
             began_s = time.monotonic()
             orders = _orders(folder, towns, number)

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import tyro
+from tyro.conf import Positional, arg
 
 from wcsim.agents.policy_api import BASELINES, UNAIDED, UPPER_BOUNDS
 from wcsim.cli.evaluation.play import play_episode
@@ -75,7 +75,7 @@ class _SuiteMakeOptions:
     make_suite: str
     """A town's name, its folder, or a .sumocfg file; several are separated by commas.
     made:SEED is a generated town (`wcsim town make`)."""
-    suite_file: Annotated[Path, tyro.conf.arg(metavar="FILE"), Writes()] = Path("suite.json")
+    suite_file: Annotated[Path, arg(metavar="FILE"), Writes()] = Path("suite.json")
     """The list to write. Its set is named after the file: lower-case letters, digits and - only."""
     name: Annotated[str, _Named(MOST_NAME)] = "own-suite-v1"
     """Name of the list, with its version."""
@@ -132,9 +132,9 @@ def make_list(words: list[str]) -> int:
 
             file = make_suite(order, towns, tell)
     write_list(file, options.suite_file)
-    suite, many = suite_of(file), len(file.blocks)
-    counted = f"{suite.episodes} episode{'s' * (suite.episodes != 1)} in {many} block{'s' * (many != 1)}"
-    stdout_console().print(f"{options.suite_file}: {counted}, {suite.sha256[:12]}", markup=False)
+    suite = suite_of(file)
+    held = f"{counted(suite.episodes, 'episode')} in {counted(len(file.blocks), 'block')}"
+    stdout_console().print(f"{options.suite_file}: {held}, {suite.sha256[:12]}", markup=False)
     return 0
 
 
@@ -151,7 +151,7 @@ _LISTED = {
 class _DriveOptions:
     """What drives a list, whether it comes with wcsim, lies in a file or is drawn for a town."""
 
-    policies: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[POLICY ...]")] = ()
+    policies: Annotated[tuple[str, ...], Positional, arg(metavar="[POLICY ...]")] = ()
     """Runs (RUN, RUN:phase1), policy folders, module:Class, or baselines. All baselines are added unless --only."""
     jobs: Jobs = 1
     """Parallel processes; the result is the same for any number."""
@@ -218,7 +218,7 @@ class _SensitivityOptions(_OfSuite):
 class _PlayedEpisodeOptions(_OfSuite):
     """Drive an episode of one policy again, film its last 10 s into --out, and print what happened."""
 
-    play: Annotated[str, tyro.conf.arg(metavar="BLOCK.SEAT")] = ""
+    play: Annotated[str, arg(metavar="BLOCK.SEAT")] = ""
     """The episode."""
     clean: bool = False
     """Turn off camera noise and delay; IMU and odometry keep their errors."""
@@ -246,7 +246,7 @@ def _suite_order(options: _OfSuite, forks: int | None = None, *, clean: bool = F
     return replace(order, settings=(*CLEAN, *order.settings)) if clean else order
 
 
-def require_usable(order: SuiteOrder, options: _DriveOptions) -> None:
+def _require_usable(order: SuiteOrder, options: _DriveOptions) -> None:
     """Say what is to be driven; what can be used in no episode is refused before any. Raises WcsimError."""
     if (order.out / "kept").exists() and not options.resume:
         raise ConfigError(
@@ -254,14 +254,14 @@ def require_usable(order: SuiteOrder, options: _DriveOptions) -> None:
             "folder"
         )
     from wcsim.agents.evaluation.suite.named_policy import told_of_rules
-    from wcsim.agents.evaluation.suite.run import require_usable as require_open
+    from wcsim.agents.evaluation.suite.run import require_usable
 
     told, suite = stderr_console(), order.suite
     listed = f"{suite.file.suite} {suite.file.set}, list {suite.sha256[:12]}"
     told.print(f"{listed}: {counted(suite.episodes, 'episode')} a policy", markup=False)
     for line in told_of_rules(options.policies, order.preset, (*suite.file.settings, *order.settings)):
         told.print(line, markup=False)
-    require_open(order, options.policies)
+    require_usable(order, options.policies)
 
 
 @contextmanager
@@ -299,7 +299,7 @@ def drive_list(order: SuiteOrder, options: JudgeOptions, name: str) -> TestResul
     """The result of a list that `judge` drives; it is written into its folder."""
     from wcsim.agents.evaluation.suite.run import run_suite
 
-    require_usable(order, options)
+    _require_usable(order, options)
     policies = tuple(dict.fromkeys((UNAIDED, *options.policies, *(() if options.only else _OTHERS))))
     done = 0
     with StageBar("testing") as bar, _stopped(order, options):
@@ -320,7 +320,7 @@ def _disturb(options: _SensitivityOptions) -> int:
 
     order = _suite_order(options)
     file = order.suite.file
-    require_usable(order, options)
+    _require_usable(order, options)
     policies = tuple(dict.fromkeys((UNAIDED, *options.policies)))
     with _stopped(order, options):
         moved = sensitivity(order, policies, say)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import tyro
+from tyro.conf import Positional, arg
 
 from wcsim.cli.shared.common import Bounds, Jobs, OutFolder, Repeated, check_folder, parse
 from wcsim.cli.shared.consoles import say, stderr_console, stdout_console
@@ -27,7 +27,7 @@ class Options:
     For several trainings, one page has the curves of all.
     """
 
-    folders: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="FOLDER [FOLDER ...]")]
+    folders: Annotated[tuple[Path, ...], Positional, arg(metavar="FOLDER [FOLDER ...]")]
     """Folders of `wcsim test --suite` or `wcsim train`."""
     out: OutFolder = None
     """Folder for the page. (default: the one folder, or runs/report for several)"""

@@ -11,14 +11,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from wcsim.agents.evaluation.suite.named_policy import config_for
+from wcsim.agents.networks.names import check_network
 from wcsim.agents.policy_api import UNAIDED
 from wcsim.agents.runs.policy_file import policy_name
 from wcsim.agents.runs.run_folder import run_of
+from wcsim.bridge.sumo.step_hook import find_hook
 from wcsim.cli.evaluation.judged_suite import JudgeOptions, drive_list, judge, make_list, order_of, run_suites
-from wcsim.cli.shared.common import Bounds, Flag, Keys, Repeated, check_folder, parse, says, some_words
+from wcsim.cli.shared.common import Bounds, Finds, Flag, Keys, Repeated, check_folder, parse, says, some_words
 from wcsim.cli.shared.consoles import stdout_console
 from wcsim.cli.shared.overrides import print_overrides
-from wcsim.cli.shared.run_config import overrides_of, require_known, require_policy, require_user
+from wcsim.cli.shared.run_config import overrides_of, require_policy, require_user
 from wcsim.core.constants import RECORDED
 from wcsim.errors import ConfigError, TownError
 from wcsim.towns.checks.validate import validate_net
@@ -56,7 +58,9 @@ class Options(JudgeOptions):
     """Steps after which an episode ends without a crash."""
     seed: int = 0
     """Seed of the episodes, the same for every policy."""
-    hook: str = ""
+    network: Annotated[str, Finds(check_network)] = ""
+    """Your own network as module:Class, for runs that were trained with it."""
+    hook: Annotated[str, Finds(find_hook)] = ""
     """Your own step hook as module:Class, called around every step of SUMO with the libsumo module."""
     allow_train_town: bool = False
     """Allow a town that is for training, or the town that a run was trained in."""
@@ -87,12 +91,11 @@ def _ordered(options: Options, *, overrides: bool = True) -> Iterator[tuple[Suit
 
     The list is written once all of it is driven. Without `--out` the folder is gone afterwards.
     """
-    towns, profiles = check(options)
+    towns, profiles = tested(options)
     if options.out is not None:
         check_folder("--out", options.out / "x")
     elif options.resume:
         raise ConfigError("--resume needs the folder of the test: --out FOLDER")
-    require_known(options.network, hook=options.hook)
     for name in options.policies:  # before torch is loaded for it
         require_policy(name, options.network)
     config = config_for(UNAIDED, options.preset, options.set, in_list=True)
@@ -111,7 +114,7 @@ def _ordered(options: Options, *, overrides: bool = True) -> Iterator[tuple[Suit
         write_list(suite.file, out / LIST)
 
 
-def check(options: Options) -> tuple[dict[str, Town], tuple[str, ...]]:
+def tested(options: Options) -> tuple[dict[str, Town], tuple[str, ...]]:
     """The towns by name and the profiles of a test. Raises ConfigError or TownError for what cannot be tested."""
     profiles = some_words("--profile", options.profile)
     for name in profiles:

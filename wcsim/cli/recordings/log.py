@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Final
 
-import tyro
+from tyro.conf import Positional, arg
 
 from wcsim.cli.recordings.film_page import PageOptions, Seat, serve_page
 from wcsim.cli.shared.common import Bounds, OutFile, Parts, Writes, result_file, run_part, write_json
@@ -21,14 +21,14 @@ from wcsim.log.reader import read_header
 _SHOW_EVERY: Final = 1000  # ticks
 _FCD, _MCAP = ".xml", ".mcap"
 
-Epoch = Annotated[int | None, tyro.conf.arg(metavar="N"), Bounds(0)]
+Epoch = Annotated[int | None, arg(metavar="N"), Bounds(0)]
 
 
 @dataclass(kw_only=True)
 class _LogOptions:
     """A recording, and what it was made with."""
 
-    log: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]
+    log: Annotated[Path, Positional, arg(metavar="LOG")]
     """A run folder, a journal, a trace or a recorded drive."""
     epoch: Epoch = None
     """Number of the world in the run; default all."""
@@ -50,9 +50,9 @@ class _PlayOptions(_LogOptions, PageOptions):
 class _VerifyOptions(_LogOptions):
     """Simulate a journal or a drive again, and compare it tick by tick."""
 
-    first: Annotated[int, tyro.conf.arg(name="from", metavar="TICK")] = 0
+    first: Annotated[int, arg(name="from", metavar="TICK")] = 0
     """First tick of each world to compare."""
-    last: Annotated[int | None, tyro.conf.arg(name="to", metavar="TICK")] = None
+    last: Annotated[int | None, arg(name="to", metavar="TICK")] = None
     """Last tick of each world to compare."""
     json: OutFile = None
     """Write the result to this file."""
@@ -62,7 +62,7 @@ class _VerifyOptions(_LogOptions):
 class _CompareOptions:
     """Print where two recordings of a kind first differ."""
 
-    logs: Annotated[tuple[Path, Path], tyro.conf.Positional, tyro.conf.arg(metavar="LOG LOG")]
+    logs: Annotated[tuple[Path, Path], Positional, arg(metavar="LOG LOG")]
     """Run folders, traces, journals or recorded drives."""
     json: OutFile = None
     """Write the result to this file."""
@@ -72,7 +72,7 @@ class _CompareOptions:
 class _ConvertOptions(_LogOptions):
     """Write a recording as SUMO floating car data (FCD) or as ROS 2 messages (MCAP)."""
 
-    out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
+    out: Annotated[Path, Positional, arg(metavar="FILE")]
     """FILE.xml for traffic and wheelchairs as FCD, FILE.mcap for motion, commands and sensor data of the wheelchairs.
     MCAP needs the extra wcsim[bag]."""
     epoch: Epoch = 0

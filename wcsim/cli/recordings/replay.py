@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
 
-import tyro
+from tyro.conf import Positional, arg
 
 from wcsim.agents.runs.policy_file import policy_name
 from wcsim.agents.runs.run_folder import MANIFEST, read_json
@@ -31,7 +31,7 @@ class Options(PageOptions):
     `wcsim log play` plays recordings. docs/watching.md
     """
 
-    result: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RESULT")]
+    result: Annotated[Path, Positional, arg(metavar="RESULT")]
     """The folder of a finished test, or its result.json."""
     policy: str = ""
     """Policy of the test; by default that of the worst failure. Your own code runs only when you name it."""
@@ -91,7 +91,7 @@ class WatchOptions(PageOptions):
     For runs with a journal: `wcsim train-clients`, `wcsim serve --run`. Does not change the run. docs/watching.md
     """
 
-    run: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
+    run: Annotated[Path, Positional, arg(metavar="RUN")]
     """The run folder; the run may start later."""
     seat: Seat = None
     """The chair to follow first."""

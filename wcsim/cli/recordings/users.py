@@ -8,9 +8,9 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import tyro
 from rich import box
 from rich.table import Table
+from tyro.conf import Positional, arg
 
 from wcsim.cli.shared.common import (
     Bounds,
@@ -53,7 +53,7 @@ class _RecordOptions:
 
     town: TownWord
     """A town's name, its folder, or a .sumocfg file."""
-    out: Annotated[Path, tyro.conf.arg(metavar="FILE"), Writes(new=True)]
+    out: Annotated[Path, arg(metavar="FILE"), Writes(new=True)]
     """New file for the recording."""
     profile: str = "competent"
     """Profile of the simulated user, or FILE.toml. One user is drawn and stays the same after a crash."""
@@ -101,9 +101,9 @@ _ROUNDS = 3  # of making intents by the last fit, and fitting to them
 class _FitOptions:
     """Fit the user model to recorded drives of one person and write a profile."""
 
-    drives: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="FILE [FILE ...]")]
+    drives: Annotated[tuple[Path, ...], Positional, arg(metavar="FILE [FILE ...]")]
     """Recorded drives of one person."""
-    out: Annotated[Path, tyro.conf.arg(metavar="FILE.toml"), Writes(".toml", new=True)]  # it may be edited by now
+    out: Annotated[Path, arg(metavar="FILE.toml"), Writes(".toml", new=True)]  # it may be edited by now
     """New profile file, for --profile of test and video, or env.profile."""
     base: str = "competent"
     """Profile that supplies parameters which a drive does not show."""
@@ -131,16 +131,12 @@ def _fit(options: _FitOptions) -> int:
     with result_file(options.out) as part:
         part.write_text(text, encoding="utf-8")
     _print(fit)
-    print(f"wrote {options.out}; try it: {_trial(options.out)}")
+    minute = ["--profile", str(options.out), "--only", "--episodes", "1", "--max-steps", "600"]
+    print(f"wrote {options.out}; try it: {shlex.join(['wcsim', 'test', *minute])}")
     if options.json is not None:
         told = {name: asdict(item) | {"told": is_told(name, item)} for name, item in fit.estimates.items()}
         write_json(options.json, {"seconds": fit.seconds, "estimates": told, "warnings": list(fit.warnings)})
     return 0
-
-
-def _trial(out: Path) -> str:
-    """A minute with the fitted user alone, as it can be typed."""
-    return shlex.join(["wcsim", "test", "--profile", str(out), "--only", "--episodes", "1", "--max-steps", "600"])
 
 
 def _base_name(path: Path) -> str:

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_args, get_type_hints
 
 import tyro
+from tyro.conf import FlagCreatePairsOff, Positional, UseAppendAction, arg
 
 from wcsim.config.load import sets_key
 from wcsim.core.files import can_be_written, standing, whole_file
@@ -24,19 +25,19 @@ from wcsim.server.workers.crew import WorkerNow
 from wcsim.server.workers.machines import Machines
 
 T = TypeVar("T")
-Repeated = Annotated[tuple[str, ...], tyro.conf.UseAppendAction]
+Repeated = Annotated[tuple[str, ...], UseAppendAction]
 """An option that may be given several times, once for each value."""
 
-OutFolder = Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")]
+OutFolder = Annotated[Path | None, arg(metavar="FOLDER")]
 """A folder that is made, with a default of its own."""
 
-TownWord = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="TOWN")]
+TownWord = Annotated[str, Positional, arg(metavar="TOWN")]
 """A town, as the first word without a name."""
 
-SomeTown = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="[TOWN]")]
+SomeTown = Annotated[str, Positional, arg(metavar="[TOWN]")]
 """The same, where it may be left out."""
 
-Cluster = Annotated[str, tyro.conf.arg(metavar="ADDRESS")]
+Cluster = Annotated[str, arg(metavar="ADDRESS")]
 """A Ray cluster."""
 
 MAX_SEED = (1 << 31) - 1
@@ -103,10 +104,22 @@ class Writes(OptionNote):
         check_folder(option, value.parent)
 
 
-OutFile = Annotated[Path | None, tyro.conf.arg(metavar="FILE"), Writes()]
+@dataclass(frozen=True, slots=True, eq=False)
+class Finds(OptionNote):
+    """A name, or several, of what there must be: `find` raises where there is none; "" is no name."""
+
+    find: Callable[[str], object]
+
+    def check(self, option: str, value: Any) -> None:
+        """See `OptionNote`."""
+        for name in filter(None, (value,) if isinstance(value, str) else value):
+            self.find(name)
+
+
+OutFile = Annotated[Path | None, arg(metavar="FILE"), Writes()]
 """A file that is written only when it is named."""
 
-Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff]
+Flag = Annotated[bool, FlagCreatePairsOff]
 """A switch that is off unless it is named."""
 
 Jobs = Annotated[int, Bounds(1, MOST_JOBS)]
@@ -119,16 +132,16 @@ class SettingsOptions:
 
     preset: str = "quick"
     """Preset to start from: quick, laptop, best, dqn or paper."""
-    config: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    config: Annotated[Path | None, arg(metavar="FILE")] = None
     """TOML file with settings that override the preset."""
     set: Repeated = ()
     """Setting as section.key=value; overrides preset and file."""
 
 
-Worlds = Annotated[int | None, tyro.conf.arg(metavar="N"), Bounds(1, MOST_JOBS)]
+Worlds = Annotated[int | None, arg(metavar="N"), Bounds(1, MOST_JOBS)]
 """Worker processes; None for what `worlds_of` says."""
 
-Steps = Annotated[int | None, tyro.conf.arg(metavar="N"), Bounds(1)]
+Steps = Annotated[int | None, arg(metavar="N"), Bounds(1)]
 """Steps of a training by Q-learning in all; None for those of its settings."""
 
 Parts = Mapping[str, tuple[type[Any], Callable[[Any], int]]]
@@ -165,9 +178,10 @@ def _require_bare(options: type, words: Sequence[str], command: str) -> None:
     """Refuse an option that is meant for what stands without a name: the parser knows none that is like it."""
     notes = _notes(options)
     for option in (word.partition("=")[0] for word in words if word.startswith("--")):
-        found = notes.get(nearest(option[2:], notes), ())
-        if tyro.conf.Positional in found:
-            told = next((note.metavar for note in found if getattr(note, "metavar", None)), nearest(option[2:], notes))
+        name = option[2:] if option[2:] in notes else nearest(option[2:], notes)
+        found = notes.get(name, ())
+        if Positional in found:
+            told = next((note.metavar for note in found if getattr(note, "metavar", None)), name)
             bare = re.findall(r"\w+", told)[0].upper()  # of [TOWN], or FILE [FILE ...]
             raise ConfigError(
                 f"{option} is not an option of {command}; give {bare} without a name: wcsim {command} {bare}"
@@ -257,11 +271,7 @@ def first_few(lines: Sequence[str], what: str) -> list[str]:
 
 def worlds_of(asked: int | None) -> int:
     """How many processes `--worlds` means: one for each core, 4 at the most, where nothing is said."""
-    if asked is not None:
-        return asked
-    from wcsim.physics.sensors.drawing_threads import cores
-
-    return min(cores(), _MOST_UNASKED)
+    return min(len(os.sched_getaffinity(0)), _MOST_UNASKED) if asked is None else asked
 
 
 def machines_of(cluster: str, asked: int | None, option: str) -> Machines:

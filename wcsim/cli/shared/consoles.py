@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+
 from rich.console import Console
 
 
@@ -18,3 +20,8 @@ def stderr_console() -> Console:
 def say(told: str) -> None:
     """A note on what goes on meanwhile."""
     stderr_console().print(told, style="dim", markup=False, soft_wrap=True)
+
+
+def warn(told: str) -> None:
+    """What went otherwise than it was meant to, and ends nothing."""
+    print(f"wcsim: {told}", file=sys.stderr, flush=True)

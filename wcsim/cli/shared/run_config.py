@@ -23,8 +23,7 @@ from wcsim.core.reading import counted, escaped
 from wcsim.errors import ConfigError, PolicyError
 from wcsim.server.specs import RunInfo
 from wcsim.supervisor.rewards import find_reward_term
-from wcsim.towns.scenario.overrides import Override, Settings
-from wcsim.towns.scenario.stage import scenario_overrides
+from wcsim.towns.scenario.overrides import Override, Settings, scenario_overrides
 from wcsim.towns.scenario.town import Town, streets_hash
 from wcsim.users.profiles import HELD_OUT, find_profile
 
@@ -57,10 +56,6 @@ def require_policy(name: str, network: str, *, alone: bool = False, bare_for: st
         check_network(network)
         if used != network:
             raise PolicyError(f"--network {escaped(network, 80)}: {escaped(name)} does not use it; leave it out")
-
-
-QUICK = "quick"
-"""The preset of `wcsim train` and `wcsim demo`."""
 
 
 def require_head(config: RunConfig, *, in_rounds: bool) -> None:
@@ -127,7 +122,11 @@ def resolve_run(config: RunConfig, info: RunInfo, town: Town, out: Path, resume:
         PolicyError, ConfigError, HookError: A name stands for nothing, or the folder cannot be one.
     """
     check_folder("--out", out)
-    require_known(config.learn.network, info.rewards, info.hook)
+    check_network(config.learn.network)
+    for name in info.rewards:
+        find_reward_term(name)
+    if info.hook:
+        find_hook(info.hook)
     require_user(config.env.profile)
 
     from wcsim.agents.learning.build import network_settings  # torch is loaded here: not for --help, nor for a refusal
@@ -174,22 +173,6 @@ def learns_in_rounds(config: RunConfig) -> bool:
     return config.learn.head == "danger"
 
 
-def require_known(network: str, rewards: Sequence[str] = (), hook: str = "") -> None:
-    """Refuse names that stand for nothing before torch and the simulators are loaded; "" is none.
-
-    Raises:
-        PolicyError: There is no such network, or no such class.
-        ConfigError: A reward term is none.
-        HookError: The step hook is none.
-    """
-    if network:
-        check_network(network)
-    for name in rewards:
-        find_reward_term(name)
-    if hook:
-        find_hook(hook)
-
-
 def require_user(name: str) -> None:
     """Refuse a user that there is not; what replays a recorded joystick is loaded for one of those alone.
 
@@ -217,4 +200,4 @@ def how_to_test(run: Path, network: str, trained_in: Collection[str] = ()) -> st
 
 def overrides_of(town: Town, config: RunConfig, seed: int) -> tuple[Override, ...]:
     """What a run overrides of a town's own SUMO options."""
-    return tuple(scenario_overrides(town, Settings(world=config.world, seed=seeding.derive(seed, "sumo"))))
+    return scenario_overrides(town.sumocfg, Settings(world=config.world, seed=seeding.derive(seed, "sumo")))

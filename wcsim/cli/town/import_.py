@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-import tyro
+from tyro.conf import Positional, arg, create_mutex_group
 
 from wcsim.cli.shared.common import Bounds, Flag, OutFile, OutFolder, TownWord, check_folder, fresh_folders, words_of
 from wcsim.cli.shared.consoles import say
@@ -33,7 +33,7 @@ if TYPE_CHECKING:  # loads what builds streets, which --help must not
     from wcsim.towns.pave.pavements import Paved
 
 
-_LAND, _SIDE = tyro.conf.create_mutex_group(required=False), tyro.conf.create_mutex_group(required=False)
+_LAND, _SIDE = create_mutex_group(required=False), create_mutex_group(required=False)
 
 
 @dataclass(kw_only=True)
@@ -58,7 +58,7 @@ class _TownOptions:
 class AdoptOptions(_TownOptions):
     """Import a town from a SUMO scenario, whose files are copied unchanged."""
 
-    sumocfg: Annotated[Path, tyro.conf.arg(metavar="FILE")]
+    sumocfg: Annotated[Path, arg(metavar="FILE")]
     """The scenario."""
     allow_outside: Flag = False
     """Also copy files that the scenario names outside of its folder."""
@@ -71,7 +71,7 @@ class ImportOptions(_TownOptions):
     `wcsim town import --sumocfg FILE -h` has the options for a scenario.
     """
 
-    osm: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    osm: Annotated[Path | None, arg(metavar="FILE")] = None
     """An OpenStreetMap extract: .osm, .osm.xml, plain, .gz or .bz2, or .osm.pbf."""
     bbox: str = ""
     """Area to import, in degrees: west,south,east,north; without --osm it is downloaded."""
@@ -87,7 +87,7 @@ class ImportOptions(_TownOptions):
     """Factor for all traffic; 0 for none."""
     parked: Annotated[float, Bounds(0.0, 1.0)] = 0.7
     """Share of the mapped parking spaces with a parked car."""
-    dem: Annotated[Path | None, tyro.conf.arg(metavar="FILE"), _LAND] = None
+    dem: Annotated[Path | None, arg(metavar="FILE"), _LAND] = None
     """GeoTIFF of the land's heights in metres."""
     hill: Annotated[float, Bounds(0.0, 200.0), _LAND] = 0.0
     """Height in metres of an invented hill, instead of --dem."""
@@ -212,7 +212,7 @@ def _bbox(text: str) -> Box:
 class TownMakeOptions:
     """Generate a town from a seed, without a map."""
 
-    name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")]
+    name: Annotated[str, Positional, arg(metavar="NAME")]
     """The town's name."""
     seed: int = 0
     """Seed of the whole town; the same seed and name give the same bytes."""
@@ -269,7 +269,7 @@ class PaveOptions:
 
     town: TownWord
     """A town's name, its folder, or a .sumocfg file; it is not changed."""
-    out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
+    out: Annotated[Path, arg(metavar="FOLDER")]
     """New folder for the copy."""
     max_speed: Annotated[float, Bounds(1.0, 100.0)] = FASTEST_MPS
     """Streets faster than this, in m/s, get no pavement."""

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import shutil
-import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-import tyro
 from rich import box
 from rich.console import Console
 from rich.table import Table
+from tyro.conf import arg
 
 from wcsim.agents.clients.group_run import (
     ClientsFolder,
@@ -26,7 +25,7 @@ from wcsim.agents.clients.group_run import (
 from wcsim.agents.clients.paid_times import PaidTimes, PaidTimesLog
 from wcsim.agents.runs.run_folder import MANIFEST, Status, extend, how_to_resume, make_manifest, open_run
 from wcsim.cli.shared.common import Bounds, Worlds, check_folder, write_json
-from wcsim.cli.shared.consoles import stdout_console
+from wcsim.cli.shared.consoles import stdout_console, warn
 from wcsim.cli.shared.exit_codes import Exit, NothingKept
 from wcsim.cli.shared.overrides import print_overrides
 from wcsim.cli.shared.run_config import how_it_learns, how_to_test
@@ -35,7 +34,6 @@ from wcsim.config import RunConfig, resolve
 from wcsim.core.files import locked
 from wcsim.errors import ConfigError, DiskFullError, InterruptedRunError, JournalError, PolicyError, WcsimError
 from wcsim.log.reader import iter_inputs, log_digest, part_files
-from wcsim.log.records import SeenFrame
 from wcsim.log.writer import JOURNAL, LogWriter, told_torn
 from wcsim.server.launch.launcher import Launcher
 from wcsim.server.launch.states import ClientState, LaunchOutcome, LaunchRules, LaunchState, RestartRules
@@ -87,7 +85,8 @@ def report_of(folder: ClientsFolder, seed: int, rate: TickRate, waits: PaidTimes
     path = folder.path / JOURNAL
     journal = path if part_files(path) else None
     ledgers = [folder.ledger(name) for name in folder.clients]
-    ticks, against = audits(() if journal is None else iter_inputs(journal), list(enumerate(map(_entries, ledgers))))
+    entries = [iter_ledger(ledger) if ledger.is_file() else () for ledger in ledgers]
+    ticks, against = audits(() if journal is None else iter_inputs(journal), list(enumerate(entries)))
     rows = [_steps_of(ledger, journal, one) for ledger, one in zip(ledgers, against, strict=True)]
     return {
         "run": str(folder.path),
@@ -100,10 +99,6 @@ def report_of(folder: ClientsFolder, seed: int, rate: TickRate, waits: PaidTimes
         "ticks_per_s": rate.ticks_per_s,
         "waits": asdict(waits),
     }
-
-
-def _entries(ledger: Path) -> Iterable[SeenFrame]:
-    return iter_ledger(ledger) if ledger.is_file() else ()
 
 
 def _steps_of(ledger: Path, journal: Path | None, against: Audit) -> dict[str, int]:
@@ -156,8 +151,7 @@ def print_crossings(run: Path) -> None:
     try:
         steps = read_training([run]).steps
     except PolicyError as error:
-        print(f"wcsim: {error}", file=sys.stderr)
-        return
+        return warn(str(error))
     for name, rows in steps.items():
         if rows:
             print(f"{name}: {crossing(rows).told()}")
@@ -173,7 +167,7 @@ class GroupOptions(ToldOptions):
 
     worlds: Worlds = None
     """Worker processes that compare clients by a suite or list. None: one per core, at most 4."""
-    lease: Annotated[float, tyro.conf.arg(metavar="S"), Bounds(1.0, 86_400.0)] = LEASE_S
+    lease: Annotated[float, arg(metavar="S"), Bounds(1.0, 86_400.0)] = LEASE_S
     """Seconds without progress after which a client is restarted."""
 
 
@@ -278,7 +272,7 @@ def _mend(folder: ClientsFolder) -> None:
     for log in ([path] if path.exists() else []) + ledgers:
         with LogWriter.append_to(log) as writer:
             if writer.cut_bytes:
-                print(f"wcsim: {told_torn(log, writer.cut_bytes)}", file=sys.stderr)
+                warn(told_torn(log, writer.cut_bytes))
 
 
 def _told(
@@ -301,14 +295,14 @@ def _told(
     report = report_of(folder, run.info.seed, *seen)
     print_report(stdout_console(), report, seen[1])
     for kept in folder.truncated_parts():
-        print(f"wcsim: {kept}: a truncated end was cut off earlier", file=sys.stderr)
+        warn(f"{kept}: a truncated end was cut off earlier")
     write_json(json, report)
     if outcome.stopped:
         raise InterruptedRunError(_told_stop(folder.path, outcome.clients))
     if outcome.code:
         lost = "".join(f"; client {each.name} {each.unsaved}" for each in outcome.clients if each.unsaved)
         again = f"{folder.path} is kept; continue it: {how_to_resume(folder.path)}"
-        print(f"wcsim: {outcome.message}{lost}; {again}", file=sys.stderr)
+        warn(f"{outcome.message}{lost}; {again}")
         return Exit.FAILED
     print_crossings(folder.path)
     if run.last:
@@ -338,5 +332,5 @@ def _with_status(run: GroupRun, folder: ClientsFolder, steps: int) -> ClientsFol
     try:
         return folder.with_status(status, steps)
     except DiskFullError as error:  # the work is there all the same
-        print(f"wcsim: {error}", file=sys.stderr)
+        warn(str(error))
         return folder

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import shlex
-import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
+from wcsim.agents.networks.names import check_network
 from wcsim.cli.shared.common import (
     Bounds,
     Cluster,
+    Finds,
     Jobs,
     OutFile,
     OutFolder,
@@ -21,8 +22,9 @@ from wcsim.cli.shared.common import (
     some_words,
     write_json,
 )
+from wcsim.cli.shared.consoles import warn
 from wcsim.cli.shared.exit_codes import Exit
-from wcsim.cli.shared.run_config import require_known, require_policy, require_users
+from wcsim.cli.shared.run_config import require_policy, require_users
 from wcsim.cli.training.train import checked_town
 from wcsim.config import resolve
 from wcsim.core.reading import counted
@@ -41,7 +43,7 @@ class Options(SettingsOptions):
     """Total segments, each a fresh world of collect.ticks ticks. Existing segments are kept."""
     policy: str = ""
     """Trained danger network that drives some of the episodes. By default, users and the oracle drive all."""
-    network: str = ""
+    network: Annotated[str, Finds(check_network)] = ""
     """Your own network as module:Class, if the --policy uses it."""
     worlds: Jobs = 1
     """Worker processes that drive at once. The data does not depend on their number."""
@@ -62,9 +64,8 @@ def run(words: list[str]) -> int:
     config = resolve(options.preset, options.config, options.set, own)
     if options.policy:
         require_policy(options.policy, config.learn.network, bare_for="collecting")
-    require_known(options.network)
     require_users(config, (options.set, options.config))
-    machines = replace(machines_of(options.cluster, options.worlds, "--worlds"), say=_say)
+    machines = replace(machines_of(options.cluster, options.worlds, "--worlds"), say=warn)
     towns = [checked_town(name, False) for name in some_words("--town", options.town)]
     out = options.out or Path("data") / f"{towns[0].name}-{options.seed}"
     check_folder("--out", out)
@@ -93,7 +94,3 @@ def run(words: list[str]) -> int:
     print(f"data folder: {out}, SHA-256 {sha256}    train on it: {learn}")
     write_json(options.json, {"data": str(out), "sha256": sha256, "segments": options.segments})
     return Exit.DONE
-
-
-def _say(told: str) -> None:
-    print(f"wcsim: {told}", file=sys.stderr, flush=True)

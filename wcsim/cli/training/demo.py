@@ -16,7 +16,6 @@ from wcsim.cli.evaluation.result_tables import show_result
 from wcsim.cli.shared.common import Keys, OutFolder, Repeated, check_folder, parse
 from wcsim.cli.shared.consoles import stdout_console
 from wcsim.cli.shared.run_config import (
-    QUICK,
     how_it_learns,
     learning,
     require_head,
@@ -92,7 +91,7 @@ def run(words: list[str]) -> int:
     check_folder("--out", out)
     town = next(iter(tested.values()))
     demo = _Demo(options=options, trial=trial, town=town, out=out, console=stdout_console())
-    config = resolve(QUICK, options.set)
+    config = resolve("quick", options.set)
     config = resolve(config, learning(config))
     require_head(config, in_rounds=True)
     require_users(config, (options.set, None))
@@ -191,7 +190,7 @@ def _minutes(spent_s: float) -> str:
 def _towns(train_town: str, trial: test.Options) -> tuple[Town, dict[str, Town]]:
     """The town to train in and those to test in; what would be refused later is refused now."""
     school = checked_town(train_town, False)
-    tested, _ = test.check(trial)
+    tested, _ = test.tested(trial)
     same = [town.name for town in tested.values() if streets_hash(town) == streets_hash(school)]
     if same:
         raise TownError(f"{same[0]} is the training town {school.name} itself; expected another --test-town")

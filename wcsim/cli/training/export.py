@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
 
-import tyro
+from tyro.conf import Positional, arg
 
 from wcsim.agents.evaluation.suite.named_policy import config_for, open_named, sensing
 from wcsim.agents.export.export_folder import require_export_place
@@ -33,13 +33,13 @@ _SAME_POLICY: Final = 0.95  # of a recording's actions: with fewer it was hardly
 class Options:
     """Export a trained network as an ONNX model, with a reference ride to check it."""
 
-    policy: Annotated[str, tyro.conf.Positional]
+    policy: Annotated[str, Positional]
     """Run, RUN:phase1, policy folder, or shipped; RUN@0.2 sets the threshold of a danger network."""
-    onnx: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
+    onnx: Annotated[Path | None, arg(metavar="FOLDER")] = None
     """Output folder; an earlier export in it is replaced."""
     town: str = "helsinki"
     """Town of the reference ride: a town's name, its folder, or a .sumocfg file."""
-    ride: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    ride: Annotated[Path | None, arg(metavar="FILE")] = None
     """Recorded drive, or journal of a run, to use as the reference ride instead. Its first episode counts. The command
     reports how many of the policy's actions match the recorded ones."""
     seat: int = 0

@@ -7,17 +7,17 @@ import secrets
 from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
-import tyro
+from tyro.conf import Positional, arg
 
 from wcsim.agents.clients.group_run import RECONNECT_S
-from wcsim.agents.networks.names import client_name
+from wcsim.agents.networks.names import check_network, client_name
 from wcsim.agents.runs.run_folder import ResolvedRun
 from wcsim.cli.shared.common import Bounds, OutFolder, check_folder, parse
-from wcsim.cli.shared.run_config import how_it_learns, how_to_test, require_known, require_user
+from wcsim.cli.shared.run_config import how_it_learns, how_to_test, require_user
 from wcsim.cli.shared.stage_bar import StageBar
-from wcsim.cli.training.bar import gone_if_nothing_came_of_it, steps_shown
+from wcsim.cli.training.train import gone_if_nothing_came_of_it, steps_shown
 from wcsim.cli.training.train_q import LearnerOptions, q_layers
 from wcsim.config import RunConfig, parse_json, resolve
 from wcsim.config.plant import known_plants
@@ -43,21 +43,21 @@ class Options(LearnerOptions):
     The server sets world, chair and camera.
     """
 
-    endpoint: Annotated[str, tyro.conf.Positional]
+    endpoint: Annotated[str, Positional]
     """Address of the world, as printed by `wcsim serve`: ipc://FILE or tcp://HOST:PORT."""
     out: OutFolder = None
     """Run folder; default runs/joined-NETWORK-SEED."""
     network: str = ""
     """Name of a network, or your own as module:Class; same as --set learn.network=..."""
-    seat: Annotated[int | None, tyro.conf.arg(metavar="K"), Bounds(0, 63)] = None
+    seat: Annotated[int | None, arg(metavar="K"), Bounds(0, 63)] = None
     """Seat to take; by default the first free one."""
     name: str = ""
     """Name of this client; default the network's."""
-    keys: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
+    keys: Annotated[Path | None, arg(metavar="FOLDER")] = None
     """Folder with the server's public key and this client's secret key."""
     seed: int = 0
     """Random seed of network, exploration and replay. The server sets the world's seed."""
-    wait: Annotated[float, tyro.conf.arg(metavar="S"), Bounds(0.1, 3600.0)] = 20.0
+    wait: Annotated[float, arg(metavar="S"), Bounds(0.1, 3600.0)] = 20.0
     """Seconds to wait for the server's first answer."""
     resume: bool = False
     """Continue an interrupted run from its newest checkpoint."""
@@ -73,7 +73,7 @@ def run(words: list[str]) -> int:
     if options.name and not re.fullmatch(CLIENT_NAME, options.name):
         raise ConfigError(f"--name {options.name!r}: expected 1 to 64 letters, digits, - _ or ., not starting with .")
     config = resolve(options.preset, *q_layers(options, options.network))
-    require_known(config.learn.network, options.reward)
+    check_network(config.learn.network)
     require_user(config.env.profile)
     network = config.learn.network.rpartition(":")[2]
     out = options.out or Path("runs") / f"joined-{network}-{options.seed}"
@@ -99,10 +99,7 @@ def _joined(options: Options, config: RunConfig, out: Path, command: tuple[str, 
     terms = tuple(find_reward_term(name) for name in options.reward)
     with SocketSeat(_order(options, config)) as seat, gone_if_nothing_came_of_it(out):
         world = _world(options, seat)
-        offered = parse_json(RunConfig, world.config_json, f"the configuration of {options.endpoint}")
-        _require_known_plant(offered, options.endpoint)
-        parts = {part: getattr(offered, part) for part in WORLD_PARTS}
-        fit = resolve(config, {**parts, "env": {"actions": offered.env.actions}})
+        fit = resolve(config, _of_world(world, options.endpoint))
         street = WheelchairEnv(world.town, config=fit, reward_terms=terms, join=seat)
         info = RunInfo(seed=options.seed, town=world.town, rewards=options.reward, command=command)
         beats = count(1)
@@ -111,13 +108,15 @@ def _joined(options: Options, config: RunConfig, out: Path, command: tuple[str, 
             return train(run, lambda: street, steps_shown(bar), alive=lambda: street.beat(next(beats)))
 
 
-def _require_known_plant(offered: RunConfig, endpoint: str) -> None:
-    """Open no file of this machine because a server names it. Raises ConfigError."""
+def _of_world(world: m.Welcome, endpoint: str) -> dict[str, Any]:
+    """What the world sets of a configuration. Raises ConfigError rather than open a file that a server names."""
+    offered = parse_json(RunConfig, world.config_json, f"the configuration of {endpoint}")
     if not endpoint.startswith("ipc://") and offered.chair.plant not in known_plants():
         raise ConfigError(
             f"the world of {endpoint} drives a wheelchair of a file ({escaped(offered.chair.plant, 80)!r}); expected "
             f"{' or '.join(known_plants())} over the network: join on the world's own machine"
         )
+    return {**{part: getattr(offered, part) for part in WORLD_PARTS}, "env": {"actions": offered.env.actions}}
 
 
 def _order(options: Options, config: RunConfig) -> SeatRequest:

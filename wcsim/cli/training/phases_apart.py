@@ -94,7 +94,7 @@ def _checked(options: GroupOptions, run: GroupRun, by: str) -> Suite | None:
 
 def _first_phase(run: GroupRun) -> GroupRun:
     """The run as far as all learn."""
-    return replace(run, clients=tuple(_until_switch(client) for client in run.clients), last=False)
+    return replace(run, clients=tuple(map(_until_switch, run.clients)), last=False)
 
 
 def _second_phase(run: GroupRun, best: str) -> GroupRun:
@@ -161,13 +161,11 @@ def _tested(options: GroupOptions, run: GroupRun, suite: Suite, name: str) -> Fi
     found: dict[str, tuple[EpisodeRecord, ...]] = {}
     for network in dict.fromkeys(networks.values()):
         policies = [policy for policy, its in networks.items() if its == network]
-        found |= run_suite(replace(order, network=network), policies, _say_blocks)
+        found |= run_suite(
+            replace(order, network=network), policies, lambda policy, done, of: say(f"{policy}: {done} of {of} blocks")
+        )
     records = {policy: found[policy] for policy in networks}
     return _figures_of(keep_result(order, name, records), run.out, [client.name for client in run.clients])
-
-
-def _say_blocks(policy: str, done: int, of: int) -> None:
-    say(f"{policy}: {done} of {of} blocks")
 
 
 def _policy_of(run: Path, client: str) -> str:

@@ -10,7 +10,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Annotated
 
-import tyro
+from tyro.conf import Positional, arg
 
 from wcsim.agents.clients.group_run import Client, GroupRun, open_clients_folder
 from wcsim.agents.runs.own_code import own_classes, require_own
@@ -30,7 +30,7 @@ from wcsim.towns.scenario.town import Town, streets_hash
 class Options(ToldOptions):
     """Continue a training from its newest checkpoint, with its own settings."""
 
-    run: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
+    run: Annotated[Path, Positional, arg(metavar="RUN")]
     """Run folder of a training, of one network or of several clients."""
     steps: Steps = None
     """Total steps of a longer training by Q-learning."""
@@ -40,7 +40,7 @@ class Options(ToldOptions):
     """HOST:PORT of a Ray cluster that drives data for a danger network, or `local`."""
     town: str = ""
     """Where its towns are by now, if they were moved: folders or .sumocfg files, separated by commas."""
-    trust: Annotated[Repeated, tyro.conf.arg(metavar="CLASS")] = ()
+    trust: Annotated[Repeated, arg(metavar="CLASS")] = ()
     """Your own module:Class that a run names which was made elsewhere: resuming runs its code."""
 
 
@@ -48,24 +48,21 @@ def run(words: list[str]) -> int:
     """Go on, by what the run's folder says."""
     options = parse(Options, words, "resume")
     check_folder("RUN", options.run)
-    if "clients" in read_json(options.run, MANIFEST):
+    was = None if "clients" in read_json(options.run, MANIFEST) else open_run(options.run)
+    in_rounds = was is not None and learns_in_rounds(was.config)
+    if options.cluster and not in_rounds:
+        raise ConfigError(f"--cluster: {options.run} learns from every step, on this machine; leave it out")
+    if was is None:
         return _resume_group(options)
-    was = open_run(options.run)
-    _require_used(options, was.config)
+    if options.steps is not None and in_rounds:
+        rounds = was.config.collect.rounds
+        raise ConfigError(f"--steps: {options.run} learns in {rounds} rounds, not steps; leave it out")
     machines = machines_of(options.cluster, options.worlds, "--worlds")
     again, town = resumed(options)
     if was.manifest.status == "done" and again.config.learn.total_steps == was.config.learn.total_steps:
         print(f"note: {_finished(options.run, was.config)}", file=sys.stderr)
     train_in(again, town, verbose=options.verbose, machines=machines)
     return told(options, again)
-
-
-def _require_used(options: Options, config: RunConfig) -> None:
-    """Refuse more steps of what learns in rounds, and a cluster for what drives for itself. Raises ConfigError."""
-    if options.steps is not None and learns_in_rounds(config):
-        raise ConfigError(f"--steps: {options.run} learns in {config.collect.rounds} rounds, not steps; leave it out")
-    if options.cluster and not learns_in_rounds(config):
-        raise ConfigError(f"--cluster: {options.run} learns from every step, on this machine; leave it out")
 
 
 def _finished(out: Path, config: RunConfig) -> str:
@@ -85,12 +82,15 @@ def resumed(options: Options) -> tuple[ResolvedRun, Town]:
     """
     path = options.run
     run = open_run(path)
-    _require_own_config(path, run.manifest)
-    _require_own_classes(options, run.manifest, (run.config.learn.network,))
-    town = _town_of(options, run.manifest)
+    manifest, was = run.manifest, read_json(path, MANIFEST).get("config_was_sha256")
+    digest = parse_config(RunConfig, read_json(path, CONFIG), str(path / CONFIG)).digest()
+    # Another version of wcsim may know more settings, and so have another hash of the same file.
+    same_version = manifest.versions.get("wcsim") == metadata.version("wcsim")
+    if same_version and digest not in (manifest.config_sha256, was):
+        raise PolicyError(f"{path / CONFIG} does not match the run: changed or damaged; restore it")
+    town = _town_of(options, manifest, (run.config.learn.network,))
     steps = _steps_of(options, run.config)
-    begun = "config_was_sha256" in read_json(path, MANIFEST)  # by a process that ended between two files
-    if begun or steps != run.config.learn.total_steps:
+    if was is not None or steps != run.config.learn.total_steps:  # a process may have ended between two files
         with locked(path):  # by nobody else at work: a run in use keeps its steps
             extend(path, steps)
         run = open_run(path)
@@ -122,9 +122,7 @@ def _resumed_group(options: Options) -> tuple[GroupRun, Town]:
     path = options.run
     folder = open_clients_folder(path)
     configs = {name: folder.client_config(name) for name in folder.clients}
-    _require_used(options, configs[folder.clients[0]])
-    _require_own_classes(options, folder.manifest, [config.learn.network for config in configs.values()])
-    town = _town_of(options, folder.manifest)
+    town = _town_of(options, folder.manifest, [config.learn.network for config in configs.values()])
     clients = []
     for seat, (name, config) in enumerate(configs.items()):
         longer = resolve(config, {"learn": {"total_steps": _steps_of(options, config)}})
@@ -147,14 +145,16 @@ def _value_of(command: Sequence[str], option: str) -> str | None:
     return found
 
 
-def _town_of(options: Options, manifest: Manifest) -> Town:
-    """The town that a run was made in, of several the first one.
+def _town_of(options: Options, manifest: Manifest, networks: Sequence[str]) -> Town:
+    """The town that a run of these networks was made in, of several the first one.
 
     Raises:
-        PolicyError: It has other streets by now, or it is a run of `wcsim join`.
+        PolicyError: The run was made elsewhere with code that nobody named here, its town has other streets by now, or
+            it is a run of `wcsim join`.
         TownError: One is not found under the name that it had.
     """
     path, command = options.run, manifest.command
+    require_own(path, own_classes(manifest.hook, manifest.rewards, networks), manifest.own_code, options.trust)
     if command[1:2] == ("join",):
         raise PolicyError(f"{path} learns in a world that somebody serves; join again: {shlex.join(command)} --resume")
     said = options.town or _value_of(command, "town") or manifest.town
@@ -172,23 +172,6 @@ def _town_of(options: Options, manifest: Manifest) -> Town:
             told = f"{path} was made with another town or other streets ({own})"
             raise PolicyError(f"--town {said}: {told}; restore them")
     return towns[0]
-
-
-def _require_own_classes(options: Options, manifest: Manifest, networks: Sequence[str]) -> None:
-    """Refuse code that only the run folder names, unless the run was made here. Raises PolicyError."""
-    require_own(options.run, own_classes(manifest.hook, manifest.rewards, networks), manifest.own_code, options.trust)
-
-
-def _require_own_config(path: Path, manifest: Manifest) -> None:
-    """Raise PolicyError when a run's configuration is not the one that its manifest has the hash of.
-
-    Another version of wcsim may know more settings, and so have another hash of the same file.
-    """
-    if manifest.versions.get("wcsim") != metadata.version("wcsim"):
-        return
-    known = manifest.config_sha256, read_json(path, MANIFEST).get("config_was_sha256")
-    if parse_config(RunConfig, read_json(path, CONFIG), str(path / CONFIG)).digest() not in known:
-        raise PolicyError(f"{path / CONFIG} does not match the run: changed or damaged; restore it")
 
 
 def _steps_of(options: Options, config: RunConfig) -> int:

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-import sys
+import shutil
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+from wcsim.agents.collecting.data_folder import DATA, SEGMENTS
 from wcsim.agents.runs.run_folder import ResolvedRun, open_run
 from wcsim.cli.shared.common import (
     Cluster,
@@ -16,12 +20,14 @@ from wcsim.cli.shared.common import (
     Repeated,
     SettingsOptions,
     Worlds,
+    fresh_folders,
     machines_of,
     parse,
     some_words,
     write_json,
 )
-from wcsim.cli.shared.exit_codes import Exit
+from wcsim.cli.shared.consoles import warn
+from wcsim.cli.shared.exit_codes import Exit, NothingKept
 from wcsim.cli.shared.overrides import beside, print_overrides
 from wcsim.cli.shared.run_config import (
     how_it_learns,
@@ -33,14 +39,18 @@ from wcsim.cli.shared.run_config import (
     resolve_run,
 )
 from wcsim.cli.shared.stage_bar import StageBar
-from wcsim.cli.training.bar import gone_if_nothing_came_of_it, steps_shown
 from wcsim.config import RunConfig, resolve
-from wcsim.errors import ConfigError, TownError
+from wcsim.core.reading import counted
+from wcsim.errors import ConfigError, DiskFullError, InterruptedRunError, TownError, WorkersError
 from wcsim.server.specs import RunInfo
 from wcsim.server.workers.machines import Machines
 from wcsim.towns.checks.validate import validate_net
 from wcsim.towns.making.asked_town import asked_town
 from wcsim.towns.scenario.town import Town, by_name, streets_hash
+
+if TYPE_CHECKING:  # these load torch, which --help must not
+    from wcsim.agents.learning.callbacks import TrainProgress
+    from wcsim.agents.rounds.train_rounds import RoundProgress
 
 
 @dataclass(kw_only=True)
@@ -95,7 +105,7 @@ def run(words: list[str]) -> int:
     require_head(config, in_rounds=True)
     require_users(config, (options.set, options.config))
     town, info = placed(options, RunInfo(seed=options.seed, command=("wcsim", "train", *words)), config)
-    made = resolve_run(config, info, town, out_of(options, options.preset, town))
+    made = resolve_run(config, info, town, out_of(options, town))
     train_in(made, town, note=how_it_learns(config), machines=machines)
     return told(options, made)
 
@@ -112,9 +122,9 @@ def told(options: ToldOptions, run: ResolvedRun) -> int:
     return Exit.DONE
 
 
-def out_of(options: TrainingOptions, preset: str, town: Town) -> Path:
+def out_of(options: TrainingOptions, town: Town) -> Path:
     """The run folder that is asked for, or the usual one."""
-    return options.out or Path("runs") / f"{town.name}-{preset}-{options.seed}"
+    return options.out or Path("runs") / f"{town.name}-{options.preset}-{options.seed}"
 
 
 def placed(options: TrainingOptions, info: RunInfo, config: RunConfig) -> tuple[Town, RunInfo]:
@@ -153,11 +163,8 @@ def train_in(
 ) -> Path:
     """Train one network with a progress bar; returns the run folder."""
     if learns_in_rounds(run.config):
-        from wcsim.cli.training.rounds import train_rounds_in
-
-        return train_rounds_in(run, town, machines or machines_of("", None, "--worlds"), note)
+        return _train_rounds_in(run, town, machines or machines_of("", None, "--worlds"), note)
     from wcsim.agents.envs.wheelchair_env import WheelchairEnv
-    from wcsim.agents.learning.callbacks import TrainProgress
     from wcsim.agents.learning.train import train
     from wcsim.supervisor.rewards import find_reward_term
 
@@ -181,7 +188,106 @@ def train_in(
             env.on_town = lambda word: open_run(run.out).event("town", town=Path(word).name)
             return env
 
-        def say(text: str) -> None:
-            print(f"wcsim: {text}", file=sys.stderr)
+        return train(run, make_env, show, log=warn)
 
-        return train(run, make_env, show, log=say)
+
+def _train_rounds_in(run: ResolvedRun, town: Town, machines: Machines, note: str = "") -> Path:
+    """Train with a progress bar, and a note above it; returns the run folder.
+
+    Raises:
+        InterruptedRunError: The user stopped it.
+        NothingKept: ... before anything was driven.
+        WcsimError: Something that was asked for cannot be used.
+    """
+    from wcsim.agents.rounds.train_rounds import train_danger
+
+    with StageBar("driving") as bar:
+
+        def show(now: RoundProgress) -> None:
+            bar.rows({row.name: f"segment {row.key}, {row.for_s:.0f} s" if row.key else "free" for row in now.workers})
+            learns = now.learned > 0 or now.segments == now.of
+            at = f"update {now.learned}" if learns else f"segment {now.segments} of {now.of}"
+            bar.show(
+                _share_done(now, run.config),
+                f"round {now.round + 1} of {now.rounds}, {at}",
+                "learning" if learns else "driving",
+            )
+            if not bar.console.is_terminal:
+                _log(bar, now)
+
+        if note:
+            bar.say(f"note: {note}")
+
+        def say(told: str) -> None:
+            bar.say(told, left=False)
+
+        try:
+            with gone_if_nothing_came_of_it(run.out):
+                return train_danger(run, town, replace(machines, say=say), show, say)
+        except InterruptedRunError:
+            if run.out.exists():
+                raise
+            raise NothingKept("stopped before the first segment was driven; nothing is saved") from None
+
+
+def _share_done(now: RoundProgress, config: RunConfig) -> float:
+    """Which share of a run's work is done, 0 to 1.
+
+    A step that is driven and one in a batch that is learned from cost about the same on two cores. From the second
+    round on worlds drive while the network learns, so that a round takes as long as the longer of both.
+    """
+    collect, danger = config.collect, config.danger
+    drive, learn = collect.segments * collect.ticks * collect.chairs, danger.updates * danger.batch
+    both, last = max(drive, learn), now.rounds - 1
+    before = 0 if now.round == 0 else drive + now.round * both
+    driven = drive * now.segments / max(1, now.of) if now.round == 0 else 0.0
+    learned = 1.0 if now.updates else now.learned / danger.updates
+    return (before + driven + learned * (learn if now.round == last else both)) / (drive + last * both + learn)
+
+
+def _log(bar: StageBar, now: RoundProgress) -> None:
+    """A line where a round is driven, and one where it is learned from."""
+    says = f"round {now.round + 1} of {now.rounds}, {now.segments} of {now.of} segments"
+    if now.updates:
+        bar.say(f"{says}, {counted(now.updates, 'update')}, loss {now.loss:.4f}")
+    elif now.segments == now.of and not now.learned:
+        bar.say(f"{says}: learning")
+
+
+@contextmanager
+def gone_if_nothing_came_of_it(run: Path) -> Iterator[None]:
+    """Remove a run folder made in the block when it fails before an episode, a segment or a checkpoint was saved.
+
+    It stays after a full disk, and when a cluster is lost: wcsim resume goes on.
+    """
+    fresh = not run.exists()
+    with fresh_folders(run.parent):
+        try:
+            yield
+        except (DiskFullError, OSError, WorkersError):
+            raise
+        except BaseException:
+            metrics = run / "metrics.csv"
+            episodes = len(metrics.read_bytes().splitlines()) - 1 if metrics.is_file() else 0
+            saved = any(any(run.glob(f"{kept}/*")) for kept in ("checkpoints", "policies", f"{DATA}/{SEGMENTS}"))
+            if fresh and episodes < 1 and not saved:
+                shutil.rmtree(run, ignore_errors=True)
+            raise
+
+
+def steps_shown(bar: StageBar) -> Callable[[TrainProgress], None]:
+    """Shows on a bar how far a training has come; where that is no terminal, in a line for each tenth of the way."""
+    tenths = 0
+
+    def show(now: TrainProgress) -> None:
+        nonlocal tenths
+        kpi1 = "" if now.kpi1 is None else f", KPI 1 {now.kpi1:.3f}"
+        step = min(now.step, now.total_steps)  # the last steps are done together, and may be a few more
+        known = f"{counted(now.episodes, 'episode')}, {counted(now.crashes, 'crash')}{kpi1}"
+        says, phase = f"{step}/{now.total_steps} steps, {known}", f"phase {now.phase}"
+        bar.show(step / now.total_steps, says, phase)
+        if not bar.console.is_terminal and 10 * step // now.total_steps > tenths:
+            tenths = 10 * step // now.total_steps
+            bar.say(f"{phase}: {says}", left=False)
+
+    return show

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-import tyro
+from tyro.conf import Positional, arg
 
 from wcsim.agents.clients.group_run import Client, GroupRun
 from wcsim.agents.networks.names import NETWORK_NAMES, client_name
@@ -30,11 +30,11 @@ _TAKEN = ("world", "logs", "ledgers", "configs", "journal", "selection", "report
 class Options(QOptions, GroupOptions):
     """Train several networks at once in one shared world, by Q-learning, each in a process of its own."""
 
-    clients: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="A,B,...")]
+    clients: Annotated[str, Positional, arg(metavar="A,B,...")]
     """Networks, separated by commas: names or module:Class."""
-    config_for: Annotated[Repeated, tyro.conf.arg(metavar="NAME=FILE")] = ()
+    config_for: Annotated[Repeated, arg(metavar="NAME=FILE")] = ()
     """TOML file with settings for one client; overrides all others."""
-    select_by: Annotated[str | None, tyro.conf.arg(metavar="HOW")] = None
+    select_by: Annotated[str | None, arg(metavar="HOW")] = None
     """Which client learns the second phase: kpi1 (the lowest KPI 1 in the first phase), the name of a client, or a
     suite or episode list (the best on it). With '' all do. None: learn.select_by, which is kpi1 in preset paper."""
 
@@ -45,7 +45,7 @@ def run(words: list[str]) -> int:
     clients = resolved(options)
     config = clients[0].config
     town, info = placed(options, options.info(("wcsim", "train-clients", *words)), config)
-    out = out_of(options, options.preset, town)
+    out = out_of(options, town)
     return train_group(options, GroupRun(clients=clients, out=out, info=in_town(info, town, config)), town)
 
 

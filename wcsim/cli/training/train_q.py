@@ -7,15 +7,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-import tyro
+from tyro.conf import arg
 
-from wcsim.cli.shared.common import Repeated, SettingsOptions, Steps, parse
+from wcsim.cli.shared.common import Finds, Repeated, SettingsOptions, Steps, parse
 from wcsim.cli.shared.run_config import how_it_learns, learning, require_head, require_users, resolve_run
 from wcsim.cli.training.train import TrainingOptions, out_of, placed, told, train_in
 from wcsim.config import CONFIG_FILE, LearnConfig, resolve
 from wcsim.config.load import Layer, sets_key
 from wcsim.core import reading
 from wcsim.server.specs import RunInfo
+from wcsim.supervisor.rewards import find_reward_term
 
 _PARTS = ("phase1_steps", "learning_starts")  # of [learn], that shrink with the steps
 
@@ -26,7 +27,7 @@ class LearnerOptions(SettingsOptions):
 
     preset: str = "dqn"
     """Preset to start from: dqn or paper."""
-    reward: Repeated = ()
+    reward: Annotated[Repeated, Finds(find_reward_term)] = ()
     """Your own reward term as module:Class, added to the paper's terms."""
     steps: Steps = None
     """Total steps, as --set learn.total_steps=N. A preset's first phase of more than half of them shrinks."""
@@ -50,7 +51,7 @@ class QOptions(LearnerOptions, TrainingOptions):
 class Options(QOptions):
     """Train a network by Q-learning, from the reward of every step, as in the paper."""
 
-    network: Annotated[str, tyro.conf.arg(metavar="NAME")] = ""
+    network: Annotated[str, arg(metavar="NAME")] = ""
     """Name of a network, or your own as module:Class; same as --set learn.network=..."""
 
 
@@ -60,7 +61,7 @@ def run(words: list[str]) -> int:
     board = {"learn": {"tensorboard": True}} if options.tensorboard else None
     config = resolve(options.preset, *q_layers(options, options.network, board))
     town, info = placed(options, options.info(("wcsim", "train-q", *words)), config)
-    made = resolve_run(config, info, town, out_of(options, options.preset, town))
+    made = resolve_run(config, info, town, out_of(options, town))
     train_in(made, town, note=how_it_learns(config), verbose=options.verbose)
     return told(options, made)
 

@@ -121,7 +121,11 @@ class Cures:
         """The command that routes a town's demand again and drops what finds no way."""
         town = self._town
         read = {path: _whole(path, town) for path in town.additional}
-        needed = [path for path, parts in read.items() if any(_for_routes(root) for root in parts.values())]
+        needed = [
+            path
+            for path, parts in read.items()
+            if any(item.tag in FOR_ROUTES for root in parts.values() for item in root)
+        ]
         inside = {path: root for named in needed for path, root in read[named].items()}
         typed = [path.name for path, root in inside.items() if _has_types(root)]
         twice = typed if any(_has_types(root) for path in town.routes for root in _whole(path, town).values()) else []
@@ -144,10 +148,6 @@ def _before_routing(deadly: list[str], twice: list[str], name: str) -> str:
     return first + (
         f"remove the vehicle types from {', '.join(twice)}, because {name} will contain them, " if twice else ""
     )
-
-
-def _for_routes(root: Element) -> bool:
-    return any(element.tag in FOR_ROUTES for element in root)
 
 
 def _whole(path: Path, town: Town) -> dict[Path, Element]:

@@ -8,6 +8,7 @@ exactly there, whatever is below or around.
 from __future__ import annotations
 
 import logging
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -18,7 +19,7 @@ from shapely.geometry.base import BaseGeometry
 
 from wcsim.core.frames import yaw_from_sumo
 from wcsim.errors import TownError
-from wcsim.towns.furniture.models import CLASS_OF_AREA, FOOT_M, LOOKS
+from wcsim.towns.furniture.models import FOOT_M, LOOKS
 from wcsim.towns.furniture.placement import CLEAR_M, FreeGround, StandingObject, stood
 from wcsim.towns.furniture.traffic_lights import sign_things, signal_things
 from wcsim.towns.ground import solid_shapes
@@ -73,7 +74,7 @@ def _outline(item: Item, points_m: F64, width_m: float) -> BaseGeometry:
 
 
 def _filled(kind: str, area: Polygon, height_m: float) -> StandingObject:
-    class_id = CLASS_OF_AREA.get(kind, ClassId.STATIC)
+    class_id = _CLASS_OF_AREA.get(kind, ClassId.STATIC)
     return _thing(area, [solid_shapes.prism(shapely.segmentize(area, _AUTHOR_LONGEST_M), FOOT_M, height_m, class_id)])
 
 
@@ -143,19 +144,9 @@ POST_STEP_M = 1.5
 LONGEST_M = 12.0  # a fence that follows a hill has a corner at least this often
 _FLAT_GROUPS = ("landuse", "waterway", "boundary", "kerb", "building", "stop")
 _COMPASS = ("N", "NNE", "NE", "ENE", "E", "ESE", "SE", "SSE", "S", "SSW", "SW", "WSW", "W", "WNW", "NW", "NNW")
-# Looks of some types by the value of one of their tags.
-_LOOK_BY_TAG: dict[str, tuple[str, dict[str, str]]] = {
-    "tourism.information": ("information", {
-        "board": "info", "map": "info", "tactile_map": "info", "terminal": "info", "guidepost": "sign",
-    }),
-    "amenity.vending_machine": ("vending", {"parking_tickets": "meter", "public_transport_tickets": "meter"}),
-    "historic.memorial": ("memorial", {
-        "statue": "statue", "bust": "statue", "stele": "block", "stone": "block", "stolperstein": "",
-    }),
-    "tourism.artwork": ("artwork_type", {
-        "mural": "", "graffiti": "", "mosaic": "", "relief": "", "painting": "", "azulejo": "",
-    }),
-}  # fmt: skip
+_DATA = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+_LOOK_BY_TAG: dict[str, tuple[str, dict[str, str]]] = _DATA["by_tag"]
+_CLASS_OF_AREA = {kind: ClassId[name] for name, kinds in _DATA["areas"].items() for kind in kinds.split()}
 
 
 def _place_mapped(items: list[Item], place: FreeGround) -> list[StandingObject]:
@@ -275,60 +266,12 @@ def _solid_parts(area: BaseGeometry) -> list[Polygon]:
     return [solid for part in parts for solid in polygons_of(part, 0.05) if solid.is_valid]
 
 
-_LOOKS = {
-    "": (
-        "archive border_control bump_gate cattle_grid entrance height_restrictor kerb no sally_port spikes "
-        "sump_buster wedge"
-    ),
-    "bench": "bench",
-    "billboard": "billboard",
-    "bin": "grit_bin waste_basket",
-    "block": "block boulder debris jersey_barrier log memorial rock stone water_well wayside_cross wayside_shrine",
-    "bollard": "bollard chain",
-    "cabinet": "give_box monitoring_station public_bookcase street_cabinet",
-    "column": "column",
-    "cycle_barrier": "cycle_barrier motorcycle_barrier stile",
-    "flagpole": "flagpole",
-    "fountain": "fountain",
-    "gate": "full-height_turnstile gate hampshire_gate kissing_gate sliding_gate turnstile",
-    "hydrant": "fire_hydrant",
-    "info": "board",
-    "kiosk": "toll_booth",
-    "lamp": "street_lamp",
-    "lift_gate": "lift_gate swing_gate",
-    "machine": "parcel_locker photo_booth vending_machine",
-    "meter": "charging_station parking_meter",
-    "phone": "telephone",
-    "planter": "planter",
-    "pole": "catenary_mast mast pole utility_pole",
-    "post_box": "letter_box post_box",
-    "poster": "advertising poster_box screen totem",
-    "rack": "bicycle_parking bicycle_rental",
-    "recycling": "recycling waste_disposal",
-    "shelter": "shelter",
-    "shrub": "shrub",
-    "sign": "sign traffic_sign",
-    "statue": "artwork bust monument statue",
-    "table": "picnic_table",
-    "tap": "bbq bicycle_repair_station drinking_water watering_place water_tap",
-    "tree": "tree",
-}
-LOOK_OF = {kind: look for look, kinds in _LOOKS.items() for kind in kinds.split()}
+LOOK_OF = {kind: look for look, kinds in _DATA["looks"].items() for kind in kinds.split()}
 """Looks of mapped points by the second word of their type; "" for what stands nowhere."""
 
 _ROW_STEPS_M = {"tree_row": ("tree", TREE_STEP_M), "bollard": ("bollard", POST_STEP_M), "chain": ("bollard", 2.0)}
 _LINE_SPECS: dict[str, tuple[float, float, int]] = {  # height and thickness in metres, class
-    "fence": (1.2, 0.12, ClassId.FENCE),
-    "guard_rail": (0.8, 0.15, ClassId.FENCE),
-    "handrail": (1.0, 0.12, ClassId.FENCE),
-    "barrier_board": (1.0, 0.1, ClassId.FENCE),
-    "jersey_barrier": (0.9, 0.4, ClassId.WALL),
-    "wall": (1.5, 0.2, ClassId.WALL),
-    "retaining_wall": (1.0, 0.2, ClassId.WALL),
-    "city_wall": (3.0, 0.6, ClassId.WALL),
-    "hedge": (1.3, 0.6, ClassId.VEGETATION),
-    "planter": (0.9, 0.6, ClassId.VEGETATION),
-    "block": (0.5, 0.5, ClassId.WALL),
+    kind: (high_m, thick_m, ClassId[name]) for kind, (high_m, thick_m, name) in _DATA["lines"].items()
 }
 
 

@@ -5,8 +5,11 @@ Height 0 is the ground; whatever stands on it reaches a little deeper, because g
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import tomllib
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -81,178 +84,54 @@ def _leaning(side: float) -> Solid:
     return replace(board, vertices_W_m=corners)
 
 
-_BIKE, _LYING, _SHED = ClassId.BICYCLE, ClassId.MOTORCYCLE, ClassId.BUILDING
-_HANDLEBAR = _box((0.06, 0.5, 0.05), _BIKE, (0.42, 0.0), 0.98)
+_BIKE = ClassId.BICYCLE
 _PLAIN_BICYCLE = solid_shapes.joined(
     [
         *(solid_shapes.disc(x, 0.34, 0.05, _BIKE, sides=6) for x in (-0.54, 0.54)),
         _box((0.7, 0.06, 0.08), _BIKE, (0.0, 0.0), 0.6),
         _box((0.05, 0.05, 0.5), _BIKE, (0.4, 0.0), 0.5),
-        _HANDLEBAR,
+        _box((0.06, 0.5, 0.05), _BIKE, (0.42, 0.0), 0.98),
     ]
 )
 """One of many: few triangles."""
-_BARRIER = [
-    *(_box((0.1, 0.4, 0.08), ClassId.FENCE, (x, 0.0)) for x in (-0.8, 0.8)),
-    *(_box((0.06, 0.06, 1.0), ClassId.FENCE, (x, 0.0)) for x in (-0.8, 0.8)),
-    *(_box((2.0, 0.05, high), ClassId.FENCE, low_m=low) for low, high in ((0.1, 0.2), (0.75, 0.25))),
-]
+
+
+def _read_looks() -> Iterator[tuple[str, _FurnitureModel]]:
+    """The models of `models.toml` with their kinds."""
+    for kind, look in tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8")).items():
+        length_m, width_m, height_m = look["size"]
+        pieces = (_placed(row, (x, y)) for row in look["pieces"] for x, y in row.get("at", [(0.0, 0.0)]))
+        yield kind, _look((length_m, width_m, height_m), *pieces, round=look.get("round", False))
+
+
+def _placed(row: dict[str, Any], at: tuple[float, float]) -> Solid:
+    """A piece of a row of `models.toml` at one of its places."""
+    if "post" in row:
+        radius_m, high_m = row["post"]
+        return _post(radius_m, high_m, ClassId[row.get("class", "POLE")], at, row.get("sides", 6))
+    if "disc" in row:
+        x_m, radius_m, thick_m = row["disc"]
+        return solid_shapes.disc(x_m, radius_m, thick_m, ClassId[row["class"]])
+    if "spindle" in row:
+        return solid_shapes.spindle(np.array(at), row["spindle"], ClassId[row.get("class", "STATIC")], sides=6)
+    length_m, width_m, height_m = row["box"]
+    return _box((length_m, width_m, height_m), ClassId[row.get("class", "STATIC")], at, row.get("low_m"))
 
 
 def _look(size: tuple[float, float, float], *pieces: Solid, round: bool = False) -> _FurnitureModel:
     return _FurnitureModel(size_lwh_m=size, pieces=list(pieces), round=round)
 
 
-def _solid(size: tuple[float, float, float], class_id: int = ClassId.STATIC) -> _FurnitureModel:
-    return _look(size, _box(size, class_id))
-
-
-def _pillar(radius_m: float, high_m: float, class_id: int = ClassId.POLE, sides: int = 6) -> _FurnitureModel:
-    wide = 2.0 * radius_m
-    return _look((wide, wide, high_m), _post(radius_m, high_m, class_id, sides=sides), round=True)
-
-
-LOOKS: dict[str, _FurnitureModel] = {
-    "barrier": _look((2.0, 0.4, 1.0), *_BARRIER),
-    "bench": _look(
-        (1.6, 0.55, 0.85),
-        *(_box((0.08, 0.42, 0.4), at=(x, 0.0)) for x in (-0.62, 0.62)),
-        _box((1.6, 0.46, 0.07), low_m=0.4),
-        _box((1.6, 0.06, 0.36), at=(0.0, -0.22), low_m=0.49),
-    ),
-    "bicycle": _look(
-        (1.8, 0.5, 1.05),
-        *(solid_shapes.disc(x, 0.34, 0.04, _BIKE) for x in (-0.54, 0.54)),
-        _box((1.0, 0.05, 0.07), _BIKE, low_m=0.38),
-        _box((0.75, 0.05, 0.06), _BIKE, (0.0, 0.0), 0.74),
-        *(_box((0.05, 0.05, 0.62), _BIKE, (x, 0.0), 0.36) for x in (-0.2, 0.4)),
-        _box((0.26, 0.16, 0.07), _BIKE, (-0.25, 0.0), 0.94),
-        _HANDLEBAR,
-    ),
-    "billboard": _look(
-        (3.8, 0.3, 4.9), *(_post(0.1, 3.0, at=(x, 0.0)) for x in (-1.2, 1.2)), _box((3.8, 0.2, 2.7), low_m=2.2)
-    ),
-    "bin": _pillar(0.22, 0.95, ClassId.STATIC, 8),
-    "block": _solid((0.9, 0.6, 0.6)),
+LOOKS = dict(_read_looks())
+LOOKS |= {
     "board": _look((0.62, 0.6, 1.0), _leaning(-1.0), _leaning(1.0)),
-    "bollard": _pillar(0.09, 0.95),
-    "box": _solid((0.6, 0.6, 0.6), ClassId.DYNAMIC),
-    "cabinet": _solid((1.0, 0.4, 1.3)),
-    "column": _pillar(0.6, 3.0, ClassId.STATIC, 10),
-    "cone": _look(
-        (0.38, 0.38, 0.76),
-        _box((0.38, 0.38, 0.04), ClassId.DYNAMIC),
-        solid_shapes.spindle(_HERE, ((0.14, 0.03), (0.03, 0.75), (0.0, 0.76)), ClassId.DYNAMIC, sides=6),
-    ),
-    "container": _solid((6.06, 2.44, 2.6)),
-    "cycle_barrier": _look(
-        (1.08, 0.1, 1.0),
-        *(_post(0.04, 1.0, ClassId.FENCE, (x, 0.0), 5) for x in (-0.5, 0.5)),
-        *(_box((1.0, 0.05, 0.06), ClassId.FENCE, low_m=low) for low in (0.5, 0.94)),
-    ),
-    "fence": _solid((2.0, 0.08, 1.2), ClassId.FENCE),
-    "flagpole": _pillar(0.06, 8.0),
-    "fountain": _look(
-        (2.2, 2.2, 1.4), _post(1.1, 0.45, ClassId.STATIC, sides=10), _post(0.2, 1.4, ClassId.STATIC), round=True
-    ),
-    "gate": _look(
-        (2.0, 0.15, 1.2),
-        *(_post(0.07, 1.2, ClassId.FENCE, (x, 0.0), 5) for x in (-0.95, 0.95)),
-        *(_box((1.8, 0.06, 0.1), ClassId.FENCE, low_m=low) for low in (0.15, 0.5, 0.95)),
-    ),
-    "hedge": _solid((2.0, 0.6, 1.3), ClassId.VEGETATION),
-    "hydrant": _pillar(0.15, 0.8, ClassId.STATIC),
-    "info": _look(
-        (1.2, 0.1, 2.0),
-        *(_post(0.04, 2.0, at=(x, 0.0), sides=5) for x in (-0.55, 0.55)),
-        _box((1.1, 0.08, 1.1), ClassId.STATIC, low_m=0.8),
-    ),
-    "kiosk": _solid((2.5, 2.0, 2.6), ClassId.BUILDING),
-    "lamp": _look(
-        (0.16, 0.16, 5.15), _post(0.08, 5.0, sides=5), _box((0.3, 0.6, 0.15), ClassId.POLE, (0.0, 0.2), 5.0), round=True
-    ),
-    "lift_gate": _look(
-        (0.4, 0.4, 4.3), _box((0.4, 0.4, 1.1), ClassId.FENCE), _box((0.1, 0.08, 3.2), ClassId.FENCE, (0.0, 0.1), 1.1)
-    ),
-    "machine": _solid((0.9, 0.7, 1.8)),
-    "meter": _solid((0.35, 0.3, 1.5)),
-    "phone": _look(
-        (0.95, 0.95, 2.3),
-        _box((0.9, 0.04, 2.2), at=(0.0, -0.43)),
-        *(_box((0.04, 0.86, 2.2), at=(x, 0.0)) for x in (-0.43, 0.43)),
-        _box((0.95, 0.95, 0.12), low_m=2.2),
-        _box((0.3, 0.2, 0.6), at=(0.0, -0.3), low_m=0.9),
-    ),
-    "planter": _look((1.2, 0.6, 0.9), _box((1.2, 0.6, 0.5)), _box((1.1, 0.5, 0.9), ClassId.VEGETATION)),
-    "pole": _pillar(0.12, 6.0),
-    "post_box": _solid((0.5, 0.45, 1.3)),
-    "poster": _solid((1.4, 0.3, 2.6)),
     "rack": _FurnitureModel(size_lwh_m=(3.1, 1.8, 1.05), make=_rack),
-    "recycling": _solid((1.6, 1.0, 1.5)),
     "roadworks": _look(
         (2.0, 1.2, 1.0),
-        *(solid_shapes.moved(piece, np.array([0.0, y])) for y in (-0.4, 0.4) for piece in _BARRIER),
+        *(solid_shapes.moved(piece, np.array([0.0, y])) for y in (-0.4, 0.4) for piece in LOOKS["barrier"].pieces),
         _box((0.9, 0.4, 0.45), ClassId.DYNAMIC),
     ),
-    "scooter": _look(  # a kick scooter lying on its side: deck, wheels, stem and handlebar flat on the ground
-        (1.2, 0.75, 0.3),
-        _box((0.85, 0.12, 0.2), _LYING, (-0.05, -0.3)),
-        _box((0.2, 0.1, 0.22), _LYING, (-0.48, -0.3)),
-        _box((0.2, 0.1, 0.22), _LYING, (0.48, -0.3)),
-        _box((0.08, 0.75, 0.12), _LYING, (0.45, 0.05)),
-        _box((0.3, 0.08, 0.3), _LYING, (0.42, 0.34)),
-    ),
-    "shelter": _look(  # back and side panes, a roof, and a bench inside; Cityscapes counts shelters as buildings
-        (3.6, 1.3, 2.4),
-        _box((3.6, 0.05, 2.3), _SHED, (0.0, -0.6)),
-        *(_box((0.05, 1.1, 2.3), _SHED, (x, -0.05)) for x in (-1.77, 1.77)),
-        _box((3.9, 1.6, 0.1), _SHED, (0.0, 0.0), 2.3),
-        _box((1.8, 0.35, 0.07), at=(-0.4, -0.38), low_m=0.42),
-        *(_box((0.07, 0.3, 0.42), at=(x, -0.38)) for x in (-1.1, 0.3)),
-    ),
     "shrub": _FurnitureModel(size_lwh_m=(1.0, 1.0, 1.0), make=_shrub, round=True),
-    "sign": _look(
-        (0.1, 0.1, 2.75),
-        _post(0.04, 2.75, sides=5),
-        _box((0.6, 0.03, 0.6), ClassId.TRAFFIC_SIGN, (0.0, 0.06), 2.1),
-        round=True,
-    ),
-    "skip": _solid((3.4, 1.7, 1.3)),
-    "statue": _look(
-        (1.0, 1.0, 3.1),
-        _box((1.0, 1.0, 1.2)),
-        solid_shapes.spindle(
-            _HERE, ((0.25, 1.2), (0.3, 2.0), (0.15, 2.7), (0.16, 2.9), (0.0, 3.1)), ClassId.STATIC, sides=6
-        ),
-    ),
-    "stop_pole": _look(
-        (0.1, 0.1, 2.75),
-        _post(0.03, 2.3, sides=5),
-        _box((0.45, 0.04, 0.5), ClassId.TRAFFIC_SIGN, (0.0, 0.05), 2.25),
-        round=True,
-    ),
-    "table": _look(
-        (1.8, 1.5, 0.78),
-        *(_box((0.1, 1.4, 0.4), at=(x, 0.0)) for x in (-0.6, 0.6)),
-        *(_box((1.7, 0.3, 0.06), at=(0.0, y), low_m=0.42) for y in (-0.62, 0.62)),
-        _box((1.8, 0.7, 0.06), low_m=0.72),
-        _box((0.1, 0.3, 0.72)),
-    ),
-    "tap": _pillar(0.18, 1.0, ClassId.STATIC),
     "tree": _FurnitureModel(size_lwh_m=(0.3, 0.3, 7.0), make=_tree, round=True),
-    "wall": _solid((2.0, 0.2, 1.5), ClassId.WALL),
 }
-
-_KINDS_OF_CLASS = {
-    ClassId.BICYCLE: "bicycle",
-    ClassId.POLE: "bollard lamp pole",
-    ClassId.FENCE: "barrier fence roadworks",
-    ClassId.DYNAMIC: "box cone",
-    ClassId.VEGETATION: "hedge planter tree",
-    ClassId.BUILDING: "kiosk shelter",
-    ClassId.MOTORCYCLE: "scooter",
-    ClassId.TRAFFIC_SIGN: "sign",
-    ClassId.WALL: "wall",
-}
-CLASS_OF_AREA = {kind: class_id for class_id, kinds in _KINDS_OF_CLASS.items() for kind in kinds.split()}
-"""Class of things of a kind that are drawn as an outline or a line; others are STATIC."""
+"""The model of each kind."""

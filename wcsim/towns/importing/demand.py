@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 import re
+import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -58,22 +59,8 @@ class _Traffic(NamedTuple):
         return self.vclass == "pedestrian"
 
 
-# Helsinki's centre (8.3 km of motor lanes, 22 km for walkers) gets some 900 cars and 2400 walkers an hour by these.
-MIX = (  # types, class, departures per hour and km, flows per km, shortest, how much likelier at the rim, longest
-    _Traffic("cars", "passenger", 97, 6, 150, 8),
-    _Traffic("trucks", "truck", 7, 1, 200, 15),
-    _Traffic("buses", "bus", 4.5, 1, 250, 50),
-    _Traffic("trams", "tram", 5, 2, 200, 200),
-    _Traffic("motorcycles", "motorcycle", 7, 1.5, 150, 8),
-    _Traffic("bicycles", "bicycle", 26, 4, 120, 5),
-    _Traffic("walkers", "pedestrian", 100, 9, 60, 2, 400),
-    _Traffic("taxis", "taxi", 3.0, 0.3, 200, 8),
-    _Traffic("deliveries", "delivery", 3.0, 0.3, 200, 8),
-    _Traffic("mopeds", "moped", 2.0, 0.3, 200, 8),
-    _Traffic("coaches", "coach", 0.6, 0.3, 200, 8),
-    _Traffic("emergencies", "emergency", 0.3, 0.3, 200, 8),
-    _Traffic("scooters", "scooter", 8.0, 0.3, 200, 8),
-)
+_DATA = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+MIX = tuple(_Traffic(**row) for row in _DATA["mix"])
 CLASSES = tuple(dict.fromkeys(traffic.vclass for traffic in MIX))
 
 

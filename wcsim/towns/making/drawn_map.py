@@ -7,6 +7,7 @@ What stands along the pavements: trees, lamps, benches, signs, stops, and things
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -26,7 +27,6 @@ from wcsim.types import F64
 
 _ENDS_M = 5.0  # at both ends of a pavement nothing stands: people wait and turn there
 _KERB_M = 0.35  # from the kerb to the middle of a post
-_WIDE_M = 2.2  # narrower pavements have lamps and signs alone
 _IN_WAY_M = 2.4  # nothing is left on narrower ones
 _WALL_M = 0.45  # from the inner edge of a pavement
 _STOP_EVERY_M = 180.0
@@ -44,27 +44,8 @@ class _Row:
     least_m: float  # width of a pavement that has it
 
 
-_ROWS = (
-    _Row(kinds=("highway.street_lamp",), every_m=(24.0, 38.0), share=0.75, at_kerb=True, least_m=0.0),
-    _Row(kinds=("natural.tree",), every_m=(8.0, 18.0), share=0.4, at_kerb=True, least_m=_WIDE_M),
-    _Row(kinds=("barrier.bollard",), every_m=(2.0, 6.0), share=0.06, at_kerb=True, least_m=_WIDE_M),
-    _Row(
-        kinds=("traffic_sign.speed", "traffic_sign.parking", "traffic_sign.way"),
-        every_m=(25.0, 70.0), share=0.7, at_kerb=True, least_m=0.0,
-    ),
-    _Row(
-        kinds=("amenity.bench", "amenity.bench", "amenity.waste_basket", "man_made.planter", "amenity.bicycle_parking"),
-        every_m=(18.0, 45.0), share=0.6, at_kerb=False, least_m=_WIDE_M,
-    ),
-    _Row(
-        kinds=(
-            "amenity.post_box", "man_made.street_cabinet", "amenity.vending_machine", "amenity.parking_meter",
-            "emergency.fire_hydrant", "tourism.information", "advertising.poster_box", "amenity.telephone",
-            "amenity.waste_basket",
-        ),
-        every_m=(40.0, 120.0), share=0.7, at_kerb=False, least_m=1.8,
-    ),
-)  # fmt: skip
+_DATA = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+_ROWS = [_Row(**row) for row in _DATA["rows"]]
 _LEFT = ("wcsim.board", "wcsim.bin", "wcsim.scooter", "wcsim.bicycle", "wcsim.box", "wcsim.planter", "wcsim.table")
 
 
@@ -171,17 +152,7 @@ class _Style:
     green: bool  # gardens, not yards
 
 
-_STYLES = {
-    "perimeter": _Style(
-        setback_m=(0.3, 0.8), front_m=(12.0, 28.0), depth_m=(10.0, 14.0), gap_m=(0.0, 0.0), levels=(3, 7), green=False
-    ),
-    "rows": _Style(
-        setback_m=(1.5, 5.0), front_m=(18.0, 45.0), depth_m=(9.0, 13.0), gap_m=(4.0, 14.0), levels=(2, 5), green=True
-    ),
-    "detached": _Style(
-        setback_m=(3.0, 7.0), front_m=(8.0, 14.0), depth_m=(7.0, 12.0), gap_m=(5.0, 12.0), levels=(1, 3), green=True
-    ),
-}
+_STYLES = {name: _Style(**style) for name, style in _DATA["styles"].items()}
 _OPEN = ("park", "square", "car_park")
 
 

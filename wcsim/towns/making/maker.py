@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import logging
 import shlex
+import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -42,7 +43,7 @@ _COLLECTOR_SHARE = 0.3
 _TRAM_SHARE = 0.35  # of the towns have trams on their longest street
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _StreetClass:
     """What a class of streets is like; ranges are drawn from, once for each street."""
 
@@ -57,25 +58,8 @@ class _StreetClass:
     closed: str  # SUMO classes that may not drive there
 
 
-_RAIL = (
-    "tram rail_urban rail rail_electric rail_fast ship container cable_car subway aircraft wheelchair drone pedestrian"
-)
-MAIN = _StreetClass(
-    name="main", priority=12, speeds_mps=(13.89,), lanes=(1, 2, 2), lane_m=(3.0, 3.6), pavement_m=(2.4, 5.0),
-    cycle_share=0.6, oneway_share=0.0, closed=f"{_RAIL} scooter",
-)  # fmt: skip
-COLLECTOR = _StreetClass(
-    name="collector", priority=9, speeds_mps=(8.33, 13.89), lanes=(1,), lane_m=(2.9, 3.5), pavement_m=(1.8, 3.8),
-    cycle_share=0.3, oneway_share=0.1, closed=_RAIL,
-)  # fmt: skip
-RESIDENTIAL = _StreetClass(
-    name="residential", priority=3, speeds_mps=(5.56, 8.33, 8.33), lanes=(1,), lane_m=(2.75, 3.3),
-    pavement_m=(1.5, 2.8), cycle_share=0.0, oneway_share=0.25, closed=_RAIL,
-)  # fmt: skip
-WALK = _StreetClass(
-    name="walk", priority=1, speeds_mps=(5.56,), lanes=(1,), lane_m=(3.0, 6.0), pavement_m=(0.0, 0.0),
-    cycle_share=0.0, oneway_share=1.0, closed="",
-)  # fmt: skip
+_CLASSES = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+MAIN, COLLECTOR, RESIDENTIAL, WALK = (_StreetClass(name=name, **kind) for name, kind in _CLASSES.items())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import NamedTuple
 
 from wcsim.config import WorldConfig
-from wcsim.towns.scenario.options import Configuration, Treatment, sumo_options
+from wcsim.towns.scenario.options import Configuration, Treatment, read_configuration, sumo_options
 from wcsim.towns.sumo.xml_io import is_true
 
 
@@ -97,6 +98,13 @@ def forced(settings: Settings, author_scale: float = 1.0) -> tuple[tuple[str, st
     if world.action_step_s is not None:
         set_here.append((_ACTION_STEP, repr(world.action_step_s)))
     return (*set_here, *_FIXED)
+
+
+def scenario_overrides(sumocfg: Path, settings: Settings) -> tuple[Override, ...]:
+    """What a world overrides of a scenario, without staging it; see `stage_scenario`."""
+    config = read_configuration(sumocfg)
+    writes = [item for item in config.given if item.option.treatment is Treatment.OUTPUT]
+    return overrides_of(config, settings, [(item.option.name, f"sumo/{Path(item.value).name}") for item in writes])
 
 
 def overrides_of(config: Configuration, settings: Settings, outputs: Sequence[tuple[str, str]]) -> tuple[Override, ...]:

@@ -99,13 +99,6 @@ def files_of(town: Town, config: RunConfig) -> tuple[Path, ...]:
     return tuple(dict.fromkeys((town.sumocfg.absolute(), *inputs, *((known,) if known.is_file() else ()))))
 
 
-def scenario_overrides(town: Town, settings: Settings) -> tuple[Override, ...]:
-    """What a world overrides of a town's scenario, without staging it; see `stage_scenario`."""
-    config = read_configuration(town.sumocfg)
-    writes = [item for item in config.given if item.option.treatment is Treatment.OUTPUT]
-    return overrides_of(config, settings, [(item.option.name, f"sumo/{Path(item.value).name}") for item in writes])
-
-
 def _notes_of(config: Configuration) -> tuple[str, ...]:
     """What the users of a scenario should know of its own choices."""
     notes = []

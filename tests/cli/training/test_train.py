@@ -1,7 +1,8 @@
-"""What is shown of rounds of driving and learning, and what is left of them when they are stopped."""
+"""What is shown of a training, and what one leaves behind that fails or is stopped."""
 
 from __future__ import annotations
 
+import errno
 import re
 from collections.abc import Callable
 from dataclasses import replace
@@ -9,14 +10,16 @@ from pathlib import Path
 
 import pytest
 
+from wcsim.agents.learning.callbacks import TrainProgress
+from wcsim.agents.rounds import train_rounds
 from wcsim.agents.rounds.train_rounds import RoundProgress
 from wcsim.agents.runs.run_folder import ResolvedRun
 from wcsim.cli.shared.exit_codes import NothingKept
 from wcsim.cli.shared.run_config import how_it_learns
-from wcsim.cli.training import rounds
-from wcsim.cli.training.rounds import _share_done
+from wcsim.cli.shared.stage_bar import StageBar
+from wcsim.cli.training.train import _share_done, gone_if_nothing_came_of_it, steps_shown, train_in
 from wcsim.config import resolve
-from wcsim.errors import InterruptedRunError
+from wcsim.errors import ConfigError, DiskFullError, InterruptedRunError, WorkersError
 from wcsim.server.specs import RunInfo
 from wcsim.server.workers.machines import HERE, Machines
 from wcsim.towns.scenario.town import find_town
@@ -43,16 +46,16 @@ def stopped(policy: str) -> Callable[..., Path]:
 
 
 def test_what_was_stopped_before_its_first_segment_leaves_nothing(run, corner, monkeypatch):
-    monkeypatch.setattr(rounds, "train_danger", stopped(""))
+    monkeypatch.setattr(train_rounds, "train_danger", stopped(""))
     with pytest.raises(NothingKept, match="first segment"):
-        rounds.train_rounds_in(run, find_town(str(corner)), HERE)
+        train_in(run, find_town(str(corner)), machines=HERE)
     assert not run.out.parent.exists()
 
 
 def test_what_was_stopped_later_is_kept(run, corner, monkeypatch):
-    monkeypatch.setattr(rounds, "train_danger", stopped("round-000"))
+    monkeypatch.setattr(train_rounds, "train_danger", stopped("round-000"))
     with pytest.raises(InterruptedRunError):
-        rounds.train_rounds_in(run, find_town(str(corner)), HERE)
+        train_in(run, find_town(str(corner)), machines=HERE)
     assert (run.out / "policies" / "round-000").is_dir()
 
 
@@ -64,8 +67,8 @@ def test_a_log_file_says_when_a_round_is_driven_and_when_it_is_learned(run, corn
         show(RoundProgress(round=0, rounds=3, segments=2, of=2, updates=7, loss=0.5))
         return run.out
 
-    monkeypatch.setattr(rounds, "train_danger", train)
-    rounds.train_rounds_in(run, find_town(str(corner)), HERE)
+    monkeypatch.setattr(train_rounds, "train_danger", train)
+    train_in(run, find_town(str(corner)), machines=HERE)
     driven, learned = capsys.readouterr().err.splitlines()
     assert re.fullmatch(r"round 1 of 3, 2 of 2 segments: learning, about \d+ s left", driven)
     assert re.fullmatch(r"round 1 of 3, 2 of 2 segments, 7 updates, loss 0.5000, about \d+ s left", learned)
@@ -92,3 +95,36 @@ def test_a_demo_says_what_its_settings_make_it_do():
     assert f"{config.collect.rounds} rounds" in told and f"{config.danger.updates} updates" in told
     assert "learns the oracle's labels, not rewards" in told
     assert how_it_learns(resolve("quick", ("collect.rounds=1",))).startswith("1 round of ")
+
+
+CURED = [DiskFullError("x: no room"), OSError(errno.ENOSPC, "No space left on device"), WorkersError("head is dead")]
+
+
+@pytest.mark.parametrize("error", [*CURED, ConfigError("no")], ids=lambda error: type(error).__name__)
+def test_what_can_be_cured_removes_nothing(tmp_path, error):
+    run = tmp_path / "run"
+    with pytest.raises(type(error)), gone_if_nothing_came_of_it(run):
+        run.mkdir()
+        raise error
+    assert run.exists() == (error in CURED)
+
+
+def test_what_was_there_before_stays(tmp_path):
+    with pytest.raises(ConfigError), gone_if_nothing_came_of_it(tmp_path):
+        raise ConfigError("no")
+    assert tmp_path.exists()
+
+
+@pytest.mark.parametrize("kept", ["data/segments/1-000-0000.npz.zst", "policies/phase1", "checkpoints/step-1"])
+def test_work_stays_whatever_has_ended_it(tmp_path, kept):
+    run = tmp_path / "run"
+    with pytest.raises(KeyboardInterrupt), gone_if_nothing_came_of_it(run):
+        (run / kept).mkdir(parents=True)
+        raise KeyboardInterrupt
+    assert (run / kept).exists()
+
+
+def test_no_more_steps_are_told_than_there_are_to_do(capsys):
+    with StageBar("loading the town") as bar:
+        steps_shown(bar)(TrainProgress(step=52, total_steps=50, phase=2, episodes=1, crashes=0, kpi1=None))
+    assert capsys.readouterr().err == "phase 2: 50/50 steps, 1 episode, 0 crashes\n"
