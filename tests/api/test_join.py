@@ -16,7 +16,7 @@ from wcsim.agents.envs.episode_view import Chair
 from wcsim.agents.envs.wheelchair_env import WheelchairEnv
 from wcsim.config import resolve
 from wcsim.errors import ConfigMismatchError, EvictedError, LinkError, NotMasterError, ProtocolError, ServerGoneError
-from wcsim.server.host.recovery import made_world
+from wcsim.server.host.opening import made_world
 from wcsim.server.links import socket
 from wcsim.server.protocol.client_core import Patience
 from wcsim.server.protocol.events import Lost, Rules

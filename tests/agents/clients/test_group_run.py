@@ -10,7 +10,7 @@ from tests.support.worlds import dqn_config
 from wcsim.agents.clients.group_run import Client, GroupRun, create_clients_folder, world_order
 from wcsim.agents.runs.run_folder import make_manifest
 from wcsim.cli import serve
-from wcsim.server.host import recovery
+from wcsim.server.host import opening
 from wcsim.server.specs import RunInfo
 from wcsim.towns.scenario.town import find_town
 
@@ -33,7 +33,7 @@ def test_each_generation_of_a_world_is_in_the_next_town(
     run = GroupRun(clients=(Client(name="a", seat=0, config=config),), out=folder.path, info=info)
     order = world_order(run, "helsinki", folder, tmp_path, 1, 10.0)
     assert order.more_towns == (find_town(str(corner)).address, "made:7")
-    monkeypatch.setattr(recovery, "asked_town", str)
-    monkeypatch.setattr(recovery, "World", lambda town, *given, epoch: (town, epoch))
-    worlds = [recovery.street_world(order, (None,), 3, epoch=epoch) for epoch in range(4)]
+    monkeypatch.setattr(opening, "asked_town", str)
+    monkeypatch.setattr(opening, "World", lambda town, *given, epoch: (town, epoch))
+    worlds = [opening.street_world(order, (None,), 3, epoch=epoch) for epoch in range(4)]
     assert worlds == [("helsinki", 0), (str(corner), 1), ("made:7", 2), ("helsinki", 3)]

@@ -15,8 +15,8 @@ from benchmarks.barrier.fake_world import FakeWorld
 from tests.attack.outcomes import Case
 from tests.attack.peers.wire import each_field, shapes, spoilt
 from tests.support.worlds import quick_config
+from wcsim.server.host.opening import Opened
 from wcsim.server.host.process import Lifelines, PeerLimits, _ServerLoop
-from wcsim.server.host.recovery import Opened
 from wcsim.server.host.status import Reporter
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.events import Rules

@@ -20,7 +20,7 @@ from wcsim.log.reader import inputs_of_part, iter_inputs, log_digest, part_files
 from wcsim.log.records import Admitted, Dismissed, Ended, EpochBegun
 from wcsim.log.writer import JOURNAL
 from wcsim.server.host.epoch_cap import EPOCH_OVER, SETTLED_TICKS, EpochCap
-from wcsim.server.host.recovery import epoch_seed, open_server
+from wcsim.server.host.opening import epoch_seed, open_server
 from wcsim.server.launch.states import WorldExit
 from wcsim.server.ledger import iter_ledger
 from wcsim.server.links.socket import SocketSeat

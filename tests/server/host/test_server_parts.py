@@ -18,8 +18,8 @@ from wcsim.log.reader import read_header
 from wcsim.log.records import Ended
 from wcsim.log.writer import JOURNAL, LogWriter
 from wcsim.server.host.epoch_cap import EPOCH_OVER
+from wcsim.server.host.opening import REGATHER_S, open_server
 from wcsim.server.host.process import BURST, MAX_PEERS, MOST_FAULTS, Lifelines, PeerLimits
-from wcsim.server.host.recovery import REGATHER_S, open_server
 from wcsim.server.launch.awake_clock import LEAP_S, AwakeClock
 from wcsim.server.protocol.events import Rules
 from wcsim.server.transport.sockets import ServerSockets

@@ -47,13 +47,13 @@ def test_a_client_that_joined_and_drove_has_loaded_no_simulator(tmp_path: Path) 
 
 def test_what_must_not_be_loaded_is_what_a_world_loads() -> None:
     """Otherwise the list above would hold names that nothing loads any more."""
-    code = f"import sys, wcsim.server.host.recovery; print([n for n in {LIBRARIES + MODULES} if n not in sys.modules])"
+    code = f"import sys, wcsim.server.host.opening; print([n for n in {LIBRARIES + MODULES} if n not in sys.modules])"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout.strip() == "[]"
 
 
 def test_a_world_loads_nothing_that_only_builds_streets() -> None:
     code = (
-        "import sys, wcsim.server.host.recovery; "
+        "import sys, wcsim.server.host.opening; "
         "print([n for n in ('cv2', 'rasterio', 'wcsim.towns.build_street') if n in sys.modules])"
     )
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout.strip() == "[]"

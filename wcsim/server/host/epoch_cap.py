@@ -1,4 +1,4 @@
-"""When an epoch of a shared world is over, so that journal, memory and recovery do not grow with the run."""
+"""When an epoch of a shared world is over, so that journal and memory do not grow with the run."""
 
 from __future__ import annotations
 

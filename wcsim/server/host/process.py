@@ -39,7 +39,7 @@ from wcsim.errors import (
 )
 from wcsim.log.records import Ended
 from wcsim.server.host.epoch_cap import EPOCH_OVER, EpochCap
-from wcsim.server.host.recovery import MakesWorld, Opened, open_server, street_world
+from wcsim.server.host.opening import MakesWorld, Opened, open_server, street_world
 from wcsim.server.host.status import Reporter
 from wcsim.server.host.world_host import Keep, WorldHost
 from wcsim.server.launch.awake_clock import AwakeClock

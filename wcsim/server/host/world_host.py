@@ -14,27 +14,14 @@ from collections.abc import Callable
 from wcsim.bridge.replay.player import SeatWorld
 from wcsim.errors import PhysicsError, WcsimError
 from wcsim.log.records import Admitted, Dismissed, EpochBegun, Input, Respawned, ticked
+from wcsim.server.protocol import events as ev
 from wcsim.server.protocol import messages as m
-from wcsim.server.protocol.events import (
-    Admit,
-    Dismiss,
-    Effect,
-    Event,
-    Lost,
-    Peer,
-    RebuildWorld,
-    RespawnSeats,
-    Send,
-    SendFrame,
-    Step,
-    Stepped,
-)
 from wcsim.server.protocol.server_core import ServerCore
 from wcsim.server.transport.shared_images import RingSink
 
 log = logging.getLogger("wcsim.server.host.world_host")
 
-Post = Callable[[Peer, m.Reply], None]
+Post = Callable[[ev.Peer, m.Reply], None]
 Keep = Callable[[Input], None]
 
 
@@ -67,34 +54,34 @@ class WorldHost:
         self.step_s = 0.0  # what the last step took
         self.ticks = 0  # steps done by this hub
 
-    def feed(self, event: Event, now_s: float) -> None:
+    def feed(self, event: ev.Event, now_s: float) -> None:
         """Let something happen, and do all that follows from it.
 
         Raises:
             WcsimError: The world failed, or the journal cannot be written; the hub is of no use then.
         """
-        todo: deque[Effect] = deque(self.core.handle(event, now_s))
+        todo: deque[ev.Effect] = deque(self.core.handle(event, now_s))
         while todo:
             effect = todo.popleft()
             match effect:
-                case Send():
+                case ev.Send():
                     self._post(effect.peer, effect.message)
-                case SendFrame():
+                case ev.SendFrame():
                     self._send_frame(effect)
-                case Step():
+                case ev.Step():
                     todo.extend(self._step(effect, now_s))
-                case Admit():
+                case ev.Admit():
                     todo.extend(self._admit(effect, now_s))
-                case Dismiss():
+                case ev.Dismiss():
                     self._dismiss(effect)
-                case RespawnSeats():
+                case ev.RespawnSeats():
                     self._respawn(effect)
-                case RebuildWorld():
+                case ev.RebuildWorld():
                     self._rebuild(effect)
 
     # --- the world ---
 
-    def _step(self, step: Step, now_s: float) -> list[Effect]:
+    def _step(self, step: ev.Step, now_s: float) -> list[ev.Effect]:
         begun_s = time.perf_counter()
         self._turn(step.tick + 1)
         after = self.world.tick(step.commands, self._sink)
@@ -102,9 +89,9 @@ class WorldHost:
         self._frames = {client.seat: client for client in after.clients}
         self.step_s = time.perf_counter() - begun_s
         self.ticks += 1
-        return self.core.handle(Stepped(after.tick, self.step_s), now_s + self.step_s)
+        return self.core.handle(ev.Stepped(after.tick, self.step_s), now_s + self.step_s)
 
-    def _admit(self, admit: Admit, now_s: float) -> list[Effect]:
+    def _admit(self, admit: ev.Admit, now_s: float) -> list[ev.Effect]:
         now = self.world.snapshot
         self._turn(now.tick)
         try:
@@ -117,16 +104,16 @@ class WorldHost:
         self._keep(Admitted(epoch=now.epoch, tick=now.tick, seat=admit.seat, spec=admit.spec, name=admit.name))
         return []
 
-    def _refuse(self, seat: int, error: WcsimError, now_s: float) -> list[Effect]:
+    def _refuse(self, seat: int, error: WcsimError, now_s: float) -> list[ev.Effect]:
         """The world takes no such chair: its client hears why, and the core that it is gone."""
         member = self.core.cycle.roll.at(seat)
         if member is None:
             raise error
         self._refused.add(seat)
         self._post(member.peer, m.failure_of(error, member.session))
-        return self.core.handle(Lost(member.session, str(error)), now_s)
+        return self.core.handle(ev.Lost(member.session, str(error)), now_s)
 
-    def _dismiss(self, dismiss: Dismiss) -> None:
+    def _dismiss(self, dismiss: ev.Dismiss) -> None:
         if dismiss.seat in self._refused:
             self._refused.remove(dismiss.seat)
             return
@@ -135,14 +122,14 @@ class WorldHost:
         self._frames.pop(dismiss.seat, None)
         self._keep(Dismissed(epoch=now.epoch, tick=now.tick, seat=dismiss.seat, reason=dismiss.reason))
 
-    def _respawn(self, respawn: RespawnSeats) -> None:
+    def _respawn(self, respawn: ev.RespawnSeats) -> None:
         now = self.world.snapshot
         self._turn(now.tick)
         for seat in respawn.seats:
             self._frames[seat] = self.world.respawn(seat, self._sink)
             self._keep(Respawned(epoch=now.epoch, tick=now.tick, seat=seat))
 
-    def _rebuild(self, rebuild: RebuildWorld) -> None:
+    def _rebuild(self, rebuild: ev.RebuildWorld) -> None:
         self._loading()
         self._turn(0)
         after = self.world.rebuild(rebuild.seed, self._sink)
@@ -155,7 +142,7 @@ class WorldHost:
 
     # --- the clients ---
 
-    def _send_frame(self, wanted: SendFrame) -> None:
+    def _send_frame(self, wanted: ev.SendFrame) -> None:
         client = self._frames.get(wanted.seat)
         if client is not None:
             slot = -1 if self._sink is None else self._sink.slot(wanted.tick)

@@ -12,7 +12,7 @@ from contextlib import contextmanager
 
 from wcsim.bridge.world_rollout import rollout
 from wcsim.errors import LinkClosedError, ProtocolError, TickTimeoutError
-from wcsim.server.host.recovery import made_world
+from wcsim.server.host.opening import made_world
 from wcsim.server.links.base import INTERRUPTED, Seat, SeatGroup, Waits
 from wcsim.server.specs import WorldOrder
 from wcsim.types import ClientSnapshot, Joystick, SeatSpec

@@ -13,20 +13,8 @@ import math
 from dataclasses import replace
 
 from wcsim.errors import EvictedError, ProtocolError
+from wcsim.server.protocol import events as ev
 from wcsim.server.protocol import messages as m
-from wcsim.server.protocol.events import (
-    Admit,
-    BarrierState,
-    Dismiss,
-    Effect,
-    Peer,
-    RebuildWorld,
-    RespawnSeats,
-    Rules,
-    Send,
-    SendFrame,
-    Step,
-)
 from wcsim.server.protocol.members import Member, Roster
 from wcsim.types import Command
 
@@ -34,14 +22,14 @@ from wcsim.types import Command
 class Barrier:
     """The state of a server and what moves it; `out` collects what is to be done."""
 
-    def __init__(self, rules: Rules, epoch: int) -> None:
+    def __init__(self, rules: ev.Rules, epoch: int) -> None:
         self.rules = rules
         self.epoch, self.tick = epoch, 0
-        self.stage = BarrierState.EMPTY
+        self.stage = ev.BarrierState.EMPTY
         self.last_tick: int | None = None  # of this epoch, where another server is to go on
         self.gathering = True
         self.roll = Roster()
-        self.out: list[Effect] = []
+        self.out: list[ev.Effect] = []
         self._gather_s: float | None = None  # since when somebody waits for the others to come
         self._told_s = -math.inf  # when those who wait were told for whom
 
@@ -79,25 +67,25 @@ class Barrier:
         coming = sorted(self.roll.pending, key=lambda p: p.seat)
         self.roll.pending = []
         for p in coming:
-            self.out.append(Admit(p.seat, p.spec, p.name))
+            self.out.append(ev.Admit(p.seat, p.spec, p.name))
             self.roll.members.append(replace(p, heard_s=now_s, asked_s=now_s))
         for p in coming:
             member = self.roll.at(p.seat)
             if member is not None:
                 self.welcome(member)
         if self.roll.members:
-            self.gathering, self.stage = False, BarrierState.COLLECT
+            self.gathering, self.stage = False, ev.BarrierState.COLLECT
         else:
-            self.stage = BarrierState.EMPTY
+            self.stage = ev.BarrierState.EMPTY
 
     def advance(self, now_s: float) -> None:
         """Go on when nobody owes anything: first with respawns, then through the full barrier."""
         members = self.roll.members
-        if self.stage is not BarrierState.COLLECT or not members or not all([mate.ready for mate in members]):
+        if self.stage is not ev.BarrierState.COLLECT or not members or not all([mate.ready for mate in members]):
             return
         again = [mate for mate in self.roll.by_seat() if mate.respawning]
         if again:
-            self.out.append(RespawnSeats(tuple(mate.seat for mate in again)))
+            self.out.append(ev.RespawnSeats(tuple(mate.seat for mate in again)))
             for mate in again:
                 mate.respawning, mate.life, mate.asked_s = False, mate.life + 1, now_s
                 self.show(mate)
@@ -105,20 +93,20 @@ class Barrier:
         # Who has left by the last tick is gone from the journal, too: those who were in at its end are waited for.
         self.dismiss()
         if self.last_tick is not None and self.tick >= self.last_tick:
-            self.stage = BarrierState.EPOCH_OVER
+            self.stage = ev.BarrierState.EPOCH_OVER
         else:
             self.step()
 
     def step(self) -> None:
         """All have acted, and the chairs that were to go are gone: the world moves."""
-        self.stage = BarrierState.STEPPING
+        self.stage = ev.BarrierState.STEPPING
         actions = [(mate.seat, mate.action) for mate in self.roll.by_seat()]
         commands = tuple(Command(seat=s, tick=self.tick, joystick=a) for s, a in actions if a is not None)
-        self.out.append(Step(self.tick, commands))
+        self.out.append(ev.Step(self.tick, commands))
 
     def commit(self, tick: int, now_s: float, step_s: float = 0.0) -> None:
         """The world has reached `tick`: everybody hears of it and gets a frame, then those who wait come in."""
-        if self.stage is not BarrierState.STEPPING or tick != self.tick + 1:
+        if self.stage is not ev.BarrierState.STEPPING or tick != self.tick + 1:
             raise ProtocolError(f"the world reports tick {tick} in stage {self.stage.value}; expected {self.tick + 1}")
         self.tick = tick
         self._begin_tick(now_s)
@@ -128,7 +116,7 @@ class Barrier:
             self.send(mate.peer, done)
         for mate in members:
             self.show(mate)
-        self.stage = BarrierState.COLLECT if members else BarrierState.EMPTY
+        self.stage = ev.BarrierState.COLLECT if members else ev.BarrierState.EMPTY
         if self.roll.pending or not members:
             self.admit(now_s)
 
@@ -136,8 +124,8 @@ class Barrier:
         """A new epoch with the members of now."""
         self.dismiss()
         self.epoch, self.tick = self.epoch + 1, 0
-        self.stage = BarrierState.COLLECT
-        self.out.append(RebuildWorld(self.epoch, seed))
+        self.stage = ev.BarrierState.COLLECT
+        self.out.append(ev.RebuildWorld(self.epoch, seed))
         self._begin_tick(now_s)
         for mate in self.roll.by_seat():
             self.send(mate.peer, m.Restarted(self.epoch, f"the world was restarted with seed {seed}"))
@@ -156,7 +144,7 @@ class Barrier:
         self.roll.members.remove(member)
         self.roll.retire(member.session)
         self.roll.going[member.seat] = reason
-        if self.stage is BarrierState.STEPPING:
+        if self.stage is ev.BarrierState.STEPPING:
             return
         if self.roll.members:
             self.advance(now_s)
@@ -166,21 +154,21 @@ class Barrier:
     def dismiss(self) -> None:
         """Take the chairs out of the world whose clients have gone; also after the last tick, which no step follows."""
         for seat, reason in sorted(self.roll.going.items()):
-            self.out.append(Dismiss(seat, reason))
+            self.out.append(ev.Dismiss(seat, reason))
         self.roll.going.clear()
 
     def watch(self, now_s: float) -> None:
         """Leases, and word to those who wait."""
-        if self.stage is BarrierState.EMPTY:
+        if self.stage is ev.BarrierState.EMPTY:
             self.gather(now_s)
-        elif self.stage is BarrierState.COLLECT:
+        elif self.stage is ev.BarrierState.COLLECT:
             self._give_up_overdue(now_s)
         if now_s - self._told_s >= self.rules.notice_s:
             self._tell(now_s)
 
     def stop(self, reason: str) -> None:
         """Everybody is told that this is the end."""
-        self.stage = BarrierState.STOPPED
+        self.stage = ev.BarrierState.STOPPED
         for one in self.roll.by_seat() + self.roll.pending:
             self.send(one.peer, m.Bye(one.session, reason or "the server stops"))
 
@@ -197,11 +185,11 @@ class Barrier:
 
     def show(self, member: Member) -> None:
         """Send a client the frame of now."""
-        self.out.append(SendFrame(member.peer, member.seat, self.epoch, self.tick, member.life))
+        self.out.append(ev.SendFrame(member.peer, member.seat, self.epoch, self.tick, member.life))
 
-    def send(self, peer: Peer, message: m.Reply) -> None:
+    def send(self, peer: ev.Peer, message: m.Reply) -> None:
         """Send a message."""
-        self.out.append(Send(peer, message))
+        self.out.append(ev.Send(peer, message))
 
     # --- inside ---
 
@@ -214,7 +202,7 @@ class Barrier:
     def _give_up_overdue(self, now_s: float) -> None:
         for mate in self.roll.by_seat():
             reason = self._overdue(mate, now_s)
-            if reason and self.stage is BarrierState.COLLECT and mate in self.roll.members:
+            if reason and self.stage is ev.BarrierState.COLLECT and mate in self.roll.members:
                 self.evict(mate, reason, now_s)
 
     def _overdue(self, mate: Member, now_s: float) -> str:

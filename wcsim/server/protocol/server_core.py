@@ -28,27 +28,16 @@ from wcsim.errors import (
     WcsimError,
     WorldFullError,
 )
+from wcsim.server.protocol import events as ev
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.barrier import Barrier
-from wcsim.server.protocol.events import (
-    BarrierState,
-    Clock,
-    Effect,
-    Event,
-    Lost,
-    Peer,
-    Received,
-    Rules,
-    Stepped,
-    Stop,
-)
 from wcsim.server.protocol.members import MOST_LIVES, Member, Roster
 from wcsim.types import Joystick, SeatSpec
 from wcsim.types.bounds import MOST_STEPS
 from wcsim.users.profiles import is_of_file, profile_names
 
 
-def admission(join: m.Join, rules: Rules, roll: Roster) -> int | WcsimError:
+def admission(join: m.Join, rules: ev.Rules, roll: Roster) -> int | WcsimError:
     """The seat that a client gets, or the error that says why it gets none."""
     fault = _unfit(join, rules)
     if fault is not None:
@@ -68,7 +57,7 @@ def admission(join: m.Join, rules: Rules, roll: Roster) -> int | WcsimError:
     return join.seat
 
 
-def _unfit(join: m.Join, rules: Rules) -> WcsimError | None:
+def _unfit(join: m.Join, rules: ev.Rules) -> WcsimError | None:
     if (join.protocol, join.schema) != (m.PROTOCOL, m.schema_hash()):
         return VersionMismatchError(
             f"the client has protocol {join.protocol}, schema {join.schema[:40]!r}; the server has {m.PROTOCOL}, "
@@ -82,7 +71,7 @@ def _unfit(join: m.Join, rules: Rules) -> WcsimError | None:
     return _unfit_spec(join.spec, rules)
 
 
-def _unfit_spec(spec: SeatSpec, rules: Rules) -> WcsimError | None:
+def _unfit_spec(spec: SeatSpec, rules: ev.Rules) -> WcsimError | None:
     """What is wrong with what a client asks for; that a start lies in the town is the world's to see."""
     named = is_of_file(spec.profile)
     if named and rules.recordings is not None and spec.profile not in rules.recordings:
@@ -98,7 +87,7 @@ def _unfit_spec(spec: SeatSpec, rules: Rules) -> WcsimError | None:
     return None
 
 
-def _free_seat(rules: Rules, roll: Roster) -> int | WcsimError:
+def _free_seat(rules: ev.Rules, roll: Roster) -> int | WcsimError:
     seat = roll.free_seat(rules.capacity)
     if seat is None:
         return WorldFullError(f"all {rules.capacity} seats are taken; wait until a client leaves")
@@ -108,26 +97,26 @@ def _free_seat(rules: Rules, roll: Roster) -> int | WcsimError:
 class ServerCore:
     """A server; see the module's text."""
 
-    def __init__(self, rules: Rules, epoch: int = 0) -> None:
+    def __init__(self, rules: ev.Rules, epoch: int = 0) -> None:
         """An empty server at the beginning of `epoch`."""
         self.cycle = Barrier(rules, epoch)
 
-    def handle(self, event: Event, now_s: float) -> list[Effect]:
+    def handle(self, event: ev.Event, now_s: float) -> list[ev.Effect]:
         """Take in one event; returns what is to be done, in this order. Time must not run backwards."""
         cycle = self.cycle
         cycle.out = []
-        if cycle.stage in (BarrierState.EPOCH_OVER, BarrierState.STOPPED):
+        if cycle.stage in (ev.BarrierState.EPOCH_OVER, ev.BarrierState.STOPPED):
             return []
         match event:
-            case Received():
+            case ev.Received():
                 self._receive(event.peer, event.message, now_s)
-            case Stepped():
+            case ev.Stepped():
                 cycle.commit(event.tick, now_s, event.step_s)
-            case Lost():
+            case ev.Lost():
                 self._lose(event.session, event.reason, now_s)
-            case Clock():
+            case ev.Clock():
                 cycle.watch(now_s)
-            case Stop():
+            case ev.Stop():
                 cycle.stop(event.reason)
         return cycle.out
 
@@ -139,7 +128,7 @@ class ServerCore:
 
     # --- coming and going ---
 
-    def _join(self, peer: Peer, join: m.Join, now_s: float) -> None:
+    def _join(self, peer: ev.Peer, join: m.Join, now_s: float) -> None:
         roll = self.cycle.roll
         known = roll.member(join.session)
         if known is not None:
@@ -159,7 +148,7 @@ class ServerCore:
         else:
             self.cycle.send(peer, m.failure_of(found, join.session))
 
-    def _let_in(self, peer: Peer, join: m.Join, seat: int, now_s: float) -> None:
+    def _let_in(self, peer: ev.Peer, join: m.Join, seat: int, now_s: float) -> None:
         """Into the row of those who wait; an older life of the client goes."""
         roll = self.cycle.roll
         holder = roll.at(seat)
@@ -168,7 +157,7 @@ class ServerCore:
         roll.pending.append(waiting)
         if holder is not None:
             self.cycle.evict(holder, "its client restarted", now_s)
-        elif self.cycle.stage is BarrierState.EMPTY:
+        elif self.cycle.stage is ev.BarrierState.EMPTY:
             self.cycle.gather(now_s)
 
     def _turn_away(self, seat: int) -> None:
@@ -192,7 +181,7 @@ class ServerCore:
 
     # --- what members say ---
 
-    def _receive(self, peer: Peer, message: m.Request, now_s: float) -> None:
+    def _receive(self, peer: ev.Peer, message: m.Request, now_s: float) -> None:
         if isinstance(message, m.Join):
             self._join(peer, message, now_s)
             return
@@ -222,7 +211,7 @@ class ServerCore:
                 self.cycle.send(member.peer, m.Bye(member.session))
                 self.cycle.remove(member, "left", now_s)
 
-    def _answer_stranger(self, peer: Peer, message: m.Request) -> None:
+    def _answer_stranger(self, peer: ev.Peer, message: m.Request) -> None:
         roll, session = self.cycle.roll, message.session
         if isinstance(message, m.Leave):
             waits = roll.waiting(session) is not None
@@ -278,7 +267,7 @@ class ServerCore:
             raise ProtocolError(f"a new world of seed {rebuild.seed}; expected 0 or more")
         elif member is not cycle.roll.master:
             raise NotMasterError(f"seat {member.seat} is not the master; only the master may restart the shared world")
-        elif rebuild.epoch > cycle.epoch or cycle.stage is not BarrierState.COLLECT:
+        elif rebuild.epoch > cycle.epoch or cycle.stage is not ev.BarrierState.COLLECT:
             raise ProtocolError(f"a new world was requested in stage {cycle.stage.value}; request it between ticks")
         else:
             cycle.rebuild(rebuild.seed, now_s)
