@@ -136,7 +136,7 @@ class WorldFullError(MembershipError):
 
 
 class EvictedError(MembershipError):
-    """Raised when the server dropped this client because it hung; join again for a new episode."""
+    """Raised when the server dropped this client because it hung or its process ended; join again for a new episode."""
 
 
 class StaleSessionError(MembershipError):

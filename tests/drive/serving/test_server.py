@@ -94,7 +94,9 @@ def test_whatever_is_asked_is_answered_without_a_traceback(bare: str, caplog: py
     for request in ("GET /", "GET /\xff"):
         asked(bare, request, request)
     assert "Traceback" not in caplog.text and "\n" not in "".join(record.getMessage() for record in caplog.records)
-    assert sum(record.levelno >= logging.WARNING for record in caplog.records) <= 2, "a line for each that came at once"
+    assert not [record for record in caplog.records if record.levelno >= logging.WARNING], (
+        "anybody could fill a terminal"
+    )
 
 
 def test_who_asks_nothing_and_who_reads_nothing_is_gone_after_a_while(
@@ -113,6 +115,10 @@ def test_who_asks_nothing_and_who_reads_nothing_is_gone_after_a_while(
         with pytest.raises(ConnectionError):
             while True:
                 page.sendall(1000 * (b"\x89\xfd" + bytes(4 + 125)))
+    monkeypatch.setattr(server_module, "_END_S", 0.2)
+    with socket.create_connection((host, int(port)), timeout=60) as reader, pytest.raises(ConnectionError):
+        while True:
+            reader.sendall(1000 * f"GET /main.js HTTP/1.1\r\nHost: {bare}\r\n\r\n".encode())
     assert asked(bare) == b""
 
 

@@ -6,8 +6,9 @@ import resource
 import signal
 import socket
 import stat
+import threading
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -141,6 +142,66 @@ def test_a_client_on_another_machine_that_is_stopped_for_a_while_keeps_its_seat(
         b.send_signal(signal.SIGCONT)
         stopped = server.status()
         assert server.status(lambda s: s.tick > stopped.tick).members == ("a", "b")
+
+
+class Cable:
+    """Carries connections to an address, until it is cut for a moment."""
+
+    def __init__(self, held: ExitStack, address: str) -> None:
+        self._far = ("127.0.0.1", int(address.rpartition(":")[2]))
+        self._door = held.enter_context(socket.create_server(("127.0.0.1", 0)))
+        self._ends: list[socket.socket] = []
+        self.address = f"tcp://127.0.0.1:{self._door.getsockname()[1]}"
+        held.callback(self.cut)
+        threading.Thread(target=self._open, daemon=True).start()
+
+    def cut(self) -> None:
+        for end in self._ends:
+            with suppress(OSError):
+                end.shutdown(socket.SHUT_RDWR)
+
+    def _open(self) -> None:
+        with suppress(OSError):
+            while True:
+                near, far = self._door.accept()[0], socket.create_connection(self._far)
+                self._ends += [near, far]
+                for pair in ((near, far), (far, near)):
+                    threading.Thread(target=self._carry, args=pair, daemon=True).start()
+
+    def _carry(self, source: socket.socket, sink: socket.socket) -> None:
+        with suppress(OSError), source, sink:
+            while data := source.recv(1 << 16):
+                sink.sendall(data)
+
+
+def test_a_client_whose_connection_was_lost_for_a_moment_joins_again(tmp_path):
+    order = stand_in_order(tmp_path, run=str(tmp_path / "run"), rules=BOTH, listen="tcp://127.0.0.1:*")
+    with Server(order, tmp_path) as server, ExitStack() as held:
+        cable = Cable(held, server.status().listening)
+        near, far = two_seats(server, tmp_path)
+        links = [held.enter_context(SocketSeat(seat)) for seat in (near, replace(far, endpoint=cable.address))]
+        assert [seen.tick for seen in driven(links, 5)] == [5, 5]
+        cable.cut()
+        assert server.status(lambda s: s.members == ("a",))
+        through = threading.Event()
+
+        def drive(link):
+            if link is links[0]:
+                seen = link.join()
+                while not through.is_set():
+                    seen = link.act(seen.tick, AHEAD)
+                return 0
+            restarts = drive_through(link)
+            link.close()
+            through.set()
+            return restarts
+
+        assert together(links, drive) == [0, 1]
+        held.close()
+        server.process.terminate()
+        assert server.wait() == 0
+    _, found = audited(tmp_path)
+    assert (found.lost, found.doubled, found.phantom) == (0, 0, 0)
 
 
 def test_it_ends_when_it_is_asked_to_and_says_goodbye(tmp_path):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import socket
 import subprocess
 import sys
 import time
@@ -101,15 +102,15 @@ def test_the_end_of_a_connection_is_told_once_and_of_whom(tmp_path):
             lost.extend(doors.lost())
             peers.extend(one.peer for one in doors.messages())
 
-    def spoken(socket: zmq.Socket[bytes]) -> None:
-        socket.connect(doors.listening)
-        socket.send(b"here")
+    def spoken(client: zmq.Socket[bytes]) -> None:
+        client.connect(doors.listening)
+        client.send(b"here")
 
     with ServerSockets(f"ipc://{tmp_path}/s/world", "tcp://127.0.0.1:*") as doors, zmq.Context() as context:
         for early in (False, True, False):  # also one that is gone before it is heard
             peers.clear()
-            with context.socket(zmq.DEALER) as socket:
-                spoken(socket)
+            with context.socket(zmq.DEALER) as client:
+                spoken(client)
                 if not early:
                     look(30.0)
                     look(0.3)
@@ -120,6 +121,49 @@ def test_the_end_of_a_connection_is_told_once_and_of_whom(tmp_path):
             look(30.0)
             look(0.9)
             assert lost.count(peers[-1]) == 1
+
+
+def test_what_a_dead_connection_said_last_is_not_taken_for_words_of_the_next(tmp_path):
+    with ServerSockets(f"ipc://{tmp_path}/s/world", "tcp://127.0.0.1:*") as doors, zmq.Context() as context:
+        lost: list[bytes] = []
+        peers: dict[bytes, bytes] = {}
+
+        def look(seconds: float) -> None:
+            end_s = time.monotonic() + seconds
+            while time.monotonic() < end_s:
+                doors.wait(20)
+                peers.update({one.data: one.peer for one in doors.messages()})
+                lost.extend(doors.lost())
+
+        with context.socket(zmq.DEALER) as first:
+            first.connect(doors.listening)
+            for _ in range(5):
+                first.send(b"first")
+            time.sleep(0.5)
+        time.sleep(0.5)  # its descriptor is free
+        with context.socket(zmq.DEALER) as second:
+            second.connect(doors.listening)
+            second.send(b"second")
+            time.sleep(0.5)
+            look(0.5)
+            assert lost == [peers[b"first"]]
+        look(1.0)
+        assert lost == [peers[b"first"], peers[b"second"]]
+
+
+def test_connections_that_nobody_looks_at_keep_nobody_out(tmp_path):
+    """Of the news of a socket's connections, ZeroMQ keeps 2,000; its only thread waited for room then."""
+    with ServerSockets(f"ipc://{tmp_path}/s/world", "tcp://127.0.0.1:*") as doors, zmq.Context() as context:
+        _, _, port = doors.listening.rpartition(":")
+        for _ in range(1_500):
+            socket.create_connection(("127.0.0.1", int(port)), timeout=30.0).close()
+        with context.socket(zmq.DEALER) as late:
+            late.connect(doors.listening)
+            late.send(b"late")
+            end_s = time.monotonic() + 30.0
+            while not (heard := [one.data for one in doors.messages()]) and time.monotonic() < end_s:
+                doors.wait(50)
+        assert heard == [b"late"]
 
 
 @pytest.mark.parametrize(

@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Final
 
 from aiohttp import WSCloseCode, WSMsgType, web
+from aiohttp.http import HttpProcessingError
 from aiohttp.typedefs import Handler
 
 from wcsim.core.reading import escaped
@@ -362,9 +363,19 @@ class DriveServer:
         host = None if len(hosts) != 1 or len(origins) > 1 else hosts[0]
         socket = request.match_info.handler == self._meet  # whatever the path is that leads there
         why = self._access.refusal(host, origins[0] if origins else None, request.path_qs, socket=socket)
-        if why:
-            raise web.HTTPForbidden(text=f"{why}\n")
-        return await handler(request)
+        if socket and not why:
+            return await handler(request)
+        if request.transport is not None:  # one answer a connection, and not forever for who does not read it
+            asyncio.get_running_loop().call_later(_END_S, request.transport.abort)
+        try:
+            if why:
+                raise web.HTTPForbidden(text=f"{why}\n")
+            answer = await handler(request)
+        except web.HTTPException as refused:
+            refused.force_close()
+            raise
+        answer.force_close()
+        return answer
 
     async def _page(self, request: web.Request) -> web.Response:
         """Hand out a file of the page."""
@@ -480,6 +491,8 @@ def _logger() -> logging.Logger:
 
 
 def _in_a_line(record: logging.LogRecord) -> bool:
+    if record.exc_info and isinstance(record.exc_info[1], HttpProcessingError):
+        return False  # no request at all, which anybody may say as often as they like
     if record.exc_info and record.exc_info[1] is not None:
         record.msg, record.args = escaped(f"{record.getMessage()}: {record.exc_info[1]!r}"), ()
         record.exc_info = None

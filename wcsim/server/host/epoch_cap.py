@@ -34,7 +34,7 @@ class EpochCap:
         self._begun_mb = now_mb if self._begun_mb is None else self._begun_mb
         if now_mb - self._begun_mb > _GROWTH_MB:
             self._why = f"{EPOCH_OVER}: its process has grown from {self._begun_mb:.0f} to {now_mb:.0f} MB"
-            cycle.last_tick = min(cycle.last_tick, cycle.tick)
+            cycle.last_tick = 0  # the next full barrier, also of a world that is begun anew meanwhile
 
     @property
     def reached(self) -> str:

@@ -264,7 +264,8 @@ class _ServerLoop:
             for session in lost:
                 self._feed(Lost(session))
             for session in self._cut_off():
-                self._feed(Lost(session, "its connection was lost"))
+                del self._homes[session]  # it may come back through another one
+                self._feed(Lost(session, "its connection was lost", may_return=True))
         if due:
             self._clock_s = self._clock.now_s
             self._feed(Clock())

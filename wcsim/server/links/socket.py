@@ -38,7 +38,7 @@ from wcsim.server.protocol.events import Rules
 from wcsim.server.specs import SeatRequest, WorldOrder, WorldSpec, WorldStatus, of_line, to_line
 from wcsim.server.transport.keys import client_keys, is_ipv6, server_public
 from wcsim.server.transport.shared_images import RingView
-from wcsim.server.transport.sockets import notice_cuts
+from wcsim.server.transport.sockets import monitored, notice_cuts
 from wcsim.server.transport.world_folder import OwnFolder, endpoint_in, remove_stale
 from wcsim.types import ClientSnapshot, SeatSpec
 
@@ -76,7 +76,7 @@ class SocketSeat(WorldLink):
         self._said_leave = False
         try:
             self._socket = _connected(self._context, order)
-            self._monitor = self._socket.get_monitor_socket(_REFUSED | _MADE | _LOST)
+            self._monitor = monitored(self._socket, _REFUSED | _MADE | _LOST)
             ledger = open_ledger(Path(order.ledger), order.name) if order.ledger else None
             super().__init__(ClientCore(ask, order.patience, new_session), ledger)
         except BaseException:
@@ -168,9 +168,7 @@ class SocketSeat(WorldLink):
                 raise AccessError(_refusal(self._order.endpoint, self._order.keys, event["event"], event["value"]))
         if self._welcome is not None and self._cut_s is not None and self._now_s() - self._cut_s > _CUT_S:
             self._cut_s = math.inf
-            log.warning(
-                "wcsim: the connection to %s was lost; waiting for its world to come back", self._order.endpoint
-            )
+            log.warning("wcsim: the connection to %s was lost; trying to join again", self._order.endpoint)
 
 
 def _refusal(endpoint: str, keys: str, event: int, code: int) -> str:

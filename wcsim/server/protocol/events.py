@@ -53,10 +53,11 @@ class Received:
 
 @dataclass(frozen=True, slots=True)
 class Lost:
-    """The host knows that the client of this session is dead."""
+    """The host knows that the client of this session is dead, or only cut off: then it may join again."""
 
     session: bytes
     reason: str = "its process ended"
+    may_return: bool = False
 
 
 @dataclass(frozen=True, slots=True)

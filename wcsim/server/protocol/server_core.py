@@ -113,7 +113,7 @@ class ServerCore:
             case ev.Stepped():
                 cycle.commit(event.tick, now_s, event.step_s)
             case ev.Lost():
-                self._lose(event.session, event.reason, now_s)
+                self._lose(event, now_s)
             case ev.Clock():
                 cycle.watch(now_s)
             case ev.Stop():
@@ -170,14 +170,16 @@ class ServerCore:
             told = EvictedError("the server dropped this client: its client restarted")
             self.cycle.send(older.peer, m.failure_of(told, older.session))
 
-    def _lose(self, session: bytes, reason: str, now_s: float) -> None:
-        roll = self.cycle.roll
+    def _lose(self, lost: ev.Lost, now_s: float) -> None:
+        roll, session = self.cycle.roll, lost.session
         roll.pending = [p for p in roll.pending if p.session != session]
         member = roll.member(session)
         if member is not None:
-            self.cycle.evict(member, reason, now_s)
+            self.cycle.evict(member, lost.reason, now_s)
         elif session not in roll.retired:
             roll.retire(session)  # its join may still be on its way
+        if lost.may_return and session in roll.retired:
+            roll.retired.remove(session)  # a session that is not known is begun anew, one that is over is not
 
     # --- what members say ---
 

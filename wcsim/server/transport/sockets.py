@@ -67,7 +67,8 @@ class ServerSockets(Closing):
         self._monitor: zmq.Socket[bytes] | None = None  # tells of connections of other machines that have ended
         self._numbers: set[int] = set()  # descriptors of connections
         self._connected: dict[int, Peer] = {}  # who speaks through them
-        self._lost: set[Peer] = set()
+        self._ended: set[Peer] = set()  # connections that are over, as long as words of theirs may be on the way
+        self._lost: set[Peer] = set()  # of these, those that were not told yet
         self._keys: KnownKeys | None = None
         self._sockets: dict[bytes, zmq.Socket[bytes]] = {}
         try:
@@ -105,12 +106,14 @@ class ServerSockets(Closing):
             for _ in range(BATCH):
                 if not _has_news(socket):
                     self._empty.add(door)
+                    if door == REMOTE:
+                        self._ended &= self._lost
                     break
                 peer, last = socket.recv(_NOW), socket.recv(_NOW, copy=False)
                 if last.more:
                     socket.recv_multipart(_NOW)
-                if door == REMOTE:
-                    self._note_connection(int(last.get(zmq.SRCFD)), door + peer)
+                if door == REMOTE and not self._is_heard(door + peer, int(last.get(zmq.SRCFD))):
+                    continue
                 key = None if self._keys is None or door == LOCAL else self._keys.name(str(last.get("User-Id")))
                 yield Heard(door + peer, b"" if last.more else last.bytes, key)
 
@@ -148,16 +151,22 @@ class ServerSockets(Closing):
         self._context.term()
         self._wakes.close()
 
-    def _note_connection(self, number: int, peer: Peer) -> None:
-        """A peer has spoken through the connection with this descriptor."""
-        if self._connected.get(number) == peer:
-            return
-        # The descriptor may be one that was another peer's: that one's end was told before it could be used again.
-        self._note_ends()
-        if number in self._numbers:
-            self._connected[number] = peer
-        else:  # it has spoken and gone, and its end was told before its words
-            self._lost.add(peer)
+    def _is_heard(self, peer: Peer, number: int) -> bool:
+        """Whether a peer that speaks through this descriptor has not been told as lost."""
+        if peer not in self._ended and self._connected.get(number) != peer:
+            self._note_ends()
+            before = self._connected.pop(number, None)
+            if before is not None:  # a descriptor is another's only when its connection is over
+                self._end(before)
+            if number in self._numbers:
+                self._connected[number] = peer
+            else:  # it has spoken and gone, and its end was told before its words
+                self._end(peer)
+        return peer not in self._ended or peer in self._lost
+
+    def _end(self, peer: Peer) -> None:
+        self._ended.add(peer)
+        self._lost.add(peer)
 
     def _note_ends(self) -> None:
         while self._monitor is not None and _has_news(self._monitor):
@@ -169,7 +178,7 @@ class ServerSockets(Closing):
             self._numbers.discard(number)
             peer = self._connected.pop(number, None)
             if peer is not None:
-                self._lost.add(peer)
+                self._end(peer)
 
     def _listen(self, address: str, keys: str) -> None:
         if not keys:
@@ -196,7 +205,7 @@ class ServerSockets(Closing):
         if door == REMOTE:
             notice_cuts(socket)
             socket.setsockopt(zmq.HANDSHAKE_IVL, _HANDSHAKE_MS)
-            self._monitor = socket.get_monitor_socket(zmq.EVENT_ACCEPTED | zmq.EVENT_DISCONNECTED)
+            self._monitor = monitored(socket, zmq.EVENT_ACCEPTED | zmq.EVENT_DISCONNECTED)
             self.watch(int(self._monitor.getsockopt(zmq.FD)))
         if keys is not None:
             pair = server_keys(keys)
@@ -211,10 +220,24 @@ class ServerSockets(Closing):
             Path(address.removeprefix("ipc://")).chmod(0o600)
 
 
+def monitored(socket: zmq.Socket[bytes], events: int) -> zmq.Socket[bytes]:
+    """Where news of a socket's connections come in, for `recv_monitor_message`; without a bound.
+
+    ZeroMQ's thread waits where news are not read, and every connection with it; so its own bound of 2,000 goes.
+    """
+    news: zmq.Socket[bytes] = socket.context.socket(zmq.PAIR)
+    news.setsockopt(zmq.RCVHWM, 0)
+    address = f"inproc://news-{socket.underlying}"
+    socket.monitor(address, events)
+    news.connect(address)
+    return news
+
+
 def notice_cuts(socket: zmq.Socket[bytes]) -> None:
     """Have the kernel end TCP connections to a machine that is not there any more.
 
-    It answers for a process that is stopped, so that one keeps its connection; ZeroMQ's own heartbeats would not.
+    It answers for a process that is stopped, which ZeroMQ's own heartbeats would not. Such a process keeps its
+    connection until so much is sent to it that the kernels hold no more; then it is cut, as a machine that sleeps is.
     """
     socket.setsockopt(zmq.TCP_KEEPALIVE, 1)
     socket.setsockopt(zmq.TCP_KEEPALIVE_IDLE, 2)

@@ -52,6 +52,7 @@ _STYLE: Final[Mapping[Any, Any]] = {
 }
 _MARGIN_M: Final = 25.0
 _MOST_CELLS: Final = 700
+_ROWS_AT_ONCE: Final = 64
 _GROUND_RGB: Final = {
     ClassId.ROAD: (214, 216, 220),
     ClassId.PARKING: (222, 222, 224),
@@ -119,11 +120,14 @@ def _ground_around(town: str, points_m: Sequence[tuple[float, float]]) -> _Groun
     columns, rows = max(1, round((east - west) / cell)), max(1, round((north - south) / cell))
     at_x = west + (np.arange(columns) + 0.5) * (east - west) / columns
     at_y = north - (np.arange(rows) + 0.5) * (north - south) / rows
-    points = np.stack(np.meshgrid(at_x, at_y), axis=-1)
     table = np.full((256, 3), _OTHER_RGB, np.uint8)
     table[list(_GROUND_RGB)] = list(_GROUND_RGB.values())
-    image = np.where(street.grid.clearance_at(points)[..., None] > 0.0, table[street.grid.class_at(points)], _SOLID_RGB)
-    return image.astype(np.uint8), (float(west), float(east), float(south), float(north))
+    strips = []
+    for first in range(0, rows, _ROWS_AT_ONCE):  # of few points each: the street asks all its tiles about every point
+        points = np.stack(np.meshgrid(at_x, at_y[first : first + _ROWS_AT_ONCE]), axis=-1)
+        is_free = street.grid.clearance_at(points)[..., None] > 0.0
+        strips.append(np.where(is_free, table[street.grid.class_at(points)], _SOLID_RGB).astype(np.uint8))
+    return np.vstack(strips), (float(west), float(east), float(south), float(north))
 
 
 def figures_of(result: TestResult, folder: Path) -> list[Exhibit]:
