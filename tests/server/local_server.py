@@ -31,7 +31,7 @@ class LocalServer:
         self._links: dict[Peer, PumpedSeat] = {}
         self._inbox: deque[tuple[Peer, m.Reply]] = deque()
         now, inbox = world.snapshot, self._inbox
-        core = ServerCore(private_rules(capacity, expected), now.epoch, now.tick)
+        core = ServerCore(private_rules(capacity, expected), now.epoch)
         self.hub = WorldHost(core, world, lambda peer, message: inbox.append((peer, message)))
 
     def link(self, spec: SeatSpec, seat: int = m.ANY_SEAT, name: str = "") -> PumpedSeat:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
 
@@ -56,7 +55,6 @@ class ActionSet:
         return np.asarray((gap * gap).sum(axis=-1), dtype=np.float64)
 
 
-@cache
 def action_set(name: str) -> ActionSet:
     """The action set of that name. Raises ConfigError for an unknown one.
 
@@ -65,8 +63,11 @@ def action_set(name: str) -> ActionSet:
     """
     if name not in NAMES:
         raise ConfigError(f"unknown action set {name!r}; expected one of: {', '.join(NAMES)}")
-    steps = range(-_HALF_CELLS, _HALF_CELLS + 1)
+    steps = np.arange(-_HALF_CELLS, _HALF_CELLS + 1)
     # Policies are saved with indices into this list, so its order may never change.
-    cells = [(i, j) for i in steps for j in steps if name == "square81" or i * i + j * j <= _DISC_LIMIT]
-    mirror = np.array([cells.index((-i, j)) for i, j in cells], dtype=np.int64)
-    return ActionSet(name=name, points=np.array(cells) * STEP, mirror=mirror)
+    cells = np.array([(i, j) for i in steps for j in steps])
+    if name == "disc69":
+        cells = cells[(cells**2).sum(axis=1) <= _DISC_LIMIT]
+    index = {(int(i), int(j)): k for k, (i, j) in enumerate(cells)}
+    mirror = np.array([index[-int(i), int(j)] for i, j in cells], dtype=np.int64)
+    return ActionSet(name=name, points=cells * STEP, mirror=mirror)

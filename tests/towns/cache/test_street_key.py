@@ -65,10 +65,10 @@ def test_what_makes_a_street_makes_its_name(copy: Path, corner_town: Town) -> No
 
 
 def test_so_do_the_models_of_furniture(copy: Path, corner_town: Town) -> None:
-    before = street._street_key(corner_town)
+    before = key_of(corner_town)
     looks = copy / "wcsim" / "towns" / "furniture" / "models.toml"
     looks.write_text(looks.read_text(encoding="utf-8").replace("size = [1.6,", "size = [1.7,"), encoding="utf-8")
-    assert street._street_key(corner_town) != before
+    assert key_of(corner_town) != before
 
 
 def test_what_only_stands_beside_it_does_not(copy: Path, corner_town: Town) -> None:
