@@ -220,7 +220,8 @@ def chain_errors(n_step=1, seed=1, steps=1200, network="patch"):
 
 
 def test_the_values_of_a_chain_are_found():
-    assert chain_errors(steps=700, network="tests.agents.learning.test_callbacks:MeanOfPlanes").max() < 0.1
+    errors = chain_errors(steps=700, network="tests.agents.learning.test_callbacks:MeanOfPlanes")
+    assert errors.max() < 0.2  # 0.09; with the faults that are planted below 0.37 and more
 
 
 @pytest.mark.proof

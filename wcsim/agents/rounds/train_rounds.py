@@ -138,6 +138,7 @@ def _train_rounds(
     """
     config = folder.config
     seed, total = folder.manifest.seed, config.collect.rounds
+    data_of(folder)  # what cannot be learned from is refused before worlds load
     with SegmentCrew(config, folder.path / DATA, machines, folder.path) as workers:
         if newest_number(folder.checkpoints) < 0:
             workers.ask(_orders(folder, towns, 0))  # worlds load while the learner is made
