@@ -47,9 +47,9 @@ def q_config(asked, *more):
     return resolve(asked.preset, *q_layers(asked, *more))
 
 
-def start(folder, *words):
+def start(folder, *words, program="wcsim"):
     return subprocess.Popen(
-        [sys.executable, "-m", "wcsim", *(str(word) for word in words)],
+        [sys.executable, "-m", program, *(str(word) for word in words)],
         cwd=folder,
         env={**os.environ, "OMP_NUM_THREADS": "1", "COLUMNS": "100"},
         stdout=subprocess.PIPE,
