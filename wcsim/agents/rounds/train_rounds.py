@@ -138,7 +138,6 @@ def _train_rounds(
     """
     config = folder.config
     seed, total = folder.manifest.seed, config.collect.rounds
-    data_of(folder)  # what cannot be learned from is refused before worlds load
     with SegmentCrew(config, folder.path / DATA, machines, folder.path) as workers:
         if newest_number(folder.checkpoints) < 0:
             workers.ask(_orders(folder, towns, 0))  # worlds load while the learner is made
@@ -295,6 +294,7 @@ def train_danger(
     folder = folder_of(run, whole_data)
     with files.locked(folder.path), torch_settings(folder.config.learn):
         towns = towns_of(town, folder.manifest.more_towns, folder.config, folder.path, folder.manifest.seed, stage)
+        data_of(folder)  # what cannot be learned from is refused before worlds load
         try:
             sha256 = _train_rounds(folder, towns, machines, progress, stage)
         except KeyboardInterrupt:
