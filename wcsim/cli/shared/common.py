@@ -271,7 +271,11 @@ def first_few(lines: Sequence[str], what: str) -> list[str]:
 
 def worlds_of(asked: int | None) -> int:
     """How many processes `--worlds` means: one for each core, 4 at the most, where nothing is said."""
-    return min(len(os.sched_getaffinity(0)), _MOST_UNASKED) if asked is None else asked
+    if asked is not None:
+        return asked
+    from wcsim.physics.sensors.drawing_threads import cores
+
+    return min(cores(), _MOST_UNASKED)
 
 
 def machines_of(cluster: str, asked: int | None, option: str) -> Machines:
