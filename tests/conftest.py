@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import signal
 from collections import Counter
+from collections.abc import Iterable
 from pathlib import Path
 
 import pytest
@@ -19,6 +20,9 @@ SHARED = ROOT.parent / "shared"
 
 PROOF_TIMEOUT_S = 2400
 """A single proof may take minutes; this is for one that hangs."""
+
+WAITING = ("tests/server/", "tests/drive/page/", "tests/drive/serving/", "tests/api/test_join", "tests/attack/peers/")
+"""Where tests mostly wait, for leases, for processes and for the pace of a drive."""
 
 
 def group_of(node_id: str) -> str:
@@ -51,7 +55,19 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
         terminalreporter.write_line(f"{group:<12}{counts[group]:4d} tests {spent[group]:7.1f} s")
 
 
+def places(files: Iterable[str]) -> dict[str, float]:
+    """Where each file of tests runs, by number: those that wait evenly between the others, which use the cores then."""
+    kinds = {file: file.startswith(WAITING) for file in files}
+    counts, found = Counter(kinds.values()), dict[str, float]()
+    for waits in counts:
+        own = [file for file, kind in kinds.items() if kind is waits]
+        found |= {file: (number + 0.5) / counts[waits] for number, file in enumerate(own)}
+    return found
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    at = places(item.location[0] for item in items)
+    items.sort(key=lambda item: at[item.location[0]])
     for item in items:
         if "proof" in item.keywords and item.get_closest_marker("timeout") is None:
             item.add_marker(pytest.mark.timeout(PROOF_TIMEOUT_S))
