@@ -1,6 +1,6 @@
 """Scenes one after the other, each in a fork of one process with the pinned C library: what all load is loaded once.
 
-`python -m tests.scenes.pinned` reads lines of JSON, a folder and a trace, and answers each with the scene's facts.
+`python -m tests.scenes.pinned` reads lines of JSON, a folder and a trace, and answers each with both and the facts.
 """
 
 from __future__ import annotations
@@ -28,8 +28,10 @@ def pinned_scenes() -> Iterator[Callable[[Path, Path], Facts]]:
         assert host.stdin is not None and host.stdout is not None
 
         def run(folder: Path, trace: Path) -> Facts:
-            os.write(host.stdin.fileno(), json.dumps([str(folder), str(trace)]).encode() + b"\n")
-            facts: Facts | None = json.loads(host.stdout.readline())
+            asked = [str(folder), str(trace)]
+            os.write(host.stdin.fileno(), json.dumps(asked).encode() + b"\n")
+            answers = map(json.loads, host.stdout)  # the first may be to a test that did not wait for it
+            facts: Facts | None = next((facts for of, facts in answers if of == asked), None)
             assert facts is not None, "what its process died of stands in its error output"
             return facts
 
@@ -39,10 +41,10 @@ def pinned_scenes() -> Iterator[Callable[[Path, Path], Facts]]:
 def main() -> None:
     shaped_rows(np.zeros((1, 2)), ChairConfig())  # the first kernel loads most of the compiler
     for line in sys.stdin:
-        child = os.fork()
-        facts = json.dumps(None if child else _run_scene(*map(Path, json.loads(line))))
+        asked, child = json.loads(line), os.fork()
+        answer = json.dumps([asked, None if child else _run_scene(*map(Path, asked))])
         if not child or os.waitpid(child, 0)[1]:
-            os.write(1, facts.encode() + b"\n")
+            os.write(1, answer.encode() + b"\n")
         if not child:
             os._exit(0)
 
