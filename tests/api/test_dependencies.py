@@ -38,9 +38,14 @@ def top_names(tree: ast.Module) -> set[str]:
             found |= {name.name for name in node.names}
         elif isinstance(node, ast.ImportFrom):
             found.add(node.module or "")
-        elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith(LOOKUPS):
+        elif isinstance(node, ast.Call) and called(node).endswith(LOOKUPS):
             found |= {str(word.value) for word in node.args if isinstance(word, ast.Constant)}
     return {name.partition(".")[0] for name in found if name}
+
+
+def called(node: ast.Call) -> str:
+    """The last part of a name, without what it stands behind."""
+    return str(getattr(node.func, "attr", getattr(node.func, "id", "")))
 
 
 def imported(folder: str) -> set[str]:

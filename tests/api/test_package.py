@@ -21,6 +21,8 @@ ROOT = Path(__file__).parents[2]
 SOURCES = (*tracked("wcsim", ".py"), *tracked("benchmarks", ".py"))
 FORBIDDEN_CALLS = re.compile(r"\b(pickle|cloudpickle|torch\.load|yaml\.load|eval|exec)\s*[.(]")
 
+FORBIDDEN_WORDS = re.compile(r"\b(pickle|cloudpickle|load|eval|exec)\b")  # that those calls are made of
+
 
 @cache
 def texts() -> dict[str, str]:
@@ -127,7 +129,8 @@ def test_a_folder_says_what_it_is_for():
 
 
 def test_nothing_executes_foreign_data():
-    code = {name: re.sub(r"\.eval\(\)", "", ast.unparse(tree)) for name, tree in trees().items()}
+    asked = [name for name, text in texts().items() if FORBIDDEN_WORDS.search(text)]
+    code = {name: re.sub(r"\.eval\(\)", "", ast.unparse(trees()[name])) for name in asked}
     assert [name for name, text in code.items() if FORBIDDEN_CALLS.search(text)] == []
 
 
@@ -146,6 +149,7 @@ def test_no_two_folders_need_each_other():
     assert [sorted(loop) for loop in networkx.strongly_connected_components(graph) if len(loop) > 1] == []
 
 
+@cache
 def file_of(module: str, name: str) -> Path:
     """Where `from module import name` leads: a file, or the door of a package."""
     folder = ROOT / module.replace(".", "/")
@@ -153,6 +157,7 @@ def file_of(module: str, name: str) -> Path:
     return next(place for place in places if place.is_file())
 
 
+@cache
 def room_of(path: Path) -> str:
     """The folder of a file; a file that lies beside rooms, as `wcsim/bridge/world.py` does, counts as a room itself."""
     beside_rooms = any(child.is_dir() and child.name != "__pycache__" for child in path.parent.iterdir())
