@@ -1,6 +1,8 @@
-"""What the tests of the faces share: a small configuration, actions that depend on nothing but the step."""
+"""What the tests of the faces share: a small configuration, actions by the step alone, a reward term."""
 
 from __future__ import annotations
+
+from typing import Any
 
 from gymnasium.utils.env_checker import data_equivalence
 
@@ -17,3 +19,17 @@ def action_at(step: int, seat: int = 0) -> int:
 def equal(one: object, other: object) -> bool:
     """Whether two things made of dictionaries, lists, arrays and dataclasses are the same to the bit."""
     return bool(data_equivalence(one, other))
+
+
+class Counting:
+    """A reward term that remembers."""
+
+    def __init__(self) -> None:
+        self.steps = 0
+
+    def reset(self) -> None:
+        self.steps = 0
+
+    def reward(self, before: Any, after: Any) -> float:
+        self.steps += 1
+        return float(self.steps)

@@ -21,6 +21,7 @@ from stable_baselines3.common.env_checker import check_env as sb3_check_env
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 import wcsim
+from tests.api.streets import Counting, action_at
 from wcsim.agents.envs.env_spec import EnvOptions
 from wcsim.agents.envs.parallel_env import StreetParallelEnv
 from wcsim.agents.envs.vec_env import StreetVecEnv
@@ -60,16 +61,12 @@ def drive(env: gymnasium.Env[Any, Any], steps: int, seed: int | None) -> Shown:
     observation, info = env.reset(seed=seed)
     seen = [(observation, 0.0, False, False, info["state"])]
     for step in range(steps):
-        observation, reward, terminated, truncated, info = env.step(action_at(step, env.action_space.n))
+        observation, reward, terminated, truncated, info = env.step(action_at(step))
         seen.append((observation, reward, terminated, truncated, info["state"]))
         if terminated or truncated:
             observation, info = env.reset()
             seen.append((observation, 0.0, False, False, info["state"]))
     return seen
-
-
-def action_at(step: int, actions: int) -> int:
-    return (7 * step + 44) % actions
 
 
 def tick_of(env: gymnasium.Env[Any, Any]) -> int:
@@ -164,7 +161,7 @@ def both_driven(vec: DummyVecEnv, steps: int) -> tuple[Shown, Shown]:
     frames = []
     for step in range(steps + 1):
         frames.append(({key: value.copy() for key, value in observations.items()}, rewards.copy(), dones.copy()))
-        observations, rewards, dones, _ = vec.step(np.full(2, action_at(step, vec.action_space.n)))
+        observations, rewards, dones, _ = vec.step(np.full(2, action_at(step)))
     one, other = ([({key: v[i] for key, v in o.items()}, r[i], d[i]) for o, r, d in frames] for i in range(2))
     return one, other
 
@@ -393,7 +390,7 @@ def test_a_picture_that_is_kept_stays_what_it_was(corner):
         env.reset(seed=1)
         kept = []
         for step in range(8):
-            env.step(action_at(step, env.action_space.n))
+            env.step(action_at(step))
             kept.append((env.render(), env.render().copy()))
     assert all(np.array_equal(picture, copied) for picture, copied in kept)
 
@@ -420,21 +417,8 @@ def test_an_own_reward_term_is_added(corner, monkeypatch):
         assert total < -0.05
 
 
-class Summing:
-    """A reward term that remembers an episode."""
-
-    steps = 0
-
-    def reset(self) -> None:
-        self.steps = 0
-
-    def reward(self, before: Any, after: Any) -> float:
-        self.steps += 1
-        return float(self.steps)
-
-
 def test_an_environment_has_copies_of_its_own_of_the_reward_terms(corner):
-    term = Summing()
+    term = Counting()
     with made(corner, reward_terms=[term]) as env:
         env.reset(seed=1)
         assert [env.step(44)[4]["reward_terms"].extra for _ in range(2)] == [1.0, 2.0]
@@ -443,7 +427,7 @@ def test_an_environment_has_copies_of_its_own_of_the_reward_terms(corner):
 
 def test_a_reward_term_that_cannot_be_copied_is_taken_as_it_is(corner, tmp_path):
     with (tmp_path / "log").open("w") as log:
-        term = Summing()
+        term = Counting()
         term.log = log
         with made(corner, reward_terms=[term]) as env:
             env.reset(seed=1)

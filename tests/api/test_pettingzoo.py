@@ -13,7 +13,7 @@ import pytest
 from pettingzoo.test import parallel_api_test, parallel_seed_test
 
 import wcsim
-from tests.api.streets import TINY, action_at, equal
+from tests.api.streets import TINY, Counting, action_at, equal
 from wcsim.agents.envs.parallel_env import StreetParallelEnv
 from wcsim.errors import BadActionError, ConfigError, ProtocolError
 from wcsim.types import SeatSpec
@@ -170,20 +170,6 @@ def test_the_first_agents_picture_is_shown(made):
     plain.reset(seed=1)
     assert plain.render() is None
     plain.close()
-
-
-class Counting:
-    """A reward term that remembers."""
-
-    def __init__(self) -> None:
-        self.steps = 0
-
-    def reset(self) -> None:
-        self.steps = 0
-
-    def reward(self, before: Any, after: Any) -> float:
-        self.steps += 1
-        return float(self.steps)
 
 
 def test_each_agent_has_reward_terms_of_its_own(made):

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-import torch
 from stable_baselines3 import DQN, PPO
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor
 
 import wcsim
+from tests.agents.conftest import one_thread  # noqa: F401 - several threads wait for each other in small networks
 from tests.api.streets import LEARNABLE, TINY, action_at, equal
 from wcsim.agents.envs.vec_env import StreetVecEnv
 from wcsim.agents.learning.build import build_model
@@ -21,15 +21,6 @@ from wcsim.config import resolve
 from wcsim.errors import ConfigError, ProtocolError
 
 SHORT = "env.max_steps=20"
-
-
-@pytest.fixture(autouse=True)
-def one_thread() -> Iterator[None]:
-    """Several threads of torch only wait for each other with networks this small."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
 
 
 @pytest.fixture
