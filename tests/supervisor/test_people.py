@@ -9,18 +9,12 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from tests.support.samples import USUAL_OUTLINE, strip_street
-from tests.users.actors import USUAL_WHEELS_M, actor
+from tests.supervisor.test_oracle import ACTIONS, FORWARD, ORACLE, STOP
+from tests.support.samples import USUAL_OUTLINE
+from tests.users.actors import actor
 from tests.users.kinematics import TICK_S, Chair, plant
-from wcsim.config import ChairConfig
-from wcsim.supervisor.actions import action_set
-from wcsim.supervisor.oracle import Oracle
 from wcsim.types import ActorKind, ActorState, Joystick
 
-STREET = strip_street()
-ACTIONS = action_set("square81")
-ORACLE = Oracle(STREET.grid, ChairConfig(), USUAL_OUTLINE, USUAL_WHEELS_M, ACTIONS.points)
-FORWARD, STOP = Joystick(0.0, 0.8), Joystick(0.0, 0.0)
 Y_M = 5.5  # the middle of the pavement
 RADIUS_M, FRONT_M = 0.23, 0.8
 PERSON = replace(actor(ActorKind.PEDESTRIAN, 0.0, 0.0), size_lwh_m=(0.26, 2.0 * RADIUS_M, 1.7))

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
 
-from wcsim.core.files import user_cache
 from wcsim.towns.build_street import build_street
 from wcsim.towns.cache.street_cache import unpack_street
 from wcsim.towns.scenario.town import Town, find_town
@@ -15,7 +15,11 @@ from wcsim.towns.street import load_street
 from wcsim.types import Street
 
 REPOSITORY = Path(__file__).resolve().parents[2]
-KEPT = user_cache().parent
+
+
+def bytes_in(folder: Path) -> dict[str, bytes]:
+    """What all files of a folder hold."""
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
 @pytest.fixture(autouse=True)
@@ -41,8 +45,15 @@ def manhattan_town() -> Town:
 
 
 @pytest.fixture(scope="session")
-def manhattan(manhattan_town: Town) -> Street:
-    """Kept where whoever runs the tests keeps streets: it is built anew when any code that makes it has changed."""
+def kept_cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A cache that all workers of a session share."""
+    own = tmp_path_factory.getbasetemp()
+    return (own.parent if "PYTEST_XDIST_WORKER" in os.environ else own) / "cache"
+
+
+@pytest.fixture(scope="session")
+def manhattan(manhattan_town: Town, kept_cache: Path) -> Street:
+    """Built once a session, by the worker that comes first."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("XDG_CACHE_HOME", str(KEPT))
+        patch.setenv("XDG_CACHE_HOME", str(kept_cache))
         return load_street(manhattan_town)

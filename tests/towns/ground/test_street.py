@@ -8,7 +8,6 @@ import pytest
 import shapely
 
 from tests.support.yardstick import multiple
-from tests.towns.conftest import KEPT
 from tests.towns.ground.rays import mesh_faults
 from wcsim.towns import build_street, street
 from wcsim.towns.checks.check import _demand_classes, check_town
@@ -78,8 +77,9 @@ def test_ways_are_one_network_with_crossings_and_signals(manhattan: Street) -> N
         assert np.allclose(edge.points_W_m[-1], manhattan.walk.nodes_W_m[edge.end])
 
 
+@pytest.mark.usefixtures("manhattan")
 def test_cached_street_is_the_same_and_fast(
-    corner_town: Town, corner: Street, manhattan_town: Town, manhattan: Street, monkeypatch: pytest.MonkeyPatch
+    corner_town: Town, corner: Street, manhattan_town: Town, kept_cache: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     load_street(corner_town)
     monkeypatch.setattr(build_street, "build_street", lambda town, at: pytest.fail("built although it is in the cache"))
@@ -96,7 +96,7 @@ def test_cached_street_is_the_same_and_fast(
             theirs.sumo_id, theirs.kind, theirs.start, theirs.end, theirs.width_m, theirs.tls_id, theirs.tls_links
         )  # fmt: skip
     assert street._street_key(corner_town) != street._street_key(manhattan_town)
-    monkeypatch.setenv("XDG_CACHE_HOME", str(KEPT))
+    monkeypatch.setenv("XDG_CACHE_HOME", str(kept_cache))
     assert multiple(lambda: load_street(manhattan_town), turns=5) < 150  # about 25
 
 

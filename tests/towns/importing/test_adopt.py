@@ -4,15 +4,12 @@ from pathlib import Path
 
 import pytest
 
+from tests.towns.conftest import bytes_in
 from tests.towns.made import hostile
 from wcsim.errors import TownError
 from wcsim.towns.checks.check import check_town
 from wcsim.towns.importing.adopt import adopt_scenario
 from wcsim.towns.scenario.town import Town, find_changes, find_town, net_middle, open_town, own_work
-
-
-def contents(folder: Path) -> dict[str, bytes]:
-    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
 def test_a_scenario_becomes_a_town_of_its_own(corner_town: Town, tmp_path: Path) -> None:
@@ -22,10 +19,10 @@ def test_a_scenario_becomes_a_town_of_its_own(corner_town: Town, tmp_path: Path)
     (tmp_path / "theirs" / "look.xml").write_text("<viewsettings/>")
     (tmp_path / "theirs" / "notes.txt").write_text("not named")
     (tmp_path / "theirs" / "README.md").write_text("ours")
-    before = contents(tmp_path / "theirs")
+    before = bytes_in(tmp_path / "theirs")
     town = adopt_scenario(sumocfg, "mine", tmp_path / "towns" / "mine", "test")
-    assert contents(tmp_path / "theirs") == before
-    made = contents(tmp_path / "towns" / "mine")
+    assert bytes_in(tmp_path / "theirs") == before
+    made = bytes_in(tmp_path / "towns" / "mine")
     ours = {"town.toml", "LICENSE-DATA"}
     assert set(made) - ours == set(before) - {"notes.txt"}
     assert all(made[name] == before[name] for name in set(made) - ours)

@@ -14,6 +14,7 @@ import pytest
 
 from tests.cli.towns import tiny_osm
 from tests.towns.checks.test_faults import FINE
+from tests.towns.conftest import bytes_in
 from tests.towns.made.imported import imported
 from wcsim.cli.main import main
 from wcsim.core.files import whole_folder
@@ -53,10 +54,6 @@ def town(built: Path, order: ImportOrder) -> Town:
     """A copy of it, where an order puts another one."""
     shutil.copytree(built, order.out)
     return open_town(order.out)
-
-
-def bytes_in(folder: Path) -> dict[Path, bytes]:
-    return {path.relative_to(folder): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
 def test_an_import_that_is_ended_as_soon_as_its_folder_is_made_leaves_none(

@@ -15,6 +15,7 @@ import shapely
 from shapely.errors import GEOSException
 
 from tests.towns.checks.test_faults import FINE
+from tests.towns.conftest import bytes_in
 from wcsim.bridge.town_run import RecordOrder, record_town
 from wcsim.config import resolve
 from wcsim.errors import TownError
@@ -59,10 +60,6 @@ def town(tmp_path_factory: pytest.TempPathFactory) -> Town:
 def level(tmp_path_factory: pytest.TempPathFactory) -> Town:
     """The same streets without hills and traffic."""
     return make_town(tmp_path_factory.mktemp("level") / "small", 3, LEVEL)
-
-
-def bytes_in(folder: Path) -> dict[str, bytes]:
-    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
 def test_the_same_seed_gives_the_same_bytes_in_another_process_and_folder(town: Town, tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.towns.conftest import bytes_in
 from tests.towns.made import hostile
 from wcsim.config import WorldConfig
 from wcsim.errors import ConfigError, TownError
@@ -17,10 +18,6 @@ from wcsim.towns.sumo.xml_io import read_root
 
 SETTINGS = Settings(seed=5)
 UNUSUAL = ("pedestrian.jupedsim.wkt", "pedestrian.jupedsim.py")  # need another model of pedestrians
-
-
-def contents(folder: Path) -> dict[Path, bytes]:
-    return {path.relative_to(folder): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
 def run_staged(sumocfg: Path, seconds: float = 12.0) -> None:
@@ -42,13 +39,13 @@ def test_no_option_of_sumo_can_write_outside_the_folder(corner_town: Town, tmp_p
     options += f'<save-state.times value="5"/><output-prefix value="{escape}/TIME_"/><remote-port value="9999"/>'
     options += f'<C value="{escape}/saved.xml"/><device.ssm.probability value="1"/><summary-output.period value="5"/>'
     sumocfg = hostile.scenario(corner_town, tmp_path / "theirs", options)
-    before = contents(tmp_path / "theirs")
+    before = bytes_in(tmp_path / "theirs")
     staged = stage_scenario(open_town(sumocfg), SETTINGS, tmp_path / "run")
     run_staged(staged.sumocfg)
     assert not list(escape.rglob("*"))
-    assert contents(tmp_path / "theirs") == before
-    made = contents(tmp_path / "run")
-    assert {Path("stop-output.xml"), Path("a.sumocfg")} <= set(made)
+    assert bytes_in(tmp_path / "theirs") == before
+    made = bytes_in(tmp_path / "run")
+    assert {"stop-output.xml", "a.sumocfg"} <= set(made)
     assert len(made) > 30
     kept = {row.option: row for row in staged.overrides}
     assert kept["remote-port"].wcsim == kept["output-prefix"].wcsim == "(left out)"
@@ -65,11 +62,11 @@ def test_no_element_can_write_outside_the_folder(corner_town: Town, tmp_path: Pa
     sumocfg = hostile.scenario(corner_town, tmp_path / "theirs", "", '<include href="more.xml"/>', cars)
     more = f"<additional>{hostile.hostile_additional(lane, '../escape')}</additional>"
     (tmp_path / "theirs" / "more.xml").write_text(more, encoding="utf-8")
-    before = contents(tmp_path / "theirs")
+    before = bytes_in(tmp_path / "theirs")
     staged = stage_scenario(open_town(sumocfg), SETTINGS, tmp_path / "run")
     run_staged(staged.sumocfg)
     assert not list(escape.rglob("*"))
-    assert contents(tmp_path / "theirs") == before
+    assert bytes_in(tmp_path / "theirs") == before
     made = {path.name for path in (tmp_path / "run").iterdir()}
     wanted = {"e1.xml", "instant.xml", "e2.xml", "e3.xml", "edges.xml", "lanes.xml", "probe.xml", "routes.xml"}
     assert wanted | {"calibrator.xml", "own.xml"} <= made
