@@ -11,8 +11,7 @@ import msgspec
 import pytest
 
 from tests.drive.page.conftest import browser  # noqa: F401 - a fixture
-from tests.drive.page.stage import ABOUT, PageAlone, Stage
-from tests.drive.page.test_page import CHROMIUM
+from tests.drive.page.stage import ABOUT, IN_CHROMIUM, PageAlone, Stage
 from tests.drive.playing import films
 from tests.support.worlds import dqn_config
 from tests.view.report.results import write_result
@@ -24,11 +23,7 @@ from wcsim.drive.playing.play_runner import FailedLine, film_about
 from wcsim.server.specs import RunInfo
 from wcsim.view.report.suite_page import write_demo_page
 
-pytestmark = [
-    pytest.mark.browser,
-    pytest.mark.timeout(900),
-    pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here: install Debian's package chromium"),
-]
+pytestmark = [*IN_CHROMIUM, pytest.mark.timeout(900)]
 RAN = "window.evil=1;alert(1);fetch('http://127.0.0.1:9/evil')"
 NAMES = (
     f"<script>{RAN}</script>", f'"><img src=x onerror="{RAN}">', f"</style></title></script><script>{RAN}</script>",

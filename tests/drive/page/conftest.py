@@ -7,8 +7,7 @@ from typing import Any
 
 import pytest
 
-from tests.drive.page.stage import Stage
-from tests.drive.page.test_page import CHROMIUM, FLAGS
+from tests.drive.page.stage import CHROMIUM, FLAGS, Stage
 
 
 @pytest.fixture(scope="module")

@@ -3,13 +3,23 @@
 from __future__ import annotations
 
 import json
+import shutil
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+
+import pytest
 
 from wcsim.drive.driven import DriverKind
 from wcsim.drive.messages import spoken
 from wcsim.drive.serving.server import PAGE
 
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+FLAGS = ["--headless=new", "--no-sandbox", "--disable-dev-shm-usage"]
+IN_CHROMIUM = (
+    pytest.mark.browser,
+    pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here: install Debian's package chromium"),
+)
 ADDRESS = "http://127.0.0.1:9/"
 KINDS = {".html": "text/html", ".css": "text/css", ".js": "text/javascript"}
 PAD = "window.pads = []; navigator.getGamepads = () => window.pads;"
@@ -43,6 +53,26 @@ def let_go(page: Any) -> None:
         page.mouse.up(button=button)
     page.mouse.move(0, 0)
     page.evaluate("localStorage.clear()")
+
+
+def axe_finds_nothing(page: Any) -> None:
+    from axe_playwright_python.sync_playwright import Axe
+
+    found = Axe().run(page).response["violations"]
+    assert [(each["id"], [node["html"][:90] for node in each["nodes"]]) for each in found] == []
+
+
+def touches(page: Any) -> Callable[[str, float], None]:
+    """Puts a finger so much of the disc's half above its middle."""
+    send = page.context.new_cdp_session(page).send
+    box = page.locator("#stick svg").bounding_box()
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+
+    def touch(kind: str, ahead: float) -> None:
+        points = [] if kind == "touchEnd" else [{"x": x, "y": y - ahead * box["height"] / 2}]
+        send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+
+    return touch
 
 
 class PageAlone:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import json
-import shutil
 import signal
 import subprocess
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -14,16 +14,10 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.drive.page.stage import let_go
+from tests.drive.page.stage import IN_CHROMIUM, PAD, axe_finds_nothing, let_go, touches
 from tests.drive.serving.served import PATIENCE_S, served
 
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-FLAGS = ["--headless=new", "--no-sandbox", "--disable-dev-shm-usage"]
-pytestmark = [
-    pytest.mark.browser,
-    pytest.mark.timeout(1800),
-    pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here: install Debian's package chromium"),
-]
+pytestmark = [*IN_CHROMIUM, pytest.mark.timeout(1800)]
 Served = tuple[str, subprocess.Popen[str]]
 
 
@@ -37,6 +31,7 @@ def running(corner: Path) -> Iterator[Served]:
 def only_page(browser: Any, running: Served) -> Iterator[Any]:
     context = browser.new_context(has_touch=True)
     context.set_default_timeout(1000 * PATIENCE_S)
+    context.add_init_script(PAD)
     yield open_page(context, running[0])
     context.close()
 
@@ -97,6 +92,34 @@ def test_keys_move_the_chair_and_the_picture_and_letting_go_stops_it(page: Any) 
     assert page.errors == []
 
 
+@contextmanager
+def finger(page: Any) -> Iterator[None]:
+    touch = touches(page)
+    touch("touchStart", 0.0)
+    touch("touchMove", 0.9)
+    yield
+    touch("touchEnd", 0.0)
+
+
+@contextmanager
+def gamepad(page: Any) -> Iterator[None]:
+    page.evaluate("window.pads = [{ id: 'pad', connected: true, axes: [0, 0], buttons: [] }]")
+    wait(page, "document.getElementById('pad').textContent === 'Gamepad: pad'")
+    page.evaluate("window.pads[0].axes = [0, -1]")
+    yield
+    page.evaluate("window.pads[0].axes = [0, 0]")
+
+
+@pytest.mark.parametrize("ahead", [finger, gamepad])
+def test_so_do_a_finger_and_a_gamepad(page: Any, ahead: Callable[[Any], AbstractContextManager[None]]) -> None:
+    page.click("#new-place")
+    at_rest(page)
+    with ahead(page):
+        wait(page, f"{SPEED} > 0.5")
+    at_rest(page)
+    assert page.errors == []
+
+
 def test_assistance_help_and_overruling_are_on_the_page(page: Any) -> None:
     page.focus("#scene")
     helps = int(page.inner_text("#kpi-helps"))
@@ -136,16 +159,13 @@ LONG = [pytest.param(dress, marks=pytest.mark.proof) for dress in ("#contrast", 
 
 @pytest.mark.parametrize("dress", ["", *LONG])
 def test_axe_finds_nothing(page: Any, dress: str) -> None:
-    from axe_playwright_python.sync_playwright import Axe
-
     page.click("#open-display")
     if dress:
         page.check(dress)
     page.keyboard.press("Escape")
     for switches in ("stick", "1"):
         page.select_option("#steer-by", switches)
-        found = Axe().run(page).response["violations"]
-        assert [(each["id"], [node["html"][:90] for node in each["nodes"]]) for each in found] == []
+        axe_finds_nothing(page)
 
 
 WORDS_OUTSIDE = """[...document.querySelectorAll(".lamp strong, .lamp span")].filter((word) => {

@@ -9,8 +9,7 @@ from typing import Any
 
 import pytest
 
-from tests.drive.page.stage import ABOUT, KPIS, PageAlone, Stage
-from tests.drive.page.test_page import CHROMIUM
+from tests.drive.page.stage import ABOUT, IN_CHROMIUM, KPIS, PageAlone, Stage
 from tests.drive.playing.films import ABOUT as FILM
 from tests.drive.playing.films import chair, film_of, frame
 from wcsim.drive.messages import DriveBy, of_page
@@ -18,11 +17,7 @@ from wcsim.drive.playing.film_states import FilmAbout
 from wcsim.drive.playing.play_runner import Player, film_about, film_state
 from wcsim.drive.playing.tick_film import TickFilm
 
-pytestmark = [
-    pytest.mark.browser,
-    pytest.mark.timeout(900),
-    pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here: install Debian's package chromium"),
-]
+pytestmark = [*IN_CHROMIUM, pytest.mark.timeout(900)]
 BUSY = "Opening the street ..."
 DECIDES = (
     ("", "policy"),

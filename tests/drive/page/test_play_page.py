@@ -13,15 +13,12 @@ from typing import Any
 
 import pytest
 
-from tests.drive.page.test_page import CHROMIUM, open_page, picture_of, wait
+from tests.drive.page.stage import IN_CHROMIUM, axe_finds_nothing
+from tests.drive.page.test_page import open_page, picture_of, wait
 from tests.drive.serving.served import PATIENCE_S, serving
 from wcsim.log.reader import log_digest
 
-pytestmark = [
-    pytest.mark.browser,
-    pytest.mark.timeout(1800),
-    pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here: install Debian's package chromium"),
-]
+pytestmark = [*IN_CHROMIUM, pytest.mark.timeout(1800)]
 AT = "Number(document.body.dataset.at)"
 COUNT = "Number(document.body.dataset.count)"
 
@@ -32,13 +29,6 @@ def paged(browser: Any, address: str) -> Iterator[Any]:
     context.set_default_timeout(1000 * PATIENCE_S)
     yield open_page(context, address)
     context.close()
-
-
-def axe_finds_nothing(page: Any) -> None:
-    from axe_playwright_python.sync_playwright import Axe
-
-    found = Axe().run(page).response["violations"]
-    assert [(each["id"], [node["html"][:90] for node in each["nodes"]]) for each in found] == []
 
 
 def test_a_journal_is_played_jumped_in_and_looked_through(browser: Any, run: Path) -> None:

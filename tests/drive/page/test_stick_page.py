@@ -6,14 +6,9 @@ from collections.abc import Callable
 
 import pytest
 
-from tests.drive.page.stage import REST, Stage
-from tests.drive.page.test_page import CHROMIUM
+from tests.drive.page.stage import IN_CHROMIUM, REST, Stage, touches
 
-pytestmark = [
-    pytest.mark.browser,
-    pytest.mark.timeout(900),
-    pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here: install Debian's package chromium"),
-]
+pytestmark = [*IN_CHROMIUM, pytest.mark.timeout(900)]
 AHEAD = {(0.0, 1.0)}
 STILL = {REST}
 
@@ -58,22 +53,9 @@ def test_a_held_key_counts_only_once_it_has_been_let_go_of(stage: Stage, how: st
     assert stage.sticks() == AHEAD
 
 
-def touches(stage: Stage) -> Callable[[str, float], None]:
-    """Puts a finger so much of the disc's half above its middle."""
-    send = stage.page.context.new_cdp_session(stage.page).send
-    box = stage.page.locator("#stick svg").bounding_box()
-    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
-
-    def touch(kind: str, ahead: float) -> None:
-        points = [] if kind == "touchEnd" else [{"x": x, "y": y - ahead * box["height"] / 2}]
-        send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
-
-    return touch
-
-
 @pytest.mark.parametrize("how", [how for how in STOPS if how != "stop"])  # a mouse would take the finger away
 def test_a_finger_counts_only_once_it_has_been_let_go_of(stage: Stage, how: str) -> None:
-    touch = touches(stage)
+    touch = touches(stage.page)
     touch("touchStart", 0.0)
     touch("touchMove", 0.6)
     assert max(y for _, y in stage.sticks()) > 0.5

@@ -8,17 +8,13 @@ from typing import Any
 
 import pytest
 
-from tests.drive.page.test_page import CHROMIUM, wait
+from tests.drive.page.stage import IN_CHROMIUM, axe_finds_nothing
+from tests.drive.page.test_page import wait
 from tests.drive.recording.studies import write_study
 from tests.drive.serving.served import PATIENCE_S, served
 from tests.drive.serving.test_served_study import SHORT
 
-pytestmark = [
-    pytest.mark.browser,
-    pytest.mark.proof,
-    pytest.mark.timeout(1800),
-    pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here: install Debian's package chromium"),
-]
+pytestmark = [*IN_CHROMIUM, pytest.mark.proof, pytest.mark.timeout(1800)]
 GO = "document.getElementById('study-go')"
 
 
@@ -41,16 +37,9 @@ def until_button(page: Any, text: str) -> None:
     wait(page, f"{GO}.getAttribute('aria-disabled') === 'false'")
 
 
-def is_clean(page: Any) -> None:
-    from axe_playwright_python.sync_playwright import Axe
-
-    found = Axe().run(page).response["violations"]
-    assert [each["id"] for each in found] == []
-
-
 def test_a_study_by_keyboard_and_one_switch(page: Any, tmp_path: Path) -> None:
     until_button(page, "Continue")
-    is_clean(page)
+    axe_finds_nothing(page)
     page.focus("#study-go")
     page.keyboard.press("Enter")
     until_button(page, "Start driving")
@@ -62,7 +51,7 @@ def test_a_study_by_keyboard_and_one_switch(page: Any, tmp_path: Path) -> None:
     page.keyboard.down("ArrowUp")
     until_button(page, "Save and continue")
     page.keyboard.up("ArrowUp")
-    is_clean(page)
+    axe_finds_nothing(page)
     page.focus("#study-go")
     page.keyboard.press("Enter")
     wait(page, "document.getElementById('study-trouble').textContent.includes('2 questions have no answer')")
@@ -85,7 +74,7 @@ def test_a_study_by_keyboard_and_one_switch(page: Any, tmp_path: Path) -> None:
     assert page.is_checked("input[name='question-0'][value='1']")
     _pick(page, "button")
     wait(page, "document.getElementById('study-title').textContent === 'This is the end'")
-    is_clean(page)
+    axe_finds_nothing(page)
     assert page.errors == []
     table = (tmp_path / "out" / "tiny.csv").read_text().splitlines()
     assert table[1].endswith(",2,no,") and table[2].endswith(",with more")

@@ -6,16 +6,11 @@ from collections.abc import Callable
 
 import pytest
 
-from tests.drive.page.stage import REST, Stage
-from tests.drive.page.test_page import CHROMIUM
+from tests.drive.page.stage import IN_CHROMIUM, REST, Stage
 from tests.drive.page.test_stick_page import AHEAD, STILL, crash, leave
 from wcsim.drive.recording.study_plan import StepKind
 
-pytestmark = [
-    pytest.mark.browser,
-    pytest.mark.timeout(900),
-    pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here: install Debian's package chromium"),
-]
+pytestmark = [*IN_CHROMIUM, pytest.mark.timeout(900)]
 LEFT, RIGHT = {(-0.5, 0.0)}, {(0.5, 0.0)}
 HERE = "#board [data-at]"
 

@@ -4,15 +4,14 @@ from dataclasses import replace
 
 import pytest
 
-from tests.drive.page.test_page import CHROMIUM, FLAGS
+from tests.drive.page.stage import CHROMIUM, FLAGS, IN_CHROMIUM
 from tests.view.report.results import record, with_episodes, write_result
 from wcsim.agents.evaluation.suite.result_files import read_result
 from wcsim.view.report.suite_page import write_demo_page
 
+pytestmark = [*IN_CHROMIUM, pytest.mark.timeout(300)]
 
-@pytest.mark.browser
-@pytest.mark.timeout(300)
-@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here: install Debian's package chromium")
+
 def test_no_column_is_cut_on_a_usual_screen(tmp_path):
     from playwright.sync_api import sync_playwright
 
