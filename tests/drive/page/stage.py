@@ -65,7 +65,9 @@ def axe_finds_nothing(page: Any) -> None:
 def touches(page: Any) -> Callable[[str, float], None]:
     """Puts a finger so much of the disc's half above its middle."""
     send = page.context.new_cdp_session(page).send
-    box = page.locator("#stick svg").bounding_box()
+    disc = page.locator("#stick svg")
+    disc.scroll_into_view_if_needed()
+    box = disc.bounding_box()
     x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
 
     def touch(kind: str, ahead: float) -> None:

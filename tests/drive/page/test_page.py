@@ -112,7 +112,6 @@ def gamepad(page: Any) -> Iterator[None]:
 
 @pytest.mark.parametrize("ahead", [finger, gamepad])
 def test_so_do_a_finger_and_a_gamepad(page: Any, ahead: Callable[[Any], AbstractContextManager[None]]) -> None:
-    page.click("#new-place")
     at_rest(page)
     with ahead(page):
         wait(page, f"{SPEED} > 0.5")
