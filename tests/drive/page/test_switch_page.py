@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import pytest
 
-from tests.drive.page.stage import IN_CHROMIUM, REST, Stage
+from tests.drive.page.stage import IN_CHROMIUM, REST, Stage, axe_finds_nothing
 from tests.drive.page.test_stick_page import AHEAD, STILL, crash, leave
 from wcsim.drive.recording.study_plan import StepKind
 
@@ -168,3 +168,10 @@ def test_two_switches_pause_and_go_on(stage: Stage) -> None:
         stage.page.keyboard.press("Enter")
         assert [said["on"] for said in stage.heard("pause")] == [on]
         stage.state(paused=on)
+
+
+def test_axe_finds_nothing_whatever_one_steers_by(stage: Stage) -> None:
+    """A real drive goes on meanwhile, which costs ten times as much: a proof asks it."""
+    for by in ("stick", "1"):
+        stage.page.select_option("#steer-by", by)
+        axe_finds_nothing(stage.page)
