@@ -25,6 +25,11 @@ WAITING = ("tests/server/", "tests/drive/page/", "tests/drive/serving/", "tests/
 """Where tests mostly wait, for leases, for processes and for the pace of a drive."""
 
 
+def file_of(item: pytest.Item) -> str:
+    """The file that a test stands in; its location may be that of a class that it inherits from."""
+    return item.nodeid.partition("::")[0]
+
+
 def group_of(node_id: str) -> str:
     """The folder under tests/ that a test lies in; doctests of the package count as "wcsim"."""
     parts = Path(node_id.split("::")[0]).parts
@@ -66,8 +71,8 @@ def places(files: Iterable[str]) -> dict[str, float]:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    at = places(item.location[0] for item in items)
-    items.sort(key=lambda item: at[item.location[0]])
+    at = places(map(file_of, items))
+    items.sort(key=lambda item: at[file_of(item)])
     for item in items:
         if "proof" in item.keywords and item.get_closest_marker("timeout") is None:
             item.add_marker(pytest.mark.timeout(PROOF_TIMEOUT_S))

@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import pytest
 
-from tests.drive.page.stage import CHROMIUM, FLAGS, IN_CHROMIUM
+from tests.drive.page.conftest import browser  # noqa: F401 - a fixture
+from tests.drive.page.stage import IN_CHROMIUM
 from tests.view.report.results import record, with_episodes, write_result
 from wcsim.agents.evaluation.suite.result_files import read_result
 from wcsim.view.report.suite_page import write_demo_page
@@ -12,20 +13,15 @@ from wcsim.view.report.suite_page import write_demo_page
 pytestmark = [*IN_CHROMIUM, pytest.mark.timeout(300)]
 
 
-def test_no_column_is_cut_on_a_usual_screen(tmp_path):
-    from playwright.sync_api import sync_playwright
-
+def test_no_column_is_cut_on_a_usual_screen(browser, tmp_path):  # noqa: F811 - that fixture
     write_result(tmp_path)
     records = [replace(record(0), m=12_340.0, crossings=100, goals=100, red_entries=10)] * 100
     names = ("follow", "runs/demo/learned", "oracle-visible")
     result = with_episodes(read_result(tmp_path), dict.fromkeys(names, records))
     shown = {"learned": "It learned.", "film": "a.webm", "film_says": "", "still_png": b"", "commands": ()}
     path = write_demo_page(tmp_path, result, **shown)
-    with sync_playwright() as play:
-        chromium = play.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
-        page = chromium.new_page(viewport={"width": 1440, "height": 900})
-        page.goto(path.as_uri())
-        measure = "(nodes) => nodes.map((node) => [node.scrollWidth, node.clientWidth])"
-        widths = page.locator(".wide").evaluate_all(measure)
-        chromium.close()
+    page = browser.new_page(viewport={"width": 1440, "height": 900})
+    page.goto(path.as_uri())
+    measure = "(nodes) => nodes.map((node) => [node.scrollWidth, node.clientWidth])"
+    widths = page.locator(".wide").evaluate_all(measure)
     assert widths and all(wide <= room for wide, room in widths)
