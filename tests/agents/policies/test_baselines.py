@@ -112,7 +112,7 @@ def test_every_baseline_drives(name):
 
 
 def test_baselines_in_the_toy_street_rank_as_they_must():
-    camera = toy_camera(48, 64)
+    camera = toy_camera()
     config = RunConfig(cameras=(camera,), chair=ChairConfig(v_max_mps=1.6))
     rows = {
         name: driven(baseline(name, config, seed=3), ToyStreet(camera, max_steps=200), 4, 200, seed=11)

@@ -22,6 +22,5 @@ def test_no_column_is_cut_on_a_usual_screen(browser, tmp_path):  # noqa: F811 - 
     path = write_demo_page(tmp_path, result, **shown)
     page = browser.new_page(viewport={"width": 1440, "height": 900})
     page.goto(path.as_uri())
-    measure = "(nodes) => nodes.map((node) => [node.scrollWidth, node.clientWidth])"
-    widths = page.locator(".wide").evaluate_all(measure)
+    widths = page.locator(".wide").evaluate_all("(nodes) => nodes.map((node) => [node.scrollWidth, node.clientWidth])")
     assert widths and all(wide <= room for wide, room in widths)
