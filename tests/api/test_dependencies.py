@@ -7,6 +7,7 @@ import re
 import sys
 import tomllib
 from contextlib import suppress
+from functools import cache
 from importlib.metadata import PackageNotFoundError, metadata, packages_distributions
 from pathlib import Path
 
@@ -20,6 +21,7 @@ OWN = {"wcsim", "benchmarks", "tests", "tools", "examples"}
 STARTED = {"ruff", "mypy", "import-linter", "pytest", "pytest-timeout", "pytest-xdist", "build", "hatchling"}
 STARTED |= {"mkdocs-material", "mkdocstrings-python"}
 """Tools of developers that commands start and nothing imports."""
+distributions = cache(packages_distributions)
 LOOKUPS = ("find_spec", "import_module", "check_installed")
 FOREIGN = {"minari"}
 """What an example converts data for; its test is skipped where it is not installed."""
@@ -51,7 +53,7 @@ def called(node: ast.Call) -> str:
 def imported(folder: str) -> set[str]:
     """Distributions of what the files of a folder import."""
     names = {name for tree in parsed(folder).values() for name in top_names(tree)}
-    homes = packages_distributions()
+    homes = distributions()  # whose files are looked through once
     names = {name for name in names - set(sys.stdlib_module_names) - OWN if name in homes}
     return {homes[name][0].lower().replace("_", "-") for name in names}
 
