@@ -12,7 +12,7 @@ from wcsim.cli.shared.exit_codes import Exit
 
 
 @dataclass
-class Options:
+class _Options:
     """Show size, multiplications, memory and decision time of each network."""
 
     names: str = ",".join(NETWORK_NAMES)
@@ -29,7 +29,7 @@ class Options:
 
 def run(words: list[str]) -> int:
     """Measure and print a table."""
-    options = parse(Options, words, "networks")
+    options = parse(_Options, words, "networks")
     names = some_words("--names", options.names)
     for name in names:
         check_network(name)

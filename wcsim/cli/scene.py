@@ -75,7 +75,7 @@ class _MakeOptions:
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class _Outcome:
     """How a scene ended."""
 
     name: str
@@ -138,7 +138,7 @@ def _run(options: _RunOptions) -> int:
     return 1 if any(outcome.faults for outcome in outcomes) else 0
 
 
-def _outcome(folder: Path, name: str) -> Outcome:
+def _outcome(folder: Path, name: str) -> _Outcome:
     from wcsim.log.diff import golden_difference  # loads the simulators, which --help must not
     from wcsim.scenes.run import run_in_child
 
@@ -153,7 +153,7 @@ def _outcome(folder: Path, name: str) -> Outcome:
         else:
             told = golden_difference(trace, golden)
             found += (f"differs from the golden trace: {told}",) if told else ()
-    return Outcome(name, facts, found)
+    return _Outcome(name, facts, found)
 
 
 def _bless(options: _BlessOptions) -> int:

@@ -31,7 +31,6 @@ from wcsim.cli.shared.common import (
     machines_of,
     parse,
     result_file,
-    said_of,
     says,
     write_json,
 )
@@ -346,9 +345,18 @@ def _look(options: _DriveOptions) -> Callable[[tuple[WorkerNow, ...]], object]:
         nonlocal said_s
         if options.cluster and time.monotonic() - said_s > _TOLD_EVERY_S:
             said_s = time.monotonic()
-            say(said_of(workers))
+            say(_said_of(workers))
 
     return look
+
+
+def _said_of(workers: tuple[WorkerNow, ...]) -> str:
+    """Who is at what, in a line.
+
+    >>> _said_of((WorkerNow(name="10.0.0.2/1", key="3-000-0001", for_s=12.3), WorkerNow(name="10.0.0.2/2", key="")))
+    '10.0.0.2/1 3-000-0001 for 12 s, 10.0.0.2/2 free'
+    """
+    return ", ".join(f"{each.name} {f'{each.key} for {each.for_s:.0f} s' if each.key else 'free'}" for each in workers)
 
 
 def order_of(options: _DriveOptions, suite: Suite, out: Path, forks: int | None = None) -> SuiteOrder:

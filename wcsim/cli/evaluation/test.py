@@ -119,7 +119,7 @@ def tested(options: Options) -> tuple[dict[str, Town], tuple[str, ...]]:
     profiles = some_words("--profile", options.profile)
     for name in profiles:
         require_user(name)
-    towns = by_name(checked_town(name, options) for name in some_words("--town", options.town))
+    towns = by_name(_checked_town(name, options) for name in some_words("--town", options.town))
     for name in profiles:
         if not name.startswith(RECORDED):
             continue
@@ -144,7 +144,7 @@ def _words_for(name: str, sha256: str) -> str:
     return ""
 
 
-def checked_town(name: str, options: Options) -> Town:
+def _checked_town(name: str, options: Options) -> Town:
     """The town to test in. Raises TownError for one that networks are trained in."""
     town = find_town(name)
     validate_net(town.net)

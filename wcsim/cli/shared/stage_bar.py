@@ -5,22 +5,22 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from types import TracebackType
 from typing import Self
 
 from rich.progress import BarColumn, Progress, TaskID, TextColumn
 
 from wcsim.cli.shared.consoles import stderr_console
+from wcsim.core.closing import Closing
 
 _BAR_WIDTH = 16  # with what is said beside it a row has 80 characters
 _TOLD = ("description", "fields[says]", "fields[left]")
 _ALMOST_S = 90.0  # from here on minutes are told
 
 
-def told_left(spent_s: float, share: float) -> str:
+def _told_left(spent_s: float, share: float) -> str:
     """How long the rest takes, if it goes on as it did; "" when that is not known, or nothing is left.
 
-    >>> told_left(30.0, 0.25), told_left(30.0, 0.75), told_left(30.0, 0.0)
+    >>> _told_left(30.0, 0.25), _told_left(30.0, 0.75), _told_left(30.0, 0.0)
     ('about 2 min left', 'about 10 s left', '')
     """
     if not 0.0 < share < 1.0:
@@ -29,7 +29,7 @@ def told_left(spent_s: float, share: float) -> str:
     return f"about {math.ceil(left_s / 5) * 5} s left" if left_s < _ALMOST_S else f"about {round(left_s / 60)} min left"
 
 
-class StageBar:
+class StageBar(Closing):
     """A stage of a command and how far it has come; a context manager. Where less is done than before, another begins.
 
     Args:
@@ -50,9 +50,9 @@ class StageBar:
 
     @property
     def left(self) -> str:
-        """As `told_left`, from the first `show` on."""
+        """As `_told_left`, from the first `show` on."""
         first = self._first or 0.0
-        return told_left(self._clock() - self._began_s, (self._share - first) / (1.0 - first) if first < 1.0 else 1.0)
+        return _told_left(self._clock() - self._began_s, (self._share - first) / (1.0 - first) if first < 1.0 else 1.0)
 
     def show(self, share: float, says: str, name: str | None = None) -> None:
         """A share of the work (0 to 1) is done; `says` is what goes on, in 30 characters or so."""
@@ -81,5 +81,6 @@ class StageBar:
         self._bar.start()
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+    def close(self) -> None:
+        """The stage is over."""
         self._bar.stop()

@@ -86,7 +86,7 @@ def run(options: RunOptions, words: Sequence[str]) -> int:
     for line in _crash_lines(facts.crashed):
         print(line)
     if not facts.persons:
-        console.print(_no_persons(town), markup=False, highlight=False, soft_wrap=True)
+        console.print(_no_persons(town), markup=False, soft_wrap=True)
     place = shlex.quote(str(out))
     print(f"run folder: {out}    convert it: wcsim log convert {place} {place}/fcd.xml")
     write_json(options.json, {"town": town.name, "seed": options.seed, "run": str(out), **asdict(facts)})

@@ -38,7 +38,7 @@ _USUAL = "This takes about 4 minutes on two free cores, half of them for trainin
 
 
 @dataclass
-class Options:
+class _Options:
     """Train preset quick in Helsinki, then test and film it in Monaco.
 
     This takes about 4 minutes on two free cores. Every stage shows the time left.
@@ -64,7 +64,7 @@ class Options:
 class _Demo:
     """What is done, and where to say so."""
 
-    options: Options
+    options: _Options
     trial: test.Options
     town: Town  # the first to test in
     out: Path
@@ -76,7 +76,7 @@ class _Demo:
 
 def run(words: list[str]) -> int:
     """Do it all, and say where everything is."""
-    options = parse(Options, words, "demo")
+    options = parse(_Options, words, "demo")
     started = time.monotonic()
     trial = test.Options(
         town=options.test_town,
@@ -96,7 +96,7 @@ def run(words: list[str]) -> int:
     require_head(config, in_rounds=True)
     require_users(config, (options.set, None))
     demo.say(f"wcsim demo: a network is trained in {school.name} and tested in {', '.join(tested)}.")
-    if parse(Options, [], "demo") == replace(options, seed=1, out=None):
+    if parse(_Options, [], "demo") == replace(options, seed=1, out=None):
         demo.say(_USUAL)
     _train(demo, config, school, words)
     result = _test(demo, ", ".join(tested))

@@ -30,7 +30,7 @@ _SAME_POLICY: Final = 0.95  # of a recording's actions: with fewer it was hardly
 
 
 @dataclass
-class Options:
+class _Options:
     """Export a trained network as an ONNX model, with a reference ride to check it."""
 
     policy: Annotated[str, Positional]
@@ -58,7 +58,7 @@ class Options:
 
 def run(words: list[str]) -> int:
     """Export, and say what was measured."""
-    options = parse(Options, words, "export")
+    options = parse(_Options, words, "export")
     if options.onnx is None:
         raise ConfigError("nothing to write to; expected --onnx FOLDER")
     check_folder("--onnx", options.onnx)
@@ -156,7 +156,7 @@ def _costs(facts: ExportFacts, bar_ms: float) -> str:
 
 
 def _ride(
-    options: Options, own: RunConfig, policy: Policy
+    options: _Options, own: RunConfig, policy: Policy
 ) -> tuple[tuple[str, ...], Sequence[Observation], tuple[int, ...] | None, str]:
     """The reference ride: its delay and observations, and of a recording the actions and who chose them."""
     from wcsim.agents.export.export_folder import require_shown

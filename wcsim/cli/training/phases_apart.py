@@ -81,7 +81,6 @@ def _checked(options: GroupOptions, run: GroupRun, by: str) -> Suite | None:
         from wcsim.agents.evaluation.suite.list_file import open_suite
 
         suite = open_suite(by)
-        worlds_of(options.worlds)
     least = ROW_STEPS if by == KPI1 else 1
     unled = [client.name for client in run.clients if client.config.learn.phase1_steps < least]
     if unled:

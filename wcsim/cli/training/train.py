@@ -79,7 +79,7 @@ class TrainingOptions(SettingsOptions, ToldOptions):
 
 
 @dataclass(kw_only=True)
-class Options(TrainingOptions):
+class _Options(TrainingOptions):
     """Train a danger network: users and an oracle drive in rounds, and it learns which positions end badly.
 
     `wcsim train-q` learns by Q-learning instead.
@@ -97,16 +97,21 @@ class Options(TrainingOptions):
 
 def run(words: list[str]) -> int:
     """Train and leave a run folder."""
-    options = parse(Options, words, "train")
+    options = parse(_Options, words, "train")
     machines = machines_of(options.cluster, options.worlds, "--worlds")
     data = {"collect": {"data": list(options.data)}} if options.data else None
     config = resolve(options.preset, options.config, options.set, data)
     config = resolve(config, learning(config))
     require_head(config, in_rounds=True)
     require_users(config, (options.set, options.config))
-    town, info = placed(options, RunInfo(seed=options.seed, command=("wcsim", "train", *words)), config)
-    made = resolve_run(config, info, town, out_of(options, town))
-    train_in(made, town, note=how_it_learns(config), machines=machines)
+    return trained(options, RunInfo(seed=options.seed, command=("wcsim", "train", *words)), config, machines)
+
+
+def trained(options: TrainingOptions, info: RunInfo, config: RunConfig, machines: Machines | None = None) -> int:
+    """Train one network as it was asked for, and say where it is; raises as `placed`, `resolve_run`, `train_in` do."""
+    town, info, out = placed(options, info, config)
+    made = resolve_run(config, info, town, out)
+    train_in(made, town, note=how_it_learns(config), verbose=options.verbose, machines=machines)
     return told(options, made)
 
 
@@ -122,13 +127,8 @@ def told(options: ToldOptions, run: ResolvedRun) -> int:
     return Exit.DONE
 
 
-def out_of(options: TrainingOptions, town: Town) -> Path:
-    """The run folder that is asked for, or the usual one."""
-    return options.out or Path("runs") / f"{town.name}-{options.preset}-{options.seed}"
-
-
-def placed(options: TrainingOptions, info: RunInfo, config: RunConfig) -> tuple[Town, RunInfo]:
-    """The run's own town, and what is known of a run with those that take turns with it.
+def placed(options: TrainingOptions, info: RunInfo, config: RunConfig) -> tuple[Town, RunInfo, Path]:
+    """The run's own town, what is known of a run with those that take turns with it, and its folder.
 
     Raises:
         TownError: One is kept for tests, or two have one name.
@@ -143,7 +143,8 @@ def placed(options: TrainingOptions, info: RunInfo, config: RunConfig) -> tuple[
             f"--town {options.town}: with world.epoch_ticks=0 the world never changes town; set it above 0"
         )
     more = {word: streets_hash(town) for word, town in zip(typed[1:], towns[1:], strict=True)}
-    return towns[0], replace(info, more_towns=more)
+    out = options.out or Path("runs") / f"{towns[0].name}-{options.preset}-{options.seed}"
+    return towns[0], replace(info, more_towns=more), out
 
 
 def checked_town(name: str, allow_test_town: bool) -> Town:
@@ -191,7 +192,7 @@ def train_in(
         return train(run, make_env, show, log=warn)
 
 
-def _train_rounds_in(run: ResolvedRun, town: Town, machines: Machines, note: str = "") -> Path:
+def _train_rounds_in(run: ResolvedRun, town: Town, machines: Machines, note: str) -> Path:
     """Train with a progress bar, and a note above it; returns the run folder.
 
     Raises:

@@ -10,8 +10,8 @@ from typing import Annotated, Any
 from tyro.conf import arg
 
 from wcsim.cli.shared.common import Finds, Repeated, SettingsOptions, Steps, parse
-from wcsim.cli.shared.run_config import how_it_learns, learning, require_head, require_users, resolve_run
-from wcsim.cli.training.train import TrainingOptions, out_of, placed, told, train_in
+from wcsim.cli.shared.run_config import learning, require_head, require_users
+from wcsim.cli.training.train import TrainingOptions, trained
 from wcsim.config import CONFIG_FILE, LearnConfig, resolve
 from wcsim.config.load import Layer, sets_key
 from wcsim.core import reading
@@ -48,7 +48,7 @@ class QOptions(LearnerOptions, TrainingOptions):
 
 
 @dataclass(kw_only=True)
-class Options(QOptions):
+class _Options(QOptions):
     """Train a network by Q-learning, from the reward of every step, as in the paper."""
 
     network: Annotated[str, arg(metavar="NAME")] = ""
@@ -57,13 +57,10 @@ class Options(QOptions):
 
 def run(words: list[str]) -> int:
     """Train and leave a run folder."""
-    options = parse(Options, words, "train-q")
+    options = parse(_Options, words, "train-q")
     board = {"learn": {"tensorboard": True}} if options.tensorboard else None
     config = resolve(options.preset, *q_layers(options, options.network, board))
-    town, info = placed(options, options.info(("wcsim", "train-q", *words)), config)
-    made = resolve_run(config, info, town, out_of(options, town))
-    train_in(made, town, note=how_it_learns(config), verbose=options.verbose)
-    return told(options, made)
+    return trained(options, options.info(("wcsim", "train-q", *words)), config)
 
 
 def q_layers(

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import shlex
 from collections.abc import Callable, Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Final
 
@@ -154,7 +155,8 @@ def _drawn(
                 steps=[row.step for row in rows],
                 values=values,
                 means=means,
-                switch=learning_curve.switch_step(rows),
+                # The last step that the log has of the first phase; None where there was no change.
+                switch=next((row.step for row, after in pairwise(rows) if row.phase < after.phase), None),
                 crossing=learning_curve.crossing(
                     [row for row in rows if isinstance(row, learning_curve.TrainedSteps)]
                 ).step,
