@@ -13,11 +13,11 @@ from dataclasses import asdict, dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from rich.table import Column, Table
+from rich.table import Column
 from rich.text import Text
 
 from wcsim.cli.shared.common import Flag, OutFile, parse, write_json
-from wcsim.cli.shared.consoles import stdout_console
+from wcsim.cli.shared.consoles import show_table
 from wcsim.core.files import can_be_written
 from wcsim.core.reading import counted, escaped
 from wcsim.errors import ConfigError, WcsimError
@@ -60,10 +60,8 @@ def run(words: list[str]) -> int:
         "cache": _cache,  # the street of that town is in it by now
     }
     findings = {name: check() for name, check in checks.items()}
-    table = Table("check", "", Column("found", overflow="fold"))
-    for name, (ok, says) in findings.items():
-        table.add_row(name, "ok" if ok else "FAILS", Text(says))
-    stdout_console().print(table)
+    rows = ((name, "ok" if ok else "FAILS", Text(says)) for name, (ok, says) in findings.items())
+    show_table(("check", "", Column("found", overflow="fold")), rows)
     write_json(options.json, {name: {"ok": ok, "says": says} for name, (ok, says) in findings.items()})
     return 0 if all(ok for ok, _ in findings.values()) else 2
 

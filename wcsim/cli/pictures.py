@@ -18,8 +18,8 @@ from wcsim.cli.shared.common import (
     result_file,
     told_if_made,
 )
+from wcsim.cli.shared.consoles import StageBar
 from wcsim.cli.shared.run_config import require_policy, require_user
-from wcsim.cli.shared.stage_bar import StageBar
 from wcsim.errors import ConfigError
 from wcsim.towns.scenario.town import find_town
 

@@ -11,9 +11,8 @@ from typing import Annotated
 from tyro.conf import arg
 
 from wcsim.cli.shared.common import Bounds, Flag, OutFolder, SettingsOptions, check_folder, parse, some_words
-from wcsim.cli.shared.consoles import warn
+from wcsim.cli.shared.consoles import beside, print_overrides, warn
 from wcsim.cli.shared.exit_codes import Exit
-from wcsim.cli.shared.overrides import beside, print_overrides
 from wcsim.cli.shared.run_config import overrides_of
 from wcsim.config import RunConfig, resolve
 from wcsim.core.reading import require_no_links

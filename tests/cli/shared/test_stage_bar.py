@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from rich.console import Console
 
-from wcsim.cli.shared.stage_bar import StageBar, _told_left
+from wcsim.cli.shared.consoles import StageBar, _told_left
 
 
 def test_the_time_that_is_left_is_what_the_share_says():

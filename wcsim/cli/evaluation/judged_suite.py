@@ -34,9 +34,8 @@ from wcsim.cli.shared.common import (
     says,
     write_json,
 )
-from wcsim.cli.shared.consoles import say, stderr_console, stdout_console
+from wcsim.cli.shared.consoles import StageBar, say, stderr_console, stdout_console
 from wcsim.cli.shared.exit_codes import Exit
-from wcsim.cli.shared.stage_bar import StageBar
 from wcsim.config.suite import MOST_NAME, MOST_SET, name_pattern
 from wcsim.core.reading import counted, escaped
 from wcsim.errors import ConfigError, InterruptedRunError

@@ -18,8 +18,7 @@ from wcsim.agents.runs.run_folder import run_of
 from wcsim.bridge.sumo.step_hook import find_hook
 from wcsim.cli.evaluation.judged_suite import JudgeOptions, drive_list, judge, make_list, order_of, run_suites
 from wcsim.cli.shared.common import Bounds, Finds, Flag, Keys, Repeated, check_folder, parse, says, some_words
-from wcsim.cli.shared.consoles import stdout_console
-from wcsim.cli.shared.overrides import print_overrides
+from wcsim.cli.shared.consoles import print_overrides, stdout_console
 from wcsim.cli.shared.run_config import overrides_of, require_policy, require_user
 from wcsim.core.constants import RECORDED
 from wcsim.errors import ConfigError, TownError

@@ -10,8 +10,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from rich import box
-from rich.console import Console
-from rich.table import Table
 from tyro.conf import arg
 
 from wcsim.agents.clients.group_run import (
@@ -25,9 +23,8 @@ from wcsim.agents.clients.group_run import (
 from wcsim.agents.clients.paid_times import PaidTimes, PaidTimesLog
 from wcsim.agents.runs.run_folder import MANIFEST, Status, extend, how_to_resume, make_manifest, open_run
 from wcsim.cli.shared.common import Bounds, Worlds, check_folder, write_json
-from wcsim.cli.shared.consoles import stdout_console, warn
+from wcsim.cli.shared.consoles import print_overrides, show_table, stdout_console, warn
 from wcsim.cli.shared.exit_codes import Exit, NothingKept
-from wcsim.cli.shared.overrides import print_overrides
 from wcsim.cli.shared.run_config import how_it_learns, how_to_test
 from wcsim.cli.training.train import ToldOptions
 from wcsim.config import RunConfig, resolve
@@ -118,32 +115,28 @@ def _steps_of(ledger: Path, journal: Path | None, against: Audit) -> dict[str, i
     }
 
 
-def _print_report(console: Console, report: Mapping[str, Any], waits: PaidTimes) -> None:
+def _print_report(report: Mapping[str, Any], waits: PaidTimes) -> None:
     """The report as a table."""
-    table = Table(
-        "client", "first tick", "last tick", "ticks", "missing", "duplicated", box=box.SIMPLE_HEAD, pad_edge=False
-    )
-    for client in report["clients"]:
-        table.add_row(*map(str, client.values()))
-    console.print(table)
+    headings = ("client", "first tick", "last tick", "ticks", "missing", "duplicated")
+    rows = (map(str, client.values()) for client in report["clients"])
+    show_table(headings, rows, box=box.SIMPLE_HEAD, pad_edge=False)
     if len(waits.clients) > 1:
-        console.print(_paid(waits))
-    console.print(
+        paid = ("client", "acting s", "learning s", "waiting s", "mostly for")
+        show_table(paid, _paid(waits), box=box.SIMPLE_HEAD, pad_edge=False)
+    stdout_console().print(
         f"{report['ticks']} world ticks, {report['ticks_per_s']:.1f} per second; journal hash {report['journal_hash']}",
         markup=False,
         soft_wrap=True,
     )
 
 
-def _paid(waits: PaidTimes) -> Table:
+def _paid(waits: PaidTimes) -> Iterator[tuple[str, ...]]:
     """What each client paid, and for whom it waited most; the page of `wcsim report` has all pairs."""
-    table = Table("client", "acting s", "learning s", "waiting s", "mostly for", box=box.SIMPLE_HEAD, pad_edge=False)
     for name, paid in waits.clients.items():
         waited = waits.waited_s.get(name, {})
         whom = max(waited, key=lambda other: waited[other], default="")
         most = f"{whom} ({waited[whom]:.1f})" if whom and waited[whom] > 0.0 else "-"
-        table.add_row(name, *(f"{part_s:.1f}" for part_s in (paid.acting_s, paid.learning_s, paid.waiting_s)), most)
-    return table
+        yield name, *(f"{part_s:.1f}" for part_s in (paid.acting_s, paid.learning_s, paid.waiting_s)), most
 
 
 def print_crossings(run: Path) -> None:
@@ -293,7 +286,7 @@ def _told(
     if outcome.code == Exit.REFUSED:
         raise ConfigError(outcome.message)
     report = _report_of(folder, run.info.seed, *seen)
-    _print_report(stdout_console(), report, seen[1])
+    _print_report(report, seen[1])
     for kept in folder.truncated_parts():
         warn(f"{kept}: a truncated end was cut off earlier")
     write_json(json, report)

@@ -14,7 +14,7 @@ from wcsim.agents.evaluation.suite.named_policy import RULES
 from wcsim.cli.evaluation import test
 from wcsim.cli.evaluation.result_tables import show_result
 from wcsim.cli.shared.common import Keys, OutFolder, Repeated, check_folder, parse
-from wcsim.cli.shared.consoles import stdout_console
+from wcsim.cli.shared.consoles import StageBar, stdout_console
 from wcsim.cli.shared.run_config import (
     how_it_learns,
     learning,
@@ -22,7 +22,6 @@ from wcsim.cli.shared.run_config import (
     require_users,
     resolve_run,
 )
-from wcsim.cli.shared.stage_bar import StageBar
 from wcsim.cli.training.train import checked_town, train_in
 from wcsim.config import RunConfig, resolve
 from wcsim.core.files import numbered_names

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rich import box
-from rich.table import Table
 
 from wcsim.agents.clients.group_run import CHOICE, KPI1, SELECTION, Client, GroupRun, read_choice
 from wcsim.agents.networks.names import is_own
@@ -20,7 +19,7 @@ from wcsim.agents.runs.metrics import KPI1_STEPS, ROW_STEPS
 from wcsim.agents.runs.run_folder import how_to_resume
 from wcsim.cli.evaluation.judged_suite import keep_result
 from wcsim.cli.shared.common import worlds_of, write_json
-from wcsim.cli.shared.consoles import say, stderr_console, stdout_console
+from wcsim.cli.shared.consoles import say, show_table, stderr_console
 from wcsim.cli.shared.exit_codes import Exit
 from wcsim.cli.training.clients import GroupOptions, train_clients
 from wcsim.core.files import locked
@@ -194,9 +193,10 @@ def _best_of(figures: Figures) -> str:
 
 
 def _show(figures: Figures, best: str) -> None:
-    names = [_HEADS[key] for key in figures[best]]
-    table = Table("client", *names, "", box=box.SIMPLE_HEAD, pad_edge=False)
-    for name, own in figures.items():
-        goes_on = "learns the second phase" if name == best else "stops after the first phase"
-        table.add_row(name, *(f"{figure:.4g}" for figure in own.values()), goes_on)
-    stdout_console().print(table)
+    rows = (
+        (name, *(f"{figure:.4g}" for figure in own.values()),
+         "learns the second phase" if name == best else "stops after the first phase")
+        for name, own in figures.items()
+    )  # fmt: skip
+    headings = ("client", *(_HEADS[key] for key in figures[best]), "")
+    show_table(headings, rows, box=box.SIMPLE_HEAD, pad_edge=False)

@@ -26,9 +26,8 @@ from wcsim.cli.shared.common import (
     some_words,
     write_json,
 )
-from wcsim.cli.shared.consoles import warn
+from wcsim.cli.shared.consoles import StageBar, beside, print_overrides, warn
 from wcsim.cli.shared.exit_codes import Exit, NothingKept
-from wcsim.cli.shared.overrides import beside, print_overrides
 from wcsim.cli.shared.run_config import (
     how_it_learns,
     how_to_test,
@@ -38,7 +37,6 @@ from wcsim.cli.shared.run_config import (
     require_users,
     resolve_run,
 )
-from wcsim.cli.shared.stage_bar import StageBar
 from wcsim.config import RunConfig, resolve
 from wcsim.core.reading import counted
 from wcsim.errors import ConfigError, DiskFullError, InterruptedRunError, TownError, WorkersError
