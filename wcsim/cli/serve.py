@@ -10,7 +10,7 @@ from typing import Annotated
 
 from tyro.conf import arg
 
-from wcsim.cli.shared.common import Bounds, Flag, OutFolder, SettingsOptions, check_folder, parse, some_words
+from wcsim.cli.shared.common import Bounds, Flag, Lease, OutFolder, SettingsOptions, check_folder, parse, some_words
 from wcsim.cli.shared.consoles import beside, print_overrides, warn
 from wcsim.cli.shared.exit_codes import Exit
 from wcsim.cli.shared.run_config import overrides_of
@@ -57,7 +57,7 @@ class _Options(SettingsOptions):
     """Generate missing keys for these clients and the server in the folder --keys."""
     run: OutFolder = None
     """Save journal, logs and the outputs of the town's scenario here; continues a world in the folder."""
-    lease: Annotated[float, arg(metavar="S"), Bounds(1.0, 86_400.0)] = 120.0
+    lease: Lease = 120.0
     """Seconds without a sign of progress after which a client is dropped."""
     max_think: Annotated[float | None, arg(metavar="S"), Bounds(0.1, 86_400.0)] = None
     """Seconds that a client may take for an action before it is dropped; unlimited by default."""

@@ -36,6 +36,9 @@ TownWord = Annotated[str, Positional, arg(metavar="TOWN")]
 SomeTown = Annotated[str, Positional, arg(metavar="[TOWN]")]
 """The same, where it may be left out."""
 
+InFile = Annotated[Path | None, arg(metavar="FILE")]
+"""A file that is read."""
+
 Cluster = Annotated[str, arg(metavar="ADDRESS")]
 """A Ray cluster."""
 
@@ -131,7 +134,7 @@ class SettingsOptions:
 
     preset: str = "quick"
     """Preset to start from: quick, laptop, best, dqn or paper."""
-    config: Annotated[Path | None, arg(metavar="FILE")] = None
+    config: InFile = None
     """TOML file with settings that override the preset."""
     set: Repeated = ()
     """Setting as section.key=value; overrides preset and file."""
@@ -139,6 +142,9 @@ class SettingsOptions:
 
 Worlds = Annotated[int | None, arg(metavar="N"), Bounds(1, MOST_JOBS)]
 """Worker processes; None for what `worlds_of` says."""
+
+Lease = Annotated[float, arg(metavar="S"), Bounds(1.0, 86_400.0)]
+"""Seconds without progress."""
 
 Steps = Annotated[int | None, arg(metavar="N"), Bounds(1)]
 """Steps of a training by Q-learning in all; None for those of its settings."""

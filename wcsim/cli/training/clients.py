@@ -7,10 +7,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 from rich import box
-from tyro.conf import arg
 
 from wcsim.agents.clients.group_run import (
     ClientsFolder,
@@ -22,7 +21,7 @@ from wcsim.agents.clients.group_run import (
 )
 from wcsim.agents.clients.paid_times import PaidTimes, PaidTimesLog
 from wcsim.agents.runs.run_folder import MANIFEST, Status, extend, how_to_resume, make_manifest, open_run
-from wcsim.cli.shared.common import Bounds, Worlds, check_folder, write_json
+from wcsim.cli.shared.common import Lease, Worlds, check_folder, write_json
 from wcsim.cli.shared.consoles import print_overrides, show_table, stdout_console, warn
 from wcsim.cli.shared.exit_codes import Exit, NothingKept
 from wcsim.cli.shared.run_config import how_it_learns, how_to_test
@@ -160,7 +159,7 @@ class GroupOptions(ToldOptions):
 
     worlds: Worlds = None
     """Worker processes that compare clients by a suite or list. None: one per core, at most 4."""
-    lease: Annotated[float, arg(metavar="S"), Bounds(1.0, 86_400.0)] = LEASE_S
+    lease: Lease = LEASE_S
     """Seconds without progress after which a client is restarted."""
 
 

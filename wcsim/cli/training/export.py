@@ -16,7 +16,7 @@ from wcsim.agents.export.export_folder import require_export_place
 from wcsim.agents.policy_api import BASELINES, UPPER_BOUNDS, Observation, Policy
 from wcsim.agents.runs.policy_file import SHIPPED, is_danger, policy_name, read_danger_file
 from wcsim.agents.runs.run_folder import policy_path
-from wcsim.cli.shared.common import Bounds, OutFile, check_folder, parse, write_json
+from wcsim.cli.shared.common import Bounds, InFile, OutFile, check_folder, parse, write_json
 from wcsim.cli.shared.exit_codes import Exit
 from wcsim.cli.shared.run_config import require_policy
 from wcsim.config import RunConfig, resolve
@@ -39,7 +39,7 @@ class _Options:
     """Output folder; an earlier export in it is replaced."""
     town: str = "helsinki"
     """Town of the reference ride: a town's name, its folder, or a .sumocfg file."""
-    ride: Annotated[Path | None, arg(metavar="FILE")] = None
+    ride: InFile = None
     """Recorded drive, or journal of a run, to use as the reference ride instead. Its first episode counts. The command
     reports how many of the policy's actions match the recorded ones."""
     seat: int = 0
