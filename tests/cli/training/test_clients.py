@@ -24,9 +24,9 @@ from wcsim.cli.main import main
 from wcsim.cli.shared.exit_codes import Exit
 from wcsim.cli.shared.run_config import how_it_learns, learning
 from wcsim.cli.training.clients import ALL_DONE, GroupOptions, _told_stop, train_clients
+from wcsim.cli.training.train import _QLearningOptions as QOptions
+from wcsim.cli.training.train import q_layers
 from wcsim.cli.training.train_clients import Options, client_names, resolved
-from wcsim.cli.training.train_q import _Options as QOptions
-from wcsim.cli.training.train_q import q_layers
 from wcsim.config import resolve
 from wcsim.errors import ConfigError, InterruptedRunError, PolicyError
 from wcsim.log.reader import iter_inputs, read_header

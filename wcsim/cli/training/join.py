@@ -17,8 +17,7 @@ from wcsim.agents.runs.run_folder import ResolvedRun
 from wcsim.cli.shared.common import Bounds, OutFolder, check_folder, parse
 from wcsim.cli.shared.consoles import StageBar
 from wcsim.cli.shared.run_config import how_it_learns, how_to_test, require_user
-from wcsim.cli.training.train import gone_if_nothing_came_of_it, steps_shown
-from wcsim.cli.training.train_q import LearnerOptions, q_layers
+from wcsim.cli.training.train import LearnerOptions, gone_if_nothing_came_of_it, q_layers, steps_shown
 from wcsim.config import RunConfig, parse_json, resolve
 from wcsim.config.plant import known_plants
 from wcsim.core.reading import escaped

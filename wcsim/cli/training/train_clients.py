@@ -16,8 +16,7 @@ from wcsim.cli.shared.common import Repeated, parse, some_words
 from wcsim.cli.shared.run_config import in_town, require_user
 from wcsim.cli.training.clients import GroupOptions
 from wcsim.cli.training.phases_apart import train_group
-from wcsim.cli.training.train import placed
-from wcsim.cli.training.train_q import QOptions, q_layers
+from wcsim.cli.training.train import QOptions, placed, q_layers
 from wcsim.config import resolve
 from wcsim.errors import ConfigError
 
