@@ -239,7 +239,6 @@ SAME_FILE_NAME = {
     "drive": "a block of a suite, a recording, and the command on whose page a person drives",
     "files": "written whole, and of a scenario",
     "messages": "between clients and a server, and between a page and its drive",
-    "overrides": "of a scenario's options, and of a run's settings",
     "pictures": "for people, and of a drive's page",
     "plant": "its file, and what physics makes of it",
     "registry": "networks by name, and sensors by name",

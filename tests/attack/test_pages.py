@@ -19,7 +19,7 @@ from wcsim.agents.evaluation.suite.result_files import read_result
 from wcsim.agents.runs.metrics import COLUMNS, MetricsFile
 from wcsim.agents.runs.run_folder import create_run, make_manifest
 from wcsim.cli.main import main
-from wcsim.drive.playing.play_runner import FailedLine, film_about
+from wcsim.drive.playing.play_runner import FailedLine, _film_about
 from wcsim.server.specs import RunInfo
 from wcsim.view.report.suite_page import write_demo_page
 
@@ -114,7 +114,7 @@ def test_a_drive_and_a_film_of_hostile_names_show_them(context: Any, name: str) 
         else:
             line = FailedLine(policy=evil, block=0, seat=0, told=evil)
             about = msgspec.structs.replace(films.ABOUT, title=evil, town=evil)
-            page.hear("about", **film_about(about, (line,), evil, 0))
+            page.hear("about", **_film_about(about, (line,), evil, 0))
         page.page.wait_for_timeout(20)
     assert (page.errors, page.page.evaluate("window.evil")) == ([], None)
     assert page.page.locator("iframe, svg[onload], img[onerror], a[autofocus]").count() == 0

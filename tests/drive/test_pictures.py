@@ -11,17 +11,17 @@ from wcsim.drive.pictures import (
     AIM_M,
     GOAL_RGB,
     WAY_RGB,
-    Arm,
     CameraKind,
-    Orbit,
     PageLooks,
     StillPictures,
     StreetPictures,
+    _Arm,
+    _eased,
+    _eye,
     _ground_points,
     _mark_goal,
+    _Orbit,
     clamped,
-    eased,
-    eye,
     moment_of,
 )
 from wcsim.drive.session import DriveSession, Wish
@@ -141,39 +141,39 @@ class Wall:
 
 
 def test_where_nothing_stands_the_view_is_as_it_was_asked_for() -> None:
-    asked = Orbit(turn_rad=0.4, distance_m=8.0)
-    assert Arm(Wall(50.0, 0.0)).held(HERE, 1.0, asked, math.inf) == asked
+    asked = _Orbit(turn_rad=0.4, distance_m=8.0)
+    assert _Arm(Wall(50.0, 0.0)).held(HERE, 1.0, asked, math.inf) == asked
 
 
 def test_before_a_low_wall_the_camera_goes_over_it() -> None:
-    held = Arm(Wall(1.0, math.radians(40.0))).held(HERE, 0.0, Orbit(), math.inf)
-    assert held.tilt_rad > math.radians(40.0) and held.distance_m == Orbit().distance_m
+    held = _Arm(Wall(1.0, math.radians(40.0))).held(HERE, 0.0, _Orbit(), math.inf)
+    assert held.tilt_rad > math.radians(40.0) and held.distance_m == _Orbit().distance_m
 
 
 @pytest.mark.parametrize("away_m", [4.5, 2.0])
 def test_where_walls_are_everywhere_it_comes_nearer(away_m: float) -> None:
-    held = Arm(Wall(away_m, math.pi)).held(HERE, 0.0, Orbit(), math.inf)
+    held = _Arm(Wall(away_m, math.pi)).held(HERE, 0.0, _Orbit(), math.inf)
     assert 1.0 < held.distance_m < away_m
 
 
 def test_a_pole_does_not_move_it() -> None:
-    assert Arm(Wall(1.0, math.pi, share=0.3)).held(HERE, 0.0, Orbit(), math.inf) == Orbit()
+    assert _Arm(Wall(1.0, math.pi, share=0.3)).held(HERE, 0.0, _Orbit(), math.inf) == _Orbit()
 
 
 def test_it_glides_and_comes_to_rest() -> None:
     wall = Wall(50.0, math.pi)
-    arm = Arm(wall)
-    assert arm.held(HERE, 0.0, Orbit(), 0.1) == Orbit()
+    arm = _Arm(wall)
+    assert arm.held(HERE, 0.0, _Orbit(), 0.1) == _Orbit()
     wall.away_m = 2.0
-    ways = [arm.held(HERE, 0.0, Orbit(), 0.1).distance_m for _ in range(40)]
+    ways = [arm.held(HERE, 0.0, _Orbit(), 0.1).distance_m for _ in range(40)]
     assert all(np.diff(ways) < 0.0) and ways[0] > 4.0
     assert ways[-1] == pytest.approx(1.7, abs=1e-3)
 
 
 def test_a_person_who_turns_the_view_gets_there_at_once() -> None:
-    arm = Arm(Wall(2.0, math.pi))
-    arm.held(HERE, 0.0, Orbit(distance_m=1.7), 0.1)
-    assert arm.held(HERE, 0.0, Orbit(), 0.0).distance_m == pytest.approx(1.7)
+    arm = _Arm(Wall(2.0, math.pi))
+    arm.held(HERE, 0.0, _Orbit(distance_m=1.7), 0.1)
+    assert arm.held(HERE, 0.0, _Orbit(), 0.0).distance_m == pytest.approx(1.7)
 
 
 def seen(T_CW: np.ndarray, point: tuple[float, float, float]) -> np.ndarray:
@@ -183,7 +183,7 @@ def seen(T_CW: np.ndarray, point: tuple[float, float, float]) -> np.ndarray:
 @pytest.mark.parametrize("yaw_rad", [0.0, 1.0, -2.5])
 def test_the_camera_stands_behind_the_chair_and_looks_over_it(yaw_rad: float) -> None:
     here = np.array([10.0, -4.0, 1.5])
-    T_CW = eye(here, yaw_rad, Orbit())
+    T_CW = _eye(here, yaw_rad, _Orbit())
     stands = -T_CW[:, :3].T @ T_CW[:, 3]
     ahead = np.array([math.cos(yaw_rad), math.sin(yaw_rad)])
     assert (stands[:2] - here[:2]) @ ahead < -4.0 and stands[2] > here[2] + AIM_M
@@ -194,7 +194,7 @@ def test_the_camera_stands_behind_the_chair_and_looks_over_it(yaw_rad: float) ->
 
 
 def test_turning_to_the_left_side_shows_the_chair_from_there() -> None:
-    T_CW = eye(np.zeros(3), 0.0, Orbit(turn_rad=-math.pi / 2))
+    T_CW = _eye(np.zeros(3), 0.0, _Orbit(turn_rad=-math.pi / 2))
     stands = -T_CW[:, :3].T @ T_CW[:, 3]
     assert stands[1] < -4.0 or stands[1] > 4.0
     assert abs(stands[0]) < 1e-6
@@ -208,6 +208,6 @@ def test_nobody_gets_below_the_ground_or_lost() -> None:
 def test_the_camera_comes_after_the_chair_the_short_way() -> None:
     yaw = 3.0
     for _ in range(100):
-        yaw = eased(yaw, -3.0, 0.1)
+        yaw = _eased(yaw, -3.0, 0.1)
     assert yaw == pytest.approx(-3.0, abs=1e-6)
-    assert abs(eased(3.0, -3.0, 0.1)) > 3.0
+    assert abs(_eased(3.0, -3.0, 0.1)) > 3.0

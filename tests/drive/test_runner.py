@@ -15,7 +15,7 @@ from tests.drive.lookers import Breaks, BreaksAtOnce, Noted, as_said
 from wcsim.drive import messages as m
 from wcsim.drive import runner as runner_module
 from wcsim.drive.driven import EventKind
-from wcsim.drive.runner import DONE, JSON, LINE, PICTURES, DriveRunner, drive_about, drive_state
+from wcsim.drive.runner import DONE, JSON, LINE, PICTURES, _drive_about, _drive_state, _DriveRunner
 from wcsim.drive.session import DriveSession
 from wcsim.drive.starting import DriveStart
 from wcsim.types import ClassId, Joystick
@@ -35,7 +35,7 @@ def heard_of(start: DriveStart, monkeypatch: pytest.MonkeyPatch, *said: dict[str
     server, pipe = Pipe()
     for message in (*said, {"say": "end"}):
         server.send(as_said(**message))
-    DriveRunner(pipe, start, clock=lambda: now_s[0]).run()
+    _DriveRunner(pipe, start, clock=lambda: now_s[0]).run()
     pipe.close()
     heard = []
     while server.poll():
@@ -79,10 +79,10 @@ def test_the_chair_faces_its_way_when_it_stands_in_its_street_and_the_terminal_h
 
 
 @pytest.fixture
-def drive(corner: Path) -> Iterator[DriveRunner]:
+def drive(corner: Path) -> Iterator[_DriveRunner]:
     """A drive that is open, whose stick is pushed and counts."""
     server, pipe = Pipe()
-    runner = DriveRunner(pipe, DriveStart(town=str(corner), policy="dwa"), clock=lambda: 100.0)
+    runner = _DriveRunner(pipe, DriveStart(town=str(corner), policy="dwa"), clock=lambda: 100.0)
     runner._begin()
     for stick in ((0.0, 0.0), (0.0, 1.0)):
         runner._watch.hear(Joystick(*stick), False, 100.0)
@@ -92,7 +92,7 @@ def drive(corner: Path) -> Iterator[DriveRunner]:
     pipe.close()
 
 
-def test_an_episode_that_ends_asks_for_a_stick_at_rest(drive: DriveRunner, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_episode_that_ends_asks_for_a_stick_at_rest(drive: _DriveRunner, monkeypatch: pytest.MonkeyPatch) -> None:
     drive._tick(100.0)
     assert not drive._watch.must_rest
     monkeypatch.setattr(DriveSession, "ended", property(lambda session: True))
@@ -101,7 +101,7 @@ def test_an_episode_that_ends_asks_for_a_stick_at_rest(drive: DriveRunner, monke
 
 
 def test_a_press_while_a_crash_is_shown_does_not_overrule_in_the_next_episode(
-    drive: DriveRunner, monkeypatch: pytest.MonkeyPatch
+    drive: _DriveRunner, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def press() -> bool:
         for overrule in (True, False):
@@ -115,7 +115,7 @@ def test_a_press_while_a_crash_is_shown_does_not_overrule_in_the_next_episode(
     assert not press()
 
 
-def test_a_policy_that_breaks_stops_time_once(drive: DriveRunner) -> None:
+def test_a_policy_that_breaks_stops_time_once(drive: _DriveRunner) -> None:
     assert drive.session is not None
     drive.session.assistance._agent.policy = Breaks(None)
     events = Noted()
@@ -138,7 +138,7 @@ def test_a_policy_that_breaks_stops_time_once(drive: DriveRunner) -> None:
 
 
 @pytest.mark.parametrize("where", ["act", "reset"])
-def test_a_policy_that_breaks_again_at_once_is_told_of_again(drive: DriveRunner, where: str) -> None:
+def test_a_policy_that_breaks_again_at_once_is_told_of_again(drive: _DriveRunner, where: str) -> None:
     assert drive.session is not None
     drive.session.assistance._agent.policy = BreaksAtOnce(where)
     events = Noted()
@@ -174,7 +174,7 @@ class Desk:
     def __init__(self, corner: Path) -> None:
         self.now_s = 100.0
         self.server, pipe = Pipe()
-        self.runner = DriveRunner(pipe, DriveStart(town=str(corner), policy="dwa"), clock=lambda: self.now_s)
+        self.runner = _DriveRunner(pipe, DriveStart(town=str(corner), policy="dwa"), clock=lambda: self.now_s)
         self.runner._begin()
 
     def say(self, say: str, **more: object) -> None:
@@ -305,10 +305,10 @@ def test_no_message_of_a_page_ends_the_drive(desk: Desk) -> None:
     assert desk.runner.session is not None and desk.runner.session.ticks > 0, "the drive goes on"
 
 
-def test_the_page_is_told_the_streets_seed_and_when_the_chair_is_on_the_road(drive: DriveRunner) -> None:
+def test_the_page_is_told_the_streets_seed_and_when_the_chair_is_on_the_road(drive: _DriveRunner) -> None:
     session = drive.session
     assert session is not None
-    assert drive_about(session)["seed"] == session.place.start.seed
+    assert _drive_about(session)["seed"] == session.place.start.seed
     ground, told = session.world.street.grid, {}
     for y in range(-30, 31):
         xy = (float(session.client.plant.p_WB_m[0]), float(y))
@@ -316,4 +316,4 @@ def test_the_page_is_told_the_streets_seed_and_when_the_chair_is_on_the_road(dri
     for kind in (ClassId.ROAD, ClassId.SIDEWALK):
         session.world.put_chair(0, np.array(told[kind]), 0.0)
         drive._tick(100.0)
-        assert drive_state(session, drive.clock, "", False)["on_road"] is (kind is ClassId.ROAD)
+        assert _drive_state(session, drive.clock, "", False)["on_road"] is (kind is ClassId.ROAD)

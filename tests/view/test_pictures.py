@@ -10,8 +10,9 @@ from wcsim.errors import ConfigError, DiskFullError
 from wcsim.physics.renderer.instances import ChairPose
 from wcsim.supervisor.palette import COLOURS
 from wcsim.types import ActorKind, ClassId, Route
+from wcsim.view.filming import _triptych
 from wcsim.view.map import ROUTE_RGB, MapView
-from wcsim.view.pictures import captioned, class_colours, depth_colours, open_video, side_by_side, triptych, write_png
+from wcsim.view.pictures import captioned, class_colours, depth_colours, open_video, side_by_side, write_png
 
 
 def test_every_class_has_a_colour_of_its_own():
@@ -32,7 +33,7 @@ def test_depth_goes_from_red_to_blue_and_ends_in_black():
 def test_a_triptych_shows_three_panels_of_one_size():
     rgb = np.full((60, 80, 3), 90, np.uint8)
     classes, depth = np.full((60, 80), ClassId.ROAD, np.uint8), np.full((60, 80), 3.0, np.float32)
-    image = triptych(rgb, classes, depth)
+    image = _triptych(rgb, classes, depth)
     assert image.shape == (60, 240, 3) and image.dtype == np.uint8
     assert image[50, 70].tolist() == [90, 90, 90]
     assert image[50, 150].tolist() == [128, 64, 128]

@@ -9,15 +9,15 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from rich.table import Column, Table
+from rich.table import Column
 from rich.text import Text
 
 from wcsim.cli.shared.common import Flag, OutFile, parse, write_json
-from wcsim.cli.shared.consoles import stdout_console
+from wcsim.cli.shared.consoles import show_table
 from wcsim.core.files import can_be_written
 from wcsim.core.reading import counted, escaped
 from wcsim.errors import ConfigError, WcsimError
@@ -33,7 +33,7 @@ _MIN_SHM_BYTES = 32 << 20
 
 
 @dataclass
-class Options:
+class _Options:
     """Check versions, SUMO, threads and shared memory, and run a town for five seconds."""
 
     town: str = "helsinki"
@@ -44,39 +44,31 @@ class Options:
     """Write the findings to this file."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Finding:
-    """One line of the report."""
-
-    check: str
-    ok: bool
-    says: str
+_Finding = tuple[bool, str]  # whether a check came out well, and what it says
 
 
 def run(words: list[str]) -> int:
     """Run the checks; exit code 2 when one fails."""
-    options = parse(Options, words, "doctor")
-    checks: tuple[Callable[[], _Finding], ...] = (
-        _python,
-        _versions,
-        _sumo,
-        _threads,
-        _shared_memory,
-        lambda: _ticks(options.town, options.seed),
-        _cache,  # the street of that town is in it by now
-    )
-    findings = [check() for check in checks]
-    table = Table("check", "", Column("found", overflow="fold"))
-    for item in findings:
-        table.add_row(item.check, "ok" if item.ok else "FAILS", Text(item.says))
-    stdout_console().print(table)
-    write_json(options.json, {item.check: {"ok": item.ok, "says": item.says} for item in findings})
-    return 0 if all(item.ok for item in findings) else 2
+    options = parse(_Options, words, "doctor")
+    checks: dict[str, Callable[[], _Finding]] = {
+        "python": _python,
+        "packages": _versions,
+        "sumo": _sumo,
+        "threads": _threads,
+        "shared memory": _shared_memory,
+        "tick rate": lambda: _ticks(options.town, options.seed),
+        "cache": _cache,  # the street of that town is in it by now
+    }
+    findings = {name: check() for name, check in checks.items()}
+    rows = ((name, "ok" if ok else "FAILS", Text(says)) for name, (ok, says) in findings.items())
+    show_table(("check", "", Column("found", overflow="fold")), rows)
+    write_json(options.json, {name: {"ok": ok, "says": says} for name, (ok, says) in findings.items()})
+    return 0 if all(ok for ok, _ in findings.values()) else 2
 
 
 def _python() -> _Finding:
     right = sys.version_info[:2] == (3, 11) and sys.platform == "linux"
-    return _Finding("python", right, f"{sys.version.split()[0]} on {sys.platform}; needs 3.11 on linux")
+    return right, f"{sys.version.split()[0]} on {sys.platform}; needs 3.11 on linux"
 
 
 def _versions() -> _Finding:
@@ -87,7 +79,7 @@ def _versions() -> _Finding:
         except PackageNotFoundError:
             missing.append(name)
     says = ", ".join(found) + (f"; MISSING: {', '.join(missing)} (pip install)" if missing else "")
-    return _Finding("packages", not missing, says)
+    return not missing, says
 
 
 def _sumo() -> _Finding:
@@ -96,13 +88,13 @@ def _sumo() -> _Finding:
     try:
         done = run_tool("sumo", ["--version"], Path(tempfile.gettempdir()))
     except WcsimError as error:
-        return _Finding("sumo", False, str(error))
-    return _Finding("sumo", done.returncode == 0, done.output.strip().splitlines()[0])
+        return False, str(error)
+    return done.returncode == 0, done.output.strip().splitlines()[0]
 
 
 def _threads() -> _Finding:
     cores = len(os.sched_getaffinity(0))
-    return _Finding("threads", cores >= 2, f"{cores} cores usable; needs 2")
+    return cores >= 2, f"{cores} cores usable; needs 2"
 
 
 def _shared_memory() -> _Finding:
@@ -110,15 +102,15 @@ def _shared_memory() -> _Finding:
     free = shutil.disk_usage(folder).free
     says = f"{free >> 20} MiB free in {folder}; needs 32 MiB"
     if free < _MIN_SHM_BYTES:
-        return _Finding("shared memory", False, says)
+        return False, says
     try:
         with tempfile.TemporaryFile(dir=folder) as file:
             file.truncate(_MIN_SHM_BYTES)
             with mmap.mmap(file.fileno(), _MIN_SHM_BYTES) as block:
                 block[-1] = 1
     except (OSError, ValueError) as error:
-        return _Finding("shared memory", False, f"{says}; it cannot be used: {error}")
-    return _Finding("shared memory", True, says)
+        return False, f"{says}; it cannot be used: {error}"
+    return True, says
 
 
 def _cache() -> _Finding:
@@ -129,7 +121,7 @@ def _cache() -> _Finding:
     says = f"{facts.streets} streets, {size_mb:.0f} MB in {shown_cache()}; wcsim cache --clear empties it"
     if not can_be_written(facts.folder):
         says += "; it is read-only, so each world builds its street again"
-    return _Finding("cache", True, says)
+    return True, says
 
 
 def _ticks(town: str, seed: int) -> _Finding:
@@ -153,13 +145,13 @@ def _ticks(town: str, seed: int) -> _Finding:
                 ticks += 1
             rate = ticks / (time.perf_counter() - ready)
             says = f"{rate:.0f} ticks/s in {town}, ready after {ready - started:.1f} s; real time is 10"
-            return _Finding("tick rate", rate >= _REAL_TIME_TICKS_PER_S, says)
+            return rate >= _REAL_TIME_TICKS_PER_S, says
     except WcsimError as error:
-        return _Finding("tick rate", False, str(error))
+        return False, str(error)
 
 
 @dataclass
-class CacheOptions:
+class _CacheOptions:
     """Show the cache of streets, checked nets, machine code and generated places."""
 
     clear: Flag = False
@@ -172,7 +164,7 @@ def cache(words: list[str]) -> int:
     """Print it, and clear the cache if requested."""
     from wcsim.towns.cache.folder import cache_facts, clear_cache
 
-    options = parse(CacheOptions, words, "cache")
+    options = parse(_CacheOptions, words, "cache")
     before = cache_facts()
     left = clear_cache() if options.clear else before
     checked = counted(before.verdicts, "checked net or scenario", "checked nets and scenarios")
@@ -183,10 +175,7 @@ def cache(words: list[str]) -> int:
         print(f"removed {(before.size_bytes - left.size_bytes) / 1e6:.1f} MB")
     else:
         print("clear it: wcsim cache --clear")
-    result = {"folder": str(before.folder), "streets": before.streets, "verdicts": before.verdicts}
-    result |= {"kernels": before.kernels, "driven": before.driven, "unfinished": before.unfinished}
-    result |= {"size_bytes": before.size_bytes, "left_bytes": left.size_bytes}
-    write_json(options.json, result)
+    write_json(options.json, {**asdict(before), "folder": str(before.folder), "left_bytes": left.size_bytes})
     if options.clear and left.size_bytes:
         raise ConfigError(
             f"{escaped(left.folder)}: {left.size_bytes} bytes are left; expected files that you may remove"

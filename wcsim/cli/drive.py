@@ -33,7 +33,7 @@ class _AssistedOptions(PageOptions):
 
 
 @dataclass(kw_only=True)
-class Options(_AssistedOptions):
+class _Options(_AssistedOptions):
     """Drive a wheelchair yourself: a page in your browser, with keys, pointer, gamepad or switches.
 
     A policy assists you; on the page you can switch it off, change its level and overrule it. docs/drive.md
@@ -87,18 +87,18 @@ def run(words: list[str]) -> int:
         )
     if says(words, "--study"):
         return _study(parse(_StudyOptions, words, "drive"))
-    options: _AssistedOptions = parse(_EpisodeOptions if says(words, "--suite") else Options, words, "drive")
+    options: _AssistedOptions = parse(_EpisodeOptions if says(words, "--suite") else _Options, words, "drive")
     require_policy(options.policy, options.network, alone=True)
     if options.profile:
         require_user(options.profile)
-    if isinstance(options, Options):
+    if isinstance(options, _Options):
         find_town(options.town)
     place = {name: value for name, value in vars(options).items() if name in _PLACE}
     print(_LOADING, flush=True)
     from wcsim.drive.runner import DriveOrder  # loads the simulators, which --help must not
     from wcsim.drive.starting import DriveStart, check_recordable, checked
 
-    start = DriveStart(**{"seed": Options.seed, **place})
+    start = DriveStart(**{"seed": _Options.seed, **place})
     if options.record is not None:
         check_recordable(start)
     return serve_page(DriveOrder(start=checked(start), keep=options.record), options)

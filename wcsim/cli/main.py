@@ -59,7 +59,7 @@ def _require_streams() -> None:
             stream.reconfigure(errors="backslashreplace")  # a terminal may know few letters
 
 
-def told_cause(error: Exception) -> tuple[str, Exit]:
+def _told_cause(error: Exception) -> tuple[str, Exit]:
     """What to do about an error whose cause is around the command, and how that ends; "" for a fault of ours."""
     from wcsim.server.protocol.limits import told_limit  # as seldom wanted as this is
 
@@ -104,7 +104,7 @@ class _Subcommand:
 SUBCOMMANDS = (
     _Subcommand("demo", "training.demo", "learn", "train in Helsinki, test in Monaco, print the table"),
     _Subcommand("train", "training.train", "learn", "train a danger network, in rounds of driving"),
-    _Subcommand("train-q", "training.train_q", "learn", "train a network by Q-learning"),
+    _Subcommand("train-q", "training.train:run_q", "learn", "train a network by Q-learning"),
     _Subcommand("train-clients", "training.train_clients", "learn", "train several networks at once in one world"),
     _Subcommand("resume", "training.resume", "learn", "continue a training"),
     _Subcommand("collect", "training.collect", "learn", "record driving that a network can learn from"),
@@ -210,7 +210,7 @@ def _run(work: Callable[[list[str]], int], words: list[str], own_process: bool) 
             raise ConfigError(f"argument '{escaped(word)}' is not valid UTF-8; rename that file, or set LANG=C.UTF-8")
         return work(words)
     except WcsimError as error:
-        print(f"wcsim: {printable(str(error))}", file=sys.stderr)
+        print(f"wcsim: {_printable(str(error))}", file=sys.stderr)
         return exit_of(error)
     except _Terminated:
         print("wcsim: terminated", file=sys.stderr)
@@ -221,7 +221,7 @@ def _run(work: Callable[[list[str]], int], words: list[str], own_process: bool) 
     except BrokenPipeError:
         raise
     except Exception as error:
-        told, code = told_cause(error)
+        told, code = _told_cause(error)
         if not told:
             raise
         print(f"wcsim: {told}", file=sys.stderr)
@@ -230,7 +230,7 @@ def _run(work: Callable[[list[str]], int], words: list[str], own_process: bool) 
         return leave.code if isinstance(leave.code, int) else Exit.REFUSED
 
 
-def printable(text: str) -> str:
+def _printable(text: str) -> str:
     """What may hold words of others, without what a terminal obeys; lines stay lines."""
     return "\n".join(escaped(line, len(line) * 10) for line in text.split("\n"))
 
@@ -244,7 +244,7 @@ def _end_undisturbed() -> None:
 
 def _no_subcommand(words: list[str]) -> int:
     if not words or words[0] in ("-h", "--help", "help"):
-        print(usage())
+        print(_usage())
         return Exit.DONE
     if words[0] in ("-V", "--version"):
         from wcsim import __version__
@@ -257,7 +257,7 @@ def _no_subcommand(words: list[str]) -> int:
     return Exit.REFUSED
 
 
-def usage() -> str:
+def _usage() -> str:
     """The help page, with the commands by task."""
     lines = ["usage: wcsim COMMAND [options]                (details: wcsim COMMAND --help)"]
     for _, group in groupby(SUBCOMMANDS, lambda item: item.task):

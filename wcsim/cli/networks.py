@@ -7,12 +7,12 @@ from typing import Annotated
 
 from wcsim.agents.networks.names import NETWORK_NAMES, check_network
 from wcsim.cli.shared.common import Bounds, OutFile, parse, some_words, write_json
-from wcsim.cli.shared.consoles import stdout_console
+from wcsim.cli.shared.consoles import show_table
 from wcsim.cli.shared.exit_codes import Exit
 
 
 @dataclass
-class Options:
+class _Options:
     """Show size, multiplications, memory and decision time of each network."""
 
     names: str = ",".join(NETWORK_NAMES)
@@ -29,23 +29,21 @@ class Options:
 
 def run(words: list[str]) -> int:
     """Measure and print a table."""
-    options = parse(Options, words, "networks")
+    options = parse(_Options, words, "networks")
     names = some_words("--names", options.names)
     for name in names:
         check_network(name)
-    from rich.table import Table
-
     from wcsim.agents.networks.costs import LIMIT_MS, RESERVE_MS, measure_cost  # torch is loaded here
 
     costs = [measure_cost(name, options.height, options.width, options.runs) for name in names]
-    table = Table("network", "window", "params", "MACs", "MB", "p50 ms", "p99 ms", "ONNX p50 ms", "fits")
-    for cost in costs:
-        onnx = "-" if cost.onnx_p50_ms is None else f"{cost.onnx_p50_ms:.2f}"
-        table.add_row(
-            *(cost.name, str(cost.window), f"{cost.params:,}", f"{cost.macs / 1e6:.1f} M", f"{cost.mb:.1f}"),
-            *(f"{cost.p50_ms:.2f}", f"{cost.p99_ms:.2f}", onnx, "yes" if cost.within_100_ms else "no"),
-        )
-    stdout_console().print(table)
+    headings = ("network", "window", "params", "MACs", "MB", "p50 ms", "p99 ms", "ONNX p50 ms", "fits")
+    rows = (
+        (cost.name, str(cost.window), f"{cost.params:,}", f"{cost.macs / 1e6:.1f} M", f"{cost.mb:.1f}",
+         f"{cost.p50_ms:.2f}", f"{cost.p99_ms:.2f}", "-" if cost.onnx_p50_ms is None else f"{cost.onnx_p50_ms:.2f}",
+         "yes" if cost.within_100_ms else "no")
+        for cost in costs
+    )  # fmt: skip
+    show_table(headings, rows)
     print(
         f"{options.width}x{options.height} pixels, one core; fits: a decision takes at most {LIMIT_MS:g} ms less "
         f"{RESERVE_MS:g} ms, which a real chair needs to segment its pictures"

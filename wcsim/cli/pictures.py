@@ -14,13 +14,12 @@ from wcsim.cli.shared.common import (
     Repeated,
     SomeTown,
     Writes,
-    missing_folder,
     parse,
     result_file,
-    tell_made,
+    told_if_made,
 )
+from wcsim.cli.shared.consoles import StageBar
 from wcsim.cli.shared.run_config import require_policy, require_user
-from wcsim.cli.shared.stage_bar import StageBar
 from wcsim.errors import ConfigError
 from wcsim.towns.scenario.town import find_town
 
@@ -54,13 +53,13 @@ def look(words: list[str]) -> int:
     town = find_town(options.town)
     street, picture, video = (options.out / f"{town.name}{kind}" for kind in ("-street.png", ".png", ".webm"))
     Writes().check("--out", video)
-    missing = missing_folder(video)
 
     from wcsim.drive.pictures import StillPictures  # these load the simulators, which --help must not
     from wcsim.view.filming import BusiestMoment, FilmDriver, FilmedDrive
     from wcsim.view.pictures import write_png
 
     with (
+        told_if_made(video),
         StageBar("filming") as bar,
         FilmedDrive(town, options.seed, _LOOK_PX, FilmDriver(settings=options.set), video) as film,
     ):
@@ -74,7 +73,6 @@ def look(words: list[str]) -> int:
             if busiest.look(done * film.tick_s, stills.on_way):
                 seen = stills.draw()
             bar.show(done / frames, f"second {done * film.tick_s:.0f} of {options.seconds:g}")
-    tell_made(missing)
     place = f"{options.town}, seed {options.seed}"
     with result_file(street) as part:
         write_png(part, seen)
@@ -167,11 +165,11 @@ def video(words: list[str]) -> int:
         raise ConfigError("--network is for a run that was trained with it; expected --policy RUN, too")
     require_user(profile)
     town = find_town(options.town)
-    missing = missing_folder(options.out)
     from wcsim.view.filming import FilmDriver, FilmedDrive  # loads the simulators, which --help must not
 
     driver = FilmDriver(policy=options.policy, network=options.network, profile=profile, settings=options.set)
     with (
+        told_if_made(options.out),
         StageBar("filming") as bar,
         FilmedDrive(town, options.seed, options.width, driver, options.out) as film,
     ):
@@ -183,7 +181,6 @@ def video(words: list[str]) -> int:
                 film.add()
             second = f"second {done * film.tick_s:.0f} of {options.start + options.seconds:g}"
             bar.show(done / (before + frames), second)
-    tell_made(missing)
     user = f"the user {profile}"
     who = f"{options.policy} assists {user}" if options.policy else user
     after = f" after {options.start:g} s" if before else ""

@@ -9,12 +9,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from rich.table import Table
 from rich.text import Text
 from tyro.conf import Positional, arg
 
 from wcsim.cli.shared.common import OutFile, Parts, Writes, run_part, write_json
-from wcsim.cli.shared.consoles import stdout_console
+from wcsim.cli.shared.consoles import show_table
 from wcsim.config import read_toml
 from wcsim.config.scene import SceneFile
 from wcsim.core.reading import counted, escaped
@@ -75,7 +74,7 @@ class _MakeOptions:
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class _Outcome:
     """How a scene ended."""
 
     name: str
@@ -101,16 +100,15 @@ def _names(folders: tuple[Path, ...]) -> tuple[str, ...]:
 
 
 def _list(_: _ListOptions) -> int:
-    table = Table("scene", "seconds", "chairs", "what it tests", show_lines=True)
-    broken = []
+    rows, broken = [], []
     for folder in list_scenes():
         try:
             scene = read_toml(folder / "scene.toml", SceneFile)
         except ConfigError as error:
             broken.append(str(error))
             continue
-        table.add_row(folder.name, f"{scene.duration_s:g}", str(len(scene.seats)), Text(escaped(scene.shows, 2000)))
-    stdout_console().print(table)
+        rows.append((folder.name, f"{scene.duration_s:g}", str(len(scene.seats)), Text(escaped(scene.shows, 2000))))
+    show_table(("scene", "seconds", "chairs", "what it tests"), rows, show_lines=True)
     if broken:
         raise ConfigError("; ".join(broken))
     return 0
@@ -121,11 +119,11 @@ def _run(options: _RunOptions) -> int:
         raise ConfigError(f"--film takes one scene, got {len(options.scenes)}; name the scene to film")
     folders = _folders(options.scenes)
     outcomes = [_outcome(folder, name) for folder, name in zip(folders, _names(folders), strict=True)]
-    table = Table("scene", "", "result")
-    for outcome in outcomes:
-        told = "; ".join(outcome.faults) or _words(outcome.facts)
-        table.add_row(outcome.name, "FAILS" if outcome.faults else "ok", Text(told))
-    stdout_console().print(table)
+    rows = (
+        (each.name, "FAILS" if each.faults else "ok", Text("; ".join(each.faults) or _words(each.facts)))
+        for each in outcomes
+    )
+    show_table(("scene", "", "result"), rows)
     write_json(
         options.json,
         {o.name: {"ok": not o.faults, "faults": list(o.faults), **o.facts} for o in outcomes},
@@ -138,7 +136,7 @@ def _run(options: _RunOptions) -> int:
     return 1 if any(outcome.faults for outcome in outcomes) else 0
 
 
-def _outcome(folder: Path, name: str) -> Outcome:
+def _outcome(folder: Path, name: str) -> _Outcome:
     from wcsim.log.diff import golden_difference  # loads the simulators, which --help must not
     from wcsim.scenes.run import run_in_child
 
@@ -153,7 +151,7 @@ def _outcome(folder: Path, name: str) -> Outcome:
         else:
             told = golden_difference(trace, golden)
             found += (f"differs from the golden trace: {told}",) if told else ()
-    return Outcome(name, facts, found)
+    return _Outcome(name, facts, found)
 
 
 def _bless(options: _BlessOptions) -> int:

@@ -10,10 +10,9 @@ from typing import Annotated
 
 from tyro.conf import arg
 
-from wcsim.cli.shared.common import Bounds, Flag, OutFolder, SettingsOptions, check_folder, parse, some_words
-from wcsim.cli.shared.consoles import warn
+from wcsim.cli.shared.common import Bounds, Flag, Lease, OutFolder, SettingsOptions, check_folder, parse, some_words
+from wcsim.cli.shared.consoles import beside, print_overrides, warn
 from wcsim.cli.shared.exit_codes import Exit
-from wcsim.cli.shared.overrides import beside, print_overrides
 from wcsim.cli.shared.run_config import overrides_of
 from wcsim.config import RunConfig, resolve
 from wcsim.core.reading import require_no_links
@@ -39,7 +38,7 @@ _EVERYWHERE = ("0.0.0.0", "[::]", "*")  # noqa: S104 - what is compared with, no
 
 
 @dataclass(kw_only=True)
-class Options(SettingsOptions):
+class _Options(SettingsOptions):
     """Run a shared world until Ctrl-C; clients join it with `wcsim join`, on this machine or on others."""
 
     town: str = "helsinki"
@@ -58,7 +57,7 @@ class Options(SettingsOptions):
     """Generate missing keys for these clients and the server in the folder --keys."""
     run: OutFolder = None
     """Save journal, logs and the outputs of the town's scenario here; continues a world in the folder."""
-    lease: Annotated[float, arg(metavar="S"), Bounds(1.0, 86_400.0)] = 120.0
+    lease: Lease = 120.0
     """Seconds without a sign of progress after which a client is dropped."""
     max_think: Annotated[float | None, arg(metavar="S"), Bounds(0.1, 86_400.0)] = None
     """Seconds that a client may take for an action before it is dropped; unlimited by default."""
@@ -70,7 +69,7 @@ class Options(SettingsOptions):
 
 def run(words: list[str]) -> int:
     """Serve until somebody asks for the end."""
-    options = parse(Options, words, "serve")
+    options = parse(_Options, words, "serve")
     Bounds(1, options.seats).check("--expected", options.expected)
     _check_doors(options)
     config = resolve(options.preset, options.config, options.set)
@@ -83,7 +82,7 @@ def run(words: list[str]) -> int:
         return _served(options, town, config, place)
 
 
-def _served(options: Options, town: Town, config: RunConfig, place: Path) -> int:
+def _served(options: _Options, town: Town, config: RunConfig, place: Path) -> int:
     folder = place if options.run is None else options.run
     overrides = overrides_of(town, config, options.seed)
     told = [True]
@@ -107,13 +106,13 @@ def _served(options: Options, town: Town, config: RunConfig, place: Path) -> int
     return Exit.DONE
 
 
-def _how_to_join(endpoint: str, listening: str, options: Options) -> str:
+def _how_to_join(endpoint: str, listening: str, options: _Options) -> str:
     """What a client has to say."""
     lines = [
         f"the world runs until Ctrl-C; join it with: wcsim join {shlex.quote(endpoint)} --network patch --steps 1000"
     ]
     if listening:
-        address = reachable(listening, socket.gethostname())
+        address = _reachable(listening, socket.gethostname())
         names = () if options.keys is None else known_names(options.keys)
         named = [f" --keys {shlex.quote(str(options.keys))} --name {name}" for name in names[:_TOLD_NAMES]] or [""]
         lines += [f"over the network: wcsim join {address}{who} --network patch --steps 1000" for who in named]
@@ -122,17 +121,17 @@ def _how_to_join(endpoint: str, listening: str, options: Options) -> str:
     return "\n".join(lines)
 
 
-def reachable(listening: str, host: str) -> str:
+def _reachable(listening: str, host: str) -> str:
     """An address as others can use it: one that listens everywhere is called by the machine's name.
 
-    >>> reachable("tcp://0.0.0.0:5555", "lab3"), reachable("tcp://[::]:5555", "lab3"), reachable("tcp://a:5", "lab3")
+    >>> _reachable("tcp://0.0.0.0:5555", "lab3"), _reachable("tcp://[::]:5555", "lab3"), _reachable("tcp://a:5", "lab3")
     ('tcp://lab3:5555', 'tcp://lab3:5555', 'tcp://a:5')
     """
     place, _, port = listening.removeprefix("tcp://").rpartition(":")
     return f"tcp://{host}:{port}" if place in _EVERYWHERE else listening
 
 
-def _check_doors(options: Options) -> None:
+def _check_doors(options: _Options) -> None:
     """Make the keys that are asked for, and refuse an address that others could reach without any."""
     if options.make_keys:
         if options.keys is None:
@@ -169,7 +168,7 @@ def _prepare(folder: Path) -> None:
                 warn(told_torn(journal, writer.cut_bytes))
 
 
-def _order(options: Options, town: Town, config: RunConfig, place: Path) -> WorldSpec:
+def _order(options: _Options, town: Town, config: RunConfig, place: Path) -> WorldSpec:
     return WorldSpec(
         town=town.address,
         config=config,

@@ -227,7 +227,7 @@ def spoken(say: str, told: Mapping[str, object]) -> bytes:
     - `keeping`: whether the drive is kept in a `file`, and a line.
     - `study`: the `view` of a step, see `step_view`.
     - `busy`: the street is not there yet, in a line; with `waits` False nothing is waited for any more.
-    - `about`, `state`: see `drive_about`, `drive_state`, and of a film `film_about`, `film_state`.
-    - `marks`: all marks of a film's time line, see `FilmMark`.
+    - `about`, `state`: see `_drive_about`, `_drive_state`, and of a film `_film_about`, `_film_state`.
+    - `marks`: all marks of a film's time line, see `_FilmMark`.
     """
     return msgspec.json.encode({"say": say, **told})

@@ -65,7 +65,7 @@ SMALLEST_PX, LARGEST_PX = 160, 1280
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Orbit:
+class _Orbit:
     """How a person has turned the camera."""
 
     turn_rad: float = 0.0  # around the chair, 0 from behind, positive to its left side
@@ -73,34 +73,34 @@ class Orbit:
     distance_m: float = 6.0
 
 
-def clamped(turn_rad: float, tilt_rad: float, distance_m: float) -> Orbit:
+def clamped(turn_rad: float, tilt_rad: float, distance_m: float) -> _Orbit:
     """An orbit within its bounds.
 
     >>> clamped(7.0, 9.0, 0.1).distance_m, round(clamped(7.0, 0.1, 3.0).turn_rad, 3)
     (2.0, 0.717)
     """
-    return Orbit(
+    return _Orbit(
         turn_rad=math.remainder(turn_rad, 2.0 * math.pi),
         tilt_rad=min(max(tilt_rad, _LOWEST_RAD), _HIGHEST_RAD),
         distance_m=min(max(distance_m, _NEAREST_M), _FARTHEST_M),
     )
 
 
-def eased(yaw_rad: float, wanted_rad: float, dt_s: float) -> float:
+def _eased(yaw_rad: float, wanted_rad: float, dt_s: float) -> float:
     """The camera's yaw `dt_s` later, on its way to that of the chair.
 
-    >>> round(eased(0.0, 1.0, 10.0), 3), round(eased(3.1, -3.1, 0.1), 3)
+    >>> round(_eased(0.0, 1.0, 10.0), 3), round(_eased(3.1, -3.1, 0.1), 3)
     (1.0, 3.115)
     """
     gap = math.remainder(wanted_rad - yaw_rad, 2.0 * math.pi)
     return math.remainder(yaw_rad + gap * (1.0 - math.exp(-dt_s / _TURN_LAG_S)), 2.0 * math.pi)
 
 
-def eye(p_WB_m: F64, yaw_rad: float, orbit: Orbit) -> F64:
+def _eye(p_WB_m: F64, yaw_rad: float, orbit: _Orbit) -> F64:
     """World to camera frame (3, 4) of the camera that looks at a chair at p (3,), whose heading is taken for `yaw_rad`.
 
     >>> import numpy as np
-    >>> T_CW = eye(np.zeros(3), 0.0, Orbit(distance_m=6.0))
+    >>> T_CW = _eye(np.zeros(3), 0.0, _Orbit(distance_m=6.0))
     >>> bool((T_CW[:, :3] @ np.array([0.0, 0.0, AIM_M]) + T_CW[:, 3])[2] > 0.0)
     True
     """
@@ -109,11 +109,11 @@ def eye(p_WB_m: F64, yaw_rad: float, orbit: Orbit) -> F64:
     return look_at(_stand(p_WB_m, yaw_rad, orbit), aim_W_m)
 
 
-def _stand(p_WB_m: F64, yaw_rad: float, orbit: Orbit) -> F64:
+def _stand(p_WB_m: F64, yaw_rad: float, orbit: _Orbit) -> F64:
     """Where that camera stands in W, (3,).
 
     >>> import numpy as np
-    >>> _stand(np.zeros(3), 0.0, Orbit(tilt_rad=0.0, distance_m=6.0)).round(3).tolist()
+    >>> _stand(np.zeros(3), 0.0, _Orbit(tilt_rad=0.0, distance_m=6.0)).round(3).tolist()
     [-6.0, 0.0, 0.9]
     """
     from_rad = yaw_rad + math.pi - orbit.turn_rad
@@ -255,7 +255,7 @@ def _seen(point_W_m: F64, camera: Pinhole, T_CW: F64, depth_m: F32) -> tuple[int
     return found if depth_m[found[1], found[0]] > found[2] - _BEHIND_M * (1.0 + 0.05 * found[2]) else None
 
 
-class Arm:
+class _Arm:
     """Holds the camera's place between two pictures, so that it glides.
 
     Args:
@@ -265,10 +265,10 @@ class Arm:
     def __init__(self, renderer: Renderer) -> None:
         self._renderer, self._nobody = renderer, actor_instances(())
         self._images = new_images(_PX, _PX, rgb=False)
-        self._asked: Orbit | None = None
+        self._asked: _Orbit | None = None
         self._tilt_rad, self._share = 0.0, 1.0  # more than asked; of the distance that was asked
 
-    def held(self, p_WB_m: F64, yaw_rad: float, asked: Orbit, dt_s: float) -> Orbit:
+    def held(self, p_WB_m: F64, yaw_rad: float, asked: _Orbit, dt_s: float) -> _Orbit:
         """The orbit from which the chair is seen, as near as can be to the one that was asked for.
 
         Args:
@@ -285,7 +285,7 @@ class Arm:
         tilt_rad = min(asked.tilt_rad + self._tilt_rad, _HIGHEST_RAD)
         return replace(asked, tilt_rad=tilt_rad, distance_m=asked.distance_m * self._share)
 
-    def _fitting(self, p_WB_m: F64, yaw_rad: float, asked: Orbit) -> Orbit:
+    def _fitting(self, p_WB_m: F64, yaw_rad: float, asked: _Orbit) -> _Orbit:
         best, most_m = asked, -1.0
         for more_rad in _TILTS_RAD:
             orbit = replace(asked, tilt_rad=min(asked.tilt_rad + more_rad, _HIGHEST_RAD))
@@ -296,7 +296,7 @@ class Arm:
                 break
         return replace(best, distance_m=min(asked.distance_m, max(most_m, _LEAST_M)))
 
-    def _room_m(self, p_WB_m: F64, yaw_rad: float, orbit: Orbit) -> float:
+    def _room_m(self, p_WB_m: F64, yaw_rad: float, orbit: _Orbit) -> float:
         """From above the chair towards the camera: how far it is to what hides half of the chair, less a margin."""
         aim_W_m = p_WB_m + np.array([0.0, 0.0, AIM_M])
         T_CW = look_at(aim_W_m, _stand(p_WB_m, yaw_rad, orbit))
@@ -321,7 +321,7 @@ class CameraKind(StrEnum):
 class PageLooks:
     """What a page wants to see, and how large."""
 
-    orbit: Orbit = Orbit()
+    orbit: _Orbit = _Orbit()
     width_px: int = 800
     height_px: int = 450
     camera: CameraKind = CameraKind.COLOUR
@@ -340,7 +340,7 @@ class StreetPictures:
         store = GeometryStore(street.mesh)
         self._renderer, self._cast = RasterRenderer(store), Cast(street.signal_heads)
         self._map, self._grid = MapView(store, _MAP_PX, _MAP_SPAN_M), street.grid
-        self._arm = Arm(self._renderer)
+        self._arm = _Arm(self._renderer)
         self._front, self._yaw_rad, self._number = front, 0.0, 0
 
     def draw(self, moment: Moment, looks: PageLooks, dt_s: float) -> bytes:
@@ -351,7 +351,7 @@ class StreetPictures:
             looks: What is wanted.
             dt_s: Since the last pictures, for the camera that comes after the chair.
         """
-        self._yaw_rad = moment.yaw_rad if moment.jumped else eased(self._yaw_rad, moment.yaw_rad, dt_s)
+        self._yaw_rad = moment.yaw_rad if moment.jumped else _eased(self._yaw_rad, moment.yaw_rad, dt_s)
         parts = [(b"S", self._scene(moment, looks, math.inf if moment.jumped else dt_s))]
         if looks.camera is not CameraKind.NOTHING and self._front is not None:
             parts.append((b"C", self._own(moment, looks.camera, self._front)))
@@ -368,7 +368,7 @@ class StreetPictures:
     def _scene(self, moment: Moment, looks: PageLooks, dt_s: float) -> U8:
         here_W_m = moment.chair.p_WB_m
         orbit = self._arm.held(here_W_m, self._yaw_rad, looks.orbit, dt_s)
-        camera, T_CW = _pinhole(looks), eye(here_W_m, self._yaw_rad, orbit)
+        camera, T_CW = _pinhole(looks), _eye(here_W_m, self._yaw_rad, orbit)
         rows, shown = self._rows(moment)
         images = self._look(camera, T_CW, rows, shown)
         if moment.route is None:

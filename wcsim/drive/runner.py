@@ -70,6 +70,12 @@ class PageRunner(ABC):
             finally:
                 self.close()
 
+    def run_process(self) -> None:
+        """Run as all that a process of its own does."""
+        signal.signal(signal.SIGTERM, self.leave)
+        with self._pipe:
+            self.run()
+
     def leave(self, *_: object) -> None:
         """Of SIGTERM: leave at once what takes long; an end that is under way goes on."""
         if not self._over:
@@ -152,13 +158,6 @@ def start_child(
     return ours, process
 
 
-def run_page(runner: PageRunner, pipe: Connection) -> None:
-    """Run in a process of its own."""
-    signal.signal(signal.SIGTERM, runner.leave)
-    with pipe:
-        runner.run()
-
-
 _CRASH_S: Final = 3.0  # so long a crash is shown
 _IDLE_S: Final = 0.05
 _NEWEST: Final = 0.05  # share of the newest in a mean
@@ -196,7 +195,7 @@ class DriveOrder:
 
     def run(self, pipe: Connection) -> None:
         """What the drive's process does."""
-        run_page(DriveRunner(pipe, self.start, self.keep), pipe)
+        _DriveRunner(pipe, self.start, self.keep).run_process()
 
 
 @dataclass(slots=True, kw_only=True)
@@ -228,7 +227,7 @@ class _DriveClock:
         self.due_s = max(self.due_s + (tick_s / self.pace if self.pace else 0.0), now_s)
 
 
-class DriveRunner(PageRunner):
+class _DriveRunner(PageRunner):
     """Runs drives one after another, until the pipe to the server ends.
 
     Args:
@@ -356,7 +355,7 @@ class DriveRunner(PageRunner):
         self._unseen = False
 
     def _note(self, record: DriveRecord) -> None:
-        notice = notice_of(record)
+        notice = _notice_of(record)
         if notice is not None:
             self._say("notice", kind=notice[0], told=notice[1])
 
@@ -367,7 +366,7 @@ class DriveRunner(PageRunner):
 
     def _state(self) -> None:
         if self.session is not None:
-            state = drive_state(self.session, self.clock, self.waiting, self._watch.must_rest)
+            state = _drive_state(self.session, self.clock, self.waiting, self._watch.must_rest)
             self._told_waiting = state["waiting"]
             self._say("state", **state)
 
@@ -411,7 +410,7 @@ class DriveRunner(PageRunner):
         check_offered(DriveStart(town=self._start.town, profile=said.profile), self._start)
         checked(DriveStart(town=session.place.start.town, profile=said.profile))
         self._begin_anew(lambda: session.change_user(said.profile))
-        self._say("about", **drive_about(session))
+        self._say("about", **_drive_about(session))
 
     def _begin_anew(self, begin: Callable[[], None], told: str = "") -> None:
         if told:
@@ -420,7 +419,7 @@ class DriveRunner(PageRunner):
             begin()
         finally:
             if told and self.session is not None:  # nothing is waited for any more, also where it was refused
-                self._say("about", **drive_about(self.session))
+                self._say("about", **_drive_about(self.session))
         self._watch.require_rest()
         self.clock.held_s = 0.0
 
@@ -461,7 +460,7 @@ class DriveRunner(PageRunner):
         self._drawn_episode = -1
         self.clock.opened(self._now_s())
         self._stale, self._unseen, self._told_failure = True, True, False
-        self._say("about", **drive_about(session))
+        self._say("about", **_drive_about(session))
         self._state()
         self._log(f"{session.place.told}: ready to drive")
         return session
@@ -509,7 +508,7 @@ def _refuse_in_study(_: m.PageMessage) -> None:
     raise WcsimError("the study sets this; it cannot be changed while the study runs")
 
 
-def drive_about(session: DriveSession) -> dict[str, Any]:
+def _drive_about(session: DriveSession) -> dict[str, Any]:
     """What is driven, and what else could be; said when a place has been opened, and to each page that comes."""
     suites = {
         name: [(f"{block.part}, {block.town}", len(block.episodes)) for block in open_suite(name).file.blocks]
@@ -533,7 +532,7 @@ def drive_about(session: DriveSession) -> dict[str, Any]:
     }
 
 
-def drive_state(session: DriveSession, clock: _DriveClock, waiting: str, let_go: bool) -> dict[str, Any]:
+def _drive_state(session: DriveSession, clock: _DriveClock, waiting: str, let_go: bool) -> dict[str, Any]:
     """The drive as it is, once a tick. All rests at the beginning of an episode."""
     last = session.last or _RESTS
     return {
@@ -565,7 +564,7 @@ def drive_state(session: DriveSession, clock: _DriveClock, waiting: str, let_go:
     }
 
 
-def notice_of(record: DriveRecord) -> tuple[str, str] | None:
+def _notice_of(record: DriveRecord) -> tuple[str, str] | None:
     """Kind and words of what a person wants to hear of a record; the state says the ticks, and a crash."""
     if not isinstance(record, Note):
         return None

@@ -7,14 +7,13 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
-from typing import Final, Self
+from typing import Any, Final, Self
 
 import cv2
 import numpy as np
 
 from wcsim.agents.envs.episode_view import Info
-from wcsim.agents.envs.seat_driver import Agent, PolicyAgent, SeatDriver
+from wcsim.agents.envs.seat_driver import PolicyAgent, SeatDriver
 from wcsim.agents.evaluation.suite.named_policy import config_for, open_named, sensing
 from wcsim.agents.evaluation.suite.playback import PlayedStep
 from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, VISIBLE_BOUND, Observation, Policy, SeesTruth, Warns, calling
@@ -25,9 +24,9 @@ from wcsim.core.frames import rad
 from wcsim.errors import ConfigError
 from wcsim.supervisor.observation import decode_depth
 from wcsim.towns.scenario.town import Town
-from wcsim.types import U8, CameraFrame, ClassId, Joystick, Route, SeatSpec, Snapshot
+from wcsim.types import F32, U8, CameraFrame, ClassId, Joystick, Route, SeatSpec, Snapshot
 from wcsim.view.map import MapView, street_video
-from wcsim.view.pictures import captioned, class_colours, depth_colours, open_video, side_by_side, triptych
+from wcsim.view.pictures import captioned, class_colours, depth_colours, open_video, side_by_side
 
 _FILM_PX: Final = 480
 
@@ -75,6 +74,12 @@ def sticks(step: PlayedStep) -> tuple[str, str]:
     return asked, given
 
 
+def near(step: PlayedStep) -> list[str]:
+    """Who was there at a step and how far from the chair, nearest first."""
+    gaps = sorted((float(np.hypot(*(actor.p_W_m - step.p_W_m)[:2])), actor.kind.value) for actor in step.actors)
+    return [f"{kind} {gap_m:.1f} m" for gap_m, kind in gaps]
+
+
 _ACTOR_CLASSES = np.array([c.value for c in ClassId if ClassId.PERSON <= c <= ClassId.BICYCLE], np.uint8)
 _IN_VIEW_PX = 12  # an actor counts as in view from about this many pixels of its class on
 _FIELD_OF_VIEW_M = 30.0
@@ -103,7 +108,7 @@ _ALONE: Final = FilmDriver()
 class Shot:
     """One moment through the camera."""
 
-    picture: U8  # see `triptych`
+    picture: U8  # see `_triptych`
     after_s: float
     in_view: int  # actors in the camera's field of view, near enough to be seen
 
@@ -133,8 +138,7 @@ class FilmedDrive:
         with ExitStack() as held:
             self.world = held.enter_context(World(town, config, (spec,), seed))
             if self._policy is not None:
-                agent = _OwnCode(PolicyAgent(self._policy), self._policy)
-                self._driver = SeatDriver(config, agent, self.world.snapshot.clients[0])
+                self._driver = SeatDriver(config, _OwnCode(self._policy), self.world.snapshot.clients[0])
             self._steps = rollout(self.world, {} if self._driver is None else {0: self._driver.choose})
             if video is not None:  # last: what failed before leaves no file
                 try:
@@ -176,7 +180,7 @@ class FilmedDrive:
         """What the camera sees now, so long after the beginning."""
         frame = self._frame()
         return Shot(
-            picture=triptych(self._colours(), frame.class_id, frame.depth_m),
+            picture=_triptych(self._colours(), frame.class_id, frame.depth_m),
             after_s=after_s,
             in_view=self._in_view(self.world.snapshot),
         )
@@ -192,8 +196,8 @@ class FilmedDrive:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self._held.__exit__(kind, error, at)
+    def __exit__(self, *error: Any) -> None:
+        self._held.__exit__(*error)  # of a film that fails nothing is left
 
     def _frame(self) -> CameraFrame:
         return self.world.snapshot.clients[0].sensors.cameras[-1]
@@ -261,21 +265,24 @@ class BusiestMoment:
         return True
 
 
-class _OwnCode:
-    """Around an agent: what a user's own policy raises becomes a PolicyError that says where."""
-
-    def __init__(self, agent: Agent, policy: Policy) -> None:
-        self._agent, self._policy = agent, policy
+class _OwnCode(PolicyAgent):
+    """What a user's own policy raises becomes a PolicyError that says where."""
 
     def reset(self, info: Info) -> None:
         """Begin an episode."""
-        with calling(self._policy, "reset"):
-            self._agent.reset(info)
+        with calling(self.policy, "reset"):
+            super().reset(info)
 
-    def act(self, observation: Observation, info: Info) -> object:
-        """Ask the agent."""
-        with calling(self._policy, "act"):
-            return self._agent.act(observation, info)
+    def act(self, observation: Observation, info: Info) -> int:
+        """Ask the policy."""
+        with calling(self.policy, "act"):
+            return super().act(observation, info)
+
+
+def _triptych(rgb: U8, class_id: U8, depth_m: F32) -> U8:
+    """Colour (H, W, 3), class and depth (H, W) of one camera side by side, (H, 3 W, 3) uint8, with captions."""
+    panels = {"camera": rgb, "class": class_colours(class_id), "depth": depth_colours(depth_m)}
+    return np.hstack([captioned(panel, name) for name, panel in panels.items()])
 
 
 def _with_sticks(image: U8, asked: Joystick, given: Joystick, *, warning: bool) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from types import TracebackType
 from typing import Self
 
 from rich import box
@@ -13,6 +12,7 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
+from wcsim.core.closing import Closing
 from wcsim.core.reading import counted
 from wcsim.server.launch.states import ClientState, LaunchState
 from wcsim.server.specs import ClientStatus, WorldStatus
@@ -24,7 +24,7 @@ _SLOW_SHARE = 0.5  # ... or when one client causes so much of all waiting ...
 _ENOUGH_S = 1.0  # ... once that is worth a word
 
 
-class LiveTable:
+class LiveTable(Closing):
     """Shows a `LaunchState` again and again: a table on a terminal, elsewhere a line every ten seconds."""
 
     def __init__(self, console: Console | None = None) -> None:
@@ -54,7 +54,8 @@ class LiveTable:
             self._live.start()
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+    def close(self) -> None:
+        """Leave the terminal as it was."""
         if self.console.is_terminal:
             with suppress(OSError, SystemExit):  # as in `show`
                 self._live.stop()

@@ -52,12 +52,6 @@ def captioned(image: U8, text: str) -> U8:
     return out
 
 
-def triptych(rgb: U8, class_id: U8, depth_m: F32) -> U8:
-    """Colour (H, W, 3), class and depth (H, W) of one camera side by side, (H, 3 W, 3) uint8, with captions."""
-    panels = {"camera": rgb, "class": class_colours(class_id), "depth": depth_colours(depth_m)}
-    return np.hstack([captioned(panel, name) for name, panel in panels.items()])
-
-
 def write_png(path: Path, image: U8) -> None:
     """Write an image (H, W, 3), RGB, or (H, W); the file appears whole or not at all. Raises DiskFullError."""
     bgr = image[..., ::-1] if image.ndim == 3 else image

@@ -21,7 +21,7 @@ def test_a_world_gives_its_clients_the_lease_that_was_asked_for(tmp_path, lease_
     folder = create_clients_folder(tmp_path / "run", config, make_manifest(config, info), {"a": config})
     run = GroupRun(clients=(Client(name="a", seat=0, config=config),), out=folder.path, info=info)
     trained = world_order(run, "t", folder, tmp_path, 1, lease_s)
-    served = serve._order(serve.Options(lease=lease_s), find_town("helsinki"), config, Path("place"))
+    served = serve._order(serve._Options(lease=lease_s), find_town("helsinki"), config, Path("place"))
     assert trained.rules.lease_s == served.rules.lease_s == lease_s
 
 

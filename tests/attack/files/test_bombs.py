@@ -21,7 +21,7 @@ from wcsim.agents.learning.saved_policy import load_policy
 from wcsim.agents.runs.policy_file import POLICY_JSON, WEIGHTS
 from wcsim.agents.runs.run_folder import CONFIG, MANIFEST, open_run, read_json
 from wcsim.cli.main import main
-from wcsim.cli.shared.overrides import print_overrides
+from wcsim.cli.shared.consoles import print_overrides
 from wcsim.config import TownFile, read_toml, resolve
 from wcsim.config.plant import read_plant
 from wcsim.config.scene import SceneFile

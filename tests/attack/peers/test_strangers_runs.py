@@ -13,7 +13,7 @@ from wcsim.agents.clients.client import learn
 from wcsim.agents.runs import own_code
 from wcsim.agents.runs.run_folder import MANIFEST, create_run, make_manifest, open_run, read_json
 from wcsim.bridge.replay.replayed import verify
-from wcsim.cli.main import main, printable
+from wcsim.cli.main import _printable, main
 from wcsim.core.files import locked, write_json
 from wcsim.core.plugins import find_class
 from wcsim.errors import ConfigError, PolicyError, WcsimError
@@ -169,7 +169,7 @@ def test_a_key_that_was_taken_back_is_not_heard_through_an_old_connection(tmp_pa
 
 
 def test_what_a_terminal_obeys_is_not_printed() -> None:
-    assert printable("a\x1b[31mb\nc\x9b1m") == "a\\x1b[31mb\nc\\x9b1m"
+    assert _printable("a\x1b[31mb\nc\x9b1m") == "a\\x1b[31mb\nc\\x9b1m"
 
 
 def test_a_pipe_is_no_entry_of_a_folder_to_follow(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from wcsim.bridge.replay.convert import convert_to_fcd, write_fcd
 from wcsim.bridge.replay.player import Seats
 from wcsim.bridge.replay.replayed import replayed, verify, worlds_of
 from wcsim.bridge.sumo.session import world_in_this_process
-from wcsim.drive.playing.sources.replay_source import replay_about
+from wcsim.drive.playing.sources.replay_source import _replay_about
 from wcsim.errors import ConfigError, ReplayMismatchError, TownError, WcsimError
 from wcsim.log.diff import first_difference
 from wcsim.log.reader import log_digest, read_header, read_states
@@ -157,7 +157,7 @@ def test_worlds_of_a_journal_of_several_towns_take_turns(run, corner, tmp_path, 
     monkeypatch.setattr("wcsim.bridge.replay.replayed.World", lambda town, *given, epoch: town)
     make = worlds_of(header)
     assert [make((None,), 0, epoch) for epoch in range(3)] == [*towns, towns[0]]
-    about = [replay_about(header, 9, epoch=epoch) for epoch in (None, 1)]
+    about = [_replay_about(header, 9, epoch=epoch) for epoch in (None, 1)]
     assert [film.town for film in about] == [town.address for town in towns]
     assert all("change towns" in film.unknown[-1] for film in about)
     with pytest.raises(TownError, match="a net has changed"):

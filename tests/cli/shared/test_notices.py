@@ -80,13 +80,13 @@ def test_an_address_that_listens_everywhere_is_told_by_the_name_of_the_machine(t
     keys = tmp_path / "the keys"
     make_keys(keys, ("ben", "ann"))
     monkeypatch.setattr(serve.socket, "gethostname", lambda: "lab3")
-    options = serve.Options(listen="tcp://0.0.0.0:5599", keys=keys)
+    options = serve._Options(listen="tcp://0.0.0.0:5599", keys=keys)
     lines = serve._how_to_join("ipc:///dev/shm/w", "tcp://0.0.0.0:5599", options).splitlines()
     assert lines[1:] == [
         f"over the network: wcsim join tcp://lab3:5599 --keys '{keys}' --name {name} --network patch --steps 1000"
         for name in ("ann", "ben")
     ]
-    here = serve._how_to_join("ipc:///dev/shm/w", "tcp://127.0.0.1:5", serve.Options(listen="tcp://127.0.0.1:5"))
+    here = serve._how_to_join("ipc:///dev/shm/w", "tcp://127.0.0.1:5", serve._Options(listen="tcp://127.0.0.1:5"))
     assert "wcsim join tcp://127.0.0.1:5 --network patch" in here
 
 

@@ -14,7 +14,7 @@ from wcsim.cli.shared.run_config import (
     require_head,
     resolve_run,
 )
-from wcsim.cli.training.train_q import Options, q_layers
+from wcsim.cli.training.train import _QLearningOptions, q_layers
 from wcsim.config import resolve
 from wcsim.errors import ConfigError, PolicyError
 from wcsim.server.specs import RunInfo
@@ -31,7 +31,7 @@ def test_what_is_laid_over_what(tmp_path):
     file, own = tmp_path / "a.toml", tmp_path / "own.toml"
     file.write_text('[learn]\ngamma = 0.1\nbatch_size = 9\nnetwork = "convlstm"\ntotal_steps = 77\n')
     own.write_text("[learn]\nbatch_size = 11\n")
-    asked = Options(config=file, set=("learn.gamma=0.5",), steps=60)
+    asked = _QLearningOptions(config=file, set=("learn.gamma=0.5",), steps=60)
     learn = q_config(asked, "fig6").learn
     assert (learn.gamma, learn.batch_size, learn.network, learn.total_steps) == (0.5, 9, "fig6", 60)
     assert q_config(asked).learn.network == "convlstm"
@@ -39,13 +39,13 @@ def test_what_is_laid_over_what(tmp_path):
 
 
 def test_a_run_is_learned_with_episodes_of_its_own_length():
-    config = q_config(Options(set=("learn.episode_steps=123", "learn.aid=oracle")))
+    config = q_config(_QLearningOptions(set=("learn.episode_steps=123", "learn.aid=oracle")))
     assert (config.env.max_steps, config.env.truth) == (123, True)
     assert config == resolve(config, learning(config))
 
 
 def test_a_resolved_run_says_all_of_its_town_and_its_network_and_nothing_is_left_to_do(corner, tmp_path):
-    town, config = find_town(str(corner)), q_config(Options(), "fig6")
+    town, config = find_town(str(corner)), q_config(_QLearningOptions(), "fig6")
     assert config.env.window is None
     run = resolve_run(config, INFO, town, tmp_path / "run")
     assert run.config == config.model_copy(update={"env": config.env.model_copy(update={"window": 4})})
@@ -65,8 +65,8 @@ def test_what_cannot_be_used_is_refused_before_torch_is_loaded(corner, tmp_path)
         with pytest.raises(error):
             resolve_run(config, info, town, out)
     code = (
-        "import sys; from wcsim.cli.training.train_q import *\n"
-        "q_layers(Options(), 'fig6'); print('torch' in sys.modules)"
+        "import sys; from wcsim.cli.training.train import _QLearningOptions, q_layers\n"
+        "q_layers(_QLearningOptions(), 'fig6'); print('torch' in sys.modules)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "False"
@@ -84,7 +84,7 @@ def test_a_first_phase_that_the_user_gave_is_taken_as_it_is(tmp_path):
     file.write_text("[learn]\nphase1_steps = 900\n")
 
     def phases(own=None, **said):
-        learn = q_config(Options(preset="paper", steps=900, **said), "", None, own).learn
+        learn = q_config(_QLearningOptions(preset="paper", steps=900, **said), "", None, own).learn
         return learn.phase1_steps, learn.learning_starts
 
     by_preset = phases()

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from rich.console import Console
 
-from wcsim.cli.shared.stage_bar import StageBar, told_left
+from wcsim.cli.shared.consoles import StageBar, _told_left
 
 
 def test_the_time_that_is_left_is_what_the_share_says():
-    assert told_left(60.0, 0.5) == "about 60 s left"
-    assert told_left(61.0, 0.5) == "about 65 s left"
-    assert told_left(60.0, 0.25) == "about 3 min left"
-    assert told_left(60.0, 0.0) == told_left(60.0, 1.0) == ""
+    assert _told_left(60.0, 0.5) == "about 60 s left"
+    assert _told_left(61.0, 0.5) == "about 65 s left"
+    assert _told_left(60.0, 0.25) == "about 3 min left"
+    assert _told_left(60.0, 0.0) == _told_left(60.0, 1.0) == ""
 
 
 def test_what_was_done_before_takes_no_time_now(capsys):

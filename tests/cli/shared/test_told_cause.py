@@ -12,7 +12,7 @@ import pytest
 
 import wcsim
 from wcsim.cli import main as cli
-from wcsim.cli.main import told_cause
+from wcsim.cli.main import _told_cause
 from wcsim.cli.shared.exit_codes import Exit
 
 
@@ -67,7 +67,7 @@ def _caught(raised: Exception) -> Exception:
     ],
 )
 def test_the_cause_decides_what_is_told(raised: Exception, code: Exit, told: str) -> None:
-    line, ends = told_cause(_caught(raised))
+    line, ends = _told_cause(_caught(raised))
     assert ends == code
     assert told in line if told else line == ""
 
@@ -78,7 +78,7 @@ def test_settings_that_numba_refuses_are_named(tmp_path: Path, monkeypatch: pyte
     monkeypatch.setenv("NUMBA_NUM_THREADS", "0")
     with pytest.raises(ValueError, match="must be") as refused:
         exec(code)  # noqa: S102
-    assert told_cause(refused.value)[0].endswith("try again after: unset NUMBA_NUM_THREADS")
+    assert _told_cause(refused.value)[0].endswith("try again after: unset NUMBA_NUM_THREADS")
 
 
 def test_a_fault_of_ours_comes_with_its_traceback(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -24,9 +24,9 @@ from wcsim.cli.main import main
 from wcsim.cli.shared.exit_codes import Exit
 from wcsim.cli.shared.run_config import how_it_learns, learning
 from wcsim.cli.training.clients import ALL_DONE, GroupOptions, _told_stop, train_clients
+from wcsim.cli.training.train import _QLearningOptions as QOptions
+from wcsim.cli.training.train import q_layers
 from wcsim.cli.training.train_clients import Options, client_names, resolved
-from wcsim.cli.training.train_q import Options as QOptions
-from wcsim.cli.training.train_q import q_layers
 from wcsim.config import resolve
 from wcsim.errors import ConfigError, InterruptedRunError, PolicyError
 from wcsim.log.reader import iter_inputs, read_header
@@ -203,7 +203,7 @@ def test_a_stop_that_comes_while_a_part_of_a_run_is_told_ends_the_run(monkeypatc
     def tell(*_):
         os.kill(os.getpid(), signal.SIGTERM)
 
-    monkeypatch.setattr("wcsim.cli.training.clients.print_report", tell)
+    monkeypatch.setattr("wcsim.cli.training.clients._print_report", tell)
     try:
         with pytest.raises(InterruptedRunError, match="wcsim resume"):
             ended(monkeypatch, halfway, last=False)

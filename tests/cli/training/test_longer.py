@@ -6,7 +6,7 @@ from tests.support.one_process import die_after
 from wcsim.agents.runs.run_folder import CONFIG, create_run, make_manifest, open_run
 from wcsim.cli.main import main
 from wcsim.cli.shared.run_config import learning
-from wcsim.cli.training.resume import Options, resumed
+from wcsim.cli.training.resume import _Options, _resumed
 from wcsim.config import RunConfig, resolve
 from wcsim.errors import PolicyError
 from wcsim.server.specs import RunInfo
@@ -22,7 +22,7 @@ def run(tmp_path, corner):
 
 
 def steps_of(path, steps=None):
-    run, _ = resumed(Options(run=path, steps=steps))
+    run, _ = _resumed(_Options(run=path, steps=steps))
     return run.config.learn.total_steps
 
 
@@ -60,7 +60,7 @@ def test_a_run_of_wcsim_join_is_told_to_join_again(run, corner):
     joined = make_manifest(RunConfig(), RunInfo(seed=1, command=("wcsim", "join", "ipc:///x")))
     path = create_run(run.parent / "joined", RunConfig(), joined).path
     with pytest.raises(PolicyError, match="wcsim join ipc:///x --resume"):
-        resumed(Options(run=path))
+        _resumed(_Options(run=path))
 
 
 def test_folders_of_data_are_kept_by_their_whole_path(run, tmp_path, monkeypatch):

@@ -14,9 +14,9 @@ from wcsim.agents.learning.callbacks import TrainProgress
 from wcsim.agents.rounds import train_rounds
 from wcsim.agents.rounds.train_rounds import RoundProgress
 from wcsim.agents.runs.run_folder import ResolvedRun
+from wcsim.cli.shared.consoles import StageBar
 from wcsim.cli.shared.exit_codes import NothingKept
 from wcsim.cli.shared.run_config import how_it_learns
-from wcsim.cli.shared.stage_bar import StageBar
 from wcsim.cli.training.train import _share_done, gone_if_nothing_came_of_it, steps_shown, train_in
 from wcsim.config import resolve
 from wcsim.errors import ConfigError, DiskFullError, InterruptedRunError, WorkersError

@@ -14,7 +14,7 @@ from tests.drive.playing.films import ABOUT as FILM
 from tests.drive.playing.films import chair, film_of, frame
 from wcsim.drive.messages import DriveBy, of_page
 from wcsim.drive.playing.film_states import FilmAbout
-from wcsim.drive.playing.play_runner import Player, film_about, film_state
+from wcsim.drive.playing.play_runner import _film_about, _film_state, _Player
 from wcsim.drive.playing.tick_film import TickFilm
 
 pytestmark = [*IN_CHROMIUM, pytest.mark.timeout(900)]
@@ -115,12 +115,12 @@ def test_a_notice_of_a_film_does_not_lie_on_its_crash(film: PageAlone) -> None:
     made = TickFilm(FILM)
     for at in range(3):
         made.add(frame(at, chair(0, at, "crashed" * (at == 1), reason="hit a scooter" * (at == 1))))
-    player = Player()
+    player = _Player()
     player.seek(2, range(3))
     film.open()
-    film.hear("about", **film_about(FILM, (), "", -1))
+    film.hear("about", **_film_about(FILM, (), "", -1))
     film.hear("marks", marks=made.there)
-    film.hear("state", **film_state(made, player, 0, {0: "ann"}, ("", "", False)))
+    film.hear("state", **_film_state(made, player, 0, {0: "ann"}, ("", "", False)))
     film.until(lambda: film.text("#big") == "The chair hit a scooter.")
     film.page.click("#on-crash")
     film.until(lambda: film.text("#notice") == "This is the last crash.")
@@ -132,9 +132,9 @@ def test_a_notice_of_a_film_does_not_lie_on_its_crash(film: PageAlone) -> None:
 def test_the_lamp_says_who_decides_where_that_is_known(film: PageAlone) -> None:
     film.open()
     for about, told in ((FILM, DECIDES), (JOURNAL, [("", "not known")])):
-        film.hear("about", **film_about(about, (), "", -1))
+        film.hear("about", **_film_about(about, (), "", -1))
         for happened, words in told:
-            film.hear("state", **film_state(film_of(1, {0: happened}), Player(), 0, {0: "ann"}, ("", "", True)))
+            film.hear("state", **_film_state(film_of(1, {0: happened}), _Player(), 0, {0: "ann"}, ("", "", True)))
             film.until(lambda words=words: film.text("#lamp-who span") == words)
 
 

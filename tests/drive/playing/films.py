@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from wcsim.drive.playing.film_states import FilmAbout, FilmBody, FilmChair, FilmFrame
+from wcsim.drive.playing.film_states import FilmAbout, FilmChair, FilmFrame, _FilmBody
 from wcsim.drive.playing.tick_film import TickFilm
 from wcsim.types import ActorKind, Outline, SignalState
 
@@ -28,7 +28,7 @@ def frame(at: int, *chairs: FilmChair) -> FilmFrame:
         epoch=0,
         tick=at + 1,
         time_s=0.1 * (at + 1),
-        bodies=[FilmBody(id="car", kind=ActorKind.CAR)],
+        bodies=[_FilmBody(id="car", kind=ActorKind.CAR)],
         rows=np.array([at, -5.0, 0.0, 0.0, 0.0, 10.0, 0.0, 0.0, 4.5, 1.8, 1.5], "<f4").tobytes(),
         chairs=list(chairs),
         ways={chair.seat: WAY for chair in chairs},

@@ -16,7 +16,7 @@ import pytest
 
 from tests.drive.lookers import as_said
 from wcsim.drive.playing import play_runner
-from wcsim.drive.playing.play_runner import PlayRunner, PlayStart
+from wcsim.drive.playing.play_runner import PlayStart, _PlayRunner
 from wcsim.drive.playing.sources.source_process import FilmSource
 from wcsim.drive.runner import DONE
 
@@ -56,7 +56,7 @@ class Desk:
         assert not self._thread.is_alive()
 
     def _run(self, pipe: Connection, start: PlayStart) -> None:
-        PlayRunner(pipe, start).run()
+        _PlayRunner(pipe, start).run()
 
 
 @pytest.fixture
@@ -123,6 +123,6 @@ def test_who_waits_for_a_run_is_told_why_it_may_take_long(monkeypatch: pytest.Mo
     for gives_way in (True, False):
         ours, theirs = Pipe()
         source = FilmSource(kind="run", path=Path("run"), gives_way=gives_way)
-        PlayRunner(theirs, PlayStart(source=source))._open(source)
+        _PlayRunner(theirs, PlayStart(source=source))._open(source)
         said = json.loads(ours.recv_bytes()[1:])
         assert (said["say"], "it takes longer while the training uses the CPU" in said["told"]) == ("busy", gives_way)

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from wcsim.drive.playing.play_runner import FASTEST, SLOWEST, Player
+from wcsim.drive.playing.play_runner import FASTEST, SLOWEST, _Player
 
 SPAN = range(1000)
 
@@ -11,7 +11,7 @@ class Clocked:
     """A player, and a clock that goes on in uneven bits."""
 
     def __init__(self, **words: bool) -> None:
-        self.player, self._now_s = Player(**words), 100.0
+        self.player, self._now_s = _Player(**words), 100.0
         self.player.advance(self._now_s, SPAN, 0.1)
 
     def run(self, seconds: float, span: range = SPAN) -> int:

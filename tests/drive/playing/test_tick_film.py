@@ -9,7 +9,7 @@ import pytest
 
 from tests.drive.playing.films import ABOUT, chair, film_of, frame
 from wcsim.drive.messages import spoken
-from wcsim.drive.playing.play_runner import CRASH_TICKS, Player, film_state
+from wcsim.drive.playing.play_runner import CRASH_TICKS, _film_state, _Player
 from wcsim.drive.playing.tick_film import MOST_MARKS, TickFilm
 from wcsim.errors import ProtocolError
 
@@ -18,9 +18,9 @@ CRASH = "crashed"
 
 def state(film: TickFilm, at: int, seat: int = 0) -> Any:
     """As a page gets it."""
-    player = Player()
+    player = _Player()
     player.seek(at, film.span)
-    told = film_state(film, player, seat, {0: "ann", 1: "ben"}, ("reading", "", True))
+    told = _film_state(film, player, seat, {0: "ann", 1: "ben"}, ("reading", "", True))
     return json.loads(spoken("state", told), object_hook=lambda fields: SimpleNamespace(**fields))
 
 

@@ -13,7 +13,7 @@ from wcsim.bridge.replay.replayed import verify
 from wcsim.config import parse_json
 from wcsim.config.study import StudyFile
 from wcsim.drive.recording import study_lead
-from wcsim.drive.recording.study_lead import OpenStudy, _shipped_studies, open_study, participant_rows
+from wcsim.drive.recording.study_lead import OpenStudy, _participant_rows, _shipped_studies, open_study
 from wcsim.drive.recording.study_plan import StepKind, read_rows, table_columns
 from wcsim.errors import ConfigError, DiskFullError, PolicyError, TownError, WcsimError
 from wcsim.log.drive import read_drive
@@ -77,7 +77,7 @@ def test_a_participant_goes_through_all_of_it(corner: Path, tmp_path: Path, begi
     person.answer(1)
     assert (person.view.kind, person.view.told) == (StepKind.END, ("Thanks.", "Everything is saved."))
 
-    rows = participant_rows(study)
+    rows = _participant_rows(study)
     assert [row["block"] for row in rows] == ["practice", "more", "alone", "end"]
     assert [row["part"] for row in rows] == ["0", "1", "2", ""]
     assert [row["ended"] for row in rows] == ["minutes", "stopped", "minutes", ""]
@@ -112,15 +112,15 @@ def test_who_stops_goes_on_where_it_was_left(corner: Path, tmp_path: Path, begin
     person.press()
     assert (person.view.kind, person.view.where) == (StepKind.READ, "Part 2 of 2")
     person.until(StepKind.END)
-    assert [row["block"] for row in participant_rows(study)] == ["practice", "more", "alone", "end"]
-    assert participant_rows(study)[1]["answer_effort"] == "4"
+    assert [row["block"] for row in _participant_rows(study)] == ["practice", "more", "alone", "end"]
+    assert _participant_rows(study)[1]["answer_effort"] == "4"
     assert {path.name for path in study.folder.glob("*.drive")} == {
         "0-practice.drive",
         "1-more.drive",
         "2-alone.drive",
         "2-alone-2.drive",
     }
-    assert participant_rows(study)[2]["recording"].endswith("2-alone-2.drive"), "that of the drive that counts"
+    assert _participant_rows(study)[2]["recording"].endswith("2-alone-2.drive"), "that of the drive that counts"
     assert begin(study).view.kind is StepKind.END
     other = begin(opened(corner, tmp_path, 1))
     assert other.view.kind is StepKind.WELCOME
@@ -174,7 +174,7 @@ def test_help_that_is_asked_for_in_a_pause_is_in_the_row_of_its_block(
     for _ in range(2):
         person.session.ask_for_help()
     person.press()  # ended early, without another tick
-    assert participant_rows(study)[0]["helps"] == "1", "one call a tick counts"
+    assert _participant_rows(study)[0]["helps"] == "1", "one call a tick counts"
 
 
 def test_arrivals_end_a_part(corner: Path, tmp_path: Path, begin: Begin) -> None:
@@ -188,7 +188,7 @@ def test_arrivals_end_a_part(corner: Path, tmp_path: Path, begin: Begin) -> None
     person.session.metrics = person.session.metrics._replace(arrivals=1)
     assert person.drive() == 1
     person.answer(0, 0)
-    assert participant_rows(opened(corner, tmp_path, 1, text))[1]["ended"] == "arrivals"
+    assert _participant_rows(opened(corner, tmp_path, 1, text))[1]["ended"] == "arrivals"
     person.close()
 
 
@@ -204,7 +204,7 @@ def test_answers_that_cannot_be_written_are_asked_for_again(
             person.answer(0, 0)
     assert any("no room" in line and "kpi" not in line for line in person.said), "the figures are not lost"
     person.answer(0, 0)
-    assert [row["block"] for row in participant_rows(study)] == ["more"]
+    assert [row["block"] for row in _participant_rows(study)] == ["more"]
     person.close()
 
 
@@ -299,4 +299,4 @@ def test_each_part_is_in_the_table_where_questions_come_at_the_end_alone(
     study = opened(corner, tmp_path, text=text)
     person = begin(study)
     person.until(StepKind.END)
-    assert [row["block"] for row in participant_rows(study)] == ["practice", "more", "alone", "end"]
+    assert [row["block"] for row in _participant_rows(study)] == ["practice", "more", "alone", "end"]

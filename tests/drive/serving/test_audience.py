@@ -4,7 +4,7 @@ import asyncio
 from typing import Any
 
 from wcsim.drive.messages import spoken
-from wcsim.drive.serving.server import Audience, PageLine
+from wcsim.drive.serving.server import _Audience, _PageLine
 
 NOTICE = spoken("notice", {"kind": "note", "told": "read me"})
 
@@ -31,7 +31,7 @@ def pictures(number: int) -> bytes:
     return number.to_bytes(4, "little") + b"..."
 
 
-async def sent_to(page: SlowPage, line: PageLine) -> list[Any]:
+async def sent_to(page: SlowPage, line: _PageLine) -> list[Any]:
     page.may.set()
     writing = asyncio.create_task(line.write())
     await asyncio.sleep(0.05)
@@ -42,7 +42,7 @@ async def sent_to(page: SlowPage, line: PageLine) -> list[Any]:
 def test_a_slow_page_misses_states_and_never_a_line() -> None:
     async def drive() -> list[Any]:
         page = SlowPage()
-        line = PageLine(page)  # type: ignore[arg-type]
+        line = _PageLine(page)  # type: ignore[arg-type]
         line.put(NOTICE)
         for tick in range(1000):
             line.put(state(tick))
@@ -54,7 +54,7 @@ def test_a_slow_page_misses_states_and_never_a_line() -> None:
 def test_pictures_wait_for_those_before_and_the_newest_come() -> None:
     async def drive() -> list[Any]:
         page = SlowPage()
-        line = PageLine(page)  # type: ignore[arg-type]
+        line = _PageLine(page)  # type: ignore[arg-type]
         line.show(pictures(1))
         await sent_to(page, line)
         line.show(pictures(2))
@@ -72,8 +72,8 @@ def test_pictures_wait_for_those_before_and_the_newest_come() -> None:
 
 def test_the_first_drives_and_after_it_who_comes_or_asks() -> None:
     async def drive() -> None:
-        audience = Audience()
-        first, second, third = (PageLine(SlowPage()) for _ in range(3))  # type: ignore[arg-type]
+        audience = _Audience()
+        first, second, third = (_PageLine(SlowPage()) for _ in range(3))  # type: ignore[arg-type]
         audience.enter(first)
         audience.enter(second)
         assert audience.driver is first
@@ -90,9 +90,9 @@ def test_the_first_drives_and_after_it_who_comes_or_asks() -> None:
 
 def test_pictures_are_asked_for_once_and_only_where_a_page_takes_them() -> None:
     async def drive() -> None:
-        audience = Audience()
+        audience = _Audience()
         assert not audience.wants()
-        line = PageLine(SlowPage())  # type: ignore[arg-type]
+        line = _PageLine(SlowPage())  # type: ignore[arg-type]
         audience.enter(line)
         assert [audience.wants(), audience.wants()] == [True, False]
         audience.show(pictures(1))

@@ -11,7 +11,7 @@ import pytest
 from tests.drive.recording.studies import STUDY, write_study
 from tests.drive.serving.served import FakePage, served
 from wcsim.cli.main import main
-from wcsim.drive.recording.study_lead import open_study, participant_rows
+from wcsim.drive.recording.study_lead import _participant_rows, open_study
 
 pytestmark = pytest.mark.timeout(900)
 WITHOUT = STUDY[STUDY.index("[practice]") : STUDY.index("[[blocks]]")]
@@ -50,7 +50,7 @@ def test_a_page_goes_through_a_study_and_nobody_changes_what_it_sets(corner: Pat
         process.send_signal(signal.SIGINT)
         said, _ = process.communicate(timeout=120)
     assert "order alone" in said and "alone saved in " in said and "Traceback" not in said
-    rows = participant_rows(open_study(str(path), 3, out))
+    rows = _participant_rows(open_study(str(path), 3, out))
     assert [(row["block"], row["answer_effort"], row["answer_best"]) for row in rows] == [
         ("alone", "3", ""),
         ("end", "", "with more"),

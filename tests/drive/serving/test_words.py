@@ -1,11 +1,11 @@
 from __future__ import annotations
 
 from wcsim.drive import messages as m
-from wcsim.drive.serving.server import Words
+from wcsim.drive.serving.server import _Words
 
 
 def test_words_come_in_order_and_of_a_kind_the_newest_alone() -> None:
-    words = Words()
+    words = _Words()
     for message in (m.Stick(x=0.0, y=1.0), m.Help(), m.Ready(), m.Stick(x=0.0, y=0.5), m.Help(), m.Ready()):
         words.put(message)
     assert words.take() == [m.Stick(x=0.0, y=0.5), m.Help(), m.Ready()]
@@ -13,7 +13,7 @@ def test_words_come_in_order_and_of_a_kind_the_newest_alone() -> None:
 
 
 def test_a_press_and_a_stick_that_was_let_go_of_are_heard_though_newer_sticks_say_otherwise() -> None:
-    words = Words()
+    words = _Words()
     pressed, let_go, pushed = m.Stick(x=0.0, y=1.0, overrule=True), m.Stick(x=0.0, y=0.0), m.Stick(x=0.0, y=1.0)
     for message in (pushed, pressed, pushed, let_go, m.Pause(on=False), pushed, m.Stick(x=0.0, y=0.9), pushed):
         words.put(message)
@@ -24,7 +24,7 @@ def test_a_press_and_a_stick_that_was_let_go_of_are_heard_though_newer_sticks_sa
 
 
 def test_a_drive_that_does_not_hear_costs_no_memory() -> None:
-    words = Words()
+    words = _Words()
     for number in range(5000):
         words.put(m.Stick(x=0.0, y=0.0))
         words.put(m.SetLevel(level=number % 100))
@@ -33,7 +33,7 @@ def test_a_drive_that_does_not_hear_costs_no_memory() -> None:
 
 
 def test_of_many_wishes_for_a_place_the_newest_alone_is_heard_and_one_at_a_time() -> None:
-    words = Words()
+    words = _Words()
     words.put(m.SetUser(profile="first"))
     assert words.take() == [m.SetUser(profile="first")]
     for number in range(1000):
@@ -54,7 +54,7 @@ def test_of_many_wishes_for_a_place_the_newest_alone_is_heard_and_one_at_a_time(
 
 
 def test_a_page_that_is_gone_leaves_nothing_to_do_behind_it_and_the_end_is_heard_at_once() -> None:
-    words = Words()
+    words = _Words()
     for message in (m.Again(), m.SetUser(profile="a"), m.Ready(), m.Stick(x=0.0, y=1.0), m.Help()):
         words.put(message)
     words.put(m.Gone())

@@ -8,9 +8,9 @@ import pytest
 from tests.view.report.results import POLICIES, SCRIPT, record, records_of, write_result
 from wcsim.agents.evaluation.suite.result_files import read_result
 from wcsim.agents.evaluation.suite.rows import FEWEST
-from wcsim.view.report.comparisons import WEIGHTINGS, compared, paired, weighted
+from wcsim.view.report.comparisons import WEIGHTINGS, _paired, compared, weighted
 from wcsim.view.report.pages import TEMPLATES
-from wcsim.view.report.suite_page import comparison_table
+from wcsim.view.report.suite_page import _comparison_table
 
 
 @pytest.fixture
@@ -29,14 +29,14 @@ def pair_table(pairs):
 
 
 def test_pairs_are_counted_over_the_same_episodes(result):
-    pair = paired(result, "dwa", "follow", "")
+    pair = _paired(result, "dwa", "follow", "")
     scores = [a.score - b.score for a, b in zip(records_of("dwa"), records_of("follow"), strict=True)]
     assert (pair.episodes, pair.saved, pair.lost) == (6, 4, 0)
     assert pair.difference == pytest.approx(math.fsum(scores) / 6)
     assert pair.mcnemar_p == pytest.approx(2 / 2**4)
     low, high = pair.interval
     assert low <= pair.difference <= high and pair.separated == (low > 0)
-    back = paired(result, "follow", "dwa", "")
+    back = _paired(result, "follow", "dwa", "")
     assert (back.saved, back.lost) == (0, 4) and back.difference == pytest.approx(-pair.difference)
 
 
@@ -56,7 +56,7 @@ def test_a_verdict_says_what_is_separated_and_how_far_the_rest_is_from_it(result
         place = said.index("not different") if "not different" in said else len(said)
         assert (said.index(pair.policy) < place) == pair.separated
         assert pair.separated or f"would need about {pair.enough} episodes" in said
-    same = paired(result, "dwa", "dwa", "")
+    same = _paired(result, "dwa", "dwa", "")
     assert same.enough is None and verdicts([same]) == "not different: dwa (equal scores)"
 
 
@@ -67,7 +67,7 @@ def test_few_episodes_separate_nobody_however_far_apart_they_are(result):
     said = verdicts([pair for pair in pairs if pair.rival == "follow"])
     assert said.startswith("not different: ") and "2 episodes; at least 6 are needed" in said
     assert pair_table(pairs).count("<small>too few episodes</small></td>\n\n<td>–</td>") == len(pairs)
-    assert all(line.endswith(",,") for line in comparison_table(pairs).csv.splitlines()[1:])
+    assert all(line.endswith(",,") for line in _comparison_table(pairs).csv.splitlines()[1:])
 
 
 def test_weights_change_what_they_should(result):

@@ -12,7 +12,7 @@ from tests.view.report.results import PATH_M, SCRIPT, crashed, record, write_res
 from wcsim.agents.evaluation.suite.result_files import read_result
 from wcsim.supervisor.kpi import KpiStep, sums_of
 from wcsim.types import Joystick
-from wcsim.view.report.failures import _last_speed_mps, chosen, failures_of, judged, where_typed
+from wcsim.view.report.failures import _judged, _last_speed_mps, chosen, failures_of, where_typed
 
 
 def worst_of(failures, policy):
@@ -38,7 +38,7 @@ def kept(path_m, time_s):
     ],
 )
 def test_what_counts_as_a_failure(item, said):
-    assert judged(item)[:2] == said
+    assert _judged(item)[:2] == said
 
 
 def test_the_worst_come_first(tmp_path):
@@ -47,7 +47,7 @@ def test_the_worst_come_first(tmp_path):
     order = [crashed(0, partner="car"), crashed(0, reason="drop"), crashed(0, fault="other"),
              record(0, status="policy_failed"), record(0, red_entries=1), record(0, status="gave_up"),
              crashed(0, steps=0)]  # fmt: skip
-    assert [judged(item)[2] for item in order] == sorted(judged(item)[2] for item in order)
+    assert [_judged(item)[2] for item in order] == sorted(_judged(item)[2] for item in order)
     assert [one.severity for one in failures] == sorted(one.severity for one in failures)
     worst = worst_of(failures, "net@0.25")
     assert (worst.key, worst.reason, worst.unaided) == ((0, 0), "collision", "drop (own fault) after 2 s")

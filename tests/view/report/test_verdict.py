@@ -7,7 +7,7 @@ import pytest
 from tests.view.report.results import SCRIPT, crashed, record, with_episodes, write_result
 from wcsim.agents.evaluation.suite.records import NEEDLESS, Intervention
 from wcsim.agents.evaluation.suite.result_files import read_result
-from wcsim.view.report.comparisons import paired, verdict
+from wcsim.view.report.comparisons import _paired, verdict
 
 
 @pytest.fixture
@@ -41,9 +41,9 @@ def test_it_counts_crashes_by_the_chairs_fault_and_says_what_help_costs(result):
 
 
 def test_no_policy_is_best_that_the_intervals_cannot_tell_from_another(result):
-    assert paired(result, "dwa", "follow", "").separated
+    assert _paired(result, "dwa", "follow", "").separated
     assert " dwa has the highest score. " in verdict(only(result, "follow", "dwa"))
-    apart = [paired(result, "dwa", name, "").separated for name in result.episodes if name != "dwa"]
+    apart = [_paired(result, "dwa", name, "").separated for name in result.episodes if name != "dwa"]
     assert not all(apart)
     said = verdict(result)
     assert "highest" not in said and " cannot be told apart here." in said

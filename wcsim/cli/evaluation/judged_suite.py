@@ -10,10 +10,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+from rich.markup import escape
+from rich.table import Column
 from tyro.conf import Positional, arg
 
+from wcsim.agents.evaluation.suite.named_policy import config_for
 from wcsim.agents.policy_api import BASELINES, UNAIDED, UPPER_BOUNDS
-from wcsim.cli.evaluation.play import play_episode
 from wcsim.cli.evaluation.result_tables import show_result, show_sensitivity
 from wcsim.cli.shared.common import (
     Bounds,
@@ -31,20 +33,19 @@ from wcsim.cli.shared.common import (
     machines_of,
     parse,
     result_file,
-    said_of,
     says,
     write_json,
 )
-from wcsim.cli.shared.consoles import say, stderr_console, stdout_console
+from wcsim.cli.shared.consoles import StageBar, say, show_table, stderr_console, stdout_console
 from wcsim.cli.shared.exit_codes import Exit
-from wcsim.cli.shared.stage_bar import StageBar
 from wcsim.config.suite import MOST_NAME, MOST_SET, name_pattern
-from wcsim.core.reading import counted, escaped
+from wcsim.core.reading import counted, escaped, is_file
 from wcsim.errors import ConfigError, InterruptedRunError
 from wcsim.server.workers.crew import WorkerNow
 
 if TYPE_CHECKING:  # loads the simulators, which --help must not
     from wcsim.agents.evaluation.suite.list_file import Suite
+    from wcsim.agents.evaluation.suite.playback import Played, PlayedStep
     from wcsim.agents.evaluation.suite.records import EpisodeRecord
     from wcsim.agents.evaluation.suite.result_files import TestResult
     from wcsim.agents.evaluation.suite.rows import ResultRow
@@ -228,7 +229,7 @@ def run_suites(words: list[str]) -> int:
     """Judge policies on a list; tables for each part and for all."""
     if says(words, "--play"):
         play = parse(_PlayedEpisodeOptions, words, "test")
-        return play_episode(_suite_order(play, clean=play.clean), play.policies, play.play)
+        return _play_episode(_suite_order(play, clean=play.clean), play.policies, play.play)
     if says(words, "--sensitivity"):
         return _disturb(parse(_SensitivityOptions, words, "test"))
     options = parse(_SuiteOptions, words, "test")
@@ -346,9 +347,18 @@ def _look(options: _DriveOptions) -> Callable[[tuple[WorkerNow, ...]], object]:
         nonlocal said_s
         if options.cluster and time.monotonic() - said_s > _TOLD_EVERY_S:
             said_s = time.monotonic()
-            say(said_of(workers))
+            say(_said_of(workers))
 
     return look
+
+
+def _said_of(workers: tuple[WorkerNow, ...]) -> str:
+    """Who is at what, in a line.
+
+    >>> _said_of((WorkerNow(name="10.0.0.2/1", key="3-000-0001", for_s=12.3), WorkerNow(name="10.0.0.2/2", key="")))
+    '10.0.0.2/1 3-000-0001 for 12 s, 10.0.0.2/2 free'
+    """
+    return ", ".join(f"{each.name} {f'{each.key} for {each.for_s:.0f} s' if each.key else 'free'}" for each in workers)
 
 
 def order_of(options: _DriveOptions, suite: Suite, out: Path, forks: int | None = None) -> SuiteOrder:
@@ -400,3 +410,84 @@ def keep_result(order: SuiteOrder, name: str, records: Mapping[str, Sequence[Epi
             part = held.enter_context(result_file(order.out / output))
             part.write_text(json_text(order.out / output, said), encoding="utf-8")
     return result
+
+
+_PLACE = re.compile(r"([0-9]{1,6})\.([0-9]{1,3})")
+_LAST_S = 10.0
+_ROW_EVERY_S = 0.5
+_MAP_PX, _MAP_SPAN_M = 480, 30.0
+
+
+def _place_of_play(text: str, blocks: int) -> tuple[int, int]:
+    """Block and seat. Raises ConfigError.
+
+    >>> _place_of_play("12.3", 20)
+    (12, 3)
+    """
+    found = _PLACE.fullmatch(text)
+    if found is None or int(found[1]) >= blocks:
+        most = blocks - 1
+        raise ConfigError(f"--play {escaped(text)!r}: expected BLOCK.SEAT, such as 0.1, with a block from 0 to {most}")
+    return int(found[1]), int(found[2])
+
+
+def _play_episode(order: SuiteOrder, policies: Sequence[str], place: str) -> int:
+    """Drive one episode again, film its last 10 s, say what happened.
+
+    An episode that `order.out` holds must come out as it did there.
+
+    Raises:
+        ConfigError: The place is none, the policies are not one, or the episode went another way.
+        PolicyError: The policy cannot be used.
+    """
+    index, seat = _place_of_play(place, len(order.suite.file.blocks))
+    if len(policies) != 1:
+        raise ConfigError(f"--play takes one policy, got {len(policies)}: name the policy whose episode to drive")
+    from wcsim.agents.evaluation.suite.playback import play, require_same
+    from wcsim.agents.evaluation.suite.result_files import EPISODES, read_episodes
+    from wcsim.agents.evaluation.suite.run import piece_of, require_usable, town_addresses
+    from wcsim.view.filming import film_steps
+    from wcsim.view.map import MapView
+
+    require_usable(order, policies)
+    piece = piece_of(order, index, policies[0], town_addresses(order), judged=False)
+    config = config_for(piece.policy, piece.preset, piece.settings, in_list=True)
+    kept = read_episodes(order.out).get(policies[0], ()) if is_file(order.out / EPISODES) else ()
+    film = order.out / "play" / f"{re.sub(r'[^A-Za-z0-9_.-]+', '-', policies[0])}-{index}.{seat}.webm"
+    film.parent.mkdir(parents=True, exist_ok=True)
+    (played,) = play(
+        piece,
+        (seat,),
+        round(_LAST_S / config.world.tick_s),
+        lambda world, steps: film_steps(film, MapView(world.street.mesh, _MAP_PX, _MAP_SPAN_M), steps, config),
+    )
+    _tell(played, config.world.tick_s)
+    twin = next((item for item in kept if (item.block, item.seat) == (index, seat)), None)
+    if twin is not None:
+        require_same(played.record, twin)
+    compared = "the same as the saved one" if twin is not None else f"not compared: none is saved in {order.out}"
+    stdout_console().print(
+        f"{film if played.steps else 'no video: nothing was driven'}; the episode is {compared}", style="dim"
+    )
+    return 0
+
+
+def _tell(played: Played, tick_s: float) -> None:
+    record = played.record
+    how = " ".join(word for word in (record.status, record.reason, record.fault, record.crash) if word)
+    every = max(1, round(_ROW_EVERY_S / tick_s))
+    show_table(
+        [Column(heading, justify="right", no_wrap=True) for heading in ("s", "m/s", "user", "driven", "nearest")],
+        [
+            _row_of(step, number * tick_s)
+            for number, step in reversed(list(enumerate(reversed(played.steps))))
+            if number % every == 0
+        ],
+        title=escape(f"{record.part} {record.block}.{record.seat}, {record.town}, {record.profile}: {how}"),
+    )
+
+
+def _row_of(step: PlayedStep, before_s: float) -> tuple[str, ...]:
+    from wcsim.view.filming import near, sticks
+
+    return f"-{before_s:.1f}", f"{step.speed_mps:.2f}", *sticks(step), [*near(step), "-"][0]

@@ -21,7 +21,7 @@ _MOST_PICTURES = 1000
 
 
 @dataclass
-class Options:
+class _Options:
     """Write report.html and figures into the folder of a test on a suite or a training.
 
     For several trainings, one page has the curves of all.
@@ -41,7 +41,7 @@ class Options:
 
 def run(words: list[str]) -> int:
     """Write the page and say where it is."""
-    options = parse(Options, words, "report")
+    options = parse(_Options, words, "report")
     kinds = [_is_test(folder) for folder in options.folders]
     if not kinds or (len(kinds) > 1 and any(kinds)):
         raise ConfigError(
@@ -79,7 +79,7 @@ def _of_trainings(folders: tuple[Path, ...], out: Path) -> Path:
     return page
 
 
-def _of_test(options: Options, out: Path) -> Path:
+def _of_test(options: _Options, out: Path) -> Path:
     from wcsim.agents.evaluation.suite.result_files import read_result
     from wcsim.view.report.failures import failures_of
     from wcsim.view.report.suite_page import write_suite_page
@@ -95,7 +95,7 @@ def _of_test(options: Options, out: Path) -> Path:
     return write_suite_page(result, tested, failures, pictures, why_none, out)
 
 
-def _pictures(options: Options, result: TestResult, failures: tuple[FailedEpisode, ...]) -> dict[Key, Illustration]:
+def _pictures(options: _Options, result: TestResult, failures: tuple[FailedEpisode, ...]) -> dict[Key, Illustration]:
     from wcsim.view.report.failures import chosen, illustrated, order_of
 
     wanted = chosen(failures, options.pictures)

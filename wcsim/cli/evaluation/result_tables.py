@@ -65,17 +65,17 @@ def show_result(console: Console, result: TestResult, undriven: Sequence[str] = 
             console.print(_table(title, ["policy", *_headings(shown)], lines))
     for name, label in labels.items():
         if label != name:
-            console.print(_broken(f"{label}: {name}"), markup=False, highlight=False)
-    console.print(LEGEND, style="dim", highlight=False)
+            console.print(_broken(f"{label}: {name}"), markup=False)
+    console.print(LEGEND, style="dim")
     for note in (_BOUNDS[name] for name in result.episodes if name in _BOUNDS):
-        console.print(note, style="dim", highlight=False)
+        console.print(note, style="dim")
     for line in first_few(_crashed(result), "crashes; episodes.json has all"):
-        console.print(line, markup=False, highlight=False, soft_wrap=True)
+        console.print(line, markup=False, soft_wrap=True)
     for line in undriven:
         console.print(line, style="bold", markup=False, soft_wrap=True)
     console.print("SIMULATION ONLY: these figures say nothing about a real street.", style="dim")
     if verdict:
-        console.print(verdict, style="bold", markup=False, highlight=False)
+        console.print(verdict, style="bold", markup=False)
 
 
 def _parts(result: TestResult) -> list[tuple[str, list[ResultRow]]]:

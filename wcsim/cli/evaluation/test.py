@@ -18,8 +18,7 @@ from wcsim.agents.runs.run_folder import run_of
 from wcsim.bridge.sumo.step_hook import find_hook
 from wcsim.cli.evaluation.judged_suite import JudgeOptions, drive_list, judge, make_list, order_of, run_suites
 from wcsim.cli.shared.common import Bounds, Finds, Flag, Keys, Repeated, check_folder, parse, says, some_words
-from wcsim.cli.shared.consoles import stdout_console
-from wcsim.cli.shared.overrides import print_overrides
+from wcsim.cli.shared.consoles import print_overrides, stdout_console
 from wcsim.cli.shared.run_config import overrides_of, require_policy, require_user
 from wcsim.core.constants import RECORDED
 from wcsim.errors import ConfigError, TownError
@@ -119,7 +118,7 @@ def tested(options: Options) -> tuple[dict[str, Town], tuple[str, ...]]:
     profiles = some_words("--profile", options.profile)
     for name in profiles:
         require_user(name)
-    towns = by_name(checked_town(name, options) for name in some_words("--town", options.town))
+    towns = by_name(_checked_town(name, options) for name in some_words("--town", options.town))
     for name in profiles:
         if not name.startswith(RECORDED):
             continue
@@ -144,7 +143,7 @@ def _words_for(name: str, sha256: str) -> str:
     return ""
 
 
-def checked_town(name: str, options: Options) -> Town:
+def _checked_town(name: str, options: Options) -> Town:
     """The town to test in. Raises TownError for one that networks are trained in."""
     town = find_town(name)
     validate_net(town.net)

@@ -115,7 +115,7 @@ def _play(options: _PlayOptions) -> int:
         log_of(path)
         worlds_of(header, options.hook)
     source = FilmSource(kind="log", path=path.absolute(), epoch=options.epoch, hook=options.hook, town=options.town)
-    return serve_page(PlayStart(source=source, seat=-1 if options.seat is None else options.seat), options)
+    return serve_page(PlayStart(source=source, seat=options.seat), options)
 
 
 def _verify(options: _VerifyOptions) -> int:

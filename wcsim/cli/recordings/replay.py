@@ -25,7 +25,7 @@ _MOST_FAILED: Final = 200
 
 
 @dataclass(kw_only=True)
-class Options(PageOptions):
+class _Options(PageOptions):
     """Drive an episode of a suite's test again, in your browser: at first the worst failure.
 
     `wcsim log play` plays recordings. docs/watching.md
@@ -45,11 +45,11 @@ class Options(PageOptions):
 
 def run(words: list[str]) -> int:
     """Serve the page until Ctrl-C."""
-    options = parse(Options, words, "replay")
-    return serve_page(episode_start(options), options)
+    options = parse(_Options, words, "replay")
+    return serve_page(_episode_start(options), options)
 
 
-def episode_start(options: Options) -> PlayStart:
+def _episode_start(options: _Options) -> PlayStart:
     """What a player begins with. Raises ConfigError when there is no result, or it is damaged."""
     folder = options.result.parent if options.result.name == RESULT else options.result
     if not is_file(folder / RESULT):
@@ -57,13 +57,14 @@ def episode_start(options: Options) -> PlayStart:
             f"{escaped(options.result)}: is no finished test; expected the folder of a wcsim test --suite: play a "
             "recording with wcsim log play"
         )
+    from wcsim.agents.evaluation.suite.result_files import read_result
     from wcsim.drive.playing.play_runner import FailedLine, PlayStart
-    from wcsim.drive.playing.sources.episode_source import failed_episodes
     from wcsim.drive.playing.sources.source_process import FilmSource
+    from wcsim.view.report.failures import failures_of
 
     failed = tuple(
         FailedLine(policy=one.policy, block=one.key[0], seat=one.key[1], told=_told(one))
-        for one in failed_episodes(folder)[:_MOST_FAILED]
+        for one in failures_of(read_result(folder), folder)[:_MOST_FAILED]
     )
     policy, block, seat = options.policy, -1 if options.block is None else options.block, options.seat
     worst = next((one for one in failed if policy in ("", one.policy) and block in (-1, one.block)), None)
@@ -75,7 +76,7 @@ def episode_start(options: Options) -> PlayStart:
         require_policy(policy, options.network)
     own = tuple(name for name in (options.policy, options.network) if name)
     source = FilmSource(kind="episode", path=folder.absolute(), policy=policy, block=block, own=own)
-    return PlayStart(source=source, seat=-1 if seat is None else seat, failed=failed)
+    return PlayStart(source=source, seat=seat, failed=failed)
 
 
 def _told(failure: FailedEpisode) -> str:
@@ -85,7 +86,7 @@ def _told(failure: FailedEpisode) -> str:
 
 
 @dataclass(kw_only=True)
-class WatchOptions(PageOptions):
+class _WatchOptions(PageOptions):
     """Watch a run live in your browser: its street, chairs, joysticks and KPIs.
 
     For runs with a journal: `wcsim train-clients`, `wcsim serve --run`. Does not change the run. docs/watching.md
@@ -101,7 +102,7 @@ class WatchOptions(PageOptions):
 
 def watch(words: list[str]) -> int:
     """Serve the page until Ctrl-C."""
-    options = parse(WatchOptions, words, "watch")
+    options = parse(_WatchOptions, words, "watch")
     if not is_folder(options.run):
         raise ConfigError(f"{escaped(options.run)}: is not there; expected the folder of a wcsim train-clients run")
     from wcsim.bridge.replay.replayed import worlds_of
@@ -120,5 +121,4 @@ def watch(words: list[str]) -> int:
     from wcsim.drive.playing.sources.source_process import FilmSource
 
     source = FilmSource(kind="run", path=options.run.absolute(), hook=options.hook, gives_way=True)
-    seat = -1 if options.seat is None else options.seat
-    return serve_page(PlayStart(source=source, seat=seat), options)
+    return serve_page(PlayStart(source=source, seat=options.seat), options)

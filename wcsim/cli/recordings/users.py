@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from rich import box
-from rich.table import Table
 from tyro.conf import Positional, arg
 
 from wcsim.cli.shared.common import (
@@ -24,7 +23,7 @@ from wcsim.cli.shared.common import (
     run_part,
     write_json,
 )
-from wcsim.cli.shared.consoles import stdout_console
+from wcsim.cli.shared.consoles import show_table
 from wcsim.config import resolve
 from wcsim.core.constants import RECORDED
 from wcsim.core.reading import counted, escaped
@@ -176,10 +175,11 @@ def _notes(fit: UserFit) -> dict[str, str]:
 def _print(fit: UserFit) -> None:
     from wcsim.users.fitting.fit_user import is_told
 
-    table = Table("parameter", "fitted", "95 % from", "to", "", box=box.SIMPLE_HEAD)
-    for name, item in fit.estimates.items():
-        told = "" if is_told(name, item) else "uncertain by over 15 %"
-        table.add_row(name, f"{item.value:.3g}", f"{item.low:.3g}", f"{item.high:.3g}", told)
-    stdout_console().print(table)
+    rows = (
+        (name, *(f"{bound:.3g}" for bound in (item.value, item.low, item.high)),
+         "" if is_told(name, item) else "uncertain by over 15 %")
+        for name, item in fit.estimates.items()
+    )  # fmt: skip
+    show_table(("parameter", "fitted", "95 % from", "to", ""), rows, box=box.SIMPLE_HEAD)
     for line in fit.warnings:
         print(f"note: {line}", file=sys.stderr)

@@ -21,7 +21,6 @@ from wcsim.config.load import sets_key
 from wcsim.core.files import can_be_written, standing, whole_file
 from wcsim.core.reading import escaped, is_folder
 from wcsim.errors import ConfigError, meant, nearest
-from wcsim.server.workers.crew import WorkerNow
 from wcsim.server.workers.machines import Machines
 
 T = TypeVar("T")
@@ -36,6 +35,9 @@ TownWord = Annotated[str, Positional, arg(metavar="TOWN")]
 
 SomeTown = Annotated[str, Positional, arg(metavar="[TOWN]")]
 """The same, where it may be left out."""
+
+InFile = Annotated[Path | None, arg(metavar="FILE")]
+"""A file that is read."""
 
 Cluster = Annotated[str, arg(metavar="ADDRESS")]
 """A Ray cluster."""
@@ -132,7 +134,7 @@ class SettingsOptions:
 
     preset: str = "quick"
     """Preset to start from: quick, laptop, best, dqn or paper."""
-    config: Annotated[Path | None, arg(metavar="FILE")] = None
+    config: InFile = None
     """TOML file with settings that override the preset."""
     set: Repeated = ()
     """Setting as section.key=value; overrides preset and file."""
@@ -140,6 +142,9 @@ class SettingsOptions:
 
 Worlds = Annotated[int | None, arg(metavar="N"), Bounds(1, MOST_JOBS)]
 """Worker processes; None for what `worlds_of` says."""
+
+Lease = Annotated[float, arg(metavar="S"), Bounds(1.0, 86_400.0)]
+"""Seconds without progress."""
 
 Steps = Annotated[int | None, arg(metavar="N"), Bounds(1)]
 """Steps of a training by Q-learning in all; None for those of its settings."""
@@ -304,15 +309,6 @@ def machines_of(cluster: str, asked: int | None, option: str) -> Machines:
     return Machines(count=count, cluster=cluster)
 
 
-def said_of(workers: tuple[WorkerNow, ...]) -> str:
-    """Who is at what, in a line.
-
-    >>> said_of((WorkerNow(name="10.0.0.2/1", key="3-000-0001", for_s=12.3), WorkerNow(name="10.0.0.2/2", key="")))
-    '10.0.0.2/1 3-000-0001 for 12 s, 10.0.0.2/2 free'
-    """
-    return ", ".join(f"{each.name} {f'{each.key} for {each.for_s:.0f} s' if each.key else 'free'}" for each in workers)
-
-
 def check_folder(option: str, folder: Path) -> None:
     """Make sure that a folder can be made or is there and can be written. Raises ConfigError."""
     if not can_be_written(folder):
@@ -347,14 +343,13 @@ def result_file(path: Path) -> Iterator[Path]:
         ConfigError: Its folder cannot be made.
         DiskFullError: There is no room.
     """
-    missing = missing_folder(path)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be written ({error.strerror}); choose another place") from None
-    with whole_file(path) as part:
-        yield part
-    tell_made(missing)
+    with told_if_made(path):
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise ConfigError(f"{path}: cannot be written ({error.strerror}); choose another place") from None
+        with whole_file(path) as part:
+            yield part
 
 
 @contextmanager
@@ -370,12 +365,10 @@ def fresh_folders(folder: Path) -> Iterator[None]:
         raise
 
 
-def missing_folder(path: Path) -> Path | None:
-    """The outermost folder above a file that is not there yet; None when they all are."""
-    return next((folder for folder in reversed(path.parents) if not folder.exists()), None)
-
-
-def tell_made(folder: Path | None) -> None:
-    """Say that a folder was made for a result: a mistyped one is noticed so."""
-    if folder is not None:
-        print(f"note: made the folder {escaped(folder)}", file=sys.stderr)
+@contextmanager
+def told_if_made(path: Path) -> Iterator[None]:
+    """Say at the end that a folder was made for a result, the outermost one: a mistyped one is noticed so."""
+    missing = next((folder for folder in reversed(path.parents) if not folder.exists()), None)
+    yield
+    if missing is not None:
+        print(f"note: made the folder {escaped(missing)}", file=sys.stderr)

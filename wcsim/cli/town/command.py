@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from rich.table import Column, Table
+from rich.table import Column
 
 from wcsim.cli.shared.common import Parts, run_part, says
-from wcsim.cli.shared.consoles import stdout_console
+from wcsim.cli.shared.consoles import show_table
 from wcsim.cli.town import import_, town_check
 from wcsim.cli.town import run as traffic
 from wcsim.towns.scenario.town import list_towns
@@ -32,8 +32,6 @@ def run(words: list[str]) -> int:
 
 
 def _list(_: _ListOptions) -> int:
-    table = Table("town", "split", Column("folder", overflow="fold"))
-    for town in list_towns():
-        table.add_row(town.folder.name, town.split, str(town.folder))
-    stdout_console().print(table)
+    rows = ((town.folder.name, town.split, str(town.folder)) for town in list_towns())
+    show_table(("town", "split", Column("folder", overflow="fold")), rows)
     return 0

@@ -14,7 +14,17 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from tyro.conf import Positional, arg, create_mutex_group
 
-from wcsim.cli.shared.common import Bounds, Flag, OutFile, OutFolder, TownWord, check_folder, fresh_folders, words_of
+from wcsim.cli.shared.common import (
+    Bounds,
+    Flag,
+    InFile,
+    OutFile,
+    OutFolder,
+    TownWord,
+    check_folder,
+    fresh_folders,
+    words_of,
+)
 from wcsim.cli.shared.consoles import say
 from wcsim.cli.town.town_check import checked, told_report, try_town
 from wcsim.core.reading import counted
@@ -71,7 +81,7 @@ class ImportOptions(_TownOptions):
     `wcsim town import --sumocfg FILE -h` has the options for a scenario.
     """
 
-    osm: Annotated[Path | None, arg(metavar="FILE")] = None
+    osm: InFile = None
     """An OpenStreetMap extract: .osm, .osm.xml, plain, .gz or .bz2, or .osm.pbf."""
     bbox: str = ""
     """Area to import, in degrees: west,south,east,north; without --osm it is downloaded."""
@@ -87,7 +97,7 @@ class ImportOptions(_TownOptions):
     """Factor for all traffic; 0 for none."""
     parked: Annotated[float, Bounds(0.0, 1.0)] = 0.7
     """Share of the mapped parking spaces with a parked car."""
-    dem: Annotated[Path | None, arg(metavar="FILE"), _LAND] = None
+    dem: Annotated[InFile, _LAND] = None
     """GeoTIFF of the land's heights in metres."""
     hill: Annotated[float, Bounds(0.0, 200.0), _LAND] = 0.0
     """Height in metres of an invented hill, instead of --dem."""

@@ -9,8 +9,6 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from rich.table import Table
-
 from wcsim.cli.shared.common import (
     Bounds,
     Flag,
@@ -23,8 +21,7 @@ from wcsim.cli.shared.common import (
     words_of,
     write_json,
 )
-from wcsim.cli.shared.consoles import say, stdout_console
-from wcsim.cli.shared.overrides import print_overrides
+from wcsim.cli.shared.consoles import print_overrides, say, show_table, stdout_console
 from wcsim.config import RunConfig, resolve
 from wcsim.core import seeding
 from wcsim.errors import ConfigError
@@ -81,12 +78,11 @@ def run(options: RunOptions, words: Sequence[str]) -> int:
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise ConfigError(f"--out {out} is not empty; choose another folder, or remove it")
     facts = _recorded(options, town, config, out, ("wcsim", "town", *words))
-    console = stdout_console()
-    console.print(_table(town.name, facts))
+    show_table((f"town {town.name}", ""), _told(facts).items())
     for line in _crash_lines(facts.crashed):
         print(line)
     if not facts.persons:
-        console.print(_no_persons(town), markup=False, highlight=False, soft_wrap=True)
+        stdout_console().print(_no_persons(town), markup=False, soft_wrap=True)
     place = shlex.quote(str(out))
     print(f"run folder: {out}    convert it: wcsim log convert {place} {place}/fcd.xml")
     write_json(options.json, {"town": town.name, "seed": options.seed, "run": str(out), **asdict(facts)})
@@ -151,17 +147,19 @@ def _manifest(options: RunOptions, town: Town, config: RunConfig, command: tuple
     }
 
 
-def _table(name: str, facts: TrafficFacts) -> Table:
-    table = Table(f"town {name}", "")
-    table.add_row("simulated", f"{facts.ticks} ticks, to {facts.end_s:g} s of SUMO's time")
-    table.add_row("vehicles", str(facts.vehicles))
-    table.add_row("persons", str(facts.persons))
-    table.add_row("teleports out of jams", _counted(facts.teleports, facts.teleports_warming))
-    table.add_row("collisions within SUMO's traffic", _counted(facts.collisions, facts.collisions_warming))
+def _told(facts: TrafficFacts) -> dict[str, str]:
+    """The rows of the summary."""
+    rows = {
+        "simulated": f"{facts.ticks} ticks, to {facts.end_s:g} s of SUMO's time",
+        "vehicles": str(facts.vehicles),
+        "persons": str(facts.persons),
+        "teleports out of jams": _counted(facts.teleports, facts.teleports_warming),
+        "collisions within SUMO's traffic": _counted(facts.collisions, facts.collisions_warming),
+    }
     if facts.episodes:
-        table.add_row("road users near a wheelchair", f"{facts.mirrored}, at most {facts.mirrored_most} at once")
-        table.add_row("wheelchair episodes, crashes", f"{facts.episodes}, {facts.crashes}")
-    return table
+        rows["road users near a wheelchair"] = f"{facts.mirrored}, at most {facts.mirrored_most} at once"
+        rows["wheelchair episodes, crashes"] = f"{facts.episodes}, {facts.crashes}"
+    return rows
 
 
 def _counted(number: int, warming: int) -> str:

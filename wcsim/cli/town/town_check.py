@@ -10,10 +10,8 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rich.table import Table
-
 from wcsim.cli.shared.common import OutFile, TownWord, write_json
-from wcsim.cli.shared.consoles import stdout_console
+from wcsim.cli.shared.consoles import show_table, stdout_console
 from wcsim.config import resolve
 from wcsim.core.reading import counted, listed
 from wcsim.errors import SumoError, TownError
@@ -113,17 +111,17 @@ def told_report(report: TownReport, began_s: float, json: Path | None, **more: A
         json: The result file, None for none.
         more: What else the result file says.
     """
-    table = Table(f"town {report.town}", "")
-    table.add_row("crossings", str(report.crossings))
-    table.add_row("walking areas", str(report.walkingareas))
-    table.add_row("walkable area in the largest connected part", f"{report.walkable_largest_share:.3f}")
-    table.add_row("classes in the demand", ", ".join(report.classes))
-    table.add_row("trips without a route", str(report.unroutable))
-    table.add_row("traffic drives on the", "left" if report.lefthand else "right")
-    console = stdout_console()
-    console.print(table)
+    rows = {
+        "crossings": str(report.crossings),
+        "walking areas": str(report.walkingareas),
+        "walkable area in the largest connected part": f"{report.walkable_largest_share:.3f}",
+        "classes in the demand": ", ".join(report.classes),
+        "trips without a route": str(report.unroutable),
+        "traffic drives on the": "left" if report.lefthand else "right",
+    }
+    show_table((f"town {report.town}", ""), rows.items())
     for line in (*(f"note: {note}" for note in report.notes), *(f"fault: {fault}" for fault in report.faults)):
-        console.print(line, markup=False, highlight=False, soft_wrap=True)
+        stdout_console().print(line, markup=False, soft_wrap=True)
     told = asdict(report)
     del told["overlaps"], told["cut_off"]  # the notes and faults say them
     write_json(json, {**told, "seconds": round(time.monotonic() - began_s, 3), **more})

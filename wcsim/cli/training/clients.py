@@ -7,12 +7,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 from rich import box
-from rich.console import Console
-from rich.table import Table
-from tyro.conf import arg
 
 from wcsim.agents.clients.group_run import (
     ClientsFolder,
@@ -24,10 +21,9 @@ from wcsim.agents.clients.group_run import (
 )
 from wcsim.agents.clients.paid_times import PaidTimes, PaidTimesLog
 from wcsim.agents.runs.run_folder import MANIFEST, Status, extend, how_to_resume, make_manifest, open_run
-from wcsim.cli.shared.common import Bounds, Worlds, check_folder, write_json
-from wcsim.cli.shared.consoles import stdout_console, warn
+from wcsim.cli.shared.common import Lease, Worlds, check_folder, write_json
+from wcsim.cli.shared.consoles import print_overrides, show_table, stdout_console, warn
 from wcsim.cli.shared.exit_codes import Exit, NothingKept
-from wcsim.cli.shared.overrides import print_overrides
 from wcsim.cli.shared.run_config import how_it_learns, how_to_test
 from wcsim.cli.training.train import ToldOptions
 from wcsim.config import RunConfig, resolve
@@ -46,7 +42,7 @@ from wcsim.view.live_table import LiveTable
 from wcsim.view.report.learning_curve import crossing, read_training
 
 
-class TickRate:
+class _TickRate:
     """Ticks a second over a run, restarts of the world included, loading at the beginning left out."""
 
     def __init__(self) -> None:
@@ -76,7 +72,7 @@ class TickRate:
         return (self._ticks - self._at_begin) / spent_s if spent_s > 0.0 else 0.0
 
 
-def report_of(folder: ClientsFolder, seed: int, rate: TickRate, waits: PaidTimes) -> dict[str, Any]:
+def _report_of(folder: ClientsFolder, seed: int, rate: _TickRate, waits: PaidTimes) -> dict[str, Any]:
     """How a run ended, as `--json` has it: ledgers are compared with the journal, whose hash is equal for equal runs.
 
     Raises:
@@ -118,32 +114,28 @@ def _steps_of(ledger: Path, journal: Path | None, against: Audit) -> dict[str, i
     }
 
 
-def print_report(console: Console, report: Mapping[str, Any], waits: PaidTimes) -> None:
+def _print_report(report: Mapping[str, Any], waits: PaidTimes) -> None:
     """The report as a table."""
-    table = Table(
-        "client", "first tick", "last tick", "ticks", "missing", "duplicated", box=box.SIMPLE_HEAD, pad_edge=False
-    )
-    for client in report["clients"]:
-        table.add_row(*map(str, client.values()))
-    console.print(table)
+    headings = ("client", "first tick", "last tick", "ticks", "missing", "duplicated")
+    rows = (map(str, client.values()) for client in report["clients"])
+    show_table(headings, rows, box=box.SIMPLE_HEAD, pad_edge=False)
     if len(waits.clients) > 1:
-        console.print(_paid(waits))
-    console.print(
+        paid = ("client", "acting s", "learning s", "waiting s", "mostly for")
+        show_table(paid, _paid(waits), box=box.SIMPLE_HEAD, pad_edge=False)
+    stdout_console().print(
         f"{report['ticks']} world ticks, {report['ticks_per_s']:.1f} per second; journal hash {report['journal_hash']}",
         markup=False,
         soft_wrap=True,
     )
 
 
-def _paid(waits: PaidTimes) -> Table:
+def _paid(waits: PaidTimes) -> Iterator[tuple[str, ...]]:
     """What each client paid, and for whom it waited most; the page of `wcsim report` has all pairs."""
-    table = Table("client", "acting s", "learning s", "waiting s", "mostly for", box=box.SIMPLE_HEAD, pad_edge=False)
     for name, paid in waits.clients.items():
         waited = waits.waited_s.get(name, {})
         whom = max(waited, key=lambda other: waited[other], default="")
         most = f"{whom} ({waited[whom]:.1f})" if whom and waited[whom] > 0.0 else "-"
-        table.add_row(name, *(f"{part_s:.1f}" for part_s in (paid.acting_s, paid.learning_s, paid.waiting_s)), most)
-    return table
+        yield name, *(f"{part_s:.1f}" for part_s in (paid.acting_s, paid.learning_s, paid.waiting_s)), most
 
 
 def print_crossings(run: Path) -> None:
@@ -167,7 +159,7 @@ class GroupOptions(ToldOptions):
 
     worlds: Worlds = None
     """Worker processes that compare clients by a suite or list. None: one per core, at most 4."""
-    lease: Annotated[float, arg(metavar="S"), Bounds(1.0, 86_400.0)] = LEASE_S
+    lease: Lease = LEASE_S
     """Seconds without progress after which a client is restarted."""
 
 
@@ -200,7 +192,7 @@ def train_clients(
         left = tuple(client for client in run.clients if not folder.done(client.name, client.steps))
         plans = [client_plan(run, folder, place, client) for client in left]
         order = world_order(run, town.address, folder, place, len(left), options.lease)
-        rate, paid = TickRate(), PaidTimesLog(folder.path)
+        rate, paid = _TickRate(), PaidTimesLog(folder.path)
         held.callback(paid.save)
         with LiveTable() as table:
 
@@ -276,7 +268,7 @@ def _mend(folder: ClientsFolder) -> None:
 
 
 def _told(
-    run: GroupRun, folder: ClientsFolder, json: Path | None, outcome: LaunchOutcome, seen: tuple[TickRate, PaidTimes]
+    run: GroupRun, folder: ClientsFolder, json: Path | None, outcome: LaunchOutcome, seen: tuple[_TickRate, PaidTimes]
 ) -> int:
     """Write down how it ended and say so; returns the exit code.
 
@@ -292,8 +284,8 @@ def _told(
     folder = _with_status(run, folder, steps)
     if outcome.code == Exit.REFUSED:
         raise ConfigError(outcome.message)
-    report = report_of(folder, run.info.seed, *seen)
-    print_report(stdout_console(), report, seen[1])
+    report = _report_of(folder, run.info.seed, *seen)
+    _print_report(report, seen[1])
     for kept in folder.truncated_parts():
         warn(f"{kept}: a truncated end was cut off earlier")
     write_json(json, report)

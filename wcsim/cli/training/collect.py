@@ -32,7 +32,7 @@ from wcsim.errors import InterruptedRunError
 
 
 @dataclass(kw_only=True)
-class Options(SettingsOptions):
+class _Options(SettingsOptions):
     """Record driving as training data; `wcsim train --data FOLDER` reads it."""
 
     town: str = "helsinki"
@@ -59,7 +59,7 @@ class Options(SettingsOptions):
 
 def run(words: list[str]) -> int:
     """Drive, and leave a data folder."""
-    options = parse(Options, words, "collect")
+    options = parse(_Options, words, "collect")
     own = {"learn": {"network": options.network}} if options.network else None
     config = resolve(options.preset, options.config, options.set, own)
     if options.policy:

@@ -8,13 +8,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from rich.console import Console
-
 from wcsim.agents.evaluation.suite.named_policy import RULES
 from wcsim.cli.evaluation import test
 from wcsim.cli.evaluation.result_tables import show_result
 from wcsim.cli.shared.common import Keys, OutFolder, Repeated, check_folder, parse
-from wcsim.cli.shared.consoles import stdout_console
+from wcsim.cli.shared.consoles import StageBar, stdout_console
 from wcsim.cli.shared.run_config import (
     how_it_learns,
     learning,
@@ -22,7 +20,6 @@ from wcsim.cli.shared.run_config import (
     require_users,
     resolve_run,
 )
-from wcsim.cli.shared.stage_bar import StageBar
 from wcsim.cli.training.train import checked_town, train_in
 from wcsim.config import RunConfig, resolve
 from wcsim.core.files import numbered_names
@@ -38,7 +35,7 @@ _USUAL = "This takes about 4 minutes on two free cores, half of them for trainin
 
 
 @dataclass
-class Options:
+class _Options:
     """Train preset quick in Helsinki, then test and film it in Monaco.
 
     This takes about 4 minutes on two free cores. Every stage shows the time left.
@@ -62,21 +59,21 @@ class Options:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Demo:
-    """What is done, and where to say so."""
+    """What is done."""
 
-    options: Options
+    options: _Options
     trial: test.Options
     town: Town  # the first to test in
     out: Path
-    console: Console
 
-    def say(self, text: str, style: str | None = None) -> None:
-        self.console.print(text, style=style, markup=False)
+
+def _say(text: str, style: str | None = None) -> None:
+    stdout_console().print(text, style=style, markup=False)
 
 
 def run(words: list[str]) -> int:
     """Do it all, and say where everything is."""
-    options = parse(Options, words, "demo")
+    options = parse(_Options, words, "demo")
     started = time.monotonic()
     trial = test.Options(
         town=options.test_town,
@@ -90,42 +87,42 @@ def run(words: list[str]) -> int:
     out = options.out or next(numbered_names(Path("runs") / "demo"))
     check_folder("--out", out)
     town = next(iter(tested.values()))
-    demo = _Demo(options=options, trial=trial, town=town, out=out, console=stdout_console())
+    demo = _Demo(options=options, trial=trial, town=town, out=out)
     config = resolve("quick", options.set)
     config = resolve(config, learning(config))
     require_head(config, in_rounds=True)
     require_users(config, (options.set, None))
-    demo.say(f"wcsim demo: a network is trained in {school.name} and tested in {', '.join(tested)}.")
-    if parse(Options, [], "demo") == replace(options, seed=1, out=None):
-        demo.say(_USUAL)
+    _say(f"wcsim demo: a network is trained in {school.name} and tested in {', '.join(tested)}.")
+    if parse(_Options, [], "demo") == replace(options, seed=1, out=None):
+        _say(_USUAL)
     _train(demo, config, school, words)
     result = _test(demo, ", ".join(tested))
     still = _film(demo)
     page = _page(demo, config, result, still)
-    demo.say(f"\ndone in {_minutes(time.monotonic() - started)}; open this page: {page}", "bold")
-    demo.say("next:")
+    _say(f"\ndone in {_minutes(time.monotonic() - started)}; open this page: {page}", "bold")
+    _say("next:")
     for command, does in _commands(demo):
-        demo.say(f"  {command}\n      {does}")
-    demo.say("SIMULATION ONLY: these figures say nothing about a real street.", "dim")
+        _say(f"  {command}\n      {does}")
+    _say("SIMULATION ONLY: these figures say nothing about a real street.", "dim")
     return 0
 
 
 def _train(demo: _Demo, config: RunConfig, school: Town, words: list[str]) -> None:
     """The first stage; what was learned until Ctrl-C is enough for the others."""
-    demo.say(f"\n1/3 training in {school.name}; Ctrl-C ends it early and keeps the policy so far", "bold")
-    demo.say(how_it_learns(config), "dim")
+    _say(f"\n1/3 training in {school.name}; Ctrl-C ends it early and keeps the policy so far", "bold")
+    _say(how_it_learns(config), "dim")
     info = RunInfo(seed=demo.options.seed, command=("wcsim", "demo", *words))
     try:
         train_in(resolve_run(config, info, school, demo.out), school)
     except InterruptedRunError as stop:
-        demo.say(f"{stop}")
+        _say(f"{stop}")
 
 
 def _test(demo: _Demo, towns: str) -> TestResult:
     """The second: the network beside the baselines, who meet the same world."""
-    demo.say(f"\n2/3 testing in {towns}, a new town for it, next to seven baselines", "bold")
+    _say(f"\n2/3 testing in {towns}, a new town for it, next to seven baselines", "bold")
     result = test.test_policies(replace(demo.trial, policies=(str(demo.out),), out=demo.out / "test"))
-    show_result(demo.console, result)
+    show_result(stdout_console(), result)
     return result
 
 
@@ -136,7 +133,7 @@ def _film(demo: _Demo) -> Path:
     from wcsim.view.filming import FilmDriver, FilmedDrive  # loads the simulators, which --help must not
     from wcsim.view.pictures import write_png
 
-    demo.say(f"\n3/3 filming {_FILM_S:g} s of it in {demo.town.name}", "bold")
+    _say(f"\n3/3 filming {_FILM_S:g} s of it in {demo.town.name}", "bold")
     path = demo.out / f"{demo.town.name}.webm"
     driver = FilmDriver(policy=str(demo.out), profile=demo.trial.profile)
     best, best_m = None, -1.0
@@ -153,7 +150,7 @@ def _film(demo: _Demo) -> Path:
     still = path.with_suffix(".png")
     if best is not None:
         write_png(still, best)
-    demo.say(f"{path}, {still.name}")
+    _say(f"{path}, {still.name}")
     return still
 
 

@@ -16,7 +16,7 @@ from wcsim.agents.export.export_folder import require_export_place
 from wcsim.agents.policy_api import BASELINES, UPPER_BOUNDS, Observation, Policy
 from wcsim.agents.runs.policy_file import SHIPPED, is_danger, policy_name, read_danger_file
 from wcsim.agents.runs.run_folder import policy_path
-from wcsim.cli.shared.common import Bounds, OutFile, check_folder, parse, write_json
+from wcsim.cli.shared.common import Bounds, InFile, OutFile, check_folder, parse, write_json
 from wcsim.cli.shared.exit_codes import Exit
 from wcsim.cli.shared.run_config import require_policy
 from wcsim.config import RunConfig, resolve
@@ -30,7 +30,7 @@ _SAME_POLICY: Final = 0.95  # of a recording's actions: with fewer it was hardly
 
 
 @dataclass
-class Options:
+class _Options:
     """Export a trained network as an ONNX model, with a reference ride to check it."""
 
     policy: Annotated[str, Positional]
@@ -39,7 +39,7 @@ class Options:
     """Output folder; an earlier export in it is replaced."""
     town: str = "helsinki"
     """Town of the reference ride: a town's name, its folder, or a .sumocfg file."""
-    ride: Annotated[Path | None, arg(metavar="FILE")] = None
+    ride: InFile = None
     """Recorded drive, or journal of a run, to use as the reference ride instead. Its first episode counts. The command
     reports how many of the policy's actions match the recorded ones."""
     seat: int = 0
@@ -58,7 +58,7 @@ class Options:
 
 def run(words: list[str]) -> int:
     """Export, and say what was measured."""
-    options = parse(Options, words, "export")
+    options = parse(_Options, words, "export")
     if options.onnx is None:
         raise ConfigError("nothing to write to; expected --onnx FOLDER")
     check_folder("--onnx", options.onnx)
@@ -156,7 +156,7 @@ def _costs(facts: ExportFacts, bar_ms: float) -> str:
 
 
 def _ride(
-    options: Options, own: RunConfig, policy: Policy
+    options: _Options, own: RunConfig, policy: Policy
 ) -> tuple[tuple[str, ...], Sequence[Observation], tuple[int, ...] | None, str]:
     """The reference ride: its delay and observations, and of a recording the actions and who chose them."""
     from wcsim.agents.export.export_folder import require_shown

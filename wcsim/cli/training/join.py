@@ -15,10 +15,9 @@ from wcsim.agents.clients.group_run import RECONNECT_S
 from wcsim.agents.networks.names import check_network, client_name
 from wcsim.agents.runs.run_folder import ResolvedRun
 from wcsim.cli.shared.common import Bounds, OutFolder, check_folder, parse
+from wcsim.cli.shared.consoles import StageBar
 from wcsim.cli.shared.run_config import how_it_learns, how_to_test, require_user
-from wcsim.cli.shared.stage_bar import StageBar
-from wcsim.cli.training.train import gone_if_nothing_came_of_it, steps_shown
-from wcsim.cli.training.train_q import LearnerOptions, q_layers
+from wcsim.cli.training.train import LearnerOptions, gone_if_nothing_came_of_it, q_layers, steps_shown
 from wcsim.config import RunConfig, parse_json, resolve
 from wcsim.config.plant import known_plants
 from wcsim.core.reading import escaped
@@ -37,7 +36,7 @@ WORLD_PARTS = ("world", "chair", "cameras", "imu", "sensors", "reward", "vary")
 
 
 @dataclass(kw_only=True)
-class Options(LearnerOptions):
+class _Options(LearnerOptions):
     """Train one network in a running world of `wcsim serve`.
 
     The server sets world, chair and camera.
@@ -65,7 +64,7 @@ class Options(LearnerOptions):
 
 def run(words: list[str]) -> int:
     """Join, learn, leave a run folder."""
-    options = parse(Options, words, "join")
+    options = parse(_Options, words, "join")
     if options.endpoint.partition("://")[0] not in ("ipc", "tcp"):
         raise ConfigError(
             f"endpoint {options.endpoint!r}: expected ipc://FILE or tcp://HOST:PORT, as `wcsim serve` prints it"
@@ -85,7 +84,7 @@ def run(words: list[str]) -> int:
     return 0
 
 
-def _joined(options: Options, config: RunConfig, out: Path, command: tuple[str, ...]) -> Path:
+def _joined(options: _Options, config: RunConfig, out: Path, command: tuple[str, ...]) -> Path:
     # torch is loaded here, before there is a seat for which others would wait
     from wcsim.agents.envs.wheelchair_env import WheelchairEnv
     from wcsim.agents.learning.build import network_settings
@@ -119,7 +118,7 @@ def _of_world(world: m.Welcome, endpoint: str) -> dict[str, Any]:
     return {**{part: getattr(offered, part) for part in WORLD_PARTS}, "env": {"actions": offered.env.actions}}
 
 
-def _order(options: Options, config: RunConfig) -> SeatRequest:
+def _order(options: _Options, config: RunConfig) -> SeatRequest:
     env = config.env
     return SeatRequest(
         endpoint=options.endpoint,
@@ -132,7 +131,7 @@ def _order(options: Options, config: RunConfig) -> SeatRequest:
     )
 
 
-def _world(options: Options, seat: SocketSeat) -> m.Welcome:
+def _world(options: _Options, seat: SocketSeat) -> m.Welcome:
     """Take the seat, and hear what the world is; from then on the server may be silent for longer."""
     try:
         seat.join()

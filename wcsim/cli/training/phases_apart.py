@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rich import box
-from rich.table import Table
 
 from wcsim.agents.clients.group_run import CHOICE, KPI1, SELECTION, Client, GroupRun, read_choice
 from wcsim.agents.networks.names import is_own
@@ -20,7 +19,7 @@ from wcsim.agents.runs.metrics import KPI1_STEPS, ROW_STEPS
 from wcsim.agents.runs.run_folder import how_to_resume
 from wcsim.cli.evaluation.judged_suite import keep_result
 from wcsim.cli.shared.common import worlds_of, write_json
-from wcsim.cli.shared.consoles import say, stderr_console, stdout_console
+from wcsim.cli.shared.consoles import say, show_table, stderr_console
 from wcsim.cli.shared.exit_codes import Exit
 from wcsim.cli.training.clients import GroupOptions, train_clients
 from wcsim.core.files import locked
@@ -81,7 +80,6 @@ def _checked(options: GroupOptions, run: GroupRun, by: str) -> Suite | None:
         from wcsim.agents.evaluation.suite.list_file import open_suite
 
         suite = open_suite(by)
-        worlds_of(options.worlds)
     least = ROW_STEPS if by == KPI1 else 1
     unled = [client.name for client in run.clients if client.config.learn.phase1_steps < least]
     if unled:
@@ -195,9 +193,10 @@ def _best_of(figures: Figures) -> str:
 
 
 def _show(figures: Figures, best: str) -> None:
-    names = [_HEADS[key] for key in figures[best]]
-    table = Table("client", *names, "", box=box.SIMPLE_HEAD, pad_edge=False)
-    for name, own in figures.items():
-        goes_on = "learns the second phase" if name == best else "stops after the first phase"
-        table.add_row(name, *(f"{figure:.4g}" for figure in own.values()), goes_on)
-    stdout_console().print(table)
+    rows = (
+        (name, *(f"{figure:.4g}" for figure in own.values()),
+         "learns the second phase" if name == best else "stops after the first phase")
+        for name, own in figures.items()
+    )  # fmt: skip
+    headings = ("client", *(_HEADS[key] for key in figures[best]), "")
+    show_table(headings, rows, box=box.SIMPLE_HEAD, pad_edge=False)

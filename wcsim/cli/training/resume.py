@@ -27,7 +27,7 @@ from wcsim.towns.scenario.town import Town, streets_hash
 
 
 @dataclass(kw_only=True)
-class Options(ToldOptions):
+class _Options(ToldOptions):
     """Continue a training from its newest checkpoint, with its own settings."""
 
     run: Annotated[Path, Positional, arg(metavar="RUN")]
@@ -46,7 +46,7 @@ class Options(ToldOptions):
 
 def run(words: list[str]) -> int:
     """Go on, by what the run's folder says."""
-    options = parse(Options, words, "resume")
+    options = parse(_Options, words, "resume")
     check_folder("RUN", options.run)
     was = None if "clients" in read_json(options.run, MANIFEST) else open_run(options.run)
     in_rounds = was is not None and learns_in_rounds(was.config)
@@ -58,7 +58,7 @@ def run(words: list[str]) -> int:
         rounds = was.config.collect.rounds
         raise ConfigError(f"--steps: {options.run} learns in {rounds} rounds, not steps; leave it out")
     machines = machines_of(options.cluster, options.worlds, "--worlds")
-    again, town = resumed(options)
+    again, town = _resumed(options)
     if was.manifest.status == "done" and again.config.learn.total_steps == was.config.learn.total_steps:
         print(f"note: {_finished(options.run, was.config)}", file=sys.stderr)
     train_in(again, town, verbose=options.verbose, machines=machines)
@@ -72,7 +72,7 @@ def _finished(out: Path, config: RunConfig) -> str:
     return f"{out} is finished: all of its {config.learn.total_steps} steps are done; extend it with --steps N"
 
 
-def resumed(options: Options) -> tuple[ResolvedRun, Town]:
+def _resumed(options: _Options) -> tuple[ResolvedRun, Town]:
     """What a run of one network goes on with.
 
     Raises:
@@ -98,7 +98,7 @@ def resumed(options: Options) -> tuple[ResolvedRun, Town]:
     return resolve_run(config, run.manifest.info, town, path, resume=True), town
 
 
-def _resume_group(options: Options) -> int:
+def _resume_group(options: _Options) -> int:
     from wcsim.cli.training.clients import LEASE_S, GroupOptions
     from wcsim.cli.training.phases_apart import train_group
 
@@ -117,8 +117,8 @@ def _resume_group(options: Options) -> int:
     return train_group(again, run, town)
 
 
-def _resumed_group(options: Options) -> tuple[GroupRun, Town]:
-    """What a run of several clients goes on with. Raises as `resumed` does."""
+def _resumed_group(options: _Options) -> tuple[GroupRun, Town]:
+    """What a run of several clients goes on with. Raises as `_resumed` does."""
     path = options.run
     folder = open_clients_folder(path)
     configs = {name: folder.client_config(name) for name in folder.clients}
@@ -145,7 +145,7 @@ def _value_of(command: Sequence[str], option: str) -> str | None:
     return found
 
 
-def _town_of(options: Options, manifest: Manifest, networks: Sequence[str]) -> Town:
+def _town_of(options: _Options, manifest: Manifest, networks: Sequence[str]) -> Town:
     """The town that a run of these networks was made in, of several the first one.
 
     Raises:
@@ -174,7 +174,7 @@ def _town_of(options: Options, manifest: Manifest, networks: Sequence[str]) -> T
     return towns[0]
 
 
-def _steps_of(options: Options, config: RunConfig) -> int:
+def _steps_of(options: _Options, config: RunConfig) -> int:
     """Steps in all: those of the run, or more. Raises PolicyError for fewer."""
     total = config.learn.total_steps
     if options.steps is not None and options.steps < total:

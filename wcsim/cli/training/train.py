@@ -1,24 +1,28 @@
-"""`wcsim train`: a danger network learns to assist, in rounds; and what all commands have in common that train one."""
+"""`wcsim train`: a danger network learns to assist, in rounds; `wcsim train-q`: a network does, by Q-learning."""
 
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, Any
+
+from tyro.conf import arg
 
 from wcsim.agents.collecting.data_folder import DATA, SEGMENTS
 from wcsim.agents.runs.run_folder import ResolvedRun, open_run
 from wcsim.cli.shared.common import (
     Cluster,
+    Finds,
     Flag,
     OutFile,
     OutFolder,
     Repeated,
     SettingsOptions,
+    Steps,
     Worlds,
     fresh_folders,
     machines_of,
@@ -26,9 +30,8 @@ from wcsim.cli.shared.common import (
     some_words,
     write_json,
 )
-from wcsim.cli.shared.consoles import warn
+from wcsim.cli.shared.consoles import StageBar, beside, print_overrides, warn
 from wcsim.cli.shared.exit_codes import Exit, NothingKept
-from wcsim.cli.shared.overrides import beside, print_overrides
 from wcsim.cli.shared.run_config import (
     how_it_learns,
     how_to_test,
@@ -38,12 +41,13 @@ from wcsim.cli.shared.run_config import (
     require_users,
     resolve_run,
 )
-from wcsim.cli.shared.stage_bar import StageBar
-from wcsim.config import RunConfig, resolve
-from wcsim.core.reading import counted
+from wcsim.config import CONFIG_FILE, LearnConfig, RunConfig, resolve
+from wcsim.config.load import Layer, sets_key
+from wcsim.core import reading
 from wcsim.errors import ConfigError, DiskFullError, InterruptedRunError, TownError, WorkersError
 from wcsim.server.specs import RunInfo
 from wcsim.server.workers.machines import Machines
+from wcsim.supervisor.rewards import find_reward_term
 from wcsim.towns.checks.validate import validate_net
 from wcsim.towns.making.asked_town import asked_town
 from wcsim.towns.scenario.town import Town, by_name, streets_hash
@@ -64,7 +68,7 @@ class ToldOptions:
 
 
 @dataclass(kw_only=True)
-class TrainingOptions(SettingsOptions, ToldOptions):
+class _TrainingOptions(SettingsOptions, ToldOptions):
     """What every new training takes."""
 
     town: str = "helsinki"
@@ -79,7 +83,7 @@ class TrainingOptions(SettingsOptions, ToldOptions):
 
 
 @dataclass(kw_only=True)
-class Options(TrainingOptions):
+class _RoundsOptions(_TrainingOptions):
     """Train a danger network: users and an oracle drive in rounds, and it learns which positions end badly.
 
     `wcsim train-q` learns by Q-learning instead.
@@ -97,16 +101,21 @@ class Options(TrainingOptions):
 
 def run(words: list[str]) -> int:
     """Train and leave a run folder."""
-    options = parse(Options, words, "train")
+    options = parse(_RoundsOptions, words, "train")
     machines = machines_of(options.cluster, options.worlds, "--worlds")
     data = {"collect": {"data": list(options.data)}} if options.data else None
     config = resolve(options.preset, options.config, options.set, data)
     config = resolve(config, learning(config))
     require_head(config, in_rounds=True)
     require_users(config, (options.set, options.config))
-    town, info = placed(options, RunInfo(seed=options.seed, command=("wcsim", "train", *words)), config)
-    made = resolve_run(config, info, town, out_of(options, town))
-    train_in(made, town, note=how_it_learns(config), machines=machines)
+    return _trained(options, RunInfo(seed=options.seed, command=("wcsim", "train", *words)), config, machines)
+
+
+def _trained(options: _TrainingOptions, info: RunInfo, config: RunConfig, machines: Machines | None = None) -> int:
+    """Train one network as it was asked for, and say where it is; raises as `placed`, `resolve_run`, `train_in` do."""
+    town, info, out = placed(options, info, config)
+    made = resolve_run(config, info, town, out)
+    train_in(made, town, note=how_it_learns(config), verbose=options.verbose, machines=machines)
     return told(options, made)
 
 
@@ -122,13 +131,8 @@ def told(options: ToldOptions, run: ResolvedRun) -> int:
     return Exit.DONE
 
 
-def out_of(options: TrainingOptions, town: Town) -> Path:
-    """The run folder that is asked for, or the usual one."""
-    return options.out or Path("runs") / f"{town.name}-{options.preset}-{options.seed}"
-
-
-def placed(options: TrainingOptions, info: RunInfo, config: RunConfig) -> tuple[Town, RunInfo]:
-    """The run's own town, and what is known of a run with those that take turns with it.
+def placed(options: _TrainingOptions, info: RunInfo, config: RunConfig) -> tuple[Town, RunInfo, Path]:
+    """The run's own town, what is known of a run with those that take turns with it, and its folder.
 
     Raises:
         TownError: One is kept for tests, or two have one name.
@@ -143,7 +147,8 @@ def placed(options: TrainingOptions, info: RunInfo, config: RunConfig) -> tuple[
             f"--town {options.town}: with world.epoch_ticks=0 the world never changes town; set it above 0"
         )
     more = {word: streets_hash(town) for word, town in zip(typed[1:], towns[1:], strict=True)}
-    return towns[0], replace(info, more_towns=more)
+    out = options.out or Path("runs") / f"{towns[0].name}-{options.preset}-{options.seed}"
+    return towns[0], replace(info, more_towns=more), out
 
 
 def checked_town(name: str, allow_test_town: bool) -> Town:
@@ -166,7 +171,6 @@ def train_in(
         return _train_rounds_in(run, town, machines or machines_of("", None, "--worlds"), note)
     from wcsim.agents.envs.wheelchair_env import WheelchairEnv
     from wcsim.agents.learning.train import train
-    from wcsim.supervisor.rewards import find_reward_term
 
     config, info = run.config, run.info
     terms = tuple(find_reward_term(name) for name in info.rewards)
@@ -191,7 +195,7 @@ def train_in(
         return train(run, make_env, show, log=warn)
 
 
-def _train_rounds_in(run: ResolvedRun, town: Town, machines: Machines, note: str = "") -> Path:
+def _train_rounds_in(run: ResolvedRun, town: Town, machines: Machines, note: str) -> Path:
     """Train with a progress bar, and a note above it; returns the run folder.
 
     Raises:
@@ -249,7 +253,7 @@ def _log(bar: StageBar, now: RoundProgress) -> None:
     """A line where a round is driven, and one where it is learned from."""
     says = f"round {now.round + 1} of {now.rounds}, {now.segments} of {now.of} segments"
     if now.updates:
-        bar.say(f"{says}, {counted(now.updates, 'update')}, loss {now.loss:.4f}")
+        bar.say(f"{says}, {reading.counted(now.updates, 'update')}, loss {now.loss:.4f}")
     elif now.segments == now.of and not now.learned:
         bar.say(f"{says}: learning")
 
@@ -283,7 +287,7 @@ def steps_shown(bar: StageBar) -> Callable[[TrainProgress], None]:
         nonlocal tenths
         kpi1 = "" if now.kpi1 is None else f", KPI 1 {now.kpi1:.3f}"
         step = min(now.step, now.total_steps)  # the last steps are done together, and may be a few more
-        known = f"{counted(now.episodes, 'episode')}, {counted(now.crashes, 'crash')}{kpi1}"
+        known = f"{reading.counted(now.episodes, 'episode')}, {reading.counted(now.crashes, 'crash')}{kpi1}"
         says, phase = f"{step}/{now.total_steps} steps, {known}", f"phase {now.phase}"
         bar.show(step / now.total_steps, says, phase)
         if not bar.console.is_terminal and 10 * step // now.total_steps > tenths:
@@ -291,3 +295,93 @@ def steps_shown(bar: StageBar) -> Callable[[TrainProgress], None]:
             bar.say(f"{phase}: {says}", left=False)
 
     return show
+
+
+_PARTS = ("phase1_steps", "learning_starts")  # of [learn], that shrink with the steps
+
+
+@dataclass(kw_only=True)
+class LearnerOptions(SettingsOptions):
+    """What everybody takes who learns by Q-learning."""
+
+    preset: str = "dqn"
+    """Preset to start from: dqn or paper."""
+    reward: Annotated[Repeated, Finds(find_reward_term)] = ()
+    """Your own reward term as module:Class, added to the paper's terms."""
+    steps: Steps = None
+    """Total steps, as --set learn.total_steps=N. A preset's first phase of more than half of them shrinks."""
+
+
+@dataclass(kw_only=True)
+class QOptions(LearnerOptions, _TrainingOptions):
+    """What every new training by Q-learning takes."""
+
+    hook: str = ""
+    """Your own step hook as module:Class, called around every step of SUMO with the libsumo module."""
+    tensorboard: bool = False
+    """Also log scalars for TensorBoard in the run folder, as --set learn.tensorboard=true."""
+
+    def info(self, command: tuple[str, ...]) -> RunInfo:
+        """What is known of a run before its town is."""
+        return RunInfo(seed=self.seed, rewards=self.reward, command=command, hook=self.hook)
+
+
+@dataclass(kw_only=True)
+class _QLearningOptions(QOptions):
+    """Train a network by Q-learning, from the reward of every step, as in the paper."""
+
+    network: Annotated[str, arg(metavar="NAME")] = ""
+    """Name of a network, or your own as module:Class; same as --set learn.network=..."""
+
+
+def run_q(words: list[str]) -> int:
+    """Train by Q-learning, and leave a run folder."""
+    options = parse(_QLearningOptions, words, "train-q")
+    board = {"learn": {"tensorboard": True}} if options.tensorboard else None
+    config = resolve(options.preset, *q_layers(options, options.network, board))
+    return _trained(options, options.info(("wcsim", "train-q", *words)), config)
+
+
+def q_layers(
+    asked: LearnerOptions, network: str = "", more: Mapping[str, Any] | None = None, file: Path | None = None
+) -> tuple[Layer, ...]:
+    """What is laid over the preset to learn as it was asked for; the window is left to `resolve_run`.
+
+    Args:
+        asked: The options.
+        network: Laid over what they say; "" for theirs.
+        more: Tables of keys that other options stand for.
+        file: TOML file laid over all, for one of several clients.
+
+    Raises:
+        ConfigError: An option cannot be used, the user is kept for tests, or it is no Q-learning.
+    """
+    named = {"learn": {"network": network}} if network else None
+    layers: tuple[Layer, ...] = (asked.config, asked.set, more, named, file)
+    config = resolve(asked.preset, *layers)
+    if asked.steps is not None:
+        tables = [reading.read_toml(path, CONFIG_FILE).get("learn", {}) for path in (asked.config, file) if path]
+        typed = [key for key in _PARTS if any(sets_key(text, f"learn.{key}") for text in asked.set)]
+        own = [key for key in _PARTS if key in typed or any(key in table for table in tables)]
+        parts = _shrunk_parts(config.learn, asked.steps, own)
+        layers = (*layers, {"learn": {"total_steps": asked.steps, **parts}})
+        config = resolve(asked.preset, *layers)
+    require_head(config, in_rounds=False)
+    require_users(config)
+    return (*layers, learning(config))
+
+
+def _shrunk_parts(learn: LearnConfig, steps: int, own: list[str]) -> dict[str, int]:
+    """First phase and wait for the first update in a training of so many steps in all.
+
+    A preset's first phase of more than half of them shrinks in proportion, and so does its wait for the first update.
+    The keys in `own` are the user's, and stay.
+
+    >>> _shrunk_parts(LearnConfig(), 60, [])
+    {'phase1_steps': 15, 'learning_starts': 2}
+    """
+    parts = {key: getattr(learn, key) for key in _PARTS if key not in own}
+    return {
+        key: part if part <= steps / 2 else round(steps * min(0.5, part / learn.total_steps))
+        for key, part in parts.items()
+    }

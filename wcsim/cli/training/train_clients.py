@@ -16,8 +16,7 @@ from wcsim.cli.shared.common import Repeated, parse, some_words
 from wcsim.cli.shared.run_config import in_town, require_user
 from wcsim.cli.training.clients import GroupOptions
 from wcsim.cli.training.phases_apart import train_group
-from wcsim.cli.training.train import out_of, placed
-from wcsim.cli.training.train_q import QOptions, q_layers
+from wcsim.cli.training.train import QOptions, placed, q_layers
 from wcsim.config import resolve
 from wcsim.errors import ConfigError
 
@@ -44,8 +43,7 @@ def run(words: list[str]) -> int:
     options = parse(Options, words, "train-clients")
     clients = resolved(options)
     config = clients[0].config
-    town, info = placed(options, options.info(("wcsim", "train-clients", *words)), config)
-    out = out_of(options, town)
+    town, info, out = placed(options, options.info(("wcsim", "train-clients", *words)), config)
     return train_group(options, GroupRun(clients=clients, out=out, info=in_town(info, town, config)), town)
 
 

@@ -20,7 +20,7 @@ XY = tuple[float, float]
 _DIGITS: Final = 4
 
 
-class FilmBody(msgspec.Struct, frozen=True, array_like=True, kw_only=True):
+class _FilmBody(msgspec.Struct, frozen=True, array_like=True, kw_only=True):
     """What an actor is; see `ActorState`."""
 
     id: str
@@ -69,7 +69,7 @@ class FilmFrame(msgspec.Struct, frozen=True, kw_only=True):
     epoch: int
     tick: int
     time_s: float
-    bodies: list[FilmBody]  # of the actors
+    bodies: list[_FilmBody]  # of the actors
     rows: bytes  # (n, 11) float32 of them: position, yaw, pitch, velocity, size; 8 km from the origin to 0.5 mm
     chairs: list[FilmChair]
     ways: dict[int, bytes] = {}  # by seat: its route's points, (n, 2) float32
@@ -173,7 +173,7 @@ class FrameMaker:
         )
 
 
-def _actor(body: FilmBody, row: F64) -> ActorState:
+def _actor(body: _FilmBody, row: F64) -> ActorState:
     length_m, width_m, height_m = row[8:].tolist()
     return ActorState(
         **msgspec.structs.asdict(body),
@@ -185,6 +185,6 @@ def _actor(body: FilmBody, row: F64) -> ActorState:
     )
 
 
-def bodies_of(actors: Sequence[object]) -> list[FilmBody]:
+def bodies_of(actors: Sequence[object]) -> list[_FilmBody]:
     """What these actors are, or bodies of a trace."""
-    return msgspec.convert(actors, list[FilmBody], from_attributes=True)
+    return msgspec.convert(actors, list[_FilmBody], from_attributes=True)

@@ -1,4 +1,4 @@
-"""The process that plays a film: it takes what the source says, does to `Player` what the page wants, and tells it."""
+"""The process that plays a film: it takes what the source says, does to `_Player` what the page wants, and tells it."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from wcsim.drive.pictures import StreetPictures
 from wcsim.drive.playing.film_states import FilmAbout, FilmFrame, FilmLine, FilmNames, Said
 from wcsim.drive.playing.sources.source_process import FilmSource, run_at_low_priority, run_source
 from wcsim.drive.playing.tick_film import TickFilm
-from wcsim.drive.runner import Does, PageRunner, run_page, start_child
+from wcsim.drive.runner import Does, PageRunner, start_child
 from wcsim.errors import WcsimError
 from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.kpi import KpiTotals
@@ -48,7 +48,7 @@ class PlayStart:
     """What to play."""
 
     source: FilmSource
-    seat: int = -1  # whom to follow, -1 for the first
+    seat: int | None = None  # whom to follow, None for the first
     failed: tuple[FailedLine, ...] = ()
 
     word: ClassVar = "film"  # as of `DriveOrder`, as the next
@@ -60,13 +60,13 @@ class PlayStart:
         """What the player's process does."""
         if self.source.gives_way:
             run_at_low_priority()
-        run_page(PlayRunner(pipe, self), pipe)
+        _PlayRunner(pipe, self).run_process()
 
 
-class Player:
+class _Player:
     """The number of the frame that is shown.
 
-    >>> player = Player()
+    >>> player = _Player()
     >>> player.advance(0.0, range(100), 0.1), player.advance(0.25, range(100), 0.1)
     (False, True)
     >>> player.at
@@ -120,7 +120,7 @@ class Player:
         self.pace = min(max(times, SLOWEST), FASTEST)
 
 
-class PlayRunner(PageRunner):
+class _PlayRunner(PageRunner):
     """Plays films one after another, until the pipe to the server ends.
 
     Args:
@@ -133,9 +133,9 @@ class PlayRunner(PageRunner):
         super().__init__(pipe, clock)
         self._start, self._opened = start, start.source
         self._film: TickFilm | None = None
-        self._player = Player()
+        self._player = _Player()
         self._names: dict[int, str] = {}
-        self._seat, self._told, self._ended = start.seat, "", ""
+        self._seat, self._told, self._ended = -1 if start.seat is None else start.seat, "", ""
         self._changed = True
         self._said_s = self._marked_s = 0.0
         self._marked = 0
@@ -242,7 +242,7 @@ class PlayRunner(PageRunner):
 
     def _state(self, film: TickFilm, now_s: float) -> None:
         words = (self._told, self._ended, self._source is not None)
-        self._say("state", **film_state(film, self._player, self._seat, self._names, words))
+        self._say("state", **_film_state(film, self._player, self._seat, self._names, words))
         self._said_s, self._changed = now_s, False
         if film.marked != self._marked and now_s - self._marked_s > _MARKS_S:
             self._marked, self._marked_s = film.marked, now_s
@@ -305,20 +305,20 @@ class PlayRunner(PageRunner):
             self._line(FilmLine(kind="bad", told=str(error)))
             return
         self._pictures, self._film = StreetPictures(street, front), TickFilm(about)
-        self._player = Player(live=about.live)
-        self._say("about", **film_about(about, self._start.failed, self._opened.policy, self._opened.block))
+        self._player = _Player(live=about.live)
+        self._say("about", **_film_about(about, self._start.failed, self._opened.policy, self._opened.block))
         self._say("marks", marks=self._film.there)  # none yet, and no more of the film before
         self._stale = self._changed = True
 
 
-def film_about(about: FilmAbout, failed: Sequence[FailedLine], policy: str, block: int) -> dict[str, Any]:
+def _film_about(about: FilmAbout, failed: Sequence[FailedLine], policy: str, block: int) -> dict[str, Any]:
     """What a film is; `policy` and `block` of an episode that was asked for."""
     points = action_set(about.actions).points.tolist() if about.actions else []
     return {"film": about, "points": points, "failed": failed, "policy": policy, "block": block}
 
 
-def film_state(
-    film: TickFilm, player: Player, seat: int, names: Mapping[int, str], words: tuple[str, str, bool]
+def _film_state(
+    film: TickFilm, player: _Player, seat: int, names: Mapping[int, str], words: tuple[str, str, bool]
 ) -> dict[str, Any]:
     """How a film stands.
 

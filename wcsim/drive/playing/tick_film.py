@@ -56,7 +56,7 @@ class _FilmTick(msgspec.Struct, frozen=True, array_like=True):
 _TICKS: Final = msgspec.msgpack.Decoder(list[_FilmTick])
 
 
-class FilmMark(NamedTuple):
+class _FilmMark(NamedTuple):
     """Something on the time line."""
 
     at: int  # number of the frame
@@ -77,7 +77,7 @@ class TickFilm:
         self.about, self._most_bytes = about, most_bytes
         self.first = self.count = 0
         self.packed_bytes = 0
-        self.marks = deque[FilmMark](maxlen=MOST_MARKS)
+        self.marks = deque[_FilmMark](maxlen=MOST_MARKS)
         self.marked = 0  # ever
         self._blocks: dict[int, bytes] = {}
         self._newest: list[_FilmTick] = []
@@ -91,7 +91,7 @@ class TickFilm:
         return range(self.first, self.count)
 
     @property
-    def there(self) -> list[FilmMark]:
+    def there(self) -> list[_FilmMark]:
         """The marks of the frames that are there."""
         return [mark for mark in self.marks if mark.at >= self.first]
 
@@ -106,7 +106,7 @@ class TickFilm:
 
     def mark(self, kind: str, told: str) -> None:
         """Mark the place where the next frame will be, for all chairs."""
-        self._note(FilmMark(self.count, -1, kind, told))
+        self._note(_FilmMark(self.count, -1, kind, told))
 
     def shot(self, at: int) -> _FilmTick:
         """A frame. Raises ProtocolError for a number that is not there."""
@@ -158,9 +158,9 @@ class TickFilm:
         for name, kind in _MARKS.items():
             if name in begun and not (kind == "crash" and "drops" in begun):  # a fall is one mark
                 told = chair.reason if kind in ("crash", "drop") else ""
-                self._note(FilmMark(self.count, chair.seat, kind, told))
+                self._note(_FilmMark(self.count, chair.seat, kind, told))
 
-    def _note(self, mark: FilmMark) -> None:
+    def _note(self, mark: _FilmMark) -> None:
         self.marks.append(mark)
         self.marked += 1
 

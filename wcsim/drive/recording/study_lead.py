@@ -109,11 +109,11 @@ def open_study(
     for place in (*file.places, *([file.practice_place] if file.practice_place else [])):
         check_recordable(checked(study_start(file, place, network)))
     _require_levels(study, escaped(path))
-    participant_rows(study)
+    _participant_rows(study)
     return study
 
 
-def participant_rows(study: OpenStudy) -> tuple[dict[str, str], ...]:
+def _participant_rows(study: OpenStudy) -> tuple[dict[str, str], ...]:
     """The participant's rows. Raises ConfigError for a table of another study."""
     rows = read_rows(study.table, table_columns(study.file))
     other = next((row for row in rows if row["study_sha256"] != study.sha256[:12]), None)
@@ -238,7 +238,7 @@ class StudyLead:
     def __init__(self, study: OpenStudy, hands: StudyHands) -> None:
         """Raises ConfigError for a table that cannot be read."""
         self._study, self._hands = study, hands
-        done = {row["block"] for row in participant_rows(study)}
+        done = {row["block"] for row in _participant_rows(study)}
         steps = remaining_steps(study.file, study.participant, done)
         parts = dict.fromkeys(step.part for step in steps if step.part is not None)
         self._rows = {part.block.name: row for part in parts for row in self._left_over(part)}  # driven, not asked yet

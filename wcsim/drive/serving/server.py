@@ -41,7 +41,7 @@ _STATE: Final = b'{"say":"state"'
 _TAKEN: Final = "Another page is driving. You are watching."
 
 
-class PageLine:
+class _PageLine:
     """What is on its way to one page: lines in order, and of states and pictures the newest alone."""
 
     def __init__(self, socket: web.WebSocketResponse, transport: asyncio.Transport | None = None) -> None:
@@ -109,19 +109,19 @@ class PageLine:
             await self._socket.send_frame(pictures, WSMsgType.BINARY)
 
 
-class Audience:
+class _Audience:
     """All pages; the first drives, and who asks for it."""
 
     def __init__(self) -> None:
-        self.driver: PageLine | None = None
-        self._pages: list[PageLine] = []
+        self.driver: _PageLine | None = None
+        self._pages: list[_PageLine] = []
         self._kept: dict[str, bytes] = {}  # the last lines that a page needs which comes later, by what they say
         self._asked = False
 
     def __len__(self) -> int:
         return len(self._pages)
 
-    def enter(self, page: PageLine) -> None:
+    def enter(self, page: _PageLine) -> None:
         """A page has come."""
         self._pages.append(page)
         self.driver = self.driver or page
@@ -135,7 +135,7 @@ class Audience:
         for page in self._pages:
             page.hang_up()
 
-    def leave(self, page: PageLine) -> bool:
+    def leave(self, page: _PageLine) -> bool:
         """A page has gone; whether it drove. Nobody drives then, until a page asks for it or comes."""
         self._pages.remove(page)
         drove = page is self.driver
@@ -152,7 +152,7 @@ class Audience:
             silent.hang_up()
         return silent is not None
 
-    def take_over(self, page: PageLine) -> None:
+    def take_over(self, page: _PageLine) -> None:
         """This page drives from now on."""
         self.driver = page
         self._tell_roles()
@@ -205,7 +205,7 @@ _MOST: Final = 256  # of steps, which add up
 _PLACES: Final = (m.NewPlace, m.Again, m.Open)  # each makes void what was wanted of those up to it
 
 
-class Words:
+class _Words:
     """Messages in order; one that says as much as one before it takes its place, at the end."""
 
     def __init__(self) -> None:
@@ -248,11 +248,11 @@ def _says_as_much(message: m.PageMessage, before: m.PageMessage) -> bool:
 
 @asynccontextmanager
 async def _running(
-    start: DriveOrder | PlayStart, words: Words, hear: Callable[[bytes], object]
+    start: DriveOrder | PlayStart, words: _Words, hear: Callable[[bytes], object]
 ) -> AsyncIterator[asyncio.Task[None]]:
     """The drive's process, and the task that listens to it until it has ended; another task says the words to it.
 
-    It hears nothing while it opens a street, and a pipe holds little: so threads wait for it, see `Words`. At the end
+    It hears nothing while it opens a street, and a pipe holds little: so threads wait for it, see `_Words`. At the end
     it closes its end of the pipe when all else is closed; the seconds that it takes then are of use to nobody. One
     that does not hear of the end is told by a signal.
     """
@@ -283,7 +283,7 @@ async def _listen(pipe: Connection, hear: Callable[[bytes], object]) -> None:
             soon(hear, await asyncio.to_thread(pipe.recv_bytes))
 
 
-async def _speak(pipe: Connection, words: Words) -> None:
+async def _speak(pipe: Connection, words: _Words) -> None:
     with contextlib.suppress(OSError):
         while True:
             await words.some.wait()
@@ -311,8 +311,8 @@ class DriveServer:
     ) -> None:
         self._start, self._host, self._port, self._say = start, host, port, say
         self._access = AccessControl(host=host, token="" if host in LOOPBACK else new_token())
-        self._audience = Audience()
-        self._words = Words()
+        self._audience = _Audience()
+        self._words = _Words()
 
     async def run(self) -> None:
         """Serve until cancelled.
@@ -401,7 +401,7 @@ class DriveServer:
         if len(self._audience) >= MOST_PAGES and not self._audience.hang_up_silent():
             await socket.close(code=WSCloseCode.TRY_AGAIN_LATER, message=b"too many pages")
             return socket
-        line = PageLine(socket, request.transport)
+        line = _PageLine(socket, request.transport)
         writing = asyncio.create_task(line.write())
         self._audience.enter(line)
         self._ask_for_pictures()
@@ -414,7 +414,7 @@ class DriveServer:
             line.hang_up()  # closed by now, but for what a page that reads too slowly has not read
         return socket
 
-    async def _hear(self, line: PageLine, socket: web.WebSocketResponse) -> None:
+    async def _hear(self, line: _PageLine, socket: web.WebSocketResponse) -> None:
         refused = 0
         async for said in socket:
             if said.type not in (WSMsgType.TEXT, WSMsgType.BINARY):  # too long, or the connection is lost
@@ -432,7 +432,7 @@ class DriveServer:
             self._obey(line, message)
             await asyncio.sleep(0)  # a page that says much at once keeps nobody waiting
 
-    def _obey(self, line: PageLine, message: m.PageMessage) -> None:
+    def _obey(self, line: _PageLine, message: m.PageMessage) -> None:
         if isinstance(message, m.Shown):
             line.seen(message.number)
             self._ask_for_pictures()

@@ -62,11 +62,11 @@ def compared(result: TestResult) -> tuple[Paired, ...]:
         for name in result.episodes
         if name not in rivals[: place + 1]
     ]
-    found = (paired(result, name, rival, part) for part in ("", *result.parts) for name, rival in pairs)
+    found = (_paired(result, name, rival, part) for part in ("", *result.parts) for name, rival in pairs)
     return tuple(item for item in found if item is not None)
 
 
-def paired(result: TestResult, policy: str, rival: str, part: str) -> Paired | None:
+def _paired(result: TestResult, policy: str, rival: str, part: str) -> Paired | None:
     """Two policies over the episodes of a part that both have; None without any."""
     theirs = {(e.block, e.seat): e for e in result.episodes[rival]}
     both = [
@@ -157,7 +157,7 @@ def _told_apart(result: TestResult) -> dict[str, Any]:
     """The policies that could be built, compared with the one of the highest score, and those that are like it."""
     scores = {row.policy: row.score or 0.0 for row in result.pooled if row.policy not in UPPER_BOUNDS}
     best, *others = sorted(scores, key=lambda name: -scores[name]) or [""]
-    pairs = {name: paired(result, best, name, "") for name in others}
+    pairs = {name: _paired(result, best, name, "") for name in others}
     return {
         "policies": len(scores),
         "few": all(pair is None or pair.interval is None for pair in pairs.values()),

@@ -27,7 +27,7 @@ from wcsim.bridge.world import World
 from wcsim.core.reading import counted
 from wcsim.errors import ConfigError, WcsimError
 from wcsim.types import U8, ActorKind
-from wcsim.view.filming import around_picture, seen_picture, sticks
+from wcsim.view.filming import around_picture, near, seen_picture, sticks
 from wcsim.view.map import MapView
 
 _SOMEBODY: Final = frozenset(kind.value for kind in ActorKind)
@@ -67,7 +67,7 @@ def failures_of(result: TestResult, folder: Path) -> tuple[FailedEpisode, ...]:
     found = []
     for policy, episodes in result.episodes.items():
         for record in episodes:
-            reason, whose, severity = judged(record)
+            reason, whose, severity = _judged(record)
             if not reason:
                 continue
             twin = alone.get((record.block, record.seat))
@@ -86,7 +86,7 @@ def failures_of(result: TestResult, folder: Path) -> tuple[FailedEpisode, ...]:
     return tuple(sorted(found, key=lambda one: (one.severity, -(one.speed_mps or 0.0), one.policy, one.key)))
 
 
-def judged(record: EpisodeRecord) -> tuple[str, str, int]:
+def _judged(record: EpisodeRecord) -> tuple[str, str, int]:
     """Reason, whose fault and severity of an episode; no reason where it went well."""
     if record.status == CRASHED and not record.steps:
         return record.reason, "before the policy", 6
@@ -142,7 +142,7 @@ def where_typed(result: TestResult) -> str:
     return "in which you ran the test" if result.out else "that contains the folder of the test"
 
 
-class SeenMoment(NamedTuple):
+class _SeenMoment(NamedTuple):
     """What the network saw at a moment before the end."""
 
     before_s: float
@@ -156,9 +156,9 @@ class SeenMoment(NamedTuple):
 class Illustration:
     """Pictures of the end of an episode, or why there are none."""
 
-    seen: tuple[SeenMoment, ...] = ()  # oldest first
+    seen: tuple[_SeenMoment, ...] = ()  # oldest first
     street_png: bytes = b""  # from above at the end, with the way of the last seconds
-    near: tuple[str, ...] = ()  # who was there, nearest first
+    near: Sequence[str] = ()  # who was there, nearest first
     missing: str = ""
 
 
@@ -243,8 +243,8 @@ def _illustrate(piece: Piece, records: Iterable[EpisodeRecord]) -> dict[int, Ill
             seen = []
             for place in dict.fromkeys(places.tolist()):
                 step, before_s = steps[place], round((last - place) * tick_s, 3)
-                seen.append(SeenMoment(before_s, step.speed_mps, *sticks(step), _png(seen_picture(step.seen, config))))
-            return Illustration(seen=tuple(seen), street_png=_png(street), near=_near(steps[-1]))
+                seen.append(_SeenMoment(before_s, step.speed_mps, *sticks(step), _png(seen_picture(step.seen, config))))
+            return Illustration(seen=tuple(seen), street_png=_png(street), near=near(steps[-1])[:4])
 
         found = play(piece, tuple(kept), round(_TRAIL_S / tick_s), draw)
     except WcsimError as error:
@@ -258,11 +258,6 @@ def _checked(played: Played, kept: EpisodeRecord) -> Illustration:
     except ConfigError as error:
         return Illustration(missing=str(error))
     return played.drawn or Illustration(missing="nothing was driven")
-
-
-def _near(step: PlayedStep) -> tuple[str, ...]:
-    gaps = sorted((float(np.hypot(*(actor.p_W_m - step.p_W_m)[:2])), actor.kind.value) for actor in step.actors)
-    return tuple(f"{kind} {gap_m:.1f} m" for gap_m, kind in gaps[:4])
 
 
 def _png(image: U8) -> bytes:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
@@ -169,8 +168,3 @@ def kpi1_of(run: Path) -> float:
     if not found:
         raise PolicyError(f"{run / STEPS}: no row of the first phase; expected a run of {ROW_STEPS} steps or more")
     return running_means(found)[-1]
-
-
-def switch_step(rows: Sequence[LogRow]) -> int | None:
-    """The last step that the log has of the first phase; None where there was no change."""
-    return next((before.step for before, after in pairwise(rows) if before.phase < after.phase), None)

@@ -29,7 +29,7 @@ def _result_table(result: TestResult, part: str) -> Exhibit:
     )
 
 
-def comparison_table(pairs: Sequence[Paired]) -> Exhibit:
+def _comparison_table(pairs: Sequence[Paired]) -> Exhibit:
     """Policies against their rivals over the same episodes: those of all parts, and part by part."""
     columns = ("policy", "rival", "part", "episodes", "saved", "lost", "mcnemar_p", "difference")
     rows = [[*(getattr(pair, name) for name in columns), *(pair.interval or (None, None))] for pair in pairs]
@@ -84,7 +84,7 @@ def write_suite_page(
     pairs, means, figures = compared(result), weighted(result), figures_of(result, folder)
     tables = {part: _result_table(result, part) for part in ("", *result.parts)}
     shown = {
-        "against": comparison_table(pairs),
+        "against": _comparison_table(pairs),
         "weights": _weights_table(means),
         "failed": _failed(failures),
         "episodes": _episodes(result),

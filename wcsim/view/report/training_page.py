@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import shlex
 from collections.abc import Callable, Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Final
 
@@ -19,8 +20,17 @@ from wcsim.agents.runs.run_folder import read_json
 from wcsim.config.run_file import TrainedRound
 from wcsim.core.reading import counted, is_file
 from wcsim.errors import PolicyError
-from wcsim.view.report import learning_curve
 from wcsim.view.report.figures import Curve, curve_chart
+from wcsim.view.report.learning_curve import (
+    KPI1_LIMIT,
+    OVER,
+    LogRow,
+    TrainedEpisode,
+    TrainedSteps,
+    Training,
+    crossing,
+    running_means,
+)
 from wcsim.view.report.pages import Cell, Exhibit, page, write_page
 
 Runs = Mapping[str, tuple[TrainedRound, ...]]
@@ -83,7 +93,7 @@ def _rounded(value: float | None, digits: int = 4) -> float | None:
     return None if value is None or not math.isfinite(value) else round(value, digits)
 
 
-def write_training_page(training: learning_curve.Training, folder: Path) -> Path:
+def write_training_page(training: Training, folder: Path) -> Path:
     """Write the page of a training; where it is.
 
     Args:
@@ -114,32 +124,30 @@ def write_training_page(training: learning_curve.Training, folder: Path) -> Path
         by_rounds=[name for name in training.manifests if {name, Path(name).resolve().name} & set(training.rounds)],
         policies=" ".join(map(shlex.quote, runs)) or "RUN/CLIENT",
         sections=sections,
-        limit=learning_curve.KPI1_LIMIT,
+        limit=KPI1_LIMIT,
         mean_steps=KPI1_STEPS,
-        over=learning_curve.OVER,
+        over=OVER,
     )
     return write_page(folder, text, [exhibit for _, _, exhibits in sections for exhibit in exhibits])
 
 
-def _curves(training: learning_curve.Training) -> _Section:
+def _curves(training: Training) -> _Section:
     episodes = _counted(training)
     figures = (
-        _drawn(
-            "kpi1", "fig-7a-kpi1", "Fig. 7a: KPI 1, mean joystick distance", training.steps, learning_curve.KPI1_LIMIT
-        ),
+        _drawn("kpi1", "fig-7a-kpi1", "Fig. 7a: KPI 1, mean joystick distance", training.steps, KPI1_LIMIT),
         _drawn("length", "fig-7b-length", "Fig. 7b: KPI 2, steps of an episode", episodes),
         _drawn("overestimate", "overestimate", "value minus return", episodes, 0.0),
     )
     return "curves", "Curves", [found for found in figures if found is not None]
 
 
-def _counted(training: learning_curve.Training) -> dict[str, list[learning_curve.TrainedEpisode]]:
+def _counted(training: Training) -> dict[str, list[TrainedEpisode]]:
     """The episodes of each client that ended by a crash or at their limit."""
     return {name: [each for each in episodes if not each.cut] for name, episodes in training.clients.items()}
 
 
 def _drawn(
-    key: str, name: str, title: str, logged: Mapping[str, Sequence[learning_curve.LogRow]], limit: float | None = None
+    key: str, name: str, title: str, logged: Mapping[str, Sequence[LogRow]], limit: float | None = None
 ) -> Exhibit | None:
     """A curve for each client through its rows that have a value; None where there is nothing to draw."""
     curves: list[Curve] = []
@@ -147,21 +155,20 @@ def _drawn(
     for client, told in logged.items():
         rows = [row for row in told if getattr(row, key) is not None]
         values = [float(getattr(row, key)) for row in rows]
-        means = learning_curve.running_means(values)
+        means = running_means(values)
         curves.append(
             Curve(
                 name=client,
                 steps=[row.step for row in rows],
                 values=values,
                 means=means,
-                switch=learning_curve.switch_step(rows),
-                crossing=learning_curve.crossing(
-                    [row for row in rows if isinstance(row, learning_curve.TrainedSteps)]
-                ).step,
+                # The last step that the log has of the first phase; None where there was no change.
+                switch=next((row.step for row, after in pairwise(rows) if row.phase < after.phase), None),
+                crossing=crossing([row for row in rows if isinstance(row, TrainedSteps)]).step,
             )
         )
         for row, value, mean in zip(rows, values, means, strict=True):
-            ends: list[Cell] = [int(row.crashed)] if isinstance(row, learning_curve.TrainedEpisode) else []
+            ends: list[Cell] = [int(row.crashed)] if isinstance(row, TrainedEpisode) else []
             plain.append([client, row.step, row.phase, value, round(mean, 6), *ends])
     if not plain:
         return None
@@ -170,34 +177,34 @@ def _drawn(
         "step",
         "phase",
         key,
-        f"mean_of_{learning_curve.OVER}",
+        f"mean_of_{OVER}",
         *(("crashed",) if key != "kpi1" else ()),
     )
     svg = curve_chart(name, title.rpartition(": ")[2], curves, limit)
     return Exhibit(name=name, title=title, columns=columns, rows=plain, svg=svg)
 
 
-def _clients(training: learning_curve.Training) -> Exhibit:
+def _clients(training: Training) -> Exhibit:
     rows: list[list[Cell]] = []
     for name, episodes in _counted(training).items():
         steps = training.steps.get(name, ())
-        crossed, last = learning_curve.crossing(steps), [*training.clients[name], *steps]
+        crossed, last = crossing(steps), [*training.clients[name], *steps]
         rows.append([
             name, max((row.step for row in last), default=0), len(episodes), sum(e.crashed for e in episodes),
             sum(e.cut for e in training.clients[name]), crossed.step, crossed.left, _rounded(crossed.last),
             *(_last_mean(episodes, key) for key in ("length", "overestimate")),
         ])  # fmt: skip
     headings = (
-        *("client", "steps", "episodes", "crashes", "cut", f"KPI 1 below {learning_curve.KPI1_LIMIT} from step"),
+        *("client", "steps", "episodes", "crashes", "cut", f"KPI 1 below {KPI1_LIMIT} from step"),
         *("above again since step", f"KPI 1, last {KPI1_STEPS} steps"),
-        *(f"{what}, last {learning_curve.OVER}" for what in ("KPI 2", "value minus return")),
+        *(f"{what}, last {OVER}" for what in ("KPI 2", "value minus return")),
     )
     return Exhibit(name="clients", title="Clients", columns=headings, rows=rows)
 
 
-def _last_mean(episodes: Sequence[learning_curve.TrainedEpisode], key: str) -> float | None:
+def _last_mean(episodes: Sequence[TrainedEpisode], key: str) -> float | None:
     values = [value for episode in episodes if (value := getattr(episode, key)) is not None]
-    return round(learning_curve.running_means(values)[-1], 4) if values else None
+    return round(running_means(values)[-1], 4) if values else None
 
 
 _SHOWN: Final = (
@@ -211,7 +218,7 @@ _PAID: Final = (
 )
 
 
-def _client_sections(training: learning_curve.Training) -> list[_Section]:
+def _client_sections(training: Training) -> list[_Section]:
     """Sections for runs that compared their clients (`learn.select_by`), then for runs whose clients shared a world."""
     shown: list[_Section] = []
     for title, exhibit_of in (("Which client learns the second phase", _selection), ("Who waits for whom", _waiting)):

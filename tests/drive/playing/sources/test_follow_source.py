@@ -11,8 +11,8 @@ import pytest
 from tests.support.journals import JournaledWorld
 from wcsim.bridge.sumo.session import world_in_this_process
 from wcsim.drive.playing.film_states import FilmAbout, FilmFrame, FilmLine, FilmNames, Said
-from wcsim.drive.playing.sources import follow_source
-from wcsim.drive.playing.sources.follow_source import follow_film
+from wcsim.drive.playing.sources import replay_source
+from wcsim.drive.playing.sources.replay_source import follow_film
 from wcsim.errors import ConfigError, JournalError
 from wcsim.log.reader import LogTail, inputs_of_part, put_aside, read_header
 from wcsim.log.records import Ended, EpochBegun, Ticked, changed
@@ -87,7 +87,7 @@ def test_it_shows_all_ticks_as_they_come_and_nothing_twice(whole: bytes, tmp_pat
 def test_it_goes_over_to_the_newest_epoch_when_it_is_far_behind(
     whole: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(follow_source, "SKIPS_TICKS", 5)
+    monkeypatch.setattr(replay_source, "SKIPS_TICKS", 5)
     (tmp_path / "journal").write_bytes(whole)
     watched = Watched(tmp_path, iter([None])).follow()
     assert watched.ticks == [(1, tick) for tick in range(1, 31)]

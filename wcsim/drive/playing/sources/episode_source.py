@@ -22,7 +22,7 @@ from wcsim.drive.playing.film_states import FilmAbout, FilmLine, FilmNames, Fram
 from wcsim.drive.playing.sources.source_process import FilmSource
 from wcsim.errors import ConfigError
 from wcsim.types import Snapshot
-from wcsim.view.report.failures import FailedEpisode, failures_of, fate, order_of
+from wcsim.view.report.failures import failures_of, fate, order_of
 
 NOT_IN_EPISODES: Final = ("Sensor errors of the camera: its picture is drawn without them.",)
 
@@ -51,11 +51,6 @@ def episode_film(source: FilmSource, say: Callable[[Said], object]) -> None:
         except ConfigError as error:
             say(FilmLine(kind="bad", told=str(error)))
     say(FilmLine(kind="end", told="; ".join(told)))
-
-
-def failed_episodes(folder: Path) -> tuple[FailedEpisode, ...]:
-    """The failures of a result, worst first. Raises ConfigError when the folder holds none."""
-    return failures_of(read_result(folder), folder)
 
 
 def _found(result: TestResult, source: FilmSource) -> tuple[str, int]:

@@ -64,19 +64,17 @@ def run_source(pipe: Connection, source: FilmSource) -> None:
 
 def _film(source: FilmSource, say: Callable[[Said], object], pipe: Connection) -> None:
     """Loads the simulators of this kind of source alone."""
-    if source.kind == "run":
-        from wcsim.drive.playing.sources.follow_source import follow_film
-
-        follow_film(source.path, source.hook, say, pipe.poll)  # nobody says anything into it: it has ended then
-        return
     if source.kind == "episode":
         from wcsim.drive.playing.sources.episode_source import episode_film
 
         episode_film(source, say)
         return
-    from wcsim.drive.playing.sources.replay_source import replay_film, state_film
+    from wcsim.drive.playing.sources.replay_source import follow_film, replay_film, state_film
     from wcsim.log.reader import read_header
 
+    if source.kind == "run":
+        follow_film(source.path, source.hook, say, pipe.poll)  # nobody says anything into it: it has ended then
+        return
     is_trace = read_header(source.path).kind == "trace"
     places, again = (source.path, source.epoch, source.town), (source.path, source.epoch, source.hook)
     for said in state_film(*places) if is_trace else replay_film(*again):
