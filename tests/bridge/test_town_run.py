@@ -8,13 +8,12 @@ import pytest
 from tests.support.worlds import quick_config
 from tests.towns.made import hostile
 from wcsim.bridge.reaction.articulated import Articulation
-from wcsim.bridge.recording.states import state_of
-from wcsim.bridge.replay.convert import write_fcd
+from wcsim.bridge.recording.convert import write_fcd
 from wcsim.bridge.town_run import TRACE, RecordOrder, _check_mirrored, as_recorded, record_town
 from wcsim.bridge.world import World
 from wcsim.errors import SumoError, TownError
 from wcsim.log.reader import read_states
-from wcsim.log.records import Header
+from wcsim.log.records import Header, state_of
 from wcsim.log.writer import LogWriter
 from wcsim.towns.scenario.town import find_town
 from wcsim.towns.sumo.xml_io import read_root

@@ -22,7 +22,7 @@ from wcsim.users.profiles import (
     recordings,
     sample,
 )
-from wcsim.users.recorded import find_user
+from wcsim.users.recordings.recorded_user import find_user
 
 
 def test_all_six_are_there():

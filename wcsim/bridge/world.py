@@ -20,7 +20,6 @@ from wcsim.bridge.ego.contact_ahead import meets_body
 from wcsim.bridge.ego.ego import XY, Ego, EgoSlots, hook_chair
 from wcsim.bridge.epoch import Epoch, new_epoch
 from wcsim.bridge.reaction.commands import in_street
-from wcsim.bridge.recording.states import state_hash
 from wcsim.bridge.stage_timer import Stopwatch
 from wcsim.bridge.sumo.actors import moved
 from wcsim.bridge.sumo.run_place import RunPlace
@@ -38,6 +37,8 @@ from wcsim.towns.scenario.town import Town
 from wcsim.towns.street import load_street
 from wcsim.types import F64, ActorState, ClientSnapshot, Command, SeatSpec, Snapshot, StartSpec, TileKey, UserView
 from wcsim.types.street import StreetTiles, joined_mesh
+from wcsim.users.profiles import find_profile
+from wcsim.users.user import FindUser
 
 ENGINE_REACH_M = 10.0  # the street so far around a chair is in the engine
 SIGHT_MORE_M = 30.0  # and so far beyond its cameras' range in sight
@@ -97,20 +98,22 @@ class World(Closing):
         *,
         epoch: int = 0,
         say: Callable[[str], object] | None = None,
+        find_user: FindUser = find_profile,
     ) -> None:
         """Load the town and warm its traffic up.
 
         There is a seat for each of `specs`, free where it is None; `place` says where the outputs of the SUMO scenario
-        go, `epoch` is the number of the first epoch, `say` hears how far the street is, as `load_street` tells. Raises
-        TownError for a net that cannot be used, ConfigError for a camera inside the chair's body, WorldInUseError while
-        another world lives in this process.
+        go, `epoch` is the number of the first epoch, `say` hears how far the street is, as `load_street` tells,
+        `find_user` takes the names of users, those of profiles where it is not given. Raises TownError for a net that
+        cannot be used, ConfigError for a camera inside the chair's body, WorldInUseError while another world lives in
+        this process.
         """
         refuse_second_world()
         validate_net(town.net, border=town.border)
         self.town = town
         self.config = config
         self.street = load_street(town, say)
-        self._seating = EgoSlots(specs, config, self.street, town)
+        self._seating = EgoSlots(specs, config, self.street, town, find_user)
         self.stopwatch = Stopwatch()
         self.epoch = epoch - 1
         self._epoch: Epoch | None = None
@@ -416,7 +419,7 @@ class World(Closing):
             clients=clients,
         )
         # Put in last, as the hash is taken of all the rest.
-        return replace(bare, state_hash=state_hash(bare))
+        return replace(bare, state_hash=bare.digest())
 
     @property
     def _open(self) -> Epoch:

@@ -26,6 +26,7 @@ from wcsim.errors import ConfigError
 from wcsim.supervisor.observation import decode_depth
 from wcsim.towns.scenario.town import Town
 from wcsim.types import U8, CameraFrame, ClassId, Joystick, Route, SeatSpec, Snapshot
+from wcsim.users.recordings.recorded_user import find_user
 from wcsim.view.map import MapView, street_video
 from wcsim.view.pictures import captioned, class_colours, depth_colours, open_video, side_by_side, triptych
 
@@ -131,7 +132,7 @@ class FilmedDrive:
         self.camera, self.tick_s = config.cameras[-1], config.world.tick_s
         self._ticks = 0
         with ExitStack() as held:
-            self.world = held.enter_context(World(town, config, (spec,), seed))
+            self.world = held.enter_context(World(town, config, (spec,), seed, find_user=find_user))
             if self._policy is not None:
                 agent = _OwnCode(PolicyAgent(self._policy), self._policy)
                 self._driver = SeatDriver(config, agent, self.world.snapshot.clients[0])

@@ -10,8 +10,8 @@ from mcap.reader import make_reader
 from tests.attack.files.family import Family
 from tests.attack.files.files import log_twist, sound_trace
 from tests.attack.files.people import sound_drive
+from wcsim.bridge.recording.convert import write_fcd
 from wcsim.bridge.recording.ros_chairs import drive_bag, trace_bag
-from wcsim.bridge.replay.convert import write_fcd
 from wcsim.log.drive import read_drive
 from wcsim.log.reader import read_states
 

@@ -28,7 +28,7 @@ from wcsim.log.writer import LogWriter
 from wcsim.towns.scenario.town import content_hash, find_town
 from wcsim.types import Command, Joystick, SeatSpec
 from wcsim.users.profiles import profile, profile_json, profile_names, profile_text, read_profile, sample
-from wcsim.users.recorded import find_user
+from wcsim.users.recordings.recorded_user import find_user
 
 
 @pytest.fixture(scope="module")
@@ -94,7 +94,7 @@ def test_a_drive_is_replayed_as_a_user_in_its_own_town(corner, driven):
             world.tick((Command(seat=0, tick=world.snapshot.tick, joystick=tick.commanded),))
             assert np.array_equal(world.snapshot.clients[0].plant.p_WB_m, tick.p_WB_m)
     with pytest.raises(ConfigError, match=r"was driven in .*\(\w{12}\), this is helsinki \("):
-        World(find_town("helsinki"), quick_config(), (SeatSpec(profile=f"recorded:{driven}"),), 1)
+        World(find_town("helsinki"), quick_config(), (SeatSpec(profile=f"recorded:{driven}"),), 1, find_user=find_user)
 
 
 def test_a_persons_drive_with_a_cut_episode_is_made_again(corner, tmp_path):
@@ -105,7 +105,7 @@ def test_a_persons_drive_with_a_cut_episode_is_made_again(corner, tmp_path):
     spec, path = SeatSpec(profile=f"recorded:{tmp_path / 'sticks.csv'}"), tmp_path / "a.drive"
     header = drive_header(town, config, 6, policy="dwa", level="1", episode="dev 1.0")
     with (
-        World(town, config, (spec,), 6) as world,
+        World(town, config, (spec,), 6, find_user=find_user) as world,
         LogWriter(path, header) as recorder,
     ):
         for record in first_inputs(spec, 6):

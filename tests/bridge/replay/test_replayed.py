@@ -7,7 +7,7 @@ import pytest
 
 from tests.support.framing import read_whole
 from tests.support.journals import SPEC, JournaledWorld, eventful_run, nudged, rewritten
-from wcsim.bridge.replay.convert import convert_to_fcd, write_fcd
+from wcsim.bridge.recording.convert import convert_to_fcd, write_fcd
 from wcsim.bridge.replay.player import Seats
 from wcsim.bridge.replay.replayed import replayed, verify, worlds_of
 from wcsim.bridge.sumo.session import world_in_this_process

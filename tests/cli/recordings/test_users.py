@@ -10,7 +10,7 @@ import pytest
 
 from tests.cli.test_bad_input import refused
 from tests.log.drives import write_drive
-from tests.users.fitting.plane_drives import plane_drive
+from tests.users.recordings.plane_drives import plane_drive
 from wcsim.users.profiles import profile, read_profile
 
 

@@ -26,7 +26,7 @@ from wcsim.log.records import Admitted, Dismissed, Respawned, changed
 from wcsim.log.writer import LogWriter
 from wcsim.types import Joystick
 from wcsim.users.profiles import profile
-from wcsim.users.recorded import find_user
+from wcsim.users.recordings.recorded_user import find_user
 
 TIGHT_BLOCK = 25  # of dev: a generated scene
 WEAVES = [Wish(stick=Joystick(0.4 * math.sin(0.3 * number), 0.9)) for number in range(40)]

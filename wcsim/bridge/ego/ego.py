@@ -61,8 +61,7 @@ from wcsim.types import (
 )
 from wcsim.types.chair import AT_REST as AT_REST
 from wcsim.users.profiles import UserProfile, sample
-from wcsim.users.recorded import JoystickRecording, RecordedUser, find_user, require_driven_here
-from wcsim.users.user import SimulatedUser
+from wcsim.users.user import FindUser, SimulatedUser, User
 
 
 class ShownActors:
@@ -111,12 +110,14 @@ class _Start:
 class Ego:
     """A wheelchair with its user; `World` calls its methods in the order of a tick."""
 
-    def __init__(self, index: int, spec: SeatSpec, config: RunConfig, street: Street, router: Router) -> None:
+    def __init__(
+        self, index: int, spec: SeatSpec, config: RunConfig, street: Street, router: Router, find_user: FindUser
+    ) -> None:
         """Nothing is in the world before `build`. Raises ConfigError for a spec that cannot be used."""
         self.index = index
         self.spec = spec
         check_in_town(spec.start, router)
-        self._person = find_user(spec.profile)
+        self.person = find_user(spec.profile)
         self._config = config
         self._street = street
         self._router = router
@@ -126,7 +127,7 @@ class Ego:
         self._variation = Randomization(config, index)
         self.chair: Wheelchair  # of this epoch: from `build` on
         self._rig: CameraRig
-        self.user: SimulatedUser | RecordedUser  # of this episode, as the rest: from `spawn` on
+        self.user: User  # of this episode, as the rest: from `spawn` on
         self.route: Route
         self._start: _Start
         self._next_start: StartSpec | None = None  # of the next episode alone
@@ -148,14 +149,9 @@ class Ego:
         self.asks: GreenRequest | None = None  # of a light: its button has been pressed
 
     @property
-    def recording(self) -> JoystickRecording | None:
-        """The recording that its user replays, if any."""
-        return self._person if isinstance(self._person, JoystickRecording) else None
-
-    @property
     def profile(self) -> UserProfile | None:
         """What its users are drawn of; None where a recording is replayed."""
-        return self._person if isinstance(self._person, UserProfile) else None
+        return self.person if isinstance(self.person, UserProfile) else None
 
     @property
     def plant(self) -> PlantState:
@@ -372,11 +368,11 @@ class Ego:
             self._shown = (plant, _as_actor(chair_actor_id(self.index), plant, self.chair.outline))
         return self._shown[1]
 
-    def _new_user(self) -> SimulatedUser | RecordedUser:
-        if isinstance(self._person, JoystickRecording):
-            return RecordedUser(self._person.episode(self._episode), self.chair.outline)
+    def _new_user(self) -> User:
+        exact = self.person
+        if not isinstance(exact, UserProfile):
+            return exact.user(self._episode, self.chair.outline)
         rng = seeding.generator(self._seed, "user", self.index, self._episode)
-        exact = self._person
         return SimulatedUser(
             sample(exact, rng) if self.spec.start is None else exact,
             rng,
@@ -442,7 +438,9 @@ def _as_actor(name: str, plant: PlantState, outline: Outline) -> ActorState:
 class EgoSlots:
     """Who sits where; `present` holds the taken seats in the order of their numbers."""
 
-    def __init__(self, specs: tuple[SeatSpec | None, ...], config: RunConfig, street: Street, town: Town) -> None:
+    def __init__(
+        self, specs: tuple[SeatSpec | None, ...], config: RunConfig, street: Street, town: Town, find_user: FindUser
+    ) -> None:
         """One place for each of `specs`, free where it is None.
 
         Raises:
@@ -450,7 +448,7 @@ class EgoSlots:
             TownError: there are places, but the town has no pavement to drive on.
         """
         self.present: tuple[Ego, ...] = ()
-        self._config, self._street, self._town = config, street, town
+        self._config, self._street, self._town, self._find_user = config, street, town, find_user
         self._begun = [0] * len(specs)  # episodes of the epoch, by place
         self._seed = 0
         if specs:
@@ -505,9 +503,9 @@ class EgoSlots:
             seat.chair.forget(chair_actor_id(number))
 
     def _seat(self, number: int, spec: SeatSpec) -> Ego:
-        ego = Ego(number, spec, self._config, self._street, self._router)
-        if ego.recording is not None:
-            require_driven_here(ego.recording, self._town.name, lambda: content_hash(self._town))
+        ego = Ego(number, spec, self._config, self._street, self._router, self._find_user)
+        if not isinstance(ego.person, UserProfile):
+            ego.person.require_driven_here(self._town.name, lambda: content_hash(self._town))
         return ego
 
     def _find(self, number: int) -> Ego | None:

@@ -33,8 +33,7 @@ from wcsim.towns.scenario.town import Town, content_hash, find_town, towns_hash
 from wcsim.towns.scene_folders.build import build_scene, scene_digest
 from wcsim.towns.scene_folders.families import FAMILIES, write_scene
 from wcsim.types import ClientSnapshot, Joystick, SeatSpec
-from wcsim.users.recorded import RecordedUser
-from wcsim.users.user import SimulatedUser
+from wcsim.users.recordings.recorded_user import find_user
 
 _NAME: Final = re.compile(r"([a-z-]{1,40}) (\d{1,18}) ([0-9a-f]{64})")
 _SCENE, _TOWN, _STICK = "scene", "town", "stick.csv"
@@ -111,15 +110,12 @@ def _drive_inputs(drive: DriveRecording) -> Iterator[Input]:
 
 
 def _let_wait(world: World, drive: DriveRecording, tick: DriveTick) -> None:
-    """Before a tick who sits beside a person gets the patience of then."""
+    """Before a tick who sits beside a person gets the patience of then.
+
+    A person has all the time in the world; a simulated user who drives gives up as its profile says.
+    """
     if not drive.about.profile:
-        set_patience(world.seats[0].user, patient=tick.by_person)
-
-
-def set_patience(user: SimulatedUser | RecordedUser, *, patient: bool) -> None:
-    """A person has all the time in the world; a simulated user who drives gives up as its profile says."""
-    if isinstance(user, SimulatedUser):
-        user.patient = patient
+        world.seats[0].user.patient = tick.by_person
 
 
 def town_of_drive(header: Header) -> Town:
@@ -236,7 +232,9 @@ def worlds_of(header: Header, hook: str = "") -> MakesEpoch[World]:
     require_hook(header, hook)
     towns = _towns(header) if header.drive is None else (town_of_drive(header),)
     config, place = config_of(header), RunPlace(hook=hook)
-    return lambda specs, seed, epoch: World(towns[epoch % len(towns)], config, specs, seed, place, epoch=epoch)
+    return lambda specs, seed, epoch: World(
+        towns[epoch % len(towns)], config, specs, seed, place, epoch=epoch, find_user=find_user
+    )
 
 
 def require_hook(header: Header, hook: str) -> None:

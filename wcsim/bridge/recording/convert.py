@@ -18,17 +18,16 @@ import numpy as np
 from wcsim.bridge.ego.randomization import moved
 from wcsim.bridge.recording.ros_bag import RosBag
 from wcsim.bridge.recording.ros_chairs import RosChair, drive_bag, trace_bag
-from wcsim.bridge.recording.states import chair_box_m, state_of
 from wcsim.bridge.replay.player import require_equal
 from wcsim.bridge.replay.replayed import replayed, require_hook
-from wcsim.bridge.town_run import as_recorded
+from wcsim.bridge.town_run import as_recorded, chair_box_m
 from wcsim.bridge.world import World
 from wcsim.core import frames
 from wcsim.core.reading import escaped
 from wcsim.errors import ConfigError, WcsimError
 from wcsim.log.drive import read_drive
 from wcsim.log.reader import read_header, read_states
-from wcsim.log.records import Header, Input, Ticked, WorldState, changed
+from wcsim.log.records import Header, Input, Ticked, WorldState, changed, state_of
 from wcsim.types import F64, ActorKind, ClientSnapshot, Drawn
 
 _CHAIR_TYPE = ActorKind.WHEELCHAIR.value

@@ -22,8 +22,11 @@ from wcsim.core.reading import escaped
 from wcsim.errors import ConfigError
 from wcsim.log.drive import DriveRecording
 from wcsim.types import F64, Bool, Joystick
-from wcsim.users.fitting.hand_likelihood import BLOCK_S, HandLaw, fit_law
-from wcsim.users.fitting.hand_series import (
+from wcsim.users.hand import DRIVE_ABOVE, STEER_ABOVE, SwitchHand
+from wcsim.users.perception import LONGEST_AWAY, UNCUT_AWAY
+from wcsim.users.profiles import PROFILE_LIMITS, UserProfile
+from wcsim.users.recordings.hand_likelihood import BLOCK_S, HandLaw, fit_law
+from wcsim.users.recordings.hand_series import (
     SHORTEST_S,
     HandSeries,
     at_switches,
@@ -32,9 +35,6 @@ from wcsim.users.fitting.hand_series import (
     hand_series,
     stretches,
 )
-from wcsim.users.hand import DRIVE_ABOVE, STEER_ABOVE, SwitchHand
-from wcsim.users.perception import LONGEST_AWAY, UNCUT_AWAY
-from wcsim.users.profiles import PROFILE_LIMITS, UserProfile
 
 _RESAMPLED = 400
 _USUAL_SPEED = 0.9  # quantile

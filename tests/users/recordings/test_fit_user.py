@@ -8,15 +8,15 @@ from dataclasses import asdict, replace
 import numpy as np
 import pytest
 
-from tests.users.fitting.plane_drives import plane_drive, thinned
+from tests.users.recordings.plane_drives import plane_drive, thinned
 from wcsim.config import resolve
 from wcsim.core.seeding import generator
 from wcsim.errors import ConfigError
 from wcsim.log.records import changed
 from wcsim.types import Joystick
-from wcsim.users.fitting.fit_user import _by_switches, fit_user, is_told
-from wcsim.users.fitting.hand_series import hand_series
 from wcsim.users.profiles import profile, profile_names, profile_text, read_profile, sample
+from wcsim.users.recordings.fit_user import _by_switches, fit_user, is_told
+from wcsim.users.recordings.hand_series import hand_series
 
 BASE = profile("competent")
 FLOORS = {"bias_x": 0.02, "bias_y": 0.05, "tremor": 0.01, "away_share": 0.06}  # where a drawn number may be zero

@@ -18,8 +18,8 @@ import numpy as np
 
 from wcsim.core.jit import exact_kernel
 from wcsim.types import F64, Bool
-from wcsim.users.fitting.hand_series import MOVES, HandSeries
 from wcsim.users.hand import TREMOR_WANDER, TREMOR_WANDER_S
+from wcsim.users.recordings.hand_series import MOVES, HandSeries
 
 # the noise of a hand (6,)
 STEP_S, NOISE, RATE, TREMOR, TURN_RAD, FADING = range(6)

@@ -23,11 +23,10 @@ from wcsim.errors import ConfigError, JournalError
 from wcsim.log.drive import moves_as_here, read_drive, wcsim_version
 from wcsim.log.reader import is_log
 from wcsim.log.records import DriveTick
-from wcsim.types import F64, Joystick, Outline, Route, UserView
+from wcsim.types import F64, Joystick, Outline, UserView
 from wcsim.users.hand import on_disc
 from wcsim.users.profiles import UserProfile, find_profile, profile_of_json
-from wcsim.users.route_line import Path
-from wcsim.users.user import ARRIVED_M
+from wcsim.users.user import ARRIVED_M, User
 
 COLUMNS = ("time_s", "x", "y")
 _LONGEST_GAP_S = 0.5
@@ -67,54 +66,36 @@ class JoystickRecording:
         index = int(np.searchsorted(self.time_s, time_s + _SAME_TIME_S, side="right")) - 1
         return Joystick(*self.intents[index].tolist()) if index >= 0 else None
 
-    def episode(self, number: int) -> JoystickRecording:
-        """The recording of an episode; after the last one the first comes again."""
-        return self.episodes[number % len(self.episodes)] if self.episodes else self
+    def user(self, episode: int, outline: Outline) -> RecordedUser:
+        """Who replays an episode of it; after the last one the first comes again."""
+        return RecordedUser(self.episodes[episode % len(self.episodes)] if self.episodes else self, outline)
+
+    def require_driven_here(self, town: str, town_sha256: Callable[[], str]) -> None:
+        """Refuse a drive of another town, or of this one when it was another. Raises ConfigError that names both."""
+        if self.town_sha256 and self.town_sha256 != (here := town_sha256()):
+            raise ConfigError(
+                f"{escaped(self.name)}: was driven in {escaped(self.town, 80)} ({self.town_sha256[:12]}), "
+                f"this is {town} ({here[:12]}); expected the same town: name it, or restore its files"
+            )
 
 
-class RecordedUser:
-    """Replays a recording in one episode, with the interface of `SimulatedUser`.
+class RecordedUser(User):
+    """Replays a recording in one episode; it has no call for help, and ends when it ends, whoever drives.
 
     Where it is not known what the person wanted beyond what the hand did, the intent is the stick itself.
     """
 
     def __init__(self, recording: JoystickRecording, outline: Outline) -> None:
-        self.arrived = False
-        self.gave_up = False
-        self.asks_help = False  # a recording has no call for help
+        super().__init__(recording.at(np.zeros(1)))
         self._recording = recording
         self._middle_m = outline.middle_x_m
         self._time_s = 0.0
-        self._sticks = recording.at(np.zeros(1))
-        self._path: Path | None = None
-        self._arc_m = 0.0
         self._told = False
-
-    def follow(self, route: Route) -> None:
-        """Take a new destination: it says what arriving is, and moves nothing."""
-        self._path = Path(route)
-        self._arc_m = 0.0
-        self.arrived = self.gave_up = False
-
-    @property
-    def joystick(self) -> Joystick:
-        """The stick now, on the unit disc."""
-        return Joystick(*self._sticks[-1].tolist())
 
     @property
     def intent(self) -> Joystick:
         """What the recording says, else the stick itself."""
         return self._recording.intent_at(self._time_s) or self.joystick
-
-    @property
-    def sticks(self) -> F64:
-        """The stick (steps, 2) after each step of the last call of `hand`."""
-        return self._sticks
-
-    @property
-    def route_progress_m(self) -> float:
-        """How far along the present route the chair is."""
-        return self._arc_m
 
     def hand(self, steps: int, dt_s: float) -> Joystick:
         """Move on by a tick of `steps` physics steps; the stick afterwards."""
@@ -146,15 +127,6 @@ def find_user(name: str) -> UserProfile | JoystickRecording:
     if name.startswith("{"):
         return profile_of_json(name, "a user's profile as JSON")
     return find_profile(name)
-
-
-def require_driven_here(recording: JoystickRecording, town: str, town_sha256: Callable[[], str]) -> None:
-    """Refuse a drive of another town, or of this one when it was another. Raises ConfigError that names both."""
-    if recording.town_sha256 and recording.town_sha256 != (here := town_sha256()):
-        raise ConfigError(
-            f"{escaped(recording.name)}: was driven in {escaped(recording.town, 80)} ({recording.town_sha256[:12]}), "
-            f"this is {town} ({here[:12]}); expected the same town: name it, or restore its files"
-        )
 
 
 def read_recording(path: FilePath) -> JoystickRecording:

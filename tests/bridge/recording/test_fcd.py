@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.support.worlds import quick_config
-from wcsim.bridge.replay.convert import write_fcd
+from wcsim.bridge.recording.convert import write_fcd
 from wcsim.bridge.town_run import TRACE, RecordOrder, record_town
 from wcsim.config import ChairConfig
 from wcsim.errors import WcsimError
