@@ -17,12 +17,11 @@ import numpy as np
 
 from wcsim.bridge import mirror
 from wcsim.bridge.ego.contact_ahead import meets_body
-from wcsim.bridge.ego.ego import XY, Ego, EgoSlots, hook_chair
-from wcsim.bridge.epoch import Epoch, new_epoch
-from wcsim.bridge.reaction.commands import in_street
+from wcsim.bridge.ego.ego import XY, Ego, EgoSlots
+from wcsim.bridge.epoch import Epoch
 from wcsim.bridge.stage_timer import Stopwatch
 from wcsim.bridge.sumo.actors import moved
-from wcsim.bridge.sumo.run_place import RunPlace
+from wcsim.bridge.sumo.open_scenario import RunPlace
 from wcsim.bridge.sumo.session import open_session, refuse_second_world, sumo_seed, warm_up, warmup_s
 from wcsim.config import RunConfig
 from wcsim.core.closing import Closing
@@ -229,15 +228,13 @@ class World(Closing):
         """The street sees the chairs of tick n: drivers brake or pass, people stop, lights hear their buttons."""
         self._check(commands)
         with self.stopwatch.measure("react"):
-            self._open.traffic.react(
-                tuple(in_street(seat.as_actor(), self.street.grid, seat.habits) for seat in self.seats)
-            )
+            self._open.traffic.react(tuple(seat.in_street() for seat in self.seats))
             self.sumo.buttons.ask([seat.asks for seat in self.seats if seat.asks is not None])
 
     def _step(self) -> None:
         """SUMO moves the city to tick n + 1."""
         with self.stopwatch.measure("sumo"):
-            self.sumo.step(lambda: tuple(hook_chair(seat, self.street) for seat in self.seats))
+            self.sumo.step(lambda: tuple(seat.for_hook() for seat in self.seats))
 
     def _mirror(self) -> None:
         """The engine gets a body for every actor in reach of a chair, and the street under and around the chairs."""
@@ -312,7 +309,7 @@ class World(Closing):
         warm_up(self.sumo, warmup_s(self.town, self.config), self.config.world.tick_s)
         if self._epoch is not None:
             self._epoch.engine.close()
-        self._epoch = new_epoch(self.config, self.street.grid, self.sumo, seed)
+        self._epoch = Epoch(self.config, self.street.grid, self.sumo, seed)
         self._rig.begin(seed)
         self._seating.build(self._epoch.engine, self._rig, seed)
         return self._published(self._open_episodes(self.seats, out))

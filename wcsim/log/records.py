@@ -15,17 +15,7 @@ from msgspec import Meta, Struct
 
 from wcsim.core.reading import MOST_JSON_BYTES
 from wcsim.errors import WcsimError
-from wcsim.types import (
-    F64,
-    ActorKind,
-    ActorState,
-    ClientSnapshot,
-    Command,
-    Joystick,
-    SeatSpec,
-    Snapshot,
-    StartSpec,
-)
+from wcsim.types import F64, ActorKind, ActorState, ClientSnapshot, Command, Joystick, SeatSpec, Snapshot, StartSpec
 from wcsim.types.bounds import MAX_SEED, MOST_SEATS
 
 MAGIC: Final = "wcsim-log-1"

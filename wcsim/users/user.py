@@ -327,7 +327,7 @@ class SimulatedUser(User):
         kerb_m = self._stop_m = self._kerbs.stop_m(self._arc_m, view.time_s, view.signals, seen.vehicles)
         if kerb_m is not None:
             speed = min(speed, _stopping_speed(kerb_m - body.arc_m, BRAKE_MPS2))
-        safe = avoidance.safe_speed(body, seen.things, BRAKE_MPS2, self.profile.reaction_s)
+        safe = body.safe_speed(seen.things, BRAKE_MPS2, self.profile.reaction_s)
         self.asks_help = self._calls(body.speed_mps - safe, view.time_s)
         if safe < speed:
             speed, self._stop_m = safe, body.arc_m + 0.5 * safe**2 / BRAKE_MPS2
@@ -400,7 +400,7 @@ class SimulatedUser(User):
         if on_m < 0.0:
             return _Plan(wish=Joystick(0.0, _BACK_STICK), patience=patience)
         yaw = body.yaw_rad + min(max(turn_rad, -2.0), 2.0)
-        speed = min(CREEP_MPS, avoidance.safe_speed(body, seen.things, BRAKE_MPS2, self.profile.reaction_s))
+        speed = min(CREEP_MPS, body.safe_speed(seen.things, BRAKE_MPS2, self.profile.reaction_s))
         there = (body.x_m + math.cos(yaw), body.y_m + math.sin(yaw))
         return _Plan(wish=self._steered(body, there, speed if on_m > 0.0 else 0.0), patience=patience)
 
@@ -417,7 +417,7 @@ class SimulatedUser(User):
     def _change_lane(self, body: Body, path: Path, seen: Seen, speed_mps: float, home_m: float) -> float:
         """Pick the offset from the route, `home_m` where nothing is in the way; the speed that goes with it."""
         desired_mps = self.profile.speed_share * self._chair.v_max_mps
-        blocked = avoidance.blocked_lanes(path, body, seen.things, desired_mps)
+        blocked = body.blocked_lanes(path, seen.things, desired_mps)
         if not blocked:
             self._lane_m = home_m
             return speed_mps

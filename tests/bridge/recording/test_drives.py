@@ -27,7 +27,7 @@ from wcsim.log.records import Admitted, DriveTick, Respawned, changed, left_at
 from wcsim.log.writer import LogWriter
 from wcsim.towns.scenario.town import content_hash, find_town
 from wcsim.types import Command, Joystick, SeatSpec
-from wcsim.users.profiles import profile, profile_json, profile_names, profile_text, read_profile, sample
+from wcsim.users.profiles import _read_profile, profile, profile_json, profile_names, profile_text, sample
 from wcsim.users.recordings.recorded_user import find_user
 
 
@@ -58,11 +58,11 @@ def test_a_drive_says_what_it_was_and_is_made_again_to_the_last_bit(corner, driv
 @pytest.mark.parametrize("own", ["spread = 0.9", "gain = [0.2, 0.2]\nspread = 0.3", "give_up_s = 3600\nspread = 0.1"])
 def test_a_user_drawn_of_a_wide_profile_can_be_recorded(tmp_path, own):
     (tmp_path / "me.toml").write_text(own)
-    base = read_profile(tmp_path / "me.toml")
+    base = _read_profile(tmp_path / "me.toml")
     for seed in range(60):
         user = drawn_user(base, seed)
         (tmp_path / "drawn.toml").write_text(profile_text(user, {}))
-        assert read_profile(tmp_path / "drawn.toml") == find_user(profile_json(user)) == user
+        assert _read_profile(tmp_path / "drawn.toml") == find_user(profile_json(user)) == user
 
 
 def test_a_user_drawn_of_a_usual_profile_is_the_one_of_the_episodes():

@@ -11,7 +11,7 @@ from tests.users.kinematics import Chair, Sim
 from wcsim.errors import ConfigError
 from wcsim.types import Joystick
 from wcsim.users.profiles import profile
-from wcsim.users.recordings.recorded_user import JoystickRecording, RecordedUser, find_user, read_recording
+from wcsim.users.recordings.recorded_user import _JoystickRecording, _RecordedUser, find_user, read_recording
 
 HEAD = "time_s,x,y\n"
 
@@ -24,7 +24,7 @@ def recorded(text, folder):
 
 def replay(recording, ticks):
     """The joystick after each tick of 0.1 s."""
-    user = RecordedUser(recording, USUAL_OUTLINE)
+    user = _RecordedUser(recording, USUAL_OUTLINE)
     return [user.joystick, *(user.hand(24, 0.1 / 24) for _ in range(ticks))]
 
 
@@ -46,7 +46,7 @@ def test_what_is_written_is_replayed_tick_by_tick(tmp_path_factory, sticks):
 
 def test_it_arrives_when_the_chair_does_and_gives_up_once_at_the_end(tmp_path):
     rows = "".join(f"{0.1 * k:.1f},0,0.8\n" for k in range(101))
-    user = RecordedUser(recorded(HEAD + rows, tmp_path), USUAL_OUTLINE)
+    user = _RecordedUser(recorded(HEAD + rows, tmp_path), USUAL_OUTLINE)
     sim = Sim(user, straight_route(), Chair(x=0.3, y=5.5))
     sim.run(60.0)
     assert user.gave_up and not user.arrived
@@ -57,7 +57,7 @@ def test_it_arrives_when_the_chair_does_and_gives_up_once_at_the_end(tmp_path):
     for _ in range(5):
         sim.tick()
     assert not user.gave_up
-    near = RecordedUser(recorded(HEAD + rows, tmp_path), USUAL_OUTLINE)
+    near = _RecordedUser(recorded(HEAD + rows, tmp_path), USUAL_OUTLINE)
     assert Sim(near, straight_route(), Chair(x=75.0, y=5.5)).run(20.0) and near.arrived and not near.gave_up
 
 
@@ -96,7 +96,7 @@ def test_a_missing_file_is_named(tmp_path):
 def test_a_name_is_a_profile_or_a_recording(tmp_path):
     assert find_user("slow") == profile("slow")
     write_recording(tmp_path / "stick.csv", np.array([0.0, 0.1]), np.zeros((2, 2)))
-    assert isinstance(find_user(f"recorded:{tmp_path}/stick.csv"), JoystickRecording)
+    assert isinstance(find_user(f"recorded:{tmp_path}/stick.csv"), _JoystickRecording)
     with pytest.raises(ConfigError, match=r"unknown user profile 'drunk'.*competent.*recorded:FILE"):
         find_user("drunk")
 

@@ -1,8 +1,6 @@
 """The seats of a world, each free or taken; in a taken one sits a wheelchair, with its user and its episode.
 
 Which of the others a wheelchair's cameras have shown lately: what may be known to who sees nothing else.
-
-A user's step hook sees the chair of each as `hook_chair` gives it.
 """
 
 from __future__ import annotations
@@ -20,7 +18,7 @@ from wcsim.bridge.ego.randomization import DrawnChair, Randomization
 from wcsim.bridge.ego.start_place import TakenNear, check_in_town, heading_rad, is_clear
 from wcsim.bridge.ego.street_obstacles import ObstacleWatch
 from wcsim.bridge.reaction.attention import AttentionModel
-from wcsim.bridge.reaction.commands import GreenRequest
+from wcsim.bridge.reaction.commands import ROADWAY, ChairInStreet, GreenRequest
 from wcsim.bridge.sumo.step_hook import HookChair
 from wcsim.config import RunConfig, WorldConfig
 from wcsim.core import seeding
@@ -64,7 +62,7 @@ from wcsim.users.profiles import UserProfile, sample
 from wcsim.users.user import FindUser, SimulatedUser, User
 
 
-class ShownActors:
+class _ShownActors:
     """The actors that the cameras of one seat have shown, each with the tick in which they last did so."""
 
     def __init__(self, world: WorldConfig) -> None:
@@ -144,7 +142,7 @@ class Ego:
         self._progress_m = self._progressed_m = 0.0
         self._shown: tuple[PlantState, ActorState] | None = None
         self._on_road = OnRoad()
-        self._shown_actors = ShownActors(config.world)
+        self._shown_actors = _ShownActors(config.world)
         self._button: CrossingButton  # of this route
         self.asks: GreenRequest | None = None  # of a light: its button has been pressed
 
@@ -368,6 +366,36 @@ class Ego:
             self._shown = (plant, _as_actor(chair_actor_id(self.index), plant, self.chair.outline))
         return self._shown[1]
 
+    def in_street(self) -> ChairInStreet:
+        """This chair as drivers and people see it, with their habits towards it."""
+        chair = self.as_actor()
+        x, y, z = chair.p_W_m.tolist()
+        return ChairInStreet(
+            p_W_m=chair.p_W_m[:2],
+            v_W_mps=chair.v_W_mps[:2],
+            on_road=self._street.grid.class_here(x, y) in ROADWAY,
+            yaw_rad=chair.yaw_rad,
+            z_m=z,
+            half_m=(0.5 * chair.size_lwh_m[0], 0.5 * chair.size_lwh_m[1]),
+            habits=self.habits,
+        )
+
+    def for_hook(self) -> HookChair:
+        """This chair as a user's step hook sees it."""
+        plant, route, street = self.plant, self.route, self._street
+        arc_m, (x, y, z) = self.user.route_progress_m, plant.p_WB_m.tolist()
+        east_m, north_m, up_m = street.net_origin_m
+        ahead = [(x, y), *route.points_W_m[route.arc_m > arc_m].tolist()]
+        return HookChair(
+            seat=self.index,
+            p_net_m=(x + east_m, y + north_m, z + up_m),
+            angle_deg=sumo_from_yaw(plant.yaw_rad),
+            speed_mps=float(plant.v_B_mps[0]),
+            way_net_m=tuple((px + east_m, py + north_m) for px, py in ahead),
+            edges=edges_ahead(street.walk, route, arc_m),
+            button_tls_id="" if self.asks is None else self.asks.tls_id,
+        )
+
     def _new_user(self) -> User:
         exact = self.person
         if not isinstance(exact, UserProfile):
@@ -452,7 +480,7 @@ class EgoSlots:
         self._begun = [0] * len(specs)  # episodes of the epoch, by place
         self._seed = 0
         if specs:
-            refuse_cameras_inside(config.cameras, plant_spec(config.chair).frame.boxes)
+            refuse_cameras_inside(config.cameras, plant_spec(config.chair))
             require_pavement(street, town)
             self._router = Router(street.walk)
             self.present = tuple(self._seat(number, spec) for number, spec in enumerate(specs) if spec is not None)
@@ -517,19 +545,3 @@ class EgoSlots:
     def _check(self, number: int) -> None:
         if not 0 <= number < len(self._begun):
             raise ProtocolError(f"there is no seat {number}; expected 0 or more and less than {len(self._begun)}")
-
-
-def hook_chair(seat: Ego, street: Street) -> HookChair:
-    """The chair of a seat now."""
-    plant, route, asks, (east_m, north_m, up_m) = seat.plant, seat.route, seat.asks, street.net_origin_m
-    arc_m, (x, y, z) = seat.user.route_progress_m, plant.p_WB_m.tolist()
-    ahead = [(x, y), *route.points_W_m[route.arc_m > arc_m].tolist()]
-    return HookChair(
-        seat=seat.index,
-        p_net_m=(x + east_m, y + north_m, z + up_m),
-        angle_deg=sumo_from_yaw(plant.yaw_rad),
-        speed_mps=float(plant.v_B_mps[0]),
-        way_net_m=tuple((px + east_m, py + north_m) for px, py in ahead),
-        edges=edges_ahead(street.walk, route, arc_m),
-        button_tls_id="" if asks is None else asks.tls_id,
-    )

@@ -18,7 +18,7 @@ from typing import Final
 import numpy as np
 
 from wcsim.bridge.replay.player import LogPlayer, MakesEpoch
-from wcsim.bridge.sumo.run_place import RunPlace
+from wcsim.bridge.sumo.open_scenario import RunPlace
 from wcsim.bridge.world import World
 from wcsim.config import RunConfig, parse_json
 from wcsim.core.constants import RECORDED
@@ -39,7 +39,7 @@ _NAME: Final = re.compile(r"([a-z-]{1,40}) (\d{1,18}) ([0-9a-f]{64})")
 _SCENE, _TOWN, _STICK = "scene", "town", "stick.csv"
 
 
-def made_scene(told: str) -> Path:
+def _made_scene(told: str) -> Path:
     """The folder of a generated scene and of its street, by what a drive's header says: family, seed, hash.
 
     Raises TownError when this wcsim knows no such scene, or generates another one of that seed.
@@ -103,7 +103,7 @@ def _drive_inputs(drive: DriveRecording) -> Iterator[Input]:
     """
     for record in drive.records:
         if isinstance(record, Admitted) and not record.spec.profile:
-            stick = made_scene(drive.about.scene) / _SCENE / _STICK
+            stick = _made_scene(drive.about.scene) / _SCENE / _STICK
             yield changed(record, spec=replace(record.spec, profile=f"{RECORDED}{stick}"))
         elif not isinstance(record, Note):
             yield record
@@ -127,7 +127,7 @@ def town_of_drive(header: Header) -> Town:
     scene = "" if header.drive is None else header.drive.scene
     for place in ("",) if scene else (header.town_name, header.town):
         try:
-            town = find_town(str(made_scene(scene) / _TOWN) if scene else place)
+            town = find_town(str(_made_scene(scene) / _TOWN) if scene else place)
         except TownError as error:
             refused = refused or error
             continue
