@@ -168,7 +168,7 @@ class FakeWorld:
     def _shot(self, seat: int, tick: int, buffers: SeatBuffers) -> tuple[CameraFrame, ...]:
         """The tick and the seat in the first pixel: what a renderer costs is not the point."""
         frames = []
-        for camera, images in zip(self._config.cameras, buffers.images, strict=True):
+        for camera, images in zip(self._config.cameras, buffers, strict=True):
             images.depth_m[0, 0] = tick
             images.class_id[0, 0] = seat
             frames.append(
@@ -187,7 +187,7 @@ class FakeWorld:
 
     def _new_buffers(self) -> SeatBuffers:
         cameras = self._config.cameras
-        return SeatBuffers(images=tuple(new_images(c.width_px, c.height_px, c.rgb) for c in cameras))
+        return tuple(new_images(c.width_px, c.height_px, c.rgb) for c in cameras)
 
     def _hash(self, what: bytes) -> None:
         self._digest = hashlib.blake2b(self._digest + what, digest_size=8).digest()

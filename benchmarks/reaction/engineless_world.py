@@ -13,7 +13,7 @@ import numpy as np
 
 from wcsim.bridge.epoch import ReactingTraffic
 from wcsim.bridge.reaction.attention import AttentionModel
-from wcsim.bridge.reaction.commands import CHAIR, ROADWAY, VEHICLE, ActorCommand, Blocked, ChairInStreet, is_person
+from wcsim.bridge.reaction.commands import CHAIR, ROADWAY, VEHICLE, ActorCommand, Blocked, ChairInStreet
 from wcsim.bridge.sumo.session import SumoOptions, SumoSession, warm_up
 from wcsim.config import ChairConfig, WorldConfig
 from wcsim.core.boxes import box_of, boxes_touch, gap_to_box
@@ -50,8 +50,8 @@ class ReactionStage(Closing):
         near = self._traffic.read(here_W_m)
         self._traffic.move(near, here_W_m)
         self._look(near, chairs)
-        places = {actor.id: tuple(actor.p_W_m[:2].tolist()) for actor in near if is_person(actor)}
-        slow = {actor.id for actor in near if is_person(actor) and float(np.hypot(*actor.v_W_mps[:2])) < 0.1}
+        places = {actor.id: tuple(actor.p_W_m[:2].tolist()) for actor in near if actor.is_person}
+        slow = {actor.id for actor in near if actor.is_person and float(np.hypot(*actor.v_W_mps[:2])) < 0.1}
         self._still = slow | {name for name, place in places.items() if self._places.get(name) == place}
         self._places = places
         return self._traffic.actors
@@ -70,7 +70,7 @@ class ReactionStage(Closing):
 
     def passing(self) -> tuple[str, ...]:
         """Who is on a way round a chair now."""
-        aside = (actor.id for actor in self._traffic.actors if actor.deflect_m and is_person(actor))
+        aside = (actor.id for actor in self._traffic.actors if actor.deflect_m and actor.is_person)
         return (*self._traffic.passing(), *aside)
 
     @property
@@ -115,7 +115,7 @@ class ReactionStage(Closing):
         return any(
             other.id != actor.id
             and _overlap_m(actor, other) > max(_TOUCH_M, _overlap_m(bare, other_bare) + _TOUCH_M)
-            and (is_person(other) or _overlap_m(bare, other_bare) <= _TOUCH_M)  # else SUMO itself has them meet
+            and (other.is_person or _overlap_m(bare, other_bare) <= _TOUCH_M)  # else SUMO itself has them meet
             for other, other_bare in zip(self._traffic.actors, near, strict=True)
             if abs(other.p_W_m[0] - actor.p_W_m[0]) + abs(other.p_W_m[1] - actor.p_W_m[1]) < 15.0
         )
@@ -125,7 +125,7 @@ def touches_chair(actor: ActorState, chair: ChairInStreet) -> bool:
     """Whether an actor's body overlaps a wheelchair's footprint."""
     x, y = chair.p_W_m.tolist()
     box = (x, y, math.cos(chair.yaw_rad), math.sin(chair.yaw_rad), *chair.half_m)
-    if is_person(actor):
+    if actor.is_person:
         px, py, _ = actor.p_W_m.tolist()
         return gap_to_box(px, py, *box) < _radius_m(actor) - _TOUCH_M
     return bool(boxes_touch(*box_of(actor, -_TOUCH_M), *box))
@@ -133,7 +133,7 @@ def touches_chair(actor: ActorState, chair: ChairInStreet) -> bool:
 
 def _overlap_m(person: ActorState, other: ActorState) -> float:
     x, y, _ = person.p_W_m.tolist()
-    if is_person(other):
+    if other.is_person:
         ox, oy, _ = other.p_W_m.tolist()
         return _radius_m(person) + _radius_m(other) - math.hypot(x - ox, y - oy)
     return _radius_m(person) - float(gap_to_box(x, y, *box_of(other)))

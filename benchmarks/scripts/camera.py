@@ -79,14 +79,14 @@ def _measure(
     from benchmarks.camera.random_scenes import scatter
     from benchmarks.camera.side_by_side import side_by_side
     from wcsim.physics.renderer.geometry import GeometryStore
-    from wcsim.physics.renderer.instances import instances_of
+    from wcsim.physics.renderer.instances import actor_instances
     from wcsim.physics.sensors.camera_geometry import pinhole
     from wcsim.towns.street import load_street
 
     street = load_street(town)
     scene, store = scatter(street, camera, poses, options.actors, options.seed), GeometryStore(street.mesh)
     return (
-        compare_renderers(store, pinhole(camera), scene.poses, instances_of(scene.actors), options.rounds),
+        compare_renderers(store, pinhole(camera), scene.poses, actor_instances(scene.actors), options.rounds),
         side_by_side(store, camera, scene),
     )
 

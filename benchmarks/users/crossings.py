@@ -26,8 +26,8 @@ from wcsim.towns.scenario.town import Town
 from wcsim.towns.walking.routes import Router
 from wcsim.types import Events, Ground, Outline, SeatSpec, SignalState, StartSpec, Street, WayKind
 from wcsim.users.crossing import CARRIAGEWAY, Crossing, crossings, is_red
-from wcsim.users.recorded import RecordedUser
 from wcsim.users.route_line import Path
+from wcsim.users.user import SimulatedUser
 
 Colour = Literal["green", "turned", "red", "none"]
 _CHAIRS = 6  # at work at the same time
@@ -118,7 +118,7 @@ class _Watch:
     def __init__(self, seat: Ego, place: CrossingPlace, law_share: float) -> None:
         self.seat, self.place, self.ticks = seat, place, 0
         self._behind, self._passed_red, self._red_ticks = True, False, 0
-        if isinstance(seat.user, RecordedUser):
+        if not isinstance(seat.user, SimulatedUser):
             raise TypeError("a recorded joystick does not follow traffic rules")  # no bench asks for one
         seat.user.profile = replace(seat.user.profile, law_share=law_share)
         seat.user.follow(seat.route)

@@ -21,7 +21,7 @@ from wcsim.supervisor.actions import ActionSet, action_set
 from wcsim.towns.scenario.town import Town
 from wcsim.types import ClientSnapshot, Command, Joystick, SeatSpec, Snapshot
 from wcsim.users.profiles import UserProfile, profile
-from wcsim.users.recorded import RecordedUser
+from wcsim.users.user import SimulatedUser
 
 Outcome = Literal["arrived", "crashed", "gave up", "time"]
 ENDLESS = 1_000_000_000
@@ -69,7 +69,7 @@ class _Watch:
         self._speeds.append(float(client.plant.v_B_mps[0]))
         self._free += client.truth is not None and not client.truth.danger
         self._intents.append(user.intent)
-        if not isinstance(user, RecordedUser) and user.witness is not None:
+        if isinstance(user, SimulatedUser) and user.witness is not None:
             meet(*user.witness, user.profile, self._met)
 
     def end(self, town: str, world: World, client: ClientSnapshot, outcome: Outcome) -> None:
@@ -103,7 +103,7 @@ class _Watch:
         )
 
     def _profile(self) -> UserProfile:
-        if isinstance(self._user, RecordedUser):
+        if not isinstance(self._user, SimulatedUser):
             raise TypeError("a recorded joystick has no profile")  # no bench asks for one
         return self._user.profile
 

@@ -10,7 +10,7 @@ import numpy as np
 from benchmarks.users.hand_habits import HandLog
 from wcsim.core.jit import exact_kernel
 from wcsim.types import F64, Bool
-from wcsim.users.fitting.hand_series import STICK_FILTER_S
+from wcsim.users.hand import STICK_FILTER_S
 
 _THIN = 6  # of the substeps one in so many is fitted
 _LAGS_S = np.arange(0.04, 0.56, 0.02)

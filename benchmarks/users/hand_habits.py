@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from wcsim.types import F64
-from wcsim.users.fitting.hand_series import STICK_FILTER_S
+from wcsim.users.hand import STICK_FILTER_S
 
 _TREMOR_BAND_HZ = (2.5, 8.0)
 _TREMOR_HALF_WIDTH_HZ = 1.2

@@ -12,10 +12,10 @@ from benchmarks.users.hand_fit import HandFit, fit_hand
 from benchmarks.users.hand_habits import HandLog, Tremor, pauses, switch_holds, tremor
 from wcsim.core.frames import rad, wrap
 from wcsim.types import F64, ActorKind, UserView
-from wcsim.users.fitting.hand_series import correction_s
 from wcsim.users.hand import DRIVE_ABOVE, PULSE_S, STEER_ABOVE
 from wcsim.users.perception import PERSON_SIGHT, Seen
 from wcsim.users.profiles import UserProfile
+from wcsim.users.recordings.hand_series import correction_s
 
 _SHAKES = 0.05  # a tremor below this is not averaged away before the fit
 _SHORTEST_S = 15.0  # of a route whose hand is fitted

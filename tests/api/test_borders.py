@@ -20,7 +20,7 @@ FORBIDDEN = [
     for contract in CONTRACTS
     if contract["type"] == "forbidden"
     and contract["source_modules"] != ["wcsim.cli"]
-    and not all(room.startswith("wcsim.agents.") for room in contract["forbidden_modules"])
+    and not all(room.startswith("wcsim.") for room in contract["forbidden_modules"])
 ]
 LIBRARIES = sorted({library for contract in FORBIDDEN for library in contract["forbidden_modules"]})
 

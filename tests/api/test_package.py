@@ -247,7 +247,6 @@ SAME_FILE_NAME = {
     "run": "its section of a run file, a scene's, and the command of a town's",
     "scene": "its file, and the command",
     "soak": "the benchmark, and its script",
-    "states": "of a launch's processes, and of a world as it is recorded",
     "street": "what crosses borders of it, and how it is built",
     "table": "of users, and of chairs",
     "train": "the loop, and the command",

@@ -8,13 +8,12 @@ import pytest
 from tests.support.worlds import quick_config
 from tests.towns.made import hostile
 from wcsim.bridge.reaction.articulated import Articulation
-from wcsim.bridge.recording.states import state_of
-from wcsim.bridge.replay.convert import write_fcd
+from wcsim.bridge.recording.convert import convert_to_fcd
 from wcsim.bridge.town_run import TRACE, RecordOrder, _check_mirrored, as_recorded, record_town
 from wcsim.bridge.world import World
 from wcsim.errors import SumoError, TownError
 from wcsim.log.reader import read_states
-from wcsim.log.records import Header
+from wcsim.log.records import Header, state_of
 from wcsim.log.writer import LogWriter
 from wcsim.towns.scenario.town import find_town
 from wcsim.towns.sumo.xml_io import read_root
@@ -56,7 +55,7 @@ def test_a_tram_near_a_chair_is_recorded_in_all_its_pieces_and_is_one_vehicle_of
     header = Header(town="t", seed=1, tick_s=0.1, seats=0, fingerprint="f")
     with LogWriter(tmp_path / TRACE, header) as writer:
         writer.append(state_of(snapshot, (), recorded))
-    write_fcd(tmp_path / TRACE, tmp_path / "fcd.xml")
+    convert_to_fcd(tmp_path / TRACE, tmp_path / "fcd.xml")
     (step,) = read_root(tmp_path / "fcd.xml")
     assert [(v.get("id"), float(v.get("x", "nan"))) for v in step] == [("far", 313.0), ("tram", 33.0)]
 

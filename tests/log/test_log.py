@@ -15,7 +15,7 @@ from tests.support.framing import chained, last_crc, read_whole
 from wcsim.errors import ConfigError, DiskFullError, WcsimError
 from wcsim.log.diff import first_difference
 from wcsim.log.framing import framed
-from wcsim.log.reader import iter_inputs, iter_log, log_digest, read_header
+from wcsim.log.reader import inputs_of_part, iter_inputs, log_digest, read_header
 from wcsim.log.records import (
     Admitted,
     Dismissed,
@@ -328,4 +328,4 @@ def test_a_journal_has_one_writer_at_a_time(tmp_path):
 
 def test_a_journal_is_read_without_its_ticks(tmp_path):
     write(tmp_path / "j")
-    assert list(iter_log(tmp_path / "j", ticks=False)) == [r for r in RECORDS if not isinstance(r, Ticked)]
+    assert list(inputs_of_part(tmp_path / "j", ticks=False)) == [r for r in RECORDS if not isinstance(r, Ticked)]

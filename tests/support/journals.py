@@ -9,10 +9,9 @@ from types import MappingProxyType, TracebackType
 
 from tests.support.framing import chained, record_ends
 from tests.support.worlds import quick_config
-from wcsim.bridge.recording.fingerprint import fingerprint
-from wcsim.bridge.recording.states import chair_box_m, state_of
-from wcsim.bridge.town_run import as_recorded
+from wcsim.bridge.town_run import as_recorded, chair_box_m
 from wcsim.bridge.world import World
+from wcsim.log.fingerprint import fingerprint
 from wcsim.log.reader import iter_inputs, log_digest, read_header
 from wcsim.log.records import (
     Admitted,
@@ -25,6 +24,7 @@ from wcsim.log.records import (
     changed,
     header_bytes,
     record_bytes,
+    state_of,
     ticked,
 )
 from wcsim.log.writer import LogWriter

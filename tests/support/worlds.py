@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from wcsim.bridge.recording.states import state_hash
 from wcsim.bridge.world import World
 from wcsim.bridge.world_rollout import rollout
 from wcsim.config import RunConfig, resolve
 from wcsim.towns.scenario.town import find_town
 from wcsim.types import SeatSpec, Snapshot
+from wcsim.users.recordings.recorded_user import find_user
 
 QUICK = ("world.warmup_s=0", "cameras.0.width_px=32", "cameras.0.height_px=24")
 
@@ -27,7 +27,9 @@ def dqn_config(*overrides: str) -> RunConfig:
 
 def open_world(town: Path, *overrides: str, seats: int = 1, seed: int = 1, spec: SeatSpec | None = None) -> World:
     """A world in a town's folder."""
-    return World(find_town(str(town)), quick_config(*overrides), (spec or SeatSpec(),) * seats, seed)
+    return World(
+        find_town(str(town)), quick_config(*overrides), (spec or SeatSpec(),) * seats, seed, find_user=find_user
+    )
 
 
 def follow(world: World) -> Snapshot:
@@ -37,4 +39,4 @@ def follow(world: World) -> Snapshot:
 
 def hashes(world: World, ticks: int) -> list[str]:
     """State hashes of the coming ticks, whatever epoch they are in."""
-    return [state_hash(replace(follow(world), epoch=0)) for _ in range(ticks)]
+    return [replace(follow(world), epoch=0).digest() for _ in range(ticks)]

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.support.samples import straight_route
-from wcsim.users.avoidance import Body, blocked_lanes, choose_lane, safe_speed
+from wcsim.users.avoidance import Body, choose_lane
 from wcsim.users.perception import NoticedObject
 from wcsim.users.route_line import Path
 
@@ -21,7 +21,7 @@ def thing(ahead, left, vx=0.0, vy=0.0, radius=0.2) -> NoticedObject:
 
 
 def lanes(*things):
-    return blocked_lanes(PATH, BODY, things, 1.3)
+    return BODY.blocked_lanes(PATH, things, 1.3)
 
 
 def test_a_post_blocks_its_own_width_and_the_chairs():
@@ -32,9 +32,9 @@ def test_a_post_blocks_its_own_width_and_the_chairs():
 
 def test_a_wider_chair_keeps_farther_away_and_a_longer_one_stops_earlier():
     wide, long = replace(BODY, half_m=(0.57, 0.41)), replace(BODY, half_m=(0.77, 0.31))
-    (usual,), (wider,) = (blocked_lanes(PATH, body, [thing(3.0, 0.1)], 1.3) for body in (BODY, wide))
+    (usual,), (wider,) = (body.blocked_lanes(PATH, [thing(3.0, 0.1)], 1.3) for body in (BODY, wide))
     assert wider == pytest.approx((usual[0] - 0.1, usual[1] + 0.1))
-    usual_mps, longer_mps = (safe_speed(body, [thing(3.0, 0.0)], 0.8, 0.3) for body in (BODY, long))
+    usual_mps, longer_mps = (body.safe_speed([thing(3.0, 0.0)], 0.8, 0.3) for body in (BODY, long))
     assert usual_mps**2 - longer_mps**2 == pytest.approx(2 * 0.8 * 0.2)
 
 
@@ -78,7 +78,7 @@ def test_the_side_of_before_is_kept():
 
 def test_speed_in_front_of_things():
     def limit(*things):
-        return safe_speed(BODY, things, 0.6, 0.25)
+        return BODY.safe_speed(things, 0.6, 0.25)
 
     assert limit() == math.inf
     assert limit(thing(5.0, 1.0)) == math.inf  # beside the way

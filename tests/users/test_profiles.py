@@ -12,17 +12,17 @@ from wcsim.errors import ConfigError
 from wcsim.users.profiles import (
     PROFILE_LIMITS,
     UserProfile,
+    _read_profile,
     is_of_file,
     profile,
     profile_json,
     profile_names,
     profile_of_json,
     profile_text,
-    read_profile,
     recordings,
     sample,
 )
-from wcsim.users.recorded import find_user
+from wcsim.users.recordings.recorded_user import find_user
 
 
 def test_all_six_are_there():
@@ -71,7 +71,7 @@ def test_what_is_written_is_read(tmp_path, name):
     user = replace(sample(profile(name), generator(3, "user")), spread=0.1)
     file = tmp_path / "me.toml"
     file.write_text(profile_text(user, {"lag_s": "0.1 to 0.2"}, "a head\nof two lines"))
-    assert read_profile(file) == find_user(str(file)) == user
+    assert _read_profile(file) == find_user(str(file)) == user
     assert "# a head\n# of two lines\n" in file.read_text() and "# 0.1 to 0.2\n" in file.read_text()
     assert profile_of_json(profile_json(user), "there") == user
 
@@ -88,8 +88,8 @@ def test_every_number_of_a_profile_has_bounds_and_every_profile_keeps_to_them():
 def test_what_is_left_out_is_the_bases(tmp_path):
     file = tmp_path / "my tired user.toml"
     file.write_text('base = "slow"\nreaction_s = 0.9\n')
-    assert read_profile(file) == replace(profile("slow"), name="my-tired-user", reaction_s=0.9, spread=0.0)
-    assert sample(read_profile(file), generator(1, "user")) == read_profile(file)
+    assert _read_profile(file) == replace(profile("slow"), name="my-tired-user", reaction_s=0.9, spread=0.0)
+    assert sample(_read_profile(file), generator(1, "user")) == _read_profile(file)
 
 
 @pytest.mark.parametrize(

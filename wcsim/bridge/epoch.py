@@ -7,21 +7,20 @@ Without an engine: a world mirrors what is here into one, a bench leads chairs t
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from wcsim.bridge import mirror
 from wcsim.bridge.mirror import MirrorCheck
 from wcsim.bridge.reaction.articulated import Articulation
 from wcsim.bridge.reaction.attention import AttentionModel
-from wcsim.bridge.reaction.commands import Blocked, ChairInStreet, on_level
+from wcsim.bridge.reaction.commands import Blocked, ChairInStreet
 from wcsim.bridge.reaction.drivers import StreetReaction
 from wcsim.bridge.reaction.pedestrians import PedestrianAvoidance
 from wcsim.bridge.reaction.wide_turns import SwingOut
 from wcsim.bridge.sumo.session import SumoSession
 from wcsim.config import RunConfig, WorldConfig
 from wcsim.core import seeding
+from wcsim.core.constants import OTHER_LEVEL_M
 from wcsim.physics.engine import Engine, StreetBodies
 from wcsim.physics.kinematic_bodies import BodyPool
 from wcsim.types import F64, ActorState, Ground, SignalState
@@ -110,33 +109,23 @@ class ReactingTraffic:
         self.signals = self._sumo.signals(places_W_m, self._signals_m)
 
     def _level(self, actors: tuple[ActorState, ...]) -> tuple[ActorState, ...]:
-        """Those on the level of a chair."""
-        return on_level(actors, self.chairs) if self._hilly else actors
+        """Those on the level of a chair: who is on a bridge above it has nothing to do with it."""
+        if not self._hilly:
+            return actors
+        heights_m = [chair.z_m for chair in self.chairs]
+        kept = tuple(a for a in actors if any(abs(float(a.p_W_m[2]) - z_m) < OTHER_LEVEL_M for z_m in heights_m))
+        return actors if len(kept) == len(actors) else kept
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Epoch:
     """Lives from one `World.rebuild` to the next; `engine` has to be closed then."""
 
-    attention: AttentionModel
-    traffic: ReactingTraffic
-    engine: Engine
-    bodies: BodyPool
-    check: MirrorCheck
-    street: StreetBodies
-
-
-def new_epoch(config: RunConfig, ground: Ground, sumo: SumoSession, seed: int) -> Epoch:
-    """An epoch in which nothing has happened yet. Raises PhysicsError when PyBullet gives no engine."""
-    attention = AttentionModel(config.world, seeding.derive(seed, "street"))
-    engine = Engine(config.world.tick_s / config.world.usual_substeps)
-    bodies = BodyPool(engine)
-    sight_m = max(camera.range_m for camera in config.cameras)
-    return Epoch(
-        attention=attention,
-        traffic=ReactingTraffic(config.world, ground, sumo, attention, sight_m),
-        engine=engine,
-        bodies=bodies,
-        check=MirrorCheck(bodies),
-        street=StreetBodies(engine),
-    )
+    def __init__(self, config: RunConfig, ground: Ground, sumo: SumoSession, seed: int) -> None:
+        """Nothing has happened yet. Raises PhysicsError when PyBullet gives no engine."""
+        self.attention = AttentionModel(config.world, seeding.derive(seed, "street"))
+        self.engine = Engine(config.world.tick_s / config.world.usual_substeps)
+        self.bodies = BodyPool(self.engine)
+        sight_m = max(camera.range_m for camera in config.cameras)
+        self.traffic = ReactingTraffic(config.world, ground, sumo, self.attention, sight_m)
+        self.check = MirrorCheck(self.bodies)
+        self.street = StreetBodies(self.engine)

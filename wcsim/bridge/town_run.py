@@ -13,17 +13,17 @@ from pathlib import Path
 
 import numpy as np
 
-from wcsim.bridge.recording.fingerprint import fingerprint
-from wcsim.bridge.recording.states import chair_box_m, state_hash, state_of
-from wcsim.bridge.sumo.run_place import RunPlace
+from wcsim.bridge.sumo.open_scenario import RunPlace
 from wcsim.bridge.sumo.session import open_session, refuse_second_world, warm_up, warmup_s
 from wcsim.bridge.world import World
 from wcsim.bridge.world_rollout import RolloutStep, rollout
-from wcsim.config import RunConfig
+from wcsim.config import ChairConfig, RunConfig
 from wcsim.core.closing import Closing
 from wcsim.errors import SumoError
-from wcsim.log.records import Header
+from wcsim.log.fingerprint import fingerprint
+from wcsim.log.records import Header, state_of
 from wcsim.log.writer import TRACE, LogWriter
+from wcsim.physics.wheelchair.plant import plant_spec
 from wcsim.supervisor.rewards import fault
 from wcsim.towns.checks.validate import validate_net
 from wcsim.towns.scenario.stage import Scenario, files_of
@@ -31,6 +31,7 @@ from wcsim.towns.scenario.town import Town
 from wcsim.towns.street import load_street
 from wcsim.towns.sumo.net import read_net
 from wcsim.types import F64, ActorState, ClientSnapshot, SeatSpec, Snapshot
+from wcsim.users.recordings.recorded_user import find_user
 
 
 class _TownTraffic(Closing):
@@ -66,7 +67,7 @@ class _TownTraffic(Closing):
 
     def _published(self, tick: int) -> Snapshot:
         bare = Snapshot(epoch=0, tick=tick, time_s=self.sumo.time_s(), actors=(), signals=(), clients=())
-        return replace(bare, state_hash=state_hash(bare))
+        return replace(bare, state_hash=bare.digest())
 
 
 _BORDER_M = 3.0  # a chair drives on, and actors near the edge of its surroundings come or go, within a tick
@@ -152,7 +153,9 @@ def record_town(
             load_street(town, stage)
             spec = SeatSpec(profile=config.env.profile, max_steps=config.env.max_steps)
             stage(f"starting SUMO; traffic warm-up of {warmup_s(town, config):g} s")
-            world = held.enter_context(World(town, config, (spec,) * order.chairs, order.seed, place))
+            world = held.enter_context(
+                World(town, config, (spec,) * order.chairs, order.seed, place, find_user=find_user)
+            )
             steps, net_z_m = rollout(world), world.street.net_origin_m[2]
         else:
             stage("starting SUMO")
@@ -181,6 +184,12 @@ def _header(town: Town, config: RunConfig, order: RecordOrder, net_z_m: float) -
         origin_z_m=net_z_m,
         chair_box_m=chair_box_m(config.chair),
     )
+
+
+def chair_box_m(chair: ChairConfig) -> tuple[float, float]:
+    """What a header says of the wheelchairs."""
+    outline = plant_spec(chair).outline
+    return outline.length_m, outline.middle_x_m
 
 
 def as_recorded(snapshot: Snapshot, everyone: Sequence[ActorState]) -> list[ActorState]:

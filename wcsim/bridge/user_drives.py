@@ -14,19 +14,20 @@ from pathlib import Path
 
 import numpy as np
 
-from wcsim.bridge.recording.fingerprint import fingerprint
 from wcsim.bridge.replay.replayed import config_of, first_inputs, replayed
 from wcsim.bridge.world import World
 from wcsim.bridge.world_rollout import rollout
 from wcsim.config import RunConfig
 from wcsim.core import seeding
 from wcsim.log.drive import DriveRecording, wcsim_version
+from wcsim.log.fingerprint import fingerprint
 from wcsim.log.records import DriveHeader, DriveTick, EpochBegun, Header, Input, changed, left_at
 from wcsim.log.writer import LogWriter
 from wcsim.supervisor.actions import ActionSet, action_set
 from wcsim.towns.scenario.town import Town, content_hash
 from wcsim.types import ClientSnapshot, Joystick, Outline, SeatSpec, Street, UserView
 from wcsim.users.profiles import UserProfile, profile_json, sample
+from wcsim.users.recordings.recorded_user import find_user
 from wcsim.users.user import SimulatedUser
 
 
@@ -144,7 +145,7 @@ def record_user(
     crashes = 0
     spec = SeatSpec(profile=profile_json(user), max_steps=ENDLESS)
     header = drive_header(town, config, seed, profile=user.name, policy=FOLLOW)
-    with LogWriter(out, header) as recorder, World(town, config, (spec,), seed) as world:
+    with LogWriter(out, header) as recorder, World(town, config, (spec,), seed, find_user=find_user) as world:
         for record in first_inputs(spec, seed):
             recorder.append(record)
         world.go_blind()

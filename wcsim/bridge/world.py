@@ -17,13 +17,11 @@ import numpy as np
 
 from wcsim.bridge import mirror
 from wcsim.bridge.ego.contact_ahead import meets_body
-from wcsim.bridge.ego.ego import XY, Ego, EgoSlots, hook_chair
-from wcsim.bridge.epoch import Epoch, new_epoch
-from wcsim.bridge.reaction.commands import in_street
-from wcsim.bridge.recording.states import state_hash
+from wcsim.bridge.ego.ego import XY, Ego, EgoSlots
+from wcsim.bridge.epoch import Epoch
 from wcsim.bridge.stage_timer import Stopwatch
 from wcsim.bridge.sumo.actors import moved
-from wcsim.bridge.sumo.run_place import RunPlace
+from wcsim.bridge.sumo.open_scenario import RunPlace
 from wcsim.bridge.sumo.session import open_session, refuse_second_world, sumo_seed, warm_up, warmup_s
 from wcsim.config import RunConfig
 from wcsim.core.closing import Closing
@@ -38,6 +36,8 @@ from wcsim.towns.scenario.town import Town
 from wcsim.towns.street import load_street
 from wcsim.types import F64, ActorState, ClientSnapshot, Command, SeatSpec, Snapshot, StartSpec, TileKey, UserView
 from wcsim.types.street import StreetTiles, joined_mesh
+from wcsim.users.profiles import find_profile
+from wcsim.users.user import FindUser
 
 ENGINE_REACH_M = 10.0  # the street so far around a chair is in the engine
 SIGHT_MORE_M = 30.0  # and so far beyond its cameras' range in sight
@@ -97,20 +97,22 @@ class World(Closing):
         *,
         epoch: int = 0,
         say: Callable[[str], object] | None = None,
+        find_user: FindUser = find_profile,
     ) -> None:
         """Load the town and warm its traffic up.
 
         There is a seat for each of `specs`, free where it is None; `place` says where the outputs of the SUMO scenario
-        go, `epoch` is the number of the first epoch, `say` hears how far the street is, as `load_street` tells. Raises
-        TownError for a net that cannot be used, ConfigError for a camera inside the chair's body, WorldInUseError while
-        another world lives in this process.
+        go, `epoch` is the number of the first epoch, `say` hears how far the street is, as `load_street` tells,
+        `find_user` takes the names of users, those of profiles where it is not given. Raises TownError for a net that
+        cannot be used, ConfigError for a camera inside the chair's body, WorldInUseError while another world lives in
+        this process.
         """
         refuse_second_world()
         validate_net(town.net, border=town.border)
         self.town = town
         self.config = config
         self.street = load_street(town, say)
-        self._seating = EgoSlots(specs, config, self.street, town)
+        self._seating = EgoSlots(specs, config, self.street, town, find_user)
         self.stopwatch = Stopwatch()
         self.epoch = epoch - 1
         self._epoch: Epoch | None = None
@@ -226,15 +228,13 @@ class World(Closing):
         """The street sees the chairs of tick n: drivers brake or pass, people stop, lights hear their buttons."""
         self._check(commands)
         with self.stopwatch.measure("react"):
-            self._open.traffic.react(
-                tuple(in_street(seat.as_actor(), self.street.grid, seat.habits) for seat in self.seats)
-            )
+            self._open.traffic.react(tuple(seat.in_street() for seat in self.seats))
             self.sumo.buttons.ask([seat.asks for seat in self.seats if seat.asks is not None])
 
     def _step(self) -> None:
         """SUMO moves the city to tick n + 1."""
         with self.stopwatch.measure("sumo"):
-            self.sumo.step(lambda: tuple(hook_chair(seat, self.street) for seat in self.seats))
+            self.sumo.step(lambda: tuple(seat.for_hook() for seat in self.seats))
 
     def _mirror(self) -> None:
         """The engine gets a body for every actor in reach of a chair, and the street under and around the chairs."""
@@ -309,7 +309,7 @@ class World(Closing):
         warm_up(self.sumo, warmup_s(self.town, self.config), self.config.world.tick_s)
         if self._epoch is not None:
             self._epoch.engine.close()
-        self._epoch = new_epoch(self.config, self.street.grid, self.sumo, seed)
+        self._epoch = Epoch(self.config, self.street.grid, self.sumo, seed)
         self._rig.begin(seed)
         self._seating.build(self._epoch.engine, self._rig, seed)
         return self._published(self._open_episodes(self.seats, out))
@@ -416,7 +416,7 @@ class World(Closing):
             clients=clients,
         )
         # Put in last, as the hash is taken of all the rest.
-        return replace(bare, state_hash=state_hash(bare))
+        return replace(bare, state_hash=bare.digest())
 
     @property
     def _open(self) -> Epoch:

@@ -13,7 +13,6 @@ import numpy as np
 
 from wcsim.agents.envs.episode_view import Chair
 from wcsim.bridge.ego.start_place import bearing_rad
-from wcsim.bridge.replay.replayed import set_patience
 from wcsim.bridge.world import World
 from wcsim.bridge.world_rollout import rollout
 from wcsim.core.closing import Closing
@@ -26,6 +25,7 @@ from wcsim.supervisor.kpi import KpiTotals
 from wcsim.types import F64, ClientSnapshot, Joystick, Route, StartSpec
 from wcsim.types.chair import AT_REST
 from wcsim.users.hand import in_gate
+from wcsim.users.recordings.recorded_user import find_user
 
 _NO_STICKS: Final[F64] = np.zeros((0, 2))  # of a person: known at the ticks' beginnings alone
 _FACES_RAD: Final = math.radians(45.0)  # a way within this to either side is one that a start faces
@@ -82,7 +82,9 @@ class DriveSession(Closing):
             self.actions = action_set(config.env.actions)
             self.assistance = Assistance(self.place.policy, self.actions, config.world.help_ticks)
             held.callback(self.assistance.close)
-            self.world = held.enter_context(World(self.place.town, config, (spec,), self.place.seed, say=say))
+            self.world = held.enter_context(
+                World(self.place.town, config, (spec,), self.place.seed, say=say, find_user=find_user)
+            )
             self._chair = Chair(config)
             self._begin()
             self.assistance.reset(self.client.drawn)
@@ -224,7 +226,7 @@ class DriveSession(Closing):
         if self.assistance.failed and not self.assistance.on and answer.sent == answer.chosen:
             self._say_failure()
         user, intent = self.world.seats[0].user, self.world.seats[0].user.intent if by_user else None
-        set_patience(user, patient=not by_user)
+        user.patient = not by_user
         self._move(answer)
         sticks = user.sticks if by_user else _NO_STICKS
         driven = self._driven(stick, intent, sticks, answer, replace(wish, overrule=overrule, help=self._help))

@@ -23,7 +23,7 @@ from wcsim.towns.making.asked_town import made_town
 from wcsim.towns.scenario.town import Town, content_hash, find_town, list_towns
 from wcsim.types import SeatSpec
 from wcsim.users.profiles import profile_names
-from wcsim.users.recorded import find_user
+from wcsim.users.recordings.recorded_user import find_user
 
 PRESET = "quick"
 LONGEST_STEPS = 1_000_000  # a drive has no step limit of its own

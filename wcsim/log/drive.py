@@ -24,11 +24,6 @@ def wcsim_version() -> str:
     return version("wcsim")
 
 
-def moves_as_here(made_by: str) -> bool:
-    """Whether a stick moved a chair in that version of wcsim as it does in this one."""
-    return made_by in (wcsim_version(), *_SAME_MOTION)
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DriveRecording:
     """A whole recording; see `read_drive`."""
@@ -44,6 +39,11 @@ class DriveRecording:
         if self.header.drive is None:
             raise JournalError(f"{escaped(self.name)}: is not a drive; record it again")
         return self.header.drive
+
+    @property
+    def moves_as_here(self) -> bool:
+        """Whether a stick moved the chair, in the version of wcsim that recorded it, as it does in this one."""
+        return self.about.wcsim in (wcsim_version(), *_SAME_MOTION)
 
     @cached_property
     def ticks(self) -> tuple[DriveTick, ...]:

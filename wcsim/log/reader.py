@@ -166,24 +166,26 @@ def read_header(path: Path, expected: LogKind | None = None) -> Header:
     return LogScan(_parts(path)[-1], expected).header
 
 
-def iter_log(path: Path, ticks: bool = True) -> Iterator[LogRecord]:
+def iter_log(path: Path) -> Iterator[LogRecord]:
     """The records of a log one by one, of all its parts, up to the last whole one; somebody may be writing it.
 
-    Without `ticks` those of `Ticked` are left out, unread: nearly all are, and reading them takes most of the time.
     Raises JournalError when it is no log, and at the place of a damage that is no torn end.
     """
     first, *others = _parts(path)
-    return chain(LogScan(first).records(ticks), *(LogScan(part).records(ticks) for part in others))
+    return chain(LogScan(first).records(), *(LogScan(part).records() for part in others))
 
 
-def iter_inputs(path: Path, ticks: bool = True) -> Iterator[Input]:
+def iter_inputs(path: Path) -> Iterator[Input]:
     """What was done to the world of a journal, of all its parts. Raises as `iter_log`."""
     first, *others = _parts(path)
-    return chain(inputs_of_part(first, ticks), *(inputs_of_part(part, ticks) for part in others))
+    return chain(inputs_of_part(first), *(inputs_of_part(part) for part in others))
 
 
 def inputs_of_part(path: Path, ticks: bool = True) -> Iterator[Input]:
-    """As `iter_inputs`, of one part of a journal alone (`log/reader.py`)."""
+    """As `iter_inputs`, of one part of a journal alone.
+
+    Without `ticks` those of `Ticked` are left out, unread: nearly all are, and reading them takes most of the time.
+    """
     return (record for record in LogScan(path, "journal").records(ticks) if isinstance(record, Input))
 
 

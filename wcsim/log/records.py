@@ -6,6 +6,7 @@ The header is JSON, a record is MessagePack; every number of both is bounded as 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Annotated, Any, Final, Literal, TypeVar
 
 import msgspec
@@ -14,7 +15,7 @@ from msgspec import Meta, Struct
 
 from wcsim.core.reading import MOST_JSON_BYTES
 from wcsim.errors import WcsimError
-from wcsim.types import F64, ActorKind, ClientSnapshot, Command, Joystick, SeatSpec, StartSpec
+from wcsim.types import F64, ActorKind, ActorState, ClientSnapshot, Command, Joystick, SeatSpec, Snapshot, StartSpec
 from wcsim.types.bounds import MAX_SEED, MOST_SEATS
 
 MAGIC: Final = "wcsim-log-1"
@@ -262,6 +263,27 @@ def ticked(epoch: int, tick: int, commands: tuple[Command, ...], state_hash: str
         seats=tuple(command.seat for command in commands),
         sticks=tuple((command.joystick.x, command.joystick.y) for command in commands),
         state_hash=state_hash,
+    )
+
+
+def state_of(snapshot: Snapshot, commands: Sequence[Command], actors: Sequence[ActorState] | None = None) -> WorldState:
+    """The record of where everything was after a tick, by its commands and the snapshot they led to.
+
+    `actors` are those to record, such as all of the town; the snapshot's own, near the chairs, when they are missing.
+    """
+    actors = snapshot.actors if actors is None else actors
+    seats = tuple(client.seat for client in snapshot.clients)
+    return WorldState(
+        epoch=snapshot.epoch,
+        tick=snapshot.tick,
+        commands=np.array([(c.joystick.x, c.joystick.y) for c in commands]).reshape(-1, 2),
+        plants=np.array([c.plant.row for c in snapshot.clients]).reshape(-1, 15),
+        actor_ids=tuple(a.id for a in actors),
+        actors=np.array([a.row for a in actors]).reshape(-1, 8),
+        state_hash=snapshot.state_hash,
+        time_s=snapshot.time_s,
+        bodies=tuple(ActorBody(id=a.id, kind=a.kind, size_lwh_m=a.size_lwh_m, piece=a.piece) for a in actors),
+        seats=() if seats == tuple(range(len(seats))) else seats,
     )
 
 

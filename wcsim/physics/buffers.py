@@ -23,11 +23,8 @@ class Images:
     instance: I32 | None = None  # (H, W) row of the instance, -1 for street and sky; drawn only when there is one
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SeatBuffers:
-    """Where the images of one seat go, one entry a camera in the rig's order."""
-
-    images: tuple[Images, ...]
+SeatBuffers = tuple[Images, ...]
+"""Where the images of one seat go, one entry a camera in the rig's order."""
 
 
 class ImageSink(Protocol):

@@ -17,13 +17,12 @@ from typing import Final
 
 import numpy as np
 
-from wcsim.core.frames import matrix, quaternion, rotate
+from wcsim.core.frames import Vec3, matrix, quaternion, rotate
 from wcsim.errors import PhysicsError
 from wcsim.physics.bullet import pybullet
 from wcsim.physics.engine import PARK_Z_M, BodyTag, Engine, Role
 from wcsim.types import F64, ActorKind, ActorState
 
-Vec3 = tuple[float, float, float]
 Bucket = tuple[ActorKind, int, int, int]
 # Actors of almost one size share bodies, as bodies are never removed.
 _BUCKET_M: Final = 0.05

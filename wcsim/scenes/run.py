@@ -19,14 +19,13 @@ from pathlib import Path
 
 import numpy as np
 
-from wcsim.bridge.recording.fingerprint import engines_fingerprint
-from wcsim.bridge.recording.states import state_of
 from wcsim.bridge.world import World
 from wcsim.bridge.world_rollout import RolloutStep, rollout
 from wcsim.config import CameraConfig, RunConfig
 from wcsim.config.scene import SceneFile, SceneSeat
 from wcsim.errors import TownError, WcsimError
-from wcsim.log.records import Header, changed
+from wcsim.log.fingerprint import engines_fingerprint
+from wcsim.log.records import Header, changed, state_of
 from wcsim.log.writer import LogWriter
 from wcsim.physics.wheelchair.plant import plant_spec
 from wcsim.scenes.facts import Facts
@@ -34,6 +33,7 @@ from wcsim.scenes.meter import SceneMeter
 from wcsim.towns.scene_folders.build import build_scene, scene_config, seat_specs
 from wcsim.types import ClassId, ClientSnapshot, Joystick, Snapshot
 from wcsim.types.chair import AT_REST
+from wcsim.users.recordings.recorded_user import find_user
 from wcsim.view.map import street_video
 from wcsim.view.pictures import captioned
 
@@ -81,7 +81,7 @@ def _open_scene(folder: Path, cameras: tuple[CameraConfig, ...] = _SMALL_CAMERAS
         try:
             town, scene = build_scene(folder, Path(work))
             specs = seat_specs(folder, scene, town.file.origin_m)
-            world = World(town, scene_config(scene, RunConfig(cameras=cameras)), specs, scene.seed)
+            world = World(town, scene_config(scene, RunConfig(cameras=cameras)), specs, scene.seed, find_user=find_user)
         except WcsimError as error:
             raise TownError(_without_work(str(error), folder)) from None
         with world:

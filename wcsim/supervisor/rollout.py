@@ -17,6 +17,7 @@ import math
 
 import numpy as np
 
+from wcsim.core.boxes import boxes_touch, gap_to_box
 from wcsim.core.constants import GRAVITY_MPS2, KERB_STEP_CM
 from wcsim.core.frames import rad
 from wcsim.core.jit import exact_kernel
@@ -30,8 +31,8 @@ HARDLY_MPS = 0.05  # a chair that comes nearer more slowly than this runs into n
 # columns of the table (n, 9): where, the heading, the radius, the speeds ahead and to the left of it, how far left of
 # their own line they walk, and the margin, set at the start of a roll-out
 PX, PY, PCOS, PSIN, PRADIUS, PAHEAD_MPS, PLEFT_MPS, PASIDE_M, PMARGIN = range(9)
-# what the hull's entries are, as in `rollout`
-_MIDDLE, _HALF_L, _HALF_W = range(3)
+# entries of a chair's hull (3,) seen from above: its middle ahead of the drive axle, half its length and half its width
+MIDDLE, HALF_L, HALF_W = range(3)
 
 
 @exact_kernel
@@ -47,9 +48,9 @@ def _person_gap(x: float, y: float, yaw: float, hull: F64, person: F64) -> float
     """Distance in metres from a chair's footprint to a person now, negative in one another."""
     cos, sin = math.cos(yaw), math.sin(yaw)
     dx, dy = person[PX] - x, person[PY] - y
-    ahead, left = dx * cos + dy * sin - hull[_MIDDLE], dy * cos - dx * sin
-    out_l = max(0.0, abs(ahead) - hull[_HALF_L])
-    out_w = max(0.0, abs(left) - hull[_HALF_W])
+    ahead, left = dx * cos + dy * sin - hull[MIDDLE], dy * cos - dx * sin
+    out_l = max(0.0, abs(ahead) - hull[HALF_L])
+    out_w = max(0.0, abs(left) - hull[HALF_W])
     return math.hypot(out_l, out_w) - float(person[PRADIUS])
 
 
@@ -112,7 +113,7 @@ def _runs_into_any_way(
 def _reach_m(hull: F64, person: F64, later_s: float) -> float:
     """How far from the drive axle somebody may be now who touches the chair in so many seconds, at most."""
     most_mps = abs(person[PAHEAD_MPS]) + max(abs(person[PLEFT_MPS]), STEP_ASIDE_MPS)
-    return float(abs(hull[_MIDDLE]) + hull[_HALF_L] + hull[_HALF_W] + person[PRADIUS] + MARGIN_M + later_s * most_mps)
+    return float(abs(hull[MIDDLE]) + hull[HALF_L] + hull[HALF_W] + person[PRADIUS] + MARGIN_M + later_s * most_mps)
 
 
 @exact_kernel
@@ -135,8 +136,8 @@ def _meets(
     dx, dy = person[PX] + later_s * vx - x, person[PY] + later_s * vy - y
     reach = person[PRADIUS] + person[PMARGIN]
     px, py = dx * cos + dy * sin, dy * cos - dx * sin
-    qx = min(max(px, hull[_MIDDLE] - hull[_HALF_L]), hull[_MIDDLE] + hull[_HALF_L])
-    qy = min(max(py, -hull[_HALF_W]), hull[_HALF_W])
+    qx = min(max(px, hull[MIDDLE] - hull[HALF_L]), hull[MIDDLE] + hull[HALF_L])
+    qy = min(max(py, -hull[HALF_W]), hull[HALF_W])
     out_x, out_y = px - qx, py - qy
     gap2 = out_x * out_x + out_y * out_y
     if gap2 >= reach * reach or gap2 == 0.0:  # who is in the hull has walked into it before
@@ -161,8 +162,6 @@ PITCH_LIMIT = math.tan(rad(30.0))
 
 # columns of the actors' table (n, 9); the last is the margin, set at the start of a roll-out
 AX, AY, ACOS, ASIN, AHALF_L, AHALF_W, AVX, AVY, AMARGIN = range(9)
-# entries of its hull (3,) seen from above: its middle ahead of the drive axle, half its length and half its width
-MIDDLE, HALF_L, HALF_W = range(3)
 BEYOND_M = 0.1  # of the hull's corners, where a rough distance is enough
 
 
@@ -459,21 +458,7 @@ def _overlap(
 ) -> bool:
     """Whether the chair's rectangle meets another one (separating axes), the other one grown by `margin`."""
     half_l, half_w = other[AHALF_L] + margin, other[AHALF_W] + margin
-    dx, dy = ox - cx, oy - cy
-    # Circles first, as most of the others are far away.
-    reach = hull[HALF_L] + hull[HALF_W] + half_l + half_w
-    if dx * dx + dy * dy > reach * reach:
-        return False
-    ocos, osin = other[ACOS], other[ASIN]
-    along = abs(cos * ocos + sin * osin)
-    cross = abs(cos * osin - sin * ocos)
-    if abs(dx * cos + dy * sin) > hull[HALF_L] + half_l * along + half_w * cross:
-        return False
-    if abs(dy * cos - dx * sin) > hull[HALF_W] + half_l * cross + half_w * along:
-        return False
-    if abs(dx * ocos + dy * osin) > half_l + hull[HALF_L] * along + hull[HALF_W] * cross:
-        return False
-    return bool(abs(dy * ocos - dx * osin) <= half_w + hull[HALF_L] * cross + hull[HALF_W] * along)
+    return boxes_touch(cx, cy, cos, sin, hull[HALF_L], hull[HALF_W], ox, oy, other[ACOS], other[ASIN], half_l, half_w)
 
 
 @exact_kernel
@@ -486,8 +471,6 @@ def _corners_to_box(
     for i in range(4):
         sl = al if i < 2 else -al
         sw = aw if i % 2 == 0 else -aw
-        dx, dy = ax + sl * acos - sw * asin - bx, ay + sl * asin + sw * acos - by
-        out_l = max(0.0, abs(dx * bcos + dy * bsin) - bl)
-        out_w = max(0.0, abs(dy * bcos - dx * bsin) - bw)
-        least = min(least, math.hypot(out_l, out_w))
+        x, y = ax + sl * acos - sw * asin, ay + sl * asin + sw * acos
+        least = min(least, max(0.0, gap_to_box(x, y, bx, by, bcos, bsin, bl, bw)))
     return least

@@ -56,6 +56,16 @@ class ActorState(ComparesArrays):
     piece: int = 0  # of an articulated vehicle: 0 is the first rigid piece, under SUMO's id; 1... are those behind it
 
     @property
+    def row(self) -> tuple[float, ...]:
+        """8 numbers: position, yaw, pitch, velocity."""
+        return (*self.p_W_m, self.yaw_rad, self.pitch_rad, *self.v_W_mps)
+
+    @property
+    def is_person(self) -> bool:
+        """Whether SUMO moves it as a person, whatever its class."""
+        return self.id.startswith("p:")
+
+    @property
     def whole_id(self) -> str:
         """SUMO's id of the whole vehicle, for any of its pieces."""
         return self.id.rpartition("~")[0] if self.piece else self.id

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, Final, Literal
 
+import numpy as np
 from msgspec import Meta
 
 from wcsim.types import bounds as b
@@ -43,6 +44,11 @@ class PlantState(ComparesArrays):
     roll_rad: b.Number  # right side down positive
     pitch_rad: b.Number  # nose up positive
     yaw_rad: b.Number
+
+    @property
+    def row(self) -> F64:
+        """15 numbers: position, quaternion, velocity, angular velocity, wheel speeds."""
+        return np.concatenate([self.p_WB_m, self.q_WB, self.v_B_mps, self.w_B_radps, self.wheel_radps])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

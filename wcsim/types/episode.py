@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import struct
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -120,6 +122,24 @@ class Snapshot:
     signals: tuple[SignalState, ...]
     clients: tuple[ClientSnapshot, ...]  # by seat
     state_hash: str = ""
+
+    def digest(self) -> str:
+        """The one hash for golden scenes, journals and replay: 64 bits over the raw numbers of everything that moves.
+
+        It is given as hexadecimal.
+        """
+        digest = hashlib.blake2b(digest_size=8)
+        digest.update(struct.pack("<qq", self.epoch, self.tick))
+        for client in self.clients:
+            digest.update(client.plant.row.tobytes())
+            digest.update(struct.pack("<dd", client.user.x, client.user.y))
+            digest.update(client.sensors.imu.accel_mean_mps2.tobytes())
+            for reading in client.sensors.readings:
+                digest.update(reading.name.encode() + reading.values.tobytes())
+        for actor in self.actors:
+            digest.update(actor.id.encode())
+        digest.update(np.array([actor.row for actor in self.actors]).tobytes())
+        return digest.hexdigest()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

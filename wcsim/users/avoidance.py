@@ -53,31 +53,50 @@ class Body:
     left_m: float  # beside it
     half_m: tuple[float, float]  # half the length and width of the chair's box
 
+    def blocked_lanes(
+        self, path: Path, things: Sequence[NoticedObject], desired_mps: float
+    ) -> list[tuple[float, float]]:
+        """Offsets from the route (low, high; left positive) that would lead into something within the horizon."""
+        lanes = []
+        half_length_m, half_width_m = self.half_m
+        for thing in things:
+            if math.hypot(thing.x_m - self.x_m, thing.y_m - self.y_m) > NEAR_M:
+                continue
+            place = path.project(thing.x_m, thing.y_m, self.arc_m)
+            ahead = place.arc_m - self.arc_m
+            if ahead < -(thing.radius_m + half_length_m + 0.15) or (not thing.moving and ahead > HORIZON_M):
+                continue
+            heading = path.heading(place.arc_m)
+            along = thing.vx_mps * math.cos(heading) + thing.vy_mps * math.sin(heading)
+            across = -thing.vx_mps * math.sin(heading) + thing.vy_mps * math.cos(heading)
+            meet_s = _meet_s(ahead - half_length_m - thing.radius_m, desired_mps - along) if thing.moving else 0.0
+            if meet_s > _MEET_S or abs(across) > _DART_MPS:
+                continue
+            margin = _MOVING_MARGIN_M if thing.moving else _STATIC_MARGIN_M
+            half = thing.radius_m + half_width_m + margin
+            middle = place.left_m + across * min(meet_s, 2.0)
+            lanes.append((middle - half, middle + half))
+        return lanes
 
-def blocked_lanes(
-    path: Path, body: Body, things: Sequence[NoticedObject], desired_mps: float
-) -> list[tuple[float, float]]:
-    """Offsets from the route (low, high; left positive) that would lead into something within the horizon."""
-    lanes = []
-    half_length_m, half_width_m = body.half_m
-    for thing in things:
-        if math.hypot(thing.x_m - body.x_m, thing.y_m - body.y_m) > NEAR_M:
-            continue
-        place = path.project(thing.x_m, thing.y_m, body.arc_m)
-        ahead = place.arc_m - body.arc_m
-        if ahead < -(thing.radius_m + half_length_m + 0.15) or (not thing.moving and ahead > HORIZON_M):
-            continue
-        heading = path.heading(place.arc_m)
-        along = thing.vx_mps * math.cos(heading) + thing.vy_mps * math.sin(heading)
-        across = -thing.vx_mps * math.sin(heading) + thing.vy_mps * math.cos(heading)
-        meet_s = _meet_s(ahead - half_length_m - thing.radius_m, desired_mps - along) if thing.moving else 0.0
-        if meet_s > _MEET_S or abs(across) > _DART_MPS:
-            continue
-        margin = _MOVING_MARGIN_M if thing.moving else _STATIC_MARGIN_M
-        half = thing.radius_m + half_width_m + margin
-        middle = place.left_m + across * min(meet_s, 2.0)
-        lanes.append((middle - half, middle + half))
-    return lanes
+    def safe_speed(self, things: Sequence[NoticedObject], brake_mps2: float, reaction_s: float) -> float:
+        """The speed from which who brakes gently, after the reaction time, stops behind everything straight ahead."""
+        limit = math.inf
+        half_length_m, half_width_m = self.half_m
+        cos, sin = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
+        for thing in things:
+            along = thing.vx_mps * cos + thing.vy_mps * sin
+            for later_s in (0.0, 0.8) if thing.moving else (0.0,):
+                dx = thing.x_m + later_s * thing.vx_mps - self.x_m
+                dy = thing.y_m + later_s * thing.vy_mps - self.y_m
+                ahead, left = dx * cos + dy * sin, dy * cos - dx * sin
+                if ahead <= 0.0 or abs(left) > thing.radius_m + half_width_m + 0.08:
+                    continue
+                gap = (
+                    ahead - thing.radius_m - half_length_m - _STOP_GAP_M - reaction_s * max(0.0, self.speed_mps - along)
+                )
+                own = math.sqrt(2.0 * brake_mps2 * gap) if gap > 0.0 else 0.0
+                limit = min(limit, max(0.0, own + (along if thing.moving else 0.0)))
+        return limit
 
 
 def choose_lane(
@@ -101,25 +120,6 @@ def choose_lane(
     edges = [edge for lane in blocked for edge in lane if -room[1] <= edge <= room[0]]
     free = [offset for offset in (home_m, *edges) if not any(low < offset < high for low, high in blocked)]
     return min(free, key=lambda offset: abs(offset - home_m) + 0.8 * abs(offset - before_m), default=None)
-
-
-def safe_speed(body: Body, things: Sequence[NoticedObject], brake_mps2: float, reaction_s: float) -> float:
-    """The speed from which the user, braking gently after the reaction time, stops behind everything straight ahead."""
-    limit = math.inf
-    half_length_m, half_width_m = body.half_m
-    cos, sin = math.cos(body.yaw_rad), math.sin(body.yaw_rad)
-    for thing in things:
-        along = thing.vx_mps * cos + thing.vy_mps * sin
-        for later_s in (0.0, 0.8) if thing.moving else (0.0,):
-            dx = thing.x_m + later_s * thing.vx_mps - body.x_m
-            dy = thing.y_m + later_s * thing.vy_mps - body.y_m
-            ahead, left = dx * cos + dy * sin, dy * cos - dx * sin
-            if ahead <= 0.0 or abs(left) > thing.radius_m + half_width_m + 0.08:
-                continue
-            gap = ahead - thing.radius_m - half_length_m - _STOP_GAP_M - reaction_s * max(0.0, body.speed_mps - along)
-            own = math.sqrt(2.0 * brake_mps2 * gap) if gap > 0.0 else 0.0
-            limit = min(limit, max(0.0, own + (along if thing.moving else 0.0)))
-    return limit
 
 
 def _meet_s(gap_m: float, closing_mps: float) -> float:

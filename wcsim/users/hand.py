@@ -15,7 +15,7 @@ from wcsim.core.jit import exact_kernel
 from wcsim.types import F64, Joystick
 from wcsim.users.profiles import UserProfile
 
-STICK_FILTER_S = 0.02  # first-order low-pass of the joystick's electronics
+STICK_FILTER_S = 0.02  # first-order low-pass of the joystick's electronics, which every stick has passed
 TREMOR_WANDER = 0.08  # relative frequency change that the tremor's phase picks up ...
 TREMOR_WANDER_S = 0.05  # ... in this time
 _TREMOR_AHEAD_RAD = 0.7  # the tremor is an ellipse: forward and back it is half as large, and early

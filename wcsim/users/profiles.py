@@ -79,8 +79,8 @@ def profile(name: str) -> UserProfile:
 
 
 def find_profile(name: str) -> UserProfile:
-    """The profile called `name`, or that of a file "FILE.toml". Raises ConfigError as `profile` or `read_profile`."""
-    return read_profile(Path(name)) if name.endswith(PROFILE_SUFFIX) else profile(name)
+    """The profile called `name`, or that of a file "FILE.toml". Raises ConfigError as `profile` or `_read_profile`."""
+    return _read_profile(Path(name)) if name.endswith(PROFILE_SUFFIX) else profile(name)
 
 
 def is_of_file(name: str) -> bool:
@@ -148,7 +148,7 @@ _NAME = re.compile(r"[A-Za-z0-9_-][A-Za-z0-9_.-]{0,63}")
 _KIND = FileKind(what="a user's profile as TOML", limit_bytes=1 << 16)
 
 
-def read_profile(path: Path) -> UserProfile:
+def _read_profile(path: Path) -> UserProfile:
     """The profile of a file; what it leaves out is that of its `base`, competent where it names none.
 
     Raises:
@@ -175,7 +175,7 @@ def profile_json(user: UserProfile) -> str:
 
 
 def profile_text(user: UserProfile, notes: Mapping[str, str], head: str = "") -> str:
-    """A profile as TOML that `read_profile` takes; `notes` stand behind their keys, `head` above all."""
+    """A profile as TOML that `_read_profile` takes; `notes` stand behind their keys, `head` above all."""
     lines = [f"# {line}" for line in head.splitlines()]
     for name, value in asdict(user).items():
         written = f"[{', '.join(map(repr, value))}]" if isinstance(value, tuple) else _plain(value)

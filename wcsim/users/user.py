@@ -10,8 +10,10 @@ From where the user wants to go to a joystick position: how a practised driver u
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -113,11 +115,73 @@ class _Plan:
     patience: float = 1.0  # a tick costs one part in so many of what is usual
 
 
-class SimulatedUser:
-    """One user during one episode; the episode may have several destinations (`follow`).
+class User(ABC):
+    """Who holds the stick of a seat in one episode; the episode may have several destinations (`follow`).
 
     The world calls `hand` for the steps of a tick, and `look` at the tick's end.
     """
+
+    def __init__(self, sticks: F64) -> None:
+        """Somebody without a destination, whose stick is at the last of these (n, 2)."""
+        self.arrived = False
+        self.gave_up = False
+        self.asks_help = False  # at the last look; for who counts or answers it, it moves no stick
+        self.patient = False  # gives up nothing: somebody else drives, and this one says where to
+        self._sticks = sticks
+        self._path: Path | None = None
+        self._arc_m = 0.0
+
+    def follow(self, route: Route) -> None:
+        """Take a new destination. Raises ConfigError for a route without points."""
+        self._path = Path(route)
+        self._arc_m = 0.0
+        self.arrived = self.gave_up = False
+
+    @abstractmethod
+    def hand(self, steps: int, dt_s: float) -> Joystick:
+        """Move on by a tick of `steps` physics steps; the stick afterwards."""
+
+    @abstractmethod
+    def look(self, view: UserView) -> None:
+        """See the street once, and how far the chair has come."""
+
+    @property
+    @abstractmethod
+    def intent(self) -> Joystick:
+        """What the user wants, before delay and the hand; never shown to the agent."""
+
+    @property
+    def joystick(self) -> Joystick:
+        """The stick now, on the unit disc: what the agent is shown."""
+        return Joystick(*self._sticks[-1].tolist())
+
+    @property
+    def sticks(self) -> F64:
+        """The stick (steps, 2) after each step of the last call of `hand`; for measurements of the hand."""
+        return self._sticks
+
+    @property
+    def route_progress_m(self) -> float:
+        """How far along the present route the chair is."""
+        return self._arc_m
+
+
+class RecordedStick(Protocol):
+    """A stick that was recorded in the place of a profile."""
+
+    def user(self, episode: int, outline: Outline) -> User:
+        """Who replays it in an episode."""
+
+    def require_driven_here(self, town: str, town_sha256: Callable[[], str]) -> None:
+        """Refuse one of another town, or of this one when it was another. Raises ConfigError that names both."""
+
+
+FindUser = Callable[[str], UserProfile | RecordedStick]
+"""Who is meant by the name of a user. Raises ConfigError for nobody."""
+
+
+class SimulatedUser(User):
+    """A user of a profile."""
 
     def __init__(
         self,
@@ -137,11 +201,8 @@ class SimulatedUser:
             street: What a person sees of kerbs and crossings; without it the user keeps within 0.35 m of its route and
                 knows no crossing.
         """
+        super().__init__(np.zeros((1, 2)))
         self.profile = profile
-        self.arrived = False
-        self.gave_up = False
-        self.asks_help = False  # at the last look; for who counts or answers it, it moves no stick
-        self.patient = False  # gives up nothing: somebody else drives, and this one says where to
         # What one part draws does not change what another does.
         attention_rng, hand_rng, self._miss_rng, self._law_rng, self._fear_rng = rng.spawn(5)
         self._chair = chair
@@ -151,12 +212,10 @@ class SimulatedUser:
         self._outline = outline
         self._perception = Perception(profile, attention_rng)
         self._hand = SwitchHand(profile) if profile.discrete else Hand(profile, hand_rng)
-        self._sticks = np.zeros((1, 2))
         self._intent = Joystick(0.0, 0.0)
         self._time_s: float | None = None
         self._yaw_rad = self._yaw_rate_radps = 0.0
         self._correct_at_s = -math.inf
-        self._path: Path | None = None
         self._witness: tuple[UserView, Seen] | None = None
         self._moved: tuple[float, Body] | None = None  # when and where the chair last was somewhere else
         self._freed_m = FREE_M
@@ -164,33 +223,22 @@ class SimulatedUser:
 
     def follow(self, route: Route) -> None:
         """Take a new destination; patience and progress begin anew. Raises ConfigError for a route without points."""
-        self._path = Path(route)
-        self._edges = Edges(self._street.grid, self._path) if self._street is not None else None
+        super().follow(route)
+        path = Path(route)
+        self._edges = Edges(self._street.grid, path) if self._street is not None else None
         items = crossings(route, self._street.walk) if self._street is not None else ()
         ground = None if self._street is None else self._street.grid
         half_length_m, _ = self._outline.half_lw_m
         # Each route has a generator of its own: what it draws does not depend on how far the one before it was driven.
         (law_rng,) = self._law_rng.spawn(1)
-        self._kerbs = Kerbs(items, self._path, ground, self.profile.law_share, law_rng, half_length_m)
+        self._kerbs = Kerbs(items, path, ground, self.profile.law_share, law_rng, half_length_m)
         self._stop_m: float | None = None
         self._patience = 1.0
-        self._arc_m = 0.0
         self._furthest_m = -math.inf
         self._blocked_s = 0.0
         self._lane_m = 0.0
         self._turning: Turning | None = None
         self._turned_last: Turning | None = None
-        self.arrived = self.gave_up = False
-
-    @property
-    def joystick(self) -> Joystick:
-        """The stick now, on the unit disc: what the agent is shown."""
-        return Joystick(*self._sticks[-1].tolist())
-
-    @property
-    def sticks(self) -> F64:
-        """The stick (steps, 2) after each step of the last call of `hand`; for measurements of the hand."""
-        return self._sticks
 
     @property
     def intent(self) -> Joystick:
@@ -206,11 +254,6 @@ class SimulatedUser:
     def obeys(self) -> Mapping[Crossing, bool]:
         """The crossings of this route that the user has come to, and whether it keeps to the law; for measurements."""
         return self._kerbs.obeys if self._path is not None else {}
-
-    @property
-    def route_progress_m(self) -> float:
-        """How far along the present route the chair is."""
-        return self._arc_m if self._path is not None else 0.0
 
     def hand(self, steps: int, dt_s: float) -> Joystick:
         """Move the hand on by a tick of `steps` physics steps; the stick afterwards.
@@ -284,7 +327,7 @@ class SimulatedUser:
         kerb_m = self._stop_m = self._kerbs.stop_m(self._arc_m, view.time_s, view.signals, seen.vehicles)
         if kerb_m is not None:
             speed = min(speed, _stopping_speed(kerb_m - body.arc_m, BRAKE_MPS2))
-        safe = avoidance.safe_speed(body, seen.things, BRAKE_MPS2, self.profile.reaction_s)
+        safe = body.safe_speed(seen.things, BRAKE_MPS2, self.profile.reaction_s)
         self.asks_help = self._calls(body.speed_mps - safe, view.time_s)
         if safe < speed:
             speed, self._stop_m = safe, body.arc_m + 0.5 * safe**2 / BRAKE_MPS2
@@ -357,7 +400,7 @@ class SimulatedUser:
         if on_m < 0.0:
             return _Plan(wish=Joystick(0.0, _BACK_STICK), patience=patience)
         yaw = body.yaw_rad + min(max(turn_rad, -2.0), 2.0)
-        speed = min(CREEP_MPS, avoidance.safe_speed(body, seen.things, BRAKE_MPS2, self.profile.reaction_s))
+        speed = min(CREEP_MPS, body.safe_speed(seen.things, BRAKE_MPS2, self.profile.reaction_s))
         there = (body.x_m + math.cos(yaw), body.y_m + math.sin(yaw))
         return _Plan(wish=self._steered(body, there, speed if on_m > 0.0 else 0.0), patience=patience)
 
@@ -374,7 +417,7 @@ class SimulatedUser:
     def _change_lane(self, body: Body, path: Path, seen: Seen, speed_mps: float, home_m: float) -> float:
         """Pick the offset from the route, `home_m` where nothing is in the way; the speed that goes with it."""
         desired_mps = self.profile.speed_share * self._chair.v_max_mps
-        blocked = avoidance.blocked_lanes(path, body, seen.things, desired_mps)
+        blocked = body.blocked_lanes(path, seen.things, desired_mps)
         if not blocked:
             self._lane_m = home_m
             return speed_mps

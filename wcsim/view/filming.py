@@ -25,6 +25,7 @@ from wcsim.errors import ConfigError
 from wcsim.supervisor.observation import decode_depth
 from wcsim.towns.scenario.town import Town
 from wcsim.types import F32, U8, CameraFrame, ClassId, Joystick, Route, SeatSpec, Snapshot
+from wcsim.users.recordings.recorded_user import find_user
 from wcsim.view.map import MapView, street_video
 from wcsim.view.pictures import captioned, class_colours, depth_colours, open_video, side_by_side
 
@@ -136,7 +137,7 @@ class FilmedDrive:
         self.camera, self.tick_s = config.cameras[-1], config.world.tick_s
         self._ticks = 0
         with ExitStack() as held:
-            self.world = held.enter_context(World(town, config, (spec,), seed))
+            self.world = held.enter_context(World(town, config, (spec,), seed, find_user=find_user))
             if self._policy is not None:
                 self._driver = SeatDriver(config, _OwnCode(self._policy), self.world.snapshot.clients[0])
             self._steps = rollout(self.world, {} if self._driver is None else {0: self._driver.choose})

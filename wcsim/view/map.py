@@ -13,7 +13,7 @@ import numpy as np
 from wcsim.bridge.world import World
 from wcsim.physics.renderer.base import Pinhole
 from wcsim.physics.renderer.geometry import GeometryStore
-from wcsim.physics.renderer.instances import ChairPose, chair_instances, chair_pose, instances_of
+from wcsim.physics.renderer.instances import ChairPose, actor_instances, chair_instances, chair_pose
 from wcsim.physics.sensors.camera import FreeCamera
 from wcsim.physics.sensors.camera_geometry import look_along
 from wcsim.types import F64, U8, ActorKind, ActorState, ClassId, Route, StreetMesh
@@ -76,7 +76,7 @@ class MapView:
         """
         x, y, ground = (float(value) for value in centre_W_m)
         T_CW = look_along((x, y, ground + _HEIGHT_M), math.pi / 2, -math.pi / 2)
-        images = self._camera.look(T_CW, instances_of(()))
+        images = self._camera.look(T_CW, actor_instances(()))
         image = np.zeros_like(images.class_id[..., None].repeat(3, axis=2)) if images.rgb is None else images.rgb
         roofs = images.class_id == ClassId.BUILDING
         image[roofs] = _ROOF_SHARE * image[roofs]

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from wcsim.agents.evaluation.suite.list_file import open_suite
-from wcsim.users.recorded import read_recording
+from wcsim.users.recordings.recorded_user import read_recording
 
 ROOT = Path(__file__).parents[3]
 TUTORIALS = ROOT / "docs" / "tutorials"

@@ -10,8 +10,8 @@ from mcap.reader import make_reader
 from tests.attack.files.family import Family
 from tests.attack.files.files import log_twist, sound_trace
 from tests.attack.files.people import sound_drive
+from wcsim.bridge.recording.convert import convert_to_fcd
 from wcsim.bridge.recording.ros_chairs import drive_bag, trace_bag
-from wcsim.bridge.replay.convert import write_fcd
 from wcsim.log.drive import read_drive
 from wcsim.log.reader import read_states
 
@@ -29,7 +29,7 @@ def families(work: Path) -> list[Family]:
 def _take_fcd(path: Path) -> bool:
     """Every actor is there under its own name, in every step."""
     out = path.with_name("fcd.xml")
-    steps = write_fcd(path, out)
+    steps = convert_to_fcd(path, out)
     found = list(ElementTree.parse(out).getroot())  # noqa: S314 - our own file
     records = [record for record in read_states(path)[1] if record.epoch == 0]
     told = [{body.id.partition(":")[2] for body in record.bodies if not body.piece} for record in records]

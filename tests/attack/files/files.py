@@ -42,7 +42,7 @@ from wcsim.physics.wheelchair.plant import plant_spec
 from wcsim.server.specs import RunInfo
 from wcsim.towns.scenario.overrides import Override
 from wcsim.types import ActorKind
-from wcsim.users.recorded import COLUMNS, find_user, read_recording
+from wcsim.users.recordings.recorded_user import COLUMNS, find_user, read_recording
 
 RICH = (
     *("cameras.0.noise=typical", 'vary.plant={"wheel.friction" = [0.5, 0.9]}'),

@@ -14,7 +14,7 @@ from wcsim.log.drive import DriveRecording, read_drive
 from wcsim.log.reader import is_log, read_header
 from wcsim.log.records import Note, header_bytes, record_bytes
 from wcsim.log.writer import LogWriter
-from wcsim.users.profiles import profile_text, read_profile
+from wcsim.users.profiles import _read_profile, profile_text
 
 STUDY = {
     "name": "a-study",
@@ -55,9 +55,9 @@ def _take_study(path: Path) -> bool:
 
 
 def _take_profile(path: Path) -> bool:
-    user = read_profile(path)
+    user = _read_profile(path)
     path.write_text(profile_text(user, {}), encoding="utf-8")
-    return read_profile(path) == user
+    return _read_profile(path) == user
 
 
 def _take_drive(path: Path) -> bool:

@@ -29,7 +29,7 @@ from wcsim.errors import ConfigError, JournalError, PolicyError
 from wcsim.log.framing import framed, whole_records
 from wcsim.log.reader import read_states
 from wcsim.towns.scenario.overrides import Override
-from wcsim.users.recorded import find_user
+from wcsim.users.recordings.recorded_user import find_user
 
 TOML_BOMBS = {
     "nesting": "a=" + "[" * 5000,

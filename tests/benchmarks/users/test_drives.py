@@ -24,7 +24,7 @@ from wcsim.errors import ConfigError
 from wcsim.towns.scenario.town import find_town
 from wcsim.types import SeatSpec
 from wcsim.users.profiles import profile_names
-from wcsim.users.recorded import read_recording
+from wcsim.users.recordings.recorded_user import find_user, read_recording
 
 TOWNS = ("helsinki", "monaco", "manhattan")
 # How far a mean over 20 routes may lie from the mean of the parameters that were drawn: absolute, then relative.
@@ -106,7 +106,7 @@ def test_a_recorded_joystick_drives_a_chair_as_it_did(corner: Path, tmp_path: Pa
 @pytest.mark.parametrize("name", ["drunk", "recorded:nowhere.csv"])
 def test_an_unknown_user_is_refused_before_the_first_tick(corner: Path, name: str):
     with pytest.raises(ConfigError, match=r"competent|nowhere\.csv"):
-        World(find_town(str(corner)), quick_config(), (SeatSpec(profile=name),), 1)
+        World(find_town(str(corner)), quick_config(), (SeatSpec(profile=name),), 1, find_user=find_user)
 
 
 # --- proofs ---

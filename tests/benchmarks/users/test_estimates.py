@@ -14,9 +14,9 @@ from tests.users.actors import actor, make_user
 from tests.users.kinematics import Chair, Sim, polyline
 from wcsim.core.seeding import generator
 from wcsim.types import ActorKind, Joystick
-from wcsim.users.fitting.hand_series import correction_s
 from wcsim.users.hand import Hand
 from wcsim.users.profiles import profile
+from wcsim.users.recordings.hand_series import correction_s
 
 DT_S, STEPS, TICK_S = 0.1 / 24, 24, 0.1
 STREET = strip_street()

@@ -261,7 +261,7 @@ class Sink:
         self.given: list[tuple[int, bool, SeatBuffers]] = []
 
     def buffers(self, seat: int, first: bool) -> SeatBuffers:
-        images = SeatBuffers(images=tuple(new_images(c.width_px, c.height_px, c.rgb) for c in self._cameras))
+        images = tuple(new_images(c.width_px, c.height_px, c.rgb) for c in self._cameras)
         self.given.append((seat, first, images))
         return images
 
@@ -294,7 +294,7 @@ def test_images_in_given_buffers_are_those_without(corner, every):
         sink = Sink(world)
         own = drive(world, sink)
         last = world.snapshot.clients[-1].sensors.cameras[0]
-        assert np.shares_memory(last.depth_m, sink.given[-1][2].images[0].depth_m)
+        assert np.shares_memory(last.depth_m, sink.given[-1][2][0].depth_m)
     assert len(own) == len(sink.given) == 2 + 6 * 2 + 2 + 1 + 2
     for one, other in zip(plain, own, strict=True):
         assert all(np.array_equal(a, b) for a, b in zip(one, other, strict=True))

@@ -13,7 +13,7 @@ from tests.physics.sensors.test_camera import SMALL, plant
 from tests.support.samples import USUAL_OUTLINE, strip_street
 from tests.support.worlds import follow, open_world
 from tests.users.actors import USUAL_WHEELS_M, actor
-from wcsim.bridge.ego.ego import ShownActors
+from wcsim.bridge.ego.ego import _ShownActors
 from wcsim.bridge.world import World
 from wcsim.config import ChairConfig, WorldConfig
 from wcsim.physics.sensors.camera import CameraRig
@@ -28,14 +28,14 @@ FORWARD, BACKWARD = ACTIONS.nearest((0.0, 1.0)), ACTIONS.nearest((0.0, -1.0))
 AT_REST = Joystick(0.0, 0.0)
 
 
-def known(shown: ShownActors, *names: str) -> set[str]:
+def known(shown: _ShownActors, *names: str) -> set[str]:
     actors = [actor(ActorKind.CAR, 0.0, 0.0, name=name) for name in names]
     return {one.id for one in shown.known(actors)}
 
 
 @pytest.mark.parametrize(("tick_s", "kept"), [(0.1, 10), (0.05, 20), (0.5, 2)])
 def test_who_was_shown_is_known_for_a_second(tick_s, kept):
-    shown = ShownActors(WorldConfig(tick_s=tick_s, substeps=round(240 * tick_s)))
+    shown = _ShownActors(WorldConfig(tick_s=tick_s, substeps=round(240 * tick_s)))
     shown.see(5, {"a": 300.0})
     for tick in range(6, 6 + 2 * kept):
         shown.see(tick, {"b": 300.0})
@@ -46,13 +46,13 @@ def test_who_was_shown_is_known_for_a_second(tick_s, kept):
 
 
 def test_too_few_pixels_show_nobody():
-    shown = ShownActors(WorldConfig())
+    shown = _ShownActors(WorldConfig())
     shown.see(0, {"many": 16.0, "few": 15.9})
     assert known(shown, "many", "few") == {"many"}
 
 
 def test_all_pieces_of_who_is_shown_are_known_where_they_are_now():
-    shown = ShownActors(WorldConfig())
+    shown = _ShownActors(WorldConfig())
     shown.see(0, {"tram": 99.0})
     front, rear = (replace(actor(ActorKind.CAR, x, 0.0, name=name), piece=piece)
                    for x, name, piece in ((9.0, "tram", 0), (0.0, "tram~1", 1)))  # fmt: skip
@@ -66,7 +66,7 @@ def said(place, others, history=()) -> tuple[np.ndarray, np.ndarray]:
     """
     street = strip_street()
     oracle = Oracle(street.grid, ChairConfig(), USUAL_OUTLINE, USUAL_WHEELS_M, ACTIONS.points)
-    shown = ShownActors(WorldConfig())
+    shown = _ShownActors(WorldConfig())
     with CameraRig(street.mesh, (SMALL,), seats=1) as rig:
         for tick, at, actors in (*history, (100, place, others)):
             shoot(rig, 0, tick, at, actors, (), counted=True)

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wcsim.bridge.reaction.conflict import ROOM_M, SweptOverlap, _first_touches, room_beside
+from wcsim.bridge.reaction.conflict import ROOM_M, SweptOverlap, _first_touches
 from wcsim.bridge.reaction.pedestrians import _Block, _block_around, _block_around_disc, _ways_round
 from wcsim.bridge.reaction.swept_path import STEP_M, LaneShape, OnLane, _lay_out
 from wcsim.core.boxes import boxes_touch, gap_to_box
@@ -70,11 +70,11 @@ def test_a_chair_that_crosses_late_is_passed_and_one_that_crosses_in_time_is_not
 
 
 def test_room_is_found_where_it_is_and_the_nearest_way_first():
-    assert room_beside(SweptOverlap(at=(9, 9), right_m=-0.31, left_m=0.31), 1.8, 3.2) == ()
-    (left,) = room_beside(SweptOverlap(at=(9, 9), right_m=-1.6, left_m=-0.98), 1.8, 3.2)
+    assert SweptOverlap(at=(9, 9), right_m=-0.31, left_m=0.31).room(1.8, 3.2) == ()
+    (left,) = SweptOverlap(at=(9, 9), right_m=-1.6, left_m=-0.98).room(1.8, 3.2)
     assert left - 0.9 - -0.98 >= 0.5
     assert left + 0.9 <= 1.6
-    both = room_beside(SweptOverlap(at=(9, 9), right_m=-0.2, left_m=0.42), 0.6, 4.0)
+    both = SweptOverlap(at=(9, 9), right_m=-0.2, left_m=0.42).room(0.6, 4.0)
     assert len(both) == 2
     assert abs(both[0]) <= abs(both[1])
 
@@ -82,7 +82,7 @@ def test_room_is_found_where_it_is_and_the_nearest_way_first():
 @given(st.floats(-1.5, 1.5), st.floats(0.5, 2.6))
 def test_who_has_room_keeps_a_gap_and_stays_in_its_lane(middle, width):
     touch = SweptOverlap(at=(9, 9), right_m=middle - 0.31, left_m=middle + 0.31)
-    for place in room_beside(touch, width, 3.2):
+    for place in touch.room(width, 3.2):
         gap = max(place - 0.5 * width - touch.left_m, touch.right_m - place - 0.5 * width)
         assert gap >= ROOM_M - 0.1 - 1e-9
         assert abs(place) + 0.5 * width <= 1.6 - 0.1 + 1e-9

@@ -27,8 +27,8 @@ from wcsim.log.records import Admitted, DriveTick, Respawned, changed, left_at
 from wcsim.log.writer import LogWriter
 from wcsim.towns.scenario.town import content_hash, find_town
 from wcsim.types import Command, Joystick, SeatSpec
-from wcsim.users.profiles import profile, profile_json, profile_names, profile_text, read_profile, sample
-from wcsim.users.recorded import find_user
+from wcsim.users.profiles import _read_profile, profile, profile_json, profile_names, profile_text, sample
+from wcsim.users.recordings.recorded_user import find_user
 
 
 @pytest.fixture(scope="module")
@@ -58,11 +58,11 @@ def test_a_drive_says_what_it_was_and_is_made_again_to_the_last_bit(corner, driv
 @pytest.mark.parametrize("own", ["spread = 0.9", "gain = [0.2, 0.2]\nspread = 0.3", "give_up_s = 3600\nspread = 0.1"])
 def test_a_user_drawn_of_a_wide_profile_can_be_recorded(tmp_path, own):
     (tmp_path / "me.toml").write_text(own)
-    base = read_profile(tmp_path / "me.toml")
+    base = _read_profile(tmp_path / "me.toml")
     for seed in range(60):
         user = drawn_user(base, seed)
         (tmp_path / "drawn.toml").write_text(profile_text(user, {}))
-        assert read_profile(tmp_path / "drawn.toml") == find_user(profile_json(user)) == user
+        assert _read_profile(tmp_path / "drawn.toml") == find_user(profile_json(user)) == user
 
 
 def test_a_user_drawn_of_a_usual_profile_is_the_one_of_the_episodes():
@@ -94,7 +94,7 @@ def test_a_drive_is_replayed_as_a_user_in_its_own_town(corner, driven):
             world.tick((Command(seat=0, tick=world.snapshot.tick, joystick=tick.commanded),))
             assert np.array_equal(world.snapshot.clients[0].plant.p_WB_m, tick.p_WB_m)
     with pytest.raises(ConfigError, match=r"was driven in .*\(\w{12}\), this is helsinki \("):
-        World(find_town("helsinki"), quick_config(), (SeatSpec(profile=f"recorded:{driven}"),), 1)
+        World(find_town("helsinki"), quick_config(), (SeatSpec(profile=f"recorded:{driven}"),), 1, find_user=find_user)
 
 
 def test_a_persons_drive_with_a_cut_episode_is_made_again(corner, tmp_path):
@@ -105,7 +105,7 @@ def test_a_persons_drive_with_a_cut_episode_is_made_again(corner, tmp_path):
     spec, path = SeatSpec(profile=f"recorded:{tmp_path / 'sticks.csv'}"), tmp_path / "a.drive"
     header = drive_header(town, config, 6, policy="dwa", level="1", episode="dev 1.0")
     with (
-        World(town, config, (spec,), 6) as world,
+        World(town, config, (spec,), 6, find_user=find_user) as world,
         LogWriter(path, header) as recorder,
     ):
         for record in first_inputs(spec, 6):

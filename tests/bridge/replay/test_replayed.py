@@ -7,7 +7,7 @@ import pytest
 
 from tests.support.framing import read_whole
 from tests.support.journals import SPEC, JournaledWorld, eventful_run, nudged, rewritten
-from wcsim.bridge.replay.convert import convert_to_fcd, write_fcd
+from wcsim.bridge.recording.convert import convert_to_fcd
 from wcsim.bridge.replay.player import Seats
 from wcsim.bridge.replay.replayed import replayed, verify, worlds_of
 from wcsim.bridge.sumo.session import world_in_this_process
@@ -110,7 +110,7 @@ def test_a_new_world_after_a_crash_has_free_seats(corner, tmp_path):
 
 
 def test_a_run_is_the_same_floating_car_data_from_trace_and_journal(run, tmp_path):
-    assert write_fcd(run / "beside.trace", tmp_path / "trace.xml") == 90
+    assert convert_to_fcd(run / "beside.trace", tmp_path / "trace.xml") == 90
     assert convert_to_fcd(run / "journal", tmp_path / "journal.xml") == 90
     assert (tmp_path / "trace.xml").read_bytes() == (tmp_path / "journal.xml").read_bytes()
     text = (tmp_path / "journal.xml").read_text()
@@ -154,7 +154,7 @@ def test_worlds_of_a_journal_of_several_towns_take_turns(run, corner, tmp_path, 
     words = (str(corner), build_scene(find_scene("two-chairs"), tmp_path / "two-chairs")[0].address)
     towns = [find_town(word) for word in words]
     header = changed(read_header(run / "journal"), town=words[0], more_towns=words[1:], town_sha256=towns_hash(towns))
-    monkeypatch.setattr("wcsim.bridge.replay.replayed.World", lambda town, *given, epoch: town)
+    monkeypatch.setattr("wcsim.bridge.replay.replayed.World", lambda town, *given, epoch, find_user: town)
     make = worlds_of(header)
     assert [make((None,), 0, epoch) for epoch in range(3)] == [*towns, towns[0]]
     about = [_replay_about(header, 9, epoch=epoch) for epoch in (None, 1)]

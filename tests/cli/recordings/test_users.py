@@ -10,8 +10,8 @@ import pytest
 
 from tests.cli.test_bad_input import refused
 from tests.log.drives import write_drive
-from tests.users.fitting.plane_drives import plane_drive
-from wcsim.users.profiles import profile, read_profile
+from tests.users.recordings.plane_drives import plane_drive
+from wcsim.users.profiles import _read_profile, profile
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +30,7 @@ def test_a_drive_is_fitted_and_its_profile_taken(wcsim, folder, drive):
     told = json.loads(Path("told.json").read_text())
     assert told["estimates"]["reaction_s"]["value"] == pytest.approx(0.8, abs=0.05)
     assert told["estimates"]["reaction_s"]["told"] is True
-    made = read_profile(Path("my user.toml"))
+    made = _read_profile(Path("my user.toml"))
     assert (made.name, made.lookahead_m, made.spread) == ("my-user", 0.9, 0.0)
     assert made.reaction_s == pytest.approx(0.8, abs=0.05)
     assert "# 95 %: " in Path("my user.toml").read_text()

@@ -12,7 +12,7 @@ import pytest
 
 from wcsim.bridge.ego import ego
 from wcsim.bridge.replay import replayed
-from wcsim.bridge.replay.replayed import made_scene, verify
+from wcsim.bridge.replay.replayed import _made_scene, verify
 from wcsim.bridge.user_drives import seen_drive, with_shadow
 from wcsim.core.files import numbered_names
 from wcsim.drive import starting
@@ -26,7 +26,7 @@ from wcsim.log.records import Admitted, Dismissed, Respawned, changed
 from wcsim.log.writer import LogWriter
 from wcsim.types import Joystick
 from wcsim.users.profiles import profile
-from wcsim.users.recorded import find_user
+from wcsim.users.recordings.recorded_user import find_user
 
 TIGHT_BLOCK = 25  # of dev: a generated scene
 WEAVES = [Wish(stick=Joystick(0.4 * math.sin(0.3 * number), 0.9)) for number in range(40)]
@@ -257,10 +257,10 @@ def test_a_drive_in_a_generated_scene_is_made_again(tmp_path: Path, profile: str
 
 def test_a_scene_that_this_wcsim_draws_otherwise_is_refused() -> None:
     with pytest.raises(TownError, match="this wcsim generates another"):
-        made_scene(f"car-door 7 {'0' * 64}")
+        _made_scene(f"car-door 7 {'0' * 64}")
     for text in ("car-door 7", f"../car 7 {'0' * 64}", f"car-doors 7 {'0' * 64}"):
         with pytest.raises(TownError, match="which this wcsim does not know"):
-            made_scene(text)
+            _made_scene(text)
 
 
 def test_of_a_person_the_simulated_stretches_are_left_out_of_what_was_wanted(kept: Kept, tmp_path: Path) -> None:

@@ -17,8 +17,8 @@ from wcsim.physics.renderer.geometry import GeometryStore, _connected_parts
 from wcsim.physics.renderer.instances import (
     ChairPose,
     _gait_phases,
+    actor_instances,
     chair_instances,
-    instances_of,
     rotation_of,
 )
 from wcsim.physics.renderer.models.catalog import (
@@ -27,8 +27,8 @@ from wcsim.physics.renderer.models.catalog import (
     POSTURES,
     STANDING,
     Template,
+    _body_parts,
     actor_templates,
-    body_parts,
     template_of,
 )
 from wcsim.physics.renderer.models.paint import Paint
@@ -65,7 +65,7 @@ def test_a_store_joined_from_parts_draws_what_the_whole_draws():
     end = len(street.chunk_faces) - 1
     parts = [GeometryStore(chunks_of(street, chunks)) for chunks in (range(end // 2), range(end // 2, end))]
     lens = Pinhole(width_px=160, height_px=120, focal_px=80.0, near_m=0.1, range_m=40.0)
-    nobody = instances_of(())
+    nobody = actor_instances(())
     for x_m, yaw_rad in ((10.0, 0.0), (35.0, 0.4), (60.0, 2.5)):
         eye = look_along((x_m, 5.5, 1.2), yaw_rad, -0.2)
         whole = FreeCamera(street, lens).look(eye, nobody)
@@ -82,7 +82,7 @@ def test_paint_changes_colours_on_the_road_alone_and_neither_depth_nor_class():
     quads_W_m = np.concatenate([line_m, house_m]).astype(np.float32)
     paint = GroundPaint(quads_W_m=quads_W_m, mark=np.zeros(len(quads_W_m), np.uint8))
     lens = Pinhole(width_px=160, height_px=120, focal_px=80.0, near_m=0.1, range_m=40.0)
-    eye, walker = look_along((-4.0, 0.5, 1.2), 0.0, -0.2), instances_of((actor(ActorKind.CAR, 12.0, 0.0),))
+    eye, walker = look_along((-4.0, 0.5, 1.2), 0.0, -0.2), actor_instances((actor(ActorKind.CAR, 12.0, 0.0),))
     plain = FreeCamera(street, lens).look(eye, walker)
     painted = FreeCamera(replace(street, paint=paint), lens).look(eye, walker)
     assert np.array_equal(plain.depth_m, painted.depth_m) and np.array_equal(plain.class_id, painted.class_id)
@@ -177,10 +177,10 @@ def test_every_kind_has_a_template_and_its_classes(table):
 
 
 def test_a_seat_s_wheelchair_has_the_size_of_its_model_and_its_axle_at_the_origin():
-    points = np.concatenate([piece.part.vertices_m for piece in body_parts("WHEELCHAIR")])
+    points = np.concatenate([piece.part.vertices_m for piece in _body_parts("WHEELCHAIR")])
     assert np.ptp(points, axis=0) == pytest.approx((1.12, 0.62, 1.45), abs=0.03)
     middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
-    wheels = np.concatenate([p.part.vertices_m for p in body_parts("WHEELCHAIR") if p.paint is Paint.TYRE])
+    wheels = np.concatenate([p.part.vertices_m for p in _body_parts("WHEELCHAIR") if p.paint is Paint.TYRE])
     drive = wheels[wheels[:, 2] > 0.25]  # only the drive wheels are so high
     assert drive[:, 0].mean() - middle[0] == pytest.approx(-USUAL_OUTLINE.middle_x_m, abs=0.02)
 
@@ -201,7 +201,7 @@ def test_one_turn_in_three_spellings(yaw, pitch, roll):
 
 def test_instances_keep_order_place_size_and_colour():
     people = crowd(5, count=12)
-    first, again = instances_of(people), instances_of(people)
+    first, again = actor_instances(people), actor_instances(people)
     assert len(first) == 12
     assert np.array_equal(first.p_W_m, [p.p_W_m for p in people])
     assert np.array_equal(first.scale_m, [p.size_lwh_m for p in people])
@@ -228,7 +228,7 @@ def test_a_standing_person_keeps_still():
 
 def test_kinds_are_told_apart_by_id_not_by_order():
     a, b = actor(ActorKind.CAR, 0, 0, number=1), actor(ActorKind.CAR, 5, 0, number=2)
-    forward, backward = instances_of([a, b]), instances_of([b, a])
+    forward, backward = actor_instances([a, b]), actor_instances([b, a])
     assert forward.colour_seed[0] == backward.colour_seed[1]
 
 

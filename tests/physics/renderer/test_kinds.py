@@ -15,7 +15,7 @@ from tests.support.plants import plant_state
 from tests.support.samples import strip_street
 from wcsim.config import CameraConfig
 from wcsim.physics.renderer.base import Pinhole
-from wcsim.physics.renderer.instances import _figures, instances_of
+from wcsim.physics.renderer.instances import _figures, actor_instances
 from wcsim.physics.renderer.models.catalog import Template, template_of
 from wcsim.physics.sensors.camera import CameraRig, FreeCamera
 from wcsim.physics.sensors.camera_geometry import camera_matrix, look_at, mount, pinhole, pose_matrix
@@ -59,7 +59,7 @@ def silhouette(store, kind, look, size) -> tuple[np.ndarray, np.ndarray]:
     """Class and depth from the side ahead, everything scaled to the same box, so that shape alone counts."""
     camera = FreeCamera(store, Pinhole(width_px=160, height_px=120, focal_px=150.0, near_m=0.1, range_m=60.0))
     one = replace(actor(kind, 30.0, 0.0, 20.0, yaw=-2.5, speed=0.0, size=size), look=look)
-    images = camera.look(look_at((24.0, -1.0, 21.2), (30.0, 0.0, 20.8)), instances_of([one]))
+    images = camera.look(look_at((24.0, -1.0, 21.2), (30.0, 0.0, 20.8)), actor_instances([one]))
     return images.class_id, images.depth_m
 
 
@@ -91,7 +91,7 @@ def test_a_taxi_is_yellow_and_a_police_car_has_a_blue_light(store):
         found = []
         for number in range(6):
             one = replace(actor(ActorKind.CAR, 30.0, 0.0, number=number), look=look)
-            images = camera.look(look_at((24.0, -3.0, 1.4), (30.0, 0.0, 0.8)), instances_of([one]))
+            images = camera.look(look_at((24.0, -3.0, 1.4), (30.0, 0.0, 0.8)), actor_instances([one]))
             pixels = images.rgb[images.class_id == ClassId.CAR].astype(int)
             found.append(wanted(*pixels.T).mean())
         return min(found)
@@ -104,7 +104,7 @@ def legs(store, phase_m: float, speed: float, size=(0.29, 0.51, 1.78)) -> float:
     """How far apart the feet are along the way, metres, seen from the side."""
     camera = FreeCamera(store, Pinhole(width_px=240, height_px=320, focal_px=900.0, near_m=0.1, range_m=60.0))
     one = actor(ActorKind.PEDESTRIAN, 30.0 + phase_m, 0.0, 20.0, speed=speed, size=size)
-    images = camera.look(look_at((30.0 + phase_m, -6.0, 20.9), (30.0 + phase_m, 0.0, 20.9)), instances_of([one]))
+    images = camera.look(look_at((30.0 + phase_m, -6.0, 20.9), (30.0 + phase_m, 0.0, 20.9)), actor_instances([one]))
     rows, columns = np.nonzero(images.class_id == ClassId.PERSON)
     feet = columns[rows > rows.max() - 0.12 * np.ptp(rows)]
     return float(np.ptp(feet) * 6.0 / 900.0)

@@ -18,7 +18,7 @@ from wcsim.physics.buffers import new_images
 from wcsim.physics.renderer import kernels
 from wcsim.physics.renderer.base import Pinhole
 from wcsim.physics.renderer.cast import _SignalLamps
-from wcsim.physics.renderer.instances import instances_of
+from wcsim.physics.renderer.instances import actor_instances
 from wcsim.physics.renderer.models.paint import Paint
 from wcsim.physics.renderer.raster import RasterRenderer
 from wcsim.physics.renderer.tiny_renderer import TinyRenderer
@@ -145,7 +145,7 @@ def test_brake_lights_and_turn_lamps_shine_when_sumo_says_so(store, kind):
         one = type(one)(**{name: getattr(one, name) for name in one.__slots__ if name != "signals"}, signals=signals)
         images = new_images(320, 240, rgb=True)
         back_m = 0.5 * one.size_lwh_m[0] + 5.0
-        raster.render(camera, look_at((20.0 - back_m, 0.0, 1.1), (20.0, 0.0, 1.0)), instances_of([one]), images)
+        raster.render(camera, look_at((20.0 - back_m, 0.0, 1.1), (20.0, 0.0, 1.0)), actor_instances([one]), images)
         out[signals] = images.rgb.astype(int)
     brighter = (out[8] - out[0])[..., 0] > 40
     assert brighter.sum() >= 8

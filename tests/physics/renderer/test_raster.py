@@ -15,12 +15,12 @@ from wcsim.errors import ConfigError
 from wcsim.physics.buffers import Images, new_images
 from wcsim.physics.renderer.base import Pinhole
 from wcsim.physics.renderer.geometry import GeometryStore
-from wcsim.physics.renderer.instances import instances_of
+from wcsim.physics.renderer.instances import actor_instances
 from wcsim.physics.renderer.raster import RasterRenderer
 from wcsim.physics.sensors.camera_geometry import look_along, look_at
 from wcsim.types import ActorKind, ClassId
 
-NOBODY = instances_of(())
+NOBODY = actor_instances(())
 
 
 def shot(renderer, T_CW, instances=NOBODY, camera=CAMERA, rgb=False):
@@ -31,7 +31,7 @@ def shot(renderer, T_CW, instances=NOBODY, camera=CAMERA, rgb=False):
 
 @pytest.mark.parametrize("seed", range(4))
 def test_agrees_with_ray_casts_at_pixel_centres(store, raster, seed):
-    instances = instances_of(crowd(seed))
+    instances = actor_instances(crowd(seed))
     oracle = RayOracle(store, instances)
     rng = np.random.default_rng(100 + seed)
     for _ in range(4):
@@ -47,7 +47,7 @@ def test_agrees_in_the_middle_of_a_crowd(store, raster):
     people = [
         actor(ActorKind.PEDESTRIAN, *rng.uniform(-1.2, 1.2, 2), yaw=rng.uniform(-3, 3), number=i) for i in range(40)
     ]
-    instances = instances_of([*people, actor(ActorKind.CAR, 1.5, 0.0, yaw=0.3)])
+    instances = actor_instances([*people, actor(ActorKind.CAR, 1.5, 0.0, yaw=0.3)])
     oracle = RayOracle(store, instances)
     for yaw in np.linspace(0, 2 * math.pi, 8):
         T_CW = look_along((0.0, 0.0, 1.0), yaw, -0.2)
@@ -66,7 +66,7 @@ def test_agrees_in_the_middle_of_a_crowd(store, raster):
 def test_culling_drops_nothing_that_is_visible(x, y, z, yaw, pitch, focal, seed):
     store = GeometryStore(strip_street().mesh)
     camera = replace(CAMERA, width_px=96, height_px=72, focal_px=focal)
-    T_CW, instances = look_along((x, y, z), yaw, pitch), instances_of(crowd(seed))
+    T_CW, instances = look_along((x, y, z), yaw, pitch), actor_instances(crowd(seed))
     culled = shot(RasterRenderer(store), T_CW, instances, camera, rgb=True)
     drawn = shot(RasterRenderer(store, cull=False), T_CW, instances, camera, rgb=True)
     assert np.array_equal(culled.class_id, drawn.class_id)
@@ -91,7 +91,7 @@ def test_depth_is_measured_along_the_axis_and_ends_at_the_range(raster):
 @pytest.mark.parametrize("kind", list(ActorKind))
 def test_every_kind_fills_the_box_of_its_actor(raster, kind):
     size = SIZES[kind]
-    thing = instances_of([actor(kind, 30.0, 0.0, 20.0, speed=0.0)])  # in the air, before the sky
+    thing = actor_instances([actor(kind, 30.0, 0.0, 20.0, speed=0.0)])  # in the air, before the sky
     camera = Pinhole(width_px=1200, height_px=480, focal_px=900.0, near_m=0.1, range_m=40.0)
     middle_m = 20.0 + size[2] / 2
     full = shot(raster, look_at((30.0, -25.0, middle_m), (30.0, 0.0, middle_m)), thing, camera)
@@ -121,7 +121,7 @@ def test_an_actor_faces_its_way_with_the_nose_up(raster):
     T_CW = look_at((30.0, -12.0, 1.0), (30.0, 0.0, 1.0))  # looks north, east is right
 
     def image(yaw, pitch):
-        rider = instances_of([actor(ActorKind.SCOOTER, 30.0, 0.0, 0.5, yaw, pitch, size=(3.0, 0.8, 1.8))])
+        rider = actor_instances([actor(ActorKind.SCOOTER, 30.0, 0.0, 0.5, yaw, pitch, size=(3.0, 0.8, 1.8))])
         return shot(raster, T_CW, rider, camera).class_id == ClassId.MOTORCYCLE
 
     def handlebar_column(scooter):
@@ -134,7 +134,7 @@ def test_an_actor_faces_its_way_with_the_nose_up(raster):
 
 
 def test_the_same_picture_twice_and_with_or_without_colours(raster):
-    instances, T_CW = instances_of(crowd(3)), look_along((5, 5.5, 1.1), 0.1, -0.2)
+    instances, T_CW = actor_instances(crowd(3)), look_along((5, 5.5, 1.1), 0.1, -0.2)
     first, second = shot(raster, T_CW, instances, rgb=True), shot(raster, T_CW, instances, rgb=True)
     plain = shot(raster, T_CW, instances)
     assert np.array_equal(first.rgb, second.rgb) and np.array_equal(first.depth_m, second.depth_m)
@@ -150,7 +150,7 @@ def test_colours_tell_ground_sky_stripes_and_paints(raster):
     assert 0.4 < (zebra > 190).mean() < 0.6 and (zebra < 140).any()
     colours = set()
     for number in range(30):
-        car = instances_of([actor(ActorKind.CAR, 6.0, 0.0, number=number)])
+        car = actor_instances([actor(ActorKind.CAR, 6.0, 0.0, number=number)])
         colours.add(tuple(shot(raster, look_along((0, 0, 1), 0.0, -0.1), car, rgb=True).rgb[125, 160].tolist()))
     assert len(colours) >= 8
 
@@ -165,7 +165,7 @@ def test_zebra_stripes_lie_across_the_way_people_walk(raster):
 def test_draws_from_threads_into_their_own_buffers(raster):
     from concurrent.futures import ThreadPoolExecutor
 
-    instances = instances_of(crowd(2))
+    instances = actor_instances(crowd(2))
     poses = [look_along((x, 5.5, 1.1), 0.2, -0.2) for x in range(0, 32)]
     alone = [shot(raster, T_CW, instances, rgb=True) for T_CW in poses]
     with ThreadPoolExecutor(2) as pool:

@@ -14,7 +14,7 @@ from tests.support.samples import strip_street
 from wcsim.errors import ConfigError
 from wcsim.physics.buffers import new_images
 from wcsim.physics.renderer.geometry import GeometryStore
-from wcsim.physics.renderer.instances import instances_of
+from wcsim.physics.renderer.instances import actor_instances
 from wcsim.physics.renderer.raster import RasterRenderer
 from wcsim.physics.renderer.tiny_renderer import TinyRenderer, corner_shift
 from wcsim.physics.sensors.camera_geometry import look_along
@@ -48,7 +48,7 @@ def poses_outside(actors, seed, count):
 
 def test_agrees_with_the_rasteriser(store):
     actors = crowd(1)
-    instances, raster = instances_of(actors), RasterRenderer(store)
+    instances, raster = actor_instances(actors), RasterRenderer(store)
     classes, depths = [], []
     with TinyRenderer(store) as tiny:
         for T_CW in poses_outside(actors, 5, 12):
@@ -63,11 +63,11 @@ def test_agrees_with_the_rasteriser(store):
 def test_bodies_follow_the_instances_and_leave_again(store):
     with TinyRenderer(store) as tiny:
         T_CW, out = look_along((0, 0, 1), 0.0, -0.1), new_images(320, 240, True)
-        tiny.render(CAMERA, T_CW, instances_of([actor(ActorKind.CAR, 8, 0), actor(ActorKind.CAR, 8, 3)]), out)
+        tiny.render(CAMERA, T_CW, actor_instances([actor(ActorKind.CAR, 8, 0), actor(ActorKind.CAR, 8, 3)]), out)
         both = (out.class_id == ClassId.CAR).sum()
-        tiny.render(CAMERA, T_CW, instances_of([actor(ActorKind.CAR, 8, 3)]), out)
+        tiny.render(CAMERA, T_CW, actor_instances([actor(ActorKind.CAR, 8, 3)]), out)
         one = (out.class_id == ClassId.CAR).sum()
-        tiny.render(CAMERA, T_CW, instances_of([]), out)
+        tiny.render(CAMERA, T_CW, actor_instances([]), out)
         assert both > one > 0 and (out.class_id != ClassId.CAR).all()
         assert out.rgb is not None and out.rgb.std() > 5
         tiny.close()  # a second close does nothing
@@ -75,7 +75,7 @@ def test_bodies_follow_the_instances_and_leave_again(store):
 
 def test_the_rasteriser_is_many_times_faster_on_the_same_pictures(store):
     actors = crowd(1)
-    pictures = compare_renderers(store, CAMERA, poses_outside(actors, 3, 4), instances_of(actors), rounds=2)
+    pictures = compare_renderers(store, CAMERA, poses_outside(actors, 3, 4), actor_instances(actors), rounds=2)
     result = pooled(pictures)
     assert result.ratio_vs_tiny > 10.0  # a scene of a few thousand triangles; real towns have many more
     assert result.tiny.same_class >= 0.999 and result.tiny.same_depth >= 0.995
@@ -87,7 +87,7 @@ def test_the_rasteriser_is_many_times_faster_on_the_same_pictures(store):
 def test_without_embree_its_column_stays_empty(store, monkeypatch):
     monkeypatch.setattr(compare, "has_embree", lambda: False)
     pose = look_along((10.3, 0.2, 1), 0.1, -0.2)
-    result = pooled(compare_renderers(store, CAMERA, [pose], instances_of([]), rounds=1))
+    result = pooled(compare_renderers(store, CAMERA, [pose], actor_instances([]), rounds=1))
     assert result.embree is None and result.tiny.same_class > 0.99
 
 
@@ -99,13 +99,13 @@ def test_a_wrong_picture_does_not_agree(store, monkeypatch):
     monkeypatch.undo()
     monkeypatch.setattr(compare, "RasterRenderer", lambda _: raster)
     poses = [look_along((10.3, 0.2, 1), yaw, -0.2) for yaw in (0.1, 2.0)]
-    result = pooled(compare_renderers(store, CAMERA, poses, instances_of([]), rounds=1))
+    result = pooled(compare_renderers(store, CAMERA, poses, actor_instances([]), rounds=1))
     assert result.embree is not None
     assert max(result.embree.same_depth, result.tiny.same_depth) < 0.995
 
 
 def test_a_comparison_needs_something_to_compare(store):
     with pytest.raises(ConfigError, match="at least one"):
-        compare_renderers(store, CAMERA, [], instances_of([]))
+        compare_renderers(store, CAMERA, [], actor_instances([]))
     with pytest.raises(ConfigError, match="at least one"):
         pooled([])

@@ -14,7 +14,7 @@ from tests.physics.sensors.test_camera import SMALL, plant
 from tests.support.samples import USUAL_OUTLINE, strip_street
 from wcsim.config import CameraConfig
 from wcsim.physics.buffers import Images, new_images
-from wcsim.physics.renderer.instances import ChairPose, instances_of
+from wcsim.physics.renderer.instances import ChairPose, actor_instances
 from wcsim.physics.renderer.tiny_renderer import TinyRenderer, corner_shift
 from wcsim.physics.sensors.camera import CameraRig, _shown_px
 from wcsim.physics.sensors.camera_geometry import look_along
@@ -29,7 +29,7 @@ POSES = [look_along((x, 5.5 * side, 1.1), yaw, -0.15) for x, side, yaw in ((0, 1
 
 def shot(renderer, T_CW, actors, rgb=False, instance=True) -> Images:
     out = new_images(320, 240, rgb=rgb, instance=instance)
-    renderer.render(CAMERA, T_CW, instances_of(actors), out)
+    renderer.render(CAMERA, T_CW, actor_instances(actors), out)
     return out
 
 

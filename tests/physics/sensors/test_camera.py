@@ -16,8 +16,8 @@ from wcsim.agents.policies.depth_check import viewing_rays
 from wcsim.config import CameraConfig
 from wcsim.core.frames import quaternion
 from wcsim.errors import ConfigError
-from wcsim.physics.buffers import SeatBuffers, new_images
-from wcsim.physics.renderer.instances import ChairPose, chair_pose, instances_of
+from wcsim.physics.buffers import new_images
+from wcsim.physics.renderer.instances import ChairPose, actor_instances, chair_pose
 from wcsim.physics.renderer.raster import RasterRenderer
 from wcsim.physics.sensors.base import Surroundings
 from wcsim.physics.sensors.camera import CameraRig, FreeCamera
@@ -128,15 +128,15 @@ def test_images_go_into_given_buffers_also_when_they_are_repeated(mesh):
     slow = CameraConfig(width_px=40, height_px=30, every_ticks=2, rgb=True)
     with CameraRig(mesh, (slow,), seats=1) as rig:
         a, b = new_images(40, 30, True), new_images(40, 30, True)
-        first = shoot(rig, 0, 0, plant(), (), (), SeatBuffers(images=(a,)))[0]
-        again = shoot(rig, 0, 1, plant(), (), (), SeatBuffers(images=(b,)))[0]
+        first = shoot(rig, 0, 0, plant(), (), (), (a,))[0]
+        again = shoot(rig, 0, 1, plant(), (), (), (b,))[0]
         assert np.may_share_memory(first.depth_m, a.depth_m) and np.may_share_memory(again.depth_m, b.depth_m)
         assert again.taken_tick == 0
         for name in ("depth_m", "class_id", "rgb"):
             assert np.array_equal(getattr(a, name), getattr(b, name))
         assert np.may_share_memory(again.rgb, b.rgb)
         with pytest.raises(ConfigError, match="new_images"):
-            shoot(rig, 0, 2, plant(), (), (), SeatBuffers(images=(new_images(41, 30, True),)))
+            shoot(rig, 0, 2, plant(), (), (), (new_images(41, 30, True),))
 
 
 def test_colours_are_taken_only_when_asked_for(mesh):
@@ -197,7 +197,7 @@ def test_a_rig_needs_cameras_and_seats(mesh):
 
 def test_a_free_camera_has_its_target_in_the_middle(mesh):
     camera = FreeCamera(mesh, pinhole(CameraConfig(width_px=81, height_px=61)))
-    images = camera.look(look_at((0, 0, 1.5), (8, 3, 0.5)), instances_of([actor(ActorKind.OTHER, 8, 3)]))
+    images = camera.look(look_at((0, 0, 1.5), (8, 3, 0.5)), actor_instances([actor(ActorKind.OTHER, 8, 3)]))
     assert images.class_id[30, 40] == ClassId.DYNAMIC and images.rgb is not None
 
 
@@ -279,7 +279,7 @@ def test_pictures_taken_together_are_not_taken_again(mesh, monkeypatch):
 
 def test_buffers_that_do_not_fit_are_refused_in_every_thread(mesh):
     with CameraRig(mesh, (SMALL,), len(PLACES), threads=3) as rig:
-        wrong = SeatBuffers(images=(new_images(40, 30, False),))
+        wrong = (new_images(40, 30, False),)
         with pytest.raises(ConfigError, match="new_images"):
             rig.shoot_all({seat: replace(scene, buffers=wrong) for seat, scene in scenes(0).items()})
         assert shoot(rig, 0, 1, plant(), (), ())[0].taken_tick == 1

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from tests.physics.rig import FORWARD, rig, step_street
 from wcsim.core.frames import euler, matrix, quaternion, turned
-from wcsim.physics.wheelchair.contacts import MOST_IN_A_ROW, Motion, Tyre, _off_tyre, coast
+from wcsim.physics.wheelchair.contacts import MOST_IN_A_ROW, Motion, Tyre, _off_tyre
 
 TYRE = Tyre(radius_m=0.178, half_width_m=0.04)
 
@@ -45,7 +45,7 @@ def test_coasting_carries_on_as_before():
         before: Motion = chair._before
         bullet.resetBaseVelocity(chair.body_id, (0.0, 0.0, 9.0))
         r.engine.step()
-        coast(chair.body_id, chair._body.joints, before, r.engine.step_s, bullet)
+        before.coast(chair.body_id, chair._body.joints, r.engine.step_s, bullet)
         chair._read()
         assert chair._v_W_mps == pytest.approx(before.v_W_mps)
         assert np.subtract(chair._p_com_W_m, before.p_W_m) == pytest.approx(np.array(before.v_W_mps) / 240)

@@ -101,7 +101,7 @@ def test_a_new_server_leaves_the_pictures_of_the_old_one_to_those_who_look_at_th
     seen = view_of(old, a_world())
     before = seen.sensors.cameras[0].depth_m.copy()
     new = RingSink(tmp_path, 1, PICTURES)
-    new.buffers(0, first=False).images[0].depth_m[:] = 7.0
+    new.buffers(0, first=False)[0].depth_m[:] = 7.0
     assert np.array_equal(seen.sensors.cameras[0].depth_m, before)
     assert new.path(0) == old.path(0)
     assert [path.name for path in tmp_path.iterdir()] == ["seat-0"]

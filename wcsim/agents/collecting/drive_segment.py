@@ -26,6 +26,7 @@ from wcsim.config import CollectConfig, RunConfig
 from wcsim.core import seeding
 from wcsim.supervisor.actions import ActionSet, action_set
 from wcsim.types import F64, ClientSnapshot, Truth, Verdict
+from wcsim.users.recordings.recorded_user import find_user
 
 _ASTRAY_SIGMA = 0.5  # spread of the offset, in stick units
 _ASTRAY_TICKS = (4, 12)  # shortest and longest time that an offset is held
@@ -123,7 +124,7 @@ def collect(order: SegmentOrder, make_learned: MakeLearned | None) -> Segment:
 def _driven(place: SegmentPlace, make_learned: MakeLearned | None, seed: int) -> Segment:
     """Drive for so many ticks, with a new episode wherever one ends."""
     specs = tuple(replace(spec, truth=True, truth_visible=True) for spec in place.seats)
-    with World(place.town, place.config, specs, place.seed) as world:
+    with World(place.town, place.config, specs, place.seed, find_user=find_user) as world:
         seats = [
             _Seat(place.config, client, make_learned, seeding.generator(seed, "collect", number))
             for number, client in enumerate(world.snapshot.clients)

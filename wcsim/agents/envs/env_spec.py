@@ -26,7 +26,7 @@ from wcsim.server.specs import WorldOrder, seat_spec
 from wcsim.supervisor.actions import ActionSet, action_set
 from wcsim.supervisor.observation import Observation, imu_size, observation_space
 from wcsim.supervisor.rewards import RewardTerm, is_reward_term
-from wcsim.users.recorded import find_user
+from wcsim.users.recordings.recorded_user import find_user
 
 RENDER_MODES = ("rgb_array",)
 RENDER_FPS = 10  # of a tick of 0.1 s; an environment has the one of its own tick

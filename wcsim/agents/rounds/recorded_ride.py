@@ -27,6 +27,7 @@ from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.observation import observation_of
 from wcsim.towns.scenario.town import find_town
 from wcsim.types import F32, ClientSnapshot, Joystick, SeatSpec
+from wcsim.users.recordings.recorded_user import find_user
 
 PUSH_TICKS: Final = 20  # so long the stick is held somewhere, and so long the user has it again
 TRIES: Final = 5  # episodes, until one is long enough
@@ -43,7 +44,7 @@ def reference_ride(town: str, config: RunConfig, steps: int, policy: Policy, see
     sensing = resolve(config, sense_settings(config, senses_of(policy)))
     spec = SeatSpec(profile=config.env.profile, max_steps=steps + 1)
     pushes, longest = _pushed_sticks(steps, seed), list[Observation]()
-    with World(find_town(town), sensing, (spec,), seed) as world:
+    with World(find_town(town), sensing, (spec,), seed, find_user=find_user) as world:
         policy.begin()
         agent, tries = _Pushed(policy, pushes), 0
         driver = SeatDriver(sensing, agent, world.snapshot.clients[0])

@@ -1,8 +1,6 @@
 """The seats of a world, each free or taken; in a taken one sits a wheelchair, with its user and its episode.
 
 Which of the others a wheelchair's cameras have shown lately: what may be known to who sees nothing else.
-
-A user's step hook sees the chair of each as `hook_chair` gives it.
 """
 
 from __future__ import annotations
@@ -20,7 +18,7 @@ from wcsim.bridge.ego.randomization import DrawnChair, Randomization
 from wcsim.bridge.ego.start_place import TakenNear, check_in_town, heading_rad, is_clear
 from wcsim.bridge.ego.street_obstacles import ObstacleWatch
 from wcsim.bridge.reaction.attention import AttentionModel
-from wcsim.bridge.reaction.commands import GreenRequest
+from wcsim.bridge.reaction.commands import ROADWAY, ChairInStreet, GreenRequest
 from wcsim.bridge.sumo.step_hook import HookChair
 from wcsim.config import RunConfig, WorldConfig
 from wcsim.core import seeding
@@ -61,11 +59,10 @@ from wcsim.types import (
 )
 from wcsim.types.chair import AT_REST as AT_REST
 from wcsim.users.profiles import UserProfile, sample
-from wcsim.users.recorded import JoystickRecording, RecordedUser, find_user, require_driven_here
-from wcsim.users.user import SimulatedUser
+from wcsim.users.user import FindUser, SimulatedUser, User
 
 
-class ShownActors:
+class _ShownActors:
     """The actors that the cameras of one seat have shown, each with the tick in which they last did so."""
 
     def __init__(self, world: WorldConfig) -> None:
@@ -111,12 +108,14 @@ class _Start:
 class Ego:
     """A wheelchair with its user; `World` calls its methods in the order of a tick."""
 
-    def __init__(self, index: int, spec: SeatSpec, config: RunConfig, street: Street, router: Router) -> None:
+    def __init__(
+        self, index: int, spec: SeatSpec, config: RunConfig, street: Street, router: Router, find_user: FindUser
+    ) -> None:
         """Nothing is in the world before `build`. Raises ConfigError for a spec that cannot be used."""
         self.index = index
         self.spec = spec
         check_in_town(spec.start, router)
-        self._person = find_user(spec.profile)
+        self.person = find_user(spec.profile)
         self._config = config
         self._street = street
         self._router = router
@@ -126,7 +125,7 @@ class Ego:
         self._variation = Randomization(config, index)
         self.chair: Wheelchair  # of this epoch: from `build` on
         self._rig: CameraRig
-        self.user: SimulatedUser | RecordedUser  # of this episode, as the rest: from `spawn` on
+        self.user: User  # of this episode, as the rest: from `spawn` on
         self.route: Route
         self._start: _Start
         self._next_start: StartSpec | None = None  # of the next episode alone
@@ -143,19 +142,14 @@ class Ego:
         self._progress_m = self._progressed_m = 0.0
         self._shown: tuple[PlantState, ActorState] | None = None
         self._on_road = OnRoad()
-        self._shown_actors = ShownActors(config.world)
+        self._shown_actors = _ShownActors(config.world)
         self._button: CrossingButton  # of this route
         self.asks: GreenRequest | None = None  # of a light: its button has been pressed
 
     @property
-    def recording(self) -> JoystickRecording | None:
-        """The recording that its user replays, if any."""
-        return self._person if isinstance(self._person, JoystickRecording) else None
-
-    @property
     def profile(self) -> UserProfile | None:
         """What its users are drawn of; None where a recording is replayed."""
-        return self._person if isinstance(self._person, UserProfile) else None
+        return self.person if isinstance(self.person, UserProfile) else None
 
     @property
     def plant(self) -> PlantState:
@@ -372,11 +366,41 @@ class Ego:
             self._shown = (plant, _as_actor(chair_actor_id(self.index), plant, self.chair.outline))
         return self._shown[1]
 
-    def _new_user(self) -> SimulatedUser | RecordedUser:
-        if isinstance(self._person, JoystickRecording):
-            return RecordedUser(self._person.episode(self._episode), self.chair.outline)
+    def in_street(self) -> ChairInStreet:
+        """This chair as drivers and people see it, with their habits towards it."""
+        chair = self.as_actor()
+        x, y, z = chair.p_W_m.tolist()
+        return ChairInStreet(
+            p_W_m=chair.p_W_m[:2],
+            v_W_mps=chair.v_W_mps[:2],
+            on_road=self._street.grid.class_here(x, y) in ROADWAY,
+            yaw_rad=chair.yaw_rad,
+            z_m=z,
+            half_m=(0.5 * chair.size_lwh_m[0], 0.5 * chair.size_lwh_m[1]),
+            habits=self.habits,
+        )
+
+    def for_hook(self) -> HookChair:
+        """This chair as a user's step hook sees it."""
+        plant, route, street = self.plant, self.route, self._street
+        arc_m, (x, y, z) = self.user.route_progress_m, plant.p_WB_m.tolist()
+        east_m, north_m, up_m = street.net_origin_m
+        ahead = [(x, y), *route.points_W_m[route.arc_m > arc_m].tolist()]
+        return HookChair(
+            seat=self.index,
+            p_net_m=(x + east_m, y + north_m, z + up_m),
+            angle_deg=sumo_from_yaw(plant.yaw_rad),
+            speed_mps=float(plant.v_B_mps[0]),
+            way_net_m=tuple((px + east_m, py + north_m) for px, py in ahead),
+            edges=edges_ahead(street.walk, route, arc_m),
+            button_tls_id="" if self.asks is None else self.asks.tls_id,
+        )
+
+    def _new_user(self) -> User:
+        exact = self.person
+        if not isinstance(exact, UserProfile):
+            return exact.user(self._episode, self.chair.outline)
         rng = seeding.generator(self._seed, "user", self.index, self._episode)
-        exact = self._person
         return SimulatedUser(
             sample(exact, rng) if self.spec.start is None else exact,
             rng,
@@ -442,7 +466,9 @@ def _as_actor(name: str, plant: PlantState, outline: Outline) -> ActorState:
 class EgoSlots:
     """Who sits where; `present` holds the taken seats in the order of their numbers."""
 
-    def __init__(self, specs: tuple[SeatSpec | None, ...], config: RunConfig, street: Street, town: Town) -> None:
+    def __init__(
+        self, specs: tuple[SeatSpec | None, ...], config: RunConfig, street: Street, town: Town, find_user: FindUser
+    ) -> None:
         """One place for each of `specs`, free where it is None.
 
         Raises:
@@ -450,11 +476,11 @@ class EgoSlots:
             TownError: there are places, but the town has no pavement to drive on.
         """
         self.present: tuple[Ego, ...] = ()
-        self._config, self._street, self._town = config, street, town
+        self._config, self._street, self._town, self._find_user = config, street, town, find_user
         self._begun = [0] * len(specs)  # episodes of the epoch, by place
         self._seed = 0
         if specs:
-            refuse_cameras_inside(config.cameras, plant_spec(config.chair).frame.boxes)
+            refuse_cameras_inside(config.cameras, plant_spec(config.chair))
             require_pavement(street, town)
             self._router = Router(street.walk)
             self.present = tuple(self._seat(number, spec) for number, spec in enumerate(specs) if spec is not None)
@@ -505,9 +531,9 @@ class EgoSlots:
             seat.chair.forget(chair_actor_id(number))
 
     def _seat(self, number: int, spec: SeatSpec) -> Ego:
-        ego = Ego(number, spec, self._config, self._street, self._router)
-        if ego.recording is not None:
-            require_driven_here(ego.recording, self._town.name, lambda: content_hash(self._town))
+        ego = Ego(number, spec, self._config, self._street, self._router, self._find_user)
+        if not isinstance(ego.person, UserProfile):
+            ego.person.require_driven_here(self._town.name, lambda: content_hash(self._town))
         return ego
 
     def _find(self, number: int) -> Ego | None:
@@ -519,19 +545,3 @@ class EgoSlots:
     def _check(self, number: int) -> None:
         if not 0 <= number < len(self._begun):
             raise ProtocolError(f"there is no seat {number}; expected 0 or more and less than {len(self._begun)}")
-
-
-def hook_chair(seat: Ego, street: Street) -> HookChair:
-    """The chair of a seat now."""
-    plant, route, asks, (east_m, north_m, up_m) = seat.plant, seat.route, seat.asks, street.net_origin_m
-    arc_m, (x, y, z) = seat.user.route_progress_m, plant.p_WB_m.tolist()
-    ahead = [(x, y), *route.points_W_m[route.arc_m > arc_m].tolist()]
-    return HookChair(
-        seat=seat.index,
-        p_net_m=(x + east_m, y + north_m, z + up_m),
-        angle_deg=sumo_from_yaw(plant.yaw_rad),
-        speed_mps=float(plant.v_B_mps[0]),
-        way_net_m=tuple((px + east_m, py + north_m) for px, py in ahead),
-        edges=edges_ahead(street.walk, route, arc_m),
-        button_tls_id="" if asks is None else asks.tls_id,
-    )

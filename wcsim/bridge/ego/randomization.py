@@ -12,14 +12,13 @@ from functools import partial
 from wcsim.config import CameraConfig, RunConfig, SensorConfig, SensorsConfig, parse
 from wcsim.config.world import VaryConfig
 from wcsim.core import frames, seeding
+from wcsim.core.frames import Vec3
 from wcsim.errors import ConfigError
 from wcsim.physics.wheelchair.plant import PlantSpec, plant_spec, refuse_cameras_inside, varied
 from wcsim.physics.wheelchair.plant_body import check_springs
 from wcsim.types import Drawn
 
 TRIES = 50  # a chair may be out of bounds, or fall over, for some of its drawn numbers together
-
-Vec3 = tuple[float, float, float]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -30,14 +29,6 @@ class DrawnChair:
     spec: PlantSpec
     cameras: tuple[CameraConfig, ...]
     sensors: Mapping[str, SensorConfig]  # sections by name
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Box:
-    """A box in B."""
-
-    centre_m: Vec3
-    size_m: Vec3
 
 
 class Randomization:
@@ -71,7 +62,7 @@ class Randomization:
             try:
                 spec, cameras = _with_drawn(self._spec, drawn), moved(self._cameras, drawn)
                 check_springs(spec, self._step_s)
-                refuse_cameras_inside(cameras, spec.frame.boxes)
+                refuse_cameras_inside(cameras, spec)
                 sensors = _retuned(self._sensors, drawn.sensors).on()
             except ConfigError as error:
                 fault = error
@@ -184,8 +175,8 @@ def _ends(config: RunConfig, spec: PlantSpec, step_s: float) -> Iterator[tuple[s
         for turn_deg in vary.camera_turn_deg or ():
             yield "vary.camera_turn_deg", partial(_mounted, camera, (0.0, 0.0, 0.0), turn_deg, turn_deg)
     if vary.camera_shift_m is not None:
-        grown = tuple(_grown_boxes(spec, vary.camera_shift_m))
-        yield "vary.camera_shift_m, boxes larger by it", partial(refuse_cameras_inside, cameras, grown)
+        check = partial(refuse_cameras_inside, cameras, spec, vary.camera_shift_m)
+        yield "vary.camera_shift_m, boxes larger by it", check
     for name, span in vary.sensors.items():
         for value in span:
             yield f"vary.sensors.{name}", partial(_retuned, config.sensors, ((name, value),))
@@ -193,17 +184,6 @@ def _ends(config: RunConfig, spec: PlantSpec, step_s: float) -> Iterator[tuple[s
 
 def _check_plant(spec: PlantSpec, name: str, value: float, step_s: float) -> None:
     check_springs(varied(spec, {name: value}), step_s)
-
-
-def _grown_boxes(spec: PlantSpec, span_m: tuple[float, float]) -> Iterator[_Box]:
-    """The chair's boxes, so much larger that a camera which stays in its place is in one if a shifted one can be."""
-    middle_m, width_m = 0.5 * (span_m[0] + span_m[1]), span_m[1] - span_m[0]
-    for box in spec.frame.boxes:
-        cx, cy, cz = box.centre_m
-        sx, sy, sz = box.size_m
-        yield _Box(
-            centre_m=(cx - middle_m, cy - middle_m, cz - middle_m), size_m=(sx + width_m, sy + width_m, sz + width_m)
-        )
 
 
 def _first(values: list[float]) -> float | None:

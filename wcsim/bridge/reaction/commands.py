@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from wcsim.bridge.reaction.attention import AttentionModel
-from wcsim.core.constants import OTHER_LEVEL_M
-from wcsim.types import F64, ActorState, ClassId, Ground
+from wcsim.types import F64, ClassId
 
 ROADWAY = (ClassId.ROAD, ClassId.CROSSWALK, ClassId.RAIL_TRACK)
 LET_GO = -1.0
@@ -63,29 +61,3 @@ class Blocked:
     for_s: float
     could_pass: bool  # there is room beside the chair, or another lane
     behind: str = CHAIR  # who stands in between; CHAIR for nobody, VEHICLE for one that SUMO has
-
-
-def in_street(chair: ActorState, ground: Ground, habits: AttentionModel | None = None) -> ChairInStreet:
-    """A wheelchair as the street sees it, with the habits of the others towards it."""
-    x, y, z = chair.p_W_m.tolist()
-    return ChairInStreet(
-        p_W_m=chair.p_W_m[:2],
-        v_W_mps=chair.v_W_mps[:2],
-        on_road=ground.class_here(x, y) in ROADWAY,
-        yaw_rad=chair.yaw_rad,
-        z_m=z,
-        half_m=(0.5 * chair.size_lwh_m[0], 0.5 * chair.size_lwh_m[1]),
-        habits=habits,
-    )
-
-
-def on_level(actors: tuple[ActorState, ...], chairs: Sequence[ChairInStreet]) -> tuple[ActorState, ...]:
-    """Those on the level of a chair: who is on a bridge above it has nothing to do with it."""
-    heights_m = [chair.z_m for chair in chairs]
-    kept = tuple(a for a in actors if any(abs(float(a.p_W_m[2]) - z_m) < OTHER_LEVEL_M for z_m in heights_m))
-    return actors if len(kept) == len(actors) else kept
-
-
-def is_person(actor: ActorState) -> bool:
-    """Whether SUMO moves this actor as a person, whatever its class."""
-    return actor.id.startswith("p:")

@@ -27,6 +27,24 @@ class SweptOverlap:
     right_m: float  # the chair's right and left end, left of the vehicle's line
     left_m: float
 
+    def room(self, width_m: float, lane_width_m: float) -> tuple[float, ...]:
+        """Places of the vehicle's middle, left of the lane's, at which it passes within its lane; nearest first.
+
+        >>> SweptOverlap(at=(9,), right_m=-1.6, left_m=-1.0).room(0.6, 3.2)
+        (0.3,)
+        """
+        edge_m = 0.5 * lane_width_m
+        places = []
+        left_room, right_room = edge_m - self.left_m, self.right_m + edge_m
+        if left_room >= width_m + ROOM_M:
+            gap_m = min(WIDEST_M, left_room - width_m - EDGE_M)
+            places.append(self.left_m + gap_m + 0.5 * width_m)
+        if right_room >= width_m + ROOM_M:
+            gap_m = min(WIDEST_M, right_room - width_m - EDGE_M)
+            places.append(self.right_m - gap_m - 0.5 * width_m)
+        # The sort is stable: of two places equally near the one left of the chair is first.
+        return tuple(sorted(places, key=abs))
+
 
 @exact_kernel
 def _touches(
@@ -120,25 +138,6 @@ def _first_touches(
     # plain numbers: an array of them costs more than the look
     low, high = _first_touching_poses(poses, *span, *body, gaps_m, chair, *pace, sooner_s, out)
     return SweptOverlap(at=tuple(out.tolist()), right_m=low, left_m=high)
-
-
-def room_beside(touch: SweptOverlap, width_m: float, lane_width_m: float) -> tuple[float, ...]:
-    """Places of the vehicle's middle, left of the lane's, at which it passes the chair within its lane; nearest first.
-
-    >>> room_beside(SweptOverlap(at=(9,), right_m=-1.6, left_m=-1.0), 0.6, 3.2)
-    (0.3,)
-    """
-    edge_m = 0.5 * lane_width_m
-    places = []
-    left_room, right_room = edge_m - touch.left_m, touch.right_m + edge_m
-    if left_room >= width_m + ROOM_M:
-        gap_m = min(WIDEST_M, left_room - width_m - EDGE_M)
-        places.append(touch.left_m + gap_m + 0.5 * width_m)
-    if right_room >= width_m + ROOM_M:
-        gap_m = min(WIDEST_M, right_room - width_m - EDGE_M)
-        places.append(touch.right_m - gap_m - 0.5 * width_m)
-    # The sort is stable: of two places equally near the one left of the chair is first.
-    return tuple(sorted(places, key=abs))
 
 
 STOP_SHORT_M = 2.0  # drivers stop this far before a chair

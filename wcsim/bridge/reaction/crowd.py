@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from wcsim.bridge.reaction.commands import ChairInStreet, is_person
+from wcsim.bridge.reaction.commands import ChairInStreet
 from wcsim.core.boxes import Box, box_of
 from wcsim.types import F64, ActorState
 
@@ -79,7 +79,7 @@ def crowd_of(
     far: list[tuple[float, float]] = []  # of those aside, and away from the chairs by now
     crowd, others = [], []
     for actor in actors:
-        if not is_person(actor):
+        if not actor.is_person:
             continue
         x, y, _ = actor.p_W_m.tolist()
         chair_m = min([math.hypot(x - px, y - py) for px, py in places], default=math.inf)
@@ -126,7 +126,7 @@ def vehicles_near(actors: Sequence[ActorState], crowd: Sequence[Walker]) -> list
     found = []
     places = [walker.at for walker in crowd]
     for actor in actors:
-        if is_person(actor):
+        if actor.is_person:
             continue
         x, y, _ = actor.p_W_m.tolist()
         reach_m = actor.size_lwh_m[0] + NEAR_VEHICLE_M

@@ -20,7 +20,7 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 from wcsim.bridge.reaction.attention import AttentionModel
-from wcsim.bridge.reaction.commands import LET_GO, ActorCommand, Blocked, ChairInStreet, is_person
+from wcsim.bridge.reaction.commands import LET_GO, ActorCommand, Blocked, ChairInStreet
 from wcsim.bridge.reaction.conflict import (
     LAST_GAP_M,
     ON_PAVEMENT_M,
@@ -32,7 +32,6 @@ from wcsim.bridge.reaction.conflict import (
     approach_mps,
     lands_on,
     look_m,
-    room_beside,
 )
 from wcsim.bridge.reaction.swept_path import STEP_M, Brakes, LaneShape, OnLane, Roads, Tube, way_ahead
 from wcsim.bridge.reaction.wide_turns import SwingOut
@@ -221,7 +220,7 @@ def _room_to_pass(it: _Encounter, distance_m: float, roads: Roads) -> _Passing:
 
 def _passing_in_lane(it: _Encounter, distance_m: float, lane_width_m: float) -> _Passing | None:
     """The nearest place beside the chair, within a lane of this width, where the body gets by; None without one."""
-    for left_m in room_beside(it.touch, it.check.actor.size_lwh_m[1], lane_width_m):
+    for left_m in it.touch.room(it.check.actor.size_lwh_m[1], lane_width_m):
         past = it.check.touch(left_m, ON_ROAD_M, straight=True)
         past_mps = it.check.limit(past, left_m, it.brake_mps2, it.tick_s)
         if past.at[0] >= 0 or past_mps <= 0.0:  # a body that turns there sweeps more than the lane's width
@@ -400,7 +399,7 @@ class StreetReaction:
         places_W_m = [(row.item(0), row.item(1)) for row in rows]
         seen: set[str] = set()
         for actor in actors:
-            if is_person(actor) or actor.piece:  # a rear piece runs where its front has run
+            if actor.is_person or actor.piece:  # a rear piece runs where its front has run
                 continue
             seen.add(actor.id)
             led = actor if self._swing is None else self._swing.led(actor)

@@ -101,6 +101,15 @@ class Tube:
         start_m, scale = self.start_m[place.lane_id]
         return start_m + scale * place.along_m
 
+    def at(self, at_m: F64) -> F64:
+        """Points (n, 2) of the line at these distances, straight on beyond its ends."""
+        return _at(self.points_W_m, self.arc_m, at_m)
+
+    def moved(self, arc_m: F64, points_W_m: F64, length_m: float) -> Tube:
+        """The same way along another line, whose points (n, 2) are counted as the old line's are, `arc_m` (n,)."""
+        poses = _poses(points_W_m, arc_m, self.first_m, length_m)
+        return replace(self, points_W_m=points_W_m, arc_m=arc_m, poses=poses)
+
     def lane_at(self, front_m: float) -> str:
         """The lane that a place of the line lies in."""
         begun = [(start, name) for name, (start, _) in self.start_m.items() if start <= front_m + 1e-6]
@@ -154,17 +163,6 @@ def way_ahead(actor: ActorState, place: OnLane, roads: Roads, old: Tube | None) 
     heading = np.array([math.cos(actor.yaw_rad), math.sin(actor.yaw_rad)])
     tail_W_m = actor.p_W_m[:2] - 0.5 * actor.size_lwh_m[0] * heading
     return _lay_out(lanes, place.along_m, actor.size_lwh_m[0], tail_W_m, old)
-
-
-def points_of(tube: Tube, at_m: F64) -> F64:
-    """Points (n, 2) of a way's line at these distances, straight on beyond its ends."""
-    return _at(tube.points_W_m, tube.arc_m, at_m)
-
-
-def moved_line(tube: Tube, arc_m: F64, points_W_m: F64, length_m: float) -> Tube:
-    """The same way along another line, whose points (n, 2) are counted as the old line's are, `arc_m` (n,)."""
-    poses = _poses(points_W_m, arc_m, tube.first_m, length_m)
-    return replace(tube, points_W_m=points_W_m, arc_m=arc_m, poses=poses)
 
 
 def _poses(points: F64, arc_m: F64, first_m: float, length_m: float) -> F64:

@@ -18,8 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from wcsim.bridge.reaction.articulated import piece_lengths
-from wcsim.bridge.reaction.commands import is_person
-from wcsim.bridge.reaction.swept_path import AHEAD_M, TAIL_M, Roads, Tube, moved_line, points_of, way_ahead
+from wcsim.bridge.reaction.swept_path import AHEAD_M, TAIL_M, Roads, Tube, way_ahead
 from wcsim.core import frames
 from wcsim.core.jit import exact_kernel
 from wcsim.core.joystick import towards
@@ -249,7 +248,7 @@ class SwingOut:
         driven: dict[str, _Driven] = {}
         found = []
         for actor in actors:
-            if actor.size_lwh_m[0] < LONG_M or actor.kind is ActorKind.TRAM or is_person(actor):
+            if actor.size_lwh_m[0] < LONG_M or actor.kind is ActorKind.TRAM or actor.is_person:
                 found.append(actor)
                 continue
             now = driven[actor.id] = self._followed(actor, roads)
@@ -283,8 +282,8 @@ class SwingOut:
             return tube
         at_m = np.arange(float(tube.arc_m[0]), tube.end_m, STEP_M)
         aside_m = way.at_m(at_m - shift_m)
-        line_W_m = points_of(tube, at_m) + aside_m[:, None] * way.left_of(at_m - shift_m)
-        moved = moved_line(tube, at_m, line_W_m, actor.size_lwh_m[0])
+        line_W_m = tube.at(at_m) + aside_m[:, None] * way.left_of(at_m - shift_m)
+        moved = tube.moved(at_m, line_W_m, actor.size_lwh_m[0])
         self._lines[actor.id] = tube, way, moved
         return moved
 
@@ -336,7 +335,7 @@ class SwingOut:
     def _laid_out(self, actor: ActorState, tube: Tube, line_m: float, old: _Way | None) -> _Way:
         first_m = line_m - actor.size_lwh_m[0] - TAIL_M
         at_m = np.arange(first_m, min(line_m + AHEAD_M, tube.end_m), STEP_M)
-        line_W_m = points_of(tube, at_m)
+        line_W_m = tube.at(at_m)
         left, held_m = _normals(line_W_m), np.zeros(0)
         shift_m = None if old is None else _shift_m(tube, old.tube)
         if old is not None and shift_m is not None:  # what has been driven stays as it was

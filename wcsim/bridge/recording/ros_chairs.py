@@ -144,17 +144,9 @@ def _quaternion_of(turn: F64) -> F64:
     >>> _quaternion_of(np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])).round(4).tolist()
     [0.0, 0.0, 0.7071, 0.7071]
     """
-    (a, b, c), (d, e, f), (g, h, i) = turn.tolist()
-    k = np.array(
-        [
-            [a - e - i, b + d, c + g, h - f],
-            [b + d, e - a - i, f + h, c - g],
-            [c + g, f + h, i - a - e, d - b],
-            [h - f, c - g, d - b, a + e + i],
-        ]
-    )
-    found = np.linalg.eigh(k)[1][:, -1]
-    return np.asarray(found if found[3] >= 0.0 else -found, np.float64)
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_matrix(turn).as_quat(canonical=True), np.float64)
 
 
 def _turn_radps(before: DriveTick | None, tick: DriveTick, tick_s: float) -> float:

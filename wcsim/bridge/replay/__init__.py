@@ -1,1 +1,1 @@
-"""Worlds made again from their logs: played, verified, exported."""
+"""Worlds made again from their logs: played, verified."""

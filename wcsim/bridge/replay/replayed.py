@@ -18,7 +18,7 @@ from typing import Final
 import numpy as np
 
 from wcsim.bridge.replay.player import LogPlayer, MakesEpoch
-from wcsim.bridge.sumo.run_place import RunPlace
+from wcsim.bridge.sumo.open_scenario import RunPlace
 from wcsim.bridge.world import World
 from wcsim.config import RunConfig, parse_json
 from wcsim.core.constants import RECORDED
@@ -33,14 +33,13 @@ from wcsim.towns.scenario.town import Town, content_hash, find_town, towns_hash
 from wcsim.towns.scene_folders.build import build_scene, scene_digest
 from wcsim.towns.scene_folders.families import FAMILIES, write_scene
 from wcsim.types import ClientSnapshot, Joystick, SeatSpec
-from wcsim.users.recorded import RecordedUser
-from wcsim.users.user import SimulatedUser
+from wcsim.users.recordings.recorded_user import find_user
 
 _NAME: Final = re.compile(r"([a-z-]{1,40}) (\d{1,18}) ([0-9a-f]{64})")
 _SCENE, _TOWN, _STICK = "scene", "town", "stick.csv"
 
 
-def made_scene(told: str) -> Path:
+def _made_scene(told: str) -> Path:
     """The folder of a generated scene and of its street, by what a drive's header says: family, seed, hash.
 
     Raises TownError when this wcsim knows no such scene, or generates another one of that seed.
@@ -104,22 +103,19 @@ def _drive_inputs(drive: DriveRecording) -> Iterator[Input]:
     """
     for record in drive.records:
         if isinstance(record, Admitted) and not record.spec.profile:
-            stick = made_scene(drive.about.scene) / _SCENE / _STICK
+            stick = _made_scene(drive.about.scene) / _SCENE / _STICK
             yield changed(record, spec=replace(record.spec, profile=f"{RECORDED}{stick}"))
         elif not isinstance(record, Note):
             yield record
 
 
 def _let_wait(world: World, drive: DriveRecording, tick: DriveTick) -> None:
-    """Before a tick who sits beside a person gets the patience of then."""
+    """Before a tick who sits beside a person gets the patience of then.
+
+    A person has all the time in the world; a simulated user who drives gives up as its profile says.
+    """
     if not drive.about.profile:
-        set_patience(world.seats[0].user, patient=tick.by_person)
-
-
-def set_patience(user: SimulatedUser | RecordedUser, *, patient: bool) -> None:
-    """A person has all the time in the world; a simulated user who drives gives up as its profile says."""
-    if isinstance(user, SimulatedUser):
-        user.patient = patient
+        world.seats[0].user.patient = tick.by_person
 
 
 def town_of_drive(header: Header) -> Town:
@@ -131,7 +127,7 @@ def town_of_drive(header: Header) -> Town:
     scene = "" if header.drive is None else header.drive.scene
     for place in ("",) if scene else (header.town_name, header.town):
         try:
-            town = find_town(str(made_scene(scene) / _TOWN) if scene else place)
+            town = find_town(str(_made_scene(scene) / _TOWN) if scene else place)
         except TownError as error:
             refused = refused or error
             continue
@@ -236,7 +232,9 @@ def worlds_of(header: Header, hook: str = "") -> MakesEpoch[World]:
     require_hook(header, hook)
     towns = _towns(header) if header.drive is None else (town_of_drive(header),)
     config, place = config_of(header), RunPlace(hook=hook)
-    return lambda specs, seed, epoch: World(towns[epoch % len(towns)], config, specs, seed, place, epoch=epoch)
+    return lambda specs, seed, epoch: World(
+        towns[epoch % len(towns)], config, specs, seed, place, epoch=epoch, find_user=find_user
+    )
 
 
 def require_hook(header: Header, hook: str) -> None:

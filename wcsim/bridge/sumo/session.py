@@ -20,10 +20,9 @@ from typing import Any
 import numpy as np
 
 from wcsim.bridge.sumo.actors import ActorReader, SignalReader
-from wcsim.bridge.sumo.open_scenario import open_scenario
-from wcsim.bridge.sumo.run_place import RunPlace
+from wcsim.bridge.sumo.open_scenario import RunPlace, open_scenario
 from wcsim.bridge.sumo.signal_control import SignalControl
-from wcsim.bridge.sumo.step_hook import HookChair, open_hook
+from wcsim.bridge.sumo.step_hook import HookChair, StepHook
 from wcsim.bridge.sumo.vehicle_control import VehicleControl
 from wcsim.config import RunConfig
 from wcsim.core import seeding
@@ -107,7 +106,7 @@ class SumoSession(Closing):
         self._reader = ActorReader(libsumo, (*options.origin_m, options.z_origin_m), options.settings.world.tick_s)
         self._guarded(lambda: libsumo.start(options.arguments()))
         try:
-            self._hook = open_hook(options.hook, libsumo)
+            self._hook = self._new_hook()
             self._signals = SignalReader(libsumo, options.origin_m)
             self._jumpers = libsumo.simulation.getOption("pedestrian.model") == JUMPING
         except BaseException:
@@ -158,7 +157,10 @@ class SumoSession(Closing):
         # `load` takes options alone, where `start` wants the program's name before them.
         self._guarded(lambda: libsumo.load(self._options.arguments()[1:]))
         # Another object: what a hook has learned is of the run that is over.
-        self._hook = open_hook(self._options.hook, libsumo)
+        self._hook = self._new_hook()
+
+    def _new_hook(self) -> StepHook | None:
+        return StepHook(self._options.hook, libsumo) if self._options.hook else None
 
     def time_s(self) -> float:
         """Simulated seconds since the scenario's beginning."""

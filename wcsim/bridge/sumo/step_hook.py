@@ -66,8 +66,3 @@ class StepHook:
         what = f"step hook {self.name!r} failed in {what}"
         with running_own(what, "correct it, or run without --hook", HookError):
             return call(*arguments)
-
-
-def open_hook(name: str, libsumo: ModuleType) -> StepHook | None:
-    """The hook of that name; None for an empty name."""
-    return StepHook(name, libsumo) if name else None

@@ -122,12 +122,12 @@ def tested(options: Options) -> tuple[dict[str, Town], tuple[str, ...]]:
     for name in profiles:
         if not name.startswith(RECORDED):
             continue
-        from wcsim.users.recorded import read_recording, require_driven_here
+        from wcsim.users.recordings.recorded_user import read_recording
 
         recording = read_recording(Path(name.removeprefix(RECORDED)))
         for town in towns.values():  # before the world of another town begins
             try:
-                require_driven_here(recording, town.name, partial(content_hash, town))
+                recording.require_driven_here(town.name, partial(content_hash, town))
             except ConfigError as error:
                 raise ConfigError(f"{error}{_words_for(recording.town, recording.town_sha256)}") from None
     return towns, profiles

@@ -158,7 +158,7 @@ def _convert(options: _ConvertOptions) -> int:
     Writes().check("FILE", out)
     path = _log_in(options.log, "trace" if kind == _FCD else "journal")
     read_header(path)
-    from wcsim.bridge.replay.convert import convert_to_fcd, convert_to_mcap
+    from wcsim.bridge.recording.convert import convert_to_fcd, convert_to_mcap
 
     found: dict[str, Any] = {"log": str(options.log), "file": str(out)}
     if kind == _MCAP:
@@ -182,7 +182,7 @@ def _show(ticks: int) -> None:
 
 def _note_versions(what: str, made_by: str) -> None:
     """Say it when equal results cannot be expected."""
-    from wcsim.bridge.recording.fingerprint import fingerprint
+    from wcsim.log.fingerprint import fingerprint
 
     here = fingerprint()
     if made_by != here:

@@ -33,7 +33,7 @@ from wcsim.users.profiles import UserProfile, find_profile, profile, profile_tex
 
 if TYPE_CHECKING:  # loads what --help must not
     from wcsim.log.drive import DriveRecording
-    from wcsim.users.fitting.fit_user import UserFit
+    from wcsim.users.recordings.fit_user import UserFit
 
 
 SMALL_CAMERA = ("cameras.0.width_px=16", "cameras.0.height_px=12")  # nobody looks at the pictures
@@ -120,7 +120,7 @@ def _fit(options: _FitOptions) -> int:
     from wcsim.log.drive import read_drive
 
     drives = [read_drive(path) for path in options.drives]
-    from wcsim.users.fitting.fit_user import fit_user, is_told  # its kernels load after what may be refused
+    from wcsim.users.recordings.fit_user import fit_user, is_told  # its kernels load after what may be refused
 
     known = all(drive.knows_intents for drive in drives) and not options.without_intents
     fit = fit_user(drives, base) if known else _reconstructed(drives, base)
@@ -147,8 +147,8 @@ def _reconstructed(drives: list[DriveRecording], base: UserProfile) -> UserFit:
     """The same for drives that do not say what was wanted: the last fit's delays make the next one's intents."""
     from wcsim.bridge.replay.replayed import town_of_drive
     from wcsim.bridge.user_drives import seen_drive, with_shadow
-    from wcsim.users.fitting.fit_user import fit_user
-    from wcsim.users.fitting.hand_series import check_stick
+    from wcsim.users.recordings.fit_user import fit_user
+    from wcsim.users.recordings.hand_series import check_stick
 
     for drive in drives:
         check_stick(drive.name, drive.by_driver)
@@ -173,7 +173,7 @@ def _notes(fit: UserFit) -> dict[str, str]:
 
 
 def _print(fit: UserFit) -> None:
-    from wcsim.users.fitting.fit_user import is_told
+    from wcsim.users.recordings.fit_user import is_told
 
     rows = (
         (name, *(f"{bound:.3g}" for bound in (item.value, item.low, item.high)),

@@ -182,7 +182,7 @@ def require_user(name: str) -> None:
     if not name.startswith(RECORDED):
         find_profile(name)
         return
-    from wcsim.users.recorded import find_user
+    from wcsim.users.recordings.recorded_user import find_user
 
     find_user(name)
 

@@ -158,11 +158,11 @@ CHUNK_M = 16.0  # a chunk much larger is mostly outside the view, one much small
 
 
 class GeometryStore:
-    """Immutable triangles of a street, regrouped into cells of `chunk_m`; its marks are drawn in colours alone."""
+    """Immutable triangles of a street, regrouped into cells of `CHUNK_M`; its marks are drawn in colours alone."""
 
-    def __init__(self, mesh: StreetMesh, chunk_m: float = CHUNK_M) -> None:
+    def __init__(self, mesh: StreetMesh) -> None:
         rgb, pattern, frame = _paint_street(mesh.vertices_W_m, mesh.faces, mesh.face_class)
-        order, chunk_faces = _by_cell(mesh, chunk_m)
+        order, chunk_faces = _by_cell(mesh)
         vertices, faces, chunk_vertices = _own_vertices(mesh, order, chunk_faces)
         self.arrays = StreetArrays(
             vertices=vertices,
@@ -216,10 +216,10 @@ def _end_to_end(starts: Sequence[I32]) -> I32:
     return np.concatenate([*shifted, before[-1:]]).astype(np.int32)
 
 
-def _by_cell(mesh: StreetMesh, chunk_m: float) -> tuple[npt.NDArray[np.int64], I32]:
+def _by_cell(mesh: StreetMesh) -> tuple[npt.NDArray[np.int64], I32]:
     """Order (F,) that sorts the faces by cell of their middle, and the start of each cell in it (C + 1,)."""
     middle = mesh.vertices_W_m[mesh.faces].mean(axis=1)[:, :2]
-    cell = np.floor(middle / chunk_m).astype(np.int64)
+    cell = np.floor(middle / CHUNK_M).astype(np.int64)
     cell -= cell.min(axis=0, initial=0)
     key = cell[:, 0] * (cell[:, 1].max(initial=0) + 1) + cell[:, 1]
     # Stable: in a cell faces keep the mesh's order, and of equal depths the first drawn stays.

@@ -64,11 +64,6 @@ def _usual_templates() -> dict[ActorKind, int]:
     return {kind: int(template_of(kind)) for kind in ActorKind}
 
 
-def instances_of(actors: Sequence[ActorState], chairs: Sequence[ChairPose] = ()) -> Instances:
-    """Models for the actors, in their order, and then for the chairs."""
-    return joined(actor_instances(actors), chair_instances(chairs))
-
-
 def actor_instances(actors: Sequence[ActorState]) -> Instances:
     """Models for the actors; a colour seed is drawn from the id, so that a car keeps its paint and a tram has one."""
     # A checksum and not `hash`, which differs from process to process.

@@ -28,15 +28,7 @@ from wcsim.physics.renderer.raster import RasterRenderer, brighten, warm_up
 from wcsim.physics.sensors.base import Surroundings
 from wcsim.physics.sensors.camera_geometry import camera_matrix, focal_px, mount, pinhole, pose_matrix
 from wcsim.physics.sensors.drawing_threads import DrawingThreads, Work, cores
-from wcsim.physics.sensors.pixel_noise import (
-    ClassNoise,
-    DepthNoise,
-    child,
-    disturb_classes,
-    disturb_colours,
-    disturb_depth,
-    quantiles,
-)
+from wcsim.physics.sensors.pixel_noise import ClassNoise, ColourNoise, DepthNoise, child
 from wcsim.types import F64, I32, U8, Bool, CameraFrame, SignalHead, StreetMesh
 
 _STATED_PX = 320 * 240
@@ -79,16 +71,16 @@ class _CameraNoise:
         noise = camera.noise or CameraNoiseConfig()
         self._depth = None if noise.depth is None else _depth_noise(camera, noise.depth, pinhole)
         self._classes = None if noise.classes is None else ClassNoise(**noise.classes.model_dump())
-        self._sigma = None if noise.rgb is None else _sigma_of(noise.rgb.snr_db)
+        self._colours = None if noise.rgb is None else ColourNoise(_sigma_of(noise.rgb.snr_db))
 
     def lay_over(self, images: Images, key: int) -> None:
         """Turn the true pictures into measured ones, in place; `key` (64 bits) says which."""
         if self._depth is not None:
-            disturb_depth(images.depth_m, np.uint64(child(key, DEPTH)), self._depth, quantiles())
+            self._depth.lay_over(images.depth_m, child(key, DEPTH))
         if self._classes is not None:
-            disturb_classes(images.class_id, np.uint64(child(key, CLASSES)), self._classes)
-        if self._sigma is not None and images.rgb is not None:
-            disturb_colours(images.rgb, np.uint64(child(key, RGB)), self._sigma, quantiles())
+            self._classes.lay_over(images.class_id, child(key, CLASSES))
+        if self._colours is not None and images.rgb is not None:
+            self._colours.lay_over(images.rgb, child(key, RGB))
 
 
 def _depth_noise(camera: CameraConfig, depth: DepthNoiseConfig, pinhole: Pinhole) -> DepthNoise:
@@ -319,7 +311,7 @@ class CameraRig(Closing):
         shots = []
         for (seat, index), shutter in due.items():
             scene = scenes[seat]
-            out = shutter.buffers[shutter.turn] if scene.buffers is None else scene.buffers.images[index]
+            out = shutter.buffers[shutter.turn] if scene.buffers is None else scene.buffers[index]
             shutter.turn = (shutter.turn + 1) % BUFFERS
             shots.append(
                 _Shot(
@@ -394,8 +386,8 @@ def _last(shutter: _Shutter, buffers: SeatBuffers | None, index: int) -> CameraF
     if frame is None:
         raise ValueError("a camera that took nothing has no last frame")
     # A repeated picture lies in other buffers: whoever reads these needs a copy in them.
-    if buffers is not None and not np.may_share_memory(buffers.images[index].depth_m, frame.depth_m):
-        frame = shutter.last = copied(frame, buffers.images[index])
+    if buffers is not None and not np.may_share_memory(buffers[index].depth_m, frame.depth_m):
+        frame = shutter.last = copied(frame, buffers[index])
     return frame
 
 

@@ -31,7 +31,7 @@ VOID_ID = np.uint8(0)
 
 
 class DepthNoise(NamedTuple):
-    """What `disturb_depth` needs to know of a stereo camera; lengths in metres, disparities in pixels."""
+    """What has to be known of a stereo camera to measure as it does; lengths in metres, disparities in pixels."""
 
     focal_px: float  # of the picture
     shift_px_m: float  # focal length times baseline of the picture: what a surface at 1 m shifts by between the imagers
@@ -46,15 +46,33 @@ class DepthNoise(NamedTuple):
     grazing_dropout: float
     patch_px: int
 
+    def lay_over(self, depth_m: F32, key: int) -> None:
+        """Measure a true depth picture (H, W), see `_disturb_depth`; `key` (64 bits) says which noise."""
+        _disturb_depth(depth_m, np.uint64(key), self, _quantiles())
+
 
 class ClassNoise(NamedTuple):
-    """What `disturb_classes` needs to know."""
+    """What has to be known of a network that names pixels."""
 
     border_px: int
     border_share: float
     grain_px: int
     dropout: float
     patch_px: int
+
+    def lay_over(self, class_id: U8, key: int) -> None:
+        """Name the pixels of a true picture (H, W), see `_disturb_classes`; `key` (64 bits) says which noise."""
+        _disturb_classes(class_id, np.uint64(key), self)
+
+
+class ColourNoise(NamedTuple):
+    """What has to be known of an imager: the standard deviation of a colour, in steps of 255."""
+
+    sigma: float
+
+    def lay_over(self, rgb: U8, key: int) -> None:
+        """Disturb the colours of a picture (H, W, 3), see `_disturb_colours`; `key` (64 bits) says which noise."""
+        _disturb_colours(rgb, np.uint64(key), self.sigma, _quantiles())
 
 
 def child(key: int, number: int) -> int:
@@ -71,11 +89,11 @@ def child(key: int, number: int) -> int:
 
 def normals(key: int, count: int) -> F64:
     """Standard normal numbers (count,) float64 of a key; none is beyond 4 standard deviations."""
-    return _normals(np.uint64(key), count, quantiles())
+    return _normals(np.uint64(key), count, _quantiles())
 
 
 @lru_cache(maxsize=1)
-def quantiles() -> F32:
+def _quantiles() -> F32:
     """Normal quantiles (CELLS + 1,) float32 at 0, 1/CELLS, ..., 1; the ends stand at TAIL."""
     normal = NormalDist()
     inner = [normal.inv_cdf(k / CELLS) for k in range(1, CELLS)]
@@ -115,7 +133,7 @@ def _least(a: np.float32, b: np.float32) -> np.float32:
 
 
 @kernel
-def disturb_depth(depth_m: F32, key: np.uint64, noise: DepthNoise, table: F32) -> None:
+def _disturb_depth(depth_m: F32, key: np.uint64, noise: DepthNoise, table: F32) -> None:
     """Measure a true depth picture (H, W) as a stereo camera does, in place; 0 is where nothing was measured.
 
     The picture is that of the left imager. A pixel is lost in the shadow of something nearer on its right, which hides
@@ -178,7 +196,7 @@ def disturb_depth(depth_m: F32, key: np.uint64, noise: DepthNoise, table: F32) -
 
 
 @kernel
-def disturb_classes(class_id: U8, key: np.uint64, noise: ClassNoise) -> None:
+def _disturb_classes(class_id: U8, key: np.uint64, noise: ClassNoise) -> None:
     """Name pixels (H, W) as a network does, in place: borders are frayed, and patches have no class.
 
     A square of `grain_px` takes, with probability `border_share`, the classes at most `border_px` away, which changes
@@ -211,7 +229,7 @@ def disturb_classes(class_id: U8, key: np.uint64, noise: ClassNoise) -> None:
 
 
 @kernel
-def disturb_colours(rgb: U8, key: np.uint64, sigma: float, table: F32) -> None:
+def _disturb_colours(rgb: U8, key: np.uint64, sigma: float, table: F32) -> None:
     """Add normal noise of `sigma` steps of 255 to each colour of a picture (H, W, 3), in place."""
     height, width, _ = rgb.shape
     scale = np.float32(sigma)

@@ -137,6 +137,28 @@ class Motion(NamedTuple):
     w_W_radps: Vec3
     joints: Sequence[tuple[Any, ...]]  # of each that moves, first its position and its velocity
 
+    def is_ghost(self, point: tuple[Any, ...], body: int, tyre: Tyre, bullet: Bullet) -> bool:
+        """Whether a contact point of PyBullet (3 link, 5 place on it, 7 normal) cannot have been on the wheel.
+
+        The point is where things were before the step, the link where it is now: the body's way in the step lies
+        between.
+        """
+        now, _ = bullet.getBasePositionAndOrientation(body)
+        state = bullet.getLinkState(body, point[3], computeForwardKinematics=1)
+        hub, place = state[0], point[5]
+        to_place = [place[k] + now[k] - self.p_W_m[k] - hub[k] for k in range(3)]
+        rotation = matrix(state[1])
+        return _off_tyre(rotate_back(rotation, *to_place), rotate_back(rotation, *point[7]), tyre)
+
+    def coast(self, body: int, joints: Sequence[int], dt_s: float, bullet: Bullet) -> None:
+        """Put the body where this motion carries it in a step, with the motion unchanged."""
+        vx, vy, vz = self.v_W_mps
+        p = added(self.p_W_m, (vx * dt_s, vy * dt_s, vz * dt_s))
+        bullet.resetBasePositionAndOrientation(body, p, turned(self.q_WB, self.w_W_radps, dt_s))
+        bullet.resetBaseVelocity(body, self.v_W_mps, self.w_W_radps)
+        for joint, (place, rate, *_) in zip(joints, self.joints, strict=True):
+            bullet.resetJointState(body, joint, place + rate * dt_s, rate)
+
 
 def _off_tyre(point_m: Vec3, normal: Vec3, tyre: Tyre) -> bool:
     """Whether something cannot touch a wheel at a point with a normal, both in the wheel's frame (y along the axle).
@@ -155,26 +177,3 @@ def _off_tyre(point_m: Vec3, normal: Vec3, tyre: Tyre) -> bool:
         return math.hypot(x, z) > tyre.radius_m + _SLACK_M
     reach = tyre.radius_m / radial
     return math.hypot(x + reach * normal[0], z + reach * normal[2]) > _SLACK_M
-
-
-def is_ghost(point: tuple[Any, ...], body: int, tyre: Tyre, before: Motion, bullet: Bullet) -> bool:
-    """Whether a contact point of PyBullet (3 link, 5 place on it, 7 normal) cannot have been on the wheel.
-
-    The point is where things were before the step, the link where it is now: the body's way in the step lies between.
-    """
-    now, _ = bullet.getBasePositionAndOrientation(body)
-    state = bullet.getLinkState(body, point[3], computeForwardKinematics=1)
-    hub, was, place = state[0], before.p_W_m, point[5]
-    to_place = [place[k] + now[k] - was[k] - hub[k] for k in range(3)]
-    rotation = matrix(state[1])
-    return _off_tyre(rotate_back(rotation, *to_place), rotate_back(rotation, *point[7]), tyre)
-
-
-def coast(body: int, joints: Sequence[int], before: Motion, dt_s: float, bullet: Bullet) -> None:
-    """Put a body where its motion before the step carries it, with that motion unchanged."""
-    vx, vy, vz = before.v_W_mps
-    p = added(before.p_W_m, (vx * dt_s, vy * dt_s, vz * dt_s))
-    bullet.resetBasePositionAndOrientation(body, p, turned(before.q_WB, before.w_W_radps, dt_s))
-    bullet.resetBaseVelocity(body, before.v_W_mps, before.w_W_radps)
-    for joint, (place, rate, *_) in zip(joints, before.joints, strict=True):
-        bullet.resetJointState(body, joint, place + rate * dt_s, rate)

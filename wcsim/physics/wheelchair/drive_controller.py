@@ -14,7 +14,7 @@ import numpy as np
 
 from wcsim.config import ChairConfig
 from wcsim.core.jit import exact_kernel
-from wcsim.core.joystick import STILL_MPS, follow_speed, limits_of, shaped, towards, wanted
+from wcsim.core.joystick import ACCEL, DECEL, STILL_MPS, YAW_ACCEL, follow_speed, limits_of, shaped, towards, wanted
 from wcsim.physics.wheelchair.plant import PlantSpec
 from wcsim.types import F64
 
@@ -32,7 +32,6 @@ IDLE_S, STICK_X, STICK_Y = 6, 7, 8
 _STATE_SIZE: Final = 9
 
 # settings; the first are the limits of `wcsim.core.joystick`
-_V_MAX, _REVERSE, _ACCEL, _DECEL, _JERK, _YAW_MAX, _YAW_ACCEL = range(7)
 _DT_S, _DEADBAND, _EXPONENT, _SMOOTHING, _BRAKE_AFTER = range(7, 12)
 _HALF_TRACK, _RADIUS = 12, 13
 _STALL, _NO_LOAD, _LEAST_SHARE, _BRAKE_TORQUE = 14, 15, 16, 17
@@ -122,10 +121,10 @@ def _control(state: F64, v_mps: float, setting: F64) -> None:
     if out >= 0.0:
         charge, rest = THROTTLE_MPS2, BRAKE_MPS2
         # Twice the limit: the reference's acceleration takes up to one of it, the error needs the other.
-        low, high = 0.0, 2.0 * setting[_ACCEL]
+        low, high = 0.0, 2.0 * setting[ACCEL]
     else:
         charge, rest = BRAKE_MPS2, THROTTLE_MPS2
-        low, high = -2.0 * setting[_DECEL], 0.0
+        low, high = -2.0 * setting[DECEL], 0.0
     # The controller that takes over begins without the memory of its last turn.
     state[rest] = 0.0
     out += state[charge]
@@ -181,7 +180,7 @@ def step(
     state[V_REF_MPS], state[A_REF_MPS2] = follow_speed(
         state[V_REF_MPS], state[A_REF_MPS2], v_wanted, setting, setting[_DT_S]
     )
-    state[W_REF_RADPS] = towards(state[W_REF_RADPS], w_wanted, setting[_YAW_ACCEL] * setting[_DT_S])
+    state[W_REF_RADPS] = towards(state[W_REF_RADPS], w_wanted, setting[YAW_ACCEL] * setting[_DT_S])
     state[IDLE_S] = state[IDLE_S] + setting[_DT_S] if idle else 0.0
     if idle and abs(state[V_REF_MPS]) < STILL_MPS and abs(state[W_REF_RADPS]) < _STILL_RADPS:
         # Nothing is left over for the next start: the controllers begin it from rest.

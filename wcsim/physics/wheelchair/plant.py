@@ -8,9 +8,9 @@ and its bounds.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import combinations
-from typing import Final, Protocol
+from typing import Final
 
 from wcsim.config import CameraConfig, ChairConfig
 from wcsim.config.plant import BeamPart, CasterPart, PlantFile, read_plant, with_values
@@ -20,31 +20,28 @@ from wcsim.physics.engine import GRAVITY_MPS2
 from wcsim.types import Outline
 
 
-class _BodyBox(Protocol):
-    """A box of the chair or its user, in B."""
-
-    @property
-    def centre_m(self) -> Vec3:
-        """Its middle."""
-
-    @property
-    def size_m(self) -> Vec3:
-        """Its edges."""
-
-
-def refuse_cameras_inside(cameras: Sequence[CameraConfig], boxes: Iterable[_BodyBox]) -> None:
+def refuse_cameras_inside(
+    cameras: Sequence[CameraConfig], spec: PlantSpec, shift_m: tuple[float, float] = (0.0, 0.0)
+) -> None:
     """Check that no camera sits inside the chair or its user.
+
+    Args:
+        cameras: In their places.
+        spec: The chair.
+        shift_m: By so much to so much each may be shifted along every axis: its place is held against boxes that are
+            larger by that, so that it is in one if the shifted one can be.
 
     Raises:
         ConfigError: One does; names the camera, its place and the box.
     """
-    solid = tuple(boxes)
+    middle_m, more_m = 0.5 * (shift_m[0] + shift_m[1]), shift_m[1] - shift_m[0]
     for camera in cameras:
-        for box in solid:
-            if all(abs(p - c) < 0.5 * s for p, c, s in zip(camera.p_BC_m, box.centre_m, box.size_m, strict=True)):
+        for box in spec.frame.boxes:
+            sides = [(c - middle_m, s + more_m) for c, s in zip(box.centre_m, box.size_m, strict=True)]
+            if all(abs(p - c) < 0.5 * s for p, (c, s) in zip(camera.p_BC_m, sides, strict=True)):
                 spans = ", ".join(
                     f"{axis} {c - 0.5 * s:.2f} to {c + 0.5 * s:.2f} m"
-                    for axis, c, s in zip("xyz", box.centre_m, box.size_m, strict=True)
+                    for axis, (c, s) in zip("xyz", sides, strict=True)
                 )
                 place = ", ".join(f"{p:g}" for p in camera.p_BC_m)
                 raise ConfigError(

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Final
 
 from wcsim.config.plant import ArmPart, BeamPart, CasterPart
-from wcsim.core.frames import rad
+from wcsim.core.frames import Vec3, rad
 from wcsim.errors import ConfigError, PhysicsError
 from wcsim.physics.bullet import Bullet, pybullet
 from wcsim.physics.engine import Engine
@@ -27,7 +27,6 @@ from wcsim.physics.wheelchair.plant import (
     disc_inertia_kgm2,
 )
 
-Vec3 = tuple[float, float, float]
 _ORIGIN: Final[Vec3] = (0.0, 0.0, 0.0)
 _SIDES: Final = (("l", 1.0), ("r", -1.0))
 # URDF demands limits of force and speed; springs and stops act long before these.

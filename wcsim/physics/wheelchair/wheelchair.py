@@ -18,7 +18,7 @@ import numpy as np
 
 from wcsim.config import ChairConfig, ImuConfig
 from wcsim.core.constants import KERB_STEP_M
-from wcsim.core.frames import Quat, Rotation, added, euler, matrix, quaternion, rotate, rotate_back, velocity_at
+from wcsim.core.frames import Quat, Rotation, Vec3, added, euler, matrix, quaternion, rotate, rotate_back, velocity_at
 from wcsim.core.jit import exact_kernel
 from wcsim.errors import PhysicsError
 from wcsim.physics.bullet import Bullet, pybullet
@@ -27,15 +27,7 @@ from wcsim.physics.sensors.base import BodyMotion, Mount, NoiseKeys
 from wcsim.physics.sensors.camera import CameraRig
 from wcsim.physics.sensors.registry import SensorSet
 from wcsim.physics.wheelchair import drive_controller
-from wcsim.physics.wheelchair.contacts import (
-    MOST_IN_A_ROW,
-    SUSPECT_N,
-    ContactLog,
-    ContactPoint,
-    Motion,
-    coast,
-    is_ghost,
-)
+from wcsim.physics.wheelchair.contacts import MOST_IN_A_ROW, SUSPECT_N, ContactLog, ContactPoint, Motion
 from wcsim.physics.wheelchair.plant import PlantSpec, plant_spec
 from wcsim.physics.wheelchair.plant_body import FRAME, ChairBody, check_springs, dressed, load_body, urdf
 from wcsim.types import F64, Bool, Contact, Ground, ImuFrame, Joystick, Outline, PlantState, chair_actor_id
@@ -147,7 +139,6 @@ def _after_edge(raised_m: F64) -> Bool:
     return after
 
 
-Vec3 = tuple[float, float, float]
 LEVEL_M: Final = 0.003  # ground that differs less under the wheels is level
 _PLACE_LIFT_M: Final = 0.001  # the street's collision margin
 _PARK_STEP_M: Final = 20.0
@@ -473,8 +464,8 @@ class Wheelchair:
         # With another touch in the step the push may be real; after three steps in a row it counts as real.
         if not suspects or self._coasted == MOST_IN_A_ROW or touches:
             self._coasted = 0
-        elif any(is_ghost(point, body.id, body.tyres[point[3]], self._before, bullet) for point in suspects):
-            coast(body.id, body.joints, self._before, self._engine.step_s, bullet)
+        elif any(self._before.is_ghost(point, body.id, body.tyres[point[3]], bullet) for point in suspects):
+            self._before.coast(body.id, body.joints, self._engine.step_s, bullet)
             self._coasted += 1
             self._ghosts += 1
         else:

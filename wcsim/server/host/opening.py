@@ -10,11 +10,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol
 
-from wcsim.bridge.recording.fingerprint import fingerprint
 from wcsim.bridge.replay.player import Seats, SeatWorld, Specs, W_co
 from wcsim.bridge.world import World
 from wcsim.core import seeding
 from wcsim.errors import ConfigError
+from wcsim.log.fingerprint import fingerprint
 from wcsim.log.reader import inputs_of_part, part_files, put_aside, read_header
 from wcsim.log.records import Ended, EpochBegun, Header
 from wcsim.log.writer import JOURNAL, LogWriter, told_torn
@@ -25,6 +25,7 @@ from wcsim.server.protocol.server_core import ServerCore
 from wcsim.server.specs import WorldOrder, WorldSpec, town_of_epoch
 from wcsim.towns.making.asked_town import asked_town
 from wcsim.towns.scenario.town import towns_hash
+from wcsim.users.recordings.recorded_user import find_user
 
 
 class MakesWorld(Protocol[W_co]):
@@ -42,7 +43,7 @@ def made_world(order: WorldOrder) -> World:
 def street_world(order: WorldOrder, specs: Specs, seed: int, *, epoch: int = 0) -> World:
     """The world of a town; see `MakesWorld`. Raises TownError for one that is not there, and what `World` raises."""
     town = asked_town(town_of_epoch(order.town, order.more_towns, epoch))
-    return World(town, order.config, specs, seed, order.place, epoch=epoch)
+    return World(town, order.config, specs, seed, order.place, epoch=epoch, find_user=find_user)
 
 
 def epoch_seed(seed: int, epoch: int) -> int:

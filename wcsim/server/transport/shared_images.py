@@ -70,8 +70,7 @@ class RingSink:
             raise ConfigError(f"cameras: {fault}; use fewer or smaller ones")
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         self._paths = tuple(folder / f"seat-{seat}" for seat in range(seats))
-        files = (_sets(_new_file(path, pictures), pictures) for path in self._paths)
-        self._buffers = tuple(tuple(SeatBuffers(images=images) for images in sets) for sets in files)
+        self._buffers = tuple(_sets(_new_file(path, pictures), pictures) for path in self._paths)
         self._slot = 0
 
     def turn(self, tick: int) -> None:

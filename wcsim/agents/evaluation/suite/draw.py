@@ -27,7 +27,7 @@ from wcsim.towns.walking.routes import Router
 from wcsim.types import F64, Outline, Route, Street, WayKind
 from wcsim.users.crossing import KERB_GAP_M, Crossing, crossings
 from wcsim.users.profiles import UserProfile
-from wcsim.users.recorded import find_user
+from wcsim.users.recordings.recorded_user import find_user
 
 BESIDE_M: Final = 1.0  # of road in one go beside the crossings: a kerb that runs aslant
 _STEP_M: Final = 0.25

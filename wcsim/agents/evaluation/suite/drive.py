@@ -24,7 +24,7 @@ from wcsim.agents.evaluation.suite.records import (
     EpisodeRecord,
 )
 from wcsim.agents.policy_api import VISIBLE_BOUND, Observation, Policy, SeesTruth, Warns
-from wcsim.bridge.sumo.run_place import RunPlace
+from wcsim.bridge.sumo.open_scenario import RunPlace
 from wcsim.bridge.world import World
 from wcsim.bridge.world_rollout import rollout
 from wcsim.config import RunConfig, resolve
@@ -39,6 +39,7 @@ from wcsim.towns.scenario.town import Town
 from wcsim.towns.scene_folders.build import build_scene, scene_config, scene_digest
 from wcsim.towns.scene_folders.families import write_scene
 from wcsim.types import ClientSnapshot, Joystick, SeatSpec, StartSpec
+from wcsim.users.recordings.recorded_user import find_user
 
 LATE_S: Final = 10.0  # of processor time: a policy that needs longer for an answer has failed
 STARVED: Final = 5.0  # so much longer by the wall clock, for a policy that waits or a machine that is busy
@@ -102,7 +103,7 @@ def drive_block(order: BlockOrder, make_policy: MakePolicy, watch: Watch | None 
     config = resolve(order.config, (*block.settings, "world.draw_threads=1"))
     policies = [make_policy() for _ in block.episodes]
     specs = tuple(seat_of(order, *each) for each in zip(block.episodes, policies, strict=True))
-    with World(order.town, config, specs, order.seed, RunPlace(hook=order.piece.hook)) as world:
+    with World(order.town, config, specs, order.seed, RunPlace(hook=order.piece.hook), find_user=find_user) as world:
         seats = [_Seat(order.piece, config, world, number, policy) for number, policy in enumerate(policies)]
         watched = seats
         if watch is not None:

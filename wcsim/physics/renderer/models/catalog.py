@@ -292,7 +292,7 @@ def template_of(kind: ActorKind, look: ActorLook = ActorLook.USUAL) -> Template:
 @cache
 def actor_templates() -> ModelArrays:
     """The table; it takes some tens of milliseconds to build, so it is built once a process and never changes."""
-    models = [(model, _bounds(model)) for model in (body_parts(template.name) for template in list(Template)[:-1])]
+    models = [(model, _bounds(model)) for model in (_body_parts(template.name) for template in list(Template)[:-1])]
     for build in FIGURES:
         postures = [_figure(ClassId.PERSON, build, _Posture(**row)) for row in _shapes()["gait"]]
         box = _bounds(postures[STANDING])  # a stride reaches beyond it: SUMO's length of a person is that of the trunk
@@ -305,14 +305,14 @@ def _shapes() -> dict[str, Any]:
     return tomllib.loads((Path(__file__).parent / "shapes.toml").read_text(encoding="utf-8"))
 
 
-def body_parts(model: str, class_name: str = "", body: str = "BODY") -> list[_BodyPart]:
+def _body_parts(model: str, class_name: str = "", body: str = "BODY") -> list[_BodyPart]:
     """The parts of a model of `shapes.toml`, if wanted of another class, and with another paint for its BODY."""
     class_name = class_name or _shapes()[model]["class"]
     found = []
     for row in _shapes()[model]["parts"]:
         part = dict(row)
         if "like" in part:
-            found += body_parts(part["like"], class_name, part["body"])
+            found += _body_parts(part["like"], class_name, part["body"])
         elif "person" in part:
             build = _HELMETED if part.pop("helmet", False) else _GROWN
             found += _figure(ClassId[part.pop("person")], build, _Posture(**part))

@@ -11,13 +11,7 @@ from tests.users.kinematics import Chair, Sim
 from wcsim.errors import ConfigError
 from wcsim.types import Joystick
 from wcsim.users.profiles import profile
-from wcsim.users.recorded import (
-    JoystickRecording,
-    RecordedUser,
-    find_user,
-    read_recording,
-    require_driven_here,
-)
+from wcsim.users.recordings.recorded_user import _JoystickRecording, _RecordedUser, find_user, read_recording
 
 HEAD = "time_s,x,y\n"
 
@@ -30,7 +24,7 @@ def recorded(text, folder):
 
 def replay(recording, ticks):
     """The joystick after each tick of 0.1 s."""
-    user = RecordedUser(recording, USUAL_OUTLINE)
+    user = _RecordedUser(recording, USUAL_OUTLINE)
     return [user.joystick, *(user.hand(24, 0.1 / 24) for _ in range(ticks))]
 
 
@@ -52,7 +46,7 @@ def test_what_is_written_is_replayed_tick_by_tick(tmp_path_factory, sticks):
 
 def test_it_arrives_when_the_chair_does_and_gives_up_once_at_the_end(tmp_path):
     rows = "".join(f"{0.1 * k:.1f},0,0.8\n" for k in range(101))
-    user = RecordedUser(recorded(HEAD + rows, tmp_path), USUAL_OUTLINE)
+    user = _RecordedUser(recorded(HEAD + rows, tmp_path), USUAL_OUTLINE)
     sim = Sim(user, straight_route(), Chair(x=0.3, y=5.5))
     sim.run(60.0)
     assert user.gave_up and not user.arrived
@@ -63,7 +57,7 @@ def test_it_arrives_when_the_chair_does_and_gives_up_once_at_the_end(tmp_path):
     for _ in range(5):
         sim.tick()
     assert not user.gave_up
-    near = RecordedUser(recorded(HEAD + rows, tmp_path), USUAL_OUTLINE)
+    near = _RecordedUser(recorded(HEAD + rows, tmp_path), USUAL_OUTLINE)
     assert Sim(near, straight_route(), Chair(x=75.0, y=5.5)).run(20.0) and near.arrived and not near.gave_up
 
 
@@ -102,7 +96,7 @@ def test_a_missing_file_is_named(tmp_path):
 def test_a_name_is_a_profile_or_a_recording(tmp_path):
     assert find_user("slow") == profile("slow")
     write_recording(tmp_path / "stick.csv", np.array([0.0, 0.1]), np.zeros((2, 2)))
-    assert isinstance(find_user(f"recorded:{tmp_path}/stick.csv"), JoystickRecording)
+    assert isinstance(find_user(f"recorded:{tmp_path}/stick.csv"), _JoystickRecording)
     with pytest.raises(ConfigError, match=r"unknown user profile 'drunk'.*competent.*recorded:FILE"):
         find_user("drunk")
 
@@ -115,7 +109,7 @@ def test_nothing_of_a_file_that_is_no_recording_is_told(tmp_path, text):
 
 
 def test_more_samples_than_anybody_records_are_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr("wcsim.users.recorded.MOST_SAMPLES", 3)
+    monkeypatch.setattr("wcsim.users.recordings.recorded_user.MOST_SAMPLES", 3)
     with pytest.raises(ConfigError, match=r"stick.csv:5: more than 3 samples"):
         recorded(HEAD + "".join(f"0.{k},0,0\n" for k in range(5)), tmp_path)
 
@@ -125,7 +119,7 @@ def test_a_drive_is_replayed_with_its_intents_episode_by_episode(tmp_path):
     path = write_drive(tmp_path / "a.drive", ticks)
     found = find_user(f"recorded:{path}")
     assert (found.town, len(found.episodes)) == ("nowhere", 2)
-    user = RecordedUser(found.episode(0), USUAL_OUTLINE)
+    user = found.user(0, USUAL_OUTLINE)
     seen = [(user.joystick.x, user.intent.x)]
     for _ in range(5):
         user.hand(2, 0.05)
@@ -133,7 +127,7 @@ def test_a_drive_is_replayed_with_its_intents_episode_by_episode(tmp_path):
     assert seen[:3] == [(0.0, 0.01), (0.001, 0.01), (0.002, 0.01)]
     assert seen[3] == (pytest.approx(0.003, abs=1e-7), 0.01)  # the last sample within a tick is a float32
     assert seen[4:] == [(0.0, 0.0)] * 2
-    user = RecordedUser(found.episode(3), USUAL_OUTLINE)
+    user = found.user(3, USUAL_OUTLINE)
     assert user.joystick.x == 0.003
     assert user.sticks.shape == (1, 2)
     user.hand(2, 0.05)
@@ -142,7 +136,7 @@ def test_a_drive_is_replayed_with_its_intents_episode_by_episode(tmp_path):
 
 def test_a_drive_without_intents_or_samples_has_its_stick_for_both(tmp_path):
     path = write_drive(tmp_path / "a.drive", [tick(k, intent=None, sticks=np.zeros((0, 2))) for k in (1, 2, 3)])
-    user = RecordedUser(find_user(f"recorded:{path}").episode(0), USUAL_OUTLINE)
+    user = find_user(f"recorded:{path}").user(0, USUAL_OUTLINE)
     sticks = [user.joystick, *(user.hand(4, 0.025) for _ in range(3))]
     assert [stick.x for stick in sticks] == [0.0, 0.001, 0.002, 0.002]
     assert user.intent == user.joystick
@@ -163,12 +157,12 @@ def test_a_drive_of_another_version_or_without_a_tick_is_refused(tmp_path, heade
 
 def test_a_drive_of_an_earlier_version_with_the_same_motion_is_replayed(tmp_path):
     path = write_drive(tmp_path / "a.drive", [tick(1), tick(2)], wcsim="0.1.0")
-    require_driven_here(find_user(f"recorded:{path}"), "nowhere", lambda: "ab" * 32)
+    find_user(f"recorded:{path}").require_driven_here("nowhere", lambda: "ab" * 32)
 
 
 def test_a_drive_of_another_town_is_refused_with_both_named(tmp_path):
     found = find_user(f"recorded:{write_drive(tmp_path / 'a.drive', [tick(1), tick(2)])}")
     with pytest.raises(ConfigError, match=r"was driven in nowhere \(abababababab\), this is monaco \(cdcdcdcdcdcd\)"):
-        require_driven_here(found, "monaco", lambda: "cd" * 32)
-    require_driven_here(found, "nowhere", lambda: "ab" * 32)
-    require_driven_here(recorded(HEAD + "0,0,0\n0.1,0,0\n", tmp_path), "monaco", lambda: 1 / 0)
+        found.require_driven_here("monaco", lambda: "cd" * 32)
+    found.require_driven_here("nowhere", lambda: "ab" * 32)
+    recorded(HEAD + "0,0,0\n0.1,0,0\n", tmp_path).require_driven_here("monaco", lambda: 1 / 0)

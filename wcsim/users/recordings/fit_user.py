@@ -22,8 +22,11 @@ from wcsim.core.reading import escaped
 from wcsim.errors import ConfigError
 from wcsim.log.drive import DriveRecording
 from wcsim.types import F64, Bool, Joystick
-from wcsim.users.fitting.hand_likelihood import BLOCK_S, HandLaw, fit_law
-from wcsim.users.fitting.hand_series import (
+from wcsim.users.hand import DRIVE_ABOVE, STEER_ABOVE, SwitchHand
+from wcsim.users.perception import LONGEST_AWAY, UNCUT_AWAY
+from wcsim.users.profiles import PAIRS, PROFILE_LIMITS, UserProfile
+from wcsim.users.recordings.hand_likelihood import BLOCK_S, LOGS, HandLaw, fit_law
+from wcsim.users.recordings.hand_series import (
     SHORTEST_S,
     HandSeries,
     at_switches,
@@ -32,9 +35,6 @@ from wcsim.users.fitting.hand_series import (
     hand_series,
     stretches,
 )
-from wcsim.users.hand import DRIVE_ABOVE, STEER_ABOVE, SwitchHand
-from wcsim.users.perception import LONGEST_AWAY, UNCUT_AWAY
-from wcsim.users.profiles import PROFILE_LIMITS, UserProfile
 
 _RESAMPLED = 400
 _USUAL_SPEED = 0.9  # quantile
@@ -55,8 +55,6 @@ _SHORT_S = 180.0  # a drive that says little
 _SD = 1.96  # of an interval of 95 %
 _FEWEST_BLOCKS = 6
 _LEAST_COUNTED = 0.1  # of the samples of a moving stick; users of the profiles have 0.25 and more
-_PAIRS = ("gain", "bias")
-_LOGS = ("lag_s", "noise", "noise_rate", "tremor")
 _MORE = {
     "gain_x": "drive more turns to both sides",
     "bias_x": "drive more turns to both sides",
@@ -328,7 +326,7 @@ def _of_hand(law: HandLaw) -> dict[str, _FittedNumber]:
     for name, sd in law.sd.items():
         value, half = law.values[name], _SD * sd
         low, high = value - half, value + half
-        if name in _LOGS:
+        if name in LOGS:
             low, high = value * math.exp(-half), value * math.exp(half)
         found[name] = _FittedNumber(value=value, low=low, high=high)
     if "tremor" not in found:
@@ -339,14 +337,14 @@ def _of_hand(law: HandLaw) -> dict[str, _FittedNumber]:
 def _numbers(found: dict[str, _FittedNumber], switched: bool) -> dict[str, Any]:
     """The numbers of a profile, within its bounds and rounded to what they tell."""
     plain = {
-        name: _bounded(name, estimate.value) for name, estimate in found.items() if name.partition("_")[0] not in _PAIRS
+        name: _bounded(name, estimate.value) for name, estimate in found.items() if name.partition("_")[0] not in PAIRS
     }
     if switched:
         return {**plain, "noise": 0.0, "tremor": 0.0, "gain": (1.0, 1.0), "bias": (0.0, 0.0)}
     if not _tells_hand(found):
         return plain
     pairs: dict[str, Any] = {
-        name: tuple(_bounded(name, found[f"{name}_{axis}"].value) for axis in "xy") for name in _PAIRS
+        name: tuple(_bounded(name, found[f"{name}_{axis}"].value) for axis in "xy") for name in PAIRS
     }
     return {"correct_every_s": 0.0, **plain, **pairs}
 

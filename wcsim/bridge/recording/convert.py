@@ -18,17 +18,15 @@ import numpy as np
 from wcsim.bridge.ego.randomization import moved
 from wcsim.bridge.recording.ros_bag import RosBag
 from wcsim.bridge.recording.ros_chairs import RosChair, drive_bag, trace_bag
-from wcsim.bridge.recording.states import chair_box_m, state_of
-from wcsim.bridge.replay.player import require_equal
 from wcsim.bridge.replay.replayed import replayed, require_hook
-from wcsim.bridge.town_run import as_recorded
+from wcsim.bridge.town_run import as_recorded, chair_box_m
 from wcsim.bridge.world import World
 from wcsim.core import frames
 from wcsim.core.reading import escaped
-from wcsim.errors import ConfigError, WcsimError
+from wcsim.errors import ConfigError, ReplayMismatchError, WcsimError
 from wcsim.log.drive import read_drive
 from wcsim.log.reader import read_header, read_states
-from wcsim.log.records import Header, Input, Ticked, WorldState, changed
+from wcsim.log.records import Header, Input, Ticked, WorldState, changed, state_of
 from wcsim.types import F64, ActorKind, ClientSnapshot, Drawn
 
 _CHAIR_TYPE = ActorKind.WHEELCHAIR.value
@@ -39,7 +37,7 @@ _HEAD = f"""<?xml version="1.0" encoding="UTF-8"?>
 """
 
 
-def write_fcd(trace: Path, out: Path, epoch: int = 0) -> int:
+def _write_fcd(trace: Path, out: Path, epoch: int = 0) -> int:
     """Write one epoch of a trace as an FCD file; returns the number of its time steps.
 
     Raises:
@@ -132,7 +130,7 @@ def convert_to_fcd(log: Path, out: Path, epoch: int = 0, hook: str = "") -> int:
     if header.kind == "drive":
         raise ConfigError(f"{escaped(log)}: is a drive, which holds no traffic; expected a trace or a journal")
     if header.kind == "trace":
-        return write_fcd(log, out, epoch)
+        return _write_fcd(log, out, epoch)
     with closing(replayed(log, epoch, None, hook)) as steps:
         world, _ = next(steps)
         written = _write_steps(_trace_header(header, world), _ticks(steps), out)
@@ -177,7 +175,7 @@ def _journal_bag(journal: Path, out: Path, epoch: int, hook: str) -> dict[str, i
 
     with closing(replayed(journal, epoch, None, hook, before)) as steps, RosBag(out) as bag:
         for world, record in steps:
-            require_equal(world, record)
+            _require_equal(world, record)
             if not isinstance(record, Ticked):
                 continue
             now, config = world.snapshot, world.config
@@ -202,7 +200,7 @@ def _journal_bag(journal: Path, out: Path, epoch: int, hook: str) -> dict[str, i
 
 def _ticks(steps: Iterable[tuple[World, Input]]) -> Iterator[WorldState]:
     for world, record in steps:
-        require_equal(world, record)
+        _require_equal(world, record)
         if isinstance(record, Ticked):
             yield state_of(world.snapshot, record.commands, as_recorded(world.snapshot, world.sumo.everyone()))
 
@@ -214,3 +212,12 @@ def _trace_header(header: Header, world: World) -> Header:
         origin_z_m=world.street.net_origin_m[2],
         chair_box_m=chair_box_m(world.config.chair),
     )
+
+
+def _require_equal(world: World, record: Input) -> None:
+    """Raise ReplayMismatchError when a tick gave another state than the log says."""
+    if isinstance(record, Ticked) and record.state_hash != world.snapshot.state_hash:
+        raise ReplayMismatchError(
+            f"epoch {record.epoch}, tick {record.tick}: got state {world.snapshot.state_hash}, expected "
+            f"{record.state_hash} as in the journal; use the versions and the kind of machine that it was made with"
+        )

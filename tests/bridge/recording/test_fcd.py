@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.support.worlds import quick_config
-from wcsim.bridge.replay.convert import write_fcd
+from wcsim.bridge.recording.convert import convert_to_fcd
 from wcsim.bridge.town_run import TRACE, RecordOrder, record_town
 from wcsim.config import ChairConfig
 from wcsim.errors import WcsimError
@@ -28,7 +28,7 @@ def run(corner, tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("run")
     order = RecordOrder(seconds=8.0, seed=3, chairs=1, folder=folder, outputs=("fcd",))
     record_town(find_town(str(corner)), quick_config(), order, lambda scenario: None)
-    write_fcd(folder / TRACE, folder / "replay.xml")
+    convert_to_fcd(folder / TRACE, folder / "replay.xml")
     return folder
 
 
@@ -69,7 +69,7 @@ def test_another_wheelchair_has_the_front_of_its_own_plant(corner, tmp_path):
     outline = plant_spec(ChairConfig(plant="mwd")).outline
     order = RecordOrder(seconds=0.2, seed=3, chairs=1, folder=tmp_path, outputs=())
     record_town(find_town(str(corner)), quick_config("chair.plant='mwd'"), order, lambda scenario: None)
-    write_fcd(tmp_path / TRACE, tmp_path / "replay.xml")
+    convert_to_fcd(tmp_path / TRACE, tmp_path / "replay.xml")
     header, records = read_states(tmp_path / TRACE)
     element = steps(tmp_path / "replay.xml")[0.0]["wheelchair.0"]
     front_m = np.array([float(element.get("x")), float(element.get("y"))])
@@ -99,7 +99,7 @@ def test_elements_and_attributes_are_those_of_sumos_schema(run):
 
 def test_what_cannot_be_replayed_is_refused(run, tmp_path):
     with pytest.raises(WcsimError, match=r"no tick of epoch 4; expected --epoch with one of: 0"):
-        write_fcd(run / TRACE, tmp_path / "x.xml", epoch=4)
+        convert_to_fcd(run / TRACE, tmp_path / "x.xml", epoch=4)
     old = WorldState(
         epoch=0,
         tick=1,
@@ -113,9 +113,9 @@ def test_what_cannot_be_replayed_is_refused(run, tmp_path):
         writer.append(old)
     assert read_states(tmp_path / "old")[1][0].bodies == ()
     with pytest.raises(WcsimError, match="older version"):
-        write_fcd(tmp_path / "old", tmp_path / "x.xml")
+        convert_to_fcd(tmp_path / "old", tmp_path / "x.xml")
     chair = changed(old, actor_ids=(), actors=np.zeros((0, 8)), plants=np.zeros((1, 15)), commands=np.zeros((1, 2)))
     with LogWriter(tmp_path / "c", Header(town="o", seed=1, tick_s=0.1, seats=1, fingerprint="f")) as writer:
         writer.append(chair)
     with pytest.raises(WcsimError, match="without the sizes of actors and chairs"):
-        write_fcd(tmp_path / "c", tmp_path / "x.xml")
+        convert_to_fcd(tmp_path / "c", tmp_path / "x.xml")

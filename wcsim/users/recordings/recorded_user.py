@@ -20,14 +20,13 @@ import numpy as np
 from wcsim.core.constants import RECORDED
 from wcsim.core.reading import FileKind, escaped, read_text
 from wcsim.errors import ConfigError, JournalError
-from wcsim.log.drive import moves_as_here, read_drive, wcsim_version
+from wcsim.log.drive import read_drive, wcsim_version
 from wcsim.log.reader import is_log
 from wcsim.log.records import DriveTick
-from wcsim.types import F64, Joystick, Outline, Route, UserView
+from wcsim.types import F64, Joystick, Outline, UserView
 from wcsim.users.hand import on_disc
 from wcsim.users.profiles import UserProfile, find_profile, profile_of_json
-from wcsim.users.route_line import Path
-from wcsim.users.user import ARRIVED_M
+from wcsim.users.user import ARRIVED_M, User
 
 COLUMNS = ("time_s", "x", "y")
 _LONGEST_GAP_S = 0.5
@@ -38,7 +37,7 @@ _SAME_TIME_S = 1e-6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class JoystickRecording:
+class _JoystickRecording:
     """A joystick over time; see `read_recording` and `_joystick_of_drive`."""
 
     name: str
@@ -47,7 +46,7 @@ class JoystickRecording:
     intents: F64 | None = None  # (n, 2) what was wanted from then on, where that is known
     town: str = ""  # that it was driven in, where that is known
     town_sha256: str = ""  # of that town's content
-    episodes: tuple[JoystickRecording, ...] = ()  # of a drive that has several, the first one among them
+    episodes: tuple[_JoystickRecording, ...] = ()  # of a drive that has several, the first one among them
 
     @property
     def end_s(self) -> float:
@@ -67,54 +66,36 @@ class JoystickRecording:
         index = int(np.searchsorted(self.time_s, time_s + _SAME_TIME_S, side="right")) - 1
         return Joystick(*self.intents[index].tolist()) if index >= 0 else None
 
-    def episode(self, number: int) -> JoystickRecording:
-        """The recording of an episode; after the last one the first comes again."""
-        return self.episodes[number % len(self.episodes)] if self.episodes else self
+    def user(self, episode: int, outline: Outline) -> _RecordedUser:
+        """Who replays an episode of it; after the last one the first comes again."""
+        return _RecordedUser(self.episodes[episode % len(self.episodes)] if self.episodes else self, outline)
+
+    def require_driven_here(self, town: str, town_sha256: Callable[[], str]) -> None:
+        """Refuse a drive of another town, or of this one when it was another. Raises ConfigError that names both."""
+        if self.town_sha256 and self.town_sha256 != (here := town_sha256()):
+            raise ConfigError(
+                f"{escaped(self.name)}: was driven in {escaped(self.town, 80)} ({self.town_sha256[:12]}), "
+                f"this is {town} ({here[:12]}); expected the same town: name it, or restore its files"
+            )
 
 
-class RecordedUser:
-    """Replays a recording in one episode, with the interface of `SimulatedUser`.
+class _RecordedUser(User):
+    """Replays a recording in one episode; it has no call for help, and ends when it ends, whoever drives.
 
     Where it is not known what the person wanted beyond what the hand did, the intent is the stick itself.
     """
 
-    def __init__(self, recording: JoystickRecording, outline: Outline) -> None:
-        self.arrived = False
-        self.gave_up = False
-        self.asks_help = False  # a recording has no call for help
+    def __init__(self, recording: _JoystickRecording, outline: Outline) -> None:
+        super().__init__(recording.at(np.zeros(1)))
         self._recording = recording
         self._middle_m = outline.middle_x_m
         self._time_s = 0.0
-        self._sticks = recording.at(np.zeros(1))
-        self._path: Path | None = None
-        self._arc_m = 0.0
         self._told = False
-
-    def follow(self, route: Route) -> None:
-        """Take a new destination: it says what arriving is, and moves nothing."""
-        self._path = Path(route)
-        self._arc_m = 0.0
-        self.arrived = self.gave_up = False
-
-    @property
-    def joystick(self) -> Joystick:
-        """The stick now, on the unit disc."""
-        return Joystick(*self._sticks[-1].tolist())
 
     @property
     def intent(self) -> Joystick:
         """What the recording says, else the stick itself."""
         return self._recording.intent_at(self._time_s) or self.joystick
-
-    @property
-    def sticks(self) -> F64:
-        """The stick (steps, 2) after each step of the last call of `hand`."""
-        return self._sticks
-
-    @property
-    def route_progress_m(self) -> float:
-        """How far along the present route the chair is."""
-        return self._arc_m
 
     def hand(self, steps: int, dt_s: float) -> Joystick:
         """Move on by a tick of `steps` physics steps; the stick afterwards."""
@@ -135,7 +116,7 @@ class RecordedUser:
             self._told = self.gave_up = True
 
 
-def find_user(name: str) -> UserProfile | JoystickRecording:
+def find_user(name: str) -> UserProfile | _JoystickRecording:
     """The profile called `name`, that of a file "FILE.toml" or of `profile_json`, or the recording of "recorded:FILE".
 
     Raises:
@@ -148,16 +129,7 @@ def find_user(name: str) -> UserProfile | JoystickRecording:
     return find_profile(name)
 
 
-def require_driven_here(recording: JoystickRecording, town: str, town_sha256: Callable[[], str]) -> None:
-    """Refuse a drive of another town, or of this one when it was another. Raises ConfigError that names both."""
-    if recording.town_sha256 and recording.town_sha256 != (here := town_sha256()):
-        raise ConfigError(
-            f"{escaped(recording.name)}: was driven in {escaped(recording.town, 80)} ({recording.town_sha256[:12]}), "
-            f"this is {town} ({here[:12]}); expected the same town: name it, or restore its files"
-        )
-
-
-def read_recording(path: FilePath) -> JoystickRecording:
+def read_recording(path: FilePath) -> _JoystickRecording:
     """Read and check a recorded joystick: a drive, or a table.
 
     Raises:
@@ -181,10 +153,10 @@ def read_recording(path: FilePath) -> JoystickRecording:
             f"{escaped(path)}: {len(table)} samples; expected at least two lines below {','.join(COLUMNS)}"
         )
     sticks = np.array([on_disc(x, y) for x, y in table[:, 1:].tolist()])
-    return JoystickRecording(name=str(path), time_s=table[:, 0], sticks=sticks)
+    return _JoystickRecording(name=str(path), time_s=table[:, 0], sticks=sticks)
 
 
-def _joystick_of_drive(path: FilePath) -> JoystickRecording:
+def _joystick_of_drive(path: FilePath) -> _JoystickRecording:
     """The joystick of a recorded drive, episode by episode.
 
     Raises:
@@ -196,7 +168,7 @@ def _joystick_of_drive(path: FilePath) -> JoystickRecording:
     except JournalError as error:
         raise ConfigError(str(error)) from None
     header = drive.header
-    if not moves_as_here(drive.about.wcsim):
+    if not drive.moves_as_here:
         raise ConfigError(
             f"{escaped(path)}: was driven with wcsim {escaped(drive.about.wcsim, 40)}, this is {wcsim_version()}; "
             "expected the same, as chairs and streets may differ: record it again"
@@ -207,7 +179,7 @@ def _joystick_of_drive(path: FilePath) -> JoystickRecording:
     return replace(episodes[0], town=header.town_name, town_sha256=header.town_sha256, episodes=episodes)
 
 
-def _joystick_of(ticks: Sequence[DriveTick], tick_s: float) -> JoystickRecording:
+def _joystick_of(ticks: Sequence[DriveTick], tick_s: float) -> _JoystickRecording:
     """One episode; at the ticks' borders the stick is exact, within them as it was sampled."""
     times, sticks, intents = [], [], []
     for number, tick in enumerate(ticks):
@@ -220,7 +192,7 @@ def _joystick_of(ticks: Sequence[DriveTick], tick_s: float) -> JoystickRecording
     sticks.append((last[0], last[1]))
     intents.append(ticks[-1].intent)
     known = [(wish.x, wish.y) for wish in intents if wish is not None]
-    return JoystickRecording(
+    return _JoystickRecording(
         name="",
         time_s=np.array(times),
         sticks=np.array([on_disc(x, y) for x, y in sticks]),

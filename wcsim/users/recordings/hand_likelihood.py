@@ -18,8 +18,8 @@ import numpy as np
 
 from wcsim.core.jit import exact_kernel
 from wcsim.types import F64, Bool
-from wcsim.users.fitting.hand_series import MOVES, HandSeries
 from wcsim.users.hand import TREMOR_WANDER, TREMOR_WANDER_S
+from wcsim.users.recordings.hand_series import MOVES, HandSeries
 
 # the noise of a hand (6,)
 STEP_S, NOISE, RATE, TREMOR, TURN_RAD, FADING = range(6)
@@ -215,7 +215,7 @@ _LEAST_TREMOR = 0.01  # of the stick's travel: less than this is none
 _LEAST_COUNTED = 0.05  # of the samples
 _KEPT = 12
 NAMES = ("reaction_s", "lag_s", "gain_x", "gain_y", "bias_x", "bias_y", "noise", "noise_rate", "tremor", "tremor_hz")
-_LOGS = frozenset({"lag_s", "noise", "noise_rate", "tremor"})  # whose logarithm is fitted
+LOGS = frozenset({"lag_s", "noise", "noise_rate", "tremor"})  # whose logarithm is fitted
 _STEPS = (0.01, 0.05, 0.02, 0.02, 0.01, 0.01, 0.05, 0.08, 0.05, 0.01)
 _LOW = (0.0, 5e-3, -5.0, -5.0, -2.0, -2.0, 1e-4, 0.05, 1e-4, 0.5)
 _HIGH = (2.0, 3.0, 5.0, 5.0, 2.0, 2.0, 2.0, 60.0, 2.0, 40.0)
@@ -334,11 +334,11 @@ def _noise(law: dict[str, float], apart_s: float) -> F64:
 
 
 def _fitted(name: str, value: float) -> float:
-    return math.log(value) if name in _LOGS else value
+    return math.log(value) if name in LOGS else value
 
 
 def _plain(name: str, value: float) -> float:
-    return math.exp(value) if name in _LOGS else float(value)
+    return math.exp(value) if name in LOGS else float(value)
 
 
 def _values(place: F64, filter_s: float) -> dict[str, float]:

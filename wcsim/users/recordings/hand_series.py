@@ -17,9 +17,7 @@ from wcsim.errors import ConfigError
 from wcsim.log.drive import DriveRecording
 from wcsim.log.records import DriveTick
 from wcsim.types import F64, Bool
-from wcsim.users.hand import SWITCH_POSITIONS
-
-STICK_FILTER_S = 0.02  # the joystick's electronics, which every stick has passed
+from wcsim.users.hand import STICK_FILTER_S, SWITCH_POSITIONS
 
 
 def correction_s(intents: F64, tick_s: float) -> float | None:

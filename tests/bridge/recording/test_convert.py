@@ -8,7 +8,7 @@ import pytest
 from tests.bridge.recording.test_ros import messages, stamp_ns
 from tests.support.journals import JournaledWorld
 from wcsim.bridge.ego.randomization import moved
-from wcsim.bridge.replay.convert import convert_to_mcap
+from wcsim.bridge.recording.convert import convert_to_mcap
 from wcsim.physics.sensors.camera_geometry import mount
 from wcsim.types import SeatSpec
 

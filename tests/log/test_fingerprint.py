@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from wcsim.bridge.recording import fingerprint as here
-from wcsim.bridge.recording.fingerprint import engines_fingerprint, fingerprint
+from wcsim.log import fingerprint as here
+from wcsim.log.fingerprint import engines_fingerprint, fingerprint
 
 
 @pytest.mark.parametrize("package", ["wcsim", "libsumo", "pybullet", "numpy", "numba", "shapely", "networkx"])

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from wcsim.users.fitting.hand_likelihood import _certainty, _surprises, _wish_on_its_way, least
+from wcsim.users.recordings.hand_likelihood import _certainty, _surprises, _wish_on_its_way, least
 
 STEP_S = 0.03
 

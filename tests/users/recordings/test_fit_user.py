@@ -8,15 +8,15 @@ from dataclasses import asdict, replace
 import numpy as np
 import pytest
 
-from tests.users.fitting.plane_drives import plane_drive, thinned
+from tests.users.recordings.plane_drives import plane_drive, thinned
 from wcsim.config import resolve
 from wcsim.core.seeding import generator
 from wcsim.errors import ConfigError
 from wcsim.log.records import changed
 from wcsim.types import Joystick
-from wcsim.users.fitting.fit_user import _by_switches, fit_user, is_told
-from wcsim.users.fitting.hand_series import hand_series
-from wcsim.users.profiles import profile, profile_names, profile_text, read_profile, sample
+from wcsim.users.profiles import _read_profile, profile, profile_names, profile_text, sample
+from wcsim.users.recordings.fit_user import _by_switches, fit_user, is_told
+from wcsim.users.recordings.hand_series import hand_series
 
 BASE = profile("competent")
 FLOORS = {"bias_x": 0.02, "bias_y": 0.05, "tremor": 0.01, "away_share": 0.06}  # where a drawn number may be zero
@@ -90,7 +90,7 @@ def test_switches_are_known_and_fitted(shaking):
 
 def test_the_file_of_a_fit_is_a_profile(fit, tmp_path):
     (tmp_path / "me.toml").write_text(profile_text(fit.profile, {}))
-    assert read_profile(tmp_path / "me.toml") == fit.profile
+    assert _read_profile(tmp_path / "me.toml") == fit.profile
     assert sample(fit.profile, generator(1, "user")) == fit.profile
 
 
