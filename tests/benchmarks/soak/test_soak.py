@@ -28,9 +28,8 @@ from benchmarks.soak.soak import (
 )
 from benchmarks.soak.stub_client import StubSight
 from tests.support.worlds import quick_config
-from wcsim.server.launch.states import ClientState, LaunchOutcome, LaunchState
+from wcsim.server.launch.states import ClientState, LaunchOutcome, LaunchState, WorldStatus
 from wcsim.server.ledger import Audit
-from wcsim.server.specs import WorldStatus
 
 
 def sights(*entries: tuple[float, int, int]) -> list[StubSight]:

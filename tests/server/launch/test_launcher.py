@@ -19,7 +19,7 @@ from wcsim.server.launch.launcher import Launcher
 from wcsim.server.launch.states import ClientPlan, LaunchRules, RestartRules
 from wcsim.server.launch.supervised import MOST_LEFT_ALONE
 from wcsim.server.protocol.events import Rules
-from wcsim.server.specs import WorldSpec
+from wcsim.server.specs import WorldSpec, world_plan
 from wcsim.server.transport.world_folder import endpoint_in, workplace
 
 STUB = (sys.executable, "-I", "-S", str(Path(__file__).parent / "launch_stubs.py"))
@@ -68,13 +68,13 @@ def launcher(
             seat=seat,
             argv=(*STUB, "client", str(folder / name), *words.split()),
             log=folder / "logs" / f"{name}.log",
-            folder=folder / name,
             order=b"{}" if orders else b"",
             order_file=place / f"{name}.json" if orders else None,
         )
         for seat, (name, words) in enumerate(clients.items())
     ]
-    return Launcher(order, plans, folder, place, rules, show, world_argv=world_argv)
+    plan = world_plan(order, place, folder / "logs" / "world.log", world_argv)
+    return Launcher(plan, plans, folder, rules, show)
 
 
 def counted(folder, event):

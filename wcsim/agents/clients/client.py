@@ -40,8 +40,8 @@ from wcsim.errors import (
     VersionMismatchError,
     WcsimError,
 )
-from wcsim.server.launch.states import ClientExit
-from wcsim.server.specs import ClientSpec, ClientStatus, rss_mb, to_line
+from wcsim.server.launch.states import ClientExit, ClientStatus
+from wcsim.server.specs import ClientSpec, rss_mb, to_line
 from wcsim.supervisor.rewards import find_reward_term
 
 STATUS_EVERY_S = 0.5  # shortest time between two status lines

@@ -339,7 +339,6 @@ def client_plan(run: GroupRun, folder: ClientsFolder, place: Path, client: Clien
         seat=client.seat,
         argv=(*CLIENT_ARGV, str(file)),
         log=folder.log(client.name),
-        folder=out,
         resume=run.resume,
         order=to_line(order),
         order_file=file,

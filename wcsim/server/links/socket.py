@@ -15,8 +15,7 @@ import logging
 import math
 import os
 import secrets
-import subprocess
-import sys
+import selectors
 import threading
 import time
 import weakref
@@ -30,12 +29,14 @@ import zmq
 from zmq.utils.monitor import recv_monitor_message
 
 from wcsim.errors import AccessError, ConfigError, LinkClosedError, LinkTimeoutError, ProtocolError
+from wcsim.server.launch.states import WorldStatus
+from wcsim.server.launch.supervised import Child
 from wcsim.server.ledger import open_ledger
 from wcsim.server.links.base import SeatGroup, WorldLink, new_session
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.client_core import Ask, ClientCore, ClientPhase, FrameSeen, Patience
 from wcsim.server.protocol.events import Rules
-from wcsim.server.specs import SeatRequest, WorldOrder, WorldSpec, WorldStatus, of_line, to_line
+from wcsim.server.specs import WORLD_ARGV, SeatRequest, WorldOrder, WorldSpec, of_line, to_line
 from wcsim.server.transport.keys import client_keys, is_ipv6, server_public
 from wcsim.server.transport.shared_images import RingView
 from wcsim.server.transport.sockets import monitored, notice_cuts
@@ -240,8 +241,7 @@ class _WorldChild:
         remove_stale()
         place = OwnFolder()
         self.endpoint = endpoint_in(place.path)
-        self._pipe, theirs = os.pipe()
-        os.set_blocking(self._pipe, False)
+        self._selector = selectors.DefaultSelector()
         own = {item.name: getattr(order, item.name) for item in fields(order)}
         server = WorldSpec(
             **{**own, "run": order.run and str(Path(order.run).absolute())},
@@ -249,15 +249,16 @@ class _WorldChild:
             endpoint=self.endpoint,
             ring=str(place.path / "ring"),
             journal=False,
-            status_fd=theirs,
             quiet=True,
         )
         path = place.path / "order.json"
-        path.write_bytes(to_line(server))
-        command = [sys.executable, "-m", "wcsim.server.host.process", str(path)]
-        self.process = subprocess.Popen(command, stdin=subprocess.DEVNULL, pass_fds=(theirs,))
-        os.close(theirs)
-        self.close = weakref.finalize(self, _end, self.process, self._pipe, place)
+
+        def command(status_fd: int) -> tuple[str, ...]:
+            path.write_bytes(to_line(replace(server, status_fd=status_fd)))
+            return (*WORLD_ARGV, str(path))
+
+        self.process = Child(command, self._selector)
+        self.close = weakref.finalize(self, _end, self.process, self._selector, place)
         try:
             self._await_world()
         except BaseException:
@@ -272,24 +273,16 @@ class _WorldChild:
 
     def _await_world(self) -> None:
         deadline_s = time.monotonic() + _OPEN_TIMEOUT_S
-        rest = b""
         while time.monotonic() < deadline_s:
+            self._selector.select(_POLL_MS / 1000.0)
             ended = self.process.poll() is not None
-            *lines, rest = (rest + self._heard()).split(b"\n")
-            if any(_ready(line) for line in lines):
+            if any(_ready(line) for line in self.process.lines()):
                 return
             if ended:
                 self.require_alive()
-            time.sleep(0.01)
         raise LinkTimeoutError(
             f"the world process has not loaded its world after {_OPEN_TIMEOUT_S:g} s; is the machine busy?"
         )
-
-    def _heard(self) -> bytes:
-        try:
-            return os.read(self._pipe, 1 << 16)
-        except BlockingIOError:
-            return b""
 
 
 class ChildSeat(SocketSeat):
@@ -352,12 +345,7 @@ def _ready(line: bytes) -> bool:
         raise m.error_of(msgspec.json.decode(line, type=m.Failure)) from None
 
 
-def _end(process: subprocess.Popen[bytes], pipe: int, place: OwnFolder) -> None:
-    process.terminate()
-    try:
-        process.wait(_END_TIMEOUT_S)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        process.wait()
-    os.close(pipe)
+def _end(process: Child, selector: selectors.BaseSelector, place: OwnFolder) -> None:
+    process.close(_END_TIMEOUT_S)
+    selector.close()
     place.close()
