@@ -316,8 +316,26 @@ def test_a_second_signal_ends_everything_at_once(tmp_path):
     assert gone(pids, 0.0)
 
 
-def test_nothing_outlives_a_launcher_that_is_killed(tmp_path):
+def test_world_and_clients_go_on_while_their_launcher_stands_still(tmp_path):
     child, pids = begun(tmp_path)
+    child.send_signal(signal.SIGSTOP)
+    wanted = 100 + json.loads((tmp_path / "pids").read_text())["steps"][0]
+    deadline = time.monotonic() + 120.0
+    while int((tmp_path / "a" / "step").read_text() or 0) < wanted:
+        assert time.monotonic() < deadline, "the client stands still, too"
+        time.sleep(0.02)
+    child.send_signal(signal.SIGTERM)
+    child.send_signal(signal.SIGCONT)
+    out, _ = child.communicate(timeout=120)
+    assert out.split() == ["0", "True", "stopped"]
+    assert gone(pids, 0.0) and counted(tmp_path, "death") == []
+
+
+@pytest.mark.parametrize("stands", [False, True])
+def test_nothing_outlives_a_launcher_that_is_killed(tmp_path, stands):
+    child, pids = begun(tmp_path)
+    if stands:
+        child.send_signal(signal.SIGSTOP)
     child.kill()
     child.communicate(timeout=120)
     assert gone(pids, 60.0)

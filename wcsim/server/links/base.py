@@ -23,7 +23,7 @@ from wcsim.server.protocol.client_core import ClientCore, Failed, FrameSeen, Out
 from wcsim.types import ClientSnapshot, Joystick
 
 INTERRUPTED = "the previous step was interrupted or has not finished; call reset() first"
-LEAVING_S = 10.0  # who is to end gives up a world that is silent for so long; one that lives speaks every second
+LEAVING_S = 10.0  # who need not wait gives up a world that is silent for so long; one that lives speaks every second
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -104,7 +104,7 @@ class Seat(Closing):
         """Show that a long computation goes on, by a counter that rises; see `Rules.lease_s`. Nothing once closed."""
 
     def wait_less(self) -> None:
-        """From now on a world that is silent for `LEAVING_S` is gone; for a client that is asked to end.
+        """From now on a world that is silent for `LEAVING_S` is gone: nobody starts it again, or the client is to end.
 
         May be called by a signal's handler.
         """

@@ -40,7 +40,7 @@ from wcsim.server.specs import WORLD_ARGV, SeatRequest, WorldOrder, WorldSpec, o
 from wcsim.server.transport.keys import client_keys, is_ipv6, server_public
 from wcsim.server.transport.shared_images import RingView
 from wcsim.server.transport.sockets import monitored, notice_cuts
-from wcsim.server.transport.world_folder import OwnFolder, endpoint_in, remove_stale
+from wcsim.server.transport.world_folder import OwnFolder, endpoint_in, is_abandoned, remove_stale
 from wcsim.types import ClientSnapshot, SeatSpec
 
 log = logging.getLogger("wcsim.server.links.socket")
@@ -167,6 +167,10 @@ class SocketSeat(WorldLink):
                 self._cut_s = self._now_s() if self._cut_s is None else self._cut_s
             elif self.core.phase is ClientPhase.JOINING and not self._order.endpoint.startswith("ipc://"):
                 raise AccessError(_refusal(self._order.endpoint, self._order.keys, event["event"], event["value"]))
+        endpoint = self._order.endpoint
+        is_local = endpoint.startswith("ipc://")
+        if self._cut_s is not None and is_local and is_abandoned(Path(endpoint.removeprefix("ipc://")).parent):
+            self.wait_less()  # who started that world is gone, too: nobody starts it again
         if self._welcome is not None and self._cut_s is not None and self._now_s() - self._cut_s > _CUT_S:
             self._cut_s = math.inf
             log.warning("wcsim: the connection to %s was lost; trying to join again", self._order.endpoint)
