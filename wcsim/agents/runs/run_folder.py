@@ -43,6 +43,7 @@ from wcsim.config.plant import plant_text
 from wcsim.config.run_file import ManifestFile
 from wcsim.core import files
 from wcsim.core.constants import RECORDED
+from wcsim.core.processes import run_command
 from wcsim.core.reading import FileKind, escaped, is_file, is_folder
 from wcsim.core.reading import read_json as read_bounded_json
 from wcsim.errors import ConfigError, PolicyError, TownError, meant
@@ -261,14 +262,10 @@ def _git_revision() -> str:
     """The revision of the checkout that wcsim runs from, with a + when it was changed; "" outside of one."""
     here = Path(__file__).resolve().parent
     try:
-        done = subprocess.run(
-            ["git", "-C", str(here), "describe", "--always", "--dirty=+", "--abbrev=40", "--exclude=*"],
-            capture_output=True,
-            text=True,
-            timeout=10,
-            check=False,
+        done = run_command(
+            ["git", "-C", str(here), "describe", "--always", "--dirty=+", "--abbrev=40", "--exclude=*"], 10.0
         )
-    except (OSError, subprocess.TimeoutExpired):
+    except (OSError, subprocess.TimeoutExpired):  # also a disk that has no room for its answer
         return ""
     return done.stdout.strip() if done.returncode == 0 else ""
 

@@ -32,12 +32,12 @@ from wcsim.cli.shared.run_config import how_it_learns, how_to_test
 from wcsim.cli.training.train import ToldOptions
 from wcsim.config import RunConfig, resolve
 from wcsim.core.files import locked
+from wcsim.core.processes import StopSignals
 from wcsim.errors import ConfigError, DiskFullError, InterruptedRunError, JournalError, PolicyError, WcsimError
 from wcsim.log.reader import iter_inputs, log_digest, part_files
 from wcsim.log.writer import JOURNAL, LogWriter, told_torn
 from wcsim.server.launch.launcher import Launcher
 from wcsim.server.launch.states import ClientState, LaunchOutcome, LaunchRules, LaunchState, RestartRules
-from wcsim.server.launch.stop_signals import StopSignals
 from wcsim.server.ledger import Audit, audits, iter_ledger
 from wcsim.server.protocol.limits import require_files
 from wcsim.server.specs import world_plan

@@ -13,10 +13,10 @@ from contextlib import nullcontext
 from enum import Enum
 from pathlib import Path
 
+from wcsim.core.processes import StopSignals
 from wcsim.server.launch.awake_clock import AwakeClock
 from wcsim.server.launch.event_log import RunLog
 from wcsim.server.launch.states import ClientPlan, ClientState, LaunchOutcome, LaunchRules, LaunchState, WorldPlan
-from wcsim.server.launch.stop_signals import StopSignals
 from wcsim.server.launch.supervised import SupervisedClient, SupervisedWorld
 
 LOOK_S = 0.1

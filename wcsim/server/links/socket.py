@@ -222,7 +222,7 @@ _END_TIMEOUT_S = 5.0
 _NEVER_S = 1e12
 
 
-def private_rules(capacity: int, expected: int) -> Rules:
+def _private_rules(capacity: int, expected: int) -> Rules:
     """Of a world whose clients are all of one process: nobody can hang or die alone."""
     return Rules(
         capacity=capacity,
@@ -249,7 +249,7 @@ class _WorldChild:
         own = {item.name: getattr(order, item.name) for item in fields(order)}
         server = WorldSpec(
             **{**own, "run": order.run and str(Path(order.run).absolute())},
-            rules=private_rules(order.seats, order.seats),
+            rules=_private_rules(order.seats, order.seats),
             endpoint=self.endpoint,
             ring=str(place.path / "ring"),
             journal=False,
@@ -289,7 +289,7 @@ class _WorldChild:
         )
 
 
-class ChildSeat(SocketSeat):
+class _ChildSeat(SocketSeat):
     """A seat of a world process that belongs to this one; notices when that has ended."""
 
     def __init__(self, child: _WorldChild, spec: SeatSpec, seat: int) -> None:
@@ -338,7 +338,7 @@ class ProcessGroup(SeatGroup):
     def _connect(self, seed: int) -> None:
         order = self._order
         self._child = _WorldChild(replace(order, seed=seed))
-        self.links = [ChildSeat(self._child, order.seat, seat) for seat in range(order.seats)]
+        self.links = [_ChildSeat(self._child, order.seat, seat) for seat in range(order.seats)]
 
 
 def _ready(line: bytes) -> bool:
