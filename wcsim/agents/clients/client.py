@@ -14,21 +14,24 @@ import shutil
 import signal
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from itertools import count
 from pathlib import Path
 from typing import Any, Final, ParamSpec, TypeVar
 
-from wcsim.agents.clients.group_run import has_work
+from wcsim.agents.clients.group_run import RECONNECT_S, has_work
 from wcsim.agents.envs.wheelchair_env import WheelchairEnv
 from wcsim.agents.learning.build import network_settings
 from wcsim.agents.learning.callbacks import SeqCallback, TrainProgress
 from wcsim.agents.learning.train import train
 from wcsim.agents.networks.registry import find_network
 from wcsim.agents.runs.run_folder import MANIFEST, ResolvedRun
-from wcsim.config import LearnConfig, resolve
+from wcsim.config import LearnConfig, RunConfig, parse_json, resolve
+from wcsim.config.plant import known_plants
+from wcsim.core.reading import escaped
 from wcsim.errors import (
     AccessError,
+    ConfigError,
     ConfigMismatchError,
     DiskFullError,
     EvictedError,
@@ -36,16 +39,21 @@ from wcsim.errors import (
     LinkError,
     PicturesError,
     PolicyError,
+    ServerGoneError,
     StaleSessionError,
     VersionMismatchError,
     WcsimError,
 )
 from wcsim.server.launch.states import ClientExit, ClientStatus
+from wcsim.server.links.socket import SocketSeat
+from wcsim.server.protocol import messages as m
+from wcsim.server.protocol.client_core import Patience
 from wcsim.server.specs import ClientSpec, rss_mb, to_line
 from wcsim.supervisor.rewards import find_reward_term
 
 STATUS_EVERY_S = 0.5  # shortest time between two status lines
 _LASTING = (AccessError, ConfigMismatchError, PicturesError, VersionMismatchError)  # it would end so again
+_WORLD_PARTS = ("world", "chair", "cameras", "imu", "sensors", "reward", "vary")  # of a configuration
 SETTLED_STEPS: Final = 200  # of a life, after which its memory is what it begins with
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
@@ -195,7 +203,12 @@ def learn(
         if has_work(out):
             raise PolicyError(f"{out} holds data but no {MANIFEST}; restore that file, or move the folder away")
         shutil.rmtree(out)
-    env = WheelchairEnv(order.info.town, config=config, reward_terms=terms, join=order.join)
+    order, seat = replace(order, config=config), None
+    if not order.info.town:  # in a world that somebody else looks after
+        seat = SocketSeat(order.join)
+        order = fitted(order, seat, again=resume)
+    config = order.config
+    env = WheelchairEnv(order.info.town, config=config, reward_terms=terms, join=seat or order.join)
     shares = _TimeShares()
     growth = _ProcessGrowth(config.learn)
     pipe = _StatusPipe(order.join.name, status_fd, env, shares, growth)
@@ -213,6 +226,39 @@ def learn(
         raise
     finally:
         env.close()
+
+
+def fitted(order: ClientSpec, seat: SocketSeat, again: bool = False) -> ClientSpec:
+    """The order of a client that takes a world as it finds it; it has its seat there when this returns.
+
+    Raises:
+        ConfigError: There is no such world, unless it was there before and comes back, or it cannot be used.
+        LinkError: It was there before, or refuses this client.
+    """
+    endpoint, patience = order.join.endpoint, order.join.patience
+    try:
+        seat.join()
+    except ServerGoneError:
+        if again:
+            raise
+        raise ConfigError(
+            f"{endpoint}: no answer within {patience.reconnect_s:g} s; is `wcsim serve` running there? "
+            "(--wait S waits longer)"
+        ) from None
+    seat.core.patience = Patience(reconnect_s=RECONNECT_S)  # from now on the server may be silent for longer
+    config = resolve(order.config, _of_world(seat.welcome, endpoint))
+    return replace(order, config=config, info=replace(order.info, town=seat.welcome.town))
+
+
+def _of_world(world: m.Welcome, endpoint: str) -> dict[str, Any]:
+    """What the world sets of a configuration. Raises ConfigError rather than open a file that a server names."""
+    offered = parse_json(RunConfig, world.config_json, f"the configuration of {endpoint}")
+    if not endpoint.startswith("ipc://") and offered.chair.plant not in known_plants():
+        raise ConfigError(
+            f"the world of {endpoint} drives a wheelchair of a file ({escaped(offered.chair.plant, 80)!r}); expected "
+            f"{' or '.join(known_plants())} over the network: join on the world's own machine"
+        )
+    return {**{part: getattr(offered, part) for part in _WORLD_PARTS}, "env": {"actions": offered.env.actions}}
 
 
 def exit_code(error: WcsimError) -> ClientExit:
