@@ -32,7 +32,7 @@ from wcsim.errors import (
     WorldFullError,
 )
 from wcsim.server.links import base
-from wcsim.server.links.base import Seat, WorldLink
+from wcsim.server.links.base import Seat, WorldLink, open_group
 from wcsim.server.links.local import LocalGroup
 from wcsim.server.links.socket import ProcessGroup, SocketSeat
 from wcsim.server.protocol import messages as m
@@ -398,3 +398,12 @@ def test_a_client_that_was_stopped_has_not_waited_for_its_world(monkeypatch):
         link._pump()
     with pytest.raises(ServerGoneError, match="silent for 90 s"):
         link.receive()
+
+
+def test_the_second_world_gets_a_process_of_its_own(corner):
+    first = open_group(order(corner))
+    second = open_group(order(corner))
+    assert isinstance(first, LocalGroup)
+    assert isinstance(second, ProcessGroup)
+    with alone(first) as here, alone(second) as there:
+        assert ledger(there, 10) == ledger(here, 10)

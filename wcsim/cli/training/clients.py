@@ -159,7 +159,7 @@ def print_crossings(run: Path) -> None:
 
 
 LEASE_S = 120.0
-ALL_DONE = LaunchOutcome(code=0, message="", stopped=False, clients=(), elapsed_s=0.0)
+ALL_DONE = LaunchOutcome(code=0, message="", stopped=False, clients=())
 
 
 @dataclass(kw_only=True)

@@ -80,8 +80,7 @@ class Launcher:
 
     def run(self) -> LaunchOutcome:
         """Start everything, and return when nothing of it runs any more."""
-        begun_s = time.monotonic()
-        clock = AwakeClock(begun_s)  # a launcher that was stopped has not waited for anybody
+        clock = AwakeClock(time.monotonic())  # a launcher that was stopped has not waited for anybody
         try:
             with nullcontext() if self._given is not None else self._heard:
                 for process in self._all:
@@ -97,14 +96,7 @@ class Launcher:
             for process in reversed(self._all):
                 process.close()
             self._selector.close()
-        return LaunchOutcome(
-            code=self._code,
-            message=self._message,
-            stopped=self._stopped,
-            clients=self._states(),
-            elapsed_s=time.monotonic() - begun_s,
-            by_signal=self._stopped and self._heard.count > 0,
-        )
+        return LaunchOutcome(code=self._code, message=self._message, stopped=self._stopped, clients=self._states())
 
     def stop(self) -> None:
         """Ask for an orderly end, as SIGTERM does."""

@@ -12,6 +12,8 @@ from enum import IntEnum
 from pathlib import Path
 from typing import Literal
 
+_MOST_DOUBLINGS = 64  # beyond any wait, and still a number
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Held:
@@ -67,6 +69,18 @@ class RestartRules:
     first_s: float = 0.5  # before the first restart; twice as long before each further one without progress
     longest_s: float = 30.0
     deaths: int = 5  # without progress; then it is given up
+
+    def wait_s(self, in_vain: int) -> float | None:
+        """Seconds until a process is started again that has died so often without progress; None: of no use any more.
+
+        >>> [RestartRules().wait_s(deaths) for deaths in (1, 2, 3, 4, 5)]
+        [0.5, 1.0, 2.0, 4.0, None]
+        >>> RestartRules(deaths=10_000).wait_s(2_000)
+        30.0
+        """
+        if in_vain >= self.deaths:
+            return None
+        return min(self.first_s * 2.0 ** min(in_vain - 1, _MOST_DOUBLINGS), self.longest_s)
 
 
 WAIT_NO_MORE = signal.SIGUSR1
@@ -182,5 +196,3 @@ class LaunchOutcome:
     message: str
     stopped: bool
     clients: tuple[ClientState, ...]
-    elapsed_s: float
-    by_signal: bool = False  # it was stopped by a signal, not by `Launcher.stop`

@@ -5,17 +5,16 @@ A child as its launcher holds it has its output in a log file, status lines in a
 
 from __future__ import annotations
 
-import contextlib
 import os
 import re
 import selectors
 import signal
 import subprocess
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
+from contextlib import nullcontext, suppress
 from pathlib import Path
-from typing import IO, Generic, TypeVar
+from typing import Generic, TypeVar
 
 import msgspec
 
@@ -37,7 +36,6 @@ from wcsim.server.launch.states import (
 
 _READ_BYTES = 1 << 16
 _MOST_BYTES = 1 << 20  # of a line that does not end
-_MOST_DOUBLINGS = 64  # beyond any wait, and still a number
 
 
 class Child(subprocess.Popen[bytes]):
@@ -58,12 +56,15 @@ class Child(subprocess.Popen[bytes]):
 
         Raises OSError when there is no such program.
         """
-        self._log, self._log_begin = log, 0
+        self._log = log
         self._selector = selector
         self._pipe, theirs = os.pipe()
         os.set_blocking(self._pipe, False)
         try:
-            with self._appended() as out:
+            if log is not None:
+                log.parent.mkdir(parents=True, exist_ok=True)
+            with nullcontext() if log is None else log.open("ab") as out:
+                self._log_begin = 0 if out is None else out.tell()
                 super().__init__(
                     argv_of(theirs),
                     stdin=subprocess.DEVNULL,
@@ -100,7 +101,7 @@ class Child(subprocess.Popen[bytes]):
         """Kill it if it still runs, and let go of its pipe; where there is a grace, it is asked to end before."""
         if grace_s > 0.0:
             self.terminate()
-            with contextlib.suppress(subprocess.TimeoutExpired):
+            with suppress(subprocess.TimeoutExpired):
                 self.wait(grace_s)
         self.kill()
         self._selector.unregister(self._end_fd)
@@ -117,17 +118,6 @@ class Child(subprocess.Popen[bytes]):
             lines = file.read().decode(errors="replace").splitlines()
         told = [line for line in lines if line.startswith("wcsim: ")] or [line for line in lines if line.strip()]
         return told[-1].removeprefix("wcsim: ") if told else ""
-
-    @contextmanager
-    def _appended(self) -> Iterator[IO[bytes] | None]:
-        """The end of the log, while open."""
-        if self._log is None:
-            yield None
-            return
-        self._log.parent.mkdir(parents=True, exist_ok=True)
-        with self._log.open("ab") as out:
-            self._log_begin = out.tell()
-            yield out
 
     def _stop_reading(self) -> None:
         if self._reads:
@@ -166,33 +156,6 @@ def _write_order(path: Path, line: bytes) -> None:
 Status = TypeVar("Status", ClientStatus, WorldStatus)
 
 
-class _Restarts:
-    """Counts the deaths of one process.
-
-    >>> restarts = _Restarts(RestartRules())
-    >>> [restarts.died(progressed=False) for _ in range(5)]
-    [0.5, 1.0, 2.0, 4.0, None]
-    >>> restarts.died(progressed=True)
-    0.5
-    >>> patient = _Restarts(RestartRules(deaths=10_000))
-    >>> [patient.died(progressed=False) for _ in range(2_000)][-1]
-    30.0
-    """
-
-    def __init__(self, rules: RestartRules) -> None:
-        self.rules = rules
-        self.deaths = 0  # in all
-        self.in_vain = 0  # without progress, in a row
-
-    def died(self, progressed: bool) -> float | None:
-        """The process has died: seconds until it is to be started again, None when that is of no use any more."""
-        self.deaths += 1
-        self.in_vain = 1 if progressed else self.in_vain + 1
-        if self.in_vain >= self.rules.deaths:
-            return None
-        return min(self.rules.first_s * 2.0 ** min(self.in_vain - 1, _MOST_DOUBLINGS), self.rules.longest_s)
-
-
 class _Supervised(ABC, Generic[Status]):
     """One process, restarted while that is of use; what its status and its end mean is said by a world or a client."""
 
@@ -209,7 +172,8 @@ class _Supervised(ABC, Generic[Status]):
         self._name, self._log_file, self._log = name, log_file, log
         self._says: type[Status] = says
         self._selector = selector
-        self._restarts = _Restarts(rules)
+        self._restart = rules
+        self._deaths = self._in_vain = 0  # in all, and without progress in a row
         self._child: Child | None = None
         self.standing: Standing = "down"
         self.status: Status | None = None  # the last one
@@ -331,7 +295,9 @@ class _Supervised(ABC, Generic[Status]):
 
     def _start_later(self, now_s: float, progressed: bool) -> bool:
         """Have it started again after a while; False when that is of no use any more."""
-        wait_s = self._restarts.died(progressed=progressed)
+        self._deaths += 1
+        self._in_vain = 1 if progressed else self._in_vain + 1
+        wait_s = self._restart.wait_s(self._in_vain)
         if wait_s is None:
             return False
         self.standing, self._due_s = "down", now_s + wait_s
@@ -440,7 +406,7 @@ class SupervisedClient(_Supervised[ClientStatus]):
         self._crash = self.reason if self._step > 0 else ""
         if not self._start_later(now_s, progressed):
             self.standing = "given up"
-            self._log.add("given up", who=self.plan.name, deaths=self._restarts.deaths)
+            self._log.add("given up", who=self.plan.name, deaths=self._deaths)
 
     def _watch(self, child: Child, now_s: float) -> None:
         """End a client that the world gives no seat to, or took it from, and that does not notice by itself."""
@@ -540,8 +506,9 @@ class SupervisedWorld(_Supervised[WorldStatus]):
         progressed = tick != self._death_tick and ticks >= A_START
         self._death_tick = tick
         if not self._start_later(now_s, progressed):
-            deaths = self._restarts.in_vain
-            self._give_up(f"the world died {deaths} times at tick {tick} ({reason}); see {self._log_file}", False)
+            self._give_up(
+                f"the world died {self._in_vain} times at tick {tick} ({reason}); see {self._log_file}", False
+            )
 
     def _give_up(self, fault: str, refused: bool) -> None:
         self.standing, self.fault, self.refused = "given up", fault, refused

@@ -20,6 +20,7 @@ from wcsim.log.writer import LogWriter
 from wcsim.server.launch.awake_clock import AwakeClock
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.client_core import ClientCore, Failed, FrameSeen, Outcome, Say, Welcomed
+from wcsim.server.specs import WorldOrder
 from wcsim.types import ClientSnapshot, Joystick
 
 INTERRUPTED = "the previous step was interrupted or has not finished; call reset() first"
@@ -332,3 +333,21 @@ class WorldLink(Seat):
 def new_session() -> bytes:
     """A name for a connection that nobody can guess."""
     return secrets.token_bytes(m.SESSION_BYTES)
+
+
+def open_group(order: WorldOrder) -> SeatGroup:
+    """All seats of a new world; two worlds of one order behave the same to the bit, whichever process they are in.
+
+    It is in this process while no world lives here, else in one of its own. One caller in one thread drives all seats:
+    first `send` on every link, then `receive` on every link. Seats are given away all at once, in seat order.
+    """
+    # Only who asks for a world loads the simulators: a client that joins a world elsewhere never does.
+    from wcsim.bridge.sumo.session import world_in_this_process
+
+    if not world_in_this_process():
+        from wcsim.server.links.local import LocalGroup
+
+        return LocalGroup(order)
+    from wcsim.server.links.socket import ProcessGroup  # ZeroMQ is loaded only when a second world is asked for
+
+    return ProcessGroup(order)

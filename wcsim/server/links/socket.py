@@ -49,6 +49,15 @@ _POLL_MS = 200
 _CUT_S = 12.0  # a world that is replaced as planned is mostly there again by then
 _BYE_S = 1.0
 QUEUE = 64
+_OPTIONS = {
+    zmq.LINGER: 0,
+    zmq.MAXMSGSIZE: m.MAX_REPLY_BYTES,
+    zmq.SNDHWM: QUEUE,
+    zmq.RCVHWM: QUEUE,
+    zmq.RCVTIMEO: _POLL_MS,
+    zmq.RECONNECT_IVL: 50,
+    zmq.RECONNECT_IVL_MAX: 1000,
+}
 _REFUSED = zmq.EVENT_HANDSHAKE_FAILED_AUTH | zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL | zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL
 _MADE, _LOST = zmq.EVENT_HANDSHAKE_SUCCEEDED, zmq.EVENT_DISCONNECTED
 
@@ -195,13 +204,8 @@ def _refusal(endpoint: str, keys: str, event: int, code: int) -> str:
 
 def _connected(context: zmq.Context[zmq.Socket[bytes]], order: SeatRequest) -> zmq.Socket[bytes]:
     socket = context.socket(zmq.DEALER)
-    socket.setsockopt(zmq.LINGER, 0)
-    socket.setsockopt(zmq.MAXMSGSIZE, m.MAX_REPLY_BYTES)
-    socket.setsockopt(zmq.SNDHWM, QUEUE)
-    socket.setsockopt(zmq.RCVHWM, QUEUE)
-    socket.setsockopt(zmq.RCVTIMEO, _POLL_MS)
-    socket.setsockopt(zmq.RECONNECT_IVL, 50)
-    socket.setsockopt(zmq.RECONNECT_IVL_MAX, 1000)
+    for option, value in _OPTIONS.items():
+        socket.setsockopt(option, value)
     socket.setsockopt(zmq.IPV6, is_ipv6(order.endpoint))
     notice_cuts(socket)
     if order.keys:
