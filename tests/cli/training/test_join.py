@@ -14,7 +14,7 @@ from wcsim.agents.clients.client import fitted
 from wcsim.agents.clients.group_run import RECONNECT_S
 from wcsim.cli.training import join
 from wcsim.config import RunConfig
-from wcsim.errors import ConfigError, ServerGoneError
+from wcsim.errors import ConfigError, PolicyError, ServerGoneError
 from wcsim.server.links.socket import SocketSeat
 from wcsim.server.protocol.client_core import Patience
 from wcsim.server.specs import ClientSpec, RunInfo, SeatRequest
@@ -89,3 +89,11 @@ def test_a_world_that_was_never_there_is_refused_and_one_that_was_is_tried_again
     order = ClientSpec(join=request, config=RunConfig(), out="", info=RunInfo(seed=0))
     with SocketSeat(request) as seat, pytest.raises(ServerGoneError):
         fitted(order, seat, again=True)
+
+
+@pytest.mark.parametrize("more", [(), ("--resume",)])
+def test_a_folder_of_something_else_is_refused_before_a_life_could_remove_it(tmp_path, more):
+    (tmp_path / "thesis.txt").touch()
+    with pytest.raises(PolicyError, match=str(tmp_path)):
+        join.run([f"ipc://{tmp_path}/nobody", "--network", "patch", "--out", str(tmp_path), "--supervise", *more])
+    assert (tmp_path / "thesis.txt").exists()

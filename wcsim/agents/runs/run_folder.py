@@ -145,6 +145,13 @@ def how_to_resume(path: Path) -> str:
     return shlex.join(["wcsim", "resume", str(path)])
 
 
+def require_new(path: Path) -> None:
+    """Raise PolicyError when a folder exists and is not empty."""
+    if path.exists() and (not path.is_dir() or any(path.iterdir())):
+        told = f"choose another --out, or continue that run: {how_to_resume(path)}"
+        raise PolicyError(f"{path} exists and is not empty; {told}")
+
+
 def create_run(path: Path, config: RunConfig, manifest: Manifest) -> RunFolder:
     """Make a new run folder.
 
@@ -152,9 +159,7 @@ def create_run(path: Path, config: RunConfig, manifest: Manifest) -> RunFolder:
         PolicyError: The folder exists and is not empty.
         ConfigError: The user's own plant file cannot be read.
     """
-    if path.exists() and (not path.is_dir() or any(path.iterdir())):
-        told = f"choose another --out, or continue that run: {how_to_resume(path)}"
-        raise PolicyError(f"{path} exists and is not empty; {told}")
+    require_new(path)
     plant = plant_text(config.chair.plant)
     (path / _CHECKPOINTS).mkdir(parents=True)
     (path / _POLICIES).mkdir()

@@ -13,7 +13,7 @@ from tyro.conf import Positional, arg
 
 from wcsim.agents.clients.group_run import CLIENT_ARGV
 from wcsim.agents.networks.names import check_network, client_name
-from wcsim.agents.runs.run_folder import MANIFEST, ResolvedRun, open_run
+from wcsim.agents.runs.run_folder import MANIFEST, ResolvedRun, open_run, require_new
 from wcsim.cli.shared.common import Bounds, Flag, OutFolder, check_folder, parse
 from wcsim.cli.shared.exit_codes import Exit, NothingKept
 from wcsim.cli.shared.run_config import how_it_learns, how_to_test, require_user
@@ -118,13 +118,16 @@ def _supervised(order: ClientSpec, resume: bool) -> None:
         InterruptedRunError: The user stopped it.
         NothingKept: ... before anything was learned.
         ConfigError: Something that was asked for cannot be used.
-        PolicyError: There is no run to go on with.
+        PolicyError: There is no run to go on with, or the folder of a new one is not empty.
         ServerGoneError: It has died, or lost its world, too often.
     """
     out, name = Path(order.out), order.join.name
     beside = out.with_name(f"{out.name}.supervised")
+    # A later life removes a folder without a run and begins again: never one of somebody else.
     if resume:
-        open_run(out)  # a later life may begin again in a folder without a run: never in one of somebody else
+        open_run(out)
+    else:
+        require_new(out)
     with workplace() as place, gone_if_nothing_came_of_it(out), LiveTable() as table:
         file = place / f"{name}.json"
         plan = ClientPlan(

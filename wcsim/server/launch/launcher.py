@@ -96,7 +96,13 @@ class Launcher:
             for process in reversed(self._all):
                 process.close()
             self._selector.close()
-        return LaunchOutcome(code=self._code, message=self._message, stopped=self._stopped, clients=self._states())
+        return LaunchOutcome(
+            code=self._code,
+            message=self._message,
+            stopped=self._stopped,
+            clients=self._states(),
+            by_signal=self._stopped and self._heard.count > 0,
+        )
 
     def stop(self) -> None:
         """Ask for an orderly end, as SIGTERM does."""

@@ -196,3 +196,4 @@ class LaunchOutcome:
     message: str
     stopped: bool
     clients: tuple[ClientState, ...]
+    by_signal: bool = False  # it was stopped by a signal, not by `Launcher.stop`
