@@ -126,14 +126,14 @@ class Child(subprocess.Popen[bytes]):
             os.close(self._pipe)
 
 
-def _how_it_ended(code: int) -> str:
-    """An exit code in words.
+def _how_it_ended(code: int, words: str = "") -> str:
+    """An exit code in words, with the last words of the process where it ended by itself.
 
-    >>> _how_it_ended(-9), _how_it_ended(3)
-    ('was killed by SIGKILL', 'ended with code 3')
+    >>> _how_it_ended(-9, "no more"), _how_it_ended(3), _how_it_ended(3, "no more")
+    ('was killed by SIGKILL', 'ended with code 3', 'ended with code 3: no more')
     """
     if code >= 0:
-        return f"ended with code {code}"
+        return f"ended with code {code}{f': {words}' if words and code else ''}"
     try:
         return f"was killed by {signal.Signals(-code).name}"
     except ValueError:
@@ -282,10 +282,15 @@ class _Supervised(ABC, Generic[Status]):
 
     def _died(self, code: int, words: str, now_s: float, **told: int) -> str:
         """Take note of a death; returns it in words."""
-        reason = f"{_how_it_ended(code)}{f': {words}' if words and code > 0 else ''}"
+        reason = _how_it_ended(code, words)
         self._died_s = now_s if self._died_s is None else self._died_s
         self._log.add("death", who=self._name, code=code, reason=reason, **told)
         return reason
+
+    def _settle(self, standing: Standing, event: str, **told: str | int) -> None:
+        """It is not there and will not come back."""
+        self.standing = standing
+        self._log.add(event, who=self._name, **told)
 
     def _replace(self, words: str, now_s: float, **told: int) -> None:
         """Its life ended as planned: no death, and no reason to wait for the next one."""
@@ -376,23 +381,21 @@ class SupervisedClient(_Supervised[ClientStatus]):
 
     def _ended(self, code: int, words: str, now_s: float) -> None:
         if code == ClientExit.DONE:
-            self.standing = "done"
-            self._log.add("done", who=self.plan.name, step=self._step)
+            self._settle("done", "done", step=self._step)
         elif self._ending:
-            self.standing = "stopped"
             if code not in _SAVED and self._step > 0:
-                self.unsaved = f"{_how_it_ended(code)}{f': {words}' if words and code > 0 else ''}"
-            self._log.add("stopped", who=self.plan.name, code=code, step=self._step)
+                self.unsaved = _how_it_ended(code, words)
+            self._settle("stopped", "stopped", code=code, step=self._step)
         elif code == ClientExit.GROWN:
             self._crash = ""
             self._replace(words, now_s, step=self._step)
         elif code == ClientExit.USER_ERROR:
-            self.standing, self.reason = "given up", words
+            self.reason = words
             self.fault = words or f"client {self.plan.name} {_how_it_ended(code)}; see {self.plan.log}"
-            self._log.add("refused", who=self.plan.name, reason=words)
+            self._settle("given up", "refused", reason=words)
         elif code == ClientExit.DISK_FULL:
-            self.standing, self.reason = "given up", f"has no disk space to save: {words}"
-            self._log.add("given up", who=self.plan.name, reason=self.reason)
+            self.reason = f"has no disk space to save: {words}"
+            self._settle("given up", "given up", reason=self.reason)
         else:
             self._crashed(code, words, now_s)
 
@@ -405,8 +408,7 @@ class SupervisedClient(_Supervised[ClientStatus]):
         self.reason = self._died(code, words, now_s, step=self._step)
         self._crash = self.reason if self._step > 0 else ""
         if not self._start_later(now_s, progressed):
-            self.standing = "given up"
-            self._log.add("given up", who=self.plan.name, deaths=self._deaths)
+            self._settle("given up", "given up", deaths=self._deaths)
 
     def _watch(self, child: Child, now_s: float) -> None:
         """End a client that the world gives no seat to, or took it from, and that does not notice by itself."""
@@ -487,8 +489,7 @@ class SupervisedWorld(_Supervised[WorldStatus]):
     def _ended(self, code: int, words: str, now_s: float) -> None:
         words = _ERROR_NAME.sub("", words)
         if self._ending:
-            self.standing = "stopped"
-            self._log.add("end", who=WORLD, code=code)
+            self._settle("stopped", "end", code=code)
             return
         if code == WorldExit.EPOCH_OVER:
             self._death_tick = -1
@@ -511,5 +512,5 @@ class SupervisedWorld(_Supervised[WorldStatus]):
             )
 
     def _give_up(self, fault: str, refused: bool) -> None:
-        self.standing, self.fault, self.refused = "given up", fault, refused
-        self._log.add("given up", who=WORLD, reason=fault)
+        self.fault, self.refused = fault, refused
+        self._settle("given up", "given up", reason=fault)
