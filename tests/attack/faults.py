@@ -21,7 +21,7 @@ from tests.attack.files.damage import flipped, pick
 from wcsim.agents.clients.group_run import open_clients_folder
 from wcsim.agents.clients.paid_times import PaidTimes
 from wcsim.cli.shared.exit_codes import Exit
-from wcsim.cli.training.clients import TickRate, report_of
+from wcsim.cli.training.clients import _report_of, _TickRate
 from wcsim.errors import WcsimError
 from wcsim.log.reader import iter_inputs
 from wcsim.log.records import Ticked
@@ -115,7 +115,7 @@ def audited(run: Path) -> str:
     if not (run / "manifest.json").is_file():
         return f"{run} is gone"
     try:
-        report = report_of(open_clients_folder(run), 0, TickRate(), PaidTimes(clients={}, waited_s={}))
+        report = _report_of(open_clients_folder(run), 0, _TickRate(), PaidTimes(clients={}, waited_s={}))
     except WcsimError as error:
         return str(error)
     bad = [client for client in report["clients"] if client["missing"] or client["duplicated"]]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -57,6 +58,7 @@ def test_a_command_that_is_late_or_whose_watcher_fails_is_killed(tmp_path):
 
     def fails(child):
         pids.append(child.pid)
+        child.send_signal(signal.SIGSTOP)
         raise KeyError
 
     with pytest.raises(KeyError):

@@ -11,7 +11,7 @@ from tests.drive.lookers import HearsDelays, Noted
 from tests.support.worlds import quick_config
 from wcsim.drive import starting
 from wcsim.drive.driven import DriverKind, EventKind
-from wcsim.drive.runner import notice_of
+from wcsim.drive.runner import _notice_of
 from wcsim.drive.session import DriveSession, Wish
 from wcsim.drive.starting import DriveStart, checked
 from wcsim.errors import ConfigError, PolicyError, TownError
@@ -157,7 +157,7 @@ def test_a_crash_with_no_free_place_before_it_begins_elsewhere_and_says_so(
         assert session.time_s < 15.0
     monkeypatch.setattr(session.world, "start_facing", lambda *_: None)
     said: list[tuple[str, str] | None] = []
-    session.add_observer(lambda record: said.append(notice_of(record)))
+    session.add_observer(lambda record: said.append(_notice_of(record)))
     session.tick(Wish())
     assert [told for _, told in filter(None, said)] == ["No place before the crash is free. You start somewhere else."]
 
@@ -252,7 +252,7 @@ def test_an_episode_of_a_suite_begins_where_the_list_says() -> None:
 
 def test_help_raises_the_assistance_for_ten_seconds_and_says_so(session: DriveSession, noted: Noted) -> None:
     said: list[tuple[str, str] | None] = []
-    session.add_observer(lambda record: said.append(notice_of(record)))
+    session.add_observer(lambda record: said.append(_notice_of(record)))
     session.tick(Wish(help=True))
     assert session.help_left_s == pytest.approx(9.9)
     levels = [session.assistance.level]

@@ -340,7 +340,7 @@ class DriveRunner(PageRunner):
         self._unseen = False
 
     def _note(self, record: DriveRecord) -> None:
-        notice = notice_of(record)
+        notice = _notice_of(record)
         if notice is not None:
             self._say("notice", kind=notice[0], told=notice[1])
 
@@ -549,7 +549,7 @@ def drive_state(session: DriveSession, clock: _DriveClock, waiting: str, let_go:
     }
 
 
-def notice_of(record: DriveRecord) -> tuple[str, str] | None:
+def _notice_of(record: DriveRecord) -> tuple[str, str] | None:
     """Kind and words of what a person wants to hear of a record; the state says the ticks, and a crash."""
     if not isinstance(record, Note):
         return None

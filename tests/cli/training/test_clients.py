@@ -203,7 +203,7 @@ def test_a_stop_that_comes_while_a_part_of_a_run_is_told_ends_the_run(monkeypatc
     def tell(*_):
         os.kill(os.getpid(), signal.SIGTERM)
 
-    monkeypatch.setattr("wcsim.cli.training.clients.print_report", tell)
+    monkeypatch.setattr("wcsim.cli.training.clients._print_report", tell)
     try:
         with pytest.raises(InterruptedRunError, match="wcsim resume"):
             ended(monkeypatch, halfway, last=False)

@@ -10,12 +10,11 @@ import pytest
 
 from tests.server.servers import Server, stand_in_order
 from tests.support.events import read_events
-from wcsim.agents.clients.client import fitted
+from wcsim.agents.clients.client import opened
 from wcsim.agents.clients.group_run import RECONNECT_S
 from wcsim.cli.training import join
 from wcsim.config import RunConfig
 from wcsim.errors import ConfigError, PolicyError, ServerGoneError
-from wcsim.server.links.socket import SocketSeat
 from wcsim.server.protocol.client_core import Patience
 from wcsim.server.specs import ClientSpec, RunInfo, SeatRequest
 
@@ -87,8 +86,8 @@ def test_a_world_that_was_never_there_is_refused_and_one_that_was_is_tried_again
     assert not (tmp_path / "run").exists()
     request = SeatRequest(endpoint=nobody, name="a", claim="a", patience=Patience(reconnect_s=0.2))
     order = ClientSpec(join=request, config=RunConfig(), out="", info=RunInfo(seed=0))
-    with SocketSeat(request) as seat, pytest.raises(ServerGoneError):
-        fitted(order, seat, again=True)
+    with pytest.raises(ServerGoneError):
+        opened(order, again=True)
 
 
 @pytest.mark.parametrize("more", [(), ("--resume",)])

@@ -15,7 +15,7 @@ import pytest
 from tests.view.report.results import POLICIES, SCRIPT, write_result
 from wcsim.agents.evaluation.suite.result_files import read_result
 from wcsim.view.report.columns import GROUPS
-from wcsim.view.report.failures import Illustration, SeenMoment, failures_of
+from wcsim.view.report.failures import Illustration, _SeenMoment, failures_of
 from wcsim.view.report.figures import _obedience_figure, figures_of
 from wcsim.view.report.suite_page import write_suite_page
 
@@ -59,7 +59,7 @@ def written(folder):
     """The page of a finished test, with pictures of one failure."""
     result = read_result(folder)
     failures = failures_of(result, folder)
-    moment = SeenMoment(before_s=0.5, speed_mps=1.0, asked="+0.00 +1.00", given="+0.00 +0.50", png=PNG)
+    moment = _SeenMoment(before_s=0.5, speed_mps=1.0, asked="+0.00 +1.00", given="+0.00 +0.50", png=PNG)
     pictures = {("follow", 0, 1): Illustration(seen=(moment,) * 8, street_png=PNG, near=("car 1.0 m",))}
     pictures["follow", 0, 0] = Illustration(missing=f"it went {SCRIPT}")
     return write_suite_page(result, folder, failures, pictures, "", folder)

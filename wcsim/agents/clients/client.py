@@ -24,6 +24,7 @@ from wcsim.agents.envs.wheelchair_env import WheelchairEnv
 from wcsim.agents.learning.build import network_settings
 from wcsim.agents.learning.callbacks import SeqCallback, TrainProgress
 from wcsim.agents.learning.train import train
+from wcsim.agents.networks.device import checked_device
 from wcsim.agents.networks.registry import find_network
 from wcsim.agents.runs.run_folder import MANIFEST, ResolvedRun
 from wcsim.config import LearnConfig, RunConfig, parse_json, resolve
@@ -194,21 +195,14 @@ def learn(
         _ProcessGrownError: Another process is to go on.
         WcsimError: See `agents.train.train` and `WheelchairEnv`.
     """
-    config = resolve(order.config, network_settings(order.config))
-    find_network(config.learn.network)
-    terms = tuple(find_reward_term(name) for name in order.info.rewards)
     out, beats = Path(order.out), count(1)
     goes_on = resume and (out / MANIFEST).is_file()
     if resume and not goes_on and out.is_dir():  # a life that was ended while it made its folder
         if has_work(out):
             raise PolicyError(f"{out} holds data but no {MANIFEST}; restore that file, or move the folder away")
         shutil.rmtree(out)
-    order, seat = replace(order, config=config), None
-    if not order.info.town:  # in a world that somebody else looks after
-        seat = SocketSeat(order.join)
-        order = fitted(order, seat, again=resume)
+    order, env = opened(order, again=resume)
     config = order.config
-    env = WheelchairEnv(order.info.town, config=config, reward_terms=terms, join=seat or order.join)
     shares = _TimeShares()
     growth = _ProcessGrowth(config.learn)
     pipe = _StatusPipe(order.join.name, status_fd, env, shares, growth)
@@ -228,13 +222,38 @@ def learn(
         env.close()
 
 
-def fitted(order: ClientSpec, seat: SocketSeat, again: bool = False) -> ClientSpec:
-    """The order of a client that takes a world as it finds it; it has its seat there when this returns.
+def opened(order: ClientSpec, again: bool = False) -> tuple[ClientSpec, WheelchairEnv]:
+    """The environment of an order, and the order with all that its network asks for.
+
+    An order without a town takes the world as it finds it: it has its seat there when this returns.
+
+    Args:
+        order: The client.
+        again: Whether such a world was there before, and may come back.
 
     Raises:
-        ConfigError: There is no such world, unless it was there before and comes back, or it cannot be used.
+        ConfigError: There is no such world, or it cannot be used.
         LinkError: It was there before, or refuses this client.
+        WcsimError: The order cannot be used.
     """
+    config = resolve(order.config, network_settings(order.config))
+    checked_device(config.learn.device)
+    find_network(config.learn.network)
+    terms = tuple(find_reward_term(name) for name in order.info.rewards)
+    order = replace(order, config=config)
+    if order.info.town:
+        return order, WheelchairEnv(order.info.town, config=config, reward_terms=terms, join=order.join)
+    seat = SocketSeat(order.join)
+    try:
+        order = _fitted(order, seat, again)
+        return order, WheelchairEnv(order.info.town, config=order.config, reward_terms=terms, join=seat)
+    except BaseException:
+        seat.close()
+        raise
+
+
+def _fitted(order: ClientSpec, seat: SocketSeat, again: bool) -> ClientSpec:
+    """The order of a client that has taken its seat in a world which somebody else looks after."""
     endpoint, patience = order.join.endpoint, order.join.patience
     try:
         seat.join()

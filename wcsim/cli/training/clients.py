@@ -47,7 +47,7 @@ from wcsim.view.live_table import LiveTable
 from wcsim.view.report.learning_curve import crossing, read_training
 
 
-class TickRate:
+class _TickRate:
     """Ticks a second over a run, restarts of the world included, loading at the beginning left out."""
 
     def __init__(self) -> None:
@@ -77,7 +77,7 @@ class TickRate:
         return (self._ticks - self._at_begin) / spent_s if spent_s > 0.0 else 0.0
 
 
-def report_of(folder: ClientsFolder, seed: int, rate: TickRate, waits: PaidTimes) -> dict[str, Any]:
+def _report_of(folder: ClientsFolder, seed: int, rate: _TickRate, waits: PaidTimes) -> dict[str, Any]:
     """How a run ended, as `--json` has it: ledgers are compared with the journal, whose hash is equal for equal runs.
 
     Raises:
@@ -119,7 +119,7 @@ def _steps_of(ledger: Path, journal: Path | None, against: Audit) -> dict[str, i
     }
 
 
-def print_report(console: Console, report: Mapping[str, Any], waits: PaidTimes) -> None:
+def _print_report(console: Console, report: Mapping[str, Any], waits: PaidTimes) -> None:
     """The report as a table."""
     table = Table(
         "client", "first tick", "last tick", "ticks", "missing", "duplicated", box=box.SIMPLE_HEAD, pad_edge=False
@@ -202,7 +202,7 @@ def train_clients(
         plans = [client_plan(run, folder, place, client) for client in left]
         order = world_order(run, town.address, folder, place, len(left), options.lease)
         world = world_plan(order, place, folder.log("world"))
-        rate, paid = TickRate(), PaidTimesLog(folder.path)
+        rate, paid = _TickRate(), PaidTimesLog(folder.path)
         held.callback(paid.save)
         with LiveTable() as table:
 
@@ -278,7 +278,7 @@ def _mend(folder: ClientsFolder) -> None:
 
 
 def _told(
-    run: GroupRun, folder: ClientsFolder, json: Path | None, outcome: LaunchOutcome, seen: tuple[TickRate, PaidTimes]
+    run: GroupRun, folder: ClientsFolder, json: Path | None, outcome: LaunchOutcome, seen: tuple[_TickRate, PaidTimes]
 ) -> int:
     """Write down how it ended and say so; returns the exit code.
 
@@ -294,8 +294,8 @@ def _told(
     folder = _with_status(run, folder, steps)
     if outcome.code == Exit.REFUSED:
         raise ConfigError(outcome.message)
-    report = report_of(folder, run.info.seed, *seen)
-    print_report(stdout_console(), report, seen[1])
+    report = _report_of(folder, run.info.seed, *seen)
+    _print_report(stdout_console(), report, seen[1])
     for kept in folder.truncated_parts():
         warn(f"{kept}: a truncated end was cut off earlier")
     write_json(json, report)

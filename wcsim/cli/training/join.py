@@ -90,23 +90,13 @@ def run(words: list[str]) -> int:
 
 def _joined(order: ClientSpec, resume: bool) -> None:
     # torch is loaded here, before there is a seat for which others would wait
-    from wcsim.agents.clients.client import fitted
-    from wcsim.agents.envs.wheelchair_env import WheelchairEnv
-    from wcsim.agents.learning.build import network_settings
+    from wcsim.agents.clients.client import opened
     from wcsim.agents.learning.train import train
-    from wcsim.agents.networks.device import checked_device
-    from wcsim.server.links.socket import SocketSeat
-    from wcsim.supervisor.rewards import find_reward_term
 
-    out = Path(order.out)
-    checked_device(order.config.learn.device)
-    order = replace(order, config=resolve(order.config, network_settings(order.config)))
-    terms = tuple(find_reward_term(name) for name in order.info.rewards)
-    with SocketSeat(order.join) as seat, gone_if_nothing_came_of_it(out):
-        order = fitted(order, seat)
-        street = WheelchairEnv(order.info.town, config=order.config, reward_terms=terms, join=seat)
-        beats = count(1)
-        with StageBar("loading the town") as bar:
+    out, beats = Path(order.out), count(1)
+    with gone_if_nothing_came_of_it(out):
+        order, street = opened(order)
+        with street, StageBar("loading the town") as bar:
             run = ResolvedRun(config=order.config, out=out, info=order.info, resume=resume)
             train(run, lambda: street, steps_shown(bar), alive=lambda: street.beat(next(beats)))
 

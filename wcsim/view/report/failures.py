@@ -141,7 +141,7 @@ def where_typed(result: TestResult) -> str:
     return "in which you ran the test" if result.out else "that contains the folder of the test"
 
 
-class SeenMoment(NamedTuple):
+class _SeenMoment(NamedTuple):
     """What the network saw at a moment before the end."""
 
     before_s: float
@@ -155,7 +155,7 @@ class SeenMoment(NamedTuple):
 class Illustration:
     """Pictures of the end of an episode, or why there are none."""
 
-    seen: tuple[SeenMoment, ...] = ()  # oldest first
+    seen: tuple[_SeenMoment, ...] = ()  # oldest first
     street_png: bytes = b""  # from above at the end, with the way of the last seconds
     near: tuple[str, ...] = ()  # who was there, nearest first
     missing: str = ""
@@ -239,7 +239,7 @@ def _illustrate(wanted: tuple[Piece, Iterable[EpisodeRecord]]) -> dict[int, Illu
             seen = []
             for place in dict.fromkeys(places.tolist()):
                 step, before_s = steps[place], round((last - place) * tick_s, 3)
-                seen.append(SeenMoment(before_s, step.speed_mps, *sticks(step), _png(seen_picture(step.seen, config))))
+                seen.append(_SeenMoment(before_s, step.speed_mps, *sticks(step), _png(seen_picture(step.seen, config))))
             return Illustration(seen=tuple(seen), street_png=_png(street), near=_near(steps[-1]))
 
         found = play(piece, tuple(kept), round(_TRAIL_S / tick_s), draw)
