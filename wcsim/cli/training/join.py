@@ -134,7 +134,7 @@ def _supervised(order: ClientSpec, resume: bool) -> None:
         if outcome.code == Exit.REFUSED:
             raise ConfigError(outcome.message)
         if outcome.code:
-            raise ServerGoneError(f"{outcome.message}; {out} is kept; the same command with --resume goes on")
+            raise ServerGoneError(outcome.message)
         if outcome.stopped and not (out / MANIFEST).is_file():
             raise NothingKept("stopped before anything was learned; nothing is saved")
         if outcome.stopped:
