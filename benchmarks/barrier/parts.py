@@ -18,7 +18,7 @@ import zmq
 
 from benchmarks.barrier.fake_world import FakeWorld
 from wcsim.bridge.replay.player import Specs
-from wcsim.server.launch.stop_signals import die_with_parent
+from wcsim.core.processes import die_with_parent
 from wcsim.server.links.base import WorldLink
 from wcsim.server.links.socket import SocketSeat
 from wcsim.server.specs import SeatRequest, WorldOrder

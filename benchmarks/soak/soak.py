@@ -25,7 +25,7 @@ from wcsim.server.launch.launcher import Launcher
 from wcsim.server.launch.states import ClientPlan, LaunchOutcome, LaunchRules, LaunchState
 from wcsim.server.ledger import Audit, audit, iter_ledger
 from wcsim.server.protocol.events import Rules
-from wcsim.server.specs import SeatRequest, WorldSpec, to_line
+from wcsim.server.specs import SeatRequest, WorldSpec, to_line, world_plan
 from wcsim.server.transport.world_folder import endpoint_in, workplace
 from wcsim.types import SeatSpec
 from wcsim.users.profiles import recordings
@@ -105,7 +105,9 @@ def soak(order: SoakOrder, progress: Callable[[float], object] = lambda done_s: 
         world = _server_order(order, place)
         plans = [_plan(order, world, name, seat, place) for seat, name in enumerate(names)]
         rules = LaunchRules(world_lease_s=_WORLD_LEASE_S, client_lease_s=30.0)
-        launcher = Launcher(world, plans, order.folder, place, rules, watch.show)
+        launcher = Launcher(
+            world_plan(world, place, order.folder / "logs" / "world.log"), plans, order.folder, rules, watch.show
+        )
         watch.launcher = launcher
         outcome = launcher.run()
     ledgers = [(seat, iter_ledger(_ledger(order, name))) for seat, name in enumerate(names)]
@@ -254,7 +256,7 @@ def _plan(order: SoakOrder, world: WorldSpec, name: str, seat: int, place: Path)
     file = place / f"{name}.json"
     file.write_bytes(to_line(join))
     argv = (sys.executable, "-m", "benchmarks.soak.stub_client", str(file), "--sights", str(_sights(order, name)))
-    return ClientPlan(name=name, seat=seat, argv=argv, log=order.folder / "logs" / f"{name}.log", folder=order.folder)
+    return ClientPlan(name=name, seat=seat, argv=argv, log=order.folder / "logs" / f"{name}.log")
 
 
 def _ledger(order: SoakOrder, name: str) -> Path:

@@ -19,12 +19,12 @@ from io import FileIO
 from pathlib import Path
 from types import FrameType
 
+from wcsim.core.processes import die_with_parent
 from wcsim.errors import EvictedError, LinkError, WcsimError, WorldRestartedError
-from wcsim.server.launch.states import WAIT_NO_MORE, ClientExit
-from wcsim.server.launch.stop_signals import die_with_parent
+from wcsim.server.launch.states import WAIT_NO_MORE, ClientExit, ClientStatus
 from wcsim.server.links.base import WorldLink
 from wcsim.server.links.socket import SocketSeat
-from wcsim.server.specs import ClientStatus, SeatRequest, read_order, to_line
+from wcsim.server.specs import SeatRequest, read_order, to_line
 from wcsim.types import ClientSnapshot
 
 SAY_S = 0.5

@@ -291,7 +291,7 @@ def test_so_it_is_where_the_world_is_a_process_of_its_own_which_ctrl_c_is_not_fo
         env._link._child.process.send_signal(signal.SIGINT)
         for _ in range(3):
             assert env.step(44)[4]["events"].step == first.step(44)[4]["events"].step
-        with interrupted(monkeypatch, "wcsim.server.links.socket.ChildSeat._pump"):
+        with interrupted(monkeypatch, "wcsim.server.links.socket._ChildSeat._pump"):
             env.step(40)
         env.reset()
         env.step(40)

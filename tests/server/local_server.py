@@ -12,7 +12,7 @@ from wcsim.bridge.replay.player import SeatWorld
 from wcsim.errors import TickTimeoutError
 from wcsim.server.host.world_host import WorldHost
 from wcsim.server.links.base import WorldLink, new_session
-from wcsim.server.links.socket import private_rules
+from wcsim.server.links.socket import _private_rules
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.client_core import Ask, ClientCore, Patience
 from wcsim.server.protocol.events import Clock, Peer, Received
@@ -31,7 +31,7 @@ class LocalServer:
         self._links: dict[Peer, PumpedSeat] = {}
         self._inbox: deque[tuple[Peer, m.Reply]] = deque()
         now, inbox = world.snapshot, self._inbox
-        core = ServerCore(private_rules(capacity, expected), now.epoch)
+        core = ServerCore(_private_rules(capacity, expected), now.epoch)
         self.hub = WorldHost(core, world, lambda peer, message: inbox.append((peer, message)))
 
     def link(self, spec: SeatSpec, seat: int = m.ANY_SEAT, name: str = "") -> PumpedSeat:

@@ -16,10 +16,11 @@ from typing import Any
 
 from tests.support.worlds import quick_config
 from wcsim.errors import ConfigError
+from wcsim.server.launch.states import WorldStatus
 from wcsim.server.links.base import Seat, SeatGroup, WorldLink
 from wcsim.server.protocol.client_core import Patience
 from wcsim.server.protocol.events import Rules
-from wcsim.server.specs import SeatRequest, WorldSpec, WorldStatus, of_line, to_line
+from wcsim.server.specs import SeatRequest, WorldSpec, of_line, to_line
 from wcsim.types import ClientSnapshot, Joystick
 
 AHEAD = Joystick(0.1, 0.8)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pickle
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Sequence
 from concurrent.futures import Future
 from contextlib import contextmanager
 from typing import Any, ClassVar
@@ -58,11 +58,16 @@ class OneCrew(Crew):
         return super().come(keys, 0.0)
 
 
+def _pooled_here(call: Callable[[Any], Any], pieces: Sequence[Any], jobs: int) -> Iterator[tuple[int, Any]]:
+    pool = OneProcess(jobs, None)
+    return enumerate(pool.submit(call, piece).result() for piece in pieces)
+
+
 @contextmanager
 def in_this_process() -> Iterator[None]:
     """Pieces are driven and failures illustrated without further processes; those have tests of their own."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(failures, "ProcessPoolExecutor", OneProcess)
+        patch.setattr(failures, "pooled", _pooled_here)
         patch.setattr(machines, "ProcessPoolExecutor", OneProcess)
         for asking in ("wcsim.agents.evaluation.suite.run", "wcsim.agents.rounds.collect_data"):
             patch.setattr(f"{asking}.Crew", OneCrew)

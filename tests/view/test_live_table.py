@@ -8,8 +8,7 @@ import sys
 
 from rich.console import Console
 
-from wcsim.server.launch.states import ClientState, LaunchState
-from wcsim.server.specs import ClientStatus, Held, WorldStatus
+from wcsim.server.launch.states import ClientState, ClientStatus, Held, LaunchState, WorldStatus
 from wcsim.view.live_table import LiveTable, _head_of, _line_of, _table_of, _waits_of
 
 NAMES = ("fig6", "conv3d", "convlstm")

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import multiprocessing
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from typing import Final
 
@@ -12,6 +10,7 @@ from wcsim.chair_check.driving import driving_trials
 from wcsim.chair_check.kerbs import kerb_trials, ramp_trials
 from wcsim.chair_check.mass_rig import falling_rows, mass_trials, tip_trials
 from wcsim.chair_check.row import Row, Setup, Trial, measured
+from wcsim.core.processes import pooled
 from wcsim.errors import ConfigError
 from wcsim.physics.wheelchair.plant import plant_spec
 
@@ -64,17 +63,17 @@ def table(setup: Setup, only: Sequence[str] = (), workers: int = 1, progress: Pr
             else (f"no row starts with {', '.join(only)!r}")
         )
         raise ConfigError(f"{what}; expected the start of a row's name")
-    rows: dict[str, Row] = {}
-    for row in _done(chosen, setup, workers):
-        rows[row.name] = row
+    done: dict[int, Row] = {}
+    for place, row in _done(chosen, setup, workers):
+        done[place] = row
         if progress is not None:
             progress(row.name)
+    rows = {done[place].name: done[place] for place in sorted(done)}
     return [*rows.values(), *falling_rows(setup, rows)]
 
 
-def _done(chosen: Sequence[Trial], setup: Setup, workers: int) -> Iterator[Row]:
+def _done(chosen: Sequence[Trial], setup: Setup, workers: int) -> Iterator[tuple[int, Row]]:
+    """Each row with its place, as it is done."""
     if workers == 1:
-        yield from (measured(trial, setup) for trial in chosen)
-        return
-    with ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn")) as pool:
-        yield from pool.map(partial(measured, setup=setup), chosen)
+        return enumerate(measured(trial, setup) for trial in chosen)
+    return pooled(partial(measured, setup=setup), chosen, workers)

@@ -23,7 +23,7 @@ from wcsim.server.launch.launcher import Launcher
 from wcsim.server.launch.states import LaunchState
 from wcsim.server.protocol.events import Rules
 from wcsim.server.protocol.limits import require_files
-from wcsim.server.specs import WorldSpec
+from wcsim.server.specs import WorldSpec, world_plan
 from wcsim.server.transport.keys import is_loopback, known_names, make_keys
 from wcsim.server.transport.world_folder import endpoint_in, workplace
 from wcsim.towns.checks.validate import validate_net
@@ -97,7 +97,8 @@ def _served(options: _Options, town: Town, config: RunConfig, place: Path) -> in
                 out.print(_how_to_join(endpoint_in(place), listening, options), markup=False, soft_wrap=True)
             table.show(state)
 
-        outcome = Launcher(_order(options, town, config, place), (), folder, place, show=show).run()
+        world = world_plan(_order(options, town, config, place), place, folder / "logs" / "world.log")
+        outcome = Launcher(world, (), folder, show=show).run()
     if outcome.code == Exit.REFUSED:
         raise ConfigError(outcome.message)
     if outcome.code:

@@ -8,9 +8,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from multiprocessing import get_context
 from multiprocessing.connection import Connection
-from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any, ClassVar, Final
 
@@ -31,7 +29,6 @@ from wcsim.drive.starting import DriveStart, check_offered, checked
 from wcsim.drive.stick_watch import STANDS_STILL_S, StickWatch
 from wcsim.errors import WcsimError
 from wcsim.log.records import DriveTick, Note
-from wcsim.server.launch.stop_signals import unheard_by_children
 from wcsim.towns.scenario.town import list_towns
 from wcsim.types import Joystick
 from wcsim.types.chair import AT_REST
@@ -143,19 +140,6 @@ class PageRunner(ABC):
 
 def _nothing(_: m.PageMessage) -> None:
     """Of a message that pages of the other kind say."""
-
-
-def start_child(
-    run: Callable[..., object], *args: object, name: str, daemon: bool = False
-) -> tuple[Connection, BaseProcess]:
-    """Our end of a pipe and the process at the other, which runs `run(its end, *args)` and hears no Ctrl-C."""
-    context = get_context("spawn")
-    ours, theirs = context.Pipe()
-    process = context.Process(target=run, args=(theirs, *args), name=name, daemon=daemon)
-    with unheard_by_children():  # Ctrl-C is for who started it, and ends it
-        process.start()
-    theirs.close()
-    return ours, process
 
 
 _CRASH_S: Final = 3.0  # so long a crash is shown

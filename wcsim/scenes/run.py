@@ -23,6 +23,7 @@ from wcsim.bridge.world import World
 from wcsim.bridge.world_rollout import RolloutStep, rollout
 from wcsim.config import CameraConfig, RunConfig
 from wcsim.config.scene import SceneFile, SceneSeat
+from wcsim.core.processes import run_command
 from wcsim.errors import TownError, WcsimError
 from wcsim.log.fingerprint import engines_fingerprint
 from wcsim.log.records import Header, changed, state_of
@@ -107,14 +108,7 @@ def run_in_child(folder: Path, trace: Path) -> Facts:
     """The same as `_run_scene` in a process of its own, with the C library pinned, so that hashes are comparable."""
     command = [sys.executable, "-m", "wcsim.scenes.run", str(folder), str(trace)]
     try:
-        done = subprocess.run(
-            command,
-            env={**os.environ, "GLIBC_TUNABLES": _PINNED_LIBM},
-            capture_output=True,
-            text=True,
-            timeout=_RUN_TIMEOUT_S,
-            check=False,
-        )
+        done = run_command(command, _RUN_TIMEOUT_S, env={**os.environ, "GLIBC_TUNABLES": _PINNED_LIBM})
     except subprocess.TimeoutExpired:
         raise TownError(f"scene {folder.name} did not end within {_RUN_TIMEOUT_S} s; shorten it") from None
     if done.returncode != 0:

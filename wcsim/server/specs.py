@@ -1,10 +1,12 @@
-"""What a world process and its clients are started with, and what they report while they run."""
+"""What a world process and its clients are started with."""
 
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
@@ -13,14 +15,20 @@ import msgspec
 from wcsim.bridge.sumo.open_scenario import RunPlace
 from wcsim.config import EnvConfig, RunConfig
 from wcsim.core.reading import FileKind, read_bytes
-from wcsim.errors import ConfigError, DiskFullError
+from wcsim.errors import ConfigError, WcsimError
+from wcsim.log.reader import inputs_of_part
+from wcsim.log.records import EpochBegun, Ticked
+from wcsim.log.writer import JOURNAL
+from wcsim.server.launch.states import ClientStatus, WorldPlan, WorldStatus
 from wcsim.server.protocol.client_core import Patience
 from wcsim.server.protocol.events import Rules
 from wcsim.server.protocol.messages import ANY_SEAT
 from wcsim.towns.scenario.overrides import Override
 from wcsim.types import SeatSpec
 
+WORLD_ARGV = (sys.executable, "-m", "wcsim.server.host.process")
 _MOST_ORDER_BYTES = 16 << 20
+MOST_READ_BYTES = 8 << 20  # of a journal, between a death and a restart
 
 
 def seat_spec(env: EnvConfig) -> SeatSpec:
@@ -112,53 +120,6 @@ class ClientSpec:
     info: RunInfo
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Held:
-    """How long the others have waited for one client while the barrier filled."""
-
-    name: str
-    seconds: float
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class WorldStatus:
-    """What a world process says of itself a few times a second."""
-
-    stage: str  # "loading", or a Stage
-    epoch: int = 0
-    tick: int = 0
-    ticks: int = 0  # done by this process
-    ticks_per_s: float = 0.0  # over the last seconds
-    step_ms: float = 0.0  # median of the last steps
-    members: tuple[str, ...] = ()
-    master: str = ""
-    late: tuple[str, ...] = ()  # for whom the barrier waits
-    late_s: float = 0.0  # since when
-    rss_mb: float = 0.0
-    held: tuple[Held, ...] = ()  # over the life of this process, by seat; those who left are not in it
-    waited_s: tuple[tuple[float, ...], ...] = ()  # what each of `members` (rows) has waited for each (columns)
-    listening: str = ""  # the address for clients on other machines
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ClientStatus:
-    """What a client process says of itself."""
-
-    name: str
-    step: int = 0
-    total_steps: int = 0
-    phase: int = 1
-    episodes: int = 0
-    crashes: int = 0
-    kpi1: float | None = None  # of the agent's own choice, mean of the last 2,000 steps
-    simulation_s: float = 0.0  # waiting for the world's own work
-    barrier_s: float = 0.0  # waiting for others, and for messages
-    inference_s: float = 0.0
-    learning_s: float = 0.0
-    overlap_s: float = 0.0  # of learning_s, done while it waited: in one of the first two as well
-    pid: int = 0  # of the life that these times are of
-
-
 T = TypeVar("T", WorldSpec, SeatRequest, ClientSpec, WorldStatus, ClientStatus)
 
 
@@ -179,17 +140,40 @@ def of_line(kind: type[T], line: bytes) -> T:
         raise ConfigError(f"{line[:80]!r} is not a {kind.__name__}: {error}") from None
 
 
-def write_order(path: Path, line: bytes) -> None:
-    """Write an order where its process looks for it; its folder is made again when somebody has removed it.
+def world_plan(order: WorldSpec, place: Path, log: Path, argv: Sequence[str] = WORLD_ARGV) -> WorldPlan:
+    """How a launcher starts the world of an order, again and again.
 
-    Raises:
-        DiskFullError: It could not be written.
+    Args:
+        order: The world.
+        place: A folder that only its owner can enter, for the order's file.
+        log: A file for the output of its process.
+        argv: Its command line, but for the order's file.
     """
+
+    def life(status_fd: int, begins: bool, listening: str) -> bytes:
+        listen = listening or order.listen
+        return to_line(replace(order, status_fd=status_fd, begins=begins, listen=listen))
+
+    file = place / "world.json"
+    return WorldPlan(
+        argv=(*argv, str(file)), order=life, order_file=file, log=log, last_tick=partial(_last_tick, order.run)
+    )
+
+
+def _last_tick(run: str, told: int) -> int:
+    """The last tick that a world has done in its last epoch: as it `told`, but exactly where there is a journal."""
+    journal = Path(run) / JOURNAL
+    if not run or not journal.is_file() or journal.stat().st_size > MOST_READ_BYTES:
+        return told
+    done = 0
     try:
-        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-        path.write_bytes(line)
-    except OSError as error:
-        raise DiskFullError(f"{path}: an order could not be written ({error.strerror}); make room") from None
+        # A world that died while it loaded has not said which epoch it was in.
+        for record in inputs_of_part(journal):
+            if isinstance(record, Ticked | EpochBegun):
+                done = record.tick if isinstance(record, Ticked) else 0
+    except WcsimError:
+        return told
+    return done
 
 
 def read_order(kind: type[T], path: Path) -> T:

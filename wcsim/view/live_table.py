@@ -14,8 +14,7 @@ from rich.text import Text
 
 from wcsim.core.closing import Closing
 from wcsim.core.reading import counted
-from wcsim.server.launch.states import ClientState, LaunchState
-from wcsim.server.specs import ClientStatus, WorldStatus
+from wcsim.server.launch.states import ClientState, ClientStatus, LaunchState, WorldStatus
 
 PAYS = "acts/learns/waits %"
 _LINE_S = 10.0  # between two lines where there is no terminal

@@ -25,9 +25,9 @@ from wcsim.agents.learning.callbacks import StopRequest, TrainProgress
 from wcsim.agents.learning.train import train
 from wcsim.config import LearnConfig
 from wcsim.core.files import locked
-from wcsim.server.launch.states import ClientExit
+from wcsim.server.launch.states import ClientExit, ClientStatus
 from wcsim.server.links.base import Waits
-from wcsim.server.specs import ClientSpec, ClientStatus, RunInfo, SeatRequest, of_line, to_line
+from wcsim.server.specs import ClientSpec, RunInfo, SeatRequest, of_line, to_line
 from wcsim.towns.scenario.overrides import Override
 
 

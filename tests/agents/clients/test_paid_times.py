@@ -9,9 +9,8 @@ import pytest
 from wcsim.agents.clients.paid_times import WAITS, PaidShares, PaidTimes, PaidTimesLog, read_paid_times
 from wcsim.errors import PolicyError
 from wcsim.server.host.status import Stragglers, _names_of
-from wcsim.server.launch.states import ClientState, LaunchState
+from wcsim.server.launch.states import ClientState, ClientStatus, LaunchState, WorldStatus
 from wcsim.server.protocol.members import Member
-from wcsim.server.specs import ClientStatus, WorldStatus
 from wcsim.types import SeatSpec
 from wcsim.view.live_table import PAYS, _pays_of
 from wcsim.view.report import training_page

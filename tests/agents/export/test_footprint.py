@@ -2,31 +2,9 @@
 
 from __future__ import annotations
 
-import signal
 from pathlib import Path
 
-import psutil
-import pytest
-
 from wcsim.agents.export import footprint
-
-
-class Ended(KeyboardInterrupt):
-    """As a SIGTERM is raised: `subprocess` knows KeyboardInterrupt itself alone."""
-
-
-def test_a_model_that_stands_still_when_its_measurement_is_ended_is_killed(tmp_path: Path, monkeypatch) -> None:
-    seen = []
-
-    def interrupted(process, share):
-        seen.append(psutil.Process(process.pid))
-        process.send_signal(signal.SIGSTOP)
-        raise Ended
-
-    monkeypatch.setattr(footprint, "_throttle", interrupted)
-    with pytest.raises(Ended):
-        footprint._told(tmp_path / "model.onnx", tmp_path / "reference.npz", ("depth",), 0.5)
-    assert not seen[0].is_running()
 
 
 def test_a_model_that_says_more_than_a_pipe_holds_ends_while_it_is_throttled(tmp_path: Path, monkeypatch) -> None:

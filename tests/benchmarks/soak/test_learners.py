@@ -12,7 +12,7 @@ from benchmarks.scripts.soak import run as soak
 from benchmarks.soak.planned import FaultOrder
 from tests.cli.training.test_clients import SMALL, start
 from wcsim.errors import InterruptedRunError
-from wcsim.server.launch.states import RestartRules, Restarts
+from wcsim.server.launch.states import RestartRules
 from wcsim.towns.scenario.town import find_town
 
 NOTHING = dict.fromkeys(("lost", "doubled", "unrecovered", "orphans", "leaked_shm"), 0)
@@ -45,8 +45,7 @@ def test_a_learner_is_not_given_up_for_the_deaths_that_a_soak_causes(corner, tmp
     _soaked(options, find_town(str(corner)), tmp_path / "run-1", FaultOrder(kills=150, stops=140, lease_s=10.0))
     plain = RestartRules()
     assert asked == [replace(plain, deaths=290 + plain.deaths)]
-    restarts = Restarts(asked[0])
-    assert [restarts.died(progressed=False) for _ in range(290)][-1] == plain.longest_s
+    assert asked[0].wait_s(290) == plain.longest_s
 
 
 def test_a_soak_that_a_signal_stops_is_no_result_and_not_begun_again(corner, tmp_path, monkeypatch):

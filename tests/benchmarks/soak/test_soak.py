@@ -28,9 +28,8 @@ from benchmarks.soak.soak import (
 )
 from benchmarks.soak.stub_client import StubSight
 from tests.support.worlds import quick_config
-from wcsim.server.launch.states import ClientState, LaunchOutcome, LaunchState
+from wcsim.server.launch.states import ClientState, LaunchOutcome, LaunchState, WorldStatus
 from wcsim.server.ledger import Audit
-from wcsim.server.specs import WorldStatus
 
 
 def sights(*entries: tuple[float, int, int]) -> list[StubSight]:
@@ -148,7 +147,7 @@ def test_a_recovery_is_slow_by_the_lease_that_was_asked_for(tmp_path, lease_s, s
         memory={},
         disk=Slope(),
         bounds=LongRun(memory_gb=1.0, disk_gb=1.0, recovery_s=1.0),
-        outcome=LaunchOutcome(code=0, message="", stopped=True, clients=(), elapsed_s=60.0),
+        outcome=LaunchOutcome(code=0, message="", stopped=True, clients=()),
     )
     assert faults_of(facts) == slow
 

@@ -66,7 +66,7 @@ STORM = """
 import sys, types, time
 from wcsim.cli import main as cli
 from wcsim.errors import InterruptedRunError
-from wcsim.server.launch.stop_signals import StopSignals
+from wcsim.core.processes import StopSignals
 def run(words):
     with StopSignals() as signals:
         print("ready", flush=True)

@@ -32,8 +32,8 @@ from wcsim.errors import ConfigError, InterruptedRunError, PolicyError
 from wcsim.log.reader import iter_inputs, read_header
 from wcsim.log.records import EpochBegun
 from wcsim.log.writer import JOURNAL
-from wcsim.server.launch.states import ClientState, LaunchState, RestartRules
-from wcsim.server.specs import ClientStatus, RunInfo
+from wcsim.server.launch.states import ClientState, ClientStatus, LaunchState, RestartRules
+from wcsim.server.specs import RunInfo
 from wcsim.towns.scenario.town import find_town, streets_hash
 from wcsim.towns.scene_folders.build import build_scene, find_scene
 

@@ -2,11 +2,21 @@
 
 from __future__ import annotations
 
+import json
+import os
+import signal
+
 import pytest
 
 from tests.server.servers import Server, stand_in_order
+from tests.support.events import read_events
+from wcsim.agents.clients.client import opened
 from wcsim.agents.clients.group_run import RECONNECT_S
 from wcsim.cli.training import join
+from wcsim.config import RunConfig
+from wcsim.errors import ConfigError, PolicyError, ServerGoneError
+from wcsim.server.protocol.client_core import Patience
+from wcsim.server.specs import ClientSpec, RunInfo, SeatRequest
 
 WORDS = ("--network", "patch", "--steps", "20")
 
@@ -46,3 +56,43 @@ def test_its_world_hears_of_it_before_its_first_step_and_while_it_saves(joins):
 
     joins(learn)
     assert heard == [1, 2]
+
+
+def test_one_that_is_supervised_is_started_again_after_a_death(tmp_path, monkeypatch):
+    killed = []
+
+    def kill_once(table, state):
+        (client,) = state.clients
+        if client.pid and client.status is not None and not killed:
+            killed.append(client.pid)
+            os.kill(client.pid, signal.SIGKILL)
+
+    monkeypatch.setattr(join.LiveTable, "show", kill_once)
+    with Server(stand_in_order(tmp_path), tmp_path) as server:
+        server.status()
+        words = ["--network", "patch", "--steps", "300", "--out", str(tmp_path / "run"), "--supervise"]
+        assert join.run([server.order.endpoint, *words]) == 0
+    events = [line["event"] for line in read_events(tmp_path / "run.supervised")]
+    assert events == ["start", "death", "restart", "recovery", "done"]
+    assert json.loads((tmp_path / "run" / "manifest.json").read_text())["status"] == "done"
+
+
+def test_a_world_that_was_never_there_is_refused_and_one_that_was_is_tried_again(tmp_path):
+    nobody = f"ipc://{tmp_path}/nobody"
+    words = ["--network", "patch", "--out", str(tmp_path / "run"), "--wait", "0.5", "--supervise"]
+    with pytest.raises(ConfigError, match=r"no answer within 0\.5 s; is `wcsim serve` running"):
+        join.run([nobody, *words])
+    assert [line["event"] for line in read_events(tmp_path / "run.supervised")][:2] == ["start", "refused"]
+    assert not (tmp_path / "run").exists()
+    request = SeatRequest(endpoint=nobody, name="a", claim="a", patience=Patience(reconnect_s=0.2))
+    order = ClientSpec(join=request, config=RunConfig(), out="", info=RunInfo(seed=0))
+    with pytest.raises(ServerGoneError):
+        opened(order, again=True)
+
+
+@pytest.mark.parametrize("more", [(), ("--resume",)])
+def test_a_folder_of_something_else_is_refused_before_a_life_could_remove_it(tmp_path, more):
+    (tmp_path / "thesis.txt").touch()
+    with pytest.raises(PolicyError, match=str(tmp_path)):
+        join.run([f"ipc://{tmp_path}/nobody", "--network", "patch", "--out", str(tmp_path), "--supervise", *more])
+    assert (tmp_path / "thesis.txt").exists()

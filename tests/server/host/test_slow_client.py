@@ -14,7 +14,7 @@ from wcsim.server.launch.launcher import Launcher
 from wcsim.server.launch.states import ClientPlan, LaunchState
 from wcsim.server.ledger import audits, iter_ledger
 from wcsim.server.protocol.events import Rules
-from wcsim.server.specs import SeatRequest, WorldSpec, to_line
+from wcsim.server.specs import SeatRequest, WorldSpec, to_line, world_plan
 from wcsim.server.transport.world_folder import endpoint_in, workplace
 from wcsim.types import SeatSpec
 from wcsim.view.live_table import _line_of
@@ -38,7 +38,7 @@ def plan(place: Path, folder: Path, seat: int) -> ClientPlan:
     think_ms = 10.0 * THINK_MS if seat == SLOW else THINK_MS
     argv = (sys.executable, "-m", "benchmarks.soak.stub_client", str(file), "--steps", str(STEPS))
     argv += ("--think-ms", str(think_ms), "--sights", str(folder / f"{name}.sights"))
-    return ClientPlan(name=name, seat=seat, argv=argv, log=folder / "logs" / name, folder=folder)
+    return ClientPlan(name=name, seat=seat, argv=argv, log=folder / "logs" / name)
 
 
 def test_all_step_at_its_pace_nobody_loses_a_tick_and_it_is_named(tmp_path: Path):
@@ -55,7 +55,9 @@ def test_all_step_at_its_pace_nobody_loses_a_tick_and_it_is_named(tmp_path: Path
         )
         plans = [plan(place, tmp_path, seat) for seat in range(6)]
         argv = (sys.executable, "-m", STAND_IN)
-        outcome = Launcher(order, plans, tmp_path, place, show=states.append, world_argv=argv).run()
+        outcome = Launcher(
+            world_plan(order, place, tmp_path / "logs" / "world.log", argv), plans, tmp_path, show=states.append
+        ).run()
     assert outcome.code == 0, outcome.message
     ledgers = [(seat, tuple(iter_ledger(tmp_path / f"c{seat}.ledger"))) for seat in range(6)]
     ticks, each = audits(iter_inputs(tmp_path / JOURNAL), ledgers)

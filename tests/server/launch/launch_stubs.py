@@ -14,7 +14,7 @@ import sys
 import time
 from pathlib import Path
 
-PARENT = Path(__file__).parents[3] / "wcsim" / "server" / "launch" / "stop_signals.py"
+PARENT = Path(__file__).parents[3] / "wcsim" / "core" / "processes.py"
 TICK_S = 0.004
 FOREVER_S = 600.0
 

@@ -19,7 +19,7 @@ from wcsim.server.launch.launcher import Launcher
 from wcsim.server.launch.states import ClientPlan, LaunchRules, RestartRules
 from wcsim.server.launch.supervised import MOST_LEFT_ALONE
 from wcsim.server.protocol.events import Rules
-from wcsim.server.specs import WorldSpec
+from wcsim.server.specs import WorldSpec, world_plan
 from wcsim.server.transport.world_folder import endpoint_in, workplace
 
 STUB = (sys.executable, "-I", "-S", str(Path(__file__).parent / "launch_stubs.py"))
@@ -68,13 +68,13 @@ def launcher(
             seat=seat,
             argv=(*STUB, "client", str(folder / name), *words.split()),
             log=folder / "logs" / f"{name}.log",
-            folder=folder / name,
             order=b"{}" if orders else b"",
             order_file=place / f"{name}.json" if orders else None,
         )
         for seat, (name, words) in enumerate(clients.items())
     ]
-    return Launcher(order, plans, folder, place, rules, show, world_argv=world_argv)
+    plan = world_plan(order, place, folder / "logs" / "world.log", world_argv)
+    return Launcher(plan, plans, folder, rules, show)
 
 
 def counted(folder, event):
@@ -316,8 +316,26 @@ def test_a_second_signal_ends_everything_at_once(tmp_path):
     assert gone(pids, 0.0)
 
 
-def test_nothing_outlives_a_launcher_that_is_killed(tmp_path):
+def test_world_and_clients_go_on_while_their_launcher_stands_still(tmp_path):
     child, pids = begun(tmp_path)
+    child.send_signal(signal.SIGSTOP)
+    wanted = 100 + json.loads((tmp_path / "pids").read_text())["steps"][0]
+    deadline = time.monotonic() + 120.0
+    while int((tmp_path / "a" / "step").read_text() or 0) < wanted:
+        assert time.monotonic() < deadline, "the client stands still, too"
+        time.sleep(0.02)
+    child.send_signal(signal.SIGTERM)
+    child.send_signal(signal.SIGCONT)
+    out, _ = child.communicate(timeout=120)
+    assert out.split() == ["0", "True", "stopped"]
+    assert gone(pids, 0.0) and counted(tmp_path, "death") == []
+
+
+@pytest.mark.parametrize("stands", [False, True])
+def test_nothing_outlives_a_launcher_that_is_killed(tmp_path, stands):
+    child, pids = begun(tmp_path)
+    if stands:
+        child.send_signal(signal.SIGSTOP)
     child.kill()
     child.communicate(timeout=120)
     assert gone(pids, 60.0)

@@ -8,9 +8,8 @@ import pytest
 
 from tests.support.events import read_events
 from wcsim.server.launch.event_log import RunLog
-from wcsim.server.launch.states import ClientPlan, LaunchRules
+from wcsim.server.launch.states import ClientPlan, LaunchRules, WorldStatus
 from wcsim.server.launch.supervised import SupervisedClient
-from wcsim.server.specs import WorldStatus
 
 SILENT = ("sh", "-c", "sleep 1000")
 LEASE_S, JOINING_S = 30.0, 600.0
@@ -23,7 +22,7 @@ def ended(tmp_path):
 
     def is_ended(*worlds):
         selector = selectors.DefaultSelector()
-        plan = ClientPlan(name="a", seat=0, argv=SILENT, log=tmp_path / "log", folder=tmp_path)
+        plan = ClientPlan(name="a", seat=0, argv=SILENT, log=tmp_path / "log")
         client = SupervisedClient(plan, RULES, selector, RunLog(tmp_path))
         client.start(0.0)
         now_s = 0.0

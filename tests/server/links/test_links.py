@@ -32,7 +32,7 @@ from wcsim.errors import (
     WorldFullError,
 )
 from wcsim.server.links import base
-from wcsim.server.links.base import Seat, WorldLink
+from wcsim.server.links.base import Seat, WorldLink, open_group
 from wcsim.server.links.local import LocalGroup
 from wcsim.server.links.socket import ProcessGroup, SocketSeat
 from wcsim.server.protocol import messages as m
@@ -40,6 +40,7 @@ from wcsim.server.protocol.client_core import Ask, ClientCore, Patience
 from wcsim.server.protocol.events import Rules
 from wcsim.server.specs import SeatRequest, WorldOrder, WorldSpec
 from wcsim.server.transport.keys import make_keys
+from wcsim.server.transport.world_folder import OwnFolder, endpoint_in
 from wcsim.types import SeatSpec
 
 SEED, CONFIG, SPEC = 4, quick_config(), SeatSpec(max_steps=25, truth_visible=True)
@@ -257,6 +258,22 @@ def test_a_client_says_that_its_world_is_gone_long_before_it_gives_up(tmp_path, 
     assert [record.getMessage().startswith("wcsim: the connection to ipc:") for record in caplog.records] == [True]
 
 
+@pytest.mark.parametrize("launcher_lives", [True, False])
+def test_a_world_that_nobody_can_start_again_is_given_up_soon(tmp_path, monkeypatch, launcher_lives):
+    monkeypatch.setattr("wcsim.server.links.base.LEAVING_S", 0.5)
+    place = OwnFolder(tmp_path)
+    order = stand_in_order(tmp_path, endpoint=endpoint_in(place.path))
+    with Server(order, tmp_path) as server, SocketSeat(server.seat("a")) as a:
+        a.join()
+        a.core.patience = replace(QUICK, reconnect_s=3.0)
+        server.kill()
+        if not launcher_lives:
+            os.close(place._lock)  # as the kernel does for one that is killed
+        with pytest.raises(ServerGoneError, match="silent"):
+            a.act(0, AHEAD)
+        assert a.core.patience.reconnect_s == (3.0 if launcher_lives else 0.5)
+
+
 def test_a_client_that_is_asked_to_end_gives_up_a_silent_world_sooner(tmp_path, monkeypatch):
     monkeypatch.setattr("wcsim.server.links.base.LEAVING_S", 0.5)
     with Server(stand_in_order(tmp_path), tmp_path) as server, SocketSeat(server.seat("a")) as a:
@@ -381,3 +398,12 @@ def test_a_client_that_was_stopped_has_not_waited_for_its_world(monkeypatch):
         link._pump()
     with pytest.raises(ServerGoneError, match="silent for 90 s"):
         link.receive()
+
+
+def test_the_second_world_gets_a_process_of_its_own(corner):
+    first = open_group(order(corner))
+    second = open_group(order(corner))
+    assert isinstance(first, LocalGroup)
+    assert isinstance(second, ProcessGroup)
+    with alone(first) as here, alone(second) as there:
+        assert ledger(there, 10) == ledger(here, 10)

@@ -14,21 +14,25 @@ import shutil
 import signal
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from itertools import count
 from pathlib import Path
 from typing import Any, Final, ParamSpec, TypeVar
 
-from wcsim.agents.clients.group_run import has_work
+from wcsim.agents.clients.group_run import RECONNECT_S, has_work
 from wcsim.agents.envs.wheelchair_env import WheelchairEnv
 from wcsim.agents.learning.build import network_settings
 from wcsim.agents.learning.callbacks import SeqCallback, TrainProgress
 from wcsim.agents.learning.train import train
+from wcsim.agents.networks.device import checked_device
 from wcsim.agents.networks.registry import find_network
 from wcsim.agents.runs.run_folder import MANIFEST, ResolvedRun
-from wcsim.config import LearnConfig, resolve
+from wcsim.config import LearnConfig, RunConfig, parse_json, resolve
+from wcsim.config.plant import known_plants
+from wcsim.core.reading import escaped
 from wcsim.errors import (
     AccessError,
+    ConfigError,
     ConfigMismatchError,
     DiskFullError,
     EvictedError,
@@ -36,16 +40,21 @@ from wcsim.errors import (
     LinkError,
     PicturesError,
     PolicyError,
+    ServerGoneError,
     StaleSessionError,
     VersionMismatchError,
     WcsimError,
 )
-from wcsim.server.launch.states import ClientExit
-from wcsim.server.specs import ClientSpec, ClientStatus, rss_mb, to_line
+from wcsim.server.launch.states import ClientExit, ClientStatus
+from wcsim.server.links.socket import SocketSeat
+from wcsim.server.protocol import messages as m
+from wcsim.server.protocol.client_core import Patience
+from wcsim.server.specs import ClientSpec, rss_mb, to_line
 from wcsim.supervisor.rewards import find_reward_term
 
 STATUS_EVERY_S = 0.5  # shortest time between two status lines
 _LASTING = (AccessError, ConfigMismatchError, PicturesError, VersionMismatchError)  # it would end so again
+_WORLD_PARTS = ("world", "chair", "cameras", "imu", "sensors", "reward", "vary")  # of a configuration
 SETTLED_STEPS: Final = 200  # of a life, after which its memory is what it begins with
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
@@ -186,16 +195,14 @@ def learn(
         _ProcessGrownError: Another process is to go on.
         WcsimError: See `agents.train.train` and `WheelchairEnv`.
     """
-    config = resolve(order.config, network_settings(order.config))
-    find_network(config.learn.network)
-    terms = tuple(find_reward_term(name) for name in order.info.rewards)
     out, beats = Path(order.out), count(1)
     goes_on = resume and (out / MANIFEST).is_file()
     if resume and not goes_on and out.is_dir():  # a life that was ended while it made its folder
         if has_work(out):
             raise PolicyError(f"{out} holds data but no {MANIFEST}; restore that file, or move the folder away")
         shutil.rmtree(out)
-    env = WheelchairEnv(order.info.town, config=config, reward_terms=terms, join=order.join)
+    order, env = opened(order, again=resume)
+    config = order.config
     shares = _TimeShares()
     growth = _ProcessGrowth(config.learn)
     pipe = _StatusPipe(order.join.name, status_fd, env, shares, growth)
@@ -213,6 +220,64 @@ def learn(
         raise
     finally:
         env.close()
+
+
+def opened(order: ClientSpec, again: bool = False) -> tuple[ClientSpec, WheelchairEnv]:
+    """The environment of an order, and the order with all that its network asks for.
+
+    An order without a town takes the world as it finds it: it has its seat there when this returns.
+
+    Args:
+        order: The client.
+        again: Whether such a world was there before, and may come back.
+
+    Raises:
+        ConfigError: There is no such world, or it cannot be used.
+        LinkError: It was there before, or refuses this client.
+        WcsimError: The order cannot be used.
+    """
+    config = resolve(order.config, network_settings(order.config))
+    checked_device(config.learn.device)
+    find_network(config.learn.network)
+    terms = tuple(find_reward_term(name) for name in order.info.rewards)
+    order = replace(order, config=config)
+    if order.info.town:
+        return order, WheelchairEnv(order.info.town, config=config, reward_terms=terms, join=order.join)
+    seat = SocketSeat(order.join)
+    try:
+        order = _fitted(order, seat, again)
+        return order, WheelchairEnv(order.info.town, config=order.config, reward_terms=terms, join=seat)
+    except BaseException:
+        seat.close()
+        raise
+
+
+def _fitted(order: ClientSpec, seat: SocketSeat, again: bool) -> ClientSpec:
+    """The order of a client that has taken its seat in a world which somebody else looks after."""
+    endpoint, patience = order.join.endpoint, order.join.patience
+    try:
+        seat.join()
+    except ServerGoneError:
+        if again:
+            raise
+        raise ConfigError(
+            f"{endpoint}: no answer within {patience.reconnect_s:g} s; is `wcsim serve` running there? "
+            "(--wait S waits longer)"
+        ) from None
+    seat.core.patience = Patience(reconnect_s=RECONNECT_S)  # from now on the server may be silent for longer
+    config = resolve(order.config, _of_world(seat.welcome, endpoint))
+    return replace(order, config=config, info=replace(order.info, town=seat.welcome.town))
+
+
+def _of_world(world: m.Welcome, endpoint: str) -> dict[str, Any]:
+    """What the world sets of a configuration. Raises ConfigError rather than open a file that a server names."""
+    offered = parse_json(RunConfig, world.config_json, f"the configuration of {endpoint}")
+    if not endpoint.startswith("ipc://") and offered.chair.plant not in known_plants():
+        raise ConfigError(
+            f"the world of {endpoint} drives a wheelchair of a file ({escaped(offered.chair.plant, 80)!r}); expected "
+            f"{' or '.join(known_plants())} over the network: join on the world's own machine"
+        )
+    return {**{part: getattr(offered, part) for part in _WORLD_PARTS}, "env": {"actions": offered.env.actions}}
 
 
 def exit_code(error: WcsimError) -> ClientExit:

@@ -13,9 +13,9 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from wcsim.core.processes import die_with_parent, outlive_parent_by
 from wcsim.errors import WcsimError
 from wcsim.server.launch.states import WAIT_NO_MORE, ClientExit
-from wcsim.server.launch.stop_signals import die_with_parent, outlive_parent_by
 from wcsim.server.protocol.limits import NO_ROOM, last_words, told_limit
 from wcsim.server.specs import ClientSpec, read_order
 

@@ -27,9 +27,9 @@ from wcsim.agents.runs.run_folder import (
     METRICS,
     Manifest,
     Status,
-    how_to_resume,
     manifest_of,
     read_json,
+    require_new,
 )
 from wcsim.config import RunConfig, parse, resolve
 from wcsim.config.load import Layer
@@ -148,9 +148,7 @@ def create_clients_folder(
         manifest: What it is made with.
         clients: The configuration of each, in seat order.
     """
-    if path.exists() and (not path.is_dir() or any(path.iterdir())):
-        told = f"choose another --out, or continue that run: {how_to_resume(path)}"
-        raise PolicyError(f"{path} exists and is not empty; {told}")
+    require_new(path)
     path.mkdir(parents=True, exist_ok=True)
     files.write_bytes(path / CONFIG, config.model_dump_json(indent=2).encode())
     for name, text in _texts(clients).items():
@@ -339,7 +337,6 @@ def client_plan(run: GroupRun, folder: ClientsFolder, place: Path, client: Clien
         seat=client.seat,
         argv=(*CLIENT_ARGV, str(file)),
         log=folder.log(client.name),
-        folder=out,
         resume=run.resume,
         order=to_line(order),
         order_file=file,

@@ -15,8 +15,7 @@ from typing import Any
 from wcsim.agents.runs.run_folder import read_json
 from wcsim.core import files
 from wcsim.errors import DiskFullError, PolicyError
-from wcsim.server.launch.states import ClientState, LaunchState
-from wcsim.server.specs import ClientStatus, WorldStatus
+from wcsim.server.launch.states import ClientState, ClientStatus, LaunchState, WorldStatus
 
 WAITS = "waits.json"
 SAVE_EVERY_S = 60.0  # a launcher that is killed loses so much at most

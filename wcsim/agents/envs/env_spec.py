@@ -20,8 +20,7 @@ from wcsim.agents.envs.episode_view import Chair, EpisodeStep, Info, windowed_sp
 from wcsim.config import RunConfig, resolve
 from wcsim.core.reading import MAX_INTEGER, escaped_value
 from wcsim.errors import ConfigError, ProtocolError, meant
-from wcsim.server.links.base import Seat, SeatGroup
-from wcsim.server.links.open import open_group
+from wcsim.server.links.base import Seat, SeatGroup, open_group
 from wcsim.server.specs import WorldOrder, seat_spec
 from wcsim.supervisor.actions import ActionSet, action_set
 from wcsim.supervisor.observation import Observation, imu_size, observation_space

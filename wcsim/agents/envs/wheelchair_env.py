@@ -31,8 +31,7 @@ from wcsim.agents.envs.env_spec import (
 from wcsim.agents.envs.episode_view import Chair
 from wcsim.core import seeding
 from wcsim.errors import EvictedError, ProtocolError, WorldRestartedError
-from wcsim.server.links.base import Seat, SeatGroup, Waits
-from wcsim.server.links.open import open_group
+from wcsim.server.links.base import Seat, SeatGroup, Waits, open_group
 from wcsim.server.specs import SeatRequest, WorldOrder
 from wcsim.supervisor.observation import Observation
 from wcsim.types import ClientSnapshot

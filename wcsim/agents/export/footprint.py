@@ -14,15 +14,15 @@ import re
 import signal
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
+from wcsim.core.processes import run_command
 from wcsim.errors import PolicyError
 
 SHARE: Final = 0.5  # of a core, while the quota is measured
@@ -61,39 +61,21 @@ def footprint(model: Path, reference: Path, keys: Sequence[str]) -> Footprint:
 
 def _told(model: Path, reference: Path, keys: Sequence[str], share: float) -> dict[str, Any]:
     words = [sys.executable, _PROGRAM, str(model), str(reference), ",".join(keys)]
-    # Files take whatever it says: nobody reads a pipe while the process is throttled.
-    with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as said:
-        try:
-            code = _run(words, share, out, said)
-        except subprocess.TimeoutExpired:
-            raise PolicyError(f"{model}: no answer within {_PATIENCE_S:g} s; expected its reference steps") from None
-        answer, complaint = _read(out), _read(said)
-    if code:
-        last = complaint.strip().splitlines()[-1:] or ["no word"]
+    try:
+        run = run_command(words, _PATIENCE_S, beside=lambda process: _throttle(process, share))
+    except subprocess.TimeoutExpired:
+        raise PolicyError(f"{model}: no answer within {_PATIENCE_S:g} s; expected its reference steps") from None
+    if run.returncode:
+        last = run.stderr.strip().splitlines()[-1:] or ["no word"]
         raise PolicyError(f"{model} cannot be run by itself: {last[0][:200]}; expected ONNX Runtime to take it")
-    told: dict[str, Any] = json.loads(answer)
+    told: dict[str, Any] = json.loads(run.stdout)
     return told
 
 
-def _run(words: Sequence[str], share: float, out: IO[bytes], said: IO[bytes]) -> int:
-    """The exit code of a command that gets a share of a core. Raises TimeoutExpired."""
-    with subprocess.Popen(words, stdout=out, stderr=said) as process:
-        try:
-            if share < 1.0:
-                _throttle(process, share)
-            return process.wait(timeout=_PATIENCE_S)
-        except BaseException:  # it may stand still, and would be waited for
-            process.kill()
-            raise
-
-
-def _read(written: IO[bytes]) -> str:
-    written.seek(0)
-    return written.read().decode(errors="replace")
-
-
 def _throttle(process: subprocess.Popen[bytes], share: float) -> None:
-    """Let a process run for its share of each period, until it ends."""
+    """Let a process run for its share of each period, until it ends; a whole core is no bound."""
+    if share == 1.0:
+        return
     until_s = time.monotonic() + _PATIENCE_S
     while process.poll() is None and time.monotonic() < until_s:
         time.sleep(share * PERIOD_S)

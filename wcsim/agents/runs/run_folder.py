@@ -43,6 +43,7 @@ from wcsim.config.plant import plant_text
 from wcsim.config.run_file import ManifestFile
 from wcsim.core import files
 from wcsim.core.constants import RECORDED
+from wcsim.core.processes import run_command
 from wcsim.core.reading import FileKind, escaped, is_file, is_folder
 from wcsim.core.reading import read_json as read_bounded_json
 from wcsim.errors import ConfigError, PolicyError, TownError, meant
@@ -144,6 +145,13 @@ def how_to_resume(path: Path) -> str:
     return shlex.join(["wcsim", "resume", str(path)])
 
 
+def require_new(path: Path) -> None:
+    """Raise PolicyError when a folder exists and is not empty."""
+    if path.exists() and (not path.is_dir() or any(path.iterdir())):
+        told = f"choose another --out, or continue that run: {how_to_resume(path)}"
+        raise PolicyError(f"{path} exists and is not empty; {told}")
+
+
 def create_run(path: Path, config: RunConfig, manifest: Manifest) -> RunFolder:
     """Make a new run folder.
 
@@ -151,9 +159,7 @@ def create_run(path: Path, config: RunConfig, manifest: Manifest) -> RunFolder:
         PolicyError: The folder exists and is not empty.
         ConfigError: The user's own plant file cannot be read.
     """
-    if path.exists() and (not path.is_dir() or any(path.iterdir())):
-        told = f"choose another --out, or continue that run: {how_to_resume(path)}"
-        raise PolicyError(f"{path} exists and is not empty; {told}")
+    require_new(path)
     plant = plant_text(config.chair.plant)
     (path / _CHECKPOINTS).mkdir(parents=True)
     (path / _POLICIES).mkdir()
@@ -261,14 +267,10 @@ def _git_revision() -> str:
     """The revision of the checkout that wcsim runs from, with a + when it was changed; "" outside of one."""
     here = Path(__file__).resolve().parent
     try:
-        done = subprocess.run(
-            ["git", "-C", str(here), "describe", "--always", "--dirty=+", "--abbrev=40", "--exclude=*"],
-            capture_output=True,
-            text=True,
-            timeout=10,
-            check=False,
+        done = run_command(
+            ["git", "-C", str(here), "describe", "--always", "--dirty=+", "--abbrev=40", "--exclude=*"], 10.0
         )
-    except (OSError, subprocess.TimeoutExpired):
+    except (OSError, subprocess.TimeoutExpired):  # also a disk that has no room for its answer
         return ""
     return done.stdout.strip() if done.returncode == 0 else ""
 

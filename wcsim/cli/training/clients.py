@@ -28,14 +28,15 @@ from wcsim.cli.shared.run_config import how_it_learns, how_to_test
 from wcsim.cli.training.train import ToldOptions
 from wcsim.config import RunConfig, resolve
 from wcsim.core.files import locked
+from wcsim.core.processes import StopSignals
 from wcsim.errors import ConfigError, DiskFullError, InterruptedRunError, JournalError, PolicyError, WcsimError
 from wcsim.log.reader import iter_inputs, log_digest, part_files
 from wcsim.log.writer import JOURNAL, LogWriter, told_torn
 from wcsim.server.launch.launcher import Launcher
 from wcsim.server.launch.states import ClientState, LaunchOutcome, LaunchRules, LaunchState, RestartRules
-from wcsim.server.launch.stop_signals import StopSignals
 from wcsim.server.ledger import Audit, audits, iter_ledger
 from wcsim.server.protocol.limits import require_files
+from wcsim.server.specs import world_plan
 from wcsim.server.transport.world_folder import workplace
 from wcsim.towns.scenario.town import Town
 from wcsim.view.live_table import LiveTable
@@ -150,7 +151,7 @@ def print_crossings(run: Path) -> None:
 
 
 LEASE_S = 120.0
-ALL_DONE = LaunchOutcome(code=0, message="", stopped=False, clients=(), elapsed_s=0.0)
+ALL_DONE = LaunchOutcome(code=0, message="", stopped=False, clients=())
 
 
 @dataclass(kw_only=True)
@@ -192,6 +193,7 @@ def train_clients(
         left = tuple(client for client in run.clients if not folder.done(client.name, client.steps))
         plans = [client_plan(run, folder, place, client) for client in left]
         order = world_order(run, town.address, folder, place, len(left), options.lease)
+        world = world_plan(order, place, folder.log("world"))
         rate, paid = _TickRate(), PaidTimesLog(folder.path)
         held.callback(paid.save)
         with LiveTable() as table:
@@ -209,7 +211,7 @@ def train_clients(
 
             again = RestartRules() if restarts is None else restarts
             rules = LaunchRules(client_lease_s=max(30.0, options.lease), client=again, world=again)
-            launcher = Launcher(order, plans, folder.path, place, rules, show, signals=signals)
+            launcher = Launcher(world, plans, folder.path, rules, show, signals)
             outcome = launcher.run() if left else ALL_DONE
         code = _told(run, folder, options.json, outcome, (rate, paid.times))
     if signals.count and not run.last:  # one that came when nothing ran any more, and what is to follow has not begun

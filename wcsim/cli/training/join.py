@@ -4,35 +4,31 @@ from __future__ import annotations
 
 import re
 import secrets
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from wcsim.agents.clients.group_run import RECONNECT_S
+from wcsim.agents.clients.group_run import CLIENT_ARGV
 from wcsim.agents.networks.names import check_network, client_name
-from wcsim.agents.runs.run_folder import ResolvedRun
-from wcsim.cli.shared.common import Bounds, OutFolder, check_folder, parse
+from wcsim.agents.runs.run_folder import MANIFEST, ResolvedRun, open_run, require_new
+from wcsim.cli.shared.common import Bounds, Flag, OutFolder, check_folder, parse
 from wcsim.cli.shared.consoles import StageBar
+from wcsim.cli.shared.exit_codes import Exit, NothingKept
 from wcsim.cli.shared.run_config import how_it_learns, how_to_test, require_user
 from wcsim.cli.training.train import LearnerOptions, gone_if_nothing_came_of_it, q_layers, steps_shown
-from wcsim.config import RunConfig, parse_json, resolve
-from wcsim.config.plant import known_plants
-from wcsim.core.reading import escaped
-from wcsim.errors import ConfigError, ServerGoneError
+from wcsim.config import RunConfig, resolve
+from wcsim.errors import ConfigError, InterruptedRunError, ServerGoneError
+from wcsim.server.launch.launcher import Launcher
+from wcsim.server.launch.states import ClientPlan
 from wcsim.server.protocol.client_core import Patience
 from wcsim.server.protocol.messages import ANY_SEAT
-from wcsim.server.specs import RunInfo, SeatRequest, seat_spec
+from wcsim.server.specs import ClientSpec, RunInfo, SeatRequest, seat_spec, to_line
+from wcsim.server.transport.world_folder import workplace
 from wcsim.types import CLIENT_NAME
-
-if TYPE_CHECKING:
-    from wcsim.server.links.socket import SocketSeat
-    from wcsim.server.protocol import messages as m
-
-WORLD_PARTS = ("world", "chair", "cameras", "imu", "sensors", "reward", "vary")
-"""Parts of a configuration that are the world's, not the client's."""
+from wcsim.view.live_table import LiveTable
 
 
 @dataclass(kw_only=True)
@@ -60,6 +56,8 @@ class _Options(LearnerOptions):
     """Seconds to wait for the server's first answer."""
     resume: bool = False
     """Continue an interrupted run from its newest checkpoint."""
+    supervise: Flag = False
+    """Start it again from its newest checkpoint when it died or lost its world, at most five times without progress."""
 
 
 def run(words: list[str]) -> int:
@@ -77,48 +75,74 @@ def run(words: list[str]) -> int:
     network = config.learn.network.rpartition(":")[2]
     out = options.out or Path("runs") / f"joined-{network}-{options.seed}"
     check_folder("--out", out)
-    folder = _joined(options, config, out, ("wcsim", "join", *words))
+    info = RunInfo(seed=options.seed, rewards=options.reward, command=("wcsim", "join", *words))
+    order = ClientSpec(join=_request(options, config), config=config, out=str(out), info=info)
+    if options.supervise:
+        _supervised(order, options.resume)
+    else:
+        _joined(order, options.resume)
     if options.steps is not None:
         print(f"note: {how_it_learns(config)}")
-    print(f"run folder: {folder}    test it: {how_to_test(folder, config.learn.network)}")
-    return 0
+    print(f"run folder: {out}    test it: {how_to_test(out, config.learn.network)}")
+    return Exit.DONE
 
 
-def _joined(options: _Options, config: RunConfig, out: Path, command: tuple[str, ...]) -> Path:
+def _joined(order: ClientSpec, resume: bool) -> None:
     # torch is loaded here, before there is a seat for which others would wait
-    from wcsim.agents.envs.wheelchair_env import WheelchairEnv
-    from wcsim.agents.learning.build import network_settings
+    from wcsim.agents.clients.client import opened
     from wcsim.agents.learning.train import train
-    from wcsim.agents.networks.device import checked_device
-    from wcsim.server.links.socket import SocketSeat
-    from wcsim.supervisor.rewards import find_reward_term
 
-    checked_device(config.learn.device)
-    config = resolve(config, network_settings(config))
-    terms = tuple(find_reward_term(name) for name in options.reward)
-    with SocketSeat(_order(options, config)) as seat, gone_if_nothing_came_of_it(out):
-        world = _world(options, seat)
-        fit = resolve(config, _of_world(world, options.endpoint))
-        street = WheelchairEnv(world.town, config=fit, reward_terms=terms, join=seat)
-        info = RunInfo(seed=options.seed, town=world.town, rewards=options.reward, command=command)
-        beats = count(1)
-        with StageBar("loading the town") as bar:
-            run = ResolvedRun(config=fit, out=out, info=info, resume=options.resume)
-            return train(run, lambda: street, steps_shown(bar), alive=lambda: street.beat(next(beats)))
+    out, beats = Path(order.out), count(1)
+    with gone_if_nothing_came_of_it(out):
+        order, street = opened(order)
+        with street, StageBar("loading the town") as bar:
+            run = ResolvedRun(config=order.config, out=out, info=order.info, resume=resume)
+            train(run, lambda: street, steps_shown(bar), alive=lambda: street.beat(next(beats)))
 
 
-def _of_world(world: m.Welcome, endpoint: str) -> dict[str, Any]:
-    """What the world sets of a configuration. Raises ConfigError rather than open a file that a server names."""
-    offered = parse_json(RunConfig, world.config_json, f"the configuration of {endpoint}")
-    if not endpoint.startswith("ipc://") and offered.chair.plant not in known_plants():
-        raise ConfigError(
-            f"the world of {endpoint} drives a wheelchair of a file ({escaped(offered.chair.plant, 80)!r}); expected "
-            f"{' or '.join(known_plants())} over the network: join on the world's own machine"
+def _supervised(order: ClientSpec, resume: bool) -> None:
+    """Learn in a process of its own, which is started again as one of `wcsim train-clients` is.
+
+    Raises:
+        InterruptedRunError: The user stopped it.
+        NothingKept: ... before anything was learned.
+        ConfigError: Something that was asked for cannot be used.
+        PolicyError: There is no run to go on with, or the folder of a new one is not empty.
+        ServerGoneError: It has died, or lost its world, too often.
+    """
+    out, name = Path(order.out), order.join.name
+    beside = out.with_name(f"{out.name}.supervised")
+    # A later life removes a folder without a run and begins again: never one of somebody else.
+    if resume:
+        open_run(out)
+    else:
+        require_new(out)
+    with workplace() as place, gone_if_nothing_came_of_it(out), LiveTable() as table:
+        file = place / f"{name}.json"
+        plan = ClientPlan(
+            name=name,
+            seat=max(0, order.join.seat),
+            argv=(*CLIENT_ARGV, str(file)),
+            log=beside / f"{name}.log",
+            resume=resume,
+            order=to_line(replace(order, out=str(out.absolute()))),
+            order_file=file,
         )
-    return {**{part: getattr(offered, part) for part in WORLD_PARTS}, "env": {"actions": offered.env.actions}}
+        beside.mkdir(parents=True, exist_ok=True)
+        outcome = Launcher(None, (plan,), beside, show=table.show).run()
+        if outcome.code == Exit.REFUSED:
+            raise ConfigError(outcome.message)
+        if outcome.code:
+            raise ServerGoneError(outcome.message)
+        if outcome.stopped and not (out / MANIFEST).is_file():
+            raise NothingKept("stopped before anything was learned; nothing is saved")
+        if outcome.stopped:
+            lost = outcome.clients[0].unsaved
+            told = f"stopped, but it {lost}: the training since its last checkpoint is lost" if lost else "stopped"
+            raise InterruptedRunError(f"{told}; {out} holds the rest; the same command with --resume goes on")
 
 
-def _order(options: _Options, config: RunConfig) -> SeatRequest:
+def _request(options: _Options, config: RunConfig) -> SeatRequest:
     env = config.env
     return SeatRequest(
         endpoint=options.endpoint,
@@ -129,16 +153,3 @@ def _order(options: _Options, config: RunConfig) -> SeatRequest:
         keys="" if options.keys is None else str(options.keys.absolute()),
         patience=Patience(reconnect_s=options.wait),
     )
-
-
-def _world(options: _Options, seat: SocketSeat) -> m.Welcome:
-    """Take the seat, and hear what the world is; from then on the server may be silent for longer."""
-    try:
-        seat.join()
-    except ServerGoneError:
-        raise ConfigError(
-            f"{options.endpoint}: no answer within {options.wait:g} s; is `wcsim serve` running there? "
-            "(--wait S waits longer)"
-        ) from None
-    seat.core.patience = Patience(reconnect_s=RECONNECT_S)
-    return seat.welcome

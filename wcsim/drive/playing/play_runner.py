@@ -12,12 +12,13 @@ from typing import Any, ClassVar, Final
 import msgspec
 
 from wcsim.config import CameraConfig, parse_json
+from wcsim.core.processes import start_child
 from wcsim.drive import messages as m
 from wcsim.drive.pictures import StreetPictures
 from wcsim.drive.playing.film_states import FilmAbout, FilmFrame, FilmLine, FilmNames, Said
 from wcsim.drive.playing.sources.source_process import FilmSource, run_at_low_priority, run_source
 from wcsim.drive.playing.tick_film import TickFilm
-from wcsim.drive.runner import Does, PageRunner, start_child
+from wcsim.drive.runner import Does, PageRunner
 from wcsim.errors import WcsimError
 from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.kpi import KpiTotals

@@ -25,10 +25,11 @@ from aiohttp import WSCloseCode, WSMsgType, web
 from aiohttp.http import HttpProcessingError
 from aiohttp.typedefs import Handler
 
+from wcsim.core.processes import start_child
 from wcsim.core.reading import escaped
 from wcsim.drive import messages as m
 from wcsim.drive.playing.play_runner import PlayStart
-from wcsim.drive.runner import DONE, JSON, LINE, PICTURES, DriveOrder, start_child
+from wcsim.drive.runner import DONE, JSON, LINE, PICTURES, DriveOrder
 from wcsim.drive.serving.access_control import LOOPBACK, AccessControl, content_policy, new_token
 from wcsim.drive.stick_watch import rests
 from wcsim.errors import ConfigError, ProtocolError, WorkersError

@@ -26,6 +26,7 @@ import msgspec
 
 from wcsim.bridge.replay.player import SeatWorld
 from wcsim.core.closing import Closing
+from wcsim.core.processes import die_with_parent
 from wcsim.errors import (
     AccessError,
     ConfigError,
@@ -44,7 +45,6 @@ from wcsim.server.host.status import Reporter
 from wcsim.server.host.world_host import Keep, WorldHost
 from wcsim.server.launch.awake_clock import AwakeClock
 from wcsim.server.launch.states import WorldExit
-from wcsim.server.launch.stop_signals import die_with_parent
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.events import Clock, Event, Lost, Peer, Received, Stop
 from wcsim.server.protocol.limits import NO_ROOM, last_words, told_limit

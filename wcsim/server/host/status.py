@@ -13,12 +13,13 @@ import msgspec
 
 from wcsim.errors import WcsimError
 from wcsim.server.host.world_host import WorldHost
+from wcsim.server.launch.states import Held, WorldStatus
 from wcsim.server.protocol.barrier import Barrier
 from wcsim.server.protocol.events import BarrierState, Clock, Event, Received
 from wcsim.server.protocol.members import Member
 from wcsim.server.protocol.messages import Act, failure_of
 from wcsim.server.protocol.server_core import ServerCore
-from wcsim.server.specs import Held, WorldStatus, rss_mb, to_line
+from wcsim.server.specs import rss_mb, to_line
 
 _EVERY_S = 0.25
 _STEPS = 100  # for the median

@@ -1,4 +1,4 @@
-"""One world and several clients as processes: started, watched, started again when they die, ended in order.
+"""A world and several clients as processes: started, watched, started again when they die, ended in order.
 
 A tiny process that loads no simulator and no torch. One loop waits for pipes and ends of processes; everything has a
 deadline. The children die with it, however it ends.
@@ -13,12 +13,11 @@ from contextlib import nullcontext
 from enum import Enum
 from pathlib import Path
 
+from wcsim.core.processes import StopSignals
 from wcsim.server.launch.awake_clock import AwakeClock
 from wcsim.server.launch.event_log import RunLog
-from wcsim.server.launch.states import ClientPlan, ClientState, LaunchOutcome, LaunchRules, LaunchState
-from wcsim.server.launch.stop_signals import StopSignals
-from wcsim.server.launch.supervised import WORLD_ARGV, SupervisedClient, SupervisedWorld
-from wcsim.server.specs import WorldSpec
+from wcsim.server.launch.states import ClientPlan, ClientState, LaunchOutcome, LaunchRules, LaunchState, WorldPlan
+from wcsim.server.launch.supervised import SupervisedClient, SupervisedWorld
 
 LOOK_S = 0.1
 SHOW_S = 0.25
@@ -42,26 +41,22 @@ class Launcher:
 
     def __init__(
         self,
-        world: WorldSpec,
+        world: WorldPlan | None,
         clients: Sequence[ClientPlan],
         folder: Path,
-        workplace: Path,
         rules: LaunchRules | None = None,
         show: Show | None = None,
         signals: StopSignals | None = None,
-        world_argv: Sequence[str] = WORLD_ARGV,
     ) -> None:
         """Prepare a launch.
 
         Args:
-            world: The world; its socket and its shared memory are in `workplace`.
+            world: The world; None where somebody else looks after it.
             clients: The clients; none for a world that waits for others.
-            folder: The run folder, for logs and events.jsonl.
-            workplace: A folder that only its owner can enter, for the order to the world.
+            folder: For events.jsonl.
             rules: How long to wait for what.
             show: Called a few times a second.
             signals: Those that ask for the end, where the caller hears them already; a second one ends all at once.
-            world_argv: The command line of the world, but for the order file.
         """
         self._rules = rules if rules is not None else LaunchRules()
         self._show = show
@@ -70,10 +65,10 @@ class Launcher:
         self._log = log
         self._clients = [SupervisedClient(plan, self._rules, self._selector, log) for plan in clients]
         self._serves = not self._clients
-        world_log = folder / "logs" / "world.log"
-        self._world = SupervisedWorld(
-            world, workplace / "world.json", world_log, self._rules, self._selector, log, world_argv
-        )
+        self._world = None if world is None else SupervisedWorld(world, self._rules, self._selector, log)
+        self._all: list[SupervisedWorld | SupervisedClient] = [*self._clients]
+        if self._world is not None:
+            self._all.insert(0, self._world)
         self._step = _LaunchStep.RUN
         self._since_s = 0.0  # of this step
         self._waits_end = self._asked_world = False
@@ -85,13 +80,11 @@ class Launcher:
 
     def run(self) -> LaunchOutcome:
         """Start everything, and return when nothing of it runs any more."""
-        begun_s = time.monotonic()
-        clock = AwakeClock(begun_s)  # a launcher that was stopped has not waited for anybody
+        clock = AwakeClock(time.monotonic())  # a launcher that was stopped has not waited for anybody
         try:
             with nullcontext() if self._given is not None else self._heard:
-                self._world.start(clock.now_s)
-                for client in self._clients:
-                    client.start(clock.now_s)
+                for process in self._all:
+                    process.start(clock.now_s)
                 while self._step is not _LaunchStep.OVER:
                     self._selector.select(LOOK_S)
                     self._look(clock.look(time.monotonic()))
@@ -100,16 +93,14 @@ class Launcher:
             self._rescue()
             raise
         finally:
-            for client in self._clients:
-                client.close()
-            self._world.close()
+            for process in reversed(self._all):
+                process.close()
             self._selector.close()
         return LaunchOutcome(
             code=self._code,
             message=self._message,
             stopped=self._stopped,
             clients=self._states(),
-            elapsed_s=time.monotonic() - begun_s,
             by_signal=self._stopped and self._heard.count > 0,
         )
 
@@ -121,13 +112,20 @@ class Launcher:
     def _signals(self) -> int:
         return self._asked + self._heard.count
 
+    @property
+    def _ticks(self) -> bool:
+        """Whether there is a world of its own that ticks."""
+        return self._world is not None and self._world.ticks
+
     def _look(self, now_s: float) -> None:
-        self._world.look(now_s)
+        if self._world is not None:
+            self._world.look(now_s)
         for client in self._clients:
-            client.see(self._world.status if self._world.running else None)
+            client.see(self._world.status if self._world is not None and self._world.running else None)
             client.look(now_s)
         if self._signals > 1:
-            self._kill_all()
+            for process in self._all:
+                process.kill()
         if self._step is _LaunchStep.RUN:
             self._run_on(now_s)
         if self._step is _LaunchStep.CLIENTS_END:
@@ -140,7 +138,7 @@ class Launcher:
         fault = next((client.fault for client in self._clients if client.fault), "")
         if fault:
             self._end_clients(now_s, 2, fault)
-        elif self._world.fault:
+        elif self._world is not None and self._world.fault:
             self._end_clients(now_s, 2 if self._world.refused else 1, self._world.fault)
         elif self._signals:
             self._stopped = True
@@ -169,13 +167,13 @@ class Launcher:
         if waited_s > self._rules.saving_s:
             for client in self._clients:
                 client.kill()
-        elif not self._waits_end and waited_s > (WAITED_S if self._world.ticks else IDLE_S):
+        elif not self._waits_end and waited_s > (WAITED_S if self._ticks else IDLE_S):
             self._waits_end = True  # who saves its work is not disturbed by that
             for client in self._clients:
                 client.wait_no_more()
 
     def _await_world(self, now_s: float) -> None:
-        if not self._world.running:
+        if self._world is None or not self._world.running:
             self._go(_LaunchStep.OVER, now_s)
             return
         status, waited_s = self._world.status, now_s - self._since_s
@@ -192,16 +190,11 @@ class Launcher:
         """Something failed in here: let the clients save their work before their processes are ended."""
         for client in self._clients:
             client.ask_to_end()
-            if not self._world.ticks:  # nobody starts it again
+            if not self._ticks:  # nobody starts it again
                 client.wait_no_more()
         deadline_s = time.monotonic() + self._rules.saving_s
         while time.monotonic() < deadline_s and not all(client.ended for client in self._clients):
             time.sleep(LOOK_S)
-
-    def _kill_all(self) -> None:
-        for client in self._clients:
-            client.kill()
-        self._world.kill()
 
     # --- what it shows ---
 
@@ -213,10 +206,10 @@ class Launcher:
         self._show(
             LaunchState(
                 elapsed_s=now_s,
-                world_standing=world.standing,
-                world_pid=world.pid,
-                world_restarts=world.restarts,
-                world=world.status,
+                world_standing="elsewhere" if world is None else world.standing,
+                world_pid=0 if world is None else world.pid,
+                world_restarts=0 if world is None else world.restarts,
+                world=None if world is None else world.status,
                 clients=self._states(),
                 stopping=self._step is not _LaunchStep.RUN,
             )

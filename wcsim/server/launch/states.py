@@ -1,19 +1,65 @@
 """What a launcher is asked to run, and what it knows of its processes while they run.
 
-When a process that died is started again, and when it is given up.
+When a process that died is started again, and when it is given up. What processes say of themselves.
 """
 
 from __future__ import annotations
 
 import signal
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
 from pathlib import Path
 from typing import Literal
 
-from wcsim.server.specs import ClientStatus, WorldStatus
-
 _MOST_DOUBLINGS = 64  # beyond any wait, and still a number
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Held:
+    """How long the others have waited for one client while the barrier filled."""
+
+    name: str
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WorldStatus:
+    """What a world process says of itself a few times a second."""
+
+    stage: str  # "loading", or a Stage
+    epoch: int = 0
+    tick: int = 0
+    ticks: int = 0  # done by this process
+    ticks_per_s: float = 0.0  # over the last seconds
+    step_ms: float = 0.0  # median of the last steps
+    members: tuple[str, ...] = ()
+    master: str = ""
+    late: tuple[str, ...] = ()  # for whom the barrier waits
+    late_s: float = 0.0  # since when
+    rss_mb: float = 0.0
+    held: tuple[Held, ...] = ()  # over the life of this process, by seat; those who left are not in it
+    waited_s: tuple[tuple[float, ...], ...] = ()  # what each of `members` (rows) has waited for each (columns)
+    listening: str = ""  # the address for clients on other machines
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ClientStatus:
+    """What a client process says of itself."""
+
+    name: str
+    step: int = 0
+    total_steps: int = 0
+    phase: int = 1
+    episodes: int = 0
+    crashes: int = 0
+    kpi1: float | None = None  # of the agent's own choice, mean of the last 2,000 steps
+    simulation_s: float = 0.0  # waiting for the world's own work
+    barrier_s: float = 0.0  # waiting for others, and for messages
+    inference_s: float = 0.0
+    learning_s: float = 0.0
+    overlap_s: float = 0.0  # of learning_s, done while it waited: in one of the first two as well
+    pid: int = 0  # of the life that these times are of
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -24,32 +70,17 @@ class RestartRules:
     longest_s: float = 30.0
     deaths: int = 5  # without progress; then it is given up
 
+    def wait_s(self, in_vain: int) -> float | None:
+        """Seconds until a process is started again that has died so often without progress; None: of no use any more.
 
-class Restarts:
-    """Counts the deaths of one process.
-
-    >>> restarts = Restarts(RestartRules())
-    >>> [restarts.died(progressed=False) for _ in range(5)]
-    [0.5, 1.0, 2.0, 4.0, None]
-    >>> restarts.died(progressed=True)
-    0.5
-    >>> patient = Restarts(RestartRules(deaths=10_000))
-    >>> [patient.died(progressed=False) for _ in range(2_000)][-1]
-    30.0
-    """
-
-    def __init__(self, rules: RestartRules) -> None:
-        self.rules = rules
-        self.deaths = 0  # in all
-        self.in_vain = 0  # without progress, in a row
-
-    def died(self, progressed: bool) -> float | None:
-        """The process has died: seconds until it is to be started again, None when that is of no use any more."""
-        self.deaths += 1
-        self.in_vain = 1 if progressed else self.in_vain + 1
-        if self.in_vain >= self.rules.deaths:
+        >>> [RestartRules().wait_s(deaths) for deaths in (1, 2, 3, 4, 5)]
+        [0.5, 1.0, 2.0, 4.0, None]
+        >>> RestartRules(deaths=10_000).wait_s(2_000)
+        30.0
+        """
+        if in_vain >= self.deaths:
             return None
-        return min(self.rules.first_s * 2.0 ** min(self.in_vain - 1, _MOST_DOUBLINGS), self.rules.longest_s)
+        return min(self.first_s * 2.0 ** min(in_vain - 1, _MOST_DOUBLINGS), self.longest_s)
 
 
 WAIT_NO_MORE = signal.SIGUSR1
@@ -84,7 +115,7 @@ class WorldExit(IntEnum):
     EPOCH_OVER = 5  # as planned: a new process goes on with the next epoch
 
 
-Standing = Literal["starting", "running", "down", "done", "stopped", "given up"]
+Standing = Literal["starting", "running", "down", "done", "stopped", "given up", "elsewhere"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -98,10 +129,21 @@ class ClientPlan:
     seat: int
     argv: tuple[str, ...]
     log: Path
-    folder: Path  # where its work is
     resume: bool = False  # also at the first start
     order: bytes = b""
     order_file: Path | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WorldPlan:
+    """A world process; its order is written to `order_file` before every start, beside the socket of the world."""
+
+    argv: tuple[str, ...]
+    # The number of its pipe, whether none was there yet, and where the one before it listened ("": nowhere).
+    order: Callable[[int, bool, str], bytes]
+    order_file: Path
+    log: Path
+    last_tick: Callable[[int], int]  # that it has done in its last epoch, by what it told
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -154,5 +196,4 @@ class LaunchOutcome:
     message: str
     stopped: bool
     clients: tuple[ClientState, ...]
-    elapsed_s: float
     by_signal: bool = False  # it was stopped by a signal, not by `Launcher.stop`

@@ -10,56 +10,61 @@ import re
 import selectors
 import signal
 import subprocess
-import sys
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from contextlib import nullcontext, suppress
 from pathlib import Path
 from typing import Generic, TypeVar
 
-from wcsim.errors import ConfigError, WcsimError
-from wcsim.log.reader import inputs_of_part
-from wcsim.log.records import EpochBegun, Ticked
-from wcsim.log.writer import JOURNAL
+import msgspec
+
+from wcsim.errors import DiskFullError
 from wcsim.server.launch.event_log import RunLog
 from wcsim.server.launch.states import (
     WAIT_NO_MORE,
     ClientExit,
     ClientPlan,
     ClientState,
+    ClientStatus,
     LaunchRules,
     RestartRules,
-    Restarts,
     Standing,
     WorldExit,
+    WorldPlan,
+    WorldStatus,
 )
-from wcsim.server.specs import ClientStatus, WorldSpec, WorldStatus, of_line, to_line, write_order
 
 _READ_BYTES = 1 << 16
 _MOST_BYTES = 1 << 20  # of a line that does not end
 
 
-class _Child(subprocess.Popen[bytes]):
-    """A running process, in a session of its own, so that Ctrl-C at the terminal reaches its launcher alone."""
+class Child(subprocess.Popen[bytes]):
+    """A running process, in a session of its own, so that Ctrl-C at the terminal reaches whoever started it alone."""
 
-    def __init__(self, argv_of: Callable[[int], Sequence[str]], log: Path, selector: selectors.BaseSelector) -> None:
+    def __init__(
+        self,
+        argv_of: Callable[[int], Sequence[str]],
+        selector: selectors.BaseSelector,
+        log: Path | None = None,
+    ) -> None:
         """Start it.
 
         Args:
             argv_of: The command line, given the number of the pipe's end that status lines go to.
-            log: Where its output is appended.
             selector: Wakes when there is something to read, or the process has ended.
+            log: Where its output is appended; None: it goes where that of this process goes.
 
         Raises OSError when there is no such program.
         """
-        log.parent.mkdir(parents=True, exist_ok=True)
-        self.log = log
+        self._log = log
         self._selector = selector
         self._pipe, theirs = os.pipe()
         os.set_blocking(self._pipe, False)
         try:
-            with log.open("ab") as out:
-                self.log_begin = out.tell()
+            if log is not None:
+                log.parent.mkdir(parents=True, exist_ok=True)
+            with nullcontext() if log is None else log.open("ab") as out:
+                self._log_begin = 0 if out is None else out.tell()
                 super().__init__(
                     argv_of(theirs),
                     stdin=subprocess.DEVNULL,
@@ -92,8 +97,12 @@ class _Child(subprocess.Popen[bytes]):
         *whole, self._rest = self._rest.split(b"\n")
         return whole
 
-    def close(self) -> None:
-        """Kill it if it still runs, and let go of its pipe."""
+    def close(self, grace_s: float = 0.0) -> None:
+        """Kill it if it still runs, and let go of its pipe; where there is a grace, it is asked to end before."""
+        if grace_s > 0.0:
+            self.terminate()
+            with suppress(subprocess.TimeoutExpired):
+                self.wait(grace_s)
         self.kill()
         self._selector.unregister(self._end_fd)
         os.close(self._end_fd)
@@ -101,9 +110,11 @@ class _Child(subprocess.Popen[bytes]):
         self._stop_reading()
 
     def last_words(self) -> str:
-        """What it said of itself in the end: the last `wcsim: ...` line that it wrote, or the last line of all."""
-        with self.log.open("rb") as file:
-            file.seek(max(self.log_begin, self.log.stat().st_size - _READ_BYTES))
+        """What it said of itself in the end: the last `wcsim: ...` line of its log, or the last line of all."""
+        if self._log is None:
+            return ""
+        with self._log.open("rb") as file:
+            file.seek(max(self._log_begin, self._log.stat().st_size - _READ_BYTES))
             lines = file.read().decode(errors="replace").splitlines()
         told = [line for line in lines if line.startswith("wcsim: ")] or [line for line in lines if line.strip()]
         return told[-1].removeprefix("wcsim: ") if told else ""
@@ -115,18 +126,31 @@ class _Child(subprocess.Popen[bytes]):
             os.close(self._pipe)
 
 
-def _how_it_ended(code: int) -> str:
-    """An exit code in words.
+def _how_it_ended(code: int, words: str = "") -> str:
+    """An exit code in words, with the last words of the process where it ended by itself.
 
-    >>> _how_it_ended(-9), _how_it_ended(3)
-    ('was killed by SIGKILL', 'ended with code 3')
+    >>> _how_it_ended(-9, "no more"), _how_it_ended(3), _how_it_ended(3, "no more")
+    ('was killed by SIGKILL', 'ended with code 3', 'ended with code 3: no more')
     """
     if code >= 0:
-        return f"ended with code {code}"
+        return f"ended with code {code}{f': {words}' if words and code else ''}"
     try:
         return f"was killed by {signal.Signals(-code).name}"
     except ValueError:
         return f"was killed by signal {-code}"
+
+
+def _write_order(path: Path, line: bytes) -> None:
+    """Write an order where its process looks for it; its folder is made again when somebody has removed it.
+
+    Raises:
+        DiskFullError: It could not be written.
+    """
+    try:
+        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        path.write_bytes(line)
+    except OSError as error:
+        raise DiskFullError(f"{path}: an order could not be written ({error.strerror}); make room") from None
 
 
 Status = TypeVar("Status", ClientStatus, WorldStatus)
@@ -148,8 +172,9 @@ class _Supervised(ABC, Generic[Status]):
         self._name, self._log_file, self._log = name, log_file, log
         self._says: type[Status] = says
         self._selector = selector
-        self._restarts = Restarts(rules)
-        self._child: _Child | None = None
+        self._restart = rules
+        self._deaths = self._in_vain = 0  # in all, and without progress in a row
+        self._child: Child | None = None
         self.standing: Standing = "down"
         self.status: Status | None = None  # the last one
         self.fault = ""  # why there is no use in going on with the whole run
@@ -180,7 +205,7 @@ class _Supervised(ABC, Generic[Status]):
 
     def start(self, now_s: float) -> None:
         """Begin a life."""
-        self._child = _Child(self._command, self._log_file, self._selector)
+        self._child = Child(self._command, self._selector, self._log_file)
         self._log.add("restart" if self._lives else "start", who=self._name, pid=self._child.pid)
         self._lives += 1
         self.standing, self._due_s = "starting", None
@@ -195,8 +220,8 @@ class _Supervised(ABC, Generic[Status]):
         child, code = self._child, self._child.poll()
         for line in child.lines():
             try:
-                self.status = of_line(self._says, line)
-            except ConfigError:
+                self.status = msgspec.json.decode(line, type=self._says)
+            except (msgspec.MsgspecError, UnicodeError, RecursionError):
                 continue  # a world that fails says so in a line of another kind, too
             self._heard(self.status, now_s)
         if code is not None:
@@ -238,14 +263,14 @@ class _Supervised(ABC, Generic[Status]):
         """It has said something."""
 
     @abstractmethod
-    def _watch(self, child: _Child, now_s: float) -> None:
+    def _watch(self, child: Child, now_s: float) -> None:
         """It lives: does it hang?"""
 
     @abstractmethod
     def _ended(self, code: int, words: str, now_s: float) -> None:
         """It has ended, with these last words."""
 
-    def _hangs(self, child: _Child, **told: float) -> None:
+    def _hangs(self, child: Child, **told: float) -> None:
         self._log.add("hang", who=self._name, **told)
         child.kill()
 
@@ -257,10 +282,15 @@ class _Supervised(ABC, Generic[Status]):
 
     def _died(self, code: int, words: str, now_s: float, **told: int) -> str:
         """Take note of a death; returns it in words."""
-        reason = f"{_how_it_ended(code)}{f': {words}' if words and code > 0 else ''}"
+        reason = _how_it_ended(code, words)
         self._died_s = now_s if self._died_s is None else self._died_s
         self._log.add("death", who=self._name, code=code, reason=reason, **told)
         return reason
+
+    def _settle(self, standing: Standing, event: str, **told: str | int) -> None:
+        """It is not there and will not come back."""
+        self.standing = standing
+        self._log.add(event, who=self._name, **told)
 
     def _replace(self, words: str, now_s: float, **told: int) -> None:
         """Its life ended as planned: no death, and no reason to wait for the next one."""
@@ -270,7 +300,9 @@ class _Supervised(ABC, Generic[Status]):
 
     def _start_later(self, now_s: float, progressed: bool) -> bool:
         """Have it started again after a while; False when that is of no use any more."""
-        wait_s = self._restarts.died(progressed=progressed)
+        self._deaths += 1
+        self._in_vain = 1 if progressed else self._in_vain + 1
+        wait_s = self._restart.wait_s(self._in_vain)
         if wait_s is None:
             return False
         self.standing, self._due_s = "down", now_s + wait_s
@@ -332,7 +364,7 @@ class SupervisedClient(_Supervised[ClientStatus]):
 
     def _command(self, status_fd: int) -> tuple[str, ...]:
         if self.plan.order_file is not None:
-            write_order(self.plan.order_file, self.plan.order)
+            _write_order(self.plan.order_file, self.plan.order)
         resume = ("--resume",) if self._lives or self.plan.resume else ()
         return (*self.plan.argv, *resume, "--status-fd", str(status_fd))
 
@@ -349,23 +381,21 @@ class SupervisedClient(_Supervised[ClientStatus]):
 
     def _ended(self, code: int, words: str, now_s: float) -> None:
         if code == ClientExit.DONE:
-            self.standing = "done"
-            self._log.add("done", who=self.plan.name, step=self._step)
+            self._settle("done", "done", step=self._step)
         elif self._ending:
-            self.standing = "stopped"
             if code not in _SAVED and self._step > 0:
-                self.unsaved = f"{_how_it_ended(code)}{f': {words}' if words and code > 0 else ''}"
-            self._log.add("stopped", who=self.plan.name, code=code, step=self._step)
+                self.unsaved = _how_it_ended(code, words)
+            self._settle("stopped", "stopped", code=code, step=self._step)
         elif code == ClientExit.GROWN:
             self._crash = ""
             self._replace(words, now_s, step=self._step)
         elif code == ClientExit.USER_ERROR:
-            self.standing, self.reason = "given up", words
+            self.reason = words
             self.fault = words or f"client {self.plan.name} {_how_it_ended(code)}; see {self.plan.log}"
-            self._log.add("refused", who=self.plan.name, reason=words)
+            self._settle("given up", "refused", reason=words)
         elif code == ClientExit.DISK_FULL:
-            self.standing, self.reason = "given up", f"has no disk space to save: {words}"
-            self._log.add("given up", who=self.plan.name, reason=self.reason)
+            self.reason = f"has no disk space to save: {words}"
+            self._settle("given up", "given up", reason=self.reason)
         else:
             self._crashed(code, words, now_s)
 
@@ -378,10 +408,9 @@ class SupervisedClient(_Supervised[ClientStatus]):
         self.reason = self._died(code, words, now_s, step=self._step)
         self._crash = self.reason if self._step > 0 else ""
         if not self._start_later(now_s, progressed):
-            self.standing = "given up"
-            self._log.add("given up", who=self.plan.name, deaths=self._restarts.deaths)
+            self._settle("given up", "given up", deaths=self._deaths)
 
-    def _watch(self, child: _Child, now_s: float) -> None:
+    def _watch(self, child: Child, now_s: float) -> None:
         """End a client that the world gives no seat to, or took it from, and that does not notice by itself."""
         world, begun, seated = self._world, self._gathering, self._seat_epoch is not None
         self._gathering = world is not None and world.stage == "empty" and world.epoch != self._seat_epoch
@@ -402,32 +431,21 @@ class SupervisedClient(_Supervised[ClientStatus]):
         return self._rules.client_lease_s if lost else self._rules.joining_s
 
 
-WORLD_ARGV = (sys.executable, "-m", "wcsim.server.host.process")
 WORLD = "world"  # its name in logs and events
 _ERROR_NAME = re.compile(r"^[A-Za-z]+Error: ")
-MOST_READ_BYTES = 8 << 20  # of a journal, between a death and a restart
 A_START = 10  # ticks; a life that ends before has achieved nothing
 
 
 class SupervisedWorld(_Supervised[WorldStatus]):
     """Also ends a world that hangs, and gives one up that dies again and again at the same tick."""
 
-    def __init__(
-        self,
-        order: WorldSpec,
-        order_file: Path,
-        log_file: Path,
-        rules: LaunchRules,
-        selector: selectors.BaseSelector,
-        log: RunLog,
-        argv: Sequence[str],
-    ) -> None:
-        """Prepare it; `argv` is its command line, but for the order file."""
-        super().__init__(WORLD, WorldStatus, log_file, rules.world, selector, log)
-        self._order, self._order_file, self._rules, self._argv = order, order_file, rules, argv
+    def __init__(self, plan: WorldPlan, rules: LaunchRules, selector: selectors.BaseSelector, log: RunLog) -> None:
+        super().__init__(WORLD, WorldStatus, plan.log, rules.world, selector, log)
+        self._plan, self._rules = plan, rules
         self.refused = False  # ended by a fault for which the user has to do something
         self._heard_s = 0.0
         self._loaded = False  # in any life
+        self._listening = ""  # where the first life was reached
         self._death_tick = -1
 
     @property
@@ -438,11 +456,11 @@ class SupervisedWorld(_Supervised[WorldStatus]):
     def close(self) -> None:
         """Let go of everything."""
         super().close()
-        self._order_file.unlink(missing_ok=True)
+        self._plan.order_file.unlink(missing_ok=True)
 
     def _command(self, status_fd: int) -> tuple[str, ...]:
-        write_order(self._order_file, to_line(replace(self._order, begins=not self._loaded, status_fd=status_fd)))
-        return (*self._argv, str(self._order_file))
+        _write_order(self._plan.order_file, self._plan.order(status_fd, not self._loaded, self._listening))
+        return self._plan.argv
 
     def _begun(self, now_s: float) -> None:
         self.status, self._heard_s = None, now_s
@@ -451,15 +469,16 @@ class SupervisedWorld(_Supervised[WorldStatus]):
         self._heard_s = now_s
         if status.stage != "loading":
             self.standing, self._loaded = "running", True
-            if status.listening:  # its clients know no other port than the one that was found first
-                self._order = replace(self._order, listen=status.listening)
+            # Its clients know no other port than the one that was found first.
+            self._listening = status.listening or self._listening
         if status.ticks > 0:
             self._recovered(now_s, epoch=status.epoch, tick=status.tick)
 
-    def _watch(self, child: _Child, now_s: float) -> None:
-        if not self._order_file.parent.is_dir():  # with the socket: nobody could come back to this world
-            self._log.add("place lost", who=WORLD, place=str(self._order_file.parent))
-            write_order(self._order_file, b"")
+    def _watch(self, child: Child, now_s: float) -> None:
+        file = self._plan.order_file
+        if not file.parent.is_dir():  # with the socket: nobody could come back to this world
+            self._log.add("place lost", who=WORLD, place=str(file.parent))
+            _write_order(file, b"")
             child.kill()
             return
         lease_s = self._rules.world_lease_s if self.ticks else self._rules.loading_lease_s
@@ -470,14 +489,13 @@ class SupervisedWorld(_Supervised[WorldStatus]):
     def _ended(self, code: int, words: str, now_s: float) -> None:
         words = _ERROR_NAME.sub("", words)
         if self._ending:
-            self.standing = "stopped"
-            self._log.add("end", who=WORLD, code=code)
+            self._settle("stopped", "end", code=code)
             return
         if code == WorldExit.EPOCH_OVER:
             self._death_tick = -1
             self._replace(words, now_s)
             return
-        tick = self._last_tick()
+        tick = self._plan.last_tick(0 if self.status is None else self.status.tick)
         reason = self._died(code, words, now_s, tick=tick)
         if code == WorldExit.DISK_FULL:
             self._give_up(f"{words}; then continue (a training: wcsim resume RUN)", refused=False)
@@ -489,25 +507,10 @@ class SupervisedWorld(_Supervised[WorldStatus]):
         progressed = tick != self._death_tick and ticks >= A_START
         self._death_tick = tick
         if not self._start_later(now_s, progressed):
-            deaths = self._restarts.in_vain
-            self._give_up(f"the world died {deaths} times at tick {tick} ({reason}); see {self._log_file}", False)
+            self._give_up(
+                f"the world died {self._in_vain} times at tick {tick} ({reason}); see {self._log_file}", False
+            )
 
     def _give_up(self, fault: str, refused: bool) -> None:
-        self.standing, self.fault, self.refused = "given up", fault, refused
-        self._log.add("given up", who=WORLD, reason=fault)
-
-    def _last_tick(self) -> int:
-        """The last tick of its epoch that is known to have been done, exactly where there is a journal."""
-        tick = 0 if self.status is None else self.status.tick
-        journal = Path(self._order.run) / JOURNAL
-        if not self._order.run or not journal.is_file() or journal.stat().st_size > MOST_READ_BYTES:
-            return tick
-        done = 0
-        try:
-            # A world that died while it loaded has not said which epoch it was in.
-            for record in inputs_of_part(journal):
-                if isinstance(record, Ticked | EpochBegun):
-                    done = record.tick if isinstance(record, Ticked) else 0
-        except WcsimError:
-            return tick
-        return done
+        self.fault, self.refused = fault, refused
+        self._settle("given up", "given up", reason=fault)

@@ -20,10 +20,11 @@ from wcsim.log.writer import LogWriter
 from wcsim.server.launch.awake_clock import AwakeClock
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.client_core import ClientCore, Failed, FrameSeen, Outcome, Say, Welcomed
+from wcsim.server.specs import WorldOrder
 from wcsim.types import ClientSnapshot, Joystick
 
 INTERRUPTED = "the previous step was interrupted or has not finished; call reset() first"
-LEAVING_S = 10.0  # who is to end gives up a world that is silent for so long; one that lives speaks every second
+LEAVING_S = 10.0  # who need not wait gives up a world that is silent for so long; one that lives speaks every second
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -104,7 +105,7 @@ class Seat(Closing):
         """Show that a long computation goes on, by a counter that rises; see `Rules.lease_s`. Nothing once closed."""
 
     def wait_less(self) -> None:
-        """From now on a world that is silent for `LEAVING_S` is gone; for a client that is asked to end.
+        """From now on a world that is silent for `LEAVING_S` is gone: nobody starts it again, or the client is to end.
 
         May be called by a signal's handler.
         """
@@ -332,3 +333,21 @@ class WorldLink(Seat):
 def new_session() -> bytes:
     """A name for a connection that nobody can guess."""
     return secrets.token_bytes(m.SESSION_BYTES)
+
+
+def open_group(order: WorldOrder) -> SeatGroup:
+    """All seats of a new world; two worlds of one order behave the same to the bit, whichever process they are in.
+
+    It is in this process while no world lives here, else in one of its own. One caller in one thread drives all seats:
+    first `send` on every link, then `receive` on every link. Seats are given away all at once, in seat order.
+    """
+    # Only who asks for a world loads the simulators: a client that joins a world elsewhere never does.
+    from wcsim.bridge.sumo.session import world_in_this_process
+
+    if not world_in_this_process():
+        from wcsim.server.links.local import LocalGroup
+
+        return LocalGroup(order)
+    from wcsim.server.links.socket import ProcessGroup  # ZeroMQ is loaded only when a second world is asked for
+
+    return ProcessGroup(order)

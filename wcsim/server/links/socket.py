@@ -15,8 +15,7 @@ import logging
 import math
 import os
 import secrets
-import subprocess
-import sys
+import selectors
 import threading
 import time
 import weakref
@@ -30,16 +29,18 @@ import zmq
 from zmq.utils.monitor import recv_monitor_message
 
 from wcsim.errors import AccessError, ConfigError, LinkClosedError, LinkTimeoutError, ProtocolError
+from wcsim.server.launch.states import WorldStatus
+from wcsim.server.launch.supervised import Child
 from wcsim.server.ledger import open_ledger
 from wcsim.server.links.base import SeatGroup, WorldLink, new_session
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.client_core import Ask, ClientCore, ClientPhase, FrameSeen, Patience
 from wcsim.server.protocol.events import Rules
-from wcsim.server.specs import SeatRequest, WorldOrder, WorldSpec, WorldStatus, of_line, to_line
+from wcsim.server.specs import WORLD_ARGV, SeatRequest, WorldOrder, WorldSpec, of_line, to_line
 from wcsim.server.transport.keys import client_keys, is_ipv6, server_public
 from wcsim.server.transport.shared_images import RingView
 from wcsim.server.transport.sockets import monitored, notice_cuts
-from wcsim.server.transport.world_folder import OwnFolder, endpoint_in, remove_stale
+from wcsim.server.transport.world_folder import OwnFolder, endpoint_in, is_abandoned, remove_stale
 from wcsim.types import ClientSnapshot, SeatSpec
 
 log = logging.getLogger("wcsim.server.links.socket")
@@ -48,6 +49,15 @@ _POLL_MS = 200
 _CUT_S = 12.0  # a world that is replaced as planned is mostly there again by then
 _BYE_S = 1.0
 QUEUE = 64
+_OPTIONS = {
+    zmq.LINGER: 0,
+    zmq.MAXMSGSIZE: m.MAX_REPLY_BYTES,
+    zmq.SNDHWM: QUEUE,
+    zmq.RCVHWM: QUEUE,
+    zmq.RCVTIMEO: _POLL_MS,
+    zmq.RECONNECT_IVL: 50,
+    zmq.RECONNECT_IVL_MAX: 1000,
+}
 _REFUSED = zmq.EVENT_HANDSHAKE_FAILED_AUTH | zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL | zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL
 _MADE, _LOST = zmq.EVENT_HANDSHAKE_SUCCEEDED, zmq.EVENT_DISCONNECTED
 
@@ -166,6 +176,10 @@ class SocketSeat(WorldLink):
                 self._cut_s = self._now_s() if self._cut_s is None else self._cut_s
             elif self.core.phase is ClientPhase.JOINING and not self._order.endpoint.startswith("ipc://"):
                 raise AccessError(_refusal(self._order.endpoint, self._order.keys, event["event"], event["value"]))
+        endpoint = self._order.endpoint
+        is_local = endpoint.startswith("ipc://")
+        if self._cut_s is not None and is_local and is_abandoned(Path(endpoint.removeprefix("ipc://")).parent):
+            self.wait_less()  # who started that world is gone, too: nobody starts it again
         if self._welcome is not None and self._cut_s is not None and self._now_s() - self._cut_s > _CUT_S:
             self._cut_s = math.inf
             log.warning("wcsim: the connection to %s was lost; trying to join again", self._order.endpoint)
@@ -190,13 +204,8 @@ def _refusal(endpoint: str, keys: str, event: int, code: int) -> str:
 
 def _connected(context: zmq.Context[zmq.Socket[bytes]], order: SeatRequest) -> zmq.Socket[bytes]:
     socket = context.socket(zmq.DEALER)
-    socket.setsockopt(zmq.LINGER, 0)
-    socket.setsockopt(zmq.MAXMSGSIZE, m.MAX_REPLY_BYTES)
-    socket.setsockopt(zmq.SNDHWM, QUEUE)
-    socket.setsockopt(zmq.RCVHWM, QUEUE)
-    socket.setsockopt(zmq.RCVTIMEO, _POLL_MS)
-    socket.setsockopt(zmq.RECONNECT_IVL, 50)
-    socket.setsockopt(zmq.RECONNECT_IVL_MAX, 1000)
+    for option, value in _OPTIONS.items():
+        socket.setsockopt(option, value)
     socket.setsockopt(zmq.IPV6, is_ipv6(order.endpoint))
     notice_cuts(socket)
     if order.keys:
@@ -217,7 +226,7 @@ _END_TIMEOUT_S = 5.0
 _NEVER_S = 1e12
 
 
-def private_rules(capacity: int, expected: int) -> Rules:
+def _private_rules(capacity: int, expected: int) -> Rules:
     """Of a world whose clients are all of one process: nobody can hang or die alone."""
     return Rules(
         capacity=capacity,
@@ -240,24 +249,24 @@ class _WorldChild:
         remove_stale()
         place = OwnFolder()
         self.endpoint = endpoint_in(place.path)
-        self._pipe, theirs = os.pipe()
-        os.set_blocking(self._pipe, False)
+        self._selector = selectors.DefaultSelector()
         own = {item.name: getattr(order, item.name) for item in fields(order)}
         server = WorldSpec(
             **{**own, "run": order.run and str(Path(order.run).absolute())},
-            rules=private_rules(order.seats, order.seats),
+            rules=_private_rules(order.seats, order.seats),
             endpoint=self.endpoint,
             ring=str(place.path / "ring"),
             journal=False,
-            status_fd=theirs,
             quiet=True,
         )
         path = place.path / "order.json"
-        path.write_bytes(to_line(server))
-        command = [sys.executable, "-m", "wcsim.server.host.process", str(path)]
-        self.process = subprocess.Popen(command, stdin=subprocess.DEVNULL, pass_fds=(theirs,))
-        os.close(theirs)
-        self.close = weakref.finalize(self, _end, self.process, self._pipe, place)
+
+        def command(status_fd: int) -> tuple[str, ...]:
+            path.write_bytes(to_line(replace(server, status_fd=status_fd)))
+            return (*WORLD_ARGV, str(path))
+
+        self.process = Child(command, self._selector)
+        self.close = weakref.finalize(self, _end, self.process, self._selector, place)
         try:
             self._await_world()
         except BaseException:
@@ -272,27 +281,19 @@ class _WorldChild:
 
     def _await_world(self) -> None:
         deadline_s = time.monotonic() + _OPEN_TIMEOUT_S
-        rest = b""
         while time.monotonic() < deadline_s:
+            self._selector.select(_POLL_MS / 1000.0)
             ended = self.process.poll() is not None
-            *lines, rest = (rest + self._heard()).split(b"\n")
-            if any(_ready(line) for line in lines):
+            if any(_ready(line) for line in self.process.lines()):
                 return
             if ended:
                 self.require_alive()
-            time.sleep(0.01)
         raise LinkTimeoutError(
             f"the world process has not loaded its world after {_OPEN_TIMEOUT_S:g} s; is the machine busy?"
         )
 
-    def _heard(self) -> bytes:
-        try:
-            return os.read(self._pipe, 1 << 16)
-        except BlockingIOError:
-            return b""
 
-
-class ChildSeat(SocketSeat):
+class _ChildSeat(SocketSeat):
     """A seat of a world process that belongs to this one; notices when that has ended."""
 
     def __init__(self, child: _WorldChild, spec: SeatSpec, seat: int) -> None:
@@ -341,7 +342,7 @@ class ProcessGroup(SeatGroup):
     def _connect(self, seed: int) -> None:
         order = self._order
         self._child = _WorldChild(replace(order, seed=seed))
-        self.links = [ChildSeat(self._child, order.seat, seat) for seat in range(order.seats)]
+        self.links = [_ChildSeat(self._child, order.seat, seat) for seat in range(order.seats)]
 
 
 def _ready(line: bytes) -> bool:
@@ -352,12 +353,7 @@ def _ready(line: bytes) -> bool:
         raise m.error_of(msgspec.json.decode(line, type=m.Failure)) from None
 
 
-def _end(process: subprocess.Popen[bytes], pipe: int, place: OwnFolder) -> None:
-    process.terminate()
-    try:
-        process.wait(_END_TIMEOUT_S)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        process.wait()
-    os.close(pipe)
+def _end(process: Child, selector: selectors.BaseSelector, place: OwnFolder) -> None:
+    process.close(_END_TIMEOUT_S)
+    selector.close()
     place.close()

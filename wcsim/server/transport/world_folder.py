@@ -82,6 +82,21 @@ def _removed_if_stale(folder: Path) -> bool:
     return True
 
 
+def is_abandoned(folder: Path) -> bool:
+    """Whether the owner of a world's folder has ended, so that nobody starts that world again; False if unknown."""
+    try:
+        lock = os.open(folder / LOCK, os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
+    except OSError as error:
+        return isinstance(error, FileNotFoundError) and not os.path.lexists(folder)
+    try:
+        fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    finally:
+        os.close(lock)
+    return True
+
+
 def _remove(folder: Path) -> None:
     """Remove a folder whose lock is held; the lock goes last, so that nobody takes half a folder for another's.
 

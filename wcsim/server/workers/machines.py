@@ -19,7 +19,7 @@ from time import sleep
 from typing import Any, Final, Protocol
 
 from wcsim.core.files import WORK_PREFIX
-from wcsim.server.launch.stop_signals import die_with_parent, unheard_by_children
+from wcsim.core.processes import die_with_parent, unheard_by_children
 from wcsim.server.transport.world_folder import workplace
 
 At = Callable[[str], str]

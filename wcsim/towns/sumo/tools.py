@@ -7,16 +7,16 @@ import os
 import resource
 import signal
 import subprocess
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
 from wcsim.core.native_output import missing_library
+from wcsim.core.processes import run_command
 from wcsim.errors import SumoError
 
-_TAIL_BYTES = 1 << 20
 _NOT_STARTED = 127  # what the loader ends with where a library is not there
 
 
@@ -81,31 +81,18 @@ def by_file(option: str, names: Sequence[str], config: Path) -> list[str]:
 
 def run_child(name: str, command: Sequence[str], folder: Path, env: Mapping[str, str], limits: Limits) -> ToolRun:
     """Run a command under limits, `name` being what messages call it. Raises SumoError as `run_tool` does."""
-    with tempfile.TemporaryFile() as log:
-        try:
-            child = subprocess.Popen(
-                list(command),
-                cwd=folder,
-                env=dict(env),
-                stdin=subprocess.DEVNULL,
-                stdout=log,
-                stderr=subprocess.STDOUT,
-            )
-        except OSError as error:
-            raise SumoError(f"{name} cannot be started ({error}); install the eclipse-sumo wheel again") from None
-        _limit(child.pid, limits)
-        try:
-            returncode = child.wait(limits.wall_s)
-        except BaseException as error:
-            child.kill()
-            child.wait()
-            if isinstance(error, subprocess.TimeoutExpired):
-                raise SumoError(f"{name} took longer than {limits.wall_s:.0f} s; try a smaller area") from None
-            raise
-        return ToolRun(name=name, returncode=returncode, output=_tail(log.fileno()))
+    try:
+        run = run_command(
+            command, limits.wall_s, folder=folder, env=env, together=True, beside=partial(_limit, limits=limits)
+        )
+    except ChildProcessError as error:
+        raise SumoError(f"{name} cannot be started ({error}); install the eclipse-sumo wheel again") from None
+    except subprocess.TimeoutExpired:
+        raise SumoError(f"{name} took longer than {limits.wall_s:.0f} s; try a smaller area") from None
+    return ToolRun(name=name, returncode=run.returncode, output=run.stdout)
 
 
-def _limit(pid: int, limits: Limits) -> None:
+def _limit(child: subprocess.Popen[bytes], limits: Limits) -> None:
     """Set limits from outside: code between fork and exec is not safe in a process with threads."""
     for kind, value in (
         (resource.RLIMIT_AS, limits.memory_bytes),
@@ -114,11 +101,6 @@ def _limit(pid: int, limits: Limits) -> None:
         (resource.RLIMIT_CORE, 0),
     ):
         try:
-            resource.prlimit(pid, kind, (value, value))
+            resource.prlimit(child.pid, kind, (value, value))
         except (ProcessLookupError, PermissionError, ValueError):  # ended already, or a tighter limit holds
             continue
-
-
-def _tail(descriptor: int) -> str:
-    size = os.fstat(descriptor).st_size
-    return os.pread(descriptor, _TAIL_BYTES, max(0, size - _TAIL_BYTES)).decode("utf-8", "replace")

@@ -5,9 +5,7 @@ from __future__ import annotations
 import math
 import shlex
 from collections.abc import Callable, Collection, Iterable, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -24,6 +22,7 @@ from wcsim.agents.evaluation.suite.run import SuiteOrder, piece_of, town_address
 from wcsim.agents.policy_api import UNAIDED
 from wcsim.agents.runs.policy_file import policy_name
 from wcsim.bridge.world import World
+from wcsim.core.processes import pooled
 from wcsim.core.reading import counted
 from wcsim.errors import ConfigError, WcsimError
 from wcsim.types import U8, ActorKind
@@ -198,18 +197,14 @@ def illustrated(
             found_all[failure.policy, *failure.key] = Illustration(missing=_NOT_NAMED)
             continue
         blocks.setdefault((failure.policy, failure.key[0]), []).append(failure)
-    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-        waiting = {}
-        for (policy, block), found in blocks.items():
-            piece = piece_of(order, block, policy, towns, judged=False)
-            waiting[pool.submit(_illustrate, piece, [failure.record for failure in found])] = policy, block
-        try:
-            for number, future in enumerate(as_completed(waiting), start=1):
-                found_all |= {(*waiting[future], seat): picture for seat, picture in future.result().items()}
-                done(number, len(waiting))
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
+    pieces = [
+        (piece_of(order, block, policy, towns, judged=False), [failure.record for failure in found])
+        for (policy, block), found in blocks.items()
+    ]
+    wheres = list(blocks)
+    for number, (place, pictures) in enumerate(pooled(_illustrate, pieces, jobs), start=1):
+        found_all |= {(*wheres[place], seat): picture for seat, picture in pictures.items()}
+        done(number, len(pieces))
     return found_all
 
 
@@ -229,8 +224,9 @@ def order_of(result: TestResult, folder: Path, own: Collection[str]) -> SuiteOrd
     return SuiteOrder(suite=suite, out=folder, preset=result.preset, settings=result.changed, network=network, forks=0)
 
 
-def _illustrate(piece: Piece, records: Iterable[EpisodeRecord]) -> dict[int, Illustration]:
-    """The pictures of a block, by seat; runs in a process of its own. `records` are the episodes as they were."""
+def _illustrate(wanted: tuple[Piece, Iterable[EpisodeRecord]]) -> dict[int, Illustration]:
+    """The pictures of a block, by seat, whose episodes were so; runs in a process of its own."""
+    piece, records = wanted
     kept = {record.seat: record for record in records}
     try:
         config = config_for(piece.policy, piece.preset, piece.settings, in_list=True)
