@@ -14,11 +14,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from tests.support.worlds import quick_config
-from wcsim.agents.collecting.data_folder import SAFE, Segment
 from wcsim.agents.danger.policy import choose
 from wcsim.agents.danger.street_map import FeatureExtractor
-from wcsim.agents.policies.depth_check import viewing_rays
-from wcsim.agents.policies.dynamic_window.arcs import advance
+from wcsim.agents.perception.arcs import advance
+from wcsim.agents.perception.depth_check import viewing_rays
+from wcsim.agents.runs.data_folder import SAFE, Segment
 from wcsim.config import RunConfig
 from wcsim.config.run_file import DangerRule
 from wcsim.core.jit import exact_kernel

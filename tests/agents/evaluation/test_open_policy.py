@@ -5,7 +5,7 @@ import pytest
 
 from tests.agents.driven import Script, driven
 from tests.agents.toy import toy_camera
-from wcsim.agents.evaluation.open_policy import open_policy
+from wcsim.agents.opening.named_policy import open_named
 from wcsim.agents.policies.baselines import baseline
 from wcsim.config import RunConfig
 from wcsim.errors import PolicyError
@@ -35,4 +35,4 @@ def test_the_oracle_is_shown_the_truth_of_the_moment_it_answers_to():
 
 def test_an_unknown_policy_is_explained(tmp_path):
     with pytest.raises(PolicyError, match="not a run"):
-        open_policy(str(tmp_path / "nowhere"), CONFIG)
+        open_named(str(tmp_path / "nowhere"), CONFIG, 0)

@@ -12,11 +12,11 @@ from pathlib import Path
 import pytest
 
 from tests.agents.export.test_danger_graph import CONFIG, network, ride
-from wcsim.agents.collecting.data_folder import write_manifest
 from wcsim.agents.danger.policy import save_danger
-from wcsim.agents.evaluation.suite.named_policy import config_for, identity_of, open_named
+from wcsim.agents.opening.named_policy import config_for, identity_of, open_named
 from wcsim.agents.rounds.train_rounds import LEARNED
 from wcsim.agents.runs import policy_file, run_folder
+from wcsim.agents.runs.data_folder import write_manifest
 from wcsim.agents.runs.policy_file import policy_name
 from wcsim.agents.runs.run_folder import create_run, make_manifest, open_run, policy_path
 from wcsim.config import CameraConfig, resolve

@@ -13,6 +13,7 @@ import wcsim.agents.learning.seqdqn as seqdqn
 from tests.agents.toy import ToyStreet, memory_of, toy_camera
 from wcsim.agents.learning.build import build_model
 from wcsim.agents.learning.checkpoint import _replay_arrays, _restore_replay
+from wcsim.agents.learning.replay.buffer import FrameReplay
 from wcsim.agents.learning.seqdqn import (
     MARGIN_OFFSET,
     _mirror_batch,
@@ -20,7 +21,6 @@ from wcsim.agents.learning.seqdqn import (
     aid_loss,
     relabelled,
 )
-from wcsim.agents.replay.buffer import FrameReplay
 from wcsim.config import LearnConfig, RunConfig, resolve
 from wcsim.errors import ConfigError
 from wcsim.supervisor.actions import action_set

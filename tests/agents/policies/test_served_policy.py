@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from wcsim.agents.evaluation.suite.drive import FIRST_SHARE, LATE_S
-from wcsim.agents.evaluation.suite.named_policy import identity_of
+from wcsim.agents.opening.named_policy import identity_of
 from wcsim.agents.policies import served_policy
 from wcsim.agents.policies.served_policy import ServedPolicy
 from wcsim.agents.policy_api import ANSWER_S

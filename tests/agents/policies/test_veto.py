@@ -7,7 +7,7 @@ import pytest
 
 from tests.agents.danger.sights import observation
 from tests.agents.policies.test_baselines import box, ground, looking_at
-from wcsim.agents.evaluation.suite.named_policy import config_for, identity_of, open_named
+from wcsim.agents.opening.named_policy import config_for, identity_of, open_named
 from wcsim.agents.policies.baselines import baseline
 from wcsim.agents.policies.dwa import Veto
 from wcsim.agents.policy_api import HearsSent, Levelled, NeedsSenses, TellsUnsafe, Warns

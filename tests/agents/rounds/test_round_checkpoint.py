@@ -17,13 +17,13 @@ from safetensors.torch import load_file, save_file
 from tests.agents.danger.sights import a_segment, lectures, small_config, write_segment
 from tests.agents.rounds.small_runs import SMALL, outcome, run_in
 from tests.support.worlds import dqn_config
-from wcsim.agents.collecting.data_folder import SegmentKey, segment_path, write_manifest
-from wcsim.agents.collecting.segment_places import SegmentOrder
 from wcsim.agents.danger.learner import DangerLearner
 from wcsim.agents.rounds import train_rounds
 from wcsim.agents.rounds.round_log import read_rounds
+from wcsim.agents.rounds.segment_places import SegmentOrder
 from wcsim.agents.rounds.train_rounds import RoundProgress, _restoring, _save_round, train_danger
 from wcsim.agents.runs.checkpoint import checkpoints, go_on, number_of, restore_newest, tag
+from wcsim.agents.runs.data_folder import SegmentKey, segment_path, write_manifest
 from wcsim.agents.runs.run_folder import ResolvedRun, create_run, make_manifest
 from wcsim.cli.shared.run_config import learning
 from wcsim.config import RunConfig, resolve

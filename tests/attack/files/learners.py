@@ -18,11 +18,11 @@ from tests.agents.danger.sights import a_segment, lectures, small_config
 from tests.attack.files.family import Family
 from tests.attack.files.policies import CHANGES, bad_header, packed, unpacked
 from tests.attack.scenarios.twists import Rng, cleared, integer, json_text, pick, spoiled, twisted
-from wcsim.agents.collecting.data_folder import packed_segment, read_segment
 from wcsim.agents.danger.dataset import Dataset
 from wcsim.agents.danger.learner import DangerLearner
 from wcsim.agents.rounds.train_rounds import _restoring, _save_round
 from wcsim.agents.runs.checkpoint import STATE, number_of, restore_newest
+from wcsim.agents.runs.data_folder import packed_segment, read_segment
 from wcsim.core import files
 from wcsim.core.reading import is_file
 

@@ -8,13 +8,13 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from wcsim.agents.collecting.data_folder import Segment, unsafe_ahead
 from wcsim.agents.danger.network import spec_of
 from wcsim.agents.danger.street_map import EACH_SLICE, MIRRORED, PLANES, SIDE, SLICES, FeatureExtractor, sweep
-from wcsim.agents.policies.depth_check import sees_in_a_mirror
+from wcsim.agents.perception.depth_check import sees_in_a_mirror
 from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, IMU_KEY, JOYSTICK_KEY, ODOMETRY_KEY
-from wcsim.agents.replay.frame_store import pack_each, unpack_each
+from wcsim.agents.runs.data_folder import Segment, unsafe_ahead
 from wcsim.config import RunConfig
+from wcsim.core.packed_frames import pack_each, unpack_each
 from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import action_set
 from wcsim.types import F32, F64, I64, U8, Bool

@@ -17,7 +17,7 @@ from wcsim.agents.danger.dataset import to_tensors
 from wcsim.agents.danger.network import DangerNet, channels_last
 from wcsim.agents.danger.street_map import FeatureExtractor, Features
 from wcsim.agents.networks.names import NETWORK_NAMES, require_named
-from wcsim.agents.policies.alarm import Alarm, next_alarm
+from wcsim.agents.perception.alarm import Alarm, next_alarm
 from wcsim.agents.policy_api import JOYSTICK_KEY, MOTION_SENSES, HearsSent, NotFinite, Observation, require_level
 from wcsim.agents.runs.policy_file import SIGHT_KEYS, read_danger_file
 from wcsim.agents.runs.weights import load_network, write_policy

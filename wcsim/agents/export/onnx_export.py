@@ -96,7 +96,7 @@ def export_policy(
             installed.
         DiskFullError: There is no room.
     """
-    torch.set_num_threads(1)  # one picture is too little for two threads, as in `open_policy`
+    torch.set_num_threads(1)  # one picture is too little for two threads, as in `agents/opening/named_policy.py`
     graph, own = _opened(policy, config, level, network)
     graph.train(False)
     config = resolve(config, sense_settings(config, senses_of(own)))

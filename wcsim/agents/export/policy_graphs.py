@@ -44,16 +44,16 @@ from wcsim.agents.danger.street_map import (
 )
 from wcsim.agents.networks.encoder import image_size
 from wcsim.agents.networks.q_network import QNet
-from wcsim.agents.policies.alarm import CALM, NEWEST
-from wcsim.agents.policies.depth_check import viewing_rays
-from wcsim.agents.policies.dynamic_window.ego_motion import (
+from wcsim.agents.perception.alarm import CALM, NEWEST
+from wcsim.agents.perception.depth_check import viewing_rays
+from wcsim.agents.perception.ego_motion import (
     GYRO_Z,
     MOVES_MPS,
     SPEED_FULL_SCALE,
     TRUST,
     TURN_FULL_SCALE,
 )
-from wcsim.agents.policies.dynamic_window.surroundings import box_of, stride_px
+from wcsim.agents.perception.surroundings import box_of, stride_px
 from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY
 from wcsim.config import RunConfig
 from wcsim.config.run_file import DangerRule

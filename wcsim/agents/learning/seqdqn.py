@@ -9,7 +9,8 @@ any other one learns from steps drawn one by one, each with its window.
 
 Batches seen in a mirror: left and right are alike for a chair with its camera in the middle, so data count twice.
 
-Losses over groups of steps in a row, for networks that carry a state: see `agents/replay/groups.py` for what is drawn.
+Losses over groups of steps in a row, for networks that carry a state: see `agents/learning/replay/groups.py` for what
+is drawn.
 
 Online and target network are each run over the steps before a group, from the stored state and without a gradient, and
 then over the group itself and what its last n-step returns reach.
@@ -36,10 +37,10 @@ from stable_baselines3.common.utils import polyak_update
 from torch.nn import functional
 
 from wcsim.agents.learning.phases import LearningPhase, PhasePlan
+from wcsim.agents.learning.replay.buffer import FrameReplay
+from wcsim.agents.learning.replay.groups import SequenceBatch
 from wcsim.agents.networks.q_network import QNet, SeqQPolicy
 from wcsim.agents.policy_api import IMU_KEY, JOYSTICK_KEY
-from wcsim.agents.replay.buffer import FrameReplay
-from wcsim.agents.replay.groups import SequenceBatch
 from wcsim.config import LearnConfig
 from wcsim.core import seeding
 from wcsim.errors import PolicyError

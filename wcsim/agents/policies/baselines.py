@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from wcsim.agents.policies.alarm import TWO_TICKS, Alarm, next_alarm
-from wcsim.agents.policies.depth_check import CorridorWatch
+from wcsim.agents.perception.alarm import TWO_TICKS, Alarm, next_alarm
+from wcsim.agents.perception.depth_check import CorridorWatch
 from wcsim.agents.policies.dwa import DynamicWindow
 from wcsim.agents.policy_api import (
     BASELINES,

@@ -12,7 +12,10 @@ from typing import Final
 
 import torch
 
-from wcsim.agents.collecting.data_folder import (
+from wcsim.agents.danger.policy import DangerPolicy, load_net, require_same_senses
+from wcsim.agents.rounds.drive_segment import MakeLearned, collect
+from wcsim.agents.rounds.segment_places import SegmentOrder, orders_of, require_recordable
+from wcsim.agents.runs.data_folder import (
     MANIFEST,
     SEGMENTS,
     SegmentKey,
@@ -24,9 +27,6 @@ from wcsim.agents.collecting.data_folder import (
     told_settings,
     write_manifest,
 )
-from wcsim.agents.collecting.drive_segment import MakeLearned, collect
-from wcsim.agents.collecting.segment_places import SegmentOrder, orders_of, require_recordable
-from wcsim.agents.danger.policy import DangerPolicy, load_net, require_same_senses
 from wcsim.agents.runs.run_folder import folder_parcel, plant_at, plant_parcels, require_travels, town_parcel
 from wcsim.config import RunConfig, resolve
 from wcsim.core.files import is_begun, locked, sha256, sha256_text, write_bytes, write_json

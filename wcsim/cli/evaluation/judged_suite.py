@@ -44,11 +44,11 @@ from wcsim.errors import ConfigError, InterruptedRunError
 from wcsim.server.workers.crew import WorkerNow
 
 if TYPE_CHECKING:  # loads the simulators, which --help must not
-    from wcsim.agents.evaluation.suite.list_file import Suite
     from wcsim.agents.evaluation.suite.records import EpisodeRecord
     from wcsim.agents.evaluation.suite.result_files import TestResult
     from wcsim.agents.evaluation.suite.rows import ResultRow
     from wcsim.agents.evaluation.suite.run import SuiteOrder
+    from wcsim.agents.opening.list_file import Suite
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,9 +105,9 @@ def make_list(words: list[str]) -> int:
     _Named(MOST_SET).check("--suite-file", options.suite_file.stem)
     import tempfile
 
-    from wcsim.agents.evaluation.suite.list_file import asked_towns, suite_of, write_list
     from wcsim.agents.evaluation.suite.make import MakeOrder, make_suite
     from wcsim.agents.evaluation.suite.result_files import TOWNS
+    from wcsim.agents.opening.list_file import asked_towns, suite_of, write_list
 
     with tempfile.TemporaryDirectory(prefix="wcsim-suite-") as work:
         order = MakeOrder(
@@ -236,8 +236,8 @@ def run_suites(words: list[str]) -> int:
 
 
 def _suite_order(options: _OfSuite, forks: int | None = None, *, clean: bool = False) -> SuiteOrder:
-    from wcsim.agents.evaluation.suite.list_file import open_suite
     from wcsim.agents.evaluation.suite.sensitivity import CLEAN
+    from wcsim.agents.opening.list_file import open_suite
 
     suite = open_suite(options.suite)
     out = options.out or Path("runs") / f"suite-{suite.file.set}"
@@ -253,8 +253,8 @@ def _require_usable(order: SuiteOrder, options: _DriveOptions) -> None:
             f"--out {order.out}: it holds blocks of an earlier test; continue them with --resume, or choose another "
             "folder"
         )
-    from wcsim.agents.evaluation.suite.named_policy import told_of_rules
     from wcsim.agents.evaluation.suite.run import require_usable
+    from wcsim.agents.opening.named_policy import told_of_rules
 
     told, suite = stderr_console(), order.suite
     listed = f"{suite.file.suite} {suite.file.set}, list {suite.sha256[:12]}"

@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from wcsim.agents.evaluation.suite.named_policy import config_for
+from wcsim.agents.opening.named_policy import config_for
 from wcsim.cli.shared.consoles import stdout_console
 from wcsim.core.reading import escaped, is_file
 from wcsim.errors import ConfigError

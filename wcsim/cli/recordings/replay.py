@@ -57,13 +57,15 @@ def episode_start(options: Options) -> PlayStart:
             f"{escaped(options.result)}: is no finished test; expected the folder of a wcsim test --suite: play a "
             "recording with wcsim log play"
         )
+    from wcsim.agents.evaluation.suite.result_files import read_result
+    from wcsim.cli.recordings.episode_film import episode_film
     from wcsim.drive.playing.play_runner import FailedLine, PlayStart
-    from wcsim.drive.playing.sources.episode_source import failed_episodes
     from wcsim.drive.playing.sources.source_process import FilmSource
+    from wcsim.view.report.failures import failures_of
 
     failed = tuple(
         FailedLine(policy=one.policy, block=one.key[0], seat=one.key[1], told=_told(one))
-        for one in failed_episodes(folder)[:_MOST_FAILED]
+        for one in failures_of(read_result(folder), folder)[:_MOST_FAILED]
     )
     policy, block, seat = options.policy, -1 if options.block is None else options.block, options.seat
     worst = next((one for one in failed if policy in ("", one.policy) and block in (-1, one.block)), None)
@@ -74,7 +76,8 @@ def episode_start(options: Options) -> PlayStart:
     if policy and policy_name(policy).kind != "class":  # a class that is not named is not imported
         require_policy(policy, options.network)
     own = tuple(name for name in (options.policy, options.network) if name)
-    source = FilmSource(kind="episode", path=folder.absolute(), policy=policy, block=block, own=own)
+    path = folder.absolute()
+    source = FilmSource(kind="episode", path=path, policy=policy, block=block, own=own, drive=episode_film)
     return PlayStart(source=source, seat=-1 if seat is None else seat, failed=failed)
 
 

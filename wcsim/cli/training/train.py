@@ -10,7 +10,7 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from wcsim.agents.collecting.data_folder import DATA, SEGMENTS
+from wcsim.agents.runs.data_folder import DATA, SEGMENTS
 from wcsim.agents.runs.run_folder import ResolvedRun, open_run
 from wcsim.cli.shared.common import (
     Cluster,

@@ -5,14 +5,14 @@ from pathlib import Path
 import pytest
 
 from wcsim.agents.evaluation.suite import run as driving
-from wcsim.agents.evaluation.suite.list_file import open_suite
-from wcsim.agents.evaluation.suite.named_policy import (
+from wcsim.agents.evaluation.suite.sensitivity import CLEAN
+from wcsim.agents.opening.list_file import open_suite
+from wcsim.agents.opening.named_policy import (
     RULES,
     config_for,
     identity_of,
     told_of_rules,
 )
-from wcsim.agents.evaluation.suite.sensitivity import CLEAN
 from wcsim.agents.runs.policy_file import POLICY_JSON
 from wcsim.agents.runs.run_folder import RunInfo, create_run, make_manifest
 from wcsim.config import resolve

@@ -11,11 +11,11 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Final
 
-from wcsim.agents.evaluation.suite.drive import LATE_S, BlockOrder, Piece, Watch, drive_block, in_scene, refused
-from wcsim.agents.evaluation.suite.list_file import TIGHT, Suite, block_key, require_towns, towns_of
-from wcsim.agents.evaluation.suite.named_policy import config_for, identity_of, open_named, own_files, sensing
+from wcsim.agents.evaluation.suite.drive import LATE_S, Piece, Watch, drive_block, refused
 from wcsim.agents.evaluation.suite.records import EpisodeRecord, record_of
 from wcsim.agents.evaluation.suite.result_files import TOWNS
+from wcsim.agents.opening.list_file import TIGHT, Suite, block_key, open_block, require_towns, towns_of
+from wcsim.agents.opening.named_policy import config_for, identity_of, open_named, own_files, sensing
 from wcsim.agents.policy_api import Policy
 from wcsim.agents.runs.policy_file import policy_name
 from wcsim.agents.runs.run_folder import folder_parcel, policy_at, policy_parcel, require_travels, town_parcel
@@ -209,11 +209,8 @@ def drive_piece(piece: Piece, watch: Watch | None = None) -> tuple[EpisodeRecord
             drivers = [_open_in(opened, piece.policy, config, seed, piece.network) for seed in seeds]
         except WcsimError as error:
             return refused(piece, str(error))
-        if piece.block.part == TIGHT:
-            order = in_scene(piece, config, Path(work))
-        else:
-            order = BlockOrder(piece=piece, town=find_town(piece.town), config=config, seed=piece.block.seed)
-        return drive_block(order, iter(drivers).__next__, watch)
+        place = open_block(piece.block, config, lambda: find_town(piece.town), Path(work))
+        return drive_block(piece, place, iter(drivers).__next__, watch)
 
 
 def _policy_digest(name: str, order: SuiteOrder) -> str:

@@ -46,6 +46,7 @@ class FilmSource:
     policy: str = ""  # of an episode, as the two below
     block: int = -1
     own: tuple[str, ...] = ()
+    drive: Callable[[FilmSource, Callable[[Said], object]], object] | None = None  # who drives an episode again
     gives_way: bool = False  # to every other process
 
 
@@ -69,10 +70,8 @@ def _film(source: FilmSource, say: Callable[[Said], object], pipe: Connection) -
 
         follow_film(source.path, source.hook, say, pipe.poll)  # nobody says anything into it: it has ended then
         return
-    if source.kind == "episode":
-        from wcsim.drive.playing.sources.episode_source import episode_film
-
-        episode_film(source, say)
+    if source.drive is not None:
+        source.drive(source, say)
         return
     from wcsim.drive.playing.sources.replay_source import replay_film, state_film
     from wcsim.log.reader import read_header

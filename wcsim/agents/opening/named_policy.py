@@ -1,0 +1,198 @@
+"""Whatever may be named as a policy: a baseline, a run, a class, an ONNX folder, a process on a socket.
+
+All policies of a list drive the same chair in the same world, and the same things are a crash. A run brings what its
+network senses and does (cameras, sensors, `[imu]`, `[env]`, how it learned). Its street, chair, crashes and ranges stay
+behind: with them `saved`, `lost` and the score would compare drives that were not judged alike.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import closing
+from pathlib import Path
+from typing import Any, Final
+
+from wcsim.agents.export.guard import GuardedPolicy, guard_of
+from wcsim.agents.policies.onnx_policy import OnnxPolicy, read_about
+from wcsim.agents.policies.served_policy import ServedPolicy
+from wcsim.agents.policy_api import Policy, sense_settings, senses_of
+from wcsim.agents.runs.policy_file import is_danger, policy_name
+from wcsim.agents.runs.run_folder import policy_path, policy_settings, run_of
+from wcsim.config import RunConfig, resolve
+from wcsim.config.load import texts_of
+from wcsim.config.run_file import PolicyFile
+from wcsim.core import files
+from wcsim.core.constants import RECORDED
+from wcsim.core.plugins import find_class, running_own, sources_of
+from wcsim.core.reading import is_file
+from wcsim.errors import PolicyError
+from wcsim.supervisor.actions import action_set
+
+RULES: Final = ("world", "chair", "reward", "vary")
+"""Sections that are the preset's in a list, as with others its policies would not be judged alike."""
+_PACE: Final = ("draw_threads", "epoch_ticks")  # of `world`: they change no result
+
+
+def identity_of(name: str, preset: str) -> list[Any]:
+    """What tells a policy from another one of the same name, as plain data: its weights, its file, what it says."""
+    named = policy_name(name)
+    if named.veto:
+        return ["veto", *identity_of(named.inner, preset)]
+    if named.kind == "baseline":
+        return ["baseline", name, preset]
+    if named.kind == "served":
+        with closing(ServedPolicy(name, action_set(resolve(preset).env.actions).points)) as served:
+            return ["served", served.version, preset]
+    if named.kind == "onnx":
+        return ["onnx", preset, _files(Path(name))]
+    if named.kind == "class":
+        read = {**sources_of(name, "policy"), **_read_by(name)}
+        return ["class", name, preset, {part: files.sha256(path) for part, path in read.items()}]
+    return ["folder", preset, _files(policy_path(name), "**/*"), *([] if named.level is None else [named.level])]
+
+
+def _read_by(name: str) -> dict[str, Path]:
+    """The files that a class of somebody's own names in `files`, as far as they are there."""
+    named = getattr(find_class(name, "policy"), "files", ())
+    words = (word for word in named if isinstance(word, str)) if isinstance(named, tuple | list) else ()
+    return {word: Path(word) for word in words if is_file(Path(word))}
+
+
+def own_files(settings: Iterable[str], network: str, users: Iterable[str] = ()) -> dict[str, Path]:
+    """The user's own files that settings, a network's name and users lead to, by the word or the file's name.
+
+    >>> own_files(("world.action_delay_ticks=2",), "fig6", ("ataxic",))
+    {}
+    """
+    texts = [text for setting in settings for text in texts_of(setting)]
+    inner = (word.partition("=")[2].strip("'\"") for text in texts for word in text.split())  # as of collect.variants
+    paths = {value: Path(value.removeprefix(RECORDED)) for value in (*texts, *inner, *users)}
+    found = {value: path for value, path in paths.items() if is_file(path)}
+    return {**found, **sources_of(network, "network")} if ":" in network else found
+
+
+def _files(folder: Path, pattern: str = "*") -> list[list[str]]:
+    """What a policy consists of; one of values on top of dangers has these in a folder of its own below."""
+    found = (path for path in sorted(folder.glob(pattern)) if path.is_file())
+    return [[path.relative_to(folder).as_posix(), files.sha256(path)] for path in found]
+
+
+def open_named(name: str, config: RunConfig, seed: int, network: str | None = None) -> Policy:
+    """The policy of that name for one chair. Raises PolicyError when there is none, or it does not fit."""
+    actions = action_set(config.env.actions)
+    named = policy_name(name)
+    if named.veto:
+        from wcsim.agents.policies.dwa import Veto  # and with it kernels, which the checks of names must not load
+
+        return Veto(name, open_named(named.inner, config, seed, network), config)
+    if named.kind == "served":
+        return ServedPolicy(name, actions.points)
+    if named.kind == "onnx":
+        alone, rule = OnnxPolicy(Path(name), name, len(actions)), guard_of(Path(name))
+        return alone if rule is None else GuardedPolicy(alone, actions, rule)
+    if named.kind == "class":
+        return _own_policy(name, config)
+    if named.kind == "baseline":
+        from wcsim.agents.policies.baselines import baseline
+
+        return baseline(name, config, seed)
+    return _network(name, config, network)
+
+
+def _own_policy(name: str, config: RunConfig) -> Policy:
+    made = find_class(name, "policy")
+    what = f"policy {name!r} could not be created with the configuration as its only argument"
+    with running_own(what, "correct it, or test the others without it"):
+        policy: Policy = made(config)
+    missing = [part for part in ("name", "begin", "reset", "act") if not hasattr(policy, part)]
+    if missing:
+        raise PolicyError(
+            f"policy {name!r} has no {', '.join(missing)}; expected a class with name, begin(), reset() and "
+            "act(observation), see docs/suites.md"
+        )
+    return policy
+
+
+def _network(name: str, config: RunConfig, network: str | None) -> Policy:
+    """A network of wcsim's own: of a run folder, `RUN:phase1`, or a policy folder.
+
+    From it on torch works on one thread in this process: one picture is too little for two, and where others use
+    the cores they wait for one another, fifty times as long as the work takes.
+    """
+    import torch
+
+    from wcsim.agents.danger.policy import load_danger
+    from wcsim.agents.learning.saved_policy import load_fitting
+
+    torch.set_num_threads(1)
+    path = policy_path(name)
+    if is_danger(path):
+        return load_danger(path, name, config, policy_name(name).level, network)
+    return load_fitting(path, name, config, network)
+
+
+def sensing(config: RunConfig, policy: Policy) -> tuple[str, ...]:
+    """The settings of the senses that a policy wants, and of as many images in an observation as it needs.
+
+    Those are what it was trained on, or more where `env.window` is: who is no network of wcsim's is told in settings.
+    """
+    from wcsim.agents.policies.dwa import Veto
+
+    file = getattr(policy.inner if isinstance(policy, Veto) else policy, "file", None)  # of a network of Q-learning
+    window = f"env.window={max(file.window if isinstance(file, PolicyFile) else 1, config.env.frames)}"
+    return (window, *sense_settings(config, senses_of(policy)))
+
+
+def config_for(policy: str, preset: str, settings: Sequence[str] = (), *, in_list: bool = False) -> RunConfig:
+    """What a policy drives with: its own configuration, or the preset's where it has none, with settings over it.
+
+    Args:
+        policy: Its name.
+        preset: Of whoever drives it.
+        settings: section.key=value.
+        in_list: Whether the preset's rules hold, see `RULES`.
+
+    Raises:
+        PolicyError: There is no such policy.
+        ConfigError: The settings cannot be used.
+    """
+    named, base = policy_name(policy), resolve(preset)
+    own = base
+    if named.kind == "onnx":
+        about = read_about(named.folder)
+        own = resolve(about.preset, about.settings)
+    elif named.is_network:
+        run = run_of(policy)
+        own = resolve(base, policy_settings(policy_path(policy))) if run is None else run.config
+    if in_list:
+        own = own.model_copy(update={name: getattr(base, name) for name in RULES})
+    config = resolve(own, settings)
+    action_set(config.env.actions)
+    return config
+
+
+def told_of_rules(policies: Iterable[str], preset: str, settings: tuple[str, ...]) -> Iterator[str]:
+    """A line for each policy that was trained under other rules than the list's. Raises as `config_for` does."""
+    for policy in policies:
+        if policy_name(policy).kind in ("baseline", "served", "class"):
+            continue
+        learned, tested = (config_for(policy, preset, settings, in_list=rules) for rules in (False, True))
+        other = list(_others(learned, tested))
+        if other:
+            was = ", ".join(f"{name}={_text(value)}" for name, value, _ in other)
+            now = ", ".join(f"{name}={_text(value)}" for name, _, value in other)
+            yield f"{policy} was trained with {was}; all policies of a list are tested with {now}"
+
+
+def _others(learned: RunConfig, tested: RunConfig) -> Iterator[tuple[str, Any, Any]]:
+    for name in RULES:
+        one, two = getattr(learned, name), getattr(tested, name)
+        for key in type(one).model_fields:
+            was, now = getattr(one, key), getattr(two, key)
+            if was != now and key not in _PACE:
+                yield f"{name}.{key}", was, now
+
+
+def _text(value: Any) -> str:
+    return value if isinstance(value, str) else json.dumps(value)
