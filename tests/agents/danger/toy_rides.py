@@ -17,7 +17,7 @@ from tests.support.worlds import quick_config
 from wcsim.agents.danger.policy import choose
 from wcsim.agents.danger.street_map import FeatureExtractor
 from wcsim.agents.perception.arcs import advance
-from wcsim.agents.perception.depth_check import viewing_rays
+from wcsim.agents.perception.depth_image import viewing_rays
 from wcsim.agents.runs.data_folder import SAFE, Segment
 from wcsim.config import RunConfig
 from wcsim.config.run_file import DangerRule

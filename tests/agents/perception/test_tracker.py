@@ -17,7 +17,7 @@ from wcsim.agents.perception.clusters import (
 )
 from wcsim.agents.perception.clusters import X as AT_X
 from wcsim.agents.perception.clusters import Y as AT_Y
-from wcsim.agents.perception.depth_check import viewing_rays
+from wcsim.agents.perception.depth_image import viewing_rays
 from wcsim.agents.perception.tracker import Tracker
 from wcsim.config import CameraConfig
 from wcsim.types import ClassId

@@ -11,7 +11,7 @@ from tests.agents.policies.test_baselines import box, ground, looking_at
 from tests.support.yardstick import multiple
 from wcsim.agents.envs.wheelchair_env import WheelchairEnv
 from wcsim.agents.perception.arcs import arcs, follow, gaps, touches_after
-from wcsim.agents.perception.depth_check import viewing_rays
+from wcsim.agents.perception.depth_image import viewing_rays
 from wcsim.agents.perception.street_memory import KEEP_BRIEFLY_S, StepMap
 from wcsim.agents.perception.surroundings import _up_in_body
 from wcsim.agents.policies.baselines import baseline

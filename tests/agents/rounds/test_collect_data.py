@@ -12,7 +12,7 @@ from tests.agents.danger.sights import a_segment, small_config, write_segment
 from wcsim.agents.danger.network import DangerNet, spec_of
 from wcsim.agents.danger.policy import save_danger
 from wcsim.agents.rounds.collect_data import DataOrder, collect_data
-from wcsim.agents.rounds.segment_places import SegmentOrder
+from wcsim.agents.rounds.drive_segment import SegmentOrder
 from wcsim.agents.runs.data_folder import read_manifest, segment_path
 from wcsim.config import RunConfig
 from wcsim.config.run_file import DangerRule

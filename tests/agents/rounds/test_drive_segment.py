@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 
 from tests.support.worlds import dqn_config
-from wcsim.agents.rounds.drive_segment import _DataDriver, collect
-from wcsim.agents.rounds.segment_places import (
+from wcsim.agents.rounds.drive_segment import (
     SegmentOrder,
+    _DataDriver,
     _drawn_settings,
     _is_of_scenes,
+    _places_of,
     _town_in_turn,
-    places_of,
+    collect,
     require_recordable,
 )
 from wcsim.agents.runs.data_folder import FOLLOW, ORACLE, RECKLESS, SAFE, Segment, SegmentKey, codes_of
@@ -60,7 +61,7 @@ def test_scenes_are_driven_in_their_share(corner: Path, tmp_path: Path):
     config = resolve(RunConfig(), ("collect.scene_share=0.25", "collect.segments=4"))
     keys = [SegmentKey(run=0, round=r, index=i) for r in range(2) for i in range(4)]
     assert [_is_of_scenes(config, key) for key in keys].count(True) == 2
-    place = next(places_of(order_in(corner, "collect.scene_share=1"), tmp_path))
+    place = next(_places_of(order_in(corner, "collect.scene_share=1"), tmp_path))
     assert len(place.seats) == 1 and place.seats[0].profile.startswith("recorded:")
 
 
@@ -72,7 +73,7 @@ def test_streets_are_driven_in_each_town_in_turn_also_with_scenes_between_and_ov
     order = order_in(corner, "collect.scene_share=0.5", "collect.segments=3")
     keys = [SegmentKey(run=5, round=n, index=k) for n in range(4) for k in range(3)]
     streets = [key for key in keys if not _is_of_scenes(order.config, key)]
-    places = [next(places_of(replace(order, key=key, towns=tuple(towns)), tmp_path)) for key in streets]
+    places = [next(_places_of(replace(order, key=key, towns=tuple(towns)), tmp_path)) for key in streets]
     driven = [place.town.folder.name for place in places]
     assert sorted(driven[:3]) == ["a", "b", "c"] and driven[3:] == driven[:3]
     firsts = {_town_in_turn(order.config, SegmentKey(run=run, round=0, index=0), 3) for run in range(30)}
@@ -149,7 +150,7 @@ def test_the_oracle_takes_the_nearest_action_that_ends_well():
 def test_labels_and_senses_are_of_the_moment_in_which_the_action_is_chosen(
     corner: Path, tmp_path: Path, segment: Segment
 ):
-    place = next(places_of(order_in(corner, "collect.episode_steps=15"), tmp_path))
+    place = next(_places_of(order_in(corner, "collect.episode_steps=15"), tmp_path))
     specs = tuple(replace(spec, truth=True, truth_visible=True) for spec in place.seats)
     actions, told = segment.action.reshape(2, 40), []
     with World(place.town, place.config, specs, place.seed) as world:

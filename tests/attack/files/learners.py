@@ -21,7 +21,7 @@ from tests.attack.scenarios.twists import Rng, cleared, integer, json_text, pick
 from wcsim.agents.danger.dataset import Dataset
 from wcsim.agents.danger.learner import DangerLearner
 from wcsim.agents.rounds.train_rounds import _restoring, _save_round
-from wcsim.agents.runs.checkpoint import STATE, number_of, restore_newest
+from wcsim.agents.runs.checkpoint import STATE, _restore_newest, number_of
 from wcsim.agents.runs.data_folder import packed_segment, read_segment
 from wcsim.core import files
 from wcsim.core.reading import is_file
@@ -156,7 +156,7 @@ def _resealed(path: Path) -> None:
 def _take_round(path: Path) -> bool:
     _resealed(path)
     learner = _learner()
-    found = restore_newest(path.parents[1], _restoring(learner))
+    found = _restore_newest(path.parents[1], _restoring(learner))
     return _same(found.path, learner, lambda out: _save_round(out, number_of(found.path), learner, found.value))
 
 

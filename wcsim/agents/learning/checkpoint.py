@@ -17,12 +17,12 @@ import torch
 import zstandard
 
 from wcsim.agents.learning.replay.buffer import FrameReplay
+from wcsim.agents.learning.replay.frame_store import LEVEL
 from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.runs.checkpoint import STATE, Arrays, Restore, newest_arrays, save, tag
 from wcsim.agents.runs.weights import checked_tensors
 from wcsim.config import parse
 from wcsim.config.run_file import SeqFile, SittingFile
-from wcsim.core.packed_frames import LEVEL
 from wcsim.errors import PolicyError
 from wcsim.types import I64, U8
 

@@ -32,7 +32,7 @@ _JOYSTICK_SIZE = 2
 _WARN_STEPS = 3  # measured: with 1, noise of the values warns in three times as many steps without danger
 
 
-class NetPolicy:
+class _NetPolicy:
     """A trained network that acts greedily; of a longer window than its own it sees the newest images.
 
     One that carries a state does so from `act` to `act`, and begins anew with each episode.
@@ -112,7 +112,7 @@ def save_policy(folder: Path, model: SeqDQN, camera: CameraConfig, manifest_sha2
     return write_policy(folder, model.q_net, said)
 
 
-def load_policy(path: Path, network: str | None = None) -> NetPolicy:
+def load_policy(path: Path, network: str | None = None) -> _NetPolicy:
     """Load a policy folder.
 
     A network that is not registered is imported only when the caller names it (`network="module:Class"`): a policy from
@@ -124,13 +124,13 @@ def load_policy(path: Path, network: str | None = None) -> NetPolicy:
     if file.net.network not in NETWORKS:
         require_named(escaped(path), file.net.network, network)
     net = load_network(path, file.weights_sha256, lambda: _empty_net(file), own=file.net.network in NETWORK_NAMES)
-    policy = NetPolicy(net, path.name, file)
+    policy = _NetPolicy(net, path.name, file)
     for observation in _probes(file):
         policy.values(observation)
     return policy
 
 
-def load_fitting(folder: Path, name: str, config: RunConfig, network: str | None = None) -> NetPolicy:
+def load_fitting(folder: Path, name: str, config: RunConfig, network: str | None = None) -> _NetPolicy:
     """A policy for one chair.
 
     Args:

@@ -115,11 +115,6 @@ def require_towns(file: SuiteFile) -> None:
             raise ConfigError(f"a block is in town {block.town!r}; expected one of {sorted(named)}: add it to `towns`")
 
 
-def block_key(suite: Suite, index: int, policy: str) -> str:
-    """What the result of a block depends on: its list, its place in it, and the policy's digest."""
-    return hashlib.sha256(_canonical([suite.file.suite, suite.sha256, index, policy])).hexdigest()
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BlockPlace:
     """Where a block is driven: its street is there, and all its settings."""

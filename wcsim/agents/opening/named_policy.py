@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import closing
 from pathlib import Path
 from typing import Any, Final
 
@@ -17,65 +16,17 @@ from wcsim.agents.export.guard import GuardedPolicy, guard_of
 from wcsim.agents.policies.onnx_policy import OnnxPolicy, read_about
 from wcsim.agents.policies.served_policy import ServedPolicy
 from wcsim.agents.policy_api import Policy, sense_settings, senses_of
-from wcsim.agents.runs.policy_file import is_danger, policy_name
-from wcsim.agents.runs.run_folder import policy_path, policy_settings, run_of
+from wcsim.agents.runs.policy_file import is_danger, policy_name, read_danger_file, read_policy_file
+from wcsim.agents.runs.run_folder import policy_path, run_of
 from wcsim.config import RunConfig, resolve
-from wcsim.config.load import texts_of
 from wcsim.config.run_file import PolicyFile
-from wcsim.core import files
-from wcsim.core.constants import RECORDED
-from wcsim.core.plugins import find_class, running_own, sources_of
-from wcsim.core.reading import is_file
+from wcsim.core.plugins import find_class, running_own
 from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import action_set
 
 RULES: Final = ("world", "chair", "reward", "vary")
 """Sections that are the preset's in a list, as with others its policies would not be judged alike."""
 _PACE: Final = ("draw_threads", "epoch_ticks")  # of `world`: they change no result
-
-
-def identity_of(name: str, preset: str) -> list[Any]:
-    """What tells a policy from another one of the same name, as plain data: its weights, its file, what it says."""
-    named = policy_name(name)
-    if named.veto:
-        return ["veto", *identity_of(named.inner, preset)]
-    if named.kind == "baseline":
-        return ["baseline", name, preset]
-    if named.kind == "served":
-        with closing(ServedPolicy(name, action_set(resolve(preset).env.actions).points)) as served:
-            return ["served", served.version, preset]
-    if named.kind == "onnx":
-        return ["onnx", preset, _files(Path(name))]
-    if named.kind == "class":
-        read = {**sources_of(name, "policy"), **_read_by(name)}
-        return ["class", name, preset, {part: files.sha256(path) for part, path in read.items()}]
-    return ["folder", preset, _files(policy_path(name), "**/*"), *([] if named.level is None else [named.level])]
-
-
-def _read_by(name: str) -> dict[str, Path]:
-    """The files that a class of somebody's own names in `files`, as far as they are there."""
-    named = getattr(find_class(name, "policy"), "files", ())
-    words = (word for word in named if isinstance(word, str)) if isinstance(named, tuple | list) else ()
-    return {word: Path(word) for word in words if is_file(Path(word))}
-
-
-def own_files(settings: Iterable[str], network: str, users: Iterable[str] = ()) -> dict[str, Path]:
-    """The user's own files that settings, a network's name and users lead to, by the word or the file's name.
-
-    >>> own_files(("world.action_delay_ticks=2",), "fig6", ("ataxic",))
-    {}
-    """
-    texts = [text for setting in settings for text in texts_of(setting)]
-    inner = (word.partition("=")[2].strip("'\"") for text in texts for word in text.split())  # as of collect.variants
-    paths = {value: Path(value.removeprefix(RECORDED)) for value in (*texts, *inner, *users)}
-    found = {value: path for value, path in paths.items() if is_file(path)}
-    return {**found, **sources_of(network, "network")} if ":" in network else found
-
-
-def _files(folder: Path, pattern: str = "*") -> list[list[str]]:
-    """What a policy consists of; one of values on top of dangers has these in a folder of its own below."""
-    found = (path for path in sorted(folder.glob(pattern)) if path.is_file())
-    return [[path.relative_to(folder).as_posix(), files.sha256(path)] for path in found]
 
 
 def open_named(name: str, config: RunConfig, seed: int, network: str | None = None) -> Policy:
@@ -164,12 +115,24 @@ def config_for(policy: str, preset: str, settings: Sequence[str] = (), *, in_lis
         own = resolve(about.preset, about.settings)
     elif named.is_network:
         run = run_of(policy)
-        own = resolve(base, policy_settings(policy_path(policy))) if run is None else run.config
+        own = resolve(base, _policy_settings(policy_path(policy))) if run is None else run.config
     if in_list:
         own = own.model_copy(update={name: getattr(base, name) for name in RULES})
     config = resolve(own, settings)
     action_set(config.env.actions)
     return config
+
+
+def _policy_settings(path: Path) -> dict[str, Any]:
+    """What a policy folder says of itself, as tables of a configuration: its camera, actions. Raises PolicyError."""
+    if is_danger(path):
+        told = read_danger_file(path)
+        env = {"actions": told.net.actions, "classes": told.classes, "window": 1}
+        chair = told.chair.model_dump(mode="json")
+        return {"cameras": [told.camera.model_dump(mode="json")], "env": env, "chair": chair}
+    file = read_policy_file(path)
+    seen = {"classes": file.net.classes, "window": file.window, "observation": file.observation}
+    return {"cameras": [file.camera.model_dump(mode="json")], "env": {"actions": file.net.actions, **seen}}
 
 
 def told_of_rules(policies: Iterable[str], preset: str, settings: tuple[str, ...]) -> Iterator[str]:

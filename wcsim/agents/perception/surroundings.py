@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from wcsim.agents.perception.arcs import after
 from wcsim.agents.perception.clusters import beside_movers, find_clusters, kinds
-from wcsim.agents.perception.depth_check import depth_metres, viewing_rays
+from wcsim.agents.perception.depth_image import depth_metres, viewing_rays
 from wcsim.agents.perception.ego_motion import EgoMotion, in_body, in_odometric
 from wcsim.agents.perception.street_memory import CELL_M, REACH_M, StepMap, StreetMemory, is_ground
 from wcsim.agents.perception.tracker import Mover, Tracker

@@ -21,8 +21,8 @@ from wcsim.agents.danger.learner import DangerLearner
 from wcsim.agents.danger.policy import save_danger
 from wcsim.agents.networks.device import torch_settings
 from wcsim.agents.rounds.collect_data import SegmentCrew
+from wcsim.agents.rounds.drive_segment import SegmentOrder, orders_of, require_recordable
 from wcsim.agents.rounds.round_log import note_round
-from wcsim.agents.rounds.segment_places import SegmentOrder, orders_of, require_recordable
 from wcsim.agents.runs.checkpoint import STATE, Arrays, Restore, go_on, newest_number, number_of, save, tag
 from wcsim.agents.runs.data_folder import (
     DATA,

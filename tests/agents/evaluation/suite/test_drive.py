@@ -18,7 +18,7 @@ from tests.agents.evaluation.suite.lists import (
     order_of,
 )
 from tests.support.worlds import open_world
-from wcsim.agents.evaluation.suite.alarms import users_alone
+from wcsim.agents.evaluation.suite.alarms import _users_alone
 from wcsim.agents.evaluation.suite.drive import Piece, drive_block, refused
 from wcsim.agents.policies.baselines import baseline
 from wcsim.bridge.world_rollout import rollout
@@ -127,7 +127,7 @@ def test_danger_is_that_of_the_truth(corner):
     spec = SeatSpec(profile="inattentive", truth=True, max_steps=4000)
     with open_world(corner, "world.action_delay_ticks=2", seats=2, seed=5, spec=spec) as world:
         said = []
-        for _, step in zip(range(120), rollout(world, dict.fromkeys((0, 1), users_alone(POINTS))), strict=False):
+        for _, step in zip(range(120), rollout(world, dict.fromkeys((0, 1), _users_alone(POINTS))), strict=False):
             clients = step.after.clients
             said += [client.truth.danger for client in clients if client.first is None]
             asked = [world.in_danger(client.seat) for client in clients if client.first is None]

@@ -5,12 +5,12 @@ from pathlib import Path
 import pytest
 
 from wcsim.agents.evaluation.suite import run as driving
+from wcsim.agents.evaluation.suite.run import _identity_of
 from wcsim.agents.evaluation.suite.sensitivity import CLEAN
 from wcsim.agents.opening.list_file import open_suite
 from wcsim.agents.opening.named_policy import (
     RULES,
     config_for,
-    identity_of,
     told_of_rules,
 )
 from wcsim.agents.runs.policy_file import POLICY_JSON
@@ -95,7 +95,7 @@ def test_a_model_in_onnx_drives_under_the_rules_too(tmp_path):
     assert found.cameras[0].width_px == 32
     (line,) = told_of_rules([str(tmp_path)], "quick", listed())
     assert "chair.plant=mwd" in line
-    assert identity_of(str(tmp_path), "quick") != identity_of(str(tmp_path), "paper")
+    assert _identity_of(str(tmp_path), "quick") != _identity_of(str(tmp_path), "paper")
 
 
 def test_a_block_is_driven_under_them(tmp_path, monkeypatch):

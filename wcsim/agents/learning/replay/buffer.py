@@ -37,12 +37,11 @@ from stable_baselines3.common.utils import get_device
 from stable_baselines3.common.vec_env import VecNormalize
 
 from wcsim.agents.envs.episode_view import WORLD_RESTARTED
-from wcsim.agents.learning.replay.frame_store import PACK_ABOVE_BYTES, WindowStore
+from wcsim.agents.learning.replay.frame_store import PACK_ABOVE_BYTES, BlobCodec, WindowStore
 from wcsim.agents.learning.replay.groups import Groups, SequenceBatch
 from wcsim.agents.policy_api import DEPTH_KEY
 from wcsim.config import LearnConfig
 from wcsim.core import seeding
-from wcsim.core.packed_frames import pack_each, unpack_each
 from wcsim.errors import PolicyError
 from wcsim.types import F32, I64, U8, Bool
 
@@ -187,6 +186,7 @@ class FrameReplay(ReplayBuffer):
         if settings.memory == "groups":
             self.groups = Groups(settings.group_steps, settings.burn_in)
         self.windows = WindowStore(rows, n_envs, self.layout.window, self.layout.frame_bytes, self._smooth_bytes())
+        self._ends = BlobCodec(self.layout.image_bytes, 0)
         self.vectors = np.zeros((rows, n_envs, self.layout.vector_size), dtype=np.float32)
         self.actions = np.zeros((rows, n_envs), dtype=np.int64)
         self.rewards = np.zeros((rows, n_envs), dtype=np.float32)
@@ -404,7 +404,7 @@ class FrameReplay(ReplayBuffer):
     def observation_after_end(self, index: int, seat: int) -> tuple[U8, F32]:
         """Images and vectors after the last step of a chain."""
         image, vector = self.after_end[index, int(seat)]
-        return unpack_each([image], self.layout.image_bytes)[0] if isinstance(image, bytes) else image, vector
+        return self._ends.unpack(image) if isinstance(image, bytes) else image, vector
 
     def _drawn(self, listed: _Listed, count: int) -> I64:
         """Absolute index and seat, (count, 2), of some of these steps."""
@@ -436,7 +436,7 @@ class FrameReplay(ReplayBuffer):
 
     def store_end(self, index: int, seat: int, image: U8, vector: F32) -> None:
         """Store images and vectors after the last step of a chain."""
-        folded = pack_each(image[None])[0] if len(image) > PACK_ABOVE_BYTES else image.copy()
+        folded = self._ends.pack(image) if len(image) > PACK_ABOVE_BYTES else image.copy()
         self.after_end[index, seat] = folded, vector.copy()
 
     def _forget(self, index: int) -> None:

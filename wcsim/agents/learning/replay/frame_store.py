@@ -21,17 +21,17 @@ from typing import Final
 import numpy as np
 import zstandard
 
-from wcsim.core.packed_frames import LEVEL
 from wcsim.core.reading import unzstd
 from wcsim.types import I64, U8, Bool
 
+LEVEL: Final = 1  # of zstd
 _LEAST_MATCH: Final = 7  # bytes; in noise a shorter repetition costs more than it saves
 _HASH_LOG: Final = 12  # a table so small that it is in the cache, though a world was computed in between
 _LENGTHS: Final = struct.Struct("<II")
 PACK_ABOVE_BYTES = 40_000  # an 80x60 pair of images has 9.6 kB and is not worth the time of packing
 
 
-class _BlobCodec:
+class BlobCodec:
     """Packs frames of `size` bytes, the first `smooth` of which are of a smooth picture with holes."""
 
     def __init__(self, size: int, smooth: int) -> None:
@@ -96,7 +96,7 @@ class _PackedFrames:
 
     def __init__(self, rows: int, seats: int, size: int, smooth: int = 0) -> None:
         self._blobs: list[list[bytes]] = [[b""] * seats for _ in range(rows)]
-        self._size, self._codec = size, _BlobCodec(size, smooth)
+        self._size, self._codec = size, BlobCodec(size, smooth)
 
     def write(self, index: int, seat: int, frame: U8) -> None:
         """Store a frame (size,) of the next step."""
