@@ -20,10 +20,10 @@ from tests.support.worlds import dqn_config
 from wcsim.agents.danger.learner import DangerLearner
 from wcsim.agents.rounds import train_rounds
 from wcsim.agents.rounds.drive_segment import SegmentOrder
-from wcsim.agents.rounds.round_log import read_rounds
 from wcsim.agents.rounds.train_rounds import RoundProgress, _restoring, _save_round, train_danger
 from wcsim.agents.runs.checkpoint import _restore_newest, checkpoints, go_on, number_of, tag
 from wcsim.agents.runs.data_folder import SegmentKey, segment_path, write_manifest
+from wcsim.agents.runs.metrics import read_rounds
 from wcsim.agents.runs.run_folder import ResolvedRun, create_run, make_manifest
 from wcsim.cli.shared.run_config import learning
 from wcsim.config import RunConfig, resolve
