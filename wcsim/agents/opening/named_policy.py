@@ -45,7 +45,7 @@ def open_named(name: str, config: RunConfig, seed: int, network: str | None = No
     if named.kind == "class":
         return _own_policy(name, config)
     if named.kind == "baseline":
-        from wcsim.agents.policies.baselines import baseline
+        from wcsim.agents.policies.baselines import baseline  # with kernels, too
 
         return baseline(name, config, seed)
     return _network(name, config, network)
@@ -71,7 +71,7 @@ def _network(name: str, config: RunConfig, network: str | None) -> Policy:
     From it on torch works on one thread in this process: one picture is too little for two, and where others use
     the cores they wait for one another, fifty times as long as the work takes.
     """
-    import torch
+    import torch  # here, and with it the learners: the checks of names must not load it
 
     from wcsim.agents.danger.policy import load_danger
     from wcsim.agents.learning.saved_policy import load_fitting
