@@ -17,12 +17,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from wcsim.agents.collecting.data_folder import DATA, SEGMENTS, data_digest, key_of, read_manifest
 from wcsim.agents.export.export_folder import REFERENCE
 from wcsim.agents.export.guard import MEANING
 from wcsim.agents.export.onnx_export import export_policy
 from wcsim.agents.policy_api import MODEL_FILE, Observation
 from wcsim.agents.rounds.train_rounds import data_of
+from wcsim.agents.runs.data_folder import DATA, SEGMENTS, data_digest, key_of, read_manifest
 from wcsim.agents.runs.policy_file import FILES, HELD, POLICY_JSON, WEIGHTS, shipped_folder, shipped_place
 from wcsim.agents.runs.run_folder import MANIFEST, RunFolder, open_run
 from wcsim.config import CameraConfig, CollectConfig
@@ -216,7 +216,7 @@ def main() -> None:
     parser.add_argument("--to", type=Path, default=None, help="another folder than that of this wcsim")
     parser.add_argument("--town", default="helsinki", help="of the reference steps")
     asked = parser.parse_args()
-    from wcsim.agents.evaluation.suite.named_policy import open_named  # these load the simulators
+    from wcsim.agents.opening.named_policy import open_named  # these load the simulators
     from wcsim.agents.rounds.recorded_ride import reference_ride
 
     run = open_run(asked.run)

@@ -24,7 +24,7 @@ from stable_baselines3.common.logger import configure
 from wcsim.agents.envs.episode_view import FrameWindow, windowed_space
 from wcsim.agents.learning.checkpoint import restoring
 from wcsim.agents.learning.seqdqn import SeqDQN
-from wcsim.agents.runs.checkpoint import Restored, restore_newest
+from wcsim.agents.runs.checkpoint import _restore_newest, _Restored
 from wcsim.agents.runs.metrics import STEP_COLUMNS, MetricsFile
 from wcsim.agents.runs.run_folder import ResolvedRun
 from wcsim.config import CameraConfig, LearnConfig, RunConfig
@@ -276,9 +276,9 @@ class WindowedStreet(gym.Wrapper):
         return self.window.add(observation), *rest
 
 
-def load_checkpoint(folder: Path, model: SeqDQN, alive: Callable[[], object] = lambda: None) -> Restored[SittingFile]:
+def load_checkpoint(folder: Path, model: SeqDQN, alive: Callable[[], object] = lambda: None) -> _Restored[SittingFile]:
     """Bring a learner to the newest sound checkpoint."""
-    return restore_newest(folder, restoring(model, alive))
+    return _restore_newest(folder, restoring(model, alive))
 
 
 def explores(start: float, end: float, **learn: Any) -> LearnConfig:

@@ -13,8 +13,8 @@ import pytest
 
 from tests.attack import faults
 from tests.view.report.results import records_of
-from wcsim.agents.evaluation.suite.list_file import open_suite
 from wcsim.agents.evaluation.suite.run import SuiteOrder
+from wcsim.agents.opening.list_file import open_suite
 from wcsim.agents.policy_api import UNAIDED
 from wcsim.cli.evaluation.judged_suite import keep_result
 from wcsim.cli.main import main

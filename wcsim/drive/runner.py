@@ -14,7 +14,7 @@ from typing import Any, ClassVar, Final
 
 import numpy as np
 
-from wcsim.agents.evaluation.suite.list_file import open_suite, shipped
+from wcsim.agents.opening.list_file import open_suite, shipped
 from wcsim.core.files import numbered_names
 from wcsim.core.frames import deg
 from wcsim.core.reading import counted

@@ -8,9 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from wcsim.agents.evaluation.suite.drive import BlockOrder, Piece, in_scene, seat_of
-from wcsim.agents.evaluation.suite.list_file import TIGHT, Suite, open_suite, require_towns, shipped
-from wcsim.agents.evaluation.suite.named_policy import config_for, open_named, sensing
+from wcsim.agents.opening.list_file import TIGHT, Suite, open_block, open_suite, require_towns, seat_of, shipped
+from wcsim.agents.opening.named_policy import config_for, open_named, sensing
 from wcsim.agents.policy_api import VISIBLE_BOUND, Policy, SeesTruth
 from wcsim.config import RunConfig, resolve
 from wcsim.config.suite import BlockFile
@@ -139,23 +138,19 @@ def _of_suite(start: DriveStart, held: ExitStack) -> OpenPlace:
     episode = block.episodes[start.seat]
     if start.profile:
         episode = episode.model_copy(update={"profile": start.profile})
-    tight = block.part == TIGHT
-    piece, config = Piece(index=start.block, block=block), resolve(config, sensing(config, policy))
-    if tight:
-        order = in_scene(piece, config, work)
-    else:
-        order = BlockOrder(piece=piece, town=_town_of(suite, block), config=config, seed=block.seed)
+    config = resolve(config, sensing(config, policy))
+    place = open_block(block, config, lambda: _town_of(suite, block), work)
     return OpenPlace(
         start=start,
-        town=order.town,
-        config=order.config,
+        town=place.town,
+        config=place.config,
         policy=policy,
-        spec=seat_of(order, episode, policy),
-        seed=order.seed,
+        spec=seat_of(place, episode, policy),
+        seed=place.seed,
         handover_step=episode.handover_step,
         told=f"{suite.file.set} {start.block}.{start.seat}, {block.part}, {block.town}",
         episode=f"{suite.file.set} {start.block}.{start.seat}",
-        scene=f"{block.town} {block.seed} {block.scene_sha256}" if tight else "",
+        scene=f"{block.town} {block.seed} {block.scene_sha256}" if block.part == TIGHT else "",
     )
 
 

@@ -14,8 +14,8 @@ import numpy as np
 
 from wcsim.agents.envs.episode_view import Info
 from wcsim.agents.envs.seat_driver import PolicyAgent, SeatDriver
-from wcsim.agents.evaluation.suite.named_policy import config_for, open_named, sensing
 from wcsim.agents.evaluation.suite.playback import PlayedStep
+from wcsim.agents.opening.named_policy import config_for, open_named, sensing
 from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, VISIBLE_BOUND, Observation, Policy, SeesTruth, Warns, calling
 from wcsim.bridge.world import World
 from wcsim.bridge.world_rollout import rollout

@@ -8,8 +8,8 @@ import numpy as np
 import torch
 
 from tests.support.worlds import dqn_config
-from wcsim.agents.collecting.data_folder import SAFE, Segment, packed_segment
 from wcsim.agents.danger.dataset import Dataset
+from wcsim.agents.runs.data_folder import SAFE, Segment, packed_segment
 from wcsim.config import RunConfig
 from wcsim.core import files
 from wcsim.supervisor.actions import action_set

@@ -11,9 +11,9 @@ import torch
 from safetensors.torch import load_file, save_file
 
 from tests.agents.export.test_danger_graph import CONFIG, network, ride
-from wcsim.agents.collecting.data_folder import read_manifest, require_same_settings, write_manifest
 from wcsim.agents.danger.policy import load_danger, save_danger
 from wcsim.agents.danger.street_map import FeatureExtractor
+from wcsim.agents.runs.data_folder import read_manifest, require_same_settings, write_manifest
 from wcsim.agents.runs.policy_file import WEIGHTS
 from wcsim.config import resolve
 from wcsim.config.run_file import DangerRule

@@ -15,11 +15,11 @@ import torch
 
 from tests.agents.danger.sights import Silent, all_of
 from tests.agents.danger.toy_rides import ACTIONS, follow, mixed, ride, segment_of, slides, toy_config
-from wcsim.agents.collecting.data_folder import SAFE
 from wcsim.agents.danger import dataset as dataset_module
 from wcsim.agents.danger.dataset import Dataset
 from wcsim.agents.danger.learner import DangerLearner
 from wcsim.agents.danger.policy import DangerPolicy
+from wcsim.agents.runs.data_folder import SAFE
 from wcsim.config.run_file import DangerRule
 
 ALONE = {

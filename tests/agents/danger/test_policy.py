@@ -9,7 +9,7 @@ import torch
 from tests.agents.danger.sights import observation, small_config
 from wcsim.agents.danger.network import DangerNet, channels_last, spec_of
 from wcsim.agents.danger.policy import DangerPolicy
-from wcsim.agents.policies.alarm import Alarm, next_alarm
+from wcsim.agents.perception.alarm import Alarm, next_alarm
 from wcsim.agents.policy_api import NeedsSenses, Warns
 from wcsim.config.run_file import DangerRule
 from wcsim.errors import PolicyError

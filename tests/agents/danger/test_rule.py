@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from wcsim.agents.danger.policy import RECENT_TICKS, choose, next_recent, within
+from wcsim.agents.danger.policy import RECENT_TICKS, _choose, _next_recent, _within
 from wcsim.config.run_file import DangerRule
 from wcsim.supervisor.actions import action_set
 
@@ -16,28 +16,28 @@ STICK = np.array([0.1, 0.9])
 
 
 def test_where_nothing_is_dangerous_the_user_decides():
-    assert choose(np.zeros(81), STICK, ACTIONS, RULE) == ACTIONS.nearest(STICK)
+    assert _choose(np.zeros(81), STICK, ACTIONS, RULE) == ACTIONS.nearest(STICK)
 
 
 def test_the_nearest_action_that_is_safe_enough_is_taken():
     danger = np.zeros(81)
     danger[ACTIONS.points[:, 1] > 0.3] = 0.9
-    x, y = ACTIONS.points[choose(danger, STICK, ACTIONS, RULE)]
+    x, y = ACTIONS.points[_choose(danger, STICK, ACTIONS, RULE)]
     assert (x, y) == (0.0, 0.25)
 
 
 def test_where_nothing_is_safe_the_least_dangerous_is_taken():
     danger = np.full(81, 0.9)
     danger[17] = 0.8
-    assert choose(danger, STICK, ACTIONS, RULE) == 17
+    assert _choose(danger, STICK, ACTIONS, RULE) == 17
 
 
 def test_the_last_action_is_allowed_a_little_longer():
     wish = ACTIONS.nearest(STICK)
     danger = np.zeros(81)
     danger[wish] = 1.1 * RULE.threshold
-    assert choose(danger, ACTIONS.points[wish], ACTIONS, RULE, last=wish) == wish
-    assert choose(danger, ACTIONS.points[wish], ACTIONS, RULE) != wish
+    assert _choose(danger, ACTIONS.points[wish], ACTIONS, RULE, last=wish) == wish
+    assert _choose(danger, ACTIONS.points[wish], ACTIONS, RULE) != wish
 
 
 def test_a_way_round_is_kept_but_never_kept_from_who_can_be_followed():
@@ -46,17 +46,17 @@ def test_a_way_round_is_kept_but_never_kept_from_who_can_be_followed():
     danger[ACTIONS.points[:, 1] > 0.3] = 0.9
     left, right = ACTIONS.nearest((-0.25, 0.25)), ACTIONS.nearest((0.25, 0.25))
     ahead = np.array([0.0, 0.9])
-    assert [choose(danger, ahead, ACTIONS, RULE, last=last) for last in (left, right)] == [left, right]
+    assert [_choose(danger, ahead, ACTIONS, RULE, last=last) for last in (left, right)] == [left, right]
     calm = DangerRule(hysteresis=0.0)
-    assert choose(danger, ahead, ACTIONS, calm, last=left) == choose(danger, ahead, ACTIONS, calm, last=right)
-    assert choose(np.zeros(81), STICK, ACTIONS, DangerRule(hysteresis=5.0), last=left) == wish
+    assert _choose(danger, ahead, ACTIONS, calm, last=left) == _choose(danger, ahead, ACTIONS, calm, last=right)
+    assert _choose(np.zeros(81), STICK, ACTIONS, DangerRule(hysteresis=5.0), last=left) == wish
 
 
 @given(hnp.arrays(np.float64, 81, elements=st.floats(0.0, 1.0)), st.tuples(st.floats(-1, 1), st.floats(-1, 1)))
 def test_a_lower_level_is_never_more_dangerous(danger, stick):
     wish = np.array(stick)
     rules = [DangerRule(threshold=level, hysteresis=0.0, danger_cost=0.0) for level in (0.1, 0.5, 1.0)]
-    chosen = [danger[choose(danger, wish, ACTIONS, rule)] for rule in rules]
+    chosen = [danger[_choose(danger, wish, ACTIONS, rule)] for rule in rules]
     allowed = [danger.min() < rule.threshold for rule in rules]
     for value, rule, any_is in zip(chosen, rules, allowed, strict=True):
         assert value < rule.threshold or not any_is
@@ -71,8 +71,8 @@ def taken_of(dangers: list[float], rule: DangerRule, others: float = 0.0) -> lis
     for level in dangers:
         danger = np.full(81, others)
         danger[wish] = level
-        found.append(choose(danger, ACTIONS.points[wish], ACTIONS, rule, recent=recent > 0) != wish)
-        recent = next_recent(recent, not within(danger, rule)[wish], level, rule)
+        found.append(_choose(danger, ACTIONS.points[wish], ACTIONS, rule, recent=recent > 0) != wish)
+        recent = _next_recent(recent, not _within(danger, rule)[wish], level, rule)
     return found
 
 

@@ -70,13 +70,13 @@ def test_a_test_in_a_town_tells_each_episodes_delay_before_it_begins():
 
 
 def test_a_suite_tells_each_episodes_delay_before_it_begins(corner):
-    order = order_of(corner, block_of(corner, max_steps=4))
+    piece, place = order_of(corner, block_of(corner, max_steps=4))
     made: list[Told] = []
 
     def make() -> Told:
         made.append(Told())
         return made[-1]
 
-    varied = resolve(order.config, ("vary.action_delay_ticks=[3,3]",))
-    drive_block(replace(order, config=varied), make)
+    varied = resolve(place.config, ("vary.action_delay_ticks=[3,3]",))
+    drive_block(piece, replace(place, config=varied), make)
     assert [policy.heard for policy in made] == [[3, "reset"], [3, "reset"]]

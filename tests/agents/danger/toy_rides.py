@@ -14,11 +14,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from tests.support.worlds import quick_config
-from wcsim.agents.collecting.data_folder import SAFE, Segment
-from wcsim.agents.danger.policy import choose
+from wcsim.agents.danger.policy import _choose
 from wcsim.agents.danger.street_map import FeatureExtractor
-from wcsim.agents.policies.depth_check import viewing_rays
-from wcsim.agents.policies.dynamic_window.arcs import advance
+from wcsim.agents.perception.arcs import advance
+from wcsim.agents.perception.depth_image import viewing_rays
+from wcsim.agents.runs.data_folder import SAFE, Segment
 from wcsim.config import RunConfig
 from wcsim.config.run_file import DangerRule
 from wcsim.core.jit import exact_kernel
@@ -242,7 +242,7 @@ def mixed(street, stick, rng):
     """Follows, or avoids what is unsafe; by a draw of each tick, from sticks that go astray."""
     wish = np.clip(stick + rng.normal(0.0, 0.3, 2), -1.0, 1.0)
     danger = street.unsafe().astype(float) if rng.random() < 0.5 else np.zeros(len(ACTIONS))
-    return choose(danger, wish, ACTIONS, DangerRule())
+    return _choose(danger, wish, ACTIONS, DangerRule())
 
 
 def segment_of(rows):

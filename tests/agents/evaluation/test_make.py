@@ -9,8 +9,8 @@ import pytest
 from tests.agents.evaluation.suite.lists import episode
 from wcsim.agents.evaluation.suite import make
 from wcsim.agents.evaluation.suite.draw import Wanted, free_blocks
-from wcsim.agents.evaluation.suite.list_file import asked_towns, require_towns, towns_of
 from wcsim.agents.evaluation.suite.records import EpisodeRecord
+from wcsim.agents.opening.list_file import asked_towns, require_towns, towns_of
 from wcsim.config import resolve
 from wcsim.config.suite import BlockFile
 

@@ -7,8 +7,8 @@ import pytest
 from tests.agents.evaluation.suite.lists import Held, block_of, config, order_of, suite_in
 from tests.support.one_process import in_this_process
 from wcsim.agents.evaluation.suite.drive import drive_block
-from wcsim.agents.evaluation.suite.named_policy import sensing
 from wcsim.agents.evaluation.suite.run import SuiteOrder, run_suite
+from wcsim.agents.opening.named_policy import sensing
 from wcsim.agents.policies.baselines import baseline
 from wcsim.agents.policy_api import sense_settings, senses_of
 from wcsim.config import resolve
@@ -61,17 +61,17 @@ def test_dwa_asks_for_what_a_chair_has_and_who_does_not_ask_gets_nothing():
 
 
 def test_the_world_is_the_same_with_further_senses_in_it(corner):
-    order = order_of(corner, block_of(corner, max_steps=30))
-    feeling = replace(order, config=resolve(order.config, sense_settings(order.config, BOTH)))
-    alone, beside = (drive_block(one, lambda: Held(0.1, 0.6)) for one in (order, feeling))
+    piece, place = order_of(corner, block_of(corner, max_steps=30))
+    feeling = replace(place, config=resolve(place.config, sense_settings(place.config, BOTH)))
+    alone, beside = (drive_block(piece, one, lambda: Held(0.1, 0.6)) for one in (place, feeling))
     assert alone == beside and alone[0].m > 0.5
 
 
 def test_dwa_drives_the_same_way_again(corner):
-    order = order_of(corner, block_of(corner, max_steps=30))
-    harder = resolve(order.config, ("world.action_delay_ticks=2", "cameras.0.noise=typical"))
-    order = replace(order, config=resolve(harder, sense_settings(harder, BOTH)))
-    first, again = (drive_block(order, lambda: baseline("dwa", order.config)) for _ in range(2))
+    piece, place = order_of(corner, block_of(corner, max_steps=30))
+    harder = resolve(place.config, ("world.action_delay_ticks=2", "cameras.0.noise=typical"))
+    place = replace(place, config=resolve(harder, sense_settings(harder, BOTH)))
+    first, again = (drive_block(piece, place, lambda: baseline("dwa", place.config)) for _ in range(2))
     assert first == again and all(record.status != "policy_failed" and record.m > 0.3 for record in first)
 
 

@@ -8,7 +8,7 @@ import torch
 
 from wcsim.agents.danger.dataset import to_tensors
 from wcsim.agents.danger.network import DangerNet
-from wcsim.agents.danger.policy import DangerPolicy, choose, next_recent, within
+from wcsim.agents.danger.policy import DangerPolicy, _choose, _next_recent, _within
 from wcsim.agents.danger.street_map import FeatureExtractor
 from wcsim.agents.export.policy_graphs import DangerGraph, Drive
 from wcsim.config import CameraConfig, ChairConfig, RunConfig, resolve
@@ -132,12 +132,12 @@ def test_the_highest_value_is_that_of_the_action_which_the_rule_takes():
         danger[own] = rng.choice(np.array([0.05, 0.3, 0.7, 1.0], np.float32))
         recent = int(rng.integers(0, 3))
         exact = danger.astype(np.float64)
-        chosen.append(choose(exact, stick.astype(np.float64), actions, rule, last, recent=recent > 0))
+        chosen.append(_choose(exact, stick.astype(np.float64), actions, rule, last, recent=recent > 0))
         told = torch.as_tensor(danger)[None], torch.as_tensor(stick)[None], torch.tensor([[last + 1.0]])
         values, later = graph._values(*told, torch.tensor([[float(recent)]]))
         assert int(values.argmax()) == chosen[-1]
-        unsafe = not within(exact, rule, last)[own]
-        assert float(later[0, 0]) == next_recent(recent, unsafe, float(exact[own]), rule)
+        unsafe = not _within(exact, rule, last)[own]
+        assert float(later[0, 0]) == _next_recent(recent, unsafe, float(exact[own]), rule)
         doubtful += chosen[-1] == own and 0.2 < danger[own] < 0.5 and last != own
         beyond += float(np.linalg.norm(actions.points[chosen[-1]] - stick)) > MAX_DISTANCE
     assert beyond > 20 and len(set(chosen)) > 40 and doubtful > 20

@@ -13,10 +13,10 @@ import pytest
 from tests.agents.export.test_danger_graph import CONFIG, network, ride
 from tests.agents.export.test_guarded_policy import EXAMPLE
 from wcsim.agents.danger.policy import save_danger
-from wcsim.agents.evaluation.suite.named_policy import open_named
 from wcsim.agents.export import onnx_export
 from wcsim.agents.export.guard import MEANING, GuardedPolicy, guard_of
 from wcsim.agents.export.onnx_export import MOST_OFF, ExportFacts, export_policy
+from wcsim.agents.opening.named_policy import open_named
 from wcsim.agents.policies.onnx_policy import read_about
 from wcsim.agents.runs.policy_file import SIGHT_KEYS
 from wcsim.config import resolve

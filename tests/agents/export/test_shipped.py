@@ -12,11 +12,12 @@ from pathlib import Path
 import pytest
 
 from tests.agents.export.test_danger_graph import CONFIG, network, ride
-from wcsim.agents.collecting.data_folder import write_manifest
 from wcsim.agents.danger.policy import save_danger
-from wcsim.agents.evaluation.suite.named_policy import config_for, identity_of, open_named
+from wcsim.agents.evaluation.suite.run import _identity_of
+from wcsim.agents.opening.named_policy import config_for, open_named
 from wcsim.agents.rounds.train_rounds import LEARNED
 from wcsim.agents.runs import policy_file, run_folder
+from wcsim.agents.runs.data_folder import write_manifest
 from wcsim.agents.runs.policy_file import policy_name
 from wcsim.agents.runs.run_folder import create_run, make_manifest, open_run, policy_path
 from wcsim.config import CameraConfig, resolve
@@ -53,7 +54,7 @@ def there(made: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_a_folder_that_was_dropped_there_is_the_policy_of_that_name(there):
     assert {path.name for path in there.iterdir()} == {*policy_file.HELD, policy_file.FILES, "README.md"}
     assert policy_path("shipped") == policy_path("shipped@0.2") == there
-    assert policy_name("shipped").kind == "shipped" and identity_of("shipped@0.2", "quick")[-1] == 0.2
+    assert policy_name("shipped").kind == "shipped" and _identity_of("shipped@0.2", "quick")[-1] == 0.2
     policy = open_named("shipped@0.2", config_for("shipped", "quick"), 0)
     policy.begin()
     policy.reset()

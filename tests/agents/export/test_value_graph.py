@@ -17,7 +17,6 @@ from tests.agents.export.test_danger_graph import ride
 from tests.agents.export.test_guarded_policy import EXAMPLE
 from tests.agents.toy import ToyStreet, WindowedStreet, toy_camera
 from wcsim.agents.envs.episode_view import FrameWindow
-from wcsim.agents.evaluation.suite.named_policy import open_named
 from wcsim.agents.export import onnx_export
 from wcsim.agents.export.export_folder import WRITTEN
 from wcsim.agents.export.footprint import Footprint
@@ -26,6 +25,7 @@ from wcsim.agents.export.onnx_export import MOST_OFF, ExportFacts, export_policy
 from wcsim.agents.learning.build import build_model, network_settings
 from wcsim.agents.learning.saved_policy import load_policy, save_policy
 from wcsim.agents.networks.names import NETWORK_NAMES
+from wcsim.agents.opening.named_policy import open_named
 from wcsim.agents.policies.onnx_policy import OnnxPolicy
 from wcsim.config import CameraConfig, LearnConfig, RunConfig, resolve
 from wcsim.config.run_file import GuardRule

@@ -13,11 +13,10 @@ import pytest
 
 from tests.agents.toy import ToyStreet, a_run, toy_camera
 from wcsim.agents.envs.episode_view import FrameWindow, newest, windowed_space
-from wcsim.agents.evaluation.open_policy import open_policy
-from wcsim.agents.evaluation.suite.named_policy import config_for
+from wcsim.agents.learning.replay.buffer import _layout_of
 from wcsim.agents.learning.saved_policy import load_policy
 from wcsim.agents.learning.train import train
-from wcsim.agents.replay.buffer import _layout_of
+from wcsim.agents.opening.named_policy import config_for, open_named
 from wcsim.config import RunConfig, resolve
 from wcsim.errors import InterruptedRunError, PolicyError
 from wcsim.supervisor.observation import observation_space
@@ -81,10 +80,10 @@ def test_a_network_learns_from_it_goes_on_and_is_loaded(tmp_path: Path, form: st
     other = {**seen, "depth": np.zeros_like(seen["depth"])}
     assert not np.array_equal(values, policy.values(other)), "it looks at the picture"
     settings = config_for(str(whole), "quick")
-    assert open_policy(str(whole), settings).name == str(whole)
+    assert open_named(str(whole), settings, 0).name == str(whole)
     plain = settings.model_copy(update={"env": settings.env.model_copy(update={"observation": "compact"})})
     with pytest.raises(PolicyError, match=f"sees env.observation={form}, this test has compact"):
-        open_policy(str(whole), plain)
+        open_named(str(whole), plain, 0)
 
 
 @pytest.mark.parametrize("form", ["table3", "compact_rgb"])

@@ -8,11 +8,11 @@ import pytest
 
 from tests.agents.driven import driven
 from tests.agents.toy import ToyStreet, a_run, toy_camera
+from wcsim.agents.learning.replay.buffer import FrameReplay
 from wcsim.agents.learning.saved_policy import load_policy
 from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.learning.train import train
 from wcsim.agents.policies.baselines import baseline
-from wcsim.agents.replay.buffer import FrameReplay
 from wcsim.agents.runs.metrics import read_metrics
 from wcsim.agents.runs.run_folder import policy_path
 from wcsim.config import LearnConfig, RunConfig

@@ -13,14 +13,14 @@ import wcsim.agents.learning.seqdqn as seqdqn
 from tests.agents.toy import ToyStreet, memory_of, toy_camera
 from wcsim.agents.learning.build import build_model
 from wcsim.agents.learning.checkpoint import _replay_arrays, _restore_replay
+from wcsim.agents.learning.replay.buffer import FrameReplay
 from wcsim.agents.learning.seqdqn import (
     MARGIN_OFFSET,
+    _aid_loss,
     _mirror_batch,
+    _relabelled,
     _teacher_actions,
-    aid_loss,
-    relabelled,
 )
-from wcsim.agents.replay.buffer import FrameReplay
 from wcsim.config import LearnConfig, RunConfig, resolve
 from wcsim.errors import ConfigError
 from wcsim.supervisor.actions import action_set
@@ -54,7 +54,7 @@ def test_the_teacher_is_the_safe_action_nearest_to_the_stick():
 
 def test_a_moment_in_which_nothing_is_safe_teaches_nothing():
     values = torch.zeros(1, 81, requires_grad=True)
-    aid_loss(values, distances((0, 1)), safe_rows(np.zeros(81, bool)), 0.05, 1.0).backward()
+    _aid_loss(values, distances((0, 1)), safe_rows(np.zeros(81, bool)), 0.05, 1.0).backward()
     assert not values.grad.any()
 
 
@@ -68,16 +68,16 @@ def test_the_loss_by_hand():
     behind = np.maximum(behind, 0)
     expected = behind.max() + behind[~safe].mean()
     tensor = torch.as_tensor(values, dtype=torch.float32)[None]
-    got = aid_loss(tensor, distances(stick), safe_rows(safe), scale=0.05, unsafe=3.0)
+    got = _aid_loss(tensor, distances(stick), safe_rows(safe), scale=0.05, unsafe=3.0)
     assert float(got) == pytest.approx(expected, rel=1e-4)
 
 
 def test_the_loss_is_zero_when_the_teacher_wins_clearly_and_its_slope_goes_the_right_way():
     safe, gap = safe_rows(~AHEAD), distances((0, 1))
     clear = -10 * gap - 100 * ~safe
-    assert float(aid_loss(clear, gap, safe, 0.05, 1.0)) == 0.0
+    assert float(_aid_loss(clear, gap, safe, 0.05, 1.0)) == 0.0
     values = torch.zeros(1, 81, requires_grad=True)
-    aid_loss(values, gap, safe, 0.05, 1.0).backward()
+    _aid_loss(values, gap, safe, 0.05, 1.0).backward()
     label = int(_teacher_actions(gap, safe))
     assert values.grad[0, label] < 0
     assert (values.grad[0, torch.as_tensor(AHEAD)] > 0).all()
@@ -85,13 +85,13 @@ def test_the_loss_is_zero_when_the_teacher_wins_clearly_and_its_slope_goes_the_r
 
 def test_other_wishes_are_any_and_only_a_share():
     sticks = np.tile(np.array([[0.1, 0.2]], np.float32), (400, 1))
-    wishes = relabelled(sticks, POINTS, 0.5, np.random.default_rng(0))
+    wishes = _relabelled(sticks, POINTS, 0.5, np.random.default_rng(0))
     assert wishes.dtype == np.float32
     changed = (wishes != sticks).any(axis=1)
     assert 0.4 < changed.mean() < 0.6
     assert np.hypot(*wishes.T).max() <= 1.0 + 1e-6
     assert len(np.unique(ACTIONS.nearest_many(wishes))) > 40
-    assert np.array_equal(relabelled(sticks, POINTS, 0.0, np.random.default_rng(0)), sticks)
+    assert np.array_equal(_relabelled(sticks, POINTS, 0.0, np.random.default_rng(0)), sticks)
 
 
 # --- advice in the replay memory ---
@@ -270,7 +270,7 @@ def test_the_aid_teaches_to_stop_before_a_wall_and_to_go_on_where_the_way_is_fre
 
 
 def _wrong_sign(*arguments, **more):
-    return -aid_loss(*arguments, **more).clamp(max=1.0)
+    return -_aid_loss(*arguments, **more).clamp(max=1.0)
 
 
 def _no_loss(values, *arguments, **more):
@@ -279,7 +279,7 @@ def _no_loss(values, *arguments, **more):
 
 @pytest.mark.parametrize("fault", [_wrong_sign, _no_loss])
 def test_an_aid_with_a_planted_fault_teaches_nothing(fault, monkeypatch, alternating):
-    monkeypatch.setattr(seqdqn, "aid_loss", fault)
+    monkeypatch.setattr(seqdqn, "_aid_loss", fault)
     model = taught()
     assert choice_before(model, wall=True)[1] > 0.3
 

@@ -12,11 +12,11 @@ from safetensors.torch import load_file, save_file
 
 import wcsim.agents
 from tests.agents.toy import ToyStreet, toy_camera
-from wcsim.agents.evaluation.open_policy import open_policy
 from wcsim.agents.learning.build import build_model
 from wcsim.agents.learning.saved_policy import load_policy, save_policy
 from wcsim.agents.networks import registry
 from wcsim.agents.networks.convolutional import PatchNet
+from wcsim.agents.opening.named_policy import open_named
 from wcsim.agents.policy_api import Warns
 from wcsim.agents.runs.policy_file import POLICY_JSON, WEIGHTS
 from wcsim.config import LearnConfig, RunConfig, resolve
@@ -189,9 +189,9 @@ def test_a_policy_says_which_further_sensors_it_reads_and_only_then(original, sa
     assert not np.array_equal(policy.values(observation), policy.values(still))
     assert load_policy(saved).values(observation).shape == (81,)
     with pytest.raises(PolicyError, match=r"needs the sensors \{'wheels': 2\}.* this test has \{\}"):
-        open_policy(str(folder), config)
+        open_named(str(folder), config, 0)
     rewrite(folder, sensors={"odometry": 2})
-    assert open_policy(str(folder), resolve(config, ("sensors.odometry=typical",))).name == str(folder)
+    assert open_named(str(folder), resolve(config, ("sensors.odometry=typical",)), 0).name == str(folder)
     rewrite(folder, sensors={"wheels": 7})
     with pytest.raises(PolicyError, match="expected 3 more than theirs"):
         load_policy(folder)

@@ -13,9 +13,9 @@ from wcsim.agents.learning import seqdqn
 from wcsim.agents.learning.build import build_model
 from wcsim.agents.learning.callbacks import EpisodeMetrics
 from wcsim.agents.learning.phases import LearningPhase, PhasePlan
+from wcsim.agents.learning.replay.buffer import FrameReplay
 from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.networks.q_network import SeqQPolicy
-from wcsim.agents.replay.buffer import FrameReplay
 from wcsim.agents.runs.metrics import read_metrics
 from wcsim.config import LearnConfig, RunConfig
 from wcsim.config.run_file import FollowPrior, NetSpec

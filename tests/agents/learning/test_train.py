@@ -21,13 +21,12 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 import wcsim
 from tests.agents.toy import ToyStreet, a_run, full_once, load_checkpoint, same_from_here_on, toy_camera
 from wcsim.agents.envs.episode_view import WORLD_RESTARTED
-from wcsim.agents.evaluation.open_policy import open_policy
-from wcsim.agents.evaluation.suite.named_policy import config_for
 from wcsim.agents.learning.build import build_model
 from wcsim.agents.learning.checkpoint import _generator_state, _restored_generator, save_checkpoint
 from wcsim.agents.learning.saved_policy import load_policy
 from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.learning.train import train
+from wcsim.agents.opening.named_policy import config_for, open_named
 from wcsim.agents.runs.metrics import COLUMNS, STEP_COLUMNS, MetricsFile, read_metrics
 from wcsim.agents.runs.run_folder import create_run, make_manifest, open_run, policy_path, run_of
 from wcsim.config import LearnConfig, RunConfig
@@ -148,7 +147,7 @@ def test_work_is_saved_by_wall_time(tmp_path, monkeypatch):
 def test_both_policies_can_be_named(run):
     path, *_ = run
     assert policy_path(str(path)) == policy_path(f"{path}:final") == path / "policies" / "final"
-    assert open_policy(f"{path}:phase1", config()).name == f"{path}:phase1"
+    assert open_named(f"{path}:phase1", config(), 0).name == f"{path}:phase1"
     assert weights(path) != weights(path, "phase1")
     assert load_policy(policy_path(str(path))).file.manifest_sha256 == open_run(path).manifest_sha256()
 
@@ -162,9 +161,9 @@ def test_what_a_policy_was_made_with_can_be_asked(run, tmp_path):
     assert run_of(str(tmp_path / "copy")) is None
     alone = config_for(str(tmp_path / "copy"), "dqn", ("env.max_steps=7",))
     assert (alone.cameras, alone.env.max_steps) == ((CAMERA,), 7)
-    assert open_policy(str(tmp_path / "copy"), alone).name == str(tmp_path / "copy")
+    assert open_named(str(tmp_path / "copy"), alone, 0).name == str(tmp_path / "copy")
     with pytest.raises(PolicyError, match="20x16 images"):
-        open_policy(str(path), RunConfig())
+        open_named(str(path), RunConfig(), 0)
 
 
 def test_equal_seeds_give_equal_runs_and_other_seeds_do_not(run, tmp_path):

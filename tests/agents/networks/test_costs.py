@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from wcsim.agents.networks.costs import LIMIT_MS, RESERVE_MS, NetworkCost, measure_cost
+from wcsim.agents.networks.costs import LIMIT_MS, RESERVE_MS, _NetworkCost, measure_cost
 
 
 def test_what_a_network_costs_is_counted_and_timed():
@@ -24,5 +24,5 @@ def test_a_first_layer_is_counted_as_it_is_made():
 @pytest.mark.parametrize(("more_ms", "fits"), [(-1.0, True), (1.0, False)])
 def test_a_tick_has_a_reserve_for_the_segmentation(more_ms, fits):
     p99_ms = LIMIT_MS - RESERVE_MS + more_ms
-    cost = NetworkCost(name="a", window=1, params=1, macs=1, mb=1.0, p50_ms=1.0, p99_ms=p99_ms, onnx_p50_ms=None)
+    cost = _NetworkCost(name="a", window=1, params=1, macs=1, mb=1.0, p50_ms=1.0, p99_ms=p99_ms, onnx_p50_ms=None)
     assert cost.within_100_ms is fits

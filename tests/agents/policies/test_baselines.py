@@ -6,8 +6,8 @@ import pytest
 from tests.agents.driven import driven
 from tests.agents.toy import ToyStreet, camera_rays, toy_camera
 from tests.support.samples import USUAL_OUTLINE
-from wcsim.agents.policies.baselines import baseline
-from wcsim.agents.policies.depth_check import CorridorWatch, _in_corridor, viewing_rays
+from wcsim.agents.perception.depth_image import viewing_rays
+from wcsim.agents.policies.baselines import _CorridorWatch, _in_corridor, baseline
 from wcsim.agents.policy_api import BASELINES, UPPER_BOUND, VISIBLE_BOUND, SeesTruth
 from wcsim.agents.runs.policy_file import policy_name
 from wcsim.config import CameraConfig, ChairConfig, RunConfig
@@ -17,7 +17,7 @@ from wcsim.supervisor.observation import encode_depth
 from wcsim.types import Joystick, Truth, Verdict
 
 CAMERA = CameraConfig(width_px=80, height_px=60)
-WATCH = CorridorWatch(CAMERA, ChairConfig(), USUAL_OUTLINE)
+WATCH = _CorridorWatch(CAMERA, ChairConfig(), USUAL_OUTLINE)
 FORWARD = (0.0, 1.0)
 
 

@@ -10,12 +10,12 @@ from tests.agents.driven import driven
 from tests.agents.policies.test_baselines import box, ground, looking_at
 from tests.support.yardstick import multiple
 from wcsim.agents.envs.wheelchair_env import WheelchairEnv
+from wcsim.agents.perception.arcs import arcs, follow, gaps, touches_after
+from wcsim.agents.perception.depth_image import viewing_rays
+from wcsim.agents.perception.street_memory import KEEP_BRIEFLY_S, StepMap
+from wcsim.agents.perception.surroundings import _up_in_body
 from wcsim.agents.policies.baselines import baseline
-from wcsim.agents.policies.depth_check import viewing_rays
 from wcsim.agents.policies.dwa import _caution
-from wcsim.agents.policies.dynamic_window.arcs import arcs, follow, gaps, touches_after
-from wcsim.agents.policies.dynamic_window.street_memory import KEEP_BRIEFLY_S, StepMap
-from wcsim.agents.policies.dynamic_window.surroundings import _up_in_body
 from wcsim.agents.runs.policy_file import policy_name
 from wcsim.config import CameraConfig, ChairConfig, RunConfig, resolve
 from wcsim.core.joystick import limits_of

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from wcsim.agents.evaluation.suite.drive import FIRST_SHARE, LATE_S
-from wcsim.agents.evaluation.suite.named_policy import identity_of
+from wcsim.agents.evaluation.suite.run import _identity_of
 from wcsim.agents.policies import served_policy
 from wcsim.agents.policies.served_policy import ServedPolicy
 from wcsim.agents.policy_api import ANSWER_S
@@ -92,7 +92,7 @@ HELLO = json.dumps({"name": "x", "version": "1"}).encode()
 def test_a_suite_that_asks_for_the_version_names_the_actions_too():
     """A process may look up the one for the stick at rest when it hears hello."""
     asked: list[bytes] = []
-    assert identity_of(answering(HELLO, asked=asked), "quick") == ["served", "x 1", "quick"]
+    assert _identity_of(answering(HELLO, asked=asked), "quick") == ["served", "x 1", "quick"]
     points = json.loads(asked[0])["actions"]
     assert len(points) == 81 and [0.0, 0.0] in points
 

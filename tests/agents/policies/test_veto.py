@@ -7,12 +7,12 @@ import pytest
 
 from tests.agents.danger.sights import observation
 from tests.agents.policies.test_baselines import box, ground, looking_at
-from wcsim.agents.evaluation.suite.named_policy import config_for, identity_of, open_named
+from wcsim.agents.evaluation.suite.run import _identity_of, _policy_at
+from wcsim.agents.opening.named_policy import config_for, open_named
 from wcsim.agents.policies.baselines import baseline
 from wcsim.agents.policies.dwa import Veto
 from wcsim.agents.policy_api import HearsSent, Levelled, NeedsSenses, TellsUnsafe, Warns
 from wcsim.agents.runs.policy_file import policy_name
-from wcsim.agents.runs.run_folder import policy_at
 from wcsim.config import CameraConfig, RunConfig
 from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import action_set
@@ -130,8 +130,8 @@ def test_names():
     named = policy_name("veto:runs/a:phase1@0.2")
     assert (named.place, str(named.folder), named.stage, named.level) == ("runs/a:phase1", "runs/a", "phase1", 0.2)
     assert (policy_name("b@home").place, policy_name("dwa@0.5").level) == ("b@home", 0.5)
-    assert policy_at("veto:runs/a@0.2", lambda address: f"/far/{address}") == "veto:/far/runs/a@0.2"
-    assert identity_of("veto:dwa", "quick") == ["veto", "baseline", "dwa", "quick"] != identity_of("dwa", "quick")
+    assert _policy_at("veto:runs/a@0.2", lambda address: f"/far/{address}") == "veto:/far/runs/a@0.2"
+    assert _identity_of("veto:dwa", "quick") == ["veto", "baseline", "dwa", "quick"] != _identity_of("dwa", "quick")
     assert config_for("veto:dwa", "quick", ()) == config_for("dwa", "quick", ())
 
 

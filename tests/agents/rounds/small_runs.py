@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from tests.support.worlds import dqn_config
-from wcsim.agents.collecting.data_folder import read_manifest
 from wcsim.agents.rounds.train_rounds import DATA
+from wcsim.agents.runs.data_folder import read_manifest
 from wcsim.agents.runs.run_folder import ResolvedRun
 from wcsim.core import files
 from wcsim.server.specs import RunInfo

@@ -9,11 +9,11 @@ from pathlib import Path
 import pytest
 
 from tests.agents.danger.sights import a_segment, small_config, write_segment
-from wcsim.agents.collecting.data_folder import read_manifest, segment_path
-from wcsim.agents.collecting.segment_places import SegmentOrder
 from wcsim.agents.danger.network import DangerNet, spec_of
 from wcsim.agents.danger.policy import save_danger
 from wcsim.agents.rounds.collect_data import DataOrder, collect_data
+from wcsim.agents.rounds.drive_segment import SegmentOrder
+from wcsim.agents.runs.data_folder import read_manifest, segment_path
 from wcsim.config import RunConfig
 from wcsim.config.run_file import DangerRule
 from wcsim.core.files import locked

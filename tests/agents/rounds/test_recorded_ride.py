@@ -13,7 +13,7 @@ from tests.support.journals import JournaledWorld
 from tests.support.worlds import quick_config
 from wcsim.agents.danger.policy import DangerPolicy, load_net, save_danger
 from wcsim.agents.policy_api import tell_delay
-from wcsim.agents.rounds.recorded_ride import RecordedRide, recorded_ride
+from wcsim.agents.rounds.recorded_ride import _RecordedRide, recorded_ride
 from wcsim.bridge.replay.replayed import config_of
 from wcsim.config import RunConfig, resolve
 from wcsim.config.run_file import DangerRule
@@ -38,7 +38,7 @@ def policy(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return place
 
 
-def again(policy: Path, ride: RecordedRide, config: RunConfig) -> list[int]:
+def again(policy: Path, ride: _RecordedRide, config: RunConfig) -> list[int]:
     """What the policy chooses when it sees a ride."""
     net, rule = load_net(policy)
     chooser = DangerPolicy("own", net, config, rule, ride.delay_ticks)

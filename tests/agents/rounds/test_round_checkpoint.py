@@ -17,13 +17,13 @@ from safetensors.torch import load_file, save_file
 from tests.agents.danger.sights import a_segment, lectures, small_config, write_segment
 from tests.agents.rounds.small_runs import SMALL, outcome, run_in
 from tests.support.worlds import dqn_config
-from wcsim.agents.collecting.data_folder import SegmentKey, segment_path, write_manifest
-from wcsim.agents.collecting.segment_places import SegmentOrder
 from wcsim.agents.danger.learner import DangerLearner
 from wcsim.agents.rounds import train_rounds
-from wcsim.agents.rounds.round_log import read_rounds
+from wcsim.agents.rounds.drive_segment import SegmentOrder
 from wcsim.agents.rounds.train_rounds import RoundProgress, _restoring, _save_round, train_danger
-from wcsim.agents.runs.checkpoint import checkpoints, go_on, number_of, restore_newest, tag
+from wcsim.agents.runs.checkpoint import _restore_newest, checkpoints, go_on, number_of, tag
+from wcsim.agents.runs.data_folder import SegmentKey, segment_path, write_manifest
+from wcsim.agents.runs.metrics import read_rounds
 from wcsim.agents.runs.run_folder import ResolvedRun, create_run, make_manifest
 from wcsim.cli.shared.run_config import learning
 from wcsim.config import RunConfig, resolve
@@ -147,7 +147,7 @@ def a_learner() -> DangerLearner:
 
 def load_round(folder: Path) -> tuple[int, dict[str, str]]:
     """The round that a run goes on from, and the segments that it had learned from."""
-    found = restore_newest(folder, _restoring(a_learner()))
+    found = _restore_newest(folder, _restoring(a_learner()))
     return number_of(found.path), found.value
 
 
@@ -226,7 +226,7 @@ def test_a_checkpoint_whose_state_is_damaged_is_passed_over_for_the_one_before(t
     state = json.loads(path.read_text())
     changed = {"3-000-0000.npz.zst": "b" * 64} if key == "segments" else state[key] + 1
     path.write_text(json.dumps({**state, key: changed}))
-    found = restore_newest(tmp_path, _restoring(learner))
+    found = _restore_newest(tmp_path, _restoring(learner))
     assert number_of(found.path) == 0
     assert ["its content does not match its hash" in reason for reason in found.passed_over.values()] == [True]
     seal = state.pop("seal")
@@ -269,7 +269,7 @@ def test_arrays_that_are_none_of_a_learner_are_refused_however_right_their_hash(
         path.with_name("state.json"), sha256={item.name: files.sha256(item) for item in path.parent.glob("*.saf*")}
     )
     with pytest.raises(PolicyError, match=rf"{re.escape(key)}|not finite"):
-        restore_newest(tmp_path, _restoring(learner))
+        _restore_newest(tmp_path, _restoring(learner))
 
 
 @pytest.mark.parametrize("changes", [{"updates": "7"}, {"loss": True}, {"segments": []}, {"segments": {"a": 1}}])

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from wcsim.agents.rounds.round_log import logs_rounds, note_round, read_rounds
+from wcsim.agents.runs.metrics import logs_rounds, note_round, read_rounds
 from wcsim.errors import PolicyError
 
 FIRST = (0, 2000, 1500, 0.25, 4, 50, 0.5, 1.25, 2.5)

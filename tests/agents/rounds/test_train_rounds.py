@@ -18,10 +18,10 @@ import pytest
 from tests.agents.rounds.small_runs import SMALL, outcome, run_in, weights_of
 from tests.support.one_process import in_this_process
 from tests.support.worlds import dqn_config
-from wcsim.agents.collecting.data_folder import DATA, NETWORK, SEGMENTS, read_segment
 from wcsim.agents.danger.policy import load_danger
 from wcsim.agents.rounds import train_rounds
 from wcsim.agents.rounds.train_rounds import RoundProgress, towns_of, train_danger
+from wcsim.agents.runs.data_folder import DATA, NETWORK, SEGMENTS, read_segment
 from wcsim.agents.runs.run_folder import ResolvedRun, open_run
 from wcsim.config import RunConfig
 from wcsim.core import files

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from wcsim.agents.evaluation.suite.list_file import open_suite
+from wcsim.agents.opening.list_file import open_suite
 from wcsim.users.recordings.recorded_user import read_recording
 
 ROOT = Path(__file__).parents[3]

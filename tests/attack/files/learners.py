@@ -18,11 +18,11 @@ from tests.agents.danger.sights import a_segment, lectures, small_config
 from tests.attack.files.family import Family
 from tests.attack.files.policies import CHANGES, bad_header, packed, unpacked
 from tests.attack.scenarios.twists import Rng, cleared, integer, json_text, pick, spoiled, twisted
-from wcsim.agents.collecting.data_folder import packed_segment, read_segment
 from wcsim.agents.danger.dataset import Dataset
 from wcsim.agents.danger.learner import DangerLearner
 from wcsim.agents.rounds.train_rounds import _restoring, _save_round
-from wcsim.agents.runs.checkpoint import STATE, number_of, restore_newest
+from wcsim.agents.runs.checkpoint import STATE, _restore_newest, number_of
+from wcsim.agents.runs.data_folder import packed_segment, read_segment
 from wcsim.core import files
 from wcsim.core.reading import is_file
 
@@ -156,7 +156,7 @@ def _resealed(path: Path) -> None:
 def _take_round(path: Path) -> bool:
     _resealed(path)
     learner = _learner()
-    found = restore_newest(path.parents[1], _restoring(learner))
+    found = _restore_newest(path.parents[1], _restoring(learner))
     return _same(found.path, learner, lambda out: _save_round(out, number_of(found.path), learner, found.value))
 
 

@@ -14,9 +14,9 @@ from tests.attack.files.files import csv_twist, same
 from tests.attack.files.people import STUDY
 from tests.attack.scenarios.twists import NASTY, cleared, json_text, toml_text
 from tests.view.report.results import write_result
-from wcsim.agents.evaluation.suite.list_file import open_suite, write_list
 from wcsim.agents.evaluation.suite.result_files import ASKED, EPISODES, RESULT, read_result
-from wcsim.agents.rounds.round_log import note_round, read_rounds
+from wcsim.agents.opening.list_file import open_suite, write_list
+from wcsim.agents.runs.metrics import note_round, read_rounds
 from wcsim.config import parse
 from wcsim.config.study import StudyFile
 from wcsim.core.reading import FileKind, parse_toml

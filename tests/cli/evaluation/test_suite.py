@@ -9,8 +9,8 @@ import pytest
 from rich.console import Console
 
 from tests.agents.evaluation.suite.lists import written_list
-from tests.agents.evaluation.suite.test_list_rules import run_of
 from tests.agents.evaluation.suite.test_records import GOOD
+from tests.agents.opening.test_list_rules import run_of
 from tests.support.one_process import in_this_process
 from wcsim.agents.evaluation.suite.result_files import result_of
 from wcsim.agents.evaluation.suite.rows import ResultRow

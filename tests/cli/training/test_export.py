@@ -19,7 +19,7 @@ from tests.log.drives import tick, write_drive
 from wcsim.agents.danger.policy import save_danger
 from wcsim.agents.export.export_folder import WRITTEN
 from wcsim.agents.rounds import recorded_ride
-from wcsim.agents.rounds.recorded_ride import RecordedRide
+from wcsim.agents.rounds.recorded_ride import _RecordedRide
 from wcsim.cli.recordings.users import SMALL_CAMERA
 from wcsim.cli.training import export
 from wcsim.config import resolve
@@ -111,7 +111,7 @@ def test_a_recording_of_another_policy_is_told_from_one_of_its_own(same, by, own
 def test_the_reference_of_somebody_elses_drive_is_what_the_policy_chooses_there(wcsim, folder, policy, monkeypatch):
     """And the folder stands alone: its own loop, in a process without wcsim, chooses the same."""
     a_drive(folder, *SEEN)
-    ridden = RecordedRide(seen=tuple(ride(12)), actions=(80,) * 12, delay_ticks=2)
+    ridden = _RecordedRide(seen=tuple(ride(12)), actions=(80,) * 12, delay_ticks=2)
     monkeypatch.setattr(recorded_ride, "recorded_ride", lambda *given: ridden)
     told = wcsim("export", policy, "--onnx", "x", "--ride", "a.drive", "--force")
     assert told.code == 0, told
@@ -134,7 +134,7 @@ def test_a_network_of_q_learning_is_exported_with_what_it_is_shown_itself(wcsim,
     assert lacking(told.err) == ["--set", "env.observe_gyro=false"], "it has seen five numbers of the IMU in training"
     a_drive(folder, *SEEN, "env.observe_gyro=false")
     seen = tuple({**step, "imu": step["imu"][:5]} for step in ride(12))
-    ridden = RecordedRide(seen=seen, actions=(80,) * 12, delay_ticks=2)
+    ridden = _RecordedRide(seen=seen, actions=(80,) * 12, delay_ticks=2)
     monkeypatch.setattr(recorded_ride, "recorded_ride", lambda *given: ridden)
     told = wcsim("export", "fig6", "--onnx", "x", "--ride", "a.drive", "--force")
     assert told.code == 0, told

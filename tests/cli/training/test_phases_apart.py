@@ -13,9 +13,9 @@ from tests.agents.evaluation.suite.lists import block_of, suite_in, written_list
 from tests.cli.training.test_clients import SMALL, start, waited
 from tests.support.events import read_events
 from wcsim.agents.clients.group_run import GroupRun, open_clients_folder, read_choice
-from wcsim.agents.evaluation.suite.list_file import write_list
 from wcsim.agents.evaluation.suite.result_files import result_of
 from wcsim.agents.evaluation.suite.rows import pooled_rows
+from wcsim.agents.opening.list_file import write_list
 from wcsim.agents.runs.metrics import STEP_COLUMNS, read_metrics
 from wcsim.agents.runs.run_folder import open_run
 from wcsim.cli.main import main

@@ -211,7 +211,7 @@ OBSTACLE = ("--suite", "dev", "--block")
 @pytest.mark.proof
 def test_an_obstacle_lights_the_lamps(browser: Any) -> None:
     """The car door of the suite: driven straight on, `dwa` sees it, warns and steers otherwise, and marks positions."""
-    from wcsim.agents.evaluation.suite.list_file import open_suite
+    from wcsim.agents.opening.list_file import open_suite
 
     blocks = open_suite("dev").file.blocks
     index = next(number for number, block in enumerate(blocks) if block.town == "car-door")

@@ -12,7 +12,7 @@ from tests.physics.renderer.render_oracle import actor
 from tests.physics.rig import shoot
 from tests.support.plants import plant_state
 from tests.support.samples import USUAL_OUTLINE, strip_street
-from wcsim.agents.policies.depth_check import viewing_rays
+from wcsim.agents.perception.depth_image import viewing_rays
 from wcsim.config import CameraConfig
 from wcsim.core.frames import quaternion
 from wcsim.errors import ConfigError

@@ -6,8 +6,7 @@ import pytest
 
 from tests.support.worlds import dqn_config
 from wcsim.agents.clients.group_run import create_clients_folder
-from wcsim.agents.rounds.round_log import note_round
-from wcsim.agents.runs.metrics import COLUMNS, STEP_COLUMNS, MetricsFile
+from wcsim.agents.runs.metrics import COLUMNS, STEP_COLUMNS, MetricsFile, note_round
 from wcsim.agents.runs.run_folder import create_run, make_manifest
 from wcsim.cli.main import main
 from wcsim.errors import PolicyError

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 import torch
+import zstandard
 
-from wcsim.agents.collecting.data_folder import Segment, unsafe_ahead
 from wcsim.agents.danger.network import spec_of
 from wcsim.agents.danger.street_map import EACH_SLICE, MIRRORED, PLANES, SIDE, SLICES, FeatureExtractor, sweep
-from wcsim.agents.policies.depth_check import sees_in_a_mirror
+from wcsim.agents.perception.depth_image import sees_in_a_mirror
 from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, IMU_KEY, JOYSTICK_KEY, ODOMETRY_KEY
-from wcsim.agents.replay.frame_store import pack_each, unpack_each
+from wcsim.agents.runs.data_folder import Segment, unsafe_ahead
 from wcsim.config import RunConfig
 from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import action_set
@@ -22,6 +22,7 @@ from wcsim.types import F32, F64, I64, U8, Bool
 Inputs = tuple[torch.Tensor, ...]
 """Picture, vector, swept cells and frames, see `DangerNet.forward`."""
 _START_MIRRORED = (1, 2, 4)  # y, yaw, w
+_LEVEL = 1  # of zstd
 
 
 def _frame_windows(ended: Bool, frames: int) -> I64:
@@ -100,8 +101,8 @@ class Dataset:
             )
             extractor.command(int(segment.action[row]))
             # Packed at once: the pictures of a whole segment would take a hundred times the memory.
-            self._pictures += pack_each(features.picture.reshape(1, -1))
-            self._frames += pack_each(features.frames[-1:].reshape(1, -1)) if spec.pictures else []
+            self._pictures.append(_packed(features.picture))
+            self._frames += [_packed(features.frames[-1])] if spec.pictures else []
             self._vectors.append(features.vector)
             self._starts.append(features.start)
             begins = bool(segment.ended[row])
@@ -138,10 +139,10 @@ class Dataset:
     def batch(self, picks: I64, mirror: bool = False) -> _Batch:
         """These steps, (B,)."""
         rows = picks.tolist()
-        pictures = unpack_each([self._pictures[row] for row in rows], PLANES * SIDE * SIDE)
+        pictures = _unpacked([self._pictures[row] for row in rows], PLANES * SIDE * SIDE)
         picture = pictures.reshape(-1, PLANES, SIDE, SIDE)
         seen = [self._frames[at] for row in rows for at in self._windows[row].tolist()]
-        frames = unpack_each(seen, int(np.prod(self._size))).reshape(len(rows), -1, *self._size)
+        frames = _unpacked(seen, int(np.prod(self._size))).reshape(len(rows), -1, *self._size)
         vector = np.stack([self._vectors[row] for row in rows])
         # Through float32 to float64, as `Features.batch` does: learned and driven roll-outs are equal to the bit.
         start = np.stack([self._starts[row] for row in rows]).astype(np.float64)
@@ -177,3 +178,17 @@ def _swept(extractor: FeatureExtractor, starts: F64) -> npt.NDArray[np.int32]:
     swept = np.empty((len(starts), len(around.commands), SLICES * EACH_SLICE * len(extractor.chair)), np.int32)
     sweep(starts, around.commands, around.limits, extractor.chair, swept)
     return swept
+
+
+def _packed(frame: U8) -> bytes:
+    """A frame as a compressed blob."""
+    # Copied: a blob as it comes lies in a block for a frame that cannot be compressed, whose rest is lost.
+    return bytes(memoryview(zstandard.ZstdCompressor(level=_LEVEL).compress(frame.tobytes())))
+
+
+def _unpacked(blobs: list[bytes], size: int) -> U8:
+    """The frames of blobs, (K, size)."""
+    unpacker, out = zstandard.ZstdDecompressor(), np.empty((len(blobs), size), np.uint8)
+    for row, blob in zip(out, blobs, strict=True):
+        row[:] = np.frombuffer(unpacker.decompress(blob, max_output_size=size), np.uint8)
+    return out

@@ -17,7 +17,7 @@ from wcsim.agents.danger.dataset import to_tensors
 from wcsim.agents.danger.network import DangerNet, channels_last
 from wcsim.agents.danger.street_map import FeatureExtractor, Features
 from wcsim.agents.networks.names import NETWORK_NAMES, require_named
-from wcsim.agents.policies.alarm import Alarm, next_alarm
+from wcsim.agents.perception.alarm import Alarm, next_alarm
 from wcsim.agents.policy_api import JOYSTICK_KEY, MOTION_SENSES, HearsSent, NotFinite, Observation, require_level
 from wcsim.agents.runs.policy_file import SIGHT_KEYS, read_danger_file
 from wcsim.agents.runs.weights import load_network, write_policy
@@ -33,8 +33,8 @@ LEVELS: Final = (0.95, 0.02)  # thresholds that may be set while driving: with t
 RECENT_TICKS: Final = 5  # for so long after it was taken away, the user's own is again as soon as it is unsafe
 
 
-def within(danger: F64, rule: DangerRule, last: int = -1) -> Bool:
-    """(A,) which actions are safe enough; the arguments are those of `choose`."""
+def _within(danger: F64, rule: DangerRule, last: int = -1) -> Bool:
+    """(A,) which actions are safe enough; the arguments are those of `_choose`."""
     limit = np.full(len(danger), rule.threshold)
     if last >= 0:
         # Near the threshold the last action would be allowed in one tick and not in the next.
@@ -43,7 +43,7 @@ def within(danger: F64, rule: DangerRule, last: int = -1) -> Bool:
     return allowed
 
 
-def next_recent(before: int, unsafe: bool, danger: float, rule: DangerRule) -> int:
+def _next_recent(before: int, unsafe: bool, danger: float, rule: DangerRule) -> int:
     """For how many ticks more the user's own action is taken away as soon as it is unsafe.
 
     Args:
@@ -54,7 +54,7 @@ def next_recent(before: int, unsafe: bool, danger: float, rule: DangerRule) -> i
 
     >>> rule, ticks, found = DangerRule(at_once=0.6), 0, []
     >>> for danger in (0.3, 0.0, 0.3, 0.3, 0.0):
-    ...     ticks = next_recent(ticks, danger >= rule.threshold, danger, rule)
+    ...     ticks = _next_recent(ticks, danger >= rule.threshold, danger, rule)
     ...     found.append(ticks)
     >>> found
     [1, 0, 1, 5, 4]
@@ -64,7 +64,7 @@ def next_recent(before: int, unsafe: bool, danger: float, rule: DangerRule) -> i
     return RECENT_TICKS if before > 0 or danger >= rule.at_once else 1
 
 
-def choose(
+def _choose(
     danger: F64,
     stick: F64,
     actions: ActionSet,
@@ -80,14 +80,14 @@ def choose(
         actions: The joystick positions.
         rule: See there.
         last: The action before, -1 for none.
-        recent: Whether the user's own was unsafe a short time ago, see `next_recent`.
+        recent: Whether the user's own was unsafe a short time ago, see `_next_recent`.
     """
     distance = actions.distances(stick[None])[0]
     cost = distance + rule.danger_cost * danger / rule.threshold
     # Noise moves dangers by more than neighbours differ: without it the chair would waver between two ways round.
     if last >= 0:
         cost[last] -= rule.hysteresis
-    allowed = within(danger, rule, last)
+    allowed = _within(danger, rule, last)
     own = int(np.argmin(distance))
     if allowed[own] or (not recent and danger[own] < rule.at_once):
         return own
@@ -162,10 +162,10 @@ class DangerPolicy(HearsSent):
         danger = self.danger(self.features)
         own = self._actions.nearest(stick)
         self._alarm = next_alarm(self._alarm, float(danger[own]), self.rule.warn)
-        self.unsafe = ~within(danger, self.rule, self._last)
-        taken = choose(danger, stick, self._actions, self.rule, self._last, self._recent > 0)
+        self.unsafe = ~_within(danger, self.rule, self._last)
+        taken = _choose(danger, stick, self._actions, self.rule, self._last, self._recent > 0)
         # After the choice, which goes by what was unsafe before this tick.
-        self._recent = next_recent(self._recent, bool(self.unsafe[own]), float(danger[own]), self.rule)
+        self._recent = _next_recent(self._recent, bool(self.unsafe[own]), float(danger[own]), self.rule)
         return taken
 
     def observe(self, observation: Observation) -> None:

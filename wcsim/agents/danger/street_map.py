@@ -15,8 +15,8 @@ from typing import Final
 
 import numpy as np
 
-from wcsim.agents.policies.dynamic_window.arcs import advance
-from wcsim.agents.policies.dynamic_window.surroundings import StreetSense
+from wcsim.agents.perception.arcs import advance
+from wcsim.agents.perception.surroundings import StreetSense
 from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, IMU_KEY, JOYSTICK_KEY, ODOMETRY_KEY, Observation
 from wcsim.config import RunConfig
 from wcsim.core.jit import exact_kernel

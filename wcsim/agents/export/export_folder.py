@@ -8,13 +8,12 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Final
 
-import wcsim
 from wcsim.agents.export.guard import MEANING
 from wcsim.agents.policies.onnx_policy import ABOUT_FILE
 from wcsim.agents.policy_api import MODEL_FILE
 from wcsim.agents.runs.policy_file import SIGHT_KEYS
 from wcsim.config import RunConfig
-from wcsim.core.reading import escaped, is_file, is_folder
+from wcsim.core.reading import escaped, is_folder
 from wcsim.errors import ConfigError, PolicyError
 
 _CAMERA: Final = ("width_px", "height_px", *SIGHT_KEYS)
@@ -85,17 +84,3 @@ def require_export_place(option: str, folder: Path) -> None:
             f"{option} {escaped(folder)} holds {named}, which is not from an export; expected a new folder, or an "
             "earlier export, which is replaced: choose another one"
         )
-
-
-def loop_place() -> Path:
-    """The loop in NumPy that drives an exported policy: in a wheel within the package, in a checkout beside it.
-
-    Raises PolicyError when it is in neither.
-    """
-    package = Path(wcsim.__file__).parent
-    for place in (package, package.parent):
-        if is_file(place / "examples" / LOOP):
-            return place / "examples" / LOOP
-    raise PolicyError(
-        f"wcsim has no examples/{LOOP}; expected one in {escaped(package)} or beside it: install it again"
-    )

@@ -13,9 +13,10 @@ from typing import Any, Final
 import numpy as np
 import torch
 
+import wcsim
 from wcsim.agents.danger.policy import DangerPolicy, load_net
 from wcsim.agents.envs.episode_view import FrameWindow, newest
-from wcsim.agents.export.export_folder import LOOP, REFERENCE, as_words, loop_place, settings_apart
+from wcsim.agents.export.export_folder import LOOP, REFERENCE, as_words, settings_apart
 from wcsim.agents.export.footprint import PERIOD_S, SHARE, Footprint, footprint, steps_of
 from wcsim.agents.export.guard import MEANING
 from wcsim.agents.export.policy_graphs import DangerGraph, ValueGraph
@@ -37,6 +38,7 @@ from wcsim.agents.runs.policy_file import is_danger
 from wcsim.config import RunConfig, resolve
 from wcsim.config.run_file import GuardRule
 from wcsim.core import files
+from wcsim.core.reading import escaped, is_file
 from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import ActionSet, action_set
 from wcsim.supervisor.observation import imu_size
@@ -96,7 +98,7 @@ def export_policy(
             installed.
         DiskFullError: There is no room.
     """
-    torch.set_num_threads(1)  # one picture is too little for two threads, as in `open_policy`
+    torch.set_num_threads(1)  # one picture is too little for two threads, as in `agents/opening/named_policy.py`
     graph, own = _opened(policy, config, level, network)
     graph.train(False)
     config = resolve(config, sense_settings(config, senses_of(own)))
@@ -116,10 +118,24 @@ def export_policy(
                 "export it anyway with --force"
             )
         (target / ABOUT_FILE).write_text(_about(config), encoding="utf-8")
-        shutil.copyfile(loop_place(), target / LOOP)
+        shutil.copyfile(_loop_place(), target / LOOP)
         measured = {"sha256": files.sha256(target / MODEL_FILE), "facts": asdict(facts)}
         files.write_json(target / MEANING, {**_meaning_of(graph, config), **measured})
     return facts
+
+
+def _loop_place() -> Path:
+    """The loop in NumPy that drives an exported policy: in a wheel within the package, in a checkout beside it.
+
+    Raises PolicyError when it is in neither.
+    """
+    package = Path(wcsim.__file__).parent
+    for place in (package, package.parent):
+        if is_file(place / "examples" / LOOP):
+            return place / "examples" / LOOP
+    raise PolicyError(
+        f"wcsim has no examples/{LOOP}; expected one in {escaped(package)} or beside it: install it again"
+    )
 
 
 def _run_model(

@@ -44,16 +44,10 @@ from wcsim.agents.danger.street_map import (
 )
 from wcsim.agents.networks.encoder import image_size
 from wcsim.agents.networks.q_network import QNet
-from wcsim.agents.policies.alarm import CALM, NEWEST
-from wcsim.agents.policies.depth_check import viewing_rays
-from wcsim.agents.policies.dynamic_window.ego_motion import (
-    GYRO_Z,
-    MOVES_MPS,
-    SPEED_FULL_SCALE,
-    TRUST,
-    TURN_FULL_SCALE,
-)
-from wcsim.agents.policies.dynamic_window.surroundings import box_of, stride_px
+from wcsim.agents.perception.alarm import CALM, NEWEST
+from wcsim.agents.perception.depth_image import viewing_rays
+from wcsim.agents.perception.ego_motion import GYRO_Z, MOVES_MPS, SPEED_FULL_SCALE, TRUST, TURN_FULL_SCALE
+from wcsim.agents.perception.surroundings import box_of, stride_px
 from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY
 from wcsim.config import RunConfig
 from wcsim.config.run_file import DangerRule
@@ -370,7 +364,7 @@ class DangerGraph(nn.Module):
     def _values(
         self, danger: torch.Tensor, joystick: torch.Tensor, last: torch.Tensor, recent: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """The highest one is what `rule.choose` takes; and as `rule.next_recent`."""
+        """The highest one is what `danger.policy` takes, and `_next_recent` of it."""
         rule = self.rule
         distance = ((self.points[None] - joystick[:, None]) ** 2).sum(-1).sqrt().clamp(max=MAX_DISTANCE)
         numbers = torch.arange(1, len(self.points) + 1, dtype=danger.dtype, device=danger.device)[None]

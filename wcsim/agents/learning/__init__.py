@@ -1,1 +1,1 @@
-"""SeqDQN and a training run: phases, losses, callbacks, checkpoints, saved policies. Not environments."""
+"""SeqDQN and a training run: phases, losses, replay memory, callbacks, checkpoints, saved policies."""

@@ -10,7 +10,7 @@ from stable_baselines3.common.type_aliases import GymEnv
 from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.networks import registry
 from wcsim.agents.networks.q_network import SeqQPolicy
-from wcsim.agents.policies.depth_check import sees_in_a_mirror
+from wcsim.agents.perception.depth_image import sees_in_a_mirror
 from wcsim.config import LearnConfig, RunConfig
 from wcsim.config.run_file import FollowPrior, NetSpec
 from wcsim.errors import ConfigError, PolicyError

@@ -16,9 +16,9 @@ import numpy.typing as npt
 import torch
 import zstandard
 
+from wcsim.agents.learning.replay.buffer import FrameReplay
+from wcsim.agents.learning.replay.frame_store import LEVEL
 from wcsim.agents.learning.seqdqn import SeqDQN
-from wcsim.agents.replay.buffer import FrameReplay
-from wcsim.agents.replay.frame_store import LEVEL
 from wcsim.agents.runs.checkpoint import STATE, Arrays, Restore, newest_arrays, save, tag
 from wcsim.agents.runs.weights import checked_tensors
 from wcsim.config import parse

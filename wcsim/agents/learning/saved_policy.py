@@ -16,23 +16,23 @@ from wcsim.agents.networks.encoder import image_size, observation_form, vector_k
 from wcsim.agents.networks.names import NETWORK_NAMES, require_named
 from wcsim.agents.networks.q_network import QNet
 from wcsim.agents.networks.registry import NETWORKS
-from wcsim.agents.policies.alarm import TWO_TICKS, Alarm, next_alarm
+from wcsim.agents.perception.alarm import TWO_TICKS, Alarm, next_alarm
 from wcsim.agents.policy_api import CLASS_KEY, JOYSTICK_KEY, Observation
-from wcsim.agents.runs.policy_file import read_policy_file
+from wcsim.agents.runs.policy_file import SIGHT_KEYS, read_policy_file
 from wcsim.agents.runs.weights import load_network, write_policy
-from wcsim.config import CameraConfig
+from wcsim.config import CameraConfig, RunConfig
 from wcsim.config.run_file import PolicyFile
 from wcsim.core.reading import escaped
 from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import action_set
-from wcsim.supervisor.observation import observation_space
+from wcsim.supervisor.observation import imu_size, observation_space
 from wcsim.types import ClassId
 
-JOYSTICK_SIZE = 2
+_JOYSTICK_SIZE = 2
 _WARN_STEPS = 3  # measured: with 1, noise of the values warns in three times as many steps without danger
 
 
-class NetPolicy:
+class _NetPolicy:
     """A trained network that acts greedily; of a longer window than its own it sees the newest images.
 
     One that carries a state does so from `act` to `act`, and begins anew with each episode.
@@ -112,7 +112,7 @@ def save_policy(folder: Path, model: SeqDQN, camera: CameraConfig, manifest_sha2
     return write_policy(folder, model.q_net, said)
 
 
-def load_policy(path: Path, network: str | None = None) -> NetPolicy:
+def load_policy(path: Path, network: str | None = None) -> _NetPolicy:
     """Load a policy folder.
 
     A network that is not registered is imported only when the caller names it (`network="module:Class"`): a policy from
@@ -124,9 +124,56 @@ def load_policy(path: Path, network: str | None = None) -> NetPolicy:
     if file.net.network not in NETWORKS:
         require_named(escaped(path), file.net.network, network)
     net = load_network(path, file.weights_sha256, lambda: _empty_net(file), own=file.net.network in NETWORK_NAMES)
-    policy = NetPolicy(net, path.name, file)
+    policy = _NetPolicy(net, path.name, file)
     for observation in _probes(file):
         policy.values(observation)
+    return policy
+
+
+def load_fitting(folder: Path, name: str, config: RunConfig, network: str | None = None) -> _NetPolicy:
+    """A policy for one chair.
+
+    Args:
+        folder: Of the policy.
+        name: How tables call it.
+        config: Of the run in which it drives.
+        network: See `load_policy`.
+
+    Raises:
+        PolicyError: It cannot be loaded, or was trained with other pictures, numbers or actions.
+    """
+    policy = load_policy(folder, network)
+    camera, file = config.eye, policy.file
+    if file.image_hw_px != (camera.height_px, camera.width_px) or file.net.actions != config.env.actions:
+        raise PolicyError(
+            f"policy {name!r} needs {file.image_hw_px[1]}x{file.image_hw_px[0]} images and actions {file.net.actions}; "
+            f"this test has {camera.width_px}x{camera.height_px} and {config.env.actions}: test it alone"
+        )
+    numbers = imu_size(config.env.observe_gyro, config.env.observe_yaw) + _JOYSTICK_SIZE
+    wanted = file.vector_size - sum(file.sensors.values())
+    if wanted != numbers:
+        raise PolicyError(
+            f"policy {name!r} needs {wanted} numbers from IMU and joystick, this test gives {numbers}: "
+            "set env.observe_gyro and env.observe_yaw as in its training"
+        )
+    given = {key: len(measure.parts) for key, measure in config.sensors.measures().items()}
+    if not file.sensors.items() <= given.items():
+        raise PolicyError(
+            f"policy {name!r} needs the sensors {file.sensors} (numbers of each), this test has {given}: "
+            "set their sections of [sensors] as in its training"
+        )
+    other = [key for key in SIGHT_KEYS if getattr(file.camera, key) != getattr(camera, key)]
+    forms = file.observation, config.env.observation
+    if forms[0] != forms[1] and not (forms[0] == "compact" and forms[1] == "compact_rgb"):
+        raise PolicyError(
+            f"policy {name!r} sees env.observation={forms[0]}, this test has {forms[1]}: set it as in its training"
+        )
+    if other or file.net.classes != config.env.classes:
+        raise PolicyError(
+            f"policy {name!r} was trained with another camera or other classes than this test has "
+            f"({', '.join(other) or 'env.classes'} differ): test it alone"
+        )
+    policy.name = name
     return policy
 
 
@@ -136,7 +183,7 @@ def _empty_net(file: PolicyFile) -> QNet:
 
 def _space(file: PolicyFile) -> spaces.Dict:
     height, width = file.image_hw_px
-    imu = file.vector_size - JOYSTICK_SIZE - sum(file.sensors.values())
+    imu = file.vector_size - _JOYSTICK_SIZE - sum(file.sensors.values())
     boxes = {key: spaces.Box(-1.0, 1.0, (size,), np.float32) for key, size in file.sensors.items()}
     now = observation_space(file.observation, width, height, imu)
     return windowed_space(spaces.Dict({**now.spaces, **boxes}), file.window)

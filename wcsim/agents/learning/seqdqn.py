@@ -9,7 +9,8 @@ any other one learns from steps drawn one by one, each with its window.
 
 Batches seen in a mirror: left and right are alike for a chair with its camera in the middle, so data count twice.
 
-Losses over groups of steps in a row, for networks that carry a state: see `agents/replay/groups.py` for what is drawn.
+Losses over groups of steps in a row, for networks that carry a state: see `agents/learning/replay/groups.py` for what
+is drawn.
 
 Online and target network are each run over the steps before a group, from the stored state and without a gradient, and
 then over the group itself and what its last n-step returns reach.
@@ -36,10 +37,10 @@ from stable_baselines3.common.utils import polyak_update
 from torch.nn import functional
 
 from wcsim.agents.learning.phases import LearningPhase, PhasePlan
+from wcsim.agents.learning.replay.buffer import FrameReplay
+from wcsim.agents.learning.replay.groups import SequenceBatch
 from wcsim.agents.networks.q_network import QNet, SeqQPolicy
 from wcsim.agents.policy_api import IMU_KEY, JOYSTICK_KEY
-from wcsim.agents.replay.buffer import FrameReplay
-from wcsim.agents.replay.groups import SequenceBatch
 from wcsim.config import LearnConfig
 from wcsim.core import seeding
 from wcsim.errors import PolicyError
@@ -51,7 +52,7 @@ MARGIN_OFFSET = 0.4  # joystick distance that a margin adds to the distance betw
 HALF_CELL = 0.125  # of the actions' lattice
 
 
-def aid_loss(
+def _aid_loss(
     values: torch.Tensor, distances: torch.Tensor, safe: torch.Tensor, scale: float, unsafe: float
 ) -> torch.Tensor:
     """How far the safe action nearest to the user's joystick is from beating the others by a margin.
@@ -82,7 +83,7 @@ def _teacher_actions(distances: torch.Tensor, safe: torch.Tensor) -> torch.Tenso
     return distances.masked_fill(~safe, torch.inf).argmin(dim=1)
 
 
-def relabelled(joysticks_xy: F32, points: F64, share: float, rng: np.random.Generator) -> F32:
+def _relabelled(joysticks_xy: F32, points: F64, share: float, rng: np.random.Generator) -> F32:
     """Other wishes for the same moments: whether an action is safe does not depend on what the user wants.
 
     A share of the rows (B, 2) gets the joystick near one of `points` (A, 2) instead, in the unit disc; so a moment in
@@ -445,13 +446,13 @@ class SeqDQN(DQN):
         if advice is None:
             return torch.zeros((), device=self.device)
         seen, safe = advice
-        wishes = relabelled(seen[JOYSTICK_KEY].cpu().numpy(), self.action_points.points, RELABELLED, self.rng)
+        wishes = _relabelled(seen[JOYSTICK_KEY].cpu().numpy(), self.action_points.points, RELABELLED, self.rng)
         seen = {**seen, JOYSTICK_KEY: torch.as_tensor(wishes, device=self.device)}
         if self._flips():
             actions = self._mirror_map()
             seen, safe = _mirrored(seen, actions, self.mirror_signs), safe[:, actions]
         distances = self.q_net.distances(seen[JOYSTICK_KEY])
-        return aid_loss(self.q_net(seen), distances, safe, self.settings.reward_scale, AID_MARGIN)
+        return _aid_loss(self.q_net(seen), distances, safe, self.settings.reward_scale, AID_MARGIN)
 
     def _flips(self) -> bool:
         return self.settings.mirror and bool(self.rng.random() < 0.5)

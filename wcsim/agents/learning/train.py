@@ -15,13 +15,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from wcsim.agents.learning.build import build_model, network_settings
-from wcsim.agents.learning.callbacks import (
-    Between,
-    EpisodeMetrics,
-    EventWatch,
-    StopRequest,
-    TrainProgress,
-)
+from wcsim.agents.learning.callbacks import Between, EpisodeMetrics, EventWatch, StopRequest, TrainProgress
 from wcsim.agents.learning.checkpoint import restoring, save_checkpoint
 from wcsim.agents.learning.phases import LearningPhase
 from wcsim.agents.learning.saved_policy import save_policy

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -27,7 +27,7 @@ Times = tuple[float, float]  # median and 99th percentile in ms
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class NetworkCost:
+class _NetworkCost:
     """One network at one size of pictures."""
 
     name: str
@@ -45,7 +45,7 @@ class NetworkCost:
         return self.p99_ms <= LIMIT_MS - RESERVE_MS
 
 
-def measure_cost(name: str, height_px: int = 240, width_px: int = 320, runs: int = 30) -> NetworkCost:
+def measure_cost(name: str, height_px: int = 240, width_px: int = 320, runs: int = 30) -> _NetworkCost:
     """Measure a network on one core of this machine. Raises PolicyError when there is none of that name."""
     window = preferred_window(name)
     image = spaces.Box(0, 255, (window, height_px, width_px), np.uint8)
@@ -68,7 +68,7 @@ def measure_cost(name: str, height_px: int = 240, width_px: int = 320, runs: int
         onnx_ms = _onnx_ms(net, seen, runs)
     finally:
         torch.set_num_threads(threads)
-    return NetworkCost(
+    return _NetworkCost(
         name=name,
         window=window,
         params=params,
@@ -115,12 +115,24 @@ def _counted(net: nn.Module, seen: dict[str, torch.Tensor]) -> tuple[int, int]:
     return macs, largest
 
 
+class _Bare(nn.Module):
+    """A network that is called with tensors, in the place of one that is called with a dict of them."""
+
+    def __init__(self, net: nn.Module, keys: Sequence[str]) -> None:
+        super().__init__()
+        self.net, self.keys = net, tuple(keys)
+
+    def forward(self, *tensors: torch.Tensor) -> torch.Tensor:
+        """What the network makes of them."""
+        return torch.as_tensor(self.net(dict(zip(self.keys, tensors, strict=True))))
+
+
 def _onnx_ms(net: QNet, seen: dict[str, torch.Tensor], runs: int) -> float | None:
-    from wcsim.agents.networks.onnx_form import Bare, exported
+    from wcsim.agents.networks.onnx_form import exported
 
     keys = tuple(seen)
     try:
-        model = exported(Bare(net, keys), tuple(seen.values()), keys, ("values",))
+        model = exported(_Bare(net, keys), tuple(seen.values()), keys, ("values",))
     except PolicyError:
         return None
     import onnxruntime

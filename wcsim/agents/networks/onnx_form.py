@@ -19,18 +19,6 @@ def check_onnx() -> None:
     check_installed("exporting needs ONNX", "onnx", "onnx", "onnxruntime", error=PolicyError)
 
 
-class Bare(nn.Module):
-    """A network that is called with tensors, in the place of one that is called with a dict of them."""
-
-    def __init__(self, net: nn.Module, keys: Sequence[str]) -> None:
-        super().__init__()
-        self.net, self.keys = net, tuple(keys)
-
-    def forward(self, *tensors: torch.Tensor) -> torch.Tensor:
-        """What the network makes of them."""
-        return torch.as_tensor(self.net(dict(zip(self.keys, tensors, strict=True))))
-
-
 def exported(net: nn.Module, given: tuple[torch.Tensor, ...], inputs: Sequence[str], outputs: Sequence[str]) -> bytes:
     """A network as an ONNX model, for inputs of these very shapes.
 

@@ -17,10 +17,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wcsim.agents.policies.alarm import TWO_TICKS, Alarm, next_alarm
-from wcsim.agents.policies.dynamic_window.arcs import LONGEST_S, STEP_S, advance, arcs, touches_after
-from wcsim.agents.policies.dynamic_window.street_memory import is_known
-from wcsim.agents.policies.dynamic_window.surroundings import StreetSense
+from wcsim.agents.perception.alarm import TWO_TICKS, Alarm, next_alarm
+from wcsim.agents.perception.arcs import LONGEST_S, STEP_S, advance, arcs, touches_after
+from wcsim.agents.perception.street_memory import is_known
+from wcsim.agents.perception.surroundings import StreetSense
 from wcsim.agents.policy_api import (
     HIGHEST_LEVEL,
     JOYSTICK_KEY,

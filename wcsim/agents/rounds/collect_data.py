@@ -12,7 +12,9 @@ from typing import Final
 
 import torch
 
-from wcsim.agents.collecting.data_folder import (
+from wcsim.agents.danger.policy import DangerPolicy, load_net, require_same_senses
+from wcsim.agents.rounds.drive_segment import MakeLearned, SegmentOrder, collect, orders_of, require_recordable
+from wcsim.agents.runs.data_folder import (
     MANIFEST,
     SEGMENTS,
     SegmentKey,
@@ -24,11 +26,9 @@ from wcsim.agents.collecting.data_folder import (
     told_settings,
     write_manifest,
 )
-from wcsim.agents.collecting.drive_segment import MakeLearned, collect
-from wcsim.agents.collecting.segment_places import SegmentOrder, orders_of, require_recordable
-from wcsim.agents.danger.policy import DangerPolicy, load_net, require_same_senses
-from wcsim.agents.runs.run_folder import folder_parcel, plant_at, plant_parcels, require_travels, town_parcel
+from wcsim.agents.runs.run_folder import folder_parcel, require_travels, town_parcel
 from wcsim.config import RunConfig, resolve
+from wcsim.config.load import Layer
 from wcsim.core.files import is_begun, locked, sha256, sha256_text, write_bytes, write_json
 from wcsim.core.reading import FileKind, escaped, is_file, read_json
 from wcsim.errors import PolicyError
@@ -123,13 +123,27 @@ def _work(order: SegmentOrder) -> Work:
 def _needs_of(order: SegmentOrder) -> tuple[Parcel, ...]:
     """What travels with an order: its towns, the network that drives, the user's own wheelchair."""
     policy = (folder_parcel(Path(order.policy), order.policy),) if order.policy else ()
-    return (*map(town_parcel, order.towns), *policy, *plant_parcels(order.config))
+    return (*map(town_parcel, order.towns), *policy, *_plant_parcels(order.config))
+
+
+def _plant_parcels(config: RunConfig) -> tuple[Parcel, ...]:
+    """The user's own wheelchair, where the configuration names one."""
+    plant = config.chair.plant
+    if not plant.endswith(".toml"):
+        return ()
+    path = Path(plant).absolute()
+    return (Parcel(address=plant, folder=path.parent, names=(path.name,), inner=path.name),)
+
+
+def _plant_at(config: RunConfig, at: At) -> Layer:
+    """Where that wheelchair lies now."""
+    return {"chair": {"plant": at(config.chair.plant)}} if config.chair.plant.endswith(".toml") else None
 
 
 def _drive_order(order: SegmentOrder, at: At) -> bytes:
     """Drive one piece of work in this process; its segment as a file holds it."""
     torch.set_num_threads(1)
-    config = resolve(order.config, plant_at(order.config, at))
+    config = resolve(order.config, _plant_at(order.config, at))
     here = replace(order, towns=tuple(map(at, order.towns)), policy=order.policy and at(order.policy), config=config)
     make = _learned_of(Path(here.policy), config) if here.policy else None
     return packed_segment(collect(here, make))

@@ -91,7 +91,7 @@ def _pushed_sticks(steps: int, seed: int) -> F32:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class RecordedRide:
+class _RecordedRide:
     """Successive ticks of one episode."""
 
     seen: tuple[Observation, ...]
@@ -104,7 +104,7 @@ def header_of(path: Path) -> Header:
     return read_header(_file_of(path))
 
 
-def recorded_ride(path: Path, steps: int, seat: int = 0) -> RecordedRide:
+def recorded_ride(path: Path, steps: int, seat: int = 0) -> _RecordedRide:
     """The first episode of a recording, so many steps at the most.
 
     Args:
@@ -126,7 +126,7 @@ def recorded_ride(path: Path, steps: int, seat: int = 0) -> RecordedRide:
     if not watch.seen:
         raise ConfigError(f"{escaped(path)}: seat {seat} has no tick; expected another --seat")
     delay = watch.delays[0]  # that of the episode
-    return RecordedRide(seen=tuple(watch.seen), actions=tuple(watch.actions), delay_ticks=delay)
+    return _RecordedRide(seen=tuple(watch.seen), actions=tuple(watch.actions), delay_ticks=delay)
 
 
 def _file_of(path: Path) -> Path:

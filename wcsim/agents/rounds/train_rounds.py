@@ -16,7 +16,14 @@ from typing import Any, Final
 
 import torch
 
-from wcsim.agents.collecting.data_folder import (
+from wcsim.agents.danger.dataset import Dataset
+from wcsim.agents.danger.learner import DangerLearner
+from wcsim.agents.danger.policy import save_danger
+from wcsim.agents.networks.device import torch_settings
+from wcsim.agents.rounds.collect_data import SegmentCrew
+from wcsim.agents.rounds.drive_segment import SegmentOrder, orders_of, require_recordable
+from wcsim.agents.runs.checkpoint import STATE, Arrays, Restore, go_on, newest_number, number_of, save, tag
+from wcsim.agents.runs.data_folder import (
     DATA,
     SEGMENTS,
     Segment,
@@ -27,14 +34,7 @@ from wcsim.agents.collecting.data_folder import (
     require_same_settings,
     write_manifest,
 )
-from wcsim.agents.collecting.segment_places import SegmentOrder, orders_of, require_recordable
-from wcsim.agents.danger.dataset import Dataset
-from wcsim.agents.danger.learner import DangerLearner
-from wcsim.agents.danger.policy import save_danger
-from wcsim.agents.networks.device import torch_settings
-from wcsim.agents.rounds.collect_data import SegmentCrew
-from wcsim.agents.rounds.round_log import note_round
-from wcsim.agents.runs.checkpoint import STATE, Arrays, Restore, go_on, newest_number, number_of, save, tag
+from wcsim.agents.runs.metrics import note_round
 from wcsim.agents.runs.run_folder import METRICS, ResolvedRun, RunFolder, folder_of, how_to_resume, whole_data
 from wcsim.agents.runs.weights import digest_of
 from wcsim.config import RunConfig, parse

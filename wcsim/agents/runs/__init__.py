@@ -1,1 +1,1 @@
-"""Run folders of training: manifest, configuration, policy files, whose own code they name."""
+"""Run folders of training: manifest, configuration, policy files, whose own code they name; recorded data."""

@@ -41,7 +41,7 @@ Restore = Callable[[int, dict[str, Any], dict[str, Arrays]], T]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Restored(Generic[T]):
+class _Restored(Generic[T]):
     """What a learner was brought to, what `Restore` returned, and what was not used, newest first, each with why."""
 
     path: Path
@@ -123,7 +123,7 @@ def save(
     return folder / name
 
 
-def restore_newest(folder: Path, restore: Restore[T]) -> Restored[T]:
+def _restore_newest(folder: Path, restore: Restore[T]) -> _Restored[T]:
     """Bring a learner to the newest checkpoint of a run that is sound and fits it.
 
     Raises:
@@ -144,13 +144,13 @@ def restore_newest(folder: Path, restore: Restore[T]) -> Restored[T]:
             reason = str(error) if isinstance(error, WcsimError) else f"{type(error).__name__}: {error}"
             passed[path] = escaped(reason, 300)
             continue
-        return Restored(path=path, value=value, passed_over=passed)
+        return _Restored(path=path, value=value, passed_over=passed)
     faults = "; ".join(f"{path.name}: {reason}" for path, reason in passed.items()) or "none found"
     raise PolicyError(f"{folder} holds no intact checkpoint that fits ({faults}); restore one, or start a new run")
 
 
-def go_on(run: RunFolder, restore: Restore[T], log: Callable[[str], object]) -> Restored[T] | None:
-    """`restore_newest` for a run, with a message on what was passed over; None for a run that has no checkpoint yet.
+def go_on(run: RunFolder, restore: Restore[T], log: Callable[[str], object]) -> _Restored[T] | None:
+    """`_restore_newest` for a run, with a message on what was passed over; None for a run that has no checkpoint yet.
 
     What was passed over is set aside: it belongs to work that is done again, with another outcome.
 
@@ -159,7 +159,7 @@ def go_on(run: RunFolder, restore: Restore[T], log: Callable[[str], object]) -> 
     """
     if not checkpoints(run.checkpoints):
         return None
-    found = restore_newest(run.checkpoints, restore)
+    found = _restore_newest(run.checkpoints, restore)
     for path, reason in found.passed_over.items():
         kept = files.set_aside(path)
         log(f"{path}: skipped ({reason}); continuing from {found.path.name}, renamed to {kept.name}")

@@ -9,10 +9,12 @@ import csv
 import io
 import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
+from wcsim.config import parse
+from wcsim.config.run_file import TrainedRound
 from wcsim.core import files
 from wcsim.core.closing import Closing
 from wcsim.core.reading import FileKind, escaped, read_text
@@ -28,6 +30,11 @@ KPI1_STEPS = 20 * ROW_STEPS  # steps that a mean of KPI 1 goes over
 STEP_COLUMNS = ("step", "phase", "kpi1_greedy", "elapsed_s_wall")
 _STEP = re.compile(r"[0-9]{1,15}", re.ASCII)
 _KIND = FileKind(what="the log of a run", limit_bytes=1 << 30, error=PolicyError)
+_ROUND_COLUMNS: Final = (
+    *("round", "steps", "new_steps", "tight_share", "crashes", "updates", "loss"),
+    *("wait_s_wall", "learn_s_wall"),
+)
+_ROUNDS_KIND = FileKind(what="the metrics.csv of a run", limit_bytes=1 << 30, error=PolicyError)
 TENSORBOARD: Final = "tensorboard"  # in a run folder
 _TRAINS: Final = frozenset({"epsilon", "margin_weight", "loss", "max_abs_q", "updates"})
 _LEFT_OUT: Final = frozenset({"step", "episode"})
@@ -86,6 +93,37 @@ def _line(values: Iterable[object]) -> str:
     out = io.StringIO()
     csv.writer(out, lineterminator="\n").writerow(values)
     return out.getvalue()
+
+
+def note_round(path: Path, row: Sequence[float]) -> None:
+    """Add a row to metrics.csv; rows from its round on belong to work that was lost.
+
+    Raises:
+        DiskFullError: There is no room.
+        PolicyError: The file is damaged, or of another version.
+    """
+    MetricsFile(path, int(row[0]) - 1, _ROUND_COLUMNS).add(dict(zip(_ROUND_COLUMNS, row, strict=True)))
+
+
+def logs_rounds(path: Path) -> bool:
+    """Whether a metrics.csv is one of rounds."""
+    return read_text(path, _ROUNDS_KIND).startswith(",".join(_ROUND_COLUMNS[:2]) + ",")
+
+
+def read_rounds(path: Path) -> tuple[TrainedRound, ...]:
+    """All rows of it. Raises PolicyError when it is damaged, or of another version."""
+    rows = [
+        dict(zip(TrainedRound.model_fields, row.values(), strict=True)) for row in read_metrics(path, _ROUND_COLUMNS)
+    ]
+    try:
+        found = tuple(parse(TrainedRound, row, path.name) for row in rows)
+    except ConfigError as error:
+        raise PolicyError(
+            f"{escaped(path)}: is damaged ({error}); expected the numbers of a round in each row"
+        ) from None
+    if [row.round for row in found] != list(range(len(found))):
+        raise PolicyError(f"{escaped(path)}: is damaged; expected a row for each round, from 0 on")
+    return found
 
 
 class BoardLog(Closing):

@@ -27,16 +27,7 @@ from typing import Any, Literal
 
 from wcsim.agents.policy_api import BASELINES, UPPER_BOUNDS
 from wcsim.agents.runs.own_code import mark_of, own_classes
-from wcsim.agents.runs.policy_file import (
-    POLICY_JSON,
-    SHIPPED,
-    STAGES,
-    is_danger,
-    policy_name,
-    read_danger_file,
-    read_policy_file,
-    shipped_folder,
-)
+from wcsim.agents.runs.policy_file import POLICY_JSON, SHIPPED, STAGES, policy_name, shipped_folder
 from wcsim.config import RunConfig, parse, resolve
 from wcsim.config.load import Layer
 from wcsim.config.plant import plant_text
@@ -48,7 +39,7 @@ from wcsim.core.reading import FileKind, escaped, is_file, is_folder
 from wcsim.core.reading import read_json as read_bounded_json
 from wcsim.errors import ConfigError, PolicyError, TownError, meant
 from wcsim.server.specs import RunInfo
-from wcsim.server.workers.machines import At, Parcel
+from wcsim.server.workers.machines import Parcel
 from wcsim.towns.scenario.overrides import Override
 from wcsim.towns.scenario.stage import files_of
 from wcsim.towns.scenario.town import find_town
@@ -251,18 +242,6 @@ def run_of(name: str) -> RunFolder | None:
     return open_run(folder) if is_file(folder / MANIFEST) else None
 
 
-def policy_settings(path: Path) -> dict[str, Any]:
-    """What a policy folder says of itself, as tables of a configuration: its camera, actions. Raises PolicyError."""
-    if is_danger(path):
-        told = read_danger_file(path)
-        env = {"actions": told.net.actions, "classes": told.classes, "window": 1}
-        chair = told.chair.model_dump(mode="json")
-        return {"cameras": [told.camera.model_dump(mode="json")], "env": env, "chair": chair}
-    file = read_policy_file(path)
-    seen = {"classes": file.net.classes, "window": file.window, "observation": file.observation}
-    return {"cameras": [file.camera.model_dump(mode="json")], "env": {"actions": file.net.actions, **seen}}
-
-
 def _git_revision() -> str:
     """The revision of the checkout that wcsim runs from, with a + when it was changed; "" outside of one."""
     here = Path(__file__).resolve().parent
@@ -369,42 +348,10 @@ def town_parcel(address: str) -> Parcel:
     return Parcel(address=address, folder=folder, names=names, inner=inner, kept=True)
 
 
-def policy_parcel(name: str) -> Parcel:
-    """A policy by its name without a level, with what its run says of it. Raises PolicyError."""
-    policy = policy_path(name).resolve()
-    alone, run = folder_parcel(policy, name), policy.parent.parent
-    if not is_file(run / MANIFEST):
-        return alone
-    said = [file for file in (MANIFEST, CONFIG, PLANT) if is_file(run / file)]
-    inner = policy.relative_to(run).as_posix()
-    return replace(alone, folder=run, names=(*said, *(f"{inner}/{file}" for file in alone.names)), inner=inner)
-
-
 def folder_parcel(folder: Path, address: str = "") -> Parcel:
     """The files of a folder, without those in folders of it."""
     names = tuple(path.name for path in sorted(folder.iterdir()) if path.is_file())
     return Parcel(address=address or str(folder), folder=folder.absolute(), names=names)
-
-
-def plant_parcels(config: RunConfig) -> tuple[Parcel, ...]:
-    """The user's own wheelchair, where the configuration names one."""
-    plant = config.chair.plant
-    if not plant.endswith(".toml"):
-        return ()
-    path = Path(plant).absolute()
-    return (Parcel(address=plant, folder=path.parent, names=(path.name,), inner=path.name),)
-
-
-def plant_at(config: RunConfig, at: At) -> Layer:
-    """Where that wheelchair lies now."""
-    return {"chair": {"plant": at(config.chair.plant)}} if config.chair.plant.endswith(".toml") else None
-
-
-def policy_at(name: str, at: At) -> str:
-    """A policy's name, veto and level included, where it lies now."""
-    place = policy_name(name).place
-    before, _, after = name.partition(place)
-    return before + at(place) + after
 
 
 def require_travels(

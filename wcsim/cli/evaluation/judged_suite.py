@@ -14,7 +14,7 @@ from rich.markup import escape
 from rich.table import Column
 from tyro.conf import Positional, arg
 
-from wcsim.agents.evaluation.suite.named_policy import config_for
+from wcsim.agents.opening.named_policy import config_for
 from wcsim.agents.policy_api import BASELINES, UNAIDED, UPPER_BOUNDS
 from wcsim.cli.evaluation.result_tables import show_result, show_sensitivity
 from wcsim.cli.shared.common import (
@@ -44,12 +44,12 @@ from wcsim.errors import ConfigError, InterruptedRunError
 from wcsim.server.workers.crew import WorkerNow
 
 if TYPE_CHECKING:  # loads the simulators, which --help must not
-    from wcsim.agents.evaluation.suite.list_file import Suite
     from wcsim.agents.evaluation.suite.playback import Played, PlayedStep
     from wcsim.agents.evaluation.suite.records import EpisodeRecord
     from wcsim.agents.evaluation.suite.result_files import TestResult
     from wcsim.agents.evaluation.suite.rows import ResultRow
     from wcsim.agents.evaluation.suite.run import SuiteOrder
+    from wcsim.agents.opening.list_file import Suite
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,9 +106,9 @@ def make_list(words: list[str]) -> int:
     _Named(MOST_SET).check("--suite-file", options.suite_file.stem)
     import tempfile
 
-    from wcsim.agents.evaluation.suite.list_file import asked_towns, suite_of, write_list
     from wcsim.agents.evaluation.suite.make import MakeOrder, make_suite
     from wcsim.agents.evaluation.suite.result_files import TOWNS
+    from wcsim.agents.opening.list_file import asked_towns, suite_of, write_list
 
     with tempfile.TemporaryDirectory(prefix="wcsim-suite-") as work:
         order = MakeOrder(
@@ -237,8 +237,8 @@ def run_suites(words: list[str]) -> int:
 
 
 def _suite_order(options: _OfSuite, forks: int | None = None, *, clean: bool = False) -> SuiteOrder:
-    from wcsim.agents.evaluation.suite.list_file import open_suite
     from wcsim.agents.evaluation.suite.sensitivity import CLEAN
+    from wcsim.agents.opening.list_file import open_suite
 
     suite = open_suite(options.suite)
     out = options.out or Path("runs") / f"suite-{suite.file.set}"
@@ -254,8 +254,8 @@ def _require_usable(order: SuiteOrder, options: _DriveOptions) -> None:
             f"--out {order.out}: it holds blocks of an earlier test; continue them with --resume, or choose another "
             "folder"
         )
-    from wcsim.agents.evaluation.suite.named_policy import told_of_rules
     from wcsim.agents.evaluation.suite.run import require_usable
+    from wcsim.agents.opening.named_policy import told_of_rules
 
     told, suite = stderr_console(), order.suite
     listed = f"{suite.file.suite} {suite.file.set}, list {suite.sha256[:12]}"

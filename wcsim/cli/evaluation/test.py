@@ -10,8 +10,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from wcsim.agents.evaluation.suite.named_policy import config_for
 from wcsim.agents.networks.names import check_network
+from wcsim.agents.opening.named_policy import config_for
 from wcsim.agents.policy_api import UNAIDED
 from wcsim.agents.runs.policy_file import policy_name
 from wcsim.agents.runs.run_folder import run_of
@@ -99,8 +99,8 @@ def _ordered(options: Options, *, overrides: bool = True) -> Iterator[tuple[Suit
         require_policy(name, options.network)
     config = config_for(UNAIDED, options.preset, options.set, in_list=True)
 
-    from wcsim.agents.evaluation.suite.list_file import suite_of, write_list
     from wcsim.agents.evaluation.suite.make import town_list  # the simulators are loaded here: not for a refusal
+    from wcsim.agents.opening.list_file import suite_of, write_list
 
     for town in towns.values() if overrides else ():
         told = overrides_of(town, config, options.seed)

@@ -58,6 +58,7 @@ def _episode_start(options: _Options) -> PlayStart:
             "recording with wcsim log play"
         )
     from wcsim.agents.evaluation.suite.result_files import read_result
+    from wcsim.cli.recordings.episode_film import episode_film
     from wcsim.drive.playing.play_runner import FailedLine, PlayStart
     from wcsim.drive.playing.sources.source_process import FilmSource
     from wcsim.view.report.failures import failures_of
@@ -75,7 +76,8 @@ def _episode_start(options: _Options) -> PlayStart:
     if policy and policy_name(policy).kind != "class":  # a class that is not named is not imported
         require_policy(policy, options.network)
     own = tuple(name for name in (options.policy, options.network) if name)
-    source = FilmSource(kind="episode", path=folder.absolute(), policy=policy, block=block, own=own)
+    path = folder.absolute()
+    source = FilmSource(kind="episode", path=path, policy=policy, block=block, own=own, drive=episode_film)
     return PlayStart(source=source, seat=seat, failed=failed)
 
 

@@ -69,8 +69,8 @@ def run(words: list[str]) -> int:
     towns = [checked_town(name, False) for name in some_words("--town", options.town)]
     out = options.out or Path("data") / f"{towns[0].name}-{options.seed}"
     check_folder("--out", out)
-    from wcsim.agents.collecting.data_folder import SEGMENTS
     from wcsim.agents.rounds.collect_data import DataOrder, collect_data  # torch is loaded here
+    from wcsim.agents.runs.data_folder import SEGMENTS
     from wcsim.agents.runs.run_folder import policy_path
 
     order = DataOrder(

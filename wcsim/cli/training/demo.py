@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from wcsim.agents.evaluation.suite.named_policy import RULES
+from wcsim.agents.opening.named_policy import RULES
 from wcsim.cli.evaluation import test
 from wcsim.cli.evaluation.result_tables import show_result
 from wcsim.cli.shared.common import Keys, OutFolder, Repeated, check_folder, parse

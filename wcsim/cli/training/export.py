@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 from tyro.conf import Positional, arg
 
-from wcsim.agents.evaluation.suite.named_policy import config_for, open_named, sensing
 from wcsim.agents.export.export_folder import require_export_place
+from wcsim.agents.opening.named_policy import config_for, open_named, sensing
 from wcsim.agents.policy_api import BASELINES, UPPER_BOUNDS, Observation, Policy
 from wcsim.agents.runs.policy_file import SHIPPED, is_danger, policy_name, read_danger_file
 from wcsim.agents.runs.run_folder import policy_path

@@ -30,9 +30,9 @@ from wcsim.towns.scenario.town import Town
 from wcsim.view.report.learning_curve import kpi1_of
 
 if TYPE_CHECKING:  # loads the simulators, which --help must not
-    from wcsim.agents.evaluation.suite.list_file import Suite
     from wcsim.agents.evaluation.suite.records import EpisodeRecord
     from wcsim.agents.evaluation.suite.result_files import TestResult
+    from wcsim.agents.opening.list_file import Suite
 
 
 Figures = Mapping[str, Mapping[str, float]]
@@ -77,7 +77,7 @@ def _checked(options: GroupOptions, run: GroupRun, by: str) -> Suite | None:
         if options.worlds is not None:
             raise ConfigError(f"--worlds {options.worlds}: --select-by {by} tests nothing; leave --worlds out")
     else:
-        from wcsim.agents.evaluation.suite.list_file import open_suite
+        from wcsim.agents.opening.list_file import open_suite
 
         suite = open_suite(by)
     least = ROW_STEPS if by == KPI1 else 1
@@ -141,8 +141,8 @@ def _followed(run: GroupRun) -> Figures:
 
 
 def _tested(options: GroupOptions, run: GroupRun, suite: Suite, name: str) -> Figures:
-    from wcsim.agents.evaluation.suite.named_policy import told_of_rules
     from wcsim.agents.evaluation.suite.run import SuiteOrder, run_suite
+    from wcsim.agents.opening.named_policy import told_of_rules
     from wcsim.agents.policy_api import UNAIDED
 
     order = SuiteOrder(suite=suite, out=run.out / SELECTION, jobs=worlds_of(options.worlds), forks=0)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import arg
 
-from wcsim.agents.collecting.data_folder import DATA, SEGMENTS
+from wcsim.agents.runs.data_folder import DATA, SEGMENTS
 from wcsim.agents.runs.run_folder import ResolvedRun, open_run
 from wcsim.cli.shared.common import (
     Cluster,

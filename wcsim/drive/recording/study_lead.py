@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
-from wcsim.agents.evaluation.suite.named_policy import config_for, open_named
+from wcsim.agents.opening.named_policy import config_for, open_named
 from wcsim.agents.policy_api import Levelled
 from wcsim.agents.runs.policy_file import policy_name
 from wcsim.config import CONFIG_FILE, parse

@@ -13,12 +13,12 @@ import cv2
 import numpy as np
 
 from wcsim.agents.evaluation.suite.drive import Piece
-from wcsim.agents.evaluation.suite.list_file import open_suite
-from wcsim.agents.evaluation.suite.named_policy import config_for
 from wcsim.agents.evaluation.suite.playback import Played, PlayedStep, play, require_same
 from wcsim.agents.evaluation.suite.records import CRASHED, FINISHED, GAVE_UP, ON_THE_WAY, TIMED_OUT, EpisodeRecord
 from wcsim.agents.evaluation.suite.result_files import TestResult
 from wcsim.agents.evaluation.suite.run import SuiteOrder, piece_of, town_addresses
+from wcsim.agents.opening.list_file import open_suite
+from wcsim.agents.opening.named_policy import config_for
 from wcsim.agents.policy_api import UNAIDED
 from wcsim.agents.runs.policy_file import policy_name
 from wcsim.bridge.world import World

@@ -18,10 +18,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from wcsim.agents.evaluation.suite.list_file import TIGHT
 from wcsim.agents.evaluation.suite.records import STATUSES, EpisodeRecord
 from wcsim.agents.evaluation.suite.result_files import TOWNS, TestResult
 from wcsim.agents.evaluation.suite.rows import ResultRow
+from wcsim.agents.opening.list_file import TIGHT
 from wcsim.core.reading import counted
 from wcsim.errors import WcsimError
 from wcsim.towns.scenario.town import find_town

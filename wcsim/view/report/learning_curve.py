@@ -8,8 +8,15 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
-from wcsim.agents.rounds.round_log import logs_rounds, read_rounds
-from wcsim.agents.runs.metrics import COLUMNS, KPI1_STEPS, ROW_STEPS, STEP_COLUMNS, read_metrics
+from wcsim.agents.runs.metrics import (
+    COLUMNS,
+    KPI1_STEPS,
+    ROW_STEPS,
+    STEP_COLUMNS,
+    logs_rounds,
+    read_metrics,
+    read_rounds,
+)
 from wcsim.agents.runs.run_folder import MANIFEST, METRICS, STEPS, read_json
 from wcsim.config.run_file import TrainedRound
 from wcsim.core.reading import escaped_value, is_file

@@ -8,8 +8,8 @@ from pathlib import Path
 
 from tests.support.worlds import QUICK
 from wcsim.agents.evaluation.suite.draw import DrawPlace, Wanted, free_blocks
-from wcsim.agents.evaluation.suite.drive import BlockOrder, Piece
-from wcsim.agents.evaluation.suite.list_file import Suite, suite_of, write_list
+from wcsim.agents.evaluation.suite.drive import Piece
+from wcsim.agents.opening.list_file import BlockPlace, Suite, suite_of, write_list
 from wcsim.config import RunConfig, resolve
 from wcsim.config.suite import BlockFile, EpisodeFile, SuiteFile, TownOfSuite
 from wcsim.supervisor.actions import action_set
@@ -39,9 +39,9 @@ def block_of(corner: Path, part: str = "free", max_steps: int = 60, handover: in
     return drawn[0].model_copy(update={"part": part, "episodes": episodes})
 
 
-def order_of(corner: Path, block: BlockFile, judged: bool = False, late_s: float = 10.0) -> BlockOrder:
+def order_of(corner: Path, block: BlockFile, judged: bool = False, late_s: float = 10.0) -> tuple[Piece, BlockPlace]:
     piece = Piece(index=0, block=block, judged=judged, late_s=late_s)
-    return BlockOrder(piece=piece, town=find_town(str(corner)), config=config(), seed=block.seed)
+    return piece, BlockPlace(town=find_town(str(corner)), config=config(), seed=block.seed)
 
 
 def suite_in(corner: Path, *blocks: BlockFile) -> Suite:

@@ -7,7 +7,7 @@ import pytest
 
 from tests.agents.evaluation.suite.lists import POINTS
 from tests.support.worlds import open_world
-from wcsim.agents.evaluation.suite.alarms import ALONE_S, crash_alone_s, users_alone
+from wcsim.agents.evaluation.suite.alarms import ALONE_S, _users_alone, crash_alone_s
 from wcsim.bridge.world_rollout import rollout
 from wcsim.types import SeatSpec
 
@@ -15,7 +15,7 @@ from wcsim.types import SeatSpec
 def test_forks_of_every_seat_move_nothing(corner):
     def driven(asked_at):
         with open_world(corner, seats=2, seed=5, spec=SeatSpec(profile="inattentive", max_steps=4000)) as world:
-            steps = rollout(world, dict.fromkeys((0, 1), users_alone(POINTS)))
+            steps = rollout(world, dict.fromkeys((0, 1), _users_alone(POINTS)))
             hashes = []
             for tick in range(6):
                 if tick in asked_at:
@@ -33,7 +33,7 @@ def test_a_user_who_drives_off_the_kerb_crashes_in_the_fork_too(corner, tmp_path
         here, grid = world.snapshot.clients[0].plant.p_WB_m[:2].copy(), world.street.grid
         yaw_rad = next(yaw for yaw in np.linspace(0.0, 2.0 * np.pi, 64) if _edge(grid, here, yaw))
         world.put_chair(0, here, float(yaw_rad))
-        steps = rollout(world, {0: users_alone(POINTS)})
+        steps = rollout(world, {0: _users_alone(POINTS)})
         next(steps)
         alone_s = crash_alone_s(world, 0, POINTS, 0.1)
         assert alone_s is not None and 0.5 < alone_s < ALONE_S
@@ -73,7 +73,7 @@ def test_a_fork_at_the_end_of_an_episode_looks_as_far_ahead_as_any_other(corner,
         with open_world(corner, seed=2, spec=SeatSpec(profile=f"recorded:{stick}", max_steps=max_steps)) as world:
             here, grid = world.snapshot.clients[0].plant.p_WB_m[:2].copy(), world.street.grid
             world.put_chair(0, here, float(next(y for y in np.linspace(0.0, 2.0 * np.pi, 64) if _edge(grid, here, y))))
-            steps = rollout(world, {0: users_alone(POINTS)})
+            steps = rollout(world, {0: _users_alone(POINTS)})
             next(steps)
             found.append(crash_alone_s(world, 0, POINTS, 0.1))
             assert next(steps).after.clients[0].events.truncated == (max_steps == 2)

@@ -18,7 +18,7 @@ from tests.agents.evaluation.suite.lists import (
     order_of,
 )
 from tests.support.worlds import open_world
-from wcsim.agents.evaluation.suite.alarms import users_alone
+from wcsim.agents.evaluation.suite.alarms import _users_alone
 from wcsim.agents.evaluation.suite.drive import Piece, drive_block, refused
 from wcsim.agents.policies.baselines import baseline
 from wcsim.bridge.world_rollout import rollout
@@ -32,7 +32,7 @@ def follow():
 
 def test_who_follows_obeys_and_ends_in_one_of_the_ways_that_there_are(corner):
     block = block_of(corner, max_steps=400)
-    records = drive_block(order_of(corner, block, judged=True), follow)
+    records = drive_block(*order_of(corner, block, judged=True), follow)
     assert len(records) == 2 and [record.seat for record in records] == [0, 1]
     for record, episode in zip(records, block.episodes, strict=True):
         assert record.status in ("finished", "chair_crashed", "gave_up", "timed_out")
@@ -55,20 +55,20 @@ def test_who_follows_obeys_and_ends_in_one_of_the_ways_that_there_are(corner):
 )
 def test_a_policy_that_fails_fails_its_episode_and_the_others_go_on(corner, policy, late_s, said):
     made = iter([policy(), follow()])
-    failed, other = drive_block(order_of(corner, block_of(corner, max_steps=8), late_s=late_s), lambda: next(made))
+    failed, other = drive_block(*order_of(corner, block_of(corner, max_steps=8), late_s=late_s), lambda: next(made))
     assert failed.status == "policy_failed" and said in failed.reason
     assert failed.steps == {Dies: 5, Sleeps: 1}.get(policy, 0) and failed.score == 0.0
     assert other.status != "policy_failed" and other.steps > 5
 
 
 def test_a_policy_that_a_busy_machine_keeps_waiting_has_not_failed(corner):
-    records = drive_block(order_of(corner, block_of(corner, max_steps=3), late_s=0.1), lambda: Waits(0.0, 0.0))
+    records = drive_block(*order_of(corner, block_of(corner, max_steps=3), late_s=0.1), lambda: Waits(0.0, 0.0))
     assert [record.status for record in records] == ["timed_out", "timed_out"]
 
 
 def test_before_the_handover_the_user_drives_alone(corner):
     held, handed = (
-        drive_block(order_of(corner, block_of(corner, max_steps=30, handover=steps)), lambda: Held(0.0, 0.0))
+        drive_block(*order_of(corner, block_of(corner, max_steps=30, handover=steps)), lambda: Held(0.0, 0.0))
         for steps in (0, 20)
     )
     assert all(record.m < 0.1 for record in held)
@@ -81,11 +81,11 @@ def test_before_the_handover_the_user_drives_alone(corner):
 
 def test_what_a_policy_does_and_warns_of_is_judged_by_letting_the_user_drive_alone(corner):
     block, policies = block_of(corner, max_steps=30), iter((Held(0.0, 0.0), WarnsAlways(0.0, 0.0)))
-    stands = drive_block(order_of(corner, block, judged=True), policies.__next__)
+    stands = drive_block(*order_of(corner, block, judged=True), policies.__next__)
     assert all(item.verdict in ("needed", "needless") for record in stands for item in record.interventions)
     assert all(record.interventions for record in stands)
     assert [(record.false_warnings, record.to_warn) for record in stands] == [(0, 0), (1, 0)]
-    unjudged = drive_block(order_of(corner, block), lambda: Held(0.0, 0.0))
+    unjudged = drive_block(*order_of(corner, block), lambda: Held(0.0, 0.0))
     assert [len(record.interventions) for record in unjudged] == [len(record.interventions) for record in stands]
     assert all(item.verdict == "not_judged" for record in unjudged for item in record.interventions)
     for one, other in zip(stands, unjudged, strict=True):  # a fork leaves no trace in the world
@@ -99,7 +99,7 @@ def test_users_requests_for_help_are_counted_and_raise_levels_where_that_is_set(
     for settings in ((), ("world.help_users=true", "world.help_s=0.5")):
         block = block_of(corner, max_steps=20, handover=5).model_copy(update={"settings": settings})
         policies = [Levels(0.0, 0.0), Levels(0.0, 0.0)]
-        records = drive_block(order_of(corner, block), iter(policies).__next__)
+        records = drive_block(*order_of(corner, block), iter(policies).__next__)
         assert [(record.helps, record.steps) for record in records] == [(1, 15), (1, 15)]
         found.append({tuple(policy.noted) for policy in policies})
     plain, helped = found
@@ -127,7 +127,7 @@ def test_danger_is_that_of_the_truth(corner):
     spec = SeatSpec(profile="inattentive", truth=True, max_steps=4000)
     with open_world(corner, "world.action_delay_ticks=2", seats=2, seed=5, spec=spec) as world:
         said = []
-        for _, step in zip(range(120), rollout(world, dict.fromkeys((0, 1), users_alone(POINTS))), strict=False):
+        for _, step in zip(range(120), rollout(world, dict.fromkeys((0, 1), _users_alone(POINTS))), strict=False):
             clients = step.after.clients
             said += [client.truth.danger for client in clients if client.first is None]
             asked = [world.in_danger(client.seat) for client in clients if client.first is None]

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from wcsim.agents.evaluation.suite.list_file import open_suite, suite_of
 from wcsim.agents.evaluation.suite.rows import pooled_rows
 from wcsim.agents.evaluation.suite.run import SuiteOrder, run_suite
+from wcsim.agents.opening.list_file import open_suite, suite_of
 from wcsim.agents.policy_api import UNAIDED
 
 FOOLS = ("Stands", "NeverCrosses", "FreezesBeforeWalkers", "Oscillates", "ReversesHome", "WarnsAlways")

@@ -7,7 +7,16 @@ import pytest
 
 from tests.agents.evaluation.suite.lists import block_of, suite_in
 from tests.support.one_process import in_this_process
-from wcsim.agents.evaluation.suite.list_file import (
+from wcsim.agents.evaluation.suite.rows import pooled_rows
+from wcsim.agents.evaluation.suite.run import (
+    SuiteOrder,
+    _identity_of,
+    _judged_blocks,
+    _policy_digest,
+    _read_kept,
+    run_suite,
+)
+from wcsim.agents.opening.list_file import (
     open_suite,
     require_towns,
     shipped,
@@ -15,9 +24,6 @@ from wcsim.agents.evaluation.suite.list_file import (
     towns_of,
     write_list,
 )
-from wcsim.agents.evaluation.suite.named_policy import identity_of
-from wcsim.agents.evaluation.suite.rows import pooled_rows
-from wcsim.agents.evaluation.suite.run import SuiteOrder, _judged_blocks, _policy_digest, _read_kept, run_suite
 from wcsim.core.sources import code_digest
 from wcsim.errors import ConfigError, TownError
 
@@ -144,4 +150,4 @@ def test_the_lists_that_come_with_wcsim_are_whole():
 
 
 def test_what_is_kept_of_a_folder_without_settings_is_of_one_preset() -> None:
-    assert identity_of("shipped", "quick") != identity_of("shipped", "paper")
+    assert _identity_of("shipped", "quick") != _identity_of("shipped", "paper")

@@ -13,18 +13,18 @@ import pytest
 from tests.agents.evaluation.suite.lists import block_of, suite_in
 from tests.support.framing import read_whole
 from tests.support.journals import nudged, rewritten
-from wcsim.agents.evaluation.suite.list_file import write_list
 from wcsim.agents.evaluation.suite.result_files import read_result
 from wcsim.agents.evaluation.suite.run import SuiteOrder, drive_piece, piece_of, town_addresses
+from wcsim.agents.opening.list_file import write_list
 from wcsim.bridge.sumo.session import world_in_this_process
 from wcsim.bridge.user_drives import drawn_user, record_user
 from wcsim.cli.evaluation.judged_suite import keep_result
 from wcsim.cli.recordings import replay
+from wcsim.cli.recordings.episode_film import episode_film
 from wcsim.config import resolve
 from wcsim.core.files import numbered_names
 from wcsim.drive.driven import DriverKind, happened_in
 from wcsim.drive.playing.film_states import FilmAbout, FilmFrame, FilmLine, FilmNames, Said
-from wcsim.drive.playing.sources.episode_source import episode_film
 from wcsim.drive.playing.sources.replay_source import replay_film, state_film
 from wcsim.drive.playing.sources.source_process import FilmSource
 from wcsim.drive.playing.tick_film import TickFilm

@@ -130,7 +130,7 @@ def _alone(world: World, seat: int, actions: ActionSet, tick_s: float) -> float:
         world.dismiss(other)
     world.go_blind()
     world.drop_step_limits()  # a fork at the end of an episode looks as far ahead as any other
-    steps = rollout(world, {seat: users_alone(actions)})
+    steps = rollout(world, {seat: _users_alone(actions)})
     for tick, step in zip(range(1, round(ALONE_S / tick_s) + 1), steps, strict=False):
         (client,) = step.after.clients
         if client.events.crashed:
@@ -140,7 +140,7 @@ def _alone(world: World, seat: int, actions: ActionSet, tick_s: float) -> float:
     return math.inf
 
 
-def users_alone(actions: ActionSet) -> Driver:
+def _users_alone(actions: ActionSet) -> Driver:
     """Drives as a seat's user alone does: with the action nearest to the stick."""
 
     def choose(now: ClientSnapshot) -> Joystick:

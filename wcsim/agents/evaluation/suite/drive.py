@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from pathlib import Path
 from types import FrameType
 from typing import Any, Final, Protocol
 
@@ -23,22 +22,19 @@ from wcsim.agents.evaluation.suite.records import (
     TIMED_OUT,
     EpisodeRecord,
 )
-from wcsim.agents.policy_api import VISIBLE_BOUND, Observation, Policy, SeesTruth, Warns
+from wcsim.agents.opening.list_file import BlockPlace, seat_of
+from wcsim.agents.policy_api import Observation, Policy, Warns
 from wcsim.bridge.sumo.open_scenario import RunPlace
 from wcsim.bridge.world import World
 from wcsim.bridge.world_rollout import rollout
 from wcsim.config import RunConfig, resolve
-from wcsim.config.suite import BlockFile, EpisodeFile
-from wcsim.core.constants import RECORDED
+from wcsim.config.suite import BlockFile
 from wcsim.core.plugins import described
-from wcsim.errors import PolicyError, TownError, WcsimError
+from wcsim.errors import PolicyError, WcsimError
 from wcsim.supervisor.actions import ActionSet, action_set
 from wcsim.supervisor.kpi import KpiStep, crash_of, sums_of
 from wcsim.supervisor.rewards import DISTANCE_TOLERANCE
-from wcsim.towns.scenario.town import Town
-from wcsim.towns.scene_folders.build import build_scene, scene_config, scene_digest
-from wcsim.towns.scene_folders.families import write_scene
-from wcsim.types import ClientSnapshot, Joystick, SeatSpec, StartSpec
+from wcsim.types import ClientSnapshot, Joystick
 from wcsim.users.recordings.recorded_user import find_user
 
 LATE_S: Final = 10.0  # of processor time: a policy that needs longer for an answer has failed
@@ -46,7 +42,6 @@ STARVED: Final = 5.0  # so much longer by the wall clock, for a policy that wait
 FIRST_SHARE: Final = 6.0  # so much longer it has for the first one of an episode: it may load and compile
 
 MakePolicy = Callable[[], Policy]
-SCENE, SCENE_TOWN = "scene", "town"  # folders of a block in a generated scene
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,17 +60,6 @@ class Piece:
     hook: str = ""  # the user's own step hook, module:Class
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class BlockOrder:
-    """A piece where it is driven: its street is there, and all its settings."""
-
-    piece: Piece
-    town: Town
-    config: RunConfig  # see `config_for`
-    seed: int  # of the world
-    recordings: Path | None = None  # folder of recorded joysticks that users are named by
-
-
 class Watch(Protocol):
     """Somebody who looks on while a block is driven, and changes nothing; it ends when `seats` have ended."""
 
@@ -90,7 +74,9 @@ class Watch(Protocol):
         """An episode has ended; its chair is about to leave the street."""
 
 
-def drive_block(order: BlockOrder, make_policy: MakePolicy, watch: Watch | None = None) -> tuple[EpisodeRecord, ...]:
+def drive_block(
+    piece: Piece, place: BlockPlace, make_policy: MakePolicy, watch: Watch | None = None
+) -> tuple[EpisodeRecord, ...]:
     """Drive all episodes of a block, each to its end; records in the order of the block.
 
     With somebody to watch, those alone that have ended when the last of the watched ones has.
@@ -99,12 +85,12 @@ def drive_block(order: BlockOrder, make_policy: MakePolicy, watch: Watch | None 
         TownError: The town cannot be opened.
         PolicyError: `make_policy` made none.
     """
-    block = order.piece.block
-    config = resolve(order.config, (*block.settings, "world.draw_threads=1"))
+    block = piece.block
+    config = resolve(place.config, (*block.settings, "world.draw_threads=1"))
     policies = [make_policy() for _ in block.episodes]
-    specs = tuple(seat_of(order, *each) for each in zip(block.episodes, policies, strict=True))
-    with World(order.town, config, specs, order.seed, RunPlace(hook=order.piece.hook), find_user=find_user) as world:
-        seats = [_Seat(order.piece, config, world, number, policy) for number, policy in enumerate(policies)]
+    specs = tuple(seat_of(place, *each) for each in zip(block.episodes, policies, strict=True))
+    with World(place.town, config, specs, place.seed, RunPlace(hook=piece.hook), find_user=find_user) as world:
+        seats = [_Seat(piece, config, world, number, policy) for number, policy in enumerate(policies)]
         watched = seats
         if watch is not None:
             watched = [seat for seat in seats if seat.number in watch.seats]
@@ -116,23 +102,6 @@ def drive_block(order: BlockOrder, make_policy: MakePolicy, watch: Watch | None 
             if all(seat.record is not None for seat in watched):
                 break
     return tuple(seat.record for seat in seats if seat.record is not None)
-
-
-def seat_of(order: BlockOrder, episode: EpisodeFile, policy: Policy) -> SeatSpec:
-    """What a seat is taken with for an episode of a block."""
-    user = episode.profile
-    if order.recordings is not None and user.startswith(RECORDED):
-        user = f"{RECORDED}{order.recordings / user.removeprefix(RECORDED)}"
-    start = None  # where the world draws it
-    if episode.start_m is not None and episode.goal_m is not None:
-        start = StartSpec(p_W_m=episode.start_m, yaw_rad=episode.heading_rad, goal_W_m=episode.goal_m)
-    return SeatSpec(
-        profile=user,
-        max_steps=episode.max_steps,
-        truth=isinstance(policy, SeesTruth),
-        truth_visible=policy.name == VISIBLE_BOUND,
-        start=start,
-    )
 
 
 class _Seat:
@@ -298,20 +267,3 @@ def refused(piece: Piece, reason: str) -> tuple[EpisodeRecord, ...]:
         _record(piece, seat, REFUSED, reason, route_m=episode.route_m, reference_s=episode.reference_s)
         for seat, episode in enumerate(piece.block.episodes)
     )
-
-
-def in_scene(piece: Piece, config: RunConfig, work: Path) -> BlockOrder:
-    """Write and build the scene of a tight block in `work`; its settings are laid over `config`.
-
-    Raises TownError when it is another than the list's.
-    """
-    block = piece.block
-    folder = write_scene(block.town, block.seed, work / SCENE)
-    got = scene_digest(folder)
-    if got != block.scene_sha256:
-        raise TownError(
-            f"scene {block.town} {block.seed} has the hash {got[:12]}; expected {str(block.scene_sha256)[:12]}, as "
-            "the list says: the list was made by another version of wcsim"
-        )
-    town, scene = build_scene(folder, work / SCENE_TOWN)
-    return BlockOrder(piece=piece, town=town, config=scene_config(scene, config), seed=scene.seed, recordings=folder)

@@ -17,10 +17,9 @@ from pathlib import Path
 from typing import Final
 
 from wcsim.agents.evaluation.suite.draw import SEATS, DrawPlace, Wanted, crossing_blocks, free_blocks
-from wcsim.agents.evaluation.suite.drive import SCENE, SCENE_TOWN
-from wcsim.agents.evaluation.suite.list_file import suite_of
 from wcsim.agents.evaluation.suite.records import CRASHED, EpisodeRecord
 from wcsim.agents.evaluation.suite.run import SuiteOrder, run_suite
+from wcsim.agents.opening.list_file import SCENE, SCENE_TOWN, suite_of
 from wcsim.agents.policy_api import UNAIDED
 from wcsim.config import RunConfig, resolve
 from wcsim.config.suite import BlockFile, EpisodeFile, SuiteFile, TownOfSuite

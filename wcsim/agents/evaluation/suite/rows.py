@@ -45,10 +45,10 @@ def garwood(events: int) -> Interval:
     return low, 0.5 * float(chi2.isf(_TAIL, 2 * events + 2))
 
 
-def wilson(count: int, of: int) -> Interval | None:
+def _wilson(count: int, of: int) -> Interval | None:
     """Wilson's 95 % interval of a share, which has a width where none or all were counted too; None of nothing.
 
-    >>> [round(bound, 3) for bound in wilson(20, 20)]
+    >>> [round(bound, 3) for bound in _wilson(20, 20)]
     [0.839, 1.0]
     """
     from scipy.stats import binomtest
@@ -189,7 +189,7 @@ def _crashes(records: Sequence[EpisodeRecord]) -> dict[str, Any]:
         "crashes_per_km_ci": (low / km, high / km) if rated else None,
         "red_entries": _count(records, "red_entries"),
         "alive_at_end": _ratio(len(records) - len(crashes) - _failed(records), len(records)),
-        "alive_at_end_ci": wilson(sum(map(_alive, records)), len(records)),
+        "alive_at_end_ci": _wilson(sum(map(_alive, records)), len(records)),
     }
 
 
@@ -225,7 +225,7 @@ def _service(records: Sequence[EpisodeRecord]) -> dict[str, Any]:
         "speed_mps": _ratio(_sum(records, "m"), time_s),
         "arrivals": arrived,
         "attempts": len(sent),
-        "arrivals_ci": wilson(arrived, len(sent)),
+        "arrivals_ci": _wilson(arrived, len(sent)),
         "goals": _count(records, "goals"),
         "given_up": _count(records, "given_up"),
         "crossings": _count(records, "crossings"),

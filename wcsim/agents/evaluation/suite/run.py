@@ -2,33 +2,44 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Final
+from typing import Any, Final
 
-from wcsim.agents.evaluation.suite.drive import LATE_S, BlockOrder, Piece, Watch, drive_block, in_scene, refused
-from wcsim.agents.evaluation.suite.list_file import TIGHT, Suite, block_key, require_towns, towns_of
-from wcsim.agents.evaluation.suite.named_policy import config_for, identity_of, open_named, own_files, sensing
+from wcsim.agents.evaluation.suite.drive import LATE_S, Piece, Watch, drive_block, refused
 from wcsim.agents.evaluation.suite.records import EpisodeRecord, record_of
 from wcsim.agents.evaluation.suite.result_files import TOWNS
+from wcsim.agents.opening.list_file import TIGHT, Suite, open_block, require_towns, towns_of
+from wcsim.agents.opening.named_policy import config_for, open_named, sensing
+from wcsim.agents.policies.served_policy import ServedPolicy
 from wcsim.agents.policy_api import Policy
 from wcsim.agents.runs.policy_file import policy_name
-from wcsim.agents.runs.run_folder import folder_parcel, policy_at, policy_parcel, require_travels, town_parcel
+from wcsim.agents.runs.run_folder import (
+    CONFIG,
+    MANIFEST,
+    PLANT,
+    folder_parcel,
+    policy_path,
+    require_travels,
+    town_parcel,
+)
 from wcsim.config import RunConfig, resolve
+from wcsim.config.load import texts_of
 from wcsim.config.suite import BlockFile
 from wcsim.core import seeding
-from wcsim.core.files import sha256, write_json
-from wcsim.core.plugins import sources_of
-from wcsim.core.reading import FileKind, escaped, read_json
+from wcsim.core.constants import RECORDED
+from wcsim.core.files import sha256, sha256_text, write_json
+from wcsim.core.plugins import find_class, sources_of
+from wcsim.core.reading import FileKind, escaped, is_file, read_json
 from wcsim.core.sources import code_digest
 from wcsim.errors import ConfigError, WcsimError
 from wcsim.server.workers.crew import Crew, WorkerNow
 from wcsim.server.workers.machines import HERE, At, Machines, Parcel, Work, Workers
+from wcsim.supervisor.actions import action_set
 
 _KEPT: Final = FileKind(what="a saved block of `wcsim test`: remove it", limit_bytes=64 << 20, error=ConfigError)
 
@@ -183,13 +194,31 @@ def _needs_of(piece: Piece) -> tuple[Parcel, ...]:
     named = policy_name(piece.policy)
     if named.kind == "baseline":
         return towns
-    policy = folder_parcel(named.folder, named.place) if named.kind == "onnx" else policy_parcel(named.place)
+    policy = folder_parcel(named.folder, named.place) if named.kind == "onnx" else _policy_parcel(named.place)
     return (*towns, policy)
+
+
+def _policy_parcel(name: str) -> Parcel:
+    """A policy by its name without a level, with what its run says of it. Raises PolicyError."""
+    policy = policy_path(name).resolve()
+    alone, run = folder_parcel(policy, name), policy.parent.parent
+    if not is_file(run / MANIFEST):
+        return alone
+    said = [file for file in (MANIFEST, CONFIG, PLANT) if is_file(run / file)]
+    inner = policy.relative_to(run).as_posix()
+    return replace(alone, folder=run, names=(*said, *(f"{inner}/{file}" for file in alone.names)), inner=inner)
+
+
+def _policy_at(name: str, at: At) -> str:
+    """A policy's name, veto and level included, where it lies now."""
+    place = policy_name(name).place
+    before, _, after = name.partition(place)
+    return before + at(place) + after
 
 
 def _drive_alone(piece: Piece, at: At) -> bytes:
     """Drive one block in this process, wherever that is; its records as JSON."""
-    where = {name: policy_at(name, at) for name in (piece.policy,) if policy_name(name).kind != "baseline"}
+    where = {name: _policy_at(name, at) for name in (piece.policy,) if policy_name(name).kind != "baseline"}
     policy = where.get(piece.policy, piece.policy)
     records = [record.to_json() for record in drive_piece(replace(piece, town=at(piece.town), policy=policy))]
     for record in records:
@@ -209,21 +238,62 @@ def drive_piece(piece: Piece, watch: Watch | None = None) -> tuple[EpisodeRecord
             drivers = [_open_in(opened, piece.policy, config, seed, piece.network) for seed in seeds]
         except WcsimError as error:
             return refused(piece, str(error))
-        if piece.block.part == TIGHT:
-            order = in_scene(piece, config, Path(work))
-        else:
-            order = BlockOrder(piece=piece, town=find_town(piece.town), config=config, seed=piece.block.seed)
-        return drive_block(order, iter(drivers).__next__, watch)
+        place = open_block(piece.block, config, lambda: find_town(piece.town), Path(work))
+        return drive_block(piece, place, iter(drivers).__next__, watch)
 
 
 def _policy_digest(name: str, order: SuiteOrder) -> str:
     """What a policy's result depends on besides the list: its weights or name, the settings, all code and files."""
-    named = own_files(_all_settings(order), order.network, _users(order))
+    named = _own_files(_all_settings(order), order.network, _users(order))
     hooks = sources_of(order.hook, "step hook") if order.hook else {}
     own = {word: sha256(path) for word, path in (named | hooks).items()}
     said = [order.settings, order.forks, order.network, order.hook, own, code_digest()]
-    said += identity_of(name, order.preset)
-    return hashlib.sha256(json.dumps(said).encode()).hexdigest()
+    said += _identity_of(name, order.preset)
+    return sha256_text(json.dumps(said))
+
+
+def _identity_of(name: str, preset: str) -> list[Any]:
+    """What tells a policy from another one of the same name, as plain data: its weights, its file, what it says."""
+    named = policy_name(name)
+    if named.veto:
+        return ["veto", *_identity_of(named.inner, preset)]
+    if named.kind == "baseline":
+        return ["baseline", name, preset]
+    if named.kind == "served":
+        with closing(ServedPolicy(name, action_set(resolve(preset).env.actions).points)) as served:
+            return ["served", served.version, preset]
+    if named.kind == "onnx":
+        return ["onnx", preset, _hashes(Path(name))]
+    if named.kind == "class":
+        read = {**sources_of(name, "policy"), **_read_by(name)}
+        return ["class", name, preset, {part: sha256(path) for part, path in read.items()}]
+    return ["folder", preset, _hashes(policy_path(name), "**/*"), *([] if named.level is None else [named.level])]
+
+
+def _read_by(name: str) -> dict[str, Path]:
+    """The files that a class of somebody's own names in `files`, as far as they are there."""
+    named = getattr(find_class(name, "policy"), "files", ())
+    words = (word for word in named if isinstance(word, str)) if isinstance(named, tuple | list) else ()
+    return {word: Path(word) for word in words if is_file(Path(word))}
+
+
+def _own_files(settings: Iterable[str], network: str, users: Iterable[str] = ()) -> dict[str, Path]:
+    """The user's own files that settings, a network's name and users lead to, by the word or the file's name.
+
+    >>> _own_files(("world.action_delay_ticks=2",), "fig6", ("ataxic",))
+    {}
+    """
+    texts = [text for setting in settings for text in texts_of(setting)]
+    inner = (word.partition("=")[2].strip("'\"") for text in texts for word in text.split())  # as of collect.variants
+    paths = {value: Path(value.removeprefix(RECORDED)) for value in (*texts, *inner, *users)}
+    found = {value: path for value, path in paths.items() if is_file(path)}
+    return {**found, **sources_of(network, "network")} if ":" in network else found
+
+
+def _hashes(folder: Path, pattern: str = "*") -> list[list[str]]:
+    """What a policy consists of; one of values on top of dangers has these in a folder of its own below."""
+    found = (path for path in sorted(folder.glob(pattern)) if path.is_file())
+    return [[path.relative_to(folder).as_posix(), sha256(path)] for path in found]
 
 
 def _all_settings(order: SuiteOrder) -> list[str]:
@@ -250,7 +320,9 @@ def _judged_blocks(blocks: Sequence[BlockFile], episodes: int) -> frozenset[int]
 
 
 def _kept_path(order: SuiteOrder, index: int, digest: str) -> Path:
-    return order.out / "kept" / f"{block_key(order.suite, index, digest)}.json"
+    """By what the result of a block depends on: its list, its place in it, and the policy's digest."""
+    said = json.dumps([order.suite.file.suite, order.suite.sha256, index, digest])
+    return order.out / "kept" / f"{sha256_text(said)}.json"
 
 
 def _read_kept(path: Path) -> tuple[EpisodeRecord, ...]:

@@ -46,6 +46,7 @@ class FilmSource:
     policy: str = ""  # of an episode, as the two below
     block: int = -1
     own: tuple[str, ...] = ()
+    drive: Callable[[FilmSource, Callable[[Said], object]], object] | None = None  # who drives an episode again
     gives_way: bool = False  # to every other process
 
 
@@ -64,10 +65,8 @@ def run_source(pipe: Connection, source: FilmSource) -> None:
 
 def _film(source: FilmSource, say: Callable[[Said], object], pipe: Connection) -> None:
     """Loads the simulators of this kind of source alone."""
-    if source.kind == "episode":
-        from wcsim.drive.playing.sources.episode_source import episode_film
-
-        episode_film(source, say)
+    if source.drive is not None:
+        source.drive(source, say)
         return
     from wcsim.drive.playing.sources.replay_source import follow_film, replay_film, state_film
     from wcsim.log.reader import read_header

@@ -1,0 +1,229 @@
+from __future__ import annotations
+
+import io
+import json
+import runpy
+import sys
+import zipfile
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import zstandard
+
+from tests.agents.danger.sights import write_segment
+from tests.support.worlds import dqn_config
+from wcsim.agents.runs import data_folder
+from wcsim.agents.runs.data_folder import (
+    Segment,
+    SegmentKey,
+    data_digest,
+    joined,
+    read_manifest,
+    read_segment,
+    require_same_settings,
+    segment_path,
+    write_manifest,
+)
+from wcsim.errors import PolicyError
+
+KEY = SegmentKey(run=1, round=2, index=3)
+TOWN = "0" * 64
+EXAMPLES = Path(__file__).parents[3] / "examples"
+PLANT = (EXAMPLES / "fwd.toml").read_text()
+
+
+def a_segment(rows: int = 7, seed: int = 0) -> Segment:
+    rng = np.random.default_rng(seed)
+    return Segment(
+        depth=rng.integers(0, 256, (rows, 24, 32)).astype(np.uint8),
+        seg=rng.integers(0, 34, (rows, 24, 32)).astype(np.uint8),
+        imu=rng.normal(size=(rows, 8)).astype(np.float32),
+        odometry=rng.normal(size=(rows, 2)).astype(np.float32),
+        stick=rng.normal(size=(rows, 2)).astype(np.float32),
+        wish=rng.normal(size=(rows, 2)).astype(np.float32),
+        action=rng.integers(0, 81, rows).astype(np.uint8),
+        driver=np.zeros(rows, np.uint8),
+        visible=np.full((rows, 81), 255, np.uint8),
+        truth=np.full((rows, 81), 255, np.uint8),
+        reward=rng.normal(size=rows).astype(np.float32),
+        crashed=np.zeros(rows, np.bool_),
+        ended=np.arange(rows) == rows - 1,
+        delay=np.full(rows, 2, np.uint8),
+    )
+
+
+def test_a_segment_is_read_as_it_was_written_and_its_bytes_follow_from_it_alone(tmp_path: Path):
+    segment, path = a_segment(), segment_path(tmp_path, KEY.name)
+    sha256 = write_segment(path, segment)
+    for name, column in read_segment(path, sha256).arrays().items():
+        assert column.dtype == segment.arrays()[name].dtype and (column == segment.arrays()[name]).all(), name
+    assert write_segment(tmp_path / "again", a_segment()) == sha256
+    assert write_segment(tmp_path / "other", a_segment(seed=1)) != sha256
+
+
+def test_segments_are_joined_in_their_order():
+    one, other = a_segment(3), a_segment(4, seed=1)
+    both = joined([one, other])
+    assert len(both) == 7 and (both.action[3:] == other.action).all()
+    with pytest.raises(ValueError, match="expected one"):
+        joined([])
+
+
+@pytest.mark.parametrize("bytes_left", [0, 10, 2000])
+def test_a_segment_that_was_cut_short_is_refused(tmp_path: Path, bytes_left: int):
+    path = tmp_path / "a.npz.zst"
+    write_segment(path, a_segment())
+    path.write_bytes(path.read_bytes()[:bytes_left])
+    with pytest.raises(PolicyError, match="cannot be read"):
+        read_segment(path)
+
+
+def test_a_segment_that_was_exchanged_is_refused(tmp_path: Path):
+    path = tmp_path / "a.npz.zst"
+    sha256 = write_segment(path, a_segment())
+    write_segment(path, a_segment(seed=1))
+    with pytest.raises(PolicyError, match="damaged or replaced"):
+        read_segment(path, sha256)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -1e38])
+def test_numbers_that_are_none_are_refused(tmp_path: Path, value: float):
+    segment, path = a_segment(), tmp_path / "a.npz.zst"
+    segment.imu[2, 1] = value
+    write_segment(path, segment)
+    with pytest.raises(PolicyError, match="not finite"):
+        read_segment(path)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"action": np.full(7, 81, np.uint8)},
+        {"action": np.full(7, 3.5)},
+        {"action": np.array(["x"] * 7)},
+        {"driver": np.full(7, 4, np.uint8)},
+        {"reward": np.float32(1.0)},
+        {"imu": np.zeros(7, np.float32)},
+        {"wish": np.zeros((7, 1), np.float32)},
+        {"seg": np.zeros((7, 24, 31), np.uint8)},
+        {"depth": np.zeros((7, 24, 32), np.uint16)},
+        {"truth": np.full((7, 69), 255, np.uint8)},
+        {"ended": np.zeros(6, np.bool_)},
+    ],
+    ids=lambda changes: f"{next(iter(changes))}-{next(iter(changes.values())).dtype}",
+)
+def test_columns_that_fit_nothing_are_refused(tmp_path: Path, changes: dict[str, np.ndarray]):
+    path = tmp_path / "a.npz.zst"
+    path.write_bytes(packed(**{**a_segment().arrays(), **changes}))
+    with pytest.raises(PolicyError, match=r"another form|do not fit|rows"):
+        read_segment(path)
+
+
+def test_a_segment_without_a_row_is_refused(tmp_path: Path):
+    path = tmp_path / "a.npz.zst"
+    path.write_bytes(packed(**{name: column[:0] for name, column in a_segment().arrays().items()}))
+    with pytest.raises(PolicyError, match="do not fit"):
+        read_segment(path)
+
+
+def test_a_segment_that_says_it_is_larger_than_memory_is_refused(tmp_path: Path):
+    path, claim = tmp_path / "a.npz.zst", io.BytesIO()
+    np.lib.format.write_array_header_1_0(claim, {"descr": "<f4", "fortran_order": False, "shape": (10**14,)})
+    path.write_bytes(packed(**a_segment().arrays() | {"reward": claim.getvalue()}))
+    with pytest.raises(PolicyError, match="cannot be read"):
+        read_segment(path)
+
+
+def test_a_small_file_that_would_fill_the_memory_is_refused_before_it_does(tmp_path: Path, monkeypatch):
+    path = tmp_path / "a.npz.zst"
+    black = {name: np.zeros((2000, 24, 32), np.uint8) for name in ("depth", "seg")}
+    path.write_bytes(packed(**a_segment(2000).arrays() | black))
+    read_segment(path)
+    monkeypatch.setattr(data_folder, "_MOST_BYTES", 1 << 20)
+    assert path.stat().st_size < 1 << 19
+    with pytest.raises(PolicyError, match="more than"):
+        read_segment(path)
+
+
+@pytest.mark.parametrize("way", [zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
+def test_what_is_packed_once_more_may_unpack_to_anything_and_is_refused(tmp_path: Path, way: int):
+    (tmp_path / "a.npz.zst").write_bytes(packed(way, **a_segment().arrays()))
+    with pytest.raises(PolicyError, match="packed in another way"):
+        read_segment(tmp_path / "a.npz.zst")
+
+
+@pytest.mark.parametrize("shape", ["(" * 3000, "-" * 9000 + "1", "(" + "'x'," * 9])
+def test_a_header_that_numpy_fails_at_is_refused(tmp_path: Path, shape: str):
+    head = f"{{'descr': '<f4', 'fortran_order': False, 'shape': {shape}}}\n".encode()
+    column = b"\x93NUMPY\x01\x00" + len(head).to_bytes(2, "little") + head
+    (tmp_path / "a.npz.zst").write_bytes(packed(**a_segment().arrays() | {"reward": column}))
+    with pytest.raises(PolicyError, match="cannot be read"):
+        read_segment(tmp_path / "a.npz.zst")
+
+
+def packed(way: int = zipfile.ZIP_STORED, **columns: np.ndarray | bytes) -> bytes:
+    """A segment's file of any columns."""
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w", way) as held:
+        for name, column in columns.items():
+            array = io.BytesIO(column if isinstance(column, bytes) else b"")
+            if not isinstance(column, bytes):
+                np.lib.format.write_array(array, np.asarray(column))
+            held.writestr(f"{name}.npy", array.getvalue())
+    return zstandard.ZstdCompressor().compress(out.getvalue())
+
+
+def test_data_of_another_camera_is_refused_and_told(tmp_path: Path):
+    config = dqn_config()
+    write_manifest(tmp_path, config, {"corner": TOWN}, {"b": "1" * 64, "a": "2" * 64})
+    file = read_manifest(tmp_path)
+    require_same_settings(tmp_path, file, dqn_config("learn.gamma=0.9"))
+    assert file.data_sha256 == data_digest({"a": "2" * 64, "b": "1" * 64})
+    with pytest.raises(PolicyError, match=r"cameras\.0\.width_px"):
+        require_same_settings(tmp_path, file, dqn_config("cameras.0.width_px=40"))
+    with pytest.raises(PolicyError, match=r"chair\.v_max_mps"):
+        require_same_settings(tmp_path, file, dqn_config("chair.v_max_mps=2.0"))
+
+
+def test_a_wheelchair_of_ones_own_is_known_by_what_its_file_says(tmp_path: Path):
+    first, kept = tmp_path / "mine.toml", tmp_path / "run" / "plant.toml"
+    kept.parent.mkdir()
+    first.write_text(PLANT)
+    kept.write_text(PLANT)
+    write_manifest(tmp_path, dqn_config(f"chair.plant={first}"), {"corner": TOWN}, {})
+    file = read_manifest(tmp_path)
+    require_same_settings(tmp_path, file, dqn_config(f"chair.plant={kept}"))
+    first.write_text(f"{PLANT}# another one\n")
+    for other in (str(first), "rwd"):
+        with pytest.raises(PolicyError, match=r"other settings \(chair\.plant\)"):
+            require_same_settings(tmp_path, file, dqn_config(f"chair.plant={other}"))
+
+
+def test_data_of_before_own_wheelchairs_were_known_is_learned_from(tmp_path: Path):
+    write_manifest(tmp_path, dqn_config(), {"corner": TOWN}, {})
+    said = json.loads((tmp_path / "data.json").read_text())
+    del said["plant_sha256"]
+    (tmp_path / "data.json").write_text(json.dumps(said))
+    require_same_settings(tmp_path, read_manifest(tmp_path), dqn_config())
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_a_folder_is_a_dataset_of_minari(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """By the example; `minari.load_dataset` then gives every number back."""
+    minari = pytest.importorskip("minari", reason="minari is not installed: pip install 'minari[hdf5]' pillow")
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "minari"))
+    ends = np.array([0, 0, 1, 0, 0, 0, 1], np.bool_)
+    segment = replace(a_segment(), ended=ends, crashed=ends & (np.arange(7) < 3))
+    write_segment(segment_path(tmp_path, KEY), segment)
+    monkeypatch.setattr(sys, "argv", ["to_minari.py", str(tmp_path), "wcsim/street-v0"])
+    runpy.run_path(str(EXAMPLES / "to_minari.py"))
+    episodes = list(minari.load_dataset("wcsim/street-v0").iterate_episodes())
+    rows = (slice(0, 3), slice(3, 7))
+    for episode, part, ended in zip(episodes, rows, ([True, False], [False, True]), strict=True):
+        for name in ("depth", "seg", "imu", "stick"):
+            assert np.array_equal(episode.observations[name][:-1], segment.arrays()[name][part]), name
+        assert episode.actions.tolist() == segment.action[part].tolist()
+        assert np.array_equal(episode.rewards, segment.reward[part])
+        assert [bool(episode.terminations[-1]), bool(episode.truncations[-1])] == ended

@@ -1,0 +1,174 @@
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+from shutil import copytree
+
+import numpy as np
+import pytest
+
+from tests.support.worlds import dqn_config
+from wcsim.agents.rounds.drive_segment import (
+    SegmentOrder,
+    _DataDriver,
+    _drawn_settings,
+    _is_of_scenes,
+    _places_of,
+    _town_in_turn,
+    collect,
+    require_recordable,
+)
+from wcsim.agents.runs.data_folder import FOLLOW, ORACLE, RECKLESS, SAFE, Segment, SegmentKey, codes_of
+from wcsim.bridge.world import World
+from wcsim.config import CollectConfig, RunConfig, resolve
+from wcsim.errors import ConfigError
+from wcsim.supervisor.actions import action_set
+from wcsim.supervisor.observation import observation_of
+from wcsim.types import Command, Joystick, Verdict
+
+KEY = SegmentKey(run=5, round=0, index=0)
+ACTIONS = action_set("square81")
+
+
+def order_in(corner: Path, *overrides: str, key: SegmentKey = KEY) -> SegmentOrder:
+    varied = 'collect.variants=["vary.action_delay_ticks=[0,2]"]'
+    config = dqn_config("collect.ticks=40", "collect.chairs=2", "collect.scene_share=0", varied, *overrides)
+    return SegmentOrder(key=key, towns=(str(corner),), config=config)
+
+
+@pytest.fixture(scope="module")
+def segment(corner: Path) -> Segment:
+    return collect(order_in(corner, "collect.episode_steps=15"), None)
+
+
+def test_every_chair_has_a_row_for_every_tick(segment: Segment):
+    assert len(segment) == 80
+    assert segment.ended.sum() >= 6 and segment.ended[39] and segment.ended[79]
+    assert segment.depth.shape == (80, 24, 32) and segment.visible.shape == (80, 81)
+    assert set(segment.delay.tolist()) <= {0, 1, 2}
+    assert set(segment.driver.tolist()) <= {FOLLOW, ORACLE, RECKLESS}
+
+
+def test_the_same_key_gives_the_same_segment_and_another_another(corner: Path, segment: Segment):
+    again = collect(order_in(corner, "collect.episode_steps=15"), None)
+    assert all((column == again.arrays()[name]).all() for name, column in segment.arrays().items())
+    other = collect(order_in(corner, "collect.episode_steps=15", key=SegmentKey(run=5, round=0, index=1)), None)
+    assert not np.array_equal(other.stick, segment.stick)
+
+
+def test_scenes_are_driven_in_their_share(corner: Path, tmp_path: Path):
+    config = resolve(RunConfig(), ("collect.scene_share=0.25", "collect.segments=4"))
+    keys = [SegmentKey(run=0, round=r, index=i) for r in range(2) for i in range(4)]
+    assert [_is_of_scenes(config, key) for key in keys].count(True) == 2
+    place = next(_places_of(order_in(corner, "collect.scene_share=1"), tmp_path))
+    assert len(place.seats) == 1 and place.seats[0].profile.startswith("recorded:")
+
+
+def test_streets_are_driven_in_each_town_in_turn_also_with_scenes_between_and_over_rounds(corner: Path, tmp_path: Path):
+    towns = []
+    for name in ("a", "b", "c"):
+        copytree(corner, tmp_path / name)
+        towns.append(str(tmp_path / name))
+    order = order_in(corner, "collect.scene_share=0.5", "collect.segments=3")
+    keys = [SegmentKey(run=5, round=n, index=k) for n in range(4) for k in range(3)]
+    streets = [key for key in keys if not _is_of_scenes(order.config, key)]
+    places = [next(_places_of(replace(order, key=key, towns=tuple(towns)), tmp_path)) for key in streets]
+    driven = [place.town.folder.name for place in places]
+    assert sorted(driven[:3]) == ["a", "b", "c"] and driven[3:] == driven[:3]
+    firsts = {_town_in_turn(order.config, SegmentKey(run=run, round=0, index=0), 3) for run in range(30)}
+    assert firsts == {0, 1, 2}, "many short runs leave no town out"
+
+
+def test_variants_are_drawn_by_key():
+    config = resolve(RunConfig(), ('collect.variants=["a=1 b=2", "c=3"]',))
+    drawn = {_drawn_settings(config, SegmentKey(run=0, round=0, index=index)) for index in range(20)}
+    assert drawn == {("a=1", "b=2"), ("c=3",)}
+    assert _drawn_settings(RunConfig(), KEY) == ()
+
+
+@pytest.mark.parametrize(
+    ("variant", "told"),
+    [
+        ("world.attention_share=0.7 cameras.0.width=3", "unknown key"),
+        ("vary.action_delay_ticks=[0, 2]", "no blanks within a value"),
+        ("world.attention_share=2", "less than or equal to 1"),
+    ],
+)
+def test_a_variant_that_cannot_be_used_is_named_before_anything_is_driven(variant: str, told: str):
+    usable = "vary.action_delay_ticks=[0,2] world.attention_share=0.7"
+    config = dqn_config(f'collect.variants=["{usable}", "{variant}"]')
+    with pytest.raises(ConfigError, match=f"variants: '{re.escape(variant)}' cannot be used.*{told}"):
+        require_recordable(config)
+    require_recordable(dqn_config(f'collect.variants=["{usable}"]'))
+
+
+class Recorder:
+    """A network that always answers the same, and writes down what it is told."""
+
+    def __init__(self) -> None:
+        self.calls: list[str] = []
+
+    def reset(self) -> None:
+        self.calls.append("reset")
+
+    def choose(self, observation: object) -> int:
+        self.calls.append("choose")
+        return 3
+
+    def observe(self, observation: object) -> None:
+        self.calls.append("observe")
+
+    def sent(self, action: int) -> None:
+        self.calls.append(f"sent {action}")
+
+
+def test_a_network_is_told_what_is_sent_in_its_place():
+    learned = Recorder()
+    settings = CollectConfig(network_share=1.0, astray_share=0.5)
+    driver = _DataDriver(settings, ACTIONS, np.random.default_rng(0), learned)
+    stick = np.array([0.0, 1.0], np.float32)
+    said = Verdict(danger=False, first_s=np.full(81, np.inf))
+    chosen = [driver.choose({"joystick": stick}, said) for _ in range(300)]
+    reckless = [choice for choice in chosen if choice["driver"] == RECKLESS]
+    assert 10 < len(reckless) < 150
+    assert all(choice["action"] == ACTIONS.nearest(choice["wish"]) for choice in reckless)
+    assert all(choice["action"] == 3 for choice in chosen if choice["driver"] != RECKLESS)
+    assert learned.calls[1:3] in (["choose", "sent 3"], ["observe", f"sent {chosen[0]['action']}"])
+    assert learned.calls.count("observe") == len(reckless)
+    assert sum(call.startswith("sent") for call in learned.calls) == 300
+
+
+def test_the_oracle_takes_the_nearest_action_that_ends_well():
+    settings = CollectConfig(follow_share=0.0, astray_share=0.0)
+    driver = _DataDriver(settings, ACTIONS, np.random.default_rng(0), None)
+    first_s = np.where(ACTIONS.points[:, 1] > 0.3, 0.4, np.inf)
+    choice = driver.choose({"joystick": np.array([0.0, 1.0], np.float32)}, Verdict(danger=True, first_s=first_s))
+    assert ACTIONS.points[choice["action"]].tolist() == [0.0, 0.25] and choice["driver"] == ORACLE
+
+
+def test_labels_and_senses_are_of_the_moment_in_which_the_action_is_chosen(
+    corner: Path, tmp_path: Path, segment: Segment
+):
+    place = next(_places_of(order_in(corner, "collect.episode_steps=15"), tmp_path))
+    specs = tuple(replace(spec, truth=True, truth_visible=True) for spec in place.seats)
+    actions, told = segment.action.reshape(2, 40), []
+    with World(place.town, place.config, specs, place.seed) as world:
+        for tick in range(40):
+            now = [client.first or client for client in world.snapshot.clients]
+            all_knowing = [codes_of(client.truth.first_s) for client in now]
+            visible = [codes_of(client.truth.visible.first_s) for client in now]
+            odometry = [observation_of(client, place.config)["odometry"] for client in now]
+            told.append((all_knowing, visible, odometry))
+            sticks = (Joystick(*ACTIONS.points[action].tolist()) for action in actions[:, tick])
+            at = world.snapshot.tick
+            world.tick(tuple(Command(seat=seat, tick=at, joystick=stick) for seat, stick in enumerate(sticks)))
+    for said, column in zip(zip(*told, strict=True), (segment.truth, segment.visible, segment.odometry), strict=True):
+        rows = column.reshape(2, 40, -1).swapaxes(0, 1)
+        assert np.array_equal(said, rows)
+        assert not np.array_equal(said[1:], rows[:-1]), "a tick late is something else"
+
+
+def test_who_knows_less_fears_less(segment: Segment):
+    unsafe = segment.truth != SAFE
+    assert (segment.visible[~unsafe] == SAFE).mean() > 0.99

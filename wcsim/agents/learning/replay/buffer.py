@@ -1,0 +1,448 @@
+"""Replay memory for image observations: each frame is stored once, the next observation is the next row.
+
+Of a window of frames, too, a row keeps the newest alone (`agents/learning/replay/frame_store.py`).
+
+A chain of rows ends where an episode ends (crash, time limit, a world that began again) or where the next step did not
+continue this one (the environment was reset from outside). The observation after the end of a chain is stored beside
+the ring, so that a truncated episode bootstraps from its true last observation. n-step returns never cross an end of a
+chain; at the newest row, whose successor is not known yet, they are shorter.
+
+What is drawn: single steps, uniformly (`memory` "steps", or "windows" where an observation is a window of frames:
+memory (b) of the paper), or groups of steps in a row (`agents/learning/replay/groups.py`: memory (a)).
+
+How one observation is cut into a flat image part (bytes) and a flat vector part (float32), and back.
+
+Images of float32 are stored as their bytes. The image part of a window is its frames one after the other, the newest
+last; a frame is all images of one moment.
+
+Safe actions of every step are a training aid from the privileged truth, never an observation. The environment tells
+them in `info["truth"]` of the step that leads to an observation. The first observation of an episode comes from a
+reset, whose info Stable-Baselines3 does not hand to the memory: that row stays without advice.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from gymnasium import spaces
+from stable_baselines3.common.buffers import ReplayBuffer
+from stable_baselines3.common.type_aliases import DictReplayBufferSamples
+from stable_baselines3.common.utils import get_device
+from stable_baselines3.common.vec_env import VecNormalize
+
+from wcsim.agents.envs.episode_view import WORLD_RESTARTED
+from wcsim.agents.learning.replay.frame_store import PACK_ABOVE_BYTES, BlobCodec, WindowStore
+from wcsim.agents.learning.replay.groups import Groups, SequenceBatch
+from wcsim.agents.policy_api import DEPTH_KEY
+from wcsim.config import LearnConfig
+from wcsim.core import seeding
+from wcsim.errors import PolicyError
+from wcsim.types import F32, I64, U8, Bool
+
+Advice = tuple[dict[str, torch.Tensor], torch.Tensor]
+"""Observations (B, ...), and which actions end well in them, (B, A) bool."""
+_Listed = deque[tuple[int, int]]  # steps (absolute index, seat), oldest first
+Shapes = tuple[tuple[str, tuple[int, ...]], ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _ObservationLayout:
+    """Which keys of an observation are images and which are vectors (float32), with their shapes, by name."""
+
+    images: Shapes
+    vectors: Shapes
+    item_bytes: int = 1  # of a number of an image: uint8, or 4 for float32
+
+    @property
+    def window(self) -> int:
+        """Frames in one observation: the smallest first dimension of its images, where it divides them all; else 1."""
+        firsts = [shape[0] if len(shape) == 3 else 1 for _, shape in self.images] or [1]
+        return min(firsts) if all(first % min(firsts) == 0 for first in firsts) else 1
+
+    @property
+    def frame_bytes(self) -> int:
+        """Bytes of all images at one moment."""
+        return self.image_bytes // self.window
+
+    @property
+    def image_bytes(self) -> int:
+        """Bytes of all images of one observation."""
+        return self.item_bytes * sum(int(np.prod(shape)) for _, shape in self.images)
+
+    @property
+    def vector_size(self) -> int:
+        """Numbers in all vectors of one observation."""
+        return sum(int(np.prod(shape)) for _, shape in self.vectors)
+
+    def image_rows(self, batch: Mapping[str, npt.NDArray[Any]]) -> U8:
+        """Images of a batch side by side, (N, image_bytes)."""
+        count, frames = len(next(iter(batch.values()))), self.window
+        if not self.images:
+            return np.zeros((count, 0), dtype=np.uint8)
+        parts = [np.asarray(batch[key], dtype=self._dtype).reshape(count, frames, -1) for key, _ in self.images]
+        # As bytes: the stores behind it know no floats, and the same bits come back.
+        rows: U8 = np.concatenate(parts, axis=2).reshape(count, -1).view(np.uint8)
+        return rows
+
+    def vector_rows(self, batch: Mapping[str, npt.NDArray[Any]]) -> F32:
+        """Vectors of a batch side by side, (N, vector_size)."""
+        count = len(next(iter(batch.values())))
+        if not self.vectors:
+            return np.zeros((count, 0), dtype=np.float32)
+        parts = [np.asarray(batch[key], dtype=np.float32).reshape(count, -1) for key, _ in self.vectors]
+        return np.concatenate(parts, axis=1)
+
+    def split(self, images: U8, vectors: F32) -> dict[str, npt.NDArray[Any]]:
+        """The batch of observations that these rows were made of; the parts are views."""
+        pictures = np.ascontiguousarray(images).view(self._dtype)
+        return {**_parts(pictures, self.images, self.window), **_parts(vectors, self.vectors, 1)}
+
+    @property
+    def _dtype(self) -> type[np.uint8] | type[np.float32]:
+        return np.uint8 if self.item_bytes == 1 else np.float32
+
+
+def _layout_of(space: spaces.Space[Any]) -> _ObservationLayout:
+    """The layout of an observation space.
+
+    Raises:
+        PolicyError: It is not a Dict of uint8 and float32 boxes, or has images of both kinds.
+    """
+    if not isinstance(space, spaces.Dict):
+        raise PolicyError(f"observation space is {space}; expected a Dict of boxes: set env.observation=compact")
+    images: list[tuple[str, tuple[int, ...]]] = []
+    vectors: list[tuple[str, tuple[int, ...]]] = []
+    for key, box in sorted(space.spaces.items()):
+        if not isinstance(box, spaces.Box) or box.dtype not in (np.uint8, np.float32):
+            raise PolicyError(f"observation {key!r} is {box}; expected a Box of uint8 or float32")
+        is_image = box.dtype == np.uint8 or len(box.shape) > 2
+        (images if is_image else vectors).append((key, tuple(box.shape)))
+    sizes = {space[key].dtype.itemsize for key, _ in images} or {1}  # type: ignore[union-attr]
+    if len(sizes) > 1:
+        raise PolicyError(f"images of {space} are of uint8 and float32; expected one kind: see env.observation")
+    return _ObservationLayout(images=tuple(images), vectors=tuple(vectors), item_bytes=sizes.pop())
+
+
+def _parts(rows: npt.NDArray[Any], shapes: Shapes, frames: int) -> dict[str, npt.NDArray[Any]]:
+    out: dict[str, npt.NDArray[Any]] = {}
+    by_frame = rows.reshape(len(rows), frames, rows.shape[1] // frames)
+    start = 0
+    for key, shape in shapes:
+        stop = start + int(np.prod(shape)) // frames
+        out[key] = by_frame[:, :, start:stop].reshape(len(rows), *shape)
+        start = stop
+    return out
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Chains:
+    """n-step chains from K start rows."""
+
+    returns: F32  # (K,) discounted rewards up to and including the last step
+    discounts: F32  # (K,) gamma ** length, the weight of the value after the last step
+    terminated: Bool  # (K,) the last step crashed: nothing comes after it
+    last: I64  # (K,) absolute index of the last step
+    ended: Bool  # (K,) the observation after the last step is stored beside the ring
+
+
+class FrameReplay(ReplayBuffer):
+    """A ring of steps, `buffer_size` frames in all seats together, in the shape that SB3's off-policy algorithms use.
+
+    Rows are addressed by their absolute index (steps added before them), which never repeats. Only with `learn.aid` it
+    stores which actions end well, too.
+    """
+
+    precrash_window = 20  # steps before a crash of which a share of each batch is drawn
+
+    def __init__(
+        self,
+        buffer_size: int,
+        observation_space: spaces.Space[Any],
+        action_space: spaces.Space[Any],
+        device: torch.device | str = "auto",
+        n_envs: int = 1,
+        optimize_memory_usage: bool = False,
+        settings: LearnConfig | None = None,
+        seed: int = 0,
+    ) -> None:
+        settings = settings or LearnConfig()
+        # SB3's own constructor would allocate two uncompressed copies of every frame.
+        self.observation_space, self.action_space = observation_space, action_space
+        self.device, self.n_envs, self.action_dim = get_device(device), n_envs, 1
+        self.optimize_memory_usage, self.handle_timeout_termination = optimize_memory_usage, True
+        least = 2 * settings.group_steps + settings.burn_in + 1 if settings.memory == "groups" else 2
+        self.buffer_size = rows = max(buffer_size // n_envs, settings.n_step + 1, least)
+        self.n_step, self.gamma = settings.n_step, settings.gamma
+        self.precrash_share = settings.precrash_share
+        self.layout = _layout_of(observation_space)
+        self.rng = seeding.generator(seed, "agent", "replay")
+        self.groups: Groups | None = None
+        if settings.memory == "groups":
+            self.groups = Groups(settings.group_steps, settings.burn_in)
+        self.windows = WindowStore(rows, n_envs, self.layout.window, self.layout.frame_bytes, self._smooth_bytes())
+        self._ends = BlobCodec(self.layout.image_bytes, 0)
+        self.vectors = np.zeros((rows, n_envs, self.layout.vector_size), dtype=np.float32)
+        self.actions = np.zeros((rows, n_envs), dtype=np.int64)
+        self.rewards = np.zeros((rows, n_envs), dtype=np.float32)
+        self.ended = np.zeros((rows, n_envs), dtype=bool)
+        self.terminated = np.zeros((rows, n_envs), dtype=bool)
+        self.episode_step = np.zeros((rows, n_envs), dtype=np.int64)  # steps since the start of the chain
+        self._actions = count = int(action_space.n) if isinstance(action_space, spaces.Discrete) else 0
+        self.advised = settings.aid == "oracle"
+        self.advice_bits = np.zeros((rows, n_envs, (count + 7) // 8), dtype=np.uint8)  # 1 where safe, packed
+        self.advice_known = np.zeros((rows, n_envs), dtype=bool)
+        self.reset()
+
+    def _smooth_bytes(self) -> int:
+        """How many bytes at a frame's beginning are of depth."""
+        first, shape = self.layout.images[0] if self.layout.images else ("", ())
+        return int(np.prod(shape)) // self.layout.window if first == DEPTH_KEY and self.layout.item_bytes == 1 else 0
+
+    def reset(self) -> None:
+        """Forget everything."""
+        self.total = 0  # steps added per seat, ever
+        self.pos, self.full = 0, False
+        self.ended[:] = self.terminated[:] = self.advice_known[:] = False
+        self.windows.reset()
+        # Images, packed where they are large, and vectors, by (absolute index, seat).
+        self.after_end: dict[tuple[int, int], tuple[U8 | bytes, F32]] = {}
+        # A batch is drawn at almost every step: lists, for a search would read the whole memory each time.
+        self.crashes, self.known, self.tight = _Listed(), _Listed(), _Listed()
+        self.expected: tuple[U8, F32] | None = None  # the observations that should come next
+        self._coming: list[Any] = []  # the truth of the next row, by seat
+        if self.groups is not None:
+            self.groups.reset()
+
+    def add(
+        self,
+        obs: dict[str, npt.NDArray[Any]],  # type: ignore[override]
+        next_obs: dict[str, npt.NDArray[Any]],  # type: ignore[override]
+        action: npt.NDArray[Any],
+        reward: npt.NDArray[Any],
+        done: npt.NDArray[Any],
+        infos: list[dict[str, Any]],
+    ) -> None:
+        """Store one step of every seat; `next_obs` holds the terminal observation of a seat that is done.
+
+        A step that no seat has driven, as its world began again, is left out: the one before leads to its observation.
+        """
+        images, vectors = self.layout.image_rows(obs), self.layout.vector_rows(obs)
+        restarted = all(info.get("reason") == WORLD_RESTARTED for info in infos)
+        for seat in self._goes_on():
+            if restarted or not self._led_to(images, vectors, seat):
+                self.ended[(self.total - 1) % self.buffer_size, seat] = True
+                self._store_expected(self.total - 1, seat)
+        if restarted:
+            return
+        row = self.pos
+        self._forget(self.total - self.buffer_size)
+        previous = (row - 1) % self.buffer_size
+        fresh = self.ended[previous] if self.total > 0 else np.ones(self.n_envs, dtype=bool)
+        self.windows.write(self.total, images, fresh)
+        self.episode_step[row] = np.where(fresh, 0, self.episode_step[previous] + 1)
+        self._note_advice(row, fresh, infos)
+        if self.groups is not None:
+            self.groups.note(self.total, self.episode_step[row], self.total + 1 - self.buffer_size)
+        self.vectors[row] = vectors
+        self.actions[row] = np.asarray(action).reshape(self.n_envs)
+        self.rewards[row] = reward
+        self.ended[row] = np.asarray(done, dtype=bool)
+        timeouts = [bool(info.get("TimeLimit.truncated", False)) for info in infos]
+        self.terminated[row] = self.ended[row] & ~np.array(timeouts, dtype=bool)
+        self.expected = (self.layout.image_rows(next_obs), self.layout.vector_rows(next_obs))
+        for seat in (int(k) for k in np.flatnonzero(self.ended[row])):
+            self._store_expected(self.total, seat)
+            if self.terminated[row, seat]:
+                self.crashes.append((self.total, seat))
+        self.total += 1
+        self.pos = (row + 1) % self.buffer_size
+        self.full = self.full or self.pos == 0
+
+    def _note_advice(self, row: int, fresh: Bool, infos: Sequence[dict[str, Any]]) -> None:
+        """Keep the advice of a step; its `infos` hold that of the next one."""
+        for seat, begins in enumerate(fresh):
+            truth = None if begins or not self._coming else self._coming[seat]
+            self.advice_known[row, seat] = truth is not None
+            if truth is not None:
+                safe = np.asarray(truth.safe_actions, dtype=bool)
+                self.advice_bits[row, seat] = np.packbits(safe)
+                self.list_advice(self.total, seat, tight=not safe.all())
+        self._coming = [info.get("truth") if self.advised else None for info in infos]
+
+    def list_advice(self, index: int, seat: int, *, tight: bool) -> None:
+        """Note a step with advice as the newest one; `tight`: some action ends badly."""
+        self.known.append((index, seat))
+        if tight:
+            self.tight.append((index, seat))
+
+    def sample(  # type: ignore[override]
+        self, batch_size: int, env: VecNormalize | None = None
+    ) -> DictReplayBufferSamples:
+        """A batch of n-step transitions; rewards are unscaled returns. `env` is ignored: nothing is normalised.
+
+        Of a memory of groups, all steps of as many groups as make up about `batch_size` steps.
+        """
+        if self.groups is None:
+            return self.gather(*self.draw(batch_size))
+        index, seats = self.groups.draw(self, max(1, round(batch_size / self.groups.length)))
+        count = self.groups.lengths(self, index, seats)
+        steps = np.concatenate([np.arange(k, k + n) for k, n in zip(index, count, strict=True)])
+        return self.gather(steps, np.repeat(seats, count))
+
+    def sample_groups(self, batch_size: int) -> SequenceBatch:
+        """As many groups as make up about `batch_size` steps, with the states that were stored for them.
+
+        Raises ValueError when there is no whole group, or the memory is none of groups.
+        """
+        if self.groups is None:
+            raise ValueError("replay holds single steps; build it with memory='groups'")
+        drawn = self.groups.draw(self, max(1, round(batch_size / self.groups.length)))
+        return self.groups.gather(self, *drawn)
+
+    def draw(self, batch_size: int) -> tuple[I64, I64]:
+        """Start rows (absolute) and seats of a batch, a share of them from the steps before crashes.
+
+        Raises ValueError when fewer than two steps are stored.
+        """
+        if self.total < 2:
+            raise ValueError(f"replay holds {self.total} steps; expected at least 2: raise learn.learning_starts")
+        first = self.total - self.size()
+        seats = self.rng.integers(0, self.n_envs, batch_size)
+        # The newest row has no successor to bootstrap from, unless its episode ended with it.
+        known = self.total - 1 - first + self.ended[(self.total - 1) % self.buffer_size, seats]
+        starts = first + np.floor(self.rng.random(batch_size) * known).astype(np.int64)
+        count = round(self.precrash_share * batch_size)
+        if count > 0 and self.crashes:
+            starts[:count], seats[:count] = self._before_crashes(count, first)
+        return starts, seats
+
+    def gather(self, starts: I64, seats: I64) -> DictReplayBufferSamples:
+        """The transitions that start at these rows."""
+        chains = self.chains(starts, seats)
+        rows = starts % self.buffer_size
+        now = self.layout.split(self.windows.read(starts, seats), self.vectors[rows, seats])
+        after = self._after(chains, seats)
+        return DictReplayBufferSamples(
+            observations={key: self.to_torch(value, copy=False) for key, value in now.items()},
+            actions=self.to_torch(self.actions[rows, seats][:, None], copy=False),
+            next_observations={key: self.to_torch(value, copy=False) for key, value in after.items()},
+            dones=self.to_torch(chains.terminated.astype(np.float32)[:, None], copy=False),
+            rewards=self.to_torch(chains.returns[:, None], copy=False),
+            discounts=self.to_torch(chains.discounts[:, None], copy=False),
+        )
+
+    def sample_advice(self, count: int, tight_share: float, ahead: int = 0) -> Advice | None:
+        """Observations and their safe actions, a share of them where some action is not safe; None when none is known.
+
+        An action that ends badly in one of the next `ahead` steps of the episode counts as unsafe already, as long as
+        another one is left.
+
+        Raises ValueError when the memory was built without `advice`.
+        """
+        if not self.advised:
+            raise ValueError("replay stores no advice; build it with advice=True (learn.aid=oracle)")
+        if not self.known:
+            return None
+        many = round(tight_share * count) if self.tight else 0
+        index, seats = np.concatenate([self._drawn(self.tight, many), self._drawn(self.known, count - many)]).T
+        rows = index % self.buffer_size
+        seen = self.layout.split(self.windows.read(index, seats), self.vectors[rows, seats])
+        observations = {key: self.to_torch(value, copy=False) for key, value in seen.items()}
+        return observations, self.to_torch(self._safe_ahead(index, seats, ahead), copy=False)
+
+    def safe(self, index: I64, seats: I64) -> Bool:
+        """Safe actions of these steps, (..., A)."""
+        return np.unpackbits(self.advice_bits[index % self.buffer_size, seats], axis=-1, count=self._actions).astype(
+            bool
+        )
+
+    def _safe_ahead(self, index: I64, seats: I64, ahead: int) -> Bool:
+        safe, at = self.safe(index, seats), index
+        for _ in range(ahead):
+            goes_on = ~self.ended[at % self.buffer_size, seats] & (at < self.total - 1)
+            at = np.where(goes_on, at + 1, at)
+            both = safe & self.safe(at, seats)
+            safe = np.where(both.any(axis=1, keepdims=True), both, safe)
+        return safe
+
+    def chains(self, starts: I64, seats: I64) -> _Chains:
+        """Follow each start for up to n steps, to the end of its chain or the newest row whose successor is known."""
+        returns = np.zeros(len(starts), dtype=np.float64)
+        discounts = np.ones(len(starts), dtype=np.float64)
+        last = starts.copy()
+        alive = np.ones(len(starts), dtype=bool)
+        for step in range(self.n_step):
+            index = starts + step
+            rows = index % self.buffer_size
+            alive &= (index < self.total - 1) | ((index == self.total - 1) & self.ended[rows, seats])
+            returns += np.where(alive, discounts * self.rewards[rows, seats], 0.0)
+            discounts = np.where(alive, discounts * self.gamma, discounts)
+            last = np.where(alive, index, last)
+            alive &= ~self.ended[rows, seats]
+        at = last % self.buffer_size
+        return _Chains(
+            returns=returns.astype(np.float32),
+            discounts=discounts.astype(np.float32),
+            terminated=self.terminated[at, seats],
+            last=last,
+            ended=self.ended[at, seats],
+        )
+
+    def _after(self, chains: _Chains, seats: I64) -> dict[str, npt.NDArray[Any]]:
+        rows = (chains.last + 1) % self.buffer_size
+        images, vectors = self.windows.read(chains.last + 1, seats), self.vectors[rows, seats]
+        for k in np.flatnonzero(chains.ended):
+            images[k], vectors[k] = self.observation_after_end(int(chains.last[k]), int(seats[k]))
+        return self.layout.split(images, vectors)
+
+    def observation_after_end(self, index: int, seat: int) -> tuple[U8, F32]:
+        """Images and vectors after the last step of a chain."""
+        image, vector = self.after_end[index, int(seat)]
+        return self._ends.unpack(image) if isinstance(image, bytes) else image, vector
+
+    def _drawn(self, listed: _Listed, count: int) -> I64:
+        """Absolute index and seat, (count, 2), of some of these steps."""
+        picks = self.rng.integers(0, max(len(listed), 1), count)
+        return np.array([listed[k] for k in picks], np.int64).reshape(-1, 2)
+
+    def _before_crashes(self, count: int, first: int) -> tuple[I64, I64]:
+        """Steps 0..window-1 before crashes, within their episodes and the ring."""
+        index, seats = self._drawn(self.crashes, count).T
+        reach = np.minimum(self.episode_step[index % self.buffer_size, seats], index - first)
+        back = np.minimum(self.rng.integers(0, self.precrash_window, count), reach)
+        return index - back, seats
+
+    def _goes_on(self) -> list[int]:
+        """The seats whose chain goes on."""
+        return np.flatnonzero(~self.ended[(self.total - 1) % self.buffer_size]).tolist() if self.total > 0 else []
+
+    def _led_to(self, images: U8, vectors: F32, seat: int) -> bool:
+        """Whether a seat's observation is the one that its last step led to."""
+        if self.expected is None:
+            return True
+        next_images, next_vectors = self.expected
+        return np.array_equal(images[seat], next_images[seat]) and np.array_equal(vectors[seat], next_vectors[seat])
+
+    def _store_expected(self, index: int, seat: int) -> None:
+        if self.expected is not None:
+            images, vectors = self.expected
+            self.store_end(index, seat, images[seat], vectors[seat])
+
+    def store_end(self, index: int, seat: int, image: U8, vector: F32) -> None:
+        """Store images and vectors after the last step of a chain."""
+        folded = self._ends.pack(image) if len(image) > PACK_ABOVE_BYTES else image.copy()
+        self.after_end[index, seat] = folded, vector.copy()
+
+    def _forget(self, index: int) -> None:
+        """Drop what belongs to the row that is overwritten now."""
+        for seat in range(self.n_envs):
+            self.after_end.pop((index, seat), None)
+        for listed in (self.crashes, self.known, self.tight):
+            while listed and listed[0][0] <= index:
+                listed.popleft()

@@ -1,0 +1,1 @@
+"""Whatever a user names, opened: policies of any kind, lists of test episodes, the street of a block."""

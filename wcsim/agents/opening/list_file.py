@@ -1,0 +1,160 @@
+"""Lists of episodes: read, checked, hashed; the street of a block, and what its chairs are taken with."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from wcsim.agents.policy_api import VISIBLE_BOUND, Policy, SeesTruth
+from wcsim.config import RunConfig, parse
+from wcsim.config.suite import BlockFile, EpisodeFile, SuiteFile
+from wcsim.core.constants import RECORDED
+from wcsim.core.reading import FileKind, escaped, is_file, read_json
+from wcsim.errors import ConfigError, TownError
+from wcsim.towns.making.asked_town import made_seed, made_town
+from wcsim.towns.scenario.town import Town, content_hash, expanded, find_town
+from wcsim.towns.scene_folders.build import build_scene, scene_config, scene_digest
+from wcsim.towns.scene_folders.families import write_scene
+from wcsim.types import SeatSpec, StartSpec
+
+TIGHT: Final = "tight"  # the part whose towns are generated scenes
+SCENE, SCENE_TOWN = "scene", "town"  # folders of a block in a generated scene
+_LIST = FileKind(what="a list of test episodes", limit_bytes=64 << 20, error=ConfigError)
+_SHIPPED = Path(__file__).parent / "lists"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Suite:
+    """A list and what it hashes to."""
+
+    file: SuiteFile
+    sha256: str  # hex, over the list's content
+
+    @property
+    def episodes(self) -> int:
+        """How many there are."""
+        return sum(len(block.episodes) for block in self.file.blocks)
+
+
+def shipped() -> tuple[str, ...]:
+    """The sets that come with wcsim."""
+    return tuple(sorted(path.stem for path in _SHIPPED.glob("*.json")))
+
+
+def open_suite(name_or_path: str) -> Suite:
+    """A set that comes with wcsim, or a list at a path. Raises ConfigError when it is none, or broken."""
+    path = _SHIPPED / f"{name_or_path}.json" if name_or_path in shipped() else expanded(name_or_path)
+    if not is_file(path):
+        known = ", ".join(shipped()) or "(none)"
+        raise ConfigError(f"--suite {escaped(name_or_path)!r}: there is no such list; expected {known}, or a file")
+    return suite_of(parse(SuiteFile, read_json(path, _LIST), escaped(path)))
+
+
+def suite_of(file: SuiteFile) -> Suite:
+    """A list with its hash."""
+    return Suite(file=file, sha256=hashlib.sha256(_canonical(file.model_dump(mode="json"))).hexdigest())
+
+
+def _canonical(data: object) -> bytes:
+    """The one spelling of plain data that is hashed."""
+    return json.dumps(data, sort_keys=True, separators=(",", ":"), allow_nan=False).encode()
+
+
+def write_list(file: SuiteFile, path: Path) -> None:
+    """Write a list, an episode a line, so that a change shows in a diff. Raises OSError."""
+    head = file.model_dump(mode="json", exclude={"blocks"})
+    lines = [json.dumps(head)[:-1] + ', "blocks": [']
+    blocks = list(file.blocks)
+    for number, block in enumerate(blocks):
+        said = json.dumps(block.model_dump(mode="json", exclude={"episodes"}))[:-1]
+        episodes = ",\n  ".join(json.dumps(episode.model_dump(mode="json")) for episode in block.episodes)
+        lines.append(f'{said}, "episodes": [\n  {episodes}]}}{"," if number + 1 < len(blocks) else "]}"}')
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def towns_of(file: SuiteFile, folder: Path) -> dict[str, Town]:
+    """The list's towns, by name; those made of a seed are made in `folder`, if they are not there.
+
+    Raises:
+        TownError: One is missing, or is another than that of the list.
+        SumoError: One of SUMO's tools failed at a made one.
+    """
+    found = {}
+    for wanted in file.towns:
+        town = find_town(wanted.name) if wanted.made_seed is None else made_town(folder, wanted.made_seed)
+        got = content_hash(town)
+        if got != wanted.sha256:
+            raise TownError(
+                f"town {wanted.name} has the hash {got[:12]}; expected {wanted.sha256[:12]}, for which the list "
+                f"{file.suite} {file.set} was made: make your own list with --make-suite {wanted.name}"
+            )
+        found[wanted.name] = town
+    return found
+
+
+def asked_towns(words: str, folder: Path) -> list[tuple[Town, int | None]]:
+    """The towns of `--make-suite`, joined by commas, each with the seed that it was made of; `made:7` is made now.
+
+    Raises:
+        ConfigError: A seed is none.
+        TownError: There is no such town, or it cannot be made.
+    """
+    words_seeds = [(word.strip(), made_seed(word.strip())) for word in words.split(",")]
+    return [(find_town(word) if seed is None else made_town(folder, seed), seed) for word, seed in words_seeds]
+
+
+def require_towns(file: SuiteFile) -> None:
+    """Raises ConfigError for a block in a town that the list does not name."""
+    named = {town.name for town in file.towns}
+    for block in file.blocks:
+        if block.part != TIGHT and block.town not in named:
+            raise ConfigError(f"a block is in town {block.town!r}; expected one of {sorted(named)}: add it to `towns`")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BlockPlace:
+    """Where a block is driven: its street is there, and all its settings."""
+
+    town: Town
+    config: RunConfig  # see `config_for`
+    seed: int  # of the world
+    recordings: Path | None = None  # folder of recorded joysticks that users are named by
+
+
+def open_block(block: BlockFile, config: RunConfig, town: Callable[[], Town], work: Path) -> BlockPlace:
+    """The block's place: its `town`, or the scene of a tight block, built in `work`, its settings laid over `config`.
+
+    Raises TownError when the scene is another than the list's, and what `town` raises.
+    """
+    if block.part != TIGHT:
+        return BlockPlace(town=town(), config=config, seed=block.seed)
+    folder = write_scene(block.town, block.seed, work / SCENE)
+    got = scene_digest(folder)
+    if got != block.scene_sha256:
+        raise TownError(
+            f"scene {block.town} {block.seed} has the hash {got[:12]}; expected {str(block.scene_sha256)[:12]}, as "
+            "the list says: the list was made by another version of wcsim"
+        )
+    built, scene = build_scene(folder, work / SCENE_TOWN)
+    return BlockPlace(town=built, config=scene_config(scene, config), seed=scene.seed, recordings=folder)
+
+
+def seat_of(place: BlockPlace, episode: EpisodeFile, policy: Policy) -> SeatSpec:
+    """What a seat is taken with for an episode of a block."""
+    user = episode.profile
+    if place.recordings is not None and user.startswith(RECORDED):
+        user = f"{RECORDED}{place.recordings / user.removeprefix(RECORDED)}"
+    start = None  # where the world draws it
+    if episode.start_m is not None and episode.goal_m is not None:
+        start = StartSpec(p_W_m=episode.start_m, yaw_rad=episode.heading_rad, goal_W_m=episode.goal_m)
+    return SeatSpec(
+        profile=user,
+        max_steps=episode.max_steps,
+        truth=isinstance(policy, SeesTruth),
+        truth_visible=policy.name == VISIBLE_BOUND,
+        start=start,
+    )

@@ -1,0 +1,161 @@
+"""Whatever may be named as a policy: a baseline, a run, a class, an ONNX folder, a process on a socket.
+
+All policies of a list drive the same chair in the same world, and the same things are a crash. A run brings what its
+network senses and does (cameras, sensors, `[imu]`, `[env]`, how it learned). Its street, chair, crashes and ranges stay
+behind: with them `saved`, `lost` and the score would compare drives that were not judged alike.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from wcsim.agents.export.guard import GuardedPolicy, guard_of
+from wcsim.agents.policies.onnx_policy import OnnxPolicy, read_about
+from wcsim.agents.policies.served_policy import ServedPolicy
+from wcsim.agents.policy_api import Policy, sense_settings, senses_of
+from wcsim.agents.runs.policy_file import is_danger, policy_name, read_danger_file, read_policy_file
+from wcsim.agents.runs.run_folder import policy_path, run_of
+from wcsim.config import RunConfig, resolve
+from wcsim.config.run_file import PolicyFile
+from wcsim.core.plugins import find_class, running_own
+from wcsim.errors import PolicyError
+from wcsim.supervisor.actions import action_set
+
+RULES: Final = ("world", "chair", "reward", "vary")
+"""Sections that are the preset's in a list, as with others its policies would not be judged alike."""
+_PACE: Final = ("draw_threads", "epoch_ticks")  # of `world`: they change no result
+
+
+def open_named(name: str, config: RunConfig, seed: int, network: str | None = None) -> Policy:
+    """The policy of that name for one chair. Raises PolicyError when there is none, or it does not fit."""
+    actions = action_set(config.env.actions)
+    named = policy_name(name)
+    if named.veto:
+        from wcsim.agents.policies.dwa import Veto  # and with it kernels, which the checks of names must not load
+
+        return Veto(name, open_named(named.inner, config, seed, network), config)
+    if named.kind == "served":
+        return ServedPolicy(name, actions.points)
+    if named.kind == "onnx":
+        alone, rule = OnnxPolicy(Path(name), name, len(actions)), guard_of(Path(name))
+        return alone if rule is None else GuardedPolicy(alone, actions, rule)
+    if named.kind == "class":
+        return _own_policy(name, config)
+    if named.kind == "baseline":
+        from wcsim.agents.policies.baselines import baseline  # with kernels, too
+
+        return baseline(name, config, seed)
+    return _network(name, config, network)
+
+
+def _own_policy(name: str, config: RunConfig) -> Policy:
+    made = find_class(name, "policy")
+    what = f"policy {name!r} could not be created with the configuration as its only argument"
+    with running_own(what, "correct it, or test the others without it"):
+        policy: Policy = made(config)
+    missing = [part for part in ("name", "begin", "reset", "act") if not hasattr(policy, part)]
+    if missing:
+        raise PolicyError(
+            f"policy {name!r} has no {', '.join(missing)}; expected a class with name, begin(), reset() and "
+            "act(observation), see docs/suites.md"
+        )
+    return policy
+
+
+def _network(name: str, config: RunConfig, network: str | None) -> Policy:
+    """A network of wcsim's own: of a run folder, `RUN:phase1`, or a policy folder.
+
+    From it on torch works on one thread in this process: one picture is too little for two, and where others use
+    the cores they wait for one another, fifty times as long as the work takes.
+    """
+    import torch  # here, and with it the learners: the checks of names must not load it
+
+    from wcsim.agents.danger.policy import load_danger
+    from wcsim.agents.learning.saved_policy import load_fitting
+
+    torch.set_num_threads(1)
+    path = policy_path(name)
+    if is_danger(path):
+        return load_danger(path, name, config, policy_name(name).level, network)
+    return load_fitting(path, name, config, network)
+
+
+def sensing(config: RunConfig, policy: Policy) -> tuple[str, ...]:
+    """The settings of the senses that a policy wants, and of as many images in an observation as it needs.
+
+    Those are what it was trained on, or more where `env.window` is: who is no network of wcsim's is told in settings.
+    """
+    from wcsim.agents.policies.dwa import Veto
+
+    file = getattr(policy.inner if isinstance(policy, Veto) else policy, "file", None)  # of a network of Q-learning
+    window = f"env.window={max(file.window if isinstance(file, PolicyFile) else 1, config.env.frames)}"
+    return (window, *sense_settings(config, senses_of(policy)))
+
+
+def config_for(policy: str, preset: str, settings: Sequence[str] = (), *, in_list: bool = False) -> RunConfig:
+    """What a policy drives with: its own configuration, or the preset's where it has none, with settings over it.
+
+    Args:
+        policy: Its name.
+        preset: Of whoever drives it.
+        settings: section.key=value.
+        in_list: Whether the preset's rules hold, see `RULES`.
+
+    Raises:
+        PolicyError: There is no such policy.
+        ConfigError: The settings cannot be used.
+    """
+    named, base = policy_name(policy), resolve(preset)
+    own = base
+    if named.kind == "onnx":
+        about = read_about(named.folder)
+        own = resolve(about.preset, about.settings)
+    elif named.is_network:
+        run = run_of(policy)
+        own = resolve(base, _policy_settings(policy_path(policy))) if run is None else run.config
+    if in_list:
+        own = own.model_copy(update={name: getattr(base, name) for name in RULES})
+    config = resolve(own, settings)
+    action_set(config.env.actions)
+    return config
+
+
+def _policy_settings(path: Path) -> dict[str, Any]:
+    """What a policy folder says of itself, as tables of a configuration: its camera, actions. Raises PolicyError."""
+    if is_danger(path):
+        told = read_danger_file(path)
+        env = {"actions": told.net.actions, "classes": told.classes, "window": 1}
+        chair = told.chair.model_dump(mode="json")
+        return {"cameras": [told.camera.model_dump(mode="json")], "env": env, "chair": chair}
+    file = read_policy_file(path)
+    seen = {"classes": file.net.classes, "window": file.window, "observation": file.observation}
+    return {"cameras": [file.camera.model_dump(mode="json")], "env": {"actions": file.net.actions, **seen}}
+
+
+def told_of_rules(policies: Iterable[str], preset: str, settings: tuple[str, ...]) -> Iterator[str]:
+    """A line for each policy that was trained under other rules than the list's. Raises as `config_for` does."""
+    for policy in policies:
+        if policy_name(policy).kind in ("baseline", "served", "class"):
+            continue
+        learned, tested = (config_for(policy, preset, settings, in_list=rules) for rules in (False, True))
+        other = list(_others(learned, tested))
+        if other:
+            was = ", ".join(f"{name}={_text(value)}" for name, value, _ in other)
+            now = ", ".join(f"{name}={_text(value)}" for name, _, value in other)
+            yield f"{policy} was trained with {was}; all policies of a list are tested with {now}"
+
+
+def _others(learned: RunConfig, tested: RunConfig) -> Iterator[tuple[str, Any, Any]]:
+    for name in RULES:
+        one, two = getattr(learned, name), getattr(tested, name)
+        for key in type(one).model_fields:
+            was, now = getattr(one, key), getattr(two, key)
+            if was != now and key not in _PACE:
+                yield f"{name}.{key}", was, now
+
+
+def _text(value: Any) -> str:
+    return value if isinstance(value, str) else json.dumps(value)

@@ -1,0 +1,45 @@
+"""A camera's depth image in metres, and where its pixels look."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from wcsim.config import CameraConfig
+from wcsim.core.frames import rad
+from wcsim.supervisor.observation import decode_depth
+from wcsim.types import F32, F64, U8
+
+
+def depth_metres(image: U8 | F32, range_m: float) -> F32:
+    """The newest depth image of either form of observation (window, H, W), in metres, (1, H, W)."""
+    image = image[-1:]
+    if image.dtype == np.uint8:
+        return decode_depth(np.asarray(image, np.uint8), range_m)
+    return np.asarray(image * np.float32(range_m), np.float32)
+
+
+def viewing_rays(camera: CameraConfig) -> F64:
+    """Directions in B per metre of depth (along the optical axis), (H * W, 3), row by row from the top left."""
+    height, width = camera.height_px, camera.width_px
+    focal_px = width / 2.0 / math.tan(rad(camera.hfov_deg) / 2.0)
+    right, down = np.meshgrid(
+        (np.arange(width) + 0.5 - width / 2.0) / focal_px, (np.arange(height) + 0.5 - height / 2.0) / focal_px
+    )
+    pitch, yaw, roll = rad(camera.pitch_deg), rad(camera.yaw_deg), rad(camera.roll_deg)
+    right, down = right * math.cos(roll) - down * math.sin(roll), right * math.sin(roll) + down * math.cos(roll)
+    ahead = math.cos(pitch) + down * math.sin(pitch)
+    up = math.sin(pitch) - down * math.cos(pitch)
+    x = ahead * math.cos(yaw) + right * math.sin(yaw)
+    y = ahead * math.sin(yaw) - right * math.cos(yaw)
+    return np.stack([x, y, up], axis=-1).reshape(-1, 3)
+
+
+def sees_in_a_mirror(camera: CameraConfig) -> bool:
+    """Whether its picture with left and right exchanged is that of the mirrored street: it looks ahead from the middle.
+
+    >>> sees_in_a_mirror(CameraConfig()), sees_in_a_mirror(CameraConfig(yaw_deg=20.0))
+    (True, False)
+    """
+    return camera.p_BC_m[1] == 0.0 and camera.yaw_deg == 0.0 and camera.roll_deg == 0.0

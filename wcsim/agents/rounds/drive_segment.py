@@ -1,0 +1,364 @@
+"""Drives one segment: fresh worlds, chairs with different users, everything that happens written down.
+
+It is driven in streets of several towns in turn, or in generated scenes of blind sides and tight places.
+
+The user, the oracle or the network drives. A user who never errs near a wall teaches nothing of walls: so for a third
+of the time an offset is laid over the wish, and some of these wishes are carried out as they are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import islice
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, Final, Protocol
+
+import numpy as np
+
+from wcsim.agents.envs.episode_view import Info, delay_ticks
+from wcsim.agents.envs.seat_driver import SeatDriver
+from wcsim.agents.policy_api import (
+    CLASS_KEY,
+    DEPTH_KEY,
+    IMU_KEY,
+    JOYSTICK_KEY,
+    MOTION_SENSES,
+    ODOMETRY_KEY,
+    HearsSent,
+    Observation,
+    sense_settings,
+)
+from wcsim.agents.runs.data_folder import (
+    COLUMNS,
+    FOLLOW,
+    NETWORK,
+    ORACLE,
+    RECKLESS,
+    Segment,
+    SegmentKey,
+    codes_of,
+    joined,
+)
+from wcsim.bridge.world import World
+from wcsim.bridge.world_rollout import rollout
+from wcsim.config import CollectConfig, RunConfig, resolve
+from wcsim.core import seeding
+from wcsim.core.reading import escaped
+from wcsim.errors import ConfigError
+from wcsim.supervisor.actions import ActionSet, action_set
+from wcsim.towns.scenario.town import Town, find_town
+from wcsim.towns.scene_folders.build import build_scene, scene_config, seat_specs
+from wcsim.towns.scene_folders.families import FAMILIES, write_scene
+from wcsim.types import F64, ClientSnapshot, SeatSpec, Truth, Verdict
+from wcsim.users.recordings.recorded_user import find_user
+
+_ASTRAY_SIGMA = 0.5  # spread of the offset, in stick units
+_ASTRAY_TICKS = (4, 12)  # shortest and longest time that an offset is held
+_RECKLESS_SHARE = 0.4  # share of these offsets that are executed as they are
+_SCENE_SEEDS: Final = 1 << 24  # those of scenes that are trained in begin here; those of tests are far below
+_MOST_SCENES: Final = 12  # of a segment
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SegmentOrder:
+    """One piece of work; everything in it can be sent to another process."""
+
+    key: SegmentKey
+    towns: tuple[str, ...]  # folders or names
+    config: RunConfig
+    policy: str = ""  # the folder of the network that drives, "" for none
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _SegmentPlace:
+    """Where a segment is driven."""
+
+    town: Town
+    config: RunConfig
+    seats: tuple[SeatSpec, ...]
+    ticks: int
+    seed: int  # of the world
+
+
+def orders_of(
+    config: RunConfig, towns: tuple[str, ...], first: SegmentKey, count: int, policy: str = ""
+) -> list[SegmentOrder]:
+    """So many pieces of work of a round, with the keys from `first` on.
+
+    Args:
+        config: Of the run.
+        towns: Folders or names.
+        first: The key of the first one.
+        count: How many.
+        policy: The folder of the network that drives, "" for none.
+    """
+    keys = [replace(first, index=first.index + number) for number in range(count)]
+    return [SegmentOrder(key=key, towns=towns, config=config, policy=policy) for key in keys]
+
+
+def require_recordable(config: RunConfig) -> None:
+    """Refuse settings with which segments could not be driven, before anything is made for them.
+
+    Raises:
+        ConfigError: The chairs would not see what data is made of, or a variant cannot be used.
+    """
+    if config.env.observation != "compact":
+        told = f"env.observation={config.env.observation}: training data consists of class ids and depth"
+        raise ConfigError(f"{told}; expected compact")
+    if config.eye != config.cameras[0]:
+        raise ConfigError(f"env.camera={config.env.camera}: training data is of the first camera; expected no other")
+    for variant in config.collect.variants:
+        try:
+            resolve(config, tuple(variant.split()))
+        except ConfigError as error:
+            raise ConfigError(
+                f"collect.variants: {escaped(variant)!r} cannot be used ({error}); expected section.key=value, several "
+                "separated by blanks, and no blanks within a value"
+            ) from None
+
+
+def _drawn_settings(config: RunConfig, key: SegmentKey) -> tuple[str, ...]:
+    """What differs from segment to segment: one of the settings of `collect.variants`, drawn for each."""
+    variants = config.collect.variants
+    if not variants:
+        return ()
+    draw = seeding.generator(key.run, "collect", key.round, key.index, "variant")
+    return tuple(variants[int(draw.integers(len(variants)))].split())
+
+
+def _is_of_scenes(config: RunConfig, key: SegmentKey) -> bool:
+    """Whether a segment is driven in generated scenes; the share of all that are is kept from the first one on.
+
+    >>> config = resolve(RunConfig(), ("collect.scene_share=0.3",))
+    >>> [_is_of_scenes(config, SegmentKey(run=0, round=0, index=k)) for k in range(10)].count(True)
+    3
+    """
+    number = _number(config, key)
+    return _scenes_before(config, number + 1) > _scenes_before(config, number)
+
+
+def _town_in_turn(config: RunConfig, key: SegmentKey, towns: int) -> int:
+    """Which of so many towns a segment is driven in that is not of scenes: each in turn, over all rounds.
+
+    The first one is drawn for each run, so that many short ones leave no town out.
+
+    >>> config = resolve(RunConfig(), ("collect.scene_share=0.5", "collect.segments=3"))
+    >>> keys = [SegmentKey(run=0, round=n, index=k) for n in range(2) for k in range(3)]
+    >>> sorted(_town_in_turn(config, key, 3) for key in keys if not _is_of_scenes(config, key))
+    [0, 1, 2]
+    """
+    number, first = _number(config, key), seeding.derive(key.run, "collect", "first town")
+    return (first + number - _scenes_before(config, number)) % towns
+
+
+def _number(config: RunConfig, key: SegmentKey) -> int:
+    """Of a segment, counted over all rounds."""
+    return key.round * config.collect.segments + key.index
+
+
+def _scenes_before(config: RunConfig, number: int) -> int:
+    """How many of the first so many segments are driven in scenes."""
+    return int(number * config.collect.scene_share + 1e-9)
+
+
+def _places_of(order: SegmentOrder, work: Path) -> Iterator[_SegmentPlace]:
+    """The worlds of a segment, one after the other.
+
+    Args:
+        order: The piece of work.
+        work: A folder for generated scenes.
+
+    Raises:
+        TownError: A town is missing.
+    """
+    config = resolve(order.config, (*_drawn_settings(order.config, order.key), "world.draw_threads=1"))
+    config = resolve(config, sense_settings(config, MOTION_SENSES))
+    if _is_of_scenes(order.config, order.key):
+        yield from _scenes(order, config, work)
+    else:
+        yield _street(order, config)
+
+
+def _street(order: SegmentOrder, config: RunConfig) -> _SegmentPlace:
+    key, collect = order.key, config.collect
+    rng = seeding.generator(key.run, "collect", key.round, key.index, "street")
+    town = find_town(order.towns[_town_in_turn(order.config, key, len(order.towns))])
+    drawn = rng.permutation(len(collect.profiles))
+    who = [collect.profiles[int(drawn[seat % len(drawn)])] for seat in range(collect.chairs)]
+    seats = tuple(SeatSpec(profile=profile, max_steps=collect.episode_steps) for profile in who)
+    seed = seeding.derive(key.run, "collect", key.round, key.index, "world")
+    return _SegmentPlace(town=town, config=config, seats=seats, ticks=collect.ticks, seed=seed)
+
+
+def _scenes(order: SegmentOrder, config: RunConfig, work: Path) -> Iterator[_SegmentPlace]:
+    key = order.key
+    rng = seeding.generator(key.run, "collect", key.round, key.index, "scenes")
+    for number in range(_MOST_SCENES):
+        family, seed = FAMILIES[int(rng.integers(len(FAMILIES)))], _SCENE_SEEDS + int(rng.integers(1 << 24))
+        folder = write_scene(family, seed, work / f"scene-{number}")
+        town, scene = build_scene(folder, work / f"town-{number}")
+        ticks = round(scene.duration_s / config.world.tick_s)
+        seats = tuple(replace(spec, max_steps=ticks) for spec in seat_specs(folder, scene, town.file.origin_m))
+        own = scene_config(scene, config)
+        yield _SegmentPlace(town=replace(town, passing=True), config=own, seats=seats, ticks=ticks, seed=scene.seed)
+
+
+class _Learned(HearsSent, Protocol):
+    """The network as a driver: in each step `choose` or `observe`, then `sent`."""
+
+    def reset(self) -> None:
+        """An episode begins."""
+
+    def observe(self, observation: Observation) -> None:
+        """Take in an observation without choosing."""
+
+
+class _DataDriver:
+    """Drives one chair for an episode; who drives it is drawn as it begins.
+
+    Args:
+        settings: How often who drives.
+        actions: The joystick positions.
+        rng: Of this chair.
+        learned: The network, where there is one.
+    """
+
+    def __init__(
+        self, settings: CollectConfig, actions: ActionSet, rng: np.random.Generator, learned: _Learned | None
+    ) -> None:
+        self._settings, self._actions, self._rng, self._learned = settings, actions, rng, learned
+        self._held, self._offset, self._reckless = 0, np.zeros(2), False
+        draw = rng.random(2)
+        self._driver = FOLLOW if draw[1] < settings.follow_share else ORACLE
+        if learned is not None and draw[0] < settings.network_share:
+            self._driver = NETWORK
+            learned.reset()
+
+    def choose(self, observation: Observation, said: Verdict) -> dict[str, Any]:
+        """Answer an observation, in columns of a segment; `said` is the oracle's verdict of its moment."""
+        wish = self._wish(np.asarray(observation[JOYSTICK_KEY], np.float64))
+        reckless = self._held > 0 and self._reckless
+        action = self._actions.nearest(wish)
+        if self._driver == NETWORK and self._learned is not None:
+            if reckless:
+                self._learned.observe(observation)
+            else:
+                action = self._learned.choose({**observation, JOYSTICK_KEY: wish.astype(np.float32)})
+            self._learned.sent(action)
+        elif self._driver == ORACLE and not reckless:
+            action = self._safest(wish, said.first_s)
+        return {"action": action, "wish": wish, "driver": RECKLESS if reckless else self._driver}
+
+    def _wish(self, stick: F64) -> F64:
+        """The user's stick, or with an offset that is held for a while."""
+        settings, rng = self._settings, self._rng
+        self._held -= 1
+        low, high = _ASTRAY_TICKS
+        mean = 0.5 * (low + high)
+        if self._held <= 0 and rng.random() < settings.astray_share / (mean - (mean - 1) * settings.astray_share):
+            self._offset = rng.normal(0.0, _ASTRAY_SIGMA, 2)
+            self._held = int(rng.integers(low, high + 1))
+            self._reckless = bool(rng.random() < _RECKLESS_SHARE)
+        if self._held <= 0:
+            return stick
+        wish: F64 = np.clip(stick + self._offset, -1.0, 1.0)
+        return wish
+
+    def _safest(self, wish: F64, first_s: F64) -> int:
+        distance = self._actions.distances(wish[None])[0]
+        return int(np.argmin(np.where(first_s == first_s.max(), distance, np.inf)))
+
+
+MakeLearned = Callable[[int], _Learned]  # for a chair whose commands arrive so many ticks late
+
+
+def collect(order: SegmentOrder, make_learned: MakeLearned | None) -> Segment:
+    """The segment that an order asks for; the same one wherever and whenever it is driven.
+
+    Args:
+        order: Its worlds are driven one after the other.
+        make_learned: The network that drives some of the episodes, where there is one.
+
+    Raises:
+        TownError: A town cannot be opened.
+        ConfigError: The chairs lack a sense that data needs.
+    """
+    key, parts = order.key, list[Segment]()
+    with TemporaryDirectory(prefix="wcsim-collect-") as work:
+        for number, place in enumerate(_places_of(order, Path(work))):
+            seed = seeding.derive(key.run, "collect", key.round, key.index, "drivers", number)  # of who drives, and how
+            parts.append(_driven(place, make_learned, seed))
+    return joined(parts)
+
+
+def _driven(place: _SegmentPlace, make_learned: MakeLearned | None, seed: int) -> Segment:
+    """Drive for so many ticks, with a new episode wherever one ends."""
+    specs = tuple(replace(spec, truth=True, truth_visible=True) for spec in place.seats)
+    with World(place.town, place.config, specs, place.seed, find_user=find_user) as world:
+        seats = [
+            _Seat(place.config, client, make_learned, seeding.generator(seed, "collect", number))
+            for number, client in enumerate(world.snapshot.clients)
+        ]
+        steps = rollout(world, {number: seat.driver.choose for number, seat in enumerate(seats)})
+        for step in islice(steps, place.ticks):
+            for seat, client in zip(seats, step.after.clients, strict=True):
+                seat.take(client)
+    return _segment_of([seat.rows for seat in seats])
+
+
+class _Seat:
+    """One chair with its agent, and what it has written down."""
+
+    def __init__(
+        self, config: RunConfig, first: ClientSnapshot, make_learned: MakeLearned | None, rng: np.random.Generator
+    ) -> None:
+        self.rows: list[dict[str, Any]] = []  # by column of a segment
+        self._config, self._make, self._rng = config, make_learned, rng
+        self._actions = action_set(config.env.actions)
+        self._delay = 0
+        self._choice: dict[str, Any]
+        self._agent: _DataDriver
+        self.driver = SeatDriver(config, self, first)
+
+    def reset(self, info: Info) -> None:
+        """Draw who drives the episode that begins."""
+        self._delay = delay_ticks(self._config, info["drawn"])
+        learned = None if self._make is None else self._make(self._delay)
+        self._agent = _DataDriver(self._config.collect, self._actions, self._rng, learned)
+
+    def act(self, observation: Observation, info: Info) -> int:
+        """Answer what is seen now."""
+        said: Truth = info["truth"]
+        self._choice = self._agent.choose(observation, said.visible or said)
+        return int(self._choice["action"])
+
+    def take(self, client: ClientSnapshot) -> None:
+        """Write down what came of it."""
+        seen, said = self.driver.observation, self.driver.info["truth"]
+        step = self.driver.take(client)
+        self.rows.append(
+            {
+                "depth": seen[DEPTH_KEY][-1],
+                "seg": seen[CLASS_KEY][-1],
+                "imu": seen[IMU_KEY],
+                "odometry": seen[ODOMETRY_KEY],
+                "stick": seen[JOYSTICK_KEY],
+                **self._choice,
+                "visible": codes_of((said.visible or said).first_s),
+                "truth": codes_of(said.first_s),
+                "reward": step.reward,
+                "crashed": step.terminated,
+                "ended": step.done,
+                "delay": self._delay,
+            }
+        )
+
+
+def _segment_of(chairs: Sequence[Sequence[dict[str, Any]]]) -> Segment:
+    """The rows of all chairs, one chair after the other; a chair's last step here ends its episode."""
+    for chair in chairs:
+        chair[-1]["ended"] = True  # nobody drives on from here: what lies ahead of it is not known
+    rows = [row for chair in chairs for row in chair]
+    return Segment(**{name: np.array([row[name] for row in rows], kind) for name, (kind, _) in COLUMNS.items()})

@@ -1,0 +1,140 @@
+"""A block of a suite as a film: driven again by its policy, which also says what it holds for unsafe."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Callable
+from pathlib import Path
+from typing import Final
+
+from wcsim.agents.envs.episode_view import EpisodeStep
+from wcsim.agents.evaluation.suite.drive import Piece
+from wcsim.agents.evaluation.suite.playback import require_same
+from wcsim.agents.evaluation.suite.result_files import TestResult, read_result
+from wcsim.agents.evaluation.suite.run import drive_piece, piece_of, town_addresses
+from wcsim.agents.opening.named_policy import config_for
+from wcsim.agents.policy_api import UNAIDED, Policy, TellsUnsafe, Warns
+from wcsim.agents.runs.policy_file import policy_name
+from wcsim.bridge.world import World
+from wcsim.config import RunConfig
+from wcsim.drive.driven import is_intervention, xy_of
+from wcsim.drive.playing.film_states import FilmAbout, FilmLine, FilmNames, FrameMaker, Said, TickSays
+from wcsim.drive.playing.sources.source_process import FilmSource
+from wcsim.errors import ConfigError
+from wcsim.types import Snapshot
+from wcsim.view.report.failures import failures_of, fate, order_of
+
+NOT_IN_EPISODES: Final = ("Sensor errors of the camera: its picture is drawn without them.",)
+
+
+def episode_film(source: FilmSource, say: Callable[[Said], object]) -> None:
+    """Drive a block to its end, and compare what is kept of it; that of the worst failure where none is named.
+
+    Raises:
+        ConfigError: The folder holds no result, or has no such block or policy.
+        PolicyError, TownError: The policy or a town cannot be used.
+    """
+    result = read_result(source.path)
+    policy, index = _found(result, source)
+    order = order_of(result, source.path, source.own)
+    piece = piece_of(order, index, policy, town_addresses(order), judged=False)
+    config = config_for(piece.policy, piece.preset, piece.settings, in_list=True)
+    records = drive_piece(piece, _BlockWatch(result.suite, piece, config, say))
+    kept = {(one.block, one.seat): one for one in result.episodes[policy]}
+    told = [f"chair {record.seat}: {fate(record)}" for record in records]
+    for record in records:
+        twin = kept.get((record.block, record.seat))
+        if twin is None:
+            continue
+        try:
+            require_same(record, twin)
+        except ConfigError as error:
+            say(FilmLine(kind="bad", told=str(error)))
+    say(FilmLine(kind="end", told="; ".join(told)))
+
+
+def _found(result: TestResult, source: FilmSource) -> tuple[str, int]:
+    """Policy and block. Raises ConfigError."""
+    failures = failures_of(result, source.path)
+    worst = next((one for one in failures if source.policy in ("", one.policy)), None)
+    first = worst.policy if worst is not None else next(iter(result.episodes))
+    policy = source.policy or first
+    if policy not in result.episodes:
+        raise ConfigError(f"--policy {policy!r}: not in this result; expected one of: {', '.join(result.episodes)}")
+    if policy_name(policy).kind == "class" and policy not in source.own:
+        raise ConfigError(
+            f"{policy} is your own code, which runs only when you name it: --policy {shlex.quote(policy)}"
+        )
+    block = source.block if source.block >= 0 else (worst.key[0] if worst is not None else 0)
+    blocks = sorted({episode.block for episode in result.episodes[policy]})
+    if block not in blocks:
+        raise ConfigError(f"--block {block}: not in this result; expected {blocks[0]} to {blocks[-1]}")
+    return policy, block
+
+
+class _BlockWatch:
+    """Says a frame for each tick, once all seats of it were seen.
+
+    Args:
+        suite: Its name.
+        piece: What is driven.
+        config: Of the policy.
+        say: Hears the film.
+    """
+
+    def __init__(self, suite: str, piece: Piece, config: RunConfig, say: Callable[[Said], object]) -> None:
+        self._suite, self._piece, self._config, self._say = suite, piece, config, say
+        self._maker = FrameMaker()
+        self._now: Snapshot | None = None
+        self._said: dict[int, TickSays] = {}
+
+    @property
+    def seats(self) -> frozenset[int]:
+        """All of the block."""
+        return frozenset(range(len(self._piece.block.episodes)))
+
+    def see(self, seat: int, step: EpisodeStep, world: World, policy: Policy) -> None:
+        """A seat has done its step; one whose episode ends leaves the street, but was in it at the tick's end."""
+        if self._now is None:
+            self._begin(world, policy)
+        if not self._said:
+            self._maker.look(world)
+            self._now = world.snapshot
+        alone = step.info["events"].step <= self._piece.block.episodes[seat].handover_step
+        asked, given = step.info["asked"], step.info["given"]
+        unsafe = list[int]() if isinstance(policy, TellsUnsafe) else None
+        if isinstance(policy, TellsUnsafe) and not alone:
+            unsafe = policy.unsafe.nonzero()[0].tolist()
+        self._said[seat] = TickSays(
+            stick=xy_of(asked),
+            commanded=xy_of(given),
+            unsafe=unsafe,
+            warning=isinstance(policy, Warns) and policy.warning and not alone,
+            intervening=not alone and is_intervention(asked, given),
+            alone=alone,
+            unaided=self._piece.policy == UNAIDED,
+        )
+        if self._now is not None and seat == self._now.clients[-1].seat:
+            self._say(self._maker.frame(self._now, self._said))
+            self._said = {}
+
+    def ended(self, seat: int, world: World) -> None:
+        """Its chair leaves the street; it was in the frame of this tick."""
+
+    def _begin(self, world: World, policy: Policy) -> None:
+        block, piece = self._piece.block, self._piece
+        self._say(
+            FilmAbout(
+                title=f"{self._suite} block {piece.index}, {block.part}, {block.town}: {piece.policy}",
+                town=world.town.address,
+                tick_s=world.config.world.tick_s,
+                camera=self._config.cameras[0].model_dump_json(),
+                actions=self._config.env.actions,
+                unknown=list(NOT_IN_EPISODES),
+                tells_unsafe=isinstance(policy, TellsUnsafe),
+                warns=isinstance(policy, Warns),
+                tells_who=True,
+            )
+        )
+        names = {seat: f"{seat}: {Path(episode.profile).stem}" for seat, episode in enumerate(block.episodes)}
+        self._say(FilmNames(names=names))
