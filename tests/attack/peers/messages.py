@@ -118,7 +118,7 @@ class Besieged:
 
     def _bounded(self) -> bool:
         roll = self.core.cycle.roll
-        lists = (roll.retired, roll.strangers)
+        lists = (roll.retired, roll.forgotten)
         return not roll.pending and all(len(item) <= REMEMBERED and all(len(s) == 16 for s in item) for item in lists)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.barrier import Barrier
 from wcsim.server.protocol.client_core import ClientCore, ClientPhase, Outcome
-from wcsim.server.protocol.events import BarrierState, Rules
+from wcsim.server.protocol.events import BarrierState, Lost, Rules
 from wcsim.server.protocol.members import Member
 from wcsim.server.protocol.server_core import ServerCore
 
@@ -15,6 +15,29 @@ class AnyTick(ServerCore):
 
     def _is_now(self, member: Member, epoch: int, tick: int, life: int) -> bool:
         return True
+
+
+class ForgetsTheCut(ServerCore):
+    """Knows the session of a lost connection still."""
+
+    def _lose(self, lost: Lost, now_s: float) -> None:
+        if not lost.may_return:
+            super()._lose(lost, now_s)
+
+
+class EvictsTheCut(ServerCore):
+    """Takes the client of a lost connection for one that is to hear of it."""
+
+    def _lose(self, lost: Lost, now_s: float) -> None:
+        super()._lose(Lost(lost.session), now_s)
+
+
+class BeginsTheCutAnew(ServerCore):
+    """Gives a session of a lost connection another chair."""
+
+    def _lose(self, lost: Lost, now_s: float) -> None:
+        super()._lose(lost, now_s)
+        self.cycle.roll.forgotten.clear()
 
 
 class _TooEarly(Barrier):
@@ -74,6 +97,23 @@ class _NotLookedAtAgain(Barrier):
             super().advance(now_s)
 
 
+class _EndsUnseen(Barrier):
+    """Ends its epoch when the world has reached the last tick."""
+
+    def commit(self, tick: int, now_s: float, step_s: float = 0.0) -> None:
+        super().commit(tick, now_s, step_s)
+        if tick == self.last_tick:
+            self.stage = BarrierState.EPOCH_OVER
+
+
+class _KeepsChairs(Barrier):
+    """Does not dismiss who has left, where no step follows."""
+
+    def dismiss(self) -> None:
+        if self.tick != self.last_tick or self.late() or not self.roll.members:
+            super().dismiss()
+
+
 def _server(kind: type[Barrier]) -> type[ServerCore]:
     """A server whose cycle has a fault."""
 
@@ -87,6 +127,7 @@ def _server(kind: type[Barrier]) -> type[ServerCore]:
 
 TooEarly, LosesAnAction, StepsTwice = map(_server, (_TooEarly, _LosesAnAction, _StepsTwice))
 NoLease, NoHeir, NotLookedAtAgain = map(_server, (_NoLease, _NoHeir, _NotLookedAtAgain))
+EndsUnseen, KeepsChairs = map(_server, (_EndsUnseen, _KeepsChairs))
 
 
 class ShowsAnyFrame(ClientCore):
@@ -96,6 +137,15 @@ class ShowsAnyFrame(ClientCore):
         if self.phase in (ClientPhase.THINK, ClientPhase.WAIT_TICK, ClientPhase.WAIT_SENSORS):
             return self._seen(frame)
         return super()._frame(frame)
+
+
+class SaysNoCut(ClientCore):
+    """Goes on in another chair without a word."""
+
+    def _welcomed(self, welcome: m.Welcome) -> list[Outcome]:
+        told = super()._welcomed(welcome)
+        self._restarted = ""
+        return told
 
 
 class NeverAsksAgain(ClientCore):

@@ -6,6 +6,7 @@ All times are 0 after every event. Time passes by events of its own, in which th
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable
+from dataclasses import replace
 
 from tests.server.model.scope import Scope
 from wcsim.server.protocol import messages as m
@@ -39,14 +40,16 @@ class Servers:
     """All states that a server core was in."""
 
     def __init__(self, scope: Scope) -> None:
-        self.rules, self._make = rules(scope), scope.server
+        self._scope = scope
         self.cores: list[ServerCore] = []
         self._ids: dict[Hashable, int] = {}
         self._done: dict[Hashable, tuple[int, tuple[Effect, ...]]] = {}
 
-    def new(self, epoch: int = 0) -> int:
+    def new(self, epoch: int, expected: int) -> int:
         """A server that has just begun."""
-        return self._number(self._make(self.rules, epoch))
+        core = self._scope.server(replace(rules(self._scope), expected=expected), epoch)
+        core.cycle.last_tick = self._scope.ends_at if epoch == 0 else None
+        return self._number(core)
 
     def handle(self, state: int, event: Event) -> tuple[int, tuple[Effect, ...]]:
         """What follows from an event, at once."""
@@ -90,12 +93,14 @@ class Servers:
             cycle.epoch,
             cycle.tick,
             cycle.gathering,
+            cycle.rules.expected,
             cycle._gather_s is None,
             tuple((x.seat, x.session, x.peer, x.claim) for x in cycle.roll.members),
             tuple((x.life, x.action, x.respawning) for x in cycle.roll.members),
             tuple((p.seat, p.session, p.peer, p.claim) for p in cycle.roll.pending),
             tuple(sorted(cycle.roll.going)),
             tuple(sorted(set(cycle.roll.retired))),
+            tuple(sorted(set(cycle.roll.forgotten))),
         )
         number = self._ids.setdefault(key, len(self.cores))
         if number == len(self.cores):

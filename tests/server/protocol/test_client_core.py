@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from itertools import count
 
+import msgspec
 import pytest
 
 from wcsim.errors import BadActionError, ProtocolError, WcsimError
@@ -138,10 +139,11 @@ def test_a_step_that_is_left_out_or_comes_uncalled_ends_the_client() -> None:
         assert core.phase is ClientPhase.GONE
 
 
-def test_a_join_that_was_lost_before_a_beat_is_said_again() -> None:
+def test_a_session_that_is_not_known_when_it_joins_is_left_for_a_new_one() -> None:
     core = client()
     (join,) = said(core.join(0.0))
-    assert said(core.handle(failure(core, "StaleSessionError"), 1.0)) == [join]
+    (again,) = said(core.handle(failure(core, "StaleSessionError"), 1.0))
+    assert again == msgspec.structs.replace(join, session=core.session) != join
     assert core.phase is ClientPhase.JOINING
 
 

@@ -7,13 +7,16 @@ from dataclasses import replace
 import pytest
 
 from tests.server.model import bugs
-from tests.server.model.scope import Budget, Scope
+from tests.server.model.scope import Budget, Notice, Scope
 from tests.server.model.search import Report, Search
 
 QUICK = {
     "no fault": Scope(budget=Budget()),
     "crash": Scope(budget=Budget(crash=1), last_tick=1),
-    "crash, noticed by leases": Scope(budget=Budget(crash=1), last_tick=1, remote=True),
+    "crash, noticed by leases": Scope(budget=Budget(crash=1), last_tick=1, notice=Notice.LEASE),
+    "crash, noticed by its connection": Scope(budget=Budget(crash=1), last_tick=1, notice=Notice.CONNECTION),
+    "connection lost, and that told": Scope(budget=Budget(cut=1), last_tick=1, notice=Notice.CONNECTION),
+    "end of an epoch": Scope(budget=Budget(), last_tick=1, ends_at=1),
     "hang and wake": Scope(budget=Budget(hang=1, wake=1), last_tick=1),
     "suspicion": Scope(budget=Budget(suspect=1), last_tick=1),
     "twice": Scope(budget=Budget(duplicate=1), split_step=True),
@@ -35,12 +38,29 @@ FULL = {
     "new epoch and connection": Scope(budget=Budget(world=1, cut=1), last_tick=1),
     "lost and suspicion": Scope(budget=Budget(lose=1, suspect=1), last_tick=1),
     "respawn and rebuild": Scope(budget=Budget(respawn=1, rebuild=1, cut=1), last_tick=1),
-    "leases alone": Scope(budget=Budget(crash=1, suspect=1), remote=True, last_tick=1),
+    "leases alone": Scope(budget=Budget(crash=1, suspect=1), notice=Notice.LEASE, last_tick=1),
     "new epoch, and a message lost": Scope(budget=Budget(world=1, lose=1), last_tick=1),
+    "two connections": Scope(budget=Budget(cut=2), last_tick=1, notice=Notice.CONNECTION),
+    "connection and crash": Scope(budget=Budget(cut=1, crash=1), last_tick=1, notice=Notice.CONNECTION),
+    "end of an epoch and connection": Scope(budget=Budget(cut=1), last_tick=1, ends_at=1, notice=Notice.CONNECTION),
+    "end of an epoch and of its world": Scope(budget=Budget(world=1), last_tick=1, ends_at=1),
+    "end of an epoch and leave": Scope(budget=Budget(leave=1), last_tick=1, ends_at=1),
     "three clients": Scope(budget=Budget(), clients=3, capacity=3, starts=1, last_tick=1),
 }
 
+CUT = Scope(budget=Budget(cut=1), notice=Notice.CONNECTION)
+DEAD = replace(CUT, budget=Budget(crash=1), starts=1)
+ENDS = Scope(budget=Budget(leave=1), ends_at=1)
+
 BUGS = {
+    "a lost connection forgotten": (replace(DEAD, server=bugs.ForgetsTheCut), "no way on"),
+    "barrier not looked at again for a connection": (replace(DEAD, server=bugs.NotLookedAtAgain), "no way on"),
+    "who was cut off is evicted": (replace(CUT, server=bugs.EvictsTheCut), "the driver gets EvictedError"),
+    "one session for two chairs": (replace(CUT, server=bugs.BeginsTheCutAnew), "frame"),
+    "a cut without a word": (replace(CUT, client=bugs.SaysNoCut), "frame"),
+    "an epoch that ends before its last tick is seen": (replace(ENDS, server=bugs.EndsUnseen), "the epoch ends at"),
+    "a chair left over at the end of an epoch": (replace(ENDS, server=bugs.KeepsChairs), "the epoch ends with"),
+    "an end of an epoch without a word": (replace(ENDS, client=bugs.SaysNoCut), "frame"),
     "a tick before the barrier is full": (Scope(budget=Budget(), server=bugs.TooEarly), "step"),
     "an action lost": (Scope(budget=Budget(), server=bugs.LosesAnAction), "step"),
     "a double step": (Scope(budget=Budget(), server=bugs.StepsTwice), "step twice"),

@@ -254,6 +254,15 @@ def test_a_lost_session_that_nobody_knows_is_refused_when_it_joins_late() -> Non
     assert failure(desk.say(1, join_of(1)))[0] == "EvictedError"
 
 
+def test_who_was_cut_off_joins_again_under_another_session_and_is_not_told_that_it_was_dropped() -> None:
+    desk = Desk()
+    assert desk.feed(Lost(session_of(1), may_return=True)) == []
+    for late in (m.Act(session_of(1), 0, 0, 0, 0.5, 0.0), join_of(1)):
+        assert failure(desk.say(1, late))[0] == "StaleSessionError"
+    desk.say(1, join_of(1, session=session_of(7)))
+    assert only(desk.step(), m.Welcome, peer=1).seat == 1
+
+
 def test_the_end() -> None:
     desk = Desk()
     assert [e.message for e in desk.feed(Stop("enough")) if isinstance(e, Send)] == [
@@ -318,9 +327,9 @@ class AnyRequests(RuleBasedStateMachine):
         )
         self.feed(Received(b"p", requests[kind]))
 
-    @rule(session=SESSIONS)
-    def lose(self, session: bytes) -> None:
-        self.feed(Lost(session))
+    @rule(session=SESSIONS, may_return=st.booleans())
+    def lose(self, session: bytes, may_return: bool) -> None:
+        self.feed(Lost(session, may_return=may_return))
 
     @rule(seconds=st.sampled_from([0.5, 6.0, 60.0]))
     def wait(self, seconds: float) -> None:

@@ -137,12 +137,12 @@ class Barrier:
         """Give a client up; should it live, it hears of it."""
         told = EvictedError(f"the server dropped this client: {reason}")
         self.send(member.peer, m.failure_of(told, member.session))
+        self.roll.retire(member.session)
         self.remove(member, reason, now_s)
 
     def remove(self, member: Member, reason: str, now_s: float) -> None:
         """Take a member off the roll, and look at the barrier again: the others may owe nothing."""
         self.roll.members.remove(member)
-        self.roll.retire(member.session)
         self.roll.going[member.seat] = reason
         if self.stage is ev.BarrierState.STEPPING:
             return

@@ -319,8 +319,7 @@ class ClientCore:
             return []
         if failure.error == StaleSessionError.__name__:
             # Another server than the one that this client joined; a driver that thinks hears of it when it acts.
-            # While it joins, its join was lost, but not what it said after it.
-            return self._knock(now_s, again=self.phase is ClientPhase.JOINING) if self.waiting else []
+            return self._knock(now_s) if self.waiting else []
         if failure.error == StaleTickError.__name__:
             return []  # a request that came late once more: who is a member is never two ticks behind
         if failure.error == NotMasterError.__name__ and not isinstance(self.pending, m.Rebuild):

@@ -44,8 +44,8 @@ class Roster:
     pending: list[Member] = field(default_factory=list)  # replaced, never changed
     going: dict[int, str] = field(default_factory=dict)  # reason by seat
     retired: deque[bytes] = field(default_factory=lambda: deque(maxlen=REMEMBERED))
-    strangers: deque[bytes] = field(default_factory=lambda: deque(maxlen=REMEMBERED))
-    """Sessions that left before they joined. A list of its own, so that strangers cannot flush the one above."""
+    forgotten: deque[bytes] = field(default_factory=lambda: deque(maxlen=REMEMBERED))
+    """Sessions that were cut off, or left before they joined: so strangers cannot flush the list above."""
 
     def member(self, session: bytes) -> Member | None:
         """The member of this session."""
@@ -94,14 +94,10 @@ class Roster:
         if session and session not in self.retired:
             self.retired.append(session)
 
-    def never_came(self, session: bytes) -> None:
-        """Remember a session that is over before it began, so that a join that comes late finds nobody at home."""
-        if session not in self.strangers:
-            self.strangers.append(session)
-
-    def is_over(self, session: bytes) -> bool:
-        """Whether nothing can come of this session any more."""
-        return session in self.retired or session in self.strangers
+    def forget(self, session: bytes) -> None:
+        """Remember a session that nobody is to know, so that a join of it that comes late finds nobody at home."""
+        if session not in self.forgotten:
+            self.forgotten.append(session)
 
     def copied(self) -> Roster:
         """A copy that shares nothing that changes."""
@@ -110,5 +106,5 @@ class Roster:
             list(self.pending),
             dict(self.going),
             deque(self.retired, maxlen=REMEMBERED),
-            deque(self.strangers, maxlen=REMEMBERED),
+            deque(self.forgotten, maxlen=REMEMBERED),
         )

@@ -42,8 +42,10 @@ def admission(join: m.Join, rules: ev.Rules, roll: Roster) -> int | WcsimError:
     fault = _unfit(join, rules)
     if fault is not None:
         return fault
-    if roll.is_over(join.session):
+    if join.session in roll.retired:
         return EvictedError("this session is over; join with a new one")
+    if join.session in roll.forgotten:
+        return StaleSessionError("the server does not know this session any more; join with a new one")
     if join.seat == m.ANY_SEAT:
         own = roll.claimed(join.claim)
         return _free_seat(rules, roll) if own is None else own
@@ -174,12 +176,16 @@ class ServerCore:
         roll, session = self.cycle.roll, lost.session
         roll.pending = [p for p in roll.pending if p.session != session]
         member = roll.member(session)
-        if member is not None:
-            self.cycle.evict(member, lost.reason, now_s)
-        elif session not in roll.retired:
+        if not lost.may_return:
+            if member is not None:
+                self.cycle.evict(member, lost.reason, now_s)
             roll.retire(session)  # its join may still be on its way
-        if lost.may_return and session in roll.retired:
-            roll.retired.remove(session)  # a session that is not known is begun anew, one that is over is not
+        else:
+            # It may have spoken through another connection since: so it hears that it is not known, and joins again,
+            # but with a new session. Frames of two chairs could else be on their way to it under the same one.
+            roll.forget(session)
+            if member is not None:
+                self.cycle.remove(member, lost.reason, now_s)
 
     # --- what members say ---
 
@@ -211,6 +217,7 @@ class ServerCore:
                 member.progress = max(member.progress, message.progress)
             case m.Leave():
                 self.cycle.send(member.peer, m.Bye(member.session))
+                self.cycle.roll.retire(member.session)
                 self.cycle.remove(member, "left", now_s)
 
     def _answer_stranger(self, peer: ev.Peer, message: m.Request) -> None:
@@ -221,7 +228,7 @@ class ServerCore:
             if waits:
                 roll.retire(session)
             elif session not in roll.retired:
-                roll.never_came(session)
+                roll.forget(session)
             self.cycle.send(peer, m.Bye(session))
         elif roll.waiting(session) is None:
             error: WcsimError = StaleSessionError(
