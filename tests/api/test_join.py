@@ -16,7 +16,7 @@ from wcsim.agents.envs.episode_view import Chair
 from wcsim.agents.envs.wheelchair_env import WheelchairEnv
 from wcsim.config import resolve
 from wcsim.errors import ConfigMismatchError, EvictedError, LinkError, NotMasterError, ProtocolError, ServerGoneError
-from wcsim.server.host.opening import made_world
+from wcsim.server.host.opening import street_world
 from wcsim.server.links import socket
 from wcsim.server.protocol.client_core import Patience
 from wcsim.server.protocol.events import Lost, Rules
@@ -42,7 +42,7 @@ def hall(corner: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
 
     def make(seats: int, expected: int) -> LocalServer:
         order = WorldOrder(town=str(corner), config=CONFIG, seed=4, seats=seats)
-        open_now.append(LocalServer(made_world(order), seats, expected))
+        open_now.append(LocalServer(street_world(order, (None,) * order.seats, order.seed), seats, expected))
         return open_now[-1]
 
     monkeypatch.setattr(socket, "SocketSeat", opened)

@@ -8,11 +8,11 @@ import time
 from collections.abc import Callable
 
 from tests.attack.peers.peers import a_join
-from wcsim.server.host.process import PeerLimits, at_the_door
+from wcsim.server.host.process import _at_the_door, _PeerLimits
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.events import Rules
 from wcsim.server.protocol.members import Roster
-from wcsim.server.protocol.server_core import admission
+from wcsim.server.protocol.server_core import _admission
 
 SESSION = b"s" * m.SESSION_BYTES
 TIMES = 20_000
@@ -31,7 +31,7 @@ def us(do: Callable[[], object]) -> float:
 
 def main() -> None:
     """Print a row a kind of message."""
-    peers, rules, roll, join = PeerLimits(), Rules(capacity=4), Roster(), a_join(name="ann")
+    peers, rules, roll, join = _PeerLimits(), Rules(capacity=4), Roster(), a_join(name="ann")
     said: tuple[m.Request, ...] = (
         m.Act(SESSION, 1, 2, 0, 0.5, 0.5), m.Beat(SESSION, 3), m.Leave(SESSION), join
     )  # fmt: skip
@@ -41,8 +41,8 @@ def main() -> None:
     for message in said:
         data = m.encode(message)
         write(f"{type(message).__name__}: read and checked in {us(lambda data=data: m.decode_request(data)):.2f} us\n")
-    write(f"Join at the door: {us(lambda: at_the_door(join, True, 'ann')):.2f} us\n")
-    write(f"Join, admitted or not: {us(lambda: admission(join, rules, roll, (0, 0))):.2f} us\n")
+    write(f"Join at the door: {us(lambda: _at_the_door(join, True, 'ann')):.2f} us\n")
+    write(f"Join, admitted or not: {us(lambda: _admission(join, rules, roll)):.2f} us\n")
 
 
 if __name__ == "__main__":

@@ -16,7 +16,7 @@ from tests.attack.outcomes import Case
 from tests.attack.peers.wire import each_field, shapes, spoilt
 from tests.support.worlds import quick_config
 from wcsim.server.host.opening import Opened
-from wcsim.server.host.process import Lifelines, PeerLimits, _ServerLoop
+from wcsim.server.host.process import _Lifelines, _PeerLimits, _ServerLoop
 from wcsim.server.host.status import Reporter
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.events import Rules
@@ -70,7 +70,7 @@ class Besieged:
         world = FakeWorld(WorldOrder(town="x", config=config, seed=1), (None,) * capacity, 1)
         self.core = ServerCore(rules)
         self.doors = _Doors()
-        self._lifelines = Lifelines()
+        self._lifelines = _Lifelines()
         opened = Opened(world=world, core=self.core, journal=None)
         self.loop = _ServerLoop(order, opened, self.doors, self._lifelines, Reporter(-1))  # type: ignore[arg-type]
         self.world = world
@@ -86,7 +86,7 @@ class Besieged:
         """Say one hostile message; whether the honest client then drives on, through exactly one tick."""
         self._said += 1
         if self._said % 1000 == 0:  # no client sends as many messages a second as the honest one here
-            self.loop._peers = PeerLimits()
+            self.loop._peers = _PeerLimits()
         peer = (REMOTE if self._said % 2 else LOCAL) + b"evil-%d" % (self._said // 10)
         self.doors.sent.clear()
         self.say(peer, data)

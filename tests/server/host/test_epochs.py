@@ -19,8 +19,8 @@ from wcsim.config import resolve
 from wcsim.log.reader import inputs_of_part, iter_inputs, log_digest, part_files, put_aside, read_header
 from wcsim.log.records import Admitted, Dismissed, Ended, EpochBegun
 from wcsim.log.writer import JOURNAL
-from wcsim.server.host.epoch_cap import EPOCH_OVER, SETTLED_TICKS, EpochCap
-from wcsim.server.host.opening import epoch_seed, open_server
+from wcsim.server.host.opening import EPOCH_OVER, _epoch_seed, open_server
+from wcsim.server.host.process import SETTLED_TICKS, _EpochCap
 from wcsim.server.launch.states import WorldExit
 from wcsim.server.ledger import iter_ledger
 from wcsim.server.links.socket import SocketSeat
@@ -130,7 +130,7 @@ def test_a_world_that_ended_while_it_was_made_leaves_its_epoch_to_the_next_one(t
     opened.journal.close()
     assert (opened.core.cycle.epoch, opened.core.cycle.rules.expected) == (1, 2)
     begun = [(record.epoch, record.seed) for record in iter_inputs(path) if isinstance(record, EpochBegun)]
-    assert begun == [(epoch, epoch_seed(order.seed, epoch)) for epoch in (0, 1)] and len(part_files(path)) == 2
+    assert begun == [(epoch, _epoch_seed(order.seed, epoch)) for epoch in (0, 1)] and len(part_files(path)) == 2
 
 
 def test_who_leaves_at_the_last_tick_of_an_epoch_is_not_waited_for_in_the_next_one(tmp_path):
@@ -157,10 +157,10 @@ def full_at(cycle, tick):
 
 def test_an_epoch_ends_early_when_its_process_has_grown(tmp_path, monkeypatch):
     sizes = iter((500.0, 1400.0, 1600.0))
-    monkeypatch.setattr("wcsim.server.host.epoch_cap.rss_mb", lambda: next(sizes))
+    monkeypatch.setattr("wcsim.server.host.process.rss_mb", lambda: next(sizes))
     order = replace(stand_in_order(tmp_path, run=str(tmp_path)), epoch_ticks=6000)
     cycle = ServerCore(BOTH).cycle
-    cap = EpochCap(order, cycle)
+    cap = _EpochCap(order, cycle)
     cycle.tick = SETTLED_TICKS - 1
     cap.weigh()
     for grown in (False, False, True):
@@ -173,6 +173,6 @@ def test_an_epoch_ends_early_when_its_process_has_grown(tmp_path, monkeypatch):
 @pytest.mark.parametrize(("ends", "tick", "over"), [(6000, 5999, False), (6000, 6000, True), (0, 6000, False)])
 def test_an_epoch_ends_at_a_full_barrier_of_its_last_tick_where_somebody_goes_on(tmp_path, ends, tick, over):
     cycle = ServerCore(BOTH).cycle
-    cap = EpochCap(replace(stand_in_order(tmp_path, run=str(tmp_path)), epoch_ticks=ends), cycle)
+    cap = _EpochCap(replace(stand_in_order(tmp_path, run=str(tmp_path)), epoch_ticks=ends), cycle)
     assert not cap.reached, "somebody has not seen its last tick yet"
     assert full_at(cycle, tick) == bool(cap.reached) == over

@@ -336,7 +336,7 @@ class DriveServer:
         )
         await runner.setup()
         if runner.server is not None:
-            runner.server.request_factory = partial(runner.server.request_factory, _cls=_Request)
+            runner.server.request_factory = partial(app._make_request, _cls=_Request)
         try:
             await _listen_at(runner, self._host, self._port)
             self._say(f"{self._start.word} at {self._address(runner)}  (Ctrl-C to stop)")

@@ -18,13 +18,15 @@ from wcsim.errors import ConfigError
 from wcsim.log.reader import inputs_of_part, part_files, put_aside, read_header
 from wcsim.log.records import Ended, EpochBegun, Header
 from wcsim.log.writer import JOURNAL, LogWriter, told_torn
-from wcsim.server.host.epoch_cap import EPOCH_OVER
 from wcsim.server.launch.event_log import RunLog
 from wcsim.server.protocol.events import Rules
 from wcsim.server.protocol.server_core import ServerCore
 from wcsim.server.specs import WorldOrder, WorldSpec, town_of_epoch
 from wcsim.towns.making.asked_town import asked_town
 from wcsim.towns.scenario.town import towns_hash
+
+EPOCH_OVER = "the world generation is over"
+"""How the reason begins by which a world's process ends for another one to go on with the next epoch."""
 
 
 class MakesWorld(Protocol[W_co]):
@@ -34,18 +36,13 @@ class MakesWorld(Protocol[W_co]):
         """A world with a chair for each of `specs` that is not None; `epoch` is the number of its first epoch."""
 
 
-def made_world(order: WorldOrder) -> World:
-    """A world with free seats."""
-    return street_world(order, (None,) * order.seats, order.seed)
-
-
 def street_world(order: WorldOrder, specs: Specs, seed: int, *, epoch: int = 0) -> World:
     """The world of a town; see `MakesWorld`. Raises TownError for one that is not there, and what `World` raises."""
     town = asked_town(town_of_epoch(order.town, order.more_towns, epoch))
     return World(town, order.config, specs, seed, order.place, epoch=epoch)
 
 
-def epoch_seed(seed: int, epoch: int) -> int:
+def _epoch_seed(seed: int, epoch: int) -> int:
     """The seed of an epoch: the run's own for the first one."""
     return seed if epoch == 0 else seeding.derive(seed, "epoch", epoch)
 
@@ -105,7 +102,7 @@ def _begun(order: WorldSpec, make: MakesWorld[SeatWorld], journal: LogWriter, ep
     """A fresh world, all seats free."""
     try:
         world = _fresh(order, make, epoch)
-        journal.append(EpochBegun(epoch=epoch, seed=epoch_seed(order.seed, epoch), fresh=True))
+        journal.append(EpochBegun(epoch=epoch, seed=_epoch_seed(order.seed, epoch), fresh=True))
     except BaseException:
         journal.close()
         raise
@@ -121,7 +118,7 @@ def _appended(path: Path) -> LogWriter:
 
 
 def _fresh(order: WorldSpec, make: MakesWorld[SeatWorld], epoch: int) -> SeatWorld:
-    return make(order, (None,) * order.rules.capacity, epoch_seed(order.seed, epoch), epoch=epoch)
+    return make(order, (None,) * order.rules.capacity, _epoch_seed(order.seed, epoch), epoch=epoch)
 
 
 def _header(order: WorldSpec, has_town: bool) -> Header:

@@ -25,12 +25,12 @@ _STEPS = 100  # for the median
 _RATES = 20  # reports that the rate is taken over
 
 
-class Stragglers:
+class _Stragglers:
     """For whom the others wait: not who is late now, but how much of everybody's waiting each one has caused.
 
     Adds up time in which some members had acted and others had not; a moment's late ones share it evenly.
 
-    >>> holdups = Stragglers()
+    >>> holdups = _Stragglers()
     >>> holdups.saw(("a", "b"), ("a", "b"), 0.0)  # nobody waits yet
     >>> holdups.saw(("a", "b"), ("b",), 1.0)  # a has acted
     >>> holdups.saw(("a", "b"), (), 3.5)  # b too
@@ -105,7 +105,7 @@ class Reporter:
         self._said_s = -_EVERY_S
         self._steps_s: deque[float] = deque(maxlen=_STEPS)
         self._counts: deque[tuple[float, int]] = deque(maxlen=_RATES)
-        self._holdups = Stragglers()
+        self._holdups = _Stragglers()
         if pipe >= 0:
             os.set_blocking(pipe, False)
 

@@ -37,7 +37,7 @@ from wcsim.types.bounds import MOST_STEPS
 from wcsim.users.profiles import is_of_file, profile_names
 
 
-def admission(join: m.Join, rules: ev.Rules, roll: Roster) -> int | WcsimError:
+def _admission(join: m.Join, rules: ev.Rules, roll: Roster) -> int | WcsimError:
     """The seat that a client gets, or the error that says why it gets none."""
     fault = _unfit(join, rules)
     if fault is not None:
@@ -144,7 +144,7 @@ class ServerCore:
             error = SeatTakenError("this connection already has a seat; use one connection per client")
             self.cycle.send(peer, m.failure_of(error, join.session))
             return
-        found = admission(join, self.cycle.rules, roll)
+        found = _admission(join, self.cycle.rules, roll)
         if isinstance(found, int):
             self._let_in(peer, join, found, now_s)
         else:

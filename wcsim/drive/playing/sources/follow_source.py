@@ -20,7 +20,7 @@ from wcsim.drive.playing.sources.replay_source import RecordScene, replay_about
 from wcsim.log.reader import LogTail
 from wcsim.log.records import Ended, EpochBegun, Header, Input, Ticked
 from wcsim.log.writer import JOURNAL
-from wcsim.server.host.epoch_cap import EPOCH_OVER
+from wcsim.server.host.opening import EPOCH_OVER
 
 SKIPS_TICKS: Final = 100  # a newer epoch is gone over to at once where more ticks than this are left of the old one
 _MOST_WAITING: Final = 200_000  # records
