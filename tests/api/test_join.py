@@ -186,7 +186,7 @@ def test_closing_leaves_and_the_others_go_on(pair):
     server, master, env, _ = pair
     both(master, env)
     env.close()
-    assert [member.name for member in server.hub.core.cycle.roll.by_seat()] == ["master"]
+    assert [member.name for member in server.hub.core.roll.by_seat()] == ["master"]
     assert master.act(master.core.tick, AHEAD).tick == 2
     with pytest.raises(ProtocolError, match="call reset"):
         env.step(40)
@@ -198,7 +198,7 @@ def test_a_world_with_other_cameras_is_refused(hall):
     with pytest.raises(ConfigMismatchError, match="use its configuration"):
         env.reset()
     env.close()
-    assert server.hub.core.cycle.roll.by_seat() == []
+    assert server.hub.core.roll.by_seat() == []
 
 
 def test_a_world_that_is_killed_and_comes_back_cuts_the_episode(tmp_path):

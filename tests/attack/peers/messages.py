@@ -103,21 +103,20 @@ class Besieged:
 
     def _send_home(self) -> None:
         """Seats that the attacker got are given back, as when its lease is over."""
-        for entry in [*self.core.cycle.roll.members, *self.core.cycle.roll.pending]:
+        for entry in [*self.core.roll.members, *self.core.roll.pending]:
             if entry.session != SESSION:
                 self.say(entry.peer, m.encode(m.Leave(entry.session)))
 
     def _honest_step(self) -> bool:
-        cycle = self.core.cycle
-        mine = cycle.roll.member(SESSION)
-        if mine is None or [entry.seat for entry in cycle.roll.members] != [0]:
+        mine = self.core.roll.member(SESSION)
+        if mine is None or [entry.seat for entry in self.core.roll.members] != [0]:
             return False
         before = self.world.snapshot.tick
-        self.say(HONEST, m.encode(m.Act(SESSION, cycle.epoch, cycle.tick, mine.life, 0.5, 0.5)))
-        return self.world.snapshot.tick == before + 1 == cycle.tick
+        self.say(HONEST, m.encode(m.Act(SESSION, self.core.epoch, self.core.tick, mine.life, 0.5, 0.5)))
+        return self.world.snapshot.tick == before + 1 == self.core.tick
 
     def _bounded(self) -> bool:
-        roll = self.core.cycle.roll
+        roll = self.core.roll
         lists = (roll.retired, roll.forgotten)
         return not roll.pending and all(len(item) <= REMEMBERED and all(len(s) == 16 for s in item) for item in lists)
 
@@ -129,8 +128,7 @@ def siege_cases(count: int, seed: int, work: Path) -> Iterator[Case]:
     try:
         for number in range(count):
             rng = np.random.default_rng((seed, number))
-            cycle = siege.core.cycle
-            data = hostile_request(kinds, rng, cycle.epoch, cycle.tick)
+            data = hostile_request(kinds, rng, siege.core.epoch, siege.core.tick)
             yield Case(area="server", name=f"{seed} {number}: {data[:60]!r}", feed=lambda data=data: siege.attack(data))
     finally:
         siege.close()

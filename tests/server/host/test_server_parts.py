@@ -197,8 +197,8 @@ def test_a_world_that_died_before_its_first_epoch_waits_for_all_as_a_new_one_doe
     again = replace(order, run=str(tmp_path / "died"))
     for epoch, expected, gather_s in ((0, 2, 20.0), (1, 1, REGATHER_S)):
         opened = open_server(again, FakeWorld)
-        rules = opened.core.cycle.rules
-        assert (opened.core.cycle.epoch, rules.expected, rules.gather_s) == (epoch, expected, gather_s)
+        rules = opened.core.rules
+        assert (opened.core.epoch, rules.expected, rules.gather_s) == (epoch, expected, gather_s)
         assert opened.journal is not None
         opened.journal.close()
 
@@ -213,4 +213,4 @@ def test_the_first_world_of_a_launch_waits_for_all_who_load_whatever_its_journal
     resumed = open_server(replace(order, begins=True), FakeWorld)
     assert resumed.journal is not None
     resumed.journal.close()
-    assert (resumed.core.cycle.epoch, resumed.core.cycle.rules) == (1, order.rules)
+    assert (resumed.core.epoch, resumed.core.rules) == (1, order.rules)

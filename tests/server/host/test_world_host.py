@@ -51,7 +51,7 @@ def test_a_world_that_is_not_begun_again_does_not_say_that_it_loads():
     hub.feed(Received(b"p", m.Rebuild(join().session, 0, -1)), 0.0)
     assert not said
     hub.feed(Received(b"p", m.Rebuild(join().session, 0, 3)), 0.0)
-    assert said == [True] and hub.core.cycle.epoch == 1
+    assert said == [True] and hub.core.epoch == 1
 
 
 def test_a_user_that_does_not_exist_gets_no_seat():
@@ -60,4 +60,4 @@ def test_a_user_that_does_not_exist_gets_no_seat():
     hub.feed(Received(b"p", join(profile="drunk")), 0.0)
     (failure,) = posted
     assert failure.error == "ConfigError" and "drunk" in failure.message
-    assert not hub.core.cycle.roll.members and not hub.core.cycle.roll.pending
+    assert not hub.core.roll.members and not hub.core.roll.pending

@@ -48,7 +48,7 @@ class Servers:
     def new(self, epoch: int, expected: int) -> int:
         """A server that has just begun."""
         core = self._scope.server(replace(rules(self._scope), expected=expected), epoch)
-        core.cycle.last_tick = self._scope.ends_at if epoch == 0 else None
+        core.last_tick = self._scope.ends_at if epoch == 0 else None
         return self._number(core)
 
     def handle(self, state: int, event: Event) -> tuple[int, tuple[Effect, ...]]:
@@ -59,9 +59,9 @@ class Servers:
         """The lease of one seat ends; all others are heard of in time."""
 
         def pass_time(core: ServerCore) -> list[Effect]:
-            for mate in core.cycle.roll.members:
+            for mate in core.roll.members:
                 mate.heard_s = mate.asked_s = 0.0 if mate.seat == seat else LATER_S
-            core.cycle._told_s = LATER_S
+            core._told_s = LATER_S
             return core.handle(Clock(), LATER_S)
 
         return self._memo((state, "overdue", seat), state, pass_time)
@@ -70,7 +70,7 @@ class Servers:
         """The time for gathering is over."""
 
         def pass_time(core: ServerCore) -> list[Effect]:
-            core.cycle._told_s = 30.0
+            core._told_s = 30.0
             return core.handle(Clock(), 30.0)
 
         return self._memo((state, "gather"), state, pass_time)
@@ -86,21 +86,20 @@ class Servers:
         return found
 
     def _number(self, core: ServerCore) -> int:
-        cycle = core.cycle
         _timeless(core)
         key = (
-            cycle.stage,
-            cycle.epoch,
-            cycle.tick,
-            cycle.gathering,
-            cycle.rules.expected,
-            cycle._gather_s is None,
-            tuple((x.seat, x.session, x.peer, x.claim) for x in cycle.roll.members),
-            tuple((x.life, x.action, x.respawning) for x in cycle.roll.members),
-            tuple((p.seat, p.session, p.peer, p.claim) for p in cycle.roll.pending),
-            tuple(sorted(cycle.roll.going)),
-            tuple(sorted(set(cycle.roll.retired))),
-            tuple(sorted(set(cycle.roll.forgotten))),
+            core.stage,
+            core.epoch,
+            core.tick,
+            core.gathering,
+            core.rules.expected,
+            core._gather_s is None,
+            tuple((x.seat, x.session, x.peer, x.claim) for x in core.roll.members),
+            tuple((x.life, x.action, x.respawning) for x in core.roll.members),
+            tuple((p.seat, p.session, p.peer, p.claim) for p in core.roll.pending),
+            tuple(sorted(core.roll.going)),
+            tuple(sorted(set(core.roll.retired))),
+            tuple(sorted(set(core.roll.forgotten))),
         )
         number = self._ids.setdefault(key, len(self.cores))
         if number == len(self.cores):
@@ -113,10 +112,9 @@ def _is_note(effect: Effect) -> bool:
 
 
 def _timeless(core: ServerCore) -> None:
-    cycle = core.cycle
-    cycle._told_s = 0.0
-    cycle._gather_s = None if cycle._gather_s is None else 0.0
-    for mate in cycle.roll.members:
+    core._told_s = 0.0
+    core._gather_s = None if core._gather_s is None else 0.0
+    for mate in core.roll.members:
         mate.heard_s = mate.asked_s = 0.0
 
 

@@ -94,7 +94,7 @@ class Space:
         """Whether every client that lives has reached the last tick, or waits for one after it; in the last epoch."""
         if self._ends(at.shadow.epoch):
             return False
-        roll, top = self.servers.cores[at.server].cycle.roll, at.shadow.tick >= self.scope.last_tick
+        roll, top = self.servers.cores[at.server].roll, at.shadow.tick >= self.scope.last_tick
         for i, slot in enumerate(at.slots):
             core = self.clients[i].cores[slot.core]
             if slot.mode == "hung" or (slot.mode == "dead" and not slot.starts):
@@ -109,29 +109,29 @@ class Space:
     # --- the server and time ---
 
     def _server_moves(self, at: World) -> Iterator[Move]:
-        cycle = self.servers.cores[at.server].cycle
-        if cycle.stage is BarrierState.STEPPING:
+        core = self.servers.cores[at.server]
+        if core.stage is BarrierState.STEPPING:
             yield "stepped", self._stepped(at)
             if not self.scope.split_step:
                 return
-        if cycle.stage is BarrierState.EPOCH_OVER:
+        if core.stage is BarrierState.EPOCH_OVER:
             yield from self._ends_of_epoch(at)
         alive, told = self._alive(at), self.scope.notice is Notice.PROCESS
         told_else = self.scope.notice is Notice.CONNECTION  # no lease is needed then
-        for mate in cycle.roll.members:
+        for mate in core.roll.members:
             fault, label = mate.session in alive, f"overdue seat {mate.seat}"
             if fault or not told_else or self._is_connected(at, mate.session):
                 yield from self._paid(at, label, "suspect", fault, self.servers.overdue, mate.seat)
             if (fault or told) and not self._hung(at, mate.session):
                 yield from self._lost(at, mate.session, fault)
-        for waiting in cycle.roll.pending:
+        for waiting in core.roll.pending:
             if waiting.session not in alive and told and not self._hung(at, waiting.session):
                 yield from self._lost(at, waiting.session, fault=False)
         if told_else:
             for i, slot in enumerate(at.slots):
                 if any(_is_over(slot, peer) for peer in (*dict(slot.homes).values(), *dict(slot.up))):
                     yield f"connection of {i} lost", self._connection_lost(at, i, slot)
-        if cycle.stage is BarrierState.EMPTY and cycle.roll.pending:
+        if core.stage is BarrierState.EMPTY and core.roll.pending:
             yield from self._paid(at, "gathered", "", False, lambda server, _: self.servers.gathered(server), 0)
         yield from self._deaths(at)
 
@@ -158,7 +158,7 @@ class Space:
         up = tuple(one for one in slot.up if not _is_over(slot, one[0]))
         kept = tuple((session, home) for session, home in slot.homes if not _is_over(slot, home))
         at = _with(at, i, replace(slot, up=up, homes=kept))
-        for one in self.servers.cores[at.server].cycle.roll.everyone():
+        for one in self.servers.cores[at.server].roll.everyone():
             if one.session in homes and _is_over(slot, homes[one.session]):
                 server, effects = self.servers.handle(at.server, Lost(one.session, may_return=True))
                 at = self._carry_out(replace(at, server=server), effects)
@@ -182,7 +182,7 @@ class Space:
 
     def _ends_of_epoch(self, at: World) -> Iterator[Move]:
         """The server's process ends as planned. Raises Violation where a step is lost, or a chair is left over."""
-        sessions = {mate.session: mate.seat for mate in self.servers.cores[at.server].cycle.roll.members}
+        sessions = {mate.session: mate.seat for mate in self.servers.cores[at.server].roll.members}
         if sorted(sessions.values()) != [chair.seat for chair in at.shadow.chairs]:
             raise Violation(f"the epoch ends with the chairs {at.shadow.chairs}; its members: {sessions}")
         for i, slot in enumerate(at.slots):
@@ -221,7 +221,7 @@ class Space:
     def _names_the_master(self, at: World, message: m.Reply) -> None:
         """The master is who has been there for longest."""
         if isinstance(message, m.TickDone | m.Welcome):
-            members = self.servers.cores[at.server].cycle.roll.members
+            members = self.servers.cores[at.server].roll.members
             seats = [mate.seat for mate in members]
             here = [chair for chair in at.shadow.chairs if chair.seat in seats]
             oldest = min(here, key=lambda chair: chair.number).seat
@@ -245,7 +245,7 @@ class Space:
 
     def _arrivals(self, at: World, i: int, slot: Slot) -> Iterator[Move]:
         (peer, message), rest = slot.up[0], slot.up[1:]
-        if self.servers.cores[at.server].cycle.stage is not BarrierState.STEPPING or self.scope.split_step:
+        if self.servers.cores[at.server].stage is not BarrierState.STEPPING or self.scope.split_step:
             server, effects = self.servers.handle(at.server, Received(peer, message))
             self._fenced(at.server, server, message)
             after = _with(replace(at, server=server), i, replace(slot, up=rest, homes=self._homes(slot, server)))
@@ -263,12 +263,12 @@ class Space:
             return ()
         peer, message = slot.up[0]
         homes = {**({message.session: peer} if isinstance(message, m.Join) else {}), **dict(slot.homes)}
-        here = {one.session for one in self.servers.cores[server].cycle.roll.everyone()}
+        here = {one.session for one in self.servers.cores[server].roll.everyone()}
         return tuple((session, home) for session, home in homes.items() if session in here)
 
     def _fenced(self, before: int, after: int, message: m.Request) -> None:
-        """Who is not a member changes neither members nor the cycle."""
-        old, new = self.servers.cores[before].cycle, self.servers.cores[after].cycle
+        """Who is not a member changes neither members nor the core."""
+        old, new = self.servers.cores[before], self.servers.cores[after]
         if isinstance(message, m.Join) or old.roll.member(message.session) is not None:
             return
         same = [(c.stage, c.epoch, c.tick, c.roll.members) for c in (old, new)]

@@ -45,9 +45,9 @@ from wcsim.server.launch.awake_clock import AwakeClock
 from wcsim.server.launch.states import WorldExit
 from wcsim.server.launch.stop_signals import die_with_parent
 from wcsim.server.protocol import messages as m
-from wcsim.server.protocol.barrier import Barrier
 from wcsim.server.protocol.events import BarrierState, Clock, Event, Lost, Peer, Received, Stop
 from wcsim.server.protocol.limits import NO_ROOM, last_words, told_limit
+from wcsim.server.protocol.server_core import ServerCore
 from wcsim.server.specs import WorldSpec, read_order, rss_mb
 from wcsim.server.transport.shared_images import RingSink
 from wcsim.server.transport.sockets import LOCAL, REMOTE, Heard, ServerSockets
@@ -213,30 +213,30 @@ class _EpochCap:
     So it depends on the tick alone, unless memory has grown, and two runs with equal seeds end their epochs alike.
     """
 
-    def __init__(self, order: WorldSpec, cycle: Barrier) -> None:
+    def __init__(self, order: WorldSpec, core: ServerCore) -> None:
         """Have the barrier end its epoch as the order says; never, where nobody would go on."""
-        self._cycle = cycle
-        cycle.last_tick = order.epoch_ticks or None
+        self._core = core
+        core.last_tick = order.epoch_ticks or None
         self._begun_mb: float | None = None
         self._why = ""
 
     def weigh(self) -> None:
         """Look at how much memory this process has, and end the epoch if it is too much; to be called now and then."""
-        cycle = self._cycle
-        if cycle.last_tick is None or cycle.tick < SETTLED_TICKS:
+        core = self._core
+        if core.last_tick is None or core.tick < SETTLED_TICKS:
             return
         now_mb = rss_mb()
         self._begun_mb = now_mb if self._begun_mb is None else self._begun_mb
         if now_mb - self._begun_mb > _GROWTH_MB:
             self._why = f"{EPOCH_OVER}: its process has grown from {self._begun_mb:.0f} to {now_mb:.0f} MB"
-            cycle.last_tick = 0  # the next full barrier, also of a world that is begun anew meanwhile
+            core.last_tick = 0  # the next full barrier, also of a world that is begun anew meanwhile
 
     @property
     def reached(self) -> str:
         """Why the epoch is over, "" as long as it is not."""
-        if self._cycle.stage is not BarrierState.EPOCH_OVER:
+        if self._core.stage is not BarrierState.EPOCH_OVER:
             return ""
-        return self._why or f"{EPOCH_OVER}: tick {self._cycle.tick}"
+        return self._why or f"{EPOCH_OVER}: tick {self._core.tick}"
 
 
 _WAIT_MS = 50
@@ -263,7 +263,7 @@ class _ServerLoop:
         self._encoded: tuple[m.Reply | None, bytes] = (None, b"")  # the last one said
         self._clock_s = 0.0  # of the last Clock event
         self._alone = False
-        self._cap = _EpochCap(order, opened.core.cycle)
+        self._cap = _EpochCap(order, opened.core)
         doors.watch(lifelines.fileno())
 
     def run(self, asked_to_end: Callable[[], str]) -> str:
@@ -304,7 +304,7 @@ class _ServerLoop:
         if due:
             self._clock_s = self._clock.now_s
             self._feed(Clock())
-            here = {p.session for p in self._core.cycle.roll.everyone()}
+            here = {p.session for p in self._core.roll.everyone()}
             self._lifelines.keep(here)
             self._homes = {session: home for session, home in self._homes.items() if session in here}
             self._reporter.report(self._core, self._hub, self._clock.now_s)
@@ -337,7 +337,7 @@ class _ServerLoop:
 
     def _sessions_of(self, peers: Container[Peer]) -> list[bytes]:
         """The sessions that began in these connections, which are of no use any more: nobody shall wait for them."""
-        return [p.session for p in self._core.cycle.roll.everyone() if self._homes.get(p.session) in peers]
+        return [p.session for p in self._core.roll.everyone() if self._homes.get(p.session) in peers]
 
     def _shut_out(self, peer: Peer) -> None:
         """Who is not heard any more cannot act."""
@@ -356,13 +356,13 @@ class _ServerLoop:
         self._reporter.saw(self._core, event, self._clock.now_s, stepped_s)
 
     def _watch(self, join: m.Join) -> None:
-        roll = self._core.cycle.roll
+        roll = self._core.roll
         known = roll.member(join.session) is not None or roll.waiting(join.session) is not None
         if known and not self._lifelines.watch(join.pid, join.session):
             self._feed(Lost(join.session))
 
     def _present_peers(self) -> set[Peer]:
-        return {p.peer for p in self._core.cycle.roll.everyone()}
+        return {p.peer for p in self._core.roll.everyone()}
 
     # --- what is said ---
 
@@ -393,7 +393,7 @@ class _ServerLoop:
         self._out.clear()
 
     def _tell_all(self, error: WcsimError) -> None:
-        for p in self._core.cycle.roll.everyone():
+        for p in self._core.roll.everyone():
             self._doors.send(p.peer, [m.encode(m.failure_of(error, p.session))])
 
 

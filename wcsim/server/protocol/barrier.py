@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Self
 
 from wcsim.errors import EvictedError, ProtocolError
 from wcsim.server.protocol import events as ev
@@ -22,7 +23,8 @@ from wcsim.types import Command
 class Barrier:
     """The state of a server and what moves it; `out` collects what is to be done."""
 
-    def __init__(self, rules: ev.Rules, epoch: int) -> None:
+    def __init__(self, rules: ev.Rules, epoch: int = 0) -> None:
+        """Nobody is there, at the beginning of `epoch`."""
         self.rules = rules
         self.epoch, self.tick = epoch, 0
         self.stage = ev.BarrierState.EMPTY
@@ -33,8 +35,8 @@ class Barrier:
         self._gather_s: float | None = None  # since when somebody waits for the others to come
         self._told_s = -math.inf  # when those who wait were told for whom
 
-    def copied(self) -> Barrier:
-        """A cycle in the same state that goes its own way."""
+    def copied(self) -> Self:
+        """One in the same state that goes its own way."""
         twin = type(self).__new__(type(self))
         twin.__dict__.update(self.__dict__, roll=self.roll.copied(), out=[])
         return twin
