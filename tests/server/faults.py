@@ -15,8 +15,9 @@ import numpy as np
 
 from tests.server.sim_world import SimWorld, Wrong
 from wcsim.core import seeding
+from wcsim.errors import WcsimError, WorldRestartedError
 from wcsim.server.protocol import messages as m
-from wcsim.server.protocol.client_core import Ask, ClientCore, ClientPhase, Failed, FrameSeen, Outcome, Patience, Say
+from wcsim.server.protocol.client_core import Ask, ClientCore, ClientPhase, FrameSeen, Outcome, Patience
 from wcsim.server.protocol.events import (
     Admit,
     Clock,
@@ -236,15 +237,17 @@ class Simulation:
             self._do(process, process.core.join(self.now_s))
 
     def _do(self, process: Process, outcomes: list[Outcome]) -> None:
-        restarted = any(isinstance(x, Failed) and type(x.error).__name__ == "WorldRestartedError" for x in outcomes)
+        restarted = any(isinstance(x, WorldRestartedError) for x in outcomes)
         for outcome in outcomes:
             match outcome:
-                case Say():
-                    self._say(process, outcome.message)
                 case FrameSeen():
                     self._see(process, outcome, restarted)
-                case Failed():
+                case WcsimError():
                     self._fail(process, outcome)
+                case m.Welcome():
+                    pass
+                case _:
+                    self._say(process, outcome)
 
     def _say(self, process: Process, message: m.Request) -> None:
         self._said.append((process.peer, process.wire, message))
@@ -263,16 +266,16 @@ class Simulation:
         process.ticks += self.now_s > END_S
         self._at(self.now_s + process.think_s * self.draws.unit(), "act", process, core.session)
 
-    def _fail(self, process: Process, failed: Failed) -> None:
-        name = type(failed.error).__name__
-        self._tell(process.number, "fails:", name, failed.error)
+    def _fail(self, process: Process, error: WcsimError) -> None:
+        name = type(error).__name__
+        self._tell(process.number, "fails:", name, error)
         if name == "WorldRestartedError":
             return
         if name == "NotMasterError":
             self._at(self.now_s + 0.1, "act", process, process.core.session)
             return
         if name not in ("EvictedError", "SeatTakenError", "WorldFullError", "ServerGoneError"):
-            raise Wrong(f"client {process.number}: {name}: {failed.error}")
+            raise Wrong(f"client {process.number}: {name}: {error}")
         process.seen = []
         if process.core.phase is ClientPhase.GONE:
             self._end(process, "start")

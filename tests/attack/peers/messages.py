@@ -14,6 +14,7 @@ import numpy as np
 from benchmarks.barrier.fake_world import FakeWorld
 from tests.attack.outcomes import Case
 from tests.attack.peers.wire import each_field, shapes, spoilt
+from tests.server.protocol.desk import join_of
 from tests.support.worlds import quick_config
 from wcsim.server.host.opening import Opened
 from wcsim.server.host.process import _Lifelines, _PeerLimits, _ServerLoop
@@ -160,16 +161,7 @@ def hostile_request(kinds: list[Any], rng: np.random.Generator, epoch: int, tick
 
 
 def _honest_join() -> m.Join:
-    return m.Join(
-        protocol=m.PROTOCOL,
-        schema=m.schema_hash(),
-        config="",
-        session=SESSION,
-        claim=b"honest",
-        seat=0,
-        name="honest",
-        spec=SeatSpec(),
-    )
+    return join_of(0, session=SESSION, claim=b"honest", name="honest")
 
 
 class _Doors:

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 from tests.server.model.scope import Scope
 from wcsim.server.protocol import messages as m
-from wcsim.server.protocol.client_core import Ask, ClientCore, Failed, Outcome, Patience
+from wcsim.server.protocol.client_core import Ask, ClientCore, Outcome, Patience
 from wcsim.server.protocol.events import Clock, Effect, Event, Rules
 from wcsim.server.protocol.server_core import ServerCore
 from wcsim.types import SeatSpec
@@ -160,8 +160,3 @@ class Clients:
         if number == len(self.cores):
             self.cores.append(core)
         return number
-
-
-def failure_of(outcomes: tuple[Outcome, ...]) -> str:
-    """The name of the error among what a client's driver gets, if there is one."""
-    return next((type(x.error).__name__ for x in outcomes if isinstance(x, Failed)), "")

@@ -41,13 +41,12 @@ class Budget:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Scope:
+class Scope(Budget):
     """What is explored."""
 
-    budget: Budget
     clients: int = 2
     capacity: int = 2
-    last_tick: int = 2
+    last_tick: int = 1
     starts: int = 2  # joins of each client, by the same process or by the next one
     expected: int = 2  # who comes later than the rest waits for a tick
     notice: Notice = Notice.PROCESS

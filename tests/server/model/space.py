@@ -13,7 +13,7 @@ from tests.server.model.scope import BUDGETS, Notice, Scope, Violation
 from tests.server.model.shadow import Shadow, stick_of
 from tests.server.model.view import NOTHING_SEEN, View, hear
 from wcsim.server.protocol import messages as m
-from wcsim.server.protocol.client_core import ClientCore, ClientPhase, Outcome, Say
+from wcsim.server.protocol.client_core import ClientCore, ClientPhase, Outcome
 from wcsim.server.protocol.events import (
     Admit,
     BarrierState,
@@ -75,7 +75,7 @@ class Space:
     def first(self) -> World:
         """Nobody is there yet."""
         slots = tuple(Slot(clients.new(), starts=self.scope.starts) for clients in self.clients)
-        left = tuple(int(getattr(self.scope.budget, name)) for name in BUDGETS)
+        left = tuple(int(getattr(self.scope, name)) for name in BUDGETS)
         return World(self.servers.new(0, self.scope.expected), Shadow(), slots, left)
 
     def moves(self, at: World) -> Iterator[Move]:
@@ -332,10 +332,10 @@ class Space:
         before = self.clients[i].cores[slot.core]
         core, outcomes, drawn = self.clients[i].do(slot.core, slot.drawn, key, act)
         after = self.clients[i].cores[core]
-        given_up = self.scope.budget.suspect + self.scope.budget.hang > 0
+        given_up = self.scope.suspect + self.scope.hang > 0
         view = hear(slot.view, before, after, outcomes, given_up)
         peer = bytes([i, slot.process, slot.wire])
-        up = slot.up + tuple((peer, x.message) for x in outcomes if isinstance(x, Say))
+        up = slot.up + tuple((peer, x) for x in outcomes if isinstance(x, m.Request))
         gone = after.phase is ClientPhase.GONE
         slot = replace(slot, core=core, drawn=drawn, up=up, view=NOTHING_SEEN if gone else view)
         return _with(at, i, replace(slot, mode="dead", down=()) if gone else slot)

@@ -316,7 +316,6 @@ class _ServerLoop:
         if not may_speak:
             if may_speak is not None:
                 self._refuse(peer, OverloadedError("too many messages per second; wait for the answers"))
-                self._shut_out(peer)
             return
         try:
             if heard.key == "":
@@ -327,7 +326,6 @@ class _ServerLoop:
         except WcsimError as error:
             self._peers.fault(peer)
             self._refuse(peer, error)
-            self._shut_out(peer)
             return
         self._feed(Received(peer, message))
         if isinstance(message, m.Join):
@@ -339,8 +337,9 @@ class _ServerLoop:
         """The sessions that began in these connections, which are of no use any more: nobody shall wait for them."""
         return [p.session for p in self._core.roll.everyone() if self._homes.get(p.session) in peers]
 
-    def _shut_out(self, peer: Peer) -> None:
-        """Who is not heard any more cannot act."""
+    def _refuse(self, peer: Peer, error: WcsimError) -> None:
+        """Say why a message was not heard. Of whom nothing is heard any more, that one cannot act."""
+        self._doors.send(peer, [m.encode(m.failure_of(error))])
         if self._peers.is_shut_out(peer):
             for session in self._sessions_of((peer,)):
                 self._feed(Lost(session, "it sent too many messages, or too many that could not be read"))
@@ -383,9 +382,6 @@ class _ServerLoop:
         ring = str(self._ring.path(welcome.seat)) if peer.startswith(LOCAL) else ""
         order = self._order
         return msgspec.structs.replace(welcome, ring=ring, config_json=order.config.model_dump_json(), town=order.town)
-
-    def _refuse(self, peer: Peer, error: WcsimError) -> None:
-        self._doors.send(peer, [m.encode(m.failure_of(error))])
 
     def _flush(self) -> None:
         for peer, parts in self._out.items():

@@ -181,10 +181,6 @@ class Barrier:
         self.send(member.peer, m.Welcome(member.session, self.epoch, self.tick, member.seat, self._master_seat))
         self.show(member)
 
-    def tell_tick(self, member: Member) -> None:
-        """Tell a client again which tick the simulation has reached."""
-        self.send(member.peer, m.TickDone(self.epoch, self.tick, self._master_seat))
-
     def show(self, member: Member) -> None:
         """Send a client the frame of now."""
         self.out.append(ev.SendFrame(member.peer, member.seat, self.epoch, self.tick, member.life))

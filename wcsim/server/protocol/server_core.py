@@ -48,7 +48,12 @@ def _admission(join: m.Join, rules: ev.Rules, roll: Roster) -> int | WcsimError:
         return StaleSessionError("the server does not know this session any more; join with a new one")
     if join.seat == m.ANY_SEAT:
         own = roll.claimed(join.claim)
-        return _free_seat(rules, roll) if own is None else own
+        seat = roll.free_seat(rules.capacity) if own is None else own
+        return (
+            WorldFullError(f"all {rules.capacity} seats are taken; wait until a client leaves")
+            if seat is None
+            else seat
+        )
     if not 0 <= join.seat < rules.capacity:
         return SeatTakenError(f"seat {join.seat} does not exist; expected 0 to {rules.capacity - 1}")
     holder, waiting = roll.at(join.seat), roll.waiting_at(join.seat)
@@ -87,13 +92,6 @@ def _unfit_spec(spec: SeatSpec, rules: ev.Rules) -> WcsimError | None:
     if spec.max_steps > MOST_STEPS:
         return ProtocolError(f"an episode of {spec.max_steps} steps; expected 1 to {MOST_STEPS}")
     return None
-
-
-def _free_seat(rules: ev.Rules, roll: Roster) -> int | WcsimError:
-    seat = roll.free_seat(rules.capacity)
-    if seat is None:
-        return WorldFullError(f"all {rules.capacity} seats are taken; wait until a client leaves")
-    return seat
 
 
 class ServerCore(Barrier):
@@ -282,7 +280,7 @@ class ServerCore(Barrier):
         if tick < self.tick - 1:
             raise StaleTickError(f"tick {tick} of epoch {epoch} is long over; the server is at tick {self.tick}")
         if tick < self.tick:
-            self.tell_tick(member)
+            self.send(member.peer, m.TickDone(self.epoch, self.tick, self._master_seat))
         self.show(member)
         return False
 
