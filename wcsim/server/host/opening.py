@@ -74,7 +74,9 @@ def open_server(order: WorldSpec, make: MakesWorld[SeatWorld] = street_world) ->
         WcsimError: What the world raises, or the journal.
     """
     if not order.run or not order.journal:
-        return Opened(world=_fresh(order, make, 0), core=ServerCore(order.rules), journal=None)
+        return Opened(
+            world=make(order, (None,) * order.rules.capacity, order.seed), core=ServerCore(order.rules), journal=None
+        )
     path, header = Path(order.run) / JOURNAL, _header(order, has_town=make is street_world)
     parts = part_files(path)
     if parts:
@@ -100,9 +102,10 @@ def _rules_after(order: WorldSpec, last: _LastEpoch) -> Rules:
 
 def _begun(order: WorldSpec, make: MakesWorld[SeatWorld], journal: LogWriter, epoch: int, rules: Rules) -> Opened:
     """A fresh world, all seats free."""
+    seed = _epoch_seed(order.seed, epoch)
     try:
-        world = _fresh(order, make, epoch)
-        journal.append(EpochBegun(epoch=epoch, seed=_epoch_seed(order.seed, epoch), fresh=True))
+        world = make(order, (None,) * order.rules.capacity, seed, epoch=epoch)
+        journal.append(EpochBegun(epoch=epoch, seed=seed, fresh=True))
     except BaseException:
         journal.close()
         raise
@@ -115,10 +118,6 @@ def _appended(path: Path) -> LogWriter:
     if journal.cut_bytes:
         RunLog(path.parent).add("torn", who="world", reason=told_torn(path, journal.cut_bytes))
     return journal
-
-
-def _fresh(order: WorldSpec, make: MakesWorld[SeatWorld], epoch: int) -> SeatWorld:
-    return make(order, (None,) * order.rules.capacity, _epoch_seed(order.seed, epoch), epoch=epoch)
 
 
 def _header(order: WorldSpec, has_town: bool) -> Header:

@@ -39,7 +39,7 @@ from wcsim.server.specs import SeatRequest, WorldOrder, WorldSpec, WorldStatus, 
 from wcsim.server.transport.keys import client_keys, server_public
 from wcsim.server.transport.shared_images import RingView
 from wcsim.server.transport.sockets import monitored
-from wcsim.server.transport.world_folder import OwnFolder, endpoint_in, remove_stale
+from wcsim.server.transport.world_folder import OwnFolder, endpoint_in
 from wcsim.types import ClientSnapshot, SeatSpec
 
 log = logging.getLogger("wcsim.server.links.socket")
@@ -235,7 +235,6 @@ class _WorldChild:
 
         Its first tick waits for all seats.
         """
-        remove_stale()
         place = OwnFolder()
         self.endpoint = endpoint_in(place.path)
         self._pipe, theirs = os.pipe()

@@ -140,7 +140,8 @@ class Barrier:
         told = EvictedError(f"the server dropped this client: {reason}")
         self.send(member.peer, m.failure_of(told, member.session))
         self.roll.retire(member.session)
-        self.remove(member, reason, now_s)
+        if not self.roll.stop_waiting(member.session):
+            self.remove(member, reason, now_s)
 
     def remove(self, member: Member, reason: str, now_s: float) -> None:
         """Take a member off the roll, and look at the barrier again: the others may owe nothing."""

@@ -59,6 +59,11 @@ class Roster:
         """Who waits under this session."""
         return next((p for p in self.pending if p.session == session), None)
 
+    def stop_waiting(self, session: bytes) -> bool:
+        """Whether this session waited, which it does no more."""
+        before, self.pending = self.pending, [p for p in self.pending if p.session != session]
+        return len(self.pending) < len(before)
+
     def waiting_at(self, seat: int) -> Member | None:
         """Who waits for this seat."""
         return next((p for p in self.pending if p.seat == seat), None)
@@ -105,6 +110,6 @@ class Roster:
             [replace(m) for m in self.members],
             list(self.pending),
             dict(self.going),
-            deque(self.retired, maxlen=REMEMBERED),
-            deque(self.forgotten, maxlen=REMEMBERED),
+            self.retired.copy(),
+            self.forgotten.copy(),
         )

@@ -140,28 +140,19 @@ class ServerCore(Barrier):
     def _let_in(self, peer: ev.Peer, join: m.Join, seat: int, now_s: float) -> None:
         """Into the row of those who wait; an older life of the client goes."""
         roll = self.roll
-        holder = roll.at(seat)
-        self._turn_away(seat)
+        # Who has this seat, or waits for it, has the same claim.
+        older = (roll.waiting_at(seat), roll.at(seat))
         waiting = Member(seat=seat, session=join.session, peer=peer, claim=join.claim, name=join.name, spec=join.spec)
         roll.pending.append(waiting)
-        if holder is not None:
-            self.evict(holder, "its client restarted", now_s)
-        elif self.stage is ev.BarrierState.EMPTY:
+        for one in older:
+            if one is not None:
+                self.evict(one, "its client restarted", now_s)
+        if self.stage is ev.BarrierState.EMPTY:
             self.gather(now_s)
-
-    def _turn_away(self, seat: int) -> None:
-        """Who waited for this seat with the same claim is an older life of the client that asks now."""
-        roll = self.roll
-        older = roll.waiting_at(seat)
-        if older is not None:
-            roll.pending.remove(older)
-            roll.retire(older.session)
-            told = EvictedError("the server dropped this client: its client restarted")
-            self.send(older.peer, m.failure_of(told, older.session))
 
     def _lose(self, lost: ev.Lost, now_s: float) -> None:
         roll, session = self.roll, lost.session
-        roll.pending = [p for p in roll.pending if p.session != session]
+        roll.stop_waiting(session)
         member = roll.member(session)
         if not lost.may_return:
             if member is not None:
@@ -210,9 +201,7 @@ class ServerCore(Barrier):
     def _answer_stranger(self, peer: ev.Peer, message: m.Request) -> None:
         roll, session = self.roll, message.session
         if isinstance(message, m.Leave):
-            waits = roll.waiting(session) is not None
-            roll.pending = [p for p in roll.pending if p.session != session]
-            if waits:
+            if roll.stop_waiting(session):
                 roll.retire(session)
             elif session not in roll.retired:
                 roll.forget(session)
