@@ -17,6 +17,13 @@ from wcsim.towns.scenario.town import find_town
 
 NOTHING = dict.fromkeys(("lost", "doubled", "unrecovered", "orphans", "leaked_shm"), 0)
 SIX = "fig6,conv3d,patch,fig6,patch,convlstm"
+HOURS = pytest.mark.timeout(45_000)
+
+
+def six(steps, *words):
+    """What six learners of very different speed are told, who go through two ends of epochs."""
+    ends = ("--set", f"world.epoch_ticks={5 * steps // 12}")
+    return "--networks", SIX, "--steps", steps, "--slow", 6, *words, *ends
 
 
 def soaked(folder, corner, *words, timeout_s=280):
@@ -68,19 +75,20 @@ def test_learners_lose_nothing_when_one_is_killed(tmp_path, corner):
 
 
 @pytest.mark.proof
-def test_six_learners_lose_nothing_through_kills_stops_and_ends_of_epochs(tmp_path, corner):
-    words = ("--networks", SIX, "--steps", 240, "--kills", 4, "--stops", 3, "--lease", 8, "--slow", 6, "--seed", 4)
-    more = ("--set", "learn.checkpoint_every=40", "--set", "world.epoch_ticks=100")
-    (run,) = soaked(tmp_path, corner, *words, *more, timeout_s=590)
-    assert (run["kills"], run["stops"]) == (4, 3)
+@pytest.mark.parametrize(("steps", "kills", "stops"), [(240, 4, 3), pytest.param(10_000, 20, 20, marks=HOURS)])
+def test_six_learners_lose_nothing_through_kills_stops_and_ends_of_epochs(tmp_path, corner, steps, kills, stops):
+    words = six(steps, "--kills", kills, "--stops", stops, "--lease", 8, "--seed", 4)
+    saves = ("--set", "learn.checkpoint_every=40")
+    (run,) = soaked(tmp_path, corner, *words, *saves, timeout_s=max(590, 2 * steps))
+    assert (run["kills"], run["stops"]) == (kills, stops)
     assert {key: run[key] for key in NOTHING} == NOTHING
     assert run["slowest_over_median"] > 2.0
 
 
 @pytest.mark.proof
-def test_two_runs_of_six_learners_have_one_journal_through_an_end_of_an_epoch(tmp_path, corner):
-    words = ("--networks", SIX, "--steps", 120, "--twice", "--slow", 6, "--lease", 120)
-    runs = soaked(tmp_path, corner, *words, "--set", "world.epoch_ticks=50", timeout_s=590)
+@pytest.mark.parametrize("steps", [120, pytest.param(10_000, marks=HOURS)])
+def test_two_runs_of_six_learners_have_one_journal_through_an_end_of_an_epoch(tmp_path, corner, steps):
+    runs = soaked(tmp_path, corner, *six(steps, "--twice", "--lease", 120), timeout_s=max(590, 4 * steps))
     assert len({run["journal_hash"] for run in runs}) == 1
     weights = [
         (tmp_path / "kept" / run / name / "policies" / "final" / "weights.safetensors").read_bytes()
