@@ -54,7 +54,7 @@ class PartOrder:
 class TimedWorld(FakeWorld):
     """A stand-in that notes when each tick was done, and writes that down when it is closed."""
 
-    def __init__(self, order: WorldOrder, specs: Specs, seed: int, *, epoch: int = 0) -> None:
+    def __init__(self, order: WorldOrder, specs: Specs, seed: int, epoch: int = 0) -> None:
         super().__init__(order, specs, seed, epoch=epoch)
         self._file = Path(order.run) / TICK_TIMES
         self._times_s: list[float] = []

@@ -5,13 +5,12 @@ Loads SUMO and PyBullet.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Protocol
 
 from wcsim.bridge.recording.fingerprint import fingerprint
-from wcsim.bridge.replay.player import Seats, SeatWorld, Specs, W_co
+from wcsim.bridge.replay.player import Seats, SeatWorld, Specs
 from wcsim.bridge.world import World
 from wcsim.core import seeding
 from wcsim.errors import ConfigError
@@ -29,14 +28,11 @@ EPOCH_OVER = "the world generation is over"
 """How the reason begins by which a world's process ends for another one to go on with the next epoch."""
 
 
-class MakesWorld(Protocol[W_co]):
-    """Makes the worlds of orders."""
-
-    def __call__(self, order: WorldOrder, specs: Specs, seed: int, *, epoch: int = 0) -> W_co:
-        """A world with a chair for each of `specs` that is not None; `epoch` is the number of its first epoch."""
+MakesWorld = Callable[[WorldOrder, Specs, int, int], SeatWorld]
+"""Makes the world of an order, with a chair for each of the specs that is not None; its seed, and its first epoch."""
 
 
-def street_world(order: WorldOrder, specs: Specs, seed: int, *, epoch: int = 0) -> World:
+def street_world(order: WorldOrder, specs: Specs, seed: int, epoch: int = 0) -> World:
     """The world of a town; see `MakesWorld`. Raises TownError for one that is not there, and what `World` raises."""
     town = asked_town(town_of_epoch(order.town, order.more_towns, epoch))
     return World(town, order.config, specs, seed, order.place, epoch=epoch)
@@ -60,7 +56,7 @@ class Opened:
     journal: LogWriter | None
 
 
-def open_server(order: WorldSpec, make: MakesWorld[SeatWorld] = street_world) -> Opened:
+def open_server(order: WorldSpec, make: MakesWorld = street_world) -> Opened:
     """Make the world of an order: the next epoch where the journal in its run folder has one.
 
     An epoch whose world died is over as one that ended as planned: no state of it is needed, as no client waits for it.
@@ -75,7 +71,7 @@ def open_server(order: WorldSpec, make: MakesWorld[SeatWorld] = street_world) ->
     """
     if not order.run or not order.journal:
         return Opened(
-            world=make(order, (None,) * order.rules.capacity, order.seed), core=ServerCore(order.rules), journal=None
+            world=make(order, (None,) * order.rules.capacity, order.seed, 0), core=ServerCore(order.rules), journal=None
         )
     path, header = Path(order.run) / JOURNAL, _header(order, has_town=make is street_world)
     parts = part_files(path)
@@ -100,11 +96,11 @@ def _rules_after(order: WorldSpec, last: _LastEpoch) -> Rules:
     return replace(order.rules, expected=max(1, last.seated), gather_s=min(order.rules.gather_s, most_s))
 
 
-def _begun(order: WorldSpec, make: MakesWorld[SeatWorld], journal: LogWriter, epoch: int, rules: Rules) -> Opened:
+def _begun(order: WorldSpec, make: MakesWorld, journal: LogWriter, epoch: int, rules: Rules) -> Opened:
     """A fresh world, all seats free."""
     seed = _epoch_seed(order.seed, epoch)
     try:
-        world = make(order, (None,) * order.rules.capacity, seed, epoch=epoch)
+        world = make(order, (None,) * order.rules.capacity, seed, epoch)
         journal.append(EpochBegun(epoch=epoch, seed=seed, fresh=True))
     except BaseException:
         journal.close()

@@ -24,7 +24,6 @@ from types import FrameType
 
 import msgspec
 
-from wcsim.bridge.replay.player import SeatWorld
 from wcsim.core.closing import Closing
 from wcsim.errors import (
     AccessError,
@@ -397,7 +396,7 @@ _ORDER_FAULTS = (ConfigError, TownError, HookError, JournalError)
 _PARENT_GONE = signal.SIGUSR1
 
 
-def main(words: list[str], make: MakesWorld[SeatWorld] = street_world) -> int:
+def main(words: list[str], make: MakesWorld = street_world) -> int:
     """Host the world of an order file; returns the exit code. Benches and tests give a `make` of their own."""
     if len(words) != 1:
         return _failed(ConfigError(f"got {len(words)} arguments; expected an order file"))
@@ -431,9 +430,7 @@ def main(words: list[str], make: MakesWorld[SeatWorld] = street_world) -> int:
     return WorldExit.EPOCH_OVER
 
 
-def _prepared(
-    order: WorldSpec, make: MakesWorld[SeatWorld], reporter: Reporter, held: ExitStack
-) -> tuple[Opened, _ServerLoop]:
+def _prepared(order: WorldSpec, make: MakesWorld, reporter: Reporter, held: ExitStack) -> tuple[Opened, _ServerLoop]:
     """Open the doors first, so that an order that cannot be used fails before the world is loaded."""
     doors = held.enter_context(ServerSockets(order.endpoint, order.listen, order.keys))
     lifelines = held.enter_context(_Lifelines(order.status_fd))
