@@ -22,7 +22,7 @@ from wcsim.core.processes import die_with_parent
 from wcsim.server.links.base import WorldLink
 from wcsim.server.links.socket import SocketSeat
 from wcsim.server.specs import SeatRequest, WorldOrder
-from wcsim.server.transport.keys import KnownKeys, authenticator, client_keys, server_keys, server_public
+from wcsim.server.transport.keys import KnownKeys, client_keys, server_keys, server_public
 from wcsim.types import ClientSnapshot, Command, Joystick, SensorFrame, Snapshot
 
 TICK_TIMES = "tick-times.json"  # in the run folder of a `TimedWorld`
@@ -54,7 +54,7 @@ class PartOrder:
 class TimedWorld(FakeWorld):
     """A stand-in that notes when each tick was done, and writes that down when it is closed."""
 
-    def __init__(self, order: WorldOrder, specs: Specs, seed: int, *, epoch: int = 0) -> None:
+    def __init__(self, order: WorldOrder, specs: Specs, seed: int, epoch: int = 0) -> None:
         super().__init__(order, specs, seed, epoch=epoch)
         self._file = Path(order.run) / TICK_TIMES
         self._times_s: list[float] = []
@@ -141,7 +141,7 @@ def _echo(context: zmq.Context[zmq.Socket[bytes]], order: PartOrder) -> None:
     with context.socket(zmq.ROUTER) as socket:
         _prepare(socket)
         if order.keys:
-            guard, pair = authenticator(context, KnownKeys(Path(order.keys))), server_keys(Path(order.keys))
+            guard, pair = KnownKeys(Path(order.keys)).guard(context), server_keys(Path(order.keys))
             socket.curve_server = True
             socket.curve_secretkey, socket.curve_publickey = pair.secret, pair.public
         socket.bind(order.echo)

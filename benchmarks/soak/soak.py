@@ -113,7 +113,7 @@ def soak(order: SoakOrder, progress: Callable[[float], object] = lambda done_s: 
     ledgers = [(seat, iter_ledger(_ledger(order, name))) for seat, name in enumerate(names)]
     times = _recovery_times(watch.chaos.faults, {name: read_sights(_sights(order, name)) for name in names})
     return SoakFacts(
-        audit=audit(iter_inputs(order.folder / JOURNAL), ledgers),
+        audit=audit(iter_inputs(order.folder / JOURNAL), ledgers)[0],
         faults=tuple(watch.chaos.faults),
         times=times,
         bars=recovery_bars(order),

@@ -16,7 +16,7 @@ from wcsim.agents.envs.episode_view import Chair
 from wcsim.agents.envs.wheelchair_env import WheelchairEnv
 from wcsim.config import resolve
 from wcsim.errors import ConfigMismatchError, EvictedError, LinkError, NotMasterError, ProtocolError, ServerGoneError
-from wcsim.server.host.opening import made_world
+from wcsim.server.host.opening import street_world
 from wcsim.server.links import socket
 from wcsim.server.protocol.client_core import Patience
 from wcsim.server.protocol.events import Lost, Rules
@@ -42,7 +42,7 @@ def hall(corner: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
 
     def make(seats: int, expected: int) -> LocalServer:
         order = WorldOrder(town=str(corner), config=CONFIG, seed=4, seats=seats)
-        open_now.append(LocalServer(made_world(order), seats, expected))
+        open_now.append(LocalServer(street_world(order, (None,) * order.seats, order.seed), seats, expected))
         return open_now[-1]
 
     monkeypatch.setattr(socket, "SocketSeat", opened)
@@ -186,7 +186,7 @@ def test_closing_leaves_and_the_others_go_on(pair):
     server, master, env, _ = pair
     both(master, env)
     env.close()
-    assert [member.name for member in server.hub.core.cycle.roll.by_seat()] == ["master"]
+    assert [member.name for member in server.hub.core.roll.by_seat()] == ["master"]
     assert master.act(master.core.tick, AHEAD).tick == 2
     with pytest.raises(ProtocolError, match="call reset"):
         env.step(40)
@@ -198,7 +198,7 @@ def test_a_world_with_other_cameras_is_refused(hall):
     with pytest.raises(ConfigMismatchError, match="use its configuration"):
         env.reset()
     env.close()
-    assert server.hub.core.cycle.roll.by_seat() == []
+    assert server.hub.core.roll.by_seat() == []
 
 
 def test_a_world_that_is_killed_and_comes_back_cuts_the_episode(tmp_path):

@@ -15,8 +15,9 @@ import numpy as np
 
 from tests.server.sim_world import SimWorld, Wrong
 from wcsim.core import seeding
+from wcsim.errors import WcsimError, WorldRestartedError
 from wcsim.server.protocol import messages as m
-from wcsim.server.protocol.client_core import Ask, ClientCore, ClientPhase, Failed, FrameSeen, Outcome, Patience, Say
+from wcsim.server.protocol.client_core import Ask, ClientCore, ClientPhase, FrameSeen, Outcome, Patience
 from wcsim.server.protocol.events import (
     Admit,
     Clock,
@@ -42,7 +43,7 @@ QUIET_S = 400.0  # the longest time that is left to go on in afterwards
 GOAL_TICKS = 2  # that every live client must see after the last fault
 PATIENCE = Patience(resend_s=2.0, reconnect_s=90.0, tick_s=3600.0)
 FAULTS = (
-    "crash", "hang", "leave", "cut", "duplicate", "slow", "jump", "world", "garbage", "replay", "rebuild",
+    "crash", "hang", "leave", "cut", "duplicate", "slow", "jump", "world", "replay", "rebuild",
     "lose prefix", "suspect", "rival",
 )  # fmt: skip
 
@@ -236,15 +237,17 @@ class Simulation:
             self._do(process, process.core.join(self.now_s))
 
     def _do(self, process: Process, outcomes: list[Outcome]) -> None:
-        restarted = any(isinstance(x, Failed) and type(x.error).__name__ == "WorldRestartedError" for x in outcomes)
+        restarted = any(isinstance(x, WorldRestartedError) for x in outcomes)
         for outcome in outcomes:
             match outcome:
-                case Say():
-                    self._say(process, outcome.message)
                 case FrameSeen():
                     self._see(process, outcome, restarted)
-                case Failed():
+                case WcsimError():
                     self._fail(process, outcome)
+                case m.Welcome():
+                    pass
+                case _:
+                    self._say(process, outcome)
 
     def _say(self, process: Process, message: m.Request) -> None:
         self._said.append((process.peer, process.wire, message))
@@ -263,16 +266,16 @@ class Simulation:
         process.ticks += self.now_s > END_S
         self._at(self.now_s + process.think_s * self.draws.unit(), "act", process, core.session)
 
-    def _fail(self, process: Process, failed: Failed) -> None:
-        name = type(failed.error).__name__
-        self._tell(process.number, "fails:", name, failed.error)
+    def _fail(self, process: Process, error: WcsimError) -> None:
+        name = type(error).__name__
+        self._tell(process.number, "fails:", name, error)
         if name == "WorldRestartedError":
             return
         if name == "NotMasterError":
             self._at(self.now_s + 0.1, "act", process, process.core.session)
             return
         if name not in ("EvictedError", "SeatTakenError", "WorldFullError", "ServerGoneError"):
-            raise Wrong(f"client {process.number}: {name}: {failed.error}")
+            raise Wrong(f"client {process.number}: {name}: {error}")
         process.seen = []
         if process.core.phase is ClientPhase.GONE:
             self._end(process, "start")
@@ -288,7 +291,7 @@ class Simulation:
     def _on_fault(self, kind: str) -> None:
         alive = [process for process in self.slots.values() if process.alive]
         self._tell("fault:", kind)
-        if kind in ("world", "garbage", "replay", "jump", "rival"):
+        if kind in ("world", "replay", "jump", "rival"):
             getattr(self, f"_fault_{kind}")()
         elif alive:
             getattr(self, f"_fault_{kind.replace(' ', '_')}")(alive[self.draws.below(len(alive))])
@@ -301,9 +304,9 @@ class Simulation:
     def _on_nothing(self, number: int) -> None:
         """Nobody starts this client again."""
 
-    def _on_lost(self, session: bytes) -> None:
+    def _on_lost(self, session: bytes, may_return: bool = False) -> None:
         if self.now_s >= self.down_until_s:
-            self._feed(Lost(session))
+            self._feed(Lost(session, may_return=may_return))
 
     def _fault_suspect(self, process: Process) -> None:
         self._on_lost(process.core.session)
@@ -320,6 +323,8 @@ class Simulation:
 
     def _fault_cut(self, process: Process) -> None:
         process.wire += 1
+        if self.draws.unit() < 0.5:  # over the network its end is told, be it late
+            self._at(self.now_s + 6.0 * self.draws.unit(), "lost", process.core.session, True)
 
     def _fault_lose_prefix(self, process: Process) -> None:
         """The connection goes between two messages of one answer."""
@@ -355,21 +360,6 @@ class Simulation:
         session, seat = next(self._sessions).to_bytes(m.SESSION_BYTES, "big"), self.draws.below(self.clients)
         join = m.Join(m.PROTOCOL, m.schema_hash(), "", session, b"rival", seat, "c7", SeatSpec())
         self._at(self.now_s, "stray", b"else", join)
-
-    def _fault_garbage(self) -> None:
-        big = 1 << 62
-        for k in range(8):
-            session = bytes([200 + k]) * (k * 4)
-            kinds: tuple[m.Request, ...] = (
-                m.Act(session, -big, big, -1, float("nan"), float("inf")),
-                m.Join(m.PROTOCOL, m.schema_hash(), "", session, b"", 99 - k, "?" * 99, SeatSpec(), -big),
-                m.Join(k, "x", "y", session, b"", -big, "", SeatSpec()),
-                m.Leave(session),
-                m.Respawn(session, big, -1, -big),
-                m.Rebuild(session, -1, -1),
-                m.Beat(session, -big),
-            )
-            self._at(self.now_s + self.draws.unit(), "stray", b"else", kinds[self.draws.below(len(kinds))])
 
     def _fault_world(self) -> None:
         for process in self.processes.values():

@@ -66,7 +66,7 @@ class PumpedSeat(WorldLink):
     def _pump(self) -> None:
         self._server.pump()
         if self.core.waiting and self._error is None:
-            raise TickTimeoutError(f"seat {self.seat} waits for {self._server.hub.core.cycle.late()}")
+            raise TickTimeoutError(f"seat {self.seat} waits for {self._server.hub.core.late()}")
 
     def _end(self) -> None:
         self._server.pump()

@@ -13,7 +13,7 @@ from wcsim.errors import WcsimError
 from wcsim.log.reader import iter_log, read_header, read_states
 from wcsim.log.records import Header, LogRecord, Ticked, WorldState, record_bytes, told_apart
 
-SAME: Final = ("town_sha256", "config", "seed", "seats", "tick_s", "hook", "recovery", "origin_m", "origin_z_m")
+SAME: Final = ("town_sha256", "config", "seed", "seats", "tick_s", "hook", "origin_m", "origin_z_m")
 """What is compared of the headers: equal runs may have other names, other folders and other versions."""
 
 

@@ -45,25 +45,12 @@ class Audit:
     missing: int = 0  # ticks between two frames of one life that were not seen
 
 
-def audit(records: Iterable[Input], ledgers: Sequence[tuple[int, Iterable[SeenFrame]]]) -> Audit:
-    """Compare a journal with (seat, ledger) of each client.
+def audit(
+    records: Iterable[Input], ledgers: Sequence[tuple[int, Iterable[SeenFrame]]]
+) -> tuple[Audit, tuple[Audit, ...]]:
+    """Compare a journal with (seat, ledger) of each client: what is wrong with all together, and with each.
 
     Only the very last step of a life may be missing from a ledger: its client acted, and died before it saw the frame.
-    """
-    ticks, each = audits(records, ledgers)
-    return Audit(
-        ticks=ticks,
-        lost=sum(one.lost for one in each),
-        doubled=sum(one.doubled for one in each),
-        phantom=sum(one.phantom for one in each),
-    )
-
-
-def audits(
-    records: Iterable[Input], ledgers: Sequence[tuple[int, Iterable[SeenFrame]]]
-) -> tuple[int, tuple[Audit, ...]]:
-    """The same, and each ledger by itself: how many ticks the world did, and what is wrong with each.
-
     Epoch by epoch, in their order, so that no more than one of them is in memory.
     """
     pages = [_Pages(seat, entries) for seat, entries in ledgers]
@@ -78,7 +65,9 @@ def audits(
             page.compare(epoch, done[page.seat])
     for page in pages:
         page.compare(None, set())
-    return ticks, tuple(page.found for page in pages)
+    each = tuple(page.found for page in pages)
+    sums = {name: sum(getattr(one, name) for one in each) for name in ("lost", "doubled", "phantom")}
+    return Audit(ticks=ticks, **sums), each
 
 
 class _Pages:

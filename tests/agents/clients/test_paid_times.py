@@ -8,7 +8,7 @@ import pytest
 
 from wcsim.agents.clients.paid_times import WAITS, PaidShares, PaidTimes, PaidTimesLog, read_paid_times
 from wcsim.errors import PolicyError
-from wcsim.server.host.status import Stragglers, _names_of
+from wcsim.server.host.status import _names_of, _Stragglers
 from wcsim.server.launch.states import ClientState, ClientStatus, LaunchState, WorldStatus
 from wcsim.server.protocol.members import Member
 from wcsim.types import SeatSpec
@@ -64,7 +64,7 @@ def test_the_last_words_of_a_world_that_is_down_are_no_other_worlds(tmp_path):
 
 
 def test_who_comes_back_is_not_waited_for_again_in_what_it_was_waited_for_before(tmp_path):
-    waits, now, log = Stragglers(), [0.0], PaidTimesLog(tmp_path)
+    waits, now, log = _Stragglers(), [0.0], PaidTimesLog(tmp_path)
 
     def seen(*members):
         world = WorldStatus(stage="collect", members=members, waited_s=waits.waited(members))

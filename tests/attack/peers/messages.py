@@ -14,9 +14,10 @@ import numpy as np
 from benchmarks.barrier.fake_world import FakeWorld
 from tests.attack.outcomes import Case
 from tests.attack.peers.wire import each_field, shapes, spoilt
+from tests.server.protocol.desk import join_of
 from tests.support.worlds import quick_config
 from wcsim.server.host.opening import Opened
-from wcsim.server.host.process import Lifelines, PeerLimits, _ServerLoop
+from wcsim.server.host.process import _Lifelines, _PeerLimits, _ServerLoop
 from wcsim.server.host.status import Reporter
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.events import Rules
@@ -70,7 +71,7 @@ class Besieged:
         world = FakeWorld(WorldOrder(town="x", config=config, seed=1), (None,) * capacity, 1)
         self.core = ServerCore(rules)
         self.doors = _Doors()
-        self._lifelines = Lifelines()
+        self._lifelines = _Lifelines()
         opened = Opened(world=world, core=self.core, journal=None)
         self.loop = _ServerLoop(order, opened, self.doors, self._lifelines, Reporter(-1))  # type: ignore[arg-type]
         self.world = world
@@ -86,7 +87,7 @@ class Besieged:
         """Say one hostile message; whether the honest client then drives on, through exactly one tick."""
         self._said += 1
         if self._said % 1000 == 0:  # no client sends as many messages a second as the honest one here
-            self.loop._peers = PeerLimits()
+            self.loop._peers = _PeerLimits()
         peer = (REMOTE if self._said % 2 else LOCAL) + b"evil-%d" % (self._said // 10)
         self.doors.sent.clear()
         self.say(peer, data)
@@ -103,22 +104,21 @@ class Besieged:
 
     def _send_home(self) -> None:
         """Seats that the attacker got are given back, as when its lease is over."""
-        for entry in [*self.core.cycle.roll.members, *self.core.cycle.roll.pending]:
+        for entry in [*self.core.roll.members, *self.core.roll.pending]:
             if entry.session != SESSION:
                 self.say(entry.peer, m.encode(m.Leave(entry.session)))
 
     def _honest_step(self) -> bool:
-        cycle = self.core.cycle
-        mine = cycle.roll.member(SESSION)
-        if mine is None or [entry.seat for entry in cycle.roll.members] != [0]:
+        mine = self.core.roll.member(SESSION)
+        if mine is None or [entry.seat for entry in self.core.roll.members] != [0]:
             return False
         before = self.world.snapshot.tick
-        self.say(HONEST, m.encode(m.Act(SESSION, cycle.epoch, cycle.tick, mine.life, 0.5, 0.5)))
-        return self.world.snapshot.tick == before + 1 == cycle.tick
+        self.say(HONEST, m.encode(m.Act(SESSION, self.core.epoch, self.core.tick, mine.life, 0.5, 0.5)))
+        return self.world.snapshot.tick == before + 1 == self.core.tick
 
     def _bounded(self) -> bool:
-        roll = self.core.cycle.roll
-        lists = (roll.retired, roll.strangers)
+        roll = self.core.roll
+        lists = (roll.retired, roll.forgotten)
         return not roll.pending and all(len(item) <= REMEMBERED and all(len(s) == 16 for s in item) for item in lists)
 
 
@@ -129,8 +129,7 @@ def siege_cases(count: int, seed: int, work: Path) -> Iterator[Case]:
     try:
         for number in range(count):
             rng = np.random.default_rng((seed, number))
-            cycle = siege.core.cycle
-            data = hostile_request(kinds, rng, cycle.epoch, cycle.tick)
+            data = hostile_request(kinds, rng, siege.core.epoch, siege.core.tick)
             yield Case(area="server", name=f"{seed} {number}: {data[:60]!r}", feed=lambda data=data: siege.attack(data))
     finally:
         siege.close()
@@ -162,16 +161,7 @@ def hostile_request(kinds: list[Any], rng: np.random.Generator, epoch: int, tick
 
 
 def _honest_join() -> m.Join:
-    return m.Join(
-        protocol=m.PROTOCOL,
-        schema=m.schema_hash(),
-        config="",
-        session=SESSION,
-        claim=b"honest",
-        seat=0,
-        name="honest",
-        spec=SeatSpec(),
-    )
+    return join_of(0, session=SESSION, claim=b"honest", name="honest")
 
 
 class _Doors:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import zmq
 
+from tests.server.protocol.desk import join_of
 from tests.server.servers import stand_in_order
 from wcsim.server.protocol import messages as m
 from wcsim.server.specs import WorldSpec
@@ -26,17 +27,8 @@ def real_order(town: Path, folder: Path, **changes: object) -> WorldSpec:
 
 def a_join(spec: SeatSpec | None = None, **other: object) -> m.Join:
     """A join; nothing in it is checked on this side."""
-    fields: dict[str, object] = {
-        "protocol": m.PROTOCOL,
-        "schema": m.schema_hash(),
-        "config": "",
-        "session": secrets.token_bytes(16),
-        "claim": secrets.token_bytes(16),
-        "seat": m.ANY_SEAT,
-        "name": "x",
-        "spec": spec or SeatSpec(),
-    }
-    return m.Join(**{**fields, **other})  # type: ignore[arg-type]
+    own = {"session": secrets.token_bytes(16), "claim": secrets.token_bytes(16), "seat": m.ANY_SEAT, "name": "x"}
+    return join_of(0, **{**own, "spec": spec or SeatSpec(), **other})
 
 
 class Attacker:

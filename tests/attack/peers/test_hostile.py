@@ -47,7 +47,7 @@ def besieged(
         server.process.terminate()
         server.wait()
     ledgers = [(seat, iter_ledger(folder / f"{name}.ledger")) for seat, name in enumerate(NAMES)]
-    found = audit(iter_inputs(folder / "run" / JOURNAL), ledgers)
+    found, _ = audit(iter_inputs(folder / "run" / JOURNAL), ledgers)
     lost = found.lost + found.doubled + found.phantom
     return {"members": len(members), "ticks": found.ticks, "lost": lost, "grown_mb": after_mb - before_mb}, told
 

@@ -74,7 +74,7 @@ def test_learners_lose_nothing_when_one_is_killed(tmp_path, corner):
 
 
 @pytest.mark.proof
-@pytest.mark.parametrize(("steps", "kills", "stops"), [(240, 4, 3), pytest.param(10_000, 20, 20, marks=HOURS)])
+@pytest.mark.parametrize(("steps", "kills", "stops"), [(480, 4, 3), pytest.param(10_000, 20, 20, marks=HOURS)])
 def test_six_learners_lose_nothing_through_kills_stops_and_ends_of_epochs(tmp_path, corner, steps, kills, stops):
     words = six(steps, "--kills", kills, "--stops", stops, "--lease", 8, "--seed", 4)
     saves = ("--set", "learn.checkpoint_every=40")

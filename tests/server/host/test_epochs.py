@@ -19,8 +19,8 @@ from wcsim.config import resolve
 from wcsim.log.reader import inputs_of_part, iter_inputs, log_digest, part_files, put_aside, read_header
 from wcsim.log.records import Admitted, Dismissed, Ended, EpochBegun
 from wcsim.log.writer import JOURNAL
-from wcsim.server.host.epoch_cap import EPOCH_OVER, SETTLED_TICKS, EpochCap
-from wcsim.server.host.opening import epoch_seed, open_server
+from wcsim.server.host.opening import EPOCH_OVER, _epoch_seed, open_server
+from wcsim.server.host.process import SETTLED_TICKS, _EpochCap
 from wcsim.server.launch.states import WorldExit
 from wcsim.server.ledger import iter_ledger
 from wcsim.server.links.socket import SocketSeat
@@ -128,9 +128,9 @@ def test_a_world_that_ended_while_it_was_made_leaves_its_epoch_to_the_next_one(t
         assert len(part_files(path)) == 2 and list(inputs_of_part(path)) == []
     opened = open_server(order, FakeWorld)
     opened.journal.close()
-    assert (opened.core.cycle.epoch, opened.core.cycle.rules.expected) == (1, 2)
+    assert (opened.core.epoch, opened.core.rules.expected) == (1, 2)
     begun = [(record.epoch, record.seed) for record in iter_inputs(path) if isinstance(record, EpochBegun)]
-    assert begun == [(epoch, epoch_seed(order.seed, epoch)) for epoch in (0, 1)] and len(part_files(path)) == 2
+    assert begun == [(epoch, _epoch_seed(order.seed, epoch)) for epoch in (0, 1)] and len(part_files(path)) == 2
 
 
 def test_who_leaves_at_the_last_tick_of_an_epoch_is_not_waited_for_in_the_next_one(tmp_path):
@@ -143,36 +143,36 @@ def test_who_leaves_at_the_last_tick_of_an_epoch_is_not_waited_for_in_the_next_o
     *_, gone, last = inputs_of_part(tmp_path / "run" / JOURNAL)
     assert gone == Dismissed(epoch=0, tick=CAP, seat=1, reason="left") and isinstance(last, Ended)
     opened = open_server(capped(tmp_path), FakeWorld)
-    assert opened.core.cycle.rules.expected == 1 and opened.journal is not None
+    assert opened.core.rules.expected == 1 and opened.journal is not None
     opened.journal.close()
 
 
-def full_at(cycle, tick):
+def full_at(core, tick):
     """Why the epoch is over when the barrier of this tick is full."""
-    cycle.stage, cycle.tick = BarrierState.COLLECT, tick
-    cycle.roll.members = [Member(seat=0, name="a", spec=SeatSpec(), session=b"a", peer=b"a", action=AHEAD)]
-    cycle.advance(0.0)
-    return cycle.stage is BarrierState.EPOCH_OVER
+    core.stage, core.tick = BarrierState.COLLECT, tick
+    core.roll.members = [Member(seat=0, name="a", spec=SeatSpec(), session=b"a", peer=b"a", action=AHEAD)]
+    core.advance(0.0)
+    return core.stage is BarrierState.EPOCH_OVER
 
 
 def test_an_epoch_ends_early_when_its_process_has_grown(tmp_path, monkeypatch):
     sizes = iter((500.0, 1400.0, 1600.0))
-    monkeypatch.setattr("wcsim.server.host.epoch_cap.rss_mb", lambda: next(sizes))
+    monkeypatch.setattr("wcsim.server.host.process.rss_mb", lambda: next(sizes))
     order = replace(stand_in_order(tmp_path, run=str(tmp_path)), epoch_ticks=6000)
-    cycle = ServerCore(BOTH).cycle
-    cap = EpochCap(order, cycle)
-    cycle.tick = SETTLED_TICKS - 1
+    core = ServerCore(BOTH)
+    cap = _EpochCap(order, core)
+    core.tick = SETTLED_TICKS - 1
     cap.weigh()
     for grown in (False, False, True):
-        cycle.tick = SETTLED_TICKS
+        core.tick = SETTLED_TICKS
         cap.weigh()
-        assert full_at(cycle, SETTLED_TICKS) == bool(cap.reached) == grown
+        assert full_at(core, SETTLED_TICKS) == bool(cap.reached) == grown
     assert "from 500 to 1600 MB" in cap.reached
 
 
 @pytest.mark.parametrize(("ends", "tick", "over"), [(6000, 5999, False), (6000, 6000, True), (0, 6000, False)])
 def test_an_epoch_ends_at_a_full_barrier_of_its_last_tick_where_somebody_goes_on(tmp_path, ends, tick, over):
-    cycle = ServerCore(BOTH).cycle
-    cap = EpochCap(replace(stand_in_order(tmp_path, run=str(tmp_path)), epoch_ticks=ends), cycle)
+    core = ServerCore(BOTH)
+    cap = _EpochCap(replace(stand_in_order(tmp_path, run=str(tmp_path)), epoch_ticks=ends), core)
     assert not cap.reached, "somebody has not seen its last tick yet"
-    assert full_at(cycle, tick) == bool(cap.reached) == over
+    assert full_at(core, tick) == bool(cap.reached) == over

@@ -39,7 +39,7 @@ def two_seats(server, folder):
 
 def audited(folder):
     records = read_whole(folder / "run" / JOURNAL).records
-    return records, audit(records, [(0, iter_ledger(folder / "a")), (1, iter_ledger(folder / "b"))])
+    return records, audit(records, [(0, iter_ledger(folder / "a")), (1, iter_ledger(folder / "b"))])[0]
 
 
 def drive_through(link, ticks=30):

@@ -18,9 +18,8 @@ from wcsim.errors import ConfigError
 from wcsim.log.reader import read_header
 from wcsim.log.records import Ended
 from wcsim.log.writer import JOURNAL, LogWriter
-from wcsim.server.host.epoch_cap import EPOCH_OVER
-from wcsim.server.host.opening import REGATHER_S, open_server
-from wcsim.server.host.process import BURST, MAX_PEERS, MOST_FAULTS, Lifelines, PeerLimits
+from wcsim.server.host.opening import EPOCH_OVER, REGATHER_S, open_server
+from wcsim.server.host.process import BURST, MAX_PEERS, MOST_FAULTS, _Lifelines, _PeerLimits
 from wcsim.server.launch.awake_clock import LEAP_S, AwakeClock
 from wcsim.server.protocol.events import Rules
 from wcsim.server.transport.sockets import ServerSockets
@@ -39,7 +38,7 @@ def test_the_clock_leaps_over_time_in_which_the_server_was_stopped_but_not_over_
 
 
 def test_a_peer_that_sends_too_fast_is_told_and_at_last_ignored():
-    peers = PeerLimits()
+    peers = _PeerLimits()
     heard = [peers.hears(b"x", 0.0, nobody) for _ in range(int(BURST) + MOST_FAULTS + 5)]
     assert heard.count(True) == BURST
     assert heard.count(False) == MOST_FAULTS
@@ -48,12 +47,12 @@ def test_a_peer_that_sends_too_fast_is_told_and_at_last_ignored():
 
 
 def test_a_patient_peer_is_always_heard():
-    peers = PeerLimits()
+    peers = _PeerLimits()
     assert all(peers.hears(b"x", 0.001 * tick, nobody) for tick in range(20_000))
 
 
 def test_strangers_make_room_and_members_do_not():
-    peers = PeerLimits()
+    peers = _PeerLimits()
     for number in range(MAX_PEERS):
         assert peers.hears(b"%d" % number, float(number), nobody)
     members = frozenset(b"%d" % number for number in range(MAX_PEERS) if number != 7)
@@ -62,7 +61,7 @@ def test_strangers_make_room_and_members_do_not():
 
 
 def test_a_crowd_of_strangers_that_talks_on_and_on_keeps_nobody_out():
-    peers = PeerLimits()
+    peers = _PeerLimits()
     for second in range(5):
         for number in range(MAX_PEERS):
             peers.hears(b"%d" % number, float(second), nobody)
@@ -74,7 +73,7 @@ def test_a_crowd_of_strangers_that_talks_on_and_on_keeps_nobody_out():
 def test_the_end_of_a_process_and_of_the_reader_is_news():
     reader, writer = os.pipe()
     child = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE)
-    with Lifelines(writer) as lifelines:
+    with _Lifelines(writer) as lifelines:
         assert lifelines.watch(child.pid, b"one")
         assert lifelines.watch(child.pid, b"two")
         assert lifelines.watch(os.getpid(), b"mine")
@@ -198,8 +197,8 @@ def test_a_world_that_died_before_its_first_epoch_waits_for_all_as_a_new_one_doe
     again = replace(order, run=str(tmp_path / "died"))
     for epoch, expected, gather_s in ((0, 2, 20.0), (1, 1, REGATHER_S)):
         opened = open_server(again, FakeWorld)
-        rules = opened.core.cycle.rules
-        assert (opened.core.cycle.epoch, rules.expected, rules.gather_s) == (epoch, expected, gather_s)
+        rules = opened.core.rules
+        assert (opened.core.epoch, rules.expected, rules.gather_s) == (epoch, expected, gather_s)
         assert opened.journal is not None
         opened.journal.close()
 
@@ -214,4 +213,4 @@ def test_the_first_world_of_a_launch_waits_for_all_who_load_whatever_its_journal
     resumed = open_server(replace(order, begins=True), FakeWorld)
     assert resumed.journal is not None
     resumed.journal.close()
-    assert (resumed.core.cycle.epoch, resumed.core.cycle.rules) == (1, order.rules)
+    assert (resumed.core.epoch, resumed.core.rules) == (1, order.rules)

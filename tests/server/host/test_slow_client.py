@@ -12,7 +12,7 @@ from wcsim.log.reader import iter_inputs
 from wcsim.log.writer import JOURNAL
 from wcsim.server.launch.launcher import Launcher
 from wcsim.server.launch.states import ClientPlan, LaunchState
-from wcsim.server.ledger import audits, iter_ledger
+from wcsim.server.ledger import audit, iter_ledger
 from wcsim.server.protocol.events import Rules
 from wcsim.server.specs import SeatRequest, WorldSpec, to_line, world_plan
 from wcsim.server.transport.world_folder import endpoint_in, workplace
@@ -60,8 +60,8 @@ def test_all_step_at_its_pace_nobody_loses_a_tick_and_it_is_named(tmp_path: Path
         ).run()
     assert outcome.code == 0, outcome.message
     ledgers = [(seat, tuple(iter_ledger(tmp_path / f"c{seat}.ledger"))) for seat in range(6)]
-    ticks, each = audits(iter_inputs(tmp_path / JOURNAL), ledgers)
-    assert ticks == STEPS
+    whole, each = audit(iter_inputs(tmp_path / JOURNAL), ledgers)
+    assert whole.ticks == STEPS
     for told in each:
         assert (told.first_tick, told.last_tick, told.steps) == (0, STEPS, STEPS)
         assert (told.missing, told.lost, told.doubled, told.phantom) == (0, 0, 0, 0)

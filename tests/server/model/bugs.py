@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from wcsim.server.protocol import messages as m
-from wcsim.server.protocol.barrier import Barrier
 from wcsim.server.protocol.client_core import ClientCore, ClientPhase, Outcome
-from wcsim.server.protocol.events import BarrierState, Rules
+from wcsim.server.protocol.events import BarrierState, Lost
 from wcsim.server.protocol.members import Member
 from wcsim.server.protocol.server_core import ServerCore
 
@@ -17,7 +16,30 @@ class AnyTick(ServerCore):
         return True
 
 
-class _TooEarly(Barrier):
+class ForgetsTheCut(ServerCore):
+    """Knows the session of a lost connection still."""
+
+    def _lose(self, lost: Lost, now_s: float) -> None:
+        if not lost.may_return:
+            super()._lose(lost, now_s)
+
+
+class EvictsTheCut(ServerCore):
+    """Takes the client of a lost connection for one that is to hear of it."""
+
+    def _lose(self, lost: Lost, now_s: float) -> None:
+        super()._lose(Lost(lost.session), now_s)
+
+
+class BeginsTheCutAnew(ServerCore):
+    """Gives a session of a lost connection another chair."""
+
+    def _lose(self, lost: Lost, now_s: float) -> None:
+        super()._lose(lost, now_s)
+        self.roll.forgotten.clear()
+
+
+class TooEarly(ServerCore):
     """Steps as soon as somebody has acted."""
 
     def advance(self, now_s: float) -> None:
@@ -29,7 +51,7 @@ class _TooEarly(Barrier):
             super().advance(now_s)
 
 
-class _LosesAnAction(Barrier):
+class LosesAnAction(ServerCore):
     """Steps without what the last one in seat order has said."""
 
     def step(self) -> None:
@@ -37,7 +59,7 @@ class _LosesAnAction(Barrier):
         super().step()
 
 
-class _StepsTwice(Barrier):
+class StepsTwice(ServerCore):
     """Asks for the same step again."""
 
     def step(self) -> None:
@@ -45,7 +67,7 @@ class _StepsTwice(Barrier):
         super().step()
 
 
-class _NoLease(Barrier):
+class NoLease(ServerCore):
     """Waits for ever."""
 
     def watch(self, now_s: float) -> None:
@@ -53,7 +75,7 @@ class _NoLease(Barrier):
             self._tell(now_s)
 
 
-class _NoHeir(Barrier):
+class NoHeir(ServerCore):
     """Says that the youngest member is the master."""
 
     @property
@@ -61,7 +83,7 @@ class _NoHeir(Barrier):
         return self.roll.members[-1].seat
 
 
-class _NotLookedAtAgain(Barrier):
+class NotLookedAtAgain(ServerCore):
     """A barrier that became full because somebody went is not noticed."""
 
     def remove(self, member: Member, reason: str, now_s: float) -> None:
@@ -74,19 +96,21 @@ class _NotLookedAtAgain(Barrier):
             super().advance(now_s)
 
 
-def _server(kind: type[Barrier]) -> type[ServerCore]:
-    """A server whose cycle has a fault."""
+class EndsUnseen(ServerCore):
+    """Ends its epoch when the world has reached the last tick."""
 
-    class Buggy(ServerCore):
-        def __init__(self, rules: Rules, epoch: int = 0) -> None:
-            super().__init__(rules, epoch)
-            self.cycle.__class__ = kind
-
-    return Buggy
+    def commit(self, tick: int, now_s: float, step_s: float = 0.0) -> None:
+        super().commit(tick, now_s, step_s)
+        if tick == self.last_tick:
+            self.stage = BarrierState.EPOCH_OVER
 
 
-TooEarly, LosesAnAction, StepsTwice = map(_server, (_TooEarly, _LosesAnAction, _StepsTwice))
-NoLease, NoHeir, NotLookedAtAgain = map(_server, (_NoLease, _NoHeir, _NotLookedAtAgain))
+class KeepsChairs(ServerCore):
+    """Does not dismiss who has left, where no step follows."""
+
+    def dismiss(self) -> None:
+        if self.tick != self.last_tick or self.late() or not self.roll.members:
+            super().dismiss()
 
 
 class ShowsAnyFrame(ClientCore):
@@ -96,6 +120,15 @@ class ShowsAnyFrame(ClientCore):
         if self.phase in (ClientPhase.THINK, ClientPhase.WAIT_TICK, ClientPhase.WAIT_SENSORS):
             return self._seen(frame)
         return super()._frame(frame)
+
+
+class SaysNoCut(ClientCore):
+    """Goes on in another chair without a word."""
+
+    def _welcomed(self, welcome: m.Welcome) -> list[Outcome]:
+        told = super()._welcomed(welcome)
+        self._restarted = ""
+        return told
 
 
 class NeverAsksAgain(ClientCore):

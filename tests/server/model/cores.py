@@ -6,10 +6,11 @@ All times are 0 after every event. Time passes by events of its own, in which th
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable
+from dataclasses import replace
 
 from tests.server.model.scope import Scope
 from wcsim.server.protocol import messages as m
-from wcsim.server.protocol.client_core import Ask, ClientCore, Failed, Outcome, Patience
+from wcsim.server.protocol.client_core import Ask, ClientCore, Outcome, Patience
 from wcsim.server.protocol.events import Clock, Effect, Event, Rules
 from wcsim.server.protocol.server_core import ServerCore
 from wcsim.types import SeatSpec
@@ -39,14 +40,16 @@ class Servers:
     """All states that a server core was in."""
 
     def __init__(self, scope: Scope) -> None:
-        self.rules, self._make = rules(scope), scope.server
+        self._scope = scope
         self.cores: list[ServerCore] = []
         self._ids: dict[Hashable, int] = {}
         self._done: dict[Hashable, tuple[int, tuple[Effect, ...]]] = {}
 
-    def new(self, epoch: int = 0) -> int:
+    def new(self, epoch: int, expected: int) -> int:
         """A server that has just begun."""
-        return self._number(self._make(self.rules, epoch))
+        core = self._scope.server(replace(rules(self._scope), expected=expected), epoch)
+        core.last_tick = self._scope.ends_at if epoch == 0 else None
+        return self._number(core)
 
     def handle(self, state: int, event: Event) -> tuple[int, tuple[Effect, ...]]:
         """What follows from an event, at once."""
@@ -56,9 +59,9 @@ class Servers:
         """The lease of one seat ends; all others are heard of in time."""
 
         def pass_time(core: ServerCore) -> list[Effect]:
-            for mate in core.cycle.roll.members:
+            for mate in core.roll.members:
                 mate.heard_s = mate.asked_s = 0.0 if mate.seat == seat else LATER_S
-            core.cycle._told_s = LATER_S
+            core._told_s = LATER_S
             return core.handle(Clock(), LATER_S)
 
         return self._memo((state, "overdue", seat), state, pass_time)
@@ -67,7 +70,7 @@ class Servers:
         """The time for gathering is over."""
 
         def pass_time(core: ServerCore) -> list[Effect]:
-            core.cycle._told_s = 30.0
+            core._told_s = 30.0
             return core.handle(Clock(), 30.0)
 
         return self._memo((state, "gather"), state, pass_time)
@@ -83,19 +86,20 @@ class Servers:
         return found
 
     def _number(self, core: ServerCore) -> int:
-        cycle = core.cycle
         _timeless(core)
         key = (
-            cycle.stage,
-            cycle.epoch,
-            cycle.tick,
-            cycle.gathering,
-            cycle._gather_s is None,
-            tuple((x.seat, x.session, x.peer, x.claim) for x in cycle.roll.members),
-            tuple((x.life, x.action, x.respawning) for x in cycle.roll.members),
-            tuple((p.seat, p.session, p.peer, p.claim) for p in cycle.roll.pending),
-            tuple(sorted(cycle.roll.going)),
-            tuple(sorted(set(cycle.roll.retired))),
+            core.stage,
+            core.epoch,
+            core.tick,
+            core.gathering,
+            core.rules.expected,
+            core._gather_s is None,
+            tuple((x.seat, x.session, x.peer, x.claim) for x in core.roll.members),
+            tuple((x.life, x.action, x.respawning) for x in core.roll.members),
+            tuple((p.seat, p.session, p.peer, p.claim) for p in core.roll.pending),
+            tuple(sorted(core.roll.going)),
+            tuple(sorted(set(core.roll.retired))),
+            tuple(sorted(set(core.roll.forgotten))),
         )
         number = self._ids.setdefault(key, len(self.cores))
         if number == len(self.cores):
@@ -108,10 +112,9 @@ def _is_note(effect: Effect) -> bool:
 
 
 def _timeless(core: ServerCore) -> None:
-    cycle = core.cycle
-    cycle._told_s = 0.0
-    cycle._gather_s = None if cycle._gather_s is None else 0.0
-    for mate in cycle.roll.members:
+    core._told_s = 0.0
+    core._gather_s = None if core._gather_s is None else 0.0
+    for mate in core.roll.members:
         mate.heard_s = mate.asked_s = 0.0
 
 
@@ -157,8 +160,3 @@ class Clients:
         if number == len(self.cores):
             self.cores.append(core)
         return number
-
-
-def failure_of(outcomes: tuple[Outcome, ...]) -> str:
-    """The name of the error among what a client's driver gets, if there is one."""
-    return next((type(x.error).__name__ for x in outcomes if isinstance(x, Failed)), "")

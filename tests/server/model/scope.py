@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from enum import Enum
 
 from wcsim.server.protocol.client_core import ClientCore
 from wcsim.server.protocol.server_core import ServerCore
@@ -12,6 +13,14 @@ class Violation(Exception):
     """What the protocol promises does not hold; `trace` tells how it came to that."""
 
     trace: tuple[str, ...] = ()
+
+
+class Notice(Enum):
+    """What tells the server that a client is dead, beside its lease."""
+
+    PROCESS = "process"
+    LEASE = "lease alone"
+    CONNECTION = "connection"  # whose end is told, also where its client lives: that one comes back through another
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -24,7 +33,7 @@ class Budget:
     suspect: int = 0  # a live session is given up
     duplicate: int = 0  # any request arrives again behind those of now
     lose: int = 0  # one message, either way
-    cut: int = 0  # all messages on their way from and to a client
+    cut: int = 0  # all messages on their way from and to a client, or its connection, see `Notice`
     world: int = 0  # the server dies, a new epoch begins
     respawn: int = 0
     leave: int = 0
@@ -32,16 +41,16 @@ class Budget:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Scope:
+class Scope(Budget):
     """What is explored."""
 
-    budget: Budget
     clients: int = 2
     capacity: int = 2
-    last_tick: int = 2
+    last_tick: int = 1
     starts: int = 2  # joins of each client, by the same process or by the next one
     expected: int = 2  # who comes later than the rest waits for a tick
-    remote: bool = False  # a dead client is noticed by its lease alone
+    notice: Notice = Notice.PROCESS
+    ends_at: int | None = None  # the last tick of epoch 0, which ends as planned; another server begins the next one
     any_seat: bool = False  # clients ask for any seat
     split_step: bool = False  # messages arrive while the world is on its way
     server: type[ServerCore] = ServerCore

@@ -9,11 +9,11 @@ from collections.abc import Callable, Hashable, Iterator
 from dataclasses import dataclass, replace
 
 from tests.server.model.cores import Clients, Servers
-from tests.server.model.scope import BUDGETS, Scope, Violation
+from tests.server.model.scope import BUDGETS, Notice, Scope, Violation
 from tests.server.model.shadow import Shadow, stick_of
 from tests.server.model.view import NOTHING_SEEN, View, hear
 from wcsim.server.protocol import messages as m
-from wcsim.server.protocol.client_core import ClientCore, ClientPhase, Outcome, Say
+from wcsim.server.protocol.client_core import ClientCore, ClientPhase, Outcome
 from wcsim.server.protocol.events import (
     Admit,
     BarrierState,
@@ -41,6 +41,8 @@ class Slot:
     process: int = 0  # how many there have been
     drawn: int = 0  # sessions
     starts: int = 0  # left
+    wire: int = 0  # connections that were cut
+    homes: tuple[tuple[bytes, Peer], ...] = ()  # where each session of the server's joined first
     up: tuple[tuple[Peer, m.Request], ...] = ()
     down: tuple[m.Reply, ...] = ()
     view: View = NOTHING_SEEN
@@ -73,8 +75,8 @@ class Space:
     def first(self) -> World:
         """Nobody is there yet."""
         slots = tuple(Slot(clients.new(), starts=self.scope.starts) for clients in self.clients)
-        left = tuple(int(getattr(self.scope.budget, name)) for name in BUDGETS)
-        return World(self.servers.new(), Shadow(), slots, left)
+        left = tuple(int(getattr(self.scope, name)) for name in BUDGETS)
+        return World(self.servers.new(0, self.scope.expected), Shadow(), slots, left)
 
     def moves(self, at: World) -> Iterator[Move]:
         """Everything that can happen next. Raises Violation."""
@@ -89,8 +91,10 @@ class Space:
             yield from self._faults(at, i, slot)
 
     def done(self, at: World) -> bool:
-        """Whether every client that lives has reached the last tick, or waits for one after it."""
-        roll, top = self.servers.cores[at.server].cycle.roll, at.shadow.tick >= self.scope.last_tick
+        """Whether every client that lives has reached the last tick, or waits for one after it; in the last epoch."""
+        if self._ends(at.shadow.epoch):
+            return False
+        roll, top = self.servers.cores[at.server].roll, at.shadow.tick >= self.scope.last_tick
         for i, slot in enumerate(at.slots):
             core = self.clients[i].cores[slot.core]
             if slot.mode == "hung" or (slot.mode == "dead" and not slot.starts):
@@ -105,21 +109,29 @@ class Space:
     # --- the server and time ---
 
     def _server_moves(self, at: World) -> Iterator[Move]:
-        cycle = self.servers.cores[at.server].cycle
-        if cycle.stage is BarrierState.STEPPING:
+        core = self.servers.cores[at.server]
+        if core.stage is BarrierState.STEPPING:
             yield "stepped", self._stepped(at)
             if not self.scope.split_step:
                 return
-        alive = self._alive(at)
-        for mate in cycle.roll.members:
-            fault = mate.session in alive
-            yield from self._paid(at, f"overdue seat {mate.seat}", "suspect", fault, self.servers.overdue, mate.seat)
-            if (fault or not self.scope.remote) and not self._hung(at, mate.session):
+        if core.stage is BarrierState.EPOCH_OVER:
+            yield from self._ends_of_epoch(at)
+        alive, told = self._alive(at), self.scope.notice is Notice.PROCESS
+        told_else = self.scope.notice is Notice.CONNECTION  # no lease is needed then
+        for mate in core.roll.members:
+            fault, label = mate.session in alive, f"overdue seat {mate.seat}"
+            if fault or not told_else or self._is_connected(at, mate.session):
+                yield from self._paid(at, label, "suspect", fault, self.servers.overdue, mate.seat)
+            if (fault or told) and not self._hung(at, mate.session):
                 yield from self._lost(at, mate.session, fault)
-        for waiting in cycle.roll.pending:
-            if waiting.session not in alive and not self.scope.remote and not self._hung(at, waiting.session):
+        for waiting in core.roll.pending:
+            if waiting.session not in alive and told and not self._hung(at, waiting.session):
                 yield from self._lost(at, waiting.session, fault=False)
-        if cycle.stage is BarrierState.EMPTY and cycle.roll.pending:
+        if told_else:
+            for i, slot in enumerate(at.slots):
+                if any(_is_over(slot, peer) for peer in (*dict(slot.homes).values(), *dict(slot.up))):
+                    yield f"connection of {i} lost", self._connection_lost(at, i, slot)
+        if core.stage is BarrierState.EMPTY and core.roll.pending:
             yield from self._paid(at, "gathered", "", False, lambda server, _: self.servers.gathered(server), 0)
         yield from self._deaths(at)
 
@@ -140,16 +152,49 @@ class Space:
                 self._carry_out(replace(paid, server=server), effects),
             )
 
+    def _connection_lost(self, at: World, i: int, slot: Slot) -> World:
+        """As the host does: sessions that began in it are as good as dead, what is still on its way is not heard."""
+        homes = dict(slot.homes)
+        up = tuple(one for one in slot.up if not _is_over(slot, one[0]))
+        kept = tuple((session, home) for session, home in slot.homes if not _is_over(slot, home))
+        at = _with(at, i, replace(slot, up=up, homes=kept))
+        for one in self.servers.cores[at.server].roll.everyone():
+            if one.session in homes and _is_over(slot, homes[one.session]):
+                server, effects = self.servers.handle(at.server, Lost(one.session, may_return=True))
+                at = self._carry_out(replace(at, server=server), effects)
+        return at
+
     def _stepped(self, at: World) -> World:
         server, effects = self.servers.handle(at.server, Stepped(at.shadow.tick + 1))
         return self._carry_out(replace(at, server=server, shadow=at.shadow.stepped()), effects)
 
     def _deaths(self, at: World) -> Iterator[Move]:
-        slots = tuple(replace(slot, up=(), down=()) for slot in at.slots)
         paid = self._pay(at, "world")
         if paid is not None:
-            shadow = Shadow(epoch=at.shadow.epoch + 1, made=at.shadow.made)
-            yield "!world", replace(paid, server=self.servers.new(shadow.epoch), shadow=shadow, slots=slots)
+            yield "!world", self._next_epoch(paid, heard=False)
+
+    def _next_epoch(self, at: World, heard: bool) -> World:
+        """Another server, which waits for all who had a chair; whether what was said to clients last reaches them."""
+        slots = tuple(replace(slot, up=(), down=slot.down if heard else (), homes=()) for slot in at.slots)
+        shadow = Shadow(epoch=at.shadow.epoch + 1, made=at.shadow.made)
+        server = self.servers.new(shadow.epoch, max(1, len(at.shadow.chairs)))
+        return replace(at, server=server, shadow=shadow, slots=slots)
+
+    def _ends_of_epoch(self, at: World) -> Iterator[Move]:
+        """The server's process ends as planned. Raises Violation where a step is lost, or a chair is left over."""
+        sessions = {mate.session: mate.seat for mate in self.servers.cores[at.server].roll.members}
+        if sorted(sessions.values()) != [chair.seat for chair in at.shadow.chairs]:
+            raise Violation(f"the epoch ends with the chairs {at.shadow.chairs}; its members: {sessions}")
+        for i, slot in enumerate(at.slots):
+            seen, here = slot.view.last, self.clients[i].cores[slot.core].session in sessions
+            if slot.mode != "dead" and here and (seen is None or seen[:2] != (at.shadow.epoch, at.shadow.tick)):
+                raise Violation(f"the epoch ends at tick {at.shadow.tick}, and {i} has seen {seen}")
+        for heard in (True, False):
+            yield f"the epoch is over, {'' if heard else 'un'}heard", self._next_epoch(at, heard)
+
+    def _ends(self, epoch: int) -> bool:
+        """Whether an epoch ends as planned."""
+        return epoch == 0 and self.scope.ends_at is not None
 
     def _carry_out(self, at: World, effects: tuple[Effect, ...]) -> World:
         if sum(isinstance(effect, Step) for effect in effects) > 1:
@@ -176,7 +221,7 @@ class Space:
     def _names_the_master(self, at: World, message: m.Reply) -> None:
         """The master is who has been there for longest."""
         if isinstance(message, m.TickDone | m.Welcome):
-            members = self.servers.cores[at.server].cycle.roll.members
+            members = self.servers.cores[at.server].roll.members
             seats = [mate.seat for mate in members]
             here = [chair for chair in at.shadow.chairs if chair.seat in seats]
             oldest = min(here, key=lambda chair: chair.number).seat
@@ -191,9 +236,8 @@ class Space:
         return self._post(at, show.peer, m.Frame(*seen, show.life, None, chair.number))
 
     def _post(self, at: World, peer: Peer, message: m.Reply) -> World:
-        i, process = peer
-        slot = at.slots[i]
-        if slot.process != process or slot.mode == "dead":
+        i, slot = peer[0], at.slots[peer[0]]
+        if _is_over(slot, peer):
             return at
         return _with(at, i, replace(slot, down=(*slot.down, message)))
 
@@ -201,10 +245,10 @@ class Space:
 
     def _arrivals(self, at: World, i: int, slot: Slot) -> Iterator[Move]:
         (peer, message), rest = slot.up[0], slot.up[1:]
-        if self.servers.cores[at.server].cycle.stage is not BarrierState.STEPPING or self.scope.split_step:
+        if self.servers.cores[at.server].stage is not BarrierState.STEPPING or self.scope.split_step:
             server, effects = self.servers.handle(at.server, Received(peer, message))
             self._fenced(at.server, server, message)
-            after = _with(replace(at, server=server), i, replace(slot, up=rest))
+            after = _with(replace(at, server=server), i, replace(slot, up=rest, homes=self._homes(slot, server)))
             yield f"{i} said {_short(message)}", self._carry_out(after, effects)
         paid = self._pay(at, "duplicate")
         if paid is not None:
@@ -213,9 +257,18 @@ class Space:
         if paid is not None:
             yield f"!lose {i} {_short(message)}", _with(paid, i, replace(slot, up=rest))
 
+    def _homes(self, slot: Slot, server: int) -> tuple[tuple[bytes, Peer], ...]:
+        """Where the sessions that the server knows have joined first, when it has heard what is next."""
+        if self.scope.notice is not Notice.CONNECTION:
+            return ()
+        peer, message = slot.up[0]
+        homes = {**({message.session: peer} if isinstance(message, m.Join) else {}), **dict(slot.homes)}
+        here = {one.session for one in self.servers.cores[server].roll.everyone()}
+        return tuple((session, home) for session, home in homes.items() if session in here)
+
     def _fenced(self, before: int, after: int, message: m.Request) -> None:
-        """Who is not a member changes neither members nor the cycle."""
-        old, new = self.servers.cores[before].cycle, self.servers.cores[after].cycle
+        """Who is not a member changes neither members nor the core."""
+        old, new = self.servers.cores[before], self.servers.cores[after]
         if isinstance(message, m.Join) or old.roll.member(message.session) is not None:
             return
         same = [(c.stage, c.epoch, c.tick, c.roll.members) for c in (old, new)]
@@ -247,7 +300,8 @@ class Space:
             yield from self._driver_moves(at, i, slot, core.epoch, core.tick)
 
     def _driver_moves(self, at: World, i: int, slot: Slot, epoch: int, tick: int) -> Iterator[Move]:
-        if tick < self.scope.last_tick or epoch < at.shadow.epoch:
+        until = self.scope.last_tick + self._ends(epoch)
+        if tick < until or epoch < at.shadow.epoch:
             stick = Joystick(self.sticks[f"c{i}"], stick_of(epoch, tick))
             yield f"{i} acts {tick}", self._act(at, i, slot, "act", lambda c: c.act(tick, stick, 0.0))
             paid = self._pay(at, "respawn")
@@ -269,16 +323,19 @@ class Space:
                 down = () if mode == "dead" else slot.down
                 yield f"!{budget} {i}", _with(paid, i, replace(slot, mode=mode, down=down))
         paid = self._pay(at, "cut")
-        if paid is not None and (slot.up or slot.down):
+        if paid is not None and self.scope.notice is Notice.CONNECTION:
+            yield f"!cut {i}", _with(paid, i, replace(slot, wire=slot.wire + 1, down=()))
+        elif paid is not None and (slot.up or slot.down):
             yield f"!cut {i}", _with(paid, i, replace(slot, up=(), down=()))
 
     def _act(self, at: World, i: int, slot: Slot, key: Hashable, act: ClientMove) -> World:
         before = self.clients[i].cores[slot.core]
         core, outcomes, drawn = self.clients[i].do(slot.core, slot.drawn, key, act)
         after = self.clients[i].cores[core]
-        view = hear(slot.view, before, after, outcomes)
-        peer = bytes([i, slot.process])
-        up = slot.up + tuple((peer, x.message) for x in outcomes if isinstance(x, Say))
+        given_up = self.scope.suspect + self.scope.hang > 0
+        view = hear(slot.view, before, after, outcomes, given_up)
+        peer = bytes([i, slot.process, slot.wire])
+        up = slot.up + tuple((peer, x) for x in outcomes if isinstance(x, m.Request))
         gone = after.phase is ClientPhase.GONE
         slot = replace(slot, core=core, drawn=drawn, up=up, view=NOTHING_SEEN if gone else view)
         return _with(at, i, replace(slot, mode="dead", down=()) if gone else slot)
@@ -289,6 +346,11 @@ class Space:
         cores = [self.clients[i].cores[slot.core] for i, slot in enumerate(at.slots) if slot.mode == "live"]
         return {core.session for core in cores if core.phase is not ClientPhase.OFF}
 
+    def _is_connected(self, at: World, session: bytes) -> bool:
+        """Whether the connection stands in which a session of the server's joined first."""
+        slot = at.slots[session[0]]
+        return any(session == one and not _is_over(slot, home) for one, home in slot.homes)
+
     def _hung(self, at: World, session: bytes) -> bool:
         slot = at.slots[session[0]]
         return slot.mode == "hung" and self.clients[session[0]].cores[slot.core].session == session
@@ -298,6 +360,11 @@ class Space:
         if not at.left[k]:
             return None
         return replace(at, left=(*at.left[:k], at.left[k] - 1, *at.left[k + 1 :]))
+
+
+def _is_over(slot: Slot, peer: Peer) -> bool:
+    """Whether nobody is at the other end of a connection any more."""
+    return slot.mode == "dead" or peer[1:] != bytes([slot.process, slot.wire])
 
 
 def _with(at: World, i: int, slot: Slot) -> World:

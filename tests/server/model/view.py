@@ -5,12 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from tests.server.model.scope import Violation
+from wcsim.errors import WcsimError
 from wcsim.server.protocol import messages as m
-from wcsim.server.protocol.client_core import ClientCore, ClientPhase, Failed, FrameSeen, Outcome
+from wcsim.server.protocol.client_core import ClientCore, ClientPhase, FrameSeen, Outcome
 
 Last = tuple[int, int, int, int]  # epoch, tick, life, chair
 
-CUTS = ("EvictedError", "SeatTakenError", "WorldFullError")
+CUTS = ("SeatTakenError", "WorldFullError")
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,15 +24,18 @@ class View:
 NOTHING_SEEN = View()
 
 
-def hear(view: View, before: ClientCore, after: ClientCore, outcomes: tuple[Outcome, ...]) -> View:
-    """What the driver has seen after these outcomes. Raises Violation for what must not be."""
+def hear(view: View, before: ClientCore, after: ClientCore, outcomes: tuple[Outcome, ...], given_up: bool) -> View:
+    """What the driver has seen after these outcomes. Raises Violation for what must not be.
+
+    That it was evicted may be said only where some are given up that live.
+    """
     seen = next((x for x in outcomes if isinstance(x, FrameSeen)), None)
-    errors = [type(x.error).__name__ for x in outcomes if isinstance(x, Failed)]
+    errors = [type(x).__name__ for x in outcomes if isinstance(x, WcsimError)]
     told_restart = "WorldRestartedError" in errors
     asked_rebuild = isinstance(before.pending, m.Rebuild)
     for x in outcomes:
-        if isinstance(x, Failed):
-            _may_fail(x, asked_rebuild, before.ask.seat)
+        if isinstance(x, WcsimError):
+            _may_fail(x, asked_rebuild, before.ask.seat, given_up)
     if seen is None:
         if told_restart:
             raise Violation("told of a new epoch without its first frame")
@@ -55,10 +59,12 @@ def _goes_on(last: Last, now: Last) -> bool:
     return now in ((epoch, tick + 1, 0, chair), (epoch, tick, life + 1, chair))
 
 
-def _may_fail(failed: Failed, asked_rebuild: bool, seat: int) -> None:
-    name = type(failed.error).__name__
+def _may_fail(error: WcsimError, asked_rebuild: bool, seat: int, given_up: bool) -> None:
+    name = type(error).__name__
     if name == "SeatTakenError" and seat == m.ANY_SEAT:
-        raise Violation(f"the driver wanted any seat and gets {name}: {failed.error}")
+        raise Violation(f"the driver wanted any seat and gets {name}: {error}")
     if name in CUTS or name == "WorldRestartedError" or (name == "NotMasterError" and asked_rebuild):
         return
-    raise Violation(f"the driver gets {name}: {failed.error}")
+    if name == "EvictedError" and given_up:
+        return
+    raise Violation(f"the driver gets {name}: {error}")

@@ -150,7 +150,7 @@ def test_new_lives_give_a_client_no_new_time_to_think_and_have_an_end() -> None:
     desk.wait(49.0)
     assert only(desk.act(1), RespawnSeats).seats == (0,)
     desk.wait(2.0)
-    assert len(desk.core.cycle.roll.members) == 2, "while it waited for others it owed nothing"
+    assert len(desk.core.roll.members) == 2, "while it waited for others it owed nothing"
     desk = Desk(members=1)
     for life in range(MOST_LIVES):
         respawn(life)
@@ -241,10 +241,10 @@ def test_who_lives_goes_on_past_two_that_hang() -> None:
 
 def test_an_epoch_ends_at_a_full_barrier_with_those_gone_who_have_left() -> None:
     desk = Desk()
-    desk.core.cycle.last_tick = 0
+    desk.core.last_tick = 0
     desk.act(0)
     assert [type(e) for e in desk.say(1, m.Leave(session_of(1)))] == [Send, Dismiss]
-    assert desk.core.cycle.stage is BarrierState.EPOCH_OVER
+    assert desk.core.stage is BarrierState.EPOCH_OVER
     assert desk.act(0) == desk.wait(1000.0) == []
 
 
@@ -252,6 +252,15 @@ def test_a_lost_session_that_nobody_knows_is_refused_when_it_joins_late() -> Non
     desk = Desk(members=1)
     desk.feed(Lost(session_of(1)))
     assert failure(desk.say(1, join_of(1)))[0] == "EvictedError"
+
+
+def test_who_was_cut_off_joins_again_under_another_session_and_is_not_told_that_it_was_dropped() -> None:
+    desk = Desk()
+    assert desk.feed(Lost(session_of(1), may_return=True)) == []
+    for late in (m.Act(session_of(1), 0, 0, 0, 0.5, 0.0), join_of(1)):
+        assert failure(desk.say(1, late))[0] == "StaleSessionError"
+    desk.say(1, join_of(1, session=session_of(7)))
+    assert only(desk.step(), m.Welcome, peer=1).seat == 1
 
 
 def test_the_end() -> None:
@@ -304,8 +313,8 @@ class AnyRequests(RuleBasedStateMachine):
 
     @rule(which=st.integers(0, 1))
     def act_well(self, which: int) -> None:
-        for member in self.core.cycle.roll.members[which : which + 1]:
-            now = (self.core.cycle.epoch, self.core.cycle.tick, member.life)
+        for member in self.core.roll.members[which : which + 1]:
+            now = (self.core.epoch, self.core.tick, member.life)
             self.feed(Received(member.peer, m.Act(member.session, *now, 0.5, 0.5)))
 
     @rule(session=SESSIONS, epoch=NUMBERS, number=NUMBERS, life=NUMBERS, kind=st.integers(0, 3))
@@ -318,9 +327,9 @@ class AnyRequests(RuleBasedStateMachine):
         )
         self.feed(Received(b"p", requests[kind]))
 
-    @rule(session=SESSIONS)
-    def lose(self, session: bytes) -> None:
-        self.feed(Lost(session))
+    @rule(session=SESSIONS, may_return=st.booleans())
+    def lose(self, session: bytes, may_return: bool) -> None:
+        self.feed(Lost(session, may_return=may_return))
 
     @rule(seconds=st.sampled_from([0.5, 6.0, 60.0]))
     def wait(self, seconds: float) -> None:
@@ -329,11 +338,10 @@ class AnyRequests(RuleBasedStateMachine):
 
     @invariant()
     def holds(self) -> None:
-        cycle = self.core.cycle
-        assert len({member.seat for member in cycle.roll.members}) == len(cycle.roll.members) <= 2
-        assert (cycle.epoch, cycle.tick) == (self.world.epoch, self.world.tick)
-        assert cycle.stage in (BarrierState.EMPTY, BarrierState.COLLECT)
-        there = {member.seat for member in cycle.roll.members} | set(cycle.roll.going)
+        assert len({member.seat for member in self.core.roll.members}) == len(self.core.roll.members) <= 2
+        assert (self.core.epoch, self.core.tick) == (self.world.epoch, self.world.tick)
+        assert self.core.stage in (BarrierState.EMPTY, BarrierState.COLLECT)
+        there = {member.seat for member in self.core.roll.members} | set(self.core.roll.going)
         assert {chair.seat for chair in self.world.chairs} == there
 
 

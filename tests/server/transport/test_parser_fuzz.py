@@ -20,7 +20,7 @@ from tests.server.servers import AHEAD, Server, stand_in_order
 from tests.support.worlds import quick_config
 from wcsim.errors import OverloadedError, ProtocolError
 from wcsim.server.host.process import BURST, MESSAGES_PER_S
-from wcsim.server.ledger import audits, iter_ledger
+from wcsim.server.ledger import audit, iter_ledger
 from wcsim.server.links.socket import SocketSeat
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.events import Rules
@@ -166,7 +166,7 @@ def test_a_good_client_loses_nothing_whatever_others_send(tmp_path):
             vandal.join(60.0)
         assert "ProtocolError" in vandal.told
         assert server.status(lambda s: s.tick == frame.tick).members == ("a",)
-    _, (found,) = audits((), [(0, iter_ledger(tmp_path / "a"))])
+    _, (found,) = audit((), [(0, iter_ledger(tmp_path / "a"))])
     assert (found.steps, found.missing) == (frame.tick, 0)
 
 

@@ -19,7 +19,7 @@ from wcsim.server.launch.states import ClientExit
 from wcsim.server.protocol import messages as m
 from wcsim.server.specs import WorldOrder
 from wcsim.server.transport.shared_images import RingSink, RingView
-from wcsim.server.transport.world_folder import LOCK, OwnFolder, remove_stale
+from wcsim.server.transport.world_folder import LOCK, OwnFolder, _remove_stale
 from wcsim.types import Command, Joystick, SeatSpec
 
 ONE = quick_config("cameras.0.rgb=true")
@@ -178,12 +178,12 @@ def test_folders_of_dead_owners_go_and_others_stay(tmp_path):
     try:
         assert stat.S_IMODE(mine.path.stat().st_mode) == 0o700
         (theirs / "seat-0").write_bytes(b"picture")
-        assert remove_stale(tmp_path) == 0
+        assert _remove_stale(tmp_path) == 0
         assert (theirs / "seat-0").exists()
     finally:
         child.kill()
         child.communicate()
-    assert remove_stale(tmp_path) == 1
+    assert _remove_stale(tmp_path) == 1
     assert [path.name for path in tmp_path.iterdir()] == [mine.path.name]
     mine.close()
     mine.close()
@@ -196,7 +196,7 @@ def test_who_cannot_see_a_process_leaves_its_folder_alone(tmp_path, monkeypatch)
     mine = OwnFolder(tmp_path)
     other = tmp_path / mine.path.name.replace(f"-{os.getpid()}-", "-4194305-")
     mine.path.rename(other)
-    assert remove_stale(tmp_path) == 0
+    assert _remove_stale(tmp_path) == 0
     assert (other / LOCK).exists()
 
 
@@ -205,5 +205,5 @@ def test_a_folder_without_a_lock_goes_when_it_is_empty(tmp_path):
         (tmp_path / name).mkdir()
     (tmp_path / "wcsim-ring-13-full" / "seat-0").touch()
     (tmp_path / "wcsim-ring-14-link").symlink_to(tmp_path / "wcsim-ring-13-full")
-    assert remove_stale(tmp_path) == 1
+    assert _remove_stale(tmp_path) == 1
     assert {path.name for path in tmp_path.iterdir()} == {"wcsim-ring-13-full", "wcsim-ring-14-link"}

@@ -34,7 +34,7 @@ from wcsim.log.reader import iter_inputs, log_digest, part_files
 from wcsim.log.writer import JOURNAL, LogWriter, told_torn
 from wcsim.server.launch.launcher import Launcher
 from wcsim.server.launch.states import ClientState, LaunchOutcome, LaunchRules, LaunchState, RestartRules
-from wcsim.server.ledger import Audit, audits, iter_ledger
+from wcsim.server.ledger import Audit, audit, iter_ledger
 from wcsim.server.protocol.limits import require_files
 from wcsim.server.specs import world_plan
 from wcsim.server.transport.world_folder import workplace
@@ -83,7 +83,7 @@ def _report_of(folder: ClientsFolder, seed: int, rate: _TickRate, waits: PaidTim
     journal = path if part_files(path) else None
     ledgers = [folder.ledger(name) for name in folder.clients]
     entries = [iter_ledger(ledger) if ledger.is_file() else () for ledger in ledgers]
-    ticks, against = audits(() if journal is None else iter_inputs(journal), list(enumerate(entries)))
+    whole, against = audit(() if journal is None else iter_inputs(journal), list(enumerate(entries)))
     rows = [_steps_of(ledger, journal, one) for ledger, one in zip(ledgers, against, strict=True)]
     return {
         "run": str(folder.path),
@@ -91,7 +91,7 @@ def _report_of(folder: ClientsFolder, seed: int, rate: _TickRate, waits: PaidTim
         "seed": seed,
         "status": folder.manifest.status,
         "clients": [{"name": name, **row} for name, row in zip(folder.clients, rows, strict=True)],
-        "ticks": ticks,
+        "ticks": whole.ticks,
         "journal_hash": "" if journal is None else log_digest(path),
         "ticks_per_s": rate.ticks_per_s,
         "waits": asdict(waits),

@@ -17,6 +17,7 @@ import struct
 from collections import deque
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
+from functools import partial
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Final
@@ -35,7 +36,7 @@ from wcsim.drive.stick_watch import rests
 from wcsim.errors import ConfigError, ProtocolError, WorkersError
 
 _MOST_WAITING: Final = 64  # lines to a page; of a page that reads too slowly the oldest are lost
-_PING_S: Final = 20.0  # a page that is gone without a word; its stick has long been at rest
+_PING_S: Final = 20.0  # between pings; a page has half of it to answer one, and its stick has long been at rest then
 _SOON_S, _END_S = 0.5, 10.0  # for a page or process that hears, and for one that does not
 _NUMBER = struct.Struct("<I")
 _STATE: Final = b'{"say":"state"'
@@ -325,7 +326,6 @@ class DriveServer:
         app = web.Application(middlewares=[self._guarded])
         app.router.add_get("/socket", self._meet, allow_head=False)
         app.router.add_get("/{name:.*}", self._page)
-        app.on_response_prepare.append(_say_no_version)
         app.on_shutdown.append(self._audience.close)
         runner = web.AppRunner(
             app,
@@ -336,6 +336,8 @@ class DriveServer:
             auto_decompress=False,  # of bodies, which nobody reads
         )
         await runner.setup()
+        if runner.server is not None:
+            runner.server.request_factory = partial(app._make_request, _cls=_Request)
         try:
             await _listen_at(runner, self._host, self._port)
             self._say(f"{self._start.word} at {self._address(runner)}  (Ctrl-C to stop)")
@@ -480,8 +482,11 @@ async def _listen_at(runner: web.AppRunner, host: str, port: int) -> None:
         raise ConfigError(f"{host}:{port}: cannot be served ({error.strerror or error}); {cure}") from None
 
 
-async def _say_no_version(_: web.Request, response: web.StreamResponse) -> None:
-    response.headers.popall("Server", None)
+class _Request(web.Request):
+    """One whose answer does not name aiohttp's version, also where it is no request at all and the answer says that."""
+
+    async def _prepare_hook(self, response: web.StreamResponse) -> None:
+        response.headers.popall("Server", None)
 
 
 def _logger() -> logging.Logger:

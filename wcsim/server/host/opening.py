@@ -5,12 +5,11 @@ Loads SUMO and PyBullet.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Protocol
 
-from wcsim.bridge.replay.player import Seats, SeatWorld, Specs, W_co
+from wcsim.bridge.replay.player import Seats, SeatWorld, Specs
 from wcsim.bridge.world import World
 from wcsim.core import seeding
 from wcsim.errors import ConfigError
@@ -18,7 +17,6 @@ from wcsim.log.fingerprint import fingerprint
 from wcsim.log.reader import inputs_of_part, part_files, put_aside, read_header
 from wcsim.log.records import Ended, EpochBegun, Header
 from wcsim.log.writer import JOURNAL, LogWriter, told_torn
-from wcsim.server.host.epoch_cap import EPOCH_OVER
 from wcsim.server.launch.event_log import RunLog
 from wcsim.server.protocol.events import Rules
 from wcsim.server.protocol.server_core import ServerCore
@@ -27,26 +25,21 @@ from wcsim.towns.making.asked_town import asked_town
 from wcsim.towns.scenario.town import towns_hash
 from wcsim.users.recordings.recorded_user import find_user
 
-
-class MakesWorld(Protocol[W_co]):
-    """Makes the worlds of orders."""
-
-    def __call__(self, order: WorldOrder, specs: Specs, seed: int, *, epoch: int = 0) -> W_co:
-        """A world with a chair for each of `specs` that is not None; `epoch` is the number of its first epoch."""
+EPOCH_OVER = "the world generation is over"
+"""How the reason begins by which a world's process ends for another one to go on with the next epoch."""
 
 
-def made_world(order: WorldOrder) -> World:
-    """A world with free seats."""
-    return street_world(order, (None,) * order.seats, order.seed)
+MakesWorld = Callable[[WorldOrder, Specs, int, int], SeatWorld]
+"""Makes the world of an order, with a chair for each of the specs that is not None; its seed, and its first epoch."""
 
 
-def street_world(order: WorldOrder, specs: Specs, seed: int, *, epoch: int = 0) -> World:
+def street_world(order: WorldOrder, specs: Specs, seed: int, epoch: int = 0) -> World:
     """The world of a town; see `MakesWorld`. Raises TownError for one that is not there, and what `World` raises."""
     town = asked_town(town_of_epoch(order.town, order.more_towns, epoch))
     return World(town, order.config, specs, seed, order.place, epoch=epoch, find_user=find_user)
 
 
-def epoch_seed(seed: int, epoch: int) -> int:
+def _epoch_seed(seed: int, epoch: int) -> int:
     """The seed of an epoch: the run's own for the first one."""
     return seed if epoch == 0 else seeding.derive(seed, "epoch", epoch)
 
@@ -64,7 +57,7 @@ class Opened:
     journal: LogWriter | None
 
 
-def open_server(order: WorldSpec, make: MakesWorld[SeatWorld] = street_world) -> Opened:
+def open_server(order: WorldSpec, make: MakesWorld = street_world) -> Opened:
     """Make the world of an order: the next epoch where the journal in its run folder has one.
 
     An epoch whose world died is over as one that ended as planned: no state of it is needed, as no client waits for it.
@@ -78,7 +71,9 @@ def open_server(order: WorldSpec, make: MakesWorld[SeatWorld] = street_world) ->
         WcsimError: What the world raises, or the journal.
     """
     if not order.run or not order.journal:
-        return Opened(world=_fresh(order, make, 0), core=ServerCore(order.rules), journal=None)
+        return Opened(
+            world=make(order, (None,) * order.rules.capacity, order.seed, 0), core=ServerCore(order.rules), journal=None
+        )
     path, header = Path(order.run) / JOURNAL, _header(order, has_town=make is street_world)
     parts = part_files(path)
     if parts:
@@ -102,11 +97,12 @@ def _rules_after(order: WorldSpec, last: _LastEpoch) -> Rules:
     return replace(order.rules, expected=max(1, last.seated), gather_s=min(order.rules.gather_s, most_s))
 
 
-def _begun(order: WorldSpec, make: MakesWorld[SeatWorld], journal: LogWriter, epoch: int, rules: Rules) -> Opened:
+def _begun(order: WorldSpec, make: MakesWorld, journal: LogWriter, epoch: int, rules: Rules) -> Opened:
     """A fresh world, all seats free."""
+    seed = _epoch_seed(order.seed, epoch)
     try:
-        world = _fresh(order, make, epoch)
-        journal.append(EpochBegun(epoch=epoch, seed=epoch_seed(order.seed, epoch), fresh=True))
+        world = make(order, (None,) * order.rules.capacity, seed, epoch)
+        journal.append(EpochBegun(epoch=epoch, seed=seed, fresh=True))
     except BaseException:
         journal.close()
         raise
@@ -119,10 +115,6 @@ def _appended(path: Path) -> LogWriter:
     if journal.cut_bytes:
         RunLog(path.parent).add("torn", who="world", reason=told_torn(path, journal.cut_bytes))
     return journal
-
-
-def _fresh(order: WorldSpec, make: MakesWorld[SeatWorld], epoch: int) -> SeatWorld:
-    return make(order, (None,) * order.rules.capacity, epoch_seed(order.seed, epoch), epoch=epoch)
 
 
 def _header(order: WorldSpec, has_town: bool) -> Header:

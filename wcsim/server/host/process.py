@@ -24,7 +24,6 @@ from types import FrameType
 
 import msgspec
 
-from wcsim.bridge.replay.player import SeatWorld
 from wcsim.core.closing import Closing
 from wcsim.core.processes import die_with_parent
 from wcsim.errors import (
@@ -39,16 +38,16 @@ from wcsim.errors import (
     WcsimError,
 )
 from wcsim.log.records import Ended
-from wcsim.server.host.epoch_cap import EPOCH_OVER, EpochCap
-from wcsim.server.host.opening import MakesWorld, Opened, open_server, street_world
+from wcsim.server.host.opening import EPOCH_OVER, MakesWorld, Opened, open_server, street_world
 from wcsim.server.host.status import Reporter
 from wcsim.server.host.world_host import Keep, WorldHost
 from wcsim.server.launch.awake_clock import AwakeClock
 from wcsim.server.launch.states import WorldExit
 from wcsim.server.protocol import messages as m
-from wcsim.server.protocol.events import Clock, Event, Lost, Peer, Received, Stop
+from wcsim.server.protocol.events import BarrierState, Clock, Event, Lost, Peer, Received, Stop
 from wcsim.server.protocol.limits import NO_ROOM, last_words, told_limit
-from wcsim.server.specs import WorldSpec, read_order
+from wcsim.server.protocol.server_core import ServerCore
+from wcsim.server.specs import WorldSpec, read_order, rss_mb
 from wcsim.server.transport.shared_images import RingSink
 from wcsim.server.transport.sockets import LOCAL, REMOTE, Heard, ServerSockets
 
@@ -64,7 +63,7 @@ class _Account:
     faults: int = 0
 
 
-class PeerLimits:
+class _PeerLimits:
     """Accounts of all peers."""
 
     def __init__(self) -> None:
@@ -116,7 +115,7 @@ class PeerLimits:
         return self._accounts[peer]
 
 
-def at_the_door(join: m.Join, remote: bool, key: str | None) -> m.Join:
+def _at_the_door(join: m.Join, remote: bool, key: str | None) -> m.Join:
     """A join as the server takes it from this door.
 
     A client with a key is known by the key's name, or by that with a dot and a word after it (`ann.2`).
@@ -138,7 +137,7 @@ def at_the_door(join: m.Join, remote: bool, key: str | None) -> m.Join:
     return msgspec.structs.replace(join, pid=0)
 
 
-class Lifelines(Closing):
+class _Lifelines(Closing):
     """Watches the processes of local clients, and the pipe to whoever started this one; a context manager.
 
     The kernel says at once when one has ended, whatever it was doing.
@@ -203,6 +202,42 @@ class Lifelines(Closing):
         os.close(number)
 
 
+_GROWTH_MB = 1_000.0  # what a world's process may grow by in an epoch
+SETTLED_TICKS = 100  # after which a world's memory is what it begins an epoch with
+
+
+class _EpochCap:
+    """The end of an epoch: at a full barrier, when everybody has seen the last tick and nobody the next one.
+
+    So it depends on the tick alone, unless memory has grown, and two runs with equal seeds end their epochs alike.
+    """
+
+    def __init__(self, order: WorldSpec, core: ServerCore) -> None:
+        """Have the barrier end its epoch as the order says; never, where nobody would go on."""
+        self._core = core
+        core.last_tick = order.epoch_ticks or None
+        self._begun_mb: float | None = None
+        self._why = ""
+
+    def weigh(self) -> None:
+        """Look at how much memory this process has, and end the epoch if it is too much; to be called now and then."""
+        core = self._core
+        if core.last_tick is None or core.tick < SETTLED_TICKS:
+            return
+        now_mb = rss_mb()
+        self._begun_mb = now_mb if self._begun_mb is None else self._begun_mb
+        if now_mb - self._begun_mb > _GROWTH_MB:
+            self._why = f"{EPOCH_OVER}: its process has grown from {self._begun_mb:.0f} to {now_mb:.0f} MB"
+            core.last_tick = 0  # the next full barrier, also of a world that is begun anew meanwhile
+
+    @property
+    def reached(self) -> str:
+        """Why the epoch is over, "" as long as it is not."""
+        if self._core.stage is not BarrierState.EPOCH_OVER:
+            return ""
+        return self._why or f"{EPOCH_OVER}: tick {self._core.tick}"
+
+
 _WAIT_MS = 50
 _CLOCK_S = 0.1
 
@@ -211,7 +246,7 @@ class _ServerLoop:
     """A hub behind its doors; see the module's text."""
 
     def __init__(
-        self, order: WorldSpec, opened: Opened, doors: ServerSockets, lifelines: Lifelines, reporter: Reporter
+        self, order: WorldSpec, opened: Opened, doors: ServerSockets, lifelines: _Lifelines, reporter: Reporter
     ) -> None:
         """Nothing is said or heard before `run`. Raises what `RingSink` raises."""
         self._order, self._core = order, opened.core
@@ -221,13 +256,13 @@ class _ServerLoop:
         keep: Keep = (lambda record: None) if opened.journal is None else opened.journal.append
         self._hub = WorldHost(opened.core, opened.world, self._post, keep, self._ring, reporter.loading)
         self._clock = AwakeClock(time.monotonic())
-        self._peers = PeerLimits()
+        self._peers = _PeerLimits()
         self._homes: dict[bytes, Peer] = {}  # where each session joined first: whoever repeats its words is another
         self._out: dict[Peer, list[bytes]] = {}
         self._encoded: tuple[m.Reply | None, bytes] = (None, b"")  # the last one said
         self._clock_s = 0.0  # of the last Clock event
         self._alone = False
-        self._cap = EpochCap(order, opened.core.cycle)
+        self._cap = _EpochCap(order, opened.core)
         doors.watch(lifelines.fileno())
 
     def run(self, asked_to_end: Callable[[], str]) -> str:
@@ -263,13 +298,12 @@ class _ServerLoop:
             lost, self._alone = self._lifelines.news()
             for session in lost:
                 self._feed(Lost(session))
-            for session in self._cut_off():
-                del self._homes[session]  # it may come back through another one
+            for session in self._sessions_of(self._doors.lost()):
                 self._feed(Lost(session, "its connection was lost", may_return=True))
         if due:
             self._clock_s = self._clock.now_s
             self._feed(Clock())
-            here = {p.session for p in self._core.cycle.roll.everyone()}
+            here = {p.session for p in self._core.roll.everyone()}
             self._lifelines.keep(here)
             self._homes = {session: home for session, home in self._homes.items() if session in here}
             self._reporter.report(self._core, self._hub, self._clock.now_s)
@@ -281,18 +315,16 @@ class _ServerLoop:
         if not may_speak:
             if may_speak is not None:
                 self._refuse(peer, OverloadedError("too many messages per second; wait for the answers"))
-                self._shut_out(peer)
             return
         try:
             if heard.key == "":
                 raise AccessError("the key of this connection was withdrawn; get a new one")
             message = m.decode_request(heard.data)
             if isinstance(message, m.Join):
-                message = at_the_door(message, peer.startswith(REMOTE), heard.key)
+                message = _at_the_door(message, peer.startswith(REMOTE), heard.key)
         except WcsimError as error:
             self._peers.fault(peer)
             self._refuse(peer, error)
-            self._shut_out(peer)
             return
         self._feed(Received(peer, message))
         if isinstance(message, m.Join):
@@ -300,16 +332,15 @@ class _ServerLoop:
             if message.pid > 0 and peer.startswith(LOCAL):
                 self._watch(message)
 
-    def _cut_off(self) -> list[bytes]:
-        """Sessions whose connections have ended: as good as dead, for nobody else can be waited for so long."""
-        lost = self._doors.lost()
-        everyone = self._core.cycle.roll.everyone() if lost else ()
-        return [p.session for p in everyone if self._homes.get(p.session) in lost]
+    def _sessions_of(self, peers: Container[Peer]) -> list[bytes]:
+        """The sessions that began in these connections, which are of no use any more: nobody shall wait for them."""
+        return [p.session for p in self._core.roll.everyone() if self._homes.get(p.session) in peers]
 
-    def _shut_out(self, peer: Peer) -> None:
-        """Who is not heard any more cannot act: nobody shall wait for it."""
+    def _refuse(self, peer: Peer, error: WcsimError) -> None:
+        """Say why a message was not heard. Of whom nothing is heard any more, that one cannot act."""
+        self._doors.send(peer, [m.encode(m.failure_of(error))])
         if self._peers.is_shut_out(peer):
-            for session in [session for session, home in self._homes.items() if home == peer]:
+            for session in self._sessions_of((peer,)):
                 self._feed(Lost(session, "it sent too many messages, or too many that could not be read"))
 
     def _feed(self, event: Event) -> None:
@@ -323,13 +354,13 @@ class _ServerLoop:
         self._reporter.saw(self._core, event, self._clock.now_s, stepped_s)
 
     def _watch(self, join: m.Join) -> None:
-        roll = self._core.cycle.roll
+        roll = self._core.roll
         known = roll.member(join.session) is not None or roll.waiting(join.session) is not None
         if known and not self._lifelines.watch(join.pid, join.session):
             self._feed(Lost(join.session))
 
     def _present_peers(self) -> set[Peer]:
-        return {p.peer for p in self._core.cycle.roll.everyone()}
+        return {p.peer for p in self._core.roll.everyone()}
 
     # --- what is said ---
 
@@ -351,16 +382,13 @@ class _ServerLoop:
         order = self._order
         return msgspec.structs.replace(welcome, ring=ring, config_json=order.config.model_dump_json(), town=order.town)
 
-    def _refuse(self, peer: Peer, error: WcsimError) -> None:
-        self._doors.send(peer, [m.encode(m.failure_of(error))])
-
     def _flush(self) -> None:
         for peer, parts in self._out.items():
             self._doors.send(peer, parts)
         self._out.clear()
 
     def _tell_all(self, error: WcsimError) -> None:
-        for p in self._core.cycle.roll.everyone():
+        for p in self._core.roll.everyone():
             self._doors.send(p.peer, [m.encode(m.failure_of(error, p.session))])
 
 
@@ -368,7 +396,7 @@ _ORDER_FAULTS = (ConfigError, TownError, HookError, JournalError)
 _PARENT_GONE = signal.SIGUSR1
 
 
-def main(words: list[str], make: MakesWorld[SeatWorld] = street_world) -> int:
+def main(words: list[str], make: MakesWorld = street_world) -> int:
     """Host the world of an order file; returns the exit code. Benches and tests give a `make` of their own."""
     if len(words) != 1:
         return _failed(ConfigError(f"got {len(words)} arguments; expected an order file"))
@@ -402,12 +430,10 @@ def main(words: list[str], make: MakesWorld[SeatWorld] = street_world) -> int:
     return WorldExit.EPOCH_OVER
 
 
-def _prepared(
-    order: WorldSpec, make: MakesWorld[SeatWorld], reporter: Reporter, held: ExitStack
-) -> tuple[Opened, _ServerLoop]:
+def _prepared(order: WorldSpec, make: MakesWorld, reporter: Reporter, held: ExitStack) -> tuple[Opened, _ServerLoop]:
     """Open the doors first, so that an order that cannot be used fails before the world is loaded."""
     doors = held.enter_context(ServerSockets(order.endpoint, order.listen, order.keys))
-    lifelines = held.enter_context(Lifelines(order.status_fd))
+    lifelines = held.enter_context(_Lifelines(order.status_fd))
     opened = open_server(order, make)
     if opened.journal is not None:
         held.enter_context(opened.journal)

@@ -14,7 +14,6 @@ import msgspec
 from wcsim.errors import WcsimError
 from wcsim.server.host.world_host import WorldHost
 from wcsim.server.launch.states import Held, WorldStatus
-from wcsim.server.protocol.barrier import Barrier
 from wcsim.server.protocol.events import BarrierState, Clock, Event, Received
 from wcsim.server.protocol.members import Member
 from wcsim.server.protocol.messages import Act, failure_of
@@ -26,12 +25,12 @@ _STEPS = 100  # for the median
 _RATES = 20  # reports that the rate is taken over
 
 
-class Stragglers:
+class _Stragglers:
     """For whom the others wait: not who is late now, but how much of everybody's waiting each one has caused.
 
     Adds up time in which some members had acted and others had not; a moment's late ones share it evenly.
 
-    >>> holdups = Stragglers()
+    >>> holdups = _Stragglers()
     >>> holdups.saw(("a", "b"), ("a", "b"), 0.0)  # nobody waits yet
     >>> holdups.saw(("a", "b"), ("b",), 1.0)  # a has acted
     >>> holdups.saw(("a", "b"), (), 3.5)  # b too
@@ -89,10 +88,10 @@ def _names_of(members: Sequence[Member]) -> list[str]:
     return [mate.name if first[mate.name] == mate.seat else f"{mate.name} (seat {mate.seat})" for mate in members]
 
 
-def _names_and_late(cycle: Barrier, members: Sequence[Member]) -> tuple[list[str], list[str]]:
+def _names_and_late(core: ServerCore, members: Sequence[Member]) -> tuple[list[str], list[str]]:
     """The names of members, and of those of them that the others wait for."""
     names = _names_of(members)
-    waits = cycle.stage is BarrierState.COLLECT
+    waits = core.stage is BarrierState.COLLECT
     return names, [name for name, mate in zip(names, members, strict=True) if waits and not mate.ready]
 
 
@@ -106,7 +105,7 @@ class Reporter:
         self._said_s = -_EVERY_S
         self._steps_s: deque[float] = deque(maxlen=_STEPS)
         self._counts: deque[tuple[float, int]] = deque(maxlen=_RATES)
-        self._holdups = Stragglers()
+        self._holdups = _Stragglers()
         if pipe >= 0:
             os.set_blocking(pipe, False)
 
@@ -125,7 +124,7 @@ class Reporter:
             self._holdups.saw((), (), now_s - stepped_s)  # the last one's action and the step are one event
         acted = isinstance(event, Received) and isinstance(event.message, Act)
         if acted or stepped_s > 0.0 or isinstance(event, Clock):
-            names, late = _names_and_late(core.cycle, core.cycle.roll.members)
+            names, late = _names_and_late(core, core.roll.members)
             self._holdups.saw(names, late, now_s)
 
     def report(self, core: ServerCore, hub: WorldHost, now_s: float) -> None:
@@ -135,16 +134,15 @@ class Reporter:
             return
         self._said_s = real_s
         self._counts.append((real_s, hub.ticks))
-        cycle = core.cycle
-        members = cycle.roll.by_seat()
-        names, late = _names_and_late(cycle, members)
-        master = cycle.roll.master
-        owing = [mate for mate in members if not mate.ready] if cycle.stage is BarrierState.COLLECT else []
+        members = core.roll.by_seat()
+        names, late = _names_and_late(core, members)
+        master = core.roll.master
+        owing = [mate for mate in members if not mate.ready] if core.stage is BarrierState.COLLECT else []
         self._say(
             WorldStatus(
-                stage=cycle.stage.value,
-                epoch=cycle.epoch,
-                tick=cycle.tick,
+                stage=core.stage.value,
+                epoch=core.epoch,
+                tick=core.tick,
                 ticks=hub.ticks,
                 ticks_per_s=self._rate(),
                 step_ms=1e3 * statistics.median(self._steps_s) if self._steps_s else 0.0,

@@ -106,7 +106,7 @@ class WorldHost:
 
     def _refuse(self, seat: int, error: WcsimError, now_s: float) -> list[ev.Effect]:
         """The world takes no such chair: its client hears why, and the core that it is gone."""
-        member = self.core.cycle.roll.at(seat)
+        member = self.core.roll.at(seat)
         if member is None:
             raise error
         self._refused.add(seat)

@@ -19,7 +19,7 @@ from wcsim.log.records import SeenFrame
 from wcsim.log.writer import LogWriter
 from wcsim.server.launch.awake_clock import AwakeClock
 from wcsim.server.protocol import messages as m
-from wcsim.server.protocol.client_core import ClientCore, Failed, FrameSeen, Outcome, Say, Welcomed
+from wcsim.server.protocol.client_core import ClientCore, FrameSeen, Outcome
 from wcsim.server.specs import WorldOrder
 from wcsim.types import ClientSnapshot, Joystick
 
@@ -284,14 +284,14 @@ class WorldLink(Seat):
         """Do what the client core wants done."""
         for outcome in outcomes:
             match outcome:
-                case Say():
-                    self._post(outcome.message)
                 case FrameSeen():
                     self._see(outcome)
-                case Failed():
-                    self._error = outcome.error
-                case Welcomed():
-                    self._welcomed(outcome.message)
+                case WcsimError():
+                    self._error = outcome
+                case m.Welcome():
+                    self._welcomed(outcome)
+                case _:
+                    self._post(outcome)
 
     def hear(self, message: m.Reply) -> None:
         """Take in one message of the server."""

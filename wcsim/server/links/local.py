@@ -12,7 +12,7 @@ from contextlib import contextmanager
 
 from wcsim.bridge.world_rollout import rollout
 from wcsim.errors import LinkClosedError, ProtocolError, TickTimeoutError
-from wcsim.server.host.opening import made_world
+from wcsim.server.host.opening import street_world
 from wcsim.server.links.base import INTERRUPTED, Seat, SeatGroup, Waits
 from wcsim.server.specs import WorldOrder
 from wcsim.types import ClientSnapshot, Joystick, SeatSpec
@@ -22,7 +22,7 @@ class _LocalWorld:
     """A world in this process, with what its seats have said."""
 
     def __init__(self, order: WorldOrder) -> None:
-        self.world = made_world(order)
+        self.world = street_world(order, (None,) * order.seats, order.seed)
         self.sticks: dict[int, Joystick] = {}  # of the tick to come, by seat
         self.torn = False  # an interrupt or an error came while the world changed
         self.waits = Waits()

@@ -37,10 +37,10 @@ from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.client_core import Ask, ClientCore, ClientPhase, FrameSeen, Patience
 from wcsim.server.protocol.events import Rules
 from wcsim.server.specs import WORLD_ARGV, SeatRequest, WorldOrder, WorldSpec, of_line, to_line
-from wcsim.server.transport.keys import client_keys, is_ipv6, server_public
+from wcsim.server.transport.keys import client_keys, server_public
 from wcsim.server.transport.shared_images import RingView
-from wcsim.server.transport.sockets import monitored, notice_cuts
-from wcsim.server.transport.world_folder import OwnFolder, endpoint_in, is_abandoned, remove_stale
+from wcsim.server.transport.sockets import monitored
+from wcsim.server.transport.world_folder import OwnFolder, endpoint_in, is_abandoned
 from wcsim.types import ClientSnapshot, SeatSpec
 
 log = logging.getLogger("wcsim.server.links.socket")
@@ -85,8 +85,9 @@ class SocketSeat(WorldLink):
         self._cut_s: float | None = None  # since when a connection is missing; infinite once that was said
         self._said_leave = False
         try:
-            self._socket = _connected(self._context, order)
+            self._socket = self._context.socket(zmq.DEALER)
             self._monitor = monitored(self._socket, _REFUSED | _MADE | _LOST)
+            _connect(self._socket, order)
             ledger = open_ledger(Path(order.ledger), order.name) if order.ledger else None
             super().__init__(ClientCore(ask, order.patience, new_session), ledger)
         except BaseException:
@@ -202,12 +203,10 @@ def _refusal(endpoint: str, keys: str, event: int, code: int) -> str:
     return f"{refused}: the server's public key in {keys} is not that of this server; copy its current server.public"
 
 
-def _connected(context: zmq.Context[zmq.Socket[bytes]], order: SeatRequest) -> zmq.Socket[bytes]:
-    socket = context.socket(zmq.DEALER)
+def _connect(socket: zmq.Socket[bytes], order: SeatRequest) -> None:
     for option, value in _OPTIONS.items():
         socket.setsockopt(option, value)
-    socket.setsockopt(zmq.IPV6, is_ipv6(order.endpoint))
-    notice_cuts(socket)
+    socket.setsockopt(zmq.IPV6, order.endpoint.startswith("tcp://["))
     if order.keys:
         pair = client_keys(Path(order.keys), order.name)
         socket.curve_serverkey = server_public(Path(order.keys))
@@ -218,7 +217,6 @@ def _connected(context: zmq.Context[zmq.Socket[bytes]], order: SeatRequest) -> z
         raise ConfigError(
             f"endpoint {order.endpoint!r}: {error.strerror}; expected ipc://FILE or tcp://HOST:PORT"
         ) from None
-    return socket
 
 
 _OPEN_TIMEOUT_S = 300.0  # building a town's mesh for the first time and warming its traffic up
@@ -246,7 +244,6 @@ class _WorldChild:
 
         Its first tick waits for all seats.
         """
-        remove_stale()
         place = OwnFolder()
         self.endpoint = endpoint_in(place.path)
         self._selector = selectors.DefaultSelector()

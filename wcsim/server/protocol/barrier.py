@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Self
 
 from wcsim.errors import EvictedError, ProtocolError
 from wcsim.server.protocol import events as ev
@@ -22,7 +23,8 @@ from wcsim.types import Command
 class Barrier:
     """The state of a server and what moves it; `out` collects what is to be done."""
 
-    def __init__(self, rules: ev.Rules, epoch: int) -> None:
+    def __init__(self, rules: ev.Rules, epoch: int = 0) -> None:
+        """Nobody is there, at the beginning of `epoch`."""
         self.rules = rules
         self.epoch, self.tick = epoch, 0
         self.stage = ev.BarrierState.EMPTY
@@ -33,8 +35,8 @@ class Barrier:
         self._gather_s: float | None = None  # since when somebody waits for the others to come
         self._told_s = -math.inf  # when those who wait were told for whom
 
-    def copied(self) -> Barrier:
-        """A cycle in the same state that goes its own way."""
+    def copied(self) -> Self:
+        """One in the same state that goes its own way."""
         twin = type(self).__new__(type(self))
         twin.__dict__.update(self.__dict__, roll=self.roll.copied(), out=[])
         return twin
@@ -137,12 +139,13 @@ class Barrier:
         """Give a client up; should it live, it hears of it."""
         told = EvictedError(f"the server dropped this client: {reason}")
         self.send(member.peer, m.failure_of(told, member.session))
-        self.remove(member, reason, now_s)
+        self.roll.retire(member.session)
+        if not self.roll.stop_waiting(member.session):
+            self.remove(member, reason, now_s)
 
     def remove(self, member: Member, reason: str, now_s: float) -> None:
         """Take a member off the roll, and look at the barrier again: the others may owe nothing."""
         self.roll.members.remove(member)
-        self.roll.retire(member.session)
         self.roll.going[member.seat] = reason
         if self.stage is ev.BarrierState.STEPPING:
             return
@@ -178,10 +181,6 @@ class Barrier:
         """Tell a client that it is in, and show it what its seat sees."""
         self.send(member.peer, m.Welcome(member.session, self.epoch, self.tick, member.seat, self._master_seat))
         self.show(member)
-
-    def tell_tick(self, member: Member) -> None:
-        """Tell a client again which tick the simulation has reached."""
-        self.send(member.peer, m.TickDone(self.epoch, self.tick, self._master_seat))
 
     def show(self, member: Member) -> None:
         """Send a client the frame of now."""

@@ -64,13 +64,6 @@ class Patience:
 
 
 @dataclass(frozen=True, slots=True)
-class Say:
-    """Send a message to the server."""
-
-    message: m.Request
-
-
-@dataclass(frozen=True, slots=True)
 class FrameSeen:
     """The frame that was waited for is here."""
 
@@ -81,28 +74,9 @@ class FrameSeen:
     stepped: bool  # it came of this client's action, not of a join, a respawn or a new epoch
 
 
-@dataclass(frozen=True, slots=True)
-class Failed:
-    """What was asked for failed; the driver gets this error."""
-
-    error: WcsimError
-
-
-@dataclass(frozen=True, slots=True)
-class Welcomed:
-    """The client has its seat; the host opens the shared memory that the message names."""
-
-    message: m.Welcome
-
-
-Outcome = Say | FrameSeen | Failed | Welcomed
-_WAITS = (
-    ClientPhase.JOINING,
-    ClientPhase.WAIT_FIRST,
-    ClientPhase.WAIT_TICK,
-    ClientPhase.WAIT_SENSORS,
-    ClientPhase.WAIT_RESPAWN,
-)
+Outcome = m.Request | FrameSeen | WcsimError | m.Welcome
+"""A message to send; a frame; what failed, for the driver; that the client has its seat, with its shared memory."""
+_IDLE = (ClientPhase.OFF, ClientPhase.THINK, ClientPhase.GONE)
 _WAITS_OF = {m.Act: ClientPhase.WAIT_TICK, m.Respawn: ClientPhase.WAIT_RESPAWN, m.Rebuild: ClientPhase.WAIT_FIRST}
 
 
@@ -157,18 +131,18 @@ class ClientCore:
 
     def beat(self, progress: int) -> list[Outcome]:
         """Show that the training goes on, with a counter that rises."""
-        return [Say(m.Beat(self.session, progress))] if self.session else []
+        return [m.Beat(self.session, progress)] if self.session else []
 
     def leave(self) -> list[Outcome]:
         """Give the seat back; the client is of no use afterwards."""
-        told = [Say(m.Leave(self.session))] if self.session and self.phase is not ClientPhase.GONE else []
+        here = self.session and self.phase is not ClientPhase.GONE
         self.phase = ClientPhase.GONE
-        return list(told)
+        return [m.Leave(self.session)] if here else []
 
     @property
     def waiting(self) -> bool:
         """Whether an answer is owed."""
-        return self.phase in _WAITS
+        return self.phase not in _IDLE
 
     @property
     def master(self) -> bool:
@@ -212,17 +186,17 @@ class ClientCore:
         silent_s = now_s - self._heard_s
         if silent_s > self.patience.reconnect_s:
             self.phase = ClientPhase.GONE
-            return [Failed(ServerGoneError(f"the server was silent for {silent_s:.0f} s; is it running?"))]
+            return [ServerGoneError(f"the server was silent for {silent_s:.0f} s; is it running?")]
         if now_s - self._asked_s > self.patience.tick_s:
             whom = ", ".join(self.late) or "other clients"
             self.phase = ClientPhase.GONE
-            return [Failed(TickTimeoutError(f"no tick for {now_s - self._asked_s:.0f} s: waiting for {whom}"))]
+            return [TickTimeoutError(f"no tick for {now_s - self._asked_s:.0f} s: waiting for {whom}")]
         if min(silent_s, now_s - self._sent_s) < self.patience.resend_s:
             return []
         if self.pending is None or self.phase is ClientPhase.JOINING:
             return self._knock(now_s, again=True)  # the way to a lost first frame, too
         self._sent_s = now_s
-        return [Say(self.pending)]
+        return [self.pending]
 
     # --- inside ---
 
@@ -233,7 +207,7 @@ class ClientCore:
     def _request(self, message: m.Act | m.Respawn | m.Rebuild, now_s: float) -> list[Outcome]:
         self._asked_s = self._heard_s = self._sent_s = now_s
         self.pending, self.phase, self._ahead = message, _WAITS_OF[type(message)], None
-        return [Say(message)]
+        return [message]
 
     def _knock(self, now_s: float, again: bool = False) -> list[Outcome]:
         if not again:
@@ -241,18 +215,16 @@ class ClientCore:
         self.phase, self._sent_s = ClientPhase.JOINING, now_s
         ask = self.ask
         return [
-            Say(
-                m.Join(
-                    protocol=m.PROTOCOL,
-                    schema=m.schema_hash(),
-                    config=ask.config,
-                    session=self.session,
-                    claim=ask.claim,
-                    seat=self.seat,
-                    name=ask.name,
-                    spec=ask.spec,
-                    pid=ask.pid,
-                )
+            m.Join(
+                protocol=m.PROTOCOL,
+                schema=m.schema_hash(),
+                config=ask.config,
+                session=self.session,
+                claim=ask.claim,
+                seat=self.seat,
+                name=ask.name,
+                spec=ask.spec,
+                pid=ask.pid,
             )
         ]
 
@@ -265,7 +237,7 @@ class ClientCore:
         self.pending = None
         self.epoch, self.tick, self.life = welcome.epoch, -1, 0
         self.phase = ClientPhase.WAIT_FIRST
-        return [Welcomed(welcome)]
+        return [welcome]
 
     def _tick_done(self, done: m.TickDone) -> list[Outcome]:
         early = self.phase in (ClientPhase.JOINING, ClientPhase.WAIT_FIRST)  # a frame comes next, from wherever it is
@@ -299,7 +271,7 @@ class ClientCore:
         self.phase, self.pending, self.late = ClientPhase.THINK, None, ()
         out: list[Outcome] = [FrameSeen(frame.epoch, frame.tick, frame.client, frame.slot, stepped)]
         if self._restarted and not rebuilt:
-            out.append(Failed(WorldRestartedError(f"{self._restarted}; continue with its first frame")))
+            out.append(WorldRestartedError(f"{self._restarted}; continue with its first frame"))
         self._restarted = ""
         return out
 
@@ -319,8 +291,7 @@ class ClientCore:
             return []
         if failure.error == StaleSessionError.__name__:
             # Another server than the one that this client joined; a driver that thinks hears of it when it acts.
-            # While it joins, its join was lost, but not what it said after it.
-            return self._knock(now_s, again=self.phase is ClientPhase.JOINING) if self.waiting else []
+            return self._knock(now_s) if self.waiting else []
         if failure.error == StaleTickError.__name__:
             return []  # a request that came late once more: who is a member is never two ticks behind
         if failure.error == NotMasterError.__name__ and not isinstance(self.pending, m.Rebuild):
@@ -335,15 +306,15 @@ class ClientCore:
             self.pending, self._restarted = None, ""
         elif self.waiting:
             self.phase, self.pending = ClientPhase.THINK, None
-        return [Failed(error)]
+        return [error]
 
     def _bye(self, bye: m.Bye) -> list[Outcome]:
         if bye.session and bye.session != self.session:
             return []
         self.phase = ClientPhase.GONE
-        return [Failed(ServerGoneError(f"the server has ended: {bye.reason or 'as requested'}"))]
+        return [ServerGoneError(f"the server has ended: {bye.reason or 'as requested'}")]
 
     def _broken(self, what: str) -> list[Outcome]:
         told = f"{what}; the client is at epoch, tick, life {(self.epoch, self.tick, self.life)}, {self.phase.value}"
         self.phase = ClientPhase.GONE
-        return [Failed(ProtocolError(f"{told}: a step was lost or doubled"))]
+        return [ProtocolError(f"{told}: a step was lost or doubled")]

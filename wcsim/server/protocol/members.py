@@ -44,8 +44,8 @@ class Roster:
     pending: list[Member] = field(default_factory=list)  # replaced, never changed
     going: dict[int, str] = field(default_factory=dict)  # reason by seat
     retired: deque[bytes] = field(default_factory=lambda: deque(maxlen=REMEMBERED))
-    strangers: deque[bytes] = field(default_factory=lambda: deque(maxlen=REMEMBERED))
-    """Sessions that left before they joined. A list of its own, so that strangers cannot flush the one above."""
+    forgotten: deque[bytes] = field(default_factory=lambda: deque(maxlen=REMEMBERED))
+    """Sessions that were cut off, or left before they joined: so strangers cannot flush the list above."""
 
     def member(self, session: bytes) -> Member | None:
         """The member of this session."""
@@ -58,6 +58,11 @@ class Roster:
     def waiting(self, session: bytes) -> Member | None:
         """Who waits under this session."""
         return next((p for p in self.pending if p.session == session), None)
+
+    def stop_waiting(self, session: bytes) -> bool:
+        """Whether this session waited, which it does no more."""
+        before, self.pending = self.pending, [p for p in self.pending if p.session != session]
+        return len(self.pending) < len(before)
 
     def waiting_at(self, seat: int) -> Member | None:
         """Who waits for this seat."""
@@ -94,14 +99,10 @@ class Roster:
         if session and session not in self.retired:
             self.retired.append(session)
 
-    def never_came(self, session: bytes) -> None:
-        """Remember a session that is over before it began, so that a join that comes late finds nobody at home."""
-        if session not in self.strangers:
-            self.strangers.append(session)
-
-    def is_over(self, session: bytes) -> bool:
-        """Whether nothing can come of this session any more."""
-        return session in self.retired or session in self.strangers
+    def forget(self, session: bytes) -> None:
+        """Remember a session that nobody is to know, so that a join of it that comes late finds nobody at home."""
+        if session not in self.forgotten:
+            self.forgotten.append(session)
 
     def copied(self) -> Roster:
         """A copy that shares nothing that changes."""
@@ -109,6 +110,6 @@ class Roster:
             [replace(m) for m in self.members],
             list(self.pending),
             dict(self.going),
-            deque(self.retired, maxlen=REMEMBERED),
-            deque(self.strangers, maxlen=REMEMBERED),
+            self.retired.copy(),
+            self.forgotten.copy(),
         )

@@ -37,16 +37,23 @@ from wcsim.types.bounds import MOST_STEPS
 from wcsim.users.profiles import is_of_file, profile_names
 
 
-def admission(join: m.Join, rules: ev.Rules, roll: Roster) -> int | WcsimError:
+def _admission(join: m.Join, rules: ev.Rules, roll: Roster) -> int | WcsimError:
     """The seat that a client gets, or the error that says why it gets none."""
     fault = _unfit(join, rules)
     if fault is not None:
         return fault
-    if roll.is_over(join.session):
+    if join.session in roll.retired:
         return EvictedError("this session is over; join with a new one")
+    if join.session in roll.forgotten:
+        return StaleSessionError("the server does not know this session any more; join with a new one")
     if join.seat == m.ANY_SEAT:
         own = roll.claimed(join.claim)
-        return _free_seat(rules, roll) if own is None else own
+        seat = roll.free_seat(rules.capacity) if own is None else own
+        return (
+            WorldFullError(f"all {rules.capacity} seats are taken; wait until a client leaves")
+            if seat is None
+            else seat
+        )
     if not 0 <= join.seat < rules.capacity:
         return SeatTakenError(f"seat {join.seat} does not exist; expected 0 to {rules.capacity - 1}")
     holder, waiting = roll.at(join.seat), roll.waiting_at(join.seat)
@@ -87,99 +94,76 @@ def _unfit_spec(spec: SeatSpec, rules: ev.Rules) -> WcsimError | None:
     return None
 
 
-def _free_seat(rules: ev.Rules, roll: Roster) -> int | WcsimError:
-    seat = roll.free_seat(rules.capacity)
-    if seat is None:
-        return WorldFullError(f"all {rules.capacity} seats are taken; wait until a client leaves")
-    return seat
-
-
-class ServerCore:
-    """A server; see the module's text."""
-
-    def __init__(self, rules: ev.Rules, epoch: int = 0) -> None:
-        """An empty server at the beginning of `epoch`."""
-        self.cycle = Barrier(rules, epoch)
+class ServerCore(Barrier):
+    """A server: the barrier, and what it hears and answers; see the module's text."""
 
     def handle(self, event: ev.Event, now_s: float) -> list[ev.Effect]:
         """Take in one event; returns what is to be done, in this order. Time must not run backwards."""
-        cycle = self.cycle
-        cycle.out = []
-        if cycle.stage in (ev.BarrierState.EPOCH_OVER, ev.BarrierState.STOPPED):
+        self.out = []
+        if self.stage in (ev.BarrierState.EPOCH_OVER, ev.BarrierState.STOPPED):
             return []
         match event:
             case ev.Received():
                 self._receive(event.peer, event.message, now_s)
             case ev.Stepped():
-                cycle.commit(event.tick, now_s, event.step_s)
+                self.commit(event.tick, now_s, event.step_s)
             case ev.Lost():
                 self._lose(event, now_s)
             case ev.Clock():
-                cycle.watch(now_s)
+                self.watch(now_s)
             case ev.Stop():
-                cycle.stop(event.reason)
-        return cycle.out
-
-    def copied(self) -> ServerCore:
-        """A core in the same state that goes its own way."""
-        twin = type(self).__new__(type(self))
-        twin.cycle = self.cycle.copied()
-        return twin
+                self.stop(event.reason)
+        return self.out
 
     # --- coming and going ---
 
     def _join(self, peer: ev.Peer, join: m.Join, now_s: float) -> None:
-        roll = self.cycle.roll
+        roll = self.roll
         known = roll.member(join.session)
         if known is not None:
             known.peer, known.heard_s = peer, now_s
-            self.cycle.welcome(known)
+            self.welcome(known)
             return
         if roll.waiting(join.session) is not None:
             roll.pending = [replace(p, peer=peer) if p.session == join.session else p for p in roll.pending]
             return
         if roll.others_of(peer, join.claim):
             error = SeatTakenError("this connection already has a seat; use one connection per client")
-            self.cycle.send(peer, m.failure_of(error, join.session))
+            self.send(peer, m.failure_of(error, join.session))
             return
-        found = admission(join, self.cycle.rules, roll)
+        found = _admission(join, self.rules, roll)
         if isinstance(found, int):
             self._let_in(peer, join, found, now_s)
         else:
-            self.cycle.send(peer, m.failure_of(found, join.session))
+            self.send(peer, m.failure_of(found, join.session))
 
     def _let_in(self, peer: ev.Peer, join: m.Join, seat: int, now_s: float) -> None:
         """Into the row of those who wait; an older life of the client goes."""
-        roll = self.cycle.roll
-        holder = roll.at(seat)
-        self._turn_away(seat)
+        roll = self.roll
+        # Who has this seat, or waits for it, has the same claim.
+        older = (roll.waiting_at(seat), roll.at(seat))
         waiting = Member(seat=seat, session=join.session, peer=peer, claim=join.claim, name=join.name, spec=join.spec)
         roll.pending.append(waiting)
-        if holder is not None:
-            self.cycle.evict(holder, "its client restarted", now_s)
-        elif self.cycle.stage is ev.BarrierState.EMPTY:
-            self.cycle.gather(now_s)
-
-    def _turn_away(self, seat: int) -> None:
-        """Who waited for this seat with the same claim is an older life of the client that asks now."""
-        roll = self.cycle.roll
-        older = roll.waiting_at(seat)
-        if older is not None:
-            roll.pending.remove(older)
-            roll.retire(older.session)
-            told = EvictedError("the server dropped this client: its client restarted")
-            self.cycle.send(older.peer, m.failure_of(told, older.session))
+        for one in older:
+            if one is not None:
+                self.evict(one, "its client restarted", now_s)
+        if self.stage is ev.BarrierState.EMPTY:
+            self.gather(now_s)
 
     def _lose(self, lost: ev.Lost, now_s: float) -> None:
-        roll, session = self.cycle.roll, lost.session
-        roll.pending = [p for p in roll.pending if p.session != session]
+        roll, session = self.roll, lost.session
+        roll.stop_waiting(session)
         member = roll.member(session)
-        if member is not None:
-            self.cycle.evict(member, lost.reason, now_s)
-        elif session not in roll.retired:
+        if not lost.may_return:
+            if member is not None:
+                self.evict(member, lost.reason, now_s)
             roll.retire(session)  # its join may still be on its way
-        if lost.may_return and session in roll.retired:
-            roll.retired.remove(session)  # a session that is not known is begun anew, one that is over is not
+        else:
+            # It may have spoken through another connection since: so it hears that it is not known, and joins again,
+            # but with a new session. Frames of two chairs could else be on their way to it under the same one.
+            roll.forget(session)
+            if member is not None:
+                self.remove(member, lost.reason, now_s)
 
     # --- what members say ---
 
@@ -187,7 +171,7 @@ class ServerCore:
         if isinstance(message, m.Join):
             self._join(peer, message, now_s)
             return
-        member = self.cycle.roll.member(message.session)
+        member = self.roll.member(message.session)
         if member is None:
             self._answer_stranger(peer, message)
             return
@@ -197,7 +181,7 @@ class ServerCore:
         try:
             self._obey(member, message, now_s)
         except WcsimError as error:
-            self.cycle.send(peer, m.failure_of(error, member.session))
+            self.send(peer, m.failure_of(error, member.session))
 
     def _obey(self, member: Member, message: m.Request, now_s: float) -> None:
         match message:
@@ -210,26 +194,25 @@ class ServerCore:
             case m.Beat():
                 member.progress = max(member.progress, message.progress)
             case m.Leave():
-                self.cycle.send(member.peer, m.Bye(member.session))
-                self.cycle.remove(member, "left", now_s)
+                self.send(member.peer, m.Bye(member.session))
+                self.roll.retire(member.session)
+                self.remove(member, "left", now_s)
 
     def _answer_stranger(self, peer: ev.Peer, message: m.Request) -> None:
-        roll, session = self.cycle.roll, message.session
+        roll, session = self.roll, message.session
         if isinstance(message, m.Leave):
-            waits = roll.waiting(session) is not None
-            roll.pending = [p for p in roll.pending if p.session != session]
-            if waits:
+            if roll.stop_waiting(session):
                 roll.retire(session)
             elif session not in roll.retired:
-                roll.never_came(session)
-            self.cycle.send(peer, m.Bye(session))
+                roll.forget(session)
+            self.send(peer, m.Bye(session))
         elif roll.waiting(session) is None:
             error: WcsimError = StaleSessionError(
-                f"the server of epoch {self.cycle.epoch} does not know this session; join again"
+                f"the server of epoch {self.epoch} does not know this session; join again"
             )
             if session in roll.retired:
                 error = EvictedError("the server dropped this client, or it left; join again with a new session")
-            self.cycle.send(peer, m.failure_of(error, session))
+            self.send(peer, m.failure_of(error, session))
 
     def _act(self, member: Member, act: m.Act, now_s: float) -> None:
         if not self._is_now(member, act.epoch, act.tick, act.life):
@@ -243,7 +226,7 @@ class ServerCore:
             raise ProtocolError(f"an action for tick {act.tick}, but the seat waits for its respawn; wait for it")
         if member.action is None:
             member.action = action
-            self.cycle.advance(now_s)
+            self.advance(now_s)
 
     def _respawn(self, member: Member, respawn: m.Respawn, now_s: float) -> None:
         if not self._is_now(member, respawn.epoch, respawn.tick, respawn.life):
@@ -259,39 +242,37 @@ class ServerCore:
                 )
             member.respawning = True
             member.thought_s += now_s - member.asked_s
-            self.cycle.advance(now_s)
+            self.advance(now_s)
 
     def _rebuild(self, member: Member, rebuild: m.Rebuild, now_s: float) -> None:
-        cycle = self.cycle
-        if rebuild.epoch < cycle.epoch:
+        if rebuild.epoch < self.epoch:
             self._tell_of_epoch(member)  # it was done, by this client or before it asked
         elif rebuild.seed < 0:
             raise ProtocolError(f"a new world of seed {rebuild.seed}; expected 0 or more")
-        elif member is not cycle.roll.master:
+        elif member is not self.roll.master:
             raise NotMasterError(f"seat {member.seat} is not the master; only the master may restart the shared world")
-        elif rebuild.epoch > cycle.epoch or cycle.stage is not ev.BarrierState.COLLECT:
-            raise ProtocolError(f"a new world was requested in stage {cycle.stage.value}; request it between ticks")
+        elif rebuild.epoch > self.epoch or self.stage is not ev.BarrierState.COLLECT:
+            raise ProtocolError(f"a new world was requested in stage {self.stage.value}; request it between ticks")
         else:
-            cycle.rebuild(rebuild.seed, now_s)
+            self.rebuild(rebuild.seed, now_s)
 
     def _is_now(self, member: Member, epoch: int, tick: int, life: int) -> bool:
         """Whether a request is about what the seat sees now; one that came late or twice is answered with just that."""
-        cycle = self.cycle
-        asked, now = (epoch, tick, life), (cycle.epoch, cycle.tick, member.life)
+        asked, now = (epoch, tick, life), (self.epoch, self.tick, member.life)
         if asked == now:
             return True
         if asked > now:
             raise FutureTickError(f"a request for epoch, tick, life {asked}; the server is at {now}")
-        if epoch < cycle.epoch:
+        if epoch < self.epoch:
             self._tell_of_epoch(member)
             return False
-        if tick < cycle.tick - 1:
-            raise StaleTickError(f"tick {tick} of epoch {epoch} is long over; the server is at tick {cycle.tick}")
-        if tick < cycle.tick:
-            cycle.tell_tick(member)
-        cycle.show(member)
+        if tick < self.tick - 1:
+            raise StaleTickError(f"tick {tick} of epoch {epoch} is long over; the server is at tick {self.tick}")
+        if tick < self.tick:
+            self.send(member.peer, m.TickDone(self.epoch, self.tick, self._master_seat))
+        self.show(member)
         return False
 
     def _tell_of_epoch(self, member: Member) -> None:
-        self.cycle.send(member.peer, m.Restarted(self.cycle.epoch, "the world was restarted"))
-        self.cycle.show(member)
+        self.send(member.peer, m.Restarted(self.epoch, "the world was restarted"))
+        self.show(member)

@@ -88,14 +88,6 @@ def server_public(folder: Path) -> bytes:
     return _load(folder / "server.public")[0]
 
 
-def authenticator(context: zmq.Context[zmq.Socket[bytes]], known: KnownKeys) -> ThreadAuthenticator:
-    """Lets in, over the sockets of a context, the clients with these keys; to be stopped."""
-    guard = ThreadAuthenticator(context)
-    guard.start()
-    guard.configure_curve_callback("*", known)
-    return guard
-
-
 def is_loopback(address: str) -> bool:
     """Whether only this machine can reach a TCP address.
 
@@ -117,15 +109,6 @@ def is_loopback(address: str) -> bool:
         return False
 
 
-def is_ipv6(address: str) -> bool:
-    """Whether a TCP address is one of IPv6, which a socket has to be told before it takes it.
-
-    >>> is_ipv6("tcp://[::1]:5000"), is_ipv6("tcp://127.0.0.1:5000")
-    (True, False)
-    """
-    return address.startswith("tcp://[")
-
-
 class KnownKeys:
     """The clients whose public keys are in a folder, read again when it changes: one that was taken out lets nobody in.
 
@@ -143,6 +126,13 @@ class KnownKeys:
             raise ConfigError(
                 f"{self._folder}: contains no NAME.public of a client; expected one for each client that may join"
             )
+
+    def guard(self, context: zmq.Context[zmq.Socket[bytes]]) -> ThreadAuthenticator:
+        """Let in, over the sockets of a context, the clients with these keys; to be stopped."""
+        guard = ThreadAuthenticator(context)
+        guard.start()
+        guard.configure_curve_callback("*", self)
+        return guard
 
     def name(self, key: str) -> str:
         """Whose key this is, "" for one that is not known any more; the folder is looked at once a second."""

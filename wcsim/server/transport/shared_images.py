@@ -108,7 +108,7 @@ class RingView:
         self._sets = _sets(memory, _read_head(path, memory))
 
     def pictures(self, slot: int, first: bool) -> Sequence[Images]:
-        """See `server.packed.Pictures`."""
+        """Those of a slot; see `decode_reply`."""
         if not 0 <= slot < _SLOTS:
             raise ProtocolError(f"pictures in slot {slot}; expected 0 to {_SLOTS - 1}")
         return self._sets[_set(slot, first)]

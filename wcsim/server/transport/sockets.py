@@ -21,7 +21,7 @@ from wcsim.core.closing import Closing
 from wcsim.errors import ConfigError
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.events import Peer
-from wcsim.server.transport.keys import KnownKeys, authenticator, is_ipv6, is_loopback, server_keys
+from wcsim.server.transport.keys import KnownKeys, is_loopback, server_keys
 
 log = logging.getLogger("wcsim.server.transport.sockets")
 
@@ -191,7 +191,7 @@ class ServerSockets(Closing):
             return
         is_loopback(address)
         self._keys = KnownKeys(Path(keys))
-        self._guard = authenticator(self._context, self._keys)
+        self._guard = self._keys.guard(self._context)
         self._open(REMOTE, address, Path(keys))
 
     def _open(self, door: bytes, address: str, keys: Path | None) -> None:
@@ -201,9 +201,8 @@ class ServerSockets(Closing):
         socket.setsockopt(zmq.MAXMSGSIZE, m.MAX_REQUEST_BYTES)
         socket.setsockopt(zmq.SNDHWM, _SEND_QUEUE[door])
         socket.setsockopt(zmq.RCVHWM, QUEUE)
-        socket.setsockopt(zmq.IPV6, is_ipv6(address))
+        socket.setsockopt(zmq.IPV6, address.startswith("tcp://["))
         if door == REMOTE:
-            notice_cuts(socket)
             socket.setsockopt(zmq.HANDSHAKE_IVL, _HANDSHAKE_MS)
             self._monitor = monitored(socket, zmq.EVENT_ACCEPTED | zmq.EVENT_DISCONNECTED)
             self.watch(int(self._monitor.getsockopt(zmq.FD)))
@@ -221,29 +220,25 @@ class ServerSockets(Closing):
 
 
 def monitored(socket: zmq.Socket[bytes], events: int) -> zmq.Socket[bytes]:
-    """Where news of a socket's connections come in, for `recv_monitor_message`; without a bound.
+    """Where news of a socket's connections come in, for `recv_monitor_message`; without a bound. Before it has any.
 
     ZeroMQ's thread waits where news are not read, and every connection with it; so its own bound of 2,000 goes.
-    """
-    news: zmq.Socket[bytes] = socket.context.socket(zmq.PAIR)
-    news.setsockopt(zmq.RCVHWM, 0)
-    address = f"inproc://news-{socket.underlying}"
-    socket.monitor(address, events)
-    news.connect(address)
-    return news
 
-
-def notice_cuts(socket: zmq.Socket[bytes]) -> None:
-    """Have the kernel end TCP connections to a machine that is not there any more.
-
-    It answers for a process that is stopped, which ZeroMQ's own heartbeats would not. Such a process keeps its
-    connection until so much is sent to it that the kernels hold no more; then it is cut, as a machine that sleeps is.
+    The kernel ends TCP connections to a machine that is not there any more. It answers for a process that is stopped,
+    which ZeroMQ's own heartbeats would not. Such a process keeps its connection until so much is sent to it that the
+    kernels hold no more; then it is cut, as a machine that sleeps is.
     """
     socket.setsockopt(zmq.TCP_KEEPALIVE, 1)
     socket.setsockopt(zmq.TCP_KEEPALIVE_IDLE, 2)
     socket.setsockopt(zmq.TCP_KEEPALIVE_INTVL, 1)
     socket.setsockopt(zmq.TCP_KEEPALIVE_CNT, _CUT_S - 2)
     socket.setsockopt(zmq.TCP_MAXRT, 1000 * _CUT_S)
+    news: zmq.Socket[bytes] = socket.context.socket(zmq.PAIR)
+    news.setsockopt(zmq.RCVHWM, 0)
+    address = f"inproc://news-{socket.underlying}"
+    socket.monitor(address, events)
+    news.connect(address)
+    return news
 
 
 def _has_news(socket: zmq.Socket[bytes]) -> bool:

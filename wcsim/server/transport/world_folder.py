@@ -29,8 +29,12 @@ class OwnFolder:
     """A new folder that only its user can enter; `close` removes it."""
 
     def __init__(self, home: Path | None = None, prefix: str = _PREFIX) -> None:
-        """Make a folder; it appears under its name with its lock held. Raises DiskFullError when there is no room."""
+        """Make a folder, when those of owners that were killed are gone; it appears with its lock held.
+
+        Raises DiskFullError when there is no room.
+        """
         home = _home() if home is None else home
+        _remove_stale(home, prefix)
         try:
             new = Path(tempfile.mkdtemp(prefix=f".{prefix}", dir=home))
             self._lock = os.open(new / LOCK, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
@@ -49,10 +53,10 @@ class OwnFolder:
             self._lock = -1
 
 
-def remove_stale(home: Path | None = None, prefix: str = _PREFIX) -> int:
+def _remove_stale(home: Path, prefix: str = _PREFIX) -> int:
     """Remove this user's folders whose owners have ended; returns how many."""
     removed = 0
-    for folder in (_home() if home is None else home).glob(f"{prefix}*"):
+    for folder in home.glob(f"{prefix}*"):
         if _NUMBERED.fullmatch(folder.name.removeprefix(prefix)) and _mine(folder):
             removed += _removed_if_stale(folder)
     return removed
@@ -127,8 +131,7 @@ def _mine(folder: Path) -> bool:
 
 @contextmanager
 def workplace(home: Path | None = None, prefix: str = _PREFIX) -> Iterator[Path]:
-    """A new folder that only its user can enter, while open; those of owners that were killed go first."""
-    remove_stale(home, prefix)
+    """A new folder that only its user can enter, while open."""
     folder = OwnFolder(home, prefix)
     try:
         yield folder.path

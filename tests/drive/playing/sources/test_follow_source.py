@@ -17,7 +17,7 @@ from wcsim.errors import ConfigError, JournalError
 from wcsim.log.reader import LogTail, inputs_of_part, put_aside, read_header
 from wcsim.log.records import Ended, EpochBegun, Ticked, changed
 from wcsim.log.writer import LogWriter
-from wcsim.server.host.epoch_cap import EPOCH_OVER
+from wcsim.server.host.opening import EPOCH_OVER
 
 
 @pytest.fixture(scope="module")

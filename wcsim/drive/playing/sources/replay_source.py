@@ -61,7 +61,7 @@ from wcsim.log.records import (
 )
 from wcsim.log.writer import JOURNAL
 from wcsim.physics.wheelchair.plant import plant_spec
-from wcsim.server.host.epoch_cap import EPOCH_OVER
+from wcsim.server.host.opening import EPOCH_OVER
 from wcsim.server.specs import town_of_epoch
 from wcsim.towns.making.asked_town import asked_town
 from wcsim.towns.scenario.town import Town, find_town
