@@ -21,9 +21,15 @@ _LARGEST = 1e9  # of numbers that nothing else bounds: nothing that is computed 
 Positive = Annotated[float, Field(gt=0.0, le=_LARGEST, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0.0, le=_LARGEST, allow_inf_nan=False)]
 Share = Annotated[float, within(0.0, 1.0)]
+PositiveShare = Annotated[float, Field(gt=0.0, le=1.0)]
+UserMass = Annotated[float, within(25.0, 150.0)]
+TopSpeed = Annotated[float, Field(gt=0.1, le=5.0)]
 Finite = Annotated[float, Field(ge=-_LARGEST, le=_LARGEST, allow_inf_nan=False)]
 Word = Annotated[str, Field(max_length=400)]
 Text = Annotated[str, Field(max_length=16_384)]  # paths, commands, attributions
+Texts = Annotated[tuple[Text, ...], Field(max_length=64)]
+Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")]
+Seed = Annotated[int, Field(ge=0, lt=1 << 31)]  # as large as SUMO takes them
 
 _BOUNDS = {"gt": "more than", "ge": "at least", "lt": "less than", "le": "at most"}
 _UNITS = {
