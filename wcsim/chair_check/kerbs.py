@@ -21,7 +21,7 @@ from wcsim.config.plant import known_plants
 from wcsim.core.frames import deg, rad
 from wcsim.physics.wheelchair.drive_controller import stopping_distance_m
 from wcsim.physics.wheelchair.plant import PlantSpec, plant_spec
-from wcsim.types import ClassId, Joystick, PlantState, StreetMesh
+from wcsim.types import ClassId, Joystick, PlantState
 
 RUN_UP_M: Final = 0.5
 _FALL_MPS: Final = 1.5
@@ -57,9 +57,9 @@ def _events(spec: PlantSpec) -> Iterator[Trial]:
     yield trial_of("event_cruise", driving.cruise_peak_mps2, window=window)
     # sprung casters take a kerb softly, so a plant with them meets it faster
     speed = 1.67 if any(pair.arm is not None for pair in spec.casters) else 1.0
-    over = partial(_kerb_peak_mps2, rise_m=0.04)
+    over = partial(_step_peak_mps2, rise_m=0.04)
     yield trial_of("event_kerb_40mm", over, span=(low, high), speed_mps=speed, speed=speed, window=window)
-    yield trial_of("event_wall_6kmh", _wall_peak_mps2, span=(high, _MOST_MPS2), speed_mps=1.67, window=window)
+    yield trial_of("event_wall_6kmh", _WALL, span=(high, _MOST_MPS2), speed_mps=1.67, window=window)
 
 
 def _peaks(*, judged: bool) -> Iterator[Trial]:
@@ -68,7 +68,7 @@ def _peaks(*, judged: bool) -> Iterator[Trial]:
     for rise_m, speed, low, high in kerbs_m:
         yield trial_of(
             "peak_{what}_{mm:.0f}mm",
-            partial(_kerb_peak_mps2, rise_m=rise_m),
+            partial(_step_peak_mps2, rise_m=rise_m),
             span=(low, high),
             speed_mps=speed,
             judged=judged,
@@ -76,7 +76,7 @@ def _peaks(*, judged: bool) -> Iterator[Trial]:
             mm=1000 * abs(rise_m),
             speed=speed,
         )
-    yield trial_of("peak_wall_1mps", _wall_peak_mps2, speed_mps=1.0, judged=judged)
+    yield trial_of("peak_wall_1mps", _WALL, speed_mps=1.0, judged=judged)
 
 
 def _like_the_experiments(spec: PlantSpec) -> bool:
@@ -138,22 +138,14 @@ def _kerb_climbed(setup: Setup, rise_m: float, run_up_m: float) -> float:
     return float(end[0] > FACE_X_M and abs(end[2] - rise_m) < _LEVEL_M)
 
 
-def _kerb_peak_mps2(setup: Setup, rise_m: float) -> float:
-    """The largest low-passed acceleration over a step up (or down) met square on at full speed, mean of six runs."""
-    return _mean_peak_mps2(setup, step_street(rise_m))
+def _step_peak_mps2(setup: Setup, rise_m: float, face: ClassId = ClassId.KERB) -> float:
+    """The largest low-passed acceleration as it meets a step up (or down) square on at full speed.
 
-
-def _wall_peak_mps2(setup: Setup) -> float:
-    """The largest low-passed acceleration as it drives into a wall at full speed, mean of six runs."""
-    return _mean_peak_mps2(setup, step_street(_WALL_M, ClassId.BUILDING))
-
-
-def _mean_peak_mps2(setup: Setup, street: StreetMesh) -> float:
-    """Mean over runs whose starts lie a fraction of a step's way apart.
+    It is the mean over runs whose starts lie a fraction of a step's way apart.
 
     Where within a step a wheel meets an edge is chance, and moves a single peak by up to a fifth.
     """
-    with Rig(setup, street) as rig:
+    with Rig(setup, step_street(rise_m, face)) as rig:
         spec, speed = rig.chair.spec, setup.chair.v_max_mps
         start_m, beyond_m = FACE_X_M - _front_m(spec) - _RUN_M, FACE_X_M + 0.8 - _rear_m(spec)
         peaks = []
@@ -162,6 +154,9 @@ def _mean_peak_mps2(setup: Setup, street: StreetMesh) -> float:
             seconds = 3.0 + (beyond_m - start_m) / speed
             peaks.append(rig.drive(FORWARD, seconds, lambda state: float(state.p_WB_m[0]) > beyond_m).peak_mps2)
     return float(np.mean(peaks))
+
+
+_WALL: Final = partial(_step_peak_mps2, rise_m=_WALL_M, face=ClassId.BUILDING)
 
 
 def _driving_peak_mps2(setup: Setup) -> float:

@@ -63,7 +63,7 @@ class ClassNoiseConfig(Model):
     patch_px: Annotated[int, within(1, 64)] = 6  # Size of such a patch.
 
 
-class ColourNoiseConfig(Model):
+class _ColourNoiseConfig(Model):
     """Errors of a colour image."""
 
     stand_ins = ("none",)
@@ -78,7 +78,7 @@ class CameraNoiseConfig(Model):
 
     depth: DepthNoiseConfig | None = None
     classes: ClassNoiseConfig | None = None
-    rgb: ColourNoiseConfig | None = None
+    rgb: _ColourNoiseConfig | None = None
 
     @field_validator("depth", "classes", "rgb", mode="before")
     @classmethod

@@ -5,14 +5,13 @@ Height 0 is the ground; whatever stands on it reaches a little deeper, because g
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from wcsim.core.reading import own_data
 from wcsim.towns.ground import solid_shapes
 from wcsim.towns.ground.solid_shapes import Solid
 from wcsim.types import ClassId
@@ -98,7 +97,7 @@ _PLAIN_BICYCLE = solid_shapes.joined(
 
 def _read_looks() -> Iterator[tuple[str, _FurnitureModel]]:
     """The models of `models.toml` with their kinds."""
-    for kind, look in tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8")).items():
+    for kind, look in own_data(__file__).items():
         length_m, width_m, height_m = look["size"]
         pieces = (_placed(row, (x, y)) for row in look["pieces"] for x, y in row.get("at", [(0.0, 0.0)]))
         yield kind, _look((length_m, width_m, height_m), *pieces, round=look.get("round", False))

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import math
 import re
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +21,7 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
+from wcsim.core.reading import own_data
 from wcsim.core.seeding import derive, generator
 from wcsim.errors import SumoError, TownError
 from wcsim.towns.ground.plane_geometry import arc_of
@@ -59,7 +59,7 @@ class _Traffic(NamedTuple):
         return self.vclass == "pedestrian"
 
 
-_DATA = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+_DATA = own_data(__file__)
 MIX = tuple(_Traffic(**row) for row in _DATA["mix"])
 CLASSES = tuple(dict.fromkeys(traffic.vclass for traffic in MIX))
 

@@ -79,15 +79,11 @@ def _unpainted(net: Net, marks: list[Element]) -> list[Lane]:
     lanes, tree = crossing_lines(net)
     painted = net.signalled()
     for mark in marks if lanes else ():
-        if _is_painted(_tags(mark)):
+        tags = _tags(mark)  # painted unless the map says that it is not
+        if tags.get("crossing") not in _PLAIN and tags.get("crossing:markings", "yes") != "no":
             near = tree.query_nearest(shapely.Point(_place(mark)), max_distance=_REACH_M, all_matches=False)
             painted |= {lanes[index].edge_id for index in near.tolist()}
     return [lane for lane in lanes if lane.edge_id not in painted]
-
-
-def _is_painted(tags: dict[str, str]) -> bool:
-    """Whether the map does not say that a crossing has no markings."""
-    return tags.get("crossing") not in _PLAIN and tags.get("crossing:markings", "yes") != "no"
 
 
 def _unmarked_point(lane: Lane) -> str:
@@ -181,7 +177,12 @@ def find_parking(net: Net, poly: Path, taken: float, seed: int) -> tuple[list[st
     vehicles: list[str] = []
     root = read_root(poly)
     lots = sorted(_lots(root))
-    lanes = [lane for edge in net.streets for lane in edge.lanes if _leads_there(lane)]
+    lanes = [
+        lane
+        for edge in net.streets
+        for lane in edge.lanes
+        if lane.permits("passenger") and lane.length_m >= _LEAST_LANE_M and len(lane.points_m) > 1
+    ]
     if not lots or taken <= 0.0 or not lanes:
         return areas, vehicles
     lines = [shapely.LineString(lane.points_m) for lane in lanes]
@@ -208,10 +209,6 @@ def _town_and_used(net: Net, root: Element) -> tuple[BaseGeometry, BaseGeometry]
     town, used = lanes.convex_hull.buffer(INSIDE_M), lanes.union(_buildings(root)).union(_junctions(net))
     shapely.prepare([town, used])
     return town, used
-
-
-def _leads_there(lane: Lane) -> bool:
-    return lane.permits("passenger") and lane.length_m >= _LEAST_LANE_M and len(lane.points_m) > 1
 
 
 def _lots(root: Element) -> Iterator[tuple[str, Polygon]]:

@@ -146,14 +146,9 @@ def side_at(longitude_deg: float, latitude_deg: float) -> Side:
 
     zone = TimezoneFinder().timezone_at(lng=longitude_deg, lat=latitude_deg)
     known = zone is not None and not zone.startswith("Etc/")  # those lie at sea
-    if zone == _SHARED and _in_vietnam(longitude_deg, latitude_deg):
+    if zone == _SHARED and any(longitude_deg > west and latitude_deg > south for west, south in _VIETNAM_DEG):
         return Side(lefthand=False, why=f"Vietnam, in time zone {zone}")
     return Side(lefthand=zone in _LEFT, why=f"time zone {zone}" if known else "country unknown")
-
-
-def _in_vietnam(longitude_deg: float, latitude_deg: float) -> bool:
-    """Whether a place of the time zone that Thailand and Vietnam share lies in Vietnam."""
-    return any(longitude_deg > west_deg and latitude_deg > south_deg for west_deg, south_deg in _VIETNAM_DEG)
 
 
 SMALL_BYTES = 48 << 20  # of XML; more is cut by libosmium first, which is faster and needs less memory

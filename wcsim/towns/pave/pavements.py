@@ -108,7 +108,8 @@ def pave_town(town: Town, out: Path, fastest_mps: float = FASTEST_MPS) -> Paved:
         _copy_town_toml(town, work, base)
         place = work / Path(os.path.normpath(town.net.absolute())).relative_to(base)
         before = _root(place)
-        _convert(place, _unpaved(net), fastest_mps)
+        closed = [edge.id for edge in net.streets if not any(lane.kind is LaneKind.MOTOR for lane in edge.lanes)]
+        _convert(place, closed, fastest_mps)  # to cars: tracks, paths and closed ones get no pavement
         after = _root(place)
         nets = net_of(before, place.name), net_of(after, place.name)
         paving = Paving(*nets)
@@ -133,11 +134,6 @@ def pave_town(town: Town, out: Path, fastest_mps: float = FASTEST_MPS) -> Paved:
 
 def _count(net: Net, function: str) -> int:
     return sum(edge.function == function for edge in net.edges)
-
-
-def _unpaved(net: Net) -> list[str]:
-    """Edges that are closed to cars, so that they get no pavement: tracks, paths and closed ones."""
-    return [edge.id for edge in net.streets if not any(lane.kind is LaneKind.MOTOR for lane in edge.lanes)]
 
 
 def _net_notes(town: Town, net: Net, out: Path, fastest_mps: float) -> tuple[str, ...]:

@@ -12,16 +12,13 @@ from xml.etree.ElementTree import Element
 import numpy as np
 import shapely
 
+from wcsim.core.reading import own_data
 from wcsim.errors import TownError
 from wcsim.towns.sumo.net import Lane, Net, points
 from wcsim.towns.sumo.xml_io import is_true, read_root
 from wcsim.types import F64
 
-AUTHOR_KINDS = (
-    "barrier", "bench", "bicycle", "bin", "block", "board", "bollard", "box", "cabinet", "cone", "container", "fence",
-    "hedge", "kiosk", "lamp", "planter", "pole", "rack", "roadworks", "scooter", "shelter", "sign", "skip", "table",
-    "tree", "wall",
-)  # fmt: skip
+AUTHOR_KINDS: tuple[str, ...] = tuple(own_data(__file__)["kinds"].split())
 
 log = logging.getLogger("wcsim.towns")
 

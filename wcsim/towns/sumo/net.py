@@ -230,6 +230,7 @@ def _edge(element: Element, origin_m: tuple[int, int]) -> Edge:
 def _lane(element: Element, edge: Element, function: str, origin_m: tuple[int, int]) -> Lane:
     allow, disallow = _permissions(element)
     points_m, z_m = _shape(element.attrib["shape"], origin_m)
+    width_m = float(element.get("width", _DEFAULT_LANE_WIDTH_M))  # SUMO writes -1 for one that was not set
     return Lane(
         id=element.attrib["id"],
         edge_id=edge.attrib["id"],
@@ -238,18 +239,12 @@ def _lane(element: Element, edge: Element, function: str, origin_m: tuple[int, i
         internal=function == "internal",
         points_m=points_m,
         z_m=z_m,
-        width_m=_width_m(element),
+        width_m=width_m if 0.0 < width_m < WIDEST_M else _DEFAULT_LANE_WIDTH_M,
         length_m=float(element.get("length", "0")),
         speed_mps=float(element.get("speed", "13.89")),
         allow=allow,
         disallow=disallow,
     )
-
-
-def _width_m(element: Element) -> float:
-    """A lane's width; SUMO writes -1 for one that was not set."""
-    width_m = float(element.get("width", _DEFAULT_LANE_WIDTH_M))
-    return width_m if 0.0 < width_m < WIDEST_M else _DEFAULT_LANE_WIDTH_M
 
 
 def _permissions(element: Element) -> tuple[frozenset[str] | None, frozenset[str]]:
