@@ -8,7 +8,7 @@ from typing import Annotated, Any, ClassVar, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from wcsim.core.reading import escaped
+from wcsim.core.reading import escaped, own_data
 from wcsim.errors import meant
 
 
@@ -32,11 +32,7 @@ Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")]
 Seed = Annotated[int, Field(ge=0, lt=1 << 31)]  # as large as SUMO takes them
 
 _BOUNDS = {"gt": "more than", "ge": "at least", "lt": "less than", "le": "at most"}
-_UNITS = {
-    "m": "m", "s": "s", "px": "px", "deg": "deg", "rad": "rad", "kg": "kg", "hz": "Hz", "mps": "m/s", "mps2": "m/s2",
-    "mps3": "m/s3", "radps": "rad/s", "radps2": "rad/s2", "Nm": "Nm", "Ns": "Ns", "N": "N", "db": "dB", "mg": "mg",
-    "ticks": "ticks", "ug": "ug", "Npm": "N/m", "Nspm": "Ns/m", "kgm2": "kg m2",
-}  # fmt: skip
+_UNITS: dict[str, str] = own_data(__file__)
 _OUT_OF_BOUNDS = ("greater_than", "greater_than_equal", "less_than", "less_than_equal", "finite_number")
 
 

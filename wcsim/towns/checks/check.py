@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 import shlex
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from xml.etree.ElementTree import Element, ElementTree
@@ -301,8 +301,8 @@ class _Overlap:
 
 def _find_overlaps(net: Net) -> tuple[_Overlap, ...]:
     """All overlaps of more than LEAST_M2, the largest first."""
-    streets, driven = _areas(net, lambda kind: kind is LaneKind.MOTOR)
-    paved, walked = _areas(net, lambda kind: kind in WALK_KINDS)
+    streets, driven = _areas(net, LaneKind.MOTOR)
+    paved, walked = _areas(net, *WALK_KINDS)
     found: list[_Overlap] = []
     if not driven or not walked:
         return ()
@@ -316,9 +316,9 @@ def _find_overlaps(net: Net) -> tuple[_Overlap, ...]:
     return tuple(sorted(found, key=lambda item: (-item.area_m2, item.street, item.pavement)))
 
 
-def _areas(net: Net, wanted: Callable[[LaneKind], bool]) -> tuple[list[Edge], list[BaseGeometry]]:
-    edges = [e for e in net.streets if any(wanted(lane.kind) for lane in e.lanes)]
-    return edges, [ground_of(lane for lane in e.lanes if wanted(lane.kind)) for e in edges]
+def _areas(net: Net, *kinds: LaneKind) -> tuple[list[Edge], list[BaseGeometry]]:
+    edges = [e for e in net.streets if e.has(*kinds)]
+    return edges, [ground_of(lane for lane in e.lanes if lane.kind in kinds) for e in edges]
 
 
 def _z_m(edge: Edge) -> float:

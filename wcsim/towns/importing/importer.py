@@ -20,7 +20,7 @@ from shapely.geometry.base import BaseGeometry
 from wcsim.core.files import whole_folder
 from wcsim.core.reading import listed, own_data
 from wcsim.errors import SumoError, TownError, check_installed
-from wcsim.towns.importing.demand import Way, build_ways, check_rates, vtypes_text, without_ways, write_demand
+from wcsim.towns.importing.demand import CLASSES, Way, build_ways, vtypes_text, write_demand
 from wcsim.towns.importing.elevation import Heights, lift_net, make_dem
 from wcsim.towns.importing.folder_texts import check_place, check_words, town_toml_text, write_scenario
 from wcsim.towns.importing.map_marks import MapMarks, find_parking, map_marks
@@ -51,6 +51,7 @@ log = logging.getLogger("wcsim.towns")
 _DATA = own_data(__file__)
 _LEFT_OUT = ("highway.steps", "highway.service", "highway.track")
 _LIMITS = Limits(wall_s=120.0, cpu_s=120)
+_MOST_PER_HOUR = 100_000
 _LICENSE = """\
 The data in this folder (the extract in osm/, and the net, polygons and routes of "{name}" derived from it) are
 
@@ -279,7 +280,11 @@ def _check(order: ImportOrder) -> None:
     check_words(order.name, order.split)
     if order.bbox is not None:
         order.bbox.check()
-    check_rates(order.per_hour)
+    for vclass, rate in order.per_hour.items():
+        if vclass not in CLASSES:
+            raise TownError(f"unknown traffic class {vclass!r}; expected some of: {', '.join(CLASSES)}")
+        if not 0.0 <= rate <= _MOST_PER_HOUR:
+            raise TownError(f"{rate} departures an hour of class {vclass}; expected 0 to {_MOST_PER_HOUR}")
     if order.relief.dem is not None or order.relief.hill_m:
         check_installed("--dem and --hill need rasterio", "dem", "rasterio", error=TownError)
     check_place(order.out, overwrite=order.overwrite)
@@ -378,7 +383,9 @@ def _notes(order: ImportOrder, built: _BuiltNet, ways: tuple[Way, ...]) -> tuple
     if built.bridges:
         names = listed(built.bridges, 8)
         found.append(f"left out: bridges over other streets, because a town has one level: {names}")
-    idle = [vclass for vclass in without_ways(ways, order.per_hour) if order.traffic > 0]
+    found_for = {way.traffic.vclass for way in ways}
+    ordered = [vclass for vclass, rate in order.per_hour.items() if rate > 0.0 and order.traffic > 0]
+    idle = [vclass for vclass in ordered if vclass not in found_for]
     found += [f"no traffic of class {vclass}: no street or track of this town allows it" for vclass in idle]
     return tuple(found)
 

@@ -122,7 +122,7 @@ def _stops(net: Net, poles: list[Element]) -> list[str]:
 def _bus_lane(edge: Edge) -> Lane | None:
     """The lane at the kerb where a bus may stop, of an edge that is long enough."""
     lanes = (lane for lane in edge.lanes if lane.kind is LaneKind.MOTOR and lane.permits("bus"))
-    return next((lane for lane in lanes if lane.length_m > _STOP_M + 1.0 and len(lane.points_m) > 1), None)
+    return next((lane for lane in lanes if lane.length_m > _STOP_M + 1.0 and lane.is_line), None)
 
 
 def _waits(line: shapely.LineString, pole: shapely.Point, lefthand: bool) -> bool:
@@ -181,7 +181,7 @@ def find_parking(net: Net, poly: Path, taken: float, seed: int) -> tuple[list[st
         lane
         for edge in net.streets
         for lane in edge.lanes
-        if lane.permits("passenger") and lane.length_m >= _LEAST_LANE_M and len(lane.points_m) > 1
+        if lane.permits("passenger") and lane.length_m >= _LEAST_LANE_M and lane.is_line
     ]
     if not lots or taken <= 0.0 or not lanes:
         return areas, vehicles

@@ -63,7 +63,7 @@ def _dress(net: Net, rng: np.random.Generator) -> tuple[_Mapped, _Placed]:
     since_stop_m = rng.uniform(0.0, _STOP_EVERY_M)
     for edge in net.streets:
         for lane in edge.lanes:
-            if lane.kind not in (LaneKind.SIDEWALK, LaneKind.SHARED) or len(lane.points_m) < 2:
+            if lane.kind not in (LaneKind.SIDEWALK, LaneKind.SHARED) or not lane.is_line:
                 continue
             line = shapely.LineString(lane.points_m)
             _in_rows(lane, line, -1.0 if net.lefthand else 1.0, mapped, rng)
@@ -389,7 +389,7 @@ def _write_kerbs(net: Net, poly: _Writer, ground: _Writer, rng: np.random.Genera
     lit = net.signalled()
     painted = rng.uniform(0.3, 1.0)
     for lane in net.lanes(LaneKind.CROSSING):
-        if len(lane.points_m) < 2:
+        if not lane.is_line:
             continue
         middle = shapely.LineString(lane.points_m).interpolate(0.5, normalized=True)
         drawn = rng.random() < painted

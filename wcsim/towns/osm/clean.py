@@ -160,7 +160,7 @@ def wrongly_paved(net: Net, net_path: Path, root: Element) -> tuple[str, ...]:
     if not ways:
         return ()
     made_of = osm_ways_by_edge(net_path)
-    paved = (edge.id for edge in net.edges if any(lane.kind is LaneKind.SIDEWALK for lane in edge.lanes))
+    paved = (edge.id for edge in net.edges if edge.has(LaneKind.SIDEWALK))
     return tuple(sorted(edge for edge in paved if made_of.get(edge) and ways.issuperset(made_of[edge])))
 
 

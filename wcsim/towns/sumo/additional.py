@@ -50,7 +50,7 @@ _Lanes = Mapping[str, Lane]
 def _points_at(lanes: _Lanes, lane_id: str, places_m: tuple[float, ...], left_m: float = 0.0) -> F64:
     """Points (n, 2) at positions along a lane, negative ones from its end, all moved to its left. Raises ValueError."""
     lane = lanes.get(lane_id)
-    if lane is None or len(lane.points_m) < 2:
+    if lane is None or not lane.is_line:
         raise ValueError(f"the net has no lane {lane_id!r}")
     line = shapely.LineString(lane.points_m)
     length_m = lane.length_m or line.length

@@ -55,6 +55,11 @@ class Lane:
     allow: frozenset[str] | None  # None: every class but those in `disallow`
     disallow: frozenset[str]
 
+    @property
+    def is_line(self) -> bool:
+        """Whether it has a line: two points at least."""
+        return len(self.points_m) > 1
+
     def permits(self, vclass: str) -> bool:
         """True when a SUMO vehicle class may use this lane."""
         return vclass not in self.disallow and (self.allow is None or vclass in self.allow)
@@ -70,6 +75,10 @@ class Edge:
     end: str
     lanes: tuple[Lane, ...]
     crossed: tuple[str, ...]  # the edges that a crossing crosses
+
+    def has(self, *kinds: LaneKind) -> bool:
+        """Whether any of its lanes is of these kinds."""
+        return any(lane.kind in kinds for lane in self.lanes)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -134,7 +143,7 @@ class Net:
     @property
     def paved_streets(self) -> int:
         """How many streets have a pavement."""
-        return sum(any(lane.kind is LaneKind.SIDEWALK for lane in edge.lanes) for edge in self.streets)
+        return sum(edge.has(LaneKind.SIDEWALK) for edge in self.streets)
 
     @property
     def speeds_mps(self) -> dict[str, float]:

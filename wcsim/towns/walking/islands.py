@@ -93,7 +93,7 @@ def _touching(net: Net, parts: list[BaseGeometry]) -> dict[str, int]:
     edges = [
         (edge.id, ground_of(lane for lane in edge.lanes if lane.kind in _WALKABLE))
         for edge in net.edges
-        if any(lane.kind in _WALKABLE for lane in edge.lanes)
+        if edge.has(*_WALKABLE)
     ]
     part_of: dict[str, int] = {}
     best_m2: dict[str, float] = {}
