@@ -177,12 +177,7 @@ def find_parking(net: Net, poly: Path, taken: float, seed: int) -> tuple[list[st
     vehicles: list[str] = []
     root = read_root(poly)
     lots = sorted(_lots(root))
-    lanes = [
-        lane
-        for edge in net.streets
-        for lane in edge.lanes
-        if lane.permits("passenger") and lane.length_m >= _LEAST_LANE_M and lane.is_line
-    ]
+    lanes = [lane for edge in net.streets for lane in edge.lanes if _leads_there(lane)]
     if not lots or taken <= 0.0 or not lanes:
         return areas, vehicles
     lines = [shapely.LineString(lane.points_m) for lane in lanes]
@@ -209,6 +204,10 @@ def _town_and_used(net: Net, root: Element) -> tuple[BaseGeometry, BaseGeometry]
     town, used = lanes.convex_hull.buffer(INSIDE_M), lanes.union(_buildings(root)).union(_junctions(net))
     shapely.prepare([town, used])
     return town, used
+
+
+def _leads_there(lane: Lane) -> bool:
+    return lane.permits("passenger") and lane.length_m >= _LEAST_LANE_M and lane.is_line
 
 
 def _lots(root: Element) -> Iterator[tuple[str, Polygon]]:
