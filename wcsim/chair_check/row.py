@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Final, Literal
 
 from wcsim.config import ChairConfig, ImuConfig
+from wcsim.core.reading import own_data
 from wcsim.errors import PhysicsError
 
 SLOWEST_HZ: Final = 100
 FASTEST_HZ: Final = 1000
 TICK_S: Final = 0.1
-_KINDS: Final[dict[str, dict[str, Any]]] = tomllib.loads(
-    Path(__file__).with_name("trials.toml").read_text(encoding="utf-8")
-)
+_KINDS: Final = own_data(__file__)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -127,7 +124,7 @@ def trial_of(
     judged: bool = True,
     **told: object,
 ) -> Trial:
-    """A trial of a kind of `trials.toml`.
+    """A trial of a kind of `row.toml`.
 
     Args:
         kind: The kind, which is the pattern of its name too.
