@@ -24,27 +24,13 @@ from wcsim.towns.importing.demand import CLASSES, Way, build_ways, vtypes_text, 
 from wcsim.towns.importing.elevation import Heights, lift_net, make_dem
 from wcsim.towns.importing.folder_texts import check_place, check_words, town_toml_text, write_scenario
 from wcsim.towns.importing.map_marks import MapMarks, find_parking, map_marks
-from wcsim.towns.osm.clean import (
-    LeftOut,
-    count_inside,
-    cut_bridges,
-    filter_osm,
-    strip_orphans,
-    ways_inside,
-    wrongly_paved,
-)
+from wcsim.towns.osm.clean import LeftOut, count_inside, cut_bridges, filter_osm, map_ways, strip_orphans, wrongly_paved
 from wcsim.towns.osm.read import Box, Extract, Side, read_extract, side_at
 from wcsim.towns.scenario.town import CYCLE_PATHS, Town, chair_ways, hash_files, open_town
 from wcsim.towns.sumo.net import LaneKind, Net, read_net
 from wcsim.towns.sumo.tools import Limits, ToolRun, by_file, run_tool, sumo_home
 from wcsim.towns.sumo.xml_io import write_gzip, xml_bytes
-from wcsim.towns.walking.islands import (
-    footways_without_links,
-    largest_share,
-    osm_ways_by_edge,
-    walkable_parts,
-    ways_without_ground,
-)
+from wcsim.towns.walking.islands import largest_share, osm_ways_by_edge, stray_footways, stray_ways, walkable_parts
 
 log = logging.getLogger("wcsim.towns")
 
@@ -182,10 +168,10 @@ def _build_net(order: ImportOrder, root: Element, folder: Path) -> _BuiltNet:
 
 def _hanging_together(order: ImportOrder, root: Element, folder: Path) -> tuple[Net, float]:
     net, place = _converted(order, root, folder), folder / f"{order.name}.net.xml"
-    if stray := footways_without_links(net, place):
+    if stray := stray_footways(net, place):
         net = _converted(order, root, folder, stray)
     parts = walkable_parts(net, chair_ways(order.cycle_paths))
-    if largest_share(parts) < _GOOD_SHARE and (stray := ways_without_ground(net, place, parts)):
+    if largest_share(parts) < _GOOD_SHARE and (stray := stray_ways(net, place, parts)):
         smaller = _smaller(order, root, folder, stray, parts)
         if smaller is not None:
             return smaller
@@ -298,7 +284,7 @@ def _build(
     meanwhile: Callable[[Town], object] | None,
     stage: Stage,
 ) -> _Imported:
-    name, mapped = order.name, ways_inside(extract.root, extract.box)
+    name, mapped = order.name, map_ways(extract.root, extract.box)
     crossings_mapped, stops_mapped = (
         count_inside(extract.root, extract.box, kind) for kind in ("crossing", "bus_stop")
     )

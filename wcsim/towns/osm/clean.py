@@ -374,7 +374,7 @@ def _told(way: _MapWay) -> str:
     return f"{' '.join(filter(None, (way.id, way.name)))} ({way.inside_m:.0f} m{', ' * bool(way.why)}{way.why})"
 
 
-def ways_inside(root: Element, box: Box) -> tuple[_MapWay, ...]:
+def map_ways(root: Element, box: Box) -> tuple[_MapWay, ...]:
     """The streets of an extract at street level, and its ways on foot; `root` is as it was read."""
     places = _places(root)
     lines = {

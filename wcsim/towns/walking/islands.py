@@ -22,7 +22,7 @@ _WALKABLE = WALK_KINDS | {LaneKind.CROSSING, LaneKind.WALKINGAREA}
 _WAY = re.compile(r"^-*(\d+)(?:#.*)?$")
 
 
-def footways_without_links(net: Net, net_path: Path) -> frozenset[str]:
+def stray_footways(net: Net, net_path: Path) -> frozenset[str]:
     """The OpenStreetMap ways, by ids without a sign, of walkers and riders alone that lie on islands only.
 
     Islands are those of the connections that SUMO's walkers use.
@@ -30,7 +30,7 @@ def footways_without_links(net: Net, net_path: Path) -> frozenset[str]:
     return frozenset(way for way, quiet in _stray(net, net_path, *_linked(net)).items() if quiet)
 
 
-def ways_without_ground(net: Net, net_path: Path, parts: list[BaseGeometry]) -> frozenset[str]:
+def stray_ways(net: Net, net_path: Path, parts: list[BaseGeometry]) -> frozenset[str]:
     """The OpenStreetMap ways, by ids without a sign, that lie on islands only, those with vehicles on them too.
 
     Islands are the `walkable_parts` of the net but the largest: a link that a carriageway covers is none for a chair.
