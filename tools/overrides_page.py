@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from tools.pages import table
-from wcsim.towns.scenario.overrides import AGGREGATED, DROP_WHY, END_WHY, OUTPUT_WHY, PREFIX_WHY, RULES, UNASKED_WHY
+from wcsim.towns.scenario.overrides import AGGREGATED, RULES, WHY
 
 PAGE = """# SUMO options that wcsim overrides
 
@@ -67,20 +67,20 @@ def page() -> str:
     """The page, in Markdown."""
     rows = [(f"`{rule.option}`", rule.says, rule.why) for rule in RULES]
     rows += [
-        ("`end`", "kept, but does not end the run", END_WHY),
+        ("`end`", "kept, but does not end the run", WHY["end"]),
         ("`begin`, `lateral-resolution`, collisions, routing, devices, models, ...", "kept", "they define the traffic"),
-        ("each option that writes a file", "a file of the same name in `RUN/sumo/`", OUTPUT_WHY),
+        ("each option that writes a file", "a file of the same name in `RUN/sumo/`", WHY["outputs"]),
         *(
-            (f"`{name}`", told, UNASKED_WHY[name])
+            (f"`{name}`", told, WHY[name])
             for name, told in (
                 ("device.ssm.file", "`RUN/sumo/ssm.xml`, unless the scenario names a file"),
                 ("save-state.prefix", "`RUN/sumo/state`, unless the scenario names one"),
                 (AGGREGATED, "true if there is such an output"),
             )
         ),
-        ("`output-prefix`, `output-suffix`", "left out", PREFIX_WHY),
-        ("options of sumo-gui", "left out", DROP_WHY["gui_only"]),
-        ("`remote-port`, `num-clients`", "left out", DROP_WHY["traci_server"]),
-        ("`save-configuration`, `save-template`, ...", "left out", DROP_WHY["configuration"]),
+        ("`output-prefix`, `output-suffix`", "left out", WHY["output"]),
+        ("options of sumo-gui", "left out", WHY["gui_only"]),
+        ("`remote-port`, `num-clients`", "left out", WHY["traci_server"]),
+        ("`save-configuration`, `save-template`, ...", "left out", WHY["configuration"]),
     ]
     return PAGE.format(table="\n".join(table(("option", "in a run", "why"), rows)))

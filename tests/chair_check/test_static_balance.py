@@ -9,12 +9,12 @@ from wcsim.chair_check.static_balance import (
     FORWARD_DOWN,
     LEFT_DOWN,
     REAR_DOWN,
-    Beam,
     Foot,
     Stand,
+    _Beam,
     _com_m,
+    _rigid_tip_rad,
     loads_N,
-    rigid_tip_rad,
     stand,
     tip_rad,
     uphill,
@@ -42,7 +42,7 @@ def cart(height_m=0.5, x_m=0.1, arm=None) -> Stand:
 def test_a_cart_tips_when_its_centre_of_mass_stands_above_its_feet():
     for downhill, reach_m in ((FORWARD_DOWN, 0.4), (REAR_DOWN, 0.6), (LEFT_DOWN, 0.3)):
         assert tip_rad(cart(), downhill) == pytest.approx(math.atan(reach_m / 0.5), abs=1e-3)
-        assert rigid_tip_rad(cart(), downhill) == pytest.approx(math.atan(reach_m / 0.5))
+        assert _rigid_tip_rad(cart(), downhill) == pytest.approx(math.atan(reach_m / 0.5))
 
 
 def test_springs_bring_it_down_earlier_and_height_too():
@@ -61,13 +61,13 @@ def test_the_loads_carry_the_weight_and_balance(arm):
 
 def test_what_cannot_stand_is_refused():
     with pytest.raises(PhysicsError, match="not above the feet"):
-        rigid_tip_rad(cart(x_m=0.1).without("front").without("rear_l"), LEFT_DOWN)
+        _rigid_tip_rad(cart(x_m=0.1).without("front").without("rear_l"), LEFT_DOWN)
     with pytest.raises(PhysicsError, match="tips at rest"):
         tip_rad(cart(x_m=0.7), FORWARD_DOWN)
 
 
 def test_a_beam_leaves_a_triangle_to_stand_on():
-    free = Beam(pivot_z_m=0.0, stop_rad=math.radians(10.0), weight_N=0.0, com_z_m=0.0)
+    free = _Beam(pivot_z_m=0.0, stop_rad=math.radians(10.0), weight_N=0.0, com_z_m=0.0)
     feet = [replace(foot, beam=free) if foot.name.startswith("front") else foot for foot in cart().feet]
     chair = replace(cart(), feet=tuple(feet))
     triangle = math.atan(0.3 * 0.4 / 0.5)  # from a rear foot to the pivot, below the centre of mass 0.1 m ahead
@@ -100,7 +100,7 @@ def test_the_rigid_plant_tips_on_its_tip_lines():
     spec = spec.model_copy(update={"casters": tuple(pair.model_copy(update={"beam": None}) for pair in spec.casters)})
     for downhill in DIRECTIONS:
         chair = stand(spec, worst_swivel_rad(spec, downhill)).without("antitip")
-        assert tip_rad(chair, downhill) == pytest.approx(rigid_tip_rad(chair, downhill), abs=math.radians(0.05))
+        assert tip_rad(chair, downhill) == pytest.approx(_rigid_tip_rad(chair, downhill), abs=math.radians(0.05))
     assert tip_rad(stand(spec), REAR_DOWN) > tip_rad(stand(spec).without("antitip"), REAR_DOWN) + 0.2
 
 

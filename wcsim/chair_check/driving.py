@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from wcsim.chair_check.rig import FORWARD, NEUTRAL, Rig, plane_street
-from wcsim.chair_check.row import Setup, Trial, Unfinished
+from wcsim.chair_check.row import Setup, Trial, Unfinished, trial_of
 from wcsim.config import PROFILE_SPEED_MPS
 from wcsim.core.frames import rad
 from wcsim.core.joystick import yaw_rate_limit
@@ -26,28 +26,9 @@ _KMH: Final = 1.0 / 3.6
 
 def driving_trials(setup: Setup) -> Iterator[Trial]:
     """The rows of one plant."""
-    yield Trial(
-        name="straight_drift_10m",
-        unit="m",
-        bound="wcsim",
-        low=0.0,
-        high=0.05,
-        method="largest distance from the straight line over 10 m at full stick from rest",
-        source="bound of 0.05 m",
-        measure=_straight_drift_m,
-    )
+    yield trial_of("straight_drift_10m", _straight_drift_m)
     for name, speed in PROFILE_SPEED_MPS.items():
-        yield Trial(
-            name=f"cruise_{name}",
-            unit="m/s",
-            bound="stick",
-            low=0.97 * speed,
-            high=1.03 * speed,
-            method=f"mean speed of 2 s straight ahead at full stick, set to {speed} m/s (ISO 7176-6)",
-            source="requested speed, within 3 %",
-            measure=_cruise_mps,
-            speed_mps=speed,
-        )
+        yield trial_of("cruise_{profile}", _cruise_mps, speed, speed_mps=speed, profile=name, speed=speed)
     diagonal = math.sqrt(0.5)  # of full stick: the corner is pulled to the unit circle
     turn_radps = setup.chair.yaw_rate_max_radps
     turns = (
@@ -55,84 +36,25 @@ def driving_trials(setup: Setup) -> Iterator[Trial]:
         ("at_speed", Joystick(-1.0, 1.0), diagonal * yaw_rate_limit(diagonal * setup.chair.v_max_mps, turn_radps)),
     )
     for name, stick, rate in turns:
-        yield Trial(
-            name=f"turn_{name}",
-            unit="rad/s",
-            bound="stick",
-            low=0.97 * rate,
-            high=1.03 * rate,
-            method="mean turn rate of 6 s, stick " + ("diagonal" if stick.y else "to the side"),
-            source="requested turn rate, within 3 %",
-            measure=partial(_turn_radps, stick=stick),
-        )
+        towards = "diagonal" if stick.y else "to the side"
+        yield trial_of("turn_{way}", partial(_turn_radps, stick=stick), rate, way=name, stick=towards)
     for kmh in (6, 10):
-        yield _stopping(setup, kmh)
+        speed = kmh * _KMH
+        way_m = stopping_distance_m(speed, setup.chair.decel_mps2, setup.chair.jerk_mps3)
+        yield trial_of("stopping_{kmh}kmh", _stopping_m, way_m, speed_mps=speed, kmh=kmh)
     yield from _slopes(setup)
 
 
-def _stopping(setup: Setup, kmh: int) -> Trial:
-    speed = kmh * _KMH
-    way = stopping_distance_m(speed, setup.chair.decel_mps2, setup.chair.jerk_mps3)
-    return Trial(
-        name=f"stopping_{kmh}kmh",
-        unit="m",
-        bound="stick",
-        low=0.9 * way,
-        high=1.1 * way,
-        method=f"stopping distance after releasing the stick at {kmh} km/h (ISO 7176-3)",
-        source="jerk-limited v2/2a + v a/2j within 10 %",
-        measure=_stopping_m,
-        speed_mps=speed,
-    )
-
-
 def _slopes(setup: Setup) -> Iterator[Trial]:
-    speed = setup.chair.v_max_mps
-    yield Trial(
-        name="climb_10deg",
-        unit="m/s",
-        bound="norm",
-        low=0.97 * speed,
-        high=1.03 * speed,
-        method="steady speed straight up a slope of 10 degrees at full stick",
-        source="rated slope (EN 12184 class C), speed held within 3 %",
-        measure=partial(_climb_mps, slope_rad=_SLOPE_RAD),
-    )
+    yield trial_of("climb_10deg", partial(_climb_mps, slope_rad=_SLOPE_RAD), setup.chair.v_max_mps)
     spec = plant_spec(setup.chair)
     asked = min(_ROAD_MPS, spec.limits.speed_mps)
     top = min(_top_speed_mps(spec, _PULL_N), asked)
-    yield Trial(
-        name="pulling_400N",
-        unit="m/s",
-        bound="file",
-        low=0.92 * top,
-        high=1.02 * top,
-        method=f"steady speed on level ground against a pull of {_PULL_N:g} N, full stick, set to {asked} m/s",
-        source="where the declared torque curve of two motors meets the pull, minus the torque for steering",
-        measure=partial(_pulling_mps, pull_N=_PULL_N),
-        speed_mps=asked,
-    )
-    for name, ahead, left in (("up", _SLOPE_RAD, 0.0), ("down", -_SLOPE_RAD, 0.0), ("across", 0.0, _SLOPE_RAD)):
-        yield Trial(
-            name=f"parked_10deg_{name}",
-            unit="m",
-            bound="norm",
-            low=0.0,
-            high=0.02,
-            method=f"distance rolled in 5 s with the stick released, facing {name} a slope of 10 degrees",
-            source="held by the parking brake",
-            measure=partial(_creep_m, ahead_rad=ahead, left_rad=left),
-        )
-    yield Trial(
-        name="cross_slope_10deg",
-        unit="m",
-        bound="wcsim",
-        low=0.0,
-        high=0.1,
-        method="drift downhill over 8 m straight across a slope of 10 degrees, stick held straight",
-        source="less than one degree of drift",
-        measure=partial(_cross_slope_drift_m, slope_rad=_SLOPE_RAD),
-    )
+    pulling = partial(_pulling_mps, pull_N=_PULL_N)
+    yield trial_of("pulling_400N", pulling, top, speed_mps=asked, pull=_PULL_N, asked=asked)
+    for facing, ahead, left in (("up", _SLOPE_RAD, 0.0), ("down", -_SLOPE_RAD, 0.0), ("across", 0.0, _SLOPE_RAD)):
+        yield trial_of("parked_10deg_{facing}", partial(_creep_m, ahead_rad=ahead, left_rad=left), facing=facing)
+    yield trial_of("cross_slope_10deg", partial(_cross_slope_drift_m, slope_rad=_SLOPE_RAD))
 
 
 def _top_speed_mps(spec: PlantSpec, pull_N: float) -> float:

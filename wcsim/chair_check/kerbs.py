@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from functools import partial
 from itertools import pairwise
 from typing import Final
@@ -16,21 +15,18 @@ import numpy as np
 
 from wcsim.chair_check import driving
 from wcsim.chair_check.rig import FACE_X_M, FORWARD, NEUTRAL, Rig, grid_street, step_street
-from wcsim.chair_check.row import Measure, Setup, Trial
+from wcsim.chair_check.row import Setup, Trial, trial_of
 from wcsim.config import RewardConfig
 from wcsim.config.plant import known_plants
 from wcsim.core.frames import deg, rad
 from wcsim.physics.wheelchair.drive_controller import stopping_distance_m
 from wcsim.physics.wheelchair.plant import PlantSpec, plant_spec
-from wcsim.types import ClassId, Joystick, PlantState, StreetMesh
+from wcsim.types import ClassId, Joystick, PlantState
 
 RUN_UP_M: Final = 0.5
 _FALL_MPS: Final = 1.5
 _SHALLOW_DEG, _STEEP_DEG = 25, 60
 _MOST_MPS2: Final = 157.0  # what the sensor shows at most, 16 g
-_MEAN: Final = "mean of six runs"
-_SPAN: Final = "values of both plants when they were designed, 25 % to either side"
-_FALL_SOURCE: Final = "ordering of Erickson et al. 2016 (JNER 13:20): higher kerbs and shallower approaches tip"
 
 
 def kerb_trials(setup: Setup) -> Iterator[Trial]:
@@ -39,105 +35,48 @@ def kerb_trials(setup: Setup) -> Iterator[Trial]:
     yield from _climbs(spec)
     yield from _events(spec)
     ours = setup.chair.plant in known_plants()  # of another chair these rows say how it compares, and judge nothing
-    yield from (replace(trial, bound="rwd, mwd", judged=ours) for trial in _peaks())
-    yield from (replace(trial, judged=ours or _like_the_experiments(spec)) for trial in _falls(spec))
+    yield from _peaks(judged=ours)
+    yield from _falls(spec, judged=ours or _like_the_experiments(spec))
 
 
 def _climbs(spec: PlantSpec) -> Iterator[Trial]:
     declared = spec.climbs
     starts = (("standstill", 0.0, declared.standstill_m), ("run_up", RUN_UP_M, declared.run_up_m))
-    for name, run_up_m, climbed_m in starts:
+    for start, run_up_m, climbed_m in starts:
         for rise_m in sorted({*climbed_m, *declared.refused_m}):
+            measure = partial(_kerb_climbed, rise_m=rise_m, run_up_m=run_up_m)
             up = 1.0 if rise_m in climbed_m else 0.0
-            yield Trial(
-                name=f"kerb_{round(1000 * rise_m)}mm_{name}",
-                unit="climbed",
-                bound="file",
-                low=up,
-                high=up,
-                method=f"square on, full stick, run-up {run_up_m:g} m (ISO 7176-10); 1 = all wheels are up",
-                source="climbs of the parameter file",
-                measure=partial(_kerb_climbed, rise_m=rise_m, run_up_m=run_up_m),
-            )
+            yield trial_of("kerb_{mm}mm_{start}", measure, up, mm=round(1000 * rise_m), start=start, run_up=run_up_m)
 
 
 def _events(spec: PlantSpec) -> Iterator[Trial]:
     """Driving, kerb and wall as the penalty on acceleration tells them apart."""
     low, high = RewardConfig().accel_window_mps2
     window = f"penalty window {low:g} to {high:g} m/s2"
-    rows: tuple[tuple[str, float, str, str, Measure], ...] = (
-        ("driving", 0.25 * low, "off, straight, full turn, to a stop", "below the ", _driving_peak_mps2),
-        ("cruise", 0.5, "cruising straight on level ground", "no bumps; below the ", driving.cruise_peak_mps2),
-    )
-    for name, most, how, where, measure in rows:
-        yield _impact("event_" + name, (0.0, most), "largest low-passed acceleration: " + how, where + window, measure)
-    speed = _kerb_speed_mps(spec)
-    yield _impact(
-        "event_kerb_40mm",
-        (low, high),
-        f"largest low-passed acceleration over a kerb of 40 mm at {speed:g} m/s, {_MEAN}",
-        "inside the " + window,
-        partial(_kerb_peak_mps2, rise_m=0.04),
-        speed,
-    )
-    yield _impact(
-        "event_wall_6kmh",
-        (high, _MOST_MPS2),
-        "largest low-passed acceleration into a wall at 1.67 m/s, " + _MEAN,
-        "a crash: above the " + window,
-        _wall_peak_mps2,
-        1.67,
-    )
+    yield trial_of("event_driving", _driving_peak_mps2, low, window=window)
+    yield trial_of("event_cruise", driving.cruise_peak_mps2, window=window)
+    # sprung casters take a kerb softly, so a plant with them meets it faster
+    speed = 1.67 if any(pair.arm is not None for pair in spec.casters) else 1.0
+    over = partial(_step_peak_mps2, rise_m=0.04)
+    yield trial_of("event_kerb_40mm", over, span=(low, high), speed_mps=speed, speed=speed, window=window)
+    yield trial_of("event_wall_6kmh", _WALL, span=(high, _MOST_MPS2), speed_mps=1.67, window=window)
 
 
-def _kerb_speed_mps(spec: PlantSpec) -> float:
-    """Speed at which the 40 mm kerb is judged: sprung casters take a kerb softly, so faster for a plant with them."""
-    return 1.67 if any(pair.arm is not None for pair in spec.casters) else 1.0
-
-
-def _peaks() -> Iterator[Trial]:
+def _peaks(*, judged: bool) -> Iterator[Trial]:
     # faster over the lowest kerb, it is over within two steps of 1/120 s, and its peak depends on the step
     kerbs_m = ((0.02, 0.8, 9.0, 20.0), (-0.06, 1.0, 12.0, 40.0), (-0.12, 1.0, 25.0, 46.0))
     for rise_m, speed, low, high in kerbs_m:
-        what = "kerb" if rise_m > 0.0 else "drop"
-        yield _impact(
-            f"peak_{what}_{round(1000 * abs(rise_m))}mm",
-            (low, high),
-            f"largest low-passed acceleration over a {what} of {1000 * abs(rise_m):g} mm at {speed:g} m/s, {_MEAN}",
-            _SPAN,
-            partial(_kerb_peak_mps2, rise_m=rise_m),
-            speed,
+        yield trial_of(
+            "peak_{what}_{mm:.0f}mm",
+            partial(_step_peak_mps2, rise_m=rise_m),
+            span=(low, high),
+            speed_mps=speed,
+            judged=judged,
+            what="kerb" if rise_m > 0.0 else "drop",
+            mm=1000 * abs(rise_m),
+            speed=speed,
         )
-    yield _impact(
-        "peak_wall_1mps",
-        (29.0, 49.0),
-        "largest low-passed acceleration into a wall at 1 m/s, " + _MEAN,
-        _SPAN,
-        _wall_peak_mps2,
-        1.0,
-    )
-
-
-def _impact(
-    name: str,
-    span_mps2: tuple[float, float],
-    method: str,
-    source: str,
-    measure: Measure,
-    speed_mps: float | None = None,
-) -> Trial:
-    return Trial(
-        name=name,
-        unit="m/s2",
-        bound="wcsim",
-        low=span_mps2[0],
-        high=span_mps2[1],
-        method=method,
-        source=source,
-        measure=measure,
-        speed_mps=speed_mps,
-        impact=True,
-    )
+    yield trial_of("peak_wall_1mps", _WALL, speed_mps=1.0, judged=judged)
 
 
 def _like_the_experiments(spec: PlantSpec) -> bool:
@@ -145,21 +84,20 @@ def _like_the_experiments(spec: PlantSpec) -> bool:
     return all(pair.swivel_x_m > 0.0 for pair in spec.casters)
 
 
-def _falls(spec: PlantSpec) -> Iterator[Trial]:
+def _falls(spec: PlantSpec, *, judged: bool) -> Iterator[Trial]:
     cases = [(drop_m, angle, 0.0) for drop_m in (0.12, 0.20) for angle in (_SHALLOW_DEG, _STEEP_DEG)]
     if not _like_the_experiments(spec):
         cases.remove((0.20, _SHALLOW_DEG, 0.0))
     for drop_m, angle_deg, tips in [*cases, (0.30, 5, 1.0), (0.30, _SHALLOW_DEG, 1.0), (0.30, _STEEP_DEG, 0.0)]:
-        yield Trial(
-            name=f"falls_off_{round(100 * drop_m)}cm_at_{angle_deg}deg",
-            unit="tipped",
-            bound="trial",
-            low=tips,
-            high=tips,
-            method=f"off a kerb at {_FALL_MPS:g} m/s, {angle_deg} degrees between way and edge; 1 = lies on its side",
-            source=_FALL_SOURCE,
-            measure=partial(_tips_off, drop_m=drop_m, approach_rad=rad(angle_deg)),
+        yield trial_of(
+            "falls_off_{cm}cm_at_{angle}deg",
+            partial(_tips_off, drop_m=drop_m, approach_rad=rad(angle_deg)),
+            tips,
             speed_mps=_FALL_MPS,
+            judged=judged,
+            cm=round(100 * drop_m),
+            angle=angle_deg,
+            speed=_FALL_MPS,
         )
 
 
@@ -200,22 +138,14 @@ def _kerb_climbed(setup: Setup, rise_m: float, run_up_m: float) -> float:
     return float(end[0] > FACE_X_M and abs(end[2] - rise_m) < _LEVEL_M)
 
 
-def _kerb_peak_mps2(setup: Setup, rise_m: float) -> float:
-    """The largest low-passed acceleration over a step up (or down) met square on at full speed, mean of six runs."""
-    return _mean_peak_mps2(setup, step_street(rise_m))
+def _step_peak_mps2(setup: Setup, rise_m: float, face: ClassId = ClassId.KERB) -> float:
+    """The largest low-passed acceleration as it meets a step up (or down) square on at full speed.
 
-
-def _wall_peak_mps2(setup: Setup) -> float:
-    """The largest low-passed acceleration as it drives into a wall at full speed, mean of six runs."""
-    return _mean_peak_mps2(setup, step_street(_WALL_M, ClassId.BUILDING))
-
-
-def _mean_peak_mps2(setup: Setup, street: StreetMesh) -> float:
-    """Mean over runs whose starts lie a fraction of a step's way apart.
+    It is the mean over runs whose starts lie a fraction of a step's way apart.
 
     Where within a step a wheel meets an edge is chance, and moves a single peak by up to a fifth.
     """
-    with Rig(setup, street) as rig:
+    with Rig(setup, step_street(rise_m, face)) as rig:
         spec, speed = rig.chair.spec, setup.chair.v_max_mps
         start_m, beyond_m = FACE_X_M - _front_m(spec) - _RUN_M, FACE_X_M + 0.8 - _rear_m(spec)
         peaks = []
@@ -224,6 +154,9 @@ def _mean_peak_mps2(setup: Setup, street: StreetMesh) -> float:
             seconds = 3.0 + (beyond_m - start_m) / speed
             peaks.append(rig.drive(FORWARD, seconds, lambda state: float(state.p_WB_m[0]) > beyond_m).peak_mps2)
     return float(np.mean(peaks))
+
+
+_WALL: Final = partial(_step_peak_mps2, rise_m=_WALL_M, face=ClassId.BUILDING)
 
 
 def _driving_peak_mps2(setup: Setup) -> float:
@@ -271,42 +204,14 @@ _TURN_S: Final = 1.5
 _STOP_S: Final = 4.0
 
 Height = Callable[[float, float], float]
-_LEAST_LOAD: Final = 0.2  # of the static load
 _RAMP: Final = f"ramp of {deg(_FALL_RAD):.0f} degrees, twisted by {deg(_TWIST_RAD):.0f} over the wheelbase"
 
 
 def ramp_trials(_setup: Setup) -> Iterator[Trial]:
     """The rows of one plant."""
-    yield Trial(
-        name="twisted_ramp_load",
-        unit="",
-        bound="wcsim",
-        low=_LEAST_LOAD,
-        high=1.2,
-        method=f"least load of a drive wheel at rest on a {_RAMP}, up and down, both ways, relative to level ground",
-        source="both drive wheels keep a fifth of their load",
-        measure=_least_load_share,
-    )
-    yield Trial(
-        name="twisted_ramp_stop",
-        unit="",
-        bound="wcsim",
-        low=0.8,
-        high=1.25,
-        method=f"longest stopping distance from half stick, down a {_RAMP}, both ways, relative to level ground",
-        source="jerk-limited v2/2a + v a/2j, 25 % more for the slope",
-        measure=_stopping_share,
-    )
-    yield Trial(
-        name="twisted_ramp_turn",
-        unit="",
-        bound="wcsim",
-        low=0.75,
-        high=1.25,
-        method=f"least turn in 1.5 s, stick to either side, down a {_RAMP}, both ways, relative to level ground",
-        source="requested turn, within 25 %",
-        measure=_turned_share,
-    )
+    yield trial_of("twisted_ramp_load", _least_load_share, ramp=_RAMP)
+    yield trial_of("twisted_ramp_stop", _stopping_share, ramp=_RAMP)
+    yield trial_of("twisted_ramp_turn", _turned_share, ramp=_RAMP)
 
 
 def _least_load_share(setup: Setup) -> float:

@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 
 from wcsim.chair_check.rig import FORWARD, NEUTRAL, Rig
-from wcsim.chair_check.row import TICK_S, Row, Setup, Trial
+from wcsim.chair_check.row import TICK_S, Row, Setup, Trial, measured, trial_of
 from wcsim.chair_check.static_balance import (
     FORWARD_DOWN,
     LEFT_DOWN,
@@ -43,7 +43,6 @@ _COAST_S: Final = 2.0
 _RAMP_NPS: Final = 200.0
 _SLIP_MPS: Final = 0.02
 _AXES: Final = np.eye(3)
-_FILE: Final = "parameter file"
 _COAST_MPS: Final = 1.0
 _AXIS_NAMES: Final = ("roll", "pitch", "yaw")
 
@@ -51,86 +50,19 @@ _AXIS_NAMES: Final = ("roll", "pitch", "yaw")
 def mass_trials(setup: Setup) -> Iterator[Trial]:
     """The rows of one plant."""
     spec = plant_spec(setup.chair)
-    yield from _loads(spec)
-    yield from _inertias(spec)
-    yield from _losses(spec)
-
-
-def _loads(spec: PlantSpec) -> Iterator[Trial]:
-    yield Trial(
-        name="mass",
-        unit="kg",
-        bound="file",
-        low=0.995 * spec.whole_kg,
-        high=1.005 * spec.whole_kg,
-        method="normal loads of all wheels at rest, divided by 9.81 m/s2",
-        source=_FILE,
-        measure=_mass_kg,
-    )
-    loads = loads_N(stand(spec))
-    share = sum(load for name, load in loads.items() if name.startswith("wheel")) / sum(loads.values())
-    yield Trial(
-        name="drive_wheel_share",
-        unit="",
-        bound="file",
-        low=share - 0.02,
-        high=share + 0.02,
-        method="share of the weight that rests on the drive wheels",
-        source="statics of masses, springs and contact points",
-        measure=_drive_wheel_share,
-    )
-
-
-def _inertias(spec: PlantSpec) -> Iterator[Trial]:
-    for axis, inertia in enumerate(inertia_kgm2(spec)):
-        yield Trial(
-            name=f"inertia_{_AXIS_NAMES[axis]}",
-            unit="kg m2",
-            bound="file",
-            low=0.98 * float(inertia),
-            high=1.02 * float(inertia),
-            method="floating with joints held: 20 Nm for 0.5 s, divided by the resulting rate",
-            source=_FILE + ": inertia of all parts, parallel axes",
-            measure=partial(_turning_inertia_kgm2, axis=axis),
-        )
-
-
-def _losses(spec: PlantSpec) -> Iterator[Trial]:
-    yield Trial(
-        name="turning_loss",
-        unit="1/s",
-        bound="file",
-        low=-0.001,
-        high=0.001,
-        method="share of its yaw rate that it loses in one second while floating",
-        source="no damping is declared",
-        measure=_turning_loss_per_s,
-    )
-    yield Trial(
-        name="coasting_loss",
-        unit="m/s2",
-        bound="file",
-        low=-0.01,
-        high=0.01,
-        method="slowing down on level ground from 1 m/s with the motors off, mean of 2 s",
-        source="no rolling resistance is declared",
-        measure=_coasting_mps2,
-        speed_mps=_COAST_MPS,
-    )
+    yield trial_of("mass", _mass_kg, spec.whole_kg)
     chair = stand(spec)
     loads = loads_N(chair)
+    share = sum(load for name, load in loads.items() if name.startswith("wheel")) / sum(loads.values())
+    yield trial_of("drive_wheel_share", _drive_wheel_share, share)
+    for axis, inertia in enumerate(inertia_kgm2(spec)):
+        measure = partial(_turning_inertia_kgm2, axis=axis)
+        yield trial_of("inertia_{axis}", measure, float(inertia), axis=_AXIS_NAMES[axis])
+    yield trial_of("turning_loss", _turning_loss_per_s)
+    yield trial_of("coasting_loss", _coasting_mps2, speed_mps=_COAST_MPS)
     friction = {foot.name: foot.friction for foot in chair.feet}
     grip = sum(load * friction[name] for name, load in loads.items()) / (spec.whole_kg * GRAVITY_MPS2)
-    yield Trial(
-        name="grip",
-        unit="",
-        bound="file",
-        low=0.95 * grip,
-        high=1.05 * grip,
-        method="pull along the ground at which it slides with locked wheels, divided by its weight",
-        source=_FILE + ": friction of each wheel, weighted with its load",
-        measure=_grip,
-    )
+    yield trial_of("grip", _grip, grip)
 
 
 def _mass_kg(setup: Setup) -> float:
@@ -240,13 +172,7 @@ _STAGES: Final = (1 / 3, 2 / 3, 1.0)
 _GRIP: Final = 2.0
 _ITERATIONS: Final = 1000  # many wheels held at once are stiff
 _COM_HEIGHTS_M: Final = (0.50, 0.60)
-_TOLERANCE_DEG: Final = 1.0
-_LEAST_LEFT, _MOST_LEFT = 0.5, 0.98
-_METHOD: Final = (
-    "tilt table at 0.2 deg/s, brakes on, casters at their worst angle (sideways on a beam: off, trailing); "
-    "tip = uphill wheels leave it"
-)
-_SOURCE: Final = "tip line through the declared contact points below the declared centre of mass, within 1 deg"
+_TIP: Final = "{way}_com_{cm}cm"
 
 
 def tip_trials(setup: Setup, only: Sequence[str] = ()) -> Iterator[Trial]:
@@ -259,16 +185,8 @@ def tip_trials(setup: Setup, only: Sequence[str] = ()) -> Iterator[Trial]:
             if only and not _name(name, height_m).startswith(tuple(only)):
                 continue
             expected_deg = deg(_expected_tip_rad(setup.at_com_height(height_m), downhill, antitips))
-            yield Trial(
-                name=_name(name, height_m),
-                unit="deg",
-                bound="file",
-                low=expected_deg - _TOLERANCE_DEG,
-                high=expected_deg + _TOLERANCE_DEG,
-                method=_METHOD,
-                source=_SOURCE,
-                measure=partial(_tip_deg, height_m=height_m, downhill=downhill, antitips=antitips),
-            )
+            measure = partial(_tip_deg, height_m=height_m, downhill=downhill, antitips=antitips)
+            yield trial_of(_TIP, measure, expected_deg, way=name, cm=round(100 * height_m))
 
 
 def falling_rows(setup: Setup, rows: Mapping[str, Row]) -> Iterator[Row]:
@@ -279,17 +197,8 @@ def falling_rows(setup: Setup, rows: Mapping[str, Row]) -> Iterator[Row]:
         if pair[0] is None or pair[1] is None:
             continue
         value = pair[1].value / pair[0].value
-        yield Row(
-            name=f"{name}_falls",
-            value=value,
-            unit="",
-            bound="file",
-            low=_LEAST_LEFT,
-            high=_MOST_LEFT,
-            method=f"tip angle at {high_m:.2f} m divided by that at {low_m:.2f} m",
-            source="a higher centre of mass above the same pivots tips earlier",
-            ok=_LEAST_LEFT <= value <= _MOST_LEFT,
-        )
+        trial = trial_of("{way}_falls", lambda _, value=value: value, way=name, low=low_m, high=high_m)  # type: ignore[misc]
+        yield measured(trial, setup)
 
 
 def _ways(setup: Setup) -> Iterator[tuple[str, Vec2, bool]]:
@@ -304,7 +213,7 @@ def _ways(setup: Setup) -> Iterator[tuple[str, Vec2, bool]]:
 
 
 def _name(way: str, height_m: float) -> str:
-    return f"{way}_com_{round(100 * height_m)}cm"
+    return _TIP.format(way=way, cm=round(100 * height_m))
 
 
 def _expected_tip_rad(setup: Setup, downhill: Vec2, antitips: bool) -> float:

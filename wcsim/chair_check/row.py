@@ -8,11 +8,13 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Final, Literal
 
 from wcsim.config import ChairConfig, ImuConfig
+from wcsim.core.reading import own_data
 from wcsim.errors import PhysicsError
 
 SLOWEST_HZ: Final = 100
 FASTEST_HZ: Final = 1000
 TICK_S: Final = 0.1
+_KINDS: Final = own_data(__file__)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,7 +67,7 @@ plants that come with it felt, or an experiment with a rear-wheel drive."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Expected:
+class _Expected:
     """What is expected of one value.
 
     Args:
@@ -92,7 +94,7 @@ class Expected:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Trial(Expected):
+class Trial(_Expected):
     """One row before it was measured."""
 
     measure: Measure  # a pure function from chair and rate to the value
@@ -100,7 +102,7 @@ class Trial(Expected):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Row(Expected):
+class Row(_Expected):
     """One row of the table: a value beside what is expected."""
 
     value: float
@@ -113,13 +115,52 @@ class Row(Expected):
         return self.judged and not self.ok
 
 
+def trial_of(
+    kind: str,
+    measure: Measure,
+    expected: float = 1.0,
+    span: tuple[float, float] | None = None,
+    speed_mps: float | None = None,
+    judged: bool = True,
+    **told: object,
+) -> Trial:
+    """A trial of a kind of `row.toml`.
+
+    Args:
+        kind: The kind, which is the pattern of its name too.
+        measure: How its value is taken.
+        expected: What its bounds there belong to.
+        span: Its bounds, where they are not there.
+        speed_mps: As of a `Trial`.
+        judged: As of a `Trial`.
+        told: Words in its texts.
+    """
+    row = _KINDS[kind]
+    if "within" in row:
+        span = expected - row["within"], expected + row["within"]
+    low, high = span or (part * expected for part in row["times"])
+    return Trial(
+        name=kind.format(**told),
+        unit=row["unit"],
+        bound=row["bound"],
+        low=low,
+        high=high,
+        method=row["method"].format(**told),
+        source=row["source"].format(**told),
+        impact=row.get("impact", False),
+        judged=judged,
+        measure=measure,
+        speed_mps=speed_mps,
+    )
+
+
 def measured(trial: Trial, setup: Setup) -> Row:
     """Do a trial. Raises PhysicsError when its value is not finite."""
     found = trial.measure(setup if trial.speed_mps is None else setup.at_speed(trial.speed_mps))
     value, note = (found.value, found.what) if isinstance(found, Unfinished) else (float(found), "")
     if not math.isfinite(value):
         raise PhysicsError(f"trial {trial.name}: the value is {value}; expected a finite number: check the plant")
-    expected = {item.name: getattr(trial, item.name) for item in fields(Expected)}
+    expected = {item.name: getattr(trial, item.name) for item in fields(_Expected)}
     return Row(**expected, value=value, ok=not note and trial.low <= value <= trial.high, note=note)
 
 

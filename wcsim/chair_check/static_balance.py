@@ -43,7 +43,7 @@ _LANDED_RAD: Final = 1e-6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Beam:
+class _Beam:
     """A beam that carries feet and rocks freely about a lengthwise pivot in the chair's middle plane."""
 
     pivot_z_m: float
@@ -64,7 +64,7 @@ class Foot:
     friction: float = 1.0
     arm: ArmPart | None = None  # sprung, upright in B
     unsprung_kg: float = 0.0  # what hangs on the arm
-    beam: Beam | None = None
+    beam: _Beam | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -92,7 +92,7 @@ def uphill(stand: Stand, downhill: Vec2) -> frozenset[str]:
     return frozenset(name for name, place_m in along.items() if place_m < least)
 
 
-def rigid_tip_rad(stand: Stand, downhill: Vec2) -> float:
+def _rigid_tip_rad(stand: Stand, downhill: Vec2) -> float:
     """Tilt at which the centre of mass stands above the tip line, with every foot on the table and no spring.
 
     The tip line is the edge of the feet's hull that lies downhill of the centre of mass.
@@ -207,7 +207,7 @@ class _Table:
         place = place + np.where(self._sprung, compressed, 0.0)[:, None] * turn[:, 2]
         return place, self._share * np.where(self._sprung, load, firm), compressed
 
-    def _rocked_m(self, beam: Beam, place: F64, depth: F64, share: F64, turn: F64) -> F64:
+    def _rocked_m(self, beam: _Beam, place: F64, depth: F64, share: F64, turn: F64) -> F64:
         """How far a beam lifts its feet, (E,), so that their loads turn it no more, or it leans on a stop.
 
         Friction that holds the chair is taken in proportion to the load, as for arms.
@@ -361,7 +361,7 @@ def _com_m(spec: PlantSpec, swivel_rad: float = 0.0) -> Vec3:
 def worst_swivel_rad(spec: PlantSpec, downhill: Vec2) -> float:
     """The swivel angle at which the tip line lies nearest to the centre of mass, anti-tips left out."""
     angles = [2.0 * math.pi * k / _TURNS for k in range(_TURNS)]
-    return min(angles, key=lambda angle: rigid_tip_rad(stand(spec, angle).without("antitip"), downhill))
+    return min(angles, key=lambda angle: _rigid_tip_rad(stand(spec, angle).without("antitip"), downhill))
 
 
 def inertia_kgm2(spec: PlantSpec) -> F64:
@@ -406,7 +406,7 @@ def _casters(spec: PlantSpec, swivel_rad: float) -> Iterator[Foot]:
             )
 
 
-def _beam(pair: CasterPart) -> Beam | None:
+def _beam(pair: CasterPart) -> _Beam | None:
     if pair.beam is None:
         return None
     swivel_z_m = pair.radius_m + FORK_M
@@ -416,7 +416,7 @@ def _beam(pair: CasterPart) -> Beam | None:
         (pair.beam.mass_kg, swivel_z_m),
     )
     mass_kg = sum(part for part, _ in parts)
-    return Beam(
+    return _Beam(
         pivot_z_m=pair.beam.pivot_z_m,
         stop_rad=rad(pair.beam.stop_deg),
         weight_N=mass_kg * GRAVITY_MPS2,

@@ -5,9 +5,9 @@ Angles are in degrees in keys that end in `_deg`, and nowhere else. Presets are 
 
 from __future__ import annotations
 
-from wcsim.config.base import Finite, Model, NotNegative, Share, Text
+from wcsim.config.base import Model, Text
 from wcsim.config.chair import PROFILE_SPEED_MPS, ChairConfig
-from wcsim.config.env import LEAST_WINDOW, EnvConfig, JoystickDistance, RewardConfig, Window
+from wcsim.config.env import LEAST_WINDOW, EnvConfig, RewardConfig
 from wcsim.config.learn import CollectConfig, DangerConfig, LearnConfig
 from wcsim.config.load import CONFIG_FILE, parse, parse_json, read_toml, resolve
 from wcsim.config.run import MAX_SEEN_PX, RunConfig
@@ -38,22 +38,17 @@ __all__ = (
     "DangerConfig",
     "DepthNoiseConfig",
     "EnvConfig",
-    "Finite",
     "ImuConfig",
-    "JoystickDistance",
     "LearnConfig",
     "Model",
-    "NotNegative",
     "OdometryConfig",
     "RewardConfig",
     "RunConfig",
     "SensorConfig",
     "SensorsConfig",
-    "Share",
     "Text",
     "TownFile",
     "VaryConfig",
-    "Window",
     "WorldConfig",
     "parse",
     "parse_json",

@@ -8,7 +8,7 @@ from typing import Annotated, Any, ClassVar, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from wcsim.core.reading import escaped
+from wcsim.core.reading import escaped, own_data
 from wcsim.errors import meant
 
 
@@ -21,16 +21,18 @@ _LARGEST = 1e9  # of numbers that nothing else bounds: nothing that is computed 
 Positive = Annotated[float, Field(gt=0.0, le=_LARGEST, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0.0, le=_LARGEST, allow_inf_nan=False)]
 Share = Annotated[float, within(0.0, 1.0)]
+PositiveShare = Annotated[float, Field(gt=0.0, le=1.0)]
+UserMass = Annotated[float, within(25.0, 150.0)]
+TopSpeed = Annotated[float, Field(gt=0.1, le=5.0)]
 Finite = Annotated[float, Field(ge=-_LARGEST, le=_LARGEST, allow_inf_nan=False)]
 Word = Annotated[str, Field(max_length=400)]
 Text = Annotated[str, Field(max_length=16_384)]  # paths, commands, attributions
+Texts = Annotated[tuple[Text, ...], Field(max_length=64)]
+Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")]
+Seed = Annotated[int, Field(ge=0, lt=1 << 31)]  # as large as SUMO takes them
 
 _BOUNDS = {"gt": "more than", "ge": "at least", "lt": "less than", "le": "at most"}
-_UNITS = {
-    "m": "m", "s": "s", "px": "px", "deg": "deg", "rad": "rad", "kg": "kg", "hz": "Hz", "mps": "m/s", "mps2": "m/s2",
-    "mps3": "m/s3", "radps": "rad/s", "radps2": "rad/s2", "Nm": "Nm", "Ns": "Ns", "N": "N", "db": "dB", "mg": "mg",
-    "ticks": "ticks", "ug": "ug", "Npm": "N/m", "Nspm": "Ns/m", "kgm2": "kg m2",
-}  # fmt: skip
+_UNITS: dict[str, str] = own_data(__file__)
 _OUT_OF_BOUNDS = ("greater_than", "greater_than_equal", "less_than", "less_than_equal", "finite_number")
 
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import model_validator
 
-from wcsim.config.base import Model, NotNegative, Positive, Share, Text, within
+from wcsim.config.base import Model, NotNegative, Positive, Share, Text, TopSpeed, UserMass, within
 
 PROFILE_SPEED_MPS: dict[str, float] = {"indoor": 0.6, "pavement": 1.67, "road": 2.78}
 
@@ -18,7 +18,7 @@ class ChairConfig(Model):
     profile: Literal["custom", "indoor", "pavement", "road"] = (
         "custom"  # Sets v_max_mps: indoor 0.6, pavement 1.67, road 2.78 m/s.
     )
-    v_max_mps: Annotated[float, Field(gt=0.1, le=5.0)] = 1.67  # Speed at full stick. Set it with profile custom.
+    v_max_mps: TopSpeed = 1.67  # Speed at full stick. Set it with profile custom.
     reverse_share: Share = 0.4  # Top speed backwards, as a share of v_max_mps.
     accel_mps2: Positive = 1.0  # Acceleration that the controller requests.
     decel_mps2: Positive = 1.5  # Deceleration when the stick is released.
@@ -33,9 +33,7 @@ class ChairConfig(Model):
         0.0  # Time constant of a low-pass on the joystick. 0: no filter.
     )
     brake_after_s: NotNegative = 0.5  # Time at rest before the parking brake locks.
-    user_mass_kg: Annotated[float, within(25.0, 150.0)] | None = (
-        None  # Mass of the user. Without a value: that of the plant.
-    )
+    user_mass_kg: UserMass | None = None  # Mass of the user. Without a value: that of the plant.
     com_height_m: Annotated[float, within(0.3, 0.9)] | None = (
         None  # Height of the centre of mass. Without a value: that of the plant.
     )

@@ -11,6 +11,9 @@ from wcsim.config.base import Finite, Model, NotNegative, Positive, Text, within
 JoystickDistance = Annotated[float, Field(gt=0.0, le=100.0)]
 
 Form = Literal["compact", "compact_rgb", "table3"]
+Actions = Literal["square81", "disc69"]
+Classes = Literal["cityscapes", "wcsim"]
+EpisodeSteps = Annotated[int, within(1, 1_000_000)]
 
 LEAST_WINDOW = 1e-6  # from low to high; a share of nothing would be no number
 
@@ -65,16 +68,12 @@ class EnvConfig(Model):
     camera: Annotated[str, Field(max_length=40, exclude_if=lambda name: not name)] = (
         ""  # Name of the camera that networks see. Empty: the first.
     )
-    classes: Literal["cityscapes", "wcsim"] = (
-        "cityscapes"  # Classes of Cityscapes, or wcsim's with kerbs and crosswalks.
-    )
+    classes: Classes = "cityscapes"  # Classes of Cityscapes, or wcsim's with kerbs and crosswalks.
     observe_gyro: bool = False  # Whether the observation contains turn rates. Not in the paper.
     observe_yaw: bool = False  # Whether the observation contains the heading. Not in the paper.
     window: Window | None = None  # Images in an observation, one per tick. Without a value: the network decides.
-    actions: Literal["square81", "disc69"] = "square81"  # Joystick positions: a 9 by 9 grid, or those on the unit disc.
-    max_steps: Annotated[int, within(1, 1_000_000)] = (
-        10_000  # Longest episode in steps. Training uses learn.episode_steps.
-    )
+    actions: Actions = "square81"  # Joystick positions: a 9 by 9 grid, or those on the unit disc.
+    max_steps: EpisodeSteps = 10_000  # Longest episode in steps. Training uses learn.episode_steps.
     profile: Text = "inattentive"  # Simulated user: a name, FILE.toml, or recorded:FILE (docs/user.md).
     truth: bool = False  # Whether info holds the oracle's labels, for baselines and measurements.
     truth_visible: bool = False  # The same, limited to road users that the cameras showed recently.

@@ -6,13 +6,16 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from wcsim.config.base import Model, NotNegative, Positive, Share, Text, Word, within
+from wcsim.config.base import Model, NotNegative, Positive, PositiveShare, Share, Text, Texts, Word, within
+from wcsim.config.env import EpisodeSteps
+
+Eye = Literal["map", "picture", "both"]
 
 
 class DangerConfig(Model):
     """The danger network: its parts, its training, and its rule."""
 
-    eye: Literal["map", "picture", "both"] = "map"  # Input: the street map, camera images (`learn.network`), or both.
+    eye: Eye = "map"  # Input: the street map, camera images (`learn.network`), or both.
     width: Annotated[int, within(4, 256)] = 20  # Channels of the first layer.
     updates: Annotated[int, within(1, 10**7)] = 1500  # Updates in a round.
     batch: Annotated[int, within(2, 4096)] = 64  # Steps in a batch.
@@ -23,9 +26,7 @@ class DangerConfig(Model):
     teacher: Annotated[str, Field(pattern="^(visible|truth)$")] = (
         "visible"  # Labels from an oracle limited to what cameras showed (visible), or all-knowing (truth).
     )
-    threshold: Annotated[float, Field(gt=0.0, le=1.0)] = (
-        0.2  # Assistance level. Actions with a higher danger are blocked.
-    )
+    threshold: PositiveShare = 0.2  # Assistance level. Actions with a higher danger are blocked.
     at_once: Share = 0.0  # Danger that blocks the user's action in one tick. Below it two in a row do. 0: always one.
     warn: Share = 0.3  # Warns above this danger of the user's own stick, smoothed over about three ticks.
 
@@ -36,21 +37,21 @@ Count = Annotated[int, within(1, 100_000)]
 class CollectConfig(Model):
     """Driving for training data: where, by which users, and with how many perturbations."""
 
-    rounds: Annotated[int, within(1, 100_000)] = 2  # Rounds of driving and learning.
+    rounds: Count = 2  # Rounds of driving and learning.
     segments: Annotated[int, within(0, 100_000)] = (
         6  # Segments of driving in a round. 0: learn only from recorded data.
     )
     ticks: Annotated[int, within(10, 100_000)] = 400  # Ticks in a segment.
     chairs: Annotated[int, within(1, 12)] = 6  # Chairs in its world.
     episode_steps: Count = 300  # Longest episode.
-    towns: Annotated[tuple[Text, ...], Field(max_length=64)] = ()  # Towns used in turn with those of --town.
+    towns: Texts = ()  # Towns used in turn with those of --town.
     made_towns: Annotated[int, within(0, 1000)] = 0  # Number of towns that `wcsim town make` generates for this run.
-    data: Annotated[tuple[Text, ...], Field(max_length=64)] = ()  # Folders of `wcsim collect` to learn from as well.
+    data: Texts = ()  # Folders of `wcsim collect` to learn from as well.
     scene_share: Share = 0.3  # Share of segments in generated scenes: hidden road users and narrow places.
     profiles: Annotated[tuple[Text, ...], Field(min_length=1, max_length=64)] = (  # Simulated users to draw from.
         "inattentive", "tremor", "slow", "competent", "switch",
     )  # fmt: skip
-    variants: Annotated[tuple[Text, ...], Field(max_length=64)] = ()  # Settings separated by blanks, drawn per segment.
+    variants: Texts = ()  # Settings separated by blanks, drawn per segment.
     follow_share: Share = (
         0.4  # Of episodes without the network: share that the user drives. The oracle drives the rest.
     )
@@ -104,7 +105,7 @@ class LearnConfig(Model):
         "before_acting"  # When updates run: before an action, or while waiting for the world.
     )
     n_step: Annotated[int, within(1, 50)] = 5  # Rewards summed before the value is used.
-    tau: Annotated[float, Field(gt=0.0, le=1.0)] = 0.01  # Share by which an update moves the target network.
+    tau: PositiveShare = 0.01  # Share by which an update moves the target network.
     reward_scale: Positive = 0.05  # Factor on the reward.
     double_q: bool = True  # Double DQN. False: DQN.
     margin: NotNegative = 1.0  # Weight of the margin loss towards the user's action.
@@ -125,7 +126,7 @@ class LearnConfig(Model):
     checkpoint_every: Steps = 5_000  # Steps between checkpoints.
     threads: Annotated[int, within(1, 64)] = 1  # Threads of PyTorch.
     device: Word = "cpu"  # cpu, or cuda.
-    episode_steps: Annotated[int, within(1, 1_000_000)] = 1_000  # Longest episode in training.
+    episode_steps: EpisodeSteps = 1_000  # Longest episode in training.
 
     @model_validator(mode="after")
     def _can_wait(self) -> LearnConfig:

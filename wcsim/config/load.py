@@ -29,9 +29,9 @@ _PARTS = 16  # of a key of `--set`
 M = TypeVar("M", bound=Model)
 
 
-def read_toml(path: Path, model: type[M]) -> M:
-    """Read a TOML file as `model`. Raises ConfigError that lists its errors and their keys."""
-    return parse(model, reading.read_toml(path, CONFIG_FILE), escaped(path))
+def read_toml(path: Path, model: type[M], kind: FileKind = CONFIG_FILE) -> M:
+    """Read a TOML file as `model`. Raises ConfigError that lists its errors and their keys, or its kind's error."""
+    return parse(model, reading.read_toml(path, kind), escaped(path))
 
 
 def parse(model: type[M], data: dict[str, Any], where: str) -> M:

@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from wcsim.config import CONFIG_FILE, Model, Text, parse, read_toml
-from wcsim.config.base import within
+from wcsim.config.base import Share, TopSpeed, UserMass, within
 from wcsim.core import reading
 from wcsim.errors import ConfigError
 
@@ -31,7 +31,7 @@ class _MassPart(Model):
     """Chair and user together; wheels, forks, arms, beams and anti-tips are part of the chair's mass."""
 
     chair_kg: Annotated[float, within(50.0, 200.0)]
-    user_kg: Annotated[float, within(25.0, 150.0)]
+    user_kg: UserMass
     com_x_m: Annotated[float, within(-0.5, 0.6)]  # of chair and user, ahead of the drive axle
     com_z_m: Annotated[float, within(0.3, 0.9)]
     inertia_box_m: tuple[  # frame and user resist turning like a box of this size
@@ -123,7 +123,7 @@ class _MotorPart(Model):
 
     stall_torque_Nm: Annotated[float, within(20.0, 300.0)]
     no_load_radps: Annotated[float, within(5.0, 60.0)]
-    least_torque_share: Annotated[float, within(0.0, 1.0)]  # of the stall torque, however fast it turns
+    least_torque_share: Share  # of the stall torque, however fast it turns
     rotor_inertia_kgm2: Annotated[float, within(0.0, 2.0)]  # as the wheel feels it, times the gear ratio squared
     brake_torque_Nm: Annotated[float, within(20.0, 500.0)]
 
@@ -131,7 +131,7 @@ class _MotorPart(Model):
 class _LimitPart(Model):
     """The most that the chair's controller may be set to."""
 
-    speed_mps: Annotated[float, Field(gt=0.1, le=5.0)]
+    speed_mps: TopSpeed
     accel_mps2: Annotated[float, within(0.2, 6.0)]
     decel_mps2: Annotated[float, within(0.2, 6.0)]
     jerk_mps3: Annotated[float, within(0.5, 100.0)]

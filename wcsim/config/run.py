@@ -11,11 +11,7 @@ from wcsim.config.base import Model
 from wcsim.config.chair import ChairConfig
 from wcsim.config.env import EnvConfig, RewardConfig
 from wcsim.config.learn import CollectConfig, DangerConfig, LearnConfig
-from wcsim.config.sensors import (
-    CameraConfig,
-    ImuConfig,
-    SensorsConfig,
-)
+from wcsim.config.sensors import CameraConfig, ImuConfig, SensorsConfig
 from wcsim.config.world import EPOCH_TICKS, VaryConfig, WorldConfig
 
 _EPOCH_EPISODES = 10  # of the longest kind, in the life of a shared world

@@ -6,9 +6,11 @@ from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import AfterValidator, Field, StrictBool, model_validator
 
-from wcsim.config import MAX_SEEN_PX, CameraConfig, ChairConfig, Window
-from wcsim.config.base import Model, NotNegative, Positive, Share, Text, Word, within
-from wcsim.config.env import FollowReward, Form
+from wcsim.config import MAX_SEEN_PX, CameraConfig, ChairConfig
+from wcsim.config.base import Model, NotNegative, Positive, PositiveShare, Share, Text, Texts, Word, within
+from wcsim.config.env import Actions, Classes, FollowReward, Form, Window
+from wcsim.config.learn import Eye
+from wcsim.config.sensors import Pixels
 from wcsim.core.reading import MAX_INTEGER
 from wcsim.types import CLIENT_NAME
 
@@ -16,6 +18,7 @@ M = TypeVar("M", bound=Model)
 Versions = Annotated[dict[Word, Word], Field(max_length=256)]
 ClientName = Annotated[str, Field(pattern=rf"^{CLIENT_NAME}$")]  # a folder of this name is opened
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+MaybeSha256 = Sha256 | Literal[""]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.:-]{1,120}$")]
 Segments = Annotated[dict[Name, Sha256], Field(max_length=1_000_000)]  # of recorded driving, by file
 
@@ -44,8 +47,8 @@ class NetSpec(Model):
     head: Literal["residual", "plain"] = "residual"
     dueling: bool = True
     hidden: Annotated[int, within(1, 65_536)] = 128
-    actions: Literal["square81", "disc69"] = "square81"
-    classes: Literal["cityscapes", "wcsim"] = "cityscapes"
+    actions: Actions = "square81"
+    classes: Classes = "cityscapes"
     prior: FollowPrior = FollowPrior()
     stateful: bool = False  # carries a state from tick to tick, and sees one image at a time
 
@@ -56,7 +59,7 @@ class PolicyFile(Model):
     schema_version: Literal[1]
     algorithm: Literal["SeqDQN"]
     net: Annotated[NetSpec, AfterValidator(_all_named)]
-    image_hw_px: tuple[Annotated[int, within(8, 2048)], Annotated[int, within(8, 2048)]]
+    image_hw_px: tuple[Pixels, Pixels]
     vector_size: Annotated[int, within(3, 1024)]
     sensors: Annotated[dict[Name, Annotated[int, within(1, 1021)]], Field(max_length=64)] = Field(
         default_factory=dict
@@ -65,7 +68,7 @@ class PolicyFile(Model):
     observation: Form = "compact"
     camera: CameraConfig
     reward_scale: Positive
-    manifest_sha256: Sha256 | Literal[""]
+    manifest_sha256: MaybeSha256
     weights_sha256: Sha256
     versions: Versions = Field(default_factory=dict)
 
@@ -90,8 +93,8 @@ class DangerNetFile(Model):
     """The shape of a danger network."""
 
     width: Annotated[int, within(4, 256)]
-    actions: Literal["square81", "disc69"]
-    eye: Literal["map", "picture", "both"] = "map"
+    actions: Actions
+    eye: Eye = "map"
     network: Name = "patch"
     window: Window = 1
 
@@ -99,7 +102,7 @@ class DangerNetFile(Model):
 class DangerRule(Model):
     """How dangers are answered."""
 
-    threshold: Annotated[float, Field(gt=0.0, le=1.0)] = 0.2  # of danger: below it an action is allowed
+    threshold: PositiveShare = 0.2  # of danger: below it an action is allowed
     hysteresis: NotNegative = 0.2  # joystick distance by which the last action is nearer, where the user's is not safe
     hysteresis_factor: Positive = 1.3  # times the threshold for the last action
     danger_cost: NotNegative = 0.1  # joystick distance that a danger of the whole threshold is worth, there too
@@ -112,7 +115,7 @@ class DangerSpec(Model):
 
     net: DangerNetFile
     camera: CameraConfig
-    classes: Literal["cityscapes", "wcsim"]
+    classes: Classes
 
     @property
     def street(self) -> bool:
@@ -132,7 +135,7 @@ class DangerFile(DangerSpec):
     algorithm: Literal["danger"]
     rule: Annotated[DangerRule, AfterValidator(_all_named)]
     chair: ChairConfig  # whose drive its roll-outs obey
-    manifest_sha256: Sha256 | Literal[""]
+    manifest_sha256: MaybeSha256
     weights_sha256: Sha256
     versions: Versions = Field(default_factory=dict)
 
@@ -164,7 +167,7 @@ class ManifestFile(Model):
     status: Literal["running", "done", "interrupted"] = "running"
     steps: Annotated[int, within(0, 10**12)] = 0
     hook: Word = ""
-    own_code: Sha256 | Literal[""] = ""  # see agents/runs/own_code.py
+    own_code: MaybeSha256 = ""  # see agents/runs/own_code.py
     more_towns: Annotated[dict[Text, Sha256], Field(max_length=4096)] = Field(default_factory=dict)
     overrides: Annotated[tuple[_OverrideFile, ...], Field(max_length=4096)] = ()
     clients: Annotated[tuple[ClientName, ...], Field(max_length=64)] = ()
@@ -172,7 +175,7 @@ class ManifestFile(Model):
     files_to_come_sha256: Annotated[dict[ConfigName, Sha256], Field(max_length=65)] = Field(
         default_factory=dict
     )  # while a longer run is written: each file is still the one before, or already this one
-    seal: Sha256 | Literal[""] = ""  # a hash over all of it, where `clients` is there
+    seal: MaybeSha256 = ""  # a hash over all of it, where `clients` is there
 
     @model_validator(mode="after")
     def _clients_have_names_of_their_own(self) -> ManifestFile:
@@ -187,7 +190,7 @@ class DataFile(Model):
     schema_version: Literal[1]
     settings_sha256: Sha256  # what it has in common with whoever learns from it
     config: dict[str, Any]  # all settings of the driving; of another version, perhaps
-    plant_sha256: Sha256 | Literal[""] = ""  # of the file that chair.plant names, where it is the user's own
+    plant_sha256: MaybeSha256 = ""  # of the file that chair.plant names, where it is the user's own
     towns: Annotated[dict[Text, Sha256], Field(max_length=4096)]
     segments: Segments
     data_sha256: Sha256
@@ -260,13 +263,16 @@ class TrainedRound(Model):
     learn_s: _Measured  # wall clock
 
 
+_Seconds = Annotated[float, Field(gt=0.0, le=10.0)]
+
+
 class GuardRule(Model):
     """What the driver of an exported policy trusts, and what happens when it cannot."""
 
-    oldest_s: Annotated[float, Field(gt=0.0, le=10.0)] = 0.3  # a frame that was taken earlier is too old
-    deadline_s: Annotated[float, Field(gt=0.0, le=10.0)] = 0.1  # from a frame's arrival to the answer
-    tick_s: Annotated[float, Field(gt=0.0, le=1.0)] = 0.1
-    stop_s: Annotated[float, Field(gt=0.0, le=10.0)] = 0.5  # within so long the command is zero
+    oldest_s: _Seconds = 0.3  # a frame that was taken earlier is too old
+    deadline_s: _Seconds = 0.1  # from a frame's arrival to the answer
+    tick_s: PositiveShare = 0.1
+    stop_s: _Seconds = 0.5  # within so long the command is zero
     good_ticks: Annotated[int, within(1, 10_000)] = 10  # one after the other, until the policy drives again
 
 
@@ -286,4 +292,4 @@ class OnnxPolicyFile(Model):
     """`policy.toml` beside an ONNX model: what it was trained with."""
 
     preset: Text = "quick"
-    settings: Annotated[tuple[Text, ...], Field(max_length=64)] = ()  # section.key=value, over the preset
+    settings: Texts = ()  # section.key=value, over the preset

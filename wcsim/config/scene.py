@@ -7,12 +7,13 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from wcsim.config.base import Finite, Model, NotNegative, Share, Text, Word, within
+from wcsim.config.base import Finite, Model, Name, NotNegative, Seed, Share, Text, Word, within
 
 Stick = Annotated[float, within(-1.0, 1.0)]
 Window = tuple[Finite, Finite]
 FileName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}\.csv$")]
 ScriptStep = tuple[NotNegative, Stick, Stick]  # from this second on: right, forward
+KerbHeight = Annotated[float, within(0.0, 0.4)]
 ChairWay = Literal["sidewalk", "crossing", "cycleway", "shared"]
 NetMetre = Annotated[int, Field(ge=-(10**9), le=10**9)]
 
@@ -20,13 +21,13 @@ NetMetre = Annotated[int, Field(ge=-(10**9), le=10**9)]
 class TownFile(Model):
     """`town.toml`: what SUMO does not store about a town."""
 
-    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")]  # Letters, digits, _ and -.
+    name: Name  # Letters, digits, _ and -.
     split: Literal["train", "test", "scene"]  # Use of the town. train and test refuse each other's towns.
     origin_m: tuple[NetMetre, NetMetre] = (
         0,
         0,
     )  # Net coordinates of the world's origin. Far nets: the middle of the net.
-    kerb_height_m: Annotated[float, within(0.0, 0.4)] = 0.12  # Height of pavements above the road.
+    kerb_height_m: KerbHeight = 0.12  # Height of pavements above the road.
     lowered_kerb_m: Annotated[float, within(0.0, 0.1)] = (
         0.0  # Height of lowered kerbs, at crossings and where the map has them.
     )
@@ -115,11 +116,11 @@ class SceneExpect(Model):
 class SceneFile(Model):
     """`scene.toml`: a short street scene. `[[seats]]` and `[expect]` are separate tables."""
 
-    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")]  # Letters, digits, _ and -.
+    name: Name  # Letters, digits, _ and -.
     shows: Text  # What the scene is about, in a sentence.
-    seed: Annotated[int, Field(ge=0, lt=1 << 31)]  # Seed of traffic and users.
+    seed: Seed  # Seed of traffic and users.
     duration_s: Annotated[float, within(0.1, 60.0)]  # Simulated time after the warm-up.
-    kerb_height_m: Annotated[float, within(0.0, 0.4)] = 0.12  # Height of pavements above the road.
+    kerb_height_m: KerbHeight = 0.12  # Height of pavements above the road.
     lefthand: bool = False  # Whether traffic keeps left.
     warmup_s: Annotated[float, within(0.0, 600.0)] = 0.0  # Time that SUMO simulates before the first step.
     attention_share: Share = 1.0  # Share of road users who look for wheelchairs.

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from wcsim.config.base import Model, Positive, Share, within
+from wcsim.config.base import Model, Positive, PositiveShare, Share, within
 from wcsim.types import Measure
 
 Along = Annotated[float, Field(ge=-2.0, le=2.0, allow_inf_nan=False)]
@@ -15,6 +15,7 @@ Height = Annotated[float, Field(ge=0.02, le=3.0, allow_inf_nan=False)]
 Turn = Annotated[float, Field(ge=-180.0, le=180.0, allow_inf_nan=False)]
 UNTURNED = (0.0, 0.0, 0.0)
 Pixels = Annotated[int, within(8, 2048)]
+ErrorDeg = Annotated[float, within(0.0, 5.0)]
 
 
 _TYPICAL: dict[str, dict[str, Any]] = {"noise": {"depth": {}, "classes": {}, "rgb": {}}}  # without a line: no keys
@@ -62,7 +63,7 @@ class ClassNoiseConfig(Model):
     patch_px: Annotated[int, within(1, 64)] = 6  # Size of such a patch.
 
 
-class ColourNoiseConfig(Model):
+class _ColourNoiseConfig(Model):
     """Errors of a colour image."""
 
     stand_ins = ("none",)
@@ -77,7 +78,7 @@ class CameraNoiseConfig(Model):
 
     depth: DepthNoiseConfig | None = None
     classes: ClassNoiseConfig | None = None
-    rgb: ColourNoiseConfig | None = None
+    rgb: _ColourNoiseConfig | None = None
 
     @field_validator("depth", "classes", "rgb", mode="before")
     @classmethod
@@ -95,7 +96,7 @@ class CameraConfig(Model):
     height_px: Pixels = 240  # Image height.
     hfov_deg: Annotated[float, within(20.0, 140.0)] = 87.0  # Horizontal field of view.
     range_m: Annotated[float, within(1.0, 200.0)] = 40.0  # Largest depth that is measured.
-    near_m: Annotated[float, Field(gt=0.0, le=1.0)] = 0.1  # Smallest depth that is measured.
+    near_m: PositiveShare = 0.1  # Smallest depth that is measured.
     p_BC_m: tuple[Along, Along, Height] = (
         0.35,
         0.0,
@@ -159,10 +160,8 @@ class ImuConfig(Model):
     tilt_tau_s: Annotated[float, within(0.05, 10.0)] = (
         1.0  # Time constant with which the accelerometer corrects the gyroscope.
     )
-    tilt_noise_deg: Annotated[float, within(0.0, 5.0)] = (
-        0.3  # White noise of the tilt in each tick. The ideal sensor has none.
-    )
-    tilt_bias_deg: Annotated[float, within(0.0, 5.0)] = 0.5  # Mounting error, standard deviation over episodes.
+    tilt_noise_deg: ErrorDeg = 0.3  # White noise of the tilt in each tick. The ideal sensor has none.
+    tilt_bias_deg: ErrorDeg = 0.5  # Mounting error, standard deviation over episodes.
     # errors of a small, calibrated part
     noise: bool = True  # Whether the IMU has errors. False: exact.
     accel_density_ug: Annotated[float, within(0.0, 10_000.0)] = (
@@ -172,7 +171,7 @@ class ImuConfig(Model):
     accel_bias_mg: Annotated[float, within(0.0, 200.0)] = 5.0  # Bias at power-on, standard deviation over episodes.
     gyro_bias_deg: Annotated[float, within(0.0, 10.0)] = 0.1  # The same of the gyroscope, in deg/s.
     accel_instability_mg: Annotated[float, within(0.0, 50.0)] = 0.1  # Standard deviation of the bias drift.
-    gyro_instability_deg: Annotated[float, within(0.0, 5.0)] = 0.0012  # The same of the gyroscope, in deg/s.
+    gyro_instability_deg: ErrorDeg = 0.0012  # The same of the gyroscope, in deg/s.
     bias_tau_s: Annotated[float, within(1.0, 100_000.0)] = 300.0  # Time constant of the drift.
 
 

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from wcsim.config.base import Model, within
+from wcsim.config.base import Model, Seed, Word, within
 
 MOST_BLOCKS = 12
 MOST_QUESTIONS = 20
@@ -20,7 +20,6 @@ _Told = Annotated[tuple[_Paragraph, ...], Field(max_length=12)]
 _Minutes = Annotated[float, within(0.05, 120.0)]
 _Level = Annotated[float, within(0.0, 100.0)]
 _Reference = Annotated[str, Field(min_length=1, max_length=400)]
-_Number = Annotated[int, Field(ge=0, lt=1 << 31)]
 _Arrivals = Annotated[int, within(1, 100)]
 _ANSWERS = {"scale": ("low", "high"), "choice": ("choices",), "yes_no": ()}
 
@@ -28,11 +27,11 @@ _ANSWERS = {"scale": ("low", "high"), "choice": ("choices",), "yes_no": ()}
 class StudyPlace(Model):
     """Where a block is driven: a town with a seed, or an episode of a suite."""
 
-    town: Annotated[str, Field(max_length=400)] = ""
-    seed: _Number = 0  # of the town
-    suite: Annotated[str, Field(max_length=400)] = ""
-    block: _Number = 0  # of the suite
-    seat: _Number = 0
+    town: Word = ""
+    seed: Seed = 0  # of the town
+    suite: Word = ""
+    block: Seed = 0  # of the suite
+    seat: Seed = 0
 
     @model_validator(mode="after")
     def _is_one(self) -> StudyPlace:

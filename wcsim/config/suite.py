@@ -6,14 +6,13 @@ from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
-from wcsim.config import Finite, Model, NotNegative, Text
-from wcsim.config.base import within
+from wcsim.config.base import Finite, Model, NotNegative, Seed, Text, Texts, within
+from wcsim.config.env import EpisodeSteps
 from wcsim.config.run_file import Sha256
 
 MOST_SEATS = 12
 MOST_NAME, MOST_SET = 64, 32  # characters of a list's name, and of that of its set
 Part = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9 ,.-]{0,127}$")]  # free, crossing, hazard, tight, or drawn
-Steps = Annotated[int, within(1, 1_000_000)]
 
 
 def name_pattern(most: int) -> str:
@@ -28,7 +27,7 @@ class EpisodeFile(Model):
     heading_rad: Finite
     goal_m: tuple[Finite, Finite] | None  # W; None as the start is
     profile: Text  # of the user
-    max_steps: Steps
+    max_steps: EpisodeSteps
     route_m: NotNegative  # from start to goal
     reference_s: Annotated[float, Field(gt=0.0, le=1e6)]  # the way's time with nothing to hinder it
     handover_step: Annotated[int, within(0, 1_000_000)] = 0  # until here the user drives alone
@@ -46,8 +45,8 @@ class BlockFile(Model):
     part: Part
     town: Text  # its name; of a tight place the family of generated scenes
     scene_sha256: Sha256 | None = None  # of a tight place's files
-    seed: Annotated[int, Field(ge=0, lt=1 << 31)]  # of the world; of a tight place that of its scene
-    settings: Annotated[tuple[Text, ...], Field(max_length=64)] = ()  # section.key=value, over those of the suite
+    seed: Seed  # of the world; of a tight place that of its scene
+    settings: Texts = ()  # section.key=value, over those of the suite
     episodes: Annotated[tuple[EpisodeFile, ...], Field(min_length=1, max_length=MOST_SEATS)]
 
 
@@ -56,7 +55,7 @@ class TownOfSuite(Model):
 
     name: Text
     sha256: Sha256  # of its net, traffic and furniture
-    made_seed: Annotated[int, Field(ge=0, lt=1 << 31)] | None = None  # made of this seed by `wcsim town make`
+    made_seed: Seed | None = None  # made of this seed by `wcsim town make`
 
 
 class SuiteFile(Model):
@@ -64,7 +63,7 @@ class SuiteFile(Model):
 
     suite: Annotated[str, Field(pattern=name_pattern(MOST_NAME))]  # with its version: street-assist-v1
     set: Annotated[str, Field(pattern=name_pattern(MOST_SET))]  # dev, validation, v1, or a town's
-    settings: Annotated[tuple[Text, ...], Field(max_length=64)]  # section.key=value, over the policy's own
+    settings: Texts  # section.key=value, over the policy's own
     towns: Annotated[tuple[TownOfSuite, ...], Field(min_length=1, max_length=64)]
     forks: Annotated[int, within(0, 1_000_000)] = 1_000_000  # episodes whose interventions are judged, at most
     blocks: Annotated[tuple[BlockFile, ...], Field(min_length=1, max_length=100_000)]

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import AfterValidator, Field, model_validator
 
-from wcsim.config.base import Finite, Model, Share, Word, within
+from wcsim.config.base import Finite, Model, Share, UserMass, Word, within
 
 Number = TypeVar("Number", int, float)
 
@@ -22,7 +22,6 @@ def _ordered(span: tuple[Number, Number]) -> tuple[Number, Number]:
 Range = Annotated[tuple[Number, Number], AfterValidator(_ordered)]
 Factor = Annotated[float, within(0.05, 2.0)]
 Brightness = Annotated[float, within(0.1, 4.0)]
-UserMass = Annotated[float, within(25.0, 150.0)]
 Shift = Annotated[float, within(-0.5, 0.5)]
 Turn = Annotated[float, within(-45.0, 45.0)]
 Delay = Annotated[int, within(0, 10)]

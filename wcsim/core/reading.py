@@ -253,6 +253,11 @@ def escaped_value(value: object, most: int = 60) -> str:
         return f"a very large {type(value).__name__}"
 
 
+def own_data(module: str) -> dict[str, Any]:
+    """The TOML file of its name beside a module of wcsim, which is given by its `__file__`."""
+    return tomllib.loads(Path(module).with_suffix(".toml").read_text(encoding="utf-8"))
+
+
 def holds_half_letters(text: str) -> bool:
     """Whether a text holds surrogates, which UTF-8 cannot: bytes of an argument that are no letters become such."""
     return not text.isascii() and any("\ud800" <= letter <= "\udfff" for letter in text)

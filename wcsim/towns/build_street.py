@@ -16,7 +16,7 @@ from wcsim.towns.cache.street_cache import pack_street
 from wcsim.towns.furniture.buildings import Building, make_buildings
 from wcsim.towns.furniture.everything import author_things, place_furniture
 from wcsim.towns.furniture.models import FOOT_M
-from wcsim.towns.furniture.placement import FreeGround, HeightAt, collect_footprints, set_on_ground
+from wcsim.towns.furniture.placement import FreeGround, HeightAt, set_on_ground
 from wcsim.towns.furniture.road_marks import lane_marks, unmarked_crossings
 from wcsim.towns.furniture.traffic_lights import all_phases
 from wcsim.towns.ground.kerb_heights import Kerbing, make_kerbing
@@ -75,7 +75,8 @@ def build_street(town: Town, at: Callable[[str], object] = lambda part: None) ->
     large = [_block(building, town.file.kerb_height_m, relief) for building in (*buildings, *overhead)]
     paint = lane_marks(net, surfaces, town.file.chair_ways, relief)
     mesh = replace(build_mesh(ground, walls, large, pieces, relief), paint=paint)
-    grid = GridMaker(ground, [*(b.outline for b in buildings), *collect_footprints(things)], relief)
+    taken = [thing.footprint for thing in things if not thing.footprint.is_empty]  # what hangs over it takes none
+    grid = GridMaker(ground, [*(b.outline for b in buildings), *taken], relief)
     at("tiles")
     return pack_street(pack_tiles(mesh, grid), walk, relief, heads, (*town.file.origin_m, net.z_origin_m))
 

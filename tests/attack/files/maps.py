@@ -31,7 +31,7 @@ from wcsim.towns.checks.validate import _scan_net
 from wcsim.towns.importing.elevation import Heights, _own_projections, make_dem
 from wcsim.towns.osm.read import Box, read_extract
 from wcsim.towns.scenario.town import open_town
-from wcsim.towns.scene_folders.build import build_scene, find_scene, scene_of
+from wcsim.towns.scene_folders.build import _scene_of, build_scene, find_scene
 from wcsim.towns.sumo.net import Net, read_net
 from wcsim.towns.sumo.xml_io import MAX_XML_BYTES, read_bytes, read_root
 
@@ -295,7 +295,7 @@ def _take_town(path: Path) -> None:
 
 
 def _take_scene(path: Path) -> None:
-    scene = scene_of(path.parent)
+    scene = _scene_of(path.parent)
     _require(type(scene).model_validate(scene.model_dump()) == scene, "another scene.toml")
 
 

@@ -6,7 +6,7 @@ import zipfile
 import numpy as np
 import pytest
 
-from wcsim.towns.cache.street_cache import PreadFile
+from wcsim.towns.cache.street_cache import _PreadFile
 
 
 @pytest.fixture
@@ -18,7 +18,7 @@ def packed(tmp_path):
 
 
 def test_it_reads_as_a_file_does(packed):
-    with PreadFile(packed) as mine, packed.open("rb") as theirs:
+    with _PreadFile(packed) as mine, packed.open("rb") as theirs:
         for place, whence in ((0, 0), (100, 0), (-50, 2), (-10, 1), (10**9, 0)):
             assert mine.seek(place, whence) == theirs.seek(place, whence)
             assert mine.read(70) == theirs.read(70) and mine.tell() == theirs.tell()
@@ -47,4 +47,4 @@ def reads_on_after_a_copy_has_read(opened) -> bool:
 
 
 def test_a_copy_of_the_process_does_not_move_its_place(packed):
-    assert reads_on_after_a_copy_has_read(PreadFile(packed))
+    assert reads_on_after_a_copy_has_read(_PreadFile(packed))

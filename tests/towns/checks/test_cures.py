@@ -20,7 +20,7 @@ from wcsim.cli.main import main
 from wcsim.cli.shared.common import parse
 from wcsim.cli.town.import_ import ImportOptions
 from wcsim.errors import TownError
-from wcsim.towns.checks.check import STEEPEST, _unroutable_trips, faults_of
+from wcsim.towns.checks.check import STEEPEST, _faults_of, _unroutable_trips
 from wcsim.towns.checks.cures import FASTEST_MPS, Cures
 from wcsim.towns.ground.relief import steepest_grade
 from wcsim.towns.scenario.town import Town, open_town
@@ -78,10 +78,10 @@ def _with_an_island(net: Path) -> None:
 
 def test_trips_without_a_way_are_dropped_by_what_is_printed(theirs: Town, tmp_path: Path) -> None:
     assert _unroutable_trips(theirs) == 1
-    (fault,) = faults_of(theirs, read_net(theirs.net), replace(FINE, unroutable=1))
+    (fault,) = _faults_of(theirs, read_net(theirs.net), replace(FINE, unroutable=1))
     assert "move each <calibrator> of u.add.xml into a file of its own" in fault
     _apart(theirs.folder / "u.add.xml", "calibrator")
-    (fault,) = faults_of(theirs, read_net(theirs.net), replace(FINE, unroutable=1))
+    (fault,) = _faults_of(theirs, read_net(theirs.net), replace(FINE, unroutable=1))
     code, said = typed(printed(fault, "to drop or repair them"), tmp_path)
     assert code == 0, said
     better = named(theirs, "u.rou.xml", "better.rou.xml")
@@ -126,7 +126,7 @@ def test_steep_streets_are_flattened_by_what_is_printed(theirs: Town, tmp_path: 
     steep = named(theirs, "u.net.xml", "steep.net.xml")
     net = read_net(steep.net)
     assert steepest_grade(net) > STEEPEST
-    (fault,) = faults_of(steep, net, FINE)
+    (fault,) = _faults_of(steep, net, FINE)
     code, said = typed(printed(fault, "has a grade of"), tmp_path)
     assert code == 0, said
     better = named(steep, "steep.net.xml", "better.net.xml")
@@ -134,7 +134,7 @@ def test_steep_streets_are_flattened_by_what_is_printed(theirs: Town, tmp_path: 
 
 
 def test_parts_are_joined_in_the_netedit_that_is_printed(theirs: Town, tmp_path: Path) -> None:
-    (fault,) = faults_of(theirs, read_net(theirs.net), replace(FINE, walkable_largest_share=0.5))
+    (fault,) = _faults_of(theirs, read_net(theirs.net), replace(FINE, walkable_largest_share=0.5))
     command = printed(fault, "join the parts")
     assert shlex.split(command)[1:] == ["-s", str(theirs.net)]
     code, said = typed(f"{command} --version", tmp_path)  # without it a window opens
@@ -145,7 +145,7 @@ def test_a_larger_area_is_downloaded(tmp_path: Path) -> None:
     town = open_town(write_unpaved(tmp_path / "it's theirs"))
     words = "wcsim town import --name u --split test --osm osm/u.osm.xml.gz --out . --bbox=25.0,60.0,25.01,60.01"
     town = replace(town, file=town.file.model_copy(update={"rebuild": f"{words} --righthand --seed 7"}))
-    (fault,) = faults_of(town, read_net(town.net), replace(FINE, walkable_largest_share=0.5))
+    (fault,) = _faults_of(town, read_net(town.net), replace(FINE, walkable_largest_share=0.5))
     place, _, command = printed(fault, "take a larger area from the internet").partition(" && ")
     options = parse(ImportOptions, shlex.split(command)[3:], "town import")
     west, south, east, north = (float(part) for part in options.bbox.split(","))
@@ -178,7 +178,7 @@ def test_a_scenario_of_fast_streets_is_told_how_fast_they_are(tmp_path: Path, mo
     fast = open_town(
         made(tmp_path / "fast", ("--grid", "--grid.number", "3", "--grid.length", "60"), persons=False, speed_mps=25.0)
     )
-    (fault,) = faults_of(fast, read_net(fast.net), replace(FINE, walkingareas=0))
+    (fault,) = _faults_of(fast, read_net(fast.net), replace(FINE, walkingareas=0))
     command = printed(fault, "add pavements")
     assert (
         command == Cures(fast).pave().partition(": ")[2] and command.endswith(" --max-speed 25") and FASTEST_MPS < 25.0
@@ -191,7 +191,7 @@ def test_a_scenario_of_rails_is_told_that_there_is_no_street(tmp_path: Path) -> 
     rails = open_town(made(tmp_path / "rails", ("--grid", "--grid.number", "3", "--grid.length", "60"), persons=False))
     text = rails.net.read_text(encoding="utf-8").replace(' speed="', ' allow="tram" speed="')
     rails.net.write_text(text, encoding="utf-8")
-    (fault,) = (fault for fault in faults_of(rails, read_net(rails.net), replace(FINE, walkingareas=0)))
+    (fault,) = (fault for fault in _faults_of(rails, read_net(rails.net), replace(FINE, walkingareas=0)))
     assert "no street is open to cars" in fault and "town pave" not in fault
     code, said = asked(f"wcsim town pave {rails.sumocfg} --out {tmp_path / 'ours'}")
     assert code == 2 and "none is open to cars" in said

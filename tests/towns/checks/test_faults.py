@@ -12,14 +12,14 @@ from tests.cli.towns import tiny_osm
 from tests.support.typed import printed
 from tests.towns.made.nets import edge, lane, write_net
 from wcsim.errors import TownError
-from wcsim.towns.checks.check import Overlap, TownReport, _demand_classes, _find_notes, check_town, faults_of
+from wcsim.towns.checks.check import TownReport, _demand_classes, _faults_of, _find_notes, _Overlap, check_town
 from wcsim.towns.importing.importer import ImportOrder, _build_net, _convert_net
 from wcsim.towns.osm.clean import filter_osm
 from wcsim.towns.osm.read import Box, read_extract
 from wcsim.towns.scenario.town import Town, chair_ways
-from wcsim.towns.sumo.net import read_net
+from wcsim.towns.sumo.net import Net, read_net
 from wcsim.towns.sumo.xml_io import read_bytes
-from wcsim.towns.walking.islands import Islands, largest_share, walkable_parts
+from wcsim.towns.walking.islands import _linked, largest_share, stray_footways, walkable_parts
 
 REPOSITORY = Path(__file__).resolve().parents[3]
 FINE = TownReport(
@@ -46,23 +46,23 @@ FINE = TownReport(
 )
 def test_each_fault_comes_with_its_cure(corner_town: Town, change: dict[str, object], told: str) -> None:
     net = read_net(corner_town.net)
-    assert faults_of(corner_town, net, FINE) == ()
-    (fault,) = faults_of(corner_town, net, replace(FINE, **change))  # type: ignore[arg-type]
+    assert _faults_of(corner_town, net, FINE) == ()
+    (fault,) = _faults_of(corner_town, net, replace(FINE, **change))  # type: ignore[arg-type]
     assert re.search(told, fault) and "\n" not in fault
     assert len(_find_notes(replace(corner_town, poly=None), net)) == 1
 
 
 def test_nobody_is_told_to_make_walkers_for_a_net_where_no_way_can_be_laid(corner_town: Town, tmp_path: Path) -> None:
     track = write_net(tmp_path, edge("t", lane("0,0 60,0", 'allow="rail"')))
-    faults = faults_of(corner_town, track, replace(FINE, walkingareas=0, classes=("rail",)))
+    faults = _faults_of(corner_town, track, replace(FINE, walkingareas=0, classes=("rail",)))
     assert [fault for fault in faults if "walk" in fault] == [fault for fault in faults if "no walking areas" in fault]
 
 
 def test_streets_over_the_pavements_of_others_are_a_note_however_many(corner_town: Town) -> None:
     net = read_net(corner_town.net)
     for area_m2 in (172.0, 1e6):
-        over = (Overlap(street="a", pavement="b", area_m2=area_m2),)
-        assert faults_of(corner_town, net, replace(FINE, overlaps=over)) == ()
+        over = (_Overlap(street="a", pavement="b", area_m2=area_m2),)
+        assert _faults_of(corner_town, net, replace(FINE, overlaps=over)) == ()
         (told,) = [note for note in _find_notes(corner_town, net, over) if "edge b under a" in note]
         assert f"{area_m2:.0f} m2 of pavement overlap the carriageway" in told and "places of more than 3 m2" in told
         assert shlex.split(printed(told, "move or delete"))[1:] == ["-s", str(corner_town.net)]
@@ -115,11 +115,17 @@ def test_footways_that_nobody_can_walk_to_are_left_out(tmp_path: Path) -> None:
     filter_osm(extract.root)
     (tmp_path / "all.osm.xml").write_bytes(extract.xml())
     whole = _convert_net(order, "all.osm.xml", tmp_path)
-    found = Islands.by_links(read_net(whole), whole)
-    assert len(found.footways) >= 5 and found.share < 0.98
+    linked_share = share_of_links(read_net(whole))
+    assert len(stray_footways(read_net(whole), whole)) >= 5 and linked_share < 0.98
     built = _build_net(order, extract.root, tmp_path)
     assert built.share == largest_share(walkable_parts(built.net, chair_ways(cycle_paths=False))) > 0.95
-    assert Islands.by_links(built.net, tmp_path / "x.net.xml").share > found.share
+    assert share_of_links(built.net) > linked_share
+
+
+def share_of_links(net: Net) -> float:
+    """Share of the walkable ground that SUMO's walkers can reach from its largest part."""
+    sizes_m2 = _linked(net)[1].values()
+    return max(sizes_m2) / sum(sizes_m2)
 
 
 def test_fast_streets_have_pavements_and_crossings_too(tmp_path: Path) -> None:

@@ -19,7 +19,7 @@ from tests.towns.made.imported import imported
 from wcsim.cli.main import main
 from wcsim.core.files import whole_folder
 from wcsim.errors import SumoError, TownError
-from wcsim.towns.checks.check import _demand_classes, _find_notes, _unroutable_trips, check_town, faults_of
+from wcsim.towns.checks.check import _demand_classes, _faults_of, _find_notes, _unroutable_trips, check_town
 from wcsim.towns.ground.relief import steepest_grade
 from wcsim.towns.ground.surfaces import walkable_lanes
 from wcsim.towns.importing import demand
@@ -199,7 +199,7 @@ def test_orders_of_traffic_are_followed(order: ImportOrder) -> None:
     none = import_town(replace(order, traffic=0.0)).town
     assert len(read_root(none.routes[0])) == 0
     for town, cure in ((some, "randomTrips"), (none, "--traffic 1 ")):
-        (fault,) = faults_of(town, read_net(town.net), replace(FINE, classes=()))
+        (fault,) = _faults_of(town, read_net(town.net), replace(FINE, classes=()))
         assert "no pedestrians" in fault and cure in fault
 
 

@@ -14,7 +14,7 @@ from wcsim.towns.build_street import build_street
 from wcsim.towns.cache.street_cache import unpack_street
 from wcsim.towns.furniture.road_marks import unmarked_crossings
 from wcsim.towns.ground.surfaces import covered, lane_area, make_surfaces
-from wcsim.towns.importing.importer import Imported
+from wcsim.towns.importing.importer import _Imported
 from wcsim.towns.importing.map_marks import _unpainted
 from wcsim.towns.sumo.additional import read_items
 from wcsim.towns.sumo.net import LaneKind, read_net
@@ -56,16 +56,16 @@ def marked_osm() -> str:
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Imported:
+def made(tmp_path_factory: pytest.TempPathFactory) -> _Imported:
     return imported(marked_osm(), tmp_path_factory.mktemp("marked"))
 
 
 @pytest.fixture(scope="module")
-def built(made: Imported) -> Street:
+def built(made: _Imported) -> Street:
     return unpack_street(build_street(made.town))
 
 
-def test_crossings_that_are_guessed_or_unmarked_have_no_paint(made: Imported, built: Street) -> None:
+def test_crossings_that_are_guessed_or_unmarked_have_no_paint(made: _Imported, built: Street) -> None:
     town = made.town
     net = read_net(town.net, town.file.origin_m)
     lanes = net.lanes(LaneKind.CROSSING)
@@ -79,7 +79,7 @@ def test_crossings_that_are_guessed_or_unmarked_have_no_paint(made: Imported, bu
     assert all(built.grid.raised_at(end) < 0.05 for end in ends)  # their kerbs are lowered all the same
 
 
-def test_bus_stops_of_the_map_are_sumos(made: Imported, tmp_path: Path) -> None:
+def test_bus_stops_of_the_map_are_sumos(made: _Imported, tmp_path: Path) -> None:
     text = made.town.additional[0].read_text(encoding="utf-8")
     (lane,) = re.findall(r'<busStop id="stop.731" name="A &amp; B" lane="([^"]+)"', text)
     assert made.counts["stops"] == made.counts["stops_mapped"] == 2
@@ -89,7 +89,7 @@ def test_bus_stops_of_the_map_are_sumos(made: Imported, tmp_path: Path) -> None:
     assert run.returncode == 0 and "Error" not in run.output, run.output
 
 
-def test_car_parks_squares_and_the_ground_of_houses_are_paved(made: Imported, built: Street) -> None:
+def test_car_parks_squares_and_the_ground_of_houses_are_paved(made: _Imported, built: Street) -> None:
     town = made.town
     net = read_net(town.net, town.file.origin_m)
     items = read_items(town.additional, town.file.origin_m, net)

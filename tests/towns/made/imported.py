@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 
 from wcsim.towns.importing import demand
-from wcsim.towns.importing.importer import Imported, ImportOrder, import_town
+from wcsim.towns.importing.importer import ImportOrder, _Imported, import_town
 
 
-def imported(osm: str, folder: Path) -> Imported:
+def imported(osm: str, folder: Path) -> _Imported:
     """The test town `small` in a folder; its demand is tried for 20 s alone."""
     (folder / "small.osm").write_text(osm, encoding="utf-8")
     with pytest.MonkeyPatch.context() as patch:

@@ -11,7 +11,7 @@ import shapely
 from wcsim.core.seeding import generator
 from wcsim.towns.ground.surfaces import lane_area
 from wcsim.towns.making.drawn_map import _build_blocks, _dress, draw_map
-from wcsim.towns.making.maker import Signals, _make_streets, _write_net
+from wcsim.towns.making.maker import _make_streets, _Signals, _write_net
 from wcsim.towns.making.plan import draw_plan, shape_plan
 from wcsim.towns.sumo.net import LaneKind, Net, read_net
 from wcsim.towns.sumo.xml_io import read_root
@@ -21,7 +21,7 @@ from wcsim.towns.sumo.xml_io import read_root
 def net(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Net:
     folder, rng = tmp_path_factory.mktemp("net"), generator(2, "test")
     shaped = shape_plan(draw_plan("random", 500.0, 2, rng, folder), rng)
-    signals = Signals(share=0.5, crossing_m=4.0, corner_m=4.0, lefthand=request.param)
+    signals = _Signals(share=0.5, crossing_m=4.0, corner_m=4.0, lefthand=request.param)
     net = read_net(_write_net("n", shaped, _make_streets(shaped, rng), signals, folder, rng))
     assert net.lefthand == request.param
     return net

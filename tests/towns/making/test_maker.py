@@ -19,7 +19,7 @@ from tests.towns.conftest import bytes_in
 from wcsim.bridge.town_run import RecordOrder, record_town
 from wcsim.config import resolve
 from wcsim.errors import TownError
-from wcsim.towns.checks.check import check_town, faults_of
+from wcsim.towns.checks.check import _faults_of, check_town
 from wcsim.towns.ground.relief import steepest_grade
 from wcsim.towns.importing import demand
 from wcsim.towns.importing.demand import CLASSES
@@ -86,7 +86,7 @@ def test_a_made_town_passes_the_check_of_an_import(town: Town) -> None:
 
 
 def test_a_made_town_without_people_is_told_how_to_get_them(level: Town) -> None:
-    (fault,) = faults_of(level, read_net(level.net), replace(FINE, classes=()))
+    (fault,) = _faults_of(level, read_net(level.net), replace(FINE, classes=()))
     assert fault.startswith("the demand has no pedestrians")
     assert "wcsim town make small" in fault and "--traffic 1" in fault
 

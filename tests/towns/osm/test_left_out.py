@@ -9,7 +9,7 @@ from wcsim.towns.osm.clean import (
     LeftOut,
     _MapWay,
     count_inside,
-    ways_inside,
+    map_ways,
 )
 from wcsim.towns.osm.read import Box
 
@@ -43,7 +43,7 @@ _ON_FOOT = {
 
 
 def inside(more: str = "") -> tuple[_MapWay, ...]:
-    return ways_inside(ElementTree.fromstring(TEXT.format(more=more)), BOX)  # noqa: S314 - our own
+    return map_ways(ElementTree.fromstring(TEXT.format(more=more)), BOX)  # noqa: S314 - our own
 
 
 def test_what_the_net_does_not_have_is_told_by_length_and_name() -> None:

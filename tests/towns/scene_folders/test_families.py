@@ -11,7 +11,7 @@ import pytest
 from wcsim.core import seeding
 from wcsim.errors import ConfigError, DiskFullError
 from wcsim.scenes.run import _open_scene, play
-from wcsim.towns.scene_folders.build import scene_of
+from wcsim.towns.scene_folders.build import _scene_of
 from wcsim.towns.scene_folders.draft import Push, mirrored, predict_path
 from wcsim.towns.scene_folders.families import FAMILIES, _scooter_cuts_in, write_scene
 from wcsim.types import ClassId
@@ -54,7 +54,7 @@ def test_a_seed_writes_the_same_bytes_and_another_one_others(family: str, tmp_pa
 
 @pytest.mark.parametrize("family", FAMILIES)
 def test_both_sides_and_short_scenes_are_drawn(family: str, tmp_path: Path) -> None:
-    scenes = [scene_of(write_scene(family, seed, tmp_path / str(seed))) for seed in range(12)]
+    scenes = [_scene_of(write_scene(family, seed, tmp_path / str(seed))) for seed in range(12)]
     assert {scene.lefthand for scene in scenes} == {False, True}
     assert max(scene.duration_s for scene in scenes) <= LONGEST_S
     assert len({scene.seed for scene in scenes}) == len(scenes)

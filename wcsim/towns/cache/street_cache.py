@@ -92,7 +92,7 @@ def unpack_street(packed: Packed) -> Street:
     )
 
 
-class PreadFile(io.RawIOBase):
+class _PreadFile(io.RawIOBase):
     """An open file for reading; its place is this object's own, where a descriptor's is shared with every copy."""
 
     def __init__(self, path: Path) -> None:
@@ -117,10 +117,6 @@ class PreadFile(io.RawIOBase):
             raise ValueError(f"place {at} in a file; expected 0 or more")
         self._at = at
         return at
-
-    def tell(self) -> int:
-        """The place."""
-        return self._at
 
     def readinto(self, buffer: bytearray | memoryview) -> int:  # type: ignore[override]  # typeshed: any writable buffer
         """Read what fits, from the place on; 0 at the end."""
@@ -158,7 +154,7 @@ def _read(path: Path) -> Street | None:
     try:
         if not zipfile.is_zipfile(path):
             return None
-        data = np.load(PreadFile(path), allow_pickle=False)
+        data = np.load(_PreadFile(path), allow_pickle=False)
     except (OSError, ValueError, EOFError, zipfile.BadZipFile):
         return None
     try:

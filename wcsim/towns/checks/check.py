@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 import shlex
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from xml.etree.ElementTree import Element, ElementTree
@@ -46,7 +46,7 @@ LEAST_M2 = 3.0  # of one pair: less comes of rounded corners
 APART_M = 2.0  # ways with more between their heights pass over each other
 
 
-def faults_of(town: Town, net: Net, found: TownReport) -> tuple[str, ...]:
+def _faults_of(town: Town, net: Net, found: TownReport) -> tuple[str, ...]:
     """The faults of a town; none when all is well."""
     lines = [*_ways(town, net, found), *_demand(town, net, found), *_foreign_polygons(town, net)]
     grade = steepest_grade(net)
@@ -57,7 +57,7 @@ def faults_of(town: Town, net: Net, found: TownReport) -> tuple[str, ...]:
     return tuple(lines)
 
 
-def _find_notes(town: Town, net: Net, over: tuple[Overlap, ...] = ()) -> tuple[str, ...]:
+def _find_notes(town: Town, net: Net, over: tuple[_Overlap, ...] = ()) -> tuple[str, ...]:
     """What is worth knowing and no fault."""
     changed, net_file = find_changes(town.folder, town.file), town.net.resolve()
     notes = [f"changed since the import: {path.name}" for path in changed if path.resolve() != net_file]
@@ -167,7 +167,7 @@ def _demand(town: Town, net: Net, found: TownReport) -> list[str]:
     return lines
 
 
-def _overlap(town: Town, over: tuple[Overlap, ...]) -> str:
+def _overlap(town: Town, over: tuple[_Overlap, ...]) -> str:
     total_m2, worst = sum(item.area_m2 for item in over), over[0]
     return (
         f"{total_m2:.0f} m2 of pavement overlap the carriageway of another street without a junction (places of more "
@@ -197,7 +197,7 @@ class TownReport:
     classes: tuple[str, ...]  # SUMO vehicle classes in the demand, sorted
     unroutable: int  # trips of the first ten minutes that have no way
     lefthand: bool
-    overlaps: tuple[Overlap, ...] = ()  # streets on the pavements of others
+    overlaps: tuple[_Overlap, ...] = ()  # streets on the pavements of others
     cut_off: tuple[CutOff, ...] = ()  # walkable parts beside the largest, largest first
     faults: tuple[str, ...] = ()  # each with the command that cures it; empty when all is well
     notes: tuple[str, ...] = ()
@@ -227,7 +227,7 @@ def check_town(town: Town, share: float | None = None) -> TownReport:
         overlaps=_find_overlaps(on_land(net, fit_relief(net))),
         cut_off=cut_off(net, parts),
     )
-    return replace(found, faults=faults_of(town, net, found), notes=_find_notes(town, net, found.overlaps))
+    return replace(found, faults=_faults_of(town, net, found), notes=_find_notes(town, net, found.overlaps))
 
 
 def _demand_classes(town: Town) -> tuple[str, ...]:
@@ -291,7 +291,7 @@ def _members(element: Element) -> tuple[str, ...]:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Overlap:
+class _Overlap:
     """A carriageway on a pavement."""
 
     street: str  # edge ids
@@ -299,11 +299,11 @@ class Overlap:
     area_m2: float
 
 
-def _find_overlaps(net: Net) -> tuple[Overlap, ...]:
+def _find_overlaps(net: Net) -> tuple[_Overlap, ...]:
     """All overlaps of more than LEAST_M2, the largest first."""
-    streets, driven = _areas(net, lambda kind: kind is LaneKind.MOTOR)
-    paved, walked = _areas(net, lambda kind: kind in WALK_KINDS)
-    found: list[Overlap] = []
+    streets, driven = _areas(net, LaneKind.MOTOR)
+    paved, walked = _areas(net, *WALK_KINDS)
+    found: list[_Overlap] = []
     if not driven or not walked:
         return ()
     for i, j in shapely.STRtree(walked).query(driven, predicate="intersects").T.tolist():
@@ -312,13 +312,13 @@ def _find_overlaps(net: Net) -> tuple[Overlap, ...]:
             continue
         area_m2 = float(driven[i].intersection(walked[j]).area)
         if area_m2 > LEAST_M2:
-            found.append(Overlap(street=street.id, pavement=other.id, area_m2=area_m2))
+            found.append(_Overlap(street=street.id, pavement=other.id, area_m2=area_m2))
     return tuple(sorted(found, key=lambda item: (-item.area_m2, item.street, item.pavement)))
 
 
-def _areas(net: Net, wanted: Callable[[LaneKind], bool]) -> tuple[list[Edge], list[BaseGeometry]]:
-    edges = [e for e in net.streets if any(wanted(lane.kind) for lane in e.lanes)]
-    return edges, [ground_of(lane for lane in e.lanes if wanted(lane.kind)) for e in edges]
+def _areas(net: Net, *kinds: LaneKind) -> tuple[list[Edge], list[BaseGeometry]]:
+    edges = [e for e in net.streets if e.has(*kinds)]
+    return edges, [ground_of(lane for lane in e.lanes if lane.kind in kinds) for e in edges]
 
 
 def _z_m(edge: Edge) -> float:

@@ -21,6 +21,7 @@ from wcsim.towns.sumo.tools import sumo_home
 from wcsim.towns.sumo.xml_io import read_root
 
 _HOUR_S = 3600.0
+_ROUTED = "better.rou.xml"
 FOR_ROUTES = frozenset(
     (
         "vType", "vTypeDistribution", "route", "routeDistribution", "taz", "tazs",
@@ -117,7 +118,7 @@ class Cures:
             f"--geometry.max-grade 12 --geometry.max-grade.fix -o {self._beside('better.net.xml')}"
         )
 
-    def routes(self, name: str = "better.rou.xml") -> str:
+    def routes(self) -> str:
         """The command that routes a town's demand again and drops what finds no way."""
         town = self._town
         read = {path: _whole(path, town) for path in town.additional}
@@ -133,20 +134,20 @@ class Cures:
         more = f" -a {_paths(needed)}" if needed else ""
         more += " --vtype-output /dev/null" if typed and not twice else ""  # SUMO takes each type once
         return (
-            f"{_before_routing(deadly, twice, name)}create {name} with this command, and name it in {self._sumocfg}: "
+            f"{_before_routing(deadly, twice)}create {_ROUTED} with this command, and name it in {self._sumocfg}: "
             f"{_tool('duarouter')} -n {self._net} -r {_paths(town.routes)}{more} "
-            f"--ignore-errors -o {self._beside(name)}"
+            f"--ignore-errors -o {self._beside(_ROUTED)}"
         )
 
     def _beside(self, name: str) -> str:
         return _path(self._town.sumocfg.with_name(name))
 
 
-def _before_routing(deadly: list[str], twice: list[str], name: str) -> str:
-    """What has to be done by hand to files of these names before a demand is routed into `name`."""
+def _before_routing(deadly: list[str], twice: list[str]) -> str:
+    """What has to be done by hand to files of these names before a demand is routed again."""
     first = f"move each <{DEADLY}> of {', '.join(deadly)} into a file of its own, " if deadly else ""
     return first + (
-        f"remove the vehicle types from {', '.join(twice)}, because {name} will contain them, " if twice else ""
+        f"remove the vehicle types from {', '.join(twice)}, because {_ROUTED} will contain them, " if twice else ""
     )
 
 

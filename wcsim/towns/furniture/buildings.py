@@ -9,6 +9,7 @@ import shapely
 from shapely import MultiPolygon, Polygon
 from shapely.geometry.base import BaseGeometry
 
+from wcsim.core.reading import own_data
 from wcsim.core.seeding import generator
 from wcsim.towns.ground.plane_geometry import Patches, buffered, polygons_of, valid
 from wcsim.towns.osm.tags import STOREY_M, metres, number, rise_m
@@ -21,9 +22,7 @@ PASSAGE_M = 4.2  # free height of a passage through a house: buses and trams fit
 _MODELLED = 0.8  # a building covered to this share by its parts has no body of its own
 _OPEN_BELOW = 0.35  # ... unless more than this share of it would hang in the air
 _HELD = 0.5  # what lies on other bodies to this share stands on them
-_OPEN_KINDS = {"roof", "carport", "canopy", "entrance", "underpass_entrance", "no", "ruins", "demolished", "proposed"}
-_LOW_KINDS = {"garage", "garages", "shed", "hut", "kiosk", "cabin", "toilets", "service", "bunker", "greenhouse"}
-_HOUSES = {"house", "detached", "bungalow", "terrace", "semidetached_house", "farm", "static_caravan"}
+_KINDS = {name: words.split() for name, words in own_data(__file__).items()}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -95,8 +94,8 @@ def _outlines(items: list[Item], hull: BaseGeometry) -> tuple[list[_Body], list[
 def _hidden(item: Item) -> bool:
     """True for roofs on posts, which have no walls, and for what lies under ground."""
     return (
-        item.detail in _OPEN_KINDS
-        or item.tags.get("building:part", "") in _OPEN_KINDS
+        item.detail in _KINDS["open"]
+        or item.tags.get("building:part", "") in _KINDS["open"]
         or item.tags.get("location", "") == "underground"
         or number(item.tags, "layer") < 0.0
         or number(item.tags, "building:levels") < 0.0
@@ -241,10 +240,10 @@ def _height_m(item: Item, area_m2: float) -> float:
 
 def _usual_m(detail: str, area_m2: float) -> tuple[float, float]:
     """Between which heights a building of a kind and size mostly is."""
-    if detail in _LOW_KINDS or area_m2 < 25.0:
+    if detail in _KINDS["low"] or area_m2 < 25.0:
         return 2.6, 3.4
-    if detail in _HOUSES:
+    if detail in _KINDS["houses"]:
         return 6.0, 9.0
-    if detail in ("church", "cathedral", "mosque", "temple"):
+    if detail in _KINDS["high"]:
         return 15.0, 25.0
     return (5.0, 9.0) if area_m2 < 80.0 else (9.0, 18.0)

@@ -5,14 +5,13 @@ Height 0 is the ground; whatever stands on it reaches a little deeper, because g
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from wcsim.core.reading import own_data
 from wcsim.towns.ground import solid_shapes
 from wcsim.towns.ground.solid_shapes import Solid
 from wcsim.types import ClassId
@@ -98,10 +97,15 @@ _PLAIN_BICYCLE = solid_shapes.joined(
 
 def _read_looks() -> Iterator[tuple[str, _FurnitureModel]]:
     """The models of `models.toml` with their kinds."""
-    for kind, look in tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8")).items():
+    for kind, look in own_data(__file__).items():
         length_m, width_m, height_m = look["size"]
         pieces = (_placed(row, (x, y)) for row in look["pieces"] for x, y in row.get("at", [(0.0, 0.0)]))
-        yield kind, _look((length_m, width_m, height_m), *pieces, round=look.get("round", False))
+        yield (
+            kind,
+            _FurnitureModel(
+                size_lwh_m=(length_m, width_m, height_m), pieces=list(pieces), round=look.get("round", False)
+            ),
+        )
 
 
 def _placed(row: dict[str, Any], at: tuple[float, float]) -> Solid:
@@ -118,18 +122,16 @@ def _placed(row: dict[str, Any], at: tuple[float, float]) -> Solid:
     return _box((length_m, width_m, height_m), ClassId[row.get("class", "STATIC")], at, row.get("low_m"))
 
 
-def _look(size: tuple[float, float, float], *pieces: Solid, round: bool = False) -> _FurnitureModel:
-    return _FurnitureModel(size_lwh_m=size, pieces=list(pieces), round=round)
-
-
 LOOKS = dict(_read_looks())
 LOOKS |= {
-    "board": _look((0.62, 0.6, 1.0), _leaning(-1.0), _leaning(1.0)),
+    "board": _FurnitureModel(size_lwh_m=(0.62, 0.6, 1.0), pieces=[_leaning(-1.0), _leaning(1.0)]),
     "rack": _FurnitureModel(size_lwh_m=(3.1, 1.8, 1.05), make=_rack),
-    "roadworks": _look(
-        (2.0, 1.2, 1.0),
-        *(solid_shapes.moved(piece, np.array([0.0, y])) for y in (-0.4, 0.4) for piece in LOOKS["barrier"].pieces),
-        _box((0.9, 0.4, 0.45), ClassId.DYNAMIC),
+    "roadworks": _FurnitureModel(
+        size_lwh_m=(2.0, 1.2, 1.0),
+        pieces=[
+            *(solid_shapes.moved(piece, np.array([0.0, y])) for y in (-0.4, 0.4) for piece in LOOKS["barrier"].pieces),
+            _box((0.9, 0.4, 0.45), ClassId.DYNAMIC),
+        ],
     ),
     "shrub": _FurnitureModel(size_lwh_m=(1.0, 1.0, 1.0), make=_shrub, round=True),
     "tree": _FurnitureModel(size_lwh_m=(0.3, 0.3, 7.0), make=_tree, round=True),

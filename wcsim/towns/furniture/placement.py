@@ -136,11 +136,6 @@ def _footprint_of(kind: str, xy_m: F64, yaw_rad: float, size_lwh_m: tuple[float,
     return solid_shapes.rectangle(xy_m, length_m, width_m, yaw_rad)
 
 
-def collect_footprints(things: Iterable[StandingObject]) -> list[Polygon]:
-    """The ground that things take, without those that hang over it."""
-    return [thing.footprint for thing in things if not thing.footprint.is_empty]
-
-
 def set_on_ground(things: Iterable[StandingObject], height_at: HeightAt) -> tuple[list[Solid], tuple[SignalHead, ...]]:
     """The pieces of all things, and the heads of all signals, at the height of the ground where they stand."""
     pieces: list[Solid] = []

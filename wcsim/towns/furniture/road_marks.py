@@ -68,7 +68,7 @@ class _Painter:
 
     def _lanes(self, edge: Edge) -> None:
         """Cycle lanes, and what parts the lanes of an edge."""
-        low = [lane for lane in edge.lanes if lane.id not in self._raised and len(lane.points_m) > 1]
+        low = [lane for lane in edge.lanes if lane.id not in self._raised and lane.is_line]
         for lane in low:
             if lane.kind is LaneKind.BIKE:
                 for line in self._free(LineString(lane.points_m)):
@@ -114,7 +114,7 @@ class _Painter:
                     self._stop(lane)
 
     def _stop(self, lane: Lane) -> None:
-        lines = self._free(LineString(lane.points_m)) if len(lane.points_m) > 1 else []
+        lines = self._free(LineString(lane.points_m)) if lane.is_line else []
         if not lines or lines[-1].length < _SHORT_M or lines[-1].distance(shapely.Point(lane.points_m[-1])) > _SHORT_M:
             return
         middle_m = lines[-1].length - _BEFORE_M
@@ -161,5 +161,5 @@ def unmarked_crossings(items: Iterable[Item], net: Net) -> frozenset[str]:
 
 def crossing_lines(net: Net) -> tuple[list[Lane], shapely.STRtree]:
     """The crossings of a net that have a line, and a tree of these."""
-    lanes = [lane for lane in net.lanes(LaneKind.CROSSING) if len(lane.points_m) > 1]
+    lanes = [lane for lane in net.lanes(LaneKind.CROSSING) if lane.is_line]
     return lanes, shapely.STRtree([shapely.LineString(lane.points_m) for lane in lanes])

@@ -101,7 +101,7 @@ def _find_approaches(net: Net) -> list[_Approach]:
 
 def _driven(edge: Edge) -> list[Lane]:
     kinds = (LaneKind.MOTOR, LaneKind.RAIL, LaneKind.BIKE)
-    lanes = [lane for lane in edge.lanes if lane.kind in kinds and len(lane.points_m) > 1]
+    lanes = [lane for lane in edge.lanes if lane.kind in kinds and lane.is_line]
     cars = [lane for lane in lanes if lane.kind is not LaneKind.BIKE]
     return cars or lanes
 
@@ -249,7 +249,7 @@ def _walk_signals(net: Net, place: FreeGround) -> Iterator[StandingObject]:
             lights.setdefault(edge, link)
     for lane in net.lanes(LaneKind.CROSSING):
         light = lights.get(lane.edge_id)
-        if light is None or len(lane.points_m) < 2:
+        if light is None or not lane.is_line:
             continue
         for end, inner in ((0, 1), (-1, -2)):
             along = unit(lane.points_m[end] - lane.points_m[inner])

@@ -89,7 +89,7 @@ def on_land(net: Net, relief: Relief) -> Net:
 
 
 def _ways(net: Net) -> list[Lane]:
-    return [lane for lane in net.every_lane if len(lane.points_m) > 1]
+    return [lane for lane in net.every_lane if lane.is_line]
 
 
 def _samples(ways: list[Lane]) -> _Samples:

@@ -156,7 +156,7 @@ def lane_area(lane: Lane) -> BaseGeometry:
     """The ground that a lane covers: its centre line made as wide as it is; a walking area's own outline."""
     if lane.kind is LaneKind.WALKINGAREA:
         return _polygon(lane.points_m)
-    if len(lane.points_m) < 2:
+    if not lane.is_line:
         return Polygon()
     points_m = distinct(lane.points_m)
     if len(points_m) < 2:

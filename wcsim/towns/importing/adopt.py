@@ -11,7 +11,7 @@ import tempfile
 from pathlib import Path
 
 from wcsim.core.files import whole_folder
-from wcsim.core.reading import FileKind, is_file, opened, read_text
+from wcsim.core.reading import FileKind, is_file, opened, own_data, read_text
 from wcsim.core.reading import read_bytes as read_plain
 from wcsim.errors import TownError
 from wcsim.towns.checks.validate import validate_net
@@ -25,17 +25,7 @@ _MAX_FILES = 500
 _SETTINGS = "gui-settings-file"  # not needed, but it makes the town look as its author likes it
 _NOTICES = ("LICENSE*", "LICENCE*", "COPYING*", "README*")
 _NOTICE_BYTES = 1 << 20
-ROOTS = frozenset(
-    (
-        "net", "routes", "trips", "vehicles", "additional", "additionals", "add", "vTypes", "vss",
-        "variableSpeedSign", "rerouter", "calibrator", "snapshot", "meandata", "data", "netstats",
-        "edgedata", "weights", "interval", "tlLogics", "tls", "shapes", "polygons", "pois", "detectors",
-        "busStops", "stops", "taz", "tazs", "viewsettings", "gui-settings", "fcd-export", "emission-export",
-        "edgeRelations", "routes-info", "persons"
-    )
-)  # fmt: skip
-"""Root elements of what SUMO reads."""
-
+_ROOTS = frozenset(own_data(__file__)["roots"].split())
 _FOREIGN = """\
 The files in this folder, but for this one and a town.toml, were made of somebody's scenario ({config}). They are its
 author's, under the author's licence, and wcsim gives no right to pass them on. {beside}
@@ -129,7 +119,11 @@ def copy_scenario(
     _stay_inside(read_configuration(work / start.relative_to(base)), work)
     notices = _copy_notices(start.parent, work / start.relative_to(base).parent, border)
     if not (work / "LICENSE-DATA").exists():
-        (work / "LICENSE-DATA").write_text(_license_text(start.name, notices), encoding="utf-8")
+        beside = (
+            f"What lay beside it: {', '.join(notices)}." if notices else "No licence lay beside it: ask its author."
+        )
+        notice = _FOREIGN.format(config=start.name, beside=beside)
+        (work / "LICENSE-DATA").write_text(notice, encoding="utf-8")
     return base, files
 
 
@@ -196,12 +190,6 @@ def _copy_settings(path: Path, place: Path) -> None:
         copy_file(path, place)
 
 
-def _license_text(config: str, notices: tuple[str, ...]) -> str:
-    """The notice that lies beside a copied scenario."""
-    beside = f"What lay beside it: {', '.join(notices)}." if notices else "No licence lay beside it: ask its author."
-    return _FOREIGN.format(config=config, beside=beside)
-
-
 def _copy_notices(source: Path, out: Path, border: Path | None) -> tuple[str, ...]:
     """Copy the licence and the readme that lie beside a scenario, and not elsewhere; returns their names."""
     names = set()
@@ -231,7 +219,7 @@ def _check_root(path: Path) -> None:
     """Raise TownError for XML that is none of SUMO's: it may be anybody's, and a town is made to be passed on."""
     tags: list[str] = []
     scan(read_bytes(path, MAX_XML_BYTES), str(path), lambda tag, _: tags.append(tag) if not tags else None)
-    if tags[0].rpartition(":")[2] not in ROOTS:
+    if tags[0].rpartition(":")[2] not in _ROOTS:
         raise TownError(
             f"{path}: begins with <{tags[0][:40]}>, which is no SUMO file; expected routes, additional, ..."
         )

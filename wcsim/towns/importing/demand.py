@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import math
 import re
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,8 +21,9 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
+from wcsim.core.reading import own_data
 from wcsim.core.seeding import derive, generator
-from wcsim.errors import SumoError, TownError
+from wcsim.errors import SumoError
 from wcsim.towns.ground.plane_geometry import arc_of
 from wcsim.towns.sumo.net import Edge, Net
 from wcsim.towns.sumo.tools import Limits, run_tool
@@ -34,7 +34,6 @@ END_S = 1_000_000  # eleven days: longer than any run
 _WALK_END_S = 172_800
 _SLICE_S = 600
 _SLICE_SHARE = 0.25  # of the walking ways are in use during one slice
-_MOST_PER_HOUR = 100_000
 _VTYPES = "vtypes.xml"
 
 TRIAL_S = 600
@@ -59,7 +58,7 @@ class _Traffic(NamedTuple):
         return self.vclass == "pedestrian"
 
 
-_DATA = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+_DATA = own_data(__file__)
 MIX = tuple(_Traffic(**row) for row in _DATA["mix"])
 CLASSES = tuple(dict.fromkeys(traffic.vclass for traffic in MIX))
 
@@ -82,21 +81,6 @@ def vtypes_text(more: Sequence[str] = ()) -> str:
     """The vehicle and person types that the flows name, as a SUMO additional file, with `more` elements in it."""
     text = (Path(__file__).parent / _VTYPES).read_text(encoding="utf-8")
     return text.replace("</additional>", "".join(f"    {line}\n" for line in more) + "</additional>")
-
-
-def check_rates(per_hour: Mapping[str, float]) -> None:
-    """Raise TownError unless these are departures an hour of classes that towns know."""
-    for vclass, rate in per_hour.items():
-        if vclass not in CLASSES:
-            raise TownError(f"unknown traffic class {vclass!r}; expected some of: {', '.join(CLASSES)}")
-        if not 0.0 <= rate <= _MOST_PER_HOUR:
-            raise TownError(f"{rate} departures an hour of class {vclass}; expected 0 to {_MOST_PER_HOUR}")
-
-
-def without_ways(ways: Sequence[Way], per_hour: Mapping[str, float]) -> tuple[str, ...]:
-    """Classes that were ordered and that no way was found for."""
-    found = {way.traffic.vclass for way in ways}
-    return tuple(vclass for vclass, rate in per_hour.items() if rate > 0.0 and vclass not in found)
 
 
 def _usable_km(net: Net, vclass: str) -> float:

@@ -136,11 +136,6 @@ def _scaled(dem: Dem, factor: float) -> Dem:
     return replace(dem, height_m=mean_m + factor * (dem.height_m - mean_m))
 
 
-def _as_stored(dem: Dem) -> Dem:
-    """The same land as a file holds it, so that a town made from the file is the same."""
-    return replace(dem, height_m=np.round(dem.height_m, 3).astype(np.float32).astype(np.float64))
-
-
 def _shape(area: Box) -> tuple[int, int]:
     wide_m, high_m = area.size_m
     return max(8, round(high_m / CELL_M)), max(8, round(wide_m / CELL_M))
@@ -325,7 +320,8 @@ def lift_net(path: Path, dem: Dem, relief: Heights, *, on_globe: bool = True) ->
     if relief.dem is None:  # the hill is as high as ordered where the streets are
         height_m = float(np.ptp(_heights_at(_smoothed(dem, _SIGMAS_M[0]), places)))
         dem = _scaled(dem, relief.hill_m / max(height_m, 1e-3 * relief.hill_m))
-    used = _as_stored(_gentle(dem, relief, steepest))
+    gentle = _gentle(dem, relief, steepest)  # and as a file holds it, so that a town made from the file is the same
+    used = replace(gentle, height_m=np.round(gentle.height_m, 3).astype(np.float32).astype(np.float64))
     for (element, points_m), z_m in zip(found, np.split(_heights_at(used, places), ends[:-1]), strict=True):
         rows = np.column_stack([points_m, z_m]).tolist()
         element.set("shape", " ".join(f"{x:.2f},{y:.2f},{z:.3f}" for x, y, z in rows))

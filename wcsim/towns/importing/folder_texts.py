@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
+from wcsim.config import TownFile, parse
 from wcsim.core.reading import listed
 from wcsim.errors import TownError
-from wcsim.towns.scenario.town import NOT_TOWNS, chair_ways, own_work
+from wcsim.towns.scenario.town import NOT_TOWNS, TOWN_TOML, chair_ways, own_work
 from wcsim.towns.sumo.xml_io import without_comments, write_gzip
 
 _SUMOCFG = """\
@@ -62,33 +63,22 @@ def write_scenario(folder: Path, name: str, seed: int, vtypes: str) -> None:
     (folder / f"{name}.sumocfg").write_text(sumocfg_text(name, seed, routes, additional), encoding="utf-8")
 
 
-def _quoted(text: str) -> str:
-    """A string of TOML, which knows no pairs of escapes as JSON writes for letters beyond 16 bits."""
-    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
+def _quoted(value: object) -> str:
+    """A value of TOML, which knows no pairs of escapes as JSON writes for letters beyond 16 bits."""
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
-def town_toml_text(
-    *,
-    name: str,
-    split: str,
-    origin_m: tuple[int, int] = (0, 0),
-    kerb_height_m: float = 0.12,
-    cycle_paths: bool = False,
-    hashes: Mapping[str, str] | None = None,
-    **texts: str,
-) -> str:
-    """`town.toml`, in the order and wording of `config.TownFile`; `texts` are its sumocfg, source, ..., rebuild."""
-    lines = [
-        f"name = {_quoted(name)}",
-        f"split = {_quoted(split)}",
-        f"origin_m = [{origin_m[0]}, {origin_m[1]}]",
-        f"kerb_height_m = {kerb_height_m}",
-        "lowered_kerb_m = 0.0",
-        f"chair_ways = {json.dumps(chair_ways(cycle_paths))}",
-    ]
-    lines += [f"{key} = {_quoted(text)}" for key, text in texts.items() if text]
-    if hashes:
-        lines += ["", "[hashes]", *(f"{_quoted(key)} = {_quoted(value)}" for key, value in hashes.items())]
+def town_toml_text(*, cycle_paths: bool = False, **told: Any) -> str:
+    """`town.toml`, in the order of `config.TownFile`, whose keys are `told`; empty texts are left out.
+
+    Raises:
+        ConfigError: A value is none that a town can have.
+    """
+    file = parse(TownFile, {"chair_ways": chair_ways(cycle_paths), **told}, TOWN_TOML)
+    keys = file.model_dump(mode="json", exclude={"hashes"}, exclude_none=True)
+    lines = [f"{key} = {_quoted(value)}" for key, value in keys.items() if value != ""]
+    if file.hashes:
+        lines += ["", "[hashes]", *(f"{_quoted(key)} = {_quoted(value)}" for key, value in file.hashes.items())]
     return "\n".join(lines) + "\n"
 
 

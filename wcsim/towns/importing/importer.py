@@ -15,80 +15,29 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
+from shapely.geometry.base import BaseGeometry
+
 from wcsim.core.files import whole_folder
-from wcsim.core.reading import listed
+from wcsim.core.reading import listed, own_data
 from wcsim.errors import SumoError, TownError, check_installed
-from wcsim.towns.importing.demand import Way, build_ways, check_rates, vtypes_text, without_ways, write_demand
+from wcsim.towns.importing.demand import CLASSES, Way, build_ways, vtypes_text, write_demand
 from wcsim.towns.importing.elevation import Heights, lift_net, make_dem
 from wcsim.towns.importing.folder_texts import check_place, check_words, town_toml_text, write_scenario
 from wcsim.towns.importing.map_marks import MapMarks, find_parking, map_marks
-from wcsim.towns.osm.clean import (
-    LeftOut,
-    count_inside,
-    cut_bridges,
-    filter_osm,
-    strip_orphans,
-    ways_inside,
-    wrongly_paved,
-)
+from wcsim.towns.osm.clean import LeftOut, count_inside, cut_bridges, filter_osm, map_ways, strip_orphans, wrongly_paved
 from wcsim.towns.osm.read import Box, Extract, Side, read_extract, side_at
 from wcsim.towns.scenario.town import CYCLE_PATHS, Town, chair_ways, hash_files, open_town
 from wcsim.towns.sumo.net import LaneKind, Net, read_net
 from wcsim.towns.sumo.tools import Limits, ToolRun, by_file, run_tool, sumo_home
 from wcsim.towns.sumo.xml_io import write_gzip, xml_bytes
-from wcsim.towns.walking.islands import Islands, largest_share, osm_ways_by_edge, walkable_parts
+from wcsim.towns.walking.islands import largest_share, osm_ways_by_edge, stray_footways, stray_ways, walkable_parts
 
 log = logging.getLogger("wcsim.towns")
 
-_TYPEMAPS = ("osmNetconvert.typ.xml", "osmNetconvertUrbanDe.typ.xml", "osmNetconvertBicycle.typ.xml")
-_NETCONVERT = [
-    "--sidewalks.guess",
-    "--sidewalks.guess.max-speed",
-    "22.3",  # 80 km/h: outside Europe a city's main streets are faster than SUMO's 50 km/h, and have pavements
-    "--osm.sidewalks",
-    "--crossings.guess",
-    "--crossings.guess.speed-threshold",
-    "18",
-    "--walkingareas",
-    "--osm.bike-access",
-    "--geometry.remove",
-    "--junctions.join",
-    "--junctions.corner-detail",
-    "5",
-    "--roundabouts.guess",
-    "--tls.guess-signals",
-    "--tls.discard-simple",
-    "--tls.default-type",
-    "actuated",
-    "--no-turnarounds.tls",
-    "--keep-edges.components",
-    "1",
-    "--remove-edges.isolated",
-    "--proj.utm",
-    "--output.street-names",
-    "--output.original-names",
-]
-_POLYCONVERT = [
-    "--osm.keep-full-type",
-    "--osm.merge-relations",
-    "1",
-    "--all-attributes",
-    "--discard",
-    "--prune.in-net",
-    "--prune.in-net.offsets",
-    "40,40,40,40",
-]
+_DATA = own_data(__file__)
 _LEFT_OUT = ("highway.steps", "highway.service", "highway.track")
 _LIMITS = Limits(wall_s=120.0, cpu_s=120)
-# What is left out when netconvert fails, mildest first: it crashes on some crossings, and on some joins of junctions.
-_LADDER: tuple[tuple[tuple[str, ...], tuple[str, ...]], ...] = (
-    ((), ()),
-    (("--osm.crossings",), ()),
-    (("--osm.crossings",), ("--ignore-errors",)),
-    (("--osm.crossings", "--junctions.join"), ("--ignore-errors",)),
-    (("--osm.crossings", "--junctions.join", "--roundabouts.guess", "--osm.bike-access"), ("--ignore-errors",)),
-)
-
+_MOST_PER_HOUR = 100_000
 _LICENSE = """\
 The data in this folder (the extract in osm/, and the net, polygons and routes of "{name}" derived from it) are
 
@@ -134,8 +83,10 @@ def _convert_net(order: ImportOrder, extract: str, folder: Path, more: Sequence[
     """Run netconvert on `extract` in `folder`, with `more` options, and with fewer when it fails. Raises SumoError."""
     options = [*_net_options(order, extract), *more]
     first: ToolRun | None = None
-    for left_out, added in _LADDER:
-        run = run_tool("netconvert", [*(o for o in options if o not in left_out), *added], folder, _LIMITS)
+    for step in _DATA["ladder"]:
+        left_out = step["without"].split()
+        kept = [option for option in options if option not in left_out]
+        run = run_tool("netconvert", [*kept, *step["with"].split()], folder, _LIMITS)
         if not run.returncode:
             if first is not None:
                 log.warning("town %s: %s; the net was built without %s", order.name, first.reason(), " ".join(left_out))
@@ -148,9 +99,9 @@ def _convert_net(order: ImportOrder, extract: str, folder: Path, more: Sequence[
 
 
 def _net_options(order: ImportOrder, extract: str) -> list[str]:
-    maps = ",".join(str(sumo_home() / "data" / "typemap" / name) for name in _TYPEMAPS)
+    maps = ",".join(str(sumo_home() / "data" / "typemap" / name) for name in _DATA["typemaps"].split())
     left_out = _LEFT_OUT[:1] if order.keep_service else _LEFT_OUT
-    options = ["--osm-files", extract, "--type-files", maps, *_NETCONVERT, "--osm.crossings"]
+    options = ["--osm-files", extract, "--type-files", maps, *_DATA["netconvert"].split()]
     options += ["--remove-edges.by-type", ",".join(left_out)]
     options += ["--keep-edges.in-geo-boundary", ",".join(map(str, order.bbox or ())), "-o", f"{order.name}.net.xml"]
     return options + ["--lefthand"] * bool(order.lefthand)
@@ -167,7 +118,7 @@ def _convert_polygons(name: str, extract: str, folder: Path, what: str = "poly")
     """
     types = Path(__file__).parent / f"{what}types.xml"
     options = ["--osm-files", extract, "--net-file", f"{name}.net.xml", "--type-file", str(types)]
-    options += [*_POLYCONVERT, "-o", f"{name}.{what}.xml"]
+    options += [*_DATA["polyconvert"].split(), "-o", f"{name}.{what}.xml"]
     run = run_tool("polyconvert", options, folder, _LIMITS)
     if run.returncode:
         run = run_tool("polyconvert", [*options, "--ignore-errors"], folder, _LIMITS)
@@ -187,9 +138,9 @@ class _BuiltNet:
 
     net: Net
     share: float
-    bridges: tuple[str, ...] = ()  # what they are called that were left out, for they pass over other streets
-    drawn: frozenset[str] = frozenset()  # the ways of the map that it has, by their ids without a sign
-    walked: frozenset[str] = frozenset()  # of these, those with lanes for walkers
+    bridges: tuple[str, ...]  # what they are called that were left out, for they pass over other streets
+    drawn: frozenset[str]  # the ways of the map that it has, by their ids without a sign
+    walked: frozenset[str]  # of these, those with lanes for walkers
 
 
 def _build_net(order: ImportOrder, root: Element, folder: Path) -> _BuiltNet:
@@ -203,45 +154,45 @@ def _build_net(order: ImportOrder, root: Element, folder: Path) -> _BuiltNet:
     """
     filter_osm(root)
     bridges = cut_bridges(root, order.keep_service)
-    built = _hanging_together(order, root, folder)
-    walkable = {edge.id for edge in built.net.edges if any(lane.permits("pedestrian") for lane in edge.lanes)}
+    net, share = _hanging_together(order, root, folder)
+    walkable = {edge.id for edge in net.edges if any(lane.permits("pedestrian") for lane in edge.lanes)}
     drawn = osm_ways_by_edge(folder / f"{order.name}.net.xml")
-    return replace(
-        built,
+    return _BuiltNet(
+        net=net,
+        share=share,
         bridges=bridges,
         drawn=frozenset(way for made_of in drawn.values() for way in made_of),
         walked=frozenset(way for edge, made_of in drawn.items() if edge in walkable for way in made_of),
     )
 
 
-def _hanging_together(order: ImportOrder, root: Element, folder: Path) -> _BuiltNet:
-    net = _converted(order, root, folder)
-    found = Islands.by_links(net, folder / f"{order.name}.net.xml")
-    if found.footways:
-        net = _converted(order, root, folder, found.footways)
+def _hanging_together(order: ImportOrder, root: Element, folder: Path) -> tuple[Net, float]:
+    net, place = _converted(order, root, folder), folder / f"{order.name}.net.xml"
+    if stray := stray_footways(net, place):
+        net = _converted(order, root, folder, stray)
     parts = walkable_parts(net, chair_ways(order.cycle_paths))
-    if largest_share(parts) < _GOOD_SHARE:
-        ground = Islands.by_ground(net, folder / f"{order.name}.net.xml", parts)
-        if ground.footways | ground.roads:
-            smaller = _smaller(order, root, folder, ground)
-            if smaller is not None:
-                return smaller
-            net = _converted(order, root, folder)
-    return _BuiltNet(net=net, share=largest_share(parts))
+    if largest_share(parts) < _GOOD_SHARE and (stray := stray_ways(net, place, parts)):
+        smaller = _smaller(order, root, folder, stray, parts)
+        if smaller is not None:
+            return smaller
+        net = _converted(order, root, folder)
+    return net, largest_share(parts)
 
 
-def _smaller(order: ImportOrder, root: Element, folder: Path, before: Islands) -> _BuiltNet | None:
+def _smaller(
+    order: ImportOrder, root: Element, folder: Path, stray: frozenset[str], before: list[BaseGeometry]
+) -> tuple[Net, float] | None:
     """The net without the ways on islands, or None when that is no gain; then `root` is as before."""
     everything = list(root)
-    dropped = before.footways | before.roads
     try:
-        net = _converted(order, root, folder, dropped)
+        net = _converted(order, root, folder, stray)
         parts = walkable_parts(net, chair_ways(order.cycle_paths))
     except TownError:  # nothing is left
         parts = []
-    if largest_share(parts) > before.share and sum(part.area for part in parts) >= _LEAST_LEFT * before.area_m2:
-        log.info("town %s: %d ways on islands were left out", order.name, len(dropped))
-        return _BuiltNet(net=net, share=largest_share(parts))
+    least_m2 = _LEAST_LEFT * sum(part.area for part in before)
+    if largest_share(parts) > largest_share(before) and sum(part.area for part in parts) >= least_m2:
+        log.info("town %s: %d ways on islands were left out", order.name, len(stray))
+        return net, largest_share(parts)
     root[:] = everything
     return None
 
@@ -270,7 +221,7 @@ def _read(path: Path) -> Net:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Imported:
+class _Imported:
     """A town that was made, and what was found on the way."""
 
     town: Town
@@ -283,7 +234,7 @@ class Imported:
 
 def import_town(
     order: ImportOrder, meanwhile: Callable[[Town], object] | None = None, stage: Stage = lambda text: None
-) -> Imported:
+) -> _Imported:
     """Build the town and move it to `order.out`, replacing a town that is there if it was not edited.
 
     Args:
@@ -315,7 +266,11 @@ def _check(order: ImportOrder) -> None:
     check_words(order.name, order.split)
     if order.bbox is not None:
         order.bbox.check()
-    check_rates(order.per_hour)
+    for vclass, rate in order.per_hour.items():
+        if vclass not in CLASSES:
+            raise TownError(f"unknown traffic class {vclass!r}; expected some of: {', '.join(CLASSES)}")
+        if not 0.0 <= rate <= _MOST_PER_HOUR:
+            raise TownError(f"{rate} departures an hour of class {vclass}; expected 0 to {_MOST_PER_HOUR}")
     if order.relief.dem is not None or order.relief.hill_m:
         check_installed("--dem and --hill need rasterio", "dem", "rasterio", error=TownError)
     check_place(order.out, overwrite=order.overwrite)
@@ -328,8 +283,8 @@ def _build(
     work: Path,
     meanwhile: Callable[[Town], object] | None,
     stage: Stage,
-) -> Imported:
-    name, mapped = order.name, ways_inside(extract.root, extract.box)
+) -> _Imported:
+    name, mapped = order.name, map_ways(extract.root, extract.box)
     crossings_mapped, stops_mapped = (
         count_inside(extract.root, extract.box, kind) for kind in ("crossing", "bus_stop")
     )
@@ -365,12 +320,15 @@ def _build(
         "stops_mapped": stops_mapped,
         "stops": marks.stops,
     }
-    notes = (*left_out.notes, *_told_counts(built.net, **counts))
-    return Imported(
+    notes = [*left_out.notes, *_told_counts(built.net, **counts)]
+    if not extract.bounded:
+        whole = _size(extract.box)
+        notes.append(f"the extract has no bounds, so all of it ({whole}) was imported: {extract.box.option}")
+    return _Imported(
         town=_unfinished(work, order),
         side=side,
         walkable_share=built.share,
-        notes=(*_notes(order, built, ways), *filter(None, notes), *_unbounded_note(extract)),
+        notes=(*_notes(order, built, ways), *filter(None, notes)),
         left_out=left_out,
         counts=counts,
     )
@@ -400,11 +358,6 @@ def _told_counts(
     return crossings, told if stops_mapped or stops else "", f"{parked} parked cars never drive" if parked else ""
 
 
-def _unbounded_note(extract: Extract) -> tuple[str, ...]:
-    note = f"the extract has no bounds, so all of it ({_size(extract.box)}) was imported: {extract.box.option}"
-    return () if extract.bounded else (note,)
-
-
 def _size(box: Box) -> str:
     wide_m, high_m = box.size_m
     return f"{wide_m / 1e3:.1f} x {high_m / 1e3:.1f} km"
@@ -416,7 +369,9 @@ def _notes(order: ImportOrder, built: _BuiltNet, ways: tuple[Way, ...]) -> tuple
     if built.bridges:
         names = listed(built.bridges, 8)
         found.append(f"left out: bridges over other streets, because a town has one level: {names}")
-    idle = [vclass for vclass in without_ways(ways, order.per_hour) if order.traffic > 0]
+    found_for = {way.traffic.vclass for way in ways}
+    ordered = [vclass for vclass, rate in order.per_hour.items() if rate > 0.0 and order.traffic > 0]
+    idle = [vclass for vclass in ordered if vclass not in found_for]
     found += [f"no traffic of class {vclass}: no street or track of this town allows it" for vclass in idle]
     return tuple(found)
 
@@ -427,18 +382,11 @@ def _unfinished(work: Path, order: ImportOrder) -> Town:
     return replace(town, routes=())
 
 
-def _license_text(name: str, source: str = "", heights: bool = False) -> str:
-    """The notice that must lie beside data from OpenStreetMap, and beside heights from elsewhere."""
-    text = _LICENSE.format(name=name)
-    if heights:
-        text += _HEIGHTS.format(name=name)
-    return text + (f"\nSource, as told at the import: {source}\n" if source else "")
-
-
 def _write_beside(order: ImportOrder, work: Path) -> None:
     """What a town's folder has besides its scenario, and routes until the demand is there."""
     write_gzip(work / f"{order.name}.rou.xml.gz", b"<routes/>")
-    notice = _license_text(order.name, order.source, order.relief.dem is not None)
+    texts = _LICENSE + _HEIGHTS * (order.relief.dem is not None)
+    notice = texts.format(name=order.name) + f"\nSource, as told at the import: {order.source}\n" * bool(order.source)
     (work / "LICENSE-DATA").write_text(notice, encoding="utf-8")
     (work / "osm" / "bbox").write_text(",".join(map(str, order.bbox or ())) + "\n", encoding="utf-8")
 

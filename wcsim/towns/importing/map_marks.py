@@ -79,15 +79,11 @@ def _unpainted(net: Net, marks: list[Element]) -> list[Lane]:
     lanes, tree = crossing_lines(net)
     painted = net.signalled()
     for mark in marks if lanes else ():
-        if _is_painted(_tags(mark)):
+        tags = _tags(mark)  # painted unless the map says that it is not
+        if tags.get("crossing") not in _PLAIN and tags.get("crossing:markings", "yes") != "no":
             near = tree.query_nearest(shapely.Point(_place(mark)), max_distance=_REACH_M, all_matches=False)
             painted |= {lanes[index].edge_id for index in near.tolist()}
     return [lane for lane in lanes if lane.edge_id not in painted]
-
-
-def _is_painted(tags: dict[str, str]) -> bool:
-    """Whether the map does not say that a crossing has no markings."""
-    return tags.get("crossing") not in _PLAIN and tags.get("crossing:markings", "yes") != "no"
 
 
 def _unmarked_point(lane: Lane) -> str:
@@ -126,7 +122,7 @@ def _stops(net: Net, poles: list[Element]) -> list[str]:
 def _bus_lane(edge: Edge) -> Lane | None:
     """The lane at the kerb where a bus may stop, of an edge that is long enough."""
     lanes = (lane for lane in edge.lanes if lane.kind is LaneKind.MOTOR and lane.permits("bus"))
-    return next((lane for lane in lanes if lane.length_m > _STOP_M + 1.0 and len(lane.points_m) > 1), None)
+    return next((lane for lane in lanes if lane.length_m > _STOP_M + 1.0 and lane.is_line), None)
 
 
 def _waits(line: shapely.LineString, pole: shapely.Point, lefthand: bool) -> bool:
@@ -211,7 +207,7 @@ def _town_and_used(net: Net, root: Element) -> tuple[BaseGeometry, BaseGeometry]
 
 
 def _leads_there(lane: Lane) -> bool:
-    return lane.permits("passenger") and lane.length_m >= _LEAST_LANE_M and len(lane.points_m) > 1
+    return lane.permits("passenger") and lane.length_m >= _LEAST_LANE_M and lane.is_line
 
 
 def _lots(root: Element) -> Iterator[tuple[str, Polygon]]:

@@ -7,7 +7,6 @@ What stands along the pavements: trees, lamps, benches, signs, stops, and things
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,6 +17,7 @@ import shapely
 from shapely import Polygon
 from shapely.geometry.base import BaseGeometry
 
+from wcsim.core.reading import own_data
 from wcsim.towns.furniture.placement import Taken
 from wcsim.towns.ground.plane_geometry import left_of, polygons_of, unit, yaw_of
 from wcsim.towns.ground.solid_shapes import rectangle
@@ -44,7 +44,7 @@ class _Row:
     least_m: float  # width of a pavement that has it
 
 
-_DATA = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+_DATA = own_data(__file__)
 _ROWS = [_Row(**row) for row in _DATA["rows"]]
 _LEFT = ("wcsim.board", "wcsim.bin", "wcsim.scooter", "wcsim.bicycle", "wcsim.box", "wcsim.planter", "wcsim.table")
 
@@ -63,7 +63,7 @@ def _dress(net: Net, rng: np.random.Generator) -> tuple[_Mapped, _Placed]:
     since_stop_m = rng.uniform(0.0, _STOP_EVERY_M)
     for edge in net.streets:
         for lane in edge.lanes:
-            if lane.kind not in (LaneKind.SIDEWALK, LaneKind.SHARED) or len(lane.points_m) < 2:
+            if lane.kind not in (LaneKind.SIDEWALK, LaneKind.SHARED) or not lane.is_line:
                 continue
             line = shapely.LineString(lane.points_m)
             _in_rows(lane, line, -1.0 if net.lefthand else 1.0, mapped, rng)
@@ -319,7 +319,11 @@ def draw_map(net: Net, name: str, folder: Path, rng: np.random.Generator) -> tup
     paths = folder / f"{name}.poly.xml", folder / f"{name}.ground.xml"
     for writer, path in zip((poly, ground), paths, strict=True):
         path.write_text(writer.text(), encoding="utf-8")
-    return *paths, _left_things(placed)
+    left = (
+        f'<poi id="left.{number}" type="{kind}" x="{xy_m[0]:.2f}" y="{xy_m[1]:.2f}" angle="{angle_deg:.1f}"/>'
+        for number, (kind, xy_m, angle_deg) in enumerate(placed)
+    )
+    return *paths, tuple(left)
 
 
 class _Writer:
@@ -385,7 +389,7 @@ def _write_kerbs(net: Net, poly: _Writer, ground: _Writer, rng: np.random.Genera
     lit = net.signalled()
     painted = rng.uniform(0.3, 1.0)
     for lane in net.lanes(LaneKind.CROSSING):
-        if len(lane.points_m) < 2:
+        if not lane.is_line:
             continue
         middle = shapely.LineString(lane.points_m).interpolate(0.5, normalized=True)
         drawn = rng.random() < painted
@@ -394,10 +398,3 @@ def _write_kerbs(net: Net, poly: _Writer, ground: _Writer, rng: np.random.Genera
         kerb = str(rng.choice(_KERBS, p=_KERB_SHARES))
         for end_m in (lane.points_m[0], lane.points_m[-1]):
             poly.point(f"kerb.{'lowered' if kerb == 'raised' and lane.edge_id in lit else kerb}", end_m, [])
-
-
-def _left_things(placed: _Placed) -> tuple[str, ...]:
-    return tuple(
-        f'<poi id="left.{number}" type="{kind}" x="{xy_m[0]:.2f}" y="{xy_m[1]:.2f}" angle="{angle_deg:.1f}"/>'
-        for number, (kind, xy_m, angle_deg) in enumerate(placed)
-    )

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import logging
 import shlex
-import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,6 +19,7 @@ from shapely.errors import GEOSException
 
 from wcsim.core.files import whole_folder
 from wcsim.core.frames import rad
+from wcsim.core.reading import own_data
 from wcsim.core.seeding import derive, generator
 from wcsim.errors import SumoError, TownError
 from wcsim.towns.ground.plane_geometry import length_of, yaw_of
@@ -31,7 +31,7 @@ from wcsim.towns.making.asked_town import KINDS, Wishes, check_wishes
 from wcsim.towns.making.drawn_map import draw_map
 from wcsim.towns.making.plan import StreetPlan, draw_plan, shape_plan
 from wcsim.towns.osm.read import Box
-from wcsim.towns.scenario.town import Town, chair_ways, hash_files, net_middle, open_town, read_town_file
+from wcsim.towns.scenario.town import TOWN_TOML, Town, chair_ways, hash_files, net_middle, open_town, read_town_file
 from wcsim.towns.sumo.net import LaneKind, Net, read_net
 from wcsim.towns.sumo.tools import Limits, run_tool
 from wcsim.towns.walking.islands import largest_share, walkable_parts
@@ -58,7 +58,7 @@ class _StreetClass:
     closed: str  # SUMO classes that may not drive there
 
 
-_CLASSES = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+_CLASSES = own_data(__file__)
 MAIN, COLLECTOR, RESIDENTIAL, WALK = (_StreetClass(name=name, **kind) for name, kind in _CLASSES.items())
 
 
@@ -187,7 +187,7 @@ _NAMES = ("Oak", "Mill", "Station", "Church", "Harbour", "Market", "King", "Gard
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Signals:
+class _Signals:
     """How a town's junctions are made."""
 
     share: float  # of the crossings of larger streets have signals
@@ -196,17 +196,19 @@ class Signals:
     lefthand: bool  # traffic keeps to the left
 
 
-def _draw_signals(rng: np.random.Generator) -> Signals:
+def _draw_signals(rng: np.random.Generator) -> _Signals:
     """How the junctions of a town are made."""
     share, crossing_m, corner_m = rng.uniform((0.2, 2.8, 2.5), (0.9, 5.0, 6.0)).tolist()
-    return Signals(share=share, crossing_m=crossing_m, corner_m=corner_m, lefthand=bool(rng.random() < _LEFTHAND_SHARE))
+    return _Signals(
+        share=share, crossing_m=crossing_m, corner_m=corner_m, lefthand=bool(rng.random() < _LEFTHAND_SHARE)
+    )
 
 
 def _write_net(
     name: str,
     plan: StreetPlan,
     streets: tuple[_NamedStreet, ...],
-    signals: Signals,
+    signals: _Signals,
     folder: Path,
     rng: np.random.Generator,
 ) -> Path:
@@ -226,7 +228,7 @@ def _write_net(
     return folder / f"{name}.net.xml"
 
 
-def _nodes(plan: StreetPlan, streets: tuple[_NamedStreet, ...], signals: Signals, rng: np.random.Generator) -> str:
+def _nodes(plan: StreetPlan, streets: tuple[_NamedStreet, ...], signals: _Signals, rng: np.random.Generator) -> str:
     meeting: dict[int, list[_NamedStreet]] = {}
     for street in streets:
         for link in street.links:
@@ -332,22 +334,17 @@ def make_town(
     check_words(name, wishes.split)
     check_wishes(seed, wishes)
     check_place(out, overwrite=overwrite)
-    if not overwrite:
-        _check_made(out)
+    toml = out / TOWN_TOML
+    if not overwrite and toml.is_file() and "town make" not in read_town_file(toml).rebuild:
+        raise TownError(
+            f"{out} contains an imported town; choose another name or --out, or use --replace, which deletes it"
+        )
     with whole_folder(out) as work:
         stage("drawing the streets")
         net = _bare_net(name, seed, wishes, work)
         stage("adding buildings, furniture, parked cars and routes")
         _fill(name, seed, wishes, net, work, stage)
     return open_town(folder if (folder / f"{name}.sumocfg").is_file() else out)
-
-
-def _check_made(out: Path) -> None:
-    """Raise TownError when a folder holds a town that was imported."""
-    if (out / "town.toml").is_file() and "town make" not in read_town_file(out / "town.toml").rebuild:
-        raise TownError(
-            f"{out} contains an imported town; choose another name or --out, or use --replace, which deletes it"
-        )
 
 
 def _bare_net(name: str, seed: int, wishes: Wishes, work: Path) -> Net:
@@ -405,7 +402,7 @@ def _fill(name: str, seed: int, wishes: Wishes, net: Net, work: Path, stage: Sta
         rebuild=_rebuild_command(name, seed, wishes),
         hashes=hash_files(work, name),
     )
-    (work / "town.toml").write_text(text, encoding="utf-8")
+    (work / TOWN_TOML).write_text(text, encoding="utf-8")
 
 
 def _rebuild_command(name: str, seed: int, wishes: Wishes) -> str:

@@ -32,25 +32,21 @@ import numpy as np
 import shapely
 
 from wcsim.core.frames import rad
-from wcsim.core.reading import listed
+from wcsim.core.reading import listed, own_data
 from wcsim.towns.osm.read import Box
 from wcsim.towns.sumo.net import LaneKind, Net
 from wcsim.towns.walking.islands import osm_ways_by_edge
 from wcsim.types import F64
 
+_TAGS = {name: frozenset(words.split()) for name, words in own_data(__file__).items()}
 _COURTYARD = "courtyard"
 _PART = "part"
 _SLOWEST_KMH = 66  # just above netconvert's --crossings.guess.speed-threshold: nobody crosses a motorway on foot
 _KMH = {"": 1.0, "km/h": 1.0, "kmh": 1.0, "kph": 1.0, "mph": 1.609, "knots": 1.852}
 _SPEED = re.compile(r"^(\d+(?:\.\d+)?)\s*([a-z/]*)$")
-_SPEEDS = ("maxspeed", "maxspeed:forward", "maxspeed:backward")
-_NONE = {"no", "none"}
 ALONG_M = 15.0  # a bridge that runs over another way for longer than this lies on top of it
 BESIDE_M = 2.5  # and as near to its line
 _M_PER_DEG = 111_320.0
-_RAILS = {"rail", "narrow_gauge", "light_rail", "preserved", "tram"}
-_TRAINS = _RAILS - {"tram"}
-_NO_WAY = {"steps", "track", "proposed", "platform", "bus_stop", "raceway", "rest_area", "services", "razed"}
 
 
 def _mark_buildings(root: Element) -> None:
@@ -63,7 +59,8 @@ def _mark_buildings(root: Element) -> None:
     for relation in root.iterfind("relation"):
         tags = _read_tags(relation)
         if tags.get("type") != "multipolygon":
-            _drop(relation, "building")  # it only says which ways belong together
+            # it only says which ways belong together
+            relation[:] = [tag for tag in relation if tag.tag != "tag" or tag.get("k") != "building"]
         elif "building" in tags or any(_read_tags(way).get("building") for way in _ways(relation, "outer", ways)):
             for way in _ways(relation, "inner", ways):
                 if "building" not in _read_tags(way):
@@ -76,18 +73,8 @@ def _ways(relation: Element, role: str, ways: dict[str, Element]) -> list[Elemen
     return [ways[ref] for ref in refs if ref in ways]
 
 
-def _drop(thing: Element, key: str) -> None:
-    for tag in thing.findall("tag"):
-        if tag.get("k") == key:
-            thing.remove(tag)
-
-
-_NO_STREET = {"corridor", "elevator", "proposed", "construction"}
-_NO_RAIL = {"subway", "construction", "disused", "abandoned", "proposed", "razed"}
 _NUMBERS = re.compile(r"^(lanes|width|est_width|layer|maxspeed|((cycleway|sidewalk):.*:?width))(:(forward|backward))?$")
 _NUMBER = re.compile(r"^[+-]?\d{1,4}([.,]\d+)?\s*[a-z/'\"]*$")
-_WORDS = {"none", "signals", "walk", "variable", "default", "national"}
-_NO_BUILDING = {"entrance", "underpass_entrance", "roof", "no"}
 
 
 def filter_osm(root: Element) -> None:
@@ -120,7 +107,7 @@ def _is_senseless(key: str, value: str) -> bool:
     if not _NUMBERS.match(key):
         return False
     plain = value.strip()
-    return not (_NUMBER.match(plain) or plain in _WORDS or ":" in plain)  # as "DE:urban"
+    return not (_NUMBER.match(plain) or plain in _TAGS["words"] or ":" in plain)  # as "DE:urban"
 
 
 def _read_tags(item: Element) -> dict[str, str]:
@@ -131,14 +118,18 @@ def _read_tags(item: Element) -> dict[str, str]:
 def _is_hidden(tag: dict[str, str]) -> bool:
     """True for what is neither seen nor driven on from the street."""
     if "building" in tag or "building:part" in tag:
-        return tag.get("building", "yes") in _NO_BUILDING or tag.get("location") == "underground" or _layer(tag) < 0
+        return (
+            tag.get("building", "yes") in _TAGS["no_building"]
+            or tag.get("location") == "underground"
+            or _layer(tag) < 0
+        )
     if "highway" not in tag and "railway" not in tag:
         return False
     return (
         tag.get("tunnel", "no") not in ("no", "building_passage")
         or tag.get("indoor") == "yes"
-        or tag.get("highway") in _NO_STREET
-        or tag.get("railway") in _NO_RAIL
+        or tag.get("highway") in _TAGS["no_street"]
+        or tag.get("railway") in _TAGS["no_rail"]
         or tag.get("location") in ("underground", "indoor")
         or _layer(tag) < 0
         or tag.get("level", "0").split(";")[0] not in ("0", "")
@@ -157,7 +148,7 @@ def _quicken_motorways(root: Element) -> None:
     for way in root.iterfind("way"):
         if not _is_motorway(_read_tags(way)):
             continue
-        for tag in [tag for tag in way.findall("tag") if tag.get("k") in _SPEEDS]:
+        for tag in [tag for tag in way.findall("tag") if tag.get("k") in _TAGS["speeds"]]:
             if _kmh(tag.get("v", "")) < _SLOWEST_KMH:
                 tag.set("v", str(_SLOWEST_KMH))
 
@@ -169,7 +160,7 @@ def wrongly_paved(net: Net, net_path: Path, root: Element) -> tuple[str, ...]:
     if not ways:
         return ()
     made_of = osm_ways_by_edge(net_path)
-    paved = (edge.id for edge in net.edges if any(lane.kind is LaneKind.SIDEWALK for lane in edge.lanes))
+    paved = (edge.id for edge in net.edges if edge.has(LaneKind.SIDEWALK))
     return tuple(sorted(edge for edge in paved if made_of.get(edge) and ways.issuperset(made_of[edge])))
 
 
@@ -181,7 +172,7 @@ def _is_unpaved(tag: dict[str, str]) -> bool:
     if "highway" not in tag:
         return False
     barred = _is_motorway(tag) or tag["highway"] == "motorway_link" or tag.get("foot") == "no"
-    return barred or tag.get("sidewalk") in _NONE or tag.get("sidewalk:both") in _NONE
+    return barred or tag.get("sidewalk") in _TAGS["none"] or tag.get("sidewalk:both") in _TAGS["none"]
 
 
 def _kmh(text: str) -> float:
@@ -250,7 +241,7 @@ def _built_ways(root: Element, keep_service: bool) -> list[_Way]:
         if len(nodes) < 2 or len(nodes) != len(element.findall("nd")) or not _is_built(tag, keep_service):
             continue
         points_m = (np.array([places[node] for node in nodes]) - middle) * scale_m
-        train = "highway" not in tag and tag.get("railway") in _TRAINS
+        train = "highway" not in tag and tag.get("railway") in _TAGS["trains"]
         level = _layer(tag) or (1.0 if tag.get("bridge", "no") != "no" else 0.0)
         found.append(_Way(element=element, nodes=nodes, points_m=points_m, level=level, train=train))
     return found
@@ -261,8 +252,8 @@ def _is_built(tag: dict[str, str], keep_service: bool) -> bool:
     if tag.get("area") == "yes":
         return False
     if "highway" in tag:
-        return tag["highway"] not in _NO_WAY and (keep_service or tag["highway"] != "service")
-    return tag.get("railway") in _RAILS
+        return tag["highway"] not in _TAGS["no_way"] and (keep_service or tag["highway"] != "service")
+    return tag.get("railway") in _TAGS["rails"]
 
 
 def _over(way: _Way, other: shapely.MultiLineString, joined: set[str]) -> list[int]:
@@ -315,14 +306,6 @@ def _called(way: Element) -> str:
 LEAST_M = 50.0  # what is less is lost at the edges of any box
 TOLD = 5  # names
 TOLD_LOST = 10  # ways on foot
-_STREETS = frozenset(
-    (
-        "motorway", "trunk", "primary", "secondary", "tertiary", "unclassified", "residential", "living_street",
-        "motorway_link", "trunk_link", "primary_link", "secondary_link", "tertiary_link"
-    )
-)  # fmt: skip
-_FOOTWAYS = frozenset(("footway", "pedestrian", "path", "steps"))
-_CLOSED = ("no", "private")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -391,7 +374,7 @@ def _told(way: _MapWay) -> str:
     return f"{' '.join(filter(None, (way.id, way.name)))} ({way.inside_m:.0f} m{', ' * bool(way.why)}{way.why})"
 
 
-def ways_inside(root: Element, box: Box) -> tuple[_MapWay, ...]:
+def map_ways(root: Element, box: Box) -> tuple[_MapWay, ...]:
     """The streets of an extract at street level, and its ways on foot; `root` is as it was read."""
     places = _places(root)
     lines = {
@@ -401,7 +384,7 @@ def ways_inside(root: Element, box: Box) -> tuple[_MapWay, ...]:
     found = []
     for item in (*root.iterfind("way"), *root.iterfind("relation")):
         tags = _read_tags(item)
-        street = tags.get("highway") in _STREETS and not _is_hidden(tags) and tags.get("area") != "yes"
+        street = tags.get("highway") in _TAGS["streets"] and not _is_hidden(tags) and tags.get("area") != "yes"
         if not street and not _is_footway(tags):
             continue
         parts = [lines[item.get("id", "")]] if item.tag == "way" else _outline(item, lines)
@@ -418,7 +401,7 @@ def ways_inside(root: Element, box: Box) -> tuple[_MapWay, ...]:
 
 def _is_footway(tags: dict[str, str]) -> bool:
     shared = tags.get("highway") == "cycleway" and tags.get("foot") in ("yes", "designated")
-    return shared or (tags.get("highway") in _FOOTWAYS and tags.get("foot") != "no")
+    return shared or (tags.get("highway") in _TAGS["footways"] and tags.get("foot") != "no")
 
 
 def _outline(relation: Element, lines: dict[str, list[str]]) -> list[list[str]]:
@@ -435,7 +418,7 @@ def _why_by_tags(tags: dict[str, str]) -> str:
         return "steps"
     if tags.get("area") == "yes" or tags.get("type") == "multipolygon":
         return "an open area" if tags["highway"] == "pedestrian" else "an area"
-    return "closed to the public" if tags.get("foot", tags.get("access")) in _CLOSED else ""
+    return "closed to the public" if tags.get("foot", tags.get("access")) in _TAGS["closed"] else ""
 
 
 def count_inside(root: Element, box: Box, highway: str) -> int:

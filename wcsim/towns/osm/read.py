@@ -20,7 +20,7 @@ from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 from wcsim.core.frames import rad
-from wcsim.core.reading import FileKind, escaped, opened, regular_size
+from wcsim.core.reading import FileKind, escaped, opened, own_data, regular_size
 from wcsim.errors import SumoError, TownError
 from wcsim.towns.sumo.tools import Limits, run_child, sumo_home
 from wcsim.towns.sumo.xml_io import (
@@ -37,34 +37,8 @@ from wcsim.towns.sumo.xml_io import (
 LONGEST_M = 12_000.0  # of a side: netconvert and the street mesh of more take minutes and gigabytes
 _M_PER_DEG = 111_320.0
 
-# IANA time zones of the countries and territories that drive on the left.
-_LEFT = frozenset(
-    f"{region}/{city}"
-    for region, cities in {
-        "Europe": "London Dublin Jersey Guernsey Isle_of_Man Malta",
-        "Asia": (
-            "Nicosia Famagusta Karachi Kolkata Colombo Kathmandu Thimphu Dhaka Bangkok "
-            "Kuala_Lumpur Kuching Singapore Brunei Jakarta Pontianak Makassar Jayapura Dili Tokyo "
-            "Hong_Kong Macau"
-        ),
-        "Africa": (
-            "Johannesburg Maseru Mbabane Windhoek Gaborone Harare Lusaka Maputo Blantyre Dar_es_Salaam Nairobi Kampala"
-        ),
-        "Indian": "Maldives Mauritius Mahe Christmas Cocos",
-        "Australia": ("Adelaide Brisbane Broken_Hill Darwin Eucla Hobart Lindeman Lord_Howe Melbourne Perth Sydney"),
-        "Antarctica": "Macquarie",
-        "Pacific": (
-            "Auckland Chatham Port_Moresby Bougainville Guadalcanal Fiji Tongatapu Apia Nauru Tarawa Kanton "
-            "Kiritimati Funafuti Rarotonga Niue Fakaofo Norfolk Pitcairn"
-        ),
-        "Atlantic": "Bermuda Stanley South_Georgia St_Helena",
-        "America": (
-            "Jamaica Nassau Cayman Grand_Turk Barbados Port_of_Spain Antigua St_Kitts Dominica St_Lucia St_Vincent "
-            "Grenada Anguilla Montserrat Tortola St_Thomas Guyana Paramaribo"
-        ),
-    }.items()
-    for city in cities.split()
-)
+_LEFT = frozenset(f"{region}/{city}" for region, cities in own_data(__file__).items() for city in cities.split())
+"""IANA time zones of the countries and territories that drive on the left."""
 _SHARED = "Asia/Bangkok"  # of Thailand, and of Vietnam north of the 17th parallel, where traffic keeps right
 _VIETNAM_DEG = ((105.0, 16.5), (102.0, 18.55))  # of that zone, what lies east and north of either; Laos lies between
 
@@ -146,14 +120,9 @@ def side_at(longitude_deg: float, latitude_deg: float) -> Side:
 
     zone = TimezoneFinder().timezone_at(lng=longitude_deg, lat=latitude_deg)
     known = zone is not None and not zone.startswith("Etc/")  # those lie at sea
-    if zone == _SHARED and _in_vietnam(longitude_deg, latitude_deg):
+    if zone == _SHARED and any(longitude_deg > west and latitude_deg > south for west, south in _VIETNAM_DEG):
         return Side(lefthand=False, why=f"Vietnam, in time zone {zone}")
     return Side(lefthand=zone in _LEFT, why=f"time zone {zone}" if known else "country unknown")
-
-
-def _in_vietnam(longitude_deg: float, latitude_deg: float) -> bool:
-    """Whether a place of the time zone that Thailand and Vietnam share lies in Vietnam."""
-    return any(longitude_deg > west_deg and latitude_deg > south_deg for west_deg, south_deg in _VIETNAM_DEG)
 
 
 SMALL_BYTES = 48 << 20  # of XML; more is cut by libosmium first, which is faster and needs less memory

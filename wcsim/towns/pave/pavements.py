@@ -108,7 +108,8 @@ def pave_town(town: Town, out: Path, fastest_mps: float = FASTEST_MPS) -> Paved:
         _copy_town_toml(town, work, base)
         place = work / Path(os.path.normpath(town.net.absolute())).relative_to(base)
         before = _root(place)
-        _convert(place, _unpaved(net), fastest_mps)
+        closed = [edge.id for edge in net.streets if not edge.has(LaneKind.MOTOR)]
+        _convert(place, closed, fastest_mps)  # to cars: tracks, paths and closed ones get no pavement
         after = _root(place)
         nets = net_of(before, place.name), net_of(after, place.name)
         paving = Paving(*nets)
@@ -135,14 +136,9 @@ def _count(net: Net, function: str) -> int:
     return sum(edge.function == function for edge in net.edges)
 
 
-def _unpaved(net: Net) -> list[str]:
-    """Edges that are closed to cars, so that they get no pavement: tracks, paths and closed ones."""
-    return [edge.id for edge in net.streets if not any(lane.kind is LaneKind.MOTOR for lane in edge.lanes)]
-
-
 def _net_notes(town: Town, net: Net, out: Path, fastest_mps: float) -> tuple[str, ...]:
     """How many streets have no pavement for their speed, with the command that gives them one; what junctions got."""
-    bare = (edge for edge in net.edges if all(lane.kind is not LaneKind.SIDEWALK for lane in edge.lanes))
+    bare = (edge for edge in net.edges if not edge.has(LaneKind.SIDEWALK))
     limits = net.speeds_mps
     fast = [limits[edge.id] for edge in bare if limits.get(edge.id, 0.0) > fastest_mps]
     notes = []

@@ -102,16 +102,22 @@ def with_included(files: Iterable[Path], border: Path | None) -> tuple[Path, ...
 
 def _follow(path: Path, border: Path | None, above: tuple[Path, ...], found: dict[Path, Path]) -> None:
     real = Path(os.path.realpath(path))
-    if real in above or len(above) >= MAX_DEPTH:
-        chain = " -> ".join(item.name for item in (*above, real))
-        raise TownError(f"{escaped(path)}: its files include each other ({chain}); remove one <include>")
+    below = _below(above, real, escaped(path))
     if real in found:
         return
     found[real] = path
     for name in _included(path):
         there = path.parent / name
         check_file(there, border, path)
-        _follow(there, border, (*above, real), found)
+        _follow(there, border, below, found)
+
+
+def _below(above: tuple[Path, ...], path: Path, where: str) -> tuple[Path, ...]:
+    """The files that lead to what a file includes. Raises TownError when they lead back to it, or are too many."""
+    if path in above or len(above) >= MAX_DEPTH:
+        chain = " -> ".join(item.name for item in (*above, path))
+        raise TownError(f"{where}: its files include each other ({chain}); remove one <include>")
+    return (*above, path)
 
 
 def _included(path: Path) -> list[str]:
@@ -273,11 +279,9 @@ class FilteredFiles:
 
     def _place(self, path: Path, named_by: Path, above: tuple[Path, ...]) -> Path:
         whole = self._note(path, named_by)
-        if whole in above or len(above) >= MAX_DEPTH:
-            chain = " -> ".join(item.name for item in (*above, whole))
-            raise TownError(f"{named_by}: its files include each other ({chain}); remove one <include>")
+        below = _below(above, whole, str(named_by))
         if whole not in self._done:
-            self._done[whole] = self._filtered(whole, (*above, whole))
+            self._done[whole] = self._filtered(whole, below)
         return self._done[whole]
 
     def _note(self, path: Path, named_by: Path) -> Path:
@@ -327,7 +331,7 @@ class FilteredFiles:
             element.set("value", ",".join(map(str, found)))
 
     def _copy(self, path: Path, root: Element) -> Path:
-        name = re.sub(r"[^A-Za-z0-9_.-]+", "_", path.name.removesuffix(".gz"))[-120:].lstrip(".") or "file.xml"
+        name = _UNSAFE.sub("_", path.name.removesuffix(".gz"))[-_MAX_LENGTH:].lstrip(".") or "file.xml"
         place = self._copies.folder / self._copies.unique(name)
         place.parent.mkdir(parents=True, exist_ok=True)
         ElementTree.ElementTree(root).write(place, encoding="UTF-8", xml_declaration=True)

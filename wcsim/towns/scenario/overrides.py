@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from wcsim.config import WorldConfig
+from wcsim.core.reading import own_data
 from wcsim.towns.scenario.options import Configuration, Treatment, read_configuration, sumo_options
 from wcsim.towns.sumo.xml_io import is_true
 
@@ -42,49 +43,16 @@ class _Rule(NamedTuple):
 STEP, _ACTION_STEP = "step-length", "default.action-step-length"
 JUMPING = "nonInteracting"
 """Of the models of pedestrians, the one whose people have no way between two streets."""
-RULES = (
-    _Rule("step-length", "`world.tick_s`", "one tick is one step of SUMO"),
-    _Rule(_ACTION_STEP, "kept, unless `world.action_step_s` is set", "the run sets how often drivers decide"),
-    _Rule("seed", "drawn from `--seed`", "one seed for all random draws"),
-    _Rule("random", "false", "equal seeds give equal traffic", fixed=True),
-    _Rule(
-        "scale",
-        "the scenario's value times `world.demand_scale`; kept while that is 1",
-        "the run sets the amount of traffic",
-    ),
-    _Rule("time-to-teleport", "kept, unless `world.jam_teleport_s` is set", "the run sets when a jam ends"),
-    _Rule(
-        "pedestrian.model",
-        f"kept; with `{JUMPING}` pedestrians jump between streets and ignore wheelchairs",
-        "SUMO moves pedestrians",
-    ),
-    _Rule("no-step-log", "true", "wcsim writes to the console", fixed=True),
-    _Rule("no-warnings", "true", "wcsim writes to the console", fixed=True),
-    _Rule("duration-log.disable", "true", "wcsim writes to the console", fixed=True),
-    _Rule("xml-validation", "never", "no schema is downloaded", fixed=True),
-    _Rule("xml-validation.net", "never", "no schema is downloaded", fixed=True),
-    _Rule("xml-validation.routes", "never", "no schema is downloaded", fixed=True),
-)
+AGGREGATED = "elechybrid-output.aggregated"
+_DATA = own_data(__file__)
+RULES = tuple(_Rule(**rule) for rule in _DATA["rules"])
+WHY: dict[str, str] = _DATA["why"] | {rule.option: rule.why for rule in RULES}
+"""Why something becomes of an option, by its name, or by its topic where it is one of many."""
 _FIXED = tuple((rule.option, rule.says) for rule in RULES if rule.fixed)
-_WHY = {rule.option: rule.why for rule in RULES}
 _FASTER = (
     "; traffic that was calibrated for longer steps drives 10 to 20 % faster; to correct it, set world.action_step_s "
     "to 0.5 to 0.7 of the scenario's step"
 )
-END_WHY = "flows without an end of their own need it; the run decides when it stops"
-OUTPUT_WHY = "outputs go to the run folder only"
-DROP_WHY = {
-    "configuration": "a run writes no configurations",
-    "gui_only": "there is no window",
-    "traci_server": "no other program controls this simulation",
-}
-PREFIX_WHY = "outputs keep their names"
-AGGREGATED = "elechybrid-output.aggregated"
-UNASKED_WHY = {
-    "device.ssm.file": "SUMO's default is the current folder",
-    "save-state.prefix": "SUMO's default is beside the configuration",
-    AGGREGATED: "otherwise vehicle ids would become file names",
-}
 
 
 def forced(settings: Settings, author_scale: float = 1.0) -> tuple[tuple[str, str], ...]:
@@ -115,7 +83,7 @@ def overrides_of(config: Configuration, settings: Settings, outputs: Sequence[tu
         settings: What the world decides.
         outputs: Options of the author that write files, each with the value it gets.
     """
-    files = [_override(config, name, value, OUTPUT_WHY) for name, value in outputs]
+    files = [_override(config, name, value, WHY["outputs"]) for name, value in outputs]
     return (*_forced_rows(config, settings), *files, *_aggregated_rows(config), *_idle_rows(config))
 
 
@@ -129,13 +97,13 @@ def _forced_rows(config: Configuration, settings: Settings) -> Iterator[Override
         author, default = config.value(name), sumo_options()[name].default
         if not _same(default if author is None else author, value):
             given = f"{default} (default)" if author is None and name == STEP else author or ""
-            why = _WHY[name] + _faster(author or default, config, settings) * (name == STEP)
+            why = WHY[name] + _faster(author or default, config, settings) * (name == STEP)
             yield Override(option=name, author=given, wcsim=value, why=why)
 
 
 def _aggregated_rows(config: Configuration) -> Iterator[Override]:
     if config.value("elechybrid-output") and not _same(config.value(AGGREGATED) or "false", "true"):
-        yield _override(config, AGGREGATED, "true", UNASKED_WHY[AGGREGATED])
+        yield _override(config, AGGREGATED, "true", WHY[AGGREGATED])
 
 
 def _idle_rows(config: Configuration) -> Iterator[Override]:
@@ -143,10 +111,10 @@ def _idle_rows(config: Configuration) -> Iterator[Override]:
     for item in config.given:
         topic, name = item.option.topic, item.option.name
         if item.option.treatment is Treatment.DROP:
-            why = DROP_WHY.get(topic, PREFIX_WHY if topic == "output" else _WHY["no-step-log"])
+            why = WHY.get(topic, WHY["no-step-log"])
             yield Override(option=name, author=item.value, wcsim="(left out)", why=why)
         elif name == "end":
-            yield Override(option="end", author=item.value, wcsim="(not the run's end)", why=END_WHY)
+            yield Override(option="end", author=item.value, wcsim="(not the run's end)", why=WHY[name])
 
 
 def _faster(author: str, config: Configuration, settings: Settings) -> str:

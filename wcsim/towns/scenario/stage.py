@@ -53,7 +53,8 @@ def stage_scenario(town: Town, settings: Settings, folder: Path, outputs: Sequen
         ConfigError: there is no such output.
     """
     config = read_configuration(town.sumocfg)
-    _refuse_mesoscopic(config)
+    if is_true(config.value("mesosim") or "false"):
+        raise TownError(f"{config.path}: is mesoscopic (mesosim): vehicles have no positions; remove that option")
     files = FilteredFiles(folder.absolute(), town.border)
     names = files.names
     names.unique(town.sumocfg.name)
@@ -113,12 +114,6 @@ def _notes_of(config: Configuration) -> tuple[str, ...]:
             'to let them walk round it, set <pedestrian.model value="striping"/>'
         )
     return tuple(notes)
-
-
-def _refuse_mesoscopic(config: Configuration) -> None:
-    """Raise TownError for a scenario whose vehicles have no positions."""
-    if is_true(config.value("mesosim") or "false"):
-        raise TownError(f"{config.path}: is mesoscopic (mesosim): vehicles have no positions; remove that option")
 
 
 def _make(folder: Path) -> None:

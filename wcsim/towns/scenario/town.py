@@ -9,9 +9,9 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from wcsim.config import TownFile, parse
+from wcsim.config import TownFile, read_toml
 from wcsim.config.scene import ChairWay
-from wcsim.core.reading import FileKind, escaped, is_file, is_folder, read_bytes, read_toml
+from wcsim.core.reading import FileKind, escaped, is_file, is_folder, read_bytes
 from wcsim.errors import ConfigError, TownError, meant
 from wcsim.towns.scenario.files import check_file, check_inside, with_included
 from wcsim.towns.scenario.options import Configuration, read_configuration
@@ -200,7 +200,7 @@ def _near(file: TownFile, net: Path) -> TownFile:
 
 def read_town_file(toml: Path) -> TownFile:
     """A `town.toml`. Raises ConfigError or TownError with every fault and its place."""
-    return parse(TownFile, read_toml(toml, _TOWN_FILE), escaped(toml))
+    return read_toml(toml, TownFile, _TOWN_FILE)
 
 
 def net_middle(net: Path) -> tuple[int, int]:

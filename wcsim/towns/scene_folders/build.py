@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from wcsim.config import RunConfig, parse
+from wcsim.config import RunConfig, read_toml
 from wcsim.config.scene import SceneFile, SceneSeat
 from wcsim.core import frames
 from wcsim.core.constants import RECORDED
-from wcsim.core.reading import FileKind, escaped, is_file, read_toml
+from wcsim.core.reading import FileKind, is_file
 from wcsim.errors import SumoError, TownError
 from wcsim.towns.importing.adopt import copy_file
 from wcsim.towns.importing.folder_texts import sumocfg_text, town_toml_text
@@ -57,10 +57,9 @@ def find_scene(name_or_path: str) -> Path:
     )
 
 
-def scene_of(folder: Path) -> SceneFile:
+def _scene_of(folder: Path) -> SceneFile:
     """The `scene.toml` of a scene. Raises ConfigError or TownError with every fault and its place."""
-    toml = folder / "scene.toml"
-    return parse(SceneFile, read_toml(toml, _SCENE_TOML), escaped(toml))
+    return read_toml(folder / "scene.toml", SceneFile, _SCENE_TOML)
 
 
 def build_scene(folder: Path, work: Path) -> tuple[Town, SceneFile]:
@@ -70,7 +69,7 @@ def build_scene(folder: Path, work: Path) -> tuple[Town, SceneFile]:
         TownError: a file of the scene is missing, broken, or elsewhere.
         SumoError: netconvert refuses it.
     """
-    scene = scene_of(folder)
+    scene = _scene_of(folder)
     work.mkdir(parents=True, exist_ok=True)
     _build_net(scene, folder, work)
     additional = []

@@ -12,16 +12,13 @@ from xml.etree.ElementTree import Element
 import numpy as np
 import shapely
 
+from wcsim.core.reading import own_data
 from wcsim.errors import TownError
 from wcsim.towns.sumo.net import Lane, Net, points
 from wcsim.towns.sumo.xml_io import is_true, read_root
 from wcsim.types import F64
 
-AUTHOR_KINDS = (
-    "barrier", "bench", "bicycle", "bin", "block", "board", "bollard", "box", "cabinet", "cone", "container", "fence",
-    "hedge", "kiosk", "lamp", "planter", "pole", "rack", "roadworks", "scooter", "shelter", "sign", "skip", "table",
-    "tree", "wall",
-)  # fmt: skip
+AUTHOR_KINDS: tuple[str, ...] = tuple(own_data(__file__)["kinds"].split())
 
 log = logging.getLogger("wcsim.towns")
 
@@ -53,7 +50,7 @@ _Lanes = Mapping[str, Lane]
 def _points_at(lanes: _Lanes, lane_id: str, places_m: tuple[float, ...], left_m: float = 0.0) -> F64:
     """Points (n, 2) at positions along a lane, negative ones from its end, all moved to its left. Raises ValueError."""
     lane = lanes.get(lane_id)
-    if lane is None or len(lane.points_m) < 2:
+    if lane is None or not lane.is_line:
         raise ValueError(f"the net has no lane {lane_id!r}")
     line = shapely.LineString(lane.points_m)
     length_m = lane.length_m or line.length

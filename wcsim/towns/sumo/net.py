@@ -55,6 +55,11 @@ class Lane:
     allow: frozenset[str] | None  # None: every class but those in `disallow`
     disallow: frozenset[str]
 
+    @property
+    def is_line(self) -> bool:
+        """Whether it has a line: two points at least."""
+        return len(self.points_m) > 1
+
     def permits(self, vclass: str) -> bool:
         """True when a SUMO vehicle class may use this lane."""
         return vclass not in self.disallow and (self.allow is None or vclass in self.allow)
@@ -70,6 +75,10 @@ class Edge:
     end: str
     lanes: tuple[Lane, ...]
     crossed: tuple[str, ...]  # the edges that a crossing crosses
+
+    def has(self, *kinds: LaneKind) -> bool:
+        """Whether any of its lanes is of these kinds."""
+        return any(lane.kind in kinds for lane in self.lanes)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -134,7 +143,7 @@ class Net:
     @property
     def paved_streets(self) -> int:
         """How many streets have a pavement."""
-        return sum(any(lane.kind is LaneKind.SIDEWALK for lane in edge.lanes) for edge in self.streets)
+        return sum(edge.has(LaneKind.SIDEWALK) for edge in self.streets)
 
     @property
     def speeds_mps(self) -> dict[str, float]:
@@ -230,6 +239,7 @@ def _edge(element: Element, origin_m: tuple[int, int]) -> Edge:
 def _lane(element: Element, edge: Element, function: str, origin_m: tuple[int, int]) -> Lane:
     allow, disallow = _permissions(element)
     points_m, z_m = _shape(element.attrib["shape"], origin_m)
+    width_m = float(element.get("width", _DEFAULT_LANE_WIDTH_M))  # SUMO writes -1 for one that was not set
     return Lane(
         id=element.attrib["id"],
         edge_id=edge.attrib["id"],
@@ -238,18 +248,12 @@ def _lane(element: Element, edge: Element, function: str, origin_m: tuple[int, i
         internal=function == "internal",
         points_m=points_m,
         z_m=z_m,
-        width_m=_width_m(element),
+        width_m=width_m if 0.0 < width_m < WIDEST_M else _DEFAULT_LANE_WIDTH_M,
         length_m=float(element.get("length", "0")),
         speed_mps=float(element.get("speed", "13.89")),
         allow=allow,
         disallow=disallow,
     )
-
-
-def _width_m(element: Element) -> float:
-    """A lane's width; SUMO writes -1 for one that was not set."""
-    width_m = float(element.get("width", _DEFAULT_LANE_WIDTH_M))
-    return width_m if 0.0 < width_m < WIDEST_M else _DEFAULT_LANE_WIDTH_M
 
 
 def _permissions(element: Element) -> tuple[frozenset[str] | None, frozenset[str]]:

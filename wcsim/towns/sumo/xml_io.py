@@ -66,17 +66,13 @@ class _Gunzip:
         return part
 
 
-def _gunzip(file: BinaryIO, most: int) -> bytes:
-    """The first `most` bytes of what a gzip file holds. Raises EOFError, OSError or zlib.error when it is broken."""
-    return _unpack(file, most, _Gunzip)
-
-
 def bunzip2(file: BinaryIO, most: int) -> bytes:
     """The first `most` bytes of what a bzip2 file holds. Raises EOFError or OSError when it is broken."""
     return _unpack(file, most, bz2.BZ2Decompressor)
 
 
 def _unpack(file: BinaryIO, most: int, make: Callable[[], _Gunzip | bz2.BZ2Decompressor]) -> bytes:
+    """The first `most` bytes of what a file holds. Raises EOFError, OSError or zlib.error when it is broken."""
     found, left, members, machine = list[bytes](), most, 1, make()
     data = file.read(_CHUNK_BYTES)
     while left > 0:
@@ -118,7 +114,7 @@ def read_head(path: Path, size: int) -> bytes:
         with opened(path, XML) as file:
             packed = file.read(2) == b"\x1f\x8b"
             file.seek(0)
-            return _gunzip(file, size) if packed else file.read(size)
+            return _unpack(file, size, _Gunzip) if packed else file.read(size)
     except (EOFError, zlib.error) as error:
         raise TownError(f"{escaped(path)}: cannot be read ({error}); expected {XML.what}") from None
 

@@ -168,7 +168,7 @@ class _Builder:
 
         Of a lane that cannot be passed, as far as one comes from either end.
         """
-        if len(lane.points_m) < 2:
+        if not lane.is_line:
             return
         local = self._local(shapely.LineString(lane.points_m).buffer(lane.width_m / 2 + REACH_M))
         ends = [_snapped(local, lane.points_m[k]) for k in (0, -1)]

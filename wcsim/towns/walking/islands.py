@@ -22,47 +22,37 @@ _WALKABLE = WALK_KINDS | {LaneKind.CROSSING, LaneKind.WALKINGAREA}
 _WAY = re.compile(r"^-*(\d+)(?:#.*)?$")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Islands:
-    """How well a net hangs together for walkers, and the OpenStreetMap ways that lie on islands only."""
+def stray_footways(net: Net, net_path: Path) -> frozenset[str]:
+    """The OpenStreetMap ways, by ids without a sign, of walkers and riders alone that lie on islands only.
 
-    share: float  # of the walkable area, in the largest part
-    area_m2: float  # all of it
-    footways: frozenset[str]  # ids of ways, without a sign
-    roads: frozenset[str]  # with vehicles on them
+    Islands are those of the connections that SUMO's walkers use.
+    """
+    return frozenset(way for way, quiet in _stray(net, net_path, *_linked(net)).items() if quiet)
 
-    @classmethod
-    def by_links(cls, net: Net, net_path: Path) -> Islands:
-        """Islands of a net by the connections that SUMO's walkers use."""
-        return cls._of(net, net_path, *_linked(net))
 
-    @classmethod
-    def by_ground(cls, net: Net, net_path: Path, parts: list[BaseGeometry]) -> Islands:
-        """Islands of a net by its `walkable_parts`: a link that a carriageway covers is none for a wheelchair."""
-        return cls._of(net, net_path, _touching(net, parts), {number: part.area for number, part in enumerate(parts)})
+def stray_ways(net: Net, net_path: Path, parts: list[BaseGeometry]) -> frozenset[str]:
+    """The OpenStreetMap ways, by ids without a sign, that lie on islands only, those with vehicles on them too.
 
-    @classmethod
-    def _of(cls, net: Net, net_path: Path, part_of: dict[str, int], sizes_m2: dict[int, float]) -> Islands:
-        if not sizes_m2:
-            return cls(share=0.0, area_m2=0.0, footways=frozenset(), roads=frozenset())
-        main = max(sorted(sizes_m2), key=lambda part: sizes_m2[part])
-        made_of = osm_ways_by_edge(net_path)
-        kept: set[str] = set()
-        stray: dict[str, bool] = {}  # way id -> True when only walkers and riders use it
-        for edge in net.streets:
-            for way in made_of.get(edge.id, ()):
-                if part_of.get(edge.id, main) == main:
-                    kept.add(way)
-                else:
-                    quiet = all(lane.kind in WALK_KINDS | {LaneKind.BIKE, LaneKind.CLOSED} for lane in edge.lanes)
-                    stray[way] = stray.get(way, True) and quiet
-        loose = {way: quiet for way, quiet in stray.items() if way not in kept}
-        return cls(
-            share=sizes_m2[main] / max(1e-9, sum(sizes_m2.values())),
-            area_m2=sum(sizes_m2.values()),
-            footways=frozenset(way for way, quiet in loose.items() if quiet),
-            roads=frozenset(way for way, quiet in loose.items() if not quiet),
-        )
+    Islands are the `walkable_parts` of the net but the largest: a link that a carriageway covers is none for a chair.
+    """
+    sizes_m2 = {number: part.area for number, part in enumerate(parts)}
+    return frozenset(_stray(net, net_path, _touching(net, parts), sizes_m2))
+
+
+def _stray(net: Net, net_path: Path, part_of: dict[str, int], sizes_m2: dict[int, float]) -> dict[str, bool]:
+    """The ways without an edge in the largest part, and whether only walkers and riders use them."""
+    main = max(sorted(sizes_m2), key=lambda part: sizes_m2[part], default=0)
+    made_of = osm_ways_by_edge(net_path)
+    kept: set[str] = set()
+    stray: dict[str, bool] = {}
+    for edge in net.streets:
+        for way in made_of.get(edge.id, ()):
+            if part_of.get(edge.id, main) == main:
+                kept.add(way)
+            else:
+                quiet = all(lane.kind in WALK_KINDS | {LaneKind.BIKE, LaneKind.CLOSED} for lane in edge.lanes)
+                stray[way] = stray.get(way, True) and quiet
+    return {way: quiet for way, quiet in stray.items() if way not in kept}
 
 
 def walkable_parts(net: Net, chair_ways: tuple[str, ...]) -> list[BaseGeometry]:
@@ -103,7 +93,7 @@ def _touching(net: Net, parts: list[BaseGeometry]) -> dict[str, int]:
     edges = [
         (edge.id, ground_of(lane for lane in edge.lanes if lane.kind in _WALKABLE))
         for edge in net.edges
-        if any(lane.kind in _WALKABLE for lane in edge.lanes)
+        if edge.has(*_WALKABLE)
     ]
     part_of: dict[str, int] = {}
     best_m2: dict[str, float] = {}
