@@ -271,7 +271,7 @@ class GuardRule(Model):
 
     oldest_s: _Seconds = 0.3  # a frame that was taken earlier is too old
     deadline_s: _Seconds = 0.1  # from a frame's arrival to the answer
-    tick_s: PositiveShare = 0.1
+    tick_s: Annotated[float, Field(gt=0.0, le=1.0)] = 0.1
     stop_s: _Seconds = 0.5  # within so long the command is zero
     good_ticks: Annotated[int, within(1, 10_000)] = 10  # one after the other, until the policy drives again
 

@@ -96,7 +96,7 @@ class CameraConfig(Model):
     height_px: Pixels = 240  # Image height.
     hfov_deg: Annotated[float, within(20.0, 140.0)] = 87.0  # Horizontal field of view.
     range_m: Annotated[float, within(1.0, 200.0)] = 40.0  # Largest depth that is measured.
-    near_m: PositiveShare = 0.1  # Smallest depth that is measured.
+    near_m: Annotated[float, Field(gt=0.0, le=1.0)] = 0.1  # Smallest depth that is measured.
     p_BC_m: tuple[Along, Along, Height] = (
         0.35,
         0.0,

@@ -20,6 +20,7 @@ _Told = Annotated[tuple[_Paragraph, ...], Field(max_length=12)]
 _Minutes = Annotated[float, within(0.05, 120.0)]
 _Level = Annotated[float, within(0.0, 100.0)]
 _Reference = Annotated[str, Field(min_length=1, max_length=400)]
+_Number = Annotated[int, Field(ge=0, lt=1 << 31)]
 _Arrivals = Annotated[int, within(1, 100)]
 _ANSWERS = {"scale": ("low", "high"), "choice": ("choices",), "yes_no": ()}
 
@@ -30,8 +31,8 @@ class StudyPlace(Model):
     town: Word = ""
     seed: Seed = 0  # of the town
     suite: Word = ""
-    block: Seed = 0  # of the suite
-    seat: Seed = 0
+    block: _Number = 0  # of the suite
+    seat: _Number = 0
 
     @model_validator(mode="after")
     def _is_one(self) -> StudyPlace:
