@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from wcsim.config.base import Model, Positive, PositiveShare, Share, within
+from wcsim.config.base import Model, Positive, Share, within
 from wcsim.types import Measure
 
 Along = Annotated[float, Field(ge=-2.0, le=2.0, allow_inf_nan=False)]
