@@ -6,7 +6,7 @@ import pickle
 from collections.abc import Callable, Collection, Iterator, Sequence
 from concurrent.futures import Future
 from contextlib import contextmanager
-from typing import Any, ClassVar
+from typing import Any
 
 import pytest
 
@@ -19,9 +19,7 @@ from wcsim.view.report import failures
 class OneProcess:
     """A pool that works at once, on what comes through the pickle and with what goes back through it."""
 
-    _processes: ClassVar[dict[int, Any]] = {}  # those to kill
-
-    def __init__(self, jobs: int, mp_context: object, initializer: object = None, initargs: object = ()) -> None:
+    def __init__(self, jobs: int = 1, mp_context: object = None) -> None:
         assert jobs == 1
 
     def __enter__(self) -> OneProcess:
@@ -37,6 +35,9 @@ class OneProcess:
         except BaseException as error:
             mine.set_exception(error)
         return mine
+
+    def kill(self) -> None:
+        """Nothing is running."""
 
     def shutdown(self, wait: bool = True, cancel_futures: bool = False) -> None:
         """Nothing is running."""
@@ -68,7 +69,7 @@ def in_this_process() -> Iterator[None]:
     """Pieces are driven and failures illustrated without further processes; those have tests of their own."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(failures, "pooled", _pooled_here)
-        patch.setattr(machines, "ProcessPoolExecutor", OneProcess)
+        patch.setattr(machines, "OneProcess", OneProcess)
         for asking in ("wcsim.agents.evaluation.suite.run", "wcsim.agents.rounds.collect_data"):
             patch.setattr(f"{asking}.Crew", OneCrew)
         yield

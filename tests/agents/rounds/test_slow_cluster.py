@@ -127,11 +127,9 @@ def _told(rows: list[dict], took_s: float) -> str:
     done = [row for row in rows if row["how"] == "done" and not row["worker"].startswith(f"{address_of(0)}/")]
     begun: set[int] = set()  # with its first piece a process starts
     done = [row for row in done if row["pid"] in begun or begun.add(row["pid"])]
-    sent, came = sum(row["fetched_bytes"] for row in done), sum(row["bytes"] for row in done)
     total_s, work_s = sum(row["total_s"] for row in done), sum(row["work_s"] for row in done)
     lost = sum(row["how"] == "lost" for row in rows)
     return (
-        f"\n{len(done)} segments of other machines: {came / len(done) / 1e3:.0f} kB each back, "
-        f"{sent / len(done) / 1e3:.0f} kB each there; {1 - work_s / total_s:.1%} of their time went to the network; "
-        f"{lost} lost; {took_s:.0f} s in all\n"
+        f"\n{len(done)} segments of other machines: {sum(row['bytes'] for row in done) / len(done) / 1e3:.0f} kB each "
+        f"back; {1 - work_s / total_s:.1%} of their time went to the network; {lost} lost; {took_s:.0f} s in all\n"
     )

@@ -17,7 +17,7 @@ import pytest
 
 from tests.support.cluster.workpieces import always_die, blunder, die_once, echo, hang_once, leave_and_die_once, refuse
 from wcsim.errors import DiskFullError, TownError, WorkersError
-from wcsim.server.workers.crew import MOST_DEATHS, Crew, _Task
+from wcsim.server.workers.crew import MOST_FAILURES, Crew, _Piece, _Task
 from wcsim.server.workers.machines import Work, WorkEnd, _ProcessWorkers
 
 
@@ -150,19 +150,14 @@ def test_a_piece_that_kills_its_workers_is_given_up_in_a_line():
         done_by(crew, {"a"})
 
 
-def test_a_sick_machine_ends_no_run_while_another_is_well():
-    workers, kept = Scripted(**{"sick/1": ["dead"] * 99, "well/1": []}), []
-    with Crew(workers, lambda key, data: kept.append(key)) as crew:
-        crew.ask([work(key) for key in "abcdef"])
-        done_by(crew, set("abcdef"))
-    assert sorted(kept) == list("abcdef")
-    sick = [key for worker, key in workers.begun if worker == "sick/1"]
-    assert sick and len(sick) == len(set(sick)), "none was given to it twice"
+DYING = Scripted(**{"sick/1": ["dead"] * 99, "well/1": []}), 180.0
+HUNG = HangingBeside(**{"sick/1": [], "sick/2": [], "well/1": []}), 0.05
 
 
-def test_a_machine_on_which_all_hangs_ends_no_run_while_another_is_well():
-    workers, kept = HangingBeside(**{"sick/1": [], "sick/2": [], "well/1": []}), []
-    with Crew(workers, lambda key, data: kept.append(key), least_late_s=0.05) as crew:
+@pytest.mark.parametrize(("workers", "late_s"), [DYING, HUNG])
+def test_a_machine_on_which_all_dies_or_hangs_ends_no_run_while_another_is_well(workers, late_s):
+    kept = []
+    with Crew(workers, lambda key, data: kept.append(key), least_late_s=late_s) as crew:
         crew.ask([work(key) for key in "abcdef"])
         done_by(crew, set("abcdef"))
     assert sorted(kept) == list("abcdef")
@@ -170,18 +165,24 @@ def test_a_machine_on_which_all_hangs_ends_no_run_while_another_is_well():
     assert sick and len(sick) == len(set(sick)), "none was given to it twice"
 
 
-def test_a_late_piece_that_has_come_is_neither_asked_for_again_nor_a_reason_to_give_up():
-    crew = Crew(Scripted(w=[]), lambda key, data: None, least_late_s=0.0)
-    late = _Task(work=work("a"), since_s=time.monotonic() - 1e6)
-    crew._at, crew._done, crew._times_late = {"w": late}, {"a"}, {"a": MOST_DEATHS - 1}
-    crew._hurry()
-    assert late.late and not crew._left
+@pytest.mark.parametrize("came", [{"data": b"x"}, {"error": TownError("x")}])
+def test_what_comes_of_a_piece_that_was_given_to_somebody_else_is_dropped(came):
+    crew = Crew(Scripted(w=[]), lambda key, data: pytest.fail("kept"), least_late_s=10.0)
+    piece = _Piece(work=work("a"), failures=MOST_FAILURES - 2, times_late=1)
+    for age_s, late in ((15.0, []), (25.0, [piece])):  # the second time it has twice as long
+        crew._at = {"w": _Task(piece=piece, since_s=time.monotonic() - age_s)}
+        crew._hurry()
+        assert list(crew._left) == late
+    crew._take_back(WorkEnd(worker="w", key="a", **came))
+    crew._at = {"w": _Task(piece=piece, since_s=0.0)}
+    with pytest.raises(WorkersError, match=r"a was started 5 times .*on w, where it died; check disk space and memory"):
+        crew._take_back(WorkEnd(worker="w", key="a", lost="it died"))
 
 
 def test_a_piece_that_always_hangs_is_given_up_in_a_line():
     with (
         Crew(Hanging(w=[]), lambda key, data: None, least_late_s=0.05) as crew,
-        pytest.raises(WorkersError, match=r"a was started 5 times and never finished, .*wcsim resume"),
+        pytest.raises(WorkersError, match=r"a was started 5 times and never finished; .*wcsim resume"),
     ):
         crew.ask([work("a")])
         done_by(crew, {"a"})

@@ -14,16 +14,14 @@ from pytest import MonkeyPatch
 
 from tests.support.cluster.workpieces import echo, hang_once, tell_cache, tell_pid
 from wcsim.server.transport.world_folder import LOCK
-from wcsim.server.workers import cluster_node
-from wcsim.server.workers.cluster_node import SentParcel, do_work
+from wcsim.server.workers.cluster_node import do_work, packed
 from wcsim.server.workers.machines import Call, Parcel, Work, WorkEnd, work_folder
 
 
 def work(folder: str, call: Call, piece: str) -> WorkEnd:
     """A piece that needs a network, in this process."""
     needed = Parcel(address=folder, folder=Path(folder), names=("weights",))
-    one = SentParcel(parcel=needed, digest="", ref=("r",))
-    return do_work("here/1", Work(key="a/1", call=call, piece=piece), (one,), lambda ref: cluster_node.packed(needed))
+    return do_work("here/1", Work(key="a/1", call=call, piece=piece), (needed,), packed(needed))
 
 
 def be_a_worker(folder: str, piece: str) -> None:

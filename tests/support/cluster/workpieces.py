@@ -9,8 +9,11 @@ import time
 from pathlib import Path
 from typing import Any
 
+import zstandard
+
 from wcsim.core.files import user_cache
 from wcsim.errors import TownError
+from wcsim.server.workers.cluster_node import MOST_BYTES, _unpack
 from wcsim.server.workers.machines import At
 
 
@@ -33,6 +36,23 @@ def read_parcel(piece: str, at: At) -> bytes:
     """All files of a parcel, and where they lie."""
     folder = Path(at(piece))
     return b"\n".join([str(folder).encode(), *(path.read_bytes() for path in sorted(folder.iterdir()))])
+
+
+def itself(piece: Any) -> tuple[Any, ...]:
+    """What a piece needs that is a parcel."""
+    return (piece,)
+
+
+def answer_with_text(piece: Any, at: At) -> Any:
+    """Breaks its word: what comes back is no bytes."""
+    return "text"
+
+
+def take_in_a_bomb(piece: Any, at: At) -> bytes:
+    """Unpacks a file of few bytes that says it holds more than any parcel may."""
+    frame = zstandard.ZstdCompressor().compressobj(size=MOST_BYTES + 1)
+    _unpack({"bomb": frame.compress(b"x") + frame.flush(zstandard.COMPRESSOBJ_FLUSH_BLOCK)}, Path("bomb"))
+    return b""
 
 
 def refuse(piece: Any, at: At) -> bytes:

@@ -345,7 +345,7 @@ def town_parcel(address: str) -> Parcel:
         )
     names = tuple(sorted(path.relative_to(folder).as_posix() for path in files))
     inner = "" if Path(town.address).is_dir() else town.sumocfg.name
-    return Parcel(address=address, folder=folder, names=names, inner=inner, kept=True)
+    return Parcel(address=address, folder=folder, names=names, inner=inner)
 
 
 def folder_parcel(folder: Path, address: str = "") -> Parcel:

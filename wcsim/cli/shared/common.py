@@ -296,8 +296,7 @@ def machines_of(cluster: str, asked: int | None, option: str) -> Machines:
     """
     if not cluster:
         return Machines(count=worlds_of(asked))
-    from wcsim.server.workers.cluster_link import LOCAL
-    from wcsim.server.workers.ray_workers import require_address
+    from wcsim.server.workers.ray_workers import LOCAL, require_address
 
     count = worlds_of(asked) if cluster == LOCAL else asked or 1
     if cluster != LOCAL and count > 1:

@@ -7,16 +7,16 @@ from __future__ import annotations
 
 import threading
 import time
-from collections import Counter, defaultdict, deque
+from collections import deque
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 from wcsim.errors import WorkersError
 from wcsim.server.workers.machines import Work, WorkEnd, Workers
 
-MOST_DEATHS: Final = 5  # of workers at the same piece, or times that it was late, before the run gives up
-LATE: Final = 5.0  # times the longest piece so far: then it is done again by another one
+MOST_FAILURES: Final = 5  # deaths of workers at a piece, and times that it was late, before the run gives up
+LATE: Final = 5.0  # times the longest piece so far: then its worker is killed, and it is done again
 LEAST_LATE_S: Final = 180.0
 NOBODY_S: Final = 600.0  # without any worker before the run gives up
 _LOOK_S: Final = 0.1
@@ -36,13 +36,22 @@ class WorkerNow:
 
 
 @dataclass(slots=True, kw_only=True)
+class _Piece:
+    """A piece that was asked for."""
+
+    work: Work
+    failures: int = 0  # deaths of workers at it, and times that it was late
+    times_late: int = 0
+    lost_on: set[str] = field(default_factory=set)  # the machines of these workers
+
+
+@dataclass(slots=True, kw_only=True)
 class _Task:
     """A piece that somebody is at."""
 
-    work: Work
+    piece: _Piece
     since_s: float
-    late: bool = False  # somebody else is asked for it
-    stopped_s: float = 0.0  # when its worker was last told to be killed
+    stopped_s: float = 0.0  # when its worker was last told to be killed: it was late, and somebody else has the piece
 
 
 class Crew:
@@ -60,13 +69,10 @@ class Crew:
     ) -> None:
         self._workers, self._keep, self._nobody_s = workers, keep, nobody_s
         self._longest_s = least_late_s / LATE
-        self._left: deque[Work] = deque()
+        self._left: deque[_Piece] = deque()
         self._at: dict[str, _Task] = {}
         self._asked: set[str] = set()
         self._done: set[str] = set()
-        self._deaths = Counter[str]()
-        self._lost_on = defaultdict[str, set[str]](set)  # by piece, the machines that have lost it, or were late
-        self._times_late = Counter[str]()
         self._failed: BaseException | None = None
         self._somebody_s = time.monotonic()
         self._names: tuple[str, ...] = ()
@@ -89,7 +95,7 @@ class Crew:
             for work in works:
                 if work.key not in self._asked:
                     self._asked.add(work.key)
-                    self._left.append(work)
+                    self._left.append(_Piece(work=work))
 
     def come(self, keys: Collection[str], timeout_s: float) -> frozenset[str]:
         """Those of the pieces that are done; waits a while for one of them.
@@ -110,7 +116,7 @@ class Crew:
             now_s, found = time.monotonic(), {name: WorkerNow(name=name, key="") for name in self._names}
             for name in found.keys() & self._at.keys():
                 task = self._at[name]
-                found[name] = WorkerNow(name=name, key=task.work.key, for_s=now_s - task.since_s)
+                found[name] = WorkerNow(name=name, key=task.piece.work.key, for_s=now_s - task.since_s)
             return tuple(found.values())
 
     def _work(self) -> None:
@@ -135,75 +141,67 @@ class Crew:
             elif time.monotonic() - self._somebody_s > self._nobody_s:
                 raise WorkersError(f"no machine has been there to work for {self._nobody_s:.0f} s; start one; {_KEPT}")
             for name in names:
-                if name not in self._at and (work := self._next_for(name, names)) is not None:
-                    self._at[name] = _Task(work=work, since_s=time.monotonic())
-                    given.append((name, work))
+                if name not in self._at and (piece := self._next_for(name, names)) is not None:
+                    self._at[name] = _Task(piece=piece, since_s=time.monotonic())
+                    given.append((name, piece.work))
         for name, work in given:
             self._workers.begin(name, work)
 
-    def _next_for(self, name: str, names: Sequence[str]) -> Work | None:
+    def _next_for(self, name: str, names: Sequence[str]) -> _Piece | None:
         """The next piece for a worker, but none that its machine has lost while there is another that has not."""
         own, all_of_them = _machine_of(name), {_machine_of(other) for other in names}
-        for place, work in enumerate(self._left):
-            lost_on = self._lost_on[work.key]
-            if own not in lost_on or all_of_them <= lost_on:
+        for place, piece in enumerate(self._left):
+            if own not in piece.lost_on or all_of_them <= piece.lost_on:
                 del self._left[place]
-                return work
+                return piece
         return None
 
     def _take_back(self, ended: WorkEnd) -> None:
         task = self._at.pop(ended.worker)
-        key = ended.key
-        if key in self._done:
-            return  # somebody else was faster
+        if task.stopped_s:
+            return  # whatever it is: somebody else has the piece
         if ended.error is not None:
             raise ended.error
         if ended.data is not None:
-            self._keep(key, ended.data)
+            self._keep(ended.key, ended.data)
             with self._lock:
                 self._longest_s = max(self._longest_s, time.monotonic() - task.since_s)
-                self._done.add(key)
-                self._left = deque(work for work in self._left if work.key != key)  # it was late, and came
+                self._done.add(ended.key)
                 self._lock.notify_all()
-            return
-        if ended.counts and not task.late:
-            self._deaths[key] += 1
-            self._lost_on[key].add(_machine_of(ended.worker))
-        if self._deaths[key] >= MOST_DEATHS:
-            raise WorkersError(
-                f"{key} was started {MOST_DEATHS} times and never finished; the last time on {ended.worker}, where "
-                f"{ended.lost}; check disk space and memory; {_KEPT}"
-            )
-        if not task.late:
-            with self._lock:
-                self._left.appendleft(task.work)
+        elif ended.counts:
+            self._fail(task.piece, ended.worker, f"{ended.lost}; check disk space and memory")
+        else:
+            self._do_again(task.piece)
 
     def _hurry(self) -> None:
-        """Ask somebody else for what is late: a worker that hangs, or was stopped, holds its piece."""
-        now_s = time.monotonic()
+        """Give up what is late: a worker that hangs, or was stopped, holds its piece."""
+        now_s, late_s = time.monotonic(), LATE * self._longest_s
         for name, task in list(self._at.items()):
-            key = task.work.key
-            if task.late:
-                if now_s - task.stopped_s > LATE * self._longest_s:  # it was not heard, or there was nobody yet to kill
-                    task.stopped_s = now_s
-                    self._workers.stop(name)
-            elif now_s - task.since_s > LATE * self._longest_s * 2 ** self._times_late[key]:
-                if key not in self._done:  # an earlier attempt may have come all the same
-                    self._ask_again(name, task.work, now_s - task.since_s)
-                task.late, task.stopped_s = True, now_s
-                self._workers.stop(name)
+            for_s, piece = now_s - task.since_s, task.piece
+            if task.stopped_s:
+                if now_s - task.stopped_s <= late_s:
+                    continue
+            elif for_s <= late_s * 2**piece.times_late:
+                continue
+            else:
+                piece.times_late += 1
+                self._fail(piece, name, f"it was not done within {for_s:.0f} s; check what that machine is doing")
+            task.stopped_s = now_s
+            self._workers.stop(name)  # and again while it was not heard, or there was nobody yet to kill
 
-    def _ask_again(self, name: str, work: Work, for_s: float) -> None:
-        """Have a piece that is late done by somebody else."""
-        if self._times_late[work.key] + 1 >= MOST_DEATHS:
+    def _fail(self, piece: _Piece, worker: str, why: str) -> None:
+        piece.failures += 1
+        piece.lost_on.add(_machine_of(worker))
+        if piece.failures >= MOST_FAILURES:
             raise WorkersError(
-                f"{work.key} was started {MOST_DEATHS} times and never finished, the last time on {name} within "
-                f"{for_s:.0f} s; check what that machine is doing; {_KEPT}"
+                f"{piece.work.key} was started {MOST_FAILURES} times and never finished; the last time on {worker}, "
+                f"where {why}; {_KEPT}"
             )
-        self._times_late[work.key] += 1
-        self._lost_on[work.key].add(_machine_of(name))
+        self._do_again(piece)
+
+    def _do_again(self, piece: _Piece) -> None:
         with self._lock:
-            self._left.appendleft(work)
+            self._left.appendleft(piece)
 
 
 def _machine_of(worker: str) -> str:

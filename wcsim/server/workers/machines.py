@@ -14,6 +14,7 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from multiprocessing import get_context
+from os import getpid
 from pathlib import Path
 from time import sleep
 from typing import Any, Final, Protocol
@@ -37,7 +38,6 @@ class Parcel:
     folder: Path
     names: tuple[str, ...]  # of files in it
     inner: str = ""  # what the address means in it: "" is the folder
-    kept: bool = False  # it is wanted again, as a town is: a machine keeps it in its cache, by its hash
 
 
 Needs = Callable[[Any], tuple[Parcel, ...]]
@@ -107,6 +107,21 @@ def work_folder() -> Iterator[Path]:
             tempfile.tempdir = before
 
 
+class OneProcess(ProcessPoolExecutor):
+    """A process, started at once, that is there until this one ends, however that comes about."""
+
+    def __init__(self) -> None:
+        # A process that waits for work would not notice that nobody is left to give it any.
+        super().__init__(1, mp_context=get_context("spawn"), initializer=die_with_parent, initargs=(signal.SIGKILL,))
+        with unheard_by_children():
+            self.submit(getpid)
+
+    def kill(self) -> None:
+        """Kill the process; who waits for what it is at hears a BrokenProcessPool."""
+        for process in list((self._processes or {}).values()):
+            process.kill()
+
+
 class _ProcessWorkers:
     """So many processes, each started when it first has something to do.
 
@@ -116,7 +131,7 @@ class _ProcessWorkers:
 
     def __init__(self, count: int) -> None:
         self._names = tuple(f"process {number + 1}" for number in range(count))
-        self._pools: dict[str, ProcessPoolExecutor] = {}
+        self._pools: dict[str, OneProcess] = {}
         self._under_way: dict[Future[bytes], tuple[str, str]] = {}
 
     def names(self) -> tuple[str, ...]:
@@ -125,12 +140,11 @@ class _ProcessWorkers:
 
     def begin(self, worker: str, work: Work) -> None:
         """Give a piece to a process."""
-        with unheard_by_children():
-            try:
-                future = self._pool(worker).submit(_do, work)
-            except BrokenProcessPool:  # it died while it had nothing to do
-                self._drop(worker)
-                future = self._pool(worker).submit(_do, work)
+        try:
+            future = self._pool(worker).submit(_do, work)
+        except BrokenProcessPool:  # it died while it had nothing to do
+            self._drop(worker)
+            future = self._pool(worker).submit(_do, work)
         self._under_way[future] = worker, work.key
 
     def ended(self, timeout_s: float) -> list[WorkEnd]:
@@ -143,9 +157,8 @@ class _ProcessWorkers:
 
     def stop(self, worker: str) -> None:
         """Kill a process."""
-        pool = self._pools.get(worker)
-        for process in list((pool._processes or {}).values()) if pool is not None else ():
-            process.kill()
+        if worker in self._pools:
+            self._pools[worker].kill()
 
     def close(self) -> None:
         """Kill all of them."""
@@ -154,12 +167,9 @@ class _ProcessWorkers:
             self._drop(worker)
         self._under_way.clear()
 
-    def _pool(self, worker: str) -> ProcessPoolExecutor:
+    def _pool(self, worker: str) -> OneProcess:
         if worker not in self._pools:
-            # A process that waits for work would not notice that nobody is left to give it any.
-            self._pools[worker] = ProcessPoolExecutor(
-                1, mp_context=get_context("spawn"), initializer=die_with_parent, initargs=(signal.SIGKILL,)
-            )
+            self._pools[worker] = OneProcess()
         return self._pools[worker]
 
     def _drop(self, worker: str) -> None:

@@ -6,16 +6,29 @@ import os
 import socket
 import subprocess
 import sys
-from dataclasses import replace
+import time
+from contextlib import closing
+from pathlib import Path
+from typing import Any
 
 import pytest
 
+from tests.support.cluster.ray_nodes import quiet_environment
+from tests.support.cluster.workpieces import (
+    always_die,
+    answer_with_text,
+    echo,
+    itself,
+    take_in_a_bomb,
+)
 from wcsim.cli.main import main
 from wcsim.cli.shared.common import machines_of
 from wcsim.config import resolve
 from wcsim.errors import ConfigError
-from wcsim.server.workers import cluster_link, ray_workers
-from wcsim.server.workers.cluster_link import LinkSpec, _facts_here, _facts_of, _notes_on, _why_refused
+from wcsim.server.workers import ray_workers
+from wcsim.server.workers.cluster_node import MOST_BYTES, facts_here, notes_on, why_refused
+from wcsim.server.workers.machines import Parcel, Work, WorkEnd
+from wcsim.server.workers.ray_workers import RayWorkers, _LinkSpec
 
 
 @pytest.mark.parametrize("address", ["ray://10.0.0.1:10001", "auto", "10.0.0.1", "10.0.0.1:0", "10.0.0.1:70000", "-"])
@@ -77,27 +90,27 @@ def test_what_lies_on_this_machine_alone_is_refused():
 
 
 def test_a_node_of_another_version_or_code_is_refused_and_a_small_one_is_not():
-    here = _facts_here()
-    assert _why_refused(here, here) == ""
-    assert "code 0000" in _why_refused(replace(here, code="0000"), here)
-    other = tuple((name, "9.9" if name == "libsumo" else version) for name, version in here.versions)
-    assert "libsumo 9.9" in _why_refused(replace(here, versions=other), here)
-    bare = tuple((name, "" if name == "onnxruntime" else version) for name, version in here.versions)
-    if dict(here.versions)["onnxruntime"]:
-        assert "onnxruntime none" in _why_refused(replace(here, versions=bare), here)
-    assert _why_refused(here, replace(here, versions=bare)) == "", "nobody needs it who has it not here"
-    assert "wcsim 9.9" in _why_refused(replace(here, versions=tuple((n, "9.9") for n, _ in here.versions)), here)
-    assert "Python 3.12.1" in _why_refused(replace(here, python="3.12.1"), here)
-    small = _notes_on(replace(here, shm_bytes=64 << 20, cpu="another"), here)
+    here = facts_here()
+    assert why_refused(here, here) == ""
+    assert "code 0000" in why_refused(here | {"code": "0000"}, here)
+    assert "libsumo 9.9" in why_refused(here | {"libsumo": "9.9"}, here)
+    bare = here | {"onnxruntime": ""}
+    if here["onnxruntime"]:
+        assert "onnxruntime none" in why_refused(bare, here)
+    assert why_refused(here, bare) == "", "nobody needs it who has it not here"
+    assert "wcsim 9.9" in why_refused(here | {"wcsim": "9.9"}, here)
+    assert "wcsim None" in why_refused({"host": "old"}, here)
+    assert "Python 3.99" in why_refused(here | {"Python": "3.99"}, here)
+    small = notes_on(here | {"shm_mib": "64", "cpu": "another"}, here)
     assert "64 MiB" in small[0] and "--shm-size=1g" in small[0] and "another" in small[1]
-    with pytest.raises(ConfigError, match="another version"):
-        _facts_of({"host": "old"})
-    with pytest.raises(ConfigError, match="cannot be loaded"):
-        _facts_of("wcsim cannot be loaded there")
 
 
 class _Ray:
     __version__ = "2.60.0"
+
+    @staticmethod
+    def remote(**_: int) -> Any:
+        return lambda call: call
 
 
 @pytest.mark.parametrize(
@@ -117,20 +130,18 @@ class _Ray:
 def test_what_ray_says_against_it_becomes_one_line(error, told, tmp_path):
     import re
 
-    spec = LinkSpec(address="10.0.0.1:6379", count=1, log=tmp_path / "ray.log")
-    text = cluster_link._told(spec, error, _Ray)
+    spec = _LinkSpec(address="10.0.0.1:6379", count=1, log=tmp_path / "ray.log")
+    text = ray_workers._told(spec, error, _Ray)
     assert re.search(told, text) and "\n" not in text and "abc" not in text
 
 
 def test_a_token_that_was_asked_for_is_found_in_what_ray_wrote_for_this_try_alone(tmp_path):
-    spec = LinkSpec(address="10.0.0.1:6379", count=1, log=tmp_path / "ray.log")
-    assert cluster_link._logged(spec.log, 0) == ""
+    spec = _LinkSpec(address="10.0.0.1:6379", count=1, log=tmp_path / "ray.log")
+    assert ray_workers._logged(spec.log, 0) == ""
     spec.log.write_text("W 1 Unauthenticated: RPC error: InvalidAuthToken: Authentication token is missing\n")
     before, error = spec.log.stat().st_size, ConnectionError("Failed to connect to Ray cluster")
-    assert "~/.ray/auth_token" in cluster_link._told(spec, error, _Ray, cluster_link._logged(spec.log, 0))
-    assert "cannot join (ConnectionError" in cluster_link._told(
-        spec, error, _Ray, cluster_link._logged(spec.log, before)
-    )
+    assert "~/.ray/auth_token" in ray_workers._told(spec, error, _Ray, ray_workers._logged(spec.log, 0))
+    assert "cannot join (ConnectionError" in ray_workers._told(spec, error, _Ray, ray_workers._logged(spec.log, before))
 
 
 def test_help_and_refusals_load_no_ray():
@@ -154,11 +165,53 @@ def test_who_has_a_token_shows_it_and_a_word_of_the_users_own_stays(tmp_path, mo
         token.write_text("abc")
     elif place:
         monkeypatch.setenv(place, str(token))
-    spec = LinkSpec(address="10.0.0.1:6379", count=0, log=tmp_path / "log")
-    for name in ("RAY_USAGE_STATS_ENABLED", *cluster_link._PATIENCE):  # what is set beside is taken back at the end
+    spec = _LinkSpec(address="10.0.0.1:6379", count=0, log=tmp_path / "log")
+    for name in ("RAY_USAGE_STATS_ENABLED", *ray_workers._PATIENCE):  # what is set beside is taken back at the end
         monkeypatch.setenv(name, "1")
-    cluster_link._prepare(spec)
+    ray_workers._prepare(spec)
     assert os.environ.get("RAY_AUTH_MODE") == ("token" if place else None)
     monkeypatch.setenv("RAY_AUTH_MODE", "disabled")
-    cluster_link._prepare(spec)
+    ray_workers._prepare(spec)
     assert os.environ["RAY_AUTH_MODE"] == "disabled"
+
+
+@pytest.mark.proof
+def test_what_is_malformed_ends_in_a_line_on_live_ray_and_the_next_piece_is_done(tmp_path, monkeypatch, capfd):
+    pytest.importorskip("ray", reason="Ray is not installed: pip install 'wcsim[cluster]'")
+    for name, value in quiet_environment().items():
+        monkeypatch.setenv(name, value)
+    folder, found = tmp_path / "parcel", {}
+    folder.mkdir()
+    (folder / "large").touch()
+    os.truncate(folder / "large", MOST_BYTES + 1)
+    needed = [Parcel(address="p", folder=folder, names=(name,)) for name in ("../cluster/ray.log", "large", "none")]
+    works = [Work(key=one.names[0], call=echo, piece=one, needs=itself) for one in needed]
+    calls = (answer_with_text, take_in_a_bomb, always_die, echo)
+    works += [Work(key=call.__name__, call=call, piece="x") for call in calls]
+    with closing(RayWorkers("local", 1, tmp_path / "cluster", lambda told: None, join_s=300.0)) as workers:
+        for work in works:
+            workers.begin(workers.names()[0], work)
+            until_s = time.monotonic() + 300.0
+            while work.key not in found and time.monotonic() < until_s:
+                found |= {end.key: end for end in workers.ended(0.2)}
+    for key, told in (
+        ("../cluster/ray.log", "expected a name below its folder"),
+        ("large", "expected at most"),
+        ("none", "No such file"),
+        ("answer_with_text", "no result"),
+        ("take_in_a_bomb", f"more than {MOST_BYTES} bytes"),
+    ):
+        assert told in str(found[key].error)
+    assert found["always_die"].lost and found["always_die"].counts and found["echo"].data == b"x"
+    assert capfd.readouterr() == ("", ""), "Ray's words are in its log"
+
+
+def test_an_answer_that_is_no_result_is_an_error_of_its_piece(monkeypatch):
+    monkeypatch.setattr(ray_workers, "MOST_BYTES", 3)
+    link = ray_workers._Link(_LinkSpec(address="10.0.0.1:6379", count=1, log=Path()), _Ray)
+    begun = ray_workers._Begun(worker="a/1", node="n", key="k", since_s=0.0)
+    for answer in (None, *(WorkEnd(worker="a/1", key="k", data=data) for data in ("x", b"long", b"ok"))):
+        link._take_back(begun, answer)
+    *errors, well = link._news.ended
+    assert well.data == b"ok" and len(errors) == 3
+    assert all("k: a/1 has answered with" in str(end.error) for end in errors)
