@@ -183,7 +183,10 @@ def _calls(text: str, is_one: Callable[[str], bool]) -> bool:
 
 @cache
 def _called(text: str) -> frozenset[str]:
+    """Names of what a text calls, itself or by a class of its own."""
     nodes = [node.func for node in _nodes(text) if isinstance(node, ast.Call)]
+    bases = [base for node in _nodes(text) if isinstance(node, ast.ClassDef) for base in node.bases]
+    nodes += [base.value if isinstance(base, ast.Subscript) else base for base in bases]
     return frozenset(ast.unparse(node) for node in nodes if isinstance(node, ast.Attribute | ast.Name))
 
 
