@@ -14,7 +14,8 @@ import libsumo
 import numpy as np
 
 from benchmarks.tick.naive import NaiveLoop
-from wcsim.bridge.sumo.open_scenario import RunPlace, open_scenario
+from wcsim.bridge.sumo.open_scenario import open_scenario
+from wcsim.bridge.sumo.run_place import RunPlace
 from wcsim.bridge.sumo.session import sumo_seed, warmup_s
 from wcsim.config import RunConfig
 from wcsim.towns.scenario.overrides import Settings, forced

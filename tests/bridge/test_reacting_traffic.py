@@ -10,7 +10,7 @@ import pytest
 from tests.support.worlds import follow, open_world
 from wcsim.bridge.epoch import ReactingTraffic
 from wcsim.bridge.reaction.attention import AttentionModel
-from wcsim.bridge.sumo.open_scenario import RunPlace
+from wcsim.bridge.sumo.run_place import RunPlace
 from wcsim.bridge.sumo.session import SumoSession, open_session, warm_up, warmup_s
 from wcsim.core import seeding
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from wcsim.bridge.sumo.open_scenario import RunPlace
+from wcsim.bridge.sumo.run_place import RunPlace
 from wcsim.bridge.sumo.session import open_session, refuse_second_world, warm_up, warmup_s
 from wcsim.bridge.world import World
 from wcsim.bridge.world_rollout import RolloutStep, rollout

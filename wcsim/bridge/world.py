@@ -21,7 +21,7 @@ from wcsim.bridge.ego.ego import XY, Ego, EgoSlots
 from wcsim.bridge.epoch import Epoch
 from wcsim.bridge.stage_timer import Stopwatch
 from wcsim.bridge.sumo.actors import moved
-from wcsim.bridge.sumo.open_scenario import RunPlace
+from wcsim.bridge.sumo.run_place import RunPlace
 from wcsim.bridge.sumo.session import open_session, refuse_second_world, sumo_seed, warm_up, warmup_s
 from wcsim.config import RunConfig
 from wcsim.core.closing import Closing

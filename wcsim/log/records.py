@@ -26,7 +26,7 @@ _LARGEST: Final = 1e9
 _ON_STICK: Final = 1.0 + 1e-6  # of an axis, with what rounding adds
 _STATE_BYTES: Final = 32 << 20  # names, bodies and numbers of some 100,000 actors
 _NO_XML: Final = r"\x00-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\ufffe\uffff"  # and what turns a line round
-_CONTENT: Final = 2  # version of what the digest is over
+_CONTENT: Final = 1  # version of what the digest is over
 _FIRST: Final = (b'{"magic":"wcsim-', b'{"magic": "wcsim-')  # of a header, and of those of older formats
 
 LogKind = Literal["journal", "trace", "drive", "ledger"]
@@ -69,6 +69,7 @@ class Header(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_
     tick_s: Annotated[float, Meta(ge=1e-3, le=10.0)]
     fingerprint: Document
     hook: Document = ""  # the user's own step hook, module:Class
+    recovery: Document = "new_epoch"  # of older logs, golden traces among them
     origin_m: tuple[Number, Number] = (0.0, 0.0)  # W's origin in the town's net coordinates
     origin_z_m: Number = 0.0
     chair_box_m: tuple[Number, Number] | None = None  # length of a wheelchair, and its middle ahead of the drive axle
@@ -103,6 +104,7 @@ class Admitted(_Record, frozen=True, kw_only=True, tag="a"):
     seat: Seat
     spec: SeatSpec
     name: Document = ""
+    claim: Document = ""  # of older logs
 
 
 class Dismissed(_Record, frozen=True, kw_only=True, tag="d"):
@@ -318,7 +320,7 @@ def begins_log(payload: bytes) -> bool:
 
 def header_content(header: Header) -> bytes:
     """What two equal runs have in common, for the digest: neither names, nor places, nor this machine's versions."""
-    same = ("town_sha256", "config", "seed", "seats", "tick_s", "hook")
+    same = ("town_sha256", "config", "seed", "seats", "tick_s", "hook", "recovery")
     return msgspec.json.encode({"version": _CONTENT, **{name: getattr(header, name) for name in same}})
 
 
@@ -328,9 +330,9 @@ def record_bytes(record: LogRecord) -> bytes:
 
 
 def told_apart(record: LogRecord) -> LogRecord:
-    """A record without what may differ between equal runs: names, reasons."""
+    """A record without what may differ between equal runs: names, reasons, claims."""
     if isinstance(record, Admitted):
-        return changed(record, name="")
+        return changed(record, name="", claim="")
     return changed(record, reason="") if isinstance(record, Dismissed | Ended) else record
 
 

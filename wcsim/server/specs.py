@@ -12,7 +12,7 @@ from typing import TypeVar
 
 import msgspec
 
-from wcsim.bridge.sumo.open_scenario import RunPlace
+from wcsim.bridge.sumo.run_place import RunPlace
 from wcsim.config import EnvConfig, RunConfig
 from wcsim.core.reading import FileKind, read_bytes
 from wcsim.errors import ConfigError, WcsimError

@@ -8,7 +8,7 @@ import pytest
 
 from tests.bridge.neutrality.neutral import same
 from tests.support.worlds import quick_config
-from wcsim.bridge.sumo.open_scenario import RunPlace
+from wcsim.bridge.sumo.run_place import RunPlace
 from wcsim.bridge.world import World
 from wcsim.core import seeding
 from wcsim.towns.scenario.town import Town, find_town

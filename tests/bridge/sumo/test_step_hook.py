@@ -13,7 +13,7 @@ from tests.bridge.sumo.test_session import options
 from tests.server.servers import alone
 from tests.support.lit_road import CROSSING_LINKS, lit_road
 from tests.support.worlds import follow, quick_config
-from wcsim.bridge.sumo.open_scenario import RunPlace
+from wcsim.bridge.sumo.run_place import RunPlace
 from wcsim.bridge.sumo.session import SumoSession, world_in_this_process
 from wcsim.bridge.sumo.step_hook import HookChair
 from wcsim.bridge.world import World

@@ -151,7 +151,7 @@ def run_case(case: Case, base: Path, work: Path) -> tuple[str, str]:
 def _drive(theirs: Path, run: Path, number: int) -> None:
     """What a user does with somebody's scenario: look at it, then drive in it."""
     from tests.support.worlds import follow, quick_config
-    from wcsim.bridge.sumo.open_scenario import RunPlace
+    from wcsim.bridge.sumo.run_place import RunPlace
     from wcsim.bridge.world import World
     from wcsim.towns.checks.check import check_town
     from wcsim.towns.importing.adopt import adopt_scenario

@@ -11,7 +11,7 @@ import pytest
 
 from tests.support.worlds import quick_config
 from tests.towns.made import hostile
-from wcsim.bridge.sumo.open_scenario import RunPlace
+from wcsim.bridge.sumo.run_place import RunPlace
 from wcsim.bridge.world import World
 from wcsim.cli.main import main
 from wcsim.errors import TownError

@@ -18,7 +18,7 @@ from typing import Final
 import numpy as np
 
 from wcsim.bridge.replay.player import LogPlayer, MakesEpoch
-from wcsim.bridge.sumo.open_scenario import RunPlace
+from wcsim.bridge.sumo.run_place import RunPlace
 from wcsim.bridge.world import World
 from wcsim.config import RunConfig, parse_json
 from wcsim.core.constants import RECORDED

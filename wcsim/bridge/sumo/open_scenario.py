@@ -11,11 +11,12 @@ import os
 import sys
 import tempfile
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 from xml.etree import ElementTree
 
+from wcsim.bridge.sumo.run_place import RunPlace
 from wcsim.errors import SumoError, TownError
 from wcsim.towns.cache.folder import cache_folder, write_verdict
 from wcsim.towns.scenario.overrides import Settings
@@ -31,15 +32,6 @@ _BEGUN_ANEW = "begun anew"  # what the child says when its first time is over
 _LIMITS = Limits(wall_s=50.0, cpu_s=50, memory_bytes=16 << 30, file_bytes=1 << 30)
 _SEARCH_LIMITS = Limits(wall_s=10.0, cpu_s=10, memory_bytes=16 << 30, file_bytes=1 << 30)
 _LISTS = ("additional-files", "route-files")  # in the order in which SUMO reads them
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RunPlace:
-    """Where the outputs of a world go, and what else its user asks of SUMO."""
-
-    folder: Path | None = None  # a run folder; without one everything SUMO writes goes when the world closes
-    outputs: tuple[str, ...] = ()  # more outputs than the scenario's own: "fcd", "tripinfo", ...
-    hook: str = ""  # a user's own module:Class, see `bridge/sumo/step_hook.py`
 
 
 def open_scenario(town: Town, settings: Settings, place: RunPlace, held: ExitStack) -> Scenario:

@@ -20,7 +20,8 @@ from typing import Any
 import numpy as np
 
 from wcsim.bridge.sumo.actors import ActorReader, SignalReader
-from wcsim.bridge.sumo.open_scenario import RunPlace, open_scenario
+from wcsim.bridge.sumo.open_scenario import open_scenario
+from wcsim.bridge.sumo.run_place import RunPlace
 from wcsim.bridge.sumo.signal_control import SignalControl
 from wcsim.bridge.sumo.step_hook import HookChair, StepHook
 from wcsim.bridge.sumo.vehicle_control import VehicleControl

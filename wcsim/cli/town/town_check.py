@@ -95,7 +95,8 @@ def try_town(town: Town) -> None:
 
     Raises TownError with SUMO's own words when it cannot.
     """
-    from wcsim.bridge.sumo.open_scenario import RunPlace, open_scenario  # not what --help has to wait for
+    from wcsim.bridge.sumo.open_scenario import open_scenario  # not what --help has to wait for
+    from wcsim.bridge.sumo.run_place import RunPlace
 
     with ExitStack() as held:
         open_scenario(town, Settings(world=resolve("quick").world, seed=1), RunPlace(), held)

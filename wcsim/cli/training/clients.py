@@ -211,7 +211,7 @@ def train_clients(
 
             again = RestartRules() if restarts is None else restarts
             rules = LaunchRules(client_lease_s=max(30.0, options.lease), client=again, world=again)
-            launcher = Launcher(world, plans, folder.path, rules, show, signals)
+            launcher = Launcher(world, plans, folder.path, rules, show, signals=signals)
             outcome = launcher.run() if left else ALL_DONE
         code = _told(run, folder, options.json, outcome, (rate, paid.times))
     if signals.count and not run.last:  # one that came when nothing ran any more, and what is to follow has not begun

@@ -24,7 +24,7 @@ from wcsim.agents.evaluation.suite.records import (
 )
 from wcsim.agents.opening.list_file import BlockPlace, seat_of
 from wcsim.agents.policy_api import Observation, Policy, Warns
-from wcsim.bridge.sumo.open_scenario import RunPlace
+from wcsim.bridge.sumo.run_place import RunPlace
 from wcsim.bridge.world import World
 from wcsim.bridge.world_rollout import rollout
 from wcsim.config import RunConfig, resolve
