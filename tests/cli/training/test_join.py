@@ -14,8 +14,10 @@ from wcsim.agents.clients.client import opened
 from wcsim.agents.clients.group_run import RECONNECT_S
 from wcsim.cli.training import join
 from wcsim.config import RunConfig
+from wcsim.core.files import locked
 from wcsim.errors import ConfigError, PolicyError, ServerGoneError
-from wcsim.server.protocol.client_core import Patience
+from wcsim.server.links.socket import SocketSeat
+from wcsim.server.protocol.client_core import ClientPhase, Patience
 from wcsim.server.specs import ClientSpec, RunInfo, SeatRequest
 
 WORDS = ("--network", "patch", "--steps", "20")
@@ -96,3 +98,22 @@ def test_a_folder_of_something_else_is_refused_before_a_life_could_remove_it(tmp
     with pytest.raises(PolicyError, match=str(tmp_path)):
         join.run([f"ipc://{tmp_path}/nobody", "--network", "patch", "--out", str(tmp_path), "--supervise", *more])
     assert (tmp_path / "thesis.txt").exists()
+
+
+def test_a_run_that_somebody_looks_after_is_not_looked_after_twice(tmp_path):
+    words = ["--network", "patch", "--out", str(tmp_path / "run"), "--supervise"]
+    (tmp_path / "run.supervised").mkdir()
+    with locked(tmp_path / "run.supervised"), pytest.raises(PolicyError, match="in use by another process"):
+        join.run([f"ipc://{tmp_path}/nobody", *words])
+
+
+def test_a_client_that_is_refused_once_it_has_a_seat_gives_it_back(tmp_path, monkeypatch):
+    closed, close = [], SocketSeat.close
+    monkeypatch.setattr(SocketSeat, "close", lambda seat: (closed.append(seat.core.phase), close(seat)))
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "thesis.txt").touch()
+    with Server(stand_in_order(tmp_path), tmp_path) as server:
+        server.status()
+        with pytest.raises(PolicyError, match="not empty"):
+            join.run([server.order.endpoint, *WORDS, "--out", str(tmp_path / "run")])
+    assert len(closed) == 1 and closed[0] is not ClientPhase.JOINING

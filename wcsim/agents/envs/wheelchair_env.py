@@ -136,7 +136,7 @@ class WheelchairEnv(gymnasium.Env[Observation, np.int64]):
 
     def close(self) -> None:
         """Leave the world; a second call does nothing."""
-        held = self._own or self._link
+        held = self._own or self._held
         self._own = self._link = self._chair.now = None
         if held is not None:
             held.close()

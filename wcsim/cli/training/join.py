@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import secrets
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path
@@ -11,15 +12,16 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from wcsim.agents.clients.group_run import CLIENT_ARGV
+from wcsim.agents.clients.group_run import CLIENT_ARGV, has_work
 from wcsim.agents.networks.names import check_network, client_name
-from wcsim.agents.runs.run_folder import MANIFEST, ResolvedRun, open_run, require_new
+from wcsim.agents.runs.run_folder import ResolvedRun, open_run, require_new
 from wcsim.cli.shared.common import Bounds, Flag, OutFolder, check_folder, parse
 from wcsim.cli.shared.consoles import StageBar
 from wcsim.cli.shared.exit_codes import Exit, NothingKept
 from wcsim.cli.shared.run_config import how_it_learns, how_to_test, require_user
 from wcsim.cli.training.train import LearnerOptions, gone_if_nothing_came_of_it, q_layers, steps_shown
 from wcsim.config import RunConfig, resolve
+from wcsim.core.files import locked
 from wcsim.errors import ConfigError, InterruptedRunError, ServerGoneError
 from wcsim.server.launch.launcher import Launcher
 from wcsim.server.launch.states import ClientPlan
@@ -57,7 +59,7 @@ class _Options(LearnerOptions):
     resume: bool = False
     """Continue an interrupted run from its newest checkpoint."""
     supervise: Flag = False
-    """Start it again from its newest checkpoint when it died or lost its world, at most five times without progress."""
+    """Start it again from its newest checkpoint when it died (five times without progress) or lost its world (20)."""
 
 
 def run(words: list[str]) -> int:
@@ -107,17 +109,29 @@ def _supervised(order: ClientSpec, resume: bool) -> None:
         InterruptedRunError: The user stopped it.
         NothingKept: ... before anything was learned.
         ConfigError: Something that was asked for cannot be used.
-        PolicyError: There is no run to go on with, or the folder of a new one is not empty.
+        PolicyError: There is no run to go on with, the folder of a new one is not empty, or somebody else has it.
         ServerGoneError: It has died, or lost its world, too often.
     """
-    out, name = Path(order.out), order.join.name
+    out = Path(order.out).absolute()
     beside = out.with_name(f"{out.name}.supervised")
-    # A later life removes a folder without a run and begins again: never one of somebody else.
-    if resume:
-        open_run(out)
-    else:
-        require_new(out)
-    with workplace() as place, gone_if_nothing_came_of_it(out), LiveTable() as table:
+    beside.mkdir(parents=True, exist_ok=True)
+    try:
+        with locked(beside):
+            # A later life removes a folder without a run and begins again: never one of somebody else.
+            if resume:
+                open_run(out)
+            else:
+                require_new(out)
+            with gone_if_nothing_came_of_it(out):
+                _launched(replace(order, out=str(out)), resume, beside)
+    finally:
+        with suppress(OSError):  # it stays where something was logged
+            beside.rmdir()
+
+
+def _launched(order: ClientSpec, resume: bool, beside: Path) -> None:
+    out, name = order.out, order.join.name
+    with workplace() as place, LiveTable() as table:
         file = place / f"{name}.json"
         plan = ClientPlan(
             name=name,
@@ -125,21 +139,20 @@ def _supervised(order: ClientSpec, resume: bool) -> None:
             argv=(*CLIENT_ARGV, str(file)),
             log=beside / f"{name}.log",
             resume=resume,
-            order=to_line(replace(order, out=str(out.absolute()))),
+            order=to_line(order),
             order_file=file,
         )
-        beside.mkdir(parents=True, exist_ok=True)
         outcome = Launcher(None, (plan,), beside, show=table.show).run()
-        if outcome.code == Exit.REFUSED:
-            raise ConfigError(outcome.message)
-        if outcome.code:
-            raise ServerGoneError(outcome.message)
-        if outcome.stopped and not (out / MANIFEST).is_file():
-            raise NothingKept("stopped before anything was learned; nothing is saved")
-        if outcome.stopped:
-            lost = outcome.clients[0].unsaved
-            told = f"stopped, but it {lost}: the training since its last checkpoint is lost" if lost else "stopped"
-            raise InterruptedRunError(f"{told}; {out} holds the rest; the same command with --resume goes on")
+    if outcome.code == Exit.REFUSED:
+        raise ConfigError(outcome.message)
+    if outcome.code:
+        raise ServerGoneError(outcome.message)
+    if outcome.stopped and not has_work(Path(out)):
+        raise NothingKept("stopped before anything was learned; nothing is saved")
+    if outcome.stopped:
+        lost = outcome.clients[0].unsaved
+        told = f"stopped, but it {lost}: the training since its last checkpoint is lost" if lost else "stopped"
+        raise InterruptedRunError(f"{told}; {out} holds the rest; the same command with --resume goes on")
 
 
 def _request(options: _Options, config: RunConfig) -> SeatRequest:

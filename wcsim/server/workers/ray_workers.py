@@ -140,10 +140,12 @@ class RayWorkers:
 
     def close(self) -> None:
         """Leave the cluster; one that was made here ends."""
-        with suppress(BrokenProcessPool):
-            wait((self._link.submit(_leave),), _CLOSE_S if self._names else _GIVE_UP_S)
-        self._link.kill()
-        self._link.shutdown()
+        try:
+            with suppress(BrokenProcessPool):
+                wait((self._link.submit(_leave),), _CLOSE_S if self._names else _GIVE_UP_S)
+        finally:  # Ctrl-C may come while it waits, and Ray may hang
+            self._link.kill()
+            self._link.shutdown()
 
     def _join(self, join_s: float) -> None:
         """Wait for the first node that may work."""
@@ -213,6 +215,8 @@ def _hear(spec: _LinkSpec, begun: list[tuple[str, Work, tuple[Parcel, ...]]], st
         return link.hear()
     except WcsimError:
         raise
+    except SystemExit:  # the run is gone: Ray's own handler of SIGTERM, while it joins; a pool's process would go on
+        os._exit(1)
     except Exception:
         traceback.print_exc()
         raise _lost(spec) from None  # what Ray raises is not to be unpickled by the run
