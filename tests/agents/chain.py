@@ -25,13 +25,20 @@ def tiny_view(class_id, depth=0):
     return {"seg": image, "depth": np.full_like(image, depth), **vectors}
 
 
-class Chain(gym.Env):
-    """Stick forward (y > 0) goes on and earns 1 at the end; anything else ends the episode with 0.3 at once."""
+class TinyTask(gym.Env):
+    """A task with the usual actions that is seen in tiny images."""
 
-    def __init__(self, limit=50):
+    def __init__(self):
         self.actions = action_set("square81")
         self.observation_space = tiny_space()
         self.action_space = gym.spaces.Discrete(len(self.actions))
+
+
+class Chain(TinyTask):
+    """Stick forward (y > 0) goes on and earns 1 at the end; anything else ends the episode with 0.3 at once."""
+
+    def __init__(self, limit=50):
+        super().__init__()
         self.limit = limit
 
     def _observe(self):

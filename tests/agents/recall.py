@@ -2,24 +2,17 @@
 
 from __future__ import annotations
 
-import gymnasium as gym
 import numpy as np
 
-from tests.agents.chain import tiny_space, tiny_view
-from wcsim.supervisor.actions import action_set
+from tests.agents.chain import TinyTask, tiny_view
 
 LENGTH = 4
 CUES = (24, 23)  # a person: left; sky: right
 BLANK = 8
 
 
-class Recall(gym.Env):
+class Recall(TinyTask):
     """A cue, blank images, then 1 for a stick to the cue's side and -1 for another; all episodes are LENGTH steps."""
-
-    def __init__(self):
-        self.actions = action_set("square81")
-        self.observation_space = tiny_space()
-        self.action_space = gym.spaces.Discrete(len(self.actions))
 
     def _observe(self):
         return tiny_view(CUES[self.cue] if self.step_count == 0 else BLANK, 40 * self.step_count)
@@ -50,13 +43,11 @@ class Clock(Recall):
         return self._observe(), (1.0 if right == last else -1.0) / LENGTH, last, False, {}
 
 
-class Biased(gym.Env):
+class Biased(TinyTask):
     """Left ends at once with 0. Right earns 0 and leads to a second state, where every action ends with N(-0.1, 1)."""
 
     def __init__(self, seed=0):
-        self.actions = action_set("square81")
-        self.observation_space = tiny_space()
-        self.action_space = gym.spaces.Discrete(len(self.actions))
+        super().__init__()
         self.noise = np.random.default_rng(seed)
         self.second = False
 

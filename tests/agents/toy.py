@@ -21,6 +21,7 @@ import numpy as np
 import torch
 from stable_baselines3.common.logger import configure
 
+from tests.support.samples import stacked
 from wcsim.agents.envs.episode_view import FrameWindow, windowed_space
 from wcsim.agents.learning.checkpoint import restoring
 from wcsim.agents.learning.seqdqn import SeqDQN
@@ -74,8 +75,7 @@ def same_from_here_on(wrote: SeqDQN, again: SeqDQN, updates: int = 5, batch: int
     """Whether the learner that wrote a checkpoint and one that was restored from it learn and explore alike."""
     space = wrote.observation_space
     space.seed(0)
-    seats = [space.sample() for _ in range(16)]
-    seen = {key: np.stack([seat[key] for seat in seats]) for key in seats[0]}
+    seen = stacked([space.sample() for _ in range(16)])
     chosen = []
     for each in (wrote, again):
         each.set_logger(configure(None, []))

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 import wcsim
+from tests.support.tracked import ROOT
 
-ROOT = Path(__file__).parents[2]
 PACKAGE = Path(wcsim.__file__).parent
 CONTRACTS = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["importlinter"]["contracts"]
 FORBIDDEN = [

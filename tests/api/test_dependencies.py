@@ -9,13 +9,11 @@ import tomllib
 from contextlib import suppress
 from functools import cache
 from importlib.metadata import PackageNotFoundError, metadata, packages_distributions
-from pathlib import Path
 
 from packaging.specifiers import SpecifierSet
 
-from tests.support.tracked import parsed
+from tests.support.tracked import ROOT, parsed
 
-ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 OWN = {"wcsim", "benchmarks", "tests", "tools", "examples"}
 STARTED = {"ruff", "mypy", "import-linter", "pytest", "pytest-timeout", "pytest-xdist", "build", "hatchling"}

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
-from tests.server.servers import AHEAD, Server, alone
+from tests.server.servers import Server, alone, far_order, frames_of
 from tests.support.journals import JournaledWorld
 from tests.support.worlds import follow, open_world, quick_config
 from wcsim.agents.envs.episode_view import Chair
@@ -21,21 +21,17 @@ from wcsim.server.links.base import WorldLink
 from wcsim.server.links.local import LocalGroup
 from wcsim.server.links.socket import SocketSeat
 from wcsim.server.protocol import messages as m
-from wcsim.server.protocol.events import Rules
-from wcsim.server.specs import SeatRequest, WorldOrder, WorldSpec
+from wcsim.server.specs import SeatRequest, WorldOrder
 from wcsim.types import SeatSpec
 
 ON = "sensors.odometry=typical"
 SPEC = SeatSpec(max_steps=8)
 
 
-def ridden(link: WorldLink, ticks: int = 12) -> list[bytes]:
-    frame = link.join()
-    frames = [m.encode(m.Frame(0, frame.tick, 0, frame))]
-    for _ in range(ticks):
-        frame = link.act(frame.tick, AHEAD)
-        frames.append(m.encode(m.Frame(0, frame.tick, 0, frame)))
-    assert [reading.name for reading in frame.sensors.readings] == ["odometry"]
+def ridden(link: WorldLink) -> list[bytes]:
+    frames = frames_of(link, 12)
+    last = m.decode_reply(frames[-1])
+    assert isinstance(last, m.Frame) and [reading.name for reading in last.client.sensors.readings] == ["odometry"]
     return frames
 
 
@@ -131,15 +127,7 @@ def test_a_served_world_says_the_same_to_the_bit(corner, tmp_path):
     config = quick_config(ON)
     with alone(LocalGroup(WorldOrder(town=str(corner), config=config, seat=SPEC, seed=4))) as link:
         here = ridden(link)
-    world = WorldSpec(
-        town=str(corner),
-        config=config,
-        seed=4,
-        rules=Rules(capacity=1),
-        endpoint=f"ipc://{tmp_path}/s/world",
-        ring=str(tmp_path / "ring"),
-        listen="tcp://127.0.0.1:*",
-    )
+    world = far_order(tmp_path, corner, config=config, seed=4)
     with Server(world, tmp_path) as server:
         far = SeatRequest(endpoint=server.status().listening, name="far", claim="x", spec=SPEC)
         with SocketSeat(far) as seat:

@@ -15,9 +15,8 @@ import networkx
 import pytest
 
 import wcsim
-from tests.support.tracked import parsed, tracked
+from tests.support.tracked import ROOT, parsed, tracked
 
-ROOT = Path(__file__).parents[2]
 SOURCES = (*tracked("wcsim", ".py"), *tracked("benchmarks", ".py"))
 FORBIDDEN_CALLS = re.compile(r"\b(pickle|cloudpickle|torch\.load|yaml\.load|eval|exec)\s*[.(]")
 

@@ -18,6 +18,7 @@ import numpy as np
 import psutil
 
 from tests.attack.files.damage import flipped, pick
+from tests.support.tracked import ROOT
 from wcsim.agents.clients.group_run import open_clients_folder
 from wcsim.agents.clients.paid_times import PaidTimes
 from wcsim.cli.shared.exit_codes import Exit
@@ -26,7 +27,6 @@ from wcsim.errors import WcsimError
 from wcsim.log.reader import iter_inputs
 from wcsim.log.records import Ticked
 
-ROOT = Path(__file__).parents[2]
 QUICK = (
     *("--set", "world.warmup_s=0", "--set", "cameras.0.width_px=40", "--set", "cameras.0.height_px=36"),
     *("--set", "learn.batch_size=4", "--set", "learn.learning_starts=8", "--set", "learn.episode_steps=15"),

@@ -10,8 +10,8 @@ import pytest
 from benchmarks.__main__ import PROGRAM, SCRIPTS, main
 from tests.cli import conftest as cli
 from tests.cli.conftest import files_in
-from tests.cli.test_bad_input import refused
-from tests.cli.test_commands import fits, read
+from tests.cli.test_bad_input import joined, refused
+from tests.cli.test_commands import fits, read, well
 
 folder = cli.folder
 
@@ -51,7 +51,7 @@ OPTIONS = {
 }
 
 
-@pytest.mark.parametrize("words", OPTIONS, ids=lambda words: words.replace(" ", "_"))
+@pytest.mark.parametrize("words", OPTIONS, ids=joined)
 def test_wrong_options_are_refused_at_once(measure, folder, words):
     refused(measure(*words.split()), *OPTIONS[words])
     assert files_in(folder) == set()
@@ -73,8 +73,7 @@ def test_tick_gives_rate_and_shares(measure, folder, corner):
 def test_camera_gives_the_ratio(measure, folder, corner):
     words = ("--towns", corner, "--poses", "1", "--rounds", "1", "--actors", "5", "--json", "c.json")
     told = measure("camera", *words)
-    assert (told.code, told.err) == (0, "")
-    assert fits(told.out)
+    well(told)
     result = read("c.json")
     assert set(result) >= {"ms_median", "ratio_vs_tiny", "embree", "tiny", "rgb_extra_ms"}
     assert result["ratio_vs_tiny"] > 5.0

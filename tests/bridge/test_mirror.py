@@ -14,10 +14,15 @@ from wcsim.towns.scene_folders.build import find_scene
 from wcsim.types import ActorKind, ActorState
 
 
+def moved(old, new):
+    (move,) = moves({old.id: old}, (new,), dt_s=0.1)
+    return move
+
+
 def test_velocity_carries_the_old_pose_to_the_new_one():
     old = actor(x=3.0, y=1.0, yaw=3.0, speed=10.0)
     new = replace(old, p_W_m=np.array([2.0, 1.2, 0.0]), yaw_rad=-3.1)
-    (move,) = moves({old.id: old}, (new,), dt_s=0.1)
+    move = moved(old, new)
     assert np.allclose(move.actor.p_W_m + 0.1 * move.v_W_mps, new.p_W_m)
     assert move.yaw_rate_radps == pytest.approx((2 * math.pi - 6.1) / 0.1)
 
@@ -31,7 +36,7 @@ def test_a_newcomer_comes_from_where_its_speed_says():
 
 def test_a_teleported_actor_does_not_sweep_through_the_street():
     old, new = actor(x=0.0), actor(x=40.0)
-    (move,) = moves({old.id: old}, (new,), dt_s=0.1)
+    move = moved(old, new)
     assert np.allclose(move.actor.p_W_m, new.p_W_m)
     assert not move.v_W_mps.any()
 
@@ -40,24 +45,24 @@ def test_a_teleported_actor_does_not_sweep_through_the_street():
 def test_a_lane_change_in_one_tick_is_no_sweep_but_a_stumble_is(speed):
     old = actor(speed=speed)
     put_over = replace(old, p_W_m=np.array([0.1 * speed, 3.2, 0.0]))
-    assert not moves({old.id: old}, (put_over,), dt_s=0.1)[0].v_W_mps.any()
+    assert not moved(old, put_over).v_W_mps.any()
     aside = replace(old, p_W_m=np.array([0.1 * speed, 0.3, 0.0]))
-    assert moves({old.id: old}, (aside,), dt_s=0.1)[0].v_W_mps[1] == pytest.approx(3.0)
+    assert moved(old, aside).v_W_mps[1] == pytest.approx(3.0)
 
 
 def test_who_is_turned_on_the_spot_does_not_sweep_with_its_length():
     old, new = actor(yaw=0.0), actor(yaw=1.2)
-    (move,) = moves({old.id: old}, (new,), dt_s=0.1)
+    move = moved(old, new)
     assert move.yaw_rate_radps == 0.0 and move.actor.yaw_rad == 1.2
-    (turn,) = moves({old.id: old}, (actor(yaw=0.04),), dt_s=0.1)
+    turn = moved(old, actor(yaw=0.04))
     assert turn.yaw_rate_radps == pytest.approx(0.4) and turn.dt_s == 0.1
     person = replace(actor(yaw=0.04), kind=ActorKind.PEDESTRIAN)
-    assert moves({old.id: old}, (person,), dt_s=0.1)[0].yaw_rate_radps == 0.0
+    assert moved(old, person).yaw_rate_radps == 0.0
 
 
 def test_a_body_has_the_new_pitch_from_the_start_of_the_tick():
     old, new = actor(), replace(actor(), pitch_rad=0.05)
-    assert moves({old.id: old}, (new,), dt_s=0.1)[0].actor.pitch_rad == 0.05
+    assert moved(old, new).actor.pitch_rad == 0.05
 
 
 @pytest.mark.parametrize("tick_s", [0.02, 0.1, 0.3, 1.0])

@@ -13,6 +13,7 @@ import pytest
 import shapely
 
 from tests.support.worlds import follow, open_world
+from tests.towns.ground.rays import normals
 from tests.towns.made.nets import hilly
 from wcsim.bridge.mirror import on_ground
 from wcsim.bridge.world import World
@@ -52,7 +53,7 @@ def slope(corner: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def surface_m(mesh: StreetMesh, points_W_m: F64) -> F64:
     """Height (n,) of the mesh's lowest face under each point (n, 3), which is the ground."""
     corners = mesh.vertices_W_m[mesh.faces].astype(np.float64)
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal = normals(corners)
     flat = np.flatnonzero(normal[:, 2] > 1e-9)
     tree = shapely.STRtree(shapely.polygons(corners[flat][:, :, :2]))
     point, face = tree.query(shapely.points(points_W_m[:, :2]), predicate="intersects")

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,6 +13,7 @@ import pytest
 
 from tests.support.one_process import in_this_process
 from wcsim.cli.main import main
+from wcsim.cli.shared.exit_codes import Exit
 from wcsim.cli.town import town_check
 from wcsim.towns.importing import demand
 
@@ -39,6 +43,11 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.fixture
+def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+
+
+@pytest.fixture
 def wcsim(folder: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Iterator[Run]:
     """Run `wcsim WORDS` in this process, workers and all; capfd sees what native code writes too.
 
@@ -60,6 +69,25 @@ def runner(command: Callable[[list[str]], int], capfd: pytest.CaptureFixture[str
         return Result(code=code, out=out, err=err)
 
     return run
+
+
+def start(folder: Path, *words: object, program: str = "wcsim", columns: int = 100) -> subprocess.Popen[str]:
+    """A command in a process of its own."""
+    return subprocess.Popen(
+        [sys.executable, "-m", program, *(str(word) for word in words)],
+        cwd=folder,
+        env={**os.environ, "OMP_NUM_THREADS": "1", "COLUMNS": str(columns)},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def finished(child: subprocess.Popen[str], within_s: float = 280.0, code: int = Exit.DONE) -> tuple[str, str]:
+    """What a command wrote, once it has ended as it should."""
+    out, err = child.communicate(timeout=within_s)
+    assert child.returncode == code, err
+    return out, err
 
 
 def files_in(folder: Path) -> set[str]:

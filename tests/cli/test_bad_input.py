@@ -31,6 +31,10 @@ def refused(result: Result, *told: str) -> None:
         assert text in result.err, result.err
 
 
+def joined(words: str) -> str:
+    return words.replace(" ", "_")
+
+
 # --- options ---
 
 OPTIONS = {
@@ -142,7 +146,7 @@ OPTIONS = {
 }
 
 
-@pytest.mark.parametrize("words", OPTIONS, ids=lambda words: words.replace(" ", "_"))
+@pytest.mark.parametrize("words", OPTIONS, ids=joined)
 def test_wrong_options_are_refused_at_once(wcsim, folder, words):
     refused(wcsim(*words.split()), *OPTIONS[words])
     assert files_in(folder) == set()
@@ -160,7 +164,7 @@ REPLAYS = {
 }
 
 
-@pytest.mark.parametrize("words", REPLAYS, ids=lambda words: words.replace(" ", "_"))
+@pytest.mark.parametrize("words", REPLAYS, ids=joined)
 def test_wrong_options_for_runs_that_are_there_are_refused(wcsim, folder, words):
     for name in ("run", "a", "b"):
         Path(name).mkdir()

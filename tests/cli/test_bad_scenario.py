@@ -72,19 +72,24 @@ def test_a_net_without_crossings(wcsim, folder, theirs):
     assert wcsim("town", "run", theirs, *RUN).code == 0
 
 
+def refused_at_once(wcsim, folder, theirs, *told):
+    """By each command that reads a scenario."""
+    for words in (
+        ("check", theirs),
+        ("run", theirs, *RUN),
+        ("import", "--sumocfg", theirs / "a.sumocfg", "--name", "x"),
+    ):
+        refused(wcsim("town", *words), *told)
+    assert files_in(folder) == set()
+
+
 def test_a_net_that_was_never_projected(wcsim, folder, theirs):
     def degrees(match: re.Match[str]) -> str:
         places = [tuple(float(v) for v in part.split(",")[:2]) for part in match[1].split()]
         return ' shape="' + " ".join(f"{25 + x / 6e4:.7f},{60 + y / 1.1e5:.7f}" for x, y in places) + '"'
 
     change(theirs / "a.net.xml", r' shape="([^"]+)"', degrees)
-    for words in (
-        ("check", theirs),
-        ("run", theirs, *RUN),
-        ("import", "--sumocfg", theirs / "a.sumocfg", "--name", "x"),
-    ):
-        refused(wcsim("town", *words), "a.net.xml", "degrees", "with netconvert's option --proj.utm")
-    assert files_in(folder) == set()
+    refused_at_once(wcsim, folder, theirs, "a.net.xml", "degrees", "with netconvert's option --proj.utm")
 
 
 def test_nobody_in_the_street(wcsim, folder, theirs):
@@ -100,13 +105,7 @@ def test_nobody_in_the_street(wcsim, folder, theirs):
 
 def test_a_file_that_is_not_there(wcsim, folder, theirs):
     (theirs / "a.rou.xml").unlink()
-    for words in (
-        ("check", theirs),
-        ("run", theirs, *RUN),
-        ("import", "--sumocfg", theirs / "a.sumocfg", "--name", "x"),
-    ):
-        refused(wcsim("town", *words), "a.sumocfg", "names a file that does not exist", "a.rou.xml", "restore it")
-    assert files_in(folder) == set()
+    refused_at_once(wcsim, folder, theirs, "a.sumocfg", "names a file that does not exist", "a.rou.xml", "restore it")
 
 
 def test_polygons_of_another_town(wcsim, folder, theirs):
@@ -145,10 +144,4 @@ def test_archives_that_are_none_and_files_that_are_archives(wcsim, folder, their
 
 def test_a_scenario_that_kills_sumo(wcsim, folder, theirs):
     change(theirs / "a.net.xml", r"<connection [^>]*/>", "")
-    for words in (
-        ("check", theirs),
-        ("run", theirs, *RUN),
-        ("import", "--sumocfg", theirs / "a.sumocfg", "--name", "x"),
-    ):
-        refused(wcsim("town", *words), "a.net.xml", "SUMO cannot open this net", "netconvert")
-    assert files_in(folder) == set()
+    refused_at_once(wcsim, folder, theirs, "a.net.xml", "SUMO cannot open this net", "netconvert")

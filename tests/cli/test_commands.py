@@ -13,7 +13,7 @@ from typing import Any
 import cv2
 import pytest
 
-from tests.cli.conftest import QUICK, files_in
+from tests.cli.conftest import QUICK, Result, files_in
 from tests.cli.towns import TINY_BBOX, tiny_osm
 from wcsim.cli import doctor
 from wcsim.drive.pictures import StillPictures
@@ -28,13 +28,19 @@ COLUMNS = 80
 STAGES = ["reading", "building", "adding", "building", "checking", "testing", "testing"]  # an import's lines
 
 
-def read(path: str) -> Any:
+def read(path: str | Path) -> Any:
     """A JSON file; a NaN in it is a fault."""
 
     def refuse(constant: str) -> None:
         raise AssertionError(f"{constant} in {path}")
 
     return json.loads(Path(path).read_text(encoding="utf-8"), parse_constant=refuse)
+
+
+def well(told: Result) -> None:
+    """All went well and quietly, and the table can be read."""
+    assert (told.code, told.err) == (0, "")
+    assert fits(told.out)
 
 
 def fits(text: str) -> bool:
@@ -104,8 +110,7 @@ def test_an_imported_town_can_be_checked_seen_and_tested_in(wcsim, folder, tiny)
 
 def test_scene_list_says_what_each_shows(wcsim):
     told = wcsim("scene", "list")
-    assert (told.code, told.err) == (0, "")
-    assert fits(told.out)
+    well(told)
     assert {"kerb-drop", "pedestrian-crossing"} <= set(re.findall(r"│ ([\w-]+)", told.out))
 
 
@@ -172,8 +177,7 @@ HOW = ("low", "high", "method", "source", "ok", "note", "judged")
 
 def test_chair_check_gives_rows_beside_their_ranges(wcsim, folder):
     told = wcsim("chair", "check", "--rows", "mass,stopping_6", "--workers", "1", "--json", "chair.json")
-    assert (told.code, told.err) == (0, "")
-    assert fits(told.out)
+    well(told)
     plants = read("chair.json")["plants"]
     assert set(plants) == {"rwd", "mwd"}
     for plant in plants.values():
@@ -202,8 +206,7 @@ def test_chair_check_ends_with_1_when_a_row_is_red(wcsim, folder, monkeypatch):
 def test_chair_check_compares_rates(wcsim, folder):
     words = ("--plants", "rwd", "--rows", "mass", "--workers", "1", "--compare-hz", "120,240", "--json", "rates.json")
     told = wcsim("chair", "check", *words)
-    assert (told.code, told.err) == (0, "")
-    assert fits(told.out)
+    well(told)
     (row,) = read("rates.json")["plants"]["rwd"]["rows"]
     assert row["ok"] and row["change"] < 0.001 and len(row["values"]) == 2
 
@@ -282,8 +285,7 @@ def test_look_shows_no_chair_that_still_turns_towards_its_way(wcsim, folder, cor
 def test_doctor_finds_this_machine_well(wcsim, folder, corner, monkeypatch):
     monkeypatch.setattr(doctor, "TICK_SECONDS", 0.2)
     told = wcsim("doctor", "--town", corner, "--json", "d.json")
-    assert (told.code, told.err) == (0, "")
-    assert fits(told.out)
+    well(told)
     found = read("d.json")
     assert [*found] == ["python", "packages", "sumo", "threads", "shared memory", "tick rate", "cache"]
     assert not found["cache"]["says"].startswith("0 streets"), "that of the town is in it by now"

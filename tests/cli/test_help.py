@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import re
 import tomllib
-from pathlib import Path
 
 import pytest
 
+from tests.support.tracked import ROOT
 from wcsim.cli.main import SUBCOMMANDS
 
-ROOT = Path(__file__).parents[2]
 NESTED = {
     "town": ("import", "make", "list", "check", "pave", "run"),
     "scene": ("run", "list", "bless", "new", "make"),

@@ -3,33 +3,18 @@
 from __future__ import annotations
 
 import json
-import os
 import signal
-import subprocess
-import sys
 import time
-from pathlib import Path
 
 import pytest
 
+from tests.cli.conftest import finished, start
 from tests.cli.towns import TINY_BBOX, tiny_osm
 from wcsim.cli.shared.exit_codes import Exit
 
 
-def start(folder: Path, *words: object) -> subprocess.Popen[str]:
-    environment = {**os.environ, "OMP_NUM_THREADS": "1", "COLUMNS": "80"}
-    return subprocess.Popen(
-        [sys.executable, "-m", "wcsim", *(str(word) for word in words)],
-        cwd=folder,
-        env=environment,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-
-
 def test_a_video_comes_without_chatter_of_what_is_loaded_for_it(tmp_path, corner):
-    child = start(tmp_path, "video", corner, "--seconds", "0.3", "--width", "64", "--out", "x.webm")
+    child = start(tmp_path, "video", corner, "--seconds", "0.3", "--width", "64", "--out", "x.webm", columns=80)
     out, err = child.communicate(timeout=200)
     assert (child.returncode, err) == (0, "")
     assert out.startswith("x.webm")
@@ -38,7 +23,7 @@ def test_a_video_comes_without_chatter_of_what_is_loaded_for_it(tmp_path, corner
 
 @pytest.mark.parametrize("words", [("town", "list"), ("test", "--help")], ids=" ".join)
 def test_a_reader_that_leaves_early_hears_nothing(tmp_path, words):
-    with start(tmp_path, *words) as child:
+    with start(tmp_path, *words, columns=80) as child:
         child.stdout.close()
         assert child.stderr.read() == ""
         assert child.wait(timeout=120) in (1, 141)
@@ -46,7 +31,7 @@ def test_a_reader_that_leaves_early_hears_nothing(tmp_path, words):
 
 def test_an_import_that_is_ended_leaves_nothing(tmp_path):
     (tmp_path / "tiny.osm").write_text(tiny_osm(), encoding="utf-8")
-    child = start(tmp_path, "town", "import", "--osm", "tiny.osm", "--bbox", TINY_BBOX, "--name", "mine")
+    child = start(tmp_path, "town", "import", "--osm", "tiny.osm", "--bbox", TINY_BBOX, "--name", "mine", columns=80)
     towns = tmp_path / "scenarios" / "sumo"
     while not list(towns.glob(".mine.*")):
         assert child.poll() is None
@@ -66,12 +51,11 @@ def test_ctrl_c_keeps_what_was_learned_and_resume_goes_on(wcsim, folder, corner)
         *("--set", "learn.network=patch", "--set", "learn.batch_size=4", "--set", "learn.aid=none"),
         *("--set", "world.warmup_s=0", "--set", "cameras.0.width_px=40", "--set", "cameras.0.height_px=36"),
     )
-    child = start(folder, *words)
+    child = start(folder, *words, columns=80)
     while f"/{total} steps" not in child.stderr.readline():
         assert child.poll() is None
     child.send_signal(signal.SIGINT)
-    _, err = child.communicate(timeout=200)
-    assert child.returncode == Exit.STOPPED, err
+    _, err = finished(child, 200, Exit.STOPPED)
     assert "Traceback" not in err
     assert "wcsim resume run" in err
     manifest = json.loads((folder / "run" / "manifest.json").read_text())

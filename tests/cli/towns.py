@@ -18,14 +18,14 @@ def tiny_osm() -> str:
     for number in range(3):
         for first, step in ((10 * number + 1, 1), (number + 1, 10)):
             ids = [first + step * k for k in range(3)]
-            lines.append(_way(len(lines) + 100, ids, highway="residential", sidewalk="both", name=f"Street {first}"))
+            lines.append(way(len(lines) + 100, ids, highway="residential", sidewalk="both", name=f"Street {first}"))
     for number, (lat, lon) in enumerate([(60.0003, 25.0023), (60.0003, 25.003), (60.0006, 25.003), (60.0006, 25.0023)]):
         lines.append(_NODE.format(500 + number, lat, lon))
-    lines.append(_way(200, [500, 501, 502, 503, 500], building="yes"))
+    lines.append(way(200, [500, 501, 502, 503, 500], building="yes"))
     return "\n".join(['<?xml version="1.0" encoding="UTF-8"?>', '<osm version="0.6">', *lines, "</osm>\n"])
 
 
-def _way(number: int, nodes: list[int], **tags: str) -> str:
+def way(number: int, nodes: list[int], **tags: str) -> str:
     refs = "".join(f'<nd ref="{node}"/>' for node in nodes)
     told = "".join(f'<tag k="{key}" v="{value}"/>' for key, value in tags.items())
     return f'<way id="{number}" version="1">{refs}{told}</way>'

@@ -1,14 +1,13 @@
 """The table of docs/chair.md holds every field of a plant's file, with its unit and the bounds that the model has."""
 
 import re
-from pathlib import Path
 from typing import get_origin
 
+from tests.support.tracked import ROOT
 from tools import settings_page
 from wcsim.config.base import _UNITS
 from wcsim.config.plant import PlantFile, known_plants, read_plant
 
-ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "chair.md").read_text(encoding="utf-8")
 
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from tests.drive.lookers import Noted
+from tests.drive.serving.served import served
 from tests.support.journals import eventful_run
 from wcsim.drive.session import DriveSession
 from wcsim.drive.starting import DriveStart
@@ -19,6 +21,12 @@ def run(corner: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("filmed")
     eventful_run(corner, folder)
     return folder
+
+
+@pytest.fixture(scope="module")
+def running(corner: Path) -> Iterator[tuple[str, subprocess.Popen[str]]]:
+    with served(corner) as drive:
+        yield drive
 
 
 @pytest.fixture

@@ -104,6 +104,11 @@ class Rig:
         self.chair.place(np.array([x, y, z]), yaw)
         return self
 
+    def step(self) -> None:
+        self.chair.before_step()
+        self.engine.step()
+        self.chair.after_step()
+
     def drive(self, stick: Joystick, ticks: int, before_tick: Callable[[int], None] | None = None) -> Ride:
         ride, substeps = Ride(), round(0.1 / self.engine.step_s)
         for tick in range(ticks):
@@ -111,9 +116,7 @@ class Rig:
                 before_tick(tick)
             self.chair.command(stick)
             for _ in range(substeps):
-                self.chair.before_step()
-                self.engine.step()
-                self.chair.after_step()
+                self.step()
             self.chair.end_tick(None)
             ride.lowpass += self.chair.sensors._sensors["imu"].lowpass_mps2.tolist()
             state = self.chair.state()

@@ -25,6 +25,16 @@ def deepest(r, pool, name) -> float:
     return min((point[8] for point in points), default=0.0)
 
 
+def deepest_in_tick(r, pool, name) -> float:
+    """The deepest contact of the steps to the end of a tick."""
+    deep = 0.0
+    for _ in range(round(0.1 / r.engine.step_s)):
+        r.step()
+        deep = min(deep, deepest(r, pool, name))
+    r.chair.end_tick(None)
+    return deep
+
+
 def struck(yaw: float, aside_m: float, gap_m: float, speed=8.0, size=(4.5, 1.8, 1.5), kind=ActorKind.CAR):
     """A vehicle drives into a standing chair for 0.6 s: deepest contact, impulse on the chair, its velocity after."""
     deep, impulse = 0.0, 0.0
@@ -35,12 +45,7 @@ def struck(yaw: float, aside_m: float, gap_m: float, speed=8.0, size=(4.5, 1.8, 
             car = actor("v:car", speed * 0.1 * tick - 0.5 * size[0] - gap_m, aside_m, 0.0, kind, size)
             pool.place([BodyMove(actor=car, v_W_mps=np.array([speed, 0.0, 0.0]), yaw_rate_radps=0.0, dt_s=0.1)])
             r.chair.command(NEUTRAL)
-            for _ in range(round(0.1 / r.engine.step_s)):
-                r.chair.before_step()
-                r.engine.step()
-                r.chair.after_step()
-                deep = min(deep, deepest(r, pool, "v:car"))
-            r.chair.end_tick(None)
+            deep = min(deep, deepest_in_tick(r, pool, "v:car"))
             impulse += sum(c.impulse_Ns for c in r.chair.contacts() if c.actor_id == "v:car")
             moved = np.array(r.chair._v_W_mps)
     return deep, impulse, moved
@@ -71,12 +76,7 @@ def test_driving_into_a_standing_person_stops_the_chair_but_not_like_a_wall():
                 pool.place([still(one)])
                 r.chair.command(FORWARD if not seen else NEUTRAL)
                 before = float(r.chair.state().v_B_mps[0])
-                for _ in range(round(0.1 / r.engine.step_s)):
-                    r.chair.before_step()
-                    r.engine.step()
-                    r.chair.after_step()
-                    deep = min(deep, deepest(r, pool, name))
-                r.chair.end_tick(None)
+                deep = min(deep, deepest_in_tick(r, pool, name))
                 slowest = min(slowest, float(r.chair.state().v_B_mps[0])) if deep < 0.0 else slowest
                 impulse += sum(c.impulse_Ns for c in r.chair.contacts() if c.actor_id == name)
                 if deep < 0.0:
@@ -98,11 +98,6 @@ def test_a_person_who_walks_into_the_chair_moves_it_and_does_not_pass_through():
         for tick in range(14):
             one = actor("p", 0.14 * tick - 2.0, 0.0, kind=ActorKind.PEDESTRIAN, size=PERSON)
             pool.place([BodyMove(actor=one, v_W_mps=np.array([1.4, 0.0, 0.0]), yaw_rate_radps=0.0)])
-            for _ in range(round(0.1 / r.engine.step_s)):
-                r.chair.before_step()
-                r.engine.step()
-                r.chair.after_step()
-                deep = min(deep, deepest(r, pool, "p"))
-            r.chair.end_tick(None)
+            deep = min(deep, deepest_in_tick(r, pool, "p"))
         assert -0.05 < deep < 0.0
         assert r.chair.state().v_B_mps[0] > 0.5

@@ -18,6 +18,7 @@ from tests.support.worlds import quick_config
 from wcsim.errors import ConfigError
 from wcsim.server.launch.states import WorldStatus
 from wcsim.server.links.base import Seat, SeatGroup, WorldLink
+from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.client_core import Patience
 from wcsim.server.protocol.events import Rules
 from wcsim.server.specs import SeatRequest, WorldSpec, of_line, to_line
@@ -42,6 +43,11 @@ def stand_in_order(folder: Path, seats: int = 2, **changes: Any) -> WorldSpec:
         ring=str(folder / "ring"),
     )
     return replace(order, **changes)
+
+
+def far_order(folder: Path, town: Path, **changes: Any) -> WorldSpec:
+    """A real world with one seat, for clients on other machines too."""
+    return stand_in_order(folder, town=str(town), rules=Rules(capacity=1), listen="tcp://127.0.0.1:*", **changes)
 
 
 @contextmanager
@@ -130,6 +136,16 @@ class Server:
         """How a client joins."""
         order = SeatRequest(endpoint=self.order.endpoint, name=name, claim=name, patience=QUICK)
         return replace(order, **changes)
+
+
+def frames_of(link: WorldLink, ticks: int) -> list[bytes]:
+    """Every frame as bytes, because images are views that later frames overwrite."""
+    frame = link.join()
+    frames = [m.encode(m.Frame(0, frame.tick, 0, frame))]
+    for _ in range(ticks):
+        frame = link.act(frame.tick, AHEAD)
+        frames.append(m.encode(m.Frame(0, frame.tick, 0, frame)))
+    return frames
 
 
 def joined(links: Sequence[WorldLink]) -> list[ClientSnapshot]:

@@ -8,6 +8,7 @@ pole on it.
 from __future__ import annotations
 
 import itertools
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -88,6 +89,17 @@ def _mesh(parts) -> StreetMesh:
         chunk_vertices=cv,
         chunk_faces=cf,
     )
+
+
+def cell_middles(grid: StreetGrid) -> tuple[F64, F64]:
+    """x and y of the middles of a grid's cells."""
+    rows, cols = np.indices(grid.height_cm.shape)
+    return (cols + 0.5) * grid.cell_m + grid.origin_W_m[0], (rows + 0.5) * grid.cell_m + grid.origin_W_m[1]
+
+
+def stacked(observations: Sequence[Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    """A batch of observations."""
+    return {key: np.stack([each[key] for each in observations]) for key in observations[0]}
 
 
 def _grid() -> StreetGrid:

@@ -7,7 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-ROOT = Path(__file__).parents[2]
+from tests.support.tracked import ROOT
 
 
 def printed(text: str, told: str) -> str:

@@ -7,19 +7,26 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.tracked import ROOT
 from wcsim.towns.build_street import build_street
 from wcsim.towns.cache.street_cache import unpack_street
 from wcsim.towns.scenario.town import Town, find_town
 from wcsim.towns.scene_folders.build import build_scene, find_scene
 from wcsim.towns.street import load_street
+from wcsim.towns.sumo.tools import run_tool
 from wcsim.types import Street
-
-REPOSITORY = Path(__file__).resolve().parents[2]
 
 
 def bytes_in(folder: Path) -> dict[str, bytes]:
     """What all files of a folder hold."""
     return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def run_in_sumo(sumocfg: Path, end_s: float, folder: Path, *options: str) -> str:
+    """What SUMO says of a scenario that it runs without an error."""
+    run = run_tool("sumo", ["-c", str(sumocfg), "--end", str(end_s), "--no-step-log", *options], folder)
+    assert run.returncode == 0 and "Error" not in run.output, run.output
+    return run.output
 
 
 @pytest.fixture(autouse=True)
@@ -41,7 +48,7 @@ def corner(corner_town: Town) -> Street:
 
 @pytest.fixture(scope="session")
 def manhattan_town() -> Town:
-    return find_town(str(REPOSITORY / "scenarios" / "sumo" / "manhattan"))
+    return find_town(str(ROOT / "scenarios" / "sumo" / "manhattan"))
 
 
 @pytest.fixture(scope="session")

@@ -125,9 +125,13 @@ class Sim:
         self.track.speed.append(self.chair.v)
         self.track.yaw_rate.append(self.chair.w)
 
+    def goes_on(self, longest_s: float) -> bool:
+        """Whether the user is on the way, and the time is not over."""
+        return self.time_s < longest_s and not (self.user.arrived or self.user.gave_up)
+
     def run(self, longest_s: float) -> Track:
         """Until the user arrived, gave up, or the time is over."""
-        while self.time_s < longest_s and not (self.user.arrived or self.user.gave_up):
+        while self.goes_on(longest_s):
             self.tick()
         return self.track
 

@@ -158,7 +158,7 @@ def crossed(riders, seconds=60.0, **changes):
     """Who crosses without a light while others ride; and (time, y of the chair's middle) each tick."""
     user = make_user("competent", 0, STREET, **{"see_share": 1.0, "law_share": 1.0, **changes})
     sim, log = Sim(user, ROUTE, Chair(x=32.0, y=5.5)), []
-    while sim.time_s < seconds and not (user.arrived or user.gave_up):
+    while sim.goes_on(seconds):
         sim.actors = riders(sim.time_s)
         sim.tick()
         log.append((sim.time_s, sim.track.xy[-1][1]))

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.support.samples import USUAL_OUTLINE, strip_street
+from tests.support.samples import USUAL_OUTLINE, cell_middles, strip_street
 from tests.users.actors import make_user
 from tests.users.kinematics import Chair, Sim, polyline
 from wcsim.types import StreetGrid
@@ -22,8 +22,7 @@ def plan(y, yaw, error, grid=STREET.grid, x=15.0, backwards=True):
 def walled(low_y: float, high_y: float, to_x: float = 1e9) -> StreetGrid:
     """The street with walls along both sides of a strip, which opens at to_x."""
     grid = STREET.grid
-    rows, cols = np.indices(grid.height_cm.shape)
-    x, y = (cols + 0.5) * grid.cell_m + grid.origin_W_m[0], (rows + 0.5) * grid.cell_m + grid.origin_W_m[1]
+    x, y = cell_middles(grid)
     gap_m = np.where(x < to_x, np.minimum(y - low_y, high_y - y), 5.0)
     return replace(grid, clearance_dm=np.clip(gap_m * 10, 0, 255).astype(np.uint8))
 

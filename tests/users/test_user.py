@@ -41,7 +41,7 @@ def on_pavement(user, quantised=False, x=0.3) -> Sim:
 def nearest(sim: Sim, seconds: float, actors) -> float:
     """Run with actors that are a function of time; the least distance to them."""
     least = math.inf
-    while sim.time_s < seconds and not (sim.user.arrived or sim.user.gave_up):
+    while sim.goes_on(seconds):
         sim.actors = actors(sim.time_s)
         sim.tick()
         least = min(least, clearance_m(sim.chair.plant(), actors(sim.time_s)))
@@ -198,7 +198,7 @@ def cross(signals, cars=lambda t: (), seconds=70.0, name="competent", seed=0, **
     user = make_user(name, seed, lit(STREET), **{"see_share": 1.0, **changes})
     sim = Sim(user, over_the_road(), Chair(x=32.0, y=5.5))
     log = []
-    while sim.time_s < seconds and not (sim.user.arrived or sim.user.gave_up):
+    while sim.goes_on(seconds):
         sim.actors, sim.signals = cars(sim.time_s), signals(sim.time_s)
         sim.tick()
         log.append((sim.time_s, sim.track.xy[-1][1]))

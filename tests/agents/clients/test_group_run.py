@@ -15,11 +15,15 @@ from wcsim.server.specs import RunInfo
 from wcsim.towns.scenario.town import find_town
 
 
+def of_one_client(out, config, info):
+    folder = create_clients_folder(out, config, make_manifest(config, info), {"a": config})
+    return GroupRun(clients=(Client(name="a", seat=0, config=config),), out=folder.path, info=info), folder
+
+
 @pytest.mark.parametrize("lease_s", [10.0, 120.0, 600.0])
 def test_a_world_gives_its_clients_the_lease_that_was_asked_for(tmp_path, lease_s):
-    config, info = dqn_config(), RunInfo(seed=1, town="t")
-    folder = create_clients_folder(tmp_path / "run", config, make_manifest(config, info), {"a": config})
-    run = GroupRun(clients=(Client(name="a", seat=0, config=config),), out=folder.path, info=info)
+    config = dqn_config()
+    run, folder = of_one_client(tmp_path / "run", config, RunInfo(seed=1, town="t"))
     trained = world_order(run, "t", folder, tmp_path, 1, lease_s)
     served = serve._order(serve._Options(lease=lease_s), find_town("helsinki"), config, Path("place"))
     assert trained.rules.lease_s == served.rules.lease_s == lease_s
@@ -28,9 +32,8 @@ def test_a_world_gives_its_clients_the_lease_that_was_asked_for(tmp_path, lease_
 def test_each_generation_of_a_world_is_in_the_next_town(
     tmp_path: Path, corner: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    config, info = dqn_config(), RunInfo(seed=1, town="t", more_towns={str(corner): "0" * 64, "made:7": "0" * 64})
-    folder = create_clients_folder(tmp_path / "run", config, make_manifest(config, info), {"a": config})
-    run = GroupRun(clients=(Client(name="a", seat=0, config=config),), out=folder.path, info=info)
+    info = RunInfo(seed=1, town="t", more_towns={str(corner): "0" * 64, "made:7": "0" * 64})
+    run, folder = of_one_client(tmp_path / "run", dqn_config(), info)
     order = world_order(run, "helsinki", folder, tmp_path, 1, 10.0)
     assert order.more_towns == (find_town(str(corner)).address, "made:7")
     monkeypatch.setattr(opening, "asked_town", str)

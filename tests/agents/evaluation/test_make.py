@@ -26,6 +26,12 @@ def block_with(*lengths_m: float) -> BlockFile:
     return BlockFile(part="free", town="a", seed=1, episodes=episodes)
 
 
+def order_in(work: Path, hazards: int = 1) -> make.MakeOrder:
+    return make.MakeOrder(
+        suite="x-v1", set="x", seed=0, free_blocks=1, attempts=1, hazards=hazards, tight=range(0), work=work
+    )
+
+
 def test_who_is_left_out_is_missing_for_the_others_who_are_driven_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -42,9 +48,7 @@ def test_who_is_left_out_is_missing_for_the_others_who_are_driven_again(
         )
 
     monkeypatch.setattr(make, "_alone", alone)
-    order = make.MakeOrder(
-        suite="x-v1", set="x", seed=0, free_blocks=1, attempts=1, hazards=1, tight=range(0), work=tmp_path
-    )
+    order = order_in(tmp_path)
     blocks = [block_with(9.0, 8.0), block_with(1.0, 7.0, 2.0, 3.0), block_with(1.0)]
     left = make._settled(order, (), blocks, lambda _: None, "ways", lambda found: found.time_s >= make.BAD_START_S)
     assert [[item.route_m for item in block.episodes] for block in left] == [[9.0, 8.0], [7.0]]
@@ -55,9 +59,7 @@ def test_where_no_hazard_is_found_it_is_said_what_helps(tmp_path: Path, monkeypa
     """Who crashes among the others does not without them: the second drive of all."""
     ends, said = ["chair_crashed", "finished"], []
     monkeypatch.setattr(make, "_alone", lambda *_: (record(0, 0, 50.0, status=ends.pop(0)),) if ends else ())
-    order = make.MakeOrder(
-        suite="x-v1", set="x", seed=0, free_blocks=1, attempts=1, hazards=1, tight=range(0), work=tmp_path
-    )
+    order = order_in(tmp_path)
     config = resolve("quick")
     assert make._hazards(order, (), [block_with(9.0)], config, lambda text, share: said.append((text, share))) == []
     ((text, share),) = said
@@ -76,9 +78,7 @@ def test_a_town_that_is_named_by_where_it_lies_is_found_again_by_its_list(
     monkeypatch.setattr(make, "_free", lambda place, *_: free_blocks(place, wanted, 1, 3))
     monkeypatch.setattr(make, "_crossing", lambda *_: [])
     monkeypatch.setattr(make, "_settled", lambda _order, _towns, blocks, *_: list(blocks))
-    order = make.MakeOrder(
-        suite="x-v1", set="x", seed=0, free_blocks=1, attempts=1, hazards=0, tight=range(0), work=tmp_path
-    )
+    order = order_in(tmp_path, hazards=0)
     file = make.make_suite(order, asked_towns(str(corner), tmp_path), lambda *_: None)
     require_towns(file)
     ((name, town),) = towns_of(file, tmp_path).items()

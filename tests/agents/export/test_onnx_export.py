@@ -12,6 +12,7 @@ import pytest
 
 from tests.agents.export.test_danger_graph import CONFIG, network, ride
 from tests.agents.export.test_guarded_policy import EXAMPLE
+from tests.support.tracked import ROOT
 from wcsim.agents.danger.policy import save_danger
 from wcsim.agents.export import onnx_export
 from wcsim.agents.export.guard import MEANING, GuardedPolicy, guard_of
@@ -24,7 +25,6 @@ from wcsim.config.run_file import DangerRule, GuardRule
 from wcsim.errors import PolicyError
 
 RIDE = ride(200)
-ROOT = Path(__file__).parents[3]
 
 
 @pytest.fixture(scope="module")

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from tests.agents.export.test_danger_graph import CONFIG, network, ride
+from tests.support.tracked import ROOT
 from wcsim.agents.danger.policy import save_danger
 from wcsim.agents.evaluation.suite.run import _identity_of
 from wcsim.agents.opening.named_policy import config_for, open_named
@@ -26,7 +27,6 @@ from wcsim.core import files
 from wcsim.errors import PolicyError
 from wcsim.server.specs import RunInfo
 
-ROOT = Path(__file__).parents[3]
 TOOL = runpy.run_path(str(ROOT / "tools" / "ship_policy.py"), run_name="tool")
 OWN = resolve(CONFIG, ("learn.head=danger",))
 

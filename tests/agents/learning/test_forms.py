@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from tests.agents.toy import ToyStreet, a_run, toy_camera
+from tests.support.samples import stacked
 from wcsim.agents.envs.episode_view import FrameWindow, newest, windowed_space
 from wcsim.agents.learning.replay.buffer import _layout_of
 from wcsim.agents.learning.saved_policy import load_policy
@@ -91,7 +92,7 @@ def test_replay_gives_back_what_was_stored_to_the_bit(form: str) -> None:
     layout = _layout_of(Formed(form).observation_space)
     env = Formed(form)
     seen = [env.reset(seed=n)[0] for n in range(3)]
-    batch = {key: np.stack([each[key] for each in seen]) for key in seen[0]}
+    batch = stacked(seen)
     rows = layout.image_rows(batch)
     assert rows.dtype == np.uint8 and rows.shape == (3, layout.image_bytes)
     back = layout.split(rows, layout.vector_rows(batch))

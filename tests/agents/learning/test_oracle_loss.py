@@ -149,11 +149,16 @@ def test_a_look_ahead_ends_with_the_episode():
         assert np.array_equal(safe, np.all([mask(k) for k in range(number, last + 1)], axis=0))
 
 
+def advised(replay, k, safe):
+    """One more step, and what is safe after it."""
+    info = {"truth": SimpleNamespace(safe_actions=safe)}
+    replay.add(observed(k), observed(k + 1), np.array([0]), np.zeros(1), np.array([False]), [info])
+
+
 def test_a_look_ahead_leaves_an_action():
     replay = memory(100)
     for k in range(20):
-        info = {"truth": SimpleNamespace(safe_actions=AHEAD if (k + 1) % 2 else ~AHEAD)}
-        replay.add(observed(k), observed(k + 1), np.array([0]), np.zeros(1), np.array([False]), [info])
+        advised(replay, k, AHEAD if (k + 1) % 2 else ~AHEAD)
     seen, known = replay.sample_advice(100, 0.5, ahead=3)
     for number, safe in zip(numbers(seen), known.numpy(), strict=True):
         assert np.array_equal(safe, AHEAD if number % 2 else ~AHEAD)
@@ -162,9 +167,7 @@ def test_a_look_ahead_leaves_an_action():
 def test_tight_moments_get_their_share():
     replay = memory(1000)
     for k in range(200):
-        safe = np.ones(81, bool) if (k + 1) % 50 else ~AHEAD
-        info = {"truth": SimpleNamespace(safe_actions=safe)}
-        replay.add(observed(k), observed(k + 1), np.array([0]), np.zeros(1), np.array([False]), [info])
+        advised(replay, k, np.ones(81, bool) if (k + 1) % 50 else ~AHEAD)
     tight = (~replay.sample_advice(400, 0.5)[1].all(dim=1)).float().mean()
     assert 0.45 < tight < 0.6
 

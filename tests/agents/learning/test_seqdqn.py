@@ -144,12 +144,20 @@ def test_how_the_first_phase_teaches_is_a_setting():
         assert model(phase1=how, margin=0.5).plan.margin_weight(0) == 0.5
 
 
+def weights_of(learner):
+    return [p.detach().clone() for p in learner.q_net.parameters()]
+
+
+def is_as(learner, before):
+    return all(torch.equal(a, b) for a, b in zip(before, learner.q_net.parameters(), strict=True))
+
+
 def test_a_loss_that_is_not_finite_is_skipped_and_then_said():
     learner = model()
-    before = [p.detach().clone() for p in learner.q_net.parameters()]
+    before = weights_of(learner)
     for _ in range(10):
         learner._update(torch.tensor(float("nan"), requires_grad=True))
-    assert all(torch.equal(a, b) for a, b in zip(before, learner.q_net.parameters(), strict=True))
+    assert is_as(learner, before)
     with pytest.raises(PolicyError, match=r"finite.*start a new run with a smaller learn\.learning_rate"):
         learner._update(torch.tensor(float("inf"), requires_grad=True))
 
@@ -158,15 +166,15 @@ def test_an_infinite_gradient_of_a_finite_loss_is_skipped_too():
     """Clipped, it would be no number, and the weights after it."""
     learner = model()
     learner._update(learner.q_net.advantage.bias.sum())
-    before = [p.detach().clone() for p in learner.q_net.parameters()]
+    before = weights_of(learner)
     bias = learner.q_net.advantage.bias
     for count in range(1, 11):
         learner._update((bias - bias.detach()).sqrt().sum())
         assert (learner.last_loss, learner.skipped_updates) == (0.0, count)
-    assert all(torch.equal(a, b) for a, b in zip(before, learner.q_net.parameters(), strict=True))
+    assert is_as(learner, before)
     learner._update(bias.sum())
     assert learner.skipped_updates == 0
-    assert not all(torch.equal(a, b) for a, b in zip(before, learner.q_net.parameters(), strict=True))
+    assert not is_as(learner, before)
 
 
 class Normed(nn.Module):

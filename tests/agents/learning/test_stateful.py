@@ -110,6 +110,12 @@ def test_a_network_without_a_state_learns_from_all_three(memory, network, window
 # --- driving ---
 
 
+def unrolled(net, batch):
+    """The state of a network after an episode's steps."""
+    with torch.no_grad():
+        return net.unroll({key: value[None] for key, value in batch.items()}, net.begin(1))[1]
+
+
 @pytest.mark.parametrize("envs", [1, 3])
 def test_the_stored_state_is_what_the_same_weights_make_of_the_episode(envs):
     """Nothing is learned while driving, so the state that was stored is the one that is computed anew."""
@@ -122,8 +128,7 @@ def test_the_stored_state_is_what_the_same_weights_make_of_the_episode(envs):
         if steps[0] < buffer.total - buffer.size():
             continue
         batch = buffer.gather(steps, np.full(len(steps), seat)).observations
-        with torch.no_grad():
-            _, after = net.unroll({key: value[None] for key, value in batch.items()}, net.begin(1))
+        after = unrolled(net, batch)
         assert np.allclose(after[0].numpy(), state, atol=1e-5)
         assert np.abs(state).max() > 1e-3
 
@@ -143,14 +148,10 @@ def test_burn_in_moves_a_stale_state_towards_the_true_one():
         for index, seat in places:
             begun = index - buffer.episode_step[index % buffer.buffer_size, seat]
             before = buffer.gather(np.arange(begun, index), np.full(index - begun, seat)).observations
-            with torch.no_grad():
-                true = net.unroll({key: value[None] for key, value in before.items()}, net.begin(1))[1]
+            true = unrolled(net, before)
             batch = buffer.groups.gather(buffer, np.array([index]), np.array([seat]))
-            if burn_in == 0:  # the state at the group's start as the old weights made it
-                with torch.no_grad():
-                    here = old.unroll({key: value[None] for key, value in before.items()}, old.begin(1))[1]
-            else:
-                here = _burned_in(net, batch)
+            # Without burn-in it is the state at the group's start as the old weights made it.
+            here = unrolled(old, before) if burn_in == 0 else _burned_in(net, batch)
             gaps[burn_in].append(float((here - true).abs().mean()))
     assert len(places) > 5
     assert np.mean(gaps[8]) < 0.5 * np.mean(gaps[0])

@@ -20,6 +20,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 
 import wcsim
 from tests.agents.toy import ToyStreet, a_run, full_once, load_checkpoint, same_from_here_on, toy_camera
+from tests.support.events import read_events
 from wcsim.agents.envs.episode_view import WORLD_RESTARTED
 from wcsim.agents.learning.build import build_model
 from wcsim.agents.learning.checkpoint import _generator_state, _restored_generator, save_checkpoint
@@ -95,7 +96,7 @@ def test_a_run_folder_says_everything(run):
     assert opened.config == config()
     assert (opened.manifest.status, opened.manifest.steps, opened.manifest.seed) == ("done", 240, 5)
     assert opened.manifest.config_sha256 == config().digest()
-    events = [json.loads(line) for line in (path / "events.jsonl").read_text().splitlines()]
+    events = read_events(path)
     assert [e["event"] for e in events] == ["checkpoint", "phase2", "checkpoint", "checkpoint", "checkpoint", "done"]
     assert seen[-1].step == 240
     assert [p.phase for p in seen] == sorted(p.phase for p in seen)
@@ -137,7 +138,7 @@ def test_work_is_saved_by_wall_time(tmp_path, monkeypatch):
     clock = count(0, 10)
     monkeypatch.setattr("wcsim.agents.learning.train._now_s", lambda: float(next(clock)))
     path = train(a_run(config(checkpoint_every=10**6), tmp_path / "run", 5), street)
-    events = [json.loads(line) for line in (path / "events.jsonl").read_text().splitlines()]
+    events = read_events(path)
     kinds = [event["event"] for event in events if event["event"] in ("weights", "checkpoint")]
     assert kinds.count("weights") > 5 * kinds.count("checkpoint") > 0, kinds
     last = max(event["step"] for event in events if event["event"] == "weights")
@@ -271,7 +272,7 @@ def test_values_beyond_all_returns_are_said_once(value, told, tmp_path, monkeypa
     monkeypatch.setattr(SeqDQN, "_update", lambda self, loss: setattr(self, "max_abs_q", value))
     short = config(total_steps=60, phase1_steps=20, checkpoint_every=20)
     run = train(a_run(short, tmp_path / "run", 5), street)
-    events = [json.loads(line) for line in (run / "events.jsonl").read_text().splitlines()]
+    events = read_events(run)
     assert [event["max_abs_q"] for event in events if event["event"] == "q_alarm"] == [told]
     assert open_run(run).manifest.status == "done"
 

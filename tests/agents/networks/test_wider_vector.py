@@ -18,11 +18,15 @@ MEASURES = {
 }
 
 
+def drawn(space):
+    return {key: torch.as_tensor(np.asarray(value))[None] for key, value in space.sample().items()}
+
+
 @pytest.mark.parametrize(("gyro", "yaw"), [(False, False), (True, False), (False, True), (True, True)])
 def test_a_network_takes_what_the_observation_has(gyro, yaw):
     space = observation_space("compact", 32, 24, imu_size(gyro, yaw))
     net = QNet(space, spaces.Discrete(81), NetSpec())
-    batch = {key: torch.as_tensor(np.asarray(value))[None] for key, value in space.sample().items()}
+    batch = drawn(space)
     assert net(batch).shape == (1, 81)
 
 
@@ -41,7 +45,7 @@ def test_further_rows_of_numbers_come_last_and_nobody_names_them():
     paper, more = observation_space("compact", 32, 24), observation_space("compact", 32, 24, measures=MEASURES)
     net, wide = QNet(paper, spaces.Discrete(81), NetSpec()), QNet(more, spaces.Discrete(81), NetSpec())
     assert vector_keys(paper) == ("imu", "joystick") and vector_keys(more) == ("imu", "joystick", "beams", "wheels")
-    batch = {key: torch.as_tensor(np.asarray(value))[None] for key, value in more.sample().items()}
+    batch = drawn(more)
     got = wide.encoder.vector(batch)[0].tolist()
     assert got[7:] == [*batch["beams"][0].tolist(), *batch["wheels"][0].tolist()]
     plain = {key: batch[key] for key in paper.spaces}

@@ -15,7 +15,7 @@ from wcsim.agents.opening.named_policy import (
 )
 from wcsim.agents.runs.policy_file import POLICY_JSON
 from wcsim.agents.runs.run_folder import RunInfo, create_run, make_manifest
-from wcsim.config import resolve
+from wcsim.config import RunConfig, resolve
 from wcsim.errors import PolicyError
 
 OWN = (
@@ -38,15 +38,18 @@ def listed(name: str = "dev") -> tuple[str, ...]:
     return open_suite(name).file.settings
 
 
+def drives_as_the_user(policy: RunConfig) -> RunConfig:
+    """Under the rules of the user alone, who is given back."""
+    user = config_for("follow", "quick", listed(), in_list=True)
+    assert [getattr(policy, name) for name in RULES] == [getattr(user, name) for name in RULES]
+    return user
+
+
 def test_a_run_of_the_paper_drives_under_the_rules_of_whom_it_is_compared_with(tmp_path):
     run = run_of(tmp_path / "run", "paper")
-    policy, user = (
-        config_for(run, "quick", listed(), in_list=True),
-        config_for("follow", "quick", listed(), in_list=True),
-    )
+    policy = config_for(run, "quick", listed(), in_list=True)
+    user = drives_as_the_user(policy)
     assert user.reward.drop and user.world.button
-    for name in RULES:
-        assert getattr(policy, name) == getattr(user, name)
     assert policy.cameras[0].width_px == 320 and policy.cameras[0].noise == user.cameras[0].noise
     assert policy.learn.network == "fig6"
     (line,) = told_of_rules(["follow", "stop", run], "quick", listed())
@@ -56,8 +59,7 @@ def test_a_run_of_the_paper_drives_under_the_rules_of_whom_it_is_compared_with(t
 def test_a_run_keeps_what_it_senses_and_does_and_brings_no_street_chair_or_range(tmp_path):
     run = run_of(tmp_path / "run", "quick", *OWN)
     own, policy = config_for(run, "quick", ()), config_for(run, "quick", listed(), in_list=True)
-    user = config_for("follow", "quick", listed(), in_list=True)
-    assert [getattr(policy, name) for name in RULES] == [getattr(user, name) for name in RULES]
+    drives_as_the_user(policy)
     assert policy.world.action_delay_ticks == 2 and policy.vary.nothing
     for name in ("imu", "sensors", "learn", "danger", "collect"):
         assert getattr(policy, name) == getattr(own, name)
@@ -90,8 +92,7 @@ def test_a_model_in_onnx_drives_under_the_rules_too(tmp_path):
     told = '"reward.drop=false", "chair.plant=mwd", "cameras.0.width_px=32"'
     (tmp_path / "policy.toml").write_text(f'preset = "quick"\nsettings = [{told}]\n')
     found = config_for(str(tmp_path), "quick", listed(), in_list=True)
-    user = config_for("follow", "quick", listed(), in_list=True)
-    assert [getattr(found, name) for name in RULES] == [getattr(user, name) for name in RULES]
+    drives_as_the_user(found)
     assert found.cameras[0].width_px == 32
     (line,) = told_of_rules([str(tmp_path)], "quick", listed())
     assert "chair.plant=mwd" in line

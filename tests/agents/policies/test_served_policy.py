@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.support.cluster.ray_nodes import free_port
 from wcsim.agents.evaluation.suite.drive import FIRST_SHARE, LATE_S
 from wcsim.agents.evaluation.suite.run import _identity_of
 from wcsim.agents.policies import served_policy
@@ -24,12 +25,6 @@ from wcsim.errors import PolicyError
 
 EXAMPLE = Path(__file__).parents[3] / "examples" / "served_policy.py"
 POINTS = np.array([[0.0, 0.0], [0.0, 0.3], [0.0, 1.0]])
-
-
-def free_port() -> int:
-    with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))
-        return int(taken.getsockname()[1])
 
 
 @pytest.fixture(scope="module")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 from tests.support.worlds import dqn_config
@@ -34,3 +35,8 @@ def outcome(out: Path) -> tuple[str, str]:
 def weights_of(out: Path) -> str:
     """SHA-256 of the weights alone."""
     return files.sha256(out / "policies" / "final" / "weights.safetensors")
+
+
+def rows_of(out: Path) -> list[dict]:
+    """The pieces of work that a cluster did."""
+    return [json.loads(line) for line in (out / "cluster" / "pieces.jsonl").read_text().splitlines()]

@@ -5,7 +5,6 @@ The nodes are processes of this machine, on 127.0.0.1, each with a cache of its 
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import threading
@@ -15,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.agents.rounds.small_runs import outcome, run_in
+from tests.agents.rounds.small_runs import outcome, rows_of, run_in
 from tests.support.cluster.ray_nodes import RayNode, quiet_environment
 from wcsim.agents.rounds.train_rounds import DATA, RoundProgress, train_danger
 from wcsim.errors import ConfigError, WorkersError
@@ -38,10 +37,6 @@ def trained(
 ) -> tuple[str, str]:
     train_danger(run_in(corner, out, *LONGER, resume=resume), find_town(str(corner)), machines, show)
     return outcome(out)
-
-
-def rows_of(out: Path) -> list[dict]:
-    return [json.loads(line) for line in (out / "cluster" / "pieces.jsonl").read_text().splitlines()]
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,6 @@ wire, and how much time that takes, is printed.
 
 from __future__ import annotations
 
-import json
 import os
 import subprocess
 import sys
@@ -17,7 +16,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.agents.rounds.small_runs import outcome, run_in
+from tests.agents.rounds.small_runs import outcome, rows_of, run_in
 from tests.support.cluster import slow_net
 from tests.support.cluster.slow_net import SlowNet, address_of
 from wcsim.agents.rounds.train_rounds import train_danger
@@ -105,7 +104,7 @@ def test_three_machines_and_a_cut_link(corner: Path, tmp_path: Path, capsys):
         assert run.wait(2000) == 0
         took_s = time.monotonic() - began_s
     assert outcome(out) == outcome(tmp_path / "alone")
-    rows = [json.loads(line) for line in (out / "cluster" / "pieces.jsonl").read_text().splitlines()]
+    rows = rows_of(out)
     assert cut == ["off", "on"] and len({row["worker"] for row in rows if row["how"] == "done"}) == 3
     with capsys.disabled():
         sys.stdout.write(_told(rows, took_s))

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.agents.rounds.small_runs import SMALL, outcome, run_in, weights_of
+from tests.agents.rounds.small_runs import SMALL, outcome, rows_of, run_in, weights_of
 from tests.support.one_process import in_this_process
 from tests.support.worlds import dqn_config
 from wcsim.agents.danger.policy import load_danger
@@ -173,7 +173,7 @@ def test_a_ray_cluster_gives_the_same_data_and_weights(straight: Path, corner: P
     train_danger(run_in(corner, out), find_town(str(corner)), machines, show)
     assert outcome(out) == outcome(straight)
     assert seen == {"127.0.0.1/1"} and not [line for line in told if "processor" in line]
-    rows = [json.loads(line) for line in (out / "cluster" / "pieces.jsonl").read_text().splitlines()]
+    rows = rows_of(out)
     keys = [f"3-{number:03d}-{index:04d}" for number in range(3) for index in range(2)]
     assert sorted(row["key"] for row in rows) == keys
     assert all(row["how"] == "done" and row["bytes"] > 0 for row in rows)

@@ -13,12 +13,11 @@ import tyro
 
 from benchmarks.__main__ import PROGRAM
 from benchmarks.__main__ import main as measure
-from tests.support.tracked import tracked
+from tests.support.tracked import ROOT, tracked
 from wcsim.cli.main import main
 from wcsim.config import resolve
 from wcsim.errors import ConfigError
 
-ROOT = Path(__file__).parents[3]
 PAGES = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "AGENTS.md", *tracked("docs", ".md")])
 SHELL = ("", "bash", "sh", "console")
 

@@ -12,9 +12,9 @@ from mkdocs.commands.build import build
 from mkdocs.config import load_config
 from mkdocs.exceptions import Abort
 
+from tests.support.tracked import ROOT
 from tools.docs_site.hooks import linked, name_pages, site_uri, with_signatures
 
-ROOT = Path(__file__).parents[3]
 CONFIG = ROOT / "tools" / "docs_site" / "mkdocs.yml"
 FROM_OUTSIDE = re.compile(r"""<(?:script|img|iframe|source|link)\b[^>]*\b(?:src|href)=["']?(?:https?:)?//[^>]*>""")
 

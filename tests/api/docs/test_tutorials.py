@@ -11,10 +11,10 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.tracked import ROOT
 from wcsim.agents.opening.list_file import open_suite
 from wcsim.users.recordings.recorded_user import read_recording
 
-ROOT = Path(__file__).parents[3]
 TUTORIALS = ROOT / "docs" / "tutorials"
 NO_WARMUP = 'overrides=("world.warmup_s=0", "env.max_steps=20")'
 SHORTER = (

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import tomllib
-from pathlib import Path
 
 import pytest
 
+from tests.support.tracked import ROOT
 from tools.release_notes import notes
 
-ROOT = Path(__file__).parents[3]
 LOG = "# Changelog\n\n## 0.3.0 (2027-01-01)\n\n### New\n\n- a\n\n## 0.2.0\nb\n\n## 0.1.0 (2026-11-20)\n"
 
 

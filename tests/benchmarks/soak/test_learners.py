@@ -10,7 +10,8 @@ import pytest
 from benchmarks.scripts.soak import SoakOptions, _soaked
 from benchmarks.scripts.soak import run as soak
 from benchmarks.soak.planned import FaultOrder
-from tests.cli.training.test_clients import SMALL, start
+from tests.cli.conftest import start
+from tests.cli.training.test_clients import SMALL
 from wcsim.errors import InterruptedRunError
 from wcsim.server.launch.states import RestartRules
 from wcsim.towns.scenario.town import find_town

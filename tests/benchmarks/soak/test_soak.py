@@ -31,19 +31,20 @@ from tests.support.worlds import quick_config
 from wcsim.server.launch.states import ClientState, LaunchOutcome, LaunchState, WorldStatus
 from wcsim.server.ledger import Audit
 
+A_KILLED = Fault(time_s=10.0, what="kill", who="a", others=("b",))
+
 
 def sights(*entries: tuple[float, int, int]) -> list[StubSight]:
     return [StubSight(*entry) for entry in entries]
 
 
 def test_a_tick_that_was_under_way_is_no_recovery():
-    fault = Fault(time_s=10.0, what="kill", who="a", others=("b",))
     seen = {
         "a": sights((9.9, 0, 50)),
         "b": sights((9.9, 0, 50), (10.01, 0, 51), (12.5, 0, 52)),
     }
-    assert recovery_s(fault, seen) == 2.5
-    assert rejoin_s(fault, seen) is None
+    assert recovery_s(A_KILLED, seen) == 2.5
+    assert rejoin_s(A_KILLED, seen) is None
     assert recovery_s(Fault(time_s=10.0, what="kill", who="a"), seen) is None, "nobody else had a seat"
 
 
@@ -52,9 +53,8 @@ def test_a_new_epoch_is_a_recovery_and_its_first_frame_a_rejoin():
     seen = {"a": sights((9.9, 0, 50), (14.0, 1, 0)), "b": sights((9.9, 0, 50), (13.0, 1, 0))}
     assert recovery_s(fault, seen) == 3.0
     assert rejoin_s(fault, seen) is None
-    assert rejoin_s(Fault(time_s=10.0, what="kill", who="a", others=("b",)), seen) == 4.0
-    lonely = Fault(time_s=10.0, what="kill", who="a", others=("b",))
-    assert recovery_s(lonely, {"a": sights((9.0, 0, 1)), "b": []}) is None
+    assert rejoin_s(A_KILLED, seen) == 4.0
+    assert recovery_s(A_KILLED, {"a": sights((9.0, 0, 1)), "b": []}) is None
 
 
 def test_faults_overlap_when_they_share_a_moment():

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.support.samples import straight_route, strip_street
+from tests.support.samples import cell_middles, straight_route, strip_street
 from wcsim.bridge.ego.street_obstacles import ObstacleWatch, _label_pieces
 from wcsim.types import F64, StreetGrid
 from wcsim.users.profiles import profile, profile_names
@@ -17,8 +17,7 @@ ROUTE = straight_route(5.5)
 def with_boxes(*boxes: tuple[float, float, float, float]) -> StreetGrid:
     """The sample street with solid boxes (x0, y0, x1, y1) on it."""
     grid = strip_street().grid
-    rows, cols = np.indices(grid.height_cm.shape)
-    x, y = (cols + 0.5) * grid.cell_m + grid.origin_W_m[0], (rows + 0.5) * grid.cell_m + grid.origin_W_m[1]
+    x, y = cell_middles(grid)
     gap = np.full(x.shape, 25.5)
     for x0, y0, x1, y1 in boxes:
         aside, ahead = np.maximum(x0 - x, x - x1), np.maximum(y0 - y, y - y1)

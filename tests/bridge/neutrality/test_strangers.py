@@ -122,20 +122,24 @@ def test_a_scenario_is_checked_cured_as_printed_and_run(tmp_path: Path) -> None:
     assert_runs(ours, tmp_path, 5.0)
 
 
+def assert_both_run(theirs: Path, tmp_path: Path) -> None:
+    """As it is without chairs, and cured with them."""
+    assert_runs(theirs, tmp_path, 60.0, chairs=0)
+    assert_runs(cured(theirs, tmp_path), tmp_path, 60.0)
+
+
 @pytest.mark.proof
 @pytest.mark.parametrize("name", GENERATED)
 def test_generated_scenarios_are_checked_cured_and_run(name: str, tmp_path: Path) -> None:
     theirs = GENERATED[name](tmp_path / "theirs")
-    assert_runs(theirs, tmp_path, 60.0, chairs=0)
-    assert_runs(cured(theirs, tmp_path), tmp_path, 60.0)
+    assert_both_run(theirs, tmp_path)
 
 
 @pytest.mark.proof
 @pytest.mark.parametrize("name", GAMES)
 def test_scenarios_of_sumos_own_wheel_are_checked_cured_and_run(name: str, tmp_path: Path) -> None:
     theirs = game(name, tmp_path / "theirs")
-    assert_runs(theirs, tmp_path, 60.0, chairs=0)
-    assert_runs(cured(theirs, tmp_path), tmp_path, 60.0)
+    assert_both_run(theirs, tmp_path)
 
 
 @pytest.mark.proof
@@ -144,5 +148,4 @@ def test_scenarios_of_sumos_own_wheel_are_checked_cured_and_run(name: str, tmp_p
 def test_scenarios_of_bologna_are_checked_cured_and_run(name: str, shared: Path, tmp_path: Path) -> None:
     given = shared / "towns" / "nets" / "bologna_acosta" / "run.sumocfg"
     theirs = BOLOGNA[name](given, tmp_path / "theirs")
-    assert_runs(theirs, tmp_path, 60.0, chairs=0)
-    assert_runs(cured(theirs, tmp_path), tmp_path, 60.0)
+    assert_both_run(theirs, tmp_path)

@@ -134,11 +134,17 @@ def test_its_body_drives_as_its_velocity_says_and_never_jumps():
     assert max(aside) > 0.5 and aside[0] == aside[-1] == 0.0
 
 
-def test_it_stands_where_it_stopped_and_a_teleported_one_begins_anew():
+def swung_out():
+    """A bus in the middle of its bend."""
     roads, shown = Bend(), SwingOut(corner_ground(free_m=8.0), TICK_S)
     for front_m in np.arange(40.0, 66.0, 0.5):
         (now,) = shown.shown((roads.bus(front_m),), roads)
-    stands = roads.bus(front_m, speed_mps=0.0)
+    return roads, shown, now
+
+
+def test_it_stands_where_it_stopped_and_a_teleported_one_begins_anew():
+    roads, shown, now = swung_out()
+    stands = roads.bus(65.5, speed_mps=0.0)
     roads.front_m = None  # SUMO: stopped by its plan
     for _ in range(3):
         (still,) = shown.shown((stands,), roads)
@@ -149,9 +155,7 @@ def test_it_stands_where_it_stopped_and_a_teleported_one_begins_anew():
 
 
 def test_one_that_changes_lanes_is_led_over_by_degrees():
-    roads, shown = Bend(), SwingOut(corner_ground(free_m=8.0), TICK_S)
-    for front_m in np.arange(40.0, 66.0, 0.5):
-        (now,) = shown.shown((roads.bus(front_m),), roads)
+    roads, shown, now = swung_out()
     shown._ground = corner_ground(free_m=30.0)
     roads.lane = lambda lane_id: replace(Bend().lane("E_0"), id="F_0", edge_id="F")
     roads.lanes_ahead = lambda actor_id, ahead_m: ("F_0",)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 import subprocess
 import sys
@@ -11,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.cli.test_bad_input import refused
+from tests.cli.test_commands import read
 from tests.support.framing import chained, read_whole
 from tests.support.journals import eventful_run, nudged, rewritten
 from wcsim.log.reader import iter_inputs, read_header
@@ -42,12 +42,12 @@ def test_a_run_is_verified_in_a_fresh_process(journaled, tmp_path):
     assert "150 ticks compared, all equal (" in done.stdout
     assert "ticks/s)" in done.stdout
     assert done.stderr == ""
-    assert json.loads((tmp_path / "told.json").read_text()) == {"ticks": 150, "mismatches": 0, "first_mismatch": None}
+    assert read(tmp_path / "told.json") == {"ticks": 150, "mismatches": 0, "first_mismatch": None}
 
 
 def test_a_changed_command_is_found_at_its_tick(wcsim, folder, changed):
     result = wcsim("log", "verify", changed, "--epoch", 0, "--from", 11, "--to", 60, "--json", "told.json")
-    told = json.loads(Path("told.json").read_text())
+    told = read("told.json")
     assert result.code == 1, result
     assert told["ticks"] == 50
     assert 1 <= told["mismatches"] <= 11
@@ -68,10 +68,10 @@ def test_the_first_difference_of_two_runs(wcsim, folder, journaled, changed):
     result = wcsim("log", "compare", journaled, changed, "--json", "told.json")
     assert result.code == 1
     assert result.out.startswith("Ticked (epoch 0, tick 50): seat 0 is commanded (")
-    told = json.loads(Path("told.json").read_text())
+    told = read("told.json")
     assert told == {"equal": False, "first_difference": result.out.strip()}
     assert wcsim("log", "compare", journaled, journaled / "journal", "--json", "told.json").code == 0
-    assert json.loads(Path("told.json").read_text()) == {"equal": True, "first_difference": ""}
+    assert read("told.json") == {"equal": True, "first_difference": ""}
     trace = journaled / "beside.trace"
     assert wcsim("log", "compare", trace, trace).code == 0
 
@@ -82,14 +82,14 @@ def test_a_run_is_written_from_its_trace_or_else_from_its_journal(wcsim, folder,
     result = wcsim("log", "convert", journaled, "b.xml", "--json", "told.json")
     assert result.code == 0, result
     assert Path("a.xml").read_bytes() == Path("b.xml").read_bytes()
-    assert json.loads(Path("told.json").read_text())["steps"] == 90
+    assert read("told.json")["steps"] == 90
     assert wcsim("log", "convert", journaled, "c.xml", "--epoch", 1).out == "wrote c.xml: 60 time steps\n"
 
 
 def test_a_journal_is_written_for_ros_with_all_that_its_chairs_sensed(wcsim, folder, journaled):
     result = wcsim("log", "convert", journaled, "a.mcap", "--epoch", 1, "--json", "told.json")
     assert result.code == 0, result
-    counts = json.loads(Path("told.json").read_text())["messages"]
+    counts = read("told.json")["messages"]
     chairs = {topic.split("/")[1] for topic in counts if topic.startswith("/chair_")}
     for chair in chairs:
         ticks = counts[f"/{chair}/odom"]
@@ -109,7 +109,7 @@ def test_a_drive_is_recorded_made_again_and_written_for_ros(wcsim, folder, corne
     result = wcsim("log", "verify", "a.drive", "--json", "told.json")
     assert (result.code, result.err) == (0, "")
     assert "30 ticks compared, all equal, at most 0 m apart" in result.out
-    told = json.loads(Path("told.json").read_text())
+    told = read("told.json")
     assert told == {"ticks": 30, "mismatches": 0, "first_mismatch": None, "farthest_m": 0.0}
     told = wcsim("log", "convert", "a.drive", "a.mcap").out
     assert "151 messages on /joy, /joy_command, /joy_intent, /odom" in told

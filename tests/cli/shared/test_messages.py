@@ -16,10 +16,10 @@ import pytest
 
 from tests.cli.conftest import QUICK, files_in
 from tests.cli.test_bad_input import refused
+from tests.support.tracked import ROOT
 from wcsim.drive.starting import DriveStart, open_place
 from wcsim.log.framing import whole_records
 
-ROOT = Path(__file__).parents[3]
 HEAVY = ("torch", "libsumo", "pybullet")
 SMALL = ("--set", "learn.total_steps=8", "--set", "learn.phase1_steps=4", *QUICK)
 

@@ -8,23 +8,20 @@ from dataclasses import replace
 
 import pytest
 
+from tests.cli.training.test_clients import q_config
 from wcsim.cli.shared.run_config import (
     learning,
     overrides_of,
     require_head,
     resolve_run,
 )
-from wcsim.cli.training.train import _QLearningOptions, q_layers
+from wcsim.cli.training.train import _QLearningOptions
 from wcsim.config import resolve
 from wcsim.errors import ConfigError, PolicyError
 from wcsim.server.specs import RunInfo
 from wcsim.towns.scenario.town import find_town, streets_hash
 
 INFO = RunInfo(seed=3, command=("wcsim", "train"))
-
-
-def q_config(asked, *more):
-    return resolve(asked.preset, *q_layers(asked, *more))
 
 
 def test_what_is_laid_over_what(tmp_path):

@@ -14,9 +14,7 @@ from wcsim.towns.scenario.town import find_town
 SMALL = ("--size", "300", "--kind", "grid", "--hill", "5", "--parked", "1", "--traffic", "0.5")
 
 
-@pytest.fixture(autouse=True)
-def _own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+pytestmark = pytest.mark.usefixtures("own_cache")
 
 
 def test_a_town_is_made_checked_found_by_name_and_made_again_by_its_own_command(

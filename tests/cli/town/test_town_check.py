@@ -21,9 +21,7 @@ from wcsim.towns.sumo.tools import Limits, ToolRun
 LOOP = '<inductionLoop id="loop" lane="nowhere_0" pos="5" period="5" file="loop.xml"/>'
 
 
-@pytest.fixture(autouse=True)
-def _own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+pytestmark = pytest.mark.usefixtures("own_cache")
 
 
 @pytest.mark.parametrize(

@@ -5,15 +5,13 @@ from __future__ import annotations
 import json
 import os
 import signal
-import subprocess
-import sys
 import time
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from tests.cli.conftest import QUICK, files_in
+from tests.cli.conftest import QUICK, files_in, finished, start
 from tests.support.events import read_events
 from wcsim.agents.clients.group_run import GroupRun, create_clients_folder, open_clients_folder
 from wcsim.agents.clients.paid_times import read_paid_times
@@ -47,17 +45,6 @@ def q_config(asked, *more):
     return resolve(asked.preset, *q_layers(asked, *more))
 
 
-def start(folder, *words, program="wcsim"):
-    return subprocess.Popen(
-        [sys.executable, "-m", program, *(str(word) for word in words)],
-        cwd=folder,
-        env={**os.environ, "OMP_NUM_THREADS": "1", "COLUMNS": "100"},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-
-
 def waited(what, within_s=120.0):
     """What `what()` gives, once it gives something."""
     deadline_s = time.monotonic() + within_s
@@ -65,6 +52,12 @@ def waited(what, within_s=120.0):
         assert time.monotonic() < deadline_s, what
         time.sleep(0.02)
     return found
+
+
+def assert_no_step_lost(folder):
+    """By the two clients of a command that wrote x.json."""
+    result = json.loads((folder / "x.json").read_text())
+    assert [(c["missing"], c["duplicated"]) for c in result["clients"]] == [(0, 0), (0, 0)]
 
 
 def places(child):
@@ -273,8 +266,7 @@ def test_two_networks_learn_in_one_world_of_a_town_a_generation(tmp_path, corner
     words = ("--town", f"{corner},{other}", "--steps", 20, "--out", "run", "--json", "x.json", *SMALL)
     generations = ("--set", "world.epoch_ticks=12", "--set", "learn.phase1_steps=8")
     child = start(tmp_path, "train-clients", "patch,fig6", *words, *generations)
-    out, err = child.communicate(timeout=200)
-    assert child.returncode == 0, err
+    out, _ = finished(child, 200)
     result = json.loads((tmp_path / "x.json").read_text())
     assert [(c["name"], c["ticks"], c["missing"], c["duplicated"]) for c in result["clients"]] == [
         ("patch", 19, 0, 0),
@@ -324,8 +316,7 @@ def test_equal_seeds_give_equal_worlds(tmp_path, corner):
     for name, seed in (("a", 5), ("b", 5), ("c", 6)):
         words = ("train-clients", "conv3d,fig6", "--town", corner, "--steps", 60, "--seed", seed, "--out", name)
         child = start(tmp_path, *words, "--json", f"{name}.json", *SMALL)
-        _, err = child.communicate(timeout=280)
-        assert child.returncode == 0, err
+        finished(child)
         hashes.append(json.loads((tmp_path / f"{name}.json").read_text())["journal_hash"])
     assert hashes[0] == hashes[1] != hashes[2]
 
@@ -343,10 +334,8 @@ def test_killed_processes_cost_no_step(tmp_path, corner):
     os.kill(pid_of("fig6"), signal.SIGKILL)
     waited(lambda: any(e["event"] == "recovery" for e in read_events(run)))
     os.kill(pid_of("world"), signal.SIGKILL)
-    _, err = child.communicate(timeout=280)
-    assert child.returncode == 0, err
-    result = json.loads((tmp_path / "x.json").read_text())
-    assert [(c["missing"], c["duplicated"]) for c in result["clients"]] == [(0, 0), (0, 0)]
+    finished(child)
+    assert_no_step_lost(tmp_path)
     assert [e["who"] for e in read_events(run) if e["event"] == "death"] == ["fig6", "world"]
     assert [e["who"] for e in read_events(run) if e["event"] == "recovery"] == ["fig6", "world"]
     epochs = [record.epoch for record in iter_inputs(run / "journal") if isinstance(record, EpochBegun)]
@@ -361,8 +350,7 @@ def test_what_was_stopped_goes_on_with_resume(tmp_path, corner):
     waited(lambda: (tmp_path / "run" / "fig6" / "metrics.csv").is_file())
     waited(lambda: len((tmp_path / "run" / "fig6" / "metrics.csv").read_text().splitlines()) > 1)
     child.send_signal(signal.SIGINT)
-    _, err = child.communicate(timeout=200)
-    assert child.returncode == Exit.STOPPED, err
+    _, err = finished(child, 200, Exit.STOPPED)
     assert "wcsim resume run" in err
     assert places(child) == []
     assert open_clients_folder(tmp_path / "run").manifest.status == "interrupted"
@@ -371,8 +359,7 @@ def test_what_was_stopped_goes_on_with_resume(tmp_path, corner):
     with (tmp_path / "run" / "journal").open("ab") as file:
         file.write(b"torn")
     child = start(tmp_path, "resume", "run", "--json", "x.json")
-    _, err = child.communicate(timeout=280)
-    assert child.returncode == 0, err
+    _, err = finished(child)
     result = json.loads((tmp_path / "x.json").read_text())
     assert [(c["ticks"], c["missing"], c["duplicated"]) for c in result["clients"]] == [(200, 0, 0), (200, 0, 0)]
     assert "the last 4 bytes were an incomplete record" in err
@@ -397,12 +384,10 @@ def test_a_world_by_hand_and_a_client_by_hand(tmp_path, corner):
         keys = ("--keys", "keys") if address.startswith("tcp") else ()
         learn = ("--steps", 12, "--set", "learn.batch_size=4", "--set", "learn.learning_starts=4")
         client = start(tmp_path, "join", address, "--network", "patch", "--out", f"j{number}", *learn, *keys)
-        _, err = client.communicate(timeout=120)
-        assert client.returncode == 0, err
+        finished(client, 120)
         assert open_run(tmp_path / f"j{number}").config.cameras[0].width_px == 32
     server.send_signal(signal.SIGINT)
-    _, err = server.communicate(timeout=120)
-    assert server.returncode == 0, err
+    finished(server, 120)
     assert (tmp_path / "world" / "journal").is_file()
     client = start(tmp_path, "join", addresses[0], "--network", "patch", "--wait", 1)
     _, err = client.communicate(timeout=120)

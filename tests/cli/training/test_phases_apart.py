@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 
 from tests.agents.evaluation.suite.lists import block_of, suite_in, written_list
-from tests.cli.training.test_clients import SMALL, start, waited
+from tests.cli.conftest import finished, start
+from tests.cli.training.test_clients import SMALL, waited
 from tests.support.events import read_events
 from wcsim.agents.clients.group_run import GroupRun, open_clients_folder, read_choice
 from wcsim.agents.evaluation.suite.result_files import result_of
@@ -138,8 +139,7 @@ def test_the_lowest_kpi_1_of_the_first_phase_goes_on_or_whom_the_user_names(tmp_
 def test_one_command_trains_compares_and_goes_on_with_the_best(tmp_path, corner, suite, monkeypatch):
     words = ("train-clients", "patch,fig6", "--town", corner, "--select-by", suite, "--out", "run", *STEPS, *SMALL)
     child = start(tmp_path, *words, "--json", "x.json")
-    out, err = child.communicate(timeout=280)
-    assert child.returncode == 0, err
+    out, _ = finished(child)
     run = tmp_path / "run"
     choice = json.loads((run / "selection" / "choice.json").read_text())
     best = choice["best"]
@@ -177,8 +177,7 @@ def test_what_is_stopped_while_clients_are_compared_goes_on_there(tmp_path, corn
     before = {path.name: path.stat().st_mtime_ns for path in kept.glob("*.json")}
     assert len(before) < 9 and not (kept.parent / "choice.json").exists()
     child = start(tmp_path, "resume", "run")
-    _, err = child.communicate(timeout=280)
-    assert child.returncode == 0, err
+    finished(child)
     after = {path.name: path.stat().st_mtime_ns for path in kept.glob("*.json")}
     assert len(after) == 9 and {name: after[name] for name in before} == before
     best = read_choice(tmp_path / "run", ["patch", "fig6"])

@@ -22,12 +22,6 @@ Served = tuple[str, subprocess.Popen[str]]
 
 
 @pytest.fixture(scope="module")
-def running(corner: Path) -> Iterator[Served]:
-    with served(corner) as drive:
-        yield drive
-
-
-@pytest.fixture(scope="module")
 def only_page(browser: Any, running: Served) -> Iterator[Any]:
     context = browser.new_context(has_touch=True)
     context.set_default_timeout(1000 * PATIENCE_S)

@@ -15,7 +15,7 @@ import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
-from tests.drive.serving.served import FakePage, served
+from tests.drive.serving.served import FakePage
 from wcsim.drive.runner import DriveOrder
 from wcsim.drive.serving import server as server_module
 from wcsim.drive.serving.server import MOST_PAGES, DriveServer
@@ -25,12 +25,6 @@ from wcsim.errors import ConfigError
 pytestmark = pytest.mark.timeout(900)  # a busy machine opens a street in minutes
 Served = tuple[str, subprocess.Popen[str]]
 START = DriveOrder(start=DriveStart())
-
-
-@pytest.fixture(scope="module")
-def running(corner: Path) -> Iterator[Served]:
-    with served(corner) as drive:
-        yield drive
 
 
 @pytest.mark.parametrize("host", ["192.0.2.1", "no-such-host.invalid"])

@@ -11,6 +11,7 @@ from benchmarks.camera.compare import compare_renderers, pooled
 from benchmarks.camera.embree import depth_agrees
 from tests.physics.renderer.render_oracle import CAMERA, actor, crowd
 from tests.support.samples import strip_street
+from tests.towns.ground.rays import normals
 from wcsim.errors import ConfigError
 from wcsim.physics.buffers import new_images
 from wcsim.physics.renderer.geometry import GeometryStore
@@ -26,7 +27,7 @@ def store():
     """The sample street with its kerbs turned towards the road: TinyRenderer draws front faces only."""
     mesh = strip_street().mesh
     corners = mesh.vertices_W_m[mesh.faces]
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal = normals(corners)
     kerb = np.isin(mesh.face_class, (ClassId.KERB, ClassId.LOWERED_KERB))
     wrong = kerb & (normal[:, 1] * corners[:, 0, 1] > 0.0)
     faces = mesh.faces.copy()

@@ -245,10 +245,14 @@ def test_pictures_are_the_same_bytes_with_any_number_of_threads_and_taken_one_by
     assert taken(mesh, threads, together=True) == alone
 
 
+def shown_of(rig, pair):
+    return [(rig.frames(seat, scene)[0].depth_m.tobytes(), rig.shown_px(seat)) for seat, scene in pair.items()]
+
+
 def test_two_pictures_at_once_do_not_meet(mesh, monkeypatch):
     pair = {seat: scene for seat, scene in scenes(0).items() if scene.counted}
     with CameraRig(mesh, (SMALL,), len(PLACES), threads=2) as rig:
-        alone = [(rig.frames(seat, scene)[0].depth_m.tobytes(), rig.shown_px(seat)) for seat, scene in pair.items()]
+        alone = shown_of(rig, pair)
     assert len(pair) == 2 and alone[0] != alone[1] and alone[0][1]
     with CameraRig(mesh, (SMALL,), len(PLACES), threads=2) as rig:
         both, render = threading.Barrier(2, timeout=20.0), RasterRenderer.render
@@ -259,7 +263,7 @@ def test_two_pictures_at_once_do_not_meet(mesh, monkeypatch):
 
         monkeypatch.setattr(RasterRenderer, "render", drawn_and_waited)
         rig.shoot_all(pair)
-        seen = [(rig.frames(seat, scene)[0].depth_m.tobytes(), rig.shown_px(seat)) for seat, scene in pair.items()]
+        seen = shown_of(rig, pair)
     assert seen == alone
 
 

@@ -45,13 +45,18 @@ def test_speeding_up_and_turning_have_the_right_signs():
         assert r.chair.imu().accel_mean_mps2[0] == pytest.approx(-1.5, abs=0.15)
 
 
-def test_tilted_it_feels_gravity_along_its_axes():
-    sensor = imu()
-    up = matrix(quaternion(0.3, math.radians(10.0)))  # nose up
+def still(sensor, up):
+    """What is felt in a tick at rest."""
     sensor.reset(BodyMotion(up))
     for _ in range(24):
         sensor.sample(BodyMotion(up, STILL, STILL))
-    frame = sensor.end_tick(None)
+    return sensor.end_tick(None)
+
+
+def test_tilted_it_feels_gravity_along_its_axes():
+    sensor = imu()
+    up = matrix(quaternion(0.3, math.radians(10.0)))  # nose up
+    frame = still(sensor, up)
     expected = [9.81 * math.sin(math.radians(10)), 0.0, 9.81 * math.cos(math.radians(10))]
     assert frame.accel_mean_mps2 == pytest.approx(expected)
     assert frame.pitch_rad == pytest.approx(math.radians(10.0))
@@ -149,9 +154,10 @@ def test_gravity_in_the_peak_does_not_ring_in_at_a_start():
     sensor = imu(gravity="included")
     up = matrix(quaternion(0.0, 0.2))
     sensor.reset(BodyMotion(up))
-    assert sensor.end_tick(None).accel_peak_mps2 == pytest.approx([9.81 * math.sin(0.2), 0.0, 9.81 * math.cos(0.2)])
+    gravity = pytest.approx([9.81 * math.sin(0.2), 0.0, 9.81 * math.cos(0.2)])
+    assert sensor.end_tick(None).accel_peak_mps2 == gravity
     sensor.sample(BodyMotion(up, STILL, STILL))
-    assert sensor.end_tick(None).accel_peak_mps2 == pytest.approx([9.81 * math.sin(0.2), 0.0, 9.81 * math.cos(0.2)])
+    assert sensor.end_tick(None).accel_peak_mps2 == gravity
 
 
 def test_numbers_that_are_not_finite_are_refused():
@@ -203,9 +209,6 @@ def test_a_turned_sensor_feels_in_its_own_axes_and_what_is_judged_stays():
 def test_the_tilt_sensor_ends_at_its_range(mode):
     sensor = imu(tilt=mode, tilt_range_deg=6.0, noise=False)
     up = matrix(quaternion(0.0, math.radians(10.0), math.radians(-3.0)))
-    sensor.reset(BodyMotion(up))
-    for _ in range(24):
-        sensor.sample(BodyMotion(up, STILL, STILL))
-    frame = sensor.end_tick(None)
+    frame = still(sensor, up)
     assert math.degrees(frame.pitch_rad) == pytest.approx(6.0)
     assert math.degrees(frame.roll_rad) == pytest.approx(-3.0, abs=0.1)

@@ -245,9 +245,7 @@ def test_a_car_pushes_the_chair_and_does_not_sink_into_it(yaw, start_m):
             car = actor("car", 0.8 * tick + start_m, 0.0)
             pool.place([BodyMove(actor=car, v_W_mps=np.array([8.0, 0.0, 0.0]), yaw_rate_radps=0.0)])
             for _ in range(24):
-                r.chair.before_step()
-                r.engine.step()
-                r.chair.after_step()
+                r.step()
                 body, bullet = pool.body_of("car"), r.engine.bullet
                 points = bullet.getContactPoints(r.chair.body_id, body)
                 deepest = min([deepest, *[point[8] for point in points]])

@@ -5,13 +5,12 @@ from __future__ import annotations
 import shutil
 import subprocess
 import threading
-from contextlib import ExitStack
 from dataclasses import replace
 
 import pytest
 
 from benchmarks.barrier.fake_world import FakeWorld
-from tests.server.host.test_process import BOTH, audited, drive_through, two_seats
+from tests.server.host.test_process import BOTH, audited, drive_through, two_linked
 from tests.server.servers import AHEAD, Server, stand_in_order, together
 from tests.server.servers import driven as driven_through
 from tests.support.worlds import quick_config
@@ -23,7 +22,6 @@ from wcsim.server.host.opening import EPOCH_OVER, _epoch_seed, open_server
 from wcsim.server.host.process import SETTLED_TICKS, _EpochCap
 from wcsim.server.launch.states import WorldExit
 from wcsim.server.ledger import iter_ledger
-from wcsim.server.links.socket import SocketSeat
 from wcsim.server.protocol.events import BarrierState
 from wcsim.server.protocol.members import Member
 from wcsim.server.protocol.server_core import ServerCore
@@ -55,8 +53,7 @@ def driven(folder, ticks):
     """Two clients drive so many ticks through as many epochs as it takes; the exit codes of the worlds."""
     folder.mkdir()
     codes, over = [], threading.Event()
-    with Server(capped(folder), folder) as server, ExitStack() as held:
-        links = [held.enter_context(SocketSeat(seat)) for seat in two_seats(server, folder)]
+    with two_linked(capped(folder), folder) as (server, links, _):
         server.status()
         keeper = threading.Thread(target=kept_up, args=(server, codes, over))
         keeper.start()
@@ -78,8 +75,7 @@ def first(tmp_path_factory):
 def test_an_epoch_ends_at_its_cap_and_all_go_on_in_the_next_one(first):
     folder, codes, restarts = first
     assert codes == [WorldExit.EPOCH_OVER] * 2 and restarts == [2, 2]
-    records, found = audited(folder)
-    assert (found.lost, found.doubled, found.phantom) == (0, 0, 0)
+    records = audited(folder)
     for name in "ab":  # the last frame of an epoch was seen before its world went
         seen = {(entry.epoch, entry.tick) for entry in iter_ledger(folder / name) if entry.stepped}
         assert {(epoch, tick) for epoch in (0, 1) for tick in range(1, CAP + 1)} <= seen
@@ -134,8 +130,7 @@ def test_a_world_that_ended_while_it_was_made_leaves_its_epoch_to_the_next_one(t
 
 
 def test_who_leaves_at_the_last_tick_of_an_epoch_is_not_waited_for_in_the_next_one(tmp_path):
-    with Server(capped(tmp_path), tmp_path) as server, ExitStack() as held:
-        a, b = (held.enter_context(SocketSeat(seat)) for seat in two_seats(server, tmp_path))
+    with two_linked(capped(tmp_path), tmp_path) as (server, (a, b), _):
         driven_through([a, b], CAP)
         b.close()
         a.send(CAP, AHEAD)

@@ -8,7 +8,7 @@ import socket
 import stat
 import threading
 import time
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -37,9 +37,26 @@ def two_seats(server, folder):
     return [server.seat(name, seat=number, ledger=f"{folder}/{name}") for number, name in enumerate("ab")]
 
 
+@contextmanager
+def two_linked(order, folder):
+    """A world, the links of its two clients, and what closes them."""
+    with Server(order, folder) as server, ExitStack() as held:
+        yield server, [held.enter_context(SocketSeat(seat)) for seat in two_seats(server, folder)], held
+
+
 def audited(folder):
+    """The journal of two clients, of whose steps none was lost, doubled or made up."""
     records = read_whole(folder / "run" / JOURNAL).records
-    return records, audit(records, [(0, iter_ledger(folder / "a")), (1, iter_ledger(folder / "b"))])[0]
+    found, *_ = audit(records, [(0, iter_ledger(folder / "a")), (1, iter_ledger(folder / "b"))])
+    assert (found.lost, found.doubled, found.phantom) == (0, 0, 0)
+    return records
+
+
+def _ended(server, held):
+    """The clients leave, and the world ends when it is asked to."""
+    held.close()
+    server.process.terminate()
+    assert server.wait() == 0
 
 
 def drive_through(link, ticks=30):
@@ -55,19 +72,15 @@ def drive_through(link, ticks=30):
 
 def test_a_world_that_is_killed_comes_back_and_no_step_is_lost_or_doubled(tmp_path):
     order = stand_in_order(tmp_path, run=str(tmp_path / "run"), rules=BOTH)
-    with Server(order, tmp_path) as server, ExitStack() as held:
-        links = [held.enter_context(SocketSeat(seat)) for seat in two_seats(server, tmp_path)]
+    with two_linked(order, tmp_path) as (server, links, held):
         server.status()
         assert [seen.tick for seen in driven(links, 20)] == [20, 20]
         server.kill()
         server.start()
         assert together(links, drive_through) == [1, 1]
         assert (links[0].epoch, links[0].join().tick) == (1, 29)
-        held.close()
-        server.process.terminate()
-        assert server.wait() == 0
-    records, found = audited(tmp_path)
-    assert (found.lost, found.doubled, found.phantom) == (0, 0, 0)
+        _ended(server, held)
+    records = audited(tmp_path)
     assert [len(read_whole(part).records) > 20 for part in part_files(tmp_path / "run" / JOURNAL)] == [True, True]
     assert [record.epoch for record in records if isinstance(record, EpochBegun)] == [0, 1]
     assert isinstance(records[-1], Ended)
@@ -76,26 +89,21 @@ def test_a_world_that_is_killed_comes_back_and_no_step_is_lost_or_doubled(tmp_pa
 @pytest.mark.proof
 def test_a_real_world_that_was_killed_and_the_next_one_are_verified(tmp_path, corner):
     order = stand_in_order(tmp_path, run=str(tmp_path / "run"), rules=BOTH, town=str(corner))
-    with Server(order, tmp_path) as server, ExitStack() as held:
-        links = [held.enter_context(SocketSeat(seat)) for seat in two_seats(server, tmp_path)]
+    with two_linked(order, tmp_path) as (server, links, held):
         server.status()
         driven(links, 15)
         server.kill()
         server.start()
         assert together(links, drive_through) == [1, 1]
-        held.close()
-        server.process.terminate()
-        assert server.wait() == 0
-    _, found = audited(tmp_path)
-    assert (found.lost, found.doubled, found.phantom) == (0, 0, 0)
+        _ended(server, held)
+    audited(tmp_path)
     verified = verify(tmp_path / "run" / JOURNAL, None, 0, None)
     assert (verified.ticks, verified.mismatches) == (44, 0)
 
 
 def test_a_world_that_was_stopped_gives_nobody_up(tmp_path):
     order = stand_in_order(tmp_path, rules=replace(BOTH, lease_s=4.0))
-    with Server(order, tmp_path) as server, ExitStack() as held:
-        links = [held.enter_context(SocketSeat(seat)) for seat in two_seats(server, tmp_path)]
+    with two_linked(order, tmp_path) as (server, links, _):
         driven(links, 3)
         server.process.send_signal(signal.SIGSTOP)
         time.sleep(6.0)
@@ -105,8 +113,7 @@ def test_a_world_that_was_stopped_gives_nobody_up(tmp_path):
 
 def test_a_client_that_hangs_is_given_up_and_the_other_goes_on(tmp_path):
     order = stand_in_order(tmp_path, rules=replace(BOTH, lease_s=4.0))
-    with Server(order, tmp_path) as server, ExitStack() as held:
-        links = [held.enter_context(SocketSeat(seat)) for seat in two_seats(server, tmp_path)]
+    with two_linked(order, tmp_path) as (_, links, _):
         joined(links)
         assert links[1].act(0, AHEAD).tick == 1
         with pytest.raises(LinkError, match="no sign of progress"):
@@ -197,11 +204,8 @@ def test_a_client_whose_connection_was_lost_for_a_moment_joins_again(tmp_path):
             return restarts
 
         assert together(links, drive) == [0, 1]
-        held.close()
-        server.process.terminate()
-        assert server.wait() == 0
-    _, found = audited(tmp_path)
-    assert (found.lost, found.doubled, found.phantom) == (0, 0, 0)
+        _ended(server, held)
+    audited(tmp_path)
 
 
 def test_it_ends_when_it_is_asked_to_and_says_goodbye(tmp_path):

@@ -19,7 +19,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tests.server.servers import AHEAD, QUICK, Server, alone, driven, stand_in_order
+from tests.server.servers import AHEAD, QUICK, Server, alone, driven, far_order, frames_of, stand_in_order
 from tests.support.worlds import quick_config
 from wcsim.errors import (
     ConfigMismatchError,
@@ -38,7 +38,7 @@ from wcsim.server.links.socket import ProcessGroup, SocketSeat
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.client_core import Ask, ClientCore, Patience
 from wcsim.server.protocol.events import Rules
-from wcsim.server.specs import SeatRequest, WorldOrder, WorldSpec
+from wcsim.server.specs import SeatRequest, WorldOrder
 from wcsim.server.transport.keys import make_keys
 from wcsim.server.transport.world_folder import OwnFolder, endpoint_in
 from wcsim.types import SeatSpec
@@ -51,20 +51,10 @@ def order(corner, seed=SEED) -> WorldOrder:
     return WorldOrder(town=str(corner), config=CONFIG, seat=SPEC, seed=seed)
 
 
-def ledger(link, ticks=TICKS):
-    """Every frame as bytes, because images are views that later frames overwrite."""
-    frame = link.join()
-    frames = [m.encode(m.Frame(0, frame.tick, 0, frame))]
-    for _ in range(ticks):
-        frame = link.act(frame.tick, AHEAD)
-        frames.append(m.encode(m.Frame(0, frame.tick, 0, frame)))
-    return frames
-
-
 @pytest.fixture(scope="module")
 def reference(corner):
     with alone(LocalGroup(order(corner))) as link:
-        return ledger(link)
+        return frames_of(link, TICKS)
 
 
 @dataclass
@@ -78,16 +68,7 @@ class Opened:
 @contextmanager
 def over_tcp(corner, folder, keys: str) -> Iterator[WorldLink]:
     """A seat for a client on another machine."""
-    world = WorldSpec(
-        town=str(corner),
-        config=CONFIG,
-        seed=SEED,
-        rules=Rules(capacity=1),
-        endpoint=f"ipc://{folder}/s/world",
-        ring=str(folder / "ring"),
-        listen="tcp://127.0.0.1:*",
-        keys=keys,
-    )
+    world = far_order(folder, corner, config=CONFIG, seed=SEED, keys=keys)
     with Server(world, folder) as server:
         address = server.status().listening
         with SocketSeat(SeatRequest(endpoint=address, name="far", claim="x", spec=SPEC, keys=keys)) as link:
@@ -108,7 +89,7 @@ def opened(request, corner, reference, tmp_path_factory):
                 keys = str(folder / "keys")
                 make_keys(folder / "keys", ("far",))
             link = held.enter_context(over_tcp(corner, folder, keys))
-        yield Opened(link, ledger(link))
+        yield Opened(link, frames_of(link, TICKS))
 
 
 def test_frames_are_the_same_to_the_bit(opened, reference):
@@ -406,4 +387,4 @@ def test_the_second_world_gets_a_process_of_its_own(corner):
     assert isinstance(first, LocalGroup)
     assert isinstance(second, ProcessGroup)
     with alone(first) as here, alone(second) as there:
-        assert ledger(there, 10) == ledger(here, 10)
+        assert frames_of(there, 10) == frames_of(here, 10)

@@ -115,19 +115,24 @@ def test_a_visible_truth_beyond_its_bounds_is_refused(ended, spoilt):
         m.decode_reply(frame)
 
 
+def received(client):
+    """What comes of a frame on its way."""
+    return m.decode_reply(m.encode(m.Frame(0, 3, 0, client)))
+
+
 EVENTS = ("arrived", "gave_up", "on_carriageway", "crossed", "entered_red", "help_asked")
 
 
 @pytest.mark.parametrize("flag", EVENTS)
 def test_every_event_arrives_as_itself(ended, flag):
     client = replace(ended, events=replace(ended.events, **{name: name == flag for name in EVENTS}))
-    assert m.decode_reply(m.encode(m.Frame(0, 3, 0, client))).client.events == client.events
+    assert received(client).client.events == client.events
 
 
 def test_numbers_arrive_to_the_bit(ended):
     odd = np.array([1 / 3, -0.0, 5e-324])
     client = replace(ended, plant=replace(ended.plant, p_WB_m=odd))
-    reply = m.decode_reply(m.encode(m.Frame(0, 3, 0, client)))
+    reply = received(client)
     assert reply.client.plant.p_WB_m.tobytes() == odd.tobytes()
 
 
@@ -153,7 +158,7 @@ def test_frames_whose_parts_do_not_fit_are_refused(ended):
     spoilt.append(replace(ended, first=replace(ended.first, plant=replace(plant, q_WB=np.zeros(3)))))
     for client in spoilt:
         with pytest.raises(ProtocolError):
-            m.decode_reply(m.encode(m.Frame(0, 3, 0, client)))
+            received(client)
 
 
 @pytest.mark.parametrize(("kind", "told"), [(F64, b"abc"), (F64, "a"), (F32, ((2, 3), b"abcd")), (F32, 1), (U8, {})])
@@ -165,7 +170,7 @@ def test_what_is_no_array_is_refused(kind, told):
 def test_readings_travel_with_the_frame(ended):
     said = (Reading(name="beams", values=np.arange(3.0)), Reading(name="wheels", values=np.array([-0.5, 2.0])))
     told = replace(ended, sensors=replace(ended.sensors, readings=said), first=None)
-    assert m.decode_reply(m.encode(m.Frame(0, 3, 0, told))).client.sensors.readings == said
+    assert received(told).client.sensors.readings == said
 
 
 @pytest.mark.parametrize(
@@ -176,4 +181,4 @@ def test_what_is_no_reading_is_refused(ended, name, values):
     reading = Reading(name=name, values=values)
     told = replace(ended, sensors=replace(ended.sensors, readings=(reading,)), first=None)
     with pytest.raises(ProtocolError):
-        m.decode_reply(m.encode(m.Frame(0, 3, 0, told)))
+        received(told)

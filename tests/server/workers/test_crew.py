@@ -32,6 +32,11 @@ def done_by(crew: Crew, keys: set[str], limit_s: float = 60.0) -> None:
     assert not left
 
 
+def do(crew: Crew, keys: str) -> None:
+    crew.ask([work(key) for key in keys])
+    done_by(crew, set(keys))
+
+
 def test_ctrl_c_is_not_heard_by_a_worker_not_even_while_it_starts(capfd):
     workers = _ProcessWorkers(1)
     try:
@@ -134,8 +139,7 @@ def test_what_is_asked_for_twice_is_done_once():
 def test_a_piece_that_is_late_goes_to_another_worker_and_counts_once():
     workers, kept = Scripted(slow=["hang"], quick=[]), []
     with Crew(workers, lambda key, data: kept.append(key), least_late_s=0.1) as crew:
-        crew.ask([work("a"), work("b"), work("c")])
-        done_by(crew, {"a", "b", "c"})
+        do(crew, "abc")
     assert sorted(kept) == ["a", "b", "c"]
     assert workers.stopped == ["slow"]
     assert sum(key == "a" for _, key in workers.begun) == 2
@@ -146,8 +150,7 @@ def test_a_piece_that_kills_its_workers_is_given_up_in_a_line():
         Crew(Scripted(w=["dead"] * 5), lambda key, data: None) as crew,
         pytest.raises(WorkersError, match=r"a was started 5 times and never finished; .*wcsim resume"),
     ):
-        crew.ask([work("a")])
-        done_by(crew, {"a"})
+        do(crew, "a")
 
 
 DYING = Scripted(**{"sick/1": ["dead"] * 99, "well/1": []}), 180.0
@@ -158,8 +161,7 @@ HUNG = HangingBeside(**{"sick/1": [], "sick/2": [], "well/1": []}), 0.05
 def test_a_machine_on_which_all_dies_or_hangs_ends_no_run_while_another_is_well(workers, late_s):
     kept = []
     with Crew(workers, lambda key, data: kept.append(key), least_late_s=late_s) as crew:
-        crew.ask([work(key) for key in "abcdef"])
-        done_by(crew, set("abcdef"))
+        do(crew, "abcdef")
     assert sorted(kept) == list("abcdef")
     sick = [key for worker, key in workers.begun if worker.startswith("sick")]
     assert sick and len(sick) == len(set(sick)), "none was given to it twice"
@@ -184,8 +186,7 @@ def test_a_piece_that_always_hangs_is_given_up_in_a_line():
         Crew(Hanging(w=[]), lambda key, data: None, least_late_s=0.05) as crew,
         pytest.raises(WorkersError, match=r"a was started 5 times and never finished; .*wcsim resume"),
     ):
-        crew.ask([work("a")])
-        done_by(crew, {"a"})
+        do(crew, "a")
 
 
 def test_what_a_killed_process_leaves_goes_with_the_next_piece(tmp_path, monkeypatch):
@@ -200,8 +201,7 @@ def test_what_a_killed_process_leaves_goes_with_the_next_piece(tmp_path, monkeyp
 
 def test_machines_may_go_as_often_as_they_like():
     with Crew(Scripted(w=["gone"] * 12), lambda key, data: None) as crew:
-        crew.ask([work("a")])
-        done_by(crew, {"a"})
+        do(crew, "a")
 
 
 def test_somebody_who_comes_later_does_what_is_left_and_nobody_at_all_ends_the_run():
@@ -215,8 +215,7 @@ def test_somebody_who_comes_later_does_what_is_left_and_nobody_at_all_ends_the_r
         Crew(Scripted(), lambda key, data: None, nobody_s=0.1) as crew,
         pytest.raises(WorkersError, match="no machine has been there to work"),
     ):
-        crew.ask([work("a")])
-        done_by(crew, {"a"})
+        do(crew, "a")
 
 
 ENDS = [(refuse, TownError), (blunder, ZeroDivisionError), (always_die, WorkersError)]
@@ -234,8 +233,7 @@ def test_a_full_disk_is_raised_where_it_is_waited_for():
         raise DiskFullError("no room")
 
     with Crew(Scripted(w=[]), full) as crew, pytest.raises(DiskFullError):
-        crew.ask([work("a")])
-        done_by(crew, {"a"})
+        do(crew, "a")
 
 
 def is_worker(process: psutil.Process) -> bool:
@@ -287,8 +285,7 @@ def test_a_worker_that_does_not_hear_that_it_is_to_be_killed_is_told_again(tmp_p
     asked = []
     workers.stop = asked.append
     with Crew(workers, lambda key, data: None, least_late_s=0.05) as crew:
-        crew.ask([work("a")])
-        done_by(crew, {"a"})
+        do(crew, "a")
         until_s = time.monotonic() + 20.0
         while len(asked) < 2 and time.monotonic() < until_s:
             time.sleep(0.01)

@@ -96,7 +96,7 @@ def _serve() -> None:
     from ray._private.node import Node
     from ray._private.parameter import RayParams
 
-    own = {"gcs_server_port": _free_port()} if not words.head else {"gcs_address": words.head}
+    own = {"gcs_server_port": free_port()} if not words.head else {"gcs_address": words.head}
     params = RayParams(
         node_ip_address="127.0.0.1",
         num_cpus=int(words.cpus),
@@ -116,7 +116,7 @@ def _serve() -> None:
         time.sleep(1.0)
 
 
-def _free_port() -> int:
+def free_port() -> int:
     import socket
 
     with socket.socket() as found:

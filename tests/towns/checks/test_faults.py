@@ -9,8 +9,10 @@ from xml.etree import ElementTree
 import pytest
 
 from tests.cli.towns import tiny_osm
+from tests.support.tracked import ROOT
 from tests.support.typed import printed
 from tests.towns.made.nets import edge, lane, write_net
+from tests.towns.osm.test_bridges import net_of
 from wcsim.errors import TownError
 from wcsim.towns.checks.check import TownReport, _demand_classes, _faults_of, _find_notes, _Overlap, check_town
 from wcsim.towns.importing.importer import ImportOrder, _build_net, _convert_net
@@ -21,7 +23,6 @@ from wcsim.towns.sumo.net import Net, read_net
 from wcsim.towns.sumo.xml_io import read_bytes
 from wcsim.towns.walking.islands import _linked, largest_share, stray_footways, walkable_parts
 
-REPOSITORY = Path(__file__).resolve().parents[3]
 FINE = TownReport(
     town="corner",
     crossings=4,
@@ -107,7 +108,7 @@ def test_a_net_in_degrees_is_refused_with_the_cure(corner_town: Town, tmp_path: 
 @pytest.mark.proof
 @pytest.mark.shared
 def test_footways_that_nobody_can_walk_to_are_left_out(tmp_path: Path) -> None:
-    osm = REPOSITORY.parent / "shared" / "towns" / "leeds.osm.xml.gz"
+    osm = ROOT.parent / "shared" / "towns" / "leeds.osm.xml.gz"
     if not osm.is_file():
         pytest.skip("the extract lies in the development material beside the checkout, which is not here")
     extract = read_extract(osm, Box(-1.538528, 53.795722, -1.531532, 53.799858))
@@ -132,12 +133,7 @@ def test_fast_streets_have_pavements_and_crossings_too(tmp_path: Path) -> None:
     osm = tmp_path / "tiny.osm"
     text = tiny_osm().replace('<tag k="sidewalk" v="both"/>', '<tag k="maxspeed" v="40 mph"/>')
     osm.write_text(text.replace('v="residential"', 'v="primary"'), encoding="utf-8")
-    extract = read_extract(osm)
-    net = _build_net(
-        ImportOrder(osm=tmp_path, name="x", split="train", out=tmp_path, bbox=extract.box, lefthand=False),
-        extract.root,
-        tmp_path,
-    ).net
+    net = net_of(osm).net
     streets = [edge for edge in net.edges if not edge.function]
     assert all(any(lane.permits("pedestrian") for lane in edge.lanes) for edge in streets)
     assert len([edge for edge in net.edges if edge.function == "crossing"]) >= 12

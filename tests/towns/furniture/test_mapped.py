@@ -8,6 +8,7 @@ import shapely
 from shapely import box
 
 from tests.towns.furniture.standing_samples import free_place, item
+from tests.towns.ground.rays import normals
 from wcsim.towns.furniture.everything import LOOK_OF, _pick_look, _place_mapped
 from wcsim.towns.furniture.models import LOOKS
 from wcsim.towns.furniture.placement import CLEAR_M, Taken, set_on_ground, stood
@@ -21,7 +22,7 @@ from wcsim.types import ClassId
 
 def outward(piece: Solid) -> np.ndarray:
     corners = piece.vertices_W_m[piece.faces]
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal = normals(corners)
     return (normal * (corners.mean(axis=1) - piece.vertices_W_m.mean(axis=0))).sum(axis=1)
 
 
@@ -43,7 +44,7 @@ def test_prism_with_a_courtyard_has_walls_both_ways_and_a_roof_with_a_hole() -> 
     outline = box(0, 0, 20, 20).difference(box(5, 5, 15, 15))
     piece = solid_shapes.prism(outline, 0.0, 10.0, ClassId.BUILDING)
     corners = piece.vertices_W_m[piece.faces]
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal = normals(corners)
     roof = normal[:, 2] > 1e-9
     up = corners[roof][:, :, :2]
     assert 0.5 * cross_z(up[:, 1] - up[:, 0], up[:, 2] - up[:, 0]).sum() == pytest.approx(outline.area)
@@ -103,8 +104,7 @@ def test_every_look_is_closed_below_stays_in_its_footprint_and_has_its_height(ki
     assert shapely.contains_xy(grown, low[:, 0], low[:, 1]).all()
     if LOOKS[kind].make is None:
         assert thing.piece.vertices_W_m[:, 2].max() == pytest.approx(LOOKS[kind].size_lwh_m[2], abs=0.1)
-    corners = thing.piece.vertices_W_m[thing.piece.faces]
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal = normals(thing.piece.vertices_W_m[thing.piece.faces])
     assert (np.linalg.norm(normal, axis=1) > 0).all()
     assert len(thing.piece.faces) <= (140 if kind != "rack" else 450)
 

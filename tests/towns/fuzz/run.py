@@ -26,6 +26,7 @@ from pathlib import Path
 import pytest
 
 from tests.cli.towns import tiny_osm
+from tests.support.tracked import ROOT
 from tests.towns.fuzz.scenarios import Case, make_case
 from wcsim.errors import TownError, WcsimError
 from wcsim.towns.sumo.xml_io import read_bytes
@@ -38,7 +39,6 @@ _CURE = re.compile(
     r"expected|correct|name it|remove|restore|build|export|choose|rename|join|give|clip|open it|download|larger|check"
     r"|: wcsim "
 )
-REPOSITORY = Path(__file__).resolve().parents[3]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -228,7 +228,7 @@ def _child(cases: Sequence[str], folder: Path, limit_s: float) -> tuple[list[Out
     """Outcomes of the mutants that were finished, and how the child ended, "" for well."""
     words = [sys.executable, "-m", "tests.towns.fuzz.run", str(folder), ",".join(cases)]
     with (folder / "output.txt").open("wb") as output:
-        child = subprocess.Popen(words, cwd=REPOSITORY, stdout=output, stderr=subprocess.STDOUT)
+        child = subprocess.Popen(words, cwd=ROOT, stdout=output, stderr=subprocess.STDOUT)
         done, since, end = 0, time.monotonic(), ""
         while child.poll() is None:
             if (now := len(_reported(folder))) != done:

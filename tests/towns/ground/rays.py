@@ -44,9 +44,20 @@ def _places(street: Street, count: int) -> F64:
     return np.concatenate(found)[:count]
 
 
+def normals(corners: np.ndarray) -> np.ndarray:
+    """Of triangles (n, 3, 3), as long as twice their area."""
+    return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+
+
+def steepest(corners: np.ndarray) -> float:
+    """The most that triangles (n, 3, 3) rise on a metre."""
+    normal = normals(corners)
+    return float((np.hypot(normal[:, 0], normal[:, 1]) / normal[:, 2]).max())
+
+
 def _height_on(corners: np.ndarray, xy_m: np.ndarray) -> np.ndarray:
     """Height (n,) of planes through triangles (n, 3, 3) at points (n, 2)."""
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal = normals(corners)
     offset = xy_m - corners[:, 0, :2]
     height: np.ndarray = corners[:, 0, 2] - (normal[:, :2] * offset).sum(axis=1) / normal[:, 2]
     return height

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import shapely
 
+from tests.towns.ground.rays import normals, steepest
 from wcsim.towns.ground.kerb_heights import STEEPEST, make_kerbing
 from wcsim.towns.ground.mesh import _GroundMesh, build_ground, kerb_walls
 from wcsim.towns.ground.plane_geometry import cross_z
@@ -59,8 +60,7 @@ def test_heights_and_ramps(ground: _GroundMesh) -> None:
     assert (low[:, :, 2] == 0.0).all()
     assert high[:, :, 2].min() >= 0.0 and high[:, :, 2].max() == pytest.approx(0.12)
     assert (high[:, :, 2] > 0.1199).mean() > 0.7  # most of the pavement is not a ramp
-    normal = np.cross(high[:, 1] - high[:, 0], high[:, 2] - high[:, 0])
-    assert (np.hypot(normal[:, 0], normal[:, 1]) / normal[:, 2]).max() <= 1.05 * STEEPEST
+    assert steepest(high) <= 1.05 * STEEPEST
 
 
 def test_kerbs_face_the_road_and_are_lowered_at_crossings(ground: _GroundMesh, surfaces: Surfaces) -> None:
@@ -68,7 +68,7 @@ def test_kerbs_face_the_road_and_are_lowered_at_crossings(ground: _GroundMesh, s
     assert set(np.unique(kinds)) == {ClassId.KERB, ClassId.LOWERED_KERB}
     rise_m = walls[:, :, 2].max(axis=1)
     assert (rise_m[kinds == ClassId.LOWERED_KERB] < 0.09).all()
-    normal = np.cross(walls[:, 1] - walls[:, 0], walls[:, 2] - walls[:, 0])
+    normal = normals(walls)
     assert np.allclose(normal[:, 2], 0.0)
     flat = normal[:, :2] / np.linalg.norm(normal[:, :2], axis=1, keepdims=True)
     ahead = walls[:, :2, :2].mean(axis=1) + 0.03 * flat

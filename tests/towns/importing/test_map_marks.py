@@ -7,6 +7,7 @@ import pytest
 import shapely
 
 from tests.cli.towns import tiny_osm
+from tests.towns.conftest import run_in_sumo
 from tests.towns.furniture.standing_samples import item
 from tests.towns.made.imported import imported
 from tests.towns.made.nets import street, write_net
@@ -18,7 +19,6 @@ from wcsim.towns.importing.importer import _Imported
 from wcsim.towns.importing.map_marks import _unpainted
 from wcsim.towns.sumo.additional import read_items
 from wcsim.towns.sumo.net import LaneKind, read_net
-from wcsim.towns.sumo.tools import run_tool
 from wcsim.towns.sumo.xml_io import parse_root
 from wcsim.types import ClassId, Street
 
@@ -85,8 +85,7 @@ def test_bus_stops_of_the_map_are_sumos(made: _Imported, tmp_path: Path) -> None
     assert made.counts["stops"] == made.counts["stops_mapped"] == 2
     net = read_net(made.town.net)
     assert next(each for edge in net.edges for each in edge.lanes if each.id == lane).permits("bus")
-    run = run_tool("sumo", ["-c", str(made.town.sumocfg), "--end", "5", "--no-step-log"], tmp_path)
-    assert run.returncode == 0 and "Error" not in run.output, run.output
+    run_in_sumo(made.town.sumocfg, 5, tmp_path)
 
 
 def test_car_parks_squares_and_the_ground_of_houses_are_paved(made: _Imported, built: Street) -> None:

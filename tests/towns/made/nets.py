@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import shapely
 
+from tests.towns.ground.rays import steepest
 from wcsim.towns.ground.kerb_heights import STEEPEST, make_kerbing
 from wcsim.towns.ground.mesh import LOW_CLASSES, _GroundMesh, build_ground, kerb_walls
 from wcsim.towns.ground.plane_geometry import cross_z
@@ -92,8 +93,7 @@ def assert_sound(net: Net, relief: Relief = FLAT) -> None:
     assert shapely.distance(hull.boundary, shapely.points(open_ends(ground))).max() < 0.5
     raised = corners[~ground.low]
     if len(raised):
-        normal = np.cross(raised[:, 1] - raised[:, 0], raised[:, 2] - raised[:, 0])
-        assert (np.hypot(normal[:, 0], normal[:, 1]) / normal[:, 2]).max() <= 1.03 * STEEPEST
+        assert steepest(raised) <= 1.03 * STEEPEST
     driven = [way for way in net.lanes(LaneKind.MOTOR, LaneKind.RAIL) if not way.internal]
     crossings = net.lanes(LaneKind.CROSSING)
     walked = [way for way in net.lanes(*WALK_KINDS, LaneKind.WALKINGAREA) if not way.internal]

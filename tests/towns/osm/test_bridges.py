@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.cli.towns import way
 from wcsim.towns.checks.check import _find_overlaps
 from wcsim.towns.importing.importer import ImportOrder, _build_net, _BuiltNet
 from wcsim.towns.osm.clean import _quicken_motorways, cut_bridges
@@ -29,16 +30,17 @@ def osm(*ways: tuple[int, list[int], Tags]) -> bytes:
     lines = [
         f'<node id="{k}" lat="{52 + y / 111_320:.7f}" lon="{13 + x / 68_500:.7f}"/>' for k, (x, y) in NODES.items()
     ]
-    for number, nodes, tags in ways:
-        refs = "".join(f'<nd ref="{node}"/>' for node in nodes)
-        told = "".join(f'<tag k="{key}" v="{value}"/>' for key, value in tags.items())
-        lines.append(f'<way id="{number}">{refs}{told}</way>')
+    lines += [way(number, nodes, **tags) for number, nodes, tags in ways]
     return f'<osm version="0.6">{"".join(lines)}</osm>'.encode()
 
 
 def built(folder: Path, *ways: tuple[int, list[int], Tags]) -> _BuiltNet:
     (folder / "a.osm").write_bytes(osm(*ways))
-    extract = read_extract(folder / "a.osm")
+    return net_of(folder / "a.osm")
+
+
+def net_of(osm: Path) -> _BuiltNet:
+    extract, folder = read_extract(osm), osm.parent
     return _build_net(
         ImportOrder(osm=folder, name="x", split="train", out=folder, bbox=extract.box, lefthand=False),
         extract.root,

@@ -11,16 +11,15 @@ import pytest
 
 from tests.support.worlds import quick_config
 from tests.towns.made import hostile
+from tests.towns.scenario.test_stage import SETTINGS, staged_in
 from wcsim.bridge.sumo.run_place import RunPlace
 from wcsim.bridge.world import World
 from wcsim.cli.main import main
 from wcsim.errors import TownError
 from wcsim.towns.importing.adopt import adopt_scenario
-from wcsim.towns.scenario.overrides import Settings
 from wcsim.towns.scenario.stage import stage_scenario
 from wcsim.towns.scenario.town import Town, find_town, open_town
 
-SETTINGS = Settings(seed=5)
 EVIL = '<routes><vType id="t"><param key="device.ssm.file" value="/anywhere/x"/></vType></routes>'
 HIDDEN = {
     "EBCDIC": ('<?xml version="1.0" encoding="ebcdic-cp-us"?>' + EVIL).encode("cp037"),
@@ -43,7 +42,7 @@ def test_no_file_that_hides_its_names_gets_to_sumo(corner_town: Town, tmp_path: 
         text = text.replace("</configuration>", f"<{option} value='evil.xml'/></configuration>")
     sumocfg.write_text(text, encoding="utf-8")
     with pytest.raises(TownError, match=r"evil\.xml"):
-        stage_scenario(open_town(sumocfg), SETTINGS, tmp_path / "run")
+        staged_in(tmp_path, sumocfg)
 
 
 UNASKED = """
@@ -125,7 +124,7 @@ def test_nothing_of_the_user_is_taken_along(corner_town: Town, tmp_path: Path, p
         assert not (town.folder / "README.md").exists()
     if place not in ("gui", "picture"):
         with pytest.raises(TownError, match="outside of its folder"):
-            stage_scenario(open_town(sumocfg), SETTINGS, tmp_path / "run")
+            staged_in(tmp_path, sumocfg)
     if place in ("include", "link", "parent"):
         stage_scenario(open_town(sumocfg, outside=True), SETTINGS, tmp_path / "run2")
 
@@ -202,7 +201,7 @@ def test_a_projection_names_no_file(corner_town: Town, tmp_path: Path, net: str)
     assert 'projParameter="!"' in text
     path.write_text(text.replace('projParameter="!"', net), encoding="utf-8")
     with pytest.raises(TownError, match=r"a\.net\.xml: has projParameter"):
-        stage_scenario(open_town(sumocfg), SETTINGS, tmp_path / "run")
+        staged_in(tmp_path, sumocfg)
 
 
 def test_a_scenario_with_files_elsewhere_is_told_the_command_that_copies_them(

@@ -11,7 +11,7 @@ from wcsim.config import WorldConfig
 from wcsim.errors import ConfigError, TownError
 from wcsim.towns.scenario.options import Treatment, sumo_options
 from wcsim.towns.scenario.overrides import Settings
-from wcsim.towns.scenario.stage import stage_scenario
+from wcsim.towns.scenario.stage import Scenario, stage_scenario
 from wcsim.towns.scenario.town import Town, open_town
 from wcsim.towns.sumo.tools import run_tool
 from wcsim.towns.sumo.xml_io import read_root
@@ -20,9 +20,22 @@ SETTINGS = Settings(seed=5)
 UNUSUAL = ("pedestrian.jupedsim.wkt", "pedestrian.jupedsim.py")  # need another model of pedestrians
 
 
+def staged_in(tmp_path: Path, sumocfg: Path) -> Scenario:
+    return stage_scenario(open_town(sumocfg), SETTINGS, tmp_path / "run")
+
+
 def run_staged(sumocfg: Path, seconds: float = 12.0) -> None:
     run = run_tool("sumo", ["-c", str(sumocfg), "--end", str(seconds)], sumocfg.parent)
     assert run.returncode == 0, run.output[-1500:]
+
+
+def assert_nothing_escapes(sumocfg: Path, escape: Path, tmp_path: Path) -> Scenario:
+    before = bytes_in(tmp_path / "theirs")
+    staged = staged_in(tmp_path, sumocfg)
+    run_staged(staged.sumocfg)
+    assert not list(escape.rglob("*"))
+    assert bytes_in(tmp_path / "theirs") == before
+    return staged
 
 
 def test_no_option_of_sumo_can_write_outside_the_folder(corner_town: Town, tmp_path: Path) -> None:
@@ -39,11 +52,7 @@ def test_no_option_of_sumo_can_write_outside_the_folder(corner_town: Town, tmp_p
     options += f'<save-state.times value="5"/><output-prefix value="{escape}/TIME_"/><remote-port value="9999"/>'
     options += f'<C value="{escape}/saved.xml"/><device.ssm.probability value="1"/><summary-output.period value="5"/>'
     sumocfg = hostile.scenario(corner_town, tmp_path / "theirs", options)
-    before = bytes_in(tmp_path / "theirs")
-    staged = stage_scenario(open_town(sumocfg), SETTINGS, tmp_path / "run")
-    run_staged(staged.sumocfg)
-    assert not list(escape.rglob("*"))
-    assert bytes_in(tmp_path / "theirs") == before
+    staged = assert_nothing_escapes(sumocfg, escape, tmp_path)
     made = bytes_in(tmp_path / "run")
     assert {"stop-output.xml", "a.sumocfg"} <= set(made)
     assert len(made) > 30
@@ -62,11 +71,7 @@ def test_no_element_can_write_outside_the_folder(corner_town: Town, tmp_path: Pa
     sumocfg = hostile.scenario(corner_town, tmp_path / "theirs", "", '<include href="more.xml"/>', cars)
     more = f"<additional>{hostile.hostile_additional(lane, '../escape')}</additional>"
     (tmp_path / "theirs" / "more.xml").write_text(more, encoding="utf-8")
-    before = bytes_in(tmp_path / "theirs")
-    staged = stage_scenario(open_town(sumocfg), SETTINGS, tmp_path / "run")
-    run_staged(staged.sumocfg)
-    assert not list(escape.rglob("*"))
-    assert bytes_in(tmp_path / "theirs") == before
+    assert_nothing_escapes(sumocfg, escape, tmp_path)
     made = {path.name for path in (tmp_path / "run").iterdir()}
     wanted = {"e1.xml", "instant.xml", "e2.xml", "e3.xml", "edges.xml", "lanes.xml", "probe.xml", "routes.xml"}
     assert wanted | {"calibrator.xml", "own.xml"} <= made
@@ -76,9 +81,7 @@ def test_no_element_can_write_outside_the_folder(corner_town: Town, tmp_path: Pa
 
 def test_a_socket_and_the_console_become_files(corner_town: Town, tmp_path: Path) -> None:
     options = '<summary value="localhost:9999"/><tripinfo value="stdout"/><fcd-output value="/dev/null"/>'
-    staged = stage_scenario(
-        open_town(hostile.scenario(corner_town, tmp_path / "theirs", options)), SETTINGS, tmp_path / "run"
-    )
+    staged = staged_in(tmp_path, hostile.scenario(corner_town, tmp_path / "theirs", options))
     run_staged(staged.sumocfg, 2.0)
     names = {path.name for path in (tmp_path / "run").iterdir()}
     assert names == {"a.sumocfg", "localhost_9999", "tripinfo-output.xml"}
@@ -90,9 +93,7 @@ def test_outputs_of_one_name_stay_apart_and_one_file_stays_one(corner_town: Town
         f'<e1Detector id="e{k}" lane="{lane}" pos="5" period="5" file="{file}"/>'
         for k, file in enumerate(("out.xml", "./out.xml", "other/out.xml"))
     )
-    staged = stage_scenario(
-        open_town(hostile.scenario(corner_town, tmp_path / "theirs", "", more)), SETTINGS, tmp_path / "run"
-    )
+    staged = staged_in(tmp_path, hostile.scenario(corner_town, tmp_path / "theirs", "", more))
     root = read_root(tmp_path / "run" / "inputs" / "a.add.xml")
     assert [Path(element.get("file", "")).name for element in root] == ["out.xml", "out.xml", "out-2.xml"]
     assert [path.name for path in staged.outputs] == ["out-2.xml", "out.xml"]
@@ -106,7 +107,7 @@ def test_what_writes_nothing_is_read_where_it_lies(corner_town: Town, tmp_path: 
         '<vType id="t" vClass="bus"/><poly id="q" shape="0,0 1,0 1,1" color="red" type="building"/>'
     )
     sumocfg = hostile.scenario(corner_town, tmp_path / "theirs", "", more)
-    staged = stage_scenario(open_town(sumocfg), SETTINGS, tmp_path / "run")
+    staged = staged_in(tmp_path, sumocfg)
     assert {path.name for path in (tmp_path / "run").iterdir()} == {"a.sumocfg"}
     text = staged.sumocfg.read_text()
     for name in ("a.net.xml", "a.rou.xml", "a.add.xml"):
@@ -120,7 +121,7 @@ def test_files_that_a_copied_file_reads_are_found_from_its_new_place(corner_town
     writer = '<edgeData id="ed" file="edges.xml"/>'
     sumocfg = hostile.scenario(corner_town, tmp_path / "their town", "", sign + writer)
     (tmp_path / "their town" / "speeds.xml").write_text('<vss><step time="0" speed="1"/></vss>', encoding="utf-8")
-    staged = stage_scenario(open_town(sumocfg), SETTINGS, tmp_path / "run")
+    staged = staged_in(tmp_path, sumocfg)
     run_staged(staged.sumocfg, 3.0)
     assert (tmp_path / "run" / "edges.xml").is_file()
 
@@ -148,7 +149,7 @@ def test_compressed_files_and_other_outputs_are_taken(corner_town: Town, tmp_pat
 def test_broken_files_are_refused_by_name(corner_town: Town, tmp_path: Path, more: str, says: str) -> None:
     sumocfg = hostile.scenario(corner_town, tmp_path / "theirs", "", more)
     with pytest.raises(TownError, match=rf"a\.add\.xml.*{says}"):
-        stage_scenario(open_town(sumocfg), SETTINGS, tmp_path / "run")
+        staged_in(tmp_path, sumocfg)
 
 
 def test_files_with_odd_names_are_read_from_copies_with_plain_ones(corner_town: Town, tmp_path: Path) -> None:
@@ -158,7 +159,7 @@ def test_files_with_odd_names_are_read_from_copies_with_plain_ones(corner_town: 
     (theirs / "a.rou.xml").rename(theirs / "r&\u00fc.rou.xml")
     text = sumocfg.read_text(encoding="utf-8").replace("a.rou.xml", "r&amp;\u00fc.rou.xml")
     sumocfg.write_text(text, encoding="utf-8")
-    staged = stage_scenario(open_town(sumocfg), SETTINGS, tmp_path / "run")
+    staged = staged_in(tmp_path, sumocfg)
     run_staged(staged.sumocfg, 1.0)
     assert {path.name for path in (tmp_path / "run" / "inputs").iterdir()} == {"a.add.xml", "weg_41.xml", "r_.rou.xml"}
 
@@ -168,7 +169,7 @@ def test_an_entity_bomb_is_refused(corner_town: Town, tmp_path: Path) -> None:
     bomb = '<!DOCTYPE a [<!ENTITY b "bbbbbbbb"><!ENTITY c "&b;&b;&b;&b;">]><additional>&c;</additional>'
     (tmp_path / "theirs" / "a.add.xml").write_text(bomb, encoding="utf-8")
     with pytest.raises(TownError, match=r"a\.add\.xml: has a document type definition"):
-        stage_scenario(open_town(sumocfg), SETTINGS, tmp_path / "run")
+        staged_in(tmp_path, sumocfg)
 
 
 def test_a_file_in_another_encoding_cannot_hide_what_it_writes(corner_town: Town, tmp_path: Path) -> None:
@@ -176,7 +177,7 @@ def test_a_file_in_another_encoding_cannot_hide_what_it_writes(corner_town: Town
     text = '<?xml version="1.0" encoding="UTF-16"?><additional><edgeData id="x" file="/tmp/x.xml"/></additional>'
     (tmp_path / "theirs" / "a.add.xml").write_bytes(text.encode("utf-16"))
     with pytest.raises(TownError, match=r"a\.add\.xml: .*UTF-8"):
-        stage_scenario(open_town(sumocfg), SETTINGS, tmp_path / "run")
+        staged_in(tmp_path, sumocfg)
 
 
 def test_overrides_name_only_what_differs(corner_town: Town, tmp_path: Path) -> None:
@@ -214,7 +215,7 @@ def test_shorter_steps_than_the_authors_are_told_and_drivers_may_decide_as_befor
 
 def test_the_digest_follows_the_files_and_not_the_seed_or_place(corner_town: Town, tmp_path: Path) -> None:
     sumocfg = hostile.scenario(corner_town, tmp_path / "theirs")
-    first = stage_scenario(open_town(sumocfg), SETTINGS, tmp_path / "run").digest
+    first = staged_in(tmp_path, sumocfg).digest
     assert stage_scenario(open_town(sumocfg), Settings(seed=6), tmp_path / "run2").digest == first
     copy = hostile.scenario(corner_town, tmp_path / "copy")
     assert stage_scenario(open_town(copy), SETTINGS, tmp_path / "run3").digest == first

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
+from tests.support.tracked import ROOT
 from wcsim.core.native_output import SYSTEM_PACKAGES
 from wcsim.errors import SumoError
 from wcsim.towns.scenario.options import sumo_options
 from wcsim.towns.sumo import tools
 
-ROOT = Path(__file__).parents[3]
 SAID = "libXrender.so.1: cannot open shared object file: No such file or directory"
 CURE = "the library libXrender.so.1 is missing; .*sudo apt install libgl1 "
 

@@ -12,6 +12,14 @@ from wcsim.bridge.world_rollout import rollout
 from wcsim.types import SeatSpec
 
 
+@pytest.fixture
+def ahead(tmp_path):
+    """A recorded user who drives straight on."""
+    stick = tmp_path / "ahead.csv"
+    stick.write_text("time_s,x,y\n" + "".join(f"{0.1 * k:.1f},0,1\n" for k in range(200)), encoding="utf-8")
+    return f"recorded:{stick}"
+
+
 def test_forks_of_every_seat_move_nothing(corner):
     def driven(asked_at):
         with open_world(corner, seats=2, seed=5, spec=SeatSpec(profile="inattentive", max_steps=4000)) as world:
@@ -26,13 +34,9 @@ def test_forks_of_every_seat_move_nothing(corner):
     assert driven({1: 0, 3: 1}) == driven({})
 
 
-def test_a_user_who_drives_off_the_kerb_crashes_in_the_fork_too(corner, tmp_path):
-    stick = tmp_path / "ahead.csv"
-    stick.write_text("time_s,x,y\n" + "".join(f"{0.1 * k:.1f},0,1\n" for k in range(200)), encoding="utf-8")
-    with open_world(corner, seed=2, spec=SeatSpec(profile=f"recorded:{stick}", max_steps=4000)) as world:
-        here, grid = world.snapshot.clients[0].plant.p_WB_m[:2].copy(), world.street.grid
-        yaw_rad = next(yaw for yaw in np.linspace(0.0, 2.0 * np.pi, 64) if _edge(grid, here, yaw))
-        world.put_chair(0, here, float(yaw_rad))
+def test_a_user_who_drives_off_the_kerb_crashes_in_the_fork_too(corner, ahead):
+    with open_world(corner, seed=2, spec=SeatSpec(profile=ahead, max_steps=4000)) as world:
+        _face_an_edge(world)
         steps = rollout(world, {0: _users_alone(POINTS)})
         next(steps)
         alone_s = crash_alone_s(world, 0, POINTS, 0.1)
@@ -41,6 +45,12 @@ def test_a_user_who_drives_off_the_kerb_crashes_in_the_fork_too(corner, tmp_path
         while not next(steps).after.clients[0].events.crashed:
             ticks += 1
         assert alone_s == pytest.approx(0.1 * ticks)  # with nobody taken out a fork is the same to the tick
+
+
+def _face_an_edge(world):
+    here, grid = world.snapshot.clients[0].plant.p_WB_m[:2].copy(), world.street.grid
+    yaw_rad = next(yaw for yaw in np.linspace(0.0, 2.0 * np.pi, 64) if _edge(grid, here, yaw))
+    world.put_chair(0, here, float(yaw_rad))
 
 
 def _edge(grid, here_m, yaw_rad):
@@ -65,14 +75,11 @@ def test_a_fork_ends_where_an_episode_does(corner, monkeypatch):
         assert crash_alone_s(world, 0, POINTS, 0.1) is None
 
 
-def test_a_fork_at_the_end_of_an_episode_looks_as_far_ahead_as_any_other(corner, tmp_path):
-    stick = tmp_path / "ahead.csv"
-    stick.write_text("time_s,x,y\n" + "".join(f"{0.1 * k:.1f},0,1\n" for k in range(200)), encoding="utf-8")
+def test_a_fork_at_the_end_of_an_episode_looks_as_far_ahead_as_any_other(corner, ahead):
     found = []
     for max_steps in (4000, 2):
-        with open_world(corner, seed=2, spec=SeatSpec(profile=f"recorded:{stick}", max_steps=max_steps)) as world:
-            here, grid = world.snapshot.clients[0].plant.p_WB_m[:2].copy(), world.street.grid
-            world.put_chair(0, here, float(next(y for y in np.linspace(0.0, 2.0 * np.pi, 64) if _edge(grid, here, y))))
+        with open_world(corner, seed=2, spec=SeatSpec(profile=ahead, max_steps=max_steps)) as world:
+            _face_an_edge(world)
             steps = rollout(world, {0: _users_alone(POINTS)})
             next(steps)
             found.append(crash_alone_s(world, 0, POINTS, 0.1))

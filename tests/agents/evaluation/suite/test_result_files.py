@@ -18,6 +18,16 @@ def test_a_result_is_read_again_with_the_rows_of_its_episodes(tmp_path):
     assert json.loads(json.dumps(said)) == json.loads((tmp_path / "result.json").read_text("utf-8"))
 
 
+def assert_refused(folder, damage):
+    write_result(folder)
+    path = folder / "episodes.json"
+    episodes = json.loads(path.read_text("utf-8"))
+    damage(episodes)
+    path.write_text(json.dumps(episodes), encoding="utf-8")
+    with pytest.raises(ConfigError):
+        read_result(folder)
+
+
 @pytest.mark.parametrize(
     "change",
     [
@@ -27,13 +37,7 @@ def test_a_result_is_read_again_with_the_rows_of_its_episodes(tmp_path):
     ],
 )  # fmt: skip
 def test_a_damaged_episode_is_refused(tmp_path, change):
-    write_result(tmp_path)
-    path = tmp_path / "episodes.json"
-    episodes = json.loads(path.read_text("utf-8"))
-    episodes["dwa"][2].update(change)
-    path.write_text(json.dumps(episodes), encoding="utf-8")
-    with pytest.raises(ConfigError):
-        read_result(tmp_path)
+    assert_refused(tmp_path, lambda episodes: episodes["dwa"][2].update(change))
 
 
 @pytest.mark.parametrize("change", [{"suite": 7}, {"changed": "x"}, {"changed": [3]}, {"list_sha256": None}])
@@ -45,10 +49,4 @@ def test_a_damaged_result_is_refused(tmp_path, change):
 
 def test_a_policy_without_episodes_or_fields_is_refused(tmp_path):
     for damage in (lambda e: e.update(dwa=[]), lambda e: e["dwa"][0].pop("status")):
-        write_result(tmp_path)
-        path = tmp_path / "episodes.json"
-        episodes = json.loads(path.read_text("utf-8"))
-        damage(episodes)
-        path.write_text(json.dumps(episodes), encoding="utf-8")
-        with pytest.raises(ConfigError):
-            read_result(tmp_path)
+        assert_refused(tmp_path, damage)

@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.agents.toy import memory_of
+from tests.support.samples import stacked
 from wcsim.agents.envs.episode_view import WORLD_RESTARTED
 from wcsim.agents.learning.checkpoint import _replay_arrays, _restore_replay
 from wcsim.agents.learning.replay import frame_store
@@ -32,8 +33,7 @@ def observation(number):
 
 
 def stack(numbers):
-    each = [observation(n) for n in numbers]
-    return {key: np.stack([o[key] for o in each]) for key in each[0]}
+    return stacked([observation(n) for n in numbers])
 
 
 def number_of(vector):

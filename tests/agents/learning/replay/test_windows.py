@@ -15,8 +15,10 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 
 import wcsim
 from tests.agents.driven import driven
+from tests.agents.learning.test_train import weights
 from tests.agents.policies.test_baselines import box, ground, looking_at
 from tests.agents.toy import ToyStreet, WindowedStreet, a_run, load_checkpoint, memory_of, same_from_here_on, toy_camera
+from tests.support.samples import stacked
 from wcsim.agents.envs.episode_view import FrameWindow, newest, windowed_space
 from wcsim.agents.learning.build import build_model, network_settings
 from wcsim.agents.learning.checkpoint import _check_fit, _replay_arrays, _restore_replay, save_checkpoint
@@ -171,7 +173,7 @@ class Street:
 
 def add(buffer, streets, ends):
     pairs = [street.step(end) for street, end in zip(streets, ends, strict=True)]
-    now, after = ({key: np.stack([o[key] for o in side]) for key in side[0]} for side in zip(*pairs, strict=True))
+    now, after = map(stacked, zip(*pairs, strict=True))
     done = np.array([end in ("crash", "limit") for end in ends])
     infos = [{"TimeLimit.truncated": end == "limit"} for end in ends]
     buffer.add(now, after, np.zeros(len(ends), int), np.zeros(len(ends)), done, infos)
@@ -288,10 +290,6 @@ def street(window=3):
     return WindowedStreet(window, CAMERA, max_steps=25)
 
 
-def weights(path, stage="final"):
-    return (path / "policies" / stage / "weights.safetensors").read_bytes()
-
-
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
     return train(a_run(config(), tmp_path_factory.mktemp("a") / "run", 5), street)
@@ -302,6 +300,11 @@ def test_equal_seeds_give_equal_runs(network, run, tmp_path):
     first = run if network == "fig6" else train(a_run(config(network=network), tmp_path / "one", 5), street)
     again = train(a_run(config(network=network), tmp_path / "two", 5), street)
     assert weights(first) == weights(again) != weights(first, "phase1")
+
+
+def goes_on(run):
+    train(a_run(config(), run, 5, resume=True), street)
+    assert open_run(run).manifest.status == "done"
 
 
 def test_a_stopped_run_goes_on(tmp_path):
@@ -316,8 +319,7 @@ def test_a_stopped_run_goes_on(tmp_path):
 
     with pytest.raises(InterruptedRunError):
         train(a_run(config(), tmp_path / "run", 5), lambda: Stops(street()))
-    train(a_run(config(), tmp_path / "run", 5, resume=True), street)
-    assert open_run(tmp_path / "run").manifest.status == "done"
+    goes_on(tmp_path / "run")
 
 
 def test_a_run_that_is_stopped_while_its_town_loads_goes_on(tmp_path):
@@ -328,8 +330,7 @@ def test_a_run_that_is_stopped_while_its_town_loads_goes_on(tmp_path):
 
     with pytest.raises(InterruptedRunError, match="stopped after 0 of 80"):
         train(a_run(config(), tmp_path / "run", 5), lambda: StopsAtOnce(street()))
-    train(a_run(config(), tmp_path / "run", 5, resume=True), street)
-    assert open_run(tmp_path / "run").manifest.status == "done"
+    goes_on(tmp_path / "run")
 
 
 def test_a_checkpoint_restores_windows_and_weights(tmp_path):
@@ -354,8 +355,11 @@ def test_a_policy_says_what_it_must_see(run, tmp_path):
         policy.act(ToyStreet(CAMERA).reset(seed=1)[0])
 
 
+ONE_IMAGE = config(window=1, network="patch", total_steps=48)
+
+
 def test_a_policy_from_before_there_were_windows_sees_one_image(tmp_path):
-    path = train(a_run(config(window=1, network="patch", total_steps=48), tmp_path / "run", 5), lambda: street(1))
+    path = train(a_run(ONE_IMAGE, tmp_path / "run", 5), lambda: street(1))
     file = policy_path(str(path)) / POLICY_JSON
     data = json.loads(file.read_text())
     assert data.pop("window") == 1
@@ -364,12 +368,12 @@ def test_a_policy_from_before_there_were_windows_sees_one_image(tmp_path):
     kept = json.loads((path / "config.json").read_text())
     del kept["env"]["window"]
     (path / "config.json").write_text(json.dumps(kept))
-    train(a_run(config(window=1, network="patch", total_steps=48), path, 5, resume=True), lambda: street(1))
+    train(a_run(ONE_IMAGE, path, 5, resume=True), lambda: street(1))
 
 
 def test_policies_with_different_windows_are_tested_in_one_environment(run, tmp_path):
     """Each drives as it does in an environment of its own."""
-    single = train(a_run(config(window=1, network="patch", total_steps=48), tmp_path / "run", 5), lambda: street(1))
+    single = train(a_run(ONE_IMAGE, tmp_path / "run", 5), lambda: street(1))
     policies = [open_named(str(path), CONFIG, 0) for path in (run, single)] + [baseline("stop", CONFIG)]
     assert [sensing(RunConfig(), policy)[0] for policy in policies] == [f"env.window={n}" for n in (3, 1, 1)]
     for policy, own in zip(policies, (3, 1, 1), strict=True):
