@@ -27,7 +27,7 @@ def test_every_outcome_is_counted_and_every_defect_is_told() -> None:
         Case(area="b", name="4", feed=fail),
         Case(area="b", name="5", feed=dawdle, limit_s=0.01),
         Case(area="b", name="6", feed=lambda: Outcome.OUTSIDE),
-        Case(area="b", name="7", feed=lambda: len(bytearray(64 << 20)) > 0, limit_bytes=32 << 20),
+        Case(area="b", name="7", feed=lambda: len(bytearray(256 << 20)) > 0, limit_bytes=32 << 20),
     ]
     tally = Tally().run(cases)
     assert {key: count for key, count in tally.counts.items()} == {

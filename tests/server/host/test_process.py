@@ -159,13 +159,18 @@ class Cable:
         self._door = held.enter_context(socket.create_server(("127.0.0.1", 0)))
         self._ends: list[socket.socket] = []
         self.address = f"tcp://127.0.0.1:{self._door.getsockname()[1]}"
-        held.callback(self.cut)
+        held.callback(self._close)
         threading.Thread(target=self._open, daemon=True).start()
 
     def cut(self) -> None:
         for end in self._ends:
             with suppress(OSError):
                 end.shutdown(socket.SHUT_RDWR)
+
+    def _close(self) -> None:
+        self.cut()
+        for end in self._ends:
+            end.close()
 
     def _open(self) -> None:
         with suppress(OSError):
@@ -176,9 +181,12 @@ class Cable:
                     threading.Thread(target=self._carry, args=pair, daemon=True).start()
 
     def _carry(self, source: socket.socket, sink: socket.socket) -> None:
-        with suppress(OSError), source, sink:
+        with suppress(OSError):
             while data := source.recv(1 << 16):
                 sink.sendall(data)
+        for end in (source, sink):  # not closed: the kernel keeps what the other thread still reads from
+            with suppress(OSError):
+                end.shutdown(socket.SHUT_RDWR)
 
 
 def test_a_client_whose_connection_was_lost_for_a_moment_joins_again(tmp_path):
