@@ -70,6 +70,9 @@ def test_a_caller_follows_the_kernels_and_constants_of_other_files(tmp_path: Pat
     change(own / "law.py", "SLOWER = 3.0", "SLOWER = 2.0")
     change(own / "boxes.py", "x > 1.0", "x > 9.0")
     assert answers() == [4.0, True, [0, 0]]
+    (own / "law.py").rename(own / "rule.py")
+    change(own / "drive.py", "own.law", "own.rule")
+    assert answers() == [4.0, True, [0, 1]]  # a copy imports a callee's file by its name
 
 
 def test_every_kernel_says_what_is_frozen_into_it() -> None:

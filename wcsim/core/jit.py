@@ -198,6 +198,7 @@ def _foreign(value: Any, package: str) -> str:
 
 def _function_facts(function: FunctionType, package: str, seen: set[int]) -> Iterator[object]:
     known = function.__globals__
+    yield function.__module__  # a copy on disk imports it by its name, so it is of no use once that has moved
     for code in _codes(function.__code__):
         yield code.co_name, code.co_code.hex(), code.co_names, code.co_varnames, code.co_freevars
         for value in (*code.co_consts, *(known[name] for name in code.co_names if name in known)):
