@@ -12,14 +12,14 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from wcsim.agents.clients.group_run import CLIENT_ARGV, has_work
+from wcsim.agents.clients.group_run import CLIENT_ARGV
 from wcsim.agents.networks.names import check_network, client_name
 from wcsim.agents.runs.run_folder import ResolvedRun, open_run, require_new
 from wcsim.cli.shared.common import Bounds, Flag, OutFolder, check_folder, parse
 from wcsim.cli.shared.consoles import StageBar
 from wcsim.cli.shared.exit_codes import Exit, NothingKept
 from wcsim.cli.shared.run_config import how_it_learns, how_to_test, require_user
-from wcsim.cli.training.train import LearnerOptions, gone_if_nothing_came_of_it, q_layers, steps_shown
+from wcsim.cli.training.train import LearnerOptions, came_of, gone_if_nothing_came_of_it, q_layers, steps_shown
 from wcsim.config import RunConfig, resolve
 from wcsim.core.files import locked
 from wcsim.errors import ConfigError, InterruptedRunError, ServerGoneError
@@ -147,7 +147,7 @@ def _launched(order: ClientSpec, resume: bool, beside: Path) -> None:
         raise ConfigError(outcome.message)
     if outcome.code:
         raise ServerGoneError(outcome.message)
-    if outcome.stopped and not has_work(Path(out)):
+    if outcome.stopped and not came_of(Path(out)):
         raise NothingKept("stopped before anything was learned; nothing is saved")
     if outcome.stopped:
         lost = outcome.clients[0].unsaved

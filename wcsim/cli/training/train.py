@@ -271,12 +271,16 @@ def gone_if_nothing_came_of_it(run: Path) -> Iterator[None]:
         except (DiskFullError, OSError, WorkersError):
             raise
         except BaseException:
-            metrics = run / "metrics.csv"
-            episodes = len(metrics.read_bytes().splitlines()) - 1 if metrics.is_file() else 0
-            saved = any(any(run.glob(f"{kept}/*")) for kept in ("checkpoints", "policies", f"{DATA}/{SEGMENTS}"))
-            if fresh and episodes < 1 and not saved:
+            if fresh and not came_of(run):
                 shutil.rmtree(run, ignore_errors=True)
             raise
+
+
+def came_of(run: Path) -> bool:
+    """Whether an episode, a segment, a checkpoint or a policy was saved in a run folder."""
+    metrics = run / "metrics.csv"
+    episodes = len(metrics.read_bytes().splitlines()) - 1 if metrics.is_file() else 0
+    return episodes > 0 or any(any(run.glob(f"{kept}/*")) for kept in ("checkpoints", "policies", f"{DATA}/{SEGMENTS}"))
 
 
 def steps_shown(bar: StageBar) -> Callable[[TrainProgress], None]:
