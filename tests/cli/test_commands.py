@@ -95,19 +95,6 @@ def test_town_check_reports_and_writes_its_keys(wcsim, folder, corner):
     assert Path("new/check.json").stat().st_mode & 0o044, "a result is for others to read too"
 
 
-def test_an_imported_town_can_be_checked_seen_and_tested_in(wcsim, folder, tiny):
-    assert {"tiny.sumocfg", "tiny.net.xml.gz", "tiny.rou.xml.gz", "town.toml", "LICENSE-DATA"} <= files_in(tiny)
-    assert wcsim("town", "check", tiny, "--json", "check.json").code == 0
-    report = read("check.json")
-    assert (report["town"], report["unroutable"]) == ("tiny", 0)
-    assert report["crossings"] >= 12
-    assert report["walkable_largest_share"] > 0.95
-    assert {"passenger", "pedestrian", "bicycle"} <= set(report["classes"])
-    words = ("--only", "--episodes", "1", "--max-steps", "20", "--set", "world.warmup_s=20", "--json", "test.json")
-    assert wcsim("test", "--town", tiny, *words, *QUICK[2:]).code == 0
-    assert {row["part"] for row in read("test.json")["rows"]} == {"tiny, inattentive user"}
-
-
 def test_scene_list_says_what_each_shows(wcsim):
     told = wcsim("scene", "list")
     well(told)

@@ -20,7 +20,7 @@ from wcsim.cli.shared.exit_codes import Exit
 HEAVY = (
     *("torch", "stable_baselines3", "pettingzoo", "gymnasium"),
     *("libsumo", "traci", "sumolib", "pybullet", "numba", "cv2"),
-    *("matplotlib", "shapely", "networkx", "rasterio", "osmium", "timezonefinder", "scipy"),
+    *("matplotlib", "shapely", "networkx", "rasterio", "osmium", "timezonefinder", "scipy", "ray"),
 )
 PROBE = f"""
 import contextlib, json, os, sys
@@ -143,6 +143,6 @@ def test_what_must_not_be_loaded_is_what_work_loads():
     work = "wcsim.bridge.world, wcsim.agents.learning.train, wcsim.agents.envs.parallel_env, wcsim.towns.street"
     code = f"import json, sys, {work}; print(json.dumps([name for name in {HEAVY} if name not in sys.modules]))"
     late = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
-    single = {"rasterio", "osmium", "timezonefinder", "matplotlib", "scipy"}  # for single pieces of work
+    single = {"rasterio", "osmium", "timezonefinder", "matplotlib", "scipy", "ray"}  # for single pieces of work
     assert set(json.loads(late)) <= single
     assert all(find_spec(name) for name in HEAVY)

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import json
 import signal
-import time
 
 import pytest
 
 from tests.cli.conftest import finished, start
-from tests.cli.towns import TINY_BBOX, tiny_osm
 from wcsim.cli.shared.exit_codes import Exit
 
 
@@ -27,20 +25,6 @@ def test_a_reader_that_leaves_early_hears_nothing(tmp_path, words):
         child.stdout.close()
         assert child.stderr.read() == ""
         assert child.wait(timeout=120) in (1, 141)
-
-
-def test_an_import_that_is_ended_leaves_nothing(tmp_path):
-    (tmp_path / "tiny.osm").write_text(tiny_osm(), encoding="utf-8")
-    child = start(tmp_path, "town", "import", "--osm", "tiny.osm", "--bbox", TINY_BBOX, "--name", "mine", columns=80)
-    towns = tmp_path / "scenarios" / "sumo"
-    while not list(towns.glob(".mine.*")):
-        assert child.poll() is None
-        time.sleep(0.005)
-    child.terminate()
-    _, err = child.communicate(timeout=200)
-    assert (child.returncode, err.splitlines()[-1]) == (143, "wcsim: terminated")
-    assert "Traceback" not in err
-    assert [path.name for path in tmp_path.rglob("*")] == ["tiny.osm"]
 
 
 def test_ctrl_c_keeps_what_was_learned_and_resume_goes_on(wcsim, folder, corner):

@@ -130,13 +130,9 @@ def test_what_cannot_be_replayed_is_refused(wcsim, folder, journaled):
     before = sorted(Path().iterdir())
     for words, told in (
         (("verify", "empty"), ("empty: has no trace and no journal", "run folder")),
-        (("convert", "empty", "x.xml"), ("empty: has no trace and no journal", "wcsim town run")),
-        (("verify", "nowhere"), ("nowhere: is not there", "a run folder")),
         (("verify", "trace"), ("trace: is not a journal but a trace",)),
-        (("verify", "notes"), ("notes: is not a log",)),
         (("play", "notes"), ("notes: is not a log",)),
         (("convert", "notes", "x.mcap"), ("not a log",)),
-        (("convert", "trace", "x.bag"), ("expected a file name that ends in .xml (FCD) or .mcap",)),
         (("convert", "notes", "x.xml"), ("not a log",)),
         (("convert", "trace", "x.xml", "--hook", "own:Step"), ("the trace was made with the step hook 'none'",)),
         (("play", "trace", "--hook", "own:Step"), ("the trace was made with the step hook 'none'",)),

@@ -7,8 +7,6 @@ import re
 import shlex
 from pathlib import Path
 
-import pytest
-
 from tests.cli.conftest import QUICK, Run
 from tests.support.typed import printed, typed
 from tests.towns.made.strangers import made
@@ -58,17 +56,6 @@ def test_a_scenario_with_pavements_alone_is_told_what_it_has_and_what_was_added(
     assert told["crossings"] > 0 and told["walkingareas"] > 0 and told["paved"]["had"] == 24
 
 
-def test_a_scenario_that_lies_beside_is_paved_to_a_place_beside(
-    wcsim: Run, folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    write_unpaved(folder / "theirs")
-    (folder / "here").mkdir()
-    monkeypatch.chdir(folder / "here")
-    said = wcsim("town", "pave", "../theirs/u.sumocfg", "--out", "../ours")
-    assert said.code == 1, said.err
-    assert "wrote ../ours/u.sumocfg; " in said.out and (folder / "ours" / "u.sumocfg").is_file()
-
-
 def test_a_paved_copy_is_checked_where_its_files_lie_apart(wcsim: Run, folder: Path) -> None:
     theirs = write_unpaved(folder / "theirs" / "runs")
     (folder / "theirs" / "net").mkdir()
@@ -89,14 +76,6 @@ def test_the_place_of_a_town_toml_above_the_scenario_is_kept(wcsim: Run, folder:
     said = wcsim("town", "pave", folder / "theirs", "--out", "ours")
     assert said.code == 1, said.err
     assert open_town(folder / "ours").sumocfg.relative_to(folder / "ours") == theirs.relative_to(folder / "theirs")
-
-
-def test_a_scenario_that_a_copy_cannot_follow_leaves_none(wcsim: Run, folder: Path) -> None:
-    theirs = write_unpaved(folder / "theirs")
-    theirs.write_text(theirs.read_text().replace('"u.net.xml"', f'"{folder / "theirs" / "u.net.xml"}"'))
-    said = wcsim("town", "pave", theirs, "--out", "ours")
-    assert said.code == 2 and "by a path that a copy cannot follow" in said.err
-    assert not (folder / "ours").exists()
 
 
 def test_paving_refuses_what_it_would_spoil(wcsim: Run, folder: Path) -> None:

@@ -87,15 +87,6 @@ def two_streets(corner, tmp_path, vclass):
     return sumocfg
 
 
-def test_a_net_without_streets_for_cars_is_told_of_no_paved_copy(corner, tmp_path, capsys):
-    sumocfg = two_streets(corner, tmp_path, "bicycle")
-    words = ["town", "run", str(sumocfg), "--seconds", "1", "--chairs", "0", "--out", str(tmp_path / "none")]
-    assert main(words) == 0
-    said = capsys.readouterr().out
-    assert "no walking areas; no street is open to cars, so no pavement can be added; choose" in said
-    assert "paved copy" not in said and "randomTrips.py" not in said
-
-
 def test_a_net_without_pavements_runs_traffic_and_refuses_chairs(corner, tmp_path, capsys):
     sumocfg = two_streets(corner, tmp_path, "passenger")
     words = ["town", "run", str(sumocfg), "--seconds", "2"]
@@ -136,27 +127,6 @@ def test_somebodys_scenario_is_imported_as_it_is(corner, tmp_path, capsys, monke
     town = find_town("mine")
     assert (town.split, town.sumocfg.read_bytes()) == ("test", sumocfg.read_bytes())
     assert main(["town", "import", "--sumocfg", str(sumocfg), "--osm", "x.osm", "--name", "y"]) == 2
-
-
-@pytest.mark.parametrize(
-    ("words", "says"),
-    [
-        (["--seconds", "0"], "--seconds 0"),
-        (["--chairs", "-1"], "--chairs -1"),
-        (["--outputs", "fdc"], "no such output"),
-        (["--hook", "nothing"], "not module:Class"),
-    ],
-)
-def test_mistakes_are_said_and_leave_nothing(corner, tmp_path, capsys, words, says):
-    out = tmp_path / "run"
-    assert main(["town", "run", str(corner), "--chairs", "0", "--out", str(out), *words]) == 2
-    assert says in capsys.readouterr().err
-    assert not out.exists()
-
-
-def test_a_folder_without_a_trace_cannot_be_replayed(tmp_path, capsys):
-    assert main(["log", "convert", str(tmp_path), str(tmp_path / "x.xml")]) == 2
-    assert "has no trace" in capsys.readouterr().err
 
 
 def test_training_keeps_what_it_overrides_and_the_outputs_of_the_scenario(corner, tmp_path, capsys):

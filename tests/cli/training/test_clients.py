@@ -11,8 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.cli.conftest import QUICK, files_in, finished, start
-from tests.support.events import read_events
+from tests.cli.conftest import QUICK, finished, start
 from wcsim.agents.clients.group_run import GroupRun, create_clients_folder, open_clients_folder
 from wcsim.agents.clients.paid_times import read_paid_times
 from wcsim.agents.networks.names import NETWORK_NAMES
@@ -54,58 +53,12 @@ def waited(what, within_s=120.0):
     return found
 
 
-def assert_no_step_lost(folder):
-    """By the two clients of a command that wrote x.json."""
-    result = json.loads((folder / "x.json").read_text())
-    assert [(c["missing"], c["duplicated"]) for c in result["clients"]] == [(0, 0), (0, 0)]
-
-
 def places(child):
     """What the worlds of a command have left in memory."""
     return [path.name for path in Path("/dev", "shm").glob(f"wcsim-*-{child.pid}-*")]
 
 
 # --- options ---
-
-BAD = {
-    "train-clients ,": ("clients ','", "separated by commas"),
-    "train-clients fig6,a/b": ("'a/b'", "module:Class"),
-    "train-clients fig6,nonesuch": ("unknown network 'nonesuch'", "patch"),
-    "train-clients fig6 --lease 0": ("--lease 0.0",),
-    "train-clients fig6 --steps 0": ("--steps 0", "1 or more"),
-    "train-q --steps 0": ("--steps 0", "1 or more"),
-    "train-clients fig6 --config-for patch=x.toml": ("--config-for", "fig6"),
-    "train-clients fig6 --config-for fig6=none.toml": ("none.toml", "cannot be read"),
-    "train-clients fig6 --set env.profile=ataxic": ("ataxic", "held out"),
-    "train-clients fig6 --town atlantis": ("'atlantis'",),
-    "train-clients fig6 --town monaco": ("test town", "--allow-test-town"),
-    "resume none": ("none is not a run",),
-    "serve --seats 0": ("--seats 0", "1 to 64"),
-    "serve --seats 2 --expected 3": ("--expected 3", "1 to 2"),
-    "serve --listen tcp://192.0.2.1:5555": ("192.0.2.1", "--keys"),
-    "serve --listen udp://x": ("tcp://HOST:PORT",),
-    "serve --keys k": ("--listen",),
-    "serve --make-keys a": ("--keys FOLDER",),
-    "serve --listen tcp://127.0.0.1:0 --keys k --make-keys a/b": ("'a/b'",),
-    "serve --town atlantis": ("'atlantis'",),
-    "serve --run .": ("not empty", "journal"),
-    "join nowhere": ("'nowhere'", "tcp://HOST:PORT"),
-    "join ipc:///tmp/x --steps 0": ("--steps 0",),
-    "join ipc:///tmp/x --seat -1": ("--seat -1",),
-    "join ipc:///tmp/x --set env.profile=ataxic": ("held out",),
-    "join ipc:///tmp/x --wait 0": ("--wait 0.0",),
-}
-
-
-@pytest.mark.parametrize("words", BAD)
-def test_mistakes_are_told_in_two_lines_at_most(wcsim, folder, words):
-    (folder / "file").write_text("mine")
-    told = wcsim(*words.split())
-    assert (told.code, told.out) == (2, ""), told
-    assert 1 <= len(told.err.strip().splitlines()) <= 2
-    for text in BAD[words]:
-        assert text in told.err, told.err
-    assert files_in(folder) <= {"file", "k"}
 
 
 def test_names_of_clients():
@@ -293,15 +246,6 @@ def test_two_networks_learn_in_one_world_of_a_town_a_generation(tmp_path, corner
     assert main(["log", "verify", str(journal)]) == Exit.DONE
 
 
-@pytest.mark.proof
-def test_a_network_that_cannot_be_loaded_leaves_nothing(tmp_path, corner):
-    child = start(tmp_path, "train-clients", "patch,nowhere:Net", "--town", corner, "--out", "run", *SMALL)
-    out, err = child.communicate(timeout=120)
-    assert (child.returncode, out) == (2, "")
-    assert err.strip().splitlines()[-1].startswith("wcsim: network module 'nowhere' was not found")
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_more_cameras_than_a_ring_has_places_for_are_refused(wcsim, folder, corner):
     camera = '[[cameras]]\nname = "c%d"\nwidth_px = 16\nheight_px = 12\n'
     (folder / "many.toml").write_text("".join(camera % number for number in range(65)))
@@ -319,27 +263,6 @@ def test_equal_seeds_give_equal_worlds(tmp_path, corner):
         finished(child)
         hashes.append(json.loads((tmp_path / f"{name}.json").read_text())["journal_hash"])
     assert hashes[0] == hashes[1] != hashes[2]
-
-
-@pytest.mark.proof
-def test_killed_processes_cost_no_step(tmp_path, corner):
-    words = ("train-clients", "conv3d,fig6", "--town", corner, "--steps", 120, "--out", "run", "--json", "x.json")
-    child = start(tmp_path, *words, *SMALL, "--set", "learn.checkpoint_every=20")
-    run = tmp_path / "run"
-
-    def pid_of(who):
-        return [e["pid"] for e in read_events(run) if e["event"] in ("start", "restart") and e["who"] == who][-1]
-
-    waited(lambda: list(run.glob("fig6/checkpoints/step-00000020/state.json")))
-    os.kill(pid_of("fig6"), signal.SIGKILL)
-    waited(lambda: any(e["event"] == "recovery" for e in read_events(run)))
-    os.kill(pid_of("world"), signal.SIGKILL)
-    finished(child)
-    assert_no_step_lost(tmp_path)
-    assert [e["who"] for e in read_events(run) if e["event"] == "death"] == ["fig6", "world"]
-    assert [e["who"] for e in read_events(run) if e["event"] == "recovery"] == ["fig6", "world"]
-    epochs = [record.epoch for record in iter_inputs(run / "journal") if isinstance(record, EpochBegun)]
-    assert epochs == [0, 1]
 
 
 @pytest.mark.proof

@@ -89,23 +89,6 @@ def test_a_choice_that_names_no_client_is_refused(tmp_path):
             read_choice(tmp_path, ["a"])
 
 
-BAD = {
-    "--select-by nonesuch": "there is no such list",
-    "--select-by dev --set learn.phase1_steps=0": "less than 1 steps: set learn.phase1_steps",
-    "--select-by kpi1 --set learn.phase1_steps=99": "less than 100 steps: set learn.phase1_steps",
-    "--select-by kpi1 --worlds 2": "tests nothing; leave --worlds out",
-    "--select-by fig6 --worlds 2": "tests nothing; leave --worlds out",
-}
-
-
-@pytest.mark.parametrize("words", BAD)
-def test_what_cannot_be_chosen_by_is_refused_before_anything_is_learned(corner, tmp_path, monkeypatch, capsys, words):
-    monkeypatch.chdir(tmp_path)
-    assert main(["train-clients", "patch,fig6", "--town", str(corner), *words.split()]) == 2
-    assert BAD[words] in capsys.readouterr().err
-    assert list(tmp_path.iterdir()) == []
-
-
 def check(run, best, left):
     folder = open_clients_folder(run)
     assert folder.manifest.status == "done"

@@ -11,9 +11,6 @@ from pathlib import Path
 import pytest
 
 from tests.support.tracked import tracked
-from wcsim.agents.runs.policy_file import FILES, HELD
-from wcsim.towns.scenario.town import find_town
-from wcsim.towns.street import load_street
 
 ROOT = Path(__file__).parents[3]
 
@@ -51,26 +48,3 @@ def test_every_file_that_is_no_code_is_inside(unpacked):
     data |= {Path("wcsim") / path.relative_to(ROOT) for path in tracked("scenarios")}
     data.add(Path("wcsim/examples/exported_policy.py"))
     assert {path for path in data if not (unpacked / path).is_file()} == set()
-
-
-def test_a_shipped_town_opens(unpacked, tmp_path):
-    load_street(find_town("manhattan"))  # once, so that no command has to
-    assert "trips without a route" in run(unpacked, tmp_path, "town", "check", "manhattan")
-
-
-def test_a_shipped_policy_goes_into_the_wheel(tmp_path):
-    """What `tools/ship_policy.py` writes, in a copy of the project with nothing else."""
-    held = (*HELD, FILES)
-    loop = "examples/exported_policy.py"
-    for name in ("pyproject.toml", "README.md", "LICENSE", ".gitignore", "wcsim/__init__.py", loop):
-        (tmp_path / name).parent.mkdir(exist_ok=True)
-        (tmp_path / name).write_bytes((ROOT / name).read_bytes())
-    (tmp_path / "scenarios" / "sumo").mkdir(parents=True)
-    place = tmp_path / "wcsim" / "agents" / "shipped"
-    place.mkdir(parents=True)
-    for name in held:
-        (place / name).write_text(name)
-    build = [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", str(tmp_path), str(tmp_path)]
-    subprocess.run(build, check=True, capture_output=True)
-    with zipfile.ZipFile(next(tmp_path.glob("*.whl"))) as wheel:
-        assert {f"wcsim/agents/shipped/{name}" for name in held} <= set(wheel.namelist())
