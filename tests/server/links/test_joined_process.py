@@ -54,6 +54,6 @@ def test_what_must_not_be_loaded_is_what_a_world_loads() -> None:
 def test_a_world_loads_nothing_that_only_builds_streets() -> None:
     code = (
         "import sys, wcsim.server.host.opening; "
-        "print([n for n in ('cv2', 'rasterio', 'wcsim.towns.build_street') if n in sys.modules])"
+        "print([n for n in ('cv2', 'rasterio', 'torch', 'wcsim.towns.build_street') if n in sys.modules])"
     )
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout.strip() == "[]"

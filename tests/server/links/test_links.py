@@ -116,13 +116,6 @@ def test_an_action_for_another_tick_is_refused_and_the_link_lives_on(opened):
     assert opened.link.act(here, AHEAD).tick == here + 1
 
 
-def test_pictures_cannot_be_written_to(opened):
-    camera = opened.link.join().sensors.cameras[0]
-    assert camera.depth_m.shape == (24, 32)
-    assert not camera.depth_m.flags.writeable
-    assert not camera.class_id.flags.writeable
-
-
 def test_a_link_knows_its_seat_and_where_its_time_went(opened):
     before = opened.link.waits
     opened.link.act(opened.link.join().tick, AHEAD)

@@ -70,18 +70,6 @@ def error_in(outcomes: list[Outcome]) -> WcsimError:
     return error
 
 
-def test_a_tick_in_short() -> None:
-    core = client()
-    (join,) = said(core.join(0.0))
-    assert isinstance(join, m.Join)
-    assert [type(x) for x in core.handle(welcome(core), 0.1)] == [m.Welcome]
-    assert core.handle(frame(0), 0.2) == [seen(0)]
-    assert said(core.act(0, AHEAD, 0.3)) == [m.Act(core.session, 0, 0, 0, 0.0, 1.0)]
-    assert core.handle(m.TickDone(0, 1, 0), 0.5) == []
-    assert core.phase is ClientPhase.WAIT_SENSORS
-    assert core.handle(frame(1), 0.6) == [seen(1, stepped=True)]
-
-
 @pytest.mark.parametrize("call", ["act", "respawn", "rebuild"])
 def test_calls_out_of_turn_are_refused(call: str) -> None:
     core = waiting()
@@ -89,11 +77,6 @@ def test_calls_out_of_turn_are_refused(call: str) -> None:
         {"act": lambda: core.act(0, AHEAD, 1.0), "respawn": lambda: core.respawn(1.0)}.get(
             call, lambda: core.rebuild(1, 1.0)
         )()
-
-
-def test_an_action_for_another_tick_names_both() -> None:
-    with pytest.raises(ProtocolError, match=r"tick 5.*tick 3"):
-        thinking(tick=3).act(5, AHEAD, 0.0)
 
 
 @pytest.mark.parametrize("x", [1.5, math.nan])
@@ -184,14 +167,6 @@ def test_tick_timeout_names_the_late_ones() -> None:
     assert "301 s" in str(error) and "slow one" in str(error) and "other" not in str(error)
 
 
-def test_server_gone_after_silence_or_its_own_word() -> None:
-    error = error_in(waiting().clock(91.0))
-    assert type(error).__name__ == "ServerGoneError" and "91 s" in str(error)
-    core = thinking()
-    error = error_in(core.handle(m.Bye(core.session, "maintenance"), 1.0))
-    assert type(error).__name__ == "ServerGoneError" and "maintenance" in str(error)
-
-
 def test_evicted_and_in_again() -> None:
     core = waiting(tick=4)
     assert type(error_in(core.handle(failure(core, "EvictedError"), 1.0))).__name__ == "EvictedError"
@@ -202,29 +177,11 @@ def test_evicted_and_in_again() -> None:
     assert core.handle(frame(9), 2.0) == [seen(9)]
 
 
-@pytest.mark.parametrize("name", ["SeatTakenError", "WorldFullError", "VersionMismatchError", "ConfigMismatchError"])
-def test_a_refused_join(name: str) -> None:
-    core = client(seat=1)
-    core.join(0.0)
-    error = error_in(core.handle(failure(core, name), 0.0))
-    assert type(error).__name__ == name and str(error) == "told so"
-    assert core.phase is ClientPhase.OFF
-
-
 def test_who_wanted_any_seat_takes_another_one_when_its_own_is_gone() -> None:
     core = waiting(tick=4)
     core.handle(failure(core, "StaleSessionError"), 1.0)
     (join,) = said(core.handle(failure(core, "SeatTakenError"), 1.0))
     assert isinstance(join, m.Join) and join.seat == m.ANY_SEAT
-
-
-def test_a_tick_says_who_is_master() -> None:
-    core = client()
-    assert not core.master
-    core = waiting()
-    assert core.master
-    core.handle(m.TickDone(0, 1, 3), 0.0)
-    assert not core.master
 
 
 def test_a_refused_rebuild_leaves_the_driver_where_it_was() -> None:

@@ -28,20 +28,9 @@ from wcsim.server.protocol.events import (
     SendFrame,
     Step,
     Stepped,
-    Stop,
 )
 from wcsim.server.protocol.members import MOST_LIVES
 from wcsim.server.protocol.server_core import ServerCore
-
-
-def test_a_tick_in_short() -> None:
-    desk = Desk()
-    desk.act(0)
-    step = only(desk.act(1, x=-1.0), Step)
-    assert [(c.seat, c.tick, c.joystick.x) for c in step.commands] == [(0, 0, 0.5), (1, 0, -1.0)]
-    effects = desk.feed(Stepped(1))
-    assert [e.message for e in effects if isinstance(e, Send)] == [m.TickDone(0, 1, master=0)] * 2
-    assert [(e.seat, e.tick) for e in effects if isinstance(e, SendFrame)] == [(0, 1), (1, 1)]
 
 
 def test_stale_tick() -> None:
@@ -169,34 +158,6 @@ def test_a_client_that_comes_again_gets_a_new_chair_and_holds_nobody_up() -> Non
     assert only(desk.feed(Stepped(1)), m.Welcome, peer=0).session == session_of(7)
 
 
-def test_seat_taken() -> None:
-    desk = Desk()
-    error, text = failure(desk.say(5, join_of(5, seat=1)))
-    assert error == "SeatTakenError"
-    assert "seat 1" in text and "c1" in text
-    error, text = failure(desk.say(5, join_of(5, seat=1 << 62)))
-    assert error == "SeatTakenError"
-    assert str(1 << 62) in text and "0 to 1" in text
-
-
-def test_world_full() -> None:
-    error, text = failure(Desk().say(5, join_of(5, seat=m.ANY_SEAT)))
-    assert error == "WorldFullError"
-    assert "2 seats" in text
-
-
-def test_version_mismatch() -> None:
-    error, text = failure(Desk(members=0).say(0, join_of(0, protocol=99, schema="beef")))
-    assert error == "VersionMismatchError"
-    assert all(part in text for part in ("99", "beef", str(m.PROTOCOL), m.schema_hash()))
-
-
-def test_config_mismatch() -> None:
-    error, text = failure(Desk(members=0).say(0, join_of(0, config="mine")))
-    assert error == "ConfigMismatchError"
-    assert "mine" in text and "cfg" in text
-
-
 def test_the_same_claim_takes_its_seat_over_whatever_seat_it_asks_for() -> None:
     desk = Desk()
     effects = desk.say(7, join_of(7, claim=bytes([1]), seat=m.ANY_SEAT))
@@ -261,15 +222,6 @@ def test_who_was_cut_off_joins_again_under_another_session_and_is_not_told_that_
         assert failure(desk.say(1, late))[0] == "StaleSessionError"
     desk.say(1, join_of(1, session=session_of(7)))
     assert only(desk.step(), m.Welcome, peer=1).seat == 1
-
-
-def test_the_end() -> None:
-    desk = Desk()
-    assert [e.message for e in desk.feed(Stop("enough")) if isinstance(e, Send)] == [
-        m.Bye(session_of(0), "enough"),
-        m.Bye(session_of(1), "enough"),
-    ]
-    assert desk.act(0) == []
 
 
 NUMBERS = st.one_of(st.integers(-2, 4), st.integers(-(1 << 63), (1 << 64) - 1))

@@ -12,10 +12,8 @@ import pytest
 
 from benchmarks.barrier.fake_world import FakeWorld
 from tests.support.worlds import quick_config
-from wcsim.agents.clients.client import exit_code
 from wcsim.config import CameraConfig
 from wcsim.errors import ConfigError, DiskFullError, PicturesError, ProtocolError
-from wcsim.server.launch.states import ClientExit
 from wcsim.server.protocol import messages as m
 from wcsim.server.specs import WorldOrder
 from wcsim.server.transport.shared_images import RingSink, RingView
@@ -150,12 +148,6 @@ def test_a_ring_has_the_same_bounds_for_who_writes_and_who_reads_it(tmp_path, mo
     monkeypatch.undo()
     with pytest.raises(PicturesError, match="65 cameras"):
         RingView(path)
-
-
-def test_pictures_that_will_never_fit_are_not_asked_for_again():
-    assert exit_code(PicturesError("65 cameras")) == ClientExit.USER_ERROR
-    assert exit_code(ProtocolError("the pictures cannot be opened")) == ClientExit.SERVER_GONE
-    assert exit_code(DiskFullError("no room")) == ClientExit.DISK_FULL
 
 
 OWNER = """

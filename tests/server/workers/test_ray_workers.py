@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import os
 import socket
-import subprocess
-import sys
 import time
 from contextlib import closing
 from pathlib import Path
@@ -21,7 +19,6 @@ from tests.support.cluster.workpieces import (
     itself,
     take_in_a_bomb,
 )
-from wcsim.cli.main import main
 from wcsim.cli.shared.common import machines_of
 from wcsim.config import resolve
 from wcsim.errors import ConfigError
@@ -55,22 +52,6 @@ def test_without_ray_the_extra_is_named(monkeypatch):
 def test_the_nodes_say_how_many_work_at_once():
     with pytest.raises(ConfigError, match="--num-cpus"):
         machines_of("10.0.0.1:6379", 2, "--jobs")
-
-
-@pytest.mark.parametrize(
-    "words",
-    [
-        ["train", "--cluster", "nowhere"],
-        ["collect", "--cluster", "nowhere"],
-        ["test", "--suite", "dev", "--cluster", "nowhere"],
-    ],
-)
-def test_commands_refuse_it_with_code_2_and_leave_nothing(words, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    assert main([*words, "--out", "out"]) == 2
-    told = capsys.readouterr().err
-    assert "--cluster" in told and "expected" in told and "Traceback" not in told
-    assert not (tmp_path / "out").exists()
 
 
 def test_what_lies_on_this_machine_alone_is_refused():
@@ -142,15 +123,6 @@ def test_a_token_that_was_asked_for_is_found_in_what_ray_wrote_for_this_try_alon
     before, error = spec.log.stat().st_size, ConnectionError("Failed to connect to Ray cluster")
     assert "~/.ray/auth_token" in ray_workers._told(spec, error, _Ray, ray_workers._logged(spec.log, 0))
     assert "cannot join (ConnectionError" in ray_workers._told(spec, error, _Ray, ray_workers._logged(spec.log, before))
-
-
-def test_help_and_refusals_load_no_ray():
-    code = (
-        "import sys; from wcsim.cli.main import main; main(['train', '--help']); main(['train', '--cluster', 'x']);"
-        "print('ray' in sys.modules, file=sys.stderr)"
-    )
-    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert run.stderr.splitlines()[-1] == "False"
 
 
 @pytest.mark.parametrize("place", ["home", "RAY_AUTH_TOKEN_PATH", "RAY_AUTH_TOKEN", ""])
