@@ -42,6 +42,8 @@ from wcsim.towns.scenario.overrides import Override
         (errors.ConfigMismatchError, ClientExit.USER_ERROR),
         (errors.VersionMismatchError, ClientExit.USER_ERROR),
         (errors.AccessError, ClientExit.USER_ERROR),
+        (errors.PicturesError, ClientExit.USER_ERROR),
+        (errors.ProtocolError, ClientExit.SERVER_GONE),
         (errors.EvictedError, ClientExit.EVICTED),
         (errors.StaleSessionError, ClientExit.EVICTED),
         (errors.ServerGoneError, ClientExit.SERVER_GONE),

@@ -69,12 +69,18 @@ def test_weights_that_are_not_those_of_the_description_are_refused(tmp_path: Pat
         load_net(folder)
 
 
-@pytest.mark.parametrize(("key", "value"), [("eye", "ear"), ("window", 0), ("width", 10**9), ("network", "no/name")])
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        *(("eye", "ear"), ("window", 0), ("width", 10**9), ("network", "no/name")),
+        *((part, 7) for part in ("schema_version", "algorithm", "net", "rule", "weights_sha256")),
+    ],
+)
 def test_a_description_out_of_bounds_is_refused(tmp_path: Path, key: str, value: object):
     saved(tmp_path / "p", small_config())
     path = tmp_path / "p" / POLICY_JSON
     told = json.loads(path.read_text())
-    told["net"][key] = value
+    (told if key in told else told["net"])[key] = value
     path.write_text(json.dumps(told))
     with pytest.raises(PolicyError, match=key):
         load_net(tmp_path / "p")

@@ -66,11 +66,6 @@ def test_where_no_hazard_is_found_it_is_said_what_helps(tmp_path: Path, monkeypa
     assert "no hazards found" in text and "--more-ways 6" in text and share == 0.0
 
 
-def test_towns_are_named_or_made_of_a_seed(corner: Path, tmp_path: Path) -> None:
-    ((town, seed),) = asked_towns(str(corner), tmp_path)
-    assert (town.folder, seed) == (corner, None)
-
-
 def test_a_town_that_is_named_by_where_it_lies_is_found_again_by_its_list(
     corner: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

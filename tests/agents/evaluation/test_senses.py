@@ -67,14 +67,6 @@ def test_the_world_is_the_same_with_further_senses_in_it(corner):
     assert alone == beside and alone[0].m > 0.5
 
 
-def test_dwa_drives_the_same_way_again(corner):
-    piece, place = order_of(corner, block_of(corner, max_steps=30))
-    harder = resolve(place.config, ("world.action_delay_ticks=2", "cameras.0.noise=typical"))
-    place = replace(place, config=resolve(harder, sense_settings(harder, BOTH)))
-    first, again = (drive_block(piece, place, lambda: baseline("dwa", place.config)) for _ in range(2))
-    assert first == again and all(record.status != "policy_failed" and record.m > 0.3 for record in first)
-
-
 def test_a_suite_turns_on_what_a_policy_asks_for(corner, tmp_path):
     names = [f"{__name__}:{name}" for name in ("Feels", "Numb")]
     suite = suite_in(corner, block_of(corner, max_steps=5))

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +10,6 @@ import pytest
 
 from tests.agents.export.test_danger_graph import CONFIG, network, ride
 from tests.agents.export.test_guarded_policy import EXAMPLE
-from tests.support.tracked import ROOT
 from wcsim.agents.danger.policy import save_danger
 from wcsim.agents.export import onnx_export
 from wcsim.agents.export.guard import MEANING, GuardedPolicy, guard_of
@@ -68,16 +65,6 @@ def test_a_test_of_the_folder_shows_it_the_camera_and_the_chair_of_its_training(
     assert all(getattr(tested.cameras[0], key) == getattr(config.cameras[0], key) for key in keys)
     assert tested.world.action_delay_ticks == 1
     assert tested.env.observe_yaw and not tested.env.observe_gyro and tested.sensors == config.sensors
-
-
-@pytest.mark.proof
-def test_the_example_drives_the_recorded_ride_again(made):
-    words = [sys.executable, str(ROOT / "examples" / "exported_policy.py"), str(made[0])]
-    for more in ([], [str(made[0] / "reference.npz")]):
-        done = subprocess.run([*words, *more], capture_output=True, text=True, check=False)
-        assert done.returncode == 0, done.stderr
-        assert done.stdout.startswith("200 of 200 actions as recorded, ")
-        assert done.stdout.endswith("danger as recorded in 100% of the steps\n")
 
 
 def test_the_example_and_wcsim_do_the_same_with_bad_frames(made):

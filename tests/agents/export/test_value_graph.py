@@ -14,13 +14,12 @@ import torch
 from torch import nn
 
 from tests.agents.export.test_danger_graph import ride
-from tests.agents.export.test_guarded_policy import EXAMPLE
 from tests.agents.toy import ToyStreet, WindowedStreet, toy_camera
 from wcsim.agents.envs.episode_view import FrameWindow
 from wcsim.agents.export import onnx_export
 from wcsim.agents.export.export_folder import WRITTEN
 from wcsim.agents.export.footprint import Footprint
-from wcsim.agents.export.guard import MEANING, GuardedPolicy
+from wcsim.agents.export.guard import MEANING
 from wcsim.agents.export.onnx_export import MOST_OFF, ExportFacts, export_policy
 from wcsim.agents.learning.build import build_model, network_settings
 from wcsim.agents.learning.saved_policy import load_policy, save_policy
@@ -28,9 +27,7 @@ from wcsim.agents.networks.names import NETWORK_NAMES
 from wcsim.agents.opening.named_policy import open_named
 from wcsim.agents.policies.onnx_policy import OnnxPolicy
 from wcsim.config import CameraConfig, LearnConfig, RunConfig, resolve
-from wcsim.config.run_file import GuardRule
 from wcsim.errors import PolicyError
-from wcsim.supervisor.actions import action_set
 
 CAMERA = toy_camera(16, 20)
 RIDE = [{**seen, "imu": seen["imu"][:5]} for seen in ride(40, (16, 20))]
@@ -114,20 +111,6 @@ def test_the_example_repeats_the_reference_with_numpy_and_the_runtime_alone(made
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith("40 of 40 actions as recorded, ")
     assert done.stdout.endswith("values as recorded in 100% of the steps\n")
-
-
-def test_the_example_and_wcsim_do_the_same_with_bad_frames(made):
-    folder, _, _ = made
-    mine = GuardedPolicy(OnnxPolicy(folder, "mine", 81), action_set("square81"), GuardRule())
-    mine.reset()
-    other, tripped = EXAMPLE["Driver"](folder, clock=lambda: 0.0), 0
-    for tick, seen in enumerate(RIDE):
-        seen = {key: seen[key] for key in other.meaning["inputs"]}
-        frames = {**seen, "imu": np.full(5, np.nan, np.float32)} if tick in (5, 20) else seen
-        mine.act(frames)
-        assert mine.stick == tuple(other.step(frames))
-        tripped += mine.tripped
-    assert 10 < tripped < 30
 
 
 def test_every_network_of_wcsim_is_exported_here():

@@ -1,8 +1,6 @@
 import numpy as np
 import pytest
 import torch
-from stable_baselines3.common.callbacks import EvalCallback
-from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.type_aliases import DictReplayBufferSamples
 from stable_baselines3.common.vec_env import DummyVecEnv
 from torch import nn
@@ -285,21 +283,6 @@ def test_the_values_of_a_chain_are_missed_with_a_planted_fault_alone(fault, n_st
 
 
 # --- it stays an algorithm of Stable-Baselines3 ---
-
-
-def test_sb3s_callbacks_save_and_load_work(tmp_path):
-    learner = model(phase1_steps=20, total_steps=80)
-    evaluation = EvalCallback(
-        DummyVecEnv([lambda: Monitor(ToyStreet(CAMERA, max_steps=20))]), eval_freq=30, n_eval_episodes=1, verbose=0
-    )
-    learner.learn(80, callback=evaluation)
-    assert -200 < evaluation.last_mean_reward < 25
-    learner.save(tmp_path / "own.zip")
-    again = SeqDQN.load(tmp_path / "own.zip", env=DummyVecEnv([lambda: ToyStreet(CAMERA)]), device="cpu")
-    one = ToyStreet(CAMERA).reset(seed=3)[0]
-    assert learner.predict(one, deterministic=True)[0] == again.predict(one, deterministic=True)[0]
-    again.learn(20, reset_num_timesteps=False)
-    assert again.num_timesteps == 100
 
 
 def test_several_seats_train_one_learner():

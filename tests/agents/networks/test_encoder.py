@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from stable_baselines3 import DQN
 from torch import nn
 
-from tests.agents.toy import ToyStreet, WindowedStreet, toy_camera
+from tests.agents.toy import WindowedStreet
 from wcsim.agents.networks import registry
 from wcsim.agents.networks.encoder import GROUPS, WCSIM_GROUPS, ObservationEncoder, _group_table
 from wcsim.agents.networks.names import NETWORK_NAMES
@@ -119,14 +119,6 @@ def test_other_observations_are_refused():
     )
     with pytest.raises(PolicyError, match="seg, depth"):
         ObservationEncoder(floats)
-
-
-def test_sb3s_own_dqn_takes_the_encoder():
-    kwargs = {"features_extractor_class": ObservationEncoder, "normalize_images": False}
-    env = ToyStreet(toy_camera())
-    model = DQN("MultiInputPolicy", env, policy_kwargs=kwargs, buffer_size=60, learning_starts=20, seed=0, device="cpu")
-    model.learn(40)
-    assert model._n_updates > 0
 
 
 # --- windows of images ---
@@ -277,18 +269,6 @@ def test_the_example_is_one_short_file_and_works(tmp_path, monkeypatch):
     net = q_net(network="my_net_a:OwnNet")
     assert net(batch(60, 80, [(0, 0)])).shape == (1, 81)
     sys.modules.pop("my_net_a")
-
-
-@pytest.mark.parametrize(
-    ("name", "says"),
-    [("huge", "expected one of"), ("no_such_module_q:Net", "not found"), ("math:Net", "no class"),
-     (":Net", "not module:Class"), ("broken_net_b:Net", "failed to import")],
-)  # fmt: skip
-def test_wrong_names_are_explained(name, says, tmp_path, monkeypatch):
-    (tmp_path / "broken_net_b.py").write_text("import torch\n1 / 0\n")
-    monkeypatch.chdir(tmp_path)
-    with pytest.raises(PolicyError, match=says):
-        registry.find_network(name)
 
 
 class NotFinite(nn.Module):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -21,15 +20,14 @@ from wcsim.agents.danger.learner import DangerLearner
 from wcsim.agents.rounds import train_rounds
 from wcsim.agents.rounds.drive_segment import SegmentOrder
 from wcsim.agents.rounds.train_rounds import RoundProgress, _restoring, _save_round, train_danger
-from wcsim.agents.runs.checkpoint import _restore_newest, checkpoints, go_on, number_of, tag
+from wcsim.agents.runs.checkpoint import _restore_newest, number_of, tag
 from wcsim.agents.runs.data_folder import SegmentKey, segment_path, write_manifest
 from wcsim.agents.runs.metrics import read_rounds
-from wcsim.agents.runs.run_folder import ResolvedRun, create_run, make_manifest
+from wcsim.agents.runs.run_folder import ResolvedRun
 from wcsim.cli.shared.run_config import learning
 from wcsim.config import RunConfig, resolve
 from wcsim.core import files
 from wcsim.errors import ConfigError, DiskFullError, InterruptedRunError, PolicyError
-from wcsim.server.specs import RunInfo
 from wcsim.server.workers.machines import Machines
 from wcsim.towns.scenario.town import find_town
 
@@ -200,23 +198,6 @@ def test_a_checkpoint_that_names_what_is_no_segment_is_refused(tmp_path: Path, n
         load_round(tmp_path)
 
 
-def test_a_damaged_checkpoint_is_set_aside_and_said_and_without_a_sound_one_there_is_no_beginning_again(
-    tmp_path: Path,
-) -> None:
-    learner, told = a_learner(), []
-    folder = create_run(tmp_path / "run", RunConfig(), make_manifest(RunConfig(), RunInfo(seed=1, town="t")))
-    for number in range(2):
-        _save_round(folder.checkpoints, number, learner, {})
-    (_checkpoint_path(folder.checkpoints, 1) / "weights.safetensors").write_bytes(b"torn")
-    go_on(folder, _restoring(learner), told.append)
-    assert "round-001" in told[0] and (folder.checkpoints / "round-001.damaged").is_dir()
-    go_on(folder, _restoring(learner), told.append)
-    assert len(told) == 1 and [path.name for path in checkpoints(folder.checkpoints)] == ["round-000"]
-    (_checkpoint_path(folder.checkpoints, 0) / "weights.safetensors").write_bytes(b"torn")
-    with pytest.raises(PolicyError, match="no intact checkpoint"):
-        go_on(folder, _restoring(learner), told.append)
-
-
 @pytest.mark.parametrize("key", ["updates", "loss", "segments"])
 def test_a_checkpoint_whose_state_is_damaged_is_passed_over_for_the_one_before(tmp_path: Path, key: str) -> None:
     learner = a_learner()
@@ -234,16 +215,6 @@ def test_a_checkpoint_whose_state_is_damaged_is_passed_over_for_the_one_before(t
     assert load_round(tmp_path)[0] == 0, "a seal under another name is none"
     path.write_text(json.dumps(state))
     assert load_round(tmp_path)[0] == 0, "without one, it may be anybody's"
-
-
-@pytest.mark.parametrize("name", ["weights.safetensors", "moments.safetensors"])
-def test_a_pipe_or_endless_zeros_in_place_of_arrays_are_passed_over_at_once(tmp_path: Path, name: str) -> None:
-    for number in range(3):
-        _save_round(tmp_path, number, a_learner(), {})
-    for number, lay in ((1, os.mkfifo), (2, lambda path: path.symlink_to("/dev/zero"))):
-        (_checkpoint_path(tmp_path, number) / name).unlink()
-        lay(_checkpoint_path(tmp_path, number) / name)
-    assert load_round(tmp_path)[0] == 0
 
 
 @pytest.mark.parametrize(

@@ -148,7 +148,7 @@ def test_a_run_that_was_stopped_in_its_first_round_has_no_policy(corner: Path, t
     def stop(now: RoundProgress) -> None:
         raise KeyboardInterrupt
 
-    with pytest.raises(InterruptedRunError, match="no policy yet"):
+    with in_this_process(), pytest.raises(InterruptedRunError, match="no policy yet"):
         train_danger(run_in(corner, tmp_path / "run"), find_town(str(corner)), progress=stop)
     assert not (tmp_path / "run" / "policies" / "final").exists()
 
