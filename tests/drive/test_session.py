@@ -78,16 +78,6 @@ def test_help_and_overruling_are_counted_and_written_down(session: DriveSession,
     assert noted.ticks[0].helped and not noted.ticks[1].helped
 
 
-def test_a_call_for_help_counts_when_it_is_heard(session: DriveSession, noted: Noted) -> None:
-    session.tick(Wish())
-    for _ in range(2):
-        session.ask_for_help()
-    assert session.metrics.helps == 1 and noted.kinds().count(EventKind.HELP) == 1, "no tick may follow; once a tick"
-    assert session.tick(Wish()).helped and not session.tick(Wish()).helped
-    session.ask_for_help()
-    assert session.metrics.helps == 2
-
-
 def test_nothing_counts_before_the_user_hands_the_chair_over(session: DriveSession, noted: Noted) -> None:
     session.place = replace(session.place, handover_step=5)
     for _ in range(5):

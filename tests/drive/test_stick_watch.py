@@ -70,21 +70,6 @@ def test_a_button_that_was_pressed_between_two_ticks_counts_for_one() -> None:
     assert watch.wish(0.2).overrule, "it is held"
 
 
-def test_a_page_that_was_left_lets_time_stand_still_for_a_person_alone() -> None:
-    watch = StickWatch()
-    for second in range(6):
-        watch.hear(AT_REST, False, float(second), away=second > 1)
-        left = second - 1 > STANDS_STILL_S
-        assert watch.stands_still(float(second), by_person=True) is left
-        assert not watch.stands_still(float(second)), "the simulated user drives on"
-    assert not watch.stands_still(65.0), "a browser lets a page that is hidden for long speak once a minute"
-    assert watch.silent(65.0) and watch.stands_still(65.0, by_person=True)
-    watch.hear(AT_REST, False, 6.0)
-    assert not watch.stands_still(6.0, by_person=True)
-    watch.let_go()
-    assert watch.stands_still(6.0), "the page is closed"
-
-
 def test_a_long_loss_that_no_tick_saw_counts_too() -> None:
     watch = held()
     watch.hear(AHEAD, False, GONE_S + 0.1)  # time stood still meanwhile, and nobody asked for a wish

@@ -5,8 +5,7 @@ from __future__ import annotations
 import json
 import signal
 import subprocess
-from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,7 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.drive.page.stage import IN_CHROMIUM, PAD, axe_finds_nothing, let_go, touches
+from tests.drive.page.stage import IN_CHROMIUM, PAD, axe_finds_nothing, let_go
 from tests.drive.serving.served import PATIENCE_S, served
 
 pytestmark = [*IN_CHROMIUM, pytest.mark.timeout(1800)]
@@ -86,33 +85,6 @@ def test_keys_move_the_chair_and_the_picture_and_letting_go_stops_it(page: Any) 
     assert page.errors == []
 
 
-@contextmanager
-def finger(page: Any) -> Iterator[None]:
-    touch = touches(page)
-    touch("touchStart", 0.0)
-    touch("touchMove", 0.9)
-    yield
-    touch("touchEnd", 0.0)
-
-
-@contextmanager
-def gamepad(page: Any) -> Iterator[None]:
-    page.evaluate("window.pads = [{ id: 'pad', connected: true, axes: [0, 0], buttons: [] }]")
-    wait(page, "document.getElementById('pad').textContent === 'Gamepad: pad'")
-    page.evaluate("window.pads[0].axes = [0, -1]")
-    yield
-    page.evaluate("window.pads[0].axes = [0, 0]")
-
-
-@pytest.mark.parametrize("ahead", [finger, gamepad])
-def test_so_do_a_finger_and_a_gamepad(page: Any, ahead: Callable[[Any], AbstractContextManager[None]]) -> None:
-    at_rest(page)
-    with ahead(page):
-        wait(page, f"{SPEED} > 0.5")
-    at_rest(page)
-    assert page.errors == []
-
-
 def test_assistance_help_and_overruling_are_on_the_page(page: Any) -> None:
     page.focus("#scene")
     helps = int(page.inner_text("#kpi-helps"))
@@ -132,19 +104,6 @@ def test_assistance_help_and_overruling_are_on_the_page(page: Any) -> None:
     wait(page, "document.getElementById('assist').getAttribute('aria-checked') === 'true'")
     page.evaluate("{const l = document.getElementById('level'); l.value = 100; l.dispatchEvent(new Event('input'))}")
     wait(page, "document.getElementById('level-text').textContent === 'acts early: 2.00'")
-
-
-def test_a_second_page_looks_on_and_takes_over(page: Any, running: Served) -> None:
-    other = open_page(page.context, running[0])
-    wait(other, "!document.getElementById('banner').hidden")
-    assert "Another page is driving" in other.inner_text("#banner-text")
-    other.click("#take-over")
-    wait(other, "document.body.dataset.drives === 'true'")
-    wait(page, "document.body.dataset.drives === 'false'")
-    other.close()
-    wait(page, "document.getElementById('banner-text').textContent === 'No page is driving.'")
-    page.click("#take-over")
-    wait(page, "document.body.dataset.drives === 'true'")
 
 
 @pytest.mark.proof

@@ -66,36 +66,6 @@ def desk(run: Path) -> Iterator[Desk]:
     found.close()
 
 
-@pytest.mark.proof  # in `make test` the page itself does all this, where there is a browser
-def test_a_journal_is_played_jumped_in_and_drawn(desk: Desk) -> None:
-    about = desk.said("about")
-    assert (about["film"]["ticks"], about["film"]["live"], len(about["points"])) == (150, False, 81)
-    whole = desk.state(lambda state: not state["reading"])
-    assert (whole["count"], whole["ended"]) == (150, "The whole journal is loaded.")
-    desk.say("pause", on=True)
-    desk.say("seek", to=100)
-    there = desk.state(lambda state: state["at"] == 100)
-    desk.say("seek", to=20)
-    desk.state(lambda state: state["at"] == 20)
-    desk.say("stepby", ticks=80)
-    again = desk.state(lambda state: state["at"] == 100)
-    assert again == there, "a jump leads to the same, to the last number"
-    assert {line["name"] for line in there["chairs"]} == {"c0", "c1", "c2"}
-    desk.say("followseat", seat=2)
-    assert desk.state(lambda state: state["seat"] == 2)["chairs"] == there["chairs"]
-    desk.say("ready")
-    picture = desk.until(lambda kind, said: kind == b"P")
-    assert picture[5:6] == b"S" and len(picture) > 5000
-    desk.say("seek", to=140)
-    desk.say("pause", on=False)
-    end = desk.state(lambda state: state["paused"])
-    assert end["at"] == 149, "it stops at the end"
-    desk.say("pause", on=False)
-    assert desk.state(lambda state: state["at"] < 100)["paused"] is False, "and begins again"
-    desk.say("openepisode", policy="stop", block=0, seat=0)
-    assert "not of a suite" in desk.said("notice")["told"]
-
-
 def test_a_film_begins_without_the_marks_of_the_one_before(desk: Desk) -> None:
     """Who comes later is told the newest line of each kind, so that of the film before is not to stay."""
     assert desk.said("marks") == {"say": "marks", "marks": []}

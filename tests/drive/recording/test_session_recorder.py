@@ -169,20 +169,6 @@ def test_a_person_is_patient_and_a_user_is_not(corner: Path, tmp_path: Path, mon
     assert verify(made).mismatches > 10
 
 
-@pytest.mark.proof
-def test_a_crash_is_made_again(corner: Path, tmp_path: Path) -> None:
-    drive = Kept(DriveStart(town=str(corner), seed=1), tmp_path / "a.drive")
-    drive.session.assist(False)
-    ahead = Wish(stick=Joystick(0.0, 1.0))
-    for _ in range(400):
-        if drive.session.tick(ahead).crashed:
-            break
-    drive.drive(12)
-    drive.session.close()
-    made = same_again(tmp_path / "a.drive")
-    assert sum(tick.crashed for tick in made.ticks) >= 1 and len(made.episodes) >= 2
-
-
 def test_a_person_who_was_kept_is_a_user(kept: Kept, tmp_path: Path) -> None:
     kept.drive(20)
     kept.session.close()
@@ -223,13 +209,6 @@ def test_a_drive_that_never_moved_leaves_no_file(kept: Kept, tmp_path: Path) -> 
     kept.session.new_place()
     kept.session.close()
     assert list(tmp_path.iterdir()) == []
-
-
-def test_files_are_new_ones(tmp_path: Path) -> None:
-    path = tmp_path / "a.drive"
-    path.touch()
-    (tmp_path / "a-2.drive").touch()
-    assert next(numbered_names(path)) == tmp_path / "a-3.drive"
 
 
 def test_what_cannot_be_made_again_is_refused() -> None:

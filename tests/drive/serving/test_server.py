@@ -183,19 +183,6 @@ def test_a_stick_moves_the_chair_and_silence_stops_it(running: Served) -> None:
         page.state(lambda state: abs(state["speed_mps"]) < 0.02)
 
 
-def test_a_page_that_was_left_lets_time_stand_still_till_it_is_back(running: Served) -> None:
-    with FakePage(running[0]) as page:
-        page.state(lambda state: not state["waiting"])
-        page.away = True
-        left = page.state(
-            lambda state: "in the background" in state["waiting"]
-        )  # a slow machine may hear nothing before
-        page.say("help")  # is answered with a state
-        assert page.state()["tick"] == left["tick"]
-        page.away = False
-        page.state(lambda state: not state["waiting"] and state["tick"] > left["tick"])
-
-
 def test_help_level_pause_and_pace_are_obeyed(running: Served) -> None:
     with FakePage(running[0]) as page:
         about = page.until(lambda message: message["say"] == "about")
