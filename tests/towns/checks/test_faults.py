@@ -4,7 +4,6 @@ import re
 import shlex
 from dataclasses import replace
 from pathlib import Path
-from xml.etree import ElementTree
 
 import pytest
 
@@ -13,7 +12,6 @@ from tests.support.tracked import ROOT
 from tests.support.typed import printed
 from tests.towns.made.nets import edge, lane, write_net
 from tests.towns.osm.test_bridges import net_of
-from wcsim.errors import TownError
 from wcsim.towns.checks.check import TownReport, _demand_classes, _faults_of, _find_notes, _Overlap, check_town
 from wcsim.towns.importing.importer import ImportOrder, _build_net, _convert_net
 from wcsim.towns.osm.clean import filter_osm
@@ -90,19 +88,6 @@ def test_buildings_of_a_file_of_any_name_are_seen(corner_town: Town, tmp_path: P
         more.write_text(f"<additional>{shapes}</additional>", encoding="utf-8")
         notes = _find_notes(replace(corner_town, poly=None, additional=(more,), border=None), net)
         assert len([note for note in notes if "no buildings or trees" in note]) == len(notes) == missed
-
-
-@pytest.mark.parametrize("scale", [1e-5, 1 / 60])  # the second is metres across, and its lanes say other lengths
-def test_a_net_in_degrees_is_refused_with_the_cure(corner_town: Town, tmp_path: Path, scale: float) -> None:
-    root = ElementTree.fromstring(read_bytes(corner_town.net))  # noqa: S314 - our own
-    for element in root.iter():
-        if element.get("shape"):
-            points = [part.split(",")[:2] for part in element.attrib["shape"].split()]
-            element.set("shape", " ".join(f"{float(x) * scale:.7f},{float(y) * scale:.7f}" for x, y in points))
-    net = tmp_path / "degrees.net.xml"
-    ElementTree.ElementTree(root).write(net)
-    with pytest.raises(TownError, match=r"degrees.net.xml.*in degrees or another unit.*--proj.utm"):
-        check_town(replace(corner_town, net=net))
 
 
 @pytest.mark.proof

@@ -51,13 +51,6 @@ def test_bad_nets_are_refused_in_at_most_two_lines(text: str, reason: str, tmp_p
     assert str(caught.value).count("\n") <= 1
 
 
-def test_truncated_archive_is_refused(corner_town: Town, tmp_path: Path) -> None:
-    net = tmp_path / "cut.net.xml.gz"
-    net.write_bytes(corner_town.net.read_bytes()[:-200])
-    with pytest.raises(TownError, match="cannot be read"):
-        validate_net(net)
-
-
 def test_net_that_kills_sumo_is_refused_not_cached(corner_town: Town, tmp_path: Path, own_cache: Path) -> None:
     text = gzip.decompress(corner_town.net.read_bytes()).decode()
     net = tmp_path / "deadly.net.xml"

@@ -10,7 +10,7 @@ import shapely
 from tests.support.yardstick import multiple
 from tests.towns.ground.rays import mesh_faults
 from wcsim.towns import build_street, street
-from wcsim.towns.checks.check import _demand_classes, check_town
+from wcsim.towns.checks.check import _demand_classes
 from wcsim.towns.ground.tiles import RASTER_M, TILE_M
 from wcsim.towns.scenario.town import Town, find_town
 from wcsim.towns.street import load_street
@@ -117,10 +117,3 @@ def test_helsinki_hangs_together() -> None:
     assert largest_share(walkable_parts(read_net(town.net, town.file.origin_m), town.file.chair_ways)) >= 0.95
     wanted = {"passenger", "truck", "bus", "motorcycle", "bicycle", "pedestrian", "tram"}
     assert set(_demand_classes(town)) >= wanted
-
-
-def test_check_reports_a_town_and_its_faults(corner_town: Town, tmp_path: Path) -> None:
-    report = check_town(corner_town)
-    assert (report.crossings, report.walkingareas >= 4, report.unroutable, report.faults) == (4, True, 0, ())
-    assert report.walkable_largest_share == pytest.approx(1.0)
-    assert report.classes == ("passenger", "pedestrian")

@@ -72,17 +72,6 @@ def test_an_import_that_is_ended_as_soon_as_its_folder_is_made_leaves_none(
     assert not list((tmp_path / "towns").iterdir())
 
 
-def test_two_builds_give_the_same_bytes_and_leave_nothing_behind(order: ImportOrder, town: Town) -> None:
-    first = bytes_in(town.folder)
-    import_town(order)  # over the first one
-    second = bytes_in(town.folder)
-    assert first == second
-    assert [path.name for path in order.out.parent.iterdir()] == ["small"]
-    assert {"small.sumocfg", "small.net.xml.gz", "small.poly.xml.gz", "small.rou.xml.gz", "small.add.xml"} <= {
-        path.name for path in town.folder.iterdir()
-    }
-
-
 def test_shipped_net_is_what_its_extract_gives(order: ImportOrder, manhattan_town: Town) -> None:
     osm = manhattan_town.folder / "osm"
     box = Box.of((osm / "bbox").read_text(encoding="utf-8"))
@@ -102,27 +91,6 @@ def test_failed_import_leaves_the_old_town_and_no_rubbish(order: ImportOrder, to
         import_town(replace(order, osm=broken))
     assert sorted(path.name for path in order.out.iterdir()) == before
     assert [path.name for path in order.out.parent.iterdir()] == ["small"]
-
-
-def test_bad_orders_are_refused(order: ImportOrder, tmp_path: Path) -> None:
-    (tmp_path / "full").mkdir()
-    (tmp_path / "full" / "thesis.txt").write_text("mine", encoding="utf-8")
-    cases = [
-        (replace(order, name="a b"), "cannot be named"),
-        (replace(order, name="scenes"), "cannot be named"),
-        (replace(order, split="both"), "unknown split"),
-        (replace(order, bbox=Box(2.0, 0.0, 1.0, 1.0)), "west,south,east,north"),
-        (replace(order, bbox=Box(2.0, 48.0, 2.9, 48.1)), "at most 12 km"),
-        (replace(order, per_hour={"car": 1.0}), "class 'car'"),
-        (replace(order, per_hour={"bicycle": -1.0}), "-1.0 departures"),
-        (replace(order, relief=Heights(dem=tmp_path / "none.tif")), "none.tif"),
-        (replace(order, out=tmp_path / "full"), "not a town"),
-        (replace(order, osm=tmp_path / "none.osm"), "cannot be read"),
-    ]
-    for bad, reason in cases:
-        with pytest.raises(TownError, match=reason):
-            import_town(bad)
-    assert (tmp_path / "full" / "thesis.txt").read_text(encoding="utf-8") == "mine"
 
 
 def test_what_a_killed_import_left_is_cleared_and_a_town_moved_aside_comes_back(order: ImportOrder) -> None:
@@ -164,16 +132,6 @@ def test_shipped_demand_runs_without_errors_and_never_runs_dry(manhattan_town: T
     ends = [float(flow.attrib["end"]) for flow in flows if flow.tag in ("flow", "personFlow")]
     begins = [float(flow.attrib["begin"]) for flow in flows if flow.tag == "personFlow"]
     assert max(ends) >= 1e6 and max(begins) >= 86_400 and begins == sorted(begins)
-
-
-def test_unroutable_trips_are_counted(corner_town: Town, tmp_path: Path) -> None:
-    routes = tmp_path / "x.rou.xml"
-    routes.write_text(
-        '<routes><trip id="a" depart="0" from="WC" to="NC"/><trip id="b" depart="1" from="WC" to="CE"/>'
-        '<person id="p" depart="2"><walk from="WC" to="nope"/></person></routes>',
-        encoding="utf-8",
-    )
-    assert _unroutable_trips(replace(corner_town, routes=(routes,), border=None)) == 2
 
 
 @pytest.mark.shared

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from wcsim.errors import TownError
-from wcsim.towns.scenario.town import Town, content_hash, find_town, list_towns, net_middle, open_town
+from wcsim.towns.scenario.town import Town, content_hash, find_town, list_towns, open_town
 
 
 def test_shipped_towns_are_found_by_name_with_disjoint_splits() -> None:
@@ -42,27 +42,11 @@ def test_a_town_of_the_current_folder_comes_first(
     assert find_town("manhattan").folder == mine
 
 
-def test_missing_net_is_named(manhattan_town: Town, tmp_path: Path) -> None:
-    folder = tmp_path / "broken"
-    shutil.copytree(manhattan_town.folder, folder)
-    (folder / "manhattan.net.xml.gz").unlink()
-    with pytest.raises(TownError, match=r"manhattan\.net\.xml\.gz; restore it"):
-        open_town(folder)
-
-
 @pytest.mark.parametrize("text", ["", "<sumoConfiguration", "<sumoConfiguration/>", "<!DOCTYPE x><sumoConfiguration/>"])
 def test_broken_sumocfg_is_refused(text: str, tmp_path: Path) -> None:
     (tmp_path / "x.sumocfg").write_text(text, encoding="utf-8")
     with pytest.raises(TownError, match="sumocfg"):
         open_town(tmp_path)
-
-
-def test_scenario_of_somebody_else_needs_no_town_toml(corner_town: Town, tmp_path: Path) -> None:
-    folder = tmp_path / "my town"
-    shutil.copytree(corner_town.folder, folder)
-    (folder / "town.toml").unlink()
-    town = find_town(str(folder))
-    assert (town.name, town.file.origin_m, town.poly) == ("my-town", net_middle(town.net), None)
 
 
 @pytest.mark.parametrize("east_m", [4_000, 386_000])
