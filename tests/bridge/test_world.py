@@ -114,17 +114,6 @@ def test_the_order_of_seats_does_not_decide_what_they_see(corner):
         assert all(client.plant.p_WB_m[2] > -1.0 for client in world.snapshot.clients)
 
 
-def test_respawn_costs_no_tick(corner):
-    with open_world(corner) as world:
-        follow(world)
-        before = world.snapshot
-        client = world.respawn(0)
-        assert world.snapshot.tick == before.tick
-        assert client.events.episode == 1
-        assert client.events.step == 0
-        follow(world)
-
-
 def test_two_chairs_see_each_other_and_drive_apart(corner):
     with open_world(corner, seats=2, seed=2) as world:
         for _ in range(30):
@@ -133,16 +122,6 @@ def test_two_chairs_see_each_other_and_drive_apart(corner):
         a, b = (client.plant.p_WB_m for client in snapshot.clients)
         assert np.linalg.norm(a - b) > 1.0
         assert {actor.id for actor in world._others(world.seats[0])} >= {"w:1"}
-
-
-def test_truth_comes_only_when_asked_for(corner):
-    with open_world(corner) as world:
-        assert follow(world).clients[0].truth is None
-    with open_world(corner, spec=SeatSpec(truth=True)) as world:
-        truth = follow(world).clients[0].truth
-        assert truth is not None
-        assert truth.safe_actions.shape == (81,)
-        assert truth.clearance_m > 0.0
 
 
 def test_the_truth_knows_of_the_commands_that_wait(corner):

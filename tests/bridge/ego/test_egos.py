@@ -125,23 +125,6 @@ def test_who_has_no_start_is_not_in_the_street_and_has_had_no_episode(corner, mo
         assert world.admit(1, SPEC).events.episode == 0
 
 
-def test_a_late_chair_is_the_same_one_whenever_it_is_repeated(corner):
-    def late(world: World) -> list[str]:
-        world.admit(0, SPEC)
-        hashes = follow_for(world, 20)
-        world.admit(1, SPEC)
-        return [*hashes, world.snapshot.state_hash, *follow_for(world, 30)]
-
-    with empty_world(corner) as world:
-        first = late(world)
-        world.dismiss(0)
-        world.dismiss(1)
-        world.rebuild(2)
-        assert world.snapshot.clients == ()
-    with empty_world(corner) as world:
-        assert late(world) == first
-
-
 def test_a_chair_that_leaves_leaves_nothing_behind(corner):
     with empty_world(corner) as world:
         world.admit(0, SPEC)
@@ -209,20 +192,6 @@ def test_a_chair_keeps_for_a_second_of_its_worlds_ticks_who_came_into_whom(corne
     with empty_world(corner, "world.tick_s=0.2") as world:
         world.admit(0, SPEC)
         assert world.seats[0].chair._log._kept_ticks == 5
-
-
-def test_coming_and_going_thirty_times_leaves_no_body_behind(corner):
-    with empty_world(corner) as world:
-        world.admit(0, SPEC)
-        follow(world)
-        counts = []
-        for _ in range(30):
-            world.admit(2, SPEC)
-            follow(world)
-            counts.append(bodies(world))
-            world.dismiss(2)
-        assert bodies(world) == counts[0] - 1
-        assert set(counts) == {counts[0]}
 
 
 def script(world: World) -> list[str]:
