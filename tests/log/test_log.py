@@ -76,14 +76,6 @@ def write(path: Path, records=RECORDS, header=HEADER) -> str:
     return log_digest(path)
 
 
-def test_what_was_written_is_read(tmp_path):
-    write(tmp_path / "j")
-    journal = read_whole(tmp_path / "j")
-    assert (journal.header, journal.records, journal.torn) == (HEADER, RECORDS, False)
-    assert read_header(tmp_path / "j") == HEADER
-    assert tuple(iter_inputs(tmp_path / "j")) == RECORDS
-
-
 def test_commands_come_back_to_the_last_bit(tmp_path):
     sticks = [(-0.0, 5e-324), (0.1 + 0.2, -1.0), (1.0, 0.25)]
     commands = tuple(Command(seat=i, tick=4, joystick=Joystick(x, y)) for i, (x, y) in enumerate(sticks))

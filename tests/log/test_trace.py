@@ -98,12 +98,6 @@ def test_a_name_that_no_xml_can_hold_is_refused(tmp_path, name):
         read_states(tmp_path / "a")
 
 
-def test_something_else_is_refused(tmp_path):
-    (tmp_path / "a").write_text("hello")
-    with pytest.raises(WcsimError, match="not a log"):
-        read_states(tmp_path / "a")
-
-
 def test_difference_is_exact_within_a_version_and_tolerant_across(tmp_path):
     write(tmp_path / "a", [record(1), record(2)])
     write(tmp_path / "same", [record(1), record(2)])

@@ -13,12 +13,6 @@ from wcsim.view.filming import ASKED_RGB, GIVEN_RGB, BusiestMoment, FilmDriver, 
 from wcsim.view.map import _draw_scale
 
 
-def test_who_drives_is_who_was_asked_for(corner):
-    for asked, drives in (({}, "competent"), ({"profile": "slow"}, "slow")):
-        with FilmedDrive(find_town(str(corner)), 0, 64, FilmDriver(settings=("world.warmup_s=0",), **asked)) as film:
-            assert film.world.seats[0].user.profile.name == drives
-
-
 def test_a_moment_that_does_not_fit_is_kept_only_till_one_does():
     business = iter([5.0, -1.0, 3.0, 9.0, 1.0])
     film = SimpleNamespace(shot=lambda after_s: after_s, business=lambda: next(business))

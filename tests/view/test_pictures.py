@@ -12,7 +12,7 @@ from wcsim.supervisor.palette import COLOURS
 from wcsim.types import ActorKind, ClassId, Route
 from wcsim.view.filming import _triptych
 from wcsim.view.map import ROUTE_RGB, MapView
-from wcsim.view.pictures import captioned, class_colours, depth_colours, open_video, side_by_side, write_png
+from wcsim.view.pictures import captioned, class_colours, depth_colours, open_video, write_png
 
 
 def test_every_class_has_a_colour_of_its_own():
@@ -91,11 +91,6 @@ def test_a_video_says_what_it_cannot_do(tmp_path):
         write(np.zeros((48, 64, 3), np.uint8))
         with pytest.raises(ConfigError, match="expected"):
             write(np.zeros((64, 48, 3), np.uint8))
-
-
-def test_images_are_joined_at_one_height():
-    joined = side_by_side(np.zeros((40, 50, 3), np.uint8), np.full((80, 80, 3), 255, np.uint8))
-    assert joined.shape == (40, 90, 3) and joined[:, 50:].min() == 255
 
 
 def test_the_map_is_true_to_scale_with_north_up():

@@ -64,17 +64,6 @@ def test_a_soak_that_a_signal_stops_is_no_result_and_not_begun_again(corner, tmp
 
 
 @pytest.mark.proof
-def test_learners_lose_nothing_when_one_is_killed(tmp_path, corner):
-    words = ("--networks", "patch,fig6", "--steps", 60, "--kills", 1, "--stops", 0, "--lease", 30, "--slow", 2)
-    (run,) = soaked(tmp_path, corner, *words, "--seed", 2, "--set", "learn.checkpoint_every=20")
-    assert run["kills"] == 1 and run["ticks"] > 50
-    assert {key: run[key] for key in NOTHING} == NOTHING
-    waits = json.loads((tmp_path / "kept" / "run-1" / "waits.json").read_text())
-    assert set(waits["clients"]) == {"patch", "fig6"} and set(waits["waited_s"]) <= {"patch", "fig6"}
-    assert waits["clients"]["fig6"]["learning_s"] > 0.0
-
-
-@pytest.mark.proof
 @pytest.mark.parametrize(("steps", "kills", "stops"), [(480, 4, 3), pytest.param(10_000, 20, 20, marks=HOURS)])
 def test_six_learners_lose_nothing_through_kills_stops_and_ends_of_epochs(tmp_path, corner, steps, kills, stops):
     words = six(steps, "--kills", kills, "--stops", stops, "--lease", 8, "--seed", 4)

@@ -15,7 +15,6 @@ from benchmarks.scripts.soak import faults_of, result
 from benchmarks.soak.faults import Chaos, Fault, Striker
 from benchmarks.soak.growth import GrowthLog, LongRun, Slope
 from benchmarks.soak.soak import (
-    RecoveryBars,
     RecoveryTimes,
     SoakFacts,
     SoakOrder,
@@ -121,15 +120,6 @@ def test_a_stopped_client_wakes_when_it_was_given_up_whatever_the_lease(monkeypa
         chaos.act(state(tick=4 * step))
     assert len(asked_s) > 30
     assert least_s <= min(asked_s) < 1.1 * least_s and 0.9 * most_s < max(asked_s) <= most_s
-
-
-def test_bars_follow_the_lease(tmp_path):
-    order = SoakOrder(town="", config=quick_config(), seconds=60.0, folder=tmp_path)
-    assert recovery_bars(order) == RecoveryBars(client_s=5.0, world_s=30.0, overlap_s=30.0)
-    patient = recovery_bars(replace(order, lease_s=60.0))
-    assert (patient.client_s, patient.world_s) == (62.0, 30.0)
-    assert patient.overlap_s > 3 * 57.0
-    assert recovery_bars(replace(order, lease_s=0.5)).overlap_s == 30.0
 
 
 @pytest.mark.parametrize(("lease_s", "slow"), [(3.0, ["recovery_client_p99_s"]), (60.0, [])])

@@ -137,14 +137,6 @@ def test_a_failure_has_its_pictures_or_says_why_not(text):
     assert "No pictures: it went &lt;script&gt;" in missing and "<img" not in missing
 
 
-def test_why_there_are_no_pictures_is_said(tmp_path):
-    write_result(tmp_path)
-    result = read_result(tmp_path)
-    failures = failures_of(result, tmp_path)
-    text = write_suite_page(result, tmp_path, failures, {}, "No pictures: x", tmp_path).read_text("utf-8")
-    assert "No pictures: x" in text
-
-
 def test_the_same_result_gives_the_same_bytes(folder, text):
     assert written(folder).read_text(encoding="utf-8") == text
 

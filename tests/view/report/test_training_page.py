@@ -71,12 +71,6 @@ def test_both_curves_of_every_client_are_what_the_log_says(tmp_path):
     assert (run / "report" / "fig-7a-kpi1.svg").is_file()
 
 
-def test_a_run_of_one_client_is_its_own_client(tmp_path):
-    run = one(tmp_path / "alone")
-    log(run, row(10))
-    assert list(read_training([run]).clients) == ["alone"]
-
-
 def test_several_runs_are_one_page_that_says_which_is_which(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     group, alone = several(tmp_path / "run", "a", "b"), one(tmp_path / "alone")
