@@ -15,10 +15,9 @@ from tests.server.servers import AHEAD, Server, stand_in_order
 from wcsim.agents.envs.episode_view import Chair
 from wcsim.agents.envs.wheelchair_env import WheelchairEnv
 from wcsim.config import resolve
-from wcsim.errors import ConfigMismatchError, EvictedError, LinkError, NotMasterError, ProtocolError, ServerGoneError
+from wcsim.errors import ConfigMismatchError, EvictedError, NotMasterError, ProtocolError, ServerGoneError
 from wcsim.server.host.opening import street_world
 from wcsim.server.links import socket
-from wcsim.server.protocol.client_core import Patience
 from wcsim.server.protocol.events import Lost, Rules
 from wcsim.server.specs import SeatRequest, WorldOrder
 from wcsim.types import SeatSpec
@@ -157,17 +156,6 @@ def test_only_the_master_begins_a_shared_world_again(pair):
     assert both(master, env)[4]["events"].step == 2, "the episode goes on"
 
 
-def test_the_next_episode_is_there_when_one_has_ended(pair):
-    server, master, env, _ = pair
-    for _ in range(SPEC.max_steps):
-        step = both(master, env)
-    assert step.truncated
-    assert "reason" not in step.info
-    _, info = env.reset()
-    assert server.world.snapshot.tick == SPEC.max_steps
-    assert (info["events"].episode, info["events"].step) == (1, 0)
-
-
 def test_a_client_that_was_given_up_hears_of_it_and_may_come_again(hall):
     server = hall(1, 1)
     env = WheelchairEnv(config=CONFIG, join=seat_of())
@@ -216,15 +204,6 @@ def test_a_world_that_is_killed_and_comes_back_cuts_the_episode(tmp_path):
         assert env.reset()[1]["events"].step == 0
         assert [env.step(40).info["events"].step for _ in range(3)] == [1, 2, 3]
         env.close()
-
-
-def test_nobody_there_is_said_in_time_and_the_environment_can_be_closed(tmp_path):
-    soon = Patience(resend_s=0.1, reconnect_s=0.3)
-    order = SeatRequest(endpoint=f"ipc://{tmp_path}/nobody", name="env", claim="env", patience=soon)
-    env = WheelchairEnv(config=CONFIG, join=order)
-    with pytest.raises(LinkError, match="silent"):
-        env.reset()
-    env.close()
 
 
 def test_a_chair_without_an_episode_has_nothing_to_cut_or_to_go_on_with():

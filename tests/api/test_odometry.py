@@ -7,32 +7,17 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
-from tests.server.servers import Server, alone, far_order, frames_of
-from tests.support.journals import JournaledWorld
 from tests.support.worlds import follow, open_world, quick_config
 from wcsim.agents.envs.episode_view import Chair
 from wcsim.agents.envs.parallel_env import StreetParallelEnv
 from wcsim.agents.envs.vec_env import StreetVecEnv
 from wcsim.agents.envs.wheelchair_env import WheelchairEnv
-from wcsim.bridge.replay.replayed import verify
 from wcsim.config import RunConfig, resolve
 from wcsim.errors import ConfigError, ConfigMismatchError
-from wcsim.server.links.base import WorldLink
-from wcsim.server.links.local import LocalGroup
-from wcsim.server.links.socket import SocketSeat
-from wcsim.server.protocol import messages as m
-from wcsim.server.specs import SeatRequest, WorldOrder
 from wcsim.types import SeatSpec
 
 ON = "sensors.odometry=typical"
 SPEC = SeatSpec(max_steps=8)
-
-
-def ridden(link: WorldLink) -> list[bytes]:
-    frames = frames_of(link, 12)
-    last = m.decode_reply(frames[-1])
-    assert isinstance(last, m.Frame) and [reading.name for reading in last.client.sensors.readings] == ["odometry"]
-    return frames
 
 
 def said(corner: Path, *overrides: str, seats: int = 1, ticks: int = 6) -> np.ndarray:
@@ -123,27 +108,8 @@ def test_a_range_of_what_is_not_there_or_out_of_bounds_is_refused(corner, overri
         open_world(corner, ON, override)
 
 
-def test_a_served_world_says_the_same_to_the_bit(corner, tmp_path):
-    config = quick_config(ON)
-    with alone(LocalGroup(WorldOrder(town=str(corner), config=config, seat=SPEC, seed=4))) as link:
-        here = ridden(link)
-    world = far_order(tmp_path, corner, config=config, seed=4)
-    with Server(world, tmp_path) as server:
-        far = SeatRequest(endpoint=server.status().listening, name="far", claim="x", spec=SPEC)
-        with SocketSeat(far) as seat:
-            assert ridden(seat) == here
-
-
 def test_a_world_without_it_is_no_world_for_who_expects_it(corner):
     with open_world(corner) as world:
         bare = world.snapshot.clients[0]
     with pytest.raises(ConfigMismatchError, match=r"sensors are \{\}; expected \{'odometry': 2\}"):
         Chair(quick_config(ON)).begin(bare)
-
-
-def test_a_journal_of_it_is_made_again_state_by_state(corner, tmp_path):
-    with JournaledWorld(corner, tmp_path, ON) as run:
-        run.admit(1)
-        run.tick(12)
-    result = verify(tmp_path / "journal")
-    assert result.ticks == 12 and not result.mismatches

@@ -65,10 +65,6 @@ def test_only_the_vectorised_environment_loads_torch():
     assert python(code) == "False"
 
 
-def test_a_world_process_never_loads_torch():
-    assert python("import sys, wcsim.server.host.process; print('torch' in sys.modules)") == "False"
-
-
 def test_files_stay_short():
     assert [name for name, text in texts().items() if text.count("\n") > 600] == []
 
