@@ -17,21 +17,12 @@ def test_a_shared_world_lives_for_ten_episodes(preset):
     assert resolve(config, ("world.epoch_ticks=50",)).epoch_ticks == 50, "what a user asks for is taken as it is"
 
 
-@pytest.mark.parametrize("preset", ["quick", "laptop", "best", "dqn", "paper"])
-def test_presets_are_complete(preset):
-    assert isinstance(resolve(preset), RunConfig)
-
-
 def test_an_override_reaches_its_key_and_nothing_else():
     plain, changed = resolve("quick"), resolve("quick", ("learn.gamma=0.9", "env.profile=competent"))
     assert changed.learn.gamma == 0.9
     assert changed.env.profile == "competent"
     assert changed.learn.model_copy(update={"gamma": plain.learn.gamma}) == plain.learn
     assert changed.digest() != plain.digest()
-
-
-def test_a_camera_is_reached_by_its_number():
-    assert resolve("quick", ("cameras.0.width_px=160",)).cameras[0].width_px == 160
 
 
 @pytest.mark.parametrize(
@@ -143,11 +134,6 @@ def test_a_named_speed_of_the_chair_is_taken_over_a_resolved_configuration_too(t
     for more in (("chair.profile=road", "chair.v_max_mps=1.0"), ("chair.v_max_mps=1.0", "chair.profile=road")):
         with pytest.raises(ConfigError, match="v_max_mps is 1"):
             resolve(plain, more)
-
-
-def test_an_unknown_preset_names_the_known_ones():
-    with pytest.raises(ConfigError, match=r"paper.*quick"):
-        resolve("fast")
 
 
 @pytest.mark.parametrize("text", ["name =", "name = 'a'\nsplit = 'train'\nxx = 1", "name = 'a b'\nsplit = 'train'"])
