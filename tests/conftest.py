@@ -1,7 +1,5 @@
 """Shared fixtures, and the time of each group of tests, printed at the end of a run."""
 
-from __future__ import annotations
-
 import gc
 import signal
 from collections import Counter

@@ -1,7 +1,5 @@
 """A chain whose values can be computed by hand, seen through wcsim's observation."""
 
-from __future__ import annotations
-
 import gymnasium as gym
 import numpy as np
 

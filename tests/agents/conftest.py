@@ -1,7 +1,5 @@
 """Learning in these tests runs on one thread: reproducible, and two workers do not fight for two cores."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 

@@ -1,7 +1,5 @@
 """A policy driven through episodes of any environment, and its row."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import gymnasium as gym

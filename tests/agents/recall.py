@@ -1,7 +1,5 @@
 """A task of memory: the first image says which way to go, and the last one alone counts."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from tests.agents.chain import TinyTask, tiny_view

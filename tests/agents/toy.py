@@ -5,8 +5,6 @@ configuration, so that policies which only know pictures can be judged by the tr
 the paper without accelerations.
 """
 
-from __future__ import annotations
-
 import errno
 import importlib
 import math

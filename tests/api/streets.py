@@ -1,7 +1,5 @@
 """What the tests of the faces share: a small configuration, actions by the step alone, a reward term."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from gymnasium.utils.env_checker import data_equivalence

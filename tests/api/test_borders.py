@@ -1,7 +1,5 @@
 """The contracts of pyproject.toml cover every file that is there, and every one that comes."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """What pyproject.toml asks for is what the code imports: nothing more, and nothing that is there by chance."""
 
-from __future__ import annotations
-
 import ast
 import re
 import sys

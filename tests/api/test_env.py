@@ -1,7 +1,5 @@
 """The environment as its users meet it: through `gymnasium.make`, Gymnasium's and Stable-Baselines3's checkers."""
 
-from __future__ import annotations
-
 import math
 import pickle
 import signal

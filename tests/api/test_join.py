@@ -1,7 +1,5 @@
 """The Gymnasium environment on a seat of a running world that others share."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Learners on the real environment: Stable-Baselines3's own, ours, and networks and rewards of a user's own."""
 
-from __future__ import annotations
-
 import runpy
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The whole attack, counted by area and outcome: `python -m tests.attack [SHARE [NAME...]]`, a share of 1 being all."""
 
-from __future__ import annotations
-
 import sys
 import tempfile
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Where attacks write."""
 
-from __future__ import annotations
-
 import os
 import tempfile
 from collections.abc import Iterator

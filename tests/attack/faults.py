@@ -1,7 +1,5 @@
 """Faults of whole runs: full disks, storms of SIGTERM, flipped bits. Afterwards wcsim resume works, or says why."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import shutil

@@ -1,7 +1,5 @@
 """The one table of what is attacked: a family added here is in the count and in the tests."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial

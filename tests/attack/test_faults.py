@@ -1,7 +1,5 @@
 """Faults of whole runs."""
 
-from __future__ import annotations
-
 import os
 import re
 import resource

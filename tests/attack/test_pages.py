@@ -1,7 +1,5 @@
 """Hostile names on wcsim's pages in a real browser: they are words there, no script runs, and no request leaves."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Every family of the table: whatever comes, one of wcsim's own errors, or something that makes the same again."""
 
-from __future__ import annotations
-
 import sys
 from functools import partial
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Contestants take turns in processes of their own, and what goes wrong in one is said as if it were in this one."""
 
-from __future__ import annotations
-
 import os
 import signal
 from pathlib import Path

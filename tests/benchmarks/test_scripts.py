@@ -1,7 +1,5 @@
 """The scripts: what they say of themselves, what they refuse, and what they give."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

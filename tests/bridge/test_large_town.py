@@ -1,7 +1,5 @@
 """A town of 25 square kilometres: only what is near a wheelchair is in memory."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import time

@@ -1,7 +1,5 @@
 """The guard of the mirror: silent while all is well, loud when an update is missed."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The traffic near chairs without an engine: the same tick as a world's, for who leads the chairs by hand."""
 
-from __future__ import annotations
-
 from contextlib import ExitStack
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Actors and wheelchairs on land that is not level."""
 
-from __future__ import annotations
-
 import gzip
 import math
 import shutil

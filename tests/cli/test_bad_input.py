@@ -1,7 +1,5 @@
 """Whatever a user gets wrong: exit code 2, one or two lines that say what to do, and nothing half-written."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

@@ -1,7 +1,5 @@
 """`wcsim cache`: what is kept is counted, and only that is removed."""
 
-from __future__ import annotations
-
 import json
 import os
 import time

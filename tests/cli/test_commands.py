@@ -1,7 +1,5 @@
 """What the commands do when all is well, in a folder of the user's own."""
 
-from __future__ import annotations
-
 import gzip
 import json
 import math

@@ -1,7 +1,5 @@
 """What the commands say of themselves."""
 
-from __future__ import annotations
-
 import re
 import tomllib
 

@@ -1,7 +1,5 @@
 """The command as a process of its own: what lands on the terminal, pipes that close, and Ctrl-C."""
 
-from __future__ import annotations
-
 import json
 import signal
 

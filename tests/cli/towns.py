@@ -1,7 +1,5 @@
 """Towns for the command line: a tiny OpenStreetMap extract, and copies of a sound town with something broken."""
 
-from __future__ import annotations
-
 import gzip
 import shutil
 from collections.abc import Callable

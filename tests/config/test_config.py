@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import pytest
 
 from wcsim.config import CONFIG_FILE, RunConfig, TownFile, parse, read_toml, resolve

@@ -1,7 +1,5 @@
 """Processes that want the same machine code at the same time make it once."""
 
-from __future__ import annotations
-
 import json
 import math
 import subprocess

@@ -1,7 +1,5 @@
 """Properties of the frames: the file tests of `wcsim/core/frames.py`."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

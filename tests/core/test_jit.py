@@ -1,7 +1,5 @@
 """Machine code on disk: made anew when anything that is frozen into it changes, and not for ever more."""
 
-from __future__ import annotations
-
 import importlib
 import json
 import math

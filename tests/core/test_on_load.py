@@ -1,7 +1,5 @@
 """What follows a library's import: at once, or as soon as somebody loads it."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Classes of a user's own, module:Class."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What becomes of commands, of work in a pool, and of a process whose parent has gone."""
 
-from __future__ import annotations
-
 import signal
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """The one door for files."""
 
-from __future__ import annotations
-
 import os
 import time
 import tracemalloc

@@ -1,7 +1,5 @@
 """Where a user's cache lies, and where it lies when there is no home for it: `wcsim.core.files.user_cache`."""
 
-from __future__ import annotations
-
 import os
 import tempfile
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A drive in the little town of `corner`, without any page, and a run in it."""
 
-from __future__ import annotations
-
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Observers and policies for tests of a drive."""
 
-from __future__ import annotations
-
 import json
 
 from wcsim.agents.policy_api import Observation

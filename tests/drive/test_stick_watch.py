@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from wcsim.drive.stick_watch import GONE_S, LOST_S, STANDS_STILL_S, StickWatch
 from wcsim.types import Joystick
 from wcsim.types.chair import AT_REST

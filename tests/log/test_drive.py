@@ -1,7 +1,5 @@
 """A drive on disk: what is recorded is read, a killed one keeps what was driven, what cannot be a drive is refused."""
 
-from __future__ import annotations
-
 import json
 import math
 import struct

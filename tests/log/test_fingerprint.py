@@ -1,7 +1,5 @@
 """What a recording says of the versions that it holds for."""
 
-from __future__ import annotations
-
 import pytest
 
 from wcsim.log import fingerprint as here

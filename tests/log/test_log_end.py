@@ -1,7 +1,5 @@
 """The end of a journal: what is torn there is cut off and kept, what is damaged is refused."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Small streets and a driving loop for the tests of the wheelchair."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from contextlib import contextmanager
 from dataclasses import dataclass, field

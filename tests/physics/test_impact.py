@@ -1,7 +1,5 @@
 """What a touch does: impulses with the right sign and of the right size; a person is neither a wall nor a ghost."""
 
-from __future__ import annotations
-
 import itertools
 import math
 

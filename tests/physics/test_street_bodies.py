@@ -1,7 +1,5 @@
 """Tiles of the street in an engine: what leaves it comes back as it was, and leaves little behind."""
 
-from __future__ import annotations
-
 import gc
 import tracemalloc
 

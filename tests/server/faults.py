@@ -3,8 +3,6 @@
 `python -m tests.server.faults SEED` prints the trace of one.
 """
 
-from __future__ import annotations
-
 import heapq
 import sys
 from collections.abc import Iterator

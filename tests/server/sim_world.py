@@ -1,7 +1,5 @@
 """A world of a simulated run: it hashes its commands, keeps a journal and refuses what the real one would refuse."""
 
-from __future__ import annotations
-
 import zlib
 
 from tests.server.model.shadow import Shadow, stick_of

@@ -1,7 +1,5 @@
 """Ledgers against a journal, epoch by epoch: what was lost, doubled or never done."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 from hypothesis import given

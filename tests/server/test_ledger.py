@@ -1,7 +1,5 @@
 """A client's ledger goes on over its lives, and is taken for no other log."""
 
-from __future__ import annotations
-
 import pytest
 
 from tests.log.test_log import write

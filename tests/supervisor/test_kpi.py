@@ -1,7 +1,5 @@
 """Sums of an episode against hand-made numbers; whose a crash is, and how smooth a drive was."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Vehicles and people for tests, made by hand."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The events of a run, read again."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

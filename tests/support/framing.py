@@ -1,7 +1,5 @@
 """Files of records made by hand, as no writer would make them; and whole logs in memory."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import pairwise

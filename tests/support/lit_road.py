@@ -1,7 +1,5 @@
 """A straight road with one crossing under a traffic light, whose program gives people green when it sees them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from wcsim.towns.scenario.town import Town

@@ -1,7 +1,5 @@
 """A street with everything that SUMO can put on one, and the mirror's loop without wheelchairs."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass

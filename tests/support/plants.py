@@ -1,7 +1,5 @@
 """How a wheelchair stands and moves, for tests without an engine."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from wcsim.core.frames import quaternion

@@ -5,8 +5,6 @@ kerb 0.12 m, lowered to 0 at a crossing at 38 < x < 42 (ramps 1:12), a house 20 
 pole on it.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Mapping, Sequence
 from pathlib import Path

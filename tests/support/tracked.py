@@ -1,7 +1,5 @@
 """The files that belong to the project: what commands and people leave beside them is nobody's subject."""
 
-from __future__ import annotations
-
 import ast
 import subprocess
 from functools import cache

@@ -1,7 +1,5 @@
 """Small worlds for tests: tiny cameras, no warm-up."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

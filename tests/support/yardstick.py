@@ -1,7 +1,5 @@
 """How much processor time something takes, as a multiple of plain Python in the same run: no machine is too slow."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Streets that the tests of this package share."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What the table of a running world says, and when it names who is slow."""
 
-from __future__ import annotations
-
 import errno
 import io
 import sys

@@ -1,7 +1,5 @@
 """A client's own process: how it ends, what it says, where its time went, what it begins again with."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

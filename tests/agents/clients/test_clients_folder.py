@@ -1,7 +1,5 @@
 """The folder of a run with several clients: when nothing is lost by removing it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

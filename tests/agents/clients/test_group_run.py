@@ -1,7 +1,5 @@
 """The orders that the world of several clients gets, from a launcher's and from one by hand."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Who waited for whom, and what each client paid, over all lives of all processes."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

@@ -1,7 +1,5 @@
 """A client whose process has grown is replaced where an epoch has just begun, and not before."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 import pytest

@@ -1,7 +1,5 @@
 """Recorded steps and settings for tests of danger networks: tiny pictures, streets of noise."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Danger networks and data that do not fit what they are given to: one message each, and nothing that runs."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

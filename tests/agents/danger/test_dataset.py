@@ -1,7 +1,5 @@
 """Recorded driving as lessons: what is seen, what is unsafe, and everything turned where left and right change."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -5,8 +5,6 @@ a sixth are unsafe. Processor seconds on a busy core: 3 for the slides, then 3 (
 A precision as of chance is 0.165, the share that is told from its mirror image 0.5, the bits that are known 0.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

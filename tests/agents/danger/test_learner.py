@@ -1,7 +1,5 @@
 """Supervised learning of dangers."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """The danger network by its parts: shapes, gradients, what each looks at, and left and right."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 

@@ -1,7 +1,5 @@
 """A danger network that drives, and warns."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """The street from above, and what each joystick position sweeps over, in streets that are made of boxes."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from tests.agents.policies.test_baselines import box, looking_at

@@ -1,7 +1,5 @@
 """A danger network is told in tests, too, which delay was drawn for an episode."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

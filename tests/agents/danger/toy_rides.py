@@ -6,8 +6,6 @@ brings the hull into a wall, over a drop, or nearer to a person than `SHY_M`. So
 what they are, how fast the chair is, and on which side.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """Lists hold only what is an episode: nobody who is hit at once, and what is left is driven again without them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """A way of a test is over a carriageway on its crossings alone, and has room to wait before each light."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from types import SimpleNamespace
 

@@ -1,7 +1,5 @@
 """The exported form of a danger policy against the policy itself."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

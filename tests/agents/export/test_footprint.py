@@ -1,7 +1,5 @@
 """What measures an exported model leaves no process behind."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from wcsim.agents.export import footprint

@@ -1,7 +1,5 @@
 """The guard of the example before a chair, whatever comes; and that of a test, which does the same with whole ticks."""
 
-from __future__ import annotations
-
 import math
 import runpy
 from pathlib import Path

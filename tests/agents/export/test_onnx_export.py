@@ -1,7 +1,5 @@
 """An exported folder: what it says, what it costs, and that the example drives it as wcsim does."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

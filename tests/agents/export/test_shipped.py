@@ -1,7 +1,5 @@
 """The policy that comes with wcsim: written by a tool, found by its name, refused when it is not what was shipped."""
 
-from __future__ import annotations
-
 import json
 import re
 import runpy

@@ -1,7 +1,5 @@
 """Exported networks of Q-learning: the folder drives as the policy of wcsim does, whatever it remembers."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Checkpoints: which one is resumed from, which ones are kept, and what is refused."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

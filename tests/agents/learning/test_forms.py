@@ -1,7 +1,5 @@
 """Learning from each form of observation: the arrays of Table 3, and colours beside the classes."""
 
-from __future__ import annotations
-
 import signal
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A run that is asked to stop while its world is away, or while it saves: nothing of it is lost."""
 
-from __future__ import annotations
-
 import os
 import signal
 

@@ -1,7 +1,5 @@
 """Updates that are done while a learner waits for its world: the same weights, whoever does them when."""
 
-from __future__ import annotations
-
 import os
 import signal
 import threading

@@ -1,7 +1,5 @@
 """A folder with an ONNX model drives: by the names of its inputs, with states, and says what does not fit."""
 
-from __future__ import annotations
-
 import os
 import signal
 import threading

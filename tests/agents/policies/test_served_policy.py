@@ -1,7 +1,5 @@
 """A policy in a process of its own: the example, and processes that do wrong."""
 
-from __future__ import annotations
-
 import json
 import socket
 import subprocess

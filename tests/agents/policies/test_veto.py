@@ -1,7 +1,5 @@
 """The wrapper `veto:POLICY`: whose action is taken, what it passes on, and by which names it is found."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Small trainings in rounds, and what came of them: for tests that do the same one in different ways."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

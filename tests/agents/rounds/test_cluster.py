@@ -3,8 +3,6 @@
 The nodes are processes of this machine, on 127.0.0.1, each with a cache of its own.
 """
 
-from __future__ import annotations
-
 import os
 import signal
 import threading

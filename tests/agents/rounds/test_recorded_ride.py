@@ -1,7 +1,5 @@
 """Recorded rides as observations: a policy that sees them again does again what it did."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

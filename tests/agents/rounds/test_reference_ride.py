@@ -1,7 +1,5 @@
 """Reference rides: successive ticks of one episode, whatever the policy runs into."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -3,8 +3,6 @@
 Which towns a run drives in, and which are made for it.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import signal

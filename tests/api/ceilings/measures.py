@@ -1,7 +1,5 @@
 """Counts of the source tree: code lines, public names, settings, and the ideas that exist more than once."""
 
-from __future__ import annotations
-
 import ast
 import io
 import tokenize

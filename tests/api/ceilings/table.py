@@ -4,8 +4,6 @@ Numbers only fall. A ceiling that stands more than `SLACK` above today's number 
 only by what was agreed before, with the reason in the commit.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Every number of the tree is within its ceiling, and each counter sees what it is to count."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

@@ -1,7 +1,5 @@
 """Every command that a page shows is one that wcsim takes, with the options and settings that it has."""
 
-from __future__ import annotations
-
 import re
 import shlex
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """The examples of docs/faces.md, as they stand there but for the town, the size and the length."""
 
-from __future__ import annotations
-
 import re
 import runpy
 from pathlib import Path

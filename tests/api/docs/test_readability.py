@@ -1,7 +1,5 @@
 """Pages are short, and so are their sentences."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

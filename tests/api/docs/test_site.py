@@ -1,7 +1,5 @@
 """The docs site builds strictly, asks for nothing from outside, and holds what users may rely on."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """The Python of the tutorials and of the README runs as it stands there, but for the town and the length."""
 
-from __future__ import annotations
-
 import io
 import re
 import runpy

@@ -1,7 +1,5 @@
 """How a frame of the moving picture is put together, and what is too large for a page."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

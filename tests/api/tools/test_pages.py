@@ -1,7 +1,5 @@
 """The pages that are made from the code are those of the code, and name all that they are to name."""
 
-from __future__ import annotations
-
 from importlib import import_module
 
 import pytest

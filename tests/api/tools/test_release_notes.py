@@ -1,7 +1,5 @@
 """Notes of a release are its section of the changelog, and the version that is named has one."""
 
-from __future__ import annotations
-
 import tomllib
 
 import pytest

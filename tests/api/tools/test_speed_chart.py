@@ -1,7 +1,5 @@
 """The chart of the first screen shows what docs/results.md says, and nothing else."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Attacks on checkpoints: whatever is done to them, a learner is one of those that were saved, or what it was."""
 
-from __future__ import annotations
-
 import copy
 import hashlib
 import os

@@ -1,7 +1,5 @@
 """Ways to damage bytes and JSON, drawn from a generator; shared by the attacks on files."""
 
-from __future__ import annotations
-
 import json
 import struct
 import zlib

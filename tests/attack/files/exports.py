@@ -1,7 +1,5 @@
 """Hostile recordings, written for other programs: floating car data that is XML, and bags that others can read."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from xml.etree import ElementTree
 

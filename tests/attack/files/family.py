@@ -1,7 +1,5 @@
 """A kind of file that a person may get from another, and how a sound one is spoilt."""
 
-from __future__ import annotations
-
 import functools
 import shutil
 from collections.abc import Callable, Iterator, Sequence

@@ -1,7 +1,5 @@
 """Hostile files of every kind that a person may get from another: settings, plants, towns, runs and recordings."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json

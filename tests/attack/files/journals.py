@@ -1,7 +1,5 @@
 """Attacks on what runs write down: journals, ledgers, metrics, events. No whole record goes without a word."""
 
-from __future__ import annotations
-
 import shutil
 import struct
 import zlib

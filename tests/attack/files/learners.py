@@ -1,7 +1,5 @@
 """Hostile files of danger networks: their segments, and their checkpoints, hashes made to fit what was put there."""
 
-from __future__ import annotations
-
 import functools
 import io
 import json

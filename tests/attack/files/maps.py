@@ -1,7 +1,5 @@
 """Attack by maps: extracts, nets, heights, town.toml and scenes, spoilt in their bytes, their size or their place."""
 
-from __future__ import annotations
-
 import bz2
 import functools
 import gzip

@@ -1,7 +1,5 @@
 """Hostile files about people: studies, users' profiles, and drives that somebody recorded."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from tests.attack.files.family import Family, model_twist

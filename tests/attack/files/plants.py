@@ -1,7 +1,5 @@
 """Plants whose parameters are at their bounds, one after the other and many at once, driven for some seconds."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from functools import partial

@@ -1,7 +1,5 @@
 """Hostile policies: descriptions that are spoilt or ask for too much, weights of every wrong kind."""
 
-from __future__ import annotations
-
 import functools
 import hashlib
 import json

@@ -1,7 +1,5 @@
 """Hostile files of what was measured: results of tests, lists of episodes, tables of studies and of rounds."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json

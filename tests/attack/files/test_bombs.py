@@ -1,7 +1,5 @@
 """Files that hang, fill the memory or end in a traceback where nobody looks at them first."""
 
-from __future__ import annotations
-
 import hashlib
 import io
 import json

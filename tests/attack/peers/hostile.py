@@ -4,8 +4,6 @@
 same share of a processor and says nothing.
 """
 
-from __future__ import annotations
-
 import secrets
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """Messages of hostile peers: read alone, and said to a server that has an honest client."""
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """A world of honest clients under a hostile one with a key, which says 1,000 messages a second."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable, Iterable
 from dataclasses import replace

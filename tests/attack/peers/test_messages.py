@@ -1,7 +1,5 @@
 """Whatever comes from a peer is checked before it touches anything."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import msgspec

@@ -1,7 +1,5 @@
 """A real world process, an honest client in it, and a peer that reads its files, breaks it or lies about its name."""
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """A run folder, a journal or a key of somebody else: what it names is not run, not followed, not trusted."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

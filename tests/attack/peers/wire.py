@@ -1,7 +1,5 @@
 """Hostile messages, made from the message classes themselves: a field that is added later is attacked as well."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 from collections.abc import Iterator

@@ -3,8 +3,6 @@
 The reading is as lenient as SUMO's: gzip and zlib by their first bytes, encodings guessed as Xerces does.
 """
 
-from __future__ import annotations
-
 import html
 import os
 import re

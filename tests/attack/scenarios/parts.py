@@ -1,7 +1,5 @@
 """Scenarios that would write or read what they must not: every place for a name, every name, every way to hide it."""
 
-from __future__ import annotations
-
 import gzip
 import os
 import zlib

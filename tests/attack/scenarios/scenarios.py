@@ -1,7 +1,5 @@
 """Attack by scenarios: what they name to be written or read, with and without starting SUMO."""
 
-from __future__ import annotations
-
 import faulthandler
 import os
 import resource

@@ -1,7 +1,5 @@
 """Ways to spoil a file: its bytes, what its fields hold, and what lies at its path."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """`python -m benchmarks parallel`: its tables, of made numbers; no run is trained."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 from functools import partial

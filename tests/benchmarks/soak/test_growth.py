@@ -1,7 +1,5 @@
 """Slopes of what grows in a soak, their bounds, and what follows for a long run."""
 
-from __future__ import annotations
-
 import math
 import os
 import subprocess

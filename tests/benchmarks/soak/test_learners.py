@@ -1,7 +1,5 @@
 """Learners in one street whose processes are killed and stopped: `python -m benchmarks soak --networks`."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Planned faults: as many as were asked for, spread over a run, each when everybody is back."""
 
-from __future__ import annotations
-
 import signal
 import time
 from dataclasses import replace

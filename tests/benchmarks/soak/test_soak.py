@@ -1,7 +1,5 @@
 """Soaks: the proof with real processes, and the arithmetic that it rests on."""
 
-from __future__ import annotations
-
 import signal
 import time
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The product's tick beside the loop that one would write first, interleaved in one run, in CPU time."""
 
-from __future__ import annotations
-
 import time
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """When a chair presses the button of a crossing, and that it gets over the road in a world with SUMO in it."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

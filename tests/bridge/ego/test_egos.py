@@ -1,7 +1,5 @@
 """Seats that come and go between ticks."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

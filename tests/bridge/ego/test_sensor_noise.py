@@ -1,7 +1,5 @@
 """Sensor noise in a world: exact when off, the same for a seed, and none of another chair's business."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Whom a chair's cameras have shown lately, and what the oracle says when it knows nobody else."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

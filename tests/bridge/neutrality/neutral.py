@@ -1,7 +1,5 @@
 """Whether SUMO wrote the same with wcsim as without it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import BinaryIO
 

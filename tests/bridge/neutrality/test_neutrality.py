@@ -1,7 +1,5 @@
 """With no wheelchair in it, a world's traffic is that of plain sumo, byte for byte."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Scenarios of strangers: checked, the printed cure typed as it stands, run; and SUMO's traffic stays its own."""
 
-from __future__ import annotations
-
 import json
 import math
 import re

@@ -1,7 +1,5 @@
 """A journal as an MCAP file: commands have the stamps of the sticks they answer, cameras move with episodes."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

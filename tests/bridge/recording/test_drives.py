@@ -1,7 +1,5 @@
 """A simulated user's drive is recorded, made again to the last bit, and drives a chair of its own town alone."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Properties of the whole bridge: frames, soak, exact replay, and what a run may not depend on."""
 
-from __future__ import annotations
-
 import gc
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """MCAP files are read by somebody else's reader: as many messages as ticks, the right stamps, frames and numbers."""
 
-from __future__ import annotations
-
 import math
 import struct
 import sys

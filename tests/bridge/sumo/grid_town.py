@@ -1,7 +1,5 @@
 """A generated town of any size: a grid of streets with pavements and crossings, full of traffic at once."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from pathlib import Path
 

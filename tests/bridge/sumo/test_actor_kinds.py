@@ -1,7 +1,5 @@
 """After every tick the mirror holds exactly those that SUMO has, whatever SUMO does with them."""
 
-from __future__ import annotations
-
 import re
 
 import libsumo

@@ -1,7 +1,5 @@
 """The reader finds exactly those that a look at everybody finds, in a town much larger than its reach."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from types import SimpleNamespace
 

@@ -1,7 +1,5 @@
 """Where SUMO measures a vehicle and a person: at the middle of the front, both of them; found by measuring."""
 
-from __future__ import annotations
-
 import math
 
 import libsumo

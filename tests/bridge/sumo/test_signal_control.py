@@ -1,7 +1,5 @@
 """A request for green: which phase comes next, and what a traffic light of SUMO makes of it, step by step."""
 
-from __future__ import annotations
-
 import gzip
 from itertools import groupby
 from shutil import copytree

@@ -1,7 +1,5 @@
 """Every class that SUMO knows, and some that nobody knows, as kinds, looks, bodies and pictures."""
 
-from __future__ import annotations
-
 import math
 
 import libsumo

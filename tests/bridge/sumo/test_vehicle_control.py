@@ -1,7 +1,5 @@
 """Orders to vehicles and people, without SUMO."""
 
-from __future__ import annotations
-
 import pytest
 
 from wcsim.bridge.reaction.commands import LET_GO, ActorCommand

@@ -1,7 +1,5 @@
 """Names of lists that are made."""
 
-from __future__ import annotations
-
 import pytest
 
 from wcsim.cli.evaluation.judged_suite import make_list

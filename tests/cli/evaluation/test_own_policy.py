@@ -1,7 +1,5 @@
 """A controller of one's own, module:Class, driven in a town beside the user alone."""
 
-from __future__ import annotations
-
 import json
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A recorded drive in the place of a user: where it can be replayed, and what is said elsewhere."""
 
-from __future__ import annotations
-
 from tests.log.drives import tick, write_drive
 from wcsim.towns.scenario.town import content_hash, find_town
 

@@ -1,7 +1,5 @@
 """`wcsim log`: a recorded run made again in a process of its own, compared, and written for SUMO's tools."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 import sys

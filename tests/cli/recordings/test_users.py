@@ -1,7 +1,5 @@
 """`wcsim users fit`: a profile is written that other commands take, and drives that cannot be fitted are refused."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

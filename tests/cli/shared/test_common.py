@@ -1,7 +1,5 @@
 """What commands share: how many processes they start."""
 
-from __future__ import annotations
-
 import os
 
 import pytest

@@ -1,7 +1,5 @@
 """Exit codes tell done, stopped, refused and failed apart."""
 
-from __future__ import annotations
-
 import errno
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """What is said without being asked for: once, in a line, and where it is read."""
 
-from __future__ import annotations
-
 import os
 import pty
 import re

@@ -1,7 +1,5 @@
 """How the options of a command become the run that is made: each setting is decided once, and in this order."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

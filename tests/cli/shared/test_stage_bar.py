@@ -1,7 +1,5 @@
 """What a stage says of itself, and how long it still takes."""
 
-from __future__ import annotations
-
 from rich.console import Console
 
 from wcsim.cli.shared.consoles import StageBar, _told_left

@@ -1,7 +1,5 @@
 """What is wrong around a command is told in a line; a fault of wcsim's own keeps its traceback."""
 
-from __future__ import annotations
-
 import errno
 import os
 import subprocess

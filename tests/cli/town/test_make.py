@@ -1,7 +1,5 @@
 """`wcsim town make`: a town from a seed, made again by the command that its folder holds."""
 
-from __future__ import annotations
-
 import json
 import shlex
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The cures that a check prints, typed as they stand."""
 
-from __future__ import annotations
-
 import json
 import re
 import shlex

@@ -1,7 +1,5 @@
 """A check ends with SUMO itself, which opens the whole scenario."""
 
-from __future__ import annotations
-
 import json
 import shlex
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Several networks in one world, a world by hand, and a client by hand."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

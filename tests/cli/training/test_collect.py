@@ -1,7 +1,5 @@
 """`wcsim collect`: what it refuses before it drives."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """`wcsim export`: what it refuses before it drives, and the folder that it leaves."""
 
-from __future__ import annotations
-
 import json
 import shlex
 import subprocess

@@ -1,7 +1,5 @@
 """A client by hand: how long it waits for its world, and what its world hears of it."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

@@ -1,7 +1,5 @@
 """Clients that learn the first phase together, and of which a suite chooses the one that learns the second."""
 
-from __future__ import annotations
-
 import json
 import signal
 from dataclasses import replace

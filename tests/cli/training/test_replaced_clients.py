@@ -1,7 +1,5 @@
 """Clients that grow, in processes of their own: replaced at the begin of an epoch, and nobody loses a step."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

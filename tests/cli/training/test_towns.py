@@ -1,7 +1,5 @@
 """Training in several towns: they take turns, the run folder keeps them, and no other ones are taken on resume."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

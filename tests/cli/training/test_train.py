@@ -1,7 +1,5 @@
 """What is shown of a training, and what one leaves behind that fails or is stopped."""
 
-from __future__ import annotations
-
 import errno
 import re
 from collections.abc import Callable

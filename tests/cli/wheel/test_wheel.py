@@ -1,7 +1,5 @@
 """The built wheel, away from the checkout: everything that the commands need is inside."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """The built wheel as another user has it: installed by root, no home, no name, no compiler, a read-only folder."""
 
-from __future__ import annotations
-
 import os
 import pwd
 import shutil

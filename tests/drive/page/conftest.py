@@ -1,7 +1,5 @@
 """A browser for the pages of a module, and the page of a drive without any drive."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 

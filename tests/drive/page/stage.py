@@ -1,7 +1,5 @@
 """Pages by themselves: their files, and a socket whose other end is the test. What they say is heard at once."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """The page in Chromium; a busy machine may take minutes for what a quiet one does in seconds."""
 
-from __future__ import annotations
-
 import json
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """What the pages say, in Chromium, without any drive or film."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """The page of a film in Chromium: a journal in `make test`, a run that is watched in `make proof`."""
 
-from __future__ import annotations
-
 import signal
 import subprocess
 import sys

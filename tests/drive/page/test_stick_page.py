@@ -1,7 +1,5 @@
 """What counts as a stick in Chromium: keys, pointers, gamepads, and how each of them is let go of."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import pytest

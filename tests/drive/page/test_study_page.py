@@ -1,7 +1,5 @@
 """The pages of a study in Chromium: by keyboard, by one switch, and as axe sees them."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """One to four switches in Chromium: what is highlighted, what is held, and what they reach."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import pytest

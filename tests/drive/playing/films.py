@@ -1,7 +1,5 @@
 """Little films, made by hand."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from wcsim.drive.playing.film_states import FilmAbout, FilmChair, FilmFrame, _FilmBody

@@ -1,7 +1,5 @@
 """The player's process without a server: a pipe, and a source in a process of its own."""
 
-from __future__ import annotations
-
 import json
 import threading
 import time

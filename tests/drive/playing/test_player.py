@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import pytest
 
 from wcsim.drive.playing.play_runner import FASTEST, SLOWEST, _Player

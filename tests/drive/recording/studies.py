@@ -1,7 +1,5 @@
 """Small studies for tests, and who goes through them without a page."""
 
-from __future__ import annotations
-
 from contextlib import ExitStack
 from pathlib import Path
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """What a person drove is kept, and made again to the last bit."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import replace

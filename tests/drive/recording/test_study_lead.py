@@ -1,7 +1,5 @@
 """A participant goes through a study in the little town of `corner`, without a page."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import pytest
 
 from wcsim.drive.serving.access_control import AccessControl, content_policy, new_token

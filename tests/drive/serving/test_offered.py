@@ -1,7 +1,5 @@
 """What a page may ask for: what it was offered, and no file of its own choice."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

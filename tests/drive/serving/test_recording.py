@@ -1,7 +1,5 @@
 """`wcsim drive --record`: what a page drove is kept, and the commands take it."""
 
-from __future__ import annotations
-
 import re
 import signal
 from pathlib import Path

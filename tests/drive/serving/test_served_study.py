@@ -1,7 +1,5 @@
 """`wcsim drive --study`: a page without a browser goes through a block of it."""
 
-from __future__ import annotations
-
 import signal
 from pathlib import Path
 from typing import Any

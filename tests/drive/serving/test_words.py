@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from wcsim.drive import messages as m
 from wcsim.drive.serving.server import _Words
 

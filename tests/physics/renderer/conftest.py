@@ -1,7 +1,5 @@
 """The sample street as the rasteriser has it; whoever adds to it gets one for a file of tests."""
 
-from __future__ import annotations
-
 import pytest
 
 from tests.support.samples import strip_street

@@ -1,7 +1,5 @@
 """Random actors for the sample street, and a camera to look at them."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

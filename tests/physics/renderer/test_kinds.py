@@ -1,7 +1,5 @@
 """Who is who in a picture: every kind at the pixel where it must be, and looks that a camera can tell apart."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from dataclasses import replace

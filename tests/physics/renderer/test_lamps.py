@@ -1,7 +1,5 @@
 """Traffic lights shine in the colour that SUMO says, towards those they face, in both renderers."""
 
-from __future__ import annotations
-
 import itertools
 import math
 

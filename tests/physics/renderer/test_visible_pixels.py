@@ -1,7 +1,5 @@
 """Who is who in a picture: the image of instances, and how many pixels each actor has in it."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The drive controllers in plain Python, which those that are compiled must equal."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """Faults of a plant that can be planted into the simulated body while its parameter file stays right."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from typing import Any

@@ -1,7 +1,5 @@
 """Epochs that end as planned: the world's process is replaced, and nobody loses a step."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 import threading

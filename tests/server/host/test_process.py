@@ -1,7 +1,5 @@
 """A world process that is killed, stopped, starved or asked to end, and clients that are."""
 
-from __future__ import annotations
-
 import resource
 import signal
 import socket

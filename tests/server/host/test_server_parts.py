@@ -1,7 +1,5 @@
 """The small parts of a server process: its clock, its accounts of peers, its lifelines."""
 
-from __future__ import annotations
-
 import os
 import socket
 import subprocess

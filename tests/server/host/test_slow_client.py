@@ -1,7 +1,5 @@
 """Six clients in processes of their own, one of which thinks ten times longer than the others."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The hub: what it writes, and what it refuses."""
 
-from __future__ import annotations
-
 from benchmarks.barrier.fake_world import FakeWorld
 from tests.server.protocol.desk import join_of
 from tests.support.worlds import quick_config

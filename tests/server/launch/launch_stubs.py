@@ -4,8 +4,6 @@ Run as `launch_stubs.py world ORDER_FILE` and `launch_stubs.py client FOLDER WOR
 they shall do is a list of words such as `die=20` (at step 20, by SIGKILL, in each life) or `die=20x2` (in two lives).
 """
 
-from __future__ import annotations
-
 import importlib.util
 import json
 import os

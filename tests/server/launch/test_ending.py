@@ -1,7 +1,5 @@
 """A launch that ends while its world is away: clients that wait for it save their work all the same."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

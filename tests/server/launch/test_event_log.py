@@ -1,7 +1,5 @@
 """events.jsonl: what is written can be read, and what cannot be written ends nothing."""
 
-from __future__ import annotations
-
 from tests.support.events import read_events
 from wcsim.server.launch.event_log import EVENTS, RunLog
 

@@ -1,7 +1,5 @@
 """Processes that die, hang and are ended: a launcher with stand-ins for world and clients."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import signal

@@ -1,7 +1,5 @@
 """Whom a launcher ends as hanging, by what the world says of its seats: with a clock that is told."""
 
-from __future__ import annotations
-
 import selectors
 
 import pytest

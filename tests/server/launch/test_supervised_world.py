@@ -1,7 +1,5 @@
 """What a launcher orders from each life of its world, and what it says of one that dies again and again."""
 
-from __future__ import annotations
-
 import json
 import shlex
 from pathlib import Path

@@ -1,7 +1,5 @@
 """One contract for every link: the same order gives the same frames, whichever way they came."""
 
-from __future__ import annotations
-
 import os
 import signal
 import socket

@@ -1,7 +1,5 @@
 """Cores with one fault each: a checker that does not find them proves nothing."""
 
-from __future__ import annotations
-
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.client_core import ClientCore, ClientPhase, Outcome
 from wcsim.server.protocol.events import BarrierState, Lost

@@ -3,8 +3,6 @@
 All times are 0 after every event. Time passes by events of its own, in which the clock jumps for those concerned.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Hashable
 from dataclasses import replace
 

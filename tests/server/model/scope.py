@@ -1,7 +1,5 @@
 """How far a check goes, and which cores it runs."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, fields
 from enum import Enum
 

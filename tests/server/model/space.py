@@ -3,8 +3,6 @@
 Channels are in order and lose nothing but by a fault. A label with "!" is a fault: progress never needs one.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Hashable, Iterator
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """What one client's driver has seen, and whether it may be shown what it is shown next."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from tests.server.model.scope import Violation

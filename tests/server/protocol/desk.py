@@ -1,7 +1,5 @@
 """A server core and what tests say to it, in a few words."""
 
-from __future__ import annotations
-
 from typing import TypeVar
 
 from wcsim.server.protocol import messages as m

@@ -1,7 +1,5 @@
 """The client core: what its driver gets, when it asks again, when it gives up."""
 
-from __future__ import annotations
-
 import math
 from itertools import count
 

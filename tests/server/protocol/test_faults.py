@@ -1,7 +1,5 @@
 """Simulated faults over the real cores: any failing run is told by its seed; see `tests.server.faults`."""
 
-from __future__ import annotations
-
 import pytest
 
 from tests.server import faults

@@ -1,7 +1,5 @@
 """Every state that the real cores can get into, with faults, within a bound: safe, and never without a way on."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

@@ -1,7 +1,5 @@
 """The server core: what each wrong request is answered, and that nothing a peer sends can break it."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -1,7 +1,5 @@
 """Whatever bytes come: an error with a name, and nobody else notices."""
 
-from __future__ import annotations
-
 import itertools
 import threading
 import time

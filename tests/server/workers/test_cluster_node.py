@@ -1,7 +1,5 @@
 """What travels: files by their names, bounded where they arrive, the same there as here."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """What cannot be used is refused in one line, before anything begins, and Ray's own words stay in its log."""
 
-from __future__ import annotations
-
 import os
 import socket
 import time

@@ -1,7 +1,5 @@
 """What a process of a node leaves when it is killed goes when the next one begins, and what lives keeps its own."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

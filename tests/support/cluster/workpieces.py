@@ -1,7 +1,5 @@
 """Small pieces of work for tests of crews."""
 
-from __future__ import annotations
-
 import os
 import signal
 import tempfile

@@ -1,7 +1,5 @@
 """A built street is kept until something changes of which it is made; no edit elsewhere costs anybody a minute."""
 
-from __future__ import annotations
-
 import shutil
 import sys
 from collections.abc import Iterator

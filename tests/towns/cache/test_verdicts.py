@@ -1,7 +1,5 @@
 """Verdicts on nets and scenarios: the newest ones stay."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Every printed cure does what it says when it is typed as it stands."""
 
-from __future__ import annotations
-
 import shlex
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """A straight road with a pavement beside it, and items to put there; a small generated town with signals."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What is painted on a hand-written crossroads with two car lanes, a cycle lane and a pavement each way."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

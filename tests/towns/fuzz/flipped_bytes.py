@@ -1,7 +1,5 @@
 """Changes to the bytes of any file, or to what lies in its place."""
 
-from __future__ import annotations
-
 import gzip
 import os
 import re

@@ -4,8 +4,6 @@
 a mutant, or NUMBER:FAULT for it in a wcsim with a planted fault.
 """
 
-from __future__ import annotations
-
 import faulthandler
 import hashlib
 import json

@@ -1,7 +1,5 @@
 """A seeded fuzzer of town files: mutators of nets, routes, additional files, configurations and OSM extracts."""
 
-from __future__ import annotations
-
 import copy
 import functools
 from collections.abc import Callable, Mapping

@@ -3,8 +3,6 @@
 One that failed is run again by its number: `python -m tests.towns.fuzz.run FOLDER 137`.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from pathlib import Path
 

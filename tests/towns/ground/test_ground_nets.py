@@ -1,7 +1,5 @@
 """The ground of nets that nobody would draw, and of those that others made."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Areas of somebody else's streets stay whole, whatever is done to them."""
 
-from __future__ import annotations
-
 import shapely
 
 from wcsim.towns.ground.plane_geometry import Patches, buffered

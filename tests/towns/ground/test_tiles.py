@@ -1,7 +1,5 @@
 """A street's rasters: read only where and as far as somebody asks, kept while they are asked for, given up then."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The people and vehicles of our own demand have the sizes and speeds of real ones."""
 
-from __future__ import annotations
-
 import xml.etree.ElementTree as ET
 
 import pytest

@@ -1,7 +1,5 @@
 """Scenarios of strangers that would write, read or repeat what they should not, on the streets of a sound town."""
 
-from __future__ import annotations
-
 import gzip
 from pathlib import Path
 

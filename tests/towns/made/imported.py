@@ -1,7 +1,5 @@
 """A town that is imported from the text of an extract."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

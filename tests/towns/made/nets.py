@@ -1,7 +1,5 @@
 """Nets of all kinds for tests, written by hand or by netgenerate, and what must hold on the ground of any of them."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Scenarios that nobody of this project wrote, or that are generated as engineers would, each built into a folder."""
 
-from __future__ import annotations
-
 import shutil
 import sys
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """A scenario as engineers write them: no pavements; stops, detectors and signal programs by lane; a late begin."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from wcsim.towns.sumo.tools import run_tool

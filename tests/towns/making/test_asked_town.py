@@ -1,7 +1,5 @@
 """Towns by the words that users type."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

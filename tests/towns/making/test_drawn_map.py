@@ -1,7 +1,5 @@
 """What stands between and along the streets: no house on a street, nothing on a crossing, room to pass."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

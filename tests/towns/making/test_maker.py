@@ -1,7 +1,5 @@
 """Whole towns without a map: the same bytes again, other ones for another seed, sound, and drivable."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """What netgenerate draws, how it is shaped, and which street is what."""
 
-from __future__ import annotations
-
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory

@@ -1,7 +1,5 @@
 """Flyovers, motorways, and streets that the map says have no pavement."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

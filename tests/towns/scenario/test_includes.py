@@ -1,7 +1,5 @@
 """What a scenario's files include is a part of it, for whoever reads them beside SUMO."""
 
-from __future__ import annotations
-
 import hashlib
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What a scenario names outside of its folder, and what SUMO writes without being asked."""
 
-from __future__ import annotations
-
 import os
 import shlex
 import zlib

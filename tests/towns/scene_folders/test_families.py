@@ -1,7 +1,5 @@
 """Families of scenes: a seed always writes the same, every street builds, and each holds the danger that it says."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

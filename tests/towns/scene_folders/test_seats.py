@@ -1,7 +1,5 @@
 """How a scene's seats become those of a world, a recorded joystick among them."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A machine without a screen may lack what SUMO leaves to the system: said in a line, with the cure."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 

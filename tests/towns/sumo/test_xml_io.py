@@ -1,7 +1,5 @@
 """XML that one parser would read in another way than the next one does not get in."""
 
-from __future__ import annotations
-
 import bz2
 import gzip
 import io

@@ -1,7 +1,5 @@
 """Crossings that no program of their light ever frees: they are known, and ways lead round them."""
 
-from __future__ import annotations
-
 import gzip
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Which parts of the walkable ground nobody can walk to."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import shapely

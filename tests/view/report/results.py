@@ -1,7 +1,5 @@
 """A finished test of five policies over six episodes, made up."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

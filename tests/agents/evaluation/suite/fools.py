@@ -1,7 +1,5 @@
 """Policies with one fault each, as somebody may hand them in: `tests.agents.evaluation.suite.fools:Stands`."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from wcsim.agents.policy_api import Observation

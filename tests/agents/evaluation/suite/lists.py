@@ -1,7 +1,5 @@
 """Small lists in the street corner of `tests/conftest.py`, and policies that do something wrong."""
 
-from __future__ import annotations
-
 import time
 from functools import cache
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Whoever has one fault is caught by the column that is there for it, in real drives through Helsinki."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Blocks on other machines: what travels with them is enough, and the records are those of this machine."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Each disturbance alone, against the same episodes driven clean."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

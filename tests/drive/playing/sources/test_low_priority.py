@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import os
 from multiprocessing import Pipe, get_context
 from multiprocessing.connection import Connection

@@ -1,7 +1,5 @@
 """Films of what was recorded, beside the worlds that they are of."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterable
 from dataclasses import replace
