@@ -1,7 +1,5 @@
 """Help and refusals come before anything dear is loaded: for each command that there is, found by walking the help."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import itertools
@@ -9,11 +7,13 @@ import json
 import re
 import subprocess
 import sys
+from collections.abc import Iterable
 from functools import cache
 from importlib.util import find_spec
 
 import pytest
 
+from tests.support.typed import python_says
 from wcsim.cli.main import SUBCOMMANDS, main
 from wcsim.cli.shared.exit_codes import Exit
 
@@ -23,7 +23,7 @@ HEAVY = (
     *("matplotlib", "shapely", "networkx", "rasterio", "osmium", "timezonefinder", "scipy", "ray"),
 )
 PROBE = f"""
-import contextlib, json, os, sys
+import contextlib, io, json, os, sys
 import tyro, wcsim.config, wcsim.cli.shared.common, wcsim.cli.shared.run_config
 from wcsim.cli.main import main
 found = os.fdopen(os.dup(1), "w")
@@ -32,10 +32,11 @@ for lines in json.load(sys.stdin):
     if os.fork():
         os.wait()
         continue
-    with open(os.devnull, "w") as nothing, contextlib.redirect_stdout(nothing), contextlib.redirect_stderr(nothing):
+    with open(os.devnull, "w") as nothing, contextlib.redirect_stdout(nothing):
         for words in lines:
-            code = int(main(words))
-            json.dump([words, code, [name for name in {HEAVY} if name in sys.modules]], found)
+            with contextlib.redirect_stderr(io.StringIO()) as told:
+                code = int(main(words))
+            json.dump([words, code, [name for name in {HEAVY} if name in sys.modules], told.getvalue()], found)
             print(file=found)
     found.flush()
     os._exit(0)
@@ -45,10 +46,8 @@ for lines in json.load(sys.stdin):
 What nearly all of them read their settings by is loaded once, before: what is dear in it shows in each of them.
 """
 
-NOWHERE = (
-    "train --town atlantis",
+WRONG = (
     "serve --town atlantis",
-    "test --town atlantis",
     "demo --train-town atlantis",
     "snapshot atlantis",
     "video atlantis",
@@ -64,9 +63,6 @@ NOWHERE = (
     "scene bless atlantis",
     "replay atlantis",
     "log verify atlantis",
-)
-WRONG = (
-    "train --set learn.nope=3",
     "test --set learn.nope=3",
     "serve --set learn.nope=3",
     "demo --set learn.nope=3",
@@ -74,16 +70,55 @@ WRONG = (
     "town run helsinki --set learn.nope=3",
     "train --set learn.gamma=x",
     "train --set learn.gamma=7",
-    "train --preset nope",
-    "train-q --network nope",
     "train --config nope.toml",
-    "test --profile nope",
     "users record helsinki --out x --profile nope",
     "test --profile nope.toml",
     "join nowhere",
-    "test nowhere",
 )
 
+EARLY = {
+    "train-q --network huge": "unknown network 'huge'",
+    "train-q --network patc": "did you mean 'patch'?",
+    "train-q --network nowhere:Net": "network module 'nowhere' was not found",
+    "train-q --reward nowhere:Term": "reward term module 'nowhere' was not found",
+    "train-q --hook nowhere:Hook": "step hook module 'nowhere' was not found",
+    "train-q --town atlantis": "unknown town 'atlantis'",
+    "train --town atlantis": "unknown town 'atlantis'",
+    "train --cluster x": "--cluster",
+    "train --town monaco": "monaco is a test town",
+    "train --set learn.speed=3": "unknown key 'learn.speed'",
+    "train --set env.profile=saint": "unknown user profile 'saint'",
+    "train-q --steps 0": "--steps 0: expected 1 or more",
+    "train --out file/run": "is not a folder that can be written",
+    "resume nothing": "nothing is not a run",
+    "test folow": "did you mean 'follow'?",
+    "test runs/none": "runs/none is not a run",
+    "test follow:early": "module 'follow' was not found",
+    "test --episodes 0": "--episodes 0",
+    "test --profile saint": "unknown user profile 'saint'",
+    "test --town atlantis": "unknown town 'atlantis'",
+    "test --town helsinki": "helsinki is a training town",
+    "test --network nowhere:Net": "network module 'nowhere' was not found",
+    "test --hook nowhere:Hook": "step hook module 'nowhere' was not found",
+    "town check helsinky": "did you mean 'helsinki'?",
+    "tran": "did you mean 'train'?",
+    "town improt": "did you mean 'import'?",
+    "train --preset laptob": "did you mean 'laptop'?",
+    "test --profile tremour": "did you mean 'tremor'?",
+    "video --policy shiped": "did you mean 'shipped'?",
+    "drive --policy nobody": "shipped, module:Class of your own, or a baseline: follow, random",
+    "drive --set chair.plant=mine.toml": "expected --policy RUN, a run that was trained with your settings",
+    "look --tow helsinki": "--tow is not an option of look; give TOWN without a name: wcsim look TOWN",
+    "test --policy dwa": "--policy is not an option of test; give POLICY without a name: wcsim test POLICY",
+    "export --policy shipped": "give POLICY without a name: wcsim export POLICY",
+    "look --out file/look": "is not a folder that can be written to; choose another with --out",
+    "train --set cameras.0.noise=typicall": "expected typical, none, or a table of depth, classes, rgb; did you mean",
+    "log verify none.drive": "none.drive: is not there; expected a run folder, a trace, a journal or a",
+    "log verify file": "file: is not a log, or was truncated in its first record",
+    "export shipped --onnx x --ride none.drive": "--ride none.drive: not found; expected a recorded drive",
+    "join udp://there": "expected ipc://FILE or tcp://HOST:PORT",
+    "join ipc://there --network huge": "unknown network 'huge'",
+}
 
 NESTED = ("town", "scene", "chair", "users", "log")
 
@@ -110,7 +145,7 @@ def helps() -> set[tuple[str, ...]]:
     return {("--help",), ("--version",), *((*words, "--help") for words in (*groups, *commands()))}
 
 
-def words_of(lines: tuple[str, ...]) -> set[tuple[str, ...]]:
+def words_of(lines: Iterable[str]) -> set[tuple[str, ...]]:
     return {tuple(line.split()) for line in lines}
 
 
@@ -124,18 +159,19 @@ def mistakes() -> set[tuple[str, ...]]:
 
 
 @pytest.fixture(scope="module")
-def outcome(tmp_path_factory: pytest.TempPathFactory) -> dict[tuple[str, ...], tuple[int, list[str]]]:
-    """The exit code of each line, and what was loaded after it."""
-    folder = tmp_path_factory.mktemp("empty")
-    lines = sorted({*helps(), *mistakes(), *words_of(NOWHERE), *words_of(WRONG)})
+def outcome(tmp_path_factory: pytest.TempPathFactory) -> dict[tuple[str, ...], tuple[int, list[str], str]]:
+    """The exit code of each line, what was loaded after it, and what was said."""
+    folder = tmp_path_factory.mktemp("almost_empty")
+    (folder / "file").write_text("a file, not a folder")
+    lines = sorted({*helps(), *mistakes(), *words_of(WRONG), *words_of(EARLY)})
     groups = [list(group) for _, group in itertools.groupby(lines, lambda words: words[: 1 + (words[0] in NESTED)])]
     run = subprocess.run(
         [sys.executable, "-c", PROBE], input=json.dumps(groups), capture_output=True, text=True, check=True, cwd=folder
     )
     found = [json.loads(line) for line in run.stdout.splitlines()]
-    assert list(folder.iterdir()) == []
-    assert [tuple(words) for words, _, _ in found] == lines
-    return {tuple(words): (code, loaded) for words, code, loaded in found}
+    assert [path.name for path in folder.iterdir()] == ["file"]
+    assert [tuple(words) for words, *_ in found] == lines
+    return {tuple(words): (code, loaded, told) for words, code, loaded, told in found}
 
 
 def test_the_walk_finds_commands_of_commands_and_their_numbers():
@@ -146,23 +182,27 @@ def test_the_walk_finds_commands_of_commands_and_their_numbers():
 
 
 def test_no_help_loads_what_only_work_needs(outcome):
-    assert {words: outcome[words] for words in helps() if outcome[words] != (Exit.DONE, [])} == {}
+    assert {words: outcome[words] for words in helps() if outcome[words][:2] != (Exit.DONE, [])} == {}
 
 
 @pytest.mark.parametrize(
     "lines",
-    [mistakes, lambda: words_of(NOWHERE), lambda: words_of(WRONG)],
-    ids=["mistyped", "a town that is not there", "a setting that cannot be"],
+    [mistakes, lambda: words_of(WRONG), lambda: words_of(EARLY)],
+    ids=["mistyped", "a town or setting that is not there", "what is none of those there are"],
 )
 def test_no_refusal_loads_it(outcome, lines):
-    assert {words: outcome[words] for words in lines() if outcome[words] != (Exit.REFUSED, [])} == {}
+    assert {words: outcome[words] for words in lines() if outcome[words][:2] != (Exit.REFUSED, [])} == {}
+
+
+def test_a_refusal_says_what_is_wrong(outcome):
+    for line, wanted in EARLY.items():
+        assert wanted in outcome[tuple(line.split())][2], line
 
 
 def test_what_must_not_be_loaded_is_what_work_loads():
     """Otherwise the list above would hold names that nothing loads."""
     work = "wcsim.bridge.world, wcsim.agents.learning.train, wcsim.agents.envs.parallel_env, wcsim.towns.street"
     code = f"import json, sys, {work}; print(json.dumps([name for name in {HEAVY} if name not in sys.modules]))"
-    late = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     single = {"rasterio", "osmium", "timezonefinder", "matplotlib", "scipy", "ray"}  # for single pieces of work
-    assert set(json.loads(late)) <= single
+    assert set(json.loads(python_says(code))) <= single
     assert all(find_spec(name) for name in HEAVY)

@@ -1,95 +1,21 @@
 """What somebody reads who typed something wrong: what it is, what came, what was expected, what to do."""
 
-from __future__ import annotations
-
 import io
-import json
 import re
 import shlex
 import shutil
-import subprocess
-import sys
 from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
 
-from tests.cli.conftest import QUICK, files_in
+from tests.cli.conftest import QUICK
 from tests.cli.test_bad_input import refused
 from tests.support.tracked import ROOT
 from wcsim.drive.starting import DriveStart, open_place
 from wcsim.log.framing import whole_records
 
-HEAVY = ("torch", "libsumo", "pybullet", "ray")
 SMALL = ("--set", "learn.total_steps=8", "--set", "learn.phase1_steps=4", *QUICK)
-
-EARLY = {
-    "train-q --network huge": "unknown network 'huge'",
-    "train-q --network patc": "did you mean 'patch'?",
-    "train-q --network nowhere:Net": "network module 'nowhere' was not found",
-    "train-q --reward nowhere:Term": "reward term module 'nowhere' was not found",
-    "train-q --hook nowhere:Hook": "step hook module 'nowhere' was not found",
-    "train-q --town atlantis": "unknown town 'atlantis'",
-    "train --town atlantis": "unknown town 'atlantis'",
-    "train --cluster x": "--cluster",
-    "train --town monaco": "monaco is a test town",
-    "train --set learn.speed=3": "unknown key 'learn.speed'",
-    "train --set env.profile=saint": "unknown user profile 'saint'",
-    "train-q --steps 0": "--steps 0: expected 1 or more",
-    "train-q --steps 10x": "--steps",
-    "train --out file/run": "is not a folder that can be written",
-    "resume nothing": "nothing is not a run",
-    "test folow": "did you mean 'follow'?",
-    "test runs/none": "runs/none is not a run",
-    "test follow:early": "module 'follow' was not found",
-    "test --episodes 0": "--episodes 0",
-    "test --profile saint": "unknown user profile 'saint'",
-    "test --town atlantis": "unknown town 'atlantis'",
-    "test --town helsinki": "helsinki is a training town",
-    "test --network nowhere:Net": "network module 'nowhere' was not found",
-    "test --hook nowhere:Hook": "step hook module 'nowhere' was not found",
-    "town check helsinky": "did you mean 'helsinki'?",
-    "tran": "did you mean 'train'?",
-    "town improt": "did you mean 'import'?",
-    "train --preset laptob": "did you mean 'laptop'?",
-    "test --profile tremour": "did you mean 'tremor'?",
-    "video --policy shiped": "did you mean 'shipped'?",
-    "drive --policy nobody": "shipped, module:Class of your own, or a baseline: follow, random",
-    "drive --set chair.plant=mine.toml": "expected --policy RUN, a run that was trained with your settings",
-    "look --tow helsinki": "--tow is not an option of look; give TOWN without a name: wcsim look TOWN",
-    "test --policy dwa": "--policy is not an option of test; give POLICY without a name: wcsim test POLICY",
-    "export --policy shipped": "give POLICY without a name: wcsim export POLICY",
-    "look --out file/look": "is not a folder that can be written to; choose another with --out",
-    "train --set cameras.0.noise=typicall": "expected typical, none, or a table of depth, classes, rgb; did you mean",
-    "log verify none.drive": "none.drive: is not there; expected a run folder, a trace, a journal or a",
-    "log verify file": "file: is not a log, or was truncated in its first record",
-    "export shipped --onnx x --ride none.drive": "--ride none.drive: not found; expected a recorded drive",
-    "join udp://there": "expected ipc://FILE or tcp://HOST:PORT",
-    "join ipc://there --network huge": "unknown network 'huge'",
-}
-CHILD = f"""
-import contextlib, io, json, sys
-from wcsim.cli.main import main
-for words in json.loads(sys.argv[1]):
-    told = io.StringIO()
-    with contextlib.redirect_stderr(told):
-        code = main(words)
-    print(json.dumps([int(code), told.getvalue(), [name for name in {HEAVY} if name in sys.modules]]))
-"""
-
-
-def test_what_is_mistyped_is_refused_before_torch_and_the_simulators_are_loaded(tmp_path):
-    """One child types all of them, one after the other, so that the first that loads something is seen."""
-    (tmp_path / "file").write_text("a file, not a folder")
-    words = json.dumps([line.split() for line in EARLY])
-    command = [sys.executable, "-c", CHILD, words]
-    done = subprocess.run(command, capture_output=True, text=True, check=True, cwd=tmp_path)
-    answers = [json.loads(line) for line in done.stdout.splitlines()]
-    assert len(answers) == len(EARLY)
-    for line, (code, told, loaded) in zip(EARLY, answers, strict=True):
-        assert (line, code, loaded) == (line, 2, [])
-        assert EARLY[line] in told, (line, told)
-    assert files_in(tmp_path) == {"file"}
 
 
 def test_a_number_that_is_none_is_named_in_words(wcsim, folder):
