@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import ast
 import re
-import subprocess
-import sys
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from functools import cache
@@ -16,6 +14,7 @@ import pytest
 
 import wcsim
 from tests.support.tracked import ROOT, parsed, tracked
+from tests.support.typed import python_says
 
 SOURCES = (*tracked("wcsim", ".py"), *tracked("benchmarks", ".py"))
 FORBIDDEN_CALLS = re.compile(r"\b(pickle|cloudpickle|torch\.load|yaml\.load|eval|exec)\s*[.(]")
@@ -34,10 +33,6 @@ def trees() -> dict[str, ast.Module]:
     return parsed("wcsim") | parsed("benchmarks")
 
 
-def python(code: str) -> str:
-    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip()
-
-
 def test_public_names_are_those_that_are_meant():
     assert wcsim.__all__ == ["ENV_ID", "StreetVecEnv", "WheelchairEnv", "__version__", "parallel_env"]
     assert all(hasattr(wcsim, name) for name in wcsim.__all__)
@@ -47,22 +42,20 @@ def test_public_names_are_those_that_are_meant():
 
 
 def test_completion_shows_the_faces_and_nothing_that_was_only_needed():
-    shown = python("import wcsim; print(*dir(wcsim))").split()
+    agents, *shown = python_says(
+        "import sys, wcsim; told = dir(wcsim); print('wcsim.agents' in sys.modules, *told)"
+    ).split()
+    assert agents == "False"
     assert set(wcsim.__all__) <= set(shown)
     assert not {"Any", "import_module", "register", "registry", "TYPE_CHECKING"} & set(shown)
     assert [name for name in shown if name.startswith("_") and not name.startswith("__")] == []
-    assert python("import sys, wcsim; dir(wcsim); print('wcsim.agents' in sys.modules)") == "False"
 
 
-def test_importing_the_package_loads_no_simulator_and_no_torch():
+def test_importing_the_package_loads_no_simulator_and_no_torch_which_the_vectorised_environment_alone_loads():
     heavy = ("torch", "stable_baselines3", "pettingzoo", "libsumo", "pybullet", "numba", "zmq")
-    loaded = python(f"import sys, wcsim; print([m for m in {heavy} if m in sys.modules])")
-    assert loaded == "[]"
-
-
-def test_only_the_vectorised_environment_loads_torch():
-    code = "import sys, wcsim; wcsim.WheelchairEnv, wcsim.parallel_env; print('torch' in sys.modules)"
-    assert python(code) == "False"
+    code = f"import sys, wcsim; print([m for m in {heavy} if m in sys.modules])"
+    faces = "wcsim.WheelchairEnv, wcsim.parallel_env; print('torch' in sys.modules)"
+    assert python_says(f"{code}; {faces}").split() == ["[]", "False"]
 
 
 def test_files_stay_short():

@@ -1,13 +1,16 @@
 """Commands typed as they are printed: to the end of their line, in a shell of their own."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
 from pathlib import Path
 
 from tests.support.tracked import ROOT
+
+
+def python_says(code: str) -> str:
+    """What Python code prints in a process of its own, which must end well."""
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip()
 
 
 def printed(text: str, told: str) -> str:

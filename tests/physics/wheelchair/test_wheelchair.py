@@ -3,14 +3,13 @@
 import dataclasses
 import hashlib
 import math
-import subprocess
-import sys
 
 import numpy as np
 import pytest
 
 from tests.physics.rig import FORWARD, NEUTRAL, actor, fan_street, flat_street, rig, step_street, tiled_street
 from tests.support.samples import KERB_M, strip_street
+from tests.support.typed import python_says
 from wcsim.config import ChairConfig, ImuConfig
 from wcsim.config.plant import known_plants
 from wcsim.core.joystick import yaw_rate_limit
@@ -286,8 +285,7 @@ def test_the_same_calls_give_the_same_bytes_in_one_process_and_in_two():
     here = drive_and_hash()
     assert drive_and_hash() == here
     code = "from tests.physics.wheelchair.test_wheelchair import drive_and_hash; print(drive_and_hash())"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=200)
-    assert done.stdout.split()[-1] == here
+    assert python_says(code).split()[-1] == here
 
 
 def test_an_episode_does_not_depend_on_the_one_before():

@@ -1,13 +1,12 @@
 """What a client loads that joins a world elsewhere: no simulator, no renderer."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys
 from pathlib import Path
 
 from tests.server.servers import Server, stand_in_order
+from tests.support.typed import python_says
 from wcsim.agents.clients import client
 from wcsim.agents.envs import wheelchair_env
 from wcsim.bridge import world
@@ -45,15 +44,9 @@ def test_a_client_that_joined_and_drove_has_loaded_no_simulator(tmp_path: Path) 
     assert json.loads(run.stdout.splitlines()[-1]) == [3, []]
 
 
-def test_what_must_not_be_loaded_is_what_a_world_loads() -> None:
+def test_what_must_not_be_loaded_is_what_a_world_loads_and_that_loads_nothing_that_only_builds_streets() -> None:
     """Otherwise the list above would hold names that nothing loads any more."""
-    code = f"import sys, wcsim.server.host.opening; print([n for n in {LIBRARIES + MODULES} if n not in sys.modules])"
-    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout.strip() == "[]"
-
-
-def test_a_world_loads_nothing_that_only_builds_streets() -> None:
-    code = (
-        "import sys, wcsim.server.host.opening; "
-        "print([n for n in ('cv2', 'rasterio', 'torch', 'wcsim.towns.build_street') if n in sys.modules])"
-    )
-    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout.strip() == "[]"
+    none = ("cv2", "rasterio", "torch", "wcsim.towns.build_street")
+    looked = LIBRARIES + MODULES + none
+    code = f"import sys, wcsim.server.host.opening; print([n for n in {looked} if n not in sys.modules])"
+    assert python_says(code) == str(list(none))

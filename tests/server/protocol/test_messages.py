@@ -1,12 +1,9 @@
-from __future__ import annotations
-
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from tests.support.typed import python_says
 from wcsim.errors import LinkClosedError, OverloadedError, ProtocolError, TownError, WcsimError
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.messages import _unpacked
@@ -76,8 +73,7 @@ def test_an_error_arrives_under_its_own_name():
 
 def test_two_programs_of_one_version_have_one_schema():
     code = "from wcsim.server.protocol import messages; print(messages.schema_hash())"
-    other = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
-    assert other.stdout.strip() == m.schema_hash()
+    assert python_says(code) == m.schema_hash()
 
 
 @pytest.fixture(scope="module")
