@@ -1,7 +1,5 @@
 """Several chairs in one world as PettingZoo's users meet them."""
 
-from __future__ import annotations
-
 import itertools
 import sys
 from collections.abc import Callable, Iterator
@@ -46,7 +44,6 @@ def drive(env: StreetParallelEnv, steps: int, seed: int | None) -> list[Any]:
 def test_pettingzoos_own_test_of_the_interface_finds_nothing(made):
     env = made("env.max_steps=12")
     parallel_api_test(env, num_cycles=30)
-    env.close()
 
 
 def test_pettingzoos_own_test_of_seeds_finds_nothing(made):
@@ -66,7 +63,6 @@ def test_one_seed_is_one_episode_in_a_new_world_and_in_one_that_was_used(made):
     env.close()
     fresh = made("env.max_steps=20", seed=3)
     assert equal(first, drive(fresh, 15, seed=None))
-    fresh.close()
 
 
 def test_resets_without_a_seed_follow_from_the_first_one(made):
@@ -155,7 +151,6 @@ def test_spaces_and_names_are_each_agents_own(made):
     observations, infos = env.reset(seed=1)
     assert all(env.observation_space(agent).contains(observations[agent]) for agent in env.agents)
     assert not np.array_equal(infos["chair_0"]["state"].p_WB_m, infos["chair_1"]["state"].p_WB_m)
-    env.close()
 
 
 def test_the_first_agents_picture_is_shown(made):
@@ -169,7 +164,6 @@ def test_the_first_agents_picture_is_shown(made):
     plain = made(chairs=1)
     plain.reset(seed=1)
     assert plain.render() is None
-    plain.close()
 
 
 def test_each_agent_has_reward_terms_of_its_own(made):
@@ -178,7 +172,6 @@ def test_each_agent_has_reward_terms_of_its_own(made):
     for step in range(1, 4):
         infos = env.step(dict.fromkeys(env.agents, 44))[4]
         assert [info["reward_terms"].extra for info in infos.values()] == [step] * 3
-    env.close()
 
 
 @pytest.mark.parametrize("chairs", [0, 65])

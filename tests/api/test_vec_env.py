@@ -1,7 +1,5 @@
 """Several chairs in one world for one learner, as Stable-Baselines3's users meet them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -59,7 +57,6 @@ def test_one_seed_is_one_rollout_in_a_new_world_and_in_one_that_was_used(made):
     vec.close()
     other = made(SHORT, seed=3)
     assert equal(first, drive(other, 45, seed=None))
-    other.close()
 
 
 def test_one_chair_is_what_sb3_makes_of_the_gymnasium_environment(corner, made):
@@ -92,7 +89,6 @@ def test_where_an_episode_ends_the_next_one_begins_without_a_tick(made):
                 assert vec.reset_infos[seat]["events"].step == 0
                 assert vec.reset_infos[seat]["events"].episode == step // 5
     assert vec.env_method("waits", indices=0)[0].steps == 11, "no more ticks than steps"
-    vec.close()
 
 
 def test_observations_are_the_callers_own(made):
@@ -101,7 +97,6 @@ def test_observations_are_the_callers_own(made):
     kept = {key: value.copy() for key, value in seen[2][0].items()}
     drive(vec, 3, seed=2)
     assert equal(kept, seen[2][0])
-    vec.close()
 
 
 @pytest.mark.parametrize("learner", [DQN, PPO])
@@ -188,11 +183,3 @@ def test_what_sb3_asks_environments_one_by_one(made):
     assert [waits.steps for waits in vec.env_method("waits")] == [0, 0, 0]
     assert [image.shape for image in vec.get_images()] == [(24, 32, 3)] * 3
     assert vec.render().shape == (48, 64, 3), "tiles, two by two"
-    vec.close()
-
-
-def test_two_worlds_of_several_chairs_at_once_are_what_each_is_alone(made):
-    """The second world is in a process of its own."""
-    one, other = made(SHORT, chairs=2), made(SHORT, chairs=2)
-    alone = [drive(one, 25, seed) for seed in (3, 4)]
-    assert equal(alone, [drive(one, 25, 3), drive(other, 25, 4)])

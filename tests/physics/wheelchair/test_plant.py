@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from tests.physics.rig import FORWARD, NEUTRAL, rig, step_street
 from tests.support.samples import USUAL_OUTLINE
-from wcsim.config import ChairConfig, ImuConfig, resolve
+from wcsim.config import ChairConfig, ImuConfig
 from wcsim.config.plant import known_plants
 from wcsim.errors import ConfigError, PhysicsError
 from wcsim.physics.wheelchair.plant import PlantSpec, _check_plant, plant_spec, varied
@@ -134,15 +134,6 @@ def test_unknown_plants_and_files_that_are_none(tmp_path):
 def test_a_controller_beyond_the_limits_of_its_plant_is_refused(key, value):
     with pytest.raises(ConfigError, match=rf"chair\.{key} is {value} .*expected no more"):
         plant_spec(ChairConfig(**{key: value}))
-
-
-def test_a_speed_profile_and_another_speed_contradict_each_other():
-    config = resolve("quick", ("chair.profile=road",))
-    assert config.chair.v_max_mps == 2.78
-    assert resolve(config, ("chair.profile=indoor",)).chair.v_max_mps == 0.6
-    with pytest.raises(ConfigError, match=r"drives at 0\.6 m/s, v_max_mps is 2\.78"):
-        resolve(config, ("chair.profile=indoor", "chair.v_max_mps=2.78"))
-    assert resolve(config, ("chair.profile=custom", "chair.v_max_mps=1.2")).chair.v_max_mps == 1.2
 
 
 # --- geometry ---

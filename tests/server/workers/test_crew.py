@@ -1,7 +1,5 @@
 """A crew: every piece is done, whoever dies, hangs or goes; what cannot be done is told in a line."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess
@@ -145,9 +143,10 @@ def test_a_piece_that_is_late_goes_to_another_worker_and_counts_once():
     assert sum(key == "a" for _, key in workers.begun) == 2
 
 
-def test_a_piece_that_kills_its_workers_is_given_up_in_a_line():
+@pytest.mark.parametrize(("workers", "late_s"), [(Scripted(w=["dead"] * 5), 180.0), (Hanging(w=[]), 0.05)])
+def test_a_piece_that_kills_its_workers_or_hangs_is_given_up_in_a_line(workers, late_s):
     with (
-        Crew(Scripted(w=["dead"] * 5), lambda key, data: None) as crew,
+        Crew(workers, lambda key, data: None, least_late_s=late_s) as crew,
         pytest.raises(WorkersError, match=r"a was started 5 times and never finished; .*wcsim resume"),
     ):
         do(crew, "a")
@@ -179,14 +178,6 @@ def test_what_comes_of_a_piece_that_was_given_to_somebody_else_is_dropped(came):
     crew._at = {"w": _Task(piece=piece, since_s=0.0)}
     with pytest.raises(WorkersError, match=r"a was started 5 times .*on w, where it died; check disk space and memory"):
         crew._take_back(WorkEnd(worker="w", key="a", lost="it died"))
-
-
-def test_a_piece_that_always_hangs_is_given_up_in_a_line():
-    with (
-        Crew(Hanging(w=[]), lambda key, data: None, least_late_s=0.05) as crew,
-        pytest.raises(WorkersError, match=r"a was started 5 times and never finished; .*wcsim resume"),
-    ):
-        do(crew, "a")
 
 
 def test_what_a_killed_process_leaves_goes_with_the_next_piece(tmp_path, monkeypatch):

@@ -60,12 +60,6 @@ def has_counted(scores):
     return scores[0] > 0.65 and scores[1] > 0.9
 
 
-def test_a_network_with_a_state_counts_the_ticks_of_an_episode():
-    """No image says which tick it is: 1 for who counts from the episode's start, 0.5 for who does not."""
-    scores = counted("convlstm")  # the proof below asks fig6
-    assert has_counted(scores), scores
-
-
 def _carried_over_while_it_drives(monkeypatch):
     store = SeqDQN._store_transition
 
