@@ -1,6 +1,6 @@
 """Kinds of users as parameters of one model (`profiles.toml`), and files of profiles: TOML over those of a base.
 
-The values follow published ranges for reaction times and tremor; they are plausible and not fitted to recorded driving.
+The values follow published ranges for reaction times and tremor: plausible, but only the hand of `recorded` is fitted.
 `ataxic` is meant to be held out of training.
 """
 
