@@ -25,8 +25,8 @@ from wcsim.users.profiles import (
 from wcsim.users.recordings.recorded_user import find_user
 
 
-def test_all_six_are_there():
-    assert profile_names() == ("competent", "slow", "tremor", "ataxic", "inattentive", "switch")
+def test_all_are_there():
+    assert profile_names() == ("competent", "slow", "tremor", "ataxic", "inattentive", "switch", "recorded")
     assert all(profile(name).name == name for name in profile_names())
 
 

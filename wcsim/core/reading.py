@@ -13,6 +13,7 @@ import os
 import re
 import stat
 import tomllib
+import zlib
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -74,14 +75,28 @@ def read_bytes(path: Path, kind: FileKind) -> bytes:
 
 
 def read_text(path: Path, kind: FileKind) -> str:
-    """The whole content of a file in UTF-8, with or without its mark. Raises FileError, of the kind's class."""
+    """The content of a file in UTF-8, with or without its mark, or packed as .gz. Raises FileError of its kind."""
     data = read_bytes(path, kind)
+    if path.suffix == ".gz":
+        data = _unpacked(data, path, kind)
     try:
         return data.removeprefix(codecs.BOM_UTF8).decode("utf-8")
     except UnicodeDecodeError as error:
         raise kind.error(
             f"{escaped(path)}: is not in UTF-8 ({error.reason} at byte {error.start}); save it as UTF-8"
         ) from None
+
+
+def _unpacked(data: bytes, path: Path, kind: FileKind) -> bytes:
+    unpack = zlib.decompressobj(wbits=zlib.MAX_WBITS | 16)  # gzip alone
+    try:
+        found = unpack.decompress(data, kind.limit_bytes)
+    except zlib.error:
+        found = b""
+    if not unpack.eof or unpack.unused_data:
+        message = f"is no single gzip file of at most {kind.limit_bytes} bytes unpacked; expected {kind.what}"
+        raise kind.error(f"{escaped(path)}: {message}")
+    return found
 
 
 def read_json(path: Path, kind: FileKind) -> dict[str, Any]:

@@ -1,6 +1,6 @@
 """Kinds of users as parameters of one model (`profiles.toml`), and files of profiles: TOML over those of a base.
 
-The values follow published ranges for reaction times and tremor; they are plausible and not fitted to recorded driving.
+The values follow published ranges for reaction times and tremor: plausible, but only the hand of `recorded` is fitted.
 `ataxic` is meant to be held out of training.
 """
 
@@ -160,7 +160,7 @@ def _read_profile(path: Path) -> UserProfile:
         raise ConfigError(
             f"{escaped(path)}: base: got {escaped_value(base)}; expected the name of one of wcsim's profiles"
         )
-    return _changed(replace(profile(base), name=_word(path.stem), spread=0.0), data, escaped(path))
+    return _changed(replace(profile(base), name=profile_word(path.stem), spread=0.0), data, escaped(path))
 
 
 def profile_of_json(text: str, where: str) -> UserProfile:
@@ -222,5 +222,6 @@ def _plain(value: object) -> str:
     return f'"{value}"' if isinstance(value, str) else repr(value)
 
 
-def _word(text: str) -> str:
+def profile_word(text: str) -> str:
+    """A name for a profile that is made of any text, as of its file's name."""
     return re.sub(r"[^A-Za-z0-9_.-]", "-", text)[:64].lstrip(".") or "user"

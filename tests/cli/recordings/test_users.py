@@ -4,11 +4,14 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from tests.cli.test_bad_input import refused
 from tests.log.drives import write_drive
+from tests.support.samples import write_recording
 from tests.users.recordings.plane_drives import plane_drive
+from tests.users.recordings.test_fit_sticks import driven
 from wcsim.users.profiles import _read_profile, profile
 
 
@@ -32,6 +35,22 @@ def test_a_drive_is_fitted_and_its_profile_taken(wcsim, folder, drive):
     assert (made.name, made.lookahead_m, made.spread) == ("my-user", 0.9, 0.0)
     assert made.reaction_s == pytest.approx(0.8, abs=0.05)
     assert "# 95 %: " in Path("my user.toml").read_text()
+
+
+def test_a_folder_of_stick_tables_is_a_person(wcsim, folder):
+    for number, name in enumerate(("ann", "bob", "eve")):
+        Path(name).mkdir()
+        stick = driven(replace(profile("competent"), noise=0.01), number, 45.0)
+        write_recording(Path(name) / "drive.csv", 0.02 * np.arange(len(stick)), stick)
+    result = wcsim("users", "fit", "ann", "bob", "eve/drive.csv", "--out", "us.toml", "--json", "told.json")
+    assert result.code == 0, result
+    told, made = json.loads(Path("told.json").read_text()), _read_profile(Path("us.toml"))
+    assert (made.name, made.reaction_s) == ("us", 0.25) and made.lag_s == pytest.approx(0.12, rel=0.2)
+    assert told["estimates"]["lag_s"]["n"] == 3 and "noise" not in told["habits"]["tremor"]
+    assert all(who in result.out for who in ("fitted", "inattentive")) and "person eve/drive.csv" in told["habits"]
+    Path("none").mkdir()
+    refused(wcsim("users", "fit", "none", "--out", "a.toml"), "none: 0 s in .csv or .csv.gz files; expected 30 s")
+    refused(wcsim("users", "fit", "ann", "no.csv", "--out", "a.toml"), "no.csv: cannot be read")
 
 
 def test_what_cannot_be_fitted_is_refused(wcsim, folder, drive):

@@ -20,7 +20,11 @@ from wcsim.users.recordings.hand_series import hand_series
 
 BASE = profile("competent")
 FLOORS = {"bias_x": 0.02, "bias_y": 0.05, "tremor": 0.01, "away_share": 0.06}  # where a drawn number may be zero
-NOT_TOLD = {"inattentive": ("away_share", "away_s"), "ataxic": ("bias_x", "speed_share")}  # docs/user.md says why
+NOT_TOLD = {  # docs/user.md says why
+    "inattentive": ("away_share", "away_s"),
+    "ataxic": ("bias_x", "speed_share"),
+    "recorded": ("lag_s", "noise", "noise_rate", "bias_y"),
+}
 
 
 def drawn(name, seed):

@@ -1,5 +1,7 @@
 """Recorded joysticks: what is written comes back, what cannot be used is refused with its place, value and bounds."""
 
+import gzip
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -34,6 +36,22 @@ def test_samples_hold_until_the_next_and_the_stick_rests_afterwards(tmp_path):
     assert [(j.x, j.y) for j in sticks[3:5]] == [(0.5, 0.0)] * 2
     assert sticks[5].x == pytest.approx(-0.25 / np.hypot(0.25, 1.0))  # on the disc
     assert [(j.x, j.y) for j in sticks[6:]] == [(0.0, 0.25)] * 2 + [(0.0, 0.0)] * 3
+
+
+def test_a_table_of_ros_axes_counts_to_the_left_and_may_be_packed(tmp_path):
+    rows = "t_s,axis0,axis1\n0,0.5,0.25\n0.1,-1,0\n"
+    found = recorded(rows, tmp_path)
+    assert found.sticks.tolist() == [[-0.5, 0.25], [1.0, 0.0]] and found.time_s.tolist() == [0.0, 0.1]
+    packed = tmp_path / "stick.csv.gz"
+    packed.write_bytes(gzip.compress(rows.encode()))
+    assert np.array_equal(read_recording(packed).sticks, found.sticks)
+    whole = packed.read_bytes()
+    for data in (b"", whole[:-9], whole + whole, rows.encode(), gzip.compress(bytes(65 << 20))):
+        packed.write_bytes(data)
+        with pytest.raises(ConfigError, match=r"stick.csv.gz: is no single gzip file of at most 67108864 bytes"):
+            read_recording(packed)
+    with pytest.raises(ConfigError, match=r"stick.csv:2: x is -1.5; expected -1 to 1"):
+        recorded("t_s,axis0,axis1\n0,-1.5,0\n", tmp_path)
 
 
 @given(st.lists(st.tuples(st.floats(-0.7, 0.7), st.floats(-0.7, 0.7)), min_size=2, max_size=30))

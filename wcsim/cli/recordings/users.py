@@ -29,11 +29,11 @@ from wcsim.core.constants import RECORDED
 from wcsim.core.reading import counted, escaped
 from wcsim.errors import ConfigError
 from wcsim.towns.scenario.town import find_town
-from wcsim.users.profiles import UserProfile, find_profile, profile, profile_text
+from wcsim.users.profiles import UserProfile, find_profile, profile, profile_text, profile_word
 
 if TYPE_CHECKING:  # loads what --help must not
     from wcsim.log.drive import DriveRecording
-    from wcsim.users.recordings.fit_user import UserFit
+    from wcsim.users.recordings.fit_user import FittedNumber, UserFit
 
 
 SMALL_CAMERA = ("cameras.0.width_px=16", "cameras.0.height_px=12")  # nobody looks at the pictures
@@ -98,10 +98,13 @@ _ROUNDS = 3  # of making intents by the last fit, and fitting to them
 
 @dataclass
 class _FitOptions:
-    """Fit the user model to recorded drives of one person and write a profile."""
+    """Fit the user model to recordings and write a profile.
+
+    Stick tables tell only the hand: lag and wander. They are also compared with the hands of all profiles.
+    """
 
     drives: Annotated[tuple[Path, ...], Positional, arg(metavar="FILE [FILE ...]")]
-    """Recorded drives of one person."""
+    """Recorded drives of one person; or, for each person, a stick table (.csv, .csv.gz) or a folder of them."""
     out: Annotated[Path, arg(metavar="FILE.toml"), Writes(".toml", new=True)]  # it may be edited by now
     """New profile file, for --profile of test and video, or env.profile."""
     base: str = "competent"
@@ -116,31 +119,36 @@ def _fit(options: _FitOptions) -> int:
     """Fit, print, write."""
     base = profile(options.base)
     if not options.drives:
-        raise ConfigError("users fit got no file; expected one or more recorded drives")
-    from wcsim.log.drive import read_drive
+        raise ConfigError("users fit got no file; expected one or more recordings")
+    fit = _fitted(options, base)
+    fit = replace(fit, profile=replace(fit.profile, name=profile_word(options.out.stem)))
+    from wcsim.users.recordings.fit_user import is_told
 
-    drives = [read_drive(path) for path in options.drives]
-    from wcsim.users.recordings.fit_user import fit_user, is_told  # its kernels load after what may be refused
-
-    known = all(drive.knows_intents for drive in drives) and not options.without_intents
-    fit = fit_user(drives, base) if known else _reconstructed(drives, base)
-    fit = replace(fit, profile=replace(fit.profile, name=_base_name(options.out)))
     head = f"fitted to {fit.seconds:.0f} s of driving; values without an interval are those of {base.name}\n"
     text = profile_text(fit.profile, _notes(fit), head + "\n".join(fit.warnings))
     with result_file(options.out) as part:
         part.write_text(text, encoding="utf-8")
     _print(fit)
-    minute = ["--profile", str(options.out), "--only", "--episodes", "1", "--max-steps", "600"]
-    print(f"wrote {options.out}; try it: {shlex.join(['wcsim', 'test', *minute])}")
-    if options.json is not None:
-        told = {name: asdict(item) | {"told": is_told(name, item)} for name, item in fit.estimates.items()}
-        write_json(options.json, {"seconds": fit.seconds, "estimates": told, "warnings": list(fit.warnings)})
+    minute = f"wcsim test --profile {shlex.quote(str(options.out))} --only --episodes 1 --max-steps 600"
+    print(f"wrote {options.out}; try it: {minute}")
+    told = {name: asdict(item) | {"told": is_told(name, item)} for name, item in fit.estimates.items()}
+    write_json(options.json, asdict(fit) | {"estimates": told})
     return 0
 
 
-def _base_name(path: Path) -> str:
-    """What a profile is called that is written to a file."""
-    return "".join(letter if letter.isascii() and letter.isalnum() else "-" for letter in path.stem)[:64] or "user"
+def _fitted(options: _FitOptions, base: UserProfile) -> UserFit:
+    """The user behind drives, or the hand behind stick tables; kernels load after what may be refused."""
+    if any(path.is_dir() or ".csv" in path.suffixes for path in options.drives):
+        from wcsim.users.recordings.fit_sticks import fit_sticks, read_sticks
+
+        return fit_sticks({escaped(path): read_sticks(path) for path in options.drives}, base)
+    from wcsim.log.drive import read_drive
+
+    drives = [read_drive(path) for path in options.drives]
+    from wcsim.users.recordings.fit_user import fit_user
+
+    known = all(drive.knows_intents for drive in drives) and not options.without_intents
+    return fit_user(drives, base) if known else _reconstructed(drives, base)
 
 
 def _reconstructed(drives: list[DriveRecording], base: UserProfile) -> UserFit:
@@ -183,3 +191,12 @@ def _print(fit: UserFit) -> None:
     show_table(("parameter", "fitted", "95 % from", "to", ""), rows, box=box.SIMPLE_HEAD)
     for line in fit.warnings:
         print(f"note: {line}", file=sys.stderr)
+    if fit.habits:
+        names = fit.habits["people"]
+        habits = ((who, *(_hundredfold(row.get(name)) for name in names)) for who, row in fit.habits.items())
+        headings = ["in\nhundredths", *(name.replace("_", "\n") for name in names)]
+        show_table(headings, habits, box=None, padding=(0, 1, 0, 0))
+
+
+def _hundredfold(item: FittedNumber | None) -> str:
+    return "\n".join(f"{100.0 * x:.1f}" for x in (item.value, item.low, item.high)) if item else "-"

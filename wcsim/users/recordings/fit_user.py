@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -65,17 +65,18 @@ _MORE = {
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _FittedNumber:
+class FittedNumber:
     """A number of a user, and its interval of 95 %."""
 
     value: float
     low: float
     high: float
+    n: int = 0  # people or pieces that it is the mean of, where these are counted
 
 
 def _usual_speed(
-    drives: Sequence[DriveRecording], series: Sequence[HandSeries], found: Mapping[str, _FittedNumber], wanted: bool
-) -> _FittedNumber:
+    drives: Sequence[DriveRecording], series: Sequence[HandSeries], found: Mapping[str, FittedNumber], wanted: bool
+) -> FittedNumber:
     """The usual speed as a share of the chair's: what the stick, without this hand's gain and bias, asks for at most.
 
     Args:
@@ -99,7 +100,7 @@ def _usual_speed(
     return _resampled([part[:, None] for part in rows], series, share)
 
 
-def _look_shares(series: Sequence[HandSeries]) -> dict[str, _FittedNumber]:
+def _look_shares(series: Sequence[HandSeries]) -> dict[str, FittedNumber]:
     """Looks elsewhere, or single corrections, by how intents stand still."""
     tick_s = series[0].tick_s
     gaps = [correction_s(item.intents, tick_s) for item in series]
@@ -150,7 +151,7 @@ def _smooth(item: HandSeries) -> F64:
     return np.asarray(np.convolve(item.stick[:, 1], np.full(width, 1.0 / width), mode="valid"), np.float64)
 
 
-def _resampled(rows: Sequence[F64], series: Sequence[HandSeries], value: Callable[[F64], float]) -> _FittedNumber:
+def _resampled(rows: Sequence[F64], series: Sequence[HandSeries], value: Callable[[F64], float]) -> FittedNumber:
     """A number of the rows (n, k) of all episodes, and its interval by drawing stretches of 10 s anew."""
     rng = seeding.generator(0, "stretches resampled")
     parts: list[F64] = []
@@ -162,7 +163,7 @@ def _resampled(rows: Sequence[F64], series: Sequence[HandSeries], value: Callabl
         for _ in range(_RESAMPLED)
     ]
     found, half = value(np.concatenate(list(rows))), _SD * float(np.std(drawn))
-    return _FittedNumber(value=found, low=max(0.0, found - half), high=found + half)
+    return FittedNumber(value=found, low=max(0.0, found - half), high=found + half)
 
 
 def _by_switches(series: Sequence[HandSeries]) -> bool:
@@ -170,7 +171,7 @@ def _by_switches(series: Sequence[HandSeries]) -> bool:
     return bool(at_switches(np.concatenate([item.stick for item in series])).all())
 
 
-def _of_switches(series: Sequence[HandSeries], base: UserProfile) -> dict[str, _FittedNumber]:
+def _of_switches(series: Sequence[HandSeries], base: UserProfile) -> dict[str, FittedNumber]:
     """Delay and hold that make the most samples again; the others of `base` play no part.
 
     The first switch of an episode says the delay to a sample. Around it both are looked for together, on a lattice that
@@ -224,13 +225,13 @@ def _best(
     return [pairs[k] for k in np.argsort(wrong, kind="stable").tolist()]
 
 
-def _interval(values: F64, wrong: F64) -> _FittedNumber:
+def _interval(values: F64, wrong: F64) -> FittedNumber:
     """The middle of the values that fit best, and the least and the most that fit nearly as well."""
     best = values[wrong <= wrong.min()]
     fits = values[wrong <= wrong.min() + _AS_GOOD]
     half_s = 0.5 * float(values[1] - values[0])
     low, high = max(0.0, float(fits.min()) - half_s), float(fits.max()) + half_s
-    return _FittedNumber(value=float(best.mean()), low=low, high=high)
+    return FittedNumber(value=float(best.mean()), low=low, high=high)
 
 
 def _wrong(series: Sequence[HandSeries], user: UserProfile, ticks: int) -> float:
@@ -251,7 +252,7 @@ def _wrong(series: Sequence[HandSeries], user: UserProfile, ticks: int) -> float
     return wrong / max(1, total)
 
 
-def is_told(name: str, estimate: _FittedNumber) -> bool:
+def is_told(name: str, estimate: FittedNumber) -> bool:
     """Whether half the interval is less than 15 % of the value, or than what does not matter."""
     return 0.5 * (estimate.high - estimate.low) <= max(WIDEST * abs(estimate.value), _FLOORS.get(name, 0.0))
 
@@ -261,9 +262,10 @@ class UserFit:
     """What drives say of their user."""
 
     profile: UserProfile
-    estimates: dict[str, _FittedNumber]  # gain and bias as gain_x, gain_y, bias_x, bias_y
+    estimates: dict[str, FittedNumber]  # gain and bias as gain_x, gain_y, bias_x, bias_y
     seconds: float  # driven
     warnings: tuple[str, ...]
+    habits: Mapping[str, Mapping[str, FittedNumber]] = field(default_factory=dict)  # of sticks, by whose they are
 
 
 def fit_user(drives: Sequence[DriveRecording], base: UserProfile, wanted: bool = True) -> UserFit:
@@ -318,9 +320,9 @@ def _measures(drive: DriveRecording) -> dict[str, float]:
     return {"world.tick_s": drive.header.tick_s, **law}
 
 
-def _of_hand(law: HandLaw) -> dict[str, _FittedNumber]:
+def _of_hand(law: HandLaw) -> dict[str, FittedNumber]:
     """Nothing where nearly all of the driving lay at the gate: a law of what is left is none of the hand."""
-    found: dict[str, _FittedNumber] = {}
+    found: dict[str, FittedNumber] = {}
     if law.counted_share < _LEAST_COUNTED:
         return found
     for name, sd in law.sd.items():
@@ -328,13 +330,13 @@ def _of_hand(law: HandLaw) -> dict[str, _FittedNumber]:
         low, high = value - half, value + half
         if name in LOGS:
             low, high = value * math.exp(-half), value * math.exp(half)
-        found[name] = _FittedNumber(value=value, low=low, high=high)
+        found[name] = FittedNumber(value=value, low=low, high=high)
     if "tremor" not in found:
-        found["tremor"] = _FittedNumber(value=0.0, low=0.0, high=law.tremor_most)
+        found["tremor"] = FittedNumber(value=0.0, low=0.0, high=law.tremor_most)
     return found
 
 
-def _numbers(found: dict[str, _FittedNumber], switched: bool) -> dict[str, Any]:
+def _numbers(found: dict[str, FittedNumber], switched: bool) -> dict[str, Any]:
     """The numbers of a profile, within its bounds and rounded to what they tell."""
     plain = {
         name: _bounded(name, estimate.value) for name, estimate in found.items() if name.partition("_")[0] not in PAIRS
@@ -349,7 +351,7 @@ def _numbers(found: dict[str, _FittedNumber], switched: bool) -> dict[str, Any]:
     return {"correct_every_s": 0.0, **plain, **pairs}
 
 
-def _tells_hand(found: dict[str, _FittedNumber]) -> bool:
+def _tells_hand(found: dict[str, FittedNumber]) -> bool:
     return "reaction_s" in found  # of a stick and of switches
 
 
@@ -359,7 +361,7 @@ def _bounded(name: str, value: float) -> float:
 
 
 def _warnings(
-    found: dict[str, _FittedNumber], seconds: float, series: Sequence[HandSeries], wanted: bool
+    found: dict[str, FittedNumber], seconds: float, series: Sequence[HandSeries], wanted: bool
 ) -> tuple[str, ...]:
     told = []
     if seconds < _SHORT_S:

@@ -1,8 +1,9 @@
 """A recorded joystick in the place of a simulated user, and the file that it comes from.
 
 The file is a recorded drive (`log/drive.py`), whose episodes are replayed in their order, or a table of
-comma-separated values with the columns time_s, x (right) and y (forward). A sample holds until the next one. Recording
-and episode begin together; when the recording is over the stick rests and the user gives up.
+comma-separated values with the columns time_s, x (right) and y (forward), or t_s, axis0 (left) and axis1 (forward), the
+axes of ROS's joystick message. A sample holds until the next one. Recording and episode begin together; when the
+recording is over the stick rests and the user gives up.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ from wcsim.users.profiles import UserProfile, find_profile, profile_of_json
 from wcsim.users.user import ARRIVED_M, User
 
 COLUMNS = ("time_s", "x", "y")
+_ROS_COLUMNS = ("t_s", "axis0", "axis1")
 _LONGEST_GAP_S = 0.5
 MOST_SAMPLES = 2_000_000  # two hours of 240 a second
 _KIND = FileKind(what="a recorded joystick", limit_bytes=64 << 20)
@@ -140,13 +142,14 @@ def read_recording(path: FilePath) -> _JoystickRecording:
     if is_log(path):
         return _joystick_of_drive(path)
     numbers = array("d")
-    for line, row in _rows(path):
+    for line, row, right in _rows(path):
         where = f"{escaped(path)}:{line}"
         if len(numbers) >= 3 * MOST_SAMPLES:
             raise ConfigError(f"{where}: more than {MOST_SAMPLES} samples; expected at most so many: cut the file")
         values = _values(where, row)
         _check(where, values, numbers[-3] if numbers else 0.0, first=not numbers)
-        numbers.extend(values)
+        time_s, x, y = values
+        numbers.extend((time_s, right * x, y))
     table = np.array(numbers).reshape(-1, 3)
     if len(table) < 2:
         raise ConfigError(
@@ -200,15 +203,20 @@ def _joystick_of(ticks: Sequence[DriveTick], tick_s: float) -> _JoystickRecordin
     )
 
 
-def _rows(path: FilePath) -> Iterator[tuple[int, list[str]]]:
-    """Line number and words of each sample; nothing of a file that is no recording is told, it may be any file."""
+def _rows(path: FilePath) -> Iterator[tuple[int, list[str], float]]:
+    """Line number and words of each sample, and the sign of x to the right.
+
+    Nothing of a file that is no recording is told, it may be any file.
+    """
     reader = csv.reader(io.StringIO(read_text(path, _KIND), newline=""))
     try:
-        if tuple(word.strip() for word in next(reader, [])) != COLUMNS:
-            raise ConfigError(f"{escaped(path)}:1: other column names; expected the line {','.join(COLUMNS)}")
+        names = tuple(word.strip() for word in next(reader, []))
+        if names not in (COLUMNS, _ROS_COLUMNS):
+            told = f"expected the line {','.join(COLUMNS)} (or {','.join(_ROS_COLUMNS)})"
+            raise ConfigError(f"{escaped(path)}:1: other column names; {told}")
         for row in reader:
             if row:
-                yield reader.line_num, row
+                yield reader.line_num, row, 1.0 if names == COLUMNS else -1.0
     except csv.Error:
         message = (
             f"{escaped(path)}:{reader.line_num}: is not a line of comma-separated values; expected {','.join(COLUMNS)}"
