@@ -30,6 +30,7 @@ PLANTED = (
     ),
     Planted("left-hand-crossing", "scene.toml", "lefthand = true", "lefthand = false", told="closest_vehicle_m"),
     Planted("lowered-kerb", "street.con.xml", "<crossing [^>]*/>", "", told="crashed is True"),
+    Planted("narrow-gate", *NOBODY_LOOKS, told="made_way_m is 0"),
     Planted("parked-car-and-sign", "street.rou.xml", "<vehicle .*</vehicle>", "", told="closest_vehicle_m"),
     Planted("pedestrian-crossing", *NOBODY_LOOKS, told="made_way_m is 0"),
     Planted("roadworks", "street.add.xml", "<poly [^>]*/>", "", told="narrowest_m"),

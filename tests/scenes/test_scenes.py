@@ -25,6 +25,7 @@ MUST_BE_THERE = {
     "kerb-drop",
     "left-hand-crossing",
     "lowered-kerb",
+    "narrow-gate",
     "parked-car-and-sign",
     "pedestrian-crossing",
     "roadworks",

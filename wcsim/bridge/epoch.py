@@ -91,10 +91,9 @@ class ReactingTraffic:
         return self._sumo.actors(places_W_m, self._config.mirror_radius_m)
 
     def _admitted(self, near: tuple[ActorState, ...]) -> tuple[ActorState, ...]:
-        """All but those that SUMO has just put on top of a chair; these leave the street again."""
-        away = self._drivers.turned_away(self._level(near), self.chairs, self._sumo.come)
-        for actor_id in away:
-            self._sumo.turn_away(actor_id)
+        """All but those that SUMO has just put on top of a chair; these leave the street again if they can."""
+        on_top = self._drivers.turned_away(self._level(near), self.chairs, self._sumo.come)
+        away = [actor_id for actor_id in on_top if self._sumo.turn_away(actor_id)]
         return tuple(actor for actor in near if actor.id not in away) if away else near
 
     def _shown(self, near: tuple[ActorState, ...]) -> tuple[ActorState, ...]:

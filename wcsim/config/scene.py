@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from wcsim.config.base import Finite, Model, Name, NotNegative, Seed, Share, Text, Word, within
+from wcsim.config.world import StreetName
 
 Stick = Annotated[float, within(-1.0, 1.0)]
 Window = tuple[Finite, Finite]
@@ -124,5 +125,6 @@ class SceneFile(Model):
     lefthand: bool = False  # Whether traffic keeps left.
     warmup_s: Annotated[float, within(0.0, 600.0)] = 0.0  # Time that SUMO simulates before the first step.
     attention_share: Share = 1.0  # Share of road users who look for wheelchairs.
+    street: StreetName = "usual"  # Street as in world.street.
     seats: Annotated[tuple[SceneSeat, ...], Field(min_length=1, max_length=64)]
     expect: SceneExpect = SceneExpect()

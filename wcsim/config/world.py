@@ -62,8 +62,11 @@ class VaryConfig(Model):
         return self == VaryConfig()
 
 
-STREETS: dict[str, tuple[float, float] | None] = {"usual": None, "careless": (0.7, 1.5)}
+JUPEDSIM = "jupedsim"
+"""The street whose people walk by SUMO's JuPedSim, as SUMO calls that model."""
+STREETS: dict[str, tuple[float, float] | None] = {"usual": None, "careless": (0.7, 1.5), JUPEDSIM: None}
 """Streets by name: the share of those who look and their reaction time in seconds; None: as the settings say."""
+StreetName = Literal["usual", "careless", "jupedsim"]
 
 
 EPOCH_TICKS = 6_000
@@ -100,7 +103,9 @@ class WorldConfig(Model):
     action_step_s: Annotated[float, within(0.02, 10.0)] | None = (
         None  # Time between decisions of SUMO's drivers, a multiple of tick_s.
     )
-    street: Literal["usual", "careless"] = "usual"  # Careless sets attention_share to 0.7 and reaction_s to 1.5.
+    street: StreetName = (
+        "usual"  # Careless sets attention_share to 0.7 and reaction_s to 1.5; jupedsim has people walk by JuPedSim.
+    )
     attention_share: Share = 0.95  # Share of road users who look for the chair.
     reaction_s: Reaction = 0.7  # Time from seeing the chair to braking.
     attention: Annotated[dict[Watcher, Share], Field(max_length=16)] = Field(

@@ -17,9 +17,11 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from wcsim.bridge.sumo.run_place import RunPlace
+from wcsim.config.world import JUPEDSIM
 from wcsim.errors import SumoError, TownError
 from wcsim.towns.cache.folder import cache_folder, write_verdict
-from wcsim.towns.scenario.overrides import Settings
+from wcsim.towns.scenario.options import read_configuration
+from wcsim.towns.scenario.overrides import PEOPLE, Settings
 from wcsim.towns.scenario.stage import Scenario, stage_scenario
 from wcsim.towns.scenario.town import Town
 from wcsim.towns.sumo.tools import Limits, ToolRun, run_child, run_tool
@@ -28,8 +30,10 @@ log = logging.getLogger("wcsim.bridge.sumo.open_scenario")
 
 _SUMO_FOLDER = "sumo"
 _TRIAL_STEPS = 50
+_JUPEDSIM_TRIAL_S = 300.0  # it dies when somebody departs to a place off its one connected area, however late
 _BEGUN_ANEW = "begun anew"  # what the child says when its first time is over
 _LIMITS = Limits(wall_s=50.0, cpu_s=50, memory_bytes=16 << 30, file_bytes=1 << 30)
+_JUPEDSIM_LIMITS = replace(_LIMITS, wall_s=600.0, cpu_s=300)  # half a minute goes into the area of a whole town
 _SEARCH_LIMITS = Limits(wall_s=10.0, cpu_s=10, memory_bytes=16 << 30, file_bytes=1 << 30)
 _LISTS = ("additional-files", "route-files")  # in the order in which SUMO reads them
 
@@ -63,13 +67,22 @@ def _try_scenario(town: Town, settings: Settings, digest: str) -> None:
     with tempfile.TemporaryDirectory(prefix="wcsim-trial-", ignore_cleanup_errors=True) as work:
         # One seed for all, as the verdict is on the files and kept for every seed.
         staged = stage_scenario(town, replace(settings, seed=1), Path(work))
+        tick_s = settings.world.tick_s
+        by_jupedsim = read_configuration(staged.sumocfg).value(PEOPLE) == JUPEDSIM
+        steps = max(_TRIAL_STEPS, round(_JUPEDSIM_TRIAL_S / tick_s)) if by_jupedsim else _TRIAL_STEPS
         try:
-            run = _trial(staged.sumocfg, settings.world.tick_s)
+            run = _trial(staged.sumocfg, tick_s, steps, _JUPEDSIM_LIMITS if by_jupedsim else _LIMITS)
         except SumoError as error:
             raise TownError(
-                f"{town.sumocfg}: SUMO could not run its first {_TRIAL_STEPS} steps ({error}); reduce the load: "
+                f"{town.sumocfg}: SUMO could not run its first {steps} steps ({error}); reduce the load: "
                 "a smaller scale, fewer vehicles and persons, wider stripes of pedestrians"
             ) from None
+        if run.died and by_jupedsim:
+            raise TownError(
+                f"{town.sumocfg}: SUMO crashes here when people walk by JuPedSim ({run.reason()}); known causes: a "
+                "walk that leaves the one connected area of pavements, a walking area without width; expected "
+                "pedestrian.model striping, which is world.street=usual where the scenario says nothing"
+            )
         culprit = _culprit(town, staged, settings) if run.returncode else town.sumocfg
     if run.died and _BEGUN_ANEW in run.output:
         raise TownError(
@@ -84,12 +97,12 @@ def _try_scenario(town: Town, settings: Settings, digest: str) -> None:
     write_verdict(verdict)
 
 
-def _trial(sumocfg: Path, step_s: float) -> ToolRun:
-    command = [sys.executable, "-m", "wcsim.bridge.sumo.first_steps", str(sumocfg), repr(step_s), str(_TRIAL_STEPS)]
+def _trial(sumocfg: Path, step_s: float, steps: int, limits: Limits) -> ToolRun:
+    command = [sys.executable, "-m", "wcsim.bridge.sumo.first_steps", str(sumocfg), repr(step_s), str(steps)]
     command.append(_BEGUN_ANEW)
     # The child has to find the packages that this process found, however it was started.
     env = os.environ | {"PYTHONPATH": os.pathsep.join(item for item in sys.path if item)}
-    return run_child("sumo", command, sumocfg.parent, env, _LIMITS)
+    return run_child("sumo", command, sumocfg.parent, env, limits)
 
 
 def _culprit(town: Town, staged: Scenario, settings: Settings) -> Path:

@@ -26,11 +26,12 @@ from wcsim.bridge.sumo.signal_control import SignalControl
 from wcsim.bridge.sumo.step_hook import HookChair, StepHook
 from wcsim.bridge.sumo.vehicle_control import VehicleControl
 from wcsim.config import RunConfig
+from wcsim.config.world import JUPEDSIM
 from wcsim.core import seeding
 from wcsim.core.closing import Closing
 from wcsim.core.native_output import missing_library
 from wcsim.errors import SumoError, WorldInUseError
-from wcsim.towns.scenario.overrides import JUMPING, Settings, forced
+from wcsim.towns.scenario.overrides import JUMPING, PEOPLE, Settings, forced
 from wcsim.towns.scenario.stage import Scenario
 from wcsim.towns.scenario.town import Town
 from wcsim.types import F64, ActorState, SignalState
@@ -109,7 +110,8 @@ class SumoSession(Closing):
         try:
             self._hook = self._new_hook()
             self._signals = SignalReader(libsumo, options.origin_m)
-            self._jumpers = libsumo.simulation.getOption("pedestrian.model") == JUMPING
+            people = libsumo.simulation.getOption(PEOPLE)
+            self._jumpers, self._by_jupedsim = people == JUMPING, people == JUPEDSIM
         except BaseException:
             self.close()
             raise
@@ -179,10 +181,14 @@ class SumoSession(Closing):
         """Every vehicle and person of the town, sorted by id."""
         return self.actors_at(np.zeros((1, 2)), math.inf)
 
-    def turn_away(self, actor_id: str) -> None:
-        """Take an actor out of the street that SUMO has just put on top of somebody."""
+    def turn_away(self, actor_id: str) -> bool:
+        """Take an actor out of the street that SUMO has just put on top of somebody; whether it could be."""
+        # JuPedSim goes on with people who have been removed: SUMO 1.28 dies of it in the next step.
+        if self._by_jupedsim and actor_id.startswith("p:"):
+            return False
         self.pilot.turn_away(actor_id)
         self._reader.forget_actor(actor_id)
+        return True
 
     def counts(self) -> tuple[int, int]:
         """Vehicles and persons that are in the street now."""

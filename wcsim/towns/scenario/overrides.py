@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from wcsim.config import WorldConfig
+from wcsim.config.world import JUPEDSIM
 from wcsim.core.reading import own_data
 from wcsim.towns.scenario.options import Configuration, Treatment, read_configuration, sumo_options
 from wcsim.towns.sumo.xml_io import is_true
@@ -41,6 +42,7 @@ class _Rule(NamedTuple):
 
 
 STEP, _ACTION_STEP = "step-length", "default.action-step-length"
+PEOPLE = "pedestrian.model"
 JUMPING = "nonInteracting"
 """Of the models of pedestrians, the one whose people have no way between two streets."""
 AGGREGATED = "elechybrid-output.aggregated"
@@ -65,6 +67,8 @@ def forced(settings: Settings, author_scale: float = 1.0) -> tuple[tuple[str, st
         set_here.append(("time-to-teleport", repr(world.jam_teleport_s)))
     if world.action_step_s is not None:
         set_here.append((_ACTION_STEP, repr(world.action_step_s)))
+    if world.street == JUPEDSIM:
+        set_here.append((PEOPLE, JUPEDSIM))
     return (*set_here, *_FIXED)
 
 

@@ -7,8 +7,10 @@ import pytest
 from tests.agents.evaluation.suite.lists import block_of, suite_in
 from tests.support.one_process import in_this_process
 from wcsim.agents.evaluation.suite import sensitivity as told_apart
+from wcsim.agents.evaluation.suite.records import EpisodeRecord
 from wcsim.agents.evaluation.suite.run import SuiteOrder
 from wcsim.config import resolve
+from wcsim.errors import TownError
 
 
 def test_every_disturbance_is_a_setting_that_exists() -> None:
@@ -30,6 +32,23 @@ def test_every_disturbance_disturbs_whatever_is_set(
     assert len(configs) == len(told_apart.DISTURBANCES)
     assert all(config != configs[0] for config in configs[1:])
     assert configs[0].world.action_delay_ticks == 1 and configs[0].chair.v_max_mps == 1.2
+
+
+def test_a_disturbance_that_a_town_cannot_have_is_told_and_left_out(
+    corner: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def driven(order: SuiteOrder, policies: object, done: object) -> dict[str, tuple[EpisodeRecord, ...]]:
+        if "world.street=jupedsim" in order.settings:
+            raise TownError("SUMO crashes here")
+        return {
+            "follow": (EpisodeRecord(block=0, seat=0, part="free", town="corner", profile="slow", status="finished"),)
+        }
+
+    monkeypatch.setattr(told_apart, "run_suite", driven)
+    told: list[object] = []
+    rows = told_apart.sensitivity(SuiteOrder(suite=suite_in(corner, block_of(corner)), out=tmp_path), (), told.append)
+    assert [row.disturbance for row in rows] == [name for name in told_apart.DISTURBANCES if "JuPedSim" not in name]
+    assert told == ["people by JuPedSim: left out: SUMO crashes here"]
 
 
 @pytest.mark.proof
