@@ -11,12 +11,12 @@ import numpy as np
 from jinja2 import StrictUndefined, Template
 
 from benchmarks.reaction.engineless_world import ReactionStage, touches_chair
+from benchmarks.reaction.street_figures import GapsTaken, StreetFigures, critical_gap_s, crowd_figures, spread_of
 from benchmarks.reaction.streets import SMALL_STREETS, build_small_street
 from wcsim.bridge.reaction.commands import CHAIR, ChairInStreet
 from wcsim.config import WorldConfig
 from wcsim.core.boxes import gap_to_box
 from wcsim.core.native_output import without_line
-from wcsim.supervisor.street_figures import GapsTaken, StreetFigures, critical_gap_s, crowd_figures, spread_of
 from wcsim.towns.scenario.town import find_town
 from wcsim.towns.scene_folders.build import build_scene, find_scene
 from wcsim.towns.street import load_street

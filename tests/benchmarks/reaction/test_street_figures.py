@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from benchmarks.reaction.street_figures import GapsTaken, StreetFigures, critical_gap_s, crowd_figures, spread_of
 from tests.bridge.reaction.roads import actor, walker
-from wcsim.supervisor.street_figures import GapsTaken, StreetFigures, critical_gap_s, crowd_figures, spread_of
 
 GAPS = st.lists(st.floats(0.1, 20.0), min_size=1, max_size=30)
 
