@@ -145,21 +145,19 @@ def _disturb_depth(depth_m: F32, key: np.uint64, noise: DepthNoise, table: F32) 
     sigma, step = np.float32(noise.sigma_px), np.float32(noise.step_px)
     per_step = np.float32(1.0 / noise.step_px) if noise.step_px > 0.0 else np.float32(0.0)
     range_m, z_min = np.float32(noise.range_m), np.float32(noise.z_min_m)
-    least_px = match / range_m
+    least_px, flat = match / range_m, np.float32(noise.grazing_sin * noise.grazing_sin)
     focal, per_focal = np.float32(noise.focal_px), np.float32(1.0 / noise.focal_px)
-    flat = np.float32(noise.grazing_sin * noise.grazing_sin)
     # Shares as 32 bits: random words are compared with them as they are, without a conversion.
     lost_below = np.uint64(noise.dropout * 4294967295.0)
     flat_below = np.uint64(noise.grazing_dropout * 4294967295.0)
     # A place that no pixel has: patches draw apart from the noise of pixels.
     patch_key = random_word(key, -2)
-    patches = (width + noise.patch_px - 1) // noise.patch_px
-    lost = np.empty(patches, np.uint64)
+    lost = np.empty((width + noise.patch_px - 1) // noise.patch_px, np.uint64)
     inverse = np.float32(1.0) / depth_m
     patch_of = np.arange(width) // noise.patch_px
     for row in range(height):
         if row % noise.patch_px == 0:
-            for k in range(patches):
+            for k in range(len(lost)):
                 # One word serves a patch in all its rows: a stereo matcher loses patches, not single pixels.
                 lost[k] = random_word(patch_key, row * width + k)
         v = (np.float32(row) + HALF - HALF * np.float32(height)) * per_focal
