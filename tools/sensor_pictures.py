@@ -43,8 +43,8 @@ def main(folder: Path) -> None:
 
 
 def cameras() -> np.ndarray:
-    """Colours, classes and depth of one place: exact, with typical noise, with strong noise."""
-    kinds = {"exact": None, "typical": "typical", "strong": STRONG}
+    """Colours, classes and depth of one place: exact, typical noise, a poor network's errors, strong noise."""
+    kinds = {"exact": None, "typical": "typical", "objects-poor": {"objects": "poor"}, "strong": STRONG}
     rig = tuple(CameraConfig(name=name, rgb=True, noise=noise) for name, noise in kinds.items())
     with World(find_town(TOWN), RunConfig(cameras=rig), (SeatSpec(profile="competent"),), SEED) as world:
         best, most = world.snapshot.clients[0].sensors.cameras, -1.0
@@ -66,9 +66,8 @@ def copied(frame: CameraFrame) -> CameraFrame:
 
 def row(frame: CameraFrame) -> np.ndarray:
     """The pictures of one camera side by side."""
-    colours = np.zeros((*frame.class_id.shape, 3), np.uint8) if frame.rgb is None else frame.rgb
     panels = (
-        captioned(colours, f"{frame.name}: colours"),
+        captioned(frame.rgb, f"{frame.name}: colours"),
         captioned(class_colours(frame.class_id), f"{frame.name}: classes (black: none)"),
         captioned(depth_colours(frame.depth_m, 40.0), f"{frame.name}: depth (white: none)"),
     )

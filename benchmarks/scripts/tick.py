@@ -9,7 +9,7 @@ from rich.markup import escape
 from rich.progress import Progress
 from rich.table import Table
 
-from wcsim.cli.shared.common import Bounds, OutFile, some_words, write_json
+from wcsim.cli.shared.common import Bounds, OutFile, Repeated, some_words, write_json
 from wcsim.cli.shared.consoles import stderr_console, stdout_console
 from wcsim.config import RunConfig, resolve
 from wcsim.core.reading import counted
@@ -43,6 +43,8 @@ class TickOptions:
     """Compare with a naive loop of SUMO and PyBullet."""
     seed: int = 4
     """Random seed of the world."""
+    set: Repeated = ()
+    """section.key=value, over preset `quick`. (repeatable)"""
     profile: bool = False
     """Print the twenty most expensive functions of a tick instead, native ones included."""
     json: OutFile = None
@@ -98,15 +100,13 @@ def _profile(options: TickOptions, town: Town, config: RunConfig, numbers: list[
 
 
 def _config(options: TickOptions) -> RunConfig:
-    config = resolve("quick")
-    substeps = round(options.physics_hz * config.world.tick_s)
     words = (
-        f"world.substeps={substeps}",
+        f"world.substeps={options.physics_hz // 10}",
         f"world.demand_scale={options.demand_scale}",
         f"cameras.0.width_px={options.width}",
         f"cameras.0.height_px={options.width * 3 // 4}",
     )
-    return resolve("quick", words)
+    return resolve("quick", (*words, *options.set))
 
 
 def _chairs(text: str) -> list[int]:

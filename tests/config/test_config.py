@@ -56,7 +56,10 @@ def test_a_wrong_override_says_what_is_wrong(override, says):
         ("cameras.0.hfov_deg=10", "hfov_deg.* got 10 deg; expected at least 20 and at most 140 deg"),
         ("cameras.0.p_BC_m=[0.3, 0.0, 9.0]", "p_BC_m.2.* got 9.0 m; expected at least 0.02 and at most 3 m"),
         ("cameras.0.name='a b'", "name"),
-        ("cameras.0.noise=some", "noise: got .some.; expected typical, none, or a table of depth, classes, rgb$"),
+        (
+            "cameras.0.noise=some",
+            "noise: got .some.; expected typical, none, or a table of depth, classes, rgb, objects$",
+        ),
         ("cameras.0.noise.depth=typical", "depth: got .typical.; expected none, or a table of baseline_m, sigma_px"),
         ("sensors.odometry=typicla", "odometry: got .typicla.; expected typical, none, .*did you mean 'typical'"),
         ("learn=3", "learn: got 3; expected a table of keys"),

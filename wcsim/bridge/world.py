@@ -122,7 +122,7 @@ class World(Closing):
         self._held = ExitStack()
         try:
             seats, heads, threads = max(1, len(specs)), self.street.signal_heads, config.world.draw_threads
-            rig = CameraRig(joined_mesh(()), config.cameras, seats, heads, threads)
+            rig = CameraRig(joined_mesh(()), config.cameras, seats, heads, threads, config.world.tick_s)
             self._rig = self._held.enter_context(rig)
             range_m = max(camera.range_m for camera in config.cameras)
             self._loader = _TileLoader(self.street.tiles, rig, range_m)

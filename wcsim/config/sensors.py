@@ -79,8 +79,11 @@ class CameraNoiseConfig(Model):
     depth: DepthNoiseConfig | None = None
     classes: ClassNoiseConfig | None = None
     rgb: _ColourNoiseConfig | None = None
+    objects: Annotated[Literal["good", "usual", "poor"] | None, Field(exclude_if=lambda level: level is None)] = (
+        None  # Errors about whole things that last, as of a good, usual or poor network (docs/senses.md).
+    )
 
-    @field_validator("depth", "classes", "rgb", mode="before")
+    @field_validator("depth", "classes", "rgb", "objects", mode="before")
     @classmethod
     def _without(cls, part: Any) -> Any:
         return None if part == "none" else part

@@ -28,6 +28,7 @@ from wcsim.physics.renderer.raster import RasterRenderer, brighten, warm_up
 from wcsim.physics.sensors.base import Surroundings
 from wcsim.physics.sensors.camera_geometry import camera_matrix, focal_px, mount, pinhole, pose_matrix
 from wcsim.physics.sensors.drawing_threads import DrawingThreads, Work, cores
+from wcsim.physics.sensors.object_noise import ObjectNoise
 from wcsim.physics.sensors.pixel_noise import ClassNoise, ColourNoise, DepthNoise, child
 from wcsim.types import F64, I32, U8, Bool, CameraFrame, SignalHead, StreetMesh
 
@@ -67,8 +68,9 @@ FULL_SCALE = 255.0
 class _CameraNoise:
     """Disturbs the pictures of one camera; keeps nothing between pictures."""
 
-    def __init__(self, camera: CameraConfig, pinhole: Pinhole) -> None:
+    def __init__(self, camera: CameraConfig, pinhole: Pinhole, tick_s: float = 0.1) -> None:
         noise = camera.noise or CameraNoiseConfig()
+        self.objects = None if noise.objects is None else ObjectNoise(noise.objects, pinhole, tick_s)
         self._depth = None if noise.depth is None else _depth_noise(camera, noise.depth, pinhole)
         self._classes = None if noise.classes is None else ClassNoise(**noise.classes.model_dump())
         self._colours = None if noise.rgb is None else ColourNoise(_sigma_of(noise.rgb.snr_db))
@@ -107,6 +109,7 @@ def _sigma_of(snr_db: float) -> float:
 
 BUFFERS = 3  # a camera's images in turn, see CameraRig
 _LOST = 1 << 40  # beside the keys of ticks: whether a tick's picture is lost
+_OBJECTS = _LOST + 1  # errors about whole things, whose key is that of all ticks
 
 
 @dataclass(slots=True)
@@ -134,21 +137,26 @@ class _Shot:
     light: float
     noise: _CameraNoise
     noise_key: int
+    tick: int
+    ground_m: float  # height in W below the chair
     names: Sequence[str] | None  # of the rows whose pixels are counted
 
     def take(self) -> None:
         """Draw it, count who is in it, and lay its errors over it."""
-        counts = {}
-        if self.names is None:
-            self.renderer.render(self.camera, self.T_CW, self.instances, self.out, self.shown)
-        else:
+        counts, objects, instance = {}, self.noise.objects, None
+        if self.names is not None or objects is not None:
             instance = np.empty(self.out.class_id.shape, np.int32)
-            numbered = replace(self.out, instance=instance)
-            self.renderer.render(self.camera, self.T_CW, self.instances, numbered, self.shown)
+        out = replace(self.out, instance=instance)
+        self.renderer.render(self.camera, self.T_CW, self.instances, out, self.shown)
+        if self.names is not None and instance is not None:
             counts = _shown_px(instance, self.names)
         self.shutter.shown_px = counts
         if self.out.rgb is not None and self.light != 1.0:
             brighten(self.out.rgb, _brightened(self.light))
+        if objects is not None and instance is not None:
+            # Before the noise of pixels, which is that of the surfaces that are invented too.
+            key = child(self.shutter.key, _OBJECTS)
+            objects.lay_over(self.out, instance, self.T_CW, self.instances, self.tick, self.ground_m, key)
         self.noise.lay_over(self.out, self.noise_key)
 
 
@@ -166,6 +174,7 @@ class CameraRig(Closing):
         seats: int,
         heads: Sequence[SignalHead] = (),
         threads: int = 1,
+        tick_s: float = 0.1,
     ) -> None:
         """Build the geometry and compile the rasteriser.
 
@@ -175,6 +184,7 @@ class CameraRig(Closing):
             seats: number of wheelchairs, at least 1.
             heads: the heads of the traffic lights, whose lamps are drawn.
             threads: how many threads draw, 0 for one a core; the pictures are the same with any number.
+            tick_s: how long a tick is.
 
         Raises:
             ConfigError: when there is no camera or no seat, or fewer than no threads.
@@ -196,7 +206,7 @@ class CameraRig(Closing):
         self._pinholes = tuple(pinhole(camera) for camera in cameras)
         self._mounts = [tuple(mount(camera) for camera in cameras)] * seats
         self._light = [1.0] * seats
-        self._noises = tuple(_CameraNoise(*pair) for pair in zip(cameras, self._pinholes, strict=True))
+        self._noises = tuple(_CameraNoise(*pair, tick_s) for pair in zip(cameras, self._pinholes, strict=True))
         for noise in self._noises:
             noise.lay_over(new_images(16, 12, rgb=True), 0)  # compiled now, not at the first picture
         self._shutters = [tuple(_Shutter(_new_buffers(camera)) for camera in cameras) for _ in range(seats)]
@@ -326,6 +336,8 @@ class CameraRig(Closing):
                     noise=self._noises[index],
                     # a tick that ends an episode takes two pictures
                     noise_key=child(shutter.key, 2 * scene.tick + (shutter.last is None)),
+                    tick=scene.tick,
+                    ground_m=float(scene.plant.p_WB_m[2]),
                     names=who if scene.counted else None,
                 )
             )

@@ -48,7 +48,7 @@ class DepthNoise(NamedTuple):
 
     def lay_over(self, depth_m: F32, key: int) -> None:
         """Measure a true depth picture (H, W), see `_disturb_depth`; `key` (64 bits) says which noise."""
-        _disturb_depth(depth_m, np.uint64(key), self, _quantiles())
+        _disturb_depth(depth_m, np.uint64(key), self, normal_quantiles())
 
 
 class ClassNoise(NamedTuple):
@@ -72,7 +72,7 @@ class ColourNoise(NamedTuple):
 
     def lay_over(self, rgb: U8, key: int) -> None:
         """Disturb the colours of a picture (H, W, 3), see `_disturb_colours`; `key` (64 bits) says which noise."""
-        _disturb_colours(rgb, np.uint64(key), self.sigma, _quantiles())
+        _disturb_colours(rgb, np.uint64(key), self.sigma, normal_quantiles())
 
 
 def child(key: int, number: int) -> int:
@@ -89,11 +89,11 @@ def child(key: int, number: int) -> int:
 
 def normals(key: int, count: int) -> F64:
     """Standard normal numbers (count,) float64 of a key; none is beyond 4 standard deviations."""
-    return _normals(np.uint64(key), count, _quantiles())
+    return _normals(np.uint64(key), count, normal_quantiles())
 
 
 @lru_cache(maxsize=1)
-def _quantiles() -> F32:
+def normal_quantiles() -> F32:
     """Normal quantiles (CELLS + 1,) float32 at 0, 1/CELLS, ..., 1; the ends stand at TAIL."""
     normal = NormalDist()
     inner = [normal.inv_cdf(k / CELLS) for k in range(1, CELLS)]
@@ -101,7 +101,7 @@ def _quantiles() -> F32:
 
 
 @kernel
-def _word(key: np.uint64, place: int) -> np.uint64:
+def random_word(key: np.uint64, place: int) -> np.uint64:
     """64 random bits of a place."""
     x = key + np.uint64(place + 1) * STEP
     x = (x ^ (x >> S30)) * FIRST
@@ -110,7 +110,7 @@ def _word(key: np.uint64, place: int) -> np.uint64:
 
 
 @kernel
-def _normal(bits: np.uint64, table: F32) -> np.float32:
+def random_normal(bits: np.uint64, table: F32) -> np.float32:
     """A standard normal number from 32 random bits: a cell of the table, and a place in it."""
     cell = bits >> CELL_BITS
     low = table[cell]
@@ -122,7 +122,7 @@ def _normal(bits: np.uint64, table: F32) -> np.float32:
 def _normals(key: np.uint64, count: int, table: F32) -> F64:
     out = np.empty(count, np.float64)
     for i in range(count):
-        out[i] = _normal(_word(key, i) >> S32, table)
+        out[i] = random_normal(random_word(key, i) >> S32, table)
     return out
 
 
@@ -145,29 +145,29 @@ def _disturb_depth(depth_m: F32, key: np.uint64, noise: DepthNoise, table: F32) 
     sigma, step = np.float32(noise.sigma_px), np.float32(noise.step_px)
     per_step = np.float32(1.0 / noise.step_px) if noise.step_px > 0.0 else np.float32(0.0)
     range_m, z_min = np.float32(noise.range_m), np.float32(noise.z_min_m)
-    least_px = match / range_m
+    least_px, flat = match / range_m, np.float32(noise.grazing_sin * noise.grazing_sin)
     focal, per_focal = np.float32(noise.focal_px), np.float32(1.0 / noise.focal_px)
-    flat = np.float32(noise.grazing_sin * noise.grazing_sin)
     # Shares as 32 bits: random words are compared with them as they are, without a conversion.
     lost_below = np.uint64(noise.dropout * 4294967295.0)
     flat_below = np.uint64(noise.grazing_dropout * 4294967295.0)
     # A place that no pixel has: patches draw apart from the noise of pixels.
-    patch_key = _word(key, -2)
-    patches = (width + noise.patch_px - 1) // noise.patch_px
-    lost = np.empty(patches, np.uint64)
+    patch_key = random_word(key, -2)
+    lost = np.empty((width + noise.patch_px - 1) // noise.patch_px, np.uint64)
     inverse = np.float32(1.0) / depth_m
     patch_of = np.arange(width) // noise.patch_px
     for row in range(height):
         if row % noise.patch_px == 0:
-            for k in range(patches):
+            for k in range(len(lost)):
                 # One word serves a patch in all its rows: a stereo matcher loses patches, not single pixels.
-                lost[k] = _word(patch_key, row * width + k)
+                lost[k] = random_word(patch_key, row * width + k)
         v = (np.float32(row) + HALF - HALF * np.float32(height)) * per_focal
         above, below = max(row - 1, 0), min(row + 1, height - 1)
         leftmost = np.float32(2.0 * width)
         # From the right: what hides a pixel from the right imager stands to its right in this picture.
         for i in range(width - 1, -1, -1):
             z, q = depth_m[row, i], inverse[row, i]
+            if z == 0.0:  # lost before: it hides nothing
+                continue
             at = np.float32(i) - shift * q
             hidden = noise.shadow and (at > leftmost - HALF or at < -HALF)
             leftmost = min(leftmost, at)
@@ -187,7 +187,7 @@ def _disturb_depth(depth_m: F32, key: np.uint64, noise: DepthNoise, table: F32) 
                     depth_m[row, i] = 0.0
                     continue
             # Normal in disparity, so that errors in depth grow with the square of the distance.
-            px = match * q + sigma * _normal(_word(key, row * width + i) >> S32, table)
+            px = match * q + sigma * random_normal(random_word(key, row * width + i) >> S32, table)
             if per_step > 0.0:
                 px = step * np.rint(px * per_step)
             # Noise may push a disparity to 0 or below, which would be a depth behind the camera.
@@ -208,17 +208,17 @@ def _disturb_classes(class_id: U8, key: np.uint64, noise: ClassNoise) -> None:
     span = np.uint64(2 * reach + 1)
     frayed_below = np.uint64(noise.border_share * 65536.0)
     lost_below = np.uint64(noise.dropout * 4294967295.0)
-    patch_key = _word(key, -2)
+    patch_key = random_word(key, -2)
     patch_of, grain_of = np.arange(width) // noise.patch_px, np.arange(width) // grain
     lost = np.zeros(patch_of[-1] + 1, np.bool_)
     down, right = np.zeros(grain_of[-1] + 1, np.int64), np.zeros(grain_of[-1] + 1, np.int64)
     for row in range(height):
         if row % noise.patch_px == 0:
             for k in range(len(lost)):
-                lost[k] = _word(patch_key, row * width + k) >> S32 < lost_below
+                lost[k] = random_word(patch_key, row * width + k) >> S32 < lost_below
         if row % grain == 0:
             for k in range(len(down)):
-                bits = _word(key, row * width + k)
+                bits = random_word(key, row * width + k)
                 frayed = np.int64(bits & LOW16 < frayed_below)
                 down[k] = frayed * (np.int64((bits >> S32 & LOW16) * span >> S16) - reach)
                 right[k] = frayed * (np.int64((bits >> S16 & LOW16) * span >> S16) - reach)
@@ -236,8 +236,8 @@ def _disturb_colours(rgb: U8, key: np.uint64, sigma: float, table: F32) -> None:
     for row in range(height):
         for i in range(width):
             # One word of 64 bits has 21 for each of the three colours.
-            bits = _word(key, row * width + i)
+            bits = random_word(key, row * width + i)
             for k in range(3):
-                value = np.float32(rgb[row, i, k]) + scale * _normal((bits & LOW21) << S11, table)
+                value = np.float32(rgb[row, i, k]) + scale * random_normal((bits & LOW21) << S11, table)
                 rgb[row, i, k] = np.uint8(min(max(value, np.float32(0.0)), np.float32(255.0)) + HALF)
                 bits >>= np.uint64(21)

@@ -17,6 +17,8 @@ CLEAN: Final = ("cameras.0.noise=none", "world.action_delay_ticks=0")
 DISTURBANCES: Final[Mapping[str, tuple[str, ...]]] = {
     "clean": (),
     "noise": ("cameras.0.noise=typical",),
+    "whole things, usual": ("cameras.0.noise.objects=usual",),
+    "whole things, poor": ("cameras.0.noise.objects=poor",),
     "delay of 200 ms": ("world.action_delay_ticks=2",),
     "a picture in five lost": ("cameras.0.lost_share=0.2",),
     "pictures up to 0.4 s old": ("cameras.0.every_ticks=5",),

@@ -1,0 +1,360 @@
+"""Errors about whole things, which last: someone missed or taken for another, someone false, borders and stereo astray.
+
+Nothing is kept between pictures. What errs has a key of its own, and each tick (or slot of time) under it a word: a
+walk back to the word that decides gives the same state in any order of pictures, for any number of threads, and in a
+replay. The rates of each level and their sources stand in `object_noise.toml`.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from wcsim.core.jit import kernel
+from wcsim.physics.buffers import Images
+from wcsim.physics.renderer.base import Pinhole
+from wcsim.physics.renderer.instances import Instances
+from wcsim.physics.renderer.kernels import U32Array
+from wcsim.physics.sensors.pixel_noise import LOW32, S32, child, normal_quantiles, random_normal, random_word
+from wcsim.types import F32, F64, I32, U8, Bool, ClassId
+
+CLASSES, NAMES, MISSED = 40, 4, 255
+VOID_ID, PERSON_ID = int(ClassId.VOID), int(ClassId.PERSON)
+WORDS = 4294967296.0  # of 32 bits
+LONGEST = 4096  # ticks to walk back: by then nearly everything has been drawn again
+STATED_PX, STATED_WIDTH_PX = 320 * 240, 320
+AHEAD_M = 0.5  # who is nearer by so much hides; the ground before somebody's feet does not
+SQUARE_M = 4.0  # one false person at a time stands in one
+FALSE_HALF_M, FALSE_TALL_M = 0.25, 1.7
+_STANDING = (ClassId.POLE, ClassId.KERB, ClassId.LOWERED_KERB)
+
+
+class _Law(NamedTuple):
+    """A level's rates for one camera, as the kernels take them; see `object_noise.toml`."""
+
+    wrong: F64  # (CLASSES,) share of the time that a whole and near thing is not named right; 0: always right
+    upto: F64  # (CLASSES, NAMES) shares of that time by name, added up
+    names: U8  # (CLASSES, NAMES) those names, MISSED for none
+    stands: Bool  # (CLASSES,) what errs by its place in the world; the others err by actor
+    leaves: float  # chance of a tick to end an error
+    tick_s: float
+    focal_px: float
+    range_m: float
+    whole_px: float
+    hidden: float
+    whole_m: float
+    piece_m: float
+    false_chance: float  # that a false person stands in a square in a slot of time
+    false_least_s: float
+    false_most_s: float
+    false_near_m: float
+    false_far_m: float
+    border_px: float
+    border_grid_px: int
+    border_s: float
+    stereo_share: float
+    patch_m: float
+    patch_s: float
+    invented: float
+    invented_by: float
+    block_px: int  # pixels that wander and fail together
+
+
+class ObjectNoise:
+    """The errors of one camera about whole things."""
+
+    def __init__(self, level: str, camera: Pinhole, tick_s: float) -> None:
+        """`level` is one of `good`, `usual` and `poor`; a tick lasts `tick_s`."""
+        self._law = _law_of(object_rates()["law"] | object_rates()[level], camera, tick_s)
+
+    def lay_over(
+        self, images: Images, instance: I32, T_CW: F64, rows: Instances, tick: int, ground_m: float, key: int
+    ) -> None:
+        """Err about a true picture, in place: first its classes, then its depth; colours stay as they are.
+
+        Args:
+            images: the picture.
+            instance: (H, W) the row of the instance that each of its pixels shows, -1 for none.
+            T_CW: (3, 4) world to camera frame.
+            rows: those instances.
+            tick: of the picture.
+            ground_m: height of the ground in W on which someone false stands.
+            key: 64 bits, the same for all pictures of a camera.
+        """
+        keys = np.array([child(key, part) for part in range(5)], np.uint64)
+        seeds, table = rows.colour_seed, normal_quantiles()
+        _err(images.class_id, images.depth_m, instance, T_CW, seeds, tick, ground_m, keys, self._law, table)
+
+
+@cache
+def object_rates() -> dict[str, Any]:
+    """`object_noise.toml`: what all levels share as `law`, and each level by its name."""
+    return tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+
+
+def _law_of(rates: dict[str, Any], camera: Pinhole, tick_s: float) -> _Law:
+    wrong, upto, names = np.zeros(CLASSES), np.ones((CLASSES, NAMES)), np.zeros((CLASSES, NAMES), np.uint8)
+    for name, row in rates["wrong"].items():
+        c, shares = ClassId[name], np.array(list(row.values()))
+        wrong[c] = shares.sum()
+        upto[c, : len(shares) - 1] = (np.cumsum(shares) / shares.sum())[:-1]  # the last one reaches to the end
+        names[c, : len(shares)] = [MISSED if each == "missed" else ClassId[each] for each in row]
+    least_s, most_s, scale = rates["false_least_s"], rates["false_most_s"], camera.width_px / STATED_WIDTH_PX
+    known = rates | {
+        "wrong": wrong,
+        "upto": upto,
+        "names": names,
+        "stands": np.isin(np.arange(CLASSES), _STANDING),
+        "leaves": min(1.0, tick_s / rates["wrong_s"]),
+        "tick_s": tick_s,
+        "focal_px": camera.focal_px,
+        "range_m": camera.range_m,
+        "whole_m": camera.focal_px / scale / rates["whole_px_m"],
+        "false_chance": rates["false_100_m2"] / 100.0 * SQUARE_M**2 * 2.0 * most_s / (least_s + most_s),
+        "border_px": rates["border_px"] * scale,
+        "border_grid_px": max(1, round(rates["border_grid_px"] * scale)),
+        "block_px": max(1, round(4 * scale)),
+    }
+    return _Law(**{name: known[name] for name in _Law._fields})
+
+
+@kernel
+def _share(key: np.uint64, number: int) -> float:
+    """A number from 0 to 1 of a key."""
+    return np.float64(random_word(key, number) >> S32) / WORDS
+
+
+@kernel
+def _cell_key(key: np.uint64, x: float, y: float, z: float) -> np.uint64:
+    """The key of the cell of the world in which a point is; cells have edges of 1."""
+    column, row, level = int(np.floor(x)) & 0x1FFFFF, int(np.floor(y)) & 0x1FFFFF, int(np.floor(z)) & 0x1FFFFF
+    return random_word(key, column << 42 | row << 21 | level)
+
+
+@kernel
+def _name_of(key: np.uint64, tick: int, c: int, factor: float, law: _Law) -> int:
+    """What a thing of class c is called in this tick; `factor` multiplies the odds that it is called wrong.
+
+    In each tick it is named anew with one chance, else as before: so right and wrong are the two states of a Markov
+    chain. It is named by the last word that names it, to which a walk back leads.
+    """
+    odds = factor * law.wrong[c] / (1.0 - law.wrong[c])
+    # A bound, so that what is named right is so for a tick at least, and errors keep their mean duration.
+    share = min(odds / (1.0 + odds), max(1.0 - law.leaves, law.wrong[c]))
+    named_below = np.uint64(min(1.0, law.leaves / (1.0 - share)) * WORDS)
+    bits = np.uint64(0)
+    for back in range(LONGEST):
+        bits = random_word(key, tick - back)
+        if bits >> S32 < named_below:
+            break
+    # The lower half of a word says the name: it knows nothing of the upper half, which says whether it names.
+    drawn = np.float64(bits & LOW32) / WORDS
+    if drawn >= share:
+        return c
+    k = 0
+    while drawn >= share * law.upto[c, k]:
+        k += 1
+    return int(law.names[c, k])
+
+
+@kernel
+def _names(instance: I32, depth_m: F32, seeds: U32Array, key: np.uint64, tick: int, law: _Law) -> U8:
+    """What each actor's pixels of each class are called, (n, CLASSES); only of those that are in the picture (H, W)."""
+    height, width = instance.shape
+    counts, outline, covered = np.zeros((3, len(seeds)))
+    for row in range(height):
+        for i in range(width):
+            k = instance[row, i]
+            if k < 0:
+                continue
+            counts[k] += 1.0
+            for r, c in ((row - 1, i), (row + 1, i), (row, i - 1), (row, i + 1)):
+                if 0 <= r < height and 0 <= c < width and instance[r, c] != k:
+                    outline[k] += 1.0
+                    covered[k] += depth_m[r, c] < depth_m[row, i] - AHEAD_M
+    names = np.empty((len(seeds), CLASSES), np.uint8)
+    for k in np.flatnonzero(counts):
+        few = max(1.0, law.whole_px * instance.size / (STATED_PX * counts[k]))
+        factor = few * np.exp(law.hidden * covered[k] / max(1.0, outline[k]))
+        own = random_word(key, int(seeds[k]))
+        for c in range(CLASSES):
+            names[k, c] = _name_of(own, tick, c, factor, law) if law.wrong[c] > 0.0 else c
+    return names
+
+
+@kernel
+def _err(
+    class_id: U8,
+    depth_m: F32,
+    instance: I32,
+    T_CW: F64,
+    seeds: U32Array,
+    tick: int,
+    ground_m: float,
+    keys: npt.NDArray[np.uint64],
+    law: _Law,
+    table: F32,
+) -> None:
+    """Lay all errors over a picture; keys (5,) of actors, of what stands, of what is false, of borders, of stereo."""
+    now_s = tick * law.tick_s
+    names = _names(instance, depth_m, seeds, keys[0], tick, law)
+    _rename(class_id, depth_m, instance, names, T_CW, keys[1], tick, law)
+    _add_false(class_id, depth_m, T_CW, ground_m, keys[2], now_s, law)
+    _wander(class_id, keys[3], now_s / law.border_s, law, table)
+    _fail_stereo(depth_m, T_CW, keys[4], now_s / law.patch_s, law)
+
+
+@kernel
+def _in_world(T_CW: F64, u: float, v: float, z: float) -> tuple[float, float, float]:
+    """Where in W is what is seen at depth z in the direction (u, v, 1) of the camera frame."""
+    x, y, z = z * u - T_CW[0, 3], z * v - T_CW[1, 3], z - T_CW[2, 3]
+    R = T_CW
+    return (
+        R[0, 0] * x + R[1, 0] * y + R[2, 0] * z,
+        R[0, 1] * x + R[1, 1] * y + R[2, 1] * z,
+        R[0, 2] * x + R[1, 2] * y + R[2, 2] * z,
+    )
+
+
+@kernel
+def _rename(
+    class_id: U8, depth_m: F32, instance: I32, names: U8, T_CW: F64, key: np.uint64, tick: int, law: _Law
+) -> None:
+    """Call pixels what their actors are called, or what a piece of a kerb, or a pole, is called."""
+    height, width = class_id.shape
+    for row in range(height):
+        v, missed, old, old_name = (row + 0.5 - 0.5 * height) / law.focal_px, False, np.uint64(0), 0
+        for i in range(width):
+            c = int(class_id[row, i])
+            if law.wrong[c] == 0.0:
+                continue
+            name = c
+            if law.stands[c]:
+                z = float(depth_m[row, i])
+                x_m, y_m, _ = _in_world(T_CW, (i + 0.5 - 0.5 * width) / law.focal_px, v, z)
+                piece = _cell_key(key, x_m / law.piece_m, y_m / law.piece_m, float(c))
+                if piece != old:
+                    old, old_name = piece, _name_of(piece, tick, c, max(1.0, (z / law.whole_m) ** 2), law)
+                name = old_name
+            elif instance[row, i] >= 0:
+                name = int(names[instance[row, i], c])
+            class_id[row, i] = name
+            missed |= name == MISSED
+        if missed:
+            _see_through(class_id[row], depth_m[row])
+
+
+@kernel
+def _see_through(class_id: U8, depth_m: F32) -> None:
+    """Call what is missed in a row (W,) what stands beside it, on the side that is farther away; nothing: no class."""
+    width, start = len(class_id), 0
+    while start < width:
+        if class_id[start] != MISSED:
+            start += 1
+            continue
+        end = start
+        while end < width and class_id[end] == MISSED:
+            end += 1
+        behind, behind_m = VOID_ID, np.float32(-1.0)
+        if start > 0:
+            behind, behind_m = int(class_id[start - 1]), depth_m[start - 1]
+        if end < width and depth_m[end] > behind_m:
+            behind = int(class_id[end])
+        class_id[start:end] = behind
+        start = end
+
+
+@kernel
+def _add_false(class_id: U8, depth_m: F32, T_CW: F64, ground_m: float, key: np.uint64, now_s: float, law: _Law) -> None:
+    """Name pixels of people who are not there; the world is cut into squares, and time into slots."""
+    slot, reach = int(np.floor(now_s / law.false_most_s)), int(np.ceil(law.false_far_m / SQUARE_M))
+    east_m, north_m, _ = _in_world(T_CW, 0.0, 0.0, 0.0)
+    east, north = int(np.floor(east_m / SQUARE_M)), int(np.floor(north_m / SQUARE_M))
+    for x in range(east - reach, east + reach + 1):
+        for y in range(north - reach, north + reach + 1):
+            own = random_word(_cell_key(key, float(x), float(y), 0.0), slot)
+            lasts_s = law.false_least_s + (law.false_most_s - law.false_least_s) * _share(own, 0)
+            # Somewhere within the slot, so that no other slot has to be known.
+            age_s = now_s - law.false_most_s * slot - (law.false_most_s - lasts_s) * _share(own, 1)
+            if np.float64(own >> S32) < law.false_chance * WORDS and 0.0 <= age_s < lasts_s:
+                p_C_m = T_CW[:, 3] + T_CW[:, 2] * (ground_m + 0.5 * FALSE_TALL_M)
+                p_C_m += SQUARE_M * (T_CW[:, 0] * (x + _share(own, 2)) + T_CW[:, 1] * (y + _share(own, 3)))
+                _draw_false(class_id, depth_m, p_C_m, law)
+
+
+@kernel
+def _draw_false(class_id: U8, depth_m: F32, p_C_m: F64, law: _Law) -> None:
+    """Name the pixels of an ellipse with its middle at a point (3,) of the camera frame, where nothing is nearer."""
+    height, width = class_id.shape
+    x, y, z = p_C_m
+    if not law.false_near_m < z < law.false_far_m:
+        return
+    u, v = 0.5 * width + law.focal_px * x / z, 0.5 * height + law.focal_px * y / z
+    across, down = law.focal_px * FALSE_HALF_M / z, 0.5 * law.focal_px * FALSE_TALL_M / z
+    for row in range(max(0, int(v - down)), min(height, int(v + down) + 1)):
+        for i in range(max(0, int(u - across)), min(width, int(u + across) + 1)):
+            inside = ((i + 0.5 - u) / across) ** 2 + ((row + 0.5 - v) / down) ** 2 < 1.0
+            if inside and depth_m[row, i] > z - AHEAD_M:
+                class_id[row, i] = PERSON_ID
+
+
+@kernel
+def _wander(class_id: U8, key: np.uint64, now: float, law: _Law, table: F32) -> None:
+    """Shift classes by an offset that changes slowly over the picture and time; `now` in units of `border_s`."""
+    height, width = class_id.shape
+    source, block, grid = class_id.copy(), law.block_px, law.border_grid_px
+    then = int(np.floor(now))
+    # A quarter of a circle from one knot to the next: the offset has the same variance at each time.
+    turn = 0.5 * np.pi * (now - then)
+    before, after = law.border_px * np.cos(turn), law.border_px * np.sin(turn)
+    knots = np.empty((height // grid + 2, width // grid + 2, 2))
+    old, new = random_word(key, then), random_word(key, then + 1)
+    for at in range(knots.size):
+        was, becomes = random_word(old, at) >> S32, random_word(new, at) >> S32
+        knots.flat[at] = before * random_normal(was, table) + after * random_normal(becomes, table)
+    for top in range(0, height, block):
+        row, b = top // grid, (top % grid) / grid
+        near = (1.0 - b) * knots[row] + b * knots[row + 1]
+        for left in range(0, width, block):
+            column, a = left // grid, (left % grid) / grid
+            down = int(np.rint((1.0 - a) * near[column, 0] + a * near[column + 1, 0]))
+            right = int(np.rint((1.0 - a) * near[column, 1] + a * near[column + 1, 1]))
+            if down == 0 and right == 0:
+                continue
+            for r in range(top, min(top + block, height)):
+                of = min(max(r + down, 0), height - 1)
+                for i in range(left, min(left + block, width)):
+                    class_id[r, i] = source[of, min(max(i + right, 0), width - 1)]
+
+
+@kernel
+def _fail_stereo(depth_m: F32, T_CW: F64, key: np.uint64, now: float, law: _Law) -> None:
+    """Lose or invent the surfaces in some cubes of the world, each for `patch_s`; `now` in units of it."""
+    height, width = depth_m.shape
+    block = law.block_px
+    below = np.uint64(law.stereo_share * WORDS)
+    old, fails, factor = np.uint64(0), False, np.float32(0.0)
+    for top in range(0, height, block):
+        v = (top + 0.5 * block - 0.5 * height) / law.focal_px
+        for left in range(0, width, block):
+            z = float(depth_m[min(top + block // 2, height - 1), min(left + block // 2, width - 1)])
+            if z <= 0.0 or z >= law.range_m:
+                continue
+            x_m, y_m, z_m = _in_world(T_CW, (left + 0.5 * block - 0.5 * width) / law.focal_px, v, z)
+            # Half a cube up, so that level ground does not lie between two of them.
+            cube = _cell_key(key, x_m / law.patch_m, y_m / law.patch_m, z_m / law.patch_m + 0.5)
+            if cube != old:
+                # Each cube has a slot of time of its own: they do not all change at once.
+                own = random_word(cube, int(np.floor(now + np.float64(cube >> S32) / WORDS)))
+                old, fails, factor = cube, bool(own >> S32 < below), np.float32(0.0)
+                if fails and _share(own, 0) < law.invented:
+                    factor = np.float32(1.0 + law.invented_by * (2.0 * _share(own, 1) - 1.0))
+            if fails:
+                for row in range(top, min(top + block, height)):
+                    for i in range(left, min(left + block, width)):
+                        depth_m[row, i] = min(depth_m[row, i] * factor, np.float32(law.range_m))
