@@ -32,6 +32,16 @@ AHEAD_M = 0.5  # who is nearer by so much hides; the ground before somebody's fe
 SQUARE_M = 4.0  # one false person at a time stands in one
 FALSE_HALF_M, FALSE_TALL_M = 0.25, 1.7
 _STANDING = (ClassId.POLE, ClassId.KERB, ClassId.LOWERED_KERB)
+_FLAT = (
+    ClassId.GROUND,
+    ClassId.ROAD,
+    ClassId.SIDEWALK,
+    ClassId.PARKING,
+    ClassId.RAIL_TRACK,
+    ClassId.TERRAIN,
+    *_STANDING[1:],
+    ClassId.CROSSWALK,
+)
 
 
 class _Law(NamedTuple):
@@ -41,6 +51,7 @@ class _Law(NamedTuple):
     upto: F64  # (CLASSES, NAMES) shares of that time by name, added up
     names: U8  # (CLASSES, NAMES) those names, MISSED for none
     stands: Bool  # (CLASSES,) what errs by its place in the world; the others err by actor
+    flat: Bool  # (CLASSES,) what lies on the ground, whose borders wander
     leaves: float  # chance of a tick to end an error
     tick_s: float
     focal_px: float
@@ -110,6 +121,7 @@ def _law_of(rates: dict[str, Any], camera: Pinhole, tick_s: float) -> _Law:
         "upto": upto,
         "names": names,
         "stands": np.isin(np.arange(CLASSES), _STANDING),
+        "flat": np.isin(np.arange(CLASSES), _FLAT),
         "leaves": min(1.0, tick_s / rates["wrong_s"]),
         "tick_s": tick_s,
         "focal_px": camera.focal_px,
@@ -305,7 +317,10 @@ def _draw_false(class_id: U8, depth_m: F32, p_C_m: F64, law: _Law) -> None:
 
 @kernel
 def _wander(class_id: U8, key: np.uint64, now: float, law: _Law, table: F32) -> None:
-    """Shift classes by an offset that changes slowly over the picture and time; `now` in units of `border_s`."""
+    """Shift borders on the ground by an offset that changes slowly over picture and time; `now` in units of `border_s`.
+
+    The outline of what stands on it stays: a shift of whole pixels would swallow people who are far away.
+    """
     height, width = class_id.shape
     source, block, grid = class_id.copy(), law.block_px, law.border_grid_px
     then = int(np.floor(now))
@@ -329,7 +344,9 @@ def _wander(class_id: U8, key: np.uint64, now: float, law: _Law, table: F32) -> 
             for r in range(top, min(top + block, height)):
                 of = min(max(r + down, 0), height - 1)
                 for i in range(left, min(left + block, width)):
-                    class_id[r, i] = source[of, min(max(i + right, 0), width - 1)]
+                    name = source[of, min(max(i + right, 0), width - 1)]
+                    if law.flat[name] and law.flat[class_id[r, i]]:
+                        class_id[r, i] = name
 
 
 @kernel
