@@ -14,7 +14,7 @@ NESTED = {
     "town": ("import", "make", "list", "check", "pave", "run"),
     "scene": ("run", "list", "bless", "new", "make"),
     "users": ("record", "fit"),
-    "chair": ("check",),
+    "chair": ("check", "fit"),
     "log": ("play", "verify", "compare", "convert"),
 }
 PLAIN = [item.name for item in SUBCOMMANDS if item.name not in NESTED]
