@@ -1,32 +1,46 @@
-"""`wcsim chair check`: each plant on the test rig, a table in the manner of ISO 7176."""
+"""`wcsim chair check | fit`: plants on the test rig, in the manner of ISO 7176; a controller fitted to drives."""
 
 from __future__ import annotations
 
+import json
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from rich import box
 from rich.table import Column, Table
+from tyro.conf import Positional, arg
 
-from wcsim.chair_check.row import FASTEST_HZ, SLOWEST_HZ, Change, Row, Setup, changes
+from wcsim.chair_check.row import FASTEST_HZ, SLOWEST_HZ, TICK_S, Change, Row, Setup, changes
 from wcsim.cli.shared.common import (
     Bounds,
+    Flag,
     Keys,
     OutFile,
     OutFolder,
     Repeated,
+    Writes,
     check_folder,
+    result_file,
     run_part,
     some_words,
     words_of,
     write_json,
 )
-from wcsim.cli.shared.consoles import stderr_console, stdout_console
-from wcsim.config import RunConfig, resolve
-from wcsim.errors import ConfigError
+from wcsim.cli.shared.consoles import show_table, stderr_console, stdout_console
+from wcsim.config import ChairConfig, RunConfig, resolve
+from wcsim.config.plant import plant_path
+from wcsim.core.processes import pooled
+from wcsim.core.reading import escaped
+from wcsim.errors import ConfigError, check_installed
+from wcsim.types import F64
+
+if TYPE_CHECKING:  # loads the engine, which --help must not
+    from wcsim.chair_check.drive_fit import DriveFit, MotionErrors
+    from wcsim.chair_check.stick_drives import StickDrive
 
 _WORKERS = 2
 _HZ = Bounds(SLOWEST_HZ, FASTEST_HZ, 10)
@@ -65,29 +79,34 @@ class _CheckOptions:
 
 
 def run(words: list[str]) -> int:
-    """Run it; 1 when a row is outside its range, or changes too much with the rate."""
-    return run_part(words, "chair", {"check": (_CheckOptions, _check)})
+    """Run one of them; 1 when a row is outside its range, or changes too much with the rate."""
+    return run_part(words, "chair", {"check": (_CheckOptions, _check), "fit": (_FitOptions, _fit)})
 
 
 def _check(options: _CheckOptions) -> int:
     plants = some_words("--plants", options.plants)
     if options.pictures is not None:
         return _draw(plants, options.pictures)
-    config = resolve(RunConfig(), options.set)
-    setups = {plant: _setup(config, plant, options) for plant in plants}
+    setups = {plant: _setup(plant, options) for plant in plants}
     return _compare(setups, options) if options.compare_hz else _judge(setups, options)
 
 
-def _setup(config: RunConfig, plant: str, options: _CheckOptions) -> Setup:
+def _setup(plant: str, options: _CheckOptions) -> Setup:
     """The chair at the first rate that is asked for; what is left out of its table is said before the work."""
     from wcsim.chair_check.table import too_fast  # loads the engine, which --help must not
 
     hz = _rates(options.compare_hz)[0] if options.compare_hz else options.hz
-    setup = Setup(chair=config.chair.model_copy(update={"plant": plant}), imu=config.imu, hz=hz)
+    setup = _driving(plant, hz, options.set)
     fast = too_fast(setup, words_of(options.rows))
     if fast:
         print(f"note: {plant} is too slow for {', '.join(fast)}: left out", file=sys.stderr)
     return setup
+
+
+def _driving(plant: str, hz: int, settings: Sequence[str] = ()) -> Setup:
+    """A plant that is driven as its own file says, and as asked for besides."""
+    config = resolve(RunConfig(), (f"chair.plant={json.dumps(plant)}", *settings))
+    return Setup(chair=config.chair, imu=config.imu, hz=hz)
 
 
 def _judge(setups: Mapping[str, Setup], options: _CheckOptions) -> int:
@@ -189,3 +208,139 @@ def _compared(plant: str, rates: Sequence[int], rows: Sequence[Change]) -> Table
 def _frame(title: str) -> Table:
     name = Column("row", overflow="fold")
     return Table(name, title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
+
+
+_HZ_OF_FIT = 120
+_LATE_TICKS = 4  # of world.action_delay_ticks that are tried, from 0 on
+
+
+@dataclass
+class _FitOptions:
+    """Fit the controller's numbers to recorded drives of a chair; say how well they repeat the drives."""
+
+    drives: Annotated[tuple[Path, ...], Positional, arg(metavar="NAME.joy.csv [...]")]
+    """Recorded sticks (t_s,axis0,axis1), each beside its NAME.odom.csv (t_s,v_mps,w_radps); .gz may follow."""
+    hold_out: str = ""
+    """Words of file names, separated by commas: the drives of each are left out of a fit of their own."""
+    base: str = "rwd"
+    """Chair (plant) for --plant and --out."""
+    plant: Flag = False
+    """Drive that chair in PyBullet by the sticks, with the fitted numbers."""
+    picture: Annotated[Path | None, arg(metavar="FILE"), Writes()] = None
+    """Draw the longest drive, measured and simulated: .png or .svg."""
+    out: Annotated[Path | None, arg(metavar="FILE.toml"), Writes(".toml", new=True)] = None
+    """Write that chair with the fitted numbers, for chair.plant."""
+    json: OutFile = None
+    """Write the result to this file."""
+
+
+def _fit(options: _FitOptions) -> int:
+    """Fit, compare, print, write."""
+    if not options.drives:
+        raise ConfigError("chair fit got no file; expected recorded drives, such as walk.joy.csv")
+    if options.picture is not None:
+        if options.picture.suffix not in (".png", ".svg"):
+            raise ConfigError(f"--picture {escaped(options.picture)}: expected a name that ends in .png or .svg")
+        check_installed("--picture needs matplotlib", "report", "matplotlib")
+    chair = _driving(options.base, _HZ_OF_FIT).chair
+    from wcsim.chair_check.drive_fit import fit_drives, law_motion, motion_errors
+    from wcsim.chair_check.stick_drives import read_stick_drives
+
+    drives = read_stick_drives(options.drives)
+    parts = _held_out(drives, options.hold_out)
+    with stderr_console().status("fitting"):
+        fit = fit_drives(drives)
+    laws = {"all, fitted": fit.values, f"all, as {options.base} is set": {**chair.model_dump(), "delay_s": 0.0}}
+    errors = {name: motion_errors(drives, law_motion(drives, values)) for name, values in laws.items()}
+    errors |= _errors_left_out(parts)
+    own = chair.model_copy(update=fit.chair | {"profile": "custom"})
+    ridden = _ridden(drives, own) if options.plant else []
+    for ticks in range(_LATE_TICKS) if ridden else ():
+        errors[f"{options.base}, {ticks} ticks late"] = motion_errors(drives, _later(ridden, ticks))
+    _print_fit(fit, chair, errors)
+    if options.picture is not None:
+        late = round(fit.values["delay_s"] / TICK_S)
+        made = {"law": law_motion(drives, fit.values), f"{options.base} in PyBullet": _later(ridden, late)}
+        _draw_fit(options.picture, drives, made)
+    if options.out is not None:
+        _write_plant(options.out, options.base, fit, len(drives))
+    numbers = {name: [fit.values[name], *fit.intervals[name]] for name in fit.values}
+    write_json(options.json, {"numbers": numbers, "errors": {name: asdict(item) for name, item in errors.items()}})
+    return 0
+
+
+def _held_out(drives: Sequence[StickDrive], words: str) -> dict[str, tuple[list[StickDrive], list[StickDrive]]]:
+    """By each word the drives in whose names it is, and the rest. Raises ConfigError where one of them is none."""
+    parts = {}
+    for word in words_of(words):
+        left = [drive for drive in drives if word in drive.name]
+        rest = [drive for drive in drives if word not in drive.name]
+        if not left or not rest:
+            raise ConfigError(f"--hold-out {word!r} is in {len(left)} of {len(drives)} names; expected some, not all")
+        parts[word] = left, rest
+    return parts
+
+
+def _errors_left_out(parts: Mapping[str, tuple[list[StickDrive], list[StickDrive]]]) -> dict[str, MotionErrors]:
+    """Errors on the drives of each part by the fit to the rest; and all of them together."""
+    from wcsim.chair_check.drive_fit import fit_drives, law_motion, motion_errors
+
+    found: dict[str, MotionErrors] = {}
+    driven: list[StickDrive] = []
+    moved: list[F64] = []
+    for word, (left, rest) in parts.items():
+        with stderr_console().status(f"fitting without {word}"):
+            motions = law_motion(left, fit_drives(rest, draws=0).values)
+        found[f"{word}, left out"] = motion_errors(left, motions)
+        driven, moved = [*driven, *left], [*moved, *motions]
+    return {**found, "each left out": motion_errors(driven, moved)} if parts else found
+
+
+def _ridden(drives: Sequence[StickDrive], chair: ChairConfig) -> list[F64]:
+    """What the whole chair does in PyBullet, of each drive."""
+    from wcsim.chair_check.drive_fit import plant_motion
+
+    with stderr_console().status(f"driving {chair.plant} in PyBullet"):
+        found = dict(pooled(partial(plant_motion, setup=Setup(chair=chair, hz=_HZ_OF_FIT)), drives, _WORKERS))
+    return [found[place] for place in range(len(drives))]
+
+
+def _later(motions: Sequence[F64], ticks: int) -> list[F64]:
+    from wcsim.chair_check.drive_fit import later
+
+    return [later(motion, ticks * TICK_S) for motion in motions]
+
+
+def _print_fit(fit: DriveFit, chair: ChairConfig, errors: Mapping[str, MotionErrors]) -> None:
+    was = {**chair.model_dump(), "delay_s": 0.0}
+    numbers = (
+        (name, *(f"{number:.4g}" for number in (value, *fit.intervals[name], was[name])))
+        for name, value in fit.values.items()
+    )
+    show_table(("number", "fitted", "95 % from", "to", "without"), numbers, box=box.SIMPLE_HEAD)
+    rows = []
+    for name, item in errors.items():
+        shares = (f"{share:.1%}" for share in (item.speed_explained, item.turn_explained))
+        rows.append((name, f"{item.speed_rms_mps:.3f}", f"{item.turn_rms_radps:.3f}", *shares))
+    show_table(("drives", "m/s rms", "rad/s rms", "speed explained", "turn"), rows, box=box.SIMPLE_HEAD)
+
+
+def _draw_fit(path: Path, drives: Sequence[StickDrive], made: Mapping[str, Sequence[F64]]) -> None:
+    """The longest drive."""
+    from wcsim.chair_check.stick_drives import STEP_S
+    from wcsim.view.report.figures import motion_chart  # loads matplotlib
+
+    place = max(range(len(drives)), key=lambda k: len(drives[k].motion))
+    shown = {name: motions[place] for name, motions in made.items() if motions}
+    with result_file(path) as part:
+        motion_chart(part, path.suffix[1:], drives[place].name, STEP_S, drives[place].motion, shown)
+
+
+def _write_plant(path: Path, base: str, fit: DriveFit, count: int) -> None:
+    """The base's file with a [chair] of its own."""
+    text = plant_path(base).read_text(encoding="utf-8").partition("\n[chair]")[0].rstrip()
+    lines = [f"{name} = {value:g}" for name, value in fit.chair.items()]
+    head = f"[chair] # fitted to {count} drives; from stick to wheels {fit.values['delay_s']:.2f} s"
+    with result_file(path) as part:
+        part.write_text("\n".join([text, "", head, *lines, ""]), encoding="utf-8")
+    print(f"wrote {path}; drive it: --set chair.plant={path}")

@@ -14,7 +14,7 @@ PROFILE_SPEED_MPS: dict[str, float] = {"indoor": 0.6, "pavement": 1.67, "road": 
 class ChairConfig(Model):
     """The wheelchair: its plant, and the settings of its controller."""
 
-    plant: Text = "rwd"  # Physical model: rwd, mwd, or the path of a .toml file.
+    plant: Text = "rwd"  # Physical model: rwd, mwd, whill, or the path of a .toml file.
     profile: Literal["custom", "indoor", "pavement", "road"] = (
         "custom"  # Sets v_max_mps: indoor 0.6, pavement 1.67, road 2.78 m/s.
     )

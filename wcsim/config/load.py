@@ -22,6 +22,8 @@ _JSON = FileKind(what="a configuration", limit_bytes=1 << 20)
 
 _VALUE = FileKind(what="a value in TOML's syntax", limit_bytes=1 << 20)
 
+_PLANTS = Path(__file__).parent / "plants"
+
 _FAULTS = 12  # that are told of one file
 
 _PARTS = 16  # of a key of `--set`
@@ -65,13 +67,16 @@ def resolve(base: str | RunConfig, *layers: Layer) -> RunConfig:
 
     Args:
         base: Name of a preset, or a configuration.
-        layers: What is laid over it. Values of a `section.key=value` are in TOML syntax, or words.
+        layers: What is laid over it. Values of a `section.key=value` are in TOML syntax, or words. A plant that a file
+            or a `section.key=value` names brings the `[chair]` of its own file, below all layers; one in tables of
+            keys does not.
 
     Raises:
         ConfigError: There is no such preset or file, or a key or value cannot be used; it says what was expected.
     """
     own = [table for layer in layers for table in _tables(layer)]
-    where, data = _preset(base) if isinstance(base, str) else ("configuration", _laid_under(base, own))
+    where, data = _preset(base) if isinstance(base, str) else ("configuration", base.model_dump(mode="json"))
+    data = _giving_way(_merged(data, _chair_of_plant(layers)), own)
     for _, table in own:
         data = _merged(data, table)
     return parse(RunConfig, data, own[-1][0] if own else where)
@@ -99,16 +104,26 @@ def _preset(name: str) -> tuple[str, dict[str, Any]]:
     return f"preset {name}", reading.read_toml(path, CONFIG_FILE)
 
 
-def _laid_under(config: RunConfig, own: Sequence[tuple[str, dict[str, Any]]]) -> dict[str, Any]:
-    """A resolved configuration as plain data that is laid under what is asked for.
+def _chair_of_plant(layers: Sequence[Layer]) -> dict[str, Any]:
+    """What the file of the plant says of `[chair]` that somebody names."""
+    told = [table for layer in layers if not isinstance(layer, Mapping) for _, table in _tables(layer)]
+    chairs = [chair for table in told if isinstance(chair := table.get("chair"), dict)]
+    named = [plant for chair in chairs if isinstance(plant := chair.get("plant"), str)]
+    if not named:
+        return {}
+    path = Path(named[-1] if named[-1].endswith(".toml") else _PLANTS / f"{named[-1]}.toml")
+    # whoever reads the whole plant says that it is missing or wrong
+    chair = reading.read_toml(path, CONFIG_FILE).get("chair") if reading.is_file(path) else None
+    return {"chair": chair} if isinstance(chair, dict) else {}
 
-    It names every key: its speed gives way to that of a named profile of the chair, unless a speed is asked for, too.
-    """
-    data = config.model_dump(mode="json")
+
+def _giving_way(data: dict[str, Any], own: Sequence[tuple[str, dict[str, Any]]]) -> dict[str, Any]:
+    """Data below what is asked for: its speed gives way to a named profile's, unless a speed is asked for, too."""
     chairs = [chair for _, table in own if isinstance(chair := table.get("chair"), dict)]
     named = [str(chair["profile"]) for chair in chairs if "profile" in chair]
     if named and named[-1] in PROFILE_SPEED_MPS and not any("v_max_mps" in chair for chair in chairs):
-        del data["chair"]["v_max_mps"]
+        chair = {key: value for key, value in data.get("chair", {}).items() if key != "v_max_mps"}
+        return {**data, "chair": chair}
     return data
 
 

@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from wcsim.config import CONFIG_FILE, Model, Text, parse, read_toml
+from wcsim.config import CONFIG_FILE, ChairConfig, Model, Text, parse, read_toml
 from wcsim.config.base import Share, TopSpeed, UserMass, within
 from wcsim.core import reading
 from wcsim.errors import ConfigError
@@ -159,6 +159,7 @@ class PlantFile(Model):
     motor: _MotorPart
     limits: _LimitPart
     climbs: _ClimbPart
+    chair: ChairConfig = ChairConfig()  # what naming this plant sets in [chair], see `wcsim.config.resolve`
 
 
 def known_plants() -> tuple[str, ...]:
@@ -177,10 +178,17 @@ def read_plant(plant: str) -> PlantFile:
 
 @cache  # a world asks for its chairs' plant several times, and a file of the package stays as it is
 def _shipped_plant(plant: str) -> PlantFile:
+    return read_toml(plant_path(plant), PlantFile)
+
+
+def plant_path(plant: str) -> Path:
+    """The file of a plant by name or by its path. Raises ConfigError when no plant has that name."""
+    if plant.endswith(".toml"):
+        return Path(plant)
     if plant not in known_plants():
         names, got = ", ".join(known_plants()), reading.escaped(plant)
         raise ConfigError(f"chair.plant is {got!r}; expected one of: {names}, or the path of a .toml file")
-    return read_toml(_PLANTS / f"{plant}.toml", PlantFile)
+    return _PLANTS / f"{plant}.toml"
 
 
 def plant_text(plant: str) -> bytes:

@@ -50,8 +50,8 @@ def body_of(chair) -> tuple[dict[str, tuple], dict[str, np.ndarray]]:
 # --- files ---
 
 
-def test_two_plants_come_with_wcsim():
-    assert known_plants() == ("mwd", "rwd")
+def test_three_plants_come_with_wcsim():
+    assert known_plants() == ("mwd", "rwd", "whill")
     assert [pair.arm is None for pair in RWD.casters] == [True]
     assert [pair.arm is None for pair in MWD.casters] == [False, False]
 
@@ -119,7 +119,7 @@ def test_wheels_that_weigh_more_than_the_chair_leave_no_frame():
 
 
 def test_unknown_plants_and_files_that_are_none(tmp_path):
-    with pytest.raises(ConfigError, match=r"'tank'; expected one of: mwd, rwd, or the path of a \.toml file"):
+    with pytest.raises(ConfigError, match=r"'tank'; expected one of: mwd, rwd, whill, or the path of a \.toml file"):
         plant_spec(ChairConfig(plant="tank"))
     with pytest.raises(ConfigError, match="cannot be read"):
         plant_spec(ChairConfig(plant=str(tmp_path / "none.toml")))

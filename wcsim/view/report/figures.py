@@ -26,7 +26,7 @@ from wcsim.core.reading import counted
 from wcsim.errors import WcsimError
 from wcsim.towns.scenario.town import find_town
 from wcsim.towns.street import load_street
-from wcsim.types import U8, ClassId
+from wcsim.types import F64, U8, ClassId
 from wcsim.view.report.pages import Cell, Exhibit
 
 _WIDTH_IN, _HEIGHT_IN = 4.8, 3.4
@@ -368,6 +368,31 @@ def curve_chart(name: str, label: str, curves: Sequence[Curve], limit: float | N
         axes.set_ylabel(label)
         _legend(axes, len(curves) + (limit is not None))
     return out.getvalue()
+
+
+def motion_chart(path: Path, form: str, title: str, step_s: float, measured: F64, made: Mapping[str, F64]) -> None:
+    """Write a picture of speed and turn rate (n, 2) over time, measured and as some models make them.
+
+    Args:
+        path: The file.
+        form: `png` or `svg`.
+        title: Above it.
+        step_s: From one sample to the next.
+        measured: In m/s and rad/s.
+        made: The same by the name of each model.
+    """
+    with mpl.rc_context({**_STYLE, "svg.hashsalt": title}):
+        figure = Figure(figsize=(2.0 * _WIDTH_IN, 1.5 * _HEIGHT_IN), layout="constrained")
+        panels = figure.subplots(2, 1, sharex=True)
+        for axis, (panel, label) in enumerate(zip(panels, ("speed, m/s", "turn rate, rad/s"), strict=True)):
+            for place, (name, motion) in enumerate({"measured": measured, **made}.items()):
+                at_s = step_s * np.arange(len(motion))
+                panel.plot(at_s, motion[:, axis], color=_colour_of(place), linewidth=1.2, label=name)
+            panel.set_ylabel(label)
+        panels[0].set_title(title, fontsize=9, loc="left")
+        panels[0].legend(loc="upper right", ncols=3)
+        panels[1].set_xlabel("time, s")
+        figure.savefig(path, format=form, dpi=120, metadata={"Date": None} if form == "svg" else None)
 
 
 def _legend(axes: Axes, entries: int) -> None:
