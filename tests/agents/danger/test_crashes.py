@@ -136,34 +136,12 @@ def rides():
     return ride(toy_config(*TOY), astray(), 40, seed=1, labelled=True)
 
 
-def _swapped(monkeypatch):
-    _planted(monkeypatch, lambda labels: np.where(labels < UNKNOWN, 1 - labels, labels))
-
-
-def _late(monkeypatch):
-    _planted(monkeypatch, lambda labels: np.roll(labels, 8, axis=0))
-
-
-def _planted(monkeypatch, fault):
-    happened = dataset_module._happened
-    monkeypatch.setattr(dataset_module, "_happened", lambda *of: fault(happened(*of)).astype(np.uint8))
-
-
-def _stale_stick(monkeypatch):
-    """The user's stick in the place of the one that was held."""
-    _otherwise(
-        monkeypatch, lambda segment: replace(segment, action=ACTIONS.nearest_many(segment.wish).astype(np.uint8))
-    )
-
-
-def _otherwise(monkeypatch, change):
-    happened = dataset_module._happened
-    monkeypatch.setattr(dataset_module, "_happened", lambda segment, *of: happened(change(segment), *of))
-
-
-def _cut_is_crash_free(monkeypatch):
-    """As if an episode that was cut went on in the next one."""
-    _otherwise(monkeypatch, lambda segment: replace(segment, ended=segment.crashed))
+FAULTS = {  # of labels, by the steps of a segment and what makes labels of them
+    "sign turned": lambda of, made: np.array([1, 0, UNKNOWN], np.uint8)[made(of)],
+    "late": lambda of, made: np.roll(made(of), 8, axis=0),
+    "stale stick": lambda of, made: made(replace(of, action=ACTIONS.nearest_many(of.wish).astype(np.uint8))),
+    "a cut is no end": lambda of, made: made(replace(of, ended=of.crashed)),
+}
 
 
 def agreement(rides):
@@ -189,9 +167,11 @@ def test_labels_of_what_happened_agree_with_the_street(rides):
     assert rides.crashes > 10 and agrees(agreement(rides)), agreement(rides)
 
 
-@pytest.mark.parametrize("fault", [_swapped, _late, _stale_stick, _cut_is_crash_free])
+@pytest.mark.parametrize("fault", FAULTS)
 def test_a_planted_fault_in_labels_is_found_out(fault, rides, monkeypatch):
-    fault(monkeypatch)
+    monkeypatch.setattr(
+        dataset_module, "_happened", lambda of, *more: FAULTS[fault](of, lambda segment: _happened(segment, *more))
+    )
     assert not agrees(agreement(rides)), agreement(rides)
 
 
