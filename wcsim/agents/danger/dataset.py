@@ -56,8 +56,8 @@ def _happened(segment: Segment, actions: ActionSet, ahead: int) -> U8:
     """(N, A) what became of the positions that were executed: 1 a crash of the chair's own fault, 0 none, or UNKNOWN.
 
     It is known of the executed one and its neighbours alone. 1: the position was held, or held and let go, until the
-    crash, which came at most `ahead` steps after it had begun to act. 0: it was held for half a second, and nothing
-    came for twice as long as that. Where an episode was cut, or somebody drove into the chair, nobody knows the rest.
+    crash, which came at most `ahead` steps after it had begun to act. 0: it was held for half a second, and no crash
+    came for twice `ahead` steps. Where an episode was cut, or somebody drove into the chair, nobody knows the rest.
     """
     rows, points = np.arange(len(segment)), actions.points[segment.action]
     ends = np.union1d(np.flatnonzero(segment.ended), rows[-1:])
