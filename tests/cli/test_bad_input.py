@@ -83,7 +83,7 @@ OPTIONS = {
     "demo --set env.max_steps=9": ("env.max_steps", "--max-steps N"),
     "collect --set env.profile=slow": ("""--set 'collect.profiles=["slow"]'""",),
     'collect --set collect.profiles=["none.toml"]': ("none.toml",),
-    "train --preset dqn": ("learn.head=residual", "preset quick, laptop or best, or wcsim train-q"),
+    "train --preset dqn": ("learn.head=residual", "preset quick, laptop, best or reward, or wcsim train-q"),
     "train-q --preset quick": ("learn.head=danger", "preset dqn or paper, or wcsim train"),
     "train-clients fig6,patch --set learn.head=danger": ("learn.head=danger", "preset dqn or paper"),
     "train-clients fig6,patch --worlds 2": ("--worlds 2: no clients are tested", "--select-by LIST"),

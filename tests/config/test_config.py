@@ -8,7 +8,7 @@ from wcsim.core.reading import parse_toml
 from wcsim.errors import ConfigError
 
 
-@pytest.mark.parametrize("preset", ["quick", "laptop", "best", "dqn", "paper"])
+@pytest.mark.parametrize("preset", ["quick", "laptop", "best", "reward", "dqn", "paper"])
 def test_a_shared_world_lives_for_ten_episodes(preset):
     config = resolve(preset)
     assert config.epoch_ticks >= 10 * config.learn.episode_steps

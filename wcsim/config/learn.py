@@ -23,8 +23,8 @@ class DangerConfig(Model):
     weight_decay: NotNegative = 1e-3  # Weight decay of Adam.
     tight_share: Share = 0.5  # Share of a batch from steps with an unsafe action.
     ahead: Annotated[int, within(0, 20)] = 1  # Steps before danger in which an action already counts as unsafe.
-    teacher: Annotated[str, Field(pattern="^(visible|truth)$")] = (
-        "visible"  # Labels from an oracle limited to what cameras showed (visible), or all-knowing (truth).
+    teacher: Literal["visible", "truth", "crashes"] = (
+        "visible"  # Labels: an oracle limited to what cameras showed, an all-knowing one, or crashes that happened.
     )
     threshold: PositiveShare = 0.2  # Assistance level. Actions with a higher danger are blocked.
     at_once: Share = 0.0  # Danger that blocks the user's action in one tick. Below it two in a row do. 0: always one.
@@ -57,6 +57,19 @@ class CollectConfig(Model):
     )
     network_share: Share = 0.75  # Share of episodes that the network drives, once there is one.
     astray_share: Share = 0.33  # Share of time with a random offset on the stick.
+    astray_spread: Annotated[float, within(0.0, 2.0), Field(exclude_if=lambda spread: spread == 0.5)] = (
+        0.5  # Standard deviation of each component of that offset.
+    )
+    astray_ticks: Annotated[tuple[Count, Count], Field(exclude_if=lambda ticks: ticks == (4, 12))] = (
+        4,
+        12,
+    )  # Shortest and longest time for which it is held.
+
+    @model_validator(mode="after")
+    def _can_be_held(self) -> CollectConfig:
+        if self.astray_ticks[0] > self.astray_ticks[1]:
+            raise ValueError(f"collect.astray_ticks={list(self.astray_ticks)}; expected the shorter time first")
+        return self
 
 
 Steps = Annotated[int, within(1, 10**9)]

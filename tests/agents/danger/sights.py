@@ -47,6 +47,7 @@ def a_segment(rows: int = 24, seed: int = 0, ends: tuple[int, ...] = (9,)) -> Se
         truth=codes.copy(),
         reward=np.zeros(rows, np.float32),
         crashed=np.zeros(rows, np.bool_),
+        own=np.zeros(rows, np.bool_),
         ended=np.isin(np.arange(rows), (*ends, rows - 1)),
         delay=np.full(rows, 1, np.uint8),
     )

@@ -162,7 +162,7 @@ def slides(config, count, seed):
     """So many ticks, each in a street of its own: one tick off, and a label says nothing."""
     rng, eye = np.random.default_rng(seed), FeatureExtractor(config)
     streets = [slide(config, eye, rng) for _ in range(count)]
-    rows = [(street.sees(), street.unsafe(), 40, True) for street in streets]
+    rows = [(street.sees(), street.unsafe(), 40, True, False) for street in streets]
     return segment_of(rows)
 
 
@@ -202,7 +202,7 @@ def ride(config, policy, episodes, seed, ticks=60, labelled=False):
         episodes: How many.
         seed: Of streets, user and driver.
         ticks: Of an episode at most.
-        labelled: Keep (observation, unsafe, action, ended) of each tick.
+        labelled: Keep (observation, unsafe, action, ended, crashed) of each tick.
     """
     rng, eye, found = np.random.default_rng(seed), FeatureExtractor(config), Ride()
     for _ in range(episodes):
@@ -225,7 +225,7 @@ def ride(config, policy, episodes, seed, ticks=60, labelled=False):
             found.steps += 1
             found.way_m += street.chair[0] - before
             found.distance += ACTIONS.distance(action, stick)
-            found.rows.append((seen, unsafe, action, crashed or tick == ticks - 1))
+            found.rows.append((seen, unsafe, action, crashed or tick == ticks - 1, crashed))
             if crashed:
                 break
     return found
@@ -243,10 +243,26 @@ def mixed(street, stick, rng):
     return _choose(danger, wish, ACTIONS, DangerRule())
 
 
+def astray():
+    """The user's stick with an offset that is held for 1 to 3 s and carried out."""
+    left, offset = 0, np.zeros(2)
+
+    def drive(street, stick, rng):
+        nonlocal left, offset
+        left -= 1
+        if left <= 0:
+            left = int(rng.integers(10, 31))
+            offset = rng.normal(0.0, 0.9, 2)
+        return ACTIONS.nearest(np.clip(stick + offset, -1.0, 1.0))
+
+    return drive
+
+
 def segment_of(rows):
-    """A segment of (observation, unsafe, action, ended)."""
+    """A segment of (observation, unsafe, action, ended, crashed)."""
     seen = {key: np.stack([row[0][key] for row in rows]) for key in rows[0][0]}
-    codes = np.where(np.stack([row[1] for row in rows]), 3, SAFE).astype(np.uint8)
+    unsafe = np.stack([np.zeros(0, bool) if row[1] is None else row[1] for row in rows])
+    codes = np.where(unsafe, 3, SAFE).astype(np.uint8)
     count = len(rows)
     return Segment(
         depth=seen["depth"][:, 0],
@@ -260,7 +276,8 @@ def segment_of(rows):
         visible=codes,
         truth=codes.copy(),
         reward=np.zeros(count, np.float32),
-        crashed=np.zeros(count, np.bool_),
+        crashed=np.array([row[4] for row in rows], np.bool_),
+        own=np.array([row[4] for row in rows], np.bool_),
         ended=np.array([row[3] for row in rows], np.bool_),
         delay=np.zeros(count, np.uint8),
     )

@@ -47,6 +47,7 @@ def a_segment(rows: int = 7, seed: int = 0) -> Segment:
         truth=np.full((rows, 81), 255, np.uint8),
         reward=rng.normal(size=rows).astype(np.float32),
         crashed=np.zeros(rows, np.bool_),
+        own=np.zeros(rows, np.bool_),
         ended=np.arange(rows) == rows - 1,
         delay=np.full(rows, 2, np.uint8),
     )
@@ -59,6 +60,15 @@ def test_a_segment_is_read_as_it_was_written_and_its_bytes_follow_from_it_alone(
         assert column.dtype == segment.arrays()[name].dtype and (column == segment.arrays()[name]).all(), name
     assert write_segment(tmp_path / "again", a_segment()) == sha256
     assert write_segment(tmp_path / "other", a_segment(seed=1)) != sha256
+
+
+def test_a_segment_may_lack_the_oracle_and_an_older_one_does_not_tell_whose_fault_a_crash_was(tmp_path: Path):
+    none = np.zeros((7, 0), np.uint8)
+    segment, path = replace(a_segment(), visible=none, truth=none, crashed=np.arange(7) == 6), tmp_path / "a.npz.zst"
+    write_segment(path, segment)
+    assert read_segment(path).truth.shape == (7, 0)
+    path.write_bytes(packed(**{name: column for name, column in segment.arrays().items() if name != "own"}))
+    assert (read_segment(path).own == segment.crashed).all()
 
 
 def test_segments_are_joined_in_their_order():

@@ -55,6 +55,22 @@ def test_the_same_key_gives_the_same_segment_and_another_another(corner: Path, s
     assert not np.array_equal(other.stick, segment.stick)
 
 
+def test_who_learns_from_crashes_asks_no_oracle_and_drives_in_the_same_world(corner: Path):
+    words = ("collect.ticks=60", "collect.follow_share=1", "collect.astray_spread=0.9", "collect.astray_ticks=[10,40]")
+    judged, alone = (collect(order_in(corner, *words, f"danger.teacher={name}"), None) for name in ("truth", "crashes"))
+    assert alone.visible.shape == alone.truth.shape == (120, 0)
+    same = {name: column for name, column in alone.arrays().items() if name not in ("visible", "truth")}
+    assert all((column == judged.arrays()[name]).all() for name, column in same.items())
+    assert set(alone.driver.tolist()) == {FOLLOW, RECKLESS} and not (alone.own & ~alone.crashed).any()
+
+
+def test_an_oracle_that_would_drive_is_refused_where_crashes_teach():
+    with pytest.raises(ConfigError, match=r"follow_share=0\.4 lets the oracle drive; expected 1"):
+        require_recordable(dqn_config("danger.teacher=crashes"))
+    with pytest.raises(ConfigError, match="expected the shorter time first"):
+        dqn_config("collect.astray_ticks=[12,4]")
+
+
 def test_scenes_are_driven_in_their_share(corner: Path, tmp_path: Path):
     config = resolve(RunConfig(), ("collect.scene_share=0.25", "collect.segments=4"))
     keys = [SegmentKey(run=0, round=r, index=i) for r in range(2) for i in range(4)]

@@ -91,7 +91,8 @@ def test_a_demo_says_what_its_settings_make_it_do():
     config = resolve("quick")
     told = how_it_learns(config)
     assert f"{config.collect.rounds} rounds" in told and f"{config.danger.updates} updates" in told
-    assert "learns the oracle's labels, not rewards" in told
+    assert "learns from the oracle's labels, not rewards" in told
+    assert "from crashes that happened" in how_it_learns(resolve("reward"))
     assert how_it_learns(resolve("quick", ("collect.rounds=1",))).startswith("1 round of ")
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -10,18 +11,31 @@ import torch
 import zstandard
 
 from wcsim.agents.danger.network import spec_of
-from wcsim.agents.danger.street_map import EACH_SLICE, MIRRORED, PLANES, SIDE, SLICES, FeatureExtractor, sweep
+from wcsim.agents.danger.street_map import (
+    EACH_SLICE,
+    HOLD_S,
+    MIRRORED,
+    PLANES,
+    SIDE,
+    SLICES,
+    STEP_S,
+    FeatureExtractor,
+    sweep,
+)
 from wcsim.agents.perception.depth_image import sees_in_a_mirror
 from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, IMU_KEY, JOYSTICK_KEY, ODOMETRY_KEY
-from wcsim.agents.runs.data_folder import Segment, unsafe_ahead
+from wcsim.agents.runs.data_folder import ORACLE, Segment, unsafe_ahead
 from wcsim.config import RunConfig
 from wcsim.errors import PolicyError
-from wcsim.supervisor.actions import action_set
+from wcsim.supervisor.actions import ActionSet, action_set
 from wcsim.types import F32, F64, I64, U8, Bool
 
 Inputs = tuple[torch.Tensor, ...]
 """Picture, vector, swept cells and frames, see `DangerNet.forward`."""
 _START_MIRRORED = (1, 2, 4)  # y, yaw, w
+UNKNOWN: Final = 2  # label of a joystick position that nobody tried
+_SHARED = 0.26  # so near on the joystick positions share a label: they lie 0.25 apart
+_HELD = 0.5  # so near it is the same stick still, in a hand that trembles
 _LEVEL = 1  # of zstd
 
 
@@ -38,12 +52,40 @@ def _frame_windows(ended: Bool, frames: int) -> I64:
     return seen
 
 
+def _happened(segment: Segment, actions: ActionSet, ahead: int) -> U8:
+    """(N, A) what became of the positions that were executed: 1 a crash of the chair's own fault, 0 none, or UNKNOWN.
+
+    It is known of the executed one and its neighbours alone. 1: the position was held, or held and let go, until the
+    crash, which came at most `ahead` steps after it had begun to act. 0: it was held for half a second, and no crash
+    came for twice `ahead` steps. Where an episode was cut, or somebody drove into the chair, nobody knows the rest.
+    """
+    rows, points = np.arange(len(segment)), actions.points[segment.action]
+    ends = np.union1d(np.flatnonzero(segment.ended), rows[-1:])
+    end = ends[np.searchsorted(ends, rows)]
+    # A command acts only after its delay: the last ones before a crash had no part in it.
+    acts = end - rows - segment.delay.astype(np.int64)
+    held, kept = np.zeros_like(rows), np.zeros_like(rows)
+    hold = round(HOLD_S / STEP_S) - 1
+    for step in range(1, max(ahead, hold) + 1):
+        later = points[np.minimum(rows + step, end)]
+        same = np.linalg.norm(later - points, axis=1) <= _HELD
+        let_go = np.linalg.norm(later, axis=1) <= _SHARED
+        held += same & (held == step - 1)
+        kept += (same | let_go) & (kept == step - 1)
+    crashed = segment.own[end] & (acts >= 0) & (acts <= np.minimum(ahead, kept))
+    passed = (acts > 2 * ahead) & (held >= hold)
+    label = np.where(crashed, 1, np.where(passed, 0, UNKNOWN)).astype(np.uint8)
+    near = np.linalg.norm(actions.points[:, None] - actions.points, axis=2) <= _SHARED
+    labels: U8 = np.where(near[segment.action], label[:, None], np.uint8(UNKNOWN))
+    return labels
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Batch:
     """What a step of learning gets."""
 
     inputs: Inputs
-    unsafe: torch.Tensor  # (B, A) float32
+    unsafe: torch.Tensor  # (B, A) float32: 1, 0, or UNKNOWN
 
 
 class Dataset:
@@ -59,27 +101,23 @@ class Dataset:
         # A street map lies around the chair wherever its camera looks; pictures need one that looks straight ahead.
         self._may_mirror = not self._spec.pictures or sees_in_a_mirror(config.cameras[0])
         self._size = (2, config.cameras[0].height_px, config.cameras[0].width_px)
-        self._mirror = action_set(config.env.actions).mirror
+        self._actions = action_set(config.env.actions)
         self._pictures: list[bytes] = []  # of each step: zstd, (PLANES, SIDE, SIDE) uint8
         self._frames: list[bytes] = []  # zstd, (2, H, W) uint8: classes, depth; empty without `danger.eye` of pictures
         self._windows: list[I64] = []  # (T,) which of the frames are seen, the newest last
         self._vectors: list[F32] = []  # (VECTOR,)
         self._starts: list[F32] = []  # (6,)
-        self._unsafe: list[Bool] = []  # (A,)
+        self._unsafe: list[U8] = []  # (A,) 1, 0, or UNKNOWN
         self._tight = np.zeros(0, np.int64)  # steps in which something is unsafe
+        self._told = np.zeros(0, np.int64)  # steps of which something is known
 
     def add(self, segment: Segment) -> None:
         """Learn from its steps, too; their features are extracted again, as a chair that drives would.
 
         Raises:
-            PolicyError: It has labels for other actions.
+            PolicyError: It has labels for other actions, or the oracle drove though nobody is to learn from it.
         """
-        actions, labels = len(self._mirror), segment.truth.shape[1]
-        if labels != actions:
-            raise PolicyError(f"a segment has labels for {labels} actions; expected {actions}: collect it again")
-        first, spec, danger = len(self), self._spec, self._config.danger
-        codes = segment.truth if danger.teacher == "truth" else segment.visible
-        unsafe = unsafe_ahead(codes, segment.ended, danger.ahead)
+        first, spec, unsafe = len(self), self._spec, self._labels(segment)
         extractors: dict[int, FeatureExtractor] = {}
         begins = True
         for row in range(len(segment)):
@@ -108,7 +146,22 @@ class Dataset:
             begins = bool(segment.ended[row])
         self._windows += list(first + _frame_windows(segment.ended, spec.pictures))
         self._unsafe += list(unsafe)
-        self._tight = np.concatenate([self._tight, first + np.flatnonzero(unsafe.any(axis=1))])
+        self._tight = np.concatenate([self._tight, first + np.flatnonzero((unsafe == 1).any(axis=1))])
+        self._told = np.concatenate([self._told, first + np.flatnonzero((unsafe < UNKNOWN).any(axis=1))])
+
+    def _labels(self, segment: Segment) -> U8:
+        """(N, A) of its steps, by the teacher that was asked for."""
+        danger, actions, labels = self._config.danger, len(self._actions), segment.truth.shape[1]
+        if danger.teacher == "crashes":
+            if (segment.driver == ORACLE).any() or segment.action.max() >= actions:
+                told = f"a segment was driven by the oracle, or with actions beyond {actions}"
+                raise PolicyError(f"{told}; danger.teacher=crashes expected users and networks: collect it again")
+            return _happened(segment, self._actions, danger.ahead)
+        if labels != actions:
+            told = f"a segment has labels for {labels} actions; expected {actions}"
+            raise PolicyError(f"{told}: collect it again, with an oracle as danger.teacher")
+        codes = segment.truth if danger.teacher == "truth" else segment.visible
+        return unsafe_ahead(codes, segment.ended, danger.ahead).astype(np.uint8)
 
     def begin(self, rng: np.random.Generator) -> None:
         """Draw with this generator from now on."""
@@ -124,14 +177,20 @@ class Dataset:
         return len(self._tight) / max(len(self), 1)
 
     def draw(self) -> _Batch:
-        """A batch, a share of it from steps in which something is unsafe, mirrored half of the time if it may be."""
+        """A batch, a share of it from steps in which something is unsafe, mirrored half of the time if it may be.
+
+        Raises:
+            PolicyError: Nothing is known of any step.
+        """
         danger, size, rng = self._config.danger, self._config.danger.batch, self._rng
+        if not len(self._told):
+            raise PolicyError(f"nothing is known of {len(self)} steps; expected longer episodes, or more of them")
         # Steps with a danger are rare. Drawn evenly, they would hardly move the weights.
         tight = round(danger.tight_share * size) if len(self._tight) else 0
         picks = np.concatenate(
             [
                 self._tight[rng.integers(0, max(len(self._tight), 1), tight)],
-                rng.integers(0, len(self), size - tight),
+                self._told[rng.integers(0, len(self._told), size - tight)],
             ]
         )
         return self.batch(picks, mirror=bool(rng.random() < 0.5) and self._may_mirror)
@@ -148,7 +207,7 @@ class Dataset:
         start = np.stack([self._starts[row] for row in rows]).astype(np.float64)
         unsafe = np.stack([self._unsafe[row] for row in rows])
         if mirror:
-            picture, unsafe = picture[..., ::-1].copy(), unsafe[:, self._mirror]
+            picture, unsafe = picture[..., ::-1].copy(), unsafe[:, self._actions.mirror]
             frames = frames[..., ::-1].copy()
             # What turns or leans changes its sign with the sides. Otherwise left would teach right the wrong way.
             vector[:, MIRRORED] *= -1.0

@@ -1,4 +1,4 @@
-"""Supervised learning of dangers: binary cross-entropy over all joystick positions of a step."""
+"""Supervised learning of dangers: binary cross-entropy over all joystick positions of a step whose label is known."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import torch
 from torch import nn
 from torch.nn import functional
 
-from wcsim.agents.danger.dataset import Dataset
+from wcsim.agents.danger.dataset import UNKNOWN, Dataset
 from wcsim.agents.danger.network import DangerNet, channels_last, spec_of
 from wcsim.agents.networks.device import checked_device
 from wcsim.agents.runs.checkpoint import Arrays
@@ -61,7 +61,8 @@ class DangerLearner:
                 group["lr"] = self._rate * _rate_share(self.updates / self._total)
             batch = data.draw()
             seen, unsafe = (part.to(self._device) for part in batch.inputs), batch.unsafe.to(self._device)
-            loss = functional.binary_cross_entropy_with_logits(self.net(*seen), unsafe)
+            known = unsafe < UNKNOWN
+            loss = functional.binary_cross_entropy_with_logits(self.net(*seen)[known], unsafe[known])
             now = float(loss.detach())
             self._optimizer.zero_grad()
             loss.backward()  # type: ignore[no-untyped-call]

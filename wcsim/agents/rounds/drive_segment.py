@@ -3,7 +3,8 @@
 It is driven in streets of several towns in turn, or in generated scenes of blind sides and tight places.
 
 The user, the oracle or the network drives. A user who never errs near a wall teaches nothing of walls: so for a third
-of the time an offset is laid over the wish, and some of these wishes are carried out as they are.
+of the time an offset is laid over the wish, and some of these wishes are carried out as they are. Where crashes alone
+teach (`danger.teacher`), no oracle is asked, and nobody but users and networks drives.
 """
 
 from __future__ import annotations
@@ -48,14 +49,13 @@ from wcsim.core import seeding
 from wcsim.core.reading import escaped
 from wcsim.errors import ConfigError
 from wcsim.supervisor.actions import ActionSet, action_set
+from wcsim.supervisor.rewards import fault
 from wcsim.towns.scenario.town import Town, find_town
 from wcsim.towns.scene_folders.build import build_scene, scene_config, seat_specs
 from wcsim.towns.scene_folders.families import FAMILIES, write_scene
-from wcsim.types import F64, ClientSnapshot, SeatSpec, Truth, Verdict
+from wcsim.types import F64, U8, ClientSnapshot, SeatSpec, Truth, Verdict
 from wcsim.users.recordings.recorded_user import find_user
 
-_ASTRAY_SIGMA = 0.5  # spread of the offset, in stick units
-_ASTRAY_TICKS = (4, 12)  # shortest and longest time that an offset is held
 _RECKLESS_SHARE = 0.4  # share of these offsets that are executed as they are
 _SCENE_SEEDS: Final = 1 << 24  # those of scenes that are trained in begin here; those of tests are far below
 _MOST_SCENES: Final = 12  # of a segment
@@ -102,13 +102,17 @@ def require_recordable(config: RunConfig) -> None:
     """Refuse settings with which segments could not be driven, before anything is made for them.
 
     Raises:
-        ConfigError: The chairs would not see what data is made of, or a variant cannot be used.
+        ConfigError: The chairs would not see what data is made of, the oracle would drive though nobody asks it, or a
+            variant cannot be used.
     """
     if config.env.observation != "compact":
         told = f"env.observation={config.env.observation}: training data consists of class ids and depth"
         raise ConfigError(f"{told}; expected compact")
     if config.eye != config.cameras[0]:
         raise ConfigError(f"env.camera={config.env.camera}: training data is of the first camera; expected no other")
+    if config.danger.teacher == "crashes" and config.collect.follow_share < 1.0:
+        told = f"danger.teacher=crashes, but collect.follow_share={config.collect.follow_share:g} lets the oracle drive"
+        raise ConfigError(f"{told}; expected 1: users, and then the network, drive alone")
     for variant in config.collect.variants:
         try:
             resolve(config, tuple(variant.split()))
@@ -236,8 +240,8 @@ class _DataDriver:
             self._driver = NETWORK
             learned.reset()
 
-    def choose(self, observation: Observation, said: Verdict) -> dict[str, Any]:
-        """Answer an observation, in columns of a segment; `said` is the oracle's verdict of its moment."""
+    def choose(self, observation: Observation, said: Verdict | None) -> dict[str, Any]:
+        """Answer an observation, in columns of a segment; `said` is the oracle's verdict of its moment, if any."""
         wish = self._wish(np.asarray(observation[JOYSTICK_KEY], np.float64))
         reckless = self._held > 0 and self._reckless
         action = self._actions.nearest(wish)
@@ -247,7 +251,7 @@ class _DataDriver:
             else:
                 action = self._learned.choose({**observation, JOYSTICK_KEY: wish.astype(np.float32)})
             self._learned.sent(action)
-        elif self._driver == ORACLE and not reckless:
+        elif self._driver == ORACLE and said is not None and not reckless:
             action = self._safest(wish, said.first_s)
         return {"action": action, "wish": wish, "driver": RECKLESS if reckless else self._driver}
 
@@ -255,10 +259,10 @@ class _DataDriver:
         """The user's stick, or with an offset that is held for a while."""
         settings, rng = self._settings, self._rng
         self._held -= 1
-        low, high = _ASTRAY_TICKS
+        low, high = settings.astray_ticks
         mean = 0.5 * (low + high)
         if self._held <= 0 and rng.random() < settings.astray_share / (mean - (mean - 1) * settings.astray_share):
-            self._offset = rng.normal(0.0, _ASTRAY_SIGMA, 2)
+            self._offset = rng.normal(0.0, settings.astray_spread, 2)
             self._held = int(rng.integers(low, high + 1))
             self._reckless = bool(rng.random() < _RECKLESS_SHARE)
         if self._held <= 0:
@@ -295,7 +299,8 @@ def collect(order: SegmentOrder, make_learned: MakeLearned | None) -> Segment:
 
 def _driven(place: _SegmentPlace, make_learned: MakeLearned | None, seed: int) -> Segment:
     """Drive for so many ticks, with a new episode wherever one ends."""
-    specs = tuple(replace(spec, truth=True, truth_visible=True) for spec in place.seats)
+    asked = place.config.danger.teacher != "crashes"  # the oracle costs time, and what happens needs none
+    specs = tuple(replace(spec, truth=asked, truth_visible=asked) for spec in place.seats)
     with World(place.town, place.config, specs, place.seed, find_user=find_user) as world:
         seats = [
             _Seat(place.config, client, make_learned, seeding.generator(seed, "collect", number))
@@ -330,14 +335,15 @@ class _Seat:
 
     def act(self, observation: Observation, info: Info) -> int:
         """Answer what is seen now."""
-        said: Truth = info["truth"]
-        self._choice = self._agent.choose(observation, said.visible or said)
+        said: Truth | None = info["truth"]
+        self._choice = self._agent.choose(observation, said and (said.visible or said))
         return int(self._choice["action"])
 
     def take(self, client: ClientSnapshot) -> None:
         """Write down what came of it."""
         seen, said = self.driver.observation, self.driver.info["truth"]
         step = self.driver.take(client)
+        own = fault(client.events.crash_reason, client.contacts, self._config.reward) == "own"
         self.rows.append(
             {
                 "depth": seen[DEPTH_KEY][-1],
@@ -346,14 +352,20 @@ class _Seat:
                 "odometry": seen[ODOMETRY_KEY],
                 "stick": seen[JOYSTICK_KEY],
                 **self._choice,
-                "visible": codes_of((said.visible or said).first_s),
-                "truth": codes_of(said.first_s),
+                "visible": _codes(said and (said.visible or said)),
+                "truth": _codes(said),
                 "reward": step.reward,
                 "crashed": step.terminated,
+                "own": step.terminated and own,
                 "ended": step.done,
                 "delay": self._delay,
             }
         )
+
+
+def _codes(said: Verdict | None) -> U8:
+    """(A,) see `codes_of`, or (0,) where no oracle was asked."""
+    return np.zeros(0, np.uint8) if said is None else codes_of(said.first_s)
 
 
 def _segment_of(chairs: Sequence[Sequence[dict[str, Any]]]) -> Segment:

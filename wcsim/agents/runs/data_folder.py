@@ -57,7 +57,7 @@ COLUMNS: Final[Mapping[str, tuple[str, tuple[int, ...]]]] = {  # of a column: it
     **dict.fromkeys(("depth", "seg"), ("u1", (0, 0))),
     **dict.fromkeys(("visible", "truth"), ("u1", (0,))),
     **dict.fromkeys(("action", "driver", "delay"), ("u1", ())),
-    **dict.fromkeys(("crashed", "ended"), ("b1", ())),
+    **dict.fromkeys(("crashed", "own", "ended"), ("b1", ())),
     **dict.fromkeys(("odometry", "stick", "wish"), ("f4", (2,))),
     "imu": ("f4", (0,)),
     "reward": ("f4", ()),
@@ -96,10 +96,11 @@ class Segment:
     wish: F32  # (N, 2) the stick that was answered: the user's, or one gone astray
     action: U8  # (N,) executed
     driver: U8  # (N,) see DRIVERS
-    visible: U8  # (N, A) see `codes_of`, of the oracle that knows what the cameras showed
-    truth: U8  # (N, A) the same of the oracle that knows all
+    visible: U8  # (N, A) see `codes_of`, of the oracle that knows what the cameras showed; (N, 0) where none was asked
+    truth: U8  # (N, A) or (N, 0), the same of the oracle that knows all
     reward: F32  # (N,) what the step brought
     crashed: Bool  # (N,) the step ended in a crash
+    own: Bool  # (N,) in one of the chair's own fault, see `supervisor.rewards.fault`
     ended: Bool  # (N,) it was the last one of its episode here
     delay: U8  # (N,) ticks from a command to the chair that obeys it
 
@@ -298,6 +299,8 @@ def _columns(data: bytes) -> dict[str, np.ndarray]:
         if any(item.compress_type != zipfile.ZIP_STORED for item in held.infolist()):  # so that none unpacks to more
             raise ValueError("packed in another way")
         names = {field.name: f"{field.name}.npy" for field in fields(Segment)}
+        if names["own"] not in held.namelist():  # older data does not tell whose fault a crash was
+            names["own"] = names["crashed"]
         return {name: np.lib.format.read_array(io.BytesIO(held.read(file))) for name, file in names.items()}
 
 
@@ -313,7 +316,7 @@ def _require_whole(path: Path, columns: dict[str, np.ndarray]) -> None:
             "collect it again"
         )
     pictures, said = columns["depth"].shape == columns["seg"].shape, columns["visible"].shape[1]
-    acted = columns["action"].max(initial=0) < said == columns["truth"].shape[1]
+    acted = columns["action"].max(initial=0) < (said or SAFE) and said == columns["truth"].shape[1]
     if 0 in lengths or not (pictures and acted) or columns["driver"].max() >= len(DRIVERS):
         raise PolicyError(f"{escaped(path)} has columns that do not fit each other; collect it again")
 

@@ -133,7 +133,7 @@ class SettingsOptions:
     """Settings over a preset."""
 
     preset: str = "quick"
-    """Preset to start from: quick, laptop, best, dqn or paper."""
+    """Preset to start from: quick, laptop, best, reward, dqn or paper."""
     config: InFile = None
     """TOML file with settings that override the preset."""
     set: Repeated = ()

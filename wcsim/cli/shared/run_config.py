@@ -70,7 +70,8 @@ def require_head(config: RunConfig, *, in_rounds: bool) -> None:
     """
     if learns_in_rounds(config) == in_rounds:
         return
-    expected = "preset quick, laptop or best, or wcsim train-q" if in_rounds else "preset dqn or paper, or wcsim train"
+    rounds, steps = "preset quick, laptop, best or reward, or wcsim train-q", "preset dqn or paper, or wcsim train"
+    expected = rounds if in_rounds else steps
     does = "learns dangers in rounds" if in_rounds else "learns by Q-learning"
     raise ConfigError(f"learn.head={config.learn.head}: this command {does}; expected {expected}")
 
@@ -147,9 +148,12 @@ def how_it_learns(config: RunConfig) -> str:
     """From what and for how long a network learns, in a sentence or two."""
     learn, collect = config.learn, config.collect
     if learns_in_rounds(config):
+        who, what = "simulated users and an oracle drive", "the oracle's labels, not rewards"
+        if config.danger.teacher == "crashes":
+            who, what = "simulated users and the network drive", "crashes that happened, without an oracle"
         return (
             f"{counted(collect.rounds, 'round')} of {collect.segments} x {collect.ticks} ticks with {collect.chairs} "
-            "chairs: simulated users and an oracle drive. A network learns the oracle's labels, not rewards, in "
+            f"chairs: {who}. A network learns from {what}, in "
             f"{config.danger.updates} updates per round: which joystick positions end badly."
         )
     aid = " and from an oracle's labels (learn.aid=oracle)" if learn.aid == "oracle" else ""

@@ -90,7 +90,7 @@ class _RoundsOptions(_TrainingOptions):
     """
 
     preset: str = "quick"
-    """Preset to start from: quick, laptop or best."""
+    """Preset to start from: quick, laptop, best or reward."""
     data: Repeated = ()
     """Data folder of `wcsim collect` that the network also learns from, as collect.data."""
     worlds: Worlds = None
