@@ -6,6 +6,7 @@ The network's answer is added to the user's stick, so that an untrained one foll
 
 import sys
 import time
+from collections.abc import Iterator
 
 import gymnasium
 import numpy as np
@@ -96,14 +97,14 @@ def improve(agent: Agent, best: torch.optim.Optimizer, batch: tuple[torch.Tensor
     best.step()
 
 
-def train(town: str, steps: int, settings: tuple[str, ...] = SETTINGS, chairs: int = CHAIRS) -> list[dict[str, float]]:
-    """Train for so many steps of all chairs together; returns a row of numbers for each update."""
+def train(town: str, steps: int, settings: tuple[str, ...] = SETTINGS, chairs: int = CHAIRS) -> Iterator[dict]:
+    """Train for so many steps of all chairs together; a row of numbers for each update."""
     torch.manual_seed(1)
     torch.set_num_threads(1)  # more threads only wait for each other in small updates
     env = gymnasium.make_vec(wcsim.ENV_ID, num_envs=chairs, town=town, overrides=settings)
     agent = Agent(int(np.prod(env.single_observation_space.shape)))
     best = torch.optim.Adam(agent.parameters(), RATE, eps=1e-5)
-    rows, begun_s = [], time.perf_counter()
+    begun_s = time.perf_counter()
     try:
         seen = torch.from_numpy(env.reset(seed=1)[0])
         ticks = min(ROLLOUT, max(8, steps // chairs))
@@ -116,13 +117,13 @@ def train(town: str, steps: int, settings: tuple[str, ...] = SETTINGS, chairs: i
                     improve(agent, best, tuple(item[some] for item in data))
             row = {"steps": update * chairs * ticks, "reward": float(rewards.mean())}
             row |= {key: float(np.sum(found)) for key, found in ended.items()}
-            rows.append({**row, "seconds": round(time.perf_counter() - begun_s, 1)})
+            yield {**row, "seconds": round(time.perf_counter() - begun_s, 1)}
     finally:
         env.close()
-    return rows
 
 
 if __name__ == "__main__":
     town, steps = [*sys.argv[1:], *("helsinki", "40000")[len(sys.argv) - 1 :]]
     for row in train(town, int(steps)):
         sys.stdout.write(" ".join(f"{key}={value:.5g}" for key, value in row.items()) + "\n")
+        sys.stdout.flush()
