@@ -23,6 +23,7 @@ from tests.api.streets import Counting, action_at
 from wcsim.agents.envs.env_spec import EnvOptions
 from wcsim.agents.envs.parallel_env import StreetParallelEnv
 from wcsim.agents.envs.vec_env import StreetVecEnv
+from wcsim.agents.envs.vector_env import StreetVectorEnv
 from wcsim.agents.envs.wheelchair_env import WheelchairEnv
 from wcsim.config import resolve
 from wcsim.errors import BadActionError, ConfigError, ProtocolError, TownError
@@ -222,6 +223,7 @@ FACES: tuple[tuple[Any, Any], ...] = (
     (WheelchairEnv, lambda env: env.step(40)),
     (StreetParallelEnv, lambda env: env.step(dict.fromkeys(env.agents, 40))),
     (StreetVecEnv, lambda env: env.step(np.full(2, 40))),
+    (StreetVectorEnv, lambda env: env.step(np.full(2, 40))),
 )
 
 
