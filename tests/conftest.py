@@ -19,7 +19,7 @@ SHARED = ROOT.parent / "shared"
 PROOF_TIMEOUT_S = 2400
 """A single proof may take minutes; this is for one that hangs."""
 
-WAITING = ("tests/server/", "tests/drive/page/", "tests/drive/serving/", "tests/api/test_join", "tests/attack/peers/")
+WAITING = ("tests/server/", "tests/drive/page/", "tests/drive/serving/", "tests/attack/peers/")
 """Where tests mostly wait, for leases, for processes and for the pace of a drive."""
 
 

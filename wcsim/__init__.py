@@ -24,7 +24,12 @@ __all__ = ["ENV_ID", "StreetVecEnv", "WheelchairEnv", "__version__", "parallel_e
 
 def _name_environment(gymnasium: _ModuleType) -> None:
     if ENV_ID not in gymnasium.registry:
-        gymnasium.register(id=ENV_ID, entry_point="wcsim.agents.envs.wheelchair_env:WheelchairEnv")
+        gymnasium.register(
+            id=ENV_ID,
+            entry_point="wcsim.agents.envs.wheelchair_env:WheelchairEnv",
+            vector_entry_point="wcsim.agents.envs.vector_env:StreetVectorEnv",
+            max_episode_steps=10_000,  # as env.max_steps; a literal, for nothing is loaded here
+        )
 
 
 _on_load("gymnasium.envs.registration", _name_environment)

@@ -376,12 +376,12 @@ class World(Closing):
             for seat in seats:
                 buffers = None if out is None else out.buffers(seat.index, first)
                 scenes[seat.index] = seat.surroundings(self._tick, traffic.actors, poses, traffic.signals, buffers)
-            self._rig.shoot_all(scenes, meanwhile)
+            self._rig.shoot_all({seat: scene for seat, scene in scenes.items() if scene.drawn}, meanwhile)
         return scenes
 
     def _seen(self, seat: Ego, scene: Surroundings, first: bool) -> ClientSnapshot:
         with self.stopwatch.measure("render"):
-            sensors = seat.observe(scene)
+            sensors = seat.observe(scene, self._others(seat))
         with self.stopwatch.measure("truth"):
             truth = None if self._blind else seat.truth(self._others(seat))
         return seat.snapshot(self._tick, sensors, seat.events(self.sumo.teleports, first), truth)

@@ -10,8 +10,8 @@ from wcsim.config.base import Finite, Model, NotNegative, Positive, Text, within
 
 JoystickDistance = Annotated[float, Field(gt=0.0, le=100.0)]
 
-Form = Literal["compact", "compact_rgb", "table3"]
-Actions = Literal["square81", "disc69"]
+Form = Literal["compact", "compact_rgb", "table3", "state"]
+Actions = Literal["square81", "disc69", "stick"]
 Classes = Literal["cityscapes", "wcsim"]
 EpisodeSteps = Annotated[int, within(1, 1_000_000)]
 
@@ -63,7 +63,7 @@ class EnvConfig(Model):
     """Observations, actions and episodes."""
 
     observation: Form = (
-        "compact"  # Class ids and log-depth as uint8; the same and colours (compact_rgb); or the floats of Table 3.
+        "compact"  # Class ids and log-depth as uint8; with colours (compact_rgb); floats of Table 3; no images (state).
     )
     camera: Annotated[str, Field(max_length=40, exclude_if=lambda name: not name)] = (
         ""  # Name of the camera that networks see. Empty: the first.
@@ -72,7 +72,7 @@ class EnvConfig(Model):
     observe_gyro: bool = False  # Whether the observation contains turn rates. Not in the paper.
     observe_yaw: bool = False  # Whether the observation contains the heading. Not in the paper.
     window: Window | None = None  # Images in an observation, one per tick. Without a value: the network decides.
-    actions: Actions = "square81"  # Joystick positions: a 9 by 9 grid, or those on the unit disc.
+    actions: Actions = "square81"  # Joystick positions: a 9 by 9 grid, those on the unit disc, or any (stick).
     max_steps: EpisodeSteps = 10_000  # Longest episode in steps. Training uses learn.episode_steps.
     profile: Text = "inattentive"  # Simulated user: a name, FILE.toml, or recorded:FILE (docs/user.md).
     truth: bool = False  # Whether info holds the oracle's labels, for baselines and measurements.
@@ -80,12 +80,19 @@ class EnvConfig(Model):
 
     @model_validator(mode="after")
     def _window_is_compact(self) -> EnvConfig:
-        if self.observation == "table3" and self.frames > 1:
+        if self.observation in ("table3", "state") and self.frames > 1:
             raise ValueError(
                 f"window {self.window} with observation {self.observation!r}; expected one image in this form: "
                 "set env.window=1, or env.observation=compact"
             )
+        if self.observation == "state" and self.truth_visible:
+            raise ValueError("truth_visible with observation 'state', whose cameras draw nothing; expected env.truth")
         return self
+
+    @property
+    def lattice(self) -> str:
+        """The action set that the oracle judges: that of `actions`, or the paper's grid where any stick will do."""
+        return "square81" if self.actions == "stick" else self.actions
 
     @property
     def frames(self) -> int:

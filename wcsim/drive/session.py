@@ -11,7 +11,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from wcsim.agents.envs.episode_view import Chair
+from wcsim.agents.envs.episode_view import Chair, pictured
 from wcsim.bridge.ego.start_place import bearing_rad
 from wcsim.bridge.world import World
 from wcsim.bridge.world_rollout import rollout
@@ -255,11 +255,12 @@ class DriveSession(Closing):
         """Look at the chair's frame of now with this stick in it; the step before is judged by it."""
         client = replace(self.client, user=stick)
         if self._fresh:
-            self._seen, self._info = self._chair.begin(client)
+            seen, self._info = self._chair.begin(client)
             self._fresh = False
         else:
             step = self._chair.take(client)
-            self._seen, self._info = step.observation, step.info
+            seen, self._info = step.observation, step.info
+        self._seen = pictured(seen)
 
     def _move(self, answer: Answer) -> None:
         given = self._chair.command(answer.sent).joystick

@@ -33,7 +33,13 @@ MOST_READ_BYTES = 8 << 20  # of a journal, between a death and a restart
 
 def seat_spec(env: EnvConfig) -> SeatSpec:
     """What a client with these settings asks for when it takes a seat."""
-    return SeatSpec(profile=env.profile, max_steps=env.max_steps, truth=env.truth, truth_visible=env.truth_visible)
+    return SeatSpec(
+        profile=env.profile,
+        max_steps=env.max_steps,
+        truth=env.truth,
+        truth_visible=env.truth_visible,
+        near=env.observation == "state",
+    )
 
 
 def town_of_epoch(town: str, more_towns: Sequence[str], epoch: int) -> str:

@@ -62,7 +62,8 @@ def action_set(name: str) -> ActionSet:
     (81, 69)
     """
     if name not in NAMES:
-        raise ConfigError(f"unknown action set {name!r}; expected one of: {', '.join(NAMES)}")
+        told = ": env.actions=stick is for environments, what chooses from a list needs one" if name == "stick" else ""
+        raise ConfigError(f"unknown action set {name!r}; expected one of: {', '.join(NAMES)}{told}")
     steps = np.arange(-_HALF_CELLS, _HALF_CELLS + 1)
     # Policies are saved with indices into this list, so its order may never change.
     cells = np.array([(i, j) for i in steps for j in steps])

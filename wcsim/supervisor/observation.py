@@ -1,9 +1,11 @@
-"""What the agent gets to see (Table 3 of the paper), in three forms.
+"""What the agent gets to see (Table 3 of the paper), in three forms with pictures, and in one without.
 
 `compact` keeps images as uint8 (class ids, and depth on a logarithmic scale) for the replay store, and networks expand
 them; `compact_rgb` has the camera's colours too; `table3` gives the paper's floats. All hold the same picture, in fresh
 arrays that a replay buffer may keep. A
 depth of 0 says in both that nothing was measured there; whatever was measured is above 0.
+
+`state` is for experiments: rows of numbers about what is near, from the world's truth. No real chair has them.
 """
 
 from __future__ import annotations
@@ -12,7 +14,7 @@ import math
 from collections.abc import Mapping
 from functools import lru_cache
 from types import MappingProxyType
-from typing import Any, get_args
+from typing import Any, Final, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -22,7 +24,7 @@ from wcsim.config import RunConfig
 from wcsim.config.env import Form
 from wcsim.errors import ConfigError
 from wcsim.supervisor.palette import class_fold_table, palette
-from wcsim.types import F32, U8, CameraFrame, ClientSnapshot, ImuFrame, Measure, SensorFrame
+from wcsim.types import F32, F64, U8, CameraFrame, ClientSnapshot, ImuFrame, Measure, SensorFrame
 
 Observation = dict[str, npt.NDArray[Any]]
 Measures = Mapping[str, Measure]
@@ -34,7 +36,24 @@ _ACCEL_FULL_SCALE_MPS2 = 40.0  # maximum of Table 1
 _GYRO_FULL_SCALE_RADPS = 4.0  # more than a chair turns before it falls
 _IMU_SIZE = 5  # numbers of the IMU in the paper's observation
 
+NEAR: Final = "around"  # the reading with the rows of `state`
+WAY_AHEAD_M: Final = (1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0)  # along the route
+SECTORS: Final = 16  # around the chair: the nearest solid thing and the nearest edge in each
+SOLID_REACH_M: Final = 6.0  # of both
+MOST_OTHERS: Final = 16
+OTHERS_REACH_M: Final = 25.0
+WAY_ROW: Final = 1  # the first row of each block; row 0 is of the chair itself
+SOLID_ROW: Final = WAY_ROW + len(WAY_AHEAD_M)
+EDGE_ROW: Final = SOLID_ROW + SECTORS
+OTHERS_ROW: Final = EDGE_ROW + SECTORS
+STATE_SHAPE: Final = (OTHERS_ROW + MOST_OTHERS, 9)
+MOST_KINDS: Final = 16  # numbers of kinds in the first column, 0 where a row is empty
+
 _MANTISSA_BITS_DROPPED = 13  # of 23: leaves a relative step of 2^-10, a twentieth of one depth code
+_WITHOUT_PICTURES = (
+    "env.observation=state is for environments: it has no pictures, and wcsim's networks and policies need them; "
+    "expected env.observation=compact"
+)
 _TABLE_SIZE = 1 << (32 - _MANTISSA_BITS_DROPPED)
 _INFINITE = 0x7F800000 >> _MANTISSA_BITS_DROPPED  # infinity and NaN begin here
 
@@ -48,6 +67,8 @@ def observation_space(
     """
     if form not in get_args(Form):
         raise ConfigError(f"unknown observation form {form!r}; expected one of {', '.join(get_args(Form))}")
+    if form == "state":
+        raise ConfigError(_WITHOUT_PICTURES)
     vectors: dict[str, spaces.Space[Any]] = {
         "imu": spaces.Box(-1.0, 1.0, (imu,), np.float32),
         "joystick": spaces.Box(-1.0, 1.0, (2,), np.float32),
@@ -76,6 +97,8 @@ def observation_of(snapshot: ClientSnapshot, config: RunConfig) -> Observation:
         ConfigError: There is no such camera or sensor, or no colours where they are asked for.
     """
     sensors, env, eye = snapshot.sensors, config.env, config.eye
+    if env.observation == "state":
+        raise ConfigError(_WITHOUT_PICTURES)
     frame, fold = _frame(sensors, eye.name), env.classes == "cityscapes"  # kerbs to sidewalk, crosswalk to road
     imu = _imu_vector(sensors.imu, env.observe_gyro, env.observe_yaw)
     vectors = {"imu": imu, "joystick": np.array([snapshot.user.x, snapshot.user.y], np.float32)}
@@ -96,6 +119,34 @@ def observation_of(snapshot: ClientSnapshot, config: RunConfig) -> Observation:
         np.take(colour, index, out=plane, mode="clip")
     depth = np.multiply(frame.depth_m, np.float32(1.0 / eye.range_m), dtype=np.float32)
     return {"segmentation": image, "depth": np.clip(depth, 0.0, 1.0, out=depth)[None], **vectors}
+
+
+def state_space() -> spaces.Box:
+    """The Gymnasium space of `state_of`."""
+    return spaces.Box(-1.0, 1.0, STATE_SHAPE, np.float32)
+
+
+def state_of(snapshot: ClientSnapshot) -> F32:
+    """The rows of `state` (STATE_SHAPE) float32, each column over its full scale and cut to [-1, 1].
+
+    Raises ConfigError for the frame of a seat that did not ask for them.
+    """
+    rows = next((reading.values for reading in snapshot.sensors.readings if reading.name == NEAR), None)
+    if rows is None or rows.size != np.prod(STATE_SHAPE):
+        raise ConfigError(f"the seat has no numbers for env.observation=state. {_WITHOUT_PICTURES}")
+    return np.clip((rows.reshape(STATE_SHAPE) / _state_scale()).astype(np.float32), -1.0, 1.0)
+
+
+@lru_cache(maxsize=1)
+def _state_scale() -> F64:
+    """Full scale of each number: metres by the reach of a row's block, 15 m/s, vehicles of 15 m by 5 m."""
+    scale = np.tile(np.array([MOST_KINDS, 1.0, 1.0, 15.0, 15.0, 1.0, 1.0, 15.0, 5.0]), (STATE_SHAPE[0], 1))
+    reach_m = ((WAY_ROW, WAY_AHEAD_M[-1]), (SOLID_ROW, SOLID_REACH_M), (OTHERS_ROW, OTHERS_REACH_M))
+    for row, metres in reach_m:  # each block up to the end; the next one overwrites its own
+        scale[row:, 1:3] = metres
+    # kind, stick x and y, speeds ahead and left, turn rate, roll, pitch, metres to the destination
+    scale[0] = [MOST_KINDS, 1.0, 1.0, 4.0, 4.0, 4.0, math.pi, 0.5 * math.pi, 400.0]
+    return scale
 
 
 def imu_size(gyro: bool, yaw: bool) -> int:

@@ -176,4 +176,5 @@ class SeatSpec:
     max_steps: b.Steps = 10_000
     truth: bool = False
     truth_visible: bool = False  # the truth includes `visible`
+    near: bool = False  # a reading says what is near, for `env.observation=state`; cameras draw only colours then
     start: StartSpec | None = None

@@ -1,7 +1,8 @@
 """What all faces of a town share: the configuration, the spaces, the order for a world, and a world's chairs.
 
 A face is a standard interface over the same links: Gymnasium's (`agents/envs/wheelchair_env.py`), PettingZoo's
-(`agents/envs/parallel_env.py`) and that of Stable-Baselines3's vectorised environments (`agents/envs/vec_env.py`).
+(`agents/envs/parallel_env.py`), that of Gymnasium's vector environments (`agents/envs/vector_env.py`) and that of
+Stable-Baselines3's (`agents/envs/vec_env.py`).
 """
 
 from __future__ import annotations
@@ -16,14 +17,14 @@ from typing import Any, TypedDict
 import gymnasium
 import numpy as np
 
-from wcsim.agents.envs.episode_view import Chair, EpisodeStep, Info, windowed_space
+from wcsim.agents.envs.episode_view import Chair, EpisodeStep, Info, Seen, windowed_space
 from wcsim.config import RunConfig, resolve
 from wcsim.core.reading import MAX_INTEGER, escaped_value
 from wcsim.errors import ConfigError, ProtocolError, meant
 from wcsim.server.links.base import Seat, SeatGroup, open_group
 from wcsim.server.specs import WorldOrder, seat_spec
-from wcsim.supervisor.actions import ActionSet, action_set
-from wcsim.supervisor.observation import Observation, imu_size, observation_space
+from wcsim.supervisor.actions import action_set
+from wcsim.supervisor.observation import imu_size, observation_space, state_space
 from wcsim.supervisor.rewards import RewardTerm, is_reward_term
 from wcsim.users.recordings.recorded_user import find_user
 
@@ -70,17 +71,17 @@ class _Face:
         fps = max(1, round(1 / self.config.world.tick_s))  # so that films take as long as what they show
         return {"render_modes": list(RENDER_MODES), "render_fps": fps, "name": "wcsim"}
 
-    def actions(self) -> ActionSet:
-        """The joystick positions to choose from."""
-        return action_set(self.config.env.actions)
-
-    def action_space(self) -> gymnasium.spaces.Discrete:
+    def action_space(self) -> gymnasium.spaces.Discrete | gymnasium.spaces.Box:
         """The space of one chair's actions, a new one each time."""
-        return gymnasium.spaces.Discrete(len(self.actions()))
+        if self.config.env.actions == "stick":
+            return gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float32)
+        return gymnasium.spaces.Discrete(len(action_set(self.config.env.actions)))
 
-    def observation_space(self) -> gymnasium.spaces.Dict:
+    def observation_space(self) -> gymnasium.spaces.Dict | gymnasium.spaces.Box:
         """The space of one chair's observations, a new one each time."""
         camera, env = self.config.eye, self.config.env
+        if env.observation == "state":
+            return state_space()
         vector = imu_size(env.observe_gyro, env.observe_yaw)
         measures = self.config.sensors.measures()
         now = observation_space(env.observation, camera.width_px, camera.height_px, vector, measures)
@@ -176,6 +177,13 @@ def checked_seed(seed: object) -> int | None:
     return number
 
 
+def stacked(observations: Sequence[Seen]) -> Seen:
+    """One observation of all chairs, each array with a first axis more, in fresh arrays."""
+    if not isinstance(observations[0], dict):
+        return np.stack(observations)  # type: ignore[arg-type]
+    return {key: np.stack([seen[key] for seen in observations]) for key in observations[0]}  # type: ignore[call-overload]
+
+
 def drawn_seed() -> int:
     """A seed from the system, where none is given."""
     return int(np.random.SeedSequence().generate_state(1)[0]) % SEED_LIMIT
@@ -190,12 +198,18 @@ class Chairs:
         self.all = [Chair(face.config, copy.deepcopy(tuple(terms))) for _ in range(count)]
         self._group: SeatGroup | None = None
 
+    def __getstate__(self) -> dict[str, Any]:
+        """For copies. Raises ProtocolError while there is a world: one of several chairs is not driven again."""
+        if self._group is not None:
+            raise ProtocolError("several chairs in an open world cannot be copied; call close() first, or copy one")
+        return self.__dict__
+
     @property
     def open(self) -> bool:
         """Whether there is a world, and no step of it was interrupted."""
         return self._group is not None and not any(link.interrupted for link in self._group.links)
 
-    def begin(self, seed: int | None) -> list[tuple[Observation, Info]]:
+    def begin(self, seed: int | None) -> list[tuple[Seen, Info]]:
         """Begin every chair's first episode in a world made anew; without a seed, with one drawn from the system."""
         seed = (drawn_seed() if seed is None else seed) % SEED_LIMIT
         if not self.open:
@@ -207,10 +221,10 @@ class Chairs:
             frames = self._group.begin_again(seed)
         return [chair.begin(frame) for chair, frame in zip(self.all, frames, strict=True)]
 
-    def begin_next(self) -> list[tuple[Observation, Info]]:
-        """Begin every chair's next episode where the world is now, without a tick."""
+    def begin_next(self, seed: int | None = None) -> list[tuple[Seen, Info]]:
+        """Begin every chair's next episode where the world is now, without a tick; `seed` is for the first world."""
         if self._group is None or not self.open:
-            return self.begin(None)
+            return self.begin(seed)
         frames = self._group.respawn()
         return [chair.begin(frame) for chair, frame in zip(self.all, frames, strict=True)]
 
@@ -219,9 +233,29 @@ class Chairs:
         command = self.all[seat].command(action)
         self.link(seat).send(command.tick, command.joystick)
 
+    def send_all(self, actions: object) -> None:
+        """Send every chair's action, (N,) indices or (N, 2) sticks.
+
+        Raises ProtocolError for another number of them, BadActionError for a wrong one; then nothing has moved.
+        """
+        rows = np.asarray(actions, dtype=object)
+        given = list(np.atleast_1d(rows) if self.face.config.env.actions == "stick" else rows.reshape(-1))
+        if len(given) != len(self.all):
+            raise ProtocolError(f"{len(given)} actions; expected {len(self.all)}, one for each chair")
+        for chair, action in zip(self.all, given, strict=True):
+            chair.stick(action)
+        for seat, action in enumerate(given):
+            self.send(seat, action)
+
     def receive(self, seat: int) -> EpisodeStep:
         """What came of a chair's action. Raises LinkError."""
         return self.all[seat].take(self.link(seat).receive())
+
+    def receive_all(self) -> list[tuple[EpisodeStep, tuple[Seen, Info] | None]]:
+        """What came of every action and, where an episode ended with it, the first frame of the next one."""
+        steps = [self.receive(seat) for seat in range(len(self.all))]
+        pairs = zip(self.all, steps, strict=True)
+        return [(step, chair.begin_next() if step.done else None) for chair, step in pairs]
 
     def link(self, seat: int) -> Seat:
         """The link of a seat. Raises ProtocolError when there is no world."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 import operator
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Any, NamedTuple
 
 import gymnasium
@@ -19,11 +19,11 @@ from wcsim.agents import policy_api
 from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, RGB_KEY
 from wcsim.config import RunConfig
 from wcsim.core.reading import escaped_value
-from wcsim.errors import BadActionError, ConfigMismatchError, PolicyError, ProtocolError
-from wcsim.supervisor.actions import action_set
-from wcsim.supervisor.observation import Observation, observation_of
+from wcsim.errors import BadActionError, ConfigError, ConfigMismatchError, PolicyError, ProtocolError
+from wcsim.supervisor.actions import MAX_DISTANCE, action_set
+from wcsim.supervisor.observation import Observation, observation_of, state_of
 from wcsim.supervisor.rewards import DISTANCE_TOLERANCE, RewardTerm, joystick_distance, reward
-from wcsim.types import ClientSnapshot, Command, Drawn, Joystick, RewardTerms
+from wcsim.types import F32, ClientSnapshot, Command, Drawn, Joystick, RewardTerms
 
 IMAGE_KEYS = (CLASS_KEY, DEPTH_KEY, RGB_KEY)  # of the compact forms
 
@@ -83,8 +83,17 @@ def newest(observation: policy_api.Observation, frames: int) -> policy_api.Obser
     return {key: value[-frames * planes[key] :] if key in planes else value for key, value in observation.items()}
 
 
+Seen = Observation | F32
+"""What an environment shows: pictures and numbers by name, or the rows of `state`."""
 Info = dict[str, Any]
 WORLD_RESTARTED = "world_restarted"
+
+
+def pictured(seen: Seen) -> Observation:
+    """The same, for a policy. Raises ConfigError for the rows of `state`."""
+    if not isinstance(seen, dict):
+        raise ConfigError("env.observation=state is for environments; policies see pictures: expected compact")
+    return seen
 
 
 def delay_ticks(config: RunConfig, drawn: Drawn | None) -> int:
@@ -96,7 +105,7 @@ def delay_ticks(config: RunConfig, drawn: Drawn | None) -> int:
 class EpisodeStep(NamedTuple):
     """What one step was, in the order of Gymnasium's `step`."""
 
-    observation: Observation
+    observation: Seen
     reward: float
     terminated: bool
     truncated: bool
@@ -115,11 +124,13 @@ class Chair:
         """A chair of this configuration; `terms` are the user's own reward terms, for this chair alone."""
         self.now: ClientSnapshot | None = None
         self._config = config
-        self._actions = action_set(config.env.actions)
+        self._actions = action_set(config.env.lattice)
+        self._any_stick, self._state = config.env.actions == "stick", config.env.observation == "state"
         self._terms = tuple(terms)
         self._window = FrameWindow(config.env.frames)
-        self._seen: Observation = {}  # the last observation
-        self._action = 0
+        self._seen: Seen = {}  # the last observation
+        self._given = Joystick(0.0, 0.0)
+        self._arrived = False  # at a destination of this episode
 
     @property
     def ready(self) -> bool:
@@ -133,10 +144,11 @@ class Chair:
         A film needs pictures for longer, and the camera draws into the same buffers again.
         """
         place = self._config.cameras.index(self._config.eye)
-        drawn = None if self.now is None else self.now.sensors.cameras[place].rgb
+        frames = () if self.now is None else self.now.sensors.cameras
+        drawn = frames[place].rgb if frames else None
         return None if drawn is None else drawn.copy()
 
-    def begin(self, first: ClientSnapshot) -> tuple[Observation, Info]:
+    def begin(self, first: ClientSnapshot) -> tuple[Seen, Info]:
         """Begin an episode with its first frame.
 
         Raises:
@@ -147,10 +159,11 @@ class Chair:
         for term in self._terms:
             term.reset()
         self._window.reset()
-        self._seen = self._window.add(observation_of(first, self._config))
+        self._arrived = False
+        self._seen = self._observed(first)
         return self._seen, self._info(first, None, 0.0)
 
-    def begin_next(self) -> tuple[Observation, Info]:
+    def begin_next(self) -> tuple[Seen, Info]:
         """Begin the episode whose first frame came with the last one of the episode before.
 
         Raises:
@@ -161,7 +174,7 @@ class Chair:
         return self.begin(self.now.first)
 
     def checked(self, action: object) -> int:
-        """An action's index, of what a learner chose.
+        """An action's index in the set, of what a learner chose.
 
         Raises:
             ProtocolError: No episode is on.
@@ -174,11 +187,24 @@ class Chair:
             raise BadActionError(f"action {got} is not in the action set; expected an integer from 0 to {most}")
         return index
 
+    def stick(self, action: object) -> Joystick:
+        """The joystick position that an action stands for, or is. Raises what `checked` raises."""
+        if not self._any_stick:
+            return Joystick(*self._actions.points[self.checked(action)].tolist())
+        self._frame()
+        try:
+            xy = np.asarray(action, np.float64)
+        except (TypeError, ValueError, OverflowError):
+            xy = np.empty(0)
+        if xy.shape != (2,) or not (np.abs(xy) <= 1.0).all():  # no number is not within either
+            raise BadActionError(f"action {escaped_value(action)} is no stick; expected x and y from -1 to 1")
+        # The gate of a joystick is round: what lies beyond it is pushed that way, as far as it goes.
+        return Joystick(*(xy / max(1.0, float(np.hypot(*xy)))).tolist())
+
     def command(self, action: object) -> Command:
         """An action as the command of the tick of now. Raises what `checked` raises."""
-        now, self._action = self._frame(), self.checked(action)
-        x, y = self._actions.points[self._action].tolist()
-        return Command(seat=now.seat, tick=now.tick, joystick=Joystick(x, y))
+        now, self._given = self._frame(), self.stick(action)
+        return Command(seat=now.seat, tick=now.tick, joystick=self._given)
 
     def take(self, after: ClientSnapshot) -> EpisodeStep:
         """What came of the action that was commanded, with the seat's next frame."""
@@ -186,14 +212,15 @@ class Chair:
         if before is None:
             raise ProtocolError("nothing was commanded; expected command() before take()")
         self.now, asked, events, config = after, before.user, after.events, self._config.reward
-        taken = self._actions.points[self._action]
-        distance = joystick_distance(np.array([asked.x, asked.y]), taken, config)
+        gap = np.array([asked.x, asked.y]), np.array([self._given.x, self._given.y])
+        distance = joystick_distance(*gap, config)
         terms = reward(distance, after.sensors.imu, after.plant, events, config)
         if self._terms:
             terms = replace(terms, extra=sum(term.reward(before, after) for term in self._terms))
-        self._seen = self._window.add(observation_of(after, self._config))
-        sticks = asked, Joystick(*taken.tolist())
-        info = self._info(after, terms, self._actions.distance(self._action, (asked.x, asked.y)), sticks)
+        self._seen = self._observed(after)
+        self._arrived = self._arrived or events.arrived
+        far = min(float(np.hypot(*(gap[1] - gap[0]))), MAX_DISTANCE)
+        info = self._info(after, terms, far, (asked, self._given))
         # An episode that crashed has ended: nothing is left that could be cut off.
         truncated = events.truncated and not events.crashed
         return EpisodeStep(self._seen, float(terms.total), events.crashed, truncated, info)
@@ -221,6 +248,9 @@ class Chair:
         info = self._info(replace(last, events=nothing, contacts=()), None, 0.0)
         return EpisodeStep(self._seen, 0.0, False, True, {**info, "reason": WORLD_RESTARTED})
 
+    def _observed(self, frame: ClientSnapshot) -> Seen:
+        return state_of(frame) if self._state else self._window.add(observation_of(frame, self._config))
+
     def _frame(self) -> ClientSnapshot:
         """The frame of now. Raises ProtocolError where no episode is on."""
         if self.now is None or self.now.first is not None:
@@ -235,17 +265,20 @@ class Chair:
         sticks: tuple[Joystick, Joystick] | None = None,
     ) -> Info:
         """What an agent is told beside its observation; `sticks` are the user's and its own answer to it."""
-        plant = snapshot.plant
+        plant, user = snapshot.plant, (snapshot.user.x, snapshot.user.y)
         asked, given = sticks or (None, None)
         return {
             "state": plant,
             "imu": snapshot.sensors.imu,
             **{reading.name: reading.values for reading in snapshot.sensors.readings},
-            "user_action": self._actions.nearest((snapshot.user.x, snapshot.user.y)),
+            "user_action": np.array(user, np.float32) if self._any_stick else self._actions.nearest(user),
             "joystick_distance": distance,
             "asked": asked,
             "given": given,
             "reward_terms": terms,
+            "rewards": asdict(terms) if terms else dict.fromkeys(RewardTerms.__slots__, 0.0),
+            # An episode goes on behind a destination: at its end the last step says whether one was reached.
+            "is_success": self._arrived and not snapshot.events.crashed,
             "truth": snapshot.truth,
             "drawn": snapshot.drawn,
             "warning": snapshot.truth.danger if snapshot.truth else None,
@@ -260,6 +293,8 @@ class Chair:
     def _check(self, first: ClientSnapshot) -> None:
         """Pictures of another size would leave the observation space without a word."""
         wanted = [(camera.name, (camera.height_px, camera.width_px)) for camera in self._config.cameras]
+        if self._state and not any(camera.rgb for camera in self._config.cameras):
+            wanted = []
         got = [(frame.name, frame.depth_m.shape) for frame in first.sensors.cameras]
         if got != wanted:
             raise ConfigMismatchError(f"the world's cameras are {got}; expected {wanted}: use its configuration")

@@ -14,10 +14,10 @@ import numpy as np
 import numpy.typing as npt
 
 from wcsim.agents.envs.env_spec import Chairs, EnvOptions, checked_chairs, checked_seed, drawn_seed, make_face
-from wcsim.agents.envs.episode_view import EpisodeStep, Info
+from wcsim.agents.envs.episode_view import EpisodeStep, Info, Seen
 from wcsim.core import seeding
 from wcsim.errors import ProtocolError, check_installed
-from wcsim.supervisor.observation import Observation
+from wcsim.types import F32
 
 try:
     from pettingzoo import ParallelEnv
@@ -26,7 +26,7 @@ except ModuleNotFoundError:
     raise
 
 
-class StreetParallelEnv(ParallelEnv[str, Observation, np.int64]):  # type: ignore[misc]  # PettingZoo has no types
+class StreetParallelEnv(ParallelEnv[str, Seen, np.int64]):  # type: ignore[misc]  # PettingZoo has no types
     """Several wheelchairs in one town, for PettingZoo."""
 
     def __init__(self, town: str = "helsinki", *, chairs: int = 2, **options: Unpack[EnvOptions]) -> None:
@@ -51,17 +51,17 @@ class StreetParallelEnv(ParallelEnv[str, Observation, np.int64]):  # type: ignor
         self._observation_spaces = {agent: face.observation_space() for agent in self.possible_agents}
         self._action_spaces = {agent: face.action_space() for agent in self.possible_agents}
 
-    def observation_space(self, agent: str) -> gymnasium.spaces.Dict:
+    def observation_space(self, agent: str) -> gymnasium.spaces.Dict | gymnasium.spaces.Box:
         """The space of an agent's observations; the same object each time."""
         return self._observation_spaces[agent]
 
-    def action_space(self, agent: str) -> gymnasium.spaces.Discrete:
+    def action_space(self, agent: str) -> gymnasium.spaces.Discrete | gymnasium.spaces.Box:
         """The space of an agent's actions; the same object each time."""
         return self._action_spaces[agent]
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[dict[str, Observation], dict[str, Info]]:
+    ) -> tuple[dict[str, Seen], dict[str, Info]]:
         """Begin with all agents in a world made anew; without a seed, with the next one that follows from the last.
 
         Raises:
@@ -75,8 +75,8 @@ class StreetParallelEnv(ParallelEnv[str, Observation, np.int64]):  # type: ignor
         return observations, {agent: item[1] for agent, item in zip(self.agents, begun, strict=True)}
 
     def step(
-        self, actions: Mapping[str, np.int64 | int]
-    ) -> tuple[dict[str, Observation], dict[str, float], dict[str, bool], dict[str, bool], dict[str, Info]]:
+        self, actions: Mapping[str, np.int64 | int | F32]
+    ) -> tuple[dict[str, Seen], dict[str, float], dict[str, bool], dict[str, bool], dict[str, Info]]:
         """Drive for one tick, with one action of every agent that is left; without one there is nothing to do.
 
         Raises:
@@ -116,12 +116,12 @@ class StreetParallelEnv(ParallelEnv[str, Observation, np.int64]):  # type: ignor
         self._resets += 1
         return self._seed if self._resets == 1 else seeding.derive(self._seed, "reset", self._resets)
 
-    def _check(self, actions: Mapping[str, np.int64 | int]) -> None:
+    def _check(self, actions: Mapping[str, np.int64 | int | F32]) -> None:
         if not isinstance(actions, Mapping) or set(actions) != set(self.agents):
             got = sorted(map(str, actions)) if isinstance(actions, Mapping) else f"a {type(actions).__name__}"
             raise ProtocolError(f"actions of {got}; expected one of each of {self.agents}")
         for agent, action in actions.items():
-            self._chairs.all[self.possible_agents.index(agent)].checked(action)
+            self._chairs.all[self.possible_agents.index(agent)].stick(action)
 
     def _let_go(self, steps: Mapping[str, EpisodeStep]) -> None:
         """Whose episode has ended leaves, and its chair the street before the next tick."""

@@ -15,11 +15,9 @@ import numpy as np
 import numpy.typing as npt
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvIndices, VecEnvObs, VecEnvStepReturn
 
-from wcsim.agents.envs.env_spec import Chairs, EnvOptions, checked_chairs, checked_seed, make_face
-from wcsim.agents.envs.episode_view import EpisodeStep
+from wcsim.agents.envs.env_spec import Chairs, EnvOptions, checked_chairs, checked_seed, make_face, stacked
 from wcsim.errors import ConfigError, ProtocolError
 from wcsim.server.links.base import Waits
-from wcsim.supervisor.observation import Observation
 
 
 class StreetVecEnv(VecEnv):
@@ -45,14 +43,11 @@ class StreetVecEnv(VecEnv):
         if self._waiting:
             self.step_wait()  # what is under way must come to its end
         seed = self._seeds[0]
-        if seed is None and self._chairs.open:
-            begun = self._chairs.begin_next()
-        else:
-            begun = self._chairs.begin(self._first_seed if seed is None else seed)
+        begun = self._chairs.begin_next(self._first_seed) if seed is None else self._chairs.begin(seed)
         self._reset_seeds()
         self._reset_options()
         self.reset_infos = [info for _, info in begun]
-        return _stacked([observation for observation, _ in begun])
+        return stacked([observation for observation, _ in begun])
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
         """Make the next reset begin the world again with this seed; the chairs' own seeds follow from it."""
@@ -60,15 +55,10 @@ class StreetVecEnv(VecEnv):
         return self._seeds
 
     def step_async(self, actions: npt.NDArray[Any]) -> None:
-        """Send every chair's action, (N,) indices. Raises BadActionError for one that is not in the set."""
+        """Send every chair's action, (N,) indices or (N, 2) sticks. Raises BadActionError for a wrong one."""
         if self._waiting:
             raise ProtocolError("step_async() came twice; call step_wait() first")
-        given = list(np.asarray(actions, dtype=object).reshape(-1))
-        if len(given) != self.num_envs:
-            raise ProtocolError(f"{len(given)} actions; expected {self.num_envs}, one for each chair")
-        chosen = [chair.checked(action) for chair, action in zip(self._chairs.all, given, strict=True)]
-        for seat, action in enumerate(chosen):
-            self._chairs.send(seat, action)
+        self._chairs.send_all(actions)
         self._waiting = True
 
     def step_wait(self) -> VecEnvStepReturn:
@@ -76,19 +66,16 @@ class StreetVecEnv(VecEnv):
         if not self._waiting:
             raise ProtocolError("step_wait() came before step_async(); call step_async() first")
         self._waiting = False
-        steps = [self._chairs.receive(seat) for seat in range(self.num_envs)]
-        infos = [{**step.info, "TimeLimit.truncated": step.truncated} for step in steps]
-        observations = [self._shown(seat, step, infos[seat]) for seat, step in enumerate(steps)]
-        rewards = np.array([step.reward for step in steps], dtype=np.float32)
-        return _stacked(observations), rewards, np.array([step.done for step in steps]), infos
-
-    def _shown(self, seat: int, step: EpisodeStep, info: dict[str, Any]) -> Observation:
-        """What the learner sees next: where the episode has ended, the first observation of the next one."""
-        if not step.done:
-            return step.observation
-        info["terminal_observation"] = step.observation
-        observation, self.reset_infos[seat] = self._chairs.all[seat].begin_next()
-        return observation
+        observations, infos, steps = [], [], self._chairs.receive_all()
+        for seat, (step, begun) in enumerate(steps):
+            seen, info = step.observation, {**step.info, "TimeLimit.truncated": step.truncated}
+            if begun is not None:  # what the learner sees next is of the next episode
+                info["terminal_observation"] = seen
+                seen, self.reset_infos[seat] = begun
+            observations.append(seen)
+            infos.append(info)
+        rewards = np.array([step.reward for step, _ in steps], dtype=np.float32)
+        return stacked(observations), rewards, np.array([step.done for step, _ in steps]), infos
 
     def get_images(self) -> list[npt.NDArray[np.uint8] | None]:
         """Every chair's picture (H, W, 3) uint8, in render mode "rgb_array"."""
@@ -127,8 +114,3 @@ class StreetVecEnv(VecEnv):
 
     def _picked(self, indices: VecEnvIndices) -> list[int]:
         return [int(index) for index in self._get_indices(indices)]
-
-
-def _stacked(observations: Sequence[Observation]) -> VecEnvObs:
-    """One observation of all chairs, each array with a first axis more, in fresh arrays."""
-    return {key: np.stack([observation[key] for observation in observations]) for key in observations[0]}

@@ -28,17 +28,22 @@ from wcsim.agents.envs.env_spec import (
     drawn_seed,
     make_face,
 )
-from wcsim.agents.envs.episode_view import Chair
+from wcsim.agents.envs.episode_view import Chair, Seen
 from wcsim.core import seeding
-from wcsim.errors import EvictedError, ProtocolError, WorldRestartedError
+from wcsim.errors import EvictedError, ProtocolError, ReplayMismatchError, WorldRestartedError
 from wcsim.server.links.base import Seat, SeatGroup, Waits, open_group
 from wcsim.server.specs import SeatRequest, WorldOrder
-from wcsim.supervisor.observation import Observation
-from wcsim.types import ClientSnapshot
+from wcsim.types import F32, ClientSnapshot
+
+MOST_REPEATED = 100_000  # steps that a copy drives again, at most; they take 10 minutes or more
 
 
-class WheelchairEnv(gymnasium.Env[Observation, np.int64]):
-    """One wheelchair in a town, for Gymnasium."""
+class WheelchairEnv(gymnasium.Env[Seen, np.int64 | F32]):
+    """One wheelchair in a town, for Gymnasium.
+
+    A copy of it, by `copy.deepcopy` or `pickle`, makes a world of its own and drives again all that was driven since
+    the last world was made. It is then where this one is, to the bit, and goes on alone.
+    """
 
     metadata = {"render_modes": list(RENDER_MODES), "render_fps": RENDER_FPS}  # noqa: RUF012 (Gymnasium's own)
 
@@ -71,6 +76,7 @@ class WheelchairEnv(gymnasium.Env[Observation, np.int64]):
         self._towns, self._root_seed, self._turn, self._steps = (town, *towns), 0, 0, 0
         self.on_town: Callable[[str], object] | None = None  # called with each town of several
         self._first_seed = checked_seed(options.get("seed"))
+        self._driven: list[object] = []  # actions since the world was made; None for a reset
         self._own: SeatGroup | None = None  # the world, where no server has it
         self._link: Seat | None = None
         self._waits_no_more = False
@@ -82,11 +88,9 @@ class WheelchairEnv(gymnasium.Env[Observation, np.int64]):
         self.town, self.config, self.render_mode = town, self._face.config, self._face.render_mode
         # Gymnasium types the space of a dictionary as a dictionary of spaces, which a Dict space is not.
         self.observation_space = self._face.observation_space()  # type: ignore[assignment]
-        self.action_space = self._face.action_space()
+        self.action_space = self._face.action_space()  # type: ignore[assignment]
 
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Observation, dict[str, Any]]:
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Seen, dict[str, Any]]:
         """Begin an episode; with a seed, in a world made anew.
 
         In a joined world the first reset hands out the frame that the seat has, whatever the seed, for the world is
@@ -102,7 +106,7 @@ class WheelchairEnv(gymnasium.Env[Observation, np.int64]):
         super().reset(seed=seed)
         return self._chair.begin(self._first_frame(seed))
 
-    def step(self, action: np.int64 | int) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+    def step(self, action: np.int64 | int | F32) -> tuple[Seen, float, bool, bool, dict[str, Any]]:
         """Drive for one tick; terminated by a crash only, truncated after `env.max_steps`.
 
         Truncated too when a shared world began again: with the last observation once more, reward 0 and
@@ -123,7 +127,9 @@ class WheelchairEnv(gymnasium.Env[Observation, np.int64]):
             work = None if self.due_work is None else self.due_work()
             if work is not None:
                 link.while_waiting(work)
-            return self._chair.take(link.receive())
+            after = link.receive()
+            self._note(copy.copy(action))
+            return self._chair.take(after)
         except WorldRestartedError:
             return self._chair.cut()
         except EvictedError:
@@ -186,9 +192,11 @@ class WheelchairEnv(gymnasium.Env[Observation, np.int64]):
         if link is None:
             return self._open(seed if seed is not None else self._first_seed)
         if seed is not None:
+            self._root_seed, self._driven = seed, []
             return link.rebuild(seed % SEED_LIMIT)
         if now is None:  # a new epoch has begun
             return link.join()
+        self._note(None)
         if now.first is not None:
             return now.first
         try:
@@ -199,6 +207,7 @@ class WheelchairEnv(gymnasium.Env[Observation, np.int64]):
     def _open(self, seed: int | None, turn: int = 0) -> ClientSnapshot:
         if self._join is None:
             self._root_seed, self._turn, self._steps = drawn_seed() if seed is None else seed, turn, 0
+            self._driven = []
             self._own = open_group(self._order())
             self._link = self._own.links[0]
         elif isinstance(self._join, Seat):
@@ -214,6 +223,40 @@ class WheelchairEnv(gymnasium.Env[Observation, np.int64]):
         except BaseException:
             self.close()
             raise
+
+    def _note(self, action: object) -> None:
+        """Remember what was done, up to one more than a copy drives again."""
+        if len(self._driven) <= MOST_REPEATED:
+            self._driven.append(action)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """All but the world, and what its owner has put in. Raises ProtocolError where it could not be made again."""
+        if self._chair.now is not None and self._join is not None:
+            raise ProtocolError("a seat in a world that others share cannot be copied; call close() first")
+        if self._chair.now is not None and len(self._driven) > MOST_REPEATED:
+            raise ProtocolError(
+                f"a copy would drive more than {MOST_REPEATED} steps again; call reset(seed=...) or close() first"
+            )
+        return {**self.__dict__, "_own": None, "_link": None, "due_work": None, "on_town": None}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Be where the other one is, in a world of its own. Raises ReplayMismatchError where this machine differs."""
+        self.__dict__.update(state)
+        then, driven = self._chair.now, self._driven
+        if then is None:
+            return
+        self._chair.begin(self._open(self._root_seed, self._turn))
+        for action in driven:
+            if action is None:
+                self._chair.begin(self._first_frame(None))
+            else:
+                self.step(action)  # type: ignore[arg-type]
+        now = self._chair.now
+        if now is None or (now.tick, now.plant, now.user) != (then.tick, then.plant, then.user):
+            self.close()
+            raise ReplayMismatchError(
+                "the copy is not where its original was; expected the same versions, town and processor model"
+            )
 
     def _order(self) -> WorldOrder:
         """The world of this turn: the seed says which of several towns comes first, and then they come in turn."""

@@ -14,6 +14,7 @@ from wcsim.agents.perception.depth_image import sees_in_a_mirror
 from wcsim.config import LearnConfig, RunConfig
 from wcsim.config.run_file import FollowPrior, NetSpec
 from wcsim.errors import ConfigError, PolicyError
+from wcsim.supervisor.actions import action_set
 
 LARGEST_GRADIENT: Final = 10.0  # norm to which a larger one is cut
 
@@ -116,7 +117,7 @@ def _built(config: RunConfig, env: GymEnv, seed: int) -> SeqDQN:
         SeqQPolicy,
         env,
         settings=learn,
-        actions=config.env.actions,
+        actions=action_set(config.env.actions).name,
         mirror_signs=tuple((name, m.mirror) for name, m in config.sensors.measures().items()),
         seed=seed,
         learning_rate=_FadingRate(rate=learn.learning_rate, fade=learn.learning_rate_fade),

@@ -14,6 +14,7 @@ import numpy as np
 
 from wcsim.bridge.ego.contact_ahead import meets_edge
 from wcsim.bridge.ego.crossing_watch import CrossingButton, CrossingWatch, OnRoad
+from wcsim.bridge.ego.near_rows import near_rows
 from wcsim.bridge.ego.randomization import DrawnChair, Randomization
 from wcsim.bridge.ego.start_place import TakenNear, check_in_town, heading_rad, is_clear
 from wcsim.bridge.ego.street_obstacles import ObstacleWatch
@@ -33,6 +34,7 @@ from wcsim.physics.sensors.pixel_noise import child
 from wcsim.physics.wheelchair.plant import plant_spec, refuse_cameras_inside
 from wcsim.physics.wheelchair.wheelchair import Wheelchair, fell
 from wcsim.supervisor.actions import action_set
+from wcsim.supervisor.observation import NEAR
 from wcsim.supervisor.oracle import Oracle
 from wcsim.supervisor.rewards import crash_reason, crash_words
 from wcsim.towns.checks.validate import require_pavement
@@ -47,6 +49,7 @@ from wcsim.types import (
     Joystick,
     Outline,
     PlantState,
+    Reading,
     Route,
     SeatSpec,
     SensorFrame,
@@ -117,10 +120,12 @@ class Ego:
         check_in_town(spec.start, router)
         self.person = find_user(spec.profile)
         self._config = config
+        # Who is told what is near sees no pictures; colours are for people, who may watch.
+        self._drawn = not spec.near or any(camera.rgb for camera in config.cameras)
         self._street = street
         self._router = router
         plant = plant_spec(config.chair)
-        wheels_m, points = np.array(plant.stand_m()), action_set(config.env.actions).points
+        wheels_m, points = np.array(plant.stand_m()), action_set(config.env.lattice).points
         self._oracle = Oracle(street.grid, config.chair, plant.outline, wheels_m, points, config.world.tick_s)
         self._variation = Randomization(config, index)
         self.chair: Wheelchair  # of this epoch: from `build` on
@@ -283,15 +288,20 @@ class Ego:
             chairs=chairs,
             signals=signals,
             buffers=buffers,
+            drawn=self._drawn,
             counted=self.spec.truth_visible,
         )
 
-    def observe(self, scene: Surroundings) -> SensorFrame:
-        """All sensors of this tick."""
+    def observe(self, scene: Surroundings, others: Sequence[ActorState]) -> SensorFrame:
+        """All sensors of this tick, and what is near where the seat asked for it."""
         frame = self.chair.sensors.observe(scene)
         if scene.counted:
             self._shown_actors.see(scene.tick, self._rig.shown_px(self.index))
-        return frame
+        if not self.spec.near:
+            return frame
+        user, grid = self.user, self._street.grid
+        rows = near_rows(self.chair.state(), user.joystick, self.route, user.route_progress_m, grid, others)
+        return replace(frame, readings=(*frame.readings, Reading(name=NEAR, values=rows.ravel())))
 
     def events(self, jam_teleports: int, first: bool) -> Events:
         """What this tick did to the episode; the first frame of an episode has no events."""

@@ -54,6 +54,7 @@ class Surroundings:
     signals: Sequence[SignalState]  # of now
     buffers: SeatBuffers | None  # where the images go; None: the rig's own
     counted: bool  # whether the pixels of every actor are counted, for `CameraRig.shown_px`
+    drawn: bool = True  # whether the cameras look at all
 
 
 class Sensor:

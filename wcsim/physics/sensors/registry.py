@@ -30,8 +30,8 @@ class _SeatCameras(Sensor):
         self._rig.reset(self._seat)
 
     def look(self, scene: Surroundings) -> tuple[CameraFrame, ...]:
-        """See `CameraRig.frames`."""
-        return self._rig.frames(self._seat, scene)
+        """See `CameraRig.frames`; nothing where nothing is drawn."""
+        return self._rig.frames(self._seat, scene) if scene.drawn else ()
 
 
 Maker = Callable[[Any, Mount], Sensor]  # from its section of the configuration
