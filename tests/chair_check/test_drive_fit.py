@@ -24,6 +24,7 @@ TRUE = {
     "jerk_mps3": 6.0,
     "yaw_rate_max_radps": 1.2,
     "yaw_accel_radps2": 2.2,
+    "yaw_slowdown_s_per_m": 0.3,
     "deadband": 0.06,
     "shape_exponent": 1.3,
     "delay_s": 0.21,

@@ -18,8 +18,8 @@ from wcsim.core.jit import exact_kernel
 from wcsim.core.joystick import driven, limits_of, shaped
 from wcsim.types import F64, Bool, Joystick
 
-# the numbers of the law (10,): the limits of `core/joystick.py`, and these
-_DEADBAND, _EXPONENT, _DELAY = 7, 8, 9
+# the numbers of the law (11,): the limits of `core/joystick.py`, and these
+_DEADBAND, _EXPONENT, _DELAY = 8, 9, 10
 # Those that are fitted; hardly anybody drives backwards for long.
 _DELAY_S: Final = "delay_s"
 _BOUNDS: Final[dict[str, tuple[float, float]]] = {
@@ -29,6 +29,7 @@ _BOUNDS: Final[dict[str, tuple[float, float]]] = {
     "jerk_mps3": (0.5, 50.0),
     "yaw_rate_max_radps": (0.05, 4.0),
     "yaw_accel_radps2": (0.05, 20.0),
+    "yaw_slowdown_s_per_m": (0.001, 5.0),
     "deadband": (0.001, 0.5),
     "shape_exponent": (1.0, 3.0),
     _DELAY_S: (0.001, 1.0),
@@ -38,6 +39,7 @@ _USUAL: Final = {
     "decel_mps2": 1.5,
     "jerk_mps3": 5.0,
     "yaw_accel_radps2": 2.0,
+    "yaw_slowdown_s_per_m": 0.1,
     "deadband": 0.05,
     "shape_exponent": 1.1,
     _DELAY_S: 0.15,
@@ -97,7 +99,7 @@ def fit_drives(drives: Sequence[StickDrive], draws: int = _DRAWS) -> DriveFit:
 
 
 def _usual(drives: Sequence[StickDrive]) -> F64:
-    """Logarithms of the numbers (9,) that a chair has which reaches what these drives reach."""
+    """Logarithms of the numbers (10,) that a chair has which reaches what these drives reach."""
     speed, turn = np.percentile(np.abs(np.concatenate([drive.motion for drive in drives])), 99.0, axis=0).tolist()
     usual = {"v_max_mps": speed, "yaw_rate_max_radps": turn, **_USUAL}
     bounds = np.array(list(_BOUNDS.values())).T
@@ -105,7 +107,7 @@ def _usual(drives: Sequence[StickDrive]) -> F64:
 
 
 def _solved(drives: Sequence[StickDrive], start: F64, usual: F64, pull: float) -> tuple[F64, float]:
-    """Logarithms of the numbers (9,) that fit best near a start, and the half sum of squares."""
+    """Logarithms of the numbers (10,) that fit best near a start, and the half sum of squares."""
     from scipy.optimize import least_squares  # takes a while to load
 
     motion = np.concatenate([drive.motion for drive in drives])

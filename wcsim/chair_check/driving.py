@@ -30,10 +30,12 @@ def driving_trials(setup: Setup) -> Iterator[Trial]:
     for name, speed in PROFILE_SPEED_MPS.items():
         yield trial_of("cruise_{profile}", _cruise_mps, speed, speed_mps=speed, profile=name, speed=speed)
     diagonal = math.sqrt(0.5)  # of full stick: the corner is pulled to the unit circle
-    turn_radps = setup.chair.yaw_rate_max_radps
+    most = partial(
+        yaw_rate_limit, yaw_max_radps=setup.chair.yaw_rate_max_radps, slowdown_s_per_m=setup.chair.yaw_slowdown_s_per_m
+    )
     turns = (
-        ("in_place", Joystick(-1.0, 0.0), yaw_rate_limit(0.0, turn_radps)),
-        ("at_speed", Joystick(-1.0, 1.0), diagonal * yaw_rate_limit(diagonal * setup.chair.v_max_mps, turn_radps)),
+        ("in_place", Joystick(-1.0, 0.0), most(0.0)),
+        ("at_speed", Joystick(-1.0, 1.0), diagonal * most(diagonal * setup.chair.v_max_mps)),
     )
     for name, stick, rate in turns:
         towards = "diagonal" if stick.y else "to the side"

@@ -250,7 +250,7 @@ def _fit(options: _FitOptions) -> int:
     parts = _held_out(drives, options.hold_out)
     with stderr_console().status("fitting"):
         fit = fit_drives(drives)
-    laws = {"all, fitted": fit.values, f"all, as {options.base} is set": {**chair.model_dump(), "delay_s": 0.0}}
+    laws = {"all, fitted": fit.values, f"all, as {options.base} is set": {**dict(chair), "delay_s": 0.0}}
     errors = {name: motion_errors(drives, law_motion(drives, values)) for name, values in laws.items()}
     errors |= _errors_left_out(parts)
     own = chair.model_copy(update=fit.chair | {"profile": "custom"})
@@ -312,7 +312,7 @@ def _later(motions: Sequence[F64], ticks: int) -> list[F64]:
 
 
 def _print_fit(fit: DriveFit, chair: ChairConfig, errors: Mapping[str, MotionErrors]) -> None:
-    was = {**chair.model_dump(), "delay_s": 0.0}
+    was = {**dict(chair), "delay_s": 0.0}
     numbers = (
         (name, *(f"{number:.4g}" for number in (value, *fit.intervals[name], was[name])))
         for name, value in fit.values.items()

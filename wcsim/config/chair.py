@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import model_validator
+from pydantic import Field, model_validator
 
 from wcsim.config.base import Model, NotNegative, Positive, Share, Text, TopSpeed, UserMass, within
 
+YAW_SLOWDOWN_S_PER_M = 0.6
 PROFILE_SPEED_MPS: dict[str, float] = {"indoor": 0.6, "pavement": 1.67, "road": 2.78}
 
 
@@ -25,6 +26,9 @@ class ChairConfig(Model):
     yaw_accel_radps2: Positive = 2.5  # Angular acceleration of turns.
     jerk_mps3: Positive = 4.0  # Rate of change of the acceleration.
     yaw_rate_max_radps: Positive = 1.5  # Turn rate at full stick.
+    yaw_slowdown_s_per_m: Annotated[
+        float, Field(ge=0.0, le=5.0, exclude_if=lambda slowdown: slowdown == YAW_SLOWDOWN_S_PER_M)
+    ] = YAW_SLOWDOWN_S_PER_M  # How the turn rate falls with the speed v: as 1 / (1 + this v). 0: it does not.
     deadband: Annotated[float, within(0.0, 0.5)] = 0.08  # Stick travel without effect, as a share.
     shape_exponent: Annotated[float, within(1.0, 3.0)] = (
         1.0  # Exponent of the stick's curve. Above 1 the stick is finer near its centre.

@@ -14,11 +14,10 @@ import numpy as np
 from wcsim.core.jit import exact_kernel
 from wcsim.types import F64
 
-YAW_SLOWDOWN_S_PER_M: Final = 0.6  # of every chair: its fastest turn falls as 1 / (1 + 0.6 v)
 STILL_MPS: Final = 1e-3
 
-# the limits of a drive (7,)
-V_MAX, REVERSE, ACCEL, DECEL, JERK, YAW_MAX, YAW_ACCEL = range(7)
+# the limits of a drive (8,)
+V_MAX, REVERSE, ACCEL, DECEL, JERK, YAW_MAX, YAW_ACCEL, YAW_SLOWDOWN = range(8)
 
 
 class _DriveSettings(Protocol):
@@ -39,15 +38,17 @@ class _DriveSettings(Protocol):
     @property
     def yaw_accel_radps2(self) -> float: ...
     @property
+    def yaw_slowdown_s_per_m(self) -> float: ...
+    @property
     def deadband(self) -> float: ...
     @property
     def shape_exponent(self) -> float: ...
 
 
 def limits_of(chair: _DriveSettings) -> F64:
-    """The limits of a drive (7,), in the order of the names above."""
+    """The limits of a drive (8,), in the order of the names above."""
     speeds = (chair.v_max_mps, chair.reverse_share, chair.accel_mps2, chair.decel_mps2, chair.jerk_mps3)
-    return np.array([*speeds, chair.yaw_rate_max_radps, chair.yaw_accel_radps2])
+    return np.array([*speeds, chair.yaw_rate_max_radps, chair.yaw_accel_radps2, chair.yaw_slowdown_s_per_m])
 
 
 def shaped_rows(joysticks: F64, chair: _DriveSettings) -> F64:
@@ -78,9 +79,9 @@ def shaped(x: float, y: float, deadband: float, exponent: float) -> tuple[float,
 
 
 @exact_kernel
-def yaw_rate_limit(v_mps: float, yaw_max_radps: float) -> float:
+def yaw_rate_limit(v_mps: float, yaw_max_radps: float, slowdown_s_per_m: float) -> float:
     """The fastest turn at a speed, in rad/s: full in place, slower the faster the chair drives."""
-    return yaw_max_radps / (1.0 + YAW_SLOWDOWN_S_PER_M * abs(v_mps))
+    return yaw_max_radps / (1.0 + slowdown_s_per_m * abs(v_mps))
 
 
 @exact_kernel
@@ -92,7 +93,7 @@ def wanted(x: float, y: float, v_now_mps: float, limits: F64) -> tuple[float, fl
     v = y * limits[V_MAX]
     if y < 0.0:
         v *= limits[REVERSE]
-    return v, 0.0 - x * yaw_rate_limit(max(abs(v), abs(v_now_mps)), limits[YAW_MAX])
+    return v, 0.0 - x * yaw_rate_limit(max(abs(v), abs(v_now_mps)), limits[YAW_MAX], limits[YAW_SLOWDOWN])
 
 
 @exact_kernel
@@ -122,7 +123,7 @@ def follow_speed(v_mps: float, a_mps2: float, v_wanted_mps: float, limits: F64, 
 def driven(
     v: float, w: float, a: float, stick_x: float, stick_y: float, limits: F64, dt_s: float
 ) -> tuple[float, float, float]:
-    """Speed, turn rate and acceleration `dt_s` later, as the drive follows a shaped stick within its limits (7,)."""
+    """Speed, turn rate and acceleration `dt_s` later, as the drive follows a shaped stick within its limits (8,)."""
     v_wanted, w_wanted = wanted(stick_x, stick_y, v, limits)
     v, a = follow_speed(v, a, v_wanted, limits, dt_s)
     return v, towards(w, w_wanted, limits[YAW_ACCEL] * dt_s), a

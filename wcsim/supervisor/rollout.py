@@ -187,7 +187,7 @@ def roll_out(
         state: (6,) x, y, yaw, v, w of the drive axle, and the acceleration that its drive gives.
         waiting: (M, 2) joystick positions that come before any command, for STEP_S each; shaped as these.
         commands: (K, 2) joystick positions without deadband, on the unit disc.
-        limits: (7,) of the drive, see `wcsim.core.joystick`.
+        limits: (8,) of the drive, see `wcsim.core.joystick`.
         hull: (3,) see the column names above.
         wheels: (W, 2) where its wheels stand, in B: the left and right drive wheel, then pairs of casters.
         height_cm: (rows, cols) of the street grid.
@@ -227,7 +227,7 @@ def roll_out(
 
 @exact_kernel
 def rolls_s(limits: F64) -> float:
-    """Seconds that a command is held and the chair then takes to stand, at most; of a drive's limits (7,)."""
+    """Seconds that a command is held and the chair then takes to stand, at most; of a drive's limits (8,)."""
     straight_s = limits[V_MAX] / limits[DECEL] + (limits[ACCEL] + limits[DECEL]) / limits[JERK]
     return float(min(SOFTEST_S, HOLD_S + max(straight_s, limits[YAW_MAX] / limits[YAW_ACCEL])))
 

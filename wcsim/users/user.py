@@ -64,7 +64,7 @@ def steer(
         error = -error
     turning = abs(error) > TURN_IN_PLACE_RAD
     speed = 0.0 if turning else speed_mps * math.cos(error) ** 2
-    w_limit = yaw_rate_limit(max(abs(body.speed_mps), speed), chair.yaw_rate_max_radps)
+    w_limit = yaw_rate_limit(max(abs(body.speed_mps), speed), chair.yaw_rate_max_radps, chair.yaw_slowdown_s_per_m)
     gain = min(_GAIN_MAX_PER_S, _GAIN_DELAY / (delay_s + DRIVE_DELAY_S))
     most = min(1.0, min(_TURN_MAX_RADPS, _GAIN_DELAY / (delay_s + DRIVE_DELAY_S)) / w_limit)
     x = min(most, max(-most, -gain * error / w_limit))

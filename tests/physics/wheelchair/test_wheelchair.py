@@ -62,7 +62,7 @@ def test_turns_at_the_rate_asked_for(x, y, plant):
         ride = r.drive(Joystick(x, y), 50)
     stick = (math.hypot(x, y) - 0.08) / 0.92 / math.hypot(x, y)
     speed = 1.67 * y * stick
-    rate = -x * stick * yaw_rate_limit(speed, r.config.yaw_rate_max_radps)
+    rate = -x * stick * yaw_rate_limit(speed, r.config.yaw_rate_max_radps, r.config.yaw_slowdown_s_per_m)
     assert np.mean(ride.yaw_rate[START_TICKS:]) == pytest.approx(rate, rel=0.03)
     assert np.mean(ride.speed[START_TICKS:]) == pytest.approx(speed, rel=0.03, abs=0.02)
 
@@ -97,7 +97,7 @@ def test_stops_in_the_distance_that_its_limits_give(plant):
     assert abs(ride.speed[-1]) < 1e-3
 
 
-@pytest.mark.parametrize("plant", known_plants())
+@pytest.mark.parametrize("plant", ["mwd", "rwd"])  # which may be driven so fast
 def test_climbs_straight_where_its_motors_give_all_they_can(plant):
     flat, rise = step_street(0.0), math.tan(math.radians(12.0))
     points = flat.vertices_W_m + np.outer(flat.vertices_W_m[:, 0], (0.0, 0.0, rise))

@@ -150,7 +150,7 @@ def sweep(starts: F64, commands: F64, limits: F64, chair: F64, out: I32) -> None
     Args:
         starts: (B, 6) states when the commands reach the chairs, see `arcs`.
         commands: (K, 2) joystick positions as the drive takes them.
-        limits: (7,) of the drive.
+        limits: (8,) of the drive.
         chair: (n, 3) see `hull_and_wheels`.
         out: (B, K, SLICES * 4 * n) written: flat indices into (2 * SLICES, SIDE, SIDE) maps, those of the hull first.
     """

@@ -60,7 +60,7 @@ from wcsim.core.joystick import (
     V_MAX,
     YAW_ACCEL,
     YAW_MAX,
-    YAW_SLOWDOWN_S_PER_M,
+    YAW_SLOWDOWN,
     limits_of,
     shaped_rows,
 )
@@ -81,7 +81,7 @@ class Drive:
     """How a chair obeys its stick.
 
     Args:
-        limits: (7,) of the drive, see `limits_of`.
+        limits: (8,) of the drive, see `limits_of`.
         deadband: Of the joystick.
         exponent: Of its shape.
     """
@@ -151,7 +151,7 @@ class Drive:
 
     def _turn(self, wanted: tuple[torch.Tensor, torch.Tensor], v: torch.Tensor) -> torch.Tensor:
         """The turn rate that is asked for at a speed."""
-        return wanted[1] / (1.0 + YAW_SLOWDOWN_S_PER_M * torch.maximum(wanted[0].abs(), v.abs()))
+        return wanted[1] / (1.0 + self._limits[YAW_SLOWDOWN] * torch.maximum(wanted[0].abs(), v.abs()))
 
     def _turned(self, w: torch.Tensor, asked: torch.Tensor, dt_s: float) -> torch.Tensor:
         most = self._limits[YAW_ACCEL] * dt_s

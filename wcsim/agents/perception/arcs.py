@@ -20,7 +20,7 @@ NEAR_M = 0.6  # farther away nothing matters
 
 @exact_kernel
 def follow(motion: F64, command: F64, limits: F64, dt_s: float) -> None:
-    """Move `motion` (3,) v, w, acceleration on by `dt_s` towards a command (2,), within the drive's limits (7,)."""
+    """Move `motion` (3,) v, w, acceleration on by `dt_s` towards a command (2,), within the drive's limits (8,)."""
     motion[0], motion[1], motion[2] = driven(motion[0], motion[1], motion[2], command[0], command[1], limits, dt_s)
 
 
@@ -57,7 +57,7 @@ def arcs(
         later_s: When that is, from now on.
         hold_s: For how long each command is held.
         commands: (K, 2) joystick positions as the drive takes them.
-        limits: (7,) of the drive.
+        limits: (8,) of the drive.
         box: (3,) rear, front, half the width of the chair in B.
         points: (n, 5) what is in the way, in B of now, how fast it moves over the ground, and the distance to keep.
         gap_m: (K,) written for those that keep it: the least distance, infinity where nothing is within NEAR_M.

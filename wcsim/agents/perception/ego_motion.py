@@ -27,7 +27,7 @@ class EgoMotion:
     """Speed, turn rate and place of one chair from tick to tick, and the commands that are on their way to it.
 
     Args:
-        limits: (7,) of the drive, see `wcsim.core.joystick`.
+        limits: (8,) of the drive, see `wcsim.core.joystick`.
         tick_s: Time between two observations.
         delay_ticks: From a command to the chair that obeys it; another one holds from the next `reset` on.
     """

@@ -58,7 +58,7 @@ def _backs_blindly(
         start: (6,) see `arcs`.
         hold_s: For how long each command is held, before the chair brakes.
         commands: (K, 2) joystick positions as the drive takes them.
-        limits: (7,) of the drive.
+        limits: (8,) of the drive.
         box: (3,) rear, front, half the width of the chair in B.
         cells: Of `StreetMemory`.
         pose_O: (3,) of the chair now.

@@ -32,9 +32,9 @@ IDLE_S, STICK_X, STICK_Y = 6, 7, 8
 _STATE_SIZE: Final = 9
 
 # settings; the first are the limits of `wcsim.core.joystick`
-_DT_S, _DEADBAND, _EXPONENT, _SMOOTHING, _BRAKE_AFTER = range(7, 12)
-_HALF_TRACK, _RADIUS = 12, 13
-_STALL, _NO_LOAD, _LEAST_SHARE, _BRAKE_TORQUE = 14, 15, 16, 17
+_DT_S, _DEADBAND, _EXPONENT, _SMOOTHING, _BRAKE_AFTER = range(8, 13)
+_HALF_TRACK, _RADIUS = 13, 14
+_STALL, _NO_LOAD, _LEAST_SHARE, _BRAKE_TORQUE = 15, 16, 17, 18
 
 
 def new_state() -> F64:
