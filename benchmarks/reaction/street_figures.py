@@ -35,10 +35,11 @@ class Spread:
         """Median, its interval and n.
 
         >>> spread_of([1.0, 2.0, 3.0]).told
-        '2.00 [-inf, inf] (3)'
+        '2.00 (3)'
         """
         low, high = self.median_ci
-        return f"{self.percentiles[2]:.2f} [{low:.2f}, {high:.2f}] ({self.n})" if self.n else "- (0)"
+        interval = f" [{low:.2f}, {high:.2f}]" if math.isfinite(low) else ""
+        return f"{self.percentiles[2]:.2f}{interval} ({self.n})" if self.n else "- (0)"
 
 
 def spread_of(values: Iterable[float]) -> Spread:
@@ -78,8 +79,8 @@ class StreetFigures:
         if people:
             places_W_m = np.array([person.p_W_m[:2] for person in people])
             there_m = np.linalg.norm(places_W_m[:, None] - places_W_m[None], axis=2)
-            # Each is its own neighbour: the density counts whoever is looked from, too.
-            self._density += ((there_m < NEIGHBOUR_M).sum(axis=1) / (math.pi * NEIGHBOUR_M**2)).tolist()
+            # Without the one who is looked from: nobody alone is a crowd.
+            self._density += (((there_m < NEIGHBOUR_M).sum(axis=1) - 1) / (math.pi * NEIGHBOUR_M**2)).tolist()
 
     def _stand(self, name: str, stands: bool) -> None:
         if stands:
@@ -107,6 +108,7 @@ def crowd_figures(people: F64, chair_W_m: F64, free_m: F64) -> dict[str, list[fl
     apart_m = np.nan_to_num(np.linalg.norm(place_W_m[:, :, None] - place_W_m[:, None], axis=3), nan=np.inf)
     near_m = np.nan_to_num(np.linalg.norm(place_W_m - chair_W_m[:, None], axis=2), nan=np.inf)
     behind = np.where((near_m < BEHIND_M) & (place_W_m[..., 0] < chair_W_m[:, None, 0]), mps, np.nan)
+    aside_m = np.abs(np.nan_to_num(people[..., 3])).max(axis=0)  # 0 for who never stepped aside
     figures = {
         "closest approach to the chair, middles, m": near_m.min(axis=0),
         "closest approach of two walkers, middles, m": apart_m.min(axis=0)[np.triu_indices(people.shape[1], 1)],
@@ -114,12 +116,12 @@ def crowd_figures(people: F64, chair_W_m: F64, free_m: F64) -> dict[str, list[fl
             float(np.median(slow[slow >= 0.0])) / free if free > 0.0 and (slow >= 0.0).any() else math.nan
             for slow, free in zip(behind.T, np.nanpercentile(mps, 80, axis=0).tolist(), strict=True)
         ],
-        "sidestep, m": np.abs(np.nan_to_num(people[..., 3])).max(axis=0),
+        "sidestep, m": np.where(aside_m > 0.0, aside_m, math.nan),
         "gap to the chair of who stands before it, m": np.nan_to_num(free_m, nan=np.inf).min(axis=0),
         "people per square metre within 5 m of the chair": (near_m < NEIGHBOUR_M).sum(1) / (math.pi * NEIGHBOUR_M**2),
     }
     most = {name: PAIR_M if "closest" in name else math.inf for name in figures}
-    return {name: [float(v) for v in values if 0.0 < v < most[name]] for name, values in figures.items()}
+    return {name: [float(v) for v in values if 0.0 <= v < most[name]] for name, values in figures.items()}
 
 
 @dataclass(slots=True)
@@ -149,12 +151,13 @@ class GapsTaken:
                 self._passed_s.append(now_s)
 
     def taken_refused_s(self) -> tuple[list[float], list[float]]:
-        """Seconds to the next vehicle of the main street of each who turned in, and all gaps that they let go by."""
+        """Gaps between vehicles of the main street in seconds: those that somebody turned in to, and those let go by."""
         passed_s, taken, refused = np.array(self._passed_s), [], []
         for name, at_s in self._turned_s.items():
             waited = passed_s[(passed_s > self._waits_s[name]) & (passed_s <= at_s)]
             refused += np.diff(waited).tolist()
-            taken += (passed_s[passed_s > at_s][:1] - at_s).tolist()
+            before, after = passed_s[passed_s <= at_s][-1:], passed_s[passed_s > at_s][:1]
+            taken += [float(end - begin) for begin, end in zip(before, after, strict=False)]
         return taken, refused
 
 

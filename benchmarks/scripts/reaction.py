@@ -28,7 +28,7 @@ class ReactionOptions:
     seed: int = 0
     """Seed of traffic and places."""
     page: OutFile = None
-    """Instead, hold the street against published figures, and write the page to this file."""
+    """Instead, hold towns and seeds of its own against published figures, and write the page to this file."""
     json: OutFile = None
     """Write the result to this file."""
 

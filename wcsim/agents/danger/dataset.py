@@ -65,11 +65,13 @@ def _happened(segment: Segment, actions: ActionSet, ahead: int) -> U8:
     # A command acts only after its delay: the last ones before a crash had no part in it.
     acts = end - rows - segment.delay.astype(np.int64)
     held, kept = np.zeros_like(rows), np.zeros_like(rows)
+    rests = np.linalg.norm(points, axis=1) <= _SHARED
     hold = round(HOLD_S / STEP_S) - 1
     for step in range(1, max(ahead, hold) + 1):
-        later = points[np.minimum(rows + step, end)]
-        same = np.linalg.norm(later - points, axis=1) <= _HELD
-        let_go = np.linalg.norm(later, axis=1) <= _SHARED
+        later, there = np.minimum(rows + step, end), rows + step <= end
+        let_go = there & rests[later]
+        # A stick that is let go is no longer held, however little it was pushed before.
+        same = there & (np.linalg.norm(points[later] - points, axis=1) <= _HELD) & (rests[later] == rests)
         held += same & (held == step - 1)
         kept += (same | let_go) & (kept == step - 1)
     crashed = segment.own[end] & (acts >= 0) & (acts <= np.minimum(ahead, kept))

@@ -110,17 +110,21 @@ def require_recordable(config: RunConfig) -> None:
         raise ConfigError(f"{told}; expected compact")
     if config.eye != config.cameras[0]:
         raise ConfigError(f"env.camera={config.env.camera}: training data is of the first camera; expected no other")
-    if config.danger.teacher == "crashes" and config.collect.follow_share < 1.0:
-        told = f"danger.teacher=crashes, but collect.follow_share={config.collect.follow_share:g} lets the oracle drive"
-        raise ConfigError(f"{told}; expected 1: users, and then the network, drive alone")
+    _require_no_oracle(config)
     for variant in config.collect.variants:
         try:
-            resolve(config, tuple(variant.split()))
+            _require_no_oracle(resolve(config, tuple(variant.split())))
         except ConfigError as error:
             raise ConfigError(
                 f"collect.variants: {escaped(variant)!r} cannot be used ({error}); expected section.key=value, several "
                 "separated by blanks, and no blanks within a value"
             ) from None
+
+
+def _require_no_oracle(config: RunConfig) -> None:
+    if config.danger.teacher == "crashes" and config.collect.follow_share < 1.0:
+        told = f"danger.teacher=crashes, but collect.follow_share={config.collect.follow_share:g} lets the oracle drive"
+        raise ConfigError(f"{told}; expected 1: users, and then the network, drive alone")
 
 
 def _drawn_settings(config: RunConfig, key: SegmentKey) -> tuple[str, ...]:

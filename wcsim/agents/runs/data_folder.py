@@ -299,9 +299,10 @@ def _columns(data: bytes) -> dict[str, np.ndarray]:
         if any(item.compress_type != zipfile.ZIP_STORED for item in held.infolist()):  # so that none unpacks to more
             raise ValueError("packed in another way")
         names = {field.name: f"{field.name}.npy" for field in fields(Segment)}
-        if names["own"] not in held.namelist():  # older data does not tell whose fault a crash was
-            names["own"] = names["crashed"]
-        return {name: np.lib.format.read_array(io.BytesIO(held.read(file))) for name, file in names.items()}
+        there = names.keys() - ({"own"} if names["own"] not in held.namelist() else set())
+        columns = {name: np.lib.format.read_array(io.BytesIO(held.read(names[name]))) for name in sorted(there)}
+    # Older data does not tell whose fault a crash was: then none teaches as the chair's own.
+    return {"own": np.zeros_like(columns["crashed"]), **columns}
 
 
 def _require_whole(path: Path, columns: dict[str, np.ndarray]) -> None:

@@ -60,7 +60,9 @@ def open_scenario(town: Town, settings: Settings, place: RunPlace, held: ExitSta
 def _try_scenario(town: Town, settings: Settings, digest: str) -> None:
     """Run the scenario's first steps in a child, once for each state of its files. Raises TownError."""
     # With SUMO's version: another one may die of what this one runs.
-    key = hashlib.sha256(f"{digest} {version('libsumo')} {_TRIAL_STEPS} {_BEGUN_ANEW}".encode()).hexdigest()[:32]
+    key = hashlib.sha256(
+        f"{digest} {version('libsumo')} {_TRIAL_STEPS} {_JUPEDSIM_TRIAL_S} {_BEGUN_ANEW}".encode()
+    ).hexdigest()[:32]
     verdict = cache_folder() / f"scenario-{key}.ok"
     if verdict.is_file():
         return

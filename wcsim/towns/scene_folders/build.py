@@ -132,7 +132,8 @@ def seat_specs(folder: Path, scene: SceneFile, origin_m: XY) -> tuple[SeatSpec, 
 
 def scene_config(scene: SceneFile, base: RunConfig) -> RunConfig:
     """The same configuration with the scene's own settings of the world; who looks is not drawn, as it is the scene."""
-    own = {"warmup_s": scene.warmup_s, "attention_share": scene.attention_share, "street": scene.street}
+    street = base.world.street if scene.street == "usual" else scene.street
+    own = {"warmup_s": scene.warmup_s, "attention_share": scene.attention_share, "street": street}
     vary = base.vary.model_copy(update={"attention": {}, "reaction": {}})
     return base.model_copy(update={"world": base.world.model_copy(update=own), "vary": vary})
 
