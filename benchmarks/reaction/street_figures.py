@@ -151,7 +151,7 @@ class GapsTaken:
                 self._passed_s.append(now_s)
 
     def taken_refused_s(self) -> tuple[list[float], list[float]]:
-        """Gaps between vehicles of the main street in seconds: those that somebody turned in to, and those let go by."""
+        """Gaps of the main street, from vehicle to vehicle, in seconds: those turned in to, and those let go by."""
         passed_s, taken, refused = np.array(self._passed_s), [], []
         for name, at_s in self._turned_s.items():
             waited = passed_s[(passed_s > self._waits_s[name]) & (passed_s <= at_s)]
