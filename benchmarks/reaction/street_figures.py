@@ -108,10 +108,12 @@ def crowd_figures(people: F64, chair_W_m: F64, free_m: F64) -> dict[str, list[fl
     apart_m = np.nan_to_num(np.linalg.norm(place_W_m[:, :, None] - place_W_m[:, None], axis=3), nan=np.inf)
     near_m = np.nan_to_num(np.linalg.norm(place_W_m - chair_W_m[:, None], axis=2), nan=np.inf)
     behind = np.where((near_m < BEHIND_M) & (place_W_m[..., 0] < chair_W_m[:, None, 0]), mps, np.nan)
+    met_m = apart_m.min(axis=0)[np.triu_indices(people.shape[1], 1)]
     aside_m = np.abs(np.nan_to_num(people[..., 3])).max(axis=0)  # 0 for who never stepped aside
     figures = {
         "closest approach to the chair, middles, m": near_m.min(axis=0),
-        "closest approach of two walkers, middles, m": apart_m.min(axis=0)[np.triu_indices(people.shape[1], 1)],
+        # Two who are put into the street at one place have not met.
+        "closest approach of two walkers, middles, m": np.where(met_m > 0.0, met_m, math.nan),
         "speed behind the chair over a walker's free speed": [
             float(np.median(slow[slow >= 0.0])) / free if free > 0.0 and (slow >= 0.0).any() else math.nan
             for slow, free in zip(behind.T, np.nanpercentile(mps, 80, axis=0).tolist(), strict=True)

@@ -112,7 +112,7 @@ EARLY = {
     "test --policy dwa": "--policy is not an option of test; give POLICY without a name: wcsim test POLICY",
     "export --policy shipped": "give POLICY without a name: wcsim export POLICY",
     "look --out file/look": "is not a folder that can be written to; choose another with --out",
-    "train --set cameras.0.noise=typicall": "expected typical, none, or a table of depth, classes, rgb, objects; did you mean",
+    "train --set cameras.0.noise=typicall": "expected typical, none, or a table of depth, classes, rgb, objects; did",
     "log verify none.drive": "none.drive: is not there; expected a run folder, a trace, a journal or a",
     "log verify file": "file: is not a log, or was truncated in its first record",
     "export shipped --onnx x --ride none.drive": "--ride none.drive: not found; expected a recorded drive",

@@ -33,7 +33,7 @@ def test_only_stops_that_have_ended_count_and_speeds_are_those_of_moving():
     found = figures.values()
     assert found["stops of people, s"] == [3.0]
     assert found["pedestrian, m/s"] == [pytest.approx(1.1)] and found["car, m/s"] == []
-    assert found["people per square metre"] == pytest.approx([2.0 / (25.0 * math.pi)] * 20)
+    assert found["people per square metre"] == pytest.approx([1.0 / (25.0 * math.pi)] * 20)
 
 
 def test_a_crowd_is_measured_around_the_chair():
@@ -57,7 +57,7 @@ def test_who_waits_beside_lets_gaps_go_by_and_takes_one():
         y, mps = (-10.0, 0.0) if now_s < turns_s else (min(-6.0 + 3.0 * (now_s - turns_s), 0.0), 3.0)
         gaps.add((*main, actor(name="v:side", x=5.0, y=y, yaw=0.5 * math.pi, speed=mps)), now_s)
     taken, refused = gaps.taken_refused_s()
-    assert taken == pytest.approx([6.0], abs=0.25)
+    assert taken == pytest.approx([9.0], abs=0.25)
     assert refused == pytest.approx([3.0, 2.0], abs=0.25)
 
 
