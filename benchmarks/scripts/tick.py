@@ -81,7 +81,8 @@ def run(options: TickOptions) -> int:
     if options.json is not None:
         rows = {str(chairs): _row(cost) for chairs, cost in costs.items()}
         rss_mb = max(cost.rss_mb for cost in costs.values())
-        write_json(options.json, {"physics_hz": options.physics_hz, **rows, "rss_mb": rss_mb})
+        physics_hz = round(config.world.usual_substeps / config.world.tick_s)
+        write_json(options.json, {"physics_hz": physics_hz, **rows, "rss_mb": rss_mb})
     return 0
 
 

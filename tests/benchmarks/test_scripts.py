@@ -56,13 +56,14 @@ def test_wrong_options_are_refused_at_once(measure, folder, words):
 
 
 def test_tick_gives_rate_and_shares(measure, folder, corner):
-    told = measure("tick", "--town", corner, "--ticks", "20", "--chairs", "2", "--json", "b")
+    half_ticks = ("--set", "world.tick_s=0.05")
+    told = measure("tick", "--town", corner, "--ticks", "20", "--chairs", "2", "--json", "b", *half_ticks)
     assert (told.code, told.err.strip()) == (0, "")
     assert fits(told.out)
     result = read("b")
     assert set(result) == {"physics_hz", "2", "rss_mb"}
     row = result["2"]
-    assert row["ticks_per_s"] > 0.0
+    assert result["physics_hz"] == 240 and row["ticks_per_s"] > 0.0
     assert row["ratio_vs_naive"] > 1.0
     assert {"sumo", "physics", "render"} <= set(row["share"])
     assert sum(row["share"].values()) == pytest.approx(1.0, abs=0.02)

@@ -23,7 +23,7 @@ from wcsim.physics.buffers import Images, SeatBuffers, new_images
 from wcsim.physics.renderer.base import Pinhole, Renderer
 from wcsim.physics.renderer.cast import Cast, names
 from wcsim.physics.renderer.geometry import GeometryStore
-from wcsim.physics.renderer.instances import Instances
+from wcsim.physics.renderer.instances import Instances, actor_instances
 from wcsim.physics.renderer.raster import RasterRenderer, brighten, warm_up
 from wcsim.physics.sensors.base import Surroundings
 from wcsim.physics.sensors.camera_geometry import camera_matrix, focal_px, mount, pinhole, pose_matrix
@@ -208,7 +208,11 @@ class CameraRig(Closing):
         self._light = [1.0] * seats
         self._noises = tuple(_CameraNoise(*pair, tick_s) for pair in zip(cameras, self._pinholes, strict=True))
         for noise in self._noises:
-            noise.lay_over(new_images(16, 12, rgb=True), 0)  # compiled now, not at the first picture
+            images = new_images(16, 12, rgb=True)  # compiled now, not at the first picture
+            noise.lay_over(images, 0)
+            if noise.objects is not None:
+                nobody = np.full((12, 16), -1, np.int32)
+                noise.objects.lay_over(images, nobody, np.eye(3, 4), actor_instances(()), 0, 0.0, 0)
         self._shutters = [tuple(_Shutter(_new_buffers(camera)) for camera in cameras) for _ in range(seats)]
         self.begin(0)
 

@@ -31,6 +31,7 @@ STATED_PX, STATED_WIDTH_PX = 320 * 240, 320
 AHEAD_M = 0.5  # who is nearer by so much hides; the ground before somebody's feet does not
 SQUARE_M = 4.0  # one false person at a time stands in one
 FALSE_HALF_M, FALSE_TALL_M = 0.25, 1.7
+OFF = 1.0 / 3.0  # of a cell: borders of cells lie off round coordinates, where ground, kerbs and walls like to be
 _STANDING = (ClassId.POLE, ClassId.KERB, ClassId.LOWERED_KERB)
 _FLAT = (
     ClassId.GROUND,
@@ -144,7 +145,8 @@ def _share(key: np.uint64, number: int) -> float:
 @kernel
 def _cell_key(key: np.uint64, x: float, y: float, z: float) -> np.uint64:
     """The key of the cell of the world in which a point is; cells have edges of 1."""
-    column, row, level = int(np.floor(x)) & 0x1FFFFF, int(np.floor(y)) & 0x1FFFFF, int(np.floor(z)) & 0x1FFFFF
+    column, row, level = int(np.floor(x + OFF)), int(np.floor(y + OFF)), int(np.floor(z + OFF))
+    column, row, level = column & 0x1FFFFF, row & 0x1FFFFF, level & 0x1FFFFF
     return random_word(key, column << 42 | row << 21 | level)
 
 
@@ -152,13 +154,14 @@ def _cell_key(key: np.uint64, x: float, y: float, z: float) -> np.uint64:
 def _name_of(key: np.uint64, tick: int, c: int, factor: float, law: _Law) -> int:
     """What a thing of class c is called in this tick; `factor` multiplies the odds that it is called wrong.
 
-    In each tick it is named anew with one chance, else as before: so right and wrong are the two states of a Markov
-    chain. It is named by the last word that names it, to which a walk back leads.
+    In each tick a word is drawn anew with a chance r, else it stays; a walk back leads to the last one drawn. It names
+    wrong if it lies below the share s that the odds give: right and wrong are the two states of a Markov chain, and an
+    error lasts 1 / (r (1 - s)) ticks in the mean. r makes that `wrong_s` at factor 1, and does not depend on the
+    factor: one that changes ends an error only where s passes the word. Small and hidden things err for longer.
     """
     odds = factor * law.wrong[c] / (1.0 - law.wrong[c])
-    # A bound, so that what is named right is so for a tick at least, and errors keep their mean duration.
-    share = min(odds / (1.0 + odds), max(1.0 - law.leaves, law.wrong[c]))
-    named_below = np.uint64(min(1.0, law.leaves / (1.0 - share)) * WORDS)
+    share = odds / (1.0 + odds)
+    named_below = np.uint64(min(1.0, law.leaves / (1.0 - law.wrong[c])) * WORDS)
     bits = np.uint64(0)
     for back in range(LONGEST):
         bits = random_word(key, tick - back)
@@ -284,15 +287,18 @@ def _see_through(class_id: U8, depth_m: F32) -> None:
 @kernel
 def _add_false(class_id: U8, depth_m: F32, T_CW: F64, ground_m: float, key: np.uint64, now_s: float, law: _Law) -> None:
     """Name pixels of people who are not there; the world is cut into squares, and time into slots."""
-    slot, reach = int(np.floor(now_s / law.false_most_s)), int(np.ceil(law.false_far_m / SQUARE_M))
+    reach = int(np.ceil(law.false_far_m / SQUARE_M))
     east_m, north_m, _ = _in_world(T_CW, 0.0, 0.0, 0.0)
     east, north = int(np.floor(east_m / SQUARE_M)), int(np.floor(north_m / SQUARE_M))
     for x in range(east - reach, east + reach + 1):
         for y in range(north - reach, north + reach + 1):
-            own = random_word(_cell_key(key, float(x), float(y), 0.0), slot)
+            # Each square has slots of its own: people do not all come and go at once.
+            square = _cell_key(key, float(x), float(y), 0.0)
+            slots = now_s / law.false_most_s + np.float64(square >> S32) / WORDS
+            own = random_word(square, int(np.floor(slots)))
             lasts_s = law.false_least_s + (law.false_most_s - law.false_least_s) * _share(own, 0)
             # Somewhere within the slot, so that no other slot has to be known.
-            age_s = now_s - law.false_most_s * slot - (law.false_most_s - lasts_s) * _share(own, 1)
+            age_s = law.false_most_s * (slots - np.floor(slots)) - (law.false_most_s - lasts_s) * _share(own, 1)
             if np.float64(own >> S32) < law.false_chance * WORDS and 0.0 <= age_s < lasts_s:
                 p_C_m = T_CW[:, 3] + T_CW[:, 2] * (ground_m + 0.5 * FALSE_TALL_M)
                 p_C_m += SQUARE_M * (T_CW[:, 0] * (x + _share(own, 2)) + T_CW[:, 1] * (y + _share(own, 3)))
@@ -304,7 +310,7 @@ def _draw_false(class_id: U8, depth_m: F32, p_C_m: F64, law: _Law) -> None:
     """Name the pixels of an ellipse with its middle at a point (3,) of the camera frame, where nothing is nearer."""
     height, width = class_id.shape
     x, y, z = p_C_m
-    if not law.false_near_m < z < law.false_far_m:
+    if z <= 0.0 or not law.false_near_m < np.hypot(x, z) < law.false_far_m:
         return
     u, v = 0.5 * width + law.focal_px * x / z, 0.5 * height + law.focal_px * y / z
     across, down = law.focal_px * FALSE_HALF_M / z, 0.5 * law.focal_px * FALSE_TALL_M / z
@@ -334,11 +340,13 @@ def _wander(class_id: U8, key: np.uint64, now: float, law: _Law, table: F32) -> 
         knots.flat[at] = before * random_normal(was, table) + after * random_normal(becomes, table)
     for top in range(0, height, block):
         row, b = top // grid, (top % grid) / grid
-        near = (1.0 - b) * knots[row] + b * knots[row + 1]
+        # Over the root of the squared weights: the offset has the same variance between knots.
+        near = ((1.0 - b) * knots[row] + b * knots[row + 1]) / np.hypot(1.0 - b, b)
         for left in range(0, width, block):
             column, a = left // grid, (left % grid) / grid
-            down = int(np.rint((1.0 - a) * near[column, 0] + a * near[column + 1, 0]))
-            right = int(np.rint((1.0 - a) * near[column, 1] + a * near[column + 1, 1]))
+            here, there = (1.0 - a) / np.hypot(1.0 - a, a), a / np.hypot(1.0 - a, a)
+            down = int(np.rint(here * near[column, 0] + there * near[column + 1, 0]))
+            right = int(np.rint(here * near[column, 1] + there * near[column + 1, 1]))
             if down == 0 and right == 0:
                 continue
             for r in range(top, min(top + block, height)):
@@ -363,8 +371,7 @@ def _fail_stereo(depth_m: F32, T_CW: F64, key: np.uint64, now: float, law: _Law)
             if z <= 0.0 or z >= law.range_m:
                 continue
             x_m, y_m, z_m = _in_world(T_CW, (left + 0.5 * block - 0.5 * width) / law.focal_px, v, z)
-            # Half a cube up, so that level ground does not lie between two of them.
-            cube = _cell_key(key, x_m / law.patch_m, y_m / law.patch_m, z_m / law.patch_m + 0.5)
+            cube = _cell_key(key, x_m / law.patch_m, y_m / law.patch_m, z_m / law.patch_m)
             if cube != old:
                 # Each cube has a slot of time of its own: they do not all change at once.
                 own = random_word(cube, int(np.floor(now + np.float64(cube >> S32) / WORDS)))

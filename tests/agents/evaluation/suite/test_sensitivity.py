@@ -25,12 +25,15 @@ def test_every_disturbance_disturbs_whatever_is_set(
     """A chair of one's own would be driven in the place of the mid-wheel one, too, and move nothing."""
     driven = []
     monkeypatch.setattr(told_apart, "run_suite", lambda order, *_: driven.append(order.settings) or {})
-    own = ("chair.plant=mwd", "chair.plant=rwd", "world.action_delay_ticks=1", "chair.v_max_mps=1.2")
+    own = ("cameras.0.noise.objects=poor", "chair.plant=rwd", "world.action_delay_ticks=1", "chair.v_max_mps=1.2")
     order = SuiteOrder(suite=suite_in(corner, block_of(corner)), out=tmp_path, settings=own)
     told_apart.sensitivity(order, (), lambda _: None)
     configs = [resolve("quick", settings) for settings in driven]
     assert len(configs) == len(told_apart.DISTURBANCES)
-    assert all(config != configs[0] for config in configs[1:])
+    of = dict(zip(told_apart.DISTURBANCES, configs, strict=True))
+    assert [name for name in of if of[name] == configs[0]] == ["clean", "whole things, poor"]
+    noise = of["noise"].cameras[0].noise
+    assert noise is not None and (noise.objects, noise.depth is None, noise.rgb is None) == ("poor", False, False)
     assert configs[0].world.action_delay_ticks == 1 and configs[0].chair.v_max_mps == 1.2
 
 
@@ -38,7 +41,7 @@ def test_a_disturbance_that_a_town_cannot_have_is_told_and_left_out(
     corner: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def driven(order: SuiteOrder, policies: object, done: object) -> dict[str, tuple[EpisodeRecord, ...]]:
-        if "world.street=jupedsim" in order.settings:
+        if missing in order.settings:
             raise TownError("SUMO crashes here")
         return {
             "follow": (EpisodeRecord(block=0, seat=0, part="free", town="corner", profile="slow", status="finished"),)
@@ -46,9 +49,14 @@ def test_a_disturbance_that_a_town_cannot_have_is_told_and_left_out(
 
     monkeypatch.setattr(told_apart, "run_suite", driven)
     told: list[object] = []
-    rows = told_apart.sensitivity(SuiteOrder(suite=suite_in(corner, block_of(corner)), out=tmp_path), (), told.append)
+    order = SuiteOrder(suite=suite_in(corner, block_of(corner)), out=tmp_path)
+    missing = "world.street=jupedsim"
+    rows = told_apart.sensitivity(order, (), told.append)
     assert [row.disturbance for row in rows] == [name for name in told_apart.DISTURBANCES if "JuPedSim" not in name]
     assert told == ["people by JuPedSim: left out: SUMO crashes here"]
+    missing = "chair.plant=mwd"
+    with pytest.raises(TownError):
+        told_apart.sensitivity(order, (), told.append)
 
 
 @pytest.mark.proof

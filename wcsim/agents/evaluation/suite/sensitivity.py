@@ -14,9 +14,10 @@ from wcsim.agents.evaluation.suite.run import Done, SuiteOrder, run_suite
 from wcsim.errors import TownError
 
 CLEAN: Final = ("cameras.0.noise=none", "world.action_delay_ticks=0")
+JUPEDSIM: Final = "people by JuPedSim"
 DISTURBANCES: Final[Mapping[str, tuple[str, ...]]] = {
     "clean": (),
-    "noise": ("cameras.0.noise=typical",),
+    "noise": ("cameras.0.noise.depth={}", "cameras.0.noise.classes={}", "cameras.0.noise.rgb={}"),
     "whole things, usual": ("cameras.0.noise.objects=usual",),
     "whole things, poor": ("cameras.0.noise.objects=poor",),
     "delay of 200 ms": ("world.action_delay_ticks=2",),
@@ -26,7 +27,7 @@ DISTURBANCES: Final[Mapping[str, tuple[str, ...]]] = {
     "camera off by 2 degrees": ("vary.camera_turn_deg=[2,2]",),
     "mid-wheel drive": ("chair.plant=mwd",),
     "10 km/h": ("chair.v_max_mps=2.78",),
-    "people by JuPedSim": ("world.street=jupedsim",),
+    JUPEDSIM: ("world.street=jupedsim",),
 }
 Told = Callable[[str], object]
 
@@ -60,7 +61,7 @@ def sensitivity(order: SuiteOrder, policies: Sequence[str], told: Told) -> list[
             driven = run_suite(disturbed, policies, _telling(told, name))
         except TownError as error:
             # A town may be one in which JuPedSim dies: a list without that row says more than none.
-            if not clean:
+            if not clean or name != JUPEDSIM:
                 raise
             told(f"{name}: left out: {error}")
             continue
