@@ -384,6 +384,7 @@ def test_an_action_that_is_none_of_the_set_is_refused_and_nothing_moves(corner):
         for action in (-1, 81, 1000, 10**5000, 1.5, 1.0, math.nan, "x", None, [1], np.array([1, 2]), np.float64(3.0)):
             with pytest.raises(BadActionError, match="expected an integer from 0 to 80"):
                 env.unwrapped.step(action)
+        assert env.unwrapped._steps == 0, "the town of a copy would change with them"
         assert env.unwrapped.step(40)[4]["events"].step == 1
         for action in (np.int64(40), np.array(40), np.array([40])):
             env.unwrapped.step(action)

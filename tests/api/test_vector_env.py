@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import gymnasium
 import numpy as np
@@ -89,13 +90,19 @@ def test_infos_are_as_gymnasium_wants_them_where_an_episode_ends(made):
 
 def test_wrong_actions_and_seeds_are_refused_and_nothing_moves(made):
     env = made()
-    with pytest.raises(ProtocolError, match="call reset"):
-        env.step(np.array([44, 44]))
+    for _ in range(2):
+        with pytest.raises(ProtocolError, match="call reset"):
+            env.step(np.array([44, 44]))
+        env.reset(seed=1)
+        env.close()
+        assert env._chairs._group is None, "a second close() ends the second world"
     env.reset(seed=1)
     with pytest.raises(BadActionError, match="expected an integer from 0 to 80"):
         env.step(np.array([44, 81]))
     with pytest.raises(ConfigError, match="expected an integer"):
         env.reset(seed=[1, 2])
+    with pytest.raises(ConfigError, match="reset_mask"):
+        env.reset(options={"reset_mask": [True, False]})
     assert [events.step for events in env.step(np.array([44, 44]))[4]["events"]] == [1, 1]
 
 
@@ -109,6 +116,9 @@ def test_gymnasiums_statistics_and_pictures_work_with_it(made):
 
 def test_the_registered_length_of_an_episode_is_that_of_the_settings():
     assert gymnasium.spec(wcsim.ENV_ID).max_episode_steps == EnvConfig().max_steps
+    limits = {"num_envs": 1, "overrides": ("env.max_steps=20000",)}
+    for given, most in (({}, 10_000), ({"max_episode_steps": 15_000}, 15_000), ({"max_episode_steps": -1}, 20_000)):
+        assert gymnasium.make_vec(wcsim.ENV_ID, **limits, **given).config.env.max_steps == most
 
 
 @pytest.mark.parametrize("checker", [check_env, sb3_check_env], ids=["gymnasium", "sb3"])
@@ -142,7 +152,8 @@ def test_rows_without_pictures_are_the_same_drive_in_either_kind_of_world(corner
 def test_a_stick_beyond_its_round_gate_goes_as_far_as_the_gate(made):
     env = made(STICK)
     env.reset(seed=1)
-    for wrong in ([[0, 0], [0, 1.01]], [[0, 0], [np.nan, 0]], [[0, 0], ["x", None]], [[0, 0, 0]] * 2, [44, 44]):
+    complex_ones = np.full((2, 2), 0.5j)
+    for wrong in ([[0, 0], [0, 1.01]], [[0, np.nan]] * 2, [["x", None]] * 2, [[0, 0, 0]] * 2, [44, 44], complex_ones):
         with pytest.raises(BadActionError, match="expected x and y from -1 to 1"):
             env.step(wrong)
     given = env.step(np.array([[1.0, 1.0], [-0.3, 0.4]]))[4]["given"]
@@ -172,10 +183,15 @@ def test_arriving_is_a_success_until_the_episode_ends(corner, monkeypatch):
         assert (env.step(40)[4]["is_success"], env.reset()[1]["is_success"]) == (True, False)
 
 
+class Lasting(Counting):
+    def reset(self) -> None:
+        self.steps += 1
+
+
 @pytest.mark.parametrize("copied", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])  # noqa: S301
 def test_a_copy_is_where_the_environment_is_and_goes_on_alone(corner, copied):
     """Also behind an end of an episode, a reset in the middle of one, and a world that was begun again."""
-    env = gymnasium.make(wcsim.ENV_ID, town=str(corner), overrides=(*TINY, SHORT), reward_terms=[Counting()])
+    env = gymnasium.make(wcsim.ENV_ID, town=str(corner), overrides=(*TINY, SHORT), reward_terms=[Lasting()])
     env.reset(seed=3)
     for seed in (None, 4):
         env.step(40)
@@ -206,12 +222,18 @@ def test_what_cannot_be_copied_says_so(corner, made, monkeypatch):
     env.reset(seed=1)
     for _ in range(2):
         env.step(40)
-    state = env.__getstate__()
+    state = copy.deepcopy(env.__getstate__())
     env.step(40)
     with pytest.raises(ProtocolError, match="more than 2 steps again; call reset"):
         copy.deepcopy(env)
     with pytest.raises(ReplayMismatchError, match="not where its original was"):
-        WheelchairEnv.__new__(WheelchairEnv).__setstate__({**state, "_root_seed": 2})
+        WheelchairEnv.__new__(WheelchairEnv).__setstate__(copy.deepcopy({**state, "_root_seed": 2}))
+    for shown, told in ((ProtocolError, ReplayMismatchError), (KeyboardInterrupt, KeyboardInterrupt)):
+        other = WheelchairEnv.__new__(WheelchairEnv)
+        with monkeypatch.context() as patch, pytest.raises(told, match="over"):
+            patch.setattr(WheelchairEnv, "step", Mock(side_effect=shown("over")))
+            other.__setstate__(copy.deepcopy(state))
+        assert other._own is None, "the world is closed"
     env.close()
     copy.deepcopy(env).close()
     several = made()

@@ -381,9 +381,10 @@ class World(Closing):
 
     def _seen(self, seat: Ego, scene: Surroundings, first: bool) -> ClientSnapshot:
         with self.stopwatch.measure("render"):
-            sensors = seat.observe(scene, self._others(seat))
+            sensors = seat.observe(scene, self._others(seat) if seat.spec.near else ())
         with self.stopwatch.measure("truth"):
-            truth = None if self._blind else seat.truth(self._others(seat))
+            asked = not self._blind and (seat.spec.truth or seat.spec.truth_visible)
+            truth = seat.truth(self._others(seat)) if asked else None
         return seat.snapshot(self._tick, sensors, seat.events(self.sumo.teleports, first), truth)
 
     def _look_around(self, seat: Ego) -> None:

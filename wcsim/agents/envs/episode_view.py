@@ -21,7 +21,7 @@ from wcsim.config import RunConfig
 from wcsim.core.reading import escaped_value
 from wcsim.errors import BadActionError, ConfigError, ConfigMismatchError, PolicyError, ProtocolError
 from wcsim.supervisor.actions import MAX_DISTANCE, action_set
-from wcsim.supervisor.observation import Observation, observation_of, state_of
+from wcsim.supervisor.observation import NEAR, Observation, observation_of, state_of
 from wcsim.supervisor.rewards import DISTANCE_TOLERANCE, RewardTerm, joystick_distance, reward
 from wcsim.types import F32, ClientSnapshot, Command, Drawn, Joystick, RewardTerms
 
@@ -126,7 +126,7 @@ class Chair:
         self._config = config
         self._actions = action_set(config.env.lattice)
         self._any_stick, self._state = config.env.actions == "stick", config.env.observation == "state"
-        self._terms = tuple(terms)
+        self.terms = tuple(terms)
         self._window = FrameWindow(config.env.frames)
         self._seen: Seen = {}  # the last observation
         self._given = Joystick(0.0, 0.0)
@@ -156,7 +156,7 @@ class Chair:
         """
         self._check(first)
         self.now = first
-        for term in self._terms:
+        for term in self.terms:
             term.reset()
         self._window.reset()
         self._arrived = False
@@ -193,7 +193,8 @@ class Chair:
             return Joystick(*self._actions.points[self.checked(action)].tolist())
         self._frame()
         try:
-            xy = np.asarray(action, np.float64)
+            real = not any(isinstance(part, complex | np.complexfloating) for part in np.ravel(action))  # type: ignore[call-overload]
+            xy = np.asarray(action, np.float64) if real else np.empty(0)
         except (TypeError, ValueError, OverflowError):
             xy = np.empty(0)
         if xy.shape != (2,) or not (np.abs(xy) <= 1.0).all():  # no number is not within either
@@ -215,8 +216,8 @@ class Chair:
         gap = np.array([asked.x, asked.y]), np.array([self._given.x, self._given.y])
         distance = joystick_distance(*gap, config)
         terms = reward(distance, after.sensors.imu, after.plant, events, config)
-        if self._terms:
-            terms = replace(terms, extra=sum(term.reward(before, after) for term in self._terms))
+        if self.terms:
+            terms = replace(terms, extra=sum(float(term.reward(before, after)) for term in self.terms))
         self._seen = self._observed(after)
         self._arrived = self._arrived or events.arrived
         far = min(float(np.hypot(*(gap[1] - gap[0]))), MAX_DISTANCE)
@@ -295,11 +296,14 @@ class Chair:
         wanted = [(camera.name, (camera.height_px, camera.width_px)) for camera in self._config.cameras]
         if self._state and not any(camera.rgb for camera in self._config.cameras):
             wanted = []
+        given = {reading.name: len(reading.values) for reading in first.sensors.readings}
+        if self._state and NEAR not in given:
+            told = "env.observation=state, but this seat's world does not say what is near; policies see pictures"
+            raise ConfigMismatchError(f"{told}: expected env.observation=compact, or a seat with near=True")
         got = [(frame.name, frame.depth_m.shape) for frame in first.sensors.cameras]
         if got != wanted:
             raise ConfigMismatchError(f"the world's cameras are {got}; expected {wanted}: use its configuration")
         sensors = {name: len(measure.parts) for name, measure in self._config.sensors.measures().items()}
-        given = {reading.name: len(reading.values) for reading in first.sensors.readings}
         if not sensors.items() <= given.items():
             raise ConfigMismatchError(f"the world's sensors are {given}; expected {sensors}: use its configuration")
 

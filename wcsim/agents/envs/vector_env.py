@@ -17,6 +17,7 @@ from gymnasium.vector.utils import batch_space
 from wcsim.agents.envs.env_spec import Chairs, EnvOptions, checked_chairs, checked_seed, make_face, stacked
 from wcsim.agents.envs.episode_view import Info, Seen
 from wcsim.config import resolve
+from wcsim.errors import ConfigError
 from wcsim.types import F64, Bool
 
 
@@ -36,7 +37,7 @@ class StreetVectorEnv(VectorEnv[Seen, Any, npt.NDArray[Any]]):
         Args:
             town: A town's name or folder.
             num_envs: How many chairs.
-            max_episode_steps: Longest episode, where `env.max_steps` is no shorter.
+            max_episode_steps: Longest episode, where `env.max_steps` is no shorter; -1 is no limit besides.
             **options: config, preset, overrides, seed, reward_terms, render_mode, run, hook: see `EnvOptions`.
 
         Raises:
@@ -44,7 +45,7 @@ class StreetVectorEnv(VectorEnv[Seen, Any, npt.NDArray[Any]]):
             TypeError: There is no such option.
         """
         face = make_face(town, options, ("town", "num_envs", "max_episode_steps"))
-        if max_episode_steps is not None and max_episode_steps < face.config.env.max_steps:
+        if max_episode_steps not in (None, -1) and max_episode_steps < face.config.env.max_steps:
             face = replace(face, config=resolve(face.config, f"env.max_steps={max_episode_steps}"))
         self.num_envs, self.config, self.render_mode = checked_chairs(num_envs), face.config, face.render_mode
         self.metadata = {**face.metadata, "autoreset_mode": AutoresetMode.SAME_STEP}
@@ -62,7 +63,10 @@ class StreetVectorEnv(VectorEnv[Seen, Any, npt.NDArray[Any]]):
             TownError: The town cannot be used.
         """
         seed = checked_seed(seed)
+        if "reset_mask" in (options or {}):
+            raise ConfigError("options has a reset_mask; expected none: chairs begin their episodes by themselves")
         super().reset(seed=seed)
+        self.closed = False  # or the next close() would leave the world open
         begun = self._chairs.begin_next(self._first_seed) if seed is None else self._chairs.begin(seed)
         infos: Info = {}
         for seat, (_, info) in enumerate(begun):

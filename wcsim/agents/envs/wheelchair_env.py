@@ -41,7 +41,7 @@ MOST_REPEATED = 100_000  # steps that a copy drives again, at most; they take 10
 class WheelchairEnv(gymnasium.Env[Seen, np.int64 | F32]):
     """One wheelchair in a town, for Gymnasium.
 
-    A copy of it, by `copy.deepcopy` or `pickle`, makes a world of its own and drives again all that was driven since
+    A copy of it, by `copy.deepcopy` or from bytes, makes a world of its own and drives again all that was driven since
     the last world was made. It is then where this one is, to the bit, and goes on alone.
     """
 
@@ -118,8 +118,7 @@ class WheelchairEnv(gymnasium.Env[Seen, np.int64 | F32]):
             EvictedError: A server gave this client up; the next reset joins again.
             LinkError: See `wcsim.errors` for what else a client can see.
         """
-        link, self._steps = self._link, self._steps + 1
-        if link is None:
+        if (link := self._link) is None:
             raise ProtocolError("step() came before reset(); call reset() first")
         try:
             command = self._chair.command(action)
@@ -127,7 +126,7 @@ class WheelchairEnv(gymnasium.Env[Seen, np.int64 | F32]):
             work = None if self.due_work is None else self.due_work()
             if work is not None:
                 link.while_waiting(work)
-            after = link.receive()
+            after, self._steps = link.receive(), self._steps + 1
             self._note(copy.copy(action))
             return self._chair.take(after)
         except WorldRestartedError:
@@ -242,21 +241,27 @@ class WheelchairEnv(gymnasium.Env[Seen, np.int64 | F32]):
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Be where the other one is, in a world of its own. Raises ReplayMismatchError where this machine differs."""
         self.__dict__.update(state)
-        then, driven = self._chair.now, self._driven
+        then, terms, driven = self._chair.now, self._chair.terms, self._driven
         if then is None:
             return
-        self._chair.begin(self._open(self._root_seed, self._turn))
-        for action in driven:
-            if action is None:
-                self._chair.begin(self._first_frame(None))
-            else:
-                self.step(action)  # type: ignore[arg-type]
-        now = self._chair.now
-        if now is None or (now.tick, now.plant, now.user) != (then.tick, then.plant, then.user):
+        self._chair.terms = ()  # they have seen it all
+        try:
+            self._chair.begin(self._open(self._root_seed, self._turn))
+            for action in driven:
+                if action is None:
+                    self._chair.begin(self._first_frame(None))
+                else:
+                    self.step(action)  # type: ignore[arg-type]
+            now = self._chair.now
+            if now is None or (now.tick, now.plant, now.user) != (then.tick, then.plant, then.user):
+                raise ProtocolError("it came elsewhere")
+        except BaseException as error:
             self.close()
-            raise ReplayMismatchError(
-                "the copy is not where its original was; expected the same versions, town and processor model"
-            )
+            if not isinstance(error, ProtocolError):
+                raise
+            told = "the copy is not where its original was; expected the same versions, town and processor model"
+            raise ReplayMismatchError(f"{told}: {error}") from error
+        self._chair.terms = terms
 
     def _order(self) -> WorldOrder:
         """The world of this turn: the seed says which of several towns comes first, and then they come in turn."""
