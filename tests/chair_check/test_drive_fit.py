@@ -118,7 +118,7 @@ def test_drives_without_turns_and_files_without_odometry_are_refused(tmp_path):
         read_stick_drives([write(tmp_path, straight)])
     alone = write(tmp_path, drive)
     (tmp_path / "d1.odom.csv.gz").write_bytes(b"\x1f\x8b broken")
-    with pytest.raises(ConfigError, match="is no table"):
+    with pytest.raises(ConfigError, match="no single gzip file"):
         read_stick_drives([alone])
     (tmp_path / "d1.odom.csv.gz").unlink()
     with pytest.raises(ConfigError, match=r"d1\.odom\.csv"):
@@ -151,3 +151,7 @@ def test_a_named_chair_brings_its_numbers_under_what_is_asked_for():
     assert resolve("quick", "chair.accel_mps2=0.9", "chair.plant=whill").chair.accel_mps2 == 0.9
     assert resolve("quick", {"chair": {"plant": "whill"}}).chair == ChairConfig(plant="whill"), "moved, not chosen"
     assert resolve("quick", "chair.plant=whill", "chair.profile=indoor").chair.v_max_mps == 0.6
+    other = resolve(resolve(resolve("quick", "chair.plant=whill"), "chair.jerk_mps3=7"), "chair.plant=rwd").chair
+    assert other == ChairConfig(jerk_mps3=7.0), "what the plant before has set is gone"
+    paved = resolve("quick", "chair.profile=pavement")
+    assert resolve(paved, "chair.plant=whill").chair == whill

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, cast
 
 import numpy as np
 
@@ -16,40 +16,31 @@ from wcsim.config import ChairConfig
 from wcsim.core import seeding
 from wcsim.core.jit import exact_kernel
 from wcsim.core.joystick import driven, limits_of, shaped
-from wcsim.types import F64, Bool, Joystick
+from wcsim.types import F64, Joystick
 
 # the numbers of the law (11,): the limits of `core/joystick.py`, and these
 _DEADBAND, _EXPONENT, _DELAY = 8, 9, 10
 # Those that are fitted; hardly anybody drives backwards for long.
-_DELAY_S: Final = "delay_s"
-_BOUNDS: Final[dict[str, tuple[float, float]]] = {
-    "v_max_mps": (0.11, 5.0),
-    "accel_mps2": (0.05, 6.0),
-    "decel_mps2": (0.05, 6.0),
-    "jerk_mps3": (0.5, 50.0),
-    "yaw_rate_max_radps": (0.05, 4.0),
-    "yaw_accel_radps2": (0.05, 20.0),
-    "yaw_slowdown_s_per_m": (0.001, 5.0),
-    "deadband": (0.001, 0.5),
-    "shape_exponent": (1.0, 3.0),
-    _DELAY_S: (0.001, 1.0),
+DELAY_S: Final = "delay_s"
+_NUMBERS: Final = {  # least, usual and most; what these drives reach takes the place of 0
+    "v_max_mps": (0.11, 0.0, 5.0),
+    "accel_mps2": (0.05, 0.6, 6.0),
+    "decel_mps2": (0.05, 1.5, 6.0),
+    "jerk_mps3": (0.5, 5.0, 50.0),
+    "yaw_rate_max_radps": (0.05, 0.0, 4.0),
+    "yaw_accel_radps2": (0.05, 2.0, 20.0),
+    "yaw_slowdown_s_per_m": (0.001, 0.1, 5.0),
+    "deadband": (0.001, 0.05, 0.5),
+    "shape_exponent": (1.0, 1.1, 3.0),
+    DELAY_S: (0.001, 0.15, 1.0),
 }
-_USUAL: Final = {
-    "accel_mps2": 0.6,
-    "decel_mps2": 1.5,
-    "jerk_mps3": 5.0,
-    "yaw_accel_radps2": 2.0,
-    "yaw_slowdown_s_per_m": 0.1,
-    "deadband": 0.05,
-    "shape_exponent": 1.1,
-    _DELAY_S: 0.15,
-}
+_LEAST, _USUAL, _MOST = np.array(list(_NUMBERS.values())).T
 _JERKS_MPS3: Final = (3.0, 10.0, 30.0)  # each is begun with: jerk and deceleration together have several valleys
 _PULL: Final = 0.05  # of the misfit is what a number costs that is e times the usual one
-_IS_JERK: Final = np.array([name == "jerk_mps3" for name in _BOUNDS])
+_IS_JERK: Final = np.array([name == "jerk_mps3" for name in _NUMBERS])
 _NUDGE: Final = 0.01  # of a number, for slopes: less would follow the steps in which a drive of samples answers
 _DRAWS: Final = 100
-_HALF_M: Final = 300.0  # of the yard
+_SPARE_M: Final = 10.0  # of the yard, beyond where full speed leads
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -64,15 +55,10 @@ class MotionErrors:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DriveFit:
-    """The numbers of a chair's controller, and their 95 % intervals over drives."""
+    """The numbers of a chair's controller, and their 95 % intervals over drives; of one drive there are none."""
 
     values: dict[str, float]  # by their names in [chair]; and delay_s, from the stick to the wheels
     intervals: dict[str, tuple[float, float]]
-
-    @property
-    def chair(self) -> dict[str, float]:
-        """What stands in [chair], with four digits."""
-        return {name: float(f"{value:.4g}") for name, value in self.values.items() if name != _DELAY_S}
 
 
 def fit_drives(drives: Sequence[StickDrive], draws: int = _DRAWS) -> DriveFit:
@@ -83,27 +69,25 @@ def fit_drives(drives: Sequence[StickDrive], draws: int = _DRAWS) -> DriveFit:
         draws: How often the drives are drawn anew; none: without intervals.
     """
     usual = _usual(drives)
-    starts = [usual + math.log(jerk / _USUAL["jerk_mps3"]) * _IS_JERK for jerk in _JERKS_MPS3]
+    starts = [np.where(_IS_JERK, math.log(jerk), usual) for jerk in _JERKS_MPS3]
     # Drives tell jerk and deceleration hardly apart: of all that fit, the pull finds the most usual ones.
     pull = math.sqrt(_PULL * min(_solved(drives, start, usual, 0.0)[1] for start in starts))
     found = min((_solved(drives, start, usual, pull) for start in starts), key=lambda pair: pair[1])[0]
     rng = seeding.generator(0, "drives drawn anew")
     drawn = [found]
-    for _ in range(draws):
+    for _ in range(draws if len(drives) > 1 else 0):
         chosen = [drives[k] for k in rng.integers(len(drives), size=len(drives)).tolist()]
         drawn.append(_solved(chosen, found, usual, pull)[0])
     low, high = np.exp(np.percentile(drawn, (2.5, 97.5), axis=0)).tolist()
-    spans = zip(low, high, strict=True)
-    values = np.exp(found).tolist()
-    return DriveFit(values=dict(zip(_BOUNDS, values, strict=True)), intervals=dict(zip(_BOUNDS, spans, strict=True)))
+    intervals = dict(zip(_NUMBERS, zip(low, high, strict=True), strict=True)) if len(drawn) > 1 else {}
+    return DriveFit(values=dict(zip(_NUMBERS, np.exp(found).tolist(), strict=True)), intervals=intervals)
 
 
 def _usual(drives: Sequence[StickDrive]) -> F64:
     """Logarithms of the numbers (10,) that a chair has which reaches what these drives reach."""
-    speed, turn = np.percentile(np.abs(np.concatenate([drive.motion for drive in drives])), 99.0, axis=0).tolist()
-    usual = {"v_max_mps": speed, "yaw_rate_max_radps": turn, **_USUAL}
-    bounds = np.array(list(_BOUNDS.values())).T
-    return np.asarray(np.log(np.clip([usual[name] for name in _BOUNDS], bounds[0], bounds[1])), np.float64)
+    usual = _USUAL.copy()
+    usual[usual == 0.0] = np.percentile(np.abs(np.concatenate([drive.motion for drive in drives])), 99.0, axis=0)
+    return np.asarray(np.log(np.clip(usual, _LEAST, _MOST)), np.float64)
 
 
 def _solved(drives: Sequence[StickDrive], start: F64, usual: F64, pull: float) -> tuple[F64, float]:
@@ -114,14 +98,14 @@ def _solved(drives: Sequence[StickDrive], start: F64, usual: F64, pull: float) -
     scale = np.maximum(motion.std(axis=0), 1e-3)
 
     def misses(logs: F64) -> F64:
-        made = np.concatenate(law_motion(drives, dict(zip(_BOUNDS, np.exp(logs).tolist(), strict=True))))
+        made = np.concatenate(law_motion(drives, dict(zip(_NUMBERS, np.exp(logs).tolist(), strict=True))))
         return np.concatenate([((made - motion) / scale).ravel(), pull * (logs - usual)])
 
     def slopes(logs: F64) -> F64:
         steps = _NUDGE * np.eye(len(logs))
         return np.stack([(misses(logs + step) - misses(logs - step)) / (2.0 * _NUDGE) for step in steps], axis=1)
 
-    low, high = np.log(np.array(list(_BOUNDS.values()))).T
+    low, high = np.log(_LEAST), np.log(_MOST)
     inside = np.clip(start, low + _NUDGE, high - _NUDGE)
     solved: Any = least_squares(misses, inside, slopes, (low, high), max_nfev=40, xtol=1e-4, ftol=1e-5)
     return solved.x, float(solved.cost)
@@ -129,29 +113,20 @@ def _solved(drives: Sequence[StickDrive], start: F64, usual: F64, pull: float) -
 
 def law_motion(drives: Sequence[StickDrive], values: Mapping[str, float]) -> list[F64]:
     """Speeds and turn rates (n, 2) by the law alone, of numbers as in a `DriveFit`, in samples as the drives have."""
-    own: dict[str, Any] = {name: value for name, value in values.items() if name != _DELAY_S}
-    chair = ChairConfig.model_construct(**own)
-    numbers = np.array([*limits_of(chair), chair.deadband, chair.shape_exponent, values[_DELAY_S]])
-    lengths = [len(drive.stick) for drive in drives]
-    ends = np.cumsum(lengths)
-    begins = np.zeros(ends[-1], np.bool_)
-    begins[ends - lengths] = True
-    return np.split(_followed(np.concatenate([drive.stick for drive in drives]), begins, numbers), ends[:-1])
+    chair = ChairConfig.model_construct(**cast(Mapping[str, Any], values))
+    numbers = np.array([*limits_of(chair), chair.deadband, chair.shape_exponent, values[DELAY_S]])
+    return [_followed(drive.stick, numbers) for drive in drives]
 
 
 @exact_kernel
-def _followed(stick: F64, begins: Bool, numbers: F64) -> F64:
-    """Speeds and turn rates (n, 2) of drives (n, 2) one after the other; at each beginning the chair stands."""
+def _followed(stick: F64, numbers: F64) -> F64:
+    """Speeds and turn rates (n, 2) of a drive (n, 2) that begins at rest."""
     out = np.empty(stick.shape)
     whole = int(numbers[_DELAY] / STEP_S)
     part = numbers[_DELAY] / STEP_S - whole
     v = w = a = 0.0
-    first = 0
     for at in range(len(stick)):
-        if begins[at]:
-            first = at
-            v = w = a = 0.0
-        new, old = stick[max(first, at - whole)], stick[max(first, at - whole - 1)]
+        new, old = stick[max(0, at - whole)], stick[max(0, at - whole - 1)]
         # between two samples, so that the delay has a slope
         x, y = new[0] + part * (old[0] - new[0]), new[1] + part * (old[1] - new[1])
         out[at, 0], out[at, 1] = v, w  # what this sample asks for shows in the next one
@@ -167,7 +142,8 @@ def plant_motion(drive: StickDrive, setup: Setup) -> F64:
     """
     ticks = round(TICK_S / STEP_S)
     found = [(0.0, 0.0)]
-    with Rig(setup, grid_street(lambda x, y: 0.0, _HALF_M, _HALF_M, 2.0 * _HALF_M)) as rig:
+    half_m = _SPARE_M + setup.chair.v_max_mps * STEP_S * len(drive.stick)
+    with Rig(setup, grid_street(lambda x, y: 0.0, half_m, half_m, 2.0 * half_m)) as rig:
         for x, y in drive.stick[::ticks].tolist():
             state = rig.drive(Joystick(x, y), TICK_S).states[-1]
             found.append((float(state.v_B_mps[0]), float(state.w_B_radps[2])))

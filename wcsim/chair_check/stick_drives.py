@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gzip
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -11,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from wcsim.core.reading import FileKind, escaped, is_file, read_bytes
+from wcsim.core.reading import FileKind, escaped, is_file, read_text
 from wcsim.errors import ConfigError
 from wcsim.types import F64
 
@@ -76,16 +75,12 @@ def _read(path: Path) -> StickDrive:
 
 def _table(path: Path, columns: str) -> F64:
     """The rows (n, 3) of a table with times that do not fall. Raises ConfigError."""
-    data, limit = read_bytes(path, _KIND), _KIND.limit_bytes
+    head, _, text = read_text(path, _KIND).partition("\n")
     try:
-        if path.suffix == ".gz":
-            with gzip.GzipFile(fileobj=io.BytesIO(data)) as packed:
-                data = packed.read(limit + 1)
-        head, _, text = data.decode("ascii").partition("\n")
         rows = np.loadtxt(io.StringIO(text), delimiter=",", ndmin=2) if text.strip() else np.zeros((0, 3))
-    except (OSError, EOFError, ValueError) as error:
+    except ValueError as error:
         raise ConfigError(f"{escaped(path)}: is no table ({escaped(error, 80)}); expected {_KIND.what}") from None
-    if head.strip() != columns or len(data) > limit:
+    if head.strip() != columns:
         raise ConfigError(f"{escaped(path)}: begins with {escaped(head, 40)!r}; expected {columns}, in {_KIND.what}")
     apart_s = np.diff(rows[:, 0]) if rows.shape[1] == 3 and np.isfinite(rows).all() else np.array([])
     if not len(apart_s) or apart_s.min() < 0.0 or apart_s.max() > _LONGEST_GAP_S:

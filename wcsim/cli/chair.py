@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
+from itertools import compress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -31,10 +33,10 @@ from wcsim.cli.shared.common import (
     write_json,
 )
 from wcsim.cli.shared.consoles import show_table, stderr_console, stdout_console
-from wcsim.config import ChairConfig, RunConfig, resolve
-from wcsim.config.plant import plant_path
+from wcsim.config import CONFIG_FILE, ChairConfig, RunConfig, parse, resolve
+from wcsim.config.plant import PlantFile, plant_path, read_plant
 from wcsim.core.processes import pooled
-from wcsim.core.reading import escaped
+from wcsim.core.reading import escaped, parse_toml, read_text
 from wcsim.errors import ConfigError, check_installed
 from wcsim.types import F64
 
@@ -211,6 +213,7 @@ def _frame(title: str) -> Table:
 
 
 _HZ_OF_FIT = 120
+_CHAIR = re.compile(r"(?ms)^\[chair\][^\n]*\n?(.*?)(?=^\[|\Z)")
 _LATE_TICKS = 4  # of world.action_delay_ticks that are tried, from 0 on
 
 
@@ -221,7 +224,7 @@ class _FitOptions:
     drives: Annotated[tuple[Path, ...], Positional, arg(metavar="NAME.joy.csv [...]")]
     """Recorded sticks (t_s,axis0,axis1), each beside its NAME.odom.csv (t_s,v_mps,w_radps); .gz may follow."""
     hold_out: str = ""
-    """Words of file names, separated by commas: the drives of each are left out of a fit of their own."""
+    """Words of file names, whole between _ . and -, separated by commas: a fit leaves out the drives of each."""
     base: str = "rwd"
     """Chair (plant) for --plant and --out."""
     plant: Flag = False
@@ -242,58 +245,63 @@ def _fit(options: _FitOptions) -> int:
         if options.picture.suffix not in (".png", ".svg"):
             raise ConfigError(f"--picture {escaped(options.picture)}: expected a name that ends in .png or .svg")
         check_installed("--picture needs matplotlib", "report", "matplotlib")
+    read_plant(options.base)
     chair = _driving(options.base, _HZ_OF_FIT).chair
-    from wcsim.chair_check.drive_fit import fit_drives, law_motion, motion_errors
+    from wcsim.chair_check.drive_fit import DELAY_S, fit_drives, later, law_motion, motion_errors
     from wcsim.chair_check.stick_drives import read_stick_drives
 
     drives = read_stick_drives(options.drives)
-    parts = _held_out(drives, options.hold_out)
+    left_out = _errors_left_out(drives, options.hold_out)
     with stderr_console().status("fitting"):
         fit = fit_drives(drives)
-    laws = {"all, fitted": fit.values, f"all, as {options.base} is set": {**dict(chair), "delay_s": 0.0}}
-    errors = {name: motion_errors(drives, law_motion(drives, values)) for name, values in laws.items()}
-    errors |= _errors_left_out(parts)
-    own = chair.model_copy(update=fit.chair | {"profile": "custom"})
+    was, made = {**dict(chair), DELAY_S: 0.0}, {"law": law_motion(drives, fit.values)}
+    errors = {
+        "all, fitted": motion_errors(drives, made["law"]),
+        f"all, as {options.base} is set": motion_errors(drives, law_motion(drives, was)),
+        **left_out,
+    }
+    rounded = {name: float(f"{value:.4g}") for name, value in fit.values.items() if name != DELAY_S}
+    own = chair.model_copy(update=rounded | {"profile": "custom"})
     ridden = _ridden(drives, own) if options.plant else []
     for ticks in range(_LATE_TICKS) if ridden else ():
-        errors[f"{options.base}, {ticks} ticks late"] = motion_errors(drives, _later(ridden, ticks))
-    _print_fit(fit, chair, errors)
+        late = [later(motion, ticks * TICK_S) for motion in ridden]
+        errors[f"{options.base}, {ticks} ticks late"] = motion_errors(drives, late)
+    if ridden:
+        made[f"{options.base} in PyBullet"] = [later(motion, fit.values[DELAY_S]) for motion in ridden]
+    _print_fit(fit, was, errors)
     if options.picture is not None:
-        late = round(fit.values["delay_s"] / TICK_S)
-        made = {"law": law_motion(drives, fit.values), f"{options.base} in PyBullet": _later(ridden, late)}
         _draw_fit(options.picture, drives, made)
     if options.out is not None:
-        _write_plant(options.out, options.base, fit, len(drives))
-    numbers = {name: [fit.values[name], *fit.intervals[name]] for name in fit.values}
+        head = f"fitted to {len(drives)} drives; from stick to wheels {fit.values[DELAY_S]:.2f} s"
+        _write_plant(options.out, own, rounded, head)
+    numbers = {name: [value, *fit.intervals.get(name, ())] for name, value in fit.values.items()}
     write_json(options.json, {"numbers": numbers, "errors": {name: asdict(item) for name, item in errors.items()}})
     return 0
 
 
-def _held_out(drives: Sequence[StickDrive], words: str) -> dict[str, tuple[list[StickDrive], list[StickDrive]]]:
-    """By each word the drives in whose names it is, and the rest. Raises ConfigError where one of them is none."""
-    parts = {}
-    for word in words_of(words):
-        left = [drive for drive in drives if word in drive.name]
-        rest = [drive for drive in drives if word not in drive.name]
-        if not left or not rest:
-            raise ConfigError(f"--hold-out {word!r} is in {len(left)} of {len(drives)} names; expected some, not all")
-        parts[word] = left, rest
-    return parts
+def _errors_left_out(drives: Sequence[StickDrive], words: str) -> dict[str, MotionErrors]:
+    """Errors on the drives in whose names each word is, by the fit to the rest; and all of them together.
 
-
-def _errors_left_out(parts: Mapping[str, tuple[list[StickDrive], list[StickDrive]]]) -> dict[str, MotionErrors]:
-    """Errors on the drives of each part by the fit to the rest; and all of them together."""
+    Raises ConfigError where a word, whole between `_`, `.` and `-`, is in no name, or in all.
+    """
     from wcsim.chair_check.drive_fit import fit_drives, law_motion, motion_errors
 
-    found: dict[str, MotionErrors] = {}
+    parts, found = {}, {}
+    for word in words_of(words):
+        whole = re.compile(rf"(^|[_.-]){re.escape(word)}($|[_.-])")
+        parts[word] = [bool(whole.search(drive.name)) for drive in drives]
+        if not 0 < sum(parts[word]) < len(drives):
+            told = f"--hold-out {word!r} is a word of {sum(parts[word])} of {len(drives)} names"
+            raise ConfigError(f"{told}; expected some, not all")
     driven: list[StickDrive] = []
     moved: list[F64] = []
-    for word, (left, rest) in parts.items():
+    for word, out in parts.items():
+        left, rest = [*compress(drives, out)], [drive for drive, gone in zip(drives, out, strict=True) if not gone]
         with stderr_console().status(f"fitting without {word}"):
             motions = law_motion(left, fit_drives(rest, draws=0).values)
         found[f"{word}, left out"] = motion_errors(left, motions)
         driven, moved = [*driven, *left], [*moved, *motions]
-    return {**found, "each left out": motion_errors(driven, moved)} if parts else found
+    return {**found, "each left out": motion_errors(driven, moved)} if parts else {}
 
 
 def _ridden(drives: Sequence[StickDrive], chair: ChairConfig) -> list[F64]:
@@ -305,18 +313,11 @@ def _ridden(drives: Sequence[StickDrive], chair: ChairConfig) -> list[F64]:
     return [found[place] for place in range(len(drives))]
 
 
-def _later(motions: Sequence[F64], ticks: int) -> list[F64]:
-    from wcsim.chair_check.drive_fit import later
-
-    return [later(motion, ticks * TICK_S) for motion in motions]
-
-
-def _print_fit(fit: DriveFit, chair: ChairConfig, errors: Mapping[str, MotionErrors]) -> None:
-    was = {**dict(chair), "delay_s": 0.0}
-    numbers = (
-        (name, *(f"{number:.4g}" for number in (value, *fit.intervals[name], was[name])))
-        for name, value in fit.values.items()
-    )
+def _print_fit(fit: DriveFit, was: Mapping[str, float], errors: Mapping[str, MotionErrors]) -> None:
+    numbers = []
+    for name, value in fit.values.items():
+        span = [f"{number:.4g}" for number in fit.intervals.get(name, ())] or ["-", "-"]
+        numbers.append((name, f"{value:.4g}", *span, f"{was[name]:.4g}"))
     show_table(("number", "fitted", "95 % from", "to", "without"), numbers, box=box.SIMPLE_HEAD)
     rows = []
     for name, item in errors.items():
@@ -331,16 +332,28 @@ def _draw_fit(path: Path, drives: Sequence[StickDrive], made: Mapping[str, Seque
     from wcsim.view.report.figures import motion_chart  # loads matplotlib
 
     place = max(range(len(drives)), key=lambda k: len(drives[k].motion))
-    shown = {name: motions[place] for name, motions in made.items() if motions}
+    shown = {name: motions[place] for name, motions in made.items()}
     with result_file(path) as part:
         motion_chart(part, path.suffix[1:], drives[place].name, STEP_S, drives[place].motion, shown)
 
 
-def _write_plant(path: Path, base: str, fit: DriveFit, count: int) -> None:
-    """The base's file with a [chair] of its own."""
-    text = plant_path(base).read_text(encoding="utf-8").partition("\n[chair]")[0].rstrip()
-    lines = [f"{name} = {value:g}" for name, value in fit.chair.items()]
-    head = f"[chair] # fitted to {count} drives; from stick to wheels {fit.values['delay_s']:.2f} s"
+def _write_plant(path: Path, own: ChairConfig, numbers: Mapping[str, float], head: str) -> None:
+    """The plant's file with these numbers in its [chair]. Raises ConfigError where they are beyond its limits."""
+    from wcsim.physics.wheelchair.plant import plant_spec  # loads the engine, which --help must not
+
+    plant_spec(own)
+    text = read_text(plant_path(own.plant), CONFIG_FILE)
+    table = _CHAIR.search(text)
+    begin, end = table.span() if table else (len(text), len(text))
+    kept = re.sub(rf"(?m)^[ \t]*({'|'.join(numbers)}|profile)[ \t]*=.*\n?", "", table[1] if table else "")
+    lines = [
+        text[:begin].rstrip(),
+        "",
+        f"[chair] # {head}",
+        *(f"{name} = {value:g}" for name, value in numbers.items()),
+    ]
+    made, where = "\n".join([*lines, kept + text[end:]]).rstrip() + "\n", f"{escaped(own.plant)} with a new [chair]"
+    parse(PlantFile, parse_toml(made, where, CONFIG_FILE), where)
     with result_file(path) as part:
-        part.write_text("\n".join([text, "", head, *lines, ""]), encoding="utf-8")
+        part.write_text(made, encoding="utf-8")
     print(f"wrote {path}; drive it: --set chair.plant={path}")

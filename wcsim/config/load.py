@@ -24,6 +24,8 @@ _VALUE = FileKind(what="a value in TOML's syntax", limit_bytes=1 << 20)
 
 _PLANTS = Path(__file__).parent / "plants"
 
+_SPEED = {"profile", "v_max_mps"}  # a plant that says one of them sets both
+
 _FAULTS = 12  # that are told of one file
 
 _PARTS = 16  # of a key of `--set`
@@ -68,15 +70,15 @@ def resolve(base: str | RunConfig, *layers: Layer) -> RunConfig:
     Args:
         base: Name of a preset, or a configuration.
         layers: What is laid over it. Values of a `section.key=value` are in TOML syntax, or words. A plant that a file
-            or a `section.key=value` names brings the `[chair]` of its own file, below all layers; one in tables of
-            keys does not.
+            or a `section.key=value` names brings the `[chair]` of its own file, below all layers, and takes away what
+            that of the plant before it has set; one in tables of keys, or that is the base's already, does not.
 
     Raises:
         ConfigError: There is no such preset or file, or a key or value cannot be used; it says what was expected.
     """
     own = [table for layer in layers for table in _tables(layer)]
     where, data = _preset(base) if isinstance(base, str) else ("configuration", base.model_dump(mode="json"))
-    data = _giving_way(_merged(data, _chair_of_plant(layers)), own)
+    data = _giving_way(_with_plant(data, layers), own)
     for _, table in own:
         data = _merged(data, table)
     return parse(RunConfig, data, own[-1][0] if own else where)
@@ -104,17 +106,26 @@ def _preset(name: str) -> tuple[str, dict[str, Any]]:
     return f"preset {name}", reading.read_toml(path, CONFIG_FILE)
 
 
-def _chair_of_plant(layers: Sequence[Layer]) -> dict[str, Any]:
-    """What the file of the plant says of `[chair]` that somebody names."""
+def _with_plant(data: dict[str, Any], layers: Sequence[Layer]) -> dict[str, Any]:
+    """Data with `[chair]` as the plant's file says that somebody names, without what the last plant's file said."""
     told = [table for layer in layers if not isinstance(layer, Mapping) for _, table in _tables(layer)]
     chairs = [chair for table in told if isinstance(chair := table.get("chair"), dict)]
     named = [plant for chair in chairs if isinstance(plant := chair.get("plant"), str)]
-    if not named:
-        return {}
-    path = Path(named[-1] if named[-1].endswith(".toml") else _PLANTS / f"{named[-1]}.toml")
-    # whoever reads the whole plant says that it is missing or wrong
+    was = data.get("chair", {})
+    if not named or named[-1] == was.get("plant"):
+        return data
+    old, new = (_chair_of_plant(plant) for plant in (str(was.get("plant")), named[-1]))
+    gone = {key for key, value in old.items() if was.get(key) == value} | new.keys()
+    if not gone.isdisjoint(_SPEED):
+        gone |= _SPEED
+    return {**data, "chair": {key: value for key, value in was.items() if key not in gone} | new}
+
+
+def _chair_of_plant(plant: str) -> dict[str, Any]:
+    """`[chair]` of a plant's file; whoever reads the whole plant says that it is missing or wrong."""
+    path = Path(plant if plant.endswith(".toml") else _PLANTS / f"{plant}.toml")
     chair = reading.read_toml(path, CONFIG_FILE).get("chair") if reading.is_file(path) else None
-    return {"chair": chair} if isinstance(chair, dict) else {}
+    return chair if isinstance(chair, dict) else {}
 
 
 def _giving_way(data: dict[str, Any], own: Sequence[tuple[str, dict[str, Any]]]) -> dict[str, Any]:

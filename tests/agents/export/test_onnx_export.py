@@ -50,7 +50,7 @@ def test_what_it_costs_is_measured_in_a_process_of_its_own(made):
 
 def test_a_test_of_the_folder_shows_it_the_camera_and_the_chair_of_its_training(tmp_path):
     own = (
-        *("cameras.0.hfov_deg=70", "cameras.0.p_BC_m=[0.3,0.0,1.1]", "chair.plant=mwd", "chair.v_max_mps=2.5"),
+        *("cameras.0.hfov_deg=70", "cameras.0.p_BC_m=[0.3,0.0,1.1]", "chair.plant=whill", "chair.accel_mps2=1.0"),
         *("env.classes=wcsim", "env.actions=disc69", "world.action_delay_ticks=1"),
         *("env.observe_yaw=true", "sensors.odometry={radius_error=0.02}"),
     )

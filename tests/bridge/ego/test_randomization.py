@@ -215,6 +215,7 @@ def test_ranges_in_which_no_chair_can_stand_are_refused(monkeypatch):
     [
         (("chair.plant=mwd", 'vary.plant={"casters.*.arm.damping_Nspm"=[400,2300]}'), "too stiff for physics steps"),
         (('vary.plant={"limits.speed_mps"=[0.2,0.5]}',), "expected a number of its body"),
+        (('vary.plant={"chair.accel_mps2"=[0.2,0.5]}',), "expected a number of its body"),
         (('vary.plant={"mass.user_kg"=[40,50]}', "vary.user_mass_kg=[30,40]"), "expected only one of them"),
     ],
 )

@@ -243,8 +243,7 @@ def _off(told: F32, wanted: F32, graph: Graph) -> F32:
 def _about(config: RunConfig) -> str:
     """The settings with which `wcsim test` shows the model what it was trained on, over those of a preset."""
     usual = resolve(_PRESET)
-    own, plain = config.model_dump(mode="json"), usual.model_dump(mode="json")
-    told = [(f"chair.{key}", value) for key, value in own["chair"].items() if value != plain["chair"][key]]
+    told = [(f"chair.{key}", value) for key, value in config.chair if value is not None]  # a plant brings its own
     told += [("imu.tilt", config.imu.tilt)] if config.imu.tilt != usual.imu.tilt else []
     told += [("world.action_delay_ticks", config.world.action_delay_ticks)]
     size = as_words((f"cameras.0.{key}", getattr(config.eye, key)) for key in ("width_px", "height_px"))

@@ -153,8 +153,8 @@ def _mounted(camera: CameraConfig, shift_m: Vec3, yaw_deg: float, pitch_deg: flo
 def _check_names(vary: VaryConfig) -> None:
     """Refuse numbers of a plant that change nothing in an episode, or that another range draws as well."""
     for name in vary.plant:
-        if name.startswith(("limits.", "climbs.")):
-            raise ConfigError(f"vary.plant.{name}: is a test criterion of the plant; expected a number of its body")
+        if name.startswith(("limits.", "climbs.", "chair.")):
+            raise ConfigError(f"vary.plant.{name}: changes nothing in an episode; expected a number of its body")
         if name == "mass.user_kg" and vary.user_mass_kg is not None:
             raise ConfigError(f"vary.plant.{name}: vary.user_mass_kg draws it too; expected only one of them")
 

@@ -139,6 +139,12 @@ def _fit(options: _FitOptions) -> int:
 def _fitted(options: _FitOptions, base: UserProfile) -> UserFit:
     """The user behind drives, or the hand behind stick tables; kernels load after what may be refused."""
     if any(path.is_dir() or ".csv" in path.suffixes for path in options.drives):
+        if base.discrete:
+            raise ConfigError(
+                f"--base {base.name} drives by switches, whose hand has no lag; expected one with a stick"
+            )
+        if options.without_intents:
+            raise ConfigError("--without-intents is for recorded drives; expected none: stick tables have no intents")
         from wcsim.users.recordings.fit_sticks import fit_sticks, read_sticks
 
         return fit_sticks({escaped(path): read_sticks(path) for path in options.drives}, base)

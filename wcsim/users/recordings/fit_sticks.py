@@ -39,12 +39,12 @@ _RESTLESS_PER_S = 1.5  # movements: a stick that moves more often is hardly ever
 
 
 def read_sticks(path: Path) -> F64:
-    """All sticks (n, 2) of a table or a folder of them, one after the other.
+    """All sticks (n, 2) of a table, or of a folder without its .odom.csv files, one after the other.
 
     Raises:
         ConfigError: There is no table, or one that `read_recording` refuses; or they last for less than 30 s.
     """
-    files = sorted(path.glob("*.csv*")) if path.is_dir() else [path]
+    files = [each for each in sorted(path.glob("*.csv*")) if ".odom" not in each.suffixes] if path.is_dir() else [path]
     parts = [part for each in map(read_recording, files) for part in each.episodes or (each,)]
     sticks = [part.at(np.arange(part.time_s[0], part.end_s, STICK_DT_S)) for part in parts]
     seconds = STICK_DT_S * sum(map(len, sticks))
