@@ -61,9 +61,8 @@ def test_the_example_of_stock_learners_trains_saves_and_loads_both(corner, tmp_p
     finally:
         torch.set_num_threads(threads)
     assert [path.name for path in saved] == ["dqn.zip", "ppo.zip"]
-    assert [kind.load(path, device="cpu").num_timesteps for kind, path in zip((DQN, PPO), saved, strict=True)] == [
-        24, 24,
-    ]  # fmt: skip
+    models = [kind.load(path, device="cpu") for kind, path in zip((DQN, PPO), saved, strict=True)]
+    assert [model.num_timesteps for model in models] == [24, 24]
 
 
 def test_a_model_of_sb3_is_a_policy_for_tests(tmp_path, monkeypatch):
