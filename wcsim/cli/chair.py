@@ -272,8 +272,8 @@ def _fit(options: _FitOptions) -> int:
     if options.picture is not None:
         _draw_fit(options.picture, drives, made)
     if options.out is not None:
-        head = f"fitted to {len(drives)} drives; from stick to wheels {fit.values[DELAY_S]:.2f} s"
-        _write_plant(options.out, own, rounded, head)
+        told = f"fitted to {len(drives)} drives; from stick to wheels {fit.values[DELAY_S]:.2f} s"
+        _write_plant(options.out, own, rounded, told)
     numbers = {name: [value, *fit.intervals.get(name, ())] for name, value in fit.values.items()}
     write_json(options.json, {"numbers": numbers, "errors": {name: asdict(item) for name, item in errors.items()}})
     return 0
@@ -289,14 +289,14 @@ def _errors_left_out(drives: Sequence[StickDrive], words: str) -> dict[str, Moti
     parts, found = {}, {}
     for word in words_of(words):
         whole = re.compile(rf"(^|[_.-]){re.escape(word)}($|[_.-])")
-        parts[word] = [bool(whole.search(drive.name)) for drive in drives]
+        parts[word] = [whole.search(drive.name) is not None for drive in drives]
         if not 0 < sum(parts[word]) < len(drives):
             told = f"--hold-out {word!r} is a word of {sum(parts[word])} of {len(drives)} names"
             raise ConfigError(f"{told}; expected some, not all")
     driven: list[StickDrive] = []
     moved: list[F64] = []
     for word, out in parts.items():
-        left, rest = [*compress(drives, out)], [drive for drive, gone in zip(drives, out, strict=True) if not gone]
+        left, rest = [*compress(drives, out)], [*compress(drives, [not gone for gone in out])]
         with stderr_console().status(f"fitting without {word}"):
             motions = law_motion(left, fit_drives(rest, draws=0).values)
         found[f"{word}, left out"] = motion_errors(left, motions)

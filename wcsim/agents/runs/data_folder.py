@@ -298,9 +298,8 @@ def _columns(data: bytes) -> dict[str, np.ndarray]:
     with zipfile.ZipFile(io.BytesIO(unpacked)) as held:
         if any(item.compress_type != zipfile.ZIP_STORED for item in held.infolist()):  # so that none unpacks to more
             raise ValueError("packed in another way")
-        names = {field.name: f"{field.name}.npy" for field in fields(Segment)}
-        there = names.keys() - ({"own"} if names["own"] not in held.namelist() else set())
-        columns = {name: np.lib.format.read_array(io.BytesIO(held.read(names[name]))) for name in sorted(there)}
+        names = [field.name for field in fields(Segment) if field.name != "own" or "own.npy" in held.namelist()]
+        columns = {name: np.lib.format.read_array(io.BytesIO(held.read(f"{name}.npy"))) for name in names}
     # Older data does not tell whose fault a crash was: then none teaches as the chair's own.
     return {"own": np.zeros_like(columns["crashed"]), **columns}
 

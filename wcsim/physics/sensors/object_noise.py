@@ -328,7 +328,7 @@ def _wander(class_id: U8, key: np.uint64, now: float, law: _Law, table: F32) -> 
     The outline of what stands on it stays: a shift of whole pixels would swallow people who are far away.
     """
     height, width = class_id.shape
-    source, block, grid = class_id.copy(), law.block_px, law.border_grid_px
+    source, flat, block, grid = class_id.copy(), law.flat, law.block_px, law.border_grid_px
     then = int(np.floor(now))
     # A quarter of a circle from one knot to the next: the offset has the same variance at each time.
     turn = 0.5 * np.pi * (now - then)
@@ -338,22 +338,25 @@ def _wander(class_id: U8, key: np.uint64, now: float, law: _Law, table: F32) -> 
     for at in range(knots.size):
         was, becomes = random_word(old, at) >> S32, random_word(new, at) >> S32
         knots.flat[at] = before * random_normal(was, table) + after * random_normal(becomes, table)
+    a = np.arange(0, width, block) % grid / grid  # here, and once: a root for each block would cost a third of it all
+    here, there = (1.0 - a) / np.hypot(1.0 - a, a), a / np.hypot(1.0 - a, a)
     for top in range(0, height, block):
         row, b = top // grid, (top % grid) / grid
         # Over the root of the squared weights: the offset has the same variance between knots.
         near = ((1.0 - b) * knots[row] + b * knots[row + 1]) / np.hypot(1.0 - b, b)
         for left in range(0, width, block):
-            column, a = left // grid, (left % grid) / grid
-            here, there = (1.0 - a) / np.hypot(1.0 - a, a), a / np.hypot(1.0 - a, a)
-            down = int(np.rint(here * near[column, 0] + there * near[column + 1, 0]))
-            right = int(np.rint(here * near[column, 1] + there * near[column + 1, 1]))
+            column, k = left // grid, left // block
+            down = int(np.rint(here[k] * near[column, 0] + there[k] * near[column + 1, 0]))
+            right = int(np.rint(here[k] * near[column, 1] + there[k] * near[column + 1, 1]))
             if down == 0 and right == 0:
                 continue
             for r in range(top, min(top + block, height)):
                 of = min(max(r + down, 0), height - 1)
                 for i in range(left, min(left + block, width)):
+                    if not flat[class_id[r, i]]:
+                        continue
                     name = source[of, min(max(i + right, 0), width - 1)]
-                    if law.flat[name] and law.flat[class_id[r, i]]:
+                    if flat[name]:
                         class_id[r, i] = name
 
 
