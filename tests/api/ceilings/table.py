@@ -27,6 +27,8 @@ class Row:
 ROWS: Final = (
     Row(
         name="wcsim: code lines (tokens / 10.5)",
+        # 46,500 was wanted of 50,764. Eight engineers found 460 lines that were no feature: without dropping studies,
+        # fitting, paving or shared worlds the limit of this design is near 50,000.
         first=65_882,
         ceiling=52_270,
         count=lambda: measures.code_lines("wcsim"),
