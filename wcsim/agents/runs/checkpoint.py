@@ -21,7 +21,7 @@ from safetensors.numpy import load_file, save_file
 
 from wcsim.agents.runs.run_folder import RunFolder
 from wcsim.core import files
-from wcsim.core.reading import FileKind, escaped, read_json, regular_size
+from wcsim.core.reading import FileKind, escaped, is_folder, read_json, regular_size
 from wcsim.errors import PolicyError, WcsimError
 
 STATE: Final = "state.json"
@@ -68,7 +68,8 @@ def tag(counted: str, number: int) -> str:
 
 def checkpoints(folder: Path) -> list[Path]:
     """Those of a run, oldest first: real folders with exactly such a name; whatever else is there is not."""
-    found = (path for path in folder.glob("*-*") if _is_name(path.name) and path.is_dir() and not path.is_symlink())
+    there = folder.glob("*-*") if is_folder(folder) else ()  # glob fails at a name that no system could hold
+    found = (path for path in there if _is_name(path.name) and path.is_dir() and not path.is_symlink())
     return sorted(found, key=number_of)
 
 
