@@ -103,7 +103,7 @@ def in_reach(actors: tuple[ActorState, ...], places_W_m: F64, dt_s: float) -> tu
         if more_s:
             near_m += more_s * (math.hypot(*actor.v_W_mps.tolist()) + _SPARE_MPS)
         # A square, not a circle: it is cheaper, and a body too many does no harm.
-        if any(abs(x - px) < near_m and abs(y - py) < near_m for px, py in places):
+        if any([abs(x - px) < near_m and abs(y - py) < near_m for px, py in places]):  # a generator costs more
             found.append(actor)
     return tuple(found)
 

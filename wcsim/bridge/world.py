@@ -400,7 +400,7 @@ class World(Closing):
 
     def _others(self, seat: Ego) -> tuple[ActorState, ...]:
         """Everything that moves around a seat, the other wheelchairs among it."""
-        return self._open.traffic.actors + tuple(other.as_actor() for other in self.seats if other is not seat)
+        return self._open.traffic.actors + tuple([other.as_actor() for other in self.seats if other is not seat])
 
     def _taken(self, xy_W_m: F64, radius_m: float) -> tuple[ActorState, ...]:
         """What stands or moves near a place where somebody wants to start."""

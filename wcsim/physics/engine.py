@@ -10,7 +10,7 @@ street that no chair is near leave the engine, and come back from shapes that ar
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Container, Iterable, Iterator
 from dataclasses import dataclass
 from enum import Enum
 from typing import Final
@@ -95,6 +95,7 @@ _STREET_MARGIN_M: Final = 0.001
 # m/s2 rms on a flat floor of small triangles, and it is thrown off a fan of slivers. 0.1 mm gives 0.2, and a step costs
 # half. PyBullet keeps one such number for the whole process.
 _CONTACT_BREAKING_M: Final = 1e-4
+SUSPECT_N: Final = 2000.0  # a wheel carries less than 1000 N; below this a contact that cannot be does no harm
 
 
 class Role(Enum):
@@ -164,6 +165,8 @@ class Engine(Closing):
         self._step_s = step_s
         self._tags: dict[int, BodyTag] = {}
         self._rolling: set[int] = set()
+        self._touched: set[int] | None = None  # see `touched`; None until somebody asks after a step
+        self.feet: dict[int, Container[int]] = {}  # by body, its links that are meant to touch what is rolled on
         self._corners: list[list[float]] = []
         self.bullet.setGravity(0.0, 0.0, -GRAVITY_MPS2)
         self.bullet.setTimeStep(step_s)
@@ -194,6 +197,21 @@ class Engine(Closing):
     def step(self) -> None:
         """Advance by `step_s`."""
         self.bullet.stepSimulation()
+        self._touched = None
+
+    def touched(self) -> set[int]:
+        """The bodies with a contact after the last step that is more than a foot that stands or rolls."""
+        # One question for all bodies: nearly every contact is a wheel on the ground. A mesh is never a contact's first.
+        if self._touched is None:
+            ground, feet = self._rolling, self.feet
+            # PyBullet's fields: 1 and 2 the bodies, 3 the link of the first, 9 force
+            self._touched = {
+                body
+                for point in self.bullet.getContactPoints()
+                if point[9] > SUSPECT_N or point[2] not in ground or point[3] not in feet.get(point[1], ())
+                for body in point[1:3]
+            }
+        return self._touched
 
     def add_street(self, mesh: StreetMesh) -> tuple[_StreetPiece, ...]:
         """Add everything that stands still: as few concave bodies per role as PyBullet's limits allow, friction 1.
@@ -273,6 +291,7 @@ class Engine(Closing):
         """Take a body out and forget it; its id may be that of the next one. For wheelchairs and the street only."""
         self.bullet.removeBody(body_id)
         self._tags.pop(body_id, None)
+        self.feet.pop(body_id, None)
         self._rolling.discard(body_id)
 
     def tag_of(self, body_id: int) -> BodyTag:

@@ -39,7 +39,7 @@ class ActionSet:
 
     def nearest_many(self, joysticks_xy: F32 | F64) -> I64:
         """The same for many positions, (N, 2) -> (N,)."""
-        return np.asarray(np.argmin(self._squared(joysticks_xy), axis=1), dtype=np.int64)
+        return np.asarray(self._squared(joysticks_xy).argmin(axis=1), dtype=np.int64)
 
     def distance(self, action: int, joystick_xy: Sequence[float] | F32 | F64) -> float:
         """Distance between an action's position and a joystick position, at most 2 (Table 1 of the paper)."""
@@ -51,8 +51,9 @@ class ActionSet:
         return np.minimum(np.sqrt(self._squared(joysticks_xy)), MAX_DISTANCE)
 
     def _squared(self, joysticks_xy: F32 | F64) -> F64:
-        gap = np.asarray(joysticks_xy, dtype=np.float64)[:, None, :] - self.points[None]
-        return np.asarray((gap * gap).sum(axis=-1), dtype=np.float64)
+        # Axis by axis: a sum over so short an axis takes several times as long.
+        gap_x, gap_y = np.asarray(joysticks_xy, dtype=np.float64).T[:, :, None] - self.points.T[:, None]
+        return np.asarray(gap_x * gap_x + gap_y * gap_y, dtype=np.float64)
 
 
 def action_set(name: str) -> ActionSet:

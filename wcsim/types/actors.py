@@ -23,6 +23,8 @@ class ActorKind(Enum):
     WHEELCHAIR = "wheelchair"
     OTHER = "other"
 
+    __hash__ = object.__hash__  # that of Enum is Python code, and every tick looks kinds up hundreds of times
+
 
 class ActorLook(Enum):
     """Variant of an actor's appearance; only the cameras use it."""

@@ -84,14 +84,16 @@ class Perception:
         vehicles = []
         x_m, y_m, _ = view.p_W_m.tolist()
         for actor in view.actors:
-            slow, rides = actor.kind in _SLOW_KINDS, _rides(actor)
             half_m, see_m = 0.5 * actor.size_lwh_m[0], self._profile.see_m
-            reach_m = half_m + see_m * (PERSON_SIGHT if slow else VEHICLE_SIGHT)
-            rider_m = half_m + see_m * RIDER_SIGHT
             x, y, _ = actor.p_W_m.tolist()
             gap_m = math.hypot(x - x_m, y - y_m)
-            if gap_m > _KEPT_SIGHT * (rider_m if rides else reach_m):
+            if gap_m > _KEPT_SIGHT * (half_m + see_m * VEHICLE_SIGHT):
                 continue  # nearly everybody in a town, so before anything that costs
+            slow, rides = actor.kind in _SLOW_KINDS, _rides(actor)
+            reach_m = half_m + see_m * (PERSON_SIGHT if slow else VEHICLE_SIGHT)
+            rider_m = half_m + see_m * RIDER_SIGHT
+            if gap_m > _KEPT_SIGHT * (rider_m if rides else reach_m):
+                continue
             # A rider is looked at twice, as one to go around and as traffic, and is noticed or missed as both.
             near, road = f"a{actor.id}", f"r{actor.id}"
             known = self._notices(near, x, y, reach_m, view, everywhere=not slow, twin=road)

@@ -14,7 +14,7 @@ from wcsim.config import ChairConfig, ImuConfig
 from wcsim.config.plant import known_plants
 from wcsim.core.joystick import yaw_rate_limit
 from wcsim.errors import ConfigError, PhysicsError
-from wcsim.physics.engine import PARK_Z_M, Engine
+from wcsim.physics.engine import PARK_Z_M, SUSPECT_N, Engine
 from wcsim.physics.kinematic_bodies import BodyMove, BodyPool
 from wcsim.physics.wheelchair.drive_controller import stopping_distance_m
 from wcsim.physics.wheelchair.plant import plant_spec
@@ -211,6 +211,19 @@ def test_a_parked_chair_stays_out_of_the_way_and_comes_back(plant):
         assert r.chair.state().v_B_mps[0] > 0.5
 
 
+def require_asked(engine: Engine, *chairs: Wheelchair) -> list[bool]:
+    """Which chairs touch more than ground by their feet, told one by one; `touched` must say the same."""
+    more = [
+        any(
+            point[9] > SUSPECT_N or point[2] not in engine.rolling_ids or point[3] not in chair._body.part
+            for point in engine.bullet.getContactPoints(bodyA=chair.body_id)
+        )
+        for chair in chairs
+    ]
+    assert [chair.body_id in engine.touched() for chair in chairs] == more
+    return more
+
+
 def test_two_chairs_collide():
     with Engine(1 / 240) as engine:
         engine.add_street(flat_street())
@@ -224,6 +237,7 @@ def test_two_chairs_collide():
                 for chair in chairs:
                     chair.before_step()
                 engine.step()
+                require_asked(engine, *chairs)
                 for chair in chairs:
                     chair.after_step()
             for chair, found in zip(chairs, touched, strict=True):
@@ -231,6 +245,16 @@ def test_two_chairs_collide():
                 found |= {(contact.kind, contact.actor_id, contact.cause) for contact in chair.contacts()}
     assert touched[0] == {("wheelchair", "w:1", "own")}
     assert touched[1] == {("wheelchair", "w:0", "other")}
+
+
+def test_only_who_has_more_than_feet_on_the_ground_is_asked_for_contacts():
+    found = []
+    with rig(step_street(0.12), v_max_mps=1.67) as r:
+        r.chair.command(FORWARD)
+        for _ in range(720):
+            r.step()
+            found += require_asked(r.engine, r.chair)
+    assert 0 < sum(found) < 360
 
 
 @pytest.mark.parametrize("start_m", [-3.5, -3.488, -3.476])  # where within a substep the car arrives
@@ -245,6 +269,7 @@ def test_a_car_pushes_the_chair_and_does_not_sink_into_it(yaw, start_m):
             pool.place([BodyMove(actor=car, v_W_mps=np.array([8.0, 0.0, 0.0]), yaw_rate_radps=0.0)])
             for _ in range(24):
                 r.step()
+                require_asked(r.engine, r.chair)
                 body, bullet = pool.body_of("car"), r.engine.bullet
                 points = bullet.getContactPoints(r.chair.body_id, body)
                 deepest = min([deepest, *[point[8] for point in points]])

@@ -242,10 +242,9 @@ class Chairs:
         given = list(np.atleast_1d(rows) if self.face.config.env.actions == "stick" else rows.reshape(-1))
         if len(given) != len(self.all):
             raise ProtocolError(f"{len(given)} actions; expected {len(self.all)}, one for each chair")
-        for chair, action in zip(self.all, given, strict=True):
-            chair.stick(action)
-        for seat, action in enumerate(given):
-            self.send(seat, action)
+        commands = [chair.command(action) for chair, action in zip(self.all, given, strict=True)]
+        for seat, command in enumerate(commands):
+            self.link(seat).send(command.tick, command.joystick)
 
     def receive(self, seat: int) -> EpisodeStep:
         """What came of a chair's action. Raises LinkError."""

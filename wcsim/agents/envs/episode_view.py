@@ -8,7 +8,7 @@ from __future__ import annotations
 import operator
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import gymnasium
@@ -277,7 +277,7 @@ class Chair:
             "asked": asked,
             "given": given,
             "reward_terms": terms,
-            "rewards": asdict(terms) if terms else dict.fromkeys(RewardTerms.__slots__, 0.0),
+            "rewards": {name: getattr(terms, name) if terms else 0.0 for name in RewardTerms.__slots__},
             # An episode goes on behind a destination: at its end the last step says whether one was reached.
             "is_success": self._arrived and not snapshot.events.crashed,
             "truth": snapshot.truth,

@@ -96,8 +96,6 @@ class CrossingWatch:
         signals: Iterable[SignalState],
     ) -> bool:
         """Whether the chair has now gone far enough out onto a crossing whose kerb line its footplate passed at red."""
-        ahead = np.array(foot_m) - middle_m
-        ahead /= np.linalg.norm(ahead)
         before, since_s = self._foot_on_road, self._foot_behind_s
         self._foot_on_road = self._ground.class_here(*foot_m) in ROADWAY
         if not self._foot_on_road:
@@ -108,9 +106,13 @@ class CrossingWatch:
             share, inside = self._places(*foot_m)
             there = np.flatnonzero(inside & (np.minimum(share, 1.0 - share) <= ENTRY_SHARE))
             self._passed = {int(k): (bool(share[k] > 0.5), is_red(self._edges[k], signals)) for k in there}
-        return bool(self._passed) and self._sets_out_at_red(middle_m, ahead, signals)
+        return bool(self._passed) and self._sets_out_at_red(middle_m, foot_m, signals)
 
-    def _sets_out_at_red(self, middle_m: tuple[float, float], ahead: F64, signals: Iterable[SignalState]) -> bool:
+    def _sets_out_at_red(
+        self, middle_m: tuple[float, float], foot_m: tuple[float, float], signals: Iterable[SignalState]
+    ) -> bool:
+        ahead = np.array(foot_m) - middle_m
+        ahead /= np.linalg.norm(ahead)
         share, inside = self._places(*middle_m)
         for k, (last, red) in self._passed.items():
             out_m = _from(float(share[k]), last) * self._length_m[k]

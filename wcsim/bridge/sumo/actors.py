@@ -163,7 +163,6 @@ class ActorReader:
         ox, oy, oz = self._origin
         chairs = [(x + ox, y + oy) for x, y in near_W_m[:, :2].tolist()]
         asked = [name for step in [step for step in due if step <= self._step] for name in due.pop(step)]
-        (first_x, first_y), *others = chairs
         found, soon, closing_m, place_of = [], [], self._closing_m[kind], domain.getPosition3D
         # A name may stand in the lists of two steps: it is asked for once, in the order of the steps.
         for name in dict.fromkeys(asked):
@@ -175,10 +174,7 @@ class ActorReader:
             except ValueError:  # no place for now: people who jump from street to street are nowhere between them
                 soon.append(name)
                 continue
-            gap_m = math.hypot(x - first_x, y - first_y)
-            for cx, cy in others:
-                gap_m = min(gap_m, math.hypot(x - cx, y - cy))
-            gap_m -= radius_m
+            gap_m = min([math.hypot(x - cx, y - cy) for cx, cy in chairs]) - radius_m
             if self._long_m and kind == "v:":
                 gap_m -= self._long_m.get(name, 0.0)
             if gap_m <= 0.0:

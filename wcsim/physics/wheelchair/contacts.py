@@ -115,7 +115,6 @@ def _cause_of(tag: BodyTag, touch: ContactPoint) -> Cause:
     return "other" if other > own else "own"
 
 
-SUSPECT_N: Final = 2000.0  # a wheel carries less than 1000 N; below this a ghost does no harm
 _SLACK_M: Final = 0.02  # what a link moves in a step beside its body
 MOST_IN_A_ROW: Final = 3
 

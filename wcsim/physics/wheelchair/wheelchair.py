@@ -22,12 +22,12 @@ from wcsim.core.frames import Quat, Rotation, Vec3, added, euler, matrix, quater
 from wcsim.core.jit import exact_kernel
 from wcsim.errors import PhysicsError
 from wcsim.physics.bullet import Bullet, pybullet
-from wcsim.physics.engine import PARK_Z_M, BodyTag, Engine, Role
+from wcsim.physics.engine import PARK_Z_M, SUSPECT_N, BodyTag, Engine, Role
 from wcsim.physics.sensors.base import BodyMotion, Mount, NoiseKeys
 from wcsim.physics.sensors.camera import CameraRig
 from wcsim.physics.sensors.registry import SensorSet
 from wcsim.physics.wheelchair import drive_controller
-from wcsim.physics.wheelchair.contacts import MOST_IN_A_ROW, SUSPECT_N, ContactLog, ContactPoint, Motion
+from wcsim.physics.wheelchair.contacts import MOST_IN_A_ROW, ContactLog, ContactPoint, Motion
 from wcsim.physics.wheelchair.plant import PlantSpec, plant_spec
 from wcsim.physics.wheelchair.plant_body import FRAME, ChairBody, check_springs, dressed, load_body, urdf
 from wcsim.types import F64, Bool, Contact, Ground, ImuFrame, Joystick, Outline, PlantState, chair_actor_id
@@ -235,6 +235,7 @@ class Wheelchair:
         engine = self._engine
         self._spec = spec
         self._body = body
+        engine.feet[body.id] = body.part
         self._com_B_m: Vec3 = spec.frame_com_m
         self._wheel_radius_m = spec.wheel.radius_m
         self._axle_from_com_z_m = spec.wheel.radius_m - self._com_B_m[2]
@@ -327,11 +328,12 @@ class Wheelchair:
         """Sample the sensors and add up what was touched."""
         if self._parked:
             return
-        body, ground = self._body, self._engine.rolling_ids
+        body, engine = self._body, self._engine
+        ground = engine.rolling_ids
         touches: list[tuple[Any, ...]] = []
         suspects: list[tuple[Any, ...]] = []
         # PyBullet's fields: 2 other body, 3 own link, 9 force
-        for point in self._engine.bullet.getContactPoints(bodyA=body.id):
+        for point in engine.bullet.getContactPoints(bodyA=body.id) if body.id in engine.touched() else ():
             if point[2] not in ground or point[3] not in body.part:
                 touches.append(point)
             if point[9] > SUSPECT_N and point[3] in body.tyres:
