@@ -151,7 +151,7 @@ def full_disks(folder: Path, corner: Path, count: int, seed: int) -> Row:
             before = limit(int(rng.integers(0, 24)))
             child = start(folder, "resume", "run", before=before)
             try:
-                _, err = child.communicate(timeout=300)  # a busy machine needs minutes until both clients have ended
+                _, err = child.communicate(timeout=120)
             except subprocess.TimeoutExpired:
                 child.send_signal(signal.SIGINT)
                 _, err = child.communicate(timeout=120)
