@@ -156,24 +156,21 @@ def test_a_lost_server_is_told_of(browser: Any, corner: Path) -> None:
         context.close()
 
 
-OBSTACLE = ("--suite", "dev", "--block")
-
-
 @pytest.mark.proof
 def test_an_obstacle_lights_the_lamps(browser: Any) -> None:
-    """The car door of the suite: driven straight on, `dwa` sees it, warns and steers otherwise, and marks positions."""
+    """A drop beside the chair: driven at it, `dwa` warns, steers otherwise and marks positions, whenever one pushes."""
     from wcsim.agents.opening.list_file import open_suite
 
     blocks = open_suite("dev").file.blocks
-    index = next(number for number, block in enumerate(blocks) if block.town == "car-door")
-    with served(None, *OBSTACLE, str(index)) as (address, _):
+    index = next(number for number, block in enumerate(blocks) if block.town == "turning-beside-drop")
+    with served(None, "--suite", "dev", "--block", str(index)) as (address, _):
         context = browser.new_context()
         context.set_default_timeout(1000 * PATIENCE_S)
         page = open_page(context, address)
         page.keyboard.down("ArrowUp")
         wait(page, "document.getElementById('lamp-intervening').dataset.on === 'true'")
-        wait(page, "Number(document.getElementById('kpi-warnings').textContent) > 0")
         wait(page, "document.querySelectorAll('#stick path.cross').length > 0")
+        wait(page, "Number(document.getElementById('kpi-warnings').textContent) > 0")
         context.close()
 
 

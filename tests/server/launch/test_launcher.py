@@ -225,10 +225,10 @@ def test_a_world_without_room_has_failed_and_was_not_refused(tmp_path):
     assert counted(tmp_path, "restart") == []
 
 
-def test_a_client_that_a_world_which_does_not_tick_sends_away_is_given_up(tmp_path):
-    """As one whose pictures do not fit; the world waits for it for ever."""
-    outcome = launcher(tmp_path, {"a": "steps=99 exit4=1", "b": "steps=400"}, world="idle").run()
-    assert standings(outcome)["a"] == "given up"
+def test_a_client_that_a_world_which_does_not_tick_sends_away_is_given_up_and_the_run_ends(tmp_path):
+    """As one whose pictures do not fit; the world would wait for it, and the others with the world."""
+    outcome = launcher(tmp_path, {"a": "steps=99 exit4=1", "b": "steps=100000"}, world="idle").run()
+    assert (outcome.code, standings(outcome)) == (1, {"a": "given up", "b": "stopped"})
     deaths = counted(tmp_path, "death")
     assert set(deaths) == {"a"}
     assert 5 <= len(deaths) < 5 + MOST_LEFT_ALONE  # those before the world is there are forgiven

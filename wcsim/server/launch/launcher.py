@@ -61,10 +61,8 @@ class Launcher:
         self._rules = rules if rules is not None else LaunchRules()
         self._show = show
         self._selector = selectors.DefaultSelector()
-        log = RunLog(folder)
-        self._log = log
+        self._log = log = RunLog(folder)
         self._clients = [SupervisedClient(plan, self._rules, self._selector, log) for plan in clients]
-        self._serves = not self._clients
         self._world = None if world is None else SupervisedWorld(world, self._rules, self._selector, log)
         self._all: list[SupervisedWorld | SupervisedClient] = [*self._clients]
         if self._world is not None:
@@ -73,9 +71,8 @@ class Launcher:
         self._since_s = 0.0  # of this step
         self._waits_end = self._asked_world = False
         self._given, self._heard = signals, StopSignals() if signals is None else signals
-        self._asked = 0
+        self._asked, self._shown_s = 0, 0.0
         self._stopped = False
-        self._shown_s = 0.0
         self._code, self._message = 0, ""
 
     def run(self) -> LaunchOutcome:
@@ -135,22 +132,21 @@ class Launcher:
 
     def _run_on(self, now_s: float) -> None:
         """Go on, unless there is a reason to end."""
-        fault = next((client.fault for client in self._clients if client.fault), "")
-        if fault:
-            self._end_clients(now_s, 2, fault)
-        elif self._world is not None and self._world.fault:
-            self._end_clients(now_s, 2 if self._world.refused else 1, self._world.fault)
+        if faulty := next((process for process in reversed(self._all) if process.fault), None):
+            self._end_clients(now_s, 2 if faulty.refused else 1, faulty.fault)
         elif self._signals:
             self._stopped = True
             self._end_clients(now_s, 0, "stopped")
-        elif not self._serves and all(client.settled for client in self._clients):
+        elif any(client.standing == "given up" and client.status is None for client in self._clients):
+            self._end_clients(now_s, *self._verdict())  # the first tick would wait for it
+        elif self._clients and all(client.settled for client in self._clients):
             self._code, self._message = self._verdict()
             self._go(_LaunchStep.WORLD_ENDS, now_s)
 
     def _verdict(self) -> tuple[int, str]:
         lost = [client for client in self._clients if client.standing == "given up"]
-        told = "; ".join(f"client {client.plan.name} was dropped: it {client.reason}" for client in lost)
-        return (1, f"{told}; see {lost[0].plan.log}") if lost else (0, "")
+        told = [f"client {client.plan.name} was dropped: it {client.reason}" for client in lost]
+        return (1, f"{'; '.join(told)}; see {lost[0].plan.log}") if lost else (0, "")
 
     def _end_clients(self, now_s: float, code: int, message: str) -> None:
         self._code, self._message = code, message

@@ -178,6 +178,7 @@ class _Supervised(ABC, Generic[Status]):
         self.standing: Standing = "down"
         self.status: Status | None = None  # the last one
         self.fault = ""  # why there is no use in going on with the whole run
+        self.refused = True  # the fault is one for which the user has to do something
         self._lives = self._replaced = 0  # all of them, and those that ended as planned
         self._due_s: float | None = None  # when it is started again
         self._ending = False
@@ -442,7 +443,6 @@ class SupervisedWorld(_Supervised[WorldStatus]):
     def __init__(self, plan: WorldPlan, rules: LaunchRules, selector: selectors.BaseSelector, log: RunLog) -> None:
         super().__init__(WORLD, WorldStatus, plan.log, rules.world, selector, log)
         self._plan, self._rules = plan, rules
-        self.refused = False  # ended by a fault for which the user has to do something
         self._heard_s = 0.0
         self._loaded = False  # in any life
         self._listening = ""  # where the first life was reached
@@ -498,6 +498,7 @@ class SupervisedWorld(_Supervised[WorldStatus]):
         tick = self._plan.last_tick(0 if self.status is None else self.status.tick)
         reason = self._died(code, words, now_s, tick=tick)
         if code == WorldExit.DISK_FULL:
+            words = words or "the world has no disk space; make room"  # nor has its log
             self._give_up(f"{words}; then continue (a training: wcsim resume RUN)", refused=False)
             return
         if code == WorldExit.USER_ERROR or (code == WorldExit.FAILED and not self._loaded):
