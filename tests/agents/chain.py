@@ -4,16 +4,10 @@ import gymnasium as gym
 import numpy as np
 
 from wcsim.supervisor.actions import action_set
+from wcsim.supervisor.observation import observation_space
 
 LENGTH, SIDE = 5, 8
 CLASSES = (8, 11, 21, 23, 24)  # one class fills the image of each state
-
-
-def tiny_space():
-    """An observation of one tiny image, without turn rates."""
-    image = gym.spaces.Box(0, 255, (1, SIDE, SIDE), np.uint8)
-    imu, joystick = (gym.spaces.Box(-1, 1, (size,), np.float32) for size in (5, 2))
-    return gym.spaces.Dict(seg=image, depth=image, imu=imu, joystick=joystick)
 
 
 def tiny_view(class_id, depth=0):
@@ -28,8 +22,13 @@ class TinyTask(gym.Env):
 
     def __init__(self):
         self.actions = action_set("square81")
-        self.observation_space = tiny_space()
+        self.observation_space = observation_space("compact", SIDE, SIDE)
         self.action_space = gym.spaces.Discrete(len(self.actions))
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self._begin()
+        return self._observe(), {}
 
 
 class Chain(TinyTask):
@@ -42,10 +41,8 @@ class Chain(TinyTask):
     def _observe(self):
         return tiny_view(CLASSES[min(self.state, LENGTH - 1)])
 
-    def reset(self, *, seed=None, options=None):
-        super().reset(seed=seed)
+    def _begin(self):
         self.state = int(self.np_random.integers(LENGTH))
-        return self._observe(), {}
 
     def step(self, action):
         onward = self.actions.points[int(action)][1] > 0

@@ -15,10 +15,8 @@ class Recall(TinyTask):
     def _observe(self):
         return tiny_view(CUES[self.cue] if self.step_count == 0 else BLANK, 40 * self.step_count)
 
-    def reset(self, *, seed=None, options=None):
-        super().reset(seed=seed)
+    def _begin(self):
         self.cue, self.step_count = int(self.np_random.integers(2)), 0
-        return self._observe(), {}
 
     def step(self, action):
         self.step_count += 1
@@ -47,18 +45,15 @@ class Biased(TinyTask):
     def __init__(self, seed=0):
         super().__init__()
         self.noise = np.random.default_rng(seed)
-        self.second = False
 
-    def observe(self, second):
-        return tiny_view(CUES[int(second)])
+    def _observe(self):
+        return tiny_view(CUES[int(self.second)])
 
-    def reset(self, *, seed=None, options=None):
-        super().reset(seed=seed)
+    def _begin(self):
         self.second = False
-        return self.observe(False), {}
 
     def step(self, action):
         if self.second:
-            return self.observe(True), float(self.noise.normal(-0.1, 1.0)), True, False, {}
+            return self._observe(), float(self.noise.normal(-0.1, 1.0)), True, False, {}
         self.second = bool(self.actions.points[int(action)][0] > 0)
-        return self.observe(self.second), 0.0, not self.second, False, {}
+        return self._observe(), 0.0, not self.second, False, {}

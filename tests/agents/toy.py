@@ -32,6 +32,7 @@ from wcsim.errors import ServerGoneError
 from wcsim.server.launch.states import WAIT_NO_MORE
 from wcsim.server.specs import RunInfo
 from wcsim.supervisor.actions import action_set
+from wcsim.supervisor.observation import observation_space
 from wcsim.types import ClassId, Events, Joystick, RewardTerms, Truth
 
 DT_S, V_MAX, W_MAX, LAG_S = 0.1, 1.6, 1.5, 0.25
@@ -101,10 +102,7 @@ class ToyStreet(gym.Env[dict[str, Any], np.int64]):
         self.camera = camera or toy_camera()
         self.max_steps, self.count = max_steps, obstacles
         self.actions = action_set("square81")
-        shape = (1, self.camera.height_px, self.camera.width_px)
-        image = gym.spaces.Box(0, 255, shape, np.uint8)
-        unit = lambda size: gym.spaces.Box(-1.0, 1.0, (size,), np.float32)  # noqa: E731
-        self.observation_space = gym.spaces.Dict(seg=image, depth=image, imu=unit(5), joystick=unit(2))
+        self.observation_space = observation_space("compact", self.camera.width_px, self.camera.height_px)
         self.action_space = gym.spaces.Discrete(len(self.actions))
         self.rays = camera_rays(self.camera)  # (H * W, 3) body frame, per metre of depth
         self.g = np.random.default_rng(0)

@@ -41,6 +41,7 @@ NOT_AN_IMAGE = (
     "It seems that your observation space {} is an image but the upper and lower bounds are not in [0, 255]",
 )
 
+CLASSES = (WheelchairEnv, StreetParallelEnv, StreetVecEnv)
 Shown = list[tuple[Any, ...]]
 """Frames: an observation, and what else is compared."""
 
@@ -253,7 +254,7 @@ def test_a_closed_env_can_be_reset_again(corner):
         assert equal(first, drive(env, 3, seed=1))
 
 
-@pytest.mark.parametrize("face", [WheelchairEnv, StreetParallelEnv, StreetVecEnv])
+@pytest.mark.parametrize("face", CLASSES)
 @pytest.mark.parametrize("terms", [[3], 3, None, [object], "word"])
 def test_what_is_no_reward_term_is_refused_when_the_environment_is_made(face, terms):
     with pytest.raises(ConfigError, match=r"reward_terms=.*; expected a list of objects with the methods reset"):
@@ -408,7 +409,10 @@ def by_id(**words: Any) -> gymnasium.Env[Any, Any]:
     return gymnasium.make(wcsim.ENV_ID, **words)
 
 
-@pytest.mark.parametrize("face", [WheelchairEnv, StreetParallelEnv, StreetVecEnv, by_id])
+EACH_FACE = pytest.mark.parametrize("face", [*CLASSES, by_id])
+
+
+@EACH_FACE
 def test_an_argument_that_no_face_takes_is_refused_and_the_nearest_one_named(face):
     with pytest.raises(TypeError, match=r"'overides'; expected .*config, hook, .*; did you mean 'overrides'\?"):
         face(town="nowhere", overides=TINY)
@@ -418,7 +422,7 @@ def test_an_argument_that_no_face_takes_is_refused_and_the_nearest_one_named(fac
         face(twon="nowhere")
 
 
-@pytest.mark.parametrize("face", [WheelchairEnv, StreetParallelEnv, StreetVecEnv, by_id])
+@EACH_FACE
 def test_an_override_by_itself_is_refused_with_how_to_write_it(face):
     with pytest.raises(ConfigError, match=r"expected several: overrides=\['env.window=4'\]"):
         face(town="nowhere", overrides="env.window=4")
@@ -430,7 +434,7 @@ def test_the_options_are_named_where_an_editor_shows_them(face):
     assert set(EnvOptions.__annotations__) <= set(told.replace(":", ",").replace(" ", "").split(","))
 
 
-@pytest.mark.parametrize("face", [WheelchairEnv, StreetParallelEnv, StreetVecEnv, by_id])
+@EACH_FACE
 def test_overrides_are_laid_over_a_configuration_too_and_a_preset_beside_one_is_refused(face):
     config = resolve("quick", TINY)
     env = face(config=config, overrides=("env.max_steps=7",))
@@ -440,7 +444,7 @@ def test_overrides_are_laid_over_a_configuration_too_and_a_preset_beside_one_is_
         face(config=config, preset="laptop")
 
 
-@pytest.mark.parametrize("face", [WheelchairEnv, StreetParallelEnv, StreetVecEnv])
+@pytest.mark.parametrize("face", CLASSES)
 def test_a_film_has_the_pace_of_its_own_tick(face):
     paces = [face("helsinki", overrides=overrides).metadata["render_fps"] for overrides in ([], ["world.tick_s=0.05"])]
     assert paces == [10, 20]

@@ -15,7 +15,8 @@ from pathlib import Path
 import numpy as np
 import psutil
 
-from tests.attack.files.damage import flipped, pick
+from tests.attack.files.damage import flipped
+from tests.attack.scenarios.twists import pick
 from tests.support.tracked import ROOT
 from wcsim.agents.clients.group_run import open_clients_folder
 from wcsim.agents.clients.paid_times import PaidTimes

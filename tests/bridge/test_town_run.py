@@ -3,6 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.support.actors import actor
 from tests.support.worlds import quick_config
 from tests.towns.made import hostile
 from wcsim.bridge.reaction.articulated import Articulation
@@ -15,36 +16,23 @@ from wcsim.log.records import Header, state_of
 from wcsim.log.writer import LogWriter
 from wcsim.towns.scenario.town import find_town
 from wcsim.towns.sumo.xml_io import read_root
-from wcsim.types import ActorKind, ActorState, Snapshot
-
-
-def actor(name: str, x_m: float, piece: int = 0) -> ActorState:
-    return ActorState(
-        id=name,
-        kind=ActorKind.CAR,
-        p_W_m=np.array([x_m, 0.0, 0.0]),
-        yaw_rad=0.0,
-        pitch_rad=0.0,
-        v_W_mps=np.zeros(3),
-        size_lwh_m=(4.0, 1.8, 1.5),
-        piece=piece,
-    )
+from wcsim.types import ActorKind, Snapshot
 
 
 def test_ghosts_and_missing_actors_are_told_from_who_is_only_near_the_border():
-    chairs, near, border, far = np.zeros((1, 2)), actor("v:near", 10.0), actor("v:border", 49.0), actor("v:far", 80.0)
-    everyone = (near, border, far)
+    near, border, far = (actor(x=x, name=f"v:{name}") for name, x in (("near", 10.0), ("border", 49.0), ("far", 80.0)))
+    chairs, everyone = np.zeros((1, 2)), (near, border, far)
     _check_mirrored((near,), everyone, chairs, 50.0)
-    _check_mirrored((near, border, actor("v:near~1", 6.0, piece=1)), everyone, chairs, 50.0)
+    _check_mirrored((near, border, actor(x=6.0, name="v:near~1", piece=1)), everyone, chairs, 50.0)
     with pytest.raises(SumoError, match=r"not in SUMO: v:ghost; in SUMO but not mirrored: none"):
-        _check_mirrored((near, actor("v:ghost", 3.0)), everyone, chairs, 50.0)
+        _check_mirrored((near, actor(x=3.0, name="v:ghost")), everyone, chairs, 50.0)
     with pytest.raises(SumoError, match=r"not in SUMO: none; in SUMO but not mirrored: v:near"):
         _check_mirrored((), everyone, chairs, 50.0)
     _check_mirrored((), everyone, np.zeros((0, 2)), 50.0)  # no chair sees anybody
 
 
 def test_a_tram_near_a_chair_is_recorded_in_all_its_pieces_and_is_one_vehicle_of_floating_car_data(tmp_path):
-    tram = replace(actor("v:tram", 20.0), kind=ActorKind.TRAM, size_lwh_m=(26.0, 2.4, 3.4))
+    tram = actor(ActorKind.TRAM, 20.0, name="v:tram", size=(26.0, 2.4, 3.4))
     far, near = replace(tram, id="v:far", p_W_m=np.array([300.0, 0.0, 0.0])), Articulation().bent((tram,))
     snapshot = Snapshot(epoch=0, tick=1, time_s=0.1, actors=near, signals=(), clients=())
     recorded = as_recorded(snapshot, (far, tram))

@@ -19,7 +19,7 @@ def table_of(plant, hz, only=(), workers=1):
     return table(Setup(chair=ChairConfig(plant=plant), hz=hz), only, workers)
 
 
-PLANTS = ("rwd", "mwd")
+EACH_PLANT = pytest.mark.parametrize("plant", ["rwd", "mwd"])
 
 
 @pytest.fixture
@@ -31,7 +31,7 @@ def names_alone(monkeypatch):
 QUICK = ("mass", "inertia", "turning", "stopping_6", "climb_10", "kerb_40mm_standstill", "kerb_120mm_run_up")
 
 
-@pytest.mark.parametrize("plant", PLANTS)
+@EACH_PLANT
 def test_some_rows_are_as_expected(plant):
     rows = table_of(plant, 240, QUICK)
     assert len(rows) == 9
@@ -39,7 +39,7 @@ def test_some_rows_are_as_expected(plant):
 
 
 @pytest.mark.usefixtures("names_alone")
-@pytest.mark.parametrize("plant", PLANTS)
+@EACH_PLANT
 def test_the_table_asks_what_it_must(plant):
     names = {trial.name for trial in _trials(Setup(chair=ChairConfig(plant=plant), hz=240))}
     assert {"straight_drift_10m", "stopping_10kmh", "kerb_120mm_standstill", "event_wall_6kmh"} <= names
@@ -49,7 +49,7 @@ def test_the_table_asks_what_it_must(plant):
     assert "kerb_50mm_run_up" in names
 
 
-@pytest.mark.parametrize("plant", PLANTS)
+@EACH_PLANT
 def test_a_plant_declares_what_it_does_at_the_highest_kerb_that_counts_as_lowered(plant):
     setup = Setup(chair=ChairConfig(plant=plant), hz=240)
     declared = plant_spec(setup.chair).climbs
@@ -68,14 +68,16 @@ def test_the_same_trial_gives_the_same_value_in_a_pool():
     assert here == there
 
 
+WORDS = {"name": "x", "unit": "", "bound": "trial", "low": 1.0, "method": "", "source": ""}
+
+
 def test_a_row_is_red_outside_its_range_and_a_value_must_be_a_number():
     setup = Setup(chair=ChairConfig(), hz=240)
-    words = {"name": "x", "unit": "m", "bound": "norm", "low": 1.0, "high": 2.0, "method": "", "source": ""}
-    assert [measured(Trial(**words, measure=lambda _, v=v: v), setup).ok for v in (0.9, 1.0, 2.0, 2.1)] == [
+    assert [measured(Trial(**WORDS, high=2.0, measure=lambda _, v=v: v), setup).ok for v in (0.9, 1.0, 2.0, 2.1)] == [
         *(False, True, True, False),
     ]
     with pytest.raises(PhysicsError, match="trial x"):
-        measured(Trial(**words, measure=lambda _: float("nan")), setup)
+        measured(Trial(**WORDS, high=2.0, measure=lambda _: float("nan")), setup)
 
 
 FWD = str(Path(__file__).parents[2] / "examples" / "fwd.toml")
@@ -104,8 +106,7 @@ def test_rows_of_another_kind_of_chair_judge_no_other(plant, judged):
     found = _trials(Setup(chair=ChairConfig(plant=plant), hz=120), ("peak", "falls_off", "kerb", "event"))
     assert {trial.judged for trial in found if trial.bound in ("rwd, mwd", "trial")} == {judged}
     assert all(trial.judged for trial in found if trial.bound not in ("rwd, mwd", "trial"))
-    words = {"name": "x", "unit": "", "bound": "trial", "low": 1.0, "high": 1.0, "method": "", "source": ""}
-    row = measured(Trial(**words, measure=lambda _: 0.0, judged=judged), SLOW)
+    row = measured(Trial(**WORDS, high=1.0, measure=lambda _: 0.0, judged=judged), SLOW)
     assert not row.ok and row.red == judged
 
 
@@ -149,7 +150,7 @@ def test_unknown_plants_and_rows_are_refused():
 
 @pytest.mark.proof
 @pytest.mark.timeout(600)
-@pytest.mark.parametrize("plant", PLANTS)
+@EACH_PLANT
 def test_every_row_is_as_expected(plant):
     rows = table_of(plant, 240)
     assert {row.name: (row.value, row.low, row.high) for row in rows if not row.ok} == {}
@@ -157,7 +158,7 @@ def test_every_row_is_as_expected(plant):
 
 @pytest.mark.proof
 @pytest.mark.timeout(900)
-@pytest.mark.parametrize("plant", PLANTS)
+@EACH_PLANT
 def test_the_rows_hardly_change_with_the_step(plant):
     rows = changes({hz: table_of(plant, hz) for hz in (120, 240, 480)})
     assert {row.name: (row.values, row.change) for row in rows if not row.ok} == {}

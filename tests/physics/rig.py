@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from tests.support import actors
 from wcsim.config import ChairConfig, ImuConfig
 from wcsim.physics.engine import PARK_Z_M, Engine
 from wcsim.physics.sensors.base import Surroundings
@@ -64,10 +65,9 @@ def tiled_street(cell_m: float) -> StreetMesh:
     return mesh(np.c_[gx.ravel(), gy.ravel(), np.zeros(gx.size)], faces, ClassId.SIDEWALK)
 
 
-def actor(actor_id: str, x: float, y: float, yaw: float = 0.0, kind=ActorKind.CAR, size=(4.5, 1.8, 1.5)) -> ActorState:
+def actor(actor_id: str, x: float, y: float, yaw: float = 0.0, kind=ActorKind.CAR, size=actors.CAR_LWH_M) -> ActorState:
     """An actor at rest on the ground."""
-    p = np.array([x, y, 0.0])
-    return ActorState(id=actor_id, kind=kind, p_W_m=p, yaw_rad=yaw, pitch_rad=0.0, v_W_mps=np.zeros(3), size_lwh_m=size)
+    return actors.actor(kind, x, y, yaw, name=actor_id, size=size)
 
 
 @dataclass

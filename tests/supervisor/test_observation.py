@@ -27,7 +27,7 @@ from wcsim.supervisor.palette import COLOURS, palette
 from wcsim.types import CameraFrame, ClassId, ClientSnapshot, ImuFrame, Joystick, Reading, SensorFrame
 
 RANGE_M = 40.0
-PICTURED = [form for form in get_args(Form) if form != "state"]
+EACH_PICTURED = pytest.mark.parametrize("form", [form for form in get_args(Form) if form != "state"])
 
 
 def imu(accel=(0.0, 0.0, 9.81), roll=0.05, pitch=-0.2) -> ImuFrame:
@@ -63,7 +63,7 @@ def snapshot(frame):
     )
 
 
-@pytest.mark.parametrize("form", PICTURED)
+@EACH_PICTURED
 @pytest.mark.parametrize("fold", [True, False])
 def test_observation_is_in_its_space(form, fold):
     got = seen(form, sensors(80, 60), fold)
@@ -81,7 +81,7 @@ def test_what_needs_pictures_refuses_the_form_without():
         observation_space("state", 80, 60)
 
 
-@pytest.mark.parametrize("form", PICTURED)
+@EACH_PICTURED
 def test_arrays_are_the_callers_own(form):
     frame = sensors(40, 30)
     before = {key: array.copy() for key, array in seen(form, frame).items()}
@@ -119,7 +119,7 @@ def test_depth_beyond_its_ends():
     np.testing.assert_array_equal(encode_depth(odd, RANGE_M), [[0, 0, 1, 1, 255, 255, 255, 0, 0]])
 
 
-@pytest.mark.parametrize("form", PICTURED)
+@EACH_PICTURED
 def test_what_was_not_measured_is_told_from_what_is_near(form):
     frame = sensors(40, 30)
     frame.cameras[0].depth_m[:] = 0.1

@@ -54,10 +54,8 @@ def test_an_episode_cut_short_counts_only_when_little_was_to_come():
 class Worthless(Chain):
     """Every action goes on and nothing is ever paid: whatever value is seen is too much."""
 
-    def reset(self, *, seed=None, options=None):
-        super().reset(seed=seed)
+    def _begin(self):
         self.state = 0
-        return self._observe(), {}
 
     def step(self, action):
         self.state += 1

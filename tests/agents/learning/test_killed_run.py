@@ -7,6 +7,7 @@ import sys
 import pytest
 from stable_baselines3.common.vec_env import DummyVecEnv
 
+from tests.agents.learning.test_train import weights
 from tests.agents.toy import ToyStreet, a_run, load_checkpoint, same_from_here_on, toy_camera
 from wcsim.agents.learning.build import build_model
 from wcsim.agents.learning.checkpoint import save_checkpoint
@@ -42,10 +43,6 @@ def config(**learn):
         "train_every": 2,
     }  # fmt: skip
     return RunConfig(cameras=(CAMERA,), learn=LearnConfig(**{**small, **learn}))
-
-
-def weights(path):
-    return (path / "policies" / "final" / "weights.safetensors").read_bytes()
 
 
 def drive(out, epsilon, resume=False, at=None):

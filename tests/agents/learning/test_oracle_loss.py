@@ -24,16 +24,14 @@ from wcsim.agents.learning.seqdqn import (
 from wcsim.config import LearnConfig, RunConfig, resolve
 from wcsim.errors import ConfigError
 from wcsim.supervisor.actions import action_set
+from wcsim.supervisor.observation import observation_space
 from wcsim.types import ClassId
 
 CAMERA = toy_camera(24, 32)
 ACTIONS = action_set("square81")
 POINTS = ACTIONS.points
 AHEAD = POINTS[:, 1] > 0.3
-SPACE = gym.spaces.Dict(
-    seg=gym.spaces.Box(0, 255, (1, 24, 32), np.uint8), depth=gym.spaces.Box(0, 255, (1, 24, 32), np.uint8),
-    imu=gym.spaces.Box(-1, 1, (5,), np.float32), joystick=gym.spaces.Box(-1, 1, (2,), np.float32),
-)  # fmt: skip
+SPACE = observation_space("compact", 32, 24)
 
 
 def distances(*sticks):

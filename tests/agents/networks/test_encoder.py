@@ -12,6 +12,7 @@ from stable_baselines3 import DQN
 from torch import nn
 
 from tests.agents.toy import WindowedStreet
+from wcsim.agents.envs.episode_view import windowed_space
 from wcsim.agents.networks import registry
 from wcsim.agents.networks.encoder import GROUPS, WCSIM_GROUPS, ObservationEncoder, _group_table
 from wcsim.agents.networks.names import NETWORK_NAMES
@@ -20,17 +21,17 @@ from wcsim.config import RewardConfig
 from wcsim.config.run_file import FollowPrior, NetSpec
 from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import action_set
+from wcsim.supervisor.observation import observation_space
 from wcsim.supervisor.rewards import _joystick_terms
 from wcsim.types import ClassId
 
 WINDOWED = ("conv3d", "convlstm", "fig6")
+EACH_WINDOWED = pytest.mark.parametrize("network", WINDOWED)
 EXAMPLE = Path(__file__).parents[3] / "examples" / "own_network.py"
 
 
 def space(height, width, frames=1):
-    image = gym.spaces.Box(0, 255, (frames, height, width), np.uint8)
-    vectors = {key: gym.spaces.Box(-1, 1, (n,), np.float32) for key, n in (("imu", 5), ("joystick", 2))}
-    return gym.spaces.Dict(seg=image, depth=image, **vectors)
+    return windowed_space(observation_space("compact", width, height), frames)
 
 
 def batch(height, width, joysticks, frames=1):
@@ -124,19 +125,19 @@ def test_other_observations_are_refused():
 # --- windows of images ---
 
 
-@pytest.mark.parametrize("network", WINDOWED)
+@EACH_WINDOWED
 @pytest.mark.parametrize(("size", "frames"), [((60, 80), 4), ((33, 47), 1), ((24, 32), 16)])
 def test_windowed_networks_take_any_window(network, size, frames):
     net = q_net(*size, frames, network=network)
     assert net(batch(*size, [(0, 0), (1, 0)], frames)).shape == (2, 81)
 
 
-@pytest.mark.parametrize("network", WINDOWED)
+@EACH_WINDOWED
 def test_windowed_networks_have_a_few_hundred_thousand_parameters(network):
     assert 150_000 < sum(p.numel() for p in q_net(frames=4, network=network).parameters()) < 400_000
 
 
-@pytest.mark.parametrize("network", WINDOWED)
+@EACH_WINDOWED
 def test_every_image_of_the_window_counts_and_so_does_their_order(network):
     net, base = q_net(24, 32, 4, network=network, head="plain"), batch(24, 32, [(0.2, 0.3)], 4)
     before = net(base)
@@ -158,7 +159,7 @@ def test_a_window_is_expanded_image_by_image():
         assert torch.equal(planes[:, k], one.image(single))
 
 
-@pytest.mark.parametrize("network", WINDOWED)
+@EACH_WINDOWED
 def test_motion_is_learnt_from_a_window(network):
     """Which way something moves is in the window and not in its newest image."""
     g = np.random.default_rng(1)
@@ -200,7 +201,7 @@ def test_a_fresh_lstm_remembers():
         assert torch.allclose(gate @ gate.T, torch.eye(128), atol=1e-5)
 
 
-@pytest.mark.parametrize("network", WINDOWED)
+@EACH_WINDOWED
 def test_sb3s_own_dqn_learns_with_windows(network, tmp_path):
     """Unchanged, from equal seeds to equal weights, and the same after save and load."""
     kwargs = {

@@ -3,12 +3,14 @@ import pytest
 import torch
 from gymnasium import spaces
 
+from wcsim.agents.envs.episode_view import windowed_space
 from wcsim.agents.networks.costs import _Bare
 from wcsim.agents.networks.onnx_form import exported
 from wcsim.agents.networks.q_network import QNet
 from wcsim.agents.networks.registry import preferred_window
 from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, IMU_KEY, JOYSTICK_KEY
 from wcsim.config.run_file import NetSpec
+from wcsim.supervisor.observation import observation_space
 
 runtime = pytest.importorskip("onnxruntime")
 
@@ -17,9 +19,7 @@ runtime = pytest.importorskip("onnxruntime")
 @pytest.mark.parametrize("classes", ["cityscapes", "wcsim"])
 def test_an_exported_network_says_what_the_network_itself_says(name, classes):
     window, picks = preferred_window(name), torch.Generator().manual_seed(3)
-    image = spaces.Box(0, 255, (window, 24, 32), np.uint8)
-    vectors = {key: spaces.Box(-1.0, 1.0, (size,), np.float32) for key, size in ((IMU_KEY, 5), (JOYSTICK_KEY, 2))}
-    space = spaces.Dict({CLASS_KEY: image, DEPTH_KEY: image, **vectors})
+    space = windowed_space(observation_space("compact", 32, 24), window)
     net = QNet(space, spaces.Discrete(81), NetSpec(network=name, classes=classes))
     net.set_training_mode(False)
     seen = {

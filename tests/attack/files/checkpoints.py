@@ -13,8 +13,9 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 from torch import nn
 
 from tests.agents.toy import ToyStreet, a_run, load_checkpoint, toy_camera
-from tests.attack.files.damage import ANY, Damage, bomb, change, edited, flipped, pick
+from tests.attack.files.damage import ANY, Damage, bomb, change, edited, flipped
 from tests.attack.outcomes import Case
+from tests.attack.scenarios.twists import Rng, integer, pick
 from wcsim.agents.learning.build import build_model
 from wcsim.agents.learning.checkpoint import (
     _generator_state,
@@ -114,11 +115,11 @@ def cases(count: int, seed: int, work: Path) -> Iterator[Case]:
         yield Case(area="checkpoints", name=name, feed=lambda a=attack, r=rng: _feed(bench, a, r, work / "case"))
 
 
-Attack = Callable[[Path, np.random.Generator], set[int]]
+Attack = Callable[[Path, Rng], set[int]]
 """Does something to a folder of checkpoints; returns the steps whose checkpoints are not what they were."""
 
 
-def _feed(bench: Bench, attack: Attack, rng: np.random.Generator, folder: Path) -> bool:
+def _feed(bench: Bench, attack: Attack, rng: Rng, folder: Path) -> bool:
     shutil.copytree(bench.sound, folder)
     try:
         hurt = attack(folder, rng)
@@ -139,7 +140,7 @@ def _feed(bench: Bench, attack: Attack, rng: np.random.Generator, folder: Path) 
         shutil.rmtree(folder)
 
 
-def _goes_on(model: SeqDQN, folder: Path, extra: Extra, rng: np.random.Generator) -> bool:
+def _goes_on(model: SeqDQN, folder: Path, extra: Extra, rng: Rng) -> bool:
     """Whether the next checkpoints are there after they were written, and can be loaded."""
     model.num_timesteps = pick(rng, (175, 99_999_999, 100_000_000, 999_999_999, 10**10))
     for _ in range(2):
@@ -156,7 +157,7 @@ def _strays(folder: Path) -> set[str]:
     return {path.name for path in folder.iterdir()} - known
 
 
-def _some(folder: Path, rng: np.random.Generator) -> list[Path]:
+def _some(folder: Path, rng: Rng) -> list[Path]:
     """One of the checkpoints, more often the newest, or several."""
     paths = checkpoints(folder)[::-1]
     count = int(pick(rng, (1, 1, 1, 1, 2, 3)))
@@ -167,27 +168,27 @@ def _steps(paths: list[Path]) -> set[int]:
     return {int(path.name[5:]) for path in paths}
 
 
-def _change(paths: list[Path], name: str, how: Damage, rng: np.random.Generator) -> set[int]:
+def _change(paths: list[Path], name: str, how: Damage, rng: Rng) -> set[int]:
     return _steps([path for path in paths if change(path / name, how, rng)])
 
 
-def damaged_file(folder: Path, rng: np.random.Generator) -> set[int]:
+def damaged_file(folder: Path, rng: Rng) -> set[int]:
     return _change(_some(folder, rng), pick(rng, NAMES), pick(rng, ANY), rng)
 
 
-def flipped_state(folder: Path, rng: np.random.Generator) -> set[int]:
+def flipped_state(folder: Path, rng: Rng) -> set[int]:
     return _change(_some(folder, rng), STATE, flipped, rng)
 
 
-def edited_state(folder: Path, rng: np.random.Generator) -> set[int]:
+def edited_state(folder: Path, rng: Rng) -> set[int]:
     return _change(_some(folder, rng), STATE, edited, rng)
 
 
-def bombed_state(folder: Path, rng: np.random.Generator) -> set[int]:
+def bombed_state(folder: Path, rng: Rng) -> set[int]:
     return _change(_some(folder, rng), STATE, lambda _, r: bomb(r), rng)
 
 
-def moved_file(folder: Path, rng: np.random.Generator) -> set[int]:
+def moved_file(folder: Path, rng: Rng) -> set[int]:
     """A file of another checkpoint, or none."""
     (one, *_), other, name = _some(folder, rng), pick(rng, checkpoints(folder)), pick(rng, NAMES)
     data = (other / name).read_bytes()
@@ -198,11 +199,11 @@ def moved_file(folder: Path, rng: np.random.Generator) -> set[int]:
     return _steps([one])
 
 
-def odd_file(folder: Path, rng: np.random.Generator) -> set[int]:
+def odd_file(folder: Path, rng: Rng) -> set[int]:
     """Something that is no regular file."""
     (one, *_), name = _some(folder, rng), pick(rng, NAMES)
     (one / name).unlink()
-    what = int(rng.integers(5))
+    what = integer(rng, 5)
     if what == 0:
         os.mkfifo(one / name)
     elif what == 1:
@@ -212,7 +213,7 @@ def odd_file(folder: Path, rng: np.random.Generator) -> set[int]:
     return _steps([one])
 
 
-def odd_names(folder: Path, rng: np.random.Generator) -> set[int]:
+def odd_names(folder: Path, rng: Rng) -> set[int]:
     """Names beside the checkpoints that are none."""
     old, new = checkpoints(folder)[0], checkpoints(folder)[-1]
     names = (
@@ -220,7 +221,7 @@ def odd_names(folder: Path, rng: np.random.Generator) -> set[int]:
         f"{new.name}.damaged", ".step-00000090.tmp", "step-00000090x", "step-" + "9" * 200,
     )  # fmt: skip
     for name in set(pick(rng, names) for _ in range(3)):
-        what = int(rng.integers(3))
+        what = integer(rng, 3)
         if what == 0:
             shutil.copytree(old, folder / name)
         elif what == 1:
@@ -230,7 +231,7 @@ def odd_names(folder: Path, rng: np.random.Generator) -> set[int]:
     return set()
 
 
-def odd_folder(folder: Path, rng: np.random.Generator) -> set[int]:
+def odd_folder(folder: Path, rng: Rng) -> set[int]:
     """A checkpoint under the name of another step, or a link, a file or an empty folder in place of one."""
     old, one = checkpoints(folder)[0], folder / tag("step", int(pick(rng, (40, 80, 120, 121, 10**8, 10**17))))
     hurt = _steps([one]) if one.is_dir() else set()
@@ -238,7 +239,7 @@ def odd_folder(folder: Path, rng: np.random.Generator) -> set[int]:
         return set()
     if one.is_dir():
         shutil.rmtree(one)
-    what = int(rng.integers(4))
+    what = integer(rng, 4)
     if what == 0:
         shutil.copytree(old, one)
     elif what == 1:

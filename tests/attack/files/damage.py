@@ -7,9 +7,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
+from tests.attack.scenarios.twists import Rng, integer, pick
 
-Damage = Callable[[bytes, np.random.Generator], bytes]
+Damage = Callable[[bytes, Rng], bytes]
 
 NASTY: tuple[Any, ...] = (
     None, True, -1, 0, 1, 2**31, 2**63, 2**64, -(2**70), 10**400, 0.5, -0.0, 1e308, float("nan"), float("inf"),
@@ -17,14 +17,9 @@ NASTY: tuple[Any, ...] = (
 )  # fmt: skip
 
 
-def pick(rng: np.random.Generator, items: Any) -> Any:
-    """One of some items."""
-    return items[int(rng.integers(len(items)))]
-
-
-def flipped(data: bytes, rng: np.random.Generator) -> bytes:
+def flipped(data: bytes, rng: Rng) -> bytes:
     """One bit is another."""
-    return flipped_at(data, int(rng.integers(8 * max(len(data), 1))))
+    return flipped_at(data, integer(rng, 8 * max(len(data), 1)))
 
 
 def flipped_at(data: bytes, bit: int) -> bytes:
@@ -35,35 +30,35 @@ def flipped_at(data: bytes, bit: int) -> bytes:
     return bytes(changed)
 
 
-def cut(data: bytes, rng: np.random.Generator) -> bytes:
+def cut(data: bytes, rng: Rng) -> bytes:
     """The end is missing."""
-    return data[: int(rng.integers(len(data) + 1))]
+    return data[: integer(rng, len(data) + 1)]
 
 
-def holed(data: bytes, rng: np.random.Generator) -> bytes:
+def holed(data: bytes, rng: Rng) -> bytes:
     """A part in the middle is missing."""
     begin, end = sorted(rng.integers(0, len(data) + 1, 2).tolist())
     return data[:begin] + data[end:]
 
 
-def longer(data: bytes, rng: np.random.Generator) -> bytes:
+def longer(data: bytes, rng: Rng) -> bytes:
     """Something follows."""
     return data + rng.bytes(int(rng.integers(1, 300)))
 
 
-def zeroed(data: bytes, rng: np.random.Generator) -> bytes:
+def zeroed(data: bytes, rng: Rng) -> bytes:
     """A part is zeros, as after a loss of power."""
     begin, end = sorted(rng.integers(0, len(data) + 1, 2).tolist())
     return data[:begin] + bytes(end - begin) + data[end:]
 
 
-def emptied(data: bytes, rng: np.random.Generator) -> bytes:
+def emptied(data: bytes, rng: Rng) -> bytes:
     """Nothing is left."""
     del data, rng
     return b""
 
 
-def noise(data: bytes, rng: np.random.Generator) -> bytes:
+def noise(data: bytes, rng: Rng) -> bytes:
     """Something else of the same length."""
     return rng.bytes(len(data))
 
@@ -71,12 +66,12 @@ def noise(data: bytes, rng: np.random.Generator) -> bytes:
 ANY: tuple[Damage, ...] = (flipped, flipped, flipped, cut, cut, holed, longer, zeroed, emptied, noise)
 
 
-def edited(text: bytes, rng: np.random.Generator) -> bytes:
+def edited(text: bytes, rng: Rng) -> bytes:
     """JSON with another value in one place, a place more or a place less."""
     data = json.loads(text)
     places = _places(data)
     holder, key = pick(rng, places)
-    what = int(rng.integers(8))
+    what = integer(rng, 8)
     if what == 0 and isinstance(holder, dict):
         del holder[key]
     elif what == 1 and isinstance(holder, dict):
@@ -88,7 +83,7 @@ def edited(text: bytes, rng: np.random.Generator) -> bytes:
     return json.dumps(data, indent=2).encode()
 
 
-def bomb(rng: np.random.Generator) -> bytes:
+def bomb(rng: Rng) -> bytes:
     """Text that some readers of JSON do not survive."""
     return bytes(
         pick(
@@ -101,9 +96,9 @@ def bomb(rng: np.random.Generator) -> bytes:
     )  # fmt: skip
 
 
-def swollen(sound: bytes, rng: np.random.Generator, framed: Callable[[bytes], bytes]) -> bytes:
+def swollen(sound: bytes, rng: Rng, framed: Callable[[bytes], bytes]) -> bytes:
     """Records, and after them one that unpacks to much or says much, or an end in which very many streams begin."""
-    what = int(rng.integers(5))
+    what = integer(rng, 5)
     if what == 0:
         return sound + framed(bytes(pick(rng, (1 << 20, 60 << 20, 240 << 20))))
     if what == 1:
@@ -118,7 +113,7 @@ def swollen(sound: bytes, rng: np.random.Generator, framed: Callable[[bytes], by
     return sound + struct.pack("<II", 1 << 17, 0) + (heads + bomb)[: pick(rng, (65_000, 70_000))]
 
 
-def change(path: Path, how: Damage, rng: np.random.Generator) -> bool:
+def change(path: Path, how: Damage, rng: Rng) -> bool:
     """Damage a file; False when it is what it was."""
     before = path.read_bytes()
     after = how(before, rng)

@@ -6,7 +6,7 @@ from xml.etree import ElementTree
 from mcap.reader import make_reader
 
 from tests.attack.files.family import Family
-from tests.attack.files.files import log_twist, sound_trace
+from tests.attack.files.files import logged, sound_trace
 from tests.attack.files.people import sound_drive
 from wcsim.bridge.recording.convert import convert_to_fcd
 from wcsim.bridge.recording.ros_chairs import drive_bag, trace_bag
@@ -18,9 +18,9 @@ def families(work: Path) -> list[Family]:
     """What `wcsim log convert` makes of traces and drives."""
     trace, drive = sound_trace(work), sound_drive(work / "sound.drive")
     return [
-        Family(name="fcd", file="trace", sound=trace, twist=log_twist(trace), take=_take_fcd),
-        Family(name="mcap of a trace", file="trace", sound=trace, twist=log_twist(trace), take=_take_trace),
-        Family(name="mcap of a drive", file="a.drive", sound=drive, twist=log_twist(drive), take=_take_drive),
+        logged("fcd", "trace", trace, _take_fcd),
+        logged("mcap of a trace", "trace", trace, _take_trace),
+        logged("mcap of a drive", "a.drive", drive, _take_drive),
     ]
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from tests.attack.outcomes import Case, Outcome
-from tests.attack.scenarios.twists import NASTY, PLACES, Rng, integer, pick, spoiled, twisted
+from tests.attack.scenarios.twists import NASTY, PLACES, Rng, integer, pick, spoiled, toml_text, twisted
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -39,6 +39,19 @@ def model_twist(
         return write(changed).encode(), told
 
     return twist
+
+
+def modelled(
+    name: str,
+    file: str,
+    data: dict[str, Any],
+    take: Callable[[Path], bool],
+    write: Callable[[dict[str, Any]], str] = toml_text,
+    **more: Any,
+) -> Family:
+    """A kind of file whose sound one holds these fields."""
+    twist = model_twist(data, write)
+    return Family(name=name, file=file, sound=write(data).encode(), twist=twist, take=take, **more)
 
 
 def spoilt(families: Families, count: int, seed: int, work: Path) -> Iterator[Case]:

@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 
 from tests.attack.files.damage import swollen
-from tests.attack.files.family import Family, model_twist
+from tests.attack.files.family import Family, modelled
 from tests.attack.outcomes import Case
 from tests.attack.scenarios.twists import (
     NASTY,
@@ -21,7 +21,6 @@ from tests.attack.scenarios.twists import (
     pick,
     places,
     spoiled,
-    toml_text,
     toml_value,
     twisted,
     without_none,
@@ -65,24 +64,12 @@ def _take_plant(path: Path) -> bool:
     return same(read_plant(str(path)))
 
 
-def _take_town(path: Path) -> bool:
-    return same(read_toml(path, TownFile))
-
-
-def _take_scene(path: Path) -> bool:
-    return same(read_toml(path, SceneFile))
-
-
 def _take_manifest(path: Path) -> bool:
     data = read_json(path.parent, MANIFEST)
     clients = data.pop("clients", [])
     manifest = manifest_of(data, path.parent)
     plain = all(Path(name).name == name for name in clients)
     return plain and manifest_of(json.loads(json.dumps(data)), path.parent) == manifest
-
-
-def _take_run(path: Path) -> bool:
-    return same(open_run(path.parent).config)
 
 
 def _take_recording(path: Path) -> bool:
@@ -148,6 +135,11 @@ def log_twist(sound: bytes) -> Callable[[Rng], tuple[bytes, str]]:
         return chained([*payloads[:at], payload, *payloads[at + 1 :]]), f"record {at}: {told}"
 
     return twist
+
+
+def logged(name: str, file: str, sound: bytes, take: Callable[[Path], bool]) -> Family:
+    """A kind of file that is a journal."""
+    return Family(name=name, file=file, sound=sound, twist=log_twist(sound), take=take)
 
 
 def _packed(fields: Any) -> bytes:
@@ -219,26 +211,21 @@ def families(work: Path) -> list[Family]:
     scene = {"name": "a", "shows": "a street", "seed": 3, "duration_s": 9.0, "seats": seats,
              "expect": {"crashed": False, "climb_m": [0.1, 0.2]}, "warmup_s": 1.0, "lefthand": False}  # fmt: skip
     sticks = [list(COLUMNS), *([0.1 * row, 0.01 * row, 0.5] for row in range(12))]
-    trace = sound_trace(work)
-    toml, run_json = without_none(whole), json_text(whole).encode()
     stick_text = "\n".join(",".join(map(str, row)) for row in sticks).encode()
     lone = {key: value for key, value in manifest.items() if key != "clients"}
     return [
-        Family(name="config", file="c.toml", sound=toml_text(toml).encode(), twist=model_twist(toml, toml_text),
-               take=lambda path: take_config(resolve("quick", path))),
-        Family(name="plant", file="p.toml", sound=toml_text(without_none(plant)).encode(),
-               twist=model_twist(without_none(plant), toml_text), take=_take_plant),
-        Family(name="scene", file="scene.toml", sound=toml_text(scene).encode(), twist=model_twist(scene, toml_text),
-               take=_take_scene),
-        Family(name="town", file="town.toml", sound=toml_text(town).encode(), twist=model_twist(town, toml_text),
-               take=_take_town),
-        Family(name="manifest", file=MANIFEST, sound=json_text(manifest).encode(),
-               twist=model_twist(manifest, json_text), take=_take_manifest),
-        Family(name="run", file=CONFIG, sound=run_json, twist=model_twist(whole, json_text), take=_take_run,
-               beside=((MANIFEST, json_text(lone).encode()),)),
+        modelled("config", "c.toml", without_none(whole), lambda path: take_config(resolve("quick", path))),
+        modelled("plant", "p.toml", without_none(plant), _take_plant),
+        modelled("scene", "scene.toml", scene, lambda path: same(read_toml(path, SceneFile))),
+        modelled("town", "town.toml", town, lambda path: same(read_toml(path, TownFile))),
+        modelled("manifest", MANIFEST, manifest, _take_manifest, json_text),
+        modelled(
+            *("run", CONFIG, whole, lambda path: same(open_run(path.parent).config), json_text),
+            beside=((MANIFEST, json_text(lone).encode()),),
+        ),
         Family(name="recording", file="s.csv", sound=stick_text, twist=csv_twist(sticks), take=_take_recording),
-        Family(name="trace", file="trace", sound=trace, twist=log_twist(trace), take=_take_trace),
-    ]  # fmt: skip
+        logged("trace", "trace", sound_trace(work), _take_trace),
+    ]
 
 
 # --- words of a command ---

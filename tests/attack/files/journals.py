@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.attack.files.damage import ANY, bomb, flipped, flipped_at, pick, swollen
+from tests.attack.files.damage import ANY, bomb, flipped, flipped_at, swollen
 from tests.attack.outcomes import Case
-from tests.attack.scenarios.twists import cleared
+from tests.attack.scenarios.twists import Rng, cleared, integer, pick
 from tests.log.test_log import HEADER, RECORDS, tick
 from tests.support.events import read_events
 from tests.support.framing import chained, pieces, read_whole
@@ -26,7 +26,7 @@ TICKS = tuple(tick(number, epoch=1) for number in range(1, 240))
 LONG: tuple[Input, ...] = (*RECORDS[:-1], *TICKS, Ended(reason="x"))
 FRAMES = tuple(SeenFrame(epoch=0, tick=number, stepped=number % 30 > 0) for number in range(60))
 DEEP = b"\x94\xa1e" + b"\x91" * 50_000
-Spoil = Callable[[list[bytes], np.random.Generator], bytes]
+Spoil = Callable[[list[bytes], Rng], bytes]
 """Makes another file of the pieces of a sound one."""
 
 
@@ -124,50 +124,50 @@ def _contents(whole: bytes) -> tuple[bytes, ...]:
     return tuple(found)
 
 
-def any_damage(parts: list[bytes], rng: np.random.Generator) -> bytes:
+def any_damage(parts: list[bytes], rng: Rng) -> bytes:
     return bytes(pick(rng, ANY)(b"".join(parts), rng))
 
 
-def a_flip_near_the_end(parts: list[bytes], rng: np.random.Generator) -> bytes:
+def a_flip_near_the_end(parts: list[bytes], rng: Rng) -> bytes:
     data = b"".join(parts)
-    return flipped_at(data, 8 * len(data) - 1 - int(rng.integers(8 * 2000)))
+    return flipped_at(data, 8 * len(data) - 1 - integer(rng, 8 * 2000))
 
 
-def a_flipped_length(parts: list[bytes], rng: np.random.Generator) -> bytes:
-    number = len(parts) - 1 - int(rng.integers(min(len(parts), 220)))
-    bit = int(rng.integers(32))
+def a_flipped_length(parts: list[bytes], rng: Rng) -> bytes:
+    number = len(parts) - 1 - integer(rng, min(len(parts), 220))
+    bit = integer(rng, 32)
     return b"".join([*parts[:number], flipped_at(parts[number], bit), *parts[number + 1 :]])
 
 
-def lengths_and_contents(parts: list[bytes], rng: np.random.Generator) -> bytes:
+def lengths_and_contents(parts: list[bytes], rng: Rng) -> bytes:
     """Several bits of some of the last records."""
     parts = list(parts)
     for _ in range(int(rng.integers(2, 5))):
-        number = len(parts) - 1 - int(rng.integers(6))
+        number = len(parts) - 1 - integer(rng, 6)
         parts[number] = flipped(parts[number], rng)
     return b"".join(parts)
 
 
-def doubled(parts: list[bytes], rng: np.random.Generator) -> bytes:
-    number = int(rng.integers(len(parts)))
+def doubled(parts: list[bytes], rng: Rng) -> bytes:
+    number = integer(rng, len(parts))
     place = int(rng.integers(1, len(parts) + 1))
     return b"".join([*parts[:place], parts[number], *parts[place:]])
 
 
-def swapped(parts: list[bytes], rng: np.random.Generator) -> bytes:
+def swapped(parts: list[bytes], rng: Rng) -> bytes:
     one, other = rng.choice(len(parts), 2, replace=False)
     parts = list(parts)
     parts[one], parts[other] = parts[other], parts[one]
     return b"".join(parts)
 
 
-def left_out(parts: list[bytes], rng: np.random.Generator) -> bytes:
+def left_out(parts: list[bytes], rng: Rng) -> bytes:
     """A record that others follow."""
     number = int(rng.integers(1, len(parts) - 1))
     return b"".join([*parts[:number], *parts[number + 1 :]])
 
 
-def strange_records(parts: list[bytes], rng: np.random.Generator) -> bytes:
+def strange_records(parts: list[bytes], rng: Rng) -> bytes:
     """Whole ones that say what no journal says, in the chain and out of it."""
     short_tick = b"\x96\xa1t\0\1\x91\0\x90\xa1a"
     payload = pick(rng, (DEEP, b"", b"\x90", b"\xc0", short_tick, b"\x92\xa1q\x80", bomb(rng), rng.bytes(40)))
@@ -177,18 +177,18 @@ def strange_records(parts: list[bytes], rng: np.random.Generator) -> bytes:
     return b"".join([*parts[:place], strange, *(parts[place:] if rng.random() < 0.5 else [])])
 
 
-def huge_lengths(parts: list[bytes], rng: np.random.Generator) -> bytes:
+def huge_lengths(parts: list[bytes], rng: Rng) -> bytes:
     size = pick(rng, (0, 1, 7, 1 << 16, MAX_RECORD_BYTES, MAX_RECORD_BYTES + 1, (1 << 31) - 1, (1 << 32) - 1))
     rest = pick(rng, (b"", rng.bytes(50), bytes(70_000), zlib.compress(bytes(1 << 20)), rng.bytes(70_000)))
-    return b"".join([*parts, struct.pack("<II", size, int(rng.integers(1 << 32))), rest])
+    return b"".join([*parts, struct.pack("<II", size, integer(rng, 1 << 32)), rest])
 
 
-def a_swollen_end(parts: list[bytes], rng: np.random.Generator) -> bytes:
+def a_swollen_end(parts: list[bytes], rng: Rng) -> bytes:
     after = struct.unpack_from("<I", parts[-1], 4)[0]
     return swollen(b"".join(parts), rng, lambda payload: framed(payload, after))
 
 
-def another_header(parts: list[bytes], rng: np.random.Generator) -> bytes:
+def another_header(parts: list[bytes], rng: Rng) -> bytes:
     head = header_bytes(HEADER)
     other = pick(rng, (bomb(rng), head.replace(b"log-1", b"log-2"), head[:-5], head.replace(b"wcsim", b"xcsim"), DEEP))
     return b"".join([framed(other), *parts[1:]])
@@ -243,8 +243,8 @@ def check_events(path: Path, data: bytes, whole: bytes) -> bool:
     )
 
 
-def a_bomb(parts: list[bytes], rng: np.random.Generator) -> bytes:
-    place = int(rng.integers(len(parts) + 1))
+def a_bomb(parts: list[bytes], rng: Rng) -> bytes:
+    place = integer(rng, len(parts) + 1)
     return b"".join([*parts[:place], bomb(rng), b"\n", *parts[place:]])
 
 

@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from tests.attack.files.family import Family, model_twist
-from tests.attack.files.files import log_twist
+from tests.attack.files.family import Family, modelled
+from tests.attack.files.files import logged
 from tests.attack.scenarios.twists import toml_text, without_none
 from tests.log.drives import tick, write_drive
 from wcsim.config import parse_json, read_toml
@@ -36,14 +36,11 @@ PROFILE = {"base": "ataxic", "reaction_s": 0.4, "noise": 0.1, "tremor_hz": 4.0, 
 
 def families(work: Path) -> list[Family]:
     """All kinds of files about people."""
-    drive = sound_drive(work / "sound.drive")
     return [
-        Family(name="study", file="study.toml", sound=toml_text(STUDY).encode(), twist=model_twist(STUDY, toml_text),
-               take=_take_study),
-        Family(name="profile", file="u.toml", sound=toml_text(PROFILE).encode(), twist=model_twist(PROFILE, toml_text),
-               take=_take_profile),
-        Family(name="drive", file="a.drive", sound=drive, twist=log_twist(drive), take=_take_drive),
-    ]  # fmt: skip
+        modelled("study", "study.toml", STUDY, _take_study),
+        modelled("profile", "u.toml", PROFILE, _take_profile),
+        logged("drive", "a.drive", sound_drive(work / "sound.drive"), _take_drive),
+    ]
 
 
 def _take_study(path: Path) -> bool:

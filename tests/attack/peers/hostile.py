@@ -23,6 +23,7 @@ import zmq
 from benchmarks.soak.stub_client import StubSight, read_sights
 from tests.attack.peers.messages import hostile_request
 from tests.attack.peers.wire import shapes
+from tests.attack.scenarios.twists import Rng, integer, pick
 from wcsim.server.protocol import messages as m
 from wcsim.server.specs import SeatRequest, to_line
 from wcsim.server.transport.keys import client_keys, server_public
@@ -69,9 +70,9 @@ def flood(endpoint: str, keys: Path, seed: int) -> None:
                     _say_some(socket, kinds, rng)
 
 
-def _say_some(socket: zmq.Socket[bytes], kinds: list[Any], rng: np.random.Generator) -> None:
+def _say_some(socket: zmq.Socket[bytes], kinds: list[Any], rng: Rng) -> None:
     begun_s = time.monotonic()
-    epoch, tick = int(rng.integers(3)), int(rng.integers(100_000))
+    epoch, tick = integer(rng, 3), integer(rng, 100_000)
     for _ in range(round(PER_S * TURN_S)):
         wild = rng.random() < 0.05
         data = hostile_request(kinds, rng, epoch, tick) if wild else m.encode(_readable(rng, epoch, tick))
@@ -84,14 +85,14 @@ def _say_some(socket: zmq.Socket[bytes], kinds: list[Any], rng: np.random.Genera
     time.sleep(max(0.0, TURN_S - (time.monotonic() - begun_s)))
 
 
-def _readable(rng: np.random.Generator, epoch: int, tick: int) -> m.Request:
+def _readable(rng: Rng, epoch: int, tick: int) -> m.Request:
     session = rng.bytes(16)
     join = m.Join(m.PROTOCOL, m.schema_hash(), "", session, rng.bytes(8), int(rng.integers(-1, 4)), "evil", SeatSpec())
     said: tuple[m.Request, ...] = (
         join, m.Act(session, epoch, tick, 0, 0.1, 0.2),
         m.Respawn(session, epoch, tick, 0), m.Rebuild(session, epoch, 7), m.Beat(session, 1), m.Leave(session),
     )  # fmt: skip
-    return said[int(rng.integers(len(said)))]
+    return pick(rng, said)
 
 
 def burn(share: float) -> None:

@@ -12,6 +12,7 @@ import numpy as np
 from benchmarks.barrier.fake_world import FakeWorld
 from tests.attack.outcomes import Case
 from tests.attack.peers.wire import each_field, shapes, spoilt
+from tests.attack.scenarios.twists import Rng, integer, pick
 from tests.server.protocol.desk import join_of
 from tests.support.worlds import quick_config
 from wcsim.server.host.opening import Opened
@@ -35,7 +36,7 @@ def cases(count: int, seed: int, work: Path) -> Iterator[Case]:
     kinds = shapes()
     for number in range(count):
         rng = np.random.default_rng((seed, number))
-        shape = kinds[int(rng.integers(len(kinds)))]
+        shape = pick(rng, kinds)
         yield read_case(f"{shape.kind} {number}", shape.request, spoilt(shape, rng))
 
 
@@ -133,29 +134,29 @@ def siege_cases(count: int, seed: int, work: Path) -> Iterator[Case]:
         siege.close()
 
 
-def hostile_request(kinds: list[Any], rng: np.random.Generator, epoch: int, tick: int) -> bytes:
+def hostile_request(kinds: list[Any], rng: Rng, epoch: int, tick: int) -> bytes:
     """A request to a server at about this tick: spoilt, or sound but for what it says."""
-    way = int(rng.integers(4))
+    way = integer(rng, 4)
     if way == 0:
-        return spoilt(kinds[int(rng.integers(len(kinds)))], rng)
+        return spoilt(pick(rng, kinds), rng)
     if way == 1:  # one that is let in, but for what it asks
-        profile = ("inattentive", "ataxic", "recorded:/etc/passwd", "recorded:\0", "x" * 40)[int(rng.integers(5))]
-        steps = (1, 0, 1 << 40, 1_000_000)[int(rng.integers(4))]
+        profile = pick(rng, ("inattentive", "ataxic", "recorded:/etc/passwd", "recorded:\0", "x" * 40))
+        steps = pick(rng, (1, 0, 1 << 40, 1_000_000))
         join = msgspec.structs.replace(_honest_join(), session=rng.bytes(16), claim=rng.bytes(4), seat=m.ANY_SEAT)
         spec = SeatSpec(profile=profile, max_steps=steps)
-        seat = (m.ANY_SEAT, 0, 1, 2, 3, -2, 99)[int(rng.integers(7))]
-        return m.encode(msgspec.structs.replace(join, spec=spec, seat=seat, pid=int(rng.integers(1 << 22))))
-    session = (SESSION[:15], rng.bytes(16), rng.bytes(16))[int(rng.integers(3))]
+        seat = pick(rng, (m.ANY_SEAT, 0, 1, 2, 3, -2, 99))
+        return m.encode(msgspec.structs.replace(join, spec=spec, seat=seat, pid=integer(rng, 1 << 22)))
+    session = pick(rng, (SESSION[:15], rng.bytes(16), rng.bytes(16)))
     epoch, tick = epoch + int(rng.integers(-1, 2)), tick + int(rng.integers(-2, 3))
     said: tuple[m.Request, ...] = (
         m.Act(session, epoch, tick, 0, float(rng.normal()), math.nan),
         m.Respawn(session, epoch, tick, 0),
         m.Rebuild(session, epoch, 7),
-        m.Beat(session, int(rng.integers(1 << 62))),
+        m.Beat(session, integer(rng, 1 << 62)),
         m.Leave(session),
-        m.Leave(rng.bytes(int(rng.integers(8000)))),
+        m.Leave(rng.bytes(integer(rng, 8000))),
     )
-    return m.encode(said[int(rng.integers(len(said)))])
+    return m.encode(pick(rng, said))
 
 
 def _honest_join() -> m.Join:

@@ -3,13 +3,14 @@
 import contextlib
 import math
 from collections.abc import Iterator
+from copy import deepcopy
 from dataclasses import dataclass
 from typing import Any
 
 import msgspec
-import numpy as np
 from msgspec import inspect
 
+from tests.attack.scenarios.twists import Rng, integer, pick
 from wcsim.server.protocol import messages as m
 
 Path = tuple[int | str, ...]  # of indices into nested arrays, and of keys
@@ -123,22 +124,22 @@ def unbounded(info: inspect.Type, where: str, seen: frozenset[type] = frozenset(
             yield f"{where} ({type(info).__name__})"
 
 
-def spoilt(shape: Shape, rng: np.random.Generator) -> bytes:
+def spoilt(shape: Shape, rng: Rng) -> bytes:
     """A message with one to three nasty fields, with one too many or too few, with flipped bits, or cut off."""
-    message = _copied(shape.sound)
+    message = deepcopy(shape.sound)
     for _ in range(int(rng.integers(1, 4))):
-        _put(message, shape.places[int(rng.integers(len(shape.places)))], NASTY[int(rng.integers(len(NASTY)))])
-    way = int(rng.integers(12))
+        _put(message, pick(rng, shape.places), pick(rng, NASTY))
+    way = integer(rng, 12)
     if way == 0:
-        message.append(NASTY[int(rng.integers(len(NASTY)))])
+        message.append(pick(rng, NASTY))
     elif way == 1:
         message.pop()
     data = bytearray(msgspec.msgpack.encode(message))
     if way == 2 and data:
         for _ in range(int(rng.integers(1, 4))):
-            data[int(rng.integers(len(data)))] ^= 1 << int(rng.integers(8))
+            data[integer(rng, len(data))] ^= 1 << integer(rng, 8)
     elif way == 3:
-        data = data[: int(rng.integers(len(data)))]
+        data = data[: integer(rng, len(data))]
     return bytes(data)
 
 
@@ -146,7 +147,7 @@ def each_field(shape: Shape) -> Iterator[tuple[Path, Any, bytes]]:
     """Every field of a message times every nasty value."""
     for place in shape.places:
         for value in NASTY:
-            message = _copied(shape.sound)
+            message = deepcopy(shape.sound)
             _put(message, place, value)
             yield place, value, msgspec.msgpack.encode(message)
 
@@ -159,15 +160,9 @@ def _places(value: list[Any] | dict[str, Any], above: Path = ()) -> Iterator[Pat
             yield from _places(item, (*above, index))
 
 
-def _copied(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _copied(item) for key, item in value.items()}
-    return [_copied(item) for item in value] if isinstance(value, list) else value
-
-
 def _put(message: Any, place: Path, value: Any) -> None:
     *above, last = place
     with contextlib.suppress(LookupError, TypeError):  # what was there is spoilt already
         for index in above:
             message = message[index]
-        message[last] = _copied(value)
+        message[last] = deepcopy(value)

@@ -26,6 +26,12 @@ def empty_world(corner: Path, *overrides: str, seats: int = 3, seed: int = 2, ep
     return World(find_town(str(corner)), quick_config(*overrides), (None,) * seats, seed, epoch=epoch)
 
 
+@pytest.fixture
+def world(corner):
+    with empty_world(corner) as opened:
+        yield opened
+
+
 def bodies(world: World) -> int:
     """Bodies of PyBullet that are neither pooled actors nor the street."""
     street = sum(len(pieces) for pieces in world._open.street._pieces.values())
@@ -49,31 +55,30 @@ def test_an_empty_world_ticks_and_counts_its_epochs(corner):
         assert world.rebuild(3).epoch == 5
 
 
-def test_a_seat_is_taken_once_and_left_once(corner):
-    with empty_world(corner) as world:
-        for number in (-1, 3):
-            with pytest.raises(ProtocolError, match=f"no seat {number}; expected 0 or more and less than 3"):
-                world.admit(number, SPEC)
-            with pytest.raises(ProtocolError, match="no seat"):
-                world.dismiss(number)
-        with pytest.raises(ProtocolError, match="seat 1 is free"):
-            world.dismiss(1)
-        with pytest.raises(ProtocolError, match="seat 1 is free"):
-            world.respawn(1)
-        before = world.snapshot.state_hash
-        client = world.admit(2, SPEC)
-        assert (client.seat, client.tick, client.events.episode, client.events.step) == (2, 0, 0, 0)
-        assert world.snapshot.state_hash != before
-        with pytest.raises(ProtocolError, match=r"seat 2 is taken.*\[0, 1\]"):
-            world.admit(2, SPEC)
-        world.admit(0, SPEC)
-        assert present(world) == [0, 2]
-        with pytest.raises(ProtocolError, match="do not fit"):
-            world.tick(tuple(Command(seat=n, tick=0, joystick=Joystick(0.0, 0.0)) for n in range(3)))
-        follow(world)
-        world.dismiss(2)
-        assert present(world) == [0]
-        follow(world)
+def test_a_seat_is_taken_once_and_left_once(world):
+    for number in (-1, 3):
+        with pytest.raises(ProtocolError, match=f"no seat {number}; expected 0 or more and less than 3"):
+            world.admit(number, SPEC)
+        with pytest.raises(ProtocolError, match="no seat"):
+            world.dismiss(number)
+    with pytest.raises(ProtocolError, match="seat 1 is free"):
+        world.dismiss(1)
+    with pytest.raises(ProtocolError, match="seat 1 is free"):
+        world.respawn(1)
+    before = world.snapshot.state_hash
+    client = world.admit(2, SPEC)
+    assert (client.seat, client.tick, client.events.episode, client.events.step) == (2, 0, 0, 0)
+    assert world.snapshot.state_hash != before
+    with pytest.raises(ProtocolError, match=r"seat 2 is taken.*\[0, 1\]"):
+        world.admit(2, SPEC)
+    world.admit(0, SPEC)
+    assert present(world) == [0, 2]
+    with pytest.raises(ProtocolError, match="do not fit"):
+        world.tick(tuple(Command(seat=n, tick=0, joystick=Joystick(0.0, 0.0)) for n in range(3)))
+    follow(world)
+    world.dismiss(2)
+    assert present(world) == [0]
+    follow(world)
 
 
 def test_who_cannot_be_admitted_changes_nothing(corner):
@@ -111,79 +116,74 @@ def test_users_drawn_of_a_wide_profile_keep_within_the_bounds_of_profiles(corner
     assert len(set(gains)) > 12 and min(gains) == PROFILE_LIMITS["gain"][0]
 
 
-def test_who_has_no_start_is_not_in_the_street_and_has_had_no_episode(corner, monkeypatch):
-    with empty_world(corner) as world:
-        world.admit(0, SPEC)
-        count, hashed = bodies(world), world.snapshot.state_hash
-        with monkeypatch.context() as patch:
-            patch.setattr(type(world.seats[0]), "_follow", lambda *_: (_ for _ in ()).throw(ConfigError("no way")))
-            with pytest.raises(ConfigError, match="no way"):
-                world.admit(1, SPEC)
-        assert (bodies(world), present(world), world.snapshot.state_hash) == (count, [0], hashed)
-        assert world.admit(1, SPEC).events.episode == 0
+def test_who_has_no_start_is_not_in_the_street_and_has_had_no_episode(world, monkeypatch):
+    world.admit(0, SPEC)
+    count, hashed = bodies(world), world.snapshot.state_hash
+    with monkeypatch.context() as patch:
+        patch.setattr(type(world.seats[0]), "_follow", lambda *_: (_ for _ in ()).throw(ConfigError("no way")))
+        with pytest.raises(ConfigError, match="no way"):
+            world.admit(1, SPEC)
+    assert (bodies(world), present(world), world.snapshot.state_hash) == (count, [0], hashed)
+    assert world.admit(1, SPEC).events.episode == 0
 
 
-def test_a_chair_that_leaves_leaves_nothing_behind(corner):
-    with empty_world(corner) as world:
-        world.admit(0, SPEC)
-        alone = bodies(world)
-        world.admit(1, SPEC)
-        follow_for(world, 3)
-        assert bodies(world) == alone + 1
-        assert {actor.id for actor in world._others(world.seats[0])} >= {"w:1"}
-        gone = world.seats[1].as_actor().p_W_m[:2]
+def test_a_chair_that_leaves_leaves_nothing_behind(world):
+    world.admit(0, SPEC)
+    alone = bodies(world)
+    world.admit(1, SPEC)
+    follow_for(world, 3)
+    assert bodies(world) == alone + 1
+    assert {actor.id for actor in world._others(world.seats[0])} >= {"w:1"}
+    gone = world.seats[1].as_actor().p_W_m[:2]
+    world.dismiss(1)
+    assert bodies(world) == alone
+    assert all(seat.chair.parked is False for seat in world.seats)
+    assert "w:1" not in {actor.id for actor in world._others(world.seats[0])}
+    assert "w:1" not in {actor.id for actor in world._taken(gone, 50.0)}
+    near = world.config.world.mirror_radius_m
+    here = world.snapshot.clients[0].plant.p_WB_m[:2]
+    for actor in world.snapshot.actors:
+        assert np.hypot(*(actor.p_W_m[:2] - here)) < near + actor.size_lwh_m[0]
+    for _ in range(20):
+        (client,) = follow(world).clients
+        assert np.isfinite(client.plant.p_WB_m).all()
+    assert len(world._open.traffic.chairs) == 1
+
+
+def test_the_street_lets_go_of_whom_it_held_when_the_last_chair_leaves(world):
+    world.admit(0, SPEC)
+    follow_for(world, 40)
+    world.dismiss(0)
+    assert world.snapshot.actors == ()
+    follow_for(world, 2)
+    assert world._open.traffic.blocked() == ()
+    assert world._open.bodies.count == 0
+
+
+def test_a_seat_goes_on_with_its_next_episode_and_another_start(world):
+    starts = []
+    for episode in range(3):
+        client = world.admit(1, SPEC)
+        assert client.events.episode == 2 * episode
+        starts.append(tuple(client.plant.p_WB_m))
+        assert world.respawn(1).events.episode == 2 * episode + 1
+        follow(world)
         world.dismiss(1)
-        assert bodies(world) == alone
-        assert all(seat.chair.parked is False for seat in world.seats)
-        assert "w:1" not in {actor.id for actor in world._others(world.seats[0])}
-        assert "w:1" not in {actor.id for actor in world._taken(gone, 50.0)}
-        near = world.config.world.mirror_radius_m
-        here = world.snapshot.clients[0].plant.p_WB_m[:2]
-        for actor in world.snapshot.actors:
-            assert np.hypot(*(actor.p_W_m[:2] - here)) < near + actor.size_lwh_m[0]
-        for _ in range(20):
-            (client,) = follow(world).clients
-            assert np.isfinite(client.plant.p_WB_m).all()
-        assert len(world._open.traffic.chairs) == 1
+    assert len(set(starts)) == 3
+    parked = world._seating.admit(world._open.engine, world._rig, 1, SPEC)
+    assert (parked.begun, parked.spawned) == (6, False)  # it takes nobody's place before it has one
+    world._seating.revoke(1)
+    world.rebuild(2)
+    assert world.admit(1, SPEC).events.episode == 0
+    assert tuple(world.snapshot.clients[0].plant.p_WB_m) != starts[1]
 
 
-def test_the_street_lets_go_of_whom_it_held_when_the_last_chair_leaves(corner):
-    with empty_world(corner) as world:
-        world.admit(0, SPEC)
-        follow_for(world, 40)
-        world.dismiss(0)
-        assert world.snapshot.actors == ()
-        follow_for(world, 2)
-        assert world._open.traffic.blocked() == ()
-        assert world._open.bodies.count == 0
-
-
-def test_a_seat_goes_on_with_its_next_episode_and_another_start(corner):
-    with empty_world(corner) as world:
-        starts = []
-        for episode in range(3):
-            client = world.admit(1, SPEC)
-            assert client.events.episode == 2 * episode
-            starts.append(tuple(client.plant.p_WB_m))
-            assert world.respawn(1).events.episode == 2 * episode + 1
-            follow(world)
-            world.dismiss(1)
-        assert len(set(starts)) == 3
-        parked = world._seating.admit(world._open.engine, world._rig, 1, SPEC)
-        assert (parked.begun, parked.spawned) == (6, False)  # it takes nobody's place before it has one
-        world._seating.revoke(1)
-        world.rebuild(2)
-        assert world.admit(1, SPEC).events.episode == 0
-        assert tuple(world.snapshot.clients[0].plant.p_WB_m) != starts[1]
-
-
-def test_a_user_knows_of_a_car_three_seconds_away(corner):
-    with empty_world(corner) as world:
-        world.admit(0, SPEC)
-        x, y, _ = world.seats[0].plant.p_WB_m.tolist()
-        coming = car(x=x - 41.0, y=y, speed=13.9)
-        view = world.seats[0].view(0.0, (coming,), ())
-        assert Perception(profile("competent"), generator(0)).look(view).vehicles == (coming,)
+def test_a_user_knows_of_a_car_three_seconds_away(world):
+    world.admit(0, SPEC)
+    x, y, _ = world.seats[0].plant.p_WB_m.tolist()
+    coming = car(x=x - 41.0, y=y, speed=13.9)
+    view = world.seats[0].view(0.0, (coming,), ())
+    assert Perception(profile("competent"), generator(0)).look(view).vehicles == (coming,)
 
 
 def test_a_chair_keeps_for_a_second_of_its_worlds_ticks_who_came_into_whom(corner):

@@ -78,19 +78,6 @@ def test_without_ranges_there_is_nothing_to_draw(corner):
         assert hashes(world, 30) == plain
 
 
-def test_a_world_keeps_what_it_drew_and_draws_anew_for_each_episode(corner):
-    words = ("vary.user_mass_kg=[40,130]", "vary.friction=[0.4,1.0]")
-    with open_world(corner, *words, seats=2, seed=5) as world:
-        first = [client.drawn for client in world.snapshot.clients]
-        assert first == [_draw(world.config.vary, 1, 5, seat, 0) for seat in (0, 1)]
-        drive(world, 2)
-        assert [client.drawn for client in world.snapshot.clients] == first
-        assert world.respawn(0).drawn == _draw(world.config.vary, 1, 5, 0, 1)
-        assert world.snapshot.clients[1].drawn == first[1]
-        world.rebuild(5)
-        assert [client.drawn for client in world.snapshot.clients] == first
-
-
 def test_mass_and_friction_and_plant_are_those_of_the_body(corner):
     words = ("vary.user_mass_kg=[120,120]", "vary.friction=[0.5,0.5]", 'vary.plant={"mass.chair_kg"=[100,100]}')
     with open_world(corner, *words) as world:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from tests.support import actors
 from tests.support.samples import USUAL_OUTLINE
@@ -25,6 +26,17 @@ def walker(x: float, y: float, yaw: float = 0.0, name: str = "p:a", speed: float
 def chair(x: float, y: float = 0.0, vx: float = 0.0, vy: float = 0.0, on_road: bool = True) -> ChairInStreet:
     half_m = USUAL_OUTLINE.half_lw_m
     return ChairInStreet(p_W_m=np.array([x, y]), v_W_mps=np.array([vx, vy]), on_road=on_road, half_m=half_m)
+
+
+def lane_shape(
+    lane_id: str, points: ArrayLike, edge_id: str = "", index: int = 0, length_m: float | None = None
+) -> LaneShape:
+    """A lane along these points, as long as they are; without a name of its own its edge has that of the lane."""
+    points = np.array(points, np.float64)
+    return LaneShape(
+        id=lane_id, edge_id=edge_id or lane_id, index=index, points_W_m=points, width_m=LANE_M, internal=False,
+        length_m=length_m or float(np.hypot(*np.diff(points, axis=0).T).sum()),
+    )  # fmt: skip
 
 
 @dataclass
@@ -52,10 +64,7 @@ class StraightRoads:
 
     def lane(self, lane_id: str) -> LaneShape:
         index = int(lane_id[-1])
-        points = np.array([[-100.0, index * LANE_M], [300.0, index * LANE_M]])
-        return LaneShape(
-            id=lane_id, edge_id="E", index=index, points_W_m=points, length_m=400.0, width_m=LANE_M, internal=False
-        )
+        return lane_shape(lane_id, [(x, index * LANE_M) for x in (-100.0, 300.0)], "E", index)
 
     def lanes_beside(self, actor_id: str, ahead_m: float) -> tuple[int, ...]:
         index = self._index(actor_id)

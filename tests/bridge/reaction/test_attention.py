@@ -168,19 +168,21 @@ def test_what_is_out_of_bounds_is_refused_with_its_name(setting, told):
         resolve("quick", (setting,))
 
 
-def test_a_world_draws_habits_for_each_episode_and_seat(corner):
-    words = ("vary.reaction={all=[0.5,3.0]}", "vary.attention={car=[0.2,0.9]}")
-    with open_world(corner, *words, seats=2, seed=5) as world:
+def test_a_world_keeps_what_it_drew_and_draws_anew_for_each_episode_and_seat(corner):
+    words = ("vary.reaction={all=[0.5,3.0]}", "vary.attention={car=[0.2,0.9]}", "vary.friction=[0.4,1.0]")
+    with open_world(corner, *words, "vary.user_mass_kg=[40,130]", seats=2, seed=5) as world:
         first = [client.drawn for client in world.snapshot.clients]
         assert first == [_draw(world.config.vary, 1, 5, seat, 0) for seat in (0, 1)]
         assert len({drawn.reaction_s for drawn in first}) == len({drawn.attention for drawn in first}) == 2
         hashes(world, 2)
+        assert [client.drawn for client in world.snapshot.clients] == first
         car = actor()
         assert [chair.habits.reaction_s(car) for chair in world._open.traffic.chairs] == [
             dict(d.reaction_s)["all"] for d in first
         ]
         second = world.respawn(0).drawn
         assert second == _draw(world.config.vary, 1, 5, 0, 1) != first[0]
+        assert world.snapshot.clients[1].drawn == first[1]
         hashes(world, 1)
         assert world._open.traffic.chairs[0].habits.reaction_s(car) == dict(second.reaction_s)["all"]
         assert world._open.traffic.chairs[1].habits.reaction_s(car) == dict(first[1].reaction_s)["all"]

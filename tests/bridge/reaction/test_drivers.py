@@ -2,11 +2,12 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.bridge.reaction.roads import LANE_M, StraightRoads, actor, chair, walker
+from tests.bridge.reaction.roads import LANE_M, StraightRoads, actor, chair, lane_shape, walker
 from wcsim.bridge.reaction.attention import Attention, AttentionModel
 from wcsim.bridge.reaction.commands import LET_GO
 from wcsim.bridge.reaction.drivers import StreetReaction
@@ -193,14 +194,8 @@ class Bend(StraightRoads):
     """A lane that turns left by a right angle on a radius of 10 m, from x = 0 on."""
 
     def lane(self, lane_id: str) -> LaneShape:
-        import numpy as np
-
         turn = [(10.0 * math.sin(a), 10.0 - 10.0 * math.cos(a)) for a in np.linspace(0.0, 0.5 * math.pi, 20)]
-        points = np.array([(-100.0, 0.0), *turn, (10.0, 100.0)])
-        length = float(np.hypot(*np.diff(points, axis=0).T).sum())
-        return LaneShape(
-            id=lane_id, edge_id="E", index=0, points_W_m=points, length_m=length, width_m=LANE_M, internal=False
-        )
+        return lane_shape(lane_id, [(-100.0, 0.0), *turn, (10.0, 100.0)], "E")
 
 
 def test_a_turning_car_stops_for_a_chair_round_the_corner_and_not_for_one_straight_on():

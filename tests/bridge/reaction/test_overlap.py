@@ -7,20 +7,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.bridge.reaction.roads import lane_shape as lane
 from wcsim.bridge.reaction.conflict import ROOM_M, SweptOverlap, _first_touches
 from wcsim.bridge.reaction.pedestrians import _Block, _block_around, _block_around_disc, _ways_round
-from wcsim.bridge.reaction.swept_path import STEP_M, LaneShape, OnLane, _lay_out
+from wcsim.bridge.reaction.swept_path import STEP_M, OnLane, _lay_out
 from wcsim.core.boxes import boxes_touch, gap_to_box
 
 GAPS_M = np.array([0.1, 0.4, 3.0])
-
-
-def lane(name: str, points, length_m=None) -> LaneShape:
-    points = np.array(points, np.float64)
-    own_m = float(np.hypot(*np.diff(points, axis=0).T).sum())
-    return LaneShape(
-        id=name, edge_id=name, index=0, points_W_m=points, length_m=length_m or own_m, width_m=3.2, internal=False
-    )
 
 
 def straight_tube(length_m=4.5):

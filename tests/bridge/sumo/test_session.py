@@ -24,6 +24,12 @@ def options(corner, **changes) -> SumoOptions:
     return SumoOptions(**{**plain, **changes})
 
 
+@pytest.fixture
+def sumo(corner):
+    with SumoSession(options(corner)) as session:
+        yield session
+
+
 def test_actors_come_with_their_own_size_and_kind(corner):
     with SumoSession(options(corner)) as sumo:
         for _ in range(40):
@@ -36,45 +42,42 @@ def test_actors_come_with_their_own_size_and_kind(corner):
     assert walker.size_lwh_m == pytest.approx((0.28, 0.48, 1.75))
 
 
-def test_speed_and_position_agree(corner):
-    with SumoSession(options(corner)) as sumo:
-        for _ in range(30):
-            sumo.step()
-        before = {actor.id: actor for actor in sumo.actors(NEAR, 500.0)}
+def test_speed_and_position_agree(sumo):
+    for _ in range(30):
         sumo.step()
-        both = [actor for actor in sumo.actors(NEAR, 500.0) if actor.id in before]
-        assert len(both) >= 2
-        for actor in both:
-            moved = (actor.p_W_m - before[actor.id].p_W_m)[:2]
-            assert np.linalg.norm(moved - 0.1 * actor.v_W_mps[:2]) < 0.06
+    before = {actor.id: actor for actor in sumo.actors(NEAR, 500.0)}
+    sumo.step()
+    both = [actor for actor in sumo.actors(NEAR, 500.0) if actor.id in before]
+    assert len(both) >= 2
+    for actor in both:
+        moved = (actor.p_W_m - before[actor.id].p_W_m)[:2]
+        assert np.linalg.norm(moved - 0.1 * actor.v_W_mps[:2]) < 0.06
 
 
-def test_only_actors_near_a_point_are_read(corner):
-    with SumoSession(options(corner)) as sumo:
-        for _ in range(40):
-            sumo.step()
-        everyone = sumo.actors(NEAR, 500.0)
-        near = sumo.actors(everyone[0].p_W_m[None, :2], 3.0)
-        assert everyone[0].id in {actor.id for actor in near}
-        assert len(near) < len(everyone)
-        assert sumo.actors(np.zeros((0, 2)), 500.0) == ()
+def test_only_actors_near_a_point_are_read(sumo):
+    for _ in range(40):
+        sumo.step()
+    everyone = sumo.actors(NEAR, 500.0)
+    near = sumo.actors(everyone[0].p_W_m[None, :2], 3.0)
+    assert everyone[0].id in {actor.id for actor in near}
+    assert len(near) < len(everyone)
+    assert sumo.actors(np.zeros((0, 2)), 500.0) == ()
 
 
-def test_a_held_car_stops_and_goes_on_when_let_go(corner):
-    with SumoSession(options(corner)) as sumo:
-        for _ in range(20):
-            sumo.step()
-        car = next(a for a in sumo.actors(NEAR, 500.0) if a.kind is ActorKind.CAR)
-        sumo.pilot.apply(ActorCommand(actor_id=car.id, speed_mps=0.0))
-        for _ in range(60):
-            sumo.step()
-        held = next(a for a in sumo.actors(NEAR, 500.0) if a.id == car.id)
-        assert np.linalg.norm(held.v_W_mps) < 0.01
-        sumo.pilot.apply(ActorCommand(actor_id=car.id, speed_mps=LET_GO))
-        for _ in range(20):
-            sumo.step()
-        freed = next(a for a in sumo.actors(NEAR, 500.0) if a.id == car.id)
-        assert np.linalg.norm(freed.v_W_mps) > 0.5
+def test_a_held_car_stops_and_goes_on_when_let_go(sumo):
+    for _ in range(20):
+        sumo.step()
+    car = next(a for a in sumo.actors(NEAR, 500.0) if a.kind is ActorKind.CAR)
+    sumo.pilot.apply(ActorCommand(actor_id=car.id, speed_mps=0.0))
+    for _ in range(60):
+        sumo.step()
+    held = next(a for a in sumo.actors(NEAR, 500.0) if a.id == car.id)
+    assert np.linalg.norm(held.v_W_mps) < 0.01
+    sumo.pilot.apply(ActorCommand(actor_id=car.id, speed_mps=LET_GO))
+    for _ in range(20):
+        sumo.step()
+    freed = next(a for a in sumo.actors(NEAR, 500.0) if a.id == car.id)
+    assert np.linalg.norm(freed.v_W_mps) > 0.5
 
 
 def test_a_second_session_is_refused_and_the_first_goes_on(corner):

@@ -21,16 +21,10 @@ def test_rows_are_appended_and_read_as_they_were(tmp_path: Path) -> None:
     assert path.read_text().count("participant,block,answer") == 1
 
 
-def test_a_spreadsheet_may_have_saved_it(tmp_path: Path) -> None:
+@pytest.mark.parametrize("end", [b"\r\n1,a,7\r\n\r\n", b"\n1,a,7"], ids=["spreadsheet", "no end of the last line"])
+def test_a_spreadsheet_or_an_editor_may_have_saved_it(tmp_path: Path, end: bytes) -> None:
     path = tmp_path / "a.csv"
-    path.write_bytes(b"participant,block,answer\r\n1,a,7\r\n\r\n")
-    append_row(path, COLUMNS, {"participant": "2"})
-    assert [row["participant"] for row in read_rows(path, COLUMNS)] == ["1", "2"]
-
-
-def test_a_row_is_one_of_its_own_though_an_editor_left_out_the_end_of_the_last(tmp_path: Path) -> None:
-    path = tmp_path / "a.csv"
-    path.write_bytes(b"participant,block,answer\n1,a,7")
+    path.write_bytes(b"participant,block,answer" + end)
     append_row(path, COLUMNS, {"participant": "2"})
     assert [(row["participant"], row["answer"]) for row in read_rows(path, COLUMNS)] == [("1", "7"), ("2", "")]
 

@@ -20,6 +20,7 @@ STREET = strip_street()
 BACK = Joystick(0.0, -1.0)
 KERB_X_M = 3.0  # of `step_street`
 BASE_M = 1.5  # the raster knows no heights below 0
+BOTH_PLANTS = pytest.mark.parametrize("plant", ["rwd", "mwd"])
 
 
 def raster(height_m) -> StreetGrid:
@@ -64,7 +65,7 @@ def drops(yard, ground, stick, ticks) -> bool:
     return False
 
 
-@pytest.mark.parametrize("plant", ["rwd", "mwd"])
+@BOTH_PLANTS
 @pytest.mark.parametrize("v_mps", [0.4, 0.7, 1.2, 1.67])
 @pytest.mark.parametrize(
     ("yaw_rad", "stick"),
@@ -77,7 +78,7 @@ def test_a_chair_that_drives_off_a_kerb_of_12_cm_falls(plant, v_mps, yaw_rad, st
         assert drops(yard, step_grid(-0.12), stick, round(10 * (4.5 / v_mps + 1.0)))
 
 
-@pytest.mark.parametrize("plant", ["rwd", "mwd"])
+@BOTH_PLANTS
 @pytest.mark.parametrize("rise_m", [-0.03, 0.03])
 @pytest.mark.parametrize("yaw_rad", [0.0, math.pi / 4], ids=["square", "diagonal"])
 def test_a_chair_takes_a_kerb_of_3_cm_up_and_down_and_its_bounce_is_no_fall(plant, rise_m, yaw_rad):
@@ -87,7 +88,7 @@ def test_a_chair_takes_a_kerb_of_3_cm_up_and_down_and_its_bounce_is_no_fall(plan
         assert yard.chair.state().p_WB_m[0] > KERB_X_M
 
 
-@pytest.mark.parametrize("plant", ["rwd", "mwd"])
+@BOTH_PLANTS
 @pytest.mark.parametrize(
     ("grade", "v_mps", "yaw_rad"),
     [(1 / 12, 1.67, 0.0), (1 / 8, 1.67, 0.0), (1 / 8, 1.67, math.pi / 4), (1 / 12, 2.78, 0.0), (1 / 8, 2.78, 0.0)],
@@ -100,7 +101,7 @@ def test_a_ramp_is_no_fall_however_long_it_is(plant, grade, v_mps, yaw_rad):
         assert yard.chair.state().p_WB_m[2] < -0.15
 
 
-@pytest.mark.parametrize("plant", ["rwd", "mwd"])
+@BOTH_PLANTS
 @pytest.mark.parametrize(
     ("x_m", "y_m", "yaw_deg", "v_mps", "falls"),
     [

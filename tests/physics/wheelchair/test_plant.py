@@ -23,7 +23,7 @@ from wcsim.physics.wheelchair.plant_body import urdf
 from wcsim.physics.wheelchair.wheelchair import Wheelchair
 
 RWD, MWD = (plant_spec(ChairConfig(plant=name)) for name in ("rwd", "mwd"))
-PLANTS = [pytest.param(RWD, id="rwd"), pytest.param(MWD, id="mwd")]
+EACH_SPEC = pytest.mark.parametrize("spec", [pytest.param(RWD, id="rwd"), pytest.param(MWD, id="mwd")])
 
 
 def user_file(folder: Path, old: str = "", new: str = "", plant: str = "rwd") -> str:
@@ -139,7 +139,7 @@ def test_a_controller_beyond_the_limits_of_its_plant_is_refused(key, value):
 # --- geometry ---
 
 
-@pytest.mark.parametrize("spec", PLANTS)
+@EACH_SPEC
 def test_the_outline_holds_all_that_collides(spec):
     with rig(plant="mwd" if len(spec.casters) == 2 else "rwd") as r:
         bullet, body = r.engine.bullet, r.chair.body_id
@@ -153,7 +153,7 @@ def test_the_outline_holds_all_that_collides(spec):
     assert outline.size_lwh_m == (outline.length_m, outline.width_m, outline.height_m)
 
 
-@pytest.mark.parametrize("spec", PLANTS)
+@EACH_SPEC
 def test_masses_centre_and_friction_are_those_of_the_file(spec):
     name = "mwd" if len(spec.casters) == 2 else "rwd"
     with rig(plant=name) as r:
@@ -170,7 +170,7 @@ def test_masses_centre_and_friction_are_those_of_the_file(spec):
     assert all(antitip.friction == friction["antitip"] for antitip in spec.antitips)
 
 
-@pytest.mark.parametrize("spec", PLANTS)
+@EACH_SPEC
 def test_the_urdf_names_every_part(spec):
     text = urdf(spec)
     assert text.count("<joint ") == 2 + 4 * len(spec.casters) + 2 * len(spec.antitips) + (

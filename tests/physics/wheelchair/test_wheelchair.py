@@ -22,9 +22,10 @@ from wcsim.physics.wheelchair.wheelchair import Wheelchair
 from wcsim.types import ActorKind, ClassId, Joystick
 
 START_TICKS = 30  # after these a chair cruises
+EACH_PLANT = pytest.mark.parametrize("plant", known_plants())
 
 
-@pytest.mark.parametrize("plant", known_plants())
+@EACH_PLANT
 def test_stands_within_5_mm_of_where_it_was_placed(plant):
     with rig(plant=plant) as r:
         ride = r.place(1.0, 2.0, yaw=0.7).drive(NEUTRAL, 10)
@@ -44,7 +45,7 @@ def test_stands_on_a_pavement_and_after_a_long_wait_still_obeys():
     assert ride.speed[-1] > 1.0
 
 
-@pytest.mark.parametrize("plant", known_plants())
+@EACH_PLANT
 def test_drives_straight_at_the_speed_asked_for(plant):
     with rig(plant=plant) as r:
         ride = r.place(-6.0).drive(FORWARD, 90)
@@ -55,7 +56,7 @@ def test_drives_straight_at_the_speed_asked_for(plant):
     assert not ride.contacts
 
 
-@pytest.mark.parametrize("plant", known_plants())
+@EACH_PLANT
 @pytest.mark.parametrize(("x", "y"), [(1.0, 0.0), (-1.0, 0.0), (0.6, 0.5)])
 def test_turns_at_the_rate_asked_for(x, y, plant):
     with rig(plant=plant) as r:
@@ -87,7 +88,7 @@ def test_reverses_straight_at_its_share_of_the_speed():
     assert abs(ride.end.yaw_rad) < 0.15  # the casters swing round on the way
 
 
-@pytest.mark.parametrize("plant", known_plants())
+@EACH_PLANT
 def test_stops_in_the_distance_that_its_limits_give(plant):
     with rig(plant=plant) as r:
         start = r.place(-6.0).drive(FORWARD, 40).p_m[-1][0]
@@ -176,7 +177,7 @@ def test_flat_ground_rides_smoothly_however_it_is_cut_into_triangles(street):
     assert np.abs(np.array(ride.p_m)[:, 2]).max() < 0.002
 
 
-@pytest.mark.parametrize("plant", known_plants())
+@EACH_PLANT
 def test_cruising_on_two_large_triangles_is_felt_by_no_axis(plant):
     with rig(plant=plant) as r:
         ride = r.place(-15.0).drive(FORWARD, 120)
@@ -196,7 +197,7 @@ def test_the_sample_street_rides_smoothly_down_a_lowered_kerb_and_up_again():
     assert not ride.contacts
 
 
-@pytest.mark.parametrize("plant", known_plants())
+@EACH_PLANT
 def test_a_parked_chair_stays_out_of_the_way_and_comes_back(plant):
     with rig(plant=plant) as r:
         r.drive(FORWARD, 5)

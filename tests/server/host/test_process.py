@@ -68,17 +68,22 @@ def drive_through(link, ticks=30):
     return restarts
 
 
-def test_a_world_that_is_killed_comes_back_and_no_step_is_lost_or_doubled(tmp_path):
-    order = stand_in_order(tmp_path, run=str(tmp_path / "run"), rules=BOTH)
-    with two_linked(order, tmp_path) as (server, links, held):
+def killed_after(ticks, folder, **world):
+    """The journal of a world that was killed after so many ticks, and came back for 29 more."""
+    order = stand_in_order(folder, run=str(folder / "run"), rules=BOTH, **world)
+    with two_linked(order, folder) as (server, links, held):
         server.status()
-        assert [seen.tick for seen in driven(links, 20)] == [20, 20]
+        assert [seen.tick for seen in driven(links, ticks)] == [ticks, ticks]
         server.kill()
         server.start()
         assert together(links, drive_through) == [1, 1]
         assert (links[0].epoch, links[0].join().tick) == (1, 29)
         _ended(server, held)
-    records = audited(tmp_path)
+    return audited(folder)
+
+
+def test_a_world_that_is_killed_comes_back_and_no_step_is_lost_or_doubled(tmp_path):
+    records = killed_after(20, tmp_path)
     assert [len(read_whole(part).records) > 20 for part in part_files(tmp_path / "run" / JOURNAL)] == [True, True]
     assert [record.epoch for record in records if isinstance(record, EpochBegun)] == [0, 1]
     assert isinstance(records[-1], Ended)
@@ -86,15 +91,7 @@ def test_a_world_that_is_killed_comes_back_and_no_step_is_lost_or_doubled(tmp_pa
 
 @pytest.mark.proof
 def test_a_real_world_that_was_killed_and_the_next_one_are_verified(tmp_path, corner):
-    order = stand_in_order(tmp_path, run=str(tmp_path / "run"), rules=BOTH, town=str(corner))
-    with two_linked(order, tmp_path) as (server, links, held):
-        server.status()
-        driven(links, 15)
-        server.kill()
-        server.start()
-        assert together(links, drive_through) == [1, 1]
-        _ended(server, held)
-    audited(tmp_path)
+    killed_after(15, tmp_path, town=str(corner))
     verified = verify(tmp_path / "run" / JOURNAL, None, 0, None)
     assert (verified.ticks, verified.mismatches) == (44, 0)
 
@@ -118,14 +115,20 @@ def test_a_client_that_hangs_is_given_up_and_the_other_goes_on(tmp_path):
             links[0].act(0, AHEAD)
 
 
+@contextmanager
+def two_processes(folder, remote=True):
+    """A world, its two clients as processes of their own, and its first word of them that drive."""
+    order = stand_in_order(folder, rules=BOTH, listen="tcp://127.0.0.1:*")
+    with Server(order, folder) as server, ExitStack() as held:
+        address = server.status().listening if remote else order.endpoint
+        seats = [replace(seat, endpoint=address) for seat in two_seats(server, folder)]
+        clients = {seat.name: held.enter_context(stub_client(seat, folder)) for seat in seats}
+        yield server, clients, server.status(lambda s: s.ticks > 10)
+
+
 @pytest.mark.parametrize(("victim", "remote"), [("a", True), ("b", False)], ids=["a-tcp", "b-ipc"])
 def test_a_client_that_is_killed_does_not_stop_the_other(tmp_path, victim, remote):
-    order = stand_in_order(tmp_path, rules=BOTH, listen="tcp://127.0.0.1:*")
-    with Server(order, tmp_path) as server, ExitStack() as held:
-        address = server.status().listening if remote else order.endpoint
-        seats = [replace(seat, endpoint=address) for seat in two_seats(server, tmp_path)]
-        clients = {seat.name: held.enter_context(stub_client(seat, tmp_path)) for seat in seats}
-        running = server.status(lambda s: s.ticks > 10)
+    with two_processes(tmp_path, remote) as (server, clients, running):
         assert running.members == ("a", "b")
         clients[victim].kill()
         alone = server.status(lambda s: len(s.members) == 1 and s.tick > running.tick)  # long before the lease ends
@@ -135,15 +138,10 @@ def test_a_client_that_is_killed_does_not_stop_the_other(tmp_path, victim, remot
 
 
 def test_a_client_on_another_machine_that_is_stopped_for_a_while_keeps_its_seat(tmp_path):
-    order = stand_in_order(tmp_path, rules=BOTH, listen="tcp://127.0.0.1:*")
-    with Server(order, tmp_path) as server, ExitStack() as held:
-        address = server.status().listening
-        seats = [replace(seat, endpoint=address) for seat in two_seats(server, tmp_path)]
-        _, b = [held.enter_context(stub_client(seat, tmp_path)) for seat in seats]
-        server.status(lambda s: s.ticks > 10)
-        b.send_signal(signal.SIGSTOP)
+    with two_processes(tmp_path) as (server, clients, _):
+        clients["b"].send_signal(signal.SIGSTOP)
         time.sleep(8.0)  # longer than a cut would take to be noticed
-        b.send_signal(signal.SIGCONT)
+        clients["b"].send_signal(signal.SIGCONT)
         stopped = server.status()
         assert server.status(lambda s: s.tick > stopped.tick).members == ("a", "b")
 

@@ -204,11 +204,18 @@ def test_nobody_there_is_said_in_time(tmp_path):
         a.join()
 
 
+@contextmanager
+def sole_client(folder, **order):
+    """A stand-in for a world, and a client that is in it alone."""
+    with Server(stand_in_order(folder, **order), folder) as server, SocketSeat(server.seat("a")) as a:
+        a.join()
+        yield server, a
+
+
 @pytest.mark.parametrize("works", [False, True])
 def test_a_client_that_is_to_end_does_not_wait_for_a_world_that_does_not_answer(tmp_path, works):
     """Also one that learns while it waits, in whose stead another thread listens."""
-    with Server(stand_in_order(tmp_path), tmp_path) as server, SocketSeat(server.seat("a")) as a:
-        a.join()
+    with sole_client(tmp_path) as (server, a):
         server.kill()
         a.send(0, AHEAD)
         if works:
@@ -221,8 +228,7 @@ def test_a_client_that_is_to_end_does_not_wait_for_a_world_that_does_not_answer(
 
 def test_a_client_says_that_its_world_is_gone_long_before_it_gives_up(tmp_path, monkeypatch, caplog):
     monkeypatch.setattr("wcsim.server.links.socket._CUT_S", 0.3)
-    with Server(stand_in_order(tmp_path), tmp_path) as server, SocketSeat(server.seat("a")) as a:
-        a.join()
+    with sole_client(tmp_path) as (server, a):
         a.core.patience = replace(QUICK, reconnect_s=4.0)
         server.kill()
         with pytest.raises(ServerGoneError, match="silent"):
@@ -234,9 +240,7 @@ def test_a_client_says_that_its_world_is_gone_long_before_it_gives_up(tmp_path, 
 def test_a_world_that_nobody_can_start_again_is_given_up_soon(tmp_path, monkeypatch, launcher_lives):
     monkeypatch.setattr("wcsim.server.links.base.LEAVING_S", 0.5)
     place = OwnFolder(tmp_path)
-    order = stand_in_order(tmp_path, endpoint=endpoint_in(place.path))
-    with Server(order, tmp_path) as server, SocketSeat(server.seat("a")) as a:
-        a.join()
+    with sole_client(tmp_path, endpoint=endpoint_in(place.path)) as (server, a):
         a.core.patience = replace(QUICK, reconnect_s=3.0)
         server.kill()
         if not launcher_lives:
@@ -248,8 +252,7 @@ def test_a_world_that_nobody_can_start_again_is_given_up_soon(tmp_path, monkeypa
 
 def test_a_client_that_is_asked_to_end_gives_up_a_silent_world_sooner(tmp_path, monkeypatch):
     monkeypatch.setattr("wcsim.server.links.base.LEAVING_S", 0.5)
-    with Server(stand_in_order(tmp_path), tmp_path) as server, SocketSeat(server.seat("a")) as a:
-        a.join()
+    with sole_client(tmp_path) as (server, a):
         a.wait_less()
         assert a.act(0, AHEAD).tick == 1, "one that answers is waited for"
         server.kill()
@@ -259,8 +262,7 @@ def test_a_client_that_is_asked_to_end_gives_up_a_silent_world_sooner(tmp_path, 
 
 
 def test_a_client_that_is_to_end_takes_an_answer_that_is_there(tmp_path):
-    with Server(stand_in_order(tmp_path), tmp_path) as server, SocketSeat(server.seat("a")) as a:
-        a.join()
+    with sole_client(tmp_path) as (_, a):
         a.wait_no_more()
         assert a.core.master and not a.core.waiting
         assert a.join().tick == 0

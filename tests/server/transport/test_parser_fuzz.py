@@ -13,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmarks.barrier.fake_world import FakeWorld
+from tests.attack.scenarios.twists import Rng, integer, pick
 from tests.server.protocol.test_messages import REPLIES, REQUESTS
 from tests.server.servers import AHEAD, Server, stand_in_order
 from tests.support.worlds import quick_config
@@ -33,18 +34,18 @@ HUGE = [b"\xc6\xff\xff\xff\xff", b"\xdd\xff\xff\xff\xff", b"\xdf\xff\xff\xff\xff
 NESTED = [b"\x91" * 100_000, b"\x81\xa1x" * 50_000, b"\x92\xa4Join" + b"\x91" * 5_000]
 
 
-def mutated(rng: np.random.Generator) -> bytes:
+def mutated(rng: Rng) -> bytes:
     """A valid message with some bytes changed, cut off, doubled or moved."""
-    data = bytearray(VALID[int(rng.integers(len(VALID)))])
+    data = bytearray(pick(rng, VALID))
     for _ in range(int(rng.integers(1, 4))):
-        at = int(rng.integers(len(data) + 1))
-        match int(rng.integers(5)):
+        at = integer(rng, len(data) + 1)
+        match integer(rng, 5):
             case 0 if at < len(data):
-                data[at] ^= 1 << int(rng.integers(8))
+                data[at] ^= 1 << integer(rng, 8)
             case 1:
                 del data[at:]
             case 2:
-                data[at:at] = HUGE[int(rng.integers(len(HUGE)))]
+                data[at:at] = pick(rng, HUGE)
             case 3:
                 data += data[at:]
             case _:
@@ -125,9 +126,9 @@ class Vandal(threading.Thread):
                     if socket.poll(200):
                         self._listen(socket)
 
-    def _spoil(self, socket: zmq.Socket[bytes], rng: np.random.Generator) -> None:
+    def _spoil(self, socket: zmq.Socket[bytes], rng: Rng) -> None:
         choices = [rng.bytes(30), b"", VALID[-1], VALID[0], *self._seen[-20:], *self._seen[:1]]
-        data = choices[int(rng.integers(len(choices)))]
+        data = pick(rng, choices)
         parts = [data, data] if rng.integers(8) == 0 else [data]
         if rng.integers(40) == 0:
             parts = [bytes(m.MAX_REQUEST_BYTES + 100)]

@@ -194,26 +194,11 @@ def _words(root: Element, rng: Generator) -> None:
 
 
 TREE: Mapping[str, Tree] = {
-    name.strip("_"): change
-    for name, change in {
-        "drop": _drop,
-        "drop_kind": _drop_kind,
-        "double": _double,
-        "move": _move,
-        "drop_attribute": _drop_attribute,
-        "nasty_attribute": _nasty_attribute,
-        "nasty_attribute_": _nasty_attribute,
-        "nasty_everywhere": _nasty_everywhere,
-        "swap_values": _swap_values,
-        "swap_ids": _swap_ids,
-        "wrong_reference": _wrong_reference,
-        "rename": _rename,
-        "wrong_root": _wrong_root,
-        "empty": _empty,
-        "reverse": _reverse,
-        "deep": _deep,
-        "words": _words,
-    }.items()
+    change.__name__.strip("_"): change
+    for change in (
+        *(_drop, _drop_kind, _double, _move, _drop_attribute, _nasty_attribute, _nasty_everywhere, _swap_values),
+        *(_swap_ids, _wrong_reference, _rename, _wrong_root, _empty, _reverse, _deep, _words),
+    )
 }
 
 

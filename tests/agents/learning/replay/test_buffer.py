@@ -16,12 +16,10 @@ from wcsim.agents.learning.replay import frame_store
 from wcsim.agents.learning.replay.buffer import FrameReplay
 from wcsim.agents.learning.replay.frame_store import _PackedFrames, _RawFrames
 from wcsim.errors import PolicyError
+from wcsim.supervisor.observation import observation_space
 
 H, W = 2, 3
-SPACE = gym.spaces.Dict(
-    seg=gym.spaces.Box(0, 255, (1, H, W), np.uint8), depth=gym.spaces.Box(0, 255, (1, H, W), np.uint8),
-    imu=gym.spaces.Box(-1, 1, (5,), np.float32), joystick=gym.spaces.Box(-1, 1, (2,), np.float32),
-)  # fmt: skip
+SPACE = observation_space("compact", W, H)
 ENDS = ("go", "go", "go", "go", "crash", "limit", "reset")
 
 

@@ -15,6 +15,8 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 
 import wcsim
 from tests.agents.driven import driven
+from tests.agents.learning.replay.test_buffer import H, W
+from tests.agents.learning.replay.test_buffer import observation as frame
 from tests.agents.learning.test_train import weights
 from tests.agents.policies.test_baselines import box, ground, looking_at
 from tests.agents.toy import ToyStreet, WindowedStreet, a_run, load_checkpoint, memory_of, same_from_here_on, toy_camera
@@ -36,17 +38,9 @@ from wcsim.errors import ConfigError, InterruptedRunError, PolicyError
 from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.observation import observation_space
 
-H, W = 2, 3
 KEYS = ("seg", "depth")
 CAMERA = toy_camera(16, 20)
 CONFIG = RunConfig(cameras=(CAMERA,), env=EnvConfig(window=3))
-
-
-def frame(number):
-    """A compact observation that is told apart by one number."""
-    image = np.full((1, H, W), number % 251, np.uint8)
-    joystick = np.array([number / 5000, 0], np.float32)
-    return {"seg": image, "depth": image // 2, "imu": np.zeros(5, np.float32), "joystick": joystick}
 
 
 def numbers(observation):
