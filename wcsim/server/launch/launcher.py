@@ -70,6 +70,7 @@ class Launcher:
         self._step = _LaunchStep.RUN
         self._since_s = 0.0  # of this step
         self._waits_end = self._asked_world = False
+        self._ticked = world is None  # or somebody else looks after it
         self._given, self._heard = signals, StopSignals() if signals is None else signals
         self._asked, self._shown_s = 0, 0.0
         self._stopped = False
@@ -117,6 +118,7 @@ class Launcher:
     def _look(self, now_s: float) -> None:
         if self._world is not None:
             self._world.look(now_s)
+        self._ticked |= self._ticks
         for client in self._clients:
             client.see(self._world.status if self._world is not None and self._world.running else None)
             client.look(now_s)
@@ -132,12 +134,13 @@ class Launcher:
 
     def _run_on(self, now_s: float) -> None:
         """Go on, unless there is a reason to end."""
-        if faulty := next((process for process in reversed(self._all) if process.fault), None):
+        each = (*self._clients, *(() if self._world is None else (self._world,)))
+        if faulty := next((process for process in each if process.fault), None):
             self._end_clients(now_s, 2 if faulty.refused else 1, faulty.fault)
         elif self._signals:
             self._stopped = True
             self._end_clients(now_s, 0, "stopped")
-        elif any(client.standing == "given up" and client.status is None for client in self._clients):
+        elif not self._ticked and any(client.standing == "given up" for client in self._clients):
             self._end_clients(now_s, *self._verdict())  # the first tick would wait for it
         elif self._clients and all(client.settled for client in self._clients):
             self._code, self._message = self._verdict()
