@@ -134,6 +134,7 @@ class Launcher:
 
     def _run_on(self, now_s: float) -> None:
         """Go on, unless there is a reason to end."""
+        # The clients first: their words say more than the world's.
         if faulty := next((each for each in [*self._clients, *self._all] if each.fault), None):
             self._end_clients(now_s, 2 if faulty.refused else 1, faulty.fault)
         elif self._signals:
