@@ -1,5 +1,9 @@
+import re
+
 import pytest
 
+from tools.readability import ROOT
+from wcsim.cli.main import main
 from wcsim.config import CONFIG_FILE, RunConfig, TownFile, parse, read_toml, resolve
 from wcsim.config.plant import PlantFile, read_plant
 from wcsim.config.run_file import ManifestFile, PolicyFile
@@ -13,6 +17,16 @@ def test_a_shared_world_lives_for_ten_episodes(preset):
     config = resolve(preset)
     assert config.epoch_ticks >= 10 * config.learn.episode_steps
     assert resolve(config, ("world.epoch_ticks=50",)).epoch_ticks == 50, "what a user asks for is taken as it is"
+
+
+def test_the_table_of_presets_is_that_of_the_page(capsys):
+    assert main(["train-q", "--preset"]) == 0
+    table = capsys.readouterr().out
+    assert table in (ROOT / "docs" / "learning.md").read_text(encoding="utf-8")
+    for name, steps in re.findall(r"^\| `(\w+)` .*? \| ([\d,]+) \|", table, re.MULTILINE):
+        learn, collect = resolve(name).learn, resolve(name).collect
+        driven = collect.rounds * collect.segments * collect.ticks * collect.chairs
+        assert steps == f"{driven if learn.head == 'danger' else learn.total_steps:,}"
 
 
 def test_an_override_reaches_its_key_and_nothing_else():

@@ -109,7 +109,7 @@ class LearnConfig(Model):
     process_growth_mb: Annotated[float, Field(ge=10.0, le=10**6, exclude_if=lambda mb: mb == PROCESS_GROWTH_MB)] = (
         PROCESS_GROWTH_MB  # Memory in MB, beyond a full replay, after which a client's process is restarted.
     )
-    memory: Literal["steps", "groups", "windows"] = "steps"  # What the replay samples (docs/replay.md).
+    memory: Literal["steps", "groups", "windows"] = "steps"  # What the replay samples (docs/learning.md).
     group_steps: Annotated[int, within(1, 1_000)] = 16  # Consecutive steps in a group.
     burn_in: Annotated[int, within(0, 1_000)] = 8  # Steps before a group that run without loss, to warm up the state.
     learning_starts: StepsOrNone = 500  # Steps before the first update.

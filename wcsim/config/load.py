@@ -24,6 +24,8 @@ _VALUE = FileKind(what="a value in TOML's syntax", limit_bytes=1 << 20)
 
 _PLANTS = Path(__file__).parent / "plants"
 
+_PRESETS = Path(__file__).parent / "presets"
+
 _SPEED = {"profile", "v_max_mps"}  # a plant that says one of them sets both
 
 _FAULTS = 12  # that are told of one file
@@ -96,11 +98,15 @@ def _tables(layer: Layer) -> list[tuple[str, dict[str, Any]]]:
     return [(f"--set {escaped(text)}", _override(text)) for text in texts]
 
 
+def presets() -> str:
+    """What each preset learns from, for how long, and what came of it: a table in Markdown."""
+    return (_PRESETS / "presets.md").read_text(encoding="utf-8")
+
+
 def _preset(name: str) -> tuple[str, dict[str, Any]]:
-    folder = Path(__file__).parent / "presets"
-    path = folder / f"{name}.toml"
+    path = _PRESETS / f"{name}.toml"
     if not path.is_file():
-        known = sorted(item.stem for item in folder.glob("*.toml"))
+        known = sorted(item.stem for item in _PRESETS.glob("*.toml"))
         told = f"unknown preset {escaped(name)!r}; expected one of: {', '.join(known)}"
         raise ConfigError(told + meant(name, known))
     return f"preset {name}", reading.read_toml(path, CONFIG_FILE)

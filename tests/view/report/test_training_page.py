@@ -103,10 +103,10 @@ def test_rounds_of_danger_networks_are_drawn_beside_the_episodes_of_others(tmp_p
     told = "danger: 2 rounds, 11000 steps, 100 updates, loss 0.500, 1.0 crashes per 1000 steps"
     assert told in capsys.readouterr().out
     page = (danger / "report.html").read_text(encoding="utf-8")
-    assert "Rounds of driving and learning" in page and "Fig. 7" not in page
-    with (danger / "report" / "round-crashes.csv").open() as file:
-        rates = [(found["round"], float(found["crashes per 1,000 steps"])) for found in csv.DictReader(file)]
-    assert rates == [("1", 4.0), ("2", 1.0)], "counted as in the terminal"
+    assert "Rounds of driving and learning" in page and "Fig. 7a" not in page
+    with (danger / "report" / "fig-7b-rounds.csv").open() as file:
+        alive = [(found["round"], float(found["steps between crashes"])) for found in csv.DictReader(file)]
+    assert alive == [("1", 250.0), ("2", 1000.0)], "as the terminal counts crashes"
     log(values, row(10), row(20))
     assert main(["report", "danger", "values"]) == 0
     both = (tmp_path / "runs" / "report" / "report.html").read_text(encoding="utf-8")

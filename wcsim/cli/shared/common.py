@@ -17,7 +17,7 @@ from typing import Annotated, Any, TypeVar, get_args, get_type_hints
 import tyro
 from tyro.conf import FlagCreatePairsOff, Positional, UseAppendAction, arg
 
-from wcsim.config.load import sets_key
+from wcsim.config.load import presets, sets_key
 from wcsim.core.files import can_be_written, standing, whole_file
 from wcsim.core.reading import escaped, is_folder
 from wcsim.errors import ConfigError, meant, nearest
@@ -133,7 +133,7 @@ class SettingsOptions:
     """Settings over a preset."""
 
     preset: str = "quick"
-    """Preset to start from: quick, laptop, best, reward, dqn or paper."""
+    """Preset to start from: quick, laptop, best, reward, dqn or paper. Without a name: a table of all."""
     config: InFile = None
     """TOML file with settings that override the preset."""
     set: Repeated = ()
@@ -163,6 +163,9 @@ def parse(options: type[T], words: list[str], command: str, program: str = "wcsi
     the work than after it. So it does for an option that is a word without a name, such as TOWN.
     """
     _require_bare(options, words, command)
+    if issubclass(options, SettingsOptions) and words[-1:] == ["--preset"]:
+        print(presets(), end="")
+        raise SystemExit(0)
     prog = f"{program} {command}"
     parsed = tyro.cli(options, args=words, prog=prog, description=inspect.getdoc(options), registry=_numbers())
     for name, notes in _notes(options).items():

@@ -40,8 +40,13 @@ _THOUSAND: Final = 1000.0
 
 def _rounds(runs: Runs) -> _Section:
     loss = _round_figure(runs, "round-loss", "loss", lambda each: each.loss)
-    crashes = _round_figure(runs, "round-crashes", "crashes per 1,000 steps", _crash_rate)
-    return "rounds", "Rounds of driving and learning", (loss, crashes, _round_table(runs))
+    alive = _round_figure(runs, "fig-7b-rounds", "steps between crashes", _alive)
+    return "rounds", "Rounds of driving and learning", (alive, loss, _round_table(runs))
+
+
+def _alive(each: TrainedRound) -> float:
+    """Steps that a round added for each of its crashes; NaN without one."""
+    return each.new_steps / each.crashes if each.crashes else math.nan
 
 
 def _crash_rate(each: TrainedRound) -> float:
