@@ -452,6 +452,7 @@ def test_a_film_has_the_pace_of_its_own_tick(face):
 
 def test_wrong_settings_are_named_before_a_world_is_made():
     for wrong, told in (
+        ({"preset": "nope"}, "unknown preset 'nope'; expected one of: best, dqn, laptop, paper, quick"),
         ({"overrides": ("env.colour=1",)}, "unknown key 'env.colour'"),
         ({"overrides": ('env.profile="nobody"',)}, "unknown user profile 'nobody'; expected one of: competent"),
         ({"render_mode": "human"}, "expected 'rgb_array'"),

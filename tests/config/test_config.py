@@ -23,7 +23,9 @@ def test_the_table_of_presets_is_that_of_the_page(capsys):
     assert main(["train-q", "--preset"]) == 0
     table = capsys.readouterr().out
     assert table in (ROOT / "docs" / "learning.md").read_text(encoding="utf-8")
-    for name, steps in re.findall(r"^\| `(\w+)` .*? \| ([\d,]+) \|", table, re.MULTILINE):
+    told = re.findall(r"^\| `(\w+)` .*? \| ([\d,]+) \|", table, re.MULTILINE)
+    assert [name for name, _ in told] == ["quick", "laptop", "best", "reward", "dqn", "paper"]
+    for name, steps in told:
         learn, collect = resolve(name).learn, resolve(name).collect
         driven = collect.rounds * collect.segments * collect.ticks * collect.chairs
         assert steps == f"{driven if learn.head == 'danger' else learn.total_steps:,}"

@@ -90,7 +90,7 @@ class _RoundsOptions(_TrainingOptions):
     """
 
     preset: str = "quick"
-    """Preset to start from: quick, laptop, best or reward."""
+    """Preset to start from: quick, laptop, best or reward. Without a name: a table of all."""
     data: Repeated = ()
     """Data folder of `wcsim collect` that the network also learns from, as collect.data."""
     worlds: Worlds = None
@@ -309,7 +309,7 @@ class LearnerOptions(SettingsOptions):
     """What everybody takes who learns by Q-learning."""
 
     preset: str = "dqn"
-    """Preset to start from: dqn or paper."""
+    """Preset to start from: dqn or paper. Without a name: a table of all."""
     reward: Annotated[Repeated, Finds(find_reward_term)] = ()
     """Your own reward term as module:Class, added to the paper's terms."""
     steps: Steps = None
