@@ -20,7 +20,7 @@ from wcsim.agents.runs.data_folder import ORACLE, joined
 from wcsim.config.run_file import DangerRule
 from wcsim.errors import PolicyError
 
-AHEAD, CLEAR = 6, 12
+AHEAD, CLEAR, TICK_S = 6, 12, 0.1
 AHEAD_STICK, LEFT, REST = (ACTIONS.nearest(stick) for stick in ((0.0, 1.0), (-1.0, 0.0), (0.0, 0.0)))
 WORDS = ("danger.teacher=crashes", f"danger.ahead={AHEAD}")
 
@@ -40,9 +40,9 @@ def driven(sticks, *, delay=0, crashed=False, own=True):
     )
 
 
-def told(sticks, **how):
+def told(sticks, tick_s=TICK_S, **how):
     """The label of each executed position."""
-    labels = _happened(driven(sticks, **how), ACTIONS, AHEAD)
+    labels = _happened(driven(sticks, **how), ACTIONS, AHEAD, tick_s)
     return "".join("01?"[label] for label in labels[np.arange(len(sticks)), sticks])
 
 
@@ -57,10 +57,12 @@ def test_nobody_knows_what_follows_a_cut_or_would_have_come_without_the_others()
     for how in ({}, {"crashed": True, "own": False}):
         assert told([AHEAD_STICK] * 20, **how) == "0" * 7 + "?" * 13
     assert told([AHEAD_STICK, LEFT, LEFT] * 10) == "?" * 30, "none of them was held for half a second"
+    held = ([AHEAD_STICK] * 7 + [LEFT] * 7) * 2
+    assert "0" in told(held) and "0" not in told(held, tick_s=0.05), "seven ticks of 0.05 s are less"
 
 
 def test_positions_beside_the_executed_one_share_its_label_and_all_others_have_none():
-    labels = _happened(driven([REST] * 20, crashed=True), ACTIONS, AHEAD)
+    labels = _happened(driven([REST] * 20, crashed=True), ACTIONS, AHEAD, TICK_S)
     near = np.abs(ACTIONS.points).sum(axis=1) <= 0.25
     assert near.sum() == 5 and (labels[-1, near] == 1).all() and (labels[0, near] == 0).all()
     assert (labels[:, ~near] == UNKNOWN).all()
@@ -77,7 +79,7 @@ episodes = st.lists(
 @given(episodes, st.integers(0, 3), st.integers(0, 2**32 - 1))
 def test_an_episode_is_judged_by_itself_and_neither_wish_nor_driver_nor_oracle_counts(found, delay, seed):
     parts = [driven(sticks, delay=delay, crashed=crashed) for sticks, crashed in found]
-    alone = [_happened(part, ACTIONS, AHEAD) for part in parts]
+    alone = [_happened(part, ACTIONS, AHEAD, TICK_S) for part in parts]
     rng, whole = np.random.default_rng(seed), joined(parts)
     other = replace(
         whole,
@@ -86,7 +88,7 @@ def test_an_episode_is_judged_by_itself_and_neither_wish_nor_driver_nor_oracle_c
         truth=rng.integers(0, 256, (len(whole), 81)).astype(np.uint8),
     )
     for segment in (whole, other):
-        assert np.array_equal(_happened(segment, ACTIONS, AHEAD), np.concatenate(alone))
+        assert np.array_equal(_happened(segment, ACTIONS, AHEAD, TICK_S), np.concatenate(alone))
 
 
 def test_what_the_oracle_drove_and_data_without_labels_are_refused():

@@ -107,6 +107,7 @@ def test_variants_are_drawn_by_key():
         ("world.attention_share=0.7 cameras.0.width=3", "unknown key"),
         ("vary.action_delay_ticks=[0, 2]", "no blanks within a value"),
         ("world.attention_share=2", "less than or equal to 1"),
+        ("env.actions=stick", "unknown action set 'stick'"),
     ],
 )
 def test_a_variant_that_cannot_be_used_is_named_before_anything_is_driven(variant: str, told: str):

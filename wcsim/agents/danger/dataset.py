@@ -18,7 +18,6 @@ from wcsim.agents.danger.street_map import (
     PLANES,
     SIDE,
     SLICES,
-    STEP_S,
     FeatureExtractor,
     sweep,
 )
@@ -52,7 +51,7 @@ def _frame_windows(ended: Bool, frames: int) -> I64:
     return seen
 
 
-def _happened(segment: Segment, actions: ActionSet, ahead: int) -> U8:
+def _happened(segment: Segment, actions: ActionSet, ahead: int, tick_s: float) -> U8:
     """(N, A) what became of the positions that were executed: 1 a crash of the chair's own fault, 0 none, or UNKNOWN.
 
     It is known of the executed one and its neighbours alone. 1: the position was held, or held and let go, until the
@@ -66,7 +65,7 @@ def _happened(segment: Segment, actions: ActionSet, ahead: int) -> U8:
     acts = end - rows - segment.delay.astype(np.int64)
     held, kept = np.zeros_like(rows), np.zeros_like(rows)
     rests = np.linalg.norm(points, axis=1) <= _SHARED
-    hold = round(HOLD_S / STEP_S) - 1
+    hold = max(0, round(HOLD_S / tick_s) - 1)
     for step in range(1, max(ahead, hold) + 1):
         later, there = np.minimum(rows + step, end), rows + step <= end
         let_go = there & rests[later]
@@ -158,7 +157,7 @@ class Dataset:
             if (segment.driver == ORACLE).any() or segment.action.max() >= actions:
                 told = f"a segment was driven by the oracle, or with actions beyond {actions}"
                 raise PolicyError(f"{told}; danger.teacher=crashes expected users and networks: collect it again")
-            return _happened(segment, self._actions, danger.ahead)
+            return _happened(segment, self._actions, danger.ahead, self._config.world.tick_s)
         if labels != actions:
             told = f"a segment has labels for {labels} actions; expected {actions}"
             raise PolicyError(f"{told}: collect it again, with an oracle as danger.teacher")

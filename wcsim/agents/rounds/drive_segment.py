@@ -110,10 +110,10 @@ def require_recordable(config: RunConfig) -> None:
         raise ConfigError(f"{told}; expected compact")
     if config.eye != config.cameras[0]:
         raise ConfigError(f"env.camera={config.env.camera}: training data is of the first camera; expected no other")
-    _require_no_oracle(config)
+    _require_drivable(config)
     for variant in config.collect.variants:
         try:
-            _require_no_oracle(resolve(config, tuple(variant.split())))
+            _require_drivable(resolve(config, tuple(variant.split())))
         except ConfigError as error:
             raise ConfigError(
                 f"collect.variants: {escaped(variant)!r} cannot be used ({error}); expected section.key=value, several "
@@ -121,7 +121,8 @@ def require_recordable(config: RunConfig) -> None:
             ) from None
 
 
-def _require_no_oracle(config: RunConfig) -> None:
+def _require_drivable(config: RunConfig) -> None:
+    action_set(config.env.actions)  # any stick has no label
     if config.danger.teacher == "crashes" and config.collect.follow_share < 1.0:
         told = f"danger.teacher=crashes, but collect.follow_share={config.collect.follow_share:g} lets the oracle drive"
         raise ConfigError(f"{told}; expected 1: users, and then the network, drive alone")

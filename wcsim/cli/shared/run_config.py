@@ -153,7 +153,7 @@ def how_it_learns(config: RunConfig) -> str:
             who, what = "simulated users and the network drive", "crashes that happened, without an oracle"
         return (
             f"{counted(collect.rounds, 'round')} of {collect.segments} x {collect.ticks} ticks with {collect.chairs} "
-            f"chairs: {who}. A network learns from {what}, in "
+            f"chairs, fewer in scenes: {who}. A network learns from {what}, in "
             f"{config.danger.updates} updates per round: which joystick positions end badly."
         )
     aid = " and from an oracle's labels (learn.aid=oracle)" if learn.aid == "oracle" else ""
