@@ -353,6 +353,7 @@ def test_a_place_that_turns_out_to_be_closed_is_named_after_the_work(wcsim, fold
         ("video", corner, "--seconds", "0.1", "--width", "64", "--out", "/proc/nowhere/x.webm"),
     ):
         refused(wcsim(*words), "/proc/nowhere")
+    assert files_in(folder) == set()
 
 
 # --- imports ---

@@ -102,8 +102,8 @@ def require_recordable(config: RunConfig) -> None:
     """Refuse settings with which segments could not be driven, before anything is made for them.
 
     Raises:
-        ConfigError: The chairs would not see what data is made of, the oracle would drive though nobody asks it, or a
-            variant cannot be used.
+        ConfigError: The chairs would not see what data is made of or may give any stick, the oracle would drive though
+            nobody asks it, or a variant cannot be used.
     """
     if config.env.observation != "compact":
         told = f"env.observation={config.env.observation}: training data consists of class ids and depth"
@@ -122,7 +122,7 @@ def require_recordable(config: RunConfig) -> None:
 
 
 def _require_drivable(config: RunConfig) -> None:
-    action_set(config.env.actions)  # any stick has no label
+    action_set(config.env.actions)  # labels are of its positions: any stick has none
     if config.danger.teacher == "crashes" and config.collect.follow_share < 1.0:
         told = f"danger.teacher=crashes, but collect.follow_share={config.collect.follow_share:g} lets the oracle drive"
         raise ConfigError(f"{told}; expected 1: users, and then the network, drive alone")
