@@ -2,11 +2,13 @@
 
 Eight chairs of one street learn together from numbers (`env.observation=state`). Read it, then change it.
 Each choice is held for half a second: the user's stick, or one of nine others. At first the user's is the likeliest.
+Its weights are kept in `cleanrl_ppo.pt`; `state_policy.py` drives with them.
 """
 
 import sys
 import time
 from collections.abc import Iterator
+from pathlib import Path
 
 import gymnasium
 import numpy as np
@@ -16,6 +18,7 @@ from torch.distributions import Categorical
 
 import wcsim
 
+WEIGHTS = Path("cleanrl_ppo.pt")
 SETTINGS = ("env.observation=state", "env.actions=stick", "env.max_steps=600")
 CHAIRS, HOLD, ROLLOUT, EPOCHS, BATCHES = 8, 5, 128, 6, 4  # HOLD in steps, ROLLOUT in choices
 ACTOR_RATE, CRITIC_RATE, GAMMA, LAMBDA, CLIP, ENTROPY, MOST_GRADIENT = 7e-4, 1e-3, 0.9, 0.8, 0.2, 0.06, 0.5
@@ -150,6 +153,7 @@ def train(town: str, steps: int, seed: int = 1, more: tuple[str, ...] = (), chai
                 for some in torch.randperm(len(data[0])).chunk(BATCHES):
                     improve(agent, best, tuple(item[some] for item in data))
             ended |= {"reward": ended["reward"] / (chairs * HOLD * size), "seconds": time.perf_counter() - begun_s}
+            torch.save(agent.state_dict(), WEIGHTS)
             yield {"steps": update * chairs * HOLD * size, **ended}
     finally:
         env.close()

@@ -235,7 +235,9 @@ def test_what_cannot_be_copied_says_so(corner, made, monkeypatch):
         copy.deepcopy(several)
 
 
-def test_the_example_in_one_file_makes_an_update(corner):
+def test_the_example_in_one_file_makes_an_update(corner, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     train = runpy.run_path(str(Path(__file__).parents[2] / "examples" / "cleanrl_ppo.py"))["train"]
     (row,) = train(str(corner), 160, more=(*TINY, SHORT), chairs=2)
     assert row["steps"] == 160 and np.isfinite(list(row.values())).all()
+    assert (tmp_path / "cleanrl_ppo.pt").is_file()

@@ -53,6 +53,24 @@ class Breaks:
         return 40
 
 
+class SeesNumbers(Breaks):
+    """Stands still, and keeps the sticks in the rows that it sees and overwrites, and those beside them."""
+
+    name, senses = "sees-numbers", ("state",)
+
+    def __init__(self, config: object) -> None:
+        self.sticks: list[tuple[float, ...]] = []
+
+    def reset(self) -> None:
+        pass
+
+    def act(self, observation: Observation) -> int:
+        self.sticks.append(tuple(observation["state"][0, 1:3].tolist()))
+        observation["state"][:] = 0.0
+        self.sticks.append(tuple(observation["joystick"].tolist()))
+        return 40
+
+
 class BreaksAtOnce:
     """Raises whenever it is asked, or whenever an episode begins."""
 

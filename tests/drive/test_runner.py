@@ -65,6 +65,13 @@ def test_nobody_at_the_stick_lets_time_stand_still(corner: Path, monkeypatch: py
     assert sum(kind == PICTURES for kind, _ in heard) == 1
 
 
+def test_the_street_of_a_policy_without_pictures_is_drawn(corner: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    heard = heard_of(
+        DriveStart(town=str(corner), policy="tests.drive.lookers:SeesNumbers"), monkeypatch, {"say": "ready"}
+    )
+    assert sum(kind == PICTURES for kind, _ in heard) == 1
+
+
 def test_the_chair_faces_its_way_when_it_stands_in_its_street_and_the_terminal_hears_of_it(
     corner: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.drive.lookers import HearsDelays, Noted
+from tests.drive.lookers import HearsDelays, Noted, SeesNumbers
 from tests.support.worlds import quick_config
 from wcsim.drive import starting
 from wcsim.drive.driven import DriverKind, EventKind
@@ -183,6 +183,15 @@ def test_the_policy_hears_the_delay_of_each_episode_before_it_begins(
     delays = [each.action_delay_ticks for each in drawn if each is not None]
     assert policy.heard == [word for delay in delays for word in (delay, "reset")]
     assert len(delays) == 4 and len(set(delays)) > 1
+
+
+def test_a_policy_that_sees_numbers_sees_the_stick_of_the_person(corner: Path) -> None:
+    with DriveSession(DriveStart(town=str(corner), policy="tests.drive.lookers:SeesNumbers", seed=4)) as drive:
+        drive.driver = DriverKind.PERSON
+        for wish in (Joystick(0.5, 0.5), Joystick(-0.25, 0.75)):
+            drive.tick(Wish(stick=wish))
+        policy = drive.place.policy
+    assert isinstance(policy, SeesNumbers) and policy.sticks == [*2 * [(0.5, 0.5)], *2 * [(-0.25, 0.75)]]
 
 
 def test_closing_twice_closes_observers_once(session: DriveSession, noted: Noted) -> None:

@@ -16,12 +16,16 @@ from wcsim.config import CameraConfig, EnvConfig, RunConfig, resolve
 from wcsim.config.env import Form
 from wcsim.errors import ConfigError
 from wcsim.supervisor.observation import (
+    NEAR,
+    STATE_SHAPE,
     _imu_vector,
     decode_depth,
     encode_depth,
     imu_size,
     observation_of,
     observation_space,
+    state_of,
+    state_space,
 )
 from wcsim.supervisor.palette import COLOURS, palette
 from wcsim.types import CameraFrame, ClassId, ClientSnapshot, ImuFrame, Joystick, Reading, SensorFrame
@@ -79,6 +83,13 @@ def test_what_needs_pictures_refuses_the_form_without():
         seen("state", sensors(40, 30))
     with pytest.raises(ConfigError, match="networks and policies need them"):
         observation_space("state", 80, 60)
+
+
+def test_the_rows_have_the_stick_of_now_not_that_of_the_simulated_user():
+    frame = replace(sensors(40, 30), readings=(Reading(name=NEAR, values=np.ones(math.prod(STATE_SHAPE))),))
+    rows = state_of(snapshot(frame))
+    assert rows.shape == STATE_SHAPE and state_space().contains(rows)
+    np.testing.assert_array_equal(rows[0, 1:3], [-0.25, 0.75])
 
 
 @EACH_PICTURED

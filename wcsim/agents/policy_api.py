@@ -23,6 +23,7 @@ DEPTH_KEY, CLASS_KEY, IMU_KEY, JOYSTICK_KEY, ODOMETRY_KEY = "depth", "seg", "imu
 RGB_KEY, COLOURS_KEY = "rgb", "segmentation"  # colours of form compact_rgb, and of the classes of form table3
 GYRO: Final = "gyro"  # the IMU's turn rates, among the senses of `NeedsSenses`
 MOTION_SENSES: Final = ("odometry", GYRO)  # that tell how the chair moves
+STATE_SENSE: Final = "state"  # in place of pictures: rows of the world's truth, as of `env.observation=state`
 ANSWER_S: Final = 90.0  # for an answer of a model or process of others: a slow machine may load and compile at first
 
 UNAIDED: Final = "follow"  # the user alone, on the grid of actions
@@ -196,7 +197,7 @@ class NeedsSenses(Protocol):
 
     @property
     def senses(self) -> tuple[str, ...]:
-        """Names of sensors of the section `[sensors]`, and `GYRO`."""
+        """Names of sensors of the section `[sensors]` and `GYRO`, or `STATE_SENSE` alone."""
 
 
 def level_of(name: str) -> float:
@@ -231,5 +232,5 @@ def senses_of(policy: Policy) -> tuple[str, ...]:
 def sense_settings(config: RunConfig, senses: Sequence[str]) -> tuple[str, ...]:
     """What turns these senses on in a configuration; a sensor that it has already stays as it is."""
     there = config.sensors.on()
-    words = [f"sensors.{name}=typical" for name in senses if name != GYRO and name not in there]
-    return (*words, *(["env.observe_gyro=true"] if GYRO in senses else []))
+    words = {GYRO: "env.observe_gyro=true", STATE_SENSE: "env.observation=state"}
+    return tuple(words.get(name, f"sensors.{name}=typical") for name in senses if name not in there)

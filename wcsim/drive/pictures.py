@@ -417,7 +417,8 @@ class StreetPictures:
 def moment_of(session: DriveSession, *, jumped: bool) -> Moment:
     """The street of now around a session's chair; `jumped` as in `Moment`."""
     moment = _moment(session.world, session.client, session.route, session.done_m)
-    return replace(moment, jumped=jumped, frame=session.client.sensors.cameras[0])
+    front = next(iter(session.client.sensors.cameras), None)  # a policy of numbers alone has no pictures
+    return replace(moment, jumped=jumped, frame=front)
 
 
 def _moment(world: World, client: ClientSnapshot, route: Route, done_m: float) -> Moment:

@@ -11,7 +11,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from wcsim.agents.envs.episode_view import Chair, pictured
+from wcsim.agents.envs.episode_view import Chair, named
 from wcsim.bridge.ego.start_place import bearing_rad
 from wcsim.bridge.world import World
 from wcsim.bridge.world_rollout import rollout
@@ -260,7 +260,7 @@ class DriveSession(Closing):
         else:
             step = self._chair.take(client)
             seen, self._info = step.observation, step.info
-        self._seen = pictured(seen)
+        self._seen = named(seen)
 
     def _move(self, answer: Answer) -> None:
         given = self._chair.command(answer.sent).joystick

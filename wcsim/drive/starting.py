@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from wcsim.agents.opening.list_file import TIGHT, Suite, open_block, open_suite, require_towns, seat_of, shipped
-from wcsim.agents.opening.named_policy import config_for, open_named, sensing
-from wcsim.agents.policy_api import VISIBLE_BOUND, Policy, SeesTruth
+from wcsim.agents.opening.named_policy import config_for, open_named, seat_for, sensing
+from wcsim.agents.policy_api import Policy
 from wcsim.config import RunConfig, resolve
 from wcsim.config.suite import BlockFile
 from wcsim.core import seeding
@@ -111,16 +111,12 @@ def _of_town(start: DriveStart) -> OpenPlace:
     policy = open_named(start.policy, config, start.seed, start.network or None)
     town = find_town(start.town)
     find_user(start.profile)
-    truth = isinstance(policy, SeesTruth)
-    spec = SeatSpec(
-        profile=start.profile, max_steps=LONGEST_STEPS, truth=truth, truth_visible=policy.name == VISIBLE_BOUND
-    )
     return OpenPlace(
         start=start,
         town=town,
         config=resolve(config, sensing(config, policy)),
         policy=policy,
-        spec=spec,
+        spec=replace(seat_for(policy, start.profile), max_steps=LONGEST_STEPS),
         seed=start.seed,
         told=f"{town.name}, seed {start.seed}",
     )

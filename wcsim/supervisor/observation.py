@@ -52,8 +52,8 @@ MOST_KINDS: Final = 16  # numbers of kinds in the first column, 0 where a row is
 
 _MANTISSA_BITS_DROPPED = 13  # of 23: leaves a relative step of 2^-10, a twentieth of one depth code
 _WITHOUT_PICTURES = (
-    "env.observation=state is for environments: it has no pictures, and wcsim's networks and policies need them; "
-    "expected env.observation=compact"
+    "env.observation=state has no pictures, and wcsim's networks and policies need them; expected "
+    "env.observation=compact"
 )
 _TABLE_SIZE = 1 << (32 - _MANTISSA_BITS_DROPPED)
 _INFINITE = 0x7F800000 >> _MANTISSA_BITS_DROPPED  # infinity and NaN begin here
@@ -135,7 +135,9 @@ def state_of(snapshot: ClientSnapshot) -> F32:
     rows = next((reading.values for reading in snapshot.sensors.readings if reading.name == NEAR), None)
     if rows is None or rows.size != math.prod(STATE_SHAPE):
         raise ConfigError(f"the seat has no numbers for env.observation=state. {_WITHOUT_PICTURES}")
-    return np.clip((rows.reshape(STATE_SHAPE) / _state_scale()).astype(np.float32), -1.0, 1.0)
+    scaled = (rows.reshape(STATE_SHAPE) / _state_scale()).astype(np.float32)
+    scaled[0, 1:3] = snapshot.user.x, snapshot.user.y  # of a person, where one holds the stick in the user's place
+    return np.clip(scaled, -1.0, 1.0)
 
 
 @lru_cache(maxsize=1)

@@ -15,8 +15,8 @@ import numpy as np
 from wcsim.agents.envs.episode_view import Info
 from wcsim.agents.envs.seat_driver import PolicyAgent, SeatDriver
 from wcsim.agents.evaluation.suite.playback import PlayedStep
-from wcsim.agents.opening.named_policy import config_for, open_named, sensing
-from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, VISIBLE_BOUND, Observation, Policy, SeesTruth, Warns, calling
+from wcsim.agents.opening.named_policy import config_for, open_named, seat_for, sensing
+from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, STATE_SENSE, Observation, Policy, Warns, calling
 from wcsim.bridge.world import World
 from wcsim.bridge.world_rollout import rollout
 from wcsim.config import CameraConfig, RunConfig, WorldConfig, resolve
@@ -33,8 +33,11 @@ _FILM_PX: Final = 480
 
 
 def seen_picture(seen: Observation, config: RunConfig) -> U8:
-    """What an observation shows, (2 H, W, 3): the newest classes above, their depth below."""
-    range_m = config.cameras[0].range_m
+    """What an observation shows, (2 H, W, 3): the newest classes above, their depth below; black without pictures."""
+    camera = config.cameras[0]
+    range_m = camera.range_m
+    if STATE_SENSE in seen:
+        return np.zeros((2 * camera.height_px, camera.width_px, 3), np.uint8)
     if CLASS_KEY in seen:
         classes = class_colours(seen[CLASS_KEY][-1])
         depth_m = decode_depth(seen[DEPTH_KEY][-1], range_m)
@@ -239,9 +242,7 @@ def _senses(driver: FilmDriver, seed: int, width: int) -> tuple[RunConfig, SeatS
     film = camera.model_copy(update={"name": _FILM_CAMERA})
     own = own.model_copy(update={"cameras": (*own.cameras, film)})
     policy = open_named(driver.policy, own, seed, driver.network or None)
-    truth, visible = isinstance(policy, SeesTruth), policy.name == VISIBLE_BOUND
-    config = resolve(own, sensing(own, policy))
-    return config, SeatSpec(profile=driver.profile, truth=truth, truth_visible=visible), policy
+    return resolve(own, sensing(own, policy)), seat_for(policy, driver.profile), policy
 
 
 class BusiestMoment:

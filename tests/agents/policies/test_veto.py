@@ -1,5 +1,7 @@
 """The wrapper `veto:POLICY`: whose action is taken, what it passes on, and by which names it is found."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -136,6 +138,9 @@ def test_names():
 def test_a_policy_that_sees_the_truth_needs_no_veto():
     with pytest.raises(PolicyError, match="sees the truth"):
         open_named("veto:oracle", CONFIG, 0)
+    rows = SimpleNamespace(name="rows", senses=("state",))
+    with pytest.raises(PolicyError, match="rows sees the truth; expected one that sees pictures"):
+        Veto("veto:rows", rows, CONFIG)
 
 
 def test_the_shipped_policy_drives_behind_a_veto():

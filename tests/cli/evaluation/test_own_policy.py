@@ -6,12 +6,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from tests.agents.evaluation.suite.lists import written_list
 from tests.cli.conftest import QUICK
 from wcsim.config import resolve
 
-EXAMPLE = Path(__file__).parents[3] / "examples" / "own_policy.py"
+EXAMPLES = Path(__file__).parents[3] / "examples"
+EXAMPLE = EXAMPLES / "own_policy.py"
 
 OWN = """
 class Still:
@@ -122,3 +124,24 @@ def test_the_example_is_tested_in_a_town_and_creeps_before_what_is_near(wcsim, f
         given.append(policy.actions.points[policy.act(seen)].tolist())
         warned.append(policy.warning)
     assert (given, warned) == ([[0.0, 1.0], [0.0, 1.0], [0.0, 0.25]], [False, False, True])
+
+
+def test_a_controller_that_sees_numbers_drives_a_list_as_its_training_ended(wcsim, folder, listed, monkeypatch):
+    for name in ("cleanrl_ppo", "state_policy"):
+        (folder / f"{name}.py").write_bytes((EXAMPLES / f"{name}.py").read_bytes())
+        monkeypatch.delitem(sys.modules, name, raising=False)
+    missing = wcsim("test", "--suite", listed, "state_policy:Trained", "--only")
+    assert missing.code == 2 and "cleanrl_ppo.pt" in missing.err
+    agent = sys.modules["cleanrl_ppo"].Agent()
+    torch.nn.init.zeros_(agent.actor.out.weight)
+    agent.actor.out.bias.data = torch.eye(10)[7] * 9.0  # backwards is by far the likeliest
+    torch.save(agent.state_dict(), folder / "cleanrl_ppo.pt")
+    for refused in ("veto:state_policy:Trained", "dwa"):
+        told = wcsim("test", "--suite", listed, refused, "--only", "--set", "env.observation=state", "--out", refused)
+        assert told.code == 2 and "Traceback" not in told.err and "pictures" in told.err, refused
+    assert wcsim("test", "--suite", listed, "state_policy:Trained", "--only", "--out", "out").code == 0
+    rows = {row["policy"]: row for row in json.loads((folder / "out" / "result.json").read_text())["pooled"]}
+    assert rows["state_policy:Trained"]["status"]["policy_failed"] == 0
+    assert rows["follow"]["kpi1"] < 0.1 < 0.4 < rows["state_policy:Trained"]["kpi1"]
+    assert wcsim("report", "out", "--own", "state_policy:Trained").code == 0
+    assert wcsim("test", "state_policy:Trained", "--suite", listed, "--play", "0.0", "--out", "out").code == 0

@@ -16,10 +16,10 @@ import numpy as np
 import numpy.typing as npt
 
 from wcsim.agents import policy_api
-from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, RGB_KEY
+from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, JOYSTICK_KEY, RGB_KEY, STATE_SENSE
 from wcsim.config import RunConfig
 from wcsim.core.reading import escaped_value
-from wcsim.errors import BadActionError, ConfigError, ConfigMismatchError, PolicyError, ProtocolError
+from wcsim.errors import BadActionError, ConfigMismatchError, PolicyError, ProtocolError
 from wcsim.supervisor.actions import MAX_DISTANCE, action_set
 from wcsim.supervisor.observation import NEAR, Observation, observation_of, state_of
 from wcsim.supervisor.rewards import DISTANCE_TOLERANCE, RewardTerm, joystick_distance, reward
@@ -89,11 +89,9 @@ Info = dict[str, Any]
 WORLD_RESTARTED = "world_restarted"
 
 
-def pictured(seen: Seen) -> Observation:
-    """The same, for a policy. Raises ConfigError for the rows of `state`."""
-    if not isinstance(seen, dict):
-        raise ConfigError("env.observation=state is for environments; policies see pictures: expected compact")
-    return seen
+def named(seen: Seen) -> Observation:
+    """The same, for a policy: the rows of `state` by name, and the user's stick (2,) beside them."""
+    return seen if isinstance(seen, dict) else {STATE_SENSE: seen, JOYSTICK_KEY: seen[0, 1:3].copy()}
 
 
 def delay_ticks(config: RunConfig, drawn: Drawn | None) -> int:
@@ -298,8 +296,11 @@ class Chair:
             wanted = []
         given = {reading.name: len(reading.values) for reading in first.sensors.readings}
         if self._state and NEAR not in given:
-            told = "env.observation=state, but this seat's world does not say what is near; policies see pictures"
-            raise ConfigMismatchError(f"{told}: expected env.observation=compact, or a seat with near=True")
+            raise ConfigMismatchError(
+                "env.observation=state, but this seat's world does not say what is near; policies see pictures: "
+                "expected env.observation=compact, your own class with senses = ('state',) and no such setting, or a "
+                "seat with near=True"
+            )
         got = [(frame.name, frame.depth_m.shape) for frame in first.sensors.cameras]
         if got != wanted:
             raise ConfigMismatchError(f"the world's cameras are {got}; expected {wanted}: use its configuration")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from wcsim.agents.envs.episode_view import Chair, EpisodeStep, Info, pictured
+from wcsim.agents.envs.episode_view import Chair, EpisodeStep, Info, named
 from wcsim.agents.policy_api import HearsSent, Helping, Observation, Policy, SeesTruth, tell_delay
 from wcsim.config import RunConfig
 from wcsim.types import ClientSnapshot, Joystick
@@ -45,12 +45,12 @@ class SeatDriver:
     def take(self, after: ClientSnapshot) -> EpisodeStep:
         """What came of it, with the seat's frame after the tick."""
         step = self._chair.take(after)
-        self.observation, self.info = pictured(step.observation), step.info
+        self.observation, self.info = named(step.observation), step.info
         return step
 
     def _begin(self, first: ClientSnapshot) -> None:
         seen, self.info = self._chair.begin(first)
-        self.observation = pictured(seen)
+        self.observation = named(seen)
         self._agent.reset(self.info)
 
 

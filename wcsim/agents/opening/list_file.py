@@ -5,11 +5,12 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
-from wcsim.agents.policy_api import VISIBLE_BOUND, Policy, SeesTruth
+from wcsim.agents.opening.named_policy import seat_for
+from wcsim.agents.policy_api import Policy
 from wcsim.config import RunConfig, parse
 from wcsim.config.suite import BlockFile, EpisodeFile, SuiteFile
 from wcsim.core.constants import RECORDED
@@ -151,10 +152,4 @@ def seat_of(place: BlockPlace, episode: EpisodeFile, policy: Policy) -> SeatSpec
     start = None  # where the world draws it
     if episode.start_m is not None and episode.goal_m is not None:
         start = StartSpec(p_W_m=episode.start_m, yaw_rad=episode.heading_rad, goal_W_m=episode.goal_m)
-    return SeatSpec(
-        profile=user,
-        max_steps=episode.max_steps,
-        truth=isinstance(policy, SeesTruth),
-        truth_visible=policy.name == VISIBLE_BOUND,
-        start=start,
-    )
+    return replace(seat_for(policy, user), max_steps=episode.max_steps, start=start)

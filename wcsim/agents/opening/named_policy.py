@@ -15,7 +15,7 @@ from typing import Any, Final
 from wcsim.agents.export.guard import GuardedPolicy, guard_of
 from wcsim.agents.policies.onnx_policy import OnnxPolicy, read_about
 from wcsim.agents.policies.served_policy import ServedPolicy
-from wcsim.agents.policy_api import Policy, sense_settings, senses_of
+from wcsim.agents.policy_api import STATE_SENSE, VISIBLE_BOUND, Policy, SeesTruth, sense_settings, senses_of
 from wcsim.agents.runs.policy_file import is_danger, policy_name, read_danger_file, read_policy_file
 from wcsim.agents.runs.run_folder import policy_path, run_of
 from wcsim.config import RunConfig, resolve
@@ -23,6 +23,7 @@ from wcsim.config.run_file import PolicyFile
 from wcsim.core.plugins import find_class, running_own
 from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import action_set
+from wcsim.types import SeatSpec
 
 RULES: Final = ("world", "chair", "reward", "vary")
 """Sections that are the preset's in a list, as with others its policies would not be judged alike."""
@@ -93,6 +94,16 @@ def sensing(config: RunConfig, policy: Policy) -> tuple[str, ...]:
     file = getattr(policy.inner if isinstance(policy, Veto) else policy, "file", None)  # of a network of Q-learning
     window = f"env.window={max(file.window if isinstance(file, PolicyFile) else 1, config.env.frames)}"
     return (window, *sense_settings(config, senses_of(policy)))
+
+
+def seat_for(policy: Policy, profile: str) -> SeatSpec:
+    """A seat for this policy, and for this user: what of the truth reaches it."""
+    return SeatSpec(
+        profile=profile,
+        truth=isinstance(policy, SeesTruth),
+        truth_visible=policy.name == VISIBLE_BOUND,
+        near=STATE_SENSE in senses_of(policy),
+    )
 
 
 def config_for(policy: str, preset: str, settings: Sequence[str] = (), *, in_list: bool = False) -> RunConfig:

@@ -25,6 +25,7 @@ from wcsim.agents.policy_api import (
     HIGHEST_LEVEL,
     JOYSTICK_KEY,
     MOTION_SENSES,
+    STATE_SENSE,
     USUAL_LEVEL,
     HearsDelay,
     HearsSent,
@@ -217,10 +218,8 @@ class Veto(HearsSent):
 
     def __init__(self, name: str, inner: Policy, config: RunConfig) -> None:
         """Raises PolicyError for a policy that sees the truth: that is a bound, and drives as well as can be."""
-        if isinstance(inner, SeesTruth):
-            raise PolicyError(
-                f"policy {name!r}: {inner.name} sees the truth, and is the upper bound; expected another policy"
-            )
+        if isinstance(inner, SeesTruth) or STATE_SENSE in senses_of(inner):
+            raise PolicyError(f"policy {name!r}: {inner.name} sees the truth; expected one that sees pictures")
         self.name, self.inner = name, inner
         self._actions: ActionSet = action_set(config.env.actions)
         self._dwa = DynamicWindow("dwa", config, self._actions, plant_spec(config.chair).outline)

@@ -19,7 +19,7 @@ from wcsim.agents.evaluation.suite.result_files import TestResult
 from wcsim.agents.evaluation.suite.run import SuiteOrder, piece_of, town_addresses
 from wcsim.agents.opening.list_file import open_suite
 from wcsim.agents.opening.named_policy import config_for
-from wcsim.agents.policy_api import UNAIDED
+from wcsim.agents.policy_api import STATE_SENSE, UNAIDED
 from wcsim.agents.runs.policy_file import policy_name
 from wcsim.bridge.world import World
 from wcsim.core.processes import pooled
@@ -236,8 +236,8 @@ def _illustrate(wanted: tuple[Piece, Iterable[EpisodeRecord]]) -> dict[int, Illu
             street = around_picture(MapView(world.street.mesh, _MAP_PX, _MAP_SPAN_M), steps[-1], steps)
             last = len(steps) - 1
             places = np.rint(np.linspace(max(0, last - _LAST_S / tick_s), last, _PICTURES)).astype(int)
-            seen = []
-            for place in dict.fromkeys(places.tolist()):
+            seen, pictured = [], STATE_SENSE not in steps[last].seen
+            for place in dict.fromkeys(places.tolist() if pictured else ()):
                 step, before_s = steps[place], round((last - place) * tick_s, 3)
                 seen.append(_SeenMoment(before_s, step.speed_mps, *sticks(step), _png(seen_picture(step.seen, config))))
             return Illustration(seen=tuple(seen), street_png=_png(street), near=near(steps[-1])[:4])

@@ -9,7 +9,7 @@ from typing import Any, Final, TypeVar
 
 import numpy as np
 
-from wcsim.agents.envs.episode_view import EpisodeStep, pictured
+from wcsim.agents.envs.episode_view import EpisodeStep, named
 from wcsim.agents.evaluation.suite.drive import Piece
 from wcsim.agents.evaluation.suite.records import EpisodeRecord
 from wcsim.agents.evaluation.suite.run import drive_piece
@@ -131,7 +131,7 @@ class _LastSteps:
         self.kept[seat].append(
             PlayedStep(
                 step=info["events"].step,
-                seen=pictured(step.observation),
+                seen=named(step.observation),
                 asked=info["asked"],
                 given=info["given"],
                 speed_mps=info["speed_mps"],
