@@ -1,6 +1,7 @@
 """A controller of one's own, module:Class, driven in a town beside the user alone."""
 
 import json
+import re
 import sys
 from pathlib import Path
 
@@ -144,4 +145,7 @@ def test_a_controller_that_sees_numbers_drives_a_list_as_its_training_ended(wcsi
     assert rows["state_policy:Trained"]["status"]["policy_failed"] == 0
     assert rows["follow"]["kpi1"] < 0.1 < 0.4 < rows["state_policy:Trained"]["kpi1"]
     assert wcsim("report", "out", "--own", "state_policy:Trained").code == 0
+    page = (folder / "out" / "report.html").read_text()
+    shown = re.findall(r'<details class="(failure[^"]*)"[^>]*data-policy="([^"]+)"', page)
+    assert set(shown) == {("failure pictured", "follow"), ("failure", "state_policy:Trained")}, "no black pictures"
     assert wcsim("test", "state_policy:Trained", "--suite", listed, "--play", "0.0", "--out", "out").code == 0
