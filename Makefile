@@ -26,6 +26,8 @@ $(STAMP): pyproject.toml constraints.txt
 	@$(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt $$($(BIN)/python tools/dev_requirements.py)
 	@echo "3/3 wcsim ..."
 	@$(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt --no-build-isolation --editable .
+	@# Python reads this link in the locale's letters, and dies of others; a relative path has none.
+	@echo ../../../.. > .venv/lib/python3.11/site-packages/_editable_impl_wcsim.pth
 	@touch $(STAMP)
 	@echo "installed. Next: source .venv/bin/activate && wcsim doctor"
 

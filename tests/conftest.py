@@ -1,7 +1,9 @@
 """Shared fixtures, and the time of each group of tests, printed at the end of a run."""
 
 import gc
+import os
 import signal
+import tempfile
 from collections import Counter
 from collections.abc import Iterable
 from pathlib import Path
@@ -15,6 +17,8 @@ settings.load_profile("wcsim")
 
 ROOT = Path(__file__).parents[1]
 SHARED = ROOT.parent / "shared"
+
+LONGEST_TMPDIR = 24
 
 PROOF_TIMEOUT_S = 2400
 """A single proof may take minutes; this is for one that hangs."""
@@ -35,9 +39,14 @@ def group_of(node_id: str) -> str:
 
 
 def pytest_configure() -> None:
-    """Hear Ctrl-C: in a shell's background it is ignored, and every process that a test starts would inherit that."""
+    """Hear Ctrl-C: in a shell's background it is ignored, and every process that a test starts would inherit that.
+
+    Tests open sockets in their folders, whose paths then end at 107 bytes; so the folders lie where paths are short.
+    """
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+    if len(tempfile.gettempdir()) > LONGEST_TMPDIR:
+        os.environ.setdefault("PYTEST_DEBUG_TEMPROOT", "/tmp")  # noqa: S108 - pytest's folder in it is its owner's alone
 
 
 def pytest_collection_finish() -> None:
@@ -74,7 +83,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if "proof" in item.keywords and item.get_closest_marker("timeout") is None:
             item.add_marker(pytest.mark.timeout(PROOF_TIMEOUT_S))
-    if SHARED.is_dir():
+    if (SHARED / "towns" / "README.md").is_file():  # anybody may have a folder of that name beside the checkout
         return
     skip = pytest.mark.skip(reason="needs the development material beside the checkout (../shared), which is not here")
     for item in items:

@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+import wcsim
 from benchmarks.tick.bridgeless_world import settle
 from wcsim.bridge.world import World
 from wcsim.bridge.world_rollout import rollout
@@ -23,6 +24,7 @@ from wcsim.types import SeatSpec
 DEAREST = 20
 _ZONE_TICKS = 4  # Bullet writes a quarter of a megabyte of zones for each chair and tick
 _NATIVE = {"pybullet": "Bullet", "libsumo": "SUMO"}
+_PACKAGE = Path(wcsim.__file__).parent  # a folder above it may have any name
 _WORDS = re.compile(r"^<built-in method (.*)>$")
 _NUMBER = re.compile(r"\d*$")
 
@@ -118,12 +120,11 @@ def _add(found: dict[tuple[str, str], list[float]], part: str, function: Functio
 
 def _room(function: Function) -> str:
     """The room of wcsim that a function is in, or the simulator; empty for all others."""
-    file, _, name = function
-    for library, part in _NATIVE.items():
-        if library in name or f"/{library}/" in file:
-            return part
-    parts = Path(file).parts
-    return "/".join(parts[parts.index("wcsim") + 1 : -1]) or "wcsim" if "wcsim" in parts else ""
+    file, name = Path(function[0]), function[2]
+    if file.is_relative_to(_PACKAGE):
+        return str(file.parent.relative_to(_PACKAGE)) if file.parent != _PACKAGE else _PACKAGE.name
+    parts = [part for library, part in _NATIVE.items() if library in name or library == file.parent.name]
+    return parts[0] if parts else ""
 
 
 def _name(function: Function) -> str:

@@ -10,11 +10,14 @@ ROOT = Path(__file__).parents[2]
 
 @cache
 def tracked(under: str = "", suffix: str = "") -> tuple[Path, ...]:
-    """Files that git tracks in a folder, sorted; in an unpacked source archive, where there is no git, all files."""
-    if not (ROOT / ".git").exists():
-        found = {path for path in (ROOT / under).rglob("*") if "__pycache__" not in path.parts}
+    """Files that git tracks in a folder, sorted; in an unpacked source archive all that git would not ignore."""
+    git = ROOT / ".git"
+    if not git.exists():
+        ignored = {line.strip("/") for line in (ROOT / ".gitignore").read_text(encoding="utf-8").splitlines()}
+        names = [path.relative_to(ROOT) for path in (ROOT / under).rglob("*") if "__pycache__" not in path.parts]
+        found = {ROOT / name for name in names if name.parts[0] not in ignored}
     else:
-        words = ["git", "ls-files", "-z", "--", under or "."]
+        words = ["git", f"--git-dir={git}", f"--work-tree={ROOT}", "ls-files", "-z", "--", under or "."]
         listed = subprocess.run(words, cwd=ROOT, stdout=subprocess.PIPE, check=True)
         found = {ROOT / name for name in listed.stdout.decode().split("\0") if name}
     return tuple(sorted(path for path in found if path.is_file() and path.name.endswith(suffix)))

@@ -66,15 +66,16 @@ def _told_cause(error: Exception) -> tuple[str, Exit]:
     limit = told_limit(error)
     if limit:
         return limit, Exit.FAILED
-    last = traceback.extract_tb(error.__traceback__)[-1:]
+    last = [frame for frame, _ in traceback.walk_tb(error.__traceback__)][-1:]
     variables = [name for name in os.environ if name.startswith("NUMBA_")]
-    if isinstance(error, ValueError) and variables and any("numba" in Path(frame.filename).parts for frame in last):
+    of_numba = any(frame.f_globals["__name__"].startswith("numba.") for frame in last)
+    if isinstance(error, ValueError) and variables and of_numba:
         return (
             f"numba refuses its settings ({escaped(error)}); try again after: unset {' '.join(variables)}",
             Exit.REFUSED,
         )
     told = _told_path(error) if isinstance(error, OSError) and error.errno in _PATHS else ""
-    ours = any(frame.name == "_execute_child" for frame in last)  # of subprocess: a program that we want
+    ours = any(frame.f_code.co_name == "_execute_child" for frame in last)  # of subprocess: a program that we want
     return (told, Exit.REFUSED) if told and not ours else ("", Exit.FAILED)
 
 

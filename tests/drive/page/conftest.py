@@ -1,5 +1,6 @@
 """A browser for the pages of a module, and the page of a drive without any drive."""
 
+import os
 from collections.abc import Iterator
 from typing import Any
 
@@ -13,7 +14,9 @@ def browser() -> Iterator[Any]:
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as play:
-        chromium = play.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+        # Its own socket lies in the folder for temporary files, in a path that may be too long for one.
+        here = {**os.environ, "TMPDIR": "/tmp"}  # noqa: S108
+        chromium = play.chromium.launch(executable_path=CHROMIUM, args=FLAGS, env=here)
         yield chromium
         chromium.close()
 

@@ -180,7 +180,8 @@ def test_doors_that_cannot_be_opened(tmp_path, changes, words):
 
 
 def test_a_folder_that_others_can_enter_is_no_place_for_a_socket(tmp_path):
-    (tmp_path / "s").mkdir(mode=0o755)
+    (tmp_path / "s").mkdir()
+    (tmp_path / "s").chmod(0o755)
     with pytest.raises(ConfigError, match="other users can enter"):
         ServerSockets(f"ipc://{tmp_path}/s/world")
 

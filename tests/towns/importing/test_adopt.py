@@ -68,7 +68,7 @@ def test_an_edit_of_an_adopted_scenario_is_noted_and_no_fault(corner_town: Town,
     report = check_town(town)
     assert not [fault for fault in report.faults if "changed" in fault]
     changed = [note for note in report.notes if "changed since the import" in note]
-    assert len(changed) == 2 and "a.rou.xml" in changed[0] and f"duarouter -n {town.net} " in changed[1]
+    assert len(changed) == 2 and "a.rou.xml" in changed[0] and "duarouter" in changed[1] and str(town.net) in changed[1]
 
 
 def test_files_beside_the_scenarios_folder_keep_their_structure(corner_town: Town, tmp_path: Path) -> None:

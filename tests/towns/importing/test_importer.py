@@ -30,8 +30,6 @@ from wcsim.towns.sumo.net import LaneKind, read_net
 from wcsim.towns.sumo.tools import run_tool
 from wcsim.towns.sumo.xml_io import parse_root, read_bytes, read_root
 
-SHARED = Path(__file__).resolve().parents[4] / "shared" / "towns"
-
 
 @pytest.fixture
 def order(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ImportOrder:
@@ -133,10 +131,10 @@ def test_shipped_demand_runs_without_errors_and_never_runs_dry(manhattan_town: T
 
 
 @pytest.mark.shared
-def test_traffic_keeps_to_the_side_of_the_country(order: ImportOrder) -> None:
-    west, south, east, north = Box.of((SHARED / "leeds.bbox").read_text("utf-8"))
+def test_traffic_keeps_to_the_side_of_the_country(order: ImportOrder, shared: Path) -> None:
+    west, south, east, north = Box.of((shared / "towns" / "leeds.bbox").read_text("utf-8"))
     quarter = Box((west + east) / 2, (south + north) / 2, east, north)
-    made = import_town(replace(order, osm=SHARED / "leeds.osm.xml.gz", bbox=quarter, traffic=0.0))
+    made = import_town(replace(order, osm=shared / "towns" / "leeds.osm.xml.gz", bbox=quarter, traffic=0.0))
     net = gzip.decompress(made.town.net.read_bytes())
     assert b'lefthand="true"' in net[:2000] and made.side.lefthand
     assert made.walkable_share >= 0.95

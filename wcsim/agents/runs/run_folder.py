@@ -243,12 +243,14 @@ def run_of(name: str) -> RunFolder | None:
 
 
 def _git_revision() -> str:
-    """The revision of the checkout that wcsim runs from, with a + when it was changed; "" outside of one."""
-    here = Path(__file__).resolve().parent
+    """The revision of the checkout that wcsim runs from, with a + when it was changed; "" outside of one.
+
+    The checkout is named: git would take any repository around an installed wcsim for it.
+    """
+    checkout = Path(__file__).resolve().parents[3]
+    of_checkout = ["git", f"--git-dir={checkout / '.git'}", f"--work-tree={checkout}"]
     try:
-        done = run_command(
-            ["git", "-C", str(here), "describe", "--always", "--dirty=+", "--abbrev=40", "--exclude=*"], 10.0
-        )
+        done = run_command([*of_checkout, "describe", "--always", "--dirty=+", "--abbrev=40", "--exclude=*"], 10.0)
     except (OSError, subprocess.TimeoutExpired):  # also a disk that has no room for its answer
         return ""
     return done.stdout.strip() if done.returncode == 0 else ""

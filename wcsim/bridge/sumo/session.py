@@ -9,6 +9,7 @@ not). Nothing but `ActorState` and `SignalState` leaves this file.
 
 from __future__ import annotations
 
+import locale
 import logging
 import math
 from collections.abc import Callable
@@ -34,6 +35,7 @@ from wcsim.errors import SumoError, WorldInUseError
 from wcsim.towns.scenario.overrides import JUMPING, PEOPLE, Settings, forced
 from wcsim.towns.scenario.stage import Scenario
 from wcsim.towns.scenario.town import Town
+from wcsim.towns.sumo.tools import UTF_8
 from wcsim.types import F64, ActorState, SignalState
 
 try:
@@ -106,6 +108,9 @@ class SumoSession(Closing):
         self.pilot = VehicleControl(libsumo, options.origin_m)
         self.buttons = SignalControl(libsumo)
         self._reader = ActorReader(libsumo, (*options.origin_m, options.z_origin_m), options.settings.world.tick_s)
+        # SUMO reads the names of files in the letters of the locale; that of LC_ALL=C has no others than ASCII's.
+        if locale.nl_langinfo(locale.CODESET) != "UTF-8":
+            locale.setlocale(locale.LC_CTYPE, UTF_8)
         self._guarded(lambda: libsumo.start(options.arguments()))
         try:
             self._hook = self._new_hook()

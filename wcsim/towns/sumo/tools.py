@@ -17,6 +17,7 @@ from wcsim.core.native_output import missing_library
 from wcsim.core.processes import run_command
 from wcsim.errors import SumoError
 
+UTF_8 = "C.UTF-8"  # the locale in which file names have any letters
 _NOT_STARTED = 127  # what the loader ends with where a library is not there
 
 
@@ -83,7 +84,12 @@ def run_child(name: str, command: Sequence[str], folder: Path, env: Mapping[str,
     """Run a command under limits, `name` being what messages call it. Raises SumoError as `run_tool` does."""
     try:
         run = run_command(
-            command, limits.wall_s, folder=folder, env=env, together=True, beside=partial(_limit, limits=limits)
+            command,
+            limits.wall_s,
+            folder=folder,
+            env={**env, "LC_ALL": UTF_8},
+            together=True,
+            beside=partial(_limit, limits=limits),
         )
     except ChildProcessError as error:
         raise SumoError(f"{name} cannot be started ({error}); install the eclipse-sumo wheel again") from None
