@@ -11,7 +11,6 @@ import select
 import socket
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
@@ -30,7 +29,7 @@ from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.events import Rules
 from wcsim.server.specs import SeatRequest, WorldOrder, WorldSpec, of_line, to_line
 from wcsim.server.transport.keys import make_keys
-from wcsim.server.transport.world_folder import OwnFolder
+from wcsim.server.transport.world_folder import OwnFolder, workplace
 from wcsim.types import SeatSpec
 
 BLOCK_TICKS = 100
@@ -91,7 +90,7 @@ class _Bench:
     """All processes of a bench, ready to go."""
 
     def __init__(self, config: RunConfig, clients: int, remote: bool, held: ExitStack) -> None:
-        self._folder = Path(held.enter_context(tempfile.TemporaryDirectory(prefix="wcsim-bench-")))
+        self._folder = held.enter_context(workplace(prefix="wcsim-bench-"))
         ring = OwnFolder()
         held.callback(ring.close)
         keys = str(self._folder / "keys") if remote else ""

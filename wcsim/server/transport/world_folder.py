@@ -22,6 +22,7 @@ from wcsim.errors import DiskFullError
 _PREFIX = "wcsim-ring-"
 LOCK = ".lock"
 _SHARED = Path("/dev/shm")  # noqa: S108 - the folder made in it is new, and its owner's alone
+_LONGEST_HOME = 64  # bytes, of the 107 that the path of a socket may have
 _NUMBERED = re.compile(r"(\d+)-\w+")  # behind the prefix; the process number is for people to read
 
 
@@ -119,8 +120,10 @@ def _remove(folder: Path) -> None:
 
 
 def _home() -> Path:
-    usable = _SHARED.is_dir() and os.access(_SHARED, os.W_OK | os.X_OK)
-    return _SHARED if usable else Path(tempfile.gettempdir())
+    """The first place that can be written and leaves room for the path of a socket."""
+    places = (_SHARED, Path(tempfile.gettempdir()), Path("/tmp"))  # noqa: S108 - as above
+    usable = (place for place in places if os.access(place, os.W_OK | os.X_OK) and len(str(place)) <= _LONGEST_HOME)
+    return next(usable, places[1])
 
 
 def _mine(folder: Path) -> bool:

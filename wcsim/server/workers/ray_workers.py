@@ -14,7 +14,6 @@ import re
 import secrets
 import socket
 import sys
-import tempfile
 import time
 import traceback
 from collections.abc import Callable
@@ -31,6 +30,7 @@ from wcsim.core.files import home
 from wcsim.core.processes import die_with_parent
 from wcsim.core.reading import escaped
 from wcsim.errors import ConfigError, DiskFullError, WcsimError, WorkersError, check_installed
+from wcsim.server.transport.world_folder import OwnFolder
 from wcsim.server.workers.cluster_node import MOST_BYTES, do_work, facts_here, notes_on, packed, why_refused
 from wcsim.server.workers.machines import Facts, OneProcess, Parcel, Work, WorkEnd
 
@@ -63,6 +63,7 @@ class _LinkSpec:
     address: str  # HOST:PORT, or `local`
     count: int  # processes of a local cluster
     log: Path  # for what Ray says
+    temporary: Path = Path()  # of Ray, for a local cluster: its sockets, too
 
 
 @dataclass(slots=True)
@@ -91,7 +92,9 @@ class RayWorkers:
     def __init__(self, address: str, count: int, folder: Path, say: Say, join_s: float = JOIN_S) -> None:
         require_address(address)
         folder.mkdir(parents=True, exist_ok=True)
-        self._spec = _LinkSpec(address=address, count=count, log=folder / RAY_LOG)
+        # Ray makes its folder at a name that others know, and lets them write there, unless it lies in one's own.
+        self._own = OwnFolder(prefix="wcsim-ray-")
+        self._spec = _LinkSpec(address=address, count=count, log=folder / RAY_LOG, temporary=self._own.path)
         self._say, self._pieces = say, folder / PIECES
         self._names: tuple[str, ...] = ()
         self._begun: list[tuple[str, Work, tuple[Parcel, ...]]] = []
@@ -146,6 +149,7 @@ class RayWorkers:
         finally:  # Ctrl-C may come while it waits, and Ray may hang
             self._link.kill()
             self._link.shutdown()
+            self._own.close()
 
     def _join(self, join_s: float) -> None:
         """Wait for the first node that may work."""
@@ -265,7 +269,7 @@ def _join(spec: _LinkSpec) -> Any:
                 object_store_memory=STORE_BYTES,
                 log_to_driver=False,
                 configure_logging=False,
-                _temp_dir=str(Path(tempfile.gettempdir()) / f"wcsim-ray-{os.getuid()}"),
+                _temp_dir=str(spec.temporary),
             )
         else:
             ray.init(address=spec.address, log_to_driver=False, configure_logging=False)
