@@ -19,6 +19,7 @@ SCRIPTS = {
     "barrier": "BarrierOptions",
     "parallel": "ParallelOptions",
     "soak": "SoakOptions",
+    "judge": "KerbOptions",
 }
 """Each a file of that name in `scripts/` with a `run(options)`, and its class of options."""
 PROGRAM = "python -m benchmarks"

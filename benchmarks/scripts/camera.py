@@ -15,12 +15,11 @@ from wcsim.towns.scenario.town import Town, find_town
 
 if TYPE_CHECKING:  # loads the renderers, which --help must not
     from benchmarks.camera.compare import Agreement, ComparedPicture, RendererComparison
-    from benchmarks.camera.side_by_side import SideBySide
 
 
 @dataclass
 class CameraOptions:
-    """Compare the rasteriser with PyBullet's TinyRenderer on the same frames (CPU time); six cameras with threads."""
+    """Compare the rasteriser with PyBullet's TinyRenderer on the same frames (CPU time)."""
 
     towns: str = "helsinki,monaco,manhattan"
     """Towns for the camera poses: each a town's name, its folder, or a .sumocfg file; separated by commas."""
@@ -45,21 +44,15 @@ def run(options: CameraOptions) -> int:
     towns = {name: find_town(name) for name in names}
 
     from benchmarks.camera.compare import pooled
-    from benchmarks.camera.side_by_side import CAMERAS
 
     shares = _shares(names, options.poses)
     measured = {name: _measure(towns[name], camera, count, options) for name, count in shares.items()}
-    every = pooled([picture for some, _ in measured.values() for picture in some])
-    rows = {name: pooled(some) for name, (some, _) in measured.items()}
+    every = pooled([picture for some in measured.values() for picture in some])
+    rows = {name: pooled(some) for name, some in measured.items()}
     console = stdout_console()
     console.print(_table({**rows, "all": every} if len(rows) > 1 else rows))
-    for name, (_, six) in measured.items():
-        console.print(
-            f"{name}: {CAMERAS} cameras in {six.alone_ms:.2f} ms one after the other, {six.together_ms:.2f} ms with "
-            f"{six.threads} threads: {six.gain:.2f} times as fast (wall time, best of all turns)"
-        )
     if options.json is not None:
-        each = {name: {**_as_json(row), "six_cameras": _six(measured[name][1])} for name, row in rows.items()}
+        each = {name: _as_json(row) for name, row in rows.items()}
         write_json(options.json, {**_as_json(every), "towns": each})
     return 0
 
@@ -71,13 +64,10 @@ def _shares(names: tuple[str, ...], poses: int) -> dict[str, int]:
     return {name: count for name, count in counts.items() if count}
 
 
-def _measure(
-    town: Town, camera: CameraConfig, poses: int, options: CameraOptions
-) -> tuple[tuple[ComparedPicture, ...], SideBySide]:
+def _measure(town: Town, camera: CameraConfig, poses: int, options: CameraOptions) -> tuple[ComparedPicture, ...]:
     """One town, all of its street loaded."""
     from benchmarks.camera.compare import compare_renderers
     from benchmarks.camera.random_scenes import scatter
-    from benchmarks.camera.side_by_side import side_by_side
     from wcsim.physics.renderer.geometry import GeometryStore
     from wcsim.physics.renderer.instances import actor_instances
     from wcsim.physics.sensors.camera_geometry import pinhole
@@ -85,10 +75,7 @@ def _measure(
 
     street = load_street(town)
     scene, store = scatter(street, camera, poses, options.actors, options.seed), GeometryStore(street.mesh)
-    return (
-        compare_renderers(store, pinhole(camera), scene.poses, actor_instances(scene.actors), options.rounds),
-        side_by_side(store, camera, scene),
-    )
+    return compare_renderers(store, pinhole(camera), scene.poses, actor_instances(scene.actors), options.rounds)
 
 
 def _table(rows: dict[str, RendererComparison]) -> Table:
@@ -119,10 +106,6 @@ def _as_json(row: RendererComparison) -> dict[str, Any]:
         "tiny_ms_median": row.tiny_ms_median,
         "pictures": row.pictures,
     }
-
-
-def _six(row: SideBySide) -> dict[str, float]:
-    return {"threads": row.threads, "alone_ms": row.alone_ms, "together_ms": row.together_ms, "gain": row.gain}
 
 
 def _pair(agreement: Agreement) -> dict[str, float]:

@@ -22,7 +22,6 @@ if TYPE_CHECKING:  # loads the simulators, which --help must not
 TINY_CAMERA = ("cameras.0.width_px=16", "cameras.0.height_px=12")  # nobody looks at the pictures
 LONGEST_S = 900.0
 _PICTURE_S = 30.0
-_CAREFREE = "inattentive"  # the profile that comes to the crossings
 _PICTURE = "users.png"
 
 
@@ -40,8 +39,6 @@ class UsersOptions:
     """Seconds of each route for the statistics."""
     arrivals: bool = True
     """Also drive whole routes: a competent user in an empty town, an inattentive one in traffic."""
-    crossings: int = 0
-    """Number of signalled crossings for inattentive users, some of whom ignore red."""
     pictures: OutFolder = None
     """Draw 30 seconds of each profile's joystick into this folder, as users.png."""
     set: Repeated = ()
@@ -55,7 +52,6 @@ class UsersOptions:
 def run(options: UsersOptions) -> int:
     """Run the bench."""
     Bounds(1, 1000).check("--routes", options.routes)
-    Bounds(0, 1000).check("--crossings", options.crossings)
     Bounds(20.0, LONGEST_S).check("--seconds", options.seconds)
     Keys({"env.profile": "expected --profiles NAME,..."}).check("--set", options.set)
     if options.pictures is not None:
@@ -74,9 +70,6 @@ def run(options: UsersOptions) -> int:
         result.update(_arrivals(options, towns, config))
         for title in ("empty_town", "traffic"):
             console.print(_facts(title, result[title]))
-    if options.crossings:
-        result["crossings"] = _crossings(options, towns, config)
-        console.print(_lights(result["crossings"]))
     if options.pictures is not None:
         _draw(options, driven)
     if options.json is not None:
@@ -127,26 +120,6 @@ def _arrivals(options: UsersOptions, towns: Sequence[Town], config: RunConfig) -
     return result
 
 
-def _crossings(options: UsersOptions, towns: Sequence[Town], config: RunConfig) -> dict[str, dict[str, int]]:
-    """How users came onto crossings with a light, by whether they keep to the law."""
-    from benchmarks.users.crossings import approach_crossings, colours
-
-    console = stderr_console()
-
-    def tell(text: str) -> None:
-        console.print(text, style="dim")
-
-    result = {}
-    for title, law_share in (("obey", 1.0), ("do not care", 0.0)):
-        found = []
-        for number, town in enumerate(towns):
-            share = len(range(number, options.crossings, len(towns)))
-            if share:
-                found += approach_crossings(town, config, _CAREFREE, share, law_share, options.seed, tell)
-        result[title] = colours(found)
-    return result
-
-
 def summary(routes: Sequence[DrivenRoute]) -> dict[str, Any]:
     """How routes ended, and what share of their steps was free of danger."""
     steps = sum(len(route.log.speed_mps) for route in routes)
@@ -186,13 +159,6 @@ def _facts(title: str, found: dict[str, Any]) -> Table:
         table.add_row("crashed, gave up", f"{row['crashed']}, {row['gave_up']}")
         table.add_row("driven, crashes per km", f"{row['km']:.2f} km, {row['crashes_per_km']:.2f}")
         table.add_row("share of steps without danger", f"{row['free_share']:.3f}")
-    return table
-
-
-def _lights(found: dict[str, dict[str, int]]) -> Table:
-    table = Table("at a crossing with a light", *next(iter(found.values())), box=box.SIMPLE_HEAD)
-    for title, counts in found.items():
-        table.add_row(f"users who {title}", *(str(count) for count in counts.values()))
     return table
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from tests.support.samples import USUAL_OUTLINE, straight_route, strip_street
 from tests.support.yardstick import multiple
-from tests.users.actors import USUAL_WHEELS_M, actor, make_user
+from tests.users.actors import USUAL_RIMS_M, USUAL_WHEELS_M, actor, make_user
 from tests.users.kinematics import TICK_S, Chair, Sim, plant, polyline
 from wcsim.config import ChairConfig
 from wcsim.core.joystick import shaped_rows
@@ -18,7 +18,7 @@ from wcsim.types import ActorKind, Joystick
 
 STREET = strip_street()
 ACTIONS = action_set("square81")
-ORACLE = Oracle(STREET.grid, ChairConfig(), USUAL_OUTLINE, USUAL_WHEELS_M, ACTIONS.points)
+ORACLE = Oracle(STREET.grid, ChairConfig(), USUAL_OUTLINE, USUAL_WHEELS_M, USUAL_RIMS_M, ACTIONS.points)
 FORWARD = Joystick(0.0, 0.8)
 STOP = Joystick(0.0, 0.0)
 UP, DOWN = math.pi / 2, -math.pi / 2
@@ -195,7 +195,7 @@ def test_the_oracle_is_quick():
 
 def test_a_wider_and_longer_chair_has_less_room():
     outline = replace(USUAL_OUTLINE, width_m=0.9, length_m=1.4)
-    large = Oracle(STREET.grid, ChairConfig(), outline, USUAL_WHEELS_M, ACTIONS.points)
+    large = Oracle(STREET.grid, ChairConfig(), outline, USUAL_WHEELS_M, USUAL_RIMS_M, ACTIONS.points)
     beside_the_house, beside_the_pole = plant(60.0, 8.4, 0.0, 0.0), plant(22.8, 6.2, 0.0, 1.3)
     lost_m = clearance(beside_the_house, ()) - large.assess(beside_the_house, STOP, ()).clearance_m
     assert lost_m == pytest.approx(0.14, abs=0.06)
@@ -205,11 +205,31 @@ def test_a_wider_and_longer_chair_has_less_room():
 
 def test_casters_behind_feel_kerbs_too():
     behind = np.concatenate([USUAL_WHEELS_M, [(-0.40, 0.25), (-0.40, -0.25)]])
-    mid = Oracle(STREET.grid, ChairConfig(), replace(USUAL_OUTLINE, middle_x_m=0.0), behind, ACTIONS.points)
+    outline = replace(USUAL_OUTLINE, middle_x_m=0.0)
+    mid = Oracle(STREET.grid, ChairConfig(), outline, behind, USUAL_RIMS_M, ACTIONS.points)
     backwards = Joystick(0.0, -1.0)
     above_the_kerb = plant(15.0, 4.55, UP, 0.0)  # the road is behind
     assert not ORACLE.danger(above_the_kerb, backwards, ())
     assert mid.danger(above_the_kerb, backwards, ())
+
+
+def test_the_footplate_meets_a_kerb_before_any_wheel_does():
+    creeping = Joystick(0.0, 0.3)
+    for gap_m, expected in ((0.05, True), (0.6, False)):
+        assert danger(15.0, 4.0 - 0.8 - gap_m, UP, 0.0, creeping) is expected
+    assert not danger(40.0, 4.0 - 0.8 - 0.05, UP, 0.0, creeping)  # where the kerb is lowered it passes over
+    over = plant(15.0, 4.0 - 0.7, UP)  # one that stands over the kerb may leave
+    safe = safe_actions(over, ())
+    assert safe[ACTIONS.nearest((0.0, 0.0))] and safe[ACTIONS.nearest((0.0, -0.5))]
+
+
+def test_a_kerb_behind_stops_the_wheels_and_is_no_danger():
+    assert not danger(15.0, 3.2, DOWN, 0.0, Joystick(0.0, -1.0))
+
+
+def test_a_wheel_that_hangs_over_an_edge_is_falling_whatever_the_stick_says():
+    hanging = replace(plant(15.0, 3.95, UP, -0.6), p_WB_m=np.array([15.0, 3.95, 0.12]))
+    assert not safe_actions(hanging, ()).any()
 
 
 LATE = (FORWARD,) * 2  # a delay of two ticks, the stick held
@@ -250,7 +270,7 @@ def test_seconds_count_from_now():
 
 @pytest.mark.parametrize(("tick_s", "steps"), [(0.1, 4), (0.05, 2), (0.02, 1), (0.25, 10)])
 def test_a_waiting_command_lasts_a_tick(tick_s, steps):
-    oracle = Oracle(STREET.grid, ChairConfig(), USUAL_OUTLINE, USUAL_WHEELS_M, ACTIONS.points, tick_s)
+    oracle = Oracle(STREET.grid, ChairConfig(), USUAL_OUTLINE, USUAL_WHEELS_M, USUAL_RIMS_M, ACTIONS.points, tick_s)
     rolled = oracle._steps((FORWARD, STOP))
     assert rolled.shape == (steps, 2)
     assert (rolled[: (steps + 1) // 2, 1] > 0.5).all() and (rolled[(steps + 1) // 2 :] == 0.0).all()
@@ -329,7 +349,7 @@ def test_asked_once_more_it_says_what_it_would_say_of_those_alone():
         np.testing.assert_array_equal(said.first_s, ORACLE.assess(state, FORWARD, (ahead, behind), LATE).first_s)
 
 
-SOFT = Oracle(STREET.grid, ChairConfig(decel_mps2=0.3), USUAL_OUTLINE, USUAL_WHEELS_M, ACTIONS.points)
+SOFT = Oracle(STREET.grid, ChairConfig(decel_mps2=0.3), USUAL_OUTLINE, USUAL_WHEELS_M, USUAL_RIMS_M, ACTIONS.points)
 
 
 def test_who_brakes_softly_is_in_danger_from_as_far_as_it_rolls():

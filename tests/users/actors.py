@@ -10,10 +10,12 @@ from tests.support import actors
 from tests.support.samples import USUAL_OUTLINE
 from wcsim.config import ChairConfig
 from wcsim.core.seeding import generator
+from wcsim.physics.wheelchair.plant import plant_spec
 from wcsim.types import ActorKind, ActorState, Street
 from wcsim.users.profiles import profile
 from wcsim.users.user import SimulatedUser
 
+USUAL_RIMS_M = np.array(plant_spec(ChairConfig()).rims_m())
 USUAL_WHEELS_M = np.array([(0.0, 0.27), (0.0, -0.27), (0.44, 0.25), (0.44, -0.25)])
 
 

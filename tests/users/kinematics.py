@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
 
 from tests.support.plants import plant_state
+from tests.support.samples import strip_street
 from wcsim.config import ChairConfig
 from wcsim.supervisor.actions import action_set
 from wcsim.types import ActorState, Joystick, PlantState, Route, SignalState, UserView
@@ -17,6 +18,7 @@ from wcsim.users.user import SimulatedUser
 TICK_S = 0.1
 SUBSTEPS = 24
 MIDDLE_M = 0.23
+GROUND = strip_street().grid
 
 
 @dataclass
@@ -64,7 +66,9 @@ def clip(value: float, most: float) -> float:
 
 
 def plant(x: float, y: float, yaw: float, v: float = 0.0, w: float = 0.0) -> PlantState:
-    return plant_state(x, y, yaw=yaw, ahead_mps=v, turn_radps=w)
+    """A chair that stands on the ground of the sample street."""
+    state = plant_state(x, y, yaw=yaw, ahead_mps=v, turn_radps=w)
+    return replace(state, p_WB_m=np.array([x, y, GROUND.height_here(x, y)]))
 
 
 @dataclass

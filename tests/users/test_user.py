@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.support.samples import USUAL_OUTLINE, straight_route, strip_street
-from tests.users.actors import USUAL_WHEELS_M, actor, make_user
+from tests.users.actors import USUAL_RIMS_M, USUAL_WHEELS_M, actor, make_user
 from tests.users.kinematics import Chair, Sim, lateral, polyline
 from tests.users.test_crossing import lit, over_the_road
 from wcsim.config import ChairConfig
@@ -25,7 +25,7 @@ from wcsim.users.route_line import Path
 from wcsim.users.user import SimulatedUser, steer
 
 STREET = strip_street()
-ORACLE = Oracle(STREET.grid, ChairConfig(), USUAL_OUTLINE, USUAL_WHEELS_M, action_set("square81").points)
+ORACLE = Oracle(STREET.grid, ChairConfig(), USUAL_OUTLINE, USUAL_WHEELS_M, USUAL_RIMS_M, action_set("square81").points)
 CORNERS = polyline((0, 0), (20, 0), (20, 15), (40, 15), step_m=2.0)
 PERSON, CAR = ActorKind.PEDESTRIAN, ActorKind.CAR
 

@@ -30,7 +30,14 @@ class Oracle:
     """Looks half a second and a braking distance ahead, for one street, chair and action set."""
 
     def __init__(
-        self, grid: Ground, chair: ChairConfig, outline: Outline, wheels_m: F64, actions: F64, tick_s: float = 0.1
+        self,
+        grid: Ground,
+        chair: ChairConfig,
+        outline: Outline,
+        wheels_m: F64,
+        rims_m: F64,
+        actions: F64,
+        tick_s: float = 0.1,
     ) -> None:
         """Prepare the arrays.
 
@@ -39,6 +46,7 @@ class Oracle:
             chair: The limits of the drive.
             outline: The chair seen from above.
             wheels_m: (W, 2) where its wheels stand in B, the left and right drive wheel first, then pairs of casters.
+            rims_m: (n, 3) what can meet a step of the ground in B, and the step that it takes.
             actions: (A, 2) joystick positions of the action set.
             tick_s: How long a command lasts.
         """
@@ -46,6 +54,7 @@ class Oracle:
         self._chair = chair
         self._hull = np.array([outline.middle_x_m, 0.5 * outline.length_m, 0.5 * outline.width_m])
         self._wheels_m = np.ascontiguousarray(wheels_m, np.float64)
+        self._rims = rims_m * (1.0, 1.0, 100.0)  # the raster has centimetres
         self._commands = shaped_rows(actions, chair)
         self._limits = limits_of(chair)
         self._tick_s = tick_s
@@ -140,6 +149,8 @@ class Oracle:
             self._limits,
             self._hull,
             self._wheels_m,
+            self._rims,
+            round(100.0 * (plant.p_WB_m[2] - float(grid.relief.at(plant.p_WB_m)))),
             grid.height_cm,
             grid.clearance_dm,
             np.array(grid.origin_W_m, np.float64),

@@ -2,13 +2,6 @@
 
 Plain arrays in and out, compiled by numba. The chair is kinematic, with the drive's limits of speed, acceleration, jerk
 and turn rate; the street is the raster of `StreetGrid`; others drive straight on, but for people.
-
-People on foot as the oracle reckons with them: plain arrays in and out, compiled by numba.
-
-They do not go on as they go. They stop dead behind others, step aside for a wheelchair, end that step and walk back to
-their own line. So a chair must not run into somebody who goes on, and must be able to stop before it runs into somebody
-who does otherwise. A body is round. Who walks into a chair that does not come towards it is at fault, as the world
-counts it (`physics/wheelchair/contacts.py`), and is none of the chair's doing.
 """
 
 from __future__ import annotations
@@ -22,130 +15,17 @@ from wcsim.core.constants import GRAVITY_MPS2, KERB_STEP_CM
 from wcsim.core.frames import rad
 from wcsim.core.jit import exact_kernel
 from wcsim.core.joystick import ACCEL, DECEL, JERK, V_MAX, YAW_ACCEL, YAW_MAX, driven
-from wcsim.types import F64, I64, U8
-
-MARGIN_M = 0.05
-STEP_ASIDE_MPS = 0.8  # as the street's people do (`bridge/reaction/pedestrians.py`)
-HARDLY_MPS = 0.05  # a chair that comes nearer more slowly than this runs into nobody
-
-# columns of the table (n, 9): where, the heading, the radius, the speeds ahead and to the left of it, how far left of
-# their own line they walk, and the margin, set at the start of a roll-out
-PX, PY, PCOS, PSIN, PRADIUS, PAHEAD_MPS, PLEFT_MPS, PASIDE_M, PMARGIN = range(9)
-# entries of a chair's hull (3,) seen from above: its middle ahead of the drive axle, half its length and half its width
-MIDDLE, HALF_L, HALF_W = range(3)
-
-
-@exact_kernel
-def _set_people_margins(x: float, y: float, yaw: float, hull: F64, people: F64) -> None:
-    """Everybody gets a small margin, except those who stand within it already: they would forbid every move."""
-    for i in range(len(people)):
-        gap_m = _person_gap(x, y, yaw, hull, people[i])
-        people[i, PMARGIN] = 0.0 if gap_m <= MARGIN_M else MARGIN_M
-
-
-@exact_kernel
-def _person_gap(x: float, y: float, yaw: float, hull: F64, person: F64) -> float:
-    """Distance in metres from a chair's footprint to a person now, negative in one another."""
-    cos, sin = math.cos(yaw), math.sin(yaw)
-    dx, dy = person[PX] - x, person[PY] - y
-    ahead, left = dx * cos + dy * sin - hull[MIDDLE], dy * cos - dx * sin
-    out_l = max(0.0, abs(ahead) - hull[HALF_L])
-    out_w = max(0.0, abs(left) - hull[HALF_W])
-    return math.hypot(out_l, out_w) - float(person[PRADIUS])
-
-
-@exact_kernel
-def _near_people(x: float, y: float, way_m: float, within_s: float, hull: F64, people: F64) -> F64:
-    """Those of the people whom a chair can meet that drives `way_m` at most in so many seconds."""
-    near = np.empty_like(people)
-    many = 0
-    for i in range(len(people)):
-        if math.hypot(people[i, PX] - x, people[i, PY] - y) < way_m + _reach_m(hull, people[i], within_s):
-            near[many] = people[i]
-            many += 1
-    return near[:many]
-
-
-@exact_kernel
-def _runs_into_going_on(
-    x: float, y: float, yaw: float, v: float, w: float, hull: F64, later_s: float, people: F64
-) -> bool:
-    """Whether the chair, there and as fast in `later_s`, runs into somebody who goes on as now."""
-    cos, sin = math.cos(yaw), math.sin(yaw)
-    for i in range(len(people)):
-        one = people[i]
-        if _meets(x, y, cos, sin, v, w, hull, one, later_s, one[PAHEAD_MPS], one[PLEFT_MPS]):
-            return True
-    return False
-
-
-@exact_kernel
-def _runs_into_any_way(
-    x: float, y: float, yaw: float, v: float, w: float, hull: F64, later_s: float, people: F64
-) -> bool:
-    """The same of somebody who goes on, slows down or stops, and steps on, ends it or steps back to the own line."""
-    cos, sin = math.cos(yaw), math.sin(yaw)
-    for i in range(len(people)):
-        one = people[i]
-        dx, dy, reach = one[PX] - x, one[PY] - y, _reach_m(hull, one, later_s)
-        if dx * dx + dy * dy > reach * reach:
-            continue
-        left_mps = one[PLEFT_MPS]
-        # Nobody steps back beyond the own line.
-        most_mps = min(STEP_ASIDE_MPS, abs(one[PASIDE_M]) / later_s)
-        back_mps = -math.copysign(most_mps, one[PASIDE_M])
-        # Standing, half as fast, as fast: three paces stand for all between them.
-        for share in range(3):
-            ahead_mps = 0.5 * share * one[PAHEAD_MPS]
-            if (
-                _meets(x, y, cos, sin, v, w, hull, one, later_s, ahead_mps, 0.0)
-                or (left_mps != 0.0 and _meets(x, y, cos, sin, v, w, hull, one, later_s, ahead_mps, left_mps))
-                or (back_mps != 0.0 and _meets(x, y, cos, sin, v, w, hull, one, later_s, ahead_mps, back_mps))
-            ):
-                return True
-            # A person who stands has no slower pace to try.
-            if one[PAHEAD_MPS] == 0.0:
-                break
-    return False
-
-
-@exact_kernel
-def _reach_m(hull: F64, person: F64, later_s: float) -> float:
-    """How far from the drive axle somebody may be now who touches the chair in so many seconds, at most."""
-    most_mps = abs(person[PAHEAD_MPS]) + max(abs(person[PLEFT_MPS]), STEP_ASIDE_MPS)
-    return float(abs(hull[MIDDLE]) + hull[HALF_L] + hull[HALF_W] + person[PRADIUS] + MARGIN_M + later_s * most_mps)
-
-
-@exact_kernel
-def _meets(
-    x: float,
-    y: float,
-    cos: float,
-    sin: float,
-    v: float,
-    w: float,
-    hull: F64,
-    person: F64,
-    later_s: float,
-    ahead_mps: float,
-    left_mps: float,
-) -> bool:
-    """Whether a chair touches a person who has walked so fast, with a point of its own that comes towards them."""
-    vx = ahead_mps * person[PCOS] - left_mps * person[PSIN]
-    vy = ahead_mps * person[PSIN] + left_mps * person[PCOS]
-    dx, dy = person[PX] + later_s * vx - x, person[PY] + later_s * vy - y
-    reach = person[PRADIUS] + person[PMARGIN]
-    px, py = dx * cos + dy * sin, dy * cos - dx * sin
-    qx = min(max(px, hull[MIDDLE] - hull[HALF_L]), hull[MIDDLE] + hull[HALF_L])
-    qy = min(max(py, -hull[HALF_W]), hull[HALF_W])
-    out_x, out_y = px - qx, py - qy
-    gap2 = out_x * out_x + out_y * out_y
-    if gap2 >= reach * reach or gap2 == 0.0:  # who is in the hull has walked into it before
-        return False
-    own = (v - w * qy) * out_x + w * qx * out_y
-    away = (vx * cos + vy * sin) * out_x + (vy * cos - vx * sin) * out_y
-    return bool(own > max(HARDLY_MPS * math.sqrt(gap2), away))
-
+from wcsim.supervisor.walkers import (
+    HALF_L,
+    HALF_W,
+    MIDDLE,
+    near_people,
+    person_gap,
+    runs_into_any_way,
+    runs_into_going_on,
+    set_people_margins,
+)
+from wcsim.types import F64, I64, U8, Bool
 
 HOLD_S = 0.5
 STEP_S = 0.05
@@ -162,7 +42,10 @@ PITCH_LIMIT = math.tan(rad(30.0))
 
 # columns of the actors' table (n, 9); the last is the margin, set at the start of a roll-out
 AX, AY, ACOS, ASIN, AHALF_L, AHALF_W, AVX, AVY, AMARGIN = range(9)
+BUMP_MPS = 0.7  # a slower wheel is stopped by a kerb
 BEYOND_M = 0.1  # of the hull's corners, where a rough distance is enough
+# columns of what can meet a step up (n, 3): the place in B, and the step in centimetres that it takes
+UX, UY, UTAKES_CM = range(3)
 
 
 @exact_kernel
@@ -173,6 +56,8 @@ def roll_out(
     limits: F64,
     hull: F64,
     wheels: F64,
+    rims: F64,
+    above_cm: int,
     height_cm: U8,
     clearance_dm: U8,
     origin_m: F64,
@@ -190,6 +75,8 @@ def roll_out(
         limits: (8,) of the drive, see `wcsim.core.joystick`.
         hull: (3,) see the column names above.
         wheels: (W, 2) where its wheels stand, in B: the left and right drive wheel, then pairs of casters.
+        rims: (n, 3) what can meet a step up, see the column names above.
+        above_cm: How high above the relief it stands.
         height_cm: (rows, cols) of the street grid.
         clearance_dm: (rows, cols) of the street grid.
         origin_m: (2,) of the street grid.
@@ -202,27 +89,60 @@ def roll_out(
         (K,) float64.
     """
     _set_actor_margins(state, hull, actors)
-    _set_people_margins(state[0], state[1], state[2], hull, people)
+    set_people_margins(state[0], state[1], state[2], hull, people)
     start_gap = _static_gap(state[0], state[1], state[2], hull, clearance_dm, origin_m, cell_m, BEYOND_M)
     # Never deeper than it is now, nor than DEEPENING_M in all: it is asked anew in every step.
     allowed_gap = min(0.0, start_gap - SAME_M, max(start_gap, 0.0) - DEEPENING_M)
-    # as fast as it may be, for as long as it may take until it stands
+    far_m = _furthest_m(state, hull, limits, len(waiting))
+    start_cm, astray, takes_cm = _stance(state, wheels, rims, above_cm, far_m, height_cm, origin_m, cell_m)
     stands_s = len(waiting) * STEP_S + tick_s + limits[V_MAX] / limits[DECEL] + limits[DECEL] / limits[JERK]
-    near = _near_people(state[0], state[1], stands_s * limits[V_MAX], stands_s, hull, people)
+    near = near_people(state[0], state[1], stands_s * limits[V_MAX], stands_s, hull, people)
     first_s = np.full(len(commands), np.inf)
     for k in range(len(commands)):
         first_s[k] = _one(
-            state, waiting, commands[k], limits, hull, wheels, allowed_gap,
+            state, waiting, commands[k], limits, hull, wheels, rims, allowed_gap, takes_cm, start_cm, astray,
             height_cm, clearance_dm, origin_m, cell_m, actors, people,
         )  # fmt: skip
         if len(near):
-            let_go_s = _let_go(state, waiting, commands[k], limits, hull, near, tick_s)
-            first_s[k] = min(first_s[k], let_go_s)
+            first_s[k] = min(first_s[k], _let_go(state, waiting, commands[k], limits, hull, near, tick_s))
         # It goes wrong before any command begins, so it does with every one of them.
         if first_s[k] <= len(waiting) * STEP_S:
-            first_s[:] = first_s[k]
-            break
+            return np.full(len(commands), first_s[k])
     return first_s
+
+
+@exact_kernel
+def _stance(
+    state: F64,
+    wheels: F64,
+    rims: F64,
+    above_cm: int,
+    reach_m: float,
+    height_cm: U8,
+    origin_m: F64,
+    cell_m: float,
+) -> tuple[I64, Bool, F64]:
+    """Heights (W,) on which the wheels stand, which of them the raster sees elsewhere, and the step each rim takes.
+
+    Mostly a chair stands as high as anything in its reach: then no rim has to be looked under, and there are no steps.
+    """
+    cos, sin = math.cos(state[2]), math.sin(state[2])
+    start_cm, astray = np.empty(len(wheels), np.int64), np.empty(len(wheels), np.bool_)
+    _wheel_heights(state[0], state[1], cos, sin, wheels, height_cm, origin_m, cell_m, start_cm)
+    for j in range(len(wheels)):
+        # A wheel that has left an edge hangs above the ground beside it, and its fall has begun.
+        astray[j] = start_cm[j] - above_cm > KERB_STEP_CM
+        if abs(above_cm - start_cm[j]) > KERB_STEP_CM:
+            start_cm[j] = above_cm
+    takes_cm = rims[:, UTAKES_CM].copy()
+    highest_cm = _highest_cm(state[0], state[1], reach_m, height_cm, origin_m, cell_m)
+    if len(rims) and highest_cm - start_cm.min() <= takes_cm.min():
+        return start_cm, astray, takes_cm[:0]
+    for i in range(len(rims)):
+        # Never higher up a step than it is now: a footplate that stands over one may leave.
+        now_cm = _rise_cm(state[0], state[1], cos, sin, wheels, start_cm, rims[i], height_cm, origin_m, cell_m)
+        takes_cm[i] = max(takes_cm[i], now_cm)
+    return start_cm, astray, takes_cm
 
 
 @exact_kernel
@@ -230,6 +150,26 @@ def rolls_s(limits: F64) -> float:
     """Seconds that a command is held and the chair then takes to stand, at most; of a drive's limits (8,)."""
     straight_s = limits[V_MAX] / limits[DECEL] + (limits[ACCEL] + limits[DECEL]) / limits[JERK]
     return float(min(SOFTEST_S, HOLD_S + max(straight_s, limits[YAW_MAX] / limits[YAW_ACCEL])))
+
+
+@exact_kernel
+def _furthest_m(state: F64, hull: F64, limits: F64, waits: int) -> float:
+    """How far from its axle a chair may reach in a roll-out, at most."""
+    own_m = math.hypot(hull[HALF_L], hull[HALF_W]) + abs(hull[MIDDLE])
+    return float(own_m + max(abs(state[3]), limits[V_MAX]) * (waits * STEP_S + rolls_s(limits)))
+
+
+@exact_kernel
+def _highest_cm(x: float, y: float, reach_m: float, height_cm: U8, origin_m: F64, cell_m: float) -> int:
+    """Of the ground in a square around a place."""
+    rows, cols = height_cm.shape
+    col, row = int((x - origin_m[0]) / cell_m), int((y - origin_m[1]) / cell_m)
+    reach = int(reach_m / cell_m) + 1
+    highest = 0
+    for r in range(max(0, row - reach), min(rows, row + reach + 1)):
+        for c in range(max(0, col - reach), min(cols, col + reach + 1)):
+            highest = max(highest, height_cm[r, c])
+    return highest
 
 
 @exact_kernel
@@ -263,7 +203,7 @@ def free_distance(
         )  # fmt: skip
         nearest = min(nearest, gap)
     for i in range(len(people)):
-        nearest = min(nearest, _person_gap(state[0], state[1], state[2], hull, people[i]))
+        nearest = min(nearest, person_gap(state[0], state[1], state[2], hull, people[i]))
     return max(0.0, nearest)
 
 
@@ -275,7 +215,11 @@ def _one(
     limits: F64,
     hull: F64,
     wheels: F64,
+    rims: F64,
     allowed_gap: float,
+    takes_cm: F64,
+    start_cm: I64,
+    astray: Bool,
     height_cm: U8,
     clearance_dm: U8,
     origin_m: F64,
@@ -286,8 +230,9 @@ def _one(
     x, y, yaw, v, w, a = state[0], state[1], state[2], state[3], state[4], state[5]
     before = np.empty(len(wheels), np.int64)
     before2 = np.empty(len(wheels), np.int64)
-    _wheel_heights(x, y, yaw, wheels, height_cm, origin_m, cell_m, before)
-    before2[:] = before
+    before[:] = start_cm
+    before2[:] = start_cm
+    aside = astray.copy()
     now = np.empty(len(wheels), np.int64)
     waits = len(waiting)
     for i in range(waits + _most_steps(limits)):
@@ -300,11 +245,20 @@ def _one(
             stick_x, stick_y = waiting[i, 0], waiting[i, 1]
         x, y, yaw, v, w, a = _moved(x, y, yaw, v, w, a, stick_x, stick_y, limits)
         later_s = (i + 1) * STEP_S
-        _wheel_heights(x, y, yaw, wheels, height_cm, origin_m, cell_m, now)
+        cos, sin = math.cos(yaw), math.sin(yaw)
+        _wheel_heights(x, y, cos, sin, wheels, height_cm, origin_m, cell_m, now)
+        for j in range(len(wheels)):
+            # Where it cannot stand it does not: a caster that has swung round at a kerb.
+            if now[j] - start_cm[j] > KERB_STEP_CM and aside[j]:
+                now[j] = start_cm[j]
+            else:
+                aside[j] = False
         if (
-            _falls(wheels, now, before, before2, v * w)
+            _leans(wheels, now, v * w)
+            or _steps(now, before, before2, abs(v))
+            or _bumps(x, y, cos, sin, wheels, now, rims, takes_cm, height_cm, origin_m, cell_m)
             or _touches(x, y, yaw, hull, later_s, allowed_gap, clearance_dm, origin_m, cell_m, actors)
-            or _runs_into_going_on(x, y, yaw, v, w, hull, later_s, people)
+            or runs_into_going_on(x, y, yaw, v, w, hull, later_s, people)
         ):
             return later_s
         before2[:] = before
@@ -325,7 +279,7 @@ def _let_go(state: F64, waiting: F64, command: F64, limits: F64, hull: F64, peop
         if i < waits:
             stick_x, stick_y = waiting[i, 0], waiting[i, 1]
         x, y, yaw, v, w, a = _moved(x, y, yaw, v, w, a, stick_x, stick_y, limits)
-        if _runs_into_any_way(x, y, yaw, v, w, hull, (i + 1) * STEP_S, people):
+        if runs_into_any_way(x, y, yaw, v, w, hull, (i + 1) * STEP_S, people):
             return (i + 1) * STEP_S
     return np.inf
 
@@ -346,15 +300,73 @@ def _moved(
 
 
 @exact_kernel
-def _falls(wheels: F64, now: I64, before: I64, before2: I64, vw: float) -> bool:
-    """A wheel met a step (within two samples, so that a raster's soft edge counts), or the chair leans too far."""
+def _steps(now: I64, before: I64, before2: I64, speed: float) -> bool:
+    """Whether a wheel went down a step, or fast up one, within two samples, so that a raster's soft edge counts."""
     for j in range(len(now)):
-        if abs(now[j] - before[j]) > KERB_STEP_CM or abs(now[j] - before2[j]) > KERB_STEP_CM:
+        down = max(before[j], before2[j]) - now[j]
+        up = now[j] - min(before[j], before2[j])
+        if down > KERB_STEP_CM or (up > KERB_STEP_CM and speed > BUMP_MPS):
             return True
+    return False
+
+
+@exact_kernel
+def _leans(wheels: F64, now: I64, vw: float) -> bool:
+    """Whether the chair leans too far."""
     # In a turn the chair leans as on a slope of v w / g.
     lean = 0.01 * (now[0] - now[1]) / (wheels[0, 1] - wheels[1, 1]) + vw / GRAVITY_MPS2
     pitch = 0.01 * 0.5 * (now[2] + now[3] - now[0] - now[1]) / (wheels[2, 0] - wheels[0, 0])
     return bool(abs(lean) > LEAN_LIMIT or abs(pitch) > PITCH_LIMIT)
+
+
+@exact_kernel
+def _bumps(
+    x: float,
+    y: float,
+    cos: float,
+    sin: float,
+    wheels: F64,
+    now: I64,
+    rims: F64,
+    takes_cm: F64,
+    height_cm: U8,
+    origin_m: F64,
+    cell_m: float,
+) -> bool:
+    """Whether one of `rims` meets a step of the ground that it does not take (n,)."""
+    for i in range(len(takes_cm)):
+        if _rise_cm(x, y, cos, sin, wheels, now, rims[i], height_cm, origin_m, cell_m) > takes_cm[i]:
+            return True
+    return False
+
+
+@exact_kernel
+def _rise_cm(
+    x: float,
+    y: float,
+    cos: float,
+    sin: float,
+    wheels: F64,
+    now: I64,
+    rim: F64,
+    height_cm: U8,
+    origin_m: F64,
+    cell_m: float,
+) -> float:
+    """By how much the ground at a rim lies above the plane on which the wheels stand (W,)."""
+    px, py = x + rim[UX] * cos - rim[UY] * sin, y + rim[UX] * sin + rim[UY] * cos
+    axle_cm = 0.5 * (now[0] + now[1])
+    ahead_cm = (0.5 * (now[2] + now[3]) - axle_cm) * rim[UX] / wheels[2, 0]
+    return float(_height_cm(px, py, height_cm, origin_m, cell_m) - axle_cm - ahead_cm)
+
+
+@exact_kernel
+def _height_cm(x: float, y: float, height_cm: U8, origin_m: F64, cell_m: float) -> int:
+    """Of the ground. Not interpolated: between two cells a kerb would become a ramp."""
+    rows, cols = height_cm.shape
+    col = min(max(math.floor((x - origin_m[0]) / cell_m), 0), cols - 1)
+    row = min(max(math.floor((y - origin_m[1]) / cell_m), 0), rows - 1)
+    return int(height_cm[row, col])
 
 
 @exact_kernel
@@ -438,18 +450,13 @@ def _clearance(x: float, y: float, clearance_dm: U8, origin_m: F64, cell_m: floa
 
 @exact_kernel
 def _wheel_heights(
-    x: float, y: float, yaw: float, wheels: F64, height_cm: U8, origin_m: F64, cell_m: float, out: I64
+    x: float, y: float, cos: float, sin: float, wheels: F64, height_cm: U8, origin_m: F64, cell_m: float, out: I64
 ) -> None:
     """Ground height under the wheels into `out` (W,), centimetres."""
-    cos, sin = math.cos(yaw), math.sin(yaw)
-    rows, cols = height_cm.shape
     for j in range(len(wheels)):
         wx = x + wheels[j, 0] * cos - wheels[j, 1] * sin
         wy = y + wheels[j, 0] * sin + wheels[j, 1] * cos
-        # Not interpolated: between two cells a kerb would become a ramp.
-        col = min(max(math.floor((wx - origin_m[0]) / cell_m), 0), cols - 1)
-        row = min(max(math.floor((wy - origin_m[1]) / cell_m), 0), rows - 1)
-        out[j] = height_cm[row, col]
+        out[j] = _height_cm(wx, wy, height_cm, origin_m, cell_m)
 
 
 @exact_kernel

@@ -57,7 +57,7 @@ def test_without_a_drawn_delay_the_configured_one_stays():
     for drawn in (None, Drawn(light=0.5)):
         tell_delay(policy, drawn)
         tell_delay(told, drawn)
-    assert policy._extractor.around.ego.delay_ticks == 2 and told.heard == []
+    assert policy.extractor.around.ego.delay_ticks == 2 and told.heard == []
     assert isinstance(policy, HearsDelay) and not isinstance(baseline("dwa", small_config()), HearsDelay)
 
 

@@ -27,6 +27,7 @@ LIMITS = limits_of(ChairConfig())
 HERE = np.zeros(3)
 NOTHING, UNSEEN = np.zeros((0, 2)), np.full((ROWS, COLUMNS), np.inf, np.float32)
 POST = np.array([[2.05, 0.45]])
+BEFORE = (1.75, 0.35)
 
 
 def measured(*places):
@@ -74,7 +75,7 @@ def test_what_was_seen_once_and_who_can_walk_off_is_kept_for_seconds(memory, tim
 
 
 def test_ground_where_something_was_takes_it_away_the_later_the_surer_it_was(memory):
-    ground = measured(POST[0])
+    ground = measured(POST[0], BEFORE)
     for times, contradictions in ((1, 1), (2, 2), (9, 3)):
         memory.forget()
         look(memory, POST, times=times)
@@ -83,8 +84,10 @@ def test_ground_where_something_was_takes_it_away_the_later_the_surer_it_was(mem
         look(memory, low_m=ground)
         assert len(memory.points_B_m(HERE, 0.0)) == 0
     look(memory, POST, times=3)
-    look(memory, low_m=measured((2.05, 1.45)), times=9)
-    assert len(memory.points_B_m(HERE, 0.0)) == 1  # other ground says nothing of it
+    for elsewhere in (measured((2.05, 1.45), BEFORE), measured(POST[0])):
+        look(memory, low_m=elsewhere, times=9)
+        # Other ground says nothing of it, nor does its own where that before it is out of the picture: no step shows.
+        assert len(memory.points_B_m(HERE, 0.0)) == 1
 
 
 def test_the_raster_goes_round_without_mixing_up_places(memory):

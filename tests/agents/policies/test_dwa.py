@@ -143,8 +143,8 @@ def test_what_it_saw_once_is_forgotten_in_seconds_and_what_it_saw_for_longer_is_
 def test_what_it_remembers_moves_as_the_chair_does():
     driver = baseline("dwa", CONFIG)
     drive(box(2.2, 2.4, -0.1, 0.1, 0, 1.0), 1, (0.0, 0.0), driver)
-    before = driver._around.memory.points_B_m(np.zeros(3), 0.0).copy()
-    after = driver._around.memory.points_B_m(np.array([0.5, 0.0, 0.3]), 0.5)
+    before = driver.around.memory.points_B_m(np.zeros(3), 0.0).copy()
+    after = driver.around.memory.points_B_m(np.array([0.5, 0.0, 0.3]), 0.5)
     cos, sin = math.cos(0.3), math.sin(0.3)
     assert np.allclose(after, (before - [0.5, 0.0]) @ np.array([[cos, -sin], [sin, cos]]))
     assert np.arctan2(*after.mean(axis=0)[::-1]) < 0.0  # turned to the left, it lies to the right

@@ -8,6 +8,7 @@ import pytest
 
 from tests.support.worlds import dqn_config
 from wcsim.agents.rounds.drive_segment import (
+    OFF_WAY_STEPS,
     SegmentOrder,
     _DataDriver,
     _drawn_settings,
@@ -31,7 +32,8 @@ ACTIONS = action_set("square81")
 
 def order_in(corner: Path, *overrides: str, key: SegmentKey = KEY) -> SegmentOrder:
     varied = 'collect.variants=["vary.action_delay_ticks=[0,2]"]'
-    config = dqn_config("collect.ticks=40", "collect.chairs=2", "collect.scene_share=0", varied, *overrides)
+    shares = ("collect.scene_share=0", "collect.off_way_share=0")
+    config = dqn_config("collect.ticks=40", "collect.chairs=2", *shares, varied, *overrides)
     return SegmentOrder(key=key, towns=(str(corner),), config=config)
 
 
@@ -53,6 +55,14 @@ def test_the_same_key_gives_the_same_segment_and_another_another(corner: Path, s
     assert all((column == again.arrays()[name]).all() for name, column in segment.arrays().items())
     other = collect(order_in(corner, "collect.episode_steps=15", key=SegmentKey(run=5, round=0, index=1)), None)
     assert not np.array_equal(other.stick, segment.stick)
+
+
+def test_a_share_of_the_chairs_begins_off_the_way_and_is_pushed(corner: Path):
+    orders = (order_in(corner, f"collect.off_way_share={share}", "collect.ticks=130") for share in (0, 1))
+    usual, pushed = (collect(order, None) for order in orders)
+    assert pushed.ended.sum() >= 2 * (130 // OFF_WAY_STEPS) > usual.ended.sum()
+    assert pushed.wish[:, 1].mean() > 0.6 > usual.wish[:, 1].mean()
+    assert (pushed.visible != SAFE).any(axis=1).mean() > 2.0 * (usual.visible != SAFE).any(axis=1).mean()
 
 
 def test_who_learns_from_crashes_asks_no_oracle_and_drives_in_the_same_world(corner: Path):

@@ -10,7 +10,7 @@ from tests.physics.rig import shoot
 from tests.physics.sensors.test_camera import SMALL, plant
 from tests.support.samples import USUAL_OUTLINE, strip_street
 from tests.support.worlds import follow, open_world
-from tests.users.actors import USUAL_WHEELS_M, actor
+from tests.users.actors import USUAL_RIMS_M, USUAL_WHEELS_M, actor
 from wcsim.bridge.ego.ego import _ShownActors
 from wcsim.bridge.world import World
 from wcsim.config import ChairConfig, WorldConfig
@@ -63,7 +63,7 @@ def said(place, others, history=()) -> tuple[np.ndarray, np.ndarray]:
     `history`: (tick, place, others) of pictures that were taken before; the last one is of tick 100.
     """
     street = strip_street()
-    oracle = Oracle(street.grid, ChairConfig(), USUAL_OUTLINE, USUAL_WHEELS_M, ACTIONS.points)
+    oracle = Oracle(street.grid, ChairConfig(), USUAL_OUTLINE, USUAL_WHEELS_M, USUAL_RIMS_M, ACTIONS.points)
     shown = _ShownActors(WorldConfig())
     with CameraRig(street.mesh, (SMALL,), seats=1) as rig:
         for tick, at, actors in (*history, (100, place, others)):

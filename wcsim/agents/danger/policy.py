@@ -118,7 +118,7 @@ class DangerPolicy(HearsSent):
         self.rule, self._net, self._alarm = rule, net, Alarm()
         self._device = next(net.parameters()).device
         self._actions = action_set(config.env.actions)
-        self._extractor = FeatureExtractor(config, delay_ticks, net.spec.street, net.spec.pictures)
+        self.extractor = FeatureExtractor(config, delay_ticks, net.spec.street, net.spec.pictures)
         self._last, self._recent = -1, 0
         self.unsafe: Bool = np.zeros(len(self._actions), np.bool_)  # (A,) above the threshold at the last choice
         self.features: Features  # of the newest observation
@@ -145,14 +145,14 @@ class DangerPolicy(HearsSent):
 
     def set_delay(self, ticks: int) -> None:
         """From the next `reset` on a command reaches the chair so many ticks late."""
-        self._extractor.around.ego.delay_ticks = ticks
+        self.extractor.around.ego.delay_ticks = ticks
 
     def begin(self) -> None:
         """Nothing outlives an episode."""
 
     def reset(self) -> None:
         """Stand still, and know nothing of the street."""
-        self._extractor.forget()
+        self.extractor.forget()
         self._alarm, self._last, self._recent = Alarm(), -1, 0
 
     def choose(self, observation: Observation) -> int:
@@ -170,17 +170,17 @@ class DangerPolicy(HearsSent):
 
     def observe(self, observation: Observation) -> None:
         """Take in the observation, and choose nothing."""
-        self.features = self._extractor.extract(observation)
+        self.features = self.extractor.extract(observation)
 
     def sent(self, action: int) -> None:
         """Say which action is carried out."""
-        self._extractor.command(action)
+        self.extractor.command(action)
         self._last = action
 
     def danger(self, features: Features) -> F64:
         """How bad each action is, (A,) in 0..1. Raises NotFinite when the network leaves the finite numbers."""
         with torch.inference_mode():
-            tensors = [part.to(self._device) for part in to_tensors(self._extractor, *features.batch())]
+            tensors = [part.to(self._device) for part in to_tensors(self.extractor, *features.batch())]
             logits = self._net(*tensors).cpu().numpy()[0]
         if not np.isfinite(logits).all():
             raise NotFinite(f"policy {self.name!r} returns dangers that are not finite; train it again")

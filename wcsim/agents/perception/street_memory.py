@@ -227,13 +227,25 @@ def _contradict(cells: I64, places: F64, low: F32, pose: F64, tick: int) -> None
                 row = math.floor((cos * dx + sin * dy) / CELL_M)
                 column = math.floor((cos * dy - sin * dx + REACH_M) / CELL_M)
                 if 0 <= row < ROWS and 0 <= column < COLUMNS and low[row, column] < np.inf:
-                    cells[i, j, _EVIDENCE] -= 1
+                    cells[i, j, _EVIDENCE] -= _would_show(low, row, column)
     for row in range(ROWS):
         for column in range(COLUMNS):
             if low[row, column] < np.inf:
                 bx, by = (row + 0.5) * CELL_M, (column + 0.5) * CELL_M - REACH_M
                 i, j = _claim(cells, pose[0] + cos * bx - sin * by, pose[1] + sin * bx + cos * by)
                 cells[i, j, _GROUND] = _SEEN
+
+
+@exact_kernel
+def _would_show(low: F32, row: int, column: int) -> bool:
+    """Whether a step at a cell would show: the ground before it, towards the chair, was measured, too."""
+    aside = column - COLUMNS // 2
+    away = max(row, abs(aside), 1)
+    for nearer in range(2, GAP_CELLS + 2):
+        share = max(0.0, 1.0 - nearer / away)
+        if low[round(share * row), COLUMNS // 2 + round(share * aside)] < np.inf:
+            return True
+    return False
 
 
 @exact_kernel

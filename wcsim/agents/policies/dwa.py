@@ -13,7 +13,7 @@ less, and intervene more often.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -45,6 +45,7 @@ from wcsim.supervisor.actions import ActionSet, action_set
 from wcsim.types import F64, I64, Bool, Outline
 
 _COMFORT_COST = 0.15  # joystick distance, less than the 0.1768 that still counts as following
+ROOM_S = 0.5  # more, for which a faster command than the last one must be free
 WARN_S = 2.0  # of what the user's stick would meet so soon
 _WARN_MARGIN_M = 0.03
 
@@ -154,15 +155,17 @@ class DynamicWindow(HearsSent):
         self.name, self._alarm = name, Alarm()
         self.level, self._caution, self._actions = level, _caution(level), actions
         self.unsafe: Bool = np.zeros(len(actions), np.bool_)  # (A,) out of the question at the last choice
-        self._around = StreetSense(config, actions, outline)
+        self.around = StreetSense(config, actions, outline)
+        self._rest = actions.nearest((0.0, 0.0))
+        self._last = self._asked = self._rest  # what was sent last, and what the user's stick asked for then
 
     def begin(self) -> None:
         """Nothing outlives an episode."""
 
     def reset(self) -> None:
         """Stand still, and know nothing of the street."""
-        self._around.forget()
-        self._alarm = Alarm()
+        self.around.forget()
+        self._alarm, self._last, self._asked = Alarm(), self._rest, self._rest
 
     @property
     def warning(self) -> bool:
@@ -176,11 +179,12 @@ class DynamicWindow(HearsSent):
 
     def sent(self, action: int) -> None:
         """Say which action is carried out."""
-        self._around.command(action)
+        self.around.command(action)
+        self._last = action
 
     def choose(self, observation: Observation) -> int:
         """The action, while another one may still be sent."""
-        around, stick = self._around, np.asarray(observation[JOYSTICK_KEY], np.float64)
+        around, stick = self.around, np.asarray(observation[JOYSTICK_KEY], np.float64)
         around.observe(observation)
         points = around.in_the_way(self._caution.margin_m)
         start, later_s = around.start()
@@ -189,15 +193,21 @@ class DynamicWindow(HearsSent):
 
     def _meets(self, stick: F64, start: F64, later_s: float, points: F64) -> bool:
         """Whether the user's stick, held, would meet something soon."""
-        around = self._around
+        around = self.around
         shaped, limits, box = around.shaped(stick), around.limits, around.box_B_m
         return math.isfinite(touches_after(start, later_s, shaped, limits, box, points, _WARN_MARGIN_M, WARN_S))
 
     def _choose(self, stick: F64, start: F64, later_s: float, points: F64) -> int:
         """The action that begins at `start` (6,), with `points` (n, 5) in the way, see `arcs`."""
         care = self._caution
-        free, gap_m = _brakes_in_time(self._around, care, start, later_s, points)
+        free, gap_m = _brakes_in_time(self.around, care, start, later_s, points)
         self.unsafe = ~free
+        out = np.hypot(self._actions.points[:, 0], self._actions.points[:, 1])
+        taken, self._asked = self._last != self._asked, self._actions.nearest(stick)
+        if taken and out[self._asked] > out[self._last]:
+            # A stick that was taken is given back when there is room: else the chair would speed up to brake again.
+            roomy, _ = _brakes_in_time(self.around, replace(care, hold_s=care.hold_s + ROOM_S), start, later_s, points)
+            free &= roomy | (out <= out[self._last])
         if not free.any():
             return self._actions.nearest((0.0, 0.0))
         cost = self._actions.distances(stick[None])[0]

@@ -4,11 +4,13 @@ It is driven in streets of several towns in turn, or in generated scenes of blin
 
 The user, the oracle or the network drives. A user who never errs near a wall teaches nothing of walls: so for a third
 of the time an offset is laid over the wish, and some of these wishes are carried out as they are. Where crashes alone
-teach (`danger.teacher`), no oracle is asked, and nobody but users and networks drives.
+teach (`danger.teacher`), no oracle is asked, and nobody but users and networks drives. A share of the chairs begins
+where none belongs, such as on a road before a kerb, and is pushed ahead: users seldom come there.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
@@ -53,12 +55,16 @@ from wcsim.supervisor.rewards import fault
 from wcsim.towns.scenario.town import Town, find_town
 from wcsim.towns.scene_folders.build import build_scene, scene_config, seat_specs
 from wcsim.towns.scene_folders.families import FAMILIES, write_scene
+from wcsim.towns.walking.off_way import off_way_start
 from wcsim.types import F64, U8, ClientSnapshot, SeatSpec, Truth, Verdict
 from wcsim.users.recordings.recorded_user import find_user
 
 _RECKLESS_SHARE = 0.4  # share of these offsets that are executed as they are
 _SCENE_SEEDS: Final = 1 << 24  # those of scenes that are trained in begin here; those of tests are far below
 _MOST_SCENES: Final = 12  # of a segment
+OFF_WAY_STEPS: Final = 60  # of an episode that begins off the way
+_AHEAD, _WAVERS = 0.9, 0.2  # there the user's stick is held ahead, and wavers by so much
+_APART_M: Final = 4.0  # from everybody, at such a start
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -80,6 +86,7 @@ class _SegmentPlace:
     seats: tuple[SeatSpec, ...]
     ticks: int
     seed: int  # of the world
+    off_way: int = 0  # so many seats, the first ones, begin where a chair does not belong
 
 
 def orders_of(
@@ -196,9 +203,11 @@ def _street(order: SegmentOrder, config: RunConfig) -> _SegmentPlace:
     town = find_town(order.towns[_town_in_turn(order.config, key, len(order.towns))])
     drawn = rng.permutation(len(collect.profiles))
     who = [collect.profiles[int(drawn[seat % len(drawn)])] for seat in range(collect.chairs)]
-    seats = tuple(SeatSpec(profile=profile, max_steps=collect.episode_steps) for profile in who)
+    off_way = round(collect.off_way_share * collect.chairs)
+    steps = [OFF_WAY_STEPS if seat < off_way else collect.episode_steps for seat in range(collect.chairs)]
+    seats = tuple(SeatSpec(profile=profile, max_steps=most) for profile, most in zip(who, steps, strict=True))
     seed = seeding.derive(key.run, "collect", key.round, key.index, "world")
-    return _SegmentPlace(town=town, config=config, seats=seats, ticks=collect.ticks, seed=seed)
+    return _SegmentPlace(town=town, config=config, seats=seats, ticks=collect.ticks, seed=seed, off_way=off_way)
 
 
 def _scenes(order: SegmentOrder, config: RunConfig, work: Path) -> Iterator[_SegmentPlace]:
@@ -232,12 +241,19 @@ class _DataDriver:
         actions: The joystick positions.
         rng: Of this chair.
         learned: The network, where there is one.
+        pushed: Whether the stick is held ahead, whatever the user wants.
     """
 
     def __init__(
-        self, settings: CollectConfig, actions: ActionSet, rng: np.random.Generator, learned: _Learned | None
+        self,
+        settings: CollectConfig,
+        actions: ActionSet,
+        rng: np.random.Generator,
+        learned: _Learned | None,
+        pushed: bool = False,
     ) -> None:
         self._settings, self._actions, self._rng, self._learned = settings, actions, rng, learned
+        self._pushed = pushed
         self._held, self._offset, self._reckless = 0, np.zeros(2), False
         draw = rng.random(2)
         self._driver = FOLLOW if draw[1] < settings.follow_share else ORACLE
@@ -263,6 +279,8 @@ class _DataDriver:
     def _wish(self, stick: F64) -> F64:
         """The user's stick, or with an offset that is held for a while."""
         settings, rng = self._settings, self._rng
+        if self._pushed:
+            stick = np.clip(rng.normal((0.0, _AHEAD), _WAVERS), -1.0, 1.0)
         self._held -= 1
         low, high = settings.astray_ticks
         mean = 0.5 * (low + high)
@@ -307,25 +325,45 @@ def _driven(place: _SegmentPlace, make_learned: MakeLearned | None, seed: int) -
     asked = place.config.danger.teacher != "crashes"  # the oracle costs time, and what happens needs none
     specs = tuple(replace(spec, truth=asked, truth_visible=asked) for spec in place.seats)
     with World(place.town, place.config, specs, place.seed, find_user=find_user) as world:
+        # Starts off the way have draws of their own, so that a share of them shifts nobody else's.
+        draws = [seeding.generator(seed, "off way", number) for number in range(place.off_way)]
+        for number, rng in enumerate(draws):
+            _begin_off_way(world, number, rng)
         seats = [
-            _Seat(place.config, client, make_learned, seeding.generator(seed, "collect", number))
+            _Seat(place.config, client, make_learned, seeding.generator(seed, "collect", number), number < len(draws))
             for number, client in enumerate(world.snapshot.clients)
         ]
         steps = rollout(world, {number: seat.driver.choose for number, seat in enumerate(seats)})
         for step in islice(steps, place.ticks):
-            for seat, client in zip(seats, step.after.clients, strict=True):
+            for number, (seat, client) in enumerate(zip(seats, step.after.clients, strict=True)):
                 seat.take(client)
+                if client.first is not None and number < len(draws):
+                    _begin_off_way(world, number, draws[number])
     return _segment_of([seat.rows for seat in seats])
+
+
+def _begin_off_way(world: World, seat: int, rng: np.random.Generator) -> None:
+    """Put a chair where it does not belong, near where it is now; it stays there where no such place is found."""
+    (here,) = (client.plant.p_WB_m for client in world.snapshot.clients if client.seat == seat)
+    start = off_way_start(world.street.grid, here, rng)
+    others = [actor.p_W_m[:2] for actor in world.snapshot.actors]
+    if start is not None and all(math.dist(other, start.p_W_m) > _APART_M for other in others):
+        world.respawn(seat, start=start)
 
 
 class _Seat:
     """One chair with its agent, and what it has written down."""
 
     def __init__(
-        self, config: RunConfig, first: ClientSnapshot, make_learned: MakeLearned | None, rng: np.random.Generator
+        self,
+        config: RunConfig,
+        first: ClientSnapshot,
+        make_learned: MakeLearned | None,
+        rng: np.random.Generator,
+        pushed: bool,
     ) -> None:
         self.rows: list[dict[str, Any]] = []  # by column of a segment
-        self._config, self._make, self._rng = config, make_learned, rng
+        self._config, self._make, self._rng, self._pushed = config, make_learned, rng, pushed
         self._actions = action_set(config.env.actions)
         self._delay = 0
         self._choice: dict[str, Any]
@@ -336,7 +374,7 @@ class _Seat:
         """Draw who drives the episode that begins."""
         self._delay = delay_ticks(self._config, info["drawn"])
         learned = None if self._make is None else self._make(self._delay)
-        self._agent = _DataDriver(self._config.collect, self._actions, self._rng, learned)
+        self._agent = _DataDriver(self._config.collect, self._actions, self._rng, learned, self._pushed)
 
     def act(self, observation: Observation, info: Info) -> int:
         """Answer what is seen now."""

@@ -125,8 +125,9 @@ class Ego:
         self._street = street
         self._router = router
         plant = plant_spec(config.chair)
-        wheels_m, points = np.array(plant.stand_m()), action_set(config.env.lattice).points
-        self._oracle = Oracle(street.grid, config.chair, plant.outline, wheels_m, points, config.world.tick_s)
+        wheels_m, rims_m = np.array(plant.stand_m()), np.array(plant.rims_m())
+        points, tick_s = action_set(config.env.lattice).points, config.world.tick_s
+        self._oracle = Oracle(street.grid, config.chair, plant.outline, wheels_m, rims_m, points, tick_s)
         self._variation = Randomization(config, index)
         self.chair: Wheelchair  # of this epoch: from `build` on
         self._rig: CameraRig

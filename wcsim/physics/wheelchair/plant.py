@@ -160,6 +160,9 @@ def _sweep_m(pair: CasterPart) -> float:
     return math.hypot(pair.trail_m + pair.radius_m, 0.5 * pair.width_m)
 
 
+DIP_M: Final = 0.05  # a chair that brakes, or rolls over an edge, dips its footplate by so much
+HIGHEST_STEP_M: Final = 0.2  # of kerbs
+MORE_M: Final = 0.04  # and so much larger it is taken to be: the raster of the street has cells of 0.1 m
 FORK_M: Final = 0.10  # a fork's swivel lies this far above the middle of its caster
 FORK_COM_M: Final = 0.05  # and its centre of mass this far below the swivel
 ARM_INERTIA_KGM2: Final = 0.01  # small beside everything else
@@ -261,6 +264,21 @@ class PlantSpec(PlantFile):
         """Place in B (x, y) and radius of every drive wheel and trailing caster."""
         radii_m = (self.wheel.radius_m, *(pair.radius_m for pair in self.casters))
         return tuple((x, y, radii_m[number // 2]) for number, (x, y) in enumerate(self.stand_m()))
+
+    def rims_m(self) -> tuple[tuple[float, float, float], ...]:
+        """What can meet a step of the ground: places in B (x, y), and the highest step that each of them takes.
+
+        A low part of the frame takes what its underside clears while the chair pitches; it is told by its corners and
+        the middles of its sides.
+        """
+        found = []
+        for box in self.frame.boxes:
+            (x, y, z), (length, width, height) = box.centre_m, box.size_m
+            takes_m = z - 0.5 * height - DIP_M
+            if takes_m < HIGHEST_STEP_M:
+                sides = [(i, k) for i in (-0.5, 0.0, 0.5) for k in (-0.5, 0.0, 0.5) if i or k]
+                found += [(x + i * (length + 2.0 * MORE_M), y + k * (width + 2.0 * MORE_M), takes_m) for i, k in sides]
+        return tuple(found)
 
     @property
     def drive_inertia_kgm2(self) -> Vec3:

@@ -1,22 +1,19 @@
 """Interventions and warnings of one episode, as runs of steps, and forks that say whether they were needed.
 
-A fork is the world's process, copied (`os.fork`) where it stands, in which the user drives alone from this tick on.
-That is the same as a replay of the episode to this tick, at the price of the ticks after it alone; the copy never comes
-back into the world that it was made of.
+A fork is a copy of the world in which the user drives alone from this tick on.
 """
 
 from __future__ import annotations
 
 import math
-import os
 import struct
 from dataclasses import dataclass, field
 from typing import Final
 
 from wcsim.agents.evaluation.suite.records import NEEDED, NEEDLESS, NOT_JUDGED, Intervention
 from wcsim.bridge.world import World
+from wcsim.bridge.world_copy import in_copy
 from wcsim.bridge.world_rollout import Driver, rollout
-from wcsim.errors import PhysicsError
 from wcsim.supervisor.actions import ActionSet
 from wcsim.types import ClientSnapshot, Joystick
 
@@ -25,7 +22,6 @@ BEFORE_S: Final = 5.0  # an own crash with no intervention so long before was mi
 AHEAD_S: Final = 1.0  # a warning counts when it comes so long before the crash
 ALONE_S: Final = 5.0  # so long a fork looks ahead
 _ANSWER: Final = struct.Struct("<d")
-_MOST_SAID: Final = 2000
 
 
 def _extended(spans: list[list[int]], step: int, tick_s: float) -> bool:
@@ -96,33 +92,8 @@ def crash_alone_s(world: World, seat: int, actions: ActionSet, tick_s: float) ->
     Raises:
         PhysicsError: The copy ended without an answer.
     """
-    reader, writer = os.pipe()
-    pid = os.fork()
-    if pid == 0:
-        try:
-            os.close(reader)
-            os.write(writer, _answer(world, seat, actions, tick_s))
-        finally:
-            os._exit(0)  # nothing of the parent's may be closed, flushed or removed here
-    os.close(writer)
-    with os.fdopen(reader, "rb") as answers:
-        answer = answers.read()
-    os.waitpid(pid, 0)
-    if len(answer) != _ANSWER.size:
-        said = answer.decode(errors="replace") or "no answer"
-        raise PhysicsError(
-            f"the copy of the world that judges seat {seat} returned {said}; expected seconds: try again"
-        )
-    (crash_s,) = _ANSWER.unpack(answer)
+    (crash_s,) = _ANSWER.unpack(in_copy(world, lambda copy: _ANSWER.pack(_alone(copy, seat, actions, tick_s))))
     return None if math.isinf(crash_s) else float(crash_s)
-
-
-def _answer(world: World, seat: int, actions: ActionSet, tick_s: float) -> bytes:
-    """What a copy says: seconds, or what went wrong in it."""
-    try:
-        return _ANSWER.pack(_alone(world, seat, actions, tick_s))
-    except Exception as error:  # it is told where it is understood: in the process that was copied
-        return f"{type(error).__name__}: {error}"[:_MOST_SAID].encode()
 
 
 def _alone(world: World, seat: int, actions: ActionSet, tick_s: float) -> float:
