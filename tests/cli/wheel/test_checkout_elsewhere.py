@@ -46,7 +46,7 @@ def test_a_sample_passes(place: str, before: str, env: dict[str, str]) -> None:
             there = top / path.relative_to(ROOT)
             there.parent.mkdir(parents=True, exist_ok=True)
             shutil.copy(path, there)
-        temporary.mkdir()
+        temporary.mkdir(exist_ok=True)
         for folder, mode in ((Path(work), 0o755), (temporary, 0o777)):
             folder.chmod(mode)
         python = interpreter() if "setpriv" in before else sys.executable
