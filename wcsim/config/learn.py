@@ -47,7 +47,7 @@ class CollectConfig(Model):
     towns: Texts = ()  # Towns used in turn with those of --town.
     made_towns: Annotated[int, within(0, 1000)] = 0  # Number of towns that `wcsim town make` generates for this run.
     data: Texts = ()  # Folders of `wcsim collect` to learn from as well.
-    off_way_share: Share = 0.5  # Share of chairs in towns that begin off their ways, such as on a road before a kerb.
+    off_way_share: Share = 0.5  # Share of chairs in towns that begin before a kerb, or off their ways.
     scene_share: Share = 0.3  # Share of segments in generated scenes: hidden road users and narrow places.
     profiles: Annotated[tuple[Text, ...], Field(min_length=1, max_length=64)] = (  # Simulated users to draw from.
         "inattentive", "tremor", "slow", "competent", "switch",

@@ -5,7 +5,7 @@ It is driven in streets of several towns in turn, or in generated scenes of blin
 The user, the oracle or the network drives. A user who never errs near a wall teaches nothing of walls: so for a third
 of the time an offset is laid over the wish, and some of these wishes are carried out as they are. Where crashes alone
 teach (`danger.teacher`), no oracle is asked, and nobody but users and networks drives. A share of the chairs begins
-where none belongs, such as on a road before a kerb, and is pushed ahead: users seldom come there.
+before a kerb, below or above it, or where none belongs, and is pushed ahead: users seldom come there.
 """
 
 from __future__ import annotations
