@@ -3,7 +3,8 @@
 A drive is done in a copy first; it says when the verdict on the stick changes and when the chair crashes. The same
 drive then stops at some of these ticks. There commands next to the other verdict, and some by chance, are given in
 copies of the world: held for half a second, then let go until the chair stands. What the engine says of contacts, tilt
-and falls is the physics' verdict; nothing of the oracle is asked for it.
+and falls is the physics' verdict; nothing of the oracle is asked for it. Two ends are told apart: others who hit a
+chair, whatever it does; and a chair that stands while a wheel touches nothing, over the edge of a kerb.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from wcsim.agents.policy_api import TellsUnsafe
 from wcsim.bridge.world import World
 from wcsim.bridge.world_copy import in_copy
 from wcsim.bridge.world_rollout import rollout
+from wcsim.supervisor.rewards import fault
 from wcsim.supervisor.rollout import HOLD_S
 from wcsim.towns.scenario.town import find_town
 from wcsim.types import F64, ActorKind, Bool, ClassId, ClientSnapshot, Joystick, StartSpec
@@ -43,12 +45,15 @@ _PEOPLE, _RIDERS = (ActorKind.PEDESTRIAN,), (ActorKind.BICYCLE, ActorKind.SCOOTE
 class Asked:
     """One command in one state; seconds until it goes wrong, None where it does not."""
 
+    state: tuple[float, ...]  # x, y, z, yaw, speed, yaw rate
+
     kind: str
     policy: str
     plant: str
     stick: tuple[float, float]
     near: bool  # next to the other verdict
     physics_s: float | None
+    end: str  # "own", "other", "hangs", or "" for a chair that stands
     oracle_s: float | None
     unsafe: bool | None  # the policy's own word; None for one that says nothing
 
@@ -190,15 +195,18 @@ def _ask_at(street: HeldStreet, kind: str, ticks: list[int], rng: np.random.Gene
         own = street.policy.unsafe if isinstance(street.policy, TellsUnsafe) else None
         for action in (*near.tolist(), *more.tolist()):
             stick = street.actions.points[action]
-            after_s = in_copy(street.world, partial(_given, stick=Joystick(*stick.tolist())))
+            after_s, end = json.loads(in_copy(street.world, partial(_given, stick=Joystick(*stick.tolist()))))
+            plant = now.plant
             found.append(
                 Asked(
+                    state=(*plant.p_WB_m.tolist(), plant.yaw_rad, plant.v_B_mps[0], plant.w_B_radps[2]),
                     kind=kind,
                     policy=street.policy.name,
                     plant=street.config.chair.plant,
                     stick=(float(stick[0]), float(stick[1])),
                     near=action in near,
-                    physics_s=float(after_s) if after_s else None,
+                    physics_s=after_s,
+                    end=end,
                     oracle_s=None if safe[action] else float(now.truth.first_s[action]),
                     unsafe=None if own is None else bool(own[action]),
                 )
@@ -217,21 +225,18 @@ def _next_to_other(safe: Bool, street: HeldStreet) -> Bool:
 
 
 def _given(world: World, stick: Joystick) -> bytes:
-    """A command held for half a second and let go, in a copy: the seconds until it crashes, or nothing."""
+    """A command held for half a second and let go, in a copy: the seconds until it crashes or None, and how it ends."""
     world.go_blind()
     world.drop_step_limits()
     tick_s = world.config.world.tick_s
-    held = round(HOLD_S / tick_s)
-    count = iter(range(round(LONGEST_S / tick_s) + 2))
-
-    def choose(_now: ClientSnapshot) -> Joystick:
-        return stick if next(count) < held else Joystick(0.0, 0.0)
-
-    for tick, step in zip(range(1, round(LONGEST_S / tick_s) + 1), rollout(world, {0: choose}), strict=False):
+    held, last = round(HOLD_S / tick_s), round(LONGEST_S / tick_s)
+    sticks = iter([stick] * held + [Joystick(0.0, 0.0)] * (last + 1 - held))
+    for tick, step in zip(range(1, last + 1), rollout(world, {0: lambda _now: next(sticks)}), strict=False):
         (client,) = step.after.clients
         if client.events.crashed:
-            return str(tick * tick_s).encode()
+            whose = fault(client.events.crash_reason, client.contacts, world.config.reward)
+            return json.dumps((tick * tick_s, whose)).encode()
         speed = math.hypot(*client.plant.v_B_mps[:2].tolist()) + abs(float(client.plant.w_B_radps[2]))
         if tick > held and speed < STANDS_MPS:
             break
-    return b""
+    return json.dumps((None, "hangs" if world.seats[0].chair.hanging else "")).encode()

@@ -69,16 +69,17 @@ def run(options: KerbOptions) -> int:
 
 def _verdicts(rows: list[Asked]) -> Table:
     """By kind and judge: what the physics says of the commands, and what the judge said."""
-    table = Table("kind", "judge", "unsafe", "called safe", "95 %", "safe", "called unsafe", "s apart",
-                  box=box.SIMPLE_HEAD)  # fmt: skip
+    table = Table("kind", "judge", "unsafe", "called safe", "95 %", "safe", "called unsafe", "hang, called unsafe",
+                  "others hit", "s apart", box=box.SIMPLE_HEAD)  # fmt: skip
     groups = defaultdict(list)
     for row in rows:
         groups[row.kind, "oracle"].append((row, row.oracle_s is not None))
         if row.unsafe is not None:
             groups[row.kind, row.policy].append((row, row.unsafe))
     for (kind, judge), pairs in groups.items():
-        bad = [(row, said) for row, said in pairs if row.physics_s is not None]
-        good = [said for row, said in pairs if row.physics_s is None]
+        bad = [(row, said) for row, said in pairs if row.end == "own"]
+        good = [said for row, said in pairs if not row.end]
+        hangs = [said for row, said in pairs if row.end == "hangs"]
         missed = sum(not said for _, said in bad)
         apart = [abs(row.oracle_s - row.physics_s) for row, _ in bad if row.oracle_s and row.physics_s]
         table.add_row(
@@ -89,6 +90,8 @@ def _verdicts(rows: list[Asked]) -> Table:
             _bound(missed, len(bad)),
             str(len(good)),
             f"{sum(good)} ({sum(good) / len(good):.1%})" if good else "-",
+            f"{sum(hangs)} of {len(hangs)}" if hangs else "",
+            str(sum(row.end == "other" for row, _ in pairs) or ""),
             f"{statistics.median(apart):.2f}" if apart and judge == "oracle" else "",
         )
     return table

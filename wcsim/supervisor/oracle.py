@@ -17,8 +17,8 @@ import numpy as np
 from wcsim.config import ChairConfig
 from wcsim.core.constants import OTHER_LEVEL_M
 from wcsim.core.joystick import limits_of, shaped_rows
-from wcsim.supervisor.rollout import HOLD_S, STEP_S, free_distance, roll_out, rolls_s
-from wcsim.types import F64, ActorKind, ActorState, Ground, Joystick, Outline, PlantState, Truth, Verdict
+from wcsim.supervisor.rollout import HOLD_S, STEP_S, Body, Land, free_distance, roll_out, rolls_s
+from wcsim.types import F64, ActorKind, ActorState, Ground, Joystick, Outline, PlantState, StreetGrid, Truth, Verdict
 
 REACH_M = 4.0  # at least so far a chair with its footprint may get in one roll-out,
 _LONGEST_ROLL_OUT_S = 2.5  # which may take so long at least; both more for who brakes softly
@@ -52,9 +52,11 @@ class Oracle:
         """
         self._grid = grid
         self._chair = chair
-        self._hull = np.array([outline.middle_x_m, 0.5 * outline.length_m, 0.5 * outline.width_m])
-        self._wheels_m = np.ascontiguousarray(wheels_m, np.float64)
-        self._rims = rims_m * (1.0, 1.0, 100.0)  # the raster has centimetres
+        self._body = Body(
+            hull=np.array([outline.middle_x_m, 0.5 * outline.length_m, 0.5 * outline.width_m]),
+            wheels=np.ascontiguousarray(wheels_m, np.float64),
+            rims=rims_m * (1.0, 1.0, 100.0),  # the raster has centimetres
+        )
         self._commands = shaped_rows(actions, chair)
         self._limits = limits_of(chair)
         self._tick_s = tick_s
@@ -142,19 +144,15 @@ class Oracle:
         self, plant: PlantState, commands: F64, others: _Others, waiting: Sequence[Joystick], accel_mps2: float
     ) -> F64:
         grid = self._grid.around(plant.p_WB_m)
+        above_m = plant.p_WB_m[2] - float(grid.relief.at(plant.p_WB_m))
         first_s: F64 = roll_out(
             _state(plant, accel_mps2),
             self._steps(waiting),
             commands,
             self._limits,
-            self._hull,
-            self._wheels_m,
-            self._rims,
-            round(100.0 * (plant.p_WB_m[2] - float(grid.relief.at(plant.p_WB_m)))),
-            grid.height_cm,
-            grid.clearance_dm,
-            np.array(grid.origin_W_m, np.float64),
-            grid.cell_m,
+            self._body,
+            round(100.0 * above_m),
+            _land(grid),
             others.boxes,
             others.people,
             self._tick_s,
@@ -170,10 +168,7 @@ class Oracle:
 
     def _clearance(self, plant: PlantState, others: _Others) -> float:
         grid = self._grid.around(plant.p_WB_m)
-        origin_m = np.array(grid.origin_W_m, np.float64)
-        gap = free_distance(
-            _state(plant), self._hull, grid.clearance_dm, origin_m, grid.cell_m, others.boxes, others.people
-        )
+        gap = free_distance(_state(plant), self._body.hull, _land(grid), others.boxes, others.people)
         return min(float(gap), FAR_M)
 
 
@@ -187,6 +182,11 @@ class _Others(NamedTuple):
     def many(self) -> int:
         """How many they are."""
         return len(self.boxes) + len(self.people)
+
+
+def _land(grid: StreetGrid) -> Land:
+    origin_m = np.array(grid.origin_W_m, np.float64)
+    return Land(grid.height_cm, grid.edge_cm, grid.clearance_dm, origin_m, grid.cell_m)
 
 
 def _state(plant: PlantState, accel_mps2: float = 0.0) -> F64:

@@ -7,6 +7,7 @@ and turn rate; the street is the raster of `StreetGrid`; others drive straight o
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,6 +27,7 @@ from wcsim.supervisor.walkers import (
     set_people_margins,
 )
 from wcsim.types import F64, I64, U8, Bool
+from wcsim.types.street import AT_EDGE
 
 HOLD_S = 0.5
 STEP_S = 0.05
@@ -43,9 +45,33 @@ PITCH_LIMIT = math.tan(rad(30.0))
 # columns of the actors' table (n, 9); the last is the margin, set at the start of a roll-out
 AX, AY, ACOS, ASIN, AHALF_L, AHALF_W, AVX, AVY, AMARGIN = range(9)
 BUMP_MPS = 0.7  # a slower wheel is stopped by a kerb
+CELL_CM = 8  # from the middle of a cell to its corner, with the rounding of distances
+CARRIES_M = 0.03  # a wheel stands on an edge until its middle is so far beyond it
+TYRE_M = 0.025  # half of a caster's width, the narrowest
+TYRE_CM = 12  # and so far from the middle of its cell an edge may be that matters to it
+AROUND_CM = 16  # from the middle of a cell to a corner of the next one, with the rounding of distances
+SLOPES_CM = 4  # and so much more a rim may rise against the plane of the wheels, on a ramp
 BEYOND_M = 0.1  # of the hull's corners, where a rough distance is enough
 # columns of what can meet a step up (n, 3): the place in B, and the step in centimetres that it takes
 UX, UY, UTAKES_CM = range(3)
+
+
+class Body(NamedTuple):
+    """A chair as the kernels take it."""
+
+    hull: F64  # (3,) see the column names of `walkers`
+    wheels: F64  # (W, 2) where its wheels stand, in B: the left and right drive wheel, then pairs of casters
+    rims: F64  # (n, 3) what can meet a step up, see the column names above
+
+
+class Land(NamedTuple):
+    """The rasters of a `StreetGrid`."""
+
+    height_cm: U8
+    edge_cm: U8
+    clearance_dm: U8
+    origin_m: F64
+    cell_m: float
 
 
 @exact_kernel
@@ -54,14 +80,9 @@ def roll_out(
     waiting: F64,
     commands: F64,
     limits: F64,
-    hull: F64,
-    wheels: F64,
-    rims: F64,
+    body: Body,
     above_cm: int,
-    height_cm: U8,
-    clearance_dm: U8,
-    origin_m: F64,
-    cell_m: float,
+    land: Land,
     actors: F64,
     people: F64,
     tick_s: float,
@@ -73,14 +94,9 @@ def roll_out(
         waiting: (M, 2) joystick positions that come before any command, for STEP_S each; shaped as these.
         commands: (K, 2) joystick positions without deadband, on the unit disc.
         limits: (8,) of the drive, see `wcsim.core.joystick`.
-        hull: (3,) see the column names above.
-        wheels: (W, 2) where its wheels stand, in B: the left and right drive wheel, then pairs of casters.
-        rims: (n, 3) what can meet a step up, see the column names above.
+        body: The chair's.
         above_cm: How high above the relief it stands.
-        height_cm: (rows, cols) of the street grid.
-        clearance_dm: (rows, cols) of the street grid.
-        origin_m: (2,) of the street grid.
-        cell_m: Size of a cell.
+        land: Around it.
         actors: (n, 9) those who drive, see the column names above; the margin column is overwritten.
         people: (m, 9) those who walk, see `people`; the margin column is overwritten.
         tick_s: How long a command lasts before another one can be given.
@@ -88,21 +104,21 @@ def roll_out(
     Returns:
         (K,) float64.
     """
+    hull = body.hull
     _set_actor_margins(state, hull, actors)
     set_people_margins(state[0], state[1], state[2], hull, people)
-    start_gap = _static_gap(state[0], state[1], state[2], hull, clearance_dm, origin_m, cell_m, BEYOND_M)
+    start_gap = _static_gap(state[0], state[1], state[2], hull, land.clearance_dm, land.origin_m, land.cell_m, BEYOND_M)
     # Never deeper than it is now, nor than DEEPENING_M in all: it is asked anew in every step.
     allowed_gap = min(0.0, start_gap - SAME_M, max(start_gap, 0.0) - DEEPENING_M)
     far_m = _furthest_m(state, hull, limits, len(waiting))
-    start_cm, astray, takes_cm = _stance(state, wheels, rims, above_cm, far_m, height_cm, origin_m, cell_m)
+    start_cm, astray, rims = _stance(state, body, above_cm, far_m, land)
     stands_s = len(waiting) * STEP_S + tick_s + limits[V_MAX] / limits[DECEL] + limits[DECEL] / limits[JERK]
     near = near_people(state[0], state[1], stands_s * limits[V_MAX], stands_s, hull, people)
     first_s = np.full(len(commands), np.inf)
     for k in range(len(commands)):
         first_s[k] = _one(
-            state, waiting, commands[k], limits, hull, wheels, rims, allowed_gap, takes_cm, start_cm, astray,
-            height_cm, clearance_dm, origin_m, cell_m, actors, people,
-        )  # fmt: skip
+            state, waiting, commands[k], limits, body, allowed_gap, rims, start_cm, astray, land, actors, people
+        )
         if len(near):
             first_s[k] = min(first_s[k], _let_go(state, waiting, commands[k], limits, hull, near, tick_s))
         # It goes wrong before any command begins, so it does with every one of them.
@@ -112,37 +128,27 @@ def roll_out(
 
 
 @exact_kernel
-def _stance(
-    state: F64,
-    wheels: F64,
-    rims: F64,
-    above_cm: int,
-    reach_m: float,
-    height_cm: U8,
-    origin_m: F64,
-    cell_m: float,
-) -> tuple[I64, Bool, F64]:
-    """Heights (W,) on which the wheels stand, which of them the raster sees elsewhere, and the step each rim takes.
+def _stance(state: F64, body: Body, above_cm: int, reach_m: float, land: Land) -> tuple[I64, Bool, F64]:
+    """Heights (W,) on which the wheels stand, which of them the raster sees elsewhere, and the rims to look under.
 
-    Mostly a chair stands as high as anything in its reach: then no rim has to be looked under, and there are no steps.
+    Mostly a chair stands as high as anything in its reach: then no rim has to be looked under.
     """
-    cos, sin = math.cos(state[2]), math.sin(state[2])
+    x, y, cos, sin = state[0], state[1], math.cos(state[2]), math.sin(state[2])
+    wheels, height_cm, edge_cm, origin_m, cell_m = body.wheels, land.height_cm, land.edge_cm, land.origin_m, land.cell_m
     start_cm, astray = np.empty(len(wheels), np.int64), np.empty(len(wheels), np.bool_)
-    _wheel_heights(state[0], state[1], cos, sin, wheels, height_cm, origin_m, cell_m, start_cm)
+    _wheel_heights(x, y, cos, sin, wheels, height_cm, edge_cm, origin_m, cell_m, start_cm)
     for j in range(len(wheels)):
         # A wheel that has left an edge hangs above the ground beside it, and its fall has begun.
         astray[j] = start_cm[j] - above_cm > KERB_STEP_CM
         if abs(above_cm - start_cm[j]) > KERB_STEP_CM:
             start_cm[j] = above_cm
-    takes_cm = rims[:, UTAKES_CM].copy()
-    highest_cm = _highest_cm(state[0], state[1], reach_m, height_cm, origin_m, cell_m)
-    if len(rims) and highest_cm - start_cm.min() <= takes_cm.min():
-        return start_cm, astray, takes_cm[:0]
+    highest_cm = _highest_cm(x, y, reach_m, height_cm, origin_m, cell_m) - start_cm.min() + SLOPES_CM
+    rims = body.rims[body.rims[:, UTAKES_CM] < highest_cm]
     for i in range(len(rims)):
         # Never higher up a step than it is now: a footplate that stands over one may leave.
-        now_cm = _rise_cm(state[0], state[1], cos, sin, wheels, start_cm, rims[i], height_cm, origin_m, cell_m)
-        takes_cm[i] = max(takes_cm[i], now_cm)
-    return start_cm, astray, takes_cm
+        now_cm = _rise_cm(x, y, cos, sin, wheels, start_cm, rims[i], height_cm, edge_cm, origin_m, cell_m)
+        rims[i, UTAKES_CM] = max(rims[i, UTAKES_CM], now_cm)
+    return start_cm, astray, rims
 
 
 @exact_kernel
@@ -179,11 +185,9 @@ def _most_steps(limits: F64) -> int:
 
 
 @exact_kernel
-def free_distance(
-    state: F64, hull: F64, clearance_dm: U8, origin_m: F64, cell_m: float, actors: F64, people: F64
-) -> float:
+def free_distance(state: F64, hull: F64, land: Land, actors: F64, people: F64) -> float:
     """Distance in metres from the chair's footprint to the nearest solid thing or actor, 0 when they touch."""
-    nearest = _static_gap(state[0], state[1], state[2], hull, clearance_dm, origin_m, cell_m, np.inf)
+    nearest = _static_gap(state[0], state[1], state[2], hull, land.clearance_dm, land.origin_m, land.cell_m, np.inf)
     cos, sin = math.cos(state[2]), math.sin(state[2])
     cx, cy = state[0] + hull[MIDDLE] * cos, state[1] + hull[MIDDLE] * sin
     for i in range(len(actors)):
@@ -213,21 +217,21 @@ def _one(
     waiting: F64,
     command: F64,
     limits: F64,
-    hull: F64,
-    wheels: F64,
-    rims: F64,
+    body: Body,
     allowed_gap: float,
-    takes_cm: F64,
+    rims: F64,
     start_cm: I64,
     astray: Bool,
-    height_cm: U8,
-    clearance_dm: U8,
-    origin_m: F64,
-    cell_m: float,
+    land: Land,
     actors: F64,
     people: F64,
 ) -> float:
+    # Unpacked once: a tuple of arrays that is handed on costs more than what is done with it.
+    hull, wheels = body.hull, body.wheels
+    height_cm, edge_cm, clearance_dm = land.height_cm, land.edge_cm, land.clearance_dm
+    origin_m, cell_m = land.origin_m, land.cell_m
     x, y, yaw, v, w, a = state[0], state[1], state[2], state[3], state[4], state[5]
+    around = _circle(rims)
     before = np.empty(len(wheels), np.int64)
     before2 = np.empty(len(wheels), np.int64)
     before[:] = start_cm
@@ -246,7 +250,7 @@ def _one(
         x, y, yaw, v, w, a = _moved(x, y, yaw, v, w, a, stick_x, stick_y, limits)
         later_s = (i + 1) * STEP_S
         cos, sin = math.cos(yaw), math.sin(yaw)
-        _wheel_heights(x, y, cos, sin, wheels, height_cm, origin_m, cell_m, now)
+        _wheel_heights(x, y, cos, sin, wheels, height_cm, edge_cm, origin_m, cell_m, now)
         for j in range(len(wheels)):
             # Where it cannot stand it does not: a caster that has swung round at a kerb.
             if now[j] - start_cm[j] > KERB_STEP_CM and aside[j]:
@@ -256,7 +260,11 @@ def _one(
         if (
             _leans(wheels, now, v * w)
             or _steps(now, before, before2, abs(v))
-            or _bumps(x, y, cos, sin, wheels, now, rims, takes_cm, height_cm, origin_m, cell_m)
+            or (
+                len(rims) > 0
+                and _kerb_near(x, y, cos, sin, around, edge_cm, origin_m, cell_m)
+                and _bumps(x, y, cos, sin, wheels, now, rims, height_cm, edge_cm, origin_m, cell_m)
+            )
             or _touches(x, y, yaw, hull, later_s, allowed_gap, clearance_dm, origin_m, cell_m, actors)
             or runs_into_going_on(x, y, yaw, v, w, hull, later_s, people)
         ):
@@ -328,14 +336,15 @@ def _bumps(
     wheels: F64,
     now: I64,
     rims: F64,
-    takes_cm: F64,
     height_cm: U8,
+    edge_cm: U8,
     origin_m: F64,
     cell_m: float,
 ) -> bool:
-    """Whether one of `rims` meets a step of the ground that it does not take (n,)."""
-    for i in range(len(takes_cm)):
-        if _rise_cm(x, y, cos, sin, wheels, now, rims[i], height_cm, origin_m, cell_m) > takes_cm[i]:
+    """Whether one of `rims` meets a step of the ground that it does not take."""
+    for i in range(len(rims)):
+        rise_cm = _rise_cm(x, y, cos, sin, wheels, now, rims[i], height_cm, edge_cm, origin_m, cell_m)
+        if rise_cm > rims[i, UTAKES_CM]:
             return True
     return False
 
@@ -350,6 +359,7 @@ def _rise_cm(
     now: I64,
     rim: F64,
     height_cm: U8,
+    edge_cm: U8,
     origin_m: F64,
     cell_m: float,
 ) -> float:
@@ -357,16 +367,67 @@ def _rise_cm(
     px, py = x + rim[UX] * cos - rim[UY] * sin, y + rim[UX] * sin + rim[UY] * cos
     axle_cm = 0.5 * (now[0] + now[1])
     ahead_cm = (0.5 * (now[2] + now[3]) - axle_cm) * rim[UX] / wheels[2, 0]
-    return float(_height_cm(px, py, height_cm, origin_m, cell_m) - axle_cm - ahead_cm)
+    return float(_height_cm(px, py, height_cm, edge_cm, origin_m, cell_m) - axle_cm - ahead_cm)
 
 
 @exact_kernel
-def _height_cm(x: float, y: float, height_cm: U8, origin_m: F64, cell_m: float) -> int:
+def _circle(places: F64) -> tuple[float, float, float]:
+    """One around places (n, 2 or more) in B: its middle, and its radius in metres; none for no places."""
+    if not len(places):
+        return 0.0, 0.0, 0.0
+    x, y = 0.5 * (places[:, 0].min() + places[:, 0].max()), 0.5 * (places[:, 1].min() + places[:, 1].max())
+    return x, y, np.sqrt((places[:, 0] - x) ** 2 + (places[:, 1] - y) ** 2).max()
+
+
+@exact_kernel
+def _kerb_near(
+    x: float,
+    y: float,
+    cos: float,
+    sin: float,
+    circle: tuple[float, float, float],
+    edge_cm: U8,
+    origin_m: F64,
+    cell_m: float,
+) -> bool:
+    """Whether a kerb may cut a circle of the chair, or the cells around it."""
+    cx, cy, radius_m = circle
+    rows, cols = edge_cm.shape
+    px, py = x + cx * cos - cy * sin, y + cx * sin + cy * cos
+    col = min(max(math.floor((px - origin_m[0]) / cell_m), 0), cols - 1)
+    row = min(max(math.floor((py - origin_m[1]) / cell_m), 0), rows - 1)
+    return bool(abs(int(edge_cm[row, col]) - AT_EDGE) <= 100.0 * radius_m + AROUND_CM)
+
+
+@exact_kernel
+def _height_cm(x: float, y: float, height_cm: U8, edge_cm: U8, origin_m: F64, cell_m: float) -> int:
     """Of the ground. Not interpolated: between two cells a kerb would become a ramp."""
     rows, cols = height_cm.shape
     col = min(max(math.floor((x - origin_m[0]) / cell_m), 0), cols - 1)
     row = min(max(math.floor((y - origin_m[1]) / cell_m), 0), rows - 1)
+    if abs(int(edge_cm[row, col]) - AT_EDGE) <= CELL_CM:
+        return _height_beside_edge_cm(x, y, height_cm, edge_cm, origin_m, cell_m)
     return int(height_cm[row, col])
+
+
+@exact_kernel
+def _height_beside_edge_cm(x: float, y: float, height_cm: U8, edge_cm: U8, origin_m: F64, cell_m: float) -> int:
+    """Of the ground in a cell that a kerb cuts: as in the nearest middle of a cell on the same side."""
+    rows, cols = height_cm.shape
+    col, row = (x - origin_m[0]) / cell_m - 0.5, (y - origin_m[1]) / cell_m - 0.5
+    c0, r0 = min(max(math.floor(col), 0), cols - 2), min(max(math.floor(row), 0), rows - 2)
+    fc, fr = min(max(col - c0, 0.0), 1.0), min(max(row - r0, 0.0), 1.0)
+    shares = ((1.0 - fr) * (1.0 - fc), (1.0 - fr) * fc, fr * (1.0 - fc), fr * fc)
+    # The side is told by the distance, which has a sign, between the four middles around.
+    side = 0.0
+    for k in range(4):
+        side += shares[k] * (edge_cm[r0 + k // 2, c0 + k % 2] - AT_EDGE + 0.5)
+    best, found = -1.0, 0
+    for k in range(4):
+        r, c = r0 + k // 2, c0 + k % 2
+        if shares[k] > best and (edge_cm[r, c] >= AT_EDGE) == (side >= 0.0):
+            best, found = shares[k], int(height_cm[r, c])
+    return found
 
 
 @exact_kernel
@@ -445,18 +506,40 @@ def _clearance(x: float, y: float, clearance_dm: U8, origin_m: F64, cell_m: floa
     fr = min(max(row - r0, 0.0), 1.0)
     low = (1.0 - fc) * clearance_dm[r0, c0] + fc * clearance_dm[r0, c0 + 1]
     high = (1.0 - fc) * clearance_dm[r0 + 1, c0] + fc * clearance_dm[r0 + 1, c0 + 1]
-    return float(0.1 * ((1.0 - fr) * low + fr * high))
+    return float(0.0 + 0.1 * ((1.0 - fr) * low + fr * high))
 
 
 @exact_kernel
 def _wheel_heights(
-    x: float, y: float, cos: float, sin: float, wheels: F64, height_cm: U8, origin_m: F64, cell_m: float, out: I64
+    x: float,
+    y: float,
+    cos: float,
+    sin: float,
+    wheels: F64,
+    height_cm: U8,
+    edge_cm: U8,
+    origin_m: F64,
+    cell_m: float,
+    out: I64,
 ) -> None:
-    """Ground height under the wheels into `out` (W,), centimetres."""
+    """Heights of the ground that carries the wheels into `out` (W,), centimetres.
+
+    A tyre is wide, and rolls over an edge before it falls: its highest part carries it.
+    """
+    rows, cols = height_cm.shape
     for j in range(len(wheels)):
         wx = x + wheels[j, 0] * cos - wheels[j, 1] * sin
         wy = y + wheels[j, 0] * sin + wheels[j, 1] * cos
-        out[j] = _height_cm(wx, wy, height_cm, origin_m, cell_m)
+        col = min(max(math.floor((wx - origin_m[0]) / cell_m), 0), cols - 1)
+        row = min(max(math.floor((wy - origin_m[1]) / cell_m), 0), rows - 1)
+        out[j] = height_cm[row, col]
+        if abs(int(edge_cm[row, col]) - AT_EDGE) > TYRE_CM:
+            continue
+        out[j] = _height_cm(wx, wy, height_cm, edge_cm, origin_m, cell_m)
+        for k in range(4):
+            ahead_m, left_m = (CARRIES_M if k < 2 else -CARRIES_M), (TYRE_M if k % 2 else -TYRE_M)
+            px, py = wx + ahead_m * cos - left_m * sin, wy + ahead_m * sin + left_m * cos
+            out[j] = max(out[j], _height_cm(px, py, height_cm, edge_cm, origin_m, cell_m))
 
 
 @exact_kernel

@@ -76,7 +76,7 @@ def build_street(town: Town, at: Callable[[str], object] = lambda part: None) ->
     paint = lane_marks(net, surfaces, town.file.chair_ways, relief)
     mesh = replace(build_mesh(ground, walls, large, pieces, relief), paint=paint)
     taken = [thing.footprint for thing in things if not thing.footprint.is_empty]  # what hangs over it takes none
-    grid = GridMaker(ground, [*(b.outline for b in buildings), *taken], relief)
+    grid = GridMaker(ground, walls[0], [*(b.outline for b in buildings), *taken], relief)
     at("tiles")
     return pack_street(pack_tiles(mesh, grid), walk, relief, heads, (*town.file.origin_m, net.z_origin_m))
 

@@ -9,7 +9,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import Enum, IntEnum
-from typing import Protocol
+from typing import Final, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -144,6 +144,7 @@ class Ground(Protocol):
 
 
 AROUND_M = 16.0
+AT_EDGE: Final = 128  # the least `edge_cm` of raised ground
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -158,7 +159,15 @@ class StreetGrid(ComparesArrays):
     height_cm: U8  # (rows, cols) ground height above the relief, centimetres
     ground_class: U8  # (rows, cols) ClassId of the ground surface
     clearance_dm: U8  # (rows, cols) distance to the nearest obstacle (wall, trunk, pole), decimetres, 255 = far
+    # (rows, cols) distance of the middle to the nearest kerb's edge, centimetres: from AT_EDGE up on raised ground, and
+    # down on low ground; given as one cell, no kerb is told of
+    edge_cm: U8 = field(default_factory=lambda: np.zeros((1, 1), np.uint8))
     relief: Relief = field(default_factory=lambda: FLAT)
+
+    def __post_init__(self) -> None:
+        """Where no kerb is told of one may be near, but it cuts no cell."""
+        if self.edge_cm.shape == (1, 1):
+            object.__setattr__(self, "edge_cm", np.full(self.height_cm.shape, AT_EDGE + 20, np.uint8))
 
     def cells(self, p_W_m: F64) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
         """Rows and columns of the points (..., 2 or 3); points outside fall on the nearest border cell."""

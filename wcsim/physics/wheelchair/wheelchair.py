@@ -252,6 +252,12 @@ class Wheelchair:
         return self._parked
 
     @property
+    def hanging(self) -> int:
+        """How many of its wheels touch nothing at the moment."""
+        touching = {point[3] for point in self._engine.bullet.getContactPoints(bodyA=self._body.id)}
+        return sum(link not in touching for link in self._body.tyres)
+
+    @property
     def ghosts(self) -> int:
         """How many steps were not taken because of a contact that cannot be, since the chair was made."""
         return self._ghosts

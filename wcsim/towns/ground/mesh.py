@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
 from dataclasses import dataclass
 from typing import cast
@@ -20,7 +21,7 @@ from wcsim.towns.ground.solid_shapes import Solid, joined, triangles_of
 from wcsim.towns.ground.surfaces import GRID_M, Surfaces
 from wcsim.towns.ground.tiles import CELL_M, CHUNK_M, Box
 from wcsim.types import F64, I32, U8, Bool, ClassId, Relief, StreetGrid, StreetMesh
-from wcsim.types.street import FLAT
+from wcsim.types.street import AT_EDGE, FLAT
 
 BLOCK_M = 5 * CHUNK_M  # of a large town that is cut at a time
 BESIDE_M = 2.0
@@ -167,6 +168,7 @@ def _eased(vertices: F64, faces: I32) -> F64:
 
 _HAIR_M = 1e-6
 _FAR_DM = 255
+_EDGE_CELLS = 8.0  # kerbs are told of from so far
 _LOOK_M = 26.0  # solid things so far outside a piece still count for its clearances, which end at 25.5 m
 _SHIFT = 4  # bits of sub-cell precision for cv2
 
@@ -257,7 +259,8 @@ def _key(ground: _GroundMesh, edges: I32) -> I32:
 class GridMaker:
     """Draws pieces of one town's raster; finds the triangles and footprints of a piece quickly."""
 
-    def __init__(self, ground: _GroundMesh, footprints: list[Polygon], relief: Relief) -> None:
+    def __init__(self, ground: _GroundMesh, walls: F64, footprints: list[Polygon], relief: Relief) -> None:
+        self._edges = walls[:, :2, :2]  # (T, 2, 2): a wall's first two corners span its edge, seen from above
         self._triangles = ground.vertices_W_m[ground.faces]  # (F, 3, 3), heights above the relief
         self._classes = ground.face_class
         self._low, self._high = self._triangles[:, :, :2].min(axis=1), self._triangles[:, :, :2].max(axis=1)
@@ -286,8 +289,19 @@ class GridMaker:
             height_cm=height_cm,
             ground_class=ground_class,
             clearance_dm=self._clearance_dm(box, (rows, cols)),
+            edge_cm=self._edge_cm(box, np.isin(ground_class, LOW_CLASSES)),
             relief=self._relief,
         )
+
+    def _edge_cm(self, box: Box, low: Bool) -> U8:
+        """Distance (rows, cols) from a cell's middle to the nearest kerb, `AT_EDGE` and more on raised ground."""
+        far_cells = np.full(low.shape, _EDGE_CELLS)
+        edges = (self._edges - np.array(box[:2])) / CELL_M - 0.5
+        reach = np.array(low.shape[::-1]) + _EDGE_CELLS
+        near = ((edges.min(axis=1) < reach) & (edges.max(axis=1) > -_EDGE_CELLS)).all(axis=1)
+        _near_edges(edges[near], far_cells)
+        far_cm = np.floor(100.0 * CELL_M * far_cells)
+        return np.where(low, AT_EDGE - 1 - far_cm, AT_EDGE + far_cm).astype(np.uint8)
 
     def _clearance_dm(self, box: Box, shape: tuple[int, int]) -> U8:
         """Distance (rows, cols) in whole decimetres, rounded down, from a cell's middle to something solid."""
@@ -306,6 +320,23 @@ class GridMaker:
         far_cells = cv2.distanceTransform(free, cv2.DIST_L2, cv2.DIST_MASK_5)[edge:-edge, edge:-edge]  # float32
         far_dm = np.minimum(far_cells * np.float32(CELL_M * 10.0), _FAR_DM)
         return cast(U8, far_dm.astype(np.uint8))
+
+
+@exact_kernel
+def _near_edges(edges: F64, far: F64) -> None:
+    """Lower each cell's distance to that of the nearest of `edges` (n, 2, 2), all in cells."""
+    rows, cols = far.shape
+    for e in range(len(edges)):
+        (ax, ay), (bx, by) = edges[e, 0], edges[e, 1]
+        square = max((bx - ax) ** 2 + (by - ay) ** 2, 1e-12)
+        first_row, last_row = int(min(ay, by) - _EDGE_CELLS), int(max(ay, by) + _EDGE_CELLS) + 1
+        first_col, last_col = int(min(ax, bx) - _EDGE_CELLS), int(max(ax, bx) + _EDGE_CELLS) + 1
+        for row in range(max(0, first_row), min(rows, last_row + 1)):
+            for col in range(max(0, first_col), min(cols, last_col + 1)):
+                along = ((col - ax) * (bx - ax) + (row - ay) * (by - ay)) / square
+                along = min(max(along, 0.0), 1.0)
+                off = math.hypot(col - ax - along * (bx - ax), row - ay - along * (by - ay))
+                far[row, col] = min(far[row, col], off)
 
 
 @exact_kernel
