@@ -16,9 +16,11 @@ import numpy as np
 
 from wcsim.config import ChairConfig
 from wcsim.core.constants import OTHER_LEVEL_M
+from wcsim.core.frames import matrix
 from wcsim.core.joystick import limits_of, shaped_rows
 from wcsim.supervisor.rollout import HOLD_S, STEP_S, Body, Land, free_distance, roll_out, rolls_s
 from wcsim.types import F64, ActorKind, ActorState, Ground, Joystick, Outline, PlantState, StreetGrid, Truth, Verdict
+from wcsim.types.street import FLAT
 
 REACH_M = 4.0  # at least so far a chair with its footprint may get in one roll-out,
 _LONGEST_ROLL_OUT_S = 2.5  # which may take so long at least; both more for who brakes softly
@@ -144,14 +146,17 @@ class Oracle:
         self, plant: PlantState, commands: F64, others: _Others, waiting: Sequence[Joystick], accel_mps2: float
     ) -> F64:
         grid = self._grid.around(plant.p_WB_m)
-        above_m = plant.p_WB_m[2] - float(grid.relief.at(plant.p_WB_m))
+        # Where each wheel is, as the chair lies: beside a kerb it may stand on both sides.
+        r, wheels = matrix(plant.q_WB.tolist()), self._body.wheels
+        wheels_W_m = plant.p_WB_m + wheels @ np.array([(r[0], r[3], r[6]), (r[1], r[4], r[7])])
+        above_m = wheels_W_m[:, 2] - (0.0 if grid.relief is FLAT else grid.relief.at(wheels_W_m))
         first_s: F64 = roll_out(
             _state(plant, accel_mps2),
             self._steps(waiting),
             commands,
             self._limits,
             self._body,
-            round(100.0 * above_m),
+            np.rint(100.0 * above_m).astype(np.int64),
             _land(grid),
             others.boxes,
             others.people,

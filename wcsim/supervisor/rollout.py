@@ -81,7 +81,7 @@ def roll_out(
     commands: F64,
     limits: F64,
     body: Body,
-    above_cm: int,
+    above_cm: I64,
     land: Land,
     actors: F64,
     people: F64,
@@ -95,7 +95,7 @@ def roll_out(
         commands: (K, 2) joystick positions without deadband, on the unit disc.
         limits: (8,) of the drive, see `wcsim.core.joystick`.
         body: The chair's.
-        above_cm: How high above the relief it stands.
+        above_cm: (W,) how high above the relief its wheels are.
         land: Around it.
         actors: (n, 9) those who drive, see the column names above; the margin column is overwritten.
         people: (m, 9) those who walk, see `people`; the margin column is overwritten.
@@ -128,7 +128,7 @@ def roll_out(
 
 
 @exact_kernel
-def _stance(state: F64, body: Body, above_cm: int, reach_m: float, land: Land) -> tuple[I64, Bool, F64]:
+def _stance(state: F64, body: Body, above_cm: I64, reach_m: float, land: Land) -> tuple[I64, Bool, F64]:
     """Heights (W,) on which the wheels stand, which of them the raster sees elsewhere, and the rims to look under.
 
     Mostly a chair stands as high as anything in its reach: then no rim has to be looked under.
@@ -139,9 +139,9 @@ def _stance(state: F64, body: Body, above_cm: int, reach_m: float, land: Land) -
     _wheel_heights(x, y, cos, sin, wheels, height_cm, edge_cm, origin_m, cell_m, start_cm)
     for j in range(len(wheels)):
         # A wheel that has left an edge hangs above the ground beside it, and its fall has begun.
-        astray[j] = start_cm[j] - above_cm > KERB_STEP_CM
-        if abs(above_cm - start_cm[j]) > KERB_STEP_CM:
-            start_cm[j] = above_cm
+        astray[j] = start_cm[j] - above_cm[j] > KERB_STEP_CM
+        if abs(above_cm[j] - start_cm[j]) > KERB_STEP_CM:
+            start_cm[j] = above_cm[j]
     highest_cm = _highest_cm(x, y, reach_m, height_cm, origin_m, cell_m) - start_cm.min() + SLOPES_CM
     rims = body.rims[body.rims[:, UTAKES_CM] < highest_cm]
     for i in range(len(rims)):
