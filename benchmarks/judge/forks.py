@@ -20,7 +20,7 @@ from typing import Final
 import numpy as np
 
 from benchmarks.judge.held_stick import HeldStreet
-from benchmarks.judge.kerb_places import KerbCase, kerb_starts
+from benchmarks.judge.kerb_places import KerbCase, facing, kerb_starts
 from benchmarks.judge.starts import PLANTS, place_of
 from wcsim.agents.policy_api import TellsUnsafe
 from wcsim.bridge.world import World
@@ -44,8 +44,6 @@ _PEOPLE, _RIDERS = (ActorKind.PEDESTRIAN,), (ActorKind.BICYCLE, ActorKind.SCOOTE
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Asked:
     """One command in one state; seconds until it goes wrong, None where it does not."""
-
-    state: tuple[float, ...]  # x, y, z, yaw, speed, yaw rate
 
     kind: str
     policy: str
@@ -90,14 +88,9 @@ def ask_everywhere(policies: tuple[str, ...], towns: tuple[str, ...], drives: in
 def asked(street: HeldStreet, kind: str, drives: int, place_W_m: F64, seed: int) -> Iterator[Asked]:
     """Drive so many times in states of a kind, and ask in some ticks of each."""
     rng = np.random.default_rng([seed, kinds().index(kind)])
-    done = 0
-    for start, stick in islice(_starts(street, kind, place_W_m, rng), 20 * drives):
-        if done == drives:
-            return
-        if not street.begin(start, stick):
-            continue
+    starts = islice(_starts(street, kind, place_W_m, rng), 20 * drives)
+    for _ in islice(filter(None, (street.begin(start, stick) for start, stick in starts)), drives):
         ticks = json.loads(in_copy(street.world, lambda _copy: _ticks(street)))
-        done += 1
         yield from _ask_at(street, kind, _chosen(ticks["changes"], ticks["steps"], rng), rng)
 
 
@@ -132,12 +125,12 @@ def _on_ground(street: HeldStreet, kind: str, near_W_m: F64, rng: np.random.Gene
         faces = float(grid.clearance_at(place + 0.5 * ahead)) < clear_m - 0.3
         fits = 1.2 < clear_m < 2.5 and (faces or kind == "wall or pole, turning")
     elif kind == "grass":
-        fits = ground in (int(ClassId.TERRAIN), int(ClassId.GROUND), int(ClassId.VEGETATION)) and clear_m > 1.2
+        fits = ground in (ClassId.TERRAIN, ClassId.GROUND, ClassId.VEGETATION) and clear_m > 1.2
     else:
         line = place + np.arange(0.5, 3.0, 0.1)[:, None] * ahead
         raised_m = grid.raised_at(line)
         fits = clear_m > 1.2 and bool(((raised_m > 0.02) & (raised_m < 0.1)).sum() >= 2)
-    return _facing(place, yaw_rad, near_W_m) if fits else None
+    return facing(place, yaw_rad, near_W_m) if fits else None
 
 
 def _before_actor(street: HeldStreet, which: tuple[ActorKind, ...], rng: np.random.Generator) -> StartSpec | None:
@@ -151,12 +144,7 @@ def _before_actor(street: HeldStreet, which: tuple[ActorKind, ...], rng: np.rand
     place = actor.p_W_m[:2] + float(rng.uniform(2.0, 5.0)) * np.array([math.cos(from_rad), math.sin(from_rad)])
     if float(grid.clearance_at(place)) < 1.0:
         return None
-    return _facing(place, from_rad + math.pi + float(rng.normal(0.0, 0.3)), place)
-
-
-def _facing(place: F64, yaw_rad: float, goal: F64) -> StartSpec:
-    (x, y), (to_x, to_y) = place.tolist(), goal[:2].tolist()
-    return StartSpec(p_W_m=(x, y), yaw_rad=yaw_rad, goal_W_m=(to_x, to_y))
+    return facing(place, from_rad + math.pi + float(rng.normal(0.0, 0.3)), place)
 
 
 def _ticks(street: HeldStreet) -> bytes:
@@ -196,10 +184,8 @@ def _ask_at(street: HeldStreet, kind: str, ticks: list[int], rng: np.random.Gene
         for action in (*near.tolist(), *more.tolist()):
             stick = street.actions.points[action]
             after_s, end = json.loads(in_copy(street.world, partial(_given, stick=Joystick(*stick.tolist()))))
-            plant = now.plant
             found.append(
                 Asked(
-                    state=(*plant.p_WB_m.tolist(), plant.yaw_rad, plant.v_B_mps[0], plant.w_B_radps[2]),
                     kind=kind,
                     policy=street.policy.name,
                     plant=street.config.chair.plant,
@@ -230,7 +216,7 @@ def _given(world: World, stick: Joystick) -> bytes:
     world.drop_step_limits()
     tick_s = world.config.world.tick_s
     held, last = round(HOLD_S / tick_s), round(LONGEST_S / tick_s)
-    sticks = iter([stick] * held + [Joystick(0.0, 0.0)] * (last + 1 - held))
+    sticks = iter([stick] * held + [Joystick(0.0, 0.0)] * last)
     for tick, step in zip(range(1, last + 1), rollout(world, {0: lambda _now: next(sticks)}), strict=False):
         (client,) = step.after.clients
         if client.events.crashed:

@@ -56,7 +56,6 @@ def kerb_starts(street: Street, case: KerbCase, near_W_m: F64, rng: np.random.Ge
     upright = np.abs(normals[:, 2]) < UPRIGHT * np.linalg.norm(normals, axis=1)
     feet, out = corners_W_m[upright].mean(axis=1)[:, :2], normals[upright][:, :2]
     out /= np.linalg.norm(out, axis=1)[:, None]
-    goal = (float(near_W_m[0]), float(near_W_m[1]))
     for number in rng.permutation(len(feet)):
         away = out[number] if case.below else -out[number]  # from the kerb to the chair
         turn = rad(case.angle_deg) * (1.0 if rng.random() < 0.5 else -1.0)
@@ -64,8 +63,7 @@ def kerb_starts(street: Street, case: KerbCase, near_W_m: F64, rng: np.random.Ge
         place = feet[number] - case.far_m * way
         if math.dist(feet[number], near_W_m) < REACH_M and _is_free(street, feet[number], away, way, case):
             heading = -way if case.backwards else way
-            yaw_rad = math.atan2(heading[1], heading[0])
-            yield StartSpec(p_W_m=(float(place[0]), float(place[1])), yaw_rad=yaw_rad, goal_W_m=goal)
+            yield facing(place, math.atan2(heading[1], heading[0]), near_W_m)
 
 
 def _is_free(street: Street, foot_W_m: F64, away: F64, way: F64, case: KerbCase) -> bool:
@@ -85,10 +83,14 @@ def _is_free(street: Street, foot_W_m: F64, away: F64, way: F64, case: KerbCase)
 
 def anywhere(street: Street, rng: np.random.Generator, near_W_m: F64) -> Iterator[StartSpec]:
     """Starts on any ground around a place (2,), facing anywhere, with nothing solid within reach of the hull."""
-    goal = (float(near_W_m[0]), float(near_W_m[1]))
     while True:
         place = near_W_m + rng.uniform(-REACH_M, REACH_M, 2)
         solid = street.grid.clearance_at(place) < HALF_CHAIR_M
-        yaw_rad = float(rng.uniform(-math.pi, math.pi))
         if not solid and street.grid.class_at(place) != ClassId.VOID:
-            yield StartSpec(p_W_m=(float(place[0]), float(place[1])), yaw_rad=yaw_rad, goal_W_m=goal)
+            yield facing(place, float(rng.uniform(-math.pi, math.pi)), near_W_m)
+
+
+def facing(place_W_m: F64, yaw_rad: float, goal_W_m: F64) -> StartSpec:
+    """A start at a place (2,), for a goal (2,)."""
+    (x, y), (to_x, to_y) = place_W_m.tolist(), goal_W_m[:2].tolist()
+    return StartSpec(p_W_m=(x, y), yaw_rad=yaw_rad, goal_W_m=(to_x, to_y))

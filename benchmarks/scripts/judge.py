@@ -90,8 +90,8 @@ def _verdicts(rows: list[Asked]) -> Table:
             _bound(missed, len(bad)),
             str(len(good)),
             f"{sum(good)} ({sum(good) / len(good):.1%})" if good else "-",
-            f"{sum(hangs)} of {len(hangs)}" if hangs else "",
-            str(sum(row.end == "other" for row, _ in pairs) or ""),
+            f"{sum(hangs)} of {len(hangs)}",
+            str(sum(row.end == "other" for row, _ in pairs)),
             f"{statistics.median(apart):.2f}" if apart and judge == "oracle" else "",
         )
     return table

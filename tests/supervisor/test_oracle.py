@@ -6,15 +6,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.support.samples import USUAL_OUTLINE, straight_route, strip_street
+from tests.support.samples import KERB_M, USUAL_OUTLINE, straight_route, strip_street
 from tests.support.yardstick import multiple
 from tests.users.actors import USUAL_RIMS_M, USUAL_WHEELS_M, actor, make_user
 from tests.users.kinematics import TICK_S, Chair, Sim, plant, polyline
 from wcsim.config import ChairConfig
+from wcsim.core.frames import quaternion
 from wcsim.core.joystick import shaped_rows
 from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.oracle import Oracle
-from wcsim.types import ActorKind, Joystick
+from wcsim.types import ActorKind, Joystick, StreetGrid
+from wcsim.types.street import AT_EDGE
 
 STREET = strip_street()
 ACTIONS = action_set("square81")
@@ -53,6 +55,41 @@ def test_a_wall_is_seen_in_time_to_brake_and_not_much_sooner(speed):
     assert chair.v == 0.0
     assert 9.0 - (chair.y + 0.8) > 0.0
     assert gap_m < speed * 0.5 + speed**2 / 3.0 + speed * 0.19 + 0.25
+
+
+def told_of_edges(grid: StreetGrid, edge_m: float) -> StreetGrid:
+    """The strip with its northern kerb told of, and moved to `edge_m`, between two middles of cells."""
+    rows, cols = grid.height_cm.shape
+    y_m = grid.origin_W_m[1] + grid.cell_m * (np.arange(rows) + 0.5)
+    far_cm = np.floor(np.clip(100.0 * np.abs(y_m - edge_m), 0.0, 80.0))
+    column = np.where(y_m < edge_m, AT_EDGE - 1 - far_cm, AT_EDGE + far_cm)
+    return replace(grid, edge_cm=np.repeat(column[:, None], cols, axis=1).astype(np.uint8))
+
+
+def test_an_edge_is_known_to_the_centimetre_where_a_kerb_cuts_a_cell():
+    """From how far, in centimetres, a chair may back towards a kerb, wherever that lies between middles of cells."""
+    firsts = []
+    for edge_m in (3.96, 4.0, 4.04):
+        grid = told_of_edges(STREET.grid, edge_m)
+        oracle = Oracle(grid, ChairConfig(), USUAL_OUTLINE, USUAL_WHEELS_M, USUAL_RIMS_M, ACTIONS.points)
+        found = [oracle.danger(plant(20.0, edge_m + 0.01 * cm, UP), Joystick(0.0, -1.0), ()) for cm in range(10, 80)]
+        firsts.append(found.index(False))
+        assert firsts[-1] > 0 and not any(found[firsts[-1] :])
+    assert max(firsts) - min(firsts) <= 1
+
+
+def test_a_chair_that_stands_on_both_sides_of_a_kerb_may_drive_along_it():
+    """Its right wheels are on the road; of a chair that is level they hang, and fall."""
+    level = replace(plant(20.0, 4.0, 0.0, 0.5), p_WB_m=np.array([20.0, 4.0, KERB_M]))
+    roll_rad = math.atan2(KERB_M, USUAL_WHEELS_M[0][1] - USUAL_WHEELS_M[1][1])
+    leans = replace(
+        level,
+        p_WB_m=np.array([20.0, 4.0, 0.5 * KERB_M]),
+        q_WB=np.array(quaternion(0.0, 0.0, roll_rad)),
+        roll_rad=roll_rad,
+    )
+    assert ORACLE.danger(level, FORWARD, ())
+    assert not ORACLE.danger(leans, FORWARD, ())
 
 
 def test_safe_actions_in_front_of_a_wall():

@@ -86,8 +86,8 @@ def wanted(result: TestResult, runs: Sequence[str]) -> list[Wanted]:
 
 
 def records_of(result: TestResult, policy: str, part: str = "") -> list[EpisodeRecord]:
-    """A policy's episodes of a part, "" for all."""
-    return [item for item in result.episodes[policy] if part in ("", item.part)]
+    """A policy's episodes of a part, "" for all, that count for every policy of the result."""
+    return [item for item in result.counted(policy) if part in ("", item.part)]
 
 
 def counts_of(records: Sequence[EpisodeRecord]) -> Counts:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Annotated, Self
 
 from pydantic import Field, model_validator
@@ -48,6 +49,19 @@ class BlockFile(Model):
     seed: Seed  # of the world; of a tight place that of its scene
     settings: Texts = ()  # section.key=value, over those of the suite
     episodes: Annotated[tuple[EpisodeFile, ...], Field(min_length=1, max_length=MOST_SEATS)]
+
+
+def repeats(blocks: Sequence[BlockFile]) -> dict[int, frozenset[int]]:
+    """By block: its hazards that are the same street, start and user as an episode of part `free`."""
+
+    def drives(block: BlockFile) -> list[tuple[object, ...]]:
+        return [(block.town, block.seed, each.start_m, each.goal_m, each.profile) for each in block.episodes]
+
+    free = {drive for block in blocks if block.part == "free" for drive in drives(block)}
+    return {
+        index: frozenset(seat for seat, drive in enumerate(drives(block)) if block.part == "hazard" and drive in free)
+        for index, block in enumerate(blocks)
+    }
 
 
 class TownOfSuite(Model):

@@ -148,7 +148,8 @@ def sums_of(steps: Sequence[KpiStep], tick_s: float) -> dict[str, Any]:
     numbers = np.array(rows, np.float64).reshape(-1, 6)
     distance, asked, given, speed_mps = numbers[:, 0], numbers[:, 1:3], numbers[:, 3:5], numbers[:, 5]
     free = np.array([each.free for each in steps], np.bool_)
-    within, moving = distance <= FOLLOWED, free & (_out(asked) > PUSHES)
+    within, pushed = distance <= FOLLOWED, _out(asked) > PUSHES
+    moving = free & pushed
     blocked = free & (asked[:, 1] > PUSHES) & (given[:, 1] < _BLOCKED_SHARE * asked[:, 1])
     driven = len(steps) - bool(steps and steps[-1].events.crashed)  # how smooth it was is not told by a crash
     accelerations = np.diff(speed_mps[:driven]) / tick_s
@@ -163,6 +164,7 @@ def sums_of(steps: Sequence[KpiStep], tick_s: float) -> dict[str, Any]:
         "moving_steps": int(moving.sum()),
         "moving_sum": round(float(distance[moving].sum()), 9),
         "moving_within": int((moving & within).sum()),
+        "stood_steps": int((~free & pushed & (np.abs(speed_mps) < STANDS_MPS)).sum()),
         "freezes": _freezes(speed_mps, asked, given, tick_s),
         "road_s": round(sum(each.stands_on_road for each in steps) * tick_s, 6),
         "accel_sq_sum": round(float(np.sum(accelerations**2)), 6),

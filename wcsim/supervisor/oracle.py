@@ -18,7 +18,7 @@ from wcsim.config import ChairConfig
 from wcsim.core.constants import OTHER_LEVEL_M
 from wcsim.core.frames import matrix
 from wcsim.core.joystick import limits_of, shaped_rows
-from wcsim.supervisor.rollout import HOLD_S, STEP_S, Body, Land, free_distance, roll_out, rolls_s
+from wcsim.supervisor.rollout import HOLD_S, STEP_S, ChairShape, Land, free_distance, roll_out, rolls_s
 from wcsim.types import F64, ActorKind, ActorState, Ground, Joystick, Outline, PlantState, StreetGrid, Truth, Verdict
 from wcsim.types.street import FLAT
 
@@ -54,7 +54,7 @@ class Oracle:
         """
         self._grid = grid
         self._chair = chair
-        self._body = Body(
+        self._body = ChairShape(
             hull=np.array([outline.middle_x_m, 0.5 * outline.length_m, 0.5 * outline.width_m]),
             wheels=np.ascontiguousarray(wheels_m, np.float64),
             rims=rims_m * (1.0, 1.0, 100.0),  # the raster has centimetres

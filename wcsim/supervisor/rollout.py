@@ -56,7 +56,7 @@ BEYOND_M = 0.1  # of the hull's corners, where a rough distance is enough
 UX, UY, UTAKES_CM = range(3)
 
 
-class Body(NamedTuple):
+class ChairShape(NamedTuple):
     """A chair as the kernels take it."""
 
     hull: F64  # (3,) see the column names of `walkers`
@@ -80,7 +80,7 @@ def roll_out(
     waiting: F64,
     commands: F64,
     limits: F64,
-    body: Body,
+    body: ChairShape,
     above_cm: I64,
     land: Land,
     actors: F64,
@@ -128,7 +128,7 @@ def roll_out(
 
 
 @exact_kernel
-def _stance(state: F64, body: Body, above_cm: I64, reach_m: float, land: Land) -> tuple[I64, Bool, F64]:
+def _stance(state: F64, body: ChairShape, above_cm: I64, reach_m: float, land: Land) -> tuple[I64, Bool, F64]:
     """Heights (W,) on which the wheels stand, which of them the raster sees elsewhere, and the rims to look under.
 
     Mostly a chair stands as high as anything in its reach: then no rim has to be looked under.
@@ -217,7 +217,7 @@ def _one(
     waiting: F64,
     command: F64,
     limits: F64,
-    body: Body,
+    body: ChairShape,
     allowed_gap: float,
     rims: F64,
     start_cm: I64,

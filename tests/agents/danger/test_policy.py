@@ -60,6 +60,17 @@ def test_a_tick_of_doubt_is_forgotten_with_everything_else_at_a_reset():
         assert [policy.act(seen) == own for _ in range(2)] == [True, False] and policy.unsafe.all()
 
 
+def test_what_was_taken_is_given_back_only_where_there_is_room(monkeypatch):
+    policy, config = policy_of(), small_config()
+    policy.rule = DangerRule(threshold=0.2, at_once=0.0)
+    seen = observation(config)
+    own = ACTIONS.nearest(seen["joystick"])
+    dangers = iter((0.15, 0.3, 0.15, 0.15, 0.09, 0.15))
+    monkeypatch.setattr(policy, "danger", lambda _features: np.where(np.arange(81) == own, next(dangers), 0.0))
+    policy.reset()
+    assert [policy.act(seen) == own for _ in range(6)] == [True, False, False, False, True, True]
+
+
 def test_dangers_that_are_no_numbers_are_refused():
     policy = policy_of(base=float("nan"))
     with pytest.raises(PolicyError, match="not finite"):

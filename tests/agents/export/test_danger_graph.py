@@ -127,14 +127,15 @@ def test_the_highest_value_is_that_of_the_action_which_the_rule_takes():
         danger, last = rng.uniform(low, high, 81).astype(np.float32), int(rng.integers(-1, 81))
         danger[actions.distances(stick[None])[0] < rng.uniform(0.0, 2.8)] = 1.0  # and none near the stick
         own = actions.nearest(stick.astype(np.float64))
-        danger[own] = rng.choice(np.array([0.05, 0.3, 0.7, 1.0], np.float32))
+        danger[own] = rng.choice(np.array([0.03, 0.07, 0.3, 0.7, 1.0], np.float32))
         recent = int(rng.integers(0, 3))
         exact = danger.astype(np.float64)
-        chosen.append(_choose(exact, stick.astype(np.float64), actions, rule, last, recent=recent > 0))
+        taken = own if recent > 1 and own != last else -1
+        chosen.append(_choose(exact, stick.astype(np.float64), actions, rule, last, recent > 0, taken))
         told = torch.as_tensor(danger)[None], torch.as_tensor(stick)[None], torch.tensor([[last + 1.0]])
         values, later = graph._values(*told, torch.tensor([[float(recent)]]))
         assert int(values.argmax()) == chosen[-1]
-        unsafe = not _within(exact, rule, last)[own]
+        unsafe = not _within(exact, rule, last, taken)[own]
         assert float(later[0, 0]) == _next_recent(recent, unsafe, float(exact[own]), rule)
         doubtful += chosen[-1] == own and 0.2 < danger[own] < 0.5 and last != own
         beyond += float(np.linalg.norm(actions.points[chosen[-1]] - stick)) > MAX_DISTANCE

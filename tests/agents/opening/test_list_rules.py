@@ -16,6 +16,7 @@ from wcsim.agents.opening.named_policy import (
 from wcsim.agents.runs.policy_file import POLICY_JSON
 from wcsim.agents.runs.run_folder import RunInfo, create_run, make_manifest
 from wcsim.config import RunConfig, resolve
+from wcsim.config.suite import repeats
 from wcsim.errors import PolicyError
 
 OWN = (
@@ -111,3 +112,11 @@ def test_a_block_is_driven_under_them(tmp_path, monkeypatch):
     records = driving.drive_piece(driving.piece_of(order, 0, run, {}, judged=False))
     assert {record.status for record in records} == {"refused"}
     assert configs == [config_for(run, "quick", listed(), in_list=True)] and configs[0].reward.drop
+
+
+@pytest.mark.parametrize(("name", "hazards", "again"), [("dev", 18, 5), ("validation", 24, 3), ("v1", 46, 21)])
+def test_hazards_that_are_free_episodes_once_more_are_known(name, hazards, again):
+    """Counted in the files by another program, when the lists were looked through from outside."""
+    blocks = open_suite(name).file.blocks
+    assert sum(len(block.episodes) for block in blocks if block.part == "hazard") == hazards
+    assert sum(map(len, repeats(blocks).values())) == again

@@ -129,7 +129,7 @@ def test_the_tables_show_what_was_counted_and_call_the_oracles_upper_bounds():
     told = shown(result({"follow": [record] * 2}), width=80)
     assert max(map(len, told.splitlines())) <= 80
     rows = [line.split()[1:] for line in told.splitlines() if line.split()[:1] == ["follow"]]
-    assert rows[0] == ["2", "0.20", "2", "10.00", "1.2-36.1", "0", "2", "0", "0", "0"]
+    assert rows[0] == ["2", "0.20", "2", "2", "10.00", "1.2-36.1", "2", "0", "0", "0"]
     assert rows[1] == ["0.250", "33%", "0.050", "0.030", "75.0%", "80%", "0.0%", "0", "100"]
     assert rows[2] == ["0.000", "-", "0", "4", "0", "0", "10.00", "0", "0"]
     assert "follow, episode 0.1: drop, own fault: it fell off a kerb, edge e" in told and "upper bound" not in told

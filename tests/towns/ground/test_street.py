@@ -15,6 +15,7 @@ from wcsim.towns.street import load_street
 from wcsim.towns.sumo.net import read_net
 from wcsim.towns.walking.islands import largest_share, walkable_parts
 from wcsim.types import ClassId, Street, WayKind
+from wcsim.types.street import AT_EDGE
 
 WALKABLE = (ClassId.SIDEWALK, ClassId.CROSSWALK)
 
@@ -40,6 +41,25 @@ def test_chunks_own_their_vertices(manhattan: Street) -> None:
 @pytest.mark.parametrize("name", ["corner", "manhattan"])
 def test_grid_agrees_with_mesh(name: str, request: pytest.FixtureRequest) -> None:
     assert mesh_faults(request.getfixturevalue(name)) <= 1  # a ray may run along an edge
+
+
+@pytest.mark.parametrize("name", ["corner", "manhattan"])
+def test_the_distance_to_kerbs_is_that_of_the_mesh(name: str, request: pytest.FixtureRequest) -> None:
+    """Held against shapely, and the side against the class below the middle of a cell."""
+    world = request.getfixturevalue(name)
+    mesh, rng = world.mesh, np.random.default_rng(5)
+    corners = mesh.vertices_W_m[mesh.faces[np.isin(mesh.face_class, (ClassId.KERB, ClassId.LOWERED_KERB))]][..., :2]
+    kerbs = shapely.union_all(shapely.linestrings(np.concatenate([corners, corners[:, :1]], axis=1).astype(float)))
+    middle = shapely.get_coordinates(kerbs)[len(shapely.get_coordinates(kerbs)) // 2]
+    grid = world.grid.around(middle)
+    rows, cols = (rng.integers(0, size, 4000) for size in grid.edge_cm.shape)
+    xy_m = np.array(grid.origin_W_m) + (np.column_stack([cols, rows]) + 0.5) * grid.cell_m
+    far_cm, low = 100.0 * shapely.distance(kerbs, shapely.points(xy_m)), grid.edge_cm[rows, cols] < AT_EDGE
+    told_cm = np.abs(grid.edge_cm[rows, cols] + 0.5 - AT_EDGE)
+    assert np.abs(np.minimum(far_cm, 80.5) - told_cm)[far_cm < 120.0].max() <= 1.0 and (far_cm < 70.0).sum() > 100
+    known = grid.ground_class[rows, cols] != ClassId.VOID
+    on_road = np.isin(grid.ground_class[rows, cols], (ClassId.ROAD, ClassId.CROSSWALK, ClassId.RAIL_TRACK))
+    assert (low == on_road)[known].all()
 
 
 def test_nothing_solid_stands_on_road_or_crossing(manhattan: Street) -> None:

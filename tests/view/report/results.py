@@ -30,11 +30,15 @@ def crashed(place: int, **changes: Any) -> EpisodeRecord:
     return record(place, **{**plain, **changes})
 
 
+def unreached(place: int) -> EpisodeRecord:
+    return record(place, status="not_reached", reason="collision", steps=0, m=0.0)
+
+
 def records_of(policy: str) -> tuple[EpisodeRecord, ...]:
     """`follow` falls and hits in four of six, `dwa` in none, the others in between."""
     if policy == "follow":
         bad = [crashed(0, reason="drop"), crashed(1, partner="car"), crashed(2, partner="static")]
-        return (*bad, record(3, red_entries=1), crashed(4, steps=0), record(5, status="timed_out"))
+        return (*bad, record(3, red_entries=1), crashed(4), record(5, status="timed_out"))
     if policy == "dwa":
         return (*(record(place) for place in range(5)), record(5, status="timed_out"))
     worst = crashed(0, partner="pedestrian", end_m=(3.0, 4.0))

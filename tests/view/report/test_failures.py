@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import pytest
 
 from tests.support.plants import CALM
-from tests.view.report.results import PATH_M, SCRIPT, crashed, record, write_result
+from tests.view.report.results import PATH_M, SCRIPT, crashed, record, unreached, with_episodes, write_result
 from wcsim.agents.evaluation.suite.result_files import read_result
 from wcsim.supervisor.kpi import KpiStep, sums_of
 from wcsim.types import Joystick
@@ -34,7 +34,7 @@ def kept(path_m, time_s):
         (record(0, status="policy_failed", steps=3), ("policy failed", "policy")),
         (crashed(0, reason="drop"), ("drop", "own")),
         (crashed(0, fault="other"), ("collision", "other")),
-        (crashed(4, steps=0), ("collision", "before the policy")),
+        (unreached(4), ("not reached", "before the policy")),
     ],
 )
 def test_what_counts_as_a_failure(item, said):
@@ -46,14 +46,15 @@ def test_the_worst_come_first(tmp_path):
     failures = failures_of(read_result(tmp_path), tmp_path)
     order = [crashed(0, partner="car"), crashed(0, reason="drop"), crashed(0, fault="other"),
              record(0, status="policy_failed"), record(0, red_entries=1), record(0, status="gave_up"),
-             crashed(0, steps=0)]  # fmt: skip
+             unreached(0)]  # fmt: skip
     assert [_judged(item)[2] for item in order] == sorted(_judged(item)[2] for item in order)
     assert [one.severity for one in failures] == sorted(one.severity for one in failures)
     worst = worst_of(failures, "net@0.25")
     assert (worst.key, worst.reason, worst.unaided) == ((0, 0), "collision", "drop (own fault) after 2 s")
     assert all(failure.policy != "dwa" for failure in failures)
     assert [one.key for one in chosen(failures, 1) if one.policy == "follow"] == [(0, 1)]  # with a car, not the fall
-    assert all(one.record.steps for one in chosen(failures, 100))
+    early = with_episodes(read_result(tmp_path), {"follow": (unreached(0),)})
+    assert failures_of(early, tmp_path) and not chosen(failures_of(early, tmp_path), 100)
 
 
 def test_of_two_like_failures_the_faster_is_worse(tmp_path):

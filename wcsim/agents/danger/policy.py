@@ -31,14 +31,17 @@ from wcsim.types import F64, Bool
 LESS_M = 0.02  # danger that a joystick distance of 1 is worth where nothing is safe
 LEVELS: Final = (0.95, 0.02)  # thresholds that may be set while driving: with the first it assists least
 RECENT_TICKS: Final = 5  # for so long after it was taken away, the user's own is again as soon as it is unsafe
+GIVES_BACK: Final = 0.5  # of the threshold: what was taken away is given back only where there is room
 
 
-def _within(danger: F64, rule: DangerRule, last: int = -1) -> Bool:
+def _within(danger: F64, rule: DangerRule, last: int = -1, taken: int = -1) -> Bool:
     """(A,) which actions are safe enough; the arguments are those of `_choose`."""
     limit = np.full(len(danger), rule.threshold)
     if last >= 0:
         # Near the threshold the last action would be allowed in one tick and not in the next.
         limit[last] *= rule.hysteresis_factor
+    if taken >= 0:
+        limit[taken] *= GIVES_BACK
     allowed: Bool = danger < limit
     return allowed
 
@@ -71,6 +74,7 @@ def _choose(
     rule: DangerRule,
     last: int = -1,
     recent: bool = True,
+    taken: int = -1,
 ) -> int:
     """The action. Where none is safe enough, it is the least dangerous.
 
@@ -81,13 +85,14 @@ def _choose(
         rule: See there.
         last: The action before, -1 for none.
         recent: Whether the user's own was unsafe a short time ago, see `_next_recent`.
+        taken: The user's own where it was taken away and is not given back yet, else -1.
     """
     distance = actions.distances(stick[None])[0]
     cost = distance + rule.danger_cost * danger / rule.threshold
     # Noise moves dangers by more than neighbours differ: without it the chair would waver between two ways round.
     if last >= 0:
         cost[last] -= rule.hysteresis
-    allowed = _within(danger, rule, last)
+    allowed = _within(danger, rule, last, taken)
     own = int(np.argmin(distance))
     if allowed[own] or (not recent and danger[own] < rule.at_once):
         return own
@@ -162,11 +167,12 @@ class DangerPolicy(HearsSent):
         danger = self.danger(self.features)
         own = self._actions.nearest(stick)
         self._alarm = next_alarm(self._alarm, float(danger[own]), self.rule.warn)
-        self.unsafe = ~_within(danger, self.rule, self._last)
-        taken = _choose(danger, stick, self._actions, self.rule, self._last, self._recent > 0)
+        taken = own if self._recent > 1 and own != self._last else -1
+        self.unsafe = ~_within(danger, self.rule, self._last, taken)
+        chosen = _choose(danger, stick, self._actions, self.rule, self._last, self._recent > 0, taken)
         # After the choice, which goes by what was unsafe before this tick.
         self._recent = _next_recent(self._recent, bool(self.unsafe[own]), float(danger[own]), self.rule)
-        return taken
+        return chosen
 
     def observe(self, observation: Observation) -> None:
         """Take in the observation, and choose nothing."""

@@ -15,7 +15,7 @@ import torch
 from torch import nn
 
 from wcsim.agents.danger.network import DangerNet
-from wcsim.agents.danger.policy import LESS_M, RECENT_TICKS
+from wcsim.agents.danger.policy import GIVES_BACK, LESS_M, RECENT_TICKS
 from wcsim.agents.danger.street_map import (
     BEHIND_M,
     CELL_M,
@@ -369,9 +369,10 @@ class DangerGraph(nn.Module):
         distance = ((self.points[None] - joystick[:, None]) ** 2).sum(-1).sqrt().clamp(max=MAX_DISTANCE)
         numbers = torch.arange(1, len(self.points) + 1, dtype=danger.dtype, device=danger.device)[None]
         kept = (numbers == last).to(danger.dtype)
-        limit = rule.threshold * (1.0 + (rule.hysteresis_factor - 1.0) * kept)
         cost = distance + rule.danger_cost * danger / rule.threshold - rule.hysteresis * kept
         own = numbers == distance.argmin(dim=1, keepdim=True) + 1
+        taken = ((recent > 1.5) & own & (numbers != last)).to(danger.dtype)
+        limit = rule.threshold * (1.0 + (rule.hysteresis_factor - 1.0) * kept) * (1.0 - (1.0 - GIVES_BACK) * taken)
         cost = torch.where(own, torch.full_like(cost, -1e6), cost)
         allowed = danger < limit
         doubtful = (recent < 0.5) & (danger < rule.at_once)

@@ -36,7 +36,8 @@ needed: else the user crashes within 5 s; missed: own crash, no intervention
 warned in time: share of dangers with a warning at least 1 s ahead
 arrivals: in the parts free and crossing; - where no goal ends an episode
 score: 0 after an own crash or at red, else route x pace x close; without a
-route, as of drawn episodes and the part tight, close alone
+route, as of drawn episodes and the part tight, close alone; in tight, 0 after
+any crash, and standing in danger counts half
 help: times that the user asked for it"""
 _BOUNDS = {
     "oracle": "oracle knows the true state: an upper bound",
@@ -98,7 +99,7 @@ def _crashed(result: TestResult) -> list[str]:
 
 
 _MOVED = (
-    *(column for column in GROUPS["safety"] if column.key in ("crashes_own", "crashes_other")),
+    *(column for column in GROUPS["safety"] if column.key in ("crashes_any", "crashes_own")),
     *(column for column in GROUPS["following"] if column.key == "kpi1_free_within"),
     *(column for column in GROUPS["service"] if column.key in ("speed_mps", "score")),
 )

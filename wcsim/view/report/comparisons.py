@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from textwrap import wrap
 from typing import Any, Final
 
-from wcsim.agents.evaluation.suite.records import EpisodeRecord, saved_and_lost
+from wcsim.agents.evaluation.suite.records import EpisodeRecord, both_counted, saved_and_lost
 from wcsim.agents.evaluation.suite.result_files import TestResult
 from wcsim.agents.evaluation.suite.rows import FEWEST, Interval, bootstrapped, mcnemar, undone
 from wcsim.agents.policy_api import BASELINES, UNAIDED, UPPER_BOUNDS
@@ -69,11 +69,8 @@ def compared(result: TestResult) -> tuple[Paired, ...]:
 def _paired(result: TestResult, policy: str, rival: str, part: str) -> Paired | None:
     """Two policies over the episodes of a part that both have; None without any."""
     theirs = {(e.block, e.seat): e for e in result.episodes[rival]}
-    both = [
-        (episode, theirs[episode.block, episode.seat])
-        for episode in result.episodes[policy]
-        if part in ("", episode.part) and (episode.block, episode.seat) in theirs
-    ]
+    shared = [e for e in result.episodes[policy] if part in ("", e.part) and (e.block, e.seat) in theirs]
+    both = both_counted(shared, [theirs[e.block, e.seat] for e in shared])
     if not both:
         return None
     saved, lost = saved_and_lost((mine for mine, _ in both), (other for _, other in both))

@@ -14,7 +14,15 @@ import numpy as np
 
 from wcsim.agents.evaluation.suite.drive import Piece
 from wcsim.agents.evaluation.suite.playback import Played, PlayedStep, play, require_same
-from wcsim.agents.evaluation.suite.records import CRASHED, FINISHED, GAVE_UP, ON_THE_WAY, TIMED_OUT, EpisodeRecord
+from wcsim.agents.evaluation.suite.records import (
+    CRASHED,
+    FINISHED,
+    GAVE_UP,
+    NOT_REACHED,
+    ON_THE_WAY,
+    TIMED_OUT,
+    EpisodeRecord,
+)
 from wcsim.agents.evaluation.suite.result_files import TestResult
 from wcsim.agents.evaluation.suite.run import SuiteOrder, piece_of, town_addresses
 from wcsim.agents.opening.list_file import open_suite
@@ -87,8 +95,8 @@ def failures_of(result: TestResult, folder: Path) -> tuple[FailedEpisode, ...]:
 
 def _judged(record: EpisodeRecord) -> tuple[str, str, int]:
     """Reason, whose fault and severity of an episode; no reason where it went well."""
-    if record.status == CRASHED and not record.steps:
-        return record.reason, "before the policy", 6
+    if record.status == NOT_REACHED:
+        return "not reached", "before the policy", 6
     if record.status == CRASHED:
         own = record.fault == "own"
         return record.reason, record.fault, (0 if record.partner in _SOMEBODY else 1) if own else 2

@@ -68,10 +68,10 @@ _GROUND_RGB: Final = {
 _SOLID_RGB: Final = (196, 190, 188)  # houses, walls, trunks
 _OTHER_RGB: Final = (248, 248, 248)
 _OBEYS: Final = 0.5  # who does as asked more rarely would squeeze all others into a corner of the figure
-_ENDINGS: Final = ("arrived", "crashed", "user gave up", "time up", "policy failed", "policy refused")  # as STATUSES
+_ENDINGS: Final = ("arrived", "crashed", "user gave up", "time up", "policy failed", "policy refused", "not reached")
 _NAME: Final = re.compile(r"[\w-]+")
 _LEVEL: Final = re.compile(r"(.+)@([0-9]+(?:\.[0-9]+)?)")
-_ENDS: Final = ("#009e73", "#d55e00", "#e69f00", "#56b4e9", "#6a3d9a", "#444444")
+_ENDS: Final = ("#009e73", "#d55e00", "#e69f00", "#56b4e9", "#6a3d9a", "#444444", "#bbbbbb")
 _Ground = tuple[U8, tuple[float, float, float, float]]  # (H, W, 3) from above; west, east, south and north edge
 
 

@@ -79,6 +79,14 @@ def test_before_the_handover_the_user_drives_alone(corner):
         assert record.reference_s / episode.reference_s == pytest.approx(record.route_m / episode.route_m, rel=1e-3)
 
 
+def test_what_ends_before_the_handover_is_not_the_policys(corner):
+    """The list's step limit ends it here; the rule asks when, not how."""
+    records = drive_block(*order_of(corner, block_of(corner, max_steps=20, handover=20)), lambda: Held(0.0, 0.0))
+    assert [(record.status, record.steps, record.counts, record.own) for record in records] == [
+        ("not_reached", 0, False, False)
+    ] * 2
+
+
 def test_what_a_policy_does_and_warns_of_is_judged_by_letting_the_user_drive_alone(corner):
     block, policies = block_of(corner, max_steps=30), iter((Held(0.0, 0.0), WarnsAlways(0.0, 0.0)))
     stands = drive_block(*order_of(corner, block, judged=True), policies.__next__)

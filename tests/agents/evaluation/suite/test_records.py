@@ -39,6 +39,16 @@ def test_a_crash_of_another_leaves_what_was_done():
     assert replace(GOOD, status="chair_crashed", fault="other", reason="collision", done_m=5.0).score > 0.0
 
 
+def test_in_a_tight_place_any_crash_is_one_and_standing_in_danger_is_half_of_moving():
+    tight = replace(GOOD, part="tight", route_m=0.0, done_m=0.0, reference_s=10.0)
+    assert tight.score == pytest.approx(0.75)
+    assert replace(tight, status="chair_crashed", fault="other").score == 0.0
+    stands = replace(tight, moving_steps=0, moving_within=0, stood_steps=90)
+    assert stands.score == pytest.approx(0.5)
+    assert replace(tight, stood_steps=80).score == pytest.approx((60 + 40) / 160)
+    assert replace(GOOD, stood_steps=80).score == GOOD.score
+
+
 def test_a_record_comes_back_from_json_and_anything_else_is_refused():
     alarms = Alarms(0.1)
     alarms.begin(3, True, False)

@@ -30,6 +30,20 @@ def test_a_row_says_on_what_it_stands():
     assert found["score"] == pytest.approx(0.75 * 0.6) and found["crash_reasons"] == {"collision": 5}
 
 
+@pytest.mark.parametrize("changes", [{"status": "not_reached", "steps": 0}, {"repeats": True}])
+def test_what_the_policy_did_not_do_or_did_already_is_in_no_figure(changes):
+    more = replace(CRASH, **changes)
+    alone, found = row([GOOD] * 9), row([*[GOOD] * 9, more], [*[CRASH] * 9, GOOD])
+    assert (found["episodes"], found["uncounted"], found["saved"], found["lost"]) == (9, 1, 9, 0)
+    left = {"uncounted", "status", "saved", "lost", "unaided_crashes_own", "mcnemar_p"}
+    assert {name: found[name] for name in found.keys() - left} == {name: alone[name] for name in alone.keys() - left}
+
+
+def test_crashes_of_any_fault_are_counted_beside_the_own():
+    found = row([GOOD, CRASH, replace(CRASH, fault="other")])
+    assert (found["crashes_any"], found["crashes_own"], found["crashes_other"]) == (2, 1, 1)
+
+
 def test_parts_keep_their_order_and_the_whole_is_beside_them():
     parts, whole = pooled_rows("p", [GOOD, replace(GOOD, part="crossing")], [])
     assert [item.part for item in parts] == ["free", "crossing"] and whole.episodes == 2

@@ -17,6 +17,7 @@ from wcsim.agents.evaluation.suite.records import (
     CRASHED,
     FINISHED,
     GAVE_UP,
+    NOT_REACHED,
     POLICY_FAILED,
     REFUSED,
     TIMED_OUT,
@@ -56,6 +57,7 @@ class Piece:
     network: str = ""
     preset: str = "quick"
     judged: bool = False  # forks say whether an intervention was needed
+    repeats: frozenset[int] = frozenset()  # its episodes that are free ones of the list once more
     late_s: float = LATE_S
     hook: str = ""  # the user's own step hook, module:Class
 
@@ -170,6 +172,9 @@ class _Seat:
             self._alarms.alone_s[driven] = crash_alone_s(self._world, self.number, self._actions, tick_s)
 
     def _end(self, status: str, reason: str = "", **more: Any) -> None:
+        # A neighbour who was taken over before may have changed the street: nobody is charged with what came of it.
+        if self._step <= self._episode.handover_step and status != POLICY_FAILED:
+            status, more = NOT_REACHED, {name: more[name] for name in ("reason", "crash") if name in more}
         tick_s = self._config.world.tick_s
         sums = sums_of(self._steps, tick_s)
         crash, own = sums["steps"] if status == CRASHED else None, more.get("fault") == "own"
@@ -187,7 +192,7 @@ class _Seat:
             route_m=round(left_m, 6),
             done_m=round(left_m if status == FINISHED else max(0.0, self._done_m), 6),
             reference_s=round(self._episode.reference_s * share, 6),
-            missed=own and bool(crash) and self._alarms.missed(crash or 0),  # of 0: before the handover
+            missed=own and self._alarms.missed(crash or 0),
             warned=warned,
             to_warn=to_warn,
             false_warnings=false,
@@ -255,6 +260,7 @@ def _record(piece: Piece, seat: int, status: str, reason: str, **more: Any) -> E
         part=block.part,
         town=block.town,
         profile=block.episodes[seat].profile,
+        repeats=seat in piece.repeats,
         status=status,
         reason=reason[:400],
         **more,

@@ -16,9 +16,14 @@ GAVE_UP: Final = "gave_up"
 TIMED_OUT: Final = "timed_out"
 POLICY_FAILED: Final = "policy_failed"
 REFUSED: Final = "refused"
-STATUSES: Final = (FINISHED, CRASHED, GAVE_UP, TIMED_OUT, POLICY_FAILED, REFUSED)
+NOT_REACHED: Final = "not_reached"  # it ended before the policy took over
+STATUSES: Final = (FINISHED, CRASHED, GAVE_UP, TIMED_OUT, POLICY_FAILED, REFUSED, NOT_REACHED)
+
+SCORE_VERSION: Final = 2  # of what a row counts and of its score
 
 ON_THE_WAY: Final = ("free", "crossing")  # parts to be driven to the end; in others it is enough to come through
+_TIGHT: Final = "tight"
+_STOOD_COUNTS: Final = 0.5  # a step of standing in danger, in a tight place: it is half of what moving on would be
 
 NEEDED: Final = "needed"
 NEEDLESS: Final = "needless"
@@ -67,6 +72,7 @@ class EpisodeRecord:
     moving_steps: int = 0  # free ones in which the user's stick is out
     moving_sum: float = 0.0
     moving_within: int = 0
+    stood_steps: int = 0  # in danger, in which the user's stick is out and the chair stands
     freezes: int = 0
     goals: int = 0  # destinations reached
     given_up: int = 0
@@ -85,6 +91,12 @@ class EpisodeRecord:
     asked_travel: float = 0.0  # and of the user's own
     helps: int = 0  # times that the user asked for help
     path_m: tuple[tuple[float, float], ...] = ()  # once a second, and at the end, W
+    repeats: bool = False  # a hazard that is a free episode of its list once more
+
+    @property
+    def counts(self) -> bool:
+        """Whether it says something of the policy that no other episode of the list says."""
+        return self.status != NOT_REACHED and not self.repeats
 
     @property
     def own(self) -> bool:
@@ -93,8 +105,11 @@ class EpisodeRecord:
 
     @property
     def score(self) -> float:
-        """0 after an own crash, a drop or a red entry; else way done x pace x obedience, each at most 1."""
-        if not self.driven or self.red_entries:
+        """0 after an own crash, a drop or a red entry; else way done x pace x obedience, each at most 1.
+
+        In a tight place any crash is one.
+        """
+        if not self.driven or self.red_entries or (self.part == _TIGHT and self.status == CRASHED):
             return 0.0
         done, pace, obeyed = self.score_parts
         return done * pace * obeyed
@@ -104,7 +119,9 @@ class EpisodeRecord:
         """Way done, pace and obedience, each from 0 to 1."""
         done = min(1.0, self.done_m / self.route_m) if self.route_m > 0.0 else 1.0
         pace = min(1.0, self.reference_s / self.time_s) if self.time_s > 0.0 else 1.0
-        return done, pace, self.moving_within / self.moving_steps if self.moving_steps else 1.0
+        stood = self.stood_steps if self.part == _TIGHT else 0
+        asked = self.moving_steps + stood
+        return done, pace, (self.moving_within + _STOOD_COUNTS * stood) / asked if asked else 1.0
 
     @property
     def driven(self) -> bool:
@@ -114,11 +131,18 @@ class EpisodeRecord:
     @property
     def held(self) -> bool:
         """Whether the policy could be used to the end, however that was."""
-        return self.status not in (POLICY_FAILED, REFUSED)
+        return self.status not in (POLICY_FAILED, REFUSED, NOT_REACHED)
 
     def to_json(self) -> dict[str, Any]:
         """Plain values under the same names."""
         return asdict(self)
+
+
+def both_counted(
+    records: Iterable[EpisodeRecord], others: Iterable[EpisodeRecord]
+) -> list[tuple[EpisodeRecord, EpisodeRecord]]:
+    """The pairs of the same episodes that count for both."""
+    return [(mine, other) for mine, other in zip(records, others, strict=True) if mine.counts and other.counts]
 
 
 def saved_and_lost(records: Iterable[EpisodeRecord], others: Iterable[EpisodeRecord]) -> tuple[int, int]:
@@ -126,7 +150,7 @@ def saved_and_lost(records: Iterable[EpisodeRecord], others: Iterable[EpisodeRec
 
     Where a policy failed or was refused nobody drove to the end, and nothing was saved.
     """
-    pairs = [(mine, other) for mine, other in zip(records, others, strict=True) if mine.own is not other.own]
+    pairs = [(mine, other) for mine, other in both_counted(records, others) if mine.own is not other.own]
     saved = sum(other.own and mine.held for mine, other in pairs)
     return saved, sum(mine.own and other.held for mine, other in pairs)
 

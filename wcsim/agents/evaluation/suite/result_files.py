@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from wcsim.agents.evaluation.suite.records import EpisodeRecord, record_of
+from wcsim.agents.evaluation.suite.records import SCORE_VERSION, EpisodeRecord, record_of
 from wcsim.agents.evaluation.suite.rows import ResultRow, pooled_rows
 from wcsim.agents.policy_api import UNAIDED
 from wcsim.core.reading import FileKind, escaped, is_file, read_json
@@ -44,11 +44,16 @@ class TestResult:
         """In the order of their first episodes."""
         return list(dict.fromkeys(row.part for row in self.rows))
 
+    def counted(self, policy: str) -> list[EpisodeRecord]:
+        """A policy's episodes that count for each of the policies."""
+        left_out = {(each.block, each.seat) for found in self.episodes.values() for each in found if not each.counts}
+        return [each for each in self.episodes[policy] if (each.block, each.seat) not in left_out]
+
     def to_json(self) -> dict[str, Any]:
         """What `result.json` holds: the whole result as plain values; the version is in the suite's name."""
         named = {name: getattr(self, name) for name in ("suite", "set", "list_sha256")}
         rows, pooled = ([row.to_json() for row in rows] for rows in (self.rows, self.pooled))
-        return {**named, "rows": rows, "pooled": pooled, "changed": list(self.changed)}
+        return {**named, "score_version": SCORE_VERSION, "rows": rows, "pooled": pooled, "changed": list(self.changed)}
 
 
 def result_of(episodes: Mapping[str, Sequence[EpisodeRecord]], **said: Any) -> TestResult:

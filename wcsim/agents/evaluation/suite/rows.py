@@ -20,6 +20,7 @@ from wcsim.agents.evaluation.suite.records import (
     REFUSED,
     STATUSES,
     EpisodeRecord,
+    both_counted,
     saved_and_lost,
 )
 from wcsim.core import seeding
@@ -97,9 +98,11 @@ class ResultRow:
 
     policy: str
     part: str  # "" for all
-    episodes: int
-    status: Mapping[str, int]  # how many ended so
+    episodes: int  # that count
+    uncounted: int  # that ended before the policy took over, and hazards that are free episodes once more
+    status: Mapping[str, int]  # how many ended so, all of them
     km: float
+    crashes_any: int
     crashes_own: int
     crashes_other: int  # another's fault, while the chair stood where it may
     drops: int
@@ -161,16 +164,18 @@ def row_of(policy: str, part: str, records: Sequence[EpisodeRecord], unaided: Se
         records: Its episodes.
         unaided: The same episodes with the user alone, in the same order; empty where they were not driven.
     """
+    counted = [record for record in records if record.counts]
     figures: dict[str, Any] = {
+        "uncounted": len(records) - len(counted),
         "status": {name: sum(record.status == name for record in records) for name in STATUSES},
-        **_crashes(records),
-        **_obedience(records),
-        **_service(records),
-        **_interventions(records),
+        **_crashes(counted),
+        **_obedience(counted),
+        **_service(counted),
+        **_interventions(counted),
         **(_twins(records, unaided) if records and len(unaided) == len(records) else {}),
     }
     rounded = {key: _rounded(value) for key, value in figures.items()}
-    return ResultRow(policy=policy, part=part, episodes=len(records), **rounded)
+    return ResultRow(policy=policy, part=part, episodes=len(counted), **rounded)
 
 
 def _crashes(records: Sequence[EpisodeRecord]) -> dict[str, Any]:
@@ -181,6 +186,7 @@ def _crashes(records: Sequence[EpisodeRecord]) -> dict[str, Any]:
     rated = km >= _FAR_ENOUGH_KM
     return {
         "km": km,
+        "crashes_any": len(crashes),
         "crashes_own": own,
         "crashes_other": len(crashes) - own,
         "drops": sum(record.reason == DROP for record in crashes),
@@ -285,7 +291,7 @@ def _twins(records: Sequence[EpisodeRecord], unaided: Sequence[EpisodeRecord]) -
     """What became of the same episodes with the user alone; crashes that are the chair's own, and falls."""
     saved, lost = saved_and_lost(records, unaided)
     return {
-        "unaided_crashes_own": sum(twin.own for twin in unaided),
+        "unaided_crashes_own": sum(twin.own for _, twin in both_counted(records, unaided)),
         "saved": saved,
         "lost": lost,
         "mcnemar_p": mcnemar(saved, lost),

@@ -29,7 +29,7 @@ from wcsim.agents.runs.run_folder import (
 )
 from wcsim.config import RunConfig, resolve
 from wcsim.config.load import texts_of
-from wcsim.config.suite import BlockFile
+from wcsim.config.suite import BlockFile, repeats
 from wcsim.core import seeding
 from wcsim.core.constants import RECORDED
 from wcsim.core.files import sha256, sha256_text, write_json
@@ -138,6 +138,7 @@ def piece_of(order: SuiteOrder, index: int, policy: str, towns: Mapping[str, str
         network=order.network,
         preset=order.preset,
         judged=judged,
+        repeats=repeats(file.blocks)[index],
         late_s=order.late_s,
         hook=order.hook,
     )

@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from wcsim.agents.evaluation.suite.records import EpisodeRecord, undriven
+from wcsim.agents.evaluation.suite.records import EpisodeRecord, both_counted, undriven
 from wcsim.agents.evaluation.suite.rows import Interval, ResultRow, bootstrapped, row_of
 from wcsim.agents.evaluation.suite.run import Done, SuiteOrder, run_suite
 from wcsim.errors import TownError
@@ -69,7 +69,7 @@ def sensitivity(order: SuiteOrder, policies: Sequence[str], told: Told) -> list[
         for policy, records in driven.items():
             for line in undriven(policy, records):
                 told(f"{name}: {line}")
-            changes = [now.score - before.score for now, before in zip(records, clean[policy], strict=True)]
+            changes = [now.score - before.score for now, before in both_counted(records, clean[policy])]
             low_high = bootstrapped(changes)
             rows.append(
                 Disturbed(
