@@ -29,7 +29,7 @@ BROKEN = {
         'goal_m = [0.0, 5.0]\nprofile = "hero"',
         r"unknown user profile 'hero'",
     ),
-    "off the ground": ("scene.toml", r"^start_m = .*", "start_m = [0.0, -30.0]", r"on no pavement, crossing or road"),
+    "off the ground": ("scene.toml", r"^start_m = .*", "start_m = [0.0, -90.0]", r"on no ground"),
     "two drivers": ("scene.toml", r"^script", "joystick = [0.0, 0.0]\nscript", r"exactly one of goal_m"),
     "no driver": ("scene.toml", r"^script = .*", "", r"exactly one of goal_m"),
     "times that fall": ("scene.toml", r"\[10\.8", "[0.0", r"times of script must rise"),

@@ -49,7 +49,6 @@ TRACE_EVERY = 10
 
 _WORK = "wcsim-scene-"
 _SMALL_CAMERAS = (CameraConfig(width_px=16, height_px=12),)
-_STREET = (ClassId.SIDEWALK, ClassId.CROSSWALK, ClassId.ROAD)
 _FILM_CAMERA = CameraConfig(width_px=480, height_px=360, rgb=True)
 _FILM_SPAN_M = 40.0
 
@@ -147,8 +146,8 @@ def _check_starts(world: World, scene: SceneFile, folder: Path) -> None:
     for i, (start, wanted) in enumerate(zip(starts, scene.seats, strict=True)):
         here_W_m = np.array(start.p_W_m)
         inside = float(grid.clearance_at(here_W_m)) <= 0.0
-        if inside or int(grid.class_at(here_W_m)) not in _STREET:
-            where = "inside something solid" if inside else "on no pavement, crossing or road"
+        if inside or int(grid.class_at(here_W_m)) == ClassId.VOID:
+            where = "inside something solid" if inside else "on no ground"
             raise TownError(
                 f"{folder / 'scene.toml'}: seat {i} starts at {list(wanted.start_m)}, which is {where}; "
                 "correct start_m (net coordinates)"

@@ -157,6 +157,7 @@ class Oracle:
             self._limits,
             self._body,
             np.rint(100.0 * above_m).astype(np.int64),
+            self._reach_m + len(waiting) * self._tick_s * FASTEST_MPS,
             _land(grid),
             others.boxes,
             others.people,

@@ -82,6 +82,7 @@ def roll_out(
     limits: F64,
     body: ChairShape,
     above_cm: I64,
+    reach_m: float,
     land: Land,
     actors: F64,
     people: F64,
@@ -96,6 +97,7 @@ def roll_out(
         limits: (8,) of the drive, see `wcsim.core.joystick`.
         body: The chair's.
         above_cm: (W,) how high above the relief its wheels are.
+        reach_m: How far it may get.
         land: Around it.
         actors: (n, 9) those who drive, see the column names above; the margin column is overwritten.
         people: (m, 9) those who walk, see `people`; the margin column is overwritten.
@@ -110,8 +112,7 @@ def roll_out(
     start_gap = _static_gap(state[0], state[1], state[2], hull, land.clearance_dm, land.origin_m, land.cell_m, BEYOND_M)
     # Never deeper than it is now, nor than DEEPENING_M in all: it is asked anew in every step.
     allowed_gap = min(0.0, start_gap - SAME_M, max(start_gap, 0.0) - DEEPENING_M)
-    far_m = _furthest_m(state, hull, limits, len(waiting))
-    start_cm, astray, rims = _stance(state, body, above_cm, far_m, land)
+    start_cm, astray, rims = _stance(state, body, above_cm, reach_m, land)
     stands_s = len(waiting) * STEP_S + tick_s + limits[V_MAX] / limits[DECEL] + limits[DECEL] / limits[JERK]
     near = near_people(state[0], state[1], stands_s * limits[V_MAX], stands_s, hull, people)
     first_s = np.full(len(commands), np.inf)
@@ -156,13 +157,6 @@ def rolls_s(limits: F64) -> float:
     """Seconds that a command is held and the chair then takes to stand, at most; of a drive's limits (8,)."""
     straight_s = limits[V_MAX] / limits[DECEL] + (limits[ACCEL] + limits[DECEL]) / limits[JERK]
     return float(min(SOFTEST_S, HOLD_S + max(straight_s, limits[YAW_MAX] / limits[YAW_ACCEL])))
-
-
-@exact_kernel
-def _furthest_m(state: F64, hull: F64, limits: F64, waits: int) -> float:
-    """How far from its axle a chair may reach in a roll-out, at most."""
-    own_m = math.hypot(hull[HALF_L], hull[HALF_W]) + abs(hull[MIDDLE])
-    return float(own_m + max(abs(state[3]), limits[V_MAX]) * (waits * STEP_S + rolls_s(limits)))
 
 
 @exact_kernel
@@ -392,19 +386,21 @@ def _kerb_near(
 ) -> bool:
     """Whether a kerb may cut a circle of the chair, or the cells around it."""
     cx, cy, radius_m = circle
-    rows, cols = edge_cm.shape
-    px, py = x + cx * cos - cy * sin, y + cx * sin + cy * cos
-    col = min(max(math.floor((px - origin_m[0]) / cell_m), 0), cols - 1)
-    row = min(max(math.floor((py - origin_m[1]) / cell_m), 0), rows - 1)
+    row, col = _cell(x + cx * cos - cy * sin, y + cx * sin + cy * cos, edge_cm.shape, origin_m, cell_m)
     return bool(abs(int(edge_cm[row, col]) - AT_EDGE) <= 100.0 * radius_m + AROUND_CM)
+
+
+@exact_kernel
+def _cell(x: float, y: float, shape: tuple[int, int], origin_m: F64, cell_m: float) -> tuple[int, int]:
+    """Row and column of a place; of one outside those of the nearest cell."""
+    row, col = math.floor((y - origin_m[1]) / cell_m), math.floor((x - origin_m[0]) / cell_m)
+    return min(max(row, 0), shape[0] - 1), min(max(col, 0), shape[1] - 1)
 
 
 @exact_kernel
 def _height_cm(x: float, y: float, height_cm: U8, edge_cm: U8, origin_m: F64, cell_m: float) -> int:
     """Of the ground. Not interpolated: between two cells a kerb would become a ramp."""
-    rows, cols = height_cm.shape
-    col = min(max(math.floor((x - origin_m[0]) / cell_m), 0), cols - 1)
-    row = min(max(math.floor((y - origin_m[1]) / cell_m), 0), rows - 1)
+    row, col = _cell(x, y, height_cm.shape, origin_m, cell_m)
     if abs(int(edge_cm[row, col]) - AT_EDGE) <= CELL_CM:
         return _height_beside_edge_cm(x, y, height_cm, edge_cm, origin_m, cell_m)
     return int(height_cm[row, col])
@@ -526,12 +522,10 @@ def _wheel_heights(
 
     A tyre is wide, and rolls over an edge before it falls: its highest part carries it.
     """
-    rows, cols = height_cm.shape
     for j in range(len(wheels)):
         wx = x + wheels[j, 0] * cos - wheels[j, 1] * sin
         wy = y + wheels[j, 0] * sin + wheels[j, 1] * cos
-        col = min(max(math.floor((wx - origin_m[0]) / cell_m), 0), cols - 1)
-        row = min(max(math.floor((wy - origin_m[1]) / cell_m), 0), rows - 1)
+        row, col = _cell(wx, wy, height_cm.shape, origin_m, cell_m)
         out[j] = height_cm[row, col]
         if abs(int(edge_cm[row, col]) - AT_EDGE) > TYRE_CM:
             continue

@@ -6,12 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from wcsim.agents.opening.list_file import open_suite
 from wcsim.core import seeding
 from wcsim.errors import ConfigError, DiskFullError
 from wcsim.scenes.run import _open_scene, play
 from wcsim.towns.scene_folders.build import _scene_of
 from wcsim.towns.scene_folders.draft import Push, mirrored, predict_path
-from wcsim.towns.scene_folders.families import FAMILIES, _scooter_cuts_in, write_scene
+from wcsim.towns.scene_folders.families import FAMILIES, LISTED, _scooter_cuts_in, family_of, write_scene
 from wcsim.types import ClassId
 
 LONGEST_S = 25.0
@@ -21,6 +22,7 @@ MEANT = {
     "car-door": (0, "collision", "v:door"),
     "footplate-swing": (0, "collision", ""),
     "oncoming-pair": (0, "collision", "p:left"),
+    "out-of-place": (0, "collision", ""),
     "overtaking-rider": (0, "collision", "v:rider"),
     "person-turns-round": (2, "collision", "p:walker"),
     "reversing-off-kerb": (0, "drop", ""),
@@ -42,10 +44,10 @@ def texts(folder: Path) -> dict[str, bytes]:
 @pytest.mark.parametrize("family", FAMILIES)
 def test_a_seed_writes_the_same_bytes_and_another_one_others(family: str, tmp_path: Path) -> None:
     once, again, other = (
-        texts(write_scene(family, seed, tmp_path / name)) for name, seed in (("a", 3), ("b", 3), ("c", 4))
+        texts(write_scene(family, seed, tmp_path / name)) for name, seed in (("a", 3), ("b", 3), ("c", 7))
     )
     assert once == again
-    changed = {name for name in once if once[name] != other[name]}
+    changed = {name for name in once if once[name] != other.get(name)}
     assert {"scene.toml", "stick.csv"} <= changed
     assert "street.nod.xml" in changed or "street.typ.xml" in changed
 
@@ -63,13 +65,50 @@ def test_who_only_follows_from_a_start_on_pavement_meets_the_danger_that_is_mean
     seed, reason, partner = MEANT[family]
     with _open_scene(write_scene(family, seed, tmp_path / "scene")) as (world, scene):
         start_m = np.array(scene.seats[0].start_m)
-        assert int(world.street.grid.class_at(start_m)) == ClassId.SIDEWALK
+        ground = ClassId.ROAD if family == "out-of-place" else ClassId.SIDEWALK
+        assert int(world.street.grid.class_at(start_m)) == ground
         assert float(world.street.grid.clearance_at(start_m)) > 0.3
         ticks = (step.after.clients[0] for step in play(world, scene))
         end = next(client for client in ticks if client.events.crashed)
     assert end.events.crash_reason == reason
     assert {contact.actor_id for contact in end.contacts} <= {partner}
     assert bool(end.contacts) == (reason == "collision")
+
+
+@pytest.mark.parametrize(
+    ("seed", "where", "ground", "reason", "partner"),
+    [
+        (2, "in the gutter", ClassId.ROAD, "collision", ""),
+        (3, "in a drive", ClassId.GROUND, "drop", ""),
+        (5, "on grass", ClassId.TERRAIN, "drop", ""),
+        (13, "on the road, against a rider", ClassId.ROAD, "collision", "v:rider"),
+        (24, "on a cycle path, against a rider", ClassId.ROAD, "collision", "v:rider"),
+    ],
+)
+def test_where_a_chair_does_not_belong_its_stick_leads_into_danger(seed, where, ground, reason, partner, tmp_path):
+    with _open_scene(write_scene("out-of-place", seed, tmp_path / "scene")) as (world, scene):
+        assert f" is {where}, " in scene.shows
+        assert int(world.street.grid.class_at(np.array(scene.seats[0].start_m))) == ground
+        ticks = (step.after.clients[0] for step in play(world, scene))
+        end = next(client for client in ticks if client.events.crashed)
+    assert end.events.crash_reason == reason and {contact.actor_id for contact in end.contacts} <= {partner, ""}
+
+
+def test_another_family_takes_its_share_and_moves_no_other(monkeypatch):
+    before = [family_of(seed) for seed in range(600)]
+    monkeypatch.setattr("wcsim.towns.scene_folders.families.FAMILIES", (*FAMILIES, "a-new-one"))
+    after = [family_of(seed) for seed in range(600)]
+    taken = [new == "a-new-one" for new in after]
+    assert [new for new, out in zip(after, taken, strict=True) if not out] == [
+        old for old, out in zip(before, taken, strict=True) if not out
+    ]
+    assert 20 < sum(taken) < 100 and set(before) == set(FAMILIES)
+
+
+def test_lists_of_version_1_name_the_families_that_they_were_made_of():
+    named = {block.town for name in ("dev", "validation", "v1") for block in open_suite(name).file.blocks
+             if block.part == "tight"}  # fmt: skip
+    assert named == set(LISTED)
 
 
 def test_a_mirror_turned_over_twice_changes_nothing() -> None:

@@ -54,7 +54,7 @@ from wcsim.supervisor.actions import ActionSet, action_set
 from wcsim.supervisor.rewards import fault
 from wcsim.towns.scenario.town import Town, find_town
 from wcsim.towns.scene_folders.build import build_scene, scene_config, seat_specs
-from wcsim.towns.scene_folders.families import FAMILIES, write_scene
+from wcsim.towns.scene_folders.families import family_of, write_scene
 from wcsim.towns.walking.off_way import off_way_start
 from wcsim.types import F64, U8, ClientSnapshot, SeatSpec, Truth, Verdict
 from wcsim.users.recordings.recorded_user import find_user
@@ -214,8 +214,8 @@ def _scenes(order: SegmentOrder, config: RunConfig, work: Path) -> Iterator[_Seg
     key = order.key
     rng = seeding.generator(key.run, "collect", key.round, key.index, "scenes")
     for number in range(_MOST_SCENES):
-        family, seed = FAMILIES[int(rng.integers(len(FAMILIES)))], _SCENE_SEEDS + int(rng.integers(1 << 24))
-        folder = write_scene(family, seed, work / f"scene-{number}")
+        seed = _SCENE_SEEDS + int(rng.integers(1 << 24))
+        folder = write_scene(family_of(seed), seed, work / f"scene-{number}")
         town, scene = build_scene(folder, work / f"town-{number}")
         ticks = round(scene.duration_s / config.world.tick_s)
         seats = tuple(replace(spec, max_steps=ticks) for spec in seat_specs(folder, scene, town.file.origin_m))

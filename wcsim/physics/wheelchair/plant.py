@@ -162,7 +162,7 @@ def _sweep_m(pair: CasterPart) -> float:
 
 DIP_M: Final = 0.05  # a chair that brakes, or rolls over an edge, dips its footplate by so much
 HIGHEST_STEP_M: Final = 0.2  # of kerbs
-MORE_M: Final = 0.01  # and so much larger it is taken to be: the raster of the street has cells of 0.1 m
+MORE_M: Final = 0.01  # and so much larger it is taken to be: the edges of kerbs are known to a centimetre
 FORK_M: Final = 0.10  # a fork's swivel lies this far above the middle of its caster
 FORK_COM_M: Final = 0.05  # and its centre of mass this far below the swivel
 ARM_INERTIA_KGM2: Final = 0.01  # small beside everything else

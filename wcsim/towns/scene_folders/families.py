@@ -12,6 +12,7 @@ Kerbs and walls: what the chair itself drives over or into, without other road u
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 
@@ -275,6 +276,7 @@ def _cut_in_m(speed_mps: float, slow_mps: float, until_s: float) -> float:
 
 
 _DOOR_M = 0.9
+_TRACK_M = 1.6  # a cycle path's width
 _STOPS_S, _BRAKE_MPS2 = 0.45, 1.5  # from seeing to braking, with the drive's ramp; and how hard
 _ARM_M = 40.0
 _CORNER_M = 2.0  # before the middle of the junction, along its way, a bus that turns comes to the line of the pavement
@@ -419,12 +421,47 @@ def _person_turns_round(rng: np.random.Generator) -> Draft:
     )
 
 
+def _out_of_place(rng: np.random.Generator) -> Draft:
+    """The chair is where it does not belong, and its user pushes on: to a kerb, over one, or against who comes."""
+    pavement, x_m = Pavement(width_m=rng.uniform(2.0, 3.0)), rng.uniform(-30.0, -10.0)
+    back_m, outer_y_m = rng.uniform(1.5, 3.0), pavement.outer_y_m
+    grounds = (
+        ("on the road before a kerb", KERB_Y_M + rng.uniform(1.3, 2.6), rng.uniform(120.0, 240.0)),
+        ("in the gutter", KERB_Y_M + rng.uniform(1.0, 1.3), rng.uniform(100.0, 125.0)),
+        ("on grass", outer_y_m - back_m, rng.uniform(-40.0, 40.0)),
+        ("in a drive", outer_y_m - back_m, rng.uniform(-8.0, 8.0)),
+        ("on the road, against a rider", -rng.uniform(1.2, 1.6), 270.0),
+        ("on a cycle path, against a rider", KERB_Y_M - 0.5 * _TRACK_M, 270.0),
+    )
+    number = int(rng.integers(len(grounds)))
+    where, y_m, heading_deg = grounds[number]
+    sides = [house(name, span, outer_y_m) for name, span in (("w", (-45.0, x_m - 1.3)), ("e", (x_m + 1.3, 45.0)))]
+    place = pavement.street(*(sides if where == "in a drive" else ()), kerb_height_m=rng.uniform(0.08, 0.15))
+    kind, routes = _rider(rng, rng.uniform(3.2, 5.0), "center")[0], ""
+    if number == len(grounds) - 1:
+        beside = f'bikeLaneWidth="{_TRACK_M}" sidewalkWidth'
+        place = replace(place, types=place.types.replace("sidewalkWidth", beside))
+        kind = kind.replace("scooter", "bicycle")
+    if heading_deg == 270.0:
+        routes = f'{kind}\n<vehicle id="rider" type="rider" depart="0" departSpeed="max"><route edges="WE"/></vehicle>'
+    return Draft(
+        shows=f"A wheelchair is {where}, and its user pushes on.",
+        place=place,
+        routes=routes,
+        start_m=(x_m, y_m),
+        heading_deg=heading_deg,
+        stick=(Push(rng.uniform(0.4, 1.4), 0.0, float(rng.choice((0.5, 0.75, 1.0)))),),
+        duration_s=10.0,
+    )
+
+
 _DRAWN = MappingProxyType[str, Callable[[np.random.Generator], Draft]](
     {
         "bus-at-corner": _bus_at_corner,
         "car-door": _car_door,
         "footplate-swing": _footplate_swing,
         "oncoming-pair": _oncoming_pair,
+        "out-of-place": _out_of_place,
         "overtaking-rider": _overtaking_rider,
         "person-turns-round": _person_turns_round,
         "reversing-off-kerb": _reversing_off_kerb,
@@ -434,6 +471,16 @@ _DRAWN = MappingProxyType[str, Callable[[np.random.Generator], Draft]](
     }
 )
 FAMILIES: tuple[str, ...] = tuple(_DRAWN)
+LISTED = tuple(name for name in FAMILIES if name != "out-of-place")  # of lists of version 1, whatever is added
+
+
+def family_of(seed: int) -> str:
+    """The family that a seed draws: each draws a lot of its own, so that a new one takes its share and moves no other.
+
+    >>> family_of(3)
+    'person-turns-round'
+    """
+    return max(FAMILIES, key=lambda name: float(seeding.generator(seed, "family", name).random()))
 
 
 def write_scene(family: str, seed: int, folder: Path) -> Path:

@@ -29,7 +29,7 @@ from wcsim.core.reading import counted
 from wcsim.errors import TownError
 from wcsim.towns.scenario.town import Town, by_name, content_hash, find_town
 from wcsim.towns.scene_folders.build import build_scene, scene_digest, seat_specs
-from wcsim.towns.scene_folders.families import FAMILIES, write_scene
+from wcsim.towns.scene_folders.families import LISTED, write_scene
 from wcsim.towns.street import load_street
 
 BAD_START_S: Final = 3.0  # who is hit before this was put where somebody came along
@@ -225,8 +225,8 @@ def _handed_over(episode: EpisodeFile, record: EpisodeRecord, tick_s: float) -> 
 
 
 def _tight_blocks(seeds: Sequence[int]) -> list[BlockFile]:
-    """A block for each family of scenes and each seed."""
-    return [_block(family, seed) for family in FAMILIES for seed in seeds]
+    """A block for each listed family of scenes and each seed."""
+    return [_block(family, seed) for family in LISTED for seed in seeds]
 
 
 def _block(family: str, seed: int) -> BlockFile:
