@@ -51,17 +51,16 @@ class BlockFile(Model):
     episodes: Annotated[tuple[EpisodeFile, ...], Field(min_length=1, max_length=MOST_SEATS)]
 
 
-def repeats(blocks: Sequence[BlockFile]) -> dict[int, frozenset[int]]:
-    """By block: its hazards that are the same street, start and user as an episode of part `free`."""
+def repeats(blocks: Sequence[BlockFile], index: int) -> frozenset[int]:
+    """The hazards of a block that are the same street, start and user as an episode of part `free`."""
+    if blocks[index].part != "hazard":
+        return frozenset()
 
     def drives(block: BlockFile) -> list[tuple[object, ...]]:
         return [(block.town, block.seed, each.start_m, each.goal_m, each.profile) for each in block.episodes]
 
     free = {drive for block in blocks if block.part == "free" for drive in drives(block)}
-    return {
-        index: frozenset(seat for seat, drive in enumerate(drives(block)) if block.part == "hazard" and drive in free)
-        for index, block in enumerate(blocks)
-    }
+    return frozenset(seat for seat, drive in enumerate(drives(blocks[index])) if drive in free)
 
 
 class TownOfSuite(Model):

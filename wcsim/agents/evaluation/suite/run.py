@@ -138,7 +138,7 @@ def piece_of(order: SuiteOrder, index: int, policy: str, towns: Mapping[str, str
         network=order.network,
         preset=order.preset,
         judged=judged,
-        repeats=repeats(file.blocks)[index],
+        repeats=repeats(file.blocks, index),
         late_s=order.late_s,
         hook=order.hook,
     )
