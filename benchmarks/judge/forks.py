@@ -19,25 +19,19 @@ from typing import Final
 
 import numpy as np
 
-from benchmarks.judge.held_stick import HeldStreet
+from benchmarks.judge.held_stick import HeldStreet, given
 from benchmarks.judge.kerb_places import KerbCase, facing, kerb_starts
 from benchmarks.judge.starts import PLANTS, place_of
 from wcsim.agents.policy_api import TellsUnsafe
-from wcsim.bridge.world import World
 from wcsim.bridge.world_copy import in_copy
 from wcsim.bridge.world_rollout import rollout
-from wcsim.supervisor.rewards import fault
-from wcsim.supervisor.rollout import HOLD_S
 from wcsim.towns.scenario.town import find_town
 from wcsim.types import F64, ActorKind, Bool, ClassId, ClientSnapshot, Joystick, StartSpec
 
-LONGEST_S: Final = 8.0
-STANDS_MPS: Final = 0.02
 BEFORE_S: Final = 3.0
 STATES: Final = 5  # of a drive
 STICKS: Final = 6  # of a state, half of them next to the other verdict
 DRIVE_TICKS: Final = 60
-MOST_TRIES: Final = 20_000  # to find a start
 _PEOPLE, _RIDERS = (ActorKind.PEDESTRIAN,), (ActorKind.BICYCLE, ActorKind.SCOOTER, ActorKind.MOTORCYCLE, ActorKind.CAR)
 
 
@@ -103,7 +97,7 @@ def _starts(
         for start in kerb_starts(street.world.street, case, near_W_m, rng):
             yield start, Joystick(float(rng.normal(0.0, 0.2)), case.stick.y)
         return
-    for _ in range(MOST_TRIES):
+    for _ in range(20_000):
         if kind in _ACTORS:
             found = _before_actor(street, _PEOPLE if kind == "people" else _RIDERS, rng)
         else:
@@ -183,7 +177,7 @@ def _ask_at(street: HeldStreet, kind: str, ticks: list[int], rng: np.random.Gene
         own = street.policy.unsafe if isinstance(street.policy, TellsUnsafe) else None
         for action in (*near.tolist(), *more.tolist()):
             stick = street.actions.points[action]
-            after_s, end = json.loads(in_copy(street.world, partial(_given, stick=Joystick(*stick.tolist()))))
+            after_s, end = json.loads(in_copy(street.world, partial(given, stick=Joystick(*stick.tolist()))))
             found.append(
                 Asked(
                     kind=kind,
@@ -208,21 +202,3 @@ def _next_to_other(safe: Bool, street: HeldStreet) -> Bool:
     points = street.actions.points
     close = np.hypot(*(points[:, None] - points[None]).transpose(2, 0, 1)) < 0.26
     return np.asarray((close & (safe[:, None] != safe[None])).any(axis=1))
-
-
-def _given(world: World, stick: Joystick) -> bytes:
-    """A command held for half a second and let go, in a copy: the seconds until it crashes or None, and how it ends."""
-    world.go_blind()
-    world.drop_step_limits()
-    tick_s = world.config.world.tick_s
-    held, last = round(HOLD_S / tick_s), round(LONGEST_S / tick_s)
-    sticks = iter([stick] * held + [Joystick(0.0, 0.0)] * last)
-    for tick, step in zip(range(1, last + 1), rollout(world, {0: lambda _now: next(sticks)}), strict=False):
-        (client,) = step.after.clients
-        if client.events.crashed:
-            whose = fault(client.events.crash_reason, client.contacts, world.config.reward)
-            return json.dumps((tick * tick_s, whose)).encode()
-        speed = math.hypot(*client.plant.v_B_mps[:2].tolist()) + abs(float(client.plant.w_B_radps[2]))
-        if tick > held and speed < STANDS_MPS:
-            break
-    return json.dumps((None, "hangs" if world.seats[0].chair.hanging else "")).encode()

@@ -2,29 +2,34 @@
 
 from __future__ import annotations
 
+import json
+import math
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Final
 
 import numpy as np
 
 from wcsim.agents.envs.seat_driver import PolicyAgent, SeatDriver
 from wcsim.agents.opening.named_policy import config_for, open_named, seat_for, sensing
-from wcsim.agents.policy_api import Policy, Warns
+from wcsim.agents.policy_api import Warns
 from wcsim.bridge.world import World
+from wcsim.bridge.world_copy import in_copy
 from wcsim.bridge.world_rollout import rollout
-from wcsim.config import RunConfig, resolve
+from wcsim.config import resolve
 from wcsim.core.closing import Closing
 from wcsim.errors import ConfigError
 from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.rewards import DISTANCE_TOLERANCE, fault
+from wcsim.supervisor.rollout import HOLD_S
 from wcsim.towns.scenario.town import Town
 from wcsim.types import ClientSnapshot, Joystick, Outline, StartSpec, UserView
 from wcsim.users.user import User
 
-WARMUP_S: Final = 20.0
-PRESET: Final = "quick"
+LONGEST_S: Final = 8.0
+STANDS_MPS: Final = 0.02
 
 
 @dataclass
@@ -97,10 +102,10 @@ class HeldStreet(Closing):
 
     def __init__(self, town: Town, policy: str, plant: str, seed: int) -> None:
         """Open the town. Raises what a world and the opening of a policy raise."""
-        rules = (f"chair.plant={plant}", f"world.warmup_s={WARMUP_S}")
-        config = config_for(policy, PRESET, rules, in_list=True)
-        self.policy: Policy = open_named(policy, config, seed)
-        self.config: RunConfig = resolve(config, sensing(config, self.policy))
+        rules = (f"chair.plant={plant}", "world.warmup_s=20.0")
+        config = config_for(policy, "quick", rules, in_list=True)
+        self.policy = open_named(policy, config, seed)
+        self.config = resolve(config, sensing(config, self.policy))
         self.hand = StickHolder()
         self.actions = action_set(self.config.env.actions)
         spec = replace(seat_for(self.policy, "held"), truth=True)
@@ -115,11 +120,12 @@ class HeldStreet(Closing):
         return self.actions.distance(self.driver.action, (stick.x, stick.y)) > limit + DISTANCE_TOLERANCE
 
     def begin(self, start: StartSpec, stick: Joystick) -> bool:
-        """Put the chair there; whether that could be."""
+        """Put the chair there; whether that could be, and it stands there while nobody drives it."""
         self.hand.stick = stick
         with suppress(ConfigError):
             self.driver = SeatDriver(self.config, self._agent, self.world.respawn(0, start=start))
-            return True
+            _, end = json.loads(in_copy(self.world, partial(given, stick=Joystick(0.0, 0.0))))
+            return not str(end)
         return False
 
     def drive(self, ticks: int, watch: Watch = lambda now: None) -> Driven:
@@ -152,3 +158,21 @@ class HeldStreet(Closing):
     def close(self) -> None:
         """End the world."""
         self.world.close()
+
+
+def given(world: World, stick: Joystick) -> bytes:
+    """A command held for half a second and let go, in a copy: the seconds until it crashes or None, and how it ends."""
+    world.go_blind()
+    world.drop_step_limits()
+    tick_s = world.config.world.tick_s
+    held, last = round(HOLD_S / tick_s), round(LONGEST_S / tick_s)
+    sticks = iter([stick] * held + [Joystick(0.0, 0.0)] * last)
+    for tick, step in zip(range(1, last + 1), rollout(world, {0: lambda _now: next(sticks)}), strict=False):
+        (client,) = step.after.clients
+        if client.events.crashed:
+            whose = fault(client.events.crash_reason, client.contacts, world.config.reward)
+            return json.dumps((tick * tick_s, whose)).encode()
+        speed = math.hypot(*client.plant.v_B_mps[:2].tolist()) + abs(float(client.plant.w_B_radps[2]))
+        if tick > held and speed < STANDS_MPS:
+            break
+    return json.dumps((None, "hangs" if world.seats[0].chair.hanging else "")).encode()

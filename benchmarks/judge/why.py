@@ -46,7 +46,6 @@ from wcsim.types import F64, U8, Bool, ClientSnapshot, Ground, Joystick
 LINKS: Final = ("picture", "map", "sweep", "verdict")
 AROUND_M: Final = 0.25  # of the chair where it crashed: what stands there was hit
 NEAR_M: Final = 0.2  # two cells of a map
-FEWEST_PX: Final = 3
 SHOWS_M: Final = 0.03  # higher or lower than the ground below the axle
 _RASTER_M: Final = 0.05
 
@@ -147,7 +146,7 @@ class _Site:
         seen = (depth_m > 0.0) & (depth_m < self._range_m)
         points = self._eye + self._rays[seen] * depth_m[seen, None]
         points = points[np.abs(points[:, 2]) > SHOWS_M]
-        return int(np.count_nonzero(_gaps(points[:, :2], places_B_m) < NEAR_M)) >= FEWEST_PX
+        return int(np.count_nonzero(_gaps(points[:, :2], places_B_m) < NEAR_M)) > 2
 
     def _mapped(self, places_B_m: F64) -> bool:
         if self._dwa is not None:

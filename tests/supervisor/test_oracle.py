@@ -66,7 +66,7 @@ def told_of_edges(grid: StreetGrid, edge_m: float) -> StreetGrid:
     return replace(grid, edge_cm=np.repeat(column[:, None], cols, axis=1).astype(np.uint8))
 
 
-def test_an_edge_is_known_to_the_centimetre_where_a_kerb_cuts_a_cell():
+def test_an_edge_is_known_to_two_centimetres_where_a_kerb_cuts_a_cell():
     """From how far, in centimetres, a chair may back towards a kerb, wherever that lies between middles of cells."""
     firsts = []
     for edge_m in (3.96, 4.0, 4.04):
@@ -75,7 +75,21 @@ def test_an_edge_is_known_to_the_centimetre_where_a_kerb_cuts_a_cell():
         found = [oracle.danger(plant(20.0, edge_m + 0.01 * cm, UP), Joystick(0.0, -1.0), ()) for cm in range(10, 80)]
         firsts.append(found.index(False))
         assert firsts[-1] > 0 and not any(found[firsts[-1] :])
-    assert max(firsts) - min(firsts) <= 1
+    assert max(firsts) - min(firsts) <= 2
+
+
+def test_casters_swing_outwards_in_a_turn():
+    """Turned on the spot before an edge, a trailing caster leaves its place behind the swivel, and the pavement."""
+    edge_m = 4.0  # the pavement is north of it
+    grid = told_of_edges(STREET.grid, edge_m)
+    fixed = USUAL_WHEELS_M * (1.0, 1.0, 0.0)
+    least_m = []
+    for wheels in (USUAL_WHEELS_M, fixed):
+        oracle = Oracle(grid, ChairConfig(), USUAL_OUTLINE, wheels, USUAL_RIMS_M, ACTIONS.points)
+        away_m = edge_m + np.arange(0.44, 0.64, 0.01)
+        found = [oracle.danger(plant(20.0, y_m, DOWN), Joystick(1.0, 0.0), ()) for y_m in away_m]
+        least_m.append(away_m[found.index(False)] - edge_m)
+    assert 0.02 < least_m[0] - least_m[1] < 0.08
 
 
 def test_a_chair_that_stands_on_both_sides_of_a_kerb_may_drive_along_it():
@@ -241,7 +255,7 @@ def test_a_wider_and_longer_chair_has_less_room():
 
 
 def test_casters_behind_feel_kerbs_too():
-    behind = np.concatenate([USUAL_WHEELS_M, [(-0.40, 0.25), (-0.40, -0.25)]])
+    behind = np.concatenate([USUAL_WHEELS_M, [(-0.40, 0.25, 0.0), (-0.40, -0.25, 0.0)]])
     outline = replace(USUAL_OUTLINE, middle_x_m=0.0)
     mid = Oracle(STREET.grid, ChairConfig(), outline, behind, np.zeros((0, 3)), ACTIONS.points)  # a high frame
     backwards = Joystick(0.0, -1.0)

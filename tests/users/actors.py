@@ -16,7 +16,7 @@ from wcsim.users.profiles import profile
 from wcsim.users.user import SimulatedUser
 
 USUAL_RIMS_M = np.array(plant_spec(ChairConfig()).rims_m())
-USUAL_WHEELS_M = np.array([(0.0, 0.27), (0.0, -0.27), (0.44, 0.25), (0.44, -0.25)])
+USUAL_WHEELS_M = np.column_stack([plant_spec(ChairConfig()).stand_m(), plant_spec(ChairConfig()).trails_m()])
 
 
 def actor(kind: ActorKind, x: float, y: float, yaw: float = 0.0, v: float = 0.0, name: str = "a") -> ActorState:

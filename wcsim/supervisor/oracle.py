@@ -47,7 +47,8 @@ class Oracle:
             grid: The street from above.
             chair: The limits of the drive.
             outline: The chair seen from above.
-            wheels_m: (W, 2) where its wheels stand in B, the left and right drive wheel first, then pairs of casters.
+            wheels_m: (W, 3) where its wheels stand in B, and their trail behind a swivel: the left and right drive
+                wheel, then pairs of casters.
             rims_m: (n, 3) what can meet a step of the ground in B, and the step that it takes.
             actions: (A, 2) joystick positions of the action set.
             tick_s: How long a command lasts.
@@ -147,7 +148,7 @@ class Oracle:
     ) -> F64:
         grid = self._grid.around(plant.p_WB_m)
         # Where each wheel is, as the chair lies: beside a kerb it may stand on both sides.
-        r, wheels = matrix(plant.q_WB.tolist()), self._body.wheels
+        r, wheels = matrix(plant.q_WB.tolist()), self._body.wheels[:, :2]
         wheels_W_m = plant.p_WB_m + wheels @ np.array([(r[0], r[3], r[6]), (r[1], r[4], r[7])])
         above_m = wheels_W_m[:, 2] - (0.0 if grid.relief is FLAT else grid.relief.at(wheels_W_m))
         first_s: F64 = roll_out(
@@ -191,8 +192,7 @@ class _Others(NamedTuple):
 
 
 def _land(grid: StreetGrid) -> Land:
-    origin_m = np.array(grid.origin_W_m, np.float64)
-    return Land(grid.height_cm, grid.edge_cm, grid.clearance_dm, origin_m, grid.cell_m)
+    return Land(grid.height_cm, grid.edge_cm, grid.clearance_dm, np.array([*grid.origin_W_m, grid.cell_m], np.float64))
 
 
 def _state(plant: PlantState, accel_mps2: float = 0.0) -> F64:

@@ -46,10 +46,9 @@ PITCH_LIMIT = math.tan(rad(30.0))
 AX, AY, ACOS, ASIN, AHALF_L, AHALF_W, AVX, AVY, AMARGIN = range(9)
 BUMP_MPS = 0.7  # a slower wheel is stopped by a kerb
 CELL_CM = 8  # from the middle of a cell to its corner, with the rounding of distances
-CARRIES_M = 0.03  # a wheel stands on an edge until its middle is so far beyond it
-TYRE_M = 0.025  # half of a caster's width, the narrowest
-TYRE_CM = 12  # and so far from the middle of its cell an edge may be that matters to it
+TYRE_CM = 3  # a tyre is wide, and rolls over an edge before it falls: it stands until so far beyond
 AROUND_CM = 16  # from the middle of a cell to a corner of the next one, with the rounding of distances
+CREEPS_MPS = 0.02  # who is slower stands: its casters trail
 SLOPES_CM = 4  # and so much more a rim may rise against the plane of the wheels, on a ramp
 BEYOND_M = 0.1  # of the hull's corners, where a rough distance is enough
 # columns of what can meet a step up (n, 3): the place in B, and the step in centimetres that it takes
@@ -60,7 +59,7 @@ class ChairShape(NamedTuple):
     """A chair as the kernels take it."""
 
     hull: F64  # (3,) see the column names of `walkers`
-    wheels: F64  # (W, 2) where its wheels stand, in B: the left and right drive wheel, then pairs of casters
+    wheels: F64  # (W, 3) where its wheels stand, in B: the left and right drive wheel, then pairs of casters; the trail
     rims: F64  # (n, 3) what can meet a step up, see the column names above
 
 
@@ -70,8 +69,7 @@ class Land(NamedTuple):
     height_cm: U8
     edge_cm: U8
     clearance_dm: U8
-    origin_m: F64
-    cell_m: float
+    frame_m: F64  # (3,) their origin in W, and the size of a cell
 
 
 @exact_kernel
@@ -109,16 +107,17 @@ def roll_out(
     hull = body.hull
     _set_actor_margins(state, hull, actors)
     set_people_margins(state[0], state[1], state[2], hull, people)
-    start_gap = _static_gap(state[0], state[1], state[2], hull, land.clearance_dm, land.origin_m, land.cell_m, BEYOND_M)
+    start_gap = _static_gap(state[0], state[1], state[2], hull, land.clearance_dm, land.frame_m, BEYOND_M)
     # Never deeper than it is now, nor than DEEPENING_M in all: it is asked anew in every step.
     allowed_gap = min(0.0, start_gap - SAME_M, max(start_gap, 0.0) - DEEPENING_M)
-    start_cm, astray, rims = _stance(state, body, above_cm, reach_m, land)
+    places = _trailing(state, body.wheels)
+    start_cm, astray, rims = _stance(state, body, places, above_cm, reach_m, land)
     stands_s = len(waiting) * STEP_S + tick_s + limits[V_MAX] / limits[DECEL] + limits[DECEL] / limits[JERK]
     near = near_people(state[0], state[1], stands_s * limits[V_MAX], stands_s, hull, people)
     first_s = np.full(len(commands), np.inf)
     for k in range(len(commands)):
         first_s[k] = _one(
-            state, waiting, commands[k], limits, body, allowed_gap, rims, start_cm, astray, land, actors, people
+            state, waiting, commands[k], limits, body, allowed_gap, rims, places, start_cm, astray, land, actors, people
         )
         if len(near):
             first_s[k] = min(first_s[k], _let_go(state, waiting, commands[k], limits, hull, near, tick_s))
@@ -129,25 +128,30 @@ def roll_out(
 
 
 @exact_kernel
-def _stance(state: F64, body: ChairShape, above_cm: I64, reach_m: float, land: Land) -> tuple[I64, Bool, F64]:
+def _stance(
+    state: F64, body: ChairShape, places: F64, above_cm: I64, reach_m: float, land: Land
+) -> tuple[I64, Bool, F64]:
     """Heights (W,) on which the wheels stand, which of them the raster sees elsewhere, and the rims to look under.
 
     Mostly a chair stands as high as anything in its reach: then no rim has to be looked under.
     """
     x, y, cos, sin = state[0], state[1], math.cos(state[2]), math.sin(state[2])
-    wheels, height_cm, edge_cm, origin_m, cell_m = body.wheels, land.height_cm, land.edge_cm, land.origin_m, land.cell_m
+    wheels, height_cm, edge_cm, frame_m = body.wheels, land.height_cm, land.edge_cm, land.frame_m
     start_cm, astray = np.empty(len(wheels), np.int64), np.empty(len(wheels), np.bool_)
-    _wheel_heights(x, y, cos, sin, wheels, height_cm, edge_cm, origin_m, cell_m, start_cm)
     for j in range(len(wheels)):
+        start_cm[j] = _height_cm(places[j, 0], places[j, 1], TYRE_CM, height_cm, edge_cm, frame_m)
         # A wheel that has left an edge hangs above the ground beside it, and its fall has begun.
         astray[j] = start_cm[j] - above_cm[j] > KERB_STEP_CM
         if abs(above_cm[j] - start_cm[j]) > KERB_STEP_CM:
             start_cm[j] = above_cm[j]
-    highest_cm = _highest_cm(x, y, reach_m, height_cm, origin_m, cell_m) - start_cm.min() + SLOPES_CM
+    row, col = _cell(x, y, height_cm.shape, frame_m)
+    reach = int(reach_m / frame_m[2]) + 1
+    near_cm = height_cm[max(0, row - reach) : row + reach + 1, max(0, col - reach) : col + reach + 1]
+    highest_cm = int(near_cm.max()) - start_cm.min() + SLOPES_CM
     rims = body.rims[body.rims[:, UTAKES_CM] < highest_cm]
     for i in range(len(rims)):
         # Never higher up a step than it is now: a footplate that stands over one may leave.
-        now_cm = _rise_cm(x, y, cos, sin, wheels, start_cm, rims[i], height_cm, edge_cm, origin_m, cell_m)
+        now_cm = _rise_cm(x, y, cos, sin, wheels, start_cm, rims[i], height_cm, edge_cm, frame_m)
         rims[i, UTAKES_CM] = max(rims[i, UTAKES_CM], now_cm)
     return start_cm, astray, rims
 
@@ -160,19 +164,6 @@ def rolls_s(limits: F64) -> float:
 
 
 @exact_kernel
-def _highest_cm(x: float, y: float, reach_m: float, height_cm: U8, origin_m: F64, cell_m: float) -> int:
-    """Of the ground in a square around a place."""
-    rows, cols = height_cm.shape
-    col, row = int((x - origin_m[0]) / cell_m), int((y - origin_m[1]) / cell_m)
-    reach = int(reach_m / cell_m) + 1
-    highest = 0
-    for r in range(max(0, row - reach), min(rows, row + reach + 1)):
-        for c in range(max(0, col - reach), min(cols, col + reach + 1)):
-            highest = max(highest, height_cm[r, c])
-    return highest
-
-
-@exact_kernel
 def _most_steps(limits: F64) -> int:
     """Of a roll-out, after the waiting commands."""
     return int(max(LONGEST_S, rolls_s(limits) + _LATE_S) / STEP_S)
@@ -181,7 +172,7 @@ def _most_steps(limits: F64) -> int:
 @exact_kernel
 def free_distance(state: F64, hull: F64, land: Land, actors: F64, people: F64) -> float:
     """Distance in metres from the chair's footprint to the nearest solid thing or actor, 0 when they touch."""
-    nearest = _static_gap(state[0], state[1], state[2], hull, land.clearance_dm, land.origin_m, land.cell_m, np.inf)
+    nearest = _static_gap(state[0], state[1], state[2], hull, land.clearance_dm, land.frame_m, np.inf)
     cos, sin = math.cos(state[2]), math.sin(state[2])
     cx, cy = state[0] + hull[MIDDLE] * cos, state[1] + hull[MIDDLE] * sin
     for i in range(len(actors)):
@@ -214,6 +205,7 @@ def _one(
     body: ChairShape,
     allowed_gap: float,
     rims: F64,
+    places: F64,
     start_cm: I64,
     astray: Bool,
     land: Land,
@@ -221,16 +213,14 @@ def _one(
     people: F64,
 ) -> float:
     # Unpacked once: a tuple of arrays that is handed on costs more than what is done with it.
-    hull, wheels = body.hull, body.wheels
-    height_cm, edge_cm, clearance_dm = land.height_cm, land.edge_cm, land.clearance_dm
-    origin_m, cell_m = land.origin_m, land.cell_m
+    hull, wheels, height_cm, edge_cm, frame_m = body.hull, body.wheels, land.height_cm, land.edge_cm, land.frame_m
     x, y, yaw, v, w, a = state[0], state[1], state[2], state[3], state[4], state[5]
     around = _circle(rims)
     before = np.empty(len(wheels), np.int64)
     before2 = np.empty(len(wheels), np.int64)
     before[:] = start_cm
     before2[:] = start_cm
-    aside = astray.copy()
+    aside, at = astray.copy(), places.copy()
     now = np.empty(len(wheels), np.int64)
     waits = len(waiting)
     for i in range(waits + _most_steps(limits)):
@@ -244,22 +234,37 @@ def _one(
         x, y, yaw, v, w, a = _moved(x, y, yaw, v, w, a, stick_x, stick_y, limits)
         later_s = (i + 1) * STEP_S
         cos, sin = math.cos(yaw), math.sin(yaw)
-        _wheel_heights(x, y, cos, sin, wheels, height_cm, edge_cm, origin_m, cell_m, now)
+        falls = False
         for j in range(len(wheels)):
+            ahead_m, trail_m = wheels[j, 0] + wheels[j, 2], wheels[j, 2]
+            px, py = x + ahead_m * cos - wheels[j, 1] * sin, y + ahead_m * sin + wheels[j, 1] * cos
+            if trail_m > 0.0:
+                # A caster is drawn after its swivel.
+                dx, dy = at[j, 0] - px, at[j, 1] - py
+                share = trail_m / max(math.sqrt(dx * dx + dy * dy), SAME_M)
+                px, py = px + share * dx, py + share * dy
+                at[j, 0], at[j, 1] = px, py
+            row, col = _cell(px, py, height_cm.shape, frame_m)
+            now[j] = height_cm[row, col]
+            if abs(int(edge_cm[row, col]) - AT_EDGE) <= CELL_CM + TYRE_CM:
+                now[j] = _height_beside_edge_cm(px, py, TYRE_CM, height_cm, edge_cm, frame_m)
             # Where it cannot stand it does not: a caster that has swung round at a kerb.
             if now[j] - start_cm[j] > KERB_STEP_CM and aside[j]:
                 now[j] = start_cm[j]
             else:
                 aside[j] = False
+            # Down a step, or fast up one, within two samples, so that a raster's soft edge counts.
+            up = now[j] - min(before[j], before2[j])
+            falls |= max(before[j], before2[j]) - now[j] > KERB_STEP_CM or (up > KERB_STEP_CM and abs(v) > BUMP_MPS)
+        # In a turn the chair leans as on a slope of v w / g.
+        lean = 0.01 * (now[0] - now[1]) / (wheels[0, 1] - wheels[1, 1]) + v * w / GRAVITY_MPS2
+        pitch = 0.01 * 0.5 * (now[2] + now[3] - now[0] - now[1]) / (wheels[2, 0] - wheels[0, 0])
         if (
-            _leans(wheels, now, v * w)
-            or _steps(now, before, before2, abs(v))
-            or (
-                len(rims) > 0
-                and _kerb_near(x, y, cos, sin, around, edge_cm, origin_m, cell_m)
-                and _bumps(x, y, cos, sin, wheels, now, rims, height_cm, edge_cm, origin_m, cell_m)
-            )
-            or _touches(x, y, yaw, hull, later_s, allowed_gap, clearance_dm, origin_m, cell_m, actors)
+            falls
+            or abs(lean) > LEAN_LIMIT
+            or abs(pitch) > PITCH_LIMIT
+            or _bumps(x, y, cos, sin, wheels, now, rims, around, height_cm, edge_cm, frame_m)
+            or _touches(x, y, yaw, hull, later_s, allowed_gap, land.clearance_dm, frame_m, actors)
             or runs_into_going_on(x, y, yaw, v, w, hull, later_s, people)
         ):
             return later_s
@@ -302,26 +307,6 @@ def _moved(
 
 
 @exact_kernel
-def _steps(now: I64, before: I64, before2: I64, speed: float) -> bool:
-    """Whether a wheel went down a step, or fast up one, within two samples, so that a raster's soft edge counts."""
-    for j in range(len(now)):
-        down = max(before[j], before2[j]) - now[j]
-        up = now[j] - min(before[j], before2[j])
-        if down > KERB_STEP_CM or (up > KERB_STEP_CM and speed > BUMP_MPS):
-            return True
-    return False
-
-
-@exact_kernel
-def _leans(wheels: F64, now: I64, vw: float) -> bool:
-    """Whether the chair leans too far."""
-    # In a turn the chair leans as on a slope of v w / g.
-    lean = 0.01 * (now[0] - now[1]) / (wheels[0, 1] - wheels[1, 1]) + vw / GRAVITY_MPS2
-    pitch = 0.01 * 0.5 * (now[2] + now[3] - now[0] - now[1]) / (wheels[2, 0] - wheels[0, 0])
-    return bool(abs(lean) > LEAN_LIMIT or abs(pitch) > PITCH_LIMIT)
-
-
-@exact_kernel
 def _bumps(
     x: float,
     y: float,
@@ -330,14 +315,19 @@ def _bumps(
     wheels: F64,
     now: I64,
     rims: F64,
+    around: tuple[float, float, float],
     height_cm: U8,
     edge_cm: U8,
-    origin_m: F64,
-    cell_m: float,
+    frame_m: F64,
 ) -> bool:
     """Whether one of `rims` meets a step of the ground that it does not take."""
+    # Only a kerb that cuts the circle around them, or the cells beside it, is one to them.
+    cx, cy, radius_m = around
+    row, col = _cell(x + cx * cos - cy * sin, y + cx * sin + cy * cos, edge_cm.shape, frame_m)
+    if abs(int(edge_cm[row, col]) - AT_EDGE) > 100.0 * radius_m + AROUND_CM:
+        return False
     for i in range(len(rims)):
-        rise_cm = _rise_cm(x, y, cos, sin, wheels, now, rims[i], height_cm, edge_cm, origin_m, cell_m)
+        rise_cm = _rise_cm(x, y, cos, sin, wheels, now, rims[i], height_cm, edge_cm, frame_m)
         if rise_cm > rims[i, UTAKES_CM]:
             return True
     return False
@@ -354,14 +344,13 @@ def _rise_cm(
     rim: F64,
     height_cm: U8,
     edge_cm: U8,
-    origin_m: F64,
-    cell_m: float,
+    frame_m: F64,
 ) -> float:
     """By how much the ground at a rim lies above the plane on which the wheels stand (W,)."""
     px, py = x + rim[UX] * cos - rim[UY] * sin, y + rim[UX] * sin + rim[UY] * cos
     axle_cm = 0.5 * (now[0] + now[1])
     ahead_cm = (0.5 * (now[2] + now[3]) - axle_cm) * rim[UX] / wheels[2, 0]
-    return float(_height_cm(px, py, height_cm, edge_cm, origin_m, cell_m) - axle_cm - ahead_cm)
+    return float(_height_cm(px, py, 0, height_cm, edge_cm, frame_m) - axle_cm - ahead_cm)
 
 
 @exact_kernel
@@ -374,51 +363,37 @@ def _circle(places: F64) -> tuple[float, float, float]:
 
 
 @exact_kernel
-def _kerb_near(
-    x: float,
-    y: float,
-    cos: float,
-    sin: float,
-    circle: tuple[float, float, float],
-    edge_cm: U8,
-    origin_m: F64,
-    cell_m: float,
-) -> bool:
-    """Whether a kerb may cut a circle of the chair, or the cells around it."""
-    cx, cy, radius_m = circle
-    row, col = _cell(x + cx * cos - cy * sin, y + cx * sin + cy * cos, edge_cm.shape, origin_m, cell_m)
-    return bool(abs(int(edge_cm[row, col]) - AT_EDGE) <= 100.0 * radius_m + AROUND_CM)
-
-
-@exact_kernel
-def _cell(x: float, y: float, shape: tuple[int, int], origin_m: F64, cell_m: float) -> tuple[int, int]:
+def _cell(x: float, y: float, shape: tuple[int, int], frame_m: F64) -> tuple[int, int]:
     """Row and column of a place; of one outside those of the nearest cell."""
-    row, col = math.floor((y - origin_m[1]) / cell_m), math.floor((x - origin_m[0]) / cell_m)
+    row, col = math.floor((y - frame_m[1]) / frame_m[2]), math.floor((x - frame_m[0]) / frame_m[2])
     return min(max(row, 0), shape[0] - 1), min(max(col, 0), shape[1] - 1)
 
 
 @exact_kernel
-def _height_cm(x: float, y: float, height_cm: U8, edge_cm: U8, origin_m: F64, cell_m: float) -> int:
-    """Of the ground. Not interpolated: between two cells a kerb would become a ramp."""
-    row, col = _cell(x, y, height_cm.shape, origin_m, cell_m)
-    if abs(int(edge_cm[row, col]) - AT_EDGE) <= CELL_CM:
-        return _height_beside_edge_cm(x, y, height_cm, edge_cm, origin_m, cell_m)
-    return int(height_cm[row, col])
+def _height_cm(x: float, y: float, carried_cm: int, height_cm: U8, edge_cm: U8, frame_m: F64) -> int:
+    """Of the ground that carries what is there, up to so far beyond an edge.
+
+    Not interpolated: between two cells a kerb would become a ramp.
+    """
+    row, col = _cell(x, y, height_cm.shape, frame_m)
+    if abs(int(edge_cm[row, col]) - AT_EDGE) > CELL_CM + carried_cm:
+        return int(height_cm[row, col])
+    return _height_beside_edge_cm(x, y, carried_cm, height_cm, edge_cm, frame_m)
 
 
 @exact_kernel
-def _height_beside_edge_cm(x: float, y: float, height_cm: U8, edge_cm: U8, origin_m: F64, cell_m: float) -> int:
+def _height_beside_edge_cm(x: float, y: float, carried_cm: int, height_cm: U8, edge_cm: U8, frame_m: F64) -> int:
     """Of the ground in a cell that a kerb cuts: as in the nearest middle of a cell on the same side."""
     rows, cols = height_cm.shape
-    col, row = (x - origin_m[0]) / cell_m - 0.5, (y - origin_m[1]) / cell_m - 0.5
+    row, col = (y - frame_m[1]) / frame_m[2] - 0.5, (x - frame_m[0]) / frame_m[2] - 0.5
     c0, r0 = min(max(math.floor(col), 0), cols - 2), min(max(math.floor(row), 0), rows - 2)
     fc, fr = min(max(col - c0, 0.0), 1.0), min(max(row - r0, 0.0), 1.0)
     shares = ((1.0 - fr) * (1.0 - fc), (1.0 - fr) * fc, fr * (1.0 - fc), fr * fc)
     # The side is told by the distance, which has a sign, between the four middles around.
-    side = 0.0
+    side = float(carried_cm)
     for k in range(4):
         side += shares[k] * (edge_cm[r0 + k // 2, c0 + k % 2] - AT_EDGE + 0.5)
-    best, found = -1.0, 0
+    best, found = -1.0, int(height_cm[r0 + round(fr), c0 + round(fc)])
     for k in range(4):
         r, c = r0 + k // 2, c0 + k % 2
         if shares[k] > best and (edge_cm[r, c] >= AT_EDGE) == (side >= 0.0):
@@ -435,11 +410,10 @@ def _touches(
     later_s: float,
     allowed_gap: float,
     clearance_dm: U8,
-    origin_m: F64,
-    cell_m: float,
+    frame_m: F64,
     actors: F64,
 ) -> bool:
-    if _static_gap(x, y, yaw, hull, clearance_dm, origin_m, cell_m, BEYOND_M) < allowed_gap:
+    if _static_gap(x, y, yaw, hull, clearance_dm, frame_m, BEYOND_M) < allowed_gap:
         return True
     cos, sin = math.cos(yaw), math.sin(yaw)
     cx, cy = x + hull[MIDDLE] * cos, y + hull[MIDDLE] * sin
@@ -463,37 +437,35 @@ def _set_actor_margins(state: F64, hull: F64, actors: F64) -> None:
 
 
 @exact_kernel
-def _static_gap(
-    x: float, y: float, yaw: float, hull: F64, clearance_dm: U8, origin_m: F64, cell_m: float, beyond_m: float
-) -> float:
+def _static_gap(x: float, y: float, yaw: float, hull: F64, clearance_dm: U8, frame_m: F64, beyond_m: float) -> float:
     """Distance from the footprint to the nearest solid thing, negative inside it; a rough one further than `beyond_m`.
 
     Three discs as wide as the chair, and a small one in each corner, stand for the rectangle.
     """
     cos, sin = math.cos(yaw), math.sin(yaw)
     cx, cy = x + hull[MIDDLE] * cos, y + hull[MIDDLE] * sin
-    middle = _clearance(cx, cy, clearance_dm, origin_m, cell_m)
-    corner = math.hypot(hull[HALF_L], hull[HALF_W])
+    middle = _clearance(cx, cy, clearance_dm, frame_m)
+    corner = math.sqrt(hull[HALF_L] ** 2 + hull[HALF_W] ** 2)
     # A lower bound is enough where all is far: one look at the raster instead of eight.
     if middle > corner + beyond_m:
         return middle - corner
     gap = np.inf
     for i in range(-1, 2):
         ahead = i * max(0.0, hull[HALF_L] - hull[HALF_W])
-        gap = min(gap, _clearance(cx + ahead * cos, cy + ahead * sin, clearance_dm, origin_m, cell_m) - hull[HALF_W])
+        gap = min(gap, _clearance(cx + ahead * cos, cy + ahead * sin, clearance_dm, frame_m) - hull[HALF_W])
     for i in range(4):
         ahead = (hull[HALF_L] - CORNER_M) * (1.0 if i < 2 else -1.0)
         left = (hull[HALF_W] - CORNER_M) * (1.0 if i % 2 == 0 else -1.0)
         px, py = cx + ahead * cos - left * sin, cy + ahead * sin + left * cos
-        gap = min(gap, _clearance(px, py, clearance_dm, origin_m, cell_m) - CORNER_M)
+        gap = min(gap, _clearance(px, py, clearance_dm, frame_m) - CORNER_M)
     return gap
 
 
 @exact_kernel
-def _clearance(x: float, y: float, clearance_dm: U8, origin_m: F64, cell_m: float) -> float:
+def _clearance(x: float, y: float, clearance_dm: U8, frame_m: F64) -> float:
     """The raster between its cell centres, in metres."""
-    col = (x - origin_m[0]) / cell_m - 0.5
-    row = (y - origin_m[1]) / cell_m - 0.5
+    col = (x - frame_m[0]) / frame_m[2] - 0.5
+    row = (y - frame_m[1]) / frame_m[2] - 0.5
     rows, cols = clearance_dm.shape
     # Interpolated: whole decimetres would make the gap jump while the chair creeps.
     c0 = min(max(math.floor(col), 0), cols - 2)
@@ -506,34 +478,18 @@ def _clearance(x: float, y: float, clearance_dm: U8, origin_m: F64, cell_m: floa
 
 
 @exact_kernel
-def _wheel_heights(
-    x: float,
-    y: float,
-    cos: float,
-    sin: float,
-    wheels: F64,
-    height_cm: U8,
-    edge_cm: U8,
-    origin_m: F64,
-    cell_m: float,
-    out: I64,
-) -> None:
-    """Heights of the ground that carries the wheels into `out` (W,), centimetres.
-
-    A tyre is wide, and rolls over an edge before it falls: its highest part carries it.
-    """
+def _trailing(state: F64, wheels: F64) -> F64:
+    """Places (W, 2) in W where the wheels of a chair stand: casters behind the way of their swivels."""
+    x, y, cos, sin, v, w = state[0], state[1], math.cos(state[2]), math.sin(state[2]), state[3], state[4]
+    at = np.empty((len(wheels), 2))
     for j in range(len(wheels)):
-        wx = x + wheels[j, 0] * cos - wheels[j, 1] * sin
-        wy = y + wheels[j, 0] * sin + wheels[j, 1] * cos
-        row, col = _cell(wx, wy, height_cm.shape, origin_m, cell_m)
-        out[j] = height_cm[row, col]
-        if abs(int(edge_cm[row, col]) - AT_EDGE) > TYRE_CM:
-            continue
-        out[j] = _height_cm(wx, wy, height_cm, edge_cm, origin_m, cell_m)
-        for k in range(4):
-            ahead_m, left_m = (CARRIES_M if k < 2 else -CARRIES_M), (TYRE_M if k % 2 else -TYRE_M)
-            px, py = wx + ahead_m * cos - left_m * sin, wy + ahead_m * sin + left_m * cos
-            out[j] = max(out[j], _height_cm(px, py, height_cm, edge_cm, origin_m, cell_m))
+        swivel_m, left_m, trail_m = wheels[j, 0] + wheels[j, 2], wheels[j, 1], wheels[j, 2]
+        # Of a chair that stands they are behind, too.
+        ahead, left = v + CREEPS_MPS - w * left_m, w * swivel_m
+        share = trail_m / max(math.sqrt(ahead**2 + left**2), SAME_M)
+        px, py = swivel_m - share * ahead, left_m - share * left
+        at[j, 0], at[j, 1] = x + px * cos - py * sin, y + px * sin + py * cos
+    return at
 
 
 @exact_kernel

@@ -125,7 +125,8 @@ class Ego:
         self._street = street
         self._router = router
         plant = plant_spec(config.chair)
-        wheels_m, rims_m = np.array(plant.stand_m()), np.array(plant.rims_m()).reshape(-1, 3)  # none of a high frame
+        wheels_m = np.column_stack([plant.stand_m(), plant.trails_m()])
+        rims_m = np.array(plant.rims_m()).reshape(-1, 3)  # none of a high frame
         points, tick_s = action_set(config.env.lattice).points, config.world.tick_s
         self._oracle = Oracle(street.grid, config.chair, plant.outline, wheels_m, rims_m, points, tick_s)
         self._variation = Randomization(config, index)

@@ -260,6 +260,10 @@ class PlantSpec(PlantFile):
         pairs += [(pair.swivel_x_m - pair.trail_m, pair.track_m) for pair in self.casters]
         return tuple((x, side * 0.5 * track) for x, track in pairs for side in (1.0, -1.0))
 
+    def trails_m(self) -> tuple[float, ...]:
+        """How far behind its swivel each of the wheels of `stand_m` is; 0 of a drive wheel."""
+        return (0.0, 0.0, *(pair.trail_m for pair in self.casters for _ in range(2)))
+
     def wheels_m(self) -> tuple[tuple[float, float, float], ...]:
         """Place in B (x, y) and radius of every drive wheel and trailing caster."""
         radii_m = (self.wheel.radius_m, *(pair.radius_m for pair in self.casters))
