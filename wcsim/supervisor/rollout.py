@@ -46,6 +46,7 @@ PITCH_LIMIT = math.tan(rad(30.0))
 AX, AY, ACOS, ASIN, AHALF_L, AHALF_W, AVX, AVY, AMARGIN = range(9)
 BUMP_MPS = 0.7  # a slower wheel is stopped by a kerb
 CELL_CM = 8  # from the middle of a cell to its corner, with the rounding of distances
+ASKEW_CM = 8  # who climbs with one side alone gets no higher than this
 TYRE_CM = 2  # a tyre is wide, and rolls over an edge before it falls: it stands until so far beyond
 AROUND_CM = 16  # from the middle of a cell to a corner of the next one, with the rounding of distances
 CREEPS_MPS = 0.02  # who is slower stands: its casters trail
@@ -216,12 +217,8 @@ def _one(
     hull, wheels, height_cm, edge_cm, frame_m = body.hull, body.wheels, land.height_cm, land.edge_cm, land.frame_m
     x, y, yaw, v, w, a = state[0], state[1], state[2], state[3], state[4], state[5]
     around = _circle(rims)
-    before = np.empty(len(wheels), np.int64)
-    before2 = np.empty(len(wheels), np.int64)
-    before[:] = start_cm
-    before2[:] = start_cm
+    before, before2, now = start_cm.copy(), start_cm.copy(), start_cm.copy()
     aside, at = astray.copy(), places.copy()
-    now = np.empty(len(wheels), np.int64)
     waits = len(waiting)
     for i in range(waits + _most_steps(limits)):
         # A hair less: rounding of the product must not add a step.
@@ -234,7 +231,7 @@ def _one(
         x, y, yaw, v, w, a = _moved(x, y, yaw, v, w, a, stick_x, stick_y, limits)
         later_s = (i + 1) * STEP_S
         cos, sin = math.cos(yaw), math.sin(yaw)
-        falls = False
+        falls, stops = False, False
         for j in range(len(wheels)):
             ahead_m, trail_m = wheels[j, 0] + wheels[j, 2], wheels[j, 2]
             px, py = x + ahead_m * cos - wheels[j, 1] * sin, y + ahead_m * sin + wheels[j, 1] * cos
@@ -255,10 +252,14 @@ def _one(
                 aside[j] = False
             # Down a step, or fast up one, within two samples, so that a raster's soft edge counts.
             up = now[j] - min(before[j], before2[j])
+            stops |= up > ASKEW_CM
             falls |= max(before[j], before2[j]) - now[j] > KERB_STEP_CM or (up > KERB_STEP_CM and abs(v) > BUMP_MPS)
         # In a turn the chair leans as on a slope of v w / g.
         lean = 0.01 * (now[0] - now[1]) / (wheels[0, 1] - wheels[1, 1]) + v * w / GRAVITY_MPS2
         pitch = 0.01 * 0.5 * (now[2] + now[3] - now[0] - now[1]) / (wheels[2, 0] - wheels[0, 0])
+        for j in range(0, len(wheels), 2):
+            # Who climbs a flank with one side slides off it.
+            falls |= not stops and abs(now[j] - now[j + 1]) > max(ASKEW_CM, abs(start_cm[j] - start_cm[j + 1]))
         if (
             falls
             or abs(lean) > LEAN_LIMIT
@@ -268,6 +269,9 @@ def _one(
             or runs_into_going_on(x, y, yaw, v, w, hull, later_s, people)
         ):
             return later_s
+        # A step that a slow wheel cannot climb ends the drive.
+        if stops:
+            break
         before2[:] = before
         before[:] = now
     return np.inf
