@@ -241,6 +241,7 @@ def _one(
                 share = trail_m / max(math.sqrt(dx * dx + dy * dy), SAME_M)
                 px, py = px + share * dx, py + share * dy
                 at[j, 0], at[j, 1] = px, py
+            # As in `_height_cm`, written out: that is not inlined here, and such a call costs more than the look.
             row, col = _cell(px, py, height_cm.shape, frame_m)
             now[j] = height_cm[row, col]
             if abs(int(edge_cm[row, col]) - AT_EDGE) <= CELL_CM + TYRE_CM:
