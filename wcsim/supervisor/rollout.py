@@ -113,13 +113,15 @@ def roll_out(
     allowed_gap = min(0.0, start_gap - SAME_M, max(start_gap, 0.0) - DEEPENING_M)
     places = _trailing(state, body.wheels)
     start_cm, astray, rims = _stance(state, body, places, above_cm, reach_m, land)
+    around = _circle(rims)
     stands_s = len(waiting) * STEP_S + tick_s + limits[V_MAX] / limits[DECEL] + limits[DECEL] / limits[JERK]
     near = near_people(state[0], state[1], stands_s * limits[V_MAX], stands_s, hull, people)
     first_s = np.full(len(commands), np.inf)
     for k in range(len(commands)):
         first_s[k] = _one(
-            state, waiting, commands[k], limits, body, allowed_gap, rims, places, start_cm, astray, land, actors, people
-        )
+            state, waiting, commands[k], limits, body, allowed_gap, rims, around, places, start_cm, astray, land,
+            actors, people,
+        )  # fmt: skip
         if len(near):
             first_s[k] = min(first_s[k], _let_go(state, waiting, commands[k], limits, hull, near, tick_s))
         # It goes wrong before any command begins, so it does with every one of them.
@@ -206,6 +208,7 @@ def _one(
     body: ChairShape,
     allowed_gap: float,
     rims: F64,
+    around: tuple[float, float, float],
     places: F64,
     start_cm: I64,
     astray: Bool,
@@ -216,7 +219,6 @@ def _one(
     # Unpacked once: a tuple of arrays that is handed on costs more than what is done with it.
     hull, wheels, height_cm, edge_cm, frame_m = body.hull, body.wheels, land.height_cm, land.edge_cm, land.frame_m
     x, y, yaw, v, w, a = state[0], state[1], state[2], state[3], state[4], state[5]
-    around = _circle(rims)
     before, before2, now = start_cm.copy(), start_cm.copy(), start_cm.copy()
     aside, at = astray.copy(), places.copy()
     waits = len(waiting)
