@@ -43,7 +43,8 @@ def obstacles(surface):
     seen = view_of(surface)
     depth_m = decode_depth(seen["depth"].reshape(-1), CAMERA.range_m)
     rays = viewing_rays(CAMERA).astype(np.float32)
-    return StepMap().obstacles(depth_m, rays, np.array(CAMERA.p_BC_m), (0.1, 39.0), _up_in_body(seen["imu"])).copy()
+    eye_m, up = np.array(CAMERA.p_BC_m), _up_in_body(seen["imu"])
+    return StepMap().obstacles(depth_m, rays, eye_m, (0.1, 39.0), up, CHAIR).copy()
 
 
 def drive(surface, ticks, stick=AHEAD, driver=None):
@@ -60,11 +61,15 @@ def drive(surface, ticks, stick=AHEAD, driver=None):
         ("a step that casters climb", box(1.8, 9.0, -5, 5, 0, 0.04), None),
         ("a ramp up 1:8", lambda x, y, z: z <= np.clip((x - 1.0) / 8, 0, 0.3), None),
         ("a ramp down 1:8", lambda x, y, z: z <= -np.clip((x - 1.0) / 8, 0, 0.3), None),
-        ("a hill of 10 degrees to the side", lambda x, y, z: z <= 0.176 * y, None),
+        ("a hill of 8 degrees beside a level chair", lambda x, y, z: z <= 0.14 * y, None),
         ("a branch above", box(1.6, 2.2, -1, 1, 1.8, 1.9), None),
         ("a wall", box(2.0, 3.0, -3, 3, 0, 3), 2.0),
         ("a kerb up", box(1.8, 9.0, -5, 5, 0, 0.12), 1.8),
         ("a kerb down", lambda x, y, z: z <= np.where(x < 1.8, 0.0, -0.12), 1.8),
+        ("a kerb up under the nose", box(0.9, 9.0, -5, 5, 0, 0.12), 1.0),
+        ("a kerb down under the nose", lambda x, y, z: z <= np.where(x < 0.9, 0.0, -0.12), 1.0),
+        ("a ramp up 1:8 under the nose", lambda x, y, z: z <= np.clip((x - 0.5) / 8, 0, 0.3), None),
+        ("a lowered kerb under the nose", box(0.9, 9.0, -5, 5, 0, 0.03), None),
         ("a bench", box(1.6, 2.0, -1, 1, 0.4, 0.5), 1.6),
         ("steps down", lambda x, y, z: z <= np.where(x < 1.7, 0.0, -0.6), 1.7),
         ("a platform's edge", lambda x, y, z: z <= np.where(x < 1.8, 0.0, -20.0), 1.8),
@@ -91,7 +96,9 @@ def test_what_was_not_measured_is_nothing():
     rays = viewing_rays(CAMERA).astype(np.float32)
     for depth in (0.0, CAMERA.range_m):
         depth_m = np.full(len(rays), depth, np.float32)
-        found = StepMap().obstacles(depth_m, rays, np.array(CAMERA.p_BC_m), (0.1, 39.0), np.array([0.0, 0.0, 1.0]))
+        found = StepMap().obstacles(
+            depth_m, rays, np.array(CAMERA.p_BC_m), (0.1, 39.0), np.array([0.0, 0.0, 1.0]), CHAIR
+        )
         assert (found[:, 0] < 4.0).sum() == 0 or depth > 0.0  # far below the horizon, no ground is a drop
 
 

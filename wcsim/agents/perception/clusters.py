@@ -6,6 +6,7 @@ import math
 from typing import Final
 
 import numpy as np
+from scipy.ndimage import label
 
 from wcsim.core.jit import exact_kernel
 from wcsim.types import F32, F64, I64, U8, Bool, ClassId
@@ -33,7 +34,6 @@ def kinds() -> U8:
     return table
 
 
-@exact_kernel
 def find_clusters(
     kind: U8, depth_m: F32, rays: F32, eye: F64, far_m: float, up: F64, pose_O: F64, points: F64, owner: I64
 ) -> tuple[F64, int]:
@@ -53,22 +53,18 @@ def find_clusters(
     Returns:
         The clusters, (m, 11) see the column names, and how many cells were written.
     """
-    width = kind.shape[1]
     cells = np.full((_ROWS, _COLUMNS), -1, np.int64)
     count = _gather(kind.reshape(-1), depth_m, rays, eye, far_m, up, cells, points)
+    # Touching cells have one owner; owners are numbered as their first cells are, and those beyond MOST left out.
+    taken = cells >= 0
+    owner[cells[taken]] = label(taken, np.ones((3, 3)))[0][taken]
+    _, first, whose = np.unique(owner[:count], return_index=True, return_inverse=True)
+    owner[:count] = np.argsort(np.argsort(first))[whose]
+    owner[owner >= MOST] = -1
     clusters = np.zeros((MOST, 11))
-    found = _join(cells, points[:count], owner, clusters)
-    _measure(kind.reshape(-1), width, depth_m, rays, eye, far_m, up, cells, pose_O, owner, clusters)
-    number = np.full(MOST, -1, np.int64)
-    kept = 0
-    for c in range(found):
-        if clusters[c, PIXELS] >= FEWEST_PX and not _is_fringe(clusters, found, c):
-            number[c] = kept
-            clusters[kept] = clusters[c]
-            kept += 1
-    for n in range(count):
-        if owner[n] >= 0:
-            owner[n] = number[owner[n]]
+    kept = _measure(
+        kind.reshape(-1), kind.shape[1], depth_m, rays, eye, far_m, up, cells, pose_O, owner[:count], clusters
+    )
     return clusters[:kept], count
 
 
@@ -102,38 +98,13 @@ def _gather(kind: U8, depth_m: F32, rays: F32, eye: F64, far_m: float, up: F64, 
 
 
 @exact_kernel
-def _join(cells: I64, points: F64, owner: I64, clusters: F64) -> int:
-    """Give touching cells the same owner; returns how many clusters there are. Those beyond MOST are nobody's."""
-    owner[: len(points)] = -1
-    stack = np.empty(len(points), np.int64)
-    found = 0
-    for first in range(len(points)):
-        if owner[first] >= 0 or found == MOST:
-            continue
-        owner[first], stack[0], height = found, first, 1
-        while height > 0:
-            height -= 1
-            at = stack[height]
-            row = math.floor(points[at, 0] / CELL_M)
-            column = math.floor((points[at, 1] + ASIDE_M) / CELL_M)
-            for r in range(max(row - 1, 0), min(row + 2, _ROWS)):
-                for c in range(max(column - 1, 0), min(column + 2, _COLUMNS)):
-                    other = cells[r, c]
-                    if other >= 0 and owner[other] < 0:
-                        owner[other], stack[height] = found, other
-                        height += 1
-        clusters[found, LEAST_X] = clusters[found, LEAST_Y] = clusters[found, FIRST] = np.inf
-        clusters[found, MOST_X] = clusters[found, MOST_Y] = clusters[found, LAST] = -np.inf
-        found += 1
-    return found
-
-
-@exact_kernel
 def _measure(
     kind: U8, width: int, depth_m: F32, rays: F32, eye: F64, far_m: float, up: F64, cells: I64, pose: F64,
     owner: I64, clusters: F64,
-) -> None:  # fmt: skip
-    """Add up the pixels of each cluster."""
+) -> int:  # fmt: skip
+    """Add up the pixels of each cluster, and move those that are kept to the front; returns how many."""
+    clusters[:, LEAST_X] = clusters[:, LEAST_Y] = clusters[:, FIRST] = np.inf
+    clusters[:, MOST_X] = clusters[:, MOST_Y] = clusters[:, LAST] = -np.inf
     cos, sin = math.cos(pose[2]), math.sin(pose[2])
     for n in range(len(kind)):
         if kind[n] == STANDS:
@@ -156,13 +127,24 @@ def _measure(
             one[X] /= one[PIXELS]
             one[Y] /= one[PIXELS]
             one[DEPTH] /= one[PIXELS]
+    number = np.full(MOST, -1, np.int64)
+    kept = 0
+    for c in range(MOST):
+        if clusters[c, PIXELS] >= FEWEST_PX and not _is_fringe(clusters, c):
+            number[c] = kept
+            clusters[kept] = clusters[c]
+            kept += 1
+    for n in range(len(owner)):
+        if owner[n] >= 0:
+            owner[n] = number[owner[n]]
+    return kept
 
 
 @exact_kernel
-def _is_fringe(clusters: F64, found: int, index: int) -> bool:
+def _is_fringe(clusters: F64, index: int) -> bool:
     """Whether a cluster is what is seen behind the border of a nearer, larger one."""
     one = clusters[index]
-    for c in range(found):
+    for c in range(MOST):
         other = clusters[c]
         nearer = other[DEPTH] < one[DEPTH] - CELL_M and other[PIXELS] > one[PIXELS]
         if nearer and one[FIRST] >= other[FIRST] - _FRINGE_PX and one[LAST] <= other[LAST] + _FRINGE_PX:

@@ -47,7 +47,9 @@ class StepMap:
     high_m: F32 = field(default_factory=lambda: np.empty((ROWS, COLUMNS), np.float32))
     points_B_m: F64 = field(default_factory=lambda: np.empty((_MOST_POINTS, 2)))
 
-    def obstacles(self, depth_m: F32, rays: F32, eye_B_m: F64, span_m: tuple[float, float], up_B: F64) -> F64:
+    def obstacles(
+        self, depth_m: F32, rays: F32, eye_B_m: F64, span_m: tuple[float, float], up_B: F64, box_B_m: F64
+    ) -> F64:
         """Middles of what is in the way.
 
         Args:
@@ -56,12 +58,13 @@ class StepMap:
             eye_B_m: (3,) where the camera is.
             span_m: Depths outside it (nearest, farthest) are no measurement.
             up_B: (3,) the direction up in B, from the tilt sensor.
+            box_B_m: (3,) rear, front and half the width of the chair in B.
 
         Returns:
             (n, 2) x forward, y left in B; a view of a buffer, valid until the next call.
         """
         drops = _fill(depth_m, rays, eye_B_m, span_m[0], span_m[1], up_B, self.low_m, self.high_m, self.points_B_m)
-        return self.points_B_m[: _steps(self.low_m, self.high_m, self.points_B_m, drops)]
+        return self.points_B_m[: _steps(self.low_m, self.high_m, box_B_m, self.points_B_m, drops)]
 
 
 @exact_kernel
@@ -97,8 +100,12 @@ def _fill(
 
 
 @exact_kernel
-def _steps(low: F32, high: F32, points: F64, count: int) -> int:
+def _steps(seen: F32, high: F32, box: F64, points: F64, count: int) -> int:
     """Add the cells that hold a step, and the edges between cells that are one; returns the number of points."""
+    # The chair stands on ground that it does not see: between that and the first that it sees may lie a step.
+    low, half = seen.copy(), round(box[2] / CELL_M)
+    under = low[: round((box[1] + AROUND_M) / CELL_M), COLUMNS // 2 - half : COLUMNS // 2 + half]
+    under[:] = np.where(under < np.inf, under, 0.0)
     for row in range(ROWS):
         for column in range(COLUMNS):
             if not low[row, column] < np.inf or count >= len(points):

@@ -216,7 +216,7 @@ class StreetSense:
         up, pose = _up_in_body(observation[IMU_KEY]), self.ego.pose_O
         walkers = self._watch(observation, depth_m, up)
         span_m = (1.02 * self._near_m, self.far_m)
-        now = self._map.obstacles(depth_m, self.rays, self.eye_B_m, span_m, up)
+        now = self._map.obstacles(depth_m, self.rays, self.eye_B_m, span_m, up, self.box_B_m)
         near = now[np.hypot(now[:, 0], now[:, 1]) < REACH_M - CELL_M]
         ego, ahead = self.ego, bool(self.ego.motion[0] > _AHEAD_MPS)
         self.memory.see(near, beside_movers(near, walkers), self._map.low_m, pose, ego.way_m, ahead=ahead)
