@@ -16,7 +16,7 @@ from benchmarks.reaction.streets import SMALL_STREETS, build_small_street
 from wcsim.bridge.reaction.commands import CHAIR, ChairInStreet
 from wcsim.config import WorldConfig
 from wcsim.core.boxes import gap_to_box
-from wcsim.core.native_output import without_line
+from wcsim.core.processes import without_line
 from wcsim.towns.scenario.town import find_town
 from wcsim.towns.scene_folders.build import build_scene, find_scene
 from wcsim.towns.street import load_street

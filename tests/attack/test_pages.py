@@ -12,7 +12,7 @@ from tests.drive.page.conftest import browser  # noqa: F401 - a fixture
 from tests.drive.page.stage import ABOUT, IN_CHROMIUM, PageAlone, Stage
 from tests.drive.playing import films
 from tests.support.worlds import dqn_config
-from tests.view.report.results import write_result
+from tests.view.report.results import score_anew, write_result
 from wcsim.agents.evaluation.suite.result_files import read_result
 from wcsim.agents.runs.metrics import COLUMNS, MetricsFile
 from wcsim.agents.runs.run_folder import create_run, make_manifest
@@ -60,16 +60,13 @@ def shown(context: Any, path: Path) -> str:
 def hostile_result(folder: Path) -> None:
     """A finished test in which every name is one."""
     write_result(folder, suite=NAMES[0], set=NAMES[1], list_sha256=NAMES[2], changed=list(NAMES))
-    result, episodes = (json.loads((folder / name).read_text()) for name in ("result.json", "episodes.json"))
+    episodes = json.loads((folder / "episodes.json").read_text())
     names = dict(zip(episodes, NAMES[2:], strict=False))
-    for row in (*result["rows"], *result["pooled"]):
-        row["policy"] = names[row["policy"]]
-        row["part"] = {"": "", "free": NAMES[0], "hazard": NAMES[1]}.get(row["part"], row["part"])
     for number, record in enumerate(record for each in episodes.values() for record in each):
         record.update({name: NAMES[(number + place) % len(NAMES)] for place, name in enumerate(TEXTS)})
         record["part"] = NAMES[0] if record["block"] < 2 else NAMES[1]
-    (folder / "result.json").write_text(json.dumps(result))
     (folder / "episodes.json").write_text(json.dumps({names[name]: each for name, each in episodes.items()}))
+    score_anew(folder)
 
 
 def test_the_report_of_a_hostile_test_shows_its_names(context: Any, tmp_path: Path) -> None:

@@ -4,11 +4,11 @@ import pytest
 
 from tools.readability import ROOT
 from wcsim.cli.main import main
-from wcsim.config import CONFIG_FILE, RunConfig, TownFile, parse, read_toml, resolve
+from wcsim.config import RunConfig, TownFile, parse, read_toml, resolve
 from wcsim.config.plant import PlantFile, read_plant
 from wcsim.config.run_file import ManifestFile, PolicyFile
 from wcsim.config.scene import SceneFile
-from wcsim.core.reading import parse_toml
+from wcsim.core.reading import SETTINGS, parse_toml
 from wcsim.errors import ConfigError
 
 
@@ -181,7 +181,7 @@ def test_an_item_of_a_list_of_numbers_is_reached_by_its_number():
 def test_as_many_cameras_as_a_world_has_room_for():
     tiny = '[[cameras]]\nname = "c{}"\nwidth_px = 16\nheight_px = 12\n'
     for count, fits in ((64, True), (65, False), (1000, False)):
-        data = parse_toml("".join(tiny.format(i) for i in range(count)), "here", CONFIG_FILE)
+        data = parse_toml("".join(tiny.format(i) for i in range(count)), "here", SETTINGS)
         if fits:
             assert len(parse(RunConfig, data, "here").cameras) == 64
         else:

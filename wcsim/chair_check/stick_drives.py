@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,13 +9,12 @@ from typing import Final
 
 import numpy as np
 
-from wcsim.core.reading import FileKind, escaped, is_file, read_text
+from wcsim.core.reading import CHAIR, escaped, is_file, read_lines
 from wcsim.errors import ConfigError
 from wcsim.types import F64
 
 STEP_S: Final = 0.02
 _STICK, _ODOMETRY = "t_s,axis0,axis1", "t_s,v_mps,w_radps"
-_KIND: Final = FileKind(what="CSV of at most 64 MB, plain or compressed by gzip", limit_bytes=64_000_000)
 _LONGEST_GAP_S: Final = 1.0  # over more nobody knows what the stick did
 _SHORTEST_S, _LONGEST_S = 2.0, 86_400.0
 _ANSWER_S: Final = 0.2  # after which a turn of the stick shows, roughly: enough for the sign of an axis
@@ -75,13 +73,14 @@ def _read(path: Path) -> StickDrive:
 
 def _table(path: Path, columns: str) -> F64:
     """The rows (n, 3) of a table with times that do not fall. Raises ConfigError."""
-    head, _, text = read_text(path, _KIND).partition("\n")
+    lines = read_lines(path, CHAIR)
+    head = next(lines, "")
     try:
-        rows = np.loadtxt(io.StringIO(text), delimiter=",", ndmin=2) if text.strip() else np.zeros((0, 3))
+        rows = np.loadtxt(lines, delimiter=",", ndmin=2)
     except ValueError as error:
-        raise ConfigError(f"{escaped(path)}: is no table ({escaped(error, 80)}); expected {_KIND.what}") from None
+        raise ConfigError(f"{escaped(path)}: is no table ({escaped(error, 80)}); expected {CHAIR.what}") from None
     if head.strip() != columns:
-        raise ConfigError(f"{escaped(path)}: begins with {escaped(head, 40)!r}; expected {columns}, in {_KIND.what}")
+        raise ConfigError(f"{escaped(path)}: begins with {escaped(head, 40)!r}; expected {columns}, in {CHAIR.what}")
     apart_s = np.diff(rows[:, 0]) if rows.shape[1] == 3 and np.isfinite(rows).all() else np.array([])
     if not len(apart_s) or apart_s.min() < 0.0 or apart_s.max() > _LONGEST_GAP_S:
         raise ConfigError(

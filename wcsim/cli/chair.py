@@ -33,10 +33,10 @@ from wcsim.cli.shared.common import (
     write_json,
 )
 from wcsim.cli.shared.consoles import show_table, stderr_console, stdout_console
-from wcsim.config import CONFIG_FILE, ChairConfig, RunConfig, parse, resolve
+from wcsim.config import ChairConfig, RunConfig, parse, resolve
 from wcsim.config.plant import PlantFile, plant_path, read_plant
 from wcsim.core.processes import pooled
-from wcsim.core.reading import escaped, parse_toml, read_text
+from wcsim.core.reading import SETTINGS, escaped, parse_toml, read_text
 from wcsim.errors import ConfigError, check_installed
 from wcsim.types import F64
 
@@ -342,7 +342,7 @@ def _write_plant(path: Path, own: ChairConfig, numbers: Mapping[str, float], hea
     from wcsim.physics.wheelchair.plant import plant_spec  # loads the engine, which --help must not
 
     plant_spec(own)
-    text = read_text(plant_path(own.plant), CONFIG_FILE)
+    text = read_text(plant_path(own.plant), SETTINGS)
     table = _CHAIR.search(text)
     begin, end = table.span() if table else (len(text), len(text))
     kept = re.sub(rf"(?m)^[ \t]*({'|'.join(numbers)}|profile)[ \t]*=.*\n?", "", table[1] if table else "")
@@ -353,7 +353,7 @@ def _write_plant(path: Path, own: ChairConfig, numbers: Mapping[str, float], hea
         *(f"{name} = {value:g}" for name, value in numbers.items()),
     ]
     made, where = "\n".join([*lines, kept + text[end:]]).rstrip() + "\n", f"{escaped(own.plant)} with a new [chair]"
-    parse(PlantFile, parse_toml(made, where, CONFIG_FILE), where)
+    parse(PlantFile, parse_toml(made, where, SETTINGS), where)
     with result_file(path) as part:
         part.write_text(made, encoding="utf-8")
     print(f"wrote {path}; drive it: --set chair.plant={path}")

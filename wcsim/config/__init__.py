@@ -9,7 +9,7 @@ from wcsim.config.base import Model, Text
 from wcsim.config.chair import PROFILE_SPEED_MPS, ChairConfig
 from wcsim.config.env import LEAST_WINDOW, EnvConfig, RewardConfig
 from wcsim.config.learn import CollectConfig, DangerConfig, LearnConfig
-from wcsim.config.load import CONFIG_FILE, parse, parse_json, read_toml, resolve
+from wcsim.config.load import parse, parse_json, read_toml, resolve
 from wcsim.config.run import MAX_SEEN_PX, RunConfig
 from wcsim.config.scene import TownFile
 from wcsim.config.sensors import (
@@ -25,7 +25,6 @@ from wcsim.config.sensors import (
 from wcsim.config.world import STREETS, VaryConfig, WorldConfig
 
 __all__ = (
-    "CONFIG_FILE",
     "LEAST_WINDOW",
     "MAX_SEEN_PX",
     "PROFILE_SPEED_MPS",

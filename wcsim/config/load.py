@@ -13,14 +13,8 @@ from wcsim.config.chair import PROFILE_SPEED_MPS
 from wcsim.config.run import RunConfig
 from wcsim.config.sensors import by_word
 from wcsim.core import reading
-from wcsim.core.reading import FileKind, escaped
+from wcsim.core.reading import CONFIG, SETTINGS, VALUE, FileKind, escaped
 from wcsim.errors import ConfigError, meant
-
-CONFIG_FILE = FileKind(what="a TOML file of at most a megabyte", limit_bytes=1 << 20)
-
-_JSON = FileKind(what="a configuration", limit_bytes=1 << 20)
-
-_VALUE = FileKind(what="a value in TOML's syntax", limit_bytes=1 << 20)
 
 _PLANTS = Path(__file__).parent / "plants"
 
@@ -35,7 +29,7 @@ _PARTS = 16  # of a key of `--set`
 M = TypeVar("M", bound=Model)
 
 
-def read_toml(path: Path, model: type[M], kind: FileKind = CONFIG_FILE) -> M:
+def read_toml(path: Path, model: type[M], kind: FileKind = SETTINGS) -> M:
     """Read a TOML file as `model`. Raises ConfigError that lists its errors and their keys, or its kind's error."""
     return parse(model, reading.read_toml(path, kind), escaped(path))
 
@@ -59,7 +53,7 @@ def _causes(found: Sequence[Any]) -> list[Any]:
 
 def parse_json(model: type[M], text: str, where: str) -> M:
     """Validate JSON text as `parse` validates data."""
-    return parse(model, reading.parse_json(text, where, _JSON), where)
+    return parse(model, reading.parse_json(text, where, CONFIG), where)
 
 
 Layer = Path | str | Mapping[str, Any] | Sequence[str] | None
@@ -91,7 +85,7 @@ def _tables(layer: Layer) -> list[tuple[str, dict[str, Any]]]:
     if layer is None:
         return []
     if isinstance(layer, Path):
-        return [(escaped(layer), reading.read_toml(layer, CONFIG_FILE))]
+        return [(escaped(layer), reading.read_toml(layer, SETTINGS))]
     if isinstance(layer, Mapping):
         return [("configuration", dict(layer))]
     texts = (layer,) if isinstance(layer, str) else layer
@@ -109,7 +103,7 @@ def _preset(name: str) -> tuple[str, dict[str, Any]]:
         known = sorted(item.stem for item in _PRESETS.glob("*.toml"))
         told = f"unknown preset {escaped(name)!r}; expected one of: {', '.join(known)}"
         raise ConfigError(told + meant(name, known))
-    return f"preset {name}", reading.read_toml(path, CONFIG_FILE)
+    return f"preset {name}", reading.read_toml(path, SETTINGS)
 
 
 def _with_plant(data: dict[str, Any], layers: Sequence[Layer]) -> dict[str, Any]:
@@ -130,7 +124,7 @@ def _with_plant(data: dict[str, Any], layers: Sequence[Layer]) -> dict[str, Any]
 def _chair_of_plant(plant: str) -> dict[str, Any]:
     """`[chair]` of a plant's file; whoever reads the whole plant says that it is missing or wrong."""
     path = Path(plant if plant.endswith(".toml") else _PLANTS / f"{plant}.toml")
-    chair = reading.read_toml(path, CONFIG_FILE).get("chair") if reading.is_file(path) else None
+    chair = reading.read_toml(path, SETTINGS).get("chair") if reading.is_file(path) else None
     return chair if isinstance(chair, dict) else {}
 
 
@@ -189,7 +183,7 @@ def _override(text: str) -> dict[str, Any]:
     if not equals or not all(parts) or len(parts) > _PARTS:
         raise ConfigError(f"--set {escaped(text)!r} is not section.key=value, for example learn.total_steps=2000")
     try:
-        table = reading.parse_toml(f"value = {value}", where, _VALUE)
+        table = reading.parse_toml(f"value = {value}", where, VALUE)
     except ConfigError:
         if value.strip()[:1] in ("[", "{", '"', "'"):
             raise

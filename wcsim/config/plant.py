@@ -13,9 +13,10 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from wcsim.config import CONFIG_FILE, ChairConfig, Model, Text, parse, read_toml
+from wcsim.config import ChairConfig, Model, Text, parse, read_toml
 from wcsim.config.base import Share, TopSpeed, UserMass, within
 from wcsim.core import reading
+from wcsim.core.reading import SETTINGS
 from wcsim.errors import ConfigError
 
 _PLANTS = Path(__file__).parent / "plants"
@@ -195,8 +196,8 @@ def plant_text(plant: str) -> bytes:
     """What a user's own plant file holds; nothing for a plant that comes with wcsim. Raises ConfigError as above."""
     if not plant.endswith(".toml"):
         return b""
-    text = reading.read_text(Path(plant), CONFIG_FILE)
-    parse(PlantFile, reading.parse_toml(text, reading.escaped(plant), CONFIG_FILE), reading.escaped(plant))
+    text = reading.read_text(Path(plant), SETTINGS)
+    parse(PlantFile, reading.parse_toml(text, reading.escaped(plant), SETTINGS), reading.escaped(plant))
     return text.encode()
 
 

@@ -10,6 +10,7 @@ import ctypes
 import os
 import signal
 import subprocess
+import sys
 import tempfile
 import threading
 import time
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
 _TAIL_BYTES = 1 << 20  # of an output that are kept
 _PR_SET_PDEATHSIG = 1
 _LOOK_S = 1.0
+_STDERR_FD = 2
 _MOMENT_S = 5.0  # for what ends in good order
 _Piece = TypeVar("_Piece")
 _Done = TypeVar("_Done")
@@ -183,3 +185,32 @@ def outlive_parent_by(grace_s: float, code: int, asking: int) -> None:
         os._exit(code)
 
     threading.Thread(target=watch, args=(os.getppid(),), name="parent watch", daemon=True).start()
+
+
+@contextmanager
+def without_line(beginning: bytes) -> Iterator[None]:
+    """Within the block, lines of native code on standard error that begin like this are dropped.
+
+    Native code writes past `sys.stderr`, so the file descriptor itself is held back and passed on at the end, also
+    after an error. For short blocks: what another thread writes meanwhile appears a moment later.
+    """
+    try:
+        terminal = os.dup(_STDERR_FD)
+    except OSError:  # standard error is closed: there is nobody to be spared
+        yield
+        return
+    with tempfile.TemporaryFile() as held:
+        if sys.stderr is not None:
+            sys.stderr.flush()
+        os.dup2(held.fileno(), _STDERR_FD)
+        try:
+            yield
+        finally:
+            if sys.stderr is not None:
+                sys.stderr.flush()
+            os.dup2(terminal, _STDERR_FD)
+            os.close(terminal)
+            held.seek(0)
+            for line in held:
+                if not line.startswith(beginning):
+                    os.write(_STDERR_FD, line)

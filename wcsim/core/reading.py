@@ -7,25 +7,33 @@ and no other comes out. Nothing here follows what a file says.
 from __future__ import annotations
 
 import codecs
+import gzip
+import io
 import json
 import math
 import os
 import re
 import stat
+import sys
 import tomllib
 import zlib
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO, NoReturn
+from typing import TYPE_CHECKING, Any, BinaryIO, Final, NoReturn
 
-from wcsim.errors import ConfigError, FileError
+from wcsim.errors import ConfigError, FileError, JournalError, PolicyError, TownError
 
 if TYPE_CHECKING:
     import zstandard
 
 MOST_JSON_BYTES = 1 << 20  # in a record; sound ones have up to 6 kB, and read it takes 60 times as much memory
+MOST_MEMORY_BYTES = 120 << 20  # that reading a text may take, with all that is made of it
+_VALUE_BYTES = 110  # that a list, a table, a row or a value takes at most, beside its letters
+_VALUE_ENDS = "[{,=\n"
+MOST_LINE = 1 << 16  # letters
+MOST_LINES = 4_500_000
 MAX_DEPTH = 32  # of tables and lists inside each other
 MAX_INTEGER = (1 << 64) - 1  # by magnitude; no number in any of wcsim's files is larger
 MAX_DOTTED = 16  # parts of a TOML key; tomllib takes a time that grows with their square
@@ -40,6 +48,64 @@ class FileKind:
     what: str  # "a TOML file", for messages
     limit_bytes: int
     error: type[FileError] = ConfigError
+    memory_bytes: int = MOST_MEMORY_BYTES  # of a text
+
+
+# Every kind of file that others may have written. The bytes are those of the file, and again of what it unpacks to; a
+# text may take `MOST_MEMORY_BYTES` with all that is made of it. What is read in lines or pieces may be larger.
+_MIB: Final = 1 << 20
+
+# Settings, and what people write.
+SETTINGS: Final = FileKind(what="a TOML file of at most a megabyte", limit_bytes=_MIB)
+CONFIG: Final = FileKind(what="a configuration", limit_bytes=_MIB)
+VALUE: Final = FileKind(what="a value in TOML's syntax", limit_bytes=_MIB)
+PROFILE: Final = FileKind(what="a user's profile as TOML", limit_bytes=_MIB // 16)
+STUDY_TABLE: Final = FileKind(what="a study's table", limit_bytes=16 * _MIB)
+STICK: Final = FileKind(what="a recorded joystick", limit_bytes=64 * _MIB)  # in lines
+CHAIR: Final = FileKind(what="CSV of at most 64 MiB, plain or compressed by gzip", limit_bytes=64 * _MIB)  # in lines
+
+# Towns and scenes.
+TOWN: Final = FileKind(what="a town.toml", limit_bytes=_MIB, error=TownError)
+SCENE: Final = FileKind(what="a scene.toml", limit_bytes=_MIB, error=TownError)
+XML: Final = FileKind(what="an XML file, plain or gzip-compressed", limit_bytes=200 * _MIB, error=TownError)
+SCENARIO: Final = FileKind(what="a file of a scenario", limit_bytes=200 * _MIB, error=TownError)
+EDGES: Final = FileKind(what="a list of edges", limit_bytes=16 * _MIB, error=TownError)
+NOTICE: Final = FileKind(what="a notice", limit_bytes=_MIB, error=TownError)
+HEIGHTS: Final = FileKind(what="a GeoTIFF of heights", limit_bytes=100 * _MIB, error=TownError)
+EXTRACT: Final = FileKind(
+    what="an OpenStreetMap extract: .osm, .osm.xml, plain, .gz or .bz2, or .osm.pbf",
+    limit_bytes=1 << 40,  # by a child with limits of its own
+    error=TownError,
+)
+
+# Runs, data and policies.
+RUN: Final = FileKind(
+    what="a file of `wcsim train`: restore it or train again", limit_bytes=4 * _MIB, error=PolicyError
+)
+METRICS: Final = FileKind(what="the log of a run", limit_bytes=16 * _MIB, error=PolicyError)
+CLAIM: Final = FileKind(what="a client's claim", limit_bytes=1 << 10, error=PolicyError)
+LEARNED: Final = FileKind(what="the learned_data.json of a run", limit_bytes=16 * _MIB, error=PolicyError)
+ORDERS: Final = FileKind(what="the orders.json of a data folder", limit_bytes=16 * _MIB, error=PolicyError)
+DATA: Final = FileKind(what="the data.json of a data folder", limit_bytes=16 * _MIB, error=PolicyError)
+SEGMENT: Final = FileKind(what="a segment of recorded driving", limit_bytes=1 << 30, error=PolicyError)
+STATE: Final = FileKind(what="the state.json of a checkpoint", limit_bytes=16 * _MIB, error=PolicyError)
+ARRAYS: Final = FileKind(what="the arrays of a checkpoint", limit_bytes=64 << 30, error=PolicyError)
+POLICY: Final = FileKind(what="the policy.json of a policy folder", limit_bytes=_MIB, error=PolicyError)
+HASHES: Final = FileKind(what="the files.json of the shipped policy", limit_bytes=_MIB, error=PolicyError)
+WEIGHTS: Final = FileKind(what="the weights of a policy", limit_bytes=1 << 30, error=PolicyError)
+MEANING: Final = FileKind(what="the meaning.json of an exported policy", limit_bytes=4 * _MIB, error=PolicyError)
+ONNX_TOML: Final = FileKind(what="the policy.toml of an ONNX folder", limit_bytes=_MIB)
+ANSWER: Final = FileKind(what="an answer of a policy", limit_bytes=1 << 16, error=PolicyError)
+KEY: Final = FileKind(what="a key of 32 bytes", limit_bytes=32, error=PolicyError)
+
+# Tests and what a world writes.
+EPISODES: Final = FileKind(what="a list of test episodes", limit_bytes=16 * _MIB)
+BLOCK: Final = FileKind(what="a saved block of `wcsim test`: remove it", limit_bytes=16 * _MIB)
+RESULT: Final = FileKind(what="a file of `wcsim test`: run it again", limit_bytes=32 * _MIB)
+LOG: Final = FileKind(what="a log written by wcsim", limit_bytes=1 << 62, error=JournalError)  # in records
+WHOLE_LOG: Final = FileKind(what="a log whose ticks are read at once", limit_bytes=256 * _MIB, error=JournalError)
+PICTURES: Final = FileKind(what="the pictures of a seat", limit_bytes=1 << 50)  # shared memory
+ORDER: Final = FileKind(what="an order to a process of wcsim", limit_bytes=16 * _MIB)
 
 
 @contextmanager
@@ -80,11 +146,42 @@ def read_text(path: Path, kind: FileKind) -> str:
     if path.suffix == ".gz":
         data = _unpacked(data, path, kind)
     try:
-        return data.removeprefix(codecs.BOM_UTF8).decode("utf-8")
+        text = data.removeprefix(codecs.BOM_UTF8).decode("utf-8")
     except UnicodeDecodeError as error:
         raise kind.error(
             f"{escaped(path)}: is not in UTF-8 ({error.reason} at byte {error.start}); save it as UTF-8"
         ) from None
+    # One letter beyond Latin makes all others wider; and what is made of the text holds its letters once more.
+    if 2 * sys.getsizeof(text) + _VALUE_BYTES * sum(map(text.count, _VALUE_ENDS)) > kind.memory_bytes:
+        raise kind.error(
+            f"{escaped(path)}: would take more than {kind.memory_bytes >> 20} MiB to read; expected {kind.what}"
+        )
+    return text
+
+
+def read_lines(path: Path, kind: FileKind) -> Iterator[str]:
+    """The lines of a text in UTF-8, plain or packed as .gz, one after the other: it is never held as a whole.
+
+    Raises:
+        FileError: Of the kind's class; also for more than `MOST_LINES` lines, or one of more than `MOST_LINE` letters.
+    """
+    with opened(path, kind) as file:
+        left, lines = kind.limit_bytes, 0
+        try:
+            packed = gzip.GzipFile(fileobj=file) if path.suffix == ".gz" else file
+            text = io.TextIOWrapper(packed, encoding="utf-8-sig", newline="")
+            while line := text.readline(MOST_LINE + 1):
+                left, lines = left - len(line), lines + 1
+                if left < 0 or lines > MOST_LINES or len(line) > MOST_LINE:
+                    raise kind.error(
+                        f"{escaped(path)}:{lines}: more than {kind.limit_bytes} bytes or {MOST_LINES} lines, or a line "
+                        f"of more than {MOST_LINE} letters; expected {kind.what}"
+                    )
+                yield line
+        except UnicodeDecodeError:
+            raise kind.error(f"{escaped(path)}:{lines + 1}: is not in UTF-8; save it as UTF-8") from None
+        except (EOFError, zlib.error) as error:
+            raise kind.error(f"{escaped(path)}: cannot be read ({error}); expected {kind.what}") from None
 
 
 def _unpacked(data: bytes, path: Path, kind: FileKind) -> bytes:
@@ -139,27 +236,21 @@ def parse_toml(text: str, where: str, kind: FileKind) -> dict[str, Any]:
     return data
 
 
-def _require_bounded(data: Any, where: str, kind: FileKind) -> None:
+def _require_bounded(data: Any, where: str, kind: FileKind, name: object = "it", depth: int = 0) -> None:
     """Refuse nesting beyond `MAX_DEPTH`, numbers not finite or beyond `MAX_INTEGER`, and text that is no Unicode.
 
     Raises:
         FileError: Of the kind's class.
     """
-    level: list[tuple[str, Any]] = [("it", data)]
-    for _ in range(MAX_DEPTH + 1):
-        below: list[tuple[str, Any]] = []
-        for name, value in level:
-            if isinstance(value, dict):
-                below.extend((name, key) for key in value)
-                below.extend(value.items())
-            elif isinstance(value, list):
-                below.extend((name, item) for item in value)
-            else:
-                _require_plain(value, f"{where}: {escaped(name, 40)}", kind)
-        if not below:
-            return
-        level = below
-    raise kind.error(f"{where}: is nested more than {MAX_DEPTH} levels deep; expected {kind.what}")
+    if not isinstance(data, dict | list):
+        _require_plain(data, where, name, kind)
+        return
+    if depth > MAX_DEPTH:
+        raise kind.error(f"{where}: is nested more than {MAX_DEPTH} levels deep; expected {kind.what}")
+    for key in data if isinstance(data, dict) else ():
+        _require_plain(key, where, name, kind)
+    for key, value in data.items() if isinstance(data, dict) else ((name, item) for item in data):
+        _require_bounded(value, where, kind, key, depth + 1)
 
 
 def unzstd(packed: bytes, most_bytes: int, unpacker: zstandard.ZstdDecompressor | None = None) -> bytes:
@@ -268,8 +359,8 @@ def escaped_value(value: object, most: int = 60) -> str:
         return f"a very large {type(value).__name__}"
 
 
-def own_data(module: str) -> dict[str, Any]:
-    """The TOML file of its name beside a module of wcsim, which is given by its `__file__`."""
+def own_data(module: str | Path) -> dict[str, Any]:
+    """The TOML file of a module of wcsim, which is given by its `__file__`, or of a name beside it."""
     return tomllib.loads(Path(module).with_suffix(".toml").read_text(encoding="utf-8"))
 
 
@@ -278,13 +369,16 @@ def holds_half_letters(text: str) -> bool:
     return not text.isascii() and any("\ud800" <= letter <= "\udfff" for letter in text)
 
 
-def _require_plain(value: Any, where: str, kind: FileKind) -> None:
+def _require_plain(value: Any, where: str, name: object, kind: FileKind) -> None:
+    fault = ""
     if isinstance(value, str) and holds_half_letters(value):
-        raise kind.error(f"{where} contains half a character, {escaped(value, 40)!r}; expected text in valid UTF-8")
+        fault = f"contains half a character, {escaped(value, 40)!r}; expected text in valid UTF-8"
     if isinstance(value, int) and abs(value) > MAX_INTEGER:
-        raise kind.error(f"{where} is a number of {value.bit_length()} bits; expected at most 64")
+        fault = f"is a number of {value.bit_length()} bits; expected at most 64"
     if isinstance(value, float) and not math.isfinite(value):
-        raise kind.error(f"{where} is the number {value}; expected a finite one")
+        fault = f"is the number {value}; expected a finite one"
+    if fault:
+        raise kind.error(f"{where}: {escaped(name, 40)} {fault}")
 
 
 def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import BinaryIO, Final
 
 from wcsim.core.closing import Closing
-from wcsim.core.reading import FileKind, escaped, opened
+from wcsim.core.reading import LOG, WHOLE_LOG, escaped, opened, regular_size
 from wcsim.errors import FileError, JournalError, WcsimError
 from wcsim.log.framing import Record, torn_bytes, whole_records
 from wcsim.log.records import (
@@ -67,8 +67,6 @@ def _number(part: Path) -> int:
     return int(part.name.rpartition(".")[2])
 
 
-LOG_FILE: Final = FileKind(what="a log written by wcsim", limit_bytes=1 << 62, error=JournalError)
-_IN_MEMORY_BYTES: Final = 4 << 30  # of a file whose states or ticks are read at once
 _MADE_BY: Final = {
     "journal": "a run folder of a server, or its journal",
     "trace": "a file of `wcsim town run`, or the golden trace of a scene",
@@ -110,7 +108,7 @@ class LogScan:
                 yield _with_bodies(record, told, self._path) if isinstance(record, WorldState) else record
 
     def _opened(self) -> AbstractContextManager[BinaryIO]:
-        return opened(self._path, LOG_FILE) if self._file is None else nullcontext(self._file)
+        return opened(self._path, LOG) if self._file is None else nullcontext(self._file)
 
     def _items(self) -> Iterator[tuple[int, Record]]:
         """Each record, and where it ends."""
@@ -154,7 +152,7 @@ def _read_record(payload: bytes, path: Path, end: int) -> LogRecord:
 def is_log(path: Path) -> bool:
     """Whether a file begins as a log does, of whatever version; False for what cannot be read."""
     try:
-        with opened(path, LOG_FILE) as file:
+        with opened(path, LOG) as file:
             first = next(whole_records(file), None)
     except FileError:
         return False
@@ -201,10 +199,8 @@ def read_states(path: Path) -> tuple[Header, tuple[WorldState, ...]]:
 
 def scan_in_memory(path: Path, expected: LogKind) -> LogScan:
     """A log that may be held in memory. Raises JournalError for a longer one, and as `LogScan`."""
-    scan = LogScan(path, expected)
-    if path.stat().st_size > _IN_MEMORY_BYTES:
-        raise JournalError(f"{escaped(path)}: larger than {_IN_MEMORY_BYTES} bytes; expected {LOG_FILE.what}")
-    return scan
+    regular_size(path, WHOLE_LOG)
+    return LogScan(path, expected)
 
 
 def log_digest(path: Path) -> str:
@@ -295,7 +291,7 @@ class LogTail(Closing):
         parts = part_files(self._path)
         if not parts:
             return False
-        self._file = self._held.enter_context(opened(parts[-1], LOG_FILE))
+        self._file = self._held.enter_context(opened(parts[-1], LOG))
         try:
             if parts[-1].stat().st_size:
                 self._scan = LogScan(parts[-1], file=self._file)

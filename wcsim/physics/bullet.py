@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from wcsim.core.native_output import without_line
+from wcsim.core.processes import without_line
 from wcsim.errors import PhysicsError
 
 __all__ = ["Bullet", "pybullet"]

@@ -14,7 +14,7 @@ import msgspec
 
 from wcsim.bridge.sumo.run_place import RunPlace
 from wcsim.config import EnvConfig, RunConfig
-from wcsim.core.reading import FileKind, read_bytes
+from wcsim.core.reading import ORDER, read_bytes
 from wcsim.errors import ConfigError, WcsimError
 from wcsim.log.reader import inputs_of_part
 from wcsim.log.records import EpochBegun, Ticked
@@ -27,7 +27,6 @@ from wcsim.towns.scenario.overrides import Override
 from wcsim.types import SeatSpec
 
 WORLD_ARGV = (sys.executable, "-m", "wcsim.server.host.process")
-_MOST_ORDER_BYTES = 16 << 20
 MOST_READ_BYTES = 8 << 20  # of a journal, between a death and a restart
 
 
@@ -184,7 +183,7 @@ def _last_tick(run: str, told: int) -> int:
 
 def read_order(kind: type[T], path: Path) -> T:
     """The value in a file. Raises ConfigError when it is none."""
-    return of_line(kind, read_bytes(path, FileKind(what=f"a {kind.__name__}", limit_bytes=_MOST_ORDER_BYTES)))
+    return of_line(kind, read_bytes(path, ORDER))
 
 
 def rss_mb() -> float:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import re
-import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -17,13 +16,13 @@ from typing import Any
 import numpy as np
 
 from wcsim.core.constants import RECORDED
-from wcsim.core.reading import FileKind, escaped, escaped_value, parse_json, read_toml
+from wcsim.core.reading import PROFILE, escaped, escaped_value, own_data, parse_json, read_toml
 from wcsim.errors import ConfigError, meant
 
 PROFILE_SUFFIX = ".toml"
 """Of the file of a profile, where else the name of one stands."""
 
-_DATA: dict[str, dict[str, Any]] = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+_DATA: dict[str, dict[str, Any]] = own_data(__file__)
 
 PROFILE_LIMITS: dict[str, tuple[float, float]] = {
     name: (low, high) for name, (low, high) in _DATA.pop("limits").items()
@@ -145,7 +144,6 @@ def _bounded(user: UserProfile) -> UserProfile:
 
 
 _NAME = re.compile(r"[A-Za-z0-9_-][A-Za-z0-9_.-]{0,63}")
-_KIND = FileKind(what="a user's profile as TOML", limit_bytes=1 << 16)
 
 
 def _read_profile(path: Path) -> UserProfile:
@@ -154,7 +152,7 @@ def _read_profile(path: Path) -> UserProfile:
     Raises:
         ConfigError: It cannot be read, has another key, or a number that is out of bounds; with the key and the bounds.
     """
-    data = read_toml(path, _KIND)
+    data = read_toml(path, PROFILE)
     base = data.pop("base", "competent")
     if not isinstance(base, str):
         raise ConfigError(
@@ -165,7 +163,7 @@ def _read_profile(path: Path) -> UserProfile:
 
 def profile_of_json(text: str, where: str) -> UserProfile:
     """A profile that `profile_json` wrote. Raises ConfigError, beginning with `where`."""
-    data = parse_json(text, where, _KIND)
+    data = parse_json(text, where, PROFILE)
     return _changed(profile("competent"), data, where)
 
 

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from wcsim.core.files import whole_file, write_bytes
-from wcsim.core.native_output import without_line
+from wcsim.core.processes import without_line
 from wcsim.errors import ConfigError
 from wcsim.supervisor.palette import palette
 from wcsim.types import F32, U8

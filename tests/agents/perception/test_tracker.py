@@ -36,12 +36,8 @@ def seen(*boxes, pose=(0.0, 0.0, 0.0)):
         for kind, x0, x1, y0, y1, height in boxes:
             hit = (x > x0) & (x < x1) & (y > y0) & (y < y1) & (z > 0.0) & (z < height)
             depth[hit], classes[hit] = t, kind
-    points, owner = np.empty((1024, 2)), np.empty(1024, np.int64)
     picture = kinds()[classes].reshape(60, 80)
-    clusters, count = find_clusters(
-        picture, depth.astype(np.float32), RAYS, EYE, 39.0, UP, np.array(pose, float), points, owner
-    )
-    return clusters, points[:count], owner[:count]
+    return find_clusters(picture, depth.astype(np.float32), RAYS, EYE, 39.0, UP, np.array(pose, float))
 
 
 def person(x, y, kind=ClassId.PERSON):

@@ -6,7 +6,6 @@ import sys
 import pytest
 
 from tests.support.tracked import ROOT
-from wcsim.core.native_output import SYSTEM_PACKAGES
 from wcsim.errors import SumoError
 from wcsim.towns.scenario.options import sumo_options
 from wcsim.towns.sumo import tools
@@ -50,6 +49,6 @@ def test_so_does_libsumo_at_the_command_line():
 
 
 def test_the_image_and_the_readme_have_the_same_list():
-    assert f" {SYSTEM_PACKAGES} " in (ROOT / "Dockerfile").read_text()
-    assert SYSTEM_PACKAGES in (ROOT / "README.md").read_text()
-    assert SYSTEM_PACKAGES in (ROOT / "docs" / "first-minute.md").read_text()
+    assert f" {tools.SYSTEM_PACKAGES} " in (ROOT / "Dockerfile").read_text()
+    assert tools.SYSTEM_PACKAGES in (ROOT / "README.md").read_text()
+    assert tools.SYSTEM_PACKAGES in (ROOT / "docs" / "first-minute.md").read_text()

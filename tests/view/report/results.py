@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from wcsim.agents.evaluation.suite.records import EpisodeRecord
-from wcsim.agents.evaluation.suite.result_files import TestResult, result_of
+from wcsim.agents.evaluation.suite.result_files import TestResult, read_episodes, result_of
 
 SCRIPT = "<script>alert(1)</script>"
 PATH_M = ((1.0, 0.0), (2.5, 0.0))  # after 1 s, and after 1.5
@@ -56,6 +56,15 @@ def write_result(folder: Path, **changes: Any) -> dict[str, Any]:
     (folder / "result.json").write_text(json.dumps(result), encoding="utf-8")
     (folder / "episodes.json").write_text(json.dumps(episodes), encoding="utf-8")
     return result
+
+
+def score_anew(folder: Path) -> None:
+    """Give a folder's result the rows of the episodes that lie there now."""
+    said = json.loads((folder / "result.json").read_text("utf-8"))
+    named = {name: said[name] for name in ("suite", "set", "list_sha256")}
+    unsaid = {"list_name": "", "preset": "", "network": "", "out": ""}
+    result = result_of(read_episodes(folder), changed=tuple(said["changed"]), **named, **unsaid)
+    (folder / "result.json").write_text(json.dumps(result.to_json()), encoding="utf-8")
 
 
 def with_episodes(result: TestResult, episodes: Mapping[str, Sequence[EpisodeRecord]]) -> TestResult:

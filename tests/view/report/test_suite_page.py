@@ -12,7 +12,7 @@ from html.parser import HTMLParser
 
 import pytest
 
-from tests.view.report.results import POLICIES, SCRIPT, write_result
+from tests.view.report.results import POLICIES, SCRIPT, score_anew, write_result
 from wcsim.agents.evaluation.suite.result_files import read_result
 from wcsim.view.report.columns import GROUPS
 from wcsim.view.report.failures import Illustration, _SeenMoment, failures_of
@@ -182,6 +182,7 @@ def test_files_of_a_town_or_part_of_any_name_lie_in_the_folder(tmp_path, name):
     for file, old in (("episodes.json", "nowhere"), ("episodes.json", "hazard")):
         text = (folder / file).read_text(encoding="utf-8").replace(json.dumps(old), json.dumps(name))
         (folder / file).write_text(text, encoding="utf-8")
+    score_anew(folder)
     result = read_result(folder)
     write_suite_page(result, folder, failures_of(result, folder), {}, "", folder)
     outside = [path for path in tmp_path.rglob("*") if path.is_file() and folder not in path.parents]

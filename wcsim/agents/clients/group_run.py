@@ -33,8 +33,8 @@ from wcsim.agents.runs.run_folder import (
 )
 from wcsim.config import RunConfig, parse, resolve
 from wcsim.config.load import Layer
-from wcsim.core import files, seeding
-from wcsim.core.reading import FileKind, read_text
+from wcsim.core import files, reading, seeding
+from wcsim.core.reading import CLAIM, read_lines, read_text
 from wcsim.errors import ConfigError, PolicyError, WcsimError
 from wcsim.log.reader import iter_inputs, part_files
 from wcsim.log.records import Ticked
@@ -80,7 +80,7 @@ class ClientsFolder:
         path = self.path / LEDGERS / f"{name}.claim"
         if not os.path.lexists(path):
             files.write_bytes(path, secrets.token_hex(16).encode(), mode=0o600)
-        claim = read_text(path, FileKind(what="a client's claim", limit_bytes=1 << 10, error=PolicyError))
+        claim = read_text(path, CLAIM)
         if not _CLAIM.fullmatch(claim):
             raise PolicyError(f"{path}: is damaged; remove it, and the client joins as a new one")
         return claim
@@ -224,7 +224,7 @@ def _may_hold(log: Path, read: Callable[[Path], Iterator[T]], is_work: Callable[
 def has_work(run: Path) -> bool:
     """Whether a client's folder holds an episode, a step, a checkpoint or a policy."""
     metrics = run / METRICS
-    episodes = len(metrics.read_bytes().splitlines()) - 1 if metrics.is_file() else 0
+    episodes = sum(1 for _ in read_lines(metrics, reading.METRICS)) - 1 if metrics.is_file() else 0
     manifest = read_json(run, MANIFEST) if (run / MANIFEST).is_file() else {}
     steps = manifest.get("steps", 0)
     if manifest.get("status") == "interrupted" and steps == 0:

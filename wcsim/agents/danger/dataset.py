@@ -25,6 +25,7 @@ from wcsim.agents.perception.depth_image import sees_in_a_mirror
 from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, IMU_KEY, JOYSTICK_KEY, ODOMETRY_KEY
 from wcsim.agents.runs.data_folder import ORACLE, Segment, unsafe_ahead
 from wcsim.config import RunConfig
+from wcsim.core.reading import unzstd
 from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import ActionSet, action_set
 from wcsim.types import F32, F64, I64, U8, Bool
@@ -250,5 +251,5 @@ def _unpacked(blobs: list[bytes], size: int) -> U8:
     """The frames of blobs, (K, size)."""
     unpacker, out = zstandard.ZstdDecompressor(), np.empty((len(blobs), size), np.uint8)
     for row, blob in zip(out, blobs, strict=True):
-        row[:] = np.frombuffer(unpacker.decompress(blob, max_output_size=size), np.uint8)
+        row[:] = np.frombuffer(unzstd(blob, size, unpacker), np.uint8)
     return out

@@ -17,13 +17,13 @@ import numpy as np
 from wcsim.agents.policy_api import JOYSTICK_KEY, NotFinite, Observation, Policy
 from wcsim.config import parse
 from wcsim.config.run_file import GuardFile, GuardRule
-from wcsim.core.reading import FileKind, escaped, is_file, read_json
+from wcsim.core import reading
+from wcsim.core.reading import escaped, is_file, read_json
 from wcsim.errors import ConfigError, PolicyError
 from wcsim.supervisor.actions import ActionSet
 
 _LONGEST: Final = math.sqrt(2.0)  # of a stick, in a corner of its square
 MEANING: Final = "meaning.json"
-_KIND: Final = FileKind(what="the meaning.json of an exported policy", limit_bytes=4 << 20, error=PolicyError)
 
 
 class GuardedPolicy:
@@ -87,7 +87,7 @@ def guard_of(folder: Path) -> GuardRule | None:
     """The guard of an ONNX folder; None where it has none. Raises PolicyError when it cannot be read."""
     if not is_file(folder / MEANING):
         return None
-    said = read_json(folder / MEANING, _KIND).get("guard")
+    said = read_json(folder / MEANING, reading.MEANING).get("guard")
     if not isinstance(said, dict):
         return None
     try:

@@ -23,6 +23,7 @@ from wcsim.agents.runs.checkpoint import STATE, Arrays, Restore, newest_arrays, 
 from wcsim.agents.runs.weights import checked_tensors
 from wcsim.config import parse
 from wcsim.config.run_file import SeqFile, SittingFile
+from wcsim.core.reading import unzstd
 from wcsim.errors import PolicyError
 from wcsim.types import I64, U8
 
@@ -261,5 +262,4 @@ def _restore_frames(replay: FrameReplay, arrays: Arrays, index: I64, alive: Call
 
 def _unpacked(blob: bytes, size: int) -> U8:
     """The frames (K, size) of a blob."""
-    held = zstandard.ZstdDecompressor().decompress(blob, max_output_size=_CHUNK_FRAMES * size)
-    return np.frombuffer(held, dtype=np.uint8).reshape(-1, size)
+    return np.frombuffer(unzstd(blob, _CHUNK_FRAMES * size), dtype=np.uint8).reshape(-1, size)

@@ -14,7 +14,7 @@ from wcsim.agents.policy_api import Policy
 from wcsim.config import RunConfig, parse
 from wcsim.config.suite import BlockFile, EpisodeFile, SuiteFile
 from wcsim.core.constants import RECORDED
-from wcsim.core.reading import FileKind, escaped, is_file, read_json
+from wcsim.core.reading import EPISODES, escaped, is_file, read_json
 from wcsim.errors import ConfigError, TownError
 from wcsim.towns.making.asked_town import made_seed, made_town
 from wcsim.towns.scenario.town import Town, content_hash, expanded, find_town
@@ -24,7 +24,6 @@ from wcsim.types import SeatSpec, StartSpec
 
 TIGHT: Final = "tight"  # the part whose towns are generated scenes
 SCENE, SCENE_TOWN = "scene", "town"  # folders of a block in a generated scene
-_LIST = FileKind(what="a list of test episodes", limit_bytes=64 << 20, error=ConfigError)
 _SHIPPED = Path(__file__).parent / "lists"
 
 
@@ -52,7 +51,7 @@ def open_suite(name_or_path: str) -> Suite:
     if not is_file(path):
         known = ", ".join(shipped()) or "(none)"
         raise ConfigError(f"--suite {escaped(name_or_path)!r}: there is no such list; expected {known}, or a file")
-    return suite_of(parse(SuiteFile, read_json(path, _LIST), escaped(path)))
+    return suite_of(parse(SuiteFile, read_json(path, EPISODES), escaped(path)))
 
 
 def suite_of(file: SuiteFile) -> Suite:

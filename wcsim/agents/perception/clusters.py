@@ -18,6 +18,7 @@ _ROWS, _COLUMNS = round(AHEAD_M / CELL_M), 2 * round(ASIDE_M / CELL_M)
 FEWEST_PX = 4  # less is noise
 _FRINGE_PX = 3  # beside a mover, its class is painted on what is behind it
 MOST = 24  # movers at once
+_MOST_CELLS = 1024
 _WALK: Final = (ClassId.PERSON, ClassId.RIDER, ClassId.BICYCLE, ClassId.MOTORCYCLE)
 _DRIVE: Final = (ClassId.CAR, ClassId.TRUCK, ClassId.BUS, ClassId.TRAIN)
 STANDS, WALKS, DRIVES = range(3)
@@ -35,8 +36,8 @@ def kinds() -> U8:
 
 
 def find_clusters(
-    kind: U8, depth_m: F32, rays: F32, eye: F64, far_m: float, up: F64, pose_O: F64, points: F64, owner: I64
-) -> tuple[F64, int]:
+    kind: U8, depth_m: F32, rays: F32, eye: F64, far_m: float, up: F64, pose_O: F64
+) -> tuple[F64, F64, I64]:
     """Group pixels that could move.
 
     Args:
@@ -47,25 +48,22 @@ def find_clusters(
         far_m: Depths from here on are no measurement.
         up: (3,) the direction up in B.
         pose_O: (3,) of the chair.
-        points: (k, 2) written: middles of the cells that are taken, in B.
-        owner: (k,) written: whose they are, -1 for nobody's.
 
     Returns:
-        The clusters, (m, 11) see the column names, and how many cells were written.
+        The clusters (m, 11), see the column names; the middles of the cells that are taken (k, 2) in B; and whose they
+        are (k,), -1 for nobody's.
     """
-    cells = np.full((_ROWS, _COLUMNS), -1, np.int64)
+    cells, points = np.full((_ROWS, _COLUMNS), -1, np.int64), np.empty((_MOST_CELLS, 2))
     count = _gather(kind.reshape(-1), depth_m, rays, eye, far_m, up, cells, points)
     # Touching cells have one owner; owners are numbered as their first cells are, and those beyond MOST left out.
-    taken = cells >= 0
+    taken, owner = cells >= 0, np.empty(count, np.int64)
     owner[cells[taken]] = label(taken, np.ones((3, 3)))[0][taken]
-    _, first, whose = np.unique(owner[:count], return_index=True, return_inverse=True)
-    owner[:count] = np.argsort(np.argsort(first))[whose]
+    _, first, whose = np.unique(owner, return_index=True, return_inverse=True)
+    owner = np.argsort(np.argsort(first))[whose]
     owner[owner >= MOST] = -1
     clusters = np.zeros((MOST, 11))
-    kept = _measure(
-        kind.reshape(-1), kind.shape[1], depth_m, rays, eye, far_m, up, cells, pose_O, owner[:count], clusters
-    )
-    return clusters[:kept], count
+    kept = _measure(kind.reshape(-1), kind.shape[1], depth_m, rays, eye, far_m, up, cells, pose_O, owner, clusters)
+    return clusters[:kept], points[:count], owner
 
 
 @exact_kernel

@@ -112,7 +112,7 @@ Number = TypeVar("Number", np.float32, np.uint8)
 
 SHY_M = 0.06  # more than from a wall: who moves is wider than what is seen, and may do otherwise
 _AHEAD_MPS = 0.05  # slower is no driving ahead
-_MOST_CARRIED, _MOST_CELLS = 96, 1024  # places of edges that go on, cells of those who could move
+_MOST_CARRIED = 96  # places of edges that go on
 
 
 class StreetSense:
@@ -143,7 +143,6 @@ class StreetSense:
         self.memory, self.tracker = StreetMemory(self._tick_s, self.box_B_m), Tracker(self._tick_s)
         self._carried_B_m = np.empty((_MOST_CARRIED, 2))
         self._kinds = kinds()
-        self._cells_B_m, self._owner = np.empty((_MOST_CELLS, 2)), np.empty(_MOST_CELLS, np.int64)
         self.forget()
 
     def forget(self) -> None:
@@ -234,10 +233,7 @@ class StreetSense:
             return np.zeros((0, 2))
         kind = self._kinds[self.classes(observation)].reshape(self._shape)
         pose = self.ego.pose_O
-        clusters, count = find_clusters(
-            kind, depth_m, self.rays, self.eye_B_m, self.far_m, up, pose, self._cells_B_m, self._owner
-        )
-        cells, owner = self._cells_B_m[:count], self._owner[:count]
+        clusters, cells, owner = find_clusters(kind, depth_m, self.rays, self.eye_B_m, self.far_m, up, pose)
         each = [cells[owner == number] for number in range(len(clusters))]
         self.tracker.see(clusters, [in_odometric(own, pose) for own in each])
         seen = [in_body(who.cells_O_m, pose) for who in self._others() if who.unseen_s == 0.0]

@@ -22,11 +22,10 @@ import numpy as np
 from wcsim.agents.policy_api import ANSWER_S, CLASS_KEY, DEPTH_KEY, MODEL_FILE, NotFinite, Observation
 from wcsim.config import parse
 from wcsim.config.run_file import OnnxPolicyFile
-from wcsim.core.reading import FileKind, escaped, is_file, read_toml
+from wcsim.core.reading import ONNX_TOML, escaped, is_file, read_toml
 from wcsim.errors import ConfigError, PolicyError, check_installed
 
 ABOUT_FILE: Final = "policy.toml"
-_ABOUT: Final = FileKind(what="the policy.toml of an ONNX folder", limit_bytes=1 << 20)
 _STATE, _NEXT, _WARNING = "state_", "next_", "warning"
 _LIMIT_BYTES: Final = 1 << 30  # of a model, and of its states
 _MEMORY_BYTES: Final = 1 << 32  # of all arrays of a process's models
@@ -39,7 +38,7 @@ def read_about(path: Path) -> OnnxPolicyFile:
     if not is_file(file):
         return OnnxPolicyFile()
     try:
-        return parse(OnnxPolicyFile, read_toml(file, _ABOUT), escaped(file))
+        return parse(OnnxPolicyFile, read_toml(file, ONNX_TOML), escaped(file))
     except ConfigError as error:
         raise PolicyError(f"{error}; expected the keys preset and settings") from None
 

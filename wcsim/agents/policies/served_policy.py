@@ -24,12 +24,10 @@ import numpy as np
 import numpy.typing as npt
 
 from wcsim.agents.policy_api import ANSWER_S, SERVED, Observation
-from wcsim.core.reading import FileKind, escaped, parse_json
+from wcsim.core.reading import ANSWER, escaped, parse_json
 from wcsim.errors import PolicyError
 
-_ANSWER_BYTES: Final = 1 << 16
 _PATIENCE_S: Final = 10.0  # for a connection
-_ANSWER: Final = FileKind(what="an answer of a policy", limit_bytes=_ANSWER_BYTES, error=PolicyError)
 
 
 class ServedPolicy:
@@ -88,9 +86,9 @@ class ServedPolicy:
             self._socket.settimeout(ANSWER_S)
             self._socket.sendall(len(text).to_bytes(4, "little") + text)
             length = int.from_bytes(self._read(4, ends_s), "little")
-            if length > _ANSWER_BYTES:
-                raise PolicyError(f"{self.name}: an answer of {length} bytes; expected at most {_ANSWER_BYTES}")
-            return parse_json(self._read(length, ends_s).decode(), f"{self.name}: its answer to {kind!r}", _ANSWER)
+            if length > ANSWER.limit_bytes:
+                raise PolicyError(f"{self.name}: an answer of {length} bytes; expected at most {ANSWER.limit_bytes}")
+            return parse_json(self._read(length, ends_s).decode(), f"{self.name}: its answer to {kind!r}", ANSWER)
         except BaseException as error:  # also by Ctrl-C: what comes late must not be taken for the next answer
             self.close()
             if not isinstance(error, OSError | UnicodeError):

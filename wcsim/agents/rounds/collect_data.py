@@ -29,8 +29,9 @@ from wcsim.agents.runs.data_folder import (
 from wcsim.agents.runs.run_folder import folder_parcel, require_travels, town_parcel
 from wcsim.config import RunConfig, resolve
 from wcsim.config.load import Layer
+from wcsim.core import reading
 from wcsim.core.files import is_begun, locked, sha256, sha256_text, write_bytes, write_json
-from wcsim.core.reading import FileKind, escaped, is_file, read_json
+from wcsim.core.reading import escaped, is_file, read_json
 from wcsim.errors import PolicyError
 from wcsim.server.workers.crew import LEAST_LATE_S, Crew, WorkerNow
 from wcsim.server.workers.machines import HERE, LOGS, At, Machines, Parcel, Work
@@ -41,7 +42,6 @@ _LOOK_S = 1.0
 Told = Callable[[int, tuple[WorkerNow, ...]], object]
 """Told how many segments are there and who drives what: once with those from before, and every second from then on."""
 ORDERS: Final = "orders.json"  # by seed, what its segments are driven with
-_ORDERS: Final = FileKind(what="the orders.json of a data folder", limit_bytes=64 << 20, error=PolicyError)
 
 
 class SegmentCrew:
@@ -232,7 +232,7 @@ def _require_same_order(order: DataOrder, towns: Sequence[Town]) -> None:
     A segment is known by its seed and number alone: one that is there would be taken for one of another order.
     """
     path, seed = order.folder / ORDERS, str(order.seed)
-    begun = read_json(path, _ORDERS) if is_file(path) else {}
+    begun = read_json(path, reading.ORDERS) if is_file(path) else {}
     driver = folder_parcel(Path(order.policy)) if order.policy else None
     policy = [] if driver is None else [[name, sha256(driver.folder / name)] for name in sorted(driver.names)]
     said = [told_settings(order.config), [content_hash(town) for town in towns], policy]

@@ -39,8 +39,8 @@ from wcsim.agents.runs.run_folder import METRICS, ResolvedRun, RunFolder, folder
 from wcsim.agents.runs.weights import digest_of
 from wcsim.config import RunConfig, parse
 from wcsim.config.run_file import DangerRule, LearnedFile, RoundFile
-from wcsim.core import files, seeding
-from wcsim.core.reading import FileKind, escaped, is_file, read_json
+from wcsim.core import files, reading, seeding
+from wcsim.core.reading import escaped, is_file, read_json
 from wcsim.errors import ConfigError, InterruptedRunError, PolicyError, TownError
 from wcsim.server.workers.crew import WorkerNow
 from wcsim.server.workers.machines import HERE, Machines
@@ -49,7 +49,6 @@ from wcsim.towns.making.maker import make_town
 from wcsim.towns.scenario.town import Town, find_town, open_town, streets_hash
 
 LEARNED: Final = "learned_data.json"
-_KIND: Final = FileKind(what="the learned_data.json of a run", limit_bytes=64 << 20, error=PolicyError)
 
 
 def data_of(run: RunFolder) -> dict[str, dict[str, str]]:
@@ -61,7 +60,7 @@ def data_of(run: RunFolder) -> dict[str, dict[str, str]]:
     path = run.path / LEARNED
     if is_file(path):
         try:
-            return parse(LearnedFile, read_json(path, _KIND), escaped(path)).folders
+            return parse(LearnedFile, read_json(path, reading.LEARNED), escaped(path)).folders
         except ConfigError as error:
             raise PolicyError(str(error)) from None
     found = {}

@@ -20,19 +20,17 @@ import numpy as np
 from safetensors.numpy import load_file, save_file
 
 from wcsim.agents.runs.run_folder import RunFolder
-from wcsim.core import files
-from wcsim.core.reading import FileKind, escaped, is_folder, read_json, regular_size
+from wcsim.core import files, reading
+from wcsim.core.reading import escaped, is_folder, read_json, regular_size
 from wcsim.errors import PolicyError, WcsimError
 
 STATE: Final = "state.json"
 KEEP: Final = 3  # checkpoints of a run
-_VERSION: Final = 3
+_VERSION: Final = 4
 _WIDTH: Final = {"step": 8, "round": 3}  # least number of digits, by what is counted
 _NAME: Final = re.compile(r"(step|round)-(\d{3,18})", re.ASCII)
 _END: Final = ".safetensors"
 _FILE: Final = re.compile(rf"[a-z_]+{re.escape(_END)}", re.ASCII)
-_STATE_KIND: Final = FileKind(what="the state.json of a checkpoint", limit_bytes=64 << 20, error=PolicyError)
-_ARRAYS_KIND: Final = FileKind(what="the arrays of a checkpoint", limit_bytes=1 << 42, error=PolicyError)
 
 Arrays = dict[str, np.ndarray]
 T = TypeVar("T")
@@ -107,7 +105,7 @@ def save(
         SafetensorError: The same, in other words.
     """
     with files.whole_folder(folder / name) as target:
-        hashes = {}
+        hashes, sizes = {}, {}
         for part, held in arrays.items():
             file = f"{part}{_END}"
             if isinstance(held, _Shared):
@@ -117,8 +115,9 @@ def save(
                 save_file({key: np.asarray(value, order="C") for key, value in held.items()}, target / file)
                 alive()
                 hashes[file] = files.sha256(target / file)
+            sizes[file] = (target / file).stat().st_size
             alive()
-        said = {"schema_version": _VERSION, "name": name, **state, "sha256": hashes}
+        said = {"schema_version": _VERSION, "name": name, **state, "sha256": hashes, "bytes": sizes}
         files.write_sealed_json(target / STATE, said)
     _drop_old(folder, folder / name)
     return folder / name
@@ -134,10 +133,11 @@ def _restore_newest(folder: Path, restore: Restore[T]) -> _Restored[T]:
     for path in reversed(checkpoints(folder)):
         try:
             state = _read_state(path)
-            hashes = state.pop("sha256")
+            hashes, sizes = state.pop("sha256"), state.pop("bytes")
             for file, sha256 in hashes.items():
-                regular_size(path / file, _ARRAYS_KIND)
-                if files.sha256(path / file) != sha256:
+                size = regular_size(path / file, reading.ARRAYS)
+                # Its size first: a file that is larger than it was written may take hours to read.
+                if sizes[file] != size or files.sha256(path / file) != sha256:
                     raise PolicyError(f"{file} is damaged")
             arrays = {file.removesuffix(_END): load_file(path / file) for file in hashes}
             value = restore(number_of(path), state, arrays)
@@ -183,7 +183,7 @@ def _is_name(name: str) -> bool:
 
 def _read_state(path: Path) -> dict[str, Any]:
     """What was written of a checkpoint. Raises PolicyError when it is not that."""
-    state = read_json(path / STATE, _STATE_KIND)
+    state = read_json(path / STATE, reading.STATE)
     version = state.get("schema_version")
     if version != _VERSION:
         raise PolicyError(

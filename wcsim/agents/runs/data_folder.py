@@ -22,8 +22,8 @@ import zstandard
 from wcsim.config import ChairConfig, RunConfig, parse
 from wcsim.config.plant import plant_text
 from wcsim.config.run_file import DataFile
-from wcsim.core import files
-from wcsim.core.reading import FileKind, escaped, read_bytes, read_json, unzstd
+from wcsim.core import files, reading
+from wcsim.core.reading import SEGMENT, escaped, read_bytes, read_json, unzstd
 from wcsim.errors import ConfigError, PolicyError
 from wcsim.types import F32, F64, U8, Bool
 
@@ -37,7 +37,6 @@ DATA: Final = "data"  # the data folder of a run
 SEGMENTS: Final = "segments"
 _NAME: Final = re.compile(r"([0-9]+)-([0-9]{3,})-([0-9]{4,})\.npz\.zst", re.ASCII)
 _LEVEL: Final = 3
-_MOST_BYTES: Final = 1 << 30
 _LARGEST: Final = 1e9  # of a number, metres, seconds and newtons alike
 _MAX_RATIO, _FREE_BYTES = 100, 64 << 20  # unpacked against packed
 _SETTINGS: Final = (
@@ -62,8 +61,6 @@ COLUMNS: Final[Mapping[str, tuple[str, tuple[int, ...]]]] = {  # of a column: it
     "imu": ("f4", (0,)),
     "reward": ("f4", ()),
 }
-_KIND: Final = FileKind(what="a segment of recorded driving", limit_bytes=_MOST_BYTES, error=PolicyError)
-_MANIFEST_KIND: Final = FileKind(what="the data.json of a data folder", limit_bytes=64 << 20, error=PolicyError)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -185,7 +182,7 @@ def packed_segment(segment: Segment) -> bytes:
 
 def read_segment(path: Path, sha256: str = "") -> Segment:
     """Read a segment. Raises PolicyError when it is missing, cut short, damaged, or another than `sha256` says."""
-    data = read_bytes(path, _KIND)
+    data = read_bytes(path, SEGMENT)
     got = hashlib.sha256(data).hexdigest()
     if sha256 and got != sha256:
         raise PolicyError(
@@ -228,7 +225,7 @@ def write_manifest(folder: Path, config: RunConfig, towns: dict[str, str], segme
 def read_manifest(folder: Path) -> DataFile:
     """Read `data.json`. Raises PolicyError."""
     try:
-        return parse(DataFile, read_json(folder / MANIFEST, _MANIFEST_KIND), escaped(folder / MANIFEST))
+        return parse(DataFile, read_json(folder / MANIFEST, reading.DATA), escaped(folder / MANIFEST))
     except ConfigError as error:
         raise PolicyError(str(error)) from None
 
@@ -294,7 +291,7 @@ def _part(dumped: dict[str, Any], name: str) -> Any:
 
 def _columns(data: bytes) -> dict[str, np.ndarray]:
     """The arrays of a packed segment, which may be anybody's. Raises what NumPy and zstd do, or ValueError."""
-    unpacked = unzstd(data, min(_MOST_BYTES, _FREE_BYTES + _MAX_RATIO * len(data)))
+    unpacked = unzstd(data, min(SEGMENT.limit_bytes, _FREE_BYTES + _MAX_RATIO * len(data)))
     with zipfile.ZipFile(io.BytesIO(unpacked)) as held:
         if any(item.compress_type != zipfile.ZIP_STORED for item in held.infolist()):  # so that none unpacks to more
             raise ValueError("packed in another way")

@@ -15,9 +15,9 @@ from typing import Any, Final
 
 from wcsim.config import parse
 from wcsim.config.run_file import TrainedRound
-from wcsim.core import files
+from wcsim.core import files, reading
 from wcsim.core.closing import Closing
-from wcsim.core.reading import FileKind, escaped, read_text
+from wcsim.core.reading import escaped, read_lines, read_text
 from wcsim.errors import ConfigError, DiskFullError, PolicyError
 
 COLUMNS = (
@@ -29,12 +29,10 @@ ROW_STEPS = 100  # steps in a row of steps.csv
 KPI1_STEPS = 20 * ROW_STEPS  # steps that a mean of KPI 1 goes over
 STEP_COLUMNS = ("step", "phase", "kpi1_greedy", "elapsed_s_wall")
 _STEP = re.compile(r"[0-9]{1,15}", re.ASCII)
-_KIND = FileKind(what="the log of a run", limit_bytes=1 << 30, error=PolicyError)
 _ROUND_COLUMNS: Final = (
     *("round", "steps", "new_steps", "tight_share", "crashes", "updates", "loss"),
     *("wait_s_wall", "learn_s_wall"),
 )
-_ROUNDS_KIND = FileKind(what="the metrics.csv of a run", limit_bytes=1 << 30, error=PolicyError)
 TENSORBOARD: Final = "tensorboard"  # in a run folder
 _TRAINS: Final = frozenset({"epsilon", "margin_weight", "loss", "max_abs_q", "updates"})
 _LEFT_OUT: Final = frozenset({"step", "episode"})
@@ -63,7 +61,7 @@ class MetricsFile:
 
 def read_metrics(path: Path, wanted: tuple[str, ...] = COLUMNS) -> list[dict[str, str]]:
     """All complete rows of a log. Raises PolicyError when it has other columns, or a row in it is damaged."""
-    text = read_text(path, _KIND)
+    text = read_text(path, reading.METRICS)
     whole = text[: text.rfind("\n") + 1]  # a process that was killed can leave a torn last line
     try:
         rows = list(csv.reader(io.StringIO(whole, newline="")))
@@ -107,7 +105,7 @@ def note_round(path: Path, row: Sequence[float]) -> None:
 
 def logs_rounds(path: Path) -> bool:
     """Whether a metrics.csv is one of rounds."""
-    return read_text(path, _ROUNDS_KIND).startswith(",".join(_ROUND_COLUMNS[:2]) + ",")
+    return next(read_lines(path, reading.METRICS), "").startswith(",".join(_ROUND_COLUMNS[:2]) + ",")
 
 
 def read_rounds(path: Path) -> tuple[TrainedRound, ...]:

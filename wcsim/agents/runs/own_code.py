@@ -14,13 +14,11 @@ import secrets
 from collections.abc import Collection, Sequence
 from pathlib import Path
 
-from wcsim.core.reading import FileKind, escaped, read_bytes
+from wcsim.core.reading import KEY, escaped, read_bytes
 from wcsim.errors import FileError, PolicyError
 from wcsim.towns.cache.folder import cache_folder
 
 KEY_FILE = "own-runs.key"
-_KEY_BYTES = 32
-_KEY = FileKind(what=f"a key of {_KEY_BYTES} bytes", limit_bytes=_KEY_BYTES, error=PolicyError)
 
 
 def own_classes(hook: str, rewards: Sequence[str], networks: Collection[str]) -> tuple[str, ...]:
@@ -62,8 +60,8 @@ def _key(make: bool) -> bytes:
             path.parent.mkdir(parents=True, exist_ok=True)
             number = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
             with os.fdopen(number, "wb") as file:
-                file.write(secrets.token_bytes(_KEY_BYTES))
-        key = read_bytes(path, _KEY)
+                file.write(secrets.token_bytes(KEY.limit_bytes))
+        key = read_bytes(path, KEY)
     except (OSError, FileError):
         return b""
-    return key if len(key) == _KEY_BYTES else b""
+    return key if len(key) == KEY.limit_bytes else b""

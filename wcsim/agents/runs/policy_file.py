@@ -15,14 +15,13 @@ from wcsim.agents.policy_api import BASELINES, LEVELLED, MODEL_FILE, SERVED, UPP
 from wcsim.config import parse
 from wcsim.config.run_file import DangerFile, PolicyFile, ShippedFile
 from wcsim.core import files
-from wcsim.core.reading import FileKind, escaped, is_file, is_folder, read_json
+from wcsim.core.reading import HASHES, POLICY, escaped, is_file, is_folder, read_json
 from wcsim.errors import ConfigError, PolicyError
 
 POLICY_JSON, WEIGHTS = "policy.json", "weights.safetensors"
 SIGHT_KEYS = ("hfov_deg", "range_m", "near_m", "p_BC_m", "yaw_deg", "pitch_deg", "roll_deg")
 """Of a camera: what makes the same street look different to a network."""
 File = TypeVar("File", PolicyFile, DangerFile)
-_KIND = FileKind(what="the policy.json of a policy folder", limit_bytes=1 << 20, error=PolicyError)
 
 
 def read_policy_file(path: Path) -> PolicyFile:
@@ -53,13 +52,12 @@ def _read(path: Path) -> dict[str, Any]:
             f"{escaped(path)} is not a policy folder: it has no {POLICY_JSON}; "
             "expected a folder as `wcsim train` writes it, for example runs/a/policies/final, or RUN:phase1"
         )
-    return read_json(path / POLICY_JSON, _KIND)
+    return read_json(path / POLICY_JSON, POLICY)
 
 
 SHIPPED: Final = "shipped"
 FILES: Final = "files.json"
 HELD: Final = ("policy.json", "weights.safetensors", "model.onnx", "meaning.json", "reference.npz", "MODEL_CARD.md")
-_HASHES_KIND: Final = FileKind(what="the files.json of the shipped policy", limit_bytes=1 << 20, error=PolicyError)
 
 
 def shipped_place() -> Path:
@@ -83,7 +81,7 @@ def shipped_folder(place: Path | None = None) -> Path:
             "tools/ship_policy.py RUN: name a run of your own"
         )
     try:
-        told = parse(ShippedFile, read_json(folder / FILES, _HASHES_KIND), escaped(folder / FILES)).sha256
+        told = parse(ShippedFile, read_json(folder / FILES, HASHES), escaped(folder / FILES)).sha256
     except ConfigError as error:
         raise PolicyError(str(error)) from None
     missing = [name for name in HELD if name not in told or not is_file(folder / name)]

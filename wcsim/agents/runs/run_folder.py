@@ -35,7 +35,7 @@ from wcsim.config.run_file import ManifestFile
 from wcsim.core import files
 from wcsim.core.constants import RECORDED
 from wcsim.core.processes import run_command
-from wcsim.core.reading import FileKind, escaped, is_file, is_folder
+from wcsim.core.reading import RUN, escaped, is_file, is_folder
 from wcsim.core.reading import read_json as read_bounded_json
 from wcsim.errors import ConfigError, PolicyError, TownError, meant
 from wcsim.server.specs import RunInfo
@@ -49,7 +49,6 @@ MANIFEST, CONFIG, EVENTS = "manifest.json", "config.json", "events.jsonl"
 METRICS, STEPS = "metrics.csv", "steps.csv"
 PLANT = "plant.toml"
 _CHECKPOINTS, _POLICIES = "checkpoints", "policies"
-_KIND = FileKind(what="a file of `wcsim train`: restore it or train again", limit_bytes=4 << 20, error=PolicyError)
 PACKAGES = ("wcsim", "torch", "stable-baselines3", "gymnasium", "numpy", "libsumo", "pybullet")
 Status = Literal["running", "done", "interrupted"]
 _OF_A_MOMENT = {"config_was_sha256", "files_to_come_sha256"}
@@ -272,7 +271,7 @@ def read_json(path: Path, name: str) -> dict[str, Any]:
     file = path / name
     if not is_file(file):
         raise PolicyError(f"{escaped(path)} is not a run: it has no {name}; expected a folder that `wcsim train` made")
-    data = read_bounded_json(file, _KIND)
+    data = read_bounded_json(file, RUN)
     if name == MANIFEST:
         return _checked_manifest(data, file).model_dump(mode="json", exclude_unset=True)
     return data

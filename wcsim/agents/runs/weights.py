@@ -13,13 +13,11 @@ import torch
 from safetensors.torch import load, save_file
 
 from wcsim.agents.runs.policy_file import POLICY_JSON, WEIGHTS
-from wcsim.core import files
-from wcsim.core.reading import FileKind, escaped, read_bytes, regular_size
+from wcsim.core import files, reading
+from wcsim.core.reading import escaped, read_bytes, regular_size
 from wcsim.errors import PolicyError
 
-_MAX_WEIGHTS_BYTES = 1 << 30
 _MAX_HEADER_BYTES = 1 << 20
-_KIND = FileKind(what="the weights of a policy", limit_bytes=_MAX_WEIGHTS_BYTES, error=PolicyError)
 Tensors = Mapping[str, torch.Tensor]
 Net = TypeVar("Net", bound=torch.nn.Module)
 
@@ -77,13 +75,14 @@ def _read_weights(path: Path, sha256: str, wanted: Iterable[torch.Tensor]) -> by
 
     Raises PolicyError: The file cannot be read, or has another size or digest.
     """
-    size, least = regular_size(path, _KIND), sum(tensor.numel() * tensor.element_size() for tensor in wanted)
+    size = regular_size(path, reading.WEIGHTS)
+    least = sum(tensor.numel() * tensor.element_size() for tensor in wanted)
     if not least <= size <= least + _MAX_HEADER_BYTES:
         raise PolicyError(
             f"{escaped(path)} has {size} bytes, and the network that policy.json describes has weights of {least}; "
             "copy the whole policy folder again"
         )
-    data = read_bytes(path, _KIND)
+    data = read_bytes(path, reading.WEIGHTS)
     found = hashlib.sha256(data).hexdigest()
     if found != sha256:
         raise PolicyError(

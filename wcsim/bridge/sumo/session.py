@@ -30,12 +30,11 @@ from wcsim.config import RunConfig
 from wcsim.config.world import JUPEDSIM
 from wcsim.core import seeding
 from wcsim.core.closing import Closing
-from wcsim.core.native_output import missing_library
 from wcsim.errors import SumoError, WorldInUseError
 from wcsim.towns.scenario.overrides import JUMPING, PEOPLE, Settings, forced
 from wcsim.towns.scenario.stage import Scenario
 from wcsim.towns.scenario.town import Town
-from wcsim.towns.sumo.tools import UTF_8
+from wcsim.towns.sumo.tools import UTF_8, missing_library
 from wcsim.types import F64, ActorState, SignalState
 
 try:

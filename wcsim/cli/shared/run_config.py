@@ -14,12 +14,12 @@ from wcsim.agents.runs.policy_file import is_danger, policy_name, read_danger_fi
 from wcsim.agents.runs.run_folder import ResolvedRun, policy_path, whole_data
 from wcsim.bridge.sumo.step_hook import find_hook
 from wcsim.cli.shared.common import check_folder
-from wcsim.config import CONFIG_FILE, RunConfig, resolve
+from wcsim.config import RunConfig, resolve
 from wcsim.config.load import sets_key
 from wcsim.core import reading, seeding
 from wcsim.core.constants import RECORDED
 from wcsim.core.plugins import find_class
-from wcsim.core.reading import counted, escaped
+from wcsim.core.reading import SETTINGS, counted, escaped
 from wcsim.errors import ConfigError, PolicyError
 from wcsim.server.specs import RunInfo
 from wcsim.supervisor.rewards import find_reward_term
@@ -98,7 +98,7 @@ def require_users(config: RunConfig, drawn: tuple[Sequence[str], Path | None] | 
         return
     settings, file = drawn
     require_user(config.env.profile)
-    own = {} if file is None else reading.read_toml(file, CONFIG_FILE).get("env", {})
+    own = {} if file is None else reading.read_toml(file, SETTINGS).get("env", {})
     if "profile" in own or any(sets_key(text, "env.profile") for text in settings):
         name = config.env.profile
         raise ConfigError(

@@ -41,9 +41,10 @@ from wcsim.cli.shared.run_config import (
     require_users,
     resolve_run,
 )
-from wcsim.config import CONFIG_FILE, LearnConfig, RunConfig, resolve
+from wcsim.config import LearnConfig, RunConfig, resolve
 from wcsim.config.load import Layer, sets_key
 from wcsim.core import reading
+from wcsim.core.reading import SETTINGS, read_lines
 from wcsim.errors import ConfigError, DiskFullError, InterruptedRunError, TownError, WorkersError
 from wcsim.server.specs import RunInfo
 from wcsim.server.workers.machines import Machines
@@ -279,7 +280,7 @@ def gone_if_nothing_came_of_it(run: Path) -> Iterator[None]:
 def came_of(run: Path) -> bool:
     """Whether an episode, a segment, a checkpoint or a policy was saved in a run folder."""
     metrics = run / "metrics.csv"
-    episodes = len(metrics.read_bytes().splitlines()) - 1 if metrics.is_file() else 0
+    episodes = sum(1 for _ in read_lines(metrics, reading.METRICS)) - 1 if metrics.is_file() else 0
     return episodes > 0 or any(any(run.glob(f"{kept}/*")) for kept in ("checkpoints", "policies", f"{DATA}/{SEGMENTS}"))
 
 
@@ -364,7 +365,7 @@ def q_layers(
     layers: tuple[Layer, ...] = (asked.config, asked.set, more, named, file)
     config = resolve(asked.preset, *layers)
     if asked.steps is not None:
-        tables = [reading.read_toml(path, CONFIG_FILE).get("learn", {}) for path in (asked.config, file) if path]
+        tables = [reading.read_toml(path, SETTINGS).get("learn", {}) for path in (asked.config, file) if path]
         typed = [key for key in _PARTS if any(sets_key(text, f"learn.{key}") for text in asked.set)]
         own = [key for key in _PARTS if key in typed or any(key in table for table in tables)]
         parts = _shrunk_parts(config.learn, asked.steps, own)

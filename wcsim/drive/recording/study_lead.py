@@ -16,10 +16,10 @@ from typing import Any, Final
 from wcsim.agents.opening.named_policy import config_for, open_named
 from wcsim.agents.policy_api import Levelled
 from wcsim.agents.runs.policy_file import policy_name
-from wcsim.config import CONFIG_FILE, parse
+from wcsim.config import parse
 from wcsim.config.study import StudyFile, StudyPlace
 from wcsim.core.files import numbered_names
-from wcsim.core.reading import escaped, is_file, parse_toml, read_text
+from wcsim.core.reading import SETTINGS, escaped, is_file, parse_toml, read_text
 from wcsim.drive.recording.study_plan import (
     END,
     Row,
@@ -100,8 +100,8 @@ def open_study(
     if not is_file(path):
         known = ", ".join(_shipped_studies())
         raise ConfigError(f"--study {escaped(name_or_path)}: there is no such study; expected {known}, or a TOML file")
-    text = read_text(path, CONFIG_FILE)
-    file = parse(StudyFile, parse_toml(text, escaped(path), CONFIG_FILE), escaped(path))
+    text = read_text(path, SETTINGS)
+    file = parse(StudyFile, parse_toml(text, escaped(path), SETTINGS), escaped(path))
     digest = hashlib.sha256(text.encode()).hexdigest()
     _require_named(file.policy, named, escaped(path))
     place_of_results = out or Path("studies") / file.name

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from wcsim.config.study import StudyBlock, StudyFile, StudyPlace, StudyQuestion
-from wcsim.core.reading import FileKind, counted, escaped, read_text
+from wcsim.core.reading import STUDY_TABLE, counted, escaped, read_text
 from wcsim.errors import ConfigError, DiskFullError
 
 END = "end"
@@ -27,7 +27,6 @@ COLUMNS: Final = (
 )
 """What every row has; the answers come after them, `answer_` and the question's name each."""
 
-_TABLE = FileKind(what="a study's table", limit_bytes=64 << 20)
 _MOST_ROWS: Final = 200_000
 
 Row = Mapping[str, str]
@@ -173,7 +172,7 @@ def read_rows(path: Path, columns: Sequence[str]) -> tuple[dict[str, str], ...]:
     """
     if not os.path.lexists(path):
         return ()
-    text = read_text(path, _TABLE)
+    text = read_text(path, STUDY_TABLE)
     if text and not text.endswith("\n"):
         raise ConfigError(f"{escaped(path)}: its last line is incomplete; complete it, or remove it")
     try:

@@ -7,15 +7,14 @@ replay. The rates of each level and their sources stand in `object_noise.toml`.
 
 from __future__ import annotations
 
-import tomllib
 from functools import cache
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from wcsim.core.jit import kernel
+from wcsim.core.reading import own_data
 from wcsim.physics.buffers import Images
 from wcsim.physics.renderer.base import Pinhole
 from wcsim.physics.renderer.instances import Instances
@@ -106,7 +105,7 @@ class ObjectNoise:
 @cache
 def object_rates() -> dict[str, Any]:
     """`object_noise.toml`: what all levels share as `law`, and each level by its name."""
-    return tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+    return own_data(__file__)
 
 
 def _law_of(rates: dict[str, Any], camera: Pinhole, tick_s: float) -> _Law:

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from wcsim.config import CameraConfig
-from wcsim.core.reading import FileKind, opened
+from wcsim.core.reading import PICTURES, opened
 from wcsim.errors import ConfigError, DiskFullError, PicturesError, ProtocolError
 from wcsim.physics.buffers import Images, SeatBuffers
 from wcsim.types.arrays import U8
@@ -27,7 +27,6 @@ MAGIC = b"wcsimpix"
 VERSION = 1
 MAX_CAMERAS = 64
 MAX_SIDE_PX = 1 << 16
-_KIND = FileKind(what="the pictures of a seat", limit_bytes=1 << 50)
 _HEAD = struct.Struct("<8sII")  # magic, version, cameras
 _CAMERA = struct.Struct("<III")  # width, height, 1 with colours
 _PAGE, _LINE = 4096, 64
@@ -101,7 +100,7 @@ class RingView:
             PicturesError: It is not one of this version; it will not be another time.
         """
         try:
-            with opened(path, _KIND) as file:
+            with opened(path, PICTURES) as file:
                 memory = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
         except ConfigError as error:
             raise ProtocolError(f"the pictures cannot be opened ({error}); is this the same machine?") from None

@@ -11,7 +11,7 @@ import tempfile
 from pathlib import Path
 
 from wcsim.core.files import whole_folder
-from wcsim.core.reading import FileKind, is_file, opened, own_data, read_text
+from wcsim.core.reading import EDGES, NOTICE, SCENARIO, is_file, opened, own_data, read_text
 from wcsim.core.reading import read_bytes as read_plain
 from wcsim.errors import TownError
 from wcsim.towns.checks.validate import validate_net
@@ -24,7 +24,6 @@ from wcsim.towns.sumo.xml_io import MAX_XML_BYTES, content_digest, read_bytes, s
 _MAX_FILES = 500
 _SETTINGS = "gui-settings-file"  # not needed, but it makes the town look as its author likes it
 _NOTICES = ("LICENSE*", "LICENCE*", "COPYING*", "README*")
-_NOTICE_BYTES = 1 << 20
 _ROOTS = frozenset(own_data(__file__)["roots"].split())
 _FOREIGN = """\
 The files in this folder, but for this one and a town.toml, were made of somebody's scenario ({config}). They are its
@@ -32,9 +31,6 @@ author's, under the author's licence, and wcsim gives no right to pass them on. 
 """
 _PICTURES = (b"\x89PNG", b"\xff\xd8\xff", b"GIF8", b"BM")
 _SELECTED = ("edge:", "lane:")
-_SELECTION = FileKind(what="a list of edges", limit_bytes=16 << 20, error=TownError)
-_NOTICE = FileKind(what="a notice", limit_bytes=_NOTICE_BYTES, error=TownError)
-_COPIED = FileKind(what="a file of a scenario", limit_bytes=MAX_XML_BYTES, error=TownError)
 
 
 def adopt_scenario(
@@ -176,7 +172,7 @@ def _stay_inside(config: Configuration, folder: Path) -> None:
 
 def copy_file(path: Path, place: Path) -> None:
     """Copy a regular file. Raises TownError when it is none."""
-    with opened(path, _COPIED) as source, place.open("wb") as target:
+    with opened(path, SCENARIO) as source, place.open("wb") as target:
         shutil.copyfileobj(source, target)
 
 
@@ -196,7 +192,7 @@ def _copy_notices(source: Path, out: Path, border: Path | None) -> tuple[str, ..
     for path in (path for mask in _NOTICES for path in source.glob(mask)):
         try:
             check_inside(path, border, source)
-            notice = read_plain(path, _NOTICE)
+            notice = read_plain(path, NOTICE)
         except TownError:  # a link to elsewhere, or no notice
             continue
         names.add(path.name)
@@ -209,7 +205,7 @@ def _check_kind(path: Path, *, text: bool) -> None:
     """Return for a file of SUMO's, XML or else a list of edges. Raises TownError."""
     if not text:
         _check_root(path)
-    elif not all(line.startswith(_SELECTED) for line in read_text(path, _SELECTION).split()):
+    elif not all(line.startswith(_SELECTED) for line in read_text(path, EDGES).split()):
         raise TownError(
             f"{path}: is not a list of edges; expected lines such as edge:ID: remove it, or correct its lines"
         )
@@ -229,7 +225,7 @@ def _is_picture(path: Path, border: Path | None) -> bool:
     """Whether a picture that sumo-gui would show can go with the copy."""
     try:
         check_file(path, border, path)
-        with opened(path, _COPIED) as file:
+        with opened(path, SCENARIO) as file:
             return file.read(8).startswith(_PICTURES)
     except TownError:
         return False

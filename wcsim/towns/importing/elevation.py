@@ -25,7 +25,7 @@ from xml.etree.ElementTree import Element
 import cv2
 import numpy as np
 
-from wcsim.core.reading import FileKind, escaped, read_bytes
+from wcsim.core.reading import HEIGHTS, escaped, read_bytes
 from wcsim.core.seeding import generator
 from wcsim.errors import TownError
 from wcsim.towns.ground.relief import steepest_run
@@ -45,7 +45,6 @@ _MAX_CELLS = 200_000_000
 _MAX_OWN_CELLS = 10_000_000  # of a file that is taken as it is
 _MAX_BLOCK_CELLS = 16_777_216  # 4096 x 4096: a block is unpacked whole for each of its cells
 _MAX_BANDS = 8
-_GEOTIFF = FileKind(what="a GeoTIFF of heights", limit_bytes=1 << 30, error=TownError)
 _MAGIC = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _GRIDS = re.compile(r"(?i:grids|catalog|init|file)\s*=(?!\s*@?null\b)")
 _WANTED = "expected a GeoTIFF of heights in metres with a coordinate system, as gdalwarp writes"
@@ -203,7 +202,7 @@ def _opened(path: Path) -> Iterator[DatasetReader]:
     from rasterio import Env
     from rasterio.io import MemoryFile
 
-    data = read_bytes(path, _GEOTIFF)
+    data = read_bytes(path, HEIGHTS)
     if not data.startswith(_MAGIC):
         raise TownError(f"--dem {path}: cannot be read (it does not begin as a TIFF file does); {_WANTED}")
     alone = Env(GDAL_PAM_ENABLED="NO", GDAL_DISABLE_READDIR_ON_OPEN="EMPTY_DIR")

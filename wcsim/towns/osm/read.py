@@ -20,7 +20,7 @@ from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 from wcsim.core.frames import rad
-from wcsim.core.reading import FileKind, escaped, opened, own_data, regular_size
+from wcsim.core.reading import EXTRACT, escaped, opened, own_data, regular_size
 from wcsim.errors import SumoError, TownError
 from wcsim.towns.sumo.tools import Limits, run_child, sumo_home
 from wcsim.towns.sumo.xml_io import (
@@ -128,8 +128,7 @@ def side_at(longitude_deg: float, latitude_deg: float) -> Side:
 SMALL_BYTES = 48 << 20  # of XML; more is cut by libosmium first, which is faster and needs less memory
 MARGIN_M = 150.0  # around the box: buildings and trees beside streets that reach out of it
 FAR_M = 20_000.0  # nodes farther outside are left out of their ways: ferries, or the other side of the 180th meridian
-EXPECTED = "expected an OpenStreetMap extract: .osm, .osm.xml, plain, .gz or .bz2, or .osm.pbf"
-_EXTRACT = FileKind(what=EXPECTED.removeprefix("expected "), limit_bytes=1 << 40, error=TownError)
+EXPECTED = f"expected {EXTRACT.what}"
 _OTHERS = {b"PK\x03\x04": "zip", b"\xfd7zXZ": "xz", b"\x28\xb5\x2f\xfd": "zstd", b"7z\xbc\xaf": "7z"}
 _LIMITS = Limits(wall_s=90.0, cpu_s=120, memory_bytes=6 << 30, file_bytes=MAX_XML_BYTES)
 _CHILDREN = ("nd", "tag", "member")  # SUMO's tools follow an <include>, and die of one that names nothing
@@ -183,7 +182,7 @@ def _xml_of(path: Path, box: Box | None) -> bytes:
     kind = _kind(path)
     if kind == "pbf":
         return _cut_by_osmium(path, "pbf", box)
-    if kind == "osm" and regular_size(path, _EXTRACT) > SMALL_BYTES:
+    if kind == "osm" and regular_size(path, EXTRACT) > SMALL_BYTES:
         _require_tags(path)
         return _cut_by_osmium(path, kind, box)
     most = 4 * MAX_XML_BYTES if box is not None else MAX_XML_BYTES
@@ -196,7 +195,7 @@ def _xml_of(path: Path, box: Box | None) -> bytes:
 
 def _kind(path: Path) -> str:
     """How a file is packed, by its first bytes: names say it wrongly too often. Raises TownError."""
-    with opened(path, _EXTRACT) as file:
+    with opened(path, EXTRACT) as file:
         head = file.read(64)
     if b"OSMHeader" in head:
         return "pbf"
@@ -210,7 +209,7 @@ def _kind(path: Path) -> str:
 
 def _unpack_bz2(path: Path, most: int) -> bytes:
     try:
-        with opened(path, _EXTRACT) as file:
+        with opened(path, EXTRACT) as file:
             data = bunzip2(file, most + 1)
     except (EOFError, ValueError) as error:
         raise TownError(f"{escaped(path)}: cannot be read ({error}); {EXPECTED}") from None
@@ -221,7 +220,7 @@ def _unpack_bz2(path: Path, most: int) -> bytes:
 
 def _require_tags(path: Path) -> None:
     """Raise TownError for a large file that libosmium would take minutes to find no XML in."""
-    with opened(path, _EXTRACT) as file:
+    with opened(path, EXTRACT) as file:
         while len(part := file.read(MAX_TAG_BYTES)) == MAX_TAG_BYTES:
             if b">" not in part or b"\0" in part:
                 raise TownError(

@@ -15,7 +15,7 @@ from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 from wcsim.core.files import whole_folder
-from wcsim.core.reading import listed
+from wcsim.core.reading import TOWN, listed, read_text
 from wcsim.errors import SumoError, TownError
 from wcsim.towns.checks.cures import FASTEST_MPS, Cures
 from wcsim.towns.importing.adopt import copy_scenario
@@ -248,7 +248,7 @@ def _copy_town_toml(town: Town, work: Path, base: Path) -> None:
     """What SUMO has no word for goes along; the hashes do not, for the files are others now."""
     toml = town.folder / "town.toml"
     if toml.is_file():
-        text = toml.read_text(encoding="utf-8").partition("\n[hashes]")[0]
+        text = read_text(toml, TOWN).partition("\n[hashes]")[0]
         place = work / Path(os.path.normpath(town.folder.absolute())).relative_to(base) / toml.name
         place.write_text(text.rstrip("\n") + "\n", encoding="utf-8")
 

@@ -19,7 +19,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
-from wcsim.core.reading import FileKind, escaped, is_file, regular_size
+from wcsim.core.reading import SCENARIO, escaped, is_file, regular_size
 from wcsim.errors import TownError
 from wcsim.towns.scenario.options import Content, SumoOption
 from wcsim.towns.sumo.xml_io import MAX_XML_BYTES, parse_root, read_bytes, scan
@@ -225,7 +225,6 @@ def _writes_parameter(key: str) -> bool:
     return not _reads_parameter(key) and _WRITTEN_PARAMETER.match(key) is not None
 
 
-_TEXT = FileKind(what="a file that SUMO reads", limit_bytes=MAX_XML_BYTES, error=TownError)
 _PLAIN = re.compile(r"(/[A-Za-z0-9_.+@=~()-]+( +[A-Za-z0-9_.+@=~()-]+)*)+")  # spelt alike in every language
 
 
@@ -273,7 +272,7 @@ class FilteredFiles:
             TownError: it is not there, is no regular file, is too large, or lies outside of the border.
         """
         whole = self._note(path, named_by)
-        regular_size(whole, _TEXT)
+        regular_size(whole, SCENARIO)
         self.texts[whole] = None
         return whole
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from wcsim.config import TownFile, read_toml
 from wcsim.config.scene import ChairWay
-from wcsim.core.reading import FileKind, escaped, is_file, is_folder, read_bytes
+from wcsim.core.reading import HEIGHTS, TOWN, escaped, is_file, is_folder, read_bytes
 from wcsim.errors import ConfigError, TownError, meant
 from wcsim.towns.scenario.files import check_file, check_inside, with_included
 from wcsim.towns.scenario.options import Configuration, read_configuration
@@ -25,7 +25,6 @@ _BOUNDARY = re.compile(rb"""<location\b[^<>]*\bconvBoundary\s*=\s*["']([^"']*)["
 _LOCATION_BYTES = 1 << 20
 _FAR_M = 10_000.0  # from its origin: beyond it a mesh of 32-bit numbers knows no millimetres, and soon no kerbs
 _POLYGONS = re.compile(r"\.poly\.xml(\.gz)?$")
-_TOWN_FILE = FileKind(what="a town.toml", limit_bytes=1 << 20, error=TownError)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -200,7 +199,7 @@ def _near(file: TownFile, net: Path) -> TownFile:
 
 def read_town_file(toml: Path) -> TownFile:
     """A `town.toml`. Raises ConfigError or TownError with every fault and its place."""
-    return read_toml(toml, TownFile, _TOWN_FILE)
+    return read_toml(toml, TownFile, TOWN)
 
 
 def net_middle(net: Path) -> tuple[int, int]:
@@ -290,7 +289,6 @@ def _known() -> str:
 
 KINDS = ("net.xml.gz", "poly.xml.gz", "rou.xml.gz", "dem.tif", "add.xml", "sumocfg")
 BESIDE = ("town.toml", "LICENSE-DATA", "osm/bbox")  # what the importer writes besides, and the extract
-_DEM = FileKind(what="a GeoTIFF", limit_bytes=1 << 30, error=TownError)
 CYCLE_PATHS = "--cycle-paths"  # of `wcsim town import`
 _AUTHORED_KEYS = ("kerb_height_m", "lowered_kerb_m", "chair_ways", "warmup_s", "sumocfg")  # of town.toml
 
@@ -340,4 +338,4 @@ def _now(path: Path) -> str:
 
 
 def _digest(path: Path) -> str:
-    return hashlib.sha256(read_bytes(path, _DEM)).hexdigest() if path.suffix == ".tif" else content_digest(path)
+    return hashlib.sha256(read_bytes(path, HEIGHTS)).hexdigest() if path.suffix == ".tif" else content_digest(path)

@@ -12,7 +12,7 @@ from wcsim.config import RunConfig, read_toml
 from wcsim.config.scene import SceneFile, SceneSeat
 from wcsim.core import frames
 from wcsim.core.constants import RECORDED
-from wcsim.core.reading import FileKind, is_file
+from wcsim.core.reading import SCENARIO, SCENE, is_file, read_bytes
 from wcsim.errors import SumoError, TownError
 from wcsim.towns.importing.adopt import copy_file
 from wcsim.towns.importing.folder_texts import sumocfg_text, town_toml_text
@@ -28,7 +28,6 @@ NETCONVERT_FILES = (("-n", "nod"), ("-e", "edg"), ("-x", "con"), ("-t", "typ"))
 """Options of netconvert and netedit, and the kinds of files that they take."""
 
 _MORE_FILES = ("add", "poly")
-_SCENE_TOML = FileKind(what="a scene.toml", limit_bytes=1 << 20, error=TownError)
 # normalisation off: the net keeps the coordinates that the author wrote
 _OPTIONS = ["--walkingareas", "--junctions.corner-detail", "5", "--no-turnarounds", "--offset.disable-normalization"]
 XY = tuple[float, float]
@@ -59,7 +58,7 @@ def find_scene(name_or_path: str) -> Path:
 
 def _scene_of(folder: Path) -> SceneFile:
     """The `scene.toml` of a scene. Raises ConfigError or TownError with every fault and its place."""
-    return read_toml(folder / "scene.toml", SceneFile, _SCENE_TOML)
+    return read_toml(folder / "scene.toml", SceneFile, SCENE)
 
 
 def build_scene(folder: Path, work: Path) -> tuple[Town, SceneFile]:
@@ -116,7 +115,7 @@ def scene_digest(folder: Path) -> str:
     """SHA-256 (hex) over the names and bytes of a scene's files."""
     digest = hashlib.sha256()
     for path in sorted(folder.iterdir()):
-        data = path.read_bytes()
+        data = read_bytes(path, SCENARIO)
         digest.update(f"{path.name} {len(data)}\n".encode() + data)
     return digest.hexdigest()
 

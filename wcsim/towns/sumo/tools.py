@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import os
+import re
 import resource
 import signal
 import subprocess
@@ -11,14 +12,17 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Final
 from xml.sax.saxutils import quoteattr
 
-from wcsim.core.native_output import missing_library
 from wcsim.core.processes import run_command
 from wcsim.errors import SumoError
 
 UTF_8 = "C.UTF-8"  # the locale in which file names have any letters
+_NOT_FOUND: Final = re.compile(r"\b(lib[\w.+-]+?\.so[.\d]*): cannot open shared object file")
 _NOT_STARTED = 127  # what the loader ends with where a library is not there
+SYSTEM_PACKAGES: Final = "libgl1 libxext6 libxrender1 libatomic1"
+"""Of Debian and Ubuntu: what SUMO's wheels leave to the system, and a machine without a screen may not have."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -110,3 +114,20 @@ def _limit(child: subprocess.Popen[bytes], limits: Limits) -> None:
             resource.prlimit(child.pid, kind, (value, value))
         except (ProcessLookupError, PermissionError, ValueError):  # ended already, or a tighter limit holds
             continue
+
+
+def missing_library(said: str) -> str:
+    """What to do where the loader says that a library of the system is not there; "" where it says nothing of the kind.
+
+    >>> missing_library("ImportError: libXrender.so.1: cannot open shared object file: No such file or directory")[:35]
+    'the library libXrender.so.1 is miss'
+    >>> missing_library("cannot open shared object file")
+    ''
+    """
+    found = _NOT_FOUND.search(said)
+    if found is None:
+        return ""
+    return (
+        f"the library {found[1]} is missing; SUMO needs some libraries of the system. On Debian or Ubuntu: "
+        f"sudo apt install {SYSTEM_PACKAGES}"
+    )

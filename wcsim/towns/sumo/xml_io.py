@@ -20,16 +20,15 @@ from typing import BinaryIO
 from xml.etree import ElementTree
 from xml.parsers import expat
 
-from wcsim.core.reading import FileKind, escaped, opened
+from wcsim.core.reading import XML, escaped, opened
 from wcsim.errors import TownError
 
 MAX_MEMBERS = 1 << 15  # packed one behind the other in a file; those who pack in blocks of 64 KiB need 16 for a MiB
 _CHUNK_BYTES = 1 << 16
-MAX_XML_BYTES = 200 << 20
+MAX_XML_BYTES = XML.limit_bytes
 MAX_NESTING = 100  # elements inside each other; SUMO's own files need ten
 MAX_TAGS = 10_000_000  # each takes memory, however short it is
 MAX_TAG_BYTES = 1 << 20  # of one tag, comment or text; parsers that get a file in pieces begin each of them anew
-XML = FileKind(what="an XML file, plain or gzip-compressed", limit_bytes=MAX_XML_BYTES, error=TownError)
 _SPACE = re.compile(rb"\s*")
 _DECLARATION = re.compile(
     rb"""<\?xml\s+version\s*=\s*(["'])1\.0\1(?:\s+encoding\s*=\s*(["'])(?P<encoding>[A-Za-z0-9._-]+)\2)?"""

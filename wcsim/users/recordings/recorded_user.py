@@ -9,7 +9,6 @@ recording is over the stick rests and the user gives up.
 from __future__ import annotations
 
 import csv
-import io
 import math
 from array import array
 from collections.abc import Callable, Iterator, Sequence
@@ -19,7 +18,7 @@ from pathlib import Path as FilePath
 import numpy as np
 
 from wcsim.core.constants import RECORDED
-from wcsim.core.reading import FileKind, escaped, read_text
+from wcsim.core.reading import STICK, escaped, read_lines
 from wcsim.errors import ConfigError, JournalError
 from wcsim.log.drive import read_drive, wcsim_version
 from wcsim.log.reader import is_log
@@ -32,8 +31,7 @@ from wcsim.users.user import ARRIVED_M, User
 COLUMNS = ("time_s", "x", "y")
 _ROS_COLUMNS = ("t_s", "axis0", "axis1")
 _LONGEST_GAP_S = 0.5
-MOST_SAMPLES = 2_000_000  # two hours of 240 a second
-_KIND = FileKind(what="a recorded joystick", limit_bytes=64 << 20)
+MOST_SAMPLES = 1_000_000  # an hour of 240 a second
 _BOUNDS = {"time_s": "seconds", "x": "-1 to 1", "y": "-1 to 1"}
 _SAME_TIME_S = 1e-6
 
@@ -155,7 +153,8 @@ def read_recording(path: FilePath) -> _JoystickRecording:
         raise ConfigError(
             f"{escaped(path)}: {len(table)} samples; expected at least two lines below {','.join(COLUMNS)}"
         )
-    sticks = np.array([on_disc(x, y) for x, y in table[:, 1:].tolist()])
+    # As `on_disc` has it, of all samples at once.
+    sticks = table[:, 1:] / np.maximum(np.hypot(table[:, 1], table[:, 2]), 1.0)[:, None]
     return _JoystickRecording(name=str(path), time_s=table[:, 0], sticks=sticks)
 
 
@@ -208,20 +207,15 @@ def _rows(path: FilePath) -> Iterator[tuple[int, list[str], float]]:
 
     Nothing of a file that is no recording is told, it may be any file.
     """
-    reader = csv.reader(io.StringIO(read_text(path, _KIND), newline=""))
-    try:
-        names = tuple(word.strip() for word in next(reader, []))
-        if names not in (COLUMNS, _ROS_COLUMNS):
-            told = f"expected the line {','.join(COLUMNS)} (or {','.join(_ROS_COLUMNS)})"
-            raise ConfigError(f"{escaped(path)}:1: other column names; {told}")
-        for row in reader:
+    lines = read_lines(path, STICK)
+    names = tuple(word.strip(' \t\r\n"') for word in next(lines, "").split(","))
+    if names not in (COLUMNS, _ROS_COLUMNS):
+        told = f"expected the line {','.join(COLUMNS)} (or {','.join(_ROS_COLUMNS)})"
+        raise ConfigError(f"{escaped(path)}:1: other column names; {told}")
+    for number, line in enumerate(lines, start=2):
+        for row in csv.reader((line,)):
             if row:
-                yield reader.line_num, row, 1.0 if names == COLUMNS else -1.0
-    except csv.Error:
-        message = (
-            f"{escaped(path)}:{reader.line_num}: is not a line of comma-separated values; expected {','.join(COLUMNS)}"
-        )
-        raise ConfigError(message) from None
+                yield number, row, 1.0 if names == COLUMNS else -1.0
 
 
 def _values(where: str, row: list[str]) -> tuple[float, float, float]:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import tomllib
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
+
+from wcsim.core.reading import own_data
 
 if TYPE_CHECKING:  # loads much, which --help must not
     from wcsim.agents.evaluation.suite.rows import ResultRow
@@ -27,8 +27,5 @@ class Column:
         return None if self.key == "arrivals" and not row.attempts else getattr(row, self.key)
 
 
-GROUPS: Final = {
-    what: tuple(Column(**column) for column in columns)
-    for what, columns in tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8")).items()
-}
+GROUPS: Final = {what: tuple(Column(**column) for column in columns) for what, columns in own_data(__file__).items()}
 COLUMNS: Final = tuple(column for columns in GROUPS.values() for column in columns)

@@ -50,3 +50,17 @@ def test_a_damaged_result_is_refused(tmp_path, change):
 def test_a_policy_without_episodes_or_fields_is_refused(tmp_path):
     for damage in (lambda e: e.update(dwa=[]), lambda e: e["dwa"][0].pop("status")):
         assert_refused(tmp_path, damage)
+
+
+@pytest.mark.parametrize("file", ["result.json", "episodes.json"])
+def test_files_that_contradict_each_other_are_refused(tmp_path, file):
+    write_result(tmp_path)
+    path = tmp_path / file
+    said = json.loads(path.read_text("utf-8"))
+    if file == "result.json":
+        said["pooled"][1]["score"] += 0.001
+    else:
+        said["dwa"][2]["steps"] += 1
+    path.write_text(json.dumps(said), encoding="utf-8")
+    with pytest.raises(ConfigError, match="both of one test"):
+        read_result(tmp_path)

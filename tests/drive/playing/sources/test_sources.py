@@ -11,6 +11,7 @@ import pytest
 from tests.agents.evaluation.suite.lists import block_of, suite_in
 from tests.support.framing import read_whole
 from tests.support.journals import nudged, rewritten
+from tests.view.report.results import score_anew
 from wcsim.agents.evaluation.suite.result_files import read_result
 from wcsim.agents.evaluation.suite.run import SuiteOrder, drive_piece, piece_of, town_addresses
 from wcsim.agents.opening.list_file import write_list
@@ -245,21 +246,25 @@ def test_an_episode_of_a_test_is_driven_as_it_was(tested: Path) -> None:
     assert not any(chair.unaided for frame in frames for chair in frame.chairs)
 
 
+def save_again(tested: Path, folder: Path, episodes: object) -> None:
+    """A test with other episodes, and with the rows that they give."""
+    for name in ("result.json", "asked.json"):
+        (folder / name).write_bytes((tested / name).read_bytes())
+    (folder / "episodes.json").write_text(json.dumps(episodes))
+    score_anew(folder)
+
+
 def test_follow_decides_nothing_in_an_episode(tested: Path, tmp_path: Path) -> None:
-    (tmp_path / "asked.json").write_bytes((tested / "asked.json").read_bytes())
-    for name in ("result.json", "episodes.json"):
-        (tmp_path / name).write_text((tested / name).read_text().replace('"stop"', '"follow"'))
+    save_again(tested, tmp_path, json.loads((tested / "episodes.json").read_text().replace('"stop"', '"follow"')))
     shown = Filmed()
     episode_film(choice(tmp_path), shown.hear)
     assert all(chair.unaided for frame in shown.frames() for chair in frame.chairs)
 
 
 def test_an_episode_that_goes_another_way_says_so(tested: Path, tmp_path: Path) -> None:
-    for name in ("result.json", "asked.json"):
-        (tmp_path / name).write_bytes((tested / name).read_bytes())
     episodes = json.loads((tested / "episodes.json").read_text())
     episodes["stop"][0]["m"] += 1.0
-    (tmp_path / "episodes.json").write_text(json.dumps(episodes))
+    save_again(tested, tmp_path, episodes)
     shown = Filmed()
     episode_film(choice(tmp_path), shown.hear)
     assert any(line.kind == "bad" and "differs from the saved one" in line.told for line in shown.lines)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,14 +11,14 @@ from typing import Any, Final
 from wcsim.agents.evaluation.suite.records import SCORE_VERSION, EpisodeRecord, record_of
 from wcsim.agents.evaluation.suite.rows import ResultRow, pooled_rows
 from wcsim.agents.policy_api import UNAIDED
-from wcsim.core.reading import FileKind, escaped, is_file, read_json
+from wcsim.core import reading
+from wcsim.core.reading import escaped, is_file, read_json
 from wcsim.errors import ConfigError
 
 RESULT: Final = "result.json"
 EPISODES: Final = "episodes.json"
 ASKED: Final = "asked.json"  # with what words the test was asked for, as far as the result does not say it
 TOWNS: Final = "towns"  # made ones lie there
-_KIND = FileKind(what="a file of `wcsim test`: run it again", limit_bytes=1 << 30, error=ConfigError)
 _MOST_TEXT: Final = 4096
 
 
@@ -71,7 +72,7 @@ def read_episodes(folder: Path) -> dict[str, tuple[EpisodeRecord, ...]]:
     """The episodes of a finished test, by policy. Raises ConfigError."""
     path = folder / EPISODES
     found = {}
-    for name, items in read_json(path, _KIND).items():
+    for name, items in read_json(path, reading.RESULT).items():
         if not isinstance(items, list) or not items:
             raise ConfigError(f"{escaped(path)}: is damaged; expected a list of episodes for each policy")
         try:
@@ -84,7 +85,8 @@ def read_episodes(folder: Path) -> dict[str, tuple[EpisodeRecord, ...]]:
 def read_result(folder: Path) -> TestResult:
     """A finished test. Raises ConfigError when the folder holds none."""
     path = folder / RESULT
-    data, asked = read_json(path, _KIND), read_json(folder / ASKED, _KIND) if is_file(folder / ASKED) else {}
+    data = read_json(path, reading.RESULT)
+    asked = read_json(folder / ASKED, reading.RESULT) if is_file(folder / ASKED) else {}
     changed = data.get("changed")
     if not isinstance(changed, list):
         raise ConfigError(f"{escaped(path)}: is damaged; expected the list `changed`: run the test again")
@@ -92,7 +94,18 @@ def read_result(folder: Path) -> TestResult:
     said |= {name: asked.get(name, usual) for name, usual in (("preset", "quick"), ("network", ""), ("out", ""))}
     said["list_name"] = asked.get("suite", data.get("set"))
     texts = {name: _text(value, path) for name, value in said.items()}
-    return result_of(read_episodes(folder), changed=tuple(_text(word, path) for word in changed), **texts)
+    result = result_of(read_episodes(folder), changed=tuple(_text(word, path) for word in changed), **texts)
+    if _plain(data) != _plain(result.to_json()):
+        raise ConfigError(
+            f"{escaped(path)}: is not what {EPISODES} beside it gives by version {SCORE_VERSION} of the score; "
+            "expected both of one test: run it again with --resume, which keeps what was driven"
+        )
+    return result
+
+
+def _plain(said: Any) -> Any:
+    """As JSON holds it, without the last digits of its numbers: processors differ in them."""
+    return json.loads(json.dumps(said), parse_float=lambda digits: round(float(digits), 6))
 
 
 def _text(value: object, path: Path) -> str:

@@ -34,14 +34,12 @@ from wcsim.core import seeding
 from wcsim.core.constants import RECORDED
 from wcsim.core.files import sha256, sha256_text, write_json
 from wcsim.core.plugins import find_class, sources_of
-from wcsim.core.reading import FileKind, escaped, is_file, read_json
+from wcsim.core.reading import BLOCK, escaped, is_file, read_json
 from wcsim.core.sources import code_digest
 from wcsim.errors import ConfigError, WcsimError
 from wcsim.server.workers.crew import Crew, WorkerNow
 from wcsim.server.workers.machines import HERE, At, Machines, Parcel, Work, Workers
 from wcsim.supervisor.actions import action_set
-
-_KEPT: Final = FileKind(what="a saved block of `wcsim test`: remove it", limit_bytes=64 << 20, error=ConfigError)
 
 _LEAST_LATE_S: Final = 1800.0  # blocks differ by much
 _LOOK_S: Final = 1.0
@@ -328,8 +326,8 @@ def _kept_path(order: SuiteOrder, index: int, digest: str) -> Path:
 
 def _read_kept(path: Path) -> tuple[EpisodeRecord, ...]:
     """The records of a block that was driven before. Raises ConfigError."""
-    data = read_json(path, _KEPT)
+    data = read_json(path, BLOCK)
     try:
         return tuple(record_of(record) for record in data["records"])
     except (ConfigError, KeyError, TypeError, ValueError) as error:
-        raise ConfigError(f"{escaped(path)}: is damaged ({error}); expected {_KEPT.what}") from None
+        raise ConfigError(f"{escaped(path)}: is damaged ({error}); expected {BLOCK.what}") from None

@@ -31,7 +31,7 @@ from wcsim.bridge.replay.replayed import (
 )
 from wcsim.bridge.world import World
 from wcsim.config import ChairConfig
-from wcsim.core.reading import escaped
+from wcsim.core.reading import METRICS, escaped, opened
 from wcsim.drive.driven import DriverKind, EventKind, is_intervention, xy_of
 from wcsim.drive.playing.film_states import (
     FilmAbout,
@@ -44,7 +44,7 @@ from wcsim.drive.playing.film_states import (
     TickSays,
     bodies_of,
 )
-from wcsim.errors import ConfigError, TownError
+from wcsim.errors import ConfigError, PolicyError, TownError
 from wcsim.log.drive import DriveRecording
 from wcsim.log.reader import LogTail, read_header, read_states
 from wcsim.log.records import (
@@ -435,11 +435,11 @@ class _Following:
 def _with_step(run: Path, name: str) -> str:
     """A client with the step that its learner was at when its last episode ended, where its folder says it."""
     try:
-        with (run / name / "metrics.csv").open("rb") as file:
+        with opened(run / name / "metrics.csv", METRICS) as file:
             file.seek(0, 2)
             file.seek(max(0, file.tell() - _LAST_BYTES))
             lines = file.read(_LAST_BYTES).split(b"\n")
-    except OSError:
+    except PolicyError:
         return name
     step = lines[-2].split(b",")[0] if len(lines) > 1 else b""
     return f"{name}, step {int(step)}" if step.isdigit() and len(step) <= _STEP_DIGITS else name

@@ -7,7 +7,6 @@ counter-clockwise seen from outside: the rasteriser may skip back faces.
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
@@ -19,6 +18,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from wcsim.core.reading import own_data
 from wcsim.physics.renderer.kernels import ModelArrays
 from wcsim.physics.renderer.models.paint import Paint, paint_table
 from wcsim.types import F64, U8, ActorKind, ActorLook, ClassId
@@ -302,7 +302,7 @@ def actor_templates() -> ModelArrays:
 
 @cache
 def _shapes() -> dict[str, Any]:
-    return tomllib.loads((Path(__file__).parent / "shapes.toml").read_text(encoding="utf-8"))
+    return own_data(Path(__file__).with_name("shapes"))
 
 
 def _body_parts(model: str, class_name: str = "", body: str = "BODY") -> list[_BodyPart]:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import tomllib
 from enum import IntEnum
 from pathlib import Path
 
 import numpy as np
 
+from wcsim.core.reading import own_data
 from wcsim.types import F32, F64, ClassId, Mark
 
 VARIANTS = 16  # colours a paint can take; a power of two, the rasteriser masks the seed with it
@@ -56,7 +56,7 @@ class Paint(IntEnum):
 
 MARK_CLASS = 200  # and on: what marks have in place of a class
 
-_COLOURS = tomllib.loads((Path(__file__).parent / "colours.toml").read_text(encoding="utf-8"))
+_COLOURS = own_data(Path(__file__).with_name("colours"))
 WALL_RGB, ROOF_RGB, LEAF_RGB, TRUNK_RGB = (_COLOURS["things"][name] for name in ("walls", "roofs", "leaves", "trunks"))
 
 
