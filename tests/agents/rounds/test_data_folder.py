@@ -149,7 +149,7 @@ def test_a_small_file_that_would_fill_the_memory_is_refused_before_it_does(tmp_p
     black = {name: np.zeros((2000, 24, 32), np.uint8) for name in ("depth", "seg")}
     path.write_bytes(packed(**a_segment(2000).arrays() | black))
     read_segment(path)
-    monkeypatch.setattr(data_folder, "_MOST_BYTES", 1 << 20)
+    monkeypatch.setattr(data_folder, "SEGMENT", replace(data_folder.SEGMENT, limit_bytes=1 << 20))
     assert path.stat().st_size < 1 << 19
     with pytest.raises(PolicyError, match="more than"):
         read_segment(path)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -217,6 +218,16 @@ def test_a_checkpoint_whose_state_is_damaged_is_passed_over_for_the_one_before(t
     assert load_round(tmp_path)[0] == 0, "without one, it may be anybody's"
 
 
+def test_a_sparse_file_in_place_of_arrays_is_never_read(tmp_path: Path) -> None:
+    learner = a_learner()
+    for number in range(2):
+        _save_round(tmp_path, number, learner, {})
+    os.truncate(_checkpoint_path(tmp_path, 1) / "weights.safetensors", (1 << 42) - 1)
+    assert load_round(tmp_path)[0] == 0
+    os.truncate(_checkpoint_path(tmp_path, 1) / "weights.safetensors", 60 << 30)
+    assert load_round(tmp_path)[0] == 0
+
+
 @pytest.mark.parametrize(
     ("name", "change"),
     [
@@ -236,8 +247,11 @@ def test_arrays_that_are_none_of_a_learner_are_refused_however_right_their_hash(
     held = load_file(path)
     key = next(key for key, value in held.items() if value.numel() > 1)
     save_file({**held, key: change(held[key]).contiguous()}, path)
+    arrays = list(path.parent.glob("*.saf*"))
     resealed(
-        path.with_name("state.json"), sha256={item.name: files.sha256(item) for item in path.parent.glob("*.saf*")}
+        path.with_name("state.json"),
+        sha256={item.name: files.sha256(item) for item in arrays},
+        bytes={item.name: item.stat().st_size for item in arrays},
     )
     with pytest.raises(PolicyError, match=rf"{re.escape(key)}|not finite"):
         _restore_newest(tmp_path, _restoring(learner))
