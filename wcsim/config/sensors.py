@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from wcsim.config.base import Model, Positive, Share, within
+from wcsim.config.base import Model, Share, within
 from wcsim.types import Measure
 
 Along = Annotated[float, Field(ge=-2.0, le=2.0, allow_inf_nan=False)]
@@ -99,7 +99,7 @@ class CameraConfig(Model):
     height_px: Pixels = 240  # Image height.
     hfov_deg: Annotated[float, within(20.0, 140.0)] = 87.0  # Horizontal field of view.
     range_m: Annotated[float, within(1.0, 200.0)] = 40.0  # Largest depth that is measured.
-    near_m: Annotated[float, Field(gt=0.0, le=1.0)] = 0.1  # Smallest depth that is measured.
+    near_m: Annotated[float, within(0.01, 1.0)] = 0.1  # Smallest depth that is measured.
     p_BC_m: tuple[Along, Along, Height] = (
         0.35,
         0.0,
@@ -144,10 +144,12 @@ class ImuConfig(Model):
     rpy_deg: Annotated[tuple[Turn, Turn, Turn], Field(exclude_if=lambda turns: turns == UNTURNED)] = (
         UNTURNED  # Roll, pitch and yaw in the chair's frame. Rewards and crashes do not change with them.
     )
-    lowpass_hz: Annotated[float, Field(gt=0.0, le=100.0)] = (
+    lowpass_hz: Annotated[float, within(0.1, 100.0)] = (
         20.0  # Corner frequency of the low-pass for the peak acceleration.
     )
-    saturation_mps2: Positive = 156.9  # Largest acceleration that it measures. The default is 16 g.
+    saturation_mps2: Annotated[float, within(1.0, 10_000.0)] = (
+        156.9  # Largest acceleration that it measures. The default is 16 g.
+    )
     gyro_range_deg: Annotated[float, within(250.0, 2000.0)] = 2000.0  # Largest turn rate that it measures, in deg/s.
     # what the supervisor judges
     accel_window: Literal["lp20_peak", "tick_mean"] = (

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import resource
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -25,6 +26,7 @@ from wcsim.agents.runs.checkpoint import _restore_newest, number_of, tag
 from wcsim.agents.runs.data_folder import SegmentKey, segment_path, write_manifest
 from wcsim.agents.runs.metrics import read_rounds
 from wcsim.agents.runs.run_folder import ResolvedRun
+from wcsim.agents.runs.weights import write_policy
 from wcsim.cli.shared.run_config import learning
 from wcsim.config import RunConfig, resolve
 from wcsim.core import files
@@ -216,6 +218,20 @@ def test_a_checkpoint_whose_state_is_damaged_is_passed_over_for_the_one_before(t
     assert load_round(tmp_path)[0] == 0, "a seal under another name is none"
     path.write_text(json.dumps(state))
     assert load_round(tmp_path)[0] == 0, "without one, it may be anybody's"
+
+
+def test_a_full_disk_is_told_in_words(tmp_path: Path) -> None:
+    learner = a_learner()
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 12, hard))
+    try:
+        with pytest.raises(DiskFullError, match="make room"):
+            _save_round(tmp_path, 0, learner, {})
+        with pytest.raises(DiskFullError, match="make room"):
+            write_policy(tmp_path / "policy", torch.nn.Linear(100, 100), {})
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert not (tmp_path / "policy").exists() and list(tmp_path.glob("round*")) == []
 
 
 def test_a_sparse_file_in_place_of_arrays_is_never_read(tmp_path: Path) -> None:

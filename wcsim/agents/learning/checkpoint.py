@@ -47,7 +47,6 @@ def save_checkpoint(
 
     Raises:
         DiskFullError: It could not be written; those before are whole.
-        SafetensorError: The same, in other words.
     """
     state = {
         "n_updates": model._n_updates,

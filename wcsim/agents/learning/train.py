@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any, Literal
 
 import gymnasium
-from safetensors import SafetensorError
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import DummyVecEnv
 
@@ -211,7 +210,7 @@ class _Session:
         path = self.run.policy(stage)
         try:
             save_policy(path, self.model, self.run.config.eye, self.run.manifest_sha256())
-        except (DiskFullError, OSError, SafetensorError) as error:
+        except (DiskFullError, OSError) as error:
             raise DiskFullError(
                 f"{path}: the policy could not be saved ({error}); make room, then continue: wcsim resume RUN"
             ) from None
@@ -233,7 +232,7 @@ class _Session:
         }
         try:
             save_checkpoint(self.run.checkpoints, self.model, extra, self.alive, replay=replay)
-        except (DiskFullError, OSError, SafetensorError) as error:  # those before are whole, and learning goes on
+        except (DiskFullError, OSError) as error:  # those before are whole, and learning goes on
             self.unsaved = str(error)
             self.run.event("checkpoint_failed", step=self.model.num_timesteps, reason=str(error))
             return

@@ -8,6 +8,7 @@ that is damaged in any place is passed over for the one before it.
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import re
 import shutil
@@ -17,6 +18,7 @@ from pathlib import Path
 from typing import Any, Final, Generic, TypeVar
 
 import numpy as np
+from safetensors import SafetensorError
 from safetensors.numpy import load_file, save_file
 
 from wcsim.agents.runs.run_folder import RunFolder
@@ -102,7 +104,6 @@ def save(
 
     Raises:
         DiskFullError: It could not be written; those before are whole.
-        SafetensorError: The same, in other words.
     """
     with files.whole_folder(folder / name) as target:
         hashes, sizes = {}, {}
@@ -112,7 +113,10 @@ def save(
                 _link(held.path, target / file)
                 hashes[file] = held.sha256
             else:
-                save_file({key: np.asarray(value, order="C") for key, value in held.items()}, target / file)
+                try:
+                    save_file({key: np.asarray(value, order="C") for key, value in held.items()}, target / file)
+                except SafetensorError as error:  # what it says of a full disk
+                    raise OSError(errno.ENOSPC, escaped(error)) from None
                 alive()
                 hashes[file] = files.sha256(target / file)
             sizes[file] = (target / file).stat().st_size

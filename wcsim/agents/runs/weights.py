@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import torch
-from safetensors.torch import load, save_file
+from safetensors.torch import load, save
 
 from wcsim.agents.runs.policy_file import POLICY_JSON, WEIGHTS
 from wcsim.core import files, reading
@@ -32,11 +32,10 @@ def write_policy(folder: Path, net: torch.nn.Module, said: Mapping[str, Any]) ->
 
     Raises:
         DiskFullError: There is no room.
-        SafetensorError: The same, in other words.
     """
     with files.whole_folder(folder) as target:
         tensors = {key: value.detach().cpu().contiguous() for key, value in net.state_dict().items()}
-        save_file(tensors, target / WEIGHTS)
+        (target / WEIGHTS).write_bytes(save(tensors))
         versions = {name: metadata.version(name) for name in ("torch", "stable-baselines3")}
         digest = files.sha256(target / WEIGHTS)
         files.write_json(
