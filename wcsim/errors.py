@@ -10,6 +10,7 @@
     ├── HookError                   a user's own step hook cannot be used, or failed
     ├── PhysicsError                the physics engine refused a body or left the finite numbers
     ├── DiskFullError               a record could not be written; earlier records are intact
+    │   └── UnwritableError         ... because its place takes no files, however much room there is
     ├── ReplayMismatchError         what was recomputed from a journal differs from the journal
     ├── WorldInUseError             this process already has a world
     ├── WorkersError                all workers of a run are gone, or die repeatedly
@@ -81,6 +82,10 @@ class PhysicsError(WcsimError):
 
 class DiskFullError(WcsimError):
     """Raised when a record could not be written, as on a full disk; the file ends with the last complete one."""
+
+
+class UnwritableError(DiskFullError):
+    """Raised when nothing can be written at a place: it does not exist, is read-only, or belongs to somebody else."""
 
 
 class ReplayMismatchError(WcsimError):

@@ -55,6 +55,7 @@ OPTIONS = {
     "bench chair": ("version 0.1", "wcsim chair check"),
     "bench camera": ("version 0.1", "python -m benchmarks"),
     "scene dance": ("'dance'", "run, list, bless"),
+    "scene bless": ("no scene is named", "wcsim scene bless NAME"),
     "train --seed -1": ("--seed -1", "0 to 2147483647"),
     "train --seed 2147483648": ("--seed 2147483648",),
     "train --worlds 0": ("--worlds 0", "1 to 256"),

@@ -36,7 +36,7 @@ def state(elapsed_s=12.0, standing="running", seen=None, clients=None, **changed
 
 def shown(what, terminal=True):
     out = io.StringIO()
-    Console(file=out, width=120, force_terminal=terminal, color_system=None).print(what)
+    Console(markup=False, file=out, width=120, force_terminal=terminal, color_system=None).print(what)
     return [line.strip() for line in out.getvalue().splitlines()]
 
 
@@ -94,7 +94,7 @@ def test_who_is_slow_in_the_mean():
 
 def test_a_line_every_ten_seconds_where_there_is_no_terminal():
     out = io.StringIO()
-    with LiveTable(Console(file=out, width=80)) as table:
+    with LiveTable(Console(markup=False, file=out, width=80)) as table:
         for elapsed_s in range(26):
             table.show(state(elapsed_s=float(elapsed_s)))
     lines = out.getvalue().splitlines()
@@ -105,7 +105,7 @@ def test_a_line_every_ten_seconds_where_there_is_no_terminal():
 
 def test_a_terminal_shows_the_newest_state():
     out = io.StringIO()
-    console = Console(file=out, width=120, force_terminal=True, color_system=None)
+    console = Console(markup=False, file=out, width=120, force_terminal=True, color_system=None)
     with LiveTable(console) as table:
         table.show(state(seen=world(tick=70)))
         table.show(state(seen=world(tick=71)))
@@ -126,7 +126,7 @@ class Terminal(io.StringIO):
 
 def test_a_terminal_that_is_gone_ends_nothing_also_at_the_end():
     out, usual = Terminal(), sys.stdout
-    with LiveTable(Console(file=out, width=120, force_terminal=True, color_system=None)) as table:
+    with LiveTable(Console(markup=False, file=out, width=120, force_terminal=True, color_system=None)) as table:
         table.show(state(seen=world(tick=70)))
         out.gone = True
         table.show(state(seen=world(tick=71)))

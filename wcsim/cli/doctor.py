@@ -14,7 +14,6 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from rich.table import Column
-from rich.text import Text
 
 from wcsim.cli.shared.common import Flag, OutFile, parse, write_json
 from wcsim.cli.shared.consoles import show_table
@@ -60,7 +59,7 @@ def run(words: list[str]) -> int:
         "cache": _cache,  # the street of that town is in it by now
     }
     findings = {name: check() for name, check in checks.items()}
-    rows = ((name, "ok" if ok else "FAILS", Text(says)) for name, (ok, says) in findings.items())
+    rows = ((name, "ok" if ok else "FAILS", says) for name, (ok, says) in findings.items())
     show_table(("check", "", Column("found", overflow="fold")), rows)
     write_json(options.json, {name: {"ok": ok, "says": says} for name, (ok, says) in findings.items()})
     return 0 if all(ok for ok, _ in findings.values()) else 2

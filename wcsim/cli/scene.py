@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from rich.text import Text
 from tyro.conf import Positional, arg
 
 from wcsim.cli.shared.common import OutFile, Parts, Writes, run_part, write_json
@@ -107,7 +106,7 @@ def _list(_: _ListOptions) -> int:
         except ConfigError as error:
             broken.append(str(error))
             continue
-        rows.append((folder.name, f"{scene.duration_s:g}", str(len(scene.seats)), Text(escaped(scene.shows, 2000))))
+        rows.append((folder.name, f"{scene.duration_s:g}", str(len(scene.seats)), escaped(scene.shows, 2000)))
     show_table(("scene", "seconds", "chairs", "what it tests"), rows, show_lines=True)
     if broken:
         raise ConfigError("; ".join(broken))
@@ -120,8 +119,7 @@ def _run(options: _RunOptions) -> int:
     folders = _folders(options.scenes)
     outcomes = [_outcome(folder, name) for folder, name in zip(folders, _names(folders), strict=True)]
     rows = (
-        (each.name, "FAILS" if each.faults else "ok", Text("; ".join(each.faults) or _words(each.facts)))
-        for each in outcomes
+        (each.name, "FAILS" if each.faults else "ok", "; ".join(each.faults) or _words(each.facts)) for each in outcomes
     )
     show_table(("scene", "", "result"), rows)
     write_json(
@@ -155,6 +153,8 @@ def _outcome(folder: Path, name: str) -> _Outcome:
 
 
 def _bless(options: _BlessOptions) -> int:
+    if not options.scenes:
+        raise ConfigError("no scene is named; expected those whose golden traces are to change: wcsim scene bless NAME")
     folders = _folders(options.scenes)
 
     from wcsim.scenes.run import run_in_child  # loads the simulators, which --help must not

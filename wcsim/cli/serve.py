@@ -94,7 +94,7 @@ def _served(options: _Options, town: Town, config: RunConfig, place: Path) -> in
                 told.clear()
                 print_overrides(out, town.name, overrides, verbose=options.verbose)
                 listening = "" if state.world is None else state.world.listening
-                out.print(_how_to_join(endpoint_in(place), listening, options), markup=False, soft_wrap=True)
+                out.print(_how_to_join(endpoint_in(place), listening, options), soft_wrap=True)
             table.show(state)
 
         world = world_plan(_order(options, town, config, place), place, folder / "logs" / "world.log")

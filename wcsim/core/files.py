@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import fcntl
 import glob
 import hashlib
@@ -22,7 +23,7 @@ from typing import Any
 from filelock import FileLock
 
 from wcsim.core.reading import is_folder, require_no_links
-from wcsim.errors import DiskFullError, PolicyError
+from wcsim.errors import DiskFullError, PolicyError, UnwritableError
 
 KERNELS = "kernels"  # the folder in the user's cache for machine code
 _SEAL = "seal"
@@ -209,7 +210,9 @@ def _sync(path: Path, flags: int) -> None:
 
 
 def _not_written(path: Path, error: OSError) -> DiskFullError:
-    return DiskFullError(f"{path}: could not be written ({error.strerror}); make room, or choose another place")
+    if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO):
+        return DiskFullError(f"{path}: could not be written ({error.strerror}); make room, or choose another place")
+    return UnwritableError(f"{path}: could not be written ({error.strerror}); choose another place")
 
 
 @contextmanager

@@ -8,7 +8,6 @@ from typing import Self
 from rich import box
 from rich.console import Console, Group, RenderableType
 from rich.live import Live
-from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
@@ -28,7 +27,7 @@ class LiveTable(Closing):
 
     def __init__(self, console: Console | None = None) -> None:
         """Show on a console, by default that of stderr."""
-        self.console = Console(stderr=True, highlight=False, emoji=False) if console is None else console
+        self.console = Console(stderr=True, highlight=False, emoji=False, markup=False) if console is None else console
         self._live = Live(console=self.console, auto_refresh=False, transient=True)
         self._lined_s = 0.0
         self._nobody_reads = False
@@ -46,7 +45,7 @@ class LiveTable(Closing):
             self._live.update(_table_of(state), refresh=True)
         elif state.elapsed_s - self._lined_s >= _LINE_S:
             self._lined_s = state.elapsed_s
-            self.console.print(_line_of(state), soft_wrap=True, markup=False)
+            self.console.print(_line_of(state), soft_wrap=True)
 
     def __enter__(self) -> Self:
         if self.console.is_terminal:
@@ -117,7 +116,7 @@ def _row(client: ClientState, world: WorldStatus | None) -> tuple[str, ...]:
         f"{client.name}{' *' if master else ''}",
         str(client.seat),
         *cells,
-        escape(_standing(client, world)),
+        _standing(client, world),
         str(client.restarts),
     )
 

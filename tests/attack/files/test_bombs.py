@@ -306,7 +306,7 @@ def test_a_policy_with_a_long_name_is_unknown_and_no_traceback() -> None:
 
 
 def test_words_of_a_scenario_are_shown_and_not_obeyed() -> None:
-    console = Console(file=io.StringIO(), width=200)
+    console = Console(markup=False, file=io.StringIO(), width=200)
     rows = (Override(option="[/b]", author="[red]\x1b[2J", wcsim="[/]", why="why"),)
     print_overrides(console, "own", rows)
     assert "([/b])" in console.file.getvalue()

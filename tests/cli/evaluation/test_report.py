@@ -9,7 +9,7 @@ import pytest
 
 from tests.agents.evaluation.suite.lists import written_list
 from tests.support.one_process import in_this_process
-from tests.view.report.results import write_result
+from tests.view.report.results import score_anew, write_result
 from wcsim.cli.main import main
 
 OWN = """
@@ -72,6 +72,7 @@ def test_a_result_that_cannot_be_driven_as_it_was_has_a_page_without_those_pictu
     episodes = json.loads(path.read_text("utf-8"))
     episodes["follow"][0]["m"] += 1.0
     path.write_text(json.dumps(episodes), encoding="utf-8")
+    score_anew(tested)
     assert wcsim("report", "runs/out", "--pictures", "2").code == 0
     text = (tested / "report.html").read_text(encoding="utf-8")
     assert "wcsim test follow --suite corner.json --play 0.0 --out runs/out" in text

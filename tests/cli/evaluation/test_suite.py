@@ -97,7 +97,7 @@ def result(records, **changes):
 
 
 def shown(found, width=120, undriven=()):
-    console = Console(width=width, file=io.StringIO(), emoji=False)
+    console = Console(width=width, file=io.StringIO(), emoji=False, markup=False)
     show_result(console, found, undriven)
     return console.file.getvalue()
 

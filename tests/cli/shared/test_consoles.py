@@ -4,9 +4,9 @@ import re
 from pathlib import Path
 
 import wcsim.cli
-from wcsim.cli.shared.consoles import stderr_console, stdout_console
+from wcsim.cli.shared.consoles import show_table, stderr_console, stdout_console
 
-TOLD = "town :car: of 12 streets"
+TOLD = "town :car: of 12 streets in d[/x] and [bold]"
 
 
 def test_results_and_notes_go_their_own_ways(capsys):
@@ -15,6 +15,12 @@ def test_results_and_notes_go_their_own_ways(capsys):
     told = capsys.readouterr()
     assert told.out.splitlines() == [TOLD]
     assert told.err.splitlines() == [f"note: {TOLD}"]
+
+
+def test_a_table_shows_a_name_as_it_is(capsys):
+    show_table(["name"], [["d[/x]"]], title="[red]a[/]")
+    told = capsys.readouterr().out
+    assert "d[/x]" in told and "[red]a[/]" in told
 
 
 def test_every_command_has_its_consoles_from_here():

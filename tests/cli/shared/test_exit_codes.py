@@ -16,6 +16,7 @@ from wcsim.cli.shared.exit_codes import Exit, NothingKept, exit_of
 CODES = {
     errors.InterruptedRunError: Exit.STOPPED,
     errors.DiskFullError: Exit.FAILED,
+    errors.UnwritableError: Exit.REFUSED,
     errors.ServerGoneError: Exit.FAILED,
     errors.PhysicsError: Exit.FAILED,
     errors.ConfigError: Exit.REFUSED,

@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from rich.markup import escape
 from rich.table import Column
 from tyro.conf import Positional, arg
 
@@ -135,7 +134,7 @@ def make_list(words: list[str]) -> int:
     write_list(file, options.suite_file)
     suite = suite_of(file)
     held = f"{counted(suite.episodes, 'episode')} in {counted(len(file.blocks), 'block')}"
-    stdout_console().print(f"{options.suite_file}: {held}, {suite.sha256[:12]}", markup=False)
+    stdout_console().print(f"{options.suite_file}: {held}, {suite.sha256[:12]}")
     return 0
 
 
@@ -259,9 +258,9 @@ def _require_usable(order: SuiteOrder, options: _DriveOptions) -> None:
 
     told, suite = stderr_console(), order.suite
     listed = f"{suite.file.suite} {suite.file.set}, list {suite.sha256[:12]}"
-    told.print(f"{listed}: {counted(suite.episodes, 'episode')} a policy", markup=False)
+    told.print(f"{listed}: {counted(suite.episodes, 'episode')} a policy")
     for line in told_of_rules(options.policies, order.preset, (*suite.file.settings, *order.settings)):
-        told.print(line, markup=False)
+        told.print(line)
     require_usable(order, options.policies)
 
 
@@ -483,7 +482,7 @@ def _tell(played: Played, tick_s: float) -> None:
             for number, step in reversed(list(enumerate(reversed(played.steps))))
             if number % every == 0
         ],
-        title=escape(f"{record.part} {record.block}.{record.seat}, {record.town}, {record.profile}: {how}"),
+        title=f"{record.part} {record.block}.{record.seat}, {record.town}, {record.profile}: {how}",
     )
 
 

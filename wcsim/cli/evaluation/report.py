@@ -51,7 +51,7 @@ def run(words: list[str]) -> int:
     check_folder("FOLDER" if options.out is None and len(kinds) == 1 else "--out", out)
     check_installed("figures need matplotlib", "report", "matplotlib")
     path = _of_test(options, out) if kinds[0] else _of_trainings(options.folders, out)
-    stdout_console().print(f"{path}: open it in a browser", soft_wrap=True, markup=False)
+    stdout_console().print(f"{path}: open it in a browser", soft_wrap=True)
     return 0
 
 
@@ -72,10 +72,10 @@ def _of_trainings(folders: tuple[Path, ...], out: Path) -> Path:
     training = read_training(folders)
     page = write_training_page(training, out)
     for name, steps in training.steps.items():
-        stdout_console().print(f"{name}: {crossing(steps).told()}", soft_wrap=True, markup=False)
+        stdout_console().print(f"{name}: {crossing(steps).told()}", soft_wrap=True)
     for name, rounds in training.rounds.items():
         if rounds:
-            stdout_console().print(f"{name}: {rounds_summary(rounds)}", soft_wrap=True, markup=False)
+            stdout_console().print(f"{name}: {rounds_summary(rounds)}", soft_wrap=True)
     return page
 
 
@@ -91,7 +91,7 @@ def _of_test(options: _Options, out: Path) -> Path:
         pictures, why_none = _pictures(options, result, failures), ""
     except FileError as error:  # the numbers stand without pictures
         pictures, why_none = {}, f"No pictures: {error}"
-        stderr_console().print(why_none, soft_wrap=True, markup=False)
+        stderr_console().print(why_none, soft_wrap=True)
     return write_suite_page(result, tested, failures, pictures, why_none, out)
 
 

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 from rich import box
 from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
@@ -66,17 +65,17 @@ def show_result(console: Console, result: TestResult, undriven: Sequence[str] = 
             console.print(_table(title, ["policy", *_headings(shown)], lines))
     for name, label in labels.items():
         if label != name:
-            console.print(_broken(f"{label}: {name}"), markup=False)
+            console.print(_broken(f"{label}: {name}"))
     console.print(LEGEND, style="dim")
     for note in (_BOUNDS[name] for name in result.episodes if name in _BOUNDS):
         console.print(note, style="dim")
     for line in first_few(_crashed(result), "crashes; episodes.json has all"):
-        console.print(line, markup=False, soft_wrap=True)
+        console.print(line, soft_wrap=True)
     for line in undriven:
-        console.print(line, style="bold", markup=False, soft_wrap=True)
+        console.print(line, style="bold", soft_wrap=True)
     console.print("SIMULATION ONLY: these figures say nothing about a real street.", style="dim")
     if verdict:
-        console.print(verdict, style="bold", markup=False)
+        console.print(verdict, style="bold")
 
 
 def _parts(result: TestResult) -> list[tuple[str, list[ResultRow]]]:
@@ -136,7 +135,7 @@ def _cells(row: ResultRow, columns: Sequence[Column]) -> list[str]:
 
 
 def _table(title: str, headings: Sequence[str], lines: Sequence[Sequence[str]]) -> Table:
-    table = Table(title=escape(title), title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 0), pad_edge=False)
+    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 0), pad_edge=False)
     deep = max(heading.count("\n") for heading in headings)
     for number, heading in enumerate(headings):
         lower = "\n" * (deep - heading.count("\n")) + heading

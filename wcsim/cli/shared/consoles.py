@@ -12,7 +12,6 @@ from rich import box
 from rich.console import Console, RenderableType
 from rich.progress import BarColumn, Progress, TaskID, TextColumn
 from rich.table import Column, Table
-from rich.text import Text
 
 from wcsim.core.closing import Closing
 from wcsim.core.reading import escaped
@@ -28,13 +27,13 @@ _CALIBRATED = "step-length"  # what drivers were calibrated with: to run otherwi
 
 
 def stdout_console() -> Console:
-    """The console of results: names are printed as they are, with no colours for numbers and no emoji for `:car:`."""
-    return Console(highlight=False, emoji=False)
+    """The console of results: names are printed as they are, `[/x]` and `:car:` too, with no colours for numbers."""
+    return Console(highlight=False, emoji=False, markup=False)
 
 
 def stderr_console() -> Console:
     """The console of notes, bars and errors, so that a pipe receives results alone."""
-    return Console(stderr=True, highlight=False, emoji=False)
+    return Console(stderr=True, highlight=False, emoji=False, markup=False)
 
 
 def show_table(headings: Sequence[str | Column], rows: Iterable[Iterable[RenderableType]], **style: Any) -> None:
@@ -47,7 +46,7 @@ def show_table(headings: Sequence[str | Column], rows: Iterable[Iterable[Rendera
 
 def say(told: str) -> None:
     """A note on what goes on meanwhile."""
-    stderr_console().print(told, style="dim", markup=False, soft_wrap=True)
+    stderr_console().print(told, style="dim", soft_wrap=True)
 
 
 def warn(told: str) -> None:
@@ -104,7 +103,7 @@ class StageBar(Closing):
     def say(self, line: str, *, left: bool = True) -> None:
         """A line of its own, above the bar; without a bar the time that is left stands in it, unless it shall not."""
         more = self.left if left and not self.console.is_terminal else ""
-        self.console.print(f"{line}, {more}" if more else line, markup=False, soft_wrap=True)
+        self.console.print(f"{line}, {more}" if more else line, soft_wrap=True)
 
     def rows(self, told: dict[str, str]) -> None:
         """A row below the bar for each of those who work."""
@@ -159,9 +158,9 @@ def print_overrides(
             f"{row.option} is {row.wcsim}: {row.why}" for row in overrides if row.author and row.option == _CALIBRATED
         ]
         for line in told:
-            console.print(escaped(line, _MOST), markup=False, highlight=False)
+            console.print(escaped(line, _MOST), highlight=False)
     for note in notes:
-        console.print(f"note: {note}", markup=False, highlight=False)
+        console.print(f"note: {note}", highlight=False)
 
 
 def _table(town: str, overrides: Sequence[Override]) -> Table:
@@ -176,6 +175,5 @@ def _table(town: str, overrides: Sequence[Override]) -> Table:
         title_justify="left",
     )
     for row in overrides:
-        cells = (row.option, row.author or "-", row.wcsim, row.why)
-        table.add_row(*(Text(escaped(cell, _MOST)) for cell in cells))  # a scenario's own words are no markup
+        table.add_row(*(escaped(cell, _MOST) for cell in (row.option, row.author or "-", row.wcsim, row.why)))
     return table

@@ -12,6 +12,7 @@ from wcsim.errors import (
     LinkTimeoutError,
     PhysicsError,
     StaleSessionError,
+    UnwritableError,
     WcsimError,
     WorkersError,
 )
@@ -43,4 +44,5 @@ def exit_of(error: WcsimError) -> Exit:
     """How a command ends that met this error."""
     if isinstance(error, InterruptedRunError):
         return Exit.STOPPED
-    return Exit.FAILED if isinstance(error, _ON_THE_WAY) else Exit.REFUSED
+    failed = isinstance(error, _ON_THE_WAY) and not isinstance(error, UnwritableError)
+    return Exit.FAILED if failed else Exit.REFUSED

@@ -82,7 +82,7 @@ def run(options: RunOptions, words: Sequence[str]) -> int:
     for line in _crash_lines(facts.crashed):
         print(line)
     if not facts.persons:
-        stdout_console().print(_no_persons(town), markup=False, soft_wrap=True)
+        stdout_console().print(_no_persons(town), soft_wrap=True)
     place = shlex.quote(str(out))
     print(f"run folder: {out}    convert it: wcsim log convert {place} {place}/fcd.xml")
     write_json(options.json, {"town": town.name, "seed": options.seed, "run": str(out), **asdict(facts)})

@@ -121,7 +121,7 @@ def told_report(report: TownReport, began_s: float, json: Path | None, **more: A
     }
     show_table((f"town {report.town}", ""), rows.items())
     for line in (*(f"note: {note}" for note in report.notes), *(f"fault: {fault}" for fault in report.faults)):
-        stdout_console().print(line, markup=False, soft_wrap=True)
+        stdout_console().print(line, soft_wrap=True)
     told = asdict(report)
     del told["overlaps"], told["cut_off"]  # the notes and faults say them
     write_json(json, {**told, "seconds": round(time.monotonic() - began_s, 3), **more})

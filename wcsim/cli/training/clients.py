@@ -125,7 +125,6 @@ def _print_report(report: Mapping[str, Any], waits: PaidTimes) -> None:
         show_table(paid, _paid(waits), box=box.SIMPLE_HEAD, pad_edge=False)
     stdout_console().print(
         f"{report['ticks']} world ticks, {report['ticks_per_s']:.1f} per second; journal hash {report['journal_hash']}",
-        markup=False,
         soft_wrap=True,
     )
 

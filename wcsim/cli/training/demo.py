@@ -68,7 +68,7 @@ class _Demo:
 
 
 def _say(text: str, style: str | None = None) -> None:
-    stdout_console().print(text, style=style, markup=False)
+    stdout_console().print(text, style=style)
 
 
 def run(words: list[str]) -> int:

@@ -148,14 +148,14 @@ def _tested(options: GroupOptions, run: GroupRun, suite: Suite, name: str) -> Fi
     order = SuiteOrder(suite=suite, out=run.out / SELECTION, jobs=worlds_of(options.worlds), forks=0)
     told = stderr_console()
     by = f"{suite.file.suite} {suite.file.set}"
-    told.print(f"first phase done; comparing clients on {by}: {counted(suite.episodes, 'episode')} each", markup=False)
+    told.print(f"first phase done; comparing clients on {by}: {counted(suite.episodes, 'episode')} each")
 
     networks = {UNAIDED: ""}  # own code that a policy needs; all that need none share their processes
     for client in run.clients:
         network = client.config.learn.network
         networks[_policy_of(run.out, client.name)] = network if is_own(network) else ""
     for line in told_of_rules(networks, order.preset, suite.file.settings):
-        told.print(line, markup=False)
+        told.print(line)
     found: dict[str, tuple[EpisodeRecord, ...]] = {}
     for network in dict.fromkeys(networks.values()):
         policies = [policy for policy, its in networks.items() if its == network]

@@ -178,9 +178,10 @@ class RayWorkers:
 
 
 def _lost(spec: _LinkSpec) -> WorkersError:
+    head = f"the Ray cluster at {spec.address} is lost: start its head again, then"
     return WorkersError(
-        f"the Ray cluster at {spec.address} is lost: start its head again, then continue "
-        f"(a training: wcsim resume RUN; a test: --resume); Ray's messages are in {spec.log}"
+        f"{'the Ray of this run ended:' if spec.address == LOCAL else head} continue (a training: wcsim resume RUN; a "
+        f"test: --resume); Ray's messages are in {spec.log}"
     )
 
 
