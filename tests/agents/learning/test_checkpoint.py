@@ -108,13 +108,13 @@ def test_a_state_with_another_value_is_passed_over(bench, folder, key, sealed):
     assert content(bench.model, loaded.value.model_dump()) == bench.known[80]
 
 
-@pytest.mark.parametrize("version", [{}, {"schema_version": 1}, {"schema_version": 2}])
+@pytest.mark.parametrize("version", [{}, {"schema_version": 2}, {"schema_version": 3}])
 def test_checkpoints_of_an_older_version_are_refused_with_what_to_do(bench, folder, version):
     for path in checkpoints(folder):
         data = json.loads((path / STATE).read_text())
         del data["schema_version"], data["seal"]
         (path / STATE).write_text(json.dumps({**data, **version}))
-    told = f"is of version {version.get('schema_version')}, expected 3: finish the run with the wcsim that began it"
+    told = f"is of version {version.get('schema_version')}, expected 4: finish the run with the wcsim that began it"
     with pytest.raises(PolicyError, match=told):
         load_checkpoint(folder, bench.model)
 
