@@ -280,7 +280,7 @@ def test_a_journal_of_another_world_is_not_gone_on_with(tmp_path):
 def test_what_is_no_order_is_refused(tmp_path, capfd):
     assert main([]) == 2
     assert main([str(tmp_path / "missing")]) == 2
-    assert "expected a WorldSpec" in capfd.readouterr().err
+    assert "expected an order to a process of wcsim" in capfd.readouterr().err
 
 
 def test_clients_of_other_machines_need_a_key_that_the_server_knows(tmp_path):
