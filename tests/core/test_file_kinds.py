@@ -5,7 +5,7 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -33,20 +33,37 @@ READERS: dict[str, tuple[Callable[[Path, FileKind], object], FileKind]] = {
 STREAMS = {"LOG", "PICTURES", "EXTRACT", "XML", "SCENARIO", "HEIGHTS", "SEGMENT", "ARRAYS", "WEIGHTS", "WHOLE_LOG"}
 
 
-def damages(n: int) -> Iterator[tuple[str, str]]:
-    """Texts of about n bytes that take more to read than they look."""
-    for name, part in {"commas": ",", "newlines": "\n", "spaces": " ", "brackets": "[", "holes": "\0"}.items():
-        yield name, part * n
-    parts = {"lists": "[],", "tables": '{"":0},', "numbers": "1,", "texts": '"ab",', "digits": "9" * 400 + ","}
-    for name, part in parts.items():
-        yield name, '{"a":[' + part * (n // len(part)) + "0]}"
-    yield "keys", "{" + ",".join(f'"{i:x}":0' for i in range(n // 10)) + "}"
-    yield "one key", "{" + '"a":0,' * (n // 6) + '"a":0}'
-    yield "a wide text", '{"a":"' + EMOJI + "x" * n + '"}'
-    yield "wide letters", '{"a":"' + EMOJI * (n // 4) + '"}'
-    yield "lists of TOML", "a=[" + "[]," * (n // 3) + "]"
-    yield "keys of TOML", "".join(f"a{i:x}=1\n" for i in range(n // 9))
-    yield "tables of TOML", "".join(f"[a{i:x}]\n" for i in range(n // 9))
+def again(part: str, before: str = "", after: str = "") -> Callable[[int], str]:
+    """Makes a text of about n bytes of the same part."""
+    return lambda n: before + part * (n // len(part.encode())) + after
+
+
+def numbered(part: str, before: str = "", after: str = "") -> Callable[[int], str]:
+    """The same of parts that differ."""
+    return lambda n: before + "".join(part.format(number) for number in range(n // (len(part) + 3))) + after
+
+
+LIST = ('{"a":[', "0]}")
+# Texts that take more to read than they look.
+DAMAGES: dict[str, Callable[[int], str]] = {
+    "commas": again(","),
+    "newlines": again("\n"),
+    "spaces": again(" "),
+    "brackets": again("["),
+    "holes": again("\0"),
+    "lists": again("[],", *LIST),
+    "tables": again('{"":0},', *LIST),
+    "numbers": again("1,", *LIST),
+    "texts": again('"ab",', *LIST),
+    "digits": again("9" * 400 + ",", *LIST),
+    "keys": numbered('"{:x}":0,', "{", '"":0}'),
+    "one key": again('"a":0,', "{", '"a":0}'),
+    "a wide text": again("x", '{"a":"' + EMOJI, '"}'),
+    "wide letters": again(EMOJI, '{"a":"', '"}'),
+    "lists of TOML": again("[],", "a=[", "]"),
+    "keys of TOML": numbered("a{:x}=1\n"),
+    "tables of TOML": numbered("[a{:x}]\n"),
+}
 
 
 def most_mib() -> float:
@@ -57,9 +74,9 @@ def most_mib() -> float:
 def read_them(reader: str, path: Path, shares: list[float]) -> None:
     """A line for each damage, read by a child, as large as it is read at all: MiB, seconds of the processor."""
     read, kind = READERS[reader]
-    for number, (name, _) in enumerate(damages(100)):
+    for name, text in DAMAGES.items():
         for share in shares:
-            path.write_text(list(damages(int(share * kind.limit_bytes) - 100))[number][1], encoding="utf-8")
+            path.write_text(text(int(share * kind.limit_bytes) - 100), encoding="utf-8")
             if not (child := os.fork()):
                 had_mib, begun_s, said = most_mib(), time.process_time(), "read"
                 try:
@@ -77,7 +94,7 @@ def assert_bounded(reader: str, folder: Path, *shares: float, most_s: float = ma
     code = f"import pathlib, {__name__} as t; t.read_them({reader!r}, pathlib.Path({str(folder / 'x')!r}), {shares!r})"
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     rows = [line.split("\t") for line in run.stdout.splitlines()]
-    assert {row[0] for row in rows} == {name for name, _ in damages(100)}
+    assert {row[0] for row in rows} == set(DAMAGES)
     assert [row for row in rows if float(row[1]) > MOST_MIB or float(row[2]) > most_s] == [], run.stdout
 
 
