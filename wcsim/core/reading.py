@@ -31,7 +31,6 @@ if TYPE_CHECKING:
 MOST_JSON_BYTES = 1 << 20  # in a record; sound ones have up to 6 kB, and read it takes 60 times as much memory
 MOST_MEMORY_BYTES = 120 << 20  # that reading a text may take, with all that is made of it
 _VALUE_BYTES = 110  # that a list, a table, a row or a value takes at most, beside its letters
-_VALUE_ENDS = "[{,=\n"
 MOST_LINE = 1 << 16  # letters
 MOST_LINES = 4_500_000
 MAX_DEPTH = 32  # of tables and lists inside each other
@@ -140,8 +139,11 @@ def read_bytes(path: Path, kind: FileKind) -> bytes:
     return data
 
 
-def read_text(path: Path, kind: FileKind) -> str:
-    """The content of a file in UTF-8, with or without its mark, or packed as .gz. Raises FileError of its kind."""
+def read_text(path: Path, kind: FileKind, value_ends: str = "[{,=\n") -> str:
+    """The content of a file in UTF-8, with or without its mark, or packed as .gz. Raises FileError of its kind.
+
+    `value_ends` are the letters of which each may stand for a value that is made of the text.
+    """
     data = read_bytes(path, kind)
     if path.suffix == ".gz":
         data = _unpacked(data, path, kind)
@@ -152,7 +154,7 @@ def read_text(path: Path, kind: FileKind) -> str:
             f"{escaped(path)}: is not in UTF-8 ({error.reason} at byte {error.start}); save it as UTF-8"
         ) from None
     # One letter beyond Latin makes all others wider; and what is made of the text holds its letters once more.
-    if 2 * sys.getsizeof(text) + _VALUE_BYTES * sum(map(text.count, _VALUE_ENDS)) > kind.memory_bytes:
+    if 2 * sys.getsizeof(text) + _VALUE_BYTES * sum(map(text.count, value_ends)) > kind.memory_bytes:
         raise kind.error(
             f"{escaped(path)}: would take more than {kind.memory_bytes >> 20} MiB to read; expected {kind.what}"
         )
@@ -198,7 +200,8 @@ def _unpacked(data: bytes, path: Path, kind: FileKind) -> bytes:
 
 def read_json(path: Path, kind: FileKind) -> dict[str, Any]:
     """A JSON object from a file. Raises FileError, of the kind's class."""
-    return parse_json(read_text(path, kind), escaped(path), kind, kind.limit_bytes)
+    # A line is no value in JSON: indented results have two for each.
+    return parse_json(read_text(path, kind, "[{,"), escaped(path), kind, kind.limit_bytes)
 
 
 def read_toml(path: Path, kind: FileKind) -> dict[str, Any]:
