@@ -52,6 +52,7 @@ AROUND_CM = 16  # from the middle of a cell to a corner of the next one, with th
 CREEPS_MPS = 0.02  # who is slower stands: its casters trail
 SLOPES_CM = 4  # and so much more a rim may rise against the plane of the wheels, on a ramp
 BEYOND_M = 0.1  # of the hull's corners, where a rough distance is enough
+RASTER_M = 0.3  # more than two looks at the raster of clearances differ by beyond the way between them
 # columns of what can meet a step up (n, 3): the place in B, and the step in centimetres that it takes
 UX, UY, UTAKES_CM = range(3)
 
@@ -221,7 +222,7 @@ def _one(
     x, y, yaw, v, w, a = state[0], state[1], state[2], state[3], state[4], state[5]
     before, before2, now = start_cm.copy(), start_cm.copy(), start_cm.copy()
     aside, at = astray.copy(), places.copy()
-    waits = len(waiting)
+    waits, gap_m, furthest_m = len(waiting), 0.0, abs(hull[MIDDLE]) + hull[HALF_L]
     for i in range(waits + _most_steps(limits)):
         # A hair less: rounding of the product must not add a step.
         held = (i - waits) * STEP_S < HOLD_S - 1e-9
@@ -230,7 +231,12 @@ def _one(
         stick_x, stick_y = (command[0], command[1]) if held else (0.0, 0.0)
         if i < waits:
             stick_x, stick_y = waiting[i, 0], waiting[i, 1]
+        v_before = abs(v)
         x, y, yaw, v, w, a = _moved(x, y, yaw, v, w, a, stick_x, stick_y, limits)
+        # Solid things come no nearer than by the way: until they may touch, the raster is not asked.
+        gap_m -= (max(v_before, abs(v)) + abs(w) * furthest_m) * STEP_S
+        if gap_m < RASTER_M:
+            gap_m = _static_gap(x, y, yaw, hull, land.clearance_dm, frame_m, BEYOND_M)
         later_s = (i + 1) * STEP_S
         cos, sin = math.cos(yaw), math.sin(yaw)
         falls, stops = False, False
@@ -268,7 +274,8 @@ def _one(
             or abs(lean) > LEAN_LIMIT
             or abs(pitch) > PITCH_LIMIT
             or _bumps(x, y, cos, sin, wheels, now, rims, around, height_cm, edge_cm, frame_m)
-            or _touches(x, y, yaw, hull, later_s, allowed_gap, land.clearance_dm, frame_m, actors)
+            or gap_m < allowed_gap
+            or _touches(x, y, cos, sin, hull, later_s, actors)
             or runs_into_going_on(x, y, yaw, v, w, hull, later_s, people)
         ):
             return later_s
@@ -409,20 +416,7 @@ def _height_beside_edge_cm(x: float, y: float, carried_cm: int, height_cm: U8, e
 
 
 @exact_kernel
-def _touches(
-    x: float,
-    y: float,
-    yaw: float,
-    hull: F64,
-    later_s: float,
-    allowed_gap: float,
-    clearance_dm: U8,
-    frame_m: F64,
-    actors: F64,
-) -> bool:
-    if _static_gap(x, y, yaw, hull, clearance_dm, frame_m, BEYOND_M) < allowed_gap:
-        return True
-    cos, sin = math.cos(yaw), math.sin(yaw)
+def _touches(x: float, y: float, cos: float, sin: float, hull: F64, later_s: float, actors: F64) -> bool:
     cx, cy = x + hull[MIDDLE] * cos, y + hull[MIDDLE] * sin
     for i in range(len(actors)):
         other = actors[i]
