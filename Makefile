@@ -6,7 +6,9 @@
 # TORCH_INDEX=ADDRESS, or TORCH_INDEX= for pip's own index.
 
 TORCH_INDEX ?= $(if $(wildcard /dev/nvidia0),,https://download.pytorch.org/whl/cpu)
-PYTHON ?= python3.11
+# The first of these that starts: a name on the path may be a shim of a version that is not there.
+PYTHONS := python3.11 python3.12 python3.13
+PYTHON ?= $(firstword $(foreach name,$(PYTHONS),$(shell $(name) -c 'import venv, ensurepip' 2>/dev/null && echo $(name))) python3.11)
 BIN := .venv/bin
 STAMP := .venv/.installed
 export OMP_NUM_THREADS ?= 1
@@ -16,18 +18,20 @@ export OMP_NUM_THREADS ?= 1
 setup: $(STAMP)
 
 $(STAMP): pyproject.toml constraints.txt
-	@$(PYTHON) -c 'import sys, venv, ensurepip; sys.exit(sys.version_info[:2] != (3, 11))' 2>/dev/null || \
-	  { echo "wcsim needs Python 3.11 with venv, and $(PYTHON) is not that. On Debian or Ubuntu: sudo apt install python3.11 python3.11-venv. Elsewhere: make PYTHON=/path/to/python3.11" >&2; exit 2; }
+	@$(PYTHON) -c 'import sys, venv, ensurepip; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))' 2>/dev/null || \
+	  { echo "wcsim needs Python 3.11, 3.12 or 3.13 with venv, and $(PYTHON) is none. On Debian or Ubuntu: sudo apt install python3.11 python3.11-venv. Elsewhere: make PYTHON=/path/to/python3.11" >&2; exit 2; }
 	@test -x $(BIN)/python || $(PYTHON) -m venv .venv
 	@echo "installing into .venv (the first time takes some minutes) ..."
 	@echo "1/3 PyTorch ..."
 	@$(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt $(if $(TORCH_INDEX),--retries 2 --extra-index-url $(TORCH_INDEX)) torch
+	@$(BIN)/python -c 'import sys; sys.exit(sys.version_info >= (3, 12))' || \
+	  $(BIN)/pip install --quiet --disable-pip-version-check --no-deps --require-hashes --requirement tools/pybullet_fork.txt
 	@echo "2/3 SUMO, PyBullet and the other packages ..."
 	@$(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt $$($(BIN)/python tools/dev_requirements.py)
 	@echo "3/3 wcsim ..."
-	@$(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt --no-build-isolation --editable .
+	@$(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt --no-build-isolation --editable '.[train]'
 	@# Python reads this link in the locale's letters, and dies of others; a relative path has none.
-	@echo ../../../.. > .venv/lib/python3.11/site-packages/_editable_impl_wcsim.pth
+	@echo ../../../.. | tee .venv/lib/python3.*/site-packages/_editable_impl_wcsim.pth > /dev/null
 	@touch $(STAMP)
 	@echo "installed. Next: source .venv/bin/activate && wcsim doctor"
 

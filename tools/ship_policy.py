@@ -23,7 +23,7 @@ from wcsim.agents.export.onnx_export import export_policy
 from wcsim.agents.policy_api import MODEL_FILE, Observation
 from wcsim.agents.rounds.train_rounds import data_of
 from wcsim.agents.runs.data_folder import DATA, SEGMENTS, data_digest, key_of, read_manifest
-from wcsim.agents.runs.policy_file import FILES, HELD, POLICY_JSON, WEIGHTS, shipped_folder, shipped_place
+from wcsim.agents.runs.policy_file import EXPORTED, FILES, HELD, POLICY_JSON, WEIGHTS, shipped_folder, shipped_place
 from wcsim.agents.runs.run_folder import MANIFEST, RunFolder, open_run
 from wcsim.config import CameraConfig, CollectConfig
 from wcsim.core import files
@@ -52,7 +52,7 @@ def ship(run: RunFolder, ride: Sequence[Observation], results: Sequence[Path], t
         with files.whole_folder(to) as target:
             for source in (policy / POLICY_JSON, policy / WEIGHTS, onnx / MEANING, onnx / REFERENCE):
                 shutil.copyfile(source, target / source.name)
-            shutil.copyfile(onnx / MODEL_FILE, target / "model.onnx")
+            shutil.copyfile(onnx / MODEL_FILE, target / EXPORTED)
             if (to / "README.md").is_file():
                 shutil.copyfile(to / "README.md", target / "README.md")
             (target / "MODEL_CARD.md").write_text(told, encoding="utf-8")

@@ -1,13 +1,13 @@
 """What pyproject.toml asks for is what the code imports: nothing more, and nothing that is there by chance."""
 
 import ast
-import re
 import sys
 import tomllib
 from contextlib import suppress
 from functools import cache
 from importlib.metadata import PackageNotFoundError, metadata, packages_distributions
 
+from packaging.requirements import Requirement
 from packaging.specifiers import SpecifierSet
 
 from tests.support.tracked import ROOT, parsed
@@ -24,8 +24,9 @@ FOREIGN = {"minari"}
 
 
 def named(rows: list[str]) -> set[str]:
-    """Distributions of a list of requirements."""
-    return {re.split(r"[<>=!~\[; ]", row)[0].lower().replace("_", "-") for row in rows}
+    """Distributions of a list of requirements, those that this Python wants."""
+    wanted = (Requirement(row) for row in rows)
+    return {each.name.lower().replace("_", "-") for each in wanted if each.marker is None or each.marker.evaluate()}
 
 
 def top_names(tree: ast.Module) -> set[str]:

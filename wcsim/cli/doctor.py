@@ -10,7 +10,6 @@ import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from rich.table import Column
@@ -19,12 +18,15 @@ from wcsim.cli.shared.common import Flag, OutFile, parse, write_json
 from wcsim.cli.shared.consoles import show_table
 from wcsim.core.files import can_be_written
 from wcsim.core.reading import counted, escaped
+from wcsim.core.versions import version_of
 from wcsim.errors import ConfigError, WcsimError
 
 PACKAGES = (
-    *("wcsim", "libsumo", "eclipse-sumo", "pybullet", "torch", "stable-baselines3", "gymnasium"),
-    *("numpy", "numba", "opencv-python-headless", "shapely"),
+    *("wcsim", "libsumo", "eclipse-sumo", "pybullet", "gymnasium", "numpy", "numba"),
+    *("opencv-python-headless", "shapely", "onnxruntime"),
 )
+_TRAINS = ("torch", "stable-baselines3")
+_PYTHONS = ((3, 11), (3, 12), (3, 13))
 TICK_SECONDS = 5.0
 _FIRST_TICKS = 10  # in a new installation these compile kernels, which says nothing of those that follow
 _REAL_TIME_TICKS_PER_S = 10.0
@@ -66,19 +68,18 @@ def run(words: list[str]) -> int:
 
 
 def _python() -> _Finding:
-    right = sys.version_info[:2] == (3, 11) and sys.platform == "linux"
-    return right, f"{sys.version.split()[0]} on {sys.platform}; needs 3.11 on linux"
+    right = sys.version_info[:2] in _PYTHONS and sys.platform == "linux"
+    return right, f"{sys.version.split()[0]} on {sys.platform}; needs 3.11, 3.12 or 3.13 on linux"
 
 
 def _versions() -> _Finding:
-    found, missing = [], []
-    for name in PACKAGES:
-        try:
-            found.append(f"{name} {version(name)}")
-        except PackageNotFoundError:
-            missing.append(name)
-    says = ", ".join(found) + (f"; MISSING: {', '.join(missing)} (pip install)" if missing else "")
-    return not missing, says
+    found = {name: version_of(name) for name in (*PACKAGES, *_TRAINS)}
+    missing = [name for name in PACKAGES if not found[name]]
+    says = ", ".join(f"{name} {version}" for name, version in found.items() if version)
+    if missing:
+        return False, f"{says}; MISSING: {', '.join(missing)} (pip install)"
+    light = "" if all(found[name] for name in _TRAINS) else "; it cannot train: pip install 'wcsim[train]'"
+    return True, says + light
 
 
 def _sumo() -> _Finding:

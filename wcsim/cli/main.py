@@ -31,6 +31,7 @@ _PATHS: Final = frozenset(
 )
 _NOTHING: Final = Path(os.devnull)
 _LEAST_COLUMNS: Final = 40
+_TRAINS: Final = ("torch", "stable_baselines3", "onnx")
 _PACKAGE: Final = Path(__file__).parents[1]
 
 
@@ -66,6 +67,9 @@ def _told_cause(error: Exception) -> tuple[str, Exit]:
     limit = told_limit(error)
     if limit:
         return limit, Exit.FAILED
+    if isinstance(error, ModuleNotFoundError) and error.name in _TRAINS:
+        needs = f"to train and to load networks this needs {error.name}, which is not installed"
+        return f"{needs}: pip install 'wcsim[train]'", Exit.REFUSED
     last = [frame for frame, _ in traceback.walk_tb(error.__traceback__)][-1:]
     variables = [name for name in os.environ if name.startswith("NUMBA_")]
     of_numba = any(frame.f_globals["__name__"].startswith("numba.") for frame in last)

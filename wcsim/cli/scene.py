@@ -79,6 +79,7 @@ class _Outcome:
     name: str
     facts: Facts
     faults: tuple[str, ...]
+    note: str
 
 
 def run(words: list[str]) -> int:
@@ -119,12 +120,15 @@ def _run(options: _RunOptions) -> int:
     folders = _folders(options.scenes)
     outcomes = [_outcome(folder, name) for folder, name in zip(folders, _names(folders), strict=True)]
     rows = (
-        (each.name, "FAILS" if each.faults else "ok", "; ".join(each.faults) or _words(each.facts)) for each in outcomes
+        (each.name, "FAILS", "; ".join(each.faults))
+        if each.faults
+        else (each.name, "ok", "; ".join(filter(None, (_words(each.facts), each.note))))
+        for each in outcomes
     )
     show_table(("scene", "", "result"), rows)
     write_json(
         options.json,
-        {o.name: {"ok": not o.faults, "faults": list(o.faults), **o.facts} for o in outcomes},
+        {o.name: {"ok": not o.faults, "faults": list(o.faults), "note": o.note, **o.facts} for o in outcomes},
     )
     if options.film is not None:
         from wcsim.scenes.run import film_scene  # it takes seconds to load, and most runs need no film
@@ -135,10 +139,10 @@ def _run(options: _RunOptions) -> int:
 
 
 def _outcome(folder: Path, name: str) -> _Outcome:
-    from wcsim.log.diff import golden_difference  # loads the simulators, which --help must not
+    from wcsim.log.diff import golden_difference, golden_note  # loads the simulators, which --help must not
     from wcsim.scenes.run import run_in_child
 
-    scene = read_toml(folder / "scene.toml", SceneFile)
+    note, scene = "", read_toml(folder / "scene.toml", SceneFile)
     with tempfile.TemporaryDirectory(prefix="wcsim-trace-") as work:
         trace = Path(work) / "new.trace"
         facts = run_in_child(folder, trace)
@@ -149,7 +153,8 @@ def _outcome(folder: Path, name: str) -> _Outcome:
         else:
             told = golden_difference(trace, golden)
             found += (f"differs from the golden trace: {told}",) if told else ()
-    return _Outcome(name, facts, found)
+            note = golden_note(trace, golden)
+    return _Outcome(name, facts, found, note)
 
 
 def _bless(options: _BlessOptions) -> int:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import os
 import platform
-from importlib.metadata import version
 from pathlib import Path
+
+from wcsim.core.versions import version_of
 
 PACKAGES = ("libsumo", "pybullet", "numpy", "numba", "shapely", "networkx")
 _CPU_KIND = ("vendor_id", "cpu family", "model")
@@ -14,7 +15,7 @@ _CPU_KIND = ("vendor_id", "cpu family", "model")
 
 def fingerprint() -> str:
     """The version of wcsim, and `engines_fingerprint`: for what has to be made again to the last bit."""
-    return f"wcsim-{version('wcsim')} {engines_fingerprint()}"
+    return f"wcsim-{version_of('wcsim')} {engines_fingerprint()}"
 
 
 def engines_fingerprint() -> str:
@@ -24,7 +25,7 @@ def engines_fingerprint() -> str:
     """
     pinned = "pinned" if "hwcaps" in os.environ.get("GLIBC_TUNABLES", "") else "unpinned"
     libc = "-".join(platform.libc_ver())
-    versions = (f"{name}-{version(name)}" for name in PACKAGES)
+    versions = (f"{name}-{version_of(name)}" for name in PACKAGES)
     return " ".join([*versions, libc, platform.machine(), _cpu_kind(), pinned])
 
 

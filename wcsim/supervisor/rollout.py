@@ -222,17 +222,13 @@ def _one(
     x, y, yaw, v, w, a = state[0], state[1], state[2], state[3], state[4], state[5]
     before, before2, now = start_cm.copy(), start_cm.copy(), start_cm.copy()
     aside, at = astray.copy(), places.copy()
-    waits, gap_m, furthest_m = len(waiting), 0.0, abs(hull[MIDDLE]) + hull[HALF_L]
-    for i in range(waits + _most_steps(limits)):
-        # A hair less: rounding of the product must not add a step.
-        held = (i - waits) * STEP_S < HOLD_S - 1e-9
-        if not held and v == 0.0 and abs(w) < 1e-3:
+    gap_m, furthest_m = 0.0, abs(hull[MIDDLE]) + hull[HALF_L]
+    sticks, held = _sticks(waiting, command, HOLD_S, limits)
+    for i in range(len(sticks)):
+        if i >= held and v == 0.0 and abs(w) < 1e-3:
             break
-        stick_x, stick_y = (command[0], command[1]) if held else (0.0, 0.0)
-        if i < waits:
-            stick_x, stick_y = waiting[i, 0], waiting[i, 1]
         v_before = abs(v)
-        x, y, yaw, v, w, a = _moved(x, y, yaw, v, w, a, stick_x, stick_y, limits)
+        x, y, yaw, v, w, a = _moved(x, y, yaw, v, w, a, sticks[i], limits)
         # Solid things come no nearer than by the way: until they may touch, the raster is not asked.
         gap_m -= (max(v_before, abs(v)) + abs(w) * furthest_m) * STEP_S
         if gap_m < RASTER_M:
@@ -291,27 +287,34 @@ def _one(
 def _let_go(state: F64, waiting: F64, command: F64, limits: F64, hull: F64, people: F64, tick_s: float) -> float:
     """Seconds until the chair runs into somebody, whatever they do, when a command lasts one tick; or infinity."""
     x, y, yaw, v, w, a = state[0], state[1], state[2], state[3], state[4], state[5]
-    waits = len(waiting)
-    held = waits + math.ceil(tick_s / STEP_S - 1e-6)
-    for i in range(waits + _most_steps(limits)):
+    sticks, held = _sticks(waiting, command, tick_s, limits)
+    for i in range(len(sticks)):
         if i >= held and v == 0.0 and abs(w) < 1e-3:
             break
-        stick_x, stick_y = (command[0], command[1]) if i < held else (0.0, 0.0)
-        if i < waits:
-            stick_x, stick_y = waiting[i, 0], waiting[i, 1]
-        x, y, yaw, v, w, a = _moved(x, y, yaw, v, w, a, stick_x, stick_y, limits)
+        x, y, yaw, v, w, a = _moved(x, y, yaw, v, w, a, sticks[i], limits)
         if runs_into_any_way(x, y, yaw, v, w, hull, (i + 1) * STEP_S, people):
             return (i + 1) * STEP_S
     return np.inf
 
 
 @exact_kernel
+def _sticks(waiting: F64, command: F64, held_s: float, limits: F64) -> tuple[F64, int]:
+    """Joystick positions (n, 2) of a roll-out's steps, and the step at which the stick is let go."""
+    # A hair less: rounding of the quotient must not add a step.
+    waits, held = len(waiting), len(waiting) + math.ceil(held_s / STEP_S - 1e-6)
+    sticks = np.zeros((waits + _most_steps(limits), 2))
+    sticks[:waits] = waiting
+    sticks[waits:held] = command
+    return sticks, held
+
+
+@exact_kernel
 def _moved(
-    x: float, y: float, yaw: float, v: float, w: float, a: float, stick_x: float, stick_y: float, limits: F64
+    x: float, y: float, yaw: float, v: float, w: float, a: float, stick: F64, limits: F64
 ) -> tuple[float, float, float, float, float, float]:
     """Pose, speeds and acceleration a step later."""
     v_before, yaw_before = v, yaw
-    v, w, a = driven(v, w, a, stick_x, stick_y, limits, STEP_S)
+    v, w, a = driven(v, w, a, stick[0], stick[1], limits, STEP_S)
     yaw += w * STEP_S
     # Mean speed along the mean heading: with those of one end the way would err by the first order of the step.
     way = 0.5 * (v_before + v) * STEP_S

@@ -45,7 +45,7 @@ def lacking(told: str) -> list[str]:
 def test_a_missing_extra_is_told_before_anything_is_driven(wcsim, policy, folder, monkeypatch):
     monkeypatch.setitem(sys.modules, "onnx", None)
     monkeypatch.setattr(export, "_ride", lambda _: pytest.fail("it was driven"))
-    refused(wcsim("export", policy, "--onnx", "x"), "pip install 'wcsim[onnx]'")
+    refused(wcsim("export", policy, "--onnx", "x"), "pip install 'wcsim[train]'")
 
 
 @pytest.mark.parametrize("name", ["dwa", "dwa@1.5", "follow", "tests.own:Policy"])

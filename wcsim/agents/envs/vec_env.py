@@ -13,11 +13,16 @@ from typing import Any, Unpack
 import gymnasium
 import numpy as np
 import numpy.typing as npt
-from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvIndices, VecEnvObs, VecEnvStepReturn
 
 from wcsim.agents.envs.env_spec import Chairs, EnvOptions, checked_chairs, checked_seed, make_face, stacked
-from wcsim.errors import ConfigError, ProtocolError
+from wcsim.errors import ConfigError, ProtocolError, check_installed
 from wcsim.server.links.base import Waits
+
+try:
+    from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvIndices, VecEnvObs, VecEnvStepReturn
+except ModuleNotFoundError:
+    check_installed("wcsim.StreetVecEnv needs Stable-Baselines3", "train", "torch", "stable_baselines3")
+    raise
 
 
 class StreetVecEnv(VecEnv):

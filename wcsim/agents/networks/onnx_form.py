@@ -1,4 +1,4 @@
-"""Networks in ONNX's form: https://onnx.ai; the extra `onnx` brings what is needed."""
+"""Networks in ONNX's form: https://onnx.ai; the extra `train` brings what is needed."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ OPSET = 18
 
 
 def check_onnx() -> None:
-    """Raise PolicyError where the extra `onnx` is not installed."""
-    check_installed("exporting needs ONNX", "onnx", "onnx", "onnxruntime", error=PolicyError)
+    """Raise PolicyError where the extra `train` is not installed."""
+    check_installed("exporting needs ONNX", "train", "onnx", error=PolicyError)
 
 
 def exported(net: nn.Module, given: tuple[torch.Tensor, ...], inputs: Sequence[str], outputs: Sequence[str]) -> bytes:

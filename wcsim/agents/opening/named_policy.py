@@ -9,18 +9,20 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Iterator, Sequence
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Final
 
 from wcsim.agents.export.guard import GuardedPolicy, guard_of
 from wcsim.agents.policies.onnx_policy import OnnxPolicy, read_about
 from wcsim.agents.policies.served_policy import ServedPolicy
-from wcsim.agents.policy_api import STATE_SENSE, VISIBLE_BOUND, Policy, SeesTruth, sense_settings, senses_of
-from wcsim.agents.runs.policy_file import is_danger, policy_name, read_danger_file, read_policy_file
+from wcsim.agents.policy_api import MOTION_SENSES, STATE_SENSE, VISIBLE_BOUND, Policy, SeesTruth, sense_settings, senses_of
+from wcsim.agents.runs.policy_file import EXPORTED, is_danger, policy_name, read_danger_file, read_policy_file
 from wcsim.agents.runs.run_folder import policy_path, run_of
 from wcsim.config import RunConfig, resolve
 from wcsim.config.run_file import PolicyFile
 from wcsim.core.plugins import find_class, running_own
+from wcsim.core.reading import is_file
 from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import action_set
 from wcsim.types import SeatSpec
@@ -49,6 +51,10 @@ def open_named(name: str, config: RunConfig, seed: int, network: str | None = No
         from wcsim.agents.policies.baselines import baseline  # with kernels, too
 
         return baseline(name, config, seed)
+    # Without torch a network drives by its exported law, if it has one: the same actions, no threshold of one's own.
+    folder = policy_path(name)
+    if find_spec("torch") is None and named.level is None and network is None and is_file(folder / EXPORTED):
+        return OnnxPolicy(folder, name, len(actions), EXPORTED, MOTION_SENSES)
     return _network(name, config, network)
 
 

@@ -3,7 +3,7 @@
 The model's inputs are named as the keys of an observation (`depth`, `seg`, `imu`, `joystick`, and those of sensors) and
 have a first dimension of 1. Its first output (1, actions) holds a value for each action; the highest one is taken. An
 input `state_X` is zero at the start of an episode and then what the output `next_state_X` was. An output `warning`
-above 0.5 warns the user. ONNX: https://onnx.ai; the `onnx` extra brings its runtime.
+above 0.5 warns the user. ONNX: https://onnx.ai.
 
 A model is bounded: in bytes, in the memory of its arrays and in the time of loading and of each step.
 """
@@ -23,7 +23,7 @@ from wcsim.agents.policy_api import ANSWER_S, CLASS_KEY, DEPTH_KEY, MODEL_FILE, 
 from wcsim.config import parse
 from wcsim.config.run_file import OnnxPolicyFile
 from wcsim.core.reading import ONNX_TOML, escaped, is_file, read_toml
-from wcsim.errors import ConfigError, PolicyError, check_installed
+from wcsim.errors import ConfigError, PolicyError
 
 ABOUT_FILE: Final = "policy.toml"
 _STATE, _NEXT, _WARNING = "state_", "next_", "warning"
@@ -52,12 +52,16 @@ class OnnxPolicy:
         path: The folder.
         name: How tables call it.
         actions: How many actions there are.
+        model: Its file.
+        senses: What it wants to sense beside pictures, tilt and joystick, where no `policy.toml` turns it on.
     """
 
-    def __init__(self, path: Path, name: str, actions: int) -> None:
+    def __init__(
+        self, path: Path, name: str, actions: int, model: str = MODEL_FILE, senses: tuple[str, ...] = ()
+    ) -> None:
         """Raises PolicyError when there is no such model, or it has other outputs than actions."""
-        self.name, self._actions, self.warning = name, actions, False
-        self._session = open_session(path / MODEL_FILE)
+        self.name, self.senses, self._actions, self.warning = name, senses, actions, False
+        self._session = open_session(path / model)
         self._inputs = {item.name: item for item in self._session.get_inputs()}
         self._outputs = [item.name for item in self._session.get_outputs()]
         self._shapes = {
@@ -160,7 +164,6 @@ def _fed(key: str, shape: Sequence[Any], observation: Observation) -> Any:
 
 def open_session(path: Path) -> Any:
     """A model in ONNX Runtime, on one core. Raises PolicyError when it cannot be loaded, or not within `ANSWER_S`."""
-    check_installed(f"{escaped(path)} needs ONNX Runtime", "onnx", "onnxruntime", error=PolicyError)
     import onnxruntime
 
     if path.stat().st_size > _LIMIT_BYTES:

@@ -57,7 +57,8 @@ def _read(path: Path) -> dict[str, Any]:
 
 SHIPPED: Final = "shipped"
 FILES: Final = "files.json"
-HELD: Final = ("policy.json", "weights.safetensors", "model.onnx", "meaning.json", "reference.npz", "MODEL_CARD.md")
+EXPORTED: Final = "model.onnx"  # its law, for where there is no torch
+HELD: Final = ("policy.json", "weights.safetensors", EXPORTED, "meaning.json", "reference.npz", "MODEL_CARD.md")
 
 
 def shipped_place() -> Path:

@@ -21,7 +21,6 @@ import subprocess
 from collections.abc import Callable, Collection
 from dataclasses import asdict, dataclass, fields, replace
 from functools import lru_cache
-from importlib import metadata
 from pathlib import Path
 from typing import Any, Literal
 
@@ -37,6 +36,7 @@ from wcsim.core.constants import RECORDED
 from wcsim.core.processes import run_command
 from wcsim.core.reading import RUN, escaped, is_file, is_folder
 from wcsim.core.reading import read_json as read_bounded_json
+from wcsim.core.versions import version_of
 from wcsim.errors import ConfigError, PolicyError, TownError, meant
 from wcsim.server.specs import RunInfo
 from wcsim.server.workers.machines import Parcel
@@ -120,7 +120,7 @@ def make_manifest(config: RunConfig, info: RunInfo, networks: Collection[str] = 
     return Manifest(
         **{each.name: getattr(info, each.name) for each in fields(info)},
         config_sha256=config.digest(),
-        versions={**{name: _version(name) for name in PACKAGES}, "python": platform.python_version()},
+        versions={**{name: version_of(name) for name in PACKAGES}, "python": platform.python_version()},
         git_revision=_git_revision(),
         own_code=mark_of(own_classes(info.hook, info.rewards, networks or (config.learn.network,))),
     )
@@ -253,13 +253,6 @@ def _git_revision() -> str:
     except (OSError, subprocess.TimeoutExpired):  # also a disk that has no room for its answer
         return ""
     return done.stdout.strip() if done.returncode == 0 else ""
-
-
-def _version(package: str) -> str:
-    try:
-        return metadata.version(package)
-    except metadata.PackageNotFoundError:
-        return ""
 
 
 def read_json(path: Path, name: str) -> dict[str, Any]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import hashlib
 from collections.abc import Callable, Iterable, Mapping
-from importlib import metadata
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -15,6 +14,7 @@ from safetensors.torch import load, save
 from wcsim.agents.runs.policy_file import POLICY_JSON, WEIGHTS
 from wcsim.core import files, reading
 from wcsim.core.reading import escaped, read_bytes, regular_size
+from wcsim.core.versions import version_of
 from wcsim.errors import PolicyError
 
 _MAX_HEADER_BYTES = 1 << 20
@@ -36,7 +36,7 @@ def write_policy(folder: Path, net: torch.nn.Module, said: Mapping[str, Any]) ->
     with files.whole_folder(folder) as target:
         tensors = {key: value.detach().cpu().contiguous() for key, value in net.state_dict().items()}
         (target / WEIGHTS).write_bytes(save(tensors))
-        versions = {name: metadata.version(name) for name in ("torch", "stable-baselines3")}
+        versions = {name: version_of(name) for name in ("torch", "stable-baselines3")}
         digest = files.sha256(target / WEIGHTS)
         files.write_json(
             target / POLICY_JSON, {"schema_version": 1, **said, "weights_sha256": digest, "versions": versions}

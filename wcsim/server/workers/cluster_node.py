@@ -14,7 +14,6 @@ import time
 import traceback
 from collections.abc import Mapping
 from functools import partial
-from importlib import metadata
 from pathlib import Path, PurePosixPath
 from typing import Final
 
@@ -22,6 +21,7 @@ import zstandard
 
 from wcsim.core.reading import escaped, unzstd
 from wcsim.core.sources import code_digest
+from wcsim.core.versions import version_of
 from wcsim.errors import ConfigError, DiskFullError, WcsimError, WorkersError
 from wcsim.server.workers.machines import Parcel, Work, WorkEnd, work_folder
 
@@ -40,7 +40,7 @@ _SHM: Final = Path("/dev/shm")  # noqa: S108 - it is only looked at
 def facts_here() -> dict[str, str]:
     """What this machine has: versions by package and "Python", "code" of wcsim, "host", "cpu", "shm_mib"."""
     return {
-        **{name: _version(name) for name in (*_PACKAGES, *_EXTRAS)},
+        **{name: version_of(name).partition("+")[0] for name in (*_PACKAGES, *_EXTRAS)},  # torch 2.13.0+cpu is 2.13.0
         "Python": ".".join(platform.python_version_tuple()[:2]),
         "code": code_digest(),
         "host": socket.gethostname(),
@@ -79,13 +79,6 @@ def notes_on(node: Mapping[str, str], here: Mapping[str, str]) -> tuple[str, ...
             f"its processor is different ({node['cpu']}; here {here['cpu']}): the last bits of its data may differ"
         )
     return tuple(notes)
-
-
-def _version(package: str) -> str:
-    try:
-        return metadata.version(package).partition("+")[0]  # torch 2.13.0+cpu is 2.13.0
-    except metadata.PackageNotFoundError:
-        return ""
 
 
 def _cpu() -> str:
