@@ -62,6 +62,8 @@ def _caught(raised: Exception) -> Exception:
         (FileNotFoundError(errno.ENOENT, "No such file", str(Path(wcsim.__file__).parent / "x")), Exit.FAILED, ""),
         (OSError(errno.EBADF, "Bad file descriptor"), Exit.FAILED, ""),
         (ValueError("ours"), Exit.FAILED, ""),
+        (ModuleNotFoundError("No module", name="torch"), Exit.REFUSED, "pip install 'wcsim[train]'"),
+        (ModuleNotFoundError("No module", name="other"), Exit.FAILED, ""),
     ],
 )
 def test_the_cause_decides_what_is_told(raised: Exception, code: Exit, told: str) -> None:

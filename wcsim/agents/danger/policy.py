@@ -19,12 +19,11 @@ from wcsim.agents.danger.street_map import FeatureExtractor, Features
 from wcsim.agents.networks.names import NETWORK_NAMES, require_named
 from wcsim.agents.perception.alarm import Alarm, next_alarm
 from wcsim.agents.policy_api import JOYSTICK_KEY, MOTION_SENSES, HearsSent, NotFinite, Observation, require_level
-from wcsim.agents.runs.policy_file import SIGHT_KEYS, read_danger_file
+from wcsim.agents.runs.policy_file import read_danger_file, require_same_senses
 from wcsim.agents.runs.weights import load_network, write_policy
 from wcsim.config import RunConfig
 from wcsim.config.run_file import DangerRule
 from wcsim.core.reading import escaped
-from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import ActionSet, action_set
 from wcsim.types import F64, Bool
 
@@ -245,17 +244,3 @@ def load_danger(
     require_same_senses(folder, name, config)
     net, rule = load_net(folder, network)
     return DangerPolicy(name, net, config, rule if level is None else rule.model_copy(update={"threshold": level}))
-
-
-def require_same_senses(folder: Path, name: str, config: RunConfig) -> None:
-    """Refuse a policy that was trained with another camera, class form or action set. Raises PolicyError."""
-    file = read_danger_file(folder)
-    camera = config.cameras[0]
-    other = [key for key in ("width_px", "height_px", *SIGHT_KEYS) if getattr(file.camera, key) != getattr(camera, key)]
-    other += [key for key in ("actions",) if file.net.actions != config.env.actions]
-    other += [key for key in ("classes",) if file.classes != config.env.classes]
-    if other:
-        raise PolicyError(
-            f"policy {name!r} was trained with another camera, class form or action set ({', '.join(other)} differ): "
-            "set these as in its training, or test it on its own"
-        )

@@ -16,8 +16,23 @@ from typing import Any, Final
 from wcsim.agents.export.guard import GuardedPolicy, guard_of
 from wcsim.agents.policies.onnx_policy import OnnxPolicy, read_about
 from wcsim.agents.policies.served_policy import ServedPolicy
-from wcsim.agents.policy_api import MOTION_SENSES, STATE_SENSE, VISIBLE_BOUND, Policy, SeesTruth, sense_settings, senses_of
-from wcsim.agents.runs.policy_file import EXPORTED, is_danger, policy_name, read_danger_file, read_policy_file
+from wcsim.agents.policy_api import (
+    MOTION_SENSES,
+    STATE_SENSE,
+    VISIBLE_BOUND,
+    Policy,
+    SeesTruth,
+    sense_settings,
+    senses_of,
+)
+from wcsim.agents.runs.policy_file import (
+    EXPORTED,
+    is_danger,
+    policy_name,
+    read_danger_file,
+    read_policy_file,
+    require_same_senses,
+)
 from wcsim.agents.runs.run_folder import policy_path, run_of
 from wcsim.config import RunConfig, resolve
 from wcsim.config.run_file import PolicyFile
@@ -54,6 +69,7 @@ def open_named(name: str, config: RunConfig, seed: int, network: str | None = No
     # Without torch a network drives by its exported law, if it has one: the same actions, no threshold of one's own.
     folder = policy_path(name)
     if find_spec("torch") is None and named.level is None and network is None and is_file(folder / EXPORTED):
+        require_same_senses(folder, name, config)
         return OnnxPolicy(folder, name, len(actions), EXPORTED, MOTION_SENSES)
     return _network(name, config, network)
 

@@ -12,7 +12,7 @@ from typing import Final
 
 import torch
 
-from wcsim.agents.danger.policy import DangerPolicy, load_net, require_same_senses
+from wcsim.agents.danger.policy import DangerPolicy, load_net
 from wcsim.agents.rounds.drive_segment import MakeLearned, SegmentOrder, collect, orders_of, require_recordable
 from wcsim.agents.runs.data_folder import (
     MANIFEST,
@@ -26,6 +26,7 @@ from wcsim.agents.runs.data_folder import (
     told_settings,
     write_manifest,
 )
+from wcsim.agents.runs.policy_file import require_same_senses
 from wcsim.agents.runs.run_folder import folder_parcel, require_travels, town_parcel
 from wcsim.config import RunConfig, resolve
 from wcsim.config.load import Layer

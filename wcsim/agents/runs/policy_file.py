@@ -12,7 +12,7 @@ from typing import Any, Final, Literal, TypeVar
 
 import wcsim
 from wcsim.agents.policy_api import BASELINES, LEVELLED, MODEL_FILE, SERVED, UPPER_BOUNDS, VETO, level_of
-from wcsim.config import parse
+from wcsim.config import RunConfig, parse
 from wcsim.config.run_file import DangerFile, PolicyFile, ShippedFile
 from wcsim.core import files
 from wcsim.core.reading import HASHES, POLICY, escaped, is_file, is_folder, read_json
@@ -160,3 +160,17 @@ def _with_threshold(name: str) -> tuple[str, float | None]:
             "above 0 and at most 1"
         )
     return head, level
+
+
+def require_same_senses(folder: Path, name: str, config: RunConfig) -> None:
+    """Refuse a policy that was trained with another camera, class form or action set. Raises PolicyError."""
+    file = read_danger_file(folder)
+    camera = config.cameras[0]
+    other = [key for key in ("width_px", "height_px", *SIGHT_KEYS) if getattr(file.camera, key) != getattr(camera, key)]
+    other += [key for key in ("actions",) if file.net.actions != config.env.actions]
+    other += [key for key in ("classes",) if file.classes != config.env.classes]
+    if other:
+        raise PolicyError(
+            f"policy {name!r} was trained with another camera, class form or action set ({', '.join(other)} differ): "
+            "set these as in its training, or test it on its own"
+        )
