@@ -17,7 +17,7 @@ import stat
 import sys
 import tomllib
 import zlib
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,7 +30,9 @@ if TYPE_CHECKING:
 
 MOST_JSON_BYTES = 1 << 20  # in a record; sound ones have up to 6 kB, and read it takes 60 times as much memory
 MOST_MEMORY_BYTES = 120 << 20  # that reading a text may take, with all that is made of it
-_VALUE_BYTES = 110  # that a list, a table, a row or a value takes at most, beside its letters
+# Bytes that what a letter stands for takes at most, beside its letters: a list, a table, a row or a value.
+_COSTS: Final = {letter: 110 for letter in "[{,=\n"}
+_JSON_COSTS: Final = {"[": 80, "{": 200, ",": 40, ":": 110, '"': 15}  # a value of a table has all but the brackets
 MOST_LINE = 1 << 16  # letters
 MOST_LINES = 4_500_000
 MAX_DEPTH = 32  # of tables and lists inside each other
@@ -139,10 +141,10 @@ def read_bytes(path: Path, kind: FileKind) -> bytes:
     return data
 
 
-def read_text(path: Path, kind: FileKind, value_ends: str = "[{,=\n") -> str:
+def read_text(path: Path, kind: FileKind, costs: Mapping[str, int] = _COSTS) -> str:
     """The content of a file in UTF-8, with or without its mark, or packed as .gz. Raises FileError of its kind.
 
-    `value_ends` are the letters of which each may stand for a value that is made of the text.
+    `costs` are bytes by letter, of what is made of the text.
     """
     data = read_bytes(path, kind)
     if path.suffix == ".gz":
@@ -154,7 +156,8 @@ def read_text(path: Path, kind: FileKind, value_ends: str = "[{,=\n") -> str:
             f"{escaped(path)}: is not in UTF-8 ({error.reason} at byte {error.start}); save it as UTF-8"
         ) from None
     # One letter beyond Latin makes all others wider; and what is made of the text holds its letters once more.
-    if 2 * sys.getsizeof(text) + _VALUE_BYTES * sum(map(text.count, value_ends)) > kind.memory_bytes:
+    made = sum(cost * text.count(letter) for letter, cost in costs.items())
+    if 2 * sys.getsizeof(text) + made > kind.memory_bytes:
         raise kind.error(
             f"{escaped(path)}: would take more than {kind.memory_bytes >> 20} MiB to read; expected {kind.what}"
         )
@@ -200,8 +203,7 @@ def _unpacked(data: bytes, path: Path, kind: FileKind) -> bytes:
 
 def read_json(path: Path, kind: FileKind) -> dict[str, Any]:
     """A JSON object from a file. Raises FileError, of the kind's class."""
-    # A line is no value in JSON: indented results have two for each.
-    return parse_json(read_text(path, kind, "[{,"), escaped(path), kind, kind.limit_bytes)
+    return parse_json(read_text(path, kind, _JSON_COSTS), escaped(path), kind, kind.limit_bytes)
 
 
 def read_toml(path: Path, kind: FileKind) -> dict[str, Any]:

@@ -21,6 +21,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
+from wcsim.agents.runs.metrics import logged_rows
 from wcsim.agents.runs.run_folder import (
     CONFIG,
     MANIFEST,
@@ -33,8 +34,8 @@ from wcsim.agents.runs.run_folder import (
 )
 from wcsim.config import RunConfig, parse, resolve
 from wcsim.config.load import Layer
-from wcsim.core import files, reading, seeding
-from wcsim.core.reading import CLAIM, read_lines, read_text
+from wcsim.core import files, seeding
+from wcsim.core.reading import CLAIM, read_text
 from wcsim.errors import ConfigError, PolicyError, WcsimError
 from wcsim.log.reader import iter_inputs, part_files
 from wcsim.log.records import Ticked
@@ -223,13 +224,11 @@ def _may_hold(log: Path, read: Callable[[Path], Iterator[T]], is_work: Callable[
 
 def has_work(run: Path) -> bool:
     """Whether a client's folder holds an episode, a step, a checkpoint or a policy."""
-    metrics = run / METRICS
-    episodes = sum(1 for _ in read_lines(metrics, reading.METRICS)) - 1 if metrics.is_file() else 0
     manifest = read_json(run, MANIFEST) if (run / MANIFEST).is_file() else {}
     steps = manifest.get("steps", 0)
     if manifest.get("status") == "interrupted" and steps == 0:
         return False  # stopped before its first step: its policy is the one that it began with
-    return episodes > 0 or steps != 0 or any(run.glob("checkpoints/*")) or any(run.glob("policies/*"))
+    return logged_rows(run / METRICS) > 0 or steps != 0 or any(run.glob("checkpoints/*")) or any(run.glob("policies/*"))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -103,6 +103,11 @@ def note_round(path: Path, row: Sequence[float]) -> None:
     MetricsFile(path, int(row[0]) - 1, _ROUND_COLUMNS).add(dict(zip(_ROUND_COLUMNS, row, strict=True)))
 
 
+def logged_rows(path: Path) -> int:
+    """How many rows a log has, 0 for none. Raises PolicyError."""
+    return sum(1 for _ in read_lines(path, reading.METRICS)) - 1 if path.is_file() else 0
+
+
 def logs_rounds(path: Path) -> bool:
     """Whether a metrics.csv is one of rounds."""
     return next(read_lines(path, reading.METRICS), "").startswith(",".join(_ROUND_COLUMNS[:2]) + ",")

@@ -407,7 +407,8 @@ def keep_result(order: SuiteOrder, name: str, records: Mapping[str, Sequence[Epi
     with ExitStack() as held:  # all of it first: a full disk leaves what an earlier test wrote as it was
         for output, said in ((RESULT, result.to_json()), (EPISODES, episodes), (ASKED, {"suite": name, **asked})):
             part = held.enter_context(result_file(order.out / output))
-            part.write_text(json_text(order.out / output, said), encoding="utf-8")
+            indent = None if output == EPISODES else 2  # many records: half of the file would be blanks
+            part.write_text(json_text(order.out / output, said, indent), encoding="utf-8")
     return result
 
 

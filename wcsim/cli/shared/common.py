@@ -329,10 +329,10 @@ def write_json(path: Path | None, data: Any) -> None:
         part.write_text(text, encoding="utf-8")
 
 
-def json_text(path: Path, data: Any) -> str:
+def json_text(path: Path, data: Any, indent: int | None = 2) -> str:
     """What goes into a result file. Raises ConfigError for NaN and infinity."""
     try:
-        return json.dumps(data, indent=2, allow_nan=False) + "\n"
+        return json.dumps(data, indent=indent, allow_nan=False) + "\n"
     except ValueError as error:
         raise ConfigError(f"{path}: a result contains a number that is not finite ({error})") from None
 

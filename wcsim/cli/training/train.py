@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 from tyro.conf import arg
 
 from wcsim.agents.runs.data_folder import DATA, SEGMENTS
-from wcsim.agents.runs.run_folder import ResolvedRun, open_run
+from wcsim.agents.runs.metrics import logged_rows
+from wcsim.agents.runs.run_folder import METRICS, ResolvedRun, open_run
 from wcsim.cli.shared.common import (
     Cluster,
     Finds,
@@ -44,7 +45,7 @@ from wcsim.cli.shared.run_config import (
 from wcsim.config import LearnConfig, RunConfig, resolve
 from wcsim.config.load import Layer, sets_key
 from wcsim.core import reading
-from wcsim.core.reading import SETTINGS, read_lines
+from wcsim.core.reading import SETTINGS
 from wcsim.errors import ConfigError, DiskFullError, InterruptedRunError, TownError, WorkersError
 from wcsim.server.specs import RunInfo
 from wcsim.server.workers.machines import Machines
@@ -279,9 +280,9 @@ def gone_if_nothing_came_of_it(run: Path) -> Iterator[None]:
 
 def came_of(run: Path) -> bool:
     """Whether an episode, a segment, a checkpoint or a policy was saved in a run folder."""
-    metrics = run / "metrics.csv"
-    episodes = sum(1 for _ in read_lines(metrics, reading.METRICS)) - 1 if metrics.is_file() else 0
-    return episodes > 0 or any(any(run.glob(f"{kept}/*")) for kept in ("checkpoints", "policies", f"{DATA}/{SEGMENTS}"))
+    return logged_rows(run / METRICS) > 0 or any(
+        any(run.glob(f"{kept}/*")) for kept in ("checkpoints", "policies", f"{DATA}/{SEGMENTS}")
+    )
 
 
 def steps_shown(bar: StageBar) -> Callable[[TrainProgress], None]:
