@@ -74,7 +74,7 @@ def test_without_a_box_the_extract_says_how_far_it_goes(tiny: Path) -> None:
 def test_what_dangles_is_left_out(tiny: Path) -> None:
     text = tiny.read_text(encoding="utf-8")
     more = [
-        '<node id="900" lat="60.0001" lon="nan"/><node id="901" lon="25"/><node id="x" lat="60" lon="25"/>',
+        '<node id="900" lat="60.0001"/><node id="901" lon="25"/><node id="x" lat="60" lon="25"/>',
         '<node id="1" lat="61" lon="25"/><node id="902" lat="60.0002" lon="25.0001" action="delete"/>',
         '<node id="903" lat="60.0003" lon="-179.9"/>',
         '<way id="904"><nd ref="1"/><nd ref="77777"/><nd ref="903"/><tag k="highway" v="residential"/></way>',
@@ -101,6 +101,9 @@ def test_names_of_mappers_are_not_kept(tiny: Path) -> None:
     [
         ("a.osm", b"", "not well-formed XML"),
         ("a.osm", b"<osm/>", "streets in it"),
+        ("a.osm", b'<osm><node id="7" lat="60" lon="nan"/></osm>', "node 7 lies at nan, 60; expected degrees"),
+        ("a.osm", b'<osm><node id="7" lat="-inf" lon="25"/></osm>', "node 7 lies at 25, -inf"),
+        ("a.osm", b'<osm><node id="7" lat="91" lon="east"/></osm>', "node 7 lies at east, 91"),
         ("a.osm.gz", gzip.compress(b"<osm>" + bytes(range(256)) * 40)[:200], "cannot be read"),
         ("a.osm.bz2", bz2.compress(b"<osm>" * 500)[:40], "cannot be read"),
         ("a.osm.bz2", b"BZh9 rubbish", "cannot be read"),

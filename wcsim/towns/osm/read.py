@@ -157,7 +157,7 @@ def read_extract(path: Path, box: Box | None = None) -> Extract:
     root = parse_root(_xml_of(path, box), str(path))
     if root.tag != "osm":
         raise TownError(f"{path}: is not an OpenStreetMap extract (root <{root.tag}>); {EXPECTED}")
-    places = _places(root)
+    places = _places(root, path)
     streets = _streets(root)
     cover = _cover(places, streets)
     if cover is None:
@@ -240,15 +240,18 @@ def _cut_by_osmium(path: Path, file_format: str, box: Box | None) -> bytes:
         return out.read_bytes()
 
 
-def _places(root: Element) -> dict[str, tuple[float, float]]:
-    """Longitude and latitude of nodes; those without a proper one are left out, as are doubles and deleted ones."""
+def _places(root: Element, path: Path) -> dict[str, tuple[float, float]]:
+    """Longitude and latitude of nodes; those without are left out, as are doubles and deleted ones.
+
+    Raises TownError for one that lies nowhere on Earth: its streets would be lost without a word.
+    """
     places: dict[str, tuple[float, float]] = {}
     kept = []
     for item in root:
         if item.get("action") == "delete" or item.get("visible") == "false" or not _is_number(item.get("id", "0")):
             continue
         if item.tag == "node":
-            place = _place(item)
+            place = _place(item, path)
             if place is None or item.get("id", "") in places or "id" not in item.attrib:
                 continue
             places[item.attrib["id"]] = place
@@ -261,13 +264,20 @@ def _is_number(text: str) -> bool:
     return text.lstrip("-").isascii() and text.lstrip("-").isdigit()
 
 
-def _place(node: Element) -> tuple[float, float] | None:
-    try:
-        longitude, latitude = float(node.attrib["lon"]), float(node.attrib["lat"])
-    except (KeyError, ValueError):
+def _place(node: Element, path: Path) -> tuple[float, float] | None:
+    told = node.get("lon"), node.get("lat")
+    if None in told:
         return None
-    good = math.isfinite(longitude) and math.isfinite(latitude) and abs(longitude) <= 180 and abs(latitude) <= 90
-    return (longitude, latitude) if good else None
+    try:
+        longitude, latitude = (float(str(text)) for text in told)
+    except ValueError:
+        longitude = latitude = math.nan
+    if abs(longitude) <= 180 and abs(latitude) <= 90:  # false for what is no number
+        return longitude, latitude
+    where = ", ".join(escaped(str(text), 40) for text in told)
+    raise TownError(
+        f"{path}: node {escaped(node.get('id', '?'), 40)} lies at {where}; expected degrees of longitude and latitude"
+    )
 
 
 def _streets(root: Element) -> list[Element]:
