@@ -65,6 +65,8 @@ def misbehave(words: list[str], at: int, life: int, stop: bool) -> None:
     """Do what is to be done at this step."""
     if told(words, "die", life) == at:
         os.kill(os.getpid(), signal.SIGKILL)
+    if told(words, "held", life) == at:
+        os.kill(os.getpid(), signal.SIGSTOP)
     if told(words, "hang", life) == at:
         if not stop:
             signal.signal(signal.SIGTERM, signal.SIG_IGN)

@@ -171,6 +171,13 @@ def test_a_world_that_hangs_is_ended_and_started_again(tmp_path):
     assert counted(tmp_path, "hang") == counted(tmp_path, "restart") == ["world"]
 
 
+def test_a_world_that_a_signal_holds_is_ended_long_before_one_that_may_be_busy(tmp_path):
+    rules = replace(QUICK, world_lease_s=600.0, held_s=0.2)
+    outcome = launcher(tmp_path, {"a": "steps=1500"}, world="held=30x1", rules=rules).run()
+    assert outcome.code == 0
+    assert counted(tmp_path, "hang") == counted(tmp_path, "restart") == ["world"]
+
+
 def test_a_world_that_dies_at_the_same_tick_again_and_again_is_given_up(tmp_path):
     outcome = launcher(tmp_path, {"a": "steps=100000"}, world="die=30").run()
     assert outcome.code == 1

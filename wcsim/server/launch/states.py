@@ -152,6 +152,7 @@ class LaunchRules:
 
     world_lease_s: float = 10.0  # a world that says nothing for so long hangs ...
     loading_lease_s: float = 300.0  # ... unless it has not done a tick yet
+    held_s: float = 2.0  # ... or a signal holds it, which nothing ends by itself
     client_lease_s: float = 120.0  # a client that the world gave up, and that lives on without its seat
     joining_s: float = 600.0  # a client that never took its seat
     saving_s: float = 300.0  # clients that were asked to end, with all their replay to write

@@ -97,6 +97,11 @@ class Child(subprocess.Popen[bytes]):
         *whole, self._rest = self._rest.split(b"\n")
         return whole
 
+    @property
+    def held(self) -> bool:
+        """Whether a signal holds it, as SIGSTOP does."""
+        return self.returncode is None and bool(os.waitid(os.P_PID, self.pid, os.WSTOPPED | os.WNOHANG | os.WNOWAIT))
+
     def close(self, grace_s: float = 0.0) -> None:
         """Kill it if it still runs, and let go of its pipe; where there is a grace, it is asked to end before."""
         if grace_s > 0.0:
@@ -482,8 +487,9 @@ class SupervisedWorld(_Supervised[WorldStatus]):
             child.kill()
             return
         lease_s = self._rules.world_lease_s if self.ticks else self._rules.loading_lease_s
-        if now_s - self._heard_s > lease_s:
-            self._hangs(child, silent_s=round(now_s - self._heard_s, 3))
+        silent_s = now_s - self._heard_s
+        if silent_s > lease_s or (silent_s > self._rules.held_s and child.held):
+            self._hangs(child, silent_s=round(silent_s, 3))
             self._heard_s = now_s
 
     def _ended(self, code: int, words: str, now_s: float) -> None:
