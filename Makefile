@@ -17,7 +17,7 @@ export OMP_NUM_THREADS ?= 1
 
 setup: $(STAMP)
 
-$(STAMP): pyproject.toml constraints.txt
+$(STAMP): pyproject.toml constraints.txt tools/pybullet_fork.txt
 	@$(PYTHON) -c 'import sys, venv, ensurepip; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))' 2>/dev/null || \
 	  { echo "wcsim needs Python 3.11, 3.12 or 3.13 with venv, and $(PYTHON) is none. On Debian or Ubuntu: sudo apt install python3.11 python3.11-venv. Elsewhere: make PYTHON=/path/to/python3.11" >&2; exit 2; }
 	@test -x $(BIN)/python || $(PYTHON) -m venv .venv
@@ -71,7 +71,7 @@ bench: $(STAMP)
 	$(BIN)/python -m benchmarks tick
 	$(BIN)/python -m benchmarks camera
 
-# Builds wheel and source archive, and tries the wheel in a fresh venv. The version is that of pyproject.toml.
+# Builds wheel and source archive, and tries the wheel, without PyTorch, in a fresh venv. The version is that of pyproject.toml.
 VERSION ?= $(shell sed -n 's/^version = "\(.*\)"/\1/p' pyproject.toml)
 release: $(STAMP)
 	rm -rf dist build/release
@@ -80,7 +80,6 @@ release: $(STAMP)
 	$(BIN)/python -m build --no-isolation
 	$(PYTHON) -m venv build/release
 	@echo "installing the wheel into a fresh venv ..."
-	build/release/bin/pip install --quiet --disable-pip-version-check --constraint constraints.txt $(if $(TORCH_INDEX),--retries 2 --extra-index-url $(TORCH_INDEX)) torch
 	build/release/bin/pip install --quiet --disable-pip-version-check --constraint constraints.txt dist/*.whl
 	cd build/release && bin/wcsim doctor && bin/wcsim scene run car-at-zebra
 	@ls -l dist

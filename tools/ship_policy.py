@@ -25,7 +25,7 @@ from wcsim.agents.rounds.train_rounds import data_of
 from wcsim.agents.runs.data_folder import DATA, SEGMENTS, data_digest, key_of, read_manifest
 from wcsim.agents.runs.policy_file import EXPORTED, FILES, HELD, POLICY_JSON, WEIGHTS, shipped_folder, shipped_place
 from wcsim.agents.runs.run_folder import MANIFEST, RunFolder, open_run
-from wcsim.config import CameraConfig, CollectConfig
+from wcsim.config import CameraConfig, CollectConfig, resolve
 from wcsim.core import files
 from wcsim.users.profiles import HELD_OUT
 
@@ -47,14 +47,16 @@ def ship(run: RunFolder, ride: Sequence[Observation], results: Sequence[Path], t
     policy = run.policy("final")
     told = card(run, [row for path in results for row in rows_of(path, run.path)])  # before what takes long
     with tempfile.TemporaryDirectory() as held:
-        onnx = Path(held) / "onnx"
-        export_policy(policy, onnx, run.config, ride)
+        for delay, name in EXPORTED.items():
+            export_policy(policy, Path(held) / name, resolve(run.config, (f"world.action_delay_ticks={delay}",)), ride)
+        onnx = Path(held) / EXPORTED[run.config.world.action_delay_ticks]
         with files.whole_folder(to) as target:
             for source in (policy / POLICY_JSON, policy / WEIGHTS, onnx / MEANING, onnx / REFERENCE):
-                shutil.copyfile(source, target / source.name)
-            shutil.copyfile(onnx / MODEL_FILE, target / EXPORTED)
+                shutil.copy(source, target)
+            for name in EXPORTED.values():
+                shutil.copyfile(Path(held) / name / MODEL_FILE, target / name)
             if (to / "README.md").is_file():
-                shutil.copyfile(to / "README.md", target / "README.md")
+                shutil.copy(to / "README.md", target)
             (target / "MODEL_CARD.md").write_text(told, encoding="utf-8")
             files.write_json(target / FILES, {"sha256": {name: files.sha256(target / name) for name in HELD}})
     return shipped_folder(to)
@@ -141,16 +143,12 @@ def driving(run: RunFolder) -> tuple[list[str], list[str], int]:
         towns, users = [run.manifest.town, *collect.towns, *made], list(collect.profiles)
     for folder in map(Path, others):
         towns += read_manifest(folder).towns
-        users += users_of(folder)
+        if is_of_run(folder):  # all profiles that took turns
+            users += open_run(folder.parent).config.collect.profiles
+        else:
+            users += read_manifest(folder).config.get("collect", {}).get("profiles", CollectConfig().profiles)
     kept = sum(1 for _ in (run.path / DATA / SEGMENTS).glob("*")) + sum(map(len, others.values()))
     return list(dict.fromkeys(towns)), list(dict.fromkeys(users)), kept
-
-
-def users_of(folder: Path) -> list[str]:
-    """Who drove in a data folder: all profiles that took turns."""
-    if not is_of_run(folder):
-        return list(read_manifest(folder).config.get("collect", {}).get("profiles", CollectConfig().profiles))
-    return list(open_run(folder.parent).config.collect.profiles)
 
 
 def is_of_run(folder: Path) -> bool:

@@ -153,7 +153,7 @@ def _outcome(folder: Path, name: str) -> _Outcome:
         else:
             told = golden_difference(trace, golden)
             found += (f"differs from the golden trace: {told}",) if told else ()
-            note = golden_note(trace, golden)
+            note = "" if told else golden_note(trace, golden)
     return _Outcome(name, facts, found, note)
 
 

@@ -32,7 +32,7 @@ MOST_JSON_BYTES = 1 << 20  # in a record; sound ones have up to 6 kB, and read i
 MOST_MEMORY_BYTES = 120 << 20  # that reading a text may take, with all that is made of it
 # Bytes that what a letter stands for takes at most, beside its letters: a list, a table, a row or a value.
 _COSTS: Final = {letter: 110 for letter in "[{,=\n"}
-_JSON_COSTS: Final = {"[": 80, "{": 200, ",": 40, ":": 110, '"': 15}  # a value of a table has all but the brackets
+_JSON_COSTS: Final = {"[": 95, "{": 200, ",": 40, ":": 110, '"': 22}  # a value of a table has all but the brackets
 MOST_LINE = 1 << 16  # letters
 MOST_LINES = 4_500_000
 MAX_DEPTH = 32  # of tables and lists inside each other

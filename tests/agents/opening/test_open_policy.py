@@ -37,19 +37,32 @@ def test_the_oracle_is_shown_the_truth_of_the_moment_it_answers_to():
         driven(oracle, Danger(truth=False), episodes=1, max_steps=9)
 
 
-def test_without_torch_shipped_drives_as_recorded_and_no_other_threshold_does(monkeypatch):
+@pytest.mark.parametrize("delay", [0, 2])
+def test_without_torch_shipped_drives_as_with_it(delay, monkeypatch):
+    config = config_for("shipped", "quick", (f"world.action_delay_ticks={delay}",))
+    policies = [open_named("shipped", config, 0)]
     monkeypatch.setattr(named_policy, "find_spec", lambda name: None)
-    config = config_for("shipped", "quick")
-    policy = open_named("shipped", config, 0)
-    assert isinstance(policy, OnnxPolicy) and policy.senses == MOTION_SENSES
+    policies.append(open_named("shipped", config, 0))
+    assert isinstance(policies[1], OnnxPolicy) and policies[1].senses == MOTION_SENSES
     with np.load(shipped_folder() / "reference.npz") as ride:
         inputs = {key: ride[key] for key in ride.files if key not in ("danger", "action")}
-        wanted = ride["action"].tolist()
-    steps = [{key: rows[step] for key, rows in inputs.items()} for step in range(len(wanted))]
-    policy.begin()
-    policy.reset()
-    assert [policy.act(step) for step in steps] == wanted
+    done = []
+    for policy in policies:
+        policy.begin()
+        policy.reset()
+        done.append([policy.act({key: rows[k] for key, rows in inputs.items()}) for k in range(len(inputs["depth"]))])
+    assert np.mean(np.equal(*done)) > 0.98, "but for places on the border of two cells"
+    assert len(set(done[0])) > 5
+
+
+def test_without_torch_nothing_drives_by_a_law_that_is_not_its_own(monkeypatch):
+    monkeypatch.setattr(named_policy, "find_spec", lambda name: None)
+    config = config_for("shipped", "quick")
     assert not isinstance(open_named("shipped@0.3", config, 0), OnnxPolicy)
+    for other in ("world.action_delay_ticks=1", "chair.v_max_mps=1.0"):
+        assert not isinstance(open_named("shipped", config_for("shipped", "quick", (other,)), 0), OnnxPolicy)
+    with pytest.raises(PolicyError, match=r"pip install 'wcsim\[train\]'"):
+        open_named("veto:shipped", config, 0)
     with pytest.raises(PolicyError, match="trained with another camera"):
         open_named("shipped", CONFIG, 0)
 

@@ -54,7 +54,10 @@ def open_named(name: str, config: RunConfig, seed: int, network: str | None = No
     if named.veto:
         from wcsim.agents.policies.dwa import Veto  # and with it kernels, which the checks of names must not load
 
-        return Veto(name, open_named(named.inner, config, seed, network), config)
+        inner = open_named(named.inner, config, seed, network)
+        if isinstance(inner, OnnxPolicy) and inner.senses:  # its law says one action, and a veto asks for its dangers
+            raise PolicyError(f"policy {name!r} needs PyTorch, which is not installed: pip install 'wcsim[train]'")
+        return Veto(name, inner, config)
     if named.kind == "served":
         return ServedPolicy(name, actions.points)
     if named.kind == "onnx":
@@ -66,11 +69,14 @@ def open_named(name: str, config: RunConfig, seed: int, network: str | None = No
         from wcsim.agents.policies.baselines import baseline  # with kernels, too
 
         return baseline(name, config, seed)
-    # Without torch a network drives by its exported law, if it has one: the same actions, no threshold of one's own.
+    # Without torch a network drives by its exported law, where it has one for this delay, chair and threshold.
     folder = policy_path(name)
-    if find_spec("torch") is None and named.level is None and network is None and is_file(folder / EXPORTED):
+    law = "" if config.vary.action_delay_ticks else EXPORTED.get(config.world.action_delay_ticks, "")
+    own = named.level is not None or network is not None
+    if find_spec("torch") is None and not own and law and is_file(folder / law):
         require_same_senses(folder, name, config)
-        return OnnxPolicy(folder, name, len(actions), EXPORTED, MOTION_SENSES)
+        if read_danger_file(folder).chair == config.chair:
+            return OnnxPolicy(folder, name, len(actions), law, MOTION_SENSES)
     return _network(name, config, network)
 
 

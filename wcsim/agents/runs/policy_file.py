@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Final, Literal, TypeVar
 
 import wcsim
@@ -57,8 +58,16 @@ def _read(path: Path) -> dict[str, Any]:
 
 SHIPPED: Final = "shipped"
 FILES: Final = "files.json"
-EXPORTED: Final = "model.onnx"  # its law, for where there is no torch
-HELD: Final = ("policy.json", "weights.safetensors", EXPORTED, "meaning.json", "reference.npz", "MODEL_CARD.md")
+EXPORTED: Final = MappingProxyType({0: "model-0.onnx", 2: "model.onnx"})
+"""Its laws for where there is no torch, by the delay in ticks that they reckon with."""
+HELD: Final = (
+    "policy.json",
+    "weights.safetensors",
+    *EXPORTED.values(),
+    "meaning.json",
+    "reference.npz",
+    "MODEL_CARD.md",
+)
 
 
 def shipped_place() -> Path:

@@ -100,7 +100,10 @@ class Child(subprocess.Popen[bytes]):
     @property
     def held(self) -> bool:
         """Whether a signal holds it, as SIGSTOP does."""
-        return self.returncode is None and bool(os.waitid(os.P_PID, self.pid, os.WSTOPPED | os.WNOHANG | os.WNOWAIT))
+        try:
+            return os.waitid(os.P_PID, self.pid, os.WSTOPPED | os.WNOHANG | os.WNOWAIT) is not None
+        except ChildProcessError:  # it has ended meanwhile
+            return False
 
     def close(self, grace_s: float = 0.0) -> None:
         """Kill it if it still runs, and let go of its pipe; where there is a grace, it is asked to end before."""
@@ -449,6 +452,7 @@ class SupervisedWorld(_Supervised[WorldStatus]):
         super().__init__(WORLD, WorldStatus, plan.log, rules.world, selector, log)
         self._plan, self._rules = plan, rules
         self._heard_s = 0.0
+        self._held_s: float | None = None  # since when a signal holds it
         self._loaded = False  # in any life
         self._listening = ""  # where the first life was reached
         self._death_tick = -1
@@ -468,7 +472,7 @@ class SupervisedWorld(_Supervised[WorldStatus]):
         return self._plan.argv
 
     def _begun(self, now_s: float) -> None:
-        self.status, self._heard_s = None, now_s
+        self.status, self._heard_s, self._held_s = None, now_s, None
 
     def _heard(self, status: WorldStatus, now_s: float) -> None:
         self._heard_s = now_s
@@ -488,7 +492,9 @@ class SupervisedWorld(_Supervised[WorldStatus]):
             return
         lease_s = self._rules.world_lease_s if self.ticks else self._rules.loading_lease_s
         silent_s = now_s - self._heard_s
-        if silent_s > lease_s or (silent_s > self._rules.held_s and child.held):
+        # One that loads says nothing for long: how long it has been held is counted apart.
+        self._held_s = (now_s if self._held_s is None else self._held_s) if child.held else None
+        if silent_s > lease_s or (self._held_s is not None and now_s - self._held_s > self._rules.held_s):
             self._hangs(child, silent_s=round(silent_s, 3))
             self._heard_s = now_s
 

@@ -30,9 +30,8 @@ _MOST_FILES: Final = 10_000
 _LEVEL: Final = 3
 _PACKAGES: Final = (
     *("wcsim", "libsumo", "eclipse-sumo", "pybullet", "torch", "numpy", "numba", "opencv-python-headless"),
-    *("shapely", "networkx", "zstandard", "gymnasium"),
+    *("shapely", "networkx", "zstandard", "gymnasium", "onnxruntime"),
 )
-_EXTRAS: Final = ("onnxruntime",)  # asked for where this machine has them
 _LEAST_SHM_MIB: Final = 256
 _SHM: Final = Path("/dev/shm")  # noqa: S108 - it is only looked at
 
@@ -40,7 +39,7 @@ _SHM: Final = Path("/dev/shm")  # noqa: S108 - it is only looked at
 def facts_here() -> dict[str, str]:
     """What this machine has: versions by package and "Python", "code" of wcsim, "host", "cpu", "shm_mib"."""
     return {
-        **{name: version_of(name).partition("+")[0] for name in (*_PACKAGES, *_EXTRAS)},  # torch 2.13.0+cpu is 2.13.0
+        **{name: version_of(name).partition("+")[0] for name in _PACKAGES},  # torch 2.13.0+cpu is 2.13.0
         "Python": ".".join(platform.python_version_tuple()[:2]),
         "code": code_digest(),
         "host": socket.gethostname(),
@@ -57,7 +56,7 @@ def why_refused(node: Mapping[str, str], here: Mapping[str, str]) -> str:
             f"it has wcsim {found[0]}, code {found[1][:12]}; expected wcsim {here['wcsim']}, code "
             f"{here['code'][:12]}, as here: install the same there, then `ray stop` and `ray start` it again"
         )
-    asked = (*_PACKAGES, *(name for name in _EXTRAS if here[name]), "Python")
+    asked = (*_PACKAGES, "Python")
     other = [
         f"{name} {node[name] or 'none'} (here {here[name] or 'none'})" for name in asked if node[name] != here[name]
     ]

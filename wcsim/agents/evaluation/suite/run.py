@@ -6,6 +6,7 @@ import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
+from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final
@@ -266,7 +267,8 @@ def _identity_of(name: str, preset: str) -> list[Any]:
     if named.kind == "class":
         read = {**sources_of(name, "policy"), **_read_by(name)}
         return ["class", name, preset, {part: sha256(path) for part, path in read.items()}]
-    return ["folder", preset, _hashes(policy_path(name), "**/*"), *([] if named.level is None else [named.level])]
+    law = ["exported law"] if find_spec("torch") is None else []  # see `open_named`
+    return ["folder", preset, _hashes(policy_path(name), "**/*"), *law, *([] if named.level is None else [named.level])]
 
 
 def _read_by(name: str) -> dict[str, Path]:
