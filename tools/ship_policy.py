@@ -51,12 +51,11 @@ def ship(run: RunFolder, ride: Sequence[Observation], results: Sequence[Path], t
             export_policy(policy, Path(held) / name, resolve(run.config, (f"world.action_delay_ticks={delay}",)), ride)
         onnx = Path(held) / EXPORTED[run.config.world.action_delay_ticks]
         with files.whole_folder(to) as target:
-            for source in (policy / POLICY_JSON, policy / WEIGHTS, onnx / MEANING, onnx / REFERENCE):
+            readme = to.glob("README.md")
+            for source in (policy / POLICY_JSON, policy / WEIGHTS, onnx / MEANING, onnx / REFERENCE, *readme):
                 shutil.copy(source, target)
             for name in EXPORTED.values():
                 shutil.copyfile(Path(held) / name / MODEL_FILE, target / name)
-            if (to / "README.md").is_file():
-                shutil.copy(to / "README.md", target)
             (target / "MODEL_CARD.md").write_text(told, encoding="utf-8")
             files.write_json(target / FILES, {"sha256": {name: files.sha256(target / name) for name in HELD}})
     return shipped_folder(to)

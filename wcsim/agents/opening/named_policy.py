@@ -69,15 +69,21 @@ def open_named(name: str, config: RunConfig, seed: int, network: str | None = No
         from wcsim.agents.policies.baselines import baseline  # with kernels, too
 
         return baseline(name, config, seed)
-    # Without torch a network drives by its exported law, where it has one for this delay, chair and threshold.
     folder = policy_path(name)
-    law = "" if config.vary.action_delay_ticks else EXPORTED.get(config.world.action_delay_ticks, "")
-    own = named.level is not None or network is not None
-    if find_spec("torch") is None and not own and law and is_file(folder / law):
+    law = "" if named.level is not None or network is not None else _law_without_torch(folder, config)
+    if law:
         require_same_senses(folder, name, config)
-        if read_danger_file(folder).chair == config.chair:
-            return OnnxPolicy(folder, name, len(actions), law, MOTION_SENSES)
+        return OnnxPolicy(folder, name, len(actions), law, MOTION_SENSES)
     return _network(name, config, network)
+
+
+def _law_without_torch(folder: Path, config: RunConfig) -> str:
+    """The exported law by which a network drives where there is no torch: of this delay and chair; "" for none."""
+    if find_spec("torch") is not None or config.vary.action_delay_ticks:
+        return ""
+    law = EXPORTED.get(config.world.action_delay_ticks, "")
+    fits = law and is_file(folder / law) and read_danger_file(folder).chair == config.chair
+    return law if fits else ""
 
 
 def _own_policy(name: str, config: RunConfig) -> Policy:
