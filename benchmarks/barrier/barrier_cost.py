@@ -23,13 +23,13 @@ import numpy as np
 from benchmarks.barrier.fake_world import FakeWorld
 from benchmarks.barrier.parts import TICK_TIMES, PartOrder, Sizes
 from wcsim.config import RunConfig
+from wcsim.core.own_folder import OwnFolder, workplace
 from wcsim.errors import LinkTimeoutError
 from wcsim.server.launch.states import WorldStatus
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.events import Rules
 from wcsim.server.specs import SeatRequest, WorldOrder, WorldSpec, of_line, to_line
 from wcsim.server.transport.keys import make_keys
-from wcsim.server.transport.world_folder import OwnFolder, workplace
 from wcsim.types import SeatSpec
 
 BLOCK_TICKS = 100

@@ -19,6 +19,7 @@ from benchmarks.soak.faults import WORLD, Chaos, Fault
 from benchmarks.soak.growth import GrowthLog, LongRun, SettledPace, Slope, long_run, predicted_s
 from benchmarks.soak.stub_client import StubSight, read_sights
 from wcsim.config import RunConfig
+from wcsim.core.own_folder import endpoint_in, workplace
 from wcsim.log.reader import iter_inputs
 from wcsim.log.writer import JOURNAL
 from wcsim.server.launch.launcher import Launcher
@@ -26,7 +27,6 @@ from wcsim.server.launch.states import ClientPlan, LaunchOutcome, LaunchRules, L
 from wcsim.server.ledger import Audit, audit, iter_ledger
 from wcsim.server.protocol.events import Rules
 from wcsim.server.specs import SeatRequest, WorldSpec, to_line, world_plan
-from wcsim.server.transport.world_folder import endpoint_in, workplace
 from wcsim.types import SeatSpec
 from wcsim.users.profiles import recordings
 

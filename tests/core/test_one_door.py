@@ -32,8 +32,10 @@ BESIDE = {
     "it belongs to wcsim": (
         "config/load.py", "core/sources.py", "drive/serving/server.py", "towns/importing/demand.py", "towns/street.py",
     ),
-    "the system says it": ("log/fingerprint.py", "log/reader.py", "server/specs.py", "cli/main.py"),
-    "a lock or a folder, of which nothing is read": ("log/writer.py", "server/transport/world_folder.py"),
+    "the system says it": (
+        "log/fingerprint.py", "log/reader.py", "server/specs.py", "server/host/process.py", "cli/main.py",
+    ),
+    "a lock or a folder, of which nothing is read": ("log/writer.py", "core/own_folder.py"),
     "the door gave the bytes": (
         "agents/runs/checkpoint.py", "agents/runs/data_folder.py", "agents/runs/metrics.py", "agents/runs/weights.py",
         "chair_check/stick_drives.py", "drive/recording/study_plan.py", "users/recordings/recorded_user.py",
@@ -71,3 +73,15 @@ def test_nothing_is_read_beside_the_door() -> None:
     named = {name for names in BESIDE.values() for name in names}
     assert found - named == set(), "read it through wcsim.core.reading, or say here why not"
     assert named - found == set(), "reads nothing any more"
+
+
+def test_what_is_temporary_lies_where_the_next_start_finds_what_a_kill_left() -> None:
+    """Who makes a folder beside a file that it will become has no use for it."""
+    makers = ("tempfile.TemporaryDirectory", "tempfile.mkdtemp", "tempfile.NamedTemporaryFile", "tempfile.mkstemp")
+    beside = [
+        f"{file}: {ast.unparse(call)}"
+        for file, tree in parsed("wcsim").items()
+        for call in ast.walk(tree)
+        if isinstance(call, ast.Call) and ast.unparse(call.func) in makers and "dir=" not in ast.unparse(call)
+    ]
+    assert beside == []

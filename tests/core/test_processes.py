@@ -89,3 +89,13 @@ def test_the_processes_of_a_pool_end_with_whoever_started_them(tmp_path):
     (tmp_path / "orphans.py").write_text(ORPHANS)
     with subprocess.Popen([sys.executable, str(tmp_path / "orphans.py")], stdout=subprocess.PIPE) as parent:
         assert parent.communicate(timeout=60.0)[0] == b""
+
+
+def test_semaphores_of_a_group_that_was_killed_go_with_the_next_pool(tmp_path):
+    (tmp_path / "orphans.py").write_text(ORPHANS.replace("os.kill(os.getpid()", "os.killpg(os.getpid()"))
+    killed = subprocess.Popen([sys.executable, str(tmp_path / "orphans.py")], start_new_session=True)
+    killed.wait(60.0)
+    left = [path for path in Path("/dev/shm").glob(f"sem.wcsim-*-{killed.pid}-*")]  # noqa: S108
+    assert left, "its tracker was killed, too"
+    assert dict(pooled(abs, [-1], 1)) == {0: 1}
+    assert not any(path.exists() for path in left)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Iterator
+from importlib import metadata
 from pathlib import Path
 
 import pytest
@@ -53,3 +54,24 @@ def test_only_what_is_needed_counts(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         "a.py", "b.py", "deep/late.py", "seeds.py", "t.py",
     ]  # fmt: skip
     assert {name for path in found for name in sources._parsed(path)[1]} == {"typing", "numpy"}
+
+
+@pytest.mark.parametrize(
+    ("installed", "told"),
+    [
+        ({"pybullet": "3.2.7"}, "3.2.7"),
+        ({"pybullet-arm64": "3.2.8"}, "3.2.7"),
+        ({"pybullet-arm64": "3.2.9"}, "pybullet-arm64-3.2.9"),
+        ({}, ""),
+    ],
+)
+def test_the_fork_counts_as_the_release_whose_bytes_it_gives(
+    installed: dict[str, str], told: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def version(name: str) -> str:
+        if name in installed:
+            return installed[name]
+        raise metadata.PackageNotFoundError(name)
+
+    monkeypatch.setattr(metadata, "version", version)
+    assert sources.version_of("pybullet") == told and sources.version_of("numpy") == ""

@@ -12,6 +12,7 @@ import pytest
 
 from wcsim.cli.main import main
 from wcsim.config.scene import SceneExpect
+from wcsim.core.own_folder import WORK_PREFIX
 from wcsim.errors import TownError
 from wcsim.scenes.run import _run_scene
 from wcsim.scenes.template import write_scene
@@ -140,7 +141,7 @@ def test_what_is_wrong_with_a_scene_is_said(tmp_path, capsys, request, fault):
     assert re.search(told, error), error
     assert str(folder) in error
     assert "Traceback" not in error
-    assert "wcsim-scene-" not in error.replace(str(folder), "")
+    assert WORK_PREFIX not in error.replace(str(folder), "")
     assert not (folder / GOLDEN).exists()
 
 

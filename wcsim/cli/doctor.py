@@ -18,7 +18,7 @@ from wcsim.cli.shared.common import Flag, OutFile, parse, write_json
 from wcsim.cli.shared.consoles import show_table
 from wcsim.core.files import can_be_written
 from wcsim.core.reading import counted, escaped
-from wcsim.core.versions import version_of
+from wcsim.core.sources import version_of
 from wcsim.errors import ConfigError, WcsimError
 
 PACKAGES = (

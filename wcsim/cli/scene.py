@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shlex
 import shutil
-import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -15,6 +14,7 @@ from wcsim.cli.shared.common import OutFile, Parts, Writes, run_part, write_json
 from wcsim.cli.shared.consoles import show_table
 from wcsim.config import read_toml
 from wcsim.config.scene import SceneFile
+from wcsim.core.own_folder import temporary_folder
 from wcsim.core.reading import counted, escaped
 from wcsim.errors import ConfigError
 from wcsim.scenes.facts import Facts, faults
@@ -143,8 +143,8 @@ def _outcome(folder: Path, name: str) -> _Outcome:
     from wcsim.scenes.run import run_in_child
 
     note, scene = "", read_toml(folder / "scene.toml", SceneFile)
-    with tempfile.TemporaryDirectory(prefix="wcsim-trace-") as work:
-        trace = Path(work) / "new.trace"
+    with temporary_folder() as work:
+        trace = work / "new.trace"
         facts = run_in_child(folder, trace)
         found = faults(facts, scene.expect)
         golden = folder / GOLDEN
@@ -165,8 +165,8 @@ def _bless(options: _BlessOptions) -> int:
     from wcsim.scenes.run import run_in_child  # loads the simulators, which --help must not
 
     for folder, name in zip(folders, _names(folders), strict=True):
-        with tempfile.TemporaryDirectory(prefix="wcsim-trace-") as work:
-            trace = Path(work) / "new.trace"
+        with temporary_folder() as work:
+            trace = work / "new.trace"
             facts = run_in_child(folder, trace)
             golden = folder / GOLDEN
             told = _news(trace, golden)

@@ -15,6 +15,7 @@ from wcsim.cli.shared.consoles import beside, print_overrides, warn
 from wcsim.cli.shared.exit_codes import Exit
 from wcsim.cli.shared.run_config import overrides_of
 from wcsim.config import RunConfig, resolve
+from wcsim.core.own_folder import endpoint_in, workplace
 from wcsim.core.reading import require_no_links
 from wcsim.errors import ConfigError
 from wcsim.log.reader import part_files
@@ -25,7 +26,6 @@ from wcsim.server.protocol.events import Rules
 from wcsim.server.protocol.limits import require_files
 from wcsim.server.specs import WorldSpec, world_plan
 from wcsim.server.transport.keys import is_loopback, known_names, make_keys
-from wcsim.server.transport.world_folder import endpoint_in, workplace
 from wcsim.towns.checks.validate import validate_net
 from wcsim.towns.scenario.town import Town, find_town
 from wcsim.types.bounds import MOST_SEATS

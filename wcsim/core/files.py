@@ -29,7 +29,6 @@ KERNELS = "kernels"  # the folder in the user's cache for machine code
 _SEAL = "seal"
 _WORK, _OLD = ".tmp", ".old"  # end the names of what is being written, and of what it replaces
 _DAMAGED = ".damaged"  # added to the name of what was passed over
-WORK_PREFIX = "wcsim-work-"  # of folders of workers, in which a killed one leaves all that is temporary
 _FILE_MODE = 0o644  # safetensors writes files that only their owner can read; runs are for sharing
 _MOST_NAMES = 10_000
 _FOLDER_MODE = 0o755  # without the right to enter it, nobody reads what lies in a folder
@@ -314,9 +313,7 @@ def _wanted() -> Path | None:
 def _temporary() -> Path | None:
     """A folder for this user alone; None where somebody else was there first, for machine code is read from it."""
     try:
-        place = Path(tempfile.gettempdir())
-        place = place.parent if place.name.startswith(WORK_PREFIX) else place  # it outlives a worker's piece
-        folder = place / f"wcsim-cache-{os.getuid()}"
+        folder = Path(tempfile.gettempdir()) / f"wcsim-cache-{os.getuid()}"
         folder.mkdir(mode=0o700, exist_ok=True)
         found = folder.lstat()
     except OSError:

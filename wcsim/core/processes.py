@@ -15,7 +15,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType, TracebackType
 from typing import IO, TYPE_CHECKING, Any, Self, TypeVar
@@ -108,6 +108,7 @@ def pooled(call: Callable[[_Piece], _Done], pieces: Sequence[_Piece], jobs: int)
     from multiprocessing import get_context
 
     # A process that waits for work would not notice that nobody is left to give it any.
+    name_semaphores()
     with ProcessPoolExecutor(jobs, get_context("spawn"), die_with_parent, (signal.SIGKILL,)) as pool:
         waiting = {pool.submit(call, piece): place for place, piece in enumerate(pieces)}
         try:
@@ -116,6 +117,22 @@ def pooled(call: Callable[[_Piece], _Done], pieces: Sequence[_Piece], jobs: int)
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
+
+
+def name_semaphores() -> None:
+    """Name this process in its semaphores, before it makes a pool; remove those of processes that were killed.
+
+    multiprocessing's tracker does so, unless it was killed with all others. Process numbers mean nothing in another
+    container that shares the place, so the number of this one stands before them.
+    """
+    from multiprocessing import current_process
+
+    container = f"wcsim-{Path('/proc/self/ns/pid').stat().st_ino}-"
+    for left in Path("/dev/shm").glob(f"sem.{container}*"):  # noqa: S108 - nothing is made there
+        if not Path("/proc", left.name.removeprefix(f"sem.{container}").partition("-")[0]).exists():
+            with suppress(OSError):  # another user's
+                left.unlink()
+    current_process()._config["semprefix"] = f"/{container}{os.getpid()}"  # type: ignore[attr-defined]
 
 
 class StopSignals:

@@ -1,4 +1,4 @@
-"""Which files of the package a module is made of: what it imports, and what that imports, found without running it."""
+"""Which code runs: files of the package that a module needs, found without running them; versions of other packages."""
 
 from __future__ import annotations
 
@@ -6,7 +6,9 @@ import hashlib
 import re
 from collections.abc import Iterator
 from functools import cache
+from importlib import metadata
 from pathlib import Path
+from typing import Final
 
 _NAME = __name__.partition(".")[0]
 _ROOT = Path(__file__).parents[__name__.count(".")]
@@ -15,6 +17,8 @@ _FOR_TYPES_ALONE = re.compile(r"^if TYPE_CHECKING:[^\n]*\n(?:[ \t]+.*\n|\n)+", r
 _FROM = re.compile(r"^[ \t]*from ([\w.]+) import (\([^)]*\)|[^\n]*)", re.MULTILINE)
 _PLAIN = re.compile(r"^[ \t]*import ([\w., ]+)", re.MULTILINE)
 _COMMENT = re.compile(r"#[^\n]*")
+_FORK: Final = "pybullet-arm64"  # PyBullet for Python 3.12 and later: its own packages end at 3.11
+_SAME_BYTES: Final = {"3.2.8": "3.2.7"}  # of the fork, and of PyBullet itself: scenes have the same hashes with both
 
 Imported = tuple[str, str, str]  # module, a name of it ("" for the module itself), what it is called here
 
@@ -57,6 +61,20 @@ def code_digest(root: Path = _ROOT / _NAME) -> str:
         if place.parts[0] not in _ABOVE:
             text.update(place.as_posix().encode() + b"\0" + path.read_bytes())
     return text.hexdigest()
+
+
+def version_of(package: str) -> str:
+    """The version of a distribution, "" where it is not installed.
+
+    The one of "pybullet" is that of the engine: a fork that gives the same bytes counts as the release that it repeats.
+    """
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        if package != "pybullet":
+            return ""
+    fork = version_of(_FORK)
+    return _SAME_BYTES.get(fork, fork and f"{_FORK}-{fork}")
 
 
 def _file_of(module: str) -> Path | None:

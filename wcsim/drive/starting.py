@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Collection
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
-from pathlib import Path
-from tempfile import TemporaryDirectory
 
 from wcsim.agents.opening.list_file import TIGHT, Suite, open_block, open_suite, require_towns, seat_of, shipped
 from wcsim.agents.opening.named_policy import config_for, open_named, seat_for, sensing
@@ -15,6 +13,7 @@ from wcsim.config import RunConfig, resolve
 from wcsim.config.suite import BlockFile
 from wcsim.core import seeding
 from wcsim.core.constants import RECORDED
+from wcsim.core.own_folder import temporary_folder
 from wcsim.core.reading import escaped
 from wcsim.errors import ConfigError, TownError
 from wcsim.towns.cache.folder import cache_folder
@@ -127,7 +126,7 @@ def _of_suite(start: DriveStart, held: ExitStack) -> OpenPlace:
     suite = open_suite(start.suite)
     require_towns(suite.file)
     block = _block(suite, start)
-    work = Path(held.enter_context(TemporaryDirectory(prefix="wcsim-drive-")))
+    work = held.enter_context(temporary_folder())
     config = config_for(start.policy, PRESET, (*suite.file.settings, *block.settings), in_list=True)
     driver_seed = seeding.derive(block.seed, "driver", start.seat)
     policy = open_named(start.policy, config, driver_seed, start.network or None)

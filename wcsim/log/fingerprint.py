@@ -6,7 +6,7 @@ import os
 import platform
 from pathlib import Path
 
-from wcsim.core.versions import version_of
+from wcsim.core.sources import version_of
 
 PACKAGES = ("libsumo", "pybullet", "numpy", "numba", "shapely", "networkx")
 _CPU_KIND = ("vendor_id", "cpu family", "model")

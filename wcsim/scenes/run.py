@@ -11,7 +11,6 @@ import os
 import re
 import subprocess
 import sys
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import islice
@@ -23,6 +22,7 @@ from wcsim.bridge.world import World
 from wcsim.bridge.world_rollout import RolloutStep, rollout
 from wcsim.config import CameraConfig, RunConfig
 from wcsim.config.scene import SceneFile, SceneSeat
+from wcsim.core.own_folder import WORK_PREFIX, temporary_folder
 from wcsim.core.processes import run_command
 from wcsim.errors import TownError, WcsimError
 from wcsim.log.fingerprint import engines_fingerprint
@@ -47,7 +47,6 @@ _BAD_SCENE = 2
 TRACE_EVERY = 10
 """Ticks from one record of a golden trace to the next; its last tick has one, and a hash covers all ticks up to it."""
 
-_WORK = "wcsim-scene-"
 _SMALL_CAMERAS = (CameraConfig(width_px=16, height_px=12),)
 _FILM_CAMERA = CameraConfig(width_px=480, height_px=360, rgb=True)
 _FILM_SPAN_M = 40.0
@@ -77,9 +76,9 @@ def _open_scene(folder: Path, cameras: tuple[CameraConfig, ...] = _SMALL_CAMERAS
 
     Raises TownError when the scene cannot be built, or a seat starts where there is no street.
     """
-    with tempfile.TemporaryDirectory(prefix=_WORK) as work:
+    with temporary_folder() as work:
         try:
-            town, scene = build_scene(folder, Path(work))
+            town, scene = build_scene(folder, work)
             specs = seat_specs(folder, scene, town.file.origin_m)
             world = World(town, scene_config(scene, RunConfig(cameras=cameras)), specs, scene.seed, find_user=find_user)
         except WcsimError as error:
@@ -125,7 +124,7 @@ def _ticks(world: World, scene: SceneFile) -> int:
 def _without_work(text: str, folder: Path) -> str:
     """A message about copies in a working folder that is gone by now, as one about the scene's own files."""
     text = text.partition("; see what it says")[0]
-    text = re.sub(rf"\S*/(?:{_WORK}|wcsim-trial-)\w+/\w[\w-]*\.", f"{folder}/*.", text)
+    text = re.sub(rf"\S*/{WORK_PREFIX}[\w-]+/\w[\w-]*\.", f"{folder}/*.", text)
     return text if text.startswith(f"{folder}") else f"{folder}: {text}"
 
 

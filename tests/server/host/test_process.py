@@ -137,13 +137,29 @@ def test_a_client_that_is_killed_does_not_stop_the_other(tmp_path, victim, remot
         assert server.status(lambda s: s.tick > alone.tick).master == survivor
 
 
-def test_a_client_on_another_machine_that_is_stopped_for_a_while_keeps_its_seat(tmp_path):
-    with two_processes(tmp_path) as (server, clients, _):
+@pytest.mark.parametrize("remote", [True, False], ids=["tcp", "ipc"])
+def test_nobody_waits_for_long_for_a_client_that_a_signal_holds_and_it_comes_back(tmp_path, remote):
+    with two_processes(tmp_path, remote) as (server, clients, _):
         clients["b"].send_signal(signal.SIGSTOP)
-        time.sleep(8.0)  # longer than a cut would take to be noticed
+        time.sleep(2.0)
+        assert server.status().members == ("a", "b")
+        stopped = server.status()
+        alone = server.status(lambda s: s.tick > stopped.tick + 1)
+        assert alone.members == ("a",)
+        clients["b"].send_signal(signal.SIGCONT)
+        again = server.status(lambda s: len(s.members) == 2)
+        assert server.status(lambda s: s.tick > again.tick).members == ("a", "b")
+
+
+def test_a_client_that_is_alone_and_held_keeps_its_seat(tmp_path):
+    with two_processes(tmp_path, remote=False) as (server, clients, _):
+        clients["a"].kill()
+        server.status(lambda s: s.members == ("b",))
+        clients["b"].send_signal(signal.SIGSTOP)
+        time.sleep(7.0)  # longer than another would wait for it
         clients["b"].send_signal(signal.SIGCONT)
         stopped = server.status()
-        assert server.status(lambda s: s.tick > stopped.tick).members == ("a", "b")
+        assert server.status(lambda s: s.tick > stopped.tick).members == ("b",)
 
 
 class Cable:

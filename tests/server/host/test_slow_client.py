@@ -6,6 +6,7 @@ from pathlib import Path
 from benchmarks.soak.stub_client import read_sights
 from tests.server.servers import STAND_IN
 from tests.support.worlds import quick_config
+from wcsim.core.own_folder import endpoint_in, workplace
 from wcsim.log.reader import iter_inputs
 from wcsim.log.writer import JOURNAL
 from wcsim.server.launch.launcher import Launcher
@@ -13,7 +14,6 @@ from wcsim.server.launch.states import ClientPlan, LaunchState
 from wcsim.server.ledger import audit, iter_ledger
 from wcsim.server.protocol.events import Rules
 from wcsim.server.specs import SeatRequest, WorldSpec, to_line, world_plan
-from wcsim.server.transport.world_folder import endpoint_in, workplace
 from wcsim.types import SeatSpec
 from wcsim.view.live_table import _line_of
 

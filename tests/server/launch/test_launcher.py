@@ -13,12 +13,12 @@ import pytest
 
 from tests.support.events import read_events
 from wcsim.config import RunConfig
+from wcsim.core.own_folder import endpoint_in, workplace
 from wcsim.server.launch.launcher import Launcher
 from wcsim.server.launch.states import ClientPlan, LaunchRules, RestartRules
 from wcsim.server.launch.supervised import MOST_LEFT_ALONE
 from wcsim.server.protocol.events import Rules
 from wcsim.server.specs import WorldSpec, world_plan
-from wcsim.server.transport.world_folder import endpoint_in, workplace
 
 STUB = (sys.executable, "-I", "-S", str(Path(__file__).parent / "launch_stubs.py"))
 QUICK = LaunchRules(
@@ -349,7 +349,7 @@ def test_nothing_outlives_a_launcher_that_is_killed(tmp_path, stands):
 
 OWNER = """
 import time
-from wcsim.server.transport.world_folder import workplace
+from wcsim.core.own_folder import workplace
 with workplace() as place:
     print(place, flush=True)
     time.sleep(60)

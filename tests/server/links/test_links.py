@@ -19,6 +19,7 @@ import pytest
 
 from tests.server.servers import AHEAD, QUICK, Server, alone, driven, far_order, frames_of, stand_in_order
 from tests.support.worlds import quick_config
+from wcsim.core.own_folder import OwnFolder, endpoint_in
 from wcsim.errors import (
     ConfigMismatchError,
     LinkClosedError,
@@ -38,7 +39,6 @@ from wcsim.server.protocol.client_core import Ask, ClientCore, Patience
 from wcsim.server.protocol.events import Rules
 from wcsim.server.specs import SeatRequest, WorldOrder
 from wcsim.server.transport.keys import make_keys
-from wcsim.server.transport.world_folder import OwnFolder, endpoint_in
 from wcsim.types import SeatSpec
 
 SEED, CONFIG, SPEC = 4, quick_config(), SeatSpec(max_steps=25, truth_visible=True)
@@ -322,7 +322,7 @@ def test_work_between_send_and_receive_is_done_while_the_world_ticks(tmp_path):
 
 KILLED = """
 import os, signal
-from wcsim.server.transport.world_folder import OwnFolder
+from wcsim.core.own_folder import OwnFolder
 folder = OwnFolder().path
 (folder / "seat-0").write_bytes(bytes(1000))
 print(folder, flush=True)

@@ -11,11 +11,11 @@ import pytest
 from benchmarks.barrier.fake_world import FakeWorld
 from tests.support.worlds import quick_config
 from wcsim.config import CameraConfig
+from wcsim.core.own_folder import LOCK, OwnFolder, _remove_stale
 from wcsim.errors import ConfigError, DiskFullError, PicturesError, ProtocolError
 from wcsim.server.protocol import messages as m
 from wcsim.server.specs import WorldOrder
 from wcsim.server.transport.shared_images import RingSink, RingView
-from wcsim.server.transport.world_folder import LOCK, OwnFolder, _remove_stale
 from wcsim.types import Command, Joystick, SeatSpec
 
 ONE = quick_config("cameras.0.rgb=true")
@@ -151,7 +151,7 @@ def test_a_ring_has_the_same_bounds_for_who_writes_and_who_reads_it(tmp_path, mo
 OWNER = """
 import sys, time
 from pathlib import Path
-from wcsim.server.transport.world_folder import OwnFolder
+from wcsim.core.own_folder import OwnFolder
 print(OwnFolder(Path(sys.argv[1])).path, flush=True)
 time.sleep(60)
 """

@@ -4,7 +4,6 @@ import os
 import signal
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -13,7 +12,7 @@ from typing import Any
 import psutil
 import pytest
 
-from tests.support.cluster.workpieces import always_die, blunder, die_once, echo, hang_once, leave_and_die_once, refuse
+from tests.support.cluster.workpieces import always_die, blunder, die_once, echo, hang_once, refuse
 from wcsim.errors import DiskFullError, TownError, WorkersError
 from wcsim.server.workers.crew import MOST_FAILURES, Crew, _Piece, _Task
 from wcsim.server.workers.machines import Work, WorkEnd, _ProcessWorkers
@@ -178,16 +177,6 @@ def test_what_comes_of_a_piece_that_was_given_to_somebody_else_is_dropped(came):
     crew._at = {"w": _Task(piece=piece, since_s=0.0)}
     with pytest.raises(WorkersError, match=r"a was started 5 times .*on w, where it died; check disk space and memory"):
         crew._take_back(WorkEnd(worker="w", key="a", lost="it died"))
-
-
-def test_what_a_killed_process_leaves_goes_with_the_next_piece(tmp_path, monkeypatch):
-    monkeypatch.setenv("TMPDIR", str(tmp_path / "temporary"))
-    monkeypatch.setattr(tempfile, "tempdir", None)
-    (tmp_path / "temporary").mkdir()
-    with Crew(_ProcessWorkers(1), lambda key, data: None) as crew:
-        crew.ask([work("a", leave_and_die_once, str(tmp_path / "once"))])
-        done_by(crew, {"a"})
-    assert (tmp_path / "once").exists() and list((tmp_path / "temporary").iterdir()) == []
 
 
 def test_machines_may_go_as_often_as_they_like():

@@ -8,12 +8,11 @@ import time
 from pathlib import Path
 
 import pytest
-from pytest import MonkeyPatch
 
-from tests.support.cluster.workpieces import echo, hang_once, tell_cache, tell_pid
-from wcsim.server.transport.world_folder import LOCK
+from tests.support.cluster.workpieces import echo, hang_once, tell_pid
+from wcsim.core.own_folder import LOCK, temporary_folder
 from wcsim.server.workers.cluster_node import do_work, packed
-from wcsim.server.workers.machines import Call, Parcel, Work, WorkEnd, work_folder
+from wcsim.server.workers.machines import Call, Parcel, Work, WorkEnd
 
 
 def work(folder: str, call: Call, piece: str) -> WorkEnd:
@@ -63,18 +62,9 @@ def test_what_a_killed_worker_leaves_goes_with_the_next_piece(temporary: Path, t
     assert list(temporary.iterdir()) == []
 
 
-def test_the_cache_outlives_a_piece(temporary: Path, monkeypatch: MonkeyPatch) -> None:
-    (temporary.parent / "file").touch()
-    monkeypatch.setenv("HOME", str(temporary.parent / "file"))
-    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
-    assert do_work("here/1", Work(key="a", call=tell_cache, piece=""), ()).data.decode() == str(
-        temporary / f"wcsim-cache-{os.getuid()}"
-    )
-
-
 def test_folders_of_others_stay(temporary: Path) -> None:
     names = ("wcsim-other", "wcsim-work-x", "wcsim-work-1-gone")  # the last is of a process that was killed as it ended
     for name in names:
         (temporary / name).mkdir()
-    with work_folder() as own:
+    with temporary_folder() as own:
         assert {path.name for path in temporary.iterdir()} == {*names[:2], own.name}

@@ -2,14 +2,12 @@
 
 import os
 import signal
-import tempfile
 import time
 from pathlib import Path
 from typing import Any
 
 import zstandard
 
-from wcsim.core.files import user_cache
 from wcsim.errors import TownError
 from wcsim.server.workers.cluster_node import MOST_BYTES, _unpack
 from wcsim.server.workers.machines import At
@@ -23,11 +21,6 @@ def echo(piece: Any, at: At) -> bytes:
 def tell_pid(piece: Any, at: At) -> bytes:
     """Which process does it."""
     return str(os.getpid()).encode()
-
-
-def tell_cache(piece: Any, at: At) -> bytes:
-    """Where this process keeps what it can make again."""
-    return str(user_cache()).encode()
 
 
 def read_parcel(piece: str, at: At) -> bytes:
@@ -69,12 +62,6 @@ def die_once(piece: str, at: At) -> bytes:
         Path(piece).write_text("x")
         os.kill(os.getpid(), signal.SIGKILL)
     return b"lived"
-
-
-def leave_and_die_once(piece: str, at: At) -> bytes:
-    """The same with a folder of temporary files open."""
-    with tempfile.TemporaryDirectory(prefix="wcsim-"):
-        return die_once(piece, at)
 
 
 def always_die(piece: Any, at: At) -> bytes:

@@ -35,6 +35,7 @@ from wcsim.agents.runs.run_folder import (
 from wcsim.config import RunConfig, parse, resolve
 from wcsim.config.load import Layer
 from wcsim.core import files, seeding
+from wcsim.core.own_folder import endpoint_in
 from wcsim.core.reading import CLAIM, read_text
 from wcsim.errors import ConfigError, PolicyError, WcsimError
 from wcsim.log.reader import iter_inputs, part_files
@@ -45,7 +46,6 @@ from wcsim.server.ledger import iter_ledger
 from wcsim.server.protocol.client_core import Patience
 from wcsim.server.protocol.events import Rules
 from wcsim.server.specs import ClientSpec, RunInfo, SeatRequest, WorldSpec, seat_spec, to_line
-from wcsim.server.transport.world_folder import endpoint_in
 from wcsim.towns.making.asked_town import made_seed
 from wcsim.towns.scenario.town import find_town
 from wcsim.types import CLIENT_NAME

@@ -15,7 +15,6 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any, Final, Protocol
 
 import numpy as np
@@ -48,6 +47,7 @@ from wcsim.bridge.world import World
 from wcsim.bridge.world_rollout import rollout
 from wcsim.config import CollectConfig, RunConfig, resolve
 from wcsim.core import seeding
+from wcsim.core.own_folder import temporary_folder
 from wcsim.core.reading import escaped
 from wcsim.errors import ConfigError
 from wcsim.supervisor.actions import ActionSet, action_set
@@ -313,8 +313,8 @@ def collect(order: SegmentOrder, make_learned: MakeLearned | None) -> Segment:
         ConfigError: The chairs lack a sense that data needs.
     """
     key, parts = order.key, list[Segment]()
-    with TemporaryDirectory(prefix="wcsim-collect-") as work:
-        for number, place in enumerate(_places_of(order, Path(work))):
+    with temporary_folder() as work:
+        for number, place in enumerate(_places_of(order, work)):
             seed = seeding.derive(key.run, "collect", key.round, key.index, "drivers", number)  # of who drives, and how
             parts.append(_driven(place, make_learned, seed))
     return joined(parts)

@@ -36,7 +36,7 @@ from wcsim.core.constants import RECORDED
 from wcsim.core.processes import run_command
 from wcsim.core.reading import RUN, escaped, is_file, is_folder
 from wcsim.core.reading import read_json as read_bounded_json
-from wcsim.core.versions import version_of
+from wcsim.core.sources import version_of
 from wcsim.errors import ConfigError, PolicyError, TownError, meant
 from wcsim.server.specs import RunInfo
 from wcsim.server.workers.machines import Parcel

@@ -14,7 +14,7 @@ from safetensors.torch import load, save
 from wcsim.agents.runs.policy_file import POLICY_JSON, WEIGHTS
 from wcsim.core import files, reading
 from wcsim.core.reading import escaped, read_bytes, regular_size
-from wcsim.core.versions import version_of
+from wcsim.core.sources import version_of
 from wcsim.errors import PolicyError
 
 _MAX_HEADER_BYTES = 1 << 20

@@ -38,6 +38,7 @@ from wcsim.cli.shared.common import (
 from wcsim.cli.shared.consoles import StageBar, say, show_table, stderr_console, stdout_console
 from wcsim.cli.shared.exit_codes import Exit
 from wcsim.config.suite import MOST_NAME, MOST_SET, name_pattern
+from wcsim.core.own_folder import temporary_folder
 from wcsim.core.reading import counted, escaped, is_file
 from wcsim.errors import ConfigError, InterruptedRunError
 from wcsim.server.workers.crew import WorkerNow
@@ -103,13 +104,12 @@ def make_list(words: list[str]) -> int:
     """Make a list and write it."""
     options = parse(_SuiteMakeOptions, words, "test")
     _Named(MOST_SET).check("--suite-file", options.suite_file.stem)
-    import tempfile
 
     from wcsim.agents.evaluation.suite.make import MakeOrder, make_suite
     from wcsim.agents.evaluation.suite.result_files import TOWNS
     from wcsim.agents.opening.list_file import asked_towns, suite_of, write_list
 
-    with tempfile.TemporaryDirectory(prefix="wcsim-suite-") as work:
+    with temporary_folder() as work:
         order = MakeOrder(
             suite=options.name,
             set=options.suite_file.stem,
@@ -121,7 +121,7 @@ def make_list(words: list[str]) -> int:
             tight=range(options.tight_from, options.tight_from + options.tight),
             forks=options.forks,
             jobs=options.jobs,
-            work=Path(work),
+            work=work,
         )
         towns = asked_towns(options.make_suite, order.work / TOWNS)
         with StageBar("making the list") as bar:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
@@ -21,6 +20,7 @@ from wcsim.cli.shared.common import Bounds, Finds, Flag, Keys, Repeated, check_f
 from wcsim.cli.shared.consoles import print_overrides, stdout_console
 from wcsim.cli.shared.run_config import overrides_of, require_policy, require_user
 from wcsim.core.constants import RECORDED
+from wcsim.core.own_folder import temporary_folder
 from wcsim.errors import ConfigError, TownError
 from wcsim.towns.checks.validate import validate_net
 from wcsim.towns.scenario.town import Town, by_name, content_hash, find_town, list_towns, streets_hash
@@ -108,7 +108,7 @@ def _ordered(options: Options, *, overrides: bool = True) -> Iterator[tuple[Suit
     many = options.episodes, options.max_steps, options.seed
     suite = suite_of(town_list(list(towns.values()), profiles, *many, settings=options.set))
     with contextlib.ExitStack() as held:
-        out = options.out or Path(held.enter_context(tempfile.TemporaryDirectory(prefix="wcsim-test-")))
+        out = options.out or held.enter_context(temporary_folder())
         yield replace(order_of(options, suite, out, options.forks), settings=(), hook=options.hook), str(out / LIST)
         write_list(suite.file, out / LIST)
 

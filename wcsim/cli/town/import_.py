@@ -6,7 +6,6 @@ import math
 import os
 import shlex
 import shutil
-import tempfile
 import time
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -27,6 +26,7 @@ from wcsim.cli.shared.common import (
 )
 from wcsim.cli.shared.consoles import say
 from wcsim.cli.town.town_check import checked, told_report, try_town
+from wcsim.core.own_folder import temporary_folder
 from wcsim.core.reading import counted
 from wcsim.errors import ConfigError
 from wcsim.towns.checks.cures import FASTEST_MPS
@@ -153,8 +153,8 @@ def _build(options: ImportOptions, out: Path) -> tuple[TownReport, dict[str, Any
 
     from wcsim.towns.importing.importer import import_town
 
-    with tempfile.TemporaryDirectory(prefix="wcsim-osm-") as folder:
-        osm = options.osm or download(_bbox(options.bbox), Path(folder), options.url)
+    with temporary_folder() as folder:
+        osm = options.osm or download(_bbox(options.bbox), folder, options.url)
         made = import_town(_order(options, osm, box, out), _built, say)
     print(f"wrote {made.town.folder}; open it with: sumo-gui -c {shlex.quote(str(made.town.sumocfg))}")
     print(f"traffic drives on the {made.side}")

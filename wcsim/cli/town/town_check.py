@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -13,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from wcsim.cli.shared.common import OutFile, TownWord, write_json
 from wcsim.cli.shared.consoles import show_table, stdout_console
 from wcsim.config import resolve
+from wcsim.core.own_folder import temporary_folder
 from wcsim.core.reading import counted, listed
 from wcsim.errors import SumoError, TownError
 from wcsim.towns.checks.cures import Cures
@@ -68,14 +68,14 @@ def checked(town: Town, share: float | None = None, told: Callable[[str], None] 
 
 def _collisions_note(town: Town) -> tuple[str, ...]:
     """Who collides in the first COLLIDING_S of a town's traffic, by SUMO itself, or that this takes too long."""
-    with tempfile.TemporaryDirectory(prefix="wcsim-trial-", ignore_cleanup_errors=True) as work:
-        staged = stage_scenario(town, Settings(world=resolve("quick").world, seed=1), Path(work))
+    with temporary_folder() as work:
+        staged = stage_scenario(town, Settings(world=resolve("quick").world, seed=1), work)
         seed = read_configuration(town.sumocfg).value("seed")
-        found = Path(work) / "collisions.xml"
+        found = work / "collisions.xml"
         words = ["-c", str(staged.sumocfg), "--end", f"{staged.begin_s + COLLIDING_S:.12g}"]
         words += ["--collision-output", str(found), *(("--seed", seed) if seed else ())]
         try:
-            run_tool("sumo", words, Path(work), _LIMITS)
+            run_tool("sumo", words, work, _LIMITS)
             told = [(hit.get("collider", ""), hit.get("victim", ""), hit.get("lane", "")) for hit in read_root(found)]
         except (SumoError, TownError):
             return (f"SUMO did not finish the first {COLLIDING_S:g} s of this traffic within {_LIMITS.wall_s:g} s",)

@@ -28,6 +28,7 @@ from wcsim.cli.shared.run_config import how_it_learns, how_to_test
 from wcsim.cli.training.train import ToldOptions
 from wcsim.config import RunConfig, resolve
 from wcsim.core.files import locked
+from wcsim.core.own_folder import workplace
 from wcsim.core.processes import StopSignals
 from wcsim.errors import ConfigError, DiskFullError, InterruptedRunError, JournalError, PolicyError, WcsimError
 from wcsim.log.reader import iter_inputs, log_digest, part_files
@@ -37,7 +38,6 @@ from wcsim.server.launch.states import ClientState, LaunchOutcome, LaunchRules, 
 from wcsim.server.ledger import Audit, audit, iter_ledger
 from wcsim.server.protocol.limits import require_files
 from wcsim.server.specs import world_plan
-from wcsim.server.transport.world_folder import workplace
 from wcsim.towns.scenario.town import Town
 from wcsim.view.live_table import LiveTable
 from wcsim.view.report.learning_curve import crossing, read_training

@@ -22,13 +22,13 @@ from wcsim.cli.shared.run_config import how_it_learns, how_to_test, require_user
 from wcsim.cli.training.train import LearnerOptions, came_of, gone_if_nothing_came_of_it, q_layers, steps_shown
 from wcsim.config import RunConfig, resolve
 from wcsim.core.files import locked
+from wcsim.core.own_folder import workplace
 from wcsim.errors import ConfigError, InterruptedRunError, ServerGoneError
 from wcsim.server.launch.launcher import Launcher
 from wcsim.server.launch.states import ClientPlan
 from wcsim.server.protocol.client_core import Patience
 from wcsim.server.protocol.messages import ANY_SEAT
 from wcsim.server.specs import ClientSpec, RunInfo, SeatRequest, seat_spec, to_line
-from wcsim.server.transport.world_folder import workplace
 from wcsim.types import CLIENT_NAME
 from wcsim.view.live_table import LiveTable
 

@@ -6,14 +6,13 @@ they share one), `arm_0_l` (when sprung), `swivel_0_l` and `caster_0_l`; `antiti
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Final
 
 from wcsim.config.plant import ArmPart, BeamPart, CasterPart
 from wcsim.core.frames import Vec3, rad
+from wcsim.core.own_folder import temporary_folder
 from wcsim.errors import ConfigError, PhysicsError
 from wcsim.physics.bullet import Bullet, pybullet
 from wcsim.physics.engine import Engine
@@ -215,8 +214,8 @@ def dressed(engine: Engine, number: int, spec: PlantSpec, v_max_mps: float) -> C
 def _load(text: str, bullet: Bullet) -> int:
     # Otherwise Bullet guesses inertias from the shapes, and takes a wheel for a prism that rattles.
     flags = pybullet.URDF_USE_INERTIA_FROM_FILE | pybullet.URDF_USE_IMPLICIT_CYLINDER
-    with tempfile.TemporaryDirectory(prefix="wcsim-") as folder:
-        path = Path(folder) / "chair.urdf"
+    with temporary_folder() as folder:
+        path = folder / "chair.urdf"
         path.write_text(text, encoding="utf-8")
         try:
             return int(bullet.loadURDF(str(path), flags=flags))

@@ -181,6 +181,14 @@ class _Lifelines(Closing):
             self._forget(pid)
         return lost, alone
 
+    def held(self, session: bytes) -> bool:
+        """Whether a signal, as of Ctrl-Z or SIGSTOP, holds the process of a session that is watched."""
+        for pid in [pid for pid, mine in self._sessions.items() if session in mine]:
+            with contextlib.suppress(OSError):
+                after_name = Path(f"/proc/{pid}/stat").read_text(encoding="ascii", errors="replace").rpartition(") ")[2]
+                return after_name.startswith("T")
+        return False
+
     def keep(self, sessions: Collection[bytes]) -> None:
         """Forget all sessions but these."""
         for pid, mine in list(self._sessions.items()):
@@ -240,6 +248,7 @@ class _EpochCap:
 
 _WAIT_MS = 50
 _CLOCK_S = 0.1
+_HELD_S = 5.0  # a client that a signal holds for so long is no longer waited for; over the network ZeroMQ tells
 
 
 class _ServerLoop:
@@ -302,12 +311,21 @@ class _ServerLoop:
                 self._feed(Lost(session, "its connection was lost", may_return=True))
         if due:
             self._clock_s = self._clock.now_s
+            self._let_go_of_held()
             self._feed(Clock())
             here = {p.session for p in self._core.roll.everyone()}
             self._lifelines.keep(here)
             self._homes = {session: home for session, home in self._homes.items() if session in here}
             self._reporter.report(self._core, self._hub, self._clock.now_s)
             self._cap.weigh()
+
+    def _let_go_of_held(self) -> None:
+        """Nobody waits for a client of this machine that a signal holds; once it goes on, it may join again."""
+        members = self._core.roll.members
+        late = [p for p in members if not p.ready and self._clock.now_s - p.asked_s > _HELD_S]
+        if 0 < len(late) < len(members):
+            for session in [p.session for p in late if self._lifelines.held(p.session)]:
+                self._feed(Lost(session, "a signal holds its process", may_return=True))
 
     def _hear(self, heard: Heard) -> None:
         peer = heard.peer

@@ -28,6 +28,7 @@ import msgspec
 import zmq
 from zmq.utils.monitor import recv_monitor_message
 
+from wcsim.core.own_folder import OwnFolder, endpoint_in, is_abandoned
 from wcsim.errors import AccessError, ConfigError, LinkClosedError, LinkTimeoutError, ProtocolError
 from wcsim.server.launch.states import WorldStatus
 from wcsim.server.launch.supervised import Child
@@ -40,7 +41,6 @@ from wcsim.server.specs import WORLD_ARGV, SeatRequest, WorldOrder, WorldSpec, o
 from wcsim.server.transport.keys import client_keys, server_public
 from wcsim.server.transport.shared_images import RingView
 from wcsim.server.transport.sockets import monitored
-from wcsim.server.transport.world_folder import OwnFolder, endpoint_in, is_abandoned
 from wcsim.types import ClientSnapshot, SeatSpec
 
 log = logging.getLogger("wcsim.server.links.socket")

@@ -33,6 +33,7 @@ BATCH = 256  # messages that are taken in at a time
 _HANDSHAKE_MS = 5_000  # a connection that has not shown its key by then is closed
 _IPC_PATH_BYTES = 107
 _CUT_S = 5  # a machine that vanished, or cannot be reached any more, says nothing
+_HELD_S = 6  # a process that a signal holds does not answer
 # Measured: as members of an enum, these take longer to combine than a message takes to send.
 _NOW, _MORE, _IN, _EVENTS = int(zmq.NOBLOCK), int(zmq.NOBLOCK | zmq.SNDMORE), int(zmq.POLLIN), int(zmq.EVENTS)
 
@@ -224,10 +225,11 @@ def monitored(socket: zmq.Socket[bytes], events: int) -> zmq.Socket[bytes]:
 
     ZeroMQ's thread waits where news are not read, and every connection with it; so its own bound of 2,000 goes.
 
-    The kernel ends TCP connections to a machine that is not there any more. It answers for a process that is stopped,
-    which ZeroMQ's own heartbeats would not. Such a process keeps its connection until so much is sent to it that the
-    kernels hold no more; then it is cut, as a machine that sleeps is.
+    The kernel ends TCP connections to a machine that is not there any more. It answers for a process that is stopped;
+    ZeroMQ's heartbeats do not. They are answered by a thread of its own, however long the process computes.
     """
+    socket.setsockopt(zmq.HEARTBEAT_IVL, 1000)
+    socket.setsockopt(zmq.HEARTBEAT_TIMEOUT, 1000 * _HELD_S)
     socket.setsockopt(zmq.TCP_KEEPALIVE, 1)
     socket.setsockopt(zmq.TCP_KEEPALIVE_IDLE, 2)
     socket.setsockopt(zmq.TCP_KEEPALIVE_INTVL, 1)

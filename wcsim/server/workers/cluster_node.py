@@ -19,11 +19,11 @@ from typing import Final
 
 import zstandard
 
+from wcsim.core.own_folder import temporary_folder
 from wcsim.core.reading import escaped, unzstd
-from wcsim.core.sources import code_digest
-from wcsim.core.versions import version_of
+from wcsim.core.sources import code_digest, version_of
 from wcsim.errors import ConfigError, DiskFullError, WcsimError, WorkersError
-from wcsim.server.workers.machines import Parcel, Work, WorkEnd, work_folder
+from wcsim.server.workers.machines import Parcel, Work, WorkEnd
 
 MOST_BYTES: Final = 512 << 20  # of the files of a parcel, and of what comes back
 _MOST_FILES: Final = 10_000
@@ -123,7 +123,7 @@ def do_work(worker: str, work: Work, parcels: tuple[Parcel, ...], *contents: Map
     key, began_s = work.key, time.monotonic()
     end = partial(WorkEnd, worker=worker, key=key, facts={"pid": os.getpid()})
     try:
-        with work_folder() as own:
+        with temporary_folder() as own:
             places = {}
             for number, (parcel, files) in enumerate(zip(parcels, contents, strict=True)):
                 folder = own / f"parcel-{number}" / (parcel.folder.name or "folder")  # as a town may be called by it

@@ -7,11 +7,9 @@ with the next on the machine.
 from __future__ import annotations
 
 import signal
-import tempfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 from multiprocessing import get_context
 from os import getpid
@@ -19,9 +17,7 @@ from pathlib import Path
 from time import sleep
 from typing import Any, Final, Protocol
 
-from wcsim.core.files import WORK_PREFIX
-from wcsim.core.processes import die_with_parent, unheard_by_children
-from wcsim.server.transport.world_folder import workplace
+from wcsim.core.processes import die_with_parent, name_semaphores, unheard_by_children
 
 At = Callable[[str], str]
 """Where that which the machine that sends calls by this address lies on the machine that works."""
@@ -93,25 +89,12 @@ class Workers(Protocol):
         """End all at once."""
 
 
-@contextmanager
-def work_folder() -> Iterator[Path]:
-    """A folder that is there while this is open; those of processes that were killed go first. Raises DiskFullError.
-
-    Meanwhile it is this process's place for temporary files, so that what a killed worker leaves is found again.
-    """
-    with workplace(Path(tempfile.gettempdir()), WORK_PREFIX) as folder:
-        before, tempfile.tempdir = tempfile.tempdir, str(folder)
-        try:
-            yield folder
-        finally:
-            tempfile.tempdir = before
-
-
 class OneProcess(ProcessPoolExecutor):
     """A process, started at once, that is there until this one ends, however that comes about."""
 
     def __init__(self) -> None:
         # A process that waits for work would not notice that nobody is left to give it any.
+        name_semaphores()
         super().__init__(1, mp_context=get_context("spawn"), initializer=die_with_parent, initargs=(signal.SIGKILL,))
         with unheard_by_children():
             self.submit(getpid)
@@ -141,10 +124,10 @@ class _ProcessWorkers:
     def begin(self, worker: str, work: Work) -> None:
         """Give a piece to a process."""
         try:
-            future = self._pool(worker).submit(_do, work)
+            future = self._pool(worker).submit(work.call, work.piece, str)
         except BrokenProcessPool:  # it died while it had nothing to do
             self._drop(worker)
-            future = self._pool(worker).submit(_do, work)
+            future = self._pool(worker).submit(work.call, work.piece, str)
         self._under_way[future] = worker, work.key
 
     def ended(self, timeout_s: float) -> list[WorkEnd]:
@@ -183,12 +166,6 @@ class _ProcessWorkers:
             self._drop(worker)
             return WorkEnd(worker=worker, key=key, lost="its process died")
         return WorkEnd(worker=worker, key=key, error=error)
-
-
-def _do(work: Work) -> bytes:
-    """In the process."""
-    with work_folder():
-        return work.call(work.piece, str)
 
 
 LOGS: Final = "cluster"  # of a run or a result: its folder for what Ray said, and who did what

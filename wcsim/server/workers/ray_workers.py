@@ -27,10 +27,10 @@ from signal import SIGTERM, alarm, signal
 from typing import Any, Final
 
 from wcsim.core.files import home
+from wcsim.core.own_folder import OwnFolder
 from wcsim.core.processes import die_with_parent
 from wcsim.core.reading import escaped
 from wcsim.errors import ConfigError, DiskFullError, WcsimError, WorkersError, check_installed
-from wcsim.server.transport.world_folder import OwnFolder
 from wcsim.server.workers.cluster_node import MOST_BYTES, do_work, facts_here, notes_on, packed, why_refused
 from wcsim.server.workers.machines import Facts, OneProcess, Parcel, Work, WorkEnd
 

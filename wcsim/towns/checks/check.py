@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import re
 import shlex
-import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,6 +17,7 @@ import shapely
 from shapely.geometry.base import BaseGeometry
 
 from wcsim.config import RunConfig
+from wcsim.core.own_folder import temporary_folder
 from wcsim.errors import SumoError, TownError
 from wcsim.towns.checks.cures import FOR_ROUTES, PAVED_LATER, Cures
 from wcsim.towns.checks.validate import validate_net
@@ -251,16 +251,16 @@ def _unroutable_trips(town: Town) -> int:
     """How many trips and flows that start in the first ten minutes have no way through the net."""
     if not town.routes:
         return 0
-    with tempfile.TemporaryDirectory() as folder:
-        met = FilteredFiles(Path(folder), town.border)  # duarouter follows what they include
+    with temporary_folder() as folder:
+        met = FilteredFiles(folder, town.border)  # duarouter follows what they include
         routes = [str(met.place(path, town.sumocfg)) for path in town.routes]
         needed = _for_routes([met.place(path, town.sumocfg) for path in town.additional])
-        needed.write(Path(folder) / "needed.add.xml")
+        needed.write(folder / "needed.add.xml")
         options = ["-n", str(met.place(town.net, town.sumocfg)), "-r", ",".join(routes)]
         begin_s = Cures(town).own_time()[0]  # SUMO drops who departs before
         options += ["-a", "needed.add.xml", "-b", f"{begin_s:.12g}", "-e", f"{begin_s + _CHECKED_S:.12g}"]
         options += ["-o", "out.rou.xml", "--ignore-errors", "--no-step-log", "--xml-validation", "never"]
-        run = run_tool("duarouter", options, Path(folder), Limits(wall_s=180.0))
+        run = run_tool("duarouter", options, folder, Limits(wall_s=180.0))
     if run.returncode:
         files = ", ".join(path.name for path in (*town.routes, *town.additional, town.net))
         raise SumoError(f"{town.sumocfg}: its demand cannot be checked: {run.reason()}; correct one of: {files}")

@@ -5,10 +5,10 @@ from __future__ import annotations
 import hashlib
 import itertools
 import math
-import tempfile
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
+from wcsim.core.own_folder import temporary_folder
 from wcsim.errors import SumoError, TownError
 from wcsim.towns.cache.folder import cache_folder, write_verdict
 from wcsim.towns.checks.cures import Cures
@@ -41,12 +41,12 @@ def validate_net(net: Path, *, border: Path | None = None) -> None:
     if verdict.is_file():
         return
     _scan_net(parse_root(data, str(net)), str(net))
-    with tempfile.TemporaryDirectory(prefix="wcsim-net-", ignore_cleanup_errors=True) as work:
-        files = FilteredFiles(Path(work), border or net.parent)
+    with temporary_folder() as work:
+        files = FilteredFiles(work, border or net.parent)
         safe = files.place(net, net)  # a net may name outputs too, which must not appear anywhere
         options = ["-n", str(safe.resolve()), "--end", "1", "--no-step-log", "--no-warnings"]
         try:
-            run = run_tool("sumo", [*options, "--xml-validation", "never"], Path(work), _LIMITS)
+            run = run_tool("sumo", [*options, "--xml-validation", "never"], work, _LIMITS)
         except SumoError as error:
             raise TownError(f"{net}: SUMO could not open this net ({error}); build it again with netconvert") from None
     if run.returncode:

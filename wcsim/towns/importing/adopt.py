@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import os
 import shutil
-import tempfile
 from pathlib import Path
 
 from wcsim.core.files import whole_folder
+from wcsim.core.own_folder import temporary_folder
 from wcsim.core.reading import EDGES, NOTICE, SCENARIO, is_file, opened, own_data, read_text
 from wcsim.core.reading import read_bytes as read_plain
 from wcsim.errors import TownError
@@ -129,8 +129,8 @@ def _files_of(config: Configuration, border: Path | None) -> tuple[Path, ...]:
     Raises:
         TownError: One is missing, broken, outside of `border`, or of no kind of SUMO's.
     """
-    with tempfile.TemporaryDirectory(prefix="wcsim-adopt-") as folder:
-        met = FilteredFiles(Path(folder), border)
+    with temporary_folder() as folder:
+        met = FilteredFiles(folder, border)
         for item in config.given:
             if item.option.treatment is Treatment.INPUT and item.value:
                 if item.option.reads is not Content.XML and not item.option.name.endswith("input-file"):

@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 import os
 import sys
-import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -20,6 +19,7 @@ from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 from wcsim.core.frames import rad
+from wcsim.core.own_folder import temporary_folder
 from wcsim.core.reading import EXTRACT, escaped, opened, own_data, regular_size
 from wcsim.errors import SumoError, TownError
 from wcsim.towns.sumo.tools import Limits, run_child, sumo_home
@@ -230,10 +230,10 @@ def _require_tags(path: Path) -> None:
 
 def _cut_by_osmium(path: Path, file_format: str, box: Box | None) -> bytes:
     place = [",".join(map(repr, box.grown(MARGIN_M)))] if box is not None else []
-    with tempfile.TemporaryDirectory() as folder:
-        out = Path(folder) / "cut.osm"
+    with temporary_folder() as folder:
+        out = folder / "cut.osm"
         words = ["-m", "wcsim.towns.osm.cut", str(path.resolve()), file_format, str(out), *place]
-        run = run_child("osmium", [sys.executable, *words], Path(folder), os.environ, _LIMITS)
+        run = run_child("osmium", [sys.executable, *words], folder, os.environ, _LIMITS)
         if run.returncode:
             cure = "" if box is not None else "; a large extract needs --bbox W,S,E,N"
             raise TownError(f"{path}: cannot be read as an extract ({run.reason()}); {EXPECTED}{cure}")

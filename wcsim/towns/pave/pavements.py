@@ -8,13 +8,13 @@ from __future__ import annotations
 import math
 import os
 import re
-import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 from wcsim.core.files import whole_folder
+from wcsim.core.own_folder import temporary_folder
 from wcsim.core.reading import TOWN, listed, read_text
 from wcsim.errors import SumoError, TownError
 from wcsim.towns.checks.cures import FASTEST_MPS, Cures
@@ -168,15 +168,15 @@ def _why_none(town: Town, net: Net, out: Path, fastest_mps: float) -> str:
 
 def _convert(net: Path, unpaved: list[str], fastest_mps: float) -> None:
     """Let netconvert add what is missing, in place."""
-    with tempfile.TemporaryDirectory(prefix="wcsim-pave-") as folder:
-        given, made = Path(folder) / "given.net.xml", Path(folder) / "made.net.xml"
+    with temporary_folder() as folder:
+        given, made = folder / "given.net.xml", folder / "made.net.xml"
         given.write_bytes(read_bytes(net))
         options = ["-s", given.name, "--sidewalks.guess", "--crossings.guess", "--walkingareas", "-o", made.name]
         options += ["--sidewalks.guess.min-speed", str(_SLOWEST_MPS), "--sidewalks.guess.max-speed", str(fastest_mps)]
         options += ["--crossings.guess.speed-threshold", str(fastest_mps), "--offset.disable-normalization"]
         options += ["--no-internal-links", "false"]  # crossings lie on such; netconvert gives none to a net without
-        options += by_file("sidewalks.guess.exclude", unpaved, Path(folder) / "unpaved.netccfg") if unpaved else []
-        run = run_tool("netconvert", [*options, "--xml-validation", "never"], Path(folder), _LIMITS)
+        options += by_file("sidewalks.guess.exclude", unpaved, folder / "unpaved.netccfg") if unpaved else []
+        run = run_tool("netconvert", [*options, "--xml-validation", "never"], folder, _LIMITS)
         if run.returncode or not made.is_file():
             raise SumoError(f"{net.name}: cannot be given pavements: {run.reason()}; repair it in netedit")
         _write(net, without_comments(made.read_bytes()))

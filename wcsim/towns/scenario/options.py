@@ -6,13 +6,13 @@ import functools
 import math
 import os
 import re
-import tempfile
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
 from urllib.parse import unquote
 from xml.etree import ElementTree
 
+from wcsim.core.own_folder import temporary_folder
 from wcsim.errors import SumoError, TownError
 from wcsim.towns.sumo.tools import Limits, run_tool
 from wcsim.towns.sumo.xml_io import read_head, read_root, without_comments
@@ -149,11 +149,11 @@ def sumo_options() -> dict[str, SumoOption]:
     Raises:
         SumoError: SUMO cannot be run.
     """
-    with tempfile.TemporaryDirectory(prefix="wcsim-options-") as folder:
-        run = run_tool("sumo", ["--save-template", "options.xml"], Path(folder), _LIMITS)
+    with temporary_folder() as folder:
+        run = run_tool("sumo", ["--save-template", "options.xml"], folder, _LIMITS)
         if run.returncode:
             raise SumoError(f"SUMO did not list its options: {run.reason()}; install the eclipse-sumo wheel again")
-        root = ElementTree.parse(Path(folder) / "options.xml").getroot()  # noqa: S314 - SUMO wrote it just now
+        root = ElementTree.parse(folder / "options.xml").getroot()  # noqa: S314 - SUMO wrote it just now
     found: dict[str, SumoOption] = {}
     for topic in root:
         for element in topic:

@@ -8,7 +8,6 @@ again is taken over by the policy 10 s before.
 from __future__ import annotations
 
 import re
-import tempfile
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -25,6 +24,7 @@ from wcsim.config import RunConfig, resolve
 from wcsim.config.suite import BlockFile, EpisodeFile, SuiteFile, TownOfSuite
 from wcsim.core import seeding
 from wcsim.core.constants import RECORDED
+from wcsim.core.own_folder import temporary_folder
 from wcsim.core.reading import counted
 from wcsim.errors import TownError
 from wcsim.towns.scenario.town import Town, by_name, content_hash, find_town
@@ -230,9 +230,9 @@ def _tight_blocks(seeds: Sequence[int]) -> list[BlockFile]:
 
 
 def _block(family: str, seed: int) -> BlockFile:
-    with tempfile.TemporaryDirectory(prefix="wcsim-scene-") as work:
-        folder = write_scene(family, seed, Path(work) / SCENE)
-        town, scene = build_scene(folder, Path(work) / SCENE_TOWN)
+    with temporary_folder() as work:
+        folder = write_scene(family, seed, work / SCENE)
+        town, scene = build_scene(folder, work / SCENE_TOWN)
         (spec,) = seat_specs(folder, scene, town.file.origin_m)
         start = spec.start
         if start is None:

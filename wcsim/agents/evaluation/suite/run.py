@@ -8,7 +8,6 @@ from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any, Final
 
 from wcsim.agents.evaluation.suite.drive import LATE_S, Piece, Watch, drive_block, refused
@@ -34,6 +33,7 @@ from wcsim.config.suite import BlockFile, repeats
 from wcsim.core import seeding
 from wcsim.core.constants import RECORDED
 from wcsim.core.files import sha256, sha256_text, write_json
+from wcsim.core.own_folder import temporary_folder
 from wcsim.core.plugins import find_class, sources_of
 from wcsim.core.reading import BLOCK, escaped, is_file, read_json
 from wcsim.core.sources import code_digest
@@ -232,13 +232,13 @@ def drive_piece(piece: Piece, watch: Watch | None = None) -> tuple[EpisodeRecord
 
     config = config_for(piece.policy, piece.preset, piece.settings, in_list=True)
     seeds = (seeding.derive(piece.block.seed, "driver", seat) for seat in range(len(piece.block.episodes)))
-    with ExitStack() as opened, TemporaryDirectory(prefix="wcsim-suite-") as work:
+    with ExitStack() as opened, temporary_folder() as work:
         try:
             config = resolve(config, sensing(config, _open_in(opened, piece.policy, config, 0, piece.network)))
             drivers = [_open_in(opened, piece.policy, config, seed, piece.network) for seed in seeds]
         except WcsimError as error:
             return refused(piece, str(error))
-        place = open_block(piece.block, config, lambda: find_town(piece.town), Path(work))
+        place = open_block(piece.block, config, lambda: find_town(piece.town), work)
         return drive_block(piece, place, iter(drivers).__next__, watch)
 
 

@@ -1,8 +1,9 @@
 """The folder of a running world: its socket, its shared memory, the orders of its processes; gone when they are.
 
-It lies in memory where the machine has such a place. A worker's temporary files lie in a folder of the same kind
-elsewhere. A folder belongs to whoever holds the lock of a file in it. The kernel takes a lock back when its holder
-ends, and shows it to processes that cannot see each other's numbers, as in containers that share the place.
+It lies in memory where the machine has such a place. Temporary files lie in folders of the same kind elsewhere.
+
+A folder belongs to whoever holds the lock of a file in it. The kernel takes a lock back when its holder ends, and shows
+it to processes that cannot see each other's numbers, as in containers that share the place.
 """
 
 from __future__ import annotations
@@ -14,11 +15,12 @@ import re
 import shutil
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 
 from wcsim.errors import DiskFullError
 
+WORK_PREFIX = "wcsim-work-"  # of temporary files
 _PREFIX = "wcsim-ring-"
 LOCK = ".lock"
 _SHARED = Path("/dev/shm")  # noqa: S108 - the folder made in it is new, and its owner's alone
@@ -140,6 +142,11 @@ def workplace(home: Path | None = None, prefix: str = _PREFIX) -> Iterator[Path]
         yield folder.path
     finally:
         folder.close()
+
+
+def temporary_folder() -> AbstractContextManager[Path]:
+    """A new folder for temporary files, while open. Those of processes that were killed go first."""
+    return workplace(Path(tempfile.gettempdir()), WORK_PREFIX)
 
 
 def endpoint_in(folder: Path) -> str:
