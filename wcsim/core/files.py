@@ -110,6 +110,8 @@ def _work_beside(path: Path) -> Iterator[Path]:
         yield work / path.name
     except OSError as error:
         raise _not_written(path, error) from None
+    except DiskFullError as error:  # of another door, which knows the place of work alone
+        raise type(error)(str(error).replace(str(work / path.name), str(path))) from None
     finally:
         shutil.rmtree(work, ignore_errors=True)
 

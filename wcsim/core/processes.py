@@ -21,6 +21,7 @@ from types import FrameType, TracebackType
 from typing import IO, TYPE_CHECKING, Any, Self, TypeVar
 
 if TYPE_CHECKING:
+    from concurrent.futures import ProcessPoolExecutor
     from multiprocessing.connection import Connection
     from multiprocessing.process import BaseProcess
 
@@ -111,12 +112,21 @@ def pooled(call: Callable[[_Piece], _Done], pieces: Sequence[_Piece], jobs: int)
     name_semaphores()
     with ProcessPoolExecutor(jobs, get_context("spawn"), die_with_parent, (signal.SIGKILL,)) as pool:
         waiting = {pool.submit(call, piece): place for place, piece in enumerate(pieces)}
+        hear_of_deaths(pool)
         try:
             for future in as_completed(waiting):
                 yield waiting[future], future.result()
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
+
+
+def hear_of_deaths(pool: ProcessPoolExecutor) -> None:
+    """Close our copy of the end that results are written to; to be called when all processes of the pool have started.
+
+    Else a process that is killed in the middle of a result is waited for without end: its pipe stays open.
+    """
+    pool._result_queue._writer.close()  # type: ignore[attr-defined]
 
 
 def name_semaphores() -> None:

@@ -14,7 +14,7 @@ import numpy as np
 
 from wcsim.core.files import whole_file, write_bytes
 from wcsim.core.processes import without_line
-from wcsim.errors import ConfigError
+from wcsim.errors import ConfigError, DiskFullError
 from wcsim.supervisor.palette import palette
 from wcsim.types import F32, U8
 
@@ -71,6 +71,7 @@ def open_video(path: Path, tick_s: float) -> Iterator[Callable[[U8], None]]:
 
     Raises:
         ConfigError: The name cannot be used, the folder cannot be written, or a frame has another size than the first.
+        DiskFullError: There is no room.
     """
     if path.suffix != ".webm":
         raise ConfigError(f"{path}: expected a name that ends in .webm, the only video format that is written here")
@@ -78,11 +79,12 @@ def open_video(path: Path, tick_s: float) -> Iterator[Callable[[U8], None]]:
     if not path.parent.is_dir():
         raise refused
     shape: tuple[int, ...] = ()
+    frames = 0
     with whole_file(path) as part:
         video = cv2.VideoWriter()
 
         def write(image: U8) -> None:
-            nonlocal shape
+            nonlocal shape, frames
             height, width = image.shape[:2]
             pad_v, pad_u = height % 2, width % 2  # FFmpeg's VP8 wants even sides: the last row or column is repeated
             if not shape:
@@ -94,12 +96,21 @@ def open_video(path: Path, tick_s: float) -> Iterator[Callable[[U8], None]]:
                 shape = image.shape
             if image.shape != shape:
                 raise ConfigError(f"{path}: got a frame of {image.shape}; expected {shape} as at first")
+            frames += 1
             video.write(np.pad(image[..., ::-1], ((0, pad_v), (0, pad_u), (0, 0)), mode="edge"))
 
+        level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)  # a line a frame on a full disk
         try:
             yield write
         finally:
             video.release()
+            cv2.utils.logging.setLogLevel(level)
+        # OpenCV does not say whether it could write.
+        film = cv2.VideoCapture(str(part))
+        with without_line(b"[matroska"):
+            whole = all(film.grab() for _ in range(frames))
+        if not whole:
+            raise DiskFullError(f"{path}: could not be written whole; make room, or choose another place")
 
 
 def side_by_side(*images: U8) -> U8:

@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ import pytest
 from tests.support.cluster.workpieces import always_die, blunder, die_once, echo, hang_once, refuse
 from wcsim.errors import DiskFullError, TownError, WorkersError
 from wcsim.server.workers.crew import MOST_FAILURES, Crew, _Piece, _Task
-from wcsim.server.workers.machines import Work, WorkEnd, _ProcessWorkers
+from wcsim.server.workers.machines import OneProcess, Work, WorkEnd, _ProcessWorkers
 
 
 def work(key: str, call: Callable[..., bytes] = echo, piece: Any = "") -> Work:
@@ -177,6 +178,17 @@ def test_what_comes_of_a_piece_that_was_given_to_somebody_else_is_dropped(came):
     crew._at = {"w": _Task(piece=piece, since_s=0.0)}
     with pytest.raises(WorkersError, match=r"a was started 5 times .*on w, where it died; check disk space and memory"):
         crew._take_back(WorkEnd(worker="w", key="a", lost="it died"))
+
+
+def test_a_process_that_is_killed_in_the_middle_of_a_result_is_not_waited_for():
+    pool = OneProcess()
+    pool.submit(os.getpid).result(60.0)
+    future = pool.submit(bytes, 1 << 28)
+    while not pool._result_queue._reader.poll():
+        assert not future.done()
+    pool.kill()
+    with pytest.raises(BrokenProcessPool):
+        future.result(30.0)
 
 
 def test_machines_may_go_as_often_as_they_like():

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.support.cluster.workpieces import echo, hang_once, tell_pid
-from wcsim.core.own_folder import LOCK, temporary_folder
+from wcsim.core.own_folder import LOCK
 from wcsim.server.workers.cluster_node import do_work, packed
 from wcsim.server.workers.machines import Call, Parcel, Work, WorkEnd
 
@@ -60,11 +60,3 @@ def test_what_a_killed_worker_leaves_goes_with_the_next_piece(temporary: Path, t
         child.wait()
     assert work(str(net), echo, "x").data == b"x"
     assert list(temporary.iterdir()) == []
-
-
-def test_folders_of_others_stay(temporary: Path) -> None:
-    names = ("wcsim-other", "wcsim-work-x", "wcsim-work-1-gone")  # the last is of a process that was killed as it ended
-    for name in names:
-        (temporary / name).mkdir()
-    with temporary_folder() as own:
-        assert {path.name for path in temporary.iterdir()} == {*names[:2], own.name}

@@ -17,7 +17,7 @@ from pathlib import Path
 from time import sleep
 from typing import Any, Final, Protocol
 
-from wcsim.core.processes import die_with_parent, name_semaphores, unheard_by_children
+from wcsim.core.processes import die_with_parent, hear_of_deaths, name_semaphores, unheard_by_children
 
 At = Callable[[str], str]
 """Where that which the machine that sends calls by this address lies on the machine that works."""
@@ -98,6 +98,7 @@ class OneProcess(ProcessPoolExecutor):
         super().__init__(1, mp_context=get_context("spawn"), initializer=die_with_parent, initargs=(signal.SIGKILL,))
         with unheard_by_children():
             self.submit(getpid)
+        hear_of_deaths(self)
 
     def kill(self) -> None:
         """Kill the process; who waits for what it is at hears a BrokenProcessPool."""
