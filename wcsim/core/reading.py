@@ -83,7 +83,7 @@ EXTRACT: Final = FileKind(
 RUN: Final = FileKind(
     what="a file of `wcsim train`: restore it or train again", limit_bytes=4 * _MIB, error=PolicyError
 )
-METRICS: Final = FileKind(what="the log of a run", limit_bytes=16 * _MIB, error=PolicyError)
+METRICS: Final = FileKind(what="the log of a run", limit_bytes=64 * _MIB, error=PolicyError)  # in lines, to go on
 CLAIM: Final = FileKind(what="a client's claim", limit_bytes=1 << 10, error=PolicyError)
 LEARNED: Final = FileKind(what="the learned_data.json of a run", limit_bytes=16 * _MIB, error=PolicyError)
 ORDERS: Final = FileKind(what="the orders.json of a data folder", limit_bytes=16 * _MIB, error=PolicyError)

@@ -9,7 +9,7 @@ import csv
 import io
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -45,9 +45,11 @@ class MetricsFile:
     def __init__(self, path: Path, keep_to_step: int | None = None, columns: tuple[str, ...] = COLUMNS) -> None:
         """Begin a new file, or go on with one: rows after `keep_to_step` belong to work that was lost."""
         self.path, self.columns = path, columns
-        rows = read_metrics(path, columns) if keep_to_step is not None and path.is_file() else []
-        kept = [row for row in rows if int(row[columns[0]]) <= (keep_to_step or 0)]
-        files.write_bytes(path, (_line(columns) + "".join(_line(row.values()) for row in kept)).encode())
+        kept = keep_to_step if keep_to_step is not None and path.is_file() else -1
+        rows = _checked(path, columns, read_lines(path, reading.METRICS)) if kept >= 0 else iter(())
+        with files.whole_file(path) as part, part.open("w", encoding="utf-8", newline="") as file:
+            file.write(_line(columns))
+            file.writelines(_line(row) for row in rows if int(row[0]) <= kept)
 
     def add(self, row: Mapping[str, Value]) -> None:
         """Append a row; numbers that are not finite are left empty. Raises KeyError, DiskFullError."""
@@ -61,24 +63,27 @@ class MetricsFile:
 
 def read_metrics(path: Path, wanted: tuple[str, ...] = COLUMNS) -> list[dict[str, str]]:
     """All complete rows of a log. Raises PolicyError when it has other columns, or a row in it is damaged."""
-    text = read_text(path, reading.METRICS)
-    whole = text[: text.rfind("\n") + 1]  # a process that was killed can leave a torn last line
+    lines = io.StringIO(read_text(path, reading.METRICS), newline="")
+    return [dict(zip(wanted, row, strict=True)) for row in _checked(path, wanted, lines)]
+
+
+def _checked(path: Path, wanted: tuple[str, ...], lines: Iterable[str]) -> Iterator[list[str]]:
+    """The rows below the head. A process that was killed can leave a torn last line."""
+    rows = csv.reader(line for line in lines if line.endswith(("\n", "\r")))
     try:
-        rows = list(csv.reader(io.StringIO(whole, newline="")))
+        head, last = next(rows, []), 0
+        if tuple(head) != wanted:
+            got = escaped(", ".join(head)) or "none"
+            raise PolicyError(f"{path} has columns {got}; expected those of this version: {', '.join(wanted)}")
+        for row in rows:
+            step = int(row[0]) if len(row) == len(wanted) and _STEP.fullmatch(row[0]) else -1
+            if step < last:
+                expected = f"expected {len(wanted)} values, the first a growing {wanted[0]}"
+                raise PolicyError(f"{path}:{rows.line_num}: is damaged; {expected}")
+            last = step
+            yield row
     except csv.Error as error:
         raise PolicyError(f"{escaped(path)}: is damaged ({error}); expected the log of a run") from None
-    if not rows or tuple(rows[0]) != wanted:
-        got = ", ".join(rows[0]) if rows else "none"
-        raise PolicyError(f"{path} has columns {escaped(got)}; expected those of this version: {', '.join(wanted)}")
-    last = 0
-    for number, row in enumerate(rows[1:], start=2):
-        step = int(row[0]) if len(row) == len(wanted) and _STEP.fullmatch(row[0]) else -1
-        if step < last:
-            raise PolicyError(
-                f"{path}:{number}: is damaged; expected {len(wanted)} values, the first a growing {wanted[0]}"
-            )
-        last = step
-    return [dict(zip(wanted, row, strict=True)) for row in rows[1:]]
 
 
 def _text(value: Value) -> str:
