@@ -77,7 +77,7 @@ def test_nothing_is_read_beside_the_door() -> None:
 
 def test_what_is_temporary_lies_where_the_next_start_finds_what_a_kill_left() -> None:
     """Who makes a folder beside a file that it will become has no use for it."""
-    makers = ("tempfile.TemporaryDirectory", "tempfile.mkdtemp", "tempfile.NamedTemporaryFile", "tempfile.mkstemp")
+    makers = ("tempfile.TemporaryDirectory", "tempfile.mkdtemp")
     beside = [
         f"{file}: {ast.unparse(call)}"
         for file, tree in parsed("wcsim").items()
