@@ -349,7 +349,7 @@ def test_metrics_drop_lost_rows_and_torn_lines(tmp_path):
     assert [row["step"] for row in read_metrics(path)] == ["10", "20", "30"]
     assert read_metrics(path)[0]["loss"] == ""
     with path.open("a") as file:
-        file.write(("40" + "," * 21 + "\n") * 70_000 + "40,4,")  # more than a report would read
+        file.write("40,,,,,,,,,,,,,,,,,,,,,\n" * 70_000 + "40,4,")  # more than a report would read
     MetricsFile(path, keep_to_step=20)
     with path.open(newline="") as file:
         assert [row["step"] for row in csv.DictReader(file)] == ["10", "20"]
