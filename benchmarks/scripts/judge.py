@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import statistics
-import tempfile
 from collections import Counter, defaultdict
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rich import box
@@ -14,6 +12,7 @@ from rich.table import Table
 
 from wcsim.cli.shared.common import Bounds, OutFile, some_words, write_json
 from wcsim.cli.shared.consoles import stdout_console
+from wcsim.core.own_folder import temporary_folder
 
 if TYPE_CHECKING:  # loads the simulators, which --help must not
     from benchmarks.judge.forks import Asked
@@ -55,9 +54,9 @@ def run(options: KerbOptions) -> int:
         found += ask_everywhere(policies, towns, options.forks, options.seed)
         console.print(_verdicts(found))
     else:
-        with tempfile.TemporaryDirectory(prefix="wcsim-bench-") as work:
+        with temporary_folder() as work:
             for policy in policies:
-                for start in drive_list(policy, towns, options.seed, Path(work), options.anywhere, options.why):
+                for start in drive_list(policy, towns, options.seed, work, options.anywhere, options.why):
                     found.append(start)
                     if start.driven.own:
                         console.print(told(start), style="dim", highlight=False, markup=False, soft_wrap=True)

@@ -10,7 +10,6 @@ import json
 import os
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -24,6 +23,7 @@ from wcsim.agents.clients.paid_times import PaidShares, read_paid_times
 from wcsim.cli.shared.common import Bounds, OutFile, Repeated, some_words, write_json
 from wcsim.cli.shared.consoles import stdout_console
 from wcsim.cli.training.train_clients import client_names
+from wcsim.core.own_folder import temporary_folder
 from wcsim.core.reading import counted
 from wcsim.errors import ConfigError, WcsimError
 
@@ -73,16 +73,16 @@ def run(options: ParallelOptions) -> int:
     sizes = _numbers("--sizes", options.sizes, len(networks)) or (len(networks),)
     cores = _numbers("--cores", options.cores, here) or (here,)
     console = stdout_console()
-    with tempfile.TemporaryDirectory(prefix="wcsim-parallel-") as work:
+    with temporary_folder() as work:
         alone = []
         for number, network in enumerate(networks):
             console.print(f"{network} alone ...")
-            alone.append(_trained(options, (network,), Path(work) / f"alone-{number}", here))
+            alone.append(_trained(options, (network,), work / f"alone-{number}", here))
         groups = []
         for size in sizes:
             for count in cores:
                 console.print(f"{size} clients together, {counted(count, 'core')} ...")
-                groups.append(_trained(options, networks[:size], Path(work) / f"together-{size}-{count}", count))
+                groups.append(_trained(options, networks[:size], work / f"together-{size}-{count}", count))
     apart = {name: next(iter(one.waited.values())) for name, one in zip(names, alone, strict=True)}
     told = [_print_group(console, options, group, alone, apart) for group in groups]
     if options.json is not None:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import tempfile
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rich import box
@@ -12,6 +10,7 @@ from rich.table import Table
 
 from wcsim.cli.shared.common import Bounds, OutFile, write_json
 from wcsim.cli.shared.consoles import stdout_console
+from wcsim.core.own_folder import temporary_folder
 
 if TYPE_CHECKING:  # loads the simulators, which --help must not
     from benchmarks.reaction.battery import Battery
@@ -45,11 +44,11 @@ def run(options: ReactionOptions) -> int:
     def told(text: str) -> None:
         console.print(text, style="dim", highlight=False, markup=False)
 
-    with tempfile.TemporaryDirectory(prefix="wcsim-bench-") as work:
+    with temporary_folder() as work:
         if options.page is not None:
-            options.page.write_text(page(5, 300.0, Path(work), told), "utf-8")
+            options.page.write_text(page(5, 300.0, work, told), "utf-8")
             return 0
-        battery = run_battery(options.town, options.seed, 60.0 * options.minutes, Path(work), told)
+        battery = run_battery(options.town, options.seed, 60.0 * options.minutes, work, told)
     console.print(_table(battery))
     if options.json is not None:
         write_json(options.json, asdict(battery))

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-import shutil
-import tempfile
 from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -17,6 +16,7 @@ from wcsim.cli.shared.common import Bounds, OutFile, OutFolder, Repeated, write_
 from wcsim.cli.shared.consoles import stderr_console, stdout_console
 from wcsim.cli.shared.exit_codes import Exit
 from wcsim.config import resolve
+from wcsim.core.own_folder import temporary_folder
 from wcsim.errors import ConfigError, InterruptedRunError, WcsimError
 from wcsim.towns.scenario.town import Town, find_town
 
@@ -67,11 +67,9 @@ class SoakOptions:
 def run(options: SoakOptions) -> int:
     """Soak, print what was seen, and say by the exit code whether it is as it should be."""
     _check(options)
-    kept = options.out
     town = find_town(options.town or ("helsinki" if options.networks else "monaco"))
-    folder = kept if kept is not None else Path(tempfile.mkdtemp(prefix="wcsim-soak-"))
-    folder.mkdir(parents=True, exist_ok=True)
-    try:
+    with nullcontext(options.out) if options.out is not None else temporary_folder() as folder:
+        folder.mkdir(parents=True, exist_ok=True)
         if options.networks:
             try:
                 return _of_learners(options, town, folder)
@@ -80,9 +78,6 @@ def run(options: SoakOptions) -> int:
                     "stopped; an incomplete soak shows nothing: start it again in another --out"
                 ) from None
         facts = _run(options, town.address, folder)
-    finally:
-        if kept is None:
-            shutil.rmtree(folder, ignore_errors=True)
     _print(result(facts), faults_of(facts))
     if options.json is not None:
         write_json(options.json, result(facts))

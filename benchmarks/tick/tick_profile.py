@@ -6,7 +6,6 @@ import cProfile
 import json
 import pstats
 import re
-import tempfile
 from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -17,6 +16,7 @@ from benchmarks.tick.bridgeless_world import settle
 from wcsim.bridge.world import World
 from wcsim.bridge.world_rollout import rollout
 from wcsim.config import RunConfig, resolve
+from wcsim.core.own_folder import temporary_folder
 from wcsim.physics.bullet import pybullet
 from wcsim.towns.scenario.town import Town
 from wcsim.types import SeatSpec
@@ -136,11 +136,11 @@ def _name(function: Function) -> str:
 
 def _bullet_zones(world: _Watched) -> tuple[Dear, ...]:
     """What PyBullet's own profiler says of the steps of a few ticks, without the rest of what it does."""
-    with tempfile.TemporaryDirectory(prefix="wcsim-") as folder:
-        log = world.begin_zones(str(Path(folder) / "zones"))
+    with temporary_folder() as folder:
+        log = world.begin_zones(str(folder / "zones"))
         _run(world, _ZONE_TICKS)
         world.end_zones(log)
-        written = sorted(Path(folder).iterdir())
+        written = sorted(folder.glob("zones*"))
         events = json.loads(written[0].read_text())["traceEvents"] if written else []
     return tuple(own_times(events, _ZONE_TICKS))
 

@@ -73,15 +73,3 @@ def test_nothing_is_read_beside_the_door() -> None:
     named = {name for names in BESIDE.values() for name in names}
     assert found - named == set(), "read it through wcsim.core.reading, or say here why not"
     assert named - found == set(), "reads nothing any more"
-
-
-def test_what_is_temporary_lies_where_the_next_start_finds_what_a_kill_left() -> None:
-    """Who makes a folder beside a file that it will become has no use for it."""
-    makers = ("tempfile.TemporaryDirectory", "tempfile.mkdtemp")
-    beside = [
-        f"{file}: {ast.unparse(call)}"
-        for file, tree in parsed("wcsim").items()
-        for call in ast.walk(tree)
-        if isinstance(call, ast.Call) and ast.unparse(call.func) in makers and "dir=" not in ast.unparse(call)
-    ]
-    assert beside == []

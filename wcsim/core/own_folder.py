@@ -39,7 +39,7 @@ class OwnFolder:
         home = _home() if home is None else home
         _remove_stale(home, prefix)
         try:
-            new = Path(tempfile.mkdtemp(prefix=f".{prefix}", dir=home))
+            new = Path(tempfile.mkdtemp(prefix=f".{prefix}", dir=home))  # noqa: TID251 - here alone
             self._lock = os.open(new / LOCK, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
             with contextlib.suppress(OSError):  # a file system without locks
                 fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -30,7 +30,7 @@ ROWS: Final = (
         # 46,500 was wanted of 50,764. Eight engineers found 460 lines that were no feature: without dropping studies,
         # fitting, paving or shared worlds the limit of this design is near 50,000.
         first=65_882,
-        ceiling=52_929,
+        ceiling=52_934,
         count=lambda: measures.code_lines("wcsim"),
     ),
     Row(name="wcsim: files", first=790, ceiling=429, count=lambda: measures.files("wcsim")),
@@ -43,7 +43,7 @@ ROWS: Final = (
     Row(name="templates: lines", first=0, ceiling=387, count=lambda: measures.text_lines(".jinja", ".j2")),
     Row(name="tools: code lines", first=1_321, ceiling=1_308, count=lambda: measures.code_lines("tools")),
     Row(name="examples: code lines", first=270, ceiling=521, count=lambda: measures.code_lines("examples")),
-    Row(name="benchmarks: code lines", first=5_249, ceiling=4_975, count=lambda: measures.code_lines("benchmarks")),
+    Row(name="benchmarks: code lines", first=5_249, ceiling=4_971, count=lambda: measures.code_lines("benchmarks")),
     Row(name="tests: code lines", first=58_980, ceiling=57_722, count=lambda: measures.code_lines("tests")),
     Row(name="docs: words written by hand", first=74_035, ceiling=31_758, count=measures.words_of_docs),
     Row(name="ideas: recording formats", first=5, ceiling=1, count=lambda: measures.forms("formats")),

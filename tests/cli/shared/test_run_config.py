@@ -9,6 +9,7 @@ from wcsim.cli.shared.run_config import (
     learning,
     overrides_of,
     require_head,
+    require_policy,
     resolve_run,
 )
 from wcsim.cli.training.train import _QLearningOptions
@@ -57,6 +58,14 @@ def test_what_cannot_be_used_is_refused(corner, tmp_path):
     ):
         with pytest.raises(error):
             resolve_run(config, info, town, out)
+
+
+def test_what_needs_pytorch_says_so_before_a_street_is_built(monkeypatch):
+    monkeypatch.setattr("wcsim.errors.find_spec", lambda name: None)
+    require_policy("shipped", "")
+    for name in ("shipped@0.3", "veto:shipped"):
+        with pytest.raises(PolicyError, match=r"needs PyTorch.*pip install 'wcsim\[train\]'"):
+            require_policy(name, "")
 
 
 def test_each_command_refuses_the_other_kind_of_learning():

@@ -32,7 +32,7 @@ class RosBag(Closing):
 
         self._path = path
         self._store: Any = get_typestore(Stores.ROS2_HUMBLE)
-        self._work = Path(tempfile.mkdtemp(dir=path.parent, prefix=f".{path.name}."))
+        self._work = Path(tempfile.mkdtemp(dir=path.parent, prefix=f".{path.name}."))  # noqa: TID251 - beside it
         self._bag = self._work / path.stem  # its metadata calls the file as it will be called
         self._writer: Any = Writer(self._bag, version=_VERSION, storage_plugin=StoragePlugin.MCAP)
         self._writer.open()

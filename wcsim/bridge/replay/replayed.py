@@ -77,7 +77,7 @@ def _held(name: str, make: Callable[[Path], object]) -> Path:
         return folder
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=folder.parent, prefix=".") as work:
+        with tempfile.TemporaryDirectory(dir=folder.parent, prefix=".") as work:  # noqa: TID251 - beside it
             made = Path(work) / "made"
             make(made)
             try:

@@ -10,7 +10,7 @@ from typing import Any
 
 from wcsim.agents.networks.names import check_network, is_own, require_named
 from wcsim.agents.policy_api import VETO
-from wcsim.agents.runs.policy_file import is_danger, policy_name, read_danger_file, read_policy_file
+from wcsim.agents.runs.policy_file import EXPORTED, is_danger, policy_name, read_danger_file, read_policy_file
 from wcsim.agents.runs.run_folder import ResolvedRun, policy_path, whole_data
 from wcsim.bridge.sumo.step_hook import find_hook
 from wcsim.cli.shared.common import check_folder
@@ -19,8 +19,8 @@ from wcsim.config.load import sets_key
 from wcsim.core import reading, seeding
 from wcsim.core.constants import RECORDED
 from wcsim.core.plugins import find_class
-from wcsim.core.reading import SETTINGS, counted, escaped
-from wcsim.errors import ConfigError, PolicyError
+from wcsim.core.reading import SETTINGS, counted, escaped, is_file
+from wcsim.errors import ConfigError, PolicyError, check_installed
 from wcsim.server.specs import RunInfo
 from wcsim.supervisor.rewards import find_reward_term
 from wcsim.towns.scenario.overrides import Override, Settings, scenario_overrides
@@ -52,6 +52,9 @@ def require_policy(name: str, network: str, *, alone: bool = False, bare_for: st
         used = (read_danger_file if is_danger(path) else read_policy_file)(path).net.network
         if is_own(used):
             require_named(escaped(name), used, network)
+        by_law = named.level is None and not named.veto and any(is_file(path / law) for law in EXPORTED.values())
+        if not by_law:
+            check_installed(f"{escaped(name)} needs PyTorch", "train", "torch", error=PolicyError)
     if alone and network:
         check_network(network)
         if used != network:

@@ -163,7 +163,7 @@ class KnownKeys:
 
 def _make_pair(folder: Path, name: str) -> None:
     """Write both files of a party; the secret one is its owner's alone from the first byte."""
-    with tempfile.TemporaryDirectory(dir=folder, prefix=".new-") as work:
+    with tempfile.TemporaryDirectory(dir=folder, prefix=".new-") as work:  # noqa: TID251 - beside them
         public, secret = zmq.auth.create_certificates(work, name)
         Path(secret).chmod(0o600)
         shutil.move(secret, folder / f"{name}.secret")
