@@ -4,6 +4,7 @@ import csv
 import io
 import json
 import os
+from functools import partial
 from pathlib import Path
 from unittest import mock
 
@@ -32,6 +33,7 @@ def families(work: Path) -> list[Family]:
     write_result(work)
     (work / ASKED).write_text(json.dumps({"suite": "dev", "preset": "quick", "out": "o"}))
     held = {name: (work / name).read_bytes() for name in (RESULT, EPISODES, ASKED)}
+    sha256 = json.loads(held[RESULT])["sha256"]
     for row in range(3):
         append_row(work / "t.csv", COLUMNS, {"study_sha256": "ab" * 6, "participant": str(row), "town": "a, b"})
         note_round(work / "r.csv", (row, 9 * row, 9, 0.5, row, 10 * row, 0.25, 1.5, 0.5))
@@ -43,7 +45,7 @@ def families(work: Path) -> list[Family]:
         cleared(work / name)
     return [
         *(
-            Family(name=name, file=name, sound=data, take=_take_result,
+            Family(name=name, file=name, sound=data, take=partial(_take_result, sha256),
                    twist=model_twist(json.loads(data), json_text, _ODD),
                    beside=tuple(item for item in held.items() if item[0] != name))
             for name, data in held.items()
@@ -59,12 +61,13 @@ def _rows(data: bytes) -> list[list[str]]:
     return list(csv.reader(io.StringIO(data.decode())))
 
 
-def _take_result(path: Path) -> bool:
-    """The page of a result has one script, its own; figures are left out, which take seconds."""
+def _take_result(sha256: str, path: Path) -> bool:
+    """What was measured is as it was; the page has one script, its own. Figures are left out, which take seconds."""
     result = read_result(path.parent)
     with mock.patch("wcsim.view.report.suite_page.figures_of", lambda *_: ()):
         page = write_suite_page(result, path.parent, failures_of(result, path.parent), {}, "", path.parent)
-    return page.read_text(encoding="utf-8").count("<script") == 1
+    as_held = result.to_json()["sha256"] == sha256
+    return as_held and page.read_text(encoding="utf-8").count("<script") == 1
 
 
 def _take_table(path: Path) -> bool:

@@ -45,12 +45,14 @@ def records_of(policy: str) -> tuple[EpisodeRecord, ...]:
     return (worst, record(1, status="policy_failed", reason=f"RuntimeError: {SCRIPT}"), *map(record, range(2, 6)))
 
 
+UNSAID = {"list_name": "try", "preset": "quick", "network": "", "out": ""}
+
+
 def write_result(folder: Path, **changes: Any) -> dict[str, Any]:
     """Write the files of a test; `result.json` as it stands there."""
     records = {name: [replace(item, **WAYS) for item in records_of(name)] for name in POLICIES}
     said = {"suite": "made-up-v1", "set": "try", "list_sha256": "0" * 64, "changed": ("world.tick_s=0.1",)}
-    unsaid = {"list_name": "try", "preset": "quick", "network": "", "out": ""}
-    result = {**result_of(records, **said, **unsaid).to_json(), **changes}
+    result = {**result_of(records, **said, **UNSAID).to_json(), **changes}
     episodes = {name: [item.to_json() for item in found] for name, found in records.items()}
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "result.json").write_text(json.dumps(result), encoding="utf-8")
@@ -62,8 +64,7 @@ def score_anew(folder: Path) -> None:
     """Give a folder's result the rows of the episodes that lie there now."""
     said = json.loads((folder / "result.json").read_text("utf-8"))
     named = {name: said[name] for name in ("suite", "set", "list_sha256")}
-    unsaid = {"list_name": "", "preset": "", "network": "", "out": ""}
-    result = result_of(read_episodes(folder), changed=tuple(said["changed"]), **named, **unsaid)
+    result = result_of(read_episodes(folder), changed=tuple(said["changed"]), **named, **UNSAID)
     (folder / "result.json").write_text(json.dumps(result.to_json()), encoding="utf-8")
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -51,10 +52,17 @@ class TestResult:
         return [each for each in self.episodes[policy] if (each.block, each.seat) not in left_out]
 
     def to_json(self) -> dict[str, Any]:
-        """What `result.json` holds: the whole result as plain values; the version is in the suite's name."""
-        named = {name: getattr(self, name) for name in ("suite", "set", "list_sha256")}
+        """What `result.json` holds: the whole result as plain values; the version is in the suite's name.
+
+        The last is a hash over what was asked and every number of its episodes, of which the rows are few.
+        """
+        said: dict[str, Any] = {name: getattr(self, name) for name in ("suite", "set", "list_sha256")}
+        said |= {"score_version": SCORE_VERSION, "changed": list(self.changed)}
+        text = hashlib.sha256(json.dumps(said).encode())
+        for policy, found in self.episodes.items():
+            text.update(json.dumps([policy, *(each.to_json() for each in found)]).encode())
         rows, pooled = ([row.to_json() for row in rows] for rows in (self.rows, self.pooled))
-        return {**named, "score_version": SCORE_VERSION, "rows": rows, "pooled": pooled, "changed": list(self.changed)}
+        return {**said, "rows": rows, "pooled": pooled, "sha256": text.hexdigest()}
 
 
 def result_of(episodes: Mapping[str, Sequence[EpisodeRecord]], **said: Any) -> TestResult:
