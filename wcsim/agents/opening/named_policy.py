@@ -14,10 +14,9 @@ from pathlib import Path
 from typing import Any, Final
 
 from wcsim.agents.export.guard import GuardedPolicy, guard_of
-from wcsim.agents.policies.onnx_policy import OnnxPolicy, read_about
+from wcsim.agents.policies.onnx_policy import ExportedLaw, OnnxPolicy, read_about
 from wcsim.agents.policies.served_policy import ServedPolicy
 from wcsim.agents.policy_api import (
-    MOTION_SENSES,
     STATE_SENSE,
     VISIBLE_BOUND,
     Policy,
@@ -55,7 +54,7 @@ def open_named(name: str, config: RunConfig, seed: int, network: str | None = No
         from wcsim.agents.policies.dwa import Veto  # and with it kernels, which the checks of names must not load
 
         inner = open_named(named.inner, config, seed, network)
-        if isinstance(inner, OnnxPolicy) and inner.senses:  # its law says one action, and a veto asks for its dangers
+        if isinstance(inner, ExportedLaw):  # its law says one action, and a veto asks for its dangers
             raise PolicyError(f"policy {name!r} needs PyTorch, which is not installed: pip install 'wcsim[train]'")
         return Veto(name, inner, config)
     if named.kind == "served":
@@ -73,7 +72,7 @@ def open_named(name: str, config: RunConfig, seed: int, network: str | None = No
     law = "" if named.level is not None or network is not None else _law_without_torch(folder, config)
     if law:
         require_same_senses(folder, name, config)
-        return OnnxPolicy(folder, name, len(actions), law, MOTION_SENSES)
+        return ExportedLaw(folder, name, law, config)
     return _network(name, config, network)
 
 

@@ -19,11 +19,13 @@ from typing import Any, Final
 
 import numpy as np
 
-from wcsim.agents.policy_api import ANSWER_S, CLASS_KEY, DEPTH_KEY, MODEL_FILE, NotFinite, Observation
-from wcsim.config import parse
+from wcsim.agents.policy_api import ANSWER_S, CLASS_KEY, DEPTH_KEY, MODEL_FILE, MOTION_SENSES, NotFinite, Observation
+from wcsim.config import RunConfig, parse
 from wcsim.config.run_file import OnnxPolicyFile
+from wcsim.core.joystick import shaped_rows
 from wcsim.core.reading import ONNX_TOML, escaped, is_file, read_toml
 from wcsim.errors import ConfigError, PolicyError
+from wcsim.supervisor.actions import action_set
 
 ABOUT_FILE: Final = "policy.toml"
 _STATE, _NEXT, _WARNING = "state_", "next_", "warning"
@@ -53,14 +55,11 @@ class OnnxPolicy:
         name: How tables call it.
         actions: How many actions there are.
         model: Its file.
-        senses: What it wants to sense beside pictures, tilt and joystick, where no `policy.toml` turns it on.
     """
 
-    def __init__(
-        self, path: Path, name: str, actions: int, model: str = MODEL_FILE, senses: tuple[str, ...] = ()
-    ) -> None:
+    def __init__(self, path: Path, name: str, actions: int, model: str = MODEL_FILE) -> None:
         """Raises PolicyError when there is no such model, or it has other outputs than actions."""
-        self.name, self.senses, self._actions, self.warning = name, senses, actions, False
+        self.name, self._actions, self.warning = name, actions, False
         self._session = open_session(path / model)
         self._inputs = {item.name: item for item in self._session.get_inputs()}
         self._outputs = [item.name for item in self._session.get_outputs()]
@@ -124,6 +123,33 @@ class OnnxPolicy:
             f"{escaped(self.name)}: its model gave no answer for {ANSWER_S:g} s; expected one a tick: make it faster",
         )
         return dict(zip(self._outputs, values, strict=True))
+
+
+class ExportedLaw(OnnxPolicy):
+    """A danger network of wcsim's own as it was exported, with all that it remembers; it hears what was sent.
+
+    Args:
+        path: The folder.
+        name: How tables call it.
+        model: Its file.
+        config: Of the chair that it drives.
+    """
+
+    def __init__(self, path: Path, name: str, model: str, config: RunConfig) -> None:
+        """Raises PolicyError as `OnnxPolicy` does."""
+        points = action_set(config.env.actions).points
+        super().__init__(path, name, len(points), model)
+        self.senses, self._points, self._commands = MOTION_SENSES, points, shaped_rows(points, config.chair)
+
+    def choose(self, observation: Observation) -> int:
+        """The action of the highest value. Raises PolicyError."""
+        return self.act(observation)
+
+    def sent(self, action: int) -> None:
+        """Put what is executed where the model has put its own choice."""
+        self._state["state_waiting"][0, -1] = self._commands[action]
+        self._state["state_sent"][0, 0] = self._points[action]
+        self._state["state_last"][0, 0] = action + 1
 
 
 def _bounded(work: Callable[[], Any], stop: Callable[[], None], late: str) -> Any:
