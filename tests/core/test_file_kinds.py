@@ -10,12 +10,12 @@ from pathlib import Path
 
 import pytest
 
+from tests.attack.files.damage import CHEAP
 from wcsim.core import reading
 from wcsim.core.reading import FileKind, read_json, read_lines, read_text, read_toml
 from wcsim.errors import FileError
 
 MOST_MIB, MOST_S = 128, 10
-EMOJI = "\U0001f600"
 
 
 def all_lines(path: Path, kind: FileKind) -> None:
@@ -33,46 +33,6 @@ READERS: dict[str, tuple[Callable[[Path, FileKind], object], FileKind]] = {
 STREAMS = {"LOG", "PICTURES", "EXTRACT", "XML", "SCENARIO", "HEIGHTS", "SEGMENT", "ARRAYS", "WEIGHTS", "WHOLE_LOG"}
 
 
-def again(part: str, before: str = "", after: str = "") -> Callable[[int], str]:
-    """Makes a text of about n bytes of the same part."""
-    return lambda n: before + part * (n // len(part.encode())) + after
-
-
-def numbered(part: str, before: str = "", after: str = "") -> Callable[[int], str]:
-    """The same of parts that differ."""
-    return lambda n: before + "".join(part.format(number) for number in range(n // (len(part) + 3))) + after
-
-
-LIST = ('{"a":[', "0]}")
-# Texts that take more to read than they look.
-DAMAGES: dict[str, Callable[[int], str]] = {
-    "commas": again(","),
-    "newlines": again("\n"),
-    "spaces": again(" "),
-    "brackets": again("["),
-    "holes": again("\0"),
-    "lists": again("[],", *LIST),
-    "tables": again('{"":0},', *LIST),
-    "numbers": again("1,", *LIST),
-    "decimals": again("1.5,", *LIST),
-    "pairs": again("[1.5,2.5],", *LIST),
-    "lists of one": again("[1.5],", *LIST),
-    "wide texts": again(f'"{EMOJI}a",', *LIST),
-    "Latin texts": again('"\u00e9a",', *LIST),
-    "tables of texts": numbered('"{:x}":"ab",', "{", '"":0}'),
-    "tables of Latin texts": numbered('"\u00e9{:x}":"\u00e9b",', "{", '"":0}'),
-    "texts": again('"ab",', *LIST),
-    "digits": again("9" * 400 + ",", *LIST),
-    "keys": numbered('"{:x}":0,', "{", '"":0}'),
-    "one key": again('"a":0,', "{", '"a":0}'),
-    "a wide text": again("x", '{"a":"' + EMOJI, '"}'),
-    "wide letters": again(EMOJI, '{"a":"', '"}'),
-    "lists of TOML": again("[],", "a=[", "]"),
-    "keys of TOML": numbered("a{:x}=1\n"),
-    "tables of TOML": numbered("[a{:x}]\n"),
-}
-
-
 def most_mib() -> float:
     """The most memory that this process has had."""
     return int(Path("/proc/self/status").read_text().partition("VmHWM:")[2].split()[0]) / 1024
@@ -81,7 +41,7 @@ def most_mib() -> float:
 def read_them(reader: str, path: Path, shares: list[float]) -> None:
     """A line for each damage, read by a child, as large as it is read at all: MiB, seconds of the processor."""
     read, kind = READERS[reader]
-    for name, text in DAMAGES.items():
+    for name, text in CHEAP.items():
         for share in shares:
             path.write_text(text(int(share * kind.limit_bytes) - 100), encoding="utf-8")
             if not (child := os.fork()):
@@ -101,7 +61,7 @@ def assert_bounded(reader: str, folder: Path, *shares: float, most_s: float = ma
     code = f"import pathlib, {__name__} as t; t.read_them({reader!r}, pathlib.Path({str(folder / 'x')!r}), {shares!r})"
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     rows = [line.split("\t") for line in run.stdout.splitlines()]
-    assert {row[0] for row in rows} == set(DAMAGES)
+    assert {row[0] for row in rows} == set(CHEAP)
     assert [row for row in rows if float(row[1]) > MOST_MIB or float(row[2]) > most_s] == [], run.stdout
 
 

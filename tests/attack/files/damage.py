@@ -113,6 +113,53 @@ def swollen(sound: bytes, rng: Rng, framed: Callable[[bytes], bytes]) -> bytes:
     return sound + struct.pack("<II", 1 << 17, 0) + (heads + bomb)[: pick(rng, (65_000, 70_000))]
 
 
+def again(part: str, before: str = "", after: str = "") -> Callable[[int], str]:
+    """Makes a text of about n bytes of the same part."""
+    return lambda n: before + part * (n // len(part.encode())) + after
+
+
+def numbered(part: str, before: str = "", after: str = "") -> Callable[[int], str]:
+    """The same of parts that differ."""
+    return lambda n: before + "".join(part.format(number) for number in range(n // (len(part) + 3))) + after
+
+
+EMOJI = "\U0001f600"
+LIST = ('{"a":[', "0]}")
+# Texts of about n bytes that take more to read than they look.
+CHEAP: dict[str, Callable[[int], str]] = {
+    "commas": again(","),
+    "newlines": again("\n"),
+    "spaces": again(" "),
+    "brackets": again("["),
+    "holes": again("\0"),
+    "lists": again("[],", *LIST),
+    "tables": again('{"":0},', *LIST),
+    "numbers": again("1,", *LIST),
+    "decimals": again("1.5,", *LIST),
+    "pairs": again("[1.5,2.5],", *LIST),
+    "lists of one": again("[1.5],", *LIST),
+    "wide texts": again(f'"{EMOJI}a",', *LIST),
+    "Latin texts": again('"\u00e9a",', *LIST),
+    "tables of texts": numbered('"{:x}":"ab",', "{", '"":0}'),
+    "tables of Latin texts": numbered('"\u00e9{:x}":"\u00e9b",', "{", '"":0}'),
+    "texts": again('"ab",', *LIST),
+    "digits": again("9" * 400 + ",", *LIST),
+    "keys": numbered('"{:x}":0,', "{", '"":0}'),
+    "one key": again('"a":0,', "{", '"a":0}'),
+    "a wide text": again("x", '{"a":"' + EMOJI, '"}'),
+    "wide letters": again(EMOJI, '{"a":"', '"}'),
+    "lists of TOML": again("[],", "a=[", "]"),
+    "keys of TOML": numbered("a{:x}=1\n"),
+    "tables of TOML": numbered("[a{:x}]\n"),
+}
+
+
+def cheap(rng: Rng) -> tuple[bytes, str]:
+    """One of these texts, of 16 KiB to 32 MiB, and its name."""
+    told = pick(rng, sorted(CHEAP))
+    return CHEAP[told](1 << 14 + integer(rng, 12)).encode(), told
+
+
 def change(path: Path, how: Damage, rng: Rng) -> bool:
     """Damage a file; False when it is what it was."""
     before = path.read_bytes()

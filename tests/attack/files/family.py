@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from tests.attack.files.damage import cheap
 from tests.attack.outcomes import Case, Outcome
 from tests.attack.scenarios.twists import NASTY, PLACES, Rng, integer, pick, spoiled, toml_text, twisted
 
@@ -79,7 +80,7 @@ def laid(kind: Family, folder: Path, lay: Callable[[Path], object]) -> bool | Ou
 
 
 def _case(kind: Family, rng: Rng, number: int, folder: Path) -> Case:
-    how = integer(rng, 20)
+    how = integer(rng, 23)
     if how == 0:
         told = pick(rng, sorted(PLACES))
         feed = functools.partial(laid, kind, folder, PLACES[told])
@@ -89,6 +90,7 @@ def _case(kind: Family, rng: Rng, number: int, folder: Path) -> Case:
         wrong = pick(rng, odd)
         feed = functools.partial(laid, replace(kind, take=lambda _: kind.take(wrong)), folder, PLACES["nothing"])
     else:
-        data, told = (kind.sound, "sound") if how == 2 else spoiled(kind.sound, rng) if how < 9 else kind.twist(rng)
+        bad = cheap(rng) if how < 5 else spoiled(kind.sound, rng) if how < 11 else kind.twist(rng)
+        data, told = (kind.sound, "sound") if how == 22 else bad
         feed = functools.partial(laid, kind, folder, lambda place: place.write_bytes(data))
     return Case(area=kind.name, name=f"{number}: {told}", feed=feed)
