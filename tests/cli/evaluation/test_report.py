@@ -81,6 +81,7 @@ def test_a_result_that_cannot_be_driven_as_it_was_has_a_page_without_those_pictu
 
 def test_another_list_gives_a_page_without_pictures_and_says_why(wcsim, folder):
     write_result(folder / "out", set="dev")
+    score_anew(folder / "out")
     told = wcsim("report", "out", "--out", "elsewhere")
     assert told.code == 0 and "list dev has the hash" in told.err
     assert "list dev has the hash" in (folder / "elsewhere" / "report.html").read_text(encoding="utf-8")

@@ -8,7 +8,16 @@ from types import SimpleNamespace
 import pytest
 
 from tests.support.plants import CALM
-from tests.view.report.results import PATH_M, SCRIPT, crashed, record, unreached, with_episodes, write_result
+from tests.view.report.results import (
+    PATH_M,
+    SCRIPT,
+    crashed,
+    record,
+    score_anew,
+    unreached,
+    with_episodes,
+    write_result,
+)
 from wcsim.agents.evaluation.suite.result_files import read_result
 from wcsim.supervisor.kpi import KpiStep, sums_of
 from wcsim.types import Joystick
@@ -63,6 +72,7 @@ def test_of_two_like_failures_the_faster_is_worse(tmp_path):
     episodes = json.loads(path.read_text("utf-8"))
     episodes["net@0.75"][0]["path_m"][-1] = [4.0, 0.0]
     path.write_text(json.dumps(episodes), encoding="utf-8")
+    score_anew(tmp_path)
     first = failures_of(read_result(tmp_path), tmp_path)[0]
     assert (first.policy, first.key, first.speed_mps) == ("net@0.75", (0, 0), pytest.approx(3.0 / 0.5))
 
