@@ -80,10 +80,9 @@ EXTRACT: Final = FileKind(
 )
 
 # Runs, data and policies.
-RUN: Final = FileKind(
-    what="a file of `wcsim train`: restore it or train again", limit_bytes=4 * _MIB, error=PolicyError
-)
-METRICS: Final = FileKind(what="the log of a run", limit_bytes=64 * _MIB, error=PolicyError)  # in lines, to go on
+RUN: Final = FileKind(what="a file of `wcsim train`: restore it or train again", limit_bytes=_MIB, error=PolicyError)
+METRICS: Final = FileKind(what="the log of a run", limit_bytes=16 * _MIB, error=PolicyError)
+METRIC_LINES: Final = FileKind(what="the log of a run", limit_bytes=64 * _MIB, error=PolicyError)  # to go on with it
 CLAIM: Final = FileKind(what="a client's claim", limit_bytes=1 << 10, error=PolicyError)
 LEARNED: Final = FileKind(what="the learned_data.json of a run", limit_bytes=16 * _MIB, error=PolicyError)
 ORDERS: Final = FileKind(what="the orders.json of a data folder", limit_bytes=16 * _MIB, error=PolicyError)

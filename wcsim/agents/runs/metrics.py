@@ -46,7 +46,7 @@ class MetricsFile:
         """Begin a new file, or go on with one: rows after `keep_to_step` belong to work that was lost."""
         self.path, self.columns = path, columns
         kept = keep_to_step if keep_to_step is not None and path.is_file() else -1
-        rows = _checked(path, columns, read_lines(path, reading.METRICS)) if kept >= 0 else iter(())
+        rows = _checked(path, columns, read_lines(path, reading.METRIC_LINES)) if kept >= 0 else iter(())
         with files.whole_file(path) as part, part.open("w", encoding="utf-8", newline="") as file:
             file.write(_line(columns))
             file.writelines(_line(row) for row in rows if int(row[0]) <= kept)
@@ -110,12 +110,12 @@ def note_round(path: Path, row: Sequence[float]) -> None:
 
 def logged_rows(path: Path) -> int:
     """How many rows a log has, 0 for none. Raises PolicyError."""
-    return sum(1 for _ in read_lines(path, reading.METRICS)) - 1 if path.is_file() else 0
+    return sum(1 for _ in read_lines(path, reading.METRIC_LINES)) - 1 if path.is_file() else 0
 
 
 def logs_rounds(path: Path) -> bool:
     """Whether a metrics.csv is one of rounds."""
-    return next(read_lines(path, reading.METRICS), "").startswith(",".join(_ROUND_COLUMNS[:2]) + ",")
+    return next(read_lines(path, reading.METRIC_LINES), "").startswith(",".join(_ROUND_COLUMNS[:2]) + ",")
 
 
 def read_rounds(path: Path) -> tuple[TrainedRound, ...]:
