@@ -29,6 +29,7 @@ def test_folders_of_dead_owners_go_and_others_stay(tmp_path):
         assert stat.S_IMODE(mine.path.stat().st_mode) == 0o700
         (theirs / "seat-0").write_bytes(b"picture")
         assert _remove_stale(tmp_path) == 0
+        assert (theirs / "seat-0").exists()
     finally:
         child.kill()
         child.communicate()

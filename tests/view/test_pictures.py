@@ -78,6 +78,13 @@ def test_a_video_plays_back_what_was_written(tmp_path):
     assert [item.name for item in tmp_path.iterdir()] == ["a.webm"]
 
 
+def test_a_failed_video_leaves_nothing_behind(tmp_path):
+    with pytest.raises(RuntimeError), open_video(tmp_path / "a.webm", 0.1) as write:
+        write(np.zeros((48, 64, 3), np.uint8))
+        raise RuntimeError
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_video_that_was_cut_short_is_none(tmp_path):
     noise = np.random.default_rng(0).integers(0, 256, (240, 320, 3), np.uint8)
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)

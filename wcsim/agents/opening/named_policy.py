@@ -37,7 +37,7 @@ from wcsim.config import RunConfig, resolve
 from wcsim.config.run_file import PolicyFile
 from wcsim.core.plugins import find_class, running_own
 from wcsim.core.reading import is_file
-from wcsim.errors import PolicyError
+from wcsim.errors import PolicyError, check_installed
 from wcsim.supervisor.actions import action_set
 from wcsim.types import SeatSpec
 
@@ -55,7 +55,7 @@ def open_named(name: str, config: RunConfig, seed: int, network: str | None = No
 
         inner = open_named(named.inner, config, seed, network)
         if isinstance(inner, ExportedLaw):  # its law says one action, and a veto asks for its dangers
-            raise PolicyError(f"policy {name!r} needs PyTorch, which is not installed: pip install 'wcsim[train]'")
+            check_installed(f"policy {name!r} needs PyTorch", "train", "torch", error=PolicyError)
         return Veto(name, inner, config)
     if named.kind == "served":
         return ServedPolicy(name, actions.points)

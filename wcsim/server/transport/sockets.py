@@ -33,7 +33,7 @@ BATCH = 256  # messages that are taken in at a time
 _HANDSHAKE_MS = 5_000  # a connection that has not shown its key by then is closed
 _IPC_PATH_BYTES = 107
 _CUT_S = 5  # a machine that vanished, or cannot be reached any more, says nothing
-_HELD_S = 6  # a process that a signal holds does not answer
+_HEARTBEAT_S = 6  # a process that a signal holds does not answer
 # Measured: as members of an enum, these take longer to combine than a message takes to send.
 _NOW, _MORE, _IN, _EVENTS = int(zmq.NOBLOCK), int(zmq.NOBLOCK | zmq.SNDMORE), int(zmq.POLLIN), int(zmq.EVENTS)
 
@@ -229,7 +229,7 @@ def monitored(socket: zmq.Socket[bytes], events: int) -> zmq.Socket[bytes]:
     ZeroMQ's heartbeats do not. They are answered by a thread of its own, however long the process computes.
     """
     socket.setsockopt(zmq.HEARTBEAT_IVL, 1000)
-    socket.setsockopt(zmq.HEARTBEAT_TIMEOUT, 1000 * _HELD_S)
+    socket.setsockopt(zmq.HEARTBEAT_TIMEOUT, 1000 * _HEARTBEAT_S)
     socket.setsockopt(zmq.TCP_KEEPALIVE, 1)
     socket.setsockopt(zmq.TCP_KEEPALIVE_IDLE, 2)
     socket.setsockopt(zmq.TCP_KEEPALIVE_INTVL, 1)
