@@ -1,6 +1,7 @@
 import re
 
 import pytest
+from pydantic import ValidationError
 
 from tools.readability import ROOT
 from wcsim.cli.main import main
@@ -8,6 +9,7 @@ from wcsim.config import RunConfig, TownFile, parse, read_toml, resolve
 from wcsim.config.plant import PlantFile, read_plant
 from wcsim.config.run_file import ManifestFile, PolicyFile
 from wcsim.config.scene import SceneFile
+from wcsim.config.suite import SuiteFile
 from wcsim.core.reading import SETTINGS, parse_toml
 from wcsim.errors import ConfigError
 
@@ -204,9 +206,16 @@ def test_pictures_that_would_fill_the_memory_are_refused(overrides):
 
 
 def test_few_of_many_faults_are_told():
-    with pytest.raises(ConfigError, match="and 988 more") as caught:
+    with pytest.raises(ConfigError, match="and more") as caught:
         parse(RunConfig, {f"x{number}": 1 for number in range(1000)}, "here")
     assert len(str(caught.value)) < 2000
+
+
+@pytest.mark.parametrize("wrong", [{"blocks": [{}] * 9999}, {"blocks": [{"episodes": [{}] * 9999}]}, {"towns": [0] * 9999}])
+def test_not_every_wrong_item_of_a_list_costs_memory(wrong):
+    with pytest.raises(ValidationError) as caught:
+        SuiteFile.model_validate(wrong)
+    assert caught.value.error_count() < 24
 
 
 def test_a_batch_that_would_fill_the_memory_is_refused():

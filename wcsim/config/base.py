@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from itertools import islice
 from typing import Annotated, Any, ClassVar, get_args, get_origin
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, model_validator
+from pydantic_core import CoreSchema
 
 from wcsim.core.reading import escaped, own_data
 from wcsim.errors import meant
@@ -44,6 +46,31 @@ class Model(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
     stand_ins: ClassVar[tuple[str, ...]] = ()  # words that are taken in the place of its table
+
+    # Pydantic tells every error of a file in a kilobyte each: of a megabyte of wrong items that were gigabytes.
+
+    @model_validator(mode="before")
+    @classmethod
+    def _with_few_unknown_keys(cls, data: Any) -> Any:
+        if not isinstance(data, dict) or len(data) <= len(cls.model_fields) + _MOST_KEYS:
+            return data
+        unknown = islice((key for key in data if key not in cls.model_fields), _MOST_KEYS)
+        return {**{key: data[key] for key in cls.model_fields if key in data}, **{key: data[key] for key in unknown}}
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        """As usual, but lists and tables are given up at their first item that is wrong."""
+        schema = handler(source)
+        waiting: list[Any] = [schema]
+        while waiting:
+            part = waiting.pop()
+            if isinstance(part, dict):
+                if part.get("type") in ("tuple", "list", "dict"):
+                    part["fail_fast"] = True
+                waiting += part.values()
+            elif isinstance(part, list):
+                waiting += part
+        return schema
 
 
 def fault(model: type[BaseModel], item: Any) -> str:

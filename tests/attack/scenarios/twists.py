@@ -119,6 +119,13 @@ def twisted(data: Data, rng: Rng, nasty: tuple[Any, ...] = NASTY) -> tuple[Data,
             case 2 if isinstance(holder, list):
                 holder.append(holder[last])
                 told.append(f"{at} twice")
+            case 3 if integer(rng, 4) == 0:
+                many = 10 ** (2 + integer(rng, 4))
+                if isinstance(holder, list):
+                    holder += [pick(rng, ({}, 0, holder[last]))] * many
+                else:
+                    holder.update((f"{last}{number}", 0) for number in range(many))
+                told.append(f"{at} and {many} more")
             case _:
                 number = integer(rng, len(nasty))
                 holder[last] = deepcopy(nasty[number])
