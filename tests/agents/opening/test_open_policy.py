@@ -58,7 +58,8 @@ def test_without_torch_shipped_drives_as_with_it(delay, monkeypatch):
 
 
 def test_without_torch_nothing_drives_by_a_law_that_is_not_its_own(monkeypatch):
-    monkeypatch.setattr(named_policy, "find_spec", lambda name: None)
+    for module in ("wcsim.errors", "wcsim.agents.opening.named_policy"):
+        monkeypatch.setattr(f"{module}.find_spec", lambda name: None)
     config = config_for("shipped", "quick")
     others = ("@0.3", "world.tick_s=0.1"), ("", "world.action_delay_ticks=1"), ("", "chair.v_max_mps=1.0")
     for level, other in others:

@@ -26,7 +26,7 @@ def test_what_is_no_markup_is_escaped_in_elements_attributes_and_cells():
     cell = str(TEMPLATES.get_template("parts.jinja").module.cell(EVIL, EVIL, EVIL))
     assert "<script" not in cell and '<td data-key="&#34;&gt;&lt;script' in cell
     demo = {**dict.fromkeys(("learned", "film", "film_says"), EVIL), "still_png": b"", "commands": [(EVIL, EVIL)]}
-    assert "<script>alert" not in page("demo.jinja", title=EVIL, tables={}, rows=(), groups={}, **demo)
+    assert "<script>alert" not in page("demo.jinja", title=EVIL, rows=(), look=(), **demo)
 
 
 def test_what_a_template_does_not_get_is_no_silent_gap():

@@ -3,6 +3,7 @@
 import base64
 import csv
 import dataclasses
+import html
 import io
 import json
 import math
@@ -15,6 +16,7 @@ import pytest
 from tests.view.report.results import POLICIES, SCRIPT, score_anew, write_result
 from wcsim.agents.evaluation.suite.result_files import read_result
 from wcsim.view.report.columns import GROUPS
+from wcsim.view.report.comparisons import verdict
 from wcsim.view.report.failures import Illustration, _SeenMoment, failures_of
 from wcsim.view.report.figures import _obedience_figure, figures_of
 from wcsim.view.report.suite_page import write_suite_page
@@ -28,13 +30,17 @@ class Reader(HTMLParser):
 
     def __init__(self, text):
         super().__init__()
-        self.found, self.open, self.cells, self.rows = [], [], [], {}
+        self.found, self.open, self.tables = [], [], []  # the last: seen without a click, and how wide each is
         self.feed(text)
         self.close()
         assert self.open == []
 
     def handle_starttag(self, tag, attributes):
         self.found.append((tag, dict(attributes)))
+        if tag == "table" and "details" not in self.open:
+            self.tables.append([dict(attributes)["id"], 0])
+        if tag == "th" and ("scope", "col") in attributes and "details" not in self.open:
+            self.tables[-1][1] += 1
         if tag not in VOID:
             self.open.append(tag)
 
@@ -112,8 +118,8 @@ def test_the_figures_csv_are_there_and_on_the_page(text, folder):
 
 
 def test_numbers_are_those_of_the_result(text, folder, said):
-    for name, columns in list(GROUPS.items())[:3]:
-        begin = text.index(f'id="table-all-{name}"')
+    for number, columns in enumerate(GROUPS.values()):
+        begin = text.index(f'id="table-all-{number}"' if number else 'id="table-all"')
         lines = text[begin : text.index("</table>", begin)].split("<tr>")[2:]
         for row, line in zip(said["pooled"], lines, strict=True):
             shown = re.findall(r'<td[^>]*data-key="([^"]*)"', line)
@@ -169,9 +175,9 @@ def test_a_town_that_was_made_for_a_list_is_drawn_from_the_results_folder(tmp_pa
     assert "way,1.0,1.0,0.0" in after.csv, "places come with the second after which they were reached"
 
 
-def test_the_legend_says_that_saved_and_lost_are_crashes_by_the_own_fault():
-    says = {column.key: column.says for column in GROUPS["safety"]}
-    assert all("own crash" in says[key] for key in ("saved", "lost"))
+def test_one_look_shows_the_sentence_and_one_table_of_six_columns(text, folder):
+    assert Reader(text).tables == [["table-all", 6]] and verdict(read_result(folder)) in html.unescape(text)
+    assert "highest" not in text, "what cannot be told apart"
 
 
 @pytest.mark.filterwarnings("ignore::UserWarning")

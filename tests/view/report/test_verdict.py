@@ -25,9 +25,9 @@ def driven(result, policy, records):
     return with_episodes(result, {**result.episodes, policy: tuple(records)})
 
 
-def test_it_counts_crashes_by_the_chairs_fault_and_says_what_help_costs(result):
+def test_it_counts_crashes_and_arrivals_and_says_what_help_costs(result):
     said = verdict(only(result, "follow", "dwa"))
-    assert said.startswith("Of 6 drives, the chair caused a crash in 4 with the user alone and 0 with dwa. ")
+    assert said.startswith("Of 6 drives, the user crashed in 4 alone and in 0 with dwa; 1 of 4 arrived alone and 4 with dwa. ")
     assert said.endswith(" In safe moments dwa did 95 % as requested, with 0 unneeded interventions.")
     needless = Intervention(first=1, last=2, verdict=NEEDLESS)
     busy = driven(
@@ -59,20 +59,20 @@ def test_no_policy_is_best_that_the_intervals_cannot_tell_from_another(result):
 
 def test_own_policies_come_first_and_it_stays_short(result):
     said = verdict(result)
-    assert len(wrap(said, 100)) <= 3
-    assert "net@0.25 (it failed in 1)" in said and SCRIPT not in said
+    assert len(wrap(said, 100)) <= 4
+    assert "; net@0.25 failed in 1; " in said and SCRIPT not in said
     two = only(result, "follow", "dwa")
     named = {**two.episodes, "own_policy:Careful": two.episodes["dwa"]}
     both = verdict(with_episodes(two, named))
-    assert "0 with own_policy:Careful and 0 with dwa. dwa and own_policy:Careful cannot be told apart here." in both
+    assert "4 with own_policy:Careful and 4 with dwa. dwa and own_policy:Careful cannot be told apart here." in both
     assert both.endswith(" did 95 % as requested and dwa 95 %, with 0 and 0 unneeded interventions.")
     far = "runs/" + "x" * 200
     found = {"follow": two.episodes["follow"], "net": two.episodes["dwa"], far: two.episodes["dwa"]}
-    assert " 0 with net." in verdict(with_episodes(two, found))
+    assert " 4 with net." in verdict(with_episodes(two, found))
 
 
 def test_a_test_of_the_user_alone_or_of_bounds_crowns_nothing(result):
-    assert verdict(only(result, "follow")) == "Of 6 drives, the chair caused a crash in 4 with the user alone."
-    assert verdict(only(result, "dwa")).startswith("Of 6 drives, the chair caused a crash in 0 with dwa. In safe")
+    assert verdict(only(result, "follow")) == "Of 6 drives, the user crashed in 4 alone; 1 of 4 arrived alone."
+    assert verdict(only(result, "dwa")).startswith("Of 6 drives, the user crashed in 0 with dwa; 4 of 4 arrived with dwa. In safe")
     one = driven(only(result, "follow"), "follow", [crashed(0)])
-    assert verdict(one) == "Of 1 drive, the chair caused a crash in 1 with the user alone."
+    assert verdict(one) == "Of 1 drive, the user crashed in 1 alone; 0 of 1 arrived alone."

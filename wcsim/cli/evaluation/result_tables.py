@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from itertools import repeat
+from textwrap import wrap
 from typing import TYPE_CHECKING
 
 from rich import box
@@ -12,32 +14,15 @@ from rich.table import Table
 from rich.text import Text
 
 from wcsim.cli.shared.common import first_few
-from wcsim.view.report.columns import GROUPS, Column
+from wcsim.view.report.columns import LOOK, Column
 
 if TYPE_CHECKING:  # loads the simulators, which --help must not
     from wcsim.agents.evaluation.suite.result_files import TestResult
     from wcsim.agents.evaluation.suite.rows import ResultRow
     from wcsim.agents.evaluation.suite.sensitivity import Disturbed
 
-_SPREAD = {"crashes_per_km": "{:.1f}-{:.1f}", "score": "{:.2f}-{:.2f}"}  # figures whose interval stands beside them
-_NUMBERS_WIDTH = 66  # characters of the longest numbers
-_SHORTEST_NAME, _LEGEND_WIDTH = 14, 76
-LEGEND = """\
-own crash: the chair's fault; at red: entered a crossing at red
-saved: only the user alone has an own crash there; lost: only the policy has one
-KPI 1: distance between the driven and the user's stick; KPI 2: steps of an
-episode until a crash or its end
-close: share of steps within 0.177 of the user's command
-free: steps without danger; moving: the user's stick is out
-blocked: free steps that give less than half of a push ahead
-frozen: stood 3 s or more against the stick; on road: stood on a carriageway
-needed: else the user crashes within 5 s; missed: own crash, no intervention
-warned in time: share of dangers with a warning at least 1 s ahead
-arrivals: in the parts free and crossing; - where no goal ends an episode
-score: 0 after an own crash or at red, else route x pace x close; without a
-route, as of drawn episodes and the part tight, close alone; in tight, 0 after
-any crash, and standing in danger counts half
-help: times that the user asked for it"""
+_NUMBERS_WIDTH = 68  # characters of the longest numbers
+_SHORTEST_NAME, _LEGEND_WIDTH, _HEADING_WIDTH = 14, 76, 13
 _BOUNDS = {
     "oracle": "oracle knows the true state: an upper bound",
     "oracle-visible": "oracle-visible: the true state, but only road users in its cameras",
@@ -45,7 +30,7 @@ _BOUNDS = {
 
 
 def show_result(console: Console, result: TestResult, undriven: Sequence[str] = (), verdict: str = "") -> None:
-    """Print a result: tables for each part, and for all where there are several; then the crashes.
+    """Print a result: what a first look needs of each part, and of all where there are several; then the crashes.
 
     The verdict stands last: the tables of a long list leave the screen.
 
@@ -58,15 +43,15 @@ def show_result(console: Console, result: TestResult, undriven: Sequence[str] = 
     changed = f" CHANGED by {' '.join(result.changed)}" if result.changed else ""
     labels = _labels(list(result.episodes), console.width - _NUMBERS_WIDTH)
     for part, rows in _parts(result):
-        for what, columns in GROUPS.items():
-            shown = [column for column in columns if column.short]
-            lines = [[labels[row.policy], *_cells(row, shown)] for row in rows]
-            title = f"{result.suite} {result.set}{changed}: {part}, {what}"
-            console.print(_table(title, ["policy", *_headings(shown)], lines))
+        lines = [[labels[row.policy], *map(_cell, LOOK, repeat(row))] for row in rows]
+        title = f"{result.suite} {result.set}{changed}: {part}"
+        console.print(_table(title, ["policy", *(column.heading for column in LOOK)], lines))
     for name, label in labels.items():
         if label != name:
             console.print(_broken(f"{label}: {name}"))
-    console.print(LEGEND, style="dim")
+    for column in LOOK:
+        console.print("\n".join(wrap(f"{column.heading}: {column.says}", _LEGEND_WIDTH)), style="dim")
+    console.print("small figures: 95 % ranges; result.json and `wcsim report` have all others", style="dim")
     for note in (_BOUNDS[name] for name in result.episodes if name in _BOUNDS):
         console.print(note, style="dim")
     for line in first_few(_crashed(result), "crashes; episodes.json has all"):
@@ -97,48 +82,33 @@ def _crashed(result: TestResult) -> list[str]:
     ]
 
 
-_MOVED = (
-    *(column for column in GROUPS["safety"] if column.key in ("crashes_any", "crashes_own")),
-    *(column for column in GROUPS["following"] if column.key == "kpi1_free_within"),
-    *(column for column in GROUPS["service"] if column.key in ("speed_mps", "score")),
-)
-
-
 def show_sensitivity(console: Console, title: str, moved: Sequence[Disturbed]) -> None:
     """Print what `wcsim test --suite --sensitivity` found, a table for each policy."""
     for policy in dict.fromkeys(each.row.policy for each in moved):
         own = [each for each in moved if each.row.policy == policy]
-        lines = [[each.disturbance, *_cells(each.row, _MOVED), *_change(each)] for each in own]
-        headings = ["disturbance", *_headings(_MOVED), "change\nof score", "95 %"]
+        lines = [[each.disturbance, *map(_cell, LOOK, repeat(each.row)), _change(each)] for each in own]
+        headings = ["disturbance", *(column.heading for column in LOOK), "change of score"]
         console.print(_table(f"{title}: {policy}, with each disturbance alone", headings, lines))
-    console.print("change of score: against the same episodes without noise and delay", style="dim")
+    console.print("change of score: against the same drives without noise and delay", style="dim")
 
 
-def _change(moved: Disturbed) -> tuple[str, str]:
+def _change(moved: Disturbed) -> str:
     low_high = moved.score_change_ci
-    return f"{moved.score_change:+.3f}", "-" if low_high is None else f"{low_high[0]:+.2f} to {low_high[1]:+.2f}"
+    return f"{moved.score_change:+.3f}" + ("" if low_high is None else f"\n{low_high[0]:+.2f} to {low_high[1]:+.2f}")
 
 
-def _headings(columns: Sequence[Column]) -> list[str]:
-    return [text for column in columns for text in (column.short, *["95 %"] * (column.key in _SPREAD))]
-
-
-def _cells(row: ResultRow, columns: Sequence[Column]) -> list[str]:
-    found = []
-    for column in columns:
-        value = column.value(row)
-        found.append("-" if value is None else column.form.format(value))
-        if column.key in _SPREAD:
-            bounds = getattr(row, column.interval)
-            found.append("-" if bounds is None else _SPREAD[column.key].format(*bounds))
-    return found
+def _cell(column: Column, row: ResultRow) -> str:
+    """A figure, and below it its range."""
+    figure, bounds = column.texts(row)
+    return f"{figure or '-'}\n{bounds}".strip()
 
 
 def _table(title: str, headings: Sequence[str], lines: Sequence[Sequence[str]]) -> Table:
     table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 0), pad_edge=False)
-    deep = max(heading.count("\n") for heading in headings)
-    for number, heading in enumerate(headings):
-        lower = "\n" * (deep - heading.count("\n")) + heading
+    broken = [wrap(heading, _HEADING_WIDTH) for heading in headings]
+    deep = max(map(len, broken))
+    for number, heading in enumerate(broken):
+        lower = "\n" * (deep - len(heading)) + "\n".join(heading)
         table.add_column(lower, justify="right" if number else "left", no_wrap=True)
     for line in lines:
         table.add_row(*map(Text, line))

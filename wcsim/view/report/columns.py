@@ -10,6 +10,8 @@ from wcsim.core.reading import own_data
 if TYPE_CHECKING:  # loads much, which --help must not
     from wcsim.agents.evaluation.suite.rows import ResultRow
 
+_COUNTED_IN: Final = {"arrivals": "attempts", "needless": "judged_episodes"}  # of none there is no figure
+
 
 @dataclass(frozen=True, slots=True)
 class Column:
@@ -20,12 +22,22 @@ class Column:
     says: str
     form: str = "{:d}"
     interval: str = ""  # key of the interval that stands beside the figure
-    short: str = ""  # the heading on a console, whose tables have 80 characters; "" where it is on pages alone
+    bound: str = ""  # form of its two ends
 
     def value(self, row: ResultRow) -> Any:
-        """The figure of a row; None where nothing was measured, or no episode counts as an attempt to arrive."""
-        return None if self.key == "arrivals" and not row.attempts else getattr(row, self.key)
+        """The figure of a row; None where nothing was measured."""
+        return getattr(row, self.key) if getattr(row, _COUNTED_IN.get(self.key, "policy")) else None
+
+    def texts(self, row: ResultRow) -> tuple[str, str]:
+        """The figure of a row and its 95 % range in words, "" for each that is not known."""
+        value, bounds = self.value(row), getattr(row, self.interval) if self.interval else None
+        if value is None:
+            return "", ""
+        if self.key == "mcnemar_p" and value == 0:
+            return "< 1e-6", ""  # a result keeps six digits
+        return self.form.format(value, row=row), " to ".join(self.bound.format(end) for end in bounds or ())
 
 
 GROUPS: Final = {what: tuple(Column(**column) for column in columns) for what, columns in own_data(__file__).items()}
 COLUMNS: Final = tuple(column for columns in GROUPS.values() for column in columns)
+LOOK: Final = next(iter(GROUPS.values()))  # all that a first look needs

@@ -16,7 +16,7 @@ from wcsim.view.report.pages import page
 
 RIVALS: Final = ("follow", "dwa")  # the user alone, and the classical controller
 _NO_HELP: Final = (UNAIDED, "zero", "random", *UPPER_BOUNDS)  # they assist nobody, or could not be built
-_MOST_LINES, _LINE = 3, 100  # of 80 characters where names are as short as `shipped`
+_MOST_LINES, _LINE = 4, 100  # of 80 characters where names are as short as `shipped`
 _MOST_POLICIES, _MOST_ALIKE = 3, 3
 
 
@@ -133,7 +133,7 @@ def weighted(result: TestResult) -> dict[str, list[tuple[float, int]]]:
 
 
 def verdict(result: TestResult) -> str:
-    """Three sentences, and as many lines; no policy is called best by chance.
+    """Three sentences, on at most four lines; no policy is called best by chance.
 
     Policies of the user's own come first; of many only some are named.
     """

@@ -12,7 +12,7 @@ from wcsim.agents.evaluation.suite.result_files import TestResult
 from wcsim.agents.evaluation.suite.rows import FEWEST, ResultRow
 from wcsim.core.constants import RECORDED
 from wcsim.core.reading import counted
-from wcsim.view.report.columns import COLUMNS, GROUPS, Column
+from wcsim.view.report.columns import COLUMNS, GROUPS, LOOK, Column
 from wcsim.view.report.comparisons import WEIGHTINGS, Paired, compared, verdict, weighted
 from wcsim.view.report.failures import FailedEpisode, Illustration, Key, where_typed
 from wcsim.view.report.figures import figures_of
@@ -57,9 +57,6 @@ def _plain(row: ResultRow, column: Column) -> list[Cell]:
     return [getattr(row, column.key), *bounds]
 
 
-_BEST = 3
-
-
 def write_suite_page(
     result: TestResult,
     folder: Path,
@@ -94,7 +91,7 @@ def write_suite_page(
         title=f"{result.suite} {result.set}: {counted(len(result.episodes), 'policy', 'policies')}",
         result=result,
         verdict=verdict(result),
-        best=sorted(result.pooled, key=lambda row: -(row.score or 0.0))[:_BEST],
+        look=LOOK,
         groups=GROUPS,
         users=sorted({e.profile for episodes in result.episodes.values() for e in episodes}),
         recorded=RECORDED,
@@ -156,6 +153,5 @@ def write_demo_page(folder: Path, result: TestResult, **shown: object) -> Path:
     Raises:
         DiskFullError: It cannot be written.
     """
-    tables = {part: _result_table(result, part) for part in result.parts}
-    text = page("demo.jinja", title="wcsim demo", tables=tables, rows=result.rows, groups=GROUPS, **shown)
+    text = page("demo.jinja", title="wcsim demo", rows=result.pooled, look=LOOK[:-1], **shown)
     return write_page(folder, text, (), DEMO_PAGE)

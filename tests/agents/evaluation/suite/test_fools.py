@@ -30,7 +30,7 @@ def test_every_fool_is_caught_by_its_column(tmp_path: Path) -> None:
     # 9 and 3 own crashes in these blocks since wheels fall off kerbs; 10 and 1 before.
     assert follow["crashes_own"] >= 3 * max(1, sane["crashes_own"])
     assert follow["missed"] == follow["crashes_own"]
-    assert parts[UNAIDED]["hazard"]["alive_at_end"] < 0.3 < parts["oracle"]["hazard"]["alive_at_end"]
+    assert parts[UNAIDED]["hazard"]["crashed"] > 0.7 > parts["oracle"]["hazard"]["crashed"]
 
     stands = whole["Stands"]
     assert stands["arrivals"] == 0 and stands["score"] < 0.05

@@ -25,7 +25,7 @@ def test_a_row_says_on_what_it_stands():
     assert found["episodes"] == 20 and found["km"] == 2.0 and found["crashes_own"] == 5
     assert found["crashes_per_km"] == 2.5 and found["crashes_per_km_ci"][0] < 2.5 < found["crashes_per_km_ci"][1]
     assert found["status"]["finished"] == 15 and found["status"]["chair_crashed"] == 5
-    assert found["alive_at_end"] == 0.75 and found["alive_at_end_ci"][0] < 0.75 < found["alive_at_end_ci"][1]
+    assert found["crashed"] == 0.25 and found["crashed_ci"][0] < 0.25 < found["crashed_ci"][1]
     assert json.loads(json.dumps(found, allow_nan=False)).keys() == found.keys()
     assert found["score"] == pytest.approx(0.75 * 0.6) and found["crash_reasons"] == {"collision": 5}
 
@@ -53,7 +53,7 @@ def test_nothing_driven_is_no_number():
     empty = replace(GOOD, status="refused", steps=0, m=0.0, time_s=0.0, moving_steps=0, moving_within=0)
     found = row([empty])
     assert found["crashes_per_km"] is None and found["kpi1"] is None and found["speed_mps"] is None
-    assert found["status"]["refused"] == 1 and found["alive_at_end"] == 0.0
+    assert found["status"]["refused"] == 1 and found["crashed"] == 0.0
 
 
 def test_twins_say_who_was_saved_and_who_was_lost():
@@ -127,4 +127,4 @@ def test_a_policy_that_stands_freezes_on_the_carriageway():
 
 def test_a_cut_episode_survived():
     found = driven(baseline("follow", RunConfig()), Script(crash_at=99), episodes=1, max_steps=5)
-    assert (found.kpi2, found.crashes_own, found.crashes_per_km, found.alive_at_end) == (5, 0, None, 1.0)
+    assert (found.kpi2, found.crashes_own, found.crashes_per_km, found.crashed) == (5, 0, None, 0.0)

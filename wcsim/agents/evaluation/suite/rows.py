@@ -110,8 +110,8 @@ class ResultRow:
     crashes_per_km: float | None  # of the chair's own
     crashes_per_km_ci: Interval | None
     red_entries: int  # it set out over a crossing that had red
-    alive_at_end: float | None  # share of the episodes that no crash ended
-    alive_at_end_ci: Interval | None
+    crashed: float | None  # share of the episodes that a crash ended, whosever fault it was
+    crashed_ci: Interval | None
     kpi1: float | None  # mean joystick distance
     kpi1_within: float | None  # share of steps with one of at most 0.1768
     kpi1_free: float | None  # mean over the steps that were free of danger when the policy answered
@@ -141,6 +141,7 @@ class ResultRow:
     judged_km: float
     needed: int
     needless: int
+    needless_ci: Interval | None
     missed: int
     warned_share: float | None
     false_warnings_per_km: float | None
@@ -194,8 +195,8 @@ def _crashes(records: Sequence[EpisodeRecord]) -> dict[str, Any]:
         "crashes_per_km": own / km if rated else None,
         "crashes_per_km_ci": (low / km, high / km) if rated else None,
         "red_entries": _count(records, "red_entries"),
-        "alive_at_end": _ratio(len(records) - len(crashes) - _failed(records), len(records)),
-        "alive_at_end_ci": _wilson(sum(map(_alive, records)), len(records)),
+        "crashed": _ratio(len(crashes), len(records)),
+        "crashed_ci": _wilson(len(crashes), len(records)),
     }
 
 
@@ -243,14 +244,19 @@ def _service(records: Sequence[EpisodeRecord]) -> dict[str, Any]:
 
 def _interventions(records: Sequence[EpisodeRecord]) -> dict[str, Any]:
     judged = [record for record in records if record.judged]
-    found = [item for record in judged for item in record.interventions]
+    needed, needless = (
+        [sum(item.verdict == verdict for item in record.interventions) for record in judged]
+        for verdict in (NEEDED, NEEDLESS)
+    )
+    spread = bootstrapped(needless)  # of the mean
     km = _km(judged)
     return {
         "interventions": sum(len(record.interventions) for record in records),
         "judged_episodes": len(judged),
         "judged_km": km,
-        "needed": sum(item.verdict == NEEDED for item in found),
-        "needless": sum(item.verdict == NEEDLESS for item in found),
+        "needed": sum(needed),
+        "needless": sum(needless),
+        "needless_ci": spread and (spread[0] * len(judged), spread[1] * len(judged)),
         "missed": _count(records, "missed"),
         "warned_share": _ratio(_count(judged, "warned"), _count(judged, "to_warn")),
         "false_warnings_per_km": _count(judged, "false_warnings") / km if km >= _FAR_ENOUGH_KM else None,
@@ -296,14 +302,6 @@ def _twins(records: Sequence[EpisodeRecord], unaided: Sequence[EpisodeRecord]) -
         "lost": lost,
         "mcnemar_p": mcnemar(saved, lost),
     }
-
-
-def _alive(record: EpisodeRecord) -> bool:
-    return record.status not in (CRASHED, POLICY_FAILED) and record.steps > 0
-
-
-def _failed(records: Sequence[EpisodeRecord]) -> int:
-    return sum(record.status != CRASHED and not _alive(record) for record in records)
 
 
 def _ratio(above: float, below: float) -> float | None:
