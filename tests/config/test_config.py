@@ -211,7 +211,9 @@ def test_few_of_many_faults_are_told():
     assert len(str(caught.value)) < 2000
 
 
-@pytest.mark.parametrize("wrong", [{"blocks": [{}] * 9999}, {"blocks": [{"episodes": [{}] * 9999}]}, {"towns": [0] * 9999}])
+@pytest.mark.parametrize(
+    "wrong", [{"blocks": [{}] * 9999}, {"blocks": [{"episodes": [{}] * 9999}]}, {"towns": [0] * 9999}]
+)
 def test_not_every_wrong_item_of_a_list_costs_memory(wrong):
     with pytest.raises(ValidationError) as caught:
         SuiteFile.model_validate(wrong)

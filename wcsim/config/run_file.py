@@ -257,6 +257,10 @@ class TrainedRound(Model):
     new_steps: _Whole  # of these that were driven in this round
     tight_share: _Measured  # of these, in which something is unsafe
     crashes: _Whole  # of whoever drove in this round
+    network_steps: _Whole  # driven by the network of the round before the last, as it wanted
+    network_crashes: _Whole  # that ended these
+    user_steps: _Whole  # the same of users alone
+    user_crashes: _Whole
     updates: _Whole  # in all
     loss: float  # at its end, smoothed over some 50 updates; NaN where nothing was learned
     wait_s: _Measured  # wall clock, for the worlds

@@ -5,8 +5,8 @@ import pytest
 from wcsim.agents.runs.metrics import logs_rounds, note_round, read_rounds
 from wcsim.errors import PolicyError
 
-FIRST = (0, 2000, 1500, 0.25, 4, 50, 0.5, 1.25, 2.5)
-SECOND = (1, 4500, 2500, 0.3, 3, 100, 0.25, 0.0, 3.0)
+FIRST = (0, 2000, 1500, 0.25, 4, 300, 1, 500, 2, 50, 0.5, 1.25, 2.5)
+SECOND = (1, 4500, 2500, 0.3, 3, 0, 0, 9, 1, 100, 0.25, 0.0, 3.0)
 
 
 def test_rows_come_back_and_a_round_that_is_done_again_stands_once(tmp_path: Path) -> None:
@@ -17,17 +17,18 @@ def test_rows_come_back_and_a_round_that_is_done_again_stands_once(tmp_path: Pat
     assert logs_rounds(path)
     assert (first.steps, first.new_steps, first.tight_share, first.wait_s) == (2000, 1500, 0.25, 1.25)
     assert (second.round, second.steps, second.crashes, second.updates, second.learn_s) == (1, 4500, 3, 100, 3.0)
+    assert (first.network_steps, first.network_crashes, first.user_steps, first.user_crashes) == (300, 1, 500, 2)
 
 
 @pytest.mark.parametrize(
     "row",
     [
         "0,1",
-        "0,x,0,0,0,0,0,0,0",
-        "1,2,2,0,0,0,0,0,0",
-        "0,-5,0,0,0,0,0,0,0",
-        "0,nan,0,0,0,0,0,0,1",
-        "9" * 5000 + ",0" * 8,
+        "0,x" + ",0" * 11,
+        "1,2,2" + ",0" * 10,
+        "0,-5" + ",0" * 11,
+        "0,nan" + ",0" * 11,
+        "9" * 5000 + ",0" * 12,
     ],
 )
 def test_a_damaged_row_is_refused(tmp_path: Path, row: str) -> None:
@@ -53,6 +54,6 @@ def test_a_cell_that_no_table_has_is_refused(tmp_path: Path) -> None:
 
 
 def test_large_counts_lose_no_digit(tmp_path: Path) -> None:
-    note_round(tmp_path / "metrics.csv", (0, 1_234_567, 1_234_567, 0.25, 4, 7_654_321, 0.5, 1.25, 2.5))
+    note_round(tmp_path / "metrics.csv", (0, 1_234_567, 1_234_567, 0.25, 4, 0, 0, 0, 0, 7_654_321, 0.5, 1.25, 2.5))
     (row,) = read_rounds(tmp_path / "metrics.csv")
     assert (row.steps, row.updates) == (1_234_567, 7_654_321)

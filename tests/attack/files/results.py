@@ -36,7 +36,7 @@ def families(work: Path) -> list[Family]:
     sha256 = json.loads(held[RESULT])["sha256"]
     for row in range(3):
         append_row(work / "t.csv", COLUMNS, {"study_sha256": "ab" * 6, "participant": str(row), "town": "a, b"})
-        note_round(work / "r.csv", (row, 9 * row, 9, 0.5, row, 10 * row, 0.25, 1.5, 0.5))
+        note_round(work / "r.csv", (row, 9 * row, 9, 0.5, row, 5, 1, 4, row, 10 * row, 0.25, 1.5, 0.5))
     table, rounds = ((work / name).read_bytes() for name in ("t.csv", "r.csv"))
     episodes = open_suite("dev").file
     write_list(episodes.model_copy(update={"blocks": episodes.blocks[:2]}), work / "l.json")
@@ -82,5 +82,5 @@ def _take_table(path: Path) -> bool:
 def _take_rounds(path: Path) -> bool:
     """All rows are there after the next round."""
     rows = read_rounds(path)
-    note_round(path, (len(rows), 99, 9, 0.5, 0, 10, 0.25, 1.5, 0.5))
+    note_round(path, (len(rows), 99, 9, 0.5, 0, 1, 0, 1, 0, 10, 0.25, 1.5, 0.5))
     return repr(read_rounds(path)[:-1]) == repr(rows)

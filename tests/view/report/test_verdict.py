@@ -27,7 +27,9 @@ def driven(result, policy, records):
 
 def test_it_counts_crashes_and_arrivals_and_says_what_help_costs(result):
     said = verdict(only(result, "follow", "dwa"))
-    assert said.startswith("Of 6 drives, the user crashed in 4 alone and in 0 with dwa; 1 of 4 arrived alone and 4 with dwa. ")
+    assert said.startswith(
+        "Of 6 drives, the user crashed in 4 alone and in 0 with dwa; 1 of 4 arrived alone and 4 with dwa. "
+    )
     assert said.endswith(" In safe moments dwa did 95 % as requested, with 0 unneeded interventions.")
     needless = Intervention(first=1, last=2, verdict=NEEDLESS)
     busy = driven(
@@ -73,6 +75,8 @@ def test_own_policies_come_first_and_it_stays_short(result):
 
 def test_a_test_of_the_user_alone_or_of_bounds_crowns_nothing(result):
     assert verdict(only(result, "follow")) == "Of 6 drives, the user crashed in 4 alone; 1 of 4 arrived alone."
-    assert verdict(only(result, "dwa")).startswith("Of 6 drives, the user crashed in 0 with dwa; 4 of 4 arrived with dwa. In safe")
+    assert verdict(only(result, "dwa")).startswith(
+        "Of 6 drives, the user crashed in 0 with dwa; 4 of 4 arrived with dwa. In safe"
+    )
     one = driven(only(result, "follow"), "follow", [crashed(0)])
     assert verdict(one) == "Of 1 drive, the user crashed in 1 alone; 0 of 1 arrived alone."

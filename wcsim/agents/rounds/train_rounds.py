@@ -14,6 +14,7 @@ from pathlib import Path
 from shutil import copytree
 from typing import Any, Final
 
+import numpy as np
 import torch
 
 from wcsim.agents.danger.dataset import Dataset
@@ -25,6 +26,8 @@ from wcsim.agents.rounds.drive_segment import SegmentOrder, orders_of, require_r
 from wcsim.agents.runs.checkpoint import STATE, Arrays, Restore, go_on, newest_number, number_of, save, tag
 from wcsim.agents.runs.data_folder import (
     DATA,
+    FOLLOW,
+    NETWORK,
     SEGMENTS,
     Segment,
     SegmentKey,
@@ -156,19 +159,23 @@ def _train_rounds(
             if number + 1 < total:
                 workers.ask(_orders(folder, towns, number + 1))
             waited_s = time.monotonic() - began_s
-            before, crashes = len(dataset), 0
+            before, crashes, driven = len(dataset), 0, np.zeros(4, np.int64)
             for name in sorted(came):
                 segment = read_segment(folder.path / DATA / SEGMENTS / name, came[name])
                 dataset.add(segment)
                 crashes += int(segment.crashed.sum())
+                for place, driver in ((0, NETWORK), (2, FOLLOW)):
+                    mine = segment.driver == driver
+                    driven[place : place + 2] += int(mine.sum()), int(segment.crashed[mine].sum())
             dataset.begin(seeding.generator(seed, "agent", "lectures", number))
             torch.manual_seed(seeding.derive(seed, "agent", "learn", number))  # of networks that draw, as by dropout
             now = replace(now, segments=now.of)
             loss = _learn(learner, dataset, config.danger.updates, now, progress)
             segments |= came
             _save(folder, learner, tag("round", number))
-            row = (number, len(dataset), len(dataset) - before, dataset.tight_share, crashes, learner.updates, loss)
-            note_round(folder.path / METRICS, (*row, waited_s, time.monotonic() - began_s - waited_s))
+            row = (number, len(dataset), len(dataset) - before, dataset.tight_share, crashes, *driven.tolist())
+            spent = (waited_s, time.monotonic() - began_s - waited_s)
+            note_round(folder.path / METRICS, (*row, learner.updates, loss, *spent))
             _save_round(folder.checkpoints, number, learner, segments)  # the last: with it the round counts as done
             progress(replace(now, updates=learner.updates, loss=loss))
     hashes = {town.name: streets_hash(town) for town in map(find_town, towns)}

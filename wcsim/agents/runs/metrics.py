@@ -30,8 +30,8 @@ KPI1_STEPS = 20 * ROW_STEPS  # steps that a mean of KPI 1 goes over
 STEP_COLUMNS = ("step", "phase", "kpi1_greedy", "elapsed_s_wall")
 _STEP = re.compile(r"[0-9]{1,15}", re.ASCII)
 _ROUND_COLUMNS: Final = (
-    *("round", "steps", "new_steps", "tight_share", "crashes", "updates", "loss"),
-    *("wait_s_wall", "learn_s_wall"),
+    *("round", "steps", "new_steps", "tight_share", "crashes", "network_steps", "network_crashes", "user_steps"),
+    *("user_crashes", "updates", "loss", "wait_s_wall", "learn_s_wall"),
 )
 TENSORBOARD: Final = "tensorboard"  # in a run folder
 _TRAINS: Final = frozenset({"epsilon", "margin_weight", "loss", "max_abs_q", "updates"})

@@ -345,12 +345,12 @@ def _statuses(result: TestResult) -> Exhibit:
     return Exhibit(name="status", columns=("policy", *STATUSES), rows=rows, svg=out.getvalue())
 
 
-def curve_chart(name: str, label: str, curves: Sequence[Curve], limit: float | None = None) -> bytes:
-    """Curves over training steps, with a line at the limit; values that are all positive begin at zero."""
+def curve_chart(name: str, label: str, curves: Sequence[Curve], line: tuple[float, str] | None = None) -> bytes:
+    """Curves over training steps, with a line across and what it is; values that are all positive begin at zero."""
     out = io.BytesIO()
     with _drawn(name, out) as axes:
-        if limit is not None:
-            axes.axhline(limit, color="#222222", linewidth=0.9, linestyle=":", label=f"{limit:g}")
+        if line is not None:
+            axes.axhline(line[0], color="#222222", linewidth=0.9, linestyle=":", label=line[1])
         for place, curve in enumerate(curves):
             colour = _colour_of(place)
             axes.plot(curve.steps, curve.values, ".", color=colour, markersize=4, markeredgewidth=0, alpha=0.45)
@@ -358,15 +358,15 @@ def curve_chart(name: str, label: str, curves: Sequence[Curve], limit: float | N
             if curve.switch is not None:  # several at one step: their dashes stand beside each other
                 dashes = (3.0 * place, (3.0, 3.0 * max(1, len(curves) - 1)))
                 axes.axvline(curve.switch, color=colour, linewidth=0.9, linestyle=dashes)
-            if curve.crossing is not None and limit is not None:
-                axes.plot([curve.crossing], [limit], "v", color=colour, markersize=7, markeredgecolor="#222222")
+            if curve.crossing is not None and line is not None:
+                axes.plot([curve.crossing], [line[0]], "v", color=colour, markersize=7, markeredgecolor="#222222")
         if all(value >= 0.0 for curve in curves for value in curve.values):
             axes.set_ylim(bottom=0.0)
         axes.set_xlim(left=0.0)
         axes.locator_params(axis="x", nbins=6)  # of six digits no more stand beside each other
         axes.set_xlabel("steps of training")
         axes.set_ylabel(label)
-        _legend(axes, len(curves) + (limit is not None))
+        _legend(axes, len(curves) + (line is not None))
     return out.getvalue()
 
 

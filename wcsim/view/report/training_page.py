@@ -39,14 +39,24 @@ _THOUSAND: Final = 1000.0
 
 
 def _rounds(runs: Runs) -> _Section:
+    """First what says whether the networks learned: how long they drove between crashes, beside the users alone."""
+    every = [each for rounds in runs.values() for each in rounds]
+    alone = _per_crash(sum(each.user_steps for each in every), sum(each.user_crashes for each in every))
+    line = None if math.isnan(alone) else (alone, f"the users alone: {alone:.0f}")
+    alive = _round_figure(
+        runs,
+        "steps-between-crashes",
+        "steps between crashes of the network (up is better)",
+        lambda each: _per_crash(each.network_steps, each.network_crashes),
+        line,
+    )
     loss = _round_figure(runs, "round-loss", "loss", lambda each: each.loss)
-    alive = _round_figure(runs, "fig-7b-rounds", "steps between crashes", _alive)
-    return "rounds", "Rounds of driving and learning", (alive, loss, _round_table(runs))
+    return "rounds", "Rounds of driving and learning", (*([alive] if alive.rows else []), _round_table(runs), loss)
 
 
-def _alive(each: TrainedRound) -> float:
-    """Steps that a round added for each of its crashes; NaN without one."""
-    return each.new_steps / each.crashes if each.crashes else math.nan
+def _per_crash(steps: int, crashes: int) -> float:
+    """Steps for each crash; NaN without one."""
+    return steps / crashes if crashes else math.nan
 
 
 def _crash_rate(each: TrainedRound) -> float:
@@ -57,8 +67,8 @@ def _crash_rate(each: TrainedRound) -> float:
 def rounds_summary(rounds: Sequence[TrainedRound]) -> str:
     """A run's rounds in a line.
 
-    >>> at = {"round": 0, "steps": 2000, "new_steps": 2000, "updates": 50, "loss": 0.25, "wait_s": 1, "learn_s": 2}
-    >>> rounds_summary((TrainedRound(tight_share=0.2, crashes=4, **at),))
+    >>> at = dict.fromkeys(TrainedRound.model_fields, 0) | {"steps": 2000, "new_steps": 2000, "crashes": 4}
+    >>> rounds_summary((TrainedRound(**at | {"updates": 50, "loss": 0.25}),))
     '1 round, 2000 steps, 50 updates, loss 0.250, 2.0 crashes per 1000 steps in the last'
     """
     last, rate = rounds[-1], _crash_rate(rounds[-1])
@@ -66,27 +76,33 @@ def rounds_summary(rounds: Sequence[TrainedRound]) -> str:
     return f"{counted(len(rounds), 'round')}, {last.steps} steps, {last.updates} updates, loss {last.loss:.3f}{told}"
 
 
-def _round_figure(runs: Runs, name: str, label: str, of: Callable[[TrainedRound], float]) -> Exhibit:
+def _round_figure(
+    runs: Runs,
+    name: str,
+    label: str,
+    of: Callable[[TrainedRound], float],
+    line: tuple[float, str] | None = None,
+) -> Exhibit:
     curves, plain = [], list[list[Cell]]()
     for run, rounds in runs.items():
         known = [(each, of(each)) for each in rounds if math.isfinite(of(each))]
         values = [value for _, value in known]
         curves.append(Curve(name=run, steps=[each.steps for each, _ in known], values=values, means=values))
         plain += [[run, each.round + 1, each.steps, round(value, 6)] for each, value in known]
-    svg = curve_chart(name, label, curves)
-    return Exhibit(name=name, title=label.capitalize(), columns=("run", "round", "steps", label), rows=plain, svg=svg)
+    svg = curve_chart(name, label, curves, line)
+    return Exhibit(name=name, title=label.capitalize(), columns=("run", "round", "steps", name), rows=plain, svg=svg)
 
 
 def _round_table(runs: Runs) -> Exhibit:
     headings = (
-        *("run", "round", "steps", "new", "of these with dangers", "crashes", "per 1,000 steps", "updates", "loss"),
-        *("waited for worlds, s", "learned, s"),
+        *("run", "round", "steps", "new", "with dangers", "crashes", "per 1,000 steps", "network's steps", "crashes"),
+        *("user's steps", "crashes", "updates", "loss", "waited for worlds, s", "learned, s"),
     )
     rows: list[list[Cell]] = [
         [
             run, each.round + 1, each.steps, each.new_steps, f"{100.0 * each.tight_share:.0f} %", each.crashes,
-            _rounded(_crash_rate(each), 1), each.updates, _rounded(each.loss, 3), round(each.wait_s),
-            round(each.learn_s),
+            _rounded(_crash_rate(each), 1), each.network_steps, each.network_crashes, each.user_steps,
+            each.user_crashes, each.updates, _rounded(each.loss, 3), round(each.wait_s), round(each.learn_s),
         ]
         for run, rounds in runs.items()
         for each in rounds
@@ -123,7 +139,7 @@ def write_training_page(training: Training, folder: Path) -> Path:
     runs = [name for name, manifest in training.manifests.items() if "clients" not in manifest]
     text = page(
         "training.jinja",
-        title=f"Training {folder.resolve().name}",
+        title=f"Training {', '.join(Path(name).resolve().name for name in training.manifests)}",
         clients=[*training.clients, *training.rounds],
         manifests=training.manifests,
         by_rounds=[name for name in training.manifests if {name, Path(name).resolve().name} & set(training.rounds)],
@@ -137,11 +153,13 @@ def write_training_page(training: Training, folder: Path) -> Path:
 
 
 def _curves(training: Training) -> _Section:
-    episodes = _counted(training)
+    episodes, steps = _counted(training), training.steps
+    own = {name: [each for each in found if each.phase > 1] for name, found in episodes.items()}
+    limit = (KPI1_LIMIT, f"{KPI1_LIMIT}: close to the user's stick")
     figures = (
-        _drawn("kpi1", "fig-7a-kpi1", "Fig. 7a: KPI 1, mean joystick distance", training.steps, KPI1_LIMIT),
-        _drawn("length", "fig-7b-length", "Fig. 7b: KPI 2, steps of an episode", episodes),
-        _drawn("overestimate", "overestimate", "value minus return", episodes, 0.0),
+        _drawn("kpi1", "fig-7a-kpi1", "Fig. 7a: KPI 1, mean joystick distance (down is better)", steps, limit),
+        _drawn("length", "fig-7b-length", "Fig. 7b: KPI 2, steps of an episode in phase 2 (up is better)", own),
+        _drawn("overestimate", "overestimate", "value minus return", episodes, (0.0, "0")),
     )
     return "curves", "Curves", [found for found in figures if found is not None]
 
@@ -152,7 +170,7 @@ def _counted(training: Training) -> dict[str, list[TrainedEpisode]]:
 
 
 def _drawn(
-    key: str, name: str, title: str, logged: Mapping[str, Sequence[LogRow]], limit: float | None = None
+    key: str, name: str, title: str, logged: Mapping[str, Sequence[LogRow]], line: tuple[float, str] | None = None
 ) -> Exhibit | None:
     """A curve for each client through its rows that have a value; None where there is nothing to draw."""
     curves: list[Curve] = []
@@ -185,7 +203,7 @@ def _drawn(
         f"mean_of_{OVER}",
         *(("crashed",) if key != "kpi1" else ()),
     )
-    svg = curve_chart(name, title.rpartition(": ")[2], curves, limit)
+    svg = curve_chart(name, title.rpartition(": ")[2], curves, line)
     return Exhibit(name=name, title=title, columns=columns, rows=plain, svg=svg)
 
 
