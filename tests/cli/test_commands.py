@@ -14,9 +14,9 @@ import pytest
 from tests.cli.conftest import QUICK, Result, files_in
 from tests.cli.towns import TINY_BBOX, tiny_osm
 from wcsim.cli import doctor
-from wcsim.drive.pictures import StillPictures
 from wcsim.physics import engine
 from wcsim.towns.scenario.town import find_town
+from wcsim.view.street_pictures import StillPictures
 
 BASELINES = ("follow", "random", "zero", "stop", "dwa", "oracle-visible", "oracle")
 TOWN_KEYS = {

@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 
 from wcsim.drive import messages as m
 from wcsim.drive.driven import DriverKind
-from wcsim.drive.pictures import CameraKind
 from wcsim.errors import ProtocolError
+from wcsim.view.street_pictures import CameraKind
 
 GOOD = (
     m.Stick(x=0.5, y=-1.0, overrule=True),

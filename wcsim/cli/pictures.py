@@ -54,9 +54,9 @@ def look(words: list[str]) -> int:
     street, picture, video = (options.out / f"{town.name}{kind}" for kind in ("-street.png", ".png", ".webm"))
     Writes().check("--out", video)
 
-    from wcsim.drive.pictures import StillPictures  # these load the simulators, which --help must not
     from wcsim.view.filming import BusiestMoment, FilmDriver, FilmedDrive
     from wcsim.view.pictures import write_png
+    from wcsim.view.street_pictures import StillPictures  # these load the simulators, which --help must not
 
     with (
         told_if_made(video),

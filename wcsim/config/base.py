@@ -8,7 +8,6 @@ from itertools import islice
 from typing import Annotated, Any, ClassVar, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, model_validator
-from pydantic_core import CoreSchema
 
 from wcsim.core.reading import escaped, own_data
 from wcsim.errors import meant
@@ -58,10 +57,10 @@ class Model(BaseModel):
         return {**{key: data[key] for key in cls.model_fields if key in data}, **{key: data[key] for key in unknown}}
 
     @classmethod
-    def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+    def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> Any:
         """As usual, but lists and tables are given up at their first item that is wrong."""
-        schema = handler(source)
-        waiting: list[Any] = [schema]
+        schema: Any = handler(source)
+        waiting = [schema]
         while waiting:
             part = waiting.pop()
             if isinstance(part, dict):

@@ -10,9 +10,9 @@ import msgspec
 from wcsim.config.study import MOST_QUESTIONS, MOST_STEPS
 from wcsim.core.reading import escaped
 from wcsim.drive.driven import DriverKind
-from wcsim.drive.pictures import LARGEST_PX, SMALLEST_PX, CameraKind
 from wcsim.errors import ProtocolError
 from wcsim.supervisor.kpi import KpiTotals
+from wcsim.view.street_pictures import LARGEST_PX, SMALLEST_PX, CameraKind
 
 MOST_BYTES: Final = 2048  # of a page's message
 Part = Annotated[float, msgspec.Meta(ge=-1.0, le=1.0)]

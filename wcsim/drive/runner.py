@@ -20,7 +20,6 @@ from wcsim.core.frames import deg
 from wcsim.core.reading import counted
 from wcsim.drive import messages as m
 from wcsim.drive.driven import DriveRecord, DriverKind, EventKind, xy_of
-from wcsim.drive.pictures import Moment, PageLooks, StreetPictures, clamped, moment_of
 from wcsim.drive.recording.session_recorder import RecorderStatus, SessionRecorder
 from wcsim.drive.recording.study_lead import OpenStudy, StudyHands, StudyLead
 from wcsim.drive.recording.study_plan import StepKind
@@ -33,6 +32,7 @@ from wcsim.towns.scenario.town import list_towns
 from wcsim.types import Joystick
 from wcsim.types.chair import AT_REST
 from wcsim.users.profiles import profile_names
+from wcsim.view.street_pictures import Moment, PageLooks, StreetPictures, clamped, moment_of
 
 JSON, PICTURES, LINE, DONE = b"J", b"P", b"L", b"D"  # what a message to the server is; the last: a slow wish is done
 Does = dict[type, Callable[[Any], object]]
@@ -335,7 +335,8 @@ class _DriveRunner(PageRunner):
         if session is None or pictures is None:
             return
         jumped, self._drawn_episode = session.episode != self._drawn_episode, session.episode
-        self._draw(moment_of(session, jumped=jumped), pictures, 0.0 if self.clock.paused else 1.0)
+        moment = moment_of(session.world, session.client, session.route, session.done_m, jumped=jumped)
+        self._draw(moment, pictures, 0.0 if self.clock.paused else 1.0)
         self._unseen = False
 
     def _note(self, record: DriveRecord) -> None:

@@ -61,7 +61,7 @@ def test_the_page_of_a_test_shows_its_failures_in_pictures_and_their_command_run
     text = (tested / "report.html").read_text(encoding="utf-8")
     driven = json.loads((tested / "episodes.json").read_text("utf-8"))["follow"]
     assert {record["status"] for record in driven} == {"timed_out"}
-    assert text.count("seen 0.0 s before") == 1 and text.count('class="street"') == 1
+    assert text.count("network saw it, 0.0 s before") == 1 and text.count('class="street"') == 1
     command = "wcsim test follow --suite corner.json --play 0.0 --out runs/out"
     assert command in text
     assert wcsim(*command.split()[1:]).code == 0

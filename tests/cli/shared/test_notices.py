@@ -18,7 +18,7 @@ SMALL = ("--set", "learn.total_steps=8", "--set", "learn.phase1_steps=4", *QUICK
 def test_what_is_overridden_is_one_line_and_a_table_when_it_is_asked_for(wcsim, corner):
     words = ("test", "follow", "--only", "--town", corner, "--episodes", "1", "--max-steps", "2", *QUICK)
     short, long = wcsim(*words), wcsim(*words, "--verbose")
-    line = " ".join(short.out[: short.out.index("safety")].split())
+    line = " ".join(short.out[: short.out.index("drives with a crash")].split())
     assert "of SUMO's options are not as in pedestrian-crossing's scenario (" in line
     assert "seed" in line and "xml-validation" in line and "--verbose says why" in line
     assert "what this run overrides of pedestrian-crossing's scenario" in long.out

@@ -138,6 +138,8 @@ def _restore_newest(folder: Path, restore: Restore[T]) -> _Restored[T]:
         try:
             state = _read_state(path)
             hashes, sizes = state.pop("sha256"), state.pop("bytes")
+            if sizes.keys() != hashes.keys():
+                raise PolicyError(f"{STATE} is damaged")
             for file, sha256 in hashes.items():
                 size = regular_size(path / file, reading.ARRAYS)
                 # Its size first: a file that is larger than it was written may take hours to read.

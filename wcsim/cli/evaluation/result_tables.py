@@ -51,7 +51,7 @@ def show_result(console: Console, result: TestResult, undriven: Sequence[str] = 
             console.print(_broken(f"{label}: {name}"))
     for column in LOOK:
         console.print("\n".join(wrap(f"{column.heading}: {column.says}", _LEGEND_WIDTH)), style="dim")
-    console.print("small figures: 95 % ranges; result.json and `wcsim report` have all others", style="dim")
+    console.print("below a figure: its 95 % range; `wcsim report` and result.json have all others", style="dim")
     for note in (_BOUNDS[name] for name in result.episodes if name in _BOUNDS):
         console.print(note, style="dim")
     for line in first_few(_crashed(result), "crashes; episodes.json has all"):

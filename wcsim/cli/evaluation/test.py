@@ -32,7 +32,6 @@ if TYPE_CHECKING:  # loads torch, which --help must not
 MAX_STEPS = 1_000_000  # as in env.max_steps
 Episodes = Annotated[int, Bounds(1)]
 MaxSteps = Annotated[int, Bounds(1, MAX_STEPS)]
-LIST = "list.json"  # in the folder of a test: the episodes that were drawn
 
 
 @dataclass
@@ -100,6 +99,7 @@ def _ordered(options: Options, *, overrides: bool = True) -> Iterator[tuple[Suit
     config = config_for(UNAIDED, options.preset, options.set, in_list=True)
 
     from wcsim.agents.evaluation.suite.make import town_list  # the simulators are loaded here: not for a refusal
+    from wcsim.agents.evaluation.suite.result_files import LIST
     from wcsim.agents.opening.list_file import suite_of, write_list
 
     for town in towns.values() if overrides else ():

@@ -14,7 +14,6 @@ import msgspec
 from wcsim.config import CameraConfig, parse_json
 from wcsim.core.processes import start_child
 from wcsim.drive import messages as m
-from wcsim.drive.pictures import StreetPictures
 from wcsim.drive.playing.film_states import FilmAbout, FilmFrame, FilmLine, FilmNames, Said
 from wcsim.drive.playing.sources.source_process import FilmSource, run_at_low_priority, run_source
 from wcsim.drive.playing.tick_film import TickFilm
@@ -24,6 +23,7 @@ from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.kpi import KpiTotals
 from wcsim.towns.scenario.town import find_town
 from wcsim.towns.street import load_street
+from wcsim.view.street_pictures import StreetPictures
 
 _IDLE_S: Final = 0.2
 _TAKE_S: Final = 0.02  # of a turn, for what the source says

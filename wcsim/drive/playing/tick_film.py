@@ -16,12 +16,12 @@ import numpy as np
 import zstandard
 
 from wcsim.drive.driven import happened_in
-from wcsim.drive.pictures import Moment
 from wcsim.drive.playing.film_states import FilmAbout, FilmChair, FilmFrame
 from wcsim.errors import ProtocolError
 from wcsim.physics.renderer.instances import ChairPose
 from wcsim.supervisor.actions import MAX_DISTANCE
 from wcsim.supervisor.kpi import KpiTotals
+from wcsim.view.street_pictures import Moment
 
 MOST_BYTES: Final = 512 << 20
 MOST_MARKS: Final = 4000

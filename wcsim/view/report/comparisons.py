@@ -40,11 +40,6 @@ class Paired:
         return self.interval is not None and not self.interval[0] <= 0.0 <= self.interval[1]
 
     @property
-    def fewer(self) -> int:
-        """Own crashes by which the policy has fewer than the rival; below 0 where it has more."""
-        return self.saved - self.lost
-
-    @property
     def enough(self) -> int | None:
         """About how many such episodes would separate them, were the difference as it is; None where nobody knows."""
         if self.difference == 0.0 or self.interval is None:

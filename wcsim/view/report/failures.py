@@ -23,7 +23,7 @@ from wcsim.agents.evaluation.suite.records import (
     TIMED_OUT,
     EpisodeRecord,
 )
-from wcsim.agents.evaluation.suite.result_files import TestResult
+from wcsim.agents.evaluation.suite.result_files import LIST, TestResult
 from wcsim.agents.evaluation.suite.run import SuiteOrder, piece_of, town_addresses
 from wcsim.agents.opening.list_file import open_suite
 from wcsim.agents.opening.named_policy import config_for
@@ -31,16 +31,18 @@ from wcsim.agents.policy_api import STATE_SENSE, UNAIDED
 from wcsim.agents.runs.policy_file import policy_name
 from wcsim.bridge.world import World
 from wcsim.core.processes import pooled
-from wcsim.core.reading import counted
+from wcsim.core.reading import counted, is_file
 from wcsim.errors import ConfigError, WcsimError
 from wcsim.types import U8, ActorKind
 from wcsim.view.filming import around_picture, near, seen_picture, sticks
 from wcsim.view.map import MapView
+from wcsim.view.street_pictures import PageLooks, StreetPictures, played_moment
 
 _SOMEBODY: Final = frozenset(kind.value for kind in ActorKind)
 _FAULTS: Final = {"own": "own fault", "other": "other's fault"}
 _SHORT_S: Final = 0.3  # a last leg of the path below this says nothing of the speed
-_PICTURES: Final = 8
+_PICTURES: Final = 3
+_LOOKS: Final = PageLooks(width_px=480, height_px=270)
 _LAST_S: Final = 2.0
 _MAP_PX, _MAP_SPAN_M = 360, 24.0
 _TRAIL_S: Final = 10.0
@@ -150,13 +152,14 @@ def where_typed(result: TestResult) -> str:
 
 
 class _SeenMoment(NamedTuple):
-    """What the network saw at a moment before the end."""
+    """A moment before the end, from behind the chair and as the network saw it."""
 
     before_s: float
     speed_mps: float
     asked: str
     given: str
-    png: bytes
+    behind_jpg: bytes
+    seen_png: bytes  # empty where the policy gets no pictures
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -222,7 +225,8 @@ def order_of(result: TestResult, folder: Path, own: Collection[str]) -> SuiteOrd
     Raises:
         ConfigError: Its list is not here, or another one.
     """
-    suite = open_suite(result.list_name)
+    drawn = folder / LIST  # it goes wherever its folder goes
+    suite = open_suite(str(drawn) if is_file(drawn) else result.list_name)
     if suite.sha256 != result.list_sha256:
         raise ConfigError(
             f"list {result.list_name} has the hash {suite.sha256[:12]}; expected {result.list_sha256[:12]}, that of "
@@ -241,14 +245,16 @@ def _illustrate(wanted: tuple[Piece, Iterable[EpisodeRecord]]) -> dict[int, Illu
         tick_s = config.world.tick_s
 
         def draw(world: World, steps: Sequence[PlayedStep]) -> Illustration:
-            street = around_picture(MapView(world.street.mesh, _MAP_PX, _MAP_SPAN_M), steps[-1], steps)
+            pictures, moments = StreetPictures(world.street, None), []
+            above = around_picture(MapView(world.street.mesh, _MAP_PX, _MAP_SPAN_M), steps[-1], steps)
             last = len(steps) - 1
             places = np.rint(np.linspace(max(0, last - _LAST_S / tick_s), last, _PICTURES)).astype(int)
-            seen, pictured = [], STATE_SENSE not in steps[last].seen
-            for place in dict.fromkeys(places.tolist() if pictured else ()):
+            for place in dict.fromkeys(places.tolist()):
                 step, before_s = steps[place], round((last - place) * tick_s, 3)
-                seen.append(_SeenMoment(before_s, step.speed_mps, *sticks(step), _png(seen_picture(step.seen, config))))
-            return Illustration(seen=tuple(seen), street_png=_png(street), near=near(steps[-1])[:4])
+                behind = _encoded(".jpg", pictures.behind(played_moment(step), _LOOKS))
+                seen = b"" if STATE_SENSE in step.seen else _encoded(".png", seen_picture(step.seen, config))
+                moments.append(_SeenMoment(before_s, step.speed_mps, *sticks(step), behind, seen))
+            return Illustration(seen=tuple(moments), street_png=_encoded(".png", above), near=near(steps[-1])[:4])
 
         found = play(piece, tuple(kept), round(_TRAIL_S / tick_s), draw)
     except WcsimError as error:
@@ -264,6 +270,6 @@ def _checked(played: Played, kept: EpisodeRecord) -> Illustration:
     return played.drawn or Illustration(missing="nothing was driven")
 
 
-def _png(image: U8) -> bytes:
-    _, data = cv2.imencode(".png", np.ascontiguousarray(image[..., ::-1]))
+def _encoded(form: str, image: U8) -> bytes:
+    _, data = cv2.imencode(form, np.ascontiguousarray(image[..., ::-1]))
     return bytes(data.tobytes())

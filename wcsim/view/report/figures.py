@@ -11,6 +11,7 @@ from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from textwrap import fill
 from typing import Any, Final, NamedTuple
 
 import matplotlib as mpl
@@ -30,6 +31,7 @@ from wcsim.types import F64, U8, ClassId
 from wcsim.view.report.pages import Cell, Exhibit
 
 _WIDTH_IN, _HEIGHT_IN = 4.8, 3.4
+_LABEL_CHARACTERS: Final = 34  # below each other along that height
 _LEGEND_CHARACTERS: Final = 74  # beside each other in that width
 _COLOURS: Final = (
     *("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#6a3d9a", "#e69f00", "#56b4e9", "#8c510a"),
@@ -365,7 +367,7 @@ def curve_chart(name: str, label: str, curves: Sequence[Curve], line: tuple[floa
         axes.set_xlim(left=0.0)
         axes.locator_params(axis="x", nbins=6)  # of six digits no more stand beside each other
         axes.set_xlabel("steps of training")
-        axes.set_ylabel(label)
+        axes.set_ylabel(fill(label, _LABEL_CHARACTERS))
         _legend(axes, len(curves) + (line is not None))
     return out.getvalue()
 

@@ -18,7 +18,7 @@ from wcsim.bridge.world import World
 from wcsim.errors import ConfigError
 from wcsim.physics.renderer.instances import ChairPose, chair_pose
 from wcsim.supervisor.observation import Observation
-from wcsim.types import F64, ActorState, Joystick
+from wcsim.types import F64, ActorState, Joystick, SignalState
 
 NEAR_M: Final = 40.0  # who is farther from the chair is left out
 _OF_FORKS: Final = ("warned", "to_warn", "false_warnings", "interventions", "judged")  # a playback makes no forks
@@ -28,6 +28,7 @@ _OF_FORKS: Final = ("warned", "to_warn", "false_warnings", "interventions", "jud
 class PlayedStep:
     """A moment after a step; arrays are the observation's own."""
 
+    seat: int
     step: int  # of the episode, the first is 1
     seen: Observation  # as the network gets it
     asked: Joystick  # by the user, before the step
@@ -37,6 +38,7 @@ class PlayedStep:
     yaw_rad: float
     actors: tuple[ActorState, ...]  # within NEAR_M
     chairs: tuple[ChairPose, ...]  # all of the block that are in the street
+    signals: tuple[SignalState, ...]
 
 
 Draw = Callable[[World, Sequence[PlayedStep]], Any]
@@ -130,6 +132,7 @@ class _LastSteps:
         )
         self.kept[seat].append(
             PlayedStep(
+                seat=seat,
                 step=info["events"].step,
                 seen=named(step.observation),
                 asked=info["asked"],
@@ -139,6 +142,7 @@ class _LastSteps:
                 yaw_rad=plant.yaw_rad,
                 actors=tuple(near),
                 chairs=tuple(chairs),
+                signals=snapshot.signals,
             )
         )
 

@@ -19,6 +19,7 @@ from wcsim.errors import ConfigError
 RESULT: Final = "result.json"
 EPISODES: Final = "episodes.json"
 ASKED: Final = "asked.json"  # with what words the test was asked for, as far as the result does not say it
+LIST: Final = "list.json"  # the episodes that were drawn for it
 TOWNS: Final = "towns"  # made ones lie there
 _MOST_TEXT: Final = 4096
 

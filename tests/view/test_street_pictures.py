@@ -1,15 +1,24 @@
 import math
 import struct
+from collections.abc import Iterator
+from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
-from wcsim.drive.pictures import (
+from wcsim.drive.session import DriveSession, Wish
+from wcsim.drive.starting import DriveStart
+from wcsim.physics.buffers import Images
+from wcsim.physics.renderer.base import Pinhole
+from wcsim.physics.renderer.instances import Instances
+from wcsim.types import F64, Bool, Joystick
+from wcsim.view.street_pictures import (
     AIM_M,
     GOAL_RGB,
     WAY_RGB,
     CameraKind,
+    Moment,
     PageLooks,
     StillPictures,
     StreetPictures,
@@ -22,11 +31,12 @@ from wcsim.drive.pictures import (
     clamped,
     moment_of,
 )
-from wcsim.drive.session import DriveSession, Wish
-from wcsim.physics.buffers import Images
-from wcsim.physics.renderer.base import Pinhole
-from wcsim.physics.renderer.instances import Instances
-from wcsim.types import F64, Bool, Joystick
+
+
+@pytest.fixture
+def session(corner: Path) -> Iterator[DriveSession]:
+    with DriveSession(DriveStart(town=str(corner), policy="dwa", seed=4), ()) as drive:
+        yield drive
 
 
 def parts(message: bytes) -> dict[str, np.ndarray]:
@@ -43,6 +53,10 @@ def pictures_of(session: DriveSession) -> StreetPictures:
     return StreetPictures(session.world.street, session.world.config.cameras[0])
 
 
+def now(session: DriveSession, *, jumped: bool) -> Moment:
+    return moment_of(session.world, session.client, session.route, session.done_m, jumped=jumped)
+
+
 def near(picture: np.ndarray, rgb: tuple[int, int, int]) -> int:
     return int((np.abs(picture.astype(int) - rgb).max(axis=2) < 40).sum())
 
@@ -50,7 +64,7 @@ def near(picture: np.ndarray, rgb: tuple[int, int, int]) -> int:
 def test_pictures_have_their_sizes_and_show_something(session: DriveSession) -> None:
     session.tick(Wish())
     pictures = pictures_of(session)
-    shown = parts(pictures.draw(moment_of(session, jumped=False), PageLooks(width_px=640, height_px=360), 0.1))
+    shown = parts(pictures.draw(now(session, jumped=False), PageLooks(width_px=640, height_px=360), 0.1))
     assert {letter: picture.shape[:2] for letter, picture in shown.items()} == {
         "S": (360, 640),
         "C": (240, 320),
@@ -59,17 +73,17 @@ def test_pictures_have_their_sizes_and_show_something(session: DriveSession) -> 
     assert all(picture.std() > 10.0 for picture in shown.values())
     assert near(shown["S"], WAY_RGB) > 20, "the way is dotted"
     little = PageLooks(camera=CameraKind.NOTHING, chart=False)
-    less = parts(pictures.draw(moment_of(session, jumped=False), little, 0.1))
+    less = parts(pictures.draw(now(session, jumped=False), little, 0.1))
     assert set(less) == {"S"}
 
 
 def test_the_street_moves_past_and_the_numbers_of_pictures_rise(session: DriveSession) -> None:
     session.assist(False)
     pictures = pictures_of(session)
-    before = pictures.draw(moment_of(session, jumped=False), PageLooks(), 0.1)
+    before = pictures.draw(now(session, jumped=False), PageLooks(), 0.1)
     for _ in range(15):
         session.tick(Wish(stick=Joystick(0.0, 1.0)))
-    after = pictures.draw(moment_of(session, jumped=False), PageLooks(), 0.1)
+    after = pictures.draw(now(session, jumped=False), PageLooks(), 0.1)
     assert struct.unpack_from("<I", before) < struct.unpack_from("<I", after)
     changed = np.abs(parts(before)["S"].astype(int) - parts(after)["S"]).mean()
     assert changed > 0.3
@@ -89,18 +103,18 @@ def test_the_camera_is_at_a_new_start_at_once(session: DriveSession) -> None:
     """Whatever the start's heading: it does not fly there."""
     pictures = pictures_of(session)
     session.tick(Wish())
-    pictures.draw(moment_of(session, jumped=False), PageLooks(), 0.1)
+    pictures.draw(now(session, jumped=False), PageLooks(), 0.1)
     session.new_place()
     session.tick(Wish())
-    first = parts(pictures.draw(moment_of(session, jumped=True), PageLooks(), 0.02))["S"]
-    later = parts(pictures.draw(moment_of(session, jumped=False), PageLooks(), 5.0))["S"]
+    first = parts(pictures.draw(now(session, jumped=True), PageLooks(), 0.02))["S"]
+    later = parts(pictures.draw(now(session, jumped=False), PageLooks(), 5.0))["S"]
     assert (first == later).all()
 
 
 @pytest.mark.parametrize("kind", [CameraKind.CLASSES, CameraKind.DEPTH])
 def test_classes_and_depth_are_what_the_policy_gets(session: DriveSession, kind: CameraKind) -> None:
     pictures = pictures_of(session)
-    shown = parts(pictures.draw(moment_of(session, jumped=False), PageLooks(camera=kind), 0.1))["C"]
+    shown = parts(pictures.draw(now(session, jumped=False), PageLooks(camera=kind), 0.1))["C"]
     assert shown.shape == (240, 320, 3)
     block = shown[100:104, 100:104]
     assert np.ptp(block.reshape(-1, 3).astype(int), axis=0).max() < 40, "pixels of the policy's 80 x 60, enlarged"

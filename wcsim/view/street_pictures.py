@@ -1,4 +1,4 @@
-"""What the page shows: the street from behind the chair, the chair's own camera, and a map, as JPEG.
+"""The street from behind the chair, the chair's own camera, and a map: for pages and reports.
 
 The picture's camera stands on a sphere around the chair, behind it unless it was turned. It keeps walls out of the
 view: where one stands before the chair, it comes higher, or nearer.
@@ -11,7 +11,7 @@ import struct
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import cv2
 import numpy as np
@@ -20,7 +20,6 @@ from wcsim.bridge.ego.start_place import bearing_rad
 from wcsim.bridge.world import World
 from wcsim.config import CameraConfig
 from wcsim.core.frames import rad
-from wcsim.drive.session import DriveSession
 from wcsim.errors import ConfigError
 from wcsim.physics.buffers import Images, new_images
 from wcsim.physics.renderer.base import Pinhole, Renderer
@@ -34,6 +33,9 @@ from wcsim.types.street import Ground
 from wcsim.view.filming import SIGHT_M
 from wcsim.view.map import MapView
 from wcsim.view.pictures import class_colours, depth_colours
+
+if TYPE_CHECKING:  # a page for drivers does not load it
+    from wcsim.agents.evaluation.suite.playback import PlayedStep
 
 _NEAREST_M, _FARTHEST_M = 2.0, 40.0
 _LOWEST_RAD, _HIGHEST_RAD = math.radians(4.0), math.radians(88.0)
@@ -414,24 +416,24 @@ class StreetPictures:
         return images
 
 
-def moment_of(session: DriveSession, *, jumped: bool) -> Moment:
-    """The street of now around a session's chair; `jumped` as in `Moment`."""
-    moment = _moment(session.world, session.client, session.route, session.done_m)
-    front = next(iter(session.client.sensors.cameras), None)  # a policy of numbers alone has no pictures
-    return replace(moment, jumped=jumped, frame=front)
-
-
-def _moment(world: World, client: ClientSnapshot, route: Route, done_m: float) -> Moment:
-    """The street of now around the chair in the first seat, on its way."""
+def moment_of(world: World, client: ClientSnapshot, route: Route, done_m: float, *, jumped: bool = False) -> Moment:
+    """The street of now around the chair in the first seat, on its way; `jumped` as in `Moment`."""
     snapshot = world.snapshot
     return Moment(
         actors=snapshot.actors,
         signals=snapshot.signals,
         chairs=(chair_pose(0, client.plant, world.seats[0].chair.outline),),
         seat=0,
+        jumped=jumped,
         route=route,
         done_m=done_m,
+        frame=next(iter(client.sensors.cameras), None),  # a policy of numbers alone has no pictures
     )
+
+
+def played_moment(step: PlayedStep) -> Moment:
+    """The street of a step that was driven once more."""
+    return Moment(actors=step.actors, signals=step.signals, chairs=step.chairs, seat=step.seat)
 
 
 def _packed(number: int, parts: Iterable[tuple[bytes, U8]]) -> bytes:
@@ -496,5 +498,5 @@ class StillPictures:
     def draw(self) -> U8:
         """The picture of now, (540, 960, 3) RGB."""
         world, seat = self._world, self._world.seats[0]
-        moment = _moment(world, world.snapshot.clients[0], seat.route, seat.user.route_progress_m)
+        moment = moment_of(world, world.snapshot.clients[0], seat.route, seat.user.route_progress_m)
         return self._pictures.behind(moment, _LOOKS)
