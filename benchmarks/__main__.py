@@ -20,6 +20,7 @@ SCRIPTS = {
     "parallel": "ParallelOptions",
     "soak": "SoakOptions",
     "judge": "KerbOptions",
+    "sight": "SightOptions",
 }
 """Each a file of that name in `scripts/` with a `run(options)`, and its class of options."""
 PROGRAM = "python -m benchmarks"

@@ -28,7 +28,7 @@ from wcsim.physics.renderer.geometry import GeometryStore
 from wcsim.physics.renderer.instances import ChairPose, Instances, actor_instances, chair_pose, rotation_of
 from wcsim.physics.renderer.raster import RasterRenderer
 from wcsim.physics.sensors.camera_geometry import camera_matrix, focal_px, look_at, mount, pinhole, pose_matrix
-from wcsim.types import F32, F64, U8, ActorState, Bool, CameraFrame, ClientSnapshot, Route, SignalState, Street
+from wcsim.types import F64, U8, ActorState, Bool, CameraFrame, ClientSnapshot, Route, SignalState, Street
 from wcsim.types.street import Ground
 from wcsim.view.filming import SIGHT_M
 from wcsim.view.map import MapView
@@ -155,6 +155,39 @@ class Moment:
         return math.atan2(R_WB[1, 0], R_WB[0, 0])
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Scene:
+    """A picture of a street, and where in it a point of W is."""
+
+    images: Images
+    camera: Pinhole
+    T_CW: F64  # (3, 4)
+
+    @property
+    def picture(self) -> U8:
+        """The colours (H, W, 3), which may be drawn upon. Raises ConfigError where there are none."""
+        if self.images.rgb is None:
+            raise ConfigError("these images have no colours; they are made with rgb=True")
+        return self.images.rgb
+
+    def pixel(self, point_W_m: F64) -> tuple[int, int, float] | None:
+        """Column, row and depth of a point (3,); None behind the camera, or far beside it."""
+        x, y, z = (self.T_CW[:, :3] @ point_W_m + self.T_CW[:, 3]).tolist()
+        if z < 0.3:
+            return None
+        u = 0.5 * self.camera.width_px + self.camera.focal_px * x / z
+        v = 0.5 * self.camera.height_px + self.camera.focal_px * y / z
+        return (round(u), round(v), z) if abs(u) < 1e4 and abs(v) < 1e4 else None
+
+    def seen(self, point_W_m: F64) -> tuple[int, int, float] | None:
+        """The same, for a point that is in the picture with nothing before it."""
+        found = self.pixel(point_W_m)
+        if found is None or not (0 <= found[0] < self.camera.width_px and 0 <= found[1] < self.camera.height_px):
+            return None
+        behind_m = _BEHIND_M * (1.0 + 0.05 * found[2])
+        return found if self.images.depth_m[found[1], found[0]] > found[2] - behind_m else None
+
+
 def _ground_points(route: Route, done_m: float, grid: Ground) -> F64:
     """Points (n, 3) of the way on the ground ahead; the last is the destination, however far.
 
@@ -170,32 +203,24 @@ def _ground_points(route: Route, done_m: float, grid: Ground) -> F64:
     return np.column_stack([xy, np.asarray(grid.height_at(xy), np.float64) + _OVER_M])
 
 
-def _mark_way(image: U8, depth_m: F32, camera: Pinhole, T_CW: F64, points_W_m: F64) -> U8:
-    """Draw the way into a picture, behind what stands before it; the picture itself is returned.
-
-    Args:
-        image: (H, W, 3) RGB, written to.
-        depth_m: (H, W) of the same picture.
-        camera: That took it.
-        T_CW: (3, 4) world to camera frame.
-        points_W_m: (n, 3) see `_ground_points`.
-    """
+def _mark_way(scene: Scene, points_W_m: F64) -> None:
+    """Draw the way, (n, 3) see `_ground_points`, into a picture, behind what stands before it."""
+    image = scene.picture
     for point in points_W_m[:-1][::-1]:
-        seen = _seen(point, camera, T_CW, depth_m)
+        seen = scene.seen(point)
         if seen is not None:
             u, v, far_m = seen
-            radius = max(2, round(camera.focal_px * _DOT_M / far_m))
+            radius = max(2, round(scene.camera.focal_px * _DOT_M / far_m))
             axes = (radius, max(1, round(radius * 0.45)))
             cv2.ellipse(image, (u, v), axes, 0.0, 0.0, 360.0, WAY_RGB, cv2.FILLED, cv2.LINE_AA)
             cv2.ellipse(image, (u, v), axes, 0.0, 0.0, 360.0, _RIM_RGB, 1, cv2.LINE_AA)
     foot, top = points_W_m[-1], points_W_m[-1] + (0.0, 0.0, _POLE_M)
-    seen, above = _seen(foot, camera, T_CW, depth_m), _pixel(top, camera, T_CW)
+    seen, above = scene.seen(foot), scene.pixel(top)
     if seen is not None and above is not None:
         u, v, _ = above
         size = max(6, abs(seen[1] - v) // 3)
         cv2.line(image, seen[:2], (u, v), _RIM_RGB, max(2, size // 6), cv2.LINE_AA)
         _fill(image, [(u, v), (u + round(1.4 * size), v + size // 2), (u, v + size)], GOAL_RGB)
-    return image
 
 
 def _fill(image: U8, corners: Sequence[tuple[float, float]], rgb: tuple[int, int, int], rim_px: int = 1) -> None:
@@ -237,24 +262,6 @@ def _mark_goal(chart: U8, goal_m: F64, span_m: float) -> U8:
 def _arrow(u: int, v: int, along: F64) -> list[tuple[float, float]]:
     x, y = along / np.hypot(*along)
     return [(u + 9 * x, v + 9 * y), (u - 6 * x - 7 * y, v - 6 * y + 7 * x), (u - 6 * x + 7 * y, v - 6 * y - 7 * x)]
-
-
-def _pixel(point_W_m: F64, camera: Pinhole, T_CW: F64) -> tuple[int, int, float] | None:
-    """Column, row and depth of a point; None behind the camera."""
-    x, y, z = (T_CW[:, :3] @ point_W_m + T_CW[:, 3]).tolist()
-    if z < 0.3:
-        return None
-    u = 0.5 * camera.width_px + camera.focal_px * x / z
-    v = 0.5 * camera.height_px + camera.focal_px * y / z
-    return (round(u), round(v), z) if abs(u) < 1e4 and abs(v) < 1e4 else None
-
-
-def _seen(point_W_m: F64, camera: Pinhole, T_CW: F64, depth_m: F32) -> tuple[int, int, float] | None:
-    """The same, for a point that is in the picture with nothing before it."""
-    found = _pixel(point_W_m, camera, T_CW)
-    if found is None or not (0 <= found[0] < camera.width_px and 0 <= found[1] < camera.height_px):
-        return None
-    return found if depth_m[found[1], found[0]] > found[2] - _BEHIND_M * (1.0 + 0.05 * found[2]) else None
 
 
 class _Arm:
@@ -354,7 +361,7 @@ class StreetPictures:
             dt_s: Since the last pictures, for the camera that comes after the chair.
         """
         self._yaw_rad = moment.yaw_rad if moment.jumped else _eased(self._yaw_rad, moment.yaw_rad, dt_s)
-        parts = [(b"S", self._scene(moment, looks, math.inf if moment.jumped else dt_s))]
+        parts = [(b"S", self._scene(moment, looks, math.inf if moment.jumped else dt_s).picture)]
         if looks.camera is not CameraKind.NOTHING and self._front is not None:
             parts.append((b"C", self._own(moment, looks.camera, self._front)))
         if looks.chart:
@@ -362,21 +369,18 @@ class StreetPictures:
         self._number += 1
         return _packed(self._number, parts)
 
-    def behind(self, moment: Moment, looks: PageLooks) -> U8:
-        """The street from behind the chair, (H, W, 3) RGB."""
+    def behind(self, moment: Moment, looks: PageLooks) -> Scene:
+        """The street from behind the chair."""
         self._yaw_rad = moment.yaw_rad
         return self._scene(moment, looks, math.inf)
 
-    def _scene(self, moment: Moment, looks: PageLooks, dt_s: float) -> U8:
+    def _scene(self, moment: Moment, looks: PageLooks, dt_s: float) -> Scene:
         here_W_m = moment.chair.p_WB_m
         orbit = self._arm.held(here_W_m, self._yaw_rad, looks.orbit, dt_s)
-        camera, T_CW = _pinhole(looks), _eye(here_W_m, self._yaw_rad, orbit)
-        rows, shown = self._rows(moment)
-        images = self._look(camera, T_CW, rows, shown)
-        if moment.route is None:
-            return _colours(images)
-        points = _ground_points(moment.route, moment.done_m, self._grid)
-        return _mark_way(_colours(images), images.depth_m, camera, T_CW, points)
+        scene = self._look(_pinhole(looks), _eye(here_W_m, self._yaw_rad, orbit), *self._rows(moment))
+        if moment.route is not None:
+            _mark_way(scene, _ground_points(moment.route, moment.done_m, self._grid))
+        return scene
 
     def _own(self, moment: Moment, kind: CameraKind, front: CameraConfig) -> U8:
         """The front camera: colours as a person would see them, classes and depth as the policy gets them."""
@@ -386,10 +390,10 @@ class StreetPictures:
             T_CW = camera_matrix(pose_matrix(moment.chair.p_WB_m, moment.chair.q_WB), mount(front))
             rows, shown = self._rows(moment)
             shown[len(moment.actors) + moment.column] = False  # the chair itself, which its camera does not see
-            images = self._look(_lens(front) if colour else pinhole(front), T_CW, rows, shown)
+            scene = self._look(_lens(front) if colour else pinhole(front), T_CW, rows, shown)
             if colour:
-                return _colours(images)
-            class_id, depth_m = images.class_id, images.depth_m
+                return scene.picture
+            class_id, depth_m = scene.images.class_id, scene.images.depth_m
         else:
             class_id, depth_m = frame.class_id, frame.depth_m
         is_class = kind is CameraKind.CLASSES
@@ -410,10 +414,10 @@ class StreetPictures:
         rows, shown = self._cast.seen(moment.actors, moment.chairs, moment.signals, (_NO_SEAT,), eyes_W_m, SIGHT_M)
         return rows, shown[0]
 
-    def _look(self, camera: Pinhole, T_CW: F64, rows: Instances, shown: Bool) -> Images:
+    def _look(self, camera: Pinhole, T_CW: F64, rows: Instances, shown: Bool) -> Scene:
         images = new_images(camera.width_px, camera.height_px, rgb=True)
         self._renderer.render(camera, T_CW, rows, images, shown)
-        return images
+        return Scene(images=images, camera=camera, T_CW=T_CW)
 
 
 def moment_of(world: World, client: ClientSnapshot, route: Route, done_m: float, *, jumped: bool = False) -> Moment:
@@ -473,12 +477,6 @@ def _lens(front: CameraConfig) -> Pinhole:
     return Pinhole(width_px=width, height_px=height, focal_px=focal, near_m=front.near_m, range_m=SIGHT_M)
 
 
-def _colours(images: Images) -> U8:
-    if images.rgb is None:
-        raise ConfigError("these images have no colours; they are made with rgb=True")
-    return images.rgb
-
-
 _LOOKS = PageLooks(width_px=960, height_px=540)
 _ON_WAY_RAD: Final = math.radians(30.0)  # a way that goes on within this to either side lies ahead
 
@@ -499,4 +497,4 @@ class StillPictures:
         """The picture of now, (540, 960, 3) RGB."""
         world, seat = self._world, self._world.seats[0]
         moment = moment_of(world, world.snapshot.clients[0], seat.route, seat.user.route_progress_m)
-        return self._pictures.behind(moment, _LOOKS)
+        return self._pictures.behind(moment, _LOOKS).picture

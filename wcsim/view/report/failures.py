@@ -251,7 +251,7 @@ def _illustrate(wanted: tuple[Piece, Iterable[EpisodeRecord]]) -> dict[int, Illu
             places = np.rint(np.linspace(max(0, last - _LAST_S / tick_s), last, _PICTURES)).astype(int)
             for place in dict.fromkeys(places.tolist()):
                 step, before_s = steps[place], round((last - place) * tick_s, 3)
-                behind = _encoded(".jpg", pictures.behind(played_moment(step), _LOOKS))
+                behind = _encoded(".jpg", pictures.behind(played_moment(step), _LOOKS).picture)
                 seen = b"" if STATE_SENSE in step.seen else _encoded(".png", seen_picture(step.seen, config))
                 moments.append(_SeenMoment(before_s, step.speed_mps, *sticks(step), behind, seen))
             return Illustration(seen=tuple(moments), street_png=_encoded(".png", above), near=near(steps[-1])[:4])
