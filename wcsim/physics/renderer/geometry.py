@@ -10,23 +10,32 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from wcsim.physics.renderer.kernels import STRIPES, WINDOWS, StreetArrays, U32Array
+from wcsim.physics.renderer.kernels import ASPHALT, GRASS, SLABS, STRIPES, WINDOWS, StreetArrays, U32Array
 from wcsim.physics.renderer.models.paint import (
     AMBIENT,
     DIFFUSE,
     LEAF_RGB,
     MARK_CLASS,
     ROOF_RGB,
+    STONE_CLASS,
+    STONES_M,
     SUN_W,
     TRUNK_RGB,
     WALL_RGB,
     class_paint_table,
 )
 from wcsim.types import F32, F64, I32, I64, U8, Bool, ClassId, GroundPaint, StreetMesh
+from wcsim.types.street import joined_mesh
 
 WELD_M = 0.02
+_STONE_M, _STONE_LIFT_M, _HAIR_M = 0.16, 0.025, 1e-4  # how wide a kerb's stone is, and how far above the ground
 BAY_M = 2.8
 _TRUNK_WIDE_M = 0.6  # a green thing no wider than this is a tree's trunk
+_GROUNDS = {  # what the ground is laid with: a grain that becomes finer with the distance
+    (ClassId.SIDEWALK,): SLABS,
+    (ClassId.ROAD, ClassId.PARKING, ClassId.RAIL_TRACK, ClassId.GROUND): ASPHALT,
+    (ClassId.TERRAIN,): GRASS,
+}
 _WINDOW_WALL_MIN_M = 4.0  # lower walls are sheds and get no windows
 
 
@@ -46,6 +55,8 @@ def _paint_street(vertices_W_m: F32, faces: I32, face_class: U8) -> tuple[U32Arr
     pattern = np.zeros(len(faces), np.uint8)
     windows = (face_class == ClassId.BUILDING) & steep & (top - foot > _WINDOW_WALL_MIN_M)
     pattern[windows] = WINDOWS
+    for grounds, kind in _GROUNDS.items():
+        pattern[np.isin(face_class, grounds) & ~steep] = kind
     stripes = face_class == ClassId.CROSSWALK
     pattern[stripes] = STRIPES
     axis = np.c_[-normal[:, 1], normal[:, 0]]  # along the wall
@@ -175,7 +186,8 @@ class GeometryStore:
             pattern=pattern[order],
             frame=frame[order],
         )
-        self.marks = GeometryStore(_as_mesh(mesh.paint)) if len(mesh.paint.mark) else None
+        marks = joined_mesh((_as_mesh(mesh.paint), _kerb_stones(mesh)))
+        self.marks = GeometryStore(marks) if len(marks.faces) else None
 
     @classmethod
     def joined(cls, parts: Sequence[GeometryStore]) -> GeometryStore:
@@ -196,14 +208,32 @@ class GeometryStore:
         return np.asarray(self.arrays.faces + start[:, None], np.int32)
 
 
-def _as_mesh(paint: GroundPaint) -> StreetMesh:
-    """Marks as a mesh of one chunk, whose classes are `paint.mark_class`."""
+def _kerb_stones(mesh: StreetMesh) -> StreetMesh:
+    """Strips along the upper edges of kerbs, coloured by height: from behind a chair no kerb shows its face.
+
+    Of the two triangles of a kerb's face the one with both upper corners says where it is; see `kerb_walls`.
+    """
+    kerbs = mesh.faces[np.isin(mesh.face_class, (ClassId.KERB, ClassId.LOWERED_KERB))]
+    foot, far, near = (mesh.vertices_W_m[kerbs[:, corner]].astype(np.float64) for corner in range(3))
+    upper = np.abs(foot[:, :2] - near[:, :2]).max(axis=1, initial=0.0) < _HAIR_M
+    foot, far, near = foot[upper], far[upper], near[upper]
+    along = far - near
+    inward = np.c_[along[:, 1], -along[:, 0], np.zeros(len(along))]  # the road is on the other side
+    inward *= _STONE_M / np.maximum(np.linalg.norm(inward, axis=1, keepdims=True), _HAIR_M)
+    kind = np.searchsorted(STONES_M, (near - foot)[:, 2] + _HAIR_M, side="right") - 1
+    seen = kind >= 0
+    quads = np.stack([far, near, near + inward, far + inward], axis=1)[seen] + (0.0, 0.0, _STONE_LIFT_M)
+    return _as_mesh(GroundPaint(quads_W_m=quads.astype(np.float32), mark=kind[seen].astype(np.uint8)), STONE_CLASS)
+
+
+def _as_mesh(paint: GroundPaint, first_class: int = MARK_CLASS) -> StreetMesh:
+    """Marks as a mesh of one chunk, whose classes begin with the first one."""
     count = len(paint.mark)
     corners = np.arange(4 * count, dtype=np.int32).reshape(-1, 4)
     return StreetMesh(
         vertices_W_m=paint.quads_W_m.reshape(-1, 3),
         faces=corners[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3),
-        face_class=np.repeat(paint.mark + MARK_CLASS, 2).astype(np.uint8),
+        face_class=np.repeat(paint.mark + first_class, 2).astype(np.uint8),
         chunk_vertices=np.array([0, 4 * count], np.int32),
         chunk_faces=np.array([0, 2 * count], np.int32),
     )

@@ -59,7 +59,7 @@ SKY_ID = np.uint8(23)
 # Near to far only roughly: it saves writes, while the depth test decides what is seen.
 BUCKETS = 256
 OUT = np.float32(-1e30)  # the depth of what is out of view
-PLAIN, STRIPES, WINDOWS = 0, 1, 2  # how a face of the street is patterned
+PLAIN, STRIPES, WINDOWS, SLABS, ASPHALT, GRASS = range(6)  # how a face of the street is patterned
 # Numbers of `paint.Paint`, and the bits of SUMO's vehicle signals that light them: 1 right, 2 left, 4 both, 8 brake.
 TAILLIGHT, LEFT_LAMP, RIGHT_LAMP, SHINING, BRAKING, TURNING = 4, 19, 20, 22, 22, 23
 LEFT_BITS, RIGHT_BITS, BRAKE_BIT = 6, 5, 8
@@ -75,7 +75,7 @@ class StreetArrays(NamedTuple):
     chunk_faces: I32  # (C + 1,)
     spheres: F32  # (C, 4) x, y, z, radius: each chunk is inside
     rgb: U32Array  # (F,) colour with the sun's shading in it, red in the lowest byte
-    pattern: U8  # (F,) PLAIN, STRIPES or WINDOWS
+    pattern: U8  # (F,) PLAIN, STRIPES, WINDOWS, SLABS, ASPHALT or GRASS
     frame: F32  # (F, 4) a point's bay is x f[0] + y f[1] - f[2] (one bay a window or a pair of bars); foot of the house
 
 

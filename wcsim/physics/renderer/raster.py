@@ -17,8 +17,10 @@ from wcsim.physics.renderer.instances import Instances, actor_instances
 from wcsim.physics.renderer.kernels import (
     COLOURED,
     OUT,
+    GRASS,
     PLAIN,
     SKY_ID,
+    SLABS,
     STRIPES,
     StreetArrays,
     Target,
@@ -64,7 +66,9 @@ class RasterRenderer:
             kernels.draw(self._street, self._models, actors, shown, view, self._cull, False, target)
         if out.rgb is not None:
             _draw_marks(self._marks, view, target)
-            _colour(self._street, view, _inverse(view.T_CW), out.depth_m, words, out.rgb)
+            T_WC = _inverse(view.T_CW)
+            _colour(self._street, view, T_WC, out.depth_m, words, out.rgb)
+            _stand(actors.T_WM, shown, view, T_WC, out.depth_m, words, out.rgb)
 
     def _view(self, camera: Pinhole, T_CW: F64) -> kernels.View:
         T_CW = np.ascontiguousarray(T_CW, np.float64)
@@ -107,6 +111,11 @@ BYTE, TWO_BYTES = np.uint32(8), np.uint32(16)
 NO_WORD = np.uint32(0)
 STRIPE_WORD = np.uint32(0xE8ECEC)  # blue, green, red from the highest byte down
 WINDOW_WORD = np.uint32(0x6C5C4E)
+# The ground: slabs of 60 cm, patches of 6 cm and 1.7 m in asphalt, 30 cm and 1 m in grass.
+PER_SLAB, JOINT, JOINT_GROWTH, NEAR_GROUND = np.float32(1 / 0.6), np.float32(0.012), np.float32(0.0016), np.float32(0.04)
+ASPHALT_FINE, ASPHALT_COARSE, NO_FINE_M = np.float32(16.0), np.float32(0.6), np.float32(12.0)
+GRASS_FINE, GRASS_COARSE = np.float32(3.3), np.float32(1.0)
+SHADOW_M, SHADOWS_M, FOOT_M, DARKEST = 0.18, 40.0, 0.2, 0.42
 
 
 @kernel
@@ -138,6 +147,76 @@ def _overlay(street: StreetArrays, face: int, x: float, y: float, z: float) -> n
     beside = abs(bay - np.floor(bay) - HALF)
     above = abs(storey - np.floor(storey) - WINDOW_MIDDLE)
     return WINDOW_WORD if beside < WINDOW_HALF and above < WINDOW_HALF else NO_WORD
+
+
+@kernel
+def _dice(i: int, j: int) -> np.float32:
+    """A number from 0 to 1 for a cell of the ground, the same each time."""
+    n = (i * 374761393 + j * 668265263) & 0xFFFFFFFF
+    n = ((n ^ n >> 13) * 1274126177) & 0xFFFFFFFF
+    return np.float32(n >> 16) * np.float32(1.0 / 65535.0)
+
+
+@kernel
+def _grain(pattern: int, x: np.float32, y: np.float32, far_m: np.float32) -> np.uint32:
+    """How bright the ground is at a point of W, in 256ths: slabs with joints, or patches; all fades with distance."""
+    near = np.float32(1.0) - min(far_m * NEAR_GROUND, np.float32(0.85))
+    if pattern == SLABS:
+        across = y * PER_SLAB
+        line = np.floor(across)
+        along = x * PER_SLAB + (HALF if int(line) & 1 else np.float32(0.0))
+        slab = np.floor(along)
+        edge = max(abs(along - slab - HALF), abs(across - line - HALF))
+        if edge > HALF - (JOINT + far_m * JOINT_GROWTH):
+            return np.uint32(256.0 - 62.0 * near)
+        return np.uint32(248.0 + 8.0 * near * (np.float32(2.0) * _dice(int(slab), int(line)) - np.float32(1.0)))
+    fine, coarse = (GRASS_FINE, GRASS_COARSE) if pattern == GRASS else (ASPHALT_FINE, ASPHALT_COARSE)
+    patch = _dice(int(np.floor(x * coarse)), int(np.floor(y * coarse)))
+    if far_m < NO_FINE_M:
+        patch = HALF * (patch + _dice(int(np.floor(x * fine)), int(np.floor(y * fine))))
+    return np.uint32(240.0 + 16.0 * (patch * (np.float32(2.0) * near) + np.float32(1.0) - near))
+
+
+@kernel
+def _dimmed(word: np.uint32, share: np.uint32) -> np.uint32:
+    """A colour word, so bright in 256ths."""
+    even = (word & EVEN) * share >> BYTE & EVEN  # red and blue at once
+    return even | (word >> BYTE & LOW) * share & HIGH
+
+
+@kernel
+def _stand(T_WM: F64, shown: Bool, view: View, T_WC: F64, depth_m: F32, words: U32Array, rgb: U8) -> None:
+    """Soft shadows on the ground under all that stands on it: darker towards the middle of its outline."""
+    height, width = depth_m.shape
+    T, f = view.T_CW, view.focal_px
+    for i in range(len(T_WM)):
+        M = T_WM[i]
+        long = np.sqrt(M[0, 0] ** 2 + M[1, 0] ** 2) + 1e-6
+        wide = np.sqrt(M[0, 1] ** 2 + M[1, 1] ** 2) + 1e-6
+        at = T[2, 0] * M[0, 3] + T[2, 1] * M[1, 3] + T[2, 2] * M[2, 3] + T[2, 3]
+        reach = 0.5 * long + 0.5 * wide + SHADOW_M
+        if not shown[i] or at - reach < view.near_m or at > SHADOWS_M:
+            continue
+        u = 0.5 * width + f * (T[0, 0] * M[0, 3] + T[0, 1] * M[1, 3] + T[0, 2] * M[2, 3] + T[0, 3]) / at
+        v = 0.5 * height + f * (T[1, 0] * M[0, 3] + T[1, 1] * M[1, 3] + T[1, 2] * M[2, 3] + T[1, 3]) / at
+        aside = f * reach / (at - reach)
+        for row in range(max(0, int(v - aside)), min(height, int(v + aside) + 1)):
+            for column in range(max(0, int(u - aside)), min(width, int(u + aside) + 1)):
+                if words[row, column] & COLOURED:
+                    continue
+                z = depth_m[row, column]
+                right, down = z * (column + 0.5 - 0.5 * width) / f, z * (row + 0.5 - 0.5 * height) / f
+                dz = T_WC[2, 3] + T_WC[2, 0] * right + T_WC[2, 1] * down + T_WC[2, 2] * z - M[2, 3]
+                if abs(dz) > FOOT_M:
+                    continue
+                dx = T_WC[0, 3] + T_WC[0, 0] * right + T_WC[0, 1] * down + T_WC[0, 2] * z - M[0, 3]
+                dy = T_WC[1, 3] + T_WC[1, 0] * right + T_WC[1, 1] * down + T_WC[1, 2] * z - M[1, 3]
+                along = (dx * M[0, 0] + dy * M[1, 0]) / (long * (0.5 * long + SHADOW_M))
+                across = (dx * M[0, 1] + dy * M[1, 1]) / (wide * (0.5 * wide + SHADOW_M))
+                q = along * along + across * across
+                if q < 1.0:
+                    for k in range(3):
+                        rgb[row, column, k] = np.uint8(rgb[row, column, k] * (DARKEST + (1.0 - DARKEST) * q * q))
 
 
 @kernel
@@ -176,7 +255,10 @@ def _colour(street: StreetArrays, view: View, T_WC: F64, depth_m: F32, words: U3
                 face, word = word, street.rgb[word]
                 if street.pattern[face] != PLAIN:
                     x, y = T[0, 3] + z * (T[0, 0] * u + ray_x), T[1, 3] + z * (T[1, 0] * u + ray_y)
-                    word = _overlay(street, face, x, y, T[2, 3] + z * (T[2, 0] * u + ray_z)) or word
+                    if street.pattern[face] >= SLABS:
+                        word = _dimmed(word, _grain(street.pattern[face], x, y, z))
+                    else:
+                        word = _overlay(street, face, x, y, T[2, 3] + z * (T[2, 0] * u + ray_z)) or word
             if z > clear_m:
                 share = z * limit - CLEAR
                 haze = np.uint32(HAZE_GROWTH * share * share)

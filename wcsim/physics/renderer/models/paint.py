@@ -55,6 +55,8 @@ class Paint(IntEnum):
 
 
 MARK_CLASS = 200  # and on: what marks have in place of a class
+STONE_CLASS = 210  # and on, in the order of STONES_M: what the stones of kerbs have
+STONES_M = (0.015, 0.05, 0.08)  # a stone of each colour is at least so high; lower ones have none
 
 _COLOURS = own_data(Path(__file__).with_name("colours"))
 WALL_RGB, ROOF_RGB, LEAF_RGB, TRUNK_RGB = (_COLOURS["things"][name] for name in ("walls", "roofs", "leaves", "trunks"))
@@ -72,6 +74,8 @@ def class_paint_table() -> F64:
     table = np.full((256, 3), 150.0)
     for name, colour in _COLOURS["ground"].items():
         table[ClassId[name]] = colour
+    for number, colour in enumerate(_COLOURS["stones"].values()):
+        table[STONE_CLASS + number] = colour
     for name, colour in _COLOURS["marks"].items():
         table[MARK_CLASS + Mark[name]] = colour
     return table
