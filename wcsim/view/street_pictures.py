@@ -28,7 +28,7 @@ from wcsim.physics.renderer.geometry import GeometryStore
 from wcsim.physics.renderer.instances import ChairPose, Instances, actor_instances, chair_pose, rotation_of
 from wcsim.physics.renderer.raster import RasterRenderer
 from wcsim.physics.sensors.camera_geometry import camera_matrix, focal_px, look_at, mount, pinhole, pose_matrix
-from wcsim.types import F64, U8, ActorState, Bool, CameraFrame, ClientSnapshot, Route, SignalState, Street
+from wcsim.types import F64, I32, U8, ActorState, Bool, CameraFrame, ClientSnapshot, Route, SignalState, Street
 from wcsim.types.street import Ground
 from wcsim.view.filming import SIGHT_M
 from wcsim.view.map import MapView
@@ -49,6 +49,10 @@ _DOT_M: Final = 0.13  # radius
 _POLE_M: Final = 2.4
 _BEHIND_M: Final = 0.35  # so much nearer a thing hides a dot
 WAY_RGB, GOAL_RGB, _RIM_RGB, _CHAIR_RGB = (0, 122, 94), (196, 30, 58), (255, 255, 255), (16, 92, 184)
+_INK_RGB: Final = (20, 29, 48)
+_TRACK_STEPS, _TRACK_STEP_S, _STANDS = 20, 0.1, 0.1  # two seconds; slower ones have no track
+_FRONT_M, _REAR_M, _HALF_M = 0.8, 0.3, 0.35  # of a usual chair, from its axle
+_TAGGED_M, _MOST_TAGS, _TAG_SCALE = 25.0, 3, 0.45
 _PX: Final = 9
 _LOOK = Pinhole(width_px=_PX, height_px=_PX, focal_px=6.0 * _PX, near_m=0.05, range_m=60.0)  # a cone as wide as a chair
 _MARGIN_M: Final = 0.3  # before a wall
@@ -136,6 +140,9 @@ class Moment:
     jumped: bool = False  # the chair is somewhere else than a moment ago: the picture's camera does not come after it
     route: Route | None = None  # None where it is not known
     done_m: float = 0.0  # along the route
+    motion: tuple[float, float] | None = (
+        None  # the chair's speed ahead, m/s, and turn rate, rad/s, where they are known
+    )
     frame: CameraFrame | None = None  # what its front camera saw; drawn, without errors, where that is not known
 
     @property
@@ -157,7 +164,7 @@ class Moment:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Scene:
-    """A picture of a street, and where in it a point of W is."""
+    """A picture of a street, and where in it a point of W is seen."""
 
     images: Images
     camera: Pinhole
@@ -221,6 +228,67 @@ def _mark_way(scene: Scene, points_W_m: F64) -> None:
         size = max(6, abs(seen[1] - v) // 3)
         cv2.line(image, seen[:2], (u, v), _RIM_RGB, max(2, size // 6), cv2.LINE_AA)
         _fill(image, [(u, v), (u + round(1.4 * size), v + size // 2), (u, v + size)], GOAL_RGB)
+
+
+def _mark_track(scene: Scene, moment: Moment, ground: Ground) -> None:
+    """Draw the ground that the chair takes in the next two seconds if it goes on so, its place then, and its speed."""
+    if moment.motion is None:
+        return
+    speed_mps, turn_radps = moment.motion
+    (x, y, _), yaw_rad, places = moment.chair.p_WB_m.tolist(), moment.yaw_rad, []
+    for _ in range(_TRACK_STEPS):
+        yaw_rad += 0.5 * turn_radps * _TRACK_STEP_S
+        x, y = x + speed_mps * _TRACK_STEP_S * math.cos(yaw_rad), y + speed_mps * _TRACK_STEP_S * math.sin(yaw_rad)
+        yaw_rad += 0.5 * turn_radps * _TRACK_STEP_S
+        places.append((x, y, math.cos(yaw_rad), math.sin(yaw_rad)))
+    corners = [(_FRONT_M, -_HALF_M), (_FRONT_M, _HALF_M), (-_REAR_M, _HALF_M), (-_REAR_M, -_HALF_M)]
+    sides = [[_beside(place, 0.0, aside) for place in places] for aside in (_HALF_M, -_HALF_M)]
+    box = [_beside(places[-1], *corner) for corner in corners]
+    lines = [*sides, [*box, box[0]]] if math.hypot(speed_mps, turn_radps) > _STANDS else []
+    pixels = [_on_ground(scene, np.array(line), ground) for line in lines]
+    for wide, rgb in ((5, _RIM_RGB), (2, _CHAIR_RGB)):
+        cv2.polylines(scene.picture, pixels, False, rgb, wide, cv2.LINE_AA)
+    aside = _on_ground(scene, np.array([_beside(places[-1], 0.0, -2.5 * _HALF_M)]), ground)
+    if len(aside):
+        _tag(scene.picture, tuple(aside[0].tolist()), f"{abs(speed_mps):.1f} m/s")
+
+
+def _beside(place: tuple[float, float, float, float], along_m: float, left_m: float) -> tuple[float, float]:
+    x, y, cos, sin = place
+    return x + along_m * cos - left_m * sin, y + along_m * sin + left_m * cos
+
+
+def _on_ground(scene: Scene, points_W_m: F64, ground: Ground) -> I32:
+    """Columns and rows (m, 2) of points (n, 2) on the ground; those behind the camera are left out."""
+    lifted = np.c_[points_W_m, ground.height_at(points_W_m) + _OVER_M]
+    return np.array([found[:2] for point in lifted if (found := scene.pixel(point)) is not None], np.int32).reshape(
+        -1, 2
+    )
+
+
+def _mark_near(scene: Scene, moment: Moment) -> None:
+    """Say how far those are who are nearest ahead, and what they are."""
+    here_W_m, ahead = moment.chair.p_WB_m, np.array([math.cos(moment.yaw_rad), math.sin(moment.yaw_rad)])
+    gaps = [(math.dist(actor.p_W_m[:2], here_W_m[:2]), number) for number, actor in enumerate(moment.actors)]
+    tagged = 0
+    for gap_m, number in sorted(gaps):
+        actor, tall_m = moment.actors[number], moment.actors[number].size_lwh_m[2]
+        if gap_m > _TAGGED_M or tagged == _MOST_TAGS:
+            return
+        top = scene.pixel(actor.p_W_m + np.array([0.0, 0.0, tall_m + 0.1]))
+        seen = scene.seen(actor.p_W_m + np.array([0.0, 0.0, 0.6 * tall_m]))
+        if (actor.p_W_m[:2] - here_W_m[:2]) @ ahead > 0.0 and top is not None and seen is not None:
+            _tag(scene.picture, (top[0], top[1] - 10), f"{actor.kind.value} {gap_m:.0f} m")
+            tagged += 1
+
+
+def _tag(image: U8, middle: tuple[int, int], text: str) -> None:
+    """Write dark words on a light ground, around a place or as near to it as the picture allows."""
+    (wide, high), below = cv2.getTextSize(text, cv2.FONT_HERSHEY_DUPLEX, _TAG_SCALE, 1)
+    u = min(max(middle[0] - wide // 2, 4), image.shape[1] - wide - 4)
+    v = min(max(middle[1], high + 6), image.shape[0] - below - 4)
+    cv2.rectangle(image, (u - 3, v - high - 4), (u + wide + 3, v + below), _RIM_RGB, cv2.FILLED)
+    cv2.putText(image, text, (u, v), cv2.FONT_HERSHEY_DUPLEX, _TAG_SCALE, _INK_RGB, 1, cv2.LINE_AA)
 
 
 def _fill(image: U8, corners: Sequence[tuple[float, float]], rgb: tuple[int, int, int], rim_px: int = 1) -> None:
@@ -380,6 +448,8 @@ class StreetPictures:
         scene = self._look(_pinhole(looks), _eye(here_W_m, self._yaw_rad, orbit), *self._rows(moment))
         if moment.route is not None:
             _mark_way(scene, _ground_points(moment.route, moment.done_m, self._grid))
+        _mark_track(scene, moment, self._grid)
+        _mark_near(scene, moment)
         return scene
 
     def _own(self, moment: Moment, kind: CameraKind, front: CameraConfig) -> U8:
@@ -431,13 +501,14 @@ def moment_of(world: World, client: ClientSnapshot, route: Route, done_m: float,
         jumped=jumped,
         route=route,
         done_m=done_m,
+        motion=(float(client.plant.v_B_mps[0]), float(client.plant.w_B_radps[2])),
         frame=next(iter(client.sensors.cameras), None),  # a policy of numbers alone has no pictures
     )
 
 
 def played_moment(step: PlayedStep) -> Moment:
     """The street of a step that was driven once more."""
-    return Moment(actors=step.actors, signals=step.signals, chairs=step.chairs, seat=step.seat)
+    return Moment(actors=step.actors, signals=step.signals, chairs=step.chairs, seat=step.seat, motion=step.motion)
 
 
 def _packed(number: int, parts: Iterable[tuple[bytes, U8]]) -> bytes:

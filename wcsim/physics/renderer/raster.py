@@ -16,12 +16,13 @@ from wcsim.physics.renderer.geometry import GeometryStore
 from wcsim.physics.renderer.instances import Instances, actor_instances
 from wcsim.physics.renderer.kernels import (
     COLOURED,
-    OUT,
     GRASS,
+    OUT,
     PLAIN,
     SKY_ID,
     SLABS,
     STRIPES,
+    WINDOWS,
     StreetArrays,
     Target,
     U32Array,
@@ -112,10 +113,16 @@ NO_WORD = np.uint32(0)
 STRIPE_WORD = np.uint32(0xE8ECEC)  # blue, green, red from the highest byte down
 WINDOW_WORD = np.uint32(0x6C5C4E)
 # The ground: slabs of 60 cm, patches of 6 cm and 1.7 m in asphalt, 30 cm and 1 m in grass.
-PER_SLAB, JOINT, JOINT_GROWTH, NEAR_GROUND = np.float32(1 / 0.6), np.float32(0.012), np.float32(0.0016), np.float32(0.04)
+PER_SLAB, JOINT, JOINT_GROWTH, NEAR_GROUND = (
+    np.float32(1 / 0.6),
+    np.float32(0.012),
+    np.float32(0.0016),
+    np.float32(0.04),
+)
 ASPHALT_FINE, ASPHALT_COARSE, NO_FINE_M = np.float32(16.0), np.float32(0.6), np.float32(12.0)
 GRASS_FINE, GRASS_COARSE = np.float32(3.3), np.float32(1.0)
 SHADOW_M, SHADOWS_M, FOOT_M, DARKEST = 0.18, 40.0, 0.2, 0.42
+FOOT_OF_WALL_M, NO_M = np.float32(0.7), np.float32(0.0)
 
 
 @kernel
@@ -258,7 +265,11 @@ def _colour(street: StreetArrays, view: View, T_WC: F64, depth_m: F32, words: U3
                     if street.pattern[face] >= SLABS:
                         word = _dimmed(word, _grain(street.pattern[face], x, y, z))
                     else:
-                        word = _overlay(street, face, x, y, T[2, 3] + z * (T[2, 0] * u + ray_z)) or word
+                        height_m = T[2, 3] + z * (T[2, 0] * u + ray_z)
+                        word = _overlay(street, face, x, y, height_m) or word
+                        above = height_m - street.frame[face, 3]
+                        if street.pattern[face] == WINDOWS and above < FOOT_OF_WALL_M:
+                            word = _dimmed(word, np.uint32(176.0 + 80.0 * max(above, NO_M) / FOOT_OF_WALL_M))
             if z > clear_m:
                 share = z * limit - CLEAR
                 haze = np.uint32(HAZE_GROWTH * share * share)

@@ -34,6 +34,7 @@ class PlayedStep:
     asked: Joystick  # by the user, before the step
     given: Joystick  # by the policy
     speed_mps: float
+    motion: tuple[float, float]  # speed ahead, and turn rate in rad/s
     p_W_m: F64  # (3,) of the chair
     yaw_rad: float
     actors: tuple[ActorState, ...]  # within NEAR_M
@@ -138,6 +139,7 @@ class _LastSteps:
                 asked=info["asked"],
                 given=info["given"],
                 speed_mps=info["speed_mps"],
+                motion=(float(plant.v_B_mps[0]), float(plant.w_B_radps[2])),
                 p_W_m=p_W_m,
                 yaw_rad=plant.yaw_rad,
                 actors=tuple(near),
