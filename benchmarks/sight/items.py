@@ -187,6 +187,7 @@ def _place_item(was: _Look, p_WB_m: F64, rng: np.random.Generator) -> Iterator[I
     start, yaw_rad = was.moment.chair.p_WB_m, was.moment.yaw_rad
     far_m = max(math.dist(p_WB_m[:2], start[:2]), 1.5)
     turns = [(far_m, 0.0), (far_m, _TURN_RAD), (far_m, -_TURN_RAD), (1.7 * far_m + 0.8, 0.0), (0.0, 0.0)]
+    turns = [(far * rng.uniform(0.8, 1.2), by + rng.normal(0.0, 0.15)) for far, by in turns]  # no layout tells
     others = [start + far * np.array([math.cos(yaw_rad + by), math.sin(yaw_rad + by), 0.0]) for far, by in turns]
     others.sort(key=lambda place: -math.dist(place[:2], p_WB_m[:2]))
     pixels = [was.pixel(place) for place in (p_WB_m, *others[:4])]  # without the one that is nearest to the truth

@@ -27,7 +27,7 @@ from wcsim.towns.scenario.town import Town
 from wcsim.types import F32, U8, CameraFrame, ClassId, Joystick, Route, SeatSpec, Snapshot
 from wcsim.users.recordings.recorded_user import find_user
 from wcsim.view.map import MapView, street_video
-from wcsim.view.pictures import captioned, class_colours, depth_colours, open_video, side_by_side
+from wcsim.view.pictures import captioned, class_colours, depth_colours, open_video, side_by_side, with_legend
 
 _FILM_PX: Final = 480
 
@@ -87,6 +87,7 @@ def near(step: PlayedStep) -> list[str]:
 _ACTOR_CLASSES = np.array([c.value for c in ClassId if ClassId.PERSON <= c <= ClassId.BICYCLE], np.uint8)
 _IN_VIEW_PX = 12  # an actor counts as in view from about this many pixels of its class on
 _FIELD_OF_VIEW_M = 30.0
+_NEAR_M, _ALL = 15.0, 4.0  # of what makes a picture telling
 _MAP_SPAN_M: Final = 60.0
 SIGHT_M = 200.0  # of pictures for people: a street ends in the distance, not where a sensor's range does
 _FILM_CAMERA: Final = "film"  # beside those of the policy, which sees nothing of it
@@ -190,12 +191,20 @@ class FilmedDrive:
         )
 
     def business(self) -> float:
-        """How much of interest is in the picture now: actors, and how large they are; below 0 for hardly any."""
+        """How much of a street is in the picture now: of a road, a kerb, a crossing and somebody, all of them near.
+
+        A whole number for each of the four; the rest says how large the people and vehicles are.
+        """
         frame = self._frame()
-        pixels = int(np.isin(frame.class_id, _ACTOR_CLASSES).sum())
-        if pixels <= _IN_VIEW_PX:
-            return -1.0
-        return self._in_view(self.world.snapshot) + min(1.0, pixels / (0.05 * frame.class_id.size))
+        near, seen = frame.depth_m < _NEAR_M, frame.class_id
+        somebody = np.isin(seen, _ACTOR_CLASSES) & near
+        road, paved = np.isin(seen, (ClassId.ROAD, ClassId.CROSSWALK)), seen == ClassId.SIDEWALK
+        kerb = near & np.isin(seen, (ClassId.KERB, ClassId.LOWERED_KERB))
+        kerb[1:] |= near[1:] & ((road[:-1] & paved[1:]) | (paved[:-1] & road[1:]))  # from above its face is hidden
+        there = ((road & near, 0.02), (kerb, 0.0005), ((seen == ClassId.CROSSWALK) & near, 0.003), (somebody, 0.002))
+        pixels = [np.count_nonzero(where) / seen.size for where, _ in there]
+        kinds = sum(share >= least for share, (_, least) in zip(pixels, there, strict=True))
+        return kinds + min(0.9, 10.0 * pixels[-1])
 
     def __enter__(self) -> Self:
         return self
@@ -246,12 +255,17 @@ def _senses(driver: FilmDriver, seed: int, width: int) -> tuple[RunConfig, SeatS
 
 
 class BusiestMoment:
-    """Keeps, while a drive goes on, the moment when most actors, and most of them, were in the picture."""
+    """Keeps, while a drive goes on, the moment when most of a street was in the picture, see `business`."""
 
     def __init__(self, filmed: FilmedDrive, fits: bool = True) -> None:
         """Begins with now, which stays if nothing better comes; see `look`."""
         self._filmed, self._best = filmed, (fits, -1.0)
         self.shot = filmed.shot(0.0)
+
+    @property
+    def shows_all(self) -> bool:
+        """Whether it shows what makes a street, and fits."""
+        return self._best >= (True, _ALL)
 
     def look(self, after_s: float, fits: bool = True) -> bool:
         """Take this moment instead, if there is more in it, or if it is the first that fits; whether it was taken.
@@ -283,7 +297,8 @@ class _OwnCode(PolicyAgent):
 
 def _triptych(rgb: U8, class_id: U8, depth_m: F32) -> U8:
     """Colour (H, W, 3), class and depth (H, W) of one camera side by side, (H, 3 W, 3) uint8, with captions."""
-    panels = {"camera": rgb, "class": class_colours(class_id), "depth": depth_colours(depth_m)}
+    classes = with_legend(class_colours(class_id), class_id)
+    panels = {"camera": rgb, "class": classes, "depth": depth_colours(depth_m)}
     return np.hstack([captioned(panel, name) for name, panel in panels.items()])
 
 

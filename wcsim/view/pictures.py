@@ -16,10 +16,11 @@ from wcsim.core.files import whole_file, write_bytes
 from wcsim.core.processes import without_line
 from wcsim.errors import ConfigError, DiskFullError
 from wcsim.supervisor.palette import palette
-from wcsim.types import F32, U8
+from wcsim.types import F32, U8, ClassId
 
 INK_RGB = (255, 255, 255)
 _STRIP_RGB = (28, 32, 38)
+_MOST_NAMES = 8  # of a legend
 
 
 def class_colours(class_id: U8) -> U8:
@@ -39,6 +40,23 @@ def depth_colours(depth_m: F32, range_m: float | None = None) -> U8:
     bgr[depth_m >= far] = 0
     bgr[depth_m <= 0.0] = 255
     return np.ascontiguousarray(bgr[..., ::-1])
+
+
+def with_legend(image: U8, class_id: U8) -> U8:
+    """A copy of a class picture (H, W, 3) that names the colours of the classes (H, W) that cover most of it."""
+    out = np.array(image, np.uint8, order="C")
+    scale = max(0.35, out.shape[1] / 1200.0)
+    numbers, counts = np.unique(class_id, return_counts=True)
+    known = [number for number in numbers[np.argsort(-counts)].tolist() if number in {*ClassId}][:_MOST_NAMES]
+    size = round(34.0 * scale)
+    for line, number in enumerate(reversed(known)):
+        low = out.shape[0] - 4 - line * (size + 2)
+        name = ClassId(number).name.replace("_", " ").lower()
+        (wide, _), _ = cv2.getTextSize(name, cv2.FONT_HERSHEY_SIMPLEX, scale, 1)
+        cv2.rectangle(out, (4, low - size), (size + wide + 14, low), _STRIP_RGB, cv2.FILLED)
+        cv2.rectangle(out, (7, low - size + 3), (size, low - 3), palette()[number].tolist(), cv2.FILLED)
+        cv2.putText(out, name, (size + 8, low - size // 4), cv2.FONT_HERSHEY_SIMPLEX, scale, INK_RGB, 1, cv2.LINE_AA)
+    return out
 
 
 def captioned(image: U8, text: str) -> U8:

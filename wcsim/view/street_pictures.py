@@ -52,7 +52,7 @@ WAY_RGB, GOAL_RGB, _RIM_RGB, _CHAIR_RGB = (0, 122, 94), (196, 30, 58), (255, 255
 _INK_RGB: Final = (20, 29, 48)
 _TRACK_STEPS, _TRACK_STEP_S, _STANDS = 20, 0.1, 0.1  # two seconds; slower ones have no track
 _FRONT_M, _REAR_M, _HALF_M = 0.8, 0.3, 0.35  # of a usual chair, from its axle
-_TAGGED_M, _MOST_TAGS, _TAG_SCALE = 25.0, 3, 0.45
+_TAGGED_M, _MOST_TAGS, _TAG_SCALE, _TAG_PX = 25.0, 3, 0.45, (125, 20)
 _PX: Final = 9
 _LOOK = Pinhole(width_px=_PX, height_px=_PX, focal_px=6.0 * _PX, near_m=0.05, range_m=60.0)  # a cone as wide as a chair
 _MARGIN_M: Final = 0.3  # before a wall
@@ -267,19 +267,21 @@ def _on_ground(scene: Scene, points_W_m: F64, ground: Ground) -> I32:
 
 
 def _mark_near(scene: Scene, moment: Moment) -> None:
-    """Say how far those are who are nearest ahead, and what they are."""
+    """Say how far those are who are nearest ahead, and what they are; no label lies upon another."""
     here_W_m, ahead = moment.chair.p_WB_m, np.array([math.cos(moment.yaw_rad), math.sin(moment.yaw_rad)])
     gaps = [(math.dist(actor.p_W_m[:2], here_W_m[:2]), number) for number, actor in enumerate(moment.actors)]
-    tagged = 0
+    tagged: list[tuple[int, int]] = []
     for gap_m, number in sorted(gaps):
         actor, tall_m = moment.actors[number], moment.actors[number].size_lwh_m[2]
-        if gap_m > _TAGGED_M or tagged == _MOST_TAGS:
+        if gap_m > _TAGGED_M or len(tagged) == _MOST_TAGS:
             return
         top = scene.pixel(actor.p_W_m + np.array([0.0, 0.0, tall_m + 0.1]))
         seen = scene.seen(actor.p_W_m + np.array([0.0, 0.0, 0.6 * tall_m]))
-        if (actor.p_W_m[:2] - here_W_m[:2]) @ ahead > 0.0 and top is not None and seen is not None:
+        if (actor.p_W_m[:2] - here_W_m[:2]) @ ahead <= 0.0 or top is None or seen is None:
+            continue
+        if all(abs(top[0] - u) > _TAG_PX[0] or abs(top[1] - v) > _TAG_PX[1] for u, v in tagged):
+            tagged.append(top[:2])
             _tag(scene.picture, (top[0], top[1] - 10), f"{actor.kind.value} {gap_m:.0f} m")
-            tagged += 1
 
 
 def _tag(image: U8, middle: tuple[int, int], text: str) -> None:

@@ -190,3 +190,38 @@ def test_draws_from_threads_into_their_own_buffers(raster):
 def test_refuses_buffers_that_do_not_fit(raster, out):
     with pytest.raises(ConfigError, match="new_images"):
         raster.render(CAMERA, look_along((0, 0, 1), 0.0, 0.0), NOBODY, out)
+
+
+def colours_of(picture, rgb):
+    return np.abs(picture.astype(int) - rgb).max(axis=-1) < 30
+
+
+def test_the_stones_of_kerbs_tell_their_height_in_colours_alone(raster):
+    high, low = (236, 128, 26), (150, 186, 222)
+    along, over = (shot(raster, look_along((x, 6.0, 1.6), -math.pi / 2, -0.5), rgb=True) for x in (20.0, 40.0))
+    stones = colours_of(along.rgb, high)
+    beside = {ClassId.SIDEWALK, ClassId.KERB, ClassId.ROAD}
+    assert stones.sum() > 20 and set(np.unique(along.class_id[stones])) <= beside
+    middle = over.rgb[:, CAMERA.width_px // 2 - 3 : CAMERA.width_px // 2 + 3]
+    assert not colours_of(middle, high).any(), "a crossing is flush"
+    ramp = shot(raster, look_along((37.0, 6.0, 1.6), -math.pi / 2, -0.5), rgb=True)
+    assert colours_of(ramp.rgb, low).any() and colours_of(ramp.rgb, high).any(), "it rises beside the crossing"
+
+
+def test_near_ground_has_a_grain(raster):
+    out = shot(raster, look_along((10.0, 5.5, 1.2), 0.0, -0.3), rgb=True)
+    for kind in (ClassId.SIDEWALK, ClassId.ROAD, ClassId.TERRAIN):
+        near = (out.class_id == kind) & (out.depth_m < 6.0)
+        assert near.sum() > 100 and len(np.unique(out.rgb[near], axis=0)) > 10
+
+
+def test_who_stands_on_the_ground_darkens_it_and_nothing_else(raster):
+    T_CW = look_along((5.0, 0.0, 1.6), 0.0, -0.3)
+    alone, beside = (
+        shot(raster, T_CW, actor_instances(who), rgb=True) for who in ((), (actor(ActorKind.PEDESTRIAN, 9.0, 0.0),))
+    )
+    ground = (beside.class_id == alone.class_id) & (alone.class_id == ClassId.ROAD)
+    change = beside.rgb.astype(int).sum(axis=-1) - alone.rgb.astype(int).sum(axis=-1)
+    darker = ground & (change < 0)
+    assert darker.sum() > 10 and not (ground & (change > 0)).any()
+    assert np.abs(alone.depth_m[darker] - 4.0).max() < 1.5

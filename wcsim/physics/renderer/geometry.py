@@ -6,6 +6,7 @@ How the standing street is painted: a shaded colour per face, and where stripes 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -29,6 +30,7 @@ from wcsim.types.street import joined_mesh
 
 WELD_M = 0.02
 _STONE_M, _STONE_LIFT_M, _HAIR_M = 0.16, 0.025, 1e-4  # how wide a kerb's stone is, and how far above the ground
+_STONES = 4  # to a straight piece of a kerb
 BAY_M = 2.8
 _TRUNK_WIDE_M = 0.6  # a green thing no wider than this is a tree's trunk
 _GROUNDS = {  # what the ground is laid with: a grain that becomes finer with the distance
@@ -211,19 +213,29 @@ class GeometryStore:
 def _kerb_stones(mesh: StreetMesh) -> StreetMesh:
     """Strips along the upper edges of kerbs, coloured by height: from behind a chair no kerb shows its face.
 
-    Of the two triangles of a kerb's face the one with both upper corners says where it is; see `kerb_walls`.
+    A kerb's face is two triangles, see `kerb_walls`: one has both upper corners and a lower one, below its last; the
+    other both lower corners, and is missing where the kerb runs out. A strip is cut, as a kerb may rise along it.
     """
-    kerbs = mesh.faces[np.isin(mesh.face_class, (ClassId.KERB, ClassId.LOWERED_KERB))]
-    foot, far, near = (mesh.vertices_W_m[kerbs[:, corner]].astype(np.float64) for corner in range(3))
-    upper = np.abs(foot[:, :2] - near[:, :2]).max(axis=1, initial=0.0) < _HAIR_M
-    foot, far, near = foot[upper], far[upper], near[upper]
+    kerbs = mesh.faces[np.isin(mesh.face_class, (ClassId.KERB, ClassId.LOWERED_KERB))].astype(np.int64)
+    corners = mesh.vertices_W_m[kerbs].astype(np.float64)  # (K, 3 corners, 3)
+    upper = np.abs(corners[:, 0, :2] - corners[:, 2, :2]).max(axis=1, initial=0.0) < _HAIR_M
+    diagonal = kerbs[:, 0] * max(len(mesh.vertices_W_m), 1) + np.where(upper, kerbs[:, 1], kerbs[:, 2])
+    _, lower, at = np.intersect1d(diagonal[~upper], diagonal[upper], return_indices=True)
+    foot, far, near = np.moveaxis(corners[upper], 1, 0)
+    rise_m = np.c_[(near - foot)[:, 2], np.zeros(len(near))]
+    rise_m[at, 1] = (corners[~upper][lower, 2] - corners[~upper][lower, 1])[:, 2]
     along = far - near
     inward = np.c_[along[:, 1], -along[:, 0], np.zeros(len(along))]  # the road is on the other side
     inward *= _STONE_M / np.maximum(np.linalg.norm(inward, axis=1, keepdims=True), _HAIR_M)
-    kind = np.searchsorted(STONES_M, (near - foot)[:, 2] + _HAIR_M, side="right") - 1
-    seen = kind >= 0
-    quads = np.stack([far, near, near + inward, far + inward], axis=1)[seen] + (0.0, 0.0, _STONE_LIFT_M)
-    return _as_mesh(GroundPaint(quads_W_m=quads.astype(np.float32), mark=kind[seen].astype(np.uint8)), STONE_CLASS)
+    quads, kinds, lift = [], [], np.array([0.0, 0.0, _STONE_LIFT_M])
+    for begin, end in pairwise(np.linspace(0.0, 1.0, _STONES + 1)):
+        height_m = rise_m @ (1.0 - 0.5 * (begin + end), 0.5 * (begin + end))
+        one, other = near + begin * along, near + end * along
+        quads.append(np.stack([other, one, one + inward, other + inward], axis=1) + lift)
+        kinds.append(np.searchsorted(STONES_M, height_m + _HAIR_M, side="right") - 1)
+    kind = np.concatenate(kinds)
+    shown = np.concatenate(quads)[kind >= 0].astype(np.float32)
+    return _as_mesh(GroundPaint(quads_W_m=shown, mark=kind[kind >= 0].astype(np.uint8)), STONE_CLASS)
 
 
 def _as_mesh(paint: GroundPaint, first_class: int = MARK_CLASS) -> StreetMesh:
