@@ -5,10 +5,10 @@ import re
 
 import pytest
 
-from tests.view.report.results import POLICIES, SCRIPT, record, records_of, write_result
+from tests.view.report.results import POLICIES, records_of, write_result
 from wcsim.agents.evaluation.suite.result_files import read_result
 from wcsim.agents.evaluation.suite.rows import FEWEST
-from wcsim.view.report.comparisons import WEIGHTINGS, _paired, compared, weighted
+from wcsim.view.report.comparisons import _paired, compared
 from wcsim.view.report.pages import TEMPLATES
 from wcsim.view.report.suite_page import _comparison_table
 
@@ -60,21 +60,3 @@ def test_few_episodes_separate_nobody_however_far_apart_they_are(result):
     assert any(pair.difference for pair in pairs)
     assert said(pairs) == [("–", "–")] * len(pairs)
     assert all(line.endswith(",,") for line in _comparison_table(pairs).csv.splitlines()[1:])
-
-
-def test_weights_change_what_they_should(result):
-    by_name = {way.heading: way.of for way in WEIGHTINGS}
-    red = record(0, red_entries=1)
-    done, pace, obeyed = record(0).score_parts
-    assert (done, obeyed) == (1.0, 76 / 80)
-    assert by_name["the score"](record(0)) == pytest.approx(record(0).score) == pytest.approx(done * pace * obeyed)
-    assert by_name["the score"](red) == 0.0 and by_name["red lights forgiven"](red) == pytest.approx(record(0).score)
-    assert by_name["obedience counts double"](record(0)) == pytest.approx(done * pace * obeyed**2)
-    assert by_name["geometric mean"](record(0)) == pytest.approx((done * pace * obeyed) ** (1 / 3))
-    for policy in POLICIES:
-        for item in records_of(policy):
-            assert by_name["the score"](item) == item.score
-            assert by_name["safety alone"](item) in (0.0, 1.0)
-    ranks = {name: [rank for _, rank in values] for name, values in weighted(result).items()}
-    assert ranks["dwa"][0] == 1 and ranks["follow"][0] == 5
-    assert ranks["net@0.25"] == ranks["net@0.75"] == ranks[SCRIPT] == [2, 2, 2, 2, 2, ranks["net@0.25"][5]]

@@ -1,14 +1,13 @@
-"""What a test decides: policies compared over the same episodes, other weights, and the verdict in plain words."""
+"""What a test decides: policies compared over the same episodes, and the verdict in plain words."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from textwrap import wrap
 from typing import Any, Final
 
-from wcsim.agents.evaluation.suite.records import EpisodeRecord, both_counted, saved_and_lost
+from wcsim.agents.evaluation.suite.records import both_counted, saved_and_lost
 from wcsim.agents.evaluation.suite.result_files import TestResult
 from wcsim.agents.evaluation.suite.rows import FEWEST, Interval, bootstrapped, mcnemar, undone
 from wcsim.agents.policy_api import BASELINES, UNAIDED, UPPER_BOUNDS
@@ -80,51 +79,6 @@ def _paired(result: TestResult, policy: str, rival: str, part: str) -> Paired | 
         difference=math.fsum(mine.score - other.score for mine, other in both) / len(both),
         interval=bootstrapped([mine.score - other.score for mine, other in both]),
     )
-
-
-@dataclass(frozen=True, slots=True)
-class _Weighting:
-    """Another way to make one number of an episode."""
-
-    heading: str
-    says: str
-    powers: tuple[float, float, float]  # of the route's share, pace and obedience, which are multiplied
-    counts: Callable[[EpisodeRecord], object] = lambda record: record.driven and not record.red_entries  # else it is 0
-
-    def of(self, record: EpisodeRecord) -> float:
-        """The number of an episode."""
-        return math.prod(map(math.pow, record.score_parts, self.powers)) if self.counts(record) else 0.0
-
-
-WEIGHTINGS: Final = (
-    _Weighting("the score", "as in the tables", (1, 1, 1)),
-    _Weighting("safety alone", "1 without an own crash or a red light, else 0: standing still is best", (0, 0, 0)),
-    _Weighting("geometric mean", "cube root of route x pace x obedience; 0 as in the score", (1 / 3, 1 / 3, 1 / 3)),
-    _Weighting("obedience counts double", "route x pace x obedience squared; 0 as in the score", (1, 1, 2)),
-    _Weighting(
-        "red lights forgiven", "as the score, but not 0 after a red light", (1, 1, 1), lambda record: record.driven
-    ),
-    _Weighting(
-        "way alone",
-        "share of the route completed, however the episode ended",
-        (1, 0, 0),
-        lambda record: record.steps,
-    ),
-)
-
-
-def weighted(result: TestResult) -> dict[str, list[tuple[float, int]]]:
-    """By policy: its mean under each of WEIGHTINGS, and its rank; equal means share a rank."""
-    means = {
-        name: [math.fsum(map(way.of, episodes)) / len(episodes) for way in WEIGHTINGS]
-        for name, episodes in result.episodes.items()
-    }
-    return {
-        name: [
-            (mean, 1 + sum(other[place] > mean + 1e-12 for other in means.values())) for place, mean in enumerate(own)
-        ]
-        for name, own in means.items()
-    }
 
 
 def verdict(result: TestResult) -> str:

@@ -136,10 +136,8 @@ def figures_of(result: TestResult, folder: Path) -> list[Exhibit]:
     """All figures of a test, which lies in this folder, in the order of the page."""
     places = {name: place for place, name in enumerate(result.episodes)}
     return [
-        _scores(result, places),
         _obedience_figure(result, places),
         *_towns(result, places, folder / TOWNS),
-        *_comfort(result, places),
         _statuses(result),
     ]
 
@@ -158,31 +156,6 @@ def _arms(row: ResultRow, key: str) -> list[list[float]]:
 def _look(place: int) -> dict[str, Any]:
     """The mark and the colour of the policy at a place of the result."""
     return {"fmt": _MARKS[place % len(_MARKS)], "color": _colour_of(place)}
-
-
-def _scores(result: TestResult, places: Mapping[str, int]) -> Exhibit:
-    """Scores with their intervals, a panel a part."""
-    plain: list[list[Cell]] = []
-    out, parts = io.BytesIO(), ("", *result.parts)
-    tall = -(-len(parts) // 2)
-    with _figure("scores", out, tall * (0.55 + 0.16 * len(places))) as figure:
-        panels = figure.subplots(tall, 2, sharex=True, sharey=True, squeeze=False).flatten()
-        for panel, part in zip(panels, parts, strict=False):
-            for row in result.rows if part else result.pooled:
-                if row.part == part and row.score is not None:
-                    place = places[row.policy]
-                    panel.errorbar([row.score], [place], xerr=_arms(row, "score"), markersize=4, **_look(place))
-                    plain.append([part or "all", row.policy, row.score, *_bounds(row, "score")])
-            panel.set_title(part or "all", fontsize=8, loc="left")
-            panel.tick_params(labelsize=7)
-            panel.grid(visible=False, axis="y")
-        for panel in panels[len(parts) :]:
-            panel.set_visible(False)
-        panels[0].set_yticks(list(places.values()), [_short(name, 20) for name in places])
-        panels[0].set_xlim(0.0, 1.0)
-        panels[0].set_ylim(len(places) - 0.4, -0.6)
-        figure.supxlabel("score, 95 % interval over episodes", fontsize=8)
-    return Exhibit(name="scores", columns=("part", "policy", "score", "low", "high"), rows=plain, svg=out.getvalue())
 
 
 _AXES: Final = ("crashes_per_km", "kpi1_free_within")
@@ -298,24 +271,6 @@ def _draw_ways(axes: Axes, here: Sequence[tuple[str, EpisodeRecord]], places: Ma
     axes.set_xlabel("east, m")
     axes.set_ylabel("north, m")
     _legend(axes, len(policies))
-
-
-def _comfort(result: TestResult, places: Mapping[str, int]) -> list[Exhibit]:
-    """How a ride feels: accelerations, and how much the stick that was given moves beside the user's."""
-    columns = ("accel_rms_mps2", "stick_travel_per_s", "asked_travel_per_s")
-    plain = [[row.policy, *(getattr(row, name) for name in columns)] for row in result.pooled]
-    names = [row.policy for row in result.pooled]
-    exhibits = []
-    for name, label, key in (
-        ("comfort-acceleration", "root mean square of the acceleration, m/s²", columns[0]),
-        ("comfort-stick", "travel of the driven stick per second", columns[1]),
-    ):
-        out = io.BytesIO()
-        with _bars(name, out, names, 0.7, label) as axes:
-            values = [getattr(row, key) or 0.0 for row in result.pooled]
-            axes.barh(range(len(names)), values, color=[_colour_of(places[each]) for each in names])
-        exhibits.append(Exhibit(name=name, columns=("policy", *columns), rows=plain, svg=out.getvalue()))
-    return exhibits
 
 
 @contextmanager

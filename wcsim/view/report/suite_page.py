@@ -13,7 +13,7 @@ from wcsim.agents.evaluation.suite.rows import FEWEST, ResultRow
 from wcsim.core.constants import RECORDED
 from wcsim.core.reading import counted
 from wcsim.view.report.columns import COLUMNS, GROUPS, LOOK, Column
-from wcsim.view.report.comparisons import WEIGHTINGS, Paired, compared, verdict, weighted
+from wcsim.view.report.comparisons import Paired, compared, verdict
 from wcsim.view.report.failures import FailedEpisode, Illustration, Key, where_typed
 from wcsim.view.report.figures import figures_of
 from wcsim.view.report.pages import Cell, Exhibit, page, write_page
@@ -34,18 +34,6 @@ def _comparison_table(pairs: Sequence[Paired]) -> Exhibit:
     columns = ("policy", "rival", "part", "episodes", "saved", "lost", "mcnemar_p", "difference")
     rows = [[*(getattr(pair, name) for name in columns), *(pair.interval or (None, None))] for pair in pairs]
     return Exhibit(name="comparison", columns=(*columns, "low", "high"), rows=rows)
-
-
-def _weights_table(means: Mapping[str, Sequence[tuple[float, int]]]) -> Exhibit:
-    """The score and what other weights would say."""
-    return Exhibit(
-        name="weights",
-        columns=["policy", *(f"{way.heading}, {what}" for way in WEIGHTINGS for what in ("mean", "rank"))],
-        rows=[
-            [name, *(cell for mean, rank in values for cell in (round(mean, 6), rank))]
-            for name, values in means.items()
-        ],
-    )
 
 
 def _keys(column: Column) -> list[str]:
@@ -78,11 +66,10 @@ def write_suite_page(
     Raises:
         DiskFullError: It cannot be written.
     """
-    pairs, means, figures = compared(result), weighted(result), figures_of(result, folder)
+    pairs, figures = compared(result), figures_of(result, folder)
     tables = {part: _result_table(result, part) for part in ("", *result.parts)}
     shown = {
         "against": _comparison_table(pairs),
-        "weights": _weights_table(means),
         "failed": _failed(failures),
         "episodes": _episodes(result),
     }
@@ -97,8 +84,6 @@ def write_suite_page(
         recorded=RECORDED,
         pairs=pairs,
         fewest=FEWEST,
-        weightings=WEIGHTINGS,
-        weighted=means,
         tables=tables,
         figures=figures,
         failures=failures,
