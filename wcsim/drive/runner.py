@@ -206,7 +206,9 @@ class _DriveClock:
 
     def ticked(self, now_s: float, tick_s: float) -> None:
         """A tick of the world's `tick_s` was driven, which began now."""
-        self.gap_s += _NEWEST * (now_s - self.ticked_s - self.gap_s) if self.ticked_s else 0.0
+        if self.ticked_s:
+            gap_s = now_s - self.ticked_s
+            self.gap_s += _NEWEST * (gap_s - self.gap_s) if self.gap_s else gap_s
         self.ticked_s = now_s
         self.due_s = max(self.due_s + (tick_s / self.pace if self.pace else 0.0), now_s)
 
@@ -316,7 +318,8 @@ class _DriveRunner(PageRunner):
         session = self._open_session()
         if session.ended:  # the crash has been shown, and another episode begins
             self._watch.forget_press()
-        session.tick(self._watch.wish(now_s))
+        real = session.tick_s / self.clock.gap_s if self.clock.gap_s else 1.0
+        session.tick(replace(self._watch.wish(now_s), pace=round(real, 3)))
         self.clock.ticked(now_s, session.tick_s)
         if session.crash:
             self.clock.held_s = now_s + _CRASH_S
@@ -542,10 +545,10 @@ def _drive_state(session: DriveSession, clock: _DriveClock, waiting: str, let_go
         "speed_mps": round(last.speed_mps, 3),
         "left_m": round(session.left_m, 1),
         "bearing_deg": round(deg(session.bearing_rad)),  # of the way ahead, from the chair's heading to the left
-        "crash": session.crash,
+        "crash": session.crash_told,
         "profile": session.profile,
         "kpis": m.kpis_of(session.metrics, session.tick_s),
-        "rate": round(1.0 / clock.gap_s, 1) if clock.gap_s > 0.0 else 0.0,  # ticks a second, a mean
+        "real": round(session.tick_s / clock.gap_s, 2) if clock.gap_s > 0.0 else 1.0,  # times real time, a mean
     }
 
 

@@ -30,6 +30,7 @@ from wcsim.users.recordings.recorded_user import find_user
 _NO_STICKS: Final[F64] = np.zeros((0, 2))  # of a person: known at the ticks' beginnings alone
 _FACES_RAD: Final = math.radians(45.0)  # a way within this to either side is one that a start faces
 _START_TRIES: Final = 6
+_BESIDE_M: Final = 0.3  # from the chair's outline to where a wall is looked for
 _BACK_M: Final = 5.0  # from a crash to where the next episode begins
 _NEAR: Final = 20  # points of the way, a metre from each other, at which a start may be that is to face it
 _TRAIL_M: Final = 0.5  # between places of the trail
@@ -44,6 +45,7 @@ class Wish:
     stick: Joystick = AT_REST  # each part in -1..1
     overrule: bool = False
     help: bool = False
+    pace: float = 1.0  # times real time, as the person sees it
 
 
 class DriveSession(Closing):
@@ -70,6 +72,7 @@ class DriveSession(Closing):
         self._help = False  # asked for since the last tick
         self.last: DriveTick | None = None  # of this episode
         self.unsafe: tuple[int, ...] = ()  # actions that the policy held for unsafe then; empty where it does not say
+        self._before_mps = 0.0  # before the last tick, of a crash before the touch
         self._said = (False, False, False)  # warning, intervening, overruled, of the tick before
         self._seen: Mapping[str, Any] = {}  # the observation of now, and its info
         self._info: dict[str, Any] = {}
@@ -120,6 +123,41 @@ class DriveSession(Closing):
     def crash(self) -> str:
         """What the last tick crashed into, in words, without the place; "" where it did not."""
         return self.client.events.crash.partition(", at x ")[0] if self._ended else ""
+
+    @property
+    def crash_told(self) -> str:
+        """What it crashed into, on which side and how fast, for who sits in the chair; "" where it did not."""
+        words = self.crash
+        if not words:
+            return ""
+        if words.startswith("drove into "):
+            words = f"hit {words.removeprefix('drove into ')}"
+        words = words.replace("was hit", "were hit").replace("was shaken", "were shaken")
+        return f"You {words}{self._crash_side()} at {self._before_mps:.1f} m/s."
+
+    def _crash_side(self) -> str:
+        """On which side of the chair it is what was hit: a road user, or else the nearest wall; "" for none."""
+        plant, outline = self.client.plant, self.world.seats[0].chair.outline
+        ids = {contact.actor_id for contact in self.client.contacts if contact.actor_id}
+        hit = next((actor.p_W_m for actor in self.world.snapshot.actors if actor.id in ids), None)
+        if hit is None:
+            turns = plant.yaw_rad + np.linspace(-math.pi, math.pi, 32, endpoint=False)
+            ring = np.c_[np.cos(turns), np.sin(turns)]
+            around = plant.p_WB_m[:2] + outline.middle_x_m * np.array(
+                [math.cos(plant.yaw_rad), math.sin(plant.yaw_rad)]
+            )
+            places = around + (0.5 * outline.length_m + _BESIDE_M) * ring
+            clear_m = self.world.street.grid.clearance_at(places)
+            if clear_m.min() > _BESIDE_M:
+                return ""
+            hit = places[int(clear_m.argmin())]
+        gap = hit[:2] - plant.p_WB_m[:2]
+        from_ahead_rad = math.remainder(math.atan2(gap[1], gap[0]) - plant.yaw_rad, 2.0 * math.pi)
+        if abs(from_ahead_rad) < _FACES_RAD:
+            return " in front of you"
+        if abs(from_ahead_rad) > math.pi - _FACES_RAD:
+            return " behind you"
+        return f" on your {'left' if from_ahead_rad > 0.0 else 'right'}"
 
     @property
     def ended(self) -> bool:
@@ -230,6 +268,7 @@ class DriveSession(Closing):
         self._move(answer)
         sticks = user.sticks if by_user else _NO_STICKS
         driven = self._driven(stick, intent, sticks, answer, replace(wish, overrule=overrule, help=self._help))
+        self._before_mps = 0.0 if self.last is None else self.last.speed_mps
         self.last, self.unsafe, self._help = driven, answer.unsafe, False
         self._pass_help()
         self._tell(driven, self.actions.distance(answer.sent, (stick.x, stick.y)))
@@ -288,6 +327,7 @@ class DriveSession(Closing):
             intervening=answer.intervening,
             overruled=wish.overrule,
             helped=wish.help,
+            pace=wish.pace,
             **left_at(self.client),
         )
 

@@ -194,6 +194,7 @@ class DriveTick(_Record, frozen=True, kw_only=True, tag="k", eq=False):
     intervening: bool = False
     overruled: bool = False
     helped: bool = False  # the person asked for help
+    pace: Annotated[float, Meta(ge=0.0, le=_LARGEST)] = 1.0  # times real time: below 1 is slow motion
     arrived: bool = False
     gave_up: bool = False
     crashed: bool = False

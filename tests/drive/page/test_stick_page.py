@@ -18,9 +18,11 @@ def leave(stage: Stage) -> None:
 
 
 def crash(stage: Stage) -> None:
-    stage.state(crash="hit a car")
+    stage.state(crash="You hit a car on your left at 1.0 m/s.")
     assert (
-        stage.text("#live") == stage.text("#big") == "The chair hit a car. You start again a little before that place."
+        stage.text("#live")
+        == stage.text("#big")
+        == "You hit a car on your left at 1.0 m/s. You start again a little before that place."
     )
     stage.state(tick=2)
 

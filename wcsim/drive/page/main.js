@@ -69,6 +69,7 @@ const link = new Link({
     if (state.crash || (state.let_go && scan.driving)) rest();
     tellStanding(state);
     hint.tell(state, drives && !busy && !standing, Number(by("steer-by").value) || 0);
+    by("big").dataset.crash = String(Boolean(state.crash));
     big(busy || (state.crash ? crashed(state) : standing || (state.alone ? "The simulated user drives until the handover" : "")));
   },
 });
@@ -105,7 +106,7 @@ function tellStanding(state) {
   else if (before === "Paused") say("Resumed.");
 }
 
-const crashed = (state) => `The chair ${state.crash}. You start again a little before that place.`;
+const crashed = (state) => `${state.crash} You start again a little before that place.`;
 
 function setBusy(told, counts) {
   busy = told;

@@ -160,7 +160,8 @@ export class Panel {
     by("driver").value = state.driver;
     by("pace").value = String(state.pace);
     by("user").value = state.profile;
-    by("rate").textContent = state.rate ? `${state.rate.toFixed(1)} steps per second` : "";
+    const slow = state.pace === 1 && state.real < 0.9 && !state.paused;
+    put(by("rate"), slow ? `Slow motion: ${state.real.toFixed(1)} of real time` : "");
     this.tellLevel(state.level);
     by("level").disabled = !this.levels || !state.assisted;
     by("levels").dataset.on = String(state.assisted);
