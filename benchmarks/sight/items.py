@@ -19,7 +19,7 @@ from wcsim.config import CameraConfig, RunConfig, WorldConfig
 from wcsim.towns.scenario.town import Town
 from wcsim.types import F64, I32, U8, ClassId, SeatSpec, StreetMesh
 from wcsim.view.filming import SIGHT_M
-from wcsim.view.street_pictures import Moment, PageLooks, Scene, StreetPictures, moment_of
+from wcsim.view.street_pictures import Moment, PageLooks, SeenStreet, StreetPictures, moment_of
 
 ASKED: Final = {
     "kerb": "Which kerb is higher, A or B? Answer A or B.",
@@ -43,7 +43,7 @@ _INK, _LIGHT = (0, 0, 0), (255, 255, 255)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Item:
+class SightItem:
     """A question, its pictures (H, W, 3), and the answer."""
 
     question: str  # of ASKED
@@ -57,7 +57,7 @@ class _Look:
     """A moment, as it is drawn."""
 
     moment: Moment
-    scene: Scene
+    scene: SeenStreet
     speed_mps: float
 
     def seen(self, point_W_m: F64) -> tuple[int, int] | None:
@@ -75,7 +75,7 @@ class _Look:
         return (u, v) if 30 <= u < camera.width_px - 30 and 30 <= v < camera.height_px - 30 else None
 
 
-def items_of(town: Town, each: int, seed: int) -> Iterator[Item]:
+def items_of(town: Town, each: int, seed: int) -> Iterator[SightItem]:
     """So many items of each question, from drives of a user alone; as far as these have them."""
     lacking = dict.fromkeys(ASKED, each)
     for number in range(seed, seed + _DRIVES * each):
@@ -87,7 +87,7 @@ def items_of(town: Town, each: int, seed: int) -> Iterator[Item]:
             return
 
 
-def _of_drive(town: Town, seed: int, rng: np.random.Generator, lacking: dict[str, int]) -> Iterator[Item]:
+def _of_drive(town: Town, seed: int, rng: np.random.Generator, lacking: dict[str, int]) -> Iterator[SightItem]:
     """The items of one drive, at most one of a moment; the question that lacks most comes first."""
     config = RunConfig(cameras=(CameraConfig(width_px=16, height_px=12),), world=WorldConfig(mirror_radius_m=SIGHT_M))
     with World(town, config, (SeatSpec(profile="competent"),), seed) as world:
@@ -113,7 +113,7 @@ def _of_drive(town: Town, seed: int, rng: np.random.Generator, lacking: dict[str
                 continue
             found = _ASKS[question](now, kerbs, rng)
             if found:
-                yield Item(question=question, picture=now.scene.picture, before=before, truth=found)
+                yield SightItem(question=question, picture=now.scene.picture, before=before, truth=found)
 
 
 def _most_lacking(lacking: dict[str, int], rng: np.random.Generator) -> str:
@@ -182,7 +182,7 @@ def _surface_item(now: _Look, kerbs: object, rng: np.random.Generator) -> str:
 _ASKS: Final = {"kerb": _kerb_item, "distance": _distance_item, "speed": _speed_item, "surface": _surface_item}
 
 
-def _place_item(was: _Look, p_WB_m: F64, rng: np.random.Generator) -> Iterator[Item]:
+def _place_item(was: _Look, p_WB_m: F64, rng: np.random.Generator) -> Iterator[SightItem]:
     """Where the chair came, and four of: on ahead, to both sides, not so far, farther, nowhere."""
     start, yaw_rad = was.moment.chair.p_WB_m, was.moment.yaw_rad
     far_m = max(math.dist(p_WB_m[:2], start[:2]), 1.5)
@@ -196,7 +196,7 @@ def _place_item(was: _Look, p_WB_m: F64, rng: np.random.Generator) -> Iterator[I
         return
     for letter, number in zip(_LETTERS, order, strict=True):
         _mark(was.scene.picture, pixels[number] or (0, 0), letter)
-    yield Item(question="place", picture=was.scene.picture, before=None, truth=_LETTERS[order.index(0)])
+    yield SightItem(question="place", picture=was.scene.picture, before=None, truth=_LETTERS[order.index(0)])
 
 
 def _mark(picture: U8, at: Sequence[int], letter: str) -> None:

@@ -20,6 +20,7 @@ GOOD = (
     ),
     m.Assist(on=True),
     m.SetLevel(level=0.3),
+    m.ShapeStick(speed=0.6, sensitivity=0.5),
     m.DriveBy(who=DriverKind.SIMULATED),
     m.Pace(times=0.0),
     m.Pause(on=False),

@@ -211,6 +211,17 @@ def test_the_same_sticks_give_the_same_drive(corner: Path) -> None:
     assert (ways[0] == ways[1]).all()
 
 
+def test_a_stick_is_shaped_before_anybody_sees_it(corner: Path, noted: Noted) -> None:
+    start = DriveStart(town=str(corner), policy="dwa", seed=4, speed=0.5)
+    with DriveSession(start, (noted,)) as drive:
+        assert drive.tick(Wish(stick=Joystick(0.0, 1.0), pace=0.3)).stick == Joystick(0.0, 0.5)
+        drive.shape_stick(1.0, 0.5)
+        assert drive.tick(Wish(stick=Joystick(0.0, 0.5))).stick == Joystick(0.0, 0.25)
+    told = [event.detail for event in noted.events if event.kind == EventKind.STICK_SHAPE]
+    assert told == ["speed 1, sensitivity 0.5"]
+    assert [tick.pace for tick in noted.ticks] == [0.3, 1.0]
+
+
 def test_a_stick_out_of_its_gate_is_in_it(session: DriveSession) -> None:
     driven = session.tick(Wish(stick=Joystick(3.0, 4.0)))
     assert (driven.stick.x, driven.stick.y) == pytest.approx((0.6, 0.8))

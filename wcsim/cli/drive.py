@@ -11,10 +11,22 @@ from tyro.conf import arg
 from wcsim.cli.recordings.film_page import PageOptions, serve_page
 from wcsim.cli.shared.common import Bounds, OutFolder, SomeTown, Writes, parse, says
 from wcsim.cli.shared.run_config import require_policy, require_user
+from wcsim.drive.driven import LEAST_SENSITIVITY, LEAST_SPEED, MOST_SENSITIVITY
 from wcsim.errors import ConfigError
 from wcsim.towns.scenario.town import find_town
 
-_PLACE = ("town", "policy", "network", "profile", "seed", "suite", "block", "seat")  # where and with whom
+_PLACE = (
+    "town",
+    "policy",
+    "network",
+    "profile",
+    "seed",
+    "suite",
+    "block",
+    "seat",
+    "speed",
+    "sensitivity",
+)  # where and with whom
 _LOADING = "loading the simulator and the page ..."
 
 
@@ -28,6 +40,10 @@ class _AssistedOptions(PageOptions):
     """Your own network as module:Class, for a run that was trained with it."""
     profile: str = ""
     """The simulated user, who drives when you select it on the page; by default that of the episode."""
+    speed: Annotated[float, Bounds(LEAST_SPEED, 1.0)] = 1.0
+    """Speed of your stick, a share of all; on the page you can change it, as the next."""
+    sensitivity: Annotated[float, Bounds(LEAST_SENSITIVITY, MOST_SENSITIVITY)] = 1.0
+    """Sensitivity of your stick: below 1 it is softer about its middle."""
     record: Annotated[Path | None, arg(metavar="FILE"), Writes(new=True)] = None
     """Record the drive in this new file; a further town or world is recorded in FILE-2, FILE-3."""
 

@@ -30,6 +30,9 @@ class DriverKind(StrEnum):
     SIMULATED = "simulated"
 
 
+LEAST_SPEED, LEAST_SENSITIVITY, MOST_SENSITIVITY = 0.2, 0.5, 2.0  # of a person's stick
+
+
 class EventKind(StrEnum):
     """What is written into a drive's event log."""
 
@@ -39,6 +42,7 @@ class EventKind(StrEnum):
     DRIVER = "driver"
     ASSISTANCE = "assistance"
     LEVEL = "level"
+    STICK_SHAPE = "stick-shape"  # another speed or sensitivity of the person's stick
     OVERRULE = "overrule"
     OVERRULE_END = "overrule-end"
     HELP = "help"

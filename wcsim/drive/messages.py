@@ -9,7 +9,7 @@ import msgspec
 
 from wcsim.config.study import MOST_QUESTIONS, MOST_STEPS
 from wcsim.core.reading import escaped
-from wcsim.drive.driven import DriverKind
+from wcsim.drive.driven import LEAST_SENSITIVITY, LEAST_SPEED, MOST_SENSITIVITY, DriverKind
 from wcsim.errors import ProtocolError
 from wcsim.supervisor.kpi import KpiTotals
 from wcsim.view.street_pictures import LARGEST_PX, SMALLEST_PX, CameraKind
@@ -74,6 +74,13 @@ class SetLevel(PageMessage, frozen=True):
     """How much it assists."""
 
     level: Level
+
+
+class ShapeStick(PageMessage, frozen=True):
+    """How the person's stick is shaped."""
+
+    speed: Annotated[float, msgspec.Meta(ge=LEAST_SPEED, le=1.0)]
+    sensitivity: Annotated[float, msgspec.Meta(ge=LEAST_SENSITIVITY, le=MOST_SENSITIVITY)]
 
 
 class DriveBy(PageMessage, frozen=True):
@@ -184,7 +191,9 @@ class End(PageMessage, frozen=True):
     """Of the server: the drive is over."""
 
 
-_OfDrive = Stick | Help | Assist | SetLevel | DriveBy | NewPlace | Again | SetUser | Open | GoOn | AnswerAll
+_OfDrive = (
+    Stick | Help | Assist | SetLevel | ShapeStick | DriveBy | NewPlace | Again | SetUser | Open | GoOn | AnswerAll
+)
 _OfFilm = Seek | StepBy | FollowSeat | GoLive | OpenEpisode
 _PAGE: Final = msgspec.json.Decoder(_OfDrive | _OfFilm | Shown | SetView | Pace | Pause | TakeOver)
 

@@ -245,6 +245,7 @@ class _DriveRunner(PageRunner):
             m.Help: lambda _: self._open_session().ask_for_help(),
             m.Assist: self._assist,
             m.SetLevel: lambda said: self._open_session().set_level(said.level),
+            m.ShapeStick: lambda said: self._open_session().shape_stick(said.speed, said.sensitivity),
             m.DriveBy: self._drive_by,
             m.Pace: self._set_pace,
             m.Pause: self._pause,
@@ -437,12 +438,17 @@ class _DriveRunner(PageRunner):
     def _open_place(self, start: DriveStart) -> DriveSession:
         """The same; raises what `DriveSession` does, and then something may be open that is to be closed."""
         self._busy("Opening the street ...")
+        if self.session is not None:  # the stick stays as it was set
+            speed, sensitivity = self.session.shape
+            start = replace(start, speed=speed, sensitivity=sensitivity)
         self.close()
         self._pictures = None
         self._watch.require_rest()
         self.session = session = DriveSession(start, (self._note,), self._busy)
         if self._names is not None:
             session.add_observer(SessionRecorder(session, self._names, self._tell_kept))
+            if session.shape != (1.0, 1.0):
+                session.shape_stick(*session.shape)
         session.face_way()
         self._pictures = StreetPictures(session.world.street, session.world.config.cameras[0])
         self._drawn_episode = -1
@@ -537,6 +543,7 @@ def _drive_state(session: DriveSession, clock: _DriveClock, waiting: str, let_go
         "unsafe": session.unsafe,
         "assisted": session.assistance.on,
         "level": session.assistance.level,
+        "shape": session.shape,
         "help_s": round(session.help_left_s, 3),  # for which help is still on, 0 while it is not
         "warning": last.warning,
         "intervening": last.intervening,

@@ -16,6 +16,7 @@ from wcsim.bridge.ego.start_place import bearing_rad
 from wcsim.bridge.world import World
 from wcsim.bridge.world_rollout import rollout
 from wcsim.core.closing import Closing
+from wcsim.core.joystick import shaped
 from wcsim.drive.assistance import Answer, Assistance
 from wcsim.drive.driven import DriveObserver, DriveRecord, DriverKind, EventKind, happened_in
 from wcsim.drive.starting import DriveStart, OpenPlace, open_place
@@ -72,6 +73,7 @@ class DriveSession(Closing):
         self._help = False  # asked for since the last tick
         self.last: DriveTick | None = None  # of this episode
         self.unsafe: tuple[int, ...] = ()  # actions that the policy held for unsafe then; empty where it does not say
+        self.shape = (start.speed, start.sensitivity)  # of the person's stick
         self._before_mps = 0.0  # before the last tick, of a crash before the touch
         self._said = (False, False, False)  # warning, intervening, overruled, of the tick before
         self._seen: Mapping[str, Any] = {}  # the observation of now, and its info
@@ -214,6 +216,11 @@ class DriveSession(Closing):
         self.assistance.set_level(level)
         self.say(EventKind.LEVEL, f"{level:g}")
 
+    def shape_stick(self, speed: float, sensitivity: float) -> None:
+        """Set how the person's stick is shaped, as at a chair's controller."""
+        self.shape = speed, sensitivity
+        self.say(EventKind.STICK_SHAPE, f"speed {speed:g}, sensitivity {sensitivity:g}")
+
     def face_way(self) -> None:
         """Let the chair face its way before the first tick, as it does at the beginning of every later episode."""
         self._face_way()
@@ -257,7 +264,7 @@ class DriveSession(Closing):
             self._next(self._go_back() if self.client.events.crashed else "after the end of the last one")
         by_user = self.driver is DriverKind.SIMULATED or not self.handed_over
         self._hear_help(wish.help, by_user)
-        stick = self.client.user if by_user else in_gate(wish.stick)
+        stick = self.client.user if by_user else self._as_set(in_gate(wish.stick))  # nobody sees the raw one
         self._see(stick)
         overrule = wish.overrule and self.handed_over
         answer = self.assistance.answer(self._seen, self._info, asked=self.handed_over and not overrule)
@@ -289,6 +296,12 @@ class DriveSession(Closing):
         self._observers = ()
 
     # --- one tick ---
+
+    def _as_set(self, stick: Joystick) -> Joystick:
+        """The person's stick as a chair's controller shapes it: slower, and softer or sharper about its middle."""
+        speed, sensitivity = self.shape
+        x, y = shaped(stick.x, stick.y, 0.0, 1.0 / sensitivity)
+        return Joystick(speed * x, speed * y)
 
     def _see(self, stick: Joystick) -> None:
         """Look at the chair's frame of now with this stick in it; the step before is judged by it."""

@@ -39,6 +39,8 @@ class DriveStart:
     suite: str = ""
     block: int = 0
     seat: int = 0
+    speed: float = 1.0  # of the person's stick, as the next
+    sensitivity: float = 1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

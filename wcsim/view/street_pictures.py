@@ -163,7 +163,7 @@ class Moment:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Scene:
+class SeenStreet:
     """A picture of a street, and where in it a point of W is seen."""
 
     images: Images
@@ -210,7 +210,7 @@ def _ground_points(route: Route, done_m: float, grid: Ground) -> F64:
     return np.column_stack([xy, np.asarray(grid.height_at(xy), np.float64) + _OVER_M])
 
 
-def _mark_way(scene: Scene, points_W_m: F64) -> None:
+def _mark_way(scene: SeenStreet, points_W_m: F64) -> None:
     """Draw the way, (n, 3) see `_ground_points`, into a picture, behind what stands before it."""
     image = scene.picture
     for point in points_W_m[:-1][::-1]:
@@ -230,7 +230,7 @@ def _mark_way(scene: Scene, points_W_m: F64) -> None:
         _fill(image, [(u, v), (u + round(1.4 * size), v + size // 2), (u, v + size)], GOAL_RGB)
 
 
-def _mark_track(scene: Scene, moment: Moment, ground: Ground) -> None:
+def _mark_track(scene: SeenStreet, moment: Moment, ground: Ground) -> None:
     """Draw the ground that the chair takes in the next two seconds if it goes on so, its place then, and its speed."""
     if moment.motion is None:
         return
@@ -258,7 +258,7 @@ def _beside(place: tuple[float, float, float, float], along_m: float, left_m: fl
     return x + along_m * cos - left_m * sin, y + along_m * sin + left_m * cos
 
 
-def _on_ground(scene: Scene, points_W_m: F64, ground: Ground) -> I32:
+def _on_ground(scene: SeenStreet, points_W_m: F64, ground: Ground) -> I32:
     """Columns and rows (m, 2) of points (n, 2) on the ground; those behind the camera are left out."""
     lifted = np.c_[points_W_m, ground.height_at(points_W_m) + _OVER_M]
     return np.array([found[:2] for point in lifted if (found := scene.pixel(point)) is not None], np.int32).reshape(
@@ -266,7 +266,7 @@ def _on_ground(scene: Scene, points_W_m: F64, ground: Ground) -> I32:
     )
 
 
-def _mark_near(scene: Scene, moment: Moment) -> None:
+def _mark_near(scene: SeenStreet, moment: Moment) -> None:
     """Say how far those are who are nearest ahead, and what they are; no label lies upon another."""
     here_W_m, ahead = moment.chair.p_WB_m, np.array([math.cos(moment.yaw_rad), math.sin(moment.yaw_rad)])
     gaps = [(math.dist(actor.p_W_m[:2], here_W_m[:2]), number) for number, actor in enumerate(moment.actors)]
@@ -439,12 +439,12 @@ class StreetPictures:
         self._number += 1
         return _packed(self._number, parts)
 
-    def behind(self, moment: Moment, looks: PageLooks) -> Scene:
+    def behind(self, moment: Moment, looks: PageLooks) -> SeenStreet:
         """The street from behind the chair."""
         self._yaw_rad = moment.yaw_rad
         return self._scene(moment, looks, math.inf)
 
-    def _scene(self, moment: Moment, looks: PageLooks, dt_s: float) -> Scene:
+    def _scene(self, moment: Moment, looks: PageLooks, dt_s: float) -> SeenStreet:
         here_W_m = moment.chair.p_WB_m
         orbit = self._arm.held(here_W_m, self._yaw_rad, looks.orbit, dt_s)
         scene = self._look(_pinhole(looks), _eye(here_W_m, self._yaw_rad, orbit), *self._rows(moment))
@@ -486,10 +486,10 @@ class StreetPictures:
         rows, shown = self._cast.seen(moment.actors, moment.chairs, moment.signals, (_NO_SEAT,), eyes_W_m, SIGHT_M)
         return rows, shown[0]
 
-    def _look(self, camera: Pinhole, T_CW: F64, rows: Instances, shown: Bool) -> Scene:
+    def _look(self, camera: Pinhole, T_CW: F64, rows: Instances, shown: Bool) -> SeenStreet:
         images = new_images(camera.width_px, camera.height_px, rgb=True)
         self._renderer.render(camera, T_CW, rows, images, shown)
-        return Scene(images=images, camera=camera, T_CW=T_CW)
+        return SeenStreet(images=images, camera=camera, T_CW=T_CW)
 
 
 def moment_of(world: World, client: ClientSnapshot, route: Route, done_m: float, *, jumped: bool = False) -> Moment:

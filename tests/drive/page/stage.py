@@ -40,6 +40,7 @@ STATE = {
     "alone": False, "pace": 1.0, "stick": REST, "commanded": REST, "unsafe": [], "assisted": True, "level": 1.0,
     "help_s": 0.0, "warning": False, "intervening": False, "overruled": False, "on_road": False, "speed_mps": 0.0,
     "left_m": 9.0, "bearing_deg": 0.0, "crash": "", "profile": "competent", "kpis": KPIS, "real": 1.0,
+    "shape": [1.0, 1.0],
 }  # fmt: skip
 
 

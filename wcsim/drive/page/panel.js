@@ -80,6 +80,8 @@ export class Panel {
     const on = (id, event, does) => by(id).addEventListener(event, does);
     on("assist", "click", () => this.link.say("assist", { on: !this.state?.assisted }));
     on("level", "input", () => { const level = this.levelOf(Number(by("level").value)); if (level !== null) this.link.say("setlevel", { level }); });
+    for (const id of ["stick-speed", "stick-sense"])
+      on(id, "input", () => this.link.say("shapestick", { speed: by("stick-speed").value / 100, sensitivity: by("stick-sense").value / 100 }));
     on("driver", "change", () => this.link.say("driveby", { who: by("driver").value }));
     on("pause", "click", () => this.link.say("pause", { on: !this.state?.paused }));
     on("pace", "change", () => this.link.say("pace", { times: Number(by("pace").value) }));
@@ -163,6 +165,7 @@ export class Panel {
     const slow = state.pace === 1 && state.real < 0.9 && !state.paused;
     put(by("rate"), slow ? `Slow motion: ${state.real.toFixed(1)} of real time` : "");
     this.tellLevel(state.level);
+    ["stick-speed", "stick-sense"].forEach((id, place) => this.tellShape(by(id), Math.round(100 * state.shape[place])));
     by("level").disabled = !this.levels || !state.assisted;
     by("levels").dataset.on = String(state.assisted);
     const who = state.alone || state.driver === "simulated" ? "simulated user" : "you";
@@ -186,6 +189,11 @@ export class Panel {
     const side = Math.abs(turn) > 150 ? "behind you" : Math.abs(turn) < 20 ? "ahead" : `${Math.round(Math.abs(turn) / 10) * 10}° to the ${turn > 0 ? "left" : "right"}`;
     lamp("lamp-way", false, side);
     by("way-arrow").setAttribute("transform", `rotate(${-turn} 12 12)`);
+  }
+
+  tellShape(slider, percent) {
+    if (document.activeElement !== slider) slider.value = String(percent);
+    slider.setAttribute("aria-valuetext", `${percent} %`);
   }
 
   tellLevel(level) {
