@@ -165,7 +165,7 @@ export class Panel {
     const slow = state.pace === 1 && state.real < 0.9 && !state.paused;
     put(by("rate"), slow ? `Slow motion: ${state.real.toFixed(1)} of real time` : "");
     this.tellLevel(state.level);
-    ["stick-speed", "stick-sense"].forEach((id, place) => this.tellShape(by(id), Math.round(100 * state.shape[place])));
+    ["stick-speed", "stick-sense"].forEach((id, place) => { if (document.activeElement !== by(id)) by(id).value = Math.round(100 * state.shape[place]); });
     by("level").disabled = !this.levels || !state.assisted;
     by("levels").dataset.on = String(state.assisted);
     const who = state.alone || state.driver === "simulated" ? "simulated user" : "you";
@@ -189,11 +189,6 @@ export class Panel {
     const side = Math.abs(turn) > 150 ? "behind you" : Math.abs(turn) < 20 ? "ahead" : `${Math.round(Math.abs(turn) / 10) * 10}° to the ${turn > 0 ? "left" : "right"}`;
     lamp("lamp-way", false, side);
     by("way-arrow").setAttribute("transform", `rotate(${-turn} 12 12)`);
-  }
-
-  tellShape(slider, percent) {
-    if (document.activeElement !== slider) slider.value = String(percent);
-    slider.setAttribute("aria-valuetext", `${percent} %`);
   }
 
   tellLevel(level) {
