@@ -39,7 +39,7 @@ ROWS: Final = (
     Row(name="wcsim: imports, % of the code", first=12.8, ceiling=11, count=measures.import_share),
     Row(name="wcsim: code lines a comment, wanted 40", first=311, ceiling=36, count=measures.lines_per_comment),
     Row(name="JavaScript: lines", first=1_632, ceiling=1_632, count=lambda: measures.text_lines(".js")),
-    Row(name="HTML and CSS: lines", first=754, ceiling=752, count=lambda: measures.text_lines(".html", ".css")),
+    Row(name="HTML and CSS: lines", first=754, ceiling=753, count=lambda: measures.text_lines(".html", ".css")),
     Row(name="templates: lines", first=0, ceiling=347, count=lambda: measures.text_lines(".jinja", ".j2")),
     Row(name="tools: code lines", first=1_321, ceiling=1_308, count=lambda: measures.code_lines("tools")),
     Row(name="examples: code lines", first=270, ceiling=521, count=lambda: measures.code_lines("examples")),
