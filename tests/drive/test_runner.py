@@ -210,6 +210,16 @@ def test_who_comes_back_while_time_is_paused_is_not_told_that_nobody_is_there(de
     assert [state["waiting"] for state in desk.turn(0.1, x=0.0)] == [""]
 
 
+def test_time_that_stood_still_is_no_slow_motion(desk: Desk) -> None:
+    for _ in range(3):
+        desk.turn(0.1, x=0.0)
+    desk.say("pause", on=True)
+    desk.turn(60.0, x=0.0)
+    desk.say("pause", on=False)
+    assert [desk.turn(0.1, x=0.0)[-1]["real"] for _ in range(3)] == [1.0] * 3
+    assert desk.turn(0.2, x=0.0)[-1]["real"] < 1.0
+
+
 def test_a_page_that_says_its_stick_all_the_time_keeps_nothing_else_waiting(desk: Desk) -> None:
     desk.turn(x=0.0)
     desk.say("pause", on=True)

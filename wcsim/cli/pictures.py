@@ -68,10 +68,11 @@ def look(words: list[str]) -> int:
         stills = StillPictures(film.world)
         busiest = BusiestMoment(film, stills.on_way)
         seen, frames = stills.draw(), round(options.seconds / film.tick_s)
-        before = 0
-        while not busiest.shows_all and before < _SEARCH_S / film.tick_s:
+        before, most = 0, round(_SEARCH_S / film.tick_s)
+        while not busiest.shows_all and before < most:
             film.drive()
             before += 1
+            bar.show(0.5 * before / most, "looking for a crossing and somebody near")
             if busiest.look(before * film.tick_s, stills.on_way):
                 seen = stills.draw()
         with result_file(street) as part:
@@ -80,7 +81,7 @@ def look(words: list[str]) -> int:
             film.add()
             if busiest.look((before + done) * film.tick_s, stills.on_way):
                 seen = stills.draw()
-            bar.show(done / frames, f"second {done * film.tick_s:.0f} of {options.seconds:g}")
+            bar.show(0.5 + 0.5 * done / frames, f"second {done * film.tick_s:.0f} of {options.seconds:g}")
     place = f"{options.town}, seed {options.seed}"
     with result_file(street) as part:
         write_png(part, seen)

@@ -191,7 +191,7 @@ class _DriveClock:
     due_s: float = 0.0
     held_s: float = 0.0  # a crash is shown till then
     opened_s: float = 0.0
-    ticked_s: float = 0.0  # 0 before the first tick
+    ticked_s: float = 0.0  # 0 before the first tick, and after time stood still
     gap_s: float = 0.0  # between ticks, a mean
 
     @property
@@ -202,7 +202,7 @@ class _DriveClock:
     def opened(self, now_s: float) -> None:
         """A street has been opened, and its first tick is due."""
         self.due_s = self.opened_s = now_s
-        self.held_s, self.paused = 0.0, False
+        self.held_s, self.ticked_s, self.paused = 0.0, 0.0, False
 
     def ticked(self, now_s: float, tick_s: float) -> None:
         """A tick of the world's `tick_s` was driven, which began now."""
@@ -292,7 +292,9 @@ class _DriveRunner(PageRunner):
         now_s = self._now_s()
         if self._unseen and self._ready:  # the street is seen before its first tick, which may have kernels to compile
             self._show()
-        if self._goes() and now_s >= self.clock.next_s:
+        if not self._goes():
+            self.clock.ticked_s = 0.0
+        elif now_s >= self.clock.next_s:
             self._tick(now_s)
         if self._ready and self._stale:
             self._show()
@@ -323,7 +325,7 @@ class _DriveRunner(PageRunner):
         session.tick(replace(self._watch.wish(now_s), pace=round(real, 3)))
         self.clock.ticked(now_s, session.tick_s)
         if session.crash:
-            self.clock.held_s = now_s + _CRASH_S
+            self.clock.held_s, self.clock.ticked_s = now_s + _CRASH_S, 0.0
         if session.ended:
             self._watch.require_rest()
         failed = bool(session.assistance.failed)
@@ -410,7 +412,7 @@ class _DriveRunner(PageRunner):
             if told and self.session is not None:  # nothing is waited for any more, also where it was refused
                 self._say("about", **_drive_about(self.session))
         self._watch.require_rest()
-        self.clock.held_s = 0.0
+        self.clock.held_s = self.clock.ticked_s = 0.0
 
     def _open_other(self, said: m.Open) -> None:
         before = self.session.place.start if self.session is not None else self._start
@@ -447,8 +449,6 @@ class _DriveRunner(PageRunner):
         self.session = session = DriveSession(start, (self._note,), self._busy)
         if self._names is not None:
             session.add_observer(SessionRecorder(session, self._names, self._tell_kept))
-            if session.shape != (1.0, 1.0):
-                session.shape_stick(*session.shape)
         session.face_way()
         self._pictures = StreetPictures(session.world.street, session.world.config.cameras[0])
         self._drawn_episode = -1

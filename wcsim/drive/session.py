@@ -23,6 +23,7 @@ from wcsim.drive.starting import DriveStart, OpenPlace, open_place
 from wcsim.log.records import Admitted, DriveTick, Note, Respawned, left_at
 from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.kpi import KpiTotals
+from wcsim.supervisor.rewards import hardest
 from wcsim.types import F64, ClientSnapshot, Joystick, Route, StartSpec
 from wcsim.types.chair import AT_REST
 from wcsim.users.hand import in_gate
@@ -138,10 +139,12 @@ class DriveSession(Closing):
         return f"You {words}{self._crash_side()} at {self._before_mps:.1f} m/s."
 
     def _crash_side(self) -> str:
-        """On which side of the chair it is what was hit: a road user, or else the nearest wall; "" for none."""
+        """On which side of the chair it is what was hit: a road user, or the nearest wall; "" for ground and kerbs."""
         plant, outline = self.client.plant, self.world.seats[0].chair.outline
-        ids = {contact.actor_id for contact in self.client.contacts if contact.actor_id}
-        hit = next((actor.p_W_m for actor in self.world.snapshot.actors if actor.id in ids), None)
+        touch = hardest(self.client.events.crash_reason, self.client.contacts, self.world.config.reward)
+        if touch is None or touch.kind in ("ground", "kerb"):
+            return ""
+        hit = next((actor.p_W_m for actor in self.world.snapshot.actors if actor.id == touch.actor_id), None)
         if hit is None:
             turns = plant.yaw_rad + np.linspace(-math.pi, math.pi, 32, endpoint=False)
             ring = np.c_[np.cos(turns), np.sin(turns)]
@@ -219,7 +222,13 @@ class DriveSession(Closing):
     def shape_stick(self, speed: float, sensitivity: float) -> None:
         """Set how the person's stick is shaped, as at a chair's controller."""
         self.shape = speed, sensitivity
-        self.say(EventKind.STICK_SHAPE, f"speed {speed:g}, sensitivity {sensitivity:g}")
+        self.say(EventKind.STICK_SHAPE, self.shape_told)
+
+    @property
+    def shape_told(self) -> str:
+        """How it is shaped, in words."""
+        speed, sensitivity = self.shape
+        return f"speed {speed:g}, sensitivity {sensitivity:g}"
 
     def face_way(self) -> None:
         """Let the chair face its way before the first tick, as it does at the beginning of every later episode."""

@@ -85,7 +85,6 @@ def near(step: PlayedStep) -> list[str]:
 
 
 _ACTOR_CLASSES = np.array([c.value for c in ClassId if ClassId.PERSON <= c <= ClassId.BICYCLE], np.uint8)
-_IN_VIEW_PX = 12  # an actor counts as in view from about this many pixels of its class on
 _FIELD_OF_VIEW_M = 30.0
 _NEAR_M, _ALL = 15.0, 4.0  # of what makes a picture telling
 _MAP_SPAN_M: Final = 60.0

@@ -51,7 +51,6 @@ _BEHIND_M: Final = 0.35  # so much nearer a thing hides a dot
 WAY_RGB, GOAL_RGB, _RIM_RGB, _CHAIR_RGB = (0, 122, 94), (196, 30, 58), (255, 255, 255), (16, 92, 184)
 _INK_RGB: Final = (20, 29, 48)
 _TRACK_STEPS, _TRACK_STEP_S, _STANDS = 20, 0.1, 0.1  # two seconds; slower ones have no track
-_FRONT_M, _REAR_M, _HALF_M = 0.8, 0.3, 0.35  # of a usual chair, from its axle
 _TAGGED_M, _MOST_TAGS, _TAG_SCALE, _TAG_PX = 25.0, 3, 0.45, (125, 20)
 _PX: Final = 9
 _LOOK = Pinhole(width_px=_PX, height_px=_PX, focal_px=6.0 * _PX, near_m=0.05, range_m=60.0)  # a cone as wide as a chair
@@ -241,14 +240,17 @@ def _mark_track(scene: SeenStreet, moment: Moment, ground: Ground) -> None:
         x, y = x + speed_mps * _TRACK_STEP_S * math.cos(yaw_rad), y + speed_mps * _TRACK_STEP_S * math.sin(yaw_rad)
         yaw_rad += 0.5 * turn_radps * _TRACK_STEP_S
         places.append((x, y, math.cos(yaw_rad), math.sin(yaw_rad)))
-    corners = [(_FRONT_M, -_HALF_M), (_FRONT_M, _HALF_M), (-_REAR_M, _HALF_M), (-_REAR_M, -_HALF_M)]
-    sides = [[_beside(place, 0.0, aside) for place in places] for aside in (_HALF_M, -_HALF_M)]
+    outline = moment.chair.outline
+    half_m, middle_m = 0.5 * outline.width_m, outline.middle_x_m
+    front_m, rear_m = middle_m + 0.5 * outline.length_m, middle_m - 0.5 * outline.length_m
+    corners = [(front_m, -half_m), (front_m, half_m), (rear_m, half_m), (rear_m, -half_m)]
+    sides = [[_beside(place, 0.0, aside) for place in places] for aside in (half_m, -half_m)]
     box = [_beside(places[-1], *corner) for corner in corners]
     lines = [*sides, [*box, box[0]]] if math.hypot(speed_mps, turn_radps) > _STANDS else []
     pixels = [_on_ground(scene, np.array(line), ground) for line in lines]
     for wide, rgb in ((5, _RIM_RGB), (2, _CHAIR_RGB)):
         cv2.polylines(scene.picture, pixels, False, rgb, wide, cv2.LINE_AA)
-    aside = _on_ground(scene, np.array([_beside(places[-1], 0.0, -2.5 * _HALF_M)]), ground)
+    aside = _on_ground(scene, np.array([_beside(places[-1], 0.0, -2.5 * half_m)]), ground)
     if len(aside):
         _tag(scene.picture, tuple(aside[0].tolist()), f"{abs(speed_mps):.1f} m/s")
 

@@ -120,6 +120,14 @@ def test_a_drive_with_everything_in_it_is_made_again_to_the_last_bit(kept: Kept,
     assert not kept.news[-1].on and "20 ticks" in kept.news[-1].log
 
 
+def test_how_the_stick_was_shaped_before_a_world_is_in_its_file(corner: Path, tmp_path: Path) -> None:
+    kept = Kept(DriveStart(town=str(corner), seed=4, speed=0.5), tmp_path / "a.drive")
+    kept.drive(3)
+    kept.session.close()
+    notes = [note for note in same_again(tmp_path / "a.drive").events if note.kind == EventKind.STICK_SHAPE]
+    assert [note.detail for note in notes] == ["speed 0.5, sensitivity 1"]
+
+
 def test_a_change_that_is_left_out_is_noticed(kept: Kept, tmp_path: Path) -> None:
     """Each of what is noted matters: without it the drive is another one."""
     kept.drive(10)

@@ -84,6 +84,8 @@ class SessionRecorder:
         self._waiting += first_inputs(replace(session.place.spec, profile=sits), session.place.seed)
         if not session.assistance.on:  # of what was switched before this world, its file would not know
             self._note_first(EventKind.ASSISTANCE, "off")
+        if session.shape != (1.0, 1.0):
+            self._note_first(EventKind.STICK_SHAPE, session.shape_told)
         if session.driver is DriverKind.SIMULATED:
             self._note_first(EventKind.DRIVER, session.driver.value)
         self._tell(RecorderStatus(on=True, told="Recording starts when you drive."))

@@ -226,7 +226,8 @@ def order_of(result: TestResult, folder: Path, own: Collection[str]) -> SuiteOrd
         ConfigError: Its list is not here, or another one.
     """
     drawn = folder / LIST  # it goes wherever its folder goes
-    suite = open_suite(str(drawn) if is_file(drawn) else result.list_name)
+    moved = Path(result.list_name).name == LIST and is_file(drawn)
+    suite = open_suite(str(drawn) if moved else result.list_name)
     if suite.sha256 != result.list_sha256:
         raise ConfigError(
             f"list {result.list_name} has the hash {suite.sha256[:12]}; expected {result.list_sha256[:12]}, that of "
