@@ -13,7 +13,7 @@ BIN := .venv/bin
 STAMP := .venv/.installed
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: setup demo test check lint look docs bench proof results release clean
+.PHONY: setup demo test check lint look docs bench proof results pictures release clean
 
 setup: $(STAMP)
 
@@ -60,6 +60,10 @@ proof: $(STAMP)
 # The tables about learning, in parts of at most 90 minutes. PART=laptop-1 runs one part, PART=--list names them.
 results: $(STAMP)
 	$(BIN)/python -m tools.results $(PART)
+
+# The pictures and figures of README and docs, from runs in results/. PART=film makes one part of tools/pictures.py.
+pictures: $(STAMP)
+	$(BIN)/python -m tools.pictures $(PART)
 
 # The pages of docs/ as a website with search and signatures: build/site/index.html. NO_MKDOCS_2_WARNING hides a notice of
 # mkdocs-material about its own future.

@@ -1,7 +1,6 @@
-"""Make the pictures of docs/senses.md: `python tools/sensor_pictures.py [FOLDER]`, by default docs/pictures."""
+"""The pictures of docs/senses.md (`make pictures PART=models`)."""
 
 import math
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -38,7 +37,6 @@ def main(folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     write_png(folder / "camera_noise.png", cameras())
     write_png(folder / "imu_kerb.png", imu_kerb())
-    write_png(folder / "imu_ride.png", imu_ride())
     write_png(folder / "tilt_braking.png", tilt_braking())
 
 
@@ -114,26 +112,6 @@ def imu_kerb() -> np.ndarray:
     )
 
 
-def imu_ride() -> np.ndarray:
-    """Ten seconds on level ground: start, curves, stop."""
-    stick = lambda t: Joystick(0.5 * math.sin(1.5 * t), 1.0 if t < 8.0 else 0.0)  # noqa: E731
-    exact, noisy = (ride(ImuConfig(noise=n), plane_street(), 10.0, stick, ChairConfig()) for n in (False, True))
-    t = times(exact)
-    mean, heard = (np.array([frame.accel_mean_mps2 for frame in told[0]]) for told in (exact, noisy))
-    turn, heard_turn = (np.degrees([frame.gyro_radps for frame in told[0]]) for told in (exact, noisy))
-    gap, gap_turn = heard - mean, heard_turn - turn
-    return chart(
-        (
-            panel("forward (m/s2)", t, exact=mean[:, 0], noisy=heard[:, 0]),
-            panel("left (m/s2)", t, exact=mean[:, 1], noisy=heard[:, 1]),
-            panel("turn rate about up (deg/s)", t, exact=turn[:, 2], noisy=heard_turn[:, 2]),
-            panel("error of acceleration (m/s2)", t, forward=gap[:, 0], left=gap[:, 1], up=gap[:, 2]),
-            panel("error of turn rate (deg/s)", t, x=gap_turn[:, 0], y=gap_turn[:, 1], z=gap_turn[:, 2]),
-        ),
-        "seconds; a ride on level ground",
-    )
-
-
 def tilt_braking() -> np.ndarray:
     """Pitch as three sensors say it: start, cruise, brake, on level ground and up a slope."""
     stick = lambda t: Joystick(0.0, 1.0 if 1.0 < t < 5.0 else 0.0)  # noqa: E731
@@ -157,7 +135,3 @@ def times(told: Told) -> np.ndarray:
 def panel(title: str, t: np.ndarray, **curves: np.ndarray) -> Panel:
     """Named curves over time."""
     return Panel(title=title, lines=tuple(Line(label=name, x=t, y=np.asarray(y)) for name, y in curves.items()))
-
-
-if __name__ == "__main__":
-    main(Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parents[1] / "docs" / "pictures")

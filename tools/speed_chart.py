@@ -1,7 +1,6 @@
-"""Draw docs/pictures/speed.svg from the numbers in docs/pictures/speed.json: `python -m tools.speed_chart`."""
+"""The chart of docs/pictures/speed.svg, from the numbers in docs/pictures/speed.json (`make pictures PART=models`)."""
 
 import io
-import json
 import textwrap
 from pathlib import Path
 from typing import Any
@@ -11,12 +10,6 @@ from matplotlib.figure import Figure
 
 PICTURES = Path(__file__).parents[1] / "docs" / "pictures"
 _PLAIN = {"svg.hashsalt": "speed", "svg.fonttype": "none"}  # the same bytes each time, and words as words
-
-
-def main() -> None:
-    """Write it."""
-    numbers = json.loads((PICTURES / "speed.json").read_text(encoding="utf-8"))
-    (PICTURES / "speed.svg").write_text(drawn(numbers), encoding="utf-8")
 
 
 def drawn(numbers: dict[str, Any]) -> str:
@@ -36,7 +29,3 @@ def drawn(numbers: dict[str, Any]) -> str:
         file = io.StringIO()
         figure.savefig(file, format="svg", metadata={"Date": None})
     return "\n".join(line.rstrip() for line in file.getvalue().splitlines()) + "\n"
-
-
-if __name__ == "__main__":
-    main()

@@ -89,7 +89,7 @@ def test_the_report_of_a_hostile_training_shows_its_names(context: Any, tmp_path
 
 def test_the_page_of_a_hostile_demo_shows_its_names(context: Any, tmp_path: Path) -> None:
     hostile_result(tmp_path)
-    said = {"learned": NAMES[0], "film": "film.mp4", "film_says": NAMES[1], "still_png": b""}
+    said = {"learned": NAMES[0], "film_webm": b"", "film_says": NAMES[1], "key": (0, 0), "trained": [NAMES[1]]}
     page = write_demo_page(tmp_path, read_result(tmp_path), **said, commands=[(NAMES[2], NAMES[3])])
     assert NAMES[2] in shown(context, page)
 

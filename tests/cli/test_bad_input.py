@@ -81,7 +81,6 @@ OPTIONS = {
     'train --set collect.profiles=["saint"]': ("unknown user profile 'saint'", "competent"),
     "users record helsinki --out a.drive --set env.profile=slow": ("env.profile", "--profile NAME"),
     "demo --set env.profile=slow": ("""--set 'collect.profiles=["slow"]'""",),
-    "demo --set env.max_steps=9": ("env.max_steps", "--max-steps N"),
     "collect --set env.profile=slow": ("""--set 'collect.profiles=["slow"]'""",),
     'collect --set collect.profiles=["none.toml"]': ("none.toml",),
     "train --preset dqn": ("learn.head=residual", "preset quick, laptop, best or reward, or wcsim train-q"),
@@ -172,9 +171,8 @@ OPTIONS = {
     "log convert a x.png": ("x.png", ".xml (FCD) or .mcap (ROS 2)"),
     "log play nofolder": ("nofolder: is not there",),
     "log verify nofolder --epoch -1": ("--epoch -1",),
-    "demo --episodes 0": ("--episodes 0",),
-    "demo --test-town nowhere": ("unknown town 'nowhere'", "monaco"),
-    "demo --test-town helsinki": ("helsinki is a training town",),
+    "demo --suite nowhere": ("there is no such list", "demo, dev"),
+    "demo --suite dev": ("helsinki is a town of the list dev", "another --train-town"),
 }
 
 

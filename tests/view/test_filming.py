@@ -9,7 +9,7 @@ from wcsim.errors import PolicyError
 from wcsim.towns.scenario.town import find_town
 from wcsim.types import Joystick
 from wcsim.view import filming
-from wcsim.view.filming import ASKED_RGB, GIVEN_RGB, BusiestMoment, FilmDriver, FilmedDrive, _with_sticks
+from wcsim.view.filming import ASKED_RGB, GIVEN_RGB, BusiestMoment, FilmDriver, FilmedDrive, with_sticks
 from wcsim.view.map import _draw_scale
 
 
@@ -25,7 +25,7 @@ def test_a_moment_that_does_not_fit_is_kept_only_till_one_does():
 @pytest.mark.parametrize("width", [320, 480, 960])
 def test_the_words_of_both_sticks_stand_apart_on_dark_ground(width):
     image = np.full((width * 3 // 4, width, 3), 255, np.uint8)
-    _with_sticks(image, Joystick(0.0, 1.0), Joystick(0.0, 1.0), warning=False)
+    with_sticks(image, Joystick(0.0, 1.0), Joystick(0.0, 1.0), warning=False)
     top = round(image.shape[0] * (1 - 0.28)) - 8
     above, rows = image[:top].astype(int), {}
     for colour in (ASKED_RGB, GIVEN_RGB):

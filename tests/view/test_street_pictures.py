@@ -118,6 +118,7 @@ def test_classes_and_depth_are_what_the_policy_gets(session: DriveSession, kind:
     assert shown.shape == (240, 320, 3)
     block = shown[100:104, 100:104]
     assert np.ptp(block.reshape(-1, 3).astype(int), axis=0).max() < 40, "pixels of the policy's 80 x 60, enlarged"
+    assert (shown[-90:, :140].min(axis=2) > 200).any() == (kind is CameraKind.CLASSES), "names of the classes"
 
 
 def test_the_way_lies_ahead_on_the_ground(session: DriveSession) -> None:

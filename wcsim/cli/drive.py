@@ -71,7 +71,7 @@ class _EpisodeOptions(_AssistedOptions):
     """Drive an episode of a suite yourself."""
 
     suite: str
-    """The suite: dev, validation, v1, or a list file, which sets the town."""
+    """The suite: demo, dev, validation, v1, or a list file, which sets the town."""
     block: Annotated[int, Bounds(0)] = 0
     """Block of the suite."""
     seat: Annotated[int, Bounds(0)] = 0

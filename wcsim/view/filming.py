@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -153,12 +152,6 @@ class FilmedDrive:
                 self._write = held.enter_context(street_video(video, self.world, _MAP_SPAN_M))
             self._held = held.pop_all()
 
-    @property
-    def taken_over(self) -> float:
-        """How far the stick that was driven last was from the user's, 0 to 2 and more."""
-        given, asked = self._info.get("given"), self._info.get("asked")
-        return math.dist((given.x, given.y), (asked.x, asked.y)) if given and asked else 0.0
-
     def drive(self) -> None:
         """Drive one tick without a picture."""
         (client,) = next(self._steps).after.clients
@@ -177,7 +170,7 @@ class FilmedDrive:
         else:
             crash = "   CRASH" if info["events"].crashed else ""
             picture = captioned(self._colours(), f"{policy.name}   {caption}{crash}")
-            _with_sticks(picture, info["asked"], info["given"], warning=isinstance(policy, Warns) and policy.warning)
+            with_sticks(picture, info["asked"], info["given"], warning=isinstance(policy, Warns) and policy.warning)
         return self._write(picture)
 
     def shot(self, after_s: float) -> Shot:
@@ -301,7 +294,7 @@ def _triptych(rgb: U8, class_id: U8, depth_m: F32) -> U8:
     return np.hstack([captioned(panel, name) for name, panel in panels.items()])
 
 
-def _with_sticks(image: U8, asked: Joystick, given: Joystick, *, warning: bool) -> None:
+def with_sticks(image: U8, asked: Joystick, given: Joystick, *, warning: bool) -> None:
     """Draw into an image (H, W, 3) where the user's stick is, where the executed one, and a warning."""
     height, width = image.shape[:2]
     side = max(24, round(_PAD_SHARE * height))

@@ -32,7 +32,7 @@ from wcsim.types import F64, I32, U8, ActorState, Bool, CameraFrame, ClientSnaps
 from wcsim.types.street import Ground
 from wcsim.view.filming import SIGHT_M
 from wcsim.view.map import MapView
-from wcsim.view.pictures import class_colours, depth_colours
+from wcsim.view.pictures import class_colours, depth_colours, with_legend
 
 if TYPE_CHECKING:  # a page for drivers does not load it
     from wcsim.agents.evaluation.suite.playback import PlayedStep
@@ -473,7 +473,8 @@ class StreetPictures:
         is_class = kind is CameraKind.CLASSES
         picture = class_colours(class_id) if is_class else depth_colours(depth_m, front.range_m)
         scale = max(1, _CAMERA_PX[0] // picture.shape[1])
-        return np.ascontiguousarray(picture.repeat(scale, axis=0).repeat(scale, axis=1))
+        large = np.ascontiguousarray(picture.repeat(scale, axis=0).repeat(scale, axis=1))
+        return with_legend(large, class_id) if is_class else large
 
     def _chart(self, moment: Moment) -> U8:
         picture = self._map.draw(moment.chair.p_WB_m, moment.actors, moment.chairs, moment.route)

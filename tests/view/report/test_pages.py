@@ -25,8 +25,10 @@ def test_what_is_no_markup_is_escaped_in_elements_attributes_and_cells():
     assert "<script>alert" not in text and text.count("&lt;script&gt;alert") == 16 and "<td>–</td>" in text
     cell = str(TEMPLATES.get_template("parts.jinja").module.cell(EVIL, EVIL, EVIL))
     assert "<script" not in cell and '<td data-key="&#34;&gt;&lt;script' in cell
-    demo = {**dict.fromkeys(("learned", "film", "film_says"), EVIL), "still_png": b"", "commands": [(EVIL, EVIL)]}
-    assert "<script>alert" not in page("demo.jinja", title=EVIL, rows=(), look=(), **demo)
+    demo = {**dict.fromkeys(("learned", "film_says", "verdict"), EVIL), "film_webm": b"", "commands": [(EVIL, EVIL)]}
+    result = {"episodes": {EVIL: [EVIL]}, "set": "demo"}
+    said = page("demo.jinja", title=EVIL, result=result, rows=(), look=(), key=(EVIL, 0), trained=[EVIL], **demo)
+    assert "<script>alert" not in said
 
 
 def test_what_a_template_does_not_get_is_no_silent_gap():

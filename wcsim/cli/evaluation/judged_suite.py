@@ -189,7 +189,7 @@ class _OfSuite(_DriveOptions):
     set: Annotated[Repeated, Keys(_LISTED)] = ()
     """section.key=value, over the settings of the list; the result names it."""
     suite: str = ""
-    """The list: one that comes with wcsim (dev, validation, v1), or a file of --make-suite."""
+    """The list: one that comes with wcsim (demo, dev, validation, v1), or a file of --make-suite."""
 
 
 @dataclass

@@ -15,7 +15,7 @@ from wcsim.agents.policy_api import UNAIDED
 from wcsim.agents.runs.policy_file import policy_name
 from wcsim.agents.runs.run_folder import run_of
 from wcsim.bridge.sumo.step_hook import find_hook
-from wcsim.cli.evaluation.judged_suite import JudgeOptions, drive_list, judge, make_list, order_of, run_suites
+from wcsim.cli.evaluation.judged_suite import JudgeOptions, judge, make_list, order_of, run_suites
 from wcsim.cli.shared.common import Bounds, Finds, Flag, Keys, Repeated, check_folder, parse, says, some_words
 from wcsim.cli.shared.consoles import print_overrides, stdout_console
 from wcsim.cli.shared.run_config import overrides_of, require_policy, require_user
@@ -26,12 +26,9 @@ from wcsim.towns.checks.validate import validate_net
 from wcsim.towns.scenario.town import Town, by_name, content_hash, find_town, list_towns, streets_hash
 
 if TYPE_CHECKING:  # loads torch, which --help must not
-    from wcsim.agents.evaluation.suite.result_files import TestResult
     from wcsim.agents.evaluation.suite.run import SuiteOrder
 
-MAX_STEPS = 1_000_000  # as in env.max_steps
-Episodes = Annotated[int, Bounds(1)]
-MaxSteps = Annotated[int, Bounds(1, MAX_STEPS)]
+_MAX_STEPS = 1_000_000  # as in env.max_steps
 
 
 @dataclass
@@ -50,9 +47,9 @@ class Options(JudgeOptions):
     """A town's name, its folder, or a .sumocfg file; several are separated by commas."""
     profile: str = "inattentive"
     """User profiles, separated by commas; FILE.toml is your own, recorded:FILE replays a recording."""
-    episodes: Episodes = 5
+    episodes: Annotated[int, Bounds(1)] = 5
     """Episodes for each policy, town and profile."""
-    max_steps: MaxSteps = 10_000
+    max_steps: Annotated[int, Bounds(1, _MAX_STEPS)] = 10_000
     """Steps after which an episode ends without a crash."""
     seed: int = 0
     """Seed of the episodes, the same for every policy."""
@@ -77,19 +74,13 @@ def run(words: list[str]) -> int:
         return judge(order, options, name)
 
 
-def test_policies(options: Options) -> TestResult:
-    """The result of a test, which nothing is printed of."""
-    with _ordered(options, overrides=False) as (order, name):
-        return drive_list(order, options, name)
-
-
 @contextlib.contextmanager
-def _ordered(options: Options, *, overrides: bool = True) -> Iterator[tuple[SuiteOrder, str]]:
-    """How the episodes of a town are driven, and where their list lies; it may be left out what its SUMO options are.
+def _ordered(options: Options) -> Iterator[tuple[SuiteOrder, str]]:
+    """How the episodes of a town are driven, and where their list lies.
 
     The list is written once all of it is driven. Without `--out` the folder is gone afterwards.
     """
-    towns, profiles = tested(options)
+    towns, profiles = _tested(options)
     if options.out is not None:
         check_folder("--out", options.out / "x")
     elif options.resume:
@@ -102,7 +93,7 @@ def _ordered(options: Options, *, overrides: bool = True) -> Iterator[tuple[Suit
     from wcsim.agents.evaluation.suite.result_files import LIST
     from wcsim.agents.opening.list_file import suite_of, write_list
 
-    for town in towns.values() if overrides else ():
+    for town in towns.values():
         told = overrides_of(town, config, options.seed)
         print_overrides(stdout_console(), town.name, told, verbose=options.verbose)
     many = options.episodes, options.max_steps, options.seed
@@ -113,7 +104,7 @@ def _ordered(options: Options, *, overrides: bool = True) -> Iterator[tuple[Suit
         write_list(suite.file, out / LIST)
 
 
-def tested(options: Options) -> tuple[dict[str, Town], tuple[str, ...]]:
+def _tested(options: Options) -> tuple[dict[str, Town], tuple[str, ...]]:
     """The towns by name and the profiles of a test. Raises ConfigError or TownError for what cannot be tested."""
     profiles = some_words("--profile", options.profile)
     for name in profiles:

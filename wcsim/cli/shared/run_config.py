@@ -151,7 +151,7 @@ def how_it_learns(config: RunConfig) -> str:
     """From what and for how long a network learns, in a sentence or two."""
     learn, collect = config.learn, config.collect
     if learns_in_rounds(config):
-        who, what = "simulated users and an oracle drive", "the oracle's labels, not rewards"
+        who, what = "simulated users and an oracle, which sees everything, drive", "the oracle's labels, not rewards"
         if config.danger.teacher == "crashes":
             who, what = "simulated users and the network drive", "crashes that happened, without an oracle"
         return (

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Final
 
 from wcsim.agents.evaluation.suite.records import EpisodeRecord
 from wcsim.agents.evaluation.suite.result_files import TestResult
 from wcsim.agents.evaluation.suite.rows import FEWEST, ResultRow
+from wcsim.agents.policy_api import UNAIDED
 from wcsim.core.constants import RECORDED
 from wcsim.core.reading import counted
 from wcsim.view.report.columns import COLUMNS, GROUPS, LOOK, Column
@@ -124,19 +125,23 @@ def _episodes(result: TestResult) -> Exhibit:
 
 
 DEMO_PAGE: Final = "demo.html"
+_CALLED: Final = {UNAIDED: "the user alone", "zero": "standing still"}
 
 
 def write_demo_page(folder: Path, result: TestResult, **shown: object) -> Path:
     """Write the page; where it is.
 
     Args:
-        folder: Where it goes, beside the film.
+        folder: Where it goes.
         result: Of the demo's test.
-        shown: How the network `learned` in a sentence, the `film`'s name and what it says (`film_says`), a picture of
-            it (`still_png`), and `commands` to go on with, each with what it does.
+        shown: How the network `learned` in a sentence, the film (`film_webm`) and what it says (`film_says`), the
+            block and seat that it shows (`key`), the families of scenes that are in the training too (`trained`), and
+            `commands` to go on with, each with what it does.
 
     Raises:
         DiskFullError: It cannot be written.
     """
-    text = page("demo.jinja", title="wcsim demo", rows=result.pooled, look=LOOK[:-1], **shown)
+    rows = [replace(row, policy=_CALLED.get(row.policy, f"with {row.policy}")) for row in result.pooled]
+    said = {"result": result, "rows": rows, "verdict": verdict(result), "look": LOOK[:-1]}
+    text = page("demo.jinja", title="wcsim demo", **said, **shown)
     return write_page(folder, text, (), DEMO_PAGE)

@@ -226,10 +226,11 @@ def _handed_over(episode: EpisodeFile, record: EpisodeRecord, tick_s: float) -> 
 
 def _tight_blocks(seeds: Sequence[int]) -> list[BlockFile]:
     """A block for each listed family of scenes and each seed."""
-    return [_block(family, seed) for family in LISTED for seed in seeds]
+    return [tight_block(family, seed) for family in LISTED for seed in seeds]
 
 
-def _block(family: str, seed: int) -> BlockFile:
+def tight_block(family: str, seed: int) -> BlockFile:
+    """A block in a generated scene. Raises TownError for one without a start."""
     with temporary_folder() as work:
         folder = write_scene(family, seed, work / SCENE)
         town, scene = build_scene(folder, work / SCENE_TOWN)
