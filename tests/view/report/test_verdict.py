@@ -28,7 +28,7 @@ def driven(result, policy, records):
 def test_it_counts_crashes_and_arrivals_and_says_what_help_costs(result):
     said = verdict(only(result, "follow", "dwa"))
     assert said.startswith(
-        "Of 6 drives, the user crashed in 4 alone and in 0 with dwa; 1 of 4 arrived alone and 4 with dwa. "
+        "Of 6 drives, the user crashed in 4 alone and in 0 with dwa; of 4 with a destination, 1 arrived alone and 4 with dwa. "
     )
     assert said.endswith(" In safe moments dwa did 95 % as requested, with 0 unneeded interventions.")
     needless = Intervention(first=1, last=2, verdict=NEEDLESS)
@@ -74,9 +74,12 @@ def test_own_policies_come_first_and_it_stays_short(result):
 
 
 def test_a_test_of_the_user_alone_or_of_bounds_crowns_nothing(result):
-    assert verdict(only(result, "follow")) == "Of 6 drives, the user crashed in 4 alone; 1 of 4 arrived alone."
+    assert (
+        verdict(only(result, "follow"))
+        == "Of 6 drives, the user crashed in 4 alone; of 4 with a destination, 1 arrived alone."
+    )
     assert verdict(only(result, "dwa")).startswith(
-        "Of 6 drives, the user crashed in 0 with dwa; 4 of 4 arrived with dwa. In safe"
+        "Of 6 drives, the user crashed in 0 with dwa; of 4 with a destination, 4 arrived with dwa. In safe"
     )
     one = driven(only(result, "follow"), "follow", [crashed(0)])
-    assert verdict(one) == "Of 1 drive, the user crashed in 1 alone; 0 of 1 arrived alone."
+    assert verdict(one) == "Of 1 drive, the user crashed in 1 alone; of 1 with a destination, 0 arrived alone."
