@@ -40,7 +40,7 @@ ROWS: Final = (
     Row(name="wcsim: code lines a comment, wanted 40", first=311, ceiling=36, count=measures.lines_per_comment),
     Row(name="JavaScript: lines", first=1_632, ceiling=1_632, count=lambda: measures.text_lines(".js")),
     Row(name="HTML and CSS: lines", first=754, ceiling=754, count=lambda: measures.text_lines(".html", ".css")),
-    Row(name="templates: lines", first=0, ceiling=355, count=lambda: measures.text_lines(".jinja", ".j2")),
+    Row(name="templates: lines", first=0, ceiling=356, count=lambda: measures.text_lines(".jinja", ".j2")),
     Row(name="tools: code lines", first=1_321, ceiling=1_308, count=lambda: measures.code_lines("tools")),
     Row(name="examples: code lines", first=270, ceiling=521, count=lambda: measures.code_lines("examples")),
     Row(name="benchmarks: code lines", first=5_249, ceiling=5_322, count=lambda: measures.code_lines("benchmarks")),
