@@ -28,7 +28,7 @@ from wcsim.view.report.twin_film import film_twins, telling_episode
 RUNS, README = Path("results"), Path("README.md")
 FIGURES = PICTURES / "help.json"  # what README says of the help
 FRAME_MS = 100
-QUALITY, MOST_BYTES = 70, 2_500_000
+QUALITY, MOST_BYTES = 45, 2_500_000
 _SAID = re.compile(r"(?<=<!-- help -->\n).*?(?=\n<!-- /help -->)", re.DOTALL)
 
 
@@ -99,21 +99,20 @@ def pages() -> None:
     drive = _run("one.drive", "users", "record", "helsinki", "--minutes", "2")
     with sync_playwright() as play:
         chromium = play.chromium.launch(executable_path=shutil.which("chromium"), args=["--no-sandbox"])
-        page = chromium.new_page(viewport={"width": 1280, "height": 800})
+        page = chromium.new_page(viewport={"width": 1440, "height": 900})  # ends with the playwright
 
         def shot(address: str, name: str) -> None:
             page.goto(address)
-            page.wait_for_timeout(8000)
+            page.wait_for_timeout(15_000)  # until the street is there
             page.screenshot(path=PICTURES / name)
 
         shot(report.resolve().as_uri(), "report_page.png")
-        for words, name in ((("drive",), "drive_page.png"), (("log", "play", str(drive)), "film_page.png")):
-            command = (str(Path(sys.executable).parent / "wcsim"), *words, "--port", "0")
-            with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as served:
+        for words, name in (("drive --policy shipped", "drive_page.png"), (f"log play {drive}", "film_page.png")):
+            command = f"{Path(sys.executable).parent / 'wcsim'} {words} --port 0"
+            with subprocess.Popen(command.split(), stdout=subprocess.PIPE, text=True) as served:
                 lines = (re.search(r"http://\S+", line) for line in served.stdout or ())
                 shot(next(found[0] for found in lines if found), name)
                 served.terminate()
-        chromium.close()
 
 
 def models() -> None:
