@@ -41,7 +41,7 @@ ROWS: Final = (
     Row(name="JavaScript: lines", first=1_632, ceiling=1_632, count=lambda: measures.text_lines(".js")),
     Row(name="HTML and CSS: lines", first=754, ceiling=754, count=lambda: measures.text_lines(".html", ".css")),
     Row(name="templates: lines", first=0, ceiling=356, count=lambda: measures.text_lines(".jinja", ".j2")),
-    Row(name="tools: code lines", first=1_321, ceiling=1_302, count=lambda: measures.code_lines("tools")),
+    Row(name="tools: code lines", first=1_321, ceiling=1_304, count=lambda: measures.code_lines("tools")),
     Row(name="examples: code lines", first=270, ceiling=521, count=lambda: measures.code_lines("examples")),
     Row(name="benchmarks: code lines", first=5_249, ceiling=5_322, count=lambda: measures.code_lines("benchmarks")),
     Row(name="tests: code lines", first=58_980, ceiling=57_992, count=lambda: measures.code_lines("tests")),

@@ -28,7 +28,8 @@ def driven(result, policy, records):
 def test_it_counts_crashes_and_arrivals_and_says_what_help_costs(result):
     said = verdict(only(result, "follow", "dwa"))
     assert said.startswith(
-        "Of 6 drives, the user crashed in 4 alone and in 0 with dwa; of 4 with a destination, 1 arrived alone and 4 with dwa. "
+        "Of 6 drives, the user crashed in 4 alone and in 0 with dwa; "
+        "of 4 with a destination, 1 arrived alone and 4 with dwa. "
     )
     assert said.endswith(" In safe moments dwa did 95 % as requested, with 0 unneeded interventions.")
     needless = Intervention(first=1, last=2, verdict=NEEDLESS)
