@@ -31,6 +31,7 @@ _SHORT = (
     "collect.segments=5",
     "collect.made_towns=0",
     "danger.updates=600",
+    "danger.batch=32",
     "danger.threshold=0.1",  # who learned for two minutes had better be careful
 )
 _USUAL = "This takes about 4 minutes on two free cores, half of them for training. The first run takes one minute more."
