@@ -45,7 +45,7 @@ ROWS: Final = (
     Row(name="examples: code lines", first=270, ceiling=521, count=lambda: measures.code_lines("examples")),
     Row(name="benchmarks: code lines", first=5_249, ceiling=5_322, count=lambda: measures.code_lines("benchmarks")),
     Row(name="tests: code lines", first=58_980, ceiling=57_993, count=lambda: measures.code_lines("tests")),
-    Row(name="docs: words written by hand", first=74_035, ceiling=32_440, count=measures.words_of_docs),
+    Row(name="docs: words written by hand", first=74_035, ceiling=32_500, count=measures.words_of_docs),
     Row(name="ideas: recording formats", first=5, ceiling=1, count=lambda: measures.forms("formats")),
     Row(name="ideas: tick loops", first=14, ceiling=3, count=measures.tick_loops),
     Row(name="ideas: meters", first=4, ceiling=1, count=lambda: measures.forms("meters")),
