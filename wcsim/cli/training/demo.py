@@ -34,14 +34,14 @@ _SHORT = (
     "danger.batch=32",
     "danger.threshold=0.1",  # who learned for two minutes had better be careful
 )
-_USUAL = "This takes about 4 minutes on two free cores, half of them for training. The first run takes one minute more."
+_USUAL = "This takes about 5 minutes on two free cores, half of them for training. The first run takes one minute more."
 
 
 @dataclass
 class _Options:
     """Train a short preset laptop in Helsinki. Then a user drives in another town: alone, and with the network's help.
 
-    This takes about 4 minutes on two free cores. Every stage shows the time left.
+    This takes about 5 minutes on two free cores. Every stage shows the time left.
     """
 
     train_town: str = "helsinki"
