@@ -107,7 +107,7 @@ class _Subcommand:
 
 
 SUBCOMMANDS = (
-    _Subcommand("demo", "training.demo", "learn", "train in Helsinki, test in Monaco, print the table"),
+    _Subcommand("demo", "training.demo", "learn", "train a network, and see what its help is worth"),
     _Subcommand("train", "training.train", "learn", "train a danger network, in rounds of driving"),
     _Subcommand("train-q", "training.train:run_q", "learn", "train a network by Q-learning"),
     _Subcommand("train-clients", "training.train_clients", "learn", "train several networks at once in one world"),

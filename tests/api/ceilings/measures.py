@@ -1,10 +1,10 @@
-"""Counts of the source tree: code lines, public names, settings, and the ideas that exist more than once."""
+"""Counts of the source tree: tokens, names, comments, settings, and the ideas that exist more than once."""
 
 import ast
 import io
 import tokenize
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from functools import cache
 from itertools import pairwise
 from typing import Final
@@ -13,21 +13,13 @@ from tests.support.tracked import ROOT, tracked
 from tools.readability import pages, words
 from tools.settings_page import keys, sections
 
-TOKENS_A_LINE: Final = 10.5  # of the code when the table was begun, so joined lines save nothing
+TOKENS_A_LINE: Final = 10.5  # of the code when the table was begun
+KERNELS: Final = ("kernel", "jit")  # decorators of machine code, which calls no closures
 _BETWEEN: Final = (tokenize.COMMENT, tokenize.NL)
 _NO_CODE: Final = (tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENDMARKER)
-_COMMENTED: Final = ("wcsim/physics", "wcsim/bridge", "wcsim/agents/danger", "wcsim/supervisor")
 _STARTS: Final = ("run", "Popen", "fork", "ProcessPoolExecutor", "Process", "remote")
+_KPI1_SUM: Final = "distance_sum"
 _STARTERS: Final = ("subprocess", "os", "context", "ray", "")
-# Where an idea stands that has more than one form: the file that goes with it, or the class in it.
-IDEAS: Final[dict[str, tuple[str, ...]]] = {
-    "formats": ("wcsim/log/records.py",),
-    "meters": ("wcsim/supervisor/kpi.py:KpiTotals",),
-    "learners": (
-        "wcsim/agents/learning/seqdqn.py",
-        "wcsim/agents/danger/learner.py",
-    ),
-}
 # The importing modules, what they should not import, and what is left out of the first, by the beginning of names.
 BORDERS: Final[dict[str, tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]]] = {
     "world -> recordings": (
@@ -51,15 +43,28 @@ BORDERS: Final[dict[str, tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]
 }
 
 
-def code_lines(folder: str) -> float:
-    """Tokens of a folder's Python that are neither docstring, comment nor layout, in lines of the usual length."""
-    return round(sum(_tokens(text)[0] for _, text in _sources(folder)) / TOKENS_A_LINE)
+def tokens(folder: str = "wcsim") -> float:
+    """Tokens of a folder's Python that are neither docstring, comment nor layout: joined lines save nothing."""
+    return sum(_tokens(text)[0] for _, text in _sources(folder))
 
 
-def lines_per_comment() -> float:
-    """Code lines for each comment where numerics, order and ties are decided."""
-    counts = [_tokens(text) for folder in _COMMENTED for _, text in _sources(folder)]
+def rooms() -> list[str]:
+    """The package's folders that are looked at by themselves: those of its first level, of `agents` those below."""
+    names = [tuple(name.split(".")) for name, _ in _sources("wcsim")]
+    below = {name[:2] for name in names if name[0] == "agents" and len(name) > 2}
+    found = below | {name[:1] for name in names if name[0] != "agents" and len(name) > 1}
+    return sorted("/".join(("wcsim", *name)) for name in found)
+
+
+def lines_per_comment(folder: str = "wcsim") -> float:
+    """Code lines for each comment that has a line of its own; lines below one another are one comment."""
+    counts = [_tokens(text) for _, text in _sources(folder)]
     return round(sum(code for code, _ in counts) / TOKENS_A_LINE / max(1, sum(comments for _, comments in counts)), 1)
+
+
+def silent_rooms(most: float = 40.0) -> float:
+    """Rooms with more code lines than this for each comment of a line of its own."""
+    return sum(lines_per_comment(room) > most for room in rooms())
 
 
 def import_share() -> float:
@@ -72,7 +77,7 @@ def import_share() -> float:
     return round(100.0 * imports / code, 1)
 
 
-def files(folder: str) -> float:
+def files(folder: str = "wcsim") -> float:
     """Python files of a folder."""
     return len(_sources(folder))
 
@@ -85,9 +90,22 @@ def text_lines(*suffixes: str) -> float:
 
 def public_names() -> float:
     """Functions and classes of the package's modules without an underscore."""
-    defined = (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)
-    nodes = [node for _, text in _sources("wcsim") for node in _tree(text).body if isinstance(node, defined)]
-    return sum(not node.name.startswith("_") for node in nodes)
+    return sum(not node.name.startswith("_") for _, text in _sources("wcsim") for node in _defined(text))
+
+
+def names(folder: str = "wcsim") -> float:
+    """Functions and classes at the top of the modules of a folder, with and without an underscore."""
+    return sum(len(_defined(text)) for _, text in _sources(folder))
+
+
+def called_once(folder: str = "wcsim") -> float:
+    """Private functions and methods whose module names them once only, to call them; kernels are left out."""
+    return sum(len(_once(text)) for _, text in _sources(folder))
+
+
+def late_constants(folder: str = "wcsim") -> float:
+    """Files with a constant behind the first function or class that is made of none of these."""
+    return sum(_has_late(text) for _, text in _sources(folder))
 
 
 def settings() -> float:
@@ -100,9 +118,29 @@ def words_of_docs() -> float:
     return sum(words(page.read_text(encoding="utf-8")) for page in pages() if page.is_relative_to(ROOT / "docs"))
 
 
-def forms(idea: str) -> float:
-    """How many forms of an idea there are; each stands in a file of its own."""
-    return len(IDEAS[idea])
+def formats() -> list[str]:
+    """Modules with a format of their own: they have a constant of bytes or text that begins with the project's name."""
+    return [name for name, text in _sources("wcsim") if any(map(_is_magic, _tree(text).body))]
+
+
+def meters() -> list[str]:
+    """Functions that add up KPI 1: they give a sum its name."""
+    return [
+        f"{name}:{node.name}"
+        for name, text in _sources("wcsim")
+        for node in _nodes(text)
+        if isinstance(node, ast.FunctionDef) and any(map(_names_kpi1, ast.walk(node)))
+    ]
+
+
+def learners() -> list[str]:
+    """Modules that move weights along a gradient."""
+    return [name for name, text in _sources("wcsim") if any(each.endswith(".backward") for each in _called(text))]
+
+
+def resolvers() -> float:
+    """Files of the package that resolve settings."""
+    return sum("resolve" in _called(text) for _, text in _sources("wcsim"))
 
 
 def tick_loops() -> float:
@@ -127,13 +165,19 @@ def broken_borders() -> float:
     return sum(bool(crossings(name)) for name in BORDERS)
 
 
-def crossings(border: str) -> list[tuple[str, str]]:
-    """(importing module, what it imports) over one border."""
+def roundabout_borders() -> float:
+    """How many borders something crosses by what it imports in turn."""
+    return sum(bool(crossings(name, _reached)) for name in BORDERS)
+
+
+def crossings(border: str, seen: Callable[[str], Collection[str]] | None = None) -> list[tuple[str, str]]:
+    """(importing module, what it imports) over one border; `seen` gives what a module sees, else its own imports."""
     sources, targets, excepted = BORDERS[border]
     found = []
     for name, text in _sources("wcsim"):
         if _is_below(name, sources) and not _is_below(name, excepted):
-            found += [(name, imported) for imported in _imported(text) if _is_below(imported, targets)]
+            all_of_it = _imported(text) if seen is None else seen(name)
+            found += [(name, imported) for imported in all_of_it if _is_below(imported, targets)]
     return found
 
 
@@ -173,6 +217,77 @@ def _lines(text: str) -> Counter[int]:
             found[token.start[0]] += 1
         before = token.type
     return found
+
+
+def _defined(text: str) -> list[ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef]:
+    kinds = ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef
+    return [node for node in _tree(text).body if isinstance(node, kinds)]
+
+
+@cache
+def _once(text: str) -> list[str]:
+    """Private functions and methods that one call names, and nothing else; not from within, and no kernels."""
+    named = Counter[str]()
+    called = Counter[str]()
+    for node in _nodes(text):
+        if isinstance(node, ast.Name | ast.Attribute) and isinstance(node.ctx, ast.Load):
+            named[node.id if isinstance(node, ast.Name) else node.attr] += 1
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name | ast.Attribute):
+            called[node.func.id if isinstance(node.func, ast.Name) else node.func.attr] += 1
+    return [
+        node.name
+        for node in _nodes(text)
+        if isinstance(node, ast.FunctionDef)
+        and node.name.startswith("_")
+        and not node.name.endswith("__")
+        and named[node.name] == called[node.name] == 1
+        and not any(word in ast.unparse(each) for each in node.decorator_list for word in KERNELS)
+        and not any(isinstance(each, ast.Name) and each.id == node.name for each in ast.walk(node))
+    ]
+
+
+def _has_late(text: str) -> bool:
+    body = _tree(text).body
+    defined: set[str] = set()
+    for node in body:
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
+            defined.add(node.name)
+        elif defined and isinstance(node, ast.Assign | ast.AnnAssign) and node.value is not None:
+            used = {each.id for each in ast.walk(node.value) if isinstance(each, ast.Name)}
+            if not used & defined:
+                return True
+            targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+            defined.update(map(ast.unparse, targets))
+    return False
+
+
+def _is_magic(node: ast.stmt) -> bool:
+    if not isinstance(node, ast.Assign | ast.AnnAssign) or not isinstance(node.value, ast.Constant):
+        return False
+    targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+    value = node.value.value
+    own = value.startswith(b"wcsim") if isinstance(value, bytes) else str(value).startswith("wcsim")
+    return own and any(isinstance(target, ast.Name) and "MAGIC" in target.id for target in targets)
+
+
+def _names_kpi1(node: ast.AST) -> bool:
+    if isinstance(node, ast.Dict):
+        return any(isinstance(key, ast.Constant) and key.value == _KPI1_SUM for key in node.keys)
+    return isinstance(node, ast.keyword) and node.arg == _KPI1_SUM
+
+
+@cache
+def _reached(name: str) -> frozenset[str]:
+    """Modules that are imported when `name` is, by whatever way."""
+    texts = dict(_sources("wcsim"))
+    found: set[str] = set()
+    left = [name]
+    while left:
+        text = texts.get(left.pop())
+        fresh = set() if text is None else {each for each in _imported(text) if each in texts} - found
+        found |= fresh
+        left += fresh
+    return frozenset(found)
 
 
 def _calls(text: str, is_one: Callable[[str], bool]) -> bool:

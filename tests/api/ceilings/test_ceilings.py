@@ -7,7 +7,7 @@ import pytest
 from tests.api.ceilings import measures, table
 
 # Pages are templates and no code; one example writes a dataset of the field; what only measures left the package.
-RAISED = ("templates: lines", "examples: code lines", "benchmarks: code lines")
+RAISED = ("templates: lines", "examples: tokens", "benchmarks: tokens")
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +68,47 @@ def test_both_sides_of_a_border_are_there(border: str) -> None:
     assert all(any(measures._is_below(name, (room,)) for name in names) for room in (*sources, *targets, *excepted))
 
 
-def test_every_form_of_an_idea_that_is_named_is_there() -> None:
-    for name in (name for forms in measures.IDEAS.values() for name in forms):
-        file, _, kind = name.partition(":")
-        assert f"class {kind}" * bool(kind) in (measures.ROOT / file).read_text(encoding="utf-8"), name
+CODE = """
+FIRST = 1
+
+def go(x):
+    return _twice(_once(x)) + _twice(x) + self._own(x)
+
+def _once(x):
+    return x
+
+def _twice(x):
+    return x
+
+@exact_kernel
+def _fast(x):
+    return x
+
+def _again(x):
+    return _again(x - 1)
+
+class C:
+    def _own(self, x):
+        return map(_passed, [_fast(x)])
+
+def _passed(x):
+    return x
+
+TABLE = {"go": go}
+"""
+
+
+def test_private_functions_that_one_call_names_are_seen_and_no_others() -> None:
+    assert sorted(measures._once(CODE)) == ["_once", "_own"]
+
+
+def test_a_constant_is_late_unless_it_is_made_of_what_stands_before_it() -> None:
+    assert not measures._has_late(CODE)
+    assert measures._has_late(f"{CODE}\nLAST = FIRST\n")
+
+
+def test_ideas_are_found_where_they_are_known_to_be() -> None:
+    assert "log.records" in measures.formats()
+    assert "supervisor.kpi:plus" in measures.meters()
+    assert measures.learners() == ["agents.danger.learner", "agents.learning.seqdqn"]
+    assert {"wcsim/bridge", "wcsim/agents/danger"} < set(measures.rooms())

@@ -50,9 +50,9 @@ def test_no_policy_is_best_that_the_intervals_cannot_tell_from_another(result):
     assert not all(apart)
     said = verdict(result)
     assert "highest" not in said and " cannot be told apart here." in said
-    assert f"The best {1 + apart.count(False)} of 5 policies" in said
+    assert f"The scores of the best {1 + apart.count(False)} of 5 policies" in said
     three = only(result, "dwa", "net@0.25", "net@0.75")
-    assert " dwa, net@0.25 and net@0.75 cannot be told apart here. " in verdict(three)
+    assert " The scores of dwa, net@0.25 and net@0.75 cannot be told apart here. " in verdict(three)
     strangers = with_episodes(result, {**result.episodes, "follow": result.episodes["follow"][:0]})
     assert "the user alone among them" in verdict(strangers), "they share no episode"
     few = only(result, "follow", "dwa")
@@ -67,7 +67,7 @@ def test_own_policies_come_first_and_it_stays_short(result):
     two = only(result, "follow", "dwa")
     named = {**two.episodes, "own_policy:Careful": two.episodes["dwa"]}
     both = verdict(with_episodes(two, named))
-    assert "4 with own_policy:Careful and 4 with dwa. dwa and own_policy:Careful cannot be told apart here." in both
+    assert " and 4 with dwa. The scores of dwa and own_policy:Careful cannot be told apart here." in both
     assert both.endswith(" did 95 % as requested and dwa 95 %, with 0 and 0 unneeded interventions.")
     far = "runs/" + "x" * 200
     found = {"follow": two.episodes["follow"], "net": two.episodes["dwa"], far: two.episodes["dwa"]}

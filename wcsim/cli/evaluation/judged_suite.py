@@ -332,10 +332,7 @@ def _disturb(options: _SensitivityOptions) -> int:
 
 
 def _exit_of(rows: Iterable[ResultRow]) -> Exit:
-    """A policy that came to the end of no episode has no result, whatever its row says."""
-    from wcsim.agents.evaluation.suite.rows import undone
-
-    return Exit.FAILED if any(undone(row) == row.episodes > 0 for row in rows) else Exit.DONE
+    return Exit.FAILED if any(row.without_result for row in rows) else Exit.DONE
 
 
 def _look(options: _DriveOptions) -> Callable[[tuple[WorkerNow, ...]], object]:

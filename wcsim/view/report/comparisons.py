@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from wcsim.agents.evaluation.suite.records import both_counted, saved_and_lost
 from wcsim.agents.evaluation.suite.result_files import TestResult
-from wcsim.agents.evaluation.suite.rows import FEWEST, Interval, bootstrapped, mcnemar, undone
+from wcsim.agents.evaluation.suite.rows import FEWEST, Interval, bootstrapped, mcnemar
 from wcsim.agents.policy_api import BASELINES, UNAIDED, UPPER_BOUNDS
 from wcsim.view.report.pages import page
 
@@ -93,7 +93,7 @@ def verdict(result: TestResult) -> str:
     told_apart, said = _told_apart(result), ""
     for many in range(min(_MOST_POLICIES, len(helping)), -1, -1):
         chosen = [row for row in rows if row.policy in (UNAIDED, *helping[:many])]
-        said = page("verdict.txt.jinja", rows=chosen, unaided=UNAIDED, undone=undone, **told_apart).strip()
+        said = page("verdict.txt.jinja", rows=chosen, unaided=UNAIDED, **told_apart).strip()
         if many <= 1 or len(wrap(said, _LINE)) <= _MOST_LINES:
             break
     return said

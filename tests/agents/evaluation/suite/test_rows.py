@@ -56,6 +56,13 @@ def test_nothing_driven_is_no_number():
     assert found["status"]["refused"] == 1 and found["crashed"] == 0.0
 
 
+def test_a_policy_that_failed_in_all_that_it_was_given_has_no_result():
+    failed = replace(GOOD, status="policy_failed")
+    given = [failed, failed, replace(failed, repeats=True), replace(GOOD, status="not_reached")]
+    assert row_of("p", "", given, []).without_result and row_of("p", "", given, []).undone == 3
+    assert not row_of("p", "", [*given, GOOD], []).without_result
+
+
 def test_twins_say_who_was_saved_and_who_was_lost():
     found = row([GOOD] * 9 + [CRASH], [CRASH] * 9 + [GOOD])
     assert (found["saved"], found["lost"]) == (9, 1) and found["mcnemar_p"] == pytest.approx(0.0215, abs=1e-3)

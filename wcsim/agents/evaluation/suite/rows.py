@@ -15,6 +15,7 @@ from wcsim.agents.evaluation.suite.records import (
     FINISHED,
     NEEDED,
     NEEDLESS,
+    NOT_REACHED,
     ON_THE_WAY,
     POLICY_FAILED,
     REFUSED,
@@ -151,6 +152,16 @@ class ResultRow:
     lost: int | None = None
     mcnemar_p: float | None = None
 
+    @property
+    def undone(self) -> int:
+        """Episodes that its policy did not bring to an end: it failed or was refused."""
+        return self.status[POLICY_FAILED] + self.status[REFUSED]
+
+    @property
+    def without_result(self) -> bool:
+        """Whether its policy came to the end of no episode that it was given, whatever the figures say."""
+        return self.undone == sum(self.status.values()) - self.status[NOT_REACHED] > 0
+
     def to_json(self) -> dict[str, Any]:
         """Plain values under the same names."""
         return asdict(self)
@@ -286,11 +297,6 @@ def pooled_rows(
         twins = [unaided[number] for number in chosen] if len(unaided) == len(records) else []
         rows.append(row_of(policy, part, [records[number] for number in chosen], twins))
     return rows, row_of(policy, "", records, unaided)
-
-
-def undone(row: ResultRow) -> int:
-    """Episodes of a row that its policy did not bring to an end: it failed or was refused."""
-    return row.status[POLICY_FAILED] + row.status[REFUSED]
 
 
 def _twins(records: Sequence[EpisodeRecord], unaided: Sequence[EpisodeRecord]) -> dict[str, Any]:

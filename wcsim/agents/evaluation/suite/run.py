@@ -157,7 +157,8 @@ def _drive_all(
     def keep(key: str, data: bytes) -> None:
         write_json(asked[key][1], {"records": json.loads(data)})
 
-    pieces = [piece for piece, _ in asked.values()]
+    # The longest first: a block of many episodes at the end would leave all other processes without work.
+    pieces = sorted((piece for piece, _ in asked.values()), key=lambda piece: -len(piece.block.episodes))
     waiting = set(asked)
     with Crew(_workers(order, pieces), keep, least_late_s=_LEAST_LATE_S) as crew:
         crew.ask([Work(key=_work_key(piece), call=_drive_alone, piece=piece, needs=_needs_of) for piece in pieces])
