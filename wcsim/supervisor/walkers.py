@@ -12,11 +12,11 @@ import math
 
 import numpy as np
 
+from wcsim.core.constants import SIDESTEP_MPS
 from wcsim.core.jit import exact_kernel
 from wcsim.types import F64
 
 MARGIN_M = 0.05
-STEP_ASIDE_MPS = 0.8  # as the street's people do (`bridge/reaction/pedestrians.py`)
 HARDLY_MPS = 0.05  # a chair that comes nearer more slowly than this runs into nobody
 
 # columns of the table (n, 9): where, the heading, the radius, the speeds ahead and to the left of it, how far left of
@@ -83,7 +83,7 @@ def runs_into_any_way(
             continue
         left_mps = one[PLEFT_MPS]
         # Nobody steps back beyond the own line.
-        most_mps = min(STEP_ASIDE_MPS, abs(one[PASIDE_M]) / later_s)
+        most_mps = min(SIDESTEP_MPS, abs(one[PASIDE_M]) / later_s)
         back_mps = -math.copysign(most_mps, one[PASIDE_M])
         # Standing, half as fast, as fast: three paces stand for all between them.
         for share in range(3):
@@ -103,7 +103,7 @@ def runs_into_any_way(
 @exact_kernel
 def _reach_m(hull: F64, person: F64, later_s: float) -> float:
     """How far from the drive axle somebody may be now who touches the chair in so many seconds, at most."""
-    most_mps = abs(person[PAHEAD_MPS]) + max(abs(person[PLEFT_MPS]), STEP_ASIDE_MPS)
+    most_mps = abs(person[PAHEAD_MPS]) + max(abs(person[PLEFT_MPS]), SIDESTEP_MPS)
     return float(abs(hull[MIDDLE]) + hull[HALF_L] + hull[HALF_W] + person[PRADIUS] + MARGIN_M + later_s * most_mps)
 
 

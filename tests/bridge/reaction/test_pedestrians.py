@@ -12,8 +12,9 @@ from tests.bridge.reaction.roads import actor, chair, walker
 from tests.support.samples import USUAL_OUTLINE, strip_street
 from wcsim.bridge.reaction.attention import Attention
 from wcsim.bridge.reaction.commands import LET_GO
-from wcsim.bridge.reaction.pedestrians import SIDESTEP_MPS, PedestrianAvoidance
+from wcsim.bridge.reaction.pedestrians import PedestrianAvoidance
 from wcsim.core.boxes import gap_to_box
+from wcsim.core.constants import SIDESTEP_MPS
 from wcsim.types import ActorKind, ClassId
 
 TICK_S = 0.1
