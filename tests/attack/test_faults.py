@@ -14,7 +14,7 @@ from tests.view.report.results import records_of
 from wcsim.agents.evaluation.suite.run import SuiteOrder
 from wcsim.agents.opening.list_file import open_suite
 from wcsim.agents.policy_api import UNAIDED
-from wcsim.cli.evaluation.judged_suite import keep_result
+from wcsim.cli.evaluation.judged_suite import save_result
 from wcsim.cli.main import main
 from wcsim.cli.shared.exit_codes import Exit
 from wcsim.errors import DiskFullError
@@ -50,13 +50,13 @@ def test_a_disk_that_is_full_while_a_test_is_written_leaves_the_earlier_result_w
     tmp_path: Path, room_kb: int
 ) -> None:
     order = SuiteOrder(suite=open_suite("dev"), out=tmp_path)
-    keep_result(order, "dev", {UNAIDED: records_of("dwa"), "mine": records_of("dwa")})
+    save_result(order, "dev", {UNAIDED: records_of("dwa"), "mine": records_of("dwa")})
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (room_kb << 10, limits[1]))
     try:
         with pytest.raises(DiskFullError, match="could not be written"):
-            keep_result(order, "dev", {UNAIDED: records_of("follow") * 9, "mine": records_of("net@0.25") * 9})
+            save_result(order, "dev", {UNAIDED: records_of("follow") * 9, "mine": records_of("net@0.25") * 9})
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before

@@ -1,23 +1,11 @@
 """SeqDQN: the double deep Q-learner of wcsim, an algorithm of Stable-Baselines3.
 
 On top of SB3's DQN: double-Q targets, n-step returns from `FrameReplay`, scaled rewards, a soft target update per
-gradient step, the supervised large-margin loss of DQfD (Hester et al. 2018) that makes the first phase supervised,
-advice from the truth in the second (`aid`, beyond the paper), exploration near the user's joystick, and random draws
-from a generator of its own. `learn`, callbacks, logger, `save`, `load` and `EvalCallback` are SB3's. A network that
-carries a state (`NetSpec.stateful`) does so from tick to tick of an episode, and learns from groups of steps in a row;
-any other one learns from steps drawn one by one, each with its window.
-
-Batches seen in a mirror: left and right are alike for a chair with its camera in the middle, so data count twice.
-
-Losses over groups of steps in a row, for networks that carry a state: see `agents/learning/replay/groups.py` for what
-is drawn.
-
-Online and target network are each run over the steps before a group, from the stored state and without a gradient, and
-then over the group itself and what its last n-step returns reach.
-
-Values learn from the oracle, too, which actions end badly: crashes are rare (a few in a kilometre), safe actions are
-known for every step and action. The oracle sees the true geometry and speaks only while learning; the policy that comes
-out of it sees what every policy sees.
+gradient step, the large-margin loss of DQfD (Hester et al. 2018) that makes the first phase supervised, advice from the
+oracle in the second (`aid`, beyond the paper), exploration near the user's joystick, and random draws from a generator
+of its own. `learn`, callbacks, logger, `save`, `load` and `EvalCallback` are SB3's. A network that carries a state
+(`NetSpec.stateful`) does so from tick to tick of an episode, and learns from groups of steps in a row (see
+`agents/learning/replay/groups.py`); any other one learns from steps drawn one by one, each with its window.
 """
 
 from __future__ import annotations
@@ -48,151 +36,32 @@ from wcsim.supervisor.actions import ActionSet, action_set
 from wcsim.supervisor.observation import imu_size
 from wcsim.types import F32, F64
 
-MARGIN_OFFSET = 0.4  # joystick distance that a margin adds to the distance between two actions
-HALF_CELL = 0.125  # of the actions' lattice
-
-
-def _aid_loss(
-    values: torch.Tensor, distances: torch.Tensor, safe: torch.Tensor, scale: float, unsafe: float
-) -> torch.Tensor:
-    """How far the safe action nearest to the user's joystick is from beating the others by a margin.
-
-    The strongest rival counts as in DQfD; every unsafe action counts too, so that one step teaches about all of them.
-    A row in which nothing is safe teaches nothing: what it would teach is to stand still.
-
-    Args:
-        values: (B, A) action values.
-        distances: (B, A) joystick distance of every action from the user's.
-        safe: (B, A) bool, which actions end well.
-        scale: Of the reward; margins are joystick distances times this.
-        unsafe: Joystick distance that the margin adds for an action that ends badly.
-
-    Returns:
-        A scalar, 0 when every row has its teacher's action ahead by the margins.
-    """
-    label = _teacher_actions(distances, safe)[:, None]
-    margin = (distances - distances.gather(1, label)).clamp(min=0.0) + MARGIN_OFFSET + unsafe * ~safe
-    margin = (scale * margin).scatter(1, label, 0.0)
-    behind = functional.relu(values + margin - values.gather(1, label))  # (B, A), 0 at the label
-    dense = (behind * ~safe).sum(dim=1) / (~safe).sum(dim=1).clamp(min=1)
-    return ((behind.max(dim=1).values + dense) * safe.any(dim=1)).mean()
-
-
-def _teacher_actions(distances: torch.Tensor, safe: torch.Tensor) -> torch.Tensor:
-    """The safe action nearest to the user's joystick, where there is one; (B, A) and (B, A) -> (B,)."""
-    return distances.masked_fill(~safe, torch.inf).argmin(dim=1)
-
-
-def _relabelled(joysticks_xy: F32, points: F64, share: float, rng: np.random.Generator) -> F32:
-    """Other wishes for the same moments: whether an action is safe does not depend on what the user wants.
-
-    A share of the rows (B, 2) gets the joystick near one of `points` (A, 2) instead, in the unit disc; so a moment in
-    which the user happened to be right teaches too.
-    """
-    wish = points[rng.integers(0, len(points), len(joysticks_xy))]
-    wish = wish + rng.uniform(-HALF_CELL, HALF_CELL, wish.shape)
-    wish /= np.maximum(np.hypot(wish[:, 0], wish[:, 1]), 1.0)[:, None]
-    replaced = rng.random(len(wish)) < share
-    return np.where(replaced[:, None], wish, joysticks_xy).astype(np.float32)
-
-
-@torch.no_grad()
-def _burned_in(net: QNet, batch: SequenceBatch) -> torch.Tensor:
-    """The network's state (K, S) where the groups begin."""
-    states = batch.states.clone()
-    for rows, observations in batch.burn_in:
-        states[rows] = net.unroll(observations, states[rows])[1]
-    return states
-
-
-def _group_values(net: QNet, batch: SequenceBatch) -> torch.Tensor:
-    """Values (K, P, A) of all observations of the groups."""
-    return net.unroll(batch.observations, _burned_in(net, batch))[0]
-
-
-@torch.no_grad()
-def _group_targets(
-    online: torch.Tensor, target: torch.Tensor, batch: SequenceBatch, reward_scale: float, double_q: bool
-) -> torch.Tensor:
-    """Scaled n-step returns plus the discounted value after them, (K, L), from both networks' values (K, P, A)."""
-    judge = online if double_q else target
-    best = target.gather(2, judge.argmax(dim=2, keepdim=True))[..., 0]  # (K, P)
-    value = best.gather(1, batch.after)
-    return reward_scale * batch.returns + (1.0 - batch.terminated) * batch.discounts * value
-
-
-def _sequence_loss(
-    nets: tuple[QNet, QNet],
-    batch: SequenceBatch,
-    reward_scale: float,
-    double_q: bool,
-    supervised: Callable[[torch.Tensor, dict[str, torch.Tensor]], torch.Tensor] | None,
-) -> tuple[torch.Tensor, float]:
-    """Huber loss over the steps of the groups, and the largest value that was met.
-
-    Args:
-        nets: Online and target network.
-        batch: Groups.
-        reward_scale: Of the returns.
-        double_q: The online network chooses the action whose value the target network gives.
-        supervised: Added to it: of values (N, A) and the joysticks that they are for, by their key.
-    """
-    online = _group_values(nets[0], batch)
-    with torch.no_grad():
-        target = _group_values(nets[1], batch)
-    wanted = _group_targets(online.detach(), target, batch, reward_scale, double_q)[batch.live]
-    length = batch.live.shape[1]
-    values = online[:, :length][batch.live[:, : online.shape[1]]]  # (N, A)
-    chosen = values.gather(1, batch.actions[batch.live][:, None])[:, 0]
-    loss = functional.smooth_l1_loss(chosen, wanted)
-    if supervised is not None:
-        sticks = batch.observations[JOYSTICK_KEY][:, :length][batch.live[:, : online.shape[1]]]
-        loss = loss + supervised(values, {JOYSTICK_KEY: sticks})
-    return loss, float(values.detach().abs().max())
-
-
 Tensors = dict[str, torch.Tensor]
+States = tuple[npt.NDArray[Any], ...]
 Signs = tuple[tuple[str, tuple[float, ...]], ...]  # of each number of each further sensor, by name
 
-IMU_SIGNS = (1.0, -1.0, 1.0, -1.0, 1.0)  # of ax, ay, az, roll, pitch
-GYRO_SIGNS = (-1.0, 1.0, -1.0)
-YAW_SIGNS = (-1.0, 1.0)  # of its sine and cosine
-JOYSTICK_SIGNS = (-1.0, 1.0)
-_SIGNS = {
-    imu_size(gyro, yaw): IMU_SIGNS + gyro * GYRO_SIGNS + yaw * YAW_SIGNS
-    for gyro in (False, True)
-    for yaw in (False, True)
-}
-
-
-def _mirror_batch(batch: DictReplayBufferSamples, actions: torch.Tensor, signs: Signs = ()) -> DictReplayBufferSamples:
-    """The same batch with left and right exchanged; `actions` (A,) is the mirror map of the action set."""
-    return batch._replace(
-        observations=_mirrored(batch.observations, actions, signs),
-        actions=actions[batch.actions.long()],
-        next_observations=_mirrored(batch.next_observations, actions, signs),
-    )
-
-
-def _mirrored(observations: Tensors, actions: torch.Tensor, further: Signs) -> Tensors:
-    out = dict(observations)
-    for key, value in observations.items():
-        if value.ndim > 2:  # a picture; the others are rows of numbers
-            out[key] = value.flip(-1)
-    imu_signs = _SIGNS[observations[IMU_KEY].shape[-1]]
-    for key, signs in ((IMU_KEY, imu_signs), (JOYSTICK_KEY, JOYSTICK_SIGNS), *further):
-        out[key] = observations[key] * observations[key].new_tensor(signs)
-    return out
-
-
-States = tuple[npt.NDArray[Any], ...]
 EXPLORED_SIGMA: Final = 0.5  # spread of local exploration, in stick units
-RELABELLED: Final = 0.5  # share of a batch of oracle data with a random joystick in the user's place
+MARGIN_OFFSET: Final = 0.4  # joystick distance that a margin adds to the distance between two actions
+MAX_SKIPPED: Final = 10  # updates in a row with a loss or gradient that is not finite
+
+# Advice. Crashes are rare, a few in a kilometre, but the oracle knows of every step which actions end badly.
 AID_BATCH: Final = 32  # steps of oracle data in a batch
 AID_SHARE: Final = 0.3  # of that batch from steps with an action that leads to a crash
 AID_AHEAD: Final = 5  # steps before that in which an action already counts as unsafe
 AID_MARGIN: Final = 6.0  # joystick distance by which an unsafe action must lose to a safe one
-MAX_SKIPPED = 10  # updates in a row with a loss or gradient that is not finite
+RELABELLED: Final = 0.5  # share of a batch of oracle data with a random joystick in the user's place
+HALF_CELL: Final = 0.125  # of the actions' lattice
+
+# Mirrored batches: left and right are alike for a chair with its camera in the middle, so data count twice.
+IMU_SIGNS: Final = (1.0, -1.0, 1.0, -1.0, 1.0)  # of ax, ay, az, roll, pitch
+GYRO_SIGNS: Final = (-1.0, 1.0, -1.0)
+YAW_SIGNS: Final = (-1.0, 1.0)  # of its sine and cosine
+JOYSTICK_SIGNS: Final = (-1.0, 1.0)
+_SIGNS: Final = {  # of the IMU's row, by its length
+    imu_size(gyro, yaw): IMU_SIGNS + gyro * GYRO_SIGNS + yaw * YAW_SIGNS
+    for gyro in (False, True)
+    for yaw in (False, True)
+}
 
 
 class SeqDQN(DQN):
@@ -273,10 +142,15 @@ class SeqDQN(DQN):
             return actions, state
         self._greedy = np.atleast_1d(actions)
         sticks = np.asarray(observation[JOYSTICK_KEY], dtype=np.float64).reshape(-1, 2)
-        explored = np.where(self._begins(len(sticks)), self._explore(sticks), actions)
+        explores = self._explores(len(sticks))
+        if self.settings.exploration == "uniform":
+            drawn = self.rng.integers(0, len(self.action_points), len(sticks))
+        else:
+            drawn = self.action_points.nearest_many(np.clip(sticks + self._offsets, -1.0, 1.0))
+        explored = np.where(explores, drawn, actions)
         return (explored if np.ndim(actions) else explored[0]), state
 
-    def _begins(self, seats: int) -> npt.NDArray[np.bool_]:
+    def _explores(self, seats: int) -> npt.NDArray[np.bool_]:
         """Which seats explore now: an exploration lasts `epsilon_hold` steps, so it begins that much more rarely."""
         hold = self.settings.epsilon_hold
         if len(self._held) != seats:
@@ -289,12 +163,6 @@ class SeqDQN(DQN):
         explores: npt.NDArray[np.bool_] = self._held > 0
         self._held = np.maximum(self._held - 1, 0)
         return explores
-
-    def _explore(self, sticks: npt.NDArray[np.float64]) -> npt.NDArray[np.int64]:
-        """A random action per seat: near the user's joystick, or any."""
-        if self.settings.exploration == "uniform":
-            return self.rng.integers(0, len(self.action_points), len(sticks))
-        return self.action_points.nearest_many(np.clip(sticks + self._offsets, -1.0, 1.0))
 
     def _sample_action(self, *given: Any, **named: Any) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
         """Phase 1: the user's nearest action. Phase 2: greedy with exploration, from the first step on."""
@@ -378,14 +246,16 @@ class SeqDQN(DQN):
         """Do so many updates. Raises PolicyError when loss or gradient stay out of the finite numbers."""
         self.policy.set_training_mode(True)
         self._update_learning_rate(self.policy.optimizer)
-        step = self.num_timesteps
-        margin, aid = self.plan.margin_weight(step), self.plan.aid_weight(step)
+        margin, aid = self.plan.margin_weight(self.num_timesteps), self.plan.aid_weight(self.num_timesteps)
         for _ in range(gradient_steps):
+            # 1. A batch, its targets, and the Huber loss; in the first phase also the loss towards the user's action.
             loss = self._drawn_loss(batch_size, margin)
+            # 2. In the second phase, with aid, the loss of a batch that the oracle has judged.
             if aid > 0.0:
                 loss = loss + aid * self.advice_loss()
+            # 3. A step along the gradient, and the target network's little step after it.
             self._update(loss)
-        self.policy.set_training_mode(False)  # what is asked of it before the next update is asked of one observation
+        self.policy.set_training_mode(False)  # until the next update it chooses actions, one observation at a time
         self._n_updates += gradient_steps
         self.logger.record("train/n_updates", self._n_updates, exclude="tensorboard")
         self.logger.record("train/loss", self.last_loss)
@@ -394,11 +264,13 @@ class SeqDQN(DQN):
         self.logger.record("train/aid_weight", aid)
 
     def _drawn_loss(self, batch_size: int, margin: float) -> torch.Tensor:
+        """The loss of a batch that is drawn from memory: groups of steps for a network with a state, else steps."""
         if self.q_net.spec.stateful:
-            settings, nets = self.settings, (self.q_net, self.q_net_target)
-            supervised = (lambda *seen: margin * self.supervised_loss(*seen)) if margin > 0.0 else None
             batch = self.replay_buffer.sample_groups(batch_size)
-            loss, self.max_abs_q = _sequence_loss(nets, batch, settings.reward_scale, settings.double_q, supervised)
+            nets = self.q_net, self.q_net_target
+            supervised = (lambda *seen: margin * self.supervised_loss(*seen)) if margin > 0.0 else None
+            scale, double_q = self.settings.reward_scale, self.settings.double_q
+            loss, self.max_abs_q = _sequence_loss(nets, batch, scale, double_q, supervised)
             return loss
         drawn = self.replay_buffer.sample(batch_size)
         if self._flips():
@@ -441,7 +313,7 @@ class SeqDQN(DQN):
         return ((values + wanted).max(dim=1).values - values.gather(1, label)[:, 0]).mean()
 
     def advice_loss(self) -> torch.Tensor:
-        """Loss of a batch of advice from the truth (`agents/learning/seqdqn.py`), 0 while there is none."""
+        """Loss of a batch of steps whose actions the oracle has judged, 0 while there is none."""
         advice = self.replay_buffer.sample_advice(AID_BATCH, AID_SHARE, AID_AHEAD)
         if advice is None:
             return torch.zeros((), device=self.device)
@@ -461,26 +333,155 @@ class SeqDQN(DQN):
         return torch.as_tensor(self.action_points.mirror, device=self.device)
 
     def _update(self, loss: torch.Tensor) -> None:
+        """One step along the gradient. Raises PolicyError when too many in a row were not finite."""
         self.last_loss = float(loss.detach())
-        if not (np.isfinite(self.last_loss) and np.isfinite(self._clipped_gradient(loss))):
-            self._skip_update()
+        finite = np.isfinite(self.last_loss)
+        if finite:
+            self.policy.optimizer.zero_grad()
+            loss.backward()  # type: ignore[no-untyped-call]
+            # Its norm before it is clipped: an infinite gradient cannot be clipped.
+            norm = torch.nn.utils.clip_grad_norm_(self.q_net.parameters(), self.max_grad_norm)
+            finite = np.isfinite(float(norm))
+        if finite:
+            self.skipped_updates = 0
+            self.policy.optimizer.step()
+            polyak_update(self.q_net.parameters(), self.q_net_target.parameters(), self.tau)
+            polyak_update(self.batch_norm_stats, self.batch_norm_stats_target, 1.0)  # they are no parameters
             return
-        self.skipped_updates = 0
-        self.policy.optimizer.step()
-        polyak_update(self.q_net.parameters(), self.q_net_target.parameters(), self.tau)
-        polyak_update(self.batch_norm_stats, self.batch_norm_stats_target, 1.0)  # they are no parameters
-
-    def _clipped_gradient(self, loss: torch.Tensor) -> float:
-        """Reckon the gradient; its norm before it was clipped, for what is infinite cannot be."""
-        self.policy.optimizer.zero_grad()
-        loss.backward()  # type: ignore[no-untyped-call]
-        return float(torch.nn.utils.clip_grad_norm_(self.q_net.parameters(), self.max_grad_norm))
-
-    def _skip_update(self) -> None:
-        """Leave the weights as they are. Raises PolicyError when that has become a habit."""
+        # The weights stay as they are: one such step would spoil them for good.
         self.skipped_updates += 1
         if self.skipped_updates > MAX_SKIPPED:
             raise PolicyError(
                 f"the loss, {self.last_loss}, or its gradient was not finite for {self.skipped_updates} updates in a "
                 "row; expected finite numbers: start a new run with a smaller learn.learning_rate or learn.reward_scale"
             )
+
+
+# Losses over groups of steps in a row. Both networks run over the steps before a group without a gradient, from the
+# stored state, and then over the group and what its last n-step returns reach.
+
+
+def _sequence_loss(
+    nets: tuple[QNet, QNet],
+    batch: SequenceBatch,
+    reward_scale: float,
+    double_q: bool,
+    supervised: Callable[[torch.Tensor, dict[str, torch.Tensor]], torch.Tensor] | None,
+) -> tuple[torch.Tensor, float]:
+    """Huber loss over the steps of the groups, and the largest value that was met.
+
+    Args:
+        nets: Online and target network.
+        batch: Groups.
+        reward_scale: Of the returns.
+        double_q: The online network chooses the action whose value the target network gives.
+        supervised: Added to it: of values (N, A) and the joysticks that they are for, by their key.
+    """
+    online = _group_values(nets[0], batch)
+    with torch.no_grad():
+        target = _group_values(nets[1], batch)
+    wanted = _group_targets(online.detach(), target, batch, reward_scale, double_q)[batch.live]
+    length = batch.live.shape[1]
+    values = online[:, :length][batch.live[:, : online.shape[1]]]  # (N, A)
+    chosen = values.gather(1, batch.actions[batch.live][:, None])[:, 0]
+    loss = functional.smooth_l1_loss(chosen, wanted)
+    if supervised is not None:
+        sticks = batch.observations[JOYSTICK_KEY][:, :length][batch.live[:, : online.shape[1]]]
+        loss = loss + supervised(values, {JOYSTICK_KEY: sticks})
+    return loss, float(values.detach().abs().max())
+
+
+def _group_values(net: QNet, batch: SequenceBatch) -> torch.Tensor:
+    """Values (K, P, A) of all observations of the groups."""
+    return net.unroll(batch.observations, _burned_in(net, batch))[0]
+
+
+@torch.no_grad()
+def _burned_in(net: QNet, batch: SequenceBatch) -> torch.Tensor:
+    """The network's state (K, S) where the groups begin."""
+    states = batch.states.clone()
+    for rows, observations in batch.burn_in:
+        states[rows] = net.unroll(observations, states[rows])[1]
+    return states
+
+
+@torch.no_grad()
+def _group_targets(
+    online: torch.Tensor, target: torch.Tensor, batch: SequenceBatch, reward_scale: float, double_q: bool
+) -> torch.Tensor:
+    """Scaled n-step returns plus the discounted value after them, (K, L), from both networks' values (K, P, A)."""
+    judge = online if double_q else target
+    best = target.gather(2, judge.argmax(dim=2, keepdim=True))[..., 0]  # (K, P)
+    value = best.gather(1, batch.after)
+    return reward_scale * batch.returns + (1.0 - batch.terminated) * batch.discounts * value
+
+
+# Advice
+
+
+def _relabelled(joysticks_xy: F32, points: F64, share: float, rng: np.random.Generator) -> F32:
+    """Other wishes for the same moments: whether an action is safe does not depend on what the user wants.
+
+    A share of the rows (B, 2) gets the joystick near one of `points` (A, 2) instead, in the unit disc; so a moment in
+    which the user happened to be right teaches too.
+    """
+    wish = points[rng.integers(0, len(points), len(joysticks_xy))]
+    wish = wish + rng.uniform(-HALF_CELL, HALF_CELL, wish.shape)
+    wish /= np.maximum(np.hypot(wish[:, 0], wish[:, 1]), 1.0)[:, None]
+    replaced = rng.random(len(wish)) < share
+    return np.where(replaced[:, None], wish, joysticks_xy).astype(np.float32)
+
+
+def _aid_loss(
+    values: torch.Tensor, distances: torch.Tensor, safe: torch.Tensor, scale: float, unsafe: float
+) -> torch.Tensor:
+    """How far the safe action nearest to the user's joystick is from beating the others by a margin.
+
+    The strongest rival counts as in DQfD; every unsafe action counts too, so that one step teaches about all of them.
+    A row in which nothing is safe teaches nothing: what it would teach is to stand still. The oracle sees the true
+    geometry, but only the loss does; the policy that learns sees what every policy sees.
+
+    Args:
+        values: (B, A) action values.
+        distances: (B, A) joystick distance of every action from the user's.
+        safe: (B, A) bool, which actions end well.
+        scale: Of the reward; margins are joystick distances times this.
+        unsafe: Joystick distance that the margin adds for an action that ends badly.
+
+    Returns:
+        A scalar, 0 when every row has its teacher's action ahead by the margins.
+    """
+    label = _teacher_actions(distances, safe)[:, None]
+    margin = (distances - distances.gather(1, label)).clamp(min=0.0) + MARGIN_OFFSET + unsafe * ~safe
+    margin = (scale * margin).scatter(1, label, 0.0)
+    behind = functional.relu(values + margin - values.gather(1, label))  # (B, A), 0 at the label
+    dense = (behind * ~safe).sum(dim=1) / (~safe).sum(dim=1).clamp(min=1)
+    return ((behind.max(dim=1).values + dense) * safe.any(dim=1)).mean()
+
+
+def _teacher_actions(distances: torch.Tensor, safe: torch.Tensor) -> torch.Tensor:
+    """The safe action nearest to the user's joystick, where there is one; (B, A) and (B, A) -> (B,)."""
+    return distances.masked_fill(~safe, torch.inf).argmin(dim=1)
+
+
+# The mirror
+
+
+def _mirror_batch(batch: DictReplayBufferSamples, actions: torch.Tensor, signs: Signs = ()) -> DictReplayBufferSamples:
+    """The same batch with left and right exchanged; `actions` (A,) is the mirror map of the action set."""
+    return batch._replace(
+        observations=_mirrored(batch.observations, actions, signs),
+        actions=actions[batch.actions.long()],
+        next_observations=_mirrored(batch.next_observations, actions, signs),
+    )
+
+
+def _mirrored(observations: Tensors, actions: torch.Tensor, further: Signs) -> Tensors:
+    out = dict(observations)
+    for key, value in observations.items():
+        if value.ndim > 2:  # a picture; the others are rows of numbers
+            out[key] = value.flip(-1)
+    imu_signs = _SIGNS[observations[IMU_KEY].shape[-1]]
+    for key, signs in ((IMU_KEY, imu_signs), (JOYSTICK_KEY, JOYSTICK_SIGNS), *further):
+        out[key] = observations[key] * observations[key].new_tensor(signs)
+    return out

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -44,7 +44,6 @@ from wcsim.errors import ConfigError, InterruptedRunError
 from wcsim.server.workers.crew import WorkerNow
 
 if TYPE_CHECKING:  # loads the simulators, which --help must not
-    from wcsim.agents.evaluation.suite.playback import Played, PlayedStep
     from wcsim.agents.evaluation.suite.records import EpisodeRecord
     from wcsim.agents.evaluation.suite.result_files import TestResult
     from wcsim.agents.evaluation.suite.rows import ResultRow
@@ -52,99 +51,17 @@ if TYPE_CHECKING:  # loads the simulators, which --help must not
     from wcsim.agents.opening.list_file import Suite
 
 
-@dataclass(frozen=True, slots=True)
-class _Named(OptionNote):
-    """A name that a list can have, of so many characters at most."""
-
-    most: int
-
-    def check(self, option: str, value: str) -> None:
-        """See `OptionNote`."""
-        if re.fullmatch(name_pattern(self.most), value):
-            return
-        proposed = re.sub(r"[^a-z0-9]+", "-", value.lower()).strip("-")[: self.most]
-        raise ConfigError(
-            f"{option}: got the name {escaped(value, 80)!r}; expected at most {self.most} lower-case letters, digits "
-            "and -" + f", such as {proposed}" * bool(proposed)
-        )
-
-
-@dataclass
-class _SuiteMakeOptions:
-    """Make a list of test episodes for your own towns."""
-
-    make_suite: str
-    """A town's name, its folder, or a .sumocfg file; several are separated by commas.
-    made:SEED is a generated town (`wcsim town make`)."""
-    suite_file: Annotated[Path, arg(metavar="FILE"), Writes()] = Path("suite.json")
-    """The list to write. Its set is named after the file: lower-case letters, digits and - only."""
-    name: Annotated[str, _Named(MOST_NAME)] = "own-suite-v1"
-    """Name of the list, with its version."""
-    free: Annotated[int, Bounds(1, 10_000)] = 8
-    """Blocks of free routes for each town, six routes each."""
-    attempts: Annotated[int, Bounds(1, 10_000)] = 40
-    """Attempts at crossings for each town."""
-    hazards: Annotated[int, Bounds(0, 10_000)] = 30
-    """Largest number of starts, for each town, from which the user alone crashes."""
-    more_ways: Annotated[int, Bounds(0, 10_000)] = 0
-    """Further blocks of free routes for each town, only searched for such starts."""
-    tight: Annotated[int, Bounds(0, 10_000)] = 5
-    """Generated scenes of each family of tight places."""
-    tight_from: Annotated[int, Bounds(0, 1_000_000)] = 0
-    """Their first seed."""
-    forks: Annotated[int, Bounds(0, 1_000_000)] = 1_000_000
-    """Episodes of the list whose interventions are judged, evenly spread."""
-    jobs: Jobs = 1
-    """Parallel processes."""
-    seed: int = 0
-    """Seed of the list."""
-
-
-def make_list(words: list[str]) -> int:
-    """Make a list and write it."""
-    options = parse(_SuiteMakeOptions, words, "test")
-    _Named(MOST_SET).check("--suite-file", options.suite_file.stem)
-
-    from wcsim.agents.evaluation.suite.make import MakeOrder, make_suite
-    from wcsim.agents.evaluation.suite.result_files import TOWNS
-    from wcsim.agents.opening.list_file import asked_towns, suite_of, write_list
-
-    with temporary_folder() as work:
-        order = MakeOrder(
-            suite=options.name,
-            set=options.suite_file.stem,
-            seed=options.seed,
-            free_blocks=options.free,
-            attempts=options.attempts,
-            hazards=options.hazards,
-            more_ways=options.more_ways,
-            tight=range(options.tight_from, options.tight_from + options.tight),
-            forks=options.forks,
-            jobs=options.jobs,
-            work=work,
-        )
-        towns = asked_towns(options.make_suite, order.work / TOWNS)
-        with StageBar("making the list") as bar:
-
-            def tell(text: str, share: float) -> None:
-                bar.show(share, "")
-                bar.say(text)
-
-            file = make_suite(order, towns, tell)
-    write_list(file, options.suite_file)
-    suite = suite_of(file)
-    held = f"{counted(suite.episodes, 'episode')} in {counted(len(file.blocks), 'block')}"
-    stdout_console().print(f"{options.suite_file}: {held}, {suite.sha256[:12]}")
-    return 0
-
-
-_TOLD_EVERY_S = 20.0
-_OTHERS = (*BASELINES, *UPPER_BOUNDS)
-_KEPT = "kept/*.json"  # blocks that are done
+_OTHERS = (*BASELINES, *UPPER_BOUNDS)  # drive beside the policies, unless --only
 _LISTED = {
     "env.profile": "each episode of a list has its own user; choose it with --town and --profile, no --suite",
     "env.max_steps": "each episode of a list has its own step limit; set it with --town and --max-steps, no --suite",
 }
+_WORKERS_EVERY_S = 20.0  # a line about who drives what, where that is another machine
+# Of an episode that is played again: its end is filmed, and every so often a row is printed.
+_PLACE = re.compile(r"([0-9]{1,6})\.([0-9]{1,3})")
+_FILMED_S = 10.0
+_ROW_EVERY_S = 0.5
+_MAP_PX, _MAP_SPAN_M = 480, 30.0
 
 
 @dataclass
@@ -230,51 +147,9 @@ def run_suites(words: list[str]) -> int:
         play = parse(_PlayedEpisodeOptions, words, "test")
         return _play_episode(_suite_order(play, clean=play.clean), play.policies, play.play)
     if says(words, "--sensitivity"):
-        return _disturb(parse(_SensitivityOptions, words, "test"))
+        return _compare_disturbances(parse(_SensitivityOptions, words, "test"))
     options = parse(_SuiteOptions, words, "test")
     return judge(_suite_order(options, options.forks, clean=options.clean), options, options.suite)
-
-
-def _suite_order(options: _OfSuite, forks: int | None = None, *, clean: bool = False) -> SuiteOrder:
-    from wcsim.agents.evaluation.suite.sensitivity import CLEAN
-    from wcsim.agents.opening.list_file import open_suite
-
-    suite = open_suite(options.suite)
-    out = options.out or Path("runs") / f"suite-{suite.file.set}"
-    check_folder("--out", out / "x")
-    order = order_of(options, suite, out, forks)
-    return replace(order, settings=(*CLEAN, *order.settings)) if clean else order
-
-
-def _require_usable(order: SuiteOrder, options: _DriveOptions) -> None:
-    """Say what is to be driven; what can be used in no episode is refused before any. Raises WcsimError."""
-    if (order.out / "kept").exists() and not options.resume:
-        raise ConfigError(
-            f"--out {order.out}: it holds blocks of an earlier test; continue them with --resume, or choose another "
-            "folder"
-        )
-    from wcsim.agents.evaluation.suite.run import require_usable
-    from wcsim.agents.opening.named_policy import told_of_rules
-
-    told, suite = stderr_console(), order.suite
-    listed = f"{suite.file.suite} {suite.file.set}, list {suite.sha256[:12]}"
-    told.print(f"{listed}: {counted(suite.episodes, 'episode')} a policy")
-    for line in told_of_rules(options.policies, order.preset, (*suite.file.settings, *order.settings)):
-        told.print(line)
-    require_usable(order, options.policies)
-
-
-@contextmanager
-def _stopped(order: SuiteOrder, options: _DriveOptions) -> Iterator[None]:
-    """Say of a test that Ctrl-C ends how it goes on, where something of it is kept."""
-    before = set() if options.resume else set(order.out.rglob(_KEPT))  # of another test in the same folder
-    try:
-        yield
-    except KeyboardInterrupt:
-        if not set(order.out.rglob(_KEPT)) - before or (options.out is None and not isinstance(options, _OfSuite)):
-            raise
-        told = f"stopped; finished blocks are saved in {order.out}; continue with --resume"
-        raise InterruptedRunError(told) from None
 
 
 def judge(order: SuiteOrder, options: JudgeOptions, name: str) -> int:
@@ -283,7 +158,7 @@ def judge(order: SuiteOrder, options: JudgeOptions, name: str) -> int:
     Args:
         order: How.
         options: As typed.
-        name: The list, as it was asked for.
+        name: The list, as it was typed.
     """
     result = drive_list(order, options, name)
     from wcsim.agents.evaluation.suite.records import undriven
@@ -302,19 +177,131 @@ def drive_list(order: SuiteOrder, options: JudgeOptions, name: str) -> TestResul
     _require_usable(order, options)
     policies = tuple(dict.fromkeys((UNAIDED, *options.policies, *(() if options.only else _OTHERS))))
     done = 0
-    with StageBar("testing") as bar, _stopped(order, options):
+    with StageBar("testing") as bar, _resumable(order, options):
 
-        def tell(policy: str, blocks: int, of: int) -> None:
+        def show(policy: str, blocks: int, of: int) -> None:
             nonlocal done
             done += 1
             bar.show(done / (of * len(policies)), f"{policy}: {blocks} of {of} blocks")
             if not bar.console.is_terminal:
                 bar.say(f"{policy}: {blocks} of {of} blocks")
 
-        return keep_result(order, name, run_suite(order, policies, tell))
+        return save_result(order, name, run_suite(order, policies, show))
 
 
-def _disturb(options: _SensitivityOptions) -> int:
+def order_of(options: _DriveOptions, suite: Suite, out: Path, forks: int | None = None) -> SuiteOrder:
+    """How these options drive a list into a folder."""
+    from wcsim.agents.evaluation.suite.run import SuiteOrder
+
+    shown_s = time.monotonic()
+
+    def show_workers(workers: tuple[WorkerNow, ...]) -> None:
+        nonlocal shown_s
+        if options.cluster and time.monotonic() - shown_s > _WORKERS_EVERY_S:
+            shown_s = time.monotonic()
+            busy = ((each.name, f"{each.key} for {each.for_s:.0f} s" if each.key else "free") for each in workers)
+            say(", ".join(f"{worker} {what}" for worker, what in busy))
+
+    machines = machines_of(options.cluster, options.jobs, "--jobs")
+    return SuiteOrder(
+        suite=suite,
+        out=out,
+        jobs=options.jobs,
+        machines=replace(machines, say=say),
+        look=show_workers,
+        preset=options.preset,
+        settings=options.set,
+        network=options.network,
+        forks=suite.file.forks if forks is None else forks,
+    )
+
+
+def save_result(order: SuiteOrder, name: str, records: Mapping[str, Sequence[EpisodeRecord]]) -> TestResult:
+    """Write what a test leaves in its folder; the result.
+
+    Args:
+        order: What was driven.
+        name: The list, as it was typed.
+        records: Of the user alone and of the policies.
+
+    Raises:
+        DiskFullError: There is no room.
+    """
+    from wcsim.agents.evaluation.suite.result_files import ASKED, EPISODES, RESULT, result_of
+
+    typed = {"preset": order.preset, "network": order.network, "out": str(order.out)}
+    result = result_of(
+        records,
+        suite=order.suite.file.suite,
+        set=order.suite.file.set,
+        list_sha256=order.suite.sha256,
+        changed=order.settings,
+        list_name=name,
+        **typed,
+    )
+    contents = {
+        RESULT: result.to_json(),
+        EPISODES: {policy: [record.to_json() for record in found] for policy, found in records.items()},
+        ASKED: {"suite": name, **typed},
+    }
+    with ExitStack() as opened:  # all of it first: a full disk leaves what an earlier test wrote as it was
+        for file, content in contents.items():
+            part = opened.enter_context(result_file(order.out / file))
+            indent = None if file == EPISODES else 2  # many records: half of the file would be blanks
+            part.write_text(json_text(order.out / file, content, indent), encoding="utf-8")
+    return result
+
+
+def _suite_order(options: _OfSuite, forks: int | None = None, *, clean: bool = False) -> SuiteOrder:
+    """How a fixed list is driven."""
+    from wcsim.agents.evaluation.suite.sensitivity import CLEAN
+    from wcsim.agents.opening.list_file import open_suite
+
+    suite = open_suite(options.suite)
+    out = options.out or Path("runs") / f"suite-{suite.file.set}"
+    check_folder("--out", out / "x")
+    order = order_of(options, suite, out, forks)
+    return replace(order, settings=(*CLEAN, *order.settings)) if clean else order
+
+
+def _require_usable(order: SuiteOrder, options: _DriveOptions) -> None:
+    """Print what is going to be driven; refuse what can be used in no episode. Raises WcsimError."""
+    from wcsim.agents.evaluation.suite.run import KEPT, require_usable
+    from wcsim.agents.opening.named_policy import told_of_rules
+
+    if (order.out / KEPT).exists() and not options.resume:
+        raise ConfigError(
+            f"--out {order.out}: it holds blocks of an earlier test; continue them with --resume, or choose another "
+            "folder"
+        )
+    suite, console = order.suite, stderr_console()
+    listed = f"{suite.file.suite} {suite.file.set}, list {suite.sha256[:12]}"
+    console.print(f"{listed}: {counted(suite.episodes, 'episode')} a policy")
+    for line in told_of_rules(options.policies, order.preset, (*suite.file.settings, *order.settings)):
+        console.print(line)
+    require_usable(order, options.policies)
+
+
+@contextmanager
+def _resumable(order: SuiteOrder, options: _DriveOptions) -> Iterator[None]:
+    """Ctrl-C ends a test with how it goes on, if it has saved a block, in a folder that stays."""
+    from wcsim.agents.evaluation.suite.run import KEPT
+
+    def saved() -> set[Path]:
+        return set(order.out.rglob(f"{KEPT}/*.json"))
+
+    before = set() if options.resume else saved()  # of another test in the same folder
+    try:
+        yield
+    except KeyboardInterrupt:
+        stays = options.out is not None or isinstance(options, _OfSuite)  # the folder of --town is temporary
+        if not stays or not saved() - before:
+            raise
+        message = f"stopped; finished blocks are saved in {order.out}; continue with --resume"
+        raise InterruptedRunError(message) from None
+
+
+def _compare_disturbances(options: _SensitivityOptions) -> int:
     """Drive the list with each disturbance alone; how the command ends."""
     from wcsim.agents.evaluation.suite.sensitivity import sensitivity
 
@@ -322,7 +309,7 @@ def _disturb(options: _SensitivityOptions) -> int:
     file = order.suite.file
     _require_usable(order, options)
     policies = tuple(dict.fromkeys((UNAIDED, *options.policies)))
-    with _stopped(order, options):
+    with _resumable(order, options):
         moved = sensitivity(order, policies, say)
     rows = [each.to_json() for each in moved]
     write_json(order.out / "sensitivity.json", rows)
@@ -335,84 +322,62 @@ def _exit_of(rows: Iterable[ResultRow]) -> Exit:
     return Exit.FAILED if any(row.without_result for row in rows) else Exit.DONE
 
 
-def _look(options: _DriveOptions) -> Callable[[tuple[WorkerNow, ...]], object]:
-    """Says now and then who drives what, where that is another machine."""
-    said_s = time.monotonic()
+def _play_episode(order: SuiteOrder, policies: Sequence[str], place: str) -> int:
+    """Drive one episode again, film its end, print what happened.
 
-    def look(workers: tuple[WorkerNow, ...]) -> None:
-        nonlocal said_s
-        if options.cluster and time.monotonic() - said_s > _TOLD_EVERY_S:
-            said_s = time.monotonic()
-            say(_said_of(workers))
-
-    return look
-
-
-def _said_of(workers: tuple[WorkerNow, ...]) -> str:
-    """Who is at what, in a line.
-
-    >>> _said_of((WorkerNow(name="10.0.0.2/1", key="3-000-0001", for_s=12.3), WorkerNow(name="10.0.0.2/2", key="")))
-    '10.0.0.2/1 3-000-0001 for 12 s, 10.0.0.2/2 free'
-    """
-    return ", ".join(f"{each.name} {f'{each.key} for {each.for_s:.0f} s' if each.key else 'free'}" for each in workers)
-
-
-def order_of(options: _DriveOptions, suite: Suite, out: Path, forks: int | None = None) -> SuiteOrder:
-    """How these options drive a list into a folder."""
-    from wcsim.agents.evaluation.suite.run import SuiteOrder
-
-    machines = machines_of(options.cluster, options.jobs, "--jobs")
-    return SuiteOrder(
-        suite=suite,
-        out=out,
-        jobs=options.jobs,
-        machines=replace(machines, say=say),
-        look=_look(options),
-        preset=options.preset,
-        settings=options.set,
-        network=options.network,
-        forks=suite.file.forks if forks is None else forks,
-    )
-
-
-def keep_result(order: SuiteOrder, name: str, records: Mapping[str, Sequence[EpisodeRecord]]) -> TestResult:
-    """Write what a test leaves in its folder; the result.
-
-    Args:
-        order: What was driven.
-        name: The list, as it was asked for.
-        records: Of the user alone and of the policies.
+    An episode that `order.out` holds must come out as it did there.
 
     Raises:
-        DiskFullError: There is no room.
+        ConfigError: The place is none, the policies are not one, or the episode went another way.
+        PolicyError: The policy cannot be used.
     """
-    from wcsim.agents.evaluation.suite.result_files import ASKED, EPISODES, RESULT, result_of
+    index, seat = _place_of_play(place, len(order.suite.file.blocks))
+    if len(policies) != 1:
+        raise ConfigError(f"--play takes one policy, got {len(policies)}: name the policy whose episode to drive")
+    from wcsim.agents.evaluation.suite.playback import play, require_same
+    from wcsim.agents.evaluation.suite.result_files import EPISODES, read_episodes
+    from wcsim.agents.evaluation.suite.run import piece_of, require_usable, town_addresses
+    from wcsim.view.filming import film_steps, near, sticks
+    from wcsim.view.map import MapView
 
-    file = order.suite.file
-    asked = {"preset": order.preset, "network": order.network, "out": str(order.out)}
-    result = result_of(
-        records,
-        suite=file.suite,
-        set=file.set,
-        list_sha256=order.suite.sha256,
-        changed=order.settings,
-        list_name=name,
-        **asked,
+    # 1. Drive it, and film its end.
+    require_usable(order, policies)
+    piece = piece_of(order, index, policies[0], town_addresses(order), judged=False)
+    config = config_for(piece.policy, piece.preset, piece.settings, in_list=True)
+    saved = read_episodes(order.out).get(policies[0], ()) if is_file(order.out / EPISODES) else ()
+    film = order.out / "play" / f"{re.sub(r'[^A-Za-z0-9_.-]+', '-', policies[0])}-{index}.{seat}.webm"
+    film.parent.mkdir(parents=True, exist_ok=True)
+    (played,) = play(
+        piece,
+        (seat,),
+        round(_FILMED_S / config.world.tick_s),
+        lambda world, steps: film_steps(film, MapView(world.street.mesh, _MAP_PX, _MAP_SPAN_M), steps, config),
     )
-    episodes = {policy: [record.to_json() for record in found] for policy, found in records.items()}
 
-    with ExitStack() as held:  # all of it first: a full disk leaves what an earlier test wrote as it was
-        for output, said in ((RESULT, result.to_json()), (EPISODES, episodes), (ASKED, {"suite": name, **asked})):
-            part = held.enter_context(result_file(order.out / output))
-            indent = None if output == EPISODES else 2  # many records: half of the file would be blanks
-            part.write_text(json_text(order.out / output, said, indent), encoding="utf-8")
-    return result
+    # 2. Print a row every so often, counted back from the end.
+    record = played.record
+    every, rows = max(1, round(_ROW_EVERY_S / config.world.tick_s)), []
+    for before, step in enumerate(reversed(played.steps)):
+        if before % every == 0:
+            nearest = [*near(step), "-"][0]
+            time_s = f"-{before * config.world.tick_s:.1f}"
+            rows.append((time_s, f"{step.speed_mps:.2f}", *sticks(step), nearest))
+    how = " ".join(word for word in (record.status, record.reason, record.fault, record.crash) if word)
+    show_table(
+        [Column(heading, justify="right", no_wrap=True) for heading in ("s", "m/s", "user", "driven", "nearest")],
+        rows[::-1],
+        title=f"{record.part} {record.block}.{record.seat}, {record.town}, {record.profile}: {how}",
+    )
 
-
-_PLACE = re.compile(r"([0-9]{1,6})\.([0-9]{1,3})")
-_LAST_S = 10.0
-_ROW_EVERY_S = 0.5
-_MAP_PX, _MAP_SPAN_M = 480, 30.0
+    # 3. Compare it with the one that was saved.
+    twin = next((item for item in saved if (item.block, item.seat) == (index, seat)), None)
+    if twin is not None:
+        require_same(record, twin)
+    compared = "the same as the saved one" if twin is not None else f"not compared: none is saved in {order.out}"
+    stdout_console().print(
+        f"{film if played.steps else 'no video: nothing was driven'}; the episode is {compared}", style="dim"
+    )
+    return 0
 
 
 def _place_of_play(text: str, blocks: int) -> tuple[int, int]:
@@ -428,63 +393,90 @@ def _place_of_play(text: str, blocks: int) -> tuple[int, int]:
     return int(found[1]), int(found[2])
 
 
-def _play_episode(order: SuiteOrder, policies: Sequence[str], place: str) -> int:
-    """Drive one episode again, film its last 10 s, say what happened.
+# --- lists are made ---
 
-    An episode that `order.out` holds must come out as it did there.
 
-    Raises:
-        ConfigError: The place is none, the policies are not one, or the episode went another way.
-        PolicyError: The policy cannot be used.
-    """
-    index, seat = _place_of_play(place, len(order.suite.file.blocks))
-    if len(policies) != 1:
-        raise ConfigError(f"--play takes one policy, got {len(policies)}: name the policy whose episode to drive")
-    from wcsim.agents.evaluation.suite.playback import play, require_same
-    from wcsim.agents.evaluation.suite.result_files import EPISODES, read_episodes
-    from wcsim.agents.evaluation.suite.run import piece_of, require_usable, town_addresses
-    from wcsim.view.filming import film_steps
-    from wcsim.view.map import MapView
+@dataclass(frozen=True, slots=True)
+class _Named(OptionNote):
+    """A name that a list can have, of so many characters at most."""
 
-    require_usable(order, policies)
-    piece = piece_of(order, index, policies[0], town_addresses(order), judged=False)
-    config = config_for(piece.policy, piece.preset, piece.settings, in_list=True)
-    kept = read_episodes(order.out).get(policies[0], ()) if is_file(order.out / EPISODES) else ()
-    film = order.out / "play" / f"{re.sub(r'[^A-Za-z0-9_.-]+', '-', policies[0])}-{index}.{seat}.webm"
-    film.parent.mkdir(parents=True, exist_ok=True)
-    (played,) = play(
-        piece,
-        (seat,),
-        round(_LAST_S / config.world.tick_s),
-        lambda world, steps: film_steps(film, MapView(world.street.mesh, _MAP_PX, _MAP_SPAN_M), steps, config),
-    )
-    _tell(played, config.world.tick_s)
-    twin = next((item for item in kept if (item.block, item.seat) == (index, seat)), None)
-    if twin is not None:
-        require_same(played.record, twin)
-    compared = "the same as the saved one" if twin is not None else f"not compared: none is saved in {order.out}"
-    stdout_console().print(
-        f"{film if played.steps else 'no video: nothing was driven'}; the episode is {compared}", style="dim"
-    )
+    most: int
+
+    def check(self, option: str, value: str) -> None:
+        """See `OptionNote`."""
+        if re.fullmatch(name_pattern(self.most), value):
+            return
+        proposed = re.sub(r"[^a-z0-9]+", "-", value.lower()).strip("-")[: self.most]
+        raise ConfigError(
+            f"{option}: got the name {escaped(value, 80)!r}; expected at most {self.most} lower-case letters, digits "
+            "and -" + f", such as {proposed}" * bool(proposed)
+        )
+
+
+@dataclass
+class _SuiteMakeOptions:
+    """Make a list of test episodes for your own towns."""
+
+    make_suite: str
+    """A town's name, its folder, or a .sumocfg file; several are separated by commas.
+    made:SEED is a generated town (`wcsim town make`)."""
+    suite_file: Annotated[Path, arg(metavar="FILE"), Writes()] = Path("suite.json")
+    """The list to write. Its set is named after the file: lower-case letters, digits and - only."""
+    name: Annotated[str, _Named(MOST_NAME)] = "own-suite-v1"
+    """Name of the list, with its version."""
+    free: Annotated[int, Bounds(1, 10_000)] = 8
+    """Blocks of free routes for each town, six routes each."""
+    attempts: Annotated[int, Bounds(1, 10_000)] = 40
+    """Attempts at crossings for each town."""
+    hazards: Annotated[int, Bounds(0, 10_000)] = 30
+    """Largest number of starts, for each town, from which the user alone crashes."""
+    more_ways: Annotated[int, Bounds(0, 10_000)] = 0
+    """Further blocks of free routes for each town, only searched for such starts."""
+    tight: Annotated[int, Bounds(0, 10_000)] = 5
+    """Generated scenes of each family of tight places."""
+    tight_from: Annotated[int, Bounds(0, 1_000_000)] = 0
+    """Their first seed."""
+    forks: Annotated[int, Bounds(0, 1_000_000)] = 1_000_000
+    """Episodes of the list whose interventions are judged, evenly spread."""
+    jobs: Jobs = 1
+    """Parallel processes."""
+    seed: int = 0
+    """Seed of the list."""
+
+
+def make_list(words: list[str]) -> int:
+    """Make a list and write it."""
+    options = parse(_SuiteMakeOptions, words, "test")
+    _Named(MOST_SET).check("--suite-file", options.suite_file.stem)
+
+    from wcsim.agents.evaluation.suite.make import MakeOrder, make_suite
+    from wcsim.agents.evaluation.suite.result_files import TOWNS
+    from wcsim.agents.opening.list_file import asked_towns, suite_of, write_list
+
+    with temporary_folder() as work:
+        order = MakeOrder(
+            suite=options.name,
+            set=options.suite_file.stem,
+            seed=options.seed,
+            free_blocks=options.free,
+            attempts=options.attempts,
+            hazards=options.hazards,
+            more_ways=options.more_ways,
+            tight=range(options.tight_from, options.tight_from + options.tight),
+            forks=options.forks,
+            jobs=options.jobs,
+            work=work,
+        )
+        towns = asked_towns(options.make_suite, order.work / TOWNS)
+        with StageBar("making the list") as bar:
+
+            def show(text: str, share: float) -> None:
+                bar.show(share, "")
+                bar.say(text)
+
+            file = make_suite(order, towns, show)
+    write_list(file, options.suite_file)
+    suite = suite_of(file)
+    size = f"{counted(suite.episodes, 'episode')} in {counted(len(file.blocks), 'block')}"
+    stdout_console().print(f"{options.suite_file}: {size}, {suite.sha256[:12]}")
     return 0
-
-
-def _tell(played: Played, tick_s: float) -> None:
-    record = played.record
-    how = " ".join(word for word in (record.status, record.reason, record.fault, record.crash) if word)
-    every = max(1, round(_ROW_EVERY_S / tick_s))
-    show_table(
-        [Column(heading, justify="right", no_wrap=True) for heading in ("s", "m/s", "user", "driven", "nearest")],
-        [
-            _row_of(step, number * tick_s)
-            for number, step in reversed(list(enumerate(reversed(played.steps))))
-            if number % every == 0
-        ],
-        title=f"{record.part} {record.block}.{record.seat}, {record.town}, {record.profile}: {how}",
-    )
-
-
-def _row_of(step: PlayedStep, before_s: float) -> tuple[str, ...]:
-    from wcsim.view.filming import near, sticks
-
-    return f"-{before_s:.1f}", f"{step.speed_mps:.2f}", *sticks(step), [*near(step), "-"][0]

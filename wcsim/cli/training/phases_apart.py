@@ -17,7 +17,7 @@ from wcsim.agents.clients.group_run import CHOICE, KPI1, SELECTION, Client, Grou
 from wcsim.agents.networks.names import is_own
 from wcsim.agents.runs.metrics import KPI1_STEPS, ROW_STEPS
 from wcsim.agents.runs.run_folder import how_to_resume
-from wcsim.cli.evaluation.judged_suite import keep_result
+from wcsim.cli.evaluation.judged_suite import save_result
 from wcsim.cli.shared.common import worlds_of, write_json
 from wcsim.cli.shared.consoles import say, show_table, stderr_console
 from wcsim.cli.shared.exit_codes import Exit
@@ -163,7 +163,7 @@ def _tested(options: GroupOptions, run: GroupRun, suite: Suite, name: str) -> Fi
             replace(order, network=network), policies, lambda policy, done, of: say(f"{policy}: {done} of {of} blocks")
         )
     records = {policy: found[policy] for policy in networks}
-    return _figures_of(keep_result(order, name, records), run.out, [client.name for client in run.clients])
+    return _figures_of(save_result(order, name, records), run.out, [client.name for client in run.clients])
 
 
 def _policy_of(run: Path, client: str) -> str:

@@ -17,7 +17,7 @@ from wcsim.agents.evaluation.suite.run import SuiteOrder, drive_piece, piece_of,
 from wcsim.agents.opening.list_file import write_list
 from wcsim.bridge.sumo.session import world_in_this_process
 from wcsim.bridge.user_drives import drawn_user, record_user
-from wcsim.cli.evaluation.judged_suite import keep_result
+from wcsim.cli.evaluation.judged_suite import save_result
 from wcsim.cli.recordings import replay
 from wcsim.cli.recordings.episode_film import episode_film
 from wcsim.config import resolve
@@ -210,7 +210,7 @@ def tested(corner: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_list(suite.file, folder / "corner.json")
     order = SuiteOrder(suite=suite, out=folder, forks=0)
     piece = piece_of(order, 0, "stop", town_addresses(order), judged=False)
-    keep_result(order, str(folder / "corner.json"), {"stop": drive_piece(piece)})
+    save_result(order, str(folder / "corner.json"), {"stop": drive_piece(piece)})
     return folder
 
 

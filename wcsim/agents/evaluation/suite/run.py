@@ -42,6 +42,7 @@ from wcsim.server.workers.crew import Crew, WorkerNow
 from wcsim.server.workers.machines import HERE, At, Machines, Parcel, Work, Workers
 from wcsim.supervisor.actions import action_set
 
+KEPT: Final = "kept"  # a folder of the blocks that are done
 _LEAST_LATE_S: Final = 1800.0  # blocks differ by much
 _LOOK_S: Final = 1.0
 
@@ -324,7 +325,7 @@ def _judged_blocks(blocks: Sequence[BlockFile], episodes: int) -> frozenset[int]
 def _kept_path(order: SuiteOrder, index: int, digest: str) -> Path:
     """By what the result of a block depends on: its list, its place in it, and the policy's digest."""
     said = json.dumps([order.suite.file.suite, order.suite.sha256, index, digest])
-    return order.out / "kept" / f"{sha256_text(said)}.json"
+    return order.out / KEPT / f"{sha256_text(said)}.json"
 
 
 def _read_kept(path: Path) -> tuple[EpisodeRecord, ...]:
