@@ -18,7 +18,7 @@ OTHER_LEVEL_M: Final = 2.5
 GRAVITY_MPS2: Final = 9.81
 
 SIDESTEP_MPS: Final = 0.8
-"""People step aside for a wheelchair, and back, no faster than this."""
+"""People step aside for a wheelchair, and back, no faster than this; the oracle reckons with it."""
 
 RECORDED: Final = "recorded:"
 """Before the file of a recorded joystick, where else the name of a user's profile stands."""

@@ -17,8 +17,8 @@ from wcsim.agents.learning.replay.buffer import FrameReplay
 from wcsim.agents.learning.seqdqn import (
     MARGIN_OFFSET,
     _aid_loss,
+    _draw_other_sticks,
     _mirror_batch,
-    _relabelled,
     _teacher_actions,
 )
 from wcsim.config import LearnConfig, RunConfig, resolve
@@ -83,13 +83,13 @@ def test_the_loss_is_zero_when_the_teacher_wins_clearly_and_its_slope_goes_the_r
 
 def test_other_wishes_are_any_and_only_a_share():
     sticks = np.tile(np.array([[0.1, 0.2]], np.float32), (400, 1))
-    wishes = _relabelled(sticks, POINTS, 0.5, np.random.default_rng(0))
+    wishes = _draw_other_sticks(sticks, POINTS, 0.5, np.random.default_rng(0))
     assert wishes.dtype == np.float32
     changed = (wishes != sticks).any(axis=1)
     assert 0.4 < changed.mean() < 0.6
     assert np.hypot(*wishes.T).max() <= 1.0 + 1e-6
     assert len(np.unique(ACTIONS.nearest_many(wishes))) > 40
-    assert np.array_equal(_relabelled(sticks, POINTS, 0.0, np.random.default_rng(0)), sticks)
+    assert np.array_equal(_draw_other_sticks(sticks, POINTS, 0.0, np.random.default_rng(0)), sticks)
 
 
 # --- advice in the replay memory ---

@@ -101,9 +101,11 @@ class SeqDQN(DQN):
         self.rng = seeding.generator(0 if seed is None else seed, "agent", "explore")
         self._offsets: npt.NDArray[np.float64] = np.zeros((0, 2))  # (N, 2) explored by each seat
         self._held: npt.NDArray[np.int64] = np.zeros(0, dtype=np.int64)  # (N,) steps for which it is still held
-        self._carried: States | None = None  # of every seat, before the coming step; None where all episodes begin
-        self._next: States | None = None  # after it
-        self._greedy: npt.NDArray[Any] | None = None  # (N,) its best actions in it, where they are known
+        # What the network carries from step to step, of every seat: before the coming step (None where all episodes
+        # begin) and after it.
+        self._carried: States | None = None
+        self._next: States | None = None
+        self._greedy: npt.NDArray[Any] | None = None  # (N,) its best actions in the coming step, where they are known
         self.skipped_updates = 0
         self.max_abs_q = 0.0
         self.last_loss = float("nan")
@@ -243,7 +245,11 @@ class SeqDQN(DQN):
             self.do_updates(*due)
 
     def do_updates(self, gradient_steps: int, batch_size: int) -> None:
-        """Do so many updates. Raises PolicyError when loss or gradient stay out of the finite numbers."""
+        """Do so many updates. Raises PolicyError when loss or gradient stay out of the finite numbers.
+
+        Each draws its batch of steps with the memory's generator, then with `self.rng` whether it is mirrored; after
+        that the steps that the oracle has judged, with the memory's, then with `self.rng` their joysticks and mirror.
+        """
         self.policy.set_training_mode(True)
         self._update_learning_rate(self.policy.optimizer)
         margin, aid = self.plan.margin_weight(self.num_timesteps), self.plan.aid_weight(self.num_timesteps)
@@ -273,7 +279,7 @@ class SeqDQN(DQN):
             loss, self.max_abs_q = _sequence_loss(nets, batch, scale, double_q, supervised)
             return loss
         drawn = self.replay_buffer.sample(batch_size)
-        if self._flips():
+        if self._draw_mirrored():
             drawn = _mirror_batch(drawn, self._mirror_map(), self.mirror_signs)
         return self.loss(drawn, margin)
 
@@ -318,15 +324,16 @@ class SeqDQN(DQN):
         if advice is None:
             return torch.zeros((), device=self.device)
         seen, safe = advice
-        wishes = _relabelled(seen[JOYSTICK_KEY].cpu().numpy(), self.action_points.points, RELABELLED, self.rng)
+        wishes = _draw_other_sticks(seen[JOYSTICK_KEY].cpu().numpy(), self.action_points.points, RELABELLED, self.rng)
         seen = {**seen, JOYSTICK_KEY: torch.as_tensor(wishes, device=self.device)}
-        if self._flips():
+        if self._draw_mirrored():
             actions = self._mirror_map()
             seen, safe = _mirrored(seen, actions, self.mirror_signs), safe[:, actions]
         distances = self.q_net.distances(seen[JOYSTICK_KEY])
         return _aid_loss(self.q_net(seen), distances, safe, self.settings.reward_scale, AID_MARGIN)
 
-    def _flips(self) -> bool:
+    def _draw_mirrored(self) -> bool:
+        """Whether the next batch is seen in a mirror."""
         return self.settings.mirror and bool(self.rng.random() < 0.5)
 
     def _mirror_map(self) -> torch.Tensor:
@@ -419,7 +426,7 @@ def _group_targets(
 # Advice
 
 
-def _relabelled(joysticks_xy: F32, points: F64, share: float, rng: np.random.Generator) -> F32:
+def _draw_other_sticks(joysticks_xy: F32, points: F64, share: float, rng: np.random.Generator) -> F32:
     """Other wishes for the same moments: whether an action is safe does not depend on what the user wants.
 
     A share of the rows (B, 2) gets the joystick near one of `points` (A, 2) instead, in the unit disc; so a moment in
@@ -438,8 +445,8 @@ def _aid_loss(
     """How far the safe action nearest to the user's joystick is from beating the others by a margin.
 
     The strongest rival counts as in DQfD; every unsafe action counts too, so that one step teaches about all of them.
-    A row in which nothing is safe teaches nothing: what it would teach is to stand still. The oracle sees the true
-    geometry, but only the loss does; the policy that learns sees what every policy sees.
+    A row in which nothing is safe teaches nothing: what it would teach is to stand still. Only this
+    loss knows the oracle's verdicts; the policy that learns from it sees what every policy sees.
 
     Args:
         values: (B, A) action values.

@@ -108,7 +108,7 @@ class PedestrianAvoidance:
         self._holders: dict[str, str] = {}  # before whom each of these stands
         # Since the last `update`
         self._stuck: set[str] = set()  # who found no way past a chair
-        self._seen: set[str] = set()  # everybody near a chair
+        self._seen: set[str] = set()  # everybody whom SUMO had
         self._places: dict[str, tuple[float, float]] = {}  # where they were
         self._speeds: dict[str, float] = {}  # as SUMO has them
 
@@ -249,17 +249,37 @@ class PedestrianAvoidance:
         now_m = walker.left_m
         waited = self._standing_s.get(walker.id, 0.0) > PATIENCE_S
 
-        # 1. In its way are the chairs that it notices,
-        gap_m = walker.radius_m + (TIGHT_GAP_M if waited else CHAIR_GAP_M)
-        chairs = []
-        for box in _noticed_boxes(others.chairs, walker):
-            block = _block_around(walker.x, walker.y, walker.cos, walker.sin, box, gap_m, walker.radius_m + BEHIND_M)
-            if block.far_m > 0.0 and block.near_m < LOOK_AHEAD_M:
-                chairs.append(block)
+        # 1. Who has nothing in its way stays on its line.
+        chairs = _chairs_in_way(walker, others.chairs, TIGHT_GAP_M if waited else CHAIR_GAP_M)
+        people = self._people_in_way(walker, others.crowd, TIGHT_PERSON_GAP_M if waited else PERSON_GAP_M)
+        if not walker.aside and not any([block.blocks(0.0) for block in (*chairs, *people)]):
+            self._stuck.discard(walker.id)
+            return 0.0
 
-        # 2. people who are where SUMO does not see them, or who do not see this one, and who go first.
-        people = []
-        for other in others.crowd:
+        # 2. Who leaves it takes the nearest way past all of them, and past vehicles beside.
+        standing, driving = _vehicles_beside(walker, others.vehicles)
+        bodies = (*people, *standing, *driving)
+        ahead_m = max((min(block.far_m, LOOK_AHEAD_M) for block in (*chairs, *bodies)), default=0.0)
+        past_m = self._way_round(walker, (*chairs, *bodies), ahead_m)
+        if past_m is not None:
+            self._stuck.discard(walker.id)
+            return past_m
+
+        # 3. No way past the chair: wait, but out of the way of those who have one.
+        if any(block.blocks(now_m) for block in chairs):
+            self._stuck.add(walker.id)
+        away_m = self._way_round(walker, bodies, 0.0)
+        if away_m is not None:
+            return away_m
+
+        # 4. No such place either: stay here, or go back to where SUMO lets people stand, which is where nobody drives.
+        run_over = any(block.beside and block.blocks(now_m) for block in driving)
+        return 0.0 if run_over else now_m
+
+    def _people_in_way(self, walker: Walker, crowd: Sequence[Walker], gap_m: float) -> list[_Block]:
+        """Those who are where SUMO does not see them, or in whose way this person is, and who go first."""
+        found = []
+        for other in crowd:
             if other.id == walker.id or not (other.aside or walker.aside):
                 continue
             # The one nearer to a chair goes first, so of two people one makes room and never both.
@@ -272,42 +292,11 @@ class PedestrianAvoidance:
             block = _block_around_disc(
                 dx * walker.cos + dy * walker.sin,
                 dy * walker.cos - dx * walker.sin,
-                walker.radius_m + other.radius_m + (TIGHT_PERSON_GAP_M if waited else PERSON_GAP_M),
+                walker.radius_m + other.radius_m + gap_m,
             )
             if block.far_m > 0.0 and block.near_m < (SAME_WAY_AHEAD_M if same_way else PEOPLE_AHEAD_M):
-                people.append(block)
-        if not walker.aside and not any([block.blocks(0.0) for block in (*chairs, *people)]):
-            self._stuck.discard(walker.id)
-            return 0.0
-
-        # 3. and what drives or stands beside them, for those who leave their line.
-        driving = []
-        gap_m = walker.radius_m + PERSON_GAP_M
-        for vehicle in near(others.vehicles, *walker.at):
-            block = _block_around(walker.x, walker.y, walker.cos, walker.sin, vehicle.sweep, gap_m, gap_m)
-            if block.far_m <= 0.0 or block.near_m >= PEOPLE_AHEAD_M:
-                continue
-            if vehicle.moves:
-                driving.append(block)
-            elif not (block.beside and block.blocks(now_m)):  # else one is in the gap already, and may move along it
-                people.append(block)
-        people += driving
-
-        # 4. It takes the nearest way past all of them.
-        ahead_m = max((min(block.far_m, LOOK_AHEAD_M) for block in (*chairs, *people)), default=0.0)
-        past_m = self._way_round(walker, (*chairs, *people), ahead_m)
-        if past_m is not None:
-            self._stuck.discard(walker.id)
-            return past_m
-
-        # 5. No way past the chair: wait, but out of the way of those who have one.
-        if any(block.blocks(now_m) for block in chairs):
-            self._stuck.add(walker.id)
-        away_m = self._way_round(walker, people, 0.0)
-        if away_m is not None:
-            return away_m
-        run_over = any(block.beside and block.blocks(now_m) for block in driving)
-        return 0.0 if run_over else now_m  # SUMO lets people stand only where it lets nobody drive
+                found.append(block)
+        return found
 
     def _way_round(self, walker: Walker, blocks: Sequence[_Block], ahead_m: float) -> float | None:
         """The nearest place left of its line that no block covers, with walkable ground so far ahead; None if none."""
@@ -379,6 +368,31 @@ class PedestrianAvoidance:
 def _noticed_boxes(chairs: Sequence[_Chair], walker: Walker) -> list[Box]:
     """The chairs that this person notices."""
     return [chair.box for chair in chairs if chair.people.looks(walker.id)]
+
+
+def _chairs_in_way(walker: Walker, chairs: Sequence[_Chair], gap_m: float) -> list[_Block]:
+    """The chairs ahead that this person notices."""
+    side_m, end_m = walker.radius_m + gap_m, walker.radius_m + BEHIND_M
+    seen = [
+        _block_around(walker.x, walker.y, walker.cos, walker.sin, box, side_m, end_m)
+        for box in _noticed_boxes(chairs, walker)
+    ]
+    return [block for block in seen if block.far_m > 0.0 and block.near_m < LOOK_AHEAD_M]
+
+
+def _vehicles_beside(walker: Walker, vehicles: Sequence[Vehicle]) -> tuple[list[_Block], list[_Block]]:
+    """The vehicles that stand, and where those that drive are going to be."""
+    gap_m = walker.radius_m + PERSON_GAP_M
+    standing, driving = [], []
+    for vehicle in near(vehicles, *walker.at):
+        block = _block_around(walker.x, walker.y, walker.cos, walker.sin, vehicle.sweep, gap_m, gap_m)
+        if block.far_m <= 0.0 or block.near_m >= PEOPLE_AHEAD_M:
+            continue
+        if vehicle.moves:
+            driving.append(block)
+        elif not (block.beside and block.blocks(walker.left_m)):  # else one is in the gap already, and may move along
+            standing.append(block)
+    return standing, driving
 
 
 def _block_around(x: float, y: float, cos: float, sin: float, box: Box, gap_m: float, end_gap_m: float) -> _Block:

@@ -1,4 +1,7 @@
-"""Policies judged on a list of episodes, and such lists made: `wcsim test --suite`, `--make-suite`, and `--town`."""
+"""Policies judged on a list of episodes: `wcsim test --suite`, with `--sensitivity` and `--play`, and `--make-suite`.
+
+`judge`, `drive_list`, `order_of` and `save_result` serve `wcsim test --town`, `demo` and `train-clients`, too.
+"""
 
 from __future__ import annotations
 
@@ -284,7 +287,7 @@ def _require_usable(order: SuiteOrder, options: _DriveOptions) -> None:
 
 @contextmanager
 def _resumable(order: SuiteOrder, options: _DriveOptions) -> Iterator[None]:
-    """Ctrl-C ends a test with how it goes on, if it has saved a block, in a folder that stays."""
+    """On Ctrl-C say how the test goes on, if it has saved a block in a folder that stays."""
     from wcsim.agents.evaluation.suite.run import KEPT
 
     def saved() -> set[Path]:
@@ -356,7 +359,8 @@ def _play_episode(order: SuiteOrder, policies: Sequence[str], place: str) -> int
 
     # 2. Print a row every so often, counted back from the end.
     record = played.record
-    every, rows = max(1, round(_ROW_EVERY_S / config.world.tick_s)), []
+    every = max(1, round(_ROW_EVERY_S / config.world.tick_s))
+    rows = []
     for before, step in enumerate(reversed(played.steps)):
         if before % every == 0:
             nearest = [*near(step), "-"][0]
