@@ -14,11 +14,10 @@ from tools.readability import pages, words
 from tools.settings_page import keys, sections
 
 TOKENS_A_LINE: Final = 10.5  # of the code when the table was begun
-KERNELS: Final = ("kernel", "jit")  # decorators of machine code, which calls no closures
 _BETWEEN: Final = (tokenize.COMMENT, tokenize.NL)
 _NO_CODE: Final = (tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENDMARKER)
 _STARTS: Final = ("run", "Popen", "fork", "ProcessPoolExecutor", "Process", "remote")
-_KPI1_SUM: Final = "distance_sum"
+_KPI1_SUM = "distance_sum"
 _STARTERS: Final = ("subprocess", "os", "context", "ray", "")
 # The importing modules, what they should not import, and what is left out of the first, by the beginning of names.
 BORDERS: Final[dict[str, tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]]] = {
@@ -62,9 +61,9 @@ def lines_per_comment(folder: str = "wcsim") -> float:
     return round(sum(code for code, _ in counts) / TOKENS_A_LINE / max(1, sum(comments for _, comments in counts)), 1)
 
 
-def silent_rooms(most: float = 40.0) -> float:
-    """Rooms with more code lines than this for each comment of a line of its own."""
-    return sum(lines_per_comment(room) > most for room in rooms())
+def silent_rooms() -> float:
+    """Rooms with more than 40 code lines for each comment of a line of its own."""
+    return sum(lines_per_comment(room) > 40.0 for room in rooms())
 
 
 def import_share() -> float:
@@ -241,7 +240,7 @@ def _once(text: str) -> list[str]:
         and node.name.startswith("_")
         and not node.name.endswith("__")
         and named[node.name] == called[node.name] == 1
-        and not any(word in ast.unparse(each) for each in node.decorator_list for word in KERNELS)
+        and not any("kernel" in ast.unparse(each) for each in node.decorator_list)
         and not any(isinstance(each, ast.Name) and each.id == node.name for each in ast.walk(node))
     ]
 

@@ -8,6 +8,7 @@ from tests.view.report.results import SCRIPT, crashed, record, with_episodes, wr
 from wcsim.agents.evaluation.suite.records import NEEDLESS, Intervention
 from wcsim.agents.evaluation.suite.result_files import read_result
 from wcsim.view.report.comparisons import _paired, verdict
+from wcsim.view.report.twin_film import telling_episode
 
 
 @pytest.fixture
@@ -58,6 +59,11 @@ def test_no_policy_is_best_that_the_intervals_cannot_tell_from_another(result):
     few = only(result, "follow", "dwa")
     few = with_episodes(few, {name: found[:2] for name, found in few.episodes.items()})
     assert "Of 2 drives, " in verdict(few) and "Fewer than 6 drives cannot tell policies apart." in verdict(few)
+
+
+def test_the_film_is_of_a_drive_that_the_help_brought_to_its_end(result):
+    helped = record(0, status="gave_up"), *map(record, range(1, 6))
+    assert telling_episode(driven(result, "dwa", helped), "dwa") == (0, 1)
 
 
 def test_own_policies_come_first_and_it_stays_short(result):

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from wcsim.agents.evaluation.suite.playback import PlayedStep, play, require_same
-from wcsim.agents.evaluation.suite.records import CRASHED
+from wcsim.agents.evaluation.suite.records import CRASHED, FINISHED
 from wcsim.agents.evaluation.suite.result_files import TestResult
 from wcsim.agents.evaluation.suite.run import SuiteOrder, piece_of, town_addresses
 from wcsim.agents.opening.named_policy import config_for
@@ -26,14 +26,15 @@ _ALL_STEPS: Final = 1_000_000  # the most that an episode can have
 
 
 def telling_episode(result: TestResult, policy: str) -> tuple[int, int]:
-    """Block and seat of the first episode in which the user crashes alone and not with the policy.
+    """Block and seat of the first episode in which the user crashes alone, and comes to its end with the policy.
 
-    Where there is none it is the first in which the user crashes alone, else the first of all.
+    Where there is none it is the first in which the policy spares the crash, else the first with one, else the first.
     """
     alone, helped = result.episodes[UNAIDED], result.episodes[policy]
     crashed = [record.status == CRASHED for record in alone]
     spared = [was and record.status != CRASHED for was, record in zip(crashed, helped, strict=True)]
-    place = (spared if any(spared) else crashed).index(True) if any(crashed) else 0
+    finished = [was and record.status == FINISHED for was, record in zip(crashed, helped, strict=True)]
+    place = next((found.index(True) for found in (finished, spared, crashed) if any(found)), 0)
     return alone[place].block, alone[place].seat
 
 

@@ -58,8 +58,9 @@ def test_nothing_driven_is_no_number():
 
 def test_a_policy_that_failed_in_all_that_it_was_given_has_no_result():
     failed = replace(GOOD, status="policy_failed")
-    given = [failed, failed, replace(failed, repeats=True), replace(GOOD, status="not_reached")]
-    assert row_of("p", "", given, []).without_result and row_of("p", "", given, []).undone == 3
+    given = [failed, replace(failed, repeats=True), replace(GOOD, status="not_reached")]
+    found = row_of("p", "", given, [])
+    assert found.without_result and found.undone == 2
     assert not row_of("p", "", [*given, GOOD], []).without_result
 
 
