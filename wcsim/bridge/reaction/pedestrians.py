@@ -322,21 +322,9 @@ class PedestrianAvoidance:
         x, y = walker.at
         nx, ny = x + share * wx, y + share * wy
 
-        # 1. No step leads too near to a person, a chair or a vehicle, and nearer than before.
-        for other in others.crowd:
-            if other.id == walker.id:
-                continue
-            ax, ay = other.at
-            near_m = math.hypot(nx - ax, ny - ay)
-            apart_m = walker.radius_m + other.radius_m + BRUSH_M
-            if near_m < apart_m and near_m < math.hypot(x - ax, y - ay):
-                return
-        bodies = [(chair.box, LEAST_CHAIR_GAP_M) for chair in others.chairs]
-        bodies += [(vehicle.box, BRUSH_M) for vehicle in near(others.vehicles, x, y)]
-        for box, gap_m in bodies:
-            near_m = gap_to_box(nx, ny, *box)
-            if near_m < walker.radius_m + gap_m and near_m < gap_to_box(x, y, *box):
-                return
+        # 1. No step leads too near to a body.
+        if _comes_too_near(walker, (x, y), (nx, ny), others):
+            return
 
         # 2. None leads off the walkable ground. SUMO itself may have it walk where one does not: from there it may.
         back = math.hypot(nx - walker.x, ny - walker.y) < math.hypot(walker.ox, walker.oy)
@@ -368,6 +356,25 @@ class PedestrianAvoidance:
 def _noticed_boxes(chairs: Sequence[_Chair], walker: Walker) -> list[Box]:
     """The chairs that this person notices."""
     return [chair.box for chair in chairs if chair.people.looks(walker.id)]
+
+
+def _comes_too_near(walker: Walker, here: tuple[float, float], there: tuple[float, float], others: _Others) -> bool:
+    """Whether a step leads too near to a person, a chair or a vehicle, and nearer than before."""
+    for other in others.crowd:
+        if other.id == walker.id:
+            continue
+        ax, ay = other.at
+        near_m = math.hypot(there[0] - ax, there[1] - ay)
+        apart_m = walker.radius_m + other.radius_m + BRUSH_M
+        if near_m < apart_m and near_m < math.hypot(here[0] - ax, here[1] - ay):
+            return True
+    bodies = [(chair.box, LEAST_CHAIR_GAP_M) for chair in others.chairs]
+    bodies += [(vehicle.box, BRUSH_M) for vehicle in near(others.vehicles, *here)]
+    for box, gap_m in bodies:
+        near_m = gap_to_box(*there, *box)
+        if near_m < walker.radius_m + gap_m and near_m < gap_to_box(*here, *box):
+            return True
+    return False
 
 
 def _chairs_in_way(walker: Walker, chairs: Sequence[_Chair], gap_m: float) -> list[_Block]:
