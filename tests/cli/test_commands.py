@@ -296,7 +296,7 @@ def test_demo_trains_tests_and_films_it(wcsim, folder, corner, tiny):
     assert told.code == 0
     result = read("runs/demo/test/result.json")
     assert [row["policy"] for row in result["rows"]] == ["follow", "zero", "runs/demo"]
-    for said in ("rounds of 1 x 20 ticks with 2 chairs", "4 updates", "2 drives: by the user alone", "--policy"):
+    for said in ("1 round of 1 x 20 ticks with 2 chairs", "4 updates", "2 drives: by the user alone", "--policy"):
         assert said in " ".join(told.out.split())
     assert fits("\n".join(line for line in told.out.splitlines() if "/" not in line))
     assert not re.search(r"[^\n\x20-\x7e\u2500-\u257f]", told.out + told.err), "piped, so nothing that a terminal obeys"
