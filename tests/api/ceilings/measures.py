@@ -2,9 +2,10 @@
 
 import ast
 import io
+import re
 import tokenize
 from collections import Counter
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from functools import cache
 from itertools import pairwise
 from typing import Final
@@ -14,10 +15,12 @@ from tools.readability import pages, words
 from tools.settings_page import keys, sections
 
 TOKENS_A_LINE: Final = 10.5  # of the code when the table was begun
+DECIDING: Final = ("wcsim/physics", "wcsim/bridge", "wcsim/agents/danger", "wcsim/supervisor")
 _BETWEEN: Final = (tokenize.COMMENT, tokenize.NL)
 _NO_CODE: Final = (tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENDMARKER)
 _STARTS: Final = ("run", "Popen", "fork", "ProcessPoolExecutor", "Process", "remote")
 _KPI1_SUM = "distance_sum"
+_MAGIC: Final = re.compile(r"\w*MAGIC\w*.* = b?'wcsim")
 _STARTERS: Final = ("subprocess", "os", "context", "ray", "")
 # The importing modules, what they should not import, and what is left out of the first, by the beginning of names.
 BORDERS: Final[dict[str, tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]]] = {
@@ -55,9 +58,9 @@ def rooms() -> list[str]:
     return sorted("/".join(("wcsim", *name)) for name in found)
 
 
-def lines_per_comment(folder: str = "wcsim") -> float:
+def lines_per_comment(*folders: str) -> float:
     """Code lines for each comment that has a line of its own; lines below one another are one comment."""
-    counts = [_tokens(text) for _, text in _sources(folder)]
+    counts = [_tokens(text) for folder in folders or ("wcsim",) for _, text in _sources(folder)]
     return round(sum(code for code, _ in counts) / TOKENS_A_LINE / max(1, sum(comments for _, comments in counts)), 1)
 
 
@@ -119,7 +122,9 @@ def words_of_docs() -> float:
 
 def formats() -> list[str]:
     """Modules with a format of their own: they have a constant of bytes or text that begins with the project's name."""
-    return [name for name, text in _sources("wcsim") if any(map(_is_magic, _tree(text).body))]
+    return [
+        name for name, text in _sources("wcsim") if any(_MAGIC.match(ast.unparse(node)) for node in _tree(text).body)
+    ]
 
 
 def meters() -> list[str]:
@@ -166,16 +171,16 @@ def broken_borders() -> float:
 
 def roundabout_borders() -> float:
     """How many borders something crosses by what it imports in turn."""
-    return sum(bool(crossings(name, _reached)) for name in BORDERS)
+    return sum(bool(crossings(name, indirect=True)) for name in BORDERS)
 
 
-def crossings(border: str, seen: Callable[[str], Collection[str]] | None = None) -> list[tuple[str, str]]:
-    """(importing module, what it imports) over one border; `seen` gives what a module sees, else its own imports."""
+def crossings(border: str, indirect: bool = False) -> list[tuple[str, str]]:
+    """(importing module, what it imports) over one border; `indirect`: also what that imports in turn."""
     sources, targets, excepted = BORDERS[border]
     found = []
     for name, text in _sources("wcsim"):
         if _is_below(name, sources) and not _is_below(name, excepted):
-            all_of_it = _imported(text) if seen is None else seen(name)
+            all_of_it = _reached(name) if indirect else _imported(text)
             found += [(name, imported) for imported in all_of_it if _is_below(imported, targets)]
     return found
 
@@ -258,15 +263,6 @@ def _has_late(text: str) -> bool:
             targets = node.targets if isinstance(node, ast.Assign) else [node.target]
             defined.update(map(ast.unparse, targets))
     return False
-
-
-def _is_magic(node: ast.stmt) -> bool:
-    if not isinstance(node, ast.Assign | ast.AnnAssign) or not isinstance(node.value, ast.Constant):
-        return False
-    targets = node.targets if isinstance(node, ast.Assign) else [node.target]
-    value = node.value.value
-    own = value.startswith(b"wcsim") if isinstance(value, bytes) else str(value).startswith("wcsim")
-    return own and any(isinstance(target, ast.Name) and "MAGIC" in target.id for target in targets)
 
 
 def _names_kpi1(node: ast.AST) -> bool:

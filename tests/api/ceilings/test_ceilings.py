@@ -40,10 +40,13 @@ def test_tokens_are_counted_and_neither_docstrings_nor_joined_lines_matter() -> 
     ("code", "ticks", "starts"),
     [
         ("world.tick(1)", True, False),
+        ("self._world.tick(1)", True, False),
         ("session.tick()", False, False),
         ("subprocess.Popen(words)", False, True),
         ("ProcessPoolExecutor(2)", False, True),
         ("psutil.Process()", False, False),
+        ("os.fork()", False, True),
+        ("shutil.run()", False, False),
     ],
 )
 def test_loops_and_processes_are_seen(code: str, ticks: bool, starts: bool) -> None:
