@@ -38,7 +38,9 @@ _on_load("gymnasium.envs.registration", _name_environment)
 def __dir__() -> list[str]:
     """What `dir(wcsim)` and an editor's completion show: the public names, also those that are loaded later."""
     needed = ("TYPE_CHECKING", "core")  # by this file
-    shown = (name for name in globals() if name not in needed and (name[0] != "_" or name[:2] == "__"))
+    shown = (
+        name for name in globals() if name not in needed and (name[0] != "_" or name[:2] == "__")
+    )
     return sorted({*__all__, *shown})
 
 
@@ -48,7 +50,11 @@ def __getattr__(name: str) -> object:
         from importlib.metadata import version
 
         return version("wcsim")  # of pyproject.toml, as it was installed
-    homes = {"StreetVecEnv": "vec_env", "WheelchairEnv": "wheelchair_env", "parallel_env": "parallel_env"}
+    homes = {
+        "StreetVecEnv": "vec_env",
+        "WheelchairEnv": "wheelchair_env",
+        "parallel_env": "parallel_env",
+    }
     if name not in homes:
         raise AttributeError(f"module 'wcsim' has no attribute {name!r}")
     from importlib import import_module

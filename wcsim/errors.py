@@ -192,7 +192,9 @@ class InterruptedRunError(WcsimError):
     """Raised when the user stopped a run; everything done so far is saved and usable."""
 
 
-def check_installed(need: str, extra: str, *modules: str, error: type[WcsimError] = ConfigError) -> None:
+def check_installed(
+    need: str, extra: str, *modules: str, error: type[WcsimError] = ConfigError
+) -> None:
     """Raise `error` where one of these modules, which an extra brings, is not installed.
 
     Args:

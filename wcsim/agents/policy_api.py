@@ -19,11 +19,22 @@ from wcsim.types import Bool, Drawn, Truth
 
 Observation = Mapping[str, npt.NDArray[Any]]
 
-DEPTH_KEY, CLASS_KEY, IMU_KEY, JOYSTICK_KEY, ODOMETRY_KEY = "depth", "seg", "imu", "joystick", "odometry"
-RGB_KEY, COLOURS_KEY = "rgb", "segmentation"  # colours of form compact_rgb, and of the classes of form table3
+DEPTH_KEY, CLASS_KEY, IMU_KEY, JOYSTICK_KEY, ODOMETRY_KEY = (
+    "depth",
+    "seg",
+    "imu",
+    "joystick",
+    "odometry",
+)
+RGB_KEY, COLOURS_KEY = (
+    "rgb",
+    "segmentation",
+)  # colours of form compact_rgb, and of the classes of form table3
 GYRO: Final = "gyro"  # the IMU's turn rates, among the senses of `NeedsSenses`
 MOTION_SENSES: Final = ("odometry", GYRO)  # that tell how the chair moves
-STATE_SENSE: Final = "state"  # in place of pictures: rows of the world's truth, as of `env.observation=state`
+STATE_SENSE: Final = (
+    "state"  # in place of pictures: rows of the world's truth, as of `env.observation=state`
+)
 ANSWER_S: Final = 90.0  # for an answer of a model or process of others: a slow machine may load and compile at first
 
 UNAIDED: Final = "follow"  # the user alone, on the grid of actions
@@ -82,7 +93,9 @@ def calling(policy: Policy, method: str) -> AbstractContextManager[None]:
     """
     if type(policy).__module__.partition(".")[0] == __name__.partition(".")[0]:
         return nullcontext()
-    return running_own(f"policy {policy.name!r} failed in {method}", "correct it, or test the others without it")
+    return running_own(
+        f"policy {policy.name!r} failed in {method}", "correct it, or test the others without it"
+    )
 
 
 @runtime_checkable
@@ -129,7 +142,11 @@ class HearsDelay(Protocol):
 
 def tell_delay(policy: Policy, drawn: Drawn | None) -> None:
     """Say before `reset` which delay was drawn for the episode; without one the policy reckons with the configured."""
-    if isinstance(policy, HearsDelay) and drawn is not None and drawn.action_delay_ticks is not None:
+    if (
+        isinstance(policy, HearsDelay)
+        and drawn is not None
+        and drawn.action_delay_ticks is not None
+    ):
         policy.set_delay(drawn.action_delay_ticks)
 
 

@@ -35,10 +35,16 @@ _NUMBERS: Final = {  # least, usual and most; what these drives reach takes the 
     DELAY_S: (0.001, 0.15, 1.0),
 }
 _LEAST, _USUAL, _MOST = np.array(list(_NUMBERS.values())).T
-_JERKS_MPS3: Final = (3.0, 10.0, 30.0)  # each is begun with: jerk and deceleration together have several valleys
+_JERKS_MPS3: Final = (
+    3.0,
+    10.0,
+    30.0,
+)  # each is begun with: jerk and deceleration together have several valleys
 _PULL: Final = 0.05  # of the misfit is what a number costs that is e times the usual one
 _IS_JERK: Final = np.array([name == "jerk_mps3" for name in _NUMBERS])
-_NUDGE: Final = 0.01  # of a number, for slopes: less would follow the steps in which a drive of samples answers
+_NUDGE: Final = (
+    0.01  # of a number, for slopes: less would follow the steps in which a drive of samples answers
+)
 _DRAWS: Final = 100
 _SPARE_M: Final = 10.0  # of the yard, beyond where full speed leads
 
@@ -72,21 +78,29 @@ def fit_drives(drives: Sequence[StickDrive], draws: int = _DRAWS) -> DriveFit:
     starts = [np.where(_IS_JERK, math.log(jerk), usual) for jerk in _JERKS_MPS3]
     # Drives tell jerk and deceleration hardly apart: of all that fit, the pull finds the most usual ones.
     pull = math.sqrt(_PULL * min(_solved(drives, start, usual, 0.0)[1] for start in starts))
-    found = min((_solved(drives, start, usual, pull) for start in starts), key=lambda pair: pair[1])[0]
+    found = min(
+        (_solved(drives, start, usual, pull) for start in starts), key=lambda pair: pair[1]
+    )[0]
     rng = seeding.generator(0, "drives drawn anew")
     drawn = [found]
     for _ in range(draws if len(drives) > 1 else 0):
         chosen = [drives[k] for k in rng.integers(len(drives), size=len(drives)).tolist()]
         drawn.append(_solved(chosen, found, usual, pull)[0])
     low, high = np.exp(np.percentile(drawn, (2.5, 97.5), axis=0)).tolist()
-    intervals = dict(zip(_NUMBERS, zip(low, high, strict=True), strict=True)) if len(drawn) > 1 else {}
-    return DriveFit(values=dict(zip(_NUMBERS, np.exp(found).tolist(), strict=True)), intervals=intervals)
+    intervals = (
+        dict(zip(_NUMBERS, zip(low, high, strict=True), strict=True)) if len(drawn) > 1 else {}
+    )
+    return DriveFit(
+        values=dict(zip(_NUMBERS, np.exp(found).tolist(), strict=True)), intervals=intervals
+    )
 
 
 def _usual(drives: Sequence[StickDrive]) -> F64:
     """Logarithms of the numbers (10,) that a chair has which reaches what these drives reach."""
     usual = _USUAL.copy()
-    usual[usual == 0.0] = np.percentile(np.abs(np.concatenate([drive.motion for drive in drives])), 99.0, axis=0)
+    usual[usual == 0.0] = np.percentile(
+        np.abs(np.concatenate([drive.motion for drive in drives])), 99.0, axis=0
+    )
     return np.asarray(np.log(np.clip(usual, _LEAST, _MOST)), np.float64)
 
 
@@ -98,16 +112,22 @@ def _solved(drives: Sequence[StickDrive], start: F64, usual: F64, pull: float) -
     scale = np.maximum(motion.std(axis=0), 1e-3)
 
     def misses(logs: F64) -> F64:
-        made = np.concatenate(law_motion(drives, dict(zip(_NUMBERS, np.exp(logs).tolist(), strict=True))))
+        made = np.concatenate(
+            law_motion(drives, dict(zip(_NUMBERS, np.exp(logs).tolist(), strict=True)))
+        )
         return np.concatenate([((made - motion) / scale).ravel(), pull * (logs - usual)])
 
     def slopes(logs: F64) -> F64:
         steps = _NUDGE * np.eye(len(logs))
-        return np.stack([(misses(logs + step) - misses(logs - step)) / (2.0 * _NUDGE) for step in steps], axis=1)
+        return np.stack(
+            [(misses(logs + step) - misses(logs - step)) / (2.0 * _NUDGE) for step in steps], axis=1
+        )
 
     low, high = np.log(_LEAST), np.log(_MOST)
     inside = np.clip(start, low + _NUDGE, high - _NUDGE)
-    solved: Any = least_squares(misses, inside, slopes, (low, high), max_nfev=40, xtol=1e-4, ftol=1e-5)
+    solved: Any = least_squares(
+        misses, inside, slopes, (low, high), max_nfev=40, xtol=1e-4, ftol=1e-5
+    )
     return solved.x, float(solved.cost)
 
 
@@ -161,7 +181,13 @@ def motion_errors(drives: Sequence[StickDrive], motions: Sequence[F64]) -> Motio
     """What lies between motions (n, 2) and those measured in all drives together."""
     measured = np.concatenate([drive.motion for drive in drives])
     missed = np.mean((np.concatenate(list(motions)) - measured) ** 2, axis=0)
-    rms, explained = np.sqrt(missed).tolist(), (1.0 - missed / np.maximum(measured.var(axis=0), 1e-12)).tolist()
+    rms, explained = (
+        np.sqrt(missed).tolist(),
+        (1.0 - missed / np.maximum(measured.var(axis=0), 1e-12)).tolist(),
+    )
     return MotionErrors(
-        speed_rms_mps=rms[0], turn_rms_radps=rms[1], speed_explained=explained[0], turn_explained=explained[1]
+        speed_rms_mps=rms[0],
+        turn_rms_radps=rms[1],
+        speed_explained=explained[0],
+        turn_explained=explained[1],
     )

@@ -28,10 +28,14 @@ def driving_trials(setup: Setup) -> Iterator[Trial]:
     """The rows of one plant."""
     yield trial_of("straight_drift_10m", _straight_drift_m)
     for name, speed in PROFILE_SPEED_MPS.items():
-        yield trial_of("cruise_{profile}", _cruise_mps, speed, speed_mps=speed, profile=name, speed=speed)
+        yield trial_of(
+            "cruise_{profile}", _cruise_mps, speed, speed_mps=speed, profile=name, speed=speed
+        )
     diagonal = math.sqrt(0.5)  # of full stick: the corner is pulled to the unit circle
     most = partial(
-        yaw_rate_limit, yaw_max_radps=setup.chair.yaw_rate_max_radps, slowdown_s_per_m=setup.chair.yaw_slowdown_s_per_m
+        yaw_rate_limit,
+        yaw_max_radps=setup.chair.yaw_rate_max_radps,
+        slowdown_s_per_m=setup.chair.yaw_slowdown_s_per_m,
     )
     turns = (
         ("in_place", Joystick(-1.0, 0.0), most(0.0)),
@@ -39,7 +43,9 @@ def driving_trials(setup: Setup) -> Iterator[Trial]:
     )
     for name, stick, rate in turns:
         towards = "diagonal" if stick.y else "to the side"
-        yield trial_of("turn_{way}", partial(_turn_radps, stick=stick), rate, way=name, stick=towards)
+        yield trial_of(
+            "turn_{way}", partial(_turn_radps, stick=stick), rate, way=name, stick=towards
+        )
     for kmh in (6, 10):
         speed = kmh * _KMH
         way_m = stopping_distance_m(speed, setup.chair.decel_mps2, setup.chair.jerk_mps3)
@@ -54,8 +60,16 @@ def _slopes(setup: Setup) -> Iterator[Trial]:
     top = min(_top_speed_mps(spec, _PULL_N), asked)
     pulling = partial(_pulling_mps, pull_N=_PULL_N)
     yield trial_of("pulling_400N", pulling, top, speed_mps=asked, pull=_PULL_N, asked=asked)
-    for facing, ahead, left in (("up", _SLOPE_RAD, 0.0), ("down", -_SLOPE_RAD, 0.0), ("across", 0.0, _SLOPE_RAD)):
-        yield trial_of("parked_10deg_{facing}", partial(_creep_m, ahead_rad=ahead, left_rad=left), facing=facing)
+    for facing, ahead, left in (
+        ("up", _SLOPE_RAD, 0.0),
+        ("down", -_SLOPE_RAD, 0.0),
+        ("across", 0.0, _SLOPE_RAD),
+    ):
+        yield trial_of(
+            "parked_10deg_{facing}",
+            partial(_creep_m, ahead_rad=ahead, left_rad=left),
+            facing=facing,
+        )
     yield trial_of("cross_slope_10deg", partial(_cross_slope_drift_m, slope_rad=_SLOPE_RAD))
 
 
@@ -65,7 +79,10 @@ def _top_speed_mps(spec: PlantSpec, pull_N: float) -> float:
     motor = spec.motor
     if need_Nm <= motor.least_torque_share * motor.stall_torque_Nm:
         return math.inf
-    return max(0.0, motor.no_load_radps * (1.0 - need_Nm / motor.stall_torque_Nm)) * spec.wheel.radius_m
+    return (
+        max(0.0, motor.no_load_radps * (1.0 - need_Nm / motor.stall_torque_Nm))
+        * spec.wheel.radius_m
+    )
 
 
 _START_S: Final = 4.0  # after these a chair drives steadily
@@ -82,7 +99,10 @@ def _straight_drift_m(setup: Setup) -> float:
     with Rig(setup) as rig:
         rig.place(-_BACK_M, yaw_rad=_HEADING_RAD)
         start = rig.chair.state().p_WB_m
-        way = rig.drive(FORWARD, 30.0, lambda state: math.dist(state.p_WB_m, start) > _STRAIGHT_M).p_m - start
+        way = (
+            rig.drive(FORWARD, 30.0, lambda state: math.dist(state.p_WB_m, start) > _STRAIGHT_M).p_m
+            - start
+        )
     aside = -math.sin(_HEADING_RAD) * way[:, 0] + math.cos(_HEADING_RAD) * way[:, 1]
     return float(np.abs(aside).max())
 
@@ -155,4 +175,7 @@ def _cross_slope_drift_m(setup: Setup, slope_rad: float) -> float | Unfinished:
     if far_m > _ACROSS_M:
         return aside_m
     lost = "lost its heading" if abs(turned_rad) > _LOST_RAD else "stood still"
-    return Unfinished(value=aside_m, what=f"{lost} after {far_m:.1f} m of {_ACROSS_M:g} m: motors too weak, or no grip")
+    return Unfinished(
+        value=aside_m,
+        what=f"{lost} after {far_m:.1f} m of {_ACROSS_M:g} m: motors too weak, or no grip",
+    )

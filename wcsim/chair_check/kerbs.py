@@ -34,7 +34,9 @@ def kerb_trials(setup: Setup) -> Iterator[Trial]:
     spec = plant_spec(setup.chair)
     yield from _climbs(spec)
     yield from _events(spec)
-    ours = setup.chair.plant in _MEASURED  # of another chair these rows say how it compares, and judge nothing
+    ours = (
+        setup.chair.plant in _MEASURED
+    )  # of another chair these rows say how it compares, and judge nothing
     yield from _peaks(judged=ours)
     yield from _falls(spec, judged=ours or _like_the_experiments(spec))
 
@@ -46,7 +48,14 @@ def _climbs(spec: PlantSpec) -> Iterator[Trial]:
         for rise_m in sorted({*climbed_m, *declared.refused_m}):
             measure = partial(_kerb_climbed, rise_m=rise_m, run_up_m=run_up_m)
             up = 1.0 if rise_m in climbed_m else 0.0
-            yield trial_of("kerb_{mm}mm_{start}", measure, up, mm=round(1000 * rise_m), start=start, run_up=run_up_m)
+            yield trial_of(
+                "kerb_{mm}mm_{start}",
+                measure,
+                up,
+                mm=round(1000 * rise_m),
+                start=start,
+                run_up=run_up_m,
+            )
 
 
 def _events(spec: PlantSpec) -> Iterator[Trial]:
@@ -58,7 +67,9 @@ def _events(spec: PlantSpec) -> Iterator[Trial]:
     # sprung casters take a kerb softly, so a plant with them meets it faster
     speed = 1.67 if any(pair.arm is not None for pair in spec.casters) else 1.0
     over = partial(_step_peak_mps2, rise_m=0.04)
-    yield trial_of("event_kerb_40mm", over, span=(low, high), speed_mps=speed, speed=speed, window=window)
+    yield trial_of(
+        "event_kerb_40mm", over, span=(low, high), speed_mps=speed, speed=speed, window=window
+    )
     yield trial_of("event_wall_6kmh", _WALL, span=(high, _MOST_MPS2), speed_mps=1.67, window=window)
 
 
@@ -85,10 +96,17 @@ def _like_the_experiments(spec: PlantSpec) -> bool:
 
 
 def _falls(spec: PlantSpec, *, judged: bool) -> Iterator[Trial]:
-    cases = [(drop_m, angle, 0.0) for drop_m in (0.12, 0.20) for angle in (_SHALLOW_DEG, _STEEP_DEG)]
+    cases = [
+        (drop_m, angle, 0.0) for drop_m in (0.12, 0.20) for angle in (_SHALLOW_DEG, _STEEP_DEG)
+    ]
     if not _like_the_experiments(spec):
         cases.remove((0.20, _SHALLOW_DEG, 0.0))
-    for drop_m, angle_deg, tips in [*cases, (0.30, 5, 1.0), (0.30, _SHALLOW_DEG, 1.0), (0.30, _STEEP_DEG, 0.0)]:
+    for drop_m, angle_deg, tips in [
+        *cases,
+        (0.30, 5, 1.0),
+        (0.30, _SHALLOW_DEG, 1.0),
+        (0.30, _STEEP_DEG, 0.0),
+    ]:
         yield trial_of(
             "falls_off_{cm}cm_at_{angle}deg",
             partial(_tips_off, drop_m=drop_m, approach_rad=rad(angle_deg)),
@@ -152,7 +170,11 @@ def _step_peak_mps2(setup: Setup, rise_m: float, face: ClassId = ClassId.KERB) -
         for run in range(_RUNS):
             rig.place(start_m - run / _RUNS * speed * _LONGEST_STEP_S)
             seconds = 3.0 + (beyond_m - start_m) / speed
-            peaks.append(rig.drive(FORWARD, seconds, lambda state: float(state.p_WB_m[0]) > beyond_m).peak_mps2)
+            peaks.append(
+                rig.drive(
+                    FORWARD, seconds, lambda state: float(state.p_WB_m[0]) > beyond_m
+                ).peak_mps2
+            )
     return float(np.mean(peaks))
 
 
@@ -163,7 +185,11 @@ def _driving_peak_mps2(setup: Setup) -> float:
     """The largest low-passed acceleration of ordinary driving: off, straight, full turn, to a stop."""
     with Rig(setup) as rig:
         rig.drive(NEUTRAL, 1.0)  # it was put down from a millimetre
-        drives = [rig.drive(FORWARD, 4.0), rig.drive(Joystick(-1.0, 1.0), 3.0), rig.drive(NEUTRAL, 3.0)]
+        drives = [
+            rig.drive(FORWARD, 4.0),
+            rig.drive(Joystick(-1.0, 1.0), 3.0),
+            rig.drive(NEUTRAL, 3.0),
+        ]
     return max(ride.peak_mps2 for ride in drives)
 
 
@@ -179,11 +205,15 @@ def _tips_off(setup: Setup, drop_m: float, approach_rad: float) -> float:
     with Rig(setup, step_street(-drop_m)) as rig:
         outline = rig.chair.spec.outline
         ahead, aside = outline.middle_x_m + 0.5 * outline.length_m, 0.5 * outline.width_m
-        gap = 0.1 + ahead * math.cos(heading) + aside * math.sin(heading)  # of the corner that comes first
+        gap = (
+            0.1 + ahead * math.cos(heading) + aside * math.sin(heading)
+        )  # of the corner that comes first
         away = 0.5 + setup.chair.v_max_mps  # to reach full speed before the edge
         x = FACE_X_M - gap - away * math.cos(heading)
         rig.place(x, -away * math.sin(heading), heading)
-        ride = rig.drive(FORWARD, 4.0 + (away + 1.0 / math.sin(approach_rad)) / setup.chair.v_max_mps, _lies)
+        ride = rig.drive(
+            FORWARD, 4.0 + (away + 1.0 / math.sin(approach_rad)) / setup.chair.v_max_mps, _lies
+        )
     return float(_lies(ride.states[-1]))
 
 
@@ -204,7 +234,9 @@ _TURN_S: Final = 1.5
 _STOP_S: Final = 4.0
 
 Height = Callable[[float, float], float]
-_RAMP: Final = f"ramp of {deg(_FALL_RAD):.0f} degrees, twisted by {deg(_TWIST_RAD):.0f} over the wheelbase"
+_RAMP: Final = (
+    f"ramp of {deg(_FALL_RAD):.0f} degrees, twisted by {deg(_TWIST_RAD):.0f} over the wheelbase"
+)
 
 
 def ramp_trials(_setup: Setup) -> Iterator[Trial]:
@@ -236,7 +268,9 @@ def _turned_share(setup: Setup) -> float:
     shares = []
     for stick in (Joystick(-0.5, 0.3), Joystick(0.5, 0.3)):
         level = _turned_rad(setup, stick, lambda _x, _y: 0.0)
-        shares += [_turned_rad(setup, stick, _wave(setup, phase)) / level for phase in range(_PHASES)]
+        shares += [
+            _turned_rad(setup, stick, _wave(setup, phase)) / level for phase in range(_PHASES)
+        ]
     return min(shares)
 
 
@@ -255,7 +289,9 @@ def _wave(setup: Setup, phase: int) -> Height:
     """A ramp that falls along x and twists to and fro, nowhere more than the saddle."""
     per_m = 1.0 / _wheelbase_m(plant_spec(setup.chair))
     shift = 2.0 * math.pi * phase / _PHASES
-    return lambda x, y: -math.tan(_FALL_RAD) * x + y * math.tan(_TWIST_RAD * math.sin(per_m * x + shift))
+    return lambda x, y: (
+        -math.tan(_FALL_RAD) * x + y * math.tan(_TWIST_RAD * math.sin(per_m * x + shift))
+    )
 
 
 def _loads_N(setup: Setup, height: Height) -> dict[str, float]:
@@ -285,4 +321,7 @@ def _turned_rad(setup: Setup, stick: Joystick, height: Height) -> float:
     with Rig(setup, grid_street(height, _HALF_M, _WIDE_M, _CELL_M)) as rig:
         rig.place(-_START_M, z_m=height(-_START_M, 0.0))
         states = [*rig.drive(_STEADY, _RUN_S).states[-1:], *rig.drive(stick, _TURN_S).states]
-    return sum(math.remainder(after.yaw_rad - before.yaw_rad, math.tau) for before, after in pairwise(states))
+    return sum(
+        math.remainder(after.yaw_rad - before.yaw_rad, math.tau)
+        for before, after in pairwise(states)
+    )

@@ -53,7 +53,9 @@ def mass_trials(setup: Setup) -> Iterator[Trial]:
     yield trial_of("mass", _mass_kg, spec.whole_kg)
     chair = stand(spec)
     loads = loads_N(chair)
-    share = sum(load for name, load in loads.items() if name.startswith("wheel")) / sum(loads.values())
+    share = sum(load for name, load in loads.items() if name.startswith("wheel")) / sum(
+        loads.values()
+    )
     yield trial_of("drive_wheel_share", _drive_wheel_share, share)
     for axis, inertia in enumerate(inertia_kgm2(spec)):
         measure = partial(_turning_inertia_kgm2, axis=axis)
@@ -61,7 +63,9 @@ def mass_trials(setup: Setup) -> Iterator[Trial]:
     yield trial_of("turning_loss", _turning_loss_per_s)
     yield trial_of("coasting_loss", _coasting_mps2, speed_mps=_COAST_MPS)
     friction = {foot.name: foot.friction for foot in chair.feet}
-    grip = sum(load * friction[name] for name, load in loads.items()) / (spec.whole_kg * GRAVITY_MPS2)
+    grip = sum(load * friction[name] for name, load in loads.items()) / (
+        spec.whole_kg * GRAVITY_MPS2
+    )
     yield trial_of("grip", _grip, grip)
 
 
@@ -75,7 +79,9 @@ def _drive_wheel_share(setup: Setup) -> float:
     """Share of the weight that rests on the drive wheels."""
     with Rig(setup) as rig:
         loads = rig.weigh_N()
-    return sum(load for name, load in loads.items() if name.startswith("wheel")) / sum(loads.values())
+    return sum(load for name, load in loads.items() if name.startswith("wheel")) / sum(
+        loads.values()
+    )
 
 
 def _turning_inertia_kgm2(setup: Setup, axis: int) -> float:
@@ -128,7 +134,9 @@ def _grip(setup: Setup) -> float:
             pull_N += _RAMP_NPS / setup.hz
             place = rig.chair.state().p_WB_m + np.array([spec.mass.com_x_m, 0.0, 0.0])
             rig.chair.before_step()
-            rig.bullet.applyExternalForce(rig.body, -1, (way * pull_N, 0.0, 0.0), place.tolist(), pybullet.WORLD_FRAME)
+            rig.bullet.applyExternalForce(
+                rig.body, -1, (way * pull_N, 0.0, 0.0), place.tolist(), pybullet.WORLD_FRAME
+            )
             rig.engine.step()
             rig.chair.after_step()
             if way * float(rig.chair.state().v_B_mps[0]) > _SLIP_MPS:
@@ -153,7 +161,11 @@ def _turn(rig: Rig, axis: F64) -> None:
         middle = np.array(rig.bullet.getBasePositionAndOrientation(rig.body)[0])
         for sign in (1.0, -1.0):
             rig.bullet.applyExternalForce(
-                rig.body, -1, (sign * force).tolist(), (middle + sign * lever).tolist(), pybullet.WORLD_FRAME
+                rig.body,
+                -1,
+                (sign * force).tolist(),
+                (middle + sign * lever).tolist(),
+                pybullet.WORLD_FRAME,
             )
         rig.engine.step()
 
@@ -197,7 +209,9 @@ def falling_rows(setup: Setup, rows: Mapping[str, Row]) -> Iterator[Row]:
         if pair[0] is None or pair[1] is None:
             continue
         value = pair[1].value / pair[0].value
-        trial = trial_of("{way}_falls", lambda _, value=value: value, way=name, low=low_m, high=high_m)  # type: ignore[misc]
+        trial = trial_of(
+            "{way}_falls", lambda _, value=value: value, way=name, low=low_m, high=high_m
+        )  # type: ignore[misc]
         yield measured(trial, setup)
 
 
@@ -315,7 +329,11 @@ class _Table:
         for _ in range(rig.setup.substeps):
             self._tilt_rad += rate_radps / rig.setup.hz
             fall = GRAVITY_MPS2 * math.sin(self._tilt_rad)
-            down = (fall * self._downhill[0], fall * self._downhill[1], -GRAVITY_MPS2 * math.cos(self._tilt_rad))
+            down = (
+                fall * self._downhill[0],
+                fall * self._downhill[1],
+                -GRAVITY_MPS2 * math.cos(self._tilt_rad),
+            )
             rig.bullet.setGravity(*down)
             rig.substep()
             lifted = lifted and self._upper.isdisjoint(rig.loads_N())

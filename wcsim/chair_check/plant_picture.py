@@ -66,7 +66,11 @@ class _View:
         self._up = up
         self._left_m = outline.middle_x_m - 0.5 * outline.length_m
         self._top_m = height_m if up == 2 else 0.5 * height_m
-        size = (round(height_m * _PX_PER_M) + 2 * _EDGE_PX, round(outline.length_m * _PX_PER_M) + 2 * _EDGE_PX, 3)
+        size = (
+            round(height_m * _PX_PER_M) + 2 * _EDGE_PX,
+            round(outline.length_m * _PX_PER_M) + 2 * _EDGE_PX,
+            3,
+        )
         self.image: Image = np.full(size, 255, np.uint8)
         self.from_above = up == 1
 
@@ -103,7 +107,11 @@ def _draw_foot(view: _View, foot: Foot) -> None:
     if foot.half_width_m == 0.0 or not view.from_above:
         view.disc(foot.centre_m, foot.radius_m, _WHEEL)
     else:
-        view.box(foot.centre_m, (2.0 * foot.radius_m, 2.0 * foot.half_width_m, 2.0 * foot.radius_m), _WHEEL)
+        view.box(
+            foot.centre_m,
+            (2.0 * foot.radius_m, 2.0 * foot.half_width_m, 2.0 * foot.radius_m),
+            _WHEEL,
+        )
     bottom_m = foot.centre_m[2] - foot.radius_m
     if bottom_m < 1e-6:
         view.line((x, y - foot.half_width_m, 0.0), (x, y + foot.half_width_m, 0.0), _CONTACT)
@@ -121,7 +129,9 @@ def _draw_pivots(view: _View, spec: PlantSpec) -> None:
                 low, high = swivel_z - pair.arm.down_m, swivel_z + pair.arm.up_m
                 view.line((pair.swivel_x_m, y, low), (pair.swivel_x_m, y, high), _PIVOT)
     for sign in (1.0, -1.0):
-        view.mark((0.0, 0.5 * sign * spec.wheel.track_m, spec.wheel.radius_m), _PIVOT, cv2.MARKER_CROSS)
+        view.mark(
+            (0.0, 0.5 * sign * spec.wheel.track_m, spec.wheel.radius_m), _PIVOT, cv2.MARKER_CROSS
+        )
 
 
 def _draw_com(view: _View, spec: PlantSpec) -> None:
@@ -142,5 +152,7 @@ def _legend(spec: PlantSpec, name: str, width_px: int) -> Image:
         f"chair {mass.chair_kg:g} kg, user {mass.user_kg:g} kg",
     )
     for number, text in enumerate(lines):
-        cv2.putText(image, text, (12, 30 + 32 * number), cv2.FONT_HERSHEY_SIMPLEX, 0.5, _INK, 1, cv2.LINE_AA)
+        cv2.putText(
+            image, text, (12, 30 + 32 * number), cv2.FONT_HERSHEY_SIMPLEX, 0.5, _INK, 1, cv2.LINE_AA
+        )
     return image

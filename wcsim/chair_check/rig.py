@@ -28,16 +28,28 @@ _FIXED: Final = 4  # pybullet.JOINT_FIXED
 
 def plane_street(ahead_rad: float = 0.0, left_rad: float = 0.0) -> StreetMesh:
     """One plane through the origin that rises ahead (x) and to the left (y) by these angles."""
-    return grid_street(lambda x, y: x * math.tan(ahead_rad) + y * math.tan(left_rad), _HALF_M, _HALF_M, 2.0 * _HALF_M)
+    return grid_street(
+        lambda x, y: x * math.tan(ahead_rad) + y * math.tan(left_rad),
+        _HALF_M,
+        _HALF_M,
+        2.0 * _HALF_M,
+    )
 
 
-def grid_street(height_m: Callable[[float, float], float], long_m: float, wide_m: float, cell_m: float) -> StreetMesh:
+def grid_street(
+    height_m: Callable[[float, float], float], long_m: float, wide_m: float, cell_m: float
+) -> StreetMesh:
     """Road around the origin, so far ahead, back and to the sides, as high as a function of x and y says."""
     columns, rows = round(2.0 * long_m / cell_m) + 1, round(2.0 * wide_m / cell_m) + 1
-    xs, ys = np.linspace(-long_m, long_m, columns).tolist(), np.linspace(-wide_m, wide_m, rows).tolist()
+    xs, ys = (
+        np.linspace(-long_m, long_m, columns).tolist(),
+        np.linspace(-wide_m, wide_m, rows).tolist(),
+    )
     vertices = [(x, y, height_m(x, y)) for x in xs for y in ys]
     corners = [i * rows + k for i in range(columns - 1) for k in range(rows - 1)]
-    faces = [face for a in corners for face in ([a, a + rows, a + rows + 1], [a, a + rows + 1, a + 1])]
+    faces = [
+        face for a in corners for face in ([a, a + rows, a + rows + 1], [a, a + rows + 1, a + 1])
+    ]
     return _mesh(vertices, faces, [ClassId.ROAD] * len(faces))
 
 
@@ -50,7 +62,9 @@ def step_street(rise_m: float, face: ClassId = ClassId.KERB) -> StreetMesh:
     return _mesh(vertices, faces, [ClassId.ROAD] * 2 + [ClassId.SIDEWALK] * 2 + [face] * 2)
 
 
-def _mesh(vertices: list[tuple[float, float, float]], faces: list[list[int]], classes: list[ClassId]) -> StreetMesh:
+def _mesh(
+    vertices: list[tuple[float, float, float]], faces: list[list[int]], classes: list[ClassId]
+) -> StreetMesh:
     return StreetMesh(
         vertices_W_m=np.array(vertices, np.float32),
         faces=np.array(faces, np.int32),
@@ -65,7 +79,9 @@ class _Ride:
     """What a drive showed, one item a tick."""
 
     states: list[PlantState] = field(default_factory=list)
-    peaks_mps2: list[F64] = field(default_factory=list)  # of the low-passed accelerometer, (3,) each
+    peaks_mps2: list[F64] = field(
+        default_factory=list
+    )  # of the low-passed accelerometer, (3,) each
 
     @property
     def p_m(self) -> F64:
@@ -92,7 +108,9 @@ class Rig(Closing):
         iterations: Of the engine's solver, in a step.
     """
 
-    def __init__(self, setup: Setup, street: StreetMesh | None = None, iterations: int = 50) -> None:
+    def __init__(
+        self, setup: Setup, street: StreetMesh | None = None, iterations: int = 50
+    ) -> None:
         self.engine: Final = Engine(1.0 / setup.hz, iterations)
         self.setup: Final = setup
         self.engine.add_street(plane_street() if street is None else street)
@@ -172,7 +190,9 @@ class Rig(Closing):
         if force_N > 0.0:
             state = self.chair.state()
             tied = state.p_WB_m - _TIED_M * forward(state.yaw_rad, 0.0)
-            self.bullet.applyExternalForce(self.body, -1, (-force_N, 0.0, 0.0), tied.tolist(), pybullet.WORLD_FRAME)
+            self.bullet.applyExternalForce(
+                self.body, -1, (-force_N, 0.0, 0.0), tied.tolist(), pybullet.WORLD_FRAME
+            )
 
     def turn_swivels(self, angle_rad: float) -> None:
         """Turn every caster's fork to an angle; 0 is trailing."""
@@ -195,7 +215,9 @@ class Rig(Closing):
         """Take the bearing friction from the joints of links whose names begin so."""
         for name, index in self.links().items():
             if name.startswith(prefix):
-                self.bullet.setJointMotorControl2(self.body, index, pybullet.VELOCITY_CONTROL, force=0.0)
+                self.bullet.setJointMotorControl2(
+                    self.body, index, pybullet.VELOCITY_CONTROL, force=0.0
+                )
 
     def loads_N(self) -> dict[str, float]:
         """Normal force in the last step of every link that touches something, by name; the frame is "frame"."""

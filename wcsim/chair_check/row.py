@@ -159,7 +159,9 @@ def measured(trial: Trial, setup: Setup) -> Row:
     found = trial.measure(setup if trial.speed_mps is None else setup.at_speed(trial.speed_mps))
     value, note = (found.value, found.what) if isinstance(found, Unfinished) else (float(found), "")
     if not math.isfinite(value):
-        raise PhysicsError(f"trial {trial.name}: the value is {value}; expected a finite number: check the plant")
+        raise PhysicsError(
+            f"trial {trial.name}: the value is {value}; expected a finite number: check the plant"
+        )
     expected = {item.name: getattr(trial, item.name) for item in fields(_Expected)}
     return Row(**expected, value=value, ok=not note and trial.low <= value <= trial.high, note=note)
 
@@ -195,5 +197,14 @@ def changes(tables: Mapping[int, Sequence[Row]]) -> list[Change]:
         whole = max(map(abs, (*values, *bounds)))
         change = (max(values) - min(values)) / whole if whole > 0.0 else 0.0
         most = _MOST_CHANGE_IMPACT if first.impact else _MOST_CHANGE
-        out.append(Change(name=name, unit=first.unit, values=values, change=change, most=most, ok=change <= most))
+        out.append(
+            Change(
+                name=name,
+                unit=first.unit,
+                values=values,
+                change=change,
+                most=most,
+                ok=change <= most,
+            )
+        )
     return out

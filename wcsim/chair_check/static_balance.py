@@ -36,9 +36,20 @@ _NOTHING: Final = 1e-6  # of the weight
 _CLOSE: Final = 1e-6  # of the weight
 _MOST_ROUNDS: Final = 60
 _STUCK: Final = 100.0  # times the stiffness of a wheel: moves are too small to get anywhere
-_PRESSED: Final = np.array([-5e-5, 0.0, 0.0])  # every wheel touches: one that just does not gives Newton no slope
-_LEANS_RAD: Final = (0.0, 0.04, 0.08, 0.12, 0.16, 0.2)  # downhill, where it may come to lean on an anti-tip or a stop
-_LANDING_RAD: Final = 0.05  # apart: leans between which it may fall from one pair of feet onto another
+_PRESSED: Final = np.array(
+    [-5e-5, 0.0, 0.0]
+)  # every wheel touches: one that just does not gives Newton no slope
+_LEANS_RAD: Final = (
+    0.0,
+    0.04,
+    0.08,
+    0.12,
+    0.16,
+    0.2,
+)  # downhill, where it may come to lean on an anti-tip or a stop
+_LANDING_RAD: Final = (
+    0.05  # apart: leans between which it may fall from one pair of feet onto another
+)
 _LANDED_RAD: Final = 1e-6
 
 
@@ -86,7 +97,10 @@ def uphill(stand: Stand, downhill: Vec2) -> frozenset[str]:
 
     Sideways these are the feet of the upper side; forward and back all but those farthest downhill.
     """
-    along = {foot.name: foot.centre_m[0] * downhill[0] + foot.centre_m[1] * downhill[1] for foot in stand.feet}
+    along = {
+        foot.name: foot.centre_m[0] * downhill[0] + foot.centre_m[1] * downhill[1]
+        for foot in stand.feet
+    }
     sideways = abs(downhill[1]) > abs(downhill[0])
     least = 0.0 if sideways else max(along.values()) - _GROUP_M
     return frozenset(name for name, place_m in along.items() if place_m < least)
@@ -98,7 +112,9 @@ def _rigid_tip_rad(stand: Stand, downhill: Vec2) -> float:
     The tip line is the edge of the feet's hull that lies downhill of the centre of mass.
     """
     dx, dy = downhill
-    points = [(p[0] * dx + p[1] * dy, p[1] * dx - p[0] * dy) for foot in stand.feet for p in _edges(foot)]
+    points = [
+        (p[0] * dx + p[1] * dy, p[1] * dx - p[0] * dy) for foot in stand.feet for p in _edges(foot)
+    ]
     cx, cy, height_m = stand.com_m
     along, aside = cx * dx + cy * dy, cy * dx - cx * dy
     reach = [
@@ -108,7 +124,9 @@ def _rigid_tip_rad(stand: Stand, downhill: Vec2) -> float:
         if a[1] <= aside < b[1] or b[1] < aside <= a[1]
     ]
     if not reach:
-        raise PhysicsError("the centre of mass is not above the feet; expected a plant that stands: check its numbers")
+        raise PhysicsError(
+            "the centre of mass is not above the feet; expected a plant that stands: check its numbers"
+        )
     return math.atan2(max(reach) - along, height_m)
 
 
@@ -131,7 +149,9 @@ def tip_rad(stand: Stand, downhill: Vec2) -> float:
     upper = uphill(stand, downhill)
     pose = _rest(stand, 0.0, downhill, _PRESSED, upper, (0.0,))
     if pose is None:
-        raise PhysicsError("the plant tips at rest; expected one that stands: check its masses and wheels")
+        raise PhysicsError(
+            "the plant tips at rest; expected one that stands: check its masses and wheels"
+        )
     tilt, step = 0.0, _COARSE_RAD
     hanging = any(load == 0.0 for load in _Table(stand, 0.0, downhill).loads(pose).values())
     leans = _LEANS_RAD if hanging or any(foot.beam for foot in stand.feet) else (0.0,)
@@ -142,12 +162,19 @@ def tip_rad(stand: Stand, downhill: Vec2) -> float:
         else:
             tilt, pose = tilt + step, after
         if tilt > _MOST_RAD:
-            raise PhysicsError("the plant does not tip at 60 degrees; expected less: check its masses and wheels")
+            raise PhysicsError(
+                "the plant does not tip at 60 degrees; expected less: check its masses and wheels"
+            )
     return tilt
 
 
 def _rest(
-    stand: Stand, tilt_rad: float, downhill: Vec2, pose: F64, upper: frozenset[str], leans_rad: tuple[float, ...]
+    stand: Stand,
+    tilt_rad: float,
+    downhill: Vec2,
+    pose: F64,
+    upper: frozenset[str],
+    leans_rad: tuple[float, ...],
 ) -> F64 | None:
     """The pose in which it stands with a load on its uphill feet, near `pose` or leaning on an anti-tip or stop."""
     least_N = _NOTHING * stand.mass_kg * GRAVITY_MPS2
@@ -155,7 +182,10 @@ def _rest(
     guesses = [pose - lean * np.array([0.0, *downhill]) for lean in leans_rad]
     for guess in [*guesses, *(table.landings() if len(leans_rad) > 1 else [])]:
         found = table.settle(guess)
-        if found is not None and sum(load for name, load in table.loads(found).items() if name in upper) > least_N:
+        if (
+            found is not None
+            and sum(load for name, load in table.loads(found).items() if name in upper) > least_N
+        ):
             return found
     return None
 
@@ -165,7 +195,9 @@ def loads_N(stand: Stand) -> dict[str, float]:
     table = _Table(stand, 0.0, (1.0, 0.0))
     pose = table.settle(_PRESSED)
     if pose is None:
-        raise PhysicsError("the plant tips at rest; expected one that stands: check its masses and wheels")
+        raise PhysicsError(
+            "the plant tips at rest; expected one that stands: check its masses and wheels"
+        )
     return table.loads(pose)
 
 
@@ -173,7 +205,9 @@ class _Table:
     """The equations of one chair at one tilt; vectors over the edges of its feet."""
 
     def __init__(self, stand: Stand, tilt_rad: float, downhill: Vec2) -> None:
-        edges = [(foot, edge, share) for foot in stand.feet for edge, share in _standing(foot, downhill)]
+        edges = [
+            (foot, edge, share) for foot in stand.feet for edge, share in _standing(foot, downhill)
+        ]
         self._names = [foot.name for foot, _, _ in edges]
         self._centre = np.array([edge for _, edge, _ in edges])
         self._axis = np.array([foot.axis for foot, _, _ in edges])
@@ -182,12 +216,16 @@ class _Table:
         arms = [(foot.arm, foot.unsprung_kg) for foot, _, _ in edges]
         self._sprung = np.array([arm is not None for arm, _ in arms])
         numbers = [
-            (arm.stiffness_Npm, arm.preload_N, -arm.down_m, arm.up_m, unsprung_kg) if arm else (1.0, 0.0, 0.0, 0.0, 0.0)
+            (arm.stiffness_Npm, arm.preload_N, -arm.down_m, arm.up_m, unsprung_kg)
+            if arm
+            else (1.0, 0.0, 0.0, 0.0, 0.0)
             for arm, unsprung_kg in arms
         ]
         self._stiff, self._preload, self._least, self._most, self._unsprung = np.array(numbers).T
         beams = [foot.beam for foot, _, _ in edges]
-        self._beams = [(beam, np.array([b == beam for b in beams])) for beam in dict.fromkeys(beams) if beam]
+        self._beams = [
+            (beam, np.array([b == beam for b in beams])) for beam in dict.fromkeys(beams) if beam
+        ]
         self._mass, self._weight_N = stand.mass_kg, stand.mass_kg * GRAVITY_MPS2
         self._com = np.array(stand.com_m)
         self._down = np.array(downhill)
@@ -201,7 +239,9 @@ class _Table:
         place = self._centre @ turn.T + low * (self._radius / np.linalg.norm(low, axis=1))[:, None]
         depth = -(place[:, 2] + pose[0])
         for beam, carried in self._beams:
-            depth[carried] -= self._rocked_m(beam, place[carried], depth[carried], self._share[carried], turn)
+            depth[carried] -= self._rocked_m(
+                beam, place[carried], depth[carried], self._share[carried], turn
+            )
         firm = _FIRM_N_PER_M * np.maximum(depth, 0.0)
         load, compressed = self._sprung_loads(depth, turn[:, 2])
         place = place + np.where(self._sprung, compressed, 0.0)[:, None] * turn[:, 2]
@@ -238,7 +278,9 @@ class _Table:
         force = force + _FIRM_N_PER_M * np.maximum(pushed - self._most, 0.0)
         hanging = np.maximum(-(self._preload + self._unsprung * hangs) / self._stiff, self._least)
         in_air = pushed < hanging
-        return np.where(in_air, 0.0, np.maximum(force, 0.0) / along), np.where(in_air, hanging, pushed)
+        return np.where(in_air, 0.0, np.maximum(force, 0.0) / along), np.where(
+            in_air, hanging, pushed
+        )
 
     def landings(self) -> list[F64]:
         """The poses in which it has fallen downhill from its lowest feet onto others, as onto anti-tips."""
@@ -287,7 +329,10 @@ class _Table:
         """What is missing to equilibrium: force along z, moments about y and x of T, (3,)."""
         place, load, compressed = self._contacts(pose)
         turn = _turn(pose[1], pose[2])
-        com = turn @ self._com + (self._share * self._unsprung * compressed).sum() / self._mass * turn[:, 2]
+        com = (
+            turn @ self._com
+            + (self._share * self._unsprung * compressed).sum() / self._mass * turn[:, 2]
+        )
         lever = self._cos * com[:2] + self._sin * (com[2] + pose[0]) * self._down
         moment = (load[:, None] * place[:, :2]).sum(axis=0) - self._weight_N * lever
         return np.array([load.sum() - self._weight_N * self._cos, moment[0], moment[1]])
@@ -295,7 +340,9 @@ class _Table:
     def _slope(self, pose: F64, residual: F64) -> F64:
         """Derivatives of the residual by the pose, (3, 3)."""
         step = 1e-7
-        return np.array([(self._residual(pose + step * unit) - residual) / step for unit in np.eye(3)]).T
+        return np.array(
+            [(self._residual(pose + step * unit) - residual) / step for unit in np.eye(3)]
+        ).T
 
     def loads(self, pose: F64) -> dict[str, float]:
         """Normal load of each foot."""
@@ -361,14 +408,20 @@ def _com_m(spec: PlantSpec, swivel_rad: float = 0.0) -> Vec3:
 def worst_swivel_rad(spec: PlantSpec, downhill: Vec2) -> float:
     """The swivel angle at which the tip line lies nearest to the centre of mass, anti-tips left out."""
     angles = [2.0 * math.pi * k / _TURNS for k in range(_TURNS)]
-    return min(angles, key=lambda angle: _rigid_tip_rad(stand(spec, angle).without("antitip"), downhill))
+    return min(
+        angles, key=lambda angle: _rigid_tip_rad(stand(spec, angle).without("antitip"), downhill)
+    )
 
 
 def inertia_kgm2(spec: PlantSpec) -> F64:
     """Moments of inertia of the whole chair about its centre of mass, along B's axes, (3,), casters trailing."""
     about = np.array(_com_m(spec))
     total = np.zeros(3)
-    frame = (spec.frame_mass_kg, spec.frame_com_m, tuple(0.5 * one for one in spec.frame_inertia_kgm2))
+    frame = (
+        spec.frame_mass_kg,
+        spec.frame_com_m,
+        tuple(0.5 * one for one in spec.frame_inertia_kgm2),
+    )
     for mass_kg, place, own in (frame, *spec.parts()):
         arm = np.array(place) - about
         total += 2.0 * np.array(own) + mass_kg * (arm @ arm - arm**2)
@@ -392,7 +445,10 @@ def _casters(spec: PlantSpec, swivel_rad: float) -> Iterator[Foot]:
     cos, sin = math.cos(swivel_rad), math.sin(swivel_rad)
     for number, pair in enumerate(spec.casters):
         for side, sign in _SIDES:
-            hub = (pair.swivel_x_m - pair.trail_m * cos, 0.5 * sign * pair.track_m - pair.trail_m * sin)
+            hub = (
+                pair.swivel_x_m - pair.trail_m * cos,
+                0.5 * sign * pair.track_m - pair.trail_m * sin,
+            )
             yield Foot(
                 name=f"caster_{number}_{side}",
                 centre_m=(*hub, pair.radius_m),
@@ -401,7 +457,9 @@ def _casters(spec: PlantSpec, swivel_rad: float) -> Iterator[Foot]:
                 half_width_m=0.5 * pair.width_m,
                 friction=pair.friction,
                 arm=pair.arm,
-                unsprung_kg=pair.mass_kg + pair.fork_mass_kg + (pair.arm.mass_kg if pair.arm else 0.0),
+                unsprung_kg=pair.mass_kg
+                + pair.fork_mass_kg
+                + (pair.arm.mass_kg if pair.arm else 0.0),
                 beam=_beam(pair),
             )
 
@@ -429,4 +487,6 @@ def _antitips(spec: PlantSpec) -> Iterator[Foot]:
         for side, sign in _SIDES:
             x, y, z = pair.p_m
             name = f"antitip_{number}_{side}"
-            yield Foot(name=name, centre_m=(x, sign * y, z), radius_m=pair.radius_m, friction=pair.friction)
+            yield Foot(
+                name=name, centre_m=(x, sign * y, z), radius_m=pair.radius_m, friction=pair.friction
+            )

@@ -17,7 +17,9 @@ STEP_S: Final = 0.02
 _STICK, _ODOMETRY = "t_s,axis0,axis1", "t_s,v_mps,w_radps"
 _LONGEST_GAP_S: Final = 1.0  # over more nobody knows what the stick did
 _SHORTEST_S, _LONGEST_S = 2.0, 86_400.0
-_ANSWER_S: Final = 0.2  # after which a turn of the stick shows, roughly: enough for the sign of an axis
+_ANSWER_S: Final = (
+    0.2  # after which a turn of the stick shows, roughly: enough for the sign of an axis
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,11 +57,18 @@ def read_stick_drives(paths: Sequence[Path]) -> tuple[StickDrive, ...]:
 def _read(path: Path) -> StickDrive:
     name, found, _ = path.name.partition(".joy.csv")
     if not found:
-        raise ConfigError(f"{escaped(path)}: expected the name of a file as NAME.joy.csv or NAME.joy.csv.gz")
+        raise ConfigError(
+            f"{escaped(path)}: expected the name of a file as NAME.joy.csv or NAME.joy.csv.gz"
+        )
     beside = [path.with_name(f"{name}.odom.csv{end}") for end in ("", ".gz")]
-    stick, odometry = _table(path, _STICK), _table(next(filter(is_file, beside), beside[0]), _ODOMETRY)
+    stick, odometry = (
+        _table(path, _STICK),
+        _table(next(filter(is_file, beside), beside[0]), _ODOMETRY),
+    )
     if np.abs(stick[:, 1:]).max() > 1.1:
-        raise ConfigError(f"{escaped(path)}: the stick is at {np.abs(stick[:, 1:]).max():g}; expected -1 to 1")
+        raise ConfigError(
+            f"{escaped(path)}: the stick is at {np.abs(stick[:, 1:]).max():g}; expected -1 to 1"
+        )
     first_s, last_s = max(stick[0, 0], odometry[0, 0]), min(stick[-1, 0], odometry[-1, 0])
     if not _SHORTEST_S <= last_s - first_s <= _LONGEST_S:
         raise ConfigError(
@@ -67,7 +76,10 @@ def _read(path: Path) -> StickDrive:
             "to a day: record both by one clock"
         )
     at_s = np.arange(first_s, last_s, STEP_S)
-    both = [np.stack([np.interp(at_s, rows[:, 0], rows[:, k]) for k in (1, 2)], axis=1) for rows in (stick, odometry)]
+    both = [
+        np.stack([np.interp(at_s, rows[:, 0], rows[:, k]) for k in (1, 2)], axis=1)
+        for rows in (stick, odometry)
+    ]
     return StickDrive(name=name, stick=both[0], motion=both[1])
 
 
@@ -78,10 +90,16 @@ def _table(path: Path, columns: str) -> F64:
     try:
         rows = np.loadtxt(lines, delimiter=",", ndmin=2)
     except ValueError as error:
-        raise ConfigError(f"{escaped(path)}: is no table ({escaped(error, 80)}); expected {CHAIR.what}") from None
+        raise ConfigError(
+            f"{escaped(path)}: is no table ({escaped(error, 80)}); expected {CHAIR.what}"
+        ) from None
     if head.strip() != columns:
-        raise ConfigError(f"{escaped(path)}: begins with {escaped(head, 40)!r}; expected {columns}, in {CHAIR.what}")
-    apart_s = np.diff(rows[:, 0]) if rows.shape[1] == 3 and np.isfinite(rows).all() else np.array([])
+        raise ConfigError(
+            f"{escaped(path)}: begins with {escaped(head, 40)!r}; expected {columns}, in {CHAIR.what}"
+        )
+    apart_s = (
+        np.diff(rows[:, 0]) if rows.shape[1] == 3 and np.isfinite(rows).all() else np.array([])
+    )
     if not len(apart_s) or apart_s.min() < 0.0 or apart_s.max() > _LONGEST_GAP_S:
         raise ConfigError(
             f"{escaped(path)}: expected rows of three finite numbers whose times rise by at most {_LONGEST_GAP_S:g} s; "

@@ -24,7 +24,11 @@ def _trials(setup: Setup, only: Sequence[str] = ()) -> tuple[Trial, ...]:
     Raises ConfigError or PhysicsError for a plant that cannot be.
     """
     most_mps = plant_spec(setup.chair).limits.speed_mps
-    slow_enough = (trial for trial in _made(setup, only) if trial.speed_mps is None or trial.speed_mps <= most_mps)
+    slow_enough = (
+        trial
+        for trial in _made(setup, only)
+        if trial.speed_mps is None or trial.speed_mps <= most_mps
+    )
     return (*slow_enough, *tip_trials(setup, only))
 
 
@@ -32,16 +36,22 @@ def too_fast(setup: Setup, only: Sequence[str] = ()) -> tuple[str, ...]:
     """Names of the rows that ask for more speed than the plant's `limits.speed_mps`, and are left out."""
     most_mps = plant_spec(setup.chair).limits.speed_mps
     return tuple(
-        trial.name for trial in _made(setup, only) if trial.speed_mps is not None and trial.speed_mps > most_mps
+        trial.name
+        for trial in _made(setup, only)
+        if trial.speed_mps is not None and trial.speed_mps > most_mps
     )
 
 
 def _made(setup: Setup, only: Sequence[str]) -> Iterator[Trial]:
     for make in _MAKERS:
-        yield from (trial for trial in make(setup) if not only or trial.name.startswith(tuple(only)))
+        yield from (
+            trial for trial in make(setup) if not only or trial.name.startswith(tuple(only))
+        )
 
 
-def table(setup: Setup, only: Sequence[str] = (), workers: int = 1, progress: Progress | None = None) -> list[Row]:
+def table(
+    setup: Setup, only: Sequence[str] = (), workers: int = 1, progress: Progress | None = None
+) -> list[Row]:
     """The table of a plant.
 
     Args:

@@ -117,7 +117,9 @@ def _judge(setups: Mapping[str, Setup], options: _CheckOptions) -> int:
         stdout_console().print(_shown(plant, rows))
         for line in _remarks(rows):
             print(line)
-    write_json(options.json, {"plants": {plant: {"rows": _plain(rows)} for plant, rows in found.items()}})
+    write_json(
+        options.json, {"plants": {plant: {"rows": _plain(rows)} for plant, rows in found.items()}}
+    )
     return 1 if any(row.red for rows in found.values() for row in rows) else 0
 
 
@@ -148,7 +150,12 @@ def _table(plant: str, setup: Setup, options: _CheckOptions) -> list[Row]:
 
     what = f"{plant} at {setup.hz} Hz"
     with stderr_console().status(what) as status:
-        return table(setup, words_of(options.rows), options.workers, lambda name: status.update(f"{what}: {name}"))
+        return table(
+            setup,
+            words_of(options.rows),
+            options.workers,
+            lambda name: status.update(f"{what}: {name}"),
+        )
 
 
 def _rates(text: str) -> list[int]:
@@ -178,7 +185,13 @@ def _shown(plant: str, rows: Sequence[Row]) -> Table:
         out.add_column(heading)
     for row in rows:
         numbers = (f"{number:.4g}" for number in (row.value, row.low, row.high))
-        verdict = ("" if row.judged else "not judged") if row.ok else "[bold red]RED[/]" if row.red else "other"
+        verdict = (
+            ("" if row.judged else "not judged")
+            if row.ok
+            else "[bold red]RED[/]"
+            if row.red
+            else "other"
+        )
         out.add_row(row.name, *numbers, row.unit, row.bound, verdict)
     return out
 
@@ -209,7 +222,14 @@ def _compared(plant: str, rates: Sequence[int], rows: Sequence[Change]) -> Table
 
 def _frame(title: str) -> Table:
     name = Column("row", overflow="fold")
-    return Table(name, title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
+    return Table(
+        name,
+        title=title,
+        title_justify="left",
+        box=box.SIMPLE_HEAD,
+        padding=(0, 1, 0, 0),
+        pad_edge=False,
+    )
 
 
 _HZ_OF_FIT = 120
@@ -243,7 +263,9 @@ def _fit(options: _FitOptions) -> int:
         raise ConfigError("chair fit got no file; expected recorded drives, such as walk.joy.csv")
     if options.picture is not None:
         if options.picture.suffix not in (".png", ".svg"):
-            raise ConfigError(f"--picture {escaped(options.picture)}: expected a name that ends in .png or .svg")
+            raise ConfigError(
+                f"--picture {escaped(options.picture)}: expected a name that ends in .png or .svg"
+            )
         check_installed("--picture needs matplotlib", "report", "matplotlib")
     read_plant(options.base)
     chair = _driving(options.base, _HZ_OF_FIT).chair
@@ -267,7 +289,9 @@ def _fit(options: _FitOptions) -> int:
         late = [later(motion, ticks * TICK_S) for motion in ridden]
         errors[f"{options.base}, {ticks} ticks late"] = motion_errors(drives, late)
     if ridden:
-        made[f"{options.base} in PyBullet"] = [later(motion, fit.values[DELAY_S]) for motion in ridden]
+        made[f"{options.base} in PyBullet"] = [
+            later(motion, fit.values[DELAY_S]) for motion in ridden
+        ]
     _print_fit(fit, was, errors)
     if options.picture is not None:
         _draw_fit(options.picture, drives, made)
@@ -275,7 +299,10 @@ def _fit(options: _FitOptions) -> int:
         told = f"fitted to {len(drives)} drives; from stick to wheels {fit.values[DELAY_S]:.2f} s"
         _write_plant(options.out, own, rounded, told)
     numbers = {name: [value, *fit.intervals.get(name, ())] for name, value in fit.values.items()}
-    write_json(options.json, {"numbers": numbers, "errors": {name: asdict(item) for name, item in errors.items()}})
+    write_json(
+        options.json,
+        {"numbers": numbers, "errors": {name: asdict(item) for name, item in errors.items()}},
+    )
     return 0
 
 
@@ -309,7 +336,9 @@ def _ridden(drives: Sequence[StickDrive], chair: ChairConfig) -> list[F64]:
     from wcsim.chair_check.drive_fit import plant_motion
 
     with stderr_console().status(f"driving {chair.plant} in PyBullet"):
-        found = dict(pooled(partial(plant_motion, setup=Setup(chair=chair, hz=_HZ_OF_FIT)), drives, _WORKERS))
+        found = dict(
+            pooled(partial(plant_motion, setup=Setup(chair=chair, hz=_HZ_OF_FIT)), drives, _WORKERS)
+        )
     return [found[place] for place in range(len(drives))]
 
 
@@ -323,7 +352,9 @@ def _print_fit(fit: DriveFit, was: Mapping[str, float], errors: Mapping[str, Mot
     for name, item in errors.items():
         shares = (f"{share:.1%}" for share in (item.speed_explained, item.turn_explained))
         rows.append((name, f"{item.speed_rms_mps:.3f}", f"{item.turn_rms_radps:.3f}", *shares))
-    show_table(("drives", "m/s rms", "rad/s rms", "speed explained", "turn"), rows, box=box.SIMPLE_HEAD)
+    show_table(
+        ("drives", "m/s rms", "rad/s rms", "speed explained", "turn"), rows, box=box.SIMPLE_HEAD
+    )
 
 
 def _draw_fit(path: Path, drives: Sequence[StickDrive], made: Mapping[str, Sequence[F64]]) -> None:
@@ -345,14 +376,19 @@ def _write_plant(path: Path, own: ChairConfig, numbers: Mapping[str, float], hea
     text = read_text(plant_path(own.plant), SETTINGS)
     table = _CHAIR.search(text)
     begin, end = table.span() if table else (len(text), len(text))
-    kept = re.sub(rf"(?m)^[ \t]*({'|'.join(numbers)}|profile)[ \t]*=.*\n?", "", table[1] if table else "")
+    kept = re.sub(
+        rf"(?m)^[ \t]*({'|'.join(numbers)}|profile)[ \t]*=.*\n?", "", table[1] if table else ""
+    )
     lines = [
         text[:begin].rstrip(),
         "",
         f"[chair] # {head}",
         *(f"{name} = {value:g}" for name, value in numbers.items()),
     ]
-    made, where = "\n".join([*lines, kept + text[end:]]).rstrip() + "\n", f"{escaped(own.plant)} with a new [chair]"
+    made, where = (
+        "\n".join([*lines, kept + text[end:]]).rstrip() + "\n",
+        f"{escaped(own.plant)} with a new [chair]",
+    )
     parse(PlantFile, parse_toml(made, where, SETTINGS), where)
     with result_file(path) as part:
         part.write_text(made, encoding="utf-8")

@@ -28,7 +28,9 @@ PACKAGES = (
 _TRAINS = ("torch", "stable-baselines3")
 _PYTHONS = ((3, 11), (3, 12), (3, 13))
 TICK_SECONDS = 5.0
-_FIRST_TICKS = 10  # in a new installation these compile kernels, which says nothing of those that follow
+_FIRST_TICKS = (
+    10  # in a new installation these compile kernels, which says nothing of those that follow
+)
 _REAL_TIME_TICKS_PER_S = 10.0
 _MIN_SHM_BYTES = 32 << 20
 
@@ -63,7 +65,9 @@ def run(words: list[str]) -> int:
     findings = {name: check() for name, check in checks.items()}
     rows = ((name, "ok" if ok else "FAILS", says) for name, (ok, says) in findings.items())
     show_table(("check", "", Column("found", overflow="fold")), rows)
-    write_json(options.json, {name: {"ok": ok, "says": says} for name, (ok, says) in findings.items()})
+    write_json(
+        options.json, {name: {"ok": ok, "says": says} for name, (ok, says) in findings.items()}
+    )
     return 0 if all(ok for ok, _ in findings.values()) else 2
 
 
@@ -78,7 +82,11 @@ def _versions() -> _Finding:
     says = ", ".join(f"{name} {version}" for name, version in found.items() if version)
     if missing:
         return False, f"{says}; MISSING: {', '.join(missing)} (pip install)"
-    light = "" if all(found[name] for name in _TRAINS) else "; it cannot train: pip install 'wcsim[train]'"
+    light = (
+        ""
+        if all(found[name] for name in _TRAINS)
+        else "; it cannot train: pip install 'wcsim[train]'"
+    )
     return True, says + light
 
 
@@ -169,13 +177,18 @@ def cache(words: list[str]) -> int:
     left = clear_cache() if options.clear else before
     checked = counted(before.verdicts, "checked net or scenario", "checked nets and scenarios")
     kept = f"{counted(before.streets, 'street')}, {checked}, {counted(before.kernels, 'kernel')}"
-    kept += f", {counted(before.driven, 'generated place')} to drive in, {before.unfinished} unfinished"
+    kept += (
+        f", {counted(before.driven, 'generated place')} to drive in, {before.unfinished} unfinished"
+    )
     print(f"{escaped(before.folder)}: {kept}, {before.size_bytes / 1e6:.1f} MB")
     if options.clear:
         print(f"removed {(before.size_bytes - left.size_bytes) / 1e6:.1f} MB")
     else:
         print("clear it: wcsim cache --clear")
-    write_json(options.json, {**asdict(before), "folder": str(before.folder), "left_bytes": left.size_bytes})
+    write_json(
+        options.json,
+        {**asdict(before), "folder": str(before.folder), "left_bytes": left.size_bytes},
+    )
     if options.clear and left.size_bytes:
         raise ConfigError(
             f"{escaped(left.folder)}: {left.size_bytes} bytes are left; expected files that you may remove"

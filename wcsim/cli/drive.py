@@ -103,7 +103,9 @@ def run(words: list[str]) -> int:
         )
     if says(words, "--study"):
         return _study(parse(_StudyOptions, words, "drive"))
-    options: _AssistedOptions = parse(_EpisodeOptions if says(words, "--suite") else _Options, words, "drive")
+    options: _AssistedOptions = parse(
+        _EpisodeOptions if says(words, "--suite") else _Options, words, "drive"
+    )
     require_policy(options.policy, options.network, alone=True)
     if options.profile:
         require_user(options.profile)
@@ -125,7 +127,10 @@ def _study(options: _StudyOptions) -> int:
     from wcsim.drive.recording.study_lead import open_study, study_start
     from wcsim.drive.runner import DriveOrder
 
-    study = open_study(options.study, options.participant, options.out, options.policy, options.network)
+    study = open_study(
+        options.study, options.participant, options.out, options.policy, options.network
+    )
     return serve_page(
-        DriveOrder(start=study_start(study.file, study.file.places[0], study.network), keep=study), options
+        DriveOrder(start=study_start(study.file, study.file.places[0], study.network), keep=study),
+        options,
     )

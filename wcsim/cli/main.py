@@ -79,7 +79,9 @@ def _told_cause(error: Exception) -> tuple[str, Exit]:
             Exit.REFUSED,
         )
     told = _told_path(error) if isinstance(error, OSError) and error.errno in _PATHS else ""
-    ours = any(frame.f_code.co_name == "_execute_child" for frame in last)  # of subprocess: a program that we want
+    ours = any(
+        frame.f_code.co_name == "_execute_child" for frame in last
+    )  # of subprocess: a program that we want
     return (told, Exit.REFUSED) if told and not ours else ("", Exit.FAILED)
 
 
@@ -107,30 +109,69 @@ class _Subcommand:
 
 
 SUBCOMMANDS = (
-    _Subcommand("demo", "training.demo", "learn", "train a network, and see what its help is worth"),
+    _Subcommand(
+        "demo", "training.demo", "learn", "train a network, and see what its help is worth"
+    ),
     _Subcommand("train", "training.train", "learn", "train a danger network, in rounds of driving"),
     _Subcommand("train-q", "training.train:run_q", "learn", "train a network by Q-learning"),
-    _Subcommand("train-clients", "training.train_clients", "learn", "train several networks at once in one world"),
+    _Subcommand(
+        "train-clients",
+        "training.train_clients",
+        "learn",
+        "train several networks at once in one world",
+    ),
     _Subcommand("resume", "training.resume", "learn", "continue a training"),
-    _Subcommand("collect", "training.collect", "learn", "record driving that a network can learn from"),
-    _Subcommand("export", "training.export", "learn", "write a policy as an ONNX model, without wcsim"),
-    _Subcommand("test", "evaluation.test", "test", "test policies and baselines in towns new to them"),
-    _Subcommand("report", "evaluation.report", "test", "make a page of a test or training, with failures"),
-    _Subcommand("networks", "networks", "test", "show what networks cost: parameters, memory, time"),
+    _Subcommand(
+        "collect", "training.collect", "learn", "record driving that a network can learn from"
+    ),
+    _Subcommand(
+        "export", "training.export", "learn", "write a policy as an ONNX model, without wcsim"
+    ),
+    _Subcommand(
+        "test", "evaluation.test", "test", "test policies and baselines in towns new to them"
+    ),
+    _Subcommand(
+        "report", "evaluation.report", "test", "make a page of a test or training, with failures"
+    ),
+    _Subcommand(
+        "networks", "networks", "test", "show what networks cost: parameters, memory, time"
+    ),
     _Subcommand("chair", "chair", "test", "test wheelchairs on a yard, as ISO 7176 does"),
     _Subcommand("look", "pictures:look", "look", "make a picture and a video of a town"),
-    _Subcommand("snapshot", "pictures:snapshot", "look", "make a picture from a camera: colours, classes, depth"),
-    _Subcommand("video", "pictures:video", "look", "make a video from a chair's camera, with a map"),
-    _Subcommand("watch", "recordings.replay:watch", "look", "watch a training of several clients on a web page"),
+    _Subcommand(
+        "snapshot",
+        "pictures:snapshot",
+        "look",
+        "make a picture from a camera: colours, classes, depth",
+    ),
+    _Subcommand(
+        "video", "pictures:video", "look", "make a video from a chair's camera, with a map"
+    ),
+    _Subcommand(
+        "watch",
+        "recordings.replay:watch",
+        "look",
+        "watch a training of several clients on a web page",
+    ),
     _Subcommand("log", "recordings.log", "look", "play, verify, compare or convert a recording"),
-    _Subcommand("replay", "recordings.replay", "look", "drive an episode of a test again on a web page"),
-    _Subcommand("town", "town.command", "towns", "import, make, list, check or pave a town, or run it"),
+    _Subcommand(
+        "replay", "recordings.replay", "look", "drive an episode of a test again on a web page"
+    ),
+    _Subcommand(
+        "town", "town.command", "towns", "import, make, list, check or pave a town, or run it"
+    ),
     _Subcommand("scene", "scene", "towns", "run short street scenes with a fixed seed"),
     _Subcommand("drive", "drive", "people", "drive a wheelchair yourself in your browser"),
-    _Subcommand("users", "recordings.users", "people", "record a simulated user, fit a user to recordings"),
+    _Subcommand(
+        "users", "recordings.users", "people", "record a simulated user, fit a user to recordings"
+    ),
     _Subcommand("serve", "serve", "machines", "run a shared world that clients can join and leave"),
-    _Subcommand("join", "training.join", "machines", "train a network in a world started by wcsim serve"),
-    _Subcommand("cache", "doctor:cache", "machines", "show the cache of built streets, or clear it"),
+    _Subcommand(
+        "join", "training.join", "machines", "train a network in a world started by wcsim serve"
+    ),
+    _Subcommand(
+        "cache", "doctor:cache", "machines", "show the cache of built streets, or clear it"
+    ),
     _Subcommand("doctor", "doctor", "machines", "check that all that wcsim needs works here"),
 )
 
@@ -161,7 +202,11 @@ def guarded(work: Callable[[list[str]], int], arguments: list[str] | None) -> in
     """Give the words of a command line to `work`, the process's own if there are none; returns the exit code."""
     try:
         with _orderly_end(own_process=arguments is None):
-            code = _run(work, sys.argv[1:] if arguments is None else arguments, own_process=arguments is None)
+            code = _run(
+                work,
+                sys.argv[1:] if arguments is None else arguments,
+                own_process=arguments is None,
+            )
             if arguments is None and code in (Exit.STOPPED, Exit.INTERRUPTED, Exit.TERMINATED):
                 _end_undisturbed()
         sys.stdout.flush()
@@ -199,12 +244,17 @@ def _terminate(_number: int, _frame: FrameType | None) -> None:
 def _run_command(words: list[str]) -> int:
     for said in (f"{' '.join(words[:1])} {word.partition('=')[0]}" for word in (*words[1:], "")):
         if said in FORMER:
-            raise ConfigError(f"wcsim {said.strip()} is of version 0.1; type instead: {FORMER[said]}")
+            raise ConfigError(
+                f"wcsim {said.strip()} is of version 0.1; type instead: {FORMER[said]}"
+            )
     chosen = next((item for item in SUBCOMMANDS if words and item.name == words[0]), None)
     if chosen is None:
         return _no_subcommand(words)
     module, _, work = chosen.module.partition(":")
-    return int(getattr(importlib.import_module(f"wcsim.cli.{module}"), work or "run")(words[1:]) or Exit.DONE)
+    return int(
+        getattr(importlib.import_module(f"wcsim.cli.{module}"), work or "run")(words[1:])
+        or Exit.DONE
+    )
 
 
 def _run(work: Callable[[list[str]], int], words: list[str], own_process: bool) -> int:
@@ -212,7 +262,9 @@ def _run(work: Callable[[list[str]], int], words: list[str], own_process: bool) 
         if own_process:
             _require_streams()
         for word in filter(holds_half_letters, words):  # no record of ours could name it
-            raise ConfigError(f"argument '{escaped(word)}' is not valid UTF-8; rename that file, or set LANG=C.UTF-8")
+            raise ConfigError(
+                f"argument '{escaped(word)}' is not valid UTF-8; rename that file, or set LANG=C.UTF-8"
+            )
         return work(words)
     except WcsimError as error:
         print(f"wcsim: {_printable(str(error))}", file=sys.stderr)
@@ -257,7 +309,9 @@ def _no_subcommand(words: list[str]) -> int:
         print(__version__)
         return Exit.DONE
     names = [item.name for item in SUBCOMMANDS]
-    told = f"unknown command {words[0]!r}; expected one of: {', '.join(names)}{meant(words[0], names)}"
+    told = (
+        f"unknown command {words[0]!r}; expected one of: {', '.join(names)}{meant(words[0], names)}"
+    )
     print(f"wcsim: {told}", file=sys.stderr)
     return Exit.REFUSED
 

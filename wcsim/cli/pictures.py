@@ -27,7 +27,9 @@ if TYPE_CHECKING:  # loads the simulators, which --help must not
     from wcsim.view.filming import Shot
 
 MIN_SECONDS, MAX_SECONDS = 0.1, 3600.0
-OF_VIDEO = Keys({"env.profile": "its user is competent; for another, use `wcsim video --profile NAME`"})
+OF_VIDEO = Keys(
+    {"env.profile": "its user is competent; for another, use `wcsim video --profile NAME`"}
+)
 _LOOK_PX = 640  # width of the camera's picture
 _SEARCH_S = 60.0  # of driving, at most, for a moment that shows a street
 
@@ -53,12 +55,16 @@ def look(words: list[str]) -> int:
     """One drive: it is filmed from where it shows a street on, and its most telling moment is the picture."""
     options = parse(_LookOptions, words, "look")
     town = find_town(options.town)
-    street, picture, video = (options.out / f"{town.name}{kind}" for kind in ("-street.png", ".png", ".webm"))
+    street, picture, video = (
+        options.out / f"{town.name}{kind}" for kind in ("-street.png", ".png", ".webm")
+    )
     Writes().check("--out", video)
 
     from wcsim.view.filming import BusiestMoment, FilmDriver, FilmedDrive
     from wcsim.view.pictures import write_png
-    from wcsim.view.street_pictures import StillPictures  # these load the simulators, which --help must not
+    from wcsim.view.street_pictures import (
+        StillPictures,
+    )  # these load the simulators, which --help must not
 
     with (
         told_if_made(video),
@@ -81,7 +87,9 @@ def look(words: list[str]) -> int:
             film.add()
             if busiest.look((before + done) * film.tick_s, stills.on_way):
                 seen = stills.draw()
-            bar.show(0.5 + 0.5 * done / frames, f"second {done * film.tick_s:.0f} of {options.seconds:g}")
+            bar.show(
+                0.5 + 0.5 * done / frames, f"second {done * film.tick_s:.0f} of {options.seconds:g}"
+            )
     place = f"{options.town}, seed {options.seed}"
     with result_file(street) as part:
         write_png(part, seen)
@@ -132,7 +140,9 @@ def _keep_shot(out: Path, shot: Shot, place: str) -> None:
 
     with result_file(out) as part:
         write_png(part, shot.picture)
-    print(f"{out}: {place}, after {shot.after_s:.1f} s, {shot.in_view} actor{'s' * (shot.in_view != 1)} near in view")
+    print(
+        f"{out}: {place}, after {shot.after_s:.1f} s, {shot.in_view} actor{'s' * (shot.in_view != 1)} near in view"
+    )
 
 
 @dataclass
@@ -171,12 +181,19 @@ def video(words: list[str]) -> int:
     if options.policy:
         require_policy(options.policy, options.network, alone=True)
     elif options.network:
-        raise ConfigError("--network is for a run that was trained with it; expected --policy RUN, too")
+        raise ConfigError(
+            "--network is for a run that was trained with it; expected --policy RUN, too"
+        )
     require_user(profile)
     town = find_town(options.town)
-    from wcsim.view.filming import FilmDriver, FilmedDrive  # loads the simulators, which --help must not
+    from wcsim.view.filming import (
+        FilmDriver,
+        FilmedDrive,
+    )  # loads the simulators, which --help must not
 
-    driver = FilmDriver(policy=options.policy, network=options.network, profile=profile, settings=options.set)
+    driver = FilmDriver(
+        policy=options.policy, network=options.network, profile=profile, settings=options.set
+    )
     with (
         told_if_made(options.out),
         StageBar("filming") as bar,
@@ -193,5 +210,7 @@ def video(words: list[str]) -> int:
     user = f"the user {profile}"
     who = f"{options.policy} assists {user}" if options.policy else user
     after = f" after {options.start:g} s" if before else ""
-    print(f"{options.out}: {options.town}, seed {options.seed}, {options.seconds:g} s{after}, {who}")
+    print(
+        f"{options.out}: {options.town}, seed {options.seed}, {options.seconds:g} s{after}, {who}"
+    )
     return 0

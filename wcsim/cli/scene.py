@@ -84,8 +84,14 @@ class _Outcome:
 
 def run(words: list[str]) -> int:
     """Run one of the subcommands."""
-    parts: Parts = {"run": (_RunOptions, _run), "list": (_ListOptions, _list), "bless": (_BlessOptions, _bless)}
-    return run_part(words, "scene", {**parts, "new": (_NewOptions, _new), "make": (_MakeOptions, _make)})
+    parts: Parts = {
+        "run": (_RunOptions, _run),
+        "list": (_ListOptions, _list),
+        "bless": (_BlessOptions, _bless),
+    }
+    return run_part(
+        words, "scene", {**parts, "new": (_NewOptions, _new), "make": (_MakeOptions, _make)}
+    )
 
 
 def _folders(names: tuple[str, ...]) -> tuple[Path, ...]:
@@ -107,7 +113,14 @@ def _list(_: _ListOptions) -> int:
         except ConfigError as error:
             broken.append(str(error))
             continue
-        rows.append((folder.name, f"{scene.duration_s:g}", str(len(scene.seats)), escaped(scene.shows, 2000)))
+        rows.append(
+            (
+                folder.name,
+                f"{scene.duration_s:g}",
+                str(len(scene.seats)),
+                escaped(scene.shows, 2000),
+            )
+        )
     show_table(("scene", "seconds", "chairs", "what it tests"), rows, show_lines=True)
     if broken:
         raise ConfigError("; ".join(broken))
@@ -116,9 +129,13 @@ def _list(_: _ListOptions) -> int:
 
 def _run(options: _RunOptions) -> int:
     if options.film is not None and len(options.scenes) != 1:
-        raise ConfigError(f"--film takes one scene, got {len(options.scenes)}; name the scene to film")
+        raise ConfigError(
+            f"--film takes one scene, got {len(options.scenes)}; name the scene to film"
+        )
     folders = _folders(options.scenes)
-    outcomes = [_outcome(folder, name) for folder, name in zip(folders, _names(folders), strict=True)]
+    outcomes = [
+        _outcome(folder, name) for folder, name in zip(folders, _names(folders), strict=True)
+    ]
     rows = (
         (each.name, "FAILS", "; ".join(each.faults))
         if each.faults
@@ -128,10 +145,15 @@ def _run(options: _RunOptions) -> int:
     show_table(("scene", "", "result"), rows)
     write_json(
         options.json,
-        {o.name: {"ok": not o.faults, "faults": list(o.faults), "note": o.note, **o.facts} for o in outcomes},
+        {
+            o.name: {"ok": not o.faults, "faults": list(o.faults), "note": o.note, **o.facts}
+            for o in outcomes
+        },
     )
     if options.film is not None:
-        from wcsim.scenes.run import film_scene  # it takes seconds to load, and most runs need no film
+        from wcsim.scenes.run import (
+            film_scene,
+        )  # it takes seconds to load, and most runs need no film
 
         film_scene(folders[0], options.film)
         print(f"{options.film}: {outcomes[0].name}")
@@ -139,7 +161,10 @@ def _run(options: _RunOptions) -> int:
 
 
 def _outcome(folder: Path, name: str) -> _Outcome:
-    from wcsim.log.diff import golden_difference, golden_note  # loads the simulators, which --help must not
+    from wcsim.log.diff import (
+        golden_difference,
+        golden_note,
+    )  # loads the simulators, which --help must not
     from wcsim.scenes.run import run_in_child
 
     note, scene = "", read_toml(folder / "scene.toml", SceneFile)
@@ -149,7 +174,9 @@ def _outcome(folder: Path, name: str) -> _Outcome:
         found = faults(facts, scene.expect)
         golden = folder / GOLDEN
         if not golden.is_file():
-            found += (f"no golden trace; when the scene is right, save one: wcsim scene bless {_called(folder)}",)
+            found += (
+                f"no golden trace; when the scene is right, save one: wcsim scene bless {_called(folder)}",
+            )
         else:
             told = golden_difference(trace, golden)
             found += (f"differs from the golden trace: {told}",) if told else ()
@@ -159,7 +186,9 @@ def _outcome(folder: Path, name: str) -> _Outcome:
 
 def _bless(options: _BlessOptions) -> int:
     if not options.scenes:
-        raise ConfigError("no scene is named; expected those whose golden traces are to change: wcsim scene bless NAME")
+        raise ConfigError(
+            "no scene is named; expected those whose golden traces are to change: wcsim scene bless NAME"
+        )
     folders = _folders(options.scenes)
 
     from wcsim.scenes.run import run_in_child  # loads the simulators, which --help must not
@@ -186,7 +215,9 @@ def _news(trace: Path, golden: Path) -> str:
     if not golden.is_file():
         return "no golden trace before"
     other_versions = read_states(trace)[0] != read_states(golden)[0]
-    return golden_difference(trace, golden) or ("the golden trace is of other versions" if other_versions else "")
+    return golden_difference(trace, golden) or (
+        "the golden trace is of other versions" if other_versions else ""
+    )
 
 
 def _new(options: _NewOptions) -> int:
@@ -221,7 +252,11 @@ def _called(folder: Path) -> str:
 
 
 def _words(facts: Facts) -> str:
-    nearest = f"closest {facts['closest_actor_m']:.2f} m" if facts["closest_actor_m"] < 50.0 else "no road user near"
+    nearest = (
+        f"closest {facts['closest_actor_m']:.2f} m"
+        if facts["closest_actor_m"] < 50.0
+        else "no road user near"
+    )
     return (
         f"{'crash' if facts['crashed'] else 'no crash'}, {facts['travelled_m']:.1f} m, drop {facts['drop_m']:.2f} m, "
         f"roll {facts['max_roll_deg']:.1f} deg, pitch {facts['max_pitch_deg']:.1f} deg, "

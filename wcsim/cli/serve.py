@@ -10,7 +10,16 @@ from typing import Annotated
 
 from tyro.conf import arg
 
-from wcsim.cli.shared.common import Bounds, Flag, Lease, OutFolder, SettingsOptions, check_folder, parse, some_words
+from wcsim.cli.shared.common import (
+    Bounds,
+    Flag,
+    Lease,
+    OutFolder,
+    SettingsOptions,
+    check_folder,
+    parse,
+    some_words,
+)
 from wcsim.cli.shared.consoles import beside, print_overrides, warn
 from wcsim.cli.shared.exit_codes import Exit
 from wcsim.cli.shared.run_config import overrides_of
@@ -97,7 +106,9 @@ def _served(options: _Options, town: Town, config: RunConfig, place: Path) -> in
                 out.print(_how_to_join(endpoint_in(place), listening, options), soft_wrap=True)
             table.show(state)
 
-        world = world_plan(_order(options, town, config, place), place, folder / "logs" / "world.log")
+        world = world_plan(
+            _order(options, town, config, place), place, folder / "logs" / "world.log"
+        )
         outcome = Launcher(world, (), folder, show=show).run()
     if outcome.code == Exit.REFUSED:
         raise ConfigError(outcome.message)
@@ -115,8 +126,14 @@ def _how_to_join(endpoint: str, listening: str, options: _Options) -> str:
     if listening:
         address = _reachable(listening, socket.gethostname())
         names = () if options.keys is None else known_names(options.keys)
-        named = [f" --keys {shlex.quote(str(options.keys))} --name {name}" for name in names[:_TOLD_NAMES]] or [""]
-        lines += [f"over the network: wcsim join {address}{who} --network patch --steps 1000" for who in named]
+        named = [
+            f" --keys {shlex.quote(str(options.keys))} --name {name}"
+            for name in names[:_TOLD_NAMES]
+        ] or [""]
+        lines += [
+            f"over the network: wcsim join {address}{who} --network patch --steps 1000"
+            for who in named
+        ]
         if len(names) > _TOLD_NAMES:
             lines.append(f"also for {', '.join(names[_TOLD_NAMES:])}")
     return "\n".join(lines)
@@ -160,7 +177,9 @@ def _prepare(folder: Path) -> None:
     check_folder("--run", folder)
     journal = folder / JOURNAL
     if any(folder.glob("*")) and not part_files(journal):
-        raise ConfigError(f"--run {folder} is not empty and has no journal; choose a new folder, or one with a world")
+        raise ConfigError(
+            f"--run {folder} is not empty and has no journal; choose a new folder, or one with a world"
+        )
     if folder.exists():
         require_no_links(folder, ConfigError)
     if journal.is_file():

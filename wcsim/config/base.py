@@ -34,7 +34,13 @@ Seed = Annotated[int, Field(ge=0, lt=1 << 31)]  # as large as SUMO takes them
 
 _BOUNDS = {"gt": "more than", "ge": "at least", "lt": "less than", "le": "at most"}
 _UNITS: dict[str, str] = own_data(__file__)
-_OUT_OF_BOUNDS = ("greater_than", "greater_than_equal", "less_than", "less_than_equal", "finite_number")
+_OUT_OF_BOUNDS = (
+    "greater_than",
+    "greater_than_equal",
+    "less_than",
+    "less_than_equal",
+    "finite_number",
+)
 
 
 _MOST_KEYS = 16  # of a table that are all named where one is unknown
@@ -54,7 +60,10 @@ class Model(BaseModel):
         if not isinstance(data, dict) or len(data) <= len(cls.model_fields) + _MOST_KEYS:
             return data
         unknown = islice((key for key in data if key not in cls.model_fields), _MOST_KEYS)
-        return {**{key: data[key] for key in cls.model_fields if key in data}, **{key: data[key] for key in unknown}}
+        return {
+            **{key: data[key] for key in cls.model_fields if key in data},
+            **{key: data[key] for key in unknown},
+        }
 
     @classmethod
     def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> Any:
@@ -78,7 +87,11 @@ def fault(model: type[BaseModel], item: Any) -> str:
     if item["type"] == "extra_forbidden":
         return f"unknown key {key!r}: remove it or correct its name" + _known(model, item["loc"])
     if item["type"] == "missing":
-        beside = escaped(", ".join(map(str, item["input"])), 200) if isinstance(item["input"], dict) else ""
+        beside = (
+            escaped(", ".join(map(str, item["input"])), 200)
+            if isinstance(item["input"], dict)
+            else ""
+        )
         return f"{key}: is missing" + f"; expected it beside {beside}" * bool(beside)
     got = json.dumps(item["input"], default=str)[:80]
     if item["type"] in ("tuple_type", "list_type"):
@@ -91,14 +104,22 @@ def fault(model: type[BaseModel], item: Any) -> str:
     unit = _UNITS.get(names[-1].rpartition("_")[2], "") if names else ""
     limits = [f"{_BOUNDS[name]} {limit:g}" for name, limit in _bounds(model, item["loc"])]
     bounds = " and ".join(limits) or "a finite number"
-    return f"{key}: {item['msg']}, got {got} {unit}".rstrip() + f"; expected {bounds} {unit}".rstrip()
+    return (
+        f"{key}: {item['msg']}, got {got} {unit}".rstrip() + f"; expected {bounds} {unit}".rstrip()
+    )
 
 
 def _known(model: type[BaseModel], loc: tuple[str | int, ...]) -> str:
     """The keys of the table that an unknown key stands in: the one that it looks like, or all where they are few."""
-    keys = list(next((kind.model_fields for kind in _parts(_at(model, loc[:-1])) if _is_model(kind)), {}))
+    keys = list(
+        next((kind.model_fields for kind in _parts(_at(model, loc[:-1])) if _is_model(kind)), {})
+    )
     near = meant(str(loc[-1]), keys)
-    return near if near or not keys or len(keys) > _MOST_KEYS else f"; expected one of: {', '.join(keys)}"
+    return (
+        near
+        if near or not keys or len(keys) > _MOST_KEYS
+        else f"; expected one of: {', '.join(keys)}"
+    )
 
 
 def _table(model: type[BaseModel], item: Any) -> str:
@@ -118,7 +139,12 @@ def _bounds(model: type[BaseModel], loc: tuple[str | int, ...]) -> list[tuple[st
         for note in getattr(kind, "metadata", getattr(kind, "__metadata__", ()))
     ]
     notes = [note for extra in held for note in (extra, *getattr(extra, "metadata", ()))]
-    found = {name: getattr(note, name) for note in notes for name in _BOUNDS if getattr(note, name, None) is not None}
+    found = {
+        name: getattr(note, name)
+        for note in notes
+        for name in _BOUNDS
+        if getattr(note, name, None) is not None
+    }
     return list(found.items())
 
 
@@ -130,7 +156,9 @@ def _at(model: type[BaseModel], loc: tuple[str | int, ...]) -> Any:
             fixed = next((get_args(kind) for kind in _parts(here) if get_origin(kind) is tuple), ())
             here = fixed[part] if part < len(fixed) and Ellipsis not in fixed else here
             continue
-        fields: dict[str, Any] = next((kind.model_fields for kind in _parts(here) if _is_model(kind)), {})
+        fields: dict[str, Any] = next(
+            (kind.model_fields for kind in _parts(here) if _is_model(kind)), {}
+        )
         if part in fields:
             here = fields[str(part)]
     return here

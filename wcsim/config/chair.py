@@ -21,8 +21,12 @@ class ChairConfig(Model):
     )
     v_max_mps: TopSpeed = 1.67  # Speed at full stick. Set it with profile custom.
     reverse_share: Share = 0.4  # Top speed backwards, as a share of v_max_mps.
-    accel_mps2: Annotated[float, within(0.05, 20.0)] = 1.0  # Acceleration that the controller requests.
-    decel_mps2: Annotated[float, within(0.05, 20.0)] = 1.5  # Deceleration when the stick is released.
+    accel_mps2: Annotated[float, within(0.05, 20.0)] = (
+        1.0  # Acceleration that the controller requests.
+    )
+    decel_mps2: Annotated[float, within(0.05, 20.0)] = (
+        1.5  # Deceleration when the stick is released.
+    )
     yaw_accel_radps2: Annotated[float, within(0.05, 100.0)] = 2.5  # Angular acceleration of turns.
     jerk_mps3: Annotated[float, within(0.1, 1000.0)] = 4.0  # Rate of change of the acceleration.
     yaw_rate_max_radps: Annotated[float, within(0.05, 20.0)] = 1.5  # Turn rate at full stick.
@@ -36,7 +40,9 @@ class ChairConfig(Model):
     tremor_damping_s: Annotated[float, within(0.0, 0.4)] = (
         0.0  # Time constant of a low-pass on the joystick. 0: no filter.
     )
-    brake_after_s: Annotated[float, within(0.0, 600.0)] = 0.5  # Time at rest before the parking brake locks.
+    brake_after_s: Annotated[float, within(0.0, 600.0)] = (
+        0.5  # Time at rest before the parking brake locks.
+    )
     user_mass_kg: UserMass | None = None  # Mass of the user. Without a value: that of the plant.
     com_height_m: Annotated[float, within(0.3, 0.9)] | None = (
         None  # Height of the centre of mass. Without a value: that of the plant.

@@ -41,11 +41,22 @@ class FollowReward(Model):
 class RewardConfig(FollowReward):
     """Reward and crash limits (Tables 1 and 2 of the paper)."""
 
-    accel_window_mps2: tuple[Positive, Positive] = (20.0, 40.0)  # Acceleration per axis, from no penalty to a crash.
-    roll_window_deg: tuple[Positive, Positive] = (5.0, 20.0)  # Roll angle, from no penalty to a crash.
-    pitch_window_deg: tuple[Positive, Positive] = (20.0, 30.0)  # Pitch angle, from no penalty to a crash.
+    accel_window_mps2: tuple[Positive, Positive] = (
+        20.0,
+        40.0,
+    )  # Acceleration per axis, from no penalty to a crash.
+    roll_window_deg: tuple[Positive, Positive] = (
+        5.0,
+        20.0,
+    )  # Roll angle, from no penalty to a crash.
+    pitch_window_deg: tuple[Positive, Positive] = (
+        20.0,
+        30.0,
+    )  # Pitch angle, from no penalty to a crash.
     crash: NotNegative = 100.0  # Penalty for a crash.
-    body_on_ground_Ns: NotNegative = 20.0  # Impulse of footplate or body on the ground that counts as a crash.
+    body_on_ground_Ns: NotNegative = (
+        20.0  # Impulse of footplate or body on the ground that counts as a crash.
+    )
     drop: bool = True  # Whether a wheel that falls off a kerb is a crash. Not in the paper.
 
     @model_validator(mode="after")
@@ -62,19 +73,23 @@ Window = Annotated[int, within(1, 16)]
 class EnvConfig(Model):
     """Observations, actions and episodes."""
 
-    observation: Form = (
-        "compact"  # Class ids and log-depth as uint8; with colours (compact_rgb); floats of Table 3; no images (state).
-    )
+    observation: Form = "compact"  # Class ids and log-depth as uint8; with colours (compact_rgb); floats of Table 3; no images (state).
     camera: Annotated[str, Field(max_length=40, exclude_if=lambda name: not name)] = (
         ""  # Name of the camera that networks see. Empty: the first.
     )
     classes: Classes = "cityscapes"  # Classes of Cityscapes, or wcsim's with kerbs and crosswalks.
     observe_gyro: bool = False  # Whether the observation contains turn rates. Not in the paper.
     observe_yaw: bool = False  # Whether the observation contains the heading. Not in the paper.
-    window: Window | None = None  # Images in an observation, one per tick. Without a value: the network decides.
-    actions: Actions = "square81"  # Joystick positions: a 9 by 9 grid, those on the unit disc, or any (stick).
+    window: Window | None = (
+        None  # Images in an observation, one per tick. Without a value: the network decides.
+    )
+    actions: Actions = (
+        "square81"  # Joystick positions: a 9 by 9 grid, those on the unit disc, or any (stick).
+    )
     max_steps: EpisodeSteps = 10_000  # Longest episode in steps. Training uses learn.episode_steps.
-    profile: Text = "inattentive"  # Simulated user: a name, FILE.toml, or recorded:FILE (docs/user.md).
+    profile: Text = (
+        "inattentive"  # Simulated user: a name, FILE.toml, or recorded:FILE (docs/user.md).
+    )
     truth: bool = False  # Whether info holds the oracle's labels, for baselines and measurements.
     truth_visible: bool = False  # The same, limited to road users that the cameras showed recently.
 
@@ -86,7 +101,9 @@ class EnvConfig(Model):
                 "set env.window=1, or env.observation=compact"
             )
         if self.observation == "state" and self.truth_visible:
-            raise ValueError("truth_visible with observation 'state', whose cameras draw nothing; expected env.truth")
+            raise ValueError(
+                "truth_visible with observation 'state', whose cameras draw nothing; expected env.truth"
+            )
         return self
 
     @property

@@ -6,7 +6,17 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from wcsim.config.base import Model, NotNegative, Positive, PositiveShare, Share, Text, Texts, Word, within
+from wcsim.config.base import (
+    Model,
+    NotNegative,
+    Positive,
+    PositiveShare,
+    Share,
+    Text,
+    Texts,
+    Word,
+    within,
+)
 from wcsim.config.env import EpisodeSteps
 
 Eye = Literal["map", "picture", "both"]
@@ -22,13 +32,17 @@ class DangerConfig(Model):
     learning_rate: Positive = 2e-3  # Learning rate of Adam.
     weight_decay: NotNegative = 1e-3  # Weight decay of Adam.
     tight_share: Share = 0.5  # Share of a batch from steps with an unsafe action.
-    ahead: Annotated[int, within(0, 20)] = 1  # Steps before danger in which an action already counts as unsafe.
+    ahead: Annotated[int, within(0, 20)] = (
+        1  # Steps before danger in which an action already counts as unsafe.
+    )
     teacher: Literal["visible", "truth", "crashes"] = (
         "visible"  # Labels: an oracle limited to what cameras showed, an all-knowing one, or crashes that happened.
     )
     threshold: PositiveShare = 0.2  # Assistance level. Actions with a higher danger are blocked.
     at_once: Share = 0.0  # Danger that blocks the user's action in one tick. Below it two in a row do. 0: always one.
-    warn: Share = 0.3  # Warns above this danger of the user's own stick, smoothed over about three ticks.
+    warn: Share = (
+        0.3  # Warns above this danger of the user's own stick, smoothed over about three ticks.
+    )
 
 
 Count = Annotated[int, within(1, 100_000)]
@@ -45,23 +59,29 @@ class CollectConfig(Model):
     chairs: Annotated[int, within(1, 12)] = 6  # Chairs in its world.
     episode_steps: Count = 300  # Longest episode.
     towns: Texts = ()  # Towns used in turn with those of --town.
-    made_towns: Annotated[int, within(0, 1000)] = 0  # Number of towns that `wcsim town make` generates for this run.
+    made_towns: Annotated[int, within(0, 1000)] = (
+        0  # Number of towns that `wcsim town make` generates for this run.
+    )
     data: Texts = ()  # Folders of `wcsim collect` to learn from as well.
-    off_way_share: Share = 0.5  # Share of chairs in towns that begin before a kerb, or off their ways.
-    scene_share: Share = 0.3  # Share of segments in generated scenes: hidden road users and narrow places.
+    off_way_share: Share = (
+        0.5  # Share of chairs in towns that begin before a kerb, or off their ways.
+    )
+    scene_share: Share = (
+        0.3  # Share of segments in generated scenes: hidden road users and narrow places.
+    )
     profiles: Annotated[tuple[Text, ...], Field(min_length=1, max_length=64)] = (  # Simulated users to draw from.
         "inattentive", "tremor", "slow", "competent", "switch",
     )  # fmt: skip
     variants: Texts = ()  # Settings separated by blanks, drawn per segment.
-    follow_share: Share = (
-        0.4  # Of episodes without the network: share that the user drives. The oracle drives the rest.
-    )
+    follow_share: Share = 0.4  # Of episodes without the network: share that the user drives. The oracle drives the rest.
     network_share: Share = 0.75  # Share of episodes that the network drives, once there is one.
     astray_share: Share = 0.33  # Share of time with a random offset on the stick.
-    astray_spread: Annotated[float, within(0.0, 2.0), Field(exclude_if=lambda spread: spread == 0.5)] = (
-        0.5  # Standard deviation of each component of that offset.
-    )
-    astray_ticks: Annotated[tuple[Count, Count], Field(exclude_if=lambda ticks: ticks == (4, 12))] = (
+    astray_spread: Annotated[
+        float, within(0.0, 2.0), Field(exclude_if=lambda spread: spread == 0.5)
+    ] = 0.5  # Standard deviation of each component of that offset.
+    astray_ticks: Annotated[
+        tuple[Count, Count], Field(exclude_if=lambda ticks: ticks == (4, 12))
+    ] = (
         4,
         12,
     )  # Shortest and longest time for which it is held.
@@ -69,7 +89,9 @@ class CollectConfig(Model):
     @model_validator(mode="after")
     def _can_be_held(self) -> CollectConfig:
         if self.astray_ticks[0] > self.astray_ticks[1]:
-            raise ValueError(f"collect.astray_ticks={list(self.astray_ticks)}; expected the shorter time first")
+            raise ValueError(
+                f"collect.astray_ticks={list(self.astray_ticks)}; expected the shorter time first"
+            )
         return self
 
 
@@ -86,10 +108,12 @@ class LearnConfig(Model):
     """Q-learning in two phases, and settings that all learners share."""
 
     total_steps: Steps = 20_000  # Steps of both phases.
-    phase1_steps: StepsOrNone = 5_000  # Steps of the first phase, which executes the user's actions.
-    phase1: Annotated[Literal["margin", "supervised", "td"], Field(exclude_if=lambda how: how == "margin")] = (
-        "margin"  # Loss beside TD in the first phase: margin, cross-entropy (supervised), or none (td).
+    phase1_steps: StepsOrNone = (
+        5_000  # Steps of the first phase, which executes the user's actions.
     )
+    phase1: Annotated[
+        Literal["margin", "supervised", "td"], Field(exclude_if=lambda how: how == "margin")
+    ] = "margin"  # Loss beside TD in the first phase: margin, cross-entropy (supervised), or none (td).
     select_by: Annotated[Word, Field(exclude_if=lambda suite: not suite)] = (
         ""  # Selects the client for the second phase: kpi1, a client's name, a suite or list. Empty: all continue.
     )
@@ -104,15 +128,21 @@ class LearnConfig(Model):
         0.97  # Discount factor. Above 0.991 crashing pays better than waiting.
     )
     learning_rate: Positive = 3e-4  # Learning rate of Adam.
-    learning_rate_fade: Share = 0.0  # Last share of the run in which the learning rate falls to zero.
+    learning_rate_fade: Share = (
+        0.0  # Last share of the run in which the learning rate falls to zero.
+    )
     batch_size: Annotated[int, within(1, 4096)] = 32  # Steps in a batch.
     replay_frames: Annotated[int, within(100, 10**7)] = 50_000  # Steps in the replay memory.
-    process_growth_mb: Annotated[float, Field(ge=10.0, le=10**6, exclude_if=lambda mb: mb == PROCESS_GROWTH_MB)] = (
-        PROCESS_GROWTH_MB  # Memory in MB, beyond a full replay, after which a client's process is restarted.
+    process_growth_mb: Annotated[
+        float, Field(ge=10.0, le=10**6, exclude_if=lambda mb: mb == PROCESS_GROWTH_MB)
+    ] = PROCESS_GROWTH_MB  # Memory in MB, beyond a full replay, after which a client's process is restarted.
+    memory: Literal["steps", "groups", "windows"] = (
+        "steps"  # What the replay samples (docs/learning.md).
     )
-    memory: Literal["steps", "groups", "windows"] = "steps"  # What the replay samples (docs/learning.md).
     group_steps: Annotated[int, within(1, 1_000)] = 16  # Consecutive steps in a group.
-    burn_in: Annotated[int, within(0, 1_000)] = 8  # Steps before a group that run without loss, to warm up the state.
+    burn_in: Annotated[int, within(0, 1_000)] = (
+        8  # Steps before a group that run without loss, to warm up the state.
+    )
     learning_starts: StepsOrNone = 500  # Steps before the first update.
     train_every: Annotated[int, within(1, 10**4)] = 4  # Steps between updates.
     updates: Annotated[UpdateTime, Field(exclude_if=lambda when: when == "before_acting")] = (
@@ -125,7 +155,9 @@ class LearnConfig(Model):
     margin: NotNegative = 1.0  # Weight of the margin loss towards the user's action.
     margin_fade: Share = 0.25  # Share of the second phase in which that loss fades to zero.
     precrash_share: Share = 0.25  # Share of a batch taken from steps before crashes.
-    exploration: Literal["local", "uniform"] = "local"  # Explore near the user's stick, or any action.
+    exploration: Literal["local", "uniform"] = (
+        "local"  # Explore near the user's stick, or any action.
+    )
     epsilon_start: Share = 0.2  # Share of explored steps at the start of the second phase.
     epsilon_end: Share = 0.05  # Share of explored steps at its end.
     epsilon_hold: Annotated[int, within(1, 100)] = 1  # Steps for which an explored offset is held.

@@ -73,7 +73,9 @@ def resolve(base: str | RunConfig, *layers: Layer) -> RunConfig:
         ConfigError: There is no such preset or file, or a key or value cannot be used; it says what was expected.
     """
     own = [table for layer in layers for table in _tables(layer)]
-    where, data = _preset(base) if isinstance(base, str) else ("configuration", base.model_dump(mode="json"))
+    where, data = (
+        _preset(base) if isinstance(base, str) else ("configuration", base.model_dump(mode="json"))
+    )
     data = _giving_way(_with_plant(data, layers), own)
     for _, table in own:
         data = _merged(data, table)
@@ -108,7 +110,9 @@ def _preset(name: str) -> tuple[str, dict[str, Any]]:
 
 def _with_plant(data: dict[str, Any], layers: Sequence[Layer]) -> dict[str, Any]:
     """Data with `[chair]` as the plant's file says that somebody names, without what the last plant's file said."""
-    told = [table for layer in layers if not isinstance(layer, Mapping) for _, table in _tables(layer)]
+    told = [
+        table for layer in layers if not isinstance(layer, Mapping) for _, table in _tables(layer)
+    ]
     chairs = [chair for table in told if isinstance(chair := table.get("chair"), dict)]
     named = [plant for chair in chairs if isinstance(plant := chair.get("plant"), str)]
     was = data.get("chair", {})
@@ -132,7 +136,11 @@ def _giving_way(data: dict[str, Any], own: Sequence[tuple[str, dict[str, Any]]])
     """Data below what is asked for: its speed gives way to a named profile's, unless a speed is asked for, too."""
     chairs = [chair for _, table in own if isinstance(chair := table.get("chair"), dict)]
     named = [str(chair["profile"]) for chair in chairs if "profile" in chair]
-    if named and named[-1] in PROFILE_SPEED_MPS and not any("v_max_mps" in chair for chair in chairs):
+    if (
+        named
+        and named[-1] in PROFILE_SPEED_MPS
+        and not any("v_max_mps" in chair for chair in chairs)
+    ):
         chair = {key: value for key, value in data.get("chair", {}).items() if key != "v_max_mps"}
         return {**data, "chair": chair}
     return data
@@ -181,7 +189,9 @@ def _override(text: str) -> dict[str, Any]:
     parts = key.strip().split(".")
     where = f"--set {escaped(text)}"
     if not equals or not all(parts) or len(parts) > _PARTS:
-        raise ConfigError(f"--set {escaped(text)!r} is not section.key=value, for example learn.total_steps=2000")
+        raise ConfigError(
+            f"--set {escaped(text)!r} is not section.key=value, for example learn.total_steps=2000"
+        )
     try:
         table = reading.parse_toml(f"value = {value}", where, VALUE)
     except ConfigError:
@@ -208,7 +218,10 @@ def _laid(old: Any, value: Any, key: str) -> Any:
         strange = [escaped(item, 40) for item in value if item not in map(str, range(len(old)))]
         if strange:
             raise ConfigError(_no_such_item(key, strange[0], len(old)))
-        return [_laid(item, value[str(i)], str(i)) if str(i) in value else item for i, item in enumerate(old)]
+        return [
+            _laid(item, value[str(i)], str(i)) if str(i) in value else item
+            for i, item in enumerate(old)
+        ]
     return value
 
 
@@ -216,4 +229,6 @@ def _no_such_item(key: str, item: str, count: int) -> str:
     """What is wrong with `key.item` of a list."""
     known = f"{key}.0" if count == 1 else f"{key}.0 to {key}.{count - 1}"
     more = f"; to add more, repeat [[{key}]] in a FILE for --config" if key == "cameras" else ""
-    return f"{key}.{item}: there is no such item, the list {key} has {count}; expected {known}{more}"
+    return (
+        f"{key}.{item}: there is no such item, the list {key} has {count}; expected {known}{more}"
+    )

@@ -125,7 +125,9 @@ class _MotorPart(Model):
     stall_torque_Nm: Annotated[float, within(20.0, 300.0)]
     no_load_radps: Annotated[float, within(5.0, 60.0)]
     least_torque_share: Share  # of the stall torque, however fast it turns
-    rotor_inertia_kgm2: Annotated[float, within(0.0, 2.0)]  # as the wheel feels it, times the gear ratio squared
+    rotor_inertia_kgm2: Annotated[
+        float, within(0.0, 2.0)
+    ]  # as the wheel feels it, times the gear ratio squared
     brake_torque_Nm: Annotated[float, within(20.0, 500.0)]
 
 
@@ -160,7 +162,9 @@ class PlantFile(Model):
     motor: _MotorPart
     limits: _LimitPart
     climbs: _ClimbPart
-    chair: ChairConfig = ChairConfig()  # what naming this plant sets in [chair], see `wcsim.config.resolve`
+    chair: ChairConfig = (
+        ChairConfig()
+    )  # what naming this plant sets in [chair], see `wcsim.config.resolve`
 
 
 def known_plants() -> tuple[str, ...]:
@@ -188,7 +192,9 @@ def plant_path(plant: str) -> Path:
         return Path(plant)
     if plant not in known_plants():
         names, got = ", ".join(known_plants()), reading.escaped(plant)
-        raise ConfigError(f"chair.plant is {got!r}; expected one of: {names}, or the path of a .toml file")
+        raise ConfigError(
+            f"chair.plant is {got!r}; expected one of: {names}, or the path of a .toml file"
+        )
     return _PLANTS / f"{plant}.toml"
 
 
@@ -197,7 +203,11 @@ def plant_text(plant: str) -> bytes:
     if not plant.endswith(".toml"):
         return b""
     text = reading.read_text(Path(plant), SETTINGS)
-    parse(PlantFile, reading.parse_toml(text, reading.escaped(plant), SETTINGS), reading.escaped(plant))
+    parse(
+        PlantFile,
+        reading.parse_toml(text, reading.escaped(plant), SETTINGS),
+        reading.escaped(plant),
+    )
     return text.encode()
 
 

@@ -30,15 +30,23 @@ class RunConfig(Model):
 
     world: WorldConfig = WorldConfig()
     chair: ChairConfig = ChairConfig()
-    cameras: Annotated[tuple[CameraConfig, ...], Field(min_length=1, max_length=MAX_CAMERAS)] = (CameraConfig(),)
+    cameras: Annotated[tuple[CameraConfig, ...], Field(min_length=1, max_length=MAX_CAMERAS)] = (
+        CameraConfig(),
+    )
     imu: ImuConfig = ImuConfig()
-    sensors: Annotated[SensorsConfig, Field(exclude_if=lambda sensors: not sensors.on())] = SensorsConfig()
+    sensors: Annotated[SensorsConfig, Field(exclude_if=lambda sensors: not sensors.on())] = (
+        SensorsConfig()
+    )
     reward: RewardConfig = RewardConfig()
     env: EnvConfig = EnvConfig()
     learn: LearnConfig = LearnConfig()
     vary: VaryConfig = VaryConfig()
-    collect: Annotated[CollectConfig, Field(exclude_if=lambda part: part == CollectConfig())] = CollectConfig()
-    danger: Annotated[DangerConfig, Field(exclude_if=lambda part: part == DangerConfig())] = DangerConfig()
+    collect: Annotated[CollectConfig, Field(exclude_if=lambda part: part == CollectConfig())] = (
+        CollectConfig()
+    )
+    danger: Annotated[DangerConfig, Field(exclude_if=lambda part: part == DangerConfig())] = (
+        DangerConfig()
+    )
 
     @property
     def eye(self) -> CameraConfig:
@@ -50,7 +58,9 @@ class RunConfig(Model):
     def epoch_ticks(self) -> int:
         """Ticks after which a new world replaces a shared one: as few episodes as possible are cut by it. 0: never."""
         given = self.world.epoch_ticks
-        return max(EPOCH_TICKS, _EPOCH_EPISODES * self.learn.episode_steps) if given is None else given
+        return (
+            max(EPOCH_TICKS, _EPOCH_EPISODES * self.learn.episode_steps) if given is None else given
+        )
 
     @model_validator(mode="after")
     def _parts_fit(self) -> Self:
@@ -74,7 +84,9 @@ class RunConfig(Model):
         if len(set(names)) != len(names):
             raise ValueError(f"cameras are named {names}; expected a different name for each")
         if self.env.camera and self.env.camera not in names:
-            raise ValueError(f"env.camera is {self.env.camera!r}; expected the name of a camera: {', '.join(names)}")
+            raise ValueError(
+                f"env.camera is {self.env.camera!r}; expected the name of a camera: {', '.join(names)}"
+            )
         if self.env.observation == "compact_rgb" and not self.eye.rgb:
             raise ValueError(
                 f"env.observation=compact_rgb with camera {self.eye.name!r}, which draws no colours; expected "
@@ -95,7 +107,9 @@ class RunConfig(Model):
         batch = max(self.learn.batch_size, self.danger.batch if self.danger.eye != "map" else 0)
         if self.learn.memory == "groups":
             groups = max(1, round(self.learn.batch_size / self.learn.group_steps))
-            batch = max(batch, groups * (self.learn.group_steps + self.learn.burn_in + self.learn.n_step))
+            batch = max(
+                batch, groups * (self.learn.group_steps + self.learn.burn_in + self.learn.n_step)
+            )
         if seen_px * batch > _MAX_BATCH_PX:
             raise ValueError(
                 f"a batch of {batch} observations has {seen_px * batch} pixels; expected at most "

@@ -7,7 +7,17 @@ from typing import Annotated, Any, Literal, TypeVar
 from pydantic import AfterValidator, Field, StrictBool, model_validator
 
 from wcsim.config import MAX_SEEN_PX, CameraConfig, ChairConfig
-from wcsim.config.base import Model, NotNegative, Positive, PositiveShare, Share, Text, Texts, Word, within
+from wcsim.config.base import (
+    Model,
+    NotNegative,
+    Positive,
+    PositiveShare,
+    Share,
+    Text,
+    Texts,
+    Word,
+    within,
+)
 from wcsim.config.env import Actions, Classes, FollowReward, Form, Window
 from wcsim.config.learn import Eye
 from wcsim.config.sensors import Pixels
@@ -20,12 +30,16 @@ ClientName = Annotated[str, Field(pattern=rf"^{CLIENT_NAME}$")]  # a folder of t
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 MaybeSha256 = Sha256 | Literal[""]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.:-]{1,120}$")]
-Segments = Annotated[dict[Name, Sha256], Field(max_length=1_000_000)]  # of recorded driving, by file
+Segments = Annotated[
+    dict[Name, Sha256], Field(max_length=1_000_000)
+]  # of recorded driving, by file
 
 
 def _all_named(model: M) -> M:
     """The same: what a file leaves out is no default."""
-    left_out = type(model).model_fields.keys() - model.model_fields_set - {"stateful"}  # which is younger
+    left_out = (
+        type(model).model_fields.keys() - model.model_fields_set - {"stateful"}
+    )  # which is younger
     if left_out:
         raise ValueError(f"{', '.join(sorted(left_out))} is missing")
     for name in type(model).model_fields:
@@ -75,7 +89,9 @@ class PolicyFile(Model):
     @model_validator(mode="after")
     def _has_an_imu(self) -> PolicyFile:
         if self.vector_size - sum(self.sensors.values()) < 3:
-            raise ValueError(f"vector_size {self.vector_size} with sensors {self.sensors}; expected 3 more than theirs")
+            raise ValueError(
+                f"vector_size {self.vector_size} with sensors {self.sensors}; expected 3 more than theirs"
+            )
         return self
 
     @model_validator(mode="after")
@@ -103,11 +119,17 @@ class DangerRule(Model):
     """How dangers are answered."""
 
     threshold: PositiveShare = 0.2  # of danger: below it an action is allowed
-    hysteresis: NotNegative = 0.2  # joystick distance by which the last action is nearer, where the user's is not safe
+    hysteresis: NotNegative = (
+        0.2  # joystick distance by which the last action is nearer, where the user's is not safe
+    )
     hysteresis_factor: Positive = 1.3  # times the threshold for the last action
-    danger_cost: NotNegative = 0.1  # joystick distance that a danger of the whole threshold is worth, there too
+    danger_cost: NotNegative = (
+        0.1  # joystick distance that a danger of the whole threshold is worth, there too
+    )
     at_once: Share = 0.0  # danger from which one tick is enough to take the user's own away; below it, two in a row
-    warn: Share = 0.3  # of the user's own stick's danger, smoothed, see `next_alarm`: above it, warn
+    warn: Share = (
+        0.3  # of the user's own stick's danger, smoothed, see `next_alarm`: above it, warn
+    )
 
 
 class DangerSpec(Model):
@@ -159,7 +181,9 @@ class ManifestFile(Model):
     town: Text
     town_sha256: Word
     config_sha256: Word
-    config_was_sha256: Word = ""  # while a longer run is written: the file may still be the one before
+    config_was_sha256: Word = (
+        ""  # while a longer run is written: the file may still be the one before
+    )
     rewards: Annotated[tuple[Word, ...], Field(max_length=1024)]
     command: Annotated[tuple[Text, ...], Field(max_length=4096)]
     versions: Versions
@@ -171,7 +195,9 @@ class ManifestFile(Model):
     more_towns: Annotated[dict[Text, Sha256], Field(max_length=4096)] = Field(default_factory=dict)
     overrides: Annotated[tuple[_OverrideFile, ...], Field(max_length=4096)] = ()
     clients: Annotated[tuple[ClientName, ...], Field(max_length=64)] = ()
-    files_sha256: Annotated[dict[ConfigName, Sha256], Field(max_length=65)] = Field(default_factory=dict)
+    files_sha256: Annotated[dict[ConfigName, Sha256], Field(max_length=65)] = Field(
+        default_factory=dict
+    )
     files_to_come_sha256: Annotated[dict[ConfigName, Sha256], Field(max_length=65)] = Field(
         default_factory=dict
     )  # while a longer run is written: each file is still the one before, or already this one
@@ -180,7 +206,9 @@ class ManifestFile(Model):
     @model_validator(mode="after")
     def _clients_have_names_of_their_own(self) -> ManifestFile:
         if len(set(self.clients)) != len(self.clients):
-            raise ValueError(f"clients are named {list(self.clients)}; expected a different name for each")
+            raise ValueError(
+                f"clients are named {list(self.clients)}; expected a different name for each"
+            )
         return self
 
 
@@ -277,7 +305,9 @@ class GuardRule(Model):
     deadline_s: _Seconds = 0.1  # from a frame's arrival to the answer
     tick_s: Annotated[float, Field(gt=0.0, le=1.0)] = 0.1
     stop_s: _Seconds = 0.5  # within so long the command is zero
-    good_ticks: Annotated[int, within(1, 10_000)] = 10  # one after the other, until the policy drives again
+    good_ticks: Annotated[int, within(1, 10_000)] = (
+        10  # one after the other, until the policy drives again
+    )
 
 
 class GuardFile(Model):

@@ -23,7 +23,9 @@ class TownFile(Model):
     """`town.toml`: what SUMO does not store about a town."""
 
     name: Name  # Letters, digits, _ and -.
-    split: Literal["train", "test", "scene"]  # Use of the town. train and test refuse each other's towns.
+    split: Literal[
+        "train", "test", "scene"
+    ]  # Use of the town. train and test refuse each other's towns.
     origin_m: tuple[NetMetre, NetMetre] = (
         0,
         0,
@@ -54,9 +56,13 @@ class SceneSeat(Model):
     heading_deg: Finite  # Heading as in SUMO, clockwise from north.
     goal_m: tuple[Finite, Finite] | None = None  # Goal in net coordinates.
     profile: Text = "competent"  # Simulated user who drives to the goal.
-    recording: FileName | None = None  # Recorded joystick instead of a profile: a .csv file in this folder.
+    recording: FileName | None = (
+        None  # Recorded joystick instead of a profile: a .csv file in this folder.
+    )
     joystick: tuple[Stick, Stick] | None = None  # Constant stick: right, forward.
-    script: Annotated[tuple[ScriptStep, ...], Field(max_length=4096)] = ()  # Rows of seconds, right, forward.
+    script: Annotated[
+        tuple[ScriptStep, ...], Field(max_length=4096)
+    ] = ()  # Rows of seconds, right, forward.
 
     @model_validator(mode="after")
     def _is_driven_by_one(self) -> SceneSeat:
@@ -65,7 +71,9 @@ class SceneSeat(Model):
             raise ValueError(
                 "a seat is driven by exactly one of goal_m (with a profile or a recording), joystick and script"
             )
-        if self.recording is not None and (self.goal_m is None or "profile" in self.model_fields_set):
+        if self.recording is not None and (
+            self.goal_m is None or "profile" in self.model_fields_set
+        ):
             raise ValueError("a recording needs a goal_m and no profile")
         times_s = [step[0] for step in self.script]
         if any(later <= sooner for sooner, later in pairwise(times_s)):
@@ -110,7 +118,9 @@ class SceneExpect(Model):
         for name in type(self).model_fields:
             window = getattr(self, name)
             if isinstance(window, tuple) and window[0] > window[1]:
-                raise ValueError(f"{name} is [{window[0]:g}, {window[1]:g}]; expected the lower bound first")
+                raise ValueError(
+                    f"{name} is [{window[0]:g}, {window[1]:g}]; expected the lower bound first"
+                )
         return self
 
 
@@ -123,7 +133,9 @@ class SceneFile(Model):
     duration_s: Annotated[float, within(0.1, 60.0)]  # Simulated time after the warm-up.
     kerb_height_m: KerbHeight = 0.12  # Height of pavements above the road.
     lefthand: bool = False  # Whether traffic keeps left.
-    warmup_s: Annotated[float, within(0.0, 600.0)] = 0.0  # Time that SUMO simulates before the first step.
+    warmup_s: Annotated[float, within(0.0, 600.0)] = (
+        0.0  # Time that SUMO simulates before the first step.
+    )
     attention_share: Share = 1.0  # Share of road users who look for wheelchairs.
     street: StreetName = "usual"  # Street as in world.street.
     seats: Annotated[tuple[SceneSeat, ...], Field(min_length=1, max_length=64)]

@@ -18,7 +18,9 @@ Pixels = Annotated[int, within(8, 2048)]
 ErrorDeg = Annotated[float, within(0.0, 5.0)]
 
 
-_TYPICAL: dict[str, dict[str, Any]] = {"noise": {"depth": {}, "classes": {}, "rgb": {}}}  # without a line: no keys
+_TYPICAL: dict[str, dict[str, Any]] = {
+    "noise": {"depth": {}, "classes": {}, "rgb": {}}
+}  # without a line: no keys
 
 
 def by_word(key: str, given: Any) -> Any:
@@ -31,7 +33,11 @@ def by_word(key: str, given: Any) -> Any:
         key: Of the table.
         given: A table, a word, or anything else, which stays as it is.
     """
-    return {"none": None, "typical": _TYPICAL.get(key, {})}.get(given, given) if isinstance(given, str) else given
+    return (
+        {"none": None, "typical": _TYPICAL.get(key, {})}.get(given, given)
+        if isinstance(given, str)
+        else given
+    )
 
 
 class DepthNoiseConfig(Model):
@@ -41,12 +47,18 @@ class DepthNoiseConfig(Model):
 
     baseline_m: Annotated[float, within(0.005, 1.0)] = 0.05  # Distance between the two imagers.
     sigma_px: Annotated[float, within(0.0, 2.0)] = 0.08  # Standard deviation of the disparity.
-    step_px: Annotated[float, within(0.0, 1.0)] = 0.03125  # Step to which the disparity is rounded. 0: not rounded.
-    matcher_width_px: Annotated[int, within(8, 8192)] = 848  # Image width at which the two images are matched.
+    step_px: Annotated[float, within(0.0, 1.0)] = (
+        0.03125  # Step to which the disparity is rounded. 0: not rounded.
+    )
+    matcher_width_px: Annotated[int, within(8, 8192)] = (
+        848  # Image width at which the two images are matched.
+    )
     z_min_m: Annotated[float, within(0.0, 5.0)] = 0.28  # Nearer surfaces are not measured.
     shadow: bool = True  # Whether surfaces that only one imager sees are lost.
     dropout: Share = 0.01  # Share of the image lost in random patches.
-    grazing_deg: Annotated[float, within(0.0, 45.0)] = 3.0  # Surfaces seen at a smaller angle lose more pixels.
+    grazing_deg: Annotated[float, within(0.0, 45.0)] = (
+        3.0  # Surfaces seen at a smaller angle lose more pixels.
+    )
     grazing_dropout: Share = 0.3  # Share of pixels that such surfaces lose.
     patch_px: Annotated[int, within(1, 64)] = 3  # Size of a lost patch.
 
@@ -56,7 +68,9 @@ class ClassNoiseConfig(Model):
 
     stand_ins = ("none",)
 
-    border_px: Annotated[int, within(0, 8)] = 2  # Distance over which a pixel may take a neighbour's class.
+    border_px: Annotated[int, within(0, 8)] = (
+        2  # Distance over which a pixel may take a neighbour's class.
+    )
     border_share: Share = 0.5  # Share of border pixels that do.
     grain_px: Annotated[int, within(1, 16)] = 2  # Size of the squares that share an error.
     dropout: Share = 0.01  # Share of the image without a class, in random patches.
@@ -68,7 +82,9 @@ class _ColourNoiseConfig(Model):
 
     stand_ins = ("none",)
 
-    snr_db: Annotated[float, within(6.0, 80.0)] = 40.0  # Signal-to-noise ratio, 20 log10(255 / sigma).
+    snr_db: Annotated[float, within(6.0, 80.0)] = (
+        40.0  # Signal-to-noise ratio, 20 log10(255 / sigma).
+    )
 
 
 class CameraNoiseConfig(Model):
@@ -79,9 +95,9 @@ class CameraNoiseConfig(Model):
     depth: DepthNoiseConfig | None = None
     classes: ClassNoiseConfig | None = None
     rgb: _ColourNoiseConfig | None = None
-    objects: Annotated[Literal["good", "usual", "poor"] | None, Field(exclude_if=lambda level: level is None)] = (
-        None  # Errors about whole things that last, as of a good, usual or poor network (docs/senses.md).
-    )
+    objects: Annotated[
+        Literal["good", "usual", "poor"] | None, Field(exclude_if=lambda level: level is None)
+    ] = None  # Errors about whole things that last, as of a good, usual or poor network (docs/senses.md).
 
     @field_validator("depth", "classes", "rgb", "objects", mode="before")
     @classmethod
@@ -106,15 +122,21 @@ class CameraConfig(Model):
         1.0,
     )  # Position x, y, z in the chair's frame. The default is at the armrest.
     yaw_deg: Annotated[float, within(-180.0, 180.0)] = 0.0  # Direction, to the left.
-    pitch_deg: Annotated[float, within(-80.0, 80.0)] = -15.0  # Direction, upwards. Negative looks down.
+    pitch_deg: Annotated[
+        float, within(-80.0, 80.0)
+    ] = -15.0  # Direction, upwards. Negative looks down.
     roll_deg: Annotated[float, Field(ge=-180.0, le=180.0, exclude_if=lambda roll: roll == 0.0)] = (
         0.0  # Rotation about its direction, right side down.
     )
     every_ticks: Annotated[int, within(1, 100)] = 1  # Ticks between two images.
     lost_share: Annotated[float, within(0.0, 0.95)] = 0.0  # Share of images that never arrive.
     rgb: bool = False  # Whether to draw a colour image too, for people.
-    renderer: Literal["numba", "pybullet"] = "numba"  # Renderer. numba is many times faster; pybullet is the reference.
-    noise: CameraNoiseConfig | None = None  # A table, none, or typical for all parts with their defaults.
+    renderer: Literal["numba", "pybullet"] = (
+        "numba"  # Renderer. numba is many times faster; pybullet is the reference.
+    )
+    noise: CameraNoiseConfig | None = (
+        None  # A table, none, or typical for all parts with their defaults.
+    )
 
     @field_validator("noise", mode="before")
     @classmethod
@@ -141,41 +163,57 @@ class ImuConfig(Model):
         0.0,
         0.50,
     )  # Position x, y, z in the chair's frame, near its centre of mass.
-    rpy_deg: Annotated[tuple[Turn, Turn, Turn], Field(exclude_if=lambda turns: turns == UNTURNED)] = (
-        UNTURNED  # Roll, pitch and yaw in the chair's frame. Rewards and crashes do not change with them.
-    )
+    rpy_deg: Annotated[
+        tuple[Turn, Turn, Turn], Field(exclude_if=lambda turns: turns == UNTURNED)
+    ] = UNTURNED  # Roll, pitch and yaw in the chair's frame. Rewards and crashes do not change with them.
     lowpass_hz: Annotated[float, within(0.1, 100.0)] = (
         20.0  # Corner frequency of the low-pass for the peak acceleration.
     )
     saturation_mps2: Annotated[float, within(1.0, 10_000.0)] = (
         156.9  # Largest acceleration that it measures. The default is 16 g.
     )
-    gyro_range_deg: Annotated[float, within(250.0, 2000.0)] = 2000.0  # Largest turn rate that it measures, in deg/s.
+    gyro_range_deg: Annotated[float, within(250.0, 2000.0)] = (
+        2000.0  # Largest turn rate that it measures, in deg/s.
+    )
     # what the supervisor judges
     accel_window: Literal["lp20_peak", "tick_mean"] = (
         "lp20_peak"  # Acceleration for reward and crash: a tick's filtered peak, or its mean.
     )
-    gravity: Literal["included", "removed"] = "removed"  # Whether that acceleration contains gravity.
-    # what the agent sees
-    mean_gravity: Literal["included", "removed"] = "included"  # Whether the agent's acceleration contains gravity.
-    tilt: Literal["ideal", "accelerometer", "complementary"] = "ideal"  # Source of the agent's roll and pitch.
-    tilt_range_deg: Annotated[float, Field(ge=1.0, le=180.0, exclude_if=lambda most: most == 180.0)] = (
-        180.0  # Largest roll and pitch that the tilt sensor measures.
+    gravity: Literal["included", "removed"] = (
+        "removed"  # Whether that acceleration contains gravity.
     )
+    # what the agent sees
+    mean_gravity: Literal["included", "removed"] = (
+        "included"  # Whether the agent's acceleration contains gravity.
+    )
+    tilt: Literal["ideal", "accelerometer", "complementary"] = (
+        "ideal"  # Source of the agent's roll and pitch.
+    )
+    tilt_range_deg: Annotated[
+        float, Field(ge=1.0, le=180.0, exclude_if=lambda most: most == 180.0)
+    ] = 180.0  # Largest roll and pitch that the tilt sensor measures.
     tilt_tau_s: Annotated[float, within(0.05, 10.0)] = (
         1.0  # Time constant with which the accelerometer corrects the gyroscope.
     )
-    tilt_noise_deg: ErrorDeg = 0.3  # White noise of the tilt in each tick. The ideal sensor has none.
+    tilt_noise_deg: ErrorDeg = (
+        0.3  # White noise of the tilt in each tick. The ideal sensor has none.
+    )
     tilt_bias_deg: ErrorDeg = 0.5  # Mounting error, standard deviation over episodes.
     # errors of a small, calibrated part
     noise: bool = True  # Whether the IMU has errors. False: exact.
     accel_density_ug: Annotated[float, within(0.0, 10_000.0)] = (
         300.0  # White noise of the accelerometer, per root hertz.
     )
-    gyro_density_deg: Annotated[float, within(0.0, 1.0)] = 0.005  # White noise of the gyroscope, deg/s per root hertz.
-    accel_bias_mg: Annotated[float, within(0.0, 200.0)] = 5.0  # Bias at power-on, standard deviation over episodes.
+    gyro_density_deg: Annotated[float, within(0.0, 1.0)] = (
+        0.005  # White noise of the gyroscope, deg/s per root hertz.
+    )
+    accel_bias_mg: Annotated[float, within(0.0, 200.0)] = (
+        5.0  # Bias at power-on, standard deviation over episodes.
+    )
     gyro_bias_deg: Annotated[float, within(0.0, 10.0)] = 0.1  # The same of the gyroscope, in deg/s.
-    accel_instability_mg: Annotated[float, within(0.0, 50.0)] = 0.1  # Standard deviation of the bias drift.
+    accel_instability_mg: Annotated[float, within(0.0, 50.0)] = (
+        0.1  # Standard deviation of the bias drift.
+    )
     gyro_instability_deg: ErrorDeg = 0.0012  # The same of the gyroscope, in deg/s.
     bias_tau_s: Annotated[float, within(1.0, 100_000.0)] = 300.0  # Time constant of the drift.
 
@@ -194,18 +232,26 @@ class SensorConfig(Model):
 class OdometryConfig(SensorConfig):
     """Encoders on the drive wheels (docs/senses.md)."""
 
-    ticks_per_turn: Annotated[int, within(1, 1_000_000)] = 2048  # Encoder marks in one turn of a wheel.
+    ticks_per_turn: Annotated[int, within(1, 1_000_000)] = (
+        2048  # Encoder marks in one turn of a wheel.
+    )
     radius_error: Annotated[float, within(0.0, 0.2)] = (
         0.01  # Relative error of each wheel's radius, standard deviation over episodes.
     )
-    speed_density_mps: Annotated[float, within(0.0, 1.0)] = 0.002  # White noise of the speed, per root hertz.
-    turn_density_deg: Annotated[float, within(0.0, 90.0)] = 0.2  # White noise of the turn rate, deg/s per root hertz.
+    speed_density_mps: Annotated[float, within(0.0, 1.0)] = (
+        0.002  # White noise of the speed, per root hertz.
+    )
+    turn_density_deg: Annotated[float, within(0.0, 90.0)] = (
+        0.2  # White noise of the turn rate, deg/s per root hertz.
+    )
     delay_ticks: Annotated[int, within(0, 100)] = 0  # Age of a reading when it arrives.
 
     @property
     def measure(self) -> Measure:
         """Speed ahead, and turn rate counter-clockwise."""
-        return Measure(parts=("speed_mps", "turn_rate_radps"), full_scale=(4.0, 4.0), mirror=(1.0, -1.0))
+        return Measure(
+            parts=("speed_mps", "turn_rate_radps"), full_scale=(4.0, 4.0), mirror=(1.0, -1.0)
+        )
 
 
 class SensorsConfig(Model):
@@ -224,11 +270,17 @@ class SensorsConfig(Model):
             return {} if data == "none" else data
         return {key: by_word(key, value) for key, value in data.items()}
 
-    odometry: Annotated[OdometryConfig | None, Field(exclude_if=lambda section: section is None)] = None
+    odometry: Annotated[
+        OdometryConfig | None, Field(exclude_if=lambda section: section is None)
+    ] = None
 
     def on(self) -> dict[str, SensorConfig]:
         """The sections of the sensors that are there, by name."""
-        return {name: section for name in sorted(type(self).model_fields) if (section := getattr(self, name))}
+        return {
+            name: section
+            for name in sorted(type(self).model_fields)
+            if (section := getattr(self, name))
+        }
 
     def measures(self) -> dict[str, Measure]:
         """What they say, by name."""

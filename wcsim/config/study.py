@@ -37,7 +37,9 @@ class StudyPlace(Model):
     @model_validator(mode="after")
     def _is_one(self) -> StudyPlace:
         if bool(self.town) == bool(self.suite):
-            raise ValueError("a place has either a town (with a seed) or a suite (with block and seat)")
+            raise ValueError(
+                "a place has either a town (with a seed) or a suite (with block and seat)"
+            )
         wrong = {"seed": self.seed} if self.suite else {"block": self.block, "seat": self.seat}
         given = ", ".join(name for name, value in wrong.items() if value)
         if given:
@@ -72,7 +74,9 @@ class StudyQuestion(Model):
     low: Annotated[str, Field(max_length=60)] = ""  # what 1 means
     high: Annotated[str, Field(max_length=60)] = ""  # what the last step means
     steps: Annotated[int, within(3, MOST_STEPS)] = _STEPS
-    choices: Annotated[tuple[Annotated[str, Field(min_length=1, max_length=60)], ...], Field(max_length=8)] = ()
+    choices: Annotated[
+        tuple[Annotated[str, Field(min_length=1, max_length=60)], ...], Field(max_length=8)
+    ] = ()
     after: Literal["block", "end"] = "block"  # each block but the practice, or all of them
 
     @model_validator(mode="after")
@@ -80,8 +84,12 @@ class StudyQuestion(Model):
         wanted = _ANSWERS[self.kind]
         given = [key for key in ("low", "high", "choices") if getattr(self, key)]
         if sorted(given) != sorted(wanted) or (self.steps != _STEPS and self.kind != "scale"):
-            raise ValueError(f"a question of kind {self.kind} has {' and '.join(wanted) or 'no answers of its own'}")
-        if self.kind == "choice" and (len(self.choices) < 2 or len(set(self.choices)) < len(self.choices)):
+            raise ValueError(
+                f"a question of kind {self.kind} has {' and '.join(wanted) or 'no answers of its own'}"
+            )
+        if self.kind == "choice" and (
+            len(self.choices) < 2 or len(set(self.choices)) < len(self.choices)
+        ):
             raise ValueError("a choice has 2 to 8 different answers")
         return self
 

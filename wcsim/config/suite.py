@@ -13,7 +13,9 @@ from wcsim.config.run_file import Sha256
 
 MOST_SEATS = 12
 MOST_NAME, MOST_SET = 64, 32  # characters of a list's name, and of that of its set
-Part = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9 ,.-]{0,127}$")]  # free, crossing, hazard, tight, or drawn
+Part = Annotated[
+    str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9 ,.-]{0,127}$")
+]  # free, crossing, hazard, tight, or drawn
 
 
 def name_pattern(most: int) -> str:
@@ -24,7 +26,9 @@ def name_pattern(most: int) -> str:
 class EpisodeFile(Model):
     """One way of one wheelchair."""
 
-    start_m: tuple[Finite, Finite] | None  # W; None where the block's world draws it, and one goal after the other
+    start_m: (
+        tuple[Finite, Finite] | None
+    )  # W; None where the block's world draws it, and one goal after the other
     heading_rad: Finite
     goal_m: tuple[Finite, Finite] | None  # W; None as the start is
     profile: Text  # of the user
@@ -36,7 +40,9 @@ class EpisodeFile(Model):
     @model_validator(mode="after")
     def _is_given_or_drawn(self) -> Self:
         if (self.start_m is None) is not (self.goal_m is None):
-            raise ValueError("an episode has both start_m and goal_m, or null for both, which draws them")
+            raise ValueError(
+                "an episode has both start_m and goal_m, or null for both, which draws them"
+            )
         return self
 
 
@@ -57,7 +63,10 @@ def repeats(blocks: Sequence[BlockFile], index: int) -> frozenset[int]:
         return frozenset()
 
     def drives(block: BlockFile) -> list[tuple[object, ...]]:
-        return [(block.town, block.seed, each.start_m, each.goal_m, each.profile) for each in block.episodes]
+        return [
+            (block.town, block.seed, each.start_m, each.goal_m, each.profile)
+            for each in block.episodes
+        ]
 
     free = {drive for block in blocks if block.part == "free" for drive in drives(block)}
     return frozenset(seat for seat, drive in enumerate(drives(blocks[index])) if drive in free)
@@ -74,9 +83,13 @@ class TownOfSuite(Model):
 class SuiteFile(Model):
     """The whole file; what it hashes to is the suite's identity."""
 
-    suite: Annotated[str, Field(pattern=name_pattern(MOST_NAME))]  # with its version: street-assist-v1
+    suite: Annotated[
+        str, Field(pattern=name_pattern(MOST_NAME))
+    ]  # with its version: street-assist-v1
     set: Annotated[str, Field(pattern=name_pattern(MOST_SET))]  # dev, validation, v1, or a town's
     settings: Texts  # section.key=value, over the policy's own
     towns: Annotated[tuple[TownOfSuite, ...], Field(min_length=1, max_length=64)]
-    forks: Annotated[int, within(0, 1_000_000)] = 1_000_000  # episodes whose interventions are judged, at most
+    forks: Annotated[int, within(0, 1_000_000)] = (
+        1_000_000  # episodes whose interventions are judged, at most
+    )
     blocks: Annotated[tuple[BlockFile, ...], Field(min_length=1, max_length=100_000)]

@@ -15,7 +15,9 @@ Number = TypeVar("Number", int, float)
 def _ordered(span: tuple[Number, Number]) -> tuple[Number, Number]:
     low, high = span
     if low > high:
-        raise ValueError(f"the range runs from {low} to {high}; expected [low, high] with low <= high")
+        raise ValueError(
+            f"the range runs from {low} to {high}; expected [low, high] with low <= high"
+        )
     return span
 
 
@@ -48,7 +50,9 @@ class VaryConfig(Model):
     sensors: Annotated[Spans, Field(exclude_if=lambda spans: not spans)] = Field(
         default_factory=dict
     )  # Any number of a sensor, by section.key.
-    attention: Shares = Field(default_factory=dict)  # Share of road users who look for this chair, by class.
+    attention: Shares = Field(
+        default_factory=dict
+    )  # Share of road users who look for this chair, by class.
     reaction: Reactions = Field(default_factory=dict)  # Reaction time in seconds, by class.
 
     @model_validator(mode="before")
@@ -64,7 +68,11 @@ class VaryConfig(Model):
 
 JUPEDSIM = "jupedsim"
 """The street whose people walk by SUMO's JuPedSim, as SUMO calls that model."""
-STREETS: dict[str, tuple[float, float] | None] = {"usual": None, "careless": (0.7, 1.5), JUPEDSIM: None}
+STREETS: dict[str, tuple[float, float] | None] = {
+    "usual": None,
+    "careless": (0.7, 1.5),
+    JUPEDSIM: None,
+}
 """Streets by name: the share of those who look and their reaction time in seconds; None: as the settings say."""
 StreetName = Literal["usual", "careless", "jupedsim"]
 
@@ -103,9 +111,7 @@ class WorldConfig(Model):
     action_step_s: Annotated[float, within(0.02, 10.0)] | None = (
         None  # Time between decisions of SUMO's drivers, a multiple of tick_s.
     )
-    street: StreetName = (
-        "usual"  # Careless sets attention_share to 0.7 and reaction_s to 1.5; jupedsim has people walk by JuPedSim.
-    )
+    street: StreetName = "usual"  # Careless sets attention_share to 0.7 and reaction_s to 1.5; jupedsim has people walk by JuPedSim.
     attention_share: Share = 0.95  # Share of road users who look for the chair.
     reaction_s: Reaction = 0.7  # Time from seeing the chair to braking.
     attention: Annotated[dict[Watcher, Share], Field(max_length=16)] = Field(
@@ -116,17 +122,21 @@ class WorldConfig(Model):
     )  # Reaction time in seconds by class of road user.
     crossing_share: Share = 0.5  # Share of destinations chosen beyond a nearby crossing.
     button: bool = True  # Whether a chair that waits at a red crossing of its route requests green.
-    action_delay_ticks: Annotated[int, within(0, 10)] = 0  # Delay from an action to the motion of the chair.
-    epoch_ticks: Annotated[int | None, Field(ge=0, le=10**9, exclude_if=lambda ticks: ticks is None)] = (
-        None  # Ticks after which a new world replaces a shared one. None: 10 episodes, at least 6,000. 0: never.
+    action_delay_ticks: Annotated[int, within(0, 10)] = (
+        0  # Delay from an action to the motion of the chair.
     )
-    help_s: Annotated[float, Field(ge=0.0, le=600.0, exclude_if=lambda seconds: seconds == HELP_S)] = (
-        HELP_S  # Time for which a request for help raises the assistance. 0: never.
-    )
+    epoch_ticks: Annotated[
+        int | None, Field(ge=0, le=10**9, exclude_if=lambda ticks: ticks is None)
+    ] = None  # Ticks after which a new world replaces a shared one. None: 10 episodes, at least 6,000. 0: never.
+    help_s: Annotated[
+        float, Field(ge=0.0, le=600.0, exclude_if=lambda seconds: seconds == HELP_S)
+    ] = HELP_S  # Time for which a request for help raises the assistance. 0: never.
     help_users: Annotated[bool, Field(exclude_if=lambda on: not on)] = (
         False  # Whether requests of simulated users raise it too. Without it they are only counted.
     )
-    draw_threads: Annotated[int, within(0, 64)] = 0  # Threads that draw camera images. 0: one per core.
+    draw_threads: Annotated[int, within(0, 64)] = (
+        0  # Threads that draw camera images. 0: one per core.
+    )
 
     @model_validator(mode="after")
     def _substep_is_sane(self) -> WorldConfig:

@@ -31,7 +31,9 @@ def boxes_touch(
 
 
 @exact_kernel
-def gap_to_box(px: float, py: float, x: float, y: float, cos: float, sin: float, long: float, wide: float) -> float:
+def gap_to_box(
+    px: float, py: float, x: float, y: float, cos: float, sin: float, long: float, wide: float
+) -> float:
     """Distance in metres from a point to a box; inside it, minus the way out."""
     dx, dy = px - x, py - y
     beyond, aside = abs(dx * cos + dy * sin) - long, abs(dy * cos - dx * sin) - wide
@@ -40,7 +42,9 @@ def gap_to_box(px: float, py: float, x: float, y: float, cos: float, sin: float,
     return math.hypot(max(beyond, 0.0), max(aside, 0.0))
 
 
-Box = tuple[float, float, float, float, float, float]  # x, y, cos, sin of the heading, half length, half width
+Box = tuple[
+    float, float, float, float, float, float
+]  # x, y, cos, sin of the heading, half length, half width
 
 
 def box_of(actor: ActorState, more_m: float = 0.0) -> Box:

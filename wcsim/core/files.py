@@ -139,7 +139,10 @@ def _runs(process: int) -> bool:
 
 def write_bytes(path: Path, data: bytes, mode: int = _FILE_MODE) -> None:
     """Replace a file in one step, see `whole_file`. Raises DiskFullError."""
-    with whole_file(path) as part, os.fdopen(os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode), "wb") as file:
+    with (
+        whole_file(path) as part,
+        os.fdopen(os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode), "wb") as file,
+    ):
         file.write(data)
 
 
@@ -212,7 +215,9 @@ def _sync(path: Path, flags: int) -> None:
 
 def _not_written(path: Path, error: OSError) -> DiskFullError:
     if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO):
-        return DiskFullError(f"{path}: could not be written ({error.strerror}); make room, or choose another place")
+        return DiskFullError(
+            f"{path}: could not be written ({error.strerror}); make room, or choose another place"
+        )
     return UnwritableError(f"{path}: could not be written ({error.strerror}); choose another place")
 
 
@@ -294,7 +299,9 @@ def user_cache() -> Path:
     wanted = _wanted()
     if wanted is not None and can_be_written(wanted):
         return wanted
-    return _temporary() or wanted or Path(os.devnull) / "wcsim"  # the last two only say that nothing can be kept
+    return (
+        _temporary() or wanted or Path(os.devnull) / "wcsim"
+    )  # the last two only say that nothing can be kept
 
 
 def home() -> Path | None:

@@ -25,12 +25,20 @@ LEVEL: Final[Rotation] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 
 def rotate(r: Rotation, x: float, y: float, z: float) -> Vec3:
     """R times a vector."""
-    return (r[0] * x + r[1] * y + r[2] * z, r[3] * x + r[4] * y + r[5] * z, r[6] * x + r[7] * y + r[8] * z)
+    return (
+        r[0] * x + r[1] * y + r[2] * z,
+        r[3] * x + r[4] * y + r[5] * z,
+        r[6] * x + r[7] * y + r[8] * z,
+    )
 
 
 def rotate_back(r: Rotation, x: float, y: float, z: float) -> Vec3:
     """R transposed times a vector."""
-    return (r[0] * x + r[3] * y + r[6] * z, r[1] * x + r[4] * y + r[7] * z, r[2] * x + r[5] * y + r[8] * z)
+    return (
+        r[0] * x + r[3] * y + r[6] * z,
+        r[1] * x + r[4] * y + r[7] * z,
+        r[2] * x + r[5] * y + r[8] * z,
+    )
 
 
 def added(a: Vec3, b: Vec3) -> Vec3:
@@ -42,7 +50,11 @@ def velocity_at(point: Vec3, known: Vec3, v_known: Vec3, w: Vec3) -> Vec3:
     """Velocity of a point of a rigid body, from that of a known point and the angular velocity, all in one frame."""
     x, y, z = point[0] - known[0], point[1] - known[1], point[2] - known[2]
     wx, wy, wz = w
-    return (v_known[0] + wy * z - wz * y, v_known[1] + wz * x - wx * z, v_known[2] + wx * y - wy * x)
+    return (
+        v_known[0] + wy * z - wz * y,
+        v_known[1] + wz * x - wx * z,
+        v_known[2] + wx * y - wy * x,
+    )
 
 
 def matrix(q: Quat) -> Rotation:
@@ -55,7 +67,17 @@ def matrix(q: Quat) -> Rotation:
     xx, yy, zz = 2.0 * x * x, 2.0 * y * y, 2.0 * z * z
     xy, xz, yz = 2.0 * x * y, 2.0 * x * z, 2.0 * y * z
     wx, wy, wz = 2.0 * w * x, 2.0 * w * y, 2.0 * w * z
-    return (1.0 - yy - zz, xy - wz, xz + wy, xy + wz, 1.0 - xx - zz, yz - wx, xz - wy, yz + wx, 1.0 - xx - yy)
+    return (
+        1.0 - yy - zz,
+        xy - wz,
+        xz + wy,
+        xy + wz,
+        1.0 - xx - zz,
+        yz - wx,
+        xz - wy,
+        yz + wx,
+        1.0 - xx - yy,
+    )
 
 
 def euler(r: Rotation) -> tuple[float, float, float]:

@@ -24,7 +24,12 @@ from typing import Any, ParamSpec, TypeVar, cast
 import numba
 import numpy as np
 from filelock import FileLock, Timeout
-from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile, UserWideCacheLocator
+from numba.core.caching import (
+    CompileResultCacheImpl,
+    FunctionCache,
+    IndexDataCacheFile,
+    UserWideCacheLocator,
+)
 from numba.extending import is_jitted
 
 from wcsim.core.files import KERNELS, user_cache
@@ -32,7 +37,9 @@ from wcsim.core.files import KERNELS, user_cache
 P = ParamSpec("P")
 R = TypeVar("R")
 
-LONGEST_WAIT_S = 60.0  # a kernel takes seconds; who has the lock longer was stopped, and is not waited for
+LONGEST_WAIT_S = (
+    60.0  # a kernel takes seconds; who has the lock longer was stopped, and is not waited for
+)
 KEPT = 3  # copies of a kernel: who goes to and fro between two states of the code compiles once
 
 # Rounding must not depend on how a loop is vectorised more than it has to: products may be fused, and that is all.
@@ -86,7 +93,8 @@ class _Copies(CompileResultCacheImpl):
     """Where copies may lie, the best place first."""
 
     _locator_classes = [  # noqa: RUF012 - numba's own form
-        _UserLocator if kind is UserWideCacheLocator else kind for kind in CompileResultCacheImpl._locator_classes
+        _UserLocator if kind is UserWideCacheLocator else kind
+        for kind in CompileResultCacheImpl._locator_classes
     ]
 
 
@@ -99,10 +107,15 @@ class _FrozenCache(FunctionCache):
         """Find a folder; raises RuntimeError when there is none that can be written."""
         super().__init__(compiled.py_func)  # type: ignore[no-untyped-call]
         self._compiled = compiled
-        self._stem = self._impl.filename_base.rpartition("-")[0]  # without the line, which says nothing
+        self._stem = self._impl.filename_base.rpartition("-")[
+            0
+        ]  # without the line, which says nothing
         self._aimed = False
         # A caller's lock is taken before those of its callees, never the other way: so no two wait for each other.
-        self._lock, self._owner = FileLock(Path(self._cache_path) / f"{self._stem}.lock"), os.getpid()
+        self._lock, self._owner = (
+            FileLock(Path(self._cache_path) / f"{self._stem}.lock"),
+            os.getpid(),
+        )
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """The machine code for a signature, or None: then this process is to make it, and has the lock till it did."""
@@ -125,7 +138,9 @@ class _FrozenCache(FunctionCache):
 
     def _locked(self) -> bool:
         """Wait for the lock; False where none can be had: then each process compiles for itself."""
-        if self._owner != os.getpid():  # a lock that came through a fork is the parent's, and refuses to be taken
+        if (
+            self._owner != os.getpid()
+        ):  # a lock that came through a fork is the parent's, and refuses to be taken
             self._lock, self._owner = FileLock(self._lock.lock_file), os.getpid()
         self._lock.release(force=True)  # of a compilation that failed
         try:
@@ -159,7 +174,9 @@ def _facts(value: Any, package: str, seen: set[int]) -> Iterator[object]:
     """What a value is, as things whose `str` is the same in each process that has the same value."""
     if is_jitted(value):
         options = value.targetoptions.items()
-        yield [(name, sorted(was) if isinstance(was, set) else was) for name, was in sorted(options)]
+        yield [
+            (name, sorted(was) if isinstance(was, set) else was) for name, was in sorted(options)
+        ]
         value, package = value.py_func, value.py_func.__module__.partition(".")[0]
     if isinstance(value, FunctionType) and value.__module__.partition(".")[0] == package:
         if id(value) not in seen:
@@ -176,7 +193,9 @@ def _facts(value: Any, package: str, seen: set[int]) -> Iterator[object]:
 def _plain_fact(value: Any, package: str) -> object:
     """What a value is that holds no function and no other values but numbers."""
     if isinstance(value, type) and issubclass(value, Enum):
-        return value.__qualname__, [(name, member.value) for name, member in value.__members__.items()]
+        return value.__qualname__, [
+            (name, member.value) for name, member in value.__members__.items()
+        ]
     if isinstance(value, type) and hasattr(value, "_fields"):
         return value.__qualname__, value._fields
     if isinstance(value, np.ndarray | np.generic):
@@ -192,7 +211,9 @@ def _foreign(value: Any, package: str) -> str:
     """The name of something of a library, whose code changes with its version alone."""
     home = getattr(value, "__module__", None) or type(value).__module__
     if home.partition(".")[0] == package:
-        raise TypeError(f"a kernel refers to {value!r}; expected a kernel, a number, an array, a tuple, an enumeration")
+        raise TypeError(
+            f"a kernel refers to {value!r}; expected a kernel, a number, an array, a tuple, an enumeration"
+        )
     return f"{home}.{getattr(value, '__qualname__', type(value).__qualname__)}"
 
 
@@ -206,12 +227,18 @@ def _function_facts(function: FunctionType, package: str, seen: set[int]) -> Ite
                 continue
             yield from _facts(value, package, seen)
             if isinstance(value, ModuleType):
-                yield from _all_facts((vars(value)[n] for n in code.co_names if n in vars(value)), package, seen)
+                yield from _all_facts(
+                    (vars(value)[n] for n in code.co_names if n in vars(value)), package, seen
+                )
     closed = tuple(cell.cell_contents for cell in function.__closure__ or ())
     yield from _all_facts((function.__defaults__ or (), closed), package, seen)
     # a tuple with names comes in as an argument: its kind counts by name alone in numba's own key
-    words = (word for note in function.__annotations__.values() for word in _WORD.findall(str(note)))
-    yield from _all_facts((known[word] for word in words if hasattr(known.get(word), "_fields")), package, seen)
+    words = (
+        word for note in function.__annotations__.values() for word in _WORD.findall(str(note))
+    )
+    yield from _all_facts(
+        (known[word] for word in words if hasattr(known.get(word), "_fields")), package, seen
+    )
 
 
 def _all_facts(values: Iterable[Any], package: str, seen: set[int]) -> Iterator[object]:

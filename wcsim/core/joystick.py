@@ -47,8 +47,16 @@ class _DriveSettings(Protocol):
 
 def limits_of(chair: _DriveSettings) -> F64:
     """The limits of a drive (8,), in the order of the names above."""
-    speeds = (chair.v_max_mps, chair.reverse_share, chair.accel_mps2, chair.decel_mps2, chair.jerk_mps3)
-    return np.array([*speeds, chair.yaw_rate_max_radps, chair.yaw_accel_radps2, chair.yaw_slowdown_s_per_m])
+    speeds = (
+        chair.v_max_mps,
+        chair.reverse_share,
+        chair.accel_mps2,
+        chair.decel_mps2,
+        chair.jerk_mps3,
+    )
+    return np.array(
+        [*speeds, chair.yaw_rate_max_radps, chair.yaw_accel_radps2, chair.yaw_slowdown_s_per_m]
+    )
 
 
 def shaped_rows(joysticks: F64, chair: _DriveSettings) -> F64:
@@ -93,7 +101,9 @@ def wanted(x: float, y: float, v_now_mps: float, limits: F64) -> tuple[float, fl
     v = y * limits[V_MAX]
     if y < 0.0:
         v *= limits[REVERSE]
-    return v, 0.0 - x * yaw_rate_limit(max(abs(v), abs(v_now_mps)), limits[YAW_MAX], limits[YAW_SLOWDOWN])
+    return v, 0.0 - x * yaw_rate_limit(
+        max(abs(v), abs(v_now_mps)), limits[YAW_MAX], limits[YAW_SLOWDOWN]
+    )
 
 
 @exact_kernel
@@ -103,7 +113,9 @@ def towards(value: float, goal: float, most: float) -> float:
 
 
 @exact_kernel
-def follow_speed(v_mps: float, a_mps2: float, v_wanted_mps: float, limits: F64, dt_s: float) -> tuple[float, float]:
+def follow_speed(
+    v_mps: float, a_mps2: float, v_wanted_mps: float, limits: F64, dt_s: float
+) -> tuple[float, float]:
     """Speed and acceleration `dt_s` later, within the limits of acceleration and jerk, without overshoot."""
     jerk = limits[JERK]
     gap = v_wanted_mps - v_mps

@@ -51,7 +51,9 @@ class _Followed(Loader):
         return self._own.create_module(spec)
 
     def exec_module(self, module: ModuleType) -> None:
-        if module.__spec__ is not None:  # whoever asks the module for its source asks its own loader
+        if (
+            module.__spec__ is not None
+        ):  # whoever asks the module for its source asks its own loader
             module.__spec__.loader = module.__loader__ = self._own
         self._own.exec_module(module)
         self._act(module)

@@ -40,13 +40,17 @@ class OwnFolder:
         _remove_stale(home, prefix)
         try:
             new = Path(tempfile.mkdtemp(prefix=f".{prefix}", dir=home))  # noqa: TID251 - here alone
-            self._lock = os.open(new / LOCK, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
+            self._lock = os.open(
+                new / LOCK, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600
+            )
             with contextlib.suppress(OSError):  # a file system without locks
                 fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             number = new.name.removeprefix(f".{prefix}")
             self.path = new.rename(new.with_name(f"{prefix}{os.getpid()}-{number}"))
         except OSError as error:
-            raise DiskFullError(f"{home}: a folder cannot be created ({error.strerror}); make room") from None
+            raise DiskFullError(
+                f"{home}: a folder cannot be created ({error.strerror}); make room"
+            ) from None
 
     def close(self) -> None:
         """Remove the folder; whoever still reads pictures of it keeps them. A second call does nothing."""
@@ -79,7 +83,9 @@ def _removed_if_stale(folder: Path) -> bool:
         return False
     try:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        if os.fstat(lock).st_ino != os.lstat(folder / LOCK).st_ino:  # removed meanwhile, and made again by another
+        if (
+            os.fstat(lock).st_ino != os.lstat(folder / LOCK).st_ino
+        ):  # removed meanwhile, and made again by another
             return False
         _remove(folder)
     except OSError:
@@ -124,7 +130,11 @@ def _remove(folder: Path) -> None:
 def _home() -> Path:
     """The first place that can be written and leaves room for the path of a socket."""
     places = (_SHARED, Path(tempfile.gettempdir()), Path("/tmp"))  # noqa: S108 - as above
-    usable = (place for place in places if os.access(place, os.W_OK | os.X_OK) and len(str(place)) <= _LONGEST_HOME)
+    usable = (
+        place
+        for place in places
+        if os.access(place, os.W_OK | os.X_OK) and len(str(place)) <= _LONGEST_HOME
+    )
     return next(usable, places[1])
 
 

@@ -44,7 +44,9 @@ def find_class(name: str, what: str, error: type[WcsimError] = PolicyError) -> t
     module_name, _, class_name = name.partition(":")
     if module_name.endswith(_SUFFIX):
         right = f"{module_name.removesuffix(_SUFFIX)}:{class_name}"
-        raise error(f"{what} {escaped(name)!r} names a file; expected module:Class, without {_SUFFIX}: {right}")
+        raise error(
+            f"{what} {escaped(name)!r} names a file; expected module:Class, without {_SUFFIX}: {right}"
+        )
     found = getattr(_module(module_name, what, error), class_name, None)
     if not isinstance(found, type):
         raise error(f"{what} {name!r}: {module_name} has no class {class_name!r}; check the name")
@@ -108,8 +110,12 @@ def _module(name: str, what: str, error: type[WcsimError]) -> ModuleType:
         if name in sys.modules or _is_found(name) or _look_here(name):
             return importlib.import_module(name)
     except Exception as fault:  # the user's own file may raise anything
-        raise error(f"{what} module {name!r} failed to import: {type(fault).__name__}: {fault}") from fault
-    raise error(f"{what} module {name!r} was not found{_cure(Path(name.replace('.', '/') + _SUFFIX))}")
+        raise error(
+            f"{what} module {name!r} failed to import: {type(fault).__name__}: {fault}"
+        ) from fault
+    raise error(
+        f"{what} module {name!r} was not found{_cure(Path(name.replace('.', '/') + _SUFFIX))}"
+    )
 
 
 def _cure(file: Path) -> str:
@@ -123,7 +129,9 @@ def _cure(file: Path) -> str:
 def _is_found(name: str) -> bool:
     """Whether Python finds it; the packages above it are imported."""
     head = name.rpartition(".")[0]
-    return (not head or head in sys.modules or _is_found(head)) and importlib.util.find_spec(name) is not None
+    return (not head or head in sys.modules or _is_found(head)) and importlib.util.find_spec(
+        name
+    ) is not None
 
 
 def _look_here(name: str) -> bool:

@@ -82,7 +82,9 @@ def run_command(
 
 def _tail(written: IO[bytes]) -> str:
     size = os.fstat(written.fileno()).st_size
-    return os.pread(written.fileno(), _TAIL_BYTES, max(0, size - _TAIL_BYTES)).decode("utf-8", "replace")
+    return os.pread(written.fileno(), _TAIL_BYTES, max(0, size - _TAIL_BYTES)).decode(
+        "utf-8", "replace"
+    )
 
 
 def start_child(
@@ -100,7 +102,9 @@ def start_child(
     return ours, process
 
 
-def pooled(call: Callable[[_Piece], _Done], pieces: Sequence[_Piece], jobs: int) -> Iterator[tuple[int, _Done]]:
+def pooled(
+    call: Callable[[_Piece], _Done], pieces: Sequence[_Piece], jobs: int
+) -> Iterator[tuple[int, _Done]]:
     """What a function of a module makes of pieces, in processes: each as it is done, with its piece's place.
 
     What has not begun when one fails, or when nobody wants the rest, is not done.
@@ -110,7 +114,9 @@ def pooled(call: Callable[[_Piece], _Done], pieces: Sequence[_Piece], jobs: int)
 
     # A process that waits for work would not notice that nobody is left to give it any.
     name_semaphores()
-    with ProcessPoolExecutor(jobs, get_context("spawn"), die_with_parent, (signal.SIGKILL,)) as pool:
+    with ProcessPoolExecutor(
+        jobs, get_context("spawn"), die_with_parent, (signal.SIGKILL,)
+    ) as pool:
         waiting = {pool.submit(call, piece): place for place, piece in enumerate(pieces)}
         hear_of_deaths(pool)
         try:
@@ -161,7 +167,12 @@ class StopSignals:
                 self._before[number] = signal.signal(number, self._hear)
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        at: TracebackType | None,
+    ) -> None:
         for number, handler in self._before.items():
             signal.signal(number, signal.SIG_IGN if self.count else handler)
         self._before.clear()

@@ -28,17 +28,27 @@ from wcsim.errors import ConfigError, FileError, JournalError, PolicyError, Town
 if TYPE_CHECKING:
     import zstandard
 
-MOST_JSON_BYTES = 1 << 20  # in a record; sound ones have up to 6 kB, and read it takes 60 times as much memory
+MOST_JSON_BYTES = (
+    1 << 20
+)  # in a record; sound ones have up to 6 kB, and read it takes 60 times as much memory
 MOST_MEMORY_BYTES = 120 << 20  # that reading a text may take, with all that is made of it
 # Bytes that what a letter stands for takes at most, beside its letters: a list, a table, a row or a value.
 _COSTS: Final = {letter: 110 for letter in "[{,=\n"}
-_JSON_COSTS: Final = {"[": 95, "{": 200, ",": 40, ":": 110, '"': 22}  # a value of a table has all but the brackets
+_JSON_COSTS: Final = {
+    "[": 95,
+    "{": 200,
+    ",": 40,
+    ":": 110,
+    '"': 22,
+}  # a value of a table has all but the brackets
 MOST_LINE = 1 << 16  # letters
 MOST_LINES = 4_500_000
 MAX_DEPTH = 32  # of tables and lists inside each other
 MAX_INTEGER = (1 << 64) - 1  # by magnitude; no number in any of wcsim's files is larger
 MAX_DOTTED = 16  # parts of a TOML key; tomllib takes a time that grows with their square
-_DOTTED = re.compile(rf"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){{{MAX_DOTTED}}}""")
+_DOTTED = re.compile(
+    rf"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){{{MAX_DOTTED}}}"""
+)
 _MESSAGE_CHARACTERS = 200
 
 
@@ -63,12 +73,16 @@ VALUE: Final = FileKind(what="a value in TOML's syntax", limit_bytes=_MIB)
 PROFILE: Final = FileKind(what="a user's profile as TOML", limit_bytes=_MIB // 16)
 STUDY_TABLE: Final = FileKind(what="a study's table", limit_bytes=16 * _MIB)
 STICK: Final = FileKind(what="a recorded joystick", limit_bytes=64 * _MIB)  # in lines
-CHAIR: Final = FileKind(what="CSV of at most 64 MiB, plain or compressed by gzip", limit_bytes=64 * _MIB)  # in lines
+CHAIR: Final = FileKind(
+    what="CSV of at most 64 MiB, plain or compressed by gzip", limit_bytes=64 * _MIB
+)  # in lines
 
 # Towns and scenes.
 TOWN: Final = FileKind(what="a town.toml", limit_bytes=_MIB, error=TownError)
 SCENE: Final = FileKind(what="a scene.toml", limit_bytes=_MIB, error=TownError)
-XML: Final = FileKind(what="an XML file, plain or gzip-compressed", limit_bytes=200 * _MIB, error=TownError)
+XML: Final = FileKind(
+    what="an XML file, plain or gzip-compressed", limit_bytes=200 * _MIB, error=TownError
+)
 SCENARIO: Final = FileKind(what="a file of a scenario", limit_bytes=200 * _MIB, error=TownError)
 EDGES: Final = FileKind(what="a list of edges", limit_bytes=16 * _MIB, error=TownError)
 NOTICE: Final = FileKind(what="a notice", limit_bytes=_MIB, error=TownError)
@@ -80,20 +94,40 @@ EXTRACT: Final = FileKind(
 )
 
 # Runs, data and policies.
-RUN: Final = FileKind(what="a file of `wcsim train`: restore it or train again", limit_bytes=_MIB, error=PolicyError)
+RUN: Final = FileKind(
+    what="a file of `wcsim train`: restore it or train again", limit_bytes=_MIB, error=PolicyError
+)
 METRICS: Final = FileKind(what="the log of a run", limit_bytes=16 * _MIB, error=PolicyError)
-METRIC_LINES: Final = FileKind(what="the log of a run", limit_bytes=64 * _MIB, error=PolicyError)  # to go on with it
+METRIC_LINES: Final = FileKind(
+    what="the log of a run", limit_bytes=64 * _MIB, error=PolicyError
+)  # to go on with it
 CLAIM: Final = FileKind(what="a client's claim", limit_bytes=1 << 10, error=PolicyError)
-LEARNED: Final = FileKind(what="the learned_data.json of a run", limit_bytes=16 * _MIB, error=PolicyError)
-ORDERS: Final = FileKind(what="the orders.json of a data folder", limit_bytes=16 * _MIB, error=PolicyError)
-DATA: Final = FileKind(what="the data.json of a data folder", limit_bytes=16 * _MIB, error=PolicyError)
-SEGMENT: Final = FileKind(what="a segment of recorded driving", limit_bytes=1 << 30, error=PolicyError)
-STATE: Final = FileKind(what="the state.json of a checkpoint", limit_bytes=16 * _MIB, error=PolicyError)
+LEARNED: Final = FileKind(
+    what="the learned_data.json of a run", limit_bytes=16 * _MIB, error=PolicyError
+)
+ORDERS: Final = FileKind(
+    what="the orders.json of a data folder", limit_bytes=16 * _MIB, error=PolicyError
+)
+DATA: Final = FileKind(
+    what="the data.json of a data folder", limit_bytes=16 * _MIB, error=PolicyError
+)
+SEGMENT: Final = FileKind(
+    what="a segment of recorded driving", limit_bytes=1 << 30, error=PolicyError
+)
+STATE: Final = FileKind(
+    what="the state.json of a checkpoint", limit_bytes=16 * _MIB, error=PolicyError
+)
 ARRAYS: Final = FileKind(what="the arrays of a checkpoint", limit_bytes=64 << 30, error=PolicyError)
-POLICY: Final = FileKind(what="the policy.json of a policy folder", limit_bytes=_MIB, error=PolicyError)
-HASHES: Final = FileKind(what="the files.json of the shipped policy", limit_bytes=_MIB, error=PolicyError)
+POLICY: Final = FileKind(
+    what="the policy.json of a policy folder", limit_bytes=_MIB, error=PolicyError
+)
+HASHES: Final = FileKind(
+    what="the files.json of the shipped policy", limit_bytes=_MIB, error=PolicyError
+)
 WEIGHTS: Final = FileKind(what="the weights of a policy", limit_bytes=1 << 30, error=PolicyError)
-MEANING: Final = FileKind(what="the meaning.json of an exported policy", limit_bytes=4 * _MIB, error=PolicyError)
+MEANING: Final = FileKind(
+    what="the meaning.json of an exported policy", limit_bytes=4 * _MIB, error=PolicyError
+)
 ONNX_TOML: Final = FileKind(what="the policy.toml of an ONNX folder", limit_bytes=_MIB)
 ANSWER: Final = FileKind(what="an answer of a policy", limit_bytes=1 << 16, error=PolicyError)
 KEY: Final = FileKind(what="a key of 32 bytes", limit_bytes=32, error=PolicyError)
@@ -102,8 +136,12 @@ KEY: Final = FileKind(what="a key of 32 bytes", limit_bytes=32, error=PolicyErro
 EPISODES: Final = FileKind(what="a list of test episodes", limit_bytes=16 * _MIB)
 BLOCK: Final = FileKind(what="a saved block of `wcsim test`: remove it", limit_bytes=16 * _MIB)
 RESULT: Final = FileKind(what="a file of `wcsim test`: run it again", limit_bytes=32 * _MIB)
-LOG: Final = FileKind(what="a log written by wcsim", limit_bytes=1 << 62, error=JournalError)  # in records
-WHOLE_LOG: Final = FileKind(what="a log whose ticks are read at once", limit_bytes=256 * _MIB, error=JournalError)
+LOG: Final = FileKind(
+    what="a log written by wcsim", limit_bytes=1 << 62, error=JournalError
+)  # in records
+WHOLE_LOG: Final = FileKind(
+    what="a log whose ticks are read at once", limit_bytes=256 * _MIB, error=JournalError
+)
 PICTURES: Final = FileKind(what="the pictures of a seat", limit_bytes=1 << 50)  # shared memory
 ORDER: Final = FileKind(what="an order to a process of wcsim", limit_bytes=16 * _MIB)
 
@@ -125,9 +163,13 @@ def opened(path: Path, kind: FileKind) -> Iterator[BinaryIO]:
             yield file
     except OSError as error:
         reason = error.strerror or error
-        raise kind.error(f"{escaped(path)}: cannot be read ({reason}); expected {kind.what}") from None
+        raise kind.error(
+            f"{escaped(path)}: cannot be read ({reason}); expected {kind.what}"
+        ) from None
     except ValueError as error:  # NUL in the path
-        raise kind.error(f"{escaped(path)}: cannot be read ({error}); expected {kind.what}") from None
+        raise kind.error(
+            f"{escaped(path)}: cannot be read ({error}); expected {kind.what}"
+        ) from None
 
 
 def read_bytes(path: Path, kind: FileKind) -> bytes:
@@ -136,7 +178,9 @@ def read_bytes(path: Path, kind: FileKind) -> bytes:
         size = os.fstat(file.fileno()).st_size
         data = file.read(kind.limit_bytes + 1) if size <= kind.limit_bytes else b""
     if max(size, len(data)) > kind.limit_bytes:
-        raise kind.error(f"{escaped(path)}: is larger than {kind.limit_bytes} bytes; expected {kind.what}")
+        raise kind.error(
+            f"{escaped(path)}: is larger than {kind.limit_bytes} bytes; expected {kind.what}"
+        )
     return data
 
 
@@ -183,9 +227,13 @@ def read_lines(path: Path, kind: FileKind) -> Iterator[str]:
                     )
                 yield line
         except UnicodeDecodeError:
-            raise kind.error(f"{escaped(path)}:{lines + 1}: is not in UTF-8; save it as UTF-8") from None
+            raise kind.error(
+                f"{escaped(path)}:{lines + 1}: is not in UTF-8; save it as UTF-8"
+            ) from None
         except (EOFError, zlib.error) as error:
-            raise kind.error(f"{escaped(path)}: cannot be read ({error}); expected {kind.what}") from None
+            raise kind.error(
+                f"{escaped(path)}: cannot be read ({error}); expected {kind.what}"
+            ) from None
 
 
 def _unpacked(data: bytes, path: Path, kind: FileKind) -> bytes:
@@ -210,20 +258,26 @@ def read_toml(path: Path, kind: FileKind) -> dict[str, Any]:
     return parse_toml(read_text(path, kind), escaped(path), kind)
 
 
-def parse_json(text: str, where: str, kind: FileKind, most_bytes: int = MOST_JSON_BYTES) -> dict[str, Any]:
+def parse_json(
+    text: str, where: str, kind: FileKind, most_bytes: int = MOST_JSON_BYTES
+) -> dict[str, Any]:
     """JSON text as an object; a key that comes twice is refused, as two readers may differ in which one counts.
 
     Raises:
         FileError: Of the kind's class, beginning with `where`; also for text that is too long to be looked at.
     """
     if len(text) > most_bytes:
-        raise kind.error(f"{where}: has {len(text)} characters of JSON; expected at most {most_bytes} for {kind.what}")
+        raise kind.error(
+            f"{where}: has {len(text)} characters of JSON; expected at most {most_bytes} for {kind.what}"
+        )
     try:
         data = json.loads(text, object_pairs_hook=_once, parse_constant=_no_constant)
     except (ValueError, RecursionError, MemoryError) as error:
         raise kind.error(f"{where}: is not JSON: {_short(error)}; expected {kind.what}") from None
     if not isinstance(data, dict):
-        raise kind.error(f"{where}: contains a {type(data).__name__}; expected {kind.what}, which is a JSON object")
+        raise kind.error(
+            f"{where}: contains a {type(data).__name__}; expected {kind.what}, which is a JSON object"
+        )
     _require_bounded(data, where, kind)
     return data
 
@@ -231,7 +285,9 @@ def parse_json(text: str, where: str, kind: FileKind, most_bytes: int = MOST_JSO
 def parse_toml(text: str, where: str, kind: FileKind) -> dict[str, Any]:
     """TOML text as a table. Raises FileError, of the kind's class, beginning with `where`."""
     if _DOTTED.search(text):
-        raise kind.error(f"{where}: has a name with more than {MAX_DOTTED} dotted parts; expected {kind.what}")
+        raise kind.error(
+            f"{where}: has a name with more than {MAX_DOTTED} dotted parts; expected {kind.what}"
+        )
     try:
         data = tomllib.loads(text)
     except (ValueError, RecursionError, MemoryError) as error:
@@ -240,7 +296,9 @@ def parse_toml(text: str, where: str, kind: FileKind) -> dict[str, Any]:
     return data
 
 
-def _require_bounded(data: Any, where: str, kind: FileKind, name: object = "it", depth: int = 0) -> None:
+def _require_bounded(
+    data: Any, where: str, kind: FileKind, name: object = "it", depth: int = 0
+) -> None:
     """Refuse nesting beyond `MAX_DEPTH`, numbers not finite or beyond `MAX_INTEGER`, and text that is no Unicode.
 
     Raises:
@@ -250,14 +308,18 @@ def _require_bounded(data: Any, where: str, kind: FileKind, name: object = "it",
         _require_plain(data, where, name, kind)
         return
     if depth > MAX_DEPTH:
-        raise kind.error(f"{where}: is nested more than {MAX_DEPTH} levels deep; expected {kind.what}")
+        raise kind.error(
+            f"{where}: is nested more than {MAX_DEPTH} levels deep; expected {kind.what}"
+        )
     for key in data if isinstance(data, dict) else ():
         _require_plain(key, where, name, kind)
     for key, value in data.items() if isinstance(data, dict) else ((name, item) for item in data):
         _require_bounded(value, where, kind, key, depth + 1)
 
 
-def unzstd(packed: bytes, most_bytes: int, unpacker: zstandard.ZstdDecompressor | None = None) -> bytes:
+def unzstd(
+    packed: bytes, most_bytes: int, unpacker: zstandard.ZstdDecompressor | None = None
+) -> bytes:
     """What a zstd frame holds, at most so many bytes; `unpacker` is used again where there are many.
 
     Raises:
@@ -266,9 +328,13 @@ def unzstd(packed: bytes, most_bytes: int, unpacker: zstandard.ZstdDecompressor 
     """
     import zstandard  # which commands that only read text need not wait for
 
-    if zstandard.frame_content_size(packed) > max(most_bytes, 1):  # zstd takes what a frame says for the limit
+    if zstandard.frame_content_size(packed) > max(
+        most_bytes, 1
+    ):  # zstd takes what a frame says for the limit
         raise ValueError(f"more than {most_bytes} bytes")
-    return (unpacker or zstandard.ZstdDecompressor()).decompress(packed, max_output_size=max(most_bytes, 1))
+    return (unpacker or zstandard.ZstdDecompressor()).decompress(
+        packed, max_output_size=max(most_bytes, 1)
+    )
 
 
 def regular_size(path: Path, kind: FileKind) -> int:
@@ -276,7 +342,9 @@ def regular_size(path: Path, kind: FileKind) -> int:
     with opened(path, kind) as file:
         size = os.fstat(file.fileno()).st_size
     if size > kind.limit_bytes:
-        raise kind.error(f"{escaped(path)}: is larger than {kind.limit_bytes} bytes; expected {kind.what}")
+        raise kind.error(
+            f"{escaped(path)}: is larger than {kind.limit_bytes} bytes; expected {kind.what}"
+        )
     return size
 
 
@@ -315,7 +383,9 @@ def require_no_links(folder: Path, error: type[FileError]) -> None:
                 if entry.is_dir(follow_symlinks=False):
                     waiting.append(Path(entry.path))
                 elif known.st_nlink > 1:
-                    names.setdefault((known.st_dev, known.st_ino, known.st_nlink), []).append(entry.path)
+                    names.setdefault((known.st_dev, known.st_ino, known.st_nlink), []).append(
+                        entry.path
+                    )
     for (_, _, links), paths in names.items():
         if len(paths) < links:
             raise _link_refused(paths[0], error)
@@ -331,7 +401,9 @@ def escaped(text: object, most: int = 160) -> str:
     >>> escaped("a\x1b[31mb")
     'a\\x1b[31mb'
     """
-    words = "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in str(text)[-2 * most :])
+    words = "".join(
+        letter if letter.isprintable() else ascii(letter)[1:-1] for letter in str(text)[-2 * most :]
+    )
     return words if len(words) <= most else "..." + words[3 - most :]
 
 

@@ -12,15 +12,24 @@ from typing import Final
 
 _NAME = __name__.partition(".")[0]
 _ROOT = Path(__file__).parents[__name__.count(".")]
-_ABOVE = ("chair_check", "cli", "scenes", "view")  # rooms that nothing imports that drives: `make lint` sees to it
+_ABOVE = (
+    "chair_check",
+    "cli",
+    "scenes",
+    "view",
+)  # rooms that nothing imports that drives: `make lint` sees to it
 _FOR_TYPES_ALONE = re.compile(r"^if TYPE_CHECKING:[^\n]*\n(?:[ \t]+.*\n|\n)+", re.MULTILINE)
 _FROM = re.compile(r"^[ \t]*from ([\w.]+) import (\([^)]*\)|[^\n]*)", re.MULTILINE)
 _PLAIN = re.compile(r"^[ \t]*import ([\w., ]+)", re.MULTILINE)
 _COMMENT = re.compile(r"#[^\n]*")
 _FORK: Final = "pybullet-arm64"  # PyBullet for Python 3.12 and later: its own packages end at 3.11
-_SAME_BYTES: Final = {"3.2.8": "3.2.7"}  # of the fork, and of PyBullet itself: scenes have the same hashes with both
+_SAME_BYTES: Final = {
+    "3.2.8": "3.2.7"
+}  # of the fork, and of PyBullet itself: scenes have the same hashes with both
 
-Imported = tuple[str, str, str]  # module, a name of it ("" for the module itself), what it is called here
+Imported = tuple[
+    str, str, str
+]  # module, a name of it ("" for the module itself), what it is called here
 
 
 def sources_of(module: str) -> tuple[Path, ...]:
@@ -81,7 +90,9 @@ def _file_of(module: str) -> Path | None:
     if module.partition(".")[0] != _NAME:
         return None
     stem = _ROOT.joinpath(*module.split("."))
-    return next((path for path in (stem.with_suffix(".py"), stem / "__init__.py") if path.is_file()), None)
+    return next(
+        (path for path in (stem.with_suffix(".py"), stem / "__init__.py") if path.is_file()), None
+    )
 
 
 @cache

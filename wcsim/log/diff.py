@@ -24,7 +24,9 @@ def first_difference(one: Path, other: Path) -> str:
     """
     head, other_head = read_header(one), read_header(other)
     if head.kind != other_head.kind:
-        raise WcsimError(f"{one} is a {head.kind} and {other} a {other_head.kind}; expected two of a kind")
+        raise WcsimError(
+            f"{one} is a {head.kind} and {other} a {other_head.kind}; expected two of a kind"
+        )
     told = _header_difference(head, other_head)
     if told:
         return told
@@ -48,9 +50,13 @@ def golden_difference(trace: Path, golden: Path) -> str:
     (head, ticks), (golden_head, golden_ticks) = read_states(trace), read_states(golden)
     exact = head.fingerprint == golden_head.fingerprint
     if [new.tick for new in ticks] != [old.tick for old in golden_ticks]:
-        return f"its records are {_extent(ticks)}, those of the golden trace {_extent(golden_ticks)}"
+        return (
+            f"its records are {_extent(ticks)}, those of the golden trace {_extent(golden_ticks)}"
+        )
     for new, old in zip(ticks, golden_ticks, strict=True):
-        told = _golden_tick_difference(new, old, exact, 0.001 if new.tick * head.tick_s <= 1.0 else 0.05)
+        told = _golden_tick_difference(
+            new, old, exact, 0.001 if new.tick * head.tick_s <= 1.0 else 0.05
+        )
         if told:
             return f"tick {new.tick}: {told}"
     return ""
@@ -81,10 +87,16 @@ def _record_difference(a: LogRecord, b: LogRecord) -> str:
         return f"{_called(a)}: {told}" if told else ""
     if record_bytes(a) == record_bytes(b):
         return ""
-    if isinstance(a, Ticked) and isinstance(b, Ticked) and (a.seats, a.sticks) != (b.seats, b.sticks):
+    if (
+        isinstance(a, Ticked)
+        and isinstance(b, Ticked)
+        and (a.seats, a.sticks) != (b.seats, b.sticks)
+    ):
         return f"{_called(a)}: {_command_difference(a, b)}"
     fields = ((name, getattr(a, name), getattr(b, name)) for name in a.__struct_fields__)
-    name, one, other = next((field for field in fields if not np.array_equal(field[1], field[2])), ("", "-0.0", "0.0"))
+    name, one, other = next(
+        (field for field in fields if not np.array_equal(field[1], field[2])), ("", "-0.0", "0.0")
+    )
     return f"{_called(a)}: {name} is {_short(one)} and {_short(other)}"
 
 
@@ -101,7 +113,11 @@ def _called(record: LogRecord | None) -> str:
     if record is None:
         return "nothing"
     words = [type(record).__name__]
-    words += [f"{name} {getattr(record, name)}" for name in ("epoch", "tick", "seat") if hasattr(record, name)]
+    words += [
+        f"{name} {getattr(record, name)}"
+        for name in ("epoch", "tick", "seat")
+        if hasattr(record, name)
+    ]
     return " ".join(words[:1]) + (f" ({', '.join(words[1:])})" if words[1:] else "")
 
 
@@ -113,7 +129,9 @@ def _short(value: object) -> str:
 def _state_difference(a: WorldState, b: WorldState) -> str:
     if len(a.commands) != len(b.commands) or a.seats != b.seats:
         return f"{len(a.commands)} commands (seats {list(a.seats)}) and {len(b.commands)} (seats {list(b.seats)})"
-    for seat, one, other in zip(a.seats or range(len(a.commands)), a.commands, b.commands, strict=True):
+    for seat, one, other in zip(
+        a.seats or range(len(a.commands)), a.commands, b.commands, strict=True
+    ):
         if one.tobytes() != other.tobytes():
             return f"seat {seat} is commanded {tuple(one.tolist())} and {tuple(other.tolist())}"
     if a.actor_ids != b.actor_ids:
@@ -135,7 +153,9 @@ def _extent(records: Sequence[WorldState]) -> str:
     return f"{len(records)}, up to tick {records[-1].tick}" if records else "none"
 
 
-def _golden_tick_difference(new: WorldState, old: WorldState, exact: bool, tolerance_m: float) -> str:
+def _golden_tick_difference(
+    new: WorldState, old: WorldState, exact: bool, tolerance_m: float
+) -> str:
     if len(new.plants) != len(old.plants):
         return f"the number of chairs is {len(new.plants)}, golden {len(old.plants)}"
     if exact and new.state_hash == old.state_hash:

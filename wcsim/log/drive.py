@@ -82,7 +82,9 @@ def read_drive(path: Path) -> DriveRecording:
     before: DriveTick | None = None
     for record in scan.records():
         if isinstance(record, Ticked | Ended) or not isinstance(record, Input | Note):
-            raise JournalError(f"{escaped(path)}: has a record that belongs in no drive; record it again")
+            raise JournalError(
+                f"{escaped(path)}: has a record that belongs in no drive; record it again"
+            )
         if isinstance(record, DriveTick):
             if before is not None and not _follows(before, record):
                 raise JournalError(
@@ -91,9 +93,17 @@ def read_drive(path: Path) -> DriveRecording:
             before = record
         records.append(record)
         if len(records) > MOST_RECORDS:
-            raise JournalError(f"{escaped(path)}: more than {MOST_RECORDS} records; expected a drive of a day at most")
-    return DriveRecording(name=str(path), header=scan.header, records=tuple(records), torn=scan.torn_bytes > 0)
+            raise JournalError(
+                f"{escaped(path)}: more than {MOST_RECORDS} records; expected a drive of a day at most"
+            )
+    return DriveRecording(
+        name=str(path), header=scan.header, records=tuple(records), torn=scan.torn_bytes > 0
+    )
 
 
 def _follows(before: DriveTick, tick: DriveTick) -> bool:
-    return tick.tick == before.tick + 1 and tick.time_s > before.time_s and tick.episode >= before.episode
+    return (
+        tick.tick == before.tick + 1
+        and tick.time_s > before.time_s
+        and tick.episode >= before.episode
+    )

@@ -18,7 +18,10 @@ from typing import BinaryIO
 
 MAX_RECORD_BYTES = 256 << 20  # of a payload; one tick of any town takes less
 MOST_TORN_BYTES = 1 << 16  # of a last record; more than this is no torn record
-_MOST_RATIO, _FREE_BYTES = 100, 1 << 12  # unpacked against packed; sound records come to less than 10
+_MOST_RATIO, _FREE_BYTES = (
+    100,
+    1 << 12,
+)  # unpacked against packed; sound records come to less than 10
 _MOST_PIECES = 1 << 8  # of 64 KiB, unpacked in all looks at a torn end; a sound one has some 10
 _FRAME = struct.Struct("<II")
 _LEVEL = 6
@@ -57,7 +60,9 @@ def whole_records(file: BinaryIO, after: int = 0) -> Iterator[Record]:
     while len(head := file.read(_FRAME.size)) == _FRAME.size:
         size, crc = _FRAME.unpack(head)
         packed = file.read(size) if size <= MAX_RECORD_BYTES else b""
-        payload = _unpacked(packed) if len(packed) == size and zlib.crc32(packed, after) == crc else None
+        payload = (
+            _unpacked(packed) if len(packed) == size and zlib.crc32(packed, after) == crc else None
+        )
         if payload is None:
             return
         end += _FRAME.size + size
@@ -85,9 +90,13 @@ def torn_bytes(file: BinaryIO, end: int, after: int = 0) -> int | None:
     size = file.seek(0, os.SEEK_END) - end
     if not any(rest):
         file.seek(end)
-        return size if all(not any(part) for part in iter(lambda: file.read(1 << 20), b"")) else None
+        return (
+            size if all(not any(part) for part in iter(lambda: file.read(1 << 20), b"")) else None
+        )
     told = _FRAME.unpack_from(rest)[0] + _FRAME.size if len(rest) >= _FRAME.size else len(rest)
-    return None if len(rest) > MOST_TORN_BYTES or told < len(rest) or _hides_a_record(rest) else size
+    return (
+        None if len(rest) > MOST_TORN_BYTES or told < len(rest) or _hides_a_record(rest) else size
+    )
 
 
 def _hides_a_record(rest: bytes) -> bool:
@@ -115,7 +124,9 @@ def _unpacked(packed: bytes) -> bytes | None:
     """The payload; None for what no writer here packed, which may want to fill the memory."""
     unzip = zlib.decompressobj()
     try:
-        payload = unzip.decompress(packed, min(MAX_RECORD_BYTES, _FREE_BYTES + _MOST_RATIO * len(packed)))
+        payload = unzip.decompress(
+            packed, min(MAX_RECORD_BYTES, _FREE_BYTES + _MOST_RATIO * len(packed))
+        )
     except zlib.error:
         return None
     return payload if unzip.eof else None

@@ -48,7 +48,9 @@ def part_files(path: Path) -> tuple[Path, ...]:
     """
     aside = re.compile(rf"{re.escape(path.name)}\.[0-9]{{{_DIGITS},}}")
     try:
-        before = sorted((part for part in path.parent.iterdir() if aside.fullmatch(part.name)), key=_number)
+        before = sorted(
+            (part for part in path.parent.iterdir() if aside.fullmatch(part.name)), key=_number
+        )
     except OSError:
         before = []
     return (*before, path) if os.path.lexists(path) else tuple(before)
@@ -78,7 +80,9 @@ _MADE_BY: Final = {
 class LogScan:
     """One reading of a log; `end` is where the last record that was read ends, `after` its CRC."""
 
-    def __init__(self, path: Path, expected: LogKind | None = None, file: BinaryIO | None = None) -> None:
+    def __init__(
+        self, path: Path, expected: LogKind | None = None, file: BinaryIO | None = None
+    ) -> None:
         """Read the header; from `file` where the path is open, or may come to name another one.
 
         Raises JournalError when it is none of this version, or of another kind than expected.
@@ -103,9 +107,16 @@ class LogScan:
         for end, item in self._items():
             wanted = ticks or not is_tick(item.payload)
             record = _read_record(item.payload, self._path, self.end) if wanted else None
-            self.end, self.after = end, item.crc  # who stops here, and asks again, gets the next one
+            self.end, self.after = (
+                end,
+                item.crc,
+            )  # who stops here, and asks again, gets the next one
             if record is not None:
-                yield _with_bodies(record, told, self._path) if isinstance(record, WorldState) else record
+                yield (
+                    _with_bodies(record, told, self._path)
+                    if isinstance(record, WorldState)
+                    else record
+                )
 
     def _opened(self) -> AbstractContextManager[BinaryIO]:
         return opened(self._path, LOG) if self._file is None else nullcontext(self._file)
@@ -184,7 +195,9 @@ def inputs_of_part(path: Path, ticks: bool = True) -> Iterator[Input]:
 
     Without `ticks` those of `Ticked` are left out, unread: nearly all are, and reading them takes most of the time.
     """
-    return (record for record in LogScan(path, "journal").records(ticks) if isinstance(record, Input))
+    return (
+        record for record in LogScan(path, "journal").records(ticks) if isinstance(record, Input)
+    )
 
 
 def read_states(path: Path) -> tuple[Header, tuple[WorldState, ...]]:
@@ -261,7 +274,9 @@ class LogTail(Closing):
         found = self._records(most)
         if found or not self._is_over():
             return found
-        found = self._records(most)  # what came before its part was put aside, but after the first look
+        found = self._records(
+            most
+        )  # what came before its part was put aside, but after the first look
         if found:
             return found
         self.close()

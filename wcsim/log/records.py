@@ -15,19 +15,36 @@ from msgspec import Meta, Struct
 
 from wcsim.core.reading import MOST_JSON_BYTES
 from wcsim.errors import WcsimError
-from wcsim.types import F64, ActorKind, ActorState, ClientSnapshot, Command, Joystick, SeatSpec, Snapshot, StartSpec
+from wcsim.types import (
+    F64,
+    ActorKind,
+    ActorState,
+    ClientSnapshot,
+    Command,
+    Joystick,
+    SeatSpec,
+    Snapshot,
+    StartSpec,
+)
 from wcsim.types.bounds import MAX_SEED, MOST_SEATS
 
 MAGIC: Final = "wcsim-log-1"
-MOST_SAMPLES: Final = 480  # of the stick in a tick: as many as the steps that a tick's physics may have
+MOST_SAMPLES: Final = (
+    480  # of the stick in a tick: as many as the steps that a tick's physics may have
+)
 MOST_DETAIL: Final = 1000  # letters of a note
 NO_ACTION: Final = -1
 _LARGEST: Final = 1e9
 _ON_STICK: Final = 1.0 + 1e-6  # of an axis, with what rounding adds
 _STATE_BYTES: Final = 32 << 20  # names, bodies and numbers of some 100,000 actors
-_NO_XML: Final = r"\x00-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\ufffe\uffff"  # and what turns a line round
+_NO_XML: Final = (
+    r"\x00-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\ufffe\uffff"  # and what turns a line round
+)
 _CONTENT: Final = 1  # version of what the digest is over
-_FIRST: Final = (b'{"magic":"wcsim-', b'{"magic": "wcsim-')  # of a header, and of those of older formats
+_FIRST: Final = (
+    b'{"magic":"wcsim-',
+    b'{"magic": "wcsim-',
+)  # of a header, and of those of older formats
 
 LogKind = Literal["journal", "trace", "drive", "ledger"]
 Count = Annotated[int, Meta(ge=0, le=1 << 62)]
@@ -43,11 +60,15 @@ class DriveHeader(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     """What the header of a drive says of who drove; what was done to its world are its records."""
 
     wcsim: Document  # version
-    profile: Document = ""  # of the simulated user; "" where a person drove, beside one who says where the way goes
+    profile: Document = (
+        ""  # of the simulated user; "" where a person drove, beside one who says where the way goes
+    )
     policy: Document = ""  # who assisted; "" for nobody
     level: Document = ""  # of the assistance
     episode: Document = ""  # of a suite: its name, block and seat
-    scene: Document = ""  # where the street is a generated scene: its family, seed and SHA-256; "" for a town
+    scene: Document = (
+        ""  # where the street is a generated scene: its family, seed and SHA-256; "" for a town
+    )
 
     @property
     def driver(self) -> str:
@@ -55,7 +76,9 @@ class DriveHeader(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
         return self.profile or "person"
 
 
-class Header(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="magic", tag=MAGIC):
+class Header(
+    Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="magic", tag=MAGIC
+):
     """What the world of a log is made from; `fingerprint` names the versions that its exact hashes hold for."""
 
     name: Document = ""  # of the run
@@ -72,9 +95,13 @@ class Header(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_
     recovery: Document = "new_epoch"  # of older logs, golden traces among them
     origin_m: tuple[Number, Number] = (0.0, 0.0)  # W's origin in the town's net coordinates
     origin_z_m: Number = 0.0
-    chair_box_m: tuple[Number, Number] | None = None  # length of a wheelchair, and its middle ahead of the drive axle
+    chair_box_m: tuple[Number, Number] | None = (
+        None  # length of a wheelchair, and its middle ahead of the drive axle
+    )
     drive: DriveHeader | None = None  # who drove, where the log is of one chair's ticks
-    client: Document | None = None  # its name, where the log is of the frames that it saw, of whatever world
+    client: Document | None = (
+        None  # its name, where the log is of the frames that it saw, of whatever world
+    )
 
     @property
     def kind(self) -> LogKind:
@@ -131,7 +158,9 @@ class Ticked(_Record, frozen=True, kw_only=True, tag="t"):
     epoch: Count
     tick: Count
     seats: Annotated[tuple[Seat, ...], Meta(max_length=MOST_SEATS)]
-    sticks: Annotated[tuple[tuple[Number, Number], ...], Meta(max_length=MOST_SEATS)]  # x right, y forward
+    sticks: Annotated[
+        tuple[tuple[Number, Number], ...], Meta(max_length=MOST_SEATS)
+    ]  # x right, y forward
     state_hash: Hash
 
     @property
@@ -169,8 +198,12 @@ class WorldState(_Record, frozen=True, kw_only=True, tag="s", eq=False):
     actors: F64  # (n, 8) position, yaw, pitch, velocity
     state_hash: Hash
     time_s: Number = 0.0  # SUMO's own time
-    bodies: tuple[ActorBody, ...] = ()  # one for each actor, in their order; in a file those that are new or changed
-    seats: tuple[Seat, ...] = ()  # whose the commands and plants are; empty when they are those of 0, 1, 2, ...
+    bodies: tuple[
+        ActorBody, ...
+    ] = ()  # one for each actor, in their order; in a file those that are new or changed
+    seats: tuple[
+        Seat, ...
+    ] = ()  # whose the commands and plants are; empty when they are those of 0, 1, 2, ...
 
 
 class DriveTick(_Record, frozen=True, kw_only=True, tag="k", eq=False):
@@ -181,10 +214,14 @@ class DriveTick(_Record, frozen=True, kw_only=True, tag="k", eq=False):
     time_s: Annotated[float, Meta(ge=0.0, le=_LARGEST)]  # at its end, of the drive
     stick: Joystick  # the person's at its beginning, which the policy answered
     intent: Joystick | None = None  # what the person wanted during it, where that is known
-    sticks: F64 = msgspec.field(default_factory=lambda: np.zeros((0, 2)))  # (S, 2) within it at equal times
+    sticks: F64 = msgspec.field(
+        default_factory=lambda: np.zeros((0, 2))
+    )  # (S, 2) within it at equal times
     commanded: Joystick  # what the chair was given
     chosen: Joystick  # what the policy chose: the same unless overruled
-    action: Annotated[int, Meta(ge=NO_ACTION, le=1 << 16)] = NO_ACTION  # of the action set, as chosen
+    action: Annotated[int, Meta(ge=NO_ACTION, le=1 << 16)] = (
+        NO_ACTION  # of the action set, as chosen
+    )
     p_WB_m: F64  # (3,) at its end, as all that follows
     yaw_rad: Number
     roll_rad: Number = 0.0
@@ -194,7 +231,9 @@ class DriveTick(_Record, frozen=True, kw_only=True, tag="k", eq=False):
     intervening: bool = False
     overruled: bool = False
     helped: bool = False  # the person asked for help
-    pace: Annotated[float, Meta(ge=0.0, le=_LARGEST)] = 1.0  # times real time: below 1 is slow motion
+    pace: Annotated[float, Meta(ge=0.0, le=_LARGEST)] = (
+        1.0  # times real time: below 1 is slow motion
+    )
     arrived: bool = False
     gave_up: bool = False
     crashed: bool = False
@@ -267,7 +306,9 @@ def ticked(epoch: int, tick: int, commands: tuple[Command, ...], state_hash: str
     )
 
 
-def state_of(snapshot: Snapshot, commands: Sequence[Command], actors: Sequence[ActorState] | None = None) -> WorldState:
+def state_of(
+    snapshot: Snapshot, commands: Sequence[Command], actors: Sequence[ActorState] | None = None
+) -> WorldState:
     """The record of where everything was after a tick, by its commands and the snapshot they led to.
 
     `actors` are those to record, such as all of the town; the snapshot's own, near the chairs, when they are missing.
@@ -283,7 +324,9 @@ def state_of(snapshot: Snapshot, commands: Sequence[Command], actors: Sequence[A
         actors=np.array([a.row for a in actors]).reshape(-1, 8),
         state_hash=snapshot.state_hash,
         time_s=snapshot.time_s,
-        bodies=tuple(ActorBody(id=a.id, kind=a.kind, size_lwh_m=a.size_lwh_m, piece=a.piece) for a in actors),
+        bodies=tuple(
+            ActorBody(id=a.id, kind=a.kind, size_lwh_m=a.size_lwh_m, piece=a.piece) for a in actors
+        ),
         seats=() if seats == tuple(range(len(seats))) else seats,
     )
 
@@ -298,7 +341,9 @@ def header_of(payload: bytes) -> Header:
     if not payload.startswith(_FIRST):
         raise WcsimError("is not a log; expected a file written by wcsim")
     if len(payload) > MOST_JSON_BYTES:
-        raise WcsimError(f"its header has {len(payload)} bytes of JSON; expected at most {MOST_JSON_BYTES}")
+        raise WcsimError(
+            f"its header has {len(payload)} bytes of JSON; expected at most {MOST_JSON_BYTES}"
+        )
     try:
         header = _HEADERS.decode(payload)
         _require(not header.config or header.seats > 0)
@@ -310,7 +355,9 @@ def header_of(payload: bytes) -> Header:
             raise WcsimError(
                 f"is of format {named!r}; expected {MAGIC!r}: use the wcsim that made it, or record it again"
             ) from None
-        raise WcsimError(f"its header cannot be used: {error}; expected one as wcsim writes it") from None
+        raise WcsimError(
+            f"its header cannot be used: {error}; expected one as wcsim writes it"
+        ) from None
     return header
 
 
@@ -322,7 +369,9 @@ def begins_log(payload: bytes) -> bool:
 def header_content(header: Header) -> bytes:
     """What two equal runs have in common, for the digest: neither names, nor places, nor this machine's versions."""
     same = ("town_sha256", "config", "seed", "seats", "tick_s", "hook", "recovery")
-    return msgspec.json.encode({"version": _CONTENT, **{name: getattr(header, name) for name in same}})
+    return msgspec.json.encode(
+        {"version": _CONTENT, **{name: getattr(header, name) for name in same}}
+    )
 
 
 def record_bytes(record: LogRecord) -> bytes:
@@ -377,7 +426,8 @@ def _require_whole(record: LogRecord) -> None:
             sticks = (record.stick, record.intent or record.stick, record.commanded, record.chosen)
             _require(
                 record.p_WB_m.shape == (3,),
-                record.sticks.shape == (len(record.sticks), 2) and len(record.sticks) <= MOST_SAMPLES,
+                record.sticks.shape == (len(record.sticks), 2)
+                and len(record.sticks) <= MOST_SAMPLES,
                 bool((np.abs(record.sticks) <= _ON_STICK).all()),
                 all(abs(stick.x) <= _ON_STICK and abs(stick.y) <= _ON_STICK for stick in sticks),
             )
@@ -397,8 +447,12 @@ def _array_bytes(array: Any) -> Any:
 
 def _array_of(_: type, told: Any) -> F64:
     """What `_array_bytes` wrote, as float64. Raises ValueError."""
-    shape, size, data = msgspec.convert(told, tuple[tuple[int, ...], Literal[4, 8], bytes], strict=True)
-    _require(1 <= len(shape) <= 2, all(side >= 0 for side in shape), math.prod(shape) * size == len(data))
+    shape, size, data = msgspec.convert(
+        told, tuple[tuple[int, ...], Literal[4, 8], bytes], strict=True
+    )
+    _require(
+        1 <= len(shape) <= 2, all(side >= 0 for side in shape), math.prod(shape) * size == len(data)
+    )
     numbers: F64 = np.frombuffer(data, f"<f{size}").astype(np.float64, copy=False).reshape(shape)
     _require(bool((np.abs(numbers) <= _LARGEST).all()))
     return numbers

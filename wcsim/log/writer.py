@@ -60,9 +60,7 @@ def _keep_torn(path: Path, data: bytes) -> Path:
 
 def told_torn(path: Path, cut_bytes: int) -> str:
     """That something was cut off, in words for a person."""
-    return (
-        f"{path}: the last {cut_bytes} bytes were an incomplete record and were cut off; see {path.name}.torn beside it"
-    )
+    return f"{path}: the last {cut_bytes} bytes were an incomplete record and were cut off; see {path.name}.torn beside it"
 
 
 JOURNAL: Final = "journal"  # its name in a run folder
@@ -87,10 +85,14 @@ class LogWriter(Closing):
             if os.path.lexists(path):
                 raise FileExistsError(17, "File exists")
             path.parent.mkdir(parents=True, exist_ok=True)
-            file = FileIO(os.open(beside, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o644), "r+b")
+            file = FileIO(
+                os.open(beside, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o644), "r+b"
+            )
         except OSError as error:
             reason = error.strerror or error
-            raise ConfigError(f"{escaped(path)}: cannot be created ({reason}); choose the name of a new file") from None
+            raise ConfigError(
+                f"{escaped(path)}: cannot be created ({reason}); choose the name of a new file"
+            ) from None
         try:
             self._open(path, file, header)
         except BaseException:  # another process begins it
@@ -107,7 +109,9 @@ class LogWriter(Closing):
             file.close()
             beside.unlink(missing_ok=True)
             if isinstance(error, OSError):
-                raise DiskFullError(f"{escaped(path)}: cannot be created ({error.strerror}); check the disk") from None
+                raise DiskFullError(
+                    f"{escaped(path)}: cannot be created ({error.strerror}); check the disk"
+                ) from None
             raise
 
     @classmethod
@@ -131,7 +135,9 @@ class LogWriter(Closing):
             self.cut_bytes = scan.torn_bytes
             if scan.torn_bytes:
                 file.seek(scan.end)
-                _keep_torn(path, file.read(min(scan.torn_bytes, MOST_TORN_BYTES)))  # what is longer is zeros
+                _keep_torn(
+                    path, file.read(min(scan.torn_bytes, MOST_TORN_BYTES))
+                )  # what is longer is zeros
                 file.truncate(scan.end)
             self._end, self._after = file.seek(scan.end), scan.after
         except BaseException:
@@ -148,7 +154,9 @@ class LogWriter(Closing):
         self._checks = header.kind == "drive"  # its numbers are a person's and a policy's
         self._records = 0
         self._unsynced, self._synced_s = 0, time.monotonic()
-        self._told: dict[str, ActorBody] = {}  # a body is written when it is new or another one than before
+        self._told: dict[
+            str, ActorBody
+        ] = {}  # a body is written when it is new or another one than before
 
     def append(self, record: LogRecord) -> None:
         """Write one record; when this returns, the death of this process does not undo it.
@@ -182,7 +190,9 @@ class LogWriter(Closing):
     def _require_readable(self, payload: bytes) -> None:
         """Raise WcsimError for what `read_drive` would refuse."""
         if self._records >= MOST_RECORDS:
-            raise WcsimError(f"{escaped(self._path)}: is full, with {self._records} records; start another one")
+            raise WcsimError(
+                f"{escaped(self._path)}: is full, with {self._records} records; start another one"
+            )
         try:
             record_of(payload)
         except WcsimError as error:
@@ -194,7 +204,9 @@ class LogWriter(Closing):
     def _put(self, payload: bytes) -> None:
         """One unbuffered write; on a full disk the part that was written is taken back."""
         if self._file.closed:
-            raise WcsimError(f"{escaped(self._path)}: this log is closed; open it again to continue it")
+            raise WcsimError(
+                f"{escaped(self._path)}: this log is closed; open it again to continue it"
+            )
         data = framed(payload, self._after)
         try:
             written = self._file.write(data) or 0

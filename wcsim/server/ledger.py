@@ -19,7 +19,9 @@ def open_ledger(path: Path, client: str) -> LogWriter:
     """Begin a client's ledger, or go on with that of its earlier life. Raises what `LogWriter` raises."""
     if path.exists():
         return LogWriter.append_to(path, "ledger")
-    return LogWriter(path, Header(town="", seed=0, seats=0, tick_s=1.0, fingerprint="", client=client))
+    return LogWriter(
+        path, Header(town="", seed=0, seats=0, tick_s=1.0, fingerprint="", client=client)
+    )
 
 
 def iter_ledger(path: Path) -> Iterator[SeenFrame]:
@@ -66,7 +68,9 @@ def audit(
     for page in pages:
         page.compare(None, set())
     each = tuple(page.found for page in pages)
-    sums = {name: sum(getattr(one, name) for one in each) for name in ("lost", "doubled", "phantom")}
+    sums = {
+        name: sum(getattr(one, name) for one in each) for name in ("lost", "doubled", "phantom")
+    }
     return Audit(ticks=ticks, **sums), each
 
 
@@ -82,7 +86,9 @@ class _Pages:
     def compare(self, epoch: int | None, done: set[int]) -> None:
         """Read on to the end of an epoch, of all for None; `done` are the ticks that the world did for this seat."""
         seen: set[int] = set()
-        ends: set[int] = set()  # what the dead may have asked for: one after the last frame of each life
+        ends: set[int] = (
+            set()
+        )  # what the dead may have asked for: one after the last frame of each life
         while self._next is not None and (epoch is None or self._next.epoch <= epoch):
             now = self._next
             self._count(now)

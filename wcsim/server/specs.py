@@ -80,9 +80,15 @@ class WorldSpec(WorldOrder):
     journal: bool = True  # in the run folder; False: that is for the outputs alone
     listen: str = ""  # tcp://..., for clients on other machines
     keys: str = ""  # folder of CURVE keys; needed beyond loopback
-    epoch_ticks: int = 0  # after which it ends, or by its growth; whoever starts it has to start it again
-    begins: bool = False  # no world of this launch has been there yet, and its clients take their time to load
-    status_fd: int = -1  # a pipe for WorldStatus lines; the process ends when its other end is closed
+    epoch_ticks: int = (
+        0  # after which it ends, or by its growth; whoever starts it has to start it again
+    )
+    begins: bool = (
+        False  # no world of this launch has been there yet, and its clients take their time to load
+    )
+    status_fd: int = (
+        -1
+    )  # a pipe for WorldStatus lines; the process ends when its other end is closed
     quiet: bool = False  # an error goes into that pipe alone, not to stderr too
 
 
@@ -108,7 +114,9 @@ class RunInfo:
     seed: int  # of networks, exploration, replay and, unless that is a server's, the world
     town: str = ""  # name of the training town
     town_sha256: str = ""  # of its streets
-    more_towns: dict[str, str] = field(default_factory=dict)  # that take turns with it: their streets' hashes by word
+    more_towns: dict[str, str] = field(
+        default_factory=dict
+    )  # that take turns with it: their streets' hashes by word
     rewards: tuple[str, ...] = ()  # the user's own reward terms, as module:Class
     command: tuple[str, ...] = ()  # what started the run
     hook: str = ""  # the user's own step hook, as module:Class
@@ -140,12 +148,16 @@ def _config_text(config: RunConfig) -> str:
 def of_line(kind: type[T], line: bytes) -> T:
     """The value of a line. Raises ConfigError when it is none."""
     try:
-        return msgspec.json.decode(line, type=kind, dec_hook=lambda _, text: RunConfig.model_validate_json(text))
+        return msgspec.json.decode(
+            line, type=kind, dec_hook=lambda _, text: RunConfig.model_validate_json(text)
+        )
     except (msgspec.MsgspecError, UnicodeError, RecursionError) as error:
         raise ConfigError(f"{line[:80]!r} is not a {kind.__name__}: {error}") from None
 
 
-def world_plan(order: WorldSpec, place: Path, log: Path, argv: Sequence[str] = WORLD_ARGV) -> WorldPlan:
+def world_plan(
+    order: WorldSpec, place: Path, log: Path, argv: Sequence[str] = WORLD_ARGV
+) -> WorldPlan:
     """How a launcher starts the world of an order, again and again.
 
     Args:
@@ -161,7 +173,11 @@ def world_plan(order: WorldSpec, place: Path, log: Path, argv: Sequence[str] = W
 
     file = place / "world.json"
     return WorldPlan(
-        argv=(*argv, str(file)), order=life, order_file=file, log=log, last_tick=partial(_last_tick, order.run)
+        argv=(*argv, str(file)),
+        order=life,
+        order_file=file,
+        log=log,
+        last_tick=partial(_last_tick, order.run),
     )
 
 

@@ -18,7 +18,9 @@ from wcsim.types import F32, F64, I64
 STEP = 0.25
 _HALF_CELLS = 4  # the lattice runs from -4 to 4 steps on both axes
 _DISC_LIMIT = 20  # i * i + j * j <= 20: the cells that the unit disc (16) reaches into
-MAX_DISTANCE = 2.0  # the largest distance within a round gate; a corner of the square counts as this far
+MAX_DISTANCE = (
+    2.0  # the largest distance within a round gate; a corner of the square counts as this far
+)
 NAMES = ("square81", "disc69")
 
 
@@ -52,7 +54,9 @@ class ActionSet:
 
     def _squared(self, joysticks_xy: F32 | F64) -> F64:
         # Axis by axis: a sum over so short an axis takes several times as long.
-        gap_x, gap_y = np.asarray(joysticks_xy, dtype=np.float64).T[:, :, None] - self.points.T[:, None]
+        gap_x, gap_y = (
+            np.asarray(joysticks_xy, dtype=np.float64).T[:, :, None] - self.points.T[:, None]
+        )
         return np.asarray(gap_x * gap_x + gap_y * gap_y, dtype=np.float64)
 
 
@@ -63,7 +67,11 @@ def action_set(name: str) -> ActionSet:
     (81, 69)
     """
     if name not in NAMES:
-        told = ": env.actions=stick is for environments, what chooses from a list needs one" if name == "stick" else ""
+        told = (
+            ": env.actions=stick is for environments, what chooses from a list needs one"
+            if name == "stick"
+            else ""
+        )
         raise ConfigError(f"unknown action set {name!r}; expected one of: {', '.join(NAMES)}{told}")
     steps = np.arange(-_HALF_CELLS, _HALF_CELLS + 1)
     # Policies are saved with indices into this list, so its order may never change.

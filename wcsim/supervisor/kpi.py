@@ -25,7 +25,9 @@ FREEZE_S = 3.0
 DROP = "drop"  # the crash reason of a fall off a kerb
 _STOOD_S: Final = 1.0  # a chair that stands so long on a carriageway stands where it should not
 _PATH_S: Final = 1.0  # a point of the path every so often
-_STRETCHES: Final = frozenset({"warnings", "interventions", "overrules"})  # of ticks, counted where they begin
+_STRETCHES: Final = frozenset(
+    {"warnings", "interventions", "overrules"}
+)  # of ticks, counted where they begin
 _EVENTS: Final = {  # of a record, and what a step counts for
     "goals": "arrived",
     "given_up": "gave_up",
@@ -70,7 +72,9 @@ class KpiTotals(NamedTuple):
         """What of this begins with the next tick: a stretch does so once."""
         return happened - self.on
 
-    def plus(self, happened: Set[str], distance: float | None, speed_mps: float, steps: int | None = None) -> KpiTotals:
+    def plus(
+        self, happened: Set[str], distance: float | None, speed_mps: float, steps: int | None = None
+    ) -> KpiTotals:
         """With one tick more.
 
         Args:
@@ -93,7 +97,9 @@ class KpiTotals(NamedTuple):
 
     def over(self) -> KpiTotals:
         """After the episode's end, by a crash, its step limit, or because somebody began another."""
-        return self._replace(ended=self.ended + (self.steps > 0), ended_steps=self.ended_steps + self.steps, steps=0)
+        return self._replace(
+            ended=self.ended + (self.steps > 0), ended_steps=self.ended_steps + self.steps, steps=0
+        )
 
 
 class KpiStep(NamedTuple):
@@ -111,7 +117,11 @@ class KpiStep(NamedTuple):
     def of(cls, info: Mapping[str, Any], free: bool) -> KpiStep:
         """One step, as an environment's `info` tells it."""
         state = info.get("state")
-        at_m = None if state is None else (round(float(state.p_WB_m[0]), 2), round(float(state.p_WB_m[1]), 2))
+        at_m = (
+            None
+            if state is None
+            else (round(float(state.p_WB_m[0]), 2), round(float(state.p_WB_m[1]), 2))
+        )
         distance, speed_mps = float(info["joystick_distance"]), float(info["speed_mps"])
         return cls(distance, info["asked"], info["given"], speed_mps, free, info["events"], at_m)
 
@@ -122,7 +132,11 @@ class KpiStep(NamedTuple):
 
 
 def crash_of(
-    events: Events, contacts: Sequence[Contact], steps: Sequence[KpiStep], tick_s: float, config: RewardConfig
+    events: Events,
+    contacts: Sequence[Contact],
+    steps: Sequence[KpiStep],
+    tick_s: float,
+    config: RewardConfig,
 ) -> dict[str, Any]:
     """Reason, fault, partner and words of a crash, which these steps led to, under their names in a record.
 
@@ -139,19 +153,34 @@ def crash_of(
         whose = "own"
     hit = hardest(events.crash_reason, contacts, config)
     partner = "" if hit is None else hit.kind
-    return {"reason": events.crash_reason, "fault": whose, "partner": partner, "crash": events.crash}
+    return {
+        "reason": events.crash_reason,
+        "fault": whose,
+        "partner": partner,
+        "crash": events.crash,
+    }
 
 
 def sums_of(steps: Sequence[KpiStep], tick_s: float) -> dict[str, Any]:
     """The sums of an episode's steps under their names in a record."""
-    rows = [(each.distance, each.asked.x, each.asked.y, each.given.x, each.given.y, each.speed_mps) for each in steps]
+    rows = [
+        (each.distance, each.asked.x, each.asked.y, each.given.x, each.given.y, each.speed_mps)
+        for each in steps
+    ]
     numbers = np.array(rows, np.float64).reshape(-1, 6)
-    distance, asked, given, speed_mps = numbers[:, 0], numbers[:, 1:3], numbers[:, 3:5], numbers[:, 5]
+    distance, asked, given, speed_mps = (
+        numbers[:, 0],
+        numbers[:, 1:3],
+        numbers[:, 3:5],
+        numbers[:, 5],
+    )
     free = np.array([each.free for each in steps], np.bool_)
     within, pushed = distance <= FOLLOWED, _out(asked) > PUSHES
     moving = free & pushed
     blocked = free & (asked[:, 1] > PUSHES) & (given[:, 1] < _BLOCKED_SHARE * asked[:, 1])
-    driven = len(steps) - bool(steps and steps[-1].events.crashed)  # how smooth it was is not told by a crash
+    driven = len(steps) - bool(
+        steps and steps[-1].events.crashed
+    )  # how smooth it was is not told by a crash
     accelerations = np.diff(speed_mps[:driven]) / tick_s
     return {
         "steps": len(steps),
@@ -171,7 +200,10 @@ def sums_of(steps: Sequence[KpiStep], tick_s: float) -> dict[str, Any]:
         "stick_travel": round(_travel(given), 6),
         "asked_travel": round(_travel(asked), 6),
         "path_m": _path(steps, max(1, round(_PATH_S / tick_s))),
-        **{name: sum(getattr(each.events, event) for each in steps) for name, event in _EVENTS.items()},
+        **{
+            name: sum(getattr(each.events, event) for each in steps)
+            for name, event in _EVENTS.items()
+        },
     }
 
 
@@ -183,7 +215,9 @@ def _path(steps: Sequence[KpiStep], every: int) -> tuple[tuple[float, float], ..
 
 def _freezes(speed_mps: F64, asked: F64, given: F64, tick_s: float) -> int:
     """Stretches of FREEZE_S and more in which only the agent keeps the chair from going."""
-    frozen: Bool = (np.abs(speed_mps) < STANDS_MPS) & (_out(asked) > PUSHES) & (_out(given) < PUSHES)
+    frozen: Bool = (
+        (np.abs(speed_mps) < STANDS_MPS) & (_out(asked) > PUSHES) & (_out(given) < PUSHES)
+    )
     edges = np.flatnonzero(np.diff(np.r_[False, frozen, False]))
     lasted_s = (edges[1::2] - edges[::2]) * tick_s
     # A hair less: so many ticks may be a little under the bound.

@@ -67,17 +67,24 @@ def observation_space(
     The sensors of `measures` have entries of their own, by name. Raises ConfigError for an unknown form.
     """
     if form not in get_args(Form):
-        raise ConfigError(f"unknown observation form {form!r}; expected one of {', '.join(get_args(Form))}")
+        raise ConfigError(
+            f"unknown observation form {form!r}; expected one of {', '.join(get_args(Form))}"
+        )
     if form == "state":
         raise ConfigError(_WITHOUT_PICTURES)
     vectors: dict[str, spaces.Space[Any]] = {
         "imu": spaces.Box(-1.0, 1.0, (imu,), np.float32),
         "joystick": spaces.Box(-1.0, 1.0, (2,), np.float32),
-        **{name: spaces.Box(-1.0, 1.0, (len(m.parts),), np.float32) for name, m in measures.items()},
+        **{
+            name: spaces.Box(-1.0, 1.0, (len(m.parts),), np.float32) for name, m in measures.items()
+        },
     }
     if form != "table3":
         planes = {"seg": 1, "depth": 1, **({"rgb": 3} if form == "compact_rgb" else {})}
-        images = {key: spaces.Box(0, 255, (count, height, width), np.uint8) for key, count in planes.items()}
+        images = {
+            key: spaces.Box(0, 255, (count, height, width), np.uint8)
+            for key, count in planes.items()
+        }
         return spaces.Dict({**images, **vectors})
     return spaces.Dict(
         {
@@ -100,16 +107,24 @@ def observation_of(snapshot: ClientSnapshot, config: RunConfig) -> Observation:
     sensors, env, eye = snapshot.sensors, config.env, config.eye
     if env.observation == "state":
         raise ConfigError(_WITHOUT_PICTURES)
-    frame, fold = _frame(sensors, eye.name), env.classes == "cityscapes"  # kerbs to sidewalk, crosswalk to road
+    frame, fold = (
+        _frame(sensors, eye.name),
+        env.classes == "cityscapes",
+    )  # kerbs to sidewalk, crosswalk to road
     imu = _imu_vector(sensors.imu, env.observe_gyro, env.observe_yaw)
     vectors = {"imu": imu, "joystick": np.array([snapshot.user.x, snapshot.user.y], np.float32)}
-    vectors |= {name: _measured(sensors, name, measure) for name, measure in config.sensors.measures().items()}
+    vectors |= {
+        name: _measured(sensors, name, measure)
+        for name, measure in config.sensors.measures().items()
+    }
     if env.observation != "table3":
         seg = _fold(frame.class_id) if fold else frame.class_id.copy()
         images = {"seg": seg[None], "depth": encode_depth(frame.depth_m, eye.range_m)[None]}
         if env.observation == "compact_rgb":
             if frame.rgb is None:
-                raise ConfigError(f"camera {eye.name!r} draws no colours; expected its setting rgb=true")
+                raise ConfigError(
+                    f"camera {eye.name!r} draws no colours; expected its setting rgb=true"
+                )
             images["rgb"] = np.moveaxis(frame.rgb, 2, 0).copy()
         return {**images, **vectors}
     colours = _planes(fold)
@@ -132,18 +147,25 @@ def state_of(snapshot: ClientSnapshot) -> F32:
 
     Raises ConfigError for the frame of a seat that did not ask for them.
     """
-    rows = next((reading.values for reading in snapshot.sensors.readings if reading.name == NEAR), None)
+    rows = next(
+        (reading.values for reading in snapshot.sensors.readings if reading.name == NEAR), None
+    )
     if rows is None or rows.size != math.prod(STATE_SHAPE):
         raise ConfigError(f"the seat has no numbers for env.observation=state. {_WITHOUT_PICTURES}")
     scaled = (rows.reshape(STATE_SHAPE) / _state_scale()).astype(np.float32)
-    scaled[0, 1:3] = snapshot.user.x, snapshot.user.y  # of a person, where one holds the stick in the user's place
+    scaled[0, 1:3] = (
+        snapshot.user.x,
+        snapshot.user.y,
+    )  # of a person, where one holds the stick in the user's place
     return np.clip(scaled, -1.0, 1.0)
 
 
 @lru_cache(maxsize=1)
 def _state_scale() -> F64:
     """Full scale of each number: metres by the reach of a row's block, 15 m/s, vehicles of 15 m by 5 m."""
-    scale = np.tile(np.array([MOST_KINDS, 1.0, 1.0, 15.0, 15.0, 1.0, 1.0, 15.0, 5.0]), (STATE_SHAPE[0], 1))
+    scale = np.tile(
+        np.array([MOST_KINDS, 1.0, 1.0, 15.0, 15.0, 1.0, 1.0, 15.0, 5.0]), (STATE_SHAPE[0], 1)
+    )
     reach_m = ((WAY_ROW, WAY_AHEAD_M[-1]), (SOLID_ROW, SOLID_REACH_M), (OTHERS_ROW, OTHERS_REACH_M))
     for row, metres in reach_m:  # each block up to the end; the next one overwrites its own
         scale[row:, 1:3] = metres
@@ -181,7 +203,9 @@ def _measured(sensors: SensorFrame, name: str, measure: Measure) -> F32:
     said = {reading.name: reading.values for reading in sensors.readings}
     if name not in said or said[name].shape != (len(measure.parts),):
         known = {other: values.shape for other, values in said.items()}
-        raise ConfigError(f"no sensor {name!r} with {len(measure.parts)} numbers on this chair; it has {known}")
+        raise ConfigError(
+            f"no sensor {name!r} with {len(measure.parts)} numbers on this chair; it has {known}"
+        )
     return np.clip((said[name] / measure.full_scale).astype(np.float32), -1.0, 1.0)
 
 
@@ -218,20 +242,28 @@ def decode_depth(code: U8, range_m: float) -> F32:
 @lru_cache(maxsize=8)
 def _depth_codes(range_m: float) -> U8:
     """Table from the leading bits of a float32 to its code; what is not above 0 and NaN give 0, infinity gives 255."""
-    leading = np.arange(_TABLE_SIZE // 2, dtype=np.uint32)  # the sign bit is the first: the other half is negative
+    leading = np.arange(
+        _TABLE_SIZE // 2, dtype=np.uint32
+    )  # the sign bit is the first: the other half is negative
     # The middle of the numbers that share these bits, which halves the error.
     middle = (leading << _MANTISSA_BITS_DROPPED) + (1 << (_MANTISSA_BITS_DROPPED - 1))
     middle[leading >= _INFINITE] = np.float32(range_m).view(np.uint32)
-    near_to_far = np.clip(middle.view(np.float32).astype(np.float64), _DEPTH_NEAR_M, range_m) / _DEPTH_NEAR_M
+    near_to_far = (
+        np.clip(middle.view(np.float32).astype(np.float64), _DEPTH_NEAR_M, range_m) / _DEPTH_NEAR_M
+    )
     codes = np.zeros(_TABLE_SIZE, np.uint8)
-    codes[: len(leading)] = 1 + np.rint(_DEPTH_STEPS * np.log(near_to_far) / math.log(range_m / _DEPTH_NEAR_M))
+    codes[: len(leading)] = 1 + np.rint(
+        _DEPTH_STEPS * np.log(near_to_far) / math.log(range_m / _DEPTH_NEAR_M)
+    )
     codes[0] = 0  # what is smaller than any distance
     codes[_INFINITE + 1 : len(leading)] = 0  # NaN
     return codes
 
 
 def _fold(class_id: U8) -> U8:
-    folded = bytearray(class_id.tobytes()).translate(_fold_bytes())  # twice as fast as indexing with uint8
+    folded = bytearray(class_id.tobytes()).translate(
+        _fold_bytes()
+    )  # twice as fast as indexing with uint8
     return np.frombuffer(folded, np.uint8).reshape(class_id.shape)
 
 

@@ -18,8 +18,27 @@ from wcsim.config import ChairConfig
 from wcsim.core.constants import OTHER_LEVEL_M
 from wcsim.core.frames import matrix
 from wcsim.core.joystick import limits_of, shaped_rows
-from wcsim.supervisor.rollout import HOLD_S, STEP_S, ChairShape, Land, free_distance, roll_out, rolls_s
-from wcsim.types import F64, ActorKind, ActorState, Ground, Joystick, Outline, PlantState, StreetGrid, Truth, Verdict
+from wcsim.supervisor.rollout import (
+    HOLD_S,
+    STEP_S,
+    ChairShape,
+    Land,
+    free_distance,
+    roll_out,
+    rolls_s,
+)
+from wcsim.types import (
+    F64,
+    ActorKind,
+    ActorState,
+    Ground,
+    Joystick,
+    Outline,
+    PlantState,
+    StreetGrid,
+    Truth,
+    Verdict,
+)
 from wcsim.types.street import FLAT
 
 REACH_M = 4.0  # at least so far a chair with its footprint may get in one roll-out,
@@ -116,13 +135,22 @@ class Oracle:
         )
 
     def _verdict(
-        self, plant: PlantState, joystick: Joystick, others: _Others, waiting: Sequence[Joystick], accel_mps2: float
+        self,
+        plant: PlantState,
+        joystick: Joystick,
+        others: _Others,
+        waiting: Sequence[Joystick],
+        accel_mps2: float,
     ) -> Verdict:
         own = shaped_rows(np.array([[joystick.x, joystick.y]]), self._chair)
-        first_s = self._roll_out(plant, np.concatenate([self._commands, own]), others, waiting, accel_mps2)
+        first_s = self._roll_out(
+            plant, np.concatenate([self._commands, own]), others, waiting, accel_mps2
+        )
         return Verdict(danger=bool(np.isfinite(first_s[-1])), first_s=first_s[:-1])
 
-    def _near(self, plant: PlantState, actors: Iterable[ActorState], later_s: float = 0.0) -> _Others:
+    def _near(
+        self, plant: PlantState, actors: Iterable[ActorState], later_s: float = 0.0
+    ) -> _Others:
         """Who can meet the chair, or is within `FAR_M`; the roll-out of a command begins `later_s` from now."""
         reach_m, meets_s = self._reach_m + later_s * FASTEST_MPS, self._roll_s + later_s
         x, y, z = plant.p_WB_m.tolist()
@@ -138,13 +166,20 @@ class Oracle:
             cos, sin = math.cos(actor.yaw_rad), math.sin(actor.yaw_rad)
             if actor.kind is ActorKind.PEDESTRIAN:
                 ahead, left = vx * cos + vy * sin, vy * cos - vx * sin
-                people.append((ax, ay, cos, sin, 0.5 * max(length, width), ahead, left, actor.deflect_m, 0.0))
+                people.append(
+                    (ax, ay, cos, sin, 0.5 * max(length, width), ahead, left, actor.deflect_m, 0.0)
+                )
             else:
                 boxes.append((ax, ay, cos, sin, 0.5 * length, 0.5 * width, vx, vy, 0.0))
         return _Others(*(np.array(rows, np.float64).reshape(-1, 9) for rows in (boxes, people)))
 
     def _roll_out(
-        self, plant: PlantState, commands: F64, others: _Others, waiting: Sequence[Joystick], accel_mps2: float
+        self,
+        plant: PlantState,
+        commands: F64,
+        others: _Others,
+        waiting: Sequence[Joystick],
+        accel_mps2: float,
     ) -> F64:
         grid = self._grid.around(plant.p_WB_m)
         # Where each wheel is, as the chair lies: beside a kerb it may stand on both sides.
@@ -168,14 +203,18 @@ class Oracle:
 
     def _steps(self, waiting: Sequence[Joystick]) -> F64:
         """The waiting commands, shaped, one for each step of the roll-out (M, 2)."""
-        sticks = shaped_rows(np.array([(stick.x, stick.y) for stick in waiting]).reshape(-1, 2), self._chair)
+        sticks = shaped_rows(
+            np.array([(stick.x, stick.y) for stick in waiting]).reshape(-1, 2), self._chair
+        )
         # A hair against rounding, here and below: each step takes the command of the tick that it lies in.
         steps = np.arange(math.ceil(len(waiting) * self._tick_s / STEP_S - 1e-6))
         return np.ascontiguousarray(sticks[(steps * STEP_S / self._tick_s + 1e-6).astype(np.intp)])
 
     def _clearance(self, plant: PlantState, others: _Others) -> float:
         grid = self._grid.around(plant.p_WB_m)
-        gap = free_distance(_state(plant), self._body.hull, _land(grid), others.boxes, others.people)
+        gap = free_distance(
+            _state(plant), self._body.hull, _land(grid), others.boxes, others.people
+        )
         return min(float(gap), FAR_M)
 
 
@@ -192,8 +231,22 @@ class _Others(NamedTuple):
 
 
 def _land(grid: StreetGrid) -> Land:
-    return Land(grid.height_cm, grid.edge_cm, grid.clearance_dm, np.array([*grid.origin_W_m, grid.cell_m], np.float64))
+    return Land(
+        grid.height_cm,
+        grid.edge_cm,
+        grid.clearance_dm,
+        np.array([*grid.origin_W_m, grid.cell_m], np.float64),
+    )
 
 
 def _state(plant: PlantState, accel_mps2: float = 0.0) -> F64:
-    return np.array([plant.p_WB_m[0], plant.p_WB_m[1], plant.yaw_rad, plant.v_B_mps[0], plant.w_B_radps[2], accel_mps2])
+    return np.array(
+        [
+            plant.p_WB_m[0],
+            plant.p_WB_m[1],
+            plant.yaw_rad,
+            plant.v_B_mps[0],
+            plant.w_B_radps[2],
+            accel_mps2,
+        ]
+    )

@@ -39,7 +39,9 @@ def _intensity(value: float, low: float, high: float) -> float:
     (0.5, 0.0, 1.0)
     """
     if not low < high:
-        raise ConfigError(f"reward window ({low}, {high}) is empty; expected low < high: correct the [reward] section")
+        raise ConfigError(
+            f"reward window ({low}, {high}) is empty; expected low < high: correct the [reward] section"
+        )
     return min(1.0, max(0.0, (value - low) / (high - low)))
 
 
@@ -52,20 +54,26 @@ def _joystick_terms(distance: float, config: RewardConfig) -> tuple[float, float
     if distance <= config.max_follow_distance + DISTANCE_TOLERANCE:
         return config.base, 0.0
     # A difference, here and below, as a negative product of 0 would be -0.0.
-    return 0.0, 0.0 - config.penalty * _intensity(distance, config.max_follow_distance, config.max_distance)
+    return 0.0, 0.0 - config.penalty * _intensity(
+        distance, config.max_follow_distance, config.max_distance
+    )
 
 
 def _accel_term(accel_peak_mps2: F64, config: RewardConfig) -> float:
     """Penalty for the peak acceleration of a tick; (3,) m/s^2, gravity removed. Table 1 rows "acceleration x, y, z"."""
     low, high = config.accel_window_mps2
-    return 0.0 - config.penalty * sum(_intensity(abs(float(axis)), low, high) for axis in accel_peak_mps2)
+    return 0.0 - config.penalty * sum(
+        _intensity(abs(float(axis)), low, high) for axis in accel_peak_mps2
+    )
 
 
 def _tilt_term(roll_rad: float, pitch_rad: float, config: RewardConfig) -> float:
     """Penalty for leaning sideways or along. Table 1 rows "roll" (5..20 deg) and "pitch" (20..30 deg)."""
     roll_low, roll_high = (rad(angle) for angle in config.roll_window_deg)
     pitch_low, pitch_high = (rad(angle) for angle in config.pitch_window_deg)
-    leaning = _intensity(abs(roll_rad), roll_low, roll_high) + _intensity(abs(pitch_rad), pitch_low, pitch_high)
+    leaning = _intensity(abs(roll_rad), roll_low, roll_high) + _intensity(
+        abs(pitch_rad), pitch_low, pitch_high
+    )
     return 0.0 - config.penalty * leaning
 
 
@@ -74,7 +82,9 @@ def _crash_term(crashed: bool, config: RewardConfig) -> float:
     return 0.0 - config.crash if crashed else 0.0
 
 
-def reward(distance: float, imu: ImuFrame, plant: PlantState, events: Events, config: RewardConfig) -> RewardTerms:
+def reward(
+    distance: float, imu: ImuFrame, plant: PlantState, events: Events, config: RewardConfig
+) -> RewardTerms:
     """All terms of one step; `distance` as from `joystick_distance`. The tilt is the true one, whatever is sensed."""
     base, joystick = _joystick_terms(distance, config)
     return RewardTerms(
@@ -96,7 +106,12 @@ def joystick_distance(user: F64, agent: F64, config: RewardConfig) -> float:
 
 
 def crash_reason(
-    imu: ImuFrame, plant: PlantState, contacts: Sequence[Contact], config: RewardConfig, *, dropped: bool = False
+    imu: ImuFrame,
+    plant: PlantState,
+    contacts: Sequence[Contact],
+    config: RewardConfig,
+    *,
+    dropped: bool = False,
 ) -> CrashReason:
     """Why this tick ends the episode, "" when it does not (Table 2 row "crash"; Table 1 column "maximum").
 
@@ -129,14 +144,24 @@ def _is_collision(contact: Contact, config: RewardConfig) -> bool:
 
 
 Fault = Literal["own", "other"]
-_NO_TOUCH = {"drop": "fell off a kerb", "tilt": "tilted too far", "acceleration": "was shaken too hard"}
-_STANDING = {"ground": "the ground", "kerb": "a kerb", "static": "something that stands in the street"}
+_NO_TOUCH = {
+    "drop": "fell off a kerb",
+    "tilt": "tilted too far",
+    "acceleration": "was shaken too hard",
+}
+_STANDING = {
+    "ground": "the ground",
+    "kerb": "a kerb",
+    "static": "something that stands in the street",
+}
 _LONGEST_ID = 100
 
 
 def hardest(reason: str, contacts: Sequence[Contact], config: RewardConfig) -> Contact | None:
     """The touch with the largest impulse of those that count as a collision; None of another crash."""
-    counting = [contact for contact in contacts if reason == "collision" and _is_collision(contact, config)]
+    counting = [
+        contact for contact in contacts if reason == "collision" and _is_collision(contact, config)
+    ]
     # At a tie the first one; contacts come sorted by kind, actor and part.
     return max(counting, key=lambda contact: contact.impulse_Ns, default=None)
 
@@ -162,7 +187,9 @@ def crash_words(reason: str, contacts: Sequence[Contact], config: RewardConfig) 
     hit = hardest(reason, contacts, config)
     if hit is None:
         return _NO_TOUCH.get(reason, reason)
-    name = re.sub(r"~\d+$", "", hit.actor_id.partition(":")[2])[:_LONGEST_ID]  # of something articulated: the whole
+    name = re.sub(r"~\d+$", "", hit.actor_id.partition(":")[2])[
+        :_LONGEST_ID
+    ]  # of something articulated: the whole
     whom = _STANDING.get(hit.kind, f"{hit.kind} {name}".strip())
     return f"was hit by {whom}" if hit.cause == "other" else f"drove into {whom}"
 
@@ -186,6 +213,8 @@ def find_reward_term(name: str) -> RewardTerm:
     """A new reward term of the class that `module:Class` names. Raises ConfigError when it is not one."""
     kind = find_class(name, "reward term")
     if not is_reward_term(kind):
-        raise ConfigError(f"reward term {name!r} needs the methods reset() and reward(before, after); see examples/")
+        raise ConfigError(
+            f"reward term {name!r} needs the methods reset() and reward(before, after); see examples/"
+        )
     term: RewardTerm = kind()
     return term

@@ -39,7 +39,9 @@ DEEPENING_M = 0.03  # who touches may move, if hardly closer
 SAME_M = 1e-6  # a difference that is none
 CORNER_M = 0.06  # radius of a disc in each corner of the hull: inside a solid thing the raster knows no depth
 ACTOR_MARGIN_M = 0.05
-LEAN_LIMIT = math.tan(rad(20.0))  # Table 1's maximum of the roll, below the 27 deg at which the plant tips
+LEAN_LIMIT = math.tan(
+    rad(20.0)
+)  # Table 1's maximum of the roll, below the 27 deg at which the plant tips
 PITCH_LIMIT = math.tan(rad(30.0))
 
 # columns of the actors' table (n, 9); the last is the margin, set at the start of a roll-out
@@ -48,11 +50,15 @@ BUMP_MPS = 0.7  # a slower wheel is stopped by a kerb
 CELL_CM = 8  # from the middle of a cell to its corner, with the rounding of distances
 ASKEW_CM = 8  # who climbs with one side alone gets no higher than this
 TYRE_CM = 2  # a tyre is wide, and rolls over an edge before it falls: it stands until so far beyond
-AROUND_CM = 16  # from the middle of a cell to a corner of the next one, with the rounding of distances
+AROUND_CM = (
+    16  # from the middle of a cell to a corner of the next one, with the rounding of distances
+)
 CREEPS_MPS = 0.02  # who is slower stands: its casters trail
 SLOPES_CM = 4  # and so much more a rim may rise against the plane of the wheels, on a ramp
 BEYOND_M = 0.1  # of the hull's corners, where a rough distance is enough
-RASTER_M = 0.3  # more than two looks at the raster of clearances differ by beyond the way between them
+RASTER_M = (
+    0.3  # more than two looks at the raster of clearances differ by beyond the way between them
+)
 # columns of what can meet a step up (n, 3): the place in B, and the step in centimetres that it takes
 UX, UY, UTAKES_CM = range(3)
 
@@ -109,13 +115,20 @@ def roll_out(
     hull = body.hull
     _set_actor_margins(state, hull, actors)
     set_people_margins(state[0], state[1], state[2], hull, people)
-    start_gap = _static_gap(state[0], state[1], state[2], hull, land.clearance_dm, land.frame_m, BEYOND_M)
+    start_gap = _static_gap(
+        state[0], state[1], state[2], hull, land.clearance_dm, land.frame_m, BEYOND_M
+    )
     # Never deeper than it is now, nor than DEEPENING_M in all: it is asked anew in every step.
     allowed_gap = min(0.0, start_gap - SAME_M, max(start_gap, 0.0) - DEEPENING_M)
     places = _trailing(state, body.wheels)
     start_cm, astray, rims = _stance(state, body, places, above_cm, reach_m, land)
     around = _circle(rims)
-    stands_s = len(waiting) * STEP_S + tick_s + limits[V_MAX] / limits[DECEL] + limits[DECEL] / limits[JERK]
+    stands_s = (
+        len(waiting) * STEP_S
+        + tick_s
+        + limits[V_MAX] / limits[DECEL]
+        + limits[DECEL] / limits[JERK]
+    )
     near = near_people(state[0], state[1], stands_s * limits[V_MAX], stands_s, hull, people)
     first_s = np.full(len(commands), np.inf)
     for k in range(len(commands)):
@@ -124,7 +137,9 @@ def roll_out(
             actors, people,
         )  # fmt: skip
         if len(near):
-            first_s[k] = min(first_s[k], _let_go(state, waiting, commands[k], limits, hull, near, tick_s))
+            first_s[k] = min(
+                first_s[k], _let_go(state, waiting, commands[k], limits, hull, near, tick_s)
+            )
         # It goes wrong before any command begins, so it does with every one of them.
         if first_s[k] <= len(waiting) * STEP_S:
             return np.full(len(commands), first_s[k])
@@ -150,7 +165,9 @@ def _stance(
             start_cm[j] = above_cm[j]
     row, col = _cell(x, y, height_cm.shape, frame_m)
     reach = int(reach_m / frame_m[2]) + 1
-    near_cm = height_cm[max(0, row - reach) : row + reach + 1, max(0, col - reach) : col + reach + 1]
+    near_cm = height_cm[
+        max(0, row - reach) : row + reach + 1, max(0, col - reach) : col + reach + 1
+    ]
     highest_cm = int(near_cm.max()) - start_cm.min() + SLOPES_CM
     rims = body.rims[body.rims[:, UTAKES_CM] < highest_cm]
     for i in range(len(rims)):
@@ -176,7 +193,9 @@ def _most_steps(limits: F64) -> int:
 @exact_kernel
 def free_distance(state: F64, hull: F64, land: Land, actors: F64, people: F64) -> float:
     """Distance in metres from the chair's footprint to the nearest solid thing or actor, 0 when they touch."""
-    nearest = _static_gap(state[0], state[1], state[2], hull, land.clearance_dm, land.frame_m, np.inf)
+    nearest = _static_gap(
+        state[0], state[1], state[2], hull, land.clearance_dm, land.frame_m, np.inf
+    )
     cos, sin = math.cos(state[2]), math.sin(state[2])
     cx, cy = state[0] + hull[MIDDLE] * cos, state[1] + hull[MIDDLE] * sin
     for i in range(len(actors)):
@@ -218,7 +237,13 @@ def _one(
     people: F64,
 ) -> float:
     # Unpacked once: a tuple of arrays that is handed on costs more than what is done with it.
-    hull, wheels, height_cm, edge_cm, frame_m = body.hull, body.wheels, land.height_cm, land.edge_cm, land.frame_m
+    hull, wheels, height_cm, edge_cm, frame_m = (
+        body.hull,
+        body.wheels,
+        land.height_cm,
+        land.edge_cm,
+        land.frame_m,
+    )
     x, y, yaw, v, w, a = state[0], state[1], state[2], state[3], state[4], state[5]
     before, before2, now = start_cm.copy(), start_cm.copy(), start_cm.copy()
     aside, at = astray.copy(), places.copy()
@@ -258,13 +283,17 @@ def _one(
             # Down a step, or fast up one, within two samples, so that a raster's soft edge counts.
             up = now[j] - min(before[j], before2[j])
             stops |= up > ASKEW_CM
-            falls |= max(before[j], before2[j]) - now[j] > KERB_STEP_CM or (up > KERB_STEP_CM and abs(v) > BUMP_MPS)
+            falls |= max(before[j], before2[j]) - now[j] > KERB_STEP_CM or (
+                up > KERB_STEP_CM and abs(v) > BUMP_MPS
+            )
         # In a turn the chair leans as on a slope of v w / g.
         lean = 0.01 * (now[0] - now[1]) / (wheels[0, 1] - wheels[1, 1]) + v * w / GRAVITY_MPS2
         pitch = 0.01 * 0.5 * (now[2] + now[3] - now[0] - now[1]) / (wheels[2, 0] - wheels[0, 0])
         for j in range(0, len(wheels), 2):
             # Who climbs a flank with one side slides off it.
-            falls |= not stops and abs(now[j] - now[j + 1]) > max(ASKEW_CM, abs(start_cm[j] - start_cm[j + 1]))
+            falls |= not stops and abs(now[j] - now[j + 1]) > max(
+                ASKEW_CM, abs(start_cm[j] - start_cm[j + 1])
+            )
         if (
             falls
             or abs(lean) > LEAN_LIMIT
@@ -284,7 +313,9 @@ def _one(
 
 
 @exact_kernel
-def _let_go(state: F64, waiting: F64, command: F64, limits: F64, hull: F64, people: F64, tick_s: float) -> float:
+def _let_go(
+    state: F64, waiting: F64, command: F64, limits: F64, hull: F64, people: F64, tick_s: float
+) -> float:
     """Seconds until the chair runs into somebody, whatever they do, when a command lasts one tick; or infinity."""
     x, y, yaw, v, w, a = state[0], state[1], state[2], state[3], state[4], state[5]
     sticks, held = _sticks(waiting, command, tick_s, limits)
@@ -375,7 +406,10 @@ def _circle(places: F64) -> tuple[float, float, float]:
     """One around places (n, 2 or more) in B: its middle, and its radius in metres; none for no places."""
     if not len(places):
         return 0.0, 0.0, 0.0
-    x, y = 0.5 * (places[:, 0].min() + places[:, 0].max()), 0.5 * (places[:, 1].min() + places[:, 1].max())
+    x, y = (
+        0.5 * (places[:, 0].min() + places[:, 0].max()),
+        0.5 * (places[:, 1].min() + places[:, 1].max()),
+    )
     return x, y, np.sqrt((places[:, 0] - x) ** 2 + (places[:, 1] - y) ** 2).max()
 
 
@@ -387,7 +421,9 @@ def _cell(x: float, y: float, shape: tuple[int, int], frame_m: F64) -> tuple[int
 
 
 @exact_kernel
-def _height_cm(x: float, y: float, carried_cm: int, height_cm: U8, edge_cm: U8, frame_m: F64) -> int:
+def _height_cm(
+    x: float, y: float, carried_cm: int, height_cm: U8, edge_cm: U8, frame_m: F64
+) -> int:
     """Of the ground that carries what is there, up to so far beyond an edge.
 
     Not interpolated: between two cells a kerb would become a ramp.
@@ -399,7 +435,9 @@ def _height_cm(x: float, y: float, carried_cm: int, height_cm: U8, edge_cm: U8, 
 
 
 @exact_kernel
-def _height_beside_edge_cm(x: float, y: float, carried_cm: int, height_cm: U8, edge_cm: U8, frame_m: F64) -> int:
+def _height_beside_edge_cm(
+    x: float, y: float, carried_cm: int, height_cm: U8, edge_cm: U8, frame_m: F64
+) -> int:
     """Of the ground in a cell that a kerb cuts: as in the nearest middle of a cell on the same side."""
     rows, cols = height_cm.shape
     row, col = (y - frame_m[1]) / frame_m[2] - 0.5, (x - frame_m[0]) / frame_m[2] - 0.5
@@ -419,7 +457,9 @@ def _height_beside_edge_cm(x: float, y: float, carried_cm: int, height_cm: U8, e
 
 
 @exact_kernel
-def _touches(x: float, y: float, cos: float, sin: float, hull: F64, later_s: float, actors: F64) -> bool:
+def _touches(
+    x: float, y: float, cos: float, sin: float, hull: F64, later_s: float, actors: F64
+) -> bool:
     cx, cy = x + hull[MIDDLE] * cos, y + hull[MIDDLE] * sin
     for i in range(len(actors)):
         other = actors[i]
@@ -441,7 +481,9 @@ def _set_actor_margins(state: F64, hull: F64, actors: F64) -> None:
 
 
 @exact_kernel
-def _static_gap(x: float, y: float, yaw: float, hull: F64, clearance_dm: U8, frame_m: F64, beyond_m: float) -> float:
+def _static_gap(
+    x: float, y: float, yaw: float, hull: F64, clearance_dm: U8, frame_m: F64, beyond_m: float
+) -> float:
     """Distance from the footprint to the nearest solid thing, negative inside it; a rough one further than `beyond_m`.
 
     Three discs as wide as the chair, and a small one in each corner, stand for the rectangle.
@@ -456,7 +498,10 @@ def _static_gap(x: float, y: float, yaw: float, hull: F64, clearance_dm: U8, fra
     gap = np.inf
     for i in range(-1, 2):
         ahead = i * max(0.0, hull[HALF_L] - hull[HALF_W])
-        gap = min(gap, _clearance(cx + ahead * cos, cy + ahead * sin, clearance_dm, frame_m) - hull[HALF_W])
+        gap = min(
+            gap,
+            _clearance(cx + ahead * cos, cy + ahead * sin, clearance_dm, frame_m) - hull[HALF_W],
+        )
     for i in range(4):
         ahead = (hull[HALF_L] - CORNER_M) * (1.0 if i < 2 else -1.0)
         left = (hull[HALF_W] - CORNER_M) * (1.0 if i % 2 == 0 else -1.0)
@@ -484,7 +529,14 @@ def _clearance(x: float, y: float, clearance_dm: U8, frame_m: F64) -> float:
 @exact_kernel
 def _trailing(state: F64, wheels: F64) -> F64:
     """Places (W, 2) in W where the wheels of a chair stand: casters behind the way of their swivels."""
-    x, y, cos, sin, v, w = state[0], state[1], math.cos(state[2]), math.sin(state[2]), state[3], state[4]
+    x, y, cos, sin, v, w = (
+        state[0],
+        state[1],
+        math.cos(state[2]),
+        math.sin(state[2]),
+        state[3],
+        state[4],
+    )
     at = np.empty((len(wheels), 2))
     for j in range(len(wheels)):
         swivel_m, left_m, trail_m = wheels[j, 0] + wheels[j, 2], wheels[j, 1], wheels[j, 2]
@@ -498,11 +550,32 @@ def _trailing(state: F64, wheels: F64) -> F64:
 
 @exact_kernel
 def _overlap(
-    cx: float, cy: float, cos: float, sin: float, hull: F64, ox: float, oy: float, other: F64, margin: float
+    cx: float,
+    cy: float,
+    cos: float,
+    sin: float,
+    hull: F64,
+    ox: float,
+    oy: float,
+    other: F64,
+    margin: float,
 ) -> bool:
     """Whether the chair's rectangle meets another one (separating axes), the other one grown by `margin`."""
     half_l, half_w = other[AHALF_L] + margin, other[AHALF_W] + margin
-    return boxes_touch(cx, cy, cos, sin, hull[HALF_L], hull[HALF_W], ox, oy, other[ACOS], other[ASIN], half_l, half_w)
+    return boxes_touch(
+        cx,
+        cy,
+        cos,
+        sin,
+        hull[HALF_L],
+        hull[HALF_W],
+        ox,
+        oy,
+        other[ACOS],
+        other[ASIN],
+        half_l,
+        half_w,
+    )
 
 
 @exact_kernel

@@ -51,7 +51,9 @@ def near_people(x: float, y: float, way_m: float, within_s: float, hull: F64, pe
     near = np.empty_like(people)
     many = 0
     for i in range(len(people)):
-        if math.hypot(people[i, PX] - x, people[i, PY] - y) < way_m + _reach_m(hull, people[i], within_s):
+        if math.hypot(people[i, PX] - x, people[i, PY] - y) < way_m + _reach_m(
+            hull, people[i], within_s
+        ):
             near[many] = people[i]
             many += 1
     return near[:many]
@@ -90,8 +92,14 @@ def runs_into_any_way(
             ahead_mps = 0.5 * share * one[PAHEAD_MPS]
             if (
                 _meets(x, y, cos, sin, v, w, hull, one, later_s, ahead_mps, 0.0)
-                or (left_mps != 0.0 and _meets(x, y, cos, sin, v, w, hull, one, later_s, ahead_mps, left_mps))
-                or (back_mps != 0.0 and _meets(x, y, cos, sin, v, w, hull, one, later_s, ahead_mps, back_mps))
+                or (
+                    left_mps != 0.0
+                    and _meets(x, y, cos, sin, v, w, hull, one, later_s, ahead_mps, left_mps)
+                )
+                or (
+                    back_mps != 0.0
+                    and _meets(x, y, cos, sin, v, w, hull, one, later_s, ahead_mps, back_mps)
+                )
             ):
                 return True
             # A person who stands has no slower pace to try.
@@ -104,7 +112,14 @@ def runs_into_any_way(
 def _reach_m(hull: F64, person: F64, later_s: float) -> float:
     """How far from the drive axle somebody may be now who touches the chair in so many seconds, at most."""
     most_mps = abs(person[PAHEAD_MPS]) + max(abs(person[PLEFT_MPS]), SIDESTEP_MPS)
-    return float(abs(hull[MIDDLE]) + hull[HALF_L] + hull[HALF_W] + person[PRADIUS] + MARGIN_M + later_s * most_mps)
+    return float(
+        abs(hull[MIDDLE])
+        + hull[HALF_L]
+        + hull[HALF_W]
+        + person[PRADIUS]
+        + MARGIN_M
+        + later_s * most_mps
+    )
 
 
 @exact_kernel

@@ -23,7 +23,9 @@ class ActorKind(Enum):
     WHEELCHAIR = "wheelchair"
     OTHER = "other"
 
-    __hash__ = object.__hash__  # that of Enum is Python code, and every tick looks kinds up hundreds of times
+    __hash__ = (
+        object.__hash__
+    )  # that of Enum is Python code, and every tick looks kinds up hundreds of times
 
 
 class ActorLook(Enum):

@@ -26,5 +26,7 @@ class ComparesArrays:
             return False
         return all(
             bool(np.array_equal(a, b)) if isinstance(a, np.ndarray) else a == b
-            for a, b in ((getattr(self, item.name), getattr(other, item.name)) for item in fields(self))  # type: ignore[arg-type]
+            for a, b in (
+                (getattr(self, item.name), getattr(other, item.name)) for item in fields(self)
+            )  # type: ignore[arg-type]
         )

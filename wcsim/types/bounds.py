@@ -24,7 +24,9 @@ MOST_ACTIONS = 1024
 MOST_SIDE_PX = 2048  # of a picture
 
 Session = Annotated[bytes, msgspec.Meta(min_length=SESSION_BYTES, max_length=SESSION_BYTES)]
-SessionOrNone = Annotated[bytes, msgspec.Meta(max_length=SESSION_BYTES)]  # b"" where it is not known
+SessionOrNone = Annotated[
+    bytes, msgspec.Meta(max_length=SESSION_BYTES)
+]  # b"" where it is not known
 Claim = Annotated[bytes, msgspec.Meta(max_length=128)]
 Count = Annotated[int, msgspec.Meta(ge=0, le=_MAX_COUNT)]
 CountOrNone = Annotated[int, msgspec.Meta(ge=-1, le=_MAX_COUNT)]
@@ -33,7 +35,9 @@ Seat = Annotated[int, msgspec.Meta(ge=0, le=MOST_SEATS - 1)]
 SeatOrAny = Annotated[int, msgspec.Meta(ge=-1, le=MOST_SEATS - 1)]
 Slot = Annotated[int, msgspec.Meta(ge=-1, le=1)]
 Process = Annotated[int, msgspec.Meta(ge=0, le=_MAX_PROCESS)]
-Steps = Annotated[int, msgspec.Meta(ge=1, le=1 << 31)]  # of an episode: some of this machine are endless
+Steps = Annotated[
+    int, msgspec.Meta(ge=1, le=1 << 31)
+]  # of an episode: some of this machine are endless
 Delay = Annotated[int, msgspec.Meta(ge=0, le=10)]  # as world.action_delay_ticks
 # A stick beyond its range is the core's to refuse, by name; here only what is no position at all.
 Stick = Annotated[float, msgspec.Meta(ge=-2.0, le=2.0)]
@@ -47,5 +51,7 @@ NameOrNone = Annotated[str, msgspec.Meta(max_length=64, pattern=r"\A[A-Za-z0-9_.
 Key = Annotated[str, msgspec.Meta(max_length=128, pattern=r"\A[A-Za-z0-9_.*-]*\Z")]
 Line = Annotated[str, msgspec.Meta(max_length=256, pattern=r"\A[^\x00-\x1f\x7f-\x9f]*\Z")]
 Place = Annotated[str, msgspec.Meta(max_length=4096, pattern=r"\A[^\x00-\x1f\x7f-\x9f]*\Z")]
-Text = Annotated[str, msgspec.Meta(max_length=MOST_TEXT)]  # printed only as `reading.shown` gives it
+Text = Annotated[
+    str, msgspec.Meta(max_length=MOST_TEXT)
+]  # printed only as `reading.shown` gives it
 Document = Annotated[str, msgspec.Meta(max_length=1 << 20)]

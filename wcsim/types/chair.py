@@ -48,7 +48,9 @@ class PlantState(ComparesArrays):
     @property
     def row(self) -> F64:
         """15 numbers: position, quaternion, velocity, angular velocity, wheel speeds."""
-        return np.concatenate([self.p_WB_m, self.q_WB, self.v_B_mps, self.w_B_radps, self.wheel_radps])
+        return np.concatenate(
+            [self.p_WB_m, self.q_WB, self.v_B_mps, self.w_B_radps, self.wheel_radps]
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -115,7 +117,9 @@ class Measure:
     """Description of a sensor of `[sensors]`: its reading has one float64 for each part, in this order."""
 
     parts: tuple[str, ...]  # name and unit of each number, as speed_mps
-    full_scale: tuple[float, ...]  # of each; the observation holds number / full_scale as float32, cut to [-1, 1]
+    full_scale: tuple[
+        float, ...
+    ]  # of each; the observation holds number / full_scale as float32, cut to [-1, 1]
     mirror: tuple[float, ...]  # 1 or -1: the sign of each if left and right are exchanged
 
 
@@ -134,4 +138,6 @@ class SensorFrame:
     tick: b.Count
     cameras: Annotated[tuple[CameraFrame, ...], Meta(max_length=b.MOST_CAMERAS)]
     imu: ImuFrame
-    readings: Annotated[tuple[Reading, ...], Meta(max_length=b.MOST_READINGS)] = ()  # of those in `[sensors]`, by name
+    readings: Annotated[
+        tuple[Reading, ...], Meta(max_length=b.MOST_READINGS)
+    ] = ()  # of those in `[sensors]`, by name

@@ -32,7 +32,9 @@ class UserView(ComparesArrays):
     route: Route
     actors: tuple[ActorState, ...]  # those that the user can see, other wheelchairs included
     signals: tuple[SignalState, ...]
-    obstacles_W_m: F64  # (n, 4) x, y, radius of static obstacles near the route, number of the obstacle
+    obstacles_W_m: (
+        F64  # (n, 4) x, y, radius of static obstacles near the route, number of the obstacle
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -87,7 +89,9 @@ class Drawn:
     friction: b.Number | None = None  # factor on the friction of wheels and casters
     user_mass_kg: b.Number | None = None
     camera_shift_m: Annotated[tuple[_Shift, ...], _A_CAMERA] = ()  # along x, y, z of B, by camera
-    camera_turn_rad: Annotated[tuple[tuple[b.Radians, b.Radians], ...], _A_CAMERA] = ()  # to the left and up, by camera
+    camera_turn_rad: Annotated[
+        tuple[tuple[b.Radians, b.Radians], ...], _A_CAMERA
+    ] = ()  # to the left and up, by camera
     action_delay_ticks: b.Delay | None = None
     plant: _Values = ()  # by dotted name, sorted
     attention: _Values = ()  # share of drivers that look for this chair, by class or "all"
@@ -108,7 +112,9 @@ class ClientSnapshot:
     events: Events
     truth: Truth | None = None
     drawn: Drawn | None = None  # of this episode, when the configuration has ranges
-    first: ClientSnapshot | None = None  # the first frame of the next episode, when this one ended with this tick
+    first: ClientSnapshot | None = (
+        None  # the first frame of the next episode, when this one ended with this tick
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

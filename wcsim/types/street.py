@@ -61,7 +61,9 @@ class Mark(IntEnum):
 class GroundPaint(ComparesArrays):
     """Road markings as flat pieces a little above the road; only colour images show them."""
 
-    quads_W_m: F32 = field(default_factory=lambda: np.zeros((0, 4, 3), np.float32))  # counter-clockwise from above
+    quads_W_m: F32 = field(
+        default_factory=lambda: np.zeros((0, 4, 3), np.float32)
+    )  # counter-clockwise from above
     mark: U8 = field(default_factory=lambda: np.zeros(0, np.uint8))  # (M,) Mark
 
     def part(self, which: Bool) -> GroundPaint:
@@ -78,7 +80,9 @@ class StreetMesh(ComparesArrays):
     """
 
     vertices_W_m: F32  # (V, 3)
-    faces: I32  # (F, 3) indices into vertices_W_m, counter-clockwise seen from outside (up for ground)
+    faces: (
+        I32  # (F, 3) indices into vertices_W_m, counter-clockwise seen from outside (up for ground)
+    )
     face_class: U8  # (F,) ClassId
     chunk_vertices: I32  # (C + 1,)
     chunk_faces: I32  # (C + 1,)
@@ -109,7 +113,10 @@ class Relief(ComparesArrays):
         v = np.clip((p_W_m[..., 1] - self.origin_W_m[1]) / self.cell_m, 0.0, rows - 1.0)
         col, row = np.minimum(u.astype(np.intp), cols - 2), np.minimum(v.astype(np.intp), rows - 2)
         u, v = u - col, v - row
-        low, high = self.z_m[row, col].astype(np.float64), self.z_m[row + 1, col + 1].astype(np.float64)
+        low, high = (
+            self.z_m[row, col].astype(np.float64),
+            self.z_m[row + 1, col + 1].astype(np.float64),
+        )
         side = np.where(u >= v, self.z_m[row, col + 1], self.z_m[row + 1, col]).astype(np.float64)
         big, small = np.maximum(u, v), np.minimum(u, v)
         return np.asarray(low + big * (side - low) + small * (high - side), np.float64)
@@ -167,7 +174,9 @@ class StreetGrid(ComparesArrays):
     def __post_init__(self) -> None:
         """Where no kerb is told of one may be near, but it cuts no cell."""
         if self.edge_cm.shape == (1, 1):
-            object.__setattr__(self, "edge_cm", np.full(self.height_cm.shape, AT_EDGE + 20, np.uint8))
+            object.__setattr__(
+                self, "edge_cm", np.full(self.height_cm.shape, AT_EDGE + 20, np.uint8)
+            )
 
     def cells(self, p_W_m: F64) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
         """Rows and columns of the points (..., 2 or 3); points outside fall on the nearest border cell."""
@@ -196,7 +205,11 @@ class StreetGrid(ComparesArrays):
     def height_here(self, x_W_m: float, y_W_m: float) -> float:
         """See `Ground`."""
         raised_m = 0.01 * int(self.height_cm[self._cell(x_W_m, y_W_m)])
-        return raised_m if self.relief is FLAT else raised_m + float(self.relief.at(np.array([x_W_m, y_W_m])))
+        return (
+            raised_m
+            if self.relief is FLAT
+            else raised_m + float(self.relief.at(np.array([x_W_m, y_W_m])))
+        )
 
     def class_here(self, x_W_m: float, y_W_m: float) -> int:
         """See `Ground`."""
@@ -309,7 +322,11 @@ class Street:
     grid: Ground
     walk: WalkGraph
     signal_heads: tuple[SignalHead, ...] = ()
-    net_origin_m: tuple[float, float, float] = (0.0, 0.0, 0.0)  # the place of W's origin in SUMO's net
+    net_origin_m: tuple[float, float, float] = (
+        0.0,
+        0.0,
+        0.0,
+    )  # the place of W's origin in SUMO's net
 
     @property
     def mesh(self) -> StreetMesh:
@@ -325,17 +342,34 @@ def joined_mesh(parts: Sequence[StreetMesh]) -> StreetMesh:
     faces = np.cumsum([0, *(len(part.faces) for part in parts)]).astype(np.int32)
     none = np.zeros(0, np.int32)
     return StreetMesh(
-        vertices_W_m=np.concatenate([np.zeros((0, 3), np.float32), *(part.vertices_W_m for part in parts)]),
-        faces=np.concatenate([np.zeros((0, 3), np.int32), *(p.faces + v for p, v in zip(parts, starts, strict=False))]),
+        vertices_W_m=np.concatenate(
+            [np.zeros((0, 3), np.float32), *(part.vertices_W_m for part in parts)]
+        ),
+        faces=np.concatenate(
+            [
+                np.zeros((0, 3), np.int32),
+                *(p.faces + v for p, v in zip(parts, starts, strict=False)),
+            ]
+        ),
         face_class=np.concatenate([np.zeros(0, np.uint8), *(part.face_class for part in parts)]),
         chunk_vertices=np.concatenate(
-            [none, *(p.chunk_vertices[:-1] + v for p, v in zip(parts, starts, strict=False)), starts[-1:]]
+            [
+                none,
+                *(p.chunk_vertices[:-1] + v for p, v in zip(parts, starts, strict=False)),
+                starts[-1:],
+            ]
         ),
         chunk_faces=np.concatenate(
-            [none, *(p.chunk_faces[:-1] + f for p, f in zip(parts, faces, strict=False)), faces[-1:]]
+            [
+                none,
+                *(p.chunk_faces[:-1] + f for p, f in zip(parts, faces, strict=False)),
+                faces[-1:],
+            ]
         ),
         paint=GroundPaint(
-            quads_W_m=np.concatenate([GroundPaint().quads_W_m, *(part.paint.quads_W_m for part in parts)]),
+            quads_W_m=np.concatenate(
+                [GroundPaint().quads_W_m, *(part.paint.quads_W_m for part in parts)]
+            ),
             mark=np.concatenate([GroundPaint().mark, *(part.paint.mark for part in parts)]),
         ),
     )

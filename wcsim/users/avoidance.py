@@ -64,12 +64,18 @@ class Body:
                 continue
             place = path.project(thing.x_m, thing.y_m, self.arc_m)
             ahead = place.arc_m - self.arc_m
-            if ahead < -(thing.radius_m + half_length_m + 0.15) or (not thing.moving and ahead > HORIZON_M):
+            if ahead < -(thing.radius_m + half_length_m + 0.15) or (
+                not thing.moving and ahead > HORIZON_M
+            ):
                 continue
             heading = path.heading(place.arc_m)
             along = thing.vx_mps * math.cos(heading) + thing.vy_mps * math.sin(heading)
             across = -thing.vx_mps * math.sin(heading) + thing.vy_mps * math.cos(heading)
-            meet_s = _meet_s(ahead - half_length_m - thing.radius_m, desired_mps - along) if thing.moving else 0.0
+            meet_s = (
+                _meet_s(ahead - half_length_m - thing.radius_m, desired_mps - along)
+                if thing.moving
+                else 0.0
+            )
             if meet_s > _MEET_S or abs(across) > _DART_MPS:
                 continue
             margin = _MOVING_MARGIN_M if thing.moving else _STATIC_MARGIN_M
@@ -78,7 +84,9 @@ class Body:
             lanes.append((middle - half, middle + half))
         return lanes
 
-    def safe_speed(self, things: Sequence[NoticedObject], brake_mps2: float, reaction_s: float) -> float:
+    def safe_speed(
+        self, things: Sequence[NoticedObject], brake_mps2: float, reaction_s: float
+    ) -> float:
         """The speed from which who brakes gently, after the reaction time, stops behind everything straight ahead."""
         limit = math.inf
         half_length_m, half_width_m = self.half_m
@@ -92,7 +100,11 @@ class Body:
                 if ahead <= 0.0 or abs(left) > thing.radius_m + half_width_m + 0.08:
                     continue
                 gap = (
-                    ahead - thing.radius_m - half_length_m - _STOP_GAP_M - reaction_s * max(0.0, self.speed_mps - along)
+                    ahead
+                    - thing.radius_m
+                    - half_length_m
+                    - _STOP_GAP_M
+                    - reaction_s * max(0.0, self.speed_mps - along)
                 )
                 own = math.sqrt(2.0 * brake_mps2 * gap) if gap > 0.0 else 0.0
                 limit = min(limit, max(0.0, own + (along if thing.moving else 0.0)))
@@ -100,7 +112,10 @@ class Body:
 
 
 def choose_lane(
-    blocked: Sequence[tuple[float, float]], room: tuple[float, float], before_m: float, home_m: float = 0.0
+    blocked: Sequence[tuple[float, float]],
+    room: tuple[float, float],
+    before_m: float,
+    home_m: float = 0.0,
 ) -> float | None:
     """The free offset nearest to the usual one that also stays near the one of before; None when nothing is free.
 
@@ -118,8 +133,14 @@ def choose_lane(
     True
     """
     edges = [edge for lane in blocked for edge in lane if -room[1] <= edge <= room[0]]
-    free = [offset for offset in (home_m, *edges) if not any(low < offset < high for low, high in blocked)]
-    return min(free, key=lambda offset: abs(offset - home_m) + 0.8 * abs(offset - before_m), default=None)
+    free = [
+        offset
+        for offset in (home_m, *edges)
+        if not any(low < offset < high for low, high in blocked)
+    ]
+    return min(
+        free, key=lambda offset: abs(offset - home_m) + 0.8 * abs(offset - before_m), default=None
+    )
 
 
 def _meet_s(gap_m: float, closing_mps: float) -> float:
@@ -150,7 +171,10 @@ class Edges:
     def room(self, arc_m: float, ahead_m: float) -> tuple[float, float]:
         """How far the ground goes on beside the route over the next metres, left and right, at most 1.6 m."""
         self._see(max(0.0, arc_m) + ahead_m)
-        first, last = max(0, int(arc_m / _STATION_M)), max(1, math.ceil((arc_m + ahead_m) / _STATION_M))
+        first, last = (
+            max(0, int(arc_m / _STATION_M)),
+            max(1, math.ceil((arc_m + ahead_m) / _STATION_M)),
+        )
         left_m, right_m = self._room[min(first, len(self._room) - 1) : last].min(axis=0).tolist()
         return left_m, right_m
 
@@ -173,12 +197,22 @@ class Edges:
             left = np.c_[-np.sin(headings), np.cos(headings)]
             grid = self._ground.around(line[_PIECE // 2])
             origin_m = np.array(grid.origin_W_m, np.float64)
-            room = _rooms(line, left, grid.height_cm, grid.clearance_dm, grid.ground_class, origin_m, grid.cell_m)
+            room = _rooms(
+                line,
+                left,
+                grid.height_cm,
+                grid.clearance_dm,
+                grid.ground_class,
+                origin_m,
+                grid.cell_m,
+            )
             self._room = np.concatenate([self._room, room])
             aside_m = _WHEEL_M * np.stack([left, np.zeros_like(left), -left])  # (3, _PIECE, 2)
             height_cm = grid.height_cm[grid.cells(line + aside_m)].astype(np.int64)  # (3, _PIECE)
             along = np.abs(np.diff(height_cm, axis=1, append=height_cm[:, -1:])).max(axis=0)
-            self._slopes = np.concatenate([self._slopes, (along >= SLOPE_CM) | (np.ptp(height_cm, axis=0) >= SLOPE_CM)])
+            self._slopes = np.concatenate(
+                [self._slopes, (along >= SLOPE_CM) | (np.ptp(height_cm, axis=0) >= SLOPE_CM)]
+            )
         self._aside = spread(_wanted_aside(self._room))
 
 
@@ -199,12 +233,20 @@ def spread(aside_m: F64) -> F64:
     padded = np.pad(aside_m, 2 * reach, mode="edge")
     windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1)
     largest = np.take_along_axis(windows, np.abs(windows).argmax(axis=1)[:, None], axis=1)[:, 0]
-    return np.asarray(np.lib.stride_tricks.sliding_window_view(largest, 2 * reach + 1).mean(axis=1), np.float64)
+    return np.asarray(
+        np.lib.stride_tricks.sliding_window_view(largest, 2 * reach + 1).mean(axis=1), np.float64
+    )
 
 
 @exact_kernel
 def _rooms(
-    line: F64, left: F64, height_cm: U8, clearance_dm: U8, ground_class: U8, origin_m: F64, cell_m: float
+    line: F64,
+    left: F64,
+    height_cm: U8,
+    clearance_dm: U8,
+    ground_class: U8,
+    origin_m: F64,
+    cell_m: float,
 ) -> F64:
     """(N, 2) metres from each point of a line to the first kerb, wall or road on its left and right."""
     rows, cols = height_cm.shape
@@ -222,7 +264,11 @@ def _rooms(
                 here_cm = int(height_cm[row, col])
                 road_here = ground_class[row, col] == ROAD or ground_class[row, col] == RAIL
                 kerb = before_cm >= 0 and abs(here_cm - before_cm) > KERB_STEP_CM
-                if kerb or clearance_dm[row, col] < SOLID_DM or (road_here and step > 0 and not on_road):
+                if (
+                    kerb
+                    or clearance_dm[row, col] < SOLID_DM
+                    or (road_here and step > 0 and not on_road)
+                ):
                     room[i, side] = step * STEP_M
                     break
                 if step == 0:

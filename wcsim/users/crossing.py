@@ -8,7 +8,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wcsim.types import F64, ActorKind, ActorState, ClassId, Ground, Route, SignalState, WalkEdge, WalkGraph, WayKind
+from wcsim.types import (
+    F64,
+    ActorKind,
+    ActorState,
+    ClassId,
+    Ground,
+    Route,
+    SignalState,
+    WalkEdge,
+    WalkGraph,
+    WayKind,
+)
 from wcsim.users.route_line import Path
 
 GAP_S = 3.0  # a vehicle that comes nearer than this in time is waited for
@@ -16,19 +27,33 @@ START_S, _CROSSING_MPS = 1.5, 1.1  # how a chair at the kerb gets over the road
 _SIDE_M = 1.2  # added to half the vehicle's width: how near it must come to count
 MOVING_MPS = 0.5
 RIDERS = frozenset({ActorKind.BICYCLE, ActorKind.SCOOTER})
-_ALONG = math.cos(0.25 * math.pi)  # who rides more nearly than this as a crossing leads uses it, or rides beside it
+_ALONG = math.cos(
+    0.25 * math.pi
+)  # who rides more nearly than this as a crossing leads uses it, or rides beside it
 KERB_GAP_M = 0.3  # left between footplate and road while waiting
 _LIGHT_SEEN_M, _TRAFFIC_SEEN_M = 8.0, 3.0  # before the kerb, where the user looks for them
-_GREEN_SEEN_M = 25.0  # who is farther from a crossing that has green has red, and still brakes for it
+_GREEN_SEEN_M = (
+    25.0  # who is farther from a crossing that has green has red, and still brakes for it
+)
 _ALONG_KERB_M, _ROAD_STEP_M = 3.0, 0.25
 _NEAR_ROAD_M = 0.8  # who waits so near to the road may have the footplate over it when turning
 RING = tuple((math.cos(0.25 * math.pi * k), math.sin(0.25 * math.pi * k)) for k in range(8))
 CARRIAGEWAY = (ClassId.ROAD, ClassId.CROSSWALK)
 _SHORT_GREEN_S = 5.0  # a green for people on foot may end so soon, and many do
-_SPARE_S, _ONWARD_MPS = 0.5, 0.7  # who, driving so fast, may not get to the kerb that much earlier does not go for it
-EDGE_M, _EDGE_STEP_M = 1.2, 0.1  # so far before the crossing's own beginning a kerb that runs aslant may lie
-_LOOK_M = 2.5  # of the footplate before the kerb: who obeys a light does not look elsewhere from there on
-_HALF_LANE_M = 1.6  # who comes to rest with the footplate less far into the road than this waits there
+_SPARE_S, _ONWARD_MPS = (
+    0.5,
+    0.7,
+)  # who, driving so fast, may not get to the kerb that much earlier does not go for it
+EDGE_M, _EDGE_STEP_M = (
+    1.2,
+    0.1,
+)  # so far before the crossing's own beginning a kerb that runs aslant may lie
+_LOOK_M = (
+    2.5  # of the footplate before the kerb: who obeys a light does not look elsewhere from there on
+)
+_HALF_LANE_M = (
+    1.6  # who comes to rest with the footplate less far into the road than this waits there
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,11 +81,18 @@ class Kerbs:
         half_length_m: float,
     ) -> None:
         """The crossings of a route in order, the street, the chance that the user keeps to the law, and the chair."""
-        starts = [item.start_m if ground is None else kerb_m(ground, path, item.start_m) for item in items]
+        starts = [
+            item.start_m if ground is None else kerb_m(ground, path, item.start_m) for item in items
+        ]
         self._ground, self._half_length_m = ground, half_length_m
         self._waits_m = half_length_m + KERB_GAP_M  # from the middle of who waits to the kerb
-        self._items = tuple(zip(items, (start_m - self._waits_m for start_m in starts), strict=True))
-        self._kerb_m = {item: item.start_m if ground is None else _edge_m(ground, path, item.start_m) for item in items}
+        self._items = tuple(
+            zip(items, (start_m - self._waits_m for start_m in starts), strict=True)
+        )
+        self._kerb_m = {
+            item: item.start_m if ground is None else _edge_m(ground, path, item.start_m)
+            for item in items
+        }
         # Drawn here for all: so a crossing's draw does not depend on when, or after which others, its user comes to it.
         self._lawful = dict(zip(items, (rng.random(len(items)) < law_share).tolist(), strict=True))
         self._obeys: dict[Crossing, bool] = {}
@@ -75,7 +107,11 @@ class Kerbs:
         return self._obeys
 
     def stop_m(
-        self, arc_m: float, time_s: float, signals: Iterable[SignalState], vehicles: Iterable[ActorState]
+        self,
+        arc_m: float,
+        time_s: float,
+        signals: Iterable[SignalState],
+        vehicles: Iterable[ActorState],
     ) -> float | None:
         """Arc where the chair's middle must stop because of a light or a vehicle; None when the way is free.
 
@@ -89,16 +125,25 @@ class Kerbs:
         behind_m = -math.inf
         for item, stop_m in self._items:
             line_m = item.start_m - self._waits_m
-            island = line_m > behind_m + self._half_length_m  # too short a refuge is no place to wait
+            island = (
+                line_m > behind_m + self._half_length_m
+            )  # too short a refuge is no place to wait
             stop_m, behind_m = max(stop_m, behind_m + self._half_length_m), item.end_m
             to_go_m = line_m - arc_m
             back_m = KERB_GAP_M + min(_HALF_LANE_M, 0.5 * (item.end_m - item.start_m))
-            if not -back_m < to_go_m < _LIGHT_SEEN_M or not island or item in self._begun or not self._keeps_law(item):
+            if (
+                not -back_m < to_go_m < _LIGHT_SEEN_M
+                or not island
+                or item in self._begun
+                or not self._keeps_law(item)
+            ):
                 continue
             if self._closed(item, to_go_m, time_s, signals, vehicles):
                 return stop_m
             if self._may_end(item, self._kerb_m[item] - self._half_length_m - arc_m, time_s):
-                return self._kerb_m[item] - self._waits_m  # the next green is met nearer to the kerb than this one
+                return (
+                    self._kerb_m[item] - self._waits_m
+                )  # the next green is met nearer to the kerb than this one
             if to_go_m < -KERB_GAP_M:
                 self._begun.add(item)
         return None
@@ -116,7 +161,9 @@ class Kerbs:
 
     def _may_end(self, item: Crossing, to_kerb_m: float, time_s: float) -> bool:
         """Whether a green that came after a red one may be over before the footplate is at the kerb."""
-        if item not in self._green_since_s or to_kerb_m <= (0.0 if item in self._hesitates else KERB_GAP_M):
+        if item not in self._green_since_s or to_kerb_m <= (
+            0.0 if item in self._hesitates else KERB_GAP_M
+        ):
             return False
         longest_s, shortest_s = time_s - self._red_last_s[item], time_s - self._green_since_s[item]
         if longest_s + to_kerb_m / _ONWARD_MPS > _SHORT_GREEN_S - _SPARE_S:
@@ -213,7 +260,11 @@ def _has_light(crossing: Crossing, signals: Iterable[SignalState]) -> bool:
     """Whether a signal that is switched on governs the crossing."""
     for signal in signals:
         if signal.tls_id == crossing.tls_id and crossing.tls_id:
-            return any(signal.colours[i] in "rRyYuGg" for i in crossing.tls_links if i < len(signal.colours))
+            return any(
+                signal.colours[i] in "rRyYuGg"
+                for i in crossing.tls_links
+                if i < len(signal.colours)
+            )
     return False
 
 
@@ -228,7 +279,9 @@ def _is_traffic(crossing: Crossing, vehicle: ActorState, ground: Ground | None) 
     (x, y, _), (vx, vy, _) = vehicle.p_W_m.tolist(), vehicle.v_W_mps.tolist()
     if ground is not None and ground.class_here(x, y) not in CARRIAGEWAY:
         return False
-    to_x, to_y = (end - start for start, end in zip(crossing.start_W_m, crossing.end_W_m, strict=True))
+    to_x, to_y = (
+        end - start for start, end in zip(crossing.start_W_m, crossing.end_W_m, strict=True)
+    )
     return bool(abs(vx * to_x + vy * to_y) <= _ALONG * math.hypot(vx, vy) * math.hypot(to_x, to_y))
 
 
@@ -246,9 +299,13 @@ def _vehicle_comes(crossing: Crossing, vehicles: Iterable[ActorState]) -> bool:
         speed = float(np.hypot(v[0], v[1]))
         if speed < MOVING_MPS or _passes_wide(vehicle, speed, crossing, 0.5 * length_m):
             continue
-        ends_m = 0.5 * vehicle.size_lwh_m[0] / speed * np.array([-1.0, 0.0, 1.0])[:, None] * v  # tail, middle, nose
+        ends_m = (
+            0.5 * vehicle.size_lwh_m[0] / speed * np.array([-1.0, 0.0, 1.0])[:, None] * v
+        )  # tail, middle, nose
         points = vehicle.p_W_m[:2] + later_s[:, None, None] * v + ends_m  # (T, 3, 2)
-        share, distance_m = _beside(points, np.array(crossing.start_W_m), np.array(crossing.end_W_m))
+        share, distance_m = _beside(
+            points, np.array(crossing.start_W_m), np.array(crossing.end_W_m)
+        )
         there_s = START_S + share * length_m / _CROSSING_MPS
         when_s = np.broadcast_to(later_s[:, None], share.shape)
         close = (when_s < GAP_S) | (np.abs(when_s - there_s) < GAP_S)

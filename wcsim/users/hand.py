@@ -15,7 +15,9 @@ from wcsim.core.jit import exact_kernel
 from wcsim.types import F64, Joystick
 from wcsim.users.profiles import UserProfile
 
-STICK_FILTER_S = 0.02  # first-order low-pass of the joystick's electronics, which every stick has passed
+STICK_FILTER_S = (
+    0.02  # first-order low-pass of the joystick's electronics, which every stick has passed
+)
 TREMOR_WANDER = 0.08  # relative frequency change that the tremor's phase picks up ...
 TREMOR_WANDER_S = 0.05  # ... in this time
 _TREMOR_AHEAD_RAD = 0.7  # the tremor is an ellipse: forward and back it is half as large, and early
@@ -24,7 +26,12 @@ _TREMOR_FORWARD = 0.5
 # The four switches: stop, forward, left, right.
 _SWITCH_FORWARD_Y = 0.6
 _SWITCH_TURN_X = 0.35
-SWITCH_POSITIONS = ((0.0, 0.0), (0.0, _SWITCH_FORWARD_Y), (-_SWITCH_TURN_X, 0.0), (_SWITCH_TURN_X, 0.0))
+SWITCH_POSITIONS = (
+    (0.0, 0.0),
+    (0.0, _SWITCH_FORWARD_Y),
+    (-_SWITCH_TURN_X, 0.0),
+    (_SWITCH_TURN_X, 0.0),
+)
 PULSE_S = (0.15, 1.0)
 _PULSE_OF_WISH_S = 0.5  # the wish asks for a turn rate; half a second of it is the turn
 STEER_ABOVE = 0.2  # a wish to turn less than this is not worth a switch
@@ -84,11 +91,15 @@ class SwitchHand:
         after_turn = self._held[0] != 0.0
         if abs(x) > STEER_ABOVE and not after_turn:
             self._held = (math.copysign(_SWITCH_TURN_X, x), 0.0)
-            self._left_s = min(max(_PULSE_OF_WISH_S * abs(x) / _SWITCH_TURN_X, PULSE_S[0]), PULSE_S[1])
+            self._left_s = min(
+                max(_PULSE_OF_WISH_S * abs(x) / _SWITCH_TURN_X, PULSE_S[0]), PULSE_S[1]
+            )
             return
         forward = y > DRIVE_ABOVE
         self._held = (0.0, _SWITCH_FORWARD_Y) if forward else (0.0, 0.0)
-        self._left_s = self._hold_s if forward or after_turn else 0.0  # who rests may begin at any time
+        self._left_s = (
+            self._hold_s if forward or after_turn else 0.0
+        )  # who rests may begin at any time
 
 
 def on_disc(x: float, y: float) -> tuple[float, float]:

@@ -13,7 +13,10 @@ from wcsim.users.crossing import MOVING_MPS, RIDERS
 from wcsim.users.profiles import UserProfile
 
 _HALF_VIEW_RAD = rad(80.0)
-PERSON_SIGHT, VEHICLE_SIGHT = 1.5, 7.0  # they are noticed from this many times farther away than a post
+PERSON_SIGHT, VEHICLE_SIGHT = (
+    1.5,
+    7.0,
+)  # they are noticed from this many times farther away than a post
 RIDER_SIGHT = 4.0  # of who rides a bicycle or scooter, as traffic: 24 m are 3 s at 8 m/s
 _KEPT_SIGHT = 1.5  # what was noticed is known of until it is this many times as far away
 _AROUND_M = 25.0  # what is farther away is watched, but nothing yet to go around or to stop behind
@@ -53,7 +56,9 @@ class Perception:
     def __init__(self, profile: UserProfile, rng: np.random.Generator) -> None:
         self._profile = profile
         self._rng = rng
-        self._noticed: dict[str, tuple[bool, float]] = {}  # key -> noticed or missed, last time in sight
+        self._noticed: dict[
+            str, tuple[bool, float]
+        ] = {}  # key -> noticed or missed, last time in sight
         self.attentive = True
         self._away_s = 0.0
         self._leaves = False
@@ -67,7 +72,11 @@ class Perception:
         p = self._profile
         if p.away_share <= 0.0 or dt_s <= 0.0:
             return self.attentive
-        per_s = p.away_share / (1.0 - p.away_share) / p.away_s if self.attentive else 1.0 / (UNCUT_AWAY * p.away_s)
+        per_s = (
+            p.away_share / (1.0 - p.away_share) / p.away_s
+            if self.attentive
+            else 1.0 / (UNCUT_AWAY * p.away_s)
+        )
         changes = bool(self._rng.random() < 1.0 - math.exp(-dt_s * per_s))
         if self.attentive:
             self._leaves = self._leaves or changes
@@ -99,7 +108,9 @@ class Perception:
             known = self._notices(near, x, y, reach_m, view, everywhere=not slow, twin=road)
             if known and gap_m < _AROUND_M:
                 things.extend(discs(actor))
-            if (known and not slow) or (rides and self._notices(road, x, y, rider_m, view, everywhere=True, twin=near)):
+            if (known and not slow) or (
+                rides and self._notices(road, x, y, rider_m, view, everywhere=True, twin=near)
+            ):
                 vehicles.append(actor)
         self._forget(view.time_s)
         return Seen(things=tuple(things), vehicles=tuple(vehicles))
@@ -112,7 +123,14 @@ class Perception:
         return noticed
 
     def _notices(
-        self, key: str, x_m: float, y_m: float, reach_m: float, view: UserView, everywhere: bool = False, twin: str = ""
+        self,
+        key: str,
+        x_m: float,
+        y_m: float,
+        reach_m: float,
+        view: UserView,
+        everywhere: bool = False,
+        twin: str = "",
     ) -> bool:
         """Whether something is noticed; `everywhere` for traffic, which one hears, and turns one's head for.
 
@@ -127,7 +145,10 @@ class Perception:
             ahead = abs(wrap(math.atan2(dy, dx) - view.yaw_rad)) <= _HALF_VIEW_RAD
             if distance > reach_m or not (everywhere or ahead or distance < 1.0):
                 return False
-            known = self._noticed.get(twin) or (bool(self._rng.random() < self._profile.see_share), view.time_s)
+            known = self._noticed.get(twin) or (
+                bool(self._rng.random() < self._profile.see_share),
+                view.time_s,
+            )
         self._noticed[key] = (known[0], view.time_s)
         return known[0]
 
@@ -152,4 +173,7 @@ def discs(actor: ActorState) -> list[NoticedObject]:
     x, y, _ = actor.p_W_m.tolist()
     vx, vy, _ = actor.v_W_mps.tolist()
     offsets = [reach * (2.0 * k / (count - 1) - 1.0) for k in range(count)] if count > 1 else [0.0]
-    return [NoticedObject(x_m=x + o * cos, y_m=y + o * sin, radius_m=radius, vx_mps=vx, vy_mps=vy) for o in offsets]
+    return [
+        NoticedObject(x_m=x + o * cos, y_m=y + o * sin, radius_m=radius, vx_mps=vx, vy_mps=vy)
+        for o in offsets
+    ]

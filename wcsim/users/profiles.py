@@ -158,7 +158,9 @@ def _read_profile(path: Path) -> UserProfile:
         raise ConfigError(
             f"{escaped(path)}: base: got {escaped_value(base)}; expected the name of one of wcsim's profiles"
         )
-    return _changed(replace(profile(base), name=profile_word(path.stem), spread=0.0), data, escaped(path))
+    return _changed(
+        replace(profile(base), name=profile_word(path.stem), spread=0.0), data, escaped(path)
+    )
 
 
 def profile_of_json(text: str, where: str) -> UserProfile:
@@ -196,7 +198,9 @@ def _value(key: str, value: Any, where: str) -> Any:
     if key == "name":
         if isinstance(value, str) and _NAME.fullmatch(value):
             return value
-        raise ConfigError(f"{where}: name: got {escaped_value(value)}; expected 1 to 64 letters, digits, - _ or .")
+        raise ConfigError(
+            f"{where}: name: got {escaped_value(value)}; expected 1 to 64 letters, digits, - _ or ."
+        )
     if key == "discrete":
         if isinstance(value, bool):
             return value
@@ -206,7 +210,9 @@ def _value(key: str, value: Any, where: str) -> Any:
     fits = len(numbers) == (2 if key in PAIRS else 1)
     if not fits or not all(_is_number(number) and low <= number <= high for number in numbers):
         what = "two numbers, each" if key in PAIRS else "a number,"
-        raise ConfigError(f"{where}: {key}: got {escaped_value(value)}; expected {what} {low:g} to {high:g}")
+        raise ConfigError(
+            f"{where}: {key}: got {escaped_value(value)}; expected {what} {low:g} to {high:g}"
+        )
     return tuple(map(float, numbers)) if key in PAIRS else float(value)
 
 

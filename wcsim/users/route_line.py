@@ -32,7 +32,9 @@ class Path:
         """Raises ConfigError when the route has no point."""
         points = np.asarray(route.points_W_m, np.float64)
         if len(points) == 0:
-            raise ConfigError("the route has no points; expected at least one: draw another destination")
+            raise ConfigError(
+                "the route has no points; expected at least one: draw another destination"
+            )
         steps = np.hypot(*np.diff(points, axis=0).T) if len(points) > 1 else np.zeros(0)
         keep = np.r_[True, steps > 1e-6]
         points = points[keep]
@@ -69,21 +71,32 @@ class Path:
         """The direction of the route at a place, radians."""
         return float(self._headings[self._segment(arc_m)])
 
-    def speed_limit(self, arc_m: float, turn_radps: float, brake_mps2: float, ahead_m: float) -> float:
+    def speed_limit(
+        self, arc_m: float, turn_radps: float, brake_mps2: float, ahead_m: float
+    ) -> float:
         """How fast to go at `arc_m` so that every corner within `ahead_m` can be taken turning at `turn_radps`."""
         limit = math.inf
-        for corner_m, sharpness in self._corners[bisect_left(self._corners, (arc_m - _CORNER_WINDOW_M, -math.inf)) :]:
+        for corner_m, sharpness in self._corners[
+            bisect_left(self._corners, (arc_m - _CORNER_WINDOW_M, -math.inf)) :
+        ]:
             if corner_m > arc_m + ahead_m:
                 break
             there = turn_radps * _CORNER_WINDOW_M / sharpness
-            limit = min(limit, math.sqrt(there**2 + 2.0 * brake_mps2 * max(0.0, corner_m - arc_m - _CORNER_WINDOW_M)))
+            limit = min(
+                limit,
+                math.sqrt(
+                    there**2 + 2.0 * brake_mps2 * max(0.0, corner_m - arc_m - _CORNER_WINDOW_M)
+                ),
+            )
         return limit
 
     def _segment(self, arc_m: float) -> int:
         return min(max(bisect_right(self._arc, arc_m) - 1, 0), len(self._unit) - 1)
 
     def _nearest(self, x_m: float, y_m: float, first: int, last: int) -> tuple[_RoutePoint, float]:
-        i, ahead_m, left_m, off_m = _nearest(self._points, self._unit, self._lengths, x_m, y_m, first, last)
+        i, ahead_m, left_m, off_m = _nearest(
+            self._points, self._unit, self._lengths, x_m, y_m, first, last
+        )
         return _RoutePoint(self._arc[i] + ahead_m, left_m), off_m
 
     def _find_corners(self) -> list[tuple[float, float]]:

@@ -50,7 +50,12 @@ class Axle:
 
 
 def plan_turn(
-    ground: Ground, outline: Outline, axle: Axle, error_rad: float, backwards: bool = True, tried: float = 0.0
+    ground: Ground,
+    outline: Outline,
+    axle: Axle,
+    error_rad: float,
+    backwards: bool = True,
+    tried: float = 0.0,
 ) -> Turn:
     """How to turn by `error_rad` (left positive): where there is room, and to the side that has it.
 
@@ -73,14 +78,19 @@ def plan_turn(
     grid = ground.around(pivots[0])
     origin_m = np.array(grid.origin_W_m, np.float64)
     hull, wheels = _boxes(outline)
-    room = _room(pivots, axle.yaw_rad, hull, wheels, grid.height_cm, grid.clearance_dm, origin_m, grid.cell_m)
+    room = _room(
+        pivots, axle.yaw_rad, hull, wheels, grid.height_cm, grid.clearance_dm, origin_m, grid.cell_m
+    )
     reachable = _reachable(shifts_m, room[:, 0] > 0.0)
     left_rad = error_rad % math.tau
     whole, part = [], []
     for index in reachable:
         shift_m = float(shifts_m[index])
         _, to_left_rad, to_right_rad = room[index].tolist()
-        for asked_rad, free_rad, side in ((left_rad, to_left_rad, 1.0), (math.tau - left_rad, to_right_rad, -1.0)):
+        for asked_rad, free_rad, side in (
+            (left_rad, to_left_rad, 1.0),
+            (math.tau - left_rad, to_right_rad, -1.0),
+        ):
             cost = _CREEP_COST_RAD * abs(shift_m)
             if free_rad >= asked_rad - 0.05:
                 whole.append((cost + 0.2 * asked_rad, shift_m, side * asked_rad))
@@ -116,7 +126,11 @@ class Turning:
     def tried(self, axle: Axle) -> float:
         """The side to which the chair has turned as far as it can near this place, 0 for neither; see `plan_turn`."""
         away_m = math.hypot(axle.x_m - self._at[0], axle.y_m - self._at[1])
-        return 0.0 if self._turn.whole or away_m > _ELSEWHERE_M else math.copysign(1.0, self._turn.turn_rad)
+        return (
+            0.0
+            if self._turn.whole or away_m > _ELSEWHERE_M
+            else math.copysign(1.0, self._turn.turn_rad)
+        )
 
     def next(self, axle: Axle, time_s: float) -> tuple[float, float] | None:
         """How far to go on along the heading (m), and to turn (rad): one of them is 0. None when the turn is over."""
@@ -138,14 +152,23 @@ class Turning:
 
 def _boxes(outline: Outline) -> tuple[F64, F64]:
     """(3,) rear, front and half width from the drive axle: of all of the chair, and of its wheels."""
-    rear_m, front_m = outline.middle_x_m - 0.5 * outline.length_m, outline.middle_x_m + 0.5 * outline.length_m
+    rear_m, front_m = (
+        outline.middle_x_m - 0.5 * outline.length_m,
+        outline.middle_x_m + 0.5 * outline.length_m,
+    )
     side_m = 0.5 * outline.width_m
-    return np.array([rear_m, front_m, side_m]), np.array([rear_m + _WHEELS_IN_M, front_m - _WHEELS_IN_M, side_m])
+    return np.array([rear_m, front_m, side_m]), np.array(
+        [rear_m + _WHEELS_IN_M, front_m - _WHEELS_IN_M, side_m]
+    )
 
 
 def _shifts(backwards: bool) -> F64:
     ahead_m = STEP_M * np.arange(1, round(FARTHEST_M / STEP_M) + 1)
-    return np.concatenate([[0.0], ahead_m, -ahead_m]) if backwards else np.concatenate([[0.0], ahead_m])
+    return (
+        np.concatenate([[0.0], ahead_m, -ahead_m])
+        if backwards
+        else np.concatenate([[0.0], ahead_m])
+    )
 
 
 def _reachable(shifts_m: F64, stands: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> list[int]:
@@ -164,7 +187,14 @@ def _reachable(shifts_m: F64, stands: np.ndarray[tuple[int], np.dtype[np.bool_]]
 
 @exact_kernel
 def _room(
-    pivots: F64, yaw_rad: float, hull: F64, wheels: F64, height_cm: U8, clearance_dm: U8, origin_m: F64, cell_m: float
+    pivots: F64,
+    yaw_rad: float,
+    hull: F64,
+    wheels: F64,
+    height_cm: U8,
+    clearance_dm: U8,
+    origin_m: F64,
+    cell_m: float,
 ) -> F64:
     """For each pivot (K, 2): whether the chair fits there (1 or 0), and how far it can turn left and right (rad)."""
     found = np.zeros((len(pivots), 3))
@@ -177,7 +207,9 @@ def _room(
         for side in range(2):
             step_rad = (1.0 - 2.0 * side) * math.tau / RAYS
             steps = 0
-            while steps < RAYS and _fits(yaw_rad + (steps + 1) * step_rad, hull, wheels, walls_m, drops_m):
+            while steps < RAYS and _fits(
+                yaw_rad + (steps + 1) * step_rad, hull, wheels, walls_m, drops_m
+            ):
                 steps += 1
             found[k, 1 + side] = steps * abs(step_rad)
     return found
@@ -185,7 +217,13 @@ def _room(
 
 @exact_kernel
 def _look_round(
-    pivot: F64, height_cm: U8, clearance_dm: U8, origin_m: F64, cell_m: float, walls_m: F64, drops_m: F64
+    pivot: F64,
+    height_cm: U8,
+    clearance_dm: U8,
+    origin_m: F64,
+    cell_m: float,
+    walls_m: F64,
+    drops_m: F64,
 ) -> None:
     """Distance from a pivot to the first wall or rise, and to the first fall, in each direction."""
     rows, cols = height_cm.shape
@@ -198,7 +236,9 @@ def _look_round(
             col = min(max(math.floor((x - origin_m[0]) / cell_m), 0), cols - 1)
             row = min(max(math.floor((y - origin_m[1]) / cell_m), 0), rows - 1)
             here_cm = int(height_cm[row, col])
-            if clearance_dm[row, col] == 0 or (before_cm >= 0 and here_cm > before_cm + KERB_STEP_CM):
+            if clearance_dm[row, col] == 0 or (
+                before_cm >= 0 and here_cm > before_cm + KERB_STEP_CM
+            ):
                 walls_m[ray] = step * RAY_STEP_M
                 break
             if here_cm < before_cm - KERB_STEP_CM and drops_m[ray] == np.inf:
@@ -211,7 +251,10 @@ def _fits(yaw_rad: float, hull: F64, wheels: F64, walls_m: F64, drops_m: F64) ->
     for ray in range(RAYS):
         angle = ray * math.tau / RAYS - yaw_rad
         cos, sin = math.cos(angle), math.sin(angle)
-        if walls_m[ray] < _reach(cos, sin, hull) + MARGIN_M or drops_m[ray] < _reach(cos, sin, wheels) + MARGIN_M:
+        if (
+            walls_m[ray] < _reach(cos, sin, hull) + MARGIN_M
+            or drops_m[ray] < _reach(cos, sin, wheels) + MARGIN_M
+        ):
             return False
     return True
 

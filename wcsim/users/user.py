@@ -38,7 +38,9 @@ _GAIN_MAX_PER_S = 1.4
 _TURN_MAX_RADPS = 1.0
 DRIVE_DELAY_S = 0.1  # of the chair's own drive
 TURN_IN_PLACE_RAD = 1.0
-_BEHIND_RAD = 2.6  # a goal farther round than this may be taken on either side: keep the side of before
+_BEHIND_RAD = (
+    2.6  # a goal farther round than this may be taken on either side: keep the side of before
+)
 
 
 def steer(
@@ -64,7 +66,9 @@ def steer(
         error = -error
     turning = abs(error) > TURN_IN_PLACE_RAD
     speed = 0.0 if turning else speed_mps * math.cos(error) ** 2
-    w_limit = yaw_rate_limit(max(abs(body.speed_mps), speed), chair.yaw_rate_max_radps, chair.yaw_slowdown_s_per_m)
+    w_limit = yaw_rate_limit(
+        max(abs(body.speed_mps), speed), chair.yaw_rate_max_radps, chair.yaw_slowdown_s_per_m
+    )
     gain = min(_GAIN_MAX_PER_S, _GAIN_DELAY / (delay_s + DRIVE_DELAY_S))
     most = min(1.0, min(_TURN_MAX_RADPS, _GAIN_DELAY / (delay_s + DRIVE_DELAY_S)) / w_limit)
     x = min(most, max(-most, -gain * error / w_limit))
@@ -83,7 +87,9 @@ def _stopping_speed(distance_m: float, brake_mps2: float) -> float:
 
 # The drive axle may be near the chair's rear end; who steers thinks of the middle.
 # Of the rear-wheel drive: for who is not told which plant it is, as in a recording.
-_LOOKAHEAD_DELAYS = 1.25  # the look-ahead grows with what is driven until the chair answers: else it would weave
+_LOOKAHEAD_DELAYS = (
+    1.25  # the look-ahead grows with what is driven until the chair answers: else it would weave
+)
 BRAKE_MPS2 = 0.6
 _CORNER_RADPS = 1.0
 _CORNER_AHEAD_M = 5.0
@@ -97,13 +103,21 @@ _WAIT_PATIENCE = 12.0  # at a light or for a vehicle the user waits this many ti
 _TURN_PATIENCE = 3.0  # and this many times while turning round
 _LONGEST_STEP_S = 0.05
 _HAIRPIN_M = 1.0
-_NEAREST_GOAL_M = 0.5  # nearer to the drive axle than this, a place to steer to says nothing about where to go
+_NEAREST_GOAL_M = (
+    0.5  # nearer to the drive axle than this, a place to steer to says nothing about where to go
+)
 _GOAL_FARTHER_M = tuple(0.25 * step for step in range(1, 11))
 STANDS_MPS = 0.25  # who drives slower than this may plan a turn on the spot
 CREEP_MPS, _BACK_STICK = 0.3, -0.5  # on, or back, to where there is room for it
-STUCK_S, _STUCK_M, _STUCK_RAD = 2.5, 0.1, 0.15  # a chair that is told to drive and moves less than this hangs somewhere
+STUCK_S, _STUCK_M, _STUCK_RAD = (
+    2.5,
+    0.1,
+    0.15,
+)  # a chair that is told to drive and moves less than this hangs somewhere
 FREE_M = 0.5  # and is backed up so far
-SCARED_MPS = 0.3  # who drives so much faster than it could stop before what it sees has seen it late
+SCARED_MPS = (
+    0.3  # who drives so much faster than it could stop before what it sees has seen it late
+)
 _CALM_S = 5.0  # so long without that a scare is over
 
 
@@ -217,7 +231,9 @@ class SimulatedUser(User):
         self._yaw_rad = self._yaw_rate_radps = 0.0
         self._correct_at_s = -math.inf
         self._witness: tuple[UserView, Seen] | None = None
-        self._moved: tuple[float, Body] | None = None  # when and where the chair last was somewhere else
+        self._moved: tuple[float, Body] | None = (
+            None  # when and where the chair last was somewhere else
+        )
         self._freed_m = FREE_M
         self._scared_at_s = -math.inf
 
@@ -296,14 +312,20 @@ class SimulatedUser(User):
         """The chair's middle where it will be when the hand answers: drivers steer ahead of their own delay."""
         x, y, yaw = float(view.p_W_m[0]), float(view.p_W_m[1]), view.yaw_rad
         ahead_m = self._outline.middle_x_m
-        arc_m = path.project(x + ahead_m * math.cos(yaw), y + ahead_m * math.sin(yaw), self._arc_m).arc_m
+        arc_m = path.project(
+            x + ahead_m * math.cos(yaw), y + ahead_m * math.sin(yaw), self._arc_m
+        ).arc_m
         # In a hairpin both legs are equally near, and turning there swings the chair's middle from one to the other:
         # who has come to a place of the route does not go back over it by turning.
         self._arc_m = arc_m if arc_m < self._arc_m - _HAIRPIN_M else max(arc_m, self._arc_m)
         delay_s = self._delay_s
         turned = delay_s * self._yaw_rate_radps
-        x += delay_s * view.speed_mps * math.cos(yaw + 0.5 * turned) + ahead_m * math.cos(yaw + turned)
-        y += delay_s * view.speed_mps * math.sin(yaw + 0.5 * turned) + ahead_m * math.sin(yaw + turned)
+        x += delay_s * view.speed_mps * math.cos(yaw + 0.5 * turned) + ahead_m * math.cos(
+            yaw + turned
+        )
+        y += delay_s * view.speed_mps * math.sin(yaw + 0.5 * turned) + ahead_m * math.sin(
+            yaw + turned
+        )
         there = path.project(x, y, self._arc_m)
         return Body(
             x_m=x,
@@ -322,17 +344,30 @@ class SimulatedUser(User):
         speed = min(speed, path.speed_limit(body.arc_m, _CORNER_RADPS, BRAKE_MPS2, _CORNER_AHEAD_M))
         speed = min(speed, _stopping_speed(path.length_m - body.arc_m, BRAKE_MPS2))
         if self._edges is not None:
-            slope_m = self._edges.slope_ahead(body.arc_m - 0.5 * self._outline.length_m, _SLOPE_AHEAD_M)
-            speed = min(speed, math.hypot(_SLOPE_MPS, _stopping_speed(slope_m - self._outline.length_m, BRAKE_MPS2)))
-        kerb_m = self._stop_m = self._kerbs.stop_m(self._arc_m, view.time_s, view.signals, seen.vehicles)
+            slope_m = self._edges.slope_ahead(
+                body.arc_m - 0.5 * self._outline.length_m, _SLOPE_AHEAD_M
+            )
+            speed = min(
+                speed,
+                math.hypot(
+                    _SLOPE_MPS, _stopping_speed(slope_m - self._outline.length_m, BRAKE_MPS2)
+                ),
+            )
+        kerb_m = self._stop_m = self._kerbs.stop_m(
+            self._arc_m, view.time_s, view.signals, seen.vehicles
+        )
         if kerb_m is not None:
             speed = min(speed, _stopping_speed(kerb_m - body.arc_m, BRAKE_MPS2))
         safe = body.safe_speed(seen.things, BRAKE_MPS2, self.profile.reaction_s)
         self.asks_help = self._calls(body.speed_mps - safe, view.time_s)
         if safe < speed:
             speed, self._stop_m = safe, body.arc_m + 0.5 * safe**2 / BRAKE_MPS2
-        goal_m = body.arc_m + self.profile.lookahead_m + self._lookahead_s * max(0.0, body.speed_mps)
-        speed = self._change_lane(body, path, seen, speed, self._edges.aside(goal_m) if self._edges else 0.0)
+        goal_m = (
+            body.arc_m + self.profile.lookahead_m + self._lookahead_s * max(0.0, body.speed_mps)
+        )
+        speed = self._change_lane(
+            body, path, seen, speed, self._edges.aside(goal_m) if self._edges else 0.0
+        )
         goal = self._goal(body, path, goal_m)
         if kerb_m is not None and speed < 0.3:
             self._moved = None  # who turned here already would swing the footplate over the kerb
@@ -356,7 +391,9 @@ class SimulatedUser(User):
         x, y = self._intent.x, self._intent.y
         x = math.copysign(max(0.0, abs(x) - _CALM_STICK * dt_s / _STRAIGHT_S), x)
         if self._stop_m is not None and y > 0.0:
-            y = min(y, self._straight_on(body, _stopping_speed(self._stop_m - body.arc_m, BRAKE_MPS2)).y)
+            y = min(
+                y, self._straight_on(body, _stopping_speed(self._stop_m - body.arc_m, BRAKE_MPS2)).y
+            )
         return Joystick(x, y)
 
     def _goal(self, body: Body, path: Path, arc_m: float) -> tuple[float, float]:
@@ -379,13 +416,19 @@ class SimulatedUser(User):
         ahead = body.x_m + math.cos(body.yaw_rad), body.y_m + math.sin(body.yaw_rad)
         return self._steered(body, ahead, speed_mps)
 
-    def _turned(self, body: Body, goal: tuple[float, float], seen: Seen, time_s: float) -> _Plan | None:
+    def _turned(
+        self, body: Body, goal: tuple[float, float], seen: Seen, time_s: float
+    ) -> _Plan | None:
         """A turn on the spot, with room made for it before; None when none is needed."""
         axle = self._axle(body)
         if self._turning is None:
             # seen from the axle, which a turn does not move: else the turn itself would change what is wanted
             error = wrap(math.atan2(goal[1] - axle.y_m, goal[0] - axle.x_m) - body.yaw_rad)
-            if self._street is None or abs(error) < TURN_IN_PLACE_RAD or abs(body.speed_mps) > STANDS_MPS:
+            if (
+                self._street is None
+                or abs(error) < TURN_IN_PLACE_RAD
+                or abs(body.speed_mps) > STANDS_MPS
+            ):
                 return None
             tried = self._turned_last.tried(axle) if self._turned_last is not None else 0.0
             backwards = not self.profile.discrete
@@ -402,7 +445,9 @@ class SimulatedUser(User):
         yaw = body.yaw_rad + min(max(turn_rad, -2.0), 2.0)
         speed = min(CREEP_MPS, body.safe_speed(seen.things, BRAKE_MPS2, self.profile.reaction_s))
         there = (body.x_m + math.cos(yaw), body.y_m + math.sin(yaw))
-        return _Plan(wish=self._steered(body, there, speed if on_m > 0.0 else 0.0), patience=patience)
+        return _Plan(
+            wish=self._steered(body, there, speed if on_m > 0.0 else 0.0), patience=patience
+        )
 
     def _free_when_stuck(self, body: Body, time_s: float) -> None:
         """Back up, or next time creep on, when the chair hangs on something: a kerb, a caster across."""
@@ -411,10 +456,14 @@ class SimulatedUser(User):
             self._moved = (time_s, body)
         elif time_s - self._moved[0] > STUCK_S and not self.profile.discrete:
             self._freed_m = -self._freed_m
-            self._turning = Turning(Turn(move_m=self._freed_m, turn_rad=0.0), self._axle(body), time_s)
+            self._turning = Turning(
+                Turn(move_m=self._freed_m, turn_rad=0.0), self._axle(body), time_s
+            )
             self._moved = (time_s, body)
 
-    def _change_lane(self, body: Body, path: Path, seen: Seen, speed_mps: float, home_m: float) -> float:
+    def _change_lane(
+        self, body: Body, path: Path, seen: Seen, speed_mps: float, home_m: float
+    ) -> float:
         """Pick the offset from the route, `home_m` where nothing is in the way; the speed that goes with it."""
         desired_mps = self.profile.speed_share * self._chair.v_max_mps
         blocked = body.blocked_lanes(path, seen.things, desired_mps)
@@ -446,7 +495,11 @@ class SimulatedUser(User):
 
     def _axle(self, body: Body) -> Axle:
         ahead_m, yaw = self._outline.middle_x_m, body.yaw_rad
-        return Axle(x_m=body.x_m - ahead_m * math.cos(yaw), y_m=body.y_m - ahead_m * math.sin(yaw), yaw_rad=yaw)
+        return Axle(
+            x_m=body.x_m - ahead_m * math.cos(yaw),
+            y_m=body.y_m - ahead_m * math.sin(yaw),
+            yaw_rad=yaw,
+        )
 
     def _judge_progress(self, path: Path, patience_s: float) -> None:
         self.arrived = self.arrived or self._arc_m > path.length_m - ARRIVED_M
@@ -459,4 +512,7 @@ class SimulatedUser(User):
 
 
 def _apart(a: Body, b: Body) -> bool:
-    return math.hypot(a.x_m - b.x_m, a.y_m - b.y_m) > _STUCK_M or abs(wrap(a.yaw_rad - b.yaw_rad)) > _STUCK_RAD
+    return (
+        math.hypot(a.x_m - b.x_m, a.y_m - b.y_m) > _STUCK_M
+        or abs(wrap(a.yaw_rad - b.yaw_rad)) > _STUCK_RAD
+    )

@@ -53,8 +53,21 @@ from wcsim.server.specs import ClientSpec, rss_mb, to_line
 from wcsim.supervisor.rewards import find_reward_term
 
 STATUS_EVERY_S = 0.5  # shortest time between two status lines
-_LASTING = (AccessError, ConfigMismatchError, PicturesError, VersionMismatchError)  # it would end so again
-_WORLD_PARTS = ("world", "chair", "cameras", "imu", "sensors", "reward", "vary")  # of a configuration
+_LASTING = (
+    AccessError,
+    ConfigMismatchError,
+    PicturesError,
+    VersionMismatchError,
+)  # it would end so again
+_WORLD_PARTS = (
+    "world",
+    "chair",
+    "cameras",
+    "imu",
+    "sensors",
+    "reward",
+    "vary",
+)  # of a configuration
 SETTLED_STEPS: Final = 200  # of a life, after which its memory is what it begins with
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
@@ -146,7 +159,12 @@ class _StatusPipe:
     """Reports the progress of a client, a few times a second, where there is a pipe."""
 
     def __init__(
-        self, name: str, descriptor: int, env: WheelchairEnv, shares: _TimeShares, growth: _ProcessGrowth
+        self,
+        name: str,
+        descriptor: int,
+        env: WheelchairEnv,
+        shares: _TimeShares,
+        growth: _ProcessGrowth,
     ) -> None:
         self._name, self._descriptor, self._growth = name, descriptor, growth
         if descriptor >= 0:
@@ -175,12 +193,17 @@ class _StatusPipe:
                 os.write(self._descriptor, to_line(said))
             except BlockingIOError:  # the reader is stopped
                 pass
-            except OSError:  # no reader is left; the kernel asks for the end itself (`parent.die_with_parent`),
+            except (
+                OSError
+            ):  # no reader is left; the kernel asks for the end itself (`parent.die_with_parent`),
                 self._descriptor = -1  # and a second request from here would cut the saving short
 
 
 def learn(
-    order: ClientSpec, resume: bool, status_fd: int = -1, log: Callable[[str], object] = lambda text: None
+    order: ClientSpec,
+    resume: bool,
+    status_fd: int = -1,
+    log: Callable[[str], object] = lambda text: None,
 ) -> None:
     """Train as ordered, into the run folder.
 
@@ -199,7 +222,9 @@ def learn(
     goes_on = resume and (out / MANIFEST).is_file()
     if resume and not goes_on and out.is_dir():  # a life that was ended while it made its folder
         if has_work(out):
-            raise PolicyError(f"{out} holds data but no {MANIFEST}; restore that file, or move the folder away")
+            raise PolicyError(
+                f"{out} holds data but no {MANIFEST}; restore that file, or move the folder away"
+            )
         shutil.rmtree(out)
     order, env = opened(order, again=resume)
     config = order.config
@@ -242,11 +267,15 @@ def opened(order: ClientSpec, again: bool = False) -> tuple[ClientSpec, Wheelcha
     terms = tuple(find_reward_term(name) for name in order.info.rewards)
     order = replace(order, config=config)
     if order.info.town:
-        return order, WheelchairEnv(order.info.town, config=config, reward_terms=terms, join=order.join)
+        return order, WheelchairEnv(
+            order.info.town, config=config, reward_terms=terms, join=order.join
+        )
     seat = SocketSeat(order.join)
     try:
         order = _fitted(order, seat, again)
-        return order, WheelchairEnv(order.info.town, config=order.config, reward_terms=terms, join=seat)
+        return order, WheelchairEnv(
+            order.info.town, config=order.config, reward_terms=terms, join=seat
+        )
     except BaseException:
         seat.close()
         raise
@@ -264,7 +293,9 @@ def _fitted(order: ClientSpec, seat: SocketSeat, again: bool) -> ClientSpec:
             f"{endpoint}: no answer within {patience.reconnect_s:g} s; is `wcsim serve` running there? "
             "(--wait S waits longer)"
         ) from None
-    seat.core.patience = Patience(reconnect_s=RECONNECT_S)  # from now on the server may be silent for longer
+    seat.core.patience = Patience(
+        reconnect_s=RECONNECT_S
+    )  # from now on the server may be silent for longer
     config = resolve(order.config, _of_world(seat.welcome, endpoint))
     return replace(order, config=config, info=replace(order.info, town=seat.welcome.town))
 
@@ -277,7 +308,10 @@ def _of_world(world: m.Welcome, endpoint: str) -> dict[str, Any]:
             f"the world of {endpoint} drives a wheelchair of a file ({escaped(offered.chair.plant, 80)!r}); expected "
             f"{' or '.join(known_plants())} over the network: join on the world's own machine"
         )
-    return {**{part: getattr(offered, part) for part in _WORLD_PARTS}, "env": {"actions": offered.env.actions}}
+    return {
+        **{part: getattr(offered, part) for part in _WORLD_PARTS},
+        "env": {"actions": offered.env.actions},
+    }
 
 
 def exit_code(error: WcsimError) -> ClientExit:

@@ -33,7 +33,9 @@ def main(words: Sequence[str]) -> int:
     options = parser.parse_args(words)
     signal.signal(WAIT_NO_MORE, signal.SIG_IGN)  # before and after it learns it waits for no world
     die_with_parent()
-    outlive_parent_by(SAVING_S, ClientExit.SERVER_GONE, WAIT_NO_MORE)  # its world is not started again
+    outlive_parent_by(
+        SAVING_S, ClientExit.SERVER_GONE, WAIT_NO_MORE
+    )  # its world is not started again
     if _has_no_reader(options.status_fd):  # the launcher died before it could be watched
         return ClientExit.SERVER_GONE
     return _learned(options.order, options.resume, options.status_fd)
@@ -59,7 +61,11 @@ def _learned(file: Path, resume: bool, status_fd: int) -> int:
         if not message:
             raise
         last_words(f"wcsim: {message}")
-        return ClientExit.DISK_FULL if getattr(error, "errno", None) in NO_ROOM else ClientExit.USER_ERROR
+        return (
+            ClientExit.DISK_FULL
+            if getattr(error, "errno", None) in NO_ROOM
+            else ClientExit.USER_ERROR
+        )
     except KeyboardInterrupt:
         last_words("wcsim: interrupted")
         return ClientExit.STOPPED

@@ -58,7 +58,9 @@ _CLAIM = re.compile(r"[0-9a-f]{32}")
 LEDGERS, LOGS, CONFIGS = "ledgers", "logs", "configs"
 SELECTION, CHOICE = "selection", "choice.json"
 KPI1 = "kpi1"  # the value of `learn.select_by` that compares by KPI 1 of the first phase, and its name in the choice
-GATHER_S = 600.0  # the first tick waits so long for all clients, whose learners take their time to load
+GATHER_S = (
+    600.0  # the first tick waits so long for all clients, whose learners take their time to load
+)
 RECONNECT_S = 330.0  # longer than a world may take to load again
 CLIENT_ARGV = (sys.executable, "-m", "wcsim.agents.clients.client_process")
 
@@ -106,9 +108,14 @@ class ClientsFolder:
     def fruitless(self) -> bool:
         """Whether nothing was done: no tick of the world, no step of a client, no episode, nothing saved."""
         journal, ledgers = self.path / JOURNAL, [self.ledger(name) for name in self.clients]
-        ticked = part_files(journal) and _may_hold(journal, iter_inputs, lambda record: isinstance(record, Ticked))
+        ticked = part_files(journal) and _may_hold(
+            journal, iter_inputs, lambda record: isinstance(record, Ticked)
+        )
         # The frame that its join gave a client is no step.
-        stepped = any(path.exists() and _may_hold(path, iter_ledger, lambda seen: seen.stepped) for path in ledgers)
+        stepped = any(
+            path.exists() and _may_hold(path, iter_ledger, lambda seen: seen.stepped)
+            for path in ledgers
+        )
         return not (ticked or stepped or any(has_work(self.path / name) for name in self.clients))
 
     def client_config(self, name: str) -> RunConfig:
@@ -121,7 +128,9 @@ class ClientsFolder:
 
     def truncated_parts(self) -> list[Path]:
         """What was cut off the ends of journal and ledgers, and is still there."""
-        return sorted([*self.path.glob(f"{JOURNAL}.torn*"), *(self.path / LEDGERS).glob("*.ledger.torn*")])
+        return sorted(
+            [*self.path.glob(f"{JOURNAL}.torn*"), *(self.path / LEDGERS).glob("*.ledger.torn*")]
+        )
 
     def with_status(self, status: Status, steps: int) -> ClientsFolder:
         """Write a new status into the manifest."""
@@ -154,12 +163,17 @@ def create_clients_folder(
     files.write_bytes(path / CONFIG, config.model_dump_json(indent=2).encode())
     for name, text in _texts(clients).items():
         files.write_bytes(path / name, text.encode())
-    return _written(ClientsFolder(path=path, config=config, manifest=manifest, clients=tuple(clients)))
+    return _written(
+        ClientsFolder(path=path, config=config, manifest=manifest, clients=tuple(clients))
+    )
 
 
 def _texts(clients: Mapping[str, RunConfig]) -> dict[str, str]:
     """What the files with the clients' configurations hold, by their paths in the run folder."""
-    return {f"{CONFIGS}/{name}.json": config.model_dump_json(indent=2) for name, config in clients.items()}
+    return {
+        f"{CONFIGS}/{name}.json": config.model_dump_json(indent=2)
+        for name, config in clients.items()
+    }
 
 
 def open_clients_folder(path: Path) -> ClientsFolder:
@@ -167,7 +181,9 @@ def open_clients_folder(path: Path) -> ClientsFolder:
     data = read_json(path, MANIFEST)
     _check_sealed(path, data)
     clients = data.pop("clients", None)
-    if not isinstance(clients, list) or not all(isinstance(name, str) and _NAME.fullmatch(name) for name in clients):
+    if not isinstance(clients, list) or not all(
+        isinstance(name, str) and _NAME.fullmatch(name) for name in clients
+    ):
         raise PolicyError(f"{path} is a run of one network; expected one of wcsim train-clients")
     try:
         config = parse(RunConfig, read_json(path, CONFIG), str(path / CONFIG))
@@ -183,7 +199,9 @@ def read_choice(path: Path, clients: Collection[str]) -> str:
         return ""
     best = read_json(path / SELECTION, CHOICE).get("best")
     if not isinstance(best, str) or best not in clients:
-        raise PolicyError(f"{path / SELECTION / CHOICE}: names no client of this run; remove it to compare again")
+        raise PolicyError(
+            f"{path / SELECTION / CHOICE}: names no client of this run; remove it to compare again"
+        )
     return best
 
 
@@ -193,7 +211,9 @@ def _written(folder: ClientsFolder, to_come: Mapping[str, str] | None = None) ->
     `to_come` are hashes of files that are about to be written, and may already be in place when the run is opened.
     """
     configs = [CONFIG, *(f"{CONFIGS}/{name}.json" for name in folder.clients)]
-    hashes = {name: files.sha256(folder.path / name) for name in configs if (folder.path / name).is_file()}
+    hashes = {
+        name: files.sha256(folder.path / name) for name in configs if (folder.path / name).is_file()
+    }
     data = {**asdict(folder.manifest), "clients": list(folder.clients), _FILES: hashes}
     if to_come:
         data[_FILES_TO_COME] = dict(to_come)
@@ -210,7 +230,10 @@ def _check_sealed(path: Path, data: dict[str, Any]) -> None:
     sealed = files.take_seal(data, str(path / MANIFEST), "; restore it")
     hashes, to_come = data.pop(_FILES, {}), data.pop(_FILES_TO_COME, {})
     for name, digest in hashes.items() if sealed else ():
-        if not (path / name).is_file() or files.sha256(path / name) not in (digest, to_come.get(name)):
+        if not (path / name).is_file() or files.sha256(path / name) not in (
+            digest,
+            to_come.get(name),
+        ):
             raise PolicyError(f"{path / name} is damaged, or was changed by hand; restore it")
 
 
@@ -228,7 +251,12 @@ def has_work(run: Path) -> bool:
     steps = manifest.get("steps", 0)
     if manifest.get("status") == "interrupted" and steps == 0:
         return False  # stopped before its first step: its policy is the one that it began with
-    return logged_rows(run / METRICS) > 0 or steps != 0 or any(run.glob("checkpoints/*")) or any(run.glob("policies/*"))
+    return (
+        logged_rows(run / METRICS) > 0
+        or steps != 0
+        or any(run.glob("checkpoints/*"))
+        or any(run.glob("policies/*"))
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -243,7 +271,11 @@ class Client:
     @property
     def shortened(self) -> Layer:
         """What its process learns with instead; a rate that fades does so in the last part alone."""
-        return None if self.until is None else {"learn": {"total_steps": self.until, "learning_rate_fade": 0.0}}
+        return (
+            None
+            if self.until is None
+            else {"learn": {"total_steps": self.until, "learning_rate_fade": 0.0}}
+        )
 
     @property
     def steps(self) -> int:
@@ -289,7 +321,10 @@ def world_order(
         lease_s=lease_s,
         recordings=recordings(client.config.env.profile for client in run.clients),
     )
-    more = [word if made_seed(word) is not None else find_town(word).address for word in run.info.more_towns]
+    more = [
+        word if made_seed(word) is not None else find_town(word).address
+        for word in run.info.more_towns
+    ]
     return WorldSpec(
         town=town,
         more_towns=tuple(more),

@@ -39,7 +39,9 @@ class PaidShares:
     def plus(self, now: PaidShares, before: PaidShares) -> PaidShares:
         """This, and what has been added from `before` to `now`, two readings of one life."""
         names = [each.name for each in fields(self)]
-        return PaidShares(**{k: getattr(self, k) + getattr(now, k) - getattr(before, k) for k in names})
+        return PaidShares(
+            **{k: getattr(self, k) + getattr(now, k) - getattr(before, k) for k in names}
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,7 +59,9 @@ def read_paid_times(run: Path) -> PaidTimes | None:
     data = read_json(run, WAITS)
     try:
         clients = {name: PaidShares(**_seconds(shares)) for name, shares in data["clients"].items()}
-        return PaidTimes(clients=clients, waited_s={who: _seconds(row) for who, row in data["waited_s"].items()})
+        return PaidTimes(
+            clients=clients, waited_s={who: _seconds(row) for who, row in data["waited_s"].items()}
+        )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise PolicyError(
             f"{run / WAITS}: is damaged ({str(error)[:80]}); expected the file as a run wrote it: "
@@ -90,13 +94,17 @@ class PaidTimesLog:
         self._last: dict[str, tuple[int, PaidShares]] = {}  # process and reading of each client
         self._saved_s = 0.0
         self._world_pid = 0
-        self._pairs_s: dict[tuple[str, str], float] = {}  # the same of its world, by who waited and for whom
+        self._pairs_s: dict[
+            tuple[str, str], float
+        ] = {}  # the same of its world, by who waited and for whom
 
     def add(self, state: LaunchState) -> None:
         """Take in how things are."""
         for client in state.clients:
             self._client(client)
-        if state.world is not None and state.world_pid:  # without a process these are a dead world's last words
+        if (
+            state.world is not None and state.world_pid
+        ):  # without a process these are a dead world's last words
             self._pairs(state.world_pid, state.world)
 
     def save_each(self, now_s: float) -> None:
@@ -118,7 +126,9 @@ class PaidTimesLog:
         last_pid, before = self._last.get(client.name, (pid, PaidShares()))
         if pid != last_pid:  # of another life
             before = PaidShares()
-        self.times.clients[client.name] = self.times.clients.get(client.name, PaidShares()).plus(now, before)
+        self.times.clients[client.name] = self.times.clients.get(client.name, PaidShares()).plus(
+            now, before
+        )
         self._last[client.name] = pid, now
 
     def _pairs(self, pid: int, world: WorldStatus) -> None:
@@ -133,7 +143,9 @@ class PaidTimesLog:
         for (who, whom), seconds in now.items():
             was_s = last.get((who, whom), 0.0)
             row = self.times.waited_s.setdefault(who, {})
-            row[whom] = round(row.get(whom, 0.0) + (seconds - was_s if seconds >= was_s else seconds), 2)
+            row[whom] = round(
+                row.get(whom, 0.0) + (seconds - was_s if seconds >= was_s else seconds), 2
+            )
         self._pairs_s = last | now
 
 

@@ -68,7 +68,9 @@ class _Face:
     @property
     def metadata(self) -> dict[str, Any]:
         """What Gymnasium and PettingZoo want to know of an environment."""
-        fps = max(1, round(1 / self.config.world.tick_s))  # so that films take as long as what they show
+        fps = max(
+            1, round(1 / self.config.world.tick_s)
+        )  # so that films take as long as what they show
         return {"render_modes": list(RENDER_MODES), "render_fps": fps, "name": "wcsim"}
 
     def action_space(self) -> gymnasium.spaces.Discrete | gymnasium.spaces.Box:
@@ -84,7 +86,9 @@ class _Face:
             return state_space()
         vector = imu_size(env.observe_gyro, env.observe_yaw)
         measures = self.config.sensors.measures()
-        now = observation_space(env.observation, camera.width_px, camera.height_px, vector, measures)
+        now = observation_space(
+            env.observation, camera.width_px, camera.height_px, vector, measures
+        )
         return windowed_space(now, env.frames)
 
     def order(self, seed: int, chairs: int = 1) -> WorldOrder:
@@ -121,7 +125,9 @@ def make_face(town: str, options: EnvOptions, own: Collection[str] = ("town",)) 
             f"config and preset={options['preset']!r}: expected one of them; a preset's configuration is "
             "wcsim.config.resolve(preset)"
         )
-    resolved = resolve(options.get("preset", "quick") if config is None else config, _given_overrides(options))
+    resolved = resolve(
+        options.get("preset", "quick") if config is None else config, _given_overrides(options)
+    )
     find_user(resolved.env.profile)
     if render_mode not in (None, *RENDER_MODES):
         raise ConfigError(f"render_mode {render_mode!r} is unknown; expected 'rgb_array' or None")
@@ -135,7 +141,9 @@ def _given_overrides(options: EnvOptions) -> tuple[str, ...]:
     """Those that were given. Raises ConfigError for one by itself, whose letters would be taken for overrides."""
     given = options.get("overrides", ())
     if isinstance(given, str):
-        raise ConfigError(f"overrides={escaped_value(given)} is one string; expected several: overrides=[{given!r}]")
+        raise ConfigError(
+            f"overrides={escaped_value(given)} is one string; expected several: overrides=[{given!r}]"
+        )
     return tuple(given)
 
 
@@ -144,7 +152,9 @@ def _check_known(options: Iterable[str], own: Collection[str]) -> None:
     known = sorted({*EnvOptions.__annotations__, *own})
     for name in options:
         if name not in known:
-            raise TypeError(f"unexpected keyword argument {name!r}; expected {', '.join(known)}{meant(name, known)}")
+            raise TypeError(
+                f"unexpected keyword argument {name!r}; expected {', '.join(known)}{meant(name, known)}"
+            )
 
 
 def _check_terms(terms: object) -> None:
@@ -173,7 +183,9 @@ def checked_seed(seed: object) -> int | None:
     except TypeError:
         number = -1
     if not 0 <= number <= MAX_INTEGER:
-        raise ConfigError(f"seed {escaped_value(seed)} cannot be used; expected an integer from 0 to {MAX_INTEGER}")
+        raise ConfigError(
+            f"seed {escaped_value(seed)} cannot be used; expected an integer from 0 to {MAX_INTEGER}"
+        )
     return number
 
 
@@ -201,7 +213,9 @@ class Chairs:
     def __getstate__(self) -> dict[str, Any]:
         """For copies. Raises ProtocolError while there is a world: one of several chairs is not driven again."""
         if self._group is not None:
-            raise ProtocolError("several chairs in an open world cannot be copied; call close() first, or copy one")
+            raise ProtocolError(
+                "several chairs in an open world cannot be copied; call close() first, or copy one"
+            )
         return self.__dict__
 
     @property
@@ -239,9 +253,13 @@ class Chairs:
         Raises ProtocolError for another number of them, BadActionError for a wrong one; then nothing has moved.
         """
         rows = np.asarray(actions, dtype=object)
-        given = list(np.atleast_1d(rows) if self.face.config.env.actions == "stick" else rows.reshape(-1))
+        given = list(
+            np.atleast_1d(rows) if self.face.config.env.actions == "stick" else rows.reshape(-1)
+        )
         if len(given) != len(self.all):
-            raise ProtocolError(f"{len(given)} actions; expected {len(self.all)}, one for each chair")
+            raise ProtocolError(
+                f"{len(given)} actions; expected {len(self.all)}, one for each chair"
+            )
         commands = [chair.command(action) for chair, action in zip(self.all, given, strict=True)]
         for seat, command in enumerate(commands):
             self.link(seat).send(command.tick, command.joystick)

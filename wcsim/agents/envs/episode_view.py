@@ -49,7 +49,11 @@ class FrameWindow:
             return observation
         missing = max(self._frames - len(self._kept), 1)  # all of them once, then one each time
         self._kept.extend([observation] * missing)
-        images = {key: np.concatenate([old[key] for old in self._kept]) for key in IMAGE_KEYS if key in observation}
+        images = {
+            key: np.concatenate([old[key] for old in self._kept])
+            for key in IMAGE_KEYS
+            if key in observation
+        }
         return {**observation, **images}
 
 
@@ -80,7 +84,10 @@ def newest(observation: policy_api.Observation, frames: int) -> policy_api.Obser
         return observation
     # An image may have several planes: colours have three for each moment.
     planes = {key: len(observation[key]) // held for key in IMAGE_KEYS if key in observation}
-    return {key: value[-frames * planes[key] :] if key in planes else value for key, value in observation.items()}
+    return {
+        key: value[-frames * planes[key] :] if key in planes else value
+        for key, value in observation.items()
+    }
 
 
 Seen = Observation | F32
@@ -91,7 +98,9 @@ WORLD_RESTARTED = "world_restarted"
 
 def named(seen: Seen) -> Observation:
     """The same, for a policy: the rows of `state` by name, and the user's stick (2,) beside them."""
-    return seen if isinstance(seen, dict) else {STATE_SENSE: seen, JOYSTICK_KEY: seen[0, 1:3].copy()}
+    return (
+        seen if isinstance(seen, dict) else {STATE_SENSE: seen, JOYSTICK_KEY: seen[0, 1:3].copy()}
+    )
 
 
 def delay_ticks(config: RunConfig, drawn: Drawn | None) -> int:
@@ -123,7 +132,10 @@ class Chair:
         self.now: ClientSnapshot | None = None
         self._config = config
         self._actions = action_set(config.env.lattice)
-        self._any_stick, self._state = config.env.actions == "stick", config.env.observation == "state"
+        self._any_stick, self._state = (
+            config.env.actions == "stick",
+            config.env.observation == "state",
+        )
         self.terms = tuple(terms)
         self._window = FrameWindow(config.env.frames)
         self._seen: Seen = {}  # the last observation
@@ -182,7 +194,9 @@ class Chair:
         index, most = _integer(action), len(self._actions) - 1
         if index is None or not 0 <= index <= most:
             got = escaped_value(action)
-            raise BadActionError(f"action {got} is not in the action set; expected an integer from 0 to {most}")
+            raise BadActionError(
+                f"action {got} is not in the action set; expected an integer from 0 to {most}"
+            )
         return index
 
     def stick(self, action: object) -> Joystick:
@@ -191,12 +205,16 @@ class Chair:
             return Joystick(*self._actions.points[self.checked(action)].tolist())
         self._frame()
         try:
-            real = not any(isinstance(part, complex | np.complexfloating) for part in np.ravel(action))  # type: ignore[call-overload]
+            real = not any(
+                isinstance(part, complex | np.complexfloating) for part in np.ravel(action)
+            )  # type: ignore[call-overload]
             xy = np.asarray(action, np.float64) if real else np.empty(0)
         except (TypeError, ValueError, OverflowError):
             xy = np.empty(0)
         if xy.shape != (2,) or not (np.abs(xy) <= 1.0).all():  # no number is not within either
-            raise BadActionError(f"action {escaped_value(action)} is no stick; expected x and y from -1 to 1")
+            raise BadActionError(
+                f"action {escaped_value(action)} is no stick; expected x and y from -1 to 1"
+            )
         # The gate of a joystick is round: what lies beyond it is pushed that way, as far as it goes.
         return Joystick(*(xy / max(1.0, float(np.hypot(*xy)))).tolist())
 
@@ -215,7 +233,9 @@ class Chair:
         distance = joystick_distance(*gap, config)
         terms = reward(distance, after.sensors.imu, after.plant, events, config)
         if self.terms:
-            terms = replace(terms, extra=sum(float(term.reward(before, after)) for term in self.terms))
+            terms = replace(
+                terms, extra=sum(float(term.reward(before, after)) for term in self.terms)
+            )
         self._seen = self._observed(after)
         self._arrived = self._arrived or events.arrived
         far = min(float(np.hypot(*(gap[1] - gap[0]))), MAX_DISTANCE)
@@ -248,12 +268,18 @@ class Chair:
         return EpisodeStep(self._seen, 0.0, False, True, {**info, "reason": WORLD_RESTARTED})
 
     def _observed(self, frame: ClientSnapshot) -> Seen:
-        return state_of(frame) if self._state else self._window.add(observation_of(frame, self._config))
+        return (
+            state_of(frame)
+            if self._state
+            else self._window.add(observation_of(frame, self._config))
+        )
 
     def _frame(self) -> ClientSnapshot:
         """The frame of now. Raises ProtocolError where no episode is on."""
         if self.now is None or self.now.first is not None:
-            raise ProtocolError("step() came before reset(), or after the episode's end; call reset() first")
+            raise ProtocolError(
+                "step() came before reset(), or after the episode's end; call reset() first"
+            )
         return self.now
 
     def _info(
@@ -270,12 +296,16 @@ class Chair:
             "state": plant,
             "imu": snapshot.sensors.imu,
             **{reading.name: reading.values for reading in snapshot.sensors.readings},
-            "user_action": np.array(user, np.float32) if self._any_stick else self._actions.nearest(user),
+            "user_action": np.array(user, np.float32)
+            if self._any_stick
+            else self._actions.nearest(user),
             "joystick_distance": distance,
             "asked": asked,
             "given": given,
             "reward_terms": terms,
-            "rewards": {name: getattr(terms, name) if terms else 0.0 for name in RewardTerms.__slots__},
+            "rewards": {
+                name: getattr(terms, name) if terms else 0.0 for name in RewardTerms.__slots__
+            },
             # An episode goes on behind a destination: at its end the last step says whether one was reached.
             "is_success": self._arrived and not snapshot.events.crashed,
             "truth": snapshot.truth,
@@ -291,7 +321,9 @@ class Chair:
 
     def _check(self, first: ClientSnapshot) -> None:
         """Pictures of another size would leave the observation space without a word."""
-        wanted = [(camera.name, (camera.height_px, camera.width_px)) for camera in self._config.cameras]
+        wanted = [
+            (camera.name, (camera.height_px, camera.width_px)) for camera in self._config.cameras
+        ]
         if self._state and not any(camera.rgb for camera in self._config.cameras):
             wanted = []
         given = {reading.name: len(reading.values) for reading in first.sensors.readings}
@@ -303,10 +335,16 @@ class Chair:
             )
         got = [(frame.name, frame.depth_m.shape) for frame in first.sensors.cameras]
         if got != wanted:
-            raise ConfigMismatchError(f"the world's cameras are {got}; expected {wanted}: use its configuration")
-        sensors = {name: len(measure.parts) for name, measure in self._config.sensors.measures().items()}
+            raise ConfigMismatchError(
+                f"the world's cameras are {got}; expected {wanted}: use its configuration"
+            )
+        sensors = {
+            name: len(measure.parts) for name, measure in self._config.sensors.measures().items()
+        }
         if not sensors.items() <= given.items():
-            raise ConfigMismatchError(f"the world's sensors are {given}; expected {sensors}: use its configuration")
+            raise ConfigMismatchError(
+                f"the world's sensors are {given}; expected {sensors}: use its configuration"
+            )
 
 
 def _integer(value: object) -> int | None:

@@ -13,7 +13,14 @@ import gymnasium
 import numpy as np
 import numpy.typing as npt
 
-from wcsim.agents.envs.env_spec import Chairs, EnvOptions, checked_chairs, checked_seed, drawn_seed, make_face
+from wcsim.agents.envs.env_spec import (
+    Chairs,
+    EnvOptions,
+    checked_chairs,
+    checked_seed,
+    drawn_seed,
+    make_face,
+)
 from wcsim.agents.envs.episode_view import EpisodeStep, Info, Seen
 from wcsim.core import seeding
 from wcsim.errors import ProtocolError, check_installed
@@ -29,7 +36,9 @@ except ModuleNotFoundError:
 class StreetParallelEnv(ParallelEnv[str, Seen, np.int64]):  # type: ignore[misc]  # PettingZoo has no types
     """Several wheelchairs in one town, for PettingZoo."""
 
-    def __init__(self, town: str = "helsinki", *, chairs: int = 2, **options: Unpack[EnvOptions]) -> None:
+    def __init__(
+        self, town: str = "helsinki", *, chairs: int = 2, **options: Unpack[EnvOptions]
+    ) -> None:
         """Describe the environment; the world is made by the first reset.
 
         Args:
@@ -48,7 +57,9 @@ class StreetParallelEnv(ParallelEnv[str, Seen, np.int64]):  # type: ignore[misc]
         self.config, self.render_mode, self.metadata = face.config, face.render_mode, face.metadata
         self.possible_agents = [f"chair_{seat}" for seat in range(chairs)]
         self.agents: list[str] = []
-        self._observation_spaces = {agent: face.observation_space() for agent in self.possible_agents}
+        self._observation_spaces = {
+            agent: face.observation_space() for agent in self.possible_agents
+        }
         self._action_spaces = {agent: face.action_space() for agent in self.possible_agents}
 
     def observation_space(self, agent: str) -> gymnasium.spaces.Dict | gymnasium.spaces.Box:
@@ -72,11 +83,15 @@ class StreetParallelEnv(ParallelEnv[str, Seen, np.int64]):  # type: ignore[misc]
         begun = self._chairs.begin(self._next_seed(seed))
         self.agents = list(self.possible_agents)
         observations = {agent: item[0] for agent, item in zip(self.agents, begun, strict=True)}
-        return observations, {agent: item[1] for agent, item in zip(self.agents, begun, strict=True)}
+        return observations, {
+            agent: item[1] for agent, item in zip(self.agents, begun, strict=True)
+        }
 
     def step(
         self, actions: Mapping[str, np.int64 | int | F32]
-    ) -> tuple[dict[str, Seen], dict[str, float], dict[str, bool], dict[str, bool], dict[str, Info]]:
+    ) -> tuple[
+        dict[str, Seen], dict[str, float], dict[str, bool], dict[str, bool], dict[str, Info]
+    ]:
         """Drive for one tick, with one action of every agent that is left; without one there is nothing to do.
 
         Raises:
@@ -114,11 +129,17 @@ class StreetParallelEnv(ParallelEnv[str, Seen, np.int64]):  # type: ignore[misc]
         elif self._seed is None:
             self._seed = drawn_seed()
         self._resets += 1
-        return self._seed if self._resets == 1 else seeding.derive(self._seed, "reset", self._resets)
+        return (
+            self._seed if self._resets == 1 else seeding.derive(self._seed, "reset", self._resets)
+        )
 
     def _check(self, actions: Mapping[str, np.int64 | int | F32]) -> None:
         if not isinstance(actions, Mapping) or set(actions) != set(self.agents):
-            got = sorted(map(str, actions)) if isinstance(actions, Mapping) else f"a {type(actions).__name__}"
+            got = (
+                sorted(map(str, actions))
+                if isinstance(actions, Mapping)
+                else f"a {type(actions).__name__}"
+            )
             raise ProtocolError(f"actions of {got}; expected one of each of {self.agents}")
         for agent, action in actions.items():
             self._chairs.all[self.possible_agents.index(agent)].stick(action)

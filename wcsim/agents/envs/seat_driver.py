@@ -87,7 +87,9 @@ class PolicyAgent:
         """The same, where the caller answers calls for help, and tells a `HearsSent` what was sent."""
         self._show(info)
         policy = self.policy
-        return int(policy.choose(observation) if isinstance(policy, HearsSent) else policy.act(observation))
+        return int(
+            policy.choose(observation) if isinstance(policy, HearsSent) else policy.act(observation)
+        )
 
     def _show(self, info: Info) -> None:
         if isinstance(self.policy, SeesTruth):

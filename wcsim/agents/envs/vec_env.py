@@ -14,21 +14,37 @@ import gymnasium
 import numpy as np
 import numpy.typing as npt
 
-from wcsim.agents.envs.env_spec import Chairs, EnvOptions, checked_chairs, checked_seed, make_face, stacked
+from wcsim.agents.envs.env_spec import (
+    Chairs,
+    EnvOptions,
+    checked_chairs,
+    checked_seed,
+    make_face,
+    stacked,
+)
 from wcsim.errors import ConfigError, ProtocolError, check_installed
 from wcsim.server.links.base import Waits
 
 try:
-    from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvIndices, VecEnvObs, VecEnvStepReturn
+    from stable_baselines3.common.vec_env.base_vec_env import (
+        VecEnv,
+        VecEnvIndices,
+        VecEnvObs,
+        VecEnvStepReturn,
+    )
 except ModuleNotFoundError:
-    check_installed("wcsim.StreetVecEnv needs Stable-Baselines3", "train", "torch", "stable_baselines3")
+    check_installed(
+        "wcsim.StreetVecEnv needs Stable-Baselines3", "train", "torch", "stable_baselines3"
+    )
     raise
 
 
 class StreetVecEnv(VecEnv):
     """Several wheelchairs in one town, for Stable-Baselines3."""
 
-    def __init__(self, town: str = "helsinki", *, chairs: int = 2, **options: Unpack[EnvOptions]) -> None:
+    def __init__(
+        self, town: str = "helsinki", *, chairs: int = 2, **options: Unpack[EnvOptions]
+    ) -> None:
         """Describe the environment; the world is made by the first reset. Arguments as in `StreetParallelEnv`.
 
         Raises:
@@ -41,14 +57,19 @@ class StreetVecEnv(VecEnv):
         self._waiting = False  # for what comes of a step
         self.config, self.render_mode = face.config, face.render_mode
         super().__init__(chairs, face.observation_space(), face.action_space())
-        self.metadata = {**self.metadata, "render_fps": face.metadata["render_fps"]}  # SB3 makes one without it
+        self.metadata = {
+            **self.metadata,
+            "render_fps": face.metadata["render_fps"],
+        }  # SB3 makes one without it
 
     def reset(self) -> VecEnvObs:
         """Begin an episode in every chair: after `seed`, and for the first time, in a world made anew."""
         if self._waiting:
             self.step_wait()  # what is under way must come to its end
         seed = self._seeds[0]
-        begun = self._chairs.begin_next(self._first_seed) if seed is None else self._chairs.begin(seed)
+        begun = (
+            self._chairs.begin_next(self._first_seed) if seed is None else self._chairs.begin(seed)
+        )
         self._reset_seeds()
         self._reset_options()
         self.reset_infos = [info for _, info in begun]
@@ -103,16 +124,27 @@ class StreetVecEnv(VecEnv):
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
         """Refused: the chairs are of one world. Raises ConfigError."""
-        raise ConfigError(f"{attr_name!r} cannot be set in an existing world; make another StreetVecEnv")
+        raise ConfigError(
+            f"{attr_name!r} cannot be set in an existing world; make another StreetVecEnv"
+        )
 
     def env_method(
-        self, method_name: str, *method_args: Any, indices: VecEnvIndices = None, **method_kwargs: Any
+        self,
+        method_name: str,
+        *method_args: Any,
+        indices: VecEnvIndices = None,
+        **method_kwargs: Any,
     ) -> list[Any]:
         """Call a method with the number of each chair as its first argument, such as `waits`."""
-        return [getattr(self, method_name)(seat, *method_args, **method_kwargs) for seat in self._picked(indices)]
+        return [
+            getattr(self, method_name)(seat, *method_args, **method_kwargs)
+            for seat in self._picked(indices)
+        ]
 
     def env_is_wrapped(
-        self, wrapper_class: type[gymnasium.Wrapper[Any, Any, Any, Any]], indices: VecEnvIndices = None
+        self,
+        wrapper_class: type[gymnasium.Wrapper[Any, Any, Any, Any]],
+        indices: VecEnvIndices = None,
     ) -> list[bool]:
         """No chair is wrapped."""
         return [False for _ in self._picked(indices)]

@@ -14,7 +14,14 @@ import numpy.typing as npt
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from wcsim.agents.envs.env_spec import Chairs, EnvOptions, checked_chairs, checked_seed, make_face, stacked
+from wcsim.agents.envs.env_spec import (
+    Chairs,
+    EnvOptions,
+    checked_chairs,
+    checked_seed,
+    make_face,
+    stacked,
+)
 from wcsim.agents.envs.episode_view import Info, Seen
 from wcsim.config import resolve
 from wcsim.errors import ConfigError
@@ -47,15 +54,24 @@ class StreetVectorEnv(VectorEnv[Seen, Any, npt.NDArray[Any]]):
         face = make_face(town, options, ("town", "num_envs", "max_episode_steps"))
         if max_episode_steps not in (None, -1) and max_episode_steps < face.config.env.max_steps:
             face = replace(face, config=resolve(face.config, f"env.max_steps={max_episode_steps}"))
-        self.num_envs, self.config, self.render_mode = checked_chairs(num_envs), face.config, face.render_mode
+        self.num_envs, self.config, self.render_mode = (
+            checked_chairs(num_envs),
+            face.config,
+            face.render_mode,
+        )
         self.metadata = {**face.metadata, "autoreset_mode": AutoresetMode.SAME_STEP}
         self._chairs = Chairs(face, num_envs, options.get("reward_terms", ()))
         self._first_seed = checked_seed(options.get("seed"))
-        self.single_observation_space, self.single_action_space = face.observation_space(), face.action_space()
+        self.single_observation_space, self.single_action_space = (
+            face.observation_space(),
+            face.action_space(),
+        )
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
 
-    def reset(self, *, seed: int | list[int | None] | None = None, options: Info | None = None) -> tuple[Seen, Info]:
+    def reset(
+        self, *, seed: int | list[int | None] | None = None, options: Info | None = None
+    ) -> tuple[Seen, Info]:
         """Begin an episode in every chair: with a seed, and for the first time, in a world made anew.
 
         Raises:
@@ -64,10 +80,14 @@ class StreetVectorEnv(VectorEnv[Seen, Any, npt.NDArray[Any]]):
         """
         seed = checked_seed(seed)
         if "reset_mask" in (options or {}):
-            raise ConfigError("options has a reset_mask; expected none: chairs begin their episodes by themselves")
+            raise ConfigError(
+                "options has a reset_mask; expected none: chairs begin their episodes by themselves"
+            )
         super().reset(seed=seed)
         self.closed = False  # or the next close() would leave the world open
-        begun = self._chairs.begin_next(self._first_seed) if seed is None else self._chairs.begin(seed)
+        begun = (
+            self._chairs.begin_next(self._first_seed) if seed is None else self._chairs.begin(seed)
+        )
         infos: Info = {}
         for seat, (_, info) in enumerate(begun):
             infos = self._add_info(infos, info, seat)
@@ -99,7 +119,11 @@ class StreetVectorEnv(VectorEnv[Seen, Any, npt.NDArray[Any]]):
 
     def render(self) -> tuple[Any, ...] | None:
         """Every chair's picture (H, W, 3) uint8, in render mode "rgb_array"."""
-        return tuple(chair.picture for chair in self._chairs.all) if self.render_mode == "rgb_array" else None
+        return (
+            tuple(chair.picture for chair in self._chairs.all)
+            if self.render_mode == "rgb_array"
+            else None
+        )
 
     def close_extras(self, **kwargs: Any) -> None:
         """End the world."""

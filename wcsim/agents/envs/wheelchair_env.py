@@ -80,9 +80,13 @@ class WheelchairEnv(gymnasium.Env[Seen, np.int64 | F32]):
         self._own: SeatGroup | None = None  # the world, where no server has it
         self._link: Seat | None = None
         self._waits_no_more = False
-        self.due_work: Callable[[], Callable[[], None] | None] | None = None  # to be done while a step is waited for
+        self.due_work: Callable[[], Callable[[], None] | None] | None = (
+            None  # to be done while a step is waited for
+        )
         terms = tuple(options.get("reward_terms", ()))
-        with suppress(TypeError):  # one that holds a file or the like cannot be copied, and is taken as it is
+        with suppress(
+            TypeError
+        ):  # one that holds a file or the like cannot be copied, and is taken as it is
             terms = copy.deepcopy(terms)  # others may have these as well
         self._chair = Chair(self._face.config, terms)
         self.town, self.config, self.render_mode = town, self._face.config, self._face.render_mode
@@ -90,7 +94,9 @@ class WheelchairEnv(gymnasium.Env[Seen, np.int64 | F32]):
         self.observation_space = self._face.observation_space()  # type: ignore[assignment]
         self.action_space = self._face.action_space()  # type: ignore[assignment]
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Seen, dict[str, Any]]:
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Seen, dict[str, Any]]:
         """Begin an episode; with a seed, in a world made anew.
 
         In a joined world the first reset hands out the frame that the seat has, whatever the seed, for the world is
@@ -205,14 +211,20 @@ class WheelchairEnv(gymnasium.Env[Seen, np.int64 | F32]):
 
     def _open(self, seed: int | None, turn: int = 0) -> ClientSnapshot:
         if self._join is None:
-            self._root_seed, self._turn, self._steps = drawn_seed() if seed is None else seed, turn, 0
+            self._root_seed, self._turn, self._steps = (
+                drawn_seed() if seed is None else seed,
+                turn,
+                0,
+            )
             self._driven = []
             self._own = open_group(self._order())
             self._link = self._own.links[0]
         elif isinstance(self._join, Seat):
             self._link = self._join
         else:
-            from wcsim.server.links.socket import SocketSeat  # ZeroMQ is loaded only for a world of another process
+            from wcsim.server.links.socket import (
+                SocketSeat,
+            )  # ZeroMQ is loaded only for a world of another process
 
             self._link = SocketSeat(self._join)
         if self._waits_no_more:  # requested before there was a link
@@ -231,7 +243,9 @@ class WheelchairEnv(gymnasium.Env[Seen, np.int64 | F32]):
     def __getstate__(self) -> dict[str, Any]:
         """All but the world, and what its owner has put in. Raises ProtocolError where it could not be made again."""
         if self._chair.now is not None and self._join is not None:
-            raise ProtocolError("a seat in a world that others share cannot be copied; call close() first")
+            raise ProtocolError(
+                "a seat in a world that others share cannot be copied; call close() first"
+            )
         if self._chair.now is not None and len(self._driven) > MOST_REPEATED:
             raise ProtocolError(
                 f"a copy would drive more than {MOST_REPEATED} steps again; call reset(seed=...) or close() first"

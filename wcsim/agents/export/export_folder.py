@@ -32,12 +32,22 @@ def settings_apart(own: RunConfig, other: RunConfig) -> list[str]:
     there = other.sensors.on()
     camera, usual = own.eye, other.eye
     seen = {key: getattr(camera, key) for key in _CAMERA}
-    told = [(f"cameras.0.{key}", value) for key, value in seen.items() if value != getattr(usual, key)]
+    told = [
+        (f"cameras.0.{key}", value) for key, value in seen.items() if value != getattr(usual, key)
+    ]
     for name, sensor in own.sensors.on().items():
         if name not in there:
             told += [(f"sensors.{name}", "typical")]
-            told += [(f"sensors.{name}.{key}", value) for key, value in sensor if value != getattr(type(sensor)(), key)]
-    told += [(f"{part}.{key}", mine[part][key]) for part, key in _OTHERS if mine[part][key] != others[part][key]]
+            told += [
+                (f"sensors.{name}.{key}", value)
+                for key, value in sensor
+                if value != getattr(type(sensor)(), key)
+            ]
+    told += [
+        (f"{part}.{key}", mine[part][key])
+        for part, key in _OTHERS
+        if mine[part][key] != others[part][key]
+    ]
     return as_words(told)
 
 
@@ -47,7 +57,9 @@ def as_words(told: Iterable[tuple[str, Any]]) -> list[str]:
     >>> as_words([("world.tick_s", 0.1), ("env.classes", "wcsim")])
     ['world.tick_s=0.1', 'env.classes=wcsim']
     """
-    return [f"{name}={value if isinstance(value, str) else json.dumps(value)}" for name, value in told]
+    return [
+        f"{name}={value if isinstance(value, str) else json.dumps(value)}" for name, value in told
+    ]
 
 
 def require_shown(recorded: RunConfig, own: RunConfig, file: Path, policy: str) -> None:
@@ -75,7 +87,11 @@ def require_shown(recorded: RunConfig, own: RunConfig, file: Path, policy: str) 
 def require_export_place(option: str, folder: Path) -> None:
     """Refuse a folder that holds what no export wrote, for an export takes its whole place. Raises ConfigError."""
     expected = (*WRITTEN, "__pycache__")  # Python's, once the loop was imported
-    others = sorted(path.name for path in folder.iterdir() if path.name not in expected) if is_folder(folder) else []
+    others = (
+        sorted(path.name for path in folder.iterdir() if path.name not in expected)
+        if is_folder(folder)
+        else []
+    )
     if others:
         named = ", ".join(escaped(name, 80) for name in others[:_MOST_NAMED]) + " and more" * (
             len(others) > _MOST_NAMED

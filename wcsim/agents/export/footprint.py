@@ -64,10 +64,14 @@ def _told(model: Path, reference: Path, keys: Sequence[str], share: float) -> di
     try:
         run = run_command(words, _PATIENCE_S, beside=lambda process: _throttle(process, share))
     except subprocess.TimeoutExpired:
-        raise PolicyError(f"{model}: no answer within {_PATIENCE_S:g} s; expected its reference steps") from None
+        raise PolicyError(
+            f"{model}: no answer within {_PATIENCE_S:g} s; expected its reference steps"
+        ) from None
     if run.returncode:
         last = run.stderr.strip().splitlines()[-1:] or ["no word"]
-        raise PolicyError(f"{model} cannot be run by itself: {last[0][:200]}; expected ONNX Runtime to take it")
+        raise PolicyError(
+            f"{model} cannot be run by itself: {last[0][:200]}; expected ONNX Runtime to take it"
+        )
     told: dict[str, Any] = json.loads(run.stdout)
     return told
 
@@ -86,7 +90,10 @@ def _throttle(process: subprocess.Popen[bytes], share: float) -> None:
 
 
 def steps_of(
-    session: Any, shown: Iterable[Arrays], keys: Sequence[str], before: Sequence[Sequence[Any]] | None = None
+    session: Any,
+    shown: Iterable[Arrays],
+    keys: Sequence[str],
+    before: Sequence[Sequence[Any]] | None = None,
 ) -> Iterator[dict[str, Any]]:
     """What a model tells in each step, by name.
 
@@ -97,7 +104,11 @@ def steps_of(
         before: The states that each step begins with; None for zeros, and then those that the model itself told.
     """
     names = [item.name for item in session.get_outputs()]
-    states = {item.name: np.zeros(item.shape, np.float32) for item in session.get_inputs() if item.name not in keys}
+    states = {
+        item.name: np.zeros(item.shape, np.float32)
+        for item in session.get_inputs()
+        if item.name not in keys
+    }
     for step, seen in enumerate(shown):
         if before is not None:
             states = dict(zip(states, before[step], strict=True))
@@ -118,7 +129,10 @@ def _measure(model: str, reference: str, keys: Sequence[str]) -> dict[str, Any]:
     with np.load(reference, allow_pickle=False) as held:
         columns = {key: held[key] for key in keys}
     ticks = len(columns[keys[0]])
-    shown = ({key: column[number % ticks] for key, column in columns.items()} for number in range(_WARM_UP + ticks))
+    shown = (
+        {key: column[number % ticks] for key, column in columns.items()}
+        for number in range(_WARM_UP + ticks)
+    )
     wall_ms, cpu_ms = [], []
     began, worked = time.perf_counter(), time.thread_time()
     for _ in steps_of(session, shown, keys):

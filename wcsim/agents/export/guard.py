@@ -62,8 +62,14 @@ class GuardedPolicy:
         self._good = 0 if wanted is None else self._good + 1
         self.tripped = wanted is None or (self.tripped and self._good < rule.good_ticks)
         self.warning = self.warning and wanted is not None
-        share = max(0.0, 1.0 - _LONGEST * rule.tick_s / rule.stop_s / max(math.hypot(*self.stick), 1e-9))
-        self.stick = wanted if wanted and not self.tripped else (self.stick[0] * share, self.stick[1] * share)
+        share = max(
+            0.0, 1.0 - _LONGEST * rule.tick_s / rule.stop_s / max(math.hypot(*self.stick), 1e-9)
+        )
+        self.stick = (
+            wanted
+            if wanted and not self.tripped
+            else (self.stick[0] * share, self.stick[1] * share)
+        )
         if self.stick != wanted:  # it remembers what it wanted as what was sent
             self._policy.reset()
         return self._actions.nearest(self.stick)

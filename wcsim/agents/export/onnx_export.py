@@ -45,9 +45,15 @@ from wcsim.supervisor.observation import imu_size
 from wcsim.types import F32, ClassId
 
 _PRESET: Final = "quick"  # that policy.toml begins with
-MOST_OFF: Final = 1e-4  # of the largest danger or value, between the model and the network it was made of
-BORDER_OFF: Final = 0.05  # of it, in a step in which a place on the border of two cells was read in the other
-LEAST_SAME: Final = 0.95  # of the actions, as wcsim's own policy chooses: a border may lead on to others
+MOST_OFF: Final = (
+    1e-4  # of the largest danger or value, between the model and the network it was made of
+)
+BORDER_OFF: Final = (
+    0.05  # of it, in a step in which a place on the border of two cells was read in the other
+)
+LEAST_SAME: Final = (
+    0.95  # of the actions, as wcsim's own policy chooses: a border may lead on to others
+)
 Graph = DangerGraph | ValueGraph
 
 
@@ -63,7 +69,9 @@ class ExportFacts:
     border_off: float  # of the largest danger, in these
     same_actions: float  # share of the steps
     same_as_wcsim: float  # share of the steps that the policy of wcsim itself chooses
-    same_as_recorded: float | None = None  # share of a recording's actions that are these; None without a recording
+    same_as_recorded: float | None = (
+        None  # share of a recording's actions that are these; None without a recording
+    )
     cost: Footprint
     bytes: int
     quota_share: float = SHARE
@@ -98,7 +106,9 @@ def export_policy(
             installed.
         DiskFullError: There is no room.
     """
-    torch.set_num_threads(1)  # one picture is too little for two threads, as in `agents/opening/named_policy.py`
+    torch.set_num_threads(
+        1
+    )  # one picture is too little for two threads, as in `agents/opening/named_policy.py`
     graph, own = _opened(policy, config, level, network)
     graph.train(False)
     config = resolve(config, sense_settings(config, senses_of(own)))
@@ -111,7 +121,9 @@ def export_policy(
     model = exported(graph, (*given, *states), (*graph.inputs, *shapes), outputs)
     with files.whole_folder(out) as target:
         (target / MODEL_FILE).write_bytes(model)
-        facts = _write_reference(target, graph, ride, chosen, action_set(config.env.actions), recorded)
+        facts = _write_reference(
+            target, graph, ride, chosen, action_set(config.env.actions), recorded
+        )
         if facts.cost.p99_ms > limit_ms:
             raise PolicyError(
                 f"a decision takes {facts.cost.p99_ms:.0f} ms (99th percentile); expected at most {limit_ms:g} ms: "
@@ -139,7 +151,10 @@ def _loop_place() -> Path:
 
 
 def _run_model(
-    path: Path, ride: Sequence[Observation], keys: Sequence[str], before: Sequence[Sequence[F32]] | None = None
+    path: Path,
+    ride: Sequence[Observation],
+    keys: Sequence[str],
+    before: Sequence[Sequence[F32]] | None = None,
 ) -> dict[str, Any]:
     """Outputs by name, stacked over the steps of a ride.
 
@@ -157,7 +172,9 @@ def _run_model(
     return {name: np.stack(values) for name, values in told.items()}
 
 
-def _opened(policy: Path, config: RunConfig, level: float | None, network: str | None) -> tuple[Graph, Policy]:
+def _opened(
+    policy: Path, config: RunConfig, level: float | None, network: str | None
+) -> tuple[Graph, Policy]:
     """A policy as a graph, and as wcsim drives with it."""
     if not is_danger(policy):
         held = load_policy(policy, network)
@@ -184,7 +201,10 @@ def _write_reference(
     recorded: Sequence[int] | None,
 ) -> ExportFacts:
     wanted, actions, before = [], [], []
-    at, state = graph.outputs.index(graph.checked), [torch.zeros(shape) for shape in graph.shapes().values()]
+    at, state = (
+        graph.outputs.index(graph.checked),
+        [torch.zeros(shape) for shape in graph.shapes().values()],
+    )
     with torch.inference_mode():
         for seen in ride:
             before.append([part.numpy() for part in state])
@@ -192,11 +212,19 @@ def _write_reference(
             state = list(out[len(graph.outputs) :])
             wanted.append(out[at][0].numpy())
             actions.append(int(out[0].argmax()))
-    off = _off(_run_model(target / MODEL_FILE, ride, graph.inputs, before)[graph.checked], np.stack(wanted), graph)
+    off = _off(
+        _run_model(target / MODEL_FILE, ride, graph.inputs, before)[graph.checked],
+        np.stack(wanted),
+        graph,
+    )
     told = _run_model(target / MODEL_FILE, ride, graph.inputs)
     inputs = {key: np.stack([seen[key] for seen in ride]) for key in graph.inputs}
     # Its own actions, whoever drove a recording: whoever runs the model again can have no others.
-    kept: dict[str, Any] = {**inputs, graph.checked: told[graph.checked], "action": np.array(actions)}
+    kept: dict[str, Any] = {
+        **inputs,
+        graph.checked: told[graph.checked],
+        "action": np.array(actions),
+    }
     np.savez_compressed(target / REFERENCE, **kept)
     own = points.nearest_many(inputs["joystick"])
     at_border = off > MOST_OFF
@@ -216,7 +244,9 @@ def _write_reference(
         border_off=float(off.max()),
         same_actions=float(np.mean(told["values"].argmax(axis=1) == actions)),
         same_as_wcsim=float(np.mean(same)),
-        same_as_recorded=None if recorded is None else float(np.mean(np.array(actions) == np.array(recorded))),
+        same_as_recorded=None
+        if recorded is None
+        else float(np.mean(np.array(actions) == np.array(recorded))),
         cost=footprint(target / MODEL_FILE, target / REFERENCE, graph.inputs),
         bytes=(target / MODEL_FILE).stat().st_size,
     )
@@ -243,10 +273,14 @@ def _off(told: F32, wanted: F32, graph: Graph) -> F32:
 def _about(config: RunConfig) -> str:
     """The settings with which `wcsim test` shows the model what it was trained on, over those of a preset."""
     usual = resolve(_PRESET)
-    told = [(f"chair.{key}", value) for key, value in config.chair if value is not None]  # a plant brings its own
+    told = [
+        (f"chair.{key}", value) for key, value in config.chair if value is not None
+    ]  # a plant brings its own
     told += [("imu.tilt", config.imu.tilt)] if config.imu.tilt != usual.imu.tilt else []
     told += [("world.action_delay_ticks", config.world.action_delay_ticks)]
-    size = as_words((f"cameras.0.{key}", getattr(config.eye, key)) for key in ("width_px", "height_px"))
+    size = as_words(
+        (f"cameras.0.{key}", getattr(config.eye, key)) for key in ("width_px", "height_px")
+    )
     settings = dict.fromkeys((*size, *settings_apart(config, usual), *as_words(told)))
     lines = ",\n  ".join(json.dumps(setting) for setting in settings)
     return f'preset = "{_PRESET}"\nsettings = [\n  {lines},\n]\n'
@@ -311,7 +345,11 @@ def _meaning_of(graph: DangerGraph | ValueGraph, config: RunConfig) -> dict[str,
     """Units, scales, signs, classes, camera, chair and guard of an exported policy, as JSON values."""
     actions, sensors = action_set(config.env.actions), config.sensors.on()
     folded = config.env.classes == "cityscapes"
-    sensed = {key: section.model_dump(mode="json") for key, section in sensors.items() if key in graph.inputs}
+    sensed = {
+        key: section.model_dump(mode="json")
+        for key, section in sensors.items()
+        if key in graph.inputs
+    }
     return {
         "not_for": _NOT_FOR,
         "inputs": {key: _input(key, config) for key in graph.inputs},
@@ -321,7 +359,9 @@ def _meaning_of(graph: DangerGraph | ValueGraph, config: RunConfig) -> dict[str,
         "outputs": {key: _OUTPUTS[key] for key in graph.outputs},
         "actions_xy": actions.points.tolist(),
         **_of_kind(graph, config),
-        "classes": {kind.name.lower(): int(kind) for kind in ClassId if kind < ClassId.KERB or not folded},
+        "classes": {
+            kind.name.lower(): int(kind) for kind in ClassId if kind < ClassId.KERB or not folded
+        },
         "camera": config.cameras[0].model_dump(mode="json"),
         "senses": {"imu": config.imu.model_dump(mode="json"), **sensed},
         "senses_meaning": _SENSES,
@@ -342,7 +382,9 @@ def _input(key: str, config: RunConfig) -> str:
     if key in _INPUTS:
         return _INPUTS[key]
     measure = config.sensors.measures()[key]
-    parts = ", ".join(f"{part} / {scale:g}" for part, scale in zip(measure.parts, measure.full_scale, strict=True))
+    parts = ", ".join(
+        f"{part} / {scale:g}" for part, scale in zip(measure.parts, measure.full_scale, strict=True)
+    )
     return f"float32 (1, {len(measure.parts)}), each within -1..1: {parts}, means of the tick; to the left is positive"
 
 

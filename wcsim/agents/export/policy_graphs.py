@@ -46,7 +46,13 @@ from wcsim.agents.networks.encoder import image_size
 from wcsim.agents.networks.q_network import QNet
 from wcsim.agents.perception.alarm import CALM, NEWEST
 from wcsim.agents.perception.depth_image import viewing_rays
-from wcsim.agents.perception.ego_motion import GYRO_Z, MOVES_MPS, SPEED_FULL_SCALE, TRUST, TURN_FULL_SCALE
+from wcsim.agents.perception.ego_motion import (
+    GYRO_Z,
+    MOVES_MPS,
+    SPEED_FULL_SCALE,
+    TRUST,
+    TURN_FULL_SCALE,
+)
 from wcsim.agents.perception.surroundings import box_of, stride_px
 from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY
 from wcsim.config import RunConfig
@@ -93,7 +99,9 @@ class Drive:
     def shaped(self, stick: torch.Tensor) -> torch.Tensor:
         """Joystick positions (B, 2) as the drive takes them."""
         radius = (stick * stick).sum(dim=1, keepdim=True).sqrt()
-        out = ((radius.clamp(max=1.0) - self._deadband) / (1.0 - self._deadband)).clamp(min=0.0) ** self._exponent
+        out = ((radius.clamp(max=1.0) - self._deadband) / (1.0 - self._deadband)).clamp(
+            min=0.0
+        ) ** self._exponent
         return stick / radius.clamp(min=1e-9) * out
 
     def wanted(self, command: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
@@ -102,13 +110,17 @@ class Drive:
         x, y = command[:, 0], command[:, 1]
         return y * limits[V_MAX] * torch.where(y < 0.0, limits[REVERSE], 1.0), -x * limits[YAW_MAX]
 
-    def follow(self, motion: Motion, wanted: tuple[torch.Tensor, torch.Tensor], dt_s: float) -> Motion:
+    def follow(
+        self, motion: Motion, wanted: tuple[torch.Tensor, torch.Tensor], dt_s: float
+    ) -> Motion:
         """The motion `dt_s` later, with what `wanted` gives."""
         v, w, a = motion
         faster, a = self._faster(v, a, wanted[0] - v, dt_s)
         return faster, self._turned(w, self._turn(wanted, v), dt_s), a
 
-    def roll(self, places: Places, motion: Motion, command: torch.Tensor, holds: list[bool], dt_s: float) -> Places:
+    def roll(
+        self, places: Places, motion: Motion, command: torch.Tensor, holds: list[bool], dt_s: float
+    ) -> Places:
         """Where shaped commands (B, 2) bring chairs that begin at `places` with `motion`, (T, B) after each step.
 
         Args:
@@ -151,13 +163,17 @@ class Drive:
 
     def _turn(self, wanted: tuple[torch.Tensor, torch.Tensor], v: torch.Tensor) -> torch.Tensor:
         """The turn rate that is asked for at a speed."""
-        return wanted[1] / (1.0 + self._limits[YAW_SLOWDOWN] * torch.maximum(wanted[0].abs(), v.abs()))
+        return wanted[1] / (
+            1.0 + self._limits[YAW_SLOWDOWN] * torch.maximum(wanted[0].abs(), v.abs())
+        )
 
     def _turned(self, w: torch.Tensor, asked: torch.Tensor, dt_s: float) -> torch.Tensor:
         most = self._limits[YAW_ACCEL] * dt_s
         return w + (asked - w).clamp(-most, most)
 
-    def advance(self, places: Places, motion: Motion, command: torch.Tensor, dt_s: float) -> tuple[Places, Motion]:
+    def advance(
+        self, places: Places, motion: Motion, command: torch.Tensor, dt_s: float
+    ) -> tuple[Places, Motion]:
         """Places and motion (B,) `dt_s` later, with shaped commands (B, 2)."""
         now = self.follow(motion, self.wanted(command), dt_s)
         turn, way = 0.5 * dt_s * (motion[1] + now[1]), 0.5 * dt_s * (motion[0] + now[0])
@@ -167,7 +183,9 @@ class Drive:
 
 
 _KEY, _TICK, _MOVER, _CLASS, _HIGH, _LOW = range(6)
-_KEYS: Final = 4096.0  # cells each way, after which keys come again: 410 m away, and float32 holds all of them
+_KEYS: Final = (
+    4096.0  # cells each way, after which keys come again: 410 m away, and float32 holds all of them
+)
 _NOWHERE: Final = -1.0e6
 
 
@@ -183,7 +201,9 @@ class DangerGraph(nn.Module):
     inputs: Final = ("depth", "seg", "imu", "odometry", "joystick")
     outputs: Final = ("values", "warning", "danger")
     checked: Final = "danger"  # the output that is compared with the network's own
-    border_share: Final = 0.02  # of the steps, in which a place on the border of two cells may be read in the other
+    border_share: Final = (
+        0.02  # of the steps, in which a place on the border of two cells may be read in the other
+    )
     window: Final = 1  # images that it looks at
 
     def __init__(self, net: DangerNet, config: RunConfig, rule: DangerRule) -> None:
@@ -198,26 +218,44 @@ class DangerGraph(nn.Module):
         self.net, self.rule, self.delay = net, rule, config.world.action_delay_ticks
         self.tick_s, self.far_m = config.world.tick_s, 0.99 * camera.range_m
         self.stride = stride_px(camera)
-        rays = viewing_rays(camera).reshape(camera.height_px, camera.width_px, 3)[:: self.stride, :: self.stride]
+        rays = viewing_rays(camera).reshape(camera.height_px, camera.width_px, 3)[
+            :: self.stride, :: self.stride
+        ]
         spec = plant_spec(config.chair)
-        self.drive = Drive(limits_of(config.chair), config.chair.deadband, config.chair.shape_exponent)
+        self.drive = Drive(
+            limits_of(config.chair), config.chair.deadband, config.chair.shape_exponent
+        )
         chair = hull_and_wheels(box_of(spec.outline), np.array(spec.stand_m(), np.float64))
         self.rays, self.eye = _constant(rays.reshape(-1, 3)), _constant(np.array(camera.p_BC_m))
         self.metres = _constant(decode_depth(np.arange(256, dtype=np.uint8), camera.range_m))
         self.kinds, self.movers = _constant(kinds_of_ground()), _constant(movers())
-        self.points, self.commands = _constant(actions.points), _constant(shaped_rows(actions.points, config.chair))
-        self.chair, self.plane, self.cells_B = _constant(chair), _constant(_planes(chair)), _constant(_cells_B())
+        self.points, self.commands = (
+            _constant(actions.points),
+            _constant(shaped_rows(actions.points, config.chair)),
+        )
+        self.chair, self.plane, self.cells_B = (
+            _constant(chair),
+            _constant(_planes(chair)),
+            _constant(_cells_B()),
+        )
 
     def shapes(self) -> dict[str, tuple[int, ...]]:
         """The shapes of all states."""
         return {
             "state_motion": (1, 8),  # begun, tick, x, y, yaw in O, v, w, acceleration
-            "state_waiting": (1, self.delay + 1, 2),  # sent, not yet measured; the oldest was obeyed last
+            "state_waiting": (
+                1,
+                self.delay + 1,
+                2,
+            ),  # sent, not yet measured; the oldest was obeyed last
             "state_sent": (1, COMMANDS, 2),
             "state_last": (1, 1),  # action, counted from 1
             "state_cells": (1, 6, RASTER * RASTER),
             "state_alarm": (1, 2),  # smoothed danger of the user's own stick, and whether it warns
-            "state_recent": (1, 1),  # ticks left in which the user's own action was unsafe a short time ago
+            "state_recent": (
+                1,
+                1,
+            ),  # ticks left in which the user's own action was unsafe a short time ago
         }
 
     def forward(
@@ -249,7 +287,9 @@ class DangerGraph(nn.Module):
         last = (action[:, None] + 1).to(torch.float32)
         return values, alarm[:, 1:2], danger, motion, waiting, sent, last, cells, alarm, recent
 
-    def _alarm(self, danger: torch.Tensor, joystick: torch.Tensor, alarm: torch.Tensor) -> torch.Tensor:
+    def _alarm(
+        self, danger: torch.Tensor, joystick: torch.Tensor, alarm: torch.Tensor
+    ) -> torch.Tensor:
         """As `alarm.next_alarm`."""
         wish = ((self.points[None] - joystick[:, None]) ** 2).sum(-1).argmin(dim=1)
         level = alarm[:, 0:1] + NEWEST * (danger.gather(1, wish[:, None]) - alarm[:, 0:1])
@@ -266,22 +306,32 @@ class DangerGraph(nn.Module):
     ) -> tuple[torch.Tensor, torch.Tensor]:
         """As `EgoMotion.observe`."""
         begun = motion[:, 0:1] > 0.5
-        measured = torch.cat([odometry[:, 0:1] * SPEED_FULL_SCALE, imu[:, GYRO_Z : GYRO_Z + 1] * TURN_FULL_SCALE], 1)
+        measured = torch.cat(
+            [odometry[:, 0:1] * SPEED_FULL_SCALE, imu[:, GYRO_Z : GYRO_Z + 1] * TURN_FULL_SCALE], 1
+        )
         v, w, a = (motion[:, part] for part in (5, 6, 7))
         after = self.drive.follow((v, w, a), self.drive.wanted(waiting[:, 0]), self.tick_s)
         mean = 0.5 * torch.stack([v + after[0], w + after[1]], 1)
-        now = torch.cat([torch.stack(after[:2], 1) + TRUST * (measured - mean), after[2][:, None]], 1)
+        now = torch.cat(
+            [torch.stack(after[:2], 1) + TRUST * (measured - mean), after[2][:, None]], 1
+        )
         way, turn = measured[:, 0:1] * self.tick_s, measured[:, 1:2] * self.tick_s
         heading = motion[:, 4:5] + 0.5 * turn
-        pose = motion[:, 2:5] + torch.cat([way * torch.cos(heading), way * torch.sin(heading), turn], 1)
+        pose = motion[:, 2:5] + torch.cat(
+            [way * torch.cos(heading), way * torch.sin(heading), turn], 1
+        )
         fresh = torch.cat([measured, torch.zeros_like(measured[:, :1])], 1)
         moves = (measured[:, 0:1].abs() > MOVES_MPS).to(measured.dtype)
         first = (asked * moves)[:, None].expand_as(waiting)
         state = torch.cat([torch.ones_like(way), motion[:, 1:2] + 1.0, pose, now], 1)
-        begins = torch.cat([torch.ones_like(way), torch.ones_like(way), torch.zeros_like(pose), fresh], 1)
+        begins = torch.cat(
+            [torch.ones_like(way), torch.ones_like(way), torch.zeros_like(pose), fresh], 1
+        )
         return torch.where(begun, state, begins), torch.where(begun[:, None], waiting, first)
 
-    def _seen(self, depth: torch.Tensor, seg: torch.Tensor, motion: torch.Tensor, cells: torch.Tensor) -> torch.Tensor:
+    def _seen(
+        self, depth: torch.Tensor, seg: torch.Tensor, motion: torch.Tensor, cells: torch.Tensor
+    ) -> torch.Tensor:
         """As `StreetMap.see`."""
         tick = motion[:, 1:2]
         metres = self.metres[self._looked_at(depth)]
@@ -292,21 +342,33 @@ class DangerGraph(nn.Module):
         used = used & (place[:, :2].abs().amax(dim=1) <= REACH_M)
         x, y = _in_O(motion, place[:, 0], place[:, 1])
         ix, iy = torch.floor(x / CELL_M), torch.floor(y / CELL_M)
-        cells_and_none = RASTER * RASTER + 1  # what is not used goes into a cell more, which is let go of
-        slot = torch.where(used, _slot(ix, iy), torch.full_like(ix, RASTER * RASTER)).to(torch.int64)
+        cells_and_none = (
+            RASTER * RASTER + 1
+        )  # what is not used goes into a cell more, which is let go of
+        slot = torch.where(used, _slot(ix, iy), torch.full_like(ix, RASTER * RASTER)).to(
+            torch.int64
+        )
         order = torch.arange(len(kind), dtype=kind.dtype, device=kind.device)
-        kinds = torch.where(kind > 0, 8.0 * order + kind, torch.zeros_like(kind))  # the last one of a cell wins
+        kinds = torch.where(
+            kind > 0, 8.0 * order + kind, torch.zeros_like(kind)
+        )  # the last one of a cell wins
         moving = may_move * (place[:, 2] > MOVER_M).to(kind.dtype)
         said = torch.stack([_key(ix, iy), moving, kinds, place[:, 2], -place[:, 2]])
-        begin = said.new_full((5 * cells_and_none,), _NOWHERE)  # one after the other: ONNX takes no more dimensions
+        begin = said.new_full(
+            (5 * cells_and_none,), _NOWHERE
+        )  # one after the other: ONNX takes no more dimensions
         slots = torch.cat([slot + number * cells_and_none for number in range(5)])
-        most = begin.scatter_reduce(0, slots, said.reshape(-1), reduce="amax", include_self=True).view(5, -1)[:, :-1]
+        most = begin.scatter_reduce(
+            0, slots, said.reshape(-1), reduce="amax", include_self=True
+        ).view(5, -1)[:, :-1]
         key, moving, kinds, high, low = (most[number] for number in range(5))
         old = cells[0]
         seen = high > 0.5 * _NOWHERE
         same = (old[_KEY] == key) & (old[_TICK] > 0.0)
         now = tick[0].expand_as(high)
-        mover = torch.where(moving > 0.5, now, torch.where(same, old[_MOVER], torch.zeros_like(high)))
+        mover = torch.where(
+            moving > 0.5, now, torch.where(same, old[_MOVER], torch.zeros_like(high))
+        )
         kinds = kinds - 8.0 * torch.floor(kinds / 8.0)
         return torch.where(seen, torch.stack([key, now, mover, kinds, high, -low]), old)[None]
 
@@ -347,7 +409,9 @@ class DangerGraph(nn.Module):
         """As `FeatureExtractor` has it."""
         scaled = motion[:, 5:8] / motion.new_tensor(FULL_MOTION)
         later = motion.new_full((1, 1), self.delay * self.tick_s)
-        said = torch.cat([10.0 * imu[:, TILT], imu[:, TURNS], scaled, later, sent.reshape(1, -1)], 1)
+        said = torch.cat(
+            [10.0 * imu[:, TILT], imu[:, TURNS], scaled, later, sent.reshape(1, -1)], 1
+        )
         return said.clamp(-2.0, 2.0)
 
     def _swept(self, rolled: Places) -> torch.Tensor:
@@ -366,19 +430,29 @@ class DangerGraph(nn.Module):
     ) -> tuple[torch.Tensor, torch.Tensor]:
         """The highest one is what `danger.policy` takes, and `_next_recent` of it."""
         rule = self.rule
-        distance = ((self.points[None] - joystick[:, None]) ** 2).sum(-1).sqrt().clamp(max=MAX_DISTANCE)
-        numbers = torch.arange(1, len(self.points) + 1, dtype=danger.dtype, device=danger.device)[None]
+        distance = (
+            ((self.points[None] - joystick[:, None]) ** 2).sum(-1).sqrt().clamp(max=MAX_DISTANCE)
+        )
+        numbers = torch.arange(1, len(self.points) + 1, dtype=danger.dtype, device=danger.device)[
+            None
+        ]
         kept = (numbers == last).to(danger.dtype)
         cost = distance + rule.danger_cost * danger / rule.threshold - rule.hysteresis * kept
         own = numbers == distance.argmin(dim=1, keepdim=True) + 1
         taken = ((recent > 1.5) & own & (numbers != last)).to(danger.dtype)
-        limit = rule.threshold * (1.0 + (rule.hysteresis_factor - 1.0) * kept) * (1.0 - (1.0 - GIVES_BACK) * taken)
+        limit = (
+            rule.threshold
+            * (1.0 + (rule.hysteresis_factor - 1.0) * kept)
+            * (1.0 - (1.0 - GIVES_BACK) * taken)
+        )
         cost = torch.where(own, torch.full_like(cost, -1e6), cost)
         allowed = danger < limit
         doubtful = (recent < 0.5) & (danger < rule.at_once)
         unsafe = (own & ~allowed).any(dim=1, keepdim=True)
         sure = (own & ~doubtful).any(dim=1, keepdim=True).to(recent.dtype)
-        later = torch.where(unsafe, 1.0 + (RECENT_TICKS - 1.0) * sure, (recent - 1.0).clamp(min=0.0))
+        later = torch.where(
+            unsafe, 1.0 + (RECENT_TICKS - 1.0) * sure, (recent - 1.0).clamp(min=0.0)
+        )
         allowed = allowed | (own & doubtful)
         nothing = ~allowed.any(dim=1, keepdim=True)
         cost = torch.where(allowed, cost, torch.full_like(cost, 1e6))
@@ -390,7 +464,9 @@ def _constant(numbers: np.ndarray) -> torch.Tensor:
     return nn.Buffer(torch.from_numpy(np.ascontiguousarray(numbers, np.float32)), persistent=False)
 
 
-def _in_O(motion: torch.Tensor, x: torch.Tensor, y: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+def _in_O(
+    motion: torch.Tensor, x: torch.Tensor, y: torch.Tensor
+) -> tuple[torch.Tensor, torch.Tensor]:
     cos, sin = torch.cos(motion[0, 4]), torch.sin(motion[0, 4])
     return motion[0, 2] + cos * x - sin * y, motion[0, 3] + sin * x + cos * y
 
@@ -453,7 +529,13 @@ class ValueGraph(nn.Module):
         if self.net.spec.stateful:
             return {"state_memory": (1, self.net.encoder.state_size)}
         height_px, width_px = image_size(self.net.observation_space)
-        earlier = (1, 2, self.window - 1, height_px, width_px)  # depth and classes, each number one higher
+        earlier = (
+            1,
+            2,
+            self.window - 1,
+            height_px,
+            width_px,
+        )  # depth and classes, each number one higher
         return {"state_pictures": earlier} if self.window > 1 else {}
 
     def forward(self, *given: torch.Tensor) -> tuple[torch.Tensor, ...]:

@@ -44,10 +44,16 @@ def network_settings(config: RunConfig) -> tuple[str, ...]:
         PolicyError: There is no such network.
     """
     network, words = config.learn.network, list[str]()
-    if config.learn.memory == "groups" and registry.is_windowed(network) and not registry.carries_state(network):
+    if (
+        config.learn.memory == "groups"
+        and registry.is_windowed(network)
+        and not registry.carries_state(network)
+    ):
         words.append("learn.memory=windows")
     if config.env.window is None:
-        words.append(f"env.window={1 if _is_stateful(config) else registry.preferred_window(network)}")
+        words.append(
+            f"env.window={1 if _is_stateful(config) else registry.preferred_window(network)}"
+        )
     return tuple(words)
 
 
@@ -59,9 +65,13 @@ def _is_stateful(config: RunConfig) -> bool:
 def _net_spec(config: RunConfig) -> NetSpec:
     """The network that a run's configuration asks for."""
     learn, of_reward = config.learn, {"base", "max_follow_distance", "max_distance", "penalty"}
-    prior = FollowPrior(reward_scale=learn.reward_scale, **config.reward.model_dump(include=of_reward))
+    prior = FollowPrior(
+        reward_scale=learn.reward_scale, **config.reward.model_dump(include=of_reward)
+    )
     if learn.head == "danger":
-        raise PolicyError("learn.head='danger' is not a head for Q-learning; expected residual or plain here")
+        raise PolicyError(
+            "learn.head='danger' is not a head for Q-learning; expected residual or plain here"
+        )
     return NetSpec(
         network=learn.network,
         head=learn.head,
@@ -86,7 +96,9 @@ def build_model(config: RunConfig, env: GymEnv, seed: int) -> SeqDQN:
         return _built(config, env, seed)
     except MemoryError:
         frames = config.learn.replay_frames
-        raise ConfigError(f"learn.replay_frames={frames} do not fit into memory; expected fewer") from None
+        raise ConfigError(
+            f"learn.replay_frames={frames} do not fit into memory; expected fewer"
+        ) from None
 
 
 def _check_memory(config: RunConfig) -> None:

@@ -95,7 +95,9 @@ class _EpisodeSums:
         self.progress_m += float(info.get("progress_m", 0.0))
         events = info.get("events")
         happened = {"arrivals"} if events is not None and events.arrived else set()
-        distance, speed_mps = (float(info.get(name, 0.0)) for name in ("joystick_distance", "speed_mps"))
+        distance, speed_mps = (
+            float(info.get(name, 0.0)) for name in ("joystick_distance", "speed_mps")
+        )
         self.kpis = self.kpis.plus(happened, distance, speed_mps)
 
     def row(self, info: dict[str, Any], crashed: bool) -> dict[str, float | int | str | None]:
@@ -196,7 +198,9 @@ class EpisodeMetrics(SeqCallback):
             distance = learner.action_points.distance(int(action), observation[JOYSTICK_KEY][seat])
             self.sums[seat].greedy.append(distance)
             self._looks.append(distance)
-        if self.num_timesteps % ROW_STEPS < GREEDY_EVERY * learner.n_envs:  # one look of each hundred steps
+        if (
+            self.num_timesteps % ROW_STEPS < GREEDY_EVERY * learner.n_envs
+        ):  # one look of each hundred steps
             self._note_steps()
 
     def _note_steps(self) -> None:
@@ -276,9 +280,13 @@ class StopRequest:
     def __init__(self, wait_no_more: Callable[[], object] | None = None) -> None:
         """`wait_no_more` ends the waiting, and is called within a signal's handler; None without a launcher."""
         self._wait_no_more = wait_no_more
-        self.wait_less: Callable[[], object] = lambda: None  # called by the first signal, within its handler
+        self.wait_less: Callable[[], object] = lambda: (
+            None
+        )  # called by the first signal, within its handler
         self.asked, self.forced = False, False
-        self.ending = False  # the last files are being written: what is asked for again is under way
+        self.ending = (
+            False  # the last files are being written: what is asked for again is under way
+        )
         self._before: dict[int, Any] = {}
 
     def look(self) -> None:

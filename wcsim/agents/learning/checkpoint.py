@@ -56,7 +56,10 @@ def save_checkpoint(
         "extra": dict(extra),
     }
     held = None if replay else newest_arrays(folder, "replay")
-    arrays = {"model": _model_arrays(model), "replay": held or _replay_arrays(model.replay_buffer, alive)}
+    arrays = {
+        "model": _model_arrays(model),
+        "replay": held or _replay_arrays(model.replay_buffer, alive),
+    }
     return save(folder, tag("step", model.num_timesteps), state, arrays, alive)
 
 
@@ -78,14 +81,24 @@ def _generator_state(rng: np.random.Generator) -> dict[str, Any]:
     state = dict(rng.bit_generator.state)
     del state["bit_generator"]
     flat = {**state.pop("state"), **state}
-    return {key: value.tolist() if isinstance(value, np.ndarray) else int(value) for key, value in flat.items()}
+    return {
+        key: value.tolist() if isinstance(value, np.ndarray) else int(value)
+        for key, value in flat.items()
+    }
 
 
 def _restored_generator(state: dict[str, Any]) -> np.random.Generator:
     """The generator that `_generator_state` described."""
     bits = np.random.Philox()
-    counter, key, buffer = (np.array(state[name], np.uint64) for name in ("counter", "key", "buffer"))
-    whole: Any = {**state, "bit_generator": "Philox", "state": {"counter": counter, "key": key}, "buffer": buffer}
+    counter, key, buffer = (
+        np.array(state[name], np.uint64) for name in ("counter", "key", "buffer")
+    )
+    whole: Any = {
+        **state,
+        "bit_generator": "Philox",
+        "state": {"counter": counter, "key": key},
+        "buffer": buffer,
+    }
     bits.state = whole
     return np.random.Generator(bits)
 
@@ -105,7 +118,9 @@ def _model_arrays(model: SeqDQN) -> Arrays:
     return {key: np.ascontiguousarray(value) for key, value in arrays.items()}
 
 
-def _restore(model: SeqDQN, state: SeqFile, arrays: Arrays, replay: Arrays, alive: Callable[[], object]) -> None:
+def _restore(
+    model: SeqDQN, state: SeqFile, arrays: Arrays, replay: Arrays, alive: Callable[[], object]
+) -> None:
     """All of it. What fails on the way leaves a learner that has to be restored from another checkpoint."""
     memory, optimizer = model.replay_buffer, model.policy.optimizer
     _check_fit(memory, replay)
@@ -113,28 +128,46 @@ def _restore(model: SeqDQN, state: SeqFile, arrays: Arrays, replay: Arrays, aliv
         held = {key: torch.from_numpy(value) for key, value in _below(prefix, arrays).items()}
         net.load_state_dict(checked_tensors(_MODEL, held, net.state_dict(), "this configuration"))
     slots = _optimizer_slots(model, _below("optimizer", arrays))
-    optimizer.load_state_dict({"state": slots, "param_groups": optimizer.state_dict()["param_groups"]})
+    optimizer.load_state_dict(
+        {"state": slots, "param_groups": optimizer.state_dict()["param_groups"]}
+    )
     _restore_replay(memory, replay, alive)
-    memory.rng, model.rng = (_restored_generator(rng.model_dump()) for rng in (state.replay_rng, state.explore_rng))
+    memory.rng, model.rng = (
+        _restored_generator(rng.model_dump()) for rng in (state.replay_rng, state.explore_rng)
+    )
     torch.set_rng_state(torch.from_numpy(arrays["torch_rng"]))
     model._n_updates, model._episode_num = state.n_updates, state.episodes
 
 
 def _below(prefix: str, arrays: Arrays) -> Arrays:
     """The arrays of that prefix, by what follows it."""
-    return {key.removeprefix(f"{prefix}/"): value for key, value in arrays.items() if key.startswith(f"{prefix}/")}
+    return {
+        key.removeprefix(f"{prefix}/"): value
+        for key, value in arrays.items()
+        if key.startswith(f"{prefix}/")
+    }
 
 
 def _optimizer_slots(model: SeqDQN, arrays: Arrays) -> dict[int, dict[str, torch.Tensor]]:
     """The optimiser's state by parameter. Raises PolicyError when it is not that of these parameters."""
-    sizes = [tuple(value.shape) for group in model.policy.optimizer.param_groups for value in group["params"]]
+    sizes = [
+        tuple(value.shape)
+        for group in model.policy.optimizer.param_groups
+        for value in group["params"]
+    ]
     slots: dict[int, dict[str, torch.Tensor]] = {}
     for key, value in arrays.items():
         index, name = key.split("/")
         number = int(index)
-        if not 0 <= number < len(sizes) or (value.size != 1 if name == "step" else value.shape != sizes[number]):
-            raise PolicyError(f"{_MODEL}: {key} has the shape {value.shape}; it is of another network")
-        slots.setdefault(number, {})[name] = torch.from_numpy(value.reshape(()) if name == "step" else value)
+        if not 0 <= number < len(sizes) or (
+            value.size != 1 if name == "step" else value.shape != sizes[number]
+        ):
+            raise PolicyError(
+                f"{_MODEL}: {key} has the shape {value.shape}; it is of another network"
+            )
+        slots.setdefault(number, {})[name] = torch.from_numpy(
+            value.reshape(()) if name == "step" else value
+        )
     return slots
 
 
@@ -181,8 +214,13 @@ def _replay_arrays(replay: FrameReplay, alive: Callable[[], object] = lambda: No
 def _whole(replay: FrameReplay) -> list[tuple[int, int]]:
     """Where the window of a step does not follow from the stored steps: (absolute index, seat)."""
     first = replay.total - replay.size()
-    cut = range(first, min(first + replay.layout.window - 1, replay.total))  # frames of steps that are forgotten
-    return sorted({(index, seat) for index in cut for seat in range(replay.n_envs)} | set(replay.windows.whole))
+    cut = range(
+        first, min(first + replay.layout.window - 1, replay.total)
+    )  # frames of steps that are forgotten
+    return sorted(
+        {(index, seat) for index in cut for seat in range(replay.n_envs)}
+        | set(replay.windows.whole)
+    )
 
 
 def _check_fit(replay: FrameReplay, arrays: Arrays) -> None:
@@ -192,8 +230,13 @@ def _check_fit(replay: FrameReplay, arrays: Arrays) -> None:
         got, count = arrays[name], size if name in _per_step(replay) else len(arrays[name])
         shape = (count, *own.shape[1:])
         if got.shape != shape or got.dtype != own.dtype:
-            raise ValueError(f"replay: {name} is {got.dtype} {got.shape}; expected {own.dtype} {shape}")
-    lengths, coming = arrays["blob_bytes"], {len(arrays["next_images"]), len(arrays["next_vectors"])}
+            raise ValueError(
+                f"replay: {name} is {got.dtype} {got.shape}; expected {own.dtype} {shape}"
+            )
+    lengths, coming = (
+        arrays["blob_bytes"],
+        {len(arrays["next_images"]), len(arrays["next_vectors"])},
+    )
     if coming not in ({0}, {replay.n_envs}):
         raise ValueError("replay: its images do not go together")
     if (lengths < 0).any() or int(lengths.sum()) != len(arrays["frames"]):
@@ -205,11 +248,15 @@ def _stored_steps(replay: FrameReplay, counts: npt.NDArray[Any]) -> int:
         raise ValueError(f"replay has counts {counts.dtype} {counts.shape}; expected two numbers")
     total, size = counts.tolist()
     if not 0 <= size <= total or size != min(total, replay.buffer_size):
-        raise ValueError(f"replay holds {size} of {total} steps; expected the last {replay.buffer_size}, or all")
+        raise ValueError(
+            f"replay holds {size} of {total} steps; expected the last {replay.buffer_size}, or all"
+        )
     return int(size)
 
 
-def _restore_replay(replay: FrameReplay, arrays: Arrays, alive: Callable[[], object] = lambda: None) -> None:
+def _restore_replay(
+    replay: FrameReplay, arrays: Arrays, alive: Callable[[], object] = lambda: None
+) -> None:
     """Put the arrays of `_replay_arrays` into an empty memory of the same size, that they fit (`_check_fit`).
 
     A resumed run begins a new episode; its first step differs from the expected one, which ends the old chain.
@@ -235,22 +282,36 @@ def _restore_replay(replay: FrameReplay, arrays: Arrays, alive: Callable[[], obj
     _restore_frames(replay, arrays, index, alive)
     for (step, seat), window in zip(arrays["whole_at"], arrays["whole_images"], strict=True):
         replay.windows.whole[int(step), int(seat)] = window
-    for (step, seat), image, vector in zip(arrays["end_at"], arrays["end_images"], arrays["end_vectors"], strict=True):
+    for (step, seat), image, vector in zip(
+        arrays["end_at"], arrays["end_images"], arrays["end_vectors"], strict=True
+    ):
         replay.store_end(int(step), int(seat), image, vector)
-    replay.total, replay.pos, replay.full = total, total % replay.buffer_size, size == replay.buffer_size
+    replay.total, replay.pos, replay.full = (
+        total,
+        total % replay.buffer_size,
+        size == replay.buffer_size,
+    )
     if len(arrays["next_images"]):
         replay.expected = (arrays["next_images"], arrays["next_vectors"])
 
 
-def _restore_frames(replay: FrameReplay, arrays: Arrays, index: I64, alive: Callable[[], object]) -> None:
+def _restore_frames(
+    replay: FrameReplay, arrays: Arrays, index: I64, alive: Callable[[], object]
+) -> None:
     ends = np.cumsum(arrays["blob_bytes"])
     data = arrays["frames"].tobytes()
-    blobs = [data[end - length : end] for end, length in zip(ends, arrays["blob_bytes"], strict=True)]
+    blobs = [
+        data[end - length : end] for end, length in zip(ends, arrays["blob_bytes"], strict=True)
+    ]
     each = len(blobs) // replay.n_envs  # one seat after the other
     at = 0
-    for parts in zip(*(blobs[seat * each : (seat + 1) * each] for seat in range(replay.n_envs)), strict=True):
+    for parts in zip(
+        *(blobs[seat * each : (seat + 1) * each] for seat in range(replay.n_envs)), strict=True
+    ):
         frames = np.stack([_unpacked(blob, replay.layout.frame_bytes) for blob in parts], axis=1)
-        for step, frame in zip(index[at : at + len(frames)], frames, strict=True):  # (seats, frame_bytes)
+        for step, frame in zip(
+            index[at : at + len(frames)], frames, strict=True
+        ):  # (seats, frame_bytes)
             fresh = replay.episode_step[step % replay.buffer_size] == 0
             replay.windows.write_newest(int(step), frame, fresh)
         at += len(frames)

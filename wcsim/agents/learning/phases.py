@@ -28,7 +28,11 @@ class PhasePlan:
 
     def phase(self, step: int) -> LearningPhase:
         """The phase of the step that follows `step` steps done."""
-        return LearningPhase.ACTION_DRIVEN if step < self.learn.phase1_steps else LearningPhase.AGENT_DRIVEN
+        return (
+            LearningPhase.ACTION_DRIVEN
+            if step < self.learn.phase1_steps
+            else LearningPhase.AGENT_DRIVEN
+        )
 
     def progress(self, step: int) -> float:
         """Share of the second phase that is over, 0..1."""
@@ -44,7 +48,10 @@ class PhasePlan:
 
     def margin_weight(self, step: int) -> float:
         """Weight of the supervised loss: full in the first phase, gone after `margin_fade` of the second."""
-        margin, fade = 0.0 if self.learn.phase1 == "td" else self.learn.margin, self.learn.margin_fade
+        margin, fade = (
+            0.0 if self.learn.phase1 == "td" else self.learn.margin,
+            self.learn.margin_fade,
+        )
         if self.phase(step) is LearningPhase.ACTION_DRIVEN:
             return margin
         if fade <= 0.0:

@@ -12,7 +12,13 @@ from gymnasium import spaces
 
 from wcsim.agents.envs.episode_view import newest, windowed_space
 from wcsim.agents.learning.seqdqn import SeqDQN
-from wcsim.agents.networks.encoder import image_size, observation_form, vector_keys, vector_size, window_size
+from wcsim.agents.networks.encoder import (
+    image_size,
+    observation_form,
+    vector_keys,
+    vector_size,
+    window_size,
+)
 from wcsim.agents.networks.names import NETWORK_NAMES, require_named
 from wcsim.agents.networks.q_network import QNet
 from wcsim.agents.networks.registry import NETWORKS
@@ -29,7 +35,9 @@ from wcsim.supervisor.observation import imu_size, observation_space
 from wcsim.types import ClassId
 
 _JOYSTICK_SIZE = 2
-_WARN_STEPS = 3  # measured: with 1, noise of the values warns in three times as many steps without danger
+_WARN_STEPS = (
+    3  # measured: with 1, noise of the values warns in three times as many steps without danger
+)
 
 
 class _NetPolicy:
@@ -79,7 +87,9 @@ class _NetPolicy:
         """
         return self._seen(observation)[0]
 
-    def _seen(self, observation: Observation) -> tuple[np.ndarray[Any, np.dtype[np.float32]], torch.Tensor]:
+    def _seen(
+        self, observation: Observation
+    ) -> tuple[np.ndarray[Any, np.dtype[np.float32]], torch.Tensor]:
         seen = newest(observation, self.file.window)
         with torch.inference_mode():
             batch = {key: torch.as_tensor(np.asarray(value))[None] for key, value in seen.items()}
@@ -89,11 +99,15 @@ class _NetPolicy:
                 found, after = self.net(batch), self._state
             values = np.asarray(found[0].numpy(), dtype=np.float32)
         if not np.isfinite(values).all():
-            raise PolicyError(f"policy {escaped(self.name)!r} returns values that are not finite; train it again")
+            raise PolicyError(
+                f"policy {escaped(self.name)!r} returns values that are not finite; train it again"
+            )
         return values, after
 
 
-def save_policy(folder: Path, model: SeqDQN, camera: CameraConfig, manifest_sha256: str = "") -> Path:
+def save_policy(
+    folder: Path, model: SeqDQN, camera: CameraConfig, manifest_sha256: str = ""
+) -> Path:
     """See `write_policy`."""
     space = model.observation_space
     sensors = {key: vector_size(space, (key,)) for key in vector_keys(space)[2:]}
@@ -123,14 +137,18 @@ def load_policy(path: Path, network: str | None = None) -> _NetPolicy:
     file = read_policy_file(path)
     if file.net.network not in NETWORKS:
         require_named(escaped(path), file.net.network, network)
-    net = load_network(path, file.weights_sha256, lambda: _empty_net(file), own=file.net.network in NETWORK_NAMES)
+    net = load_network(
+        path, file.weights_sha256, lambda: _empty_net(file), own=file.net.network in NETWORK_NAMES
+    )
     policy = _NetPolicy(net, path.name, file)
     for observation in _probes(file):
         policy.values(observation)
     return policy
 
 
-def load_fitting(folder: Path, name: str, config: RunConfig, network: str | None = None) -> _NetPolicy:
+def load_fitting(
+    folder: Path, name: str, config: RunConfig, network: str | None = None
+) -> _NetPolicy:
     """A policy for one chair.
 
     Args:
@@ -144,7 +162,10 @@ def load_fitting(folder: Path, name: str, config: RunConfig, network: str | None
     """
     policy = load_policy(folder, network)
     camera, file = config.eye, policy.file
-    if file.image_hw_px != (camera.height_px, camera.width_px) or file.net.actions != config.env.actions:
+    if (
+        file.image_hw_px != (camera.height_px, camera.width_px)
+        or file.net.actions != config.env.actions
+    ):
         raise PolicyError(
             f"policy {name!r} needs {file.image_hw_px[1]}x{file.image_hw_px[0]} images and actions {file.net.actions}; "
             f"this test has {camera.width_px}x{camera.height_px} and {config.env.actions}: test it alone"
@@ -193,7 +214,11 @@ def _probes(file: PolicyFile) -> Iterator[Observation]:
     """Observations that a usable network has values for: nothing seen, and every number at its largest."""
     for share in (0.0, 1.0):
         yield {
-            key: np.full(box.shape, share * (ClassId.ROAD if key == CLASS_KEY else box.high.flat[0]), box.dtype)
+            key: np.full(
+                box.shape,
+                share * (ClassId.ROAD if key == CLASS_KEY else box.high.flat[0]),
+                box.dtype,
+            )
             for key, box in _space(file).spaces.items()
             if isinstance(box, spaces.Box)
         }

@@ -41,7 +41,9 @@ States = tuple[npt.NDArray[Any], ...]
 Signs = tuple[tuple[str, tuple[float, ...]], ...]  # of each number of each further sensor, by name
 
 EXPLORED_SIGMA: Final = 0.5  # spread of local exploration, in stick units
-MARGIN_OFFSET: Final = 0.4  # joystick distance that a margin adds to the distance between two actions
+MARGIN_OFFSET: Final = (
+    0.4  # joystick distance that a margin adds to the distance between two actions
+)
 MAX_SKIPPED: Final = 10  # updates in a row with a loss or gradient that is not finite
 
 # Advice. Crashes are rare, a few in a kilometre, but the oracle knows of every step which actions end badly.
@@ -49,7 +51,9 @@ AID_BATCH: Final = 32  # steps of oracle data in a batch
 AID_SHARE: Final = 0.3  # of that batch from steps with an action that leads to a crash
 AID_AHEAD: Final = 5  # steps before that in which an action already counts as unsafe
 AID_MARGIN: Final = 6.0  # joystick distance by which an unsafe action must lose to a safe one
-RELABELLED: Final = 0.5  # share of a batch of oracle data with a random joystick in the user's place
+RELABELLED: Final = (
+    0.5  # share of a batch of oracle data with a random joystick in the user's place
+)
 HALF_CELL: Final = 0.125  # of the actions' lattice
 
 # Mirrored batches: left and right are alike for a chair with its camera in the middle, so data count twice.
@@ -100,17 +104,23 @@ class SeqDQN(DQN):
         self.plan = PhasePlan(self.settings)
         self.rng = seeding.generator(0 if seed is None else seed, "agent", "explore")
         self._offsets: npt.NDArray[np.float64] = np.zeros((0, 2))  # (N, 2) explored by each seat
-        self._held: npt.NDArray[np.int64] = np.zeros(0, dtype=np.int64)  # (N,) steps for which it is still held
+        self._held: npt.NDArray[np.int64] = np.zeros(
+            0, dtype=np.int64
+        )  # (N,) steps for which it is still held
         # What the network carries from step to step, of every seat: before the coming step (None where all episodes
         # begin) and after it.
         self._carried: States | None = None
         self._next: States | None = None
-        self._greedy: npt.NDArray[Any] | None = None  # (N,) its best actions in the coming step, where they are known
+        self._greedy: npt.NDArray[Any] | None = (
+            None  # (N,) its best actions in the coming step, where they are known
+        )
         self.skipped_updates = 0
         self.max_abs_q = 0.0
         self.last_loss = float("nan")
         self.meanwhile = False  # whether the environment does the due updates within its step
-        self.due: tuple[int, int] | None = None  # gradient steps and batch size of updates that were put off
+        self.due: tuple[int, int] | None = (
+            None  # gradient steps and batch size of updates that were put off
+        )
         dqn.setdefault("replay_buffer_class", FrameReplay)
         super().__init__(policy, env, seed=seed, _init_setup_model=_init_setup_model, **dqn)
 
@@ -166,13 +176,17 @@ class SeqDQN(DQN):
         self._held = np.maximum(self._held - 1, 0)
         return explores
 
-    def _sample_action(self, *given: Any, **named: Any) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
+    def _sample_action(
+        self, *given: Any, **named: Any
+    ) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
         """Phase 1: the user's nearest action. Phase 2: greedy with exploration, from the first step on."""
         observation = self._last_obs
         if self.phase is LearningPhase.ACTION_DRIVEN:
             actions = self.action_points.nearest_many(observation[JOYSTICK_KEY])
             if self.q_net.spec.stateful:  # it has to see what is driven
-                self._greedy, self._next = self.policy.predict(observation, self._carried, deterministic=True)
+                self._greedy, self._next = self.policy.predict(
+                    observation, self._carried, deterministic=True
+                )
         else:
             actions, self._next = self.predict(observation, self._carried, deterministic=False)
         if not self.meanwhile:
@@ -202,7 +216,9 @@ class SeqDQN(DQN):
         super()._store_transition(replay_buffer, *step)
         if self._next is not None:
             dones = np.asarray(step[3], dtype=bool)
-            self._carried = tuple(np.where(dones[:, None], 0.0, part).astype(part.dtype) for part in self._next)
+            self._carried = tuple(
+                np.where(dones[:, None], 0.0, part).astype(part.dtype) for part in self._next
+            )
 
     def _setup_learn(self, *given: Any, **named: Any) -> tuple[int, BaseCallback]:
         """SB3's; where it resets the environment, episodes begin. Rates are those of the step that comes next."""
@@ -210,7 +226,9 @@ class SeqDQN(DQN):
         out = super()._setup_learn(*given, **named)
         if self._last_obs is not before:
             self._carried = None
-        if self._total_timesteps > self.num_timesteps:  # SB3 sets both after a step, too late for the first one
+        if (
+            self._total_timesteps > self.num_timesteps
+        ):  # SB3 sets both after a step, too late for the first one
             self._update_current_progress_remaining(self.num_timesteps, self._total_timesteps)
             self.exploration_rate = self.plan.epsilon(self.num_timesteps)
         return out
@@ -252,7 +270,10 @@ class SeqDQN(DQN):
         """
         self.policy.set_training_mode(True)
         self._update_learning_rate(self.policy.optimizer)
-        margin, aid = self.plan.margin_weight(self.num_timesteps), self.plan.aid_weight(self.num_timesteps)
+        margin, aid = (
+            self.plan.margin_weight(self.num_timesteps),
+            self.plan.aid_weight(self.num_timesteps),
+        )
         for _ in range(gradient_steps):
             # 1. A batch, its targets, and the Huber loss; in the first phase also the loss towards the user's action.
             loss = self._drawn_loss(batch_size, margin)
@@ -261,7 +282,9 @@ class SeqDQN(DQN):
                 loss = loss + aid * self.advice_loss()
             # 3. A step along the gradient, and the target network's little step after it.
             self._update(loss)
-        self.policy.set_training_mode(False)  # until the next update it chooses actions, one observation at a time
+        self.policy.set_training_mode(
+            False
+        )  # until the next update it chooses actions, one observation at a time
         self._n_updates += gradient_steps
         self.logger.record("train/n_updates", self._n_updates, exclude="tensorboard")
         self.logger.record("train/loss", self.last_loss)
@@ -274,7 +297,9 @@ class SeqDQN(DQN):
         if self.q_net.spec.stateful:
             batch = self.replay_buffer.sample_groups(batch_size)
             nets = self.q_net, self.q_net_target
-            supervised = (lambda *seen: margin * self.supervised_loss(*seen)) if margin > 0.0 else None
+            supervised = (
+                (lambda *seen: margin * self.supervised_loss(*seen)) if margin > 0.0 else None
+            )
             scale, double_q = self.settings.reward_scale, self.settings.double_q
             loss, self.max_abs_q = _sequence_loss(nets, batch, scale, double_q, supervised)
             return loss
@@ -301,16 +326,22 @@ class SeqDQN(DQN):
         chooser = self.q_net(batch.next_observations) if self.settings.double_q else after
         value = after.gather(1, chooser.argmax(dim=1, keepdim=True))
         discounts = self.gamma if batch.discounts is None else batch.discounts
-        return torch.as_tensor(self.settings.reward_scale * batch.rewards + (1.0 - batch.dones) * discounts * value)
+        return torch.as_tensor(
+            self.settings.reward_scale * batch.rewards + (1.0 - batch.dones) * discounts * value
+        )
 
-    def supervised_loss(self, values: torch.Tensor, observations: Mapping[str, torch.Tensor]) -> torch.Tensor:
+    def supervised_loss(
+        self, values: torch.Tensor, observations: Mapping[str, torch.Tensor]
+    ) -> torch.Tensor:
         """The loss towards the user's action, for weight 1: a margin, or cross-entropy of values in unscaled reward."""
         if self.settings.phase1 != "supervised":
             return self.margin_loss(values, observations)
         label = self.q_net.distances(observations[JOYSTICK_KEY]).argmin(dim=1)
         return functional.cross_entropy(values / self.settings.reward_scale, label)
 
-    def margin_loss(self, values: torch.Tensor, observations: Mapping[str, torch.Tensor]) -> torch.Tensor:
+    def margin_loss(
+        self, values: torch.Tensor, observations: Mapping[str, torch.Tensor]
+    ) -> torch.Tensor:
         """How far the user's action is from beating every other by a margin that grows with the joystick distance."""
         distances = self.q_net.distances(observations[JOYSTICK_KEY])
         label = distances.argmin(dim=1, keepdim=True)
@@ -324,7 +355,9 @@ class SeqDQN(DQN):
         if advice is None:
             return torch.zeros((), device=self.device)
         seen, safe = advice
-        wishes = _draw_other_sticks(seen[JOYSTICK_KEY].cpu().numpy(), self.action_points.points, RELABELLED, self.rng)
+        wishes = _draw_other_sticks(
+            seen[JOYSTICK_KEY].cpu().numpy(), self.action_points.points, RELABELLED, self.rng
+        )
         seen = {**seen, JOYSTICK_KEY: torch.as_tensor(wishes, device=self.device)}
         if self._draw_mirrored():
             actions = self._mirror_map()
@@ -353,7 +386,9 @@ class SeqDQN(DQN):
             self.skipped_updates = 0
             self.policy.optimizer.step()
             polyak_update(self.q_net.parameters(), self.q_net_target.parameters(), self.tau)
-            polyak_update(self.batch_norm_stats, self.batch_norm_stats_target, 1.0)  # they are no parameters
+            polyak_update(
+                self.batch_norm_stats, self.batch_norm_stats_target, 1.0
+            )  # they are no parameters
             return
         # The weights stay as they are: one such step would spoil them for good.
         self.skipped_updates += 1
@@ -414,7 +449,11 @@ def _burned_in(net: QNet, batch: SequenceBatch) -> torch.Tensor:
 
 @torch.no_grad()
 def _group_targets(
-    online: torch.Tensor, target: torch.Tensor, batch: SequenceBatch, reward_scale: float, double_q: bool
+    online: torch.Tensor,
+    target: torch.Tensor,
+    batch: SequenceBatch,
+    reward_scale: float,
+    double_q: bool,
 ) -> torch.Tensor:
     """Scaled n-step returns plus the discounted value after them, (K, L), from both networks' values (K, P, A)."""
     judge = online if double_q else target
@@ -426,7 +465,9 @@ def _group_targets(
 # Advice
 
 
-def _draw_other_sticks(joysticks_xy: F32, points: F64, share: float, rng: np.random.Generator) -> F32:
+def _draw_other_sticks(
+    joysticks_xy: F32, points: F64, share: float, rng: np.random.Generator
+) -> F32:
     """Other wishes for the same moments: whether an action is safe does not depend on what the user wants.
 
     A share of the rows (B, 2) gets the joystick near one of `points` (A, 2) instead, in the unit disc; so a moment in
@@ -459,7 +500,9 @@ def _aid_loss(
         A scalar, 0 when every row has its teacher's action ahead by the margins.
     """
     label = _teacher_actions(distances, safe)[:, None]
-    margin = (distances - distances.gather(1, label)).clamp(min=0.0) + MARGIN_OFFSET + unsafe * ~safe
+    margin = (
+        (distances - distances.gather(1, label)).clamp(min=0.0) + MARGIN_OFFSET + unsafe * ~safe
+    )
     margin = (scale * margin).scatter(1, label, 0.0)
     behind = functional.relu(values + margin - values.gather(1, label))  # (B, A), 0 at the label
     dense = (behind * ~safe).sum(dim=1) / (~safe).sum(dim=1).clamp(min=1)
@@ -474,7 +517,9 @@ def _teacher_actions(distances: torch.Tensor, safe: torch.Tensor) -> torch.Tenso
 # The mirror
 
 
-def _mirror_batch(batch: DictReplayBufferSamples, actions: torch.Tensor, signs: Signs = ()) -> DictReplayBufferSamples:
+def _mirror_batch(
+    batch: DictReplayBufferSamples, actions: torch.Tensor, signs: Signs = ()
+) -> DictReplayBufferSamples:
     """The same batch with left and right exchanged; `actions` (A,) is the mirror map of the action set."""
     return batch._replace(
         observations=_mirrored(batch.observations, actions, signs),

@@ -14,7 +14,13 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from wcsim.agents.learning.build import build_model, network_settings
-from wcsim.agents.learning.callbacks import Between, EpisodeMetrics, EventWatch, StopRequest, TrainProgress
+from wcsim.agents.learning.callbacks import (
+    Between,
+    EpisodeMetrics,
+    EventWatch,
+    StopRequest,
+    TrainProgress,
+)
 from wcsim.agents.learning.checkpoint import restoring, save_checkpoint
 from wcsim.agents.learning.phases import LearningPhase
 from wcsim.agents.learning.saved_policy import save_policy
@@ -22,12 +28,22 @@ from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.networks.device import checked_device, torch_settings
 from wcsim.agents.runs.checkpoint import go_on
 from wcsim.agents.runs.metrics import STEP_COLUMNS, BoardLog, MetricsFile, check_tensorboard
-from wcsim.agents.runs.run_folder import METRICS, STEPS, ResolvedRun, RunFolder, folder_of, how_to_resume
+from wcsim.agents.runs.run_folder import (
+    METRICS,
+    STEPS,
+    ResolvedRun,
+    RunFolder,
+    folder_of,
+    how_to_resume,
+)
 from wcsim.config.run_file import SittingFile
 from wcsim.core import files, seeding
 from wcsim.errors import DiskFullError, InterruptedRunError, LinkError
 
-SAVE_EVERY_S = {True: 900.0, False: 60.0}  # between checkpoints with their replay, and those that take the newest along
+SAVE_EVERY_S = {
+    True: 900.0,
+    False: 60.0,
+}  # between checkpoints with their replay, and those that take the newest along
 
 MakeEnv = Callable[[], gymnasium.Env[Any, Any]]
 Progress = Callable[[TrainProgress], None]
@@ -72,14 +88,20 @@ def train(
     if run.config.learn.tensorboard:
         check_tensorboard()
     folder = folder_of(run, network_settings)
-    with files.locked(folder.path), torch_settings(run.config.learn), StopRequest(wait_no_more) as request:
+    with (
+        files.locked(folder.path),
+        torch_settings(run.config.learn),
+        StopRequest(wait_no_more) as request,
+    ):
         env = DummyVecEnv([make_env])
         try:
             model = build_model(run.config, env, run.info.seed)
             _learn_meanwhile(model, env)
             request.wait_less = getattr(env.envs[0].unwrapped, "wait_less", request.wait_less)
             sitting = _restored(folder, model, log, alive) if run.resume else None
-            session = _Session(folder, model, request, progress, run.resume, sitting, progress_every, alive)
+            session = _Session(
+                folder, model, request, progress, run.resume, sitting, progress_every, alive
+            )
             session.callbacks.extend(callbacks)
             with session.board or contextlib.nullcontext():
                 return session.learn()
@@ -112,7 +134,13 @@ class _Session:
         progress_every: int,
         alive: Callable[[], object],
     ) -> None:
-        self.run, self.model, self.progress, self.request, self.alive = run, model, progress, request, alive
+        self.run, self.model, self.progress, self.request, self.alive = (
+            run,
+            model,
+            progress,
+            request,
+            alive,
+        )
         self.learn_config = run.config.learn
         if before is not None:
             self._new_segment()
@@ -136,9 +164,15 @@ class _Session:
             self._checkpoint: self.learn_config.checkpoint_every,
             self._report: progress_every,
         }
-        self._next_at = {call: _next_multiple(model.num_timesteps, steps) for call, steps in self._every.items()}
+        self._next_at = {
+            call: _next_multiple(model.num_timesteps, steps) for call, steps in self._every.items()
+        }
         self._save_s = {replay: _now_s() + seconds for replay, seconds in SAVE_EVERY_S.items()}
-        self.callbacks: list[BaseCallback] = [self.episodes, EventWatch(self.run.event), Between(self._between)]
+        self.callbacks: list[BaseCallback] = [
+            self.episodes,
+            EventWatch(self.run.event),
+            Between(self._between),
+        ]
 
     def learn(self) -> Path:
         """Run to the end. Raises InterruptedRunError when it was stopped."""
@@ -146,14 +180,21 @@ class _Session:
         try:
             remaining = total - self.model.num_timesteps
             if remaining > 0:
-                self.model.learn(remaining, callback=self.callbacks, log_interval=None, reset_num_timesteps=False)  # type: ignore[arg-type]
+                self.model.learn(
+                    remaining, callback=self.callbacks, log_interval=None, reset_num_timesteps=False
+                )  # type: ignore[arg-type]
                 self.model.catch_up()
         except KeyboardInterrupt:
             if self.request.asked and not self.request.forced:
-                with contextlib.suppress(KeyboardInterrupt):  # asked for again: the checkpoints before are whole
+                with contextlib.suppress(
+                    KeyboardInterrupt
+                ):  # asked for again: the checkpoints before are whole
                     self._checkpoint()
             raise self._interrupted() from None
-        except (LinkError, DiskFullError) as error:  # the world is gone, or the seat: what was learned is worth keeping
+        except (
+            LinkError,
+            DiskFullError,
+        ) as error:  # the world is gone, or the seat: what was learned is worth keeping
             if self.model.num_timesteps > 0:
                 self._checkpoint()
             if self.request.asked and isinstance(error, LinkError):
@@ -161,7 +202,9 @@ class _Session:
             raise
         if not self.phase1_done and self.learn_config.phase1_steps > 0:
             self._switched()
-            self.phase1_done = self.model.phase is LearningPhase.AGENT_DRIVEN  # a run that goes on has done it
+            self.phase1_done = (
+                self.model.phase is LearningPhase.AGENT_DRIVEN
+            )  # a run that goes on has done it
         self._checkpoint()
         self._finish("done")
         return self.run.path
@@ -170,7 +213,10 @@ class _Session:
         """Write the last files; what is to be raised then."""
         self.request.ending = True
         self._finish("interrupted")
-        path, done = self.run.path, f"{self.model.num_timesteps} of {self.learn_config.total_steps} steps"
+        path, done = (
+            self.run.path,
+            f"{self.model.num_timesteps} of {self.learn_config.total_steps} steps",
+        )
         if not self.unsaved:
             return InterruptedRunError(
                 f"stopped after {done}; {path} holds the policy so far; continue it: {how_to_resume(path)}"
@@ -192,7 +238,9 @@ class _Session:
         for replay, seconds in SAVE_EVERY_S.items():
             if _now_s() >= self._save_s[replay]:
                 self._checkpoint(replay)
-                self._save_s[replay] = _now_s() + seconds  # from its end: a slow disk must not be all that is done
+                self._save_s[replay] = (
+                    _now_s() + seconds
+                )  # from its end: a slow disk must not be all that is done
         self.request.look()
 
     def _switch_phase(self) -> None:
@@ -200,7 +248,9 @@ class _Session:
         if not self.phase1_done and self.model.phase is LearningPhase.AGENT_DRIVEN:
             if self.learn_config.phase1_steps > 0:
                 self._switched()
-            self.phase1_done = True  # not before: what fails on a full disk is done when the run goes on
+            self.phase1_done = (
+                True  # not before: what fails on a full disk is done when the run goes on
+            )
 
     def _switched(self) -> None:
         self._save("phase1")
@@ -242,12 +292,16 @@ class _Session:
     def _watch_values(self) -> None:
         """Values beyond all possible returns mean that learning has come apart; log that once."""
         reward, learn = self.run.config.reward, self.learn_config
-        largest = learn.reward_scale * (reward.crash + max(reward.base, reward.penalty) / (1.0 - learn.gamma))
+        largest = learn.reward_scale * (
+            reward.crash + max(reward.base, reward.penalty) / (1.0 - learn.gamma)
+        )
         if self.model.max_abs_q > Q_ALARM * largest and not self.alarmed:
             self.alarmed = True
             value = self.model.max_abs_q
             shown = value if math.isfinite(value) else str(value)
-            self.run.event("q_alarm", step=self.model.num_timesteps, max_abs_q=shown, largest=largest)
+            self.run.event(
+                "q_alarm", step=self.model.num_timesteps, max_abs_q=shown, largest=largest
+            )
 
     def _report(self) -> None:
         if self.progress is not None:
@@ -265,7 +319,9 @@ class _Session:
 
     def _new_segment(self) -> None:
         """The world cannot be saved: a resumed run goes on in a new one, with a seed of its own."""
-        segment = seeding.derive(self.run.manifest.seed, "agent", "segment", self.model.num_timesteps)
+        segment = seeding.derive(
+            self.run.manifest.seed, "agent", "segment", self.model.num_timesteps
+        )
         if self.model.env is not None:
             self.model.env.seed(segment)
         self.run = self.run.with_status("running", self.model.num_timesteps)

@@ -22,7 +22,9 @@ _MAP_HEIGHT = 8  # stride-2 layers are added until the feature map is no higher 
 _PATCH_PX, _PATCH_CHANNELS = 4, 24
 _FEATURES = 128
 _MEMORY = 128  # units of the recurrent layer
-_REMEMBERS = 1.0  # bias of an LSTM's forget gates: three images later, 0.73 ** 3 = 0.39 of the cell is left
+_REMEMBERS = (
+    1.0  # bias of an LSTM's forget gates: three images later, 0.73 ** 3 = 0.39 of the cell is left
+)
 _Shape = tuple[int, int, int, int]  # T, C, H, W
 _CELL = 24  # channels that are remembered
 _DEPTH = 32
@@ -31,7 +33,10 @@ _DEPTH = 32
 def _strided(image_shape: tuple[int, int, int]) -> tuple[list[nn.Module], int]:
     """Patches and stride-2 convolutions behind them, down to a map of about 8x10; also how many channels that has."""
     channels, height, _ = image_shape
-    layers: list[nn.Module] = [nn.Conv2d(channels, _PATCH_CHANNELS, _PATCH_PX, stride=_PATCH_PX), nn.ReLU()]
+    layers: list[nn.Module] = [
+        nn.Conv2d(channels, _PATCH_CHANNELS, _PATCH_PX, stride=_PATCH_PX),
+        nn.ReLU(),
+    ]
     height, width = height // _PATCH_PX, _PATCH_CHANNELS
     while height > _MAP_HEIGHT:
         layers += [nn.Conv2d(width, 32, 3, stride=2, padding=1), nn.ReLU()]
@@ -82,7 +87,9 @@ class _Remembering(nn.Module):
         remembered, after = self._remembered(image, state)
         return torch.cat([remembered, vector], dim=2), after
 
-    def _remembered(self, image: torch.Tensor, state: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    def _remembered(
+        self, image: torch.Tensor, state: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor]:
         """What the LSTM gives after each image, (B, T, 128), and the flat state after the last."""
         raise NotImplementedError
 
@@ -101,7 +108,9 @@ class Figure6Net(_Remembering):
         self.memory = memory
         self.state_size = 2 * _MEMORY
 
-    def _remembered(self, image: torch.Tensor, state: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    def _remembered(
+        self, image: torch.Tensor, state: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor]:
         seen = self.eye(image.flatten(0, 1), image.new_zeros(image.shape[0] * image.shape[1], 0))
         return _carried(self.memory, torch.unflatten(seen, 0, image.shape[:2]), state)
 
@@ -125,7 +134,9 @@ def _lstm() -> nn.LSTM:
     return memory
 
 
-def _carried(memory: nn.LSTM, seen: torch.Tensor, state: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+def _carried(
+    memory: nn.LSTM, seen: torch.Tensor, state: torch.Tensor
+) -> tuple[torch.Tensor, torch.Tensor]:
     """Outputs (B, T, 128) for `seen` (B, T, 128) in a row, and the flat state (B, S) after them; `state` is before."""
     hidden, cell = (part.contiguous() for part in state[None].chunk(2, dim=2))
     remembered, after = memory(seen, (hidden, cell))
@@ -150,7 +161,9 @@ class ConvLstmNet(_Remembering):
             bias[_CELL : 2 * _CELL] = 1.0  # it begins by remembering
             self.gates.bias = nn.Parameter(bias)
 
-    def _remembered(self, image: torch.Tensor, state: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    def _remembered(
+        self, image: torch.Tensor, state: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor]:
         seen = self.eye(image.flatten(0, 1)).unflatten(0, image.shape[:2])
         hidden, cell = torch.unflatten(state[:, : self._cells], 1, (2, _CELL, *self._map)).unbind(1)
         maps = []
@@ -191,7 +204,9 @@ class Conv3dNet(nn.Module):
 class _Small(nn.Module):
     """A small map and the vector to features."""
 
-    def __init__(self, channels: int, eye: nn.Module, image_shape: _Shape, vector_size: int) -> None:
+    def __init__(
+        self, channels: int, eye: nn.Module, image_shape: _Shape, vector_size: int
+    ) -> None:
         super().__init__()
         with torch.no_grad():
             cells = eye(torch.zeros(1, *image_shape[1:]))[0, 0].numel()

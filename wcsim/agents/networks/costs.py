@@ -21,7 +21,9 @@ from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import action_set
 
 LIMIT_MS: Final = 100.0  # for a decision: a tick of the paper
-RESERVE_MS: Final = 60.0  # of it is for the network that makes the classes of a real camera's pictures
+RESERVE_MS: Final = (
+    60.0  # of it is for the network that makes the classes of a real camera's pictures
+)
 _WARM_UP: Final = 3
 Times = tuple[float, float]  # median and 99th percentile in ms
 
@@ -45,13 +47,20 @@ class _NetworkCost:
         return self.p99_ms <= LIMIT_MS - RESERVE_MS
 
 
-def measure_cost(name: str, height_px: int = 240, width_px: int = 320, runs: int = 30) -> _NetworkCost:
+def measure_cost(
+    name: str, height_px: int = 240, width_px: int = 320, runs: int = 30
+) -> _NetworkCost:
     """Measure a network on one core of this machine. Raises PolicyError when there is none of that name."""
     window = preferred_window(name)
     image = spaces.Box(0, 255, (window, height_px, width_px), np.uint8)
-    vectors = {key: spaces.Box(-1.0, 1.0, (size,), np.float32) for key, size in ((IMU_KEY, 5), (JOYSTICK_KEY, 2))}
+    vectors = {
+        key: spaces.Box(-1.0, 1.0, (size,), np.float32)
+        for key, size in ((IMU_KEY, 5), (JOYSTICK_KEY, 2))
+    }
     actions = spaces.Discrete(len(action_set("square81")))
-    net = QNet(spaces.Dict({CLASS_KEY: image, DEPTH_KEY: image, **vectors}), actions, NetSpec(network=name))
+    net = QNet(
+        spaces.Dict({CLASS_KEY: image, DEPTH_KEY: image, **vectors}), actions, NetSpec(network=name)
+    )
     net.set_training_mode(False)
     seen = {
         CLASS_KEY: torch.full((1, window, height_px, width_px), 7, dtype=torch.uint8),
@@ -100,14 +109,20 @@ def _counted(net: nn.Module, seen: dict[str, torch.Tensor]) -> tuple[int, int]:
         result = out[0] if isinstance(out, tuple) else out
         largest = max(largest, result.numel() * result.element_size())
         if isinstance(layer, nn.Conv2d | nn.Conv3d):
-            macs += result.numel() * layer.in_channels // layer.groups * math.prod(layer.kernel_size)
+            macs += (
+                result.numel() * layer.in_channels // layer.groups * math.prod(layer.kernel_size)
+            )
         elif isinstance(layer, nn.Linear):
             macs += result.numel() * layer.in_features
         elif isinstance(layer, nn.LSTM | nn.GRU):
             steps = given[0].shape[0] * given[0].shape[1]
-            macs += steps * sum(weight.numel() for name, weight in layer.named_parameters() if "weight" in name)
+            macs += steps * sum(
+                weight.numel() for name, weight in layer.named_parameters() if "weight" in name
+            )
 
-    handles = [layer.register_forward_hook(count) for layer in net.modules() if not list(layer.children())]
+    handles = [
+        layer.register_forward_hook(count) for layer in net.modules() if not list(layer.children())
+    ]
     with torch.inference_mode():
         net(seen)
     for handle in handles:

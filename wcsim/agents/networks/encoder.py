@@ -12,7 +12,14 @@ from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from torch import nn
 
 from wcsim.agents.networks import registry
-from wcsim.agents.policy_api import CLASS_KEY, COLOURS_KEY, DEPTH_KEY, IMU_KEY, JOYSTICK_KEY, RGB_KEY
+from wcsim.agents.policy_api import (
+    CLASS_KEY,
+    COLOURS_KEY,
+    DEPTH_KEY,
+    IMU_KEY,
+    JOYSTICK_KEY,
+    RGB_KEY,
+)
 from wcsim.config.env import Form
 from wcsim.errors import PolicyError
 from wcsim.types import ClassId as C
@@ -69,21 +76,31 @@ class ObservationEncoder(BaseFeaturesExtractor):
         table = _group_table(classes)
         self.form = observation_form(observation_space)
         count = {"compact": len(table) + 1, "compact_rgb": len(table) + 4, "table3": 4}[self.form]
-        shape = registry.input_shape(network, window_size(observation_space), (count, height, width))
+        shape = registry.input_shape(
+            network, window_size(observation_space), (count, height, width)
+        )
         body = registry.build(network, shape, numbers)
-        super().__init__(observation_space, features_dim=_features_dim(network, body, shape, numbers))
+        super().__init__(
+            observation_space, features_dim=_features_dim(network, body, shape, numbers)
+        )
         self.body = body
         self.vector_keys = vector_keys(observation_space)
         self.windowed = registry.is_windowed(network)
         self.state_size = int(body.state_size) if stateful else 0  # type: ignore[arg-type]
-        planes = torch.cat([table, torch.zeros(1, 256, dtype=torch.bool)]).t()  # the last one is for depth
-        self.register_buffer("_planes", planes.to(torch.float32).contiguous(), persistent=False)  # (256, G + 1)
+        planes = torch.cat(
+            [table, torch.zeros(1, 256, dtype=torch.bool)]
+        ).t()  # the last one is for depth
+        self.register_buffer(
+            "_planes", planes.to(torch.float32).contiguous(), persistent=False
+        )  # (256, G + 1)
 
     def forward(self, observations: Tensors) -> torch.Tensor:
         """Features (B, F) of a batch of observations."""
         return torch.as_tensor(self.body(self.image(observations), self.vector(observations)))
 
-    def unroll(self, observations: Tensors, state: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    def unroll(
+        self, observations: Tensors, state: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor]:
         """Features (B, T, F) of T observations in a row, (B, T, ...) each, and the state (B, state_size) after them."""
         count = state.shape[0], observations[DEPTH_KEY].shape[1]
         flat = {key: value.flatten(0, 1) for key, value in observations.items()}
@@ -103,7 +120,9 @@ class ObservationEncoder(BaseFeaturesExtractor):
             return seen[:, None] if self.windowed else seen
         ids, depth = observations[CLASS_KEY].to(torch.int32), observations[DEPTH_KEY] / 255.0
         table = torch.as_tensor(self._planes)
-        if torch.onnx.is_in_onnx_export():  # ONNX Runtime writes one plane of many slowly, half of a decision's time
+        if (
+            torch.onnx.is_in_onnx_export()
+        ):  # ONNX Runtime writes one plane of many slowly, half of a decision's time
             groups = nn.functional.embedding(ids, table[:, :-1].contiguous())
             planes = torch.cat([groups.permute(0, 1, 4, 2, 3), depth[:, :, None]], dim=2)
         else:
@@ -159,8 +178,14 @@ def observation_form(space: spaces.Space[object]) -> Form:
 
 def _known(space: spaces.Space[object]) -> spaces.Dict:
     keys = set(space.spaces) if isinstance(space, spaces.Dict) else set()
-    if not isinstance(space, spaces.Dict) or not {DEPTH_KEY, IMU_KEY, JOYSTICK_KEY} <= keys or not keys & _CLASSES:
-        raise PolicyError(f"observation space is {space}; expected a Dict with seg, depth, imu and joystick")
+    if (
+        not isinstance(space, spaces.Dict)
+        or not {DEPTH_KEY, IMU_KEY, JOYSTICK_KEY} <= keys
+        or not keys & _CLASSES
+    ):
+        raise PolicyError(
+            f"observation space is {space}; expected a Dict with seg, depth, imu and joystick"
+        )
     return space
 
 
@@ -173,7 +198,9 @@ def _box(space: spaces.Dict, key: str) -> spaces.Box:
 
 def _check_state(space: spaces.Space[object], network: str) -> None:
     if not registry.carries_state(network):
-        raise PolicyError(f"network {network!r} carries no state; expected one with `unroll` (see networks.registry)")
+        raise PolicyError(
+            f"network {network!r} carries no state; expected one with `unroll` (see networks.registry)"
+        )
     if window_size(space) != 1:
         raise PolicyError(
             f"network {network!r} carries its state from tick to tick and sees {window_size(space)} images at a time; "
@@ -187,11 +214,17 @@ def _features_dim(name: str, body: nn.Module, shape: tuple[int, ...], vector_siz
         with torch.no_grad():
             out = body(torch.zeros(2, *shape), torch.zeros(2, vector_size))
     except (TypeError, ValueError, RuntimeError, AttributeError) as error:
-        raise PolicyError(f"network {name!r} failed on image (2, {', '.join(map(str, shape))}): {error}") from error
+        raise PolicyError(
+            f"network {name!r} failed on image (2, {', '.join(map(str, shape))}): {error}"
+        ) from error
     if not isinstance(out, torch.Tensor) or out.ndim != 2 or len(out) != 2:
         got = tuple(out.shape) if isinstance(out, torch.Tensor) else type(out).__name__
-        raise PolicyError(f"network {name!r} returned {got} for a batch of 2; expected a tensor (2, features)")
-    if not out.is_meta and not bool(torch.isfinite(out).all()):  # on meta, where policies are read, nothing has values
+        raise PolicyError(
+            f"network {name!r} returned {got} for a batch of 2; expected a tensor (2, features)"
+        )
+    if not out.is_meta and not bool(
+        torch.isfinite(out).all()
+    ):  # on meta, where policies are read, nothing has values
         raise PolicyError(
             f"network {name!r} returned numbers that are not finite for an image and a vector of zeros, which do "
             "occur; expected finite ones: look for a division or a logarithm of 0 in it"

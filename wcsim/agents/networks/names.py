@@ -34,7 +34,9 @@ def check_network(name: str) -> None:
     Raises:
         PolicyError: There is no such name, module or class; importing the module of `module:Class` runs its code.
     """
-    registry = sys.modules.get("wcsim.agents.networks.registry")  # a caller that registered own names has loaded it
+    registry = sys.modules.get(
+        "wcsim.agents.networks.registry"
+    )  # a caller that registered own names has loaded it
     if is_own(name):
         find_class(name, "network")
     elif name not in NETWORK_NAMES and not (registry is not None and name in registry.NETWORKS):

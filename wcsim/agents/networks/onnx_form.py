@@ -19,7 +19,9 @@ def check_onnx() -> None:
     check_installed("exporting needs ONNX", "train", "onnx", error=PolicyError)
 
 
-def exported(net: nn.Module, given: tuple[torch.Tensor, ...], inputs: Sequence[str], outputs: Sequence[str]) -> bytes:
+def exported(
+    net: nn.Module, given: tuple[torch.Tensor, ...], inputs: Sequence[str], outputs: Sequence[str]
+) -> bytes:
     """A network as an ONNX model, for inputs of these very shapes.
 
     Args:
@@ -39,5 +41,7 @@ def exported(net: nn.Module, given: tuple[torch.Tensor, ...], inputs: Sequence[s
             names = {"input_names": list(inputs), "output_names": list(outputs)}
             torch.onnx.export(net, given, held, opset_version=OPSET, dynamo=False, **names)  # type: ignore[arg-type]
     except (RuntimeError, torch.onnx.errors.OnnxExporterError) as error:
-        raise PolicyError(f"the network cannot be exported to ONNX: {str(error).splitlines()[0][:200]}") from None
+        raise PolicyError(
+            f"the network cannot be exported to ONNX: {str(error).splitlines()[0][:200]}"
+        ) from None
     return held.getvalue()

@@ -24,10 +24,14 @@ _TOLERANCE = 1e-6  # float32 grid centres fall on either side of the follow dist
 class QNet(BasePolicy):
     """Values of all actions. With head `residual`: Q(s, a) = scaled follow reward(joystick, a) + F(s, a)."""
 
-    def __init__(self, observation_space: spaces.Dict, action_space: spaces.Discrete, spec: NetSpec) -> None:
+    def __init__(
+        self, observation_space: spaces.Dict, action_space: spaces.Discrete, spec: NetSpec
+    ) -> None:
         super().__init__(observation_space, action_space, normalize_images=False)
         self.spec = spec
-        self.encoder = ObservationEncoder(observation_space, spec.network, spec.classes, spec.stateful)
+        self.encoder = ObservationEncoder(
+            observation_space, spec.network, spec.classes, spec.stateful
+        )
         count = int(action_space.n)
         inputs = self.encoder.features_dim + vector_size(observation_space)
         self.trunk = nn.Sequential(nn.Linear(inputs, spec.hidden), nn.ReLU())
@@ -43,7 +47,9 @@ class QNet(BasePolicy):
     def forward(self, observations: PyTorchObs) -> torch.Tensor:
         """Values (B, A), in units of the scaled reward."""
         if not isinstance(observations, dict):
-            raise TypeError(f"observations are {type(observations).__name__}; expected a dict of tensors")
+            raise TypeError(
+                f"observations are {type(observations).__name__}; expected a dict of tensors"
+            )
         return self._values(self.encoder(observations), observations)
 
     def begin(self, count: int) -> torch.Tensor:
@@ -52,10 +58,14 @@ class QNet(BasePolicy):
 
     def step(self, observations: Tensors, state: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Values (B, A) of one tick, and the state (B, S) after it."""
-        values, after = self.unroll({key: value[:, None] for key, value in observations.items()}, state)
+        values, after = self.unroll(
+            {key: value[:, None] for key, value in observations.items()}, state
+        )
         return values[:, 0], after
 
-    def unroll(self, observations: Tensors, state: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    def unroll(
+        self, observations: Tensors, state: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor]:
         """Values (B, T, A) of T ticks in a row, observations (B, T, ...), and the state (B, S) after them."""
         shape = next(iter(observations.values())).shape[:2]
         flat = {key: value.flatten(0, 1) for key, value in observations.items()}
@@ -85,7 +95,9 @@ class QNet(BasePolicy):
         window = prior.max_distance - prior.max_follow_distance
         intensity = ((distance - prior.max_follow_distance) / window).clamp(0.0, 1.0)
         near = distance <= prior.max_follow_distance + _TOLERANCE
-        reward = torch.where(near, torch.full_like(distance, prior.base), -prior.penalty * intensity)
+        reward = torch.where(
+            near, torch.full_like(distance, prior.base), -prior.penalty * intensity
+        )
         return prior.reward_scale * reward
 
     def _predict(self, observation: PyTorchObs, deterministic: bool = True) -> torch.Tensor:

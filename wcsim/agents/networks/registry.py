@@ -46,7 +46,9 @@ NETWORKS: dict[str, NetworkClass] = {
 def register(name: str, network: NetworkClass) -> None:
     """Register a network under a name. Raises PolicyError if the name is taken or contains a colon."""
     if ":" in name or NETWORKS.get(name, network) is not network:
-        raise PolicyError(f"network name {name!r} is taken or contains a colon; expected a new plain name")
+        raise PolicyError(
+            f"network name {name!r} is taken or contains a colon; expected a new plain name"
+        )
     NETWORKS[name] = network
 
 
@@ -61,7 +63,9 @@ def find_network(name: str) -> NetworkClass:
         raise unknown_network(name, tuple(NETWORKS))
     found = find_class(name, "network")
     if not issubclass(found, nn.Module):
-        raise PolicyError(f"network {name!r} is not a torch.nn.Module; expected a subclass (see examples/)")
+        raise PolicyError(
+            f"network {name!r} is not a torch.nn.Module; expected a subclass (see examples/)"
+        )
     return found
 
 

@@ -47,16 +47,22 @@ def shipped() -> tuple[str, ...]:
 
 def open_suite(name_or_path: str) -> Suite:
     """A set that comes with wcsim, or a list at a path. Raises ConfigError when it is none, or broken."""
-    path = _SHIPPED / f"{name_or_path}.json" if name_or_path in shipped() else expanded(name_or_path)
+    path = (
+        _SHIPPED / f"{name_or_path}.json" if name_or_path in shipped() else expanded(name_or_path)
+    )
     if not is_file(path):
         known = ", ".join(shipped()) or "(none)"
-        raise ConfigError(f"--suite {escaped(name_or_path)!r}: there is no such list; expected {known}, or a file")
+        raise ConfigError(
+            f"--suite {escaped(name_or_path)!r}: there is no such list; expected {known}, or a file"
+        )
     return suite_of(parse(SuiteFile, read_json(path, EPISODES), escaped(path)))
 
 
 def suite_of(file: SuiteFile) -> Suite:
     """A list with its hash."""
-    return Suite(file=file, sha256=hashlib.sha256(_canonical(file.model_dump(mode="json"))).hexdigest())
+    return Suite(
+        file=file, sha256=hashlib.sha256(_canonical(file.model_dump(mode="json"))).hexdigest()
+    )
 
 
 def _canonical(data: object) -> bytes:
@@ -71,8 +77,12 @@ def write_list(file: SuiteFile, path: Path) -> None:
     blocks = list(file.blocks)
     for number, block in enumerate(blocks):
         said = json.dumps(block.model_dump(mode="json", exclude={"episodes"}))[:-1]
-        episodes = ",\n  ".join(json.dumps(episode.model_dump(mode="json")) for episode in block.episodes)
-        lines.append(f'{said}, "episodes": [\n  {episodes}]}}{"," if number + 1 < len(blocks) else "]}"}')
+        episodes = ",\n  ".join(
+            json.dumps(episode.model_dump(mode="json")) for episode in block.episodes
+        )
+        lines.append(
+            f'{said}, "episodes": [\n  {episodes}]}}{"," if number + 1 < len(blocks) else "]}"}'
+        )
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
@@ -85,7 +95,11 @@ def towns_of(file: SuiteFile, folder: Path) -> dict[str, Town]:
     """
     found = {}
     for wanted in file.towns:
-        town = find_town(wanted.name) if wanted.made_seed is None else made_town(folder, wanted.made_seed)
+        town = (
+            find_town(wanted.name)
+            if wanted.made_seed is None
+            else made_town(folder, wanted.made_seed)
+        )
         got = content_hash(town)
         if got != wanted.sha256:
             raise TownError(
@@ -104,7 +118,10 @@ def asked_towns(words: str, folder: Path) -> list[tuple[Town, int | None]]:
         TownError: There is no such town, or it cannot be made.
     """
     words_seeds = [(word.strip(), made_seed(word.strip())) for word in words.split(",")]
-    return [(find_town(word) if seed is None else made_town(folder, seed), seed) for word, seed in words_seeds]
+    return [
+        (find_town(word) if seed is None else made_town(folder, seed), seed)
+        for word, seed in words_seeds
+    ]
 
 
 def require_towns(file: SuiteFile) -> None:
@@ -112,7 +129,9 @@ def require_towns(file: SuiteFile) -> None:
     named = {town.name for town in file.towns}
     for block in file.blocks:
         if block.part != TIGHT and block.town not in named:
-            raise ConfigError(f"a block is in town {block.town!r}; expected one of {sorted(named)}: add it to `towns`")
+            raise ConfigError(
+                f"a block is in town {block.town!r}; expected one of {sorted(named)}: add it to `towns`"
+            )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -125,7 +144,9 @@ class BlockPlace:
     recordings: Path | None = None  # folder of recorded joysticks that users are named by
 
 
-def open_block(block: BlockFile, config: RunConfig, town: Callable[[], Town], work: Path) -> BlockPlace:
+def open_block(
+    block: BlockFile, config: RunConfig, town: Callable[[], Town], work: Path
+) -> BlockPlace:
     """The block's place: its `town`, or the scene of a tight block, built in `work`, its settings laid over `config`.
 
     Raises TownError when the scene is another than the list's, and what `town` raises.
@@ -140,7 +161,9 @@ def open_block(block: BlockFile, config: RunConfig, town: Callable[[], Town], wo
             "the list says: the list was made by another version of wcsim"
         )
     built, scene = build_scene(folder, work / SCENE_TOWN)
-    return BlockPlace(town=built, config=scene_config(scene, config), seed=scene.seed, recordings=folder)
+    return BlockPlace(
+        town=built, config=scene_config(scene, config), seed=scene.seed, recordings=folder
+    )
 
 
 def seat_of(place: BlockPlace, episode: EpisodeFile, policy: Policy) -> SeatSpec:
@@ -150,5 +173,7 @@ def seat_of(place: BlockPlace, episode: EpisodeFile, policy: Policy) -> SeatSpec
         user = f"{RECORDED}{place.recordings / user.removeprefix(RECORDED)}"
     start = None  # where the world draws it
     if episode.start_m is not None and episode.goal_m is not None:
-        start = StartSpec(p_W_m=episode.start_m, yaw_rad=episode.heading_rad, goal_W_m=episode.goal_m)
+        start = StartSpec(
+            p_W_m=episode.start_m, yaw_rad=episode.heading_rad, goal_W_m=episode.goal_m
+        )
     return replace(seat_for(policy, user), max_steps=episode.max_steps, start=start)

@@ -51,10 +51,14 @@ def open_named(name: str, config: RunConfig, seed: int, network: str | None = No
     actions = action_set(config.env.actions)
     named = policy_name(name)
     if named.veto:
-        from wcsim.agents.policies.dwa import Veto  # and with it kernels, which the checks of names must not load
+        from wcsim.agents.policies.dwa import (
+            Veto,
+        )  # and with it kernels, which the checks of names must not load
 
         inner = open_named(named.inner, config, seed, network)
-        if isinstance(inner, ExportedLaw):  # its law says one action, and a veto asks for its dangers
+        if isinstance(
+            inner, ExportedLaw
+        ):  # its law says one action, and a veto asks for its dangers
             check_installed(f"policy {name!r} needs PyTorch", "train", "torch", error=PolicyError)
         return Veto(name, inner, config)
     if named.kind == "served":
@@ -69,7 +73,9 @@ def open_named(name: str, config: RunConfig, seed: int, network: str | None = No
 
         return baseline(name, config, seed)
     folder = policy_path(name)
-    law = "" if named.level is not None or network is not None else _law_without_torch(folder, config)
+    law = (
+        "" if named.level is not None or network is not None else _law_without_torch(folder, config)
+    )
     if law:
         require_same_senses(folder, name, config)
         return ExportedLaw(folder, name, law, config)
@@ -124,8 +130,12 @@ def sensing(config: RunConfig, policy: Policy) -> tuple[str, ...]:
     """
     from wcsim.agents.policies.dwa import Veto
 
-    file = getattr(policy.inner if isinstance(policy, Veto) else policy, "file", None)  # of a network of Q-learning
-    window = f"env.window={max(file.window if isinstance(file, PolicyFile) else 1, config.env.frames)}"
+    file = getattr(
+        policy.inner if isinstance(policy, Veto) else policy, "file", None
+    )  # of a network of Q-learning
+    window = (
+        f"env.window={max(file.window if isinstance(file, PolicyFile) else 1, config.env.frames)}"
+    )
     return (window, *sense_settings(config, senses_of(policy)))
 
 
@@ -139,7 +149,9 @@ def seat_for(policy: Policy, profile: str) -> SeatSpec:
     )
 
 
-def config_for(policy: str, preset: str, settings: Sequence[str] = (), *, in_list: bool = False) -> RunConfig:
+def config_for(
+    policy: str, preset: str, settings: Sequence[str] = (), *, in_list: bool = False
+) -> RunConfig:
     """What a policy drives with: its own configuration, or the preset's where it has none, with settings over it.
 
     Args:
@@ -176,7 +188,10 @@ def _policy_settings(path: Path) -> dict[str, Any]:
         return {"cameras": [told.camera.model_dump(mode="json")], "env": env, "chair": chair}
     file = read_policy_file(path)
     seen = {"classes": file.net.classes, "window": file.window, "observation": file.observation}
-    return {"cameras": [file.camera.model_dump(mode="json")], "env": {"actions": file.net.actions, **seen}}
+    return {
+        "cameras": [file.camera.model_dump(mode="json")],
+        "env": {"actions": file.net.actions, **seen},
+    }
 
 
 def told_of_rules(policies: Iterable[str], preset: str, settings: tuple[str, ...]) -> Iterator[str]:
@@ -184,7 +199,9 @@ def told_of_rules(policies: Iterable[str], preset: str, settings: tuple[str, ...
     for policy in policies:
         if policy_name(policy).kind in ("baseline", "served", "class"):
             continue
-        learned, tested = (config_for(policy, preset, settings, in_list=rules) for rules in (False, True))
+        learned, tested = (
+            config_for(policy, preset, settings, in_list=rules) for rules in (False, True)
+        )
         other = list(_others(learned, tested))
         if other:
             was = ", ".join(f"{name}={_text(value)}" for name, value, _ in other)

@@ -8,7 +8,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
-NEWEST: Final = 0.5  # share of the newest tick in the danger that is warned of: about three ticks count
+NEWEST: Final = (
+    0.5  # share of the newest tick in the danger that is warned of: about three ticks count
+)
 CALM: Final = 0.7  # times the level of the warning: below it a warning ends
 TWO_TICKS: Final = 0.6  # level for who knows only a danger of 0 or 1: two ticks in a row are enough, a lone one is not
 

@@ -21,7 +21,9 @@ NEAR_M = 0.6  # farther away nothing matters
 @exact_kernel
 def follow(motion: F64, command: F64, limits: F64, dt_s: float) -> None:
     """Move `motion` (3,) v, w, acceleration on by `dt_s` towards a command (2,), within the drive's limits (8,)."""
-    motion[0], motion[1], motion[2] = driven(motion[0], motion[1], motion[2], command[0], command[1], limits, dt_s)
+    motion[0], motion[1], motion[2] = driven(
+        motion[0], motion[1], motion[2], command[0], command[1], limits, dt_s
+    )
 
 
 @exact_kernel
@@ -48,7 +50,14 @@ def after(motion: F64, waiting: F64, limits: F64, tick_s: float) -> F64:
 
 @exact_kernel
 def arcs(
-    start: F64, later_s: float, hold_s: float, commands: F64, limits: F64, box: F64, points: F64, gap_m: F64
+    start: F64,
+    later_s: float,
+    hold_s: float,
+    commands: F64,
+    limits: F64,
+    box: F64,
+    points: F64,
+    gap_m: F64,
 ) -> Bool:
     """Hold each command, then brake to a stop, and see how near that is to what is in the way.
 
@@ -85,7 +94,14 @@ def _kept_m(points: F64, margin_m: F64, box: F64) -> F64:
 
 @exact_kernel
 def _arc(
-    start: F64, later_s: float, hold_s: float, command: F64, limits: F64, box: F64, points: F64, kept_m: F64
+    start: F64,
+    later_s: float,
+    hold_s: float,
+    command: F64,
+    limits: F64,
+    box: F64,
+    points: F64,
+    kept_m: F64,
 ) -> tuple[float, bool]:
     """The least distance on one arc, and whether that of every point was kept; where not, it ends."""
     now, rest = start.copy(), np.zeros(2)
@@ -93,7 +109,10 @@ def _arc(
     for i in range(int(LONGEST_S / STEP_S) + 1):
         cos, sin, at_s = math.cos(now[2]), math.sin(now[2]), later_s + i * STEP_S
         for n in range(len(points)):
-            dx, dy = points[n, 0] + at_s * points[n, 2] - now[0], points[n, 1] + at_s * points[n, 3] - now[1]
+            dx, dy = (
+                points[n, 0] + at_s * points[n, 2] - now[0],
+                points[n, 1] + at_s * points[n, 3] - now[1],
+            )
             if max(abs(dx), abs(dy)) > box[1] + NEAR_M:
                 continue
             gap = _box_gap(dx, dy, cos, sin, box)
@@ -110,7 +129,14 @@ def _arc(
 
 @exact_kernel
 def touches_after(
-    start: F64, later_s: float, command: F64, limits: F64, box: F64, points: F64, margin_m: float, within_s: float
+    start: F64,
+    later_s: float,
+    command: F64,
+    limits: F64,
+    box: F64,
+    points: F64,
+    margin_m: float,
+    within_s: float,
 ) -> float:
     """Seconds from now on until the chair comes so near to what is in the way when a command (2,) is held; see `arcs`.
 
@@ -134,7 +160,10 @@ def gaps(state: F64, at_s: float, box: F64, points: F64) -> F64:
     cos, sin = math.cos(state[2]), math.sin(state[2])
     gap_m = np.empty(len(points))
     for n in range(len(points)):
-        dx, dy = points[n, 0] + at_s * points[n, 2] - state[0], points[n, 1] + at_s * points[n, 3] - state[1]
+        dx, dy = (
+            points[n, 0] + at_s * points[n, 2] - state[0],
+            points[n, 1] + at_s * points[n, 3] - state[1],
+        )
         gap_m[n] = _box_gap(dx, dy, cos, sin, box)
     return gap_m
 

@@ -62,7 +62,19 @@ def find_clusters(
     owner = np.argsort(np.argsort(first))[whose]
     owner[owner >= MOST] = -1
     clusters = np.zeros((MOST, 11))
-    kept = _measure(kind.reshape(-1), kind.shape[1], depth_m, rays, eye, far_m, up, cells, pose_O, owner, clusters)
+    kept = _measure(
+        kind.reshape(-1),
+        kind.shape[1],
+        depth_m,
+        rays,
+        eye,
+        far_m,
+        up,
+        cells,
+        pose_O,
+        owner,
+        clusters,
+    )
     return clusters[:kept], points[:count], owner
 
 
@@ -80,7 +92,9 @@ def _cell(depth: float, ray: F32, eye: F64, far_m: float, up: F64) -> tuple[int,
 
 
 @exact_kernel
-def _gather(kind: U8, depth_m: F32, rays: F32, eye: F64, far_m: float, up: F64, cells: I64, points: F64) -> int:
+def _gather(
+    kind: U8, depth_m: F32, rays: F32, eye: F64, far_m: float, up: F64, cells: I64, points: F64
+) -> int:
     """Number the cells in which there are pixels that could move; returns how many."""
     count = 0
     for n in range(len(kind)):
@@ -145,7 +159,11 @@ def _is_fringe(clusters: F64, index: int) -> bool:
     for c in range(MOST):
         other = clusters[c]
         nearer = other[DEPTH] < one[DEPTH] - CELL_M and other[PIXELS] > one[PIXELS]
-        if nearer and one[FIRST] >= other[FIRST] - _FRINGE_PX and one[LAST] <= other[LAST] + _FRINGE_PX:
+        if (
+            nearer
+            and one[FIRST] >= other[FIRST] - _FRINGE_PX
+            and one[LAST] <= other[LAST] + _FRINGE_PX
+        ):
             return True
     return False
 
@@ -161,6 +179,9 @@ def beside_movers(points_B_m: F64, cells_B_m: F64) -> Bool:
 def _mark_near(points: F64, cells: F64, near: Bool) -> None:
     for n in range(len(points)):
         for k in range(len(cells)):
-            if abs(points[n, 0] - cells[k, 0]) < 1.5 * CELL_M and abs(points[n, 1] - cells[k, 1]) < 1.5 * CELL_M:
+            if (
+                abs(points[n, 0] - cells[k, 0]) < 1.5 * CELL_M
+                and abs(points[n, 1] - cells[k, 1]) < 1.5 * CELL_M
+            ):
                 near[n] = True
                 break

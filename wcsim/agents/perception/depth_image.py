@@ -25,10 +25,14 @@ def viewing_rays(camera: CameraConfig) -> F64:
     height, width = camera.height_px, camera.width_px
     focal_px = width / 2.0 / math.tan(rad(camera.hfov_deg) / 2.0)
     right, down = np.meshgrid(
-        (np.arange(width) + 0.5 - width / 2.0) / focal_px, (np.arange(height) + 0.5 - height / 2.0) / focal_px
+        (np.arange(width) + 0.5 - width / 2.0) / focal_px,
+        (np.arange(height) + 0.5 - height / 2.0) / focal_px,
     )
     pitch, yaw, roll = rad(camera.pitch_deg), rad(camera.yaw_deg), rad(camera.roll_deg)
-    right, down = right * math.cos(roll) - down * math.sin(roll), right * math.sin(roll) + down * math.cos(roll)
+    right, down = (
+        right * math.cos(roll) - down * math.sin(roll),
+        right * math.sin(roll) + down * math.cos(roll),
+    )
     ahead = math.cos(pitch) + down * math.sin(pitch)
     up = math.sin(pitch) - down * math.cos(pitch)
     x = ahead * math.cos(yaw) + right * math.sin(yaw)

@@ -76,7 +76,9 @@ class EgoMotion:
 
     def _begin(self, speed_mps: float | None, turn_radps: float | None, asked: F64) -> None:
         self._begun = True
-        if speed_mps is None:  # then it has come to what its user asks for, as far as anybody can tell
+        if (
+            speed_mps is None
+        ):  # then it has come to what its user asks for, as far as anybody can tell
             self.motion[:2] = wanted(asked[0], asked[1], 0.0, self._limits)
         else:
             self.motion[0] = speed_mps
@@ -98,7 +100,9 @@ def _measured(observation: Observation) -> tuple[float | None, float | None]:
     if ODOMETRY_KEY in observation:
         speed_mps, turn_radps = (
             float(value) * full
-            for value, full in zip(observation[ODOMETRY_KEY], (SPEED_FULL_SCALE, TURN_FULL_SCALE), strict=True)
+            for value, full in zip(
+                observation[ODOMETRY_KEY], (SPEED_FULL_SCALE, TURN_FULL_SCALE), strict=True
+            )
         )
     imu = observation[IMU_KEY]
     if len(imu) in _GYRO_SIZES:

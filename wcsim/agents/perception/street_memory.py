@@ -21,12 +21,18 @@ from wcsim.types import F32, F64, I64, Bool
 
 CELL_M = 0.1
 REACH_M = 4.0  # beyond, rows of the image are farther apart than cells
-ROWS, COLUMNS = round(REACH_M / CELL_M), 2 * round(REACH_M / CELL_M)  # ahead from the axle, and left of -REACH_M
+ROWS, COLUMNS = (
+    round(REACH_M / CELL_M),
+    2 * round(REACH_M / CELL_M),
+)  # ahead from the axle, and left of -REACH_M
 STEP_M = 0.06  # more than casters climb, and less than a kerb; depth codes alone give 0.03
 RISE_PER_M = 0.12  # a steep ramp
 GAP_CELLS = 4  # how far apart neighbours may be: behind a kerb's edge, some ground is hidden
 HEAD_M = 1.6  # what hangs higher passes above
-DROP_M, DROP_PER_M = 0.15, 0.06  # rays that go so far below level ground have met no ground where it should be
+DROP_M, DROP_PER_M = (
+    0.15,
+    0.06,
+)  # rays that go so far below level ground have met no ground where it should be
 _MOST_POINTS = 1024
 FORGET_M = 4.5  # away from the chair
 KEEP_WAY_M = 15.0  # driven since it was seen
@@ -48,7 +54,13 @@ class StepMap:
     points_B_m: F64 = field(default_factory=lambda: np.empty((_MOST_POINTS, 2)))
 
     def obstacles(
-        self, depth_m: F32, rays: F32, eye_B_m: F64, span_m: tuple[float, float], up_B: F64, box_B_m: F64
+        self,
+        depth_m: F32,
+        rays: F32,
+        eye_B_m: F64,
+        span_m: tuple[float, float],
+        up_B: F64,
+        box_B_m: F64,
     ) -> F64:
         """Middles of what is in the way.
 
@@ -63,13 +75,31 @@ class StepMap:
         Returns:
             (n, 2) x forward, y left in B; a view of a buffer, valid until the next call.
         """
-        drops = _fill(depth_m, rays, eye_B_m, span_m[0], span_m[1], up_B, self.low_m, self.high_m, self.points_B_m)
+        drops = _fill(
+            depth_m,
+            rays,
+            eye_B_m,
+            span_m[0],
+            span_m[1],
+            up_B,
+            self.low_m,
+            self.high_m,
+            self.points_B_m,
+        )
         return self.points_B_m[: _steps(self.low_m, self.high_m, box_B_m, self.points_B_m, drops)]
 
 
 @exact_kernel
 def _fill(
-    depth_m: F32, rays: F32, eye: F64, nearest_m: float, farthest_m: float, up: F64, low: F32, high: F32, points: F64
+    depth_m: F32,
+    rays: F32,
+    eye: F64,
+    nearest_m: float,
+    farthest_m: float,
+    up: F64,
+    low: F32,
+    high: F32,
+    points: F64,
 ) -> int:
     """Make the raster; returns how many points were written where a ray has fallen below the ground."""
     low[:] = np.inf
@@ -80,20 +110,34 @@ def _fill(
         depth = depth_m[i]
         if not depth > nearest_m:
             continue
-        x, y, z = eye[0] + depth * rays[i, 0], eye[1] + depth * rays[i, 1], eye[2] + depth * rays[i, 2]
+        x, y, z = (
+            eye[0] + depth * rays[i, 0],
+            eye[1] + depth * rays[i, 1],
+            eye[2] + depth * rays[i, 2],
+        )
         level = up[0] * x + up[1] * y + up[2] * z
         away = math.hypot(x, y)
         if max(z, level) < -DROP_M - DROP_PER_M * away:
             fall = eye[2] / max(eye[2] - z, 1e-6)  # where it should have met the ground
             x, y = eye[0] + fall * (x - eye[0]), eye[1] + fall * (y - eye[1])
             row, column = math.floor(x / CELL_M), math.floor((y + REACH_M) / CELL_M)
-            if 0 <= row < ROWS and 0 <= column < COLUMNS and not dropped[row, column] and count < len(points):
+            if (
+                0 <= row < ROWS
+                and 0 <= column < COLUMNS
+                and not dropped[row, column]
+                and count < len(points)
+            ):
                 dropped[row, column] = True
                 points[count, 0], points[count, 1] = x, y
                 count += 1
             continue
         row, column = math.floor(x / CELL_M), math.floor((y + REACH_M) / CELL_M)
-        if depth < farthest_m and 0 <= row < ROWS and 0 <= column < COLUMNS and min(z, level) < HEAD_M:
+        if (
+            depth < farthest_m
+            and 0 <= row < ROWS
+            and 0 <= column < COLUMNS
+            and min(z, level) < HEAD_M
+        ):
             low[row, column] = min(low[row, column], z)
             high[row, column] = max(high[row, column], z)
     return count
@@ -130,7 +174,9 @@ def _edge(low: F32, row: int, column: int, down: int, right: int, points: F64, c
         if not low[r, c] < np.inf:
             continue
         rise = low[r, c] - low[row, column]
-        if abs(rise) > STEP_M + RISE_PER_M * CELL_M * gap * math.hypot(down, right) and count < len(points):
+        if abs(rise) > STEP_M + RISE_PER_M * CELL_M * gap * math.hypot(down, right) and count < len(
+            points
+        ):
             from_here = gap - 0.5 if rise > 0.0 else 0.5
             points[count, 0] = (row + 0.5 + from_here * down) * CELL_M
             points[count, 1] = (column + 0.5 + from_here * right) * CELL_M - REACH_M
@@ -160,7 +206,9 @@ class StreetMemory:
         self.cells[:] = 0
         self._tick = 0
 
-    def see(self, points_B_m: F64, brief: Bool, low_m: F32, pose_O: F64, way_m: float, *, ahead: bool) -> None:
+    def see(
+        self, points_B_m: F64, brief: Bool, low_m: F32, pose_O: F64, way_m: float, *, ahead: bool
+    ) -> None:
         """Take in what is seen in a tick.
 
         Args:
@@ -178,7 +226,9 @@ class StreetMemory:
 
     def points_B_m(self, pose_O: F64, way_m: float) -> F64:
         """What is in the way (n, 2), in B; a view of a buffer, valid until the next call."""
-        count = _collect(self.cells, self._places, pose_O, self._tick, way_m, self._brief_ticks, self._found_B_m)
+        count = _collect(
+            self.cells, self._places, pose_O, self._tick, way_m, self._brief_ticks, self._found_B_m
+        )
         return self._found_B_m[:count]
 
 
@@ -187,7 +237,12 @@ def is_ground(cells: I64, x_O_m: float, y_O_m: float) -> bool:
     """Whether a place in O is surely ground: seen or stood on, with nothing in the way."""
     ix, iy = math.floor(x_O_m / CELL_M), math.floor(y_O_m / CELL_M)
     cell = cells[ix % _SIDE, iy % _SIDE]
-    return bool(cell[_KEY_X] == ix and cell[_KEY_Y] == iy and cell[_GROUND] == _SEEN and cell[_EVIDENCE] == 0)
+    return bool(
+        cell[_KEY_X] == ix
+        and cell[_KEY_Y] == iy
+        and cell[_GROUND] == _SEEN
+        and cell[_EVIDENCE] == 0
+    )
 
 
 @exact_kernel
@@ -195,7 +250,9 @@ def is_known(cells: I64, x_O_m: float, y_O_m: float) -> bool:
     """Whether a place in O was seen, stood on or stood beside, whatever is there."""
     ix, iy = math.floor(x_O_m / CELL_M), math.floor(y_O_m / CELL_M)
     cell = cells[ix % _SIDE, iy % _SIDE]
-    return bool(cell[_KEY_X] == ix and cell[_KEY_Y] == iy and (cell[_GROUND] > 0 or cell[_EVIDENCE] > 0))
+    return bool(
+        cell[_KEY_X] == ix and cell[_KEY_Y] == iy and (cell[_GROUND] > 0 or cell[_EVIDENCE] > 0)
+    )
 
 
 @exact_kernel
@@ -210,7 +267,9 @@ def _claim(cells: I64, x_O_m: float, y_O_m: float) -> tuple[int, int]:
 
 
 @exact_kernel
-def _note(cells: I64, places: F64, points: F64, brief: Bool, pose: F64, tick: int, way_m: float) -> None:
+def _note(
+    cells: I64, places: F64, points: F64, brief: Bool, pose: F64, tick: int, way_m: float
+) -> None:
     """Put what is in the way into its cells; what can walk off is never sure."""
     cos, sin = math.cos(pose[2]), math.sin(pose[2])
     for n in range(len(points)):
@@ -260,7 +319,10 @@ def _stand(cells: I64, box: F64, around_m: float, pose: F64) -> None:
     """The ground under the chair, and so far around it, is known."""
     cos, sin = math.cos(pose[2]), math.sin(pose[2])
     rear, front, half = box[0] - around_m, box[1] + around_m, box[2] + around_m
-    along, across = math.ceil((front - rear) / (0.7 * CELL_M)), math.ceil(2.0 * half / (0.7 * CELL_M))
+    along, across = (
+        math.ceil((front - rear) / (0.7 * CELL_M)),
+        math.ceil(2.0 * half / (0.7 * CELL_M)),
+    )
     for a in range(along + 1):
         bx = rear + (front - rear) * a / along
         for b in range(across + 1):
@@ -271,7 +333,9 @@ def _stand(cells: I64, box: F64, around_m: float, pose: F64) -> None:
 
 
 @exact_kernel
-def _collect(cells: I64, places: F64, pose: F64, tick: int, way_m: float, brief_ticks: int, found: F64) -> int:
+def _collect(
+    cells: I64, places: F64, pose: F64, tick: int, way_m: float, brief_ticks: int, found: F64
+) -> int:
     """Write what is in the way into `found`, in B; forget what is too far, too long ago or a long way back."""
     cos, sin = math.cos(pose[2]), math.sin(pose[2])
     count = 0
@@ -281,7 +345,11 @@ def _collect(cells: I64, places: F64, pose: F64, tick: int, way_m: float, brief_
                 continue
             dx, dy = places[i, j, _X] - pose[0], places[i, j, _Y] - pose[1]
             old = cells[i, j, _EVIDENCE] == 1 and tick - cells[i, j, _TICK] > brief_ticks
-            if old or way_m - places[i, j, _WAY] > KEEP_WAY_M or dx * dx + dy * dy > FORGET_M * FORGET_M:
+            if (
+                old
+                or way_m - places[i, j, _WAY] > KEEP_WAY_M
+                or dx * dx + dy * dy > FORGET_M * FORGET_M
+            ):
                 cells[i, j, _EVIDENCE] = 0
                 continue
             found[count, 0], found[count, 1] = cos * dx + sin * dy, cos * dy - sin * dx

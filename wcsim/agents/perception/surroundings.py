@@ -25,7 +25,11 @@ from wcsim.supervisor.actions import ActionSet
 from wcsim.types import F32, F64, I64, U8, Outline
 
 BACK_M = -1.2  # an edge is carried on as far as this, behind the axle
-_NEAREST_M, _FARTHEST_M, _ASIDE_M = 0.5, 3.2, 1.4  # where edges are looked for: ahead, and to each side
+_NEAREST_M, _FARTHEST_M, _ASIDE_M = (
+    0.5,
+    3.2,
+    1.4,
+)  # where edges are looked for: ahead, and to each side
 _OFF_M = 0.08  # a point so far from a line is on it
 _APART_M, _LONG_M = 0.7, 1.0  # points that make a line, and how long it must be
 _STEEPEST = 0.5  # aside per metre ahead
@@ -125,15 +129,30 @@ class StreetSense:
         delay_ticks: From a command to the chair that obeys it; as the configuration says when it is None.
     """
 
-    def __init__(self, config: RunConfig, actions: ActionSet, outline: Outline, delay_ticks: int | None = None) -> None:
+    def __init__(
+        self,
+        config: RunConfig,
+        actions: ActionSet,
+        outline: Outline,
+        delay_ticks: int | None = None,
+    ) -> None:
         camera, self._chair, self._tick_s = config.cameras[0], config.chair, config.world.tick_s
         self.box_B_m = box_of(outline)
-        self.commands, self.limits = shaped_rows(actions.points, self._chair), limits_of(self._chair)
-        self._range_m, self._near_m, self.far_m = camera.range_m, camera.near_m, 0.99 * camera.range_m
+        self.commands, self.limits = (
+            shaped_rows(actions.points, self._chair),
+            limits_of(self._chair),
+        )
+        self._range_m, self._near_m, self.far_m = (
+            camera.range_m,
+            camera.near_m,
+            0.99 * camera.range_m,
+        )
         self._stride = stride_px(camera)
         self._size = (camera.height_px, camera.width_px)
         rays = viewing_rays(camera).reshape(*self._size, 3)[:: self._stride, :: self._stride]
-        self.rays = np.ascontiguousarray(rays.reshape(-1, 3), np.float32)  # of the pixels that are looked at
+        self.rays = np.ascontiguousarray(
+            rays.reshape(-1, 3), np.float32
+        )  # of the pixels that are looked at
         self._shape = rays.shape[:2]
         self.depth_m = np.zeros(len(self.rays), np.float32)
         self.eye_B_m = np.array(camera.p_BC_m, np.float64)
@@ -178,19 +197,25 @@ class StreetSense:
     def start(self) -> tuple[F64, float]:
         """The state (6,) of the moment when the next command reaches the chair, see `arcs`, and when that is."""
         waiting = self.ego.waiting
-        return after(self.ego.motion, waiting, self.limits, self._tick_s), len(waiting) * self._tick_s
+        return after(self.ego.motion, waiting, self.limits, self._tick_s), len(
+            waiting
+        ) * self._tick_s
 
     def in_the_way(self, margin_m: float) -> F64:
         """What is known to be in the way, (n, 5): place in B, speed over the ground, distance to keep."""
         pose = self.ego.pose_O
         seen = self.memory.points_B_m(pose, self.ego.way_m)
         more = self._carried_B_m[: _carry_on(seen, self.memory.cells, pose, self._carried_B_m)]
-        others = np.concatenate([np.zeros((0, 2)), *(in_body(who.cells_O_m, pose) for who in self._others())])
+        others = np.concatenate(
+            [np.zeros((0, 2)), *(in_body(who.cells_O_m, pose) for who in self._others())]
+        )
         still = np.zeros((len(seen) + len(more), 5))
         still[:, :2] = np.concatenate([seen, more])
         still[:, 4] = margin_m
         still[: len(seen), 4] += SHY_M * beside_movers(seen, others)
-        return np.concatenate([still, *(self._moving(who, margin_m) for who in self.tracker.movers if who.rushes)])
+        return np.concatenate(
+            [still, *(self._moving(who, margin_m) for who in self.tracker.movers if who.rushes)]
+        )
 
     def _others(self) -> list[Mover]:
         """Whoever is no vehicle that stands."""
@@ -218,14 +243,18 @@ class StreetSense:
         now = self._map.obstacles(depth_m, self.rays, self.eye_B_m, span_m, up, self.box_B_m)
         near = now[np.hypot(now[:, 0], now[:, 1]) < REACH_M - CELL_M]
         ego, ahead = self.ego, bool(self.ego.motion[0] > _AHEAD_MPS)
-        self.memory.see(near, beside_movers(near, walkers), self._map.low_m, pose, ego.way_m, ahead=ahead)
+        self.memory.see(
+            near, beside_movers(near, walkers), self._map.low_m, pose, ego.way_m, ahead=ahead
+        )
 
     def classes(self, observation: Observation) -> U8:
         """The classes (n,) of the pixels that are looked at."""
         return self._looked_at(observation[CLASS_KEY][-1])
 
     def _looked_at(self, image: npt.NDArray[Number]) -> npt.NDArray[Number]:
-        return np.ascontiguousarray(image.reshape(self._size)[:: self._stride, :: self._stride]).reshape(-1)
+        return np.ascontiguousarray(
+            image.reshape(self._size)[:: self._stride, :: self._stride]
+        ).reshape(-1)
 
     def _watch(self, observation: Observation, depth_m: F32, up: F64) -> F64:
         """Follow those who could move; cells (n, 2) in B of all but the vehicles that stand."""
@@ -233,7 +262,9 @@ class StreetSense:
             return np.zeros((0, 2))
         kind = self._kinds[self.classes(observation)].reshape(self._shape)
         pose = self.ego.pose_O
-        clusters, cells, owner = find_clusters(kind, depth_m, self.rays, self.eye_B_m, self.far_m, up, pose)
+        clusters, cells, owner = find_clusters(
+            kind, depth_m, self.rays, self.eye_B_m, self.far_m, up, pose
+        )
         each = [cells[owner == number] for number in range(len(clusters))]
         self.tracker.see(clusters, [in_odometric(own, pose) for own in each])
         seen = [in_body(who.cells_O_m, pose) for who in self._others() if who.unseen_s == 0.0]
@@ -252,7 +283,9 @@ def stride_px(camera: CameraConfig) -> int:
 def box_of(outline: Outline) -> F64:
     """(3,) rear, front and half the width of a chair in B."""
     half_m = 0.5 * outline.length_m
-    return np.array([outline.middle_x_m - half_m, outline.middle_x_m + half_m, 0.5 * outline.width_m])
+    return np.array(
+        [outline.middle_x_m - half_m, outline.middle_x_m + half_m, 0.5 * outline.width_m]
+    )
 
 
 def _up_in_body(imu: F32) -> F64:

@@ -16,7 +16,9 @@ RUSHES_MPS = 1.6  # people on foot are slower, and step aside: where they are no
 _FASTEST_MPS = 15.0  # who is seen for the second time may have come as far as this since
 _KEPT_S = 1.5  # a track that is not seen any more goes on for so long
 _SURE_HITS = 3  # before that its speed is not known
-_SMALL_M = 1.1  # what is smaller is seen whole, so its middle is a place; of a larger one only edges are
+_SMALL_M = (
+    1.1  # what is smaller is seen whole, so its middle is a place; of a larger one only edges are
+)
 _ALPHA, _BETA = 0.4, 0.12  # of an old track; a young one learns faster
 
 
@@ -66,7 +68,11 @@ class Tracker:
                 self._update(known[whose[index]], one, cells)
             else:
                 self.movers.append(_new(one, cells))
-        self.movers = [track for track in self.movers if track.unseen_s < _KEPT_S + 1e-9 and not self._chance(track)]
+        self.movers = [
+            track
+            for track in self.movers
+            if track.unseen_s < _KEPT_S + 1e-9 and not self._chance(track)
+        ]
 
     def _chance(self, track: Mover) -> bool:
         """Whether two places far apart, seen one after the other, were no track: the next look found nobody ahead."""
@@ -96,7 +102,9 @@ def _assign(tracks: list[Mover], clusters: F64, reach_m: float, tick_s: float) -
     if not tracks or not len(clusters):
         return {}
     places = np.array([track.p_O_m for track in tracks])
-    away_m = np.hypot(places[:, None, 0] - clusters[None, :, X], places[:, None, 1] - clusters[None, :, Y])
+    away_m = np.hypot(
+        places[:, None, 0] - clusters[None, :, X], places[:, None, 1] - clusters[None, :, Y]
+    )
     whose = _nearest_first(away_m, GATE_M)
     away_m[list(whose.values())] = np.inf
     away_m[:, list(whose)] = np.inf
@@ -126,7 +134,13 @@ def _walks(clusters: F64) -> Bool:
 def _new(one: F64, cells_O_m: F64) -> Mover:
     extent = one[[LEAST_X, MOST_X, LEAST_Y, MOST_Y]].copy()
     walks = bool(_walks(one[None])[0])
-    return Mover(p_O_m=one[[X, Y]].copy(), v_O_mps=np.zeros(2), extent_O_m=extent, cells_O_m=cells_O_m, walks=walks)
+    return Mover(
+        p_O_m=one[[X, Y]].copy(),
+        v_O_mps=np.zeros(2),
+        extent_O_m=extent,
+        cells_O_m=cells_O_m,
+        walks=walks,
+    )
 
 
 def _go_on(track: Mover, dt_s: float) -> None:

@@ -33,7 +33,9 @@ from wcsim.types import F64, Bool, Outline, Truth, Verdict
 MARGIN_M = 0.19  # on each side
 CLEAR_M = 0.3  # to keep in front when standing
 _REACTION_S = 0.4  # one tick of delay, the drive's ramp
-STEP_M = 0.15  # higher than this is in the way, deeper than this is a drop: twice what the casters climb
+STEP_M = (
+    0.15  # higher than this is in the way, deeper than this is a drop: twice what the casters climb
+)
 HEAD_M = 1.6  # what hangs higher passes above
 _SLOPE_PER_M = 0.03  # uneven ground and depth steps grow with the distance
 _PIXEL_SHARE = 4e-4  # of the image, and at least _MIN_PIXELS: less is noise
@@ -117,7 +119,10 @@ class _CorridorWatch:
         """
         depth_m = depth_metres(observation[DEPTH_KEY], self._range_m).reshape(-1).astype(np.float64)
         points = self._eye_B_m + self._rays * depth_m[:, None]  # (H * W, 3) in B
-        roll, pitch = math.pi * float(observation[IMU_KEY][3]), 0.5 * math.pi * float(observation[IMU_KEY][4])
+        roll, pitch = (
+            math.pi * float(observation[IMU_KEY][3]),
+            0.5 * math.pi * float(observation[IMU_KEY][4]),
+        )
         speed, turn = y * self._chair.v_max_mps, -x * self._chair.yaw_rate_max_radps
         stop_m = speed * (_REACTION_S + ahead_s) + speed * speed / (2.0 * self._chair.decel_mps2)
         reach_m = stop_m + self._outline.front_x_m + CLEAR_M
@@ -139,7 +144,9 @@ class _CorridorWatch:
 
 def _limit_m(points_B_m: F64) -> F64:
     """(K,) how high or deep something must be at these places to be in the way, or a drop."""
-    return np.asarray(STEP_M + _SLOPE_PER_M * np.hypot(points_B_m[:, 0], points_B_m[:, 1]), np.float64)
+    return np.asarray(
+        STEP_M + _SLOPE_PER_M * np.hypot(points_B_m[:, 0], points_B_m[:, 1]), np.float64
+    )
 
 
 def _heights(points_B_m: F64, roll_rad: float, pitch_rad: float) -> tuple[F64, F64]:
@@ -156,7 +163,9 @@ def _heights(points_B_m: F64, roll_rad: float, pitch_rad: float) -> tuple[F64, F
     return np.minimum(own, level), np.maximum(own, level)
 
 
-def _in_corridor(points_B_m: F64, speed_mps: float, turn_radps: float, reach_m: float, outline: Outline) -> Bool:
+def _in_corridor(
+    points_B_m: F64, speed_mps: float, turn_radps: float, reach_m: float, outline: Outline
+) -> Bool:
     """Points over which the chair passes on the arc of (speed, turn), up to `reach_m` ahead of its axle; (K,) bool."""
     x, y = points_B_m[:, 0], points_B_m[:, 1]
     half = 0.5 * outline.width_m + MARGIN_M
@@ -220,14 +229,21 @@ class _OracleDriver(_Memoryless):
         said: Verdict | None = truth.visible if visible and truth is not None else truth
         if said is None:
             key = "env.truth_visible" if visible else "env.truth"
-            raise PolicyError(f"{self.name} got no truth from its environment; expected {key} = true: set it")
+            raise PolicyError(
+                f"{self.name} got no truth from its environment; expected {key} = true: set it"
+            )
         self._first_s = said.first_s
 
     def act(self, observation: Observation) -> int:
         """The user's wish as far as it ends well."""
         if self._first_s is None:
-            raise PolicyError("the oracle was asked to act before it saw the truth; expected see() before each act()")
-        first_s, self._first_s = self._first_s, None  # the truth of one moment says nothing of the next
+            raise PolicyError(
+                "the oracle was asked to act before it saw the truth; expected see() before each act()"
+            )
+        first_s, self._first_s = (
+            self._first_s,
+            None,
+        )  # the truth of one moment says nothing of the next
         latest = first_s == first_s.max()  # infinity, where any ends well
         distances = self.actions.distances(np.asarray(observation[JOYSTICK_KEY])[None])[0]
         if np.isfinite(first_s).all():  # of those that fail together the gentlest
@@ -246,9 +262,15 @@ def baseline(name: str, config: RunConfig, seed: int = 0) -> Policy:
         return _Zero(actions=actions)
     if name == "stop":
         outline = plant_spec(config.chair).outline
-        return _StopBeforeObstacles(actions=actions, watch=_CorridorWatch(config.cameras[0], config.chair, outline))
+        return _StopBeforeObstacles(
+            actions=actions, watch=_CorridorWatch(config.cameras[0], config.chair, outline)
+        )
     if name.partition("@")[0] == LEVELLED:
-        return DynamicWindow(name, config, actions, plant_spec(config.chair).outline, level_of(name))
+        return DynamicWindow(
+            name, config, actions, plant_spec(config.chair).outline, level_of(name)
+        )
     if name in UPPER_BOUNDS:
         return _OracleDriver(actions=actions, name=name)
-    raise PolicyError(f"unknown baseline {name!r}; expected one of: {', '.join((*BASELINES, *UPPER_BOUNDS))}")
+    raise PolicyError(
+        f"unknown baseline {name!r}; expected one of: {', '.join((*BASELINES, *UPPER_BOUNDS))}"
+    )

@@ -52,7 +52,14 @@ _WARN_MARGIN_M = 0.03
 
 @exact_kernel
 def _backs_blindly(
-    start: F64, hold_s: float, commands: F64, limits: F64, box: F64, cells: I64, pose_O: F64, blind: Bool
+    start: F64,
+    hold_s: float,
+    commands: F64,
+    limits: F64,
+    box: F64,
+    cells: I64,
+    pose_O: F64,
+    blind: Bool,
 ) -> None:
     """Say in `blind` (K,) which commands bring the chair's rear, backwards, onto ground that it does not know.
 
@@ -109,12 +116,19 @@ _EARLY = _Caution(hold_s=1.0, margin_m=0.2, comfort_m=0.5)
 
 def _caution(level: float) -> _Caution:
     """That of a level of assistance from 0 (_LAST_MOMENT) over 1 (the usual one) to 2 (_EARLY)."""
-    low, high, share = (_LAST_MOMENT, _Caution(), level) if level < 1.0 else (_Caution(), _EARLY, level - 1.0)
-    mixed = {key: (1.0 - share) * getattr(low, key) + share * getattr(high, key) for key in _Caution.__slots__}
+    low, high, share = (
+        (_LAST_MOMENT, _Caution(), level) if level < 1.0 else (_Caution(), _EARLY, level - 1.0)
+    )
+    mixed = {
+        key: (1.0 - share) * getattr(low, key) + share * getattr(high, key)
+        for key in _Caution.__slots__
+    }
     return _Caution(**mixed)
 
 
-def _brakes_in_time(around: StreetSense, care: _Caution, start: F64, later_s: float, points: F64) -> tuple[Bool, F64]:
+def _brakes_in_time(
+    around: StreetSense, care: _Caution, start: F64, later_s: float, points: F64
+) -> tuple[Bool, F64]:
     """Of each action, whether it can be braked in time and does not back into what nobody has seen; how near it passes.
 
     Args:
@@ -130,7 +144,9 @@ def _brakes_in_time(around: StreetSense, care: _Caution, start: F64, later_s: fl
     commands, limits, box = around.commands, around.limits, around.box_B_m
     gap_m, blind = np.empty(len(commands)), np.empty(len(commands), np.bool_)
     free: Bool = arcs(start, later_s, care.hold_s, commands, limits, box, points, gap_m)
-    _backs_blindly(start, care.hold_s, commands, limits, box, around.memory.cells, around.ego.pose_O, blind)
+    _backs_blindly(
+        start, care.hold_s, commands, limits, box, around.memory.cells, around.ego.pose_O, blind
+    )
     return free & ~blind, gap_m
 
 
@@ -150,14 +166,23 @@ class DynamicWindow(HearsSent):
     senses, levels = MOTION_SENSES, (0.0, HIGHEST_LEVEL)
 
     def __init__(
-        self, name: str, config: RunConfig, actions: ActionSet, outline: Outline, level: float = USUAL_LEVEL
+        self,
+        name: str,
+        config: RunConfig,
+        actions: ActionSet,
+        outline: Outline,
+        level: float = USUAL_LEVEL,
     ) -> None:
         self.name, self._alarm = name, Alarm()
         self.level, self._caution, self._actions = level, _caution(level), actions
-        self.unsafe: Bool = np.zeros(len(actions), np.bool_)  # (A,) out of the question at the last choice
+        self.unsafe: Bool = np.zeros(
+            len(actions), np.bool_
+        )  # (A,) out of the question at the last choice
         self.around = StreetSense(config, actions, outline)
         self._rest = actions.nearest((0.0, 0.0))
-        self._last = self._asked = self._rest  # what was sent last, and what the user's stick asked for then
+        self._last = self._asked = (
+            self._rest
+        )  # what was sent last, and what the user's stick asked for then
 
     def begin(self) -> None:
         """Nothing outlives an episode."""
@@ -188,14 +213,18 @@ class DynamicWindow(HearsSent):
         around.observe(observation)
         points = around.in_the_way(self._caution.margin_m)
         start, later_s = around.start()
-        self._alarm = next_alarm(self._alarm, float(self._meets(stick, start, later_s, points)), TWO_TICKS)
+        self._alarm = next_alarm(
+            self._alarm, float(self._meets(stick, start, later_s, points)), TWO_TICKS
+        )
         return self._choose(stick, start, later_s, points)
 
     def _meets(self, stick: F64, start: F64, later_s: float, points: F64) -> bool:
         """Whether the user's stick, held, would meet something soon."""
         around = self.around
         shaped, limits, box = around.shaped(stick), around.limits, around.box_B_m
-        return math.isfinite(touches_after(start, later_s, shaped, limits, box, points, _WARN_MARGIN_M, WARN_S))
+        return math.isfinite(
+            touches_after(start, later_s, shaped, limits, box, points, _WARN_MARGIN_M, WARN_S)
+        )
 
     def _choose(self, stick: F64, start: F64, later_s: float, points: F64) -> int:
         """The action that begins at `start` (6,), with `points` (n, 5) in the way, see `arcs`."""
@@ -206,7 +235,9 @@ class DynamicWindow(HearsSent):
         taken, self._asked = self._last != self._asked, self._actions.nearest(stick)
         if taken and out[self._asked] > out[self._last]:
             # A stick that was taken is given back when there is room: else the chair would speed up to brake again.
-            roomy, _ = _brakes_in_time(self.around, replace(care, hold_s=care.hold_s + ROOM_S), start, later_s, points)
+            roomy, _ = _brakes_in_time(
+                self.around, replace(care, hold_s=care.hold_s + ROOM_S), start, later_s, points
+            )
             free &= roomy | (out <= out[self._last])
         if not free.any():
             return self._actions.nearest((0.0, 0.0))
@@ -229,12 +260,19 @@ class Veto(HearsSent):
     def __init__(self, name: str, inner: Policy, config: RunConfig) -> None:
         """Raises PolicyError for a policy that sees the truth: that is a bound, and drives as well as can be."""
         if isinstance(inner, SeesTruth) or STATE_SENSE in senses_of(inner):
-            raise PolicyError(f"policy {name!r}: {inner.name} sees the truth; expected one that sees pictures")
+            raise PolicyError(
+                f"policy {name!r}: {inner.name} sees the truth; expected one that sees pictures"
+            )
         self.name, self.inner = name, inner
         self._actions: ActionSet = action_set(config.env.actions)
         self._dwa = DynamicWindow("dwa", config, self._actions, plant_spec(config.chair).outline)
-        self.senses, self.levels = tuple(dict.fromkeys((*MOTION_SENSES, *senses_of(inner)))), self._dwa.levels
-        self.unsafe: Bool = np.zeros(len(self._actions), np.bool_)  # (A,) to either of both at the last choice
+        self.senses, self.levels = (
+            tuple(dict.fromkeys((*MOTION_SENSES, *senses_of(inner)))),
+            self._dwa.levels,
+        )
+        self.unsafe: Bool = np.zeros(
+            len(self._actions), np.bool_
+        )  # (A,) to either of both at the last choice
 
     @property
     def warning(self) -> bool:
@@ -273,12 +311,16 @@ class Veto(HearsSent):
     def choose(self, observation: Observation) -> int:
         """The action, while another one may still be sent."""
         inner = self.inner
-        wanted = int(inner.choose(observation) if isinstance(inner, HearsSent) else inner.act(observation))
+        wanted = int(
+            inner.choose(observation) if isinstance(inner, HearsSent) else inner.act(observation)
+        )
         self._dwa.choose(observation)
         forbidden = self._dwa.unsafe
         doubted = inner.unsafe if isinstance(inner, TellsUnsafe) else np.zeros_like(forbidden)
         self.unsafe = forbidden | doubted
-        if not forbidden[wanted] or forbidden.all():  # with nothing left to take, `dwa` knows no better than the policy
+        if (
+            not forbidden[wanted] or forbidden.all()
+        ):  # with nothing left to take, `dwa` knows no better than the policy
             return wanted
         allowed = ~forbidden if self.unsafe.all() else ~self.unsafe
         distance = self._actions.distances(self._actions.points[wanted][None])[0]

@@ -19,7 +19,15 @@ from typing import Any, Final
 
 import numpy as np
 
-from wcsim.agents.policy_api import ANSWER_S, CLASS_KEY, DEPTH_KEY, MODEL_FILE, MOTION_SENSES, NotFinite, Observation
+from wcsim.agents.policy_api import (
+    ANSWER_S,
+    CLASS_KEY,
+    DEPTH_KEY,
+    MODEL_FILE,
+    MOTION_SENSES,
+    NotFinite,
+    Observation,
+)
 from wcsim.config import RunConfig, parse
 from wcsim.config.run_file import OnnxPolicyFile
 from wcsim.core.reading import ONNX_TOML, escaped, is_file, read_toml
@@ -73,7 +81,9 @@ class OnnxPolicy:
                 raise PolicyError(f"{escaped(path)}: {told}")
         size = 4 * sum(math.prod(shape) for shape in self._shapes.values())
         if size > _LIMIT_BYTES:
-            raise PolicyError(f"{escaped(path)}: its states have {size} bytes; expected at most {_LIMIT_BYTES}")
+            raise PolicyError(
+                f"{escaped(path)}: its states have {size} bytes; expected at most {_LIMIT_BYTES}"
+            )
         self._state: dict[str, Any] = {}
 
     def begin(self) -> None:
@@ -101,7 +111,9 @@ class OnnxPolicy:
         except PolicyError:
             raise
         except Exception as error:  # the runtime has a class of its own for each kind of mistake
-            raise PolicyError(f"{self.name}: its model refuses the observation: {escaped(error)}") from None
+            raise PolicyError(
+                f"{self.name}: its model refuses the observation: {escaped(error)}"
+            ) from None
         if values.shape != (self._actions,) or not np.isfinite(values).all():
             kind = PolicyError if values.shape != (self._actions,) else NotFinite
             raise kind(
@@ -136,11 +148,17 @@ class ExportedLaw(OnnxPolicy):
 
     def __init__(self, path: Path, name: str, model: str, config: RunConfig) -> None:
         """Raises PolicyError as `OnnxPolicy` does."""
-        from wcsim.core.joystick import shaped_rows  # with kernels, which the checks of names must not load
+        from wcsim.core.joystick import (
+            shaped_rows,
+        )  # with kernels, which the checks of names must not load
 
         points = action_set(config.env.actions).points
         super().__init__(path, name, len(points), model)
-        self.senses, self._points, self._commands = MOTION_SENSES, points, shaped_rows(points, config.chair)
+        self.senses, self._points, self._commands = (
+            MOTION_SENSES,
+            points,
+            shaped_rows(points, config.chair),
+        )
 
     def choose(self, observation: Observation) -> int:
         """The action of the highest value. Raises PolicyError."""
@@ -173,7 +191,9 @@ def _bounded(work: Callable[[], Any], stop: Callable[[], None], late: str) -> An
     finally:
         if not in_time:
             stop()
-            wait((found,), _STOP_S)  # a process that ends before the runtime has stopped would abort
+            wait(
+                (found,), _STOP_S
+            )  # a process that ends before the runtime has stopped would abort
     if not in_time:
         raise PolicyError(late)
     return found.result()
@@ -185,7 +205,11 @@ def _fed(key: str, shape: Sequence[Any], observation: Observation) -> Any:
         raise PolicyError(
             f"the model wants an input {escaped(key, 40)!r}; this test observes {', '.join(sorted(observation))}"
         )
-    images = shape[1] if key in (CLASS_KEY, DEPTH_KEY) and len(shape) > 1 and isinstance(shape[1], int) else 0
+    images = (
+        shape[1]
+        if key in (CLASS_KEY, DEPTH_KEY) and len(shape) > 1 and isinstance(shape[1], int)
+        else 0
+    )
     return np.ascontiguousarray(observation[key][-images:])[None]
 
 
@@ -194,22 +218,32 @@ def open_session(path: Path) -> Any:
     import onnxruntime
 
     if path.stat().st_size > _LIMIT_BYTES:
-        raise PolicyError(f"{escaped(path)} has {path.stat().st_size} bytes; expected at most {_LIMIT_BYTES}")
+        raise PolicyError(
+            f"{escaped(path)} has {path.stat().st_size} bytes; expected at most {_LIMIT_BYTES}"
+        )
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
-    options.log_severity_level = 4  # what fails is raised; the log would show a model's own words as they are
+    options.log_severity_level = (
+        4  # what fails is raised; the log would show a model's own words as they are
+    )
     memory = onnxruntime.OrtMemoryInfo(
         "Cpu", onnxruntime.OrtAllocatorType.ORT_ARENA_ALLOCATOR, 0, onnxruntime.OrtMemType.DEFAULT
     )
-    onnxruntime.create_and_register_allocator(memory, onnxruntime.OrtArenaCfg({"max_mem": _MEMORY_BYTES}))
+    onnxruntime.create_and_register_allocator(
+        memory, onnxruntime.OrtArenaCfg({"max_mem": _MEMORY_BYTES})
+    )
     options.add_session_config_entry("session.use_env_allocators", "1")
     try:
         return _bounded(
-            lambda: onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"]),
+            lambda: onnxruntime.InferenceSession(
+                str(path), options, providers=["CPUExecutionProvider"]
+            ),
             lambda: options.set_load_cancellation_flag(True),
             f"{escaped(path)} could not be loaded within {ANSWER_S:g} s; expected a smaller model",
         )
     except PolicyError:
         raise
     except Exception as error:  # the runtime has a class of its own for each kind of mistake
-        raise PolicyError(f"{escaped(path)} cannot be loaded: {escaped(error)}; expected an ONNX model") from None
+        raise PolicyError(
+            f"{escaped(path)} cannot be loaded: {escaped(error)}; expected an ONNX model"
+        ) from None

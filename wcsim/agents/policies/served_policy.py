@@ -46,10 +46,14 @@ class ServedPolicy:
             self._socket = socket.create_connection((host, port), _PATIENCE_S)
             self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         except OSError as error:
-            raise PolicyError(f"{escaped(address)}: no policy is served there ({error}); start it first") from None
+            raise PolicyError(
+                f"{escaped(address)}: no policy is served there ({error}); start it first"
+            ) from None
         about = self._asked("hello", {}, actions=points.tolist())
         self.version = f"{about.get('name', '')} {about.get('version', '')}"
-        if self.version != escaped(self.version):  # results are told apart by it, so it must not be cut
+        if self.version != escaped(
+            self.version
+        ):  # results are told apart by it, so it must not be cut
             self.close()
             told = "expected a printable name and version of at most 160 letters"
             raise PolicyError(f"{self.name}: is called {escaped(self.version, 60)!r}; {told}")
@@ -70,13 +74,19 @@ class ServedPolicy:
         """The action that the process answers with. Raises PolicyError when it is gone, or answers something else."""
         answer = self._asked("act", observation)
         action = answer.get("action")
-        if not isinstance(action, int) or isinstance(action, bool) or not 0 <= action < self._actions:
+        if (
+            not isinstance(action, int)
+            or isinstance(action, bool)
+            or not 0 <= action < self._actions
+        ):
             told = f"expected an action, a whole number from 0 to {self._actions - 1}"
             raise PolicyError(f"{self.name}: answered {escaped(str(answer), 80)}; {told}")
         self.warning = answer.get("warning") is True
         return action
 
-    def _asked(self, kind: str, observation: Mapping[str, npt.NDArray[Any]], **more: object) -> dict[str, Any]:
+    def _asked(
+        self, kind: str, observation: Mapping[str, npt.NDArray[Any]], **more: object
+    ) -> dict[str, Any]:
         arrays = {key: _little(np.asarray(array)) for key, array in observation.items()}
         named = [[key, array.dtype.name, list(array.shape)] for key, array in arrays.items()]
         head = json.dumps({"kind": kind, **more, "arrays": named}).encode() + b"\n"
@@ -87,15 +97,25 @@ class ServedPolicy:
             self._socket.sendall(len(text).to_bytes(4, "little") + text)
             length = int.from_bytes(self._read(4, ends_s), "little")
             if length > ANSWER.limit_bytes:
-                raise PolicyError(f"{self.name}: an answer of {length} bytes; expected at most {ANSWER.limit_bytes}")
-            return parse_json(self._read(length, ends_s).decode(), f"{self.name}: its answer to {kind!r}", ANSWER)
-        except BaseException as error:  # also by Ctrl-C: what comes late must not be taken for the next answer
+                raise PolicyError(
+                    f"{self.name}: an answer of {length} bytes; expected at most {ANSWER.limit_bytes}"
+                )
+            return parse_json(
+                self._read(length, ends_s).decode(), f"{self.name}: its answer to {kind!r}", ANSWER
+            )
+        except (
+            BaseException
+        ) as error:  # also by Ctrl-C: what comes late must not be taken for the next answer
             self.close()
             if not isinstance(error, OSError | UnicodeError):
                 raise
             late = f" within {ANSWER_S:g} s" if isinstance(error, TimeoutError) else ""
             # The system names one end in three ways: nothing more to read, a reset, a broken pipe.
-            cause = "the process has closed the connection" if isinstance(error, ConnectionError) else error
+            cause = (
+                "the process has closed the connection"
+                if isinstance(error, ConnectionError)
+                else error
+            )
             told = f"no answer to {kind!r}{late}: {cause}; is the process alive{' and fast enough' * bool(late)}?"
             raise PolicyError(f"{self.name}: {told}") from None
 
@@ -117,5 +137,7 @@ def _little(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
 def _parts(address: str) -> tuple[str, int]:
     host, _, port = address.removeprefix(SERVED).rpartition(":")
     if not port.isdecimal() or not 0 < int(port) < 1 << 16:
-        raise PolicyError(f"{escaped(address)!r} is not an address of a policy; expected tcp:PORT or tcp:HOST:PORT")
+        raise PolicyError(
+            f"{escaped(address)!r} is not an address of a policy; expected tcp:PORT or tcp:HOST:PORT"
+        )
     return host or "127.0.0.1", int(port)

@@ -68,8 +68,12 @@ def tag(counted: str, number: int) -> str:
 
 def checkpoints(folder: Path) -> list[Path]:
     """Those of a run, oldest first: real folders with exactly such a name; whatever else is there is not."""
-    there = folder.glob("*-*") if is_folder(folder) else ()  # glob fails at a name that no system could hold
-    found = (path for path in there if _is_name(path.name) and path.is_dir() and not path.is_symlink())
+    there = (
+        folder.glob("*-*") if is_folder(folder) else ()
+    )  # glob fails at a name that no system could hold
+    found = (
+        path for path in there if _is_name(path.name) and path.is_dir() and not path.is_symlink()
+    )
     return sorted(found, key=number_of)
 
 
@@ -114,7 +118,10 @@ def save(
                 hashes[file] = held.sha256
             else:
                 try:
-                    save_file({key: np.asarray(value, order="C") for key, value in held.items()}, target / file)
+                    save_file(
+                        {key: np.asarray(value, order="C") for key, value in held.items()},
+                        target / file,
+                    )
                 except SafetensorError as error:  # what it says of a full disk
                     raise OSError(errno.ENOSPC, escaped(error)) from None
                 alive()
@@ -148,12 +155,16 @@ def _restore_newest(folder: Path, restore: Restore[T]) -> _Restored[T]:
             arrays = {file.removesuffix(_END): load_file(path / file) for file in hashes}
             value = restore(number_of(path), state, arrays)
         except Exception as error:  # whatever is wrong with it, the one before may be sound
-            reason = str(error) if isinstance(error, WcsimError) else f"{type(error).__name__}: {error}"
+            reason = (
+                str(error) if isinstance(error, WcsimError) else f"{type(error).__name__}: {error}"
+            )
             passed[path] = escaped(reason, 300)
             continue
         return _Restored(path=path, value=value, passed_over=passed)
     faults = "; ".join(f"{path.name}: {reason}" for path, reason in passed.items()) or "none found"
-    raise PolicyError(f"{folder} holds no intact checkpoint that fits ({faults}); restore one, or start a new run")
+    raise PolicyError(
+        f"{folder} holds no intact checkpoint that fits ({faults}); restore one, or start a new run"
+    )
 
 
 def go_on(run: RunFolder, restore: Restore[T], log: Callable[[str], object]) -> _Restored[T] | None:
@@ -169,7 +180,9 @@ def go_on(run: RunFolder, restore: Restore[T], log: Callable[[str], object]) -> 
     found = _restore_newest(run.checkpoints, restore)
     for path, reason in found.passed_over.items():
         kept = files.set_aside(path)
-        log(f"{path}: skipped ({reason}); continuing from {found.path.name}, renamed to {kept.name}")
+        log(
+            f"{path}: skipped ({reason}); continuing from {found.path.name}, renamed to {kept.name}"
+        )
         run.event("passed_over", checkpoint=kept.name, reason=reason)
     return found
 
@@ -178,7 +191,10 @@ def newest_arrays(folder: Path, part: str) -> _Shared | None:
     """The arrays of that name in the newest checkpoint that has them; None where there is none."""
     for path in reversed(checkpoints(folder)):
         with contextlib.suppress(PolicyError, KeyError):
-            return _Shared(path=path / f"{part}{_END}", sha256=str(_read_state(path)["sha256"][f"{part}{_END}"]))
+            return _Shared(
+                path=path / f"{part}{_END}",
+                sha256=str(_read_state(path)["sha256"][f"{part}{_END}"]),
+            )
     return None
 
 
@@ -198,8 +214,15 @@ def _read_state(path: Path) -> dict[str, Any]:
         )
     sealed = files.take_seal(state, STATE)
     name, hashes = state.get("name"), state.get("sha256")
-    if not sealed or name != path.name or not isinstance(hashes, dict) or not all(map(_FILE.fullmatch, hashes)):
-        raise PolicyError(f"{STATE} is of {escaped(name)}, with the keys {escaped(sorted(state))}; it is damaged")
+    if (
+        not sealed
+        or name != path.name
+        or not isinstance(hashes, dict)
+        or not all(map(_FILE.fullmatch, hashes))
+    ):
+        raise PolicyError(
+            f"{STATE} is of {escaped(name)}, with the keys {escaped(sorted(state))}; it is damaged"
+        )
     return {key: value for key, value in state.items() if key not in ("schema_version", "name")}
 
 
@@ -217,7 +240,11 @@ def _drop_old(folder: Path, newest: Path) -> None:
     shared = set.intersection(*map(_inodes, kept))
     if shared:  # a damaged file must not take all of them
         kept.update([path for path in older if not _inodes(path) & shared][-1:])
-    begun = (path for path in folder.iterdir() if files.is_begun(path) and _is_name(path.name[1:].partition(".")[0]))
+    begun = (
+        path
+        for path in folder.iterdir()
+        if files.is_begun(path) and _is_name(path.name[1:].partition(".")[0])
+    )
     for old in (*older, *(path for path in begun if path.is_dir() and not path.is_symlink())):
         if old not in kept:
             shutil.rmtree(old, ignore_errors=True)

@@ -44,7 +44,13 @@ _SETTINGS: Final = (
     *("chair", "env.actions", "env.classes"),
 )
 _ALSO: Final = (  # of the world that was seen; not in the digest, so that older folders keep theirs
-    *("cameras.0.range_m", "cameras.0.near_m", "cameras.0.p_BC_m", "cameras.0.yaw_deg", "cameras.0.pitch_deg"),
+    *(
+        "cameras.0.range_m",
+        "cameras.0.near_m",
+        "cameras.0.p_BC_m",
+        "cameras.0.yaw_deg",
+        "cameras.0.pitch_deg",
+    ),
     "world.tick_s",
 )
 _TOLD: Final = (  # where they differ
@@ -52,7 +58,9 @@ _TOLD: Final = (  # where they differ
     *(f"chair.{key}" for key in ChairConfig.model_fields),
     *_ALSO,
 )
-COLUMNS: Final[Mapping[str, tuple[str, tuple[int, ...]]]] = {  # of a column: its kind; numbers in a row, 0 for any
+COLUMNS: Final[
+    Mapping[str, tuple[str, tuple[int, ...]]]
+] = {  # of a column: its kind; numbers in a row, 0 for any
     **dict.fromkeys(("depth", "seg"), ("u1", (0, 0))),
     **dict.fromkeys(("visible", "truth"), ("u1", (0,))),
     **dict.fromkeys(("action", "driver", "delay"), ("u1", ())),
@@ -114,7 +122,10 @@ def joined(segments: list[Segment]) -> Segment:
     """The steps of several segments, one after the other. Raises ValueError for none."""
     if not segments:
         raise ValueError("no segments to join; expected one at least")
-    columns = {name: np.concatenate([part.arrays()[name] for part in segments]) for name in segments[0].arrays()}
+    columns = {
+        name: np.concatenate([part.arrays()[name] for part in segments])
+        for name in segments[0].arrays()
+    }
     return Segment(**columns)
 
 
@@ -124,7 +135,9 @@ def codes_of(first_s: F64) -> U8:
     >>> codes_of(np.array([0.0, 0.26, np.inf, 40.0])).tolist()
     [0, 5, 255, 254]
     """
-    steps = np.where(np.isinf(first_s), SAFE, np.minimum(np.rint(np.minimum(first_s, 1e3) / STEP_S), SAFE - 1))
+    steps = np.where(
+        np.isinf(first_s), SAFE, np.minimum(np.rint(np.minimum(first_s, 1e3) / STEP_S), SAFE - 1)
+    )
     codes: U8 = steps.astype(np.uint8)
     return codes
 
@@ -161,7 +174,9 @@ def key_of(name: str) -> SegmentKey:
     """
     found = _NAME.fullmatch(name)
     if found is None:
-        raise PolicyError(f"{escaped(name)!r} is no segment's file; expected SEED-ROUND-INDEX.npz.zst")
+        raise PolicyError(
+            f"{escaped(name)!r} is no segment's file; expected SEED-ROUND-INDEX.npz.zst"
+        )
     run, number, index = map(int, found.groups())
     return SegmentKey(run=run, round=number, index=index)
 
@@ -199,7 +214,9 @@ def read_segment(path: Path, sha256: str = "") -> Segment:
     return Segment(**columns)
 
 
-def write_manifest(folder: Path, config: RunConfig, towns: dict[str, str], segments: dict[str, str]) -> str:
+def write_manifest(
+    folder: Path, config: RunConfig, towns: dict[str, str], segments: dict[str, str]
+) -> str:
     """Say what the folder holds: the settings, the towns with their hashes, and the segments' hashes by file name.
 
     Returns:
@@ -225,7 +242,9 @@ def write_manifest(folder: Path, config: RunConfig, towns: dict[str, str], segme
 def read_manifest(folder: Path) -> DataFile:
     """Read `data.json`. Raises PolicyError."""
     try:
-        return parse(DataFile, read_json(folder / MANIFEST, reading.DATA), escaped(folder / MANIFEST))
+        return parse(
+            DataFile, read_json(folder / MANIFEST, reading.DATA), escaped(folder / MANIFEST)
+        )
     except ConfigError as error:
         raise PolicyError(str(error)) from None
 
@@ -276,7 +295,9 @@ def _by_content(dumped: dict[str, Any], plant_sha256: str) -> dict[str, Any]:
 
 def data_digest(segments: dict[str, str]) -> str:
     """SHA-256 over all segments, whatever the order in which they came."""
-    return hashlib.sha256("\n".join(f"{name} {segments[name]}" for name in sorted(segments)).encode()).hexdigest()
+    return hashlib.sha256(
+        "\n".join(f"{name} {segments[name]}" for name in sorted(segments)).encode()
+    ).hexdigest()
 
 
 def _part(dumped: dict[str, Any], name: str) -> Any:
@@ -293,10 +314,18 @@ def _columns(data: bytes) -> dict[str, np.ndarray]:
     """The arrays of a packed segment, which may be anybody's. Raises what NumPy and zstd do, or ValueError."""
     unpacked = unzstd(data, min(SEGMENT.limit_bytes, _FREE_BYTES + _MAX_RATIO * len(data)))
     with zipfile.ZipFile(io.BytesIO(unpacked)) as held:
-        if any(item.compress_type != zipfile.ZIP_STORED for item in held.infolist()):  # so that none unpacks to more
+        if any(
+            item.compress_type != zipfile.ZIP_STORED for item in held.infolist()
+        ):  # so that none unpacks to more
             raise ValueError("packed in another way")
-        names = [field.name for field in fields(Segment) if field.name != "own" or "own.npy" in held.namelist()]
-        columns = {name: np.lib.format.read_array(io.BytesIO(held.read(f"{name}.npy"))) for name in names}
+        names = [
+            field.name
+            for field in fields(Segment)
+            if field.name != "own" or "own.npy" in held.namelist()
+        ]
+        columns = {
+            name: np.lib.format.read_array(io.BytesIO(held.read(f"{name}.npy"))) for name in names
+        }
     # Older data does not tell whose fault a crash was: then none teaches as the chair's own.
     return {"own": np.zeros_like(columns["crashed"]), **columns}
 
@@ -304,9 +333,15 @@ def _columns(data: bytes) -> dict[str, np.ndarray]:
 def _require_whole(path: Path, columns: dict[str, np.ndarray]) -> None:
     wrong = [name for name, (kind, wide) in COLUMNS.items() if not _fits(columns[name], kind, wide)]
     if wrong:
-        raise PolicyError(f"{escaped(path)} has another form ({', '.join(wrong)}); expected a segment of this version")
+        raise PolicyError(
+            f"{escaped(path)} has another form ({', '.join(wrong)}); expected a segment of this version"
+        )
     lengths = {len(column) for column in columns.values()}
-    finite = all((np.abs(column) <= _LARGEST).all() for column in columns.values() if column.dtype.kind == "f")
+    finite = all(
+        (np.abs(column) <= _LARGEST).all()
+        for column in columns.values()
+        if column.dtype.kind == "f"
+    )
     if len(lengths) != 1 or not finite:
         raise PolicyError(
             f"{escaped(path)} has columns of {sorted(lengths)} rows, or numbers not finite or too large; "
@@ -315,7 +350,9 @@ def _require_whole(path: Path, columns: dict[str, np.ndarray]) -> None:
     pictures, said = columns["depth"].shape == columns["seg"].shape, columns["visible"].shape[1]
     acted = columns["action"].max(initial=0) < (said or SAFE) and said == columns["truth"].shape[1]
     if 0 in lengths or not (pictures and acted) or columns["driver"].max() >= len(DRIVERS):
-        raise PolicyError(f"{escaped(path)} has columns that do not fit each other; collect it again")
+        raise PolicyError(
+            f"{escaped(path)} has columns that do not fit each other; collect it again"
+        )
 
 
 def _fits(column: np.ndarray, kind: str, wide: tuple[int, ...]) -> bool:

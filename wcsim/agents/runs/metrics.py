@@ -30,7 +30,16 @@ KPI1_STEPS = 20 * ROW_STEPS  # steps that a mean of KPI 1 goes over
 STEP_COLUMNS = ("step", "phase", "kpi1_greedy", "elapsed_s_wall")
 _STEP = re.compile(r"[0-9]{1,15}", re.ASCII)
 _ROUND_COLUMNS: Final = (
-    *("round", "steps", "new_steps", "tight_share", "crashes", "network_steps", "network_crashes", "user_steps"),
+    *(
+        "round",
+        "steps",
+        "new_steps",
+        "tight_share",
+        "crashes",
+        "network_steps",
+        "network_crashes",
+        "user_steps",
+    ),
     *("user_crashes", "updates", "loss", "wait_s_wall", "learn_s_wall"),
 )
 TENSORBOARD: Final = "tensorboard"  # in a run folder
@@ -42,11 +51,17 @@ Value = float | int | str | None
 class MetricsFile:
     """Appends rows; every row is complete on disk before the next step."""
 
-    def __init__(self, path: Path, keep_to_step: int | None = None, columns: tuple[str, ...] = COLUMNS) -> None:
+    def __init__(
+        self, path: Path, keep_to_step: int | None = None, columns: tuple[str, ...] = COLUMNS
+    ) -> None:
         """Begin a new file, or go on with one: rows after `keep_to_step` belong to work that was lost."""
         self.path, self.columns = path, columns
         kept = keep_to_step if keep_to_step is not None and path.is_file() else -1
-        rows = _checked(path, columns, read_lines(path, reading.METRIC_LINES)) if kept >= 0 else iter(())
+        rows = (
+            _checked(path, columns, read_lines(path, reading.METRIC_LINES))
+            if kept >= 0
+            else iter(())
+        )
         with files.whole_file(path) as part, part.open("w", encoding="utf-8", newline="") as file:
             file.write(_line(columns))
             file.writelines(_line(row) for row in rows if int(row[0]) <= kept)
@@ -58,7 +73,9 @@ class MetricsFile:
             with self.path.open("a", encoding="utf-8", newline="") as file:
                 file.write(line)
         except OSError as error:
-            raise DiskFullError(f"{self.path}: a row could not be written ({error.strerror}); make room") from None
+            raise DiskFullError(
+                f"{self.path}: a row could not be written ({error.strerror}); make room"
+            ) from None
 
 
 def read_metrics(path: Path, wanted: tuple[str, ...] = COLUMNS) -> list[dict[str, str]]:
@@ -74,7 +91,9 @@ def _checked(path: Path, wanted: tuple[str, ...], lines: Iterable[str]) -> Itera
         head, last = next(rows, []), 0
         if tuple(head) != wanted:
             got = escaped(", ".join(head)) or "none"
-            raise PolicyError(f"{path} has columns {got}; expected those of this version: {', '.join(wanted)}")
+            raise PolicyError(
+                f"{path} has columns {got}; expected those of this version: {', '.join(wanted)}"
+            )
         for row in rows:
             step = int(row[0]) if len(row) == len(wanted) and _STEP.fullmatch(row[0]) else -1
             if step < last:
@@ -83,7 +102,9 @@ def _checked(path: Path, wanted: tuple[str, ...], lines: Iterable[str]) -> Itera
             last = step
             yield row
     except csv.Error as error:
-        raise PolicyError(f"{escaped(path)}: is damaged ({error}); expected the log of a run") from None
+        raise PolicyError(
+            f"{escaped(path)}: is damaged ({error}); expected the log of a run"
+        ) from None
 
 
 def _text(value: Value) -> str:
@@ -105,7 +126,9 @@ def note_round(path: Path, row: Sequence[float]) -> None:
         DiskFullError: There is no room.
         PolicyError: The file is damaged, or of another version.
     """
-    MetricsFile(path, int(row[0]) - 1, _ROUND_COLUMNS).add(dict(zip(_ROUND_COLUMNS, row, strict=True)))
+    MetricsFile(path, int(row[0]) - 1, _ROUND_COLUMNS).add(
+        dict(zip(_ROUND_COLUMNS, row, strict=True))
+    )
 
 
 def logged_rows(path: Path) -> int:
@@ -115,13 +138,16 @@ def logged_rows(path: Path) -> int:
 
 def logs_rounds(path: Path) -> bool:
     """Whether a metrics.csv is one of rounds."""
-    return next(read_lines(path, reading.METRIC_LINES), "").startswith(",".join(_ROUND_COLUMNS[:2]) + ",")
+    return next(read_lines(path, reading.METRIC_LINES), "").startswith(
+        ",".join(_ROUND_COLUMNS[:2]) + ","
+    )
 
 
 def read_rounds(path: Path) -> tuple[TrainedRound, ...]:
     """All rows of it. Raises PolicyError when it is damaged, or of another version."""
     rows = [
-        dict(zip(TrainedRound.model_fields, row.values(), strict=True)) for row in read_metrics(path, _ROUND_COLUMNS)
+        dict(zip(TrainedRound.model_fields, row.values(), strict=True))
+        for row in read_metrics(path, _ROUND_COLUMNS)
     ]
     try:
         found = tuple(parse(TrainedRound, row, path.name) for row in rows)
@@ -151,7 +177,9 @@ class BoardLog(Closing):
         step = int(row["step"] or 0)
         for name, value in row.items():
             if isinstance(value, int | float) and name not in _LEFT_OUT:
-                self._writer.add_scalar(f"{'train' if name in _TRAINS else 'episode'}/{name}", value, step)
+                self._writer.add_scalar(
+                    f"{'train' if name in _TRAINS else 'episode'}/{name}", value, step
+                )
         self._writer.flush()
 
     def close(self) -> None:

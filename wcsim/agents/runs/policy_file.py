@@ -12,7 +12,15 @@ from types import MappingProxyType
 from typing import Any, Final, Literal, TypeVar
 
 import wcsim
-from wcsim.agents.policy_api import BASELINES, LEVELLED, MODEL_FILE, SERVED, UPPER_BOUNDS, VETO, level_of
+from wcsim.agents.policy_api import (
+    BASELINES,
+    LEVELLED,
+    MODEL_FILE,
+    SERVED,
+    UPPER_BOUNDS,
+    VETO,
+    level_of,
+)
 from wcsim.config import RunConfig, parse
 from wcsim.config.run_file import DangerFile, PolicyFile, ShippedFile
 from wcsim.core import files
@@ -95,7 +103,9 @@ def shipped_folder(place: Path | None = None) -> Path:
     except ConfigError as error:
         raise PolicyError(str(error)) from None
     missing = [name for name in HELD if name not in told or not is_file(folder / name)]
-    other = [name for name in HELD if name not in missing and files.sha256(folder / name) != told[name]]
+    other = [
+        name for name in HELD if name not in missing and files.sha256(folder / name) != told[name]
+    ]
     if missing or other:
         raise PolicyError(
             f"{escaped(folder)} differs from what was shipped: {', '.join(missing + other)} "
@@ -175,7 +185,11 @@ def require_same_senses(folder: Path, name: str, config: RunConfig) -> None:
     """Refuse a policy that was trained with another camera, class form or action set. Raises PolicyError."""
     file = read_danger_file(folder)
     camera = config.cameras[0]
-    other = [key for key in ("width_px", "height_px", *SIGHT_KEYS) if getattr(file.camera, key) != getattr(camera, key)]
+    other = [
+        key
+        for key in ("width_px", "height_px", *SIGHT_KEYS)
+        if getattr(file.camera, key) != getattr(camera, key)
+    ]
     other += [key for key in ("actions",) if file.net.actions != config.env.actions]
     other += [key for key in ("classes",) if file.classes != config.env.classes]
     if other:

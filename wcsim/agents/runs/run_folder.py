@@ -101,7 +101,9 @@ class RunFolder:
 
     def manifest_sha256(self) -> str:
         """Digest of what the run was made with, the same before and after it ends."""
-        return files.sha256_text(json.dumps(asdict(replace(self.manifest, status="running", steps=0)), sort_keys=True))
+        return files.sha256_text(
+            json.dumps(asdict(replace(self.manifest, status="running", steps=0)), sort_keys=True)
+        )
 
     def with_status(self, status: Status, steps: int) -> RunFolder:
         """Write a new status into the manifest."""
@@ -120,7 +122,10 @@ def make_manifest(config: RunConfig, info: RunInfo, networks: Collection[str] = 
     return Manifest(
         **{each.name: getattr(info, each.name) for each in fields(info)},
         config_sha256=config.digest(),
-        versions={**{name: version_of(name) for name in PACKAGES}, "python": platform.python_version()},
+        versions={
+            **{name: version_of(name) for name in PACKAGES},
+            "python": platform.python_version(),
+        },
         git_revision=_git_revision(),
         own_code=mark_of(own_classes(info.hook, info.rewards, networks or (config.learn.network,))),
     )
@@ -249,7 +254,9 @@ def _git_revision() -> str:
     checkout = Path(__file__).resolve().parents[3]
     of_checkout = ["git", f"--git-dir={checkout / '.git'}", f"--work-tree={checkout}"]
     try:
-        done = run_command([*of_checkout, "describe", "--always", "--dirty=+", "--abbrev=40", "--exclude=*"], 10.0)
+        done = run_command(
+            [*of_checkout, "describe", "--always", "--dirty=+", "--abbrev=40", "--exclude=*"], 10.0
+        )
     except (OSError, subprocess.TimeoutExpired):  # also a disk that has no room for its answer
         return ""
     return done.stdout.strip() if done.returncode == 0 else ""
@@ -263,7 +270,9 @@ def read_json(path: Path, name: str) -> dict[str, Any]:
     """
     file = path / name
     if not is_file(file):
-        raise PolicyError(f"{escaped(path)} is not a run: it has no {name}; expected a folder that `wcsim train` made")
+        raise PolicyError(
+            f"{escaped(path)} is not a run: it has no {name}; expected a folder that `wcsim train` made"
+        )
     data = read_bounded_json(file, RUN)
     if name == MANIFEST:
         return _checked_manifest(data, file).model_dump(mode="json", exclude_unset=True)
@@ -293,7 +302,9 @@ def folder_of(run: ResolvedRun, complete: Complete = lambda _: None) -> RunFolde
     wanted = resolve(run.config, _kept_plant(run.out))
     was, now = (resolve(config, complete(config)) for config in (folder.config, wanted))
     if was != now or other:
-        raise PolicyError(f"{run.out} was made with another {', '.join(other) or 'configuration'}; resume with its own")
+        raise PolicyError(
+            f"{run.out} was made with another {', '.join(other) or 'configuration'}; resume with its own"
+        )
     return folder
 
 
@@ -323,7 +334,10 @@ def extend(run: Path, steps: int, fade: float | None = None) -> None:
     manifest = {**manifest, "config_sha256": config.digest()}
     files.write_json(run / MANIFEST, {**manifest, "config_was_sha256": was})
     files.write_json(run / CONFIG, data)
-    files.write_json(run / MANIFEST, {key: value for key, value in manifest.items() if key != "config_was_sha256"})
+    files.write_json(
+        run / MANIFEST,
+        {key: value for key, value in manifest.items() if key != "config_was_sha256"},
+    )
 
 
 @lru_cache(maxsize=256)
@@ -349,7 +363,10 @@ def folder_parcel(folder: Path, address: str = "") -> Parcel:
 
 
 def require_travels(
-    config: RunConfig, settings: Collection[str] = (), own_code: Collection[str] = (), users: Collection[str] = ()
+    config: RunConfig,
+    settings: Collection[str] = (),
+    own_code: Collection[str] = (),
+    users: Collection[str] = (),
 ) -> None:
     """Refuse what other machines cannot have: code of the user's own, and files that settings name.
 

@@ -34,12 +34,15 @@ def write_policy(folder: Path, net: torch.nn.Module, said: Mapping[str, Any]) ->
         DiskFullError: There is no room.
     """
     with files.whole_folder(folder) as target:
-        tensors = {key: value.detach().cpu().contiguous() for key, value in net.state_dict().items()}
+        tensors = {
+            key: value.detach().cpu().contiguous() for key, value in net.state_dict().items()
+        }
         (target / WEIGHTS).write_bytes(save(tensors))
         versions = {name: version_of(name) for name in ("torch", "stable-baselines3")}
         digest = files.sha256(target / WEIGHTS)
         files.write_json(
-            target / POLICY_JSON, {"schema_version": 1, **said, "weights_sha256": digest, "versions": versions}
+            target / POLICY_JSON,
+            {"schema_version": 1, **said, "weights_sha256": digest, "versions": versions},
         )
     return folder
 
@@ -92,11 +95,18 @@ def _read_weights(path: Path, sha256: str, wanted: Iterable[torch.Tensor]) -> by
 
 
 def checked_tensors(
-    where: str, tensors: dict[str, torch.Tensor], wanted: Tensors, of: str = "the network that policy.json describes"
+    where: str,
+    tensors: dict[str, torch.Tensor],
+    wanted: Tensors,
+    of: str = "the network that policy.json describes",
 ) -> dict[str, torch.Tensor]:
     """The same tensors. Raises PolicyError where they are not those of `wanted` in name, type and shape, or finite."""
-    got, expected = ({name: _facts(tensor) for name, tensor in each.items()} for each in (tensors, wanted))
-    odd = sorted(name for name in expected.keys() | got.keys() if expected.get(name) != got.get(name))
+    got, expected = (
+        {name: _facts(tensor) for name, tensor in each.items()} for each in (tensors, wanted)
+    )
+    odd = sorted(
+        name for name in expected.keys() | got.keys() if expected.get(name) != got.get(name)
+    )
     if odd:
         first = odd[0]
         raise PolicyError(

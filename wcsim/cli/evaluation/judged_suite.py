@@ -167,7 +167,9 @@ def judge(order: SuiteOrder, options: JudgeOptions, name: str) -> int:
     from wcsim.agents.evaluation.suite.records import undriven
     from wcsim.view.report.comparisons import verdict
 
-    without = [line for policy, found in result.episodes.items() for line in undriven(policy, found)]
+    without = [
+        line for policy, found in result.episodes.items() for line in undriven(policy, found)
+    ]
     show_result(stdout_console(), result, without, verdict(result))
     write_json(options.json, result.to_json())
     return _exit_of(result.pooled)
@@ -178,7 +180,9 @@ def drive_list(order: SuiteOrder, options: JudgeOptions, name: str) -> TestResul
     from wcsim.agents.evaluation.suite.run import run_suite
 
     _require_usable(order, options)
-    policies = tuple(dict.fromkeys((UNAIDED, *options.policies, *(() if options.only else _OTHERS))))
+    policies = tuple(
+        dict.fromkeys((UNAIDED, *options.policies, *(() if options.only else _OTHERS)))
+    )
     done = 0
     with StageBar("testing") as bar, _resumable(order, options):
 
@@ -192,7 +196,9 @@ def drive_list(order: SuiteOrder, options: JudgeOptions, name: str) -> TestResul
         return save_result(order, name, run_suite(order, policies, show))
 
 
-def order_of(options: _DriveOptions, suite: Suite, out: Path, forks: int | None = None) -> SuiteOrder:
+def order_of(
+    options: _DriveOptions, suite: Suite, out: Path, forks: int | None = None
+) -> SuiteOrder:
     """How these options drive a list into a folder."""
     from wcsim.agents.evaluation.suite.run import SuiteOrder
 
@@ -202,7 +208,10 @@ def order_of(options: _DriveOptions, suite: Suite, out: Path, forks: int | None 
         nonlocal shown_s
         if options.cluster and time.monotonic() - shown_s > _WORKERS_EVERY_S:
             shown_s = time.monotonic()
-            busy = ((each.name, f"{each.key} for {each.for_s:.0f} s" if each.key else "free") for each in workers)
+            busy = (
+                (each.name, f"{each.key} for {each.for_s:.0f} s" if each.key else "free")
+                for each in workers
+            )
             say(", ".join(f"{worker} {what}" for worker, what in busy))
 
     machines = machines_of(options.cluster, options.jobs, "--jobs")
@@ -219,7 +228,9 @@ def order_of(options: _DriveOptions, suite: Suite, out: Path, forks: int | None 
     )
 
 
-def save_result(order: SuiteOrder, name: str, records: Mapping[str, Sequence[EpisodeRecord]]) -> TestResult:
+def save_result(
+    order: SuiteOrder, name: str, records: Mapping[str, Sequence[EpisodeRecord]]
+) -> TestResult:
     """Write what a test leaves in its folder; the result.
 
     Args:
@@ -244,13 +255,19 @@ def save_result(order: SuiteOrder, name: str, records: Mapping[str, Sequence[Epi
     )
     contents = {
         RESULT: result.to_json(),
-        EPISODES: {policy: [record.to_json() for record in found] for policy, found in records.items()},
+        EPISODES: {
+            policy: [record.to_json() for record in found] for policy, found in records.items()
+        },
         ASKED: {"suite": name, **typed},
     }
-    with ExitStack() as opened:  # all of it first: a full disk leaves what an earlier test wrote as it was
+    with (
+        ExitStack() as opened
+    ):  # all of it first: a full disk leaves what an earlier test wrote as it was
         for file, content in contents.items():
             part = opened.enter_context(result_file(order.out / file))
-            indent = None if file == EPISODES else 2  # many records: half of the file would be blanks
+            indent = (
+                None if file == EPISODES else 2
+            )  # many records: half of the file would be blanks
             part.write_text(json_text(order.out / file, content, indent), encoding="utf-8")
     return result
 
@@ -280,7 +297,9 @@ def _require_usable(order: SuiteOrder, options: _DriveOptions) -> None:
     suite, console = order.suite, stderr_console()
     listed = f"{suite.file.suite} {suite.file.set}, list {suite.sha256[:12]}"
     console.print(f"{listed}: {counted(suite.episodes, 'episode')} a policy")
-    for line in told_of_rules(options.policies, order.preset, (*suite.file.settings, *order.settings)):
+    for line in told_of_rules(
+        options.policies, order.preset, (*suite.file.settings, *order.settings)
+    ):
         console.print(line)
     require_usable(order, options.policies)
 
@@ -297,7 +316,9 @@ def _resumable(order: SuiteOrder, options: _DriveOptions) -> Iterator[None]:
     try:
         yield
     except KeyboardInterrupt:
-        stays = options.out is not None or isinstance(options, _OfSuite)  # the folder of --town is temporary
+        stays = options.out is not None or isinstance(
+            options, _OfSuite
+        )  # the folder of --town is temporary
         if not stays or not saved() - before:
             raise
         message = f"stopped; finished blocks are saved in {order.out}; continue with --resume"
@@ -336,7 +357,9 @@ def _play_episode(order: SuiteOrder, policies: Sequence[str], place: str) -> int
     """
     index, seat = _place_of_play(place, len(order.suite.file.blocks))
     if len(policies) != 1:
-        raise ConfigError(f"--play takes one policy, got {len(policies)}: name the policy whose episode to drive")
+        raise ConfigError(
+            f"--play takes one policy, got {len(policies)}: name the policy whose episode to drive"
+        )
     from wcsim.agents.evaluation.suite.playback import play, require_same
     from wcsim.agents.evaluation.suite.result_files import EPISODES, read_episodes
     from wcsim.agents.evaluation.suite.run import piece_of, require_usable, town_addresses
@@ -348,13 +371,17 @@ def _play_episode(order: SuiteOrder, policies: Sequence[str], place: str) -> int
     piece = piece_of(order, index, policies[0], town_addresses(order), judged=False)
     config = config_for(piece.policy, piece.preset, piece.settings, in_list=True)
     saved = read_episodes(order.out).get(policies[0], ()) if is_file(order.out / EPISODES) else ()
-    film = order.out / "play" / f"{re.sub(r'[^A-Za-z0-9_.-]+', '-', policies[0])}-{index}.{seat}.webm"
+    film = (
+        order.out / "play" / f"{re.sub(r'[^A-Za-z0-9_.-]+', '-', policies[0])}-{index}.{seat}.webm"
+    )
     film.parent.mkdir(parents=True, exist_ok=True)
     (played,) = play(
         piece,
         (seat,),
         round(_FILMED_S / config.world.tick_s),
-        lambda world, steps: film_steps(film, MapView(world.street.mesh, _MAP_PX, _MAP_SPAN_M), steps, config),
+        lambda world, steps: film_steps(
+            film, MapView(world.street.mesh, _MAP_PX, _MAP_SPAN_M), steps, config
+        ),
     )
 
     # 2. Print a row every so often, counted back from the end.
@@ -366,9 +393,14 @@ def _play_episode(order: SuiteOrder, policies: Sequence[str], place: str) -> int
             nearest = [*near(step), "-"][0]
             time_s = f"-{before * config.world.tick_s:.1f}"
             rows.append((time_s, f"{step.speed_mps:.2f}", *sticks(step), nearest))
-    how = " ".join(word for word in (record.status, record.reason, record.fault, record.crash) if word)
+    how = " ".join(
+        word for word in (record.status, record.reason, record.fault, record.crash) if word
+    )
     show_table(
-        [Column(heading, justify="right", no_wrap=True) for heading in ("s", "m/s", "user", "driven", "nearest")],
+        [
+            Column(heading, justify="right", no_wrap=True)
+            for heading in ("s", "m/s", "user", "driven", "nearest")
+        ],
         rows[::-1],
         title=f"{record.part} {record.block}.{record.seat}, {record.town}, {record.profile}: {how}",
     )
@@ -377,9 +409,14 @@ def _play_episode(order: SuiteOrder, policies: Sequence[str], place: str) -> int
     twin = next((item for item in saved if (item.block, item.seat) == (index, seat)), None)
     if twin is not None:
         require_same(record, twin)
-    compared = "the same as the saved one" if twin is not None else f"not compared: none is saved in {order.out}"
+    compared = (
+        "the same as the saved one"
+        if twin is not None
+        else f"not compared: none is saved in {order.out}"
+    )
     stdout_console().print(
-        f"{film if played.steps else 'no video: nothing was driven'}; the episode is {compared}", style="dim"
+        f"{film if played.steps else 'no video: nothing was driven'}; the episode is {compared}",
+        style="dim",
     )
     return 0
 
@@ -393,7 +430,9 @@ def _place_of_play(text: str, blocks: int) -> tuple[int, int]:
     found = _PLACE.fullmatch(text)
     if found is None or int(found[1]) >= blocks:
         most = blocks - 1
-        raise ConfigError(f"--play {escaped(text)!r}: expected BLOCK.SEAT, such as 0.1, with a block from 0 to {most}")
+        raise ConfigError(
+            f"--play {escaped(text)!r}: expected BLOCK.SEAT, such as 0.1, with a block from 0 to {most}"
+        )
     return int(found[1]), int(found[2])
 
 

@@ -95,7 +95,9 @@ def _of_test(options: _Options, out: Path) -> Path:
     return write_suite_page(result, tested, failures, pictures, why_none, out)
 
 
-def _pictures(options: _Options, result: TestResult, failures: tuple[FailedEpisode, ...]) -> dict[Key, Illustration]:
+def _pictures(
+    options: _Options, result: TestResult, failures: tuple[FailedEpisode, ...]
+) -> dict[Key, Illustration]:
     from wcsim.view.report.failures import chosen, illustrated, order_of
 
     wanted = chosen(failures, options.pictures)

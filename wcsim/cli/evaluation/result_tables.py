@@ -29,7 +29,9 @@ _BOUNDS = {
 }
 
 
-def show_result(console: Console, result: TestResult, undriven: Sequence[str] = (), verdict: str = "") -> None:
+def show_result(
+    console: Console, result: TestResult, undriven: Sequence[str] = (), verdict: str = ""
+) -> None:
     """Print a result: what a first look needs of each part, and of all where there are several; then the crashes.
 
     The verdict stands last: the tables of a long list leave the screen.
@@ -50,8 +52,13 @@ def show_result(console: Console, result: TestResult, undriven: Sequence[str] = 
         if label != name:
             console.print(_broken(f"{label}: {name}"))
     for column in LOOK:
-        console.print("\n".join(wrap(f"{column.heading}: {column.says}", _LEGEND_WIDTH)), style="dim")
-    console.print("below a figure: its 95 % range; `wcsim report` and result.json have all others", style="dim")
+        console.print(
+            "\n".join(wrap(f"{column.heading}: {column.says}", _LEGEND_WIDTH)), style="dim"
+        )
+    console.print(
+        "below a figure: its 95 % range; `wcsim report` and result.json have all others",
+        style="dim",
+    )
     for note in (_BOUNDS[name] for name in result.episodes if name in _BOUNDS):
         console.print(note, style="dim")
     for line in first_few(_crashed(result), "crashes; episodes.json has all"):
@@ -86,7 +93,9 @@ def show_sensitivity(console: Console, title: str, moved: Sequence[Disturbed]) -
     """Print what `wcsim test --suite --sensitivity` found, a table for each policy."""
     for policy in dict.fromkeys(each.row.policy for each in moved):
         own = [each for each in moved if each.row.policy == policy]
-        lines = [[each.disturbance, *map(_cell, LOOK, repeat(each.row)), _change(each)] for each in own]
+        lines = [
+            [each.disturbance, *map(_cell, LOOK, repeat(each.row)), _change(each)] for each in own
+        ]
         headings = ["disturbance", *(column.heading for column in LOOK), "change of score"]
         console.print(_table(f"{title}: {policy}, with each disturbance alone", headings, lines))
     console.print("change of score: against the same drives without noise and delay", style="dim")
@@ -94,7 +103,9 @@ def show_sensitivity(console: Console, title: str, moved: Sequence[Disturbed]) -
 
 def _change(moved: Disturbed) -> str:
     low_high = moved.score_change_ci
-    return f"{moved.score_change:+.3f}" + ("" if low_high is None else f"\n{low_high[0]:+.2f} to {low_high[1]:+.2f}")
+    return f"{moved.score_change:+.3f}" + (
+        "" if low_high is None else f"\n{low_high[0]:+.2f} to {low_high[1]:+.2f}"
+    )
 
 
 def _cell(column: Column, row: ResultRow) -> str:
@@ -104,7 +115,9 @@ def _cell(column: Column, row: ResultRow) -> str:
 
 
 def _table(title: str, headings: Sequence[str], lines: Sequence[Sequence[str]]) -> Table:
-    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 0), pad_edge=False)
+    table = Table(
+        title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 0), pad_edge=False
+    )
     broken = [wrap(heading, _HEADING_WIDTH) for heading in headings]
     deep = max(map(len, broken))
     for number, heading in enumerate(broken):

@@ -16,14 +16,31 @@ from wcsim.agents.runs.policy_file import policy_name
 from wcsim.agents.runs.run_folder import run_of
 from wcsim.bridge.sumo.step_hook import find_hook
 from wcsim.cli.evaluation.judged_suite import JudgeOptions, judge, make_list, order_of, run_suites
-from wcsim.cli.shared.common import Bounds, Finds, Flag, Keys, Repeated, check_folder, parse, says, some_words
+from wcsim.cli.shared.common import (
+    Bounds,
+    Finds,
+    Flag,
+    Keys,
+    Repeated,
+    check_folder,
+    parse,
+    says,
+    some_words,
+)
 from wcsim.cli.shared.consoles import print_overrides, stdout_console
 from wcsim.cli.shared.run_config import overrides_of, require_policy, require_user
 from wcsim.core.constants import RECORDED
 from wcsim.core.own_folder import temporary_folder
 from wcsim.errors import ConfigError, TownError
 from wcsim.towns.checks.validate import validate_net
-from wcsim.towns.scenario.town import Town, by_name, content_hash, find_town, list_towns, streets_hash
+from wcsim.towns.scenario.town import (
+    Town,
+    by_name,
+    content_hash,
+    find_town,
+    list_towns,
+    streets_hash,
+)
 
 if TYPE_CHECKING:  # loads torch, which --help must not
     from wcsim.agents.evaluation.suite.run import SuiteOrder
@@ -40,7 +57,8 @@ class Options(JudgeOptions):
     """
 
     set: Annotated[
-        Repeated, Keys({"env.profile": "expected --profile NAME", "env.max_steps": "expected --max-steps N"})
+        Repeated,
+        Keys({"env.profile": "expected --profile NAME", "env.max_steps": "expected --max-steps N"}),
     ] = ()
     """section.key=value, over the settings of the preset."""
     town: str = "monaco"
@@ -89,7 +107,9 @@ def _ordered(options: Options) -> Iterator[tuple[SuiteOrder, str]]:
         require_policy(name, options.network)
     config = config_for(UNAIDED, options.preset, options.set, in_list=True)
 
-    from wcsim.agents.evaluation.suite.make import town_list  # the simulators are loaded here: not for a refusal
+    from wcsim.agents.evaluation.suite.make import (
+        town_list,
+    )  # the simulators are loaded here: not for a refusal
     from wcsim.agents.evaluation.suite.result_files import LIST
     from wcsim.agents.opening.list_file import suite_of, write_list
 
@@ -100,7 +120,10 @@ def _ordered(options: Options) -> Iterator[tuple[SuiteOrder, str]]:
     suite = suite_of(town_list(list(towns.values()), profiles, *many, settings=options.set))
     with contextlib.ExitStack() as held:
         out = options.out or held.enter_context(temporary_folder())
-        yield replace(order_of(options, suite, out, options.forks), settings=(), hook=options.hook), str(out / LIST)
+        yield (
+            replace(order_of(options, suite, out, options.forks), settings=(), hook=options.hook),
+            str(out / LIST),
+        )
         write_list(suite.file, out / LIST)
 
 
@@ -120,7 +143,9 @@ def _tested(options: Options) -> tuple[dict[str, Town], tuple[str, ...]]:
             try:
                 recording.require_driven_here(town.name, partial(content_hash, town))
             except ConfigError as error:
-                raise ConfigError(f"{error}{_words_for(recording.town, recording.town_sha256)}") from None
+                raise ConfigError(
+                    f"{error}{_words_for(recording.town, recording.town_sha256)}"
+                ) from None
     return towns, profiles
 
 
@@ -153,7 +178,9 @@ def _checked_town(name: str, options: Options) -> Town:
         )
     for policy in options.policies:
         if policy_name(policy).is_network and digest in _schools(policy):
-            raise TownError(f"{policy} was trained in {town.name}; expected a town it has never seen. {other}")
+            raise TownError(
+                f"{policy} was trained in {town.name}; expected a town it has never seen. {other}"
+            )
     return town
 
 

@@ -18,7 +18,14 @@ from wcsim.agents.runs.policy_file import policy_name
 from wcsim.bridge.world import World
 from wcsim.config import RunConfig
 from wcsim.drive.driven import is_intervention, xy_of
-from wcsim.drive.playing.film_states import FilmAbout, FilmLine, FilmNames, FrameMaker, Said, TickSays
+from wcsim.drive.playing.film_states import (
+    FilmAbout,
+    FilmLine,
+    FilmNames,
+    FrameMaker,
+    Said,
+    TickSays,
+)
 from wcsim.drive.playing.sources.source_process import FilmSource
 from wcsim.errors import ConfigError
 from wcsim.types import Snapshot
@@ -60,7 +67,9 @@ def _found(result: TestResult, source: FilmSource) -> tuple[str, int]:
     first = worst.policy if worst is not None else next(iter(result.episodes))
     policy = source.policy or first
     if policy not in result.episodes:
-        raise ConfigError(f"--policy {policy!r}: not in this result; expected one of: {', '.join(result.episodes)}")
+        raise ConfigError(
+            f"--policy {policy!r}: not in this result; expected one of: {', '.join(result.episodes)}"
+        )
     if policy_name(policy).kind == "class" and policy not in source.own:
         raise ConfigError(
             f"{policy} is your own code, which runs only when you name it: --policy {shlex.quote(policy)}"
@@ -68,7 +77,9 @@ def _found(result: TestResult, source: FilmSource) -> tuple[str, int]:
     block = source.block if source.block >= 0 else (worst.key[0] if worst is not None else 0)
     blocks = sorted({episode.block for episode in result.episodes[policy]})
     if block not in blocks:
-        raise ConfigError(f"--block {block}: not in this result; expected {blocks[0]} to {blocks[-1]}")
+        raise ConfigError(
+            f"--block {block}: not in this result; expected {blocks[0]} to {blocks[-1]}"
+        )
     return policy, block
 
 
@@ -82,7 +93,9 @@ class _BlockWatch:
         say: Hears the film.
     """
 
-    def __init__(self, suite: str, piece: Piece, config: RunConfig, say: Callable[[Said], object]) -> None:
+    def __init__(
+        self, suite: str, piece: Piece, config: RunConfig, say: Callable[[Said], object]
+    ) -> None:
         self._suite, self._piece, self._config, self._say = suite, piece, config, say
         self._maker = FrameMaker()
         self._now: Snapshot | None = None
@@ -136,5 +149,8 @@ class _BlockWatch:
                 tells_who=True,
             )
         )
-        names = {seat: f"{seat}: {Path(episode.profile).stem}" for seat, episode in enumerate(block.episodes)}
+        names = {
+            seat: f"{seat}: {Path(episode.profile).stem}"
+            for seat, episode in enumerate(block.episodes)
+        }
         self._say(FilmNames(names=names))

@@ -12,7 +12,15 @@ from typing import Annotated, Any, Final
 from tyro.conf import Positional, arg
 
 from wcsim.cli.recordings.film_page import PageOptions, Seat, serve_page
-from wcsim.cli.shared.common import Bounds, OutFile, Parts, Writes, result_file, run_part, write_json
+from wcsim.cli.shared.common import (
+    Bounds,
+    OutFile,
+    Parts,
+    Writes,
+    result_file,
+    run_part,
+    write_json,
+)
 from wcsim.core.reading import escaped, is_file, is_folder
 from wcsim.errors import ConfigError, check_installed
 from wcsim.log.diff import first_difference
@@ -89,7 +97,9 @@ def run(words: list[str]) -> int:
 def _log_in(run: Path, first: str = "journal") -> Path:
     """A log as it is named, or that of a run folder, which may have two. Raises ConfigError where there is none."""
     if is_folder(run):
-        found = [run / name for name in sorted(("journal", "trace"), key=lambda name: name != first)]
+        found = [
+            run / name for name in sorted(("journal", "trace"), key=lambda name: name != first)
+        ]
         there = [path for path in found if is_file(path)]
         if there:
             return there[0]
@@ -106,7 +116,11 @@ def _log_in(run: Path, first: str = "journal") -> Path:
 def _play(options: _PlayOptions) -> int:
     path = _log_in(options.log)
     header = read_header(path)  # what cannot be played is refused before a page is served for it
-    from wcsim.bridge.replay.replayed import log_of, require_hook, worlds_of  # the simulators: not for a refusal
+    from wcsim.bridge.replay.replayed import (
+        log_of,
+        require_hook,
+        worlds_of,
+    )  # the simulators: not for a refusal
     from wcsim.drive.playing.play_runner import PlayStart
     from wcsim.drive.playing.sources.source_process import FilmSource
 
@@ -114,7 +128,9 @@ def _play(options: _PlayOptions) -> int:
     if header.kind != "trace":
         log_of(path)
         worlds_of(header, options.hook)
-    source = FilmSource(kind="log", path=path.absolute(), epoch=options.epoch, hook=options.hook, town=options.town)
+    source = FilmSource(
+        kind="log", path=path.absolute(), epoch=options.epoch, hook=options.hook, town=options.town
+    )
     return serve_page(PlayStart(source=source, seat=options.seat), options)
 
 
@@ -132,9 +148,15 @@ def _verify(options: _VerifyOptions) -> int:
     rate = result.ticks / max(time.perf_counter() - begun_s, 1e-9)
     if not result.ticks and (options.epoch, options.first, options.last) != (None, 0, None):
         raise ConfigError(f"{path}: has no tick in that range; change --epoch, --from or --to")
-    first = None if result.first is None else {"epoch": result.first.epoch, "tick": result.first.tick}
+    first = (
+        None if result.first is None else {"epoch": result.first.epoch, "tick": result.first.tick}
+    )
     told = "all equal" if first is None else f"{result.mismatches} differ, first {first}"
-    found: dict[str, Any] = {"ticks": result.ticks, "mismatches": result.mismatches, "first_mismatch": first}
+    found: dict[str, Any] = {
+        "ticks": result.ticks,
+        "mismatches": result.mismatches,
+        "first_mismatch": first,
+    }
     if header.kind == "drive":
         told += f", at most {result.farthest_m:.3g} m apart"
         found["farthest_m"] = result.farthest_m
@@ -154,7 +176,9 @@ def _compare(options: _CompareOptions) -> int:
 def _convert(options: _ConvertOptions) -> int:
     out, kind = options.out, options.out.suffix.lower()
     if kind not in (_FCD, _MCAP):
-        raise ConfigError(f"{escaped(out)}: expected a file name that ends in {_FCD} (FCD) or {_MCAP} (ROS 2)")
+        raise ConfigError(
+            f"{escaped(out)}: expected a file name that ends in {_FCD} (FCD) or {_MCAP} (ROS 2)"
+        )
     Writes().check("FILE", out)
     path = _log_in(options.log, "trace" if kind == _FCD else "journal")
     read_header(path)
@@ -168,7 +192,9 @@ def _convert(options: _ConvertOptions) -> int:
             found["steps"] = convert_to_fcd(path, part, options.epoch or 0, options.hook)
             told = f"{found['steps']} time steps"
         else:
-            counts = found["messages"] = convert_to_mcap(path, part, options.epoch or 0, options.hook)
+            counts = found["messages"] = convert_to_mcap(
+                path, part, options.epoch or 0, options.hook
+            )
             told = f"{sum(counts.values())} messages on {', '.join(sorted(counts))}"
     print(f"wrote {out}: {told}")
     write_json(options.json, found)

@@ -67,8 +67,14 @@ def _episode_start(options: _Options) -> PlayStart:
         FailedLine(policy=one.policy, block=one.key[0], seat=one.key[1], told=_told(one))
         for one in failures_of(read_result(folder), folder)[:_MOST_FAILED]
     )
-    policy, block, seat = options.policy, -1 if options.block is None else options.block, options.seat
-    worst = next((one for one in failed if policy in ("", one.policy) and block in (-1, one.block)), None)
+    policy, block, seat = (
+        options.policy,
+        -1 if options.block is None else options.block,
+        options.seat,
+    )
+    worst = next(
+        (one for one in failed if policy in ("", one.policy) and block in (-1, one.block)), None
+    )
     if worst is not None:
         policy = policy or worst.policy
         block = worst.block if block < 0 else block
@@ -77,7 +83,9 @@ def _episode_start(options: _Options) -> PlayStart:
         require_policy(policy, options.network)
     own = tuple(name for name in (options.policy, options.network) if name)
     path = folder.absolute()
-    source = FilmSource(kind="episode", path=path, policy=policy, block=block, own=own, drive=episode_film)
+    source = FilmSource(
+        kind="episode", path=path, policy=policy, block=block, own=own, drive=episode_film
+    )
     return PlayStart(source=source, seat=seat, failed=failed)
 
 
@@ -106,12 +114,16 @@ def watch(words: list[str]) -> int:
     """Serve the page until Ctrl-C."""
     options = parse(_WatchOptions, words, "watch")
     if not is_folder(options.run):
-        raise ConfigError(f"{escaped(options.run)}: is not there; expected the folder of a wcsim train-clients run")
+        raise ConfigError(
+            f"{escaped(options.run)}: is not there; expected the folder of a wcsim train-clients run"
+        )
     from wcsim.bridge.replay.replayed import worlds_of
     from wcsim.log.reader import part_files, read_header
     from wcsim.log.writer import JOURNAL
 
-    if part_files(options.run / JOURNAL):  # what cannot be watched is refused before a page is served for it
+    if part_files(
+        options.run / JOURNAL
+    ):  # what cannot be watched is refused before a page is served for it
         worlds_of(read_header(options.run / JOURNAL), options.hook)
     # One of several clients that has only not begun yet is waited for.
     elif is_file(options.run / MANIFEST) and "clients" not in read_json(options.run, MANIFEST):
@@ -119,7 +131,9 @@ def watch(words: list[str]) -> int:
             f"{escaped(options.run)}: this run has no journal and cannot be watched; expected a run of wcsim "
             "train-clients NETWORK (one client is enough), or of wcsim serve --run"
         )
-    from wcsim.drive.playing.play_runner import PlayStart  # the simulators are loaded here, not for --help
+    from wcsim.drive.playing.play_runner import (
+        PlayStart,
+    )  # the simulators are loaded here, not for --help
     from wcsim.drive.playing.sources.source_process import FilmSource
 
     source = FilmSource(kind="run", path=options.run.absolute(), hook=options.hook, gives_way=True)

@@ -74,22 +74,40 @@ def _record(options: _RecordOptions) -> int:
 
     from wcsim.bridge.user_drives import drawn_user, record_user  # loads the simulators
 
-    user, ticks = drawn_user(base, options.seed), max(2, round(60.0 * options.minutes / config.world.tick_s))
+    user, ticks = (
+        drawn_user(base, options.seed),
+        max(2, round(60.0 * options.minutes / config.world.tick_s)),
+    )
 
     def show(done: int) -> None:
         if done % round(_TELL_EVERY_S / config.world.tick_s) == 0:
-            print(f"{done * config.world.tick_s / 60.0:.0f} of {options.minutes:g} minutes", file=sys.stderr)
+            print(
+                f"{done * config.world.tick_s / 60.0:.0f} of {options.minutes:g} minutes",
+                file=sys.stderr,
+            )
 
-    crashes = record_user(options.out, town, config, user, ticks=ticks, seed=options.seed, progress=show)
-    print(f"wrote {options.out}: {ticks} ticks of a {user.name} user in {town.name}, {counted(crashes, 'crash')}")
-    told = {"town": town.name, "seed": options.seed, "ticks": ticks, "crashes": crashes, "user": asdict(user)}
+    crashes = record_user(
+        options.out, town, config, user, ticks=ticks, seed=options.seed, progress=show
+    )
+    print(
+        f"wrote {options.out}: {ticks} ticks of a {user.name} user in {town.name}, {counted(crashes, 'crash')}"
+    )
+    told = {
+        "town": town.name,
+        "seed": options.seed,
+        "ticks": ticks,
+        "crashes": crashes,
+        "user": asdict(user),
+    }
     write_json(options.json, told)
     return 0
 
 
 def _profile(name: str) -> UserProfile:
     if name.startswith(RECORDED):
-        raise ConfigError(f"--profile {escaped(name, 80)} is a recording; expected a profile, or FILE.toml")
+        raise ConfigError(
+            f"--profile {escaped(name, 80)} is a recording; expected a profile, or FILE.toml"
+        )
     return find_profile(name)
 
 
@@ -105,7 +123,9 @@ class _FitOptions:
 
     drives: Annotated[tuple[Path, ...], Positional, arg(metavar="FILE [FILE ...]")]
     """Recorded drives of one person; or, for each person, a stick table (.csv, .csv.gz) or a folder of them."""
-    out: Annotated[Path, arg(metavar="FILE.toml"), Writes(".toml", new=True)]  # it may be edited by now
+    out: Annotated[
+        Path, arg(metavar="FILE.toml"), Writes(".toml", new=True)
+    ]  # it may be edited by now
     """New profile file, for --profile of test and video, or env.profile."""
     base: str = "competent"
     """Profile that supplies parameters which a drive does not show."""
@@ -129,9 +149,13 @@ def _fit(options: _FitOptions) -> int:
     with result_file(options.out) as part:
         part.write_text(text, encoding="utf-8")
     _print(fit)
-    minute = f"wcsim test --profile {shlex.quote(str(options.out))} --only --episodes 1 --max-steps 600"
+    minute = (
+        f"wcsim test --profile {shlex.quote(str(options.out))} --only --episodes 1 --max-steps 600"
+    )
     print(f"wrote {options.out}; try it: {minute}")
-    told = {name: asdict(item) | {"told": is_told(name, item)} for name, item in fit.estimates.items()}
+    told = {
+        name: asdict(item) | {"told": is_told(name, item)} for name, item in fit.estimates.items()
+    }
     write_json(options.json, asdict(fit) | {"estimates": told})
     return 0
 
@@ -144,7 +168,9 @@ def _fitted(options: _FitOptions, base: UserProfile) -> UserFit:
                 f"--base {base.name} drives by switches, whose hand has no lag; expected one with a stick"
             )
         if options.without_intents:
-            raise ConfigError("--without-intents is for recorded drives; expected none: stick tables have no intents")
+            raise ConfigError(
+                "--without-intents is for recorded drives; expected none: stick tables have no intents"
+            )
         from wcsim.users.recordings.fit_sticks import fit_sticks, read_sticks
 
         return fit_sticks({escaped(path): read_sticks(path) for path in options.drives}, base)
@@ -199,7 +225,10 @@ def _print(fit: UserFit) -> None:
         print(f"note: {line}", file=sys.stderr)
     if fit.habits:
         names = fit.habits["people"]
-        habits = ((who, *(_hundredfold(row.get(name)) for name in names)) for who, row in fit.habits.items())
+        habits = (
+            (who, *(_hundredfold(row.get(name)) for name in names))
+            for who, row in fit.habits.items()
+        )
         headings = ["in\nhundredths", *(name.replace("_", "\n") for name in names)]
         show_table(headings, habits, box=None, padding=(0, 1, 0, 0))
 

@@ -64,7 +64,9 @@ class Bounds(OptionNote):
     def check(self, option: str, value: Any) -> None:
         """See `OptionNote`."""
         if not self.low <= value <= self.high:  # as NaN never is
-            expected = f"{self.low} or more" if math.isinf(self.high) else f"{self.low} to {self.high}"
+            expected = (
+                f"{self.low} or more" if math.isinf(self.high) else f"{self.low} to {self.high}"
+            )
             raise ConfigError(f"{option} {value}: expected {expected}")
         if self.step > 1 and value % self.step:
             raise ConfigError(f"{option} {value}: expected a multiple of {self.step}")
@@ -167,7 +169,9 @@ def parse(options: type[T], words: list[str], command: str, program: str = "wcsi
         print(presets(), end="")
         raise SystemExit(0)
     prog = f"{program} {command}"
-    parsed = tyro.cli(options, args=words, prog=prog, description=inspect.getdoc(options), registry=_numbers())
+    parsed = tyro.cli(
+        options, args=words, prog=prog, description=inspect.getdoc(options), registry=_numbers()
+    )
     for name, notes in _notes(options).items():
         value = getattr(parsed, name.replace("-", "_"))
         for note in (Bounds(0, MAX_SEED), *notes) if name == "seed" else notes:
@@ -179,7 +183,9 @@ def parse(options: type[T], words: list[str], command: str, program: str = "wcsi
 def _notes(options: type) -> dict[str, tuple[Any, ...]]:
     """What is noted beside the type of each option, by the option's name."""
     hints = get_type_hints(options, include_extras=True)
-    return {name.replace("_", "-"): getattr(hint, "__metadata__", ()) for name, hint in hints.items()}
+    return {
+        name.replace("_", "-"): getattr(hint, "__metadata__", ()) for name, hint in hints.items()
+    }
 
 
 def _require_bare(options: type, words: Sequence[str], command: str) -> None:
@@ -201,7 +207,9 @@ def _numbers() -> tyro.constructors.ConstructorRegistry:
     known = tyro.constructors.ConstructorRegistry()
 
     @known.primitive_rule
-    def number(info: tyro.constructors.PrimitiveTypeInfo) -> tyro.constructors.PrimitiveConstructorSpec[Any] | None:
+    def number(
+        info: tyro.constructors.PrimitiveTypeInfo,
+    ) -> tyro.constructors.PrimitiveConstructorSpec[Any] | None:
         kinds = {item for item in (get_args(info.type) or (info.type,)) if item is not type(None)}
         if kinds not in ({int}, {float}):
             return None
@@ -210,7 +218,9 @@ def _numbers() -> tyro.constructors.ConstructorRegistry:
             nargs=1,
             metavar="INT" if whole else "FLOAT",
             instance_from_str=lambda words: _number(words[0], int if whole else float),
-            is_instance=lambda value: value is None or isinstance(value, int if whole else (int, float)),
+            is_instance=lambda value: (
+                value is None or isinstance(value, int if whole else (int, float))
+            ),
             str_from_instance=lambda value: [str(value)],
         )
 
@@ -241,7 +251,9 @@ def run_part(words: list[str], command: str, parts: Parts) -> int:
         options, work = parts[name]
         return work(parse(options, words[1:], f"{command} {name}"))
     if name in ("-h", "--help"):
-        lines = [f"  {word:<10}{(options.__doc__ or '').strip()}" for word, (options, _) in parts.items()]
+        lines = [
+            f"  {word:<10}{(options.__doc__ or '').strip()}" for word, (options, _) in parts.items()
+        ]
         print("\n".join([f"usage: wcsim {command} {'|'.join(parts)} [options]", "", *lines]))
         return 0
     got = f"unknown {command} command {name!r}" if words else f"{command} needs a command"
@@ -334,7 +346,9 @@ def json_text(path: Path, data: Any, indent: int | None = 2) -> str:
     try:
         return json.dumps(data, indent=indent, allow_nan=False) + "\n"
     except ValueError as error:
-        raise ConfigError(f"{path}: a result contains a number that is not finite ({error})") from None
+        raise ConfigError(
+            f"{path}: a result contains a number that is not finite ({error})"
+        ) from None
 
 
 @contextmanager
@@ -349,7 +363,9 @@ def result_file(path: Path) -> Iterator[Path]:
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise ConfigError(f"{path}: cannot be written ({error.strerror}); choose another place") from None
+            raise ConfigError(
+                f"{path}: cannot be written ({error.strerror}); choose another place"
+            ) from None
         with whole_file(path) as part:
             yield part
 

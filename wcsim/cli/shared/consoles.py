@@ -23,7 +23,9 @@ _BAR_WIDTH = 16  # with what is said beside it a row has 80 characters
 _TOLD = ("description", "fields[says]", "fields[left]")
 _ALMOST_S = 90.0  # from here on minutes are told
 _MOST = 2000  # letters in a cell
-_CALIBRATED = "step-length"  # what drivers were calibrated with: to run otherwise is more than housekeeping
+_CALIBRATED = (
+    "step-length"  # what drivers were calibrated with: to run otherwise is more than housekeeping
+)
 
 
 def stdout_console() -> Console:
@@ -36,7 +38,9 @@ def stderr_console() -> Console:
     return Console(stderr=True, highlight=False, emoji=False, markup=False)
 
 
-def show_table(headings: Sequence[str | Column], rows: Iterable[Iterable[RenderableType]], **style: Any) -> None:
+def show_table(
+    headings: Sequence[str | Column], rows: Iterable[Iterable[RenderableType]], **style: Any
+) -> None:
     """A result as a table, with what `rich.table.Table` knows of style."""
     table = Table(*headings, **style)
     for row in rows:
@@ -63,7 +67,11 @@ def _told_left(spent_s: float, share: float) -> str:
     if not 0.0 < share < 1.0:
         return ""
     left_s = spent_s * (1.0 - share) / share
-    return f"about {math.ceil(left_s / 5) * 5} s left" if left_s < _ALMOST_S else f"about {round(left_s / 60)} min left"
+    return (
+        f"about {math.ceil(left_s / 5) * 5} s left"
+        if left_s < _ALMOST_S
+        else f"about {round(left_s / 60)} min left"
+    )
 
 
 class StageBar(Closing):
@@ -76,7 +84,9 @@ class StageBar(Closing):
 
     def __init__(self, name: str, clock: Callable[[], float] = time.monotonic) -> None:
         self.console = stderr_console()
-        names, *text = (TextColumn(f"{{task.{what}}}", markup=False) for what in _TOLD)  # names are no markup
+        names, *text = (
+            TextColumn(f"{{task.{what}}}", markup=False) for what in _TOLD
+        )  # names are no markup
         columns = (names, BarColumn(_BAR_WIDTH), *text)
         self._bar = Progress(*columns, console=self.console, disable=not self.console.is_terminal)
         self._task = self._bar.add_task(name, total=1.0, says="", left="")
@@ -89,7 +99,10 @@ class StageBar(Closing):
     def left(self) -> str:
         """As `_told_left`, from the first `show` on."""
         first = self._first or 0.0
-        return _told_left(self._clock() - self._began_s, (self._share - first) / (1.0 - first) if first < 1.0 else 1.0)
+        return _told_left(
+            self._clock() - self._began_s,
+            (self._share - first) / (1.0 - first) if first < 1.0 else 1.0,
+        )
 
     def show(self, share: float, says: str, name: str | None = None) -> None:
         """A share of the work (0 to 1) is done; `says` is what goes on, in 30 characters or so."""
@@ -153,9 +166,13 @@ def print_overrides(
     elif overrides:
         names = ", ".join(escaped(row.option, 80) for row in overrides)
         where = "--verbose says why, as does the run's manifest" if kept else "--verbose says why"
-        told = [f"{len(overrides)} of SUMO's options are not as in {town}'s scenario ({names}); {where}"]
+        told = [
+            f"{len(overrides)} of SUMO's options are not as in {town}'s scenario ({names}); {where}"
+        ]
         told += [
-            f"{row.option} is {row.wcsim}: {row.why}" for row in overrides if row.author and row.option == _CALIBRATED
+            f"{row.option} is {row.wcsim}: {row.why}"
+            for row in overrides
+            if row.author and row.option == _CALIBRATED
         ]
         for line in told:
             console.print(escaped(line, _MOST), highlight=False)
@@ -175,5 +192,7 @@ def _table(town: str, overrides: Sequence[Override]) -> Table:
         title_justify="left",
     )
     for row in overrides:
-        table.add_row(*(escaped(cell, _MOST) for cell in (row.option, row.author or "-", row.wcsim, row.why)))
+        table.add_row(
+            *(escaped(cell, _MOST) for cell in (row.option, row.author or "-", row.wcsim, row.why))
+        )
     return table

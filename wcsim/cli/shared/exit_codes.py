@@ -31,7 +31,14 @@ class Exit(IntEnum):
 
 
 _ON_THE_WAY = (
-    *(DiskFullError, LinkClosedError, LinkTimeoutError, EvictedError, StaleSessionError, PhysicsError),
+    *(
+        DiskFullError,
+        LinkClosedError,
+        LinkTimeoutError,
+        EvictedError,
+        StaleSessionError,
+        PhysicsError,
+    ),
     WorkersError,
 )
 

@@ -10,7 +10,13 @@ from typing import Any
 
 from wcsim.agents.networks.names import check_network, is_own, require_named
 from wcsim.agents.policy_api import VETO
-from wcsim.agents.runs.policy_file import EXPORTED, is_danger, policy_name, read_danger_file, read_policy_file
+from wcsim.agents.runs.policy_file import (
+    EXPORTED,
+    is_danger,
+    policy_name,
+    read_danger_file,
+    read_policy_file,
+)
 from wcsim.agents.runs.run_folder import ResolvedRun, policy_path, whole_data
 from wcsim.bridge.sumo.step_hook import find_hook
 from wcsim.cli.shared.common import check_folder
@@ -52,13 +58,19 @@ def require_policy(name: str, network: str, *, alone: bool = False, bare_for: st
         used = (read_danger_file if is_danger(path) else read_policy_file)(path).net.network
         if is_own(used):
             require_named(escaped(name), used, network)
-        by_law = named.level is None and not named.veto and any(is_file(path / law) for law in EXPORTED.values())
+        by_law = (
+            named.level is None
+            and not named.veto
+            and any(is_file(path / law) for law in EXPORTED.values())
+        )
         if not by_law:
             check_installed(f"{escaped(name)} needs PyTorch", "train", "torch", error=PolicyError)
     if alone and network:
         check_network(network)
         if used != network:
-            raise PolicyError(f"--network {escaped(network, 80)}: {escaped(name)} does not use it; leave it out")
+            raise PolicyError(
+                f"--network {escaped(network, 80)}: {escaped(name)} does not use it; leave it out"
+            )
 
 
 def require_head(config: RunConfig, *, in_rounds: bool) -> None:
@@ -73,13 +85,18 @@ def require_head(config: RunConfig, *, in_rounds: bool) -> None:
     """
     if learns_in_rounds(config) == in_rounds:
         return
-    rounds, steps = "preset quick, laptop, best or reward, or wcsim train-q", "preset dqn or paper, or wcsim train"
+    rounds, steps = (
+        "preset quick, laptop, best or reward, or wcsim train-q",
+        "preset dqn or paper, or wcsim train",
+    )
     expected = rounds if in_rounds else steps
     does = "learns dangers in rounds" if in_rounds else "learns by Q-learning"
     raise ConfigError(f"learn.head={config.learn.head}: this command {does}; expected {expected}")
 
 
-def require_users(config: RunConfig, drawn: tuple[Sequence[str], Path | None] | None = None) -> None:
+def require_users(
+    config: RunConfig, drawn: tuple[Sequence[str], Path | None] | None = None
+) -> None:
     """Refuse simulated users that are kept for tests.
 
     Args:
@@ -90,7 +107,10 @@ def require_users(config: RunConfig, drawn: tuple[Sequence[str], Path | None] | 
     Raises:
         ConfigError: A user cannot be used.
     """
-    for key, names in (("env.profile", (config.env.profile,)), ("collect.profiles", config.collect.profiles)):
+    for key, names in (
+        ("env.profile", (config.env.profile,)),
+        ("collect.profiles", config.collect.profiles),
+    ):
         for name in names:
             if name in HELD_OUT:
                 raise ConfigError(
@@ -112,7 +132,9 @@ def require_users(config: RunConfig, drawn: tuple[Sequence[str], Path | None] | 
         require_user(name)
 
 
-def resolve_run(config: RunConfig, info: RunInfo, town: Town, out: Path, resume: bool = False) -> ResolvedRun:
+def resolve_run(
+    config: RunConfig, info: RunInfo, town: Town, out: Path, resume: bool = False
+) -> ResolvedRun:
     """The run of a configuration in a town: with the network's window, and with what its manifest says of the town.
 
     Args:
@@ -133,7 +155,9 @@ def resolve_run(config: RunConfig, info: RunInfo, town: Town, out: Path, resume:
         find_hook(info.hook)
     require_user(config.env.profile)
 
-    from wcsim.agents.learning.build import network_settings  # torch is loaded here: not for --help, nor for a refusal
+    from wcsim.agents.learning.build import (
+        network_settings,
+    )  # torch is loaded here: not for --help, nor for a refusal
     from wcsim.agents.networks.registry import find_network
 
     find_network(config.learn.network)
@@ -151,9 +175,15 @@ def how_it_learns(config: RunConfig) -> str:
     """From what and for how long a network learns, in a sentence or two."""
     learn, collect = config.learn, config.collect
     if learns_in_rounds(config):
-        who, what = "simulated users and an oracle, which sees everything, drive", "the oracle's labels, not rewards"
+        who, what = (
+            "simulated users and an oracle, which sees everything, drive",
+            "the oracle's labels, not rewards",
+        )
         if config.danger.teacher == "crashes":
-            who, what = "simulated users and the network drive", "crashes that happened, without an oracle"
+            who, what = (
+                "simulated users and the network drive",
+                "crashes that happened, without an oracle",
+            )
         return (
             f"{counted(collect.rounds, 'round')} of {collect.segments} x {collect.ticks} ticks with {collect.chairs} "
             f"chairs, fewer in scenes: {who}. A network learns from {what}, in "
@@ -171,7 +201,11 @@ def learning(config: RunConfig) -> dict[str, Any]:
 
     Rounds set by themselves what their worlds tell.
     """
-    env = {"max_steps": config.learn.episode_steps, "truth": config.learn.aid == "oracle", "truth_visible": False}
+    env = {
+        "max_steps": config.learn.episode_steps,
+        "truth": config.learn.aid == "oracle",
+        "truth_visible": False,
+    }
     return {"env": env, **whole_data(config)}
 
 
@@ -207,4 +241,6 @@ def how_to_test(run: Path, network: str, trained_in: Collection[str] = ()) -> st
 
 def overrides_of(town: Town, config: RunConfig, seed: int) -> tuple[Override, ...]:
     """What a run overrides of a town's own SUMO options."""
-    return scenario_overrides(town.sumocfg, Settings(world=config.world, seed=seeding.derive(seed, "sumo")))
+    return scenario_overrides(
+        town.sumocfg, Settings(world=config.world, seed=seeding.derive(seed, "sumo"))
+    )

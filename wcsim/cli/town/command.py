@@ -21,7 +21,10 @@ class _ListOptions:
 def run(words: list[str]) -> int:
     """Run one of the subcommands."""
     parts: Parts = {
-        "import": (import_.AdoptOptions if says(words, "--sumocfg") else import_.ImportOptions, import_.run),
+        "import": (
+            import_.AdoptOptions if says(words, "--sumocfg") else import_.ImportOptions,
+            import_.run,
+        ),
         "make": (import_.TownMakeOptions, import_.make),
         "list": (_ListOptions, _list),
         "check": (town_check.CheckOptions, town_check.run),

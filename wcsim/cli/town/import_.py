@@ -127,9 +127,13 @@ def run(options: AdoptOptions | ImportOptions) -> int:
 
 def _adopt(options: AdoptOptions, out: Path) -> TownReport:
     if options.allow_outside:
-        print(f"note: files outside of the folder of {options.sumocfg} are copied too; check {out} before you share it")
+        print(
+            f"note: files outside of the folder of {options.sumocfg} are copied too; check {out} before you share it"
+        )
     named = options.name, out, options.split, options.source
-    town = adopt_scenario(options.sumocfg, *named, outside=options.allow_outside, cycle_paths=options.cycle_paths)
+    town = adopt_scenario(
+        options.sumocfg, *named, outside=options.allow_outside, cycle_paths=options.cycle_paths
+    )
     try:
         report = checked(town, told=say)
     except BaseException:  # what cannot be read is no town
@@ -147,16 +151,22 @@ def _build(options: ImportOptions, out: Path) -> tuple[TownReport, dict[str, Any
         )
     box = _bbox(options.bbox) if options.bbox else None
     if options.osm is not None and not options.osm.is_file():
-        raise ConfigError(f"--osm {options.osm}: there is no such file; expected an OpenStreetMap extract")
+        raise ConfigError(
+            f"--osm {options.osm}: there is no such file; expected an OpenStreetMap extract"
+        )
     if options.osm is not None and options.url:
-        raise ConfigError("--url is for a download and cannot be combined with --osm; leave one out")
+        raise ConfigError(
+            "--url is for a download and cannot be combined with --osm; leave one out"
+        )
 
     from wcsim.towns.importing.importer import import_town
 
     with temporary_folder() as folder:
         osm = options.osm or download(_bbox(options.bbox), folder, options.url)
         made = import_town(_order(options, osm, box, out), _built, say)
-    print(f"wrote {made.town.folder}; open it with: sumo-gui -c {shlex.quote(str(made.town.sumocfg))}")
+    print(
+        f"wrote {made.town.folder}; open it with: sumo-gui -c {shlex.quote(str(made.town.sumocfg))}"
+    )
     print(f"traffic drives on the {made.side}")
     report = checked(made.town, made.walkable_share, say)
     more = {"left_out": asdict(made.left_out), **made.counts}
@@ -201,7 +211,9 @@ def _per_hour(text: str) -> dict[str, float]:
         except ValueError:
             rate = math.nan
         if not name or not math.isfinite(rate) or name.strip() in found:
-            raise ConfigError(f"--per-hour {word!r} is not CLASS=NUMBER, once per class, such as passenger=900")
+            raise ConfigError(
+                f"--per-hour {word!r} is not CLASS=NUMBER, once per class, such as passenger=900"
+            )
         found[name.strip()] = rate
     return found
 
@@ -214,7 +226,9 @@ def _bbox(text: str) -> Box:
             f"--bbox {text!r} is not west,south,east,north in degrees, such as 24.9,60.1,25.0,60.2"
         ) from None
     if not (-180 <= box.west < box.east <= 180 and -90 <= box.south < box.north <= 90):
-        raise ConfigError(f"--bbox {text!r} is empty or outside of the globe; expected west < east and south < north")
+        raise ConfigError(
+            f"--bbox {text!r} is empty or outside of the globe; expected west < east and south < north"
+        )
     return box
 
 
@@ -263,9 +277,13 @@ def make(options: TownMakeOptions) -> int:
     check_folder("--out", out)
     result = options.json and options.json.resolve()  # this folder itself may be made anew
 
-    from wcsim.towns.making.maker import make_town  # loads what builds streets, which --help must not
+    from wcsim.towns.making.maker import (
+        make_town,
+    )  # loads what builds streets, which --help must not
 
-    town = make_town(out, options.seed, wishes, name=options.name, overwrite=options.replace, stage=say)
+    town = make_town(
+        out, options.seed, wishes, name=options.name, overwrite=options.replace, stage=say
+    )
     print(f"wrote {town.folder}; open it with: sumo-gui -c {shlex.quote(str(town.sumocfg))}")
     return told_report(checked(town, told=say), started_s, result)
 
@@ -295,7 +313,9 @@ def pave(options: PaveOptions) -> int:
     check_folder("--out", options.out)
     bare = find_town(options.town, outside=options.allow_outside)
 
-    from wcsim.towns.checks.check import check_town  # loads what builds streets, which --help must not
+    from wcsim.towns.checks.check import (
+        check_town,
+    )  # loads what builds streets, which --help must not
     from wcsim.towns.pave.pavements import pave_town
 
     say(f"adding pavements in {options.out}")
@@ -306,7 +326,9 @@ def pave(options: PaveOptions) -> int:
     say("checking the copy")
     report = check_town(town)
     _print(paved)
-    return told_report(report, started_s, options.json, paved={**asdict(paved), "sumocfg": str(paved.sumocfg)})
+    return told_report(
+        report, started_s, options.json, paved={**asdict(paved), "sumocfg": str(paved.sumocfg)}
+    )
 
 
 def _copy_of(bare: Town, sumocfg: Path, *, outside: bool) -> Town:
@@ -317,7 +339,11 @@ def _copy_of(bare: Town, sumocfg: Path, *, outside: bool) -> Town:
 
 def _print(paved: Paved) -> None:
     print(f"wrote {paved.sumocfg}; open it with: sumo-gui -c {shlex.quote(str(paved.sumocfg))}")
-    streets = [f"{counted(paved.streets, 'street')} got a pavement"] if paved.streets or not paved.had else []
+    streets = (
+        [f"{counted(paved.streets, 'street')} got a pavement"]
+        if paved.streets or not paved.had
+        else []
+    )
     streets += [f"{counted(paved.had, 'street')} already had one"] if paved.had else []
     print(
         f"{', '.join(streets)}; added {counted(paved.crossings, 'crossing')} and "
@@ -325,7 +351,9 @@ def _print(paved: Paved) -> None:
         f"detectors, ...) and {counted(paved.programs, 'signal program')}"
     )
     if paved.moved_m:
-        print(f"{counted(len(paved.moved_m), 'position')} moved off junctions that grew; the farthest, in m:")
+        print(
+            f"{counted(len(paved.moved_m), 'position')} moved off junctions that grew; the farthest, in m:"
+        )
         for name, along_m in paved.moved_m[:TOLD]:
             print(f"  {name}: {along_m:.2f}")
     for note in paved.notes:

@@ -85,11 +85,15 @@ def run(options: RunOptions, words: Sequence[str]) -> int:
         stdout_console().print(_no_persons(town), soft_wrap=True)
     place = shlex.quote(str(out))
     print(f"run folder: {out}    convert it: wcsim log convert {place} {place}/fcd.xml")
-    write_json(options.json, {"town": town.name, "seed": options.seed, "run": str(out), **asdict(facts)})
+    write_json(
+        options.json, {"town": town.name, "seed": options.seed, "run": str(out), **asdict(facts)}
+    )
     return 0
 
 
-def _recorded(options: RunOptions, town: Town, config: RunConfig, out: Path, command: tuple[str, ...]) -> TrafficFacts:
+def _recorded(
+    options: RunOptions, town: Town, config: RunConfig, out: Path, command: tuple[str, ...]
+) -> TrafficFacts:
     from wcsim.bridge.town_run import RecordOrder, record_town
 
     manifest = _manifest(options, town, config, command)
@@ -97,7 +101,12 @@ def _recorded(options: RunOptions, town: Town, config: RunConfig, out: Path, com
 
     def opened(scenario: Scenario) -> None:
         print_overrides(
-            stdout_console(), town.name, scenario.overrides, scenario.notes, verbose=options.verbose, kept=True
+            stdout_console(),
+            town.name,
+            scenario.overrides,
+            scenario.notes,
+            verbose=options.verbose,
+            kept=True,
         )
         manifest.update(
             overrides=[asdict(row) for row in scenario.overrides],
@@ -131,11 +140,15 @@ def _recorded(options: RunOptions, town: Town, config: RunConfig, out: Path, com
     return facts
 
 
-def _manifest(options: RunOptions, town: Town, config: RunConfig, command: tuple[str, ...]) -> dict[str, Any]:
+def _manifest(
+    options: RunOptions, town: Town, config: RunConfig, command: tuple[str, ...]
+) -> dict[str, Any]:
     from wcsim.agents.runs.run_folder import make_manifest
     from wcsim.server.specs import RunInfo
 
-    info = RunInfo(seed=options.seed, town=town.name, town_sha256=content_hash(town), command=command)
+    info = RunInfo(
+        seed=options.seed, town=town.name, town_sha256=content_hash(town), command=command
+    )
     return {
         **asdict(make_manifest(config, info)),
         "kind": "town run",
@@ -157,7 +170,9 @@ def _told(facts: TrafficFacts) -> dict[str, str]:
         "collisions within SUMO's traffic": _counted(facts.collisions, facts.collisions_warming),
     }
     if facts.episodes:
-        rows["road users near a wheelchair"] = f"{facts.mirrored}, at most {facts.mirrored_most} at once"
+        rows["road users near a wheelchair"] = (
+            f"{facts.mirrored}, at most {facts.mirrored_most} at once"
+        )
         rows["wheelchair episodes, crashes"] = f"{facts.episodes}, {facts.crashes}"
     return rows
 
@@ -168,7 +183,10 @@ def _counted(number: int, warming: int) -> str:
 
 def _crash_lines(crashed: Sequence[CrashFact]) -> list[str]:
     """Up to five crashes of wheelchairs, each with its second, reason, fault, with whom, and where."""
-    lines = [f"wheelchair {c.seat}, {c.time_s:.1f} s: {blamed(c.reason, c.fault, c.told)}" for c in crashed]
+    lines = [
+        f"wheelchair {c.seat}, {c.time_s:.1f} s: {blamed(c.reason, c.fault, c.told)}"
+        for c in crashed
+    ]
     return first_few(lines, "crashes; all of them are in the manifest")
 
 
@@ -179,5 +197,7 @@ def _no_persons(town: Town) -> str:
     if net.lanes(LaneKind.WALKINGAREA):
         return f"{told}; {Cures(town).walkers()}"
     told = f"{told}, and the net has no walking areas"
-    later = "" if net.slowest_mps is None else f"\n{PAVED_LATER}"  # else there will be no paved copy
+    later = (
+        "" if net.slowest_mps is None else f"\n{PAVED_LATER}"
+    )  # else there will be no paved copy
     return f"{told}; {Cures(town).pave()}{later}"

@@ -48,12 +48,16 @@ def run(options: CheckOptions) -> int:
     return told_report(checked(find_town(options.town)), started_s, options.json)
 
 
-def checked(town: Town, share: float | None = None, told: Callable[[str], None] = lambda stage: None) -> TownReport:
+def checked(
+    town: Town, share: float | None = None, told: Callable[[str], None] = lambda stage: None
+) -> TownReport:
     """`check_town`, SUMO's refusal among the faults, and collisions among the notes; `told` hears the stage.
 
     Raises TownError as `check_town` does.
     """
-    from wcsim.towns.checks.check import check_town  # loads what builds streets, which --help must not
+    from wcsim.towns.checks.check import (
+        check_town,
+    )  # loads what builds streets, which --help must not
 
     told("checking the town")
     report = check_town(town, share)
@@ -76,9 +80,14 @@ def _collisions_note(town: Town) -> tuple[str, ...]:
         words += ["--collision-output", str(found), *(("--seed", seed) if seed else ())]
         try:
             run_tool("sumo", words, work, _LIMITS)
-            told = [(hit.get("collider", ""), hit.get("victim", ""), hit.get("lane", "")) for hit in read_root(found)]
+            told = [
+                (hit.get("collider", ""), hit.get("victim", ""), hit.get("lane", ""))
+                for hit in read_root(found)
+            ]
         except (SumoError, TownError):
-            return (f"SUMO did not finish the first {COLLIDING_S:g} s of this traffic within {_LIMITS.wall_s:g} s",)
+            return (
+                f"SUMO did not finish the first {COLLIDING_S:g} s of this traffic within {_LIMITS.wall_s:g} s",
+            )
     hits = {frozenset((one, other)): f"{one} with {other} on {lane}" for one, other, lane in told}
     if not hits:
         return ()
@@ -120,7 +129,10 @@ def told_report(report: TownReport, began_s: float, json: Path | None, **more: A
         "traffic drives on the": "left" if report.lefthand else "right",
     }
     show_table((f"town {report.town}", ""), rows.items())
-    for line in (*(f"note: {note}" for note in report.notes), *(f"fault: {fault}" for fault in report.faults)):
+    for line in (
+        *(f"note: {note}" for note in report.notes),
+        *(f"fault: {fault}" for fault in report.faults),
+    ):
         stdout_console().print(line, soft_wrap=True)
     told = asdict(report)
     del told["overlaps"], told["cut_off"]  # the notes and faults say them

@@ -20,7 +20,14 @@ from wcsim.agents.clients.group_run import (
     world_order,
 )
 from wcsim.agents.clients.paid_times import PaidTimes, PaidTimesLog
-from wcsim.agents.runs.run_folder import MANIFEST, Status, extend, how_to_resume, make_manifest, open_run
+from wcsim.agents.runs.run_folder import (
+    MANIFEST,
+    Status,
+    extend,
+    how_to_resume,
+    make_manifest,
+    open_run,
+)
 from wcsim.cli.shared.common import Lease, Worlds, check_folder, write_json
 from wcsim.cli.shared.consoles import print_overrides, show_table, stdout_console, warn
 from wcsim.cli.shared.exit_codes import Exit, NothingKept
@@ -30,11 +37,24 @@ from wcsim.config import RunConfig, resolve
 from wcsim.core.files import locked
 from wcsim.core.own_folder import workplace
 from wcsim.core.processes import StopSignals
-from wcsim.errors import ConfigError, DiskFullError, InterruptedRunError, JournalError, PolicyError, WcsimError
+from wcsim.errors import (
+    ConfigError,
+    DiskFullError,
+    InterruptedRunError,
+    JournalError,
+    PolicyError,
+    WcsimError,
+)
 from wcsim.log.reader import iter_inputs, log_digest, part_files
 from wcsim.log.writer import JOURNAL, LogWriter, told_torn
 from wcsim.server.launch.launcher import Launcher
-from wcsim.server.launch.states import ClientState, LaunchOutcome, LaunchRules, LaunchState, RestartRules
+from wcsim.server.launch.states import (
+    ClientState,
+    LaunchOutcome,
+    LaunchRules,
+    LaunchState,
+    RestartRules,
+)
 from wcsim.server.ledger import Audit, audit, iter_ledger
 from wcsim.server.protocol.limits import require_files
 from wcsim.server.specs import world_plan
@@ -73,7 +93,9 @@ class _TickRate:
         return (self._ticks - self._at_begin) / spent_s if spent_s > 0.0 else 0.0
 
 
-def _report_of(folder: ClientsFolder, seed: int, rate: _TickRate, waits: PaidTimes) -> dict[str, Any]:
+def _report_of(
+    folder: ClientsFolder, seed: int, rate: _TickRate, waits: PaidTimes
+) -> dict[str, Any]:
     """How a run ended, as `--json` has it: ledgers are compared with the journal, whose hash is equal for equal runs.
 
     Raises:
@@ -83,7 +105,9 @@ def _report_of(folder: ClientsFolder, seed: int, rate: _TickRate, waits: PaidTim
     journal = path if part_files(path) else None
     ledgers = [folder.ledger(name) for name in folder.clients]
     entries = [iter_ledger(ledger) if ledger.is_file() else () for ledger in ledgers]
-    whole, against = audit(() if journal is None else iter_inputs(journal), list(enumerate(entries)))
+    whole, against = audit(
+        () if journal is None else iter_inputs(journal), list(enumerate(entries))
+    )
     rows = [_steps_of(ledger, journal, one) for ledger, one in zip(ledgers, against, strict=True)]
     return {
         "run": str(folder.path),
@@ -105,7 +129,9 @@ def _steps_of(ledger: Path, journal: Path | None, against: Audit) -> dict[str, i
     never did.
     """
     if journal is None and against.first_tick >= 0:
-        raise WcsimError(f"{ledger}: has frames of a world without a journal; restore {JOURNAL} next to its folder")
+        raise WcsimError(
+            f"{ledger}: has frames of a world without a journal; restore {JOURNAL} next to its folder"
+        )
     return {
         "first_tick": against.first_tick,  # -1 when it never had a frame
         "last_tick": against.last_tick,
@@ -135,7 +161,11 @@ def _paid(waits: PaidTimes) -> Iterator[tuple[str, ...]]:
         waited = waits.waited_s.get(name, {})
         whom = max(waited, key=lambda other: waited[other], default="")
         most = f"{whom} ({waited[whom]:.1f})" if whom and waited[whom] > 0.0 else "-"
-        yield name, *(f"{part_s:.1f}" for part_s in (paid.acting_s, paid.learning_s, paid.waiting_s)), most
+        yield (
+            name,
+            *(f"{part_s:.1f}" for part_s in (paid.acting_s, paid.learning_s, paid.waiting_s)),
+            most,
+        )
 
 
 def print_crossings(run: Path) -> None:
@@ -203,7 +233,9 @@ def train_clients(
                 if rate.add(state):
                     note = how_it_learns(run.clients[0].config)
                     notes, told = () if run.resume else (note,), run.info.overrides
-                    print_overrides(table.console, town.name, told, notes, verbose=options.verbose, kept=True)
+                    print_overrides(
+                        table.console, town.name, told, notes, verbose=options.verbose, kept=True
+                    )
                 table.show(state)
                 if watch(state) and not state.stopping:
                     launcher.stop()
@@ -213,8 +245,12 @@ def train_clients(
             launcher = Launcher(world, plans, folder.path, rules, show, signals=signals)
             outcome = launcher.run() if left else ALL_DONE
         code = _told(run, folder, options.json, outcome, (rate, paid.times))
-    if signals.count and not run.last:  # one that came when nothing ran any more, and what is to follow has not begun
-        raise InterruptedRunError(f"stopped; {run.out} holds the training so far: {how_to_resume(run.out)}")
+    if (
+        signals.count and not run.last
+    ):  # one that came when nothing ran any more, and what is to follow has not begun
+        raise InterruptedRunError(
+            f"stopped; {run.out} holds the training so far: {how_to_resume(run.out)}"
+        )
     return code
 
 
@@ -241,7 +277,11 @@ def _opened(run: GroupRun) -> Iterator[ClientsFolder]:
         try:
             yield (begun := create_clients_folder(run.out, world, wanted, configs))
         except (WcsimError, NothingKept) as error:
-            if made if begun is None else not isinstance(error, DiskFullError) and begun.fruitless():
+            if (
+                made
+                if begun is None
+                else not isinstance(error, DiskFullError) and begun.fruitless()
+            ):
                 shutil.rmtree(run.out, ignore_errors=True)
             raise
 
@@ -261,7 +301,9 @@ def _mend(folder: ClientsFolder) -> None:
     path = folder.path / JOURNAL
     ledgers = [file for file in map(folder.ledger, folder.clients) if file.is_file()]
     if not part_files(path) and any(True for file in ledgers for _ in iter_ledger(file)):
-        raise JournalError(f"{path}: is missing, but the ledgers contain ticks; restore it, or start a new run")
+        raise JournalError(
+            f"{path}: is missing, but the ledgers contain ticks; restore it, or start a new run"
+        )
     for log in ([path] if path.exists() else []) + ledgers:
         with LogWriter.append_to(log) as writer:
             if writer.cut_bytes:
@@ -269,7 +311,11 @@ def _mend(folder: ClientsFolder) -> None:
 
 
 def _told(
-    run: GroupRun, folder: ClientsFolder, json: Path | None, outcome: LaunchOutcome, seen: tuple[_TickRate, PaidTimes]
+    run: GroupRun,
+    folder: ClientsFolder,
+    json: Path | None,
+    outcome: LaunchOutcome,
+    seen: tuple[_TickRate, PaidTimes],
 ) -> int:
     """Write down how it ended and say so; returns the exit code.
 
@@ -280,8 +326,12 @@ def _told(
     """
     if outcome.stopped and folder.fruitless() and not run.resume:
         raise NothingKept("stopped before anything was learned; nothing is saved")
-    told = {client.name: client.status.step for client in outcome.clients if client.status is not None}
-    steps = sum(max(told.get(name, 0), folder.steps(name)) for name in folder.clients)  # not all were launched
+    told = {
+        client.name: client.status.step for client in outcome.clients if client.status is not None
+    }
+    steps = sum(
+        max(told.get(name, 0), folder.steps(name)) for name in folder.clients
+    )  # not all were launched
     folder = _with_status(run, folder, steps)
     if outcome.code == Exit.REFUSED:
         raise ConfigError(outcome.message)
@@ -293,7 +343,9 @@ def _told(
     if outcome.stopped:
         raise InterruptedRunError(_told_stop(folder.path, outcome.clients))
     if outcome.code:
-        lost = "".join(f"; client {each.name} {each.unsaved}" for each in outcome.clients if each.unsaved)
+        lost = "".join(
+            f"; client {each.name} {each.unsaved}" for each in outcome.clients if each.unsaved
+        )
         again = f"{folder.path} is kept; continue it: {how_to_resume(folder.path)}"
         warn(f"{outcome.message}{lost}; {again}")
         return Exit.FAILED

@@ -89,7 +89,9 @@ def run(words: list[str]) -> int:
         if not kept:
             raise
         held = counted(kept, "segment")
-        raise InterruptedRunError(f"stopped; {out} holds {held}; the same command continues") from None
+        raise InterruptedRunError(
+            f"stopped; {out} holds {held}; the same command continues"
+        ) from None
     learn = f"wcsim train --preset laptop --data {shlex.quote(str(out))}"
     print(f"data folder: {out}, SHA-256 {sha256}    train on it: {learn}")
     write_json(options.json, {"data": str(out), "sha256": sha256, "segments": options.segments})

@@ -13,7 +13,13 @@ from wcsim.cli.evaluation.judged_suite import JudgeOptions, drive_list, order_of
 from wcsim.cli.evaluation.result_tables import show_result
 from wcsim.cli.shared.common import OutFolder, Repeated, check_folder, parse
 from wcsim.cli.shared.consoles import StageBar, stdout_console
-from wcsim.cli.shared.run_config import how_it_learns, learning, require_head, require_users, resolve_run
+from wcsim.cli.shared.run_config import (
+    how_it_learns,
+    learning,
+    require_head,
+    require_users,
+    resolve_run,
+)
 from wcsim.cli.training.train import checked_town, train_in
 from wcsim.config import RunConfig, resolve
 from wcsim.core.files import numbered_names
@@ -81,8 +87,12 @@ def run(words: list[str]) -> int:
 
     suite = open_suite(options.suite)
     if content_hash(school) in {town.sha256 for town in suite.file.towns}:
-        raise TownError(f"{school.name} is a town of the list {options.suite}; expected another --train-town")
-    _say(f"wcsim demo: a network is trained in {school.name} and helps a user elsewhere, in {suite.episodes} drives.")
+        raise TownError(
+            f"{school.name} is a town of the list {options.suite}; expected another --train-town"
+        )
+    _say(
+        f"wcsim demo: a network is trained in {school.name} and helps a user elsewhere, in {suite.episodes} drives."
+    )
     if parse(_Options, [], "demo") == replace(options, seed=1, out=None):
         _say(_USUAL)
 
@@ -93,14 +103,31 @@ def run(words: list[str]) -> int:
     train_in(resolve_run(config, info, school, out), school)
 
     # 3. It is tested beside the user alone, and beside a chair that stands still.
-    _say(f"\n2/3 {suite.episodes} drives: by the user alone, standing still, and with the network", "bold")
-    rules = tuple(text for text in options.set if text.partition(".")[0] in RULES)  # as those that it was trained with
-    trial = JudgeOptions(policies=(_STANDS, str(out)), only=True, jobs=2, out=out / "test", set=rules)
+    _say(
+        f"\n2/3 {suite.episodes} drives: by the user alone, standing still, and with the network",
+        "bold",
+    )
+    rules = tuple(
+        text for text in options.set if text.partition(".")[0] in RULES
+    )  # as those that it was trained with
+    trial = JudgeOptions(
+        policies=(_STANDS, str(out)), only=True, jobs=2, out=out / "test", set=rules
+    )
     order = order_of(trial, suite, out / "test", suite.file.forks)
     try:
         result = drive_list(order, trial, options.suite)
     except InterruptedRunError:
-        again = ("test", _STANDS, str(out), "--suite", options.suite, "--only", "--out", str(out / "test"), "--resume")
+        again = (
+            "test",
+            _STANDS,
+            str(out),
+            "--suite",
+            options.suite,
+            "--only",
+            "--out",
+            str(out / "test"),
+            "--resume",
+        )
         raise InterruptedRunError(f"stopped; go on with: {shlex.join(('wcsim', *again))}") from None
     show_result(stdout_console(), result)
 
@@ -143,12 +170,24 @@ def _trained_families(config: RunConfig, suite: Suite) -> list[str]:
 
 def _commands(out: Path, suite: str, key: tuple[int, int]) -> tuple[tuple[str, str], ...]:
     """What to do next, each with what it does; `key` is block and seat of the filmed drive."""
-    run, place = shlex.quote(str(out)), f"--suite {shlex.quote(suite)} --block {key[0]} --seat {key[1]}"
+    run, place = (
+        shlex.quote(str(out)),
+        f"--suite {shlex.quote(suite)} --block {key[0]} --seat {key[1]}",
+    )
     return (
-        (f"wcsim drive {place} --policy {run}", "you drive there yourself, in your browser, assisted by this network"),
+        (
+            f"wcsim drive {place} --policy {run}",
+            "you drive there yourself, in your browser, assisted by this network",
+        ),
         (f"wcsim report {run}/test", "pictures of every crash of these drives"),
-        (f"wcsim test --suite dev {run} --jobs 2", "tests it on 126 drives, in a quarter of an hour"),
-        ("wcsim train --preset laptop --out runs/laptop", "trains a better network, in half an hour"),
+        (
+            f"wcsim test --suite dev {run} --jobs 2",
+            "tests it on 126 drives, in a quarter of an hour",
+        ),
+        (
+            "wcsim train --preset laptop --out runs/laptop",
+            "trains a better network, in half an hour",
+        ),
     )
 
 

@@ -26,7 +26,9 @@ from wcsim.errors import ConfigError, PolicyError, meant
 if TYPE_CHECKING:
     from wcsim.agents.export.onnx_export import ExportFacts
 
-_SAME_POLICY: Final = 0.95  # of a recording's actions: with fewer it was hardly this policy that chose them
+_SAME_POLICY: Final = (
+    0.95  # of a recording's actions: with fewer it was hardly this policy that chose them
+)
 
 
 @dataclass
@@ -76,7 +78,9 @@ def run(words: list[str]) -> int:
     check_onnx()
     preset = "laptop" if is_danger(path) else "paper"  # for a folder outside of its run
     own = config_for(options.policy, preset)
-    policy = open_named(options.policy, resolve(own, _delay(options.delay_ticks)), 0, options.network or None)
+    policy = open_named(
+        options.policy, resolve(own, _delay(options.delay_ticks)), 0, options.network or None
+    )
     own = resolve(own, sensing(own, policy))
     delay, seen, actions, by = _ride(options, own, policy)
     bar_ms = LIMIT_MS - RESERVE_MS
@@ -165,9 +169,16 @@ def _ride(
 
     delay = _delay(options.delay_ticks)
     if options.ride is None:
-        return delay, reference_ride(options.town, resolve(own, delay), options.steps, policy), None, ""
+        return (
+            delay,
+            reference_ride(options.town, resolve(own, delay), options.steps, policy),
+            None,
+            "",
+        )
     header = header_of(options.ride)
-    require_shown(config_of(header), own, options.ride, options.policy)  # before its world is made again
+    require_shown(
+        config_of(header), own, options.ride, options.policy
+    )  # before its world is made again
     held = recorded_ride(options.ride, options.steps, options.seat)
     by = "" if header.drive is None else header.drive.policy
     return delay or _delay(held.delay_ticks), held.seen, held.actions, by

@@ -19,7 +19,13 @@ from wcsim.cli.shared.common import Bounds, Flag, OutFolder, check_folder, parse
 from wcsim.cli.shared.consoles import StageBar
 from wcsim.cli.shared.exit_codes import Exit, NothingKept
 from wcsim.cli.shared.run_config import how_it_learns, how_to_test, require_user
-from wcsim.cli.training.train import LearnerOptions, came_of, gone_if_nothing_came_of_it, q_layers, steps_shown
+from wcsim.cli.training.train import (
+    LearnerOptions,
+    came_of,
+    gone_if_nothing_came_of_it,
+    q_layers,
+    steps_shown,
+)
 from wcsim.config import RunConfig, resolve
 from wcsim.core.files import locked
 from wcsim.core.own_folder import workplace
@@ -70,7 +76,9 @@ def run(words: list[str]) -> int:
             f"endpoint {options.endpoint!r}: expected ipc://FILE or tcp://HOST:PORT, as `wcsim serve` prints it"
         )
     if options.name and not re.fullmatch(CLIENT_NAME, options.name):
-        raise ConfigError(f"--name {options.name!r}: expected 1 to 64 letters, digits, - _ or ., not starting with .")
+        raise ConfigError(
+            f"--name {options.name!r}: expected 1 to 64 letters, digits, - _ or ., not starting with ."
+        )
     config = resolve(options.preset, *q_layers(options, options.network))
     check_network(config.learn.network)
     require_user(config.env.profile)
@@ -151,8 +159,14 @@ def _launched(order: ClientSpec, resume: bool, beside: Path) -> None:
         raise NothingKept("stopped before anything was learned; nothing is saved")
     if outcome.stopped:
         lost = outcome.clients[0].unsaved
-        told = f"stopped, but it {lost}: the training since its last checkpoint is lost" if lost else "stopped"
-        raise InterruptedRunError(f"{told}; {out} holds the rest; the same command with --resume goes on")
+        told = (
+            f"stopped, but it {lost}: the training since its last checkpoint is lost"
+            if lost
+            else "stopped"
+        )
+        raise InterruptedRunError(
+            f"{told}; {out} holds the rest; the same command with --resume goes on"
+        )
 
 
 def _request(options: _Options, config: RunConfig) -> SeatRequest:

@@ -51,7 +51,9 @@ def train_group(options: GroupOptions, run: GroupRun, town: Town) -> int:
     asked = {client.config.learn.select_by for client in run.clients}
     if len(asked) > 1:
         told = ", ".join(sorted(map(escaped, asked)))
-        raise ConfigError(f"clients have different learn.select_by ({told}); expected the same for all")
+        raise ConfigError(
+            f"clients have different learn.select_by ({told}); expected the same for all"
+        )
     (by,) = asked
     if not by or len(run.clients) == 1:
         if options.worlds is not None:
@@ -75,7 +77,9 @@ def _checked(options: GroupOptions, run: GroupRun, by: str) -> Suite | None:
     suite = None
     if by == KPI1 or by in [client.name for client in run.clients]:
         if options.worlds is not None:
-            raise ConfigError(f"--worlds {options.worlds}: --select-by {by} tests nothing; leave --worlds out")
+            raise ConfigError(
+                f"--worlds {options.worlds}: --select-by {by} tests nothing; leave --worlds out"
+            )
     else:
         from wcsim.agents.opening.list_file import open_suite
 
@@ -97,7 +101,9 @@ def _first_phase(run: GroupRun) -> GroupRun:
 
 def _second_phase(run: GroupRun, best: str) -> GroupRun:
     """The rest of the run: the best client goes on, the others stay where they are."""
-    clients = tuple(client if client.name == best else _until_switch(client) for client in run.clients)
+    clients = tuple(
+        client if client.name == best else _until_switch(client) for client in run.clients
+    )
     return replace(run, clients=clients, resume=True, best=best)
 
 
@@ -115,13 +121,17 @@ def _choose(options: GroupOptions, run: GroupRun, by: str, suite: Suite | None) 
             figures = _followed(run) if suite is None else _tested(options, run, suite, by)
             best = by if by in figures else _best_of(figures)
             figures = {
-                name: {key: round(figure, 4) if key == KPI1 else figure for key, figure in own.items()}
+                name: {
+                    key: round(figure, 4) if key == KPI1 else figure for key, figure in own.items()
+                }
                 for name, own in figures.items()
             }  # for people; the choice is made by all digits
             kept = {"list_sha256": suite.sha256} if suite else {}
             # Written last: a run without it compares again, one with it goes on with the second phase.
             (run.out / SELECTION).mkdir(exist_ok=True)
-            write_json(run.out / SELECTION / CHOICE, {"by": by, **kept, "clients": figures, "best": best})
+            write_json(
+                run.out / SELECTION / CHOICE, {"by": by, **kept, "clients": figures, "best": best}
+            )
     except KeyboardInterrupt:
         log.add("comparison_stopped")
         raise InterruptedRunError(
@@ -145,12 +155,18 @@ def _tested(options: GroupOptions, run: GroupRun, suite: Suite, name: str) -> Fi
     from wcsim.agents.opening.named_policy import told_of_rules
     from wcsim.agents.policy_api import UNAIDED
 
-    order = SuiteOrder(suite=suite, out=run.out / SELECTION, jobs=worlds_of(options.worlds), forks=0)
+    order = SuiteOrder(
+        suite=suite, out=run.out / SELECTION, jobs=worlds_of(options.worlds), forks=0
+    )
     told = stderr_console()
     by = f"{suite.file.suite} {suite.file.set}"
-    told.print(f"first phase done; comparing clients on {by}: {counted(suite.episodes, 'episode')} each")
+    told.print(
+        f"first phase done; comparing clients on {by}: {counted(suite.episodes, 'episode')} each"
+    )
 
-    networks = {UNAIDED: ""}  # own code that a policy needs; all that need none share their processes
+    networks = {
+        UNAIDED: ""
+    }  # own code that a policy needs; all that need none share their processes
     for client in run.clients:
         network = client.config.learn.network
         networks[_policy_of(run.out, client.name)] = network if is_own(network) else ""
@@ -160,10 +176,14 @@ def _tested(options: GroupOptions, run: GroupRun, suite: Suite, name: str) -> Fi
     for network in dict.fromkeys(networks.values()):
         policies = [policy for policy, its in networks.items() if its == network]
         found |= run_suite(
-            replace(order, network=network), policies, lambda policy, done, of: say(f"{policy}: {done} of {of} blocks")
+            replace(order, network=network),
+            policies,
+            lambda policy, done, of: say(f"{policy}: {done} of {of} blocks"),
         )
     records = {policy: found[policy] for policy in networks}
-    return _figures_of(save_result(order, name, records), run.out, [client.name for client in run.clients])
+    return _figures_of(
+        save_result(order, name, records), run.out, [client.name for client in run.clients]
+    )
 
 
 def _policy_of(run: Path, client: str) -> str:
@@ -175,7 +195,10 @@ def _figures_of(result: TestResult, run: Path, clients: Sequence[str]) -> Figure
     """What a result says of the clients, in their order."""
     rows = {row.policy: row for row in result.pooled}
     found = {name: rows[_policy_of(run, name)] for name in clients}
-    return {name: {"score": row.score or 0.0, "crashes_own": row.crashes_own} for name, row in found.items()}
+    return {
+        name: {"score": row.score or 0.0, "crashes_own": row.crashes_own}
+        for name, row in found.items()
+    }
 
 
 def _best_of(figures: Figures) -> str:

@@ -14,8 +14,25 @@ from tyro.conf import Positional, arg
 
 from wcsim.agents.clients.group_run import Client, GroupRun, open_clients_folder
 from wcsim.agents.runs.own_code import own_classes, require_own
-from wcsim.agents.runs.run_folder import CONFIG, MANIFEST, Manifest, ResolvedRun, extend, open_run, read_json
-from wcsim.cli.shared.common import Cluster, Repeated, Steps, Worlds, check_folder, machines_of, parse, some_words
+from wcsim.agents.runs.run_folder import (
+    CONFIG,
+    MANIFEST,
+    Manifest,
+    ResolvedRun,
+    extend,
+    open_run,
+    read_json,
+)
+from wcsim.cli.shared.common import (
+    Cluster,
+    Repeated,
+    Steps,
+    Worlds,
+    check_folder,
+    machines_of,
+    parse,
+    some_words,
+)
 from wcsim.cli.shared.run_config import in_town, learning, learns_in_rounds, resolve_run
 from wcsim.cli.training.train import ToldOptions, told, train_in
 from wcsim.config import RunConfig, resolve
@@ -51,15 +68,22 @@ def run(words: list[str]) -> int:
     was = None if "clients" in read_json(options.run, MANIFEST) else open_run(options.run)
     in_rounds = was is not None and learns_in_rounds(was.config)
     if options.cluster and not in_rounds:
-        raise ConfigError(f"--cluster: {options.run} learns from every step, on this machine; leave it out")
+        raise ConfigError(
+            f"--cluster: {options.run} learns from every step, on this machine; leave it out"
+        )
     if was is None:
         return _resume_group(options)
     if options.steps is not None and in_rounds:
         rounds = was.config.collect.rounds
-        raise ConfigError(f"--steps: {options.run} learns in {rounds} rounds, not steps; leave it out")
+        raise ConfigError(
+            f"--steps: {options.run} learns in {rounds} rounds, not steps; leave it out"
+        )
     machines = machines_of(options.cluster, options.worlds, "--worlds")
     again, town = _resumed(options)
-    if was.manifest.status == "done" and again.config.learn.total_steps == was.config.learn.total_steps:
+    if (
+        was.manifest.status == "done"
+        and again.config.learn.total_steps == was.config.learn.total_steps
+    ):
         print(f"note: {_finished(options.run, was.config)}", file=sys.stderr)
     train_in(again, town, verbose=options.verbose, machines=machines)
     return told(options, again)
@@ -90,7 +114,9 @@ def _resumed(options: _Options) -> tuple[ResolvedRun, Town]:
         raise PolicyError(f"{path / CONFIG} does not match the run: changed or damaged; restore it")
     town = _town_of(options, manifest, (run.config.learn.network,))
     steps = _steps_of(options, run.config)
-    if was is not None or steps != run.config.learn.total_steps:  # a process may have ended between two files
+    if (
+        was is not None or steps != run.config.learn.total_steps
+    ):  # a process may have ended between two files
         with locked(path):  # by nobody else at work: a run in use keeps its steps
             extend(path, steps)
         run = open_run(path)
@@ -141,7 +167,9 @@ def _value_of(command: Sequence[str], option: str) -> str | None:
     for number, word in enumerate(command):
         name, equals, value = word.partition("=")
         if name == f"--{option}":
-            found = value if equals else (command[number + 1] if number + 1 < len(command) else None)
+            found = (
+                value if equals else (command[number + 1] if number + 1 < len(command) else None)
+            )
     return found
 
 
@@ -154,9 +182,16 @@ def _town_of(options: _Options, manifest: Manifest, networks: Sequence[str]) -> 
         TownError: One is not found under the name that it had.
     """
     path, command = options.run, manifest.command
-    require_own(path, own_classes(manifest.hook, manifest.rewards, networks), manifest.own_code, options.trust)
+    require_own(
+        path,
+        own_classes(manifest.hook, manifest.rewards, networks),
+        manifest.own_code,
+        options.trust,
+    )
     if command[1:2] == ("join",):
-        raise PolicyError(f"{path} learns in a world that somebody serves; join again: {shlex.join(command)} --resume")
+        raise PolicyError(
+            f"{path} learns in a world that somebody serves; join again: {shlex.join(command)} --resume"
+        )
     said = options.town or _value_of(command, "town") or manifest.town
     try:
         towns = [asked_town(word) for word in some_words("--town", said)]
@@ -164,7 +199,9 @@ def _town_of(options: _Options, manifest: Manifest, networks: Sequence[str]) -> 
     except TownError as error:
         if options.town:
             raise
-        raise TownError(f"{path} was made in the town {said!r}: {error}; give its location: --town FOLDER") from None
+        raise TownError(
+            f"{path} was made in the town {said!r}: {error}; give its location: --town FOLDER"
+        ) from None
     of_run = [manifest.town_sha256, *manifest.more_towns.values()]
     for found in (towns, [towns[0], *kept]):
         if [streets_hash(town) for town in found] != of_run:
@@ -178,5 +215,7 @@ def _steps_of(options: _Options, config: RunConfig) -> int:
     """Steps in all: those of the run, or more. Raises PolicyError for fewer."""
     total = config.learn.total_steps
     if options.steps is not None and options.steps < total:
-        raise PolicyError(f"--steps {options.steps}: {options.run} was made for {total}; expected at least as many")
+        raise PolicyError(
+            f"--steps {options.steps}: {options.run} was made for {total}; expected at least as many"
+        )
     return options.steps or total

@@ -110,10 +110,14 @@ def run(words: list[str]) -> int:
     config = resolve(config, learning(config))
     require_head(config, in_rounds=True)
     require_users(config, (options.set, options.config))
-    return _trained(options, RunInfo(seed=options.seed, command=("wcsim", "train", *words)), config, machines)
+    return _trained(
+        options, RunInfo(seed=options.seed, command=("wcsim", "train", *words)), config, machines
+    )
 
 
-def _trained(options: _TrainingOptions, info: RunInfo, config: RunConfig, machines: Machines | None = None) -> int:
+def _trained(
+    options: _TrainingOptions, info: RunInfo, config: RunConfig, machines: Machines | None = None
+) -> int:
     """Train one network as it was asked for, and say where it is; raises as `placed`, `resolve_run`, `train_in` do."""
     town, info, out = placed(options, info, config)
     made = resolve_run(config, info, town, out)
@@ -128,12 +132,16 @@ def told(options: ToldOptions, run: ResolvedRun) -> int:
     if not learns_in_rounds(run.config):  # rounds write no line an episode
         print_crossings(run.out)
     trained_in = (run.info.town, *run.info.more_towns)
-    print(f"run folder: {run.out}    test it: {how_to_test(run.out, run.config.learn.network, trained_in)}")
+    print(
+        f"run folder: {run.out}    test it: {how_to_test(run.out, run.config.learn.network, trained_in)}"
+    )
     write_json(options.json, {"run": str(run.out), "town": run.info.town, "seed": run.info.seed})
     return Exit.DONE
 
 
-def placed(options: _TrainingOptions, info: RunInfo, config: RunConfig) -> tuple[Town, RunInfo, Path]:
+def placed(
+    options: _TrainingOptions, info: RunInfo, config: RunConfig
+) -> tuple[Town, RunInfo, Path]:
     """The run's own town, what is known of a run with those that take turns with it, and its folder.
 
     Raises:
@@ -166,7 +174,12 @@ def checked_town(name: str, allow_test_town: bool) -> Town:
 
 
 def train_in(
-    run: ResolvedRun, town: Town, *, note: str = "", verbose: bool = False, machines: Machines | None = None
+    run: ResolvedRun,
+    town: Town,
+    *,
+    note: str = "",
+    verbose: bool = False,
+    machines: Machines | None = None,
 ) -> Path:
     """Train one network with a progress bar; returns the run folder."""
     if learns_in_rounds(run.config):
@@ -179,7 +192,11 @@ def train_in(
     notes = (note,) if note else ()
     with StageBar("loading the town") as bar, gone_if_nothing_came_of_it(run.out):
         place = beside(bar.console)
-        announce = cache(lambda: print_overrides(place, town.name, info.overrides, notes, verbose=verbose, kept=True))
+        announce = cache(
+            lambda: print_overrides(
+                place, town.name, info.overrides, notes, verbose=verbose, kept=True
+            )
+        )
         shown = steps_shown(bar)
 
         def show(now: TrainProgress) -> None:
@@ -189,7 +206,12 @@ def train_in(
         def make_env() -> WheelchairEnv:
             towns = tuple(info.more_towns)
             env = WheelchairEnv(
-                town.address, towns=towns, config=config, reward_terms=terms, run=run.out, hook=info.hook
+                town.address,
+                towns=towns,
+                config=config,
+                reward_terms=terms,
+                run=run.out,
+                hook=info.hook,
             )
             env.on_town = lambda word: open_run(run.out).event("town", town=Path(word).name)
             return env
@@ -210,7 +232,12 @@ def _train_rounds_in(run: ResolvedRun, town: Town, machines: Machines, note: str
     with StageBar("driving") as bar:
 
         def show(now: RoundProgress) -> None:
-            bar.rows({row.name: f"segment {row.key}, {row.for_s:.0f} s" if row.key else "free" for row in now.workers})
+            bar.rows(
+                {
+                    row.name: f"segment {row.key}, {row.for_s:.0f} s" if row.key else "free"
+                    for row in now.workers
+                }
+            )
             learns = now.learned > 0 or now.segments == now.of
             at = f"update {now.learned}" if learns else f"segment {now.segments} of {now.of}"
             bar.show(
@@ -233,7 +260,9 @@ def _train_rounds_in(run: ResolvedRun, town: Town, machines: Machines, note: str
         except InterruptedRunError:
             if run.out.exists():
                 raise
-            raise NothingKept("stopped before the first segment was driven; nothing is saved") from None
+            raise NothingKept(
+                "stopped before the first segment was driven; nothing is saved"
+            ) from None
 
 
 def _share_done(now: RoundProgress, config: RunConfig) -> float:
@@ -248,7 +277,9 @@ def _share_done(now: RoundProgress, config: RunConfig) -> float:
     before = 0 if now.round == 0 else drive + now.round * both
     driven = drive * now.segments / max(1, now.of) if now.round == 0 else 0.0
     learned = 1.0 if now.updates else now.learned / danger.updates
-    return (before + driven + learned * (learn if now.round == last else both)) / (drive + last * both + learn)
+    return (before + driven + learned * (learn if now.round == last else both)) / (
+        drive + last * both + learn
+    )
 
 
 def _log(bar: StageBar, now: RoundProgress) -> None:
@@ -292,7 +323,9 @@ def steps_shown(bar: StageBar) -> Callable[[TrainProgress], None]:
     def show(now: TrainProgress) -> None:
         nonlocal tenths
         kpi1 = "" if now.kpi1 is None else f", KPI 1 {now.kpi1:.3f}"
-        step = min(now.step, now.total_steps)  # the last steps are done together, and may be a few more
+        step = min(
+            now.step, now.total_steps
+        )  # the last steps are done together, and may be a few more
         known = f"{reading.counted(now.episodes, 'episode')}, {reading.counted(now.crashes, 'crash')}{kpi1}"
         says, phase = f"{step}/{now.total_steps} steps, {known}", f"phase {now.phase}"
         bar.show(step / now.total_steps, says, phase)
@@ -349,7 +382,10 @@ def run_q(words: list[str]) -> int:
 
 
 def q_layers(
-    asked: LearnerOptions, network: str = "", more: Mapping[str, Any] | None = None, file: Path | None = None
+    asked: LearnerOptions,
+    network: str = "",
+    more: Mapping[str, Any] | None = None,
+    file: Path | None = None,
 ) -> tuple[Layer, ...]:
     """What is laid over the preset to learn as it was asked for; the window is left to `resolve_run`.
 
@@ -366,7 +402,11 @@ def q_layers(
     layers: tuple[Layer, ...] = (asked.config, asked.set, more, named, file)
     config = resolve(asked.preset, *layers)
     if asked.steps is not None:
-        tables = [reading.read_toml(path, SETTINGS).get("learn", {}) for path in (asked.config, file) if path]
+        tables = [
+            reading.read_toml(path, SETTINGS).get("learn", {})
+            for path in (asked.config, file)
+            if path
+        ]
         typed = [key for key in _PARTS if any(sets_key(text, f"learn.{key}") for text in asked.set)]
         own = [key for key in _PARTS if key in typed or any(key in table for table in tables)]
         parts = _shrunk_parts(config.learn, asked.steps, own)

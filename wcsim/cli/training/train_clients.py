@@ -22,7 +22,15 @@ from wcsim.errors import ConfigError
 
 MOST_CLIENTS = 64
 _NETWORK = re.compile(r"[A-Za-z_][\w.-]*(:[A-Za-z_]\w*)?")
-_TAKEN = ("world", "logs", "ledgers", "configs", "journal", "selection", "report")  # names in a run folder
+_TAKEN = (
+    "world",
+    "logs",
+    "ledgers",
+    "configs",
+    "journal",
+    "selection",
+    "report",
+)  # names in a run folder
 
 
 @dataclass(kw_only=True)
@@ -44,7 +52,9 @@ def run(words: list[str]) -> int:
     clients = resolved(options)
     config = clients[0].config
     town, info, out = placed(options, options.info(("wcsim", "train-clients", *words)), config)
-    return train_group(options, GroupRun(clients=clients, out=out, info=in_town(info, town, config)), town)
+    return train_group(
+        options, GroupRun(clients=clients, out=out, info=in_town(info, town, config)), town
+    )
 
 
 def resolved(options: Options) -> tuple[Client, ...]:
@@ -63,7 +73,9 @@ def resolved(options: Options) -> tuple[Client, ...]:
         learn["select_by"] = options.select_by
     clients: list[Client] = []
     for seat, (name, network) in enumerate(zip(names, networks, strict=True)):
-        config = resolve(options.preset, *q_layers(options, network, {"learn": learn}, files.get(name)))
+        config = resolve(
+            options.preset, *q_layers(options, network, {"learn": learn}, files.get(name))
+        )
         require_user(config.env.profile)
         clients.append(Client(name=name, seat=seat, config=config))
     worlds = {client.config.world_digest(): client.name for client in clients}
@@ -87,12 +99,20 @@ def client_names(networks: Sequence[str]) -> tuple[str, ...]:
     used, names = set(_TAKEN), []
     for network in networks:
         if not _NETWORK.fullmatch(network):
-            raise ConfigError(f"client {network[:80]!r} is neither the name of a network nor module:Class")
+            raise ConfigError(
+                f"client {network[:80]!r} is neither the name of a network nor module:Class"
+            )
         if ":" not in network and network not in NETWORK_NAMES:
             known = ", ".join(NETWORK_NAMES)
-            raise ConfigError(f"client: unknown network {network!r}; expected {known}, or module:Class")
+            raise ConfigError(
+                f"client: unknown network {network!r}; expected {known}, or module:Class"
+            )
         base = client_name(network)
-        name = next(n for n in (base, *(f"{base}-{k}" for k in range(2, 2 * MOST_CLIENTS + 9))) if n not in used)
+        name = next(
+            n
+            for n in (base, *(f"{base}-{k}" for k in range(2, 2 * MOST_CLIENTS + 9)))
+            if n not in used
+        )
         used.add(name)
         names.append(name)
     return tuple(names)
@@ -103,6 +123,8 @@ def _files(config_for: Sequence[str], names: Sequence[str]) -> dict[str, Path]:
     for text in config_for:
         name, equals, path = text.partition("=")
         if not equals or name not in names:
-            raise ConfigError(f"--config-for {text!r}: expected NAME=FILE with a NAME of {', '.join(names)}")
+            raise ConfigError(
+                f"--config-for {text!r}: expected NAME=FILE with a NAME of {', '.join(names)}"
+            )
         files[name] = Path(path)
     return files

@@ -72,7 +72,9 @@ def open_server(order: WorldSpec, make: MakesWorld = street_world) -> Opened:
     """
     if not order.run or not order.journal:
         return Opened(
-            world=make(order, (None,) * order.rules.capacity, order.seed, 0), core=ServerCore(order.rules), journal=None
+            world=make(order, (None,) * order.rules.capacity, order.seed, 0),
+            core=ServerCore(order.rules),
+            journal=None,
         )
     path, header = Path(order.run) / JOURNAL, _header(order, has_town=make is street_world)
     parts = part_files(path)
@@ -94,10 +96,14 @@ def _rules_after(order: WorldSpec, last: _LastEpoch) -> Rules:
     if order.begins or last.epoch < 0:
         return order.rules
     most_s = GATHER_AGAIN_S if last.is_over else REGATHER_S
-    return replace(order.rules, expected=max(1, last.seated), gather_s=min(order.rules.gather_s, most_s))
+    return replace(
+        order.rules, expected=max(1, last.seated), gather_s=min(order.rules.gather_s, most_s)
+    )
 
 
-def _begun(order: WorldSpec, make: MakesWorld, journal: LogWriter, epoch: int, rules: Rules) -> Opened:
+def _begun(
+    order: WorldSpec, make: MakesWorld, journal: LogWriter, epoch: int, rules: Rules
+) -> Opened:
     """A fresh world, all seats free."""
     seed = _epoch_seed(order.seed, epoch)
     try:

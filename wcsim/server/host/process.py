@@ -52,7 +52,10 @@ from wcsim.server.transport.shared_images import RingSink
 from wcsim.server.transport.sockets import LOCAL, REMOTE, Heard, ServerSockets
 
 MAX_PEERS = 64
-MESSAGES_PER_S, BURST = 10_000.0, 10_000.0  # a sole master in a world that costs nothing sends 2,500 (measured)
+MESSAGES_PER_S, BURST = (
+    10_000.0,
+    10_000.0,
+)  # a sole master in a world that costs nothing sends 2,500 (measured)
 MOST_FAULTS = 20  # messages that could not be read, or came too fast, after which a peer is not heard any more
 
 
@@ -69,7 +72,9 @@ class _PeerLimits:
     def __init__(self) -> None:
         self._accounts: dict[Peer, _Account] = {}
 
-    def hears(self, peer: Peer, now_s: float, members: Callable[[], Container[Peer]]) -> bool | None:
+    def hears(
+        self, peer: Peer, now_s: float, members: Callable[[], Container[Peer]]
+    ) -> bool | None:
         """Whether a message of a peer may be read now; None when nothing shall even be answered.
 
         Args:
@@ -84,7 +89,9 @@ class _PeerLimits:
                 return None
         if account.faults >= MOST_FAULTS:
             return None
-        account.tokens = min(BURST, account.tokens + MESSAGES_PER_S * (now_s - account.heard_s)) - 1.0
+        account.tokens = (
+            min(BURST, account.tokens + MESSAGES_PER_S * (now_s - account.heard_s)) - 1.0
+        )
         account.heard_s = now_s
         if account.tokens < 0.0:
             account.tokens = 0.0
@@ -103,7 +110,9 @@ class _PeerLimits:
         account = self._accounts.get(peer)
         return account is not None and account.faults >= MOST_FAULTS
 
-    def _opened(self, peer: Peer, now_s: float, members: Callable[[], Container[Peer]]) -> _Account | None:
+    def _opened(
+        self, peer: Peer, now_s: float, members: Callable[[], Container[Peer]]
+    ) -> _Account | None:
         if len(self._accounts) >= MAX_PEERS:
             kept = members()
             strangers = [other for other in self._accounts if other not in kept]
@@ -133,7 +142,9 @@ def _at_the_door(join: m.Join, remote: bool, key: str | None) -> m.Join:
     if not remote:
         return join
     if join.spec.start is not None:
-        raise ProtocolError("only a client on the world's own machine may choose its start; leave it out")
+        raise ProtocolError(
+            "only a client on the world's own machine may choose its start; leave it out"
+        )
     return msgspec.structs.replace(join, pid=0)
 
 
@@ -185,7 +196,11 @@ class _Lifelines(Closing):
         """Whether a signal, as of Ctrl-Z or SIGSTOP, holds the process of a session that is watched."""
         for pid in [pid for pid, mine in self._sessions.items() if session in mine]:
             with contextlib.suppress(OSError):
-                after_name = Path(f"/proc/{pid}/stat").read_text(encoding="ascii", errors="replace").rpartition(") ")[2]
+                after_name = (
+                    Path(f"/proc/{pid}/stat")
+                    .read_text(encoding="ascii", errors="replace")
+                    .rpartition(") ")[2]
+                )
                 return after_name.startswith("T")
         return False
 
@@ -235,8 +250,12 @@ class _EpochCap:
         now_mb = rss_mb()
         self._begun_mb = now_mb if self._begun_mb is None else self._begun_mb
         if now_mb - self._begun_mb > _GROWTH_MB:
-            self._why = f"{EPOCH_OVER}: its process has grown from {self._begun_mb:.0f} to {now_mb:.0f} MB"
-            core.last_tick = 0  # the next full barrier, also of a world that is begun anew meanwhile
+            self._why = (
+                f"{EPOCH_OVER}: its process has grown from {self._begun_mb:.0f} to {now_mb:.0f} MB"
+            )
+            core.last_tick = (
+                0  # the next full barrier, also of a world that is begun anew meanwhile
+            )
 
     @property
     def reached(self) -> str:
@@ -255,7 +274,12 @@ class _ServerLoop:
     """A hub behind its doors; see the module's text."""
 
     def __init__(
-        self, order: WorldSpec, opened: Opened, doors: ServerSockets, lifelines: _Lifelines, reporter: Reporter
+        self,
+        order: WorldSpec,
+        opened: Opened,
+        doors: ServerSockets,
+        lifelines: _Lifelines,
+        reporter: Reporter,
     ) -> None:
         """Nothing is said or heard before `run`. Raises what `RingSink` raises."""
         self._order, self._core = order, opened.core
@@ -263,10 +287,14 @@ class _ServerLoop:
         self._doors, self._lifelines, self._reporter = doors, lifelines, reporter
         # A world without a run folder keeps no journal.
         keep: Keep = (lambda record: None) if opened.journal is None else opened.journal.append
-        self._hub = WorldHost(opened.core, opened.world, self._post, keep, self._ring, reporter.loading)
+        self._hub = WorldHost(
+            opened.core, opened.world, self._post, keep, self._ring, reporter.loading
+        )
         self._clock = AwakeClock(time.monotonic())
         self._peers = _PeerLimits()
-        self._homes: dict[bytes, Peer] = {}  # where each session joined first: whoever repeats its words is another
+        self._homes: dict[
+            bytes, Peer
+        ] = {}  # where each session joined first: whoever repeats its words is another
         self._out: dict[Peer, list[bytes]] = {}
         self._encoded: tuple[m.Reply | None, bytes] = (None, b"")  # the last one said
         self._clock_s = 0.0  # of the last Clock event
@@ -287,7 +315,9 @@ class _ServerLoop:
             reason = asked_to_end()
             while not reason:
                 self._turn()
-                reason = asked_to_end() or ("the process that started it is gone" if self._alone else self._cap.reached)
+                reason = asked_to_end() or (
+                    "the process that started it is gone" if self._alone else self._cap.reached
+                )
             if not self._cap.reached:
                 self._feed(Stop(reason))
         except WcsimError as error:
@@ -315,7 +345,9 @@ class _ServerLoop:
             self._feed(Clock())
             here = {p.session for p in self._core.roll.everyone()}
             self._lifelines.keep(here)
-            self._homes = {session: home for session, home in self._homes.items() if session in here}
+            self._homes = {
+                session: home for session, home in self._homes.items() if session in here
+            }
             self._reporter.report(self._core, self._hub, self._clock.now_s)
             self._cap.weigh()
 
@@ -332,7 +364,9 @@ class _ServerLoop:
         may_speak = self._peers.hears(peer, self._clock.now_s, self._present_peers)
         if not may_speak:
             if may_speak is not None:
-                self._refuse(peer, OverloadedError("too many messages per second; wait for the answers"))
+                self._refuse(
+                    peer, OverloadedError("too many messages per second; wait for the answers")
+                )
             return
         try:
             if heard.key == "":
@@ -352,14 +386,18 @@ class _ServerLoop:
 
     def _sessions_of(self, peers: Container[Peer]) -> list[bytes]:
         """The sessions that began in these connections, which are of no use any more: nobody shall wait for them."""
-        return [p.session for p in self._core.roll.everyone() if self._homes.get(p.session) in peers]
+        return [
+            p.session for p in self._core.roll.everyone() if self._homes.get(p.session) in peers
+        ]
 
     def _refuse(self, peer: Peer, error: WcsimError) -> None:
         """Say why a message was not heard. Of whom nothing is heard any more, that one cannot act."""
         self._doors.send(peer, [m.encode(m.failure_of(error))])
         if self._peers.is_shut_out(peer):
             for session in self._sessions_of((peer,)):
-                self._feed(Lost(session, "it sent too many messages, or too many that could not be read"))
+                self._feed(
+                    Lost(session, "it sent too many messages, or too many that could not be read")
+                )
 
     def _feed(self, event: Event) -> None:
         ticks = self._hub.ticks
@@ -398,7 +436,9 @@ class _ServerLoop:
     def _welcome(self, peer: Peer, welcome: m.Welcome) -> m.Welcome:
         ring = str(self._ring.path(welcome.seat)) if peer.startswith(LOCAL) else ""
         order = self._order
-        return msgspec.structs.replace(welcome, ring=ring, config_json=order.config.model_dump_json(), town=order.town)
+        return msgspec.structs.replace(
+            welcome, ring=ring, config_json=order.config.model_dump_json(), town=order.town
+        )
 
     def _flush(self) -> None:
         for peer, parts in self._out.items():
@@ -439,7 +479,9 @@ def main(words: list[str], make: MakesWorld = street_world) -> int:
         told = told_limit(error)
         if not told:
             raise
-        limit = DiskFullError(told) if getattr(error, "errno", None) in NO_ROOM else ConfigError(told)
+        limit = (
+            DiskFullError(told) if getattr(error, "errno", None) in NO_ROOM else ConfigError(told)
+        )
         reporter.failed(limit)
         return _failed(limit, order.quiet)
     if not reason.startswith(EPOCH_OVER):
@@ -448,7 +490,9 @@ def main(words: list[str], make: MakesWorld = street_world) -> int:
     return WorldExit.EPOCH_OVER
 
 
-def _prepared(order: WorldSpec, make: MakesWorld, reporter: Reporter, held: ExitStack) -> tuple[Opened, _ServerLoop]:
+def _prepared(
+    order: WorldSpec, make: MakesWorld, reporter: Reporter, held: ExitStack
+) -> tuple[Opened, _ServerLoop]:
     """Open the doors first, so that an order that cannot be used fails before the world is loaded."""
     doors = held.enter_context(ServerSockets(order.endpoint, order.listen, order.keys))
     lifelines = held.enter_context(_Lifelines(order.status_fd))

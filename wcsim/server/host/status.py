@@ -45,7 +45,9 @@ class _Stragglers:
         self._pairs: dict[str, dict[str, float]] = {}  # seconds by who waited, and for whom
         self._late: Sequence[str] = ()  # for whom somebody has waited since `_seen_s`
         self._seen_s = 0.0
-        self._shared_s = 0.0  # what each late one has been waited for, summed up over all that were late
+        self._shared_s = (
+            0.0  # what each late one has been waited for, summed up over all that were late
+        )
         self._acted: dict[str, float] = {}  # who waits, and `_shared_s` when they began to
 
     def saw(self, members: Sequence[str], late: Sequence[str], now_s: float) -> None:
@@ -79,20 +81,27 @@ class _Stragglers:
     def waited(self, members: Sequence[str]) -> tuple[tuple[float, ...], ...]:
         """Seconds that each of these members (rows) has waited for each (columns); rows of others are forgotten."""
         self._pairs = {name: self._pairs.get(name, {}) for name in members}
-        return tuple(tuple(round(row.get(whom, 0.0), 2) for whom in members) for row in self._pairs.values())
+        return tuple(
+            tuple(round(row.get(whom, 0.0), 2) for whom in members) for row in self._pairs.values()
+        )
 
 
 def _names_of(members: Sequence[Member]) -> list[str]:
     """The names of members; who bears the name of one on a lower seat is told with its own."""
     first = {mate.name: mate.seat for mate in sorted(members, key=lambda mate: -mate.seat)}
-    return [mate.name if first[mate.name] == mate.seat else f"{mate.name} (seat {mate.seat})" for mate in members]
+    return [
+        mate.name if first[mate.name] == mate.seat else f"{mate.name} (seat {mate.seat})"
+        for mate in members
+    ]
 
 
 def _names_and_late(core: ServerCore, members: Sequence[Member]) -> tuple[list[str], list[str]]:
     """The names of members, and of those of them that the others wait for."""
     names = _names_of(members)
     waits = core.stage is BarrierState.COLLECT
-    return names, [name for name, mate in zip(names, members, strict=True) if waits and not mate.ready]
+    return names, [
+        name for name, mate in zip(names, members, strict=True) if waits and not mate.ready
+    ]
 
 
 class Reporter:
@@ -121,7 +130,9 @@ class Reporter:
         """An event was dealt with: note how long the step was, and who is waited for from now on."""
         if stepped_s > 0.0:
             self._steps_s.append(stepped_s)
-            self._holdups.saw((), (), now_s - stepped_s)  # the last one's action and the step are one event
+            self._holdups.saw(
+                (), (), now_s - stepped_s
+            )  # the last one's action and the step are one event
         acted = isinstance(event, Received) and isinstance(event.message, Act)
         if acted or stepped_s > 0.0 or isinstance(event, Clock):
             names, late = _names_and_late(core, core.roll.members)
@@ -137,7 +148,11 @@ class Reporter:
         members = core.roll.by_seat()
         names, late = _names_and_late(core, members)
         master = core.roll.master
-        owing = [mate for mate in members if not mate.ready] if core.stage is BarrierState.COLLECT else []
+        owing = (
+            [mate for mate in members if not mate.ready]
+            if core.stage is BarrierState.COLLECT
+            else []
+        )
         self._say(
             WorldStatus(
                 stage=core.stage.value,

@@ -101,7 +101,11 @@ class WorldHost:
                 raise
             return self._refuse(admit.seat, _as_refusal(error), now_s)
         self._frames[admit.seat] = client
-        self._keep(Admitted(epoch=now.epoch, tick=now.tick, seat=admit.seat, spec=admit.spec, name=admit.name))
+        self._keep(
+            Admitted(
+                epoch=now.epoch, tick=now.tick, seat=admit.seat, spec=admit.spec, name=admit.name
+            )
+        )
         return []
 
     def _refuse(self, seat: int, error: WcsimError, now_s: float) -> list[ev.Effect]:
@@ -120,7 +124,9 @@ class WorldHost:
         now = self.world.snapshot
         self.world.dismiss(dismiss.seat)
         self._frames.pop(dismiss.seat, None)
-        self._keep(Dismissed(epoch=now.epoch, tick=now.tick, seat=dismiss.seat, reason=dismiss.reason))
+        self._keep(
+            Dismissed(epoch=now.epoch, tick=now.tick, seat=dismiss.seat, reason=dismiss.reason)
+        )
 
     def _respawn(self, respawn: ev.RespawnSeats) -> None:
         now = self.world.snapshot

@@ -35,5 +35,9 @@ class RunLog:
     def _end_torn_line(self) -> None:
         """What a killed process has left half written stays a line of its own."""
         with contextlib.suppress(OSError), self._path.open("rb+") as file:
-            if file.seek(0, os.SEEK_END) and file.seek(-1, os.SEEK_END) >= 0 and file.read(1) != b"\n":
+            if (
+                file.seek(0, os.SEEK_END)
+                and file.seek(-1, os.SEEK_END) >= 0
+                and file.read(1) != b"\n"
+            ):
                 file.write(b"\n")

@@ -16,7 +16,14 @@ from pathlib import Path
 from wcsim.core.processes import StopSignals
 from wcsim.server.launch.awake_clock import AwakeClock
 from wcsim.server.launch.event_log import RunLog
-from wcsim.server.launch.states import ClientPlan, ClientState, LaunchOutcome, LaunchRules, LaunchState, WorldPlan
+from wcsim.server.launch.states import (
+    ClientPlan,
+    ClientState,
+    LaunchOutcome,
+    LaunchRules,
+    LaunchState,
+    WorldPlan,
+)
 from wcsim.server.launch.supervised import SupervisedClient, SupervisedWorld
 
 LOOK_S = 0.1
@@ -62,8 +69,12 @@ class Launcher:
         self._show = show
         self._selector = selectors.DefaultSelector()
         self._log = log = RunLog(folder)
-        self._clients = [SupervisedClient(plan, self._rules, self._selector, log) for plan in clients]
-        self._world = None if world is None else SupervisedWorld(world, self._rules, self._selector, log)
+        self._clients = [
+            SupervisedClient(plan, self._rules, self._selector, log) for plan in clients
+        ]
+        self._world = (
+            None if world is None else SupervisedWorld(world, self._rules, self._selector, log)
+        )
         self._all: list[SupervisedWorld | SupervisedClient] = [*self._clients]
         if self._world is not None:
             self._all.insert(0, self._world)
@@ -78,7 +89,9 @@ class Launcher:
 
     def run(self) -> LaunchOutcome:
         """Start everything, and return when nothing of it runs any more."""
-        clock = AwakeClock(time.monotonic())  # a launcher that was stopped has not waited for anybody
+        clock = AwakeClock(
+            time.monotonic()
+        )  # a launcher that was stopped has not waited for anybody
         try:
             with nullcontext() if self._given is not None else self._heard:
                 for process in self._all:
@@ -120,7 +133,9 @@ class Launcher:
             self._world.look(now_s)
         self._ticked |= self._ticks
         for client in self._clients:
-            client.see(self._world.status if self._world is not None and self._world.running else None)
+            client.see(
+                self._world.status if self._world is not None and self._world.running else None
+            )
             client.look(now_s)
         if self._signals > 1:
             for process in self._all:
@@ -176,7 +191,9 @@ class Launcher:
             self._go(_LaunchStep.OVER, now_s)
             return
         status, waited_s = self._world.status, now_s - self._since_s
-        if not self._asked_world and (status is None or not status.members or waited_s > self._rules.leaving_s):
+        if not self._asked_world and (
+            status is None or not status.members or waited_s > self._rules.leaving_s
+        ):
             self._asked_world = True
             self._world.ask_to_end()
         elif waited_s > self._rules.ending_s:
@@ -198,7 +215,9 @@ class Launcher:
     # --- what it shows ---
 
     def _show_state(self, now_s: float) -> None:
-        if self._show is None or (now_s - self._shown_s < SHOW_S and self._step is not _LaunchStep.OVER):
+        if self._show is None or (
+            now_s - self._shown_s < SHOW_S and self._step is not _LaunchStep.OVER
+        ):
             return
         self._shown_s = now_s
         world = self._world

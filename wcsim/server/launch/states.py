@@ -38,8 +38,12 @@ class WorldStatus:
     late: tuple[str, ...] = ()  # for whom the barrier waits
     late_s: float = 0.0  # since when
     rss_mb: float = 0.0
-    held: tuple[Held, ...] = ()  # over the life of this process, by seat; those who left are not in it
-    waited_s: tuple[tuple[float, ...], ...] = ()  # what each of `members` (rows) has waited for each (columns)
+    held: tuple[
+        Held, ...
+    ] = ()  # over the life of this process, by seat; those who left are not in it
+    waited_s: tuple[
+        tuple[float, ...], ...
+    ] = ()  # what each of `members` (rows) has waited for each (columns)
     listening: str = ""  # the address for clients on other machines
 
 
@@ -66,7 +70,9 @@ class ClientStatus:
 class RestartRules:
     """How patient a launcher is with a process."""
 
-    first_s: float = 0.5  # before the first restart; twice as long before each further one without progress
+    first_s: float = (
+        0.5  # before the first restart; twice as long before each further one without progress
+    )
     longest_s: float = 30.0
     deaths: int = 5  # without progress; then it is given up
 
@@ -153,7 +159,9 @@ class LaunchRules:
     world_lease_s: float = 10.0  # a world that says nothing for so long hangs ...
     loading_lease_s: float = 300.0  # ... unless it has not done a tick yet
     held_s: float = 2.0  # ... or a signal holds it, which nothing ends by itself
-    client_lease_s: float = 120.0  # a client that the world gave up, and that lives on without its seat
+    client_lease_s: float = (
+        120.0  # a client that the world gave up, and that lives on without its seat
+    )
     joining_s: float = 600.0  # a client that never took its seat
     saving_s: float = 300.0  # clients that were asked to end, with all their replay to write
     leaving_s: float = 2.0  # for the world to hear that all clients have left

@@ -124,7 +124,9 @@ class Child(subprocess.Popen[bytes]):
         with self._log.open("rb") as file:
             file.seek(max(self._log_begin, self._log.stat().st_size - _READ_BYTES))
             lines = file.read().decode(errors="replace").splitlines()
-        told = [line for line in lines if line.startswith("wcsim: ")] or [line for line in lines if line.strip()]
+        told = [line for line in lines if line.startswith("wcsim: ")] or [
+            line for line in lines if line.strip()
+        ]
         return told[-1].removeprefix("wcsim: ") if told else ""
 
     def _stop_reading(self) -> None:
@@ -158,7 +160,9 @@ def _write_order(path: Path, line: bytes) -> None:
         path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         path.write_bytes(line)
     except OSError as error:
-        raise DiskFullError(f"{path}: an order could not be written ({error.strerror}); make room") from None
+        raise DiskFullError(
+            f"{path}: an order could not be written ({error.strerror}); make room"
+        ) from None
 
 
 Status = TypeVar("Status", ClientStatus, WorldStatus)
@@ -286,7 +290,9 @@ class _Supervised(ABC, Generic[Status]):
     def _recovered(self, now_s: float, **told: int) -> None:
         """It works: say so when it had died."""
         if self._died_s is not None:
-            self._log.add("recovery", who=self._name, after_s=round(now_s - self._died_s, 3), **told)
+            self._log.add(
+                "recovery", who=self._name, after_s=round(now_s - self._died_s, 3), **told
+            )
             self._died_s = None
 
     def _died(self, code: int, words: str, now_s: float, **told: int) -> str:
@@ -325,7 +331,9 @@ MOST_LEFT_ALONE = 20  # deaths for want of a world that a client is forgiven
 class SupervisedClient(_Supervised[ClientStatus]):
     """Also ends a client that hangs, and forgives one that died for want of a world."""
 
-    def __init__(self, plan: ClientPlan, rules: LaunchRules, selector: selectors.BaseSelector, log: RunLog) -> None:
+    def __init__(
+        self, plan: ClientPlan, rules: LaunchRules, selector: selectors.BaseSelector, log: RunLog
+    ) -> None:
         super().__init__(plan.name, ClientStatus, plan.log, rules.client, selector, log)
         self.plan, self._rules = plan, rules
         self.reason = self.unsaved = ""
@@ -333,9 +341,13 @@ class SupervisedClient(_Supervised[ClientStatus]):
         self._world: WorldStatus | None = None  # as last seen
         self._best_step = 0  # of the lives before this one
         self._left_alone = 0  # deaths in a row that were the world's fault
-        self._seat_epoch: int | None = None  # of the world in which it had its seat last in this life
+        self._seat_epoch: int | None = (
+            None  # of the world in which it had its seat last in this life
+        )
         self._gathering = False  # its world waits for all to come
-        self._unseated_s: float | None = None  # since when the world has gone on without it, or has waited for all
+        self._unseated_s: float | None = (
+            None  # since when the world has gone on without it, or has waited for all
+        )
 
     @property
     def settled(self) -> bool:
@@ -400,7 +412,9 @@ class SupervisedClient(_Supervised[ClientStatus]):
             self._replace(words, now_s, step=self._step)
         elif code == ClientExit.USER_ERROR:
             self.reason = words
-            self.fault = words or f"client {self.plan.name} {_how_it_ended(code)}; see {self.plan.log}"
+            self.fault = (
+                words or f"client {self.plan.name} {_how_it_ended(code)}; see {self.plan.log}"
+            )
             self._settle("given up", "refused", reason=words)
         elif code == ClientExit.DISK_FULL:
             self.reason = f"has no disk space to save: {words}"
@@ -410,7 +424,9 @@ class SupervisedClient(_Supervised[ClientStatus]):
 
     def _crashed(self, code: int, words: str, now_s: float) -> None:
         no_world = self._world is None or self._world.stage == "loading"
-        self._left_alone = self._left_alone + 1 if code == ClientExit.SERVER_GONE and no_world else 0
+        self._left_alone = (
+            self._left_alone + 1 if code == ClientExit.SERVER_GONE and no_world else 0
+        )
         excused = 0 < self._left_alone <= MOST_LEFT_ALONE  # it could not have done better
         progressed = self._step > self._best_step or excused
         self._best_step = max(self._best_step, self._step)
@@ -422,8 +438,15 @@ class SupervisedClient(_Supervised[ClientStatus]):
     def _watch(self, child: Child, now_s: float) -> None:
         """End a client that the world gives no seat to, or took it from, and that does not notice by itself."""
         world, begun, seated = self._world, self._gathering, self._seat_epoch is not None
-        self._gathering = world is not None and world.stage == "empty" and world.epoch != self._seat_epoch
-        if world is None or world.stage == "loading" or self._gathering != begun or (self._gathering and not seated):
+        self._gathering = (
+            world is not None and world.stage == "empty" and world.epoch != self._seat_epoch
+        )
+        if (
+            world is None
+            or world.stage == "loading"
+            or self._gathering != begun
+            or (self._gathering and not seated)
+        ):
             self._unseated_s = None
         elif self.plan.name in world.members:
             self._seat_epoch, self._unseated_s = world.epoch, None
@@ -448,7 +471,9 @@ A_START = 10  # ticks; a life that ends before has achieved nothing
 class SupervisedWorld(_Supervised[WorldStatus]):
     """Also ends a world that hangs, and gives one up that dies again and again at the same tick."""
 
-    def __init__(self, plan: WorldPlan, rules: LaunchRules, selector: selectors.BaseSelector, log: RunLog) -> None:
+    def __init__(
+        self, plan: WorldPlan, rules: LaunchRules, selector: selectors.BaseSelector, log: RunLog
+    ) -> None:
         super().__init__(WORLD, WorldStatus, plan.log, rules.world, selector, log)
         self._plan, self._rules = plan, rules
         self._heard_s = 0.0
@@ -468,7 +493,9 @@ class SupervisedWorld(_Supervised[WorldStatus]):
         self._plan.order_file.unlink(missing_ok=True)
 
     def _command(self, status_fd: int) -> tuple[str, ...]:
-        _write_order(self._plan.order_file, self._plan.order(status_fd, not self._loaded, self._listening))
+        _write_order(
+            self._plan.order_file, self._plan.order(status_fd, not self._loaded, self._listening)
+        )
         return self._plan.argv
 
     def _begun(self, now_s: float) -> None:
@@ -494,7 +521,9 @@ class SupervisedWorld(_Supervised[WorldStatus]):
         silent_s = now_s - self._heard_s
         # One that loads says nothing for long: how long it has been held is counted apart.
         self._held_s = (now_s if self._held_s is None else self._held_s) if child.held else None
-        if silent_s > lease_s or (self._held_s is not None and now_s - self._held_s > self._rules.held_s):
+        if silent_s > lease_s or (
+            self._held_s is not None and now_s - self._held_s > self._rules.held_s
+        ):
             self._hangs(child, silent_s=round(silent_s, 3))
             self._heard_s = now_s
 
@@ -521,7 +550,8 @@ class SupervisedWorld(_Supervised[WorldStatus]):
         self._death_tick = tick
         if not self._start_later(now_s, progressed):
             self._give_up(
-                f"the world died {self._in_vain} times at tick {tick} ({reason}); see {self._log_file}", False
+                f"the world died {self._in_vain} times at tick {tick} ({reason}); see {self._log_file}",
+                False,
             )
 
     def _give_up(self, fault: str, refused: bool) -> None:

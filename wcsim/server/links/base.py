@@ -249,7 +249,12 @@ class WorldLink(Seat):
     @property
     def waits(self) -> Waits:
         """See `Seat`."""
-        return Waits(steps=self._steps, simulation_s=self._simulation_s, link_s=self._link_s, worked_s=self._worked_s)
+        return Waits(
+            steps=self._steps,
+            simulation_s=self._simulation_s,
+            link_s=self._link_s,
+            worked_s=self._worked_s,
+        )
 
     def wait_less(self) -> None:
         """See `Seat`."""
@@ -310,11 +315,15 @@ class WorldLink(Seat):
         while self.core.waiting and self._error is None:
             self._pump()
             if self._waits_no_more and self.core.waiting and self._error is None:
-                self._error = ServerGoneError("the world does not answer, and this client was requested to stop")
+                self._error = ServerGoneError(
+                    "the world does not answer, and this client was requested to stop"
+                )
         self._link_s += time.perf_counter() - begun_s
         self._raise_error()
         if self._frame is None:
-            raise ProtocolError("there is no pending request; call join(), act() or respawn() first")
+            raise ProtocolError(
+                "there is no pending request; call join(), act() or respawn() first"
+            )
         return self._frame
 
     def _raise_error(self) -> None:
@@ -348,6 +357,8 @@ def open_group(order: WorldOrder) -> SeatGroup:
         from wcsim.server.links.local import LocalGroup
 
         return LocalGroup(order)
-    from wcsim.server.links.socket import ProcessGroup  # ZeroMQ is loaded only when a second world is asked for
+    from wcsim.server.links.socket import (
+        ProcessGroup,
+    )  # ZeroMQ is loaded only when a second world is asked for
 
     return ProcessGroup(order)

@@ -150,4 +150,6 @@ class LocalGroup(SeatGroup):
         self._connect()
 
     def _connect(self) -> None:
-        self.links = [_LocalSeat(self.home, seat, self._order.seat) for seat in range(self._order.seats)]
+        self.links = [
+            _LocalSeat(self.home, seat, self._order.seat) for seat in range(self._order.seats)
+        ]

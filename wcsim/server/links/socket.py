@@ -58,7 +58,11 @@ _OPTIONS = {
     zmq.RECONNECT_IVL: 50,
     zmq.RECONNECT_IVL_MAX: 1000,
 }
-_REFUSED = zmq.EVENT_HANDSHAKE_FAILED_AUTH | zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL | zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL
+_REFUSED = (
+    zmq.EVENT_HANDSHAKE_FAILED_AUTH
+    | zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL
+    | zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL
+)
 _MADE, _LOST = zmq.EVENT_HANDSHAKE_SUCCEEDED, zmq.EVENT_DISCONNECTED
 
 
@@ -82,7 +86,9 @@ class SocketSeat(WorldLink):
         self._let_go = weakref.finalize(self, self._context.destroy, 0)
         self._ring: RingView | None = None
         self._welcome: m.Welcome | None = None
-        self._cut_s: float | None = None  # since when a connection is missing; infinite once that was said
+        self._cut_s: float | None = (
+            None  # since when a connection is missing; infinite once that was said
+        )
         self._said_leave = False
         try:
             self._socket = self._context.socket(zmq.DEALER)
@@ -119,7 +125,11 @@ class SocketSeat(WorldLink):
 
     def _listen(self, recalled: threading.Event) -> float:
         """Hear the world until what is waited for is there; returns when that was."""
-        while self.core.waiting and self._error is None and not (recalled.is_set() or self._waits_no_more):
+        while (
+            self.core.waiting
+            and self._error is None
+            and not (recalled.is_set() or self._waits_no_more)
+        ):
             self._pump()
         return time.perf_counter()
 
@@ -132,7 +142,9 @@ class SocketSeat(WorldLink):
     def _pump(self) -> None:
         try:
             more = True
-            while more:  # measured: to ask the socket whether there is more takes longer than to receive
+            while (
+                more
+            ):  # measured: to ask the socket whether there is more takes longer than to receive
                 part = self._socket.recv(copy=False)
                 more = part.more
                 self.hear(m.decode_reply(part.bytes, self._ring))
@@ -142,13 +154,17 @@ class SocketSeat(WorldLink):
 
     def _open_frame(self, seen: FrameSeen) -> ClientSnapshot | None:
         if seen.slot >= 0 and self._ring is None:
-            raise ProtocolError(f"a frame has pictures in slot {seen.slot}, but the server named no shared memory")
+            raise ProtocolError(
+                f"a frame has pictures in slot {seen.slot}, but the server named no shared memory"
+            )
         return seen.client
 
     def _welcomed(self, welcome: m.Welcome) -> None:
         self._welcome = welcome
         if welcome.ring and not self._order.endpoint.startswith("ipc://"):
-            raise ProtocolError("the server named a file of this machine; over the network it must not")
+            raise ProtocolError(
+                "the server named a file of this machine; over the network it must not"
+            )
         self._ring = RingView(Path(welcome.ring)) if welcome.ring else None
 
     def _end(self) -> None:
@@ -156,7 +172,9 @@ class SocketSeat(WorldLink):
         deadline_s = time.monotonic() + _BYE_S
         while self._said_leave and time.monotonic() < deadline_s:
             with contextlib.suppress(zmq.Again, ProtocolError):
-                if any(self._is_bye(m.decode_reply(part)) for part in self._socket.recv_multipart()):
+                if any(
+                    self._is_bye(m.decode_reply(part)) for part in self._socket.recv_multipart()
+                ):
                     break
         self._let_go()
 
@@ -175,24 +193,36 @@ class SocketSeat(WorldLink):
                 self._cut_s = None
             elif event["event"] == _LOST:
                 self._cut_s = self._now_s() if self._cut_s is None else self._cut_s
-            elif self.core.phase is ClientPhase.JOINING and not self._order.endpoint.startswith("ipc://"):
-                raise AccessError(_refusal(self._order.endpoint, self._order.keys, event["event"], event["value"]))
+            elif self.core.phase is ClientPhase.JOINING and not self._order.endpoint.startswith(
+                "ipc://"
+            ):
+                raise AccessError(
+                    _refusal(self._order.endpoint, self._order.keys, event["event"], event["value"])
+                )
         endpoint = self._order.endpoint
         is_local = endpoint.startswith("ipc://")
-        if self._cut_s is not None and is_local and is_abandoned(Path(endpoint.removeprefix("ipc://")).parent):
+        if (
+            self._cut_s is not None
+            and is_local
+            and is_abandoned(Path(endpoint.removeprefix("ipc://")).parent)
+        ):
             self.wait_less()  # who started that world is gone, too: nobody starts it again
-        if self._welcome is not None and self._cut_s is not None and self._now_s() - self._cut_s > _CUT_S:
+        if (
+            self._welcome is not None
+            and self._cut_s is not None
+            and self._now_s() - self._cut_s > _CUT_S
+        ):
             self._cut_s = math.inf
-            log.warning("wcsim: the connection to %s was lost; trying to join again", self._order.endpoint)
+            log.warning(
+                "wcsim: the connection to %s was lost; trying to join again", self._order.endpoint
+            )
 
 
 def _refusal(endpoint: str, keys: str, event: int, code: int) -> str:
     """Why a server let nobody in, by ZeroMQ's event and its number, and what to do."""
     refused = f"{endpoint} refused the connection"
     if event == zmq.EVENT_HANDSHAKE_FAILED_AUTH:
-        return (
-            f"{refused}: the server does not know the public key in {keys}; use a key made on the server (--make-keys)"
-        )
+        return f"{refused}: the server does not know the public key in {keys}; use a key made on the server (--make-keys)"
     if not keys:
         return f"{refused}: the server needs a key; get one from its operator and use --keys FOLDER"
     if code == zmq.PROTOCOL_ERROR_ZMTP_MECHANISM_MISMATCH:
@@ -274,7 +304,9 @@ class _WorldChild:
         """Raise LinkClosedError when the process has ended."""
         code = self.process.poll()
         if code is not None:
-            raise LinkClosedError(f"the world process ended with code {code}; its messages above say why")
+            raise LinkClosedError(
+                f"the world process ended with code {code}; its messages above say why"
+            )
 
     def _await_world(self) -> None:
         deadline_s = time.monotonic() + _OPEN_TIMEOUT_S

@@ -83,7 +83,11 @@ class Barrier:
     def advance(self, now_s: float) -> None:
         """Go on when nobody owes anything: first with respawns, then through the full barrier."""
         members = self.roll.members
-        if self.stage is not ev.BarrierState.COLLECT or not members or not all([mate.ready for mate in members]):
+        if (
+            self.stage is not ev.BarrierState.COLLECT
+            or not members
+            or not all([mate.ready for mate in members])
+        ):
             return
         again = [mate for mate in self.roll.by_seat() if mate.respawning]
         if again:
@@ -103,13 +107,17 @@ class Barrier:
         """All have acted, and the chairs that were to go are gone: the world moves."""
         self.stage = ev.BarrierState.STEPPING
         actions = [(mate.seat, mate.action) for mate in self.roll.by_seat()]
-        commands = tuple(Command(seat=s, tick=self.tick, joystick=a) for s, a in actions if a is not None)
+        commands = tuple(
+            Command(seat=s, tick=self.tick, joystick=a) for s, a in actions if a is not None
+        )
         self.out.append(ev.Step(self.tick, commands))
 
     def commit(self, tick: int, now_s: float, step_s: float = 0.0) -> None:
         """The world has reached `tick`: everybody hears of it and gets a frame, then those who wait come in."""
         if self.stage is not ev.BarrierState.STEPPING or tick != self.tick + 1:
-            raise ProtocolError(f"the world reports tick {tick} in stage {self.stage.value}; expected {self.tick + 1}")
+            raise ProtocolError(
+                f"the world reports tick {tick} in stage {self.stage.value}; expected {self.tick + 1}"
+            )
         self.tick = tick
         self._begin_tick(now_s)
         members = self.roll.by_seat()
@@ -130,7 +138,9 @@ class Barrier:
         self.out.append(ev.RebuildWorld(self.epoch, seed))
         self._begin_tick(now_s)
         for mate in self.roll.by_seat():
-            self.send(mate.peer, m.Restarted(self.epoch, f"the world was restarted with seed {seed}"))
+            self.send(
+                mate.peer, m.Restarted(self.epoch, f"the world was restarted with seed {seed}")
+            )
             self.show(mate)
 
     # --- who goes ---
@@ -179,7 +189,10 @@ class Barrier:
 
     def welcome(self, member: Member) -> None:
         """Tell a client that it is in, and show it what its seat sees."""
-        self.send(member.peer, m.Welcome(member.session, self.epoch, self.tick, member.seat, self._master_seat))
+        self.send(
+            member.peer,
+            m.Welcome(member.session, self.epoch, self.tick, member.seat, self._master_seat),
+        )
         self.show(member)
 
     def show(self, member: Member) -> None:
@@ -212,7 +225,9 @@ class Barrier:
         if silent_s > self.rules.lease_s:
             return f"no sign of progress for {silent_s:.0f} s"
         limit_s = self.rules.max_think_s
-        late = limit_s is not None and mate.thought_s + owes_s > limit_s  # a new life gives no new time
+        late = (
+            limit_s is not None and mate.thought_s + owes_s > limit_s
+        )  # a new life gives no new time
         return f"no action within {limit_s:g} s" if late else ""
 
     def _tell(self, now_s: float) -> None:

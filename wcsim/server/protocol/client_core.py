@@ -77,7 +77,11 @@ class FrameSeen:
 Outcome = m.Request | FrameSeen | WcsimError | m.Welcome
 """A message to send; a frame; what failed, for the driver; that the client has its seat, with its shared memory."""
 _IDLE = (ClientPhase.OFF, ClientPhase.THINK, ClientPhase.GONE)
-_WAITS_OF = {m.Act: ClientPhase.WAIT_TICK, m.Respawn: ClientPhase.WAIT_RESPAWN, m.Rebuild: ClientPhase.WAIT_FIRST}
+_WAITS_OF = {
+    m.Act: ClientPhase.WAIT_TICK,
+    m.Respawn: ClientPhase.WAIT_RESPAWN,
+    m.Rebuild: ClientPhase.WAIT_FIRST,
+}
 
 
 class ClientCore:
@@ -103,7 +107,9 @@ class ClientCore:
     def join(self, now_s: float) -> list[Outcome]:
         """Ask for the seat. Raises ProtocolError when the client has one, or has left."""
         if self.phase is not ClientPhase.OFF:
-            raise ProtocolError(f"join() in phase {self.phase.value!r}; expected a client that is off")
+            raise ProtocolError(
+                f"join() in phase {self.phase.value!r}; expected a client that is off"
+            )
         self._asked_s = self._heard_s = now_s
         return self._knock(now_s)
 
@@ -117,7 +123,9 @@ class ClientCore:
             raise ProtocolError(f"an action for tick {tick}; the seat is at tick {self.tick}")
         if not (-1.0 <= joystick.x <= 1.0 and -1.0 <= joystick.y <= 1.0):
             raise BadActionError(f"joystick ({joystick.x}, {joystick.y}); expected both in -1 to 1")
-        return self._request(m.Act(self.session, self.epoch, tick, self.life, joystick.x, joystick.y), now_s)
+        return self._request(
+            m.Act(self.session, self.epoch, tick, self.life, joystick.x, joystick.y), now_s
+        )
 
     def respawn(self, now_s: float) -> list[Outcome]:
         """Begin the next episode without a tick. Raises ProtocolError while something else is waited for."""
@@ -190,7 +198,9 @@ class ClientCore:
         if now_s - self._asked_s > self.patience.tick_s:
             whom = ", ".join(self.late) or "other clients"
             self.phase = ClientPhase.GONE
-            return [TickTimeoutError(f"no tick for {now_s - self._asked_s:.0f} s: waiting for {whom}")]
+            return [
+                TickTimeoutError(f"no tick for {now_s - self._asked_s:.0f} s: waiting for {whom}")
+            ]
         if min(silent_s, now_s - self._sent_s) < self.patience.resend_s:
             return []
         if self.pending is None or self.phase is ClientPhase.JOINING:
@@ -240,12 +250,22 @@ class ClientCore:
         return [welcome]
 
     def _tick_done(self, done: m.TickDone) -> list[Outcome]:
-        early = self.phase in (ClientPhase.JOINING, ClientPhase.WAIT_FIRST)  # a frame comes next, from wherever it is
+        early = self.phase in (
+            ClientPhase.JOINING,
+            ClientPhase.WAIT_FIRST,
+        )  # a frame comes next, from wherever it is
         if early or (done.epoch, done.tick) <= (self.epoch, self.tick) or self._ahead == done.tick:
             return []
-        if self.phase is not ClientPhase.WAIT_TICK or (done.epoch, done.tick) != (self.epoch, self.tick + 1):
+        if self.phase is not ClientPhase.WAIT_TICK or (done.epoch, done.tick) != (
+            self.epoch,
+            self.tick + 1,
+        ):
             return self._broken(f"the server is at epoch {done.epoch}, tick {done.tick}")
-        self.phase, self._ahead, self._master_seat = ClientPhase.WAIT_SENSORS, done.tick, done.master
+        self.phase, self._ahead, self._master_seat = (
+            ClientPhase.WAIT_SENSORS,
+            done.tick,
+            done.master,
+        )
         return []
 
     def _frame(self, frame: m.Frame) -> list[Outcome]:
@@ -297,8 +317,14 @@ class ClientCore:
         if failure.error == NotMasterError.__name__ and not isinstance(self.pending, m.Rebuild):
             return []  # this one had its answer before
         error = m.error_of(failure)
-        if isinstance(error, SeatTakenError) and self.ask.seat == m.ANY_SEAT and self.seat != m.ANY_SEAT:
-            self.seat = m.ANY_SEAT  # the seat it once had is another's in this world; any other one will do
+        if (
+            isinstance(error, SeatTakenError)
+            and self.ask.seat == m.ANY_SEAT
+            and self.seat != m.ANY_SEAT
+        ):
+            self.seat = (
+                m.ANY_SEAT
+            )  # the seat it once had is another's in this world; any other one will do
             return self._knock(now_s)
         if self.phase is ClientPhase.JOINING or isinstance(error, EvictedError):
             self.phase = ClientPhase.OFF

@@ -31,12 +31,18 @@ class Rules:
     """What a server allows; seconds are of the host's clock."""
 
     capacity: int  # seats
-    config: str = ""  # hash of the world's configuration; a client that states another one is refused
+    config: str = (
+        ""  # hash of the world's configuration; a client that states another one is refused
+    )
     expected: int = 1  # clients without whom the first tick is not begun ...
     gather_s: float = 120.0  # ... unless so much time is over
-    lease_s: float = 120.0  # a client that owes an action and shows no progress for so long is given up
+    lease_s: float = (
+        120.0  # a client that owes an action and shows no progress for so long is given up
+    )
     notice_s: float = 1.0  # how often those who wait are told for whom
-    max_think_s: float | None = None  # a client that takes longer for an action is given up, alive or not
+    max_think_s: float | None = (
+        None  # a client that takes longer for an action is given up, alive or not
+    )
     recordings: tuple[str, ...] | None = ()  # "recorded:FILE" that clients may ask for; None: any
 
 

@@ -19,7 +19,9 @@ def told_limit(error: BaseException) -> str:
     """What to do about an error of the system that is one of a limit; "" for any other."""
     number = getattr(error, "errno", None)
     if number in NO_ROOM:
-        return f"the disk is full ({error}); make room, then continue (a training: wcsim resume RUN)"
+        return (
+            f"the disk is full ({error}); make room, then continue (a training: wcsim resume RUN)"
+        )
     if number in _NO_FILES:
         soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
         return f"a process may open {soft} files, which is too few ({error}); try again after: ulimit -n 1024"

@@ -74,11 +74,15 @@ class Roster:
 
     def others_of(self, peer: Peer, claim: bytes) -> bool:
         """Whether somebody of another claim speaks through the same connection."""
-        return any(entry.peer == peer and (not claim or entry.claim != claim) for entry in self.everyone())
+        return any(
+            entry.peer == peer and (not claim or entry.claim != claim) for entry in self.everyone()
+        )
 
     def claimed(self, claim: bytes) -> int | None:
         """The seat that somebody with this claim has or waits for."""
-        return next((entry.seat for entry in self.everyone() if claim and entry.claim == claim), None)
+        return next(
+            (entry.seat for entry in self.everyone() if claim and entry.claim == claim), None
+        )
 
     def free_seat(self, capacity: int) -> int | None:
         """The first seat that nobody has or waits for."""

@@ -26,7 +26,9 @@ from wcsim.types import bounds as b
 
 PROTOCOL = 8
 MAX_REQUEST_BYTES = 1 << 13  # a server refuses more; the longest join has less
-MAX_REPLY_BYTES = 64 << 20  # a client refuses more: pictures travel inside when there is no shared memory
+MAX_REPLY_BYTES = (
+    64 << 20
+)  # a client refuses more: pictures travel inside when there is no shared memory
 SESSION_BYTES = b.SESSION_BYTES
 ANY_SEAT = -1
 
@@ -202,12 +204,18 @@ def _require_whole(client: ClientSnapshot) -> None:
     arrays = [plant.p_WB_m, plant.q_WB, plant.v_B_mps, plant.w_B_radps, plant.wheel_radps]
     arrays += [imu.accel_mean_mps2, imu.accel_peak_mps2, imu.gyro_radps]
     if [array.size for array in arrays] != _SIZES:
-        raise ProtocolError("a frame has arrays of other sizes than those of a wheelchair and its IMU")
+        raise ProtocolError(
+            "a frame has arrays of other sizes than those of a wheelchair and its IMU"
+        )
     readings = [reading.values for reading in client.sensors.readings]
     if any([values.nbytes > b.MOST_READING_BYTES for values in readings]):
-        raise ProtocolError(f"a sensor reading has too many numbers; expected {b.MOST_READING_BYTES} bytes at most")
+        raise ProtocolError(
+            f"a sensor reading has too many numbers; expected {b.MOST_READING_BYTES} bytes at most"
+        )
     if not np.isfinite(np.concatenate(arrays + readings)).all():
-        raise ProtocolError("a frame or a sensor reading has numbers that are not finite; expected finite ones")
+        raise ProtocolError(
+            "a frame or a sensor reading has numbers that are not finite; expected finite ones"
+        )
     if client.truth is not None:
         _require_verdict(client.truth)
     for camera in client.sensors.cameras:
@@ -218,7 +226,9 @@ def _require_whole(client: ClientSnapshot) -> None:
 
 def _require_verdict(verdict: Verdict) -> None:
     if len(verdict.first_s) > b.MOST_ACTIONS or not (verdict.first_s >= 0.0).all():
-        raise ProtocolError("the truth has too many seconds, or negative ones; expected one >= 0 for each action")
+        raise ProtocolError(
+            "the truth has too many seconds, or negative ones; expected one >= 0 for each action"
+        )
     if isinstance(verdict, Truth) and verdict.visible is not None:
         _require_verdict(verdict.visible)
 
@@ -229,7 +239,9 @@ def _with_pictures(client: ClientSnapshot, slot: int, shared: _Pictures) -> Clie
     if not cameras:  # of a seat without pictures
         return client
     if len(images) != len(cameras):
-        raise ProtocolError(f"a frame has {len(cameras)} cameras; the shared memory has {len(images)}")
+        raise ProtocolError(
+            f"a frame has {len(cameras)} cameras; the shared memory has {len(images)}"
+        )
     seen = tuple(
         [
             replace(camera, depth_m=here.depth_m, class_id=here.class_id, rgb=here.rgb)
@@ -243,9 +255,15 @@ def _with_pictures(client: ClientSnapshot, slot: int, shared: _Pictures) -> Clie
 def _require_picture(camera: CameraFrame) -> None:
     shape, rgb = camera.depth_m.shape, camera.rgb
     sound = len(shape) == 2 and max(shape) <= b.MOST_SIDE_PX and camera.class_id.shape == shape
-    empty = camera.depth_m.size == 0  # as of a picture in shared memory, whose colours do not travel either
-    if not sound or (rgb is not None and rgb.shape != (*shape, 3) and not (empty and rgb.size == 0)):
-        raise ProtocolError(f"the depth of a picture has shape {shape}; expected (H, W), and the same of its classes")
+    empty = (
+        camera.depth_m.size == 0
+    )  # as of a picture in shared memory, whose colours do not travel either
+    if not sound or (
+        rgb is not None and rgb.shape != (*shape, 3) and not (empty and rgb.size == 0)
+    ):
+        raise ProtocolError(
+            f"the depth of a picture has shape {shape}; expected (H, W), and the same of its classes"
+        )
 
 
 # --- as bytes ---
@@ -260,7 +278,9 @@ _REPLIES: msgspec.msgpack.Decoder[Reply] = msgspec.msgpack.Decoder(Reply, dec_ho
 def schema_hash() -> str:
     """A short hash of all fields of all messages: two programs with the same one understand each other."""
     kinds = (*Request.__args__, *Reply.__args__)
-    _, parts = msgspec.json.schema_components(kinds, schema_hook=lambda array: {"title": str(array)})
+    _, parts = msgspec.json.schema_components(
+        kinds, schema_hook=lambda array: {"title": str(array)}
+    )
     text = msgspec.json.encode(parts, order="deterministic")
     return hashlib.blake2b(text, digest_size=8).hexdigest()
 
@@ -293,14 +313,18 @@ def decode_reply(data: bytes, shared: _Pictures | None = None) -> Reply:
 
 def _decode(data: bytes, decoder: msgspec.msgpack.Decoder[Any], limit_bytes: int) -> Any:
     if len(data) > limit_bytes:
-        raise errors.OverloadedError(f"a message has {len(data)} bytes; expected at most {limit_bytes}")
+        raise errors.OverloadedError(
+            f"a message has {len(data)} bytes; expected at most {limit_bytes}"
+        )
     try:
         message = decoder.decode(data)
         if isinstance(message, Join):
             _require_plain(message.spec, data)
         return message
     except (msgspec.MsgspecError, TypeError, ValueError, ArithmeticError, RecursionError) as error:
-        raise ProtocolError(f"a message does not fit protocol {PROTOCOL}: {escaped(error, 200)}") from None
+        raise ProtocolError(
+            f"a message does not fit protocol {PROTOCOL}: {escaped(error, 200)}"
+        ) from None
 
 
 def _require_plain(spec: SeatSpec, data: bytes) -> None:

@@ -45,7 +45,9 @@ def _admission(join: m.Join, rules: ev.Rules, roll: Roster) -> int | WcsimError:
     if join.session in roll.retired:
         return EvictedError("this session is over; join with a new one")
     if join.session in roll.forgotten:
-        return StaleSessionError("the server does not know this session any more; join with a new one")
+        return StaleSessionError(
+            "the server does not know this session any more; join with a new one"
+        )
     if join.seat == m.ANY_SEAT:
         own = roll.claimed(join.claim)
         seat = roll.free_seat(rules.capacity) if own is None else own
@@ -55,7 +57,9 @@ def _admission(join: m.Join, rules: ev.Rules, roll: Roster) -> int | WcsimError:
             else seat
         )
     if not 0 <= join.seat < rules.capacity:
-        return SeatTakenError(f"seat {join.seat} does not exist; expected 0 to {rules.capacity - 1}")
+        return SeatTakenError(
+            f"seat {join.seat} does not exist; expected 0 to {rules.capacity - 1}"
+        )
     holder, waiting = roll.at(join.seat), roll.waiting_at(join.seat)
     for other in (holder, waiting):
         same = bool(join.claim) and other is not None and other.claim == join.claim
@@ -88,7 +92,9 @@ def _unfit_spec(spec: SeatSpec, rules: ev.Rules) -> WcsimError | None:
         )
     if not named and spec.profile not in profile_names():
         known = ", ".join(profile_names())
-        return ConfigError(f"unknown user profile {escaped(spec.profile, 40)!r}; expected one of: {known}")
+        return ConfigError(
+            f"unknown user profile {escaped(spec.profile, 40)!r}; expected one of: {known}"
+        )
     if spec.max_steps > MOST_STEPS:
         return ProtocolError(f"an episode of {spec.max_steps} steps; expected 1 to {MOST_STEPS}")
     return None
@@ -125,10 +131,14 @@ class ServerCore(Barrier):
             self.welcome(known)
             return
         if roll.waiting(join.session) is not None:
-            roll.pending = [replace(p, peer=peer) if p.session == join.session else p for p in roll.pending]
+            roll.pending = [
+                replace(p, peer=peer) if p.session == join.session else p for p in roll.pending
+            ]
             return
         if roll.others_of(peer, join.claim):
-            error = SeatTakenError("this connection already has a seat; use one connection per client")
+            error = SeatTakenError(
+                "this connection already has a seat; use one connection per client"
+            )
             self.send(peer, m.failure_of(error, join.session))
             return
         found = _admission(join, self.rules, roll)
@@ -142,7 +152,14 @@ class ServerCore(Barrier):
         roll = self.roll
         # Who has this seat, or waits for it, has the same claim.
         older = (roll.waiting_at(seat), roll.at(seat))
-        waiting = Member(seat=seat, session=join.session, peer=peer, claim=join.claim, name=join.name, spec=join.spec)
+        waiting = Member(
+            seat=seat,
+            session=join.session,
+            peer=peer,
+            claim=join.claim,
+            name=join.name,
+            spec=join.spec,
+        )
         roll.pending.append(waiting)
         for one in older:
             if one is not None:
@@ -211,7 +228,9 @@ class ServerCore(Barrier):
                 f"the server of epoch {self.epoch} does not know this session; join again"
             )
             if session in roll.retired:
-                error = EvictedError("the server dropped this client, or it left; join again with a new session")
+                error = EvictedError(
+                    "the server dropped this client, or it left; join again with a new session"
+                )
             self.send(peer, m.failure_of(error, session))
 
     def _act(self, member: Member, act: m.Act, now_s: float) -> None:
@@ -221,9 +240,13 @@ class ServerCore(Barrier):
             raise BadActionError(f"joystick ({act.x}, {act.y}): expected both from -1 to 1")
         action = Joystick(act.x, act.y)
         if member.action not in (None, action):
-            raise BadActionError(f"a different second action for tick {act.tick}; repeat the first one")
+            raise BadActionError(
+                f"a different second action for tick {act.tick}; repeat the first one"
+            )
         if member.respawning:
-            raise ProtocolError(f"an action for tick {act.tick}, but the seat waits for its respawn; wait for it")
+            raise ProtocolError(
+                f"an action for tick {act.tick}, but the seat waits for its respawn; wait for it"
+            )
         if member.action is None:
             member.action = action
             self.advance(now_s)
@@ -250,9 +273,13 @@ class ServerCore(Barrier):
         elif rebuild.seed < 0:
             raise ProtocolError(f"a new world of seed {rebuild.seed}; expected 0 or more")
         elif member is not self.roll.master:
-            raise NotMasterError(f"seat {member.seat} is not the master; only the master may restart the shared world")
+            raise NotMasterError(
+                f"seat {member.seat} is not the master; only the master may restart the shared world"
+            )
         elif rebuild.epoch > self.epoch or self.stage is not ev.BarrierState.COLLECT:
-            raise ProtocolError(f"a new world was requested in stage {self.stage.value}; request it between ticks")
+            raise ProtocolError(
+                f"a new world was requested in stage {self.stage.value}; request it between ticks"
+            )
         else:
             self.rebuild(rebuild.seed, now_s)
 
@@ -262,12 +289,16 @@ class ServerCore(Barrier):
         if asked == now:
             return True
         if asked > now:
-            raise FutureTickError(f"a request for epoch, tick, life {asked}; the server is at {now}")
+            raise FutureTickError(
+                f"a request for epoch, tick, life {asked}; the server is at {now}"
+            )
         if epoch < self.epoch:
             self._tell_of_epoch(member)
             return False
         if tick < self.tick - 1:
-            raise StaleTickError(f"tick {tick} of epoch {epoch} is long over; the server is at tick {self.tick}")
+            raise StaleTickError(
+                f"tick {tick} of epoch {epoch} is long over; the server is at tick {self.tick}"
+            )
         if tick < self.tick:
             self.send(member.peer, m.TickDone(self.epoch, self.tick, self._master_seat))
         self.show(member)

@@ -48,7 +48,9 @@ def make_keys(folder: Path, names: Sequence[str]) -> tuple[str, ...]:
     """
     for name in names:
         if not _NAME.fullmatch(name):
-            raise ConfigError(f"client name {name!r}: expected letters, digits, - and _, 64 at most")
+            raise ConfigError(
+                f"client name {name!r}: expected letters, digits, - and _, 64 at most"
+            )
     try:
         (folder / _CLIENTS).mkdir(mode=0o700, parents=True, exist_ok=True)
         folder.chmod(0o700)
@@ -58,7 +60,9 @@ def make_keys(folder: Path, names: Sequence[str]) -> tuple[str, ...]:
         for name in new:
             _make_pair(folder / _CLIENTS, name)
     except OSError as error:
-        raise ConfigError(f"{folder}: keys cannot be written ({error.strerror}); choose another folder") from None
+        raise ConfigError(
+            f"{folder}: keys cannot be written ({error.strerror}); choose another folder"
+        ) from None
     return new
 
 
@@ -74,7 +78,9 @@ def client_keys(folder: Path, name: str) -> _KeyPair:
         return _pair(own)
     secrets = sorted((folder / _CLIENTS).glob("*.secret"))
     if len(secrets) != 1:
-        raise ConfigError(f"{own}: not found, but {len(secrets)} other secret keys; expected this one, or a single one")
+        raise ConfigError(
+            f"{own}: not found, but {len(secrets)} other secret keys; expected this one, or a single one"
+        )
     return _pair(secrets[0])
 
 
@@ -99,7 +105,9 @@ def is_loopback(address: str) -> bool:
     """
     match = _ADDRESS.fullmatch(address)
     if match is None or (match["port"] != "*" and int(match["port"]) > 65535):
-        raise ConfigError(f"address {address!r}: expected tcp://HOST:PORT, such as tcp://127.0.0.1:5555")
+        raise ConfigError(
+            f"address {address!r}: expected tcp://HOST:PORT, such as tcp://127.0.0.1:5555"
+        )
     host = match["host"].strip("[]")
     if host == "localhost":
         return True
@@ -184,7 +192,9 @@ def _load(path: Path) -> tuple[bytes, bytes | None]:
     try:
         public, secret = zmq.auth.load_certificate(path)
     except (OSError, ValueError) as error:
-        raise ConfigError(f"{path}: the key cannot be read ({error}); make keys with --make-keys") from None
+        raise ConfigError(
+            f"{path}: the key cannot be read ({error}); make keys with --make-keys"
+        ) from None
     for key in (public, secret):
         if key is not None and len(key) != 40:
             raise ConfigError(f"{path}: the key has {len(key)} characters; expected 40")

@@ -47,7 +47,11 @@ class _Picture(NamedTuple):
     @property
     def parts_bytes(self) -> tuple[int, int, int]:
         """Room for the depth, the classes and the colours, each up to the next cache line."""
-        return _whole(4 * self.pixels), _whole(self.pixels), _whole(3 * self.pixels) if self.rgb else 0
+        return (
+            _whole(4 * self.pixels),
+            _whole(self.pixels),
+            _whole(3 * self.pixels) if self.rgb else 0,
+        )
 
 
 class RingSink:
@@ -103,7 +107,9 @@ class RingView:
             with opened(path, PICTURES) as file:
                 memory = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
         except ConfigError as error:
-            raise ProtocolError(f"the pictures cannot be opened ({error}); is this the same machine?") from None
+            raise ProtocolError(
+                f"the pictures cannot be opened ({error}); is this the same machine?"
+            ) from None
         self._sets = _sets(memory, _read_head(path, memory))
 
     def pictures(self, slot: int, first: bool) -> Sequence[Images]:
@@ -133,7 +139,9 @@ def _new_file(path: Path, pictures: tuple[_Picture, ...]) -> mmap.mmap:
         part.replace(path)
     except OSError as error:
         part.unlink(missing_ok=True)
-        raise DiskFullError(f"{path}: no room for {size} bytes of pictures ({error.strerror}); make room") from None
+        raise DiskFullError(
+            f"{path}: no room for {size} bytes of pictures ({error.strerror}); make room"
+        ) from None
     return memory
 
 
@@ -146,13 +154,19 @@ def _write_head(memory: mmap.mmap, pictures: tuple[_Picture, ...]) -> None:
 
 def _read_head(path: Path, memory: mmap.mmap) -> tuple[_Picture, ...]:
     if len(memory) < _PAGE:
-        raise PicturesError(f"{path}: is not a shared memory of pictures; expected at least {_PAGE} bytes")
+        raise PicturesError(
+            f"{path}: is not a shared memory of pictures; expected at least {_PAGE} bytes"
+        )
     magic, version, count = _HEAD.unpack_from(memory)
     if (magic, version) != (MAGIC, VERSION):
-        raise PicturesError(f"{path}: starts with {magic!r}, version {version}; expected {MAGIC!r}, {VERSION}")
+        raise PicturesError(
+            f"{path}: starts with {magic!r}, version {version}; expected {MAGIC!r}, {VERSION}"
+        )
     if count > MAX_CAMERAS:
         raise PicturesError(f"{path}: is of {count} cameras; expected {MAX_CAMERAS} at most")
-    rows = (_CAMERA.unpack_from(memory, _HEAD.size + number * _CAMERA.size) for number in range(count))
+    rows = (
+        _CAMERA.unpack_from(memory, _HEAD.size + number * _CAMERA.size) for number in range(count)
+    )
     pictures = tuple(_Picture(width_px, height_px, bool(rgb)) for width_px, height_px, rgb in rows)
     needed = _PAGE + 2 * _SLOTS * sum(sum(picture.parts_bytes) for picture in pictures)
     if len(memory) != needed:
@@ -167,8 +181,19 @@ def _fault(pictures: tuple[_Picture, ...]) -> str:
     """Why no ring can hold such pictures, "" when one can; the same for who writes and who reads it."""
     if len(pictures) > MAX_CAMERAS:
         return f"{len(pictures)} of them; expected {MAX_CAMERAS} at most"
-    wrong = next((p for p in pictures if not (0 < p.width_px <= MAX_SIDE_PX and 0 < p.height_px <= MAX_SIDE_PX)), None)
-    return "" if wrong is None else f"{wrong.width_px} x {wrong.height_px} px; expected 1 to {MAX_SIDE_PX} each"
+    wrong = next(
+        (
+            p
+            for p in pictures
+            if not (0 < p.width_px <= MAX_SIDE_PX and 0 < p.height_px <= MAX_SIDE_PX)
+        ),
+        None,
+    )
+    return (
+        ""
+        if wrong is None
+        else f"{wrong.width_px} x {wrong.height_px} px; expected 1 to {MAX_SIDE_PX} each"
+    )
 
 
 def _sets(memory: mmap.mmap, pictures: tuple[_Picture, ...]) -> tuple[tuple[Images, ...], ...]:

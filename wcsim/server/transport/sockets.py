@@ -27,7 +27,10 @@ log = logging.getLogger("wcsim.server.transport.sockets")
 
 LOCAL, REMOTE = b"L", b"R"  # first byte of a peer's name: which door it came through
 QUEUE = 128  # whole messages of a peer that are not read yet: 1 MiB at most; of one that does not end, see SECURITY.md
-_SEND_QUEUE = {LOCAL: 128, REMOTE: 16}  # to a peer that does not read; over the network pictures are inside
+_SEND_QUEUE = {
+    LOCAL: 128,
+    REMOTE: 16,
+}  # to a peer that does not read; over the network pictures are inside
 _LINGER_MS = 500
 BATCH = 256  # messages that are taken in at a time
 _HANDSHAKE_MS = 5_000  # a connection that has not shown its key by then is closed
@@ -35,7 +38,12 @@ _IPC_PATH_BYTES = 107
 _CUT_S = 5  # a machine that vanished, or cannot be reached any more, says nothing
 _HEARTBEAT_S = 6  # a process that a signal holds does not answer
 # Measured: as members of an enum, these take longer to combine than a message takes to send.
-_NOW, _MORE, _IN, _EVENTS = int(zmq.NOBLOCK), int(zmq.NOBLOCK | zmq.SNDMORE), int(zmq.POLLIN), int(zmq.EVENTS)
+_NOW, _MORE, _IN, _EVENTS = (
+    int(zmq.NOBLOCK),
+    int(zmq.NOBLOCK | zmq.SNDMORE),
+    int(zmq.POLLIN),
+    int(zmq.EVENTS),
+)
 
 
 class Heard(NamedTuple):
@@ -65,10 +73,14 @@ class ServerSockets(Closing):
         self._watched: set[int] = set()
         self._empty: set[bytes] = set()  # doors that had no news when they were last touched
         self._guard: ThreadAuthenticator | None = None
-        self._monitor: zmq.Socket[bytes] | None = None  # tells of connections of other machines that have ended
+        self._monitor: zmq.Socket[bytes] | None = (
+            None  # tells of connections of other machines that have ended
+        )
         self._numbers: set[int] = set()  # descriptors of connections
         self._connected: dict[int, Peer] = {}  # who speaks through them
-        self._ended: set[Peer] = set()  # connections that are over, as long as words of theirs may be on the way
+        self._ended: set[Peer] = (
+            set()
+        )  # connections that are over, as long as words of theirs may be on the way
         self._lost: set[Peer] = set()  # of these, those that were not told yet
         self._keys: KnownKeys | None = None
         self._sockets: dict[bytes, zmq.Socket[bytes]] = {}
@@ -115,7 +127,11 @@ class ServerSockets(Closing):
                     socket.recv_multipart(_NOW)
                 if door == REMOTE and not self._is_heard(door + peer, int(last.get(zmq.SRCFD))):
                     continue
-                key = None if self._keys is None or door == LOCAL else self._keys.name(str(last.get("User-Id")))
+                key = (
+                    None
+                    if self._keys is None or door == LOCAL
+                    else self._keys.name(str(last.get("User-Id")))
+                )
                 yield Heard(door + peer, b"" if last.more else last.bytes, key)
 
     def lost(self) -> set[Peer]:
@@ -214,7 +230,9 @@ class ServerSockets(Closing):
         try:
             socket.bind(address)
         except zmq.ZMQError as error:
-            raise ConfigError(f"{address}: cannot be opened ({error.strerror}); choose another address") from None
+            raise ConfigError(
+                f"{address}: cannot be opened ({error.strerror}); choose another address"
+            ) from None
         self._wakes.register(int(socket.getsockopt(zmq.FD)), select.EPOLLIN)
         if door == LOCAL:
             Path(address.removeprefix("ipc://")).chmod(0o600)
@@ -250,14 +268,24 @@ def _has_news(socket: zmq.Socket[bytes]) -> bool:
 def _ipc(endpoint: str) -> str:
     """The address, after its folder was made. Raises ConfigError."""
     path = Path(endpoint.removeprefix("ipc://"))
-    if not endpoint.startswith("ipc://") or not path.is_absolute() or len(os.fsencode(path)) > _IPC_PATH_BYTES:
+    if (
+        not endpoint.startswith("ipc://")
+        or not path.is_absolute()
+        or len(os.fsencode(path)) > _IPC_PATH_BYTES
+    ):
         most = _IPC_PATH_BYTES
-        raise ConfigError(f"endpoint {endpoint!r}: expected ipc:// and an absolute path of {most} bytes at most")
+        raise ConfigError(
+            f"endpoint {endpoint!r}: expected ipc:// and an absolute path of {most} bytes at most"
+        )
     try:
         path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         status = path.parent.stat()
     except OSError as error:
-        raise ConfigError(f"{path.parent}: cannot be created ({error.strerror}); choose another folder") from None
+        raise ConfigError(
+            f"{path.parent}: cannot be created ({error.strerror}); choose another folder"
+        ) from None
     if status.st_uid != os.getuid() or status.st_mode & 0o077:
-        raise ConfigError(f"{path.parent}: other users can enter this folder; choose one with mode 700")
+        raise ConfigError(
+            f"{path.parent}: other users can enter this folder; choose one with mode 700"
+        )
     return endpoint

@@ -29,7 +29,16 @@ MOST_BYTES: Final = 512 << 20  # of the files of a parcel, and of what comes bac
 _MOST_FILES: Final = 10_000
 _LEVEL: Final = 3
 _PACKAGES: Final = (
-    *("wcsim", "libsumo", "eclipse-sumo", "pybullet", "torch", "numpy", "numba", "opencv-python-headless"),
+    *(
+        "wcsim",
+        "libsumo",
+        "eclipse-sumo",
+        "pybullet",
+        "torch",
+        "numpy",
+        "numba",
+        "opencv-python-headless",
+    ),
     *("shapely", "networkx", "zstandard", "gymnasium", "onnxruntime"),
 )
 _LEAST_SHM_MIB: Final = 256
@@ -39,7 +48,9 @@ _SHM: Final = Path("/dev/shm")  # noqa: S108 - it is only looked at
 def facts_here() -> dict[str, str]:
     """What this machine has: versions by package and "Python", "code" of wcsim, "host", "cpu", "shm_mib"."""
     return {
-        **{name: version_of(name).partition("+")[0] for name in _PACKAGES},  # torch 2.13.0+cpu is 2.13.0
+        **{
+            name: version_of(name).partition("+")[0] for name in _PACKAGES
+        },  # torch 2.13.0+cpu is 2.13.0
         "Python": ".".join(platform.python_version_tuple()[:2]),
         "code": code_digest(),
         "host": socket.gethostname(),
@@ -58,7 +69,9 @@ def why_refused(node: Mapping[str, str], here: Mapping[str, str]) -> str:
         )
     asked = (*_PACKAGES, "Python")
     other = [
-        f"{name} {node[name] or 'none'} (here {here[name] or 'none'})" for name in asked if node[name] != here[name]
+        f"{name} {node[name] or 'none'} (here {here[name] or 'none'})"
+        for name in asked
+        if node[name] != here[name]
     ]
     if other:
         return f"it has {', '.join(other)}; expected the same as here: install from the same constraints.txt"
@@ -108,14 +121,18 @@ def _unpack(files: Mapping[str, bytes], folder: Path) -> None:
     for name, content in files.items():
         place = PurePosixPath(name)
         if place.is_absolute() or ".." in place.parts:
-            raise ValueError(f"a file is called {escaped(name, 80)!r}; expected a name below its folder")
+            raise ValueError(
+                f"a file is called {escaped(name, 80)!r}; expected a name below its folder"
+            )
         data = unzstd(content, left)
         left -= len(data)
         (folder / place).parent.mkdir(parents=True, exist_ok=True)
         (folder / place).write_bytes(data)
 
 
-def do_work(worker: str, work: Work, parcels: tuple[Parcel, ...], *contents: Mapping[str, bytes]) -> WorkEnd:
+def do_work(
+    worker: str, work: Work, parcels: tuple[Parcel, ...], *contents: Mapping[str, bytes]
+) -> WorkEnd:
     """Do a piece of work in this process, which Ray has started; `contents` are those of the parcels, from Ray's store.
 
     Where it is lost, another machine may do better.
@@ -126,17 +143,27 @@ def do_work(worker: str, work: Work, parcels: tuple[Parcel, ...], *contents: Map
         with temporary_folder() as own:
             places = {}
             for number, (parcel, files) in enumerate(zip(parcels, contents, strict=True)):
-                folder = own / f"parcel-{number}" / (parcel.folder.name or "folder")  # as a town may be called by it
+                folder = (
+                    own / f"parcel-{number}" / (parcel.folder.name or "folder")
+                )  # as a town may be called by it
                 _unpack(files, folder)
                 places[parcel.address] = str(folder / parcel.inner)
             data = work.call(work.piece, lambda address: places.get(address, address))
         took = {"bytes": len(data), "work_s": round(time.monotonic() - began_s, 3)}
         return end(data=data, facts={"pid": os.getpid(), **took})
-    except (OSError, MemoryError, DiskFullError) as error:  # of this machine: another one may have room
+    except (
+        OSError,
+        MemoryError,
+        DiskFullError,
+    ) as error:  # of this machine: another one may have room
         return end(lost=f"{type(error).__name__}: {error}")
     except WcsimError as error:
         return end(error=error)
     except Exception as error:
-        sys.stderr.write(f"wcsim: {key} failed: {traceback.format_exc()}\n")  # into Ray's log of this process
+        sys.stderr.write(
+            f"wcsim: {key} failed: {traceback.format_exc()}\n"
+        )  # into Ray's log of this process
         told = f"{type(error).__name__}: {error}"[:300]
-        return end(error=WorkersError(f"{key} failed on {worker}: {told}; see Ray's log on that machine"))
+        return end(
+            error=WorkersError(f"{key} failed on {worker}: {told}; see Ray's log on that machine")
+        )

@@ -15,7 +15,9 @@ from typing import Final
 from wcsim.errors import WorkersError
 from wcsim.server.workers.machines import Work, WorkEnd, Workers
 
-MOST_FAILURES: Final = 5  # deaths of workers at a piece, and times that it was late, before the run gives up
+MOST_FAILURES: Final = (
+    5  # deaths of workers at a piece, and times that it was late, before the run gives up
+)
 LATE: Final = 5.0  # times the longest piece so far: then its worker is killed, and it is done again
 LEAST_LATE_S: Final = 180.0
 NOBODY_S: Final = 600.0  # without any worker before the run gives up
@@ -65,7 +67,12 @@ class Crew:
     """
 
     def __init__(
-        self, workers: Workers, keep: Keep, *, least_late_s: float = LEAST_LATE_S, nobody_s: float = NOBODY_S
+        self,
+        workers: Workers,
+        keep: Keep,
+        *,
+        least_late_s: float = LEAST_LATE_S,
+        nobody_s: float = NOBODY_S,
     ) -> None:
         self._workers, self._keep, self._nobody_s = workers, keep, nobody_s
         self._longest_s = least_late_s / LATE
@@ -105,7 +112,9 @@ class Crew:
             Exception: What doing or keeping one of them raised.
         """
         with self._lock:
-            self._lock.wait_for(lambda: self._failed is not None or not self._done.isdisjoint(keys), timeout_s)
+            self._lock.wait_for(
+                lambda: self._failed is not None or not self._done.isdisjoint(keys), timeout_s
+            )
             if self._failed is not None:
                 raise self._failed
             return frozenset(self._done.intersection(keys))
@@ -113,10 +122,15 @@ class Crew:
     def now(self) -> tuple[WorkerNow, ...]:
         """Who is at what."""
         with self._lock:
-            now_s, found = time.monotonic(), {name: WorkerNow(name=name, key="") for name in self._names}
+            now_s, found = (
+                time.monotonic(),
+                {name: WorkerNow(name=name, key="") for name in self._names},
+            )
             for name in found.keys() & self._at.keys():
                 task = self._at[name]
-                found[name] = WorkerNow(name=name, key=task.piece.work.key, for_s=now_s - task.since_s)
+                found[name] = WorkerNow(
+                    name=name, key=task.piece.work.key, for_s=now_s - task.since_s
+                )
             return tuple(found.values())
 
     def _work(self) -> None:
@@ -139,7 +153,9 @@ class Crew:
             if names or not self._left:
                 self._somebody_s = time.monotonic()
             elif time.monotonic() - self._somebody_s > self._nobody_s:
-                raise WorkersError(f"no machine has been there to work for {self._nobody_s:.0f} s; start one; {_KEPT}")
+                raise WorkersError(
+                    f"no machine has been there to work for {self._nobody_s:.0f} s; start one; {_KEPT}"
+                )
             for name in names:
                 if name not in self._at and (piece := self._next_for(name, names)) is not None:
                     self._at[name] = _Task(piece=piece, since_s=time.monotonic())
@@ -185,9 +201,15 @@ class Crew:
                 continue
             else:
                 piece.times_late += 1
-                self._fail(piece, name, f"it was not done within {for_s:.0f} s; check what that machine is doing")
+                self._fail(
+                    piece,
+                    name,
+                    f"it was not done within {for_s:.0f} s; check what that machine is doing",
+                )
             task.stopped_s = now_s
-            self._workers.stop(name)  # and again while it was not heard, or there was nobody yet to kill
+            self._workers.stop(
+                name
+            )  # and again while it was not heard, or there was nobody yet to kill
 
     def _fail(self, piece: _Piece, worker: str, why: str) -> None:
         piece.failures += 1

@@ -17,7 +17,12 @@ from pathlib import Path
 from time import sleep
 from typing import Any, Final, Protocol
 
-from wcsim.core.processes import die_with_parent, hear_of_deaths, name_semaphores, unheard_by_children
+from wcsim.core.processes import (
+    die_with_parent,
+    hear_of_deaths,
+    name_semaphores,
+    unheard_by_children,
+)
 
 At = Callable[[str], str]
 """Where that which the machine that sends calls by this address lies on the machine that works."""
@@ -66,7 +71,9 @@ class WorkEnd:
     data: bytes | None = None
     error: BaseException | None = None
     lost: str = ""  # why
-    counts: bool = True  # whether the piece may have killed the worker, rather than its machine have gone
+    counts: bool = (
+        True  # whether the piece may have killed the worker, rather than its machine have gone
+    )
     facts: Facts = field(default_factory=dict)  # for the log
 
 
@@ -95,7 +102,12 @@ class OneProcess(ProcessPoolExecutor):
     def __init__(self) -> None:
         # A process that waits for work would not notice that nobody is left to give it any.
         name_semaphores()
-        super().__init__(1, mp_context=get_context("spawn"), initializer=die_with_parent, initargs=(signal.SIGKILL,))
+        super().__init__(
+            1,
+            mp_context=get_context("spawn"),
+            initializer=die_with_parent,
+            initargs=(signal.SIGKILL,),
+        )
         with unheard_by_children():
             self.submit(getpid)
         hear_of_deaths(self)

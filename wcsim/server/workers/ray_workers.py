@@ -31,7 +31,14 @@ from wcsim.core.own_folder import OwnFolder
 from wcsim.core.processes import die_with_parent
 from wcsim.core.reading import escaped
 from wcsim.errors import ConfigError, DiskFullError, WcsimError, WorkersError, check_installed
-from wcsim.server.workers.cluster_node import MOST_BYTES, do_work, facts_here, notes_on, packed, why_refused
+from wcsim.server.workers.cluster_node import (
+    MOST_BYTES,
+    do_work,
+    facts_here,
+    notes_on,
+    packed,
+    why_refused,
+)
 from wcsim.server.workers.machines import Facts, OneProcess, Parcel, Work, WorkEnd
 
 LOCAL: Final = "local"
@@ -43,7 +50,10 @@ _CLOSE_S: Final = 30.0
 _GIVE_UP_S: Final = 3.0  # for a process that has not joined
 _ADDRESS: Final = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9_.-]+):(\d{1,5})")
 STORE_BYTES: Final = 160 << 20  # of objects on their way; what travels is small
-_PATIENCE: Final = {"RAY_gcs_rpc_server_connect_timeout_s": "60", "RAY_raylet_start_wait_time_s": "80"}
+_PATIENCE: Final = {
+    "RAY_gcs_rpc_server_connect_timeout_s": "60",
+    "RAY_raylet_start_wait_time_s": "80",
+}
 """For busy machines, where Ray's own 5 s for a process to start are too short."""
 _LOOPBACK: Final = re.compile(r"127\.\d+\.\d+\.\d+|localhost|\[?::1\]?")
 _VERSIONS: Final = re.compile(r"Ray: (\S+)\s+Python: (\S+)")
@@ -89,12 +99,16 @@ class RayWorkers:
         ConfigError: There is no Ray, or no cluster at that address, or none of its nodes can be used.
     """
 
-    def __init__(self, address: str, count: int, folder: Path, say: Say, join_s: float = JOIN_S) -> None:
+    def __init__(
+        self, address: str, count: int, folder: Path, say: Say, join_s: float = JOIN_S
+    ) -> None:
         require_address(address)
         folder.mkdir(parents=True, exist_ok=True)
         # Ray makes its folder at a name that others know, and lets them write there, unless it lies in one's own.
         self._own = OwnFolder(prefix="wcsim-ray-")
-        self._spec = _LinkSpec(address=address, count=count, log=folder / RAY_LOG, temporary=self._own.path)
+        self._spec = _LinkSpec(
+            address=address, count=count, log=folder / RAY_LOG, temporary=self._own.path
+        )
         self._say, self._pieces = say, folder / PIECES
         self._names: tuple[str, ...] = ()
         self._begun: list[tuple[str, Work, tuple[Parcel, ...]]] = []
@@ -169,12 +183,20 @@ class RayWorkers:
     def _note(self, ended: WorkEnd) -> None:
         """A line for a piece: who was at it, and what came of it. Raises DiskFullError."""
         how = "done" if ended.data is not None else "failed" if ended.error is not None else "lost"
-        row = {"key": ended.key, "worker": ended.worker, "how": how, "why": ended.lost, **ended.facts}
+        row = {
+            "key": ended.key,
+            "worker": ended.worker,
+            "how": how,
+            "why": ended.lost,
+            **ended.facts,
+        }
         try:
             with self._pieces.open("a", encoding="utf-8") as file:
                 file.write(json.dumps(row) + "\n")
         except OSError as error:
-            raise DiskFullError(f"{self._pieces}: cannot be written ({error.strerror}); make room") from None
+            raise DiskFullError(
+                f"{self._pieces}: cannot be written ({error.strerror}); make room"
+            ) from None
 
 
 def _lost(spec: _LinkSpec) -> WorkersError:
@@ -204,7 +226,9 @@ def require_address(address: str) -> None:
             ) from None
 
 
-def _hear(spec: _LinkSpec, begun: list[tuple[str, Work, tuple[Parcel, ...]]], stopped: list[str]) -> _News:
+def _hear(
+    spec: _LinkSpec, begun: list[tuple[str, Work, tuple[Parcel, ...]]], stopped: list[str]
+) -> _News:
     """In the process that speaks to Ray: begin and stop these, and say what there is to hear.
 
     Raises:
@@ -286,12 +310,16 @@ def _prepare(spec: _LinkSpec) -> None:
     for name, seconds in _PATIENCE.items():
         os.environ.setdefault(name, seconds)
     if spec.address == LOCAL or _is_loopback(spec.address):
-        os.environ["RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"] = "0"  # Ray's word for: on 127.0.0.1, not on all addresses
+        os.environ["RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"] = (
+            "0"  # Ray's word for: on 127.0.0.1, not on all addresses
+        )
     if spec.address == LOCAL:
         os.environ["RAY_AUTH_MODE"] = "token"
         os.environ["RAY_AUTH_TOKEN"] = secrets.token_hex(32)  # known to nobody else, and on no disk
     elif _has_token():
-        os.environ.setdefault("RAY_AUTH_MODE", "token")  # without a word Ray shows a token to no cluster that it joins
+        os.environ.setdefault(
+            "RAY_AUTH_MODE", "token"
+        )  # without a word Ray shows a token to no cluster that it joins
 
 
 def _has_token() -> bool:
@@ -381,7 +409,14 @@ class _Link:
     def begin(self, worker: str, work: Work, parcels: tuple[Parcel, ...]) -> None:
         """Give a piece to a worker's node."""
         name = worker.rpartition("/")[0]
-        node = next((key for key, each in self._nodes.items() if each.name == name and each.state == "works"), "")
+        node = next(
+            (
+                key
+                for key, each in self._nodes.items()
+                if each.name == name and each.state == "works"
+            ),
+            "",
+        )
         begun = _Begun(worker=worker, node=node, key=work.key, since_s=time.monotonic())
         if not node:  # it went while the piece was on its way here
             self._end(begun, lost="its node died", counts=False)
@@ -398,7 +433,9 @@ class _Link:
         """Have the process killed that a worker's piece is in."""
         for ref, begun in self._begun.items():
             if begun.worker == worker:
-                self._ray.cancel(ref, force=True)  # Ray kills the process, even one that was stopped
+                self._ray.cancel(
+                    ref, force=True
+                )  # Ray kills the process, even one that was stopped
 
     def hear(self) -> _News:
         """What there is to hear; waits a moment for it. Raises ConfigError when all nodes were refused."""
@@ -411,10 +448,16 @@ class _Link:
                 self._heard(ref)
         else:
             time.sleep(_WAIT_S)
-        if self._refused and not self._works and all(node.state == "refused" for node in self._nodes.values()):
+        if (
+            self._refused
+            and not self._works
+            and all(node.state == "refused" for node in self._nodes.values())
+        ):
             raise ConfigError(f"--cluster {self._spec.address}: {'; '.join(self._refused)}")
         works = [node for node in self._nodes.values() if node.state == "works"]
-        self._news.names = tuple(f"{node.name}/{slot + 1}" for node in works for slot in range(node.cpus))
+        self._news.names = tuple(
+            f"{node.name}/{slot + 1}" for node in works for slot in range(node.cpus)
+        )
         news, self._news = self._news, _News()
         return news
 
@@ -470,7 +513,12 @@ class _Link:
             self._end(begun, lost=told, counts=not isinstance(answer, of_machine))
             self._looked_s = float("-inf")  # its node may be gone
         elif not isinstance(answer, WorkEnd) or not isinstance(answer.data, bytes | None):
-            self._end(begun, error=WorkersError(f"{begun.key}: {begun.worker} has answered with what is no result"))
+            self._end(
+                begun,
+                error=WorkersError(
+                    f"{begun.key}: {begun.worker} has answered with what is no result"
+                ),
+            )
         elif len(answer.data or b"") > MOST_BYTES:
             told = f"has answered with more than {MOST_BYTES >> 20} MiB"
             self._end(begun, error=WorkersError(f"{begun.key}: {begun.worker} {told}"))
@@ -491,7 +539,9 @@ class _Link:
             )
         elif isinstance(answer, Exception):
             node.tries += 1
-            if node.tries < _MOST_TRIES:  # Ray may not know yet how to reach a node that has just joined
+            if (
+                node.tries < _MOST_TRIES
+            ):  # Ray may not know yet how to reach a node that has just joined
                 node.state = "new"
                 return
             why = f"it could not start a process ({type(answer).__name__}: {_line(answer, 0)}); check that node"
@@ -505,7 +555,9 @@ class _Link:
             return
         self._works = True
         if self._spec.address != LOCAL:
-            self._news.said.append(f"node {node.name} ({answer['host']}) works with {node.cpus} CPUs")
+            self._news.said.append(
+                f"node {node.name} ({answer['host']}) works with {node.cpus} CPUs"
+            )
         self._news.said += [f"node {node.name}: {note}" for note in notes_on(answer, self._here)]
 
 

@@ -29,13 +29,18 @@ from wcsim.users.recordings.recorded_user import read_recording
 STICK_DT_S = 0.02
 _BANDS_HZ = (0.4, 1.0, 3.0, 8.0)
 _AT_REST, _HELD, _AT_GATE = 0.05, (0.1, 0.95), 0.98  # of the stick's travel
-_FAST, _SLOW = 0.5, 0.17  # stick travel a second: a movement gets faster, and goes on until it is slow ...
+_FAST, _SLOW = (
+    0.5,
+    0.17,
+)  # stick travel a second: a movement gets faster, and goes on until it is slow ...
 _SMOOTH = 3  # ... over so many samples: a step of 0.01 alone then looks like 0.167 a second
 _LEAST_MOVE = 0.3  # of the stick's travel: shorter movements are too coarse to be timed
 _BEND = 5  # samples: a held stick is compared with its places so long before and after
 _STEPS = 4  # of a sample, in which a hand moves
 _PIECE_S, _SHORTEST_S = 20.0, 30.0
-_RESTLESS_PER_S = 1.5  # movements: a stick that moves more often is hardly ever held, and hides its hand
+_RESTLESS_PER_S = (
+    1.5  # movements: a stick that moves more often is hardly ever held, and hides its hand
+)
 
 
 def read_sticks(path: Path) -> F64:
@@ -44,12 +49,18 @@ def read_sticks(path: Path) -> F64:
     Raises:
         ConfigError: There is no table, or one that `read_recording` refuses; or they last for less than 30 s.
     """
-    files = [each for each in sorted(path.glob("*.csv*")) if ".odom" not in each.suffixes] if path.is_dir() else [path]
+    files = (
+        [each for each in sorted(path.glob("*.csv*")) if ".odom" not in each.suffixes]
+        if path.is_dir()
+        else [path]
+    )
     parts = [part for each in map(read_recording, files) for part in each.episodes or (each,)]
     sticks = [part.at(np.arange(part.time_s[0], part.end_s, STICK_DT_S)) for part in parts]
     seconds = STICK_DT_S * sum(map(len, sticks))
     if seconds < _SHORTEST_S:
-        raise ConfigError(f"{escaped(path)}: {seconds:.0f} s in .csv or .csv.gz files; expected 30 s or more")
+        raise ConfigError(
+            f"{escaped(path)}: {seconds:.0f} s in .csv or .csv.gz files; expected 30 s or more"
+        )
     return np.concatenate(sticks)
 
 
@@ -68,7 +79,9 @@ def stick_habits(stick: F64, noise_rate: float, step: float) -> dict[str, float]
 
     radius, speed, spans = np.hypot(stick[:, 0], stick[:, 1]), _speed(stick), _movements(stick)
     rest = radius < _AT_REST
-    untied = speed - 1e-9 * np.arange(len(speed))  # equal peaks, which stand on one movement, would count twice
+    untied = speed - 1e-9 * np.arange(
+        len(speed)
+    )  # equal peaks, which stand on one movement, would count twice
     moves = len(find_peaks(np.r_[0.0, untied, 0.0], height=_FAST, prominence=_FAST)[0])
     hz, density = welch(stick, 1.0 / STICK_DT_S, axis=0)
     power = hz[1] * density.sum(axis=1)
@@ -79,7 +92,10 @@ def stick_habits(stick: F64, noise_rate: float, step: float) -> dict[str, float]
         "speed_per_s": float(np.quantile(speed, 0.95)),
         "lag_s": _lag_s(stick, spans),
         "noise": _wander(stick, spans, noise_rate, step),
-    } | {f"below_{high:g}_hz": math.sqrt(power[(hz >= low) & (hz < high)].sum()) for low, high in pairwise(_BANDS_HZ)}
+    } | {
+        f"below_{high:g}_hz": math.sqrt(power[(hz >= low) & (hz < high)].sum())
+        for low, high in pairwise(_BANDS_HZ)
+    }
 
 
 def driven_stick(user: UserProfile, wishes: F64, step: float, number: int) -> F64:
@@ -109,7 +125,9 @@ def fit_sticks(people: Mapping[str, F64], base: UserProfile) -> UserFit:
     step = _step(units)
     own = [stick_habits(unit, base.noise_rate, step) for unit in units]
     rows = {"people": _means(own)}
-    told = [f"the stick was told in steps of {step:.3g}, and nothing of what was wanted: reaction is that of --base"]
+    told = [
+        f"the stick was told in steps of {step:.3g}, and nothing of what was wanted: reaction is that of --base"
+    ]
     found = {name: item for name, item in rows["people"].items() if name in ("lag_s", "noise")}
     if rows["people"]["moves_per_s"].value > _RESTLESS_PER_S:
         told.append("the stick is hardly ever held: lag and noise are those of --base")
@@ -117,12 +135,16 @@ def fit_sticks(people: Mapping[str, F64], base: UserProfile) -> UserFit:
     numbers: dict[str, Any] = {name: round(item.value, 4) for name, item in found.items()}
     user = replace(base, spread=0.0, **numbers)
     for each in (replace(user, name="fitted"), *map(profile, profile_names())):
-        sticks = [driven_stick(each, _wishes_of(unit), step, number) for number, unit in enumerate(units)]
+        sticks = [
+            driven_stick(each, _wishes_of(unit), step, number) for number, unit in enumerate(units)
+        ]
         rows[each.name] = _means([stick_habits(stick, base.noise_rate, step) for stick in sticks])
     for name, habits in zip(people if len(people) > 2 else (), own, strict=False):
         others = _means([each for each in own if each is not habits], one_more=1.0)
         rows[f"person {name}"] = {
-            key: replace(item, value=habits[key]) for key, item in others.items() if habits[key] >= 0.0
+            key: replace(item, value=habits[key])
+            for key, item in others.items()
+            if habits[key] >= 0.0
         }
     seconds = STICK_DT_S * sum(map(len, units))
     return UserFit(profile=user, estimates=found, seconds=seconds, warnings=(*told,), habits=rows)
@@ -159,7 +181,9 @@ def _speed(stick: F64) -> F64:
 def _movements(stick: F64) -> list[tuple[int, int]]:
     """First sample and end of each movement."""
     speed = _speed(stick)
-    return [(begin, end) for begin, end in stretches(speed > _SLOW) if speed[begin:end].max() > _FAST]
+    return [
+        (begin, end) for begin, end in stretches(speed > _SLOW) if speed[begin:end].max() > _FAST
+    ]
 
 
 def _wishes_of(stick: F64) -> F64:
@@ -198,4 +222,6 @@ def _wander(stick: F64, spans: Sequence[tuple[int, int]], rate: float, step: flo
         return math.nan
     bends = (stick[2 * _BEND :] - 2.0 * stick[_BEND:-_BEND] + stick[: -2 * _BEND])[whole]
     keep = math.exp(-rate * _BEND * STICK_DT_S)
-    return math.sqrt(max(float((bends**2).mean()) - 0.5 * step**2, 0.0) / (2.0 * (1.0 - keep) * (3.0 - keep)))
+    return math.sqrt(
+        max(float((bends**2).mean()) - 0.5 * step**2, 0.0) / (2.0 * (1.0 - keep) * (3.0 - keep))
+    )

@@ -75,7 +75,10 @@ class FittedNumber:
 
 
 def _usual_speed(
-    drives: Sequence[DriveRecording], series: Sequence[HandSeries], found: Mapping[str, FittedNumber], wanted: bool
+    drives: Sequence[DriveRecording],
+    series: Sequence[HandSeries],
+    found: Mapping[str, FittedNumber],
+    wanted: bool,
 ) -> FittedNumber:
     """The usual speed as a share of the chair's: what the stick, without this hand's gain and bias, asks for at most.
 
@@ -88,12 +91,21 @@ def _usual_speed(
     chair = parse_json(RunConfig, drives[0].header.config, "the configuration in the drive").chair
     gain = found["gain_y"].value if "gain_y" in found else 1.0
     bias = found["bias_y"].value if "bias_y" in found else 0.0
-    rows = [item.intents[:, 1] if wanted else (_smooth(item) - bias) / max(gain, 0.05) for item in series]
+    rows = [
+        item.intents[:, 1] if wanted else (_smooth(item) - bias) / max(gain, 0.05)
+        for item in series
+    ]
 
     def share(parts: F64) -> float:
         pushed = float(np.quantile(parts[:, 0], _USUAL_SPEED))
-        if "correct_every_s" in found:  # who misses the size of corrections asks for more and less than is liked
-            pushed = float(np.median(parts[parts[:, 0] > 0.5 * pushed, 0], axis=0)) if pushed > 0.0 else 0.0
+        if (
+            "correct_every_s" in found
+        ):  # who misses the size of corrections asks for more and less than is liked
+            pushed = (
+                float(np.median(parts[parts[:, 0] > 0.5 * pushed, 0], axis=0))
+                if pushed > 0.0
+                else 0.0
+            )
         out = max(0.0, pushed - chair.deadband) / (1.0 - chair.deadband)
         return float(min(1.0, max(0.05, out**chair.shape_exponent)))
 
@@ -105,7 +117,9 @@ def _look_shares(series: Sequence[HandSeries]) -> dict[str, FittedNumber]:
     tick_s = series[0].tick_s
     gaps = [correction_s(item.intents, tick_s) for item in series]
     known = [gap for gap in gaps if gap is not None]
-    changes = np.concatenate([(np.diff(item.intents, axis=0) != 0.0).any(axis=1) for item in series])
+    changes = np.concatenate(
+        [(np.diff(item.intents, axis=0) != 0.0).any(axis=1) for item in series]
+    )
     if known and float(changes.mean()) < 1.0 / _ON_ITS_WAY:
         # between two corrections an intent stands still as in a look elsewhere, which cannot be told then
 
@@ -117,7 +131,9 @@ def _look_shares(series: Sequence[HandSeries]) -> dict[str, FittedNumber]:
     away = _resampled(rows, series, lambda t: float(t[:, 0].sum() / max(1.0, t[:, 1].sum())))
     if away.value < _RARE_SHARE:
         return {"away_share": replace(away, value=0.0, low=0.0)}
-    lasting = _resampled(rows, series, lambda t: _mean_look(tick_s * float(t[:, 0].sum() / max(1.0, t[:, 2].sum()))))
+    lasting = _resampled(
+        rows, series, lambda t: _mean_look(tick_s * float(t[:, 0].sum() / max(1.0, t[:, 2].sum())))
+    )
     return {"away_share": away, "away_s": lasting}
 
 
@@ -148,10 +164,14 @@ def _mean_look(seen_s: float) -> float:
 
 def _smooth(item: HandSeries) -> F64:
     width = min(len(item.stick), max(1, round(_SMOOTH_S / item.apart_s)))
-    return np.asarray(np.convolve(item.stick[:, 1], np.full(width, 1.0 / width), mode="valid"), np.float64)
+    return np.asarray(
+        np.convolve(item.stick[:, 1], np.full(width, 1.0 / width), mode="valid"), np.float64
+    )
 
 
-def _resampled(rows: Sequence[F64], series: Sequence[HandSeries], value: Callable[[F64], float]) -> FittedNumber:
+def _resampled(
+    rows: Sequence[F64], series: Sequence[HandSeries], value: Callable[[F64], float]
+) -> FittedNumber:
     """A number of the rows (n, k) of all episodes, and its interval by drawing stretches of 10 s anew."""
     rng = seeding.generator(0, "stretches resampled")
     parts: list[F64] = []
@@ -159,7 +179,9 @@ def _resampled(rows: Sequence[F64], series: Sequence[HandSeries], value: Callabl
         seconds = len(item.intents) * item.tick_s
         parts += np.array_split(table, max(1, round(seconds / BLOCK_S)))
     drawn = [
-        value(np.concatenate([parts[k] for k in rng.integers(len(parts), size=len(parts)).tolist()]))
+        value(
+            np.concatenate([parts[k] for k in rng.integers(len(parts), size=len(parts)).tolist()])
+        )
         for _ in range(_RESAMPLED)
     ]
     found, half = value(np.concatenate(list(rows))), _SD * float(np.std(drawn))
@@ -182,20 +204,36 @@ def _of_switches(series: Sequence[HandSeries], base: UserProfile) -> dict[str, F
     starts = _best(series, base, reactions_s, _HOLDS_S, _FEW_TICKS)[:_STARTS]
     refined = [_refined(series, base, start, (reactions_s[0], reactions_s[-1])) for start in starts]
     found = min(
-        refined, key=lambda pair: _wrong(series, replace(base, reaction_s=pair[0], hold_s=pair[1]), _MORE_TICKS)
+        refined,
+        key=lambda pair: _wrong(
+            series, replace(base, reaction_s=pair[0], hold_s=pair[1]), _MORE_TICKS
+        ),
     )
     user = replace(base, reaction_s=found[0], hold_s=found[1])
     around_s = _FINE_S * np.arange(-8.0, 8.5)
-    late = np.array([_wrong(series, replace(user, reaction_s=found[0] + by_s), _MORE_TICKS) for by_s in around_s])
-    held = np.array([_wrong(series, replace(user, hold_s=found[1] + by_s), _MORE_TICKS) for by_s in around_s])
-    return {"reaction_s": _interval(found[0] + around_s, late), "hold_s": _interval(found[1] + around_s, held)}
+    late = np.array(
+        [
+            _wrong(series, replace(user, reaction_s=found[0] + by_s), _MORE_TICKS)
+            for by_s in around_s
+        ]
+    )
+    held = np.array(
+        [_wrong(series, replace(user, hold_s=found[1] + by_s), _MORE_TICKS) for by_s in around_s]
+    )
+    return {
+        "reaction_s": _interval(found[0] + around_s, late),
+        "hold_s": _interval(found[1] + around_s, held),
+    }
 
 
 def _first_press_s(series: Sequence[HandSeries]) -> float | None:
     """The shortest time from the first wish of an episode to the first switch; None where none began at rest."""
     found = []
     for item in series:
-        wants = np.asarray((item.intents[:, 1] > DRIVE_ABOVE) | (np.abs(item.intents[:, 0]) > STEER_ABOVE), np.bool_)
+        wants = np.asarray(
+            (item.intents[:, 1] > DRIVE_ABOVE) | (np.abs(item.intents[:, 0]) > STEER_ABOVE),
+            np.bool_,
+        )
         pressed = np.asarray((np.abs(item.stick) > _SAME).any(axis=1), np.bool_)
         if wants.any() and pressed.any() and not pressed[0]:
             pressed_s = float(item.time_s[int(np.argmax(pressed))]) - item.begun_s
@@ -204,7 +242,10 @@ def _first_press_s(series: Sequence[HandSeries]) -> float | None:
 
 
 def _refined(
-    series: Sequence[HandSeries], base: UserProfile, start: tuple[float, float], bounds_s: tuple[float, float]
+    series: Sequence[HandSeries],
+    base: UserProfile,
+    start: tuple[float, float],
+    bounds_s: tuple[float, float],
 ) -> tuple[float, float]:
     """The best delay and hold near to these, on lattices that get finer; the delay keeps within bounds."""
     found = start
@@ -221,7 +262,10 @@ def _best(
 ) -> list[tuple[float, float]]:
     """The pairs of delay and hold of a lattice, those first that make the most samples again."""
     pairs = [(float(late_s), float(hold_s)) for late_s in reactions_s for hold_s in holds_s]
-    wrong = [_wrong(series, replace(base, reaction_s=late_s, hold_s=hold_s), ticks) for late_s, hold_s in pairs]
+    wrong = [
+        _wrong(series, replace(base, reaction_s=late_s, hold_s=hold_s), ticks)
+        for late_s, hold_s in pairs
+    ]
     return [pairs[k] for k in np.argsort(wrong, kind="stable").tolist()]
 
 
@@ -254,7 +298,9 @@ def _wrong(series: Sequence[HandSeries], user: UserProfile, ticks: int) -> float
 
 def is_told(name: str, estimate: FittedNumber) -> bool:
     """Whether half the interval is less than 15 % of the value, or than what does not matter."""
-    return 0.5 * (estimate.high - estimate.low) <= max(WIDEST * abs(estimate.value), _FLOORS.get(name, 0.0))
+    return 0.5 * (estimate.high - estimate.low) <= max(
+        WIDEST * abs(estimate.value), _FLOORS.get(name, 0.0)
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -265,7 +311,9 @@ class UserFit:
     estimates: dict[str, FittedNumber]  # gain and bias as gain_x, gain_y, bias_x, bias_y
     seconds: float  # driven
     warnings: tuple[str, ...]
-    habits: Mapping[str, Mapping[str, FittedNumber]] = field(default_factory=dict)  # of sticks, by whose they are
+    habits: Mapping[str, Mapping[str, FittedNumber]] = field(
+        default_factory=dict
+    )  # of sticks, by whose they are
 
 
 def fit_user(drives: Sequence[DriveRecording], base: UserProfile, wanted: bool = True) -> UserFit:
@@ -297,7 +345,10 @@ def fit_user(drives: Sequence[DriveRecording], base: UserProfile, wanted: bool =
     found |= {"speed_share": _usual_speed(drives, series, found, wanted)}
     profile = replace(base, discrete=switched, spread=0.0, **_numbers(found, switched))
     return UserFit(
-        profile=profile, estimates=found, seconds=seconds, warnings=_warnings(found, seconds, series, wanted)
+        profile=profile,
+        estimates=found,
+        seconds=seconds,
+        warnings=_warnings(found, seconds, series, wanted),
     )
 
 
@@ -339,14 +390,17 @@ def _of_hand(law: HandLaw) -> dict[str, FittedNumber]:
 def _numbers(found: dict[str, FittedNumber], switched: bool) -> dict[str, Any]:
     """The numbers of a profile, within its bounds and rounded to what they tell."""
     plain = {
-        name: _bounded(name, estimate.value) for name, estimate in found.items() if name.partition("_")[0] not in PAIRS
+        name: _bounded(name, estimate.value)
+        for name, estimate in found.items()
+        if name.partition("_")[0] not in PAIRS
     }
     if switched:
         return {**plain, "noise": 0.0, "tremor": 0.0, "gain": (1.0, 1.0), "bias": (0.0, 0.0)}
     if not _tells_hand(found):
         return plain
     pairs: dict[str, Any] = {
-        name: tuple(_bounded(name, found[f"{name}_{axis}"].value) for axis in "xy") for name in PAIRS
+        name: tuple(_bounded(name, found[f"{name}_{axis}"].value) for axis in "xy")
+        for name in PAIRS
     }
     return {"correct_every_s": 0.0, **plain, **pairs}
 
@@ -374,7 +428,9 @@ def _warnings(
             "gain, bias, noise and tremor are those of --base; drive with half of the stick too"
         )
     if seconds < _FEWEST_BLOCKS * BLOCK_S:
-        told.append(f"intervals come from only {seconds / BLOCK_S:.0f} stretches of {BLOCK_S:.0f} s: too few to trust")
+        told.append(
+            f"intervals come from only {seconds / BLOCK_S:.0f} stretches of {BLOCK_S:.0f} s: too few to trust"
+        )
     if series[0].apart_s > 0.06:
         fastest_hz = 0.5 / series[0].apart_s
         told.append(
@@ -388,5 +444,7 @@ def _warnings(
                 f"{item.high:.3g}; {more}"
             )
     if not wanted:
-        told.append("intents come from the user model, which never looks away: time spent looking away counts as noise")
+        told.append(
+            "intents come from the user model, which never looks away: time spent looking away counts as noise"
+        )
     return tuple(told)

@@ -30,7 +30,9 @@ _FORWARD = 0.5  # the tremor forward, as a share of that to the side
 
 
 @exact_kernel
-def _wish_on_its_way(intents: F64, steps: int, dt_s: float, delay_s: float, lag_s: float, filter_s: float) -> F64:
+def _wish_on_its_way(
+    intents: F64, steps: int, dt_s: float, delay_s: float, lag_s: float, filter_s: float
+) -> F64:
     """The hand (N * steps, 2) without noise: intents (N, 2), one a tick, after delay, lag and the joystick's low-pass.
 
     A wish counts in part around the step in which it arrives, so that the result changes smoothly with the delay.
@@ -41,7 +43,9 @@ def _wish_on_its_way(intents: F64, steps: int, dt_s: float, delay_s: float, lag_
     filtered = 1.0 if filter_s <= 0.0 else 1.0 - math.exp(-dt_s / filter_s)
     state, stick = np.zeros(2), np.zeros(2)
     for k in range(ticks * steps):
-        at = ((k + 1.5) * dt_s - delay_s) / (steps * dt_s)  # a hand heeds what comes within a step in all of it
+        at = ((k + 1.5) * dt_s - delay_s) / (
+            steps * dt_s
+        )  # a hand heeds what comes within a step in all of it
         index = math.floor(at)
         part = min(1.0, (at - index) * steps)
         for axis in range(2):
@@ -55,7 +59,9 @@ def _wish_on_its_way(intents: F64, steps: int, dt_s: float, delay_s: float, lag_
 
 
 @exact_kernel
-def _surprises(hand: F64, wish: F64, free: Bool, noise: F64, line: F64, counted: Bool, clear: Bool) -> F64:
+def _surprises(
+    hand: F64, wish: F64, free: Bool, noise: F64, line: F64, counted: Bool, clear: Bool
+) -> F64:
     """How unlikely each sample (n,) of a hand is after those before it: minus the logarithm of its density.
 
     The noise is an Ornstein-Uhlenbeck process on each axis, and a tremor whose phase wanders; both are followed by a
@@ -79,13 +85,19 @@ def _surprises(hand: F64, wish: F64, free: Bool, noise: F64, line: F64, counted:
     wander = noise[NOISE] ** 2
     for axis in range(2):
         p[axis, 0, 0] = wander
-        p[axis, 1, 1] = p[axis, 2, 2] = 0.5 * (noise[TREMOR] * (1.0 if axis == 0 else _FORWARD)) ** 2
+        p[axis, 1, 1] = p[axis, 2, 2] = (
+            0.5 * (noise[TREMOR] * (1.0 if axis == 0 else _FORWARD)) ** 2
+        )
     for k in range(n):
         for axis in range(2):
             a, b, c = x[axis, 0], x[axis, 1], x[axis, 2]
             x[axis, 0], x[axis, 1], x[axis, 2] = keep * a, cos * b - sin * c, sin * b + cos * c
             _grow(p[axis], keep, cos, sin)
-            shake = 0.5 * (noise[TREMOR] * (1.0 if axis == 0 else _FORWARD)) ** 2 * (1.0 - noise[FADING] ** 2)
+            shake = (
+                0.5
+                * (noise[TREMOR] * (1.0 if axis == 0 else _FORWARD)) ** 2
+                * (1.0 - noise[FADING] ** 2)
+            )
             p[axis, 0, 0] += wander * (1.0 - keep * keep)
             p[axis, 1, 1] += shake
             p[axis, 2, 2] += shake
@@ -157,7 +169,9 @@ def least(summands: Summands, start: F64, steps: F64) -> F64:
     return here
 
 
-def _certainty(summands: Summands, here: F64, steps: F64, together: np.typing.NDArray[np.intp]) -> F64:
+def _certainty(
+    summands: Summands, here: F64, steps: F64, together: np.typing.NDArray[np.intp]
+) -> F64:
     """The covariance (p, p) of the least place, by White's sandwich.
 
     Args:
@@ -171,12 +185,17 @@ def _certainty(summands: Summands, here: F64, steps: F64, together: np.typing.ND
     count = int(together.max()) + 1
     longer = np.stack([np.bincount(together, column, count) for column in slopes.T], axis=1)
     centred = longer - longer.mean(axis=0)
-    return np.asarray(inverse @ (centred.T @ centred) @ inverse * count / max(1, count - 1), np.float64)
+    return np.asarray(
+        inverse @ (centred.T @ centred) @ inverse * count / max(1, count - 1), np.float64
+    )
 
 
 def _slopes(summands: Summands, here: F64, steps: F64) -> F64:
     """(B, p)."""
-    sides = [(summands(here + step) - summands(here - step)) / (2.0 * step.sum()) for step in np.diag(steps)]
+    sides = [
+        (summands(here + step) - summands(here - step)) / (2.0 * step.sum())
+        for step in np.diag(steps)
+    ]
     return np.stack(sides, axis=1)
 
 
@@ -214,7 +233,18 @@ _SURE = 12.0  # so much more probable, as a logarithm, must the hand be with a t
 _LEAST_TREMOR = 0.01  # of the stick's travel: less than this is none
 _LEAST_COUNTED = 0.05  # of the samples
 _KEPT = 12
-NAMES = ("reaction_s", "lag_s", "gain_x", "gain_y", "bias_x", "bias_y", "noise", "noise_rate", "tremor", "tremor_hz")
+NAMES = (
+    "reaction_s",
+    "lag_s",
+    "gain_x",
+    "gain_y",
+    "bias_x",
+    "bias_y",
+    "noise",
+    "noise_rate",
+    "tremor",
+    "tremor_hz",
+)
 LOGS = frozenset({"lag_s", "noise", "noise_rate", "tremor"})  # whose logarithm is fitted
 _STEPS = (0.01, 0.05, 0.02, 0.02, 0.01, 0.01, 0.05, 0.08, 0.05, 0.01)
 _LOW = (0.0, 5e-3, -5.0, -5.0, -2.0, -2.0, 1e-4, 0.05, 1e-4, 0.5)
@@ -249,7 +279,9 @@ def fit_law(series: Sequence[HandSeries]) -> HandLaw:
     spread = _certainty(blocks, here, np.array(_STEPS[: len(here)]), blocks.together)
     values = _values(here, series[0].filter_s)
     sd = dict(zip(NAMES, np.sqrt(np.maximum(np.diag(spread), 0.0)).tolist(), strict=False))
-    sd["reaction_s"] = math.hypot(sd["reaction_s"], series[0].tick_s / series[0].steps / math.sqrt(12.0))
+    sd["reaction_s"] = math.hypot(
+        sd["reaction_s"], series[0].tick_s / series[0].steps / math.sqrt(12.0)
+    )
     most = 0.0 if len(here) == len(NAMES) else _most_tremor(series, here, guess)
     return HandLaw(
         values={**dict.fromkeys(NAMES, 0.0), **values},
@@ -261,7 +293,9 @@ def fit_law(series: Sequence[HandSeries]) -> HandLaw:
 
 def _counted_share(series: Sequence[HandSeries], counted: Sequence[Bool]) -> float:
     """Who only ever pushes to the gate tells no more than who never moves."""
-    moves = np.concatenate([np.hypot(item.stick[:, 0], item.stick[:, 1]) > MOVES for item in series])
+    moves = np.concatenate(
+        [np.hypot(item.stick[:, 0], item.stick[:, 1]) > MOVES for item in series]
+    )
     return float((np.concatenate(counted) & moves).sum() / max(1, int(moves.sum())))
 
 
@@ -293,10 +327,19 @@ class _Likelihood:
         return sums
 
     def _parts(self, place: F64) -> list[F64]:
-        low, high = (np.array([_fitted(name, side[k]) for k, name in enumerate(NAMES)]) for side in (_LOW, _HIGH))
+        low, high = (
+            np.array([_fitted(name, side[k]) for k, name in enumerate(NAMES)])
+            for side in (_LOW, _HIGH)
+        )
         inside = np.clip(place, low[: len(place)], high[: len(place)])
         beyond = float((((place - inside) / np.array(_STEPS[: len(place)])) ** 2).sum())
-        law = dict(zip(NAMES, (_plain(name, value) for name, value in zip(NAMES, inside, strict=False)), strict=False))
+        law = dict(
+            zip(
+                NAMES,
+                (_plain(name, value) for name, value in zip(NAMES, inside, strict=False)),
+                strict=False,
+            )
+        )
         self._clear, found = [], []
         wishes = self._on_their_way(law["reaction_s"], law["lag_s"])
         for item, counted, wish in zip(self._series, self.counted, wishes, strict=True):
@@ -326,10 +369,19 @@ def _wished(item: HandSeries, delay_s: float, lag_s: float) -> F64:
 def _noise(law: dict[str, float], apart_s: float) -> F64:
     """What `_surprises` takes of the noise."""
     hz = law.get("tremor_hz", 4.0)
-    fades_per_s = 0.5 * (math.tau * hz * TREMOR_WANDER) ** 2 * TREMOR_WANDER_S  # half of what its phase diffuses
+    fades_per_s = (
+        0.5 * (math.tau * hz * TREMOR_WANDER) ** 2 * TREMOR_WANDER_S
+    )  # half of what its phase diffuses
     turn_rad = math.tau * hz * apart_s
     return np.array(
-        [apart_s, law["noise"], law["noise_rate"], law.get("tremor", 0.0), turn_rad, math.exp(-fades_per_s * apart_s)]
+        [
+            apart_s,
+            law["noise"],
+            law["noise_rate"],
+            law.get("tremor", 0.0),
+            turn_rad,
+            math.exp(-fades_per_s * apart_s),
+        ]
     )
 
 
@@ -377,7 +429,10 @@ def _guess(series: Sequence[HandSeries]) -> F64:
             gain = (dx * dy).sum(axis=0) / np.maximum((dx * dx).sum(axis=0), 1e-9)
             error = float(((dy - gain * dx) ** 2).mean())
             if error < best:
-                best, found = error, (delay_s, lag_s, gain, (y.mean(axis=0) - gain * x.mean(axis=0)) / (1.0 - keep))
+                best, found = (
+                    error,
+                    (delay_s, lag_s, gain, (y.mean(axis=0) - gain * x.mean(axis=0)) / (1.0 - keep)),
+                )
     delay_s, lag_s, gain, bias = found
     amplitude, hz = _swing(series)
     turn = math.tau * hz * series[0].apart_s
@@ -385,7 +440,9 @@ def _guess(series: Sequence[HandSeries]) -> F64:
     noise = math.sqrt(max(best - shaken, 0.0) / (1.0 - keep * keep) + _LEAST_NOISE**2)
     start = (delay_s, lag_s, *gain.tolist(), *bias.tolist(), noise, _GUESSED_RATE, amplitude, hz)
     bounded = np.clip(start, np.array(_LOW) + 1e-3, _HIGH)
-    return np.array([_fitted(name, float(value)) for name, value in zip(NAMES, bounded, strict=True)])
+    return np.array(
+        [_fitted(name, float(value)) for name, value in zip(NAMES, bounded, strict=True)]
+    )
 
 
 def _swing(series: Sequence[HandSeries]) -> tuple[float, float]:
@@ -397,7 +454,9 @@ def _swing(series: Sequence[HandSeries]) -> tuple[float, float]:
     size = min(len(x), round(12.0 / apart_s))
     hz, density = welch(x, 1.0 / apart_s, np.hanning(size), size)
     power = density / (size * apart_s)
-    band = np.flatnonzero((hz >= _TREMOR_BAND_HZ[0]) & (hz <= min(_TREMOR_BAND_HZ[1], _BAND_OF_RATE / apart_s)))
+    band = np.flatnonzero(
+        (hz >= _TREMOR_BAND_HZ[0]) & (hz <= min(_TREMOR_BAND_HZ[1], _BAND_OF_RATE / apart_s))
+    )
     usual = np.median(power[band])
     peak = int(band[(power[band] * hz[band] ** 2).argmax()])
     near = slice(max(1, peak - 2), peak + 3)

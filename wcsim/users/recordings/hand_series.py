@@ -24,7 +24,10 @@ def correction_s(intents: F64, tick_s: float) -> float | None:
     """Mean time between changes of an intent (N, 2); stretches at rest are left out. None without any."""
     changed = np.flatnonzero((np.diff(intents, axis=0) != 0.0).any(axis=1))
     gaps = np.diff(changed)
-    resting = np.array([bool((intents[a + 1 : b + 1] == 0.0).all()) for a, b in pairwise(changed.tolist())], np.bool_)
+    resting = np.array(
+        [bool((intents[a + 1 : b + 1] == 0.0).all()) for a, b in pairwise(changed.tolist())],
+        np.bool_,
+    )
     gaps = gaps[~resting] if len(gaps) else gaps
     return float(gaps.mean()) * tick_s if len(gaps) else None
 
@@ -117,7 +120,9 @@ def hand_series(drives: Iterable[DriveRecording]) -> tuple[HandSeries, ...]:
 
 
 def _series(ticks: Sequence[DriveTick], tick_s: float, begun_s: float) -> HandSeries:
-    intents = np.array([(0.0, 0.0) if tick.intent is None else (tick.intent.x, tick.intent.y) for tick in ticks])
+    intents = np.array(
+        [(0.0, 0.0) if tick.intent is None else (tick.intent.x, tick.intent.y) for tick in ticks]
+    )
     samples = min(len(tick.sticks) for tick in ticks)
     if samples:
         sticks = np.concatenate([tick.sticks[-samples:] for tick in ticks])

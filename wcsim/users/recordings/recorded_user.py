@@ -46,7 +46,9 @@ class _JoystickRecording:
     intents: F64 | None = None  # (n, 2) what was wanted from then on, where that is known
     town: str = ""  # that it was driven in, where that is known
     town_sha256: str = ""  # of that town's content
-    episodes: tuple[_JoystickRecording, ...] = ()  # of a drive that has several, the first one among them
+    episodes: tuple[
+        _JoystickRecording, ...
+    ] = ()  # of a drive that has several, the first one among them
 
     @property
     def end_s(self) -> float:
@@ -68,7 +70,9 @@ class _JoystickRecording:
 
     def user(self, episode: int, outline: Outline) -> _RecordedUser:
         """Who replays an episode of it; after the last one the first comes again."""
-        return _RecordedUser(self.episodes[episode % len(self.episodes)] if self.episodes else self, outline)
+        return _RecordedUser(
+            self.episodes[episode % len(self.episodes)] if self.episodes else self, outline
+        )
 
     def require_driven_here(self, town: str, town_sha256: Callable[[], str]) -> None:
         """Refuse a drive of another town, or of this one when it was another. Raises ConfigError that names both."""
@@ -109,7 +113,9 @@ class _RecordedUser(User):
         if self._path is None:
             return
         x, y, yaw = float(view.p_W_m[0]), float(view.p_W_m[1]), view.yaw_rad
-        there = self._path.project(x + self._middle_m * math.cos(yaw), y + self._middle_m * math.sin(yaw), self._arc_m)
+        there = self._path.project(
+            x + self._middle_m * math.cos(yaw), y + self._middle_m * math.sin(yaw), self._arc_m
+        )
         self._arc_m = there.arc_m
         self.arrived = self.arrived or self._arc_m > self._path.length_m - ARRIVED_M
         if not self._told and self._time_s >= self._recording.end_s - _SAME_TIME_S:
@@ -143,7 +149,9 @@ def read_recording(path: FilePath) -> _JoystickRecording:
     for line, row, right in _rows(path):
         where = f"{escaped(path)}:{line}"
         if len(numbers) >= 3 * MOST_SAMPLES:
-            raise ConfigError(f"{where}: more than {MOST_SAMPLES} samples; expected at most so many: cut the file")
+            raise ConfigError(
+                f"{where}: more than {MOST_SAMPLES} samples; expected at most so many: cut the file"
+            )
         values = _values(where, row)
         _check(where, values, numbers[-3] if numbers else 0.0, first=not numbers)
         time_s, x, y = values
@@ -177,8 +185,12 @@ def _joystick_of_drive(path: FilePath) -> _JoystickRecording:
         )
     if not drive.ticks:
         raise ConfigError(f"{escaped(path)}: is empty; expected a drive with at least one tick")
-    episodes = tuple(replace(_joystick_of(part, header.tick_s), name=str(path)) for part in drive.episodes)
-    return replace(episodes[0], town=header.town_name, town_sha256=header.town_sha256, episodes=episodes)
+    episodes = tuple(
+        replace(_joystick_of(part, header.tick_s), name=str(path)) for part in drive.episodes
+    )
+    return replace(
+        episodes[0], town=header.town_name, town_sha256=header.town_sha256, episodes=episodes
+    )
 
 
 def _joystick_of(ticks: Sequence[DriveTick], tick_s: float) -> _JoystickRecording:
@@ -226,7 +238,9 @@ def _values(where: str, row: list[str]) -> tuple[float, float, float]:
         try:
             values.append(float(text))
         except ValueError:
-            raise ConfigError(f"{where}: {name} is not a number; expected {_BOUNDS[name]}") from None
+            raise ConfigError(
+                f"{where}: {name} is not a number; expected {_BOUNDS[name]}"
+            ) from None
     return values[0], values[1], values[2]
 
 
@@ -236,7 +250,9 @@ def _check(where: str, row: tuple[float, float, float], before_s: float, first: 
         if not -1.0 <= value <= 1.0:
             raise ConfigError(f"{where}: {name} is {value}; expected -1 to 1")
     if first and not 0.0 <= time_s <= _LONGEST_GAP_S:
-        raise ConfigError(f"{where}: time_s is {time_s} s; expected the first sample at 0 to {_LONGEST_GAP_S} s")
+        raise ConfigError(
+            f"{where}: time_s is {time_s} s; expected the first sample at 0 to {_LONGEST_GAP_S} s"
+        )
     if not first and not before_s < time_s <= before_s + _LONGEST_GAP_S + _SAME_TIME_S:
         raise ConfigError(
             f"{where}: time_s is {time_s} s after {before_s} s; expected later, by at most {_LONGEST_GAP_S} s: "

@@ -85,7 +85,10 @@ class _ObservationLayout:
         count, frames = len(next(iter(batch.values()))), self.window
         if not self.images:
             return np.zeros((count, 0), dtype=np.uint8)
-        parts = [np.asarray(batch[key], dtype=self._dtype).reshape(count, frames, -1) for key, _ in self.images]
+        parts = [
+            np.asarray(batch[key], dtype=self._dtype).reshape(count, frames, -1)
+            for key, _ in self.images
+        ]
         # As bytes: the stores behind it know no floats, and the same bits come back.
         rows: U8 = np.concatenate(parts, axis=2).reshape(count, -1).view(np.uint8)
         return rows
@@ -95,7 +98,9 @@ class _ObservationLayout:
         count = len(next(iter(batch.values())))
         if not self.vectors:
             return np.zeros((count, 0), dtype=np.float32)
-        parts = [np.asarray(batch[key], dtype=np.float32).reshape(count, -1) for key, _ in self.vectors]
+        parts = [
+            np.asarray(batch[key], dtype=np.float32).reshape(count, -1) for key, _ in self.vectors
+        ]
         return np.concatenate(parts, axis=1)
 
     def split(self, images: U8, vectors: F32) -> dict[str, npt.NDArray[Any]]:
@@ -115,7 +120,9 @@ def _layout_of(space: spaces.Space[Any]) -> _ObservationLayout:
         PolicyError: It is not a Dict of uint8 and float32 boxes, or has images of both kinds.
     """
     if not isinstance(space, spaces.Dict):
-        raise PolicyError(f"observation space is {space}; expected a Dict of boxes: set env.observation=compact")
+        raise PolicyError(
+            f"observation space is {space}; expected a Dict of boxes: set env.observation=compact"
+        )
     images: list[tuple[str, tuple[int, ...]]] = []
     vectors: list[tuple[str, tuple[int, ...]]] = []
     for key, box in sorted(space.spaces.items()):
@@ -125,7 +132,9 @@ def _layout_of(space: spaces.Space[Any]) -> _ObservationLayout:
         (images if is_image else vectors).append((key, tuple(box.shape)))
     sizes = {space[key].dtype.itemsize for key, _ in images} or {1}  # type: ignore[union-attr]
     if len(sizes) > 1:
-        raise PolicyError(f"images of {space} are of uint8 and float32; expected one kind: see env.observation")
+        raise PolicyError(
+            f"images of {space} are of uint8 and float32; expected one kind: see env.observation"
+        )
     return _ObservationLayout(images=tuple(images), vectors=tuple(vectors), item_bytes=sizes.pop())
 
 
@@ -176,7 +185,9 @@ class FrameReplay(ReplayBuffer):
         self.observation_space, self.action_space = observation_space, action_space
         self.device, self.n_envs, self.action_dim = get_device(device), n_envs, 1
         self.optimize_memory_usage, self.handle_timeout_termination = optimize_memory_usage, True
-        least = 2 * settings.group_steps + settings.burn_in + 1 if settings.memory == "groups" else 2
+        least = (
+            2 * settings.group_steps + settings.burn_in + 1 if settings.memory == "groups" else 2
+        )
         self.buffer_size = rows = max(buffer_size // n_envs, settings.n_step + 1, least)
         self.n_step, self.gamma = settings.n_step, settings.gamma
         self.precrash_share = settings.precrash_share
@@ -185,24 +196,36 @@ class FrameReplay(ReplayBuffer):
         self.groups: Groups | None = None
         if settings.memory == "groups":
             self.groups = Groups(settings.group_steps, settings.burn_in)
-        self.windows = WindowStore(rows, n_envs, self.layout.window, self.layout.frame_bytes, self._smooth_bytes())
+        self.windows = WindowStore(
+            rows, n_envs, self.layout.window, self.layout.frame_bytes, self._smooth_bytes()
+        )
         self._ends = BlobCodec(self.layout.image_bytes, 0)
         self.vectors = np.zeros((rows, n_envs, self.layout.vector_size), dtype=np.float32)
         self.actions = np.zeros((rows, n_envs), dtype=np.int64)
         self.rewards = np.zeros((rows, n_envs), dtype=np.float32)
         self.ended = np.zeros((rows, n_envs), dtype=bool)
         self.terminated = np.zeros((rows, n_envs), dtype=bool)
-        self.episode_step = np.zeros((rows, n_envs), dtype=np.int64)  # steps since the start of the chain
-        self._actions = count = int(action_space.n) if isinstance(action_space, spaces.Discrete) else 0
+        self.episode_step = np.zeros(
+            (rows, n_envs), dtype=np.int64
+        )  # steps since the start of the chain
+        self._actions = count = (
+            int(action_space.n) if isinstance(action_space, spaces.Discrete) else 0
+        )
         self.advised = settings.aid == "oracle"
-        self.advice_bits = np.zeros((rows, n_envs, (count + 7) // 8), dtype=np.uint8)  # 1 where safe, packed
+        self.advice_bits = np.zeros(
+            (rows, n_envs, (count + 7) // 8), dtype=np.uint8
+        )  # 1 where safe, packed
         self.advice_known = np.zeros((rows, n_envs), dtype=bool)
         self.reset()
 
     def _smooth_bytes(self) -> int:
         """How many bytes at a frame's beginning are of depth."""
         first, shape = self.layout.images[0] if self.layout.images else ("", ())
-        return int(np.prod(shape)) // self.layout.window if first == DEPTH_KEY and self.layout.item_bytes == 1 else 0
+        return (
+            int(np.prod(shape)) // self.layout.window
+            if first == DEPTH_KEY and self.layout.item_bytes == 1
+            else 0
+        )
 
     def reset(self) -> None:
         """Forget everything."""
@@ -311,7 +334,9 @@ class FrameReplay(ReplayBuffer):
         Raises ValueError when fewer than two steps are stored.
         """
         if self.total < 2:
-            raise ValueError(f"replay holds {self.total} steps; expected at least 2: raise learn.learning_starts")
+            raise ValueError(
+                f"replay holds {self.total} steps; expected at least 2: raise learn.learning_starts"
+            )
         first = self.total - self.size()
         seats = self.rng.integers(0, self.n_envs, batch_size)
         # The newest row has no successor to bootstrap from, unless its episode ended with it.
@@ -331,7 +356,9 @@ class FrameReplay(ReplayBuffer):
         return DictReplayBufferSamples(
             observations={key: self.to_torch(value, copy=False) for key, value in now.items()},
             actions=self.to_torch(self.actions[rows, seats][:, None], copy=False),
-            next_observations={key: self.to_torch(value, copy=False) for key, value in after.items()},
+            next_observations={
+                key: self.to_torch(value, copy=False) for key, value in after.items()
+            },
             dones=self.to_torch(chains.terminated.astype(np.float32)[:, None], copy=False),
             rewards=self.to_torch(chains.returns[:, None], copy=False),
             discounts=self.to_torch(chains.discounts[:, None], copy=False),
@@ -346,11 +373,15 @@ class FrameReplay(ReplayBuffer):
         Raises ValueError when the memory was built without `advice`.
         """
         if not self.advised:
-            raise ValueError("replay stores no advice; build it with advice=True (learn.aid=oracle)")
+            raise ValueError(
+                "replay stores no advice; build it with advice=True (learn.aid=oracle)"
+            )
         if not self.known:
             return None
         many = round(tight_share * count) if self.tight else 0
-        index, seats = np.concatenate([self._drawn(self.tight, many), self._drawn(self.known, count - many)]).T
+        index, seats = np.concatenate(
+            [self._drawn(self.tight, many), self._drawn(self.known, count - many)]
+        ).T
         rows = index % self.buffer_size
         seen = self.layout.split(self.windows.read(index, seats), self.vectors[rows, seats])
         observations = {key: self.to_torch(value, copy=False) for key, value in seen.items()}
@@ -358,9 +389,9 @@ class FrameReplay(ReplayBuffer):
 
     def safe(self, index: I64, seats: I64) -> Bool:
         """Safe actions of these steps, (..., A)."""
-        return np.unpackbits(self.advice_bits[index % self.buffer_size, seats], axis=-1, count=self._actions).astype(
-            bool
-        )
+        return np.unpackbits(
+            self.advice_bits[index % self.buffer_size, seats], axis=-1, count=self._actions
+        ).astype(bool)
 
     def _safe_ahead(self, index: I64, seats: I64, ahead: int) -> Bool:
         safe, at = self.safe(index, seats), index
@@ -380,7 +411,9 @@ class FrameReplay(ReplayBuffer):
         for step in range(self.n_step):
             index = starts + step
             rows = index % self.buffer_size
-            alive &= (index < self.total - 1) | ((index == self.total - 1) & self.ended[rows, seats])
+            alive &= (index < self.total - 1) | (
+                (index == self.total - 1) & self.ended[rows, seats]
+            )
             returns += np.where(alive, discounts * self.rewards[rows, seats], 0.0)
             discounts = np.where(alive, discounts * self.gamma, discounts)
             last = np.where(alive, index, last)
@@ -420,14 +453,20 @@ class FrameReplay(ReplayBuffer):
 
     def _goes_on(self) -> list[int]:
         """The seats whose chain goes on."""
-        return np.flatnonzero(~self.ended[(self.total - 1) % self.buffer_size]).tolist() if self.total > 0 else []
+        return (
+            np.flatnonzero(~self.ended[(self.total - 1) % self.buffer_size]).tolist()
+            if self.total > 0
+            else []
+        )
 
     def _led_to(self, images: U8, vectors: F32, seat: int) -> bool:
         """Whether a seat's observation is the one that its last step led to."""
         if self.expected is None:
             return True
         next_images, next_vectors = self.expected
-        return np.array_equal(images[seat], next_images[seat]) and np.array_equal(vectors[seat], next_vectors[seat])
+        return np.array_equal(images[seat], next_images[seat]) and np.array_equal(
+            vectors[seat], next_vectors[seat]
+        )
 
     def _store_expected(self, index: int, seat: int) -> None:
         if self.expected is not None:

@@ -26,7 +26,9 @@ from wcsim.types import I64, U8, Bool
 
 LEVEL: Final = 1  # of zstd
 _LEAST_MATCH: Final = 7  # bytes; in noise a shorter repetition costs more than it saves
-_HASH_LOG: Final = 12  # a table so small that it is in the cache, though a world was computed in between
+_HASH_LOG: Final = (
+    12  # a table so small that it is in the cache, though a world was computed in between
+)
 _LENGTHS: Final = struct.Struct("<II")
 PACK_ABOVE_BYTES = 40_000  # an 80x60 pair of images has 9.6 kB and is not worth the time of packing
 
@@ -36,7 +38,9 @@ class BlobCodec:
 
     def __init__(self, size: int, smooth: int) -> None:
         self._size, self._smooth = size, smooth
-        settings = zstandard.ZstdCompressionParameters.from_level(LEVEL, min_match=_LEAST_MATCH, hash_log=_HASH_LOG)
+        settings = zstandard.ZstdCompressionParameters.from_level(
+            LEVEL, min_match=_LEAST_MATCH, hash_log=_HASH_LOG
+        )
         self._pack = zstandard.ZstdCompressor(compression_params=settings)
         self._unpack = zstandard.ZstdDecompressor()
 
@@ -114,7 +118,11 @@ class _PackedFrames:
 
 def _frame_store(rows: int, seats: int, size: int, smooth: int = 0) -> _RawFrames | _PackedFrames:
     """The store in memory that fits frames of `size` bytes, the first `smooth` of depth, of the last `rows` steps."""
-    return _RawFrames(rows, seats, size) if size <= PACK_ABOVE_BYTES else _PackedFrames(rows, seats, size, smooth)
+    return (
+        _RawFrames(rows, seats, size)
+        if size <= PACK_ABOVE_BYTES
+        else _PackedFrames(rows, seats, size, smooth)
+    )
 
 
 class WindowStore:
@@ -123,11 +131,17 @@ class WindowStore:
     def __init__(self, steps: int, seats: int, frames: int, size: int, smooth: int = 0) -> None:
         """A place for `steps` windows of `frames` frames of `size` bytes in each seat, the first `smooth` of depth."""
         self._window, self._size = frames, size
-        self._rows = steps + frames - 1  # the oldest window's older frames belong to steps before it
+        self._rows = (
+            steps + frames - 1
+        )  # the oldest window's older frames belong to steps before it
         self._steps = steps
         self.frames = _frame_store(self._rows, seats, size, smooth)
-        self._depth = np.zeros((self._rows, seats), dtype=np.int64)  # steps since the start of the chain
-        self._last = np.zeros((seats, frames * size), dtype=np.uint8)  # the last windows, as they would be read
+        self._depth = np.zeros(
+            (self._rows, seats), dtype=np.int64
+        )  # steps since the start of the chain
+        self._last = np.zeros(
+            (seats, frames * size), dtype=np.uint8
+        )  # the last windows, as they would be read
         self.reset()
 
     def reset(self) -> None:
@@ -160,7 +174,9 @@ class WindowStore:
         if index != self._next:  # nothing is known of the steps before
             fresh = np.ones_like(fresh)
         self._next = index + 1
-        self._depth[index % self._rows] = np.where(fresh, 0, self._depth[(index - 1) % self._rows] + 1)
+        self._depth[index % self._rows] = np.where(
+            fresh, 0, self._depth[(index - 1) % self._rows] + 1
+        )
         return fresh
 
     def read(self, index: I64, seats: I64) -> U8:

@@ -33,7 +33,9 @@ class SequenceBatch:
 
     observations: Tensors  # (K, P, ...)
     states: torch.Tensor  # (K, S) as stored, at the beginning of the burn-in
-    burn_in: tuple[tuple[torch.Tensor, Tensors], ...]  # rows (R,) of K with the same number of steps, (R, steps, ...)
+    burn_in: tuple[
+        tuple[torch.Tensor, Tensors], ...
+    ]  # rows (R,) of K with the same number of steps, (R, steps, ...)
     live: torch.Tensor  # (K, L) bool: steps that the group has
     actions: torch.Tensor  # (K, L) int64
     returns: torch.Tensor  # (K, L) float32: unscaled n-step returns
@@ -52,7 +54,9 @@ class Groups:
 
     def reset(self) -> None:
         """Forget everything."""
-        self.states: dict[tuple[int, int], F32] = {}  # (S,) before the step of (absolute index, seat)
+        self.states: dict[
+            tuple[int, int], F32
+        ] = {}  # (S,) before the step of (absolute index, seat)
         self.coming: F32 | None = None  # (seats, S) before the step that is added next
 
     def note(self, index: int, episode_step: I64, oldest: int) -> None:
@@ -94,11 +98,14 @@ class Groups:
     def gather(self, memory: FrameReplay, index: I64, seats: I64) -> SequenceBatch:
         """The groups that begin at these steps, with what comes after them and before them."""
         live = np.arange(self.length) < self.lengths(memory, index, seats)[:, None]
-        steps = index[:, None] + np.minimum(np.arange(self.length), live.sum(axis=1, keepdims=True) - 1)
+        steps = index[:, None] + np.minimum(
+            np.arange(self.length), live.sum(axis=1, keepdims=True) - 1
+        )
         every = np.broadcast_to(seats[:, None], steps.shape)
         chains = memory.chains(steps.reshape(-1), every.reshape(-1))
         shaped = {
-            name: getattr(chains, name).reshape(steps.shape) for name in ("returns", "discounts", "terminated", "last")
+            name: getattr(chains, name).reshape(steps.shape)
+            for name in ("returns", "discounts", "terminated", "last")
         }
         after = shaped["last"] + 1 - index[:, None]
         states, burned = self.stored(memory, index, seats)
@@ -147,7 +154,9 @@ def _observations(memory: FrameReplay, index: I64, seats: I64, last: I64) -> Ten
     places = np.arange(int(last.max()) + 1)
     wanted = np.argwhere(places <= last[:, None])
     steps, seat = index[wanted[:, 0]] + wanted[:, 1], seats[wanted[:, 0]]
-    beyond = memory.ended[(steps - 1) % memory.buffer_size, seat] & (wanted[:, 1] > 0)  # after the end of an episode
+    beyond = memory.ended[(steps - 1) % memory.buffer_size, seat] & (
+        wanted[:, 1] > 0
+    )  # after the end of an episode
     images = np.zeros((len(index), len(places), memory.layout.image_bytes), dtype=np.uint8)
     vectors = np.zeros((len(index), len(places), memory.layout.vector_size), dtype=np.float32)
     (row, place), inside = wanted[~beyond].T, ~beyond
@@ -159,7 +168,9 @@ def _observations(memory: FrameReplay, index: I64, seats: I64, last: I64) -> Ten
     return _split(memory, images, vectors)
 
 
-def _burn_ins(memory: FrameReplay, index: I64, seats: I64, burned: I64) -> tuple[tuple[torch.Tensor, Tensors], ...]:
+def _burn_ins(
+    memory: FrameReplay, index: I64, seats: I64, burned: I64
+) -> tuple[tuple[torch.Tensor, Tensors], ...]:
     """Groups with equally many steps before them together: a network is unrolled over them at once."""
     found = []
     for count in sorted(set(burned.tolist()) - {0}):
@@ -174,5 +185,10 @@ def _burn_ins(memory: FrameReplay, index: I64, seats: I64, burned: I64) -> tuple
 
 def _split(memory: FrameReplay, images: npt.NDArray[np.uint8], vectors: F32) -> Tensors:
     shape = images.shape[:2]
-    parts = memory.layout.split(images.reshape(-1, images.shape[2]), vectors.reshape(-1, vectors.shape[2]))
-    return {key: torch.unflatten(memory.to_torch(value, copy=False), 0, shape) for key, value in parts.items()}
+    parts = memory.layout.split(
+        images.reshape(-1, images.shape[2]), vectors.reshape(-1, vectors.shape[2])
+    )
+    return {
+        key: torch.unflatten(memory.to_torch(value, copy=False), 0, shape)
+        for key, value in parts.items()
+    }
