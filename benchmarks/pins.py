@@ -41,10 +41,12 @@ def main(words: list[str]) -> int:
         found = {str(path): sha256(path) for form in _PINNED for path in sorted(Path().glob(form))}
     if not file.exists():
         write_json(file, found)
+        say(f"{len(found)} hashes written")
+        return 0
     before = json.loads(file.read_text(encoding="utf-8"))
-    moved = [name for name in {**before, **found} if before.get(name) != found.get(name)]
+    moved = sorted({name for name, _ in found.items() ^ before.items()})
     say(f"moved: {', '.join(moved)}" if moved else f"{len(found)} hashes as they were")
-    return int(bool(moved))
+    return 1 if moved else 0
 
 
 if __name__ == "__main__":
