@@ -1,8 +1,9 @@
 """wcsim trains networks that assist the driver of a power wheelchair, in simulated cities.
 
-Read `types/`, then `bridge/world.py`. Importing this package registers its environment with Gymnasium, as other
-environments do, and does nothing else. Gymnasium itself is not loaded: the environment is registered as soon as
-Gymnasium is imported. Heavy libraries are loaded when an environment is first used.
+Read `types/`, then `bridge/world.py`. Importing this package registers its environment with
+Gymnasium, as other environments do, and does nothing else. Gymnasium itself is not loaded: the
+environment is registered as soon as Gymnasium is imported. Heavy libraries are loaded when an
+environment is first used.
 """
 
 from types import ModuleType as _ModuleType
@@ -36,7 +37,7 @@ _on_load("gymnasium.envs.registration", _name_environment)
 
 
 def __dir__() -> list[str]:
-    """What `dir(wcsim)` and an editor's completion show: the public names, also those that are loaded later."""
+    """The public names, also those that load later: `dir(wcsim)` and editors show them."""
     needed = ("TYPE_CHECKING", "core")  # by this file
     shown = (
         name for name in globals() if name not in needed and (name[0] != "_" or name[:2] == "__")
@@ -45,7 +46,7 @@ def __dir__() -> list[str]:
 
 
 def __getattr__(name: str) -> object:
-    """Load the environments and the version on first use, so that `import wcsim` stays fast and loads no libraries."""
+    """Load the environments and the version on first use, so that `import wcsim` stays fast."""
     if name == "__version__":
         from importlib.metadata import version
 

@@ -20,7 +20,7 @@
     │   ├── LinkClosedError         ... is gone
     │   │   └── ServerGoneError     ... and did not come back in time
     │   ├── AccessError             ... refuses this client's key, or shows a wrong key
-    │   ├── WorldRestartedError     ... started a new epoch; the episode was cut, continue with the first frame
+    │   ├── WorldRestartedError     ... started a new epoch; the episode was cut
     │   ├── MembershipError         the seat is not this client's
     │   │   ├── SeatTakenError      ... but another client's, or does not exist
     │   │   ├── WorldFullError      ... and no other is free
@@ -53,7 +53,7 @@ class WcsimError(Exception):
 
 
 class FileError(WcsimError):
-    """Base of the errors for files that cannot be read or are invalid; one class per kind of file."""
+    """Base of the errors for unreadable and invalid files; one class per kind of file."""
 
 
 class ConfigError(FileError):
@@ -81,11 +81,11 @@ class PhysicsError(WcsimError):
 
 
 class DiskFullError(WcsimError):
-    """Raised when a record could not be written, as on a full disk; the file ends with the last complete one."""
+    """Raised when a disk is full; the file ends with the last whole record."""
 
 
 class UnwritableError(DiskFullError):
-    """Raised when nothing can be written at a place: it does not exist, is read-only, or belongs to somebody else."""
+    """Raised when a place takes no files: it is missing, read-only, or another user's."""
 
 
 class ReplayMismatchError(WcsimError):
@@ -121,11 +121,11 @@ class ServerGoneError(LinkClosedError):
 
 
 class AccessError(LinkError):
-    """Raised when a server refuses a client without a known key, or is not the expected server."""
+    """Raised when a server refuses a client's key, or is not the expected server."""
 
 
 class WorldRestartedError(LinkError):
-    """Raised when the world started a new epoch: the client's episode was cut; its link has the new first frame."""
+    """Raised when the world started a new epoch; the link has the new episode's first frame."""
 
 
 class MembershipError(LinkError):
@@ -141,7 +141,7 @@ class WorldFullError(MembershipError):
 
 
 class EvictedError(MembershipError):
-    """Raised when the server dropped this client because it hung or its process ended; join again for a new episode."""
+    """Raised when the server dropped a client that hung or ended; join again for a new episode."""
 
 
 class StaleSessionError(MembershipError):
@@ -173,7 +173,7 @@ class FutureTickError(ProtocolError):
 
 
 class BadActionError(ProtocolError):
-    """Raised for an invalid action or joystick position, or a different second one for the same tick."""
+    """Raised for an invalid action, or a different second one for the same tick."""
 
 
 class OverloadedError(ProtocolError):
@@ -208,7 +208,7 @@ def check_installed(
 
 
 def meant(word: str, known: Iterable[str]) -> str:
-    """For the end of an error: a question with the known word that is nearest, "" where none is near.
+    """A question for the end of an error: the nearest known word, "" where none is near.
 
     >>> meant("folow", ["follow", "stop"]), meant("xyz", ["follow"])
     ("; did you mean 'follow'?", '')

@@ -1,1 +1,1 @@
-"""Learning and judging: environments, networks, replay, learners, baselines, evaluation. Read `policy_api.py` first."""
+"""Learning and judging: environments, networks, learners, baselines. Read `policy_api.py` first."""

@@ -1,4 +1,4 @@
-"""What everything that can drive a wheelchair has in common, and the names of the baselines; nothing here loads torch.
+"""What all policies have in common, and the names of the baselines. Nothing here loads torch.
 
 `agents/policies/baselines.py` has the baselines.
 """
@@ -19,23 +19,18 @@ from wcsim.types import Bool, Drawn, Truth
 
 Observation = Mapping[str, npt.NDArray[Any]]
 
-DEPTH_KEY, CLASS_KEY, IMU_KEY, JOYSTICK_KEY, ODOMETRY_KEY = (
-    "depth",
-    "seg",
-    "imu",
-    "joystick",
-    "odometry",
-)
-RGB_KEY, COLOURS_KEY = (
-    "rgb",
-    "segmentation",
-)  # colours of form compact_rgb, and of the classes of form table3
+DEPTH_KEY: Final = "depth"
+CLASS_KEY: Final = "seg"
+IMU_KEY: Final = "imu"
+JOYSTICK_KEY: Final = "joystick"
+ODOMETRY_KEY: Final = "odometry"
+RGB_KEY: Final = "rgb"  # of form compact_rgb
+COLOURS_KEY: Final = "segmentation"  # of form table3
 GYRO: Final = "gyro"  # the IMU's turn rates, among the senses of `NeedsSenses`
 MOTION_SENSES: Final = ("odometry", GYRO)  # that tell how the chair moves
-STATE_SENSE: Final = (
-    "state"  # in place of pictures: rows of the world's truth, as of `env.observation=state`
-)
-ANSWER_S: Final = 90.0  # for an answer of a model or process of others: a slow machine may load and compile at first
+STATE_SENSE: Final = "state"  # instead of pictures: the world's truth, see `env.observation=state`
+# How long a model or process of others may take: a slow machine may load and compile at first.
+ANSWER_S: Final = 90.0
 
 UNAIDED: Final = "follow"  # the user alone, on the grid of actions
 BASELINES: Final = (UNAIDED, "random", "zero", "stop", "dwa")
@@ -44,7 +39,7 @@ BASELINES: Final = (UNAIDED, "random", "zero", "stop", "dwa")
 UPPER_BOUND: Final = "oracle"
 VISIBLE_BOUND: Final = "oracle-visible"
 UPPER_BOUNDS: Final = (VISIBLE_BOUND, UPPER_BOUND)
-"""See the truth, so they are no rivals of a network but what could be reached."""
+"""They see the truth: not rivals of a network, but what could be reached."""
 
 LEVELLED: Final = "dwa"
 VETO: Final = "veto:"
@@ -70,7 +65,10 @@ def require_level(level: float, levels: tuple[float, float]) -> None:
 
 
 class Policy(Protocol):
-    """Chooses actions for one wheelchair. `act` is called once per tick with one observation, not a batch."""
+    """Chooses actions for one wheelchair.
+
+    `act` is called once per tick with one observation, not a batch.
+    """
 
     @property
     def name(self) -> str:
@@ -87,9 +85,9 @@ class Policy(Protocol):
 
 
 def calling(policy: Policy, method: str) -> AbstractContextManager[None]:
-    """Around a call of a policy's method: what a user's own code raises in it becomes a PolicyError that says where.
+    """A context for one call of a policy's method: what a user's code raises becomes a PolicyError.
 
-    What raises in wcsim itself is a fault of ours, and comes with its whole traceback.
+    An exception of wcsim itself is a bug, and comes with its whole traceback.
     """
     if type(policy).__module__.partition(".")[0] == __name__.partition(".")[0]:
         return nullcontext()
@@ -100,7 +98,7 @@ def calling(policy: Policy, method: str) -> AbstractContextManager[None]:
 
 @runtime_checkable
 class SeesTruth(Protocol):
-    """A policy that gets the ground truth before each `act`. It is an upper bound, not a competitor."""
+    """A policy that gets the ground truth before each `act`: an upper bound, no competitor."""
 
     def see(self, truth: Truth | None) -> None:
         """Take the truth for the next `act`; None if the environment provides none."""
@@ -141,7 +139,10 @@ class HearsDelay(Protocol):
 
 
 def tell_delay(policy: Policy, drawn: Drawn | None) -> None:
-    """Say before `reset` which delay was drawn for the episode; without one the policy reckons with the configured."""
+    """Hand on the delay drawn for the episode, before `reset`.
+
+    Without one the policy assumes the configured delay.
+    """
     if (
         isinstance(policy, HearsDelay)
         and drawn is not None
@@ -176,7 +177,7 @@ class Levelled(Protocol):
 
 
 class Helping:
-    """What a request for help does to a policy with levels: for a while it assists the most, then as before.
+    """Raises a policy's level of assistance after a request for help, for a while.
 
     Args:
         policy: Who assists.
@@ -218,7 +219,7 @@ class NeedsSenses(Protocol):
 
 
 def level_of(name: str) -> float:
-    """How much `dwa@L` assists: 0 at the last moment, 1 as `dwa` itself, 2 early and with wide margins.
+    """How much `dwa@L` assists: 0 at the last moment, 1 as `dwa`, 2 early with wide margins.
 
     >>> level_of("dwa@0.5"), level_of("dwa"), level_of("follow")
     (0.5, 1.0, 1.0)
@@ -235,8 +236,9 @@ def level_of(name: str) -> float:
         level = -1.0
     if not 0.0 <= level <= HIGHEST_LEVEL:
         raise PolicyError(
-            f"policy {escaped(name)!r} has no such level of assistance; expected {LEVELLED}@L with L from 0 to "
-            f"{HIGHEST_LEVEL:g}: {LEVELLED}@{USUAL_LEVEL:g} is {LEVELLED}"
+            f"policy {escaped(name)!r} has no such level of assistance; expected "
+            f"{LEVELLED}@L with L from 0 to {HIGHEST_LEVEL:g}: "
+            f"{LEVELLED}@{USUAL_LEVEL:g} is {LEVELLED}"
         )
     return level
 
@@ -247,7 +249,7 @@ def senses_of(policy: Policy) -> tuple[str, ...]:
 
 
 def sense_settings(config: RunConfig, senses: Sequence[str]) -> tuple[str, ...]:
-    """What turns these senses on in a configuration; a sensor that it has already stays as it is."""
+    """The settings that turn these senses on; a sensor that is on already stays as it is."""
     there = config.sensors.on()
     words = {GYRO: "env.observe_gyro=true", STATE_SENSE: "env.observation=state"}
     return tuple(words.get(name, f"sensors.{name}=typical") for name in senses if name not in there)
