@@ -1,5 +1,7 @@
 """What the tests of the faces share: a small configuration, actions by the step alone, a reward term."""
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 from gymnasium.utils.env_checker import data_equivalence
@@ -17,6 +19,20 @@ def action_at(step: int, seat: int = 0) -> int:
 def equal(one: object, other: object) -> bool:
     """Whether two things made of dictionaries, lists, arrays and dataclasses are the same to the bit."""
     return bool(data_equivalence(one, other))
+
+
+@contextmanager
+def closed_in_the_end(make: Callable[..., Any]) -> Iterator[Callable[..., Any]]:
+    """Makes environments of `make`, whose first argument are its overrides, and closes them."""
+    envs: list[Any] = []
+
+    def made(*overrides: str, sized: tuple[str, ...] = TINY, **more: Any) -> Any:
+        envs.append(make(overrides=(*sized, *overrides), **more))
+        return envs[-1]
+
+    yield made
+    for env in envs:
+        env.close()
 
 
 class Counting:

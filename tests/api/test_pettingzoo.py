@@ -3,6 +3,7 @@
 import itertools
 import sys
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ import pytest
 from pettingzoo.test import parallel_api_test, parallel_seed_test
 
 import wcsim
-from tests.api.streets import TINY, Counting, action_at, equal
+from tests.api.streets import TINY, Counting, action_at, closed_in_the_end, equal
 from wcsim.agents.envs.parallel_env import StreetParallelEnv
 from wcsim.errors import BadActionError, ConfigError, ProtocolError
 from wcsim.types import SeatSpec
@@ -19,16 +20,8 @@ from wcsim.types import SeatSpec
 
 @pytest.fixture
 def made(corner: Path) -> Iterator[Callable[..., StreetParallelEnv]]:
-    """Makes environments, and closes them."""
-    envs = []
-
-    def make(*overrides: str, chairs: int = 3, **more: Any) -> StreetParallelEnv:
-        envs.append(wcsim.parallel_env(str(corner), chairs=chairs, overrides=(*TINY, *overrides), **more))
-        return envs[-1]
-
-    yield make
-    for env in envs:
-        env.close()
+    with closed_in_the_end(partial(wcsim.parallel_env, str(corner), chairs=3)) as make:
+        yield make
 
 
 def drive(env: StreetParallelEnv, steps: int, seed: int | None) -> list[Any]:

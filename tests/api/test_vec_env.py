@@ -1,6 +1,7 @@
 """Several chairs in one world for one learner, as Stable-Baselines3's users meet them."""
 
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor
 
 import wcsim
 from tests.agents.conftest import one_thread  # noqa: F401 - several threads wait for each other in small networks
-from tests.api.streets import LEARNABLE, TINY, action_at, equal
+from tests.api.streets import LEARNABLE, TINY, action_at, closed_in_the_end, equal
 from wcsim.agents.envs.vec_env import StreetVecEnv
 from wcsim.agents.learning.build import build_model
 from wcsim.config import resolve
@@ -23,16 +24,8 @@ SHORT = "env.max_steps=20"
 
 @pytest.fixture
 def made(corner: Path) -> Iterator[Callable[..., StreetVecEnv]]:
-    """Makes environments, and closes them."""
-    envs = []
-
-    def make(*overrides: str, chairs: int = 3, sized: tuple[str, ...] = TINY, **more: Any) -> StreetVecEnv:
-        envs.append(StreetVecEnv(str(corner), chairs=chairs, overrides=(*sized, *overrides), **more))
-        return envs[-1]
-
-    yield make
-    for env in envs:
-        env.close()
+    with closed_in_the_end(partial(StreetVecEnv, str(corner), chairs=3)) as make:
+        yield make
 
 
 def drive(vec: Any, steps: int, seed: int | None) -> list[Any]:

@@ -22,7 +22,7 @@ from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
 import wcsim
 from tests.agents.conftest import one_thread  # noqa: F401 - several threads wait for each other in small networks
-from tests.api.streets import LEARNABLE, TINY, Counting, action_at, equal
+from tests.api.streets import LEARNABLE, TINY, Counting, action_at, closed_in_the_end, equal
 from wcsim.agents.envs import wheelchair_env
 from wcsim.agents.envs.vec_env import StreetVecEnv
 from wcsim.agents.envs.wheelchair_env import WheelchairEnv
@@ -37,19 +37,14 @@ STATE, STICK = "env.observation=state", "env.actions=stick"
 
 @pytest.fixture
 def made(corner: Path) -> Iterator[Callable[..., Any]]:
-    """Makes vector environments, and closes them."""
-    envs: list[Any] = []
 
-    def make(*overrides: str, chairs: int = 2, **more: Any) -> Any:
+    def make(chairs: int = 2, **more: Any) -> Any:
         mode = {"vectorization_mode": "vector_entry_point", "num_envs": chairs}
-        envs.append(gymnasium.make_vec(wcsim.ENV_ID, town=str(corner), overrides=(*TINY, *overrides), **mode, **more))
-        return envs[-1]
+        return gymnasium.make_vec(wcsim.ENV_ID, town=str(corner), **mode, **more)
 
-    with warnings.catch_warnings():
+    with closed_in_the_end(make) as made, warnings.catch_warnings():
         warnings.simplefilter("error")
-        yield make
-    for env in envs:
-        env.close()
+        yield made
 
 
 def test_it_is_what_the_environment_of_sb3_is_to_the_bit(corner, made):
