@@ -34,7 +34,7 @@ def test_what_is_no_address_is_refused(address):
 
 def test_nobody_at_an_address_is_told_within_seconds(monkeypatch):
     pytest.importorskip("ray")
-    monkeypatch.setattr(machines, "_REACH_S", 0.5)
+    monkeypatch.setattr(machines, "_REACH_TIMEOUT_S", 0.5)
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))  # bound, and nobody listens
         with pytest.raises(ConfigError, match=r"no answer within .*`ray start --head"):

@@ -1,7 +1,7 @@
 """A piece of work, and its workers: processes of this machine, or CPUs of a Ray cluster.
 
-The rest of wcsim need not know which. A worker uses a temporary folder named by its process. It is
-removed with the piece, or with the next piece on that machine.
+The rest of wcsim need not know which. On a cluster, the input files of a piece lie in a temporary
+folder. It is removed with the piece; after a kill, with the next piece on that machine.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ LOGS: Final = "cluster"
 LOCAL: Final = "local"
 """The address of a cluster that is made here."""
 _ADDRESS: Final = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9_.-]+):(\d{1,5})")
-_REACH_S: Final = 5.0
+_REACH_TIMEOUT_S: Final = 5.0
 
 ToLocalPath = Callable[[str], str]
 """The path, on the machine of the worker, of what the sending machine calls by this address."""
@@ -195,10 +195,12 @@ def require_address(address: str) -> None:
     check_installed("--cluster needs Ray", "cluster", "ray")
     if found is not None:
         try:
-            socket.create_connection((found[1].strip("[]"), int(found[2])), _REACH_S).close()
+            socket.create_connection(
+                (found[1].strip("[]"), int(found[2])), _REACH_TIMEOUT_S
+            ).close()
         except OSError as error:
             raise ConfigError(
-                f"--cluster {address}: no answer within {_REACH_S:g} s "
+                f"--cluster {address}: no answer within {_REACH_TIMEOUT_S:g} s "
                 f"({error.strerror or error}); start a Ray head there with "
                 "`ray start --head --port=6379`, and check the firewall"
             ) from None

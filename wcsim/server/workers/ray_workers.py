@@ -61,14 +61,14 @@ _START_TIMEOUTS: Final = {
     "RAY_gcs_rpc_server_connect_timeout_s": "60",
     "RAY_raylet_start_wait_time_s": "80",
 }
-_JOIN_S: Final = 90.0
-_SILENT_S: Final = 120.0
-_CLOSE_S: Final = 30.0
-# To close a driver that has not joined.
-_GIVE_UP_S: Final = 3.0
+_JOIN_TIMEOUT_S: Final = 90.0
+# Without an answer from the driver for so long, the cluster is lost.
+_REQUEST_TIMEOUT_S: Final = 120.0
+_CLOSE_TIMEOUT_S: Final = 30.0
+_CLOSE_UNJOINED_TIMEOUT_S: Final = 3.0
 _LIST_NODES_S: Final = 2.0
-_WAIT_S: Final = 0.1
-_GET_S: Final = 30.0
+_POLL_S: Final = 0.1
+_GET_TIMEOUT_S: Final = 30.0
 _MOST_PROBES: Final = 3
 
 
@@ -106,7 +106,12 @@ class RayWorkers:
     """
 
     def __init__(
-        self, address: str, count: int, folder: Path, report: Report, join_s: float = _JOIN_S
+        self,
+        address: str,
+        count: int,
+        folder: Path,
+        report: Report,
+        join_s: float = _JOIN_TIMEOUT_S,
     ) -> None:
         require_address(address)
         folder.mkdir(parents=True, exist_ok=True)
@@ -156,7 +161,7 @@ class RayWorkers:
                 self._to_begin = []
                 self._to_stop = []
             if not wait((self._request,), timeout_s).done:
-                if time.monotonic() - self._requested_s > _SILENT_S:
+                if time.monotonic() - self._requested_s > _REQUEST_TIMEOUT_S:
                     raise _lost(self._spec)
                 return []
             update = self._request.result()
@@ -174,7 +179,10 @@ class RayWorkers:
         """Leave the cluster; one that was made here ends."""
         try:
             with suppress(BrokenProcessPool):
-                wait((self._driver.submit(_leave),), _CLOSE_S if self._names else _GIVE_UP_S)
+                wait(
+                    (self._driver.submit(_leave),),
+                    _CLOSE_TIMEOUT_S if self._names else _CLOSE_UNJOINED_TIMEOUT_S,
+                )
         finally:
             # Also where Ctrl-C ends the wait. Ray may hang, so its process is killed.
             kill_workers(self._driver)
@@ -310,7 +318,7 @@ def _join_cluster(spec: _DriverSpec) -> Any:
 
 def _on_sigterm(*_: object) -> None:
     """Leave the cluster and end, but do not wait long for Ray."""
-    alarm(int(_CLOSE_S))
+    alarm(int(_CLOSE_TIMEOUT_S))
     _leave()
     os._exit(1)
 
@@ -454,10 +462,10 @@ class _Driver:
             self._list_nodes()
         refs = [*self._probes, *self._running]
         if refs:
-            for ref in self._ray.wait(refs, num_returns=1, timeout=_WAIT_S)[0]:
+            for ref in self._ray.wait(refs, num_returns=1, timeout=_POLL_S)[0]:
                 self._take_answer(ref)
         else:
-            time.sleep(_WAIT_S)
+            time.sleep(_POLL_S)
         nodes = self._nodes.values()
         all_refused = all(node.state == "refused" for node in nodes)
         if self._refusals and not self._has_worked and all_refused:
@@ -502,7 +510,7 @@ class _Driver:
     def _take_answer(self, ref: Any) -> None:
         """A node has answered, or will not any more."""
         try:
-            answer = self._ray.get(ref, timeout=_GET_S)
+            answer = self._ray.get(ref, timeout=_GET_TIMEOUT_S)
         except self._ray.exceptions.GetTimeoutError:
             # Its machine is slow to send it, or disconnected.
             return
