@@ -23,9 +23,9 @@ OPENERS = {"machines", "self._hands", "video", "memory", "self._writer"}  # of o
 BESIDE = {
     "its own process or child made it": (
         "agents/evaluation/suite/run.py", "agents/export/footprint.py", "cli/training/demo.py", "scenes/run.py",
-        "server/launch/event_log.py", "server/launch/supervised.py", "server/workers/ray_workers.py",
-        "server/workers/cluster_node.py", "towns/importing/folder_texts.py", "towns/osm/read.py",
-        "towns/pave/pavements.py", "towns/scenario/options.py", "towns/scenario/stage.py",
+        "server/launch/event_log.py", "server/launch/supervised.py", "core/processes.py",
+        "server/workers/ray_workers.py", "server/workers/cluster_node.py", "towns/importing/folder_texts.py",
+        "towns/osm/read.py", "towns/pave/pavements.py", "towns/scenario/options.py", "towns/scenario/stage.py",
         "bridge/sumo/open_scenario.py",
         "towns/scene_folders/build.py", "drive/playing/tick_film.py", "agents/evaluation/suite/result_files.py",
     ),

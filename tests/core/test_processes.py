@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from wcsim.core.processes import pooled, run_command
+from wcsim.core.processes import run_command, run_in_pool
 
 CHILD = """
 import signal, sys, time
@@ -16,7 +16,7 @@ from wcsim.core import processes
 def asked(number, frame):
     Path(sys.argv[1], "asked").touch()
 signal.signal(signal.SIGUSR1, asked)
-processes._LOOK_S = processes._MOMENT_S = 0.05
+processes._PARENT_CHECK_S = processes._ORDERLY_END_S = 0.05
 processes.outlive_parent_by(1.0, 9, signal.SIGUSR1)
 Path(sys.argv[1], "began").touch()
 time.sleep(120.0)
@@ -52,7 +52,7 @@ def test_a_command_says_what_it_said_and_how_it_ended():
 def test_a_command_that_is_late_or_whose_watcher_fails_is_killed(tmp_path):
     words, pids = ["sleep", "600"], []
     with pytest.raises(subprocess.TimeoutExpired):
-        run_command(words, 0.2, beside=lambda child: pids.append(child.pid))
+        run_command(words, 0.2, on_start=lambda child: pids.append(child.pid))
 
     def fails(child):
         pids.append(child.pid)
@@ -60,7 +60,7 @@ def test_a_command_that_is_late_or_whose_watcher_fails_is_killed(tmp_path):
         raise KeyError
 
     with pytest.raises(KeyError):
-        run_command(words, 60.0, beside=fails)
+        run_command(words, 60.0, on_start=fails)
     assert len(pids) == 2 and not any(Path(f"/proc/{pid}").exists() for pid in pids)
 
 
@@ -70,16 +70,16 @@ def test_a_command_that_is_not_there_is_another_fault_than_a_full_disk(tmp_path)
 
 
 def test_a_pool_gives_each_piece_its_place_and_passes_on_a_fault():
-    assert dict(pooled(abs, [-3, 4, -5], 2)) == {0: 3, 1: 4, 2: 5}
+    assert dict(run_in_pool(abs, [-3, 4, -5], 2)) == {0: 3, 1: 4, 2: 5}
     with pytest.raises(TypeError):
-        list(pooled(abs, [1, "two"], 1))
+        list(run_in_pool(abs, [1, "two"], 1))
 
 
 ORPHANS = """
 import os, signal, sys, time
-from wcsim.core.processes import pooled
+from wcsim.core.processes import run_in_pool
 if __name__ == "__main__":
-    next(pooled(abs, [1, 2], 1))
+    next(run_in_pool(abs, [1, 2], 1))
     os.kill(os.getpid(), signal.SIGKILL)
 """
 
@@ -97,5 +97,5 @@ def test_semaphores_of_a_group_that_was_killed_go_with_the_next_pool(tmp_path):
     killed.wait(60.0)
     left = [path for path in Path("/dev/shm").glob(f"sem.wcsim-*-{killed.pid}-*")]  # noqa: S108
     assert left, "its tracker was killed, too"
-    list(pooled(abs, [-1], 1))
+    list(run_in_pool(abs, [-1], 1))
     assert not any(path.exists() for path in left)

@@ -12,21 +12,14 @@ import pytest
 
 from wcsim.core import files
 from wcsim.server.workers import machines
-from wcsim.server.workers.crew import Crew
+from wcsim.server.workers.scheduler import Scheduler
 from wcsim.view.report import failures
 
 
-class OneProcess:
+class InlinePool:
     """A pool that works at once, on what comes through the pickle and with what goes back through it."""
 
-    def __init__(self, jobs: int = 1, mp_context: object = None) -> None:
-        assert jobs == 1
-
-    def __enter__(self) -> OneProcess:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        """Nothing is open."""
+    _processes = None  # none to kill
 
     def submit(self, work: Callable[..., Any], *words: Any) -> Future[Any]:
         sent, mine = pickle.loads(pickle.dumps((work, words))), Future[Any]()  # noqa: S301
@@ -36,31 +29,29 @@ class OneProcess:
             mine.set_exception(error)
         return mine
 
-    def kill(self) -> None:
-        """Nothing is running."""
-
     def shutdown(self, wait: bool = True, cancel_futures: bool = False) -> None:
         """Nothing is running."""
 
 
-class OneCrew(Crew):
-    """A crew whose pieces are done by whoever waits for them, in the thread of the test."""
+class OneScheduler(Scheduler):
+    """A scheduler whose pieces are done by whoever waits for them, in the thread of the test."""
 
-    def __enter__(self) -> OneCrew:
+    def __enter__(self) -> OneScheduler:
         return self
 
     def __exit__(self, *error: object) -> None:
         self._workers.close()
 
-    def come(self, keys: Collection[str], timeout_s: float) -> frozenset[str]:
-        self._give_out()
-        for ended in self._workers.ended(0.0):
-            self._take_back(ended)
-        return super().come(keys, 0.0)
+    def wait(self, keys: Collection[str], timeout_s: float) -> frozenset[str]:
+        self._assign()
+        for result in self._workers.collect(0.0):
+            self._settle(result)
+        return super().wait(keys, 0.0)
 
 
-def _pooled_here(call: Callable[[Any], Any], pieces: Sequence[Any], jobs: int) -> Iterator[tuple[int, Any]]:
-    pool = OneProcess(jobs, None)
+def _run_here(call: Callable[[Any], Any], pieces: Sequence[Any], jobs: int) -> Iterator[tuple[int, Any]]:
+    assert jobs == 1
+    pool = InlinePool()
     return enumerate(pool.submit(call, piece).result() for piece in pieces)
 
 
@@ -68,10 +59,10 @@ def _pooled_here(call: Callable[[Any], Any], pieces: Sequence[Any], jobs: int) -
 def in_this_process() -> Iterator[None]:
     """Pieces are driven and failures illustrated without further processes; those have tests of their own."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(failures, "pooled", _pooled_here)
-        patch.setattr(machines, "OneProcess", OneProcess)
+        patch.setattr(failures, "run_in_pool", _run_here)
+        patch.setattr(machines, "start_worker", InlinePool)
         for asking in ("wcsim.agents.evaluation.suite.run", "wcsim.agents.rounds.collect_data"):
-            patch.setattr(f"{asking}.Crew", OneCrew)
+            patch.setattr(f"{asking}.Scheduler", OneScheduler)
         yield
 
 

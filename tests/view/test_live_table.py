@@ -6,7 +6,7 @@ import sys
 
 from rich.console import Console
 
-from wcsim.server.launch.states import ClientState, ClientStatus, Held, LaunchState, WorldStatus
+from wcsim.server.launch.states import BarrierDelay, ClientState, ClientStatus, LaunchState, WorldStatus
 from wcsim.view.live_table import LiveTable, _head_of, _line_of, _table_of, _waits_of
 
 NAMES = ("fig6", "conv3d", "convlstm")
@@ -83,13 +83,13 @@ def test_who_is_waited_for_now():
 
 def test_who_is_slow_in_the_mean():
     def held(*seconds):
-        return tuple(Held(name=name, seconds=s) for name, s in zip(NAMES, seconds, strict=True))
+        return tuple(BarrierDelay(name=name, seconds=s) for name, s in zip(NAMES, seconds, strict=True))
 
     assert _waits_of(world(held=held(1.0, 2.0, 7.0))) == "slowest client convlstm (70% of 10.0 s waiting)"
     assert _waits_of(world(held=held(3.0, 3.0, 4.0))) == ""
     assert _waits_of(world(held=held(0.0, 0.1, 0.2))) == ""
     assert _waits_of(world(late=("fig6",), late_s=2.0, held=held(0.0, 0.0, 9.0))).startswith("waiting for fig6")
-    assert _waits_of(world(held=(Held(name="sole", seconds=9.0),))) == ""
+    assert _waits_of(world(held=(BarrierDelay(name="sole", seconds=9.0),))) == ""
 
 
 def test_a_line_every_ten_seconds_where_there_is_no_terminal():

@@ -10,7 +10,7 @@ from wcsim.chair_check.driving import driving_trials
 from wcsim.chair_check.kerbs import kerb_trials, ramp_trials
 from wcsim.chair_check.mass_rig import falling_rows, mass_trials, tip_trials
 from wcsim.chair_check.row import Row, Setup, Trial, measured
-from wcsim.core.processes import pooled
+from wcsim.core.processes import run_in_pool
 from wcsim.errors import ConfigError
 from wcsim.physics.wheelchair.plant import plant_spec
 
@@ -86,4 +86,4 @@ def _done(chosen: Sequence[Trial], setup: Setup, workers: int) -> Iterator[tuple
     """Each row with its place, as it is done."""
     if workers == 1:
         return enumerate(measured(trial, setup) for trial in chosen)
-    return pooled(partial(measured, setup=setup), chosen, workers)
+    return run_in_pool(partial(measured, setup=setup), chosen, workers)

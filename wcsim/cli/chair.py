@@ -35,7 +35,7 @@ from wcsim.cli.shared.common import (
 from wcsim.cli.shared.consoles import show_table, stderr_console, stdout_console
 from wcsim.config import ChairConfig, RunConfig, parse, resolve
 from wcsim.config.plant import PlantFile, plant_path, read_plant
-from wcsim.core.processes import pooled
+from wcsim.core.processes import run_in_pool
 from wcsim.core.reading import SETTINGS, escaped, parse_toml, read_text
 from wcsim.errors import ConfigError, check_installed
 from wcsim.types import F64
@@ -337,7 +337,9 @@ def _ridden(drives: Sequence[StickDrive], chair: ChairConfig) -> list[F64]:
 
     with stderr_console().status(f"driving {chair.plant} in PyBullet"):
         found = dict(
-            pooled(partial(plant_motion, setup=Setup(chair=chair, hz=_HZ_OF_FIT)), drives, _WORKERS)
+            run_in_pool(
+                partial(plant_motion, setup=Setup(chair=chair, hz=_HZ_OF_FIT)), drives, _WORKERS
+            )
         )
     return [found[place] for place in range(len(drives))]
 

@@ -63,7 +63,7 @@ def test_a_node_that_is_killed_and_one_that_is_stopped_change_nothing(by_process
                 stopped.signal(signal.SIGSTOP)
 
         try:
-            machines = Machines(cluster=head.address, say=told.append)
+            machines = Machines(cluster=head.address, report=told.append)
             assert trained(corner, tmp_path / "out", machines, show=harm) == by_processes
         finally:
             stopped.signal(signal.SIGCONT)
@@ -84,7 +84,7 @@ def test_a_node_that_joins_works(by_processes, corner, tmp_path):
                 joined.append(RayNode(tmp_path / "late", head.address))
 
         try:
-            machines = Machines(cluster=head.address, say=told.append)
+            machines = Machines(cluster=head.address, report=told.append)
             assert trained(corner, tmp_path / "out", machines, show=join) == by_processes
         finally:
             for node in joined:

@@ -37,7 +37,7 @@ from wcsim.towns.scenario.town import find_town
 if __name__ == "__main__":
     corner, out, address, *words = sys.argv[1:]
     run = run_in(Path(corner), Path(out), *words)
-    machines = Machines(cluster=address, say=lambda told: print(told, flush=True))
+    machines = Machines(cluster=address, report=lambda told: print(told, flush=True))
     train_danger(run, find_town(corner), machines)
 """
 

@@ -167,7 +167,7 @@ def test_a_ray_cluster_gives_the_same_data_and_weights(straight: Path, corner: P
     def show(now: RoundProgress) -> None:
         seen.update(worker.name for worker in now.workers)
 
-    machines = Machines(cluster="local", say=told.append)
+    machines = Machines(cluster="local", report=told.append)
     train_danger(run_in(corner, out), find_town(str(corner)), machines, show)
     assert outcome(out) == outcome(straight)
     assert seen == {"127.0.0.1/1"} and not [line for line in told if "processor" in line]

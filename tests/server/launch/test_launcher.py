@@ -16,7 +16,7 @@ from wcsim.config import RunConfig
 from wcsim.core.own_folder import endpoint_in, workplace
 from wcsim.server.launch.launcher import Launcher
 from wcsim.server.launch.states import ClientPlan, LaunchRules, RestartRules
-from wcsim.server.launch.supervised import MOST_LEFT_ALONE
+from wcsim.server.launch.supervised import MOST_EXCUSED_DEATHS
 from wcsim.server.protocol.events import Rules
 from wcsim.server.specs import WorldSpec, world_plan
 
@@ -238,7 +238,7 @@ def test_a_client_that_a_world_which_does_not_tick_sends_away_is_given_up_and_th
     assert (outcome.code, standings(outcome)) == (1, {"a": "given up", "b": "stopped"})
     deaths = counted(tmp_path, "death")
     assert set(deaths) == {"a"}
-    assert 5 <= len(deaths) < 5 + MOST_LEFT_ALONE  # those before the world is there are forgiven
+    assert 5 <= len(deaths) < 5 + MOST_EXCUSED_DEATHS  # those before the world is there are forgiven
 
 
 def test_orders_are_there_again_when_somebody_removed_them(tmp_path):

@@ -26,8 +26,8 @@ def ended(tmp_path):
         now_s = 0.0
         for world, lasts_s in worlds:
             for _ in range(2 + int(lasts_s)):
-                client.see(world)
-                client.look(now_s)
+                client.set_world(world)
+                client.poll(now_s)
                 now_s += 1.0
         client.close()
         selector.close()

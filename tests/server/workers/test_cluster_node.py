@@ -10,19 +10,19 @@ from tests.support.cluster.workpieces import blunder, read_parcel, refuse
 from wcsim.errors import ConfigError, TownError, WorkersError
 from wcsim.server.workers import cluster_node
 from wcsim.server.workers.cluster_node import _unpack, do_work, packed
-from wcsim.server.workers.machines import Parcel, Work, WorkEnd
+from wcsim.server.workers.machines import InputFiles, Work, WorkResult
 
 
 @pytest.fixture
-def parcel(tmp_path: Path) -> Parcel:
+def parcel(tmp_path: Path) -> InputFiles:
     folder = tmp_path / "corner"
     folder.mkdir()
     for name in ("a.net.xml", "b.rou.xml", "secret.txt"):
         (folder / name).write_text(name)
-    return Parcel(address=str(folder), folder=folder, names=("a.net.xml", "b.rou.xml"))
+    return InputFiles(address=str(folder), folder=folder, names=("a.net.xml", "b.rou.xml"))
 
 
-def done(parcel: Parcel, call=read_parcel, files: Any = None) -> WorkEnd:
+def done(parcel: InputFiles, call=read_parcel, files: Any = None) -> WorkResult:
     work = Work(key="a/1", call=call, piece=parcel.address)
     return do_work("here/1", work, (parcel,), packed(parcel) if files is None else files)
 

@@ -20,10 +20,10 @@ from tests.support.cluster.workpieces import (
 from wcsim.cli.shared.common import machines_of
 from wcsim.config import resolve
 from wcsim.errors import ConfigError
-from wcsim.server.workers import ray_workers
+from wcsim.server.workers import machines, ray_workers
 from wcsim.server.workers.cluster_node import MOST_BYTES, facts_here, notes_on, why_refused
-from wcsim.server.workers.machines import Parcel, Work, WorkEnd
-from wcsim.server.workers.ray_workers import RayWorkers, _LinkSpec
+from wcsim.server.workers.machines import InputFiles, Work, WorkResult
+from wcsim.server.workers.ray_workers import RayWorkers, _DriverSpec
 
 
 @pytest.mark.parametrize("address", ["ray://10.0.0.1:10001", "auto", "10.0.0.1", "10.0.0.1:0", "10.0.0.1:70000", "-"])
@@ -34,7 +34,7 @@ def test_what_is_no_address_is_refused(address):
 
 def test_nobody_at_an_address_is_told_within_seconds(monkeypatch):
     pytest.importorskip("ray")
-    monkeypatch.setattr(ray_workers, "REACH_S", 0.5)
+    monkeypatch.setattr(machines, "_REACH_TIMEOUT_S", 0.5)
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))  # bound, and nobody listens
         with pytest.raises(ConfigError, match=r"no answer within .*`ray start --head"):
@@ -106,18 +106,20 @@ class _Ray:
 def test_what_ray_says_against_it_becomes_one_line(error, told, tmp_path):
     import re
 
-    spec = _LinkSpec(address="10.0.0.1:6379", count=1, log=tmp_path / "ray.log")
-    text = ray_workers._told(spec, error, _Ray)
+    spec = _DriverSpec(address="10.0.0.1:6379", count=1, log=tmp_path / "ray.log")
+    text = ray_workers._why_not_joined(spec, error, _Ray)
     assert re.search(told, text) and "\n" not in text and "abc" not in text
 
 
 def test_a_token_that_was_asked_for_is_found_in_what_ray_wrote_for_this_try_alone(tmp_path):
-    spec = _LinkSpec(address="10.0.0.1:6379", count=1, log=tmp_path / "ray.log")
-    assert ray_workers._logged(spec.log, 0) == ""
+    spec = _DriverSpec(address="10.0.0.1:6379", count=1, log=tmp_path / "ray.log")
+    assert ray_workers._read_log(spec.log, 0) == ""
     spec.log.write_text("W 1 Unauthenticated: RPC error: InvalidAuthToken: Authentication token is missing\n")
     before, error = spec.log.stat().st_size, ConnectionError("Failed to connect to Ray cluster")
-    assert "~/.ray/auth_token" in ray_workers._told(spec, error, _Ray, ray_workers._logged(spec.log, 0))
-    assert "cannot join (ConnectionError" in ray_workers._told(spec, error, _Ray, ray_workers._logged(spec.log, before))
+    assert "~/.ray/auth_token" in ray_workers._why_not_joined(spec, error, _Ray, ray_workers._read_log(spec.log, 0))
+    assert "cannot join (ConnectionError" in ray_workers._why_not_joined(
+        spec, error, _Ray, ray_workers._read_log(spec.log, before)
+    )
 
 
 @pytest.mark.parametrize("place", ["home", "RAY_AUTH_TOKEN_PATH", "RAY_AUTH_TOKEN", ""])
@@ -132,13 +134,16 @@ def test_who_has_a_token_shows_it_and_a_word_of_the_users_own_stays(tmp_path, mo
         token.write_text("abc")
     elif place:
         monkeypatch.setenv(place, str(token))
-    spec = _LinkSpec(address="10.0.0.1:6379", count=0, log=tmp_path / "log")
-    for name in ("RAY_USAGE_STATS_ENABLED", *ray_workers._PATIENCE):  # what is set beside is taken back at the end
+    spec = _DriverSpec(address="10.0.0.1:6379", count=0, log=tmp_path / "log")
+    for name in (
+        "RAY_USAGE_STATS_ENABLED",
+        *ray_workers._START_TIMEOUTS,
+    ):  # what is set beside is taken back at the end
         monkeypatch.setenv(name, "1")
-    ray_workers._prepare(spec)
+    ray_workers._set_environment(spec)
     assert os.environ.get("RAY_AUTH_MODE") == ("token" if place else None)
     monkeypatch.setenv("RAY_AUTH_MODE", "disabled")
-    ray_workers._prepare(spec)
+    ray_workers._set_environment(spec)
     assert os.environ["RAY_AUTH_MODE"] == "disabled"
 
 
@@ -151,7 +156,7 @@ def test_what_is_malformed_ends_in_a_line_on_live_ray_and_the_next_piece_is_done
     folder.mkdir()
     (folder / "large").touch()
     os.truncate(folder / "large", MOST_BYTES + 1)
-    needed = [Parcel(address="p", folder=folder, names=(name,)) for name in ("../cluster/ray.log", "large", "none")]
+    needed = [InputFiles(address="p", folder=folder, names=(name,)) for name in ("../cluster/ray.log", "large", "none")]
     works = [Work(key=one.names[0], call=echo, piece=one, needs=itself) for one in needed]
     calls = (answer_with_text, take_in_a_bomb, always_die, echo)
     works += [Work(key=call.__name__, call=call, piece="x") for call in calls]
@@ -160,7 +165,7 @@ def test_what_is_malformed_ends_in_a_line_on_live_ray_and_the_next_piece_is_done
             workers.begin(workers.names()[0], work)
             until_s = time.monotonic() + 300.0
             while work.key not in found and time.monotonic() < until_s:
-                found |= {end.key: end for end in workers.ended(0.2)}
+                found |= {end.key: end for end in workers.collect(0.2)}
     for key, told in (
         ("../cluster/ray.log", "expected a name below its folder"),
         ("large", "expected at most"),
@@ -175,10 +180,10 @@ def test_what_is_malformed_ends_in_a_line_on_live_ray_and_the_next_piece_is_done
 
 def test_an_answer_that_is_no_result_is_an_error_of_its_piece(monkeypatch):
     monkeypatch.setattr(ray_workers, "MOST_BYTES", 3)
-    link = ray_workers._Link(_LinkSpec(address="10.0.0.1:6379", count=1, log=Path()), _Ray)
-    begun = ray_workers._Begun(worker="a/1", node="n", key="k", since_s=0.0)
-    for answer in (None, *(WorkEnd(worker="a/1", key="k", data=data) for data in ("x", b"long", b"ok"))):
-        link._take_back(begun, answer)
-    *errors, well = link._news.ended
+    driver = ray_workers._Driver(_DriverSpec(address="10.0.0.1:6379", count=1, log=Path()), _Ray)
+    piece = ray_workers._RunningPiece(worker="a/1", node="n", key="k", since_s=0.0)
+    for answer in (None, *(WorkResult(worker="a/1", key="k", data=data) for data in ("x", b"long", b"ok"))):
+        driver._settle_with(piece, answer)
+    *errors, well = driver._update.results
     assert well.data == b"ok" and len(errors) == 3
     assert all("k: a/1 has answered with" in str(end.error) for end in errors)

@@ -12,12 +12,12 @@ import pytest
 from tests.support.cluster.workpieces import echo, hang_once, tell_pid
 from wcsim.core.own_folder import LOCK
 from wcsim.server.workers.cluster_node import do_work, packed
-from wcsim.server.workers.machines import Call, Parcel, Work, WorkEnd
+from wcsim.server.workers.machines import Call, InputFiles, Work, WorkResult
 
 
-def work(folder: str, call: Call, piece: str) -> WorkEnd:
+def work(folder: str, call: Call, piece: str) -> WorkResult:
     """A piece that needs a network, in this process."""
-    needed = Parcel(address=folder, folder=Path(folder), names=("weights",))
+    needed = InputFiles(address=folder, folder=Path(folder), names=("weights",))
     return do_work("here/1", Work(key="a/1", call=call, piece=piece), (needed,), packed(needed))
 
 

@@ -62,7 +62,7 @@ def footprint(model: Path, reference: Path, keys: Sequence[str]) -> Footprint:
 def _told(model: Path, reference: Path, keys: Sequence[str], share: float) -> dict[str, Any]:
     words = [sys.executable, _PROGRAM, str(model), str(reference), ",".join(keys)]
     try:
-        run = run_command(words, _PATIENCE_S, beside=lambda process: _throttle(process, share))
+        run = run_command(words, _PATIENCE_S, on_start=lambda process: _throttle(process, share))
     except subprocess.TimeoutExpired:
         raise PolicyError(
             f"{model}: no answer within {_PATIENCE_S:g} s; expected its reference steps"

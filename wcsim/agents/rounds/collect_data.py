@@ -34,8 +34,8 @@ from wcsim.core import reading
 from wcsim.core.files import is_begun, locked, sha256, sha256_text, write_bytes, write_json
 from wcsim.core.reading import escaped, is_file, read_json
 from wcsim.errors import PolicyError
-from wcsim.server.workers.crew import LEAST_LATE_S, Crew, WorkerNow
-from wcsim.server.workers.machines import HERE, LOGS, At, Machines, Parcel, Work
+from wcsim.server.workers.machines import HERE, LOGS, InputFiles, Machines, ToLocalPath, Work
+from wcsim.server.workers.scheduler import LEAST_LATE_S, Scheduler, WorkerNow
 from wcsim.towns.scenario.town import Town, content_hash, find_town, streets_hash
 
 _LOOK_S = 1.0
@@ -60,19 +60,21 @@ class SegmentCrew:
         if machines.cluster:
             require_travels(config, own_code=(config.learn.network,))
         self._folder = data
-        self._crew = Crew(machines.open(logs), self._keep, least_late_s=LEAST_LATE_S)
+        self._scheduler = Scheduler(machines.open(logs), self._keep, least_late_s=LEAST_LATE_S)
         self._sha256: dict[str, str] = {}  # of what has come, by name
 
     def __enter__(self) -> SegmentCrew:
-        self._crew.__enter__()
+        self._scheduler.__enter__()
         return self
 
     def __exit__(self, *exception: object) -> None:
-        self._crew.__exit__(*exception)
+        self._scheduler.__exit__(*exception)
 
     def ask(self, orders: Sequence[SegmentOrder]) -> None:
         """Begin to drive what is not there yet."""
-        self._crew.ask([_work(order) for order in orders if not segment_path(self._folder, order.key.name).is_file()])
+        self._scheduler.submit(
+            [_work(order) for order in orders if not segment_path(self._folder, order.key.name).is_file()]
+        )
 
     def take(self, orders: Sequence[SegmentOrder], told: Told) -> dict[str, str]:
         """Wait for these segments; their SHA-256 by file name.
@@ -91,18 +93,18 @@ class SegmentCrew:
                 found[segment_path(self._folder, name).name] = kept
             else:
                 asked.append(_work(order))
-        self._crew.ask(asked)
-        told(len(found), self._crew.now())
+        self._scheduler.submit(asked)
+        told(len(found), self._scheduler.workers_now())
         left = {work.key for work in asked}
         while left:
-            for name in sorted(self._crew.come(left, _LOOK_S)):
+            for name in sorted(self._scheduler.wait(left, _LOOK_S)):
                 left.remove(name)
                 found[segment_path(self._folder, name).name] = self._sha256[name]
-            told(len(found), self._crew.now())
+            told(len(found), self._scheduler.workers_now())
         return found
 
     def _keep(self, name: str, data: bytes) -> None:
-        """In the crew's thread: what has come is on the disk before anybody hears of it."""
+        """In the scheduler's thread: what has come is on the disk before anybody hears of it."""
         write_bytes(segment_path(self._folder, name), data)
         self._sha256[name] = hashlib.sha256(data).hexdigest()
 
@@ -121,27 +123,27 @@ def _work(order: SegmentOrder) -> Work:
     return Work(key=order.key.name, call=_drive_order, piece=order, needs=_needs_of)
 
 
-def _needs_of(order: SegmentOrder) -> tuple[Parcel, ...]:
+def _needs_of(order: SegmentOrder) -> tuple[InputFiles, ...]:
     """What travels with an order: its towns, the network that drives, the user's own wheelchair."""
     policy = (folder_parcel(Path(order.policy), order.policy),) if order.policy else ()
     return (*map(town_parcel, order.towns), *policy, *_plant_parcels(order.config))
 
 
-def _plant_parcels(config: RunConfig) -> tuple[Parcel, ...]:
+def _plant_parcels(config: RunConfig) -> tuple[InputFiles, ...]:
     """The user's own wheelchair, where the configuration names one."""
     plant = config.chair.plant
     if not plant.endswith(".toml"):
         return ()
     path = Path(plant).absolute()
-    return (Parcel(address=plant, folder=path.parent, names=(path.name,), inner=path.name),)
+    return (InputFiles(address=plant, folder=path.parent, names=(path.name,), inner=path.name),)
 
 
-def _plant_at(config: RunConfig, at: At) -> Layer:
+def _plant_at(config: RunConfig, at: ToLocalPath) -> Layer:
     """Where that wheelchair lies now."""
     return {"chair": {"plant": at(config.chair.plant)}} if config.chair.plant.endswith(".toml") else None
 
 
-def _drive_order(order: SegmentOrder, at: At) -> bytes:
+def _drive_order(order: SegmentOrder, at: ToLocalPath) -> bytes:
     """Drive one piece of work in this process; its segment as a file holds it."""
     torch.set_num_threads(1)
     config = resolve(order.config, _plant_at(order.config, at))

@@ -45,8 +45,8 @@ from wcsim.config.run_file import DangerRule, LearnedFile, RoundFile
 from wcsim.core import files, reading, seeding
 from wcsim.core.reading import escaped, is_file, read_json
 from wcsim.errors import ConfigError, InterruptedRunError, PolicyError, TownError
-from wcsim.server.workers.crew import WorkerNow
 from wcsim.server.workers.machines import HERE, Machines
+from wcsim.server.workers.scheduler import WorkerNow
 from wcsim.towns.making.asked_town import Wishes, asked_town
 from wcsim.towns.making.maker import make_town
 from wcsim.towns.scenario.town import Town, find_town, open_town, streets_hash

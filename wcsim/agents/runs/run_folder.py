@@ -39,7 +39,7 @@ from wcsim.core.reading import read_json as read_bounded_json
 from wcsim.core.sources import version_of
 from wcsim.errors import ConfigError, PolicyError, TownError, meant
 from wcsim.server.specs import RunInfo
-from wcsim.server.workers.machines import Parcel
+from wcsim.server.workers.machines import InputFiles
 from wcsim.towns.scenario.overrides import Override
 from wcsim.towns.scenario.stage import files_of
 from wcsim.towns.scenario.town import find_town
@@ -341,7 +341,7 @@ def extend(run: Path, steps: int, fade: float | None = None) -> None:
 
 
 @lru_cache(maxsize=256)
-def town_parcel(address: str) -> Parcel:
+def town_parcel(address: str) -> InputFiles:
     """A town, as its SUMO files and its town.toml. Raises TownError."""
     town = find_town(address)
     folder, files = town.folder.absolute(), files_of(town, RunConfig())
@@ -353,13 +353,13 @@ def town_parcel(address: str) -> Parcel:
         )
     names = tuple(sorted(path.relative_to(folder).as_posix() for path in files))
     inner = "" if Path(town.address).is_dir() else town.sumocfg.name
-    return Parcel(address=address, folder=folder, names=names, inner=inner)
+    return InputFiles(address=address, folder=folder, names=names, inner=inner)
 
 
-def folder_parcel(folder: Path, address: str = "") -> Parcel:
+def folder_parcel(folder: Path, address: str = "") -> InputFiles:
     """The files of a folder, without those in folders of it."""
     names = tuple(path.name for path in sorted(folder.iterdir()) if path.is_file())
-    return Parcel(address=address or str(folder), folder=folder.absolute(), names=names)
+    return InputFiles(address=address or str(folder), folder=folder.absolute(), names=names)
 
 
 def require_travels(

@@ -44,7 +44,7 @@ from wcsim.config.suite import MOST_NAME, MOST_SET, name_pattern
 from wcsim.core.own_folder import temporary_folder
 from wcsim.core.reading import counted, escaped, is_file
 from wcsim.errors import ConfigError, InterruptedRunError
-from wcsim.server.workers.crew import WorkerNow
+from wcsim.server.workers.scheduler import WorkerNow
 
 if TYPE_CHECKING:  # loads the simulators, which --help must not
     from wcsim.agents.evaluation.suite.records import EpisodeRecord
@@ -219,7 +219,7 @@ def order_of(
         suite=suite,
         out=out,
         jobs=options.jobs,
-        machines=replace(machines, say=say),
+        machines=replace(machines, report=say),
         look=show_workers,
         preset=options.preset,
         settings=options.set,

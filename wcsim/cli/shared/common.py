@@ -21,7 +21,7 @@ from wcsim.config.load import presets, sets_key
 from wcsim.core.files import can_be_written, standing, whole_file
 from wcsim.core.reading import escaped, is_folder
 from wcsim.errors import ConfigError, meant, nearest
-from wcsim.server.workers.machines import Machines
+from wcsim.server.workers.machines import LOCAL, Machines, require_address
 
 T = TypeVar("T")
 Repeated = Annotated[tuple[str, ...], UseAppendAction]
@@ -311,8 +311,6 @@ def machines_of(cluster: str, asked: int | None, option: str) -> Machines:
     """
     if not cluster:
         return Machines(count=worlds_of(asked))
-    from wcsim.server.workers.ray_workers import LOCAL, require_address
-
     count = worlds_of(asked) if cluster == LOCAL else asked or 1
     if cluster != LOCAL and count > 1:
         raise ConfigError(

@@ -65,7 +65,7 @@ def run(words: list[str]) -> int:
     if options.policy:
         require_policy(options.policy, config.learn.network, bare_for="collecting")
     require_users(config, (options.set, options.config))
-    machines = replace(machines_of(options.cluster, options.worlds, "--worlds"), say=warn)
+    machines = replace(machines_of(options.cluster, options.worlds, "--worlds"), report=warn)
     towns = [checked_town(name, False) for name in some_words("--town", options.town)]
     out = options.out or Path("data") / f"{towns[0].name}-{options.seed}"
     check_folder("--out", out)

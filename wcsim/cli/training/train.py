@@ -256,7 +256,7 @@ def _train_rounds_in(run: ResolvedRun, town: Town, machines: Machines, note: str
 
         try:
             with gone_if_nothing_came_of_it(run.out):
-                return train_danger(run, town, replace(machines, say=say), show, say)
+                return train_danger(run, town, replace(machines, report=say), show, say)
         except InterruptedRunError:
             if run.out.exists():
                 raise

@@ -13,7 +13,7 @@ import msgspec
 
 from wcsim.errors import WcsimError
 from wcsim.server.host.world_host import WorldHost
-from wcsim.server.launch.states import Held, WorldStatus
+from wcsim.server.launch.states import BarrierDelay, WorldStatus
 from wcsim.server.protocol.events import BarrierState, Clock, Event, Received
 from wcsim.server.protocol.members import Member
 from wcsim.server.protocol.messages import Act, failure_of
@@ -35,7 +35,7 @@ class _Stragglers:
     >>> holdups.saw(("a", "b"), ("b",), 1.0)  # a has acted
     >>> holdups.saw(("a", "b"), (), 3.5)  # b too
     >>> holdups.held(("a", "b"))
-    (Held(name='a', seconds=0.0), Held(name='b', seconds=2.5))
+    (BarrierDelay(name='a', seconds=0.0), BarrierDelay(name='b', seconds=2.5))
     >>> holdups.waited(("a", "b"))
     ((0.0, 2.5), (0.0, 0.0))
     """
@@ -73,10 +73,12 @@ class _Stragglers:
             row = self._pairs.setdefault(name, {})
             row[late] = row.get(late, 0.0) + self._shared_s - since_s
 
-    def held(self, members: Sequence[str]) -> tuple[Held, ...]:
+    def held(self, members: Sequence[str]) -> tuple[BarrierDelay, ...]:
         """Seconds that each of these members was waited for; those of others are forgotten."""
         self._seconds = {name: self._seconds.get(name, 0.0) for name in members}
-        return tuple(Held(name=name, seconds=seconds) for name, seconds in self._seconds.items())
+        return tuple(
+            BarrierDelay(name=name, seconds=seconds) for name, seconds in self._seconds.items()
+        )
 
     def waited(self, members: Sequence[str]) -> tuple[tuple[float, ...], ...]:
         """Seconds that each of these members (rows) has waited for each (columns); rows of others are forgotten."""

@@ -1,1 +1,1 @@
-"""Processes that watch each other: start, look after, start again, end."""
+"""Starts, watches, restarts and ends the processes of a run."""

@@ -1,21 +1,28 @@
-"""A clock of the time in which a process was awake: one that was stopped for an hour has not waited for anybody."""
+"""A clock of the time in which a process was awake: while a signal stops it, it does not wait."""
 
 from __future__ import annotations
 
-LEAP_S = 0.5
+from typing import Final
+
+LEAP_S: Final = 0.5
 
 
 class AwakeClock:
-    """Time that goes on by at most half a second from one look to the next, beyond what a step of the world took."""
+    """Time that advances by at most `LEAP_S` between two readings, beyond the steps of a world."""
 
     def __init__(self, real_s: float) -> None:
-        """Begin at 0; `real_s` is the machine's monotonic clock."""
+        """Start at 0; `real_s` is the machine's monotonic clock."""
         self.now_s = 0.0
-        self._seen_s = real_s
+        self._last_real_s = real_s
 
     def look(self, real_s: float, stepped_s: float = 0.0) -> float:
-        """Take in the machine's time; `stepped_s` of it since the last look was a step's. Returns the time awake."""
-        rest_s = max(0.0, real_s - self._seen_s - stepped_s)
-        self._seen_s = real_s
+        """Advance to the machine's time; returns the time awake.
+
+        Args:
+            real_s: The machine's monotonic clock.
+            stepped_s: The part since the last reading in which the world stepped.
+        """
+        rest_s = max(0.0, real_s - self._last_real_s - stepped_s)
+        self._last_real_s = real_s
         self.now_s += stepped_s + min(rest_s, LEAP_S)
         return self.now_s

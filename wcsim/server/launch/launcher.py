@@ -1,7 +1,7 @@
-"""A world and several clients as processes: started, watched, started again when they die, ended in order.
+"""A world and several clients as processes: started, watched, restarted, ended in order.
 
-A tiny process that loads no simulator and no torch. One loop waits for pipes and ends of processes; everything has a
-deadline. The children die with it, however it ends.
+The launcher is a tiny process that loads no simulator and no torch. One loop waits for pipes and
+ends of processes, and everything has a deadline. The children die with it, however it ends.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from enum import Enum
 from pathlib import Path
+from typing import Final
 
 from wcsim.core.processes import StopSignals
 from wcsim.server.launch.awake_clock import AwakeClock
@@ -26,17 +27,17 @@ from wcsim.server.launch.states import (
 )
 from wcsim.server.launch.supervised import SupervisedClient, SupervisedWorld
 
-LOOK_S = 0.1
-SHOW_S = 0.25
-WAITED_S = 240.0  # a client that still has not ended may wait for something that does not come ...
-IDLE_S = 2.0  # ... as in a world that does not tick
+_POLL_S: Final = 0.1
+_SHOW_S: Final = 0.25
+# A client that has not ended after this time may wait for a world that does not go on.
+_CLIENT_WAITS_S: Final = 240.0
+# The same where the world does not tick.
+_CLIENT_WAITS_IDLE_S: Final = 2.0
 
 Show = Callable[[LaunchState], None]
 
 
 class _LaunchStep(Enum):
-    """How far a launch has come."""
-
     RUN = "run"
     CLIENTS_END = "clients end"
     WORLD_ENDS = "world ends"
@@ -58,12 +59,13 @@ class Launcher:
         """Prepare a launch.
 
         Args:
-            world: The world; None where somebody else looks after it.
+            world: The world; None where another process runs it.
             clients: The clients; none for a world that waits for others.
             folder: For events.jsonl.
             rules: How long to wait for what.
             show: Called a few times a second.
-            signals: Those that ask for the end, where the caller hears them already; a second one ends all at once.
+            signals: Those that request the end, where the caller has opened them. A second signal
+                kills all processes.
         """
         self._rules = rules if rules is not None else LaunchRules()
         self._show = show
@@ -72,152 +74,164 @@ class Launcher:
         self._clients = [
             SupervisedClient(plan, self._rules, self._selector, log) for plan in clients
         ]
-        self._world = (
-            None if world is None else SupervisedWorld(world, self._rules, self._selector, log)
-        )
-        self._all: list[SupervisedWorld | SupervisedClient] = [*self._clients]
-        if self._world is not None:
-            self._all.insert(0, self._world)
+        self._world: SupervisedWorld | None = None
+        self._processes: list[SupervisedWorld | SupervisedClient] = [*self._clients]
+        if world is not None:
+            self._world = SupervisedWorld(world, self._rules, self._selector, log)
+            self._processes.insert(0, self._world)
+        self._opens_signals = signals is None
+        self._stop_signals = StopSignals() if signals is None else signals
+        self._stop_calls = 0
         self._step = _LaunchStep.RUN
-        self._since_s = 0.0  # of this step
-        self._waits_end = self._asked_world = False
-        self._ticked = world is None  # or somebody else looks after it
-        self._given, self._heard = signals, StopSignals() if signals is None else signals
-        self._asked, self._shown_s = 0, 0.0
+        self._step_s = 0.0  # when it started
+        self._sent_wait_no_more = False
+        self._requested_world_end = False
+        self._ticked = world is None  # another process's world counts as one that ticks
+        self._shown_s = 0.0
+        # The outcome.
         self._stopped = False
-        self._code, self._message = 0, ""
+        self._code = 0
+        self._message = ""
 
     def run(self) -> LaunchOutcome:
-        """Start everything, and return when nothing of it runs any more."""
-        clock = AwakeClock(
-            time.monotonic()
-        )  # a launcher that was stopped has not waited for anybody
+        """Start all processes, and return when none of them runs any more."""
+        # The time that a launcher was stopped does not count as waited.
+        clock = AwakeClock(time.monotonic())
         try:
-            with nullcontext() if self._given is not None else self._heard:
-                for process in self._all:
+            with self._stop_signals if self._opens_signals else nullcontext():
+                for process in self._processes:
                     process.start(clock.now_s)
                 while self._step is not _LaunchStep.OVER:
-                    self._selector.select(LOOK_S)
-                    self._look(clock.look(time.monotonic()))
+                    self._selector.select(_POLL_S)
+                    self._poll(clock.look(time.monotonic()))
                     self._show_state(clock.now_s)
         except Exception:
-            self._rescue()
+            self._save_clients()
             raise
         finally:
-            for process in reversed(self._all):
+            for process in reversed(self._processes):
                 process.close()
             self._selector.close()
         return LaunchOutcome(
             code=self._code,
             message=self._message,
             stopped=self._stopped,
-            clients=self._states(),
-            by_signal=self._stopped and self._heard.count > 0,
+            clients=self._client_states(),
+            by_signal=self._stopped and self._stop_signals.count > 0,
         )
 
     def stop(self) -> None:
-        """Ask for an orderly end, as SIGTERM does."""
-        self._asked += 1
+        """Request an orderly end, as SIGTERM does."""
+        self._stop_calls += 1
 
     @property
-    def _signals(self) -> int:
-        return self._asked + self._heard.count
+    def _stop_requests(self) -> int:
+        return self._stop_calls + self._stop_signals.count
 
     @property
-    def _ticks(self) -> bool:
+    def _world_ticks(self) -> bool:
         """Whether there is a world of its own that ticks."""
         return self._world is not None and self._world.ticks
 
-    def _look(self, now_s: float) -> None:
-        if self._world is not None:
-            self._world.look(now_s)
-        self._ticked |= self._ticks
+    def _poll(self, now_s: float) -> None:
+        # 1. What has happened to the processes.
+        world = self._world
+        if world is not None:
+            world.poll(now_s)
+        self._ticked |= self._world_ticks
         for client in self._clients:
-            client.see(
-                self._world.status if self._world is not None and self._world.running else None
-            )
-            client.look(now_s)
-        if self._signals > 1:
-            for process in self._all:
+            client.set_world(world.status if world is not None and world.running else None)
+            client.poll(now_s)
+        # 2. A second request ends them at once.
+        if self._stop_requests > 1:
+            for process in self._processes:
                 process.kill()
+        # 3. A step that is over goes into the next one at once.
         if self._step is _LaunchStep.RUN:
-            self._run_on(now_s)
+            self._end_if_needed(now_s)
         if self._step is _LaunchStep.CLIENTS_END:
-            self._await_clients(now_s)
+            self._wait_for_clients(now_s)
         if self._step is _LaunchStep.WORLD_ENDS:
-            self._await_world(now_s)
+            self._wait_for_world(now_s)
 
-    def _run_on(self, now_s: float) -> None:
-        """Go on, unless there is a reason to end."""
-        # The clients first: their words say more than the world's.
-        if faulty := next((each for each in [*self._clients, *self._all] if each.fault), None):
-            self._end_clients(now_s, 2 if faulty.refused else 1, faulty.fault)
-        elif self._signals:
+    def _end_if_needed(self, now_s: float) -> None:
+        # The clients first: their messages are more precise than the world's.
+        faulty = [process for process in [*self._clients, *self._processes] if process.fault]
+        if faulty:
+            self._end_clients(now_s, 2 if faulty[0].refused else 1, faulty[0].fault)
+        elif self._stop_requests:
             self._stopped = True
             self._end_clients(now_s, 0, "stopped")
         elif not self._ticked and any(client.standing == "given up" for client in self._clients):
-            self._end_clients(now_s, *self._verdict())  # the first tick would wait for it
+            # The world would wait for this client before its first tick.
+            self._end_clients(now_s, *self._verdict())
         elif self._clients and all(client.settled for client in self._clients):
             self._code, self._message = self._verdict()
-            self._go(_LaunchStep.WORLD_ENDS, now_s)
+            self._go_to(_LaunchStep.WORLD_ENDS, now_s)
 
     def _verdict(self) -> tuple[int, str]:
+        """The exit code, and a message on the clients that were given up."""
         lost = [client for client in self._clients if client.standing == "given up"]
-        told = [f"client {client.plan.name} was dropped: it {client.reason}" for client in lost]
-        return (1, f"{'; '.join(told)}; see {lost[0].plan.log}") if lost else (0, "")
+        if not lost:
+            return 0, ""
+        texts = [f"client {client.plan.name} was dropped: it {client.reason}" for client in lost]
+        return 1, f"{'; '.join(texts)}; see {lost[0].plan.log}"
 
     def _end_clients(self, now_s: float, code: int, message: str) -> None:
-        self._code, self._message = code, message
+        self._code = code
+        self._message = message
         self._log.add("stop", code=code, reason=message)
         for client in self._clients:
-            client.ask_to_end()
-        self._go(_LaunchStep.CLIENTS_END, now_s)
+            client.request_end()
+        self._go_to(_LaunchStep.CLIENTS_END, now_s)
 
-    def _await_clients(self, now_s: float) -> None:
+    def _wait_for_clients(self, now_s: float) -> None:
         if all(client.settled for client in self._clients):
-            self._go(_LaunchStep.WORLD_ENDS, now_s)
+            self._go_to(_LaunchStep.WORLD_ENDS, now_s)
             return
-        waited_s = now_s - self._since_s
+        waited_s = now_s - self._step_s
         if waited_s > self._rules.saving_s:
             for client in self._clients:
                 client.kill()
-        elif not self._waits_end and waited_s > (WAITED_S if self._ticks else IDLE_S):
-            self._waits_end = True  # who saves its work is not disturbed by that
+            return
+        limit_s = _CLIENT_WAITS_S if self._world_ticks else _CLIENT_WAITS_IDLE_S
+        if waited_s > limit_s and not self._sent_wait_no_more:
+            # A client that saves its work is not disturbed by that.
+            self._sent_wait_no_more = True
             for client in self._clients:
                 client.wait_no_more()
 
-    def _await_world(self, now_s: float) -> None:
+    def _wait_for_world(self, now_s: float) -> None:
         if self._world is None or not self._world.running:
-            self._go(_LaunchStep.OVER, now_s)
+            self._go_to(_LaunchStep.OVER, now_s)
             return
-        status, waited_s = self._world.status, now_s - self._since_s
-        if not self._asked_world and (
-            status is None or not status.members or waited_s > self._rules.leaving_s
-        ):
-            self._asked_world = True
-            self._world.ask_to_end()
+        status = self._world.status
+        waited_s = now_s - self._step_s
+        is_empty = status is None or not status.members
+        if not self._requested_world_end and (is_empty or waited_s > self._rules.leaving_s):
+            self._requested_world_end = True
+            self._world.request_end()
         elif waited_s > self._rules.ending_s:
             self._world.kill()
 
-    def _go(self, step: _LaunchStep, now_s: float) -> None:
-        self._step, self._since_s = step, now_s
+    def _go_to(self, step: _LaunchStep, now_s: float) -> None:
+        self._step = step
+        self._step_s = now_s
 
-    def _rescue(self) -> None:
-        """Something failed in here: let the clients save their work before their processes are ended."""
+    def _save_clients(self) -> None:
+        """After a failure of the launcher, give the clients time to save their work."""
         for client in self._clients:
-            client.ask_to_end()
-            if not self._ticks:  # nobody starts it again
+            client.request_end()
+            if not self._world_ticks:
+                # Nothing restarts it.
                 client.wait_no_more()
         deadline_s = time.monotonic() + self._rules.saving_s
         while time.monotonic() < deadline_s and not all(client.ended for client in self._clients):
-            time.sleep(LOOK_S)
-
-    # --- what it shows ---
+            time.sleep(_POLL_S)
 
     def _show_state(self, now_s: float) -> None:
-        if self._show is None or (
-            now_s - self._shown_s < SHOW_S and self._step is not _LaunchStep.OVER
-        ):
+        is_over = self._step is _LaunchStep.OVER
+        if self._show is None or (now_s - self._shown_s < _SHOW_S and not is_over):
             return
         self._shown_s = now_s
         world = self._world
@@ -228,10 +242,10 @@ class Launcher:
                 world_pid=0 if world is None else world.pid,
                 world_restarts=0 if world is None else world.restarts,
                 world=None if world is None else world.status,
-                clients=self._states(),
+                clients=self._client_states(),
                 stopping=self._step is not _LaunchStep.RUN,
             )
         )
 
-    def _states(self) -> tuple[ClientState, ...]:
+    def _client_states(self) -> tuple[ClientState, ...]:
         return tuple(client.state for client in self._clients)

@@ -1,6 +1,6 @@
-"""What a launcher is asked to run, and what it knows of its processes while they run.
+"""What a launcher runs, and what it knows of its processes while they run.
 
-When a process that died is started again, and when it is given up. What processes say of themselves.
+Plans, rules for restarts and waits, the status that processes send, exit codes, and the outcome.
 """
 
 from __future__ import annotations
@@ -10,13 +10,22 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
 from pathlib import Path
-from typing import Literal
+from typing import Final, Literal
 
-_MOST_DOUBLINGS = 64  # beyond any wait, and still a number
+WAIT_NO_MORE: Final = signal.SIGUSR1
+"""Ends a client that would else wait for a world which does not go on.
+
+A second SIGTERM would not do: it may arrive while the first one is handled, and both may arrive as
+one.
+"""
+# Beyond any wait, and still a number.
+_MOST_DOUBLINGS: Final = 64
+
+Standing = Literal["starting", "running", "down", "done", "stopped", "given up", "elsewhere"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Held:
+class BarrierDelay:
     """How long the others have waited for one client while the barrier filled."""
 
     name: str
@@ -25,7 +34,7 @@ class Held:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WorldStatus:
-    """What a world process says of itself a few times a second."""
+    """What a world process reports a few times a second."""
 
     stage: str  # "loading", or a Stage
     epoch: int = 0
@@ -35,21 +44,19 @@ class WorldStatus:
     step_ms: float = 0.0  # median of the last steps
     members: tuple[str, ...] = ()
     master: str = ""
-    late: tuple[str, ...] = ()  # for whom the barrier waits
+    late: tuple[str, ...] = ()  # the clients for which the barrier waits
     late_s: float = 0.0  # since when
     rss_mb: float = 0.0
-    held: tuple[
-        Held, ...
-    ] = ()  # over the life of this process, by seat; those who left are not in it
-    waited_s: tuple[
-        tuple[float, ...], ...
-    ] = ()  # what each of `members` (rows) has waited for each (columns)
+    # Over the life of this process, by seat, without clients that left.
+    held: tuple[BarrierDelay, ...] = ()
+    # What each of `members` (rows) has waited for each (columns).
+    waited_s: tuple[tuple[float, ...], ...] = ()
     listening: str = ""  # the address for clients on other machines
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ClientStatus:
-    """What a client process says of itself."""
+    """What a client process reports."""
 
     name: str
     step: int = 0
@@ -59,55 +66,49 @@ class ClientStatus:
     crashes: int = 0
     kpi1: float | None = None  # of the agent's own choice, mean of the last 2,000 steps
     simulation_s: float = 0.0  # waiting for the world's own work
-    barrier_s: float = 0.0  # waiting for others, and for messages
+    barrier_s: float = 0.0  # waiting for other clients, and for messages
     inference_s: float = 0.0
     learning_s: float = 0.0
-    overlap_s: float = 0.0  # of learning_s, done while it waited: in one of the first two as well
+    # The part of learning_s while it waited; it also counts in one of the first two.
+    overlap_s: float = 0.0
     pid: int = 0  # of the life that these times are of
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RestartRules:
-    """How patient a launcher is with a process."""
+    """When a process that died is restarted, and when it is given up."""
 
-    first_s: float = (
-        0.5  # before the first restart; twice as long before each further one without progress
-    )
+    # Before the first restart; it doubles with each further death without progress.
+    first_s: float = 0.5
     longest_s: float = 30.0
     deaths: int = 5  # without progress; then it is given up
 
-    def wait_s(self, in_vain: int) -> float | None:
-        """Seconds until a process is started again that has died so often without progress; None: of no use any more.
+    def wait_s(self, deaths_without_progress: int) -> float | None:
+        """Seconds until the restart after so many deaths in a row; None to give up.
 
         >>> [RestartRules().wait_s(deaths) for deaths in (1, 2, 3, 4, 5)]
         [0.5, 1.0, 2.0, 4.0, None]
         >>> RestartRules(deaths=10_000).wait_s(2_000)
         30.0
         """
-        if in_vain >= self.deaths:
+        if deaths_without_progress >= self.deaths:
             return None
-        return min(self.first_s * 2.0 ** min(in_vain - 1, _MOST_DOUBLINGS), self.longest_s)
-
-
-WAIT_NO_MORE = signal.SIGUSR1
-"""Asks a client to end that would else wait for a world which does not go on.
-
-A second SIGTERM would not do: it may come while the first one is being obeyed, and both may come as one.
-"""
+        doublings = min(deaths_without_progress - 1, _MOST_DOUBLINGS)
+        return min(self.first_s * 2.0**doublings, self.longest_s)
 
 
 class ClientExit(IntEnum):
     """How a client process ends; every other code, and every signal, is a crash.
 
-    Those are tried again, and so are STOPPED, SERVER_GONE and EVICTED.
+    After a crash, STOPPED, SERVER_GONE and EVICTED it is restarted.
     """
 
     DONE = 0
     USER_ERROR = 2  # another try would end in the same way
-    STOPPED = 3  # it was asked to, saved its work, and can go on
+    STOPPED = 3  # its end was requested, it saved its work, and can go on
     SERVER_GONE = 4
     EVICTED = 5
-    DISK_FULL = 6  # not tried again either, but that is no fault of what was asked for
+    DISK_FULL = 6  # not restarted either, but the user's input is not at fault
     GROWN = 7  # as planned: its work is saved, and a new process goes on with it
 
 
@@ -121,14 +122,12 @@ class WorldExit(IntEnum):
     EPOCH_OVER = 5  # as planned: a new process goes on with the next epoch
 
 
-Standing = Literal["starting", "running", "down", "done", "stopped", "given up", "elsewhere"]
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ClientPlan:
     """A client process. It is started with `argv --status-fd N`, and `--resume` after a death.
 
-    Its `order` is written to `order_file` before every start: what lies in shared memory may be gone by then.
+    Its `order` is written to `order_file` before every start: files in shared memory may have been
+    removed by then.
     """
 
     name: str
@@ -142,30 +141,35 @@ class ClientPlan:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WorldPlan:
-    """A world process; its order is written to `order_file` before every start, beside the socket of the world."""
+    """A world process."""
 
     argv: tuple[str, ...]
-    # The number of its pipe, whether none was there yet, and where the one before it listened ("": nowhere).
+    # Its order, by the number of its pipe, whether no world was loaded yet, and the address of the
+    # one before it ("": none).
     order: Callable[[int, bool, str], bytes]
-    order_file: Path
+    order_file: Path  # beside the socket of the world; written before every start
     log: Path
-    last_tick: Callable[[int], int]  # that it has done in its last epoch, by what it told
+    # The last tick of its last epoch, by the one that it reported.
+    last_tick: Callable[[int], int]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LaunchRules:
     """How long a launcher waits for what, in seconds."""
 
-    world_lease_s: float = 10.0  # a world that says nothing for so long hangs ...
-    loading_lease_s: float = 300.0  # ... unless it has not done a tick yet
-    held_s: float = 2.0  # ... or a signal holds it, which nothing ends by itself
-    client_lease_s: float = (
-        120.0  # a client that the world gave up, and that lives on without its seat
-    )
-    joining_s: float = 600.0  # a client that never took its seat
-    saving_s: float = 300.0  # clients that were asked to end, with all their replay to write
-    leaving_s: float = 2.0  # for the world to hear that all clients have left
-    ending_s: float = 30.0  # a world that was asked to end
+    # A world that sends no status for this time hangs. It has longer before its first tick, and
+    # less while a signal has stopped it: that does not end by itself.
+    world_lease_s: float = 10.0
+    loading_lease_s: float = 300.0
+    held_s: float = 2.0
+    # A client that lives on without the seat that the world took from it, or never takes a seat.
+    client_lease_s: float = 120.0
+    joining_s: float = 600.0
+    # After the request to end: clients have to write their replay, and the world has to receive
+    # that all clients have left.
+    saving_s: float = 300.0
+    leaving_s: float = 2.0
+    ending_s: float = 30.0
     client: RestartRules = RestartRules()
     world: RestartRules = RestartRules()
 
@@ -177,11 +181,11 @@ class ClientState:
     name: str
     seat: int
     standing: Standing
-    pid: int = 0  # 0 while it is not there
+    pid: int = 0  # 0 while there is no process
     restarts: int = 0
     status: ClientStatus | None = None  # the last one
     reason: str = ""  # of its last death
-    unsaved: str = ""  # why what it did last is lost, though it was asked to save it
+    unsaved: str = ""  # why its last work is lost, though its end was requested
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -199,9 +203,9 @@ class LaunchState:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LaunchOutcome:
-    """How it ended: code 0 when all clients are done or it was stopped, 1 when one was given up, 2 for a mistake."""
+    """How a launch ended."""
 
-    code: int
+    code: int  # 0: all clients are done or it was stopped; 1: one was given up; 2: a user's mistake
     message: str
     stopped: bool
     clients: tuple[ClientState, ...]

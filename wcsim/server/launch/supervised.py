@@ -1,23 +1,22 @@
-"""The processes of a launch over all their lives: started, heard, found to hang, started again or given up.
+"""The processes of a launch over all their lives: started, polled, restarted or given up.
 
-A child as its launcher holds it has its output in a log file, status lines in a pipe, and its end from its handle.
+What a status or an exit code means is decided here, for a client and for a world. A process that
+hangs is killed, and then restarted as one that died.
 """
 
 from __future__ import annotations
 
-import os
 import re
 import selectors
 import signal
-import subprocess
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
-from contextlib import nullcontext, suppress
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Generic, TypeVar
+from typing import Final, Generic, TypeVar
 
 import msgspec
 
+from wcsim.core.processes import Child
 from wcsim.errors import DiskFullError
 from wcsim.server.launch.event_log import RunLog
 from wcsim.server.launch.states import (
@@ -34,176 +33,66 @@ from wcsim.server.launch.states import (
     WorldStatus,
 )
 
-_READ_BYTES = 1 << 16
-_MOST_BYTES = 1 << 20  # of a line that does not end
-
-
-class Child(subprocess.Popen[bytes]):
-    """A running process, in a session of its own, so that Ctrl-C at the terminal reaches whoever started it alone."""
-
-    def __init__(
-        self,
-        argv_of: Callable[[int], Sequence[str]],
-        selector: selectors.BaseSelector,
-        log: Path | None = None,
-    ) -> None:
-        """Start it.
-
-        Args:
-            argv_of: The command line, given the number of the pipe's end that status lines go to.
-            selector: Wakes when there is something to read, or the process has ended.
-            log: Where its output is appended; None: it goes where that of this process goes.
-
-        Raises OSError when there is no such program.
-        """
-        self._log = log
-        self._selector = selector
-        self._pipe, theirs = os.pipe()
-        os.set_blocking(self._pipe, False)
-        try:
-            if log is not None:
-                log.parent.mkdir(parents=True, exist_ok=True)
-            with nullcontext() if log is None else log.open("ab") as out:
-                self._log_begin = 0 if out is None else out.tell()
-                super().__init__(
-                    argv_of(theirs),
-                    stdin=subprocess.DEVNULL,
-                    stdout=out,
-                    stderr=out,
-                    pass_fds=(theirs,),
-                    start_new_session=True,
-                )
-            self._end_fd = os.pidfd_open(self.pid)
-        except BaseException:
-            os.close(self._pipe)
-            raise
-        finally:
-            os.close(theirs)
-        self._rest = b""
-        self._reads = True
-        selector.register(self._pipe, selectors.EVENT_READ)
-        selector.register(self._end_fd, selectors.EVENT_READ)
-
-    def lines(self) -> list[bytes]:
-        """The whole status lines that have come since the last call; does not wait."""
-        while self._reads:
-            try:
-                data = os.read(self._pipe, _READ_BYTES)
-            except BlockingIOError:
-                break
-            if not data or len(self._rest) > _MOST_BYTES:
-                self._stop_reading()
-            self._rest += data
-        *whole, self._rest = self._rest.split(b"\n")
-        return whole
-
-    @property
-    def held(self) -> bool:
-        """Whether a signal holds it, as SIGSTOP does."""
-        try:
-            return os.waitid(os.P_PID, self.pid, os.WSTOPPED | os.WNOHANG | os.WNOWAIT) is not None
-        except ChildProcessError:  # it has ended meanwhile
-            return False
-
-    def close(self, grace_s: float = 0.0) -> None:
-        """Kill it if it still runs, and let go of its pipe; where there is a grace, it is asked to end before."""
-        if grace_s > 0.0:
-            self.terminate()
-            with suppress(subprocess.TimeoutExpired):
-                self.wait(grace_s)
-        self.kill()
-        self._selector.unregister(self._end_fd)
-        os.close(self._end_fd)
-        self.wait()
-        self._stop_reading()
-
-    def last_words(self) -> str:
-        """What it said of itself in the end: the last `wcsim: ...` line of its log, or the last line of all."""
-        if self._log is None:
-            return ""
-        with self._log.open("rb") as file:
-            file.seek(max(self._log_begin, self._log.stat().st_size - _READ_BYTES))
-            lines = file.read().decode(errors="replace").splitlines()
-        told = [line for line in lines if line.startswith("wcsim: ")] or [
-            line for line in lines if line.strip()
-        ]
-        return told[-1].removeprefix("wcsim: ") if told else ""
-
-    def _stop_reading(self) -> None:
-        if self._reads:
-            self._reads = False
-            self._selector.unregister(self._pipe)
-            os.close(self._pipe)
-
-
-def _how_it_ended(code: int, words: str = "") -> str:
-    """An exit code in words, with the last words of the process where it ended by itself.
-
-    >>> _how_it_ended(-9, "no more"), _how_it_ended(3), _how_it_ended(3, "no more")
-    ('was killed by SIGKILL', 'ended with code 3', 'ended with code 3: no more')
-    """
-    if code >= 0:
-        return f"ended with code {code}{f': {words}' if words and code else ''}"
-    try:
-        return f"was killed by {signal.Signals(-code).name}"
-    except ValueError:
-        return f"was killed by signal {-code}"
-
-
-def _write_order(path: Path, line: bytes) -> None:
-    """Write an order where its process looks for it; its folder is made again when somebody has removed it.
-
-    Raises:
-        DiskFullError: It could not be written.
-    """
-    try:
-        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-        path.write_bytes(line)
-    except OSError as error:
-        raise DiskFullError(
-            f"{path}: an order could not be written ({error.strerror}); make room"
-        ) from None
-
+WORLD: Final = "world"
+"""The world's name in events."""
+MOST_EXCUSED_DEATHS: Final = 20
+"""Deaths of a client in a row, for want of a world, that count as progress."""
+_SAVED: Final = (
+    ClientExit.STOPPED,
+    ClientExit.SERVER_GONE,
+    ClientExit.EVICTED,
+    ClientExit.GROWN,
+)
+# A world that ends before has made no progress.
+_PROGRESS_TICKS: Final = 10
+_ERROR_NAME: Final = re.compile(r"^[A-Za-z]+Error: ")
 
 Status = TypeVar("Status", ClientStatus, WorldStatus)
 
 
 class _Supervised(ABC, Generic[Status]):
-    """One process, restarted while that is of use; what its status and its end mean is said by a world or a client."""
+    """One process, restarted while that is of use."""
 
     def __init__(
         self,
         name: str,
-        says: type[Status],
+        status_type: type[Status],
         log_file: Path,
-        rules: RestartRules,
+        restart: RestartRules,
         selector: selectors.BaseSelector,
         log: RunLog,
     ) -> None:
-        """Nothing runs before `start`; `name` is for the `log` of events, what it `says` are its status lines."""
-        self._name, self._log_file, self._log = name, log_file, log
-        self._says: type[Status] = says
+        """Nothing runs before `start`; `name` is for the `log` of events."""
+        self._name = name
+        self._status_type: type[Status] = status_type
+        self._log_file = log_file
+        self._restart = restart
         self._selector = selector
-        self._restart = rules
-        self._deaths = self._in_vain = 0  # in all, and without progress in a row
+        self._log = log
+        # Its life of now.
         self._child: Child | None = None
+        self._ending = False
         self.standing: Standing = "down"
         self.status: Status | None = None  # the last one
-        self.fault = ""  # why there is no use in going on with the whole run
-        self.refused = True  # the fault is one for which the user has to do something
-        self._lives = self._replaced = 0  # all of them, and those that ended as planned
-        self._due_s: float | None = None  # when it is started again
-        self._ending = False
-        self._died_s: float | None = None  # since when it has not been back
+        # All its lives.
+        self._lives = 0
+        self._replaced = 0  # lives that ended as planned
+        self._deaths = 0
+        self._deaths_without_progress = 0  # in a row
+        self._died_s: float | None = None  # since when it has not worked
+        self._due_s: float | None = None  # when it is restarted
+        # Why the whole run has to end, and whether the user has to do something about it.
+        self.fault = ""
+        self.refused = True
 
     @property
     def running(self) -> bool:
-        """Whether there is a process, or one whose end has not been seen."""
+        """Whether there is a process."""
         return self._child is not None
 
     @property
     def ended(self) -> bool:
-        """Whether there is no process of it any more."""
+        """Whether there is no process, or one that has ended."""
         return self._child is None or self._child.poll() is not None
 
     @property
@@ -213,150 +102,148 @@ class _Supervised(ABC, Generic[Status]):
 
     @property
     def restarts(self) -> int:
-        """How often it was started again after a death."""
+        """How often it was restarted after a death."""
         return max(0, self._lives - 1 - self._replaced)
 
     def start(self, now_s: float) -> None:
-        """Begin a life."""
-        self._child = Child(self._command, self._selector, self._log_file)
+        """Start a life."""
+        self._child = Child(self._argv, self._selector, self._log_file)
         self._log.add("restart" if self._lives else "start", who=self._name, pid=self._child.pid)
         self._lives += 1
-        self.standing, self._due_s = "starting", None
-        self._begun(now_s)
+        self.standing = "starting"
+        self._due_s = None
 
-    def look(self, now_s: float) -> None:
-        """Take in what has happened to it."""
+    def poll(self, now_s: float) -> None:
+        """Read its status and exit code; restart it when that is due."""
         if self._child is None:
             if self._due_s is not None and now_s >= self._due_s:
                 self.start(now_s)
             return
-        child, code = self._child, self._child.poll()
-        for line in child.lines():
+        child = self._child
+        code = child.poll()
+        for line in child.read_lines():
             try:
-                self.status = msgspec.json.decode(line, type=self._says)
+                self.status = msgspec.json.decode(line, type=self._status_type)
             except (msgspec.MsgspecError, UnicodeError, RecursionError):
-                continue  # a world that fails says so in a line of another kind, too
-            self._heard(self.status, now_s)
+                # A world that fails writes a line of another kind, too.
+                continue
+            self._on_status(self.status, now_s)
         if code is not None:
-            words = child.last_words()
+            message = child.last_message()
             child.close()
             self._child = None
-            self._ended(code, words, now_s)
+            self._on_exit(code, message, now_s)
         elif not self._ending:
-            self._watch(child, now_s)
+            self._kill_if_hung(child, now_s)
 
-    def ask_to_end(self) -> None:
-        """Ask it to close its work and leave; it is not started again."""
-        self._ending, self._due_s = True, None
+    def request_end(self) -> None:
+        """Have it close its work and leave; it is not restarted."""
+        self._ending = True
+        self._due_s = None
         if self._child is not None:
             self._child.terminate()
 
     def kill(self) -> None:
         """End it now."""
-        self._ending, self._due_s = True, None
+        self._ending = True
+        self._due_s = None
         if self._child is not None:
             self._child.kill()
 
     def close(self) -> None:
-        """Let go of everything."""
+        """Kill it, and close its pipe."""
         if self._child is not None:
             self._child.close()
             self._child = None
 
     @abstractmethod
-    def _command(self, status_fd: int) -> Sequence[str]:
-        """The command line of the life to come."""
+    def _argv(self, status_fd: int) -> Sequence[str]:
+        """The command line of the next life."""
 
     @abstractmethod
-    def _begun(self, now_s: float) -> None:
-        """A life has begun."""
+    def _on_status(self, status: Status, now_s: float) -> None:
+        """It has sent its status."""
 
     @abstractmethod
-    def _heard(self, status: Status, now_s: float) -> None:
-        """It has said something."""
+    def _kill_if_hung(self, child: Child, now_s: float) -> None:
+        """It runs: does it hang?"""
 
     @abstractmethod
-    def _watch(self, child: Child, now_s: float) -> None:
-        """It lives: does it hang?"""
+    def _on_exit(self, code: int, message: str, now_s: float) -> None:
+        """It has ended, with this last message."""
 
-    @abstractmethod
-    def _ended(self, code: int, words: str, now_s: float) -> None:
-        """It has ended, with these last words."""
-
-    def _hangs(self, child: Child, **told: float) -> None:
-        self._log.add("hang", who=self._name, **told)
+    def _kill_hung(self, child: Child, **values: float) -> None:
+        self._log.add("hang", who=self._name, **values)
         child.kill()
 
-    def _recovered(self, now_s: float, **told: int) -> None:
-        """It works: say so when it had died."""
+    def _log_recovery(self, now_s: float, **values: int) -> None:
+        """It works: log it when it had died."""
         if self._died_s is not None:
-            self._log.add(
-                "recovery", who=self._name, after_s=round(now_s - self._died_s, 3), **told
-            )
+            after_s = round(now_s - self._died_s, 3)
+            self._log.add("recovery", who=self._name, after_s=after_s, **values)
             self._died_s = None
 
-    def _died(self, code: int, words: str, now_s: float, **told: int) -> str:
-        """Take note of a death; returns it in words."""
-        reason = _how_it_ended(code, words)
+    def _log_death(self, code: int, message: str, now_s: float, **values: int) -> str:
+        """Note and log a death; returns it in words."""
+        reason = _exit_text(code, message)
         self._died_s = now_s if self._died_s is None else self._died_s
-        self._log.add("death", who=self._name, code=code, reason=reason, **told)
+        self._log.add("death", who=self._name, code=code, reason=reason, **values)
         return reason
 
-    def _settle(self, standing: Standing, event: str, **told: str | int) -> None:
-        """It is not there and will not come back."""
+    def _settle(self, standing: Standing, event: str, **values: str | int) -> None:
+        """It is not restarted any more."""
         self.standing = standing
-        self._log.add(event, who=self._name, **told)
+        self._log.add(event, who=self._name, **values)
 
-    def _replace(self, words: str, now_s: float, **told: int) -> None:
-        """Its life ended as planned: no death, and no reason to wait for the next one."""
-        self._log.add("replaced", who=self._name, reason=words, **told)
+    def _replace(self, message: str, now_s: float, **values: int) -> None:
+        """Its life ended as planned: no death, and the next one starts at once."""
+        self._log.add("replaced", who=self._name, reason=message, **values)
         self._replaced += 1
-        self.standing, self._due_s, self._died_s = "down", now_s, now_s
+        self.standing = "down"
+        self._due_s = now_s
+        self._died_s = now_s
 
-    def _start_later(self, now_s: float, progressed: bool) -> bool:
-        """Have it started again after a while; False when that is of no use any more."""
+    def _schedule_restart(self, now_s: float, progressed: bool) -> bool:
+        """Have it restarted after a while; False when that is of no use any more."""
         self._deaths += 1
-        self._in_vain = 1 if progressed else self._in_vain + 1
-        wait_s = self._restart.wait_s(self._in_vain)
+        self._deaths_without_progress = 1 if progressed else self._deaths_without_progress + 1
+        wait_s = self._restart.wait_s(self._deaths_without_progress)
         if wait_s is None:
             return False
-        self.standing, self._due_s = "down", now_s + wait_s
+        self.standing = "down"
+        self._due_s = now_s + wait_s
         return True
 
 
-_SAVED = (ClientExit.STOPPED, ClientExit.SERVER_GONE, ClientExit.EVICTED, ClientExit.GROWN)
-MOST_LEFT_ALONE = 20  # deaths for want of a world that a client is forgiven
-
-
 class SupervisedClient(_Supervised[ClientStatus]):
-    """Also ends a client that hangs, and forgives one that died for want of a world."""
+    """Also kills a client that hangs, and excuses one that died for want of a world."""
 
     def __init__(
         self, plan: ClientPlan, rules: LaunchRules, selector: selectors.BaseSelector, log: RunLog
     ) -> None:
         super().__init__(plan.name, ClientStatus, plan.log, rules.client, selector, log)
-        self.plan, self._rules = plan, rules
-        self.reason = self.unsaved = ""
-        self._crash = ""  # how its last life ended, until the next one is heard
-        self._world: WorldStatus | None = None  # as last seen
+        self.plan = plan
+        self._rules = rules
+        self._world: WorldStatus | None = None
+        # How it ended.
+        self.reason = ""
+        self.unsaved = ""
+        self._crash = ""  # how its last life ended, until the next one sends its status
         self._best_step = 0  # of the lives before this one
-        self._left_alone = 0  # deaths in a row that were the world's fault
-        self._seat_epoch: int | None = (
-            None  # of the world in which it had its seat last in this life
-        )
-        self._gathering = False  # its world waits for all to come
-        self._unseated_s: float | None = (
-            None  # since when the world has gone on without it, or has waited for all
-        )
+        self._excused_deaths = 0  # in a row
+        # Its seat. A world gathers while it waits for all its clients.
+        self._seat_epoch: int | None = None  # of the world in which this life last had its seat
+        self._gathering = False
+        self._unseated_s: float | None = None  # since when the world has ticked or gathered
 
     @property
     def settled(self) -> bool:
-        """Whether it is not there and will not come back."""
+        """Whether it has ended and is not restarted."""
         return self.standing in ("done", "stopped", "given up")
 
     @property
     def state(self) -> ClientState:
-        """As the launcher sees it."""
+        """As the launcher shows it."""
         return ClientState(
             name=self.plan.name,
             seat=self.plan.seat,
@@ -368,192 +255,246 @@ class SupervisedClient(_Supervised[ClientStatus]):
             unsaved=self.unsaved,
         )
 
-    def see(self, world: WorldStatus | None) -> None:
-        """What its world says of itself now; None while there is none."""
+    def start(self, now_s: float) -> None:
+        """Start a life, in which it has no seat yet."""
+        super().start(now_s)
+        self._seat_epoch = None
+        self._unseated_s = None
+
+    def set_world(self, world: WorldStatus | None) -> None:
+        """Set the status of its world; None while there is none."""
         self._world = world
 
-    def ask_to_end(self) -> None:
-        """Ask it to save its work and leave; it is not started again."""
-        super().ask_to_end()
+    def request_end(self) -> None:
+        """Have it save its work and leave; it is not restarted."""
+        super().request_end()
         if not (self.running or self.settled):
-            self.standing, self.unsaved = "stopped", self._crash
+            self.standing = "stopped"
+            self.unsaved = self._crash
 
     def wait_no_more(self) -> None:
-        """Have one that was asked to end do so without its world, which does not go on."""
+        """Have one whose end was requested end without its world, which does not go on."""
         if self._child is not None:
             self._child.send_signal(WAIT_NO_MORE)
 
-    def _command(self, status_fd: int) -> tuple[str, ...]:
+    def _argv(self, status_fd: int) -> tuple[str, ...]:
         if self.plan.order_file is not None:
             _write_order(self.plan.order_file, self.plan.order)
         resume = ("--resume",) if self._lives or self.plan.resume else ()
         return (*self.plan.argv, *resume, "--status-fd", str(status_fd))
 
-    def _begun(self, now_s: float) -> None:
-        self._seat_epoch, self._unseated_s = None, None
+    def _on_status(self, status: ClientStatus, now_s: float) -> None:
+        self.standing = "running"
+        self._crash = ""
+        self._log_recovery(now_s, step=status.step)
 
-    def _heard(self, status: ClientStatus, now_s: float) -> None:
-        self.standing, self._crash = "running", ""
-        self._recovered(now_s, step=status.step)
-
-    @property
-    def _step(self) -> int:
-        return 0 if self.status is None else self.status.step
-
-    def _ended(self, code: int, words: str, now_s: float) -> None:
+    def _on_exit(self, code: int, message: str, now_s: float) -> None:
+        step = 0 if self.status is None else self.status.step
+        # 1. It is not restarted: its work is done, its end was requested, or no try would help.
         if code == ClientExit.DONE:
-            self._settle("done", "done", step=self._step)
-        elif self._ending:
-            if code not in _SAVED and self._step > 0:
-                self.unsaved = _how_it_ended(code, words)
-            self._settle("stopped", "stopped", code=code, step=self._step)
-        elif code == ClientExit.GROWN:
-            self._crash = ""
-            self._replace(words, now_s, step=self._step)
-        elif code == ClientExit.USER_ERROR:
-            self.reason = words
+            self._settle("done", "done", step=step)
+            return
+        if self._ending:
+            if code not in _SAVED and step > 0:
+                self.unsaved = _exit_text(code, message)
+            self._settle("stopped", "stopped", code=code, step=step)
+            return
+        if code == ClientExit.USER_ERROR:
+            self.reason = message
             self.fault = (
-                words or f"client {self.plan.name} {_how_it_ended(code)}; see {self.plan.log}"
+                message or f"client {self.plan.name} {_exit_text(code)}; see {self.plan.log}"
             )
-            self._settle("given up", "refused", reason=words)
-        elif code == ClientExit.DISK_FULL:
-            self.reason = f"has no disk space to save: {words}"
+            self._settle("given up", "refused", reason=message)
+            return
+        if code == ClientExit.DISK_FULL:
+            self.reason = f"has no disk space to save: {message}"
             self._settle("given up", "given up", reason=self.reason)
-        else:
-            self._crashed(code, words, now_s)
+            return
+        # 2. It ended as planned, and a new process goes on.
+        if code == ClientExit.GROWN:
+            self._crash = ""
+            self._replace(message, now_s, step=step)
+            return
+        # 3. It died.
+        self._restart_after_crash(code, message, now_s, step)
 
-    def _crashed(self, code: int, words: str, now_s: float) -> None:
+    def _restart_after_crash(self, code: int, message: str, now_s: float, step: int) -> None:
+        # Without a world it could not make progress, which is excused for a while.
         no_world = self._world is None or self._world.stage == "loading"
-        self._left_alone = (
-            self._left_alone + 1 if code == ClientExit.SERVER_GONE and no_world else 0
-        )
-        excused = 0 < self._left_alone <= MOST_LEFT_ALONE  # it could not have done better
-        progressed = self._step > self._best_step or excused
-        self._best_step = max(self._best_step, self._step)
-        self.reason = self._died(code, words, now_s, step=self._step)
-        self._crash = self.reason if self._step > 0 else ""
-        if not self._start_later(now_s, progressed):
+        if code == ClientExit.SERVER_GONE and no_world:
+            self._excused_deaths += 1
+        else:
+            self._excused_deaths = 0
+        excused = 0 < self._excused_deaths <= MOST_EXCUSED_DEATHS
+        progressed = step > self._best_step or excused
+        self._best_step = max(self._best_step, step)
+        self.reason = self._log_death(code, message, now_s, step=step)
+        self._crash = self.reason if step > 0 else ""
+        if not self._schedule_restart(now_s, progressed):
             self._settle("given up", "given up", deaths=self._deaths)
 
-    def _watch(self, child: Child, now_s: float) -> None:
-        """End a client that the world gives no seat to, or took it from, and that does not notice by itself."""
-        world, begun, seated = self._world, self._gathering, self._seat_epoch is not None
+    def _kill_if_hung(self, child: Child, now_s: float) -> None:
+        """Kill a client that lost its seat, or never gets one, and does not detect that itself."""
+        world = self._world
+        was_gathering = self._gathering
         self._gathering = (
             world is not None and world.stage == "empty" and world.epoch != self._seat_epoch
         )
+        # A client that never had a seat may wait as long as its world gathers.
+        had_seat = self._seat_epoch is not None
         if (
             world is None
             or world.stage == "loading"
-            or self._gathering != begun
-            or (self._gathering and not seated)
+            or self._gathering != was_gathering
+            or (self._gathering and not had_seat)
         ):
             self._unseated_s = None
         elif self.plan.name in world.members:
-            self._seat_epoch, self._unseated_s = world.epoch, None
+            self._seat_epoch = world.epoch
+            self._unseated_s = None
         elif self._unseated_s is None:
             self._unseated_s = now_s
-        elif now_s - self._unseated_s > self._may_take_s:
-            self._hangs(child, without_seat_s=round(now_s - self._unseated_s, 3))
-            self._unseated_s = now_s
-
-    @property
-    def _may_take_s(self) -> float:
-        """How long it may be without its seat: where all are still waited for it may just wait as well."""
-        lost = self._seat_epoch is not None and not self._gathering
-        return self._rules.client_lease_s if lost else self._rules.joining_s
-
-
-WORLD = "world"  # its name in logs and events
-_ERROR_NAME = re.compile(r"^[A-Za-z]+Error: ")
-A_START = 10  # ticks; a life that ends before has achieved nothing
+        else:
+            # While the world gathers it may just wait as well, so it has longer than one that lost
+            # its seat.
+            lost_seat = had_seat and not self._gathering
+            limit_s = self._rules.client_lease_s if lost_seat else self._rules.joining_s
+            unseated_s = now_s - self._unseated_s
+            if unseated_s > limit_s:
+                self._kill_hung(child, without_seat_s=round(unseated_s, 3))
+                self._unseated_s = now_s
 
 
 class SupervisedWorld(_Supervised[WorldStatus]):
-    """Also ends a world that hangs, and gives one up that dies again and again at the same tick."""
+    """Also kills a world that hangs, and gives up one that dies repeatedly at the same tick."""
 
     def __init__(
         self, plan: WorldPlan, rules: LaunchRules, selector: selectors.BaseSelector, log: RunLog
     ) -> None:
         super().__init__(WORLD, WorldStatus, plan.log, rules.world, selector, log)
-        self._plan, self._rules = plan, rules
-        self._heard_s = 0.0
-        self._held_s: float | None = None  # since when a signal holds it
+        self._plan = plan
+        self._rules = rules
+        self._status_s = 0.0  # when it last sent its status
+        self._stopped_s: float | None = None  # since when a signal has stopped it
         self._loaded = False  # in any life
-        self._listening = ""  # where the first life was reached
+        self._listening = ""  # the address of the first life
         self._death_tick = -1
 
     @property
     def ticks(self) -> bool:
-        """Whether it is there and has begun to tick."""
+        """Whether it runs and has done a tick."""
         return self.running and self.status is not None and self.status.ticks > 0
 
+    def start(self, now_s: float) -> None:
+        """Start a life, which has sent no status yet."""
+        super().start(now_s)
+        self.status = None
+        self._status_s = now_s
+        self._stopped_s = None
+
     def close(self) -> None:
-        """Let go of everything."""
+        """Kill it, close its pipe, and remove its order."""
         super().close()
         self._plan.order_file.unlink(missing_ok=True)
 
-    def _command(self, status_fd: int) -> tuple[str, ...]:
-        _write_order(
-            self._plan.order_file, self._plan.order(status_fd, not self._loaded, self._listening)
-        )
+    def _argv(self, status_fd: int) -> tuple[str, ...]:
+        order = self._plan.order(status_fd, not self._loaded, self._listening)
+        _write_order(self._plan.order_file, order)
         return self._plan.argv
 
-    def _begun(self, now_s: float) -> None:
-        self.status, self._heard_s, self._held_s = None, now_s, None
-
-    def _heard(self, status: WorldStatus, now_s: float) -> None:
-        self._heard_s = now_s
+    def _on_status(self, status: WorldStatus, now_s: float) -> None:
+        self._status_s = now_s
         if status.stage != "loading":
-            self.standing, self._loaded = "running", True
+            self.standing = "running"
+            self._loaded = True
             # Its clients know no other port than the one that was found first.
             self._listening = status.listening or self._listening
         if status.ticks > 0:
-            self._recovered(now_s, epoch=status.epoch, tick=status.tick)
+            self._log_recovery(now_s, epoch=status.epoch, tick=status.tick)
 
-    def _watch(self, child: Child, now_s: float) -> None:
+    def _kill_if_hung(self, child: Child, now_s: float) -> None:
         file = self._plan.order_file
-        if not file.parent.is_dir():  # with the socket: nobody could come back to this world
+        if not file.parent.is_dir():
+            # Its socket was in that folder, so no client could come back to this world.
             self._log.add("place lost", who=WORLD, place=str(file.parent))
             _write_order(file, b"")
             child.kill()
             return
+        # One that loads sends no status for long. So the time that it was stopped counts apart.
+        if not child.stopped:
+            self._stopped_s = None
+        elif self._stopped_s is None:
+            self._stopped_s = now_s
         lease_s = self._rules.world_lease_s if self.ticks else self._rules.loading_lease_s
-        silent_s = now_s - self._heard_s
-        # One that loads says nothing for long: how long it has been held is counted apart.
-        self._held_s = (now_s if self._held_s is None else self._held_s) if child.held else None
-        if silent_s > lease_s or (
-            self._held_s is not None and now_s - self._held_s > self._rules.held_s
-        ):
-            self._hangs(child, silent_s=round(silent_s, 3))
-            self._heard_s = now_s
+        silent_s = now_s - self._status_s
+        stopped_s = 0.0 if self._stopped_s is None else now_s - self._stopped_s
+        if silent_s > lease_s or stopped_s > self._rules.held_s:
+            self._kill_hung(child, silent_s=round(silent_s, 3))
+            self._status_s = now_s
 
-    def _ended(self, code: int, words: str, now_s: float) -> None:
-        words = _ERROR_NAME.sub("", words)
+    def _on_exit(self, code: int, message: str, now_s: float) -> None:
+        message = _ERROR_NAME.sub("", message)
+        # 1. Its end was requested, or planned.
         if self._ending:
             self._settle("stopped", "end", code=code)
             return
         if code == WorldExit.EPOCH_OVER:
             self._death_tick = -1
-            self._replace(words, now_s)
+            self._replace(message, now_s)
             return
-        tick = self._plan.last_tick(0 if self.status is None else self.status.tick)
-        reason = self._died(code, words, now_s, tick=tick)
+        # 2. It died in a way that would repeat.
+        status = self.status
+        tick = self._plan.last_tick(0 if status is None else status.tick)
+        reason = self._log_death(code, message, now_s, tick=tick)
         if code == WorldExit.DISK_FULL:
-            words = words or "the world has no disk space; make room"  # nor has its log
-            self._give_up(f"{words}; then continue (a training: wcsim resume RUN)", refused=False)
+            # Where its log has no room either, there is no message.
+            message = message or "the world has no disk space; make room"
+            self._give_up(f"{message}; then continue (a training: wcsim resume RUN)", refused=False)
             return
         if code == WorldExit.USER_ERROR or (code == WorldExit.FAILED and not self._loaded):
-            self._give_up(words or f"the world {reason}; see {self._log_file}", refused=True)
+            self._give_up(message or f"the world {reason}; see {self._log_file}", refused=True)
             return
-        ticks = 0 if self.status is None else self.status.ticks
-        progressed = tick != self._death_tick and ticks >= A_START
+        # 3. It died in another way.
+        ticks = 0 if status is None else status.ticks
+        progressed = tick != self._death_tick and ticks >= _PROGRESS_TICKS
         self._death_tick = tick
-        if not self._start_later(now_s, progressed):
+        if not self._schedule_restart(now_s, progressed):
             self._give_up(
-                f"the world died {self._in_vain} times at tick {tick} ({reason}); see {self._log_file}",
-                False,
+                f"the world died {self._deaths_without_progress} times at tick {tick} ({reason}); "
+                f"see {self._log_file}",
+                refused=False,
             )
 
     def _give_up(self, fault: str, refused: bool) -> None:
-        self.fault, self.refused = fault, refused
+        self.fault = fault
+        self.refused = refused
         self._settle("given up", "given up", reason=fault)
+
+
+def _exit_text(code: int, message: str = "") -> str:
+    """An exit code in words, with the last message of a process that ended by itself.
+
+    >>> _exit_text(-9, "no more"), _exit_text(3), _exit_text(3, "no more")
+    ('was killed by SIGKILL', 'ended with code 3', 'ended with code 3: no more')
+    """
+    if code >= 0:
+        return f"ended with code {code}{f': {message}' if message and code else ''}"
+    try:
+        return f"was killed by {signal.Signals(-code).name}"
+    except ValueError:
+        return f"was killed by signal {-code}"
+
+
+def _write_order(path: Path, order: bytes) -> None:
+    """Write an order where its process reads it, and make its folder if it was removed.
+
+    Raises:
+        DiskFullError: It could not be written.
+    """
+    try:
+        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        path.write_bytes(order)
+    except OSError as error:
+        raise DiskFullError(
+            f"{path}: an order could not be written ({error.strerror}); make room"
+        ) from None

@@ -29,9 +29,9 @@ import zmq
 from zmq.utils.monitor import recv_monitor_message
 
 from wcsim.core.own_folder import OwnFolder, endpoint_in, is_abandoned
+from wcsim.core.processes import Child
 from wcsim.errors import AccessError, ConfigError, LinkClosedError, LinkTimeoutError, ProtocolError
 from wcsim.server.launch.states import WorldStatus
-from wcsim.server.launch.supervised import Child
 from wcsim.server.ledger import open_ledger
 from wcsim.server.links.base import SeatGroup, WorldLink, new_session
 from wcsim.server.protocol import messages as m
@@ -313,7 +313,7 @@ class _WorldChild:
         while time.monotonic() < deadline_s:
             self._selector.select(_POLL_MS / 1000.0)
             ended = self.process.poll() is not None
-            if any(_ready(line) for line in self.process.lines()):
+            if any(_ready(line) for line in self.process.read_lines()):
                 return
             if ended:
                 self.require_alive()

@@ -1,1 +1,1 @@
-"""Pieces of work that need no barrier, done by processes here or by nodes of a Ray cluster. Not what is done."""
+"""Pieces of work that need no barrier, done by processes here or by nodes of a Ray cluster."""

@@ -1,6 +1,7 @@
-"""What a node of a cluster does, in a process of Ray: say what it is, take in files, work, answer.
+"""What a node of a cluster does, in a process of Ray: report facts, take in files, work, answer.
 
-Files travel by their names below a folder, each compressed, and become files again in the folder of a piece.
+Files travel by their names below a folder, each compressed. They are written to a temporary folder
+of their piece.
 """
 
 from __future__ import annotations
@@ -23,34 +24,40 @@ from wcsim.core.own_folder import temporary_folder
 from wcsim.core.reading import escaped, unzstd
 from wcsim.core.sources import code_digest, version_of
 from wcsim.errors import ConfigError, DiskFullError, WcsimError, WorkersError
-from wcsim.server.workers.machines import Parcel, Work, WorkEnd
+from wcsim.server.workers.machines import InputFiles, Work, WorkResult
 
-MOST_BYTES: Final = 512 << 20  # of the files of a parcel, and of what comes back
+MOST_BYTES: Final = 512 << 20
+"""Of the input files of a piece, and of its result."""
 _MOST_FILES: Final = 10_000
-_LEVEL: Final = 3
+_COMPRESSION_LEVEL: Final = 3
 _PACKAGES: Final = (
-    *(
-        "wcsim",
-        "libsumo",
-        "eclipse-sumo",
-        "pybullet",
-        "torch",
-        "numpy",
-        "numba",
-        "opencv-python-headless",
-    ),
-    *("shapely", "networkx", "zstandard", "gymnasium", "onnxruntime"),
+    "wcsim",
+    "libsumo",
+    "eclipse-sumo",
+    "pybullet",
+    "torch",
+    "numpy",
+    "numba",
+    "opencv-python-headless",
+    "shapely",
+    "networkx",
+    "zstandard",
+    "gymnasium",
+    "onnxruntime",
 )
 _LEAST_SHM_MIB: Final = 256
 _SHM: Final = Path("/dev/shm")  # noqa: S108 - it is only looked at
+_ERROR_CHARACTERS: Final = 300
 
 
 def facts_here() -> dict[str, str]:
-    """What this machine has: versions by package and "Python", "code" of wcsim, "host", "cpu", "shm_mib"."""
+    """What this machine has.
+
+    Versions by package and "Python", "code" of wcsim, "host", "cpu", "shm_mib".
+    """
     return {
-        **{
-            name: version_of(name).partition("+")[0] for name in _PACKAGES
-        },  # torch 2.13.0+cpu is 2.13.0
+        # torch 2.13.0+cpu is 2.13.0.
+        **{name: version_of(name).partition("+")[0] for name in _PACKAGES},
         "Python": ".".join(platform.python_version_tuple()[:2]),
         "code": code_digest(),
         "host": socket.gethostname(),
@@ -61,20 +68,24 @@ def facts_here() -> dict[str, str]:
 
 def why_refused(node: Mapping[str, str], here: Mapping[str, str]) -> str:
     """What a node has other than this machine and must not, "" for nothing."""
-    found = node.get("wcsim"), node.get("code", "")
-    if found != (here["wcsim"], here["code"]):
+    version = node.get("wcsim")
+    code = node.get("code", "")
+    if (version, code) != (here["wcsim"], here["code"]):
         return (
-            f"it has wcsim {found[0]}, code {found[1][:12]}; expected wcsim {here['wcsim']}, code "
-            f"{here['code'][:12]}, as here: install the same there, then `ray stop` and `ray start` it again"
+            f"it has wcsim {version}, code {code[:12]}; expected wcsim {here['wcsim']}, code "
+            f"{here['code'][:12]}, as here: install the same there, then `ray stop` and "
+            "`ray start` it again"
         )
-    asked = (*_PACKAGES, "Python")
-    other = [
+    different = [
         f"{name} {node[name] or 'none'} (here {here[name] or 'none'})"
-        for name in asked
+        for name in (*_PACKAGES, "Python")
         if node[name] != here[name]
     ]
-    if other:
-        return f"it has {', '.join(other)}; expected the same as here: install from the same constraints.txt"
+    if different:
+        return (
+            f"it has {', '.join(different)}; expected the same as here: install from the same "
+            "constraints.txt"
+        )
     return ""
 
 
@@ -83,12 +94,13 @@ def notes_on(node: Mapping[str, str], here: Mapping[str, str]) -> tuple[str, ...
     notes = []
     if int(node["shm_mib"]) < _LEAST_SHM_MIB:
         notes.append(
-            f"{_SHM} has {node['shm_mib']} MiB; expected {_LEAST_SHM_MIB}: Ray then stores its objects on "
-            "disk, which is slower; start the container with --shm-size=1g"
+            f"{_SHM} has {node['shm_mib']} MiB; expected {_LEAST_SHM_MIB}: Ray then stores its "
+            "objects on disk, which is slower; start the container with --shm-size=1g"
         )
     if node["cpu"] != here["cpu"]:
         notes.append(
-            f"its processor is different ({node['cpu']}; here {here['cpu']}): the last bits of its data may differ"
+            f"its processor is different ({node['cpu']}; here {here['cpu']}): the last bits of its "
+            "data may differ"
         )
     return tuple(notes)
 
@@ -100,70 +112,81 @@ def _cpu() -> str:
     return platform.machine()
 
 
-def packed(parcel: Parcel) -> dict[str, bytes]:
-    """The files of a parcel by name, each a zstd frame. Raises ConfigError for too many or too large ones, OSError."""
-    size = sum((parcel.folder / name).stat().st_size for name in parcel.names)
-    if size > MOST_BYTES or len(parcel.names) > _MOST_FILES:
+def packed(files: InputFiles) -> dict[str, bytes]:
+    """Input files by name, each a zstd frame.
+
+    Raises:
+        ConfigError: They are too many or too large.
+        OSError: One cannot be read.
+    """
+    size = sum((files.folder / name).stat().st_size for name in files.names)
+    if size > MOST_BYTES or len(files.names) > _MOST_FILES:
         raise ConfigError(
-            f"{escaped(parcel.folder)} has {len(parcel.names)} files of {size >> 20} MiB; expected at most "
-            f"{_MOST_FILES} of {MOST_BYTES >> 20} MiB, as they travel to other machines: drive it without --cluster"
+            f"{escaped(files.folder)} has {len(files.names)} files of {size >> 20} MiB; expected "
+            f"at most {_MOST_FILES} of {MOST_BYTES >> 20} MiB, as they travel to other machines: "
+            "drive it without --cluster"
         )
-    compressor = zstandard.ZstdCompressor(level=_LEVEL)
-    return {name: compressor.compress((parcel.folder / name).read_bytes()) for name in parcel.names}
+    compressor = zstandard.ZstdCompressor(level=_COMPRESSION_LEVEL)
+    return {name: compressor.compress((files.folder / name).read_bytes()) for name in files.names}
 
 
-def _unpack(files: Mapping[str, bytes], folder: Path) -> None:
-    """Write files below a folder. Raises ValueError for names that lead elsewhere, or too many bytes or files."""
-    if len(files) > _MOST_FILES:
-        raise ValueError(f"{len(files)} files; expected at most {_MOST_FILES}")
+def _unpack(contents: Mapping[str, bytes], folder: Path) -> None:
+    """Write files below a folder.
+
+    Raises:
+        ValueError: A name leads elsewhere, or there are too many bytes or files.
+    """
+    if len(contents) > _MOST_FILES:
+        raise ValueError(f"{len(contents)} files; expected at most {_MOST_FILES}")
     folder.mkdir(parents=True, exist_ok=True)
     left = MOST_BYTES
-    for name, content in files.items():
-        place = PurePosixPath(name)
-        if place.is_absolute() or ".." in place.parts:
+    for name, content in contents.items():
+        path = PurePosixPath(name)
+        if path.is_absolute() or ".." in path.parts:
             raise ValueError(
                 f"a file is called {escaped(name, 80)!r}; expected a name below its folder"
             )
         data = unzstd(content, left)
         left -= len(data)
-        (folder / place).parent.mkdir(parents=True, exist_ok=True)
-        (folder / place).write_bytes(data)
+        (folder / path).parent.mkdir(parents=True, exist_ok=True)
+        (folder / path).write_bytes(data)
 
 
 def do_work(
-    worker: str, work: Work, parcels: tuple[Parcel, ...], *contents: Mapping[str, bytes]
-) -> WorkEnd:
-    """Do a piece of work in this process, which Ray has started; `contents` are those of the parcels, from Ray's store.
+    worker: str, work: Work, needed: tuple[InputFiles, ...], *contents: Mapping[str, bytes]
+) -> WorkResult:
+    """Do a piece of work in this process, which Ray has started.
 
-    Where it is lost, another machine may do better.
+    Args:
+        worker: Its name.
+        work: The piece.
+        needed: The input files.
+        contents: Those of each of `needed`, from Ray's store.
     """
-    key, began_s = work.key, time.monotonic()
-    end = partial(WorkEnd, worker=worker, key=key, facts={"pid": os.getpid()})
+    key = work.key
+    start_s = time.monotonic()
+    pid = os.getpid()
+    end = partial(WorkResult, worker=worker, key=key, facts={"pid": pid})
     try:
         with temporary_folder() as own:
-            places = {}
-            for number, (parcel, files) in enumerate(zip(parcels, contents, strict=True)):
-                folder = (
-                    own / f"parcel-{number}" / (parcel.folder.name or "folder")
-                )  # as a town may be called by it
-                _unpack(files, folder)
-                places[parcel.address] = str(folder / parcel.inner)
-            data = work.call(work.piece, lambda address: places.get(address, address))
-        took = {"bytes": len(data), "work_s": round(time.monotonic() - began_s, 3)}
-        return end(data=data, facts={"pid": os.getpid(), **took})
-    except (
-        OSError,
-        MemoryError,
-        DiskFullError,
-    ) as error:  # of this machine: another one may have room
+            paths = {}
+            for number, (files, content) in enumerate(zip(needed, contents, strict=True)):
+                # The folder keeps its name: a town may be called by it.
+                folder = own / f"parcel-{number}" / (files.folder.name or "folder")
+                _unpack(content, folder)
+                paths[files.address] = str(folder / files.inner)
+            data = work.call(work.piece, lambda address: paths.get(address, address))
+        work_s = round(time.monotonic() - start_s, 3)
+        return end(data=data, facts={"pid": pid, "bytes": len(data), "work_s": work_s})
+    except (OSError, MemoryError, DiskFullError) as error:
+        # This machine is at fault, and another one may have room.
         return end(lost=f"{type(error).__name__}: {error}")
     except WcsimError as error:
         return end(error=error)
     except Exception as error:
-        sys.stderr.write(
-            f"wcsim: {key} failed: {traceback.format_exc()}\n"
-        )  # into Ray's log of this process
-        told = f"{type(error).__name__}: {error}"[:300]
+        # Into Ray's log of this process.
+        sys.stderr.write(f"wcsim: {key} failed: {traceback.format_exc()}\n")
+        text = f"{type(error).__name__}: {error}"[:_ERROR_CHARACTERS]
         return end(
-            error=WorkersError(f"{key} failed on {worker}: {told}; see Ray's log on that machine")
+            error=WorkersError(f"{key} failed on {worker}: {text}; see Ray's log on that machine")
         )

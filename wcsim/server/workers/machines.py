@@ -1,134 +1,110 @@
-"""A piece of work, and where it is done: in processes of this machine, or on those of a Ray cluster.
+"""A piece of work, and its workers: processes of this machine, or CPUs of a Ray cluster.
 
-The rest of wcsim need not know where. A worker works in a folder named by its process, which goes with the piece, or
-with the next on the machine.
+The rest of wcsim need not know which. On a cluster, the input files of a piece lie in a temporary
+folder. It is removed with the piece; after a kill, with the next piece on that machine.
 """
 
 from __future__ import annotations
 
-import signal
+import re
+import socket
 from collections.abc import Callable, Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field
-from multiprocessing import get_context
-from os import getpid
 from pathlib import Path
 from time import sleep
 from typing import Any, Final, Protocol
 
-from wcsim.core.processes import (
-    die_with_parent,
-    hear_of_deaths,
-    name_semaphores,
-    unheard_by_children,
-)
+from wcsim.core.processes import kill_workers, start_worker
+from wcsim.core.reading import escaped
+from wcsim.errors import ConfigError, check_installed
 
-At = Callable[[str], str]
-"""Where that which the machine that sends calls by this address lies on the machine that works."""
+LOGS: Final = "cluster"
+"""Folder, in that of a run or a result, for what Ray printed and which worker had which piece."""
 
-Call = Callable[[Any, At], bytes]
-"""A function of a module: does a piece of work; what comes back is one compressed piece of bytes."""
+LOCAL: Final = "local"
+"""The address of a cluster that is made here."""
+_ADDRESS: Final = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9_.-]+):(\d{1,5})")
+_REACH_TIMEOUT_S: Final = 5.0
+
+ToLocalPath = Callable[[str], str]
+"""The path, on the machine of the worker, of what the sending machine calls by this address."""
+
+Call = Callable[[Any, ToLocalPath], bytes]
+"""A function of a module that does a piece of work; returns compressed bytes."""
+
+Facts = Mapping[str, str | int | float]
+Report = Callable[[str], object]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Parcel:
-    """Files below a folder that a piece of work reads; they travel to machines that have no disk in common."""
+class InputFiles:
+    """Files below a folder that a piece of work reads; they are sent to machines without them."""
 
-    address: str  # what the piece calls it
+    address: str  # what the piece calls them
     folder: Path
     names: tuple[str, ...]  # of files in it
     inner: str = ""  # what the address means in it: "" is the folder
 
 
-Needs = Callable[[Any], tuple[Parcel, ...]]
+Needs = Callable[[Any], tuple[InputFiles, ...]]
 
 
-def _nothing_needed(_piece: Any) -> tuple[Parcel, ...]:
-    """What a piece needs that is made of words alone."""
+def _no_files(_piece: Any) -> tuple[InputFiles, ...]:
     return ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Work:
-    """One piece, under a key that says what it is wherever it is done, and however often."""
+    """One piece. Its key is the same on every machine, and each time that it is done."""
 
     key: str
     call: Call
     piece: Any  # what is sent
-    needs: Needs = _nothing_needed
-
-
-Facts = Mapping[str, str | int | float]
+    needs: Needs = _no_files
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class WorkEnd:
-    """What a worker has come to with a piece: `data`, or an `error` that is final, or neither: the piece is lost."""
+class WorkResult:
+    """The end of a piece: `data`, or an `error` that is final, or neither: the piece is lost."""
 
     worker: str
     key: str
     data: bytes | None = None
     error: BaseException | None = None
     lost: str = ""  # why
-    counts: bool = (
-        True  # whether the piece may have killed the worker, rather than its machine have gone
-    )
+    # Whether the piece may have killed the worker; False where its machine was disconnected.
+    counts: bool = True
     facts: Facts = field(default_factory=dict)  # for the log
 
 
 class Workers(Protocol):
-    """Those who do the work, one piece at a time each; who they are may change at any time."""
+    """Each does one piece at a time. Workers may be added or removed at any time."""
 
     def names(self) -> tuple[str, ...]:
-        """Who there is now, busy or not. Raises WorkersError when it can no longer be known."""
+        """Those of now, busy or not. Raises WorkersError when it can no longer be known."""
 
     def begin(self, worker: str, work: Work) -> None:
         """Give a piece to a worker that has none."""
 
-    def ended(self, timeout_s: float) -> list[WorkEnd]:
-        """What has come back; waits a while for it. Raises WorkersError as `names`."""
+    def collect(self, timeout_s: float) -> list[WorkResult]:
+        """The pieces that have ended; waits a while for one. Raises WorkersError as `names`."""
 
     def stop(self, worker: str) -> None:
-        """End what a worker is at; it is heard of as lost."""
+        """Kill a worker; its piece is then collected as lost."""
 
     def close(self) -> None:
-        """End all at once."""
-
-
-class OneProcess(ProcessPoolExecutor):
-    """A process, started at once, that is there until this one ends, however that comes about."""
-
-    def __init__(self) -> None:
-        # A process that waits for work would not notice that nobody is left to give it any.
-        name_semaphores()
-        super().__init__(
-            1,
-            mp_context=get_context("spawn"),
-            initializer=die_with_parent,
-            initargs=(signal.SIGKILL,),
-        )
-        with unheard_by_children():
-            self.submit(getpid)
-        hear_of_deaths(self)
-
-    def kill(self) -> None:
-        """Kill the process; who waits for what it is at hears a BrokenProcessPool."""
-        for process in list((self._processes or {}).values()):
-            process.kill()
+        """Kill all workers."""
 
 
 class _ProcessWorkers:
-    """So many processes, each started when it first has something to do.
-
-    Args:
-        count: How many.
-    """
+    """`count` processes, each started when it first has something to do."""
 
     def __init__(self, count: int) -> None:
         self._names = tuple(f"process {number + 1}" for number in range(count))
-        self._pools: dict[str, OneProcess] = {}
-        self._under_way: dict[Future[bytes], tuple[str, str]] = {}
+        self._pools: dict[str, ProcessPoolExecutor] = {}
+        self._running: dict[Future[bytes], tuple[str, str]] = {}
 
     def names(self) -> tuple[str, ...]:
         """All of them: one that has died is started again with its next piece."""
@@ -138,74 +114,102 @@ class _ProcessWorkers:
         """Give a piece to a process."""
         try:
             future = self._pool(worker).submit(work.call, work.piece, str)
-        except BrokenProcessPool:  # it died while it had nothing to do
+        except BrokenProcessPool:
+            # It died while it had nothing to do.
             self._drop(worker)
             future = self._pool(worker).submit(work.call, work.piece, str)
-        self._under_way[future] = worker, work.key
+        self._running[future] = worker, work.key
 
-    def ended(self, timeout_s: float) -> list[WorkEnd]:
-        """What has come back; waits a while for it."""
-        if not self._under_way:
+    def collect(self, timeout_s: float) -> list[WorkResult]:
+        """The pieces that have ended; waits a while for one."""
+        if not self._running:
             sleep(timeout_s)
             return []
-        done, _ = wait(self._under_way, timeout=timeout_s, return_when=FIRST_COMPLETED)
-        return [self._ended(future, *self._under_way.pop(future)) for future in done]
+        results = []
+        for future in wait(self._running, timeout_s, FIRST_COMPLETED).done:
+            worker, key = self._running.pop(future)
+            error = future.exception()
+            if error is None:
+                results.append(WorkResult(worker=worker, key=key, data=future.result()))
+            elif isinstance(error, BrokenProcessPool):
+                self._drop(worker)
+                results.append(WorkResult(worker=worker, key=key, lost="its process died"))
+            else:
+                results.append(WorkResult(worker=worker, key=key, error=error))
+        return results
 
     def stop(self, worker: str) -> None:
         """Kill a process."""
         if worker in self._pools:
-            self._pools[worker].kill()
+            kill_workers(self._pools[worker])
 
     def close(self) -> None:
         """Kill all of them."""
         for worker in list(self._pools):
             self.stop(worker)
             self._drop(worker)
-        self._under_way.clear()
+        self._running.clear()
 
-    def _pool(self, worker: str) -> OneProcess:
+    def _pool(self, worker: str) -> ProcessPoolExecutor:
         if worker not in self._pools:
-            self._pools[worker] = OneProcess()
+            self._pools[worker] = start_worker()
         return self._pools[worker]
 
     def _drop(self, worker: str) -> None:
         self._pools.pop(worker).shutdown(wait=False, cancel_futures=True)
 
-    def _ended(self, future: Future[bytes], worker: str, key: str) -> WorkEnd:
-        error = future.exception()
-        if error is None:
-            return WorkEnd(worker=worker, key=key, data=future.result())
-        if isinstance(error, BrokenProcessPool):
-            self._drop(worker)
-            return WorkEnd(worker=worker, key=key, lost="its process died")
-        return WorkEnd(worker=worker, key=key, error=error)
-
-
-LOGS: Final = "cluster"  # of a run or a result: its folder for what Ray said, and who did what
-
-Say = Callable[[str], object]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Machines:
-    """Who is asked for workers."""
+    """Where workers run."""
 
     count: int = 1  # processes, here or in a cluster that is made here
     cluster: str = ""  # "" for none, `local` for one that is made here, or HOST:PORT of a Ray head
-    say: Say = lambda told: None  # of what machines come, go, or cannot be used
+    report: Report = lambda text: None  # of machines that join, leave, or cannot be used
 
     def open(self, folder: Path) -> Workers:
-        """The workers; `folder` is that of the run, for the logs of a cluster.
+        """Start the workers; `folder` is that of the run, for the logs of a cluster.
 
         Raises:
-            ConfigError: There is no Ray, or no cluster at that address, or none of its nodes can be used.
+            ConfigError: There is no Ray, or no cluster at that address, or no node can be used.
         """
         if not self.cluster:
             return _ProcessWorkers(self.count)
         from wcsim.server.workers.ray_workers import RayWorkers
 
-        return RayWorkers(self.cluster, self.count, folder / LOGS, self.say)
+        return RayWorkers(self.cluster, self.count, folder / LOGS, self.report)
 
 
 HERE: Final = Machines()
 """One process of this machine."""
+
+
+def require_address(address: str) -> None:
+    """Refuse what is no address of a cluster, or one without an answer. Raises ConfigError."""
+    found = _ADDRESS.fullmatch(address)
+    if address != LOCAL and (found is None or not 0 < int(found[2]) < 1 << 16):
+        raise ConfigError(
+            f"--cluster {escaped(address, 80)!r}: expected `local`, or HOST:PORT as "
+            "`ray start --head` prints it, such as 10.0.0.1:6379"
+        )
+    check_installed("--cluster needs Ray", "cluster", "ray")
+    if found is not None:
+        try:
+            socket.create_connection(
+                (found[1].strip("[]"), int(found[2])), _REACH_TIMEOUT_S
+            ).close()
+        except OSError as error:
+            raise ConfigError(
+                f"--cluster {address}: no answer within {_REACH_TIMEOUT_S:g} s "
+                f"({error.strerror or error}); start a Ray head there with "
+                "`ray start --head --port=6379`, and check the firewall"
+            ) from None
+
+
+def machine_of(worker: str) -> str:
+    """The machine of a worker, as ADDRESS of ADDRESS/NUMBER; "" for a process of this one.
+
+    >>> machine_of("10.0.0.2/3"), machine_of("process 1")
+    ('10.0.0.2', '')
+    """
+    return worker.rpartition("/")[0]

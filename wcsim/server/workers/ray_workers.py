@@ -1,9 +1,10 @@
-"""Workers that are CPUs of the nodes of a Ray cluster, and the process that speaks to Ray for a run.
+"""Workers that are CPUs of the nodes of a Ray cluster, and the run's driver process for Ray.
 
-It is a process of its own because Ray ends the process that it is in when it loses its cluster, takes over its signals,
-talks to its terminal, and can hang. It is asked again and again for what there is to hear. Whatever Ray says against
-joining becomes one line. What must be the same on all machines of a run is asked of each node, so that work is the same
-wherever it is done. Ray repeats no piece: the crew does, as it does for processes, away from the machine that lost it.
+Ray's driver has a process of its own: Ray ends its process when it loses the cluster, takes over
+its signals, prints to its terminal, and can hang. `RayWorkers`, in the process of the run, polls
+it. What Ray raises against joining becomes one line. What must be the same on all machines is
+checked for each node, so that work gives the same result everywhere. Ray repeats no piece: the
+scheduler does, as for processes, away from the machine that lost it.
 """
 
 from __future__ import annotations
@@ -12,11 +13,9 @@ import json
 import os
 import re
 import secrets
-import socket
 import sys
 import time
 import traceback
-from collections.abc import Callable
 from concurrent.futures import Future, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
@@ -24,13 +23,12 @@ from dataclasses import dataclass, field
 from functools import cache, lru_cache
 from pathlib import Path
 from signal import SIGTERM, alarm, signal
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 from wcsim.core.files import home
 from wcsim.core.own_folder import OwnFolder
-from wcsim.core.processes import die_with_parent
-from wcsim.core.reading import escaped
-from wcsim.errors import ConfigError, DiskFullError, WcsimError, WorkersError, check_installed
+from wcsim.core.processes import die_with_parent, kill_workers, start_worker
+from wcsim.errors import ConfigError, DiskFullError, WcsimError, WorkersError
 from wcsim.server.workers.cluster_node import (
     MOST_BYTES,
     do_work,
@@ -39,50 +37,58 @@ from wcsim.server.workers.cluster_node import (
     packed,
     why_refused,
 )
-from wcsim.server.workers.machines import Facts, OneProcess, Parcel, Work, WorkEnd
+from wcsim.server.workers.machines import (
+    LOCAL,
+    Facts,
+    InputFiles,
+    Report,
+    Work,
+    WorkResult,
+    machine_of,
+    require_address,
+)
 
-LOCAL: Final = "local"
-RAY_LOG, PIECES = "ray.log", "pieces.jsonl"
-REACH_S: Final = 5.0
-JOIN_S: Final = 90.0
-_SILENT_S: Final = 120.0
-_CLOSE_S: Final = 30.0
-_GIVE_UP_S: Final = 3.0  # for a process that has not joined
-_ADDRESS: Final = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9_.-]+):(\d{1,5})")
-STORE_BYTES: Final = 160 << 20  # of objects on their way; what travels is small
-_PATIENCE: Final = {
+_LOOPBACK: Final = re.compile(r"127\.\d+\.\d+\.\d+|localhost|\[?::1\]?")
+_VERSIONS: Final = re.compile(r"Ray: (\S+)\s+Python: (\S+)")
+_RAY_LOG: Final = "ray.log"
+_PIECE_LOG: Final = "pieces.jsonl"
+# Ray's object store on a local cluster; what travels is small.
+_STORE_BYTES: Final = 160 << 20
+# Input files that stay in that store.
+_MOST_SENT: Final = 64
+# Ray's own 5 s for a process to start are too short on busy machines.
+_START_TIMEOUTS: Final = {
     "RAY_gcs_rpc_server_connect_timeout_s": "60",
     "RAY_raylet_start_wait_time_s": "80",
 }
-"""For busy machines, where Ray's own 5 s for a process to start are too short."""
-_LOOPBACK: Final = re.compile(r"127\.\d+\.\d+\.\d+|localhost|\[?::1\]?")
-_VERSIONS: Final = re.compile(r"Ray: (\S+)\s+Python: (\S+)")
-_LOOK_S: Final = 2.0  # at which nodes there are
-_WAIT_S: Final = 0.1
-_GET_S: Final = 30.0
-_MOST_TRIES: Final = 3
-_MOST_SENT: Final = 64  # parcels that stay in Ray's store
-
-Say = Callable[[str], object]
+_JOIN_TIMEOUT_S: Final = 90.0
+# Without an answer from the driver for so long, the cluster is lost.
+_REQUEST_TIMEOUT_S: Final = 120.0
+_CLOSE_TIMEOUT_S: Final = 30.0
+_CLOSE_UNJOINED_TIMEOUT_S: Final = 3.0
+_LIST_NODES_S: Final = 2.0
+_POLL_S: Final = 0.1
+_GET_TIMEOUT_S: Final = 30.0
+_MOST_PROBES: Final = 3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _LinkSpec:
-    """What the process that speaks to Ray is told."""
+class _DriverSpec:
+    """What the driver needs to join."""
 
     address: str  # HOST:PORT, or `local`
     count: int  # processes of a local cluster
-    log: Path  # for what Ray says
+    log: Path  # for Ray's output
     temporary: Path = Path()  # of Ray, for a local cluster: its sockets, too
 
 
 @dataclass(slots=True)
-class _News:
-    """What there is to hear of a cluster."""
+class _Update:
+    """What is new about a cluster."""
 
     names: tuple[str, ...] = ()  # of all workers
-    ended: list[WorkEnd] = field(default_factory=list)
-    said: list[str] = field(default_factory=list)
+    results: list[WorkResult] = field(default_factory=list)
+    messages: list[str] = field(default_factory=list)
 
 
 class RayWorkers:
@@ -91,31 +97,38 @@ class RayWorkers:
     Args:
         address: HOST:PORT of its head, or `local` for one that is made here.
         count: Workers of a local one.
-        folder: For logs: what Ray says, and a line for each piece.
-        say: Told of nodes that come, go, or are refused.
-        join_s: So long Ray may take to join, and the first node to answer.
+        folder: For logs: Ray's output, and a line for each piece.
+        report: Called with a line for nodes that join, leave, or are refused.
+        join_s: Time for Ray to join, and for the first node to answer.
 
     Raises:
-        ConfigError: There is no Ray, or no cluster at that address, or none of its nodes can be used.
+        ConfigError: There is no Ray, or no cluster at that address, or no node can be used.
     """
 
     def __init__(
-        self, address: str, count: int, folder: Path, say: Say, join_s: float = JOIN_S
+        self,
+        address: str,
+        count: int,
+        folder: Path,
+        report: Report,
+        join_s: float = _JOIN_TIMEOUT_S,
     ) -> None:
         require_address(address)
         folder.mkdir(parents=True, exist_ok=True)
-        # Ray makes its folder at a name that others know, and lets them write there, unless it lies in one's own.
+        # Ray makes its folder at a name that others know, and lets them write there, unless it lies
+        # in one's own.
         self._own = OwnFolder(prefix="wcsim-ray-")
-        self._spec = _LinkSpec(
-            address=address, count=count, log=folder / RAY_LOG, temporary=self._own.path
+        self._spec = _DriverSpec(
+            address=address, count=count, log=folder / _RAY_LOG, temporary=self._own.path
         )
-        self._say, self._pieces = say, folder / PIECES
+        self._report = report
+        self._piece_log = folder / _PIECE_LOG
         self._names: tuple[str, ...] = ()
-        self._begun: list[tuple[str, Work, tuple[Parcel, ...]]] = []
-        self._stopped: list[str] = []
-        self._news: Future[_News] | None = None
-        self._asked_s = 0.0
-        self._link = OneProcess()
+        self._to_begin: list[tuple[str, Work, tuple[InputFiles, ...]]] = []
+        self._to_stop: list[str] = []
+        self._request: Future[_Update] | None = None
+        self._requested_s = 0.0
+        self._driver = start_worker()
         try:
             self._join(join_s)
         except BaseException:
@@ -127,42 +140,53 @@ class RayWorkers:
         return self._names
 
     def begin(self, worker: str, work: Work) -> None:
-        """Give a piece to a node, with what it needs."""
-        self._begun.append((worker, work, work.needs(work.piece)))
+        """Give a piece to a node, with the files that it needs."""
+        self._to_begin.append((worker, work, work.needs(work.piece)))
 
     def stop(self, worker: str) -> None:
-        """Have the process killed that a worker's piece is in."""
-        self._stopped.append(worker)
+        """Have the process killed that has a worker's piece."""
+        self._to_stop.append(worker)
 
-    def ended(self, timeout_s: float) -> list[WorkEnd]:
-        """What has come back; waits a while for it. Raises WorkersError when the cluster is lost."""
+    def collect(self, timeout_s: float) -> list[WorkResult]:
+        """The pieces that have ended; waits a while for one.
+
+        Raises WorkersError when the cluster is lost.
+        """
         try:
-            if self._news is None:
-                self._asked_s = time.monotonic()
-                self._news = self._link.submit(_hear, self._spec, self._begun, self._stopped)
-                self._begun, self._stopped = [], []
-            if not wait((self._news,), timeout_s).done:
-                if time.monotonic() - self._asked_s > _SILENT_S:
+            if self._request is None:
+                self._requested_s = time.monotonic()
+                self._request = self._driver.submit(
+                    _exchange, self._spec, self._to_begin, self._to_stop
+                )
+                self._to_begin = []
+                self._to_stop = []
+            if not wait((self._request,), timeout_s).done:
+                if time.monotonic() - self._requested_s > _REQUEST_TIMEOUT_S:
                     raise _lost(self._spec)
                 return []
-            news, self._news = self._news.result(), None
+            update = self._request.result()
+            self._request = None
         except BrokenProcessPool:
             raise _lost(self._spec) from None
-        self._names = news.names
-        for told in news.said:
-            self._say(told)
-        for each in news.ended:
-            self._note(each)
-        return news.ended
+        self._names = update.names
+        for message in update.messages:
+            self._report(message)
+        for result in update.results:
+            self._log_piece(result)
+        return update.results
 
     def close(self) -> None:
         """Leave the cluster; one that was made here ends."""
         try:
             with suppress(BrokenProcessPool):
-                wait((self._link.submit(_leave),), _CLOSE_S if self._names else _GIVE_UP_S)
-        finally:  # Ctrl-C may come while it waits, and Ray may hang
-            self._link.kill()
-            self._link.shutdown()
+                wait(
+                    (self._driver.submit(_leave),),
+                    _CLOSE_TIMEOUT_S if self._names else _CLOSE_UNJOINED_TIMEOUT_S,
+                )
+        finally:
+            # Also where Ctrl-C ends the wait. Ray may hang, so its process is killed.
+            kill_workers(self._driver)
+            self._driver.shutdown()
             self._own.close()
 
     def _join(self, join_s: float) -> None:
@@ -171,84 +195,76 @@ class RayWorkers:
         while not self._names:
             if time.monotonic() > until_s:
                 raise ConfigError(
-                    f"--cluster {self._spec.address}: no node was ready within {join_s:.0f} s; expected a Ray head at "
-                    f"that address, a node on this machine and CPUs (`ray start --address={self._spec.address} "
-                    f"--num-cpus=N`); Ray's messages are in {self._spec.log}"
+                    f"--cluster {self._spec.address}: no node was ready within {join_s:.0f} s; "
+                    "expected a Ray head at that address, a node on this machine and CPUs "
+                    f"(`ray start --address={self._spec.address} --num-cpus=N`); Ray's messages "
+                    f"are in {self._spec.log}"
                 )
             try:
-                self.ended(0.2)
+                self.collect(0.2)
             except WorkersError as error:
                 raise ConfigError(f"--cluster {self._spec.address}: {error}") from None
 
-    def _note(self, ended: WorkEnd) -> None:
-        """A line for a piece: who was at it, and what came of it. Raises DiskFullError."""
-        how = "done" if ended.data is not None else "failed" if ended.error is not None else "lost"
+    def _log_piece(self, result: WorkResult) -> None:
+        """Write which worker had a piece, and how it ended. Raises DiskFullError."""
+        how = "lost"
+        if result.data is not None:
+            how = "done"
+        elif result.error is not None:
+            how = "failed"
         row = {
-            "key": ended.key,
-            "worker": ended.worker,
+            "key": result.key,
+            "worker": result.worker,
             "how": how,
-            "why": ended.lost,
-            **ended.facts,
+            "why": result.lost,
+            **result.facts,
         }
         try:
-            with self._pieces.open("a", encoding="utf-8") as file:
+            with self._piece_log.open("a", encoding="utf-8") as file:
                 file.write(json.dumps(row) + "\n")
         except OSError as error:
             raise DiskFullError(
-                f"{self._pieces}: cannot be written ({error.strerror}); make room"
+                f"{self._piece_log}: cannot be written ({error.strerror}); make room"
             ) from None
 
 
-def _lost(spec: _LinkSpec) -> WorkersError:
+def _lost(spec: _DriverSpec) -> WorkersError:
     head = f"the Ray cluster at {spec.address} is lost: start its head again, then"
     return WorkersError(
-        f"{'the Ray of this run ended:' if spec.address == LOCAL else head} continue (a training: wcsim resume RUN; a "
-        f"test: --resume); Ray's messages are in {spec.log}"
+        f"{'the Ray of this run ended:' if spec.address == LOCAL else head} continue (a training: "
+        f"wcsim resume RUN; a test: --resume); Ray's messages are in {spec.log}"
     )
 
 
-def require_address(address: str) -> None:
-    """Refuse what is no address of a cluster, or one where nobody answers. Raises ConfigError."""
-    found = _ADDRESS.fullmatch(address)
-    if address != LOCAL and (found is None or not 0 < int(found[2]) < 1 << 16):
-        raise ConfigError(
-            f"--cluster {escaped(address, 80)!r}: expected `local`, or HOST:PORT as `ray start --head` prints it, such "
-            "as 10.0.0.1:6379"
-        )
-    check_installed("--cluster needs Ray", "cluster", "ray")
-    if found is not None:
-        try:
-            socket.create_connection((found[1].strip("[]"), int(found[2])), REACH_S).close()
-        except OSError as error:
-            raise ConfigError(
-                f"--cluster {address}: no answer within {REACH_S:g} s ({error.strerror or error}); "
-                "start a Ray head there with `ray start --head --port=6379`, and check the firewall"
-            ) from None
+# --- in the driver's process ---
 
 
-def _hear(
-    spec: _LinkSpec, begun: list[tuple[str, Work, tuple[Parcel, ...]]], stopped: list[str]
-) -> _News:
-    """In the process that speaks to Ray: begin and stop these, and say what there is to hear.
+def _exchange(
+    spec: _DriverSpec, to_begin: list[tuple[str, Work, tuple[InputFiles, ...]]], to_stop: list[str]
+) -> _Update:
+    """Begin and stop these pieces, and return what is new.
 
     Raises:
         ConfigError: Ray cannot join, or all nodes were refused.
         WorkersError: Ray has lost its cluster.
     """
     try:
-        link = _link(spec)
-        for each in begun:
-            link.begin(*each)
-        for worker in stopped:
-            link.stop(worker)
-        return link.hear()
+        driver = _driver(spec)
+        for each in to_begin:
+            driver.begin(*each)
+        for worker in to_stop:
+            driver.stop(worker)
+        return driver.poll()
     except WcsimError:
         raise
-    except SystemExit:  # the run is gone: Ray's own handler of SIGTERM, while it joins; a pool's process would go on
+    except SystemExit:
+        # The run has ended: while Ray joins, its own handler of SIGTERM raises this. The pool's
+        # process would go on.
         os._exit(1)
     except Exception:
         traceback.print_exc()
-        raise _lost(spec) from None  # what Ray raises is not to be unpickled by the run
+        # The run shall not unpickle what Ray raises.
+        raise _lost(spec) from None
 
 
 def _leave() -> None:
@@ -257,33 +273,27 @@ def _leave() -> None:
     ray.shutdown()
 
 
-def _end(*_: object) -> None:
-    """The run is gone, or somebody wants this process to end: leave, but do not wait for Ray for long."""
-    alarm(int(_CLOSE_S))
-    _leave()
-    os._exit(1)
-
-
 @cache
-def _link(spec: _LinkSpec) -> _Link:
-    """That of this process, which has joined. Raises ConfigError."""
+def _driver(spec: _DriverSpec) -> _Driver:
+    """That of this process; joins the cluster at the first call. Raises ConfigError."""
     log = os.open(spec.log, os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o600)
     os.dup2(log, sys.stdout.fileno())
     os.dup2(log, sys.stderr.fileno())
-    die_with_parent(SIGTERM)  # a cluster that was made here does not outlive a run that was killed
-    return _Link(spec, _join(spec))
+    # A cluster that was made here does not outlive a run that was killed.
+    die_with_parent(SIGTERM)
+    return _Driver(spec, _join_cluster(spec))
 
 
-def _join(spec: _LinkSpec) -> Any:
-    """The module `ray`, joined. To be called once, in a process that is there for nothing else.
+def _join_cluster(spec: _DriverSpec) -> Any:
+    """The module `ray`, joined. Only once, in a process that has no other task.
 
     Raises:
         ConfigError: Ray cannot join; with the cure.
     """
-    _prepare(spec)
+    _set_environment(spec)
     import ray
 
-    before = spec.log.stat().st_size if spec.log.exists() else 0
+    log_size = spec.log.stat().st_size if spec.log.exists() else 0
     try:
         if spec.address == LOCAL:
             ray.init(
@@ -291,7 +301,7 @@ def _join(spec: _LinkSpec) -> Any:
                 num_cpus=spec.count,
                 num_gpus=0,
                 include_dashboard=False,
-                object_store_memory=STORE_BYTES,
+                object_store_memory=_STORE_BYTES,
                 log_to_driver=False,
                 configure_logging=False,
                 _temp_dir=str(spec.temporary),
@@ -299,31 +309,39 @@ def _join(spec: _LinkSpec) -> Any:
         else:
             ray.init(address=spec.address, log_to_driver=False, configure_logging=False)
     except Exception as error:
-        raise ConfigError(_told(spec, error, ray, _logged(spec.log, before))) from None
-    signal(SIGTERM, _end)  # Ray's own handler is not heard while the run's question is answered
+        logged = _read_log(spec.log, log_size)
+        raise ConfigError(_why_not_joined(spec, error, ray, logged)) from None
+    # Ray's own handler does not run while a request of the run is answered.
+    signal(SIGTERM, _on_sigterm)
     return ray
 
 
-def _prepare(spec: _LinkSpec) -> None:
-    """What Ray reads of its environment when it is loaded; this process and those that it starts are its only users."""
+def _on_sigterm(*_: object) -> None:
+    """Leave the cluster and end, but do not wait long for Ray."""
+    alarm(int(_CLOSE_TIMEOUT_S))
+    _leave()
+    os._exit(1)
+
+
+def _set_environment(spec: _DriverSpec) -> None:
+    """Set what Ray reads when it is loaded, for this process and those that it starts."""
     os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
-    for name, seconds in _PATIENCE.items():
+    for name, seconds in _START_TIMEOUTS.items():
         os.environ.setdefault(name, seconds)
     if spec.address == LOCAL or _is_loopback(spec.address):
-        os.environ["RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"] = (
-            "0"  # Ray's word for: on 127.0.0.1, not on all addresses
-        )
+        # Ray's name for: on 127.0.0.1, not on all addresses.
+        os.environ["RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"] = "0"
     if spec.address == LOCAL:
+        # Nothing else knows this token, and it is on no disk.
         os.environ["RAY_AUTH_MODE"] = "token"
-        os.environ["RAY_AUTH_TOKEN"] = secrets.token_hex(32)  # known to nobody else, and on no disk
+        os.environ["RAY_AUTH_TOKEN"] = secrets.token_hex(32)
     elif _has_token():
-        os.environ.setdefault(
-            "RAY_AUTH_MODE", "token"
-        )  # without a word Ray shows a token to no cluster that it joins
+        # Without this Ray shows a token to no cluster that it joins.
+        os.environ.setdefault("RAY_AUTH_MODE", "token")
 
 
 def _has_token() -> bool:
-    """Whether this user has one, in any of the places where Ray looks."""
+    """Whether this user has a token, in any of the places where Ray searches."""
     own = home()
     named = any(os.environ.get(name) for name in ("RAY_AUTH_TOKEN", "RAY_AUTH_TOKEN_PATH"))
     return named or (own is not None and (own / ".ray" / "auth_token").is_file())
@@ -338,169 +356,172 @@ def _is_loopback(address: str) -> bool:
     return _LOOPBACK.fullmatch(address.rpartition(":")[0]) is not None
 
 
-def _logged(log: Path, before: int) -> str:
-    """What Ray has written beside what it raises, which names no token where none was shown."""
+def _read_log(log: Path, start: int) -> str:
+    """Ray's log from byte `start` on.
+
+    What Ray raises does not name the token where none was shown; its log does.
+    """
     with suppress(OSError), log.open("rb") as file:
-        file.seek(before)
+        file.seek(start)
         return file.read(1 << 20).decode("utf-8", "replace")
     return ""
 
 
-def _told(spec: _LinkSpec, error: Exception, ray: Any, logged: str = "") -> str:
+def _why_not_joined(spec: _DriverSpec, error: Exception, ray: Any, logged: str = "") -> str:
+    """A line with the cause and the cure of what Ray raised."""
     text = str(error)
-    found = _VERSIONS.findall(text)
-    if "ersion mismatch" in text and found:
-        (theirs, python), ours = found[0], _VERSIONS.findall(text)[-1]
+    versions = _VERSIONS.findall(text)
+    if "ersion mismatch" in text and versions:
+        cluster_ray, cluster_python = versions[0]
+        own_ray, own_python = versions[-1]
         return (
-            f"--cluster {spec.address} runs Ray {theirs} with Python {python}; expected Ray {ours[0]} with Python "
-            f"{ours[1]}, as here: install that on its nodes, or python -m pip install 'ray=={theirs}' here"
+            f"--cluster {spec.address} runs Ray {cluster_ray} with Python {cluster_python}; "
+            f"expected Ray {own_ray} with Python {own_python}, as here: install that on its nodes, "
+            f"or python -m pip install 'ray=={cluster_ray}' here"
         )
     kind = type(error).__name__
     if kind == "AuthenticationError" or "auth" in text.lower() or "InvalidAuthToken" in logged:
         return (
-            f"--cluster {spec.address} needs its token, and this user has none or another one; copy the "
-            "head's file ~/.ray/auth_token to this machine, readable by you alone (chmod 600)"
+            f"--cluster {spec.address} needs its token, and this user has none or another one; "
+            "copy the head's file ~/.ray/auth_token to this machine, readable by you alone "
+            "(chmod 600)"
         )
-    first = next((line.strip() for line in text.splitlines() if line.strip()), kind)
     return (
-        f"--cluster {spec.address}: Ray {ray.__version__} cannot join ({kind}: {first[:200]}); expected the address of "
-        f"a head, and a node on this machine: `ray start --address={spec.address}`; Ray's messages are in {spec.log}"
+        f"--cluster {spec.address}: Ray {ray.__version__} cannot join "
+        f"({kind}: {_line(error, 0) or kind}); expected the address of a head, and a node on this "
+        f"machine: `ray start --address={spec.address}`; Ray's messages are in {spec.log}"
     )
 
 
 @dataclass(slots=True, kw_only=True)
 class _Node:
-    """A node, from the first look at it on."""
+    """A node, since it was first listed."""
 
     name: str
     cpus: int
-    state: str = "new"  # then "asked", then "works" or "refused", or "new" again
-    tries: int = 0  # to ask it
+    state: Literal["new", "probed", "works", "refused"] = "new"
+    failed_probes: int = 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Begun:
-    """A piece that a node is at."""
-
+class _RunningPiece:
     worker: str
-    node: str
+    node: str  # its id
     key: str
     since_s: float
 
 
-class _Link:
-    """One run's dealings with a cluster."""
+class _Driver:
+    """Ray's driver for one run: starts pieces on the nodes of a cluster, and reports their ends."""
 
-    def __init__(self, spec: _LinkSpec, ray: Any) -> None:
-        self._spec, self._ray = spec, ray
+    def __init__(self, spec: _DriverSpec, ray: Any) -> None:
+        self._spec = spec
+        self._ray = ray
         self._here = facts_here()
-        self._nodes: dict[str, _Node] = {}
-        self._probes: dict[Any, str] = {}
-        self._begun: dict[Any, _Begun] = {}
-        self._news = _News()
-        self._refused: list[str] = []
-        self._works = False  # or has worked
-        # A town is wanted again with every piece, a network with all pieces of its round.
-        self._sent = lru_cache(_MOST_SENT)(lambda parcel: ray.put(packed(parcel)))
-        self._looked_s = float("-inf")
+        self._nodes: dict[str, _Node] = {}  # by id
+        self._probes: dict[Any, str] = {}  # nodes by Ray's reference
+        self._running: dict[Any, _RunningPiece] = {}
+        self._update = _Update()
+        self._refusals: list[str] = []
+        self._has_worked = False
+        # Every piece needs its town again, and all pieces of a round need the same network.
+        self._send = lru_cache(_MOST_SENT)(lambda files: ray.put(packed(files)))
+        self._listed_s = float("-inf")
         self._do = ray.remote(num_cpus=1, max_retries=0)(do_work)
         self._probe = ray.remote(num_cpus=0, max_retries=0)(facts_here)
 
-    def begin(self, worker: str, work: Work, parcels: tuple[Parcel, ...]) -> None:
+    def begin(self, worker: str, work: Work, needed: tuple[InputFiles, ...]) -> None:
         """Give a piece to a worker's node."""
-        name = worker.rpartition("/")[0]
-        node = next(
-            (
-                key
-                for key, each in self._nodes.items()
-                if each.name == name and each.state == "works"
-            ),
-            "",
-        )
-        begun = _Begun(worker=worker, node=node, key=work.key, since_s=time.monotonic())
-        if not node:  # it went while the piece was on its way here
-            self._end(begun, lost="its node died", counts=False)
+        working = {node.name: id_ for id_, node in self._nodes.items() if node.state == "works"}
+        node = working.get(machine_of(worker), "")
+        piece = _RunningPiece(worker=worker, node=node, key=work.key, since_s=time.monotonic())
+        if not node:
+            # It left while the piece was on its way here.
+            self._settle(piece, lost="its node died", counts=False)
             return
         try:
-            contents = [self._sent(parcel) for parcel in parcels]
-        except (OSError, WcsimError) as error:  # of files here: no node could do better
-            self._end(begun, error=error)
+            contents = [self._send(files) for files in needed]
+        except (OSError, WcsimError) as error:
+            # The files here are at fault: another node would end in the same way.
+            self._settle(piece, error=error)
             return
         do = self._do.options(scheduling_strategy=self._on(node), name=f"wcsim {work.key}")
-        self._begun[do.remote(worker, work, parcels, *contents)] = begun
+        self._running[do.remote(worker, work, needed, *contents)] = piece
 
     def stop(self, worker: str) -> None:
-        """Have the process killed that a worker's piece is in."""
-        for ref, begun in self._begun.items():
-            if begun.worker == worker:
-                self._ray.cancel(
-                    ref, force=True
-                )  # Ray kills the process, even one that was stopped
+        """Have the process killed that has a worker's piece."""
+        for ref, piece in self._running.items():
+            if piece.worker == worker:
+                # Forced, Ray kills the process, even one that a signal stopped.
+                self._ray.cancel(ref, force=True)
 
-    def hear(self) -> _News:
-        """What there is to hear; waits a moment for it. Raises ConfigError when all nodes were refused."""
-        if time.monotonic() - self._looked_s > _LOOK_S:
-            self._looked_s = time.monotonic()
-            self._look()
-        refs = [*self._probes, *self._begun]
+    def poll(self) -> _Update:
+        """What is new; waits a moment for it. Raises ConfigError when all nodes were refused."""
+        if time.monotonic() - self._listed_s > _LIST_NODES_S:
+            self._listed_s = time.monotonic()
+            self._list_nodes()
+        refs = [*self._probes, *self._running]
         if refs:
-            for ref in self._ray.wait(refs, num_returns=1, timeout=_WAIT_S)[0]:
-                self._heard(ref)
+            for ref in self._ray.wait(refs, num_returns=1, timeout=_POLL_S)[0]:
+                self._take_answer(ref)
         else:
-            time.sleep(_WAIT_S)
-        if (
-            self._refused
-            and not self._works
-            and all(node.state == "refused" for node in self._nodes.values())
-        ):
-            raise ConfigError(f"--cluster {self._spec.address}: {'; '.join(self._refused)}")
-        works = [node for node in self._nodes.values() if node.state == "works"]
-        self._news.names = tuple(
-            f"{node.name}/{slot + 1}" for node in works for slot in range(node.cpus)
+            time.sleep(_POLL_S)
+        nodes = self._nodes.values()
+        all_refused = all(node.state == "refused" for node in nodes)
+        if self._refusals and not self._has_worked and all_refused:
+            raise ConfigError(f"--cluster {self._spec.address}: {'; '.join(self._refusals)}")
+        self._update.names = tuple(
+            f"{node.name}/{slot + 1}"
+            for node in nodes
+            if node.state == "works"
+            for slot in range(node.cpus)
         )
-        news, self._news = self._news, _News()
-        return news
+        update, self._update = self._update, _Update()
+        return update
 
-    def _look(self) -> None:
-        """Which nodes there are now."""
+    def _list_nodes(self) -> None:
+        """Drop the nodes that have left, and probe new ones."""
         alive = {node["NodeID"]: node for node in self._ray.nodes() if node["Alive"]}
-        for gone in [each for each in self._nodes if each not in alive]:
-            node = self._nodes.pop(gone)
+        for left in [id_ for id_ in self._nodes if id_ not in alive]:
+            node = self._nodes.pop(left)
             if node.state != "refused":
-                self._news.said.append(f"node {node.name} is gone; its work goes to another node")
-            # One that was stopped keeps its connections, and Ray would wait for it.
-            for ref in [ref for ref, begun in self._begun.items() if begun.node == gone]:
-                self._end(self._begun.pop(ref), lost="its node died", counts=False)
-        taken = {node.name for node in self._nodes.values()}
-        for key, found in alive.items():
-            if key not in self._nodes:
-                name = str(found["NodeManagerAddress"])
-                name = f"{name}-{key[:4]}" if name in taken else name
-                taken.add(name)
-                self._nodes[key] = _Node(name=name, cpus=int(found["Resources"].get("CPU", 0)))
-            if self._nodes[key].state == "new":
-                self._nodes[key].state = "asked"
-                self._probes[self._probe.options(scheduling_strategy=self._on(key)).remote()] = key
+                self._update.messages.append(
+                    f"node {node.name} is gone; its work goes to another node"
+                )
+            # A stopped node keeps its connections, and Ray would wait for it.
+            for ref in [ref for ref, piece in self._running.items() if piece.node == left]:
+                self._settle(self._running.pop(ref), lost="its node died", counts=False)
+        names = {node.name for node in self._nodes.values()}
+        for id_, listed in alive.items():
+            if id_ not in self._nodes:
+                name = str(listed["NodeManagerAddress"])
+                name = f"{name}-{id_[:4]}" if name in names else name
+                names.add(name)
+                self._nodes[id_] = _Node(name=name, cpus=int(listed["Resources"].get("CPU", 0)))
+            if self._nodes[id_].state == "new":
+                self._nodes[id_].state = "probed"
+                self._probes[self._probe.options(scheduling_strategy=self._on(id_)).remote()] = id_
 
     def _on(self, node: str) -> Any:
         from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
         return NodeAffinitySchedulingStrategy(node_id=node, soft=False)
 
-    def _heard(self, ref: Any) -> None:
+    def _take_answer(self, ref: Any) -> None:
         """A node has answered, or will not any more."""
         try:
-            answer = self._ray.get(ref, timeout=_GET_S)
+            answer = self._ray.get(ref, timeout=_GET_TIMEOUT_S)
         except self._ray.exceptions.GetTimeoutError:
-            return  # its machine is slow to give it out, or cut off
+            # Its machine is slow to send it, or disconnected.
+            return
         except Exception as error:
             answer = error
         if ref not in self._probes:
-            self._take_back(self._begun.pop(ref), answer)
+            self._settle_with(self._running.pop(ref), answer)
         elif node := self._nodes.get(self._probes.pop(ref)):
             self._judge(node, answer)
 
-    def _take_back(self, begun: _Begun, answer: Any) -> None:
+    def _settle_with(self, piece: _RunningPiece, answer: Any) -> None:
         if isinstance(answer, Exception):
             known = self._ray.exceptions
             of_machine = (
@@ -509,59 +530,61 @@ class _Link:
                 known.ObjectLostError,
                 known.OwnerDiedError,
             )
-            told = f"{type(answer).__name__}: {_line(answer, 0)}"
-            self._end(begun, lost=told, counts=not isinstance(answer, of_machine))
-            self._looked_s = float("-inf")  # its node may be gone
-        elif not isinstance(answer, WorkEnd) or not isinstance(answer.data, bytes | None):
-            self._end(
-                begun,
-                error=WorkersError(
-                    f"{begun.key}: {begun.worker} has answered with what is no result"
-                ),
-            )
+            text = f"{type(answer).__name__}: {_line(answer, 0)}"
+            self._settle(piece, lost=text, counts=not isinstance(answer, of_machine))
+            # Its node may have left.
+            self._listed_s = float("-inf")
+        elif not isinstance(answer, WorkResult) or not isinstance(answer.data, bytes | None):
+            text = f"{piece.key}: {piece.worker} has answered with what is no result"
+            self._settle(piece, error=WorkersError(text))
         elif len(answer.data or b"") > MOST_BYTES:
-            told = f"has answered with more than {MOST_BYTES >> 20} MiB"
-            self._end(begun, error=WorkersError(f"{begun.key}: {begun.worker} {told}"))
+            text = f"has answered with more than {MOST_BYTES >> 20} MiB"
+            self._settle(piece, error=WorkersError(f"{piece.key}: {piece.worker} {text}"))
         else:
-            self._end(begun, answer.facts, data=answer.data, error=answer.error, lost=answer.lost)
+            self._settle(
+                piece, answer.facts, data=answer.data, error=answer.error, lost=answer.lost
+            )
 
-    def _end(self, begun: _Begun, facts: Facts | None = None, **what: Any) -> None:
-        """Tell the run what has come of a piece."""
-        whole = {**(facts or {}), "total_s": round(time.monotonic() - begun.since_s, 3)}
-        self._news.ended.append(WorkEnd(worker=begun.worker, key=begun.key, facts=whole, **what))
+    def _settle(self, piece: _RunningPiece, facts: Facts | None = None, **how: Any) -> None:
+        """Report the end of a piece."""
+        facts = {**(facts or {}), "total_s": round(time.monotonic() - piece.since_s, 3)}
+        result = WorkResult(worker=piece.worker, key=piece.key, facts=facts, **how)
+        self._update.results.append(result)
 
     def _judge(self, node: _Node, answer: Any) -> None:
-        """Whether a node may work."""
+        """Let a node work, refuse it, or have it probed again."""
         if isinstance(answer, self._ray.exceptions.RayTaskError):
             why = (
-                f"wcsim cannot be loaded there ({_line(answer, -1)}); install the same version as here: pip install "
-                "'wcsim[cluster]'"
+                f"wcsim cannot be loaded there ({_line(answer, -1)}); install the same version as "
+                "here: pip install 'wcsim[cluster]'"
             )
         elif isinstance(answer, Exception):
-            node.tries += 1
-            if (
-                node.tries < _MOST_TRIES
-            ):  # Ray may not know yet how to reach a node that has just joined
+            node.failed_probes += 1
+            if node.failed_probes < _MOST_PROBES:
+                # Ray may not know yet how to reach a node that has just joined.
                 node.state = "new"
                 return
-            why = f"it could not start a process ({type(answer).__name__}: {_line(answer, 0)}); check that node"
+            why = (
+                f"it could not start a process ({type(answer).__name__}: {_line(answer, 0)}); "
+                "check that node"
+            )
         else:
             why = why_refused(answer, self._here)
-        node.state = "refused" if why else "works"
+        messages = self._update.messages
         if why:
-            told = f"node {node.name} is not used: {why}"
-            self._refused.append(told)
-            self._news.said.append(told)
+            node.state = "refused"
+            refusal = f"node {node.name} is not used: {why}"
+            self._refusals.append(refusal)
+            messages.append(refusal)
             return
-        self._works = True
+        node.state = "works"
+        self._has_worked = True
         if self._spec.address != LOCAL:
-            self._news.said.append(
-                f"node {node.name} ({answer['host']}) works with {node.cpus} CPUs"
-            )
-        self._news.said += [f"node {node.name}: {note}" for note in notes_on(answer, self._here)]
+            messages.append(f"node {node.name} ({answer['host']}) works with {node.cpus} CPUs")
+        messages += [f"node {node.name}: {note}" for note in notes_on(answer, self._here)]
 
 
-def _line(error: Exception, which: int) -> str:
-    """A line of what is said that is not empty."""
+def _line(error: Exception, index: int) -> str:
+    """One of the lines of an error's text that are not empty, shortened."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-    return lines[which][:200] if lines else ""
+    return lines[index][:200] if lines else ""

@@ -93,7 +93,7 @@ def run_child(name: str, command: Sequence[str], folder: Path, env: Mapping[str,
             folder=folder,
             env={**env, "LC_ALL": UTF_8},
             together=True,
-            beside=partial(_limit, limits=limits),
+            on_start=partial(_limit, limits=limits),
         )
     except ChildProcessError as error:
         raise SumoError(f"{name} cannot be started ({error}); install the eclipse-sumo wheel again") from None

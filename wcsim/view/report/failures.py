@@ -30,7 +30,7 @@ from wcsim.agents.opening.named_policy import config_for
 from wcsim.agents.policy_api import STATE_SENSE, UNAIDED
 from wcsim.agents.runs.policy_file import policy_name
 from wcsim.bridge.world import World
-from wcsim.core.processes import pooled
+from wcsim.core.processes import run_in_pool
 from wcsim.core.reading import counted, is_file
 from wcsim.errors import ConfigError, WcsimError
 from wcsim.types import U8, ActorKind
@@ -213,7 +213,7 @@ def illustrated(
         for (policy, block), found in blocks.items()
     ]
     wheres = list(blocks)
-    for number, (place, pictures) in enumerate(pooled(_illustrate, pieces, jobs), start=1):
+    for number, (place, pictures) in enumerate(run_in_pool(_illustrate, pieces, jobs), start=1):
         found_all |= {(*wheres[place], seat): picture for seat, picture in pictures.items()}
         done(number, len(pieces))
     return found_all

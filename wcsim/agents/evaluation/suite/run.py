@@ -38,8 +38,8 @@ from wcsim.core.plugins import find_class, sources_of
 from wcsim.core.reading import BLOCK, escaped, is_file, read_json
 from wcsim.core.sources import code_digest
 from wcsim.errors import ConfigError, WcsimError
-from wcsim.server.workers.crew import Crew, WorkerNow
-from wcsim.server.workers.machines import HERE, At, Machines, Parcel, Work, Workers
+from wcsim.server.workers.machines import HERE, InputFiles, Machines, ToLocalPath, Work, Workers
+from wcsim.server.workers.scheduler import Scheduler, WorkerNow
 from wcsim.supervisor.actions import action_set
 
 KEPT: Final = "kept"  # a folder of the blocks that are done
@@ -161,15 +161,17 @@ def _drive_all(
     # The longest first: a block of many episodes at the end would leave all other processes without work.
     pieces = sorted((piece for piece, _ in asked.values()), key=lambda piece: -len(piece.block.episodes))
     waiting = set(asked)
-    with Crew(_workers(order, pieces), keep, least_late_s=_LEAST_LATE_S) as crew:
-        crew.ask([Work(key=_work_key(piece), call=_drive_alone, piece=piece, needs=_needs_of) for piece in pieces])
+    with Scheduler(_workers(order, pieces), keep, least_late_s=_LEAST_LATE_S) as scheduler:
+        scheduler.submit(
+            [Work(key=_work_key(piece), call=_drive_alone, piece=piece, needs=_needs_of) for piece in pieces]
+        )
         while waiting:
-            for key in sorted(crew.come(waiting, _LOOK_S)):
+            for key in sorted(scheduler.wait(waiting, _LOOK_S)):
                 waiting.remove(key)
                 piece, path = asked[key]
                 kept[piece.policy, piece.index] = _read_kept(path)
                 done(piece.policy, sum(name == piece.policy for name, _ in kept), blocks)
-            order.look(crew.now())
+            order.look(scheduler.workers_now())
 
 
 def _workers(order: SuiteOrder, pieces: Iterable[Piece]) -> Workers:
@@ -190,7 +192,7 @@ def _work_key(piece: Piece) -> str:
     return f"{piece.policy}/{piece.index}"
 
 
-def _needs_of(piece: Piece) -> tuple[Parcel, ...]:
+def _needs_of(piece: Piece) -> tuple[InputFiles, ...]:
     """What travels with a piece: its town, unless it is a generated scene, and its policy, unless it is a baseline."""
     towns = (town_parcel(piece.town),) if piece.block.part != TIGHT else ()
     named = policy_name(piece.policy)
@@ -200,7 +202,7 @@ def _needs_of(piece: Piece) -> tuple[Parcel, ...]:
     return (*towns, policy)
 
 
-def _policy_parcel(name: str) -> Parcel:
+def _policy_parcel(name: str) -> InputFiles:
     """A policy by its name without a level, with what its run says of it. Raises PolicyError."""
     policy = policy_path(name).resolve()
     alone, run = folder_parcel(policy, name), policy.parent.parent
@@ -211,14 +213,14 @@ def _policy_parcel(name: str) -> Parcel:
     return replace(alone, folder=run, names=(*said, *(f"{inner}/{file}" for file in alone.names)), inner=inner)
 
 
-def _policy_at(name: str, at: At) -> str:
+def _policy_at(name: str, at: ToLocalPath) -> str:
     """A policy's name, veto and level included, where it lies now."""
     place = policy_name(name).place
     before, _, after = name.partition(place)
     return before + at(place) + after
 
 
-def _drive_alone(piece: Piece, at: At) -> bytes:
+def _drive_alone(piece: Piece, at: ToLocalPath) -> bytes:
     """Drive one block in this process, wherever that is; its records as JSON."""
     where = {name: _policy_at(name, at) for name in (piece.policy,) if policy_name(name).kind != "baseline"}
     policy = where.get(piece.policy, piece.policy)

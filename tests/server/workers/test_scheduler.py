@@ -1,4 +1,4 @@
-"""A crew: every piece is done, whoever dies, hangs or goes; what cannot be done is told in a line."""
+"""A scheduler: every piece is done, whoever dies, hangs or goes; what cannot be done is told in a line."""
 
 import os
 import signal
@@ -14,25 +14,30 @@ import psutil
 import pytest
 
 from tests.support.cluster.workpieces import always_die, blunder, die_once, echo, hang_once, refuse
+from wcsim.core.processes import kill_workers, start_worker
 from wcsim.errors import DiskFullError, TownError, WorkersError
-from wcsim.server.workers.crew import MOST_FAILURES, Crew, _Piece, _Task
-from wcsim.server.workers.machines import OneProcess, Work, WorkEnd, _ProcessWorkers
+from wcsim.server.workers.machines import Work, WorkResult, _ProcessWorkers
+from wcsim.server.workers.scheduler import MOST_FAILURES, Scheduler, _Piece, _Task
 
 
 def work(key: str, call: Callable[..., bytes] = echo, piece: Any = "") -> Work:
     return Work(key=key, call=call, piece=piece or key)
 
 
-def done_by(crew: Crew, keys: set[str], limit_s: float = 60.0) -> None:
+def drop(key: str, data: bytes) -> None:
+    """A result that no test reads."""
+
+
+def done_by(scheduler: Scheduler, keys: set[str], limit_s: float = 60.0) -> None:
     until_s, left = time.monotonic() + limit_s, set(keys)
     while left and time.monotonic() < until_s:
-        left -= crew.come(left, 0.2)
+        left -= scheduler.wait(left, 0.2)
     assert not left
 
 
-def do(crew: Crew, keys: str) -> None:
-    crew.ask([work(key) for key in keys])
-    done_by(crew, set(keys))
+def do(scheduler: Scheduler, keys: str) -> None:
+    scheduler.submit([work(key) for key in keys])
+    done_by(scheduler, set(keys))
 
 
 def test_ctrl_c_is_not_heard_by_a_worker_not_even_while_it_starts(capfd):
@@ -42,10 +47,10 @@ def test_ctrl_c_is_not_heard_by_a_worker_not_even_while_it_starts(capfd):
             workers.begin("process 1", work(key))
             (pid,) = workers._pools["process 1"]._processes
             os.kill(pid, signal.SIGINT)  # as a terminal does, to all
-            found: list[WorkEnd] = []
+            found: list[WorkResult] = []
             until_s = time.monotonic() + 60.0
             while not found and time.monotonic() < until_s:
-                found = workers.ended(0.2)
+                found = workers.collect(0.2)
             assert [(end.key, end.data is not None) for end in found] == [(key, True)]
     finally:
         workers.close()
@@ -68,7 +73,7 @@ class Scripted:
         self.begun.append((worker, work.key))
         self.at[worker] = work.key
 
-    def ended(self, timeout_s: float) -> list[WorkEnd]:
+    def collect(self, timeout_s: float) -> list[WorkResult]:
         time.sleep(0.005)
         found = []
         for worker, key in list(self.at.items()):
@@ -79,7 +84,7 @@ class Scripted:
                 continue
             del self.at[worker]
             data = key.encode() if how == "done" else None
-            found.append(WorkEnd(worker=worker, key=key, data=data, lost=how, counts=how == "dead"))
+            found.append(WorkResult(worker=worker, key=key, data=data, lost=how, counts=how == "dead"))
         return found
 
     def stop(self, worker: str) -> None:
@@ -92,9 +97,9 @@ class Scripted:
 class Hanging(Scripted):
     """Workers whose every piece has to be stopped."""
 
-    def ended(self, timeout_s: float) -> list[WorkEnd]:
+    def collect(self, timeout_s: float) -> list[WorkResult]:
         time.sleep(0.005)
-        found = [WorkEnd(worker=name, key=self.at.pop(name), lost="killed") for name in self.stopped]
+        found = [WorkResult(worker=name, key=self.at.pop(name), lost="killed") for name in self.stopped]
         self.stopped = []
         return found
 
@@ -102,42 +107,42 @@ class Hanging(Scripted):
 class HangingBeside(Hanging):
     """The same, of sick machines; what others are given is done."""
 
-    def ended(self, timeout_s: float) -> list[WorkEnd]:
+    def collect(self, timeout_s: float) -> list[WorkResult]:
         well = [name for name in self.at if not name.startswith("sick")]
-        done = [WorkEnd(worker=name, key=self.at[name], data=self.at.pop(name).encode()) for name in well]
-        return [*super().ended(timeout_s), *done]
+        done = [WorkResult(worker=name, key=self.at[name], data=self.at.pop(name).encode()) for name in well]
+        return [*super().collect(timeout_s), *done]
 
 
 def test_processes_do_all_pieces_and_go_on_after_one_has_died(tmp_path):
     kept: dict[str, bytes] = {}
-    with Crew(_ProcessWorkers(2), kept.__setitem__) as crew:
-        crew.ask([work("a"), work("b", die_once, str(tmp_path / "once")), work("c")])
-        done_by(crew, {"a", "b", "c"})
-        assert [each.name for each in crew.now()] == ["process 1", "process 2"]
+    with Scheduler(_ProcessWorkers(2), kept.__setitem__) as scheduler:
+        scheduler.submit([work("a"), work("b", die_once, str(tmp_path / "once")), work("c")])
+        done_by(scheduler, {"a", "b", "c"})
+        assert [each.name for each in scheduler.workers_now()] == ["process 1", "process 2"]
     assert kept == {"a": b"a", "b": b"lived", "c": b"c"}
 
 
 def test_a_process_that_was_stopped_is_killed_and_its_piece_done_again(tmp_path):
     kept: dict[str, bytes] = {}
-    with Crew(_ProcessWorkers(1), kept.__setitem__, least_late_s=2.0) as crew:
-        crew.ask([work("a", hang_once, str(tmp_path / "once"))])
-        done_by(crew, {"a"})
+    with Scheduler(_ProcessWorkers(1), kept.__setitem__, least_late_s=2.0) as scheduler:
+        scheduler.submit([work("a", hang_once, str(tmp_path / "once"))])
+        done_by(scheduler, {"a"})
     assert kept == {"a": b"lived"}
 
 
 def test_what_is_asked_for_twice_is_done_once():
     workers, kept = Scripted(w=[]), []
-    with Crew(workers, lambda key, data: kept.append(key)) as crew:
-        crew.ask([work("a")])
-        crew.ask([work("a"), work("b")])
-        done_by(crew, {"a", "b"})
+    with Scheduler(workers, lambda key, data: kept.append(key)) as scheduler:
+        scheduler.submit([work("a")])
+        scheduler.submit([work("a"), work("b")])
+        done_by(scheduler, {"a", "b"})
     assert kept == ["a", "b"]
 
 
 def test_a_piece_that_is_late_goes_to_another_worker_and_counts_once():
     workers, kept = Scripted(slow=["hang"], quick=[]), []
-    with Crew(workers, lambda key, data: kept.append(key), least_late_s=0.1) as crew:
-        do(crew, "abc")
+    with Scheduler(workers, lambda key, data: kept.append(key), least_late_s=0.1) as scheduler:
+        do(scheduler, "abc")
     assert sorted(kept) == ["a", "b", "c"]
     assert workers.stopped == ["slow"]
     assert sum(key == "a" for _, key in workers.begun) == 2
@@ -146,10 +151,10 @@ def test_a_piece_that_is_late_goes_to_another_worker_and_counts_once():
 @pytest.mark.parametrize(("workers", "late_s"), [(Scripted(w=["dead"] * 5), 180.0), (Hanging(w=[]), 0.05)])
 def test_a_piece_that_kills_its_workers_or_hangs_is_given_up_in_a_line(workers, late_s):
     with (
-        Crew(workers, lambda key, data: None, least_late_s=late_s) as crew,
+        Scheduler(workers, drop, least_late_s=late_s) as scheduler,
         pytest.raises(WorkersError, match=r"a was started 5 times and never finished; .*wcsim resume"),
     ):
-        do(crew, "a")
+        do(scheduler, "a")
 
 
 DYING = Scripted(**{"sick/1": ["dead"] * 99, "well/1": []}), 180.0
@@ -159,8 +164,8 @@ HUNG = HangingBeside(**{"sick/1": [], "sick/2": [], "well/1": []}), 0.05
 @pytest.mark.parametrize(("workers", "late_s"), [DYING, HUNG])
 def test_a_machine_on_which_all_dies_or_hangs_ends_no_run_while_another_is_well(workers, late_s):
     kept = []
-    with Crew(workers, lambda key, data: kept.append(key), least_late_s=late_s) as crew:
-        do(crew, "abcdef")
+    with Scheduler(workers, lambda key, data: kept.append(key), least_late_s=late_s) as scheduler:
+        do(scheduler, "abcdef")
     assert sorted(kept) == list("abcdef")
     sick = [key for worker, key in workers.begun if worker.startswith("sick")]
     assert sick and len(sick) == len(set(sick)), "none was given to it twice"
@@ -168,46 +173,46 @@ def test_a_machine_on_which_all_dies_or_hangs_ends_no_run_while_another_is_well(
 
 @pytest.mark.parametrize("came", [{"data": b"x"}, {"error": TownError("x")}])
 def test_what_comes_of_a_piece_that_was_given_to_somebody_else_is_dropped(came):
-    crew = Crew(Scripted(w=[]), lambda key, data: pytest.fail("kept"), least_late_s=10.0)
+    scheduler = Scheduler(Scripted(w=[]), lambda key, data: pytest.fail("kept"), least_late_s=10.0)
     piece = _Piece(work=work("a"), failures=MOST_FAILURES - 2, times_late=1)
     for age_s, late in ((15.0, []), (25.0, [piece])):  # the second time it has twice as long
-        crew._at = {"w": _Task(piece=piece, since_s=time.monotonic() - age_s)}
-        crew._hurry()
-        assert list(crew._left) == late
-    crew._take_back(WorkEnd(worker="w", key="a", **came))
-    crew._at = {"w": _Task(piece=piece, since_s=0.0)}
+        scheduler._running = {"w": _Task(piece=piece, since_s=time.monotonic() - age_s)}
+        scheduler._stop_late()
+        assert list(scheduler._waiting) == late
+    scheduler._settle(WorkResult(worker="w", key="a", **came))
+    scheduler._running = {"w": _Task(piece=piece, since_s=0.0)}
     with pytest.raises(WorkersError, match=r"a was started 5 times .*on w, where it died; check disk space and memory"):
-        crew._take_back(WorkEnd(worker="w", key="a", lost="it died"))
+        scheduler._settle(WorkResult(worker="w", key="a", lost="it died"))
 
 
 def test_a_process_that_is_killed_in_the_middle_of_a_result_is_not_waited_for():
-    pool = OneProcess()
+    pool = start_worker()
     pool.submit(os.getpid).result(60.0)
     future = pool.submit(bytes, 1 << 28)
     while not pool._result_queue._reader.poll():
         assert not future.done()
-    pool.kill()
+    kill_workers(pool)
     with pytest.raises(BrokenProcessPool):
         future.result(30.0)
 
 
 def test_machines_may_go_as_often_as_they_like():
-    with Crew(Scripted(w=["gone"] * 12), lambda key, data: None) as crew:
-        do(crew, "a")
+    with Scheduler(Scripted(w=["gone"] * 12), drop) as scheduler:
+        do(scheduler, "a")
 
 
 def test_somebody_who_comes_later_does_what_is_left_and_nobody_at_all_ends_the_run():
     workers = Scripted()
-    with Crew(workers, lambda key, data: None) as crew:
-        crew.ask([work("a")])
+    with Scheduler(workers, drop) as scheduler:
+        scheduler.submit([work("a")])
         time.sleep(0.1)
         workers.ends["late"] = []
-        done_by(crew, {"a"})
+        done_by(scheduler, {"a"})
     with (
-        Crew(Scripted(), lambda key, data: None, nobody_s=0.1) as crew,
+        Scheduler(Scripted(), drop, no_worker_s=0.1) as scheduler,
         pytest.raises(WorkersError, match="no machine has been there to work"),
     ):
-        do(crew, "a")
+        do(scheduler, "a")
 
 
 ENDS = [(refuse, TownError), (blunder, ZeroDivisionError), (always_die, WorkersError)]
@@ -215,17 +220,17 @@ ENDS = [(refuse, TownError), (blunder, ZeroDivisionError), (always_die, WorkersE
 
 @pytest.mark.parametrize(("call", "error"), ENDS)
 def test_what_cannot_be_done_is_raised_where_it_is_waited_for(call, error):
-    with Crew(_ProcessWorkers(1), lambda key, data: None) as crew, pytest.raises(error):
-        crew.ask([work("a", call)])
-        done_by(crew, {"a"})
+    with Scheduler(_ProcessWorkers(1), drop) as scheduler, pytest.raises(error):
+        scheduler.submit([work("a", call)])
+        done_by(scheduler, {"a"})
 
 
 def test_a_full_disk_is_raised_where_it_is_waited_for():
     def full(key: str, data: bytes) -> None:
         raise DiskFullError("no room")
 
-    with Crew(Scripted(w=[]), full) as crew, pytest.raises(DiskFullError):
-        do(crew, "a")
+    with Scheduler(Scripted(w=[]), full) as scheduler, pytest.raises(DiskFullError):
+        do(scheduler, "a")
 
 
 def is_worker(process: psutil.Process) -> bool:
@@ -236,9 +241,9 @@ def is_worker(process: psutil.Process) -> bool:
 
 
 def test_closing_leaves_no_process(tmp_path: Path):
-    with Crew(_ProcessWorkers(1), lambda key, data: None) as crew:
-        crew.ask([work("a"), work("b", hang_once, str(tmp_path / "once"))])
-        done_by(crew, {"a"})
+    with Scheduler(_ProcessWorkers(1), drop) as scheduler:
+        scheduler.submit([work("a"), work("b", hang_once, str(tmp_path / "once"))])
+        done_by(scheduler, {"a"})
         time.sleep(0.3)
     until_s = time.monotonic() + 10.0
     while time.monotonic() < until_s:
@@ -252,11 +257,11 @@ def test_closing_leaves_no_process(tmp_path: Path):
 LEADER = """
 import time
 from tests.support.cluster.workpieces import tell_pid
-from wcsim.server.workers.crew import Crew
+from wcsim.server.workers.scheduler import Scheduler
 from wcsim.server.workers.machines import _ProcessWorkers
 from wcsim.server.workers.machines import Work
-with Crew(_ProcessWorkers(1), lambda key, data: print(data.decode(), flush=True)) as crew:
-    crew.ask([Work(key="a", call=tell_pid, piece="")])
+with Scheduler(_ProcessWorkers(1), lambda key, data: print(data.decode(), flush=True)) as scheduler:
+    scheduler.submit([Work(key="a", call=tell_pid, piece="")])
     time.sleep(600.0)
 """
 
@@ -276,8 +281,8 @@ def test_a_worker_that_does_not_hear_that_it_is_to_be_killed_is_told_again(tmp_p
     workers = Scripted(deaf=["hang", "done"], other=["done"])
     asked = []
     workers.stop = asked.append
-    with Crew(workers, lambda key, data: None, least_late_s=0.05) as crew:
-        do(crew, "a")
+    with Scheduler(workers, drop, least_late_s=0.05) as scheduler:
+        do(scheduler, "a")
         until_s = time.monotonic() + 20.0
         while len(asked) < 2 and time.monotonic() < until_s:
             time.sleep(0.01)
