@@ -20,7 +20,7 @@ from wcsim.core.joystick import shaped
 from wcsim.drive.assistance import Answer, Assistance
 from wcsim.drive.driven import DriveObserver, DriveRecord, DriverKind, EventKind, happened_in
 from wcsim.drive.starting import DriveStart, OpenPlace, open_place
-from wcsim.log.records import Admitted, DriveTick, Note, Respawned, left_at
+from wcsim.log.records import Admitted, DriveTick, Note, Respawned, tick_end_fields
 from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.kpi import KpiTotals
 from wcsim.supervisor.rewards import hardest
@@ -350,7 +350,7 @@ class DriveSession(Closing):
             overruled=wish.overrule,
             helped=wish.help,
             pace=wish.pace,
-            **left_at(self.client),
+            **tick_end_fields(self.client),
         )
 
     def _tell(self, driven: DriveTick, distance: float) -> None:
