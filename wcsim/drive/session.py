@@ -11,7 +11,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from wcsim.agents.envs.episode_view import Chair, named
+from wcsim.agents.envs.episode_view import ChairView, policy_observation
 from wcsim.bridge.ego.start_place import bearing_rad
 from wcsim.bridge.world import World
 from wcsim.bridge.world_rollout import rollout
@@ -91,7 +91,7 @@ class DriveSession(Closing):
             self.world = held.enter_context(
                 World(self.place.town, config, (spec,), self.place.seed, say=say, find_user=find_user)
             )
-            self._chair = Chair(config)
+            self._chair = ChairView(config)
             self._begin()
             self.assistance.reset(self.client.drawn)
             self._held = held.pop_all()
@@ -319,9 +319,9 @@ class DriveSession(Closing):
             seen, self._info = self._chair.begin(client)
             self._fresh = False
         else:
-            step = self._chair.take(client)
+            step = self._chair.finish_step(client)
             seen, self._info = step.observation, step.info
-        self._seen = named(seen)
+        self._seen = policy_observation(seen)
 
     def _move(self, answer: Answer) -> None:
         given = self._chair.command(answer.sent).joystick
