@@ -139,7 +139,7 @@ class HeldStreet(Closing):
 
         for step, done in zip(range(1, ticks + 1), rollout(self.world, {0: choose}), strict=False):
             (client,) = done.after.clients
-            self.driver.take(client)
+            self.driver.finish_step(client)
             warns = isinstance(self.policy, Warns) and self.policy.warning
             now_s = (step - 1) * tick_s
             said = replace(

@@ -151,7 +151,7 @@ def test_old_copies_go(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(copy._cache._impl.locator, "_cache_path", str(tmp_path))
         assert copy(1.0) == factor + 2.0
     indices, codes = sorted(tmp_path.glob("*.nbi")), sorted(tmp_path.glob("*.nbc"))
-    assert len(indices) == len(codes) == jit.KEPT and len(list(tmp_path.iterdir())) == 2 * jit.KEPT
+    assert len(indices) == len(codes) == jit.MOST_COPIES and len(list(tmp_path.iterdir())) == 2 * jit.MOST_COPIES
     assert {path.name.split(".1.")[0] for path in codes} == {path.stem for path in indices}
 
 

@@ -31,7 +31,7 @@ def parsed(node: ast.AST) -> Iterator[tuple[str, str, str]]:
 def test_imports_are_read_as_python_reads_them(folder: str) -> None:
     for path in (ROOT / folder).glob("*.py"):
         text = path.read_text(encoding="utf-8")
-        found = sources._named(sources._FOR_TYPES_ALONE.sub("", text))
+        found = sources._imports(sources._FOR_TYPES_ALONE.sub("", text))
         assert sorted(found) == sorted(parsed(ast.parse(text))), path
 
 

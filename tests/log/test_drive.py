@@ -44,13 +44,18 @@ def test_what_is_recorded_is_read(tmp_path):
     assert [item.tick for item in drive.ticks] == [1, 2, 3, 4]
     assert drive.ticks[0] == changed(ticks[0], sticks=ticks[0].sticks)
     assert drive.events == events
-    assert (drive.ticks[1].intent, drive.ticks[1].helped, drive.knows_intents, drive.torn) == (None, True, False, False)
+    assert (drive.ticks[1].intent, drive.ticks[1].helped, drive.knows_intents, drive.has_truncated_end) == (
+        None,
+        True,
+        False,
+        False,
+    )
     assert [len(part) for part in drive.episodes] == [3, 1]
     assert [item.ends for item in drive.ticks] == [False, False, True, False]
     assert is_log(path)
     path.write_bytes(path.read_bytes()[:-7])
     drive = read_drive(path)
-    assert (len(drive.ticks) + len(drive.events), drive.torn) == (4, True)
+    assert (len(drive.ticks) + len(drive.events), drive.has_truncated_end) == (4, True)
 
 
 def test_a_tick_with_as_many_steps_as_a_world_may_have_is_kept_whole(tmp_path):

@@ -4,7 +4,7 @@ import time
 import zlib
 
 from tests.support.framing import chained
-from wcsim.log.framing import MOST_TORN_BYTES, crc_of, framed, torn_bytes, whole_records
+from wcsim.log.framing import MOST_TRUNCATED_BYTES, crc_of, framed, truncated_bytes, whole_records
 
 
 class Growing(io.BytesIO):
@@ -29,7 +29,7 @@ def test_what_is_written_while_somebody_looks_at_the_end_is_no_damage():
     first = framed(b"one")
     second = framed(b"two", crc_of(first))
     file = Growing(first, second)
-    assert torn_bytes(file, len(first), crc_of(first)) == 0
+    assert truncated_bytes(file, len(first), crc_of(first)) == 0
     file.seek(len(first))
     assert [record.payload for record in whole_records(file, crc_of(first))] == [b"two"]
 
@@ -41,16 +41,16 @@ def test_what_is_torn_whole_or_damaged_is_told_apart():
         (first, b"", 0),
         (first, second[:-1], len(second) - 1),
         (first, bytes(8), 8),
-        (first, second, -1),
-        (first, b"\x05" + second, None),
+        (first, second, "appended"),
+        (first, b"\x05" + second, "damaged"),
     ):
-        assert torn_bytes(io.BytesIO(end + after), len(end), crc_of(first)) == told
+        assert truncated_bytes(io.BytesIO(end + after), len(end), crc_of(first)) == told
 
 
-def cost_s(rest: bytes) -> tuple[float, int | None]:
+def cost_s(rest: bytes) -> tuple[float, int | str]:
     """Processor time of a look at a torn end, and its answer."""
     begun_s = time.process_time()
-    told = torn_bytes(io.BytesIO(rest), 0)
+    told = truncated_bytes(io.BytesIO(rest), 0)
     return time.process_time() - begun_s, told
 
 
@@ -61,9 +61,9 @@ def test_a_torn_end_of_many_beginnings_costs_little_and_is_damage():
     bomb = b"\x78\x9c" + (packer.compress(bytes(32 << 20)) + packer.flush(zlib.Z_SYNC_FLUSH))[2:]
     torn = struct.pack("<II", 1 << 20, 1)
     once_s, _ = cost_s(torn + bomb)
-    for count in (100, (MOST_TORN_BYTES - 8 - len(bomb)) // len(chain)):
+    for count in (100, (MOST_TRUNCATED_BYTES - 8 - len(bomb)) // len(chain)):
         many_s, told = cost_s(torn + chain * count + bomb)
-        assert told is None, "nothing is cut off that was not looked through"
+        assert told == "damaged", "nothing is cut off that was not looked through"
         assert many_s < 20 * once_s
 
 
@@ -73,4 +73,4 @@ def test_a_record_that_unpacks_to_far_more_than_it_has_is_none():
     two = chained([b"two", bytes(1 << 20), b"two"])
     assert [record.payload for record in whole_records(io.BytesIO(two))] == [b"two"]
     for rest in (framed(bytes(1 << 20)), chained([bytes(1 << 20), b"two"])):
-        assert torn_bytes(io.BytesIO(rest), 0) is None
+        assert truncated_bytes(io.BytesIO(rest), 0) == "damaged"

@@ -8,7 +8,7 @@ import pytest
 from tests.supervisor.test_observation import sensors
 from tests.support.plants import CALM
 from tests.users.kinematics import plant
-from wcsim.agents.envs.episode_view import Chair, EpisodeStep
+from wcsim.agents.envs.episode_view import ChairView, EpisodeStep
 from wcsim.config import EnvConfig, RunConfig
 from wcsim.errors import ConfigError
 from wcsim.supervisor.actions import action_set
@@ -34,10 +34,10 @@ def snapshot(crashed=False, truncated=False, user=FORWARD) -> ClientSnapshot:
 
 def judged(after: ClientSnapshot, action: int, asked: Joystick) -> EpisodeStep:
     """The step of a chair whose user asked for this, and whose agent answered so."""
-    chair = Chair(CONFIG)
+    chair = ChairView(CONFIG)
     chair.now = snapshot(user=asked)
     chair.command(action)
-    return chair.take(after)
+    return chair.finish_step(after)
 
 
 def test_the_action_is_compared_with_the_stick_it_answered():

@@ -23,7 +23,7 @@ def read_whole(path: Path) -> WholeLog:
     """A log with all its parts."""
     scans = [LogScan(part) for part in part_files(path) or (path,)]
     records = tuple(record for scan in scans for record in scan.records())
-    return WholeLog(header=scans[0].header, records=records, torn=scans[-1].torn_bytes > 0)
+    return WholeLog(header=scans[0].header, records=records, torn=scans[-1].truncated_bytes > 0)
 
 
 def chained(payloads: Iterable[bytes], after: int = 0) -> bytes:

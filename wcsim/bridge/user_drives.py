@@ -21,7 +21,7 @@ from wcsim.config import RunConfig
 from wcsim.core import seeding
 from wcsim.log.drive import DriveRecording, wcsim_version
 from wcsim.log.fingerprint import fingerprint
-from wcsim.log.records import DriveHeader, DriveTick, EpochBegun, Header, Input, changed, left_at
+from wcsim.log.records import DriveHeader, DriveTick, EpochBegun, Header, Input, changed, tick_end_fields
 from wcsim.log.writer import LogWriter
 from wcsim.supervisor.actions import ActionSet, action_set
 from wcsim.towns.scenario.town import Town, content_hash
@@ -183,5 +183,5 @@ class _Follower:
             commanded=given,
             chosen=given,
             action=self._action,
-            **left_at(after),
+            **tick_end_fields(after),
         )

@@ -20,7 +20,7 @@ from types import FrameType
 from typing import Final
 
 from wcsim.cli.shared.exit_codes import Exit, exit_of
-from wcsim.core.reading import escaped, holds_half_letters
+from wcsim.core.reading import escaped, has_surrogates
 from wcsim.errors import ConfigError, WcsimError, meant
 
 _PATHS: Final = frozenset(
@@ -261,7 +261,7 @@ def _run(work: Callable[[list[str]], int], words: list[str], own_process: bool) 
     try:
         if own_process:
             _require_streams()
-        for word in filter(holds_half_letters, words):  # no record of ours could name it
+        for word in filter(has_surrogates, words):  # no record of ours could name it
             raise ConfigError(
                 f"argument '{escaped(word)}' is not valid UTF-8; rename that file, or set LANG=C.UTF-8"
             )

@@ -28,7 +28,7 @@ from wcsim.core.own_folder import endpoint_in, workplace
 from wcsim.core.reading import require_no_links
 from wcsim.errors import ConfigError
 from wcsim.log.reader import part_files
-from wcsim.log.writer import JOURNAL, LogWriter, told_torn
+from wcsim.log.writer import JOURNAL, LogWriter, truncation_message
 from wcsim.server.launch.launcher import Launcher
 from wcsim.server.launch.states import LaunchState
 from wcsim.server.protocol.events import Rules
@@ -185,7 +185,7 @@ def _prepare(folder: Path) -> None:
     if journal.is_file():
         with LogWriter.append_to(journal) as writer:
             if writer.cut_bytes:
-                warn(told_torn(journal, writer.cut_bytes))
+                warn(truncation_message(journal, writer.cut_bytes))
 
 
 def _order(options: _Options, town: Town, config: RunConfig, place: Path) -> WorldSpec:

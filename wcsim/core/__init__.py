@@ -1,4 +1,4 @@
-"""What every room needs and nobody owns: frames, seeds, kernels, files, boxes, rotations, the joystick law.
+"""What every room needs: frames, seeds, kernels, files, boxes, rotations, the joystick law.
 
 No simulator, no configuration.
 """

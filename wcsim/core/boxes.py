@@ -1,6 +1,6 @@
 """Boxes on the ground seen from above: whether two touch, and how far a point is from one.
 
-A box is given as its middle, the cosine and sine of its heading, half its length and half its width.
+A box is its middle, the cosine and sine of its heading, half its length and half its width.
 """
 
 from __future__ import annotations
@@ -9,6 +9,9 @@ import math
 
 from wcsim.core.jit import exact_kernel
 from wcsim.types import ActorState
+
+# x, y, cos, sin of the heading, half length, half width
+Box = tuple[float, float, float, float, float, float]
 
 
 @exact_kernel
@@ -36,15 +39,11 @@ def gap_to_box(
 ) -> float:
     """Distance in metres from a point to a box; inside it, minus the way out."""
     dx, dy = px - x, py - y
-    beyond, aside = abs(dx * cos + dy * sin) - long, abs(dy * cos - dx * sin) - wide
+    beyond = abs(dx * cos + dy * sin) - long
+    aside = abs(dy * cos - dx * sin) - wide
     if beyond <= 0.0 and aside <= 0.0:
         return max(beyond, aside)
     return math.hypot(max(beyond, 0.0), max(aside, 0.0))
-
-
-Box = tuple[
-    float, float, float, float, float, float
-]  # x, y, cos, sin of the heading, half length, half width
 
 
 def box_of(actor: ActorState, more_m: float = 0.0) -> Box:

@@ -1,4 +1,4 @@
-"""What holds a handle and is used with `with`."""
+"""A base class for what holds a handle and is used with `with`."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from typing import Self
 
 
 class Closing(ABC):
-    """A context manager that closes at its end, however that comes."""
+    """A context manager that calls `close` at its end, also after an error."""
 
     @abstractmethod
     def close(self) -> None:
-        """Let go of what is held; a second call does nothing."""
+        """Release what is held; a second call does nothing."""
 
     def __enter__(self) -> Self:
         return self

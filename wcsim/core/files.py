@@ -1,4 +1,4 @@
-"""Writing files whole or not at all, names for new ones, and where those lie that can be made again."""
+"""Writes files whole or not at all; names new files; finds the cache of what can be made again."""
 
 from __future__ import annotations
 
@@ -18,47 +18,45 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from itertools import count
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from filelock import FileLock
 
 from wcsim.core.reading import is_folder, require_no_links
 from wcsim.errors import DiskFullError, PolicyError, UnwritableError
 
-KERNELS = "kernels"  # the folder in the user's cache for machine code
-_SEAL = "seal"
-_WORK, _OLD = ".tmp", ".old"  # end the names of what is being written, and of what it replaces
-_DAMAGED = ".damaged"  # added to the name of what was passed over
-_FILE_MODE = 0o644  # safetensors writes files that only their owner can read; runs are for sharing
-_MOST_NAMES = 10_000
-_FOLDER_MODE = 0o755  # without the right to enter it, nobody reads what lies in a folder
+KERNELS: Final = "kernels"  # the folder in the user's cache for machine code
+_SEAL: Final = "seal"
+_WORK: Final = ".tmp"  # ends the name of what is being written
+_OLD: Final = ".old"  # ends the name of what is being replaced
+_DAMAGED: Final = ".damaged"  # added to the name of what was passed over
+# Safetensors writes files that only their owner can read, but runs are for sharing.
+_FILE_MODE: Final = 0o644
+_FOLDER_MODE: Final = 0o755
+_MOST_NAMES: Final = 10_000
 
 
 @contextmanager
-def alone(lock: Path) -> Iterator[None]:
-    """While open, whoever else opens the same lock waits; where none can be had, as in a read-only folder, nobody.
+def exclusive(lock: Path) -> Iterator[None]:
+    """While open, other processes that open the same lock wait.
 
-    The lock's file goes with its last owner; who waits for a file that has gone takes a new one.
+    Where no lock can be made, as in a read-only folder, none waits. The last owner removes the
+    lock's file; a process that waits for a removed one makes a new one.
     """
     with contextlib.ExitStack() as held:
         with contextlib.suppress(OSError, NotImplementedError):
             lock.parent.mkdir(parents=True, exist_ok=True)
             held.enter_context(FileLock(lock))
-            held.callback(_gone, lock)
+            held.callback(_unlink, lock)
         yield
-
-
-def _gone(lock: Path) -> None:
-    with contextlib.suppress(OSError):
-        lock.unlink()
 
 
 @contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
-    """Where to write a file that appears at `path` when the block ends: flushed to disk, then renamed.
+    """The path to write a file that appears at `path` when the block ends: flushed, then renamed.
 
-    After an error, or where the block writes nothing, an older file is as it was. Several processes may write the
-    same one: the last to end wins.
+    After an error, or where the block writes nothing, an older file is as it was. Several processes
+    may write the same file: the last to end wins.
 
     Raises:
         DiskFullError: There is no room, or the place cannot be written.
@@ -73,10 +71,10 @@ def whole_file(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def whole_folder(path: Path, *, flush: bool = True) -> Iterator[Path]:
-    """A new folder that appears at `path` when the block ends, with all that it wrote, and replaces an older one.
+    """A new folder that appears at `path`, and replaces an older one, when the block ends.
 
-    After an error the older one is as it was. What dead processes left of the same folder is removed first; one that
-    they had just moved aside goes back.
+    After an error the older one is as it was. What dead processes left of the same folder is
+    removed first; an older folder that they had just moved aside goes back.
 
     Args:
         path: Of the folder.
@@ -94,47 +92,19 @@ def whole_folder(path: Path, *, flush: bool = True) -> Iterator[Path]:
             entry.chmod(_FOLDER_MODE if entry.is_dir() else _FILE_MODE)
             if flush:
                 _sync(entry, os.O_RDONLY)
-        _put_in_place(part, path)
-
-
-@contextmanager
-def _work_beside(path: Path) -> Iterator[Path]:
-    """A name like that of `path` in a fresh folder beside it, which is gone at the end.
-
-    It is named before it is made: a signal that comes right after its making removes it, too.
-    """
-    work = path.with_name(f".{path.name}.{os.getpid()}-{secrets.token_hex(4)}{_WORK}")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        work.mkdir(mode=0o700)
-        yield work / path.name
-    except OSError as error:
-        raise _not_written(path, error) from None
-    except DiskFullError as error:  # of another door, which knows the place of work alone
-        raise type(error)(str(error).replace(str(work / path.name), str(path))) from None
-    finally:
-        shutil.rmtree(work, ignore_errors=True)
-
-
-def _clear_stale(path: Path) -> None:
-    for place in sorted(path.parent.glob(f".{glob.escape(path.name)}.*")):
-        match = re.fullmatch(rf"\.{re.escape(path.name)}\.(\d+)-\w+({_WORK}|{_OLD})", place.name)
-        if match is None or place.is_symlink() or not place.is_dir() or _runs(int(match[1])):
-            continue
-        if match[2] == _OLD and not path.exists():
-            place.rename(path)
+        if path.exists():
+            # A folder cannot replace a full one: the old one is moved until the new one is there.
+            old = _beside(path, _OLD)
+            path.replace(old)
+            try:
+                part.replace(path)
+            except BaseException:
+                old.replace(path)
+                raise
+            shutil.rmtree(old, ignore_errors=True)
         else:
-            shutil.rmtree(place, ignore_errors=True)
-
-
-def _runs(process: int) -> bool:
-    try:
-        os.kill(process, 0)
-    except ProcessLookupError:
-        return False
-    except (PermissionError, OverflowError):
-        return True
-    return True
+            part.replace(path)
+        _sync_folder(path.parent)
 
 
 def write_bytes(path: Path, data: bytes, mode: int = _FILE_MODE) -> None:
@@ -147,17 +117,17 @@ def write_bytes(path: Path, data: bytes, mode: int = _FILE_MODE) -> None:
 
 
 def write_json(path: Path, data: Any) -> None:
-    """Replace a JSON file in one step. Raises ValueError when a number is not finite, DiskFullError."""
+    """Replace a JSON file in one step. Raises DiskFullError; ValueError for NaN or infinity."""
     write_bytes(path, (json.dumps(data, indent=2, allow_nan=False) + "\n").encode())
 
 
 def write_sealed_json(path: Path, data: Mapping[str, Any]) -> None:
-    """As `write_json`, with a seal: a hash over all that the file says."""
+    """As `write_json`, with a seal: a hash over all of its content."""
     write_json(path, {**data, _SEAL: _seal_of(data)})
 
 
 def take_seal(data: dict[str, Any], where: str, cure: str = "") -> bool:
-    """Take the seal out of what a file said; whether there was one, as those of older versions have none.
+    """Remove the seal from a file's content; whether there was one, as older versions wrote none.
 
     Raises:
         PolicyError: It is not what was written; begins with `where`, and ends with the cure.
@@ -168,65 +138,25 @@ def take_seal(data: dict[str, Any], where: str, cure: str = "") -> bool:
     return seal is not None
 
 
-def _seal_of(data: Mapping[str, Any]) -> str:
-    return sha256_text(json.dumps(data, sort_keys=True, allow_nan=False))
-
-
-def is_begun(path: Path) -> bool:
-    """Whether this is what a process that died on the way has left of a file or folder that it wrote."""
+def is_unfinished(path: Path) -> bool:
+    """Whether a process that died has left this of a file or folder that it wrote."""
     return path.name.startswith(".") and path.name.endswith((_WORK, _OLD))
 
 
 def set_aside(path: Path) -> Path:
-    """Rename what is damaged, so that it is kept, and never meant again; returns its new place."""
+    """Rename what is damaged, so that it stays, but is never read again; returns its new path."""
     names = (path.with_name(f"{path.name}{_DAMAGED}{'' if k == 1 else f'-{k}'}") for k in count(1))
     free = next(name for name in names if not os.path.lexists(name))
     return path.rename(free)
 
 
-def _put_in_place(made: Path, path: Path) -> None:
-    if path.exists():
-        # A folder cannot replace a full one: the old one steps aside and goes when the new one is in place.
-        old = path.with_name(f".{path.name}.{os.getpid()}-{secrets.token_hex(4)}{_OLD}")
-        path.replace(old)
-        try:
-            made.replace(path)
-        except BaseException:
-            old.replace(path)
-            raise
-        shutil.rmtree(old, ignore_errors=True)
-    else:
-        made.replace(path)
-    _sync_folder(path.parent)
-
-
-def _sync_folder(path: Path) -> None:
-    """Flush a folder's list of names to disk."""
-    _sync(path, os.O_RDONLY | os.O_DIRECTORY)
-
-
-def _sync(path: Path, flags: int) -> None:
-    descriptor = os.open(path, flags)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
-
-
-def _not_written(path: Path, error: OSError) -> DiskFullError:
-    if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO):
-        return DiskFullError(
-            f"{path}: could not be written ({error.strerror}); make room, or choose another place"
-        )
-    return UnwritableError(f"{path}: could not be written ({error.strerror}); choose another place")
-
-
 @contextmanager
 def locked(path: Path) -> Iterator[None]:
-    """Keep a run folder to this process while open.
+    """Reserve a run folder for this process while open.
 
     Raises:
-        PolicyError: Another one has it, or a link in it leads elsewhere, where nothing shall be written or removed.
+        PolicyError: Another one has it, or a link in it leads elsewhere, where nothing shall be
+            written or removed.
     """
     descriptor = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     try:
@@ -234,7 +164,8 @@ def locked(path: Path) -> Iterator[None]:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             raise PolicyError(
-                f"{path} is in use by another process; wait until that ends, or choose another --out"
+                f"{path} is in use by another process; wait until that ends, or choose another "
+                "--out"
             ) from None
         except OSError:  # a file system without locks
             pass
@@ -245,7 +176,7 @@ def locked(path: Path) -> Iterator[None]:
 
 
 def folder_bytes(folder: Path) -> int:
-    """Bytes of all regular files in a folder; what others remove meanwhile, folders too, is nothing."""
+    """Bytes of all regular files in a folder; what others remove meanwhile counts as nothing."""
     total = 0
     for place, _, names in os.walk(folder):
         for name in names:
@@ -255,20 +186,22 @@ def folder_bytes(folder: Path) -> int:
     return total
 
 
-def standing(path: Path) -> Path:
-    """The place itself, or where it is not there yet, the nearest one above that is."""
-    here = path.absolute()
-    return next(place for place in (here, *here.parents) if os.path.lexists(place))
+def nearest_existing(path: Path) -> Path:
+    """The path itself, or the nearest folder above it that exists."""
+    path = path.absolute()
+    while not os.path.lexists(path):
+        path = path.parent
+    return path
 
 
 def can_be_written(folder: Path) -> bool:
-    """Whether a folder can be written to, or be made."""
-    place = standing(folder)
+    """Whether a folder can be written to, or made."""
+    place = nearest_existing(folder)
     return is_folder(place) and os.access(place, os.W_OK | os.X_OK)
 
 
 def numbered_names(first: Path) -> Iterator[Path]:
-    """The first name, and then FILE-2, FILE-3, ... of which nothing is there yet.
+    """The first name, and then FILE-2, FILE-3, ..., as far as they do not exist yet.
 
     >>> names = numbered_names(Path("no-such-folder/a.drive"))
     >>> [str(next(names)) for _ in range(3)]
@@ -292,35 +225,33 @@ def sha256_text(text: str) -> str:
 
 
 def user_cache() -> Path:
-    """$XDG_CACHE_HOME/wcsim or ~/.cache/wcsim; where that cannot be written, this user's own temporary folder.
+    """$XDG_CACHE_HOME/wcsim or ~/.cache/wcsim; else, where that cannot be written, a temporary one.
 
-    So a user without a home, as services and containers have them, builds a street once, and not in each process.
+    So a user without a home, as of a service or a container, builds a street once, and not in each
+    process.
     """
-    wanted = _wanted()
-    if wanted is not None and can_be_written(wanted):
-        return wanted
-    return (
-        _temporary() or wanted or Path(os.devnull) / "wcsim"
-    )  # the last two only say that nothing can be kept
+    base, own = os.environ.get("XDG_CACHE_HOME", ""), home()
+    usual: Path | None = None
+    if base:
+        usual = Path(base) / "wcsim"
+    elif own is not None:
+        usual = own / ".cache" / "wcsim"
+    if usual is not None and can_be_written(usual):
+        return usual
+    # The last two cannot be written: nothing is cached.
+    return _temporary_cache() or usual or Path(os.devnull) / "wcsim"
 
 
 def home() -> Path | None:
-    """The user's home, None for a user who has none, as for a number that the machine has no name for."""
+    """The user's home; None for a user without one, such as a number without a name."""
     try:
         return Path.home()
     except RuntimeError:
         return None
 
 
-def _wanted() -> Path | None:
-    base, own = os.environ.get("XDG_CACHE_HOME", ""), home()
-    if base:
-        return Path(base) / "wcsim"
-    return None if own is None else own / ".cache" / "wcsim"
-
-
-def _temporary() -> Path | None:
-    """A folder for this user alone; None where somebody else was there first, for machine code is read from it."""
+def _temporary_cache() -> Path | None:
+    """A folder for this user alone, as machine code is read from it; None if it is another's."""
     try:
         folder = Path(tempfile.gettempdir()) / f"wcsim-cache-{os.getuid()}"
         folder.mkdir(mode=0o700, exist_ok=True)
@@ -329,3 +260,73 @@ def _temporary() -> Path | None:
         return None
     own = stat.S_ISDIR(found.st_mode) and found.st_uid == os.getuid() and not found.st_mode & 0o077
     return folder if own else None
+
+
+def _unlink(lock: Path) -> None:
+    with contextlib.suppress(OSError):
+        lock.unlink()
+
+
+@contextmanager
+def _work_beside(path: Path) -> Iterator[Path]:
+    """A path with the name of `path` in a fresh folder beside it, which is removed at the end."""
+    # It is named before it is made: a signal right after its making removes it, too.
+    work = _beside(path, _WORK)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        work.mkdir(mode=0o700)
+        yield work / path.name
+    except OSError as error:
+        message = f"{path}: could not be written ({error.strerror});"
+        if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO):
+            raise DiskFullError(f"{message} make room, or choose another place") from None
+        raise UnwritableError(f"{message} choose another place") from None
+    except DiskFullError as error:
+        # Of another writer, which knows only the path in the working folder.
+        raise type(error)(str(error).replace(str(work / path.name), str(path))) from None
+    finally:
+        shutil.rmtree(work, ignore_errors=True)
+
+
+def _beside(path: Path, suffix: str) -> Path:
+    """A new name beside a path, of this process; see `_clear_stale`."""
+    return path.with_name(f".{path.name}.{os.getpid()}-{secrets.token_hex(4)}{suffix}")
+
+
+def _clear_stale(path: Path) -> None:
+    """Remove what dead processes left of a folder; a missing older folder goes back."""
+    for place in sorted(path.parent.glob(f".{glob.escape(path.name)}.*")):
+        match = re.fullmatch(rf"\.{re.escape(path.name)}\.(\d+)-\w+({_WORK}|{_OLD})", place.name)
+        if match is None or place.is_symlink() or not place.is_dir() or _is_running(int(match[1])):
+            continue
+        if match[2] == _OLD and not path.exists():
+            place.rename(path)
+        else:
+            shutil.rmtree(place, ignore_errors=True)
+
+
+def _is_running(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except (PermissionError, OverflowError):
+        return True
+    return True
+
+
+def _seal_of(data: Mapping[str, Any]) -> str:
+    return sha256_text(json.dumps(data, sort_keys=True, allow_nan=False))
+
+
+def _sync_folder(path: Path) -> None:
+    """Flush a folder's list of names to disk."""
+    _sync(path, os.O_RDONLY | os.O_DIRECTORY)
+
+
+def _sync(path: Path, flags: int) -> None:
+    descriptor = os.open(path, flags)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

@@ -1,11 +1,13 @@
-"""SUMO's frames against the world frame W, and rotations. Degrees and front bumpers live here and nowhere else.
+"""SUMO's frames against the world frame W, and rotations.
 
-SUMO: heading in degrees clockwise from north; a vehicle's position is the middle of its FRONT bumper (SUMO
-documentation, "TraCI/Vehicle Value Retrieval"), a person's is the middle of its front as well. W: recentred by the
-town's integer origin.
+Degrees and front bumpers are known here and nowhere else.
 
-Rotations are nine plain floats, row by row, as a substep is too short for arrays. Angles: yaw counter-clockwise, pitch
-nose up positive, roll right side down positive, turned in this order.
+SUMO: heading in degrees clockwise from north; a vehicle's position is the middle of its FRONT
+bumper (SUMO documentation, "TraCI/Vehicle Value Retrieval"), a person's is the middle of its front
+as well. W: recentred by the town's integer origin.
+
+Rotations are nine plain floats, row by row, as a substep is too short for arrays. Angles: yaw
+counter-clockwise, pitch nose up positive, roll right side down positive, turned in this order.
 """
 
 from __future__ import annotations
@@ -47,7 +49,10 @@ def added(a: Vec3, b: Vec3) -> Vec3:
 
 
 def velocity_at(point: Vec3, known: Vec3, v_known: Vec3, w: Vec3) -> Vec3:
-    """Velocity of a point of a rigid body, from that of a known point and the angular velocity, all in one frame."""
+    """Velocity of a point of a rigid body, all in one frame.
+
+    `v_known` is the velocity of the point `known`, `w` the angular velocity.
+    """
     x, y, z = point[0] - known[0], point[1] - known[1], point[2] - known[2]
     wx, wy, wz = w
     return (
@@ -87,7 +92,7 @@ def euler(r: Rotation) -> tuple[float, float, float]:
 
 
 def turned(q: Quat, w: Vec3, dt_s: float) -> Quat:
-    """A rotation after turning with angular velocity w (world frame) for a short time."""
+    """A rotation after a turn with angular velocity w (world frame) for a short time."""
     hx, hy, hz = 0.5 * dt_s * w[0], 0.5 * dt_s * w[1], 0.5 * dt_s * w[2]
     x, y, z, s = q
     out = (x + hx * s + hy * z - hz * y, y + hy * s + hz * x - hx * z, z + hz * s + hx * y - hy * x)
@@ -97,7 +102,7 @@ def turned(q: Quat, w: Vec3, dt_s: float) -> Quat:
 
 
 def quaternion(yaw_rad: float, pitch_rad: float = 0.0, roll_rad: float = 0.0) -> Quat:
-    """Unit quaternion (x, y, z, w) of something that looks along yaw, nose up by pitch, right side down by roll.
+    """Unit quaternion (x, y, z, w) of yaw, pitch (nose up) and roll (right side down).
 
     >>> [round(part, 4) for part in quaternion(math.pi / 2)]
     [0.0, 0.0, 0.7071, 0.7071]
@@ -142,7 +147,7 @@ def wrap(angle_rad: float) -> float:
 
 
 def centre_from_front(front_m: F64, yaw_rad: float, pitch_rad: float, length_m: float) -> F64:
-    """Ground point below the middle of a box, from the middle of its front edge; (3,) to (3,), pitch is nose up.
+    """Ground point (3,) below the middle of a box, from the middle (3,) of its front edge.
 
     >>> centre_from_front(np.array([10.0, 0.0, 0.0]), 0.0, 0.0, 4.0).tolist()
     [8.0, 0.0, 0.0]
@@ -156,13 +161,13 @@ def front_from_centre(centre_m: F64, yaw_rad: float, pitch_rad: float, length_m:
 
 
 def forward(yaw_rad: float, pitch_rad: float) -> F64:
-    """Unit vector (3,) in W of something that looks along yaw, nose up by pitch."""
+    """Unit vector (3,) in W along yaw, nose up by pitch."""
     flat = math.cos(pitch_rad)
     return np.array([flat * math.cos(yaw_rad), flat * math.sin(yaw_rad), math.sin(pitch_rad)])
 
 
 def world_from_net(p_net_m: F64, origin_m: tuple[float, float]) -> F64:
-    """Net coordinates (..., 2 or 3) as W coordinates: the town's origin taken off x and y."""
+    """Net coordinates (..., 2 or 3) as W coordinates, which are relative to the town's origin."""
     moved = np.array(p_net_m, dtype=np.float64)
     moved[..., :2] -= origin_m
     return moved

@@ -1,12 +1,14 @@
-"""Compiles kernels with numba, and keeps the machine code on disk where that is possible.
+"""Compiles kernels with numba, and caches the machine code on disk where that is possible.
 
-numba freezes into a kernel whatever it takes from outside: the kernels that it calls, from any file, and the constants
-that it names. Its own copies on disk notice a change of the kernel's file alone; so here a copy is named by a digest of
-the kernel and of all that is frozen into it, taken at the first call, when everything has its value.
+numba freezes into a kernel whatever it takes from outside: the kernels that it calls, from any
+file, and the constants that it names. Its own cache notices a change of the kernel's file alone. So
+here a copy is named by a digest of the kernel and of all that is frozen into it, taken at the first
+call, when everything has its value.
 
-The copies lie in `__pycache__` beside the source, or in wcsim's cache folder when the package is read-only; where
-neither can be written, the code is compiled anew in each process. The newest few copies of a kernel are kept. Of
-processes that want the same copy at the same time one makes it, and the others wait (a lock beside it).
+The copies lie in `__pycache__` beside the source, or in wcsim's cache folder when the package is
+read-only; where neither can be written, each process compiles for itself. The newest few copies of
+a kernel stay. Of processes that need the same copy at the same time one compiles it, and the others
+wait for a lock beside it.
 """
 
 from __future__ import annotations
@@ -16,10 +18,11 @@ import os
 import re
 import sys
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from enum import Enum
 from pathlib import Path
 from types import CodeType, FunctionType, ModuleType
-from typing import Any, ParamSpec, TypeVar, cast
+from typing import Any, Final, ParamSpec, TypeVar, cast
 
 import numba
 import numpy as np
@@ -37,50 +40,37 @@ from wcsim.core.files import KERNELS, user_cache
 P = ParamSpec("P")
 R = TypeVar("R")
 
-LONGEST_WAIT_S = (
-    60.0  # a kernel takes seconds; who has the lock longer was stopped, and is not waited for
-)
-KEPT = 3  # copies of a kernel: who goes to and fro between two states of the code compiles once
-
-# Rounding must not depend on how a loop is vectorised more than it has to: products may be fused, and that is all.
-_FAST = {"contract", "nsz"}
-_WORD = re.compile(r"\w+")
+# A kernel takes seconds to compile; a process that holds its lock longer was stopped.
+LONGEST_WAIT_S: Final = 60.0
+# Of a kernel: who goes to and fro between two states of the code compiles each once.
+MOST_COPIES: Final = 3
+# Rounding must depend on how a loop is vectorised as little as possible: products may be fused.
+_FAST: Final = {"contract", "nsz"}
+_WORD: Final = re.compile(r"\w+")
 
 
 def kernel(function: Callable[P, R]) -> Callable[P, R]:
-    """Compile a drawing kernel on its first call: without the GIL, products fused, no errors for divisions by zero."""
+    """Compile a drawing kernel on its first call: no GIL, products fused, no division errors."""
     return _compiled(function, nogil=True, error_model="numpy", fastmath=_FAST)
 
 
 def exact_kernel(function: Callable[P, R]) -> Callable[P, R]:
-    """Compile a kernel whose numbers must be those that Python would give."""
+    """Compile a kernel whose numbers must be those of Python."""
     return _compiled(function)
-
-
-def _frozen_digest(compiled: Any) -> str:
-    """SHA-256 over a kernel's code and options and over all that is frozen into it, without comments and places.
-
-    Raises:
-        TypeError: It names something of its own package that can be no constant.
-    """
-    digest = hashlib.sha256(f"numpy {np.__version__}".encode())
-    for fact in _facts(compiled, compiled.py_func.__module__.partition(".")[0], set()):
-        digest.update(f"{fact}\n".encode())
-    return digest.hexdigest()
 
 
 def _compiled(function: Callable[P, R], **options: Any) -> Callable[P, R]:
     compiled: Any = numba.njit(**options)(function)
-    if is_jitted(compiled):  # not when numba is told by its user to compile nothing
-        try:
+    # Not jitted where numba's user has turned compilation off.
+    if is_jitted(compiled):
+        # No folder can be written: "cannot cache function: no locator available".
+        with suppress(RuntimeError):
             compiled._cache = _FrozenCache(compiled)  # type: ignore[attr-defined]
-        except RuntimeError:  # "cannot cache function: no locator available"
-            return cast("Callable[P, R]", compiled)
     return cast("Callable[P, R]", compiled)
 
 
 class _UserLocator(UserWideCacheLocator):
-    """The place for a package that cannot be written: in wcsim's cache, which is found without a home, too."""
+    """The place for a package that cannot be written: in wcsim's cache, which needs no home."""
 
     def __init__(self, py_func: Any, py_file: str) -> None:
         """As numba makes it."""
@@ -107,41 +97,43 @@ class _FrozenCache(FunctionCache):
         """Find a folder; raises RuntimeError when there is none that can be written."""
         super().__init__(compiled.py_func)  # type: ignore[no-untyped-call]
         self._compiled = compiled
-        self._stem = self._impl.filename_base.rpartition("-")[
-            0
-        ]  # without the line, which says nothing
-        self._aimed = False
-        # A caller's lock is taken before those of its callees, never the other way: so no two wait for each other.
-        self._lock, self._owner = (
-            FileLock(Path(self._cache_path) / f"{self._stem}.lock"),
-            os.getpid(),
-        )
+        # Without the kernel's line, which may move.
+        self._stem = self._impl.filename_base.rpartition("-")[0]
+        self._is_named = False
+        # A caller's lock is taken before those of its callees, never the other way: so no two
+        # processes wait for each other.
+        self._lock = FileLock(Path(self._cache_path) / f"{self._stem}.lock")
+        self._owner = os.getpid()
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """The machine code for a signature, or None: then this process is to make it, and has the lock till it did."""
-        self._aim()
+        """The machine code for a signature; None where this process is to compile it.
+
+        Then it holds the lock until it has.
+        """
+        self._name_file()
         found = super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]
-        if found is None and self._locked():
+        if found is None and self._acquire_lock():
+            # Another process may have compiled it meanwhile.
             found = super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]
             if found is not None:
                 self._lock.release(force=True)
         return found
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        """Keep the machine code for a signature, and let go of old copies."""
-        self._aim()
+        """Store the machine code for a signature, and remove old copies."""
+        self._name_file()
         try:
             super().save_overload(sig, data)  # type: ignore[no-untyped-call]
-            _keep_newest(Path(self._cache_path), self._stem)
+            _remove_old_copies(Path(self._cache_path), self._stem)
         finally:
             self._lock.release(force=True)
 
-    def _locked(self) -> bool:
-        """Wait for the lock; False where none can be had: then each process compiles for itself."""
-        if (
-            self._owner != os.getpid()
-        ):  # a lock that came through a fork is the parent's, and refuses to be taken
-            self._lock, self._owner = FileLock(self._lock.lock_file), os.getpid()
+    def _acquire_lock(self) -> bool:
+        """Wait for the lock; False where there is none: then each process compiles for itself."""
+        # After a fork the lock is the parent's, and refuses to be acquired.
+        if self._owner != os.getpid():
+            self._lock = FileLock(self._lock.lock_file)
+            self._owner = os.getpid()
         self._lock.release(force=True)  # of a compilation that failed
         try:
             self._lock.acquire(timeout=LONGEST_WAIT_S)
@@ -149,35 +141,51 @@ class _FrozenCache(FunctionCache):
             return False
         return True
 
-    def _aim(self) -> None:
-        if not self._aimed:
+    def _name_file(self) -> None:
+        """Name this kernel's copy by its digest, at its first call."""
+        if not self._is_named:
             digest = _frozen_digest(self._compiled)
             name = f"{self._stem}-{digest[:24]}.py{sys.version_info[0]}{sys.version_info[1]}"
             self._cache_file = IndexDataCacheFile(self._cache_path, name, digest)  # type: ignore[no-untyped-call]
-            self._aimed = True
+            self._is_named = True
 
 
-def _keep_newest(folder: Path, stem: str) -> None:
-    """Remove all but the newest copies; what another process has removed meanwhile is gone too."""
+def _remove_old_copies(folder: Path, stem: str) -> None:
+    """Remove all but the newest copies; another process may remove some meanwhile."""
     dated: list[tuple[int, Path]] = []
     for index in folder.glob(f"{stem}-*.nbi"):
         try:
             dated.append((index.stat().st_mtime_ns, index))
         except OSError:
             continue
-    for _, index in sorted(dated, reverse=True)[KEPT:]:
+    for _, index in sorted(dated, reverse=True)[MOST_COPIES:]:
         for path in (index, *folder.glob(f"{index.stem}.*.nbc")):
             path.unlink(missing_ok=True)
 
 
+def _frozen_digest(compiled: Any) -> str:
+    """SHA-256 over a kernel's code and options, and over all that is frozen into it.
+
+    Comments and lines do not count.
+
+    Raises:
+        TypeError: It names something of its own package that can be no constant.
+    """
+    digest = hashlib.sha256(f"numpy {np.__version__}".encode())
+    for fact in _facts(compiled, compiled.py_func.__module__.partition(".")[0], set()):
+        digest.update(f"{fact}\n".encode())
+    return digest.hexdigest()
+
+
 def _facts(value: Any, package: str, seen: set[int]) -> Iterator[object]:
-    """What a value is, as things whose `str` is the same in each process that has the same value."""
+    """A value as objects whose `str` is the same in each process that has the same value."""
     if is_jitted(value):
         options = value.targetoptions.items()
         yield [
             (name, sorted(was) if isinstance(was, set) else was) for name, was in sorted(options)
         ]
-        value, package = value.py_func, value.py_func.__module__.partition(".")[0]
+        value = value.py_func
+        package = value.__module__.partition(".")[0]
     if isinstance(value, FunctionType) and value.__module__.partition(".")[0] == package:
         if id(value) not in seen:
             seen.add(id(value))
@@ -191,7 +199,10 @@ def _facts(value: Any, package: str, seen: set[int]) -> Iterator[object]:
 
 
 def _plain_fact(value: Any, package: str) -> object:
-    """What a value is that holds no function and no other values but numbers."""
+    """A value that holds no function and no other values but numbers.
+
+    Of something from a library the name stands for it: its code changes with its version alone.
+    """
     if isinstance(value, type) and issubclass(value, Enum):
         return value.__qualname__, [
             (name, member.value) for name, member in value.__members__.items()
@@ -203,23 +214,21 @@ def _plain_fact(value: Any, package: str) -> object:
     if value is None or isinstance(value, bool | int | float | complex | str | bytes | Enum):
         return type(value).__qualname__, repr(value)
     if isinstance(value, ModuleType):
-        return value.__name__  # what is taken from it, `_function_facts` knows
-    return _foreign(value, package)
-
-
-def _foreign(value: Any, package: str) -> str:
-    """The name of something of a library, whose code changes with its version alone."""
+        # `_function_facts` adds what the kernel takes from it.
+        return value.__name__
     home = getattr(value, "__module__", None) or type(value).__module__
     if home.partition(".")[0] == package:
         raise TypeError(
-            f"a kernel refers to {value!r}; expected a kernel, a number, an array, a tuple, an enumeration"
+            f"a kernel refers to {value!r}; expected a kernel, a number, an array, a tuple, an "
+            "enumeration"
         )
     return f"{home}.{getattr(value, '__qualname__', type(value).__qualname__)}"
 
 
 def _function_facts(function: FunctionType, package: str, seen: set[int]) -> Iterator[object]:
     known = function.__globals__
-    yield function.__module__  # a copy on disk imports it by its name, so it is of no use once that has moved
+    # A copy on disk imports its module by name, so it is of no use once that has moved.
+    yield function.__module__
     for code in _codes(function.__code__):
         yield code.co_name, code.co_code.hex(), code.co_names, code.co_varnames, code.co_freevars
         for value in (*code.co_consts, *(known[name] for name in code.co_names if name in known)):
@@ -232,7 +241,7 @@ def _function_facts(function: FunctionType, package: str, seen: set[int]) -> Ite
                 )
     closed = tuple(cell.cell_contents for cell in function.__closure__ or ())
     yield from _all_facts((function.__defaults__ or (), closed), package, seen)
-    # a tuple with names comes in as an argument: its kind counts by name alone in numba's own key
+    # An argument may be a tuple with names: in numba's own key its class counts by name alone.
     words = (
         word for note in function.__annotations__.values() for word in _WORD.findall(str(note))
     )

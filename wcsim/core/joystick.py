@@ -1,7 +1,8 @@
-"""The one law by which a chair's controller takes a joystick: dead band, shape, limits of speed, acceleration and jerk.
+"""The one law by which a chair's controller follows a joystick.
 
-The drive (`physics/wheelchair/drive_controller.py`) obeys it, the oracle and `dwa` reckon with it, the simulated user
-steers by its inverse.
+It has a dead band, a shape, and limits of speed, acceleration and jerk. The drive
+(`physics/wheelchair/drive_controller.py`) obeys it, the oracle and `dwa` predict by it, and the
+simulated user steers by its inverse.
 """
 
 from __future__ import annotations
@@ -16,12 +17,12 @@ from wcsim.types import F64
 
 STILL_MPS: Final = 1e-3
 
-# the limits of a drive (8,)
+# Places in the limits of a drive (8,).
 V_MAX, REVERSE, ACCEL, DECEL, JERK, YAW_MAX, YAW_ACCEL, YAW_SLOWDOWN = range(8)
 
 
 class _DriveSettings(Protocol):
-    """What a chair's controller is programmed to, as `wcsim.config.ChairConfig` has it."""
+    """The settings of a chair's controller, as in `wcsim.config.ChairConfig`."""
 
     @property
     def v_max_mps(self) -> float: ...
@@ -66,7 +67,7 @@ def shaped_rows(joysticks: F64, chair: _DriveSettings) -> F64:
 
 
 def pushed(radius: float, chair: _DriveSettings) -> float:
-    """How far a stick must be pushed out for `shaped` to give `radius`: what a practised driver knows.
+    """How far out a stick must be for `shaped` to give `radius`; practised drivers know this.
 
     >>> from wcsim.config import ChairConfig
     >>> round(pushed(0.5, ChairConfig(deadband=0.1)), 3), pushed(0.0, ChairConfig())
@@ -78,7 +79,7 @@ def pushed(radius: float, chair: _DriveSettings) -> float:
 
 @exact_kernel
 def shaped(x: float, y: float, deadband: float, exponent: float) -> tuple[float, float]:
-    """A joystick position inside the unit disc, without its deadband, then shaped along its radius."""
+    """A joystick position within the unit disc, without the deadband, shaped along its radius."""
     radius = math.sqrt(x * x + y * y)
     if not radius > deadband:
         return 0.0, 0.0
@@ -93,10 +94,10 @@ def yaw_rate_limit(v_mps: float, yaw_max_radps: float, slowdown_s_per_m: float) 
 
 
 @exact_kernel
-def wanted(x: float, y: float, v_now_mps: float, limits: F64) -> tuple[float, float]:
-    """The speeds that a shaped joystick position asks for: forward in m/s, turn to the left in rad/s.
+def target_speeds(x: float, y: float, v_now_mps: float, limits: F64) -> tuple[float, float]:
+    """The target speeds of a shaped joystick position: forward in m/s, turn to the left in rad/s.
 
-    The faster of the speed of now and the one asked for limits the turn.
+    The faster of the current and the target speed limits the turn.
     """
     v = y * limits[V_MAX]
     if y < 0.0:
@@ -114,20 +115,20 @@ def towards(value: float, goal: float, most: float) -> float:
 
 @exact_kernel
 def follow_speed(
-    v_mps: float, a_mps2: float, v_wanted_mps: float, limits: F64, dt_s: float
+    v_mps: float, a_mps2: float, v_target_mps: float, limits: F64, dt_s: float
 ) -> tuple[float, float]:
-    """Speed and acceleration `dt_s` later, within the limits of acceleration and jerk, without overshoot."""
+    """Speed and acceleration `dt_s` later, without overshoot; acceleration and jerk are limited."""
     jerk = limits[JERK]
-    gap = v_wanted_mps - v_mps
+    gap = v_target_mps - v_mps
     limit = limits[DECEL] if v_mps * gap < 0.0 else limits[ACCEL]
-    # sqrt(2 j |gap|) is the acceleration from which a jerk of j ends exactly at the wanted speed; one step ahead, so
-    # that the jerk has not to catch up at the end
+    # From an acceleration of sqrt(2 j |gap|) a jerk of j ends exactly at the target speed. It is
+    # taken one step ahead, so that the jerk need not catch up at the end.
     ahead = gap - a_mps2 * dt_s
-    a_wanted = math.copysign(min(limit, math.sqrt(2.0 * jerk * abs(ahead))), ahead)
-    a_mps2 = towards(a_mps2, a_wanted, jerk * dt_s)
+    a_target = math.copysign(min(limit, math.sqrt(2.0 * jerk * abs(ahead))), ahead)
+    a_mps2 = towards(a_mps2, a_target, jerk * dt_s)
     move = a_mps2 * dt_s
     if abs(gap) <= abs(move) + STILL_MPS * dt_s and abs(a_mps2) <= 2.0 * jerk * dt_s + 0.1:
-        return v_wanted_mps, 0.0
+        return v_target_mps, 0.0
     return v_mps + move, a_mps2
 
 
@@ -135,7 +136,10 @@ def follow_speed(
 def driven(
     v: float, w: float, a: float, stick_x: float, stick_y: float, limits: F64, dt_s: float
 ) -> tuple[float, float, float]:
-    """Speed, turn rate and acceleration `dt_s` later, as the drive follows a shaped stick within its limits (8,)."""
-    v_wanted, w_wanted = wanted(stick_x, stick_y, v, limits)
-    v, a = follow_speed(v, a, v_wanted, limits, dt_s)
-    return v, towards(w, w_wanted, limits[YAW_ACCEL] * dt_s), a
+    """Speed, turn rate and acceleration `dt_s` later; the drive follows a shaped stick.
+
+    `limits` (8,) are in the order of the names above.
+    """
+    v_target, w_target = target_speeds(stick_x, stick_y, v, limits)
+    v, a = follow_speed(v, a, v_target, limits, dt_s)
+    return v, towards(w, w_target, limits[YAW_ACCEL] * dt_s), a

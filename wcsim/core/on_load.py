@@ -1,4 +1,4 @@
-"""Something to do with a library as soon as somebody loads it, without loading it for that."""
+"""Calls a function with a library as soon as that is loaded, without loading it for that."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Action = Callable[[ModuleType], None]
 
 
 def on_load(module: str, act: Action) -> None:
-    """Call `act` with a module: now if it is loaded, else right after it was, whoever loads it."""
+    """Call `act` with a module: now if it is loaded, else right after its first load."""
     loaded = sys.modules.get(module)
     if loaded is not None:
         act(loaded)
@@ -33,7 +33,8 @@ class _Watch(MetaPathFinder):
     ) -> ModuleSpec | None:
         if fullname != self._module:
             return None
-        self._module = ""  # once; it stays in the list, through which other threads may go just now
+        # Once: it stays in the list, as other threads may be walking through that just now.
+        self._module = ""
         spec = find_spec(fullname)
         if spec is not None and spec.loader is not None:
             spec.loader = _Followed(spec.loader, self._act)
@@ -51,9 +52,8 @@ class _Followed(Loader):
         return self._own.create_module(spec)
 
     def exec_module(self, module: ModuleType) -> None:
-        if (
-            module.__spec__ is not None
-        ):  # whoever asks the module for its source asks its own loader
+        # The module's source is read through its own loader.
+        if module.__spec__ is not None:
             module.__spec__.loader = module.__loader__ = self._own
         self._own.exec_module(module)
         self._act(module)

@@ -1,7 +1,7 @@
-"""A user's own classes, named `module:Class` on their own command line; importing a module runs its code.
+"""A user's own classes, named `module:Class` on the command line; importing one runs its code.
 
-They are never taken from a run folder, a policy or a town: what somebody else has written must not decide which code
-runs here.
+They are never taken from a run folder, a policy or a town: a file of another person must not decide
+which code runs here.
 """
 
 from __future__ import annotations
@@ -18,14 +18,15 @@ from importlib.machinery import ModuleSpec, PathFinder
 from modulefinder import ModuleFinder
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, Final
 
 from wcsim.core.reading import escaped, is_file
 from wcsim.errors import PolicyError, WcsimError
 
-_SUFFIX, _PACKAGE = ".py", "__init__.py"
-_MOST_TOLD = 200  # characters of what it said
-_NAME = re.compile(r"[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*")
+_SUFFIX: Final = ".py"
+_PACKAGE: Final = "__init__.py"
+_MOST_CHARACTERS: Final = 200  # of an error's message
+_NAME: Final = re.compile(r"[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*")
 
 
 def find_class(name: str, what: str, error: type[WcsimError] = PolicyError) -> type:
@@ -33,19 +34,21 @@ def find_class(name: str, what: str, error: type[WcsimError] = PolicyError) -> t
 
     Args:
         name: As the user wrote it.
-        what: What it is for, in the messages.
+        what: Its purpose, for the messages.
         error: What to raise.
 
     Raises:
         WcsimError: There is no such module or class, or importing it failed; of the kind `error`.
     """
-    if not _NAME.fullmatch(name):  # a path, absolute or with "..", would reach any file
+    # A path, absolute or with "..", would reach any file.
+    if not _NAME.fullmatch(name):
         raise error(f"{what} {escaped(name)!r} is not module:Class, as in own_file:OwnClass")
     module_name, _, class_name = name.partition(":")
     if module_name.endswith(_SUFFIX):
         right = f"{module_name.removesuffix(_SUFFIX)}:{class_name}"
         raise error(
-            f"{what} {escaped(name)!r} names a file; expected module:Class, without {_SUFFIX}: {right}"
+            f"{what} {escaped(name)!r} names a file; expected module:Class, without {_SUFFIX}: "
+            f"{right}"
         )
     found = getattr(_module(module_name, what, error), class_name, None)
     if not isinstance(found, type):
@@ -55,10 +58,10 @@ def find_class(name: str, what: str, error: type[WcsimError] = PolicyError) -> t
 
 @contextlib.contextmanager
 def running_own(what: str, cure: str, error: type[WcsimError] = PolicyError) -> Iterator[None]:
-    """While open, whatever a user's own code raises becomes one line that says where.
+    """While open, whatever a user's own code raises becomes one line with its place.
 
     Args:
-        what: Whose code runs, and in what, for the message.
+        what: The code that runs, for the message.
         cure: What to do about it.
         error: What to raise.
 
@@ -74,15 +77,17 @@ def running_own(what: str, cure: str, error: type[WcsimError] = PolicyError) -> 
 
 
 def described(fault: Exception) -> str:
-    """What somebody's code raised, and where."""
+    """An error of a user's code, and its place."""
     line = traceback.extract_tb(fault.__traceback__)[-1]
-    return f"{type(fault).__name__}: {str(fault).strip()[:_MOST_TOLD]} ({line.filename}, line {line.lineno})"
+    message = str(fault).strip()[:_MOST_CHARACTERS]
+    return f"{type(fault).__name__}: {message} ({line.filename}, line {line.lineno})"
 
 
 def sources_of(name: str, what: str) -> dict[str, Path]:
-    """The file of the module that `module:Class` names, and all beside it that it imports, at once or later.
+    """The files of the module that `module:Class` names, and of all beside it that it imports.
 
-    What is installed is left to its version, and wcsim to its own digest.
+    Imports in functions count, too. Installed packages are known by their version, wcsim by its own
+    digest.
 
     Returns:
         By their names from the folder on in which the module was found.
@@ -105,37 +110,39 @@ def sources_of(name: str, what: str) -> dict[str, Path]:
 
 
 def _module(name: str, what: str, error: type[WcsimError]) -> ModuleType:
-    """Import a module; a file in the current folder wins over nothing else but a missing module."""
+    """Import a module; the current folder counts only where it is found nowhere else."""
     try:
-        if name in sys.modules or _is_found(name) or _look_here(name):
+        if name in sys.modules or _is_found(name) or _is_found_here(name):
             return importlib.import_module(name)
     except Exception as fault:  # the user's own file may raise anything
         raise error(
             f"{what} module {name!r} failed to import: {type(fault).__name__}: {fault}"
         ) from fault
+    file = Path(name.replace(".", "/") + _SUFFIX)
+    for folder in file.parents[-2::-1] if is_file(file) else ():
+        if not is_file(folder / _PACKAGE):
+            raise error(
+                f"{what} module {name!r} was not found: {folder} has no {_PACKAGE}; add one, an "
+                "empty file is enough"
+            )
     raise error(
-        f"{what} module {name!r} was not found{_cure(Path(name.replace('.', '/') + _SUFFIX))}"
+        f"{what} module {name!r} was not found; expected {file} in {Path.cwd()} or on PYTHONPATH"
     )
-
-
-def _cure(file: Path) -> str:
-    """What to do about a module that should be in this file."""
-    bare = next((folder for folder in file.parents[-2::-1] if not is_file(folder / _PACKAGE)), None)
-    if is_file(file) and bare is not None:
-        return f": {bare} has no {_PACKAGE}; add one, an empty file is enough"
-    return f"; expected {file} in {Path.cwd()} or on PYTHONPATH"
 
 
 def _is_found(name: str) -> bool:
     """Whether Python finds it; the packages above it are imported."""
     head = name.rpartition(".")[0]
-    return (not head or head in sys.modules or _is_found(head)) and importlib.util.find_spec(
-        name
-    ) is not None
+    if head and head not in sys.modules and not _is_found(head):
+        return False
+    return importlib.util.find_spec(name) is not None
 
 
-def _look_here(name: str) -> bool:
-    """Whether the current folder has it, which is looked through from now on: the module may import its neighbours."""
+def _is_found_here(name: str) -> bool:
+    """Whether the current folder has it; then Python searches this folder from now on.
+
+    The module may import its neighbours.
+    """
     importlib.invalidate_caches()
     if _CurrentFolder.find_spec(name.partition(".")[0]) is None:
         return False
@@ -145,7 +152,10 @@ def _look_here(name: str) -> bool:
 
 
 class _Beside(ModuleFinder):
-    """Finds what a module imports, without running it; a folder alone is no package here, and would end it."""
+    """Finds what a module imports, without running it.
+
+    A folder without `__init__.py` is no package here, and would end the search.
+    """
 
     def find_module(self, name: str, path: Any, parent: Any = None) -> Any:
         found = PathFinder.find_spec(name, self.path if path is None else path)
@@ -161,6 +171,6 @@ class _CurrentFolder:
     def find_spec(
         cls, fullname: str, path: Sequence[str] | None = None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        """Where a module is; a folder alone is no package here."""
+        """The place of a module; a folder without `__init__.py` is no package here."""
         found = PathFinder.find_spec(fullname, [str(Path.cwd())], target) if path is None else None
         return found if found is not None and found.loader is not None else None

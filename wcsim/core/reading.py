@@ -1,7 +1,8 @@
-"""The one door for files that others may have written: regular, of bounded size, depth and numbers, in UTF-8.
+"""The one way to read files that others may have written.
 
-A `FileKind` says what a file should be and which error tells that it is not; whatever is wrong with a file, that error
-and no other comes out. Nothing here follows what a file says.
+They must be regular, of bounded size, depth and numbers, in UTF-8. A `FileKind` is what a file
+should be; whatever is wrong with one, its reader raises the kind's error and no other. Nothing here
+executes or follows a file's content.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ import sys
 import tomllib
 import zlib
 from collections.abc import Collection, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, Final, NoReturn
@@ -28,28 +29,23 @@ from wcsim.errors import ConfigError, FileError, JournalError, PolicyError, Town
 if TYPE_CHECKING:
     import zstandard
 
-MOST_JSON_BYTES = (
-    1 << 20
-)  # in a record; sound ones have up to 6 kB, and read it takes 60 times as much memory
-MOST_MEMORY_BYTES = 120 << 20  # that reading a text may take, with all that is made of it
-# Bytes that what a letter stands for takes at most, beside its letters: a list, a table, a row or a value.
-_COSTS: Final = {letter: 110 for letter in "[{,=\n"}
-_JSON_COSTS: Final = {
-    "[": 95,
-    "{": 200,
-    ",": 40,
-    ":": 110,
-    '"': 22,
-}  # a value of a table has all but the brackets
-MOST_LINE = 1 << 16  # letters
-MOST_LINES = 4_500_000
-MAX_DEPTH = 32  # of tables and lists inside each other
-MAX_INTEGER = (1 << 64) - 1  # by magnitude; no number in any of wcsim's files is larger
-MAX_DOTTED = 16  # parts of a TOML key; tomllib takes a time that grows with their square
-_DOTTED = re.compile(
+# In a record; sound ones have up to 6 kB, and decoding takes 60 times as much memory.
+MOST_JSON_BYTES: Final = 1 << 20
+MOST_MEMORY_BYTES: Final = 120 << 20  # that reading a text may take, with all that is made of it
+MOST_LINE: Final = 1 << 16  # characters
+MOST_LINES: Final = 4_500_000
+MAX_DEPTH: Final = 32  # of tables and lists inside each other
+MAX_INTEGER: Final = (1 << 64) - 1  # by magnitude; no number in any of wcsim's files is larger
+MAX_DOTTED: Final = 16  # parts of a TOML key; tomllib takes a time that grows with their square
+_MIB: Final = 1 << 20
+# Most bytes of what is made of a character, beside it: a list, a table, a row or a value.
+_COSTS: Final = {character: 110 for character in "[{,=\n"}
+# A value of a table has all but the brackets.
+_JSON_COSTS: Final = {"[": 95, "{": 200, ",": 40, ":": 110, '"': 22}
+_DOTTED: Final = re.compile(
     rf"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){{{MAX_DOTTED}}}"""
 )
-_MESSAGE_CHARACTERS = 200
+_MESSAGE_CHARACTERS: Final = 200
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -62,9 +58,9 @@ class FileKind:
     memory_bytes: int = MOST_MEMORY_BYTES  # of a text
 
 
-# Every kind of file that others may have written. The bytes are those of the file, and again of what it unpacks to; a
-# text may take `MOST_MEMORY_BYTES` with all that is made of it. What is read in lines or pieces may be larger.
-_MIB: Final = 1 << 20
+# Every kind of file that others may have written. The bytes are those of the file, and again of its
+# unpacked content; a text may take `MOST_MEMORY_BYTES` with all that is made of it. What is read in
+# lines or pieces may be larger.
 
 # Settings, and what people write.
 SETTINGS: Final = FileKind(what="a TOML file of at most a megabyte", limit_bytes=_MIB)
@@ -73,9 +69,10 @@ VALUE: Final = FileKind(what="a value in TOML's syntax", limit_bytes=_MIB)
 PROFILE: Final = FileKind(what="a user's profile as TOML", limit_bytes=_MIB // 16)
 STUDY_TABLE: Final = FileKind(what="a study's table", limit_bytes=16 * _MIB)
 STICK: Final = FileKind(what="a recorded joystick", limit_bytes=64 * _MIB)  # in lines
+# In lines.
 CHAIR: Final = FileKind(
     what="CSV of at most 64 MiB, plain or compressed by gzip", limit_bytes=64 * _MIB
-)  # in lines
+)
 
 # Towns and scenes.
 TOWN: Final = FileKind(what="a town.toml", limit_bytes=_MIB, error=TownError)
@@ -98,9 +95,8 @@ RUN: Final = FileKind(
     what="a file of `wcsim train`: restore it or train again", limit_bytes=_MIB, error=PolicyError
 )
 METRICS: Final = FileKind(what="the log of a run", limit_bytes=16 * _MIB, error=PolicyError)
-METRIC_LINES: Final = FileKind(
-    what="the log of a run", limit_bytes=64 * _MIB, error=PolicyError
-)  # to go on with it
+# Where a run goes on with it.
+METRIC_LINES: Final = FileKind(what="the log of a run", limit_bytes=64 * _MIB, error=PolicyError)
 CLAIM: Final = FileKind(what="a client's claim", limit_bytes=1 << 10, error=PolicyError)
 LEARNED: Final = FileKind(
     what="the learned_data.json of a run", limit_bytes=16 * _MIB, error=PolicyError
@@ -136,9 +132,8 @@ KEY: Final = FileKind(what="a key of 32 bytes", limit_bytes=32, error=PolicyErro
 EPISODES: Final = FileKind(what="a list of test episodes", limit_bytes=16 * _MIB)
 BLOCK: Final = FileKind(what="a saved block of `wcsim test`: remove it", limit_bytes=16 * _MIB)
 RESULT: Final = FileKind(what="a file of `wcsim test`: run it again", limit_bytes=32 * _MIB)
-LOG: Final = FileKind(
-    what="a log written by wcsim", limit_bytes=1 << 62, error=JournalError
-)  # in records
+# In records.
+LOG: Final = FileKind(what="a log written by wcsim", limit_bytes=1 << 62, error=JournalError)
 WHOLE_LOG: Final = FileKind(
     what="a log whose ticks are read at once", limit_bytes=256 * _MIB, error=JournalError
 )
@@ -148,9 +143,9 @@ ORDER: Final = FileKind(what="an order to a process of wcsim", limit_bytes=16 * 
 
 @contextmanager
 def opened(path: Path, kind: FileKind) -> Iterator[BinaryIO]:
-    """A regular file, open for reading from its beginning; what goes wrong while it is open is told as `kind.error`.
+    """A regular file, open for reading; what fails while it is open becomes `kind.error`.
 
-    A pipe, a device or a folder is refused without being read, so none of them can hang or fill this process.
+    A pipe, a device or a folder is refused unread, so that none can hang or fill this process.
 
     Raises:
         FileError: Of the kind's class: no such file, no regular one, or reading it failed.
@@ -163,13 +158,9 @@ def opened(path: Path, kind: FileKind) -> Iterator[BinaryIO]:
             yield file
     except OSError as error:
         reason = error.strerror or error
-        raise kind.error(
-            f"{escaped(path)}: cannot be read ({reason}); expected {kind.what}"
-        ) from None
+        raise _unreadable(path, kind, reason) from None
     except ValueError as error:  # NUL in the path
-        raise kind.error(
-            f"{escaped(path)}: cannot be read ({error}); expected {kind.what}"
-        ) from None
+        raise _unreadable(path, kind, error) from None
 
 
 def read_bytes(path: Path, kind: FileKind) -> bytes:
@@ -185,45 +176,51 @@ def read_bytes(path: Path, kind: FileKind) -> bytes:
 
 
 def read_text(path: Path, kind: FileKind, costs: Mapping[str, int] = _COSTS) -> str:
-    """The content of a file in UTF-8, with or without its mark, or packed as .gz. Raises FileError of its kind.
+    """The content of a file in UTF-8, with or without its mark, or packed as .gz.
 
-    `costs` are bytes by letter, of what is made of the text.
+    `costs` are the bytes of what is made of the text, by character. Raises FileError of its kind.
     """
     data = read_bytes(path, kind)
     if path.suffix == ".gz":
-        data = _unpacked(data, path, kind)
+        data = _gunzipped(data, path, kind)
     try:
         text = data.removeprefix(codecs.BOM_UTF8).decode("utf-8")
     except UnicodeDecodeError as error:
         raise kind.error(
-            f"{escaped(path)}: is not in UTF-8 ({error.reason} at byte {error.start}); save it as UTF-8"
+            f"{escaped(path)}: is not in UTF-8 ({error.reason} at byte {error.start}); "
+            "save it as UTF-8"
         ) from None
-    # One letter beyond Latin makes all others wider; and what is made of the text holds its letters once more.
-    made = sum(cost * text.count(letter) for letter, cost in costs.items())
+    # One character beyond Latin makes all others wider, and what is made of them holds them again.
+    made = sum(cost * text.count(character) for character, cost in costs.items())
     if 2 * sys.getsizeof(text) + made > kind.memory_bytes:
         raise kind.error(
-            f"{escaped(path)}: would take more than {kind.memory_bytes >> 20} MiB to read; expected {kind.what}"
+            f"{escaped(path)}: would take more than {kind.memory_bytes >> 20} MiB to read; "
+            f"expected {kind.what}"
         )
     return text
 
 
 def read_lines(path: Path, kind: FileKind) -> Iterator[str]:
-    """The lines of a text in UTF-8, plain or packed as .gz, one after the other: it is never held as a whole.
+    """The lines of a text in UTF-8, plain or packed as .gz; it is never held as a whole.
 
     Raises:
-        FileError: Of the kind's class; also for more than `MOST_LINES` lines, or one of more than `MOST_LINE` letters.
+        FileError: Of the kind's class; also for more than `MOST_LINES` lines, or one of more than
+            `MOST_LINE` characters.
     """
     with opened(path, kind) as file:
-        left, lines = kind.limit_bytes, 0
+        left = kind.limit_bytes
+        lines = 0
         try:
             packed = gzip.GzipFile(fileobj=file) if path.suffix == ".gz" else file
             text = io.TextIOWrapper(packed, encoding="utf-8-sig", newline="")
             while line := text.readline(MOST_LINE + 1):
-                left, lines = left - len(line), lines + 1
+                left -= len(line)
+                lines += 1
                 if left < 0 or lines > MOST_LINES or len(line) > MOST_LINE:
                     raise kind.error(
-                        f"{escaped(path)}:{lines}: more than {kind.limit_bytes} bytes or {MOST_LINES} lines, or a line "
-                        f"of more than {MOST_LINE} letters; expected {kind.what}"
+                        f"{escaped(path)}:{lines}: more than {kind.limit_bytes} bytes or "
+                        f"{MOST_LINES} lines, or a line of more than {MOST_LINE} letters; "
+                        f"expected {kind.what}"
                     )
                 yield line
         except UnicodeDecodeError:
@@ -231,21 +228,7 @@ def read_lines(path: Path, kind: FileKind) -> Iterator[str]:
                 f"{escaped(path)}:{lines + 1}: is not in UTF-8; save it as UTF-8"
             ) from None
         except (EOFError, zlib.error) as error:
-            raise kind.error(
-                f"{escaped(path)}: cannot be read ({error}); expected {kind.what}"
-            ) from None
-
-
-def _unpacked(data: bytes, path: Path, kind: FileKind) -> bytes:
-    unpack = zlib.decompressobj(wbits=zlib.MAX_WBITS | 16)  # gzip alone
-    try:
-        found = unpack.decompress(data, kind.limit_bytes)
-    except zlib.error:
-        found = b""
-    if not unpack.eof or unpack.unused_data:
-        message = f"is no single gzip file of at most {kind.limit_bytes} bytes unpacked; expected {kind.what}"
-        raise kind.error(f"{escaped(path)}: {message}")
-    return found
+            raise _unreadable(path, kind, error) from None
 
 
 def read_json(path: Path, kind: FileKind) -> dict[str, Any]:
@@ -261,22 +244,25 @@ def read_toml(path: Path, kind: FileKind) -> dict[str, Any]:
 def parse_json(
     text: str, where: str, kind: FileKind, most_bytes: int = MOST_JSON_BYTES
 ) -> dict[str, Any]:
-    """JSON text as an object; a key that comes twice is refused, as two readers may differ in which one counts.
+    """JSON text as an object; a key must not occur twice, as readers differ in which one counts.
 
     Raises:
-        FileError: Of the kind's class, beginning with `where`; also for text that is too long to be looked at.
+        FileError: Of the kind's class, beginning with `where`; also for text that is too long to be
+            parsed.
     """
     if len(text) > most_bytes:
         raise kind.error(
-            f"{where}: has {len(text)} characters of JSON; expected at most {most_bytes} for {kind.what}"
+            f"{where}: has {len(text)} characters of JSON; expected at most {most_bytes} for "
+            f"{kind.what}"
         )
     try:
-        data = json.loads(text, object_pairs_hook=_once, parse_constant=_no_constant)
+        data = json.loads(text, object_pairs_hook=_unique, parse_constant=_no_constant)
     except (ValueError, RecursionError, MemoryError) as error:
         raise kind.error(f"{where}: is not JSON: {_short(error)}; expected {kind.what}") from None
     if not isinstance(data, dict):
         raise kind.error(
-            f"{where}: contains a {type(data).__name__}; expected {kind.what}, which is a JSON object"
+            f"{where}: contains a {type(data).__name__}; expected {kind.what}, which is a JSON "
+            "object"
         )
     _require_bounded(data, where, kind)
     return data
@@ -296,49 +282,27 @@ def parse_toml(text: str, where: str, kind: FileKind) -> dict[str, Any]:
     return data
 
 
-def _require_bounded(
-    data: Any, where: str, kind: FileKind, name: object = "it", depth: int = 0
-) -> None:
-    """Refuse nesting beyond `MAX_DEPTH`, numbers not finite or beyond `MAX_INTEGER`, and text that is no Unicode.
-
-    Raises:
-        FileError: Of the kind's class.
-    """
-    if not isinstance(data, dict | list):
-        _require_plain(data, where, name, kind)
-        return
-    if depth > MAX_DEPTH:
-        raise kind.error(
-            f"{where}: is nested more than {MAX_DEPTH} levels deep; expected {kind.what}"
-        )
-    for key in data if isinstance(data, dict) else ():
-        _require_plain(key, where, name, kind)
-    for key, value in data.items() if isinstance(data, dict) else ((name, item) for item in data):
-        _require_bounded(value, where, kind, key, depth + 1)
-
-
 def unzstd(
     packed: bytes, most_bytes: int, unpacker: zstandard.ZstdDecompressor | None = None
 ) -> bytes:
-    """What a zstd frame holds, at most so many bytes; `unpacker` is used again where there are many.
+    """The content of a zstd frame, at most so many bytes; for many frames pass one `unpacker`.
 
     Raises:
-        ValueError: It says that it holds more than `most_bytes`.
-        zstandard.ZstdError: It is no whole frame, or holds more than it says.
+        ValueError: Its header names more than `most_bytes`.
+        zstandard.ZstdError: It is no whole frame, or holds more than its header names.
     """
-    import zstandard  # which commands that only read text need not wait for
+    # Imported here, as commands that only read text need not wait for it.
+    import zstandard
 
-    if zstandard.frame_content_size(packed) > max(
-        most_bytes, 1
-    ):  # zstd takes what a frame says for the limit
+    limit = max(most_bytes, 1)
+    # Zstd itself takes the size in the header for the limit.
+    if zstandard.frame_content_size(packed) > limit:
         raise ValueError(f"more than {most_bytes} bytes")
-    return (unpacker or zstandard.ZstdDecompressor()).decompress(
-        packed, max_output_size=max(most_bytes, 1)
-    )
+    return (unpacker or zstandard.ZstdDecompressor()).decompress(packed, max_output_size=limit)
 
 
 def regular_size(path: Path, kind: FileKind) -> int:
-    """Bytes of a file that a library will read itself. Raises FileError, of the kind's class, when it must not."""
+    """Bytes of a file that a library will read itself. Raises FileError when it must not."""
     with opened(path, kind) as file:
         size = os.fstat(file.fileno()).st_size
     if size > kind.limit_bytes:
@@ -349,7 +313,7 @@ def regular_size(path: Path, kind: FileKind) -> int:
 
 
 def is_file(path: Path) -> bool:
-    """Whether a path that somebody wrote names a regular file; one that no system could hold does not."""
+    """Whether a user's path names a regular file; one that no system could hold does not."""
     try:
         return path.is_file()
     except (OSError, ValueError):
@@ -357,7 +321,7 @@ def is_file(path: Path) -> bool:
 
 
 def is_folder(path: Path) -> bool:
-    """Whether a path that somebody wrote names a folder."""
+    """Whether a user's path names a folder."""
     try:
         return path.is_dir()
     except (OSError, ValueError):
@@ -365,9 +329,10 @@ def is_folder(path: Path) -> bool:
 
 
 def require_no_links(folder: Path, error: type[FileError]) -> None:
-    """Refuse a folder that others may have made, and that will be written to, when a name in it leads out of it.
+    """Refuse a folder that others may have made when a name in it leads out of it.
 
-    Two names in the folder for one file are allowed: checkpoints share a replay.
+    It will be written to, and writing would follow the link. Two names in the folder for one file
+    are allowed: checkpoints share a replay.
 
     Raises:
         FileError: Of the class `error`: a symbolic link, or a file that has another name elsewhere.
@@ -391,27 +356,26 @@ def require_no_links(folder: Path, error: type[FileError]) -> None:
             raise _link_refused(paths[0], error)
 
 
-def _link_refused(path: str, error: type[FileError]) -> FileError:
-    return error(f"{escaped(path)}: is a link; expected a file, as writing would follow the link")
-
-
 def escaped(text: object, most: int = 160) -> str:
-    r"""A path or a text that somebody wrote, for a message: printable, at most `most` letters, its end where longer.
+    r"""A foreign path or text for a message: printable, of at most `most` characters, else its end.
 
     >>> escaped("a\x1b[31mb")
     'a\\x1b[31mb'
     """
-    words = "".join(
-        letter if letter.isprintable() else ascii(letter)[1:-1] for letter in str(text)[-2 * most :]
+    printable = "".join(
+        character if character.isprintable() else ascii(character)[1:-1]
+        for character in str(text)[-2 * most :]
     )
-    return words if len(words) <= most else "..." + words[3 - most :]
+    return printable if len(printable) <= most else "..." + printable[3 - most :]
 
 
 def counted(count: int, one: str, several: str = "") -> str:
-    """How many there are of something, in words.
+    """A number with its noun.
 
-    >>> counted(1, "crash"), counted(2, "crash"), counted(0, "tick"), counted(3, "policy", "policies")
-    ('1 crash', '2 crashes', '0 ticks', '3 policies')
+    >>> counted(1, "crash"), counted(2, "crash"), counted(0, "tick")
+    ('1 crash', '2 crashes', '0 ticks')
+    >>> counted(3, "policy", "policies")
+    '3 policies'
     """
     if count == 1:
         return f"1 {one}"
@@ -419,7 +383,7 @@ def counted(count: int, one: str, several: str = "") -> str:
 
 
 def listed(names: Collection[str], most: int) -> str:
-    """Names for a message, and whether there are more of them.
+    """Names for a message, at most `most` of them.
 
     >>> listed(["a", "b", "c"], 2), listed(["a", "b"], 2)
     ('a, b and more', 'a, b')
@@ -428,7 +392,7 @@ def listed(names: Collection[str], most: int) -> str:
 
 
 def escaped_value(value: object, most: int = 60) -> str:
-    """A value that somebody gave to a function, for a message, as Python writes it."""
+    """An argument of a function, for a message, as Python writes it."""
     try:
         return escaped(repr(value), most)
     except ValueError:  # an integer of thousands of digits
@@ -436,18 +400,64 @@ def escaped_value(value: object, most: int = 60) -> str:
 
 
 def own_data(module: str | Path) -> dict[str, Any]:
-    """The TOML file of a module of wcsim, which is given by its `__file__`, or of a name beside it."""
+    """The TOML file beside a module of wcsim, of the same name; `module` is its `__file__`."""
     return tomllib.loads(Path(module).with_suffix(".toml").read_text(encoding="utf-8"))
 
 
-def holds_half_letters(text: str) -> bool:
-    """Whether a text holds surrogates, which UTF-8 cannot: bytes of an argument that are no letters become such."""
-    return not text.isascii() and any("\ud800" <= letter <= "\udfff" for letter in text)
+def has_surrogates(text: str) -> bool:
+    """Whether a text holds surrogates, which UTF-8 cannot encode.
+
+    Python makes them of those bytes of an argument that are no text.
+    """
+    return not text.isascii() and any("\ud800" <= character <= "\udfff" for character in text)
+
+
+def _unreadable(path: Path, kind: FileKind, reason: object) -> FileError:
+    return kind.error(f"{escaped(path)}: cannot be read ({reason}); expected {kind.what}")
+
+
+def _gunzipped(data: bytes, path: Path, kind: FileKind) -> bytes:
+    unpack = zlib.decompressobj(wbits=zlib.MAX_WBITS | 16)  # gzip alone
+    unpacked = b""
+    with suppress(zlib.error):
+        unpacked = unpack.decompress(data, kind.limit_bytes)
+    if not unpack.eof or unpack.unused_data:
+        raise kind.error(
+            f"{escaped(path)}: is no single gzip file of at most {kind.limit_bytes} bytes "
+            f"unpacked; expected {kind.what}"
+        )
+    return unpacked
+
+
+def _require_bounded(
+    data: Any, where: str, kind: FileKind, name: object = "it", depth: int = 0
+) -> None:
+    """Refuse nesting beyond `MAX_DEPTH`, and what `_require_plain` refuses.
+
+    Raises:
+        FileError: Of the kind's class.
+    """
+    if not isinstance(data, dict | list):
+        _require_plain(data, where, name, kind)
+        return
+    if depth > MAX_DEPTH:
+        raise kind.error(
+            f"{where}: is nested more than {MAX_DEPTH} levels deep; expected {kind.what}"
+        )
+    if isinstance(data, list):
+        for item in data:
+            _require_bounded(item, where, kind, name, depth + 1)
+        return
+    for key in data:
+        _require_plain(key, where, name, kind)
+    for key, value in data.items():
+        _require_bounded(value, where, kind, key, depth + 1)
 
 
 def _require_plain(value: Any, where: str, name: object, kind: FileKind) -> None:
+    """Refuse a number that is not finite or beyond `MAX_INTEGER`, and text that is no Unicode."""
     fault = ""
-    if isinstance(value, str) and holds_half_letters(value):
+    if isinstance(value, str) and has_surrogates(value):
         fault = f"contains half a character, {escaped(value, 40)!r}; expected text in valid UTF-8"
     if isinstance(value, int) and abs(value) > MAX_INTEGER:
         fault = f"is a number of {value.bit_length()} bits; expected at most 64"
@@ -457,13 +467,19 @@ def _require_plain(value: Any, where: str, name: object, kind: FileKind) -> None
         raise kind.error(f"{where}: {escaped(name, 40)} {fault}")
 
 
-def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     data = dict(pairs)
     if len(data) < len(pairs):
-        seen: set[str] = set()
-        twice = next(key for key, _ in pairs if key in seen or seen.add(key))  # type: ignore[func-returns-value]
-        raise ValueError(f"the key {escaped(twice, 40)!r} occurs twice")
+        seen = set[str]()
+        for key, _ in pairs:
+            if key in seen:
+                raise ValueError(f"the key {escaped(key, 40)!r} occurs twice")
+            seen.add(key)
     return data
+
+
+def _link_refused(path: str, error: type[FileError]) -> FileError:
+    return error(f"{escaped(path)}: is a link; expected a file, as writing would follow the link")
 
 
 def _no_constant(word: str) -> NoReturn:

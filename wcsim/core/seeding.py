@@ -1,4 +1,4 @@
-"""One tree of seeds: every component draws from a child of its own, found by name, not by order of creation.
+"""One tree of seeds: every component has a child of its own, by name, not by order of creation.
 
 >>> a, b = generator(7, "world"), generator(7, "world")
 >>> bool(a.integers(1 << 30) == b.integers(1 << 30))
@@ -15,7 +15,7 @@ import numpy as np
 
 
 def _sequence(seed: int, *path: str | int) -> np.random.SeedSequence:
-    """The seed sequence at `path` (for example "user", seat, episode) under the root `seed` (>= 0)."""
+    """The seed sequence at `path`, such as ("user", seat, episode), under the root `seed` >= 0."""
     key = tuple(zlib.crc32(part.encode()) if isinstance(part, str) else int(part) for part in path)
     return np.random.SeedSequence(seed, spawn_key=key)
 
@@ -31,5 +31,5 @@ def derive(seed: int, *path: str | int) -> int:
 
 
 def key(seed: int, *path: str | int) -> int:
-    """A 64-bit key for numbers that are a function of a key and a place, such as a pixel's noise."""
+    """A 64-bit key for numbers that depend on a key and a place, such as a pixel's noise."""
     return int(_sequence(seed, *path).generate_state(1, np.uint64)[0])

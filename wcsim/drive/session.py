@@ -11,7 +11,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from wcsim.agents.envs.episode_view import Chair, named
+from wcsim.agents.envs.episode_view import ChairView, policy_observation
 from wcsim.bridge.ego.start_place import bearing_rad
 from wcsim.bridge.world import World
 from wcsim.bridge.world_rollout import rollout
@@ -20,7 +20,7 @@ from wcsim.core.joystick import shaped
 from wcsim.drive.assistance import Answer, Assistance
 from wcsim.drive.driven import DriveObserver, DriveRecord, DriverKind, EventKind, happened_in
 from wcsim.drive.starting import DriveStart, OpenPlace, open_place
-from wcsim.log.records import Admitted, DriveTick, Note, Respawned, left_at
+from wcsim.log.records import Admitted, DriveTick, Note, Respawned, tick_end_fields
 from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.kpi import KpiTotals
 from wcsim.supervisor.rewards import hardest
@@ -91,7 +91,7 @@ class DriveSession(Closing):
             self.world = held.enter_context(
                 World(self.place.town, config, (spec,), self.place.seed, say=say, find_user=find_user)
             )
-            self._chair = Chair(config)
+            self._chair = ChairView(config)
             self._begin()
             self.assistance.reset(self.client.drawn)
             self._held = held.pop_all()
@@ -319,9 +319,9 @@ class DriveSession(Closing):
             seen, self._info = self._chair.begin(client)
             self._fresh = False
         else:
-            step = self._chair.take(client)
+            step = self._chair.finish_step(client)
             seen, self._info = step.observation, step.info
-        self._seen = named(seen)
+        self._seen = policy_observation(seen)
 
     def _move(self, answer: Answer) -> None:
         given = self._chair.command(answer.sent).joystick
@@ -350,7 +350,7 @@ class DriveSession(Closing):
             overruled=wish.overrule,
             helped=wish.help,
             pace=wish.pace,
-            **left_at(self.client),
+            **tick_end_fields(self.client),
         )
 
     def _tell(self, driven: DriveTick, distance: float) -> None:

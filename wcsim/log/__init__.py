@@ -1,1 +1,1 @@
-"""The log: one format for all that is recorded of a world, its writer and its readers. It knows no simulator."""
+"""The log: one format for all recordings of a world, its writer and its readers; no simulator."""

@@ -1,4 +1,4 @@
-"""A drive: the log of one chair and the person at its joystick, as a whole (docs/recordings.md)."""
+"""A drive, read as a whole: the log of one chair and the person at its joystick."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from wcsim.log.reader import scan_in_memory
 from wcsim.log.records import DriveHeader, DriveTick, Ended, Header, Input, Note, Ticked
 from wcsim.log.writer import MOST_RECORDS
 
+# Earlier versions in which a stick moves a chair as in this one.
 _SAME_MOTION: Final = ("0.1.0",)
-"""Earlier versions in which a stick moves a chair as it does in this one."""
 
 
 def wcsim_version() -> str:
@@ -31,18 +31,18 @@ class DriveRecording:
     name: str  # of the file
     header: Header
     records: tuple[Input | Note, ...]
-    torn: bool  # something that is no whole record followed the last one
+    has_truncated_end: bool  # something that is no whole record followed the last one
 
     @property
     def about(self) -> DriveHeader:
-        """Who drove, as the header says. Raises JournalError for the header of another log."""
+        """The driver, as in the header. Raises JournalError for the header of another log."""
         if self.header.drive is None:
             raise JournalError(f"{escaped(self.name)}: is not a drive; record it again")
         return self.header.drive
 
     @property
     def moves_as_here(self) -> bool:
-        """Whether a stick moved the chair, in the version of wcsim that recorded it, as it does in this one."""
+        """Whether a stick moved the chair, in the version that recorded it, as in this one."""
         return self.about.wcsim in (wcsim_version(), *_SAME_MOTION)
 
     @cached_property
@@ -52,7 +52,7 @@ class DriveRecording:
 
     @cached_property
     def events(self) -> tuple[Note, ...]:
-        """What happened beside them."""
+        """What happened beside the ticks."""
         return tuple(record for record in self.records if isinstance(record, Note))
 
     @cached_property
@@ -62,20 +62,20 @@ class DriveRecording:
 
     @property
     def by_driver(self) -> tuple[DriveTick, ...]:
-        """The ticks of whom the drive is of: at times the simulated user beside a person may have driven."""
+        """The ticks of its driver: the simulated user beside a person may have driven at times."""
         return tuple(tick for tick in self.ticks if self.about.profile or tick.by_person)
 
     @property
     def knows_intents(self) -> bool:
-        """Whether what the person wanted is known of every tick."""
+        """Whether the intent of the person is known of every tick."""
         return bool(self.ticks) and all(tick.intent is not None for tick in self.ticks)
 
 
 def read_drive(path: Path) -> DriveRecording:
-    """Read a recording; a torn last record is left out.
+    """Read a recording; a truncated last record is left out.
 
     Raises:
-        JournalError: The file is none, is of another version, what it says cannot be, or there is damage in it.
+        JournalError: The file is no drive, of another version or damaged, or its values cannot be.
     """
     scan = scan_in_memory(path, "drive")
     records: list[Input | Note] = []
@@ -88,16 +88,21 @@ def read_drive(path: Path) -> DriveRecording:
         if isinstance(record, DriveTick):
             if before is not None and not _follows(before, record):
                 raise JournalError(
-                    f"{escaped(path)}: tick {record.tick} does not follow tick {before.tick}; record it again"
+                    f"{escaped(path)}: tick {record.tick} does not follow tick {before.tick}; "
+                    "record it again"
                 )
             before = record
         records.append(record)
         if len(records) > MOST_RECORDS:
             raise JournalError(
-                f"{escaped(path)}: more than {MOST_RECORDS} records; expected a drive of a day at most"
+                f"{escaped(path)}: more than {MOST_RECORDS} records; expected a drive of a day at "
+                "most"
             )
     return DriveRecording(
-        name=str(path), header=scan.header, records=tuple(records), torn=scan.torn_bytes > 0
+        name=str(path),
+        header=scan.header,
+        records=tuple(records),
+        has_truncated_end=scan.truncated_bytes > 0,
     )
 
 

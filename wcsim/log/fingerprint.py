@@ -1,27 +1,30 @@
-"""Which versions a result to the last bit holds for."""
+"""The versions for which a result holds to the last bit."""
 
 from __future__ import annotations
 
 import os
 import platform
 from pathlib import Path
+from typing import Final
 
 from wcsim.core.sources import version_of
 
-PACKAGES = ("libsumo", "pybullet", "numpy", "numba", "shapely", "networkx")
-_CPU_KIND = ("vendor_id", "cpu family", "model")
-"""Two kinds of the same vector units still differ in the last bit: numpy, its linear algebra and numba go by kind."""
+PACKAGES: Final = ("libsumo", "pybullet", "numpy", "numba", "shapely", "networkx")
+# CPUs with the same vector units still differ in the last bit: numpy, its linear algebra and numba
+# choose their code by the kind of CPU.
+_CPU_KIND: Final = ("vendor_id", "cpu family", "model")
 
 
 def fingerprint() -> str:
-    """The version of wcsim, and `engines_fingerprint`: for what has to be made again to the last bit."""
+    """`engines_fingerprint` and the version of wcsim, for what is made again to the last bit."""
     return f"wcsim-{version_of('wcsim')} {engines_fingerprint()}"
 
 
 def engines_fingerprint() -> str:
-    """Versions of what computes a trace, the kind of CPU, and whether the C library is pinned to common code.
+    """Versions of what computes a trace, the kind of CPU, and whether the C library is pinned.
 
-    Without wcsim's own, which a golden trace must outlive.
+    A pinned one uses code that all CPUs have. The version of wcsim is left out: a golden trace must
+    outlive it.
     """
     pinned = "pinned" if "hwcaps" in os.environ.get("GLIBC_TUNABLES", "") else "unpinned"
     libc = "-".join(platform.libc_ver())
@@ -34,6 +37,7 @@ def _cpu_kind() -> str:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     except OSError:
         return "unknown-cpu"
-    named = [line.partition(":") for line in lines]
-    first = {name.strip(): value.strip() for name, _, value in reversed(named)}
+    # Reversed, so that of all cores the first one's values stay.
+    pairs = [line.partition(":") for line in reversed(lines)]
+    first = {name.strip(): value.strip() for name, _, value in pairs}
     return "-".join(first.get(name, "?") for name in _CPU_KIND)

@@ -1,4 +1,4 @@
-"""What a log holds: a header, and records of inputs, states, drives and frames seen; each as a payload, and back.
+"""What a log holds: a header, and records of inputs, states, drives or frames that a client saw.
 
 The header is JSON, a record is MessagePack; every number of both is bounded as it is read.
 """
@@ -29,23 +29,22 @@ from wcsim.types import (
 from wcsim.types.bounds import MAX_SEED, MOST_SEATS
 
 MAGIC: Final = "wcsim-log-1"
-MOST_SAMPLES: Final = (
-    480  # of the stick in a tick: as many as the steps that a tick's physics may have
-)
-MOST_DETAIL: Final = 1000  # letters of a note
+MOST_SAMPLES: Final = 480  # of the stick in a tick: as many as a tick may have physics steps
+MOST_DETAIL: Final = 1000  # characters of a note
 NO_ACTION: Final = -1
 _LARGEST: Final = 1e9
-_ON_STICK: Final = 1.0 + 1e-6  # of an axis, with what rounding adds
+_STICK_LIMIT: Final = 1.0 + 1e-6  # of an axis, with what rounding adds
 _STATE_BYTES: Final = 32 << 20  # names, bodies and numbers of some 100,000 actors
-_NO_XML: Final = (
-    r"\x00-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\ufffe\uffff"  # and what turns a line round
-)
-_CONTENT: Final = 1  # version of what the digest is over
-_FIRST: Final = (
-    b'{"magic":"wcsim-',
-    b'{"magic": "wcsim-',
-)  # of a header, and of those of older formats
+# Control characters, and what turns a line round.
+_NO_XML: Final = r"\x00-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\ufffe\uffff"
+_DIGEST_VERSION: Final = 1  # of what the digest is over
+# Of this format, and of older ones.
+_HEADER_STARTS: Final = (b'{"magic":"wcsim-', b'{"magic": "wcsim-')
+# The tags of these records in a payload, behind the byte that counts the fields.
+_TICK_TAG: Final = b"\xa1t"
+_STATE_TAG: Final = b"\xa1s"
 
+S = TypeVar("S", bound=Struct)
 LogKind = Literal["journal", "trace", "drive", "ledger"]
 Count = Annotated[int, Meta(ge=0, le=1 << 62)]
 Seed = Annotated[int, Meta(ge=0, le=MAX_SEED)]
@@ -57,29 +56,29 @@ Printable = Annotated[str, Meta(max_length=4096, pattern=rf"\A[^{_NO_XML}]*\Z")]
 
 
 class DriveHeader(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What the header of a drive says of who drove; what was done to its world are its records."""
+    """The driver of a drive; its records are what was done to its world."""
 
     wcsim: Document  # version
-    profile: Document = (
-        ""  # of the simulated user; "" where a person drove, beside one who says where the way goes
-    )
-    policy: Document = ""  # who assisted; "" for nobody
+    # Of the simulated user; "" where a person drove, and a simulated user only gave the route.
+    profile: Document = ""
+    policy: Document = ""  # that assisted; "" for none
     level: Document = ""  # of the assistance
     episode: Document = ""  # of a suite: its name, block and seat
-    scene: Document = (
-        ""  # where the street is a generated scene: its family, seed and SHA-256; "" for a town
-    )
+    scene: Document = ""  # family, seed and SHA-256 of a generated scene; "" for a town
 
     @property
     def driver(self) -> str:
-        """Who drove, in a word."""
+        """The simulated user's profile, or "person"."""
         return self.profile or "person"
 
 
 class Header(
     Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="magic", tag=MAGIC
 ):
-    """What the world of a log is made from; `fingerprint` names the versions that its exact hashes hold for."""
+    """What the world of a log is made from.
+
+    `fingerprint` names the versions for which its exact hashes hold.
+    """
 
     name: Document = ""  # of the run
     town: Document  # what `find_town` takes
@@ -95,20 +94,22 @@ class Header(
     recovery: Document = "new_epoch"  # of older logs, golden traces among them
     origin_m: tuple[Number, Number] = (0.0, 0.0)  # W's origin in the town's net coordinates
     origin_z_m: Number = 0.0
-    chair_box_m: tuple[Number, Number] | None = (
-        None  # length of a wheelchair, and its middle ahead of the drive axle
-    )
-    drive: DriveHeader | None = None  # who drove, where the log is of one chair's ticks
-    client: Document | None = (
-        None  # its name, where the log is of the frames that it saw, of whatever world
-    )
+    # Length of a wheelchair, and its middle ahead of the drive axle.
+    chair_box_m: tuple[Number, Number] | None = None
+    drive: DriveHeader | None = None  # where the log is of one chair's ticks
+    client: Document | None = None  # its name, where the log is of the frames that it saw
 
     @property
     def kind(self) -> LogKind:
-        """What the log holds: a client's frames (ledger), a drive's ticks, a world's inputs (journal) or its states."""
+        """Ledger: frames that a client saw; drive: ticks of a chair; journal, trace: a world.
+
+        A journal holds the inputs of its world, which can be made again; a trace holds states.
+        """
         if self.client is not None:
             return "ledger"
-        return "drive" if self.drive is not None else "journal" if self.config else "trace"
+        if self.drive is not None:
+            return "drive"
+        return "journal" if self.config else "trace"
 
 
 class _Record(Struct, frozen=True, kw_only=True, array_like=True, forbid_unknown_fields=True):
@@ -116,7 +117,7 @@ class _Record(Struct, frozen=True, kw_only=True, array_like=True, forbid_unknown
 
 
 class EpochBegun(_Record, frozen=True, kw_only=True, tag="e"):
-    """The world began (again); the seats that are taken stay so, unless it is a `fresh` world, where all are free."""
+    """The world was made, or made again; seats stay taken unless it is `fresh`."""
 
     epoch: Count
     seed: Seed
@@ -144,7 +145,7 @@ class Dismissed(_Record, frozen=True, kw_only=True, tag="d"):
 
 
 class Respawned(_Record, frozen=True, kw_only=True, tag="r"):
-    """A seat's next episode began at this tick, without one."""
+    """The next episode of a seat started at this tick, before any step."""
 
     epoch: Count
     tick: Count
@@ -153,19 +154,18 @@ class Respawned(_Record, frozen=True, kw_only=True, tag="r"):
 
 
 class Ticked(_Record, frozen=True, kw_only=True, tag="t"):
-    """The world reached `tick` by these commands (of tick - 1), one for each taken seat; see `ticked`."""
+    """The world reached `tick` by these commands of tick - 1, one for each taken seat."""
 
     epoch: Count
     tick: Count
     seats: Annotated[tuple[Seat, ...], Meta(max_length=MOST_SEATS)]
-    sticks: Annotated[
-        tuple[tuple[Number, Number], ...], Meta(max_length=MOST_SEATS)
-    ]  # x right, y forward
+    # x right, y forward
+    sticks: Annotated[tuple[tuple[Number, Number], ...], Meta(max_length=MOST_SEATS)]
     state_hash: Hash
 
     @property
     def commands(self) -> tuple[Command, ...]:
-        """The commands."""
+        """The commands, by seat."""
         return tuple(
             Command(seat=seat, tick=self.tick - 1, joystick=Joystick(x, y))
             for seat, (x, y) in zip(self.seats, self.sticks, strict=True)
@@ -179,7 +179,7 @@ class Ended(_Record, frozen=True, kw_only=True, tag="z"):
 
 
 class ActorBody(Struct, frozen=True, kw_only=True, array_like=True, forbid_unknown_fields=True):
-    """What an actor is, as far as a replay has to know."""
+    """What a replay needs to know of an actor."""
 
     id: Printable
     kind: ActorKind
@@ -188,7 +188,7 @@ class ActorBody(Struct, frozen=True, kw_only=True, array_like=True, forbid_unkno
 
 
 class WorldState(_Record, frozen=True, kw_only=True, tag="s", eq=False):
-    """One tick: who was commanded what, and where everything was afterwards."""
+    """One tick: the commands, and where everything was afterwards."""
 
     epoch: Count
     tick: Count
@@ -198,12 +198,10 @@ class WorldState(_Record, frozen=True, kw_only=True, tag="s", eq=False):
     actors: F64  # (n, 8) position, yaw, pitch, velocity
     state_hash: Hash
     time_s: Number = 0.0  # SUMO's own time
-    bodies: tuple[
-        ActorBody, ...
-    ] = ()  # one for each actor, in their order; in a file those that are new or changed
-    seats: tuple[
-        Seat, ...
-    ] = ()  # whose the commands and plants are; empty when they are those of 0, 1, 2, ...
+    # One for each actor, in their order; in a file those that are new or changed.
+    bodies: tuple[ActorBody, ...] = ()
+    # Of the commands and plants; empty when they are 0, 1, 2, ...
+    seats: tuple[Seat, ...] = ()
 
 
 class DriveTick(_Record, frozen=True, kw_only=True, tag="k", eq=False):
@@ -213,15 +211,12 @@ class DriveTick(_Record, frozen=True, kw_only=True, tag="k", eq=False):
     episode: Count
     time_s: Annotated[float, Meta(ge=0.0, le=_LARGEST)]  # at its end, of the drive
     stick: Joystick  # the person's at its beginning, which the policy answered
-    intent: Joystick | None = None  # what the person wanted during it, where that is known
-    sticks: F64 = msgspec.field(
-        default_factory=lambda: np.zeros((0, 2))
-    )  # (S, 2) within it at equal times
+    intent: Joystick | None = None  # of the person during it, where that is known
+    # (S, 2) within it at equal times
+    sticks: F64 = msgspec.field(default_factory=lambda: np.zeros((0, 2)))
     commanded: Joystick  # what the chair was given
-    chosen: Joystick  # what the policy chose: the same unless overruled
-    action: Annotated[int, Meta(ge=NO_ACTION, le=1 << 16)] = (
-        NO_ACTION  # of the action set, as chosen
-    )
+    chosen: Joystick  # by the policy: as commanded unless overruled
+    action: Annotated[int, Meta(ge=NO_ACTION, le=1 << 16)] = NO_ACTION  # of the set, as chosen
     p_WB_m: F64  # (3,) at its end, as all that follows
     yaw_rad: Number
     roll_rad: Number = 0.0
@@ -231,9 +226,8 @@ class DriveTick(_Record, frozen=True, kw_only=True, tag="k", eq=False):
     intervening: bool = False
     overruled: bool = False
     helped: bool = False  # the person asked for help
-    pace: Annotated[float, Meta(ge=0.0, le=_LARGEST)] = (
-        1.0  # times real time: below 1 is slow motion
-    )
+    # Times real time: below 1 is slow motion.
+    pace: Annotated[float, Meta(ge=0.0, le=_LARGEST)] = 1.0
     arrived: bool = False
     gave_up: bool = False
     crashed: bool = False
@@ -241,17 +235,17 @@ class DriveTick(_Record, frozen=True, kw_only=True, tag="k", eq=False):
 
     @property
     def epoch(self) -> int:
-        """Of its world: a drive has one."""
+        """The epoch of its world: a drive has one."""
         return 0
 
     @property
     def commands(self) -> tuple[Command, ...]:
-        """What led to it, as of `Ticked`."""
+        """The command that led to it, as of `Ticked`."""
         return (Command(seat=0, tick=self.tick - 1, joystick=self.commanded),)
 
     @property
     def by_person(self) -> bool:
-        """Whether a person drove: what a simulated user wants is always known."""
+        """Whether a person drove: the intent of a simulated user is always known."""
         return self.intent is None
 
     @property
@@ -263,9 +257,10 @@ class DriveTick(_Record, frozen=True, kw_only=True, tag="k", eq=False):
         return type(other) is DriveTick and _ENCODER.encode(self) == _ENCODER.encode(other)
 
 
-def left_at(after: ClientSnapshot) -> dict[str, Any]:
-    """The fields of a `DriveTick` that say where it left the chair, and whether something ended."""
-    plant, events = after.plant, after.events
+def tick_end_fields(after: ClientSnapshot) -> dict[str, Any]:
+    """The fields of a `DriveTick` of its end: where the chair is, and what has ended."""
+    plant = after.plant
+    events = after.events
     turns = {name: getattr(plant, name) for name in ("yaw_rad", "roll_rad", "pitch_rad")}
     ends = {name: getattr(events, name) for name in ("arrived", "gave_up", "crashed", "truncated")}
     return {"p_WB_m": plant.p_WB_m.copy(), "speed_mps": float(plant.v_B_mps[0]), **turns, **ends}
@@ -276,7 +271,7 @@ class Note(_Record, frozen=True, kw_only=True, tag="n"):
 
     tick: Count  # of the world
     time_s: Number  # of the drive
-    kind: Annotated[str, Meta(max_length=40)]  # a word
+    kind: Annotated[str, Meta(max_length=40)]  # one word
     detail: Annotated[str, Meta(max_length=MOST_DETAIL)] = ""
 
 
@@ -285,18 +280,17 @@ class SeenFrame(_Record, frozen=True, kw_only=True, tag="f"):
 
     epoch: Count
     tick: Count
-    stepped: bool  # it came of the client's own action, not of a join, a respawn or a new epoch
+    stepped: bool  # by the client's own action, not by a join, a respawn or a new epoch
 
 
 WorldTick = Ticked | DriveTick
 """What carries a world on by a tick."""
 Input = EpochBegun | Admitted | Dismissed | Respawned | WorldTick | Ended
 LogRecord = Input | WorldState | Note | SeenFrame
-S = TypeVar("S", bound=Struct)
 
 
 def ticked(epoch: int, tick: int, commands: tuple[Command, ...], state_hash: str) -> Ticked:
-    """That a world reached a tick by these commands."""
+    """The record of a world that reached a tick by these commands."""
     return Ticked(
         epoch=epoch,
         tick=tick,
@@ -309,9 +303,10 @@ def ticked(epoch: int, tick: int, commands: tuple[Command, ...], state_hash: str
 def state_of(
     snapshot: Snapshot, commands: Sequence[Command], actors: Sequence[ActorState] | None = None
 ) -> WorldState:
-    """The record of where everything was after a tick, by its commands and the snapshot they led to.
+    """The state after a tick, from its commands and the snapshot to which they led.
 
-    `actors` are those to record, such as all of the town; the snapshot's own, near the chairs, when they are missing.
+    `actors` are those to record, such as all of the town; by default those of the snapshot, which
+    are near the chairs.
     """
     actors = snapshot.actors if actors is None else actors
     seats = tuple(client.seat for client in snapshot.clients)
@@ -338,7 +333,7 @@ def header_bytes(header: Header) -> bytes:
 
 def header_of(payload: bytes) -> Header:
     """A payload as a header. Raises WcsimError when it is none of this version."""
-    if not payload.startswith(_FIRST):
+    if not is_header(payload):
         raise WcsimError("is not a log; expected a file written by wcsim")
     if len(payload) > MOST_JSON_BYTES:
         raise WcsimError(
@@ -353,7 +348,8 @@ def header_of(payload: bytes) -> Header:
         named = payload[:80].split(b'"')[3].decode("ascii", "replace")
         if named != MAGIC:
             raise WcsimError(
-                f"is of format {named!r}; expected {MAGIC!r}: use the wcsim that made it, or record it again"
+                f"is of format {named!r}; expected {MAGIC!r}: use the wcsim that made it, or "
+                "record it again"
             ) from None
         raise WcsimError(
             f"its header cannot be used: {error}; expected one as wcsim writes it"
@@ -361,16 +357,16 @@ def header_of(payload: bytes) -> Header:
     return header
 
 
-def begins_log(payload: bytes) -> bool:
-    """Whether a file's first record says that it is a log, of whatever version."""
-    return payload.startswith(_FIRST)
+def is_header(payload: bytes) -> bool:
+    """Whether a file's first record is that of a log, of whatever version."""
+    return payload.startswith(_HEADER_STARTS)
 
 
 def header_content(header: Header) -> bytes:
-    """What two equal runs have in common, for the digest: neither names, nor places, nor this machine's versions."""
+    """What the headers of two equal runs share, for the digest: no names, places or versions."""
     same = ("town_sha256", "config", "seed", "seats", "tick_s", "hook", "recovery")
     return msgspec.json.encode(
-        {"version": _CONTENT, **{name: getattr(header, name) for name in same}}
+        {"version": _DIGEST_VERSION, **{name: getattr(header, name) for name in same}}
     )
 
 
@@ -379,7 +375,7 @@ def record_bytes(record: LogRecord) -> bytes:
     return _ENCODER.encode(record)
 
 
-def told_apart(record: LogRecord) -> LogRecord:
+def comparable_record(record: LogRecord) -> LogRecord:
     """A record without what may differ between equal runs: names, reasons, claims."""
     if isinstance(record, Admitted):
         return changed(record, name="", claim="")
@@ -387,18 +383,18 @@ def told_apart(record: LogRecord) -> LogRecord:
 
 
 def changed(record: S, **fields: Any) -> S:
-    """The same record or header with other values in some fields, as `dataclasses.replace` has it."""
+    """A record or header with other values in some fields, as by `dataclasses.replace`."""
     return msgspec.structs.replace(record, **fields)
 
 
 def is_tick(payload: bytes) -> bool:
-    """Whether a payload is that of `Ticked`, without a look at the rest."""
-    return payload[1:3] == _TICK
+    """Whether a payload is of `Ticked`, without decoding it."""
+    return payload[1:3] == _TICK_TAG
 
 
 def record_of(payload: bytes) -> LogRecord:
     """A payload as a record. Raises WcsimError when it is none."""
-    most = _STATE_BYTES if payload[1:3] == _STATE else MOST_JSON_BYTES
+    most = _STATE_BYTES if payload[1:3] == _STATE_TAG else MOST_JSON_BYTES
     if len(payload) > most:
         raise WcsimError(f"a record has {len(payload)} bytes; expected at most {most}")
     try:
@@ -410,7 +406,7 @@ def record_of(payload: bytes) -> LogRecord:
 
 
 def _require_whole(record: LogRecord) -> None:
-    """Refuse what no type says: shapes, and numbers inside them. Raises ValueError."""
+    """Refuse what no type excludes: wrong shapes, and numbers in them. Raises ValueError."""
     match record:
         case Ticked():
             _require(len(record.seats) == len(record.sticks))
@@ -428,8 +424,11 @@ def _require_whole(record: LogRecord) -> None:
                 record.p_WB_m.shape == (3,),
                 record.sticks.shape == (len(record.sticks), 2)
                 and len(record.sticks) <= MOST_SAMPLES,
-                bool((np.abs(record.sticks) <= _ON_STICK).all()),
-                all(abs(stick.x) <= _ON_STICK and abs(stick.y) <= _ON_STICK for stick in sticks),
+                bool((np.abs(record.sticks) <= _STICK_LIMIT).all()),
+                all(
+                    abs(stick.x) <= _STICK_LIMIT and abs(stick.y) <= _STICK_LIMIT
+                    for stick in sticks
+                ),
             )
 
 
@@ -445,10 +444,10 @@ def _array_bytes(array: Any) -> Any:
     return array.shape, array.itemsize, array.astype(f"<f{array.itemsize}", copy=False).tobytes()
 
 
-def _array_of(_: type, told: Any) -> F64:
+def _array_of(_: type, encoded: Any) -> F64:
     """What `_array_bytes` wrote, as float64. Raises ValueError."""
     shape, size, data = msgspec.convert(
-        told, tuple[tuple[int, ...], Literal[4, 8], bytes], strict=True
+        encoded, tuple[tuple[int, ...], Literal[4, 8], bytes], strict=True
     )
     _require(
         1 <= len(shape) <= 2, all(side >= 0 for side in shape), math.prod(shape) * size == len(data)
@@ -458,7 +457,6 @@ def _array_of(_: type, told: Any) -> F64:
     return numbers
 
 
-_TICK, _STATE = b"\xa1t", b"\xa1s"  # the tags, after the byte that counts the fields
 _ENCODER = msgspec.msgpack.Encoder(enc_hook=_array_bytes)
 _HEADERS = msgspec.json.Decoder(Header)
 _RECORDS = msgspec.msgpack.Decoder(LogRecord, dec_hook=_array_of)

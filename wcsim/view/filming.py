@@ -156,7 +156,7 @@ class FilmedDrive:
         """Drive one tick without a picture."""
         (client,) = next(self._steps).after.clients
         if self._driver is not None:
-            self._info = self._driver.take(client).info
+            self._info = self._driver.finish_step(client).info
         self._ticks += 1
 
     def add(self) -> U8:

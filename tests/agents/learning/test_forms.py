@@ -11,7 +11,7 @@ import pytest
 
 from tests.agents.toy import ToyStreet, a_run, toy_camera
 from tests.support.samples import stacked
-from wcsim.agents.envs.episode_view import FrameWindow, newest, windowed_space
+from wcsim.agents.envs.episode_view import FrameWindow, newest_frames, windowed_space
 from wcsim.agents.learning.replay.buffer import _layout_of
 from wcsim.agents.learning.saved_policy import load_policy
 from wcsim.agents.learning.train import train
@@ -106,7 +106,7 @@ def test_colours_have_a_window_too() -> None:
     seen = [window.add(frame) for frame in frames][-1]
     assert space.contains({**seen, "joystick": seen["joystick"]})
     assert np.array_equal(seen["rgb"][3:6], frames[1]["rgb"]) and np.array_equal(seen["rgb"][6:], frames[2]["rgb"])
-    assert np.array_equal(newest(seen, 2)["rgb"], seen["rgb"][3:]) and len(newest(seen, 1)["seg"]) == 1
+    assert np.array_equal(newest_frames(seen, 2)["rgb"], seen["rgb"][3:]) and len(newest_frames(seen, 1)["seg"]) == 1
     layout = _layout_of(space)
     row = layout.image_rows({key: value[None] for key, value in seen.items()})
     assert np.array_equal(layout.split(row, np.zeros((1, layout.vector_size), np.float32))["rgb"][0], seen["rgb"])

@@ -122,7 +122,7 @@ def test_nobody_there_and_no_address():
 
 
 def test_an_answer_may_take_longer_than_a_connection(monkeypatch):
-    monkeypatch.setattr("wcsim.agents.policies.served_policy._PATIENCE_S", 0.3)
+    monkeypatch.setattr("wcsim.agents.policies.served_policy._CONNECT_TIMEOUT_S", 0.3)
     policy = ServedPolicy(answering(HELLO, b"{}", late_s=0.6), POINTS)
     policy.reset()
     assert LATE_S * FIRST_SHARE < ANSWER_S

@@ -26,7 +26,7 @@ from tests.attack.scenarios.twists import (
     without_none,
 )
 from tests.support.framing import chained
-from wcsim.agents.envs.env_spec import make_face
+from wcsim.agents.envs.env_spec import make_spec
 from wcsim.agents.runs.run_folder import CONFIG, MANIFEST, make_manifest, manifest_of, open_run, read_json
 from wcsim.config import Model, RunConfig, TownFile, parse_json, read_toml, resolve
 from wcsim.config.plant import plant_text, read_plant
@@ -54,7 +54,7 @@ def same(model: Model) -> bool:
 
 def take_config(config: RunConfig) -> bool:
     """A configuration, with all that the faces do with one before there is a world."""
-    make_face("nowhere", {"config": config}).observation_space()
+    make_spec("nowhere", {"config": config}).observation_space()
     plant_spec(config.chair)
     return same(config)
 

@@ -21,7 +21,7 @@ from wcsim.bridge.world_rollout import rollout
 from wcsim.core.seeding import generator
 from wcsim.errors import ConfigError, TownError
 from wcsim.log.drive import read_drive
-from wcsim.log.records import Admitted, DriveTick, Respawned, changed, left_at
+from wcsim.log.records import Admitted, DriveTick, Respawned, changed, tick_end_fields
 from wcsim.log.writer import LogWriter
 from wcsim.towns.scenario.town import content_hash, find_town
 from wcsim.types import Command, Joystick, SeatSpec
@@ -117,7 +117,7 @@ def test_a_persons_drive_with_a_cut_episode_is_made_again(corner, tmp_path):
             (command,), (after,) = step.commands, step.after.clients
             at = {"tick": after.tick, "episode": after.events.episode, "time_s": after.tick * 0.1}
             given = command.joystick
-            recorder.append(DriveTick(**at, stick=before.user, commanded=given, chosen=given, **left_at(after)))
+            recorder.append(DriveTick(**at, stick=before.user, commanded=given, chosen=given, **tick_end_fields(after)))
     drive = read_drive(path)
     assert (drive.about.driver, drive.about.episode, len(drive.episodes)) == ("person", "dev 1.0", 2)
     assert not drive.knows_intents

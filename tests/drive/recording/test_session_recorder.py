@@ -189,7 +189,7 @@ def test_a_full_disk_ends_the_file_and_never_the_drive(
 ) -> None:
     kept.drive(10)
     with monkeypatch.context() as full:
-        full.setattr(LogWriter, "_put", lambda *_: (_ for _ in ()).throw(DiskFullError("a.drive: make room")))
+        full.setattr(LogWriter, "_write", lambda *_: (_ for _ in ()).throw(DiskFullError("a.drive: make room")))
         kept.drive(5)
     assert not kept.news[-1].on and "Recording has stopped" in kept.news[-1].told
     kept.drive(5)

@@ -13,7 +13,7 @@ from tests.server.servers import AHEAD, Server, stand_in_order, together
 from tests.server.servers import driven as driven_through
 from tests.support.worlds import quick_config
 from wcsim.config import resolve
-from wcsim.log.reader import inputs_of_part, iter_inputs, log_digest, part_files, put_aside, read_header
+from wcsim.log.reader import inputs_of_part, iter_inputs, log_digest, part_files, read_header, rotate_log
 from wcsim.log.records import Admitted, Dismissed, Ended, EpochBegun
 from wcsim.log.writer import JOURNAL
 from wcsim.server.host.opening import EPOCH_OVER, _epoch_seed, open_server
@@ -93,7 +93,7 @@ def test_everybody_comes_back_before_the_next_epoch_begins_so_equal_runs_stay_eq
 def test_a_world_that_died_between_two_parts_goes_on_with_the_next_epoch(first, tmp_path):
     run = tmp_path / "a" / "run"
     shutil.copytree(first[0] / "run", run)
-    put_aside(run / JOURNAL)
+    rotate_log(run / JOURNAL)
     assert read_header(run / JOURNAL).seats == 2
     with Server(capped(tmp_path / "a"), tmp_path) as server:
         assert server.status().epoch == 3

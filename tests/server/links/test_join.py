@@ -10,7 +10,7 @@ import pytest
 from tests.api.streets import TINY, action_at, equal
 from tests.server.local_server import LocalServer
 from tests.server.servers import AHEAD, Server, stand_in_order
-from wcsim.agents.envs.episode_view import Chair
+from wcsim.agents.envs.episode_view import ChairView
 from wcsim.agents.envs.wheelchair_env import WheelchairEnv
 from wcsim.config import resolve
 from wcsim.errors import ConfigMismatchError, EvictedError, NotMasterError, ProtocolError, ServerGoneError
@@ -205,8 +205,8 @@ def test_a_world_that_is_killed_and_comes_back_cuts_the_episode(tmp_path):
 
 
 def test_a_chair_without_an_episode_has_nothing_to_cut_or_to_go_on_with():
-    chair = Chair(CONFIG)
-    for call in (chair.cut, chair.begin_next):
+    chair = ChairView(CONFIG)
+    for call in (chair.truncate, chair.begin_next):
         with pytest.raises(ProtocolError, match="expected one that has"):
             call()
     assert chair.picture is None

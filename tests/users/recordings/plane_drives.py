@@ -30,7 +30,7 @@ def plane_drive(user: UserProfile, seconds: float, seed: int) -> DriveRecording:
             break
     kept = tuple(ticks[: round(seconds / TICK_S)])
     header = drive_header()
-    return DriveRecording(name="plane", header=header, records=kept, torn=False)
+    return DriveRecording(name="plane", header=header, records=kept, has_truncated_end=False)
 
 
 def thinned(drive: DriveRecording, samples: int) -> DriveRecording:

@@ -1,23 +1,29 @@
-"""What all faces of a town share: the configuration, the spaces, the order for a world, and a world's chairs.
+"""What all environments of a town share: configuration, spaces, the order for a world, its chairs.
 
-A face is a standard interface over the same links: Gymnasium's (`agents/envs/wheelchair_env.py`), PettingZoo's
-(`agents/envs/parallel_env.py`), that of Gymnasium's vector environments (`agents/envs/vector_env.py`) and that of
-Stable-Baselines3's (`agents/envs/vec_env.py`).
+There are four, of the same links: Gymnasium's (`agents/envs/wheelchair_env.py`), PettingZoo's
+(`agents/envs/parallel_env.py`), that of Gymnasium's vector environments
+(`agents/envs/vector_env.py`) and that of Stable-Baselines3's (`agents/envs/vec_env.py`).
 """
 
 from __future__ import annotations
 
 import copy
 import operator
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypedDict
+from typing import Any, Final, TypedDict
 
 import gymnasium
 import numpy as np
 
-from wcsim.agents.envs.episode_view import Chair, EpisodeStep, Info, Seen, windowed_space
+from wcsim.agents.envs.episode_view import (
+    ChairView,
+    EnvObservation,
+    EpisodeStep,
+    Info,
+    windowed_space,
+)
 from wcsim.config import RunConfig, resolve
 from wcsim.core.reading import MAX_INTEGER, escaped_value
 from wcsim.errors import ConfigError, ProtocolError, meant
@@ -28,14 +34,14 @@ from wcsim.supervisor.observation import imu_size, observation_space, state_spac
 from wcsim.supervisor.rewards import RewardTerm, is_reward_term
 from wcsim.users.recordings.recorded_user import find_user
 
-RENDER_MODES = ("rgb_array",)
-RENDER_FPS = 10  # of a tick of 0.1 s; an environment has the one of its own tick
-SEED_LIMIT = 1 << 31
-MAX_CHAIRS = 64  # of one world
+RENDER_MODES: Final = ("rgb_array",)
+RENDER_FPS: Final = 10  # of a tick of 0.1 s; an environment has the one of its own tick
+SEED_LIMIT: Final = 1 << 31
+MAX_CHAIRS: Final = 64  # of one world
 
 
 class EnvOptions(TypedDict, total=False):
-    """What every environment of a town takes by name; all may be left out."""
+    """The keyword arguments of every environment of a town; all are optional."""
 
     config: RunConfig | None
     """A resolved configuration, instead of a preset."""
@@ -46,18 +52,18 @@ class EnvOptions(TypedDict, total=False):
     seed: int | None
     """Seed of the first reset if that gives none. Without both, the seed is random."""
     reward_terms: Sequence[RewardTerm]
-    """Your own terms, added to the reward as `RewardTerms.extra`. Each chair gets its own copies."""
+    """Your own terms, added to the reward as `RewardTerms.extra`. Each chair has its own copies."""
     render_mode: str | None
     """None or "rgb_array". With the latter, cameras also render colours."""
     run: Path | None
-    """Run folder for the outputs of the SUMO scenario. Without one, they are deleted with the world."""
+    """Run folder for the outputs of the SUMO scenario; else they are deleted with the world."""
     hook: str
-    """Your own step hook as "module:Class", called around every step of SUMO; see docs/overrides.md."""
+    """Your own step hook "module:Class", called around every SUMO step; see docs/overrides.md."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Face:
-    """A town, how it is configured, and where its outputs go."""
+class StreetEnvSpec:
+    """A town, its configuration, and the place of its outputs."""
 
     town: str
     config: RunConfig
@@ -67,10 +73,9 @@ class _Face:
 
     @property
     def metadata(self) -> dict[str, Any]:
-        """What Gymnasium and PettingZoo want to know of an environment."""
-        fps = max(
-            1, round(1 / self.config.world.tick_s)
-        )  # so that films take as long as what they show
+        """The metadata of Gymnasium and PettingZoo."""
+        # Films take as long as what they show.
+        fps = max(1, round(1 / self.config.world.tick_s))
         return {"render_modes": list(RENDER_MODES), "render_fps": fps, "name": "wcsim"}
 
     def action_space(self) -> gymnasium.spaces.Discrete | gymnasium.spaces.Box:
@@ -81,23 +86,25 @@ class _Face:
 
     def observation_space(self) -> gymnasium.spaces.Dict | gymnasium.spaces.Box:
         """The space of one chair's observations, a new one each time."""
-        camera, env = self.config.eye, self.config.env
+        env = self.config.env
         if env.observation == "state":
             return state_space()
-        vector = imu_size(env.observe_gyro, env.observe_yaw)
-        measures = self.config.sensors.measures()
-        now = observation_space(
-            env.observation, camera.width_px, camera.height_px, vector, measures
+        camera = self.config.eye
+        single = observation_space(
+            env.observation,
+            camera.width_px,
+            camera.height_px,
+            imu_size(env.observe_gyro, env.observe_yaw),
+            self.config.sensors.measures(),
         )
-        return windowed_space(now, env.frames)
+        return windowed_space(single, env.frames)
 
     def order(self, seed: int, chairs: int = 1) -> WorldOrder:
-        """The world of this face with so many seats."""
-        env = self.config.env
+        """The order for a world with so many seats."""
         return WorldOrder(
             town=self.town,
             config=self.config,
-            seat=seat_spec(env),
+            seat=seat_spec(self.config.env),
             seats=chairs,
             seed=seed % SEED_LIMIT,
             run="" if self.run is None else str(self.run),
@@ -105,77 +112,67 @@ class _Face:
         )
 
 
-def make_face(town: str, options: EnvOptions, own: Collection[str] = ("town",)) -> _Face:
-    """The face that these options of an environment describe.
+def make_spec(town: str, options: EnvOptions, own: Collection[str] = ("town",)) -> StreetEnvSpec:
+    """What the options of an environment describe.
 
     Args:
         town: A town's name or folder.
         options: By name.
-        own: What the environment takes by name besides.
+        own: Further keyword arguments of the environment.
 
     Raises:
-        ConfigError: The configuration, a reward term, the user's profile or the render mode cannot be used.
+        ConfigError: The configuration, a reward term, the user's profile or the render mode cannot
+            be used.
         TypeError: There is no such option.
     """
-    _check_known(options, own)
-    _check_terms(options.get("reward_terms", ()))
-    render_mode, config = options.get("render_mode"), options.get("config")
-    if config is not None and "preset" in options:
-        raise ConfigError(
-            f"config and preset={options['preset']!r}: expected one of them; a preset's configuration is "
-            "wcsim.config.resolve(preset)"
-        )
-    resolved = resolve(
-        options.get("preset", "quick") if config is None else config, _given_overrides(options)
-    )
-    find_user(resolved.env.profile)
-    if render_mode not in (None, *RENDER_MODES):
-        raise ConfigError(f"render_mode {render_mode!r} is unknown; expected 'rgb_array' or None")
-    if render_mode == "rgb_array":
-        resolved = resolve(resolved, f"cameras.{resolved.cameras.index(resolved.eye)}.rgb=true")
-    run, hook = options.get("run"), options.get("hook", "")
-    return _Face(town=town, config=resolved, render_mode=render_mode, run=run, hook=hook)
-
-
-def _given_overrides(options: EnvOptions) -> tuple[str, ...]:
-    """Those that were given. Raises ConfigError for one by itself, whose letters would be taken for overrides."""
-    given = options.get("overrides", ())
-    if isinstance(given, str):
-        raise ConfigError(
-            f"overrides={escaped_value(given)} is one string; expected several: overrides=[{given!r}]"
-        )
-    return tuple(given)
-
-
-def _check_known(options: Iterable[str], own: Collection[str]) -> None:
-    """Raise TypeError, as Python does, for an argument that no environment takes."""
     known = sorted({*EnvOptions.__annotations__, *own})
     for name in options:
         if name not in known:
             raise TypeError(
-                f"unexpected keyword argument {name!r}; expected {', '.join(known)}{meant(name, known)}"
+                f"unexpected keyword argument {name!r}; expected {', '.join(known)}"
+                f"{meant(name, known)}"
             )
-
-
-def _check_terms(terms: object) -> None:
-    """Raise ConfigError for what is no list of objects with the methods of `RewardTerm`."""
-    for term in terms if isinstance(terms, Sequence) else (terms,):
-        if not isinstance(terms, Sequence) or isinstance(term, type) or not is_reward_term(term):
-            raise ConfigError(
-                f"reward_terms={escaped_value(terms)}; expected a list of objects with the methods reset() and "
-                "reward(before, after), see examples/own_reward.py"
-            )
+    _require_terms(options.get("reward_terms", ()))
+    config = options.get("config")
+    if config is not None and "preset" in options:
+        raise ConfigError(
+            f"config and preset={options['preset']!r}: expected one of them; a preset's "
+            "configuration is wcsim.config.resolve(preset)"
+        )
+    overrides = options.get("overrides", ())
+    # The characters of a string would be taken for overrides.
+    if isinstance(overrides, str):
+        raise ConfigError(
+            f"overrides={escaped_value(overrides)} is one string; expected several: "
+            f"overrides=[{overrides!r}]"
+        )
+    resolved = resolve(
+        options.get("preset", "quick") if config is None else config, tuple(overrides)
+    )
+    find_user(resolved.env.profile)
+    render_mode = options.get("render_mode")
+    if render_mode not in (None, *RENDER_MODES):
+        raise ConfigError(f"render_mode {render_mode!r} is unknown; expected 'rgb_array' or None")
+    if render_mode == "rgb_array":
+        resolved = resolve(resolved, f"cameras.{resolved.cameras.index(resolved.eye)}.rgb=true")
+    return StreetEnvSpec(
+        town=town,
+        config=resolved,
+        render_mode=render_mode,
+        run=options.get("run"),
+        hook=options.get("hook", ""),
+    )
 
 
 def checked_chairs(chairs: int) -> int:
-    """The number of chairs. Raises ConfigError for one that no world can have."""
+    """A number of chairs. Raises ConfigError for one that no world can have."""
     if not 1 <= chairs <= MAX_CHAIRS:
         raise ConfigError(f"chairs={chairs}; expected 1 to {MAX_CHAIRS} in one world")
     return chairs
 
 
 def checked_seed(seed: object) -> int | None:
-    """A given seed, or None. Raises ConfigError for one that is no integer from 0 on."""
+    """A seed, or None. Raises ConfigError for one that is no integer from 0 on."""
     if seed is None:
         return None
     try:
@@ -184,34 +181,36 @@ def checked_seed(seed: object) -> int | None:
         number = -1
     if not 0 <= number <= MAX_INTEGER:
         raise ConfigError(
-            f"seed {escaped_value(seed)} cannot be used; expected an integer from 0 to {MAX_INTEGER}"
+            f"seed {escaped_value(seed)} cannot be used; expected an integer from 0 to "
+            f"{MAX_INTEGER}"
         )
     return number
 
 
-def stacked(observations: Sequence[Seen]) -> Seen:
-    """One observation of all chairs, each array with a first axis more, in fresh arrays."""
-    if not isinstance(observations[0], dict):
+def stacked(observations: Sequence[EnvObservation]) -> EnvObservation:
+    """One observation of all chairs, in new arrays with one more axis, the first."""
+    first = observations[0]
+    if not isinstance(first, dict):
         return np.stack(observations)  # type: ignore[arg-type]
-    return {key: np.stack([seen[key] for seen in observations]) for key in observations[0]}  # type: ignore[call-overload]
+    return {key: np.stack([each[key] for each in observations]) for key in first}  # type: ignore[call-overload]
 
 
 def drawn_seed() -> int:
-    """A seed from the system, where none is given."""
+    """A seed drawn from the system, where none is given."""
     return int(np.random.SeedSequence().generate_state(1)[0]) % SEED_LIMIT
 
 
 class Chairs:
-    """The chairs of a world, by seat; the world is made by the first `begin`."""
+    """All chairs of a world, by seat; the world is made by the first `begin`."""
 
-    def __init__(self, face: _Face, count: int, terms: Sequence[RewardTerm] = ()) -> None:
-        """So many chairs, each with a copy of the user's own reward terms, which remember one episode each."""
-        self.face = face
-        self.all = [Chair(face.config, copy.deepcopy(tuple(terms))) for _ in range(count)]
+    def __init__(self, spec: StreetEnvSpec, count: int, terms: Sequence[RewardTerm] = ()) -> None:
+        """So many chairs, each with its own copy of the user's reward terms, which have a state."""
+        self.spec = spec
+        self.all = [ChairView(spec.config, copy.deepcopy(tuple(terms))) for _ in range(count)]
         self._group: SeatGroup | None = None
 
     def __getstate__(self) -> dict[str, Any]:
-        """For copies. Raises ProtocolError while there is a world: one of several chairs is not driven again."""
+        """For copies. Raises ProtocolError while there is a world: several have no replay."""
         if self._group is not None:
             raise ProtocolError(
                 "several chairs in an open world cannot be copied; call close() first, or copy one"
@@ -223,20 +222,20 @@ class Chairs:
         """Whether there is a world, and no step of it was interrupted."""
         return self._group is not None and not any(link.interrupted for link in self._group.links)
 
-    def begin(self, seed: int | None) -> list[tuple[Seen, Info]]:
-        """Begin every chair's first episode in a world made anew; without a seed, with one drawn from the system."""
+    def begin(self, seed: int | None) -> list[tuple[EnvObservation, Info]]:
+        """Begin every chair's first episode in a new world; without a seed, one is drawn."""
         seed = (drawn_seed() if seed is None else seed) % SEED_LIMIT
         if not self.open:
             self.close()
         if self._group is None:
-            self._group = open_group(self.face.order(seed, len(self.all)))
+            self._group = open_group(self.spec.order(seed, len(self.all)))
             frames = self._group.join()
         else:
             frames = self._group.begin_again(seed)
         return [chair.begin(frame) for chair, frame in zip(self.all, frames, strict=True)]
 
-    def begin_next(self, seed: int | None = None) -> list[tuple[Seen, Info]]:
-        """Begin every chair's next episode where the world is now, without a tick; `seed` is for the first world."""
+    def begin_next(self, seed: int | None = None) -> list[tuple[EnvObservation, Info]]:
+        """Begin every chair's next episode, without a tick; `seed` is for the first world."""
         if self._group is None or not self.open:
             return self.begin(seed)
         frames = self._group.respawn()
@@ -250,29 +249,31 @@ class Chairs:
     def send_all(self, actions: object) -> None:
         """Send every chair's action, (N,) indices or (N, 2) sticks.
 
-        Raises ProtocolError for another number of them, BadActionError for a wrong one; then nothing has moved.
+        Raises ProtocolError for another number of them, BadActionError for a wrong one; then
+        nothing has moved.
         """
         rows = np.asarray(actions, dtype=object)
-        given = list(
-            np.atleast_1d(rows) if self.face.config.env.actions == "stick" else rows.reshape(-1)
-        )
-        if len(given) != len(self.all):
+        rows = np.atleast_1d(rows) if self.spec.config.env.actions == "stick" else rows.reshape(-1)
+        if len(rows) != len(self.all):
             raise ProtocolError(
-                f"{len(given)} actions; expected {len(self.all)}, one for each chair"
+                f"{len(rows)} actions; expected {len(self.all)}, one for each chair"
             )
-        commands = [chair.command(action) for chair, action in zip(self.all, given, strict=True)]
+        # All are checked before the first is sent.
+        commands = [chair.command(action) for chair, action in zip(self.all, rows, strict=True)]
         for seat, command in enumerate(commands):
             self.link(seat).send(command.tick, command.joystick)
 
     def receive(self, seat: int) -> EpisodeStep:
-        """What came of a chair's action. Raises LinkError."""
-        return self.all[seat].take(self.link(seat).receive())
+        """The result of a chair's action. Raises LinkError."""
+        return self.all[seat].finish_step(self.link(seat).receive())
 
-    def receive_all(self) -> list[tuple[EpisodeStep, tuple[Seen, Info] | None]]:
-        """What came of every action and, where an episode ended with it, the first frame of the next one."""
+    def receive_all(self) -> list[tuple[EpisodeStep, tuple[EnvObservation, Info] | None]]:
+        """The results of all actions, and the first frame of the next episode where one ended."""
         steps = [self.receive(seat) for seat in range(len(self.all))]
-        pairs = zip(self.all, steps, strict=True)
-        return [(step, chair.begin_next() if step.done else None) for chair, step in pairs]
+        return [
+            (step, chair.begin_next() if step.done else None)
+            for chair, step in zip(self.all, steps, strict=True)
+        ]
 
     def link(self, seat: int) -> Seat:
         """The link of a seat. Raises ProtocolError when there is no world."""
@@ -282,8 +283,20 @@ class Chairs:
 
     def close(self) -> None:
         """End the world; a second call does nothing."""
-        group, self._group = self._group, None
+        group = self._group
+        self._group = None
         for chair in self.all:
             chair.now = None
         if group is not None:
             group.close()
+
+
+def _require_terms(terms: object) -> None:
+    """Raise ConfigError for what is no list of objects with the methods of `RewardTerm`."""
+    if not isinstance(terms, Sequence) or any(
+        isinstance(term, type) or not is_reward_term(term) for term in terms
+    ):
+        raise ConfigError(
+            f"reward_terms={escaped_value(terms)}; expected a list of objects with the methods "
+            "reset() and reward(before, after), see examples/own_reward.py"
+        )

@@ -1,6 +1,8 @@
-"""One wheelchair as an agent meets it: its frames, of the last ticks too, become observations, rewards and info.
+"""One wheelchair as its agent sees it: frames become observations, rewards and info.
 
-All faces are made of this one piece, so what an agent sees and is paid does not depend on the face.
+Every environment, and every driver of a seat, uses this one class `ChairView`; so what an agent
+observes and earns does not depend on the interface. `begin` takes the first frame of an episode;
+then each step is a `command` and its `finish_step`.
 """
 
 from __future__ import annotations
@@ -8,8 +10,9 @@ from __future__ import annotations
 import operator
 from collections import deque
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import gymnasium
 import numpy as np
@@ -25,94 +28,18 @@ from wcsim.supervisor.observation import NEAR, Observation, observation_of, stat
 from wcsim.supervisor.rewards import DISTANCE_TOLERANCE, RewardTerm, joystick_distance, reward
 from wcsim.types import F32, ClientSnapshot, Command, Drawn, Joystick, RewardTerms
 
-IMAGE_KEYS = (CLASS_KEY, DEPTH_KEY, RGB_KEY)  # of the compact forms
+WORLD_RESTARTED: Final = "world_restarted"
+_IMAGE_KEYS: Final = (CLASS_KEY, DEPTH_KEY, RGB_KEY)  # of the compact forms
 
-
-class FrameWindow:
-    """Puts the last `frames` images of an episode into its observations, the newest last.
-
-    The first image of an episode fills the window. IMU and joystick stay those of now. With one frame, observations of
-    any form go through as they are.
-    """
-
-    def __init__(self, frames: int) -> None:
-        self._frames = frames
-        self._kept: deque[Observation] = deque(maxlen=frames)
-
-    def reset(self) -> None:
-        """Forget everything: the next observation begins an episode."""
-        self._kept.clear()
-
-    def add(self, observation: Observation) -> Observation:
-        """The observation with its window, (frames, H, W) in fresh arrays, from one with (1, H, W); colours thrice."""
-        if self._frames == 1:
-            return observation
-        missing = max(self._frames - len(self._kept), 1)  # all of them once, then one each time
-        self._kept.extend([observation] * missing)
-        images = {
-            key: np.concatenate([old[key] for old in self._kept])
-            for key in IMAGE_KEYS
-            if key in observation
-        }
-        return {**observation, **images}
-
-
-def windowed_space(space: gymnasium.spaces.Dict, frames: int) -> gymnasium.spaces.Dict:
-    """The space of the observations that `FrameWindow` makes of the compact ones in `space`."""
-    if frames == 1:
-        return space
-    parts = dict(space.spaces)
-    for key in parts.keys() & set(IMAGE_KEYS):
-        planes, *size = space[key].shape or ()
-        shape = (frames * planes, *size)
-        parts[key] = gymnasium.spaces.Box(0, 255, shape, np.uint8)
-    return gymnasium.spaces.Dict(parts)
-
-
-def newest(observation: policy_api.Observation, frames: int) -> policy_api.Observation:
-    """The observation with the newest `frames` images of its window, as views.
-
-    Raises PolicyError when the window holds fewer.
-    """
-    held = len(observation[DEPTH_KEY])
-    if held < frames:
-        raise PolicyError(
-            f"an observation holds {held} images, this policy was trained on {frames}; expected at least as many: "
-            f"set env.window={frames}"
-        )
-    if held == frames:
-        return observation
-    # An image may have several planes: colours have three for each moment.
-    planes = {key: len(observation[key]) // held for key in IMAGE_KEYS if key in observation}
-    return {
-        key: value[-frames * planes[key] :] if key in planes else value
-        for key, value in observation.items()
-    }
-
-
-Seen = Observation | F32
-"""What an environment shows: pictures and numbers by name, or the rows of `state`."""
+# Of an environment: pictures and numbers by name, or the rows of `state`.
+EnvObservation = Observation | F32
 Info = dict[str, Any]
-WORLD_RESTARTED = "world_restarted"
-
-
-def named(seen: Seen) -> Observation:
-    """The same, for a policy: the rows of `state` by name, and the user's stick (2,) beside them."""
-    return (
-        seen if isinstance(seen, dict) else {STATE_SENSE: seen, JOYSTICK_KEY: seen[0, 1:3].copy()}
-    )
-
-
-def delay_ticks(config: RunConfig, drawn: Drawn | None) -> int:
-    """From a command to the chair that obeys it, in an episode for which `drawn` was drawn."""
-    told = None if drawn is None else drawn.action_delay_ticks
-    return config.world.action_delay_ticks if told is None else told
 
 
 class EpisodeStep(NamedTuple):
-    """What one step was, in the order of Gymnasium's `step`."""
+    """The result of a step, in the order of Gymnasium's `step`."""
 
-    observation: Seen
+    observation: EnvObservation
     reward: float
     terminated: bool
     truncated: bool
@@ -124,22 +51,27 @@ class EpisodeStep(NamedTuple):
         return self.terminated or self.truncated
 
 
-class Chair:
-    """A seat of a world, driven by actions of the set; `now` is its frame, None before its first one."""
+class ChairView:
+    """One seat of a world as its agent sees it, from episode to episode.
+
+    Args:
+        config: Of the world.
+        terms: The user's own reward terms, for this chair alone.
+
+    Attributes:
+        now: Its latest frame; None before the first one.
+    """
 
     def __init__(self, config: RunConfig, terms: Sequence[RewardTerm] = ()) -> None:
-        """A chair of this configuration; `terms` are the user's own reward terms, for this chair alone."""
         self.now: ClientSnapshot | None = None
+        self.terms = tuple(terms)
         self._config = config
         self._actions = action_set(config.env.lattice)
-        self._any_stick, self._state = (
-            config.env.actions == "stick",
-            config.env.observation == "state",
-        )
-        self.terms = tuple(terms)
+        self._any_stick = config.env.actions == "stick"
+        self._state = config.env.observation == "state"
         self._window = FrameWindow(config.env.frames)
-        self._seen: Seen = {}  # the last observation
-        self._given = Joystick(0.0, 0.0)
+        self._observation: EnvObservation = {}  # the last one
+        self._given = Joystick(0.0, 0.0)  # as commanded last
         self._arrived = False  # at a destination of this episode
 
     @property
@@ -149,32 +81,31 @@ class Chair:
 
     @property
     def picture(self) -> npt.NDArray[np.uint8] | None:
-        """What the camera of networks sees in colours, (H, W, 3) uint8, where colours are drawn; an array of its own.
-
-        A film needs pictures for longer, and the camera draws into the same buffers again.
-        """
-        place = self._config.cameras.index(self._config.eye)
-        frames = () if self.now is None else self.now.sensors.cameras
-        drawn = frames[place].rgb if frames else None
+        """The colours of the networks' camera, (H, W, 3) uint8; None where none are drawn."""
+        if self.now is None or not self.now.sensors.cameras:
+            return None
+        camera = self._config.cameras.index(self._config.eye)
+        drawn = self.now.sensors.cameras[camera].rgb
+        # A copy: a film needs pictures for longer, and the camera draws into the same buffers.
         return None if drawn is None else drawn.copy()
 
-    def begin(self, first: ClientSnapshot) -> tuple[Seen, Info]:
+    def begin(self, first: ClientSnapshot) -> tuple[EnvObservation, Info]:
         """Begin an episode with its first frame.
 
         Raises:
-            ConfigMismatchError: The world's cameras are not those of this configuration.
+            ConfigMismatchError: The world's cameras or sensors are not those of this configuration.
         """
-        self._check(first)
+        self._require_configured(first)
         self.now = first
         for term in self.terms:
             term.reset()
         self._window.reset()
         self._arrived = False
-        self._seen = self._observed(first)
-        return self._seen, self._info(first, None, 0.0)
+        self._observation = self._observed(first)
+        return self._observation, self._info(first, None, 0.0)
 
-    def begin_next(self) -> tuple[Seen, Info]:
-        """Begin the episode whose first frame came with the last one of the episode before.
+    def begin_next(self) -> tuple[EnvObservation, Info]:
+        """Begin the next episode, whose first frame is part of the last frame of this one.
 
         Raises:
             ProtocolError: The episode before has not ended.
@@ -183,77 +114,96 @@ class Chair:
             raise ProtocolError("the next episode is not there yet; expected one that has ended")
         return self.begin(self.now.first)
 
-    def checked(self, action: object) -> int:
-        """An action's index in the set, of what a learner chose.
+    def action_index(self, action: object) -> int:
+        """The index of an action in the set: an integer, or an array of one; 1.0 is none.
 
         Raises:
             ProtocolError: No episode is on.
             BadActionError: It is no integer, or not in the set.
         """
-        self._frame()
-        index, most = _integer(action), len(self._actions) - 1
-        if index is None or not 0 <= index <= most:
-            got = escaped_value(action)
+        self._require_ready()
+        number = action
+        if isinstance(action, np.ndarray) and action.size == 1:
+            number = action.reshape(())[()]
+        try:
+            index = operator.index(number)  # type: ignore[arg-type]
+        except TypeError:
+            index = -1
+        most = len(self._actions) - 1
+        if not 0 <= index <= most:
             raise BadActionError(
-                f"action {got} is not in the action set; expected an integer from 0 to {most}"
+                f"action {escaped_value(action)} is not in the action set; expected an integer "
+                f"from 0 to {most}"
             )
         return index
 
     def stick(self, action: object) -> Joystick:
-        """The joystick position that an action stands for, or is. Raises what `checked` raises."""
+        """The joystick position of an action. Raises as `action_index`."""
         if not self._any_stick:
-            return Joystick(*self._actions.points[self.checked(action)].tolist())
-        self._frame()
-        try:
-            real = not any(
-                isinstance(part, complex | np.complexfloating) for part in np.ravel(action)
-            )  # type: ignore[call-overload]
-            xy = np.asarray(action, np.float64) if real else np.empty(0)
-        except (TypeError, ValueError, OverflowError):
-            xy = np.empty(0)
-        if xy.shape != (2,) or not (np.abs(xy) <= 1.0).all():  # no number is not within either
+            return Joystick(*self._actions.points[self.action_index(action)].tolist())
+        self._require_ready()
+        xy = np.empty(0)
+        with suppress(TypeError, ValueError, OverflowError):
+            # A complex number would lose its imaginary part with a warning alone.
+            parts = np.ravel(action)  # type: ignore[call-overload]
+            if not any(isinstance(part, complex | np.complexfloating) for part in parts):
+                xy = np.asarray(action, np.float64)
+        # NaN is not within the bounds either.
+        if xy.shape != (2,) or not (np.abs(xy) <= 1.0).all():
             raise BadActionError(
                 f"action {escaped_value(action)} is no stick; expected x and y from -1 to 1"
             )
-        # The gate of a joystick is round: what lies beyond it is pushed that way, as far as it goes.
+        # The gate of a joystick is round: what lies beyond it is pushed that way, up to the gate.
         return Joystick(*(xy / max(1.0, float(np.hypot(*xy)))).tolist())
 
     def command(self, action: object) -> Command:
-        """An action as the command of the tick of now. Raises what `checked` raises."""
-        now, self._given = self._frame(), self.stick(action)
+        """An action as the command of this tick. Raises as `action_index`."""
+        now = self._require_ready()
+        self._given = self.stick(action)
         return Command(seat=now.seat, tick=now.tick, joystick=self._given)
 
-    def take(self, after: ClientSnapshot) -> EpisodeStep:
-        """What came of the action that was commanded, with the seat's next frame."""
+    def finish_step(self, after: ClientSnapshot) -> EpisodeStep:
+        """The result of the last command; `after` is the seat's frame after the tick."""
+        # 1. Reward. The command answered the user's stick of the frame before.
         before = self.now
         if before is None:
-            raise ProtocolError("nothing was commanded; expected command() before take()")
-        self.now, asked, events, config = after, before.user, after.events, self._config.reward
-        gap = np.array([asked.x, asked.y]), np.array([self._given.x, self._given.y])
-        distance = joystick_distance(*gap, config)
-        terms = reward(distance, after.sensors.imu, after.plant, events, config)
+            raise ProtocolError("nothing was commanded; expected command() before finish_step()")
+        self.now = after
+        user = np.array([before.user.x, before.user.y])
+        given = np.array([self._given.x, self._given.y])
+        config = self._config.reward
+        terms = reward(
+            joystick_distance(user, given, config),
+            after.sensors.imu,
+            after.plant,
+            after.events,
+            config,
+        )
         if self.terms:
-            terms = replace(
-                terms, extra=sum(float(term.reward(before, after)) for term in self.terms)
-            )
-        self._seen = self._observed(after)
-        self._arrived = self._arrived or events.arrived
-        far = min(float(np.hypot(*(gap[1] - gap[0]))), MAX_DISTANCE)
-        info = self._info(after, terms, far, (asked, self._given))
-        # An episode that crashed has ended: nothing is left that could be cut off.
-        truncated = events.truncated and not events.crashed
-        return EpisodeStep(self._seen, float(terms.total), events.crashed, truncated, info)
+            extra = sum(float(term.reward(before, after)) for term in self.terms)
+            terms = replace(terms, extra=extra)
+        # 2. Observation and info. The distance in `info` does not depend on the reward's settings.
+        self._observation = self._observed(after)
+        self._arrived = self._arrived or after.events.arrived
+        distance = min(float(np.hypot(*(given - user))), MAX_DISTANCE)
+        info = self._info(after, terms, distance, (before.user, self._given))
+        # 3. End. An episode that crashed has ended: nothing is left that could be cut off.
+        crashed = after.events.crashed
+        truncated = after.events.truncated and not crashed
+        return EpisodeStep(self._observation, float(terms.total), crashed, truncated, info)
 
-    def cut(self) -> EpisodeStep:
-        """The end of an episode whose world began again: the last observation once more, truncated, worth nothing.
+    def truncate(self) -> EpisodeStep:
+        """End an episode whose world was restarted: the last observation again, reward 0.
 
         Raises:
             ProtocolError: There is no episode.
         """
         if self.now is None:
             raise ProtocolError("there is no episode to cut; expected one that has begun")
-        last, self.now = self.now, None
-        nothing = replace(
+        last = self.now
+        self.now = None
+        # Nothing of the last step may count twice.
+        events = replace(
             last.events,
             truncated=True,
             arrived=False,
@@ -264,23 +214,22 @@ class Chair:
             entered_red=False,
             help_asked=False,
         )
-        info = self._info(replace(last, events=nothing, contacts=()), None, 0.0)
-        return EpisodeStep(self._seen, 0.0, False, True, {**info, "reason": WORLD_RESTARTED})
+        info = self._info(replace(last, events=events, contacts=()), None, 0.0)
+        return EpisodeStep(self._observation, 0.0, False, True, {**info, "reason": WORLD_RESTARTED})
 
-    def _observed(self, frame: ClientSnapshot) -> Seen:
-        return (
-            state_of(frame)
-            if self._state
-            else self._window.add(observation_of(frame, self._config))
-        )
-
-    def _frame(self) -> ClientSnapshot:
-        """The frame of now. Raises ProtocolError where no episode is on."""
+    def _require_ready(self) -> ClientSnapshot:
+        """The current frame. Raises ProtocolError where no episode is on."""
         if self.now is None or self.now.first is not None:
             raise ProtocolError(
                 "step() came before reset(), or after the episode's end; call reset() first"
             )
         return self.now
+
+    def _observed(self, frame: ClientSnapshot) -> EnvObservation:
+        """The observation of a frame, which the window stores."""
+        if self._state:
+            return state_of(frame)
+        return self._window.add(observation_of(frame, self._config))
 
     def _info(
         self,
@@ -289,9 +238,11 @@ class Chair:
         distance: float,
         sticks: tuple[Joystick, Joystick] | None = None,
     ) -> Info:
-        """What an agent is told beside its observation; `sticks` are the user's and its own answer to it."""
-        plant, user = snapshot.plant, (snapshot.user.x, snapshot.user.y)
-        asked, given = sticks or (None, None)
+        """The info of an observation; `sticks` are the user's and the command that answered it."""
+        plant = snapshot.plant
+        events = snapshot.events
+        user = (snapshot.user.x, snapshot.user.y)
+        user_stick, given = sticks or (None, None)
         return {
             "state": plant,
             "imu": snapshot.sensors.imu,
@@ -300,58 +251,125 @@ class Chair:
             if self._any_stick
             else self._actions.nearest(user),
             "joystick_distance": distance,
-            "asked": asked,
+            "asked": user_stick,
             "given": given,
             "reward_terms": terms,
             "rewards": {
                 name: getattr(terms, name) if terms else 0.0 for name in RewardTerms.__slots__
             },
-            # An episode goes on behind a destination: at its end the last step says whether one was reached.
-            "is_success": self._arrived and not snapshot.events.crashed,
+            # An episode continues after a destination: its last step shows whether one was reached.
+            "is_success": self._arrived and not events.crashed,
             "truth": snapshot.truth,
             "drawn": snapshot.drawn,
             "warning": snapshot.truth.danger if snapshot.truth else None,
             "intervening": distance > self._config.reward.max_follow_distance + DISTANCE_TOLERANCE,
-            "events": snapshot.events,
-            "help": snapshot.events.help_asked,
+            "events": events,
+            "help": events.help_asked,
             "contacts": snapshot.contacts,
-            "progress_m": snapshot.events.progress_m,
+            "progress_m": events.progress_m,
             "speed_mps": float(np.hypot(plant.v_B_mps[0], plant.v_B_mps[1])),
         }
 
-    def _check(self, first: ClientSnapshot) -> None:
-        """Pictures of another size would leave the observation space without a word."""
-        wanted = [
-            (camera.name, (camera.height_px, camera.width_px)) for camera in self._config.cameras
-        ]
-        if self._state and not any(camera.rgb for camera in self._config.cameras):
-            wanted = []
-        given = {reading.name: len(reading.values) for reading in first.sensors.readings}
-        if self._state and NEAR not in given:
+    def _require_configured(self, first: ClientSnapshot) -> None:
+        """Refuse a world whose frames would not fit into the observation space."""
+        config = self._config
+        values = {reading.name: len(reading.values) for reading in first.sensors.readings}
+        if self._state and NEAR not in values:
             raise ConfigMismatchError(
-                "env.observation=state, but this seat's world does not say what is near; policies see pictures: "
-                "expected env.observation=compact, your own class with senses = ('state',) and no such setting, or a "
-                "seat with near=True"
+                "env.observation=state, but this seat's world does not say what is near; policies "
+                "see pictures: expected env.observation=compact, your own class with senses = "
+                "('state',) and no such setting, or a seat with near=True"
             )
-        got = [(frame.name, frame.depth_m.shape) for frame in first.sensors.cameras]
-        if got != wanted:
+        expected = [(camera.name, (camera.height_px, camera.width_px)) for camera in config.cameras]
+        # Without pictures in the observation, a world draws them only for colours.
+        if self._state and not any(camera.rgb for camera in config.cameras):
+            expected = []
+        received = [(frame.name, frame.depth_m.shape) for frame in first.sensors.cameras]
+        if received != expected:
             raise ConfigMismatchError(
-                f"the world's cameras are {got}; expected {wanted}: use its configuration"
+                f"the world's cameras are {received}; expected {expected}: use its configuration"
             )
-        sensors = {
-            name: len(measure.parts) for name, measure in self._config.sensors.measures().items()
+        sensors = {name: len(measure.parts) for name, measure in config.sensors.measures().items()}
+        if not sensors.items() <= values.items():
+            raise ConfigMismatchError(
+                f"the world's sensors are {values}; expected {sensors}: use its configuration"
+            )
+
+
+def policy_observation(observation: EnvObservation) -> Observation:
+    """An observation for a policy: rows of `state` by name, with the user's stick (2,)."""
+    if isinstance(observation, dict):
+        return observation
+    return {STATE_SENSE: observation, JOYSTICK_KEY: observation[0, 1:3].copy()}
+
+
+def delay_ticks(config: RunConfig, drawn: Drawn | None) -> int:
+    """The delay from a command to the chair's motion, as drawn for an episode or configured."""
+    if drawn is None or drawn.action_delay_ticks is None:
+        return config.world.action_delay_ticks
+    return drawn.action_delay_ticks
+
+
+class FrameWindow:
+    """Puts the last `frames` images of an episode into its observations, the newest last.
+
+    The first image of an episode fills the window. IMU and joystick are the latest ones. With one
+    frame, observations of any form pass unchanged.
+    """
+
+    def __init__(self, frames: int) -> None:
+        self._frames = frames
+        self._observations: deque[Observation] = deque(maxlen=frames)
+
+    def reset(self) -> None:
+        """Clear the window: the next observation begins an episode."""
+        self._observations.clear()
+
+    def add(self, observation: Observation) -> Observation:
+        """Store an observation with images (1, H, W); returns it with its window (frames, H, W).
+
+        Colours have three planes an image. The arrays of the window are new ones.
+        """
+        if self._frames == 1:
+            return observation
+        missing = max(self._frames - len(self._observations), 1)
+        self._observations.extend([observation] * missing)
+        images = {
+            key: np.concatenate([old[key] for old in self._observations])
+            for key in _IMAGE_KEYS
+            if key in observation
         }
-        if not sensors.items() <= given.items():
-            raise ConfigMismatchError(
-                f"the world's sensors are {given}; expected {sensors}: use its configuration"
-            )
+        return {**observation, **images}
 
 
-def _integer(value: object) -> int | None:
-    """The integer that a number or an array of one number is; None for anything else, 1.0 included."""
-    if isinstance(value, np.ndarray) and value.size == 1:
-        value = value.reshape(())[()]
-    try:
-        return operator.index(value)  # type: ignore[arg-type]
-    except TypeError:
-        return None
+def windowed_space(space: gymnasium.spaces.Dict, frames: int) -> gymnasium.spaces.Dict:
+    """The space of the observations that `FrameWindow` makes of the compact ones in `space`."""
+    if frames == 1:
+        return space
+    parts = dict(space.spaces)
+    for key in parts.keys() & set(_IMAGE_KEYS):
+        planes, *size = space[key].shape or ()
+        shape = (frames * planes, *size)
+        parts[key] = gymnasium.spaces.Box(0, 255, shape, np.uint8)
+    return gymnasium.spaces.Dict(parts)
+
+
+def newest_frames(observation: policy_api.Observation, frames: int) -> policy_api.Observation:
+    """The observation with the newest `frames` images of its window, as views.
+
+    Raises PolicyError when the window holds fewer.
+    """
+    held = len(observation[DEPTH_KEY])
+    if held < frames:
+        raise PolicyError(
+            f"an observation holds {held} images, this policy was trained on {frames}; expected at "
+            f"least as many: set env.window={frames}"
+        )
+    if held == frames:
+        return observation
+    # An image may have several planes: colours have three.
+    planes = {key: len(observation[key]) // held for key in _IMAGE_KEYS if key in observation}
+    return {
+        key: value[-frames * planes[key] :] if key in planes else value
+        for key, value in observation.items()
+    }

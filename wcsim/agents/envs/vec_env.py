@@ -1,8 +1,9 @@
 """Several wheelchairs in one world for one learner: a vectorised environment of Stable-Baselines3.
 
-`DQN("MultiInputPolicy", StreetVecEnv("helsinki", chairs=4))` learns from four chairs that meet in one street. All act
-in every step. A finished chair is respawned within the tick that ended it, as SB3 wants it: the observation is the next
-episode's first one, `info["terminal_observation"]` the last one of the episode before.
+`DQN("MultiInputPolicy", StreetVecEnv("helsinki", chairs=4))` learns from four chairs that meet in
+one street. All act in every step. A finished chair is respawned within the tick that ended it, as
+SB3 expects: the observation is the first one of the next episode, `info["terminal_observation"]`
+the last one of the episode before.
 """
 
 from __future__ import annotations
@@ -19,9 +20,10 @@ from wcsim.agents.envs.env_spec import (
     EnvOptions,
     checked_chairs,
     checked_seed,
-    make_face,
+    make_spec,
     stacked,
 )
+from wcsim.agents.envs.episode_view import EnvObservation, Info
 from wcsim.errors import ConfigError, ProtocolError, check_installed
 from wcsim.server.links.base import Waits
 
@@ -45,60 +47,67 @@ class StreetVecEnv(VecEnv):
     def __init__(
         self, town: str = "helsinki", *, chairs: int = 2, **options: Unpack[EnvOptions]
     ) -> None:
-        """Describe the environment; the world is made by the first reset. Arguments as in `StreetParallelEnv`.
+        """Describe the environment; the first reset makes the world.
+
+        Arguments as in `StreetParallelEnv`.
 
         Raises:
             ConfigError: The configuration cannot be used.
             TypeError: There is no such option.
         """
-        face = make_face(town, options, ("town", "chairs"))
-        self._chairs = Chairs(face, checked_chairs(chairs), options.get("reward_terms", ()))
+        spec = make_spec(town, options, ("town", "chairs"))
+        self._chairs = Chairs(spec, checked_chairs(chairs), options.get("reward_terms", ()))
         self._first_seed = checked_seed(options.get("seed"))
-        self._waiting = False  # for what comes of a step
-        self.config, self.render_mode = face.config, face.render_mode
-        super().__init__(chairs, face.observation_space(), face.action_space())
-        self.metadata = {
-            **self.metadata,
-            "render_fps": face.metadata["render_fps"],
-        }  # SB3 makes one without it
+        self._waiting = False  # for the result of a step
+        self.config = spec.config
+        self.render_mode = spec.render_mode
+        super().__init__(chairs, spec.observation_space(), spec.action_space())
+        # SB3 makes metadata without it.
+        self.metadata = {**self.metadata, "render_fps": spec.metadata["render_fps"]}
 
     def reset(self) -> VecEnvObs:
-        """Begin an episode in every chair: after `seed`, and for the first time, in a world made anew."""
+        """Begin an episode in every chair: after `seed`, and for the first time, in a new world."""
+        # A step under way must end first.
         if self._waiting:
-            self.step_wait()  # what is under way must come to its end
+            self.step_wait()
         seed = self._seeds[0]
-        begun = (
-            self._chairs.begin_next(self._first_seed) if seed is None else self._chairs.begin(seed)
-        )
+        if seed is None:
+            firsts = self._chairs.begin_next(self._first_seed)
+        else:
+            firsts = self._chairs.begin(seed)
         self._reset_seeds()
         self._reset_options()
-        self.reset_infos = [info for _, info in begun]
-        return stacked([observation for observation, _ in begun])
+        self.reset_infos = [info for _, info in firsts]
+        return stacked([observation for observation, _ in firsts])
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
-        """Make the next reset begin the world again with this seed; the chairs' own seeds follow from it."""
+        """Make the next reset start a new world with this seed, which gives the chairs' seeds."""
         self._seeds = [checked_seed(seed)] * self.num_envs
         return self._seeds
 
     def step_async(self, actions: npt.NDArray[Any]) -> None:
-        """Send every chair's action, (N,) indices or (N, 2) sticks. Raises BadActionError for a wrong one."""
+        """Send every chair's action, (N,) indices or (N, 2) sticks. Raises BadActionError."""
         if self._waiting:
             raise ProtocolError("step_async() came twice; call step_wait() first")
         self._chairs.send_all(actions)
         self._waiting = True
 
     def step_wait(self) -> VecEnvStepReturn:
-        """What came of it: observations, rewards (N,) float32, dones (N,), infos."""
+        """The results: observations, rewards (N,) float32, dones (N,), infos."""
         if not self._waiting:
             raise ProtocolError("step_wait() came before step_async(); call step_async() first")
         self._waiting = False
-        observations, infos, steps = [], [], self._chairs.receive_all()
-        for seat, (step, begun) in enumerate(steps):
-            seen, info = step.observation, {**step.info, "TimeLimit.truncated": step.truncated}
-            if begun is not None:  # what the learner sees next is of the next episode
-                info["terminal_observation"] = seen
-                seen, self.reset_infos[seat] = begun
-            observations.append(seen)
+        steps = self._chairs.receive_all()
+        observations: list[EnvObservation] = []
+        infos: list[Info] = []
+        for seat, (step, first) in enumerate(steps):
+            observation = step.observation
+            info = {**step.info, "TimeLimit.truncated": step.truncated}
+            # The learner's next observation is of the next episode.
+            if first is not None:
+                info["terminal_observation"] = observation
+                observation, self.reset_infos[seat] = first
+            observations.append(observation)
             infos.append(info)
         rewards = np.array([step.reward for step, _ in steps], dtype=np.float32)
         return stacked(observations), rewards, np.array([step.done for step, _ in steps]), infos
@@ -113,13 +122,13 @@ class StreetVecEnv(VecEnv):
         self._waiting = False
 
     def waits(self, seat: int) -> Waits:
-        """Where the time in a chair's link went so far."""
+        """The times spent in a chair's link so far."""
         return self._chairs.link(seat).waits
 
-    # --- what SB3 asks environments one by one; these chairs are parts of one ---
+    # --- what SB3 requests of environments one by one; these chairs are parts of one ---
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
-        """An attribute that all chairs share, such as `render_mode` or `config`, once a chair."""
+        """An attribute that all chairs share, such as `render_mode`, once a chair."""
         return [getattr(self, attr_name) for _ in self._picked(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:

@@ -1,10 +1,12 @@
 """One wheelchair as a Gymnasium environment: `gymnasium.make("wcsim/Street-v1", town="helsinki")`.
 
-The world behind it lives in this process when none does yet, otherwise in a process of its own; trajectories are the
-same to the bit. A finished chair is respawned by the world within the tick that ended it, so `reset()` without a seed
-only hands out the frame that is already there; `reset(seed=s)` makes the whole world anew.
+Its world is in this process when none is yet, otherwise in a process of its own; trajectories are
+the same to the bit. The world respawns a finished chair within the tick that ended its episode, so
+`reset()` without a seed only returns the frame that is already there; `reset(seed=s)` makes a new
+world.
 
-With `join` the environment makes no world: it takes its seat in a running one, which other clients share.
+With `join` the environment makes no world: it takes its seat in a running one, which other clients
+share.
 """
 
 from __future__ import annotations
@@ -13,7 +15,7 @@ import copy
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from typing import Any, Unpack
+from typing import Any, Final, Unpack
 
 import gymnasium
 import numpy as np
@@ -26,23 +28,23 @@ from wcsim.agents.envs.env_spec import (
     EnvOptions,
     checked_seed,
     drawn_seed,
-    make_face,
+    make_spec,
 )
-from wcsim.agents.envs.episode_view import Chair, Seen
+from wcsim.agents.envs.episode_view import ChairView, EnvObservation
 from wcsim.core import seeding
 from wcsim.errors import EvictedError, ProtocolError, ReplayMismatchError, WorldRestartedError
 from wcsim.server.links.base import Seat, SeatGroup, Waits, open_group
 from wcsim.server.specs import SeatRequest, WorldOrder
 from wcsim.types import F32, ClientSnapshot
 
-MOST_REPEATED = 100_000  # steps that a copy drives again, at most; they take 10 minutes or more
+MOST_REPEATED: Final = 100_000  # steps that a copy repeats; they take 10 minutes or more
 
 
-class WheelchairEnv(gymnasium.Env[Seen, np.int64 | F32]):
+class WheelchairEnv(gymnasium.Env[EnvObservation, np.int64 | F32]):
     """One wheelchair in a town, for Gymnasium.
 
-    A copy of it, by `copy.deepcopy` or from bytes, makes a world of its own and drives again all that was driven since
-    the last world was made. It is then where this one is, to the bit, and goes on alone.
+    A copy of it, by `copy.deepcopy` or from bytes, makes its own world and repeats all steps since
+    the last world was made. It then has the same state, to the bit.
     """
 
     metadata = {"render_modes": list(RENDER_MODES), "render_fps": RENDER_FPS}  # noqa: RUF012 (Gymnasium's own)
@@ -59,48 +61,54 @@ class WheelchairEnv(gymnasium.Env[Seen, np.int64 | F32]):
 
         Args:
             town: A town's name or folder.
-            towns: Further towns. When an episode ends after `config.epoch_ticks` steps in a town, the next follows.
-                The seed of a reset says which comes first.
-            join: Take this seat in a running world instead, or go on with one that was taken before. The server sets
-                town, seed, run and hook. Cameras and actions must match the server's. `join.spec` sets user and episode
-                length.
-            **options: config, preset, overrides, seed, reward_terms, render_mode, run, hook: see `EnvOptions`.
+            towns: Further towns. When an episode ends after `config.epoch_ticks` steps in a town,
+                the next follows. The seed of a reset determines the first one.
+            join: Take this seat in a running world instead, or continue with one that was taken
+                before. The server sets town, seed, run and hook. Cameras and actions must match the
+                server's. `join.spec` sets user and episode length.
+            **options: config, preset, overrides, seed, reward_terms, render_mode, run, hook: see
+                `EnvOptions`.
 
         Raises:
             ConfigError: The configuration cannot be used.
             TypeError: There is no such option.
         """
-        self._face = make_face(town, options, ("town", "towns", "join"))
-        self.metadata = {**self.metadata, "render_fps": self._face.metadata["render_fps"]}
+        self._spec = make_spec(town, options, ("town", "towns", "join"))
+        self.metadata = {**self.metadata, "render_fps": self._spec.metadata["render_fps"]}
         self._join = join
-        self._towns, self._root_seed, self._turn, self._steps = (town, *towns), 0, 0, 0
+        self._towns = (town, *towns)
+        self._root_seed = 0
+        self._turn = 0  # which world of this seed
+        self._steps = 0  # in this world
         self.on_town: Callable[[str], object] | None = None  # called with each town of several
         self._first_seed = checked_seed(options.get("seed"))
         self._driven: list[object] = []  # actions since the world was made; None for a reset
         self._own: SeatGroup | None = None  # the world, where no server has it
         self._link: Seat | None = None
         self._waits_no_more = False
-        self.due_work: Callable[[], Callable[[], None] | None] | None = (
-            None  # to be done while a step is waited for
-        )
+        # Returns work to be done while a step is awaited.
+        self.due_work: Callable[[], Callable[[], None] | None] | None = None
         terms = tuple(options.get("reward_terms", ()))
-        with suppress(
-            TypeError
-        ):  # one that holds a file or the like cannot be copied, and is taken as it is
-            terms = copy.deepcopy(terms)  # others may have these as well
-        self._chair = Chair(self._face.config, terms)
-        self.town, self.config, self.render_mode = town, self._face.config, self._face.render_mode
-        # Gymnasium types the space of a dictionary as a dictionary of spaces, which a Dict space is not.
-        self.observation_space = self._face.observation_space()  # type: ignore[assignment]
-        self.action_space = self._face.action_space()  # type: ignore[assignment]
+        # Other environments may have the same terms. One that cannot be copied, as it holds a file,
+        # is used as it is.
+        with suppress(TypeError):
+            terms = copy.deepcopy(terms)
+        self._chair = ChairView(self._spec.config, terms)
+        self.town = town
+        self.config = self._spec.config
+        self.render_mode = self._spec.render_mode
+        # Gymnasium types the space of a dictionary as a dictionary of spaces, which a Dict is not.
+        self.observation_space = self._spec.observation_space()  # type: ignore[assignment]
+        self.action_space = self._spec.action_space()  # type: ignore[assignment]
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Seen, dict[str, Any]]:
-        """Begin an episode; with a seed, in a world made anew.
+    ) -> tuple[EnvObservation, dict[str, Any]]:
+        """Begin an episode; with a seed, in a new world.
 
-        In a joined world the first reset hands out the frame that the seat has, whatever the seed, for the world is
-        the server's. A later one with a seed asks for the world to be begun again, which only the master may.
+        In a joined world the first reset returns the frame that the seat has, whatever the seed, as
+        the world is the server's. A later one with a seed requests a restart of the world, which
+        only the master may.
 
         Raises:
             ConfigError: The seed is no integer from 0 on.
@@ -112,19 +120,23 @@ class WheelchairEnv(gymnasium.Env[Seen, np.int64 | F32]):
         super().reset(seed=seed)
         return self._chair.begin(self._first_frame(seed))
 
-    def step(self, action: np.int64 | int | F32) -> tuple[Seen, float, bool, bool, dict[str, Any]]:
+    def step(
+        self, action: np.int64 | int | F32
+    ) -> tuple[EnvObservation, float, bool, bool, dict[str, Any]]:
         """Drive for one tick; terminated by a crash only, truncated after `env.max_steps`.
 
-        Truncated too when a shared world began again: with the last observation once more, reward 0 and
-        `info["reason"] == "world_restarted"`; the next reset hands out the new epoch's first frame.
+        Truncated also by the restart of a shared world: then with the last observation again,
+        reward 0 and `info["reason"] == "world_restarted"`; the next reset returns the first frame
+        of the new epoch.
 
         Raises:
             BadActionError: There is no such action.
             ProtocolError: No episode is on.
-            EvictedError: A server gave this client up; the next reset joins again.
+            EvictedError: A server has removed this client; the next reset joins again.
             LinkError: See `wcsim.errors` for what else a client can see.
         """
-        if (link := self._link) is None:
+        link = self._link
+        if link is None:
             raise ProtocolError("step() came before reset(); call reset() first")
         try:
             command = self._chair.command(action)
@@ -132,17 +144,21 @@ class WheelchairEnv(gymnasium.Env[Seen, np.int64 | F32]):
             work = None if self.due_work is None else self.due_work()
             if work is not None:
                 link.while_waiting(work)
-            after, self._steps = link.receive(), self._steps + 1
-            self._note(copy.copy(action))
-            return self._chair.take(after)
+            after = link.receive()
+            self._steps += 1
+            self._record(copy.copy(action))
+            return self._chair.finish_step(after)
         except WorldRestartedError:
-            return self._chair.cut()
+            return self._chair.truncate()
         except EvictedError:
             self.close()
             raise
 
     def render(self) -> npt.NDArray[np.uint8] | None:
-        """The first camera's picture (H, W, 3) uint8, in render mode "rgb_array"; a joined world must draw colours."""
+        """The camera's picture (H, W, 3) uint8, in render mode "rgb_array".
+
+        A joined world must draw colours.
+        """
         return self._chair.picture if self.render_mode == "rgb_array" else None
 
     def close(self) -> None:
@@ -159,49 +175,59 @@ class WheelchairEnv(gymnasium.Env[Seen, np.int64 | F32]):
 
     @property
     def waits(self) -> Waits:
-        """Where the time in the link went so far."""
+        """The times spent in the link so far."""
         return Waits() if self._link is None else self._link.waits
 
     def beat(self, progress: int) -> None:
-        """Show a server that a long computation goes on, by a counter that rises."""
-        if (link := self._held) is not None:
+        """Show a server that a long computation is running, by a counter that rises."""
+        link = self._held
+        if link is not None:
             link.beat(progress)
 
     def wait_less(self) -> None:
-        """From now on a world that is silent for some seconds is gone; may be called by a signal's handler."""
-        if (link := self._held) is not None:
+        """Give a silent world some seconds only, from now on; a signal's handler may call it."""
+        link = self._held
+        if link is not None:
             link.wait_less()
 
     def wait_no_more(self) -> None:
-        """From now on waiting for the world is a ServerGoneError; may be called by a signal's handler."""
+        """Make any wait for the world a ServerGoneError; a signal's handler may call it."""
         self._waits_no_more = True
         if self._link is not None:
             self._link.wait_no_more()
 
     @property
     def _held(self) -> Seat | None:
-        """The link; one that was taken before is held before the first reset too."""
-        return self._join if self._link is None and isinstance(self._join, Seat) else self._link
+        """The link; a seat that was taken before is held before the first reset, too."""
+        if self._link is None and isinstance(self._join, Seat):
+            return self._join
+        return self._link
 
     def _first_frame(self, seed: int | None) -> ClientSnapshot:
-        """The first frame of the next episode; a world whose step was interrupted is made, or joined, anew."""
+        """Go to the next episode; returns its first frame."""
+        # 1. Leave a world whose step was interrupted, and a town whose turn is over.
         if self._link is not None and self._link.interrupted:
             self.close()
         if self._link is not None and len(self._towns) > 1:
             if seed is None and 0 < self.config.epoch_ticks <= self._steps:
                 self.close()
                 return self._open(self._root_seed, self._turn + 1)
-            if seed is not None:  # a world that is made anew by its link stays in its town
+            # Its link would make the new world in the same town.
+            if seed is not None:
                 self.close()
-        link, now = self._link, self._chair.now
+        # 2. A new world: opened, or restarted by its link.
+        link = self._link
         if link is None:
-            return self._open(seed if seed is not None else self._first_seed)
+            return self._open(self._first_seed if seed is None else seed)
         if seed is not None:
-            self._root_seed, self._driven = seed, []
+            self._root_seed = seed
+            self._driven = []
             return link.rebuild(seed % SEED_LIMIT)
-        if now is None:  # a new epoch has begun
+        # 3. The next episode in this world. Without a frame a new epoch has started.
+        now = self._chair.now
+        if now is None:
             return link.join()
-        self._note(None)
+        self._record(None)
         if now.first is not None:
             return now.first
         try:
@@ -210,24 +236,23 @@ class WheelchairEnv(gymnasium.Env[Seen, np.int64 | F32]):
             return link.join()
 
     def _open(self, seed: int | None, turn: int = 0) -> ClientSnapshot:
+        """Make a world, or take a seat in a running one; returns the first frame."""
         if self._join is None:
-            self._root_seed, self._turn, self._steps = (
-                drawn_seed() if seed is None else seed,
-                turn,
-                0,
-            )
+            self._root_seed = drawn_seed() if seed is None else seed
+            self._turn = turn
+            self._steps = 0
             self._driven = []
-            self._own = open_group(self._order())
+            self._own = open_group(self._enter_town())
             self._link = self._own.links[0]
         elif isinstance(self._join, Seat):
             self._link = self._join
         else:
-            from wcsim.server.links.socket import (
-                SocketSeat,
-            )  # ZeroMQ is loaded only for a world of another process
+            # ZeroMQ is loaded only for a world of another process.
+            from wcsim.server.links.socket import SocketSeat
 
             self._link = SocketSeat(self._join)
-        if self._waits_no_more:  # requested before there was a link
+        # Requested before there was a link.
+        if self._waits_no_more:
             self._link.wait_no_more()
         try:
             return self._link.join()
@@ -235,30 +260,57 @@ class WheelchairEnv(gymnasium.Env[Seen, np.int64 | F32]):
             self.close()
             raise
 
-    def _note(self, action: object) -> None:
-        """Remember what was done, up to one more than a copy drives again."""
+    def _enter_town(self) -> WorldOrder:
+        """Set and announce the town of this turn; returns the order for its world.
+
+        The seed determines the first of several towns; the others follow in turn.
+        """
+        seed = self._root_seed
+        if self._turn:
+            seed = seeding.derive(self._root_seed, "town", self._turn)
+        order = self._spec.order(seed)
+        if len(self._towns) == 1:
+            return order
+        first = seeding.derive(self._root_seed, "towns")
+        self.town = self._towns[(first + self._turn) % len(self._towns)]
+        if self.on_town is not None:
+            self.on_town(self.town)
+        return replace(order, town=self.town)
+
+    def _record(self, action: object) -> None:
+        """Store an action, up to one more than a copy repeats."""
         if len(self._driven) <= MOST_REPEATED:
             self._driven.append(action)
 
     def __getstate__(self) -> dict[str, Any]:
-        """All but the world, and what its owner has put in. Raises ProtocolError where it could not be made again."""
+        """All but the world, and what its owner has put in.
+
+        Raises ProtocolError where the world could not be made again.
+        """
         if self._chair.now is not None and self._join is not None:
             raise ProtocolError(
                 "a seat in a world that others share cannot be copied; call close() first"
             )
         if self._chair.now is not None and len(self._driven) > MOST_REPEATED:
             raise ProtocolError(
-                f"a copy would drive more than {MOST_REPEATED} steps again; call reset(seed=...) or close() first"
+                f"a copy would drive more than {MOST_REPEATED} steps again; call reset(seed=...) "
+                "or close() first"
             )
         return {**self.__dict__, "_own": None, "_link": None, "due_work": None, "on_town": None}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Be where the other one is, in a world of its own. Raises ReplayMismatchError where this machine differs."""
+        """Repeat the original's steps in a new world.
+
+        Raises ReplayMismatchError where they lead to another state on this machine.
+        """
         self.__dict__.update(state)
-        then, terms, driven = self._chair.now, self._chair.terms, self._driven
+        then = self._chair.now
         if then is None:
             return
-        self._chair.terms = ()  # they have seen it all
+        # The steps are replayed without reward terms, which have counted them already.
+        terms = self._chair.terms
+        driven = self._driven
+        self._chair.terms = ()
         try:
             self._chair.begin(self._open(self._root_seed, self._turn))
             for action in driven:
@@ -273,17 +325,8 @@ class WheelchairEnv(gymnasium.Env[Seen, np.int64 | F32]):
             self.close()
             if not isinstance(error, ProtocolError):
                 raise
-            told = "the copy is not where its original was; expected the same versions, town and processor model"
-            raise ReplayMismatchError(f"{told}: {error}") from error
+            raise ReplayMismatchError(
+                "the copy is not where its original was; expected the same versions, town and "
+                f"processor model: {error}"
+            ) from error
         self._chair.terms = terms
-
-    def _order(self) -> WorldOrder:
-        """The world of this turn: the seed says which of several towns comes first, and then they come in turn."""
-        root, turn = self._root_seed, self._turn
-        order = self._face.order(seeding.derive(root, "town", turn) if turn else root)
-        if len(self._towns) == 1:
-            return order
-        self.town = self._towns[(seeding.derive(root, "towns") + turn) % len(self._towns)]
-        if self.on_town is not None:
-            self.on_town(self.town)
-        return replace(order, town=self.town)

@@ -15,7 +15,7 @@ import torch
 
 import wcsim
 from wcsim.agents.danger.policy import DangerPolicy, load_net
-from wcsim.agents.envs.episode_view import FrameWindow, newest
+from wcsim.agents.envs.episode_view import FrameWindow, newest_frames
 from wcsim.agents.export.export_folder import LOOP, REFERENCE, as_words, settings_apart
 from wcsim.agents.export.footprint import PERIOD_S, SHARE, Footprint, footprint, steps_of
 from wcsim.agents.export.guard import MEANING
@@ -112,7 +112,7 @@ def export_policy(
     graph, own = _opened(policy, config, level, network)
     graph.train(False)
     config = resolve(config, sense_settings(config, senses_of(own)))
-    ride = [newest(seen, 1) for seen in ride]
+    ride = [newest_frames(seen, 1) for seen in ride]
     chosen = _chosen(own, ride, graph.window)
     shapes = graph.shapes()
     given = tuple(torch.as_tensor(ride[0][key])[None] for key in graph.inputs)

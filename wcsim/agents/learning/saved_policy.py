@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from gymnasium import spaces
 
-from wcsim.agents.envs.episode_view import newest, windowed_space
+from wcsim.agents.envs.episode_view import newest_frames, windowed_space
 from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.networks.encoder import (
     image_size,
@@ -90,7 +90,7 @@ class _NetPolicy:
     def _seen(
         self, observation: Observation
     ) -> tuple[np.ndarray[Any, np.dtype[np.float32]], torch.Tensor]:
-        seen = newest(observation, self.file.window)
+        seen = newest_frames(observation, self.file.window)
         with torch.inference_mode():
             batch = {key: torch.as_tensor(np.asarray(value))[None] for key, value in seen.items()}
             if self.net.spec.stateful:

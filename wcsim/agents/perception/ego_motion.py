@@ -13,7 +13,7 @@ import numpy as np
 
 from wcsim.agents.perception.arcs import follow
 from wcsim.agents.policy_api import IMU_KEY, ODOMETRY_KEY, Observation
-from wcsim.core.joystick import wanted
+from wcsim.core.joystick import target_speeds
 from wcsim.types import F64
 
 SPEED_FULL_SCALE, TURN_FULL_SCALE = 4.0, 4.0  # of odometry and turn rates in an observation
@@ -79,7 +79,7 @@ class EgoMotion:
         if (
             speed_mps is None
         ):  # then it has come to what its user asks for, as far as anybody can tell
-            self.motion[:2] = wanted(asked[0], asked[1], 0.0, self._limits)
+            self.motion[:2] = target_speeds(asked[0], asked[1], 0.0, self._limits)
         else:
             self.motion[0] = speed_mps
         if turn_radps is not None:

@@ -1,1 +1,1 @@
-"""Policies that learn nothing: follow, dwa, oracle and their kin. Trained ones are read from run folders."""
+"""Policies that learn nothing: follow, dwa, oracle and others; and those of other projects."""

@@ -1,9 +1,10 @@
-"""Policies that learn nothing, to compare networks with: follow, random, zero, stop, dwa, and oracles above all."""
+"""Policies that learn nothing, to compare networks with: follow, random, zero, stop, oracles."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import Final
 
 import numpy as np
 
@@ -30,30 +31,29 @@ from wcsim.physics.wheelchair.plant import plant_spec
 from wcsim.supervisor.actions import ActionSet, action_set
 from wcsim.types import F64, Bool, Outline, Truth, Verdict
 
-MARGIN_M = 0.19  # on each side
-CLEAR_M = 0.3  # to keep in front when standing
-_REACTION_S = 0.4  # one tick of delay, the drive's ramp
-STEP_M = (
-    0.15  # higher than this is in the way, deeper than this is a drop: twice what the casters climb
-)
-HEAD_M = 1.6  # what hangs higher passes above
-_SLOPE_PER_M = 0.03  # uneven ground and depth steps grow with the distance
-_PIXEL_SHARE = 4e-4  # of the image, and at least _MIN_PIXELS: less is noise
-_MIN_PIXELS = 2
-_STRAIGHT_RADPS = 0.05
-WARNS_AHEAD_S = 1.0  # `stop`, of what it would stop for so much later
+MARGIN_M: Final = 0.19  # on each side
+CLEAR_M: Final = 0.3  # in front of a chair at rest
+# What is higher is in the way, what is deeper is a drop: twice what the casters climb.
+STEP_M: Final = 0.15
+HEAD_M: Final = 1.6  # what hangs higher passes above
+WARNS_AHEAD_S: Final = 1.0  # `stop` warns so long before it would stop
+_REACTION_S: Final = 0.4  # one tick of delay, the drive's ramp
+_SLOPE_PER_M: Final = 0.03  # uneven ground and depth steps grow with the distance
+_PIXEL_SHARE: Final = 4e-4  # of the image, and at least _MIN_PIXELS: less is noise
+_MIN_PIXELS: Final = 2
+_STRAIGHT_RADPS: Final = 0.05
 
 
 class _Memoryless:
-    """What a policy does at a start of which it remembers nothing."""
+    """The starts of a policy without a memory."""
 
     __slots__ = ()
 
     def begin(self) -> None:
-        """Nothing is remembered."""
+        """Nothing to clear."""
 
     def reset(self) -> None:
-        """Nothing is remembered."""
+        """Nothing to clear."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -64,7 +64,7 @@ class Follow(_Memoryless):
     name: str = "follow"
 
     def act(self, observation: Observation) -> int:
-        """The user's wish."""
+        """The action nearest to the user's stick."""
         return self.actions.nearest(observation[JOYSTICK_KEY])
 
 
@@ -94,44 +94,46 @@ class _Random(_Memoryless):
         self.begin()
 
     def begin(self) -> None:
-        """The same draws in every test."""
+        """Start the draws again: they are the same in every test."""
         self.rng = seeding.generator(self.seed, "agent", "random")
 
     def act(self, observation: Observation) -> int:
-        """A uniformly drawn action."""
+        """Draw an action, uniformly."""
         del observation
         return int(self.rng.integers(0, len(self.actions)))
 
 
 class _CorridorWatch:
-    """Looks along the swept corridor of a joystick position. Keeps the viewing rays of one camera."""
+    """Looks along the corridor that the chair sweeps at a joystick position, in one camera."""
 
     def __init__(self, camera: CameraConfig, chair: ChairConfig, outline: Outline) -> None:
         self._rays = viewing_rays(camera)
         self._eye_B_m = np.array(camera.p_BC_m, dtype=np.float64)  # (3,)
-        self._range_m, self._chair, self._outline = camera.range_m, chair, outline
+        self._range_m = camera.range_m
+        self._chair = chair
+        self._outline = outline
         self._few = max(_MIN_PIXELS, round(_PIXEL_SHARE * len(self._rays)))
 
     def blocked(self, observation: Observation, x: float, y: float, ahead_s: float = 0.0) -> bool:
-        """Whether a joystick at (x right, y > 0 forward) would run into something before the chair could stand.
+        """Whether a joystick (x right, y > 0 forward) would hit something before the chair stops.
 
-        With `ahead_s` before it could when it begins to brake so much later.
+        With `ahead_s` the chair begins to brake so much later.
         """
+        # 1. The points of the image in B, and how far the chair drives until it stops.
         depth_m = depth_metres(observation[DEPTH_KEY], self._range_m).reshape(-1).astype(np.float64)
-        points = self._eye_B_m + self._rays * depth_m[:, None]  # (H * W, 3) in B
-        roll, pitch = (
-            math.pi * float(observation[IMU_KEY][3]),
-            0.5 * math.pi * float(observation[IMU_KEY][4]),
-        )
+        points = self._eye_B_m + self._rays * depth_m[:, None]  # (H * W, 3)
+        roll_rad = math.pi * float(observation[IMU_KEY][3])
+        pitch_rad = 0.5 * math.pi * float(observation[IMU_KEY][4])
         speed, turn = y * self._chair.v_max_mps, -x * self._chair.yaw_rate_max_radps
         stop_m = speed * (_REACTION_S + ahead_s) + speed * speed / (2.0 * self._chair.decel_mps2)
         reach_m = stop_m + self._outline.front_x_m + CLEAR_M
-        seen = (depth_m > 0.0) & (depth_m < 0.99 * self._range_m)  # 0: nothing was measured
-        low, high = _heights(points, roll, pitch)
+        # 2. Something solid. A depth of 0 was not measured.
+        seen = (depth_m > 0.0) & (depth_m < 0.99 * self._range_m)
+        low, high = _heights(points, roll_rad, pitch_rad)
         solid = seen & (low > _limit_m(points)) & (high < HEAD_M)
         if self._enough(solid & _in_corridor(points, speed, turn, reach_m, self._outline)):
             return True
-        # Rays that would meet level ground within the corridor, but go on below it.
+        # 3. A drop: rays that would meet level ground within the corridor, but go on below it.
         down = self._rays[:, 2] < -1e-3
         fall = np.where(down, -self._eye_B_m[2] / np.where(down, self._rays[:, 2], -1.0), 0.0)
         ground = self._eye_B_m + self._rays * fall[:, None]
@@ -143,16 +145,17 @@ class _CorridorWatch:
 
 
 def _limit_m(points_B_m: F64) -> F64:
-    """(K,) how high or deep something must be at these places to be in the way, or a drop."""
+    """(K,) the height above which a place is in the way, and the depth below which it is a drop."""
     return np.asarray(
         STEP_M + _SLOPE_PER_M * np.hypot(points_B_m[:, 0], points_B_m[:, 1]), np.float64
     )
 
 
 def _heights(points_B_m: F64, roll_rad: float, pitch_rad: float) -> tuple[F64, F64]:
-    """Smaller and larger of two heights of each point: above the chair's own plane, and above a level plane below it.
+    """Smaller and larger of two heights of each point: above the chair's plane, and a level plane.
 
-    On a ramp the first is right, just before or after it the second; something counts only when both agree.
+    On a ramp the first is right, just before or after it the second; something counts only when
+    both agree.
     """
     own = points_B_m[:, 2]
     level = (
@@ -166,7 +169,7 @@ def _heights(points_B_m: F64, roll_rad: float, pitch_rad: float) -> tuple[F64, F
 def _in_corridor(
     points_B_m: F64, speed_mps: float, turn_radps: float, reach_m: float, outline: Outline
 ) -> Bool:
-    """Points over which the chair passes on the arc of (speed, turn), up to `reach_m` ahead of its axle; (K,) bool."""
+    """(K,) which points the chair passes over on its arc, up to `reach_m` ahead of its axle."""
     x, y = points_B_m[:, 0], points_B_m[:, 1]
     half = 0.5 * outline.width_m + MARGIN_M
     if abs(turn_radps) < _STRAIGHT_RADPS:
@@ -175,17 +178,19 @@ def _in_corridor(
     aside = np.abs(np.hypot(x, y - radius) - abs(radius))
     angle = np.arctan2(x, (radius - y) * np.sign(radius))
     along = np.where(angle > 0.0, angle, 0.0) * abs(radius)
-    # On a tight arc the footplate swings wide of the axle's path, so the straight box ahead of the chair counts too.
+    # On a tight arc the footplate swings wide of the axle's path, so the straight box ahead of the
+    # chair counts too.
     box = (np.abs(y) < half) & (x > 0.0) & (x < outline.front_x_m + CLEAR_M)
     return np.asarray(box | ((aside < half) & (angle > 0.0) & (along < reach_m)), dtype=np.bool_)
 
 
 @dataclass(slots=True, kw_only=True)
 class _StopBeforeObstacles(_Memoryless):
-    """Follows, but gives no throttle while the depth image shows something in the way within the stopping distance.
+    """Follows, but without throttle while something is in the way within the stopping distance.
 
-    It may still turn on the spot, so a user who steers past the obstacle gets going again. The camera looks forward:
-    backwards it follows blindly. It warns, as `next_alarm` has it, of what it would stop for in a second.
+    It may still turn on the spot, so a user who steers past the obstacle can go on. The camera
+    looks forward: backwards it follows blindly. It warns, by `next_alarm`, a second before it would
+    stop.
     """
 
     actions: ActionSet
@@ -199,11 +204,11 @@ class _StopBeforeObstacles(_Memoryless):
         return self._alarm.on
 
     def reset(self) -> None:
-        """No warning outlasts an episode."""
+        """End the warning with the episode."""
         self._alarm = Alarm()
 
     def act(self, observation: Observation) -> int:
-        """The user's wish, without its forward part when the way is blocked."""
+        """The user's stick, without its forward part when the way is blocked."""
         x, y = (float(value) for value in observation[JOYSTICK_KEY])
         stops = y > 0.0 and self.watch.blocked(observation, x, y, WARNS_AHEAD_S)
         self._alarm = next_alarm(self._alarm, float(stops), TWO_TICKS)
@@ -214,9 +219,10 @@ class _StopBeforeObstacles(_Memoryless):
 
 @dataclass(slots=True, kw_only=True)
 class _OracleDriver(_Memoryless):
-    """The safe action nearest to the user's joystick, by the true geometry; the one that fails latest when none is.
+    """The safe action nearest to the user's joystick, by the true geometry, or the last to fail.
 
-    With the name `oracle-visible` it knows only those of the others whom the chair's cameras have shown lately.
+    With the name `oracle-visible` it knows only the road users that the chair's cameras have shown
+    lately.
     """
 
     actions: ActionSet
@@ -226,24 +232,24 @@ class _OracleDriver(_Memoryless):
     def see(self, truth: Truth | None) -> None:
         """Take the truth of the moment to act in. Raises PolicyError without one."""
         visible = self.name == VISIBLE_BOUND
-        said: Verdict | None = truth.visible if visible and truth is not None else truth
-        if said is None:
+        verdict: Verdict | None = truth.visible if visible and truth is not None else truth
+        if verdict is None:
             key = "env.truth_visible" if visible else "env.truth"
             raise PolicyError(
                 f"{self.name} got no truth from its environment; expected {key} = true: set it"
             )
-        self._first_s = said.first_s
+        self._first_s = verdict.first_s
 
     def act(self, observation: Observation) -> int:
-        """The user's wish as far as it ends well."""
+        """The action nearest to the user's stick that ends well."""
         if self._first_s is None:
             raise PolicyError(
-                "the oracle was asked to act before it saw the truth; expected see() before each act()"
+                "the oracle was asked to act before it saw the truth; expected see() before each "
+                "act()"
             )
-        first_s, self._first_s = (
-            self._first_s,
-            None,
-        )  # the truth of one moment says nothing of the next
+        # The truth of one moment is none of the next.
+        first_s = self._first_s
+        self._first_s = None
         latest = first_s == first_s.max()  # infinity, where any ends well
         distances = self.actions.distances(np.asarray(observation[JOYSTICK_KEY])[None])[0]
         if np.isfinite(first_s).all():  # of those that fail together the gentlest
@@ -252,7 +258,7 @@ class _OracleDriver(_Memoryless):
 
 
 def baseline(name: str, config: RunConfig, seed: int = 0) -> Policy:
-    """The baseline of that name for a run's action set, camera and chair. Raises PolicyError for an unknown name."""
+    """A baseline for a run's actions, camera and chair. Raises PolicyError for an unknown name."""
     actions = action_set(config.env.actions)
     if name == "follow":
         return Follow(actions=actions)

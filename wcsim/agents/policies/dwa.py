@@ -1,19 +1,21 @@
-"""The baseline `dwa`, a dynamic-window shared controller, and `veto:POLICY`, in which it watches any other policy.
+"""The baseline `dwa`, a dynamic-window controller, and `veto:POLICY`, its watch over a policy.
 
-Every joystick position of the action set is an arc within the reach of the drive. One that could not be held for 0.3 s
-and then braked before it meets something that it knows of (a wall, a person, a kerb, a drop) is out; of the others the
-one nearest to the user's stick wins, pushed away from what it would pass closely. Arcs begin where the commands that
-are on their way will have brought the chair. Backwards the chair does not look: it backs up over ground that it has
-seen or stood on, and hardly farther.
+Every joystick position of the action set is an arc within the reach of the drive. One is out that
+could not be held for 0.3 s and then braked before it meets something known (a wall, a person, a
+kerb, a drop). Of the others the one nearest to the user's stick wins, pushed away from what it
+would pass closely. Arcs begin where the commands that are on their way will have brought the chair.
+Backwards the chair does not look: it backs up over ground that it has seen or stood on, and hardly
+farther.
 
-The wrapper forbids what it could not brake in time. Networks and `dwa` miss different crashes, so together they crash
-less, and intervene more often.
+The wrapper forbids what it could not brake in time. Networks and `dwa` miss different crashes, so
+together they crash less, and intervene more often.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 
@@ -44,10 +46,11 @@ from wcsim.physics.wheelchair.plant import plant_spec
 from wcsim.supervisor.actions import ActionSet, action_set
 from wcsim.types import F64, I64, Bool, Outline
 
-_COMFORT_COST = 0.15  # joystick distance, less than the 0.1768 that still counts as following
-ROOM_S = 0.5  # more, for which a faster command than the last one must be free
-WARN_S = 2.0  # of what the user's stick would meet so soon
-_WARN_MARGIN_M = 0.03
+ROOM_S: Final = 0.5  # more, for which a faster command than the last one must be free
+WARN_S: Final = 2.0  # before the user's stick would meet something
+# A joystick distance, less than the 0.1768 that still counts as following.
+_COMFORT_COST: Final = 0.15
+_WARN_MARGIN_M: Final = 0.03
 
 
 @exact_kernel
@@ -61,7 +64,7 @@ def _backs_blindly(
     pose_O: F64,
     blind: Bool,
 ) -> None:
-    """Say in `blind` (K,) which commands bring the chair's rear, backwards, onto ground that it does not know.
+    """Write to `blind` (K,) which commands bring the chair's rear, backwards, onto unknown ground.
 
     Args:
         start: (6,) see `arcs`.
@@ -103,10 +106,10 @@ def _rear_is_known(now: F64, box: F64, cells: I64, pose: F64) -> bool:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Caution:
-    """How early, and how widely, a driver is kept from what is in the way."""
+    """How early, and how widely, a driver is held back from what is in the way."""
 
     hold_s: float = 0.3  # each joystick position is held for so long before it is braked
-    margin_m: float = 0.07  # kept all around: half a cell, and what the reckoning is off
+    margin_m: float = 0.07  # all around: half a cell, and the error of the prediction
     comfort_m: float = 0.25  # passing closer than this costs up to _COMFORT_COST
 
 
@@ -115,10 +118,10 @@ _EARLY = _Caution(hold_s=1.0, margin_m=0.2, comfort_m=0.5)
 
 
 def _caution(level: float) -> _Caution:
-    """That of a level of assistance from 0 (_LAST_MOMENT) over 1 (the usual one) to 2 (_EARLY)."""
-    low, high, share = (
-        (_LAST_MOMENT, _Caution(), level) if level < 1.0 else (_Caution(), _EARLY, level - 1.0)
-    )
+    """The caution of a level of assistance: 0 (_LAST_MOMENT), 1 (the usual), 2 (_EARLY)."""
+    low, high, share = _Caution(), _EARLY, level - 1.0
+    if level < 1.0:
+        low, high, share = _LAST_MOMENT, _Caution(), level
     mixed = {
         key: (1.0 - share) * getattr(low, key) + share * getattr(high, key)
         for key in _Caution.__slots__
@@ -129,7 +132,7 @@ def _caution(level: float) -> _Caution:
 def _brakes_in_time(
     around: StreetSense, care: _Caution, start: F64, later_s: float, points: F64
 ) -> tuple[Bool, F64]:
-    """Of each action, whether it can be braked in time and does not back into what nobody has seen; how near it passes.
+    """Of each action, whether it can be braked in time, over known ground; and how near it passes.
 
     Args:
         around: The street, as of the newest observation.
@@ -142,7 +145,8 @@ def _brakes_in_time(
         (A,) whether it can, and (A,) the gap in metres.
     """
     commands, limits, box = around.commands, around.limits, around.box_B_m
-    gap_m, blind = np.empty(len(commands)), np.empty(len(commands), np.bool_)
+    gap_m = np.empty(len(commands))
+    blind = np.empty(len(commands), np.bool_)
     free: Bool = arcs(start, later_s, care.hold_s, commands, limits, box, points, gap_m)
     _backs_blindly(
         start, care.hold_s, commands, limits, box, around.memory.cells, around.ego.pose_O, blind
@@ -151,19 +155,23 @@ def _brakes_in_time(
 
 
 class DynamicWindow(HearsSent):
-    """Chooses the actions nearest to the user's stick that can be braked in time, with some room on their sides.
+    """Chooses the action nearest to the user's stick that can be braked in time, with some room.
 
-    It remembers the street around it, who moves there, and how it drives.
+    It remembers the street around it, the road users there, and its own motion.
+
+    Attributes:
+        unsafe: (A,) the actions that were excluded at the last choice.
 
     Args:
-        name: What it is called.
-        config: Of the run: its first camera is seen, and its chair driven.
+        name: In tables.
+        config: Of the run, with the camera that is used, its first, and the chair.
         actions: The joystick positions to choose from.
         outline: The box around the chair and its user.
         level: Of assistance, see `_caution`.
     """
 
-    senses, levels = MOTION_SENSES, (0.0, HIGHEST_LEVEL)
+    senses = MOTION_SENSES
+    levels = (0.0, HIGHEST_LEVEL)
 
     def __init__(
         self,
@@ -173,16 +181,16 @@ class DynamicWindow(HearsSent):
         outline: Outline,
         level: float = USUAL_LEVEL,
     ) -> None:
-        self.name, self._alarm = name, Alarm()
-        self.level, self._caution, self._actions = level, _caution(level), actions
-        self.unsafe: Bool = np.zeros(
-            len(actions), np.bool_
-        )  # (A,) out of the question at the last choice
+        self.name = name
+        self.level = level
+        self._caution = _caution(level)
+        self._actions = actions
+        self._alarm = Alarm()
+        self.unsafe: Bool = np.zeros(len(actions), np.bool_)
         self.around = StreetSense(config, actions, outline)
         self._rest = actions.nearest((0.0, 0.0))
-        self._last = self._asked = (
-            self._rest
-        )  # what was sent last, and what the user's stick asked for then
+        self._last = self._rest  # the action that was sent last
+        self._last_user = self._rest  # the action nearest to the user's stick then
 
     def begin(self) -> None:
         """Nothing outlives an episode."""
@@ -190,7 +198,8 @@ class DynamicWindow(HearsSent):
     def reset(self) -> None:
         """Stand still, and know nothing of the street."""
         self.around.forget()
-        self._alarm, self._last, self._asked = Alarm(), self._rest, self._rest
+        self._alarm = Alarm()
+        self._last = self._last_user = self._rest
 
     @property
     def warning(self) -> bool:
@@ -198,49 +207,52 @@ class DynamicWindow(HearsSent):
         return self._alarm.on
 
     def set_level(self, level: float) -> None:
-        """Assist so from the next choice on; see `_caution`. Raises PolicyError for a level out of bounds."""
+        """Set the level from the next choice on. Raises PolicyError for one out of bounds."""
         require_level(level, self.levels)
-        self.level, self._caution = level, _caution(level)
+        self.level = level
+        self._caution = _caution(level)
 
     def sent(self, action: int) -> None:
-        """Say which action is carried out."""
+        """Take the action that is executed."""
         self.around.command(action)
         self._last = action
 
     def choose(self, observation: Observation) -> int:
         """The action, while another one may still be sent."""
-        around, stick = self.around, np.asarray(observation[JOYSTICK_KEY], np.float64)
-        around.observe(observation)
-        points = around.in_the_way(self._caution.margin_m)
-        start, later_s = around.start()
-        self._alarm = next_alarm(
-            self._alarm, float(self._meets(stick, start, later_s, points)), TWO_TICKS
-        )
-        return self._choose(stick, start, later_s, points)
-
-    def _meets(self, stick: F64, start: F64, later_s: float, points: F64) -> bool:
-        """Whether the user's stick, held, would meet something soon."""
+        # 1. Observe, and predict the state `start` (6,) in which an action begins.
         around = self.around
-        shaped, limits, box = around.shaped(stick), around.limits, around.box_B_m
-        return math.isfinite(
-            touches_after(start, later_s, shaped, limits, box, points, _WARN_MARGIN_M, WARN_S)
-        )
-
-    def _choose(self, stick: F64, start: F64, later_s: float, points: F64) -> int:
-        """The action that begins at `start` (6,), with `points` (n, 5) in the way, see `arcs`."""
+        around.observe(observation)
         care = self._caution
-        free, gap_m = _brakes_in_time(self.around, care, start, later_s, points)
+        stick = np.asarray(observation[JOYSTICK_KEY], np.float64)
+        points = around.in_the_way(care.margin_m)
+        start, later_s = around.start()
+        # 2. Warn where the user's stick, held, would meet something soon.
+        meets_s = touches_after(
+            start,
+            later_s,
+            around.shaped(stick),
+            around.limits,
+            around.box_B_m,
+            points,
+            _WARN_MARGIN_M,
+            WARN_S,
+        )
+        self._alarm = next_alarm(self._alarm, float(math.isfinite(meets_s)), TWO_TICKS)
+        # 3. Exclude what could not be braked in time.
+        free, gap_m = _brakes_in_time(around, care, start, later_s, points)
         self.unsafe = ~free
         out = np.hypot(self._actions.points[:, 0], self._actions.points[:, 1])
-        taken, self._asked = self._last != self._asked, self._actions.nearest(stick)
-        if taken and out[self._asked] > out[self._last]:
-            # A stick that was taken is given back when there is room: else the chair would speed up to brake again.
-            roomy, _ = _brakes_in_time(
-                self.around, replace(care, hold_s=care.hold_s + ROOM_S), start, later_s, points
-            )
+        overruled = self._last != self._last_user
+        self._last_user = self._actions.nearest(stick)
+        if overruled and out[self._last_user] > out[self._last]:
+            # An overruled stick is obeyed again when there is room: else the chair would speed up
+            # to brake again.
+            longer = replace(care, hold_s=care.hold_s + ROOM_S)
+            roomy, _ = _brakes_in_time(around, longer, start, later_s, points)
             free &= roomy | (out <= out[self._last])
         if not free.any():
             return self._actions.nearest((0.0, 0.0))
+        # 4. Choose the nearest to the stick; passing closely costs.
         cost = self._actions.distances(stick[None])[0]
         cost += _COMFORT_COST * np.clip((care.comfort_m - gap_m) / care.comfort_m, 0.0, 1.0)
         return int(np.argmin(np.where(free, cost, np.inf)))
@@ -251,32 +263,32 @@ class Veto(HearsSent):
 
     Its level of assistance is that of `dwa`: how early, and how widely, it forbids.
 
+    Attributes:
+        unsafe: (A,) the actions that either of both excluded at the last choice.
+
     Args:
-        name: What tables call it.
+        name: In tables.
         inner: The policy that is watched.
-        config: Of the run: its first camera is seen, and its chair driven.
+        config: Of the run, with the camera that is used, its first, and the chair.
     """
 
     def __init__(self, name: str, inner: Policy, config: RunConfig) -> None:
-        """Raises PolicyError for a policy that sees the truth: that is a bound, and drives as well as can be."""
+        """Raises PolicyError for a policy that sees the truth: it is a bound already."""
         if isinstance(inner, SeesTruth) or STATE_SENSE in senses_of(inner):
             raise PolicyError(
                 f"policy {name!r}: {inner.name} sees the truth; expected one that sees pictures"
             )
-        self.name, self.inner = name, inner
+        self.name = name
+        self.inner = inner
         self._actions: ActionSet = action_set(config.env.actions)
         self._dwa = DynamicWindow("dwa", config, self._actions, plant_spec(config.chair).outline)
-        self.senses, self.levels = (
-            tuple(dict.fromkeys((*MOTION_SENSES, *senses_of(inner)))),
-            self._dwa.levels,
-        )
-        self.unsafe: Bool = np.zeros(
-            len(self._actions), np.bool_
-        )  # (A,) to either of both at the last choice
+        self.senses = tuple(dict.fromkeys((*MOTION_SENSES, *senses_of(inner))))
+        self.levels = self._dwa.levels
+        self.unsafe: Bool = np.zeros(len(self._actions), np.bool_)
 
     @property
     def warning(self) -> bool:
-        """Whether the policy warns; one that cannot lets `dwa` do it."""
+        """Whether the policy warns; for one that cannot, whether `dwa` does."""
         return self.inner.warning if isinstance(self.inner, Warns) else self._dwa.warning
 
     @property
@@ -285,11 +297,11 @@ class Veto(HearsSent):
         return self._dwa.level
 
     def set_level(self, level: float) -> None:
-        """Forbid so from the next choice on. Raises PolicyError for a level out of bounds."""
+        """Set the level from the next choice on. Raises PolicyError for a level out of bounds."""
         self._dwa.set_level(level)
 
     def set_delay(self, ticks: int) -> None:
-        """Tell the policy of the delay, if it asks for it."""
+        """Pass the delay on to a policy that takes it."""
         if isinstance(self.inner, HearsDelay):
             self.inner.set_delay(ticks)
 
@@ -311,23 +323,21 @@ class Veto(HearsSent):
     def choose(self, observation: Observation) -> int:
         """The action, while another one may still be sent."""
         inner = self.inner
-        wanted = int(
-            inner.choose(observation) if isinstance(inner, HearsSent) else inner.act(observation)
-        )
+        chooses = inner.choose if isinstance(inner, HearsSent) else inner.act
+        chosen = int(chooses(observation))
         self._dwa.choose(observation)
         forbidden = self._dwa.unsafe
         doubted = inner.unsafe if isinstance(inner, TellsUnsafe) else np.zeros_like(forbidden)
         self.unsafe = forbidden | doubted
-        if (
-            not forbidden[wanted] or forbidden.all()
-        ):  # with nothing left to take, `dwa` knows no better than the policy
-            return wanted
+        # With every action forbidden `dwa` knows no better than the policy.
+        if not forbidden[chosen] or forbidden.all():
+            return chosen
         allowed = ~forbidden if self.unsafe.all() else ~self.unsafe
-        distance = self._actions.distances(self._actions.points[wanted][None])[0]
+        distance = self._actions.distances(self._actions.points[chosen][None])[0]
         return int(np.argmin(np.where(allowed, distance, np.inf)))
 
     def sent(self, action: int) -> None:
-        """Say which action is carried out."""
+        """Take the action that is executed."""
         if isinstance(self.inner, HearsSent):
             self.inner.sent(action)
         self._dwa.sent(action)

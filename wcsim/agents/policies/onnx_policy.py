@@ -1,11 +1,11 @@
-"""A policy that somebody else trained, as a folder with an ONNX model: `policy.onnx` and `policy.toml`.
+"""A policy of another project: a folder with an ONNX model, `policy.onnx`, and `policy.toml`.
 
-The model's inputs are named as the keys of an observation (`depth`, `seg`, `imu`, `joystick`, and those of sensors) and
-have a first dimension of 1. Its first output (1, actions) holds a value for each action; the highest one is taken. An
-input `state_X` is zero at the start of an episode and then what the output `next_state_X` was. An output `warning`
-above 0.5 warns the user. ONNX: https://onnx.ai.
+The model's inputs are named as the keys of an observation (`depth`, `seg`, `imu`, `joystick`, and
+those of sensors) and have a first dimension of 1. Its first output (1, actions) holds a value for
+each action; the highest one is taken. An input `state_X` is zero at the start of an episode, then
+the last output `next_state_X`. An output `warning` above 0.5 warns the user. ONNX: https://onnx.ai.
 
-A model is bounded: in bytes, in the memory of its arrays and in the time of loading and of each step.
+A model is bounded: in bytes, in the memory of its arrays, and in the time to load and of each step.
 """
 
 from __future__ import annotations
@@ -35,14 +35,16 @@ from wcsim.errors import ConfigError, PolicyError
 from wcsim.supervisor.actions import action_set
 
 ABOUT_FILE: Final = "policy.toml"
-_STATE, _NEXT, _WARNING = "state_", "next_", "warning"
+_STATE: Final = "state_"
+_NEXT: Final = "next_"
+_WARNING: Final = "warning"
 _LIMIT_BYTES: Final = 1 << 30  # of a model, and of its states
 _MEMORY_BYTES: Final = 1 << 32  # of all arrays of a process's models
 _STOP_S: Final = 5.0  # for a model to stop
 
 
 def read_about(path: Path) -> OnnxPolicyFile:
-    """Read `policy.toml` of such a folder; without one all is as in the preset `quick`. Raises PolicyError."""
+    """Read `policy.toml` of a folder; without one it is that of `quick`. Raises PolicyError."""
     file = path / ABOUT_FILE
     if not is_file(file):
         return OnnxPolicyFile()
@@ -53,20 +55,22 @@ def read_about(path: Path) -> OnnxPolicyFile:
 
 
 class OnnxPolicy:
-    """Drives as the model says; on one core, so that the same model gives the same actions.
+    """Runs a model; on one core, so that the same model gives the same actions.
 
-    `warning` is whether it warns, as of its last `act`.
+    `warning` is whether it warned in its last `act`.
 
     Args:
         path: The folder.
-        name: How tables call it.
+        name: In tables.
         actions: How many actions there are.
         model: Its file.
     """
 
     def __init__(self, path: Path, name: str, actions: int, model: str = MODEL_FILE) -> None:
         """Raises PolicyError when there is no such model, or it has other outputs than actions."""
-        self.name, self._actions, self.warning = name, actions, False
+        self.name = name
+        self.warning = False
+        self._actions = actions
         self._session = open_session(path / model)
         self._inputs = {item.name: item for item in self._session.get_inputs()}
         self._outputs = [item.name for item in self._session.get_outputs()]
@@ -77,8 +81,10 @@ class OnnxPolicy:
         }
         for key in self._shapes:
             if f"{_NEXT}{key}" not in self._outputs:
-                told = f"input {escaped(key, 40)!r} has no output {_NEXT + escaped(key, 40)!r}; expected one"
-                raise PolicyError(f"{escaped(path)}: {told}")
+                raise PolicyError(
+                    f"{escaped(path)}: input {escaped(key, 40)!r} has no output "
+                    f"{_NEXT + escaped(key, 40)!r}; expected one"
+                )
         size = 4 * sum(math.prod(shape) for shape in self._shapes.values())
         if size > _LIMIT_BYTES:
             raise PolicyError(
@@ -90,7 +96,7 @@ class OnnxPolicy:
         """Nothing outlives an episode."""
 
     def reset(self) -> None:
-        """Every state is zero."""
+        """Set every state to zero."""
         self.warning = False
         self._state = {key: np.zeros(shape, np.float32) for key, shape in self._shapes.items()}
 
@@ -98,14 +104,15 @@ class OnnxPolicy:
         """The action of the highest value.
 
         Raises:
-            PolicyError: The model cannot use the observation, gives something else, or needs more than `ANSWER_S`.
+            PolicyError: The model cannot use the observation, returns something else, or needs more
+                than `ANSWER_S`.
         """
         given = {
-            key: self._state[key] if key in self._state else _fed(key, item.shape, observation)
+            key: self._state[key] if key in self._state else _input(key, item.shape, observation)
             for key, item in self._inputs.items()
         }
         try:
-            found = self._found(given)
+            found = self._run(given)
             values = np.asarray(found[self._outputs[0]], np.float64).reshape(-1)
             warning = _WARNING in found and float(np.asarray(found[_WARNING]).reshape(-1)[0]) > 0.5
         except PolicyError:
@@ -117,64 +124,63 @@ class OnnxPolicy:
         if values.shape != (self._actions,) or not np.isfinite(values).all():
             kind = PolicyError if values.shape != (self._actions,) else NotFinite
             raise kind(
-                f"{self.name}: the model gives {values.shape[0]} values, {int(np.isnan(values).sum())} of them NaN; "
-                f"expected {self._actions} finite ones: set env.actions in {ABOUT_FILE} as in its training"
+                f"{self.name}: the model gives {values.shape[0]} values, "
+                f"{int(np.isnan(values).sum())} of them NaN; expected {self._actions} finite ones: "
+                f"set env.actions in {ABOUT_FILE} as in its training"
             )
         self._state = {key: found[f"{_NEXT}{key}"] for key in self._state}
         self.warning = warning
         return int(values.argmax())
 
-    def _found(self, given: dict[str, Any]) -> dict[str, Any]:
+    def _run(self, given: dict[str, Any]) -> dict[str, Any]:
         import onnxruntime
 
         options = onnxruntime.RunOptions()
         values = _bounded(
             lambda: self._session.run(None, given, options),
             lambda: setattr(options, "terminate", True),
-            f"{escaped(self.name)}: its model gave no answer for {ANSWER_S:g} s; expected one a tick: make it faster",
+            f"{escaped(self.name)}: its model gave no answer for {ANSWER_S:g} s; expected one a "
+            "tick: make it faster",
         )
         return dict(zip(self._outputs, values, strict=True))
 
 
 class ExportedLaw(OnnxPolicy):
-    """A danger network of wcsim's own as it was exported, with all that it remembers; it hears what was sent.
+    """A danger network of wcsim as it was exported, with its memory; it receives what was sent.
 
     Args:
         path: The folder.
-        name: How tables call it.
+        name: In tables.
         model: Its file.
         config: Of the chair that it drives.
     """
 
     def __init__(self, path: Path, name: str, model: str, config: RunConfig) -> None:
         """Raises PolicyError as `OnnxPolicy` does."""
-        from wcsim.core.joystick import (
-            shaped_rows,
-        )  # with kernels, which the checks of names must not load
+        # It has kernels, which the checks of names must not load.
+        from wcsim.core.joystick import shaped_rows
 
         points = action_set(config.env.actions).points
         super().__init__(path, name, len(points), model)
-        self.senses, self._points, self._commands = (
-            MOTION_SENSES,
-            points,
-            shaped_rows(points, config.chair),
-        )
+        self.senses = MOTION_SENSES
+        self._points = points
+        self._commands = shaped_rows(points, config.chair)
 
     def choose(self, observation: Observation) -> int:
         """The action of the highest value. Raises PolicyError."""
         return self.act(observation)
 
     def sent(self, action: int) -> None:
-        """Put what is executed where the model has put its own choice."""
+        """Put the executed action into the state, in place of the model's own choice."""
         self._state["state_waiting"][0, -1] = self._commands[action]
         self._state["state_sent"][0, 0] = self._points[action]
         self._state["state_last"][0, 0] = action + 1
 
 
 def _bounded(work: Callable[[], Any], stop: Callable[[], None], late: str) -> Any:
-    """What `work` returns or raises, within `ANSWER_S`; raises PolicyError with the text `late` after that.
+    """The result of `work` within `ANSWER_S`; later a PolicyError with the text `late`.
 
-    The runtime hears no signal, so it works in another thread. Ctrl-C, too, ends it by `stop`.
+    The runtime receives no signal, so it works in another thread. Ctrl-C, too, ends it by `stop`.
     """
     found = Future[Any]()
 
@@ -191,41 +197,41 @@ def _bounded(work: Callable[[], Any], stop: Callable[[], None], late: str) -> An
     finally:
         if not in_time:
             stop()
-            wait(
-                (found,), _STOP_S
-            )  # a process that ends before the runtime has stopped would abort
+            # A process that ends before the runtime has stopped would abort.
+            wait((found,), _STOP_S)
     if not in_time:
         raise PolicyError(late)
     return found.result()
 
 
-def _fed(key: str, shape: Sequence[Any], observation: Observation) -> Any:
-    """An input of that shape; of a window that others in a test need, a model that says how many gets the newest."""
+def _input(key: str, shape: Sequence[Any], observation: Observation) -> Any:
+    """An input of that shape; of a window with more images than the model names, the newest."""
     if key not in observation:
         raise PolicyError(
-            f"the model wants an input {escaped(key, 40)!r}; this test observes {', '.join(sorted(observation))}"
+            f"the model wants an input {escaped(key, 40)!r}; this test observes "
+            f"{', '.join(sorted(observation))}"
         )
-    images = (
-        shape[1]
-        if key in (CLASS_KEY, DEPTH_KEY) and len(shape) > 1 and isinstance(shape[1], int)
-        else 0
-    )
+    # With 0 the slice takes all images.
+    images = 0
+    if key in (CLASS_KEY, DEPTH_KEY) and len(shape) > 1 and isinstance(shape[1], int):
+        images = shape[1]
     return np.ascontiguousarray(observation[key][-images:])[None]
 
 
 def open_session(path: Path) -> Any:
-    """A model in ONNX Runtime, on one core. Raises PolicyError when it cannot be loaded, or not within `ANSWER_S`."""
+    """A model in ONNX Runtime, on one core.
+
+    Raises PolicyError when it cannot be loaded, or not within `ANSWER_S`.
+    """
     import onnxruntime
 
-    if path.stat().st_size > _LIMIT_BYTES:
-        raise PolicyError(
-            f"{escaped(path)} has {path.stat().st_size} bytes; expected at most {_LIMIT_BYTES}"
-        )
+    size = path.stat().st_size
+    if size > _LIMIT_BYTES:
+        raise PolicyError(f"{escaped(path)} has {size} bytes; expected at most {_LIMIT_BYTES}")
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
-    options.log_severity_level = (
-        4  # what fails is raised; the log would show a model's own words as they are
-    )
+    # A failure is raised; the log would show a model's own text unescaped.
+    options.log_severity_level = 4
     memory = onnxruntime.OrtMemoryInfo(
         "Cpu", onnxruntime.OrtAllocatorType.ORT_ARENA_ALLOCATOR, 0, onnxruntime.OrtMemType.DEFAULT
     )

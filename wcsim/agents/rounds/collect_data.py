@@ -31,7 +31,7 @@ from wcsim.agents.runs.run_folder import folder_parcel, require_travels, town_pa
 from wcsim.config import RunConfig, resolve
 from wcsim.config.load import Layer
 from wcsim.core import reading
-from wcsim.core.files import is_begun, locked, sha256, sha256_text, write_bytes, write_json
+from wcsim.core.files import is_unfinished, locked, sha256, sha256_text, write_bytes, write_json
 from wcsim.core.reading import escaped, is_file, read_json
 from wcsim.errors import PolicyError
 from wcsim.server.workers.machines import HERE, LOGS, InputFiles, Machines, ToLocalPath, Work
@@ -210,7 +210,7 @@ def _collected(order: DataOrder, found: Sequence[Town], told: Callable[[int, int
         file = read_manifest(order.folder)
         require_same_settings(order.folder, file, order.config)
         kept, towns = dict(file.segments), dict(file.towns)
-    elif any(path.name not in (SEGMENTS, LOGS, ORDERS) for path in order.folder.iterdir() if not is_begun(path)):
+    elif any(path.name not in (SEGMENTS, LOGS, ORDERS) for path in order.folder.iterdir() if not is_unfinished(path)):
         raise PolicyError(f"{order.folder} does not hold recorded driving; choose another --out")
     _require_same_order(order, found)
     towns |= {town.name: streets_hash(town) for town in found}

@@ -385,7 +385,7 @@ class _Seat:
     def take(self, client: ClientSnapshot) -> None:
         """Write down what came of it."""
         seen, said = self.driver.observation, self.driver.info["truth"]
-        step = self.driver.take(client)
+        step = self.driver.finish_step(client)
         own = fault(client.events.crash_reason, client.contacts, self._config.reward) == "own"
         self.rows.append(
             {

@@ -50,7 +50,7 @@ def reference_ride(town: str, config: RunConfig, steps: int, policy: Policy, see
         driver = SeatDriver(sensing, agent, world.snapshot.clients[0])
         for step in rollout(world, {0: driver.choose}):
             (client,) = step.after.clients
-            driver.take(client)
+            driver.finish_step(client)
             if client.first is None and len(agent.seen) < steps:
                 continue
             longest, tries = max(longest, agent.seen, key=len), tries + 1

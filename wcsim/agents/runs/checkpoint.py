@@ -243,7 +243,7 @@ def _drop_old(folder: Path, newest: Path) -> None:
     begun = (
         path
         for path in folder.iterdir()
-        if files.is_begun(path) and _is_name(path.name[1:].partition(".")[0])
+        if files.is_unfinished(path) and _is_name(path.name[1:].partition(".")[0])
     )
     for old in (*older, *(path for path in begun if path.is_dir() and not path.is_symlink())):
         if old not in kept:

@@ -18,7 +18,7 @@ import tyro
 from tyro.conf import FlagCreatePairsOff, Positional, UseAppendAction, arg
 
 from wcsim.config.load import presets, sets_key
-from wcsim.core.files import can_be_written, standing, whole_file
+from wcsim.core.files import can_be_written, nearest_existing, whole_file
 from wcsim.core.reading import escaped, is_folder
 from wcsim.errors import ConfigError, meant, nearest
 from wcsim.server.workers.machines import LOCAL, Machines, require_address
@@ -325,7 +325,7 @@ def check_folder(option: str, folder: Path) -> None:
     """Make sure that a folder can be made or is there and can be written. Raises ConfigError."""
     if not can_be_written(folder):
         raise ConfigError(
-            f"{option}: {escaped(standing(folder))} is not a folder that can be written to; choose another with "
+            f"{option}: {escaped(nearest_existing(folder))} is not a folder that can be written to; choose another with "
             f"{option}"
         )
 

@@ -46,7 +46,7 @@ from wcsim.errors import (
     WcsimError,
 )
 from wcsim.log.reader import iter_inputs, log_digest, part_files
-from wcsim.log.writer import JOURNAL, LogWriter, told_torn
+from wcsim.log.writer import JOURNAL, LogWriter, truncation_message
 from wcsim.server.launch.launcher import Launcher
 from wcsim.server.launch.states import (
     ClientState,
@@ -307,7 +307,7 @@ def _mend(folder: ClientsFolder) -> None:
     for log in ([path] if path.exists() else []) + ledgers:
         with LogWriter.append_to(log) as writer:
             if writer.cut_bytes:
-                warn(told_torn(log, writer.cut_bytes))
+                warn(truncation_message(log, writer.cut_bytes))
 
 
 def _told(

@@ -14,7 +14,17 @@ import numpy as np
 
 from wcsim.config import ChairConfig
 from wcsim.core.jit import exact_kernel
-from wcsim.core.joystick import ACCEL, DECEL, STILL_MPS, YAW_ACCEL, follow_speed, limits_of, shaped, towards, wanted
+from wcsim.core.joystick import (
+    ACCEL,
+    DECEL,
+    STILL_MPS,
+    YAW_ACCEL,
+    follow_speed,
+    limits_of,
+    shaped,
+    towards,
+    target_speeds,
+)
 from wcsim.physics.wheelchair.plant import PlantSpec
 from wcsim.types import F64
 
@@ -98,7 +108,7 @@ def _target(x: float, y: float, v_ref_mps: float, setting: F64) -> tuple[float, 
         setting: From `settings`.
     """
     sx, sy = shaped(x, y, setting[_DEADBAND], setting[_EXPONENT])
-    return wanted(sx, sy, v_ref_mps, setting)
+    return target_speeds(sx, sy, v_ref_mps, setting)
 
 
 @exact_kernel

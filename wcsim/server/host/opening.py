@@ -14,9 +14,9 @@ from wcsim.bridge.world import World
 from wcsim.core import seeding
 from wcsim.errors import ConfigError
 from wcsim.log.fingerprint import fingerprint
-from wcsim.log.reader import inputs_of_part, part_files, put_aside, read_header
+from wcsim.log.reader import inputs_of_part, part_files, read_header, rotate_log
 from wcsim.log.records import Ended, EpochBegun, Header
-from wcsim.log.writer import JOURNAL, LogWriter, told_torn
+from wcsim.log.writer import JOURNAL, LogWriter, truncation_message
 from wcsim.server.launch.event_log import RunLog
 from wcsim.server.protocol.events import Rules
 from wcsim.server.protocol.server_core import ServerCore
@@ -85,7 +85,7 @@ def open_server(order: WorldSpec, make: MakesWorld = street_world) -> Opened:
     last = _last_epoch(parts)
     if last.part == path:
         _appended(path).close()  # cuts a torn record off before anybody reads on
-        put_aside(path)
+        rotate_log(path)
     # A part that is there now is of a world that ended before its epoch began.
     journal = _appended(path) if path.exists() else LogWriter(path, header)
     return _begun(order, make, journal, last.epoch + 1, _rules_after(order, last))
@@ -119,7 +119,9 @@ def _appended(path: Path) -> LogWriter:
     """A journal to go on with; what was cut off its end is said in the events of its run."""
     journal = LogWriter.append_to(path)
     if journal.cut_bytes:
-        RunLog(path.parent).add("torn", who="world", reason=told_torn(path, journal.cut_bytes))
+        RunLog(path.parent).add(
+            "torn", who="world", reason=truncation_message(path, journal.cut_bytes)
+        )
     return journal
 
 

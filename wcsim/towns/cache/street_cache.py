@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from wcsim.core.files import alone, whole_file
+from wcsim.core.files import exclusive, whole_file
 from wcsim.errors import DiskFullError
 from wcsim.towns.cache.folder import cache_folder
 from wcsim.towns.ground.tiles import Packed, TileStore
@@ -137,7 +137,7 @@ def cached_street(key: str, build: Callable[[], Packed]) -> Street:
     found = _read(path)
     if found is not None:
         return found
-    with alone(path.with_suffix(".lock")):  # worlds that begin together build it once
+    with exclusive(path.with_suffix(".lock")):  # worlds that begin together build it once
         found = _read(path)  # another process may have built it meanwhile
         if found is not None:
             return found

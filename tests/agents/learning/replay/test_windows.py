@@ -21,7 +21,7 @@ from tests.agents.learning.test_train import weights
 from tests.agents.policies.test_baselines import box, ground, looking_at
 from tests.agents.toy import ToyStreet, WindowedStreet, a_run, load_checkpoint, memory_of, same_from_here_on, toy_camera
 from tests.support.samples import stacked
-from wcsim.agents.envs.episode_view import FrameWindow, newest, windowed_space
+from wcsim.agents.envs.episode_view import FrameWindow, newest_frames, windowed_space
 from wcsim.agents.learning.build import build_model, network_settings
 from wcsim.agents.learning.checkpoint import _check_fit, _replay_arrays, _restore_replay, save_checkpoint
 from wcsim.agents.learning.replay.buffer import FrameReplay
@@ -57,9 +57,9 @@ def test_a_window_begins_with_its_first_image_and_ends_with_the_newest():
     seen = window.add(frame(9))
     assert numbers(seen) == [9, 9, 9]
     assert windowed_space(observation_space("compact", W, H), 3).contains(seen)
-    assert numbers(newest(seen, 2)) == [9, 9]
+    assert numbers(newest_frames(seen, 2)) == [9, 9]
     with pytest.raises(PolicyError, match=r"holds 3 images.*trained on 4.*env\.window=4"):
-        newest(seen, 4)
+        newest_frames(seen, 4)
 
 
 def test_what_is_done_to_an_observation_does_not_change_the_next():
@@ -206,12 +206,12 @@ def test_what_is_drawn_is_what_was_added(data):
     check(twin, streets)
     for ends in [["go"] * seats] * 5:
         for each in (buffer, twin):
-            marks = [(street.count, street.now, list(street.window._kept)) for street in streets]
+            marks = [(street.count, street.now, list(street.window._observations)) for street in streets]
             add(each, streets, ends)
             if each is buffer:  # the twin sees the same step again
                 for street, (count, now, kept) in zip(streets, marks, strict=True):
                     street.count, street.now = count, now
-                    street.window._kept.extend(kept)
+                    street.window._observations.extend(kept)
                     street.record.pop()
                     street.after.pop()
         check(buffer, streets)

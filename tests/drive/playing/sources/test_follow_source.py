@@ -14,7 +14,7 @@ from wcsim.drive.playing.film_states import FilmAbout, FilmFrame, FilmLine, Film
 from wcsim.drive.playing.sources import replay_source
 from wcsim.drive.playing.sources.replay_source import follow_film
 from wcsim.errors import ConfigError, JournalError
-from wcsim.log.reader import LogTail, inputs_of_part, put_aside, read_header
+from wcsim.log.reader import LogTail, inputs_of_part, read_header, rotate_log
 from wcsim.log.records import Ended, EpochBegun, Ticked, changed
 from wcsim.log.writer import LogWriter
 from wcsim.server.host.opening import EPOCH_OVER
@@ -111,7 +111,7 @@ def test_a_part_that_is_put_aside_is_read_to_its_end(whole: bytes, tmp_path: Pat
                 writer.append(record)
             writer.append(Ended(reason=f"{EPOCH_OVER}: tick 30"))
         yield from (None for _ in range(8))
-        put_aside(journal)
+        rotate_log(journal)
         yield
         with LogWriter(journal, read_header(tmp_path / "all")) as writer:
             for record in records[second:]:
@@ -173,21 +173,21 @@ def test_what_is_written_between_two_looks_at_a_part_that_ends_is_read(
     journal = tmp_path / "journal"
     (tmp_path / "all").write_bytes(whole)
     records = list(inputs_of_part(tmp_path / "all"))
-    header, is_over, late = read_header(tmp_path / "all"), LogTail._is_over, [records[3:]]
+    header, is_over, late = read_header(tmp_path / "all"), LogTail._is_rotated, [records[3:]]
 
     def stood_meanwhile(tail: LogTail) -> bool:
         if late:
             with LogWriter.append_to(journal) as writer:
                 for record in late.pop():
                     writer.append(record)
-            put_aside(journal)
+            rotate_log(journal)
             LogWriter(journal, header).close()
         return is_over(tail)
 
     with LogWriter(journal, header) as writer:
         for record in records[:3]:
             writer.append(record)
-    monkeypatch.setattr(LogTail, "_is_over", stood_meanwhile)
+    monkeypatch.setattr(LogTail, "_is_rotated", stood_meanwhile)
     with LogTail(journal) as tail:
         assert tail.read() == records[:3]
         assert tail.read() == records[3:]

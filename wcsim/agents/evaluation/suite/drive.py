@@ -141,7 +141,7 @@ class _Seat:
     def take(self, client: ClientSnapshot) -> None:
         """What came of the tick."""
         alone = self._step < self._episode.handover_step
-        step = self._driver.take(client)
+        step = self._driver.finish_step(client)
         self._step += 1
         if alone:
             self._before_m += step.info["progress_m"]

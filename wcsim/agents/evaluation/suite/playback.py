@@ -9,7 +9,7 @@ from typing import Any, Final, TypeVar
 
 import numpy as np
 
-from wcsim.agents.envs.episode_view import EpisodeStep, named
+from wcsim.agents.envs.episode_view import EpisodeStep, policy_observation
 from wcsim.agents.evaluation.suite.drive import Piece
 from wcsim.agents.evaluation.suite.records import EpisodeRecord
 from wcsim.agents.evaluation.suite.run import drive_piece
@@ -135,7 +135,7 @@ class _LastSteps:
             PlayedStep(
                 seat=seat,
                 step=info["events"].step,
-                seen=named(step.observation),
+                seen=policy_observation(step.observation),
                 asked=info["asked"],
                 given=info["given"],
                 speed_mps=info["speed_mps"],
