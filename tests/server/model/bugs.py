@@ -10,8 +10,8 @@ from wcsim.server.protocol.server_core import ServerCore
 class AnyTick(ServerCore):
     """Takes an action for one of now, whatever tick it was meant for."""
 
-    def _is_now(self, member: Member, epoch: int, tick: int, life: int) -> bool:
-        return True
+    def _answer_old(self, member: Member, epoch: int, tick: int, life: int) -> bool:
+        return False
 
 
 class ForgetsTheCut(ServerCore):

@@ -170,7 +170,7 @@ class ServerCore(Barrier):
             self.send(peer, m.failure_of(error, session))
 
     def _act(self, member: Member, act: m.Act, now_s: float) -> None:
-        if not self._is_now(member, act.epoch, act.tick, act.life):
+        if self._answer_old(member, act.epoch, act.tick, act.life):
             return
         if not (-1.0 <= act.x <= 1.0 and -1.0 <= act.y <= 1.0):
             raise BadActionError(f"joystick ({act.x}, {act.y}): expected both from -1 to 1")
@@ -188,7 +188,7 @@ class ServerCore(Barrier):
             self.advance(now_s)
 
     def _respawn(self, member: Member, respawn: m.Respawn, now_s: float) -> None:
-        if not self._is_now(member, respawn.epoch, respawn.tick, respawn.life):
+        if self._answer_old(member, respawn.epoch, respawn.tick, respawn.life):
             return
         if member.action is not None:
             raise ProtocolError(
@@ -224,21 +224,21 @@ class ServerCore(Barrier):
             )
         self.rebuild(rebuild.seed, now_s)
 
-    def _is_now(self, member: Member, epoch: int, tick: int, life: int) -> bool:
-        """Whether a request is about the member's present frame.
+    def _answer_old(self, member: Member, epoch: int, tick: int, life: int) -> bool:
+        """Answer a request that came late or twice with the present frame.
 
-        One that came late or twice is answered with that frame.
+        Returns whether it was one; False for a request about the present frame.
         """
         requested, now = (epoch, tick, life), (self.epoch, self.tick, member.life)
         if requested == now:
-            return True
+            return False
         if requested > now:
             raise FutureTickError(
                 f"a request for epoch, tick, life {requested}; the server is at {now}"
             )
         if epoch < self.epoch:
             self._send_epoch(member)
-            return False
+            return True
         if tick < self.tick - 1:
             raise StaleTickError(
                 f"tick {tick} of epoch {epoch} is long over; the server is at tick {self.tick}"
@@ -246,7 +246,7 @@ class ServerCore(Barrier):
         if tick < self.tick:
             self.send(member.peer, m.TickDone(self.epoch, self.tick, self._master_seat))
         self.send_frame(member)
-        return False
+        return True
 
     def _send_epoch(self, member: Member) -> None:
         self.send(member.peer, m.Restarted(self.epoch, "the world was restarted"))
