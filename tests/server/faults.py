@@ -15,7 +15,7 @@ from tests.server.sim_world import SimWorld, Wrong
 from wcsim.core import seeding
 from wcsim.errors import WcsimError, WorldRestartedError
 from wcsim.server.protocol import messages as m
-from wcsim.server.protocol.client_core import Ask, ClientCore, ClientPhase, FrameSeen, Outcome, Patience
+from wcsim.server.protocol.client_core import ClientCore, ClientPhase, FrameSeen, JoinRequest, Outcome, Patience
 from wcsim.server.protocol.events import (
     Admit,
     Clock,
@@ -202,7 +202,7 @@ class Simulation:
             return
         peer = next(self._peers).to_bytes(4, "big")
         seat = m.ANY_SEAT if self._any else number
-        ask = Ask(claim=b"claim%d" % number, name=f"c{number}", spec=SeatSpec(), seat=seat)
+        ask = JoinRequest(claim=b"claim%d" % number, name=f"c{number}", spec=SeatSpec(), seat=seat)
         core = ClientCore(ask, PATIENCE, lambda: next(self._sessions).to_bytes(m.SESSION_BYTES, "big"))
         process = Process(number, peer, core, 0.3 + 3.0 * self.draws.unit())
         self.processes[peer] = self.slots[number] = process

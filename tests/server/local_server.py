@@ -14,7 +14,7 @@ from wcsim.server.host.world_host import WorldHost
 from wcsim.server.links.base import WorldLink, new_session
 from wcsim.server.links.socket import _private_rules
 from wcsim.server.protocol import messages as m
-from wcsim.server.protocol.client_core import Ask, ClientCore, Patience
+from wcsim.server.protocol.client_core import ClientCore, JoinRequest, Patience
 from wcsim.server.protocol.events import Clock, Peer, Received
 from wcsim.server.protocol.server_core import ServerCore
 from wcsim.types import SeatSpec
@@ -37,7 +37,7 @@ class LocalServer:
     def link(self, spec: SeatSpec, seat: int = m.ANY_SEAT, name: str = "") -> PumpedSeat:
         """A link to a seat; it has to join."""
         peer = f"local-{len(self._links)}".encode()
-        ask = Ask(claim=peer, name=name, spec=spec, seat=seat)
+        ask = JoinRequest(claim=peer, name=name, spec=spec, seat=seat)
         self._links[peer] = PumpedSeat(self, peer, ask)
         return self._links[peer]
 
@@ -49,13 +49,13 @@ class LocalServer:
         """Let every link hear what there is for it, until all is quiet."""
         while self._inbox:
             peer, message = self._inbox.popleft()
-            self._links[peer].hear(message)
+            self._links[peer].handle(message)
 
 
 class PumpedSeat(WorldLink):
     """One seat of a `LocalServer`."""
 
-    def __init__(self, server: LocalServer, peer: Peer, ask: Ask) -> None:
+    def __init__(self, server: LocalServer, peer: Peer, ask: JoinRequest) -> None:
         patience = Patience(resend_s=NEVER_S, reconnect_s=NEVER_S, tick_s=NEVER_S)
         super().__init__(ClientCore(ask, patience, new_session))
         self._server, self._peer = server, peer

@@ -62,9 +62,9 @@ def _require_streams() -> None:
 
 def _told_cause(error: Exception) -> tuple[str, Exit]:
     """What to do about an error whose cause is around the command, and how that ends; "" for a fault of ours."""
-    from wcsim.server.protocol.limits import told_limit  # as seldom wanted as this is
+    from wcsim.server.protocol.limits import limit_message  # as seldom wanted as this is
 
-    limit = told_limit(error)
+    limit = limit_message(error)
     if limit:
         return limit, Exit.FAILED
     if isinstance(error, ModuleNotFoundError) and error.name in _TRAINS:

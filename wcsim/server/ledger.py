@@ -1,4 +1,4 @@
-"""A client's own record of what it has seen: the other half of the proof that no step was lost or done twice.
+"""A client's own record of what it has seen: half of the proof that no step was lost or done twice.
 
 It is a log with one record a frame. `audit` compares ledgers with a world's journal.
 """
@@ -16,7 +16,10 @@ from wcsim.log.writer import LogWriter
 
 
 def open_ledger(path: Path, client: str) -> LogWriter:
-    """Begin a client's ledger, or go on with that of its earlier life. Raises what `LogWriter` raises."""
+    """Start a client's ledger, or go on with that of its last process.
+
+    Raises what `LogWriter` raises.
+    """
     if path.exists():
         return LogWriter.append_to(path, "ledger")
     return LogWriter(
@@ -25,7 +28,7 @@ def open_ledger(path: Path, client: str) -> LogWriter:
 
 
 def iter_ledger(path: Path) -> Iterator[SeenFrame]:
-    """What a client saw, up to the last whole record; it may be writing it.
+    """What a client saw, up to the last whole record; the client may be writing it.
 
     Raises:
         JournalError: It is no ledger, or damaged before its end.
@@ -35,9 +38,9 @@ def iter_ledger(path: Path) -> Iterator[SeenFrame]:
 
 @dataclass(slots=True, kw_only=True)
 class Audit:
-    """A ledger, by itself and against the journal of its world; or the ledgers of all clients together."""
+    """A ledger, by itself and against its world's journal; or the ledgers of all clients."""
 
-    ticks: int = 0  # that the world did, where it is of all clients
+    ticks: int = 0  # of the world, in the audit of all clients
     lost: int = 0  # steps of a client that are in the journal and that it never saw
     doubled: int = 0  # steps that a client saw more than once
     phantom: int = 0  # steps that a client saw and the journal does not have
@@ -50,70 +53,80 @@ class Audit:
 def audit(
     records: Iterable[Input], ledgers: Sequence[tuple[int, Iterable[SeenFrame]]]
 ) -> tuple[Audit, tuple[Audit, ...]]:
-    """Compare a journal with (seat, ledger) of each client: what is wrong with all together, and with each.
+    """Compare a journal with (seat, ledger) of each client: the faults of all, and of each.
 
-    Only the very last step of a life may be missing from a ledger: its client acted, and died before it saw the frame.
-    Epoch by epoch, in their order, so that no more than one of them is in memory.
+    Only the very last step of a life may be missing from a ledger: its client acted, and died
+    before it saw the frame. No more than one epoch is in memory at a time.
     """
-    pages = [_Pages(seat, entries) for seat, entries in ledgers]
-    ticks, ticked = 0, (record for record in records if isinstance(record, Ticked))
+    readers = [_LedgerReader(seat, entries) for seat, entries in ledgers]
+    ticks = 0
+    ticked = (record for record in records if isinstance(record, Ticked))
     for epoch, group in groupby(ticked, key=lambda record: record.epoch):
-        done: dict[int, set[int]] = {page.seat: set() for page in pages}
+        done: dict[int, set[int]] = {reader.seat: set() for reader in readers}
         for record in group:
             ticks += 1
-            for command in (c for c in record.commands if c.seat in done):
-                done[command.seat].add(record.tick)
-        for page in pages:
-            page.compare(epoch, done[page.seat])
-    for page in pages:
-        page.compare(None, set())
-    each = tuple(page.found for page in pages)
-    sums = {
-        name: sum(getattr(one, name) for one in each) for name in ("lost", "doubled", "phantom")
-    }
-    return Audit(ticks=ticks, **sums), each
+            for command in record.commands:
+                if command.seat in done:
+                    done[command.seat].add(record.tick)
+        for reader in readers:
+            reader.compare(epoch, done[reader.seat])
+    for reader in readers:
+        reader.compare(None, set())
+    each = tuple(reader.found for reader in readers)
+    total = Audit(
+        ticks=ticks,
+        lost=sum(one.lost for one in each),
+        doubled=sum(one.doubled for one in each),
+        phantom=sum(one.phantom for one in each),
+    )
+    return total, each
 
 
-class _Pages:
+class _LedgerReader:
     """A ledger, read epoch by epoch."""
 
     def __init__(self, seat: int, entries: Iterable[SeenFrame]) -> None:
-        self.seat, self.found = seat, Audit()
+        self.seat = seat
+        self.found = Audit()
         self._entries = iter(entries)
         self._next = next(self._entries, None)
         self._before: SeenFrame | None = None
 
     def compare(self, epoch: int | None, done: set[int]) -> None:
-        """Read on to the end of an epoch, of all for None; `done` are the ticks that the world did for this seat."""
+        """Read on to the end of an epoch, or to the end of the ledger for None.
+
+        Args:
+            epoch: The epoch.
+            done: The ticks that the world did for this seat in it.
+        """
         seen: set[int] = set()
-        ends: set[int] = (
-            set()
-        )  # what the dead may have asked for: one after the last frame of each life
+        # Steps that a client may have requested before it died: one after each life's last frame.
+        last_requests: set[int] = set()
         while self._next is not None and (epoch is None or self._next.epoch <= epoch):
-            now = self._next
-            self._count(now)
+            now, before = self._next, self._before
+            # 1. What the ledger shows by itself.
+            if before is None:
+                self.found.first_tick = now.tick
+            elif now.stepped:
+                self.found.missing += max(0, now.tick - before.tick - 1)
+            self.found.last_tick = now.tick
+            self.found.steps += now.stepped
+            # 2. What it shows against the journal. A frame without a step starts a life. Of a step
+            #    in an earlier epoch the journal has no tick, or not any more.
             if not now.stepped:
-                self._end_life(epoch, ends)
-            elif now.epoch != epoch:  # the journal has no tick of that one, or not any more
+                self._end_life(epoch, last_requests)
+            elif now.epoch != epoch:
                 self.found.phantom += 1
             else:
                 self.found.doubled += now.tick in seen
                 seen.add(now.tick)
-            self._before, self._next = now, next(self._entries, None)
+            self._before = now
+            self._next = next(self._entries, None)
         if self._next is None or not self._next.stepped:
-            self._end_life(epoch, ends)
-        self.found.lost += len(done - seen - ends)
+            self._end_life(epoch, last_requests)
+        self.found.lost += len(done - seen - last_requests)
         self.found.phantom += len(seen - done)
 
-    def _count(self, now: SeenFrame) -> None:
-        """What the ledger shows by itself."""
-        found = self.found
-        if self._before is None:
-            found.first_tick = now.tick
-        elif now.stepped:
-            found.missing += max(0, now.tick - self._before.tick - 1)
-        found.last_tick, found.steps = now.tick, found.steps + now.stepped
-
-    def _end_life(self, epoch: int | None, ends: set[int]) -> None:
+    def _end_life(self, epoch: int | None, last_requests: set[int]) -> None:
         if self._before is not None and self._before.epoch == epoch:
-            ends.add(self._before.tick + 1)
+            last_requests.add(self._before.tick + 1)

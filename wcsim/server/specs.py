@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import TypeVar
+from typing import Final, TypeVar
 
 import msgspec
 
@@ -26,12 +26,12 @@ from wcsim.server.protocol.messages import ANY_SEAT
 from wcsim.towns.scenario.overrides import Override
 from wcsim.types import SeatSpec
 
-WORLD_ARGV = (sys.executable, "-m", "wcsim.server.host.process")
-MOST_READ_BYTES = 8 << 20  # of a journal, between a death and a restart
+WORLD_ARGV: Final = (sys.executable, "-m", "wcsim.server.host.process")
+MOST_READ_BYTES: Final = 8 << 20  # of a journal, between a death and a restart
 
 
 def seat_spec(env: EnvConfig) -> SeatSpec:
-    """What a client with these settings asks for when it takes a seat."""
+    """What a client with these settings requests when it takes a seat."""
     return SeatSpec(
         profile=env.profile,
         max_steps=env.max_steps,
@@ -42,7 +42,7 @@ def seat_spec(env: EnvConfig) -> SeatSpec:
 
 
 def town_of_epoch(town: str, more_towns: Sequence[str], epoch: int) -> str:
-    """The word for the town of an epoch: a run's towns take turns, its own one first.
+    """The name of the town of an epoch: a run's towns take turns, its own one first.
 
     >>> [town_of_epoch("helsinki", ("made:7", "made:8"), epoch) for epoch in (0, 1, 3)]
     ['helsinki', 'made:7', 'helsinki']
@@ -65,13 +65,13 @@ class WorldOrder:
 
     @property
     def place(self) -> RunPlace:
-        """The same for a world."""
+        """Where the outputs of the world go, and its user's step hook."""
         return RunPlace(folder=Path(self.run) if self.run else None, hook=self.hook)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WorldSpec(WorldOrder):
-    """A world process: its world, how it is reached, and its rules, which say how many seats it has."""
+    """A world process: its world, how it is reached, and its rules with the number of seats."""
 
     rules: Rules
     endpoint: str  # ipc://..., in a folder that only its owner can enter
@@ -80,16 +80,12 @@ class WorldSpec(WorldOrder):
     journal: bool = True  # in the run folder; False: that is for the outputs alone
     listen: str = ""  # tcp://..., for clients on other machines
     keys: str = ""  # folder of CURVE keys; needed beyond loopback
-    epoch_ticks: int = (
-        0  # after which it ends, or by its growth; whoever starts it has to start it again
-    )
-    begins: bool = (
-        False  # no world of this launch has been there yet, and its clients take their time to load
-    )
-    status_fd: int = (
-        -1
-    )  # a pipe for WorldStatus lines; the process ends when its other end is closed
-    quiet: bool = False  # an error goes into that pipe alone, not to stderr too
+    # After so many ticks, or by its growth, the process ends and has to be started again; 0: never.
+    epoch_ticks: int = 0
+    # No world of this launch has been there yet, and its clients take their time to load.
+    begins: bool = False
+    status_fd: int = -1  # a pipe for WorldStatus lines; the process ends when its reader is closed
+    quiet: bool = False  # errors go into that pipe alone, not to stderr too
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -98,7 +94,7 @@ class SeatRequest:
 
     endpoint: str  # ipc://... or tcp://...
     name: str
-    claim: str  # the same over all lives of a client
+    claim: str  # the same over all processes of a client
     spec: SeatSpec = SeatSpec()  # noqa: RUF009 - frozen
     seat: int = ANY_SEAT
     config: str = ""  # RunConfig.world_digest() that the client expects, "" for any
@@ -109,14 +105,13 @@ class SeatRequest:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunInfo:
-    """What the manifest of a training run says of it, beside its configuration."""
+    """What the manifest of a training run has beside its configuration."""
 
     seed: int  # of networks, exploration, replay and, unless that is a server's, the world
     town: str = ""  # name of the training town
     town_sha256: str = ""  # of its streets
-    more_towns: dict[str, str] = field(
-        default_factory=dict
-    )  # that take turns with it: their streets' hashes by word
+    # Towns that take turns with it: the hashes of their streets by name.
+    more_towns: dict[str, str] = field(default_factory=dict)
     rewards: tuple[str, ...] = ()  # the user's own reward terms, as module:Class
     command: tuple[str, ...] = ()  # what started the run
     hook: str = ""  # the user's own step hook, as module:Class
@@ -125,7 +120,7 @@ class RunInfo:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ClientSpec:
-    """A client process that learns: its seat, its own settings, its run folder, and what its manifest says."""
+    """A client process that learns: its seat, its own settings, its run folder, its manifest."""
 
     join: SeatRequest
     config: RunConfig
@@ -138,15 +133,11 @@ T = TypeVar("T", WorldSpec, SeatRequest, ClientSpec, WorldStatus, ClientStatus)
 
 def to_line(value: WorldSpec | SeatRequest | ClientSpec | WorldStatus | ClientStatus) -> bytes:
     """A value as one line of JSON, with its newline."""
-    return msgspec.json.encode(value, enc_hook=_config_text) + b"\n"
-
-
-def _config_text(config: RunConfig) -> str:
-    return config.model_dump_json()
+    return msgspec.json.encode(value, enc_hook=RunConfig.model_dump_json) + b"\n"
 
 
 def of_line(kind: type[T], line: bytes) -> T:
-    """The value of a line. Raises ConfigError when it is none."""
+    """The value of a line. Raises ConfigError for any other line."""
     try:
         return msgspec.json.decode(
             line, type=kind, dec_hook=lambda _, text: RunConfig.model_validate_json(text)
@@ -162,43 +153,48 @@ def world_plan(
 
     Args:
         order: The world.
-        place: A folder that only its owner can enter, for the order's file.
+        place: A folder that only its owner can enter; for the order's file.
         log: A file for the output of its process.
         argv: Its command line, but for the order's file.
     """
 
-    def life(status_fd: int, begins: bool, listening: str) -> bytes:
+    def order_line(status_fd: int, begins: bool, listening: str) -> bytes:
         listen = listening or order.listen
         return to_line(replace(order, status_fd=status_fd, begins=begins, listen=listen))
 
     file = place / "world.json"
     return WorldPlan(
         argv=(*argv, str(file)),
-        order=life,
+        order=order_line,
         order_file=file,
         log=log,
         last_tick=partial(_last_tick, order.run),
     )
 
 
-def _last_tick(run: str, told: int) -> int:
-    """The last tick that a world has done in its last epoch: as it `told`, but exactly where there is a journal."""
+def _last_tick(run: str, reported: int) -> int:
+    """The last tick that a world has done in its last epoch.
+
+    From its journal if it has one; otherwise the one that it has `reported`, which may be older.
+    """
     journal = Path(run) / JOURNAL
     if not run or not journal.is_file() or journal.stat().st_size > MOST_READ_BYTES:
-        return told
-    done = 0
+        return reported
+    tick = 0
     try:
-        # A world that died while it loaded has not said which epoch it was in.
+        # A world that died while it loaded has not reported its epoch: the last one counts.
         for record in inputs_of_part(journal):
-            if isinstance(record, Ticked | EpochBegun):
-                done = record.tick if isinstance(record, Ticked) else 0
+            if isinstance(record, EpochBegun):
+                tick = 0
+            elif isinstance(record, Ticked):
+                tick = record.tick
     except WcsimError:
-        return told
-    return done
+        return reported
+    return tick
 
 
 def read_order(kind: type[T], path: Path) -> T:
-    """The value in a file. Raises ConfigError when it is none."""
+    """The value in a file. Raises ConfigError for any other file."""
     return of_line(kind, read_bytes(path, ORDER))
 
 

@@ -6,7 +6,7 @@ import pytest
 
 from wcsim.agents.clients.paid_times import WAITS, PaidShares, PaidTimes, PaidTimesLog, read_paid_times
 from wcsim.errors import PolicyError
-from wcsim.server.host.status import _names_of, _Stragglers
+from wcsim.server.host.status import _names_of, _WaitingTimes
 from wcsim.server.launch.states import ClientState, ClientStatus, LaunchState, WorldStatus
 from wcsim.server.protocol.members import Member
 from wcsim.types import SeatSpec
@@ -62,18 +62,18 @@ def test_the_last_words_of_a_world_that_is_down_are_no_other_worlds(tmp_path):
 
 
 def test_who_comes_back_is_not_waited_for_again_in_what_it_was_waited_for_before(tmp_path):
-    waits, now, log = _Stragglers(), [0.0], PaidTimesLog(tmp_path)
+    waits, now, log = _WaitingTimes(), [0.0], PaidTimesLog(tmp_path)
 
     def seen(*members):
-        world = WorldStatus(stage="collect", members=members, waited_s=waits.waited(members))
+        world = WorldStatus(stage="collect", members=members, waited_s=waits.table(members))
         log.add(replace(state((5.0, 6.0), 0.0), world=world))
 
     def wait(waiting_s, *after):
         """b lets a wait for so long; these are in afterwards."""
-        waits.saw(("a", "b"), ("a", "b"), now[0])
-        waits.saw(("a", "b"), ("b",), now[0])
+        waits.update(("a", "b"), ("a", "b"), now[0])
+        waits.update(("a", "b"), ("b",), now[0])
         now[0] += waiting_s
-        waits.saw(after, (), now[0])
+        waits.update(after, (), now[0])
         seen(*after)
 
     wait(100.0, "a", "b")

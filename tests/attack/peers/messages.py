@@ -15,15 +15,15 @@ from tests.attack.peers.wire import each_field, shapes, spoilt
 from tests.attack.scenarios.twists import Rng, integer, pick
 from tests.server.protocol.desk import join_of
 from tests.support.worlds import quick_config
-from wcsim.server.host.opening import Opened
-from wcsim.server.host.process import _Lifelines, _PeerLimits, _ServerLoop
+from wcsim.server.host.opening import OpenedServer
+from wcsim.server.host.process import _ProcessWatch, _ServerLoop
 from wcsim.server.host.status import Reporter
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.events import Rules
 from wcsim.server.protocol.members import REMEMBERED
 from wcsim.server.protocol.server_core import ServerCore
 from wcsim.server.specs import WorldOrder, WorldSpec
-from wcsim.server.transport.sockets import LOCAL, REMOTE, Heard
+from wcsim.server.transport.sockets import LOCAL, REMOTE, IncomingMessage, PeerLimits
 from wcsim.types import SeatSpec
 
 HONEST = LOCAL + b"honest"
@@ -70,8 +70,8 @@ class Besieged:
         world = FakeWorld(WorldOrder(town="x", config=config, seed=1), (None,) * capacity, 1)
         self.core = ServerCore(rules)
         self.doors = _Doors()
-        self._lifelines = _Lifelines()
-        opened = Opened(world=world, core=self.core, journal=None)
+        self._lifelines = _ProcessWatch()
+        opened = OpenedServer(world=world, core=self.core, journal=None)
         self.loop = _ServerLoop(order, opened, self.doors, self._lifelines, Reporter(-1))  # type: ignore[arg-type]
         self.world = world
         self._said = 0
@@ -79,14 +79,14 @@ class Besieged:
 
     def say(self, peer: bytes, data: bytes, key: str | None = None) -> None:
         """A message comes in, and is dealt with."""
-        self.doors.inbox.append(Heard(peer, data, key))
+        self.doors.inbox.append(IncomingMessage(peer, data, key))
         self.loop._turn()
 
     def attack(self, data: bytes) -> bool:
         """Say one hostile message; whether the honest client then drives on, through exactly one tick."""
         self._said += 1
         if self._said % 1000 == 0:  # no client sends as many messages a second as the honest one here
-            self.loop._peers = _PeerLimits()
+            self.loop._peers = PeerLimits()
         peer = (REMOTE if self._said % 2 else LOCAL) + b"evil-%d" % (self._said // 10)
         self.doors.sent.clear()
         self.say(peer, data)
@@ -103,22 +103,22 @@ class Besieged:
 
     def _send_home(self) -> None:
         """Seats that the attacker got are given back, as when its lease is over."""
-        for entry in [*self.core.roll.members, *self.core.roll.pending]:
+        for entry in [*self.core.roster.members, *self.core.roster.pending]:
             if entry.session != SESSION:
                 self.say(entry.peer, m.encode(m.Leave(entry.session)))
 
     def _honest_step(self) -> bool:
-        mine = self.core.roll.member(SESSION)
-        if mine is None or [entry.seat for entry in self.core.roll.members] != [0]:
+        mine = self.core.roster.member(SESSION)
+        if mine is None or [entry.seat for entry in self.core.roster.members] != [0]:
             return False
         before = self.world.snapshot.tick
         self.say(HONEST, m.encode(m.Act(SESSION, self.core.epoch, self.core.tick, mine.life, 0.5, 0.5)))
         return self.world.snapshot.tick == before + 1 == self.core.tick
 
     def _bounded(self) -> bool:
-        roll = self.core.roll
-        lists = (roll.retired, roll.forgotten)
-        return not roll.pending and all(len(item) <= REMEMBERED and all(len(s) == 16 for s in item) for item in lists)
+        roster = self.core.roster
+        lists = (roster.retired, roster.forgotten)
+        return not roster.pending and all(len(item) <= REMEMBERED and all(len(s) == 16 for s in item) for item in lists)
 
 
 def siege_cases(count: int, seed: int, work: Path) -> Iterator[Case]:
@@ -167,7 +167,7 @@ class _Doors:
     """The doors' part in a server loop, without sockets."""
 
     def __init__(self) -> None:
-        self.inbox: list[Heard] = []
+        self.inbox: list[IncomingMessage] = []
         self.sent: list[tuple[bytes, list[bytes]]] = []
 
     def watch(self, fileno: int) -> None:
@@ -177,11 +177,11 @@ class _Doors:
         del most_ms
         return False
 
-    def messages(self) -> Iterator[Heard]:
+    def messages(self) -> Iterator[IncomingMessage]:
         while self.inbox:
             yield self.inbox.pop(0)
 
-    def lost(self) -> set[bytes]:
+    def take_lost(self) -> set[bytes]:
         return set()
 
     def send(self, peer: bytes, parts: list[bytes]) -> None:

@@ -46,7 +46,7 @@ def test_every_field_times_every_nasty_value() -> None:
 def test_the_siege_sees_a_server_that_lets_an_honest_client_go(tmp_path: Path) -> None:
     siege = Besieged(tmp_path)
     assert siege.attack(b"")
-    siege.core.roll.members[0].action = None
+    siege.core.roster.members[0].action = None
     siege.say(b"Lhonest", m.encode(m.Leave(b"h" * 16)))
     assert not siege.attack(b"")
     siege.close()

@@ -143,7 +143,7 @@ def test_who_leaves_at_the_last_tick_of_an_epoch_is_not_waited_for_in_the_next_o
 def full_at(core, tick):
     """Why the epoch is over when the barrier of this tick is full."""
     core.stage, core.tick = BarrierState.COLLECT, tick
-    core.roll.members = [Member(seat=0, name="a", spec=SeatSpec(), session=b"a", peer=b"a", action=AHEAD)]
+    core.roster.members = [Member(seat=0, name="a", spec=SeatSpec(), session=b"a", peer=b"a", action=AHEAD)]
     core.advance(0.0)
     return core.stage is BarrierState.EPOCH_OVER
 
@@ -155,17 +155,17 @@ def test_an_epoch_ends_early_when_its_process_has_grown(tmp_path, monkeypatch):
     core = ServerCore(BOTH)
     cap = _EpochCap(order, core)
     core.tick = SETTLED_TICKS - 1
-    cap.weigh()
+    cap.check_memory()
     for grown in (False, False, True):
         core.tick = SETTLED_TICKS
-        cap.weigh()
-        assert full_at(core, SETTLED_TICKS) == bool(cap.reached) == grown
-    assert "from 500 to 1600 MB" in cap.reached
+        cap.check_memory()
+        assert full_at(core, SETTLED_TICKS) == bool(cap.reason) == grown
+    assert "from 500 to 1600 MB" in cap.reason
 
 
 @pytest.mark.parametrize(("ends", "tick", "over"), [(6000, 5999, False), (6000, 6000, True), (0, 6000, False)])
 def test_an_epoch_ends_at_a_full_barrier_of_its_last_tick_where_somebody_goes_on(tmp_path, ends, tick, over):
     core = ServerCore(BOTH)
     cap = _EpochCap(replace(stand_in_order(tmp_path, run=str(tmp_path)), epoch_ticks=ends), core)
-    assert not cap.reached, "somebody has not seen its last tick yet"
-    assert full_at(core, tick) == bool(cap.reached) == over
+    assert not cap.reason, "somebody has not seen its last tick yet"
+    assert full_at(core, tick) == bool(cap.reason) == over

@@ -17,10 +17,10 @@ from wcsim.log.reader import read_header
 from wcsim.log.records import Ended
 from wcsim.log.writer import JOURNAL, LogWriter
 from wcsim.server.host.opening import EPOCH_OVER, REGATHER_S, open_server
-from wcsim.server.host.process import BURST, MAX_PEERS, MOST_FAULTS, _Lifelines, _PeerLimits
+from wcsim.server.host.process import _ProcessWatch
 from wcsim.server.launch.awake_clock import LEAP_S, AwakeClock
 from wcsim.server.protocol.events import Rules
-from wcsim.server.transport.sockets import ServerSockets
+from wcsim.server.transport.sockets import BURST, MAX_PEERS, MOST_FAULTS, PeerLimits, ServerSockets
 
 
 def nobody():
@@ -36,53 +36,53 @@ def test_the_clock_leaps_over_time_in_which_the_server_was_stopped_but_not_over_
 
 
 def test_a_peer_that_sends_too_fast_is_told_and_at_last_ignored():
-    peers = _PeerLimits()
-    heard = [peers.hears(b"x", 0.0, nobody) for _ in range(int(BURST) + MOST_FAULTS + 5)]
+    peers = PeerLimits()
+    heard = [peers.admit(b"x", 0.0, nobody) for _ in range(int(BURST) + MOST_FAULTS + 5)]
     assert heard.count(True) == BURST
     assert heard.count(False) == MOST_FAULTS
     assert heard[-1] is None
-    assert peers.hears(b"y", 0.0, nobody)
+    assert peers.admit(b"y", 0.0, nobody)
 
 
 def test_a_patient_peer_is_always_heard():
-    peers = _PeerLimits()
-    assert all(peers.hears(b"x", 0.001 * tick, nobody) for tick in range(20_000))
+    peers = PeerLimits()
+    assert all(peers.admit(b"x", 0.001 * tick, nobody) for tick in range(20_000))
 
 
 def test_strangers_make_room_and_members_do_not():
-    peers = _PeerLimits()
+    peers = PeerLimits()
     for number in range(MAX_PEERS):
-        assert peers.hears(b"%d" % number, float(number), nobody)
+        assert peers.admit(b"%d" % number, float(number), nobody)
     members = frozenset(b"%d" % number for number in range(MAX_PEERS) if number != 7)
-    assert peers.hears(b"new", MAX_PEERS, lambda: members)
-    assert peers.hears(b"other", MAX_PEERS, lambda: members | {b"new"}) is None
+    assert peers.admit(b"new", MAX_PEERS, lambda: members)
+    assert peers.admit(b"other", MAX_PEERS, lambda: members | {b"new"}) is None
 
 
 def test_a_crowd_of_strangers_that_talks_on_and_on_keeps_nobody_out():
-    peers = _PeerLimits()
+    peers = PeerLimits()
     for second in range(5):
         for number in range(MAX_PEERS):
-            peers.hears(b"%d" % number, float(second), nobody)
-    assert peers.hears(b"client", 4.5, nobody)
-    assert peers.hears(b"stranger", 5.0, lambda: {b"client"})
-    assert peers.hears(b"client", 5.5, lambda: {b"client"})
+            peers.admit(b"%d" % number, float(second), nobody)
+    assert peers.admit(b"client", 4.5, nobody)
+    assert peers.admit(b"stranger", 5.0, lambda: {b"client"})
+    assert peers.admit(b"client", 5.5, lambda: {b"client"})
 
 
 def test_the_end_of_a_process_and_of_the_reader_is_news():
     reader, writer = os.pipe()
     child = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE)
-    with _Lifelines(writer) as lifelines:
-        assert lifelines.watch(child.pid, b"one")
-        assert lifelines.watch(child.pid, b"two")
-        assert lifelines.watch(os.getpid(), b"mine")
-        assert not lifelines.watch((1 << 22) + 1, b"never there")
-        assert lifelines.news() == ([], False)
-        lifelines.keep([b"one", b"mine"])
+    with _ProcessWatch(writer) as processes:
+        assert processes.watch(child.pid, b"one")
+        assert processes.watch(child.pid, b"two")
+        assert processes.watch(os.getpid(), b"mine")
+        assert not processes.watch((1 << 22) + 1, b"never there")
+        assert processes.take_ended() == ([], False)
+        processes.forget_all_but([b"one", b"mine"])
         child.communicate(b"\n")
-        assert lifelines.news() == ([b"one"], False)
-        assert lifelines.news() == ([], False)
+        assert processes.take_ended() == ([b"one"], False)
+        assert processes.take_ended() == ([], False)
         os.close(reader)
-        assert lifelines.news() == ([], True)
+        assert processes.take_ended() == ([], True)
     os.close(writer)
 
 
@@ -96,7 +96,7 @@ def test_the_end_of_a_connection_is_told_once_and_of_whom(tmp_path):
         end_s = time.monotonic() + seconds
         while time.monotonic() < end_s and (seconds < 1.0 or not peers):
             doors.wait(50)
-            lost.extend(doors.lost())
+            lost.extend(doors.take_lost())
             peers.extend(one.peer for one in doors.messages())
 
     def spoken(client: zmq.Socket[bytes]) -> None:
@@ -114,7 +114,7 @@ def test_the_end_of_a_connection_is_told_once_and_of_whom(tmp_path):
                     assert peers[-1] not in lost
             if early:
                 time.sleep(0.5)
-                lost.extend(doors.lost())
+                lost.extend(doors.take_lost())
             look(30.0)
             look(0.9)
             assert lost.count(peers[-1]) == 1
@@ -130,7 +130,7 @@ def test_what_a_dead_connection_said_last_is_not_taken_for_words_of_the_next(tmp
             while time.monotonic() < end_s:
                 doors.wait(20)
                 peers.update({one.data: one.peer for one in doors.messages()})
-                lost.extend(doors.lost())
+                lost.extend(doors.take_lost())
 
         with context.socket(zmq.DEALER) as first:
             first.connect(doors.listening)

@@ -1,4 +1,6 @@
-"""The hub: what it writes, and what it refuses."""
+"""The host of a world: what it writes, and what it refuses."""
+
+from typing import Any
 
 from benchmarks.barrier.fake_world import FakeWorld
 from tests.server.protocol.desk import join_of
@@ -16,17 +18,16 @@ def join(profile: str = "competent", claim: bytes = b"secret") -> m.Join:
     return join_of(0, claim=claim, name="a", spec=SeatSpec(profile=profile))
 
 
-def stand_in(*specs: SeatSpec | None) -> FakeWorld:
-    return FakeWorld(WorldOrder(town="", config=quick_config(), seed=1), specs, 1)
+def host_of(posted: list[m.Reply], **options: Any) -> WorldHost:
+    """The host of a fake world with one free seat."""
+    world = FakeWorld(WorldOrder(town="", config=quick_config(), seed=1), (None,), 1)
+    return WorldHost(ServerCore(Rules(capacity=1)), world, lambda p, message: posted.append(message), **options)
 
 
 def test_a_claim_is_in_no_journal():
     """Whoever reads one could take the seat."""
     records, posted = [], []
-    hub = WorldHost(
-        ServerCore(Rules(capacity=1)), stand_in(None), lambda p, message: posted.append(message), records.append
-    )
-    hub.feed(Received(b"p", join()), 0.0)
+    host_of(posted, write=records.append).feed(Received(b"p", join()), 0.0)
     (admitted,) = [record for record in records if isinstance(record, Admitted)]
     assert admitted.name == "a" and b"secret" not in record_bytes(admitted)
     assert any(isinstance(message, m.Frame) for message in posted)
@@ -34,20 +35,18 @@ def test_a_claim_is_in_no_journal():
 
 def test_a_world_that_is_not_begun_again_does_not_say_that_it_loads():
     said = []
-    hub = WorldHost(
-        ServerCore(Rules(capacity=1)), stand_in(None), lambda p, message: None, loading=lambda: said.append(True)
-    )
-    hub.feed(Received(b"p", join()), 0.0)
-    hub.feed(Received(b"p", m.Rebuild(join().session, 0, -1)), 0.0)
+    host = host_of([], loading=lambda: said.append(True))
+    host.feed(Received(b"p", join()), 0.0)
+    host.feed(Received(b"p", m.Rebuild(join().session, 0, -1)), 0.0)
     assert not said
-    hub.feed(Received(b"p", m.Rebuild(join().session, 0, 3)), 0.0)
-    assert said == [True] and hub.core.epoch == 1
+    host.feed(Received(b"p", m.Rebuild(join().session, 0, 3)), 0.0)
+    assert said == [True] and host.core.epoch == 1
 
 
 def test_a_user_that_does_not_exist_gets_no_seat():
     posted = []
-    hub = WorldHost(ServerCore(Rules(capacity=1)), stand_in(None), lambda p, message: posted.append(message))
-    hub.feed(Received(b"p", join(profile="drunk")), 0.0)
+    host = host_of(posted)
+    host.feed(Received(b"p", join(profile="drunk")), 0.0)
     (failure,) = posted
     assert failure.error == "ConfigError" and "drunk" in failure.message
-    assert not hub.core.roll.members and not hub.core.roll.pending
+    assert not host.core.roster.members and not host.core.roster.pending

@@ -53,7 +53,7 @@ def pair(hall: Any) -> Iterator[tuple[LocalServer, Any, WheelchairEnv, Any]]:
     """A server, its master on seat 0, an environment on seat 1, and the first thing that this one saw."""
     server = hall(2, 2)
     master, env = server.link(SPEC, 0, "master"), WheelchairEnv(config=CONFIG, join=seat_of(1))
-    master.ask_join()
+    master.request_join()
     first = env.reset(seed=99)
     master.receive()
     yield server, master, env, first
@@ -172,7 +172,7 @@ def test_closing_leaves_and_the_others_go_on(pair):
     server, master, env, _ = pair
     both(master, env)
     env.close()
-    assert [member.name for member in server.hub.core.roll.by_seat()] == ["master"]
+    assert [member.name for member in server.hub.core.roster.by_seat()] == ["master"]
     assert master.act(master.core.tick, AHEAD).tick == 2
     with pytest.raises(ProtocolError, match="call reset"):
         env.step(40)
@@ -184,7 +184,7 @@ def test_a_world_with_other_cameras_is_refused(hall):
     with pytest.raises(ConfigMismatchError, match="use its configuration"):
         env.reset()
     env.close()
-    assert server.hub.core.roll.by_seat() == []
+    assert server.hub.core.roster.by_seat() == []
 
 
 def test_a_world_that_is_killed_and_comes_back_cuts_the_episode(tmp_path):

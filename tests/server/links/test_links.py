@@ -35,7 +35,7 @@ from wcsim.server.links.base import Seat, WorldLink, open_group
 from wcsim.server.links.local import LocalGroup
 from wcsim.server.links.socket import ProcessGroup, SocketSeat
 from wcsim.server.protocol import messages as m
-from wcsim.server.protocol.client_core import Ask, ClientCore, Patience
+from wcsim.server.protocol.client_core import ClientCore, JoinRequest, Patience
 from wcsim.server.protocol.events import Rules
 from wcsim.server.specs import SeatRequest, WorldOrder
 from wcsim.server.transport.keys import make_keys
@@ -157,7 +157,7 @@ def hall(tmp_path_factory):
 
 def arrived(link):
     """Ask for a seat, and wait until the server says whom it waits for: messages of two sockets may overtake."""
-    link.ask_join()
+    link.request_join()
     while not link.core.late:
         link._pump()
 
@@ -352,7 +352,7 @@ class AloneLink(WorldLink):
         del message
 
     def _pump(self) -> None:
-        self.take(self.core.clock(self._now_s()))
+        self.perform(self.core.clock(self._now_s()))
 
     def _end(self) -> None:
         pass
@@ -362,8 +362,10 @@ def test_a_client_that_was_stopped_has_not_waited_for_its_world(monkeypatch):
     """As when a container is paused for an hour: the world in it has not been silent, and goes on."""
     now = [1000.0]
     monkeypatch.setattr(base, "time", SimpleNamespace(monotonic=lambda: now[0], perf_counter=time.perf_counter))
-    link = AloneLink(ClientCore(Ask(claim=b"x", name="a", spec=SPEC), Patience(reconnect_s=90.0), base.new_session))
-    link.ask_join()
+    link = AloneLink(
+        ClientCore(JoinRequest(claim=b"x", name="a", spec=SPEC), Patience(reconnect_s=90.0), base.new_session)
+    )
+    link.request_join()
     now[0] += 3600.0
     link._pump()
     assert link.core.waiting

@@ -10,8 +10,8 @@ from wcsim.server.protocol.server_core import ServerCore
 class AnyTick(ServerCore):
     """Takes an action for one of now, whatever tick it was meant for."""
 
-    def _is_now(self, member: Member, epoch: int, tick: int, life: int) -> bool:
-        return True
+    def _answer_old(self, member: Member, epoch: int, tick: int, life: int) -> bool:
+        return False
 
 
 class ForgetsTheCut(ServerCore):
@@ -34,14 +34,14 @@ class BeginsTheCutAnew(ServerCore):
 
     def _lose(self, lost: Lost, now_s: float) -> None:
         super()._lose(lost, now_s)
-        self.roll.forgotten.clear()
+        self.roster.forgotten.clear()
 
 
 class TooEarly(ServerCore):
     """Steps as soon as somebody has acted."""
 
     def advance(self, now_s: float) -> None:
-        acted = any(mate.action is not None for mate in self.roll.members)
+        acted = any(mate.action is not None for mate in self.roster.members)
         if self.stage is BarrierState.COLLECT and acted:
             self.dismiss()
             self.step()
@@ -53,7 +53,7 @@ class LosesAnAction(ServerCore):
     """Steps without what the last one in seat order has said."""
 
     def step(self) -> None:
-        self.roll.by_seat()[-1].action = None
+        self.roster.by_seat()[-1].action = None
         super().step()
 
 
@@ -69,8 +69,8 @@ class NoLease(ServerCore):
     """Waits for ever."""
 
     def watch(self, now_s: float) -> None:
-        if now_s - self._told_s >= self.rules.notice_s:
-            self._tell(now_s)
+        if now_s - self._last_notice_s >= self.rules.notice_s:
+            self._send_waiting(now_s)
 
 
 class NoHeir(ServerCore):
@@ -78,7 +78,7 @@ class NoHeir(ServerCore):
 
     @property
     def _master_seat(self) -> int:
-        return self.roll.members[-1].seat
+        return self.roster.members[-1].seat
 
 
 class NotLookedAtAgain(ServerCore):
@@ -107,25 +107,25 @@ class KeepsChairs(ServerCore):
     """Does not dismiss who has left, where no step follows."""
 
     def dismiss(self) -> None:
-        if self.tick != self.last_tick or self.late() or not self.roll.members:
+        if self.tick != self.last_tick or self.late() or not self.roster.members:
             super().dismiss()
 
 
 class ShowsAnyFrame(ClientCore):
     """Takes a frame that it has had for the next one."""
 
-    def _frame(self, frame: m.Frame) -> list[Outcome]:
+    def _receive_frame(self, frame: m.Frame) -> list[Outcome]:
         if self.phase in (ClientPhase.THINK, ClientPhase.WAIT_TICK, ClientPhase.WAIT_SENSORS):
-            return self._seen(frame)
-        return super()._frame(frame)
+            return self._show(frame)
+        return super()._receive_frame(frame)
 
 
 class SaysNoCut(ClientCore):
     """Goes on in another chair without a word."""
 
-    def _welcomed(self, welcome: m.Welcome) -> list[Outcome]:
-        told = super()._welcomed(welcome)
-        self._restarted = ""
+    def _receive_welcome(self, welcome: m.Welcome) -> list[Outcome]:
+        told = super()._receive_welcome(welcome)
+        self._restart_reason = ""
         return told
 
 

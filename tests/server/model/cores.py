@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from tests.server.model.scope import Scope
 from wcsim.server.protocol import messages as m
-from wcsim.server.protocol.client_core import Ask, ClientCore, Outcome, Patience
+from wcsim.server.protocol.client_core import ClientCore, JoinRequest, Outcome, Patience
 from wcsim.server.protocol.events import Clock, Effect, Event, Rules
 from wcsim.server.protocol.server_core import ServerCore
 from wcsim.types import SeatSpec
@@ -57,9 +57,9 @@ class Servers:
         """The lease of one seat ends; all others are heard of in time."""
 
         def pass_time(core: ServerCore) -> list[Effect]:
-            for mate in core.roll.members:
-                mate.heard_s = mate.asked_s = 0.0 if mate.seat == seat else LATER_S
-            core._told_s = LATER_S
+            for mate in core.roster.members:
+                mate.progress_s = mate.owes_since_s = 0.0 if mate.seat == seat else LATER_S
+            core._last_notice_s = LATER_S
             return core.handle(Clock(), LATER_S)
 
         return self._memo((state, "overdue", seat), state, pass_time)
@@ -68,7 +68,7 @@ class Servers:
         """The time for gathering is over."""
 
         def pass_time(core: ServerCore) -> list[Effect]:
-            core._told_s = 30.0
+            core._last_notice_s = 30.0
             return core.handle(Clock(), 30.0)
 
         return self._memo((state, "gather"), state, pass_time)
@@ -91,13 +91,13 @@ class Servers:
             core.tick,
             core.gathering,
             core.rules.expected,
-            core._gather_s is None,
-            tuple((x.seat, x.session, x.peer, x.claim) for x in core.roll.members),
-            tuple((x.life, x.action, x.respawning) for x in core.roll.members),
-            tuple((p.seat, p.session, p.peer, p.claim) for p in core.roll.pending),
-            tuple(sorted(core.roll.going)),
-            tuple(sorted(set(core.roll.retired))),
-            tuple(sorted(set(core.roll.forgotten))),
+            core._gather_since_s is None,
+            tuple((x.seat, x.session, x.peer, x.claim) for x in core.roster.members),
+            tuple((x.life, x.action, x.respawning) for x in core.roster.members),
+            tuple((p.seat, p.session, p.peer, p.claim) for p in core.roster.pending),
+            tuple(sorted(core.roster.going)),
+            tuple(sorted(set(core.roster.retired))),
+            tuple(sorted(set(core.roster.forgotten))),
         )
         number = self._ids.setdefault(key, len(self.cores))
         if number == len(self.cores):
@@ -110,10 +110,10 @@ def _is_note(effect: Effect) -> bool:
 
 
 def _timeless(core: ServerCore) -> None:
-    core._told_s = 0.0
-    core._gather_s = None if core._gather_s is None else 0.0
-    for mate in core.roll.members:
-        mate.heard_s = mate.asked_s = 0.0
+    core._last_notice_s = 0.0
+    core._gather_since_s = None if core._gather_since_s is None else 0.0
+    for mate in core.roster.members:
+        mate.progress_s = mate.owes_since_s = 0.0
 
 
 class Clients:
@@ -122,7 +122,7 @@ class Clients:
     def __init__(self, scope: Scope, client: int) -> None:
         self._make, self.client = scope.client, client
         seat = m.ANY_SEAT if scope.any_seat else client % scope.capacity
-        self._ask = Ask(claim=bytes([client]), name=f"c{client}", spec=SPEC, seat=seat)
+        self._ask = JoinRequest(claim=bytes([client]), name=f"c{client}", spec=SPEC, seat=seat)
         self.cores: list[ClientCore] = []
         self._ids: dict[Hashable, int] = {}
         self._done: dict[Hashable, tuple[int, tuple[Outcome, ...], int]] = {}
@@ -149,11 +149,11 @@ class Clients:
         return found
 
     def _number(self, core: ClientCore) -> int:
-        core._heard_s = core._sent_s = core._asked_s = 0.0
+        core._reply_s = core._sent_s = core._request_s = 0.0
         core.late = ()
-        core._restarted = "yes" if core._restarted else ""
+        core._restart_reason = "yes" if core._restart_reason else ""
         place = (core.phase, core.session, core.seat, core.epoch, core.tick, core.life, core.master)
-        key = (*place, core.pending, core._restarted, core._ahead)
+        key = (*place, core.pending, core._restart_reason, core._done_tick)
         number = self._ids.setdefault(key, len(self.cores))
         if number == len(self.cores):
             self.cores.append(core)

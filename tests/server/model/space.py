@@ -92,7 +92,7 @@ class Space:
         """Whether every client that lives has reached the last tick, or waits for one after it; in the last epoch."""
         if self._ends(at.shadow.epoch):
             return False
-        roll, top = self.servers.cores[at.server].roll, at.shadow.tick >= self.scope.last_tick
+        roster, top = self.servers.cores[at.server].roster, at.shadow.tick >= self.scope.last_tick
         for i, slot in enumerate(at.slots):
             core = self.clients[i].cores[slot.core]
             if slot.mode == "hung" or (slot.mode == "dead" and not slot.starts):
@@ -100,7 +100,9 @@ class Space:
             if slot.mode == "live" and core.phase is ClientPhase.OFF and not slot.starts:
                 continue
             there = slot.mode == "live" and (core.epoch, core.tick) == (at.shadow.epoch, self.scope.last_tick)
-            if not (there and core.phase is ClientPhase.THINK) and not (top and roll.waiting(core.session) is not None):
+            if not (there and core.phase is ClientPhase.THINK) and not (
+                top and roster.waiting(core.session) is not None
+            ):
                 return False
         return True
 
@@ -116,20 +118,20 @@ class Space:
             yield from self._ends_of_epoch(at)
         alive, told = self._alive(at), self.scope.notice is Notice.PROCESS
         told_else = self.scope.notice is Notice.CONNECTION  # no lease is needed then
-        for mate in core.roll.members:
+        for mate in core.roster.members:
             fault, label = mate.session in alive, f"overdue seat {mate.seat}"
             if fault or not told_else or self._is_connected(at, mate.session):
                 yield from self._paid(at, label, "suspect", fault, self.servers.overdue, mate.seat)
             if (fault or told) and not self._hung(at, mate.session):
                 yield from self._lost(at, mate.session, fault)
-        for waiting in core.roll.pending:
+        for waiting in core.roster.pending:
             if waiting.session not in alive and told and not self._hung(at, waiting.session):
                 yield from self._lost(at, waiting.session, fault=False)
         if told_else:
             for i, slot in enumerate(at.slots):
                 if any(_is_over(slot, peer) for peer in (*dict(slot.homes).values(), *dict(slot.up))):
                     yield f"connection of {i} lost", self._connection_lost(at, i, slot)
-        if core.stage is BarrierState.EMPTY and core.roll.pending:
+        if core.stage is BarrierState.EMPTY and core.roster.pending:
             yield from self._paid(at, "gathered", "", False, lambda server, _: self.servers.gathered(server), 0)
         yield from self._deaths(at)
 
@@ -156,7 +158,7 @@ class Space:
         up = tuple(one for one in slot.up if not _is_over(slot, one[0]))
         kept = tuple((session, home) for session, home in slot.homes if not _is_over(slot, home))
         at = _with(at, i, replace(slot, up=up, homes=kept))
-        for one in self.servers.cores[at.server].roll.everyone():
+        for one in self.servers.cores[at.server].roster.everyone():
             if one.session in homes and _is_over(slot, homes[one.session]):
                 server, effects = self.servers.handle(at.server, Lost(one.session, may_return=True))
                 at = self._carry_out(replace(at, server=server), effects)
@@ -180,7 +182,7 @@ class Space:
 
     def _ends_of_epoch(self, at: World) -> Iterator[Move]:
         """The server's process ends as planned. Raises Violation where a step is lost, or a chair is left over."""
-        sessions = {mate.session: mate.seat for mate in self.servers.cores[at.server].roll.members}
+        sessions = {mate.session: mate.seat for mate in self.servers.cores[at.server].roster.members}
         if sorted(sessions.values()) != [chair.seat for chair in at.shadow.chairs]:
             raise Violation(f"the epoch ends with the chairs {at.shadow.chairs}; its members: {sessions}")
         for i, slot in enumerate(at.slots):
@@ -219,7 +221,7 @@ class Space:
     def _names_the_master(self, at: World, message: m.Reply) -> None:
         """The master is who has been there for longest."""
         if isinstance(message, m.TickDone | m.Welcome):
-            members = self.servers.cores[at.server].roll.members
+            members = self.servers.cores[at.server].roster.members
             seats = [mate.seat for mate in members]
             here = [chair for chair in at.shadow.chairs if chair.seat in seats]
             oldest = min(here, key=lambda chair: chair.number).seat
@@ -261,15 +263,15 @@ class Space:
             return ()
         peer, message = slot.up[0]
         homes = {**({message.session: peer} if isinstance(message, m.Join) else {}), **dict(slot.homes)}
-        here = {one.session for one in self.servers.cores[server].roll.everyone()}
+        here = {one.session for one in self.servers.cores[server].roster.everyone()}
         return tuple((session, home) for session, home in homes.items() if session in here)
 
     def _fenced(self, before: int, after: int, message: m.Request) -> None:
         """Who is not a member changes neither members nor the core."""
         old, new = self.servers.cores[before], self.servers.cores[after]
-        if isinstance(message, m.Join) or old.roll.member(message.session) is not None:
+        if isinstance(message, m.Join) or old.roster.member(message.session) is not None:
             return
-        same = [(c.stage, c.epoch, c.tick, c.roll.members) for c in (old, new)]
+        same = [(c.stage, c.epoch, c.tick, c.roster.members) for c in (old, new)]
         if same[0] != same[1]:
             raise Violation(f"a fenced session acts: {_short(message)}")
 

@@ -33,7 +33,7 @@ def hear(view: View, before: ClientCore, after: ClientCore, outcomes: tuple[Outc
     asked_rebuild = isinstance(before.pending, m.Rebuild)
     for x in outcomes:
         if isinstance(x, WcsimError):
-            _may_fail(x, asked_rebuild, before.ask.seat, given_up)
+            _may_fail(x, asked_rebuild, before.request.seat, given_up)
     if seen is None:
         if told_restart:
             raise Violation("told of a new epoch without its first frame")

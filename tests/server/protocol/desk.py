@@ -54,7 +54,7 @@ class Desk:
 
     def step(self, tick: int = 0) -> list[Effect]:
         """Everybody acts, the world is done."""
-        acted = [self.act(member.session[0], tick) for member in list(self.core.roll.members)]
+        acted = [self.act(member.session[0], tick) for member in list(self.core.roster.members)]
         return acted[-1] + self.feed(Stepped(tick + 1))
 
     def wait(self, seconds: float) -> list[Effect]:

@@ -9,10 +9,10 @@ import pytest
 from wcsim.errors import BadActionError, ProtocolError, WcsimError
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.client_core import (
-    Ask,
     ClientCore,
     ClientPhase,
     FrameSeen,
+    JoinRequest,
     Outcome,
     Patience,
 )
@@ -24,7 +24,7 @@ AHEAD = Joystick(0.0, 1.0)
 def client(seat: int = m.ANY_SEAT) -> ClientCore:
     numbers = count(1)
     patience = Patience(resend_s=2.0, reconnect_s=90.0, tick_s=300.0)
-    ask = Ask(claim=b"mine", name="me", spec=SeatSpec(), seat=seat)
+    ask = JoinRequest(claim=b"mine", name="me", spec=SeatSpec(), seat=seat)
     return ClientCore(ask, patience, lambda: bytes([next(numbers)]) * m.SESSION_BYTES)
 
 

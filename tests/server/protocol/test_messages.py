@@ -6,7 +6,7 @@ import pytest
 from tests.support.typed import python_says
 from wcsim.errors import LinkClosedError, OverloadedError, ProtocolError, TownError, WcsimError
 from wcsim.server.protocol import messages as m
-from wcsim.server.protocol.messages import _unpacked
+from wcsim.server.protocol.messages import _unpack
 from wcsim.types import F32, F64, U8, Contact, Drawn, Reading, SeatSpec, StartSpec
 
 SESSION = bytes(range(16))
@@ -160,7 +160,7 @@ def test_frames_whose_parts_do_not_fit_are_refused(ended):
 @pytest.mark.parametrize(("kind", "told"), [(F64, b"abc"), (F64, "a"), (F32, ((2, 3), b"abcd")), (F32, 1), (U8, {})])
 def test_what_is_no_array_is_refused(kind, told):
     with pytest.raises((TypeError, ValueError)):
-        _unpacked(kind, told)
+        _unpack(kind, told)
 
 
 def test_readings_travel_with_the_frame(ended):

@@ -137,7 +137,7 @@ def test_new_lives_give_a_client_no_new_time_to_think_and_have_an_end() -> None:
     desk.wait(49.0)
     assert only(desk.act(1), RespawnSeats).seats == (0,)
     desk.wait(2.0)
-    assert len(desk.core.roll.members) == 2, "while it waited for others it owed nothing"
+    assert len(desk.core.roster.members) == 2, "while it waited for others it owed nothing"
     desk = Desk(members=1)
     for life in range(MOST_LIVES):
         respawn(life)
@@ -263,7 +263,7 @@ class AnyRequests(RuleBasedStateMachine):
 
     @rule(which=st.integers(0, 1))
     def act_well(self, which: int) -> None:
-        for member in self.core.roll.members[which : which + 1]:
+        for member in self.core.roster.members[which : which + 1]:
             now = (self.core.epoch, self.core.tick, member.life)
             self.feed(Received(member.peer, m.Act(member.session, *now, 0.5, 0.5)))
 
@@ -288,10 +288,10 @@ class AnyRequests(RuleBasedStateMachine):
 
     @invariant()
     def holds(self) -> None:
-        assert len({member.seat for member in self.core.roll.members}) == len(self.core.roll.members) <= 2
+        assert len({member.seat for member in self.core.roster.members}) == len(self.core.roster.members) <= 2
         assert (self.core.epoch, self.core.tick) == (self.world.epoch, self.world.tick)
         assert self.core.stage in (BarrierState.EMPTY, BarrierState.COLLECT)
-        there = {member.seat for member in self.core.roll.members} | set(self.core.roll.going)
+        there = {member.seat for member in self.core.roster.members} | set(self.core.roster.going)
         assert {chair.seat for chair in self.world.chairs} == there
 
 

@@ -18,12 +18,12 @@ from tests.server.protocol.test_messages import REPLIES, REQUESTS
 from tests.server.servers import AHEAD, Server, stand_in_order
 from tests.support.worlds import quick_config
 from wcsim.errors import OverloadedError, ProtocolError
-from wcsim.server.host.process import BURST, MESSAGES_PER_S
 from wcsim.server.ledger import audit, iter_ledger
 from wcsim.server.links.socket import SocketSeat
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.events import Rules
 from wcsim.server.specs import WorldOrder
+from wcsim.server.transport.sockets import BURST, MESSAGES_PER_S
 from wcsim.types import SeatSpec
 
 NAMED = (ProtocolError, OverloadedError)

@@ -28,7 +28,7 @@ def a_world(specs=SHORT):
 
 
 def drive(world, sink):
-    sink.turn(world.snapshot.tick + 1)
+    sink.select_slot(world.snapshot.tick + 1)
     now = world.snapshot
     return world.tick(tuple(Command(seat=c.seat, tick=now.tick, joystick=Joystick(0, 1)) for c in now.clients), sink)
 
@@ -62,7 +62,7 @@ def test_a_client_sees_what_the_cameras_wrote_and_the_frame_before_stands(tmp_pa
 def test_first_frames_of_joins_and_respawns_have_a_place_of_their_own(tmp_path):
     sink, world = RingSink(tmp_path, 2, PICTURES), a_world((SeatSpec(), None))
     view = RingView(sink.path(1))
-    sink.turn(0)
+    sink.select_slot(0)
     first = world.admit(1, SeatSpec(), sink)
     seen = opened(view, first, 0)
     assert seen == first

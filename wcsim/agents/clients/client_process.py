@@ -16,7 +16,7 @@ from pathlib import Path
 from wcsim.core.processes import die_with_parent, outlive_parent_by
 from wcsim.errors import WcsimError
 from wcsim.server.launch.states import WAIT_NO_MORE, ClientExit
-from wcsim.server.protocol.limits import NO_ROOM, last_words, told_limit
+from wcsim.server.protocol.limits import NO_ROOM, limit_message, write_last_line
 from wcsim.server.specs import ClientSpec, read_order
 
 SAVING_S = 300.0  # longest life after that of the launcher
@@ -49,25 +49,25 @@ def _learned(file: Path, resume: bool, status_fd: int) -> int:
             learn,
         )
     except WcsimError as error:
-        last_words(f"wcsim: {error}")
+        write_last_line(f"wcsim: {error}")
         return ClientExit.USER_ERROR
     try:
-        learn(order, resume, status_fd, last_words)
+        learn(order, resume, status_fd, write_last_line)
     except WcsimError as error:
-        last_words(f"wcsim: {error}")
+        write_last_line(f"wcsim: {error}")
         return exit_code(error)
     except Exception as error:
-        message = told_limit(error)
+        message = limit_message(error)
         if not message:
             raise
-        last_words(f"wcsim: {message}")
+        write_last_line(f"wcsim: {message}")
         return (
             ClientExit.DISK_FULL
             if getattr(error, "errno", None) in NO_ROOM
             else ClientExit.USER_ERROR
         )
     except KeyboardInterrupt:
-        last_words("wcsim: interrupted")
+        write_last_line("wcsim: interrupted")
         return ClientExit.STOPPED
     return ClientExit.DONE
 

@@ -1,1 +1,1 @@
-"""A world's process from inside: opens or recovers the world, runs the loop, reports. Not who starts it."""
+"""A world process from inside: opens the world, runs the loop, reports. Not what starts it."""

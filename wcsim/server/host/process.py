@@ -1,10 +1,8 @@
-"""A world in a process of its own: `python -m wcsim.server.host.process ORDER_FILE`, a `WorldSpec` as JSON.
+"""A world process: `python -m wcsim.server.host.process ORDER_FILE`, with a `WorldSpec` as JSON.
 
-It ends when SIGTERM asks it to, or when whoever started it has gone. It ends with a code of `WorldExit`.
-
-The life of a server process: hear messages, feed the hub, tell what came of it, look after the living.
-
-One thread. What is said to a client at one time travels as one message of several parts, so that it wakes once.
+`main` reads the order, opens sockets, world and journal, and runs `_ServerLoop` in its only thread
+until `_StopRequest` has a reason, or an epoch or the parent process has ended. The exit code is
+one of `WorldExit`.
 """
 
 from __future__ import annotations
@@ -16,11 +14,11 @@ import select
 import signal
 import sys
 import time
-from collections.abc import Callable, Collection, Container, Iterator
+from collections.abc import Collection, Container, Iterator
 from contextlib import ExitStack
-from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
+from typing import Final
 
 import msgspec
 
@@ -38,120 +36,347 @@ from wcsim.errors import (
     WcsimError,
 )
 from wcsim.log.records import Ended
-from wcsim.server.host.opening import EPOCH_OVER, MakesWorld, Opened, open_server, street_world
+from wcsim.server.host.opening import EPOCH_OVER, MakeWorld, OpenedServer, open_server, street_world
 from wcsim.server.host.status import Reporter
-from wcsim.server.host.world_host import Keep, WorldHost
+from wcsim.server.host.world_host import WorldHost
 from wcsim.server.launch.awake_clock import AwakeClock
 from wcsim.server.launch.states import WorldExit
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.events import BarrierState, Clock, Event, Lost, Peer, Received, Stop
-from wcsim.server.protocol.limits import NO_ROOM, last_words, told_limit
+from wcsim.server.protocol.limits import NO_ROOM, limit_message, write_last_line
 from wcsim.server.protocol.server_core import ServerCore
 from wcsim.server.specs import WorldSpec, read_order, rss_mb
 from wcsim.server.transport.shared_images import RingSink
-from wcsim.server.transport.sockets import LOCAL, REMOTE, Heard, ServerSockets
+from wcsim.server.transport.sockets import (
+    LOCAL,
+    REMOTE,
+    IncomingMessage,
+    PeerLimits,
+    ServerSockets,
+)
 
-MAX_PEERS = 64
-MESSAGES_PER_S, BURST = (
-    10_000.0,
-    10_000.0,
-)  # a sole master in a world that costs nothing sends 2,500 (measured)
-MOST_FAULTS = 20  # messages that could not be read, or came too fast, after which a peer is not heard any more
+SETTLED_TICKS: Final = 100  # the memory that an epoch starts with is measured after so many ticks
+_GROWTH_MB: Final = 1_000.0  # by which a process may grow in an epoch
+_WAIT_MS: Final = 50
+_CLOCK_S: Final = 0.1
+# A client that a signal holds is waited for so long. Over the network ZeroMQ notices it.
+_HELD_S: Final = 5.0
+_PARENT_ENDED: Final = signal.SIGUSR1
+_PARENT_ENDED_REASON: Final = "the process that started it is gone"
+_ORDER_FAULTS: Final = (ConfigError, TownError, HookError, JournalError)
 
 
-@dataclass(slots=True)
-class _Account:
-    tokens: float
-    heard_s: float
-    faults: int = 0
+def main(words: list[str], make: MakeWorld = street_world) -> int:
+    """Host the world of an order file; returns a code of `WorldExit`.
+
+    Benchmarks and tests pass a `make` of their own.
+    """
+    # 1. Read the order. Until it is read there is no pipe for errors, only standard error.
+    try:
+        if len(words) != 1:
+            raise ConfigError(f"got {len(words)} arguments; expected an order file")
+        order = read_order(WorldSpec, Path(words[0]))
+    except WcsimError as error:
+        return _report_exit(error)
+    stop = _StopRequest()
+    reporter = Reporter(order.status_fd)
+    try:
+        with ExitStack() as resources:
+            # 2. Open everything. The sockets come first, so that an order with a wrong address
+            #    fails before its world is loaded. A stop need not wait for the loading.
+            with stop.at_once():
+                reporter.report_loading()
+                sockets = ServerSockets(order.endpoint, order.listen, order.keys)
+                resources.enter_context(sockets)
+                processes = resources.enter_context(_ProcessWatch(order.status_fd))
+                opened = open_server(order, make)
+                if opened.journal is not None:
+                    resources.enter_context(opened.journal)
+                resources.callback(opened.world.close)
+                reporter.listening = sockets.listening
+                loop = _ServerLoop(order, opened, sockets, processes, reporter)
+                # What is loaded now stays. To search it again and again would cost single ticks.
+                gc.freeze()
+            # 3. Serve the clients.
+            reason = loop.run(stop)
+            # 4. End: the journal has the reason, and the next process goes on from it.
+            if opened.journal is not None:
+                opened.journal.append(Ended(reason=reason))
+    except Exception as error:
+        failure = _as_wcsim_error(error)
+        if failure is None:
+            raise
+        reporter.report_failure(failure)
+        return _report_exit(failure, order.quiet)
+    if not reason.startswith(EPOCH_OVER):
+        return WorldExit.DONE
+    write_last_line(f"wcsim: {reason}")
+    return WorldExit.EPOCH_OVER
 
 
-class _PeerLimits:
-    """Accounts of all peers."""
+class _StopRequest:
+    """Why this process is to end: SIGTERM, or the end of the process that started it."""
 
     def __init__(self) -> None:
-        self._accounts: dict[Peer, _Account] = {}
+        self.reason = ""
+        self._is_immediate = True
+        self._parent = os.getppid()
+        signal.signal(signal.SIGTERM, self._on_sigterm)
+        # Ctrl-C at a terminal reaches the whole process group; the parent decides what it means.
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        signal.signal(_PARENT_ENDED, self._on_parent_ended)
+        die_with_parent(_PARENT_ENDED)
 
-    def hears(
-        self, peer: Peer, now_s: float, members: Callable[[], Container[Peer]]
-    ) -> bool | None:
-        """Whether a message of a peer may be read now; None when nothing shall even be answered.
+    @contextlib.contextmanager
+    def at_once(self) -> Iterator[None]:
+        """Let a stop raise SystemExit until the block ends; afterwards it only sets `reason`."""
+        try:
+            yield
+        finally:
+            self._is_immediate = False
 
-        Args:
-            peer: Whose message.
-            now_s: The time.
-            members: Tells the peers whose accounts are kept whatever comes.
-        """
-        account = self._accounts.get(peer)
-        if account is None:
-            account = self._opened(peer, now_s, members)
-            if account is None:
-                return None
-        if account.faults >= MOST_FAULTS:
-            return None
-        account.tokens = (
-            min(BURST, account.tokens + MESSAGES_PER_S * (now_s - account.heard_s)) - 1.0
-        )
-        account.heard_s = now_s
-        if account.tokens < 0.0:
-            account.tokens = 0.0
-            account.faults += 1
-            return False
-        return True
+    def _on_sigterm(self, number: int, frame: FrameType | None) -> None:
+        del number, frame
+        self._stop("requested to stop")
 
-    def fault(self, peer: Peer) -> None:
-        """A message of the peer could not be read."""
-        account = self._accounts.get(peer)
-        if account is not None:
-            account.faults += 1
+    def _on_parent_ended(self, number: int, frame: FrameType | None) -> None:
+        del number, frame
+        # The kernel also sends this when only the thread that started this process has ended.
+        if os.getppid() != self._parent:
+            self._stop(_PARENT_ENDED_REASON)
 
-    def is_shut_out(self, peer: Peer) -> bool:
-        """Whether nothing of the peer is heard any more."""
-        account = self._accounts.get(peer)
-        return account is not None and account.faults >= MOST_FAULTS
-
-    def _opened(
-        self, peer: Peer, now_s: float, members: Callable[[], Container[Peer]]
-    ) -> _Account | None:
-        if len(self._accounts) >= MAX_PEERS:
-            kept = members()
-            strangers = [other for other in self._accounts if other not in kept]
-            if not strangers:
-                return None
-            # Whoever was silent for longest goes, so that a crowd of strangers cannot keep a client out.
-            del self._accounts[min(strangers, key=lambda other: self._accounts[other].heard_s)]
-        self._accounts[peer] = _Account(tokens=BURST, heard_s=now_s)
-        return self._accounts[peer]
+    def _stop(self, reason: str) -> None:
+        self.reason = self.reason or reason
+        if self._is_immediate:
+            raise SystemExit(0)
 
 
-def _at_the_door(join: m.Join, remote: bool, key: str | None) -> m.Join:
-    """A join as the server takes it from this door.
+class _ServerLoop:
+    """The loop of a server: messages come in from the sockets, replies of the `WorldHost` go out.
 
-    A client with a key is known by the key's name, or by that with a dot and a word after it (`ann.2`).
-
-    Args:
-        join: What the client says.
-        remote: Whether it came over the network.
-        key: The name of the key that it has shown; None where none is asked for.
-
-    Raises:
-        ProtocolError: It asks over the network for what only the world's own machine may choose.
+    Replies that one event causes for a client travel as one message of several parts, so that the
+    client wakes up once.
     """
-    if key and join.name != key and not join.name.startswith(f"{key}."):
-        join = msgspec.structs.replace(join, name=key)
-    if not remote:
-        return join
-    if join.spec.start is not None:
-        raise ProtocolError(
-            "only a client on the world's own machine may choose its start; leave it out"
+
+    def __init__(
+        self,
+        order: WorldSpec,
+        opened: OpenedServer,
+        sockets: ServerSockets,
+        processes: _ProcessWatch,
+        reporter: Reporter,
+    ) -> None:
+        """Nothing is sent or received before `run`. Raises what `RingSink` raises."""
+        self._order = order
+        self._core = opened.core
+        self._ring = RingSink(Path(order.ring), order.rules.capacity, order.config.cameras)
+        self._sockets = sockets
+        self._processes = processes
+        self._reporter = reporter
+        self._host = WorldHost(
+            opened.core,
+            opened.world,
+            self._post,
+            # A world without a run folder writes no journal.
+            (lambda record: None) if opened.journal is None else opened.journal.append,
+            self._ring,
+            reporter.report_loading,
         )
-    return msgspec.structs.replace(join, pid=0)
+        self._clock = AwakeClock(time.monotonic())
+        self._peers = PeerLimits()
+        # The connection of each session's first join: another one may repeat its messages.
+        self._first_peers: dict[bytes, Peer] = {}
+        self._outbox: dict[Peer, list[bytes]] = {}
+        self._last_reply: m.Reply | None = None
+        self._last_bytes = b""  # the encoded `_last_reply`
+        self._last_clock_s = 0.0  # of the last Clock event
+        self._is_orphan = False
+        self._cap = _EpochCap(order, opened.core)
+        sockets.watch(processes.fileno())
+
+    def run(self, stop: _StopRequest) -> str:
+        """Serve until a stop is requested, the parent process or the epoch has ended; returns why.
+
+        Clients are not informed of the end of an epoch: they join the process of the next one.
+
+        Raises:
+            WcsimError: The world failed or the journal cannot be written; all clients know.
+        """
+        try:
+            reason = stop.reason
+            while not reason:
+                self._turn()
+                orphan = _PARENT_ENDED_REASON if self._is_orphan else ""
+                reason = stop.reason or orphan or self._cap.reason
+            if not self._cap.reason:
+                self._feed(Stop(reason))
+        except WcsimError as error:
+            for member in self._core.roster.everyone():
+                failure = m.failure_of(error, member.session)
+                self._sockets.send(member.peer, [m.encode(failure)])
+            raise
+        return reason
+
+    def _turn(self) -> None:
+        """Handle what has come in, then clients that ended; about ten times a second the rest."""
+        # 1. Wait. Time in which this process was stopped itself does not count.
+        is_woken = self._sockets.wait(_WAIT_MS)
+        self._clock.look(time.monotonic())
+        # 2. Messages.
+        for message in self._sockets.messages():
+            self._receive(message)
+        # 3. Clients whose process or connection has ended.
+        is_due = self._clock.now_s - self._last_clock_s >= _CLOCK_S
+        if is_woken or is_due:
+            ended, self._is_orphan = self._processes.take_ended()
+            for session in ended:
+                self._feed(Lost(session))
+            for session in self._sessions_of(self._sockets.take_lost()):
+                self._feed(Lost(session, "its connection was lost", may_return=True))
+        if not is_due:
+            return
+        self._last_clock_s = now_s = self._clock.now_s
+        # 4. Clients that a signal holds while others wait. They may join again when they go on. If
+        #    all are late, none waits.
+        members = self._core.roster.members
+        late = [p for p in members if not p.ready and now_s - p.owes_since_s > _HELD_S]
+        if 0 < len(late) < len(members):
+            for session in [p.session for p in late if self._processes.is_held(p.session)]:
+                self._feed(Lost(session, "a signal holds its process", may_return=True))
+        # 5. Time: leases end, and clients that wait learn for whom.
+        self._feed(Clock())
+        # 6. Forget sessions that have left.
+        present = {p.session for p in self._core.roster.everyone()}
+        self._processes.forget_all_but(present)
+        self._first_peers = {
+            session: peer for session, peer in self._first_peers.items() if session in present
+        }
+        # 7. Report, and check the size of this process.
+        self._reporter.report(self._core, self._host, self._clock.now_s)
+        self._cap.check_memory()
+
+    def _receive(self, incoming: IncomingMessage) -> None:
+        # 1. A peer that sends too much is refused, and in the end not answered any more.
+        peer = incoming.peer
+        is_admitted = self._peers.admit(peer, self._clock.now_s, self._present_peers)
+        if is_admitted is None:
+            return
+        if not is_admitted:
+            error = OverloadedError("too many messages per second; wait for the answers")
+            self._refuse(peer, error)
+            return
+        # 2. Decode.
+        try:
+            if incoming.key == "":
+                raise AccessError("the key of this connection was withdrawn; get a new one")
+            message = m.decode_request(incoming.data)
+            if isinstance(message, m.Join):
+                message = _restricted_join(message, peer.startswith(REMOTE), incoming.key)
+        except WcsimError as error:
+            self._peers.add_fault(peer)
+            self._refuse(peer, error)
+            return
+        # 3. Handle it. The process of a client that has joined on this machine is watched.
+        self._feed(Received(peer, message))
+        if not isinstance(message, m.Join):
+            return
+        self._first_peers.setdefault(message.session, peer)
+        is_in = any(p.session == message.session for p in self._core.roster.everyone())
+        if not is_in or message.pid <= 0 or not peer.startswith(LOCAL):
+            return
+        if not self._processes.watch(message.pid, message.session):
+            self._feed(Lost(message.session))
+
+    def _refuse(self, peer: Peer, error: WcsimError) -> None:
+        """Send a peer why its message is refused; a peer that is shut out loses its sessions."""
+        self._sockets.send(peer, [m.encode(m.failure_of(error))])
+        if self._peers.is_shut_out(peer):
+            reason = "it sent too many messages, or too many that could not be read"
+            for session in self._sessions_of((peer,)):
+                self._feed(Lost(session, reason))
+
+    def _sessions_of(self, peers: Container[Peer]) -> list[bytes]:
+        """The sessions that joined first through these connections."""
+        everyone = self._core.roster.everyone()
+        return [p.session for p in everyone if self._first_peers.get(p.session) in peers]
+
+    def _present_peers(self) -> set[Peer]:
+        return {p.peer for p in self._core.roster.everyone()}
+
+    def _feed(self, event: Event) -> None:
+        """Have the host handle an event, and send the replies."""
+        ticks = self._host.ticks
+        try:
+            self._host.feed(event, self._clock.now_s)
+        finally:
+            stepped_s = self._host.step_s if self._host.ticks > ticks else 0.0
+            self._clock.look(time.monotonic(), stepped_s)
+            for peer, parts in self._outbox.items():
+                self._sockets.send(peer, parts)
+            self._outbox.clear()
+        self._reporter.record_event(self._core, event, self._clock.now_s, stepped_s)
+
+    def _post(self, peer: Peer, message: m.Reply) -> None:
+        """Hold a reply until the frame that follows it, or the end of its event."""
+        if isinstance(message, m.Frame):
+            if peer.startswith(REMOTE):
+                message = msgspec.structs.replace(message, slot=-1)
+            # At once: while the next frame is packed, this client can already compute its action.
+            self._sockets.send(peer, [*self._outbox.pop(peer, ()), m.encode(message)])
+            return
+        # The `TickDone` of a tick is one object for all clients, and is encoded once.
+        if message is not self._last_reply:
+            self._last_reply = message
+            if isinstance(message, m.Welcome):
+                message = msgspec.structs.replace(
+                    message,
+                    ring=str(self._ring.path(message.seat)) if peer.startswith(LOCAL) else "",
+                    config_json=self._order.config.model_dump_json(),
+                    town=self._order.town,
+                )
+            self._last_bytes = m.encode(message)
+        self._outbox.setdefault(peer, []).append(self._last_bytes)
 
 
-class _Lifelines(Closing):
-    """Watches the processes of local clients, and the pipe to whoever started this one; a context manager.
+class _EpochCap:
+    """When an epoch ends: at a full barrier after its last tick, or when its process has grown.
 
-    The kernel says at once when one has ended, whatever it was doing.
+    At a full barrier all clients have seen the last tick, and none has seen a next one. Without
+    growth the end depends on the tick alone, so two runs with equal seeds end their epochs alike.
+    """
+
+    def __init__(self, order: WorldSpec, core: ServerCore) -> None:
+        """Set the barrier's last tick; without `epoch_ticks` no process would go on, so none."""
+        self._core = core
+        core.last_tick = order.epoch_ticks or None
+        self._start_mb: float | None = None
+        self._growth = ""
+
+    def check_memory(self) -> None:
+        """End the epoch if this process has grown too much; to be called now and then."""
+        core = self._core
+        if core.last_tick is None or core.tick < SETTLED_TICKS:
+            return
+        now_mb = rss_mb()
+        if self._start_mb is None:
+            self._start_mb = now_mb
+        if now_mb - self._start_mb > _GROWTH_MB:
+            self._growth = f"its process has grown from {self._start_mb:.0f} to {now_mb:.0f} MB"
+            # The next full barrier ends it, also that of a world that is rebuilt meanwhile.
+            core.last_tick = 0
+
+    @property
+    def reason(self) -> str:
+        """Why the epoch is over, "" as long as it is not."""
+        if self._core.stage is not BarrierState.EPOCH_OVER:
+            return ""
+        return f"{EPOCH_OVER}: {self._growth or f'tick {self._core.tick}'}"
+
+
+class _ProcessWatch(Closing):
+    """Watches the processes of local clients, and the pipe to the parent; a context manager.
+
+    The kernel reports the end of a process at once, whatever that process was doing.
     """
 
     def __init__(self, pipe: int = -1) -> None:
@@ -161,54 +386,55 @@ class _Lifelines(Closing):
         self._pidfds: dict[int, int] = {}  # by process
         self._sessions: dict[int, set[bytes]] = {}  # by process
         if pipe >= 0:
-            self._epoll.register(pipe, 0)  # its error is always told
+            self._epoll.register(pipe, 0)  # its errors are always reported
 
     def fileno(self) -> int:
-        """A descriptor that can be read when there is news."""
+        """A descriptor that is readable when something has ended."""
         return self._epoll.fileno()
 
     def watch(self, pid: int, session: bytes) -> bool:
-        """Watch the process of a session; False when it is not there any more."""
+        """Watch the process of a session; False when there is no such process any more."""
         if pid not in self._pidfds:
             try:
-                number = os.pidfd_open(pid)
+                pidfd = os.pidfd_open(pid)
             except (OSError, OverflowError):
                 return False
-            self._pidfds[pid], self._sessions[pid] = number, set()
-            self._epoll.register(number, select.EPOLLIN)
+            self._pidfds[pid] = pidfd
+            self._sessions[pid] = set()
+            self._epoll.register(pidfd, select.EPOLLIN)
         self._sessions[pid].add(session)
         return True
 
-    def news(self) -> tuple[list[bytes], bool]:
-        """Sessions whose processes have ended since the last call, and whether the reader of the pipe is gone."""
-        lost: list[bytes] = []
-        alone = False
+    def take_ended(self) -> tuple[list[bytes], bool]:
+        """Sessions whose processes ended since the last call; whether the pipe's reader has."""
+        pids = {pidfd: pid for pid, pidfd in self._pidfds.items()}
+        ended: list[bytes] = []
+        is_orphan = False
         for number, _ in self._epoll.poll(0):
             if number == self._pipe:
-                alone = True
+                is_orphan = True
                 continue
-            pid = next(pid for pid, mine in self._pidfds.items() if mine == number)
-            lost.extend(sorted(self._sessions[pid]))
+            pid = pids[number]
+            ended.extend(sorted(self._sessions[pid]))
             self._forget(pid)
-        return lost, alone
+        return ended, is_orphan
 
-    def held(self, session: bytes) -> bool:
-        """Whether a signal, as of Ctrl-Z or SIGSTOP, holds the process of a session that is watched."""
-        for pid in [pid for pid, mine in self._sessions.items() if session in mine]:
-            with contextlib.suppress(OSError):
-                after_name = (
-                    Path(f"/proc/{pid}/stat")
-                    .read_text(encoding="ascii", errors="replace")
-                    .rpartition(") ")[2]
-                )
-                return after_name.startswith("T")
+    def is_held(self, session: bytes) -> bool:
+        """Whether a signal such as SIGSTOP, or Ctrl-Z, holds the watched process of a session."""
+        for pid, sessions in self._sessions.items():
+            if session in sessions:
+                with contextlib.suppress(OSError):
+                    status = Path(f"/proc/{pid}/stat")
+                    text = status.read_text(encoding="ascii", errors="replace")
+                    # The state follows the name, which may have brackets and spaces itself.
+                    return text.rpartition(") ")[2].startswith("T")
         return False
 
-    def keep(self, sessions: Collection[bytes]) -> None:
-        """Forget all sessions but these."""
-        for pid, mine in list(self._sessions.items()):
-            mine.intersection_update(sessions)
-            if not mine:
+    def forget_all_but(self, sessions: Collection[bytes]) -> None:
+        """Watch no other sessions than these any more."""
+        for pid, own in list(self._sessions.items()):
+            own.intersection_update(sessions)
+            if not own:
                 self._forget(pid)
 
     def close(self) -> None:
@@ -218,336 +444,52 @@ class _Lifelines(Closing):
         self._epoll.close()
 
     def _forget(self, pid: int) -> None:
-        number = self._pidfds.pop(pid)
+        pidfd = self._pidfds.pop(pid)
         del self._sessions[pid]
         with contextlib.suppress(OSError):
-            self._epoll.unregister(number)
-        os.close(number)
+            self._epoll.unregister(pidfd)
+        os.close(pidfd)
 
 
-_GROWTH_MB = 1_000.0  # what a world's process may grow by in an epoch
-SETTLED_TICKS = 100  # after which a world's memory is what it begins an epoch with
+def _restricted_join(join: m.Join, is_remote: bool, key: str | None) -> m.Join:
+    """A join with what its connection allows.
 
+    A client with a key has the key's name, or that with a dot and a word after it (`ann.2`).
 
-class _EpochCap:
-    """The end of an epoch: at a full barrier, when everybody has seen the last tick and nobody the next one.
+    Args:
+        join: As the client sent it.
+        is_remote: Whether it arrived over the network.
+        key: The name of the key that the client has shown; None where no key is needed.
 
-    So it depends on the tick alone, unless memory has grown, and two runs with equal seeds end their epochs alike.
+    Raises:
+        ProtocolError: It is remote and chooses what only clients on this machine may choose.
     """
-
-    def __init__(self, order: WorldSpec, core: ServerCore) -> None:
-        """Have the barrier end its epoch as the order says; never, where nobody would go on."""
-        self._core = core
-        core.last_tick = order.epoch_ticks or None
-        self._begun_mb: float | None = None
-        self._why = ""
-
-    def weigh(self) -> None:
-        """Look at how much memory this process has, and end the epoch if it is too much; to be called now and then."""
-        core = self._core
-        if core.last_tick is None or core.tick < SETTLED_TICKS:
-            return
-        now_mb = rss_mb()
-        self._begun_mb = now_mb if self._begun_mb is None else self._begun_mb
-        if now_mb - self._begun_mb > _GROWTH_MB:
-            self._why = (
-                f"{EPOCH_OVER}: its process has grown from {self._begun_mb:.0f} to {now_mb:.0f} MB"
-            )
-            core.last_tick = (
-                0  # the next full barrier, also of a world that is begun anew meanwhile
-            )
-
-    @property
-    def reached(self) -> str:
-        """Why the epoch is over, "" as long as it is not."""
-        if self._core.stage is not BarrierState.EPOCH_OVER:
-            return ""
-        return self._why or f"{EPOCH_OVER}: tick {self._core.tick}"
-
-
-_WAIT_MS = 50
-_CLOCK_S = 0.1
-_HELD_S = 5.0  # a client that a signal holds for so long is no longer waited for; over the network ZeroMQ tells
-
-
-class _ServerLoop:
-    """A hub behind its doors; see the module's text."""
-
-    def __init__(
-        self,
-        order: WorldSpec,
-        opened: Opened,
-        doors: ServerSockets,
-        lifelines: _Lifelines,
-        reporter: Reporter,
-    ) -> None:
-        """Nothing is said or heard before `run`. Raises what `RingSink` raises."""
-        self._order, self._core = order, opened.core
-        self._ring = RingSink(Path(order.ring), order.rules.capacity, order.config.cameras)
-        self._doors, self._lifelines, self._reporter = doors, lifelines, reporter
-        # A world without a run folder keeps no journal.
-        keep: Keep = (lambda record: None) if opened.journal is None else opened.journal.append
-        self._hub = WorldHost(
-            opened.core, opened.world, self._post, keep, self._ring, reporter.loading
+    if key and join.name != key and not join.name.startswith(f"{key}."):
+        join = msgspec.structs.replace(join, name=key)
+    if not is_remote:
+        return join
+    if join.spec.start is not None:
+        raise ProtocolError(
+            "only a client on the world's own machine may choose its start; leave it out"
         )
-        self._clock = AwakeClock(time.monotonic())
-        self._peers = _PeerLimits()
-        self._homes: dict[
-            bytes, Peer
-        ] = {}  # where each session joined first: whoever repeats its words is another
-        self._out: dict[Peer, list[bytes]] = {}
-        self._encoded: tuple[m.Reply | None, bytes] = (None, b"")  # the last one said
-        self._clock_s = 0.0  # of the last Clock event
-        self._alone = False
-        self._cap = _EpochCap(order, opened.core)
-        doors.watch(lifelines.fileno())
-
-    def run(self, asked_to_end: Callable[[], str]) -> str:
-        """Serve until somebody asks for the end, or whoever started this process is gone; returns why.
-
-        Also until the epoch is over, in a process that is to be replaced then: its clients hear nothing of that, and
-        join the next one.
-
-        Raises:
-            WcsimError: The world failed or the journal cannot be written; everybody has been told.
-        """
-        try:
-            reason = asked_to_end()
-            while not reason:
-                self._turn()
-                reason = asked_to_end() or (
-                    "the process that started it is gone" if self._alone else self._cap.reached
-                )
-            if not self._cap.reached:
-                self._feed(Stop(reason))
-        except WcsimError as error:
-            self._tell_all(error)
-            raise
-        return reason
-
-    # --- a turn ---
-
-    def _turn(self) -> None:
-        woken = self._doors.wait(_WAIT_MS)
-        self._clock.look(time.monotonic())
-        for heard in self._doors.messages():
-            self._hear(heard)
-        due = self._clock.now_s - self._clock_s >= _CLOCK_S
-        if woken or due:
-            lost, self._alone = self._lifelines.news()
-            for session in lost:
-                self._feed(Lost(session))
-            for session in self._sessions_of(self._doors.lost()):
-                self._feed(Lost(session, "its connection was lost", may_return=True))
-        if due:
-            self._clock_s = self._clock.now_s
-            self._let_go_of_held()
-            self._feed(Clock())
-            here = {p.session for p in self._core.roll.everyone()}
-            self._lifelines.keep(here)
-            self._homes = {
-                session: home for session, home in self._homes.items() if session in here
-            }
-            self._reporter.report(self._core, self._hub, self._clock.now_s)
-            self._cap.weigh()
-
-    def _let_go_of_held(self) -> None:
-        """Nobody waits for a client of this machine that a signal holds; once it goes on, it may join again."""
-        members = self._core.roll.members
-        late = [p for p in members if not p.ready and self._clock.now_s - p.asked_s > _HELD_S]
-        if 0 < len(late) < len(members):
-            for session in [p.session for p in late if self._lifelines.held(p.session)]:
-                self._feed(Lost(session, "a signal holds its process", may_return=True))
-
-    def _hear(self, heard: Heard) -> None:
-        peer = heard.peer
-        may_speak = self._peers.hears(peer, self._clock.now_s, self._present_peers)
-        if not may_speak:
-            if may_speak is not None:
-                self._refuse(
-                    peer, OverloadedError("too many messages per second; wait for the answers")
-                )
-            return
-        try:
-            if heard.key == "":
-                raise AccessError("the key of this connection was withdrawn; get a new one")
-            message = m.decode_request(heard.data)
-            if isinstance(message, m.Join):
-                message = _at_the_door(message, peer.startswith(REMOTE), heard.key)
-        except WcsimError as error:
-            self._peers.fault(peer)
-            self._refuse(peer, error)
-            return
-        self._feed(Received(peer, message))
-        if isinstance(message, m.Join):
-            self._homes.setdefault(message.session, peer)
-            if message.pid > 0 and peer.startswith(LOCAL):
-                self._watch(message)
-
-    def _sessions_of(self, peers: Container[Peer]) -> list[bytes]:
-        """The sessions that began in these connections, which are of no use any more: nobody shall wait for them."""
-        return [
-            p.session for p in self._core.roll.everyone() if self._homes.get(p.session) in peers
-        ]
-
-    def _refuse(self, peer: Peer, error: WcsimError) -> None:
-        """Say why a message was not heard. Of whom nothing is heard any more, that one cannot act."""
-        self._doors.send(peer, [m.encode(m.failure_of(error))])
-        if self._peers.is_shut_out(peer):
-            for session in self._sessions_of((peer,)):
-                self._feed(
-                    Lost(session, "it sent too many messages, or too many that could not be read")
-                )
-
-    def _feed(self, event: Event) -> None:
-        ticks = self._hub.ticks
-        try:
-            self._hub.feed(event, self._clock.now_s)
-        finally:
-            stepped_s = self._hub.step_s if self._hub.ticks > ticks else 0.0
-            self._clock.look(time.monotonic(), stepped_s)
-            self._flush()
-        self._reporter.saw(self._core, event, self._clock.now_s, stepped_s)
-
-    def _watch(self, join: m.Join) -> None:
-        roll = self._core.roll
-        known = roll.member(join.session) is not None or roll.waiting(join.session) is not None
-        if known and not self._lifelines.watch(join.pid, join.session):
-            self._feed(Lost(join.session))
-
-    def _present_peers(self) -> set[Peer]:
-        return {p.peer for p in self._core.roll.everyone()}
-
-    # --- what is said ---
-
-    def _post(self, peer: Peer, message: m.Reply) -> None:
-        """Keep a message until a frame is said, or all that follows from an event is known."""
-        if isinstance(message, m.Frame):
-            if peer.startswith(REMOTE):
-                message = msgspec.structs.replace(message, slot=-1)
-            # Off at once: while the next frame is packed, this client can begin to think.
-            self._doors.send(peer, [*self._out.pop(peer, ()), m.encode(message)])
-            return
-        if message is not self._encoded[0]:  # the word of a tick is the same for all
-            told = self._welcome(peer, message) if isinstance(message, m.Welcome) else message
-            self._encoded = message, m.encode(told)
-        self._out.setdefault(peer, []).append(self._encoded[1])
-
-    def _welcome(self, peer: Peer, welcome: m.Welcome) -> m.Welcome:
-        ring = str(self._ring.path(welcome.seat)) if peer.startswith(LOCAL) else ""
-        order = self._order
-        return msgspec.structs.replace(
-            welcome, ring=ring, config_json=order.config.model_dump_json(), town=order.town
-        )
-
-    def _flush(self) -> None:
-        for peer, parts in self._out.items():
-            self._doors.send(peer, parts)
-        self._out.clear()
-
-    def _tell_all(self, error: WcsimError) -> None:
-        for p in self._core.roll.everyone():
-            self._doors.send(p.peer, [m.encode(m.failure_of(error, p.session))])
+    return msgspec.structs.replace(join, pid=0)
 
 
-_ORDER_FAULTS = (ConfigError, TownError, HookError, JournalError)
-_PARENT_GONE = signal.SIGUSR1
+def _as_wcsim_error(error: Exception) -> WcsimError | None:
+    """The error to report; None for one that is a fault of the program."""
+    if isinstance(error, WcsimError):
+        return error
+    message = limit_message(error)
+    if not message:
+        return None
+    is_full = getattr(error, "errno", None) in NO_ROOM
+    return DiskFullError(message) if is_full else ConfigError(message)
 
 
-def main(words: list[str], make: MakesWorld = street_world) -> int:
-    """Host the world of an order file; returns the exit code. Benches and tests give a `make` of their own."""
-    if len(words) != 1:
-        return _failed(ConfigError(f"got {len(words)} arguments; expected an order file"))
-    try:
-        order = read_order(WorldSpec, Path(words[0]))
-    except WcsimError as error:
-        return _failed(error)
-    ends, reporter = _Ends(), Reporter(order.status_fd)
-    try:
-        with ExitStack() as held:
-            with ends.at_once():
-                reporter.loading()
-                opened, loop = _prepared(order, make, reporter, held)
-                gc.freeze()  # what is loaded now stays: looking through it again and again would cost single ticks
-            reason = loop.run(ends.asked)
-            if opened.journal is not None:
-                opened.journal.append(Ended(reason=reason))
-    except WcsimError as error:
-        reporter.failed(error)
-        return _failed(error, order.quiet)
-    except Exception as error:
-        told = told_limit(error)
-        if not told:
-            raise
-        limit = (
-            DiskFullError(told) if getattr(error, "errno", None) in NO_ROOM else ConfigError(told)
-        )
-        reporter.failed(limit)
-        return _failed(limit, order.quiet)
-    if not reason.startswith(EPOCH_OVER):
-        return WorldExit.DONE
-    last_words(f"wcsim: {reason}")
-    return WorldExit.EPOCH_OVER
-
-
-def _prepared(
-    order: WorldSpec, make: MakesWorld, reporter: Reporter, held: ExitStack
-) -> tuple[Opened, _ServerLoop]:
-    """Open the doors first, so that an order that cannot be used fails before the world is loaded."""
-    doors = held.enter_context(ServerSockets(order.endpoint, order.listen, order.keys))
-    lifelines = held.enter_context(_Lifelines(order.status_fd))
-    opened = open_server(order, make)
-    if opened.journal is not None:
-        held.enter_context(opened.journal)
-    held.callback(opened.world.close)
-    reporter.listening = doors.listening
-    return opened, _ServerLoop(order, opened, doors, lifelines, reporter)
-
-
-class _Ends:
-    """Who asks for the end. Before there is a world it comes at once, later between two ticks."""
-
-    def __init__(self) -> None:
-        self._reason, self._now = "", True
-        self._parent = os.getppid()
-        signal.signal(signal.SIGTERM, self._told)
-        # Ctrl-C at a terminal reaches the whole group; what it means is for whoever started this process to say.
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
-        signal.signal(_PARENT_GONE, self._orphaned)
-        die_with_parent(_PARENT_GONE)
-
-    def asked(self) -> str:
-        """Why the server shall end, "" as long as it shall not."""
-        return self._reason
-
-    @contextlib.contextmanager
-    def at_once(self) -> Iterator[None]:
-        """While this lasts the end is a SystemExit."""
-        self._now = True
-        try:
-            yield
-        finally:
-            self._now = False
-
-    def _told(self, number: int, frame: FrameType | None) -> None:
-        del number, frame
-        self._end("requested to stop")
-
-    def _orphaned(self, number: int, frame: FrameType | None) -> None:
-        """The kernel sends this also when only the thread that started this process has ended."""
-        del number, frame
-        if os.getppid() != self._parent:
-            self._end("the process that started it is gone")
-
-    def _end(self, reason: str) -> None:
-        self._reason = self._reason or reason
-        if self._now:
-            raise SystemExit(0)
-
-
-def _failed(error: WcsimError, quiet: bool = False) -> int:
+def _report_exit(error: WcsimError, quiet: bool = False) -> int:
+    """Write an error to standard error unless `quiet`; returns its exit code."""
     if not quiet:
-        last_words(f"wcsim: {type(error).__name__}: {error}")
+        write_last_line(f"wcsim: {type(error).__name__}: {error}")
     if isinstance(error, DiskFullError):
         return WorldExit.DISK_FULL
     return WorldExit.USER_ERROR if isinstance(error, _ORDER_FAULTS) else WorldExit.FAILED

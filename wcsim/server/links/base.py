@@ -1,7 +1,7 @@
-"""How a client reaches its wheelchair: one interface, whether the world is in this process or in another one.
+"""How a client reaches its wheelchair: one interface, wherever the world is.
 
-A link is for one seat. `act` names the tick it is for, so nothing is ever "the next": an action for another tick than
-the seat's own is a ProtocolError. Snapshots are valid until the client's next call.
+A link is for one seat. `act` names the tick it is for: an action for another tick than the seat's
+own is a ProtocolError. Snapshots are valid until the client's next call.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import time
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from typing import Final
 
 from wcsim.core.closing import Closing
 from wcsim.errors import LinkClosedError, ProtocolError, ServerGoneError, WcsimError
@@ -19,12 +19,14 @@ from wcsim.log.records import SeenFrame
 from wcsim.log.writer import LogWriter
 from wcsim.server.launch.awake_clock import AwakeClock
 from wcsim.server.protocol import messages as m
-from wcsim.server.protocol.client_core import ClientCore, FrameSeen, Outcome
+from wcsim.server.protocol.client_core import ClientCore, ClientPhase, FrameSeen, Outcome
 from wcsim.server.specs import WorldOrder
 from wcsim.types import ClientSnapshot, Joystick
 
-INTERRUPTED = "the previous step was interrupted or has not finished; call reset() first"
-LEAVING_S = 10.0  # who need not wait gives up a world that is silent for so long; one that lives speaks every second
+INTERRUPTED: Final = "the previous step was interrupted or has not finished; call reset() first"
+# Silence after which a world is given up by a client that need not wait. A living world sends a
+# message every second.
+LEAVING_S: Final = 10.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,7 +34,7 @@ class Waits:
     """Where a client's time in its link went, in seconds."""
 
     steps: int = 0
-    simulation_s: float = 0.0  # what the world took for the steps, as it said itself
+    simulation_s: float = 0.0  # duration of the world's steps, by its own clock
     link_s: float = 0.0  # all waiting; the rest of it is for the barrier and the transport
     worked_s: float = 0.0  # of link_s, in which something else was done: see `Seat.while_waiting`
 
@@ -42,32 +44,38 @@ class Seat(Closing):
 
     @abstractmethod
     def join(self) -> ClientSnapshot:
-        """The frame the seat has now: the first one of its episode when nothing was done yet."""
+        """The seat's present frame: the first one of its episode when nothing was done yet."""
 
     @abstractmethod
-    def ask_join(self) -> None:
+    def request_join(self) -> None:
         """The first half of the first `join`; `receive` is the second."""
 
     @abstractmethod
     def send(self, tick: int, joystick: Joystick) -> None:
-        """The first half of `act`: say what to do. Raises ProtocolError after a step that was interrupted."""
+        """The first half of `act`: send the action.
+
+        Raises ProtocolError after a step that was interrupted.
+        """
 
     @abstractmethod
     def receive(self) -> ClientSnapshot:
-        """The second half of `act`, of `respawn` too: wait for the frame."""
+        """The second half of `act`, `respawn` and the first `join`: wait for the frame."""
 
     @abstractmethod
-    def ask_respawn(self) -> None:
+    def request_respawn(self) -> None:
         """The first half of `respawn`."""
 
     @abstractmethod
     def rebuild(self, seed: int) -> ClientSnapshot:
-        """Begin the world again with another seed; for a sole client or the master. Raises NotMasterError."""
+        """Start the world again with another seed; for a sole client or the master.
+
+        Raises NotMasterError.
+        """
 
     @property
     @abstractmethod
     def interrupted(self) -> bool:
-        """Whether an answer is owed while nobody waits for it, as after Ctrl-C in a step."""
+        """Whether an answer is owed that no call waits for, as after Ctrl-C in a step."""
 
     @property
     @abstractmethod
@@ -90,48 +98,57 @@ class Seat(Closing):
         return self.receive()
 
     def respawn(self) -> ClientSnapshot:
-        """Begin the seat's next episode now, without a tick."""
-        self.ask_respawn()
+        """Start the seat's next episode now, without a tick."""
+        self.request_respawn()
         return self.receive()
 
     def while_waiting(self, work: Callable[[], object]) -> None:
-        """Do something between `send` and `receive`; its time is part of the waiting as long as there is no answer.
+        """Do something between `send` and `receive`.
 
-        A link whose world is elsewhere hears it meanwhile: it asks again for what was lost.
+        Its time is part of the waiting as long as there is no answer. A link whose world is in
+        another process receives meanwhile, and repeats requests that were lost.
         """
         work()
 
     def beat(self, progress: int) -> None:
-        """Show that a long computation goes on, by a counter that rises; see `Rules.lease_s`. Nothing once closed."""
+        """Show that a long computation goes on, by a counter that rises; see `Rules.lease_s`.
+
+        A closed link does nothing.
+        """
 
     def wait_less(self) -> None:
-        """From now on a world that is silent for `LEAVING_S` is gone: nobody starts it again, or the client is to end.
+        """From now on give up a world that is silent for `LEAVING_S`.
 
+        For a world that no launcher starts again, or a client that is to end.
         May be called by a signal's handler.
         """
 
     def wait_no_more(self) -> None:
-        """From now on an answer that is not there yet is a ServerGoneError; for a client that is to end.
+        """From now on an answer that is not there yet is a ServerGoneError.
 
+        For a client that is to end.
         May be called by a signal's handler.
         """
 
 
 class SeatGroup(Closing):
-    """A world of its own with a link to each of its seats, in seat order; a link may be closed before the others."""
+    """A world of its own with a link to each of its seats, in seat order.
+
+    A link may be closed before the others.
+    """
 
     links: Sequence[Seat]
 
     def join(self) -> tuple[ClientSnapshot, ...]:
-        """Take all seats; nobody gets one before all have asked."""
+        """Take all seats; none is given away before all are requested."""
         for link in self.links:
-            link.ask_join()
+            link.request_join()
         return tuple(link.receive() for link in self.links)
 
     def respawn(self) -> tuple[ClientSnapshot, ...]:
-        """Begin the next episodes of all seats, without a tick."""
+        """Start the next episodes of all seats, without a tick."""
         for link in self.links:
-            link.ask_respawn()
+            link.request_respawn()
         return tuple(link.receive() for link in self.links)
 
     def begin_again(self, seed: int) -> tuple[ClientSnapshot, ...]:
@@ -147,20 +164,28 @@ class SeatGroup(Closing):
 
     @abstractmethod
     def _renew(self, seed: int) -> None:
-        """Begin the world again, nobody is in it, and make new links."""
+        """Start the world again, without chairs, and make new links."""
 
 
 class WorldLink(Seat):
-    """One seat of a world elsewhere: a client core, driven by calls that wait; a transport carries its messages."""
+    """One seat of a world in another process: a client core, whose messages a transport carries.
+
+    A transport defines `_post`, `_pump` and `_end`.
+    """
 
     def __init__(self, core: ClientCore, ledger: LogWriter | None = None) -> None:
         self.core = core
         self._ledger = ledger
         self._frame: ClientSnapshot | None = None
         self._error: WcsimError | None = None
-        self._closed = self._waits_no_more = False
-        self._clock = AwakeClock(time.monotonic())  # who was stopped has not waited for anybody
-        self._steps, self._simulation_s, self._link_s, self._worked_s = 0, 0.0, 0.0, 0.0
+        self._closed = False
+        self._waits_no_more = False
+        # Time in which this process itself was stopped does not count as waiting.
+        self._clock = AwakeClock(time.monotonic())
+        self._steps = 0
+        self._simulation_s = 0.0
+        self._link_s = 0.0
+        self._worked_s = 0.0
 
     # --- what a transport does ---
 
@@ -170,61 +195,64 @@ class WorldLink(Seat):
 
     @abstractmethod
     def _pump(self) -> None:
-        """Wait a little for messages and take them in; raises when there is no use in waiting."""
+        """Wait a little for messages and handle them; raises when there is no use in waiting."""
 
     @abstractmethod
     def _end(self) -> None:
-        """Let go of everything."""
+        """Release everything."""
 
-    def _open_frame(self, seen: FrameSeen) -> ClientSnapshot | None:
-        """The frame with its pictures."""
-        return seen.client
+    def _check_pictures(self, seen: FrameSeen) -> None:
+        """Refuse a frame with pictures that this link cannot read. Raises ProtocolError."""
 
     def _welcomed(self, welcome: m.Welcome) -> None:
         """The client has its seat."""
-        del welcome
 
     # --- what a client calls ---
 
     def join(self) -> ClientSnapshot:
         """See `Seat`."""
-        if self.core.phase.value == "off":
-            self.ask_join()
-            return self._await()
-        return self._await() if self._frame is None else self._frame
+        if self.core.phase is ClientPhase.OFF:
+            self.request_join()
+        elif self._frame is not None:
+            return self._frame
+        return self._await_frame()
 
-    def ask_join(self) -> None:
+    def request_join(self) -> None:
         """See `Seat`."""
-        self._refuse_closed()
+        self._require_open()
         self._frame = None
-        self.take(self.core.join(self._now_s()))
+        self.perform(self.core.join(self._now_s()))
 
     def send(self, tick: int, joystick: Joystick) -> None:
         """See `Seat`."""
-        self._refuse_closed()
+        self._require_open()
         self._raise_error()
         if self.interrupted:
             raise ProtocolError(INTERRUPTED)
-        self._ask(partial(self.core.act, tick, joystick))
+        self.perform(self.core.act(tick, joystick, self._now_s()))
 
     def receive(self) -> ClientSnapshot:
         """See `Seat`."""
-        self._refuse_closed()
-        return self._await()
+        self._require_open()
+        return self._await_frame()
 
-    def ask_respawn(self) -> None:
+    def request_respawn(self) -> None:
         """See `Seat`."""
-        self._ask(self.core.respawn)
+        self._require_open()
+        self._raise_error()
+        self.perform(self.core.respawn(self._now_s()))
 
     def rebuild(self, seed: int) -> ClientSnapshot:
         """See `Seat`."""
-        self._ask(partial(self.core.rebuild, seed))
-        return self._await()
+        self._require_open()
+        self._raise_error()
+        self.perform(self.core.rebuild(seed, self._now_s()))
+        return self._await_frame()
 
     def beat(self, progress: int) -> None:
         """See `Seat`."""
         if not self._closed:
-            self.take(self.core.beat(progress))
+            self.perform(self.core.beat(progress))
 
     @property
     def interrupted(self) -> bool:
@@ -270,27 +298,31 @@ class WorldLink(Seat):
         if self._closed:
             return
         try:
-            self.take(self.core.leave())
+            self.perform(self.core.leave())
         finally:
             self._closed = True
             if self._ledger is not None:
                 self._ledger.close()
             self._end()
 
-    # --- inside ---
+    # --- what a transport calls ---
 
-    def _ask(self, ask: Callable[[float], list[Outcome]]) -> None:
-        """Have the core ask for something, unless the link is closed or has failed meanwhile."""
-        self._refuse_closed()
-        self._raise_error()
-        self.take(ask(self._now_s()))
+    def handle(self, message: m.Reply) -> None:
+        """Handle one message of the server."""
+        if isinstance(message, m.TickDone):
+            self._simulation_s += message.step_s
+        self.perform(self.core.handle(message, self._now_s()))
 
-    def take(self, outcomes: list[Outcome]) -> None:
-        """Do what the client core wants done."""
+    def perform(self, outcomes: list[Outcome]) -> None:
+        """Do what the client core requests."""
         for outcome in outcomes:
             match outcome:
-                case FrameSeen():
-                    self._see(outcome)
+                case FrameSeen(epoch=epoch, tick=tick, stepped=stepped):
+                    if self._ledger is not None:
+                        self._ledger.append(SeenFrame(epoch=epoch, tick=tick, stepped=stepped))
+                    self._steps += stepped
+                    self._check_pictures(outcome)
+                    self._frame = outcome.client
                 case WcsimError():
                     self._error = outcome
                 case m.Welcome():
@@ -298,27 +330,17 @@ class WorldLink(Seat):
                 case _:
                     self._post(outcome)
 
-    def hear(self, message: m.Reply) -> None:
-        """Take in one message of the server."""
-        if isinstance(message, m.TickDone):
-            self._simulation_s += message.step_s
-        self.take(self.core.handle(message, self._now_s()))
+    # --- inside ---
 
-    def _see(self, seen: FrameSeen) -> None:
-        if self._ledger is not None:
-            self._ledger.append(SeenFrame(epoch=seen.epoch, tick=seen.tick, stepped=seen.stepped))
-        self._steps += seen.stepped
-        self._frame = self._open_frame(seen)
-
-    def _await(self) -> ClientSnapshot:
-        begun_s = time.perf_counter()
+    def _await_frame(self) -> ClientSnapshot:
+        start_s = time.perf_counter()
         while self.core.waiting and self._error is None:
             self._pump()
             if self._waits_no_more and self.core.waiting and self._error is None:
                 self._error = ServerGoneError(
                     "the world does not answer, and this client was requested to stop"
                 )
-        self._link_s += time.perf_counter() - begun_s
+        self._link_s += time.perf_counter() - start_s
         self._raise_error()
         if self._frame is None:
             raise ProtocolError(
@@ -326,39 +348,39 @@ class WorldLink(Seat):
             )
         return self._frame
 
+    def _require_open(self) -> None:
+        if self._closed:
+            raise LinkClosedError("this link is closed; create a new one")
+
     def _raise_error(self) -> None:
         error, self._error = self._error, None
         if error is not None:
             raise error
-
-    def _refuse_closed(self) -> None:
-        if self._closed:
-            raise LinkClosedError("this link is closed; create a new one")
 
     def _now_s(self) -> float:
         return self._clock.look(time.monotonic())
 
 
 def new_session() -> bytes:
-    """A name for a connection that nobody can guess."""
+    """Draw a name for a connection that no other client can guess."""
     return secrets.token_bytes(m.SESSION_BYTES)
 
 
 def open_group(order: WorldOrder) -> SeatGroup:
-    """All seats of a new world; two worlds of one order behave the same to the bit, whichever process they are in.
+    """All seats of a new world, which is in this process unless another world lives here.
 
-    It is in this process while no world lives here, else in one of its own. One caller in one thread drives all seats:
-    first `send` on every link, then `receive` on every link. Seats are given away all at once, in seat order.
+    Two worlds of one order behave the same to the bit, whichever process they are in. One caller in
+    one thread drives all seats: first `send` on every link, then `receive` on every link. Seats are
+    given away all at once, in seat order.
     """
-    # Only who asks for a world loads the simulators: a client that joins a world elsewhere never does.
+    # A client that joins a world of another process never loads the simulators.
     from wcsim.bridge.sumo.session import world_in_this_process
 
     if not world_in_this_process():
         from wcsim.server.links.local import LocalGroup
 
         return LocalGroup(order)
-    from wcsim.server.links.socket import (
-        ProcessGroup,
-    )  # ZeroMQ is loaded only when a second world is asked for
+    # ZeroMQ is loaded only for a second world.
+    from wcsim.server.links.socket import ProcessGroup
 
     return ProcessGroup(order)

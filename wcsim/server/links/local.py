@@ -1,7 +1,7 @@
-"""A world in this very process: a seat says what it does, and the world ticks once all seats have.
+"""A world in this very process: it ticks once all seats have sent their actions.
 
-Nobody else can act while a seat waits, so a wait for another seat is an error at once, not a deadlock: with several
-seats, first `send` for all of them, then `receive`.
+No other seat can act while one waits, so a wait for another seat is an error at once, not a
+deadlock: with several seats, first `send` for all of them, then `receive`.
 """
 
 from __future__ import annotations
@@ -19,42 +19,40 @@ from wcsim.types import ClientSnapshot, Joystick, SeatSpec
 
 
 class _LocalWorld:
-    """A world in this process, with what its seats have said."""
+    """A world in this process, with the actions of its seats."""
 
     def __init__(self, order: WorldOrder) -> None:
         self.world = street_world(order, (None,) * order.seats, order.seed)
-        self.sticks: dict[int, Joystick] = {}  # of the tick to come, by seat
-        self.torn = False  # an interrupt or an error came while the world changed
+        self.sticks: dict[int, Joystick] = {}  # of the next tick, by seat
+        self.is_broken = False  # an interrupt or an error came while the world changed
         self.waits = Waits()
 
     def frame(self, seat: int) -> ClientSnapshot | None:
-        """What a seat has now; None where nobody sits there."""
-        return next((client for client in self.world.snapshot.clients if client.seat == seat), None)
+        """The present frame of a seat; None for a free one."""
+        return {client.seat: client for client in self.world.snapshot.clients}.get(seat)
 
     @contextmanager
     def changing(self) -> Iterator[None]:
-        """The world is of no use if this does not come to its end."""
-        self.torn = True
+        """The world is unusable if the block is left by an error."""
+        self.is_broken = True
         yield
-        self.torn = False
+        self.is_broken = False
 
     def tick(self) -> None:
-        """Carry the world on. Raises TickTimeoutError when a seat has not said what it does."""
+        """Advance the world. Raises TickTimeoutError when a seat has not sent its action."""
         late = [str(seat.index) for seat in self.world.seats if seat.index not in self.sticks]
         if late:
             raise TickTimeoutError(
-                f"the tick waits for seat {', '.join(late)}; in one process no other seat can act meanwhile: send for "
-                "all seats first"
+                f"the tick waits for seat {', '.join(late)}; "
+                "in one process no other seat can act meanwhile: send for all seats first"
             )
-        begun_s = time.perf_counter()
+        start_s = time.perf_counter()
         with self.changing():
-            next(rollout(self.world, dict.fromkeys(self.sticks, self._said)))
+            drivers = dict.fromkeys(self.sticks, lambda client: self.sticks[client.seat])
+            next(rollout(self.world, drivers))
         self.sticks.clear()
-        took_s = time.perf_counter() - begun_s + self.waits.link_s
-        self.waits = Waits(steps=self.waits.steps + 1, simulation_s=took_s, link_s=took_s)
-
-    def _said(self, now: ClientSnapshot) -> Joystick:
-        return self.sticks[now.seat]
+        total_s = time.perf_counter() - start_s + self.waits.link_s
+        self.waits = Waits(steps=self.waits.steps + 1, simulation_s=total_s, link_s=total_s)
 
 
 class _LocalSeat(Seat):
@@ -68,47 +66,48 @@ class _LocalSeat(Seat):
     def join(self) -> ClientSnapshot:
         """See `Seat`."""
         if self._home.frame(self.seat) is None:
-            self.ask_join()
+            self.request_join()
         return self.receive()
 
-    def ask_join(self) -> None:
+    def request_join(self) -> None:
         """See `Seat`."""
-        with self._open().changing():
+        with self._open_world().changing():
             self._home.world.admit(self.seat, self._spec)
 
     def send(self, tick: int, joystick: Joystick) -> None:
         """See `Seat`."""
-        sticks, now = self._open().sticks, self._home.world.snapshot.tick
+        home = self._open_world()
         if self.interrupted:
             raise ProtocolError(INTERRUPTED)
+        now = home.world.snapshot.tick
         if tick != now:
             raise ProtocolError(f"an action for tick {tick}; the seat is at tick {now}")
-        sticks[self.seat] = joystick
+        home.sticks[self.seat] = joystick
 
     def receive(self) -> ClientSnapshot:
         """See `Seat`."""
-        if self.seat in self._open().sticks:
+        if self.seat in self._open_world().sticks:
             self._home.tick()
         frame = self._home.frame(self.seat)
         if frame is None:
             raise ProtocolError("nobody sits here; call join() first")
         return frame
 
-    def ask_respawn(self) -> None:
+    def request_respawn(self) -> None:
         """See `Seat`."""
-        with self._open().changing():
+        with self._open_world().changing():
             self._home.world.respawn(self.seat)
 
     def rebuild(self, seed: int) -> ClientSnapshot:
         """See `Seat`."""
-        with self._open().changing():
+        with self._open_world().changing():
             self._home.world.rebuild(seed)
         return self.receive()
 
     @property
     def interrupted(self) -> bool:
         """See `Seat`."""
-        return self._home.torn or self.seat in self._home.sticks
+        return self._home.is_broken or self.seat in self._home.sticks
 
     @property
     def epoch(self) -> int:
@@ -127,17 +126,21 @@ class _LocalSeat(Seat):
             self._home.world.dismiss(self.seat)
         self._closed = True
 
-    def _open(self) -> _LocalWorld:
+    def _open_world(self) -> _LocalWorld:
         if self._closed:
             raise LinkClosedError("this link is closed; create a new one")
         return self._home
 
 
 class LocalGroup(SeatGroup):
-    """A group whose world is in this process; raises WorldInUseError while another one lives here."""
+    """A group whose world is in this process.
+
+    Raises WorldInUseError while another world lives here.
+    """
 
     def __init__(self, order: WorldOrder) -> None:
-        self._order, self.home = order, _LocalWorld(order)
+        self._order = order
+        self.home = _LocalWorld(order)
         self._connect()
 
     def close(self) -> None:

@@ -1,11 +1,11 @@
-"""A seat in a world process over ZeroMQ: one that somebody started, on any machine, or a child of this process.
+"""A seat in a world process over ZeroMQ: a process on any machine, or a child of this one.
 
-On the same machine the pictures are in shared memory, else inside messages. A child of its own is for one seat or a
-group, and is used when a world already lives in this process.
+On the same machine the pictures are in shared memory, else inside messages. A child of its own is
+for one seat or a group, and is used when a world already lives in this process.
 
-A process that forks after it has opened a link must not use it in the child: ZeroMQ's threads are not there.
-
-While the caller works, a thread listens in its stead; the two never use the same thing at the same time.
+A process that forks after it has opened a link must not use it in the child, because ZeroMQ's
+threads are not there. While the caller works, a thread receives for it; the two never use the same
+thing at the same time.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import fields, replace
 from pathlib import Path
+from typing import Final
 
 import msgspec
 import zmq
@@ -35,21 +36,28 @@ from wcsim.server.launch.states import WorldStatus
 from wcsim.server.ledger import open_ledger
 from wcsim.server.links.base import SeatGroup, WorldLink, new_session
 from wcsim.server.protocol import messages as m
-from wcsim.server.protocol.client_core import Ask, ClientCore, ClientPhase, FrameSeen, Patience
+from wcsim.server.protocol.client_core import (
+    ClientCore,
+    ClientPhase,
+    FrameSeen,
+    JoinRequest,
+    Patience,
+)
 from wcsim.server.protocol.events import Rules
 from wcsim.server.specs import WORLD_ARGV, SeatRequest, WorldOrder, WorldSpec, of_line, to_line
 from wcsim.server.transport.keys import client_keys, server_public
 from wcsim.server.transport.shared_images import RingView
-from wcsim.server.transport.sockets import monitored
-from wcsim.types import ClientSnapshot, SeatSpec
+from wcsim.server.transport.sockets import open_monitor
+from wcsim.types import SeatSpec
 
 log = logging.getLogger("wcsim.server.links.socket")
 
-_POLL_MS = 200
-_CUT_S = 12.0  # a world that is replaced as planned is mostly there again by then
-_BYE_S = 1.0
-QUEUE = 64
-_OPTIONS = {
+QUEUE: Final = 64
+_IPC: Final = "ipc://"
+_POLL_MS: Final = 200
+_CUT_S: Final = 12.0  # a world that is replaced as planned is mostly there again by then
+_BYE_S: Final = 1.0
+_OPTIONS: Final = {
     zmq.LINGER: 0,
     zmq.MAXMSGSIZE: m.MAX_REPLY_BYTES,
     zmq.SNDHWM: QUEUE,
@@ -58,110 +66,110 @@ _OPTIONS = {
     zmq.RECONNECT_IVL: 50,
     zmq.RECONNECT_IVL_MAX: 1000,
 }
-_REFUSED = (
+_REFUSED: Final = (
     zmq.EVENT_HANDSHAKE_FAILED_AUTH
     | zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL
     | zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL
 )
-_MADE, _LOST = zmq.EVENT_HANDSHAKE_SUCCEEDED, zmq.EVENT_DISCONNECTED
+_CONNECTED: Final = zmq.EVENT_HANDSHAKE_SUCCEEDED
+_DISCONNECTED: Final = zmq.EVENT_DISCONNECTED
+# To build a town's mesh for the first time and to warm its traffic up takes minutes.
+_OPEN_TIMEOUT_S: Final = 300.0
+_END_TIMEOUT_S: Final = 5.0
+_NEVER_S: Final = 1e12
 
 
 class SocketSeat(WorldLink):
-    """A link to a seat of a world process, which need not run yet; nothing is asked before `join`."""
+    """A link to a seat of a world process, which need not run yet before `join`."""
 
     def __init__(self, order: SeatRequest) -> None:
-        """Open a socket. Raises ConfigError when the endpoint, a key or the ledger cannot be used."""
-        local = order.endpoint.startswith("ipc://")
-        ask = Ask(
+        """Open a socket. Raises ConfigError when the endpoint, a key or the ledger is unusable."""
+        self._is_local = order.endpoint.startswith(_IPC)
+        request = JoinRequest(
             claim=order.claim.encode(),
             name=order.name,
             spec=order.spec,
             seat=order.seat,
             config=order.config,
-            pid=os.getpid() if local else 0,
+            pid=os.getpid() if self._is_local else 0,
         )
         self._order = order
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
-        # Also when nobody closes the link: ZeroMQ would else wait at the end of the process.
-        self._let_go = weakref.finalize(self, self._context.destroy, 0)
+        # Also for a link that is never closed: ZeroMQ would wait at the end of the process.
+        self._release = weakref.finalize(self, self._context.destroy, 0)
         self._ring: RingView | None = None
         self._welcome: m.Welcome | None = None
-        self._cut_s: float | None = (
-            None  # since when a connection is missing; infinite once that was said
-        )
-        self._said_leave = False
+        # Since when a connection is missing; infinite once the log has that.
+        self._cut_s: float | None = None
+        self._sent_leave = False
         try:
             self._socket = self._context.socket(zmq.DEALER)
-            self._monitor = monitored(self._socket, _REFUSED | _MADE | _LOST)
+            self._monitor = open_monitor(self._socket, _REFUSED | _CONNECTED | _DISCONNECTED)
             _connect(self._socket, order)
             ledger = open_ledger(Path(order.ledger), order.name) if order.ledger else None
-            super().__init__(ClientCore(ask, order.patience, new_session), ledger)
+            super().__init__(ClientCore(request, order.patience, new_session), ledger)
         except BaseException:
-            self._let_go()
+            self._release()
             raise
 
     @property
     def welcome(self) -> m.Welcome:
-        """What the server says of itself and its world. Raises ProtocolError before the first `join`."""
+        """The server's description of its world. Raises ProtocolError before the first `join`."""
         if self._welcome is None:
             raise ProtocolError("the server has not described its world yet; call join() first")
         return self._welcome
 
     def while_waiting(self, work: Callable[[], object]) -> None:
-        """See `Seat`: a thread of its own hears the world; there is none when this returns."""
-        begun_s = time.perf_counter()
+        """See `Seat`: a thread receives from the world; it has ended when this returns."""
+        start_s = time.perf_counter()
         recalled = threading.Event()
         with ThreadPoolExecutor(1, "wcsim-listener") as listener:
-            heard = listener.submit(self._listen, recalled)
+            answered = listener.submit(self._listen, recalled)
             try:
                 work()
                 worked_s = time.perf_counter()
-                ended_s = heard.result()
+                answered_s = answered.result()
             except BaseException:  # a failure, or an interrupt
                 recalled.set()
                 raise
-        self._link_s += ended_s - begun_s
-        self._worked_s += min(worked_s, ended_s) - begun_s
+        self._link_s += answered_s - start_s
+        self._worked_s += min(worked_s, answered_s) - start_s
 
     def _listen(self, recalled: threading.Event) -> float:
-        """Hear the world until what is waited for is there; returns when that was."""
-        while (
-            self.core.waiting
-            and self._error is None
-            and not (recalled.is_set() or self._waits_no_more)
-        ):
+        """Receive until the answer is there, or the listener is recalled; returns the time."""
+        while self.core.waiting and self._error is None:
+            if recalled.is_set() or self._waits_no_more:
+                break
             self._pump()
         return time.perf_counter()
 
     def _post(self, message: m.Request) -> None:
-        """Send, or drop the message when many others wait to go: what matters is asked again."""
-        self._said_leave = self._said_leave or isinstance(message, m.Leave)
+        """Send, or drop the message when many others wait to go: requests are repeated anyway."""
+        self._sent_leave = self._sent_leave or isinstance(message, m.Leave)
         with contextlib.suppress(zmq.Again):
             self._socket.send(m.encode(message), zmq.NOBLOCK)
 
     def _pump(self) -> None:
         try:
-            more = True
-            while (
-                more
-            ):  # measured: to ask the socket whether there is more takes longer than to receive
+            # Measured: to ask the socket whether there is more takes longer than to receive.
+            is_more = True
+            while is_more:
                 part = self._socket.recv(copy=False)
-                more = part.more
-                self.hear(m.decode_reply(part.bytes, self._ring))
+                is_more = part.more
+                self.handle(m.decode_reply(part.bytes, self._ring))
         except zmq.Again:
-            self._look_at_connection()
-        self.take(self.core.clock(self._now_s()))
+            self._check_connection()
+        self.perform(self.core.clock(self._now_s()))
 
-    def _open_frame(self, seen: FrameSeen) -> ClientSnapshot | None:
+    def _check_pictures(self, seen: FrameSeen) -> None:
         if seen.slot >= 0 and self._ring is None:
             raise ProtocolError(
                 f"a frame has pictures in slot {seen.slot}, but the server named no shared memory"
             )
-        return seen.client
 
     def _welcomed(self, welcome: m.Welcome) -> None:
         self._welcome = welcome
-        if welcome.ring and not self._order.endpoint.startswith("ipc://"):
+        if welcome.ring and not self._is_local:
             raise ProtocolError(
                 "the server named a file of this machine; over the network it must not"
             )
@@ -170,109 +178,76 @@ class SocketSeat(WorldLink):
     def _end(self) -> None:
         """Wait a moment for the server's goodbye, so that the seat is free when this returns."""
         deadline_s = time.monotonic() + _BYE_S
-        while self._said_leave and time.monotonic() < deadline_s:
+        is_awaited = self._sent_leave
+        while is_awaited and time.monotonic() < deadline_s:
             with contextlib.suppress(zmq.Again, ProtocolError):
-                if any(
-                    self._is_bye(m.decode_reply(part)) for part in self._socket.recv_multipart()
-                ):
-                    break
-        self._let_go()
+                for part in self._socket.recv_multipart():
+                    reply = m.decode_reply(part)
+                    sessions = (b"", self.core.session)
+                    if isinstance(reply, m.Bye | m.Failure) and reply.session in sessions:
+                        is_awaited = False
+        self._release()
 
-    def _is_bye(self, reply: m.Reply) -> bool:
-        gone = isinstance(reply, m.Bye | m.Failure)
-        return gone and getattr(reply, "session", b"") in (b"", self.core.session)
+    def _check_connection(self) -> None:
+        """Handle ZeroMQ's events: log a lost connection, and refuse to wait for a refusal.
 
-    def _look_at_connection(self) -> None:
-        """Say so when it is lost. Raises AccessError when the server has refused this client's key, or has another one.
-
-        On the same machine there are no keys: a handshake that failed was with a world that was dying.
+        Raises:
+            AccessError: The server has refused this client's key, or has another one.
         """
+        # 1. Read the events. On the same machine there are no keys: a handshake that failed there
+        #    was with a world that was dying.
+        endpoint = self._order.endpoint
         while self._monitor.poll(0):
             event = recv_monitor_message(self._monitor, zmq.NOBLOCK)
-            if event["event"] == _MADE:
+            if event["event"] == _CONNECTED:
                 self._cut_s = None
-            elif event["event"] == _LOST:
+            elif event["event"] == _DISCONNECTED:
                 self._cut_s = self._now_s() if self._cut_s is None else self._cut_s
-            elif self.core.phase is ClientPhase.JOINING and not self._order.endpoint.startswith(
-                "ipc://"
-            ):
-                raise AccessError(
-                    _refusal(self._order.endpoint, self._order.keys, event["event"], event["value"])
-                )
-        endpoint = self._order.endpoint
-        is_local = endpoint.startswith("ipc://")
-        if (
-            self._cut_s is not None
-            and is_local
-            and is_abandoned(Path(endpoint.removeprefix("ipc://")).parent)
-        ):
-            self.wait_less()  # who started that world is gone, too: nobody starts it again
-        if (
-            self._welcome is not None
-            and self._cut_s is not None
-            and self._now_s() - self._cut_s > _CUT_S
-        ):
+            elif self.core.phase is ClientPhase.JOINING and not self._is_local:
+                message = _refusal(endpoint, self._order.keys, event["event"], event["value"])
+                raise AccessError(message)
+        if self._cut_s is None:
+            return
+        # 2. The launcher of that world has ended, too, so nothing will start the world again.
+        if self._is_local and is_abandoned(Path(endpoint.removeprefix(_IPC)).parent):
+            self.wait_less()
+        # 3. Log it once.
+        if self._welcome is not None and self._now_s() - self._cut_s > _CUT_S:
             self._cut_s = math.inf
-            log.warning(
-                "wcsim: the connection to %s was lost; trying to join again", self._order.endpoint
-            )
+            log.warning("wcsim: the connection to %s was lost; trying to join again", endpoint)
 
 
-def _refusal(endpoint: str, keys: str, event: int, code: int) -> str:
-    """Why a server let nobody in, by ZeroMQ's event and its number, and what to do."""
-    refused = f"{endpoint} refused the connection"
-    if event == zmq.EVENT_HANDSHAKE_FAILED_AUTH:
-        return f"{refused}: the server does not know the public key in {keys}; use a key made on the server (--make-keys)"
-    if not keys:
-        return f"{refused}: the server needs a key; get one from its operator and use --keys FOLDER"
-    if code == zmq.PROTOCOL_ERROR_ZMTP_MECHANISM_MISMATCH:
-        return (
-            f"{refused}: the server uses no keys, but --keys {keys} was given; leave --keys out, or start the server "
-            "with --keys, too"
-        )
-    return f"{refused}: the server's public key in {keys} is not that of this server; copy its current server.public"
+class ProcessGroup(SeatGroup):
+    """A world process with all its seats; to start again it is replaced by a new one."""
 
+    def __init__(self, order: WorldOrder) -> None:
+        """Start the world; raises what opening it in this process would raise."""
+        self._order = order
+        self._connect(order.seed)
 
-def _connect(socket: zmq.Socket[bytes], order: SeatRequest) -> None:
-    for option, value in _OPTIONS.items():
-        socket.setsockopt(option, value)
-    socket.setsockopt(zmq.IPV6, order.endpoint.startswith("tcp://["))
-    if order.keys:
-        pair = client_keys(Path(order.keys), order.name)
-        socket.curve_serverkey = server_public(Path(order.keys))
-        socket.curve_publickey, socket.curve_secretkey = pair.public, pair.secret
-    try:
-        socket.connect(order.endpoint)
-    except zmq.ZMQError as error:
-        raise ConfigError(
-            f"endpoint {order.endpoint!r}: {error.strerror}; expected ipc://FILE or tcp://HOST:PORT"
-        ) from None
+    def close(self) -> None:
+        """See `SeatGroup.close`."""
+        self.leave()
+        self._child.close()
+        self.links = ()
 
+    def _renew(self, seed: int) -> None:
+        self._child.close()
+        self._connect(seed)
 
-_OPEN_TIMEOUT_S = 300.0  # building a town's mesh for the first time and warming its traffic up
-_END_TIMEOUT_S = 5.0
-_NEVER_S = 1e12
-
-
-def _private_rules(capacity: int, expected: int) -> Rules:
-    """Of a world whose clients are all of one process: nobody can hang or die alone."""
-    return Rules(
-        capacity=capacity,
-        expected=expected,
-        gather_s=_NEVER_S,
-        lease_s=_NEVER_S,
-        notice_s=_NEVER_S,
-        recordings=None,
-    )
+    def _connect(self, seed: int) -> None:
+        order = self._order
+        self._child = _WorldChild(replace(order, seed=seed))
+        self.links = [_ChildSeat(self._child, order.seat, seat) for seat in range(order.seats)]
 
 
 class _WorldChild:
     """A world process that belongs to this one, ready for its clients."""
 
     def __init__(self, order: WorldOrder) -> None:
-        """Start the process and wait for its world; raises what opening it in this process would raise.
+        """Start the process and wait for its world; its first tick waits for all seats.
 
-        Its first tick waits for all seats.
+        Raises what opening the world in this process would raise.
         """
         place = OwnFolder()
         self.endpoint = endpoint_in(place.path)
@@ -312,18 +287,20 @@ class _WorldChild:
         deadline_s = time.monotonic() + _OPEN_TIMEOUT_S
         while time.monotonic() < deadline_s:
             self._selector.select(_POLL_MS / 1000.0)
-            ended = self.process.poll() is not None
-            if any(_ready(line) for line in self.process.read_lines()):
+            # Polled before the lines are read, so that no last line is missed.
+            has_ended = self.process.poll() is not None
+            if any(_is_ready(line) for line in self.process.read_lines()):
                 return
-            if ended:
+            if has_ended:
                 self.require_alive()
         raise LinkTimeoutError(
-            f"the world process has not loaded its world after {_OPEN_TIMEOUT_S:g} s; is the machine busy?"
+            f"the world process has not loaded its world after {_OPEN_TIMEOUT_S:g} s; "
+            "is the machine busy?"
         )
 
 
 class _ChildSeat(SocketSeat):
-    """A seat of a world process that belongs to this one; notices when that has ended."""
+    """A seat of a world process that belongs to this one, and whose end raises an error."""
 
     def __init__(self, child: _WorldChild, spec: SeatSpec, seat: int) -> None:
         self._child = child
@@ -344,38 +321,62 @@ class _ChildSeat(SocketSeat):
         super()._pump()
 
     def _end(self) -> None:
-        if self._child.process.poll() is None:
-            super()._end()
-        else:  # nobody is there to say goodbye
-            self._let_go()
+        # A process that has ended sends no goodbye.
+        self._sent_leave = self._sent_leave and self._child.process.poll() is None
+        super()._end()
 
 
-class ProcessGroup(SeatGroup):
-    """A world process with all its seats; an epoch that begins again is a new process."""
-
-    def __init__(self, order: WorldOrder) -> None:
-        """Start the world; raises what opening it in this process would raise."""
-        self._order = order
-        self._connect(order.seed)
-
-    def close(self) -> None:
-        """See `SeatGroup.close`."""
-        self.leave()
-        self._child.close()
-        self.links = ()
-
-    def _renew(self, seed: int) -> None:
-        self._child.close()
-        self._connect(seed)
-
-    def _connect(self, seed: int) -> None:
-        order = self._order
-        self._child = _WorldChild(replace(order, seed=seed))
-        self.links = [_ChildSeat(self._child, order.seat, seat) for seat in range(order.seats)]
+def _private_rules(capacity: int, expected: int) -> Rules:
+    """Rules of a world whose clients are all of one process: none can hang or die alone."""
+    return Rules(
+        capacity=capacity,
+        expected=expected,
+        gather_s=_NEVER_S,
+        lease_s=_NEVER_S,
+        notice_s=_NEVER_S,
+        recordings=None,
+    )
 
 
-def _ready(line: bytes) -> bool:
-    """Whether a status line tells of a world; raises the error that one tells of."""
+def _connect(socket: zmq.Socket[bytes], order: SeatRequest) -> None:
+    for option, value in _OPTIONS.items():
+        socket.setsockopt(option, value)
+    socket.setsockopt(zmq.IPV6, order.endpoint.startswith("tcp://["))
+    if order.keys:
+        pair = client_keys(Path(order.keys), order.name)
+        socket.curve_serverkey = server_public(Path(order.keys))
+        socket.curve_publickey, socket.curve_secretkey = pair.public, pair.secret
+    try:
+        socket.connect(order.endpoint)
+    except zmq.ZMQError as error:
+        raise ConfigError(
+            f"endpoint {order.endpoint!r}: {error.strerror}; expected ipc://FILE or tcp://HOST:PORT"
+        ) from None
+
+
+def _refusal(endpoint: str, keys: str, event: int, code: int) -> str:
+    """Why a server refused a connection, by ZeroMQ's event and its number, and what to do."""
+    refused = f"{endpoint} refused the connection"
+    if event == zmq.EVENT_HANDSHAKE_FAILED_AUTH:
+        return (
+            f"{refused}: the server does not know the public key in {keys}; "
+            "use a key made on the server (--make-keys)"
+        )
+    if not keys:
+        return f"{refused}: the server needs a key; get one from its operator and use --keys FOLDER"
+    if code == zmq.PROTOCOL_ERROR_ZMTP_MECHANISM_MISMATCH:
+        return (
+            f"{refused}: the server uses no keys, but --keys {keys} was given; "
+            "leave --keys out, or start the server with --keys, too"
+        )
+    return (
+        f"{refused}: the server's public key in {keys} is not that of this server; "
+        "copy its current server.public"
+    )
+
+
+def _is_ready(line: bytes) -> bool:
+    """Whether a status line reports a world; raises the error that one reports."""
     try:
         return of_line(WorldStatus, line).stage != "loading"
     except ConfigError:

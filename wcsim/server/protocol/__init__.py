@@ -1,1 +1,1 @@
-"""The protocol without sockets: messages, the barrier, both cores, admission. Model-checked; no clock, no file."""
+"""The protocol without sockets: messages, barrier, both cores. Model-checked; no clock, no file."""

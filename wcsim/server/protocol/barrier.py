@@ -1,10 +1,12 @@
-"""The cycle of a server: who is in, when the barrier is full, who is given up.
+"""The cycle of a server: who is in, when the barrier is full, who is evicted.
 
-The master's action is the tick request of the paper's Fig. 4: it is granted once all others have acted, too, or at once
-where they have. A tick thus costs a client one message and its answer, and no master can hold a full barrier up.
+The master's action is the tick request of the paper's Fig. 4. It is granted once all others have
+acted too, or at once where they have. A tick thus costs a client one message and its answer, and no
+master can delay a full barrier.
 
-What changes the world is done in seat order and between ticks only: chairs go just before a step, and come just after
-one. So two runs in which the same clients do the same give the same world, whatever the order of their messages.
+The world changes in seat order and between ticks only: chairs leave just before a step, and appear
+just after one. So two runs in which the same clients do the same give the same world, whatever the
+order of their messages.
 """
 
 from __future__ import annotations
@@ -21,82 +23,82 @@ from wcsim.types import Command
 
 
 class Barrier:
-    """The state of a server and what moves it; `out` collects what is to be done."""
+    """The state of a server and what changes it; `out` collects the effects of an event."""
 
     def __init__(self, rules: ev.Rules, epoch: int = 0) -> None:
-        """Nobody is there, at the beginning of `epoch`."""
+        """No client is there, at the start of `epoch`."""
         self.rules = rules
-        self.epoch, self.tick = epoch, 0
+        self.epoch = epoch
+        self.tick = 0
         self.stage = ev.BarrierState.EMPTY
-        self.last_tick: int | None = None  # of this epoch, where another server is to go on
-        self.gathering = True
-        self.roll = Roster()
+        self.last_tick: int | None = None  # of this epoch, if another server is to go on
+        self.gathering = True  # until the first clients are admitted
+        self.roster = Roster()
         self.out: list[ev.Effect] = []
-        self._gather_s: float | None = None  # since when somebody waits for the others to come
-        self._told_s = -math.inf  # when those who wait were told for whom
+        self._gather_since_s: float | None = None  # since when a client waits for the others
+        self._last_notice_s = -math.inf  # when those who wait last got a `Waiting`
 
     def copied(self) -> Self:
-        """One in the same state that goes its own way."""
-        twin = type(self).__new__(type(self))
-        twin.__dict__.update(self.__dict__, roll=self.roll.copied(), out=[])
-        return twin
+        """A barrier in the same state that changes by itself."""
+        copy = type(self).__new__(type(self))
+        copy.__dict__.update(self.__dict__, roster=self.roster.copied(), out=[])
+        return copy
 
     def late(self) -> tuple[str, ...]:
         """Names of those for whom the barrier waits."""
-        return tuple(member.name for member in self.roll.by_seat() if not member.ready)
+        return tuple(member.name for member in self.roster.by_seat() if not member.ready)
 
     @property
     def _master_seat(self) -> int:
-        master = self.roll.master
+        master = self.roster.master
         return m.ANY_SEAT if master is None else master.seat
 
     # --- ticks ---
 
     def gather(self, now_s: float) -> None:
-        """Nobody is in: let in those who wait, once all are here that are expected."""
-        if not self.roll.pending:
-            self._gather_s = None
+        """No client is in: admit those who wait, once all that are expected have come."""
+        if not self.roster.pending:
+            self._gather_since_s = None
             return
-        if self._gather_s is None:
-            self._gather_s = now_s
-        missing = self.gathering and len(self.roll.pending) < self.rules.expected
-        if not missing or now_s - self._gather_s >= self.rules.gather_s:
+        if self._gather_since_s is None:
+            self._gather_since_s = now_s
+        is_missing = self.gathering and len(self.roster.pending) < self.rules.expected
+        if not is_missing or now_s - self._gather_since_s >= self.rules.gather_s:
             self.admit(now_s)
 
     def admit(self, now_s: float) -> None:
         """Give those who wait their seats, after every chair that was to go has gone."""
         self.dismiss()
-        coming = sorted(self.roll.pending, key=lambda p: p.seat)
-        self.roll.pending = []
-        for p in coming:
-            self.out.append(ev.Admit(p.seat, p.spec, p.name))
-            self.roll.members.append(replace(p, heard_s=now_s, asked_s=now_s))
-        for p in coming:
-            member = self.roll.at(p.seat)
-            if member is not None:
-                self.welcome(member)
-        if self.roll.members:
-            self.gathering, self.stage = False, ev.BarrierState.COLLECT
+        joining = sorted(self.roster.pending, key=lambda p: p.seat)
+        self.roster.pending = []
+        admitted = [replace(p, progress_s=now_s, owes_since_s=now_s) for p in joining]
+        self.roster.members += admitted
+        self.out += [ev.Admit(member.seat, member.spec, member.name) for member in admitted]
+        for member in admitted:
+            self.send_welcome(member)
+        if self.roster.members:
+            self.gathering = False
+            self.stage = ev.BarrierState.COLLECT
         else:
             self.stage = ev.BarrierState.EMPTY
 
     def advance(self, now_s: float) -> None:
-        """Go on when nobody owes anything: first with respawns, then through the full barrier."""
-        members = self.roll.members
-        if (
-            self.stage is not ev.BarrierState.COLLECT
-            or not members
-            or not all([mate.ready for mate in members])
-        ):
+        """Go on when no member owes anything: with respawns first, else through the barrier."""
+        members = self.roster.members
+        is_full = all([mate.ready for mate in members])
+        if self.stage is not ev.BarrierState.COLLECT or not members or not is_full:
             return
-        again = [mate for mate in self.roll.by_seat() if mate.respawning]
-        if again:
-            self.out.append(ev.RespawnSeats(tuple(mate.seat for mate in again)))
-            for mate in again:
-                mate.respawning, mate.life, mate.asked_s = False, mate.life + 1, now_s
-                self.show(mate)
+        respawning = [mate for mate in self.roster.by_seat() if mate.respawning]
+        if respawning:
+            self.out.append(ev.RespawnSeats(tuple(mate.seat for mate in respawning)))
+            for mate in respawning:
+                mate.respawning = False
+                mate.life += 1
+                mate.owes_since_s = now_s
+                self.send_frame(mate)
             return
-        # Who has left by the last tick is gone from the journal, too: those who were in at its end are waited for.
+        # A client that left at the last tick leaves the journal, too. The next server waits only
+        # for those who were in at the end.
         self.dismiss()
         if self.last_tick is not None and self.tick >= self.last_tick:
             self.stage = ev.BarrierState.EPOCH_OVER
@@ -104,99 +106,110 @@ class Barrier:
             self.step()
 
     def step(self) -> None:
-        """All have acted, and the chairs that were to go are gone: the world moves."""
+        """Have the world do a tick: all have acted, and the chairs that were to go have gone."""
         self.stage = ev.BarrierState.STEPPING
-        actions = [(mate.seat, mate.action) for mate in self.roll.by_seat()]
+        actions = [(mate.seat, mate.action) for mate in self.roster.by_seat()]
         commands = tuple(
-            Command(seat=s, tick=self.tick, joystick=a) for s, a in actions if a is not None
+            Command(seat=seat, tick=self.tick, joystick=action)
+            for seat, action in actions
+            if action is not None
         )
         self.out.append(ev.Step(self.tick, commands))
 
     def commit(self, tick: int, now_s: float, step_s: float = 0.0) -> None:
-        """The world has reached `tick`: everybody hears of it and gets a frame, then those who wait come in."""
+        """The world has reached `tick`: all get word and a frame, then those who wait come in."""
         if self.stage is not ev.BarrierState.STEPPING or tick != self.tick + 1:
             raise ProtocolError(
-                f"the world reports tick {tick} in stage {self.stage.value}; expected {self.tick + 1}"
+                f"the world reports tick {tick} in stage {self.stage.value}; "
+                f"expected {self.tick + 1}"
             )
         self.tick = tick
-        self._begin_tick(now_s)
-        members = self.roll.by_seat()
+        self._start_tick(now_s)
+        members = self.roster.by_seat()
         done = m.TickDone(self.epoch, tick, self._master_seat, step_s)
         for mate in members:
             self.send(mate.peer, done)
         for mate in members:
-            self.show(mate)
+            self.send_frame(mate)
         self.stage = ev.BarrierState.COLLECT if members else ev.BarrierState.EMPTY
-        if self.roll.pending or not members:
+        if self.roster.pending or not members:
             self.admit(now_s)
 
     def rebuild(self, seed: int, now_s: float) -> None:
-        """A new epoch with the members of now."""
+        """Start a new epoch with the present members."""
         self.dismiss()
-        self.epoch, self.tick = self.epoch + 1, 0
+        self.epoch += 1
+        self.tick = 0
         self.stage = ev.BarrierState.COLLECT
         self.out.append(ev.RebuildWorld(self.epoch, seed))
-        self._begin_tick(now_s)
-        for mate in self.roll.by_seat():
-            self.send(
-                mate.peer, m.Restarted(self.epoch, f"the world was restarted with seed {seed}")
-            )
-            self.show(mate)
+        self._start_tick(now_s)
+        restarted = m.Restarted(self.epoch, f"the world was restarted with seed {seed}")
+        for mate in self.roster.by_seat():
+            self.send(mate.peer, restarted)
+            self.send_frame(mate)
 
     # --- who goes ---
 
     def evict(self, member: Member, reason: str, now_s: float) -> None:
-        """Give a client up; should it live, it hears of it."""
-        told = EvictedError(f"the server dropped this client: {reason}")
-        self.send(member.peer, m.failure_of(told, member.session))
-        self.roll.retire(member.session)
-        if not self.roll.stop_waiting(member.session):
+        """Remove a client, and send it why, in case that it lives."""
+        error = EvictedError(f"the server dropped this client: {reason}")
+        self.send(member.peer, m.failure_of(error, member.session))
+        self.roster.retire(member.session)
+        if not self.roster.stop_waiting(member.session):
             self.remove(member, reason, now_s)
 
     def remove(self, member: Member, reason: str, now_s: float) -> None:
-        """Take a member off the roll, and look at the barrier again: the others may owe nothing."""
-        self.roll.members.remove(member)
-        self.roll.going[member.seat] = reason
+        """Remove a member, and look at the barrier again: the others may owe nothing."""
+        self.roster.members.remove(member)
+        self.roster.going[member.seat] = reason
         if self.stage is ev.BarrierState.STEPPING:
             return
-        if self.roll.members:
+        if self.roster.members:
             self.advance(now_s)
         else:
             self.admit(now_s)
 
     def dismiss(self) -> None:
-        """Take the chairs out of the world whose clients have gone; also after the last tick, which no step follows."""
-        for seat, reason in sorted(self.roll.going.items()):
+        """Take the chairs of clients that have left out of the world.
+
+        Also after the last tick, which no step follows.
+        """
+        for seat, reason in sorted(self.roster.going.items()):
             self.out.append(ev.Dismiss(seat, reason))
-        self.roll.going.clear()
+        self.roster.going.clear()
 
     def watch(self, now_s: float) -> None:
-        """Leases, and word to those who wait."""
+        """Evict overdue members, and send those who wait for whom."""
         if self.stage is ev.BarrierState.EMPTY:
             self.gather(now_s)
         elif self.stage is ev.BarrierState.COLLECT:
-            self._give_up_overdue(now_s)
-        if now_s - self._told_s >= self.rules.notice_s:
-            self._tell(now_s)
+            for mate in self.roster.by_seat():
+                # An eviction may fill the barrier, and so change stage and members.
+                reason = self._overdue_reason(mate, now_s)
+                is_collecting = self.stage is ev.BarrierState.COLLECT
+                if reason and is_collecting and mate in self.roster.members:
+                    self.evict(mate, reason, now_s)
+        if now_s - self._last_notice_s >= self.rules.notice_s:
+            self._send_waiting(now_s)
 
     def stop(self, reason: str) -> None:
-        """Everybody is told that this is the end."""
+        """End: all clients get a `Bye`."""
         self.stage = ev.BarrierState.STOPPED
-        for one in self.roll.by_seat() + self.roll.pending:
-            self.send(one.peer, m.Bye(one.session, reason or "the server stops"))
+        for p in self.roster.by_seat() + self.roster.pending:
+            self.send(p.peer, m.Bye(p.session, reason or "the server stops"))
 
     # --- what is sent ---
 
-    def welcome(self, member: Member) -> None:
-        """Tell a client that it is in, and show it what its seat sees."""
+    def send_welcome(self, member: Member) -> None:
+        """Send a client its seat, and the frame of that seat."""
         self.send(
             member.peer,
             m.Welcome(member.session, self.epoch, self.tick, member.seat, self._master_seat),
         )
-        self.show(member)
+        self.send_frame(member)
 
-    def show(self, member: Member) -> None:
-        """Send a client the frame of now."""
+    def send_frame(self, member: Member) -> None:
+        """Send a client its present frame."""
         self.out.append(ev.SendFrame(member.peer, member.seat, self.epoch, self.tick, member.life))
 
     def send(self, peer: ev.Peer, message: m.Reply) -> None:
@@ -205,33 +218,31 @@ class Barrier:
 
     # --- inside ---
 
-    def _begin_tick(self, now_s: float) -> None:
-        self._told_s = now_s
-        for mate in self.roll.members:
-            mate.action, mate.respawning, mate.life = None, False, 0
-            mate.asked_s, mate.thought_s = now_s, 0.0
+    def _start_tick(self, now_s: float) -> None:
+        self._last_notice_s = now_s
+        for mate in self.roster.members:
+            mate.action = None
+            mate.respawning = False
+            mate.life = 0
+            mate.owes_since_s = now_s
+            mate.earlier_lives_s = 0.0
 
-    def _give_up_overdue(self, now_s: float) -> None:
-        for mate in self.roll.by_seat():
-            reason = self._overdue(mate, now_s)
-            if reason and self.stage is ev.BarrierState.COLLECT and mate in self.roll.members:
-                self.evict(mate, reason, now_s)
-
-    def _overdue(self, mate: Member, now_s: float) -> str:
+    def _overdue_reason(self, mate: Member, now_s: float) -> str:
+        """Why a member is evicted, "" when it is not."""
         if mate.ready:
             return ""
-        owes_s = now_s - mate.asked_s
-        silent_s = now_s - max(mate.heard_s, mate.asked_s)
+        silent_s = now_s - max(mate.progress_s, mate.owes_since_s)
         if silent_s > self.rules.lease_s:
             return f"no sign of progress for {silent_s:.0f} s"
+        # A new life gives no new time.
+        think_s = mate.earlier_lives_s + (now_s - mate.owes_since_s)
         limit_s = self.rules.max_think_s
-        late = (
-            limit_s is not None and mate.thought_s + owes_s > limit_s
-        )  # a new life gives no new time
-        return f"no action within {limit_s:g} s" if late else ""
+        is_late = limit_s is not None and think_s > limit_s
+        return f"no action within {limit_s:g} s" if is_late else ""
 
-    def _tell(self, now_s: float) -> None:
-        self._told_s = now_s
+    def _send_waiting(self, now_s: float) -> None:
+        self._last_notice_s = now_s
         note = m.Waiting(self.epoch, self.tick, self.late())
-        for one in [mate for mate in self.roll.by_seat() if mate.ready] + self.roll.pending:
-            self.send(one.peer, note)
+        ready = [mate for mate in self.roster.by_seat() if mate.ready]
+        for p in ready + self.roster.pending:
+            self.send(p.peer, note)

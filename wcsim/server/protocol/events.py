@@ -1,7 +1,8 @@
-"""What happens to a server core and what it wants done: plain values, no input or output.
+"""Events of a server core and the effects that it requests: plain values, no input or output.
 
-`ServerCore.handle(event, now_s)` returns effects, which its host carries out in their order. The host is a world
-process behind ZeroMQ, a process with the world inside, a model checker or a simulator of faults.
+`ServerCore.handle(event, now_s)` returns effects, which its host carries out in their order. The
+host is a world process behind ZeroMQ, a process with the world inside, a model checker or a
+simulator of faults.
 """
 
 from __future__ import annotations
@@ -13,16 +14,17 @@ from wcsim.server.protocol.messages import Reply, Request
 from wcsim.types import Command, SeatSpec
 
 Peer = bytes
-"""Where a message came from, and where an answer goes: known to the host alone."""
+"""The connection of a message and of its answer; only the host knows what it means."""
 
 
 class BarrierState(Enum):
     """Where a server is in its cycle; see docs/protocol.md."""
 
-    EMPTY = "empty"  # nobody is here, or not yet all of those who are expected
-    COLLECT = "collect"  # waits for everybody's action of this tick
+    EMPTY = "empty"  # no client is in, or not yet all that are expected
+    COLLECT = "collect"  # waits for all actions of this tick
     STEPPING = "stepping"  # the barrier is full, the world is on its way to the next tick
-    EPOCH_OVER = "epoch over"  # the barrier of the last tick is full; another server goes on with the next epoch
+    # The barrier of the last tick is full; another server goes on with the next epoch.
+    EPOCH_OVER = "epoch over"
     STOPPED = "stopped"
 
 
@@ -31,27 +33,23 @@ class Rules:
     """What a server allows; seconds are of the host's clock."""
 
     capacity: int  # seats
-    config: str = (
-        ""  # hash of the world's configuration; a client that states another one is refused
-    )
-    expected: int = 1  # clients without whom the first tick is not begun ...
-    gather_s: float = 120.0  # ... unless so much time is over
-    lease_s: float = (
-        120.0  # a client that owes an action and shows no progress for so long is given up
-    )
-    notice_s: float = 1.0  # how often those who wait are told for whom
-    max_think_s: float | None = (
-        None  # a client that takes longer for an action is given up, alive or not
-    )
-    recordings: tuple[str, ...] | None = ()  # "recorded:FILE" that clients may ask for; None: any
+    config: str = ""  # hash of the world's configuration; clients that state another are refused
+    expected: int = 1  # the first tick waits for so many clients ...
+    gather_s: float = 120.0  # ... but not longer than this
+    # A client that owes an action and shows no progress for so long is evicted ...
+    lease_s: float = 120.0
+    notice_s: float = 1.0  # how often those who wait get to know for whom
+    # ... and one that takes longer than this for an action, alive or not.
+    max_think_s: float | None = None
+    recordings: tuple[str, ...] | None = ()  # "recorded:FILE" that clients may request; None: any
 
 
-# --- what happens ---
+# --- events ---
 
 
 @dataclass(frozen=True, slots=True)
 class Received:
-    """A message has come."""
+    """A message has arrived."""
 
     peer: Peer
     message: Request
@@ -59,7 +57,7 @@ class Received:
 
 @dataclass(frozen=True, slots=True)
 class Lost:
-    """The host knows that the client of this session is dead, or only cut off: then it may join again."""
+    """The client of this session is dead, or only cut off: then it may join again."""
 
     session: bytes
     reason: str = "its process ended"
@@ -73,10 +71,10 @@ class Clock:
 
 @dataclass(frozen=True, slots=True)
 class Stepped:
-    """The world has reached this tick, as `Step` asked for."""
+    """The world has reached this tick, as `Step` requested."""
 
     tick: int
-    step_s: float = 0.0  # what it took
+    step_s: float = 0.0  # duration
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +87,7 @@ class Stop:
 Event = Received | Lost | Clock | Stepped | Stop
 
 
-# --- what is to be done, in this order ---
+# --- effects ---
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +100,7 @@ class Send:
 
 @dataclass(frozen=True, slots=True)
 class SendFrame:
-    """Send what the seat sees now."""
+    """Send the present frame of a seat."""
 
     peer: Peer
     seat: int
@@ -130,14 +128,14 @@ class Dismiss:
 
 @dataclass(frozen=True, slots=True)
 class RespawnSeats:
-    """Begin the next episodes of these seats, in this order."""
+    """Start the next episodes of these seats, in this order."""
 
     seats: tuple[int, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class RebuildWorld:
-    """Begin a new epoch with this seed."""
+    """Start a new epoch with this seed."""
 
     epoch: int
     seed: int

@@ -6,17 +6,19 @@ import contextlib
 import errno
 import os
 import resource
+from typing import Final
 
 from wcsim.errors import ConfigError
 
-NO_ROOM = frozenset((errno.ENOSPC, errno.EDQUOT, errno.EFBIG))
-_NO_FILES = frozenset((errno.EMFILE, errno.ENFILE))
-_WANTED_FILES = 4096
-_FILES, _FILES_A_CLIENT = 40, 4  # that a world or its launcher opens by itself, and for each client
+NO_ROOM: Final = frozenset((errno.ENOSPC, errno.EDQUOT, errno.EFBIG))
+_NO_FILES: Final = frozenset((errno.EMFILE, errno.ENFILE))
+_REQUESTED_FILES: Final = 4096
+_OWN_FILES: Final = 40  # that a world or its launcher opens for itself
+_FILES_A_CLIENT: Final = 4
 
 
-def told_limit(error: BaseException) -> str:
-    """What to do about an error of the system that is one of a limit; "" for any other."""
+def limit_message(error: BaseException) -> str:
+    """What to do about an error that the system's limits cause; "" for any other error."""
     number = getattr(error, "errno", None)
     if number in NO_ROOM:
         return (
@@ -24,31 +26,36 @@ def told_limit(error: BaseException) -> str:
         )
     if number in _NO_FILES:
         soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
-        return f"a process may open {soft} files, which is too few ({error}); try again after: ulimit -n 1024"
+        return (
+            f"a process may open {soft} files, which is too few ({error}); "
+            "try again after: ulimit -n 1024"
+        )
     return ""
 
 
-def last_words(text: str) -> None:
-    """A line on standard error, which may be a file on a disk that is full: the exit code counts all the same.
+def write_last_line(text: str) -> None:
+    """Write a line to standard error, which may be a file on a full disk, without an error.
 
-    What Python keeps in a buffer would fail again in its end, with another code.
+    Python's own buffer would fail again at the exit, and change the exit code.
     """
     with contextlib.suppress(OSError):
         os.write(2, f"{text}\n".encode(errors="replace"))
 
 
 def require_files(clients: int) -> None:
-    """See that a launcher, its world and its clients may open all they need; the limit is raised as far as allowed.
+    """Raise the limit of open files for a launcher, its world and its clients as far as allowed.
 
     Raises:
-        ConfigError: They may not.
+        ConfigError: It is still too low.
     """
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    needed = _FILES + _FILES_A_CLIENT * clients
-    if 0 <= soft < _WANTED_FILES:
-        soft = _WANTED_FILES if hard < 0 else min(hard, _WANTED_FILES)
+    needed = _OWN_FILES + _FILES_A_CLIENT * clients
+    # A negative limit means none.
+    if 0 <= soft < _REQUESTED_FILES:
+        soft = _REQUESTED_FILES if hard < 0 else min(hard, _REQUESTED_FILES)
         resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
     if 0 <= soft < needed:
         raise ConfigError(
-            f"a process may open {soft} files; expected {needed} or more for {clients} clients: ulimit -n 1024"
+            f"a process may open {soft} files; expected {needed} or more for {clients} clients: "
+            "ulimit -n 1024"
         )

@@ -1,15 +1,16 @@
-"""Who is in a world: members behind the barrier, those who wait for a seat, those whose chairs are still to go."""
+"""The clients of a world: members, those who wait for a seat, and those whose chairs are to go."""
 
 from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, field, replace
+from typing import Final
 
 from wcsim.server.protocol.events import Peer
 from wcsim.types import Joystick, SeatSpec
 
-REMEMBERED = 1024  # sessions that were given up or have left
-MOST_LIVES = 1000  # respawns at one tick: each is work for the world, and a line in its journal
+REMEMBERED: Final = 1024  # sessions that were evicted or have left
+MOST_LIVES: Final = 1000  # respawns at one tick: each is work for the world, and a journal record
 
 
 @dataclass(slots=True, kw_only=True)
@@ -21,14 +22,14 @@ class Member:
     spec: SeatSpec
     session: bytes
     peer: Peer
-    claim: bytes = b""  # who shows another one does not get the seat
-    life: int = 0  # respawns at the tick of now
-    action: Joystick | None = None  # for the tick of now
+    claim: bytes = b""  # a client with another claim does not get the seat
+    life: int = 0  # respawns at this tick
+    action: Joystick | None = None  # for this tick
     respawning: bool = False
     progress: int = -1
-    heard_s: float = 0.0
-    asked_s: float = 0.0  # since when it owes an action
-    thought_s: float = 0.0  # how long it owed one in its lives before this one, at the tick of now
+    progress_s: float = 0.0  # when it last showed progress
+    owes_since_s: float = 0.0  # since when it owes an action
+    earlier_lives_s: float = 0.0  # how long it has owed one at this tick before its last respawn
 
     @property
     def ready(self) -> bool:
@@ -38,64 +39,71 @@ class Member:
 
 @dataclass(slots=True)
 class Roster:
-    """The lists, in the order of joining; no two entries share a seat, but a pending one may wait for one to go."""
+    """The lists of clients, in the order of joining.
+
+    No two entries share a seat, except that a pending one may wait for an older member to go.
+    """
 
     members: list[Member] = field(default_factory=list)
     pending: list[Member] = field(default_factory=list)  # replaced, never changed
     going: dict[int, str] = field(default_factory=dict)  # reason by seat
     retired: deque[bytes] = field(default_factory=lambda: deque(maxlen=REMEMBERED))
     forgotten: deque[bytes] = field(default_factory=lambda: deque(maxlen=REMEMBERED))
-    """Sessions that were cut off, or left before they joined: so strangers cannot flush the list above."""
+    """Sessions that were cut off, or left unjoined. So strangers cannot flush `retired`."""
 
     def member(self, session: bytes) -> Member | None:
         """The member of this session."""
-        return next((m for m in self.members if m.session == session), None)
+        return {p.session: p for p in self.members}.get(session)
 
     def at(self, seat: int) -> Member | None:
         """The member on this seat."""
-        return next((m for m in self.members if m.seat == seat), None)
+        return {p.seat: p for p in self.members}.get(seat)
 
     def waiting(self, session: bytes) -> Member | None:
-        """Who waits under this session."""
-        return next((p for p in self.pending if p.session == session), None)
-
-    def stop_waiting(self, session: bytes) -> bool:
-        """Whether this session waited, which it does no more."""
-        before, self.pending = self.pending, [p for p in self.pending if p.session != session]
-        return len(self.pending) < len(before)
+        """The pending client of this session."""
+        return {p.session: p for p in self.pending}.get(session)
 
     def waiting_at(self, seat: int) -> Member | None:
-        """Who waits for this seat."""
-        return next((p for p in self.pending if p.seat == seat), None)
+        """The client that waits for this seat."""
+        return {p.seat: p for p in self.pending}.get(seat)
+
+    def stop_waiting(self, session: bytes) -> bool:
+        """Remove a session from those that wait; returns whether it waited."""
+        before = len(self.pending)
+        self.pending = [p for p in self.pending if p.session != session]
+        return len(self.pending) < before
 
     def everyone(self) -> list[Member]:
-        """Who is in, and who waits."""
+        """Members, then those who wait."""
         return [*self.members, *self.pending]
 
-    def others_of(self, peer: Peer, claim: bytes) -> bool:
-        """Whether somebody of another claim speaks through the same connection."""
-        return any(
-            entry.peer == peer and (not claim or entry.claim != claim) for entry in self.everyone()
-        )
+    def has_others(self, peer: Peer, claim: bytes) -> bool:
+        """Whether a client of another claim uses the same connection."""
+        same_peer = [p for p in self.everyone() if p.peer == peer]
+        return any(not claim or p.claim != claim for p in same_peer)
 
-    def claimed(self, claim: bytes) -> int | None:
-        """The seat that somebody with this claim has or waits for."""
-        return next(
-            (entry.seat for entry in self.everyone() if claim and entry.claim == claim), None
-        )
+    def claimed_seat(self, claim: bytes) -> int | None:
+        """The seat that a client with this claim has or waits for."""
+        for p in self.everyone():
+            if claim and p.claim == claim:
+                return p.seat
+        return None
 
     def free_seat(self, capacity: int) -> int | None:
-        """The first seat that nobody has or waits for."""
-        used = {entry.seat for entry in self.everyone()}
-        return next((seat for seat in range(capacity) if seat not in used), None)
+        """The lowest seat that no client has or waits for."""
+        free = set(range(capacity)) - {p.seat for p in self.everyone()}
+        return min(free, default=None)
 
     def by_seat(self) -> list[Member]:
-        """Members in seat order: what is done to all is done in this order, never in that of arrival."""
-        return sorted(self.members, key=lambda m: m.seat)
+        """Members in seat order.
+
+        What is done to all is done in this order, never in that of arrival.
+        """
+        return sorted(self.members, key=lambda p: p.seat)
 
     @property
     def master(self) -> Member | None:
-        """The member of longest standing."""
+        """The member that joined first."""
         return self.members[0] if self.members else None
 
     def retire(self, session: bytes) -> None:
@@ -104,14 +112,14 @@ class Roster:
             self.retired.append(session)
 
     def forget(self, session: bytes) -> None:
-        """Remember a session that nobody is to know, so that a join of it that comes late finds nobody at home."""
+        """Remember a session whose late join must not succeed."""
         if session not in self.forgotten:
             self.forgotten.append(session)
 
     def copied(self) -> Roster:
         """A copy that shares nothing that changes."""
         return Roster(
-            [replace(m) for m in self.members],
+            [replace(p) for p in self.members],
             list(self.pending),
             dict(self.going),
             self.retired.copy(),

@@ -1,1 +1,1 @@
-"""How messages and pictures travel: ZeroMQ sockets, keys, rate limits, shared memory. Not what they mean."""
+"""How messages and pictures travel: ZeroMQ sockets, keys, rate limits, shared memory."""

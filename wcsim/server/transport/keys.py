@@ -1,7 +1,8 @@
-"""Keys for clients on other machines: who may join a world, and that both ends are whom they claim to be.
+"""Keys for clients on other machines: which may join a world, and proof of identity of both ends.
 
-A folder of keys: `server.secret`, `server.public`, and for each client that may join `clients/NAME.public` and its own
-`clients/NAME.secret`. A client's machine needs `server.public` and its own secret. The files are those of zmq.auth.
+A folder of keys has `server.secret`, `server.public`, and for each client that may join
+`clients/NAME.public` and `clients/NAME.secret`. A client's machine needs `server.public` and the
+client's secret. The files are those of zmq.auth.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from ipaddress import ip_address
 from pathlib import Path
+from typing import Final
 
 import zmq
 import zmq.auth
@@ -26,10 +28,11 @@ from wcsim.errors import ConfigError
 
 log = logging.getLogger("wcsim.server.transport.keys")
 
-_CLIENTS = "clients"
-LOOK_S = 1.0
-_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
-_ADDRESS = re.compile(r"tcp://(?P<host>\[[0-9A-Fa-f:.]+\]|[^:/\[\]]+):(?P<port>\d{1,5}|\*)")
+LOOK_S: Final = 1.0
+_CLIENTS: Final = "clients"
+_KEY_LENGTH: Final = 40  # characters
+_NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
+_ADDRESS: Final = re.compile(r"tcp://(?P<host>\[[0-9A-Fa-f:.]+\]|[^:/\[\]]+):(?P<port>\d{1,5}|\*)")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -41,10 +44,10 @@ class _KeyPair:
 
 
 def make_keys(folder: Path, names: Sequence[str]) -> tuple[str, ...]:
-    """Make the server's keys and those of these clients where they are missing; returns the clients that are new.
+    """Make the missing keys of the server and of these clients; returns the new clients.
 
     Raises:
-        ConfigError: A name cannot be one, or the folder cannot be written.
+        ConfigError: A name is not allowed, or the folder cannot be written.
     """
     for name in names:
         if not _NAME.fullmatch(name):
@@ -67,21 +70,22 @@ def make_keys(folder: Path, names: Sequence[str]) -> tuple[str, ...]:
 
 
 def server_keys(folder: Path) -> _KeyPair:
-    """The server's own keys. Raises ConfigError when they are not there, or others can read them."""
-    return _pair(folder / "server.secret")
+    """The server's own keys. Raises ConfigError when they are missing, or others can read them."""
+    return _load_pair(folder / "server.secret")
 
 
 def client_keys(folder: Path, name: str) -> _KeyPair:
     """The keys of a client of this name, or of the only one in the folder. Raises ConfigError."""
     own = folder / _CLIENTS / f"{name}.secret"
     if _NAME.fullmatch(name) and own.exists():
-        return _pair(own)
+        return _load_pair(own)
     secrets = sorted((folder / _CLIENTS).glob("*.secret"))
     if len(secrets) != 1:
         raise ConfigError(
-            f"{own}: not found, but {len(secrets)} other secret keys; expected this one, or a single one"
+            f"{own}: not found, but {len(secrets)} other secret keys; "
+            "expected this one, or a single one"
         )
-    return _pair(secrets[0])
+    return _load_pair(secrets[0])
 
 
 def known_names(folder: Path) -> tuple[str, ...]:
@@ -90,7 +94,7 @@ def known_names(folder: Path) -> tuple[str, ...]:
 
 
 def server_public(folder: Path) -> bytes:
-    """What a client knows of its server. Raises ConfigError when it is not there."""
+    """The server's public key, which its clients have. Raises ConfigError when it is missing."""
     return _load(folder / "server.public")[0]
 
 
@@ -101,7 +105,7 @@ def is_loopback(address: str) -> bool:
     (True, False)
 
     Raises:
-        ConfigError: It is none.
+        ConfigError: It is no TCP address.
     """
     match = _ADDRESS.fullmatch(address)
     if match is None or (match["port"] != "*" and int(match["port"]) > 65535):
@@ -118,13 +122,13 @@ def is_loopback(address: str) -> bool:
 
 
 class KnownKeys:
-    """The clients whose public keys are in a folder, read again when it changes: one that was taken out lets nobody in.
+    """The clients whose public keys are in a folder, which is read again when it changes.
 
-    A connection that stands already is not heard any more from then on.
+    A key that was taken out lets no client in. Messages of its open connections are refused.
     """
 
     def __init__(self, folder: Path) -> None:
-        """Raises ConfigError when there is no key, or a file is none."""
+        """Read the folder. Raises ConfigError when it has no key, or a file that is no key."""
         self._folder = folder / _CLIENTS
         self._names: dict[str, str] = {}  # by public key, in text form
         self._state: tuple[tuple[str, int], ...] = ()
@@ -132,18 +136,19 @@ class KnownKeys:
         self._read()
         if not self._names:
             raise ConfigError(
-                f"{self._folder}: contains no NAME.public of a client; expected one for each client that may join"
+                f"{self._folder}: contains no NAME.public of a client; "
+                "expected one for each client that may join"
             )
 
     def guard(self, context: zmq.Context[zmq.Socket[bytes]]) -> ThreadAuthenticator:
-        """Let in, over the sockets of a context, the clients with these keys; to be stopped."""
+        """Start to admit these clients to the sockets of a context; the result is to be stopped."""
         guard = ThreadAuthenticator(context)
         guard.start()
         guard.configure_curve_callback("*", self)
         return guard
 
     def name(self, key: str) -> str:
-        """Whose key this is, "" for one that is not known any more; the folder is looked at once a second."""
+        """The client of this key, "" for an unknown key; reads the folder once a second."""
         now_s = time.monotonic()
         if now_s - self._looked_s > LOOK_S:
             self._looked_s = now_s
@@ -152,7 +157,10 @@ class KnownKeys:
         return self._names.get(key, "")
 
     def callback(self, domain: str, key: bytes) -> bool:
-        """What zmq.auth asks, in a thread of its own: whether a client with this public key (in text form) may come."""
+        """Whether a client with this public key (in text form) may connect.
+
+        zmq.auth calls this in a thread of its own.
+        """
         del domain
         try:
             self._read()
@@ -170,15 +178,16 @@ class KnownKeys:
 
 
 def _make_pair(folder: Path, name: str) -> None:
-    """Write both files of a party; the secret one is its owner's alone from the first byte."""
-    with tempfile.TemporaryDirectory(dir=folder, prefix=".new-") as work:  # noqa: TID251 - beside them
+    """Write both files of a party; other users can never read the secret one."""
+    # Beside the files: within one file system a move is a rename.
+    with tempfile.TemporaryDirectory(dir=folder, prefix=".new-") as work:  # noqa: TID251
         public, secret = zmq.auth.create_certificates(work, name)
         Path(secret).chmod(0o600)
         shutil.move(secret, folder / f"{name}.secret")
         shutil.move(public, folder / f"{name}.public")
 
 
-def _pair(path: Path) -> _KeyPair:
+def _load_pair(path: Path) -> _KeyPair:
     public, secret = _load(path)
     if secret is None:
         raise ConfigError(f"{path}: contains no secret key; expected a file made by --make-keys")
@@ -196,6 +205,6 @@ def _load(path: Path) -> tuple[bytes, bytes | None]:
             f"{path}: the key cannot be read ({error}); make keys with --make-keys"
         ) from None
     for key in (public, secret):
-        if key is not None and len(key) != 40:
-            raise ConfigError(f"{path}: the key has {len(key)} characters; expected 40")
+        if key is not None and len(key) != _KEY_LENGTH:
+            raise ConfigError(f"{path}: the key has {len(key)} characters; expected {_KEY_LENGTH}")
     return public, secret

@@ -1,7 +1,7 @@
-"""The sockets of a server: one for clients on the same machine, one for others when it listens for them.
+"""The sockets of a server: one for clients on the same machine, one for others, if it listens.
 
-Nobody on the other side can make the server wait: messages to a peer that does not read are dropped (clients ask
-again), and a peer that sends more than its share is not read.
+No peer can make the server wait. Messages to a peer that does not read are dropped, because clients
+repeat their requests; a peer that sends more than its share is not read.
 """
 
 from __future__ import annotations
@@ -9,9 +9,10 @@ from __future__ import annotations
 import logging
 import os
 import select
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Container, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import zmq
 from zmq.auth.thread import ThreadAuthenticator
@@ -25,29 +26,36 @@ from wcsim.server.transport.keys import KnownKeys, is_loopback, server_keys
 
 log = logging.getLogger("wcsim.server.transport.sockets")
 
-LOCAL, REMOTE = b"L", b"R"  # first byte of a peer's name: which door it came through
-QUEUE = 128  # whole messages of a peer that are not read yet: 1 MiB at most; of one that does not end, see SECURITY.md
-_SEND_QUEUE = {
-    LOCAL: 128,
-    REMOTE: 16,
-}  # to a peer that does not read; over the network pictures are inside
-_LINGER_MS = 500
-BATCH = 256  # messages that are taken in at a time
-_HANDSHAKE_MS = 5_000  # a connection that has not shown its key by then is closed
-_IPC_PATH_BYTES = 107
-_CUT_S = 5  # a machine that vanished, or cannot be reached any more, says nothing
-_HEARTBEAT_S = 6  # a process that a signal holds does not answer
+# The first byte of a peer's name: the socket that it uses.
+LOCAL: Final = b"L"
+REMOTE: Final = b"R"
+# Unread messages of a peer: 1 MiB at most. For one message that does not end see SECURITY.md.
+QUEUE: Final = 128
+BATCH: Final = 256  # messages that are received at a time
+MAX_PEERS: Final = 64
+# A sole master in a world that costs nothing sends 2,500 (measured).
+MESSAGES_PER_S: Final = 10_000.0
+BURST: Final = 10_000.0
+MOST_FAULTS: Final = 20  # messages that are unreadable or too fast, after which a peer is shut out
+# Messages to a peer that does not read. Over the network pictures are inside.
+_SEND_QUEUE: Final = {LOCAL: 128, REMOTE: 16}
+_LINGER_MS: Final = 500
+_HANDSHAKE_MS: Final = 5_000  # a connection that has not shown its key by then is closed
+_IPC_PATH_BYTES: Final = 107
+_CUT_S: Final = 5  # a machine that vanished, or cannot be reached any more, sends nothing
+_HEARTBEAT_S: Final = 6  # a process that a signal holds does not answer
 # Measured: as members of an enum, these take longer to combine than a message takes to send.
-_NOW, _MORE, _IN, _EVENTS = (
-    int(zmq.NOBLOCK),
-    int(zmq.NOBLOCK | zmq.SNDMORE),
-    int(zmq.POLLIN),
-    int(zmq.EVENTS),
-)
+_NOW: Final = int(zmq.NOBLOCK)
+_MORE: Final = int(zmq.NOBLOCK | zmq.SNDMORE)
+_IN: Final = int(zmq.POLLIN)
+_EVENTS: Final = int(zmq.EVENTS)
 
 
-class Heard(NamedTuple):
-    """A message; `key` names the one that its peer has shown: "" for one that was taken back, None without keys."""
+class IncomingMessage(NamedTuple):
+    """A message; `key` is the name of the key that its peer has shown.
+
+    It is "" for a key that was withdrawn, None where no key is needed.
+    """
 
     peer: Peer
     data: bytes
@@ -58,10 +66,11 @@ class ServerSockets(Closing):
     """Where messages come in and go out; a context manager."""
 
     def __init__(self, endpoint: str, listen: str = "", keys: str = "") -> None:
-        """Open the doors.
+        """Open the sockets.
 
         Args:
-            endpoint: ipc://FILE for clients on this machine; its folder is made so that only its owner can enter it.
+            endpoint: ipc://FILE for clients on this machine. Its folder is made so that only its
+                owner can enter it.
             listen: tcp://HOST:PORT for others, "" for none.
             keys: Folder of keys, see `server/transport/keys.py`; "" for none.
 
@@ -71,23 +80,33 @@ class ServerSockets(Closing):
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
         self._wakes = select.epoll()
         self._watched: set[int] = set()
-        self._empty: set[bytes] = set()  # doors that had no news when they were last touched
+        # The sides (LOCAL, REMOTE) whose sockets were empty when they were last used.
+        self._empty: set[bytes] = set()
         self._guard: ThreadAuthenticator | None = None
-        self._monitor: zmq.Socket[bytes] | None = (
-            None  # tells of connections of other machines that have ended
-        )
-        self._numbers: set[int] = set()  # descriptors of connections
-        self._connected: dict[int, Peer] = {}  # who speaks through them
-        self._ended: set[Peer] = (
-            set()
-        )  # connections that are over, as long as words of theirs may be on the way
-        self._lost: set[Peer] = set()  # of these, those that were not told yet
+        # Events of connections of other machines.
+        self._monitor: zmq.Socket[bytes] | None = None
+        self._open_fds: set[int] = set()  # descriptors of connections
+        self._peers: dict[int, Peer] = {}  # the peers that have used these descriptors
+        # Connections that are over, as long as messages of theirs may still be in the queue.
+        self._ended: set[Peer] = set()
+        self._lost: set[Peer] = set()  # of these, those that `take_lost` has not returned yet
         self._keys: KnownKeys | None = None
         self._sockets: dict[bytes, zmq.Socket[bytes]] = {}
         try:
-            self._open(LOCAL, _ipc(endpoint), None)
+            self._open(LOCAL, _ipc_address(endpoint), None)
             if listen:
-                self._listen(listen, keys)
+                # An address that is reachable from other machines needs keys.
+                is_private = is_loopback(listen)
+                if keys:
+                    self._keys = KnownKeys(Path(keys))
+                    self._guard = self._keys.guard(self._context)
+                elif not is_private:
+                    raise ConfigError(
+                        f"{listen} can be reached from other machines; "
+                        "expected a folder of keys for it (--keys), "
+                        "or an address of this machine alone, such as tcp://127.0.0.1:5555"
+                    )
+                self._open(REMOTE, listen, Path(keys) if keys else None)
         except BaseException:
             self.close()
             raise
@@ -104,47 +123,49 @@ class ServerSockets(Closing):
         self._watched.add(fileno)
 
     def wait(self, most_ms: int) -> bool:
-        """Until something has come, not longer than that; returns whether it came from a watched descriptor."""
-        # A ZeroMQ descriptor wakes once for news of any kind; whether there is a message, EVENTS says (measured: this
-        # takes a fifth of the time of zmq.Poller). To ask for it takes longer than to receive a message.
-        for door, socket in self._sockets.items():
-            if door not in self._empty and _has_news(socket):
+        """Wait until something can be read; returns whether from a watched descriptor."""
+        # A ZeroMQ descriptor wakes once for events of any kind. EVENTS says whether there is a
+        # message (measured: in a fifth of the time of zmq.Poller, but longer than to receive one).
+        for side, socket in self._sockets.items():
+            if side not in self._empty and _is_readable(socket):
                 return False
         self._empty.clear()
         return any(number in self._watched for number, _ in self._wakes.poll(1e-3 * most_ms))
 
-    def messages(self) -> Iterator[Heard]:
-        """What has come, not more than a batch of each door; what has not one part is empty."""
-        for door, socket in self._sockets.items():
+    def messages(self) -> Iterator[IncomingMessage]:
+        """Receive what is there, at most a batch from each socket.
+
+        A message of several parts comes as an empty one.
+        """
+        for side, socket in self._sockets.items():
             for _ in range(BATCH):
-                if not _has_news(socket):
-                    self._empty.add(door)
-                    if door == REMOTE:
+                if not _is_readable(socket):
+                    self._empty.add(side)
+                    if side == REMOTE:
                         self._ended &= self._lost
                     break
-                peer, last = socket.recv(_NOW), socket.recv(_NOW, copy=False)
+                peer = side + socket.recv(_NOW)
+                last = socket.recv(_NOW, copy=False)
                 if last.more:
                     socket.recv_multipart(_NOW)
-                if door == REMOTE and not self._is_heard(door + peer, int(last.get(zmq.SRCFD))):
+                if side == REMOTE and not self._note_use(peer, int(last.get(zmq.SRCFD))):
                     continue
-                key = (
-                    None
-                    if self._keys is None or door == LOCAL
-                    else self._keys.name(str(last.get("User-Id")))
-                )
-                yield Heard(door + peer, b"" if last.more else last.bytes, key)
+                key = None
+                if self._keys is not None and side == REMOTE:
+                    key = self._keys.name(str(last.get("User-Id")))
+                yield IncomingMessage(peer, b"" if last.more else last.bytes, key)
 
-    def lost(self) -> set[Peer]:
-        """Peers on other machines whose connections have ended since the last call."""
+    def take_lost(self) -> set[Peer]:
+        """Take the peers on other machines whose connections ended since the last call."""
         self._note_ends()
         lost, self._lost = self._lost, set()
         return lost
 
     def send(self, peer: Peer, parts: Sequence[bytes]) -> None:
         """Send messages together, or drop them when the peer is gone or does not read."""
-        door = peer[:1]
-        socket = self._sockets[door]
-        self._empty.discard(door)
+        side = peer[:1]
+        socket = self._sockets[side]
+        self._empty.discard(side)
         *most, last = peer[1:], *parts
         try:
             for part in most:
@@ -154,7 +175,7 @@ class ServerSockets(Closing):
             log.debug("dropped a message to a client that does not read")
 
     def close(self) -> None:
-        """Close all; what was said last has a moment to get out. A second call does nothing."""
+        """Close all; the last messages have a moment to go out. A second call does nothing."""
         if self._guard is not None:
             self._guard.stop()
             self._guard = None
@@ -168,60 +189,50 @@ class ServerSockets(Closing):
         self._context.term()
         self._wakes.close()
 
-    def _is_heard(self, peer: Peer, number: int) -> bool:
-        """Whether a peer that speaks through this descriptor has not been told as lost."""
-        if peer not in self._ended and self._connected.get(number) != peer:
+    def _note_use(self, peer: Peer, number: int) -> bool:
+        """Note that a peer uses this descriptor; returns whether its message still counts.
+
+        The message of a peer that `take_lost` has returned does not.
+        """
+        if peer not in self._ended and self._peers.get(number) != peer:
             self._note_ends()
-            before = self._connected.pop(number, None)
-            if before is not None:  # a descriptor is another's only when its connection is over
-                self._end(before)
-            if number in self._numbers:
-                self._connected[number] = peer
-            else:  # it has spoken and gone, and its end was told before its words
-                self._end(peer)
+            # The kernel gives a descriptor to another peer only after its connection has ended.
+            before = self._peers.pop(number, None)
+            if before is not None:
+                self._note_end(before)
+            if number in self._open_fds:
+                self._peers[number] = peer
+            else:  # the event of its end was faster than its message
+                self._note_end(peer)
         return peer not in self._ended or peer in self._lost
 
-    def _end(self, peer: Peer) -> None:
-        self._ended.add(peer)
-        self._lost.add(peer)
-
     def _note_ends(self) -> None:
-        while self._monitor is not None and _has_news(self._monitor):
+        while self._monitor is not None and _is_readable(self._monitor):
             event = recv_monitor_message(self._monitor, _NOW)
             number = int(event["value"])
             if event["event"] == zmq.EVENT_ACCEPTED:
-                self._numbers.add(number)
+                self._open_fds.add(number)
                 continue
-            self._numbers.discard(number)
-            peer = self._connected.pop(number, None)
+            self._open_fds.discard(number)
+            peer = self._peers.pop(number, None)
             if peer is not None:
-                self._end(peer)
+                self._note_end(peer)
 
-    def _listen(self, address: str, keys: str) -> None:
-        if not keys:
-            if not is_loopback(address):
-                raise ConfigError(
-                    f"{address} can be reached from other machines; expected a folder of keys for it (--keys), "
-                    "or an address of this machine alone, such as tcp://127.0.0.1:5555"
-                )
-            self._open(REMOTE, address, None)
-            return
-        is_loopback(address)
-        self._keys = KnownKeys(Path(keys))
-        self._guard = self._keys.guard(self._context)
-        self._open(REMOTE, address, Path(keys))
+    def _note_end(self, peer: Peer) -> None:
+        self._ended.add(peer)
+        self._lost.add(peer)
 
-    def _open(self, door: bytes, address: str, keys: Path | None) -> None:
+    def _open(self, side: bytes, address: str, keys: Path | None) -> None:
         socket = self._context.socket(zmq.ROUTER)
-        self._sockets[door] = socket
+        self._sockets[side] = socket
         socket.setsockopt(zmq.LINGER, _LINGER_MS)
         socket.setsockopt(zmq.MAXMSGSIZE, m.MAX_REQUEST_BYTES)
-        socket.setsockopt(zmq.SNDHWM, _SEND_QUEUE[door])
+        socket.setsockopt(zmq.SNDHWM, _SEND_QUEUE[side])
         socket.setsockopt(zmq.RCVHWM, QUEUE)
         socket.setsockopt(zmq.IPV6, address.startswith("tcp://["))
-        if door == REMOTE:
+        if side == REMOTE:
             socket.setsockopt(zmq.HANDSHAKE_IVL, _HANDSHAKE_MS)
-            self._monitor = monitored(socket, zmq.EVENT_ACCEPTED | zmq.EVENT_DISCONNECTED)
+            self._monitor = open_monitor(socket, zmq.EVENT_ACCEPTED | zmq.EVENT_DISCONNECTED)
             self.watch(int(self._monitor.getsockopt(zmq.FD)))
         if keys is not None:
             pair = server_keys(keys)
@@ -234,48 +245,106 @@ class ServerSockets(Closing):
                 f"{address}: cannot be opened ({error.strerror}); choose another address"
             ) from None
         self._wakes.register(int(socket.getsockopt(zmq.FD)), select.EPOLLIN)
-        if door == LOCAL:
+        if side == LOCAL:
             Path(address.removeprefix("ipc://")).chmod(0o600)
 
 
-def monitored(socket: zmq.Socket[bytes], events: int) -> zmq.Socket[bytes]:
-    """Where news of a socket's connections come in, for `recv_monitor_message`; without a bound. Before it has any.
+class PeerLimits:
+    """How much each peer may send: a token bucket, and a count of faults that shuts it out."""
 
-    ZeroMQ's thread waits where news are not read, and every connection with it; so its own bound of 2,000 goes.
+    def __init__(self) -> None:
+        self._accounts: dict[Peer, _Account] = {}
 
-    The kernel ends TCP connections to a machine that is not there any more. It answers for a process that is stopped;
-    ZeroMQ's heartbeats do not. They are answered by a thread of its own, however long the process computes.
+    def admit(
+        self, peer: Peer, now_s: float, members: Callable[[], Container[Peer]]
+    ) -> bool | None:
+        """Charge a peer for a message; returns whether to read it, None to not even answer it.
+
+        Args:
+            peer: The sender.
+            now_s: The time.
+            members: Returns the peers whose accounts stay whatever others send.
+        """
+        # 1. Find or open the account. Of strangers the one that was silent for longest makes room,
+        #    so that a crowd of them cannot keep a client out.
+        account = self._accounts.get(peer)
+        if account is None:
+            if len(self._accounts) >= MAX_PEERS:
+                present = members()
+                strangers = [other for other in self._accounts if other not in present]
+                if not strangers:
+                    return None
+                del self._accounts[min(strangers, key=lambda other: self._accounts[other].last_s)]
+            account = self._accounts[peer] = _Account(tokens=BURST, last_s=now_s)
+        # 2. Charge it.
+        if account.faults >= MOST_FAULTS:
+            return None
+        earned = MESSAGES_PER_S * (now_s - account.last_s)
+        account.tokens = min(BURST, account.tokens + earned) - 1.0
+        account.last_s = now_s
+        if account.tokens >= 0.0:
+            return True
+        account.tokens = 0.0
+        account.faults += 1
+        return False
+
+    def add_fault(self, peer: Peer) -> None:
+        """A message of the peer was unreadable."""
+        account = self._accounts.get(peer)
+        if account is not None:
+            account.faults += 1
+
+    def is_shut_out(self, peer: Peer) -> bool:
+        """Whether no message of the peer is read any more."""
+        account = self._accounts.get(peer)
+        return account is not None and account.faults >= MOST_FAULTS
+
+
+@dataclass(slots=True)
+class _Account:
+    tokens: float
+    last_s: float  # of the last message
+    faults: int = 0
+
+
+def open_monitor(socket: zmq.Socket[bytes], events: int) -> zmq.Socket[bytes]:
+    """A socket for `recv_monitor_message`, with the events of another one's connections.
+
+    To be called before that has any connection. It also has heartbeats from now on, so that
+    connections to machines and processes that do not answer end.
     """
     socket.setsockopt(zmq.HEARTBEAT_IVL, 1000)
     socket.setsockopt(zmq.HEARTBEAT_TIMEOUT, 1000 * _HEARTBEAT_S)
+    # The kernel ends TCP connections to a machine that is not there any more, but answers for a
+    # process that is stopped. ZeroMQ's heartbeats do not: a thread of the process answers them,
+    # however long it computes.
     socket.setsockopt(zmq.TCP_KEEPALIVE, 1)
     socket.setsockopt(zmq.TCP_KEEPALIVE_IDLE, 2)
     socket.setsockopt(zmq.TCP_KEEPALIVE_INTVL, 1)
     socket.setsockopt(zmq.TCP_KEEPALIVE_CNT, _CUT_S - 2)
     socket.setsockopt(zmq.TCP_MAXRT, 1000 * _CUT_S)
-    news: zmq.Socket[bytes] = socket.context.socket(zmq.PAIR)
-    news.setsockopt(zmq.RCVHWM, 0)
+    monitor: zmq.Socket[bytes] = socket.context.socket(zmq.PAIR)
+    # No bound: ZeroMQ's thread waits for room for its events, and every connection with it. Its
+    # own bound is 2,000.
+    monitor.setsockopt(zmq.RCVHWM, 0)
     address = f"inproc://news-{socket.underlying}"
     socket.monitor(address, events)
-    news.connect(address)
-    return news
+    monitor.connect(address)
+    return monitor
 
 
-def _has_news(socket: zmq.Socket[bytes]) -> bool:
+def _is_readable(socket: zmq.Socket[bytes]) -> bool:
     return bool(int(socket.getsockopt(_EVENTS)) & _IN)
 
 
-def _ipc(endpoint: str) -> str:
-    """The address, after its folder was made. Raises ConfigError."""
+def _ipc_address(endpoint: str) -> str:
+    """The address of an endpoint, after its folder was made. Raises ConfigError."""
     path = Path(endpoint.removeprefix("ipc://"))
-    if (
-        not endpoint.startswith("ipc://")
-        or not path.is_absolute()
-        or len(os.fsencode(path)) > _IPC_PATH_BYTES
-    ):
-        most = _IPC_PATH_BYTES
+    is_short = len(os.fsencode(path)) <= _IPC_PATH_BYTES
+    if not endpoint.startswith("ipc://") or not path.is_absolute() or not is_short:
         raise ConfigError(
-            f"endpoint {endpoint!r}: expected ipc:// and an absolute path of {most} bytes at most"
+            f"endpoint {endpoint!r}: expected ipc:// and an absolute path of {_IPC_PATH_BYTES} "
+            "bytes at most"
         )
     try:
         path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
