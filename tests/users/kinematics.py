@@ -121,7 +121,7 @@ class Sim:
         for _ in range(SUBSTEPS):
             if not self.frozen:
                 self.chair.drive(stick, TICK_S / SUBSTEPS)
-        self.user.hand(SUBSTEPS, TICK_S / SUBSTEPS)
+        self.user.move_hand(SUBSTEPS, TICK_S / SUBSTEPS)
         self.time_s += TICK_S
         self.user.look(self.view())
         self.track.xy.append(self.chair.middle())

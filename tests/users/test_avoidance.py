@@ -9,15 +9,15 @@ from hypothesis import strategies as st
 
 from tests.support.samples import straight_route
 from wcsim.users.avoidance import Body, choose_lane
-from wcsim.users.perception import NoticedObject
+from wcsim.users.perception import DetectedObject
 from wcsim.users.route_line import Path
 
 PATH = Path(straight_route())
 BODY = Body(x_m=10.0, y_m=5.5, yaw_rad=0.0, speed_mps=1.3, arc_m=10.0, left_m=0.0, half_m=(0.57, 0.31))
 
 
-def thing(ahead, left, vx=0.0, vy=0.0, radius=0.2) -> NoticedObject:
-    return NoticedObject(x_m=10.0 + ahead, y_m=5.5 + left, radius_m=radius, vx_mps=vx, vy_mps=vy)
+def thing(ahead, left, vx=0.0, vy=0.0, radius=0.2) -> DetectedObject:
+    return DetectedObject(x_m=10.0 + ahead, y_m=5.5 + left, radius_m=radius, vx_mps=vx, vy_mps=vy)
 
 
 def lanes(*things):

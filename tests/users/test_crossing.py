@@ -11,7 +11,7 @@ from tests.users.actors import actor, make_user
 from tests.users.kinematics import Chair, Sim, polyline
 from wcsim.core.seeding import generator
 from wcsim.types import ActorKind, Route, SignalState, Street, UserView, WalkGraph
-from wcsim.users.crossing import Kerbs, _has_light, _vehicle_comes, crossings, is_red
+from wcsim.users.crossing import CrossingStops, _has_conflict, _has_light, crossings, is_red
 from wcsim.users.route_line import Path
 
 
@@ -90,14 +90,14 @@ def test_without_a_light_nothing_is_red():
     ],
 )
 def test_vehicles(vehicle, comes):
-    assert _vehicle_comes(ROAD, (vehicle,)) == comes
+    assert _has_conflict(ROAD, (vehicle,)) == comes
 
 
 @pytest.mark.parametrize(
     ("colours", "from_m", "waits"), [("rGGr", 28.0, False), ("rGGr", 22.0, True), ("oooo", 28.0, True)]
 )
 def test_at_green_those_far_away_have_red_and_are_not_waited_for(colours, from_m, waits):
-    here = Kerbs(crossings(ROUTE, walk("t", (1, 2))), Path(ROUTE), None, 1.0, generator(0, "user"), 0.57)
+    here = CrossingStops(crossings(ROUTE, walk("t", (1, 2))), Path(ROUTE), None, 1.0, generator(0, "user"), 0.57)
     red, now = (SignalState(tls_id="t", colours="GrrG"),), (SignalState(tls_id="t", colours=colours),)
     assert here.stop_m(10.6, 59.9, red, ()) is not None
     comes = actor(ActorKind.CAR, 40.0 - from_m, -2.0, v=10.0)
@@ -126,7 +126,7 @@ def test_whether_a_light_is_obeyed_does_not_depend_on_how_the_user_came_to_it():
 def test_each_crossing_of_a_route_has_a_draw_of_its_own_whichever_is_come_to():
     far = replace(ROAD, start_m=60.0, end_m=68.0)
     for seed in range(12):
-        both, one = (Kerbs((ROAD, far), Path(ROUTE), None, 0.5, generator(seed), 0.57) for _ in range(2))
+        both, one = (CrossingStops((ROAD, far), Path(ROUTE), None, 0.5, generator(seed), 0.57) for _ in range(2))
         for here, places_m in ((both, (10.6, 59.0)), (one, (59.0,))):
             for arc_m in places_m:
                 here.stop_m(arc_m, 1.0, (), ())
@@ -150,7 +150,7 @@ def test_each_crossing_of_a_route_has_a_draw_of_its_own_whichever_is_come_to():
     ],
 )
 def test_who_rides_on_the_road_is_waited_for(kind, x, y, yaw, v, waits):
-    here = Kerbs(crossings(ROUTE, walk()), Path(ROUTE), STREET.grid, 1.0, generator(0, "user"), 0.57)
+    here = CrossingStops(crossings(ROUTE, walk()), Path(ROUTE), STREET.grid, 1.0, generator(0, "user"), 0.57)
     assert (here.stop_m(10.6, 1.0, (), (actor(kind, x, y, yaw, v),)) is not None) == waits
 
 

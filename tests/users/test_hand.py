@@ -19,7 +19,7 @@ QUIET = replace(profile("competent"), noise=0.0, reaction_s=0.3, lag_s=0.1)
 
 
 def moved(hand, wish, seconds, dt_s=DT_S):
-    hand.want(wish)
+    hand.send_intent(wish)
     steps = round(TICK_S / dt_s)
     return np.concatenate([hand.move(steps, dt_s) for _ in range(round(seconds / TICK_S))])
 

@@ -29,7 +29,7 @@ def view(time_s=0.0, actors=(), obstacles=(), yaw=0.0) -> UserView:
 
 
 def notices(name, seed, **what) -> bool:
-    seen = Perception(profile(name), generator(seed)).look(view(**what))
+    seen = Perception(profile(name), generator(seed)).update(view(**what))
     return bool(seen.things or seen.vehicles)
 
 
@@ -42,7 +42,7 @@ def test_the_chance_to_notice_is_the_profiles():
 def test_what_was_missed_stays_missed_and_what_was_seen_stays_seen():
     for seed in range(30):
         perception = Perception(profile("inattentive"), generator(seed))
-        answers = {len(perception.look(view(0.1 * i, obstacles=[(2.0, 0.01 * i, 0.1)])).things) for i in range(30)}
+        answers = {len(perception.update(view(0.1 * i, obstacles=[(2.0, 0.01 * i, 0.1)])).things) for i in range(30)}
         assert len(answers) == 1
 
 
@@ -69,7 +69,7 @@ def test_how_far_and_where_things_are_noticed(what, expected):
 
 
 def look(*actors, name="competent", seed=0):
-    return Perception(profile(name), generator(seed)).look(view(actors=actors))
+    return Perception(profile(name), generator(seed)).update(view(actors=actors))
 
 
 @pytest.mark.parametrize("kind", [ActorKind.BICYCLE, ActorKind.SCOOTER])
@@ -94,27 +94,29 @@ def test_a_rider_near_by_is_gone_around_as_people_are_and_noticed_or_missed_as_b
 
 @pytest.mark.parametrize(("ahead_m", "near"), [(24.0, True), (26.0, False)])
 def test_a_vehicle_far_away_is_watched_and_nothing_to_go_around_yet(ahead_m, near):
-    seen = Perception(profile("competent"), generator(0)).look(view(actors=[actor(ActorKind.CAR, ahead_m, 0.0, v=9.0)]))
+    seen = Perception(profile("competent"), generator(0)).update(
+        view(actors=[actor(ActorKind.CAR, ahead_m, 0.0, v=9.0)])
+    )
     assert len(seen.vehicles) == 1 and bool(seen.things) == near
 
 
 def test_attention_has_its_share_and_length():
     perception = Perception(profile("inattentive"), generator(3))
-    attentive = np.array([perception.attend(0.1) for _ in range(40_000)])
+    attentive = np.array([perception.step_attention(0.1) for _ in range(40_000)])
     assert 1.0 - attentive.mean() == pytest.approx(0.3, abs=0.03)
     ends = np.count_nonzero(attentive[1:] & ~attentive[:-1])
     assert np.count_nonzero(~attentive) * 0.1 / ends == pytest.approx(2.0, abs=0.2)
     lengths = np.diff(np.flatnonzero(np.diff(attentive.astype(int))))
     assert lengths[attentive[np.flatnonzero(np.diff(attentive.astype(int)))[1:]] == 0].max() <= 42
     turning = Perception(profile("inattentive"), generator(3))
-    assert all(turning.attend(0.1, calm=False) for _ in range(1000))
-    turning.attend(0.1, calm=True)
+    assert all(turning.step_attention(0.1, calm=False) for _ in range(1000))
+    turning.step_attention(0.1, calm=True)
     assert not turning.attentive  # what was put off comes when there is time for it
-    turning.attend(0.1, calm=True)
-    assert turning.attend(0.1, heeds=True)  # a light ahead ends it,
-    assert all(turning.attend(0.1, heeds=True) for _ in range(1000))  # and puts the next one off
+    turning.step_attention(0.1, calm=True)
+    assert turning.step_attention(0.1, heeds=True)  # a light ahead ends it,
+    assert all(turning.step_attention(0.1, heeds=True) for _ in range(1000))  # and puts the next one off
     always = Perception(profile("competent"), generator(3))
-    assert all(always.attend(0.1) for _ in range(100))
+    assert all(always.step_attention(0.1) for _ in range(100))
 
 
 def test_a_long_box_becomes_a_row_of_discs_that_covers_it():

@@ -13,14 +13,14 @@ from wcsim.users.profiles import (
     PROFILE_LIMITS,
     UserProfile,
     _read_profile,
-    is_of_file,
+    is_user_file,
     profile,
+    profile_from_json,
     profile_json,
     profile_names,
-    profile_of_json,
-    profile_text,
-    recordings,
+    profile_toml,
     sample,
+    user_files,
 )
 from wcsim.users.recordings.recorded_user import find_user
 
@@ -70,10 +70,10 @@ def test_a_bias_ahead_is_spread_as_one_to_the_side_is():
 def test_what_is_written_is_read(tmp_path, name):
     user = replace(sample(profile(name), generator(3, "user")), spread=0.1)
     file = tmp_path / "me.toml"
-    file.write_text(profile_text(user, {"lag_s": "0.1 to 0.2"}, "a head\nof two lines"))
+    file.write_text(profile_toml(user, {"lag_s": "0.1 to 0.2"}, "a head\nof two lines"))
     assert _read_profile(file) == find_user(str(file)) == user
     assert "# a head\n# of two lines\n" in file.read_text() and "# 0.1 to 0.2\n" in file.read_text()
-    assert profile_of_json(profile_json(user), "there") == user
+    assert profile_from_json(profile_json(user), "there") == user
 
 
 def test_every_number_of_a_profile_has_bounds_and_every_profile_keeps_to_them():
@@ -123,5 +123,5 @@ def test_a_missing_file_is_named():
 
 def test_files_are_told_from_names():
     names = ("slow", "me.toml", "recorded:a.drive", "me.toml")
-    assert [is_of_file(name) for name in names] == [False, True, True, True]
-    assert recordings(names) == ("me.toml", "recorded:a.drive")
+    assert [is_user_file(name) for name in names] == [False, True, True, True]
+    assert user_files(names) == ("me.toml", "recorded:a.drive")

@@ -10,13 +10,13 @@ from tests.support.samples import USUAL_OUTLINE, cell_middles, strip_street
 from tests.users.actors import make_user
 from tests.users.kinematics import Chair, Sim, polyline
 from wcsim.types import StreetGrid
-from wcsim.users.turning import Axle, plan_turn
+from wcsim.users.turning import AxlePose, plan_turn
 
 STREET = strip_street()
 
 
 def plan(y, yaw, error, grid=STREET.grid, x=15.0, backwards=True):
-    return plan_turn(grid, USUAL_OUTLINE, Axle(x_m=x, y_m=y, yaw_rad=yaw), error, backwards)
+    return plan_turn(grid, USUAL_OUTLINE, AxlePose(x_m=x, y_m=y, yaw_rad=yaw), error, backwards)
 
 
 def walled(low_y: float, high_y: float, to_x: float = 1e9) -> StreetGrid:
@@ -90,8 +90,8 @@ def test_turning_in_a_hairpin_does_not_lead_back_to_its_first_leg():
 def test_who_has_turned_one_way_as_far_as_it_goes_does_not_turn_back():
     corner = walled(4.9, 6.2)
     first = plan(5.5, 0.0, 2.0, corner)
-    assert not first.whole
-    stuck = Axle(x_m=15.0, y_m=5.5, yaw_rad=first.turn_rad)
+    assert not first.complete
+    stuck = AxlePose(x_m=15.0, y_m=5.5, yaw_rad=first.turn_rad)
     back = plan_turn(corner, USUAL_OUTLINE, stuck, -1.5)
     assert back.turn_rad < 0.0 and not back.move_m
     again = plan_turn(corner, USUAL_OUTLINE, stuck, -1.5, tried=1.0)

@@ -19,7 +19,7 @@ from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.oracle import Oracle
 from wcsim.types import ActorKind, Joystick, SignalState
 from wcsim.users.avoidance import Body
-from wcsim.users.crossing import Kerbs, crossings
+from wcsim.users.crossing import CrossingStops, crossings
 from wcsim.users.profiles import profile, profile_names, sample
 from wcsim.users.route_line import Path
 from wcsim.users.user import SimulatedUser, steer
@@ -91,7 +91,7 @@ def test_on_the_inside_of_a_hairpin_the_user_looks_farther_along(lane_m):
     user = make_user()
     route = polyline((0, 0), (10, 0), (4, 5), step_m=0.5)
     user.follow(route)
-    user._lane_m = -lane_m
+    user._lanes.offset_m = -lane_m
     path = Path(route)
     for arc_m in np.arange(7.0, 12.0, 0.1).tolist():
         x, y = path.at(arc_m)
@@ -246,7 +246,7 @@ def test_a_look_away_lets_the_steering_go_and_goes_on_braking():
     user = sim.user
     while not 0.0 < user.intent.y < 0.35 or sim.chair.v < 0.6:  # it has seen them, and brakes
         sim.tick()
-    user._perception.attend = lambda dt_s, calm, heeds: False
+    user._perception.step_attention = lambda dt_s, calm, heeds: False
     user._intent = Joystick(0.19, user.intent.y)
     held = [user.intent]
     for _ in range(40):
@@ -258,13 +258,13 @@ def test_a_look_away_lets_the_steering_go_and_goes_on_braking():
     assert sim.chair.v < 0.05 and clearance_m(sim.chair.plant(), sim.actors) > 0.1
 
 
-def kerbs(route, ground=None) -> Kerbs:
+def stops(route, ground=None, law_share=1.0) -> CrossingStops:
     found = crossings(route, lit(STREET).walk)
-    return Kerbs(found, Path(route), ground, 1.0, generator(0, "user"), USUAL_OUTLINE.half_lw_m[0])
+    return CrossingStops(found, Path(route), ground, law_share, generator(0, "user"), USUAL_OUTLINE.half_lw_m[0])
 
 
 def test_who_has_rolled_over_the_line_at_red_waits_there_and_not_in_the_lane():
-    here, red, green = kerbs(over_the_road()), light(1e9)(0.0), light(0.0)(0.0)
+    here, red, green = stops(over_the_road()), light(1e9)(0.0), light(0.0)(0.0)
     stop_m = 11.5 - 0.5675 - 0.3
     assert [here.stop_m(arc_m, 0.0, red, ()) for arc_m in (4.0, 10.6, 11.4, 12.5)] == pytest.approx([stop_m] * 4)
     assert here.stop_m(12.6, 0.0, red, ()) is None  # the footplate is beyond the middle of the first lane
@@ -279,13 +279,13 @@ def test_who_comes_along_the_kerb_waits_before_the_front_can_swing_over_it(besid
     bare = polyline((30, y), (40, y), (40, 4), (40, -4), (40, -5.5), step_m=0.5)
     on_road = (bare.points_W_m[:, 1] <= 4) & (bare.points_W_m[:, 1] > -4)
     route = replace(bare, edge_index=np.where(on_road, 4, np.where(bare.points_W_m[:, 1] > 0, 0, 3)).astype(np.int32))
-    stop_m = kerbs(route, STREET.grid).stop_m(4.0, 0.0, light(1e9)(0.0), ())
+    stop_m = stops(route, STREET.grid).stop_m(4.0, 0.0, light(1e9)(0.0), ())
     assert stop_m == pytest.approx(10.0 + beside_m - before_m, abs=0.26)
 
 
 def test_who_comes_from_afar_after_a_short_green_moves_up_and_waits_for_the_next_one():
     """A green of 5 s that comes when the chair still has 2.9 m to the kerb: it stops behind it, and goes next time."""
-    here, red, green = kerbs(over_the_road()), light(1e9)(0.0), light(0.0)(0.0)
+    here, red, green = stops(over_the_road()), light(1e9)(0.0), light(0.0)(0.0)
     assert here.stop_m(8.0, 0.0, red, ()) is not None
     assert here.stop_m(8.0, 0.1, green, ()) is None  # it may get there
     for age_s in (1.0, 3.0, 5.0):
@@ -311,11 +311,13 @@ def test_who_comes_to_the_kerb_as_a_short_green_ends_does_not_enter_at_red():
 
 
 def test_who_obeys_keeps_a_light_in_sight_from_just_before_the_kerb():
-    here = kerbs(over_the_road())
+    here = stops(over_the_road())
     for arc_m, heeds in ((4.0, False), (8.3, False), (8.6, True), (10.9, True), (11.3, False)):
         here.stop_m(arc_m, 0.0, light(0.0)(0.0), ())
         assert here.heeds_light(arc_m) == heeds
-    careless = Kerbs(crossings(over_the_road(), lit(STREET).walk), Path(over_the_road()), None, 0.0, generator(0), 0.57)
+    careless = CrossingStops(
+        crossings(over_the_road(), lit(STREET).walk), Path(over_the_road()), None, 0.0, generator(0), 0.57
+    )
     careless.stop_m(10.0, 0.0, light(0.0)(0.0), ())
     assert not careless.heeds_light(10.0)
 
@@ -398,7 +400,7 @@ def test_the_same_seed_is_the_same_user():
 def test_before_its_first_route_the_user_does_nothing():
     user = make_user()
     assert user.joystick == Joystick(0.0, 0.0)
-    user.hand(2, 0.004)
+    user.move_hand(2, 0.004)
     assert user.sticks.shape == (2, 2) and np.hypot(*user.sticks.T).max() < 0.05
     assert user.route_progress_m == 0.0 and user.intent == Joystick(0.0, 0.0)
 
@@ -406,7 +408,7 @@ def test_before_its_first_route_the_user_does_nothing():
 @pytest.mark.parametrize(("steps", "dt_s"), [(24, 0.0), (24, 0.1), (24, math.nan), (0, 0.004)])
 def test_an_impossible_step_is_refused(steps, dt_s):
     with pytest.raises(ConfigError, match="at least one"):
-        make_user("slow").hand(steps, dt_s)
+        make_user("slow").move_hand(steps, dt_s)
 
 
 def test_a_user_knows_the_dead_band_and_the_shape_of_its_own_chair():
@@ -431,7 +433,7 @@ def asks(ask_share: float, seed: int = 0) -> tuple[list[float], list[Joystick]]:
         appears = [t for t in (8.0, 9.0, 20.0) if t <= sim.time_s < t + 0.3]
         sim.actors = tuple(actor(PERSON, ahead, 5.5, name=f"p{t}") for t in appears)
         sim.tick()
-        if user.asks_help:
+        if user.requests_help:
             times.append(sim.time_s)
     return times, sim.track.sticks
 
@@ -456,5 +458,5 @@ def test_who_sees_in_time_does_not_ask():
     asked = 0
     for _ in range(300):
         sim.tick()
-        asked += user.asks_help
+        asked += user.requests_help
     assert asked == 0 and sim.chair.x > 10.0

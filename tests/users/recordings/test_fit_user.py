@@ -14,8 +14,8 @@ from wcsim.core.seeding import generator
 from wcsim.errors import ConfigError
 from wcsim.log.records import changed
 from wcsim.types import Joystick
-from wcsim.users.profiles import _read_profile, profile, profile_names, profile_text, sample
-from wcsim.users.recordings.fit_user import _by_switches, fit_user, is_told
+from wcsim.users.profiles import _read_profile, profile, profile_names, profile_toml, sample
+from wcsim.users.recordings.fit_user import _has_switches, fit_user, is_certain
 from wcsim.users.recordings.hand_series import hand_series
 
 BASE = profile("competent")
@@ -85,7 +85,7 @@ def test_a_steady_hand_has_no_tremor_and_another_reaction_is_noticed():
 def test_switches_are_known_and_fitted(shaking):
     user = drawn("switch", 1)
     drive = plane_drive(user, 20.0, 4)
-    assert _by_switches(hand_series([drive])) and not _by_switches(hand_series([shaking[1]]))
+    assert _has_switches(hand_series([drive])) and not _has_switches(hand_series([shaking[1]]))
     fit = fit_user([drive], BASE)
     assert fit.profile.discrete and fit.profile.noise == 0.0
     assert fit.profile.reaction_s == pytest.approx(user.reaction_s, abs=0.02)
@@ -93,13 +93,13 @@ def test_switches_are_known_and_fitted(shaking):
 
 
 def test_the_file_of_a_fit_is_a_profile(fit, tmp_path):
-    (tmp_path / "me.toml").write_text(profile_text(fit.profile, {}))
+    (tmp_path / "me.toml").write_text(profile_toml(fit.profile, {}))
     assert _read_profile(tmp_path / "me.toml") == fit.profile
     assert sample(fit.profile, generator(1, "user")) == fit.profile
 
 
 def test_intents_of_the_model_say_nothing_of_looks_elsewhere(shaking):
-    fit = fit_user([shaking[1]], replace(BASE, away_share=0.2), wanted=False)
+    fit = fit_user([shaking[1]], replace(BASE, away_share=0.2), true_intents=False)
     assert "away_share" not in fit.estimates and fit.profile.away_share == 0.2
     assert any("looking away counts as noise" in line for line in fit.warnings)
 
@@ -157,4 +157,4 @@ def test_ten_minutes_tell_a_user_to_15_per_cent(name):
     user = drawn(name, 7)
     fit = fit_user([plane_drive(user, 600.0, 8)], BASE)
     assert set(wrong(fit, user)) <= set(NOT_TOLD.get(name, ()))
-    assert all(is_told(key, item) for key, item in fit.estimates.items() if key not in NOT_TOLD.get(name, ()))
+    assert all(is_certain(key, item) for key, item in fit.estimates.items() if key not in NOT_TOLD.get(name, ()))

@@ -27,7 +27,7 @@ def recorded(text, folder):
 def replay(recording, ticks):
     """The joystick after each tick of 0.1 s."""
     user = _RecordedUser(recording, USUAL_OUTLINE)
-    return [user.joystick, *(user.hand(24, 0.1 / 24) for _ in range(ticks))]
+    return [user.joystick, *(user.move_hand(24, 0.1 / 24) for _ in range(ticks))]
 
 
 def test_samples_hold_until_the_next_and_the_stick_rests_afterwards(tmp_path):
@@ -147,7 +147,7 @@ def test_a_drive_is_replayed_with_its_intents_episode_by_episode(tmp_path):
     user = found.user(0, USUAL_OUTLINE)
     seen = [(user.joystick.x, user.intent.x)]
     for _ in range(5):
-        user.hand(2, 0.05)
+        user.move_hand(2, 0.05)
         seen.append((user.joystick.x, user.intent.x))
     assert seen[:3] == [(0.0, 0.01), (0.001, 0.01), (0.002, 0.01)]
     assert seen[3] == (pytest.approx(0.003, abs=1e-7), 0.01)  # the last sample within a tick is a float32
@@ -155,14 +155,14 @@ def test_a_drive_is_replayed_with_its_intents_episode_by_episode(tmp_path):
     user = found.user(3, USUAL_OUTLINE)
     assert user.joystick.x == 0.003
     assert user.sticks.shape == (1, 2)
-    user.hand(2, 0.05)
+    user.move_hand(2, 0.05)
     assert user.sticks[:, 0] == pytest.approx([0.0035, 0.004], abs=1e-7)
 
 
 def test_a_drive_without_intents_or_samples_has_its_stick_for_both(tmp_path):
     path = write_drive(tmp_path / "a.drive", [tick(k, intent=None, sticks=np.zeros((0, 2))) for k in (1, 2, 3)])
     user = find_user(f"recorded:{path}").user(0, USUAL_OUTLINE)
-    sticks = [user.joystick, *(user.hand(4, 0.025) for _ in range(3))]
+    sticks = [user.joystick, *(user.move_hand(4, 0.025) for _ in range(3))]
     assert [stick.x for stick in sticks] == [0.0, 0.001, 0.002, 0.002]
     assert user.intent == user.joystick
 

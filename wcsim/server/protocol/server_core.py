@@ -34,7 +34,7 @@ from wcsim.server.protocol.barrier import Barrier
 from wcsim.server.protocol.members import MOST_LIVES, Member, Roster
 from wcsim.types import Joystick, SeatSpec
 from wcsim.types.bounds import MOST_STEPS
-from wcsim.users.profiles import is_of_file, profile_names
+from wcsim.users.profiles import is_user_file, profile_names
 
 
 def _admission(join: m.Join, rules: ev.Rules, roll: Roster) -> int | WcsimError:
@@ -84,7 +84,7 @@ def _unfit(join: m.Join, rules: ev.Rules) -> WcsimError | None:
 
 def _unfit_spec(spec: SeatSpec, rules: ev.Rules) -> WcsimError | None:
     """What is wrong with what a client asks for; that a start lies in the town is the world's to see."""
-    named = is_of_file(spec.profile)
+    named = is_user_file(spec.profile)
     if named and rules.recordings is not None and spec.profile not in rules.recordings:
         return ConfigError(
             "this world uses only the user files that it was started with; start it with --set "
