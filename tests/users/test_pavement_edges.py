@@ -41,7 +41,7 @@ def test_at_the_ends_of_a_route_there_is_an_answer():
     assert all(np.isfinite(edges.room(arc, 4.5)).all() for arc in (-3.0, 0.0, 79.9, 80.0, 95.0))
 
 
-def test_between_two_edges_the_middle_is_kept_and_no_step_is_left():
+def test_between_two_edges_the_middle_is_held_and_no_step_is_left():
     aside = comfortable_offsets(np.array([[1.6, 1.6]] * 10 + [[1.0, 0.3]] * 4 + [[1.6, 1.6]] * 10))
     assert aside[11] == pytest.approx(0.35)
     smooth = smooth_offsets(aside)

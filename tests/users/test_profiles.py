@@ -37,8 +37,8 @@ def test_an_unknown_name_is_answered_with_the_known():
 
 @given(st.sampled_from(profile_names()), st.integers(0, 2**20))
 def test_a_sample_stays_within_30_percent_and_shares_stay_shares(name, seed):
-    base, got = asdict(profile(name)), asdict(sample(profile(name), generator(seed, "user")))
-    for key, value in got.items():
+    base, drawn = asdict(profile(name)), asdict(sample(profile(name), generator(seed, "user")))
+    for key, value in drawn.items():
         if key in ("name", "discrete"):
             assert value == base[key]
         elif key in ("see_share", "law_share"):
@@ -76,7 +76,7 @@ def test_what_is_written_is_read(tmp_path, name):
     assert profile_from_json(profile_json(user), "there") == user
 
 
-def test_every_number_of_a_profile_has_bounds_and_every_profile_keeps_to_them():
+def test_every_number_of_a_profile_has_bounds_and_every_profile_is_within_them():
     numbers = {item.name for item in fields(UserProfile)} - {"name", "discrete"}
     assert numbers == set(PROFILE_LIMITS)
     for name in profile_names():
@@ -93,7 +93,7 @@ def test_what_is_left_out_is_the_bases(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "says"),
+    ("text", "message"),
     [
         ("reaction_s = 9", "reaction_s: got 9; expected a number, 0 to 3"),
         ("reaction_s = nan", "finite"),
@@ -110,9 +110,9 @@ def test_what_is_left_out_is_the_bases(tmp_path):
         ("reaction_s = ", "is not TOML"),
     ],
 )
-def test_what_cannot_be_used_is_refused(tmp_path, text, says):
+def test_what_cannot_be_used_is_refused(tmp_path, text, message):
     (tmp_path / "me.toml").write_text(text)
-    with pytest.raises(ConfigError, match=r"(?s)" + says.replace("[", r"\[") if "got" in says else says):
+    with pytest.raises(ConfigError, match=r"(?s)" + message.replace("[", r"\[") if "got" in message else message):
         find_user(str(tmp_path / "me.toml"))
 
 
@@ -121,7 +121,7 @@ def test_a_missing_file_is_named():
         find_user("nowhere.toml")
 
 
-def test_files_are_told_from_names():
+def test_files_are_distinguished_from_names():
     names = ("slow", "me.toml", "recorded:a.drive", "me.toml")
     assert [is_user_file(name) for name in names] == [False, True, True, True]
     assert user_files(names) == ("me.toml", "recorded:a.drive")

@@ -12,7 +12,7 @@ from wcsim.users.recordings.hand_likelihood import _covariance, _delayed_intents
 STEP_S = 0.03
 
 
-def dense(hand, wish, noise, rate, amplitude, turn, fading, line):
+def dense(hand, intent, noise, rate, amplitude, turn, fading, line):
     """Minus the logarithm of the density of a hand (n, 2), by the covariance of all its samples."""
     total, n = 0.0, len(hand)
     apart = np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
@@ -20,7 +20,7 @@ def dense(hand, wish, noise, rate, amplitude, turn, fading, line):
         power = 0.5 * (amplitude * (1.0 if axis == 0 else 0.5)) ** 2
         cov = noise**2 * np.exp(-rate * STEP_S * apart) + power * fading**apart * np.cos(turn * apart)
         cov += 1e-6 * np.eye(n)
-        rest = hand[:, axis] - line[axis] * wish[:, axis] - line[2 + axis]
+        rest = hand[:, axis] - line[axis] * intent[:, axis] - line[2 + axis]
         total += 0.5 * (np.linalg.slogdet(2 * np.pi * cov)[1] + rest @ np.linalg.solve(cov, rest))
     return total
 
@@ -28,29 +28,29 @@ def dense(hand, wish, noise, rate, amplitude, turn, fading, line):
 @pytest.mark.parametrize(("amplitude", "noise"), [(0.0, 0.1), (0.2, 0.05)])
 def test_it_is_the_density_of_all_samples_together(amplitude, noise):
     rng = np.random.default_rng(3)
-    hand, wish, line = 0.2 * rng.normal(size=(40, 2)), rng.normal(size=(40, 2)), np.array([0.8, 1.1, 0.02, -0.1])
+    hand, intent, line = 0.2 * rng.normal(size=(40, 2)), rng.normal(size=(40, 2)), np.array([0.8, 1.1, 0.02, -0.1])
     law = np.array([STEP_S, noise, 3.0, amplitude, 0.9, 0.99])
     all_of_them, clear = np.ones(40, np.bool_), np.zeros(40, np.bool_)
-    got = _negative_log_density(hand, wish, all_of_them, law, line, all_of_them, clear)
-    assert got.sum() == pytest.approx(dense(hand, wish, noise, 3.0, amplitude, 0.9, 0.99, line), rel=1e-6)
+    found = _negative_log_density(hand, intent, all_of_them, law, line, all_of_them, clear)
+    assert found.sum() == pytest.approx(dense(hand, intent, noise, 3.0, amplitude, 0.9, 0.99, line), rel=1e-6)
 
 
-def test_what_the_gate_stopped_says_nothing():
+def test_samples_that_the_gate_stopped_change_nothing():
     rng = np.random.default_rng(4)
-    hand, wish, line = 0.1 * rng.normal(size=(30, 2)), np.zeros((30, 2)), np.array([1.0, 1.0, 0.0, 0.0])
+    hand, intent, line = 0.1 * rng.normal(size=(30, 2)), np.zeros((30, 2)), np.array([1.0, 1.0, 0.0, 0.0])
     law, clear = np.array([STEP_S, 0.1, 3.0, 0.0, 0.9, 0.99]), np.zeros(30, np.bool_)
     free = np.ones(30, np.bool_)
     free[10:14] = False
-    got = _negative_log_density(hand, wish, free, law, line, free, clear)
+    found = _negative_log_density(hand, intent, free, law, line, free, clear)
     hand[10:14] = 9.0
-    assert np.array_equal(got, _negative_log_density(hand, wish, free, law, line, free, clear))
-    assert not got[10:14].any() and not clear[11:15].any() and clear[20]
-    _negative_log_density(0.1 * hand + 0.66, wish + 0.66, free, law, line, free, clear)
+    assert np.array_equal(found, _negative_log_density(hand, intent, free, law, line, free, clear))
+    assert not found[10:14].any() and not clear[11:15].any() and clear[20]
+    _negative_log_density(0.1 * hand + 0.66, intent + 0.66, free, law, line, free, clear)
     assert not clear.any()  # too near to the gate
 
 
 @pytest.mark.parametrize("delay_s", [0.0, 0.23, 0.35])
-def test_a_wish_arrives_late_slowly_and_smoothly(delay_s):
+def test_an_intent_arrives_late_slowly_and_smoothly(delay_s):
     intents, dt_s = np.zeros((30, 2)), 0.1 / 24
     intents[5:, 0] = 1.0
     out = _delayed_intents(intents, 24, dt_s, delay_s, 0.2, 0.0)[:, 0]
