@@ -14,7 +14,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from wcsim.config import RunConfig, parse_json
+from wcsim.config import ChairConfig, RunConfig, parse_json
 from wcsim.core import seeding
 from wcsim.core.reading import escaped
 from wcsim.errors import ConfigError
@@ -163,25 +163,28 @@ def _has_switches(series: Sequence[HandSeries]) -> bool:
 
 def _require_alike(drives: Sequence[DriveRecording]) -> None:
     """Raise ConfigError for drives whose ticks or sticks differ: their times do not add up."""
-    first, *others = [_measures(drive) for drive in drives]
-    for drive, other in zip(drives[1:], others, strict=True):
+    measures = []
+    for drive in drives:
+        chair = _chair_of(drive)
+        measures.append(
+            {
+                "world.tick_s": drive.header.tick_s,
+                "chair.deadband": chair.deadband,
+                "chair.shape_exponent": chair.shape_exponent,
+            }
+        )
+    for drive, other in zip(drives[1:], measures[1:], strict=True):
         for name, value in other.items():
-            if value != first[name]:
+            if value != measures[0][name]:
                 raise ConfigError(
                     f"{escaped(drive.name)}: was driven with {name} {value:g}, "
-                    f"{escaped(drives[0].name)} with {first[name]:g}; "
+                    f"{escaped(drives[0].name)} with {measures[0][name]:g}; "
                     f"expected the same {name}: fit them separately"
                 )
 
 
-def _measures(drive: DriveRecording) -> dict[str, float]:
-    """What a drive's ticks and sticks are measured by, under the names of its settings."""
-    chair = parse_json(RunConfig, drive.header.config, "the configuration in the drive").chair
-    return {
-        "world.tick_s": drive.header.tick_s,
-        "chair.deadband": chair.deadband,
-        "chair.shape_exponent": chair.shape_exponent,
-    }
+def _chair_of(drive: DriveRecording) -> ChairConfig:
+    return parse_json(RunConfig, drive.header.config, "the configuration in the drive").chair
 
 
 # --- hand ---
@@ -283,7 +286,7 @@ def _fit_speed(
         found: The hand, as far as it was fitted.
         true_intents: Whether the intents are the driver's.
     """
-    chair = parse_json(RunConfig, drives[0].header.config, "the configuration in the drive").chair
+    chair = _chair_of(drives[0])
     gain = found["gain_y"].value if "gain_y" in found else 1.0
     bias = found["bias_y"].value if "bias_y" in found else 0.0
     rows = []
