@@ -60,7 +60,7 @@ class _Held(User):
     def joystick(self) -> Joystick:
         return self._hand.stick
 
-    def hand(self, steps: int, dt_s: float) -> Joystick:
+    def move_hand(self, steps: int, dt_s: float) -> Joystick:
         del steps, dt_s
         return self._hand.stick
 

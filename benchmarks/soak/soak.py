@@ -28,7 +28,7 @@ from wcsim.server.ledger import Audit, audit, iter_ledger
 from wcsim.server.protocol.events import Rules
 from wcsim.server.specs import SeatRequest, WorldSpec, to_line, world_plan
 from wcsim.types import SeatSpec
-from wcsim.users.profiles import recordings
+from wcsim.users.profiles import user_files
 
 _LEASE_S = 3.0
 _CALM_SHARE = 0.25  # of the time, at the end
@@ -228,7 +228,7 @@ def _server_order(order: SoakOrder, place: Path) -> WorldSpec:
         config=order.config.world_digest(),
         expected=order.clients,
         lease_s=order.lease_s,
-        recordings=recordings([order.config.env.profile]),
+        recordings=user_files([order.config.env.profile]),
     )
     return WorldSpec(
         town=order.town,

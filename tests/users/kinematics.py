@@ -10,6 +10,7 @@ import numpy as np
 
 from tests.support.plants import plant_state
 from tests.support.samples import strip_street
+from tests.users.actors import user_view
 from wcsim.config import ChairConfig
 from wcsim.supervisor.actions import action_set
 from wcsim.types import ActorState, Joystick, PlantState, Route, SignalState, UserView
@@ -101,16 +102,7 @@ class Sim:
 
     def view(self) -> UserView:
         c = self.chair
-        return UserView(
-            time_s=self.time_s,
-            p_W_m=np.array([c.x, c.y, 0.0]),
-            yaw_rad=c.yaw,
-            speed_mps=c.v,
-            route=self.route,
-            actors=self.actors,
-            signals=self.signals,
-            obstacles_W_m=np.c_[self.obstacles, np.arange(len(self.obstacles))],
-        )
+        return user_view(self.route, self.time_s, (c.x, c.y, c.yaw), c.v, self.actors, self.signals, self.obstacles)
 
     def tick(self) -> None:
         """One tick: the stick of its beginning is driven, as an agent that follows would."""
@@ -121,7 +113,7 @@ class Sim:
         for _ in range(SUBSTEPS):
             if not self.frozen:
                 self.chair.drive(stick, TICK_S / SUBSTEPS)
-        self.user.hand(SUBSTEPS, TICK_S / SUBSTEPS)
+        self.user.move_hand(SUBSTEPS, TICK_S / SUBSTEPS)
         self.time_s += TICK_S
         self.user.look(self.view())
         self.track.xy.append(self.chair.middle())

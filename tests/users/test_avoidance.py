@@ -9,15 +9,16 @@ from hypothesis import strategies as st
 
 from tests.support.samples import straight_route
 from wcsim.users.avoidance import Body, choose_lane
-from wcsim.users.perception import NoticedObject
+from wcsim.users.perception import DetectedObject
 from wcsim.users.route_line import Path
 
 PATH = Path(straight_route())
 BODY = Body(x_m=10.0, y_m=5.5, yaw_rad=0.0, speed_mps=1.3, arc_m=10.0, left_m=0.0, half_m=(0.57, 0.31))
+LANES = st.tuples(st.floats(-3, 3), st.floats(0.05, 3)).map(lambda t: (t[0], t[0] + t[1]))
 
 
-def thing(ahead, left, vx=0.0, vy=0.0, radius=0.2) -> NoticedObject:
-    return NoticedObject(x_m=10.0 + ahead, y_m=5.5 + left, radius_m=radius, vx_mps=vx, vy_mps=vy)
+def thing(ahead, left, vx=0.0, vy=0.0, radius=0.2) -> DetectedObject:
+    return DetectedObject(x_m=10.0 + ahead, y_m=5.5 + left, radius_m=radius, vx_mps=vx, vy_mps=vy)
 
 
 def lanes(*things):
@@ -30,7 +31,7 @@ def test_a_post_blocks_its_own_width_and_the_chairs():
     assert high - low == pytest.approx(2 * (0.2 + 0.31 + 0.2))
 
 
-def test_a_wider_chair_keeps_farther_away_and_a_longer_one_stops_earlier():
+def test_a_wider_chair_stays_farther_away_and_a_longer_one_stops_earlier():
     wide, long = replace(BODY, half_m=(0.57, 0.41)), replace(BODY, half_m=(0.77, 0.31))
     (usual,), (wider,) = (body.blocked_lanes(PATH, [thing(3.0, 0.1)], 1.3) for body in (BODY, wide))
     assert wider == pytest.approx((usual[0] - 0.1, usual[1] + 0.1))
@@ -52,15 +53,12 @@ def test_what_needs_no_lane(harmless):
     assert lanes(harmless) == []
 
 
-def test_who_walks_across_is_met_elsewhere():
+def test_people_that_walk_across_are_met_elsewhere():
     ((low, high),) = lanes(thing(3.0, -1.0, vy=0.6))
     assert -1.0 < (low + high) / 2 < 0.5
 
 
-lane = st.tuples(st.floats(-3, 3), st.floats(0.05, 3)).map(lambda t: (t[0], t[0] + t[1]))
-
-
-@given(st.lists(lane, max_size=5), st.floats(0, 1.5), st.floats(0, 1.5), st.floats(-1, 1))
+@given(st.lists(LANES, max_size=5), st.floats(0, 1.5), st.floats(0, 1.5), st.floats(-1, 1))
 def test_a_chosen_lane_is_free_and_within_the_room(blocked, left, right, before):
     chosen = choose_lane(blocked, (left, right), before)
     if chosen is None:
@@ -70,7 +68,7 @@ def test_a_chosen_lane_is_free_and_within_the_room(blocked, left, right, before)
         assert not any(low < chosen < high for low, high in blocked)
 
 
-def test_the_side_of_before_is_kept():
+def test_the_last_side_is_held():
     blocked = [(-0.5, 0.5)]
     assert choose_lane(blocked, (1.0, 1.0), 0.5) == 0.5
     assert choose_lane(blocked, (1.0, 1.0), -0.5) == -0.5

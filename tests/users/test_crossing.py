@@ -7,12 +7,14 @@ import numpy as np
 import pytest
 
 from tests.support.samples import strip_street, strip_walk
-from tests.users.actors import actor, make_user
+from tests.users.actors import actor, make_user, user_view
 from tests.users.kinematics import Chair, Sim, polyline
 from wcsim.core.seeding import generator
-from wcsim.types import ActorKind, Route, SignalState, Street, UserView, WalkGraph
-from wcsim.users.crossing import Kerbs, _has_light, _vehicle_comes, crossings, is_red
+from wcsim.types import ActorKind, Route, SignalState, Street, WalkGraph
+from wcsim.users.crossing import CrossingStops, _has_conflict, _has_light, crossings, is_red
 from wcsim.users.route_line import Path
+
+STREET = strip_street()
 
 
 def walk(tls_id="", links=()) -> WalkGraph:
@@ -32,22 +34,8 @@ def lit(street: Street) -> Street:
     return replace(street, walk=walk("t", (1, 2)))
 
 
-STREET = strip_street()
 ROUTE = over_the_road()
 (ROAD,) = crossings(ROUTE, walk("t", (1, 2)))
-
-
-def view(time_s, x, y, yaw=0.0) -> UserView:
-    return UserView(
-        time_s=time_s,
-        p_W_m=np.array([x, y, 0.0]),
-        yaw_rad=yaw,
-        speed_mps=0.5,
-        route=ROUTE,
-        actors=(),
-        signals=(),
-        obstacles_W_m=np.zeros((0, 4)),
-    )
 
 
 def test_the_crossing_is_found_where_it_is():
@@ -75,7 +63,7 @@ def test_without_a_light_nothing_is_red():
 
 
 @pytest.mark.parametrize(
-    ("vehicle", "comes"),
+    ("vehicle", "conflict"),
     [
         (actor(ActorKind.CAR, 20.0, -2.0, v=10.0), True),  # on it in 1.5 s
         (actor(ActorKind.CAR, 0.0, 2.0, v=10.0), True),  # in 3.5 s, when the chair is in that lane
@@ -89,31 +77,31 @@ def test_without_a_light_nothing_is_red():
         (actor(ActorKind.CAR, 40.0, 0.0, v=8.0), True),  # is on it
     ],
 )
-def test_vehicles(vehicle, comes):
-    assert _vehicle_comes(ROAD, (vehicle,)) == comes
+def test_vehicles(vehicle, conflict):
+    assert _has_conflict(ROAD, (vehicle,)) == conflict
 
 
 @pytest.mark.parametrize(
     ("colours", "from_m", "waits"), [("rGGr", 28.0, False), ("rGGr", 22.0, True), ("oooo", 28.0, True)]
 )
 def test_at_green_those_far_away_have_red_and_are_not_waited_for(colours, from_m, waits):
-    here = Kerbs(crossings(ROUTE, walk("t", (1, 2))), Path(ROUTE), None, 1.0, generator(0, "user"), 0.57)
+    here = CrossingStops((ROAD,), Path(ROUTE), None, 1.0, generator(0, "user"), 0.57)
     red, now = (SignalState(tls_id="t", colours="GrrG"),), (SignalState(tls_id="t", colours=colours),)
     assert here.stop_m(10.6, 59.9, red, ()) is not None
-    comes = actor(ActorKind.CAR, 40.0 - from_m, -2.0, v=10.0)
-    assert (here.stop_m(10.6, 60.0, now, (comes,)) is not None) == waits
+    car = actor(ActorKind.CAR, 40.0 - from_m, -2.0, v=10.0)
+    assert (here.stop_m(10.6, 60.0, now, (car,)) is not None) == waits
 
 
-def test_whether_a_light_is_obeyed_does_not_depend_on_how_the_user_came_to_it():
+def test_whether_a_light_is_obeyed_is_independent_of_the_way_to_it():
     """Of two drives of one seed, one corrected its stick (which draws as well) more often than the other."""
 
     def obeyed(seed, looks_before):
         user = make_user("ataxic", seed, lit(STREET), law_share=0.5)
         user.follow(polyline((0, 5.5), (60, 5.5)))
         for i in range(looks_before):
-            user.look(view(0.5 * i, 5.0, 5.5))
+            user.look(user_view(ROUTE, 0.5 * i, (5.0, 5.5, 0.0), 0.5))
         user.follow(ROUTE)
-        user.look(view(100.0, 40.0, 6.0, yaw=-0.5 * math.pi))
+        user.look(user_view(ROUTE, 100.0, (40.0, 6.0, -0.5 * math.pi), 0.5))
         return user.obeys[ROAD]
 
     answers = []
@@ -123,10 +111,10 @@ def test_whether_a_light_is_obeyed_does_not_depend_on_how_the_user_came_to_it():
     assert answers.count({True}) * answers.count({False}) > 0
 
 
-def test_each_crossing_of_a_route_has_a_draw_of_its_own_whichever_is_come_to():
+def test_each_crossing_of_a_route_has_a_draw_of_its_own_whichever_is_reached():
     far = replace(ROAD, start_m=60.0, end_m=68.0)
     for seed in range(12):
-        both, one = (Kerbs((ROAD, far), Path(ROUTE), None, 0.5, generator(seed), 0.57) for _ in range(2))
+        both, one = (CrossingStops((ROAD, far), Path(ROUTE), None, 0.5, generator(seed), 0.57) for _ in range(2))
         for here, places_m in ((both, (10.6, 59.0)), (one, (59.0,))):
             for arc_m in places_m:
                 here.stop_m(arc_m, 1.0, (), ())
@@ -149,8 +137,8 @@ def test_each_crossing_of_a_route_has_a_draw_of_its_own_whichever_is_come_to():
         pytest.param(39.5, 3.0, 0.0, 0.0, False, id="stands on it"),
     ],
 )
-def test_who_rides_on_the_road_is_waited_for(kind, x, y, yaw, v, waits):
-    here = Kerbs(crossings(ROUTE, walk()), Path(ROUTE), STREET.grid, 1.0, generator(0, "user"), 0.57)
+def test_riders_on_the_road_are_waited_for(kind, x, y, yaw, v, waits):
+    here = CrossingStops(crossings(ROUTE, walk()), Path(ROUTE), STREET.grid, 1.0, generator(0, "user"), 0.57)
     assert (here.stop_m(10.6, 1.0, (), (actor(kind, x, y, yaw, v),)) is not None) == waits
 
 
@@ -171,7 +159,7 @@ def row(t, y, v, from_m):
 
 
 @pytest.mark.parametrize("from_m", [-28.0, -31.0])
-def test_lets_a_cyclist_pass_who_would_come_too_near(from_m):
+def test_lets_a_cyclist_pass_that_would_get_too_near(from_m):
     def away_s(law_share):
         user, log = crossed(lambda t: row(t, -2.0, 4.0, (from_m,)), law_share=law_share)
         assert user.arrived
@@ -195,7 +183,7 @@ def test_lets_a_cyclist_pass_who_would_come_too_near(from_m):
         pytest.param(lambda _: (actor(ActorKind.BICYCLE, 37.0, -2.0),), id="stands in the road"),
     ],
 )
-def test_nobody_waits_for_riders_who_are_no_traffic(riders):
+def test_no_user_waits_for_riders_that_are_no_traffic(riders):
     """Who keeps to the law drives as who does not: what is left is going around."""
     user, log = crossed(riders)
     heedless, as_if_alone = crossed(riders, law_share=0.0)

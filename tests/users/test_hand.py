@@ -18,8 +18,8 @@ TICK_S = 0.1
 QUIET = replace(profile("competent"), noise=0.0, reaction_s=0.3, lag_s=0.1)
 
 
-def moved(hand, wish, seconds, dt_s=DT_S):
-    hand.want(wish)
+def moved(hand, intent, seconds, dt_s=DT_S):
+    hand.send_intent(intent)
     steps = round(TICK_S / dt_s)
     return np.concatenate([hand.move(steps, dt_s) for _ in range(round(seconds / TICK_S))])
 
@@ -74,7 +74,7 @@ def test_switches_know_four_positions_and_turn_in_pulses():
 
 
 @given(st.floats(-5, 5), st.floats(-5, 5))
-def test_on_disc_keeps_the_direction(x, y):
+def test_on_disc_preserves_the_direction(x, y):
     a, b = on_disc(x, y)
     assert math.hypot(a, b) <= 1.0 + 1e-12
     assert a * y == pytest.approx(b * x, abs=1e-9)

@@ -5,44 +5,34 @@ import math
 import numpy as np
 import pytest
 
-from tests.users.actors import actor
+from tests.users.actors import actor, user_view
 from tests.users.kinematics import polyline
 from wcsim.core.seeding import generator
-from wcsim.types import ActorKind, UserView
+from wcsim.types import ActorKind
 from wcsim.users.perception import Perception, discs
 from wcsim.users.profiles import profile
 
 ROUTE = polyline((0, 0), (20, 0))
 
 
-def view(time_s=0.0, actors=(), obstacles=(), yaw=0.0) -> UserView:
-    return UserView(
-        time_s=time_s,
-        p_W_m=np.zeros(3),
-        yaw_rad=yaw,
-        speed_mps=1.0,
-        route=ROUTE,
-        actors=tuple(actors),
-        signals=(),
-        obstacles_W_m=np.c_[np.array(obstacles, float).reshape(-1, 3), np.arange(len(obstacles))],
-    )
-
-
 def notices(name, seed, **what) -> bool:
-    seen = Perception(profile(name), generator(seed)).look(view(**what))
+    seen = Perception(profile(name), generator(seed)).update(user_view(ROUTE, **what))
     return bool(seen.things or seen.vehicles)
 
 
 def test_the_chance_to_notice_is_the_profiles():
     for name, share in (("competent", 0.98), ("inattentive", 0.35)):
-        got = np.mean([notices(name, seed, obstacles=[(2.0, 0.0, 0.1)]) for seed in range(400)])
-        assert got == pytest.approx(share, abs=0.07)
+        share_found = np.mean([notices(name, seed, obstacles=[(2.0, 0.0, 0.1)]) for seed in range(400)])
+        assert share_found == pytest.approx(share, abs=0.07)
 
 
 def test_what_was_missed_stays_missed_and_what_was_seen_stays_seen():
     for seed in range(30):
         perception = Perception(profile("inattentive"), generator(seed))
-        answers = {len(perception.look(view(0.1 * i, obstacles=[(2.0, 0.01 * i, 0.1)])).things) for i in range(30)}
+        answers = {
+            len(perception.update(user_view(ROUTE, 0.1 * i, obstacles=[(2.0, 0.01 * i, 0.1)])).things)
+            for i in range(30)
+        }
         assert len(answers) == 1
 
 
@@ -52,7 +42,7 @@ def test_what_was_missed_stays_missed_and_what_was_seen_stays_seen():
         ({"obstacles": [(5.5, 0.0, 0.1)]}, True),
         ({"obstacles": [(7.0, 0.0, 0.1)]}, False),
         ({"obstacles": [(-4.0, 0.0, 0.1)]}, False),
-        ({"obstacles": [(-4.0, 0.0, 0.1)], "yaw": math.pi}, True),
+        ({"obstacles": [(-4.0, 0.0, 0.1)], "pose": (0.0, 0.0, math.pi)}, True),
         ({"actors": [actor(ActorKind.PEDESTRIAN, 8.5, 0.0)]}, True),
         ({"actors": [actor(ActorKind.PEDESTRIAN, 11.0, 0.0)]}, False),
         ({"actors": [actor(ActorKind.WHEELCHAIR, 5.0, 0.0)]}, True),
@@ -63,28 +53,28 @@ def test_what_was_missed_stays_missed_and_what_was_seen_stays_seen():
         ({"actors": [actor(ActorKind.PEDESTRIAN, -4.0, 0.0)]}, False),
     ],
 )
-def test_how_far_and_where_things_are_noticed(what, expected):
+def test_how_far_and_where_things_are_detected(what, expected):
     seed = 0 if notices("competent", 0, obstacles=[(2.0, 0.0, 0.1)]) else 1
     assert notices("competent", seed, **what) == expected
 
 
 def look(*actors, name="competent", seed=0):
-    return Perception(profile(name), generator(seed)).look(view(actors=actors))
+    return Perception(profile(name), generator(seed)).update(user_view(ROUTE, actors=actors))
 
 
 @pytest.mark.parametrize("kind", [ActorKind.BICYCLE, ActorKind.SCOOTER])
 @pytest.mark.parametrize(("x_m", "known"), [(23.0, True), (-23.0, True), (27.0, False)])
-def test_who_rides_is_traffic_from_both_sides_and_far_away_nothing_to_go_around(kind, x_m, known):
+def test_riders_are_traffic_from_both_sides_and_far_away_nothing_to_go_around(kind, x_m, known):
     seen = look(actor(kind, x_m, 0.0, v=5.0))
     assert (len(seen.vehicles), seen.things) == (int(known), ())
 
 
-def test_who_stands_or_walks_is_no_traffic():
+def test_people_that_stand_or_walk_are_no_traffic():
     others = (ActorKind.BICYCLE, 0.0), (ActorKind.PEDESTRIAN, 1.5), (ActorKind.WHEELCHAIR, 1.5)
     assert [len(look(actor(kind, 5.0, 0.0, v=v)).vehicles) for kind, v in others] == [0, 0, 0]
 
 
-def test_a_rider_near_by_is_gone_around_as_people_are_and_noticed_or_missed_as_both():
+def test_a_rider_near_by_is_avoided_as_people_are_and_detected_or_missed_as_both():
     ahead, name = actor(ActorKind.BICYCLE, 4.0, 0.0, v=5.0), "inattentive"
     looks = [look(ahead, name=name, seed=seed) for seed in range(40)]
     assert {(bool(seen.things), bool(seen.vehicles)) for seen in looks} == {(True, True), (False, False)}
@@ -94,27 +84,27 @@ def test_a_rider_near_by_is_gone_around_as_people_are_and_noticed_or_missed_as_b
 
 @pytest.mark.parametrize(("ahead_m", "near"), [(24.0, True), (26.0, False)])
 def test_a_vehicle_far_away_is_watched_and_nothing_to_go_around_yet(ahead_m, near):
-    seen = Perception(profile("competent"), generator(0)).look(view(actors=[actor(ActorKind.CAR, ahead_m, 0.0, v=9.0)]))
+    seen = look(actor(ActorKind.CAR, ahead_m, 0.0, v=9.0))
     assert len(seen.vehicles) == 1 and bool(seen.things) == near
 
 
 def test_attention_has_its_share_and_length():
     perception = Perception(profile("inattentive"), generator(3))
-    attentive = np.array([perception.attend(0.1) for _ in range(40_000)])
+    attentive = np.array([perception.step_attention(0.1) for _ in range(40_000)])
     assert 1.0 - attentive.mean() == pytest.approx(0.3, abs=0.03)
     ends = np.count_nonzero(attentive[1:] & ~attentive[:-1])
     assert np.count_nonzero(~attentive) * 0.1 / ends == pytest.approx(2.0, abs=0.2)
     lengths = np.diff(np.flatnonzero(np.diff(attentive.astype(int))))
     assert lengths[attentive[np.flatnonzero(np.diff(attentive.astype(int)))[1:]] == 0].max() <= 42
     turning = Perception(profile("inattentive"), generator(3))
-    assert all(turning.attend(0.1, calm=False) for _ in range(1000))
-    turning.attend(0.1, calm=True)
+    assert all(turning.step_attention(0.1, calm=False) for _ in range(1000))
+    turning.step_attention(0.1, calm=True)
     assert not turning.attentive  # what was put off comes when there is time for it
-    turning.attend(0.1, calm=True)
-    assert turning.attend(0.1, heeds=True)  # a light ahead ends it,
-    assert all(turning.attend(0.1, heeds=True) for _ in range(1000))  # and puts the next one off
+    turning.step_attention(0.1, calm=True)
+    assert turning.step_attention(0.1, heeds=True)  # a light ahead ends it,
+    assert all(turning.step_attention(0.1, heeds=True) for _ in range(1000))  # and puts the next one off
     always = Perception(profile("competent"), generator(3))
-    assert all(always.attend(0.1) for _ in range(100))
+    assert all(always.step_attention(0.1) for _ in range(100))
 
 
 def test_a_long_box_becomes_a_row_of_discs_that_covers_it():

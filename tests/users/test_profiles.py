@@ -13,14 +13,14 @@ from wcsim.users.profiles import (
     PROFILE_LIMITS,
     UserProfile,
     _read_profile,
-    is_of_file,
+    is_user_file,
     profile,
+    profile_from_json,
     profile_json,
     profile_names,
-    profile_of_json,
-    profile_text,
-    recordings,
+    profile_toml,
     sample,
+    user_files,
 )
 from wcsim.users.recordings.recorded_user import find_user
 
@@ -37,8 +37,8 @@ def test_an_unknown_name_is_answered_with_the_known():
 
 @given(st.sampled_from(profile_names()), st.integers(0, 2**20))
 def test_a_sample_stays_within_30_percent_and_shares_stay_shares(name, seed):
-    base, got = asdict(profile(name)), asdict(sample(profile(name), generator(seed, "user")))
-    for key, value in got.items():
+    base, drawn = asdict(profile(name)), asdict(sample(profile(name), generator(seed, "user")))
+    for key, value in drawn.items():
         if key in ("name", "discrete"):
             assert value == base[key]
         elif key in ("see_share", "law_share"):
@@ -70,13 +70,13 @@ def test_a_bias_ahead_is_spread_as_one_to_the_side_is():
 def test_what_is_written_is_read(tmp_path, name):
     user = replace(sample(profile(name), generator(3, "user")), spread=0.1)
     file = tmp_path / "me.toml"
-    file.write_text(profile_text(user, {"lag_s": "0.1 to 0.2"}, "a head\nof two lines"))
+    file.write_text(profile_toml(user, {"lag_s": "0.1 to 0.2"}, "a head\nof two lines"))
     assert _read_profile(file) == find_user(str(file)) == user
     assert "# a head\n# of two lines\n" in file.read_text() and "# 0.1 to 0.2\n" in file.read_text()
-    assert profile_of_json(profile_json(user), "there") == user
+    assert profile_from_json(profile_json(user), "there") == user
 
 
-def test_every_number_of_a_profile_has_bounds_and_every_profile_keeps_to_them():
+def test_every_number_of_a_profile_has_bounds_and_every_profile_is_within_them():
     numbers = {item.name for item in fields(UserProfile)} - {"name", "discrete"}
     assert numbers == set(PROFILE_LIMITS)
     for name in profile_names():
@@ -93,7 +93,7 @@ def test_what_is_left_out_is_the_bases(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "says"),
+    ("text", "message"),
     [
         ("reaction_s = 9", "reaction_s: got 9; expected a number, 0 to 3"),
         ("reaction_s = nan", "finite"),
@@ -110,9 +110,9 @@ def test_what_is_left_out_is_the_bases(tmp_path):
         ("reaction_s = ", "is not TOML"),
     ],
 )
-def test_what_cannot_be_used_is_refused(tmp_path, text, says):
+def test_what_cannot_be_used_is_refused(tmp_path, text, message):
     (tmp_path / "me.toml").write_text(text)
-    with pytest.raises(ConfigError, match=r"(?s)" + says.replace("[", r"\[") if "got" in says else says):
+    with pytest.raises(ConfigError, match=r"(?s)" + message.replace("[", r"\[") if "got" in message else message):
         find_user(str(tmp_path / "me.toml"))
 
 
@@ -121,7 +121,7 @@ def test_a_missing_file_is_named():
         find_user("nowhere.toml")
 
 
-def test_files_are_told_from_names():
+def test_files_are_distinguished_from_names():
     names = ("slow", "me.toml", "recorded:a.drive", "me.toml")
-    assert [is_of_file(name) for name in names] == [False, True, True, True]
-    assert recordings(names) == ("me.toml", "recorded:a.drive")
+    assert [is_user_file(name) for name in names] == [False, True, True, True]
+    assert user_files(names) == ("me.toml", "recorded:a.drive")

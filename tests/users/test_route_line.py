@@ -33,13 +33,13 @@ def test_length_heading_and_both_ends():
     assert PATH.at(33.0) == pytest.approx((23.0, 10.0))
 
 
-def test_a_route_that_comes_back_is_not_mixed_up():
+def test_a_route_that_returns_is_not_mixed_up():
     there_and_back = Path(polyline((0, 0), (20, 0), (20, 0.5), (0, 0.5)))
     assert there_and_back.project(5.0, 0.3, 5.0).arc_m == pytest.approx(5.0)
     assert there_and_back.project(5.0, 0.2, 35.0).arc_m == pytest.approx(35.5)
 
 
-def test_who_is_far_away_is_found_on_the_whole_route():
+def test_a_point_far_away_is_found_on_the_whole_route():
     assert PATH.project(19.0, 10.2, 0.0).arc_m == pytest.approx(29.0)
 
 

@@ -10,13 +10,13 @@ from tests.support.samples import USUAL_OUTLINE, cell_middles, strip_street
 from tests.users.actors import make_user
 from tests.users.kinematics import Chair, Sim, polyline
 from wcsim.types import StreetGrid
-from wcsim.users.turning import Axle, plan_turn
+from wcsim.users.turning import AxlePose, plan_turn
 
 STREET = strip_street()
 
 
 def plan(y, yaw, error, grid=STREET.grid, x=15.0, backwards=True):
-    return plan_turn(grid, USUAL_OUTLINE, Axle(x_m=x, y_m=y, yaw_rad=yaw), error, backwards)
+    return plan_turn(grid, USUAL_OUTLINE, AxlePose(x_m=x, y_m=y, yaw_rad=yaw), error, backwards)
 
 
 def walled(low_y: float, high_y: float, to_x: float = 1e9) -> StreetGrid:
@@ -49,7 +49,7 @@ def test_in_a_passage_the_chair_goes_on_or_back_to_where_it_opens():
 
 
 @pytest.mark.parametrize(("y", "yaw"), [(4.45, 0.0), (4.45, math.pi), (4.8, 2.5), (4.7, -0.5)])
-def test_a_user_who_turns_round_stays_on_the_pavement(y, yaw):
+def test_a_user_that_turns_round_stays_on_the_pavement(y, yaw):
     to_x = 40.0 if math.cos(yaw) < 0 else 0.0
     sim = Sim(make_user(street=STREET), polyline((20.0, 5.2), (to_x, 5.2)), Chair(x=20.0, y=y, yaw=yaw))
     for _ in range(150):
@@ -61,19 +61,19 @@ def test_a_user_who_turns_round_stays_on_the_pavement(y, yaw):
 
 
 @pytest.mark.parametrize("name", ["competent", "switch"])
-def test_who_hangs_on_something_backs_up_before_giving_up(name):
+def test_a_user_that_hangs_on_something_backs_up_before_giving_up(name):
     sim = Sim(make_user(name, street=STREET), polyline((0.0, 5.5), (40.0, 5.5)), Chair(x=5.0, y=5.5))
     sim.run(4.0)
     sim.frozen, sim.chair.v = True, 0.0
-    wishes = []
+    intents = []
     while not sim.user.gave_up and sim.time_s < 60.0:
         sim.tick()
-        wishes.append(sim.user.intent.y)
+        intents.append(sim.user.intent.y)
     assert sim.time_s == pytest.approx(4.0 + 15.0, abs=1.5)
-    assert (min(wishes) < 0.0) == (name == "competent")  # four switches have no reverse
+    assert (min(intents) < 0.0) == (name == "competent")  # four switches have no reverse
 
 
-def test_turning_in_a_hairpin_does_not_lead_back_to_its_first_leg():
+def test_turning_in_a_hairpin_never_leads_back_to_its_first_leg():
     """Out on one crossing and back on the next: both legs are equally near to a chair that turns between them."""
     legs = polyline((-5.0, 5.5), (5.0, 5.5), (5.0, 5.7), (-5.0, 6.2))
     sim = Sim(make_user(street=STREET), legs, Chair(x=4.9, y=5.55, yaw=math.pi))
@@ -87,11 +87,11 @@ def test_turning_in_a_hairpin_does_not_lead_back_to_its_first_leg():
         reached_m = sim.user.route_progress_m
 
 
-def test_who_has_turned_one_way_as_far_as_it_goes_does_not_turn_back():
+def test_a_chair_turned_one_way_as_far_as_it_goes_never_turns_back():
     corner = walled(4.9, 6.2)
     first = plan(5.5, 0.0, 2.0, corner)
-    assert not first.whole
-    stuck = Axle(x_m=15.0, y_m=5.5, yaw_rad=first.turn_rad)
+    assert not first.complete
+    stuck = AxlePose(x_m=15.0, y_m=5.5, yaw_rad=first.turn_rad)
     back = plan_turn(corner, USUAL_OUTLINE, stuck, -1.5)
     assert back.turn_rad < 0.0 and not back.move_m
     again = plan_turn(corner, USUAL_OUTLINE, stuck, -1.5, tried=1.0)

@@ -19,7 +19,7 @@ from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.oracle import Oracle
 from wcsim.types import ActorKind, Joystick, SignalState
 from wcsim.users.avoidance import Body
-from wcsim.users.crossing import Kerbs, crossings
+from wcsim.users.crossing import CrossingStops, crossings
 from wcsim.users.profiles import profile, profile_names, sample
 from wcsim.users.route_line import Path
 from wcsim.users.user import SimulatedUser, steer
@@ -52,7 +52,7 @@ def nearest(sim: Sim, seconds: float, actors) -> float:
 
 
 @pytest.mark.parametrize("quantised", [False, True])
-def test_the_competent_user_keeps_its_line_around_corners(quantised):
+def test_the_competent_user_holds_its_line_around_corners(quantised):
     for seed in range(3):
         rng = generator(seed, "user")
         user = SimulatedUser(sample(profile("competent"), rng), rng, ChairConfig(), USUAL_OUTLINE)
@@ -63,7 +63,7 @@ def test_the_competent_user_keeps_its_line_around_corners(quantised):
         assert off.max() < 0.42
 
 
-def test_a_straight_is_driven_straight_at_the_wanted_speed():
+def test_a_straight_is_driven_straight_at_the_desired_speed():
     sim = on_pavement(make_user())
     track = sim.run(40.0)
     cruising = slice(60, 350)
@@ -91,7 +91,7 @@ def test_on_the_inside_of_a_hairpin_the_user_looks_farther_along(lane_m):
     user = make_user()
     route = polyline((0, 0), (10, 0), (4, 5), step_m=0.5)
     user.follow(route)
-    user._lane_m = -lane_m
+    user._lanes.offset_m = -lane_m
     path = Path(route)
     for arc_m in np.arange(7.0, 12.0, 0.1).tolist():
         x, y = path.at(arc_m)
@@ -118,7 +118,7 @@ def test_profiles_differ_as_they_should():
 
 
 @pytest.mark.parametrize(("y", "yaw"), [(5.5, math.pi), (5.5, math.pi / 2), (6.8, 0.0), (4.6, -0.8)])
-def test_a_user_pushed_away_or_turned_around_comes_back(y, yaw):
+def test_a_user_pushed_away_or_turned_around_returns(y, yaw):
     sim = Sim(make_user(), straight_route(), Chair(x=5.0, y=y, yaw=yaw))
     track = sim.run(25.0)
     assert abs(sim.chair.y - 5.5) < 0.1 and sim.chair.x > 25.0
@@ -219,13 +219,13 @@ def test_waits_at_red_and_goes_at_green():
     assert straight_over.user.arrived and straight_over.time_s < 35.0
 
 
-def test_who_does_not_care_crosses_at_red():
+def test_a_lawless_user_crosses_at_red():
     _, log = cross(light(1e9), law_share=0.0, seconds=25.0)
     assert log[-1, 1] < 0.0
 
 
 @pytest.mark.parametrize("away_share", [0.3, 0.6])
-def test_who_obeys_and_looks_away_does_not_enter_at_red(away_share):
+def test_a_lawful_user_that_looks_away_never_enters_at_red(away_share):
     """The red comes early or while the chair rolls up to the kerb; 25 s of it, and 25 users who look away."""
     entered = 0
     for seed in range(25):
@@ -246,25 +246,25 @@ def test_a_look_away_lets_the_steering_go_and_goes_on_braking():
     user = sim.user
     while not 0.0 < user.intent.y < 0.35 or sim.chair.v < 0.6:  # it has seen them, and brakes
         sim.tick()
-    user._perception.attend = lambda dt_s, calm, heeds: False
+    user._perception.step_attention = lambda dt_s, calm, heeds: False
     user._intent = Joystick(0.19, user.intent.y)
     held = [user.intent]
     for _ in range(40):
         sim.tick()
         held.append(user.intent)
-    assert [wish.x for wish in held[:6]] == pytest.approx([0.19, 0.15, 0.11, 0.07, 0.03, 0.0])
-    assert all(wish.x == 0.0 for wish in held[5:]) and abs(sim.chair.w) < 1e-6
+    assert [stick.x for stick in held[:6]] == pytest.approx([0.19, 0.15, 0.11, 0.07, 0.03, 0.0])
+    assert all(stick.x == 0.0 for stick in held[5:]) and abs(sim.chair.w) < 1e-6
     assert all(b.y <= a.y for a, b in pairwise(held)) and held[-1].y < 0.15
     assert sim.chair.v < 0.05 and clearance_m(sim.chair.plant(), sim.actors) > 0.1
 
 
-def kerbs(route, ground=None) -> Kerbs:
+def stops(route, ground=None, law_share=1.0) -> CrossingStops:
     found = crossings(route, lit(STREET).walk)
-    return Kerbs(found, Path(route), ground, 1.0, generator(0, "user"), USUAL_OUTLINE.half_lw_m[0])
+    return CrossingStops(found, Path(route), ground, law_share, generator(0, "user"), USUAL_OUTLINE.half_lw_m[0])
 
 
-def test_who_has_rolled_over_the_line_at_red_waits_there_and_not_in_the_lane():
-    here, red, green = kerbs(over_the_road()), light(1e9)(0.0), light(0.0)(0.0)
+def test_a_chair_that_has_rolled_over_the_line_at_red_waits_there_and_not_in_the_lane():
+    here, red, green = stops(over_the_road()), light(1e9)(0.0), light(0.0)(0.0)
     stop_m = 11.5 - 0.5675 - 0.3
     assert [here.stop_m(arc_m, 0.0, red, ()) for arc_m in (4.0, 10.6, 11.4, 12.5)] == pytest.approx([stop_m] * 4)
     assert here.stop_m(12.6, 0.0, red, ()) is None  # the footplate is beyond the middle of the first lane
@@ -273,19 +273,19 @@ def test_who_has_rolled_over_the_line_at_red_waits_there_and_not_in_the_lane():
 
 
 @pytest.mark.parametrize(("beside_m", "before_m"), [(2.5, 0.87 + 0.75), (0.5, 0.87 + 3.0)])
-def test_who_comes_along_the_kerb_waits_before_the_front_can_swing_over_it(beside_m, before_m):
+def test_along_the_kerb_the_user_waits_before_the_front_can_swing_over_it(beside_m, before_m):
     """The road begins at y = 4; the way runs beside it and turns onto the crossing at x = 40."""
     y = 4.0 + beside_m
     bare = polyline((30, y), (40, y), (40, 4), (40, -4), (40, -5.5), step_m=0.5)
     on_road = (bare.points_W_m[:, 1] <= 4) & (bare.points_W_m[:, 1] > -4)
     route = replace(bare, edge_index=np.where(on_road, 4, np.where(bare.points_W_m[:, 1] > 0, 0, 3)).astype(np.int32))
-    stop_m = kerbs(route, STREET.grid).stop_m(4.0, 0.0, light(1e9)(0.0), ())
+    stop_m = stops(route, STREET.grid).stop_m(4.0, 0.0, light(1e9)(0.0), ())
     assert stop_m == pytest.approx(10.0 + beside_m - before_m, abs=0.26)
 
 
-def test_who_comes_from_afar_after_a_short_green_moves_up_and_waits_for_the_next_one():
+def test_from_afar_after_a_short_green_the_user_moves_up_and_waits_for_the_next_one():
     """A green of 5 s that comes when the chair still has 2.9 m to the kerb: it stops behind it, and goes next time."""
-    here, red, green = kerbs(over_the_road()), light(1e9)(0.0), light(0.0)(0.0)
+    here, red, green = stops(over_the_road()), light(1e9)(0.0), light(0.0)(0.0)
     assert here.stop_m(8.0, 0.0, red, ()) is not None
     assert here.stop_m(8.0, 0.1, green, ()) is None  # it may get there
     for age_s in (1.0, 3.0, 5.0):
@@ -295,7 +295,7 @@ def test_who_comes_from_afar_after_a_short_green_moves_up_and_waits_for_the_next
     assert here.stop_m(10.6, 60.1, green, ()) is None  # near enough
 
 
-def test_who_comes_to_the_kerb_as_a_short_green_ends_does_not_enter_at_red():
+def test_at_the_end_of_a_short_green_the_user_never_enters_at_red():
     """Greens of 5 s in every 25 s, which come at any moment of the way to the kerb, at y = 4."""
     entered = []
     for onset_s in np.arange(3.0, 9.0, 0.5).tolist():
@@ -310,17 +310,19 @@ def test_who_comes_to_the_kerb_as_a_short_green_ends_does_not_enter_at_red():
     assert max(entered) < 5.0
 
 
-def test_who_obeys_keeps_a_light_in_sight_from_just_before_the_kerb():
-    here = kerbs(over_the_road())
+def test_a_lawful_user_watches_a_light_from_just_before_the_kerb():
+    here = stops(over_the_road())
     for arc_m, heeds in ((4.0, False), (8.3, False), (8.6, True), (10.9, True), (11.3, False)):
         here.stop_m(arc_m, 0.0, light(0.0)(0.0), ())
         assert here.heeds_light(arc_m) == heeds
-    careless = Kerbs(crossings(over_the_road(), lit(STREET).walk), Path(over_the_road()), None, 0.0, generator(0), 0.57)
+    careless = CrossingStops(
+        crossings(over_the_road(), lit(STREET).walk), Path(over_the_road()), None, 0.0, generator(0), 0.57
+    )
     careless.stop_m(10.0, 0.0, light(0.0)(0.0), ())
     assert not careless.heeds_light(10.0)
 
 
-def test_nobody_who_obeys_looks_elsewhere_while_driving_towards_a_kerb_with_a_light():
+def test_no_lawful_user_looks_elsewhere_while_driving_towards_a_kerb_with_a_light():
     near = []
     for seed in range(5):
         user = make_user("inattentive", seed, lit(STREET), see_share=1.0, law_share=1.0, away_share=0.9, away_s=5.0)
@@ -333,13 +335,13 @@ def test_nobody_who_obeys_looks_elsewhere_while_driving_towards_a_kerb_with_a_li
     assert len(near) > 30 and all(near)
 
 
-def test_who_obeys_waits_at_a_light_that_stays_red_and_at_last_goes_elsewhere():
+def test_a_lawful_user_waits_at_a_light_that_stays_red_and_at_last_goes_elsewhere():
     sim, log = cross(light(1e9), law_share=1.0, seconds=250.0)
     assert sim.user.gave_up and sim.time_s > 150.0
     assert log[:, 1].min() - 0.57 > 4.0  # the footplate stays on the pavement
 
 
-def test_patience_at_a_closed_crossing_is_long_but_ends():
+def test_the_wait_at_a_closed_crossing_is_long_but_ends():
     endless = [actor(CAR, x, -2.0, 0.0, 6.0, name=str(x)) for x in range(0, 81, 8)]
     sim, log = cross(light(1e9), lambda _: endless, law_share=1.0, seconds=250.0)
     assert sim.user.gave_up and log[:, 1].min() > 4.0
@@ -347,7 +349,7 @@ def test_patience_at_a_closed_crossing_is_long_but_ends():
 
 
 @pytest.mark.parametrize("from_m", [-10.0, -30.0, -66.0])
-def test_lets_a_car_pass_that_would_come_too_near(from_m):
+def test_lets_a_car_pass_that_would_get_too_near(from_m):
     dark = (SignalState(tls_id="t", colours="oooo"),)
 
     def cars(t):
@@ -395,10 +397,10 @@ def test_the_same_seed_is_the_same_user():
     assert sticks(4) == sticks(4) != sticks(5)
 
 
-def test_before_its_first_route_the_user_does_nothing():
+def test_before_its_first_route_the_user_stands_still():
     user = make_user()
     assert user.joystick == Joystick(0.0, 0.0)
-    user.hand(2, 0.004)
+    user.move_hand(2, 0.004)
     assert user.sticks.shape == (2, 2) and np.hypot(*user.sticks.T).max() < 0.05
     assert user.route_progress_m == 0.0 and user.intent == Joystick(0.0, 0.0)
 
@@ -406,23 +408,23 @@ def test_before_its_first_route_the_user_does_nothing():
 @pytest.mark.parametrize(("steps", "dt_s"), [(24, 0.0), (24, 0.1), (24, math.nan), (0, 0.004)])
 def test_an_impossible_step_is_refused(steps, dt_s):
     with pytest.raises(ConfigError, match="at least one"):
-        make_user("slow").hand(steps, dt_s)
+        make_user("slow").move_hand(steps, dt_s)
 
 
 def test_a_user_knows_the_dead_band_and_the_shape_of_its_own_chair():
     body = Body(x_m=0.0, y_m=0.0, yaw_rad=0.0, speed_mps=0.5, arc_m=0.0, left_m=0.0, half_m=(0.57, 0.31))
     for chair in (ChairConfig(), ChairConfig(deadband=0.2), ChairConfig(deadband=0.05, shape_exponent=2.0)):
         stick = steer(body, (10.0, 0.0), 0.5, chair, 0.2, 0.0)
-        _, asked = shaped(stick.x, stick.y, chair.deadband, chair.shape_exponent)
-        assert asked * chair.v_max_mps == pytest.approx(0.5)
-        assert pushed(asked, chair) == pytest.approx(stick.y)
+        _, out = shaped(stick.x, stick.y, chair.deadband, chair.shape_exponent)
+        assert out * chair.v_max_mps == pytest.approx(0.5)
+        assert pushed(out, chair) == pytest.approx(stick.y)
 
 
 # --- help ---
 
 
-def asks(ask_share: float, seed: int = 0) -> tuple[list[float], list[Joystick]]:
-    """When a user asks for help in front of whom somebody appears three times, and its stick."""
+def requests_s(ask_share: float, seed: int = 0) -> tuple[list[float], list[Joystick]]:
+    """When a user requests help, in front of which a person appears three times, and its stick."""
     user = make_user("slow", seed, STREET, ask_share=ask_share, see_share=1.0)
     sim = on_pavement(user)
     times = []
@@ -431,30 +433,30 @@ def asks(ask_share: float, seed: int = 0) -> tuple[list[float], list[Joystick]]:
         appears = [t for t in (8.0, 9.0, 20.0) if t <= sim.time_s < t + 0.3]
         sim.actors = tuple(actor(PERSON, ahead, 5.5, name=f"p{t}") for t in appears)
         sim.tick()
-        if user.asks_help:
+        if user.requests_help:
             times.append(sim.time_s)
     return times, sim.track.sticks
 
 
-def test_who_is_scared_asks_for_help_once_and_its_stick_is_the_same():
-    asked, sticks = asks(1.0)
-    assert asked == [pytest.approx(8.1, abs=0.11), pytest.approx(20.1, abs=0.11)], "one scare in the seconds after 8"
-    silent, same = asks(0.0)
+def test_a_scared_user_requests_help_once_and_its_stick_is_the_same():
+    requests, sticks = requests_s(1.0)
+    assert requests == [pytest.approx(8.1, abs=0.11), pytest.approx(20.1, abs=0.11)], "one scare in the seconds after 8"
+    silent, same = requests_s(0.0)
     assert silent == [] and same == sticks
 
 
-def test_who_asks_is_drawn_from_the_seed():
-    found = [asks(0.5, seed)[0] for seed in range(6)]
-    assert found[:2] == [asks(0.5, seed)[0] for seed in range(2)]
+def test_requests_for_help_are_drawn_from_the_seed():
+    found = [requests_s(0.5, seed)[0] for seed in range(6)]
+    assert found[:2] == [requests_s(0.5, seed)[0] for seed in range(2)]
     assert 2 < sum(map(len, found)) < 12
 
 
-def test_who_sees_in_time_does_not_ask():
+def test_a_user_that_sees_in_time_requests_no_help():
     user = make_user("competent", 0, STREET, ask_share=1.0)
     sim = on_pavement(user)
     sim.actors = (actor(PERSON, 20.0, 5.5),)
-    asked = 0
+    requests = 0
     for _ in range(300):
         sim.tick()
-        asked += user.asks_help
-    assert asked == 0 and sim.chair.x > 10.0
+        requests += user.requests_help
+    assert requests == 0 and sim.chair.x > 10.0

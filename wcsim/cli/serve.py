@@ -38,7 +38,7 @@ from wcsim.server.transport.keys import is_loopback, known_names, make_keys
 from wcsim.towns.checks.validate import validate_net
 from wcsim.towns.scenario.town import Town, find_town
 from wcsim.types.bounds import MOST_SEATS
-from wcsim.users.profiles import recordings
+from wcsim.users.profiles import user_files
 from wcsim.view.live_table import LiveTable
 
 GATHER_S = 600.0
@@ -200,7 +200,7 @@ def _order(options: _Options, town: Town, config: RunConfig, place: Path) -> Wor
             gather_s=GATHER_S,
             lease_s=options.lease,
             max_think_s=options.max_think,
-            recordings=recordings([config.env.profile]),
+            recordings=user_files([config.env.profile]),
         ),
         endpoint=endpoint_in(place),
         ring=str(place / "ring"),

@@ -1,8 +1,9 @@
-"""The shared types: every type that crosses a package border. Import them from here, not from the files behind.
+"""The shared types: every type that crosses a package border. Import them from here.
 
-SI units and radians. World frame W: x east, y north, z up, yaw counter-clockwise from east. Body frame B of a
-wheelchair: x forward, y left, z up, origin on the ground below the middle of the drive axle. Dataclasses are frozen;
-arrays in them are read-only by convention, and those of a `Snapshot` are valid until the next tick.
+SI units and radians. World frame W: x east, y north, z up, yaw counter-clockwise from east. Body
+frame B of a wheelchair: x forward, y left, z up, origin on the ground below the middle of the drive
+axle. Dataclasses are frozen; arrays in them are read-only by convention, and those of a `Snapshot`
+are valid until the next tick.
 """
 
 from __future__ import annotations

@@ -23,9 +23,8 @@ class ActorKind(Enum):
     WHEELCHAIR = "wheelchair"
     OTHER = "other"
 
-    __hash__ = (
-        object.__hash__
-    )  # that of Enum is Python code, and every tick looks kinds up hundreds of times
+    # That of Enum is Python code, and every tick looks kinds up hundreds of times.
+    __hash__ = object.__hash__
 
 
 class ActorLook(Enum):
@@ -45,7 +44,10 @@ class ActorLook(Enum):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ActorState(ComparesArrays):
-    """One SUMO vehicle or person after a step; the point is the middle of its box, on the ground, deflected."""
+    """One SUMO vehicle or person after a step.
+
+    The point is the middle of its box, on the ground, deflected.
+    """
 
     id: str
     kind: ActorKind
@@ -57,7 +59,8 @@ class ActorState(ComparesArrays):
     signals: int = 0  # SUMO's signal bits, 0 for persons
     deflect_m: float = 0.0  # sideways offset that the bridge added to SUMO's pose, left positive
     look: ActorLook = ActorLook.USUAL
-    piece: int = 0  # of an articulated vehicle: 0 is the first rigid piece, under SUMO's id; 1... are those behind it
+    # Of an articulated vehicle: 0 is the first rigid piece, under SUMO's id; 1... are behind it.
+    piece: int = 0
 
     @property
     def row(self) -> tuple[float, ...]:
@@ -83,7 +86,7 @@ class SignalState:
     colours: str
 
     def frees(self, links: Iterable[int]) -> bool:
-        """Whether people may start over a crossing with these links; if the light is off, they may."""
+        """Whether people may start over a crossing with these links; they may if it is off."""
         return not any(self.colours[link] in "rRyYu" for link in links if link < len(self.colours))
 
 

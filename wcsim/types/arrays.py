@@ -16,7 +16,7 @@ Bool = npt.NDArray[np.bool_]
 
 
 class ComparesArrays:
-    """Base with an equality that works for arrays: same type, equal fields, arrays equal element by element."""
+    """Base with an equality that works for arrays: same type, equal fields, equal elements."""
 
     __slots__ = ()
     __hash__ = None  # type: ignore[assignment]
@@ -24,9 +24,9 @@ class ComparesArrays:
     def __eq__(self, other: object) -> bool:
         if type(other) is not type(self):
             return False
-        return all(
-            bool(np.array_equal(a, b)) if isinstance(a, np.ndarray) else a == b
-            for a, b in (
-                (getattr(self, item.name), getattr(other, item.name)) for item in fields(self)
-            )  # type: ignore[arg-type]
-        )
+        for item in fields(self):  # type: ignore[arg-type]
+            value, other_value = getattr(self, item.name), getattr(other, item.name)
+            is_array = isinstance(value, np.ndarray)
+            if not (np.array_equal(value, other_value) if is_array else value == other_value):
+                return False
+        return True

@@ -1,4 +1,4 @@
-"""What a field may hold that a peer or a file fills. Each has one of these types, so nothing comes in unbounded."""
+"""Bounds of the fields that a peer or a file fills. Each field has one of these types."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from typing import Annotated, Final
 import msgspec
 
 CLIENT_NAME = r"[A-Za-z0-9_-][A-Za-z0-9_.-]{0,63}"
-"""Pattern of a client's name: a plain word, so that it can name a folder and be printed anywhere."""
+"""Pattern of a client's name: a plain word, which can name a folder and be printed anywhere."""
+
 MOST_SEATS: Final = 64  # of a world
 MAX_SEED: Final = (1 << 63) - 1
 SESSION_BYTES = 16
@@ -24,9 +25,8 @@ MOST_ACTIONS = 1024
 MOST_SIDE_PX = 2048  # of a picture
 
 Session = Annotated[bytes, msgspec.Meta(min_length=SESSION_BYTES, max_length=SESSION_BYTES)]
-SessionOrNone = Annotated[
-    bytes, msgspec.Meta(max_length=SESSION_BYTES)
-]  # b"" where it is not known
+# b"" where it is not known.
+SessionOrNone = Annotated[bytes, msgspec.Meta(max_length=SESSION_BYTES)]
 Claim = Annotated[bytes, msgspec.Meta(max_length=128)]
 Count = Annotated[int, msgspec.Meta(ge=0, le=_MAX_COUNT)]
 CountOrNone = Annotated[int, msgspec.Meta(ge=-1, le=_MAX_COUNT)]
@@ -35,11 +35,10 @@ Seat = Annotated[int, msgspec.Meta(ge=0, le=MOST_SEATS - 1)]
 SeatOrAny = Annotated[int, msgspec.Meta(ge=-1, le=MOST_SEATS - 1)]
 Slot = Annotated[int, msgspec.Meta(ge=-1, le=1)]
 Process = Annotated[int, msgspec.Meta(ge=0, le=_MAX_PROCESS)]
-Steps = Annotated[
-    int, msgspec.Meta(ge=1, le=1 << 31)
-]  # of an episode: some of this machine are endless
+# Of an episode: some of this machine are endless.
+Steps = Annotated[int, msgspec.Meta(ge=1, le=1 << 31)]
 Delay = Annotated[int, msgspec.Meta(ge=0, le=10)]  # as world.action_delay_ticks
-# A stick beyond its range is the core's to refuse, by name; here only what is no position at all.
+# The core refuses a stick beyond its range, by name; here only what is no position at all.
 Stick = Annotated[float, msgspec.Meta(ge=-2.0, le=2.0)]
 Metres = Annotated[float, msgspec.Meta(ge=-MOST_METRES, le=MOST_METRES)]
 Radians = Annotated[float, msgspec.Meta(ge=-1e3, le=1e3)]
@@ -51,7 +50,6 @@ NameOrNone = Annotated[str, msgspec.Meta(max_length=64, pattern=r"\A[A-Za-z0-9_.
 Key = Annotated[str, msgspec.Meta(max_length=128, pattern=r"\A[A-Za-z0-9_.*-]*\Z")]
 Line = Annotated[str, msgspec.Meta(max_length=256, pattern=r"\A[^\x00-\x1f\x7f-\x9f]*\Z")]
 Place = Annotated[str, msgspec.Meta(max_length=4096, pattern=r"\A[^\x00-\x1f\x7f-\x9f]*\Z")]
-Text = Annotated[
-    str, msgspec.Meta(max_length=MOST_TEXT)
-]  # printed only as `reading.shown` gives it
+# Printed only as `reading.escaped` gives it.
+Text = Annotated[str, msgspec.Meta(max_length=MOST_TEXT)]
 Document = Annotated[str, msgspec.Meta(max_length=1 << 20)]

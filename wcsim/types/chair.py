@@ -1,4 +1,4 @@
-"""A wheelchair's commands, state, outline and contacts, and the measurements of its sensors in one tick."""
+"""A wheelchair's commands, state, outline, contacts, and sensor measurements in one tick."""
 
 from __future__ import annotations
 
@@ -80,7 +80,10 @@ class Outline:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Contact:
-    """A contact in one tick between a part of the wheelchair and something else; impulses are summed over the tick."""
+    """A contact in one tick between a part of the wheelchair and something else.
+
+    Impulses are summed over the tick.
+    """
 
     kind: b.NameOrNone  # an ActorKind value, or "ground", "kerb", "building", "static"
     part: b.NameOrNone  # "wheel", "caster", "antitip", "footplate", "body"
@@ -95,7 +98,8 @@ class CameraFrame(ComparesArrays):
 
     name: b.Line
     taken_tick: b.CountOrNone
-    depth_m: F32  # (H, W) along the optical axis; range where nothing is hit, 0 where nothing was measured (noise)
+    # (H, W) along the optical axis; range where nothing is hit, 0 where noise left no value.
+    depth_m: F32
     class_id: U8  # (H, W) ClassId, VOID where the noise leaves no class
     rgb: U8 | None = None  # (H, W, 3), only if the camera draws colours
 
@@ -105,7 +109,8 @@ class ImuFrame(ComparesArrays):
     """Measurements of the IMU and the tilt sensor in one tick."""
 
     accel_mean_mps2: F64  # (3,) specific force in the sensor frame, tick mean, gravity included
-    accel_peak_mps2: F64  # (3,) largest |.| per axis within the tick after the 20 Hz low-pass, gravity removed; exact
+    # (3,) largest |.| per axis within the tick after the 20 Hz low-pass, gravity removed; exact.
+    accel_peak_mps2: F64
     gyro_radps: F64  # (3,) tick mean
     roll_rad: b.Number  # as the tilt sensor measures it; the true tilt is in PlantState
     pitch_rad: b.Number
@@ -114,12 +119,11 @@ class ImuFrame(ComparesArrays):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Measure:
-    """Description of a sensor of `[sensors]`: its reading has one float64 for each part, in this order."""
+    """Description of a sensor of `[sensors]`: its reading has one float64 for each part."""
 
     parts: tuple[str, ...]  # name and unit of each number, as speed_mps
-    full_scale: tuple[
-        float, ...
-    ]  # of each; the observation holds number / full_scale as float32, cut to [-1, 1]
+    # Of each part; the observation holds number / full_scale as float32, cut to [-1, 1].
+    full_scale: tuple[float, ...]
     mirror: tuple[float, ...]  # 1 or -1: the sign of each if left and right are exchanged
 
 
@@ -138,6 +142,5 @@ class SensorFrame:
     tick: b.Count
     cameras: Annotated[tuple[CameraFrame, ...], Meta(max_length=b.MOST_CAMERAS)]
     imu: ImuFrame
-    readings: Annotated[
-        tuple[Reading, ...], Meta(max_length=b.MOST_READINGS)
-    ] = ()  # of those in `[sensors]`, by name
+    # Of the sensors in `[sensors]`, by name.
+    readings: Annotated[tuple[Reading, ...], Meta(max_length=b.MOST_READINGS)] = ()

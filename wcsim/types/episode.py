@@ -23,7 +23,10 @@ _Values = Annotated[tuple[tuple[b.Key, b.Number], ...], Meta(max_length=1024)]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class UserView(ComparesArrays):
-    """Everything that the simulated user may perceive in one tick: made by World, read by `users/user.py`."""
+    """Everything that the simulated user may perceive in one tick.
+
+    The world makes it, `users/user.py` reads it.
+    """
 
     time_s: float
     p_W_m: F64  # (3,)
@@ -32,9 +35,8 @@ class UserView(ComparesArrays):
     route: Route
     actors: tuple[ActorState, ...]  # those that the user can see, other wheelchairs included
     signals: tuple[SignalState, ...]
-    obstacles_W_m: (
-        F64  # (n, 4) x, y, radius of static obstacles near the route, number of the obstacle
-    )
+    # (n, 4) x, y, radius of static obstacles near the route, number of the obstacle.
+    obstacles_W_m: F64
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -83,15 +85,14 @@ class Events:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Drawn:
-    """Values drawn for a seat's episode from the ranges of `[vary]`; None or empty where there is no range."""
+    """Values drawn for a seat's episode from the ranges of `[vary]`; None or empty without one."""
 
     light: b.Number | None = None  # factor on the usual brightness of colours
     friction: b.Number | None = None  # factor on the friction of wheels and casters
     user_mass_kg: b.Number | None = None
     camera_shift_m: Annotated[tuple[_Shift, ...], _A_CAMERA] = ()  # along x, y, z of B, by camera
-    camera_turn_rad: Annotated[
-        tuple[tuple[b.Radians, b.Radians], ...], _A_CAMERA
-    ] = ()  # to the left and up, by camera
+    # To the left and up, by camera.
+    camera_turn_rad: Annotated[tuple[tuple[b.Radians, b.Radians], ...], _A_CAMERA] = ()
     action_delay_ticks: b.Delay | None = None
     plant: _Values = ()  # by dotted name, sorted
     attention: _Values = ()  # share of drivers that look for this chair, by class or "all"
@@ -112,9 +113,8 @@ class ClientSnapshot:
     events: Events
     truth: Truth | None = None
     drawn: Drawn | None = None  # of this episode, when the configuration has ranges
-    first: ClientSnapshot | None = (
-        None  # the first frame of the next episode, when this one ended with this tick
-    )
+    # The first frame of the next episode, when this one ended with this tick.
+    first: ClientSnapshot | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -130,9 +130,9 @@ class Snapshot:
     state_hash: str = ""
 
     def digest(self) -> str:
-        """The one hash for golden scenes, journals and replay: 64 bits over the raw numbers of everything that moves.
+        """The one hash for golden scenes, journals and replay, as hexadecimal.
 
-        It is given as hexadecimal.
+        It is 64 bits over the raw numbers of everything that moves.
         """
         digest = hashlib.blake2b(digest_size=8)
         digest.update(struct.pack("<qq", self.epoch, self.tick))
@@ -150,7 +150,10 @@ class Snapshot:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RewardTerms:
-    """The reward of one step, term by term (Tables 1 and 2 of the paper); `extra` is the user's own term."""
+    """The reward of one step, term by term (Tables 1 and 2 of the paper).
+
+    `extra` is the user's own term.
+    """
 
     base: float
     joystick: float
@@ -167,7 +170,10 @@ class RewardTerms:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StartSpec:
-    """A fixed start for every episode of a seat (scenes); without one, starts and destinations are drawn."""
+    """A fixed start for every episode of a seat (scenes).
+
+    Without one, starts and destinations are drawn.
+    """
 
     p_W_m: tuple[b.Metres, b.Metres]
     yaw_rad: b.Radians
@@ -176,11 +182,12 @@ class StartSpec:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SeatSpec:
-    """What a client requests when it takes a seat; everything else is in the world's configuration."""
+    """What a client requests when it takes a seat; the rest is in the world's configuration."""
 
     profile: b.Document = "inattentive"  # or FILE.toml, or recorded:FILE
     max_steps: b.Steps = 10_000
     truth: bool = False
     truth_visible: bool = False  # the truth includes `visible`
-    near: bool = False  # a reading says what is near, for `env.observation=state`; cameras draw only colours then
+    # A reading lists what is near, for `env.observation=state`; cameras draw only colours then.
+    near: bool = False
     start: StartSpec | None = None

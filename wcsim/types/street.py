@@ -16,9 +16,16 @@ import numpy.typing as npt
 
 from wcsim.types.arrays import F32, F64, I32, U8, Bool, ComparesArrays
 
+TileKey = tuple[int, int]
+AROUND_M: Final = 16.0
+AT_EDGE: Final = 128  # the least `edge_cm` of raised ground
+
 
 class ClassId(IntEnum):
-    """Pixel classes: Cityscapes labelIds, and three classes of wcsim from 34 on (folded by `class_fold_table`)."""
+    """Pixel classes: Cityscapes labelIds, and three classes of wcsim from 34 on.
+
+    `class_fold_table` folds them.
+    """
 
     VOID = 0
     STATIC = 4
@@ -61,9 +68,8 @@ class Mark(IntEnum):
 class GroundPaint(ComparesArrays):
     """Road markings as flat pieces a little above the road; only colour images show them."""
 
-    quads_W_m: F32 = field(
-        default_factory=lambda: np.zeros((0, 4, 3), np.float32)
-    )  # counter-clockwise from above
+    # (M, 4, 3) counter-clockwise from above.
+    quads_W_m: F32 = field(default_factory=lambda: np.zeros((0, 4, 3), np.float32))
     mark: U8 = field(default_factory=lambda: np.zeros(0, np.uint8))  # (M,) Mark
 
     def part(self, which: Bool) -> GroundPaint:
@@ -75,14 +81,14 @@ class GroundPaint(ComparesArrays):
 class StreetMesh(ComparesArrays):
     """All static geometry as one triangle mesh, for wheels and cameras.
 
-    Triangles are sorted by chunk; chunk c owns faces `chunk_faces[c]:chunk_faces[c + 1]` and uses only vertices
-    `chunk_vertices[c]:chunk_vertices[c + 1]`, so that it can be culled (camera) and merged (collision) on its own.
+    Triangles are sorted by chunk. Chunk c owns faces `chunk_faces[c]:chunk_faces[c + 1]` and uses
+    only vertices `chunk_vertices[c]:chunk_vertices[c + 1]`, so that it can be culled (camera) and
+    merged (collision) on its own.
     """
 
     vertices_W_m: F32  # (V, 3)
-    faces: (
-        I32  # (F, 3) indices into vertices_W_m, counter-clockwise seen from outside (up for ground)
-    )
+    # (F, 3) indices into vertices_W_m, counter-clockwise seen from outside (up for ground).
+    faces: I32
     face_class: U8  # (F,) ClassId
     chunk_vertices: I32  # (C + 1,)
     chunk_faces: I32  # (C + 1,)
@@ -91,10 +97,11 @@ class StreetMesh(ComparesArrays):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Relief(ComparesArrays):
-    """Terrain heights without kerbs, on a square grid, interpolated linearly on two triangles per square.
+    """Terrain heights without kerbs, on a square grid.
 
-    Square (row, col) has its lower left corner at origin_W_m + cell_m * (col, row) and is cut from there to its upper
-    right corner. Beyond the grid the height of its border continues.
+    They are interpolated linearly on two triangles per square. Square (row, col) has its lower left
+    corner at origin_W_m + cell_m * (col, row) and is cut from there to its upper right corner.
+    Beyond the grid the height of its border continues.
     """
 
     origin_W_m: tuple[float, float]
@@ -113,10 +120,8 @@ class Relief(ComparesArrays):
         v = np.clip((p_W_m[..., 1] - self.origin_W_m[1]) / self.cell_m, 0.0, rows - 1.0)
         col, row = np.minimum(u.astype(np.intp), cols - 2), np.minimum(v.astype(np.intp), rows - 2)
         u, v = u - col, v - row
-        low, high = (
-            self.z_m[row, col].astype(np.float64),
-            self.z_m[row + 1, col + 1].astype(np.float64),
-        )
+        low = self.z_m[row, col].astype(np.float64)
+        high = self.z_m[row + 1, col + 1].astype(np.float64)
         side = np.where(u >= v, self.z_m[row, col + 1], self.z_m[row + 1, col]).astype(np.float64)
         big, small = np.maximum(u, v), np.minimum(u, v)
         return np.asarray(low + big * (side - low) + small * (high - side), np.float64)
@@ -132,16 +137,19 @@ class Ground(Protocol):
         """Ground height in metres under the points (..., 2 or 3)."""
 
     def raised_at(self, p_W_m: F64) -> F64:
-        """Height in metres of the ground above the terrain: 0 on a road, a kerb's height on a pavement."""
+        """Height in metres of the ground above the terrain: 0 on a road, a kerb's on a pavement."""
 
     def clearance_at(self, p_W_m: F64) -> F64:
-        """Distance in metres from the points (..., 2 or 3) to the nearest obstacle, at most 25.5."""
+        """Distance in metres from points (..., 2 or 3) to the nearest obstacle, at most 25.5."""
 
     def class_at(self, p_W_m: F64) -> U8:
         """ClassId of the ground under the points (..., 2 or 3)."""
 
     def height_here(self, x_W_m: float, y_W_m: float) -> float:
-        """Ground height in metres at one place, without arrays: for the few places that every tick looks up."""
+        """Ground height in metres at one place, without arrays.
+
+        It is for the few places that every tick looks up.
+        """
 
     def class_here(self, x_W_m: float, y_W_m: float) -> int:
         """ClassId of the ground at one place."""
@@ -150,36 +158,33 @@ class Ground(Protocol):
         """One raster that covers at least AROUND_M around the point (2 or 3,)."""
 
 
-AROUND_M = 16.0
-AT_EDGE: Final = 128  # the least `edge_cm` of raised ground
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StreetGrid(ComparesArrays):
     """A `Ground` made of rasters.
 
-    Cell (row, col) covers x from origin_W_m[0] + col * cell_m and y from origin_W_m[1] + row * cell_m.
+    Cell (row, col) covers x from origin_W_m[0] + col * cell_m, y from origin_W_m[1] + row * cell_m.
     """
 
     origin_W_m: tuple[float, float]
     cell_m: float
     height_cm: U8  # (rows, cols) ground height above the relief, centimetres
     ground_class: U8  # (rows, cols) ClassId of the ground surface
-    clearance_dm: U8  # (rows, cols) distance to the nearest obstacle (wall, trunk, pole), decimetres, 255 = far
-    # (rows, cols) distance of the middle to the nearest kerb's edge, centimetres: from AT_EDGE up on raised ground, and
-    # down on low ground; given as one cell, no kerb is told of
+    # (rows, cols) distance to the nearest obstacle (wall, trunk, pole), decimetres, 255 = far.
+    clearance_dm: U8
+    # (rows, cols) distance of the cell's middle to the nearest kerb's edge, centimetres: from
+    # AT_EDGE up on raised ground, and down on low ground. One cell alone: no kerb is known.
     edge_cm: U8 = field(default_factory=lambda: np.zeros((1, 1), np.uint8))
     relief: Relief = field(default_factory=lambda: FLAT)
 
     def __post_init__(self) -> None:
-        """Where no kerb is told of one may be near, but it cuts no cell."""
+        """Where no kerb is known, one may be near, but it cuts no cell."""
         if self.edge_cm.shape == (1, 1):
             object.__setattr__(
                 self, "edge_cm", np.full(self.height_cm.shape, AT_EDGE + 20, np.uint8)
             )
 
     def cells(self, p_W_m: F64) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
-        """Rows and columns of the points (..., 2 or 3); points outside fall on the nearest border cell."""
+        """Rows and columns of the points (..., 2 or 3); points outside get the border cell."""
         rows, cols = self.height_cm.shape
         col = np.floor((p_W_m[..., 0] - self.origin_W_m[0]) / self.cell_m).astype(np.intp)
         row = np.floor((p_W_m[..., 1] - self.origin_W_m[1]) / self.cell_m).astype(np.intp)
@@ -205,11 +210,9 @@ class StreetGrid(ComparesArrays):
     def height_here(self, x_W_m: float, y_W_m: float) -> float:
         """See `Ground`."""
         raised_m = 0.01 * int(self.height_cm[self._cell(x_W_m, y_W_m)])
-        return (
-            raised_m
-            if self.relief is FLAT
-            else raised_m + float(self.relief.at(np.array([x_W_m, y_W_m])))
-        )
+        if self.relief is FLAT:
+            return raised_m
+        return raised_m + float(self.relief.at(np.array([x_W_m, y_W_m])))
 
     def class_here(self, x_W_m: float, y_W_m: float) -> int:
         """See `Ground`."""
@@ -266,9 +269,6 @@ class Route(ComparesArrays):
     edge_index: I32  # (K,) index into WalkGraph.edges of the piece that starts at this point
 
 
-TileKey = tuple[int, int]
-
-
 class StreetTiles(Protocol):
     """The mesh of a street in square tiles; only those near a wheelchair need to be in memory."""
 
@@ -305,7 +305,7 @@ class OneTile:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SignalHead(ComparesArrays):
-    """One head of a traffic light: position and direction of its lamps, and its index in the light's state."""
+    """One head of a traffic light: its lamps, and its index in the light's state."""
 
     tls_id: str
     link: int  # index into the light's state string
@@ -322,11 +322,7 @@ class Street:
     grid: Ground
     walk: WalkGraph
     signal_heads: tuple[SignalHead, ...] = ()
-    net_origin_m: tuple[float, float, float] = (
-        0.0,
-        0.0,
-        0.0,
-    )  # the place of W's origin in SUMO's net
+    net_origin_m: tuple[float, float, float] = (0.0, 0.0, 0.0)  # W's origin in SUMO's net
 
     @property
     def mesh(self) -> StreetMesh:
@@ -339,37 +335,27 @@ def joined_mesh(parts: Sequence[StreetMesh]) -> StreetMesh:
     if len(parts) == 1:
         return parts[0]
     starts = np.cumsum([0, *(len(part.vertices_W_m) for part in parts)]).astype(np.int32)
-    faces = np.cumsum([0, *(len(part.faces) for part in parts)]).astype(np.int32)
-    none = np.zeros(0, np.int32)
+    first_faces = np.cumsum([0, *(len(part.faces) for part in parts)]).astype(np.int32)
+    # Empty arrays lead, so that no parts at all are joined too.
+    vertices = [np.zeros((0, 3), np.float32)]
+    faces = [np.zeros((0, 3), np.int32)]
+    face_class = [np.zeros(0, np.uint8)]
+    chunk_vertices = [np.zeros(0, np.int32)]
+    chunk_faces = [np.zeros(0, np.int32)]
+    quads, marks = [GroundPaint().quads_W_m], [GroundPaint().mark]
+    for part, start, first_face in zip(parts, starts, first_faces, strict=False):
+        vertices.append(part.vertices_W_m)
+        faces.append(part.faces + start)
+        face_class.append(part.face_class)
+        chunk_vertices.append(part.chunk_vertices[:-1] + start)
+        chunk_faces.append(part.chunk_faces[:-1] + first_face)
+        quads.append(part.paint.quads_W_m)
+        marks.append(part.paint.mark)
     return StreetMesh(
-        vertices_W_m=np.concatenate(
-            [np.zeros((0, 3), np.float32), *(part.vertices_W_m for part in parts)]
-        ),
-        faces=np.concatenate(
-            [
-                np.zeros((0, 3), np.int32),
-                *(p.faces + v for p, v in zip(parts, starts, strict=False)),
-            ]
-        ),
-        face_class=np.concatenate([np.zeros(0, np.uint8), *(part.face_class for part in parts)]),
-        chunk_vertices=np.concatenate(
-            [
-                none,
-                *(p.chunk_vertices[:-1] + v for p, v in zip(parts, starts, strict=False)),
-                starts[-1:],
-            ]
-        ),
-        chunk_faces=np.concatenate(
-            [
-                none,
-                *(p.chunk_faces[:-1] + f for p, f in zip(parts, faces, strict=False)),
-                faces[-1:],
-            ]
-        ),
-        paint=GroundPaint(
-            quads_W_m=np.concatenate(
-                [GroundPaint().quads_W_m, *(part.paint.quads_W_m for part in parts)]
-            ),
-            mark=np.concatenate([GroundPaint().mark, *(part.paint.mark for part in parts)]),
-        ),
+        vertices_W_m=np.concatenate(vertices),
+        faces=np.concatenate(faces),
+        face_class=np.concatenate(face_class),
+        chunk_vertices=np.concatenate([*chunk_vertices, starts[-1:]]),
+        chunk_faces=np.concatenate([*chunk_faces, first_faces[-1:]]),
+        paint=GroundPaint(quads_W_m=np.concatenate(quads), mark=np.concatenate(marks)),
     )

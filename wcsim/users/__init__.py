@@ -1,1 +1,1 @@
-"""The simulated user: perception, intent, hand. Whoever holds the joystick, never who corrects it."""
+"""The simulated user: perception, intent, hand. It holds the joystick; others correct it."""

@@ -1,7 +1,7 @@
-"""Kinds of users as parameters of one model (`profiles.toml`), and files of profiles: TOML over those of a base.
+"""Kinds of users as parameters of one model (`profiles.toml`), and profiles in TOML files of users.
 
-The values follow published ranges for reaction times and tremor: plausible, but only the hand of `recorded` is fitted.
-`ataxic` is meant to be held out of training.
+The values follow published ranges for reaction times and tremor: plausible, but only the hand of
+`recorded` is fitted. `ataxic` is meant to be held out of training.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -19,20 +19,19 @@ from wcsim.core.constants import RECORDED
 from wcsim.core.reading import PROFILE, escaped, escaped_value, own_data, parse_json, read_toml
 from wcsim.errors import ConfigError, meant
 
-PROFILE_SUFFIX = ".toml"
-"""Of the file of a profile, where else the name of one stands."""
+_SUFFIX: Final = ".toml"
+_NAME: Final = re.compile(r"[A-Za-z0-9_-][A-Za-z0-9_.-]{0,63}")
+_DATA: Final[dict[str, dict[str, Any]]] = own_data(__file__)
 
-_DATA: dict[str, dict[str, Any]] = own_data(__file__)
-
-PROFILE_LIMITS: dict[str, tuple[float, float]] = {
+PROFILE_LIMITS: Final[dict[str, tuple[float, float]]] = {
     name: (low, high) for name, (low, high) in _DATA.pop("limits").items()
 }
 """Least and most of each number of a profile; of both its parts where it has two."""
 
-PAIRS = ("gain", "bias")
+PAIRS: Final = ("gain", "bias")
 """The numbers of a profile that have two parts."""
 
-HELD_OUT = ("ataxic",)
+HELD_OUT: Final = ("ataxic",)
 """Profiles that no network is trained with."""
 
 
@@ -43,25 +42,26 @@ class UserProfile:
     name: str
     reaction_s: float  # from seeing to moving the hand
     lag_s: float  # neuromuscular first-order lag
-    lookahead_m: float  # at standstill; grows with speed; short, so that corners of a 2 m pavement are not cut
+    # At standstill; it grows with the speed. Short, so that corners of a 2 m pavement are not cut.
+    lookahead_m: float
     noise: float  # standard deviation of the hand's slow wander, in stick units
     noise_rate: float  # how fast the wander forgets itself, 1/s
     tremor: float  # amplitude, in stick units
     tremor_hz: float
     gain: tuple[float, float]  # of the hand, x and y
     bias: tuple[float, float]
-    see_share: float  # chance that an obstacle or actor is noticed at all
-    see_m: float  # how far people and obstacles are noticed
+    see_share: float  # chance that an obstacle or actor is detected at all
+    see_m: float  # how far away obstacles are detected
     away_share: float  # share of the time spent looking elsewhere
     away_s: float  # mean length of a look elsewhere
     correct_every_s: float  # time between corrections, 0 for continuous steering
     speed_share: float  # desired speed as a share of the chair's
     law_share: float  # chance to respect a red light and an approaching vehicle at a crossing
-    give_up_s: float  # blocked for so long, the user gives up
+    give_up_s: float  # a user that is blocked for so long gives up
     discrete: bool  # four switches instead of a stick
     hold_s: float  # with switches: forward, and a rest after a turn, last at least this long
     ask_share: float = 0.0  # chance to ask for help when it is scared
-    spread: float = 0.3  # relative; parameters of an episode lie within 1 -+ this of the profile's
+    spread: float = 0.3  # parameters of an episode lie within 1 -+ this times the profile's
 
 
 def profile(name: str) -> UserProfile:
@@ -77,36 +77,42 @@ def profile(name: str) -> UserProfile:
     return UserProfile(name=name, **numbers | pairs)
 
 
-def find_profile(name: str) -> UserProfile:
-    """The profile called `name`, or that of a file "FILE.toml". Raises ConfigError as `profile` or `_read_profile`."""
-    return _read_profile(Path(name)) if name.endswith(PROFILE_SUFFIX) else profile(name)
-
-
-def is_of_file(name: str) -> bool:
-    """Whether it names a file in the place of a profile: "recorded:FILE", or "FILE.toml"."""
-    return name.startswith(RECORDED) or name.endswith(PROFILE_SUFFIX)
-
-
-def recordings(profiles: Iterable[str]) -> tuple[str, ...]:
-    """Those of these that name a file in the place of a profile."""
-    return tuple(sorted({name for name in profiles if is_of_file(name)}))
-
-
 def profile_names() -> tuple[str, ...]:
     """The names of all profiles."""
     return tuple(_DATA)
 
 
-def sample(base: UserProfile, rng: np.random.Generator) -> UserProfile:
-    """The user of one episode: every parameter within the profile's spread of its own (30 %), and within its bounds.
+def find_profile(name: str) -> UserProfile:
+    """The profile called `name`, or that of a file "FILE.toml".
 
-    The chances to see and to keep to the law are spread by their complement (who misses 2 % misses 1.4 to 2.6 %), gains
-    by how far they are from one (a faithful hand stays faithful). The chance to ask for help is the profile's.
+    Raises:
+        ConfigError: There is no such profile, or the file cannot be used; with what was expected.
+    """
+    return _read_profile(Path(name)) if name.endswith(_SUFFIX) else profile(name)
+
+
+def is_user_file(name: str) -> bool:
+    """Whether it names a file in the place of a profile: "recorded:FILE", or "FILE.toml"."""
+    return name.startswith(RECORDED) or name.endswith(_SUFFIX)
+
+
+def user_files(names: Iterable[str]) -> tuple[str, ...]:
+    """Those of these names that are of files in the place of a profile, sorted, each once."""
+    return tuple(sorted({name for name in names if is_user_file(name)}))
+
+
+def sample(base: UserProfile, rng: np.random.Generator) -> UserProfile:
+    """Draw the user of one episode: every parameter within the profile's spread, and its bounds.
+
+    Chances to see and to obey the law are spread by their complement: 2 % of misses become 1.4 to
+    2.6 %. Gains are spread by how far they are from one: a faithful hand stays faithful. The chance
+    to request help is the profile's.
     """
 
     def around(value: float) -> float:
         return value * float(rng.uniform(1.0 - base.spread, 1.0 + base.spread))
 
+    # The order of these draws is part of what a seed means.
     user = replace(
         base,
         reaction_s=around(base.reaction_s),
@@ -128,45 +134,22 @@ def sample(base: UserProfile, rng: np.random.Generator) -> UserProfile:
         law_share=1.0 - around(1.0 - base.law_share),
         hold_s=around(base.hold_s),
     )
-    # Last, so that a user of a seed is in all else who it was before this was drawn.
-    return _bounded(replace(user, bias=(user.bias[0], around(base.bias[1]))))
+    # Last, so that a user of a seed is in all else what it was before this was drawn.
+    user = replace(user, bias=(user.bias[0], around(base.bias[1])))
+    bounded: dict[str, Any] = {}
+    for name, (low, high) in PROFILE_LIMITS.items():
+        value = getattr(user, name)
+        if name in PAIRS:
+            bounded[name] = tuple(min(max(part, low), high) for part in value)
+        else:
+            bounded[name] = min(max(value, low), high)
+    return replace(user, **bounded)
 
 
-def _bounded(user: UserProfile) -> UserProfile:
-    """The same user, each number within its bounds."""
-
-    def held(name: str, value: Any) -> Any:
-        low, high = PROFILE_LIMITS[name]
-        parts = [min(max(part, low), high) for part in (value if name in PAIRS else (value,))]
-        return tuple(parts) if name in PAIRS else parts[0]
-
-    return replace(user, **{name: held(name, getattr(user, name)) for name in PROFILE_LIMITS})
-
-
-_NAME = re.compile(r"[A-Za-z0-9_-][A-Za-z0-9_.-]{0,63}")
-
-
-def _read_profile(path: Path) -> UserProfile:
-    """The profile of a file; what it leaves out is that of its `base`, competent where it names none.
-
-    Raises:
-        ConfigError: It cannot be read, has another key, or a number that is out of bounds; with the key and the bounds.
-    """
-    data = read_toml(path, PROFILE)
-    base = data.pop("base", "competent")
-    if not isinstance(base, str):
-        raise ConfigError(
-            f"{escaped(path)}: base: got {escaped_value(base)}; expected the name of one of wcsim's profiles"
-        )
-    return _changed(
-        replace(profile(base), name=profile_word(path.stem), spread=0.0), data, escaped(path)
-    )
-
-
-def profile_of_json(text: str, where: str) -> UserProfile:
+def profile_from_json(text: str, where: str) -> UserProfile:
     """A profile that `profile_json` wrote. Raises ConfigError, beginning with `where`."""
     data = parse_json(text, where, PROFILE)
-    return _changed(profile("competent"), data, where)
+    return _with_values(profile("competent"), data, where)
 
 
 def profile_json(user: UserProfile) -> str:
@@ -174,22 +157,54 @@ def profile_json(user: UserProfile) -> str:
     return json.dumps(asdict(user), allow_nan=False)
 
 
-def profile_text(user: UserProfile, notes: Mapping[str, str], head: str = "") -> str:
-    """A profile as TOML that `_read_profile` takes; `notes` stand behind their keys, `head` above all."""
+def profile_toml(user: UserProfile, notes: Mapping[str, str], head: str = "") -> str:
+    """A profile as TOML that `find_profile` reads; `notes` stand behind keys, `head` above all."""
     lines = [f"# {line}" for line in head.splitlines()]
     for name, value in asdict(user).items():
-        written = f"[{', '.join(map(repr, value))}]" if isinstance(value, tuple) else _plain(value)
-        note = notes.get(name, "")
-        lines.append(f"{name} = {written}" + (f"  # {note}" if note else ""))
+        if isinstance(value, bool):
+            written = "true" if value else "false"
+        elif isinstance(value, str):
+            written = f'"{value}"'
+        elif isinstance(value, tuple):
+            written = f"[{', '.join(map(repr, value))}]"
+        else:
+            written = repr(value)
+        note = f"  # {notes[name]}" if notes.get(name) else ""
+        lines.append(f"{name} = {written}{note}")
     return "\n".join([*lines, ""])
 
 
-def _changed(base: UserProfile, data: dict[str, Any], where: str) -> UserProfile:
+def valid_profile_name(text: str) -> str:
+    """A name for a profile that is made of any text, as of its file's name."""
+    return re.sub(r"[^A-Za-z0-9_.-]", "-", text)[:64].lstrip(".") or "user"
+
+
+def _read_profile(path: Path) -> UserProfile:
+    """The profile of a file; what it leaves out is that of its `base` (default competent).
+
+    Raises:
+        ConfigError: It cannot be read, has another key, or a number that is out of bounds; with the
+            key and the bounds.
+    """
+    data = read_toml(path, PROFILE)
+    base = data.pop("base", "competent")
+    if not isinstance(base, str):
+        raise ConfigError(
+            f"{escaped(path)}: base: got {escaped_value(base)}; "
+            "expected the name of one of wcsim's profiles"
+        )
+    plain = replace(profile(base), name=valid_profile_name(path.stem), spread=0.0)
+    return _with_values(plain, data, escaped(path))
+
+
+def _with_values(base: UserProfile, data: dict[str, Any], where: str) -> UserProfile:
+    """The profile with the values of a file, checked one by one."""
     known = set(PROFILE_LIMITS) | {"name", "discrete"}
     strange = sorted(key for key in data if key not in known)
     if strange:
         raise ConfigError(
-            f"{where}: unknown key {escaped(strange[0], 40)!r}; expected one of: base, {', '.join(sorted(known))}"
+            f"{where}: unknown key {escaped(strange[0], 40)!r}; "
+            f"expected one of: base, {', '.join(sorted(known))}"
         )
     return replace(base, **{key: _value(key, value, where) for key, value in data.items()})
 
@@ -218,14 +233,3 @@ def _value(key: str, value: Any, where: str) -> Any:
 
 def _is_number(value: Any) -> bool:
     return isinstance(value, (int, float)) and not isinstance(value, bool)
-
-
-def _plain(value: object) -> str:
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    return f'"{value}"' if isinstance(value, str) else repr(value)
-
-
-def profile_word(text: str) -> str:
-    """A name for a profile that is made of any text, as of its file's name."""
-    return re.sub(r"[^A-Za-z0-9_.-]", "-", text)[:64].lstrip(".") or "user"

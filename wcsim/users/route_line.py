@@ -1,10 +1,10 @@
-"""A route as a line to drive along: where on it am I, what comes, how fast can its corners be taken."""
+"""A route as a line to drive along: where a point is on it, how fast its corners can be taken."""
 
 from __future__ import annotations
 
 import math
 from bisect import bisect_left, bisect_right
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -12,10 +12,12 @@ from wcsim.core.jit import exact_kernel
 from wcsim.errors import ConfigError
 from wcsim.types import F64, Route
 
-_CORNER_WINDOW_M = 0.6  # turns within this distance of each other are one corner
-_GENTLE_TURN_RAD = 0.15
-_HINT_BACK_M, _HINT_AHEAD_M = 3.0, 8.0
-_LOST_M = 3.0  # farther from the hinted stretch than this, the whole route is searched
+_CORNER_WINDOW_M: Final = 0.6  # turns within this distance of each other are one corner
+_GENTLE_TURN_RAD: Final = 0.15
+_HINT_BACK_M: Final = 3.0
+_HINT_AHEAD_M: Final = 8.0
+_LOST_M: Final = 3.0  # farther from the hinted stretch than this, the whole route is searched
+_SAME_M: Final = 1e-6
 
 
 class _RoutePoint(NamedTuple):
@@ -26,7 +28,7 @@ class _RoutePoint(NamedTuple):
 
 
 class Path:
-    """A route prepared for quick questions; immutable."""
+    """A route prepared for quick queries; immutable."""
 
     def __init__(self, route: Route) -> None:
         """Raises ConfigError when the route has no point."""
@@ -36,9 +38,9 @@ class Path:
                 "the route has no points; expected at least one: draw another destination"
             )
         steps = np.hypot(*np.diff(points, axis=0).T) if len(points) > 1 else np.zeros(0)
-        keep = np.r_[True, steps > 1e-6]
-        points = points[keep]
-        if len(points) == 1:  # a route to where one stands: the direction does not matter
+        points = points[np.r_[True, steps > _SAME_M]]
+        # A route to where the chair stands: the direction does not matter.
+        if len(points) == 1:
             points = np.vstack([points, points + np.array([1e-3, 0.0])])
         self._points = points
         along = np.diff(points, axis=0)
@@ -54,14 +56,14 @@ class Path:
         return self._arc[-1]
 
     def project(self, x_m: float, y_m: float, hint_m: float) -> _RoutePoint:
-        """The nearest place on the route, searched around `hint_m` first, so that a route may cross itself."""
+        """The nearest place on the route, near `hint_m` first: a route may cross itself."""
         first = self._segment(hint_m - _HINT_BACK_M)
         last = max(first + 1, bisect_left(self._arc, hint_m + _HINT_AHEAD_M))
         place, distance = self._nearest(x_m, y_m, first, last)
         return place if distance <= _LOST_M else self._nearest(x_m, y_m, 0, len(self._unit))[0]
 
     def at(self, arc_m: float, left_m: float = 0.0) -> tuple[float, float]:
-        """The point (x, y) at a place; before the start and beyond the end the line goes on straight."""
+        """The point (x, y) at a place; beyond both ends the line goes on straight."""
         i = self._segment(arc_m)
         (x, y), (ux, uy) = self._points[i].tolist(), self._unit[i].tolist()
         ahead = arc_m - self._arc[i]
@@ -74,21 +76,16 @@ class Path:
     def speed_limit(
         self, arc_m: float, turn_radps: float, brake_mps2: float, ahead_m: float
     ) -> float:
-        """How fast to go at `arc_m` so that every corner within `ahead_m` can be taken turning at `turn_radps`."""
-        limit = math.inf
-        for corner_m, sharpness in self._corners[
-            bisect_left(self._corners, (arc_m - _CORNER_WINDOW_M, -math.inf)) :
-        ]:
+        """How fast to go at `arc_m` to take every corner within `ahead_m` at `turn_radps`."""
+        limit_mps = math.inf
+        first = bisect_left(self._corners, (arc_m - _CORNER_WINDOW_M, -math.inf))
+        for corner_m, sharpness_rad in self._corners[first:]:
             if corner_m > arc_m + ahead_m:
                 break
-            there = turn_radps * _CORNER_WINDOW_M / sharpness
-            limit = min(
-                limit,
-                math.sqrt(
-                    there**2 + 2.0 * brake_mps2 * max(0.0, corner_m - arc_m - _CORNER_WINDOW_M)
-                ),
-            )
-        return limit
+            corner_mps = turn_radps * _CORNER_WINDOW_M / sharpness_rad
+            brake_m = max(0.0, corner_m - arc_m - _CORNER_WINDOW_M)
+            limit_mps = min(limit_mps, math.sqrt(corner_mps**2 + 2.0 * brake_mps2 * brake_m))
+        return limit_mps
 
     def _segment(self, arc_m: float) -> int:
         return min(max(bisect_right(self._arc, arc_m) - 1, 0), len(self._unit) - 1)
@@ -116,7 +113,7 @@ class Path:
 def _nearest(
     points: F64, unit: F64, lengths: F64, x_m: float, y_m: float, first: int, last: int
 ) -> tuple[int, float, float, float]:
-    """Segment, distance along it, distance to its left, and distance of the point nearest to (x, y)."""
+    """Segment, distance along it, to its left, and off it, of the point nearest to (x, y)."""
     best, best_ahead_m, best_left_m, best_m = first, 0.0, 0.0, np.inf
     for i in range(first, min(last, len(unit))):
         dx, dy = x_m - points[i, 0], y_m - points[i, 1]

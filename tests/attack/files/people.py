@@ -12,7 +12,7 @@ from wcsim.log.drive import DriveRecording, read_drive
 from wcsim.log.reader import is_log, read_header
 from wcsim.log.records import Note, header_bytes, record_bytes
 from wcsim.log.writer import LogWriter
-from wcsim.users.profiles import _read_profile, profile_text
+from wcsim.users.profiles import _read_profile, profile_toml
 
 STUDY = {
     "name": "a-study",
@@ -51,7 +51,7 @@ def _take_study(path: Path) -> bool:
 
 def _take_profile(path: Path) -> bool:
     user = _read_profile(path)
-    path.write_text(profile_text(user, {}), encoding="utf-8")
+    path.write_text(profile_toml(user, {}), encoding="utf-8")
     return _read_profile(path) == user
 
 

@@ -19,7 +19,7 @@ from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.events import Rules
 from wcsim.server.transport.keys import make_keys
 from wcsim.types import ClientSnapshot, Joystick, SeatSpec, StartSpec
-from wcsim.users.profiles import recordings
+from wcsim.users.profiles import user_files
 
 AHEAD_A_LITTLE = Joystick(0.0, 0.05)  # within the dead band: the street stays the same
 NAN, INF = math.nan, math.inf
@@ -77,7 +77,7 @@ def test_a_recording_that_the_world_was_started_with_is_replayed(corner: Path, t
     file = tmp_path / "hand.csv"
     write_recording(file, np.arange(0.0, 5.0, 0.1), np.full((50, 2), [0.0, 0.7]))
     profile = f"recorded:{file}"
-    rules = Rules(capacity=1, expected=1, recordings=recordings(["competent", profile]))
+    rules = Rules(capacity=1, expected=1, recordings=user_files(["competent", profile]))
     with Server(real_order(corner, tmp_path, rules=rules), tmp_path) as server:
         network = server.status().listening
         with SocketSeat(server.seat("own", endpoint=network, spec=SeatSpec(profile=profile))) as seat:

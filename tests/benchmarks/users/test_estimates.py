@@ -33,7 +33,7 @@ def log_of(user, seconds=40.0, seed=1, stretch=1.0) -> HandLog:
     """A hand that is given wishes; with `stretch` its clock runs wrong."""
     hand, sticks, wanted = Hand(user, generator(seed, "hand")), [], wishes(seconds)
     for x, y in wanted:
-        hand.want(Joystick(x, y))
+        hand.send_intent(Joystick(x, y))
         sticks.append(hand.move(STEPS, stretch * DT_S))
     return HandLog(dt_s=DT_S, intents=wanted, sticks=np.array(sticks))
 

@@ -25,7 +25,7 @@ from wcsim.log.records import Admitted, DriveTick, Respawned, changed, tick_end_
 from wcsim.log.writer import LogWriter
 from wcsim.towns.scenario.town import content_hash, find_town
 from wcsim.types import Command, Joystick, SeatSpec
-from wcsim.users.profiles import _read_profile, profile, profile_json, profile_names, profile_text, sample
+from wcsim.users.profiles import _read_profile, profile, profile_json, profile_names, profile_toml, sample
 from wcsim.users.recordings.recorded_user import find_user
 
 
@@ -59,7 +59,7 @@ def test_a_user_drawn_of_a_wide_profile_can_be_recorded(tmp_path, own):
     base = _read_profile(tmp_path / "me.toml")
     for seed in range(60):
         user = drawn_user(base, seed)
-        (tmp_path / "drawn.toml").write_text(profile_text(user, {}))
+        (tmp_path / "drawn.toml").write_text(profile_toml(user, {}))
         assert _read_profile(tmp_path / "drawn.toml") == find_user(profile_json(user)) == user
 
 

@@ -28,9 +28,9 @@ def plane_drive(user: UserProfile, seconds: float, seed: int) -> DriveRecording:
         ticks += _way(user, generator(seed, "plane", episode), rng, len(ticks), episode)
         if len(ticks) * TICK_S >= seconds:
             break
-    kept = tuple(ticks[: round(seconds / TICK_S)])
+    records = tuple(ticks[: round(seconds / TICK_S)])
     header = drive_header()
-    return DriveRecording(name="plane", header=header, records=kept, has_truncated_end=False)
+    return DriveRecording(name="plane", header=header, records=records, has_truncated_end=False)
 
 
 def thinned(drive: DriveRecording, samples: int) -> DriveRecording:

@@ -1,4 +1,4 @@
-"""What a stick does is read off it, a hand's lag and wander come back, and who is unlike the others is told."""
+"""What a stick does is read off it, a hand's lag and wander are found, and a person unlike the others is shown."""
 
 import math
 from dataclasses import replace
@@ -16,12 +16,12 @@ BASE, CALM = profile("slow"), replace(profile("competent"), noise=0.01)
 
 
 def driven(user, seed: int, seconds: float = 90.0) -> np.ndarray:
-    """The stick of somebody who wants another place every one or two seconds, and rests now and then."""
-    rng, wishes = generator(seed, "stairs"), []
-    while sum(map(len, wishes)) < seconds / STICK_DT_S:
+    """The stick of a person that aims at another place every one or two seconds, and rests now and then."""
+    rng, intents = generator(seed, "stairs"), []
+    while sum(map(len, intents)) < seconds / STICK_DT_S:
         place = (rng.uniform(-0.6, 0.6), rng.choice([0.0, 0.35, 0.5, 0.7]))
-        wishes.append(np.tile(place if rng.random() < 0.8 else (0.0, 0.0), (int(rng.integers(50, 100)), 1)))
-    return driven_stick(user, np.concatenate(wishes), 0.01, seed)
+        intents.append(np.tile(place if rng.random() < 0.8 else (0.0, 0.0), (int(rng.integers(50, 100)), 1)))
+    return driven_stick(user, np.concatenate(intents), 0.01, seed)
 
 
 def habits(stick, step=0.0):
@@ -55,7 +55,7 @@ def test_a_slow_push_along_a_line_and_the_rounding_of_a_device_are_no_wander():
 
 
 @pytest.mark.parametrize(("lag_s", "noise"), [(0.07, 0.01), (0.12, 0.005), (0.12, 0.015), (0.2, 0.01)])
-def test_lag_and_wander_of_a_hand_come_back(lag_s, noise):
+def test_lag_and_wander_of_a_hand_are_found(lag_s, noise):
     found = habits(driven(replace(CALM, lag_s=lag_s, noise=noise), 1, 240.0), 0.01)
     assert found["lag_s"] == pytest.approx(lag_s, rel=0.15 if lag_s < 0.2 else 0.2), "slow ends are lost in the wander"
     assert found["noise"] == pytest.approx(noise, rel=0.3)
@@ -75,15 +75,15 @@ def test_people_are_their_mean_and_one_unlike_the_others_is_out_of_the_range_tha
     assert fit.estimates["lag_s"].low < 0.13 < fit.estimates["lag_s"].high and fit.estimates["lag_s"].n == 5
     assert fit.profile.noise == pytest.approx(0.01, rel=0.25) and "in steps of 0.01," in fit.warnings[0]
     rows = fit.habits
-    assert list(rows) == ["people", "fitted", *profile_names(), *(f"person {who}" for who in people)]
-    lags = [rows[f"person {who}"]["lag_s"] for who in people]
+    assert list(rows) == ["people", "fitted", *profile_names(), *(f"person {name}" for name in people)]
+    lags = [rows[f"person {name}"]["lag_s"] for name in people]
     assert [item.low < item.value < item.high for item in lags] == [True] * 4 + [False] and lags[4].n == 4
     for name in ("rest_share", "gate_share", "below_1_hz", "noise"):
         assert rows["fitted"][name].value == pytest.approx(rows["people"][name].value, rel=0.2, abs=0.01), name
     assert rows["tremor"]["below_8_hz"].value > 5.0 * rows["people"]["below_8_hz"].value
 
 
-def test_one_person_has_pieces_and_a_hand_that_never_holds_tells_nothing():
+def test_one_person_has_pieces_and_a_hand_that_never_holds_shows_nothing():
     assert fit_sticks({"a": driven(CALM, 1, 60.0)}, BASE).estimates["lag_s"].n == 3
     fit = fit_sticks({"a": driven(profile("tremor"), 1, 60.0)}, BASE)
     assert fit.profile == replace(BASE, spread=0.0) and not fit.estimates and "hardly ever held" in fit.warnings[1]

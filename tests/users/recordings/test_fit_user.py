@@ -1,4 +1,4 @@
-"""A recorded user is fitted: what it was drawn with is found, what cannot be told is said, and the file drives."""
+"""A recorded user is fitted: what it was drawn with is found, what cannot be found is named, and the file drives."""
 
 from __future__ import annotations
 
@@ -14,17 +14,20 @@ from wcsim.core.seeding import generator
 from wcsim.errors import ConfigError
 from wcsim.log.records import changed
 from wcsim.types import Joystick
-from wcsim.users.profiles import _read_profile, profile, profile_names, profile_text, sample
-from wcsim.users.recordings.fit_user import _by_switches, fit_user, is_told
+from wcsim.users.profiles import _read_profile, profile, profile_names, profile_toml, sample
+from wcsim.users.recordings.fit_user import _has_switches, fit_user, is_certain
 from wcsim.users.recordings.hand_series import hand_series
 
 BASE = profile("competent")
 FLOORS = {"bias_x": 0.02, "bias_y": 0.05, "tremor": 0.01, "away_share": 0.06}  # where a drawn number may be zero
-NOT_TOLD = {  # docs/user.md says why
+UNCERTAIN = {  # docs/user.md says why
     "inattentive": ("away_share", "away_s"),
     "ataxic": ("bias_x", "speed_share"),
     "recorded": ("lag_s", "noise", "noise_rate", "bias_y"),
 }
+EIGHTHS = [(math.sin(turn * math.pi / 4), math.cos(turn * math.pi / 4)) for turn in range(8)]
+KEYS = [(0.0, 0.0), *EIGHTHS, *((0.5 * x, 0.5 * y) for x, y in EIGHTHS)]
+SCANNED = [(0.0, 0.0), (0.0, 1.0), (0.0, 0.5), (-0.25, 0.75), (0.25, 0.75), (-0.5, 0.0), (0.5, 0.0), (0.0, -0.5)]
 
 
 def drawn(name, seed):
@@ -39,8 +42,8 @@ def numbers(user):
 
 def wrong(fit, user, share=0.15):
     """What is farther off than a share of what was drawn: (fitted, drawn) by name."""
-    said = numbers(user)
-    off = {name: (item.value, said[name]) for name, item in fit.estimates.items()}
+    truth = numbers(user)
+    off = {name: (item.value, truth[name]) for name, item in fit.estimates.items()}
     return {
         name: pair
         for name, pair in off.items()
@@ -68,14 +71,14 @@ def test_a_hand_is_found_in_a_minute_and_a_half(shaking, fit):
     assert any(line.startswith("only ") for line in fit.warnings)
 
 
-def test_a_stick_of_ten_samples_a_second_tells_a_slow_tremor_and_warns_of_fast_ones(shaking):
+def test_a_stick_of_ten_samples_a_second_shows_a_slow_tremor_and_warns_of_fast_ones(shaking):
     user, drive = shaking
     fit = fit_user([thinned(drive, 0)], BASE)
     assert fit.estimates["reaction_s"].value == pytest.approx(user.reaction_s, abs=0.06)
     assert any("a tremor above 5 Hz looks slower" in line for line in fit.warnings)
 
 
-def test_a_steady_hand_has_no_tremor_and_another_reaction_is_noticed():
+def test_a_steady_hand_has_no_tremor_and_another_reaction_is_found():
     user = replace(drawn("competent", 2), reaction_s=0.7)
     fit = fit_user([plane_drive(user, 80.0, 2)], BASE)
     assert fit.estimates["reaction_s"].value == pytest.approx(0.7, abs=0.03)
@@ -85,7 +88,7 @@ def test_a_steady_hand_has_no_tremor_and_another_reaction_is_noticed():
 def test_switches_are_known_and_fitted(shaking):
     user = drawn("switch", 1)
     drive = plane_drive(user, 20.0, 4)
-    assert _by_switches(hand_series([drive])) and not _by_switches(hand_series([shaking[1]]))
+    assert _has_switches(hand_series([drive])) and not _has_switches(hand_series([shaking[1]]))
     fit = fit_user([drive], BASE)
     assert fit.profile.discrete and fit.profile.noise == 0.0
     assert fit.profile.reaction_s == pytest.approx(user.reaction_s, abs=0.02)
@@ -93,18 +96,18 @@ def test_switches_are_known_and_fitted(shaking):
 
 
 def test_the_file_of_a_fit_is_a_profile(fit, tmp_path):
-    (tmp_path / "me.toml").write_text(profile_text(fit.profile, {}))
+    (tmp_path / "me.toml").write_text(profile_toml(fit.profile, {}))
     assert _read_profile(tmp_path / "me.toml") == fit.profile
     assert sample(fit.profile, generator(1, "user")) == fit.profile
 
 
-def test_intents_of_the_model_say_nothing_of_looks_elsewhere(shaking):
-    fit = fit_user([shaking[1]], replace(BASE, away_share=0.2), wanted=False)
+def test_intents_of_the_model_show_nothing_of_looks_elsewhere(shaking):
+    fit = fit_user([shaking[1]], replace(BASE, away_share=0.2), true_intents=False)
     assert "away_share" not in fit.estimates and fit.profile.away_share == 0.2
     assert any("looking away counts as noise" in line for line in fit.warnings)
 
 
-def test_drives_that_say_too_little_are_refused(shaking):
+def test_drives_that_show_too_little_are_refused(shaking):
     drive = shaking[1]
     with pytest.raises(ConfigError, match="no episode of 5 s"):
         fit_user([replace(drive, records=drive.ticks[:30])], BASE)
@@ -130,18 +133,13 @@ def at_positions(drive, positions):
     return replace(drive, records=tuple(ticks))
 
 
-EIGHTHS = [(math.sin(turn * math.pi / 4), math.cos(turn * math.pi / 4)) for turn in range(8)]
-KEYS = [(0.0, 0.0), *EIGHTHS, *((0.5 * x, 0.5 * y) for x, y in EIGHTHS)]
-SCANNED = [(0.0, 0.0), (0.0, 1.0), (0.0, 0.5), (-0.25, 0.75), (0.25, 0.75), (-0.5, 0.0), (0.5, 0.0), (0.0, -0.5)]
-
-
 @pytest.mark.parametrize("positions", [KEYS, SCANNED, [(0.0, 0.0), (0.0, 1.0)]])
-def test_keys_and_the_switches_of_a_page_tell_no_hand(shaking, positions):
+def test_keys_and_the_switches_of_a_page_show_no_hand(shaking, positions):
     with pytest.raises(ConfigError, match=r"took only \d+ positions?.*expected a drive by gamepad"):
         fit_user([shaking[1], at_positions(shaking[1], positions)], BASE)
 
 
-def test_who_only_pushes_to_the_gate_keeps_the_hand_of_the_base():
+def test_pushes_to_the_gate_alone_leave_the_hand_of_the_base():
     user = replace(drawn("competent", 1), gain=(3.0, 3.0))
     fit = fit_user([plane_drive(user, 60.0, 5)], replace(BASE, lag_s=0.21))
     assert (fit.profile.gain, fit.profile.lag_s, fit.profile.reaction_s) == (BASE.gain, 0.21, BASE.reaction_s)
@@ -153,8 +151,8 @@ def test_who_only_pushes_to_the_gate_keeps_the_hand_of_the_base():
 
 @pytest.mark.proof
 @pytest.mark.parametrize("name", profile_names())
-def test_ten_minutes_tell_a_user_to_15_per_cent(name):
+def test_ten_minutes_show_a_user_to_15_per_cent(name):
     user = drawn(name, 7)
     fit = fit_user([plane_drive(user, 600.0, 8)], BASE)
-    assert set(wrong(fit, user)) <= set(NOT_TOLD.get(name, ()))
-    assert all(is_told(key, item) for key, item in fit.estimates.items() if key not in NOT_TOLD.get(name, ()))
+    assert set(wrong(fit, user)) <= set(UNCERTAIN.get(name, ()))
+    assert all(is_certain(key, item) for key, item in fit.estimates.items() if key not in UNCERTAIN.get(name, ()))

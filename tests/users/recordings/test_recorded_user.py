@@ -27,7 +27,7 @@ def recorded(text, folder):
 def replay(recording, ticks):
     """The joystick after each tick of 0.1 s."""
     user = _RecordedUser(recording, USUAL_OUTLINE)
-    return [user.joystick, *(user.hand(24, 0.1 / 24) for _ in range(ticks))]
+    return [user.joystick, *(user.move_hand(24, 0.1 / 24) for _ in range(ticks))]
 
 
 def test_samples_hold_until_the_next_and_the_stick_rests_afterwards(tmp_path):
@@ -65,11 +65,11 @@ def test_a_table_of_ros_axes_counts_to_the_left_and_may_be_packed(tmp_path):
 def test_what_is_written_is_replayed_tick_by_tick(tmp_path_factory, sticks):
     file = tmp_path_factory.mktemp("rec") / "stick.csv"
     write_recording(file, 0.1 * np.arange(len(sticks)), np.array(sticks))
-    got = replay(read_recording(file), len(sticks) - 1)
-    assert [(j.x, j.y) for j in got] == sticks
+    replayed = replay(read_recording(file), len(sticks) - 1)
+    assert [(j.x, j.y) for j in replayed] == sticks
 
 
-def test_it_arrives_when_the_chair_does_and_gives_up_once_at_the_end(tmp_path):
+def test_it_arrives_with_the_chair_and_gives_up_once_at_the_end(tmp_path):
     rows = "".join(f"{0.1 * k:.1f},0,0.8\n" for k in range(101))
     user = _RecordedUser(recorded(HEAD + rows, tmp_path), USUAL_OUTLINE)
     sim = Sim(user, straight_route(), Chair(x=0.3, y=5.5))
@@ -87,7 +87,7 @@ def test_it_arrives_when_the_chair_does_and_gives_up_once_at_the_end(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "says"),
+    ("text", "message"),
     [
         ("", r"stick.csv:1: other column names; expected the line time_s,x,y"),
         ("a,b,c\n0,0,0\n", "stick.csv:1: other column names; expected the line time_s,x,y"),
@@ -107,9 +107,9 @@ def test_it_arrives_when_the_chair_does_and_gives_up_once_at_the_end(tmp_path):
         (HEAD + "0,0,0\n" + "1" * 200_000 + ",0,0\n", r"stick.csv:3: .* a line of more than 65536 letters"),
     ],
 )
-def test_what_cannot_be_used_is_refused(tmp_path, text, says):
+def test_what_cannot_be_used_is_refused(tmp_path, text, message):
     (tmp_path / "stick.csv").write_bytes(text.encode("utf-8", "surrogateescape"))
-    with pytest.raises(ConfigError, match=says):
+    with pytest.raises(ConfigError, match=message):
         find_user(f"recorded:{tmp_path}/stick.csv")
 
 
@@ -127,7 +127,7 @@ def test_a_name_is_a_profile_or_a_recording(tmp_path):
 
 
 @pytest.mark.parametrize("text", ["root:SECRET:0\n", "SECRET\n", HEAD + "SECRET\n", HEAD + "0,SECRET,0\n", "\0SECRET"])
-def test_nothing_of_a_file_that_is_no_recording_is_told(tmp_path, text):
+def test_nothing_of_a_file_that_is_no_recording_is_shown(tmp_path, text):
     with pytest.raises(ConfigError) as caught:
         recorded(text, tmp_path)
     assert "SECRET" not in str(caught.value) and "stick.csv" in str(caught.value)
@@ -147,7 +147,7 @@ def test_a_drive_is_replayed_with_its_intents_episode_by_episode(tmp_path):
     user = found.user(0, USUAL_OUTLINE)
     seen = [(user.joystick.x, user.intent.x)]
     for _ in range(5):
-        user.hand(2, 0.05)
+        user.move_hand(2, 0.05)
         seen.append((user.joystick.x, user.intent.x))
     assert seen[:3] == [(0.0, 0.01), (0.001, 0.01), (0.002, 0.01)]
     assert seen[3] == (pytest.approx(0.003, abs=1e-7), 0.01)  # the last sample within a tick is a float32
@@ -155,28 +155,28 @@ def test_a_drive_is_replayed_with_its_intents_episode_by_episode(tmp_path):
     user = found.user(3, USUAL_OUTLINE)
     assert user.joystick.x == 0.003
     assert user.sticks.shape == (1, 2)
-    user.hand(2, 0.05)
+    user.move_hand(2, 0.05)
     assert user.sticks[:, 0] == pytest.approx([0.0035, 0.004], abs=1e-7)
 
 
 def test_a_drive_without_intents_or_samples_has_its_stick_for_both(tmp_path):
     path = write_drive(tmp_path / "a.drive", [tick(k, intent=None, sticks=np.zeros((0, 2))) for k in (1, 2, 3)])
     user = find_user(f"recorded:{path}").user(0, USUAL_OUTLINE)
-    sticks = [user.joystick, *(user.hand(4, 0.025) for _ in range(3))]
+    sticks = [user.joystick, *(user.move_hand(4, 0.025) for _ in range(3))]
     assert [stick.x for stick in sticks] == [0.0, 0.001, 0.002, 0.002]
     assert user.intent == user.joystick
 
 
 @pytest.mark.parametrize(
-    ("header", "ticks", "says"),
+    ("header", "ticks", "message"),
     [
         ({"wcsim": "0.0.1"}, [1, 2], r"was driven with wcsim 0\.0\.1, this is \d"),
         ({}, [], "is empty"),
     ],
 )
-def test_a_drive_of_another_version_or_without_a_tick_is_refused(tmp_path, header, ticks, says):
+def test_a_drive_of_another_version_or_without_a_tick_is_refused(tmp_path, header, ticks, message):
     path = write_drive(tmp_path / "a.drive", [tick(number) for number in ticks], **header)
-    with pytest.raises(ConfigError, match=says):
+    with pytest.raises(ConfigError, match=message):
         find_user(f"recorded:{path}")
 
 

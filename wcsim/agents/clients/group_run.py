@@ -49,7 +49,7 @@ from wcsim.server.specs import ClientSpec, RunInfo, SeatRequest, WorldSpec, seat
 from wcsim.towns.making.asked_town import made_seed
 from wcsim.towns.scenario.town import find_town
 from wcsim.types import CLIENT_NAME
-from wcsim.users.profiles import recordings
+from wcsim.users.profiles import user_files
 
 T = TypeVar("T")
 _FILES, _FILES_TO_COME = "files_sha256", "files_to_come_sha256"
@@ -319,7 +319,7 @@ def world_order(
         expected=expected,
         gather_s=GATHER_S,
         lease_s=lease_s,
-        recordings=recordings(client.config.env.profile for client in run.clients),
+        recordings=user_files(client.config.env.profile for client in run.clients),
     )
     more = [
         word if made_seed(word) is not None else find_town(word).address

@@ -43,7 +43,7 @@ from wcsim.server.workers.machines import InputFiles
 from wcsim.towns.scenario.overrides import Override
 from wcsim.towns.scenario.stage import files_of
 from wcsim.towns.scenario.town import find_town
-from wcsim.users.profiles import is_of_file
+from wcsim.users.profiles import is_user_file
 
 MANIFEST, CONFIG, EVENTS = "manifest.json", "config.json", "events.jsonl"
 METRICS, STEPS = "metrics.csv", "steps.csv"
@@ -382,7 +382,7 @@ def require_travels(
     users = (config.env.profile, *config.collect.profiles, *users)
     words = " ".join((*settings, *config.collect.variants)).split()
     found = [f"class {escaped(name, 80)}" for name in own_code if ":" in name]
-    found += [f"user {escaped(user, 80)}" for user in users if is_of_file(user)]
+    found += [f"user {escaped(user, 80)}" for user in users if is_user_file(user)]
     found += [escaped(word, 80) for word in words if ".toml" in word or RECORDED in word]
     if found:
         raise ConfigError(

@@ -16,7 +16,7 @@ import numpy as np
 from wcsim.bridge.reaction.commands import ROADWAY, GreenRequest
 from wcsim.config import WorldConfig
 from wcsim.types import F64, ActorState, Bool, Ground, Route, SignalState, Street, WalkGraph, WayKind
-from wcsim.users.crossing import Crossing, crossings, is_red, kerb_m
+from wcsim.users.crossing import Crossing, crossings, is_red, kerb_arc_m
 from wcsim.users.route_line import Path
 
 BESIDE_M = 1.0  # so far beside the painted strip a chair is still on the crossing
@@ -160,7 +160,7 @@ class CrossingButton:
         self._items = tuple(
             _Reach(
                 crossing=item,
-                from_m=kerb_m(street.grid, path, item.start_m) - _BEFORE_M - half_length_m,
+                from_m=kerb_arc_m(street.grid, path, item.start_m) - _BEFORE_M - half_length_m,
                 to_m=min(item.start_m + _BEYOND_M, item.end_m) - half_length_m,
             )
             for item in crossings(route, street.walk)

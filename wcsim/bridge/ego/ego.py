@@ -257,7 +257,7 @@ class Ego:
         """Close the tick's measurements, whose noise is keyed by seat, sensor and tick, and move the user's hand."""
         self.chair.end_tick({name: child(key, tick) for name, key in self._keys.items()})
         world = self._config.world
-        self.user.hand(world.finest_substeps, world.tick_s / world.finest_substeps)
+        self.user.move_hand(world.finest_substeps, world.tick_s / world.finest_substeps)
 
     def look(self, time_s: float, others: tuple[ActorState, ...], signals: tuple[SignalState, ...]) -> None:
         """Show the user the street, and see where in it the chair is."""
@@ -323,7 +323,7 @@ class Ego:
             crossed=self._on_road.crossed,
             entered_red=self._on_road.entered_red,
             crash=self._crash_message(reason) if reason else "",
-            help_asked=not first and self.user.asks_help,
+            help_asked=not first and self.user.requests_help,
         )
 
     def _crash_message(self, reason: str) -> str:

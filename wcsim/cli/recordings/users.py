@@ -29,7 +29,13 @@ from wcsim.core.constants import RECORDED
 from wcsim.core.reading import counted, escaped
 from wcsim.errors import ConfigError
 from wcsim.towns.scenario.town import find_town
-from wcsim.users.profiles import UserProfile, find_profile, profile, profile_text, profile_word
+from wcsim.users.profiles import (
+    UserProfile,
+    find_profile,
+    profile,
+    profile_toml,
+    valid_profile_name,
+)
 
 if TYPE_CHECKING:  # loads what --help must not
     from wcsim.log.drive import DriveRecording
@@ -141,11 +147,11 @@ def _fit(options: _FitOptions) -> int:
     if not options.drives:
         raise ConfigError("users fit got no file; expected one or more recordings")
     fit = _fitted(options, base)
-    fit = replace(fit, profile=replace(fit.profile, name=profile_word(options.out.stem)))
-    from wcsim.users.recordings.fit_user import is_told
+    fit = replace(fit, profile=replace(fit.profile, name=valid_profile_name(options.out.stem)))
+    from wcsim.users.recordings.fit_user import is_certain
 
     head = f"fitted to {fit.seconds:.0f} s of driving; values without an interval are those of {base.name}\n"
-    text = profile_text(fit.profile, _notes(fit), head + "\n".join(fit.warnings))
+    text = profile_toml(fit.profile, _notes(fit), head + "\n".join(fit.warnings))
     with result_file(options.out) as part:
         part.write_text(text, encoding="utf-8")
     _print(fit)
@@ -154,7 +160,7 @@ def _fit(options: _FitOptions) -> int:
     )
     print(f"wrote {options.out}; try it: {minute}")
     told = {
-        name: asdict(item) | {"told": is_told(name, item)} for name, item in fit.estimates.items()
+        name: asdict(item) | {"told": is_certain(name, item)} for name, item in fit.estimates.items()
     }
     write_json(options.json, asdict(fit) | {"estimates": told})
     return 0
@@ -197,7 +203,7 @@ def _reconstructed(drives: list[DriveRecording], base: UserProfile) -> UserFit:
     seen = [seen_drive(drive) for drive in drives if drive.ticks]
     user = base
     for number in range(1, _ROUNDS + 1):
-        fit = fit_user([with_shadow(item, user) for item in seen], base, wanted=False)
+        fit = fit_user([with_shadow(item, user) for item in seen], base, true_intents=False)
         user = fit.profile
         print(f"fit {number} of {_ROUNDS}", file=sys.stderr)
     return fit
@@ -213,11 +219,11 @@ def _notes(fit: UserFit) -> dict[str, str]:
 
 
 def _print(fit: UserFit) -> None:
-    from wcsim.users.recordings.fit_user import is_told
+    from wcsim.users.recordings.fit_user import is_certain
 
     rows = (
         (name, *(f"{bound:.3g}" for bound in (item.value, item.low, item.high)),
-         "" if is_told(name, item) else "uncertain by over 15 %")
+         "" if is_certain(name, item) else "uncertain by over 15 %")
         for name, item in fit.estimates.items()
     )  # fmt: skip
     show_table(("parameter", "fitted", "95 % from", "to", ""), rows, box=box.SIMPLE_HEAD)

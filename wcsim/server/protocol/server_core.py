@@ -35,7 +35,7 @@ from wcsim.server.protocol.barrier import Barrier
 from wcsim.server.protocol.members import MOST_LIVES, Member, Roster
 from wcsim.types import Joystick
 from wcsim.types.bounds import MOST_STEPS
-from wcsim.users.profiles import is_of_file, profile_names
+from wcsim.users.profiles import is_user_file, profile_names
 
 
 class ServerCore(Barrier):
@@ -296,7 +296,7 @@ def _require_fit(join: m.Join, rules: ev.Rules) -> None:
             f"but this one has {rules.config!r}; use the server's configuration"
         )
     spec = join.spec
-    is_recorded = is_of_file(spec.profile)
+    is_recorded = is_user_file(spec.profile)
     if is_recorded and rules.recordings is not None and spec.profile not in rules.recordings:
         raise ConfigError(
             "this world uses only the user files that it was started with; start it with --set "

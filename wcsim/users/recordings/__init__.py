@@ -1,1 +1,1 @@
-"""What recordings of people become: users who replay a stick, and profiles fitted to one. No measuring of wcsim."""
+"""Recordings of people: users that replay a stick, and profiles fitted to one."""

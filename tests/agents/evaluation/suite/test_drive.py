@@ -120,7 +120,7 @@ def _asks_after(look, steps):
     def looks(user, view):
         look(user, view)
         user.looked = getattr(user, "looked", -1) + 1
-        user.asks_help = user.looked == steps
+        user.requests_help = user.looked == steps
 
     return looks
 
