@@ -80,10 +80,7 @@ class Outline:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Contact:
-    """A contact in one tick between a part of the wheelchair and something else.
-
-    Impulses are summed over the tick.
-    """
+    """A contact in one tick between a part of the wheelchair and something else; impulses are summed over the tick."""  # noqa: E501
 
     kind: b.NameOrNone  # an ActorKind value, or "ground", "kerb", "building", "static"
     part: b.NameOrNone  # "wheel", "caster", "antitip", "footplate", "body"

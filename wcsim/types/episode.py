@@ -85,7 +85,7 @@ class Events:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Drawn:
-    """Values drawn for a seat's episode from the ranges of `[vary]`; None or empty without one."""
+    """Values drawn for a seat's episode from the ranges of `[vary]`; None or empty where there is no range."""  # noqa: E501
 
     light: b.Number | None = None  # factor on the usual brightness of colours
     friction: b.Number | None = None  # factor on the friction of wheels and casters
@@ -170,10 +170,7 @@ class RewardTerms:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StartSpec:
-    """A fixed start for every episode of a seat (scenes).
-
-    Without one, starts and destinations are drawn.
-    """
+    """A fixed start for every episode of a seat (scenes); without one, starts and destinations are drawn."""  # noqa: E501
 
     p_W_m: tuple[b.Metres, b.Metres]
     yaw_rad: b.Radians
@@ -182,7 +179,7 @@ class StartSpec:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SeatSpec:
-    """What a client requests when it takes a seat; the rest is in the world's configuration."""
+    """What a client requests when it takes a seat; everything else is in the world's configuration."""  # noqa: E501
 
     profile: b.Document = "inattentive"  # or FILE.toml, or recorded:FILE
     max_steps: b.Steps = 10_000
