@@ -21,7 +21,7 @@ from stable_baselines3.common.logger import configure
 
 from tests.support.samples import stacked
 from wcsim.agents.envs.episode_view import FrameWindow, windowed_space
-from wcsim.agents.learning.checkpoint import restoring
+from wcsim.agents.learning.checkpoint import checkpoint_restorer
 from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.runs.checkpoint import _restore_newest, _Restored
 from wcsim.agents.runs.metrics import STEP_COLUMNS, MetricsFile
@@ -274,7 +274,7 @@ class WindowedStreet(gym.Wrapper):
 
 def load_checkpoint(folder: Path, model: SeqDQN, alive: Callable[[], object] = lambda: None) -> _Restored[SittingFile]:
     """Bring a learner to the newest sound checkpoint."""
-    return _restore_newest(folder, restoring(model, alive))
+    return _restore_newest(folder, checkpoint_restorer(model, alive))
 
 
 def explores(start: float, end: float, **learn: Any) -> LearnConfig:

@@ -310,7 +310,7 @@ def test_a_fading_rate_ends_at_zero():
 def test_an_exploration_is_held_for_its_steps_and_keeps_its_share():
     model = learner(epsilon_hold=8, exploration="local")
     model.exploration_rate = 0.2
-    runs = np.array([model._explores(1)[0] for _ in range(6000)])
+    runs = np.array([model._draw_explorers(1)[0] for _ in range(6000)])
     assert 0.15 < runs.mean() < 0.25
     edges = np.flatnonzero(np.diff(np.r_[0, runs.astype(int), 0]))
     lengths = edges[1::2] - edges[::2]

@@ -40,7 +40,7 @@ def trained(steps=120, **learn):
 
 def whole_groups(learner):
     buffer = learner.replay_buffer
-    return buffer.groups.gather(buffer, *buffer.groups.whole(buffer).T)
+    return buffer.groups.gather(buffer, *buffer.groups.complete(buffer).T)
 
 
 # --- the two contracts share their weights ---
@@ -142,7 +142,7 @@ def test_burn_in_moves_a_stale_state_towards_the_true_one():
             p += 0.1 * p.abs().mean() * torch.randn_like(p)
     buffer, net, gaps = learner.replay_buffer, learner.q_net, {}
     old = model(learning_starts=10_000, phase1_steps=0).q_net
-    places = [k for k in buffer.groups.whole(buffer) if buffer.episode_step[k[0] % buffer.buffer_size, 0] >= 12]
+    places = [k for k in buffer.groups.complete(buffer) if buffer.episode_step[k[0] % buffer.buffer_size, 0] >= 12]
     for burn_in in (8, 0):
         gaps[burn_in] = []
         for index, seat in places:
@@ -159,15 +159,15 @@ def test_burn_in_moves_a_stale_state_towards_the_true_one():
 
 def test_an_episodes_end_forgets_the_state_of_its_seat_alone():
     learner = model(envs=2, learning_starts=10_000, phase1_steps=0)
-    learner._carried = learner._next = (np.ones((2, 256), np.float32),)
+    learner._state_before = learner._state_after = (np.ones((2, 256), np.float32),)
     learner._setup_learn(1, None)
-    assert learner._carried is None
-    learner._next = (np.ones((2, 256), np.float32),)
+    assert learner._state_before is None
+    learner._state_after = (np.ones((2, 256), np.float32),)
     new = learner.env.reset()
     learner._store_transition(
         learner.replay_buffer, np.zeros(2, int), new, np.zeros(2), np.array([True, False]), [{}, {}]
     )
-    assert learner._carried[0].sum(axis=1).tolist() == [0.0, 256.0]
+    assert learner._state_before[0].sum(axis=1).tolist() == [0.0, 256.0]
 
 
 class Restarted(gym.Wrapper):
@@ -252,7 +252,7 @@ def test_groups_are_learned_from_in_the_way_that_the_first_phase_is_set_to(phase
     batch = whole_groups(learner)
     monkeypatch.setattr(learner.replay_buffer, "sample_groups", lambda size: batch)
     with torch.no_grad():
-        plain, whole = (float(learner._drawn_loss(16, weight)) for weight in (0.0, 2.0))
+        plain, whole = (float(learner._draw_batch_loss(16, weight)) for weight in (0.0, 2.0))
         length = batch.live.shape[1]
         values = _group_values(learner.q_net, batch)[:, :length][batch.live]
         sticks = batch.observations["joystick"][:, :length][batch.live]

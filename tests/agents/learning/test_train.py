@@ -213,8 +213,8 @@ def test_an_interrupted_run_is_usable_and_can_be_continued(stop, tmp_path):
 
 
 def test_the_first_decision_of_a_sitting_explores_as_any_other(tmp_path, monkeypatch):
-    rates, begins = [], SeqDQN._explores
-    monkeypatch.setattr(SeqDQN, "_explores", lambda self, n: rates.append(self.exploration_rate) or begins(self, n))
+    rates, draw = [], SeqDQN._draw_explorers
+    monkeypatch.setattr(SeqDQN, "_draw_explorers", lambda self, n: rates.append(self.exploration_rate) or draw(self, n))
     always = {"phase1_steps": 0, "epsilon_start": 0.7, "epsilon_end": 0.7}
     asked = a_run(config(total_steps=60, **always), tmp_path / "run", 5)
     with pytest.raises(InterruptedRunError):

@@ -34,7 +34,7 @@ def driven(plan, **chosen):
 
     def noted(obs, *step):
         numbers.append([number_of(v) for v in obs["joystick"]])
-        buffer.groups.coming = np.array(numbers[-1], np.float32)[:, None]
+        buffer.groups.next_states = np.array(numbers[-1], np.float32)[:, None]
         add(obs, *step)
 
     buffer.add = noted
@@ -72,7 +72,7 @@ def expected_groups(buffer, reference, length, burn_in):
 def test_a_draw_shuffles_all_whole_groups(plan, length, burn_in, state_size, rows):
     buffer, reference = driven(plan, length=length, burn_in=burn_in, state_size=state_size, rows=rows)
     wanted = expected_groups(buffer, reference, length, burn_in)
-    assert {tuple(row) for row in buffer.groups.whole(buffer).tolist()} == set(wanted)
+    assert {tuple(row) for row in buffer.groups.complete(buffer).tolist()} == set(wanted)
     if not wanted:
         with pytest.raises(ValueError, match="no whole group"):
             buffer.sample_groups(32)
@@ -165,12 +165,12 @@ def memory_steps(buffer, size):
 
 def test_a_group_can_be_drawn_as_soon_as_it_is_whole():
     buffer, _ = driven([["go"]] * 60, rows=60, length=4, burn_in=0)
-    before = {int(k) for k, _ in buffer.groups.whole(buffer)}
+    before = {int(k) for k, _ in buffer.groups.complete(buffer)}
     buffer.groups.draw(buffer, 5)
     for number in range(1000, 1012):
         one = (stack([number]), stack([number + 1]), np.array([0]), np.zeros(1), np.zeros(1, bool), [{}])
         FrameReplay.add(buffer, *one)
-    now = {int(k) for k, _ in buffer.groups.whole(buffer)}
+    now = {int(k) for k, _ in buffer.groups.complete(buffer)}
     assert len(before - now) == len(now - before) == 3
     assert set(buffer.groups.draw(buffer, len(now))[0].tolist()) == now
 

@@ -216,7 +216,7 @@ def test_what_is_drawn_is_what_was_added(data):
                     street.after.pop()
         check(buffer, streets)
         check(twin, streets)
-    assert all(index >= buffer.total - buffer.size() for index, _ in buffer.windows.whole)
+    assert all(index >= buffer.total - buffer.size() for index, _ in buffer.windows.whole_windows)
 
 
 def test_a_window_costs_no_more_than_its_newest_image():
@@ -224,7 +224,7 @@ def test_a_window_costs_no_more_than_its_newest_image():
     for step in range(450):
         add(buffer, streets, ["limit" if step % 40 == 39 else "go"])
     assert buffer.windows.frames._frames.nbytes == (400 + 2) * 2 * H * W
-    assert not buffer.windows.whole
+    assert not buffer.windows.whole_windows
     one = replay(400, space=observation_space("compact", W, H))
     assert one.windows.frames._frames.nbytes == 400 * 2 * H * W
 
