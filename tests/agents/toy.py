@@ -18,9 +18,11 @@ import gymnasium as gym
 import numpy as np
 import torch
 from stable_baselines3.common.logger import configure
+from stable_baselines3.common.vec_env import DummyVecEnv
 
 from tests.support.samples import stacked
 from wcsim.agents.envs.episode_view import FrameWindow, windowed_space
+from wcsim.agents.learning.build import build_model
 from wcsim.agents.learning.checkpoint import checkpoint_restorer
 from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.runs.checkpoint import _restore_newest, _Restored
@@ -281,6 +283,16 @@ def explores(start: float, end: float, **learn: Any) -> LearnConfig:
     """Q-learning alone: no first phase, no imitation, unscaled rewards, any action explored."""
     plain = {"phase1_steps": 0, "margin": 0.0, "reward_scale": 1.0, "exploration": "uniform"}
     return LearnConfig(**{**plain, "epsilon_start": start, "epsilon_end": end, **learn})
+
+
+def q_config(camera: CameraConfig, **learn: Any) -> RunConfig:
+    """A configuration of Q-learning with this camera."""
+    return RunConfig(cameras=(camera,), learn=LearnConfig(**learn))
+
+
+def q_learner(config: RunConfig, seed: int = 0, envs: int = 1, max_steps: int = 400) -> SeqDQN:
+    """A fresh learner of the toy street, in so many seats."""
+    return build_model(config, DummyVecEnv([lambda: ToyStreet(config.eye, max_steps)] * envs), seed)
 
 
 def memory_of(seed: int = 0, **learn: Any) -> dict[str, Any]:

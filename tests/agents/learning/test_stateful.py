@@ -8,12 +8,12 @@ from stable_baselines3.common.logger import configure
 from stable_baselines3.common.vec_env import DummyVecEnv
 from torch.nn import functional
 
-from tests.agents.toy import ToyStreet, WindowedStreet, toy_camera
+from tests.agents.toy import ToyStreet, WindowedStreet, q_config, q_learner, toy_camera
 from wcsim.agents.envs.episode_view import WORLD_RESTARTED
 from wcsim.agents.learning.build import build_model, network_settings
 from wcsim.agents.learning.saved_policy import load_policy, save_policy
 from wcsim.agents.learning.seqdqn import _burned_in, _group_targets, _group_values, _sequence_loss
-from wcsim.config import LearnConfig, RunConfig, resolve
+from wcsim.config import resolve
 from wcsim.errors import ConfigError, PolicyError
 
 CAMERA = toy_camera(16, 20)
@@ -22,14 +22,14 @@ CARRYING = ("fig6", "convlstm")
 
 
 def config(window=None, **learn):
-    given = RunConfig(cameras=(CAMERA,), learn=LearnConfig(**{"network": "fig6", **SMALL, **learn}))
+    given = q_config(CAMERA, **{"network": "fig6", **SMALL, **learn})
     return (
         given if window is None else given.model_copy(update={"env": given.env.model_copy(update={"window": window})})
     )
 
 
 def model(seed=0, envs=1, **learn):
-    return build_model(config(**learn), DummyVecEnv([lambda: ToyStreet(CAMERA, max_steps=23)] * envs), seed)
+    return q_learner(config(**learn), seed, envs, max_steps=23)
 
 
 def trained(steps=120, **learn):
@@ -159,15 +159,15 @@ def test_burn_in_moves_a_stale_state_towards_the_true_one():
 
 def test_an_episodes_end_forgets_the_state_of_its_seat_alone():
     learner = model(envs=2, learning_starts=10_000, phase1_steps=0)
-    learner._state_before = learner._state_after = (np.ones((2, 256), np.float32),)
+    learner._carried = learner._next = (np.ones((2, 256), np.float32),)
     learner._setup_learn(1, None)
-    assert learner._state_before is None
-    learner._state_after = (np.ones((2, 256), np.float32),)
+    assert learner._carried is None
+    learner._next = (np.ones((2, 256), np.float32),)
     new = learner.env.reset()
     learner._store_transition(
         learner.replay_buffer, np.zeros(2, int), new, np.zeros(2), np.array([True, False]), [{}, {}]
     )
-    assert learner._state_before[0].sum(axis=1).tolist() == [0.0, 256.0]
+    assert learner._carried[0].sum(axis=1).tolist() == [0.0, 256.0]
 
 
 class Restarted(gym.Wrapper):

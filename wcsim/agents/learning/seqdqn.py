@@ -99,6 +99,7 @@ class SeqDQN(DQN):
         _init_setup_model: bool = True,
         **dqn: Any,
     ) -> None:
+        # SB3's `save` writes all attributes under their names, those with an underscore too.
         self.settings = settings if settings is not None else LearnConfig()
         self.actions = actions
         self.mirror_signs = mirror_signs
@@ -106,17 +107,17 @@ class SeqDQN(DQN):
         self.rng = seeding.generator(0 if seed is None else seed, "agent", "explore")
         self._offsets: npt.NDArray[np.float64] = np.zeros((0, 2))  # (N, 2) explored by each seat
         # (N,) steps for which they are still held
-        self._held_steps: npt.NDArray[np.int64] = np.zeros(0, dtype=np.int64)
+        self._held: npt.NDArray[np.int64] = np.zeros(0, dtype=np.int64)
         # What the network carries from step to step, of every seat: before the next step (None
         # where all episodes start) and after it.
-        self._state_before: States | None = None
-        self._state_after: States | None = None
+        self._carried: States | None = None
+        self._next: States | None = None
         # (N,) the best actions in the next step, where they are known
-        self._greedy_actions: npt.NDArray[Any] | None = None
+        self._greedy: npt.NDArray[Any] | None = None
         self.skipped_updates = 0
         self.max_abs_q = 0.0
         self.last_loss = float("nan")
-        self.updates_in_env = False  # those that are due, within its step
+        self.meanwhile = False  # whether the environment does the due updates within its step
         # Gradient steps and batch size of updates that were put off.
         self.due: tuple[int, int] | None = None
         dqn.setdefault("replay_buffer_class", FrameReplay)
@@ -150,7 +151,7 @@ class SeqDQN(DQN):
         actions, state = self.policy.predict(observation, state, episode_start, deterministic=True)
         if deterministic or not isinstance(observation, dict):
             return actions, state
-        self._greedy_actions = np.atleast_1d(actions)
+        self._greedy = np.atleast_1d(actions)
         sticks = np.asarray(observation[JOYSTICK_KEY], dtype=np.float64).reshape(-1, 2)
         explores = self._draw_explorers(len(sticks))
         if self.settings.exploration == "uniform":
@@ -166,42 +167,43 @@ class SeqDQN(DQN):
         An exploration lasts `epsilon_hold` steps, so it starts that much more rarely.
         """
         hold = self.settings.epsilon_hold
-        if len(self._held_steps) != seats:
-            self._held_steps = np.zeros(seats, dtype=np.int64)
+        if len(self._held) != seats:
+            self._held = np.zeros(seats, dtype=np.int64)
             self._offsets = np.zeros((seats, 2))
         rate = self.exploration_rate / (hold - (hold - 1) * self.exploration_rate)
-        starts = (self._held_steps == 0) & (self.rng.random(seats) < rate)
+        starts = (self._held == 0) & (self.rng.random(seats) < rate)
         drawn = self.rng.normal(0.0, EXPLORED_SIGMA, (seats, 2))
         self._offsets = np.where(starts[:, None], drawn, self._offsets)
-        self._held_steps = np.where(starts, hold, self._held_steps)
-        explores: npt.NDArray[np.bool_] = self._held_steps > 0
-        self._held_steps = np.maximum(self._held_steps - 1, 0)
+        self._held = np.where(starts, hold, self._held)
+        explores: npt.NDArray[np.bool_] = self._held > 0
+        self._held = np.maximum(self._held - 1, 0)
         return explores
 
     def _sample_action(
         self, *given: Any, **named: Any
     ) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
-        """Phase 1: the user's nearest action. Phase 2: greedy with exploration."""
+        """Phase 1: the user's nearest action.
+
+        Phase 2: greedy with exploration, from the first step on.
+        """
         observation = self._last_obs
         if self.phase is LearningPhase.ACTION_DRIVEN:
             actions = self.action_points.nearest_many(observation[JOYSTICK_KEY])
             # A network with a state has to see what is driven.
             if self.q_net.spec.stateful:
-                self._greedy_actions, self._state_after = self.policy.predict(
-                    observation, self._state_before, deterministic=True
+                self._greedy, self._next = self.policy.predict(
+                    observation, self._carried, deterministic=True
                 )
         else:
-            actions, self._state_after = self.predict(
-                observation, self._state_before, deterministic=False
-            )
-        if not self.updates_in_env:
+            actions, self._next = self.predict(observation, self._carried, deterministic=False)
+        if not self.meanwhile:
             self.catch_up()
         return actions, actions
 
     def greedy(self, observation: dict[str, npt.NDArray[Any]]) -> npt.NDArray[Any]:
         """The network's best actions in the present step, (N,), whatever is executed."""
-        if self._greedy_actions is not None:
-            return self._greedy_actions
+        if self._greedy is not None:
+            return self._greedy
         return self.policy.predict(observation, deterministic=True)[0]
 
     def _store_transition(self, replay_buffer: ReplayBuffer, *step: Any) -> None:
@@ -217,13 +219,13 @@ class SeqDQN(DQN):
                 "resume RUN"
             )
         groups = self.replay_buffer.groups
-        if groups is not None and self._state_before is not None:
-            groups.next_states = self._state_before[0]
+        if groups is not None and self._carried is not None:
+            groups.next_states = self._carried[0]
         super()._store_transition(replay_buffer, *step)
-        if self._state_after is not None:
+        if self._next is not None:
             dones = np.asarray(step[3], dtype=bool)[:, None]
-            self._state_before = tuple(
-                np.where(dones, 0.0, part).astype(part.dtype) for part in self._state_after
+            self._carried = tuple(
+                np.where(dones, 0.0, part).astype(part.dtype) for part in self._next
             )
 
     def _setup_learn(self, *given: Any, **named: Any) -> tuple[int, BaseCallback]:
@@ -231,7 +233,7 @@ class SeqDQN(DQN):
         before = self._last_obs
         out = super()._setup_learn(*given, **named)
         if self._last_obs is not before:
-            self._state_before = None
+            self._carried = None
         # SB3 sets both after a step, too late for the first one.
         if self._total_timesteps > self.num_timesteps:
             self._update_current_progress_remaining(self.num_timesteps, self._total_timesteps)
@@ -257,7 +259,7 @@ class SeqDQN(DQN):
         """The call that does the updates which were put off; None without any.
 
         They are done between the choice of an action and its outcome, by the environment while it
-        waits for the world (`updates_in_env`) or before it moves. Either way the action was
+        waits for the world (`meanwhile`) or before it moves. Either way the action was
         chosen by the weights before them, and they draw from the steps before it.
         """
         return None if self.due is None else self.catch_up

@@ -110,7 +110,7 @@ def train(
             inner = env.envs[0].unwrapped
             if model.settings.updates == "while_waiting" and hasattr(inner, "due_work"):
                 inner.due_work = model.due_updates
-                model.updates_in_env = True
+                model.meanwhile = True
             stop.on_first_signal = getattr(inner, "wait_less", stop.on_first_signal)
             # 4. A run that goes on: the learner of its newest checkpoint, in a new world.
             before = None

@@ -94,9 +94,7 @@ def test_groups_hold_what_was_driven_and_never_another_episode(plan, length, bur
     starts, seats = np.array(sorted(wanted)).T
     batch = buffer.groups.gather(buffer, starts, seats)
     burned = {
-        int(k): seen
-        for rows_, seen in batch.burn_in
-        for k, seen in zip(rows_, _each(seen_of(rows_, batch)), strict=True)
+        int(k): seen for rows_, seen in batch.burn_in for k, seen in zip(rows_, seen_of(rows_, batch), strict=True)
     }
     for k, (start, seat) in enumerate(zip(starts.tolist(), seats.tolist(), strict=True)):
         steps = reference.steps[seat]
@@ -120,10 +118,6 @@ def test_groups_hold_what_was_driven_and_never_another_episode(plan, length, bur
 def seen_of(rows, batch):
     """Joysticks (R, steps, 2) of the burn-in of these groups."""
     return next(seen["joystick"] for kept, seen in batch.burn_in if kept is rows)
-
-
-def _each(values):
-    return [list(row) for row in values]
 
 
 @settings(max_examples=40, deadline=None)

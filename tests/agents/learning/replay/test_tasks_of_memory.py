@@ -65,7 +65,7 @@ def _carried_over_while_it_drives(monkeypatch):
 
     def kept(self, memory, *step):
         store(self, memory, *step)
-        self._state_before = self._state_after
+        self._carried = self._next
 
     monkeypatch.setattr(SeqDQN, "_store_transition", kept)
 

@@ -41,6 +41,7 @@ from wcsim.supervisor.observation import observation_space
 KEYS = ("seg", "depth")
 CAMERA = toy_camera(16, 20)
 CONFIG = RunConfig(cameras=(CAMERA,), env=EnvConfig(window=3))
+WINDOWS = windowed_space(observation_space("compact", W, H), 3)
 
 
 def numbers(observation):
@@ -135,8 +136,6 @@ def test_the_papers_floats_have_no_window():
 
 
 # --- replay ---
-
-WINDOWS = windowed_space(observation_space("compact", W, H), 3)
 
 
 class Street:
