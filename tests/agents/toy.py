@@ -18,10 +18,12 @@ import gymnasium as gym
 import numpy as np
 import torch
 from stable_baselines3.common.logger import configure
+from stable_baselines3.common.vec_env import DummyVecEnv
 
 from tests.support.samples import stacked
 from wcsim.agents.envs.episode_view import FrameWindow, windowed_space
-from wcsim.agents.learning.checkpoint import restoring
+from wcsim.agents.learning.build import build_model
+from wcsim.agents.learning.checkpoint import checkpoint_restorer
 from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.runs.checkpoint import _restore_newest, _Restored
 from wcsim.agents.runs.metrics import STEP_COLUMNS, MetricsFile
@@ -274,13 +276,23 @@ class WindowedStreet(gym.Wrapper):
 
 def load_checkpoint(folder: Path, model: SeqDQN, alive: Callable[[], object] = lambda: None) -> _Restored[SittingFile]:
     """Bring a learner to the newest sound checkpoint."""
-    return _restore_newest(folder, restoring(model, alive))
+    return _restore_newest(folder, checkpoint_restorer(model, alive))
 
 
 def explores(start: float, end: float, **learn: Any) -> LearnConfig:
     """Q-learning alone: no first phase, no imitation, unscaled rewards, any action explored."""
     plain = {"phase1_steps": 0, "margin": 0.0, "reward_scale": 1.0, "exploration": "uniform"}
     return LearnConfig(**{**plain, "epsilon_start": start, "epsilon_end": end, **learn})
+
+
+def q_config(camera: CameraConfig, **learn: Any) -> RunConfig:
+    """A configuration of Q-learning with this camera."""
+    return RunConfig(cameras=(camera,), learn=LearnConfig(**learn))
+
+
+def q_learner(config: RunConfig, seed: int = 0, envs: int = 1, max_steps: int = 400) -> SeqDQN:
+    """A fresh learner of the toy street, in so many seats."""
+    return build_model(config, DummyVecEnv([lambda: ToyStreet(config.eye, max_steps)] * envs), seed)
 
 
 def memory_of(seed: int = 0, **learn: Any) -> dict[str, Any]:

@@ -115,7 +115,7 @@ def test_a_client_whose_launcher_is_gone_is_asked_once_and_may_save():
         pipe.show(told(100))
         pipe.show(told(100))
         os.close(writes)
-    assert (request.asked, request.forced) == (True, False)
+    assert (request.requested, request.forced) == (True, False)
 
 
 def test_time_shares_of_a_run_and_progress_at_every_rollout(tmp_path):

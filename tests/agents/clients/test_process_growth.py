@@ -19,7 +19,7 @@ def asked_at(epochs: Iterable[tuple[int, int]], memory_mb: dict[int, float]) -> 
 
     growth = _ProcessGrowth(LEARN, mb_now, lambda: asked.append(now))
     for now, epoch in epochs:
-        growth.look(now, epoch)
+        growth.check(now, epoch)
     assert bool(growth.reason) == bool(asked)
     return asked
 

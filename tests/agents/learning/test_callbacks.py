@@ -10,7 +10,7 @@ from torch import nn
 from tests.agents.chain import LENGTH, Chain
 from tests.agents.toy import explores, logs_in, memory_of
 from tests.support.plants import CALM
-from wcsim.agents.learning.callbacks import EpisodeMetrics, EventWatch, _ValueWatch
+from wcsim.agents.learning.callbacks import EpisodeMetrics, EventWatch, _DiscountedReturn
 from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.networks import registry
 from wcsim.agents.networks.q_network import SeqQPolicy
@@ -34,17 +34,17 @@ def test_a_jam_is_reported_once_a_step_and_crashes_each_with_their_words():
 
 
 def test_returns_are_discounted_and_scaled_as_values_are():
-    watch = _ValueWatch(gamma=0.9, scale=0.05, value=1.0)
+    watch = _DiscountedReturn(gamma=0.9, scale=0.05, start_value=1.0)
     for reward in (1.0, 0.0, -100.0):
         watch.add(reward)
     row = watch.row(ended=True)
     assert row["return_start"] == pytest.approx(0.05 * (1.0 - 0.81 * 100.0))
     assert row["overestimate"] == pytest.approx(1.0 - row["return_start"])
-    assert _ValueWatch(gamma=0.9, scale=1.0).row(ended=True)["overestimate"] is None
+    assert _DiscountedReturn(gamma=0.9, scale=1.0).row(ended=True)["overestimate"] is None
 
 
 def test_an_episode_cut_short_counts_only_when_little_was_to_come():
-    watch = _ValueWatch(gamma=0.9, scale=1.0, value=0.0)
+    watch = _DiscountedReturn(gamma=0.9, scale=1.0, start_value=0.0)
     for steps in range(1, 40):
         watch.add(1.0)
         told = watch.row(ended=False)["return_start"]

@@ -20,6 +20,12 @@ from wcsim.agents.runs.run_folder import open_run
 from wcsim.core import files
 from wcsim.errors import InterruptedRunError, PolicyError
 
+MODEL = "model.safetensors"
+BAD = {
+    "name": "step-00000080", "n_updates": -5, "episodes": None, "extra": [1], "sha256": {}, "replay_rng": None,
+    "explore_rng": {}, "schema_version": 2,
+}  # fmt: skip
+
 
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory):
@@ -84,13 +90,6 @@ def test_what_a_killed_process_left_of_one_goes_with_the_next_and_nothing_else_d
     save_checkpoint(folder, bench.model, {})
     begun = {path.name for path in folder.iterdir() if path.name.startswith(".")}
     assert begun == {*others, ".step-00000008.tmp"}
-
-
-MODEL = "model.safetensors"
-BAD = {
-    "name": "step-00000080", "n_updates": -5, "episodes": None, "extra": [1], "sha256": {}, "replay_rng": None,
-    "explore_rng": {}, "schema_version": 2,
-}  # fmt: skip
 
 
 @pytest.mark.parametrize("sealed", [False, True])

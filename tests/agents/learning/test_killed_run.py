@@ -8,13 +8,12 @@ import pytest
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from tests.agents.learning.test_train import weights
-from tests.agents.toy import ToyStreet, a_run, load_checkpoint, same_from_here_on, toy_camera
+from tests.agents.toy import ToyStreet, a_run, load_checkpoint, q_config, same_from_here_on, toy_camera
 from wcsim.agents.learning.build import build_model
 from wcsim.agents.learning.checkpoint import save_checkpoint
 from wcsim.agents.learning.train import train
 from wcsim.agents.runs.checkpoint import checkpoints
 from wcsim.agents.runs.run_folder import open_run
-from wcsim.config import LearnConfig, RunConfig
 
 CAMERA = toy_camera(16, 20)
 EPISODE = 25  # steps: every checkpoint is taken where an episode ends
@@ -42,7 +41,7 @@ def config(**learn):
         "checkpoint_every": 100, "network": "fig6", "memory": "groups", "group_steps": 8, "burn_in": 4,
         "train_every": 2,
     }  # fmt: skip
-    return RunConfig(cameras=(CAMERA,), learn=LearnConfig(**{**small, **learn}))
+    return q_config(CAMERA, **{**small, **learn})
 
 
 def drive(out, epsilon, resume=False, at=None):

@@ -7,7 +7,7 @@ it is 1.6, 4.7 and 1.5 for seeds 0, 1 and 2, at a joystick distance of 0.54 to 0
 import pytest
 
 from tests.agents.driven import driven
-from tests.agents.toy import ToyStreet, a_run, toy_camera
+from tests.agents.toy import ToyStreet, a_run, q_config, toy_camera
 from wcsim.agents.learning.replay.buffer import FrameReplay
 from wcsim.agents.learning.saved_policy import load_policy
 from wcsim.agents.learning.seqdqn import SeqDQN
@@ -15,14 +15,13 @@ from wcsim.agents.learning.train import train
 from wcsim.agents.policies.baselines import baseline
 from wcsim.agents.runs.metrics import read_metrics
 from wcsim.agents.runs.run_folder import policy_path
-from wcsim.config import LearnConfig, RunConfig
 
 CAMERA = toy_camera(18, 24)
 SHORT = {"total_steps": 4000, "phase1_steps": 800, "learning_rate": 5e-4}
 
 
 def config(**learn):
-    return RunConfig(cameras=(CAMERA,), learn=LearnConfig(replay_frames=20_000, **learn))
+    return q_config(CAMERA, replay_frames=20_000, **learn)
 
 
 def drive(policy, steps):

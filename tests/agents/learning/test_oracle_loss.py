@@ -7,11 +7,9 @@ import numpy as np
 import pytest
 import torch
 from stable_baselines3.common.type_aliases import DictReplayBufferSamples
-from stable_baselines3.common.vec_env import DummyVecEnv
 
 import wcsim.agents.learning.seqdqn as seqdqn
-from tests.agents.toy import ToyStreet, memory_of, toy_camera
-from wcsim.agents.learning.build import build_model
+from tests.agents.toy import memory_of, q_config, q_learner, toy_camera
 from wcsim.agents.learning.checkpoint import _replay_arrays, _restore_replay
 from wcsim.agents.learning.replay.buffer import FrameReplay
 from wcsim.agents.learning.seqdqn import (
@@ -21,7 +19,7 @@ from wcsim.agents.learning.seqdqn import (
     _mirror_batch,
     _teacher_actions,
 )
-from wcsim.config import LearnConfig, RunConfig, resolve
+from wcsim.config import resolve
 from wcsim.errors import ConfigError
 from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.observation import observation_space
@@ -223,8 +221,7 @@ def test_a_mirror_image_of_a_mirror_image_is_the_first_one():
 
 def learner(**learn):
     settings = {"learning_starts": 20, "replay_frames": 1000, "batch_size": 16, "aid": "oracle", "mirror": True}
-    config = RunConfig(cameras=(CAMERA,), learn=LearnConfig(**{**settings, **learn}))
-    return build_model(config, DummyVecEnv([lambda: ToyStreet(CAMERA)]), 0)
+    return q_learner(q_config(CAMERA, **{**settings, **learn}))
 
 
 def wall_or_way(wall):
@@ -295,9 +292,8 @@ def test_advice_waits_for_the_second_phase_and_presets_say_who_uses_it():
 
 def test_a_camera_off_the_middle_has_no_mirror_image():
     camera = CAMERA.model_copy(update={"p_BC_m": (0.0, 0.2, 1.0)})
-    config = RunConfig(cameras=(camera,), learn=LearnConfig(mirror=True))
     with pytest.raises(ConfigError, match=r"learn\.mirror=false"):
-        build_model(config, DummyVecEnv([lambda: ToyStreet(camera)]), 0)
+        q_learner(q_config(camera, mirror=True))
 
 
 def test_a_fading_rate_ends_at_zero():
@@ -310,7 +306,7 @@ def test_a_fading_rate_ends_at_zero():
 def test_an_exploration_is_held_for_its_steps_and_keeps_its_share():
     model = learner(epsilon_hold=8, exploration="local")
     model.exploration_rate = 0.2
-    runs = np.array([model._explores(1)[0] for _ in range(6000)])
+    runs = np.array([model._draw_explorers(1)[0] for _ in range(6000)])
     assert 0.15 < runs.mean() < 0.25
     edges = np.flatnonzero(np.diff(np.r_[0, runs.astype(int), 0]))
     lengths = edges[1::2] - edges[::2]

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from safetensors.torch import load_file, save_file
 
 import wcsim.agents
-from tests.agents.toy import ToyStreet, toy_camera
+from tests.agents.toy import ToyStreet, q_config, q_learner, toy_camera
 from wcsim.agents.learning.build import build_model
 from wcsim.agents.learning.saved_policy import load_policy, save_policy
 from wcsim.agents.networks import registry
@@ -19,7 +19,7 @@ from wcsim.agents.networks.convolutional import PatchNet
 from wcsim.agents.opening.named_policy import open_named
 from wcsim.agents.policy_api import Warns
 from wcsim.agents.runs.policy_file import POLICY_JSON, WEIGHTS
-from wcsim.config import LearnConfig, RunConfig, resolve
+from wcsim.config import resolve
 from wcsim.core import files
 from wcsim.errors import PolicyError
 
@@ -27,8 +27,7 @@ CAMERA = toy_camera(24, 32)
 
 
 def learner(**learn):
-    config = RunConfig(cameras=(CAMERA,), learn=LearnConfig(replay_frames=100, **learn))
-    return build_model(config, ToyStreet(CAMERA), 0)
+    return q_learner(q_config(CAMERA, replay_frames=100, **learn))
 
 
 @pytest.fixture(scope="module")
@@ -180,7 +179,7 @@ class WithWheels(gymnasium.ObservationWrapper):
 def test_a_policy_says_which_further_sensors_it_reads_and_only_then(original, saved, tmp_path):
     assert "sensors" not in json.loads((saved / POLICY_JSON).read_text())
     env = WithWheels(ToyStreet(CAMERA))
-    config = RunConfig(cameras=(CAMERA,), learn=LearnConfig(replay_frames=100))
+    config = q_config(CAMERA, replay_frames=100)
     folder = save_policy(tmp_path / "wheels", build_model(config, env, 0), CAMERA)
     policy, data = load_policy(folder), json.loads((folder / POLICY_JSON).read_text())
     assert data["sensors"] == {"wheels": 2} and data["vector_size"] == 9

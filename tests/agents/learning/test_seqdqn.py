@@ -2,20 +2,18 @@ import numpy as np
 import pytest
 import torch
 from stable_baselines3.common.type_aliases import DictReplayBufferSamples
-from stable_baselines3.common.vec_env import DummyVecEnv
 from torch import nn
 
 from tests.agents.chain import CLASSES, SIDE, Chain, chain_values
-from tests.agents.toy import ToyStreet, explores, logs_in, memory_of, toy_camera
+from tests.agents.toy import ToyStreet, explores, logs_in, memory_of, q_config, q_learner, toy_camera
 from wcsim.agents.learning import seqdqn
-from wcsim.agents.learning.build import build_model
 from wcsim.agents.learning.callbacks import EpisodeMetrics
 from wcsim.agents.learning.phases import LearningPhase, PhasePlan
 from wcsim.agents.learning.replay.buffer import FrameReplay
 from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.networks.q_network import SeqQPolicy
 from wcsim.agents.runs.metrics import read_metrics
-from wcsim.config import LearnConfig, RunConfig
+from wcsim.config import LearnConfig
 from wcsim.config.run_file import FollowPrior, NetSpec
 from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import action_set
@@ -25,8 +23,7 @@ SMALL = {"learning_starts": 20, "replay_frames": 1000, "batch_size": 16}
 
 
 def model(seed=0, envs=1, **learn):
-    config = RunConfig(cameras=(CAMERA,), learn=LearnConfig(**{**SMALL, **learn}))
-    return build_model(config, DummyVecEnv([lambda: ToyStreet(CAMERA)] * envs), seed)
+    return q_learner(q_config(CAMERA, **{**SMALL, **learn}), seed, envs)
 
 
 def batch(count=6, seed=0):
@@ -187,10 +184,8 @@ class Normed(nn.Module):
 
 
 def test_the_running_means_of_a_network_are_its_target_s_too_and_those_that_it_acts_by(tmp_path):
-    config = RunConfig(
-        cameras=(CAMERA,), learn=LearnConfig(**SMALL, network=f"{__name__}:Normed", updates="while_waiting")
-    )
-    learner = build_model(config, DummyVecEnv([lambda: ToyStreet(CAMERA, max_steps=9)]), 0)
+    settings = q_config(CAMERA, **SMALL, network=f"{__name__}:Normed", updates="while_waiting")
+    learner = q_learner(settings, max_steps=9)
     learner.learn(60, callback=EpisodeMetrics(*logs_in(tmp_path), 0.0))
     learner.catch_up()
     assert len(read_metrics(tmp_path / "metrics.csv")) >= 6

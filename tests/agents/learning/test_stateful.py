@@ -8,12 +8,12 @@ from stable_baselines3.common.logger import configure
 from stable_baselines3.common.vec_env import DummyVecEnv
 from torch.nn import functional
 
-from tests.agents.toy import ToyStreet, WindowedStreet, toy_camera
+from tests.agents.toy import ToyStreet, WindowedStreet, q_config, q_learner, toy_camera
 from wcsim.agents.envs.episode_view import WORLD_RESTARTED
 from wcsim.agents.learning.build import build_model, network_settings
 from wcsim.agents.learning.saved_policy import load_policy, save_policy
 from wcsim.agents.learning.seqdqn import _burned_in, _group_targets, _group_values, _sequence_loss
-from wcsim.config import LearnConfig, RunConfig, resolve
+from wcsim.config import resolve
 from wcsim.errors import ConfigError, PolicyError
 
 CAMERA = toy_camera(16, 20)
@@ -22,14 +22,14 @@ CARRYING = ("fig6", "convlstm")
 
 
 def config(window=None, **learn):
-    given = RunConfig(cameras=(CAMERA,), learn=LearnConfig(**{"network": "fig6", **SMALL, **learn}))
+    given = q_config(CAMERA, **{"network": "fig6", **SMALL, **learn})
     return (
         given if window is None else given.model_copy(update={"env": given.env.model_copy(update={"window": window})})
     )
 
 
 def model(seed=0, envs=1, **learn):
-    return build_model(config(**learn), DummyVecEnv([lambda: ToyStreet(CAMERA, max_steps=23)] * envs), seed)
+    return q_learner(config(**learn), seed, envs, max_steps=23)
 
 
 def trained(steps=120, **learn):
@@ -40,7 +40,7 @@ def trained(steps=120, **learn):
 
 def whole_groups(learner):
     buffer = learner.replay_buffer
-    return buffer.groups.gather(buffer, *buffer.groups.whole(buffer).T)
+    return buffer.groups.gather(buffer, *buffer.groups.complete(buffer).T)
 
 
 # --- the two contracts share their weights ---
@@ -142,7 +142,7 @@ def test_burn_in_moves_a_stale_state_towards_the_true_one():
             p += 0.1 * p.abs().mean() * torch.randn_like(p)
     buffer, net, gaps = learner.replay_buffer, learner.q_net, {}
     old = model(learning_starts=10_000, phase1_steps=0).q_net
-    places = [k for k in buffer.groups.whole(buffer) if buffer.episode_step[k[0] % buffer.buffer_size, 0] >= 12]
+    places = [k for k in buffer.groups.complete(buffer) if buffer.episode_step[k[0] % buffer.buffer_size, 0] >= 12]
     for burn_in in (8, 0):
         gaps[burn_in] = []
         for index, seat in places:
@@ -252,7 +252,7 @@ def test_groups_are_learned_from_in_the_way_that_the_first_phase_is_set_to(phase
     batch = whole_groups(learner)
     monkeypatch.setattr(learner.replay_buffer, "sample_groups", lambda size: batch)
     with torch.no_grad():
-        plain, whole = (float(learner._drawn_loss(16, weight)) for weight in (0.0, 2.0))
+        plain, whole = (float(learner._draw_batch_loss(16, weight)) for weight in (0.0, 2.0))
         length = batch.live.shape[1]
         values = _group_values(learner.q_net, batch)[:, :length][batch.live]
         sticks = batch.observations["joystick"][:, :length][batch.live]

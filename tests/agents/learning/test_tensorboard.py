@@ -12,6 +12,7 @@ from wcsim.agents.runs.metrics import COLUMNS, BoardLog, read_metrics
 from wcsim.errors import ConfigError
 
 MODULE = "torch.utils.tensorboard"
+WRITERS = []
 
 
 class Writer:
@@ -30,9 +31,6 @@ class Writer:
 
     def close(self):
         self.closed = True
-
-
-WRITERS: list[Writer] = []
 
 
 @pytest.fixture

@@ -19,7 +19,7 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 import wcsim
-from tests.agents.toy import ToyStreet, a_run, full_once, toy_camera
+from tests.agents.toy import ToyStreet, a_run, full_once, q_config, toy_camera
 from tests.support.events import read_events
 from wcsim.agents.envs.episode_view import WORLD_RESTARTED
 from wcsim.agents.learning.build import build_model
@@ -30,7 +30,7 @@ from wcsim.agents.learning.train import train
 from wcsim.agents.opening.named_policy import config_for, open_named
 from wcsim.agents.runs.metrics import COLUMNS, STEP_COLUMNS, MetricsFile, read_metrics
 from wcsim.agents.runs.run_folder import create_run, make_manifest, open_run, policy_path, run_of
-from wcsim.config import LearnConfig, RunConfig
+from wcsim.config import RunConfig
 from wcsim.core import files
 from wcsim.errors import ConfigError, DiskFullError, InterruptedRunError, PolicyError
 from wcsim.server.specs import RunInfo
@@ -45,7 +45,7 @@ def config(**learn):
         "total_steps": 240, "phase1_steps": 80, "learning_starts": 20, "replay_frames": 200, "batch_size": 8,
         "checkpoint_every": 60,
     }  # fmt: skip
-    return RunConfig(cameras=(CAMERA,), learn=LearnConfig(**{**small, **learn}))
+    return q_config(CAMERA, **{**small, **learn})
 
 
 class Nervous(gym.Wrapper):
@@ -213,8 +213,8 @@ def test_an_interrupted_run_is_usable_and_can_be_continued(stop, tmp_path):
 
 
 def test_the_first_decision_of_a_sitting_explores_as_any_other(tmp_path, monkeypatch):
-    rates, begins = [], SeqDQN._explores
-    monkeypatch.setattr(SeqDQN, "_explores", lambda self, n: rates.append(self.exploration_rate) or begins(self, n))
+    rates, draw = [], SeqDQN._draw_explorers
+    monkeypatch.setattr(SeqDQN, "_draw_explorers", lambda self, n: rates.append(self.exploration_rate) or draw(self, n))
     always = {"phase1_steps": 0, "epsilon_start": 0.7, "epsilon_end": 0.7}
     asked = a_run(config(total_steps=60, **always), tmp_path / "run", 5)
     with pytest.raises(InterruptedRunError):

@@ -4,7 +4,7 @@ import torch
 from gymnasium import spaces
 
 from wcsim.agents.envs.episode_view import windowed_space
-from wcsim.agents.networks.costs import _Bare
+from wcsim.agents.networks.costs import _PositionalNet
 from wcsim.agents.networks.onnx_form import exported
 from wcsim.agents.networks.q_network import QNet
 from wcsim.agents.networks.registry import preferred_window
@@ -26,7 +26,7 @@ def test_an_exported_network_says_what_the_network_itself_says(name, classes):
         key: torch.randint(0, most, (1, window, 24, 32), dtype=torch.uint8, generator=picks)
         for key, most in ((CLASS_KEY, 60), (DEPTH_KEY, 256))
     } | {IMU_KEY: torch.full((1, 5), 0.3), JOYSTICK_KEY: torch.tensor([[0.5, -0.25]])}
-    model = exported(_Bare(net, tuple(seen)), tuple(seen.values()), tuple(seen), ("values",))
+    model = exported(_PositionalNet(net, tuple(seen)), tuple(seen.values()), tuple(seen), ("values",))
     session = runtime.InferenceSession(model, providers=["CPUExecutionProvider"])
     (told,) = session.run(None, {key: value.numpy() for key, value in seen.items()})
     with torch.no_grad():

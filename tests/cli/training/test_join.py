@@ -8,7 +8,7 @@ import pytest
 
 from tests.server.servers import Server, stand_in_order
 from tests.support.events import read_events
-from wcsim.agents.clients.client import opened
+from wcsim.agents.clients.client import open_env
 from wcsim.agents.clients.group_run import RECONNECT_S
 from wcsim.cli.training import join
 from wcsim.config import RunConfig
@@ -87,7 +87,7 @@ def test_a_world_that_was_never_there_is_refused_and_one_that_was_is_tried_again
     request = SeatRequest(endpoint=nobody, name="a", claim="a", patience=Patience(reconnect_s=0.2))
     order = ClientSpec(join=request, config=RunConfig(), out="", info=RunInfo(seed=0))
     with pytest.raises(ServerGoneError):
-        opened(order, again=True)
+        open_env(order, again=True)
 
 
 @pytest.mark.parametrize("more", [(), ("--resume",)])

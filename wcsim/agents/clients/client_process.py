@@ -1,7 +1,7 @@
-"""A client that learns, in a process of its own: `python -m wcsim.agents.clients.client_process ORDER_FILE [options]`.
+"""A client that learns, in a process of its own: `python -m wcsim.agents.clients.client_process`.
 
-Its environment is a seat in a running world, its run folder a normal one. It ends with a code of `ClientExit`. It does
-not outlive its launcher: it saves its work first, but within five minutes.
+Its environment is a seat in a running world, its run folder a normal one. It ends with a code of
+`ClientExit`. It does not outlive its launcher: it saves its work first, but within five minutes.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import signal
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Final
 
 from wcsim.core.processes import die_with_parent, outlive_parent_by
 from wcsim.errors import WcsimError
@@ -19,7 +20,7 @@ from wcsim.server.launch.states import WAIT_NO_MORE, ClientExit
 from wcsim.server.protocol.limits import NO_ROOM, limit_message, write_last_line
 from wcsim.server.specs import ClientSpec, read_order
 
-SAVING_S = 300.0  # longest life after that of the launcher
+SAVING_S: Final = 300.0  # longest life after that of the launcher
 
 
 def main(words: Sequence[str]) -> int:
@@ -31,28 +32,24 @@ def main(words: Sequence[str]) -> int:
     parser.add_argument("--resume", action="store_true")
     parser.add_argument("--status-fd", type=int, default=-1)
     options = parser.parse_args(words)
-    signal.signal(WAIT_NO_MORE, signal.SIG_IGN)  # before and after it learns it waits for no world
+    # 1. The launcher is watched. Before and after it learns, a client waits for no world.
+    signal.signal(WAIT_NO_MORE, signal.SIG_IGN)
     die_with_parent()
-    outlive_parent_by(
-        SAVING_S, ClientExit.SERVER_GONE, WAIT_NO_MORE
-    )  # its world is not started again
-    if _has_no_reader(options.status_fd):  # the launcher died before it could be watched
+    # The world of a launcher that died is not started again.
+    outlive_parent_by(SAVING_S, ClientExit.SERVER_GONE, WAIT_NO_MORE)
+    # It may have died before it could be watched.
+    if _has_no_reader(options.status_fd):
         return ClientExit.SERVER_GONE
-    return _learned(options.order, options.resume, options.status_fd)
-
-
-def _learned(file: Path, resume: bool, status_fd: int) -> int:
+    # 2. The order, and only now torch, which takes its time.
     try:
-        order = read_order(ClientSpec, file)
-        from wcsim.agents.clients.client import (  # torch takes its time, and the launcher is watched by now
-            exit_code,
-            learn,
-        )
+        order = read_order(ClientSpec, options.order)
+        from wcsim.agents.clients.client import exit_code, learn
     except WcsimError as error:
         write_last_line(f"wcsim: {error}")
         return ClientExit.USER_ERROR
+    # 3. The run, and what became of it.
     try:
-        learn(order, resume, status_fd, write_last_line)
+        learn(order, options.resume, options.status_fd, write_last_line)
     except WcsimError as error:
         write_last_line(f"wcsim: {error}")
         return exit_code(error)
@@ -61,11 +58,8 @@ def _learned(file: Path, resume: bool, status_fd: int) -> int:
         if not message:
             raise
         write_last_line(f"wcsim: {message}")
-        return (
-            ClientExit.DISK_FULL
-            if getattr(error, "errno", None) in NO_ROOM
-            else ClientExit.USER_ERROR
-        )
+        is_full = getattr(error, "errno", None) in NO_ROOM
+        return ClientExit.DISK_FULL if is_full else ClientExit.USER_ERROR
     except KeyboardInterrupt:
         write_last_line("wcsim: interrupted")
         return ClientExit.STOPPED

@@ -7,7 +7,8 @@
 - ledgers/NAME.ledger: every frame that a client has seen
 - events.jsonl, logs/: events and messages of the processes
 - NAME/: a run folder of its own for each client, see `agents/runs/run_folder.py`
-- selection/: choice.json says who learns the second phase (`learn.select_by`), beside the test that chose, if one did
+- selection/: choice.json names the client that learns the second phase (`learn.select_by`); beside
+  it is the test that chose, if one did
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ import sys
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Final, TypeVar
 
 from wcsim.agents.runs.metrics import logged_rows
 from wcsim.agents.runs.run_folder import (
@@ -52,17 +53,21 @@ from wcsim.types import CLIENT_NAME
 from wcsim.users.profiles import user_files
 
 T = TypeVar("T")
-_FILES, _FILES_TO_COME = "files_sha256", "files_to_come_sha256"
-_NAME = re.compile(CLIENT_NAME)
-_CLAIM = re.compile(r"[0-9a-f]{32}")
-LEDGERS, LOGS, CONFIGS = "ledgers", "logs", "configs"
-SELECTION, CHOICE = "selection", "choice.json"
-KPI1 = "kpi1"  # the value of `learn.select_by` that compares by KPI 1 of the first phase, and its name in the choice
-GATHER_S = (
-    600.0  # the first tick waits so long for all clients, whose learners take their time to load
-)
-RECONNECT_S = 330.0  # longer than a world may take to load again
-CLIENT_ARGV = (sys.executable, "-m", "wcsim.agents.clients.client_process")
+LEDGERS: Final = "ledgers"
+LOGS: Final = "logs"
+CONFIGS: Final = "configs"
+SELECTION: Final = "selection"
+CHOICE: Final = "choice.json"
+# The value of `learn.select_by` that compares by KPI 1 of the first phase; its name in the choice.
+KPI1: Final = "kpi1"
+# The first tick waits so long for all clients, whose learners take their time to load.
+GATHER_S: Final = 600.0
+RECONNECT_S: Final = 330.0  # longer than a world may take to load again
+CLIENT_ARGV: Final = (sys.executable, "-m", "wcsim.agents.clients.client_process")
+_FILES: Final = "files_sha256"
+_FILES_TO_COME: Final = "files_to_come_sha256"
+_NAME: Final = re.compile(CLIENT_NAME)
+_CLAIM: Final = re.compile(r"[0-9a-f]{32}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -78,8 +83,11 @@ class ClientsFolder:
         """Where a client's ledger is."""
         return self.path / LEDGERS / f"{name}.ledger"
 
-    def claim(self, name: str) -> str:
-        """The secret by which a client is known again, also by a world that was made again from its journal."""
+    def load_or_create_claim(self, name: str) -> str:
+        """The secret that identifies a client, also to a world that is restored from its journal.
+
+        It is written by the first call.
+        """
         path = self.path / LEDGERS / f"{name}.claim"
         if not os.path.lexists(path):
             files.write_bytes(path, secrets.token_hex(16).encode(), mode=0o600)
@@ -106,17 +114,17 @@ class ClientsFolder:
         return read_json(folder, MANIFEST) if (folder / MANIFEST).is_file() else {}
 
     def fruitless(self) -> bool:
-        """Whether nothing was done: no tick of the world, no step of a client, no episode, nothing saved."""
-        journal, ledgers = self.path / JOURNAL, [self.ledger(name) for name in self.clients]
-        ticked = part_files(journal) and _may_hold(
+        """Whether nothing was done: no tick of the world, no step of a client, nothing saved."""
+        journal = self.path / JOURNAL
+        if part_files(journal) and _may_hold(
             journal, iter_inputs, lambda record: isinstance(record, Ticked)
-        )
+        ):
+            return False
         # The frame that its join gave a client is no step.
-        stepped = any(
-            path.exists() and _may_hold(path, iter_ledger, lambda seen: seen.stepped)
-            for path in ledgers
-        )
-        return not (ticked or stepped or any(has_work(self.path / name) for name in self.clients))
+        for ledger in map(self.ledger, self.clients):
+            if ledger.exists() and _may_hold(ledger, iter_ledger, lambda seen: seen.stepped):
+                return False
+        return not any(has_work(self.path / name) for name in self.clients)
 
     def client_config(self, name: str) -> RunConfig:
         """The configuration of a client. Raises PolicyError when it is not there, or damaged."""
@@ -134,15 +142,18 @@ class ClientsFolder:
 
     def with_status(self, status: Status, steps: int) -> ClientsFolder:
         """Write a new status into the manifest."""
-        return _written(replace(self, manifest=replace(self.manifest, status=status, steps=steps)))
+        folder = replace(self, manifest=replace(self.manifest, status=status, steps=steps))
+        _write_manifest(folder)
+        return folder
 
     def rewrite(self, clients: Mapping[str, RunConfig]) -> None:
         """Write other configurations of clients over theirs. Raises DiskFullError.
 
-        Killed on the way it leaves a run that can be opened, with some of them written: do it again, or write a status.
+        Killed on the way it leaves a run that can be opened, with some of them written: do it
+        again, or write a status.
         """
-        texts = _texts(clients)
-        _written(self, {name: files.sha256_text(text) for name, text in texts.items()})
+        texts = _config_texts(clients)
+        _write_manifest(self, {name: files.sha256_text(text) for name, text in texts.items()})
         for name, text in texts.items():
             files.write_bytes(self.path / name, text.encode())
 
@@ -161,19 +172,11 @@ def create_clients_folder(
     require_new(path)
     path.mkdir(parents=True, exist_ok=True)
     files.write_bytes(path / CONFIG, config.model_dump_json(indent=2).encode())
-    for name, text in _texts(clients).items():
+    for name, text in _config_texts(clients).items():
         files.write_bytes(path / name, text.encode())
-    return _written(
-        ClientsFolder(path=path, config=config, manifest=manifest, clients=tuple(clients))
-    )
-
-
-def _texts(clients: Mapping[str, RunConfig]) -> dict[str, str]:
-    """What the files with the clients' configurations hold, by their paths in the run folder."""
-    return {
-        f"{CONFIGS}/{name}.json": config.model_dump_json(indent=2)
-        for name, config in clients.items()
-    }
+    folder = ClientsFolder(path=path, config=config, manifest=manifest, clients=tuple(clients))
+    _write_manifest(folder)
+    return folder
 
 
 def open_clients_folder(path: Path) -> ClientsFolder:
@@ -194,7 +197,10 @@ def open_clients_folder(path: Path) -> ClientsFolder:
 
 
 def read_choice(path: Path, clients: Collection[str]) -> str:
-    """The client of a run that was chosen to go on; "" where none was. Raises PolicyError when the file is damaged."""
+    """The client of a run that was chosen to go on; "" where none was.
+
+    Raises PolicyError when the file is damaged.
+    """
     if not (path / SELECTION / CHOICE).is_file():
         return ""
     best = read_json(path / SELECTION, CHOICE).get("best")
@@ -205,52 +211,13 @@ def read_choice(path: Path, clients: Collection[str]) -> str:
     return best
 
 
-def _written(folder: ClientsFolder, to_come: Mapping[str, str] | None = None) -> ClientsFolder:
-    """Write the manifest, with hashes of what cannot change while the run is made, and one over itself.
-
-    `to_come` are hashes of files that are about to be written, and may already be in place when the run is opened.
-    """
-    configs = [CONFIG, *(f"{CONFIGS}/{name}.json" for name in folder.clients)]
-    hashes = {
-        name: files.sha256(folder.path / name) for name in configs if (folder.path / name).is_file()
-    }
-    data = {**asdict(folder.manifest), "clients": list(folder.clients), _FILES: hashes}
-    if to_come:
-        data[_FILES_TO_COME] = dict(to_come)
-    files.write_sealed_json(folder.path / MANIFEST, data)
-    return folder
-
-
-def _check_sealed(path: Path, data: dict[str, Any]) -> None:
-    """Take seal and hashes out of a manifest; one of an older version has none.
-
-    Raises:
-        PolicyError: The manifest, or a file that it has the hash of, is not as it was written.
-    """
-    sealed = files.take_seal(data, str(path / MANIFEST), "; restore it")
-    hashes, to_come = data.pop(_FILES, {}), data.pop(_FILES_TO_COME, {})
-    for name, digest in hashes.items() if sealed else ():
-        if not (path / name).is_file() or files.sha256(path / name) not in (
-            digest,
-            to_come.get(name),
-        ):
-            raise PolicyError(f"{path / name} is damaged, or was changed by hand; restore it")
-
-
-def _may_hold(log: Path, read: Callable[[Path], Iterator[T]], is_work: Callable[[T], bool]) -> bool:
-    """Whether one of the records is work; a log that cannot be read may hold some."""
-    try:
-        return any(map(is_work, read(log)))
-    except WcsimError:
-        return True
-
-
 def has_work(run: Path) -> bool:
     """Whether a client's folder holds an episode, a step, a checkpoint or a policy."""
     manifest = read_json(run, MANIFEST) if (run / MANIFEST).is_file() else {}
     steps = manifest.get("steps", 0)
+    # Stopped before its first step: its policy is the one that it started with.
     if manifest.get("status") == "interrupted" and steps == 0:
-        return False  # stopped before its first step: its policy is the one that it began with
+        return False
     return (
         logged_rows(run / METRICS) > 0
         or steps != 0
@@ -261,7 +228,7 @@ def has_work(run: Path) -> bool:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Client:
-    """One of them, resolved."""
+    """One client of a run, resolved."""
 
     name: str
     seat: int
@@ -270,12 +237,10 @@ class Client:
 
     @property
     def shortened(self) -> Layer:
-        """What its process learns with instead; a rate that fades does so in the last part alone."""
-        return (
-            None
-            if self.until is None
-            else {"learn": {"total_steps": self.until, "learning_rate_fade": 0.0}}
-        )
+        """Settings of a process that stops for now; a rate that fades does so in the last part."""
+        if self.until is None:
+            return None
+        return {"learn": {"total_steps": self.until, "learning_rate_fade": 0.0}}
 
     @property
     def steps(self) -> int:
@@ -285,7 +250,7 @@ class Client:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GroupRun:
-    """All of them in one world, as it is going to be: a `ResolvedRun` with a configuration for each."""
+    """A run of clients as it is going to be: a `ResolvedRun` with a configuration for each."""
 
     clients: tuple[Client, ...]
     out: Path
@@ -325,6 +290,8 @@ def world_order(
         word if made_seed(word) is not None else find_town(word).address
         for word in run.info.more_towns
     ]
+    # As long as the longest episodes; without an end where one client sets none.
+    ticks = [client.config.epoch_ticks for client in run.clients]
     return WorldSpec(
         town=town,
         more_towns=tuple(more),
@@ -336,33 +303,26 @@ def world_order(
         name=folder.path.name,
         run=str(folder.path.absolute()),
         hook=run.info.hook,
-        epoch_ticks=_epoch_ticks(run),
+        epoch_ticks=max(ticks) if all(ticks) else 0,
     )
-
-
-def _epoch_ticks(run: GroupRun) -> int:
-    """Of the client with the longest episodes; 0 where one client wants no end."""
-    ticks = [client.config.epoch_ticks for client in run.clients]
-    return max(ticks) if all(ticks) else 0
 
 
 def client_plan(run: GroupRun, folder: ClientsFolder, place: Path, client: Client) -> ClientPlan:
     """A client's order, and how its process is started."""
-    config, env = resolve(client.config, client.shortened), client.config.env
-    out = (folder.path / client.name).absolute()
+    config = resolve(client.config, client.shortened)
     order = ClientSpec(
         join=SeatRequest(
             endpoint=endpoint_in(place),
             name=client.name,
-            claim=folder.claim(client.name),
-            spec=seat_spec(env),
+            claim=folder.load_or_create_claim(client.name),
+            spec=seat_spec(client.config.env),
             seat=client.seat,
             config=config.world_digest(),
             ledger=str(folder.ledger(client.name).absolute()),
             patience=Patience(reconnect_s=RECONNECT_S),
         ),
         config=config,
-        out=str(out),
+        out=str((folder.path / client.name).absolute()),
         info=replace(run.info, seed=seeding.derive(run.info.seed, "client", client.seat)),
     )
     file = place / f"{client.name}.json"
@@ -375,3 +335,52 @@ def client_plan(run: GroupRun, folder: ClientsFolder, place: Path, client: Clien
         order=to_line(order),
         order_file=file,
     )
+
+
+def _config_texts(clients: Mapping[str, RunConfig]) -> dict[str, str]:
+    """Texts of the files with the clients' configurations, by their paths in the run folder."""
+    return {
+        f"{CONFIGS}/{name}.json": config.model_dump_json(indent=2)
+        for name, config in clients.items()
+    }
+
+
+def _write_manifest(folder: ClientsFolder, next_sha256: Mapping[str, str] | None = None) -> None:
+    """Write the manifest, with hashes of what cannot change while the run is made, and a seal.
+
+    `next_sha256` are hashes of files that are about to be written, and may already be in place when
+    the run is opened.
+    """
+    configs = [CONFIG, *(f"{CONFIGS}/{name}.json" for name in folder.clients)]
+    hashes = {
+        name: files.sha256(folder.path / name) for name in configs if (folder.path / name).is_file()
+    }
+    data = {**asdict(folder.manifest), "clients": list(folder.clients), _FILES: hashes}
+    if next_sha256:
+        data[_FILES_TO_COME] = dict(next_sha256)
+    files.write_sealed_json(folder.path / MANIFEST, data)
+
+
+def _check_sealed(path: Path, data: dict[str, Any]) -> None:
+    """Take seal and hashes out of a manifest, and check them; one of an older version has none.
+
+    Raises:
+        PolicyError: The manifest, or a file that it has the hash of, is not as it was written.
+    """
+    sealed = files.take_seal(data, str(path / MANIFEST), "; restore it")
+    hashes = data.pop(_FILES, {})
+    next_hashes = data.pop(_FILES_TO_COME, {})
+    if not sealed:
+        return
+    for name, digest in hashes.items():
+        allowed = (digest, next_hashes.get(name))
+        if not (path / name).is_file() or files.sha256(path / name) not in allowed:
+            raise PolicyError(f"{path / name} is damaged, or was changed by hand; restore it")
+
+
+def _may_hold(log: Path, read: Callable[[Path], Iterator[T]], is_work: Callable[[T], bool]) -> bool:
+    """Whether one of the records is work; a log that cannot be read may hold some."""
+    try:
+        return any(map(is_work, read(log)))
+    except WcsimError:
+        return True

@@ -1,7 +1,8 @@
-"""What sharing a world costs each client of a run: who waited for whom, and where each one's time went.
+"""What sharing a world costs each client of a run: its waits for others, and where its time went.
 
-Kept in the run folder as waits.json, over all lives of all processes and over `wcsim resume`. What a process did in the
-half second before it was killed is not in it, nor the last minute of a launcher that was.
+Saved in the run folder as waits.json, over all lives of all processes and over `wcsim resume`. What
+a process did in the half second before it was killed is not in it, nor the last minute of a
+launcher that was.
 """
 
 from __future__ import annotations
@@ -10,15 +11,15 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from wcsim.agents.runs.run_folder import read_json
 from wcsim.core import files
 from wcsim.errors import DiskFullError, PolicyError
-from wcsim.server.launch.states import ClientState, ClientStatus, LaunchState, WorldStatus
+from wcsim.server.launch.states import ClientStatus, LaunchState, WorldStatus
 
-WAITS = "waits.json"
-SAVE_EVERY_S = 60.0  # a launcher that is killed loses so much at most
+WAITS: Final = "waits.json"
+SAVE_EVERY_S: Final = 60.0  # a launcher that is killed loses so much at most
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,42 +47,26 @@ class PaidShares:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PaidTimes:
-    """All of it, by client; `waited_s` by who waited, then for whom."""
+    """The times of all clients; `waited_s` by the one that waited, then by the awaited one."""
 
     clients: dict[str, PaidShares]
     waited_s: dict[str, dict[str, float]]
 
 
 def read_paid_times(run: Path) -> PaidTimes | None:
-    """What a run folder holds of it; None for one that was made before. Raises PolicyError when it is damaged."""
+    """The times of a run; None for an older one. Raises PolicyError when they are damaged."""
     if not (run / WAITS).is_file():
         return None
     data = read_json(run, WAITS)
     try:
         clients = {name: PaidShares(**_seconds(shares)) for name, shares in data["clients"].items()}
-        return PaidTimes(
-            clients=clients, waited_s={who: _seconds(row) for who, row in data["waited_s"].items()}
-        )
+        waited_s = {name: _seconds(row) for name, row in data["waited_s"].items()}
+        return PaidTimes(clients=clients, waited_s=waited_s)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise PolicyError(
             f"{run / WAITS}: is damaged ({str(error)[:80]}); expected the file as a run wrote it: "
             "remove it to count from zero"
         ) from None
-
-
-def _seconds(row: Mapping[str, Any]) -> dict[str, float]:
-    return {name: float(value) for name, value in row.items()}
-
-
-def _read_shares(status: ClientStatus) -> PaidShares:
-    """A client's own reading of one life."""
-    return PaidShares(
-        acting_s=status.inference_s,
-        learning_s=status.learning_s,
-        overlap_s=status.overlap_s,
-        world_s=status.simulation_s,
-        others_s=status.barrier_s,
-    )
 
 
 class PaidTimesLog:
@@ -90,69 +75,77 @@ class PaidTimesLog:
     def __init__(self, run: Path) -> None:
         """Go on with what a run folder holds. Raises PolicyError when that is damaged."""
         self._run = run
-        self.times = read_paid_times(run) or PaidTimes(clients={}, waited_s={})  # the sums of now
+        self.times = read_paid_times(run) or PaidTimes(clients={}, waited_s={})
         self._last: dict[str, tuple[int, PaidShares]] = {}  # process and reading of each client
         self._saved_s = 0.0
         self._world_pid = 0
-        self._pairs_s: dict[
-            tuple[str, str], float
-        ] = {}  # the same of its world, by who waited and for whom
+        # What the world of now has reported, by the client that waited and the awaited one.
+        self._world_waits_s: dict[tuple[str, str], float] = {}
 
     def add(self, state: LaunchState) -> None:
-        """Take in how things are."""
+        """Add what has been spent since the last call."""
         for client in state.clients:
-            self._client(client)
-        if (
-            state.world is not None and state.world_pid
-        ):  # without a process these are a dead world's last words
-            self._pairs(state.world_pid, state.world)
+            if client.status is not None:
+                self._add_shares(client.name, client.status)
+        # Without a process these are the last messages of a dead world.
+        if state.world is not None and state.world_pid:
+            self._add_waits(state.world_pid, state.world)
 
     def save_each(self, now_s: float) -> None:
-        """Leave it in the run folder when that was done a while ago; `now_s` are seconds since the begin."""
+        """Save to the run folder once in `SAVE_EVERY_S`; `now_s` are seconds since the start."""
         if now_s - self._saved_s >= SAVE_EVERY_S:
             self._saved_s = now_s
             self.save()
 
     def save(self) -> None:
-        """Leave it in the run folder, unless the disk is full: what is learned is of more weight."""
+        """Save to the run folder, unless the disk is full: what is learned is of more weight."""
         if self.times.clients:
             with suppress(DiskFullError):
                 files.write_json(self._run / WAITS, asdict(self.times))
 
-    def _client(self, client: ClientState) -> None:
-        if client.status is None:
-            return
-        pid, now = client.status.pid, _read_shares(client.status)
-        last_pid, before = self._last.get(client.name, (pid, PaidShares()))
-        if pid != last_pid:  # of another life
-            before = PaidShares()
-        self.times.clients[client.name] = self.times.clients.get(client.name, PaidShares()).plus(
-            now, before
+    def _add_shares(self, name: str, status: ClientStatus) -> None:
+        now = PaidShares(
+            acting_s=status.inference_s,
+            learning_s=status.learning_s,
+            overlap_s=status.overlap_s,
+            world_s=status.simulation_s,
+            others_s=status.barrier_s,
         )
-        self._last[client.name] = pid, now
+        last_pid, before = self._last.get(name, (status.pid, PaidShares()))
+        # A process counts from zero.
+        if status.pid != last_pid:
+            before = PaidShares()
+        sums = self.times.clients.get(name, PaidShares())
+        self.times.clients[name] = sums.plus(now, before)
+        self._last[name] = status.pid, now
 
-    def _pairs(self, pid: int, world: WorldStatus) -> None:
+    def _add_waits(self, pid: int, world: WorldStatus) -> None:
         """Add the waits that a world reports.
 
-        It forgets what those have waited who left, but not for whom the others have: that goes on when they are back.
+        It forgets the waits of those who left, but not the waits for them: these go on when they
+        are back.
         """
         if pid != self._world_pid:
-            self._world_pid, self._pairs_s = pid, {}
-        last = {(who, whom): s for (who, whom), s in self._pairs_s.items() if who in world.members}
-        now = _by_name(world)
-        for (who, whom), seconds in now.items():
-            was_s = last.get((who, whom), 0.0)
-            row = self.times.waited_s.setdefault(who, {})
-            row[whom] = round(
-                row.get(whom, 0.0) + (seconds - was_s if seconds >= was_s else seconds), 2
-            )
-        self._pairs_s = last | now
+            self._world_pid = pid
+            self._world_waits_s = {}
+        last_s = {
+            pair: seconds
+            for pair, seconds in self._world_waits_s.items()
+            if pair[0] in world.members
+        }
+        now_s = {
+            (waiter, awaited): seconds
+            for waiter, row in zip(world.members, world.waited_s, strict=False)
+            for awaited, seconds in zip(world.members, row, strict=False)
+            if waiter != awaited
+        }
+        for (waiter, awaited), seconds in now_s.items():
+            was_s = last_s.get((waiter, awaited), 0.0)
+            more_s = seconds - was_s if seconds >= was_s else seconds
+            row = self.times.waited_s.setdefault(waiter, {})
+            row[awaited] = round(row.get(awaited, 0.0) + more_s, 2)
+        self._world_waits_s = last_s | now_s
 
 
-def _by_name(world: WorldStatus) -> dict[tuple[str, str], float]:
-    return {
-        (who, whom): seconds
-        for who, row in zip(world.members, world.waited_s, strict=False)
-        for whom, seconds in zip(world.members, row, strict=False)
-        if who != whom
-    }
+def _seconds(row: Mapping[str, Any]) -> dict[str, float]:
+    return {name: float(value) for name, value in row.items()}

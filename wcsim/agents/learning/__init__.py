@@ -1,1 +1,1 @@
-"""SeqDQN and a training run: phases, losses, replay memory, callbacks, checkpoints, saved policies."""
+"""SeqDQN and a training run: phases, losses, replay memory, callbacks, checkpoints, policies."""

@@ -19,22 +19,6 @@ from wcsim.supervisor.actions import action_set
 LARGEST_GRADIENT: Final = 10.0  # norm to which a larger one is cut
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _FadingRate:
-    """A learning rate that falls linearly to zero over the last share of a run, so that the last policy is settled.
-
-    >>> [_FadingRate(rate=1.0, fade=0.5)(left) for left in (1.0, 0.5, 0.25, 0.0)]
-    [1.0, 1.0, 0.5, 0.0]
-    """
-
-    rate: float
-    fade: float
-
-    def __call__(self, left: float) -> float:
-        """The rate when the share `left` of all steps is still to be done."""
-        return self.rate * min(1.0, max(left, 0.0) / self.fade) if self.fade > 0.0 else self.rate
-
-
 def network_settings(config: RunConfig) -> tuple[str, ...]:
     """The memory of a network's kind, and the window that it prefers where `env.window` is not set.
 
@@ -43,18 +27,87 @@ def network_settings(config: RunConfig) -> tuple[str, ...]:
     Raises:
         PolicyError: There is no such network.
     """
-    network, words = config.learn.network, list[str]()
-    if (
-        config.learn.memory == "groups"
-        and registry.is_windowed(network)
-        and not registry.carries_state(network)
-    ):
-        words.append("learn.memory=windows")
+    network, settings = config.learn.network, list[str]()
+    needs_state = config.learn.memory == "groups" and registry.is_windowed(network)
+    if needs_state and not registry.carries_state(network):
+        settings.append("learn.memory=windows")
     if config.env.window is None:
-        words.append(
-            f"env.window={1 if _is_stateful(config) else registry.preferred_window(network)}"
+        window = 1 if _is_stateful(config) else registry.preferred_window(network)
+        settings.append(f"env.window={window}")
+    return tuple(settings)
+
+
+def build_model(config: RunConfig, env: GymEnv, seed: int) -> SeqDQN:
+    """A fresh learner.
+
+    Raises:
+        PolicyError: The network or the observation space does not fit.
+        ConfigError: `learn.mirror` with a camera that sees left and right differently, or a replay
+            beyond the memory, or settings of the memory that do not go together.
+    """
+    _check_memory(config)
+    learn, camera = config.learn, config.eye
+    if learn.mirror and not sees_in_a_mirror(camera):
+        raise ConfigError(
+            f"learn.mirror=true with a camera at y={camera.p_BC_m[1]} m, yaw {camera.yaw_deg}, "
+            f"roll {camera.roll_deg} deg; expected 0, because pictures are mirrored: set "
+            "learn.mirror=false"
         )
-    return tuple(words)
+    measures = config.sensors.measures().items()
+    try:
+        return SeqDQN(
+            SeqQPolicy,
+            env,
+            settings=learn,
+            actions=action_set(config.env.actions).name,
+            mirror_signs=tuple((name, measure.mirror) for name, measure in measures),
+            seed=seed,
+            learning_rate=_FadingRate(rate=learn.learning_rate, fade=learn.learning_rate_fade),
+            buffer_size=learn.replay_frames,
+            learning_starts=_learning_starts(learn, getattr(env, "num_envs", 1)),
+            train_freq=learn.train_every,
+            max_grad_norm=LARGEST_GRADIENT,
+            replay_buffer_kwargs={"settings": learn, "seed": seed},
+            policy_kwargs={"spec": _net_spec(config)},
+            **learn.model_dump(include={"batch_size", "tau", "gamma", "device"}),
+        )
+    except MemoryError:
+        raise ConfigError(
+            f"learn.replay_frames={learn.replay_frames} do not fit into memory; expected fewer"
+        ) from None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _FadingRate:
+    """A learning rate that falls to zero over a run's last share, so that its policy is settled.
+
+    >>> [_FadingRate(rate=1.0, fade=0.5)(left) for left in (1.0, 0.5, 0.25, 0.0)]
+    [1.0, 1.0, 0.5, 0.0]
+    """
+
+    rate: float
+    fade: float  # share of all steps
+
+    def __call__(self, left: float) -> float:
+        """The rate when the share `left` of all steps is still to be done."""
+        return self.rate * min(1.0, max(left, 0.0) / self.fade) if self.fade > 0.0 else self.rate
+
+
+def _check_memory(config: RunConfig) -> None:
+    """Refuse what the memory of a run cannot do."""
+    learn = config.learn
+    if learn.memory == "windows" and registry.is_windowed(learn.network) and config.env.frames == 1:
+        raise ConfigError(
+            f"learn.memory=windows with one image in an observation for {learn.network!r}; "
+            f"expected a window: set env.window={registry.preferred_window(learn.network)}"
+        )
+    if _is_stateful(config) and (learn.mirror or learn.aid != "none"):
+        what = "learn.mirror=true" if learn.mirror else f"learn.aid={learn.aid}"
+        raise ConfigError(
+            f"{what} with learn.memory=groups and {learn.network!r}: a recurrent state does not "
+            "work with that; expected neither of them: set learn.mirror=false and learn.aid=none, "
+            "or another learn.memory"
+        )
 
 
 def _is_stateful(config: RunConfig) -> bool:
@@ -62,8 +115,14 @@ def _is_stateful(config: RunConfig) -> bool:
     return config.learn.memory == "groups" and registry.carries_state(config.learn.network)
 
 
+def _learning_starts(learn: LearnConfig, seats: int) -> int:
+    """So late that there is something to draw: two steps, or a group of each seat and a step."""
+    least = (learn.group_steps + 1) * seats if learn.memory == "groups" else 2
+    return max(learn.learning_starts, least)
+
+
 def _net_spec(config: RunConfig) -> NetSpec:
-    """The network that a run's configuration asks for."""
+    """The network of a configuration."""
     learn, of_reward = config.learn, {"base", "max_follow_distance", "max_distance", "penalty"}
     prior = FollowPrior(
         reward_scale=learn.reward_scale, **config.reward.model_dump(include=of_reward)
@@ -81,69 +140,3 @@ def _net_spec(config: RunConfig) -> NetSpec:
         prior=prior,
         stateful=_is_stateful(config),
     )
-
-
-def build_model(config: RunConfig, env: GymEnv, seed: int) -> SeqDQN:
-    """A fresh learner.
-
-    Raises:
-        PolicyError: The network or the observation space does not fit.
-        ConfigError: `learn.mirror` with a camera that sees left and right differently, or a replay beyond the memory,
-            or settings of the memory that do not go together.
-    """
-    _check_memory(config)
-    try:
-        return _built(config, env, seed)
-    except MemoryError:
-        frames = config.learn.replay_frames
-        raise ConfigError(
-            f"learn.replay_frames={frames} do not fit into memory; expected fewer"
-        ) from None
-
-
-def _check_memory(config: RunConfig) -> None:
-    """Refuse what the memory of a run cannot do."""
-    learn = config.learn
-    if learn.memory == "windows" and registry.is_windowed(learn.network) and config.env.frames == 1:
-        raise ConfigError(
-            f"learn.memory=windows with one image in an observation for {learn.network!r}; expected a window: set "
-            f"env.window={registry.preferred_window(learn.network)}"
-        )
-    if _is_stateful(config) and (learn.mirror or learn.aid != "none"):
-        what = "learn.mirror=true" if learn.mirror else f"learn.aid={learn.aid}"
-        raise ConfigError(
-            f"{what} with learn.memory=groups and {learn.network!r}: a recurrent state does not work with that; "
-            "expected neither of them: set learn.mirror=false and learn.aid=none, or another learn.memory"
-        )
-
-
-def _built(config: RunConfig, env: GymEnv, seed: int) -> SeqDQN:
-    learn, camera = config.learn, config.eye
-    if learn.mirror and not sees_in_a_mirror(camera):
-        raise ConfigError(
-            f"learn.mirror=true with a camera at y={camera.p_BC_m[1]} m, yaw {camera.yaw_deg}, roll {camera.roll_deg} "
-            "deg; expected 0, "
-            "because pictures are mirrored: set learn.mirror=false"
-        )
-    return SeqDQN(
-        SeqQPolicy,
-        env,
-        settings=learn,
-        actions=action_set(config.env.actions).name,
-        mirror_signs=tuple((name, m.mirror) for name, m in config.sensors.measures().items()),
-        seed=seed,
-        learning_rate=_FadingRate(rate=learn.learning_rate, fade=learn.learning_rate_fade),
-        buffer_size=learn.replay_frames,
-        learning_starts=_learning_starts(learn, getattr(env, "num_envs", 1)),
-        train_freq=learn.train_every,
-        max_grad_norm=LARGEST_GRADIENT,
-        replay_buffer_kwargs={"settings": learn, "seed": seed},
-        policy_kwargs={"spec": _net_spec(config)},
-        **learn.model_dump(include={"batch_size", "tau", "gamma", "device"}),
-    )
-
-
-def _learning_starts(learn: LearnConfig, seats: int) -> int:
-    """So late that there is something to draw: two steps, or a whole group of each seat and what follows it."""
-    least = (learn.group_steps + 1) * seats if learn.memory == "groups" else 2
-    return max(learn.learning_starts, least)

@@ -1,4 +1,4 @@
-"""The two phases of learning (Action Driven, then Agent Driven) as a plan in steps."""
+"""The two phases of learning, Action Driven and then Agent Driven, as functions of the step."""
 
 from __future__ import annotations
 
@@ -19,20 +19,21 @@ class LearningPhase(IntEnum):
 class PhasePlan:
     """When the phases change and how exploration and supervision fade; pure functions of the step.
 
-    >>> plan = PhasePlan(LearnConfig(total_steps=100, phase1_steps=20, epsilon_start=0.2, epsilon_end=0.0))
-    >>> [plan.phase(step).value for step in (0, 19, 20)], plan.epsilon(19), plan.epsilon(60), plan.margin_weight(30)
-    ([1, 1, 2], 0.0, 0.1, 0.5)
+    >>> steps = {"total_steps": 100, "phase1_steps": 20}
+    >>> plan = PhasePlan(LearnConfig(**steps, epsilon_start=0.2, epsilon_end=0.0))
+    >>> [plan.phase(step).value for step in (0, 19, 20)], plan.epsilon(19), plan.epsilon(60)
+    ([1, 1, 2], 0.0, 0.1)
+    >>> plan.margin_weight(30)
+    0.5
     """
 
     learn: LearnConfig
 
     def phase(self, step: int) -> LearningPhase:
         """The phase of the step that follows `step` steps done."""
-        return (
-            LearningPhase.ACTION_DRIVEN
-            if step < self.learn.phase1_steps
-            else LearningPhase.AGENT_DRIVEN
-        )
+        if step < self.learn.phase1_steps:
+            return LearningPhase.ACTION_DRIVEN
+        return LearningPhase.AGENT_DRIVEN
 
     def progress(self, step: int) -> float:
         """Share of the second phase that is over, 0..1."""
@@ -47,11 +48,9 @@ class PhasePlan:
         return start + self.progress(step) * (end - start)
 
     def margin_weight(self, step: int) -> float:
-        """Weight of the supervised loss: full in the first phase, gone after `margin_fade` of the second."""
-        margin, fade = (
-            0.0 if self.learn.phase1 == "td" else self.learn.margin,
-            self.learn.margin_fade,
-        )
+        """Weight of the supervised loss: full in phase 1, faded over `margin_fade` of phase 2."""
+        margin = 0.0 if self.learn.phase1 == "td" else self.learn.margin
+        fade = self.learn.margin_fade
         if self.phase(step) is LearningPhase.ACTION_DRIVEN:
             return margin
         if fade <= 0.0:
@@ -59,7 +58,7 @@ class PhasePlan:
         return margin * max(0.0, 1.0 - self.progress(step) / fade)
 
     def aid_weight(self, step: int) -> float:
-        """Weight of the advice from the truth: none in the first phase, which teaches obedience alone."""
+        """Weight of the advice from the truth: none in phase 1, which teaches obedience alone."""
         if self.learn.aid == "none" or self.phase(step) is LearningPhase.ACTION_DRIVEN:
             return 0.0
         return self.learn.aid_weight

@@ -1,10 +1,10 @@
-"""Policies on disk: a folder with `policy.json` and `weights.safetensors`; nothing in it is code."""
+"""Policies on disk: a folder with `policy.json` and `weights.safetensors`, and no code in it."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Final
 
 import numpy as np
 import torch
@@ -32,105 +32,40 @@ from wcsim.core.reading import escaped
 from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.observation import imu_size, observation_space
-from wcsim.types import ClassId
+from wcsim.types import F32, ClassId
 
-_JOYSTICK_SIZE = 2
-_WARN_STEPS = (
-    3  # measured: with 1, noise of the values warns in three times as many steps without danger
-)
-
-
-class _NetPolicy:
-    """A trained network that acts greedily; of a longer window than its own it sees the newest images.
-
-    One that carries a state does so from `act` to `act`, and begins anew with each episode.
-
-    It warns by the value of the user's own stick, see `next_alarm`. A step of not following costs at most base reward
-    and joystick penalty (3; a crash costs 100). A stick that is worth less than the best action by more than three such
-    steps, in unscaled reward, leads to something worse: the network expects a crash or a jolt.
-    """
-
-    def __init__(self, net: QNet, name: str, file: PolicyFile) -> None:
-        self.net = net
-        self.name = name
-        self.file = file
-        self.net.set_training_mode(False)
-        self._actions, prior = action_set(file.net.actions), file.net.prior
-        self._bearable = _WARN_STEPS * file.reward_scale * (prior.base + prior.penalty)
-        self.reset()
-
-    @property
-    def warning(self) -> bool:
-        """Whether the user's own stick is worth too little, as of the last `act`."""
-        return self._alarm.on
-
-    def begin(self) -> None:
-        """Forget everything."""
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget the episode before."""
-        self._state, self._alarm = self.net.begin(1), Alarm()
-
-    def act(self, observation: Observation) -> int:
-        """The action of the highest value; what was seen is remembered, by a network that can."""
-        values, self._state = self._seen(observation)
-        lost = float(values.max() - values[self._actions.nearest(observation[JOYSTICK_KEY])])
-        self._alarm = next_alarm(self._alarm, float(lost > self._bearable), TWO_TICKS)
-        return int(values.argmax())
-
-    def values(self, observation: Observation) -> np.ndarray[Any, np.dtype[np.float32]]:
-        """Values of all actions (A,), in units of the scaled reward; nothing is remembered of what was seen.
-
-        Raises PolicyError when the observation holds fewer images than the network was trained on, or the network
-        leaves the finite numbers.
-        """
-        return self._seen(observation)[0]
-
-    def _seen(
-        self, observation: Observation
-    ) -> tuple[np.ndarray[Any, np.dtype[np.float32]], torch.Tensor]:
-        seen = newest_frames(observation, self.file.window)
-        with torch.inference_mode():
-            batch = {key: torch.as_tensor(np.asarray(value))[None] for key, value in seen.items()}
-            if self.net.spec.stateful:
-                found, after = self.net.step(batch, self._state)
-            else:
-                found, after = self.net(batch), self._state
-            values = np.asarray(found[0].numpy(), dtype=np.float32)
-        if not np.isfinite(values).all():
-            raise PolicyError(
-                f"policy {escaped(self.name)!r} returns values that are not finite; train it again"
-            )
-        return values, after
+_JOYSTICK_SIZE: Final = 2
+# Measured: with 1, noise of the values warns in three times as many steps without danger.
+_WARN_STEPS: Final = 3
 
 
 def save_policy(
     folder: Path, model: SeqDQN, camera: CameraConfig, manifest_sha256: str = ""
 ) -> Path:
-    """See `write_policy`."""
+    """Save the network of a learner, see `write_policy`."""
     space = model.observation_space
     sensors = {key: vector_size(space, (key,)) for key in vector_keys(space)[2:]}
-    said = {
+    form = observation_form(space)
+    about = {
         "algorithm": "SeqDQN",
         "net": model.q_net.spec.model_dump(),
         "image_hw_px": list(image_size(space)),
         "vector_size": vector_size(space),
         **({"sensors": sensors} if sensors else {}),
-        **({} if (form := observation_form(space)) == "compact" else {"observation": form}),
+        **({"observation": form} if form != "compact" else {}),
         "window": window_size(space),
         "camera": camera.model_dump(mode="json"),
         "reward_scale": model.settings.reward_scale,
         "manifest_sha256": manifest_sha256,
     }
-    return write_policy(folder, model.q_net, said)
+    return write_policy(folder, model.q_net, about)
 
 
 def load_policy(path: Path, network: str | None = None) -> _NetPolicy:
     """Load a policy folder.
 
-    A network that is not registered is imported only when the caller names it (`network="module:Class"`): a policy from
-    another party must not decide which code runs here.
+    A network that is not registered is imported only when the caller names it
+    (`network="module:Class"`): a policy from another party must not decide which code runs here.
 
     Raises PolicyError when a file is missing, damaged or does not fit.
     """
@@ -162,33 +97,36 @@ def load_fitting(
     """
     policy = load_policy(folder, network)
     camera, file = config.eye, policy.file
-    if (
-        file.image_hw_px != (camera.height_px, camera.width_px)
-        or file.net.actions != config.env.actions
-    ):
+    # 1. Size of pictures, and the set of actions.
+    size_px = (camera.height_px, camera.width_px)
+    if file.image_hw_px != size_px or file.net.actions != config.env.actions:
         raise PolicyError(
-            f"policy {name!r} needs {file.image_hw_px[1]}x{file.image_hw_px[0]} images and actions {file.net.actions}; "
-            f"this test has {camera.width_px}x{camera.height_px} and {config.env.actions}: test it alone"
+            f"policy {name!r} needs {file.image_hw_px[1]}x{file.image_hw_px[0]} images and actions "
+            f"{file.net.actions}; this test has {camera.width_px}x{camera.height_px} and "
+            f"{config.env.actions}: test it alone"
         )
-    numbers = imu_size(config.env.observe_gyro, config.env.observe_yaw) + _JOYSTICK_SIZE
-    wanted = file.vector_size - sum(file.sensors.values())
-    if wanted != numbers:
+    # 2. Numbers from IMU and joystick, and those of further sensors.
+    available = imu_size(config.env.observe_gyro, config.env.observe_yaw) + _JOYSTICK_SIZE
+    needed = file.vector_size - sum(file.sensors.values())
+    if needed != available:
         raise PolicyError(
-            f"policy {name!r} needs {wanted} numbers from IMU and joystick, this test gives {numbers}: "
-            "set env.observe_gyro and env.observe_yaw as in its training"
+            f"policy {name!r} needs {needed} numbers from IMU and joystick, this test gives "
+            f"{available}: set env.observe_gyro and env.observe_yaw as in its training"
         )
-    given = {key: len(measure.parts) for key, measure in config.sensors.measures().items()}
-    if not file.sensors.items() <= given.items():
+    sensors = {key: len(measure.parts) for key, measure in config.sensors.measures().items()}
+    if not file.sensors.items() <= sensors.items():
         raise PolicyError(
-            f"policy {name!r} needs the sensors {file.sensors} (numbers of each), this test has {given}: "
-            "set their sections of [sensors] as in its training"
+            f"policy {name!r} needs the sensors {file.sensors} (numbers of each), this test has "
+            f"{sensors}: set their sections of [sensors] as in its training"
+        )
+    # 3. What the pictures hold. A policy of classes alone ignores colours beside them.
+    trained, tested = file.observation, config.env.observation
+    if trained != tested and (trained, tested) != ("compact", "compact_rgb"):
+        raise PolicyError(
+            f"policy {name!r} sees env.observation={trained}, this test has {tested}: set it as in "
+            "its training"
         )
     other = [key for key in SIGHT_KEYS if getattr(file.camera, key) != getattr(camera, key)]
-    forms = file.observation, config.env.observation
-    if forms[0] != forms[1] and not (forms[0] == "compact" and forms[1] == "compact_rgb"):
-        raise PolicyError(
-            f"policy {name!r} sees env.observation={forms[0]}, this test has {forms[1]}: set it as in its training"
-        )
     if other or file.net.classes != config.env.classes:
         raise PolicyError(
             f"policy {name!r} was trained with another camera or other classes than this test has "
@@ -198,11 +136,80 @@ def load_fitting(
     return policy
 
 
+class _NetPolicy:
+    """A trained network that acts greedily.
+
+    Of a longer window than its own it sees the newest images. One that carries a state does so from
+    `act` to `act`, and begins anew with each episode.
+
+    It warns by the value of the user's own stick, see `next_alarm`. A step of not following costs
+    at most base reward and joystick penalty (3; a crash costs 100). A stick that is worth less than
+    the best action by more than three such steps, in unscaled reward, leads to something worse: the
+    network expects a crash or a jolt.
+    """
+
+    def __init__(self, net: QNet, name: str, file: PolicyFile) -> None:
+        self.net = net
+        self.name = name
+        self.file = file
+        self.net.set_training_mode(False)
+        prior = file.net.prior
+        self._actions = action_set(file.net.actions)
+        self._tolerated_loss = _WARN_STEPS * file.reward_scale * (prior.base + prior.penalty)
+        self.reset()
+
+    @property
+    def warning(self) -> bool:
+        """Whether the user's own stick is worth too little, as of the last `act`."""
+        return self._alarm.on
+
+    def begin(self) -> None:
+        """Forget everything."""
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the episode before."""
+        self._state = self.net.begin(1)
+        self._alarm = Alarm()
+
+    def act(self, observation: Observation) -> int:
+        """The action of the highest value; a network with a state remembers the observation."""
+        values, self._state = self._evaluate(observation)
+        lost = float(values.max() - values[self._actions.nearest(observation[JOYSTICK_KEY])])
+        self._alarm = next_alarm(self._alarm, float(lost > self._tolerated_loss), TWO_TICKS)
+        return int(values.argmax())
+
+    def values(self, observation: Observation) -> F32:
+        """Values of all actions (A,), in units of the scaled reward; nothing is remembered.
+
+        Raises PolicyError when the observation holds fewer images than the network was trained on,
+        or the network leaves the finite numbers.
+        """
+        return self._evaluate(observation)[0]
+
+    def _evaluate(self, observation: Observation) -> tuple[F32, torch.Tensor]:
+        """Values of all actions (A,), and the state after this observation."""
+        seen = newest_frames(observation, self.file.window)
+        with torch.inference_mode():
+            batch = {key: torch.as_tensor(np.asarray(value))[None] for key, value in seen.items()}
+            if self.net.spec.stateful:
+                found, after = self.net.step(batch, self._state)
+            else:
+                found, after = self.net(batch), self._state
+            values = np.asarray(found[0].numpy(), dtype=np.float32)
+        if not np.isfinite(values).all():
+            raise PolicyError(
+                f"policy {escaped(self.name)!r} returns values that are not finite; train it again"
+            )
+        return values, after
+
+
 def _empty_net(file: PolicyFile) -> QNet:
     return QNet(_space(file), spaces.Discrete(len(action_set(file.net.actions))), file.net)
 
 
 def _space(file: PolicyFile) -> spaces.Dict:
+    """The observations that a policy was trained with."""
     height, width = file.image_hw_px
     imu = file.vector_size - _JOYSTICK_SIZE - sum(file.sensors.values())
     boxes = {key: spaces.Box(-1.0, 1.0, (size,), np.float32) for key, size in file.sensors.items()}
@@ -211,7 +218,7 @@ def _space(file: PolicyFile) -> spaces.Dict:
 
 
 def _probes(file: PolicyFile) -> Iterator[Observation]:
-    """Observations that a usable network has values for: nothing seen, and every number at its largest."""
+    """What a usable network has values for: nothing seen, and every number at its largest."""
     for share in (0.0, 1.0):
         yield {
             key: np.full(

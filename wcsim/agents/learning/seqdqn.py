@@ -1,11 +1,13 @@
 """SeqDQN: the double deep Q-learner of wcsim, an algorithm of Stable-Baselines3.
 
-On top of SB3's DQN: double-Q targets, n-step returns from `FrameReplay`, scaled rewards, a soft target update per
-gradient step, the large-margin loss of DQfD (Hester et al. 2018) that makes the first phase supervised, advice from the
-oracle in the second (`aid`, beyond the paper), exploration near the user's joystick, and random draws from a generator
-of its own. `learn`, callbacks, logger, `save`, `load` and `EvalCallback` are SB3's. A network that carries a state
-(`NetSpec.stateful`) does so from tick to tick of an episode, and learns from groups of steps in a row (see
-`agents/learning/replay/groups.py`); any other one learns from steps drawn one by one, each with its window.
+On top of SB3's DQN: double-Q targets, n-step returns from `FrameReplay`, scaled rewards, a soft
+target update per gradient step, the large-margin loss of DQfD (Hester et al. 2018) that makes the
+first phase supervised, advice from the oracle in the second (`aid`, beyond the paper), exploration
+near the user's joystick, and random draws from a generator of its own. `learn`, callbacks, logger,
+`save`, `load` and `EvalCallback` are SB3's. A network that carries a state (`NetSpec.stateful`)
+does so from tick to tick of an episode, and learns from groups of steps in a row (see
+`agents/learning/replay/groups.py`); any other one learns from steps drawn one by one, each with its
+window.
 """
 
 from __future__ import annotations
@@ -41,22 +43,20 @@ States = tuple[npt.NDArray[Any], ...]
 Signs = tuple[tuple[str, tuple[float, ...]], ...]  # of each number of each further sensor, by name
 
 EXPLORED_SIGMA: Final = 0.5  # spread of local exploration, in stick units
-MARGIN_OFFSET: Final = (
-    0.4  # joystick distance that a margin adds to the distance between two actions
-)
+MARGIN_OFFSET: Final = 0.4  # joystick distance that a margin adds to that between two actions
 MAX_SKIPPED: Final = 10  # updates in a row with a loss or gradient that is not finite
 
-# Advice. Crashes are rare, a few in a kilometre, but the oracle knows of every step which actions end badly.
+# Advice. Crashes are rare, a few in a kilometre, but the oracle knows of every step which actions
+# end badly.
 AID_BATCH: Final = 32  # steps of oracle data in a batch
 AID_SHARE: Final = 0.3  # of that batch from steps with an action that leads to a crash
 AID_AHEAD: Final = 5  # steps before that in which an action already counts as unsafe
 AID_MARGIN: Final = 6.0  # joystick distance by which an unsafe action must lose to a safe one
-RELABELLED: Final = (
-    0.5  # share of a batch of oracle data with a random joystick in the user's place
-)
+RELABELLED: Final = 0.5  # share of that batch with a random joystick in the user's place
 HALF_CELL: Final = 0.125  # of the actions' lattice
 
-# Mirrored batches: left and right are alike for a chair with its camera in the middle, so data count twice.
+# Mirrored batches: left and right are alike for a chair with its camera in the middle, so data
+# count twice.
 IMU_SIGNS: Final = (1.0, -1.0, 1.0, -1.0, 1.0)  # of ax, ay, az, roll, pitch
 GYRO_SIGNS: Final = (-1.0, 1.0, -1.0)
 YAW_SIGNS: Final = (-1.0, 1.0)  # of its sine and cosine
@@ -99,28 +99,27 @@ class SeqDQN(DQN):
         _init_setup_model: bool = True,
         **dqn: Any,
     ) -> None:
+        # SB3's `save` writes all attributes under their names, those with an underscore too.
         self.settings = settings if settings is not None else LearnConfig()
-        self.actions, self.mirror_signs = actions, mirror_signs
+        self.actions = actions
+        self.mirror_signs = mirror_signs
         self.plan = PhasePlan(self.settings)
         self.rng = seeding.generator(0 if seed is None else seed, "agent", "explore")
         self._offsets: npt.NDArray[np.float64] = np.zeros((0, 2))  # (N, 2) explored by each seat
-        self._held: npt.NDArray[np.int64] = np.zeros(
-            0, dtype=np.int64
-        )  # (N,) steps for which it is still held
-        # What the network carries from step to step, of every seat: before the coming step (None where all episodes
-        # begin) and after it.
+        # (N,) steps for which they are still held
+        self._held: npt.NDArray[np.int64] = np.zeros(0, dtype=np.int64)
+        # What the network carries from step to step, of every seat: before the next step (None
+        # where all episodes start) and after it.
         self._carried: States | None = None
         self._next: States | None = None
-        self._greedy: npt.NDArray[Any] | None = (
-            None  # (N,) its best actions in the coming step, where they are known
-        )
+        # (N,) the best actions in the next step, where they are known
+        self._greedy: npt.NDArray[Any] | None = None
         self.skipped_updates = 0
         self.max_abs_q = 0.0
         self.last_loss = float("nan")
         self.meanwhile = False  # whether the environment does the due updates within its step
-        self.due: tuple[int, int] | None = (
-            None  # gradient steps and batch size of updates that were put off
-        )
+        # Gradient steps and batch size of updates that were put off.
+        self.due: tuple[int, int] | None = None
         dqn.setdefault("replay_buffer_class", FrameReplay)
         super().__init__(policy, env, seed=seed, _init_setup_model=_init_setup_model, **dqn)
 
@@ -154,7 +153,7 @@ class SeqDQN(DQN):
             return actions, state
         self._greedy = np.atleast_1d(actions)
         sticks = np.asarray(observation[JOYSTICK_KEY], dtype=np.float64).reshape(-1, 2)
-        explores = self._explores(len(sticks))
+        explores = self._draw_explorers(len(sticks))
         if self.settings.exploration == "uniform":
             drawn = self.rng.integers(0, len(self.action_points), len(sticks))
         else:
@@ -162,16 +161,20 @@ class SeqDQN(DQN):
         explored = np.where(explores, drawn, actions)
         return (explored if np.ndim(actions) else explored[0]), state
 
-    def _explores(self, seats: int) -> npt.NDArray[np.bool_]:
-        """Which seats explore now: an exploration lasts `epsilon_hold` steps, so it begins that much more rarely."""
+    def _draw_explorers(self, seats: int) -> npt.NDArray[np.bool_]:
+        """Draw which seats explore now, (N,), and the offsets of those that start to.
+
+        An exploration lasts `epsilon_hold` steps, so it starts that much more rarely.
+        """
         hold = self.settings.epsilon_hold
         if len(self._held) != seats:
-            self._held, self._offsets = np.zeros(seats, dtype=np.int64), np.zeros((seats, 2))
+            self._held = np.zeros(seats, dtype=np.int64)
+            self._offsets = np.zeros((seats, 2))
         rate = self.exploration_rate / (hold - (hold - 1) * self.exploration_rate)
-        begins = (self._held == 0) & (self.rng.random(seats) < rate)
+        starts = (self._held == 0) & (self.rng.random(seats) < rate)
         drawn = self.rng.normal(0.0, EXPLORED_SIGMA, (seats, 2))
-        self._offsets = np.where(begins[:, None], drawn, self._offsets)
-        self._held = np.where(begins, hold, self._held)
+        self._offsets = np.where(starts[:, None], drawn, self._offsets)
+        self._held = np.where(starts, hold, self._held)
         explores: npt.NDArray[np.bool_] = self._held > 0
         self._held = np.maximum(self._held - 1, 0)
         return explores
@@ -179,11 +182,15 @@ class SeqDQN(DQN):
     def _sample_action(
         self, *given: Any, **named: Any
     ) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
-        """Phase 1: the user's nearest action. Phase 2: greedy with exploration, from the first step on."""
+        """Phase 1: the user's nearest action.
+
+        Phase 2: greedy with exploration, from the first step on.
+        """
         observation = self._last_obs
         if self.phase is LearningPhase.ACTION_DRIVEN:
             actions = self.action_points.nearest_many(observation[JOYSTICK_KEY])
-            if self.q_net.spec.stateful:  # it has to see what is driven
+            # A network with a state has to see what is driven.
+            if self.q_net.spec.stateful:
                 self._greedy, self._next = self.policy.predict(
                     observation, self._carried, deterministic=True
                 )
@@ -200,48 +207,48 @@ class SeqDQN(DQN):
         return self.policy.predict(observation, deterministic=True)[0]
 
     def _store_transition(self, replay_buffer: ReplayBuffer, *step: Any) -> None:
-        """Store a step, with the state before it; the states of seats whose episode ended are forgotten.
+        """Store a step and the state before it; seats whose episode ended lose their state.
 
-        Raises PolicyError for a reward that is not finite: it would spoil every batch that it is drawn in.
+        Raises PolicyError for a reward that is not finite: it would spoil every batch with it.
         """
         rewards = np.asarray(step[2])
         if not np.isfinite(rewards).all():
             raise PolicyError(
-                f"the reward of step {self.num_timesteps} was {rewards[~np.isfinite(rewards)][0]}; expected a finite "
-                "number: correct your own reward term (--reward), then wcsim resume RUN"
+                f"the reward of step {self.num_timesteps} was {rewards[~np.isfinite(rewards)][0]}; "
+                "expected a finite number: correct your own reward term (--reward), then wcsim "
+                "resume RUN"
             )
         groups = self.replay_buffer.groups
         if groups is not None and self._carried is not None:
-            groups.coming = self._carried[0]
+            groups.next_states = self._carried[0]
         super()._store_transition(replay_buffer, *step)
         if self._next is not None:
-            dones = np.asarray(step[3], dtype=bool)
+            dones = np.asarray(step[3], dtype=bool)[:, None]
             self._carried = tuple(
-                np.where(dones[:, None], 0.0, part).astype(part.dtype) for part in self._next
+                np.where(dones, 0.0, part).astype(part.dtype) for part in self._next
             )
 
     def _setup_learn(self, *given: Any, **named: Any) -> tuple[int, BaseCallback]:
-        """SB3's; where it resets the environment, episodes begin. Rates are those of the step that comes next."""
+        """SB3's; where it resets the environment, episodes start. Rates are of the next step."""
         before = self._last_obs
         out = super()._setup_learn(*given, **named)
         if self._last_obs is not before:
             self._carried = None
-        if (
-            self._total_timesteps > self.num_timesteps
-        ):  # SB3 sets both after a step, too late for the first one
+        # SB3 sets both after a step, too late for the first one.
+        if self._total_timesteps > self.num_timesteps:
             self._update_current_progress_remaining(self.num_timesteps, self._total_timesteps)
             self.exploration_rate = self.plan.epsilon(self.num_timesteps)
         return out
 
     def _on_step(self) -> None:
-        """Set the exploration rate; the target network follows the gradient steps instead of the world's steps."""
+        """Set the exploration rate; unlike SB3's, the target network follows the gradient steps."""
         self.exploration_rate = self.plan.epsilon(self.num_timesteps)
         self.logger.record("rollout/exploration_rate", self.exploration_rate)
 
     # --- learning ---
 
     def train(self, gradient_steps: int, batch_size: int = 32) -> None:
-        """Do `gradient_steps` updates, now or after the next action was chosen. Raises as `do_updates`."""
+        """Do `gradient_steps` updates, now or after the next action. Raises as `do_updates`."""
         if self.settings.updates == "while_waiting":
             self.catch_up()
             self.due = gradient_steps, batch_size
@@ -249,10 +256,11 @@ class SeqDQN(DQN):
             self.do_updates(gradient_steps, batch_size)
 
     def due_updates(self) -> Callable[[], None] | None:
-        """What does the updates that were put off, between the choice of an action and what comes of it.
+        """The call that does the updates which were put off; None without any.
 
-        The action was chosen by the weights before them, and they draw from the steps before it, whenever they are
-        done: by the environment while it waits for the world (`meanwhile`), or before it moves. None without any.
+        They are done between the choice of an action and its outcome, by the environment while it
+        waits for the world (`meanwhile`) or before it moves. Either way the action was
+        chosen by the weights before them, and they draw from the steps before it.
         """
         return None if self.due is None else self.catch_up
 
@@ -263,28 +271,27 @@ class SeqDQN(DQN):
             self.do_updates(*due)
 
     def do_updates(self, gradient_steps: int, batch_size: int) -> None:
-        """Do so many updates. Raises PolicyError when loss or gradient stay out of the finite numbers.
+        """Do so many updates. Raises PolicyError when loss or gradient stay not finite.
 
-        Each draws its batch of steps with the memory's generator, then with `self.rng` whether it is mirrored; after
-        that the steps that the oracle has judged, with the memory's, then with `self.rng` their joysticks and mirror.
+        Each draws its batch of steps with the memory's generator, then with `self.rng` whether it
+        is mirrored; after that the steps that the oracle has judged, with the memory's, then with
+        `self.rng` their joysticks and mirror.
         """
         self.policy.set_training_mode(True)
         self._update_learning_rate(self.policy.optimizer)
-        margin, aid = (
-            self.plan.margin_weight(self.num_timesteps),
-            self.plan.aid_weight(self.num_timesteps),
-        )
+        margin = self.plan.margin_weight(self.num_timesteps)
+        aid = self.plan.aid_weight(self.num_timesteps)
         for _ in range(gradient_steps):
-            # 1. A batch, its targets, and the Huber loss; in the first phase also the loss towards the user's action.
-            loss = self._drawn_loss(batch_size, margin)
+            # 1. A batch, its targets, and the Huber loss; in the first phase also the loss towards
+            # the user's action.
+            loss = self._draw_batch_loss(batch_size, margin)
             # 2. In the second phase, with aid, the loss of a batch that the oracle has judged.
             if aid > 0.0:
-                loss = loss + aid * self.advice_loss()
+                loss = loss + aid * self.draw_advice_loss()
             # 3. A step along the gradient, and the target network's little step after it.
             self._update(loss)
-        self.policy.set_training_mode(
-            False
-        )  # until the next update it chooses actions, one observation at a time
+        # Until the next update it chooses actions, one observation at a time.
+        self.policy.set_training_mode(False)
         self._n_updates += gradient_steps
         self.logger.record("train/n_updates", self._n_updates, exclude="tensorboard")
         self.logger.record("train/loss", self.last_loss)
@@ -292,8 +299,11 @@ class SeqDQN(DQN):
         self.logger.record("train/margin_weight", margin)
         self.logger.record("train/aid_weight", aid)
 
-    def _drawn_loss(self, batch_size: int, margin: float) -> torch.Tensor:
-        """The loss of a batch that is drawn from memory: groups of steps for a network with a state, else steps."""
+    def _draw_batch_loss(self, batch_size: int, margin: float) -> torch.Tensor:
+        """Draw a batch from memory; its loss.
+
+        Groups of steps for a network with a state, else single steps.
+        """
         if self.q_net.spec.stateful:
             batch = self.replay_buffer.sample_groups(batch_size)
             nets = self.q_net, self.q_net_target
@@ -309,7 +319,7 @@ class SeqDQN(DQN):
         return self.loss(drawn, margin)
 
     def loss(self, batch: DictReplayBufferSamples, margin: float) -> torch.Tensor:
-        """Huber loss of the n-step double-Q error, plus the weighted loss towards the user's action."""
+        """Huber loss of the n-step double-Q error, plus that towards the user's action."""
         target = self.targets(batch)
         values = self.q_net(batch.observations)
         self.max_abs_q = float(values.detach().abs().max())
@@ -333,7 +343,10 @@ class SeqDQN(DQN):
     def supervised_loss(
         self, values: torch.Tensor, observations: Mapping[str, torch.Tensor]
     ) -> torch.Tensor:
-        """The loss towards the user's action, for weight 1: a margin, or cross-entropy of values in unscaled reward."""
+        """The loss towards the user's action, for weight 1.
+
+        A margin, or the cross-entropy of values in unscaled reward.
+        """
         if self.settings.phase1 != "supervised":
             return self.margin_loss(values, observations)
         label = self.q_net.distances(observations[JOYSTICK_KEY]).argmin(dim=1)
@@ -342,23 +355,26 @@ class SeqDQN(DQN):
     def margin_loss(
         self, values: torch.Tensor, observations: Mapping[str, torch.Tensor]
     ) -> torch.Tensor:
-        """How far the user's action is from beating every other by a margin that grows with the joystick distance."""
+        """How far the user's action is from beating every other by a margin.
+
+        The margin grows with the joystick distance.
+        """
         distances = self.q_net.distances(observations[JOYSTICK_KEY])
         label = distances.argmin(dim=1, keepdim=True)
         gap = distances - distances.gather(1, label) + MARGIN_OFFSET
-        wanted = (self.settings.reward_scale * gap).scatter(1, label, 0.0)
-        return ((values + wanted).max(dim=1).values - values.gather(1, label)[:, 0]).mean()
+        margin = (self.settings.reward_scale * gap).scatter(1, label, 0.0)
+        return ((values + margin).max(dim=1).values - values.gather(1, label)[:, 0]).mean()
 
-    def advice_loss(self) -> torch.Tensor:
-        """Loss of a batch of steps whose actions the oracle has judged, 0 while there is none."""
+    def draw_advice_loss(self) -> torch.Tensor:
+        """Draw steps whose actions the oracle has judged; their loss, 0 while there is none."""
         advice = self.replay_buffer.sample_advice(AID_BATCH, AID_SHARE, AID_AHEAD)
         if advice is None:
             return torch.zeros((), device=self.device)
         seen, safe = advice
-        wishes = _draw_other_sticks(
+        sticks = _draw_other_sticks(
             seen[JOYSTICK_KEY].cpu().numpy(), self.action_points.points, RELABELLED, self.rng
         )
-        seen = {**seen, JOYSTICK_KEY: torch.as_tensor(wishes, device=self.device)}
+        seen = {**seen, JOYSTICK_KEY: torch.as_tensor(sticks, device=self.device)}
         if self._draw_mirrored():
             actions = self._mirror_map()
             seen, safe = _mirrored(seen, actions, self.mirror_signs), safe[:, actions]
@@ -366,14 +382,14 @@ class SeqDQN(DQN):
         return _aid_loss(self.q_net(seen), distances, safe, self.settings.reward_scale, AID_MARGIN)
 
     def _draw_mirrored(self) -> bool:
-        """Whether the next batch is seen in a mirror."""
+        """Draw whether the next batch is mirrored; without `mirror` nothing is drawn."""
         return self.settings.mirror and bool(self.rng.random() < 0.5)
 
     def _mirror_map(self) -> torch.Tensor:
         return torch.as_tensor(self.action_points.mirror, device=self.device)
 
     def _update(self, loss: torch.Tensor) -> None:
-        """One step along the gradient. Raises PolicyError when too many in a row were not finite."""
+        """Step along the gradient. Raises PolicyError when too many in a row were not finite."""
         self.last_loss = float(loss.detach())
         finite = np.isfinite(self.last_loss)
         if finite:
@@ -386,21 +402,21 @@ class SeqDQN(DQN):
             self.skipped_updates = 0
             self.policy.optimizer.step()
             polyak_update(self.q_net.parameters(), self.q_net_target.parameters(), self.tau)
-            polyak_update(
-                self.batch_norm_stats, self.batch_norm_stats_target, 1.0
-            )  # they are no parameters
+            # Running means are no parameters.
+            polyak_update(self.batch_norm_stats, self.batch_norm_stats_target, 1.0)
             return
         # The weights stay as they are: one such step would spoil them for good.
         self.skipped_updates += 1
         if self.skipped_updates > MAX_SKIPPED:
             raise PolicyError(
-                f"the loss, {self.last_loss}, or its gradient was not finite for {self.skipped_updates} updates in a "
-                "row; expected finite numbers: start a new run with a smaller learn.learning_rate or learn.reward_scale"
+                f"the loss, {self.last_loss}, or its gradient was not finite for "
+                f"{self.skipped_updates} updates in a row; expected finite numbers: start a new "
+                "run with a smaller learn.learning_rate or learn.reward_scale"
             )
 
 
-# Losses over groups of steps in a row. Both networks run over the steps before a group without a gradient, from the
-# stored state, and then over the group and what its last n-step returns reach.
+# Losses over groups of steps in a row. Both networks run over the steps before a group without a
+# gradient, from the stored state, and then over the group and what its last n-step returns reach.
 
 
 def _sequence_loss(
@@ -422,11 +438,11 @@ def _sequence_loss(
     online = _group_values(nets[0], batch)
     with torch.no_grad():
         target = _group_values(nets[1], batch)
-    wanted = _group_targets(online.detach(), target, batch, reward_scale, double_q)[batch.live]
+    goals = _group_targets(online.detach(), target, batch, reward_scale, double_q)[batch.live]
     length = batch.live.shape[1]
     values = online[:, :length][batch.live[:, : online.shape[1]]]  # (N, A)
     chosen = values.gather(1, batch.actions[batch.live][:, None])[:, 0]
-    loss = functional.smooth_l1_loss(chosen, wanted)
+    loss = functional.smooth_l1_loss(chosen, goals)
     if supervised is not None:
         sticks = batch.observations[JOYSTICK_KEY][:, :length][batch.live[:, : online.shape[1]]]
         loss = loss + supervised(values, {JOYSTICK_KEY: sticks})
@@ -455,7 +471,10 @@ def _group_targets(
     reward_scale: float,
     double_q: bool,
 ) -> torch.Tensor:
-    """Scaled n-step returns plus the discounted value after them, (K, L), from both networks' values (K, P, A)."""
+    """Scaled n-step returns plus the discounted value after them, (K, L).
+
+    Both networks' values are (K, P, A).
+    """
     judge = online if double_q else target
     best = target.gather(2, judge.argmax(dim=2, keepdim=True))[..., 0]  # (K, P)
     value = best.gather(1, batch.after)
@@ -468,26 +487,27 @@ def _group_targets(
 def _draw_other_sticks(
     joysticks_xy: F32, points: F64, share: float, rng: np.random.Generator
 ) -> F32:
-    """Other wishes for the same moments: whether an action is safe does not depend on what the user wants.
+    """Draw other joysticks for the same moments: which actions are safe does not depend on them.
 
-    A share of the rows (B, 2) gets the joystick near one of `points` (A, 2) instead, in the unit disc; so a moment in
-    which the user happened to be right teaches too.
+    A share of the rows (B, 2) gets the joystick near one of `points` (A, 2) instead, in the unit
+    disc; so a moment in which the user happened to be right teaches too.
     """
-    wish = points[rng.integers(0, len(points), len(joysticks_xy))]
-    wish = wish + rng.uniform(-HALF_CELL, HALF_CELL, wish.shape)
-    wish /= np.maximum(np.hypot(wish[:, 0], wish[:, 1]), 1.0)[:, None]
-    replaced = rng.random(len(wish)) < share
-    return np.where(replaced[:, None], wish, joysticks_xy).astype(np.float32)
+    drawn = points[rng.integers(0, len(points), len(joysticks_xy))]
+    drawn = drawn + rng.uniform(-HALF_CELL, HALF_CELL, drawn.shape)
+    drawn /= np.maximum(np.hypot(drawn[:, 0], drawn[:, 1]), 1.0)[:, None]
+    replaced = rng.random(len(drawn)) < share
+    return np.where(replaced[:, None], drawn, joysticks_xy).astype(np.float32)
 
 
 def _aid_loss(
     values: torch.Tensor, distances: torch.Tensor, safe: torch.Tensor, scale: float, unsafe: float
 ) -> torch.Tensor:
-    """How far the safe action nearest to the user's joystick is from beating the others by a margin.
+    """How far the safe action nearest to the user's joystick is from winning by a margin.
 
-    The strongest rival counts as in DQfD; every unsafe action counts too, so that one step teaches about all of them.
-    A row in which nothing is safe teaches nothing: what it would teach is to stand still. Only this
-    loss knows the oracle's verdicts; the policy that learns from it sees what every policy sees.
+    The strongest rival counts as in DQfD; every unsafe action counts too, so that one step teaches
+    about all of them. A row in which nothing is safe teaches nothing: what it would teach is to
+    stand still. Only this loss knows the oracle's verdicts; the policy that learns from it sees
+    what every policy sees.
 
     Args:
         values: (B, A) action values.
@@ -500,17 +520,15 @@ def _aid_loss(
         A scalar, 0 when every row has its teacher's action ahead by the margins.
     """
     label = _teacher_actions(distances, safe)[:, None]
-    margin = (
-        (distances - distances.gather(1, label)).clamp(min=0.0) + MARGIN_OFFSET + unsafe * ~safe
-    )
-    margin = (scale * margin).scatter(1, label, 0.0)
+    farther = (distances - distances.gather(1, label)).clamp(min=0.0)
+    margin = (scale * (farther + MARGIN_OFFSET + unsafe * ~safe)).scatter(1, label, 0.0)
     behind = functional.relu(values + margin - values.gather(1, label))  # (B, A), 0 at the label
     dense = (behind * ~safe).sum(dim=1) / (~safe).sum(dim=1).clamp(min=1)
     return ((behind.max(dim=1).values + dense) * safe.any(dim=1)).mean()
 
 
 def _teacher_actions(distances: torch.Tensor, safe: torch.Tensor) -> torch.Tensor:
-    """The safe action nearest to the user's joystick, where there is one; (B, A) and (B, A) -> (B,)."""
+    """The safe action nearest to the user's joystick; (B, A) and (B, A) -> (B,)."""
     return distances.masked_fill(~safe, torch.inf).argmin(dim=1)
 
 
@@ -520,7 +538,7 @@ def _teacher_actions(distances: torch.Tensor, safe: torch.Tensor) -> torch.Tenso
 def _mirror_batch(
     batch: DictReplayBufferSamples, actions: torch.Tensor, signs: Signs = ()
 ) -> DictReplayBufferSamples:
-    """The same batch with left and right exchanged; `actions` (A,) is the mirror map of the action set."""
+    """A batch with left and right exchanged; `actions` (A,) is the mirror map of the action set."""
     return batch._replace(
         observations=_mirrored(batch.observations, actions, signs),
         actions=actions[batch.actions.long()],
@@ -531,7 +549,8 @@ def _mirror_batch(
 def _mirrored(observations: Tensors, actions: torch.Tensor, further: Signs) -> Tensors:
     out = dict(observations)
     for key, value in observations.items():
-        if value.ndim > 2:  # a picture; the others are rows of numbers
+        # Pictures alone: the others are rows of numbers.
+        if value.ndim > 2:
             out[key] = value.flip(-1)
     imu_signs = _SIGNS[observations[IMU_KEY].shape[-1]]
     for key, signs in ((IMU_KEY, imu_signs), (JOYSTICK_KEY, JOYSTICK_SIGNS), *further):

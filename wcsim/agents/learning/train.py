@@ -1,4 +1,10 @@
-"""A training run from configuration to saved policies."""
+"""A training run, from its configuration to the saved policies of both phases.
+
+In the first phase the user's joystick drives, in the second the learner's own. The number of steps
+decides which one it is (`agents/learning/phases.py`), so one call of SB3's `learn` goes through
+both. All that a run saves and reports on the way is done between two rollouts, where every step is
+stored and no update is half-done.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +13,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Final, Literal
 
 import gymnasium
 from stable_baselines3.common.callbacks import BaseCallback
@@ -15,13 +21,13 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 
 from wcsim.agents.learning.build import build_model, network_settings
 from wcsim.agents.learning.callbacks import (
-    Between,
     EpisodeMetrics,
     EventWatch,
+    SeqCallback,
     StopRequest,
     TrainProgress,
 )
-from wcsim.agents.learning.checkpoint import restoring, save_checkpoint
+from wcsim.agents.learning.checkpoint import checkpoint_restorer, save_checkpoint
 from wcsim.agents.learning.phases import LearningPhase
 from wcsim.agents.learning.saved_policy import save_policy
 from wcsim.agents.learning.seqdqn import SeqDQN
@@ -40,15 +46,13 @@ from wcsim.config.run_file import SittingFile
 from wcsim.core import files, seeding
 from wcsim.errors import DiskFullError, InterruptedRunError, LinkError
 
-SAVE_EVERY_S = {
-    True: 900.0,
-    False: 60.0,
-}  # between checkpoints with their replay, and those that take the newest along
-
 MakeEnv = Callable[[], gymnasium.Env[Any, Any]]
 Progress = Callable[[TrainProgress], None]
-PROGRESS_EVERY = 50  # steps
-Q_ALARM = 1.5  # times the largest value that the reward allows
+
+PROGRESS_EVERY: Final = 50  # steps
+Q_ALARM: Final = 1.5  # times the largest value that the reward allows
+# Between checkpoints with a replay of their own (True), and those that share the newest replay.
+SAVE_EVERY_S: Final = {True: 900.0, False: 60.0}
 _now_s = time.monotonic
 
 
@@ -66,275 +70,292 @@ def train(
     """Learn both phases and leave a run folder.
 
     Args:
-        run: The run; with `resume`, configuration, seed, town and rewards must be its own. Equal seeds on equal
-            machines give equal weights.
+        run: The run; with `resume`, configuration, seed, town and rewards must be its own. Equal
+            seeds on equal machines give equal weights.
         make_env: Makes the environment; it is reset with the run's seed first.
         progress: Called every `progress_every` steps.
         progress_every: Steps between two calls of `progress`, at least a rollout's.
         callbacks: Callbacks of Stable-Baselines3, beside wcsim's own.
         alive: Called now and then while something takes long that is no step of the environment.
         log: Gets messages for the user, such as checkpoints that could not be used.
-        wait_no_more: Makes a LinkError of waiting for a world, where a launcher ends this process: see `StopRequest`.
+        wait_no_more: Makes a LinkError of waiting for a world, where a launcher ends this process:
+            see `StopRequest`.
 
     Returns:
         The run folder, with policies/phase1 and policies/final.
 
     Raises:
-        InterruptedRunError: A stop was asked for; checkpoint and final policy are saved, `resume` goes on.
-        LinkError, DiskFullError: The environment's world is gone; a checkpoint is saved, where there is room.
-        PolicyError, ConfigError: The folder is in use, not empty or cannot be resumed; the device cannot be used.
+        InterruptedRunError: A stop was requested; checkpoint and final policy are saved, `resume`
+            goes on.
+        LinkError, DiskFullError: The environment's world is gone; a checkpoint is saved, where
+            there is room.
+        PolicyError, ConfigError: The folder is in use, not empty or cannot be resumed; the device
+            cannot be used.
     """
+    # 1. What cannot be used here is refused before a folder is made.
     checked_device(run.config.learn.device)
     if run.config.learn.tensorboard:
         check_tensorboard()
+    # 2. The run folder, for this process alone.
     folder = folder_of(run, network_settings)
     with (
         files.locked(folder.path),
         torch_settings(run.config.learn),
-        StopRequest(wait_no_more) as request,
+        StopRequest(wait_no_more) as stop,
     ):
         env = DummyVecEnv([make_env])
         try:
+            # 3. The learner. An environment that waits for its world does the updates meanwhile.
             model = build_model(run.config, env, run.info.seed)
-            _learn_meanwhile(model, env)
-            request.wait_less = getattr(env.envs[0].unwrapped, "wait_less", request.wait_less)
-            sitting = _restored(folder, model, log, alive) if run.resume else None
+            inner = env.envs[0].unwrapped
+            if model.settings.updates == "while_waiting" and hasattr(inner, "due_work"):
+                inner.due_work = model.due_updates
+                model.meanwhile = True
+            stop.on_first_signal = getattr(inner, "wait_less", stop.on_first_signal)
+            # 4. A run that goes on: the learner of its newest checkpoint, in a new world.
+            before = None
+            if run.resume:
+                before = _restore_newest(folder, model, log, alive)
+            if before is not None:
+                folder = _start_segment(folder, model, env)
+            # 5. Both phases, with the logs open.
             session = _Session(
-                folder, model, request, progress, run.resume, sitting, progress_every, alive
+                folder, model, before, run.resume, stop, progress, progress_every, alive
             )
-            session.callbacks.extend(callbacks)
             with session.board or contextlib.nullcontext():
-                return session.learn()
+                return session.learn(callbacks)
         finally:
             env.close()
 
 
-def _learn_meanwhile(model: SeqDQN, env: DummyVecEnv) -> None:
-    """Have an environment that can wait for its world do the due updates meanwhile; others do them before they wait."""
-    inner = env.envs[0].unwrapped
-    if model.settings.updates == "while_waiting" and hasattr(inner, "due_work"):
-        inner.due_work, model.meanwhile = model.due_updates, True
+def _restore_newest(
+    folder: RunFolder,
+    model: SeqDQN,
+    log: Callable[[str], object],
+    alive: Callable[[], object],
+) -> SittingFile | None:
+    """Bring a learner to its newest sound checkpoint; None, with an event, where a run has none."""
+    found = go_on(folder, checkpoint_restorer(model, alive), log)
+    if found is None:
+        log(f"{folder.path} stopped before its first checkpoint; it starts again")
+        folder.event("begin_again")
+        return None
+    return found.value
 
 
-def _next_multiple(step: int, steps: int) -> int:
-    return (step // steps + 1) * steps
+def _start_segment(folder: RunFolder, model: SeqDQN, env: DummyVecEnv) -> RunFolder:
+    """Seed the world of a run that goes on; the folder, whose status is written.
+
+    A world cannot be saved: the run goes on in a new one, with a seed of its own.
+    """
+    step = model.num_timesteps
+    seed = seeding.derive(folder.manifest.seed, "agent", "segment", step)
+    env.seed(seed)
+    folder = folder.with_status("running", step)
+    folder.event("resume", step=step, seed=seed)
+    return folder
 
 
-class _Session:
-    """One sitting of a run: a fresh start or a resume, until done or stopped."""
+class _Session(SeqCallback):
+    """What one process does of a run: from a fresh start, or a resume, to its end or a stop.
+
+    As a callback of SB3 it saves and reports between two rollouts.
+    """
 
     def __init__(
         self,
-        run: RunFolder,
+        folder: RunFolder,
         model: SeqDQN,
-        request: StopRequest,
-        progress: Progress | None,
-        resume: bool,
         before: SittingFile | None,
+        resume: bool,
+        stop: StopRequest,
+        progress: Progress | None,
         progress_every: int,
         alive: Callable[[], object],
     ) -> None:
-        self.run, self.model, self.progress, self.request, self.alive = (
-            run,
-            model,
-            progress,
-            request,
-            alive,
-        )
-        self.learn_config = run.config.learn
-        if before is not None:
-            self._new_segment()
+        super().__init__()
+        self.model = model
+        self._folder = folder
+        self._settings = folder.config.learn
+        self._stop = stop
+        self._progress = progress
+        self._progress_every = progress_every
+        self._alive = alive
+        self._unsaved = ""  # why the last checkpoint could not be written
         before = before or SittingFile()
-        kept = model.num_timesteps if resume else None
-        self.board = BoardLog(run.path, kept) if self.learn_config.tensorboard else None
-        self.episodes = EpisodeMetrics(
-            MetricsFile(run.path / METRICS, kept),
-            MetricsFile(run.path / STEPS, kept, STEP_COLUMNS),
+        self._phase1_done = before.phase1_done
+        self._q_alarm = before.q_alarm
+        if before.owes_updates:
+            model.due = 1, model.batch_size
+        # Rows after the restored step belong to work that is done again.
+        last_step = model.num_timesteps if resume else None
+        self.board = BoardLog(folder.path, last_step) if self._settings.tensorboard else None
+        self._episodes = EpisodeMetrics(
+            MetricsFile(folder.path / METRICS, last_step),
+            MetricsFile(folder.path / STEPS, last_step, STEP_COLUMNS),
             time.monotonic(),
             self.board,
             model._episode_num,
             before.crashes,
         )
-        self.phase1_done = before.phase1_done
-        self.alarmed = before.q_alarm
-        self.unsaved = ""  # why the last checkpoint could not be written
-        if before.owes_updates:
-            model.due = 1, model.batch_size
-        self._every: dict[Callable[[], None], int] = {
-            self._checkpoint: self.learn_config.checkpoint_every,
-            self._report: progress_every,
-        }
-        self._next_at = {
-            call: _next_multiple(model.num_timesteps, steps) for call, steps in self._every.items()
-        }
-        self._save_s = {replay: _now_s() + seconds for replay, seconds in SAVE_EVERY_S.items()}
-        self.callbacks: list[BaseCallback] = [
-            self.episodes,
-            EventWatch(self.run.event),
-            Between(self._between),
-        ]
+        self._checkpoint_at = _next_multiple(model.num_timesteps, self._settings.checkpoint_every)
+        self._report_at = _next_multiple(model.num_timesteps, progress_every)
+        self._save_at_s = {full: _now_s() + every_s for full, every_s in SAVE_EVERY_S.items()}
 
-    def learn(self) -> Path:
-        """Run to the end. Raises InterruptedRunError when it was stopped."""
-        total = self.learn_config.total_steps
+    def learn(self, callbacks: Sequence[BaseCallback]) -> Path:
+        """Learn what is left of both phases, and save the end. Raises as `train`."""
+        model = self.learner
         try:
-            remaining = total - self.model.num_timesteps
+            # 1. Drive and learn. What is due between two rollouts does `_on_rollout_start`.
+            remaining = self._settings.total_steps - model.num_timesteps
             if remaining > 0:
-                self.model.learn(
-                    remaining, callback=self.callbacks, log_interval=None, reset_num_timesteps=False
-                )  # type: ignore[arg-type]
-                self.model.catch_up()
+                own = [self._episodes, EventWatch(self._folder.event), self]
+                model.learn(
+                    remaining,
+                    callback=[*own, *callbacks],
+                    log_interval=None,  # type: ignore[arg-type]
+                    reset_num_timesteps=False,
+                )
+                model.catch_up()
         except KeyboardInterrupt:
-            if self.request.asked and not self.request.forced:
-                with contextlib.suppress(
-                    KeyboardInterrupt
-                ):  # asked for again: the checkpoints before are whole
-                    self._checkpoint()
-            raise self._interrupted() from None
-        except (
-            LinkError,
-            DiskFullError,
-        ) as error:  # the world is gone, or the seat: what was learned is worth keeping
-            if self.model.num_timesteps > 0:
-                self._checkpoint()
-            if self.request.asked and isinstance(error, LinkError):
-                raise self._interrupted() from error
+            # 2. A stop. One that was forced, or raised from elsewhere, may have cut a step in two:
+            # a learner in such a state gets no checkpoint, and the run goes on from the last one.
+            if self._stop.requested and not self._stop.forced:
+                # Requested once more: the checkpoints before are whole.
+                with contextlib.suppress(KeyboardInterrupt):
+                    self._save_checkpoint()
+            raise self._save_interrupted() from None
+        except (LinkError, DiskFullError) as error:
+            # 3. The world or the seat is lost; what was learned is worth saving.
+            if model.num_timesteps > 0:
+                self._save_checkpoint()
+            if self._stop.requested and isinstance(error, LinkError):
+                raise self._save_interrupted() from error
             raise
-        if not self.phase1_done and self.learn_config.phase1_steps > 0:
-            self._switched()
-            self.phase1_done = (
-                self.model.phase is LearningPhase.AGENT_DRIVEN
-            )  # a run that goes on has done it
-        self._checkpoint()
-        self._finish("done")
-        return self.run.path
+        # 4. The end, also of a run that had no rollout in its second phase.
+        if not self._phase1_done and self._settings.phase1_steps > 0:
+            self._save_phase1()
+            # A run that ends within its first phase does it again where it is extended.
+            self._phase1_done = model.phase is LearningPhase.AGENT_DRIVEN
+        self._save_checkpoint()
+        self._save_end("done")
+        return self._folder.path
 
-    def _interrupted(self) -> InterruptedRunError | DiskFullError:
-        """Write the last files; what is to be raised then."""
-        self.request.ending = True
-        self._finish("interrupted")
-        path, done = (
-            self.run.path,
-            f"{self.model.num_timesteps} of {self.learn_config.total_steps} steps",
-        )
-        if not self.unsaved:
-            return InterruptedRunError(
-                f"stopped after {done}; {path} holds the policy so far; continue it: {how_to_resume(path)}"
-            )
-        return DiskFullError(
-            f"stopped after {done}; the policy so far is saved, but the last checkpoint could not be written "
-            f"({self.unsaved}): {how_to_resume(path)} continues from the one before it, or starts again if there is "
-            "none; free some disk space"
-        )
+    def _on_rollout_start(self) -> None:
+        """Save and report what is due. Raises KeyboardInterrupt once a stop was requested."""
+        step = self.learner.num_timesteps
+        # 1. The first phase is complete: its policy is saved before the second one changes it.
+        if not self._phase1_done and self.learner.phase is LearningPhase.AGENT_DRIVEN:
+            if self._settings.phase1_steps > 0:
+                self._save_phase1()
+            # Not before: what fails on a full disk is done when the run goes on.
+            self._phase1_done = True
+        # 2. Checkpoints and progress by steps. A rollout may jump over a multiple.
+        if step >= self._checkpoint_at:
+            self._checkpoint_at = _next_multiple(step, self._settings.checkpoint_every)
+            self._save_checkpoint()
+        if step >= self._report_at:
+            self._report_at = _next_multiple(step, self._progress_every)
+            self._report_progress()
+        # 3. Checkpoints by wall time. Weights are small and saved often.
+        for full, every_s in SAVE_EVERY_S.items():
+            if _now_s() >= self._save_at_s[full]:
+                self._save_checkpoint(full=full)
+                # Counted from its end: on a slow disk, saving must not be all that is done.
+                self._save_at_s[full] = _now_s() + every_s
+        # 4. A stop, now that all of this is written.
+        self._stop.raise_if_requested()
 
-    def _between(self) -> None:
-        """What is due between two rollouts. Raises KeyboardInterrupt once a stop was asked for."""
-        self._switch_phase()
-        step = self.model.num_timesteps
-        for call, steps in self._every.items():
-            if step >= self._next_at[call]:
-                self._next_at[call] = _next_multiple(step, steps)
-                call()
-        for replay, seconds in SAVE_EVERY_S.items():
-            if _now_s() >= self._save_s[replay]:
-                self._checkpoint(replay)
-                self._save_s[replay] = (
-                    _now_s() + seconds
-                )  # from its end: a slow disk must not be all that is done
-        self.request.look()
+    def _save_phase1(self) -> None:
+        self._save_policy("phase1")
+        self._folder.event("phase2", step=self.learner.num_timesteps)
 
-    def _switch_phase(self) -> None:
-        """Before the first rollout of the second phase: the first is complete and stored then."""
-        if not self.phase1_done and self.model.phase is LearningPhase.AGENT_DRIVEN:
-            if self.learn_config.phase1_steps > 0:
-                self._switched()
-            self.phase1_done = (
-                True  # not before: what fails on a full disk is done when the run goes on
-            )
-
-    def _switched(self) -> None:
-        self._save("phase1")
-        self.run.event("phase2", step=self.model.num_timesteps)
-
-    def _save(self, stage: str) -> None:
-        path = self.run.policy(stage)
+    def _save_policy(self, stage: str) -> None:
+        path = self._folder.policy(stage)
         try:
-            save_policy(path, self.model, self.run.config.eye, self.run.manifest_sha256())
+            manifest_sha256 = self._folder.manifest_sha256()
+            save_policy(path, self.learner, self._folder.config.eye, manifest_sha256)
         except (DiskFullError, OSError) as error:
             raise DiskFullError(
-                f"{path}: the policy could not be saved ({error}); make room, then continue: wcsim resume RUN"
+                f"{path}: the policy could not be saved ({error}); make room, then continue: "
+                "wcsim resume RUN"
             ) from None
 
-    def _finish(self, status: Literal["done", "interrupted"]) -> None:
-        """Final policy and manifest; there is no checkpoint of a step that was torn in two."""
-        self._save("final")
-        self._report()
-        self.run = self.run.with_status(status, self.model.num_timesteps)
-        self.run.event(status, step=self.model.num_timesteps)
-
-    def _checkpoint(self, replay: bool = True) -> None:
-        self._watch_values()
+    def _save_checkpoint(self, *, full: bool = True) -> None:
+        """Save a checkpoint, with a replay of its own when `full`; on a full disk, log that."""
+        step = self.learner.num_timesteps
+        self._log_q_alarm()
         extra = {
-            "crashes": self.episodes.crashes,
-            "phase1_done": self.phase1_done,
-            "q_alarm": self.alarmed,
-            "owes_updates": self.model.due is not None,
+            "crashes": self._episodes.crashes,
+            "phase1_done": self._phase1_done,
+            "q_alarm": self._q_alarm,
+            "owes_updates": self.learner.due is not None,
         }
+        folder = self._folder.checkpoints
         try:
-            save_checkpoint(self.run.checkpoints, self.model, extra, self.alive, replay=replay)
-        except (DiskFullError, OSError) as error:  # those before are whole, and learning goes on
-            self.unsaved = str(error)
-            self.run.event("checkpoint_failed", step=self.model.num_timesteps, reason=str(error))
+            save_checkpoint(folder, self.learner, extra, self._alive, replay=full)
+        except (DiskFullError, OSError) as error:
+            # The checkpoints before are whole, so learning goes on.
+            self._unsaved = str(error)
+            self._folder.event("checkpoint_failed", step=step, reason=str(error))
             return
-        self.unsaved = ""
-        self.run.event("checkpoint" if replay else "weights", step=self.model.num_timesteps)
+        self._unsaved = ""
+        self._folder.event("checkpoint" if full else "weights", step=step)
 
-    def _watch_values(self) -> None:
-        """Values beyond all possible returns mean that learning has come apart; log that once."""
-        reward, learn = self.run.config.reward, self.learn_config
+    def _log_q_alarm(self) -> None:
+        """Log, once a run, values beyond all possible returns: learning has diverged."""
+        reward, learn = self._folder.config.reward, self._settings
         largest = learn.reward_scale * (
             reward.crash + max(reward.base, reward.penalty) / (1.0 - learn.gamma)
         )
-        if self.model.max_abs_q > Q_ALARM * largest and not self.alarmed:
-            self.alarmed = True
-            value = self.model.max_abs_q
+        value = self.learner.max_abs_q
+        if value > Q_ALARM * largest and not self._q_alarm:
+            self._q_alarm = True
+            # JSON has no infinity.
             shown = value if math.isfinite(value) else str(value)
-            self.run.event(
-                "q_alarm", step=self.model.num_timesteps, max_abs_q=shown, largest=largest
-            )
+            step = self.learner.num_timesteps
+            self._folder.event("q_alarm", step=step, max_abs_q=shown, largest=largest)
 
-    def _report(self) -> None:
-        if self.progress is not None:
-            step, total = self.model.num_timesteps, self.learn_config.total_steps
-            self.progress(
-                TrainProgress(
-                    step=step,
-                    total_steps=total,
-                    phase=int(self.model.phase),
-                    episodes=self.episodes.episodes,
-                    crashes=self.episodes.crashes,
-                    kpi1=self.episodes.kpi1,
-                )
+    def _save_interrupted(self) -> InterruptedRunError | DiskFullError:
+        """Save the end of a run that was stopped; the error to raise after it."""
+        # From here on a second signal requests what is already under way.
+        self._stop.ending = True
+        self._save_end("interrupted")
+        path = self._folder.path
+        done = f"{self.learner.num_timesteps} of {self._settings.total_steps} steps"
+        if not self._unsaved:
+            return InterruptedRunError(
+                f"stopped after {done}; {path} holds the policy so far; continue it: "
+                f"{how_to_resume(path)}"
             )
-
-    def _new_segment(self) -> None:
-        """The world cannot be saved: a resumed run goes on in a new one, with a seed of its own."""
-        segment = seeding.derive(
-            self.run.manifest.seed, "agent", "segment", self.model.num_timesteps
+        return DiskFullError(
+            f"stopped after {done}; the policy so far is saved, but the last checkpoint could not "
+            f"be written ({self._unsaved}): {how_to_resume(path)} continues from the one before "
+            "it, or starts again if there is none; free some disk space"
         )
-        if self.model.env is not None:
-            self.model.env.seed(segment)
-        self.run = self.run.with_status("running", self.model.num_timesteps)
-        self.run.event("resume", step=self.model.num_timesteps, seed=segment)
+
+    def _save_end(self, status: Literal["done", "interrupted"]) -> None:
+        """Save the final policy and the status, and report the last step."""
+        step = self.learner.num_timesteps
+        self._save_policy("final")
+        self._report_progress()
+        self._folder = self._folder.with_status(status, step)
+        self._folder.event(status, step=step)
+
+    def _report_progress(self) -> None:
+        if self._progress is None:
+            return
+        self._progress(
+            TrainProgress(
+                step=self.learner.num_timesteps,
+                total_steps=self._settings.total_steps,
+                phase=int(self.learner.phase),
+                episodes=self._episodes.episodes,
+                crashes=self._episodes.crashes,
+                kpi1=self._episodes.kpi1,
+            )
+        )
 
 
-def _restored(
-    run: RunFolder, model: SeqDQN, log: Callable[[str], object], alive: Callable[[], object]
-) -> SittingFile | None:
-    """What came before the newest sound checkpoint, which is restored; None for a run that begins again."""
-    found = go_on(run, restoring(model, alive), log)
-    if found is None:
-        log(f"{run.path} stopped before its first checkpoint; it starts again")
-        run.event("begin_again")
-        return None
-    return found.value
+def _next_multiple(step: int, every: int) -> int:
+    return (step // every + 1) * every

@@ -1,4 +1,4 @@
-"""What a network costs: parameters, multiplications, memory, and the time of one decision on one core."""
+"""What a network costs: parameters, multiplications, memory, time of a decision on one core."""
 
 from __future__ import annotations
 
@@ -21,10 +21,9 @@ from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import action_set
 
 LIMIT_MS: Final = 100.0  # for a decision: a tick of the paper
-RESERVE_MS: Final = (
-    60.0  # of it is for the network that makes the classes of a real camera's pictures
-)
-_WARM_UP: Final = 3
+# Of it, for the network that makes the classes of a real camera's pictures.
+RESERVE_MS: Final = 60.0
+_WARM_UP: Final = 3  # calls that are not timed
 Times = tuple[float, float]  # median and 99th percentile in ms
 
 
@@ -36,7 +35,7 @@ class _NetworkCost:
     window: int
     params: int
     macs: int  # multiplications and additions of one decision
-    mb: float  # of weights, and of what one decision keeps in memory at a time
+    mb: float  # of weights, and of what one decision holds in memory at a time
     p50_ms: float
     p99_ms: float
     onnx_p50_ms: float | None  # by ONNX Runtime; None where that is not installed or cannot run it
@@ -50,7 +49,8 @@ class _NetworkCost:
 def measure_cost(
     name: str, height_px: int = 240, width_px: int = 320, runs: int = 30
 ) -> _NetworkCost:
-    """Measure a network on one core of this machine. Raises PolicyError when there is none of that name."""
+    """Measure a network on one core of this machine. Raises PolicyError for an unknown name."""
+    # 1. The network, and an observation for it.
     window = preferred_window(name)
     image = spaces.Box(0, 255, (window, height_px, width_px), np.uint8)
     vectors = {
@@ -68,13 +68,15 @@ def measure_cost(
         IMU_KEY: torch.zeros(1, 5),
         JOYSTICK_KEY: torch.zeros(1, 2),
     }
-    macs, held = _counted(net, seen)
+    # 2. What is counted.
+    macs, held_bytes = _count_macs(net, seen)
     params = sum(value.numel() for value in net.parameters())
+    # 3. What is timed, on one core.
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
-        p50_ms, p99_ms = _timed(lambda: net(seen), runs)
-        onnx_ms = _onnx_ms(net, seen, runs)
+        p50_ms, p99_ms = _time_calls(lambda: net(seen), runs)
+        onnx_ms = _time_onnx(net, seen, runs)
     finally:
         torch.set_num_threads(threads)
     return _NetworkCost(
@@ -82,25 +84,25 @@ def measure_cost(
         window=window,
         params=params,
         macs=macs,
-        mb=round((4 * params + held) / 1e6, 2),
+        mb=round((4 * params + held_bytes) / 1e6, 2),
         p50_ms=round(p50_ms, 3),
         p99_ms=round(p99_ms, 3),
         onnx_p50_ms=None if onnx_ms is None else round(onnx_ms, 3),
     )
 
 
-def _timed(call: Callable[[], object], runs: int) -> Times:
-    times = []
+def _time_calls(call: Callable[[], object], runs: int) -> Times:
+    times_ms = []
     with torch.inference_mode():
         for number in range(_WARM_UP + runs):
-            began = time.perf_counter()
+            start_s = time.perf_counter()
             call()
             if number >= _WARM_UP:
-                times.append(1000.0 * (time.perf_counter() - began))
-    return float(np.median(times)), float(np.percentile(times, 99))
+                times_ms.append(1000.0 * (time.perf_counter() - start_s))
+    return float(np.median(times_ms)), float(np.percentile(times_ms, 99))
 
 
-def _counted(net: nn.Module, seen: dict[str, torch.Tensor]) -> tuple[int, int]:
+def _count_macs(net: nn.Module, seen: dict[str, torch.Tensor]) -> tuple[int, int]:
     """Multiplications of one call, and the bytes of the largest layer's output."""
     macs, largest = 0, 0
 
@@ -130,24 +132,25 @@ def _counted(net: nn.Module, seen: dict[str, torch.Tensor]) -> tuple[int, int]:
     return macs, largest
 
 
-class _Bare(nn.Module):
-    """A network that is called with tensors, in the place of one that is called with a dict of them."""
+class _PositionalNet(nn.Module):
+    """Calls a network, which takes a dict of tensors, with tensors by their position."""
 
     def __init__(self, net: nn.Module, keys: Sequence[str]) -> None:
         super().__init__()
         self.net, self.keys = net, tuple(keys)
 
     def forward(self, *tensors: torch.Tensor) -> torch.Tensor:
-        """What the network makes of them."""
+        """Values of all actions."""
         return torch.as_tensor(self.net(dict(zip(self.keys, tensors, strict=True))))
 
 
-def _onnx_ms(net: QNet, seen: dict[str, torch.Tensor], runs: int) -> float | None:
+def _time_onnx(net: QNet, seen: dict[str, torch.Tensor], runs: int) -> float | None:
+    """Median of a decision by ONNX Runtime, in ms; None where it cannot run the network."""
     from wcsim.agents.networks.onnx_form import exported
 
     keys = tuple(seen)
     try:
-        model = exported(_Bare(net, keys), tuple(seen.values()), keys, ("values",))
+        model = exported(_PositionalNet(net, keys), tuple(seen.values()), keys, ("values",))
     except PolicyError:
         return None
     import onnxruntime
@@ -156,4 +159,4 @@ def _onnx_ms(net: QNet, seen: dict[str, torch.Tensor], runs: int) -> float | Non
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     session = onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
     given = {key: value.numpy() for key, value in seen.items()}
-    return _timed(lambda: session.run(None, given), runs)[0]
+    return _time_calls(lambda: session.run(None, given), runs)[0]

@@ -1,9 +1,9 @@
-"""From an observation to features: class ids become planes here, then a registered network reads them."""
+"""From an observation to features: class ids become planes, which a registered network reads."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Literal
+from typing import Final, Literal
 
 import numpy as np
 import torch
@@ -27,9 +27,10 @@ from wcsim.types import ClassId as C
 Tensors = Mapping[str, torch.Tensor]
 Classes = Literal["cityscapes", "wcsim"]
 
-# Cityscapes has more labelIds than wcsim draws (guard rail 14, bridge 15, tunnel 16, caravan 29, trailer 30, ...): a
-# network trained here must meet a real segmentation. An id in no group (void, out of roi) leaves all planes at zero.
-GROUPS: tuple[tuple[int, ...], ...] = (
+# Cityscapes has more labelIds than wcsim draws (guard rail 14, bridge 15, tunnel 16, caravan 29,
+# trailer 30, ...): a network trained here must meet a real segmentation. An id in no group (void,
+# out of roi) leaves all planes at zero.
+GROUPS: Final[tuple[tuple[int, ...], ...]] = (
     (C.SIDEWALK, C.KERB, C.LOWERED_KERB),
     (C.ROAD, C.PARKING, C.RAIL_TRACK, C.CROSSWALK),
     (C.GROUND, C.TERRAIN),
@@ -41,25 +42,16 @@ GROUPS: tuple[tuple[int, ...], ...] = (
     (C.RIDER, C.MOTORCYCLE, C.BICYCLE),
     (C.CAR, C.TRUCK, C.BUS, 29, 30, C.TRAIN),
 )
-_CLASSES = {CLASS_KEY, COLOURS_KEY}  # one of which every observation has
 # Beside the others when classes="wcsim".
-WCSIM_GROUPS: tuple[tuple[int, ...], ...] = ((C.KERB,), (C.LOWERED_KERB, C.CROSSWALK))
-
-
-def _group_table(classes: Classes) -> torch.Tensor:
-    """One row per group: (G, 256) bool, true where a class id belongs to the group."""
-    groups = GROUPS + (WCSIM_GROUPS if classes == "wcsim" else ())
-    table = torch.zeros(len(groups), 256, dtype=torch.bool)
-    for row, ids in enumerate(groups):
-        table[row, list(ids)] = True
-    return table
+WCSIM_GROUPS: Final[tuple[tuple[int, ...], ...]] = ((C.KERB,), (C.LOWERED_KERB, C.CROSSWALK))
+_CLASS_KEYS: Final = {CLASS_KEY, COLOURS_KEY}  # one of which every observation has
 
 
 class ObservationEncoder(BaseFeaturesExtractor):
     """A features extractor of Stable-Baselines3 for wcsim's observations.
 
-    It also serves SB3's own algorithms: `MultiInputPolicy` with `policy_kwargs={"features_extractor_class":
-    ObservationEncoder, "normalize_images": False}`.
+    It also serves SB3's own algorithms: `MultiInputPolicy` with
+    `policy_kwargs={"features_extractor_class": ObservationEncoder, "normalize_images": False}`.
     """
 
     def __init__(
@@ -70,11 +62,12 @@ class ObservationEncoder(BaseFeaturesExtractor):
         stateful: bool = False,
     ) -> None:
         if stateful:
-            _check_state(observation_space, network)
+            _require_stateful(observation_space, network)
         height, width = image_size(observation_space)
         numbers = vector_size(observation_space)
         table = _group_table(classes)
         self.form = observation_form(observation_space)
+        # Class planes and depth, with colours or without; or the four planes of Table 3.
         count = {"compact": len(table) + 1, "compact_rgb": len(table) + 4, "table3": 4}[self.form]
         shape = registry.input_shape(
             network, window_size(observation_space), (count, height, width)
@@ -87,12 +80,9 @@ class ObservationEncoder(BaseFeaturesExtractor):
         self.vector_keys = vector_keys(observation_space)
         self.windowed = registry.is_windowed(network)
         self.state_size = int(body.state_size) if stateful else 0  # type: ignore[arg-type]
-        planes = torch.cat(
-            [table, torch.zeros(1, 256, dtype=torch.bool)]
-        ).t()  # the last one is for depth
-        self.register_buffer(
-            "_planes", planes.to(torch.float32).contiguous(), persistent=False
-        )  # (256, G + 1)
+        # (256, G + 1): the last plane is for depth.
+        planes = torch.cat([table, torch.zeros(1, 256, dtype=torch.bool)]).t()
+        self.register_buffer("_planes", planes.to(torch.float32).contiguous(), persistent=False)
 
     def forward(self, observations: Tensors) -> torch.Tensor:
         """Features (B, F) of a batch of observations."""
@@ -101,7 +91,10 @@ class ObservationEncoder(BaseFeaturesExtractor):
     def unroll(
         self, observations: Tensors, state: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Features (B, T, F) of T observations in a row, (B, T, ...) each, and the state (B, state_size) after them."""
+        """Features (B, T, F) of T observations in a row, and the state (B, state_size) after them.
+
+        Observations are (B, T, ...) each.
+        """
         count = state.shape[0], observations[DEPTH_KEY].shape[1]
         flat = {key: value.flatten(0, 1) for key, value in observations.items()}
         image = torch.unflatten(self.image(flat)[:, -1], 0, count)
@@ -112,23 +105,24 @@ class ObservationEncoder(BaseFeaturesExtractor):
     def image(self, observations: Tensors) -> torch.Tensor:
         """Planes (B, C, H, W) in 0..1; (B, T, C, H, W) for a network that is windowed.
 
-        Class planes and log-depth, then colours where the observation has them; or the four planes of Table 3. Channels
-        last in memory train twice as fast.
+        Class planes and log-depth, then colours where the observation has them; or the four planes
+        of Table 3. Channels last in memory train twice as fast.
         """
         if self.form == "table3":
             seen = torch.cat([observations[COLOURS_KEY], observations[DEPTH_KEY]], dim=1)
             return seen[:, None] if self.windowed else seen
-        ids, depth = observations[CLASS_KEY].to(torch.int32), observations[DEPTH_KEY] / 255.0
+        ids = observations[CLASS_KEY].to(torch.int32)
+        depth = observations[DEPTH_KEY] / 255.0
         table = torch.as_tensor(self._planes)
-        if (
-            torch.onnx.is_in_onnx_export()
-        ):  # ONNX Runtime writes one plane of many slowly, half of a decision's time
+        # ONNX Runtime writes one plane of many slowly, half of a decision's time.
+        if torch.onnx.is_in_onnx_export():
             groups = nn.functional.embedding(ids, table[:, :-1].contiguous())
             planes = torch.cat([groups.permute(0, 1, 4, 2, 3), depth[:, :, None]], dim=2)
         else:
             planes = nn.functional.embedding(ids, table)  # (B, T, H, W, G + 1)
             planes[..., -1] = depth
-            planes = planes.permute(0, 1, 4, 2, 3)  # a movedim with -1 cannot be exported
+            # Not movedim: with -1 it cannot be exported.
+            planes = planes.permute(0, 1, 4, 2, 3)
         if self.form == "compact_rgb":
             colours = torch.unflatten(observations[RGB_KEY], 1, (-1, 3)) / 255.0
             planes = torch.cat([planes, colours], dim=2)
@@ -140,53 +134,63 @@ class ObservationEncoder(BaseFeaturesExtractor):
 
 
 def vector_keys(space: spaces.Space[object]) -> tuple[str, ...]:
-    """What a network's vector is made of, in its order: IMU, joystick, then every further row of numbers by name."""
-    boxes = {key: box for key, box in _known(space).spaces.items() if isinstance(box, spaces.Box)}
+    """What a network's vector is made of, in its order.
+
+    IMU, joystick, then every further row of numbers by name.
+    """
+    boxes = {
+        key: box for key, box in _require_own(space).spaces.items() if isinstance(box, spaces.Box)
+    }
     rows = {key for key, box in boxes.items() if box.dtype == np.float32 and len(box.shape) == 1}
     return (IMU_KEY, JOYSTICK_KEY, *sorted(rows - {IMU_KEY, JOYSTICK_KEY}))
 
 
 def vector_size(space: spaces.Space[object], keys: tuple[str, ...] = ()) -> int:
-    """How many numbers the vector, or what `keys` names of it, has: 7 for IMU and joystick as in the paper."""
-    return sum(int(np.prod(_box(_known(space), key).shape)) for key in keys or vector_keys(space))
+    """How many numbers the vector has, or those parts of it that `keys` names.
+
+    In the paper 7, for IMU and joystick.
+    """
+    return sum(
+        int(np.prod(_box(_require_own(space), key).shape)) for key in keys or vector_keys(space)
+    )
 
 
 def image_size(space: spaces.Space[object]) -> tuple[int, int]:
     """(H, W) of the observation's images. Raises PolicyError when the space is none of wcsim's."""
-    space = _known(space)
+    space = _require_own(space)
     dtype = np.float32 if observation_form(space) == "table3" else np.uint8
     for key in (COLOURS_KEY if COLOURS_KEY in space.spaces else CLASS_KEY, DEPTH_KEY):
         box = _box(space, key)
         if box.dtype != dtype or len(box.shape) != 3 or box.shape[0] < 1:
             raise PolicyError(
-                f"observation {key!r} is {box.dtype} {box.shape}; expected {np.dtype(dtype)} (planes, H, W): see "
-                "env.observation"
+                f"observation {key!r} is {box.dtype} {box.shape}; expected {np.dtype(dtype)} "
+                "(planes, H, W): see env.observation"
             )
     return int(_box(space, DEPTH_KEY).shape[1]), int(_box(space, DEPTH_KEY).shape[2])
 
 
 def window_size(space: spaces.Space[object]) -> int:
     """How many images the observation holds (`env.window`)."""
-    return int(_box(_known(space), DEPTH_KEY).shape[0])
+    return int(_box(_require_own(space), DEPTH_KEY).shape[0])
 
 
 def observation_form(space: spaces.Space[object]) -> Form:
     """Which form of `env.observation` a space is of. Raises PolicyError when it is of none."""
-    keys = _known(space).spaces
-    return "table3" if CLASS_KEY not in keys else "compact_rgb" if RGB_KEY in keys else "compact"
+    keys = _require_own(space).spaces
+    if CLASS_KEY not in keys:
+        return "table3"
+    return "compact_rgb" if RGB_KEY in keys else "compact"
 
 
-def _known(space: spaces.Space[object]) -> spaces.Dict:
-    keys = set(space.spaces) if isinstance(space, spaces.Dict) else set()
-    if (
-        not isinstance(space, spaces.Dict)
-        or not {DEPTH_KEY, IMU_KEY, JOYSTICK_KEY} <= keys
-        or not keys & _CLASSES
-    ):
-        raise PolicyError(
-            f"observation space is {space}; expected a Dict with seg, depth, imu and joystick"
-        )
-    return space
+def _require_own(space: spaces.Space[object]) -> spaces.Dict:
+    """The space, when it is one of wcsim's. Raises PolicyError."""
+    if isinstance(space, spaces.Dict):
+        keys = set(space.spaces)
+        if keys >= {DEPTH_KEY, IMU_KEY, JOYSTICK_KEY} and keys & _CLASS_KEYS:
+            return space
+    raise PolicyError(
+        f"observation space is {space}; expected a Dict with seg, depth, imu and joystick"
+    )
 
 
 def _box(space: spaces.Dict, key: str) -> spaces.Box:
@@ -196,20 +200,31 @@ def _box(space: spaces.Dict, key: str) -> spaces.Box:
     return box
 
 
-def _check_state(space: spaces.Space[object], network: str) -> None:
+def _group_table(classes: Classes) -> torch.Tensor:
+    """One row per group: (G, 256) bool, true where a class id belongs to the group."""
+    groups = GROUPS + (WCSIM_GROUPS if classes == "wcsim" else ())
+    table = torch.zeros(len(groups), 256, dtype=torch.bool)
+    for row, ids in enumerate(groups):
+        table[row, list(ids)] = True
+    return table
+
+
+def _require_stateful(space: spaces.Space[object], network: str) -> None:
+    """Raise PolicyError for a network, or observations, with which no state can be carried."""
     if not registry.carries_state(network):
         raise PolicyError(
-            f"network {network!r} carries no state; expected one with `unroll` (see networks.registry)"
+            f"network {network!r} carries no state; expected one with `unroll` (see "
+            "networks.registry)"
         )
     if window_size(space) != 1:
         raise PolicyError(
-            f"network {network!r} carries its state from tick to tick and sees {window_size(space)} images at a time; "
-            "expected one: set env.window=1"
+            f"network {network!r} carries its state from tick to tick and sees "
+            f"{window_size(space)} images at a time; expected one: set env.window=1"
         )
 
 
 def _features_dim(name: str, body: nn.Module, shape: tuple[int, ...], vector_size: int) -> int:
-    """Number of features, from one call with zeros; the same call finds a network that breaks the contract."""
+    """Number of features, from a call with zeros, which also finds a network that is not usable."""
     try:
         with torch.no_grad():
             out = body(torch.zeros(2, *shape), torch.zeros(2, vector_size))
@@ -218,15 +233,16 @@ def _features_dim(name: str, body: nn.Module, shape: tuple[int, ...], vector_siz
             f"network {name!r} failed on image (2, {', '.join(map(str, shape))}): {error}"
         ) from error
     if not isinstance(out, torch.Tensor) or out.ndim != 2 or len(out) != 2:
-        got = tuple(out.shape) if isinstance(out, torch.Tensor) else type(out).__name__
+        returned = tuple(out.shape) if isinstance(out, torch.Tensor) else type(out).__name__
         raise PolicyError(
-            f"network {name!r} returned {got} for a batch of 2; expected a tensor (2, features)"
+            f"network {name!r} returned {returned} for a batch of 2; expected a tensor "
+            "(2, features)"
         )
-    if not out.is_meta and not bool(
-        torch.isfinite(out).all()
-    ):  # on meta, where policies are read, nothing has values
+    # On the device meta, where policies are read, nothing has values.
+    if not out.is_meta and not bool(torch.isfinite(out).all()):
         raise PolicyError(
-            f"network {name!r} returned numbers that are not finite for an image and a vector of zeros, which do "
-            "occur; expected finite ones: look for a division or a logarithm of 0 in it"
+            f"network {name!r} returned numbers that are not finite for an image and a vector of "
+            "zeros, which do occur; expected finite ones: look for a division or a logarithm of 0 "
+            "in it"
         )
     return int(out.shape[1])

@@ -1,26 +1,29 @@
-"""The names of wcsim's own networks, without loading torch; `agents/networks/registry.py` has the classes."""
+"""The names of wcsim's own networks, without loading torch.
+
+`agents/networks/registry.py` has the classes.
+"""
 
 from __future__ import annotations
 
 import re
 import sys
+from typing import Final
 
 from wcsim.core.plugins import find_class
 from wcsim.core.reading import escaped
 from wcsim.errors import PolicyError, meant
 
-MOST_LETTERS = 56  # so that a number fits behind it
-
-NETWORK_NAMES = ("conv3d", "convlstm", "fig6", "patch")
+NETWORK_NAMES: Final = ("conv3d", "convlstm", "fig6", "patch")
+_MOST_CHARACTERS: Final = 56  # of a client's name, so that a number fits behind it
 
 
 def client_name(network: str) -> str:
-    """What a client with this network is called, unless its user says otherwise: a plain word.
+    """The name of a client with this network, unless its user gives one: a plain word.
 
     >>> client_name("own_file:OwnNet"), client_name("fig6")
     ('OwnNet', 'fig6')
     """
-    return re.sub(r"[^A-Za-z0-9_-]", "_", network.rpartition(":")[2])[:MOST_LETTERS]
+    return re.sub(r"[^A-Za-z0-9_-]", "_", network.rpartition(":")[2])[:_MOST_CHARACTERS]
 
 
 def is_own(name: str) -> bool:
@@ -29,14 +32,14 @@ def is_own(name: str) -> bool:
 
 
 def check_network(name: str) -> None:
-    """Refuse what is no network before torch is loaded for it; the class itself is looked at by `find_network`.
+    """Refuse what is no network before torch is loaded for it; `find_network` checks the class.
 
     Raises:
-        PolicyError: There is no such name, module or class; importing the module of `module:Class` runs its code.
+        PolicyError: There is no such name, module or class; importing the module of `module:Class`
+            runs its code.
     """
-    registry = sys.modules.get(
-        "wcsim.agents.networks.registry"
-    )  # a caller that registered own names has loaded it
+    # A caller that registered own names has loaded it.
+    registry = sys.modules.get("wcsim.agents.networks.registry")
     if is_own(name):
         find_class(name, "network")
     elif name not in NETWORK_NAMES and not (registry is not None and name in registry.NETWORKS):
@@ -44,14 +47,14 @@ def check_network(name: str) -> None:
 
 
 def unknown_network(name: str, known: tuple[str, ...]) -> PolicyError:
-    """The refusal of a name that no network has."""
+    """The error for a name that no network has."""
     names = ", ".join(sorted(known))
     message = f"unknown network {escaped(name, 80)!r}; expected one of {names}, or module:Class"
     return PolicyError(message + meant(name, known))
 
 
 def require_named(where: str, name: str, named: str | None) -> None:
-    """Refuse a policy with a user's own network that its user has not named: loading it runs its code.
+    """Refuse a policy whose own network its user has not named: loading it runs its code.
 
     Args:
         where: The policy, as its user calls it.
@@ -63,6 +66,6 @@ def require_named(where: str, name: str, named: str | None) -> None:
     """
     if name != named:
         raise PolicyError(
-            f"{where} uses the network {escaped(name, 80)!r}, which is not part of wcsim, and loading it runs its "
-            f"code; if you trust it, name it: --network {escaped(name, 80)}"
+            f"{where} uses the network {escaped(name, 80)!r}, which is not part of wcsim, and "
+            f"loading it runs its code; if you trust it, name it: --network {escaped(name, 80)}"
         )

@@ -1,8 +1,8 @@
-"""The action-value network (encoder, head, known follow reward) and the policy object that Stable-Baselines3 wants."""
+"""The action-value network (encoder, head, known follow reward) and its policy object for SB3."""
 
 from __future__ import annotations
 
-from typing import Any, cast
+from typing import Any, Final, cast
 
 import numpy.typing as npt
 import torch
@@ -16,13 +16,17 @@ from wcsim.agents.networks.encoder import ObservationEncoder, Tensors, vector_si
 from wcsim.agents.policy_api import JOYSTICK_KEY
 from wcsim.config.run_file import NetSpec
 from wcsim.supervisor.actions import action_set
+from wcsim.supervisor.rewards import DISTANCE_TOLERANCE
 
-_SMALL_INIT = 0.05  # the learned part starts this small, so that the known part decides from step 0
-_TOLERANCE = 1e-6  # float32 grid centres fall on either side of the follow distance
+# The learned part starts this small, so that the known part decides from step 0.
+_SMALL_INIT: Final = 0.05
 
 
 class QNet(BasePolicy):
-    """Values of all actions. With head `residual`: Q(s, a) = scaled follow reward(joystick, a) + F(s, a)."""
+    """Values of all actions.
+
+    With head `residual`: Q(s, a) = scaled follow reward(joystick, a) + F(s, a).
+    """
 
     def __init__(
         self, observation_space: spaces.Dict, action_space: spaces.Discrete, spec: NetSpec
@@ -53,7 +57,7 @@ class QNet(BasePolicy):
         return self._values(self.encoder(observations), observations)
 
     def begin(self, count: int) -> torch.Tensor:
-        """The state (B, S) at the start of so many episodes; S is 0 for a network that carries none."""
+        """The state (B, S) at the start of so many episodes; S is 0 without a state."""
         return torch.zeros(count, self.encoder.state_size, device=self.device)
 
     def step(self, observations: Tensors, state: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
@@ -66,7 +70,10 @@ class QNet(BasePolicy):
     def unroll(
         self, observations: Tensors, state: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Values (B, T, A) of T ticks in a row, observations (B, T, ...), and the state (B, S) after them."""
+        """Values (B, T, A) of T ticks in a row, and the state (B, S) after them.
+
+        Observations are (B, T, ...), the state (B, S) is that before them.
+        """
         shape = next(iter(observations.values())).shape[:2]
         flat = {key: value.flatten(0, 1) for key, value in observations.items()}
         if not self.spec.stateful:
@@ -94,7 +101,7 @@ class QNet(BasePolicy):
         distance = self.distances(joysticks_xy)
         window = prior.max_distance - prior.max_follow_distance
         intensity = ((distance - prior.max_follow_distance) / window).clamp(0.0, 1.0)
-        near = distance <= prior.max_follow_distance + _TOLERANCE
+        near = distance <= prior.max_follow_distance + DISTANCE_TOLERANCE
         reward = torch.where(
             near, torch.full_like(distance, prior.base), -prior.penalty * intensity
         )
@@ -134,7 +141,7 @@ class SeqQPolicy(DQNPolicy):
         episode_start: npt.NDArray[Any] | None = None,
         deterministic: bool = False,
     ) -> tuple[npt.NDArray[Any], tuple[npt.NDArray[Any], ...] | None]:
-        """Greedy actions; a network that carries a state takes it, and returns the one after, as ((N, S),)."""
+        """Greedy actions; a network with a state takes it and returns the next one, ((N, S),)."""
         if not self.spec.stateful:
             return super().predict(observation, state, episode_start, deterministic)
         self.set_training_mode(False)

@@ -1,24 +1,28 @@
 """Networks by name.
 
-A network is an `nn.Module` class that is built with `(image_shape, vector_size)` and maps an image batch and a vector
-batch to features. What goes in:
+A network is an `nn.Module` class that is built with `(image_shape, vector_size)` and maps an image
+batch and a vector batch to features. What goes in:
 
-- `image`: (B, C, H, W) float32 in 0..1; one plane per group of pixel classes, then the log-depth (0 near, 1 far);
-  built with `image_shape` (C, H, W);
-- `vector`: (B, 7) float32 in -1..1; IMU (ax, ay, az, roll, pitch) and joystick (x right, y forward), then `[sensors]`.
+- `image`: (B, C, H, W) float32 in 0..1; one plane per group of pixel classes, then the log-depth
+  (0 near, 1 far); built with `image_shape` (C, H, W);
+- `vector`: (B, 7) float32 in -1..1; IMU (ax, ay, az, roll, pitch) and joystick (x right, y
+  forward), then `[sensors]`.
 
-What comes out: (B, F) float32 for any F, which is found by a first call. The head that turns features into values of
-actions gets the vector once more beside the features, so that a network may ignore it; Stable-Baselines3's own
-algorithms give their heads the features alone. An example is `examples/own_network.py`.
+What comes out: (B, F) float32 for any F, which is found by a first call. The head that turns
+features into values of actions gets the vector once more beside the features, so that a network may
+ignore it; Stable-Baselines3's own algorithms give their heads the features alone. An example is
+`examples/own_network.py`.
 
-A class with `windowed = True` gets the images of the last T ticks (`env.window`), the newest last: it is built with
-`image_shape` (T, C, H, W) and called with (B, T, C, H, W). Its `window` is the T that `wcsim train` takes when the user
-sets none; it must work with any T, 1 included. Nothing is remembered from one call to the next.
+A class with `windowed = True` gets the images of the last T ticks (`env.window`), the newest last:
+it is built with `image_shape` (T, C, H, W) and called with (B, T, C, H, W). Its `window` is the T
+that `wcsim train` takes when the user sets none; it must work with any T, 1 included. Nothing is
+remembered from one call to the next.
 
-A windowed class that can also carry a state from tick to tick has `state_size` after it is built (numbers of its state)
-and `unroll(image, vector, state)` with the same weights: image (B, T, C, H, W) and vector (B, T, V) of T ticks in a row
-and the state (B, state_size) before them, zeros where an episode begins, to features (B, T, F) and the state after
-them. `learn.memory=groups` uses it, with one image in an observation.
+A windowed class that can also carry a state from tick to tick has `state_size` after it is built
+(numbers of its state) and `unroll(image, vector, state)` with the same weights. It maps image
+(B, T, C, H, W) and vector (B, T, V) of T ticks in a row, and the state (B, state_size) before them
+(zeros where an episode begins), to features (B, T, F) and the state after them.
+`learn.memory=groups` uses it, with one image in an observation.
 """
 
 from __future__ import annotations
@@ -44,7 +48,7 @@ NETWORKS: dict[str, NetworkClass] = {
 
 
 def register(name: str, network: NetworkClass) -> None:
-    """Register a network under a name. Raises PolicyError if the name is taken or contains a colon."""
+    """Register a network under a name. Raises PolicyError if it is taken or contains a colon."""
     if ":" in name or NETWORKS.get(name, network) is not network:
         raise PolicyError(
             f"network name {name!r} is taken or contains a colon; expected a new plain name"
@@ -53,9 +57,10 @@ def register(name: str, network: NetworkClass) -> None:
 
 
 def find_network(name: str) -> NetworkClass:
-    """The network of that name, or the class of `module:Class` from the current folder or the Python path.
+    """The network of that name, or the class of `module:Class`.
 
-    Raises PolicyError when there is none; importing `module` runs its code.
+    A module is found in the current folder or on the Python path. Raises PolicyError when there is
+    none; importing `module` runs its code.
     """
     if name in NETWORKS:
         return NETWORKS[name]
@@ -70,22 +75,22 @@ def find_network(name: str) -> NetworkClass:
 
 
 def is_windowed(name: str) -> bool:
-    """Whether the network of that name reads a window of images. Raises PolicyError when there is none."""
+    """Whether a network reads a window of images. Raises PolicyError when there is none."""
     return bool(getattr(find_network(name), "windowed", False))
 
 
 def carries_state(name: str) -> bool:
-    """Whether the network of that name can carry a state from tick to tick. Raises PolicyError when there is none."""
+    """Whether a network can carry a state between ticks. Raises PolicyError when there is none."""
     return is_windowed(name) and callable(getattr(find_network(name), "unroll", None))
 
 
 def preferred_window(name: str) -> int:
-    """The images a window should hold for the network of that name. Raises PolicyError when there is none."""
+    """How many images a window should hold for a network. Raises PolicyError when there is none."""
     return int(getattr(find_network(name), "window", 1)) if is_windowed(name) else 1
 
 
 def input_shape(name: str, frames: int, image_shape: tuple[int, int, int]) -> tuple[int, ...]:
-    """What the network of that name is built with: (T, C, H, W) when it is windowed, else (C, H, W).
+    """What a network is built with: (T, C, H, W) when it is windowed, else (C, H, W).
 
     Raises PolicyError for a window of several images and a network that reads one.
     """
@@ -94,18 +99,19 @@ def input_shape(name: str, frames: int, image_shape: tuple[int, int, int]) -> tu
     if frames > 1:
         others = ", ".join(sorted(other for other in NETWORKS if is_windowed(other)))
         raise PolicyError(
-            f"network {name!r} reads one image, the observation holds {frames}; expected one: set env.window=1, or "
-            f"choose a windowed network ({others})"
+            f"network {name!r} reads one image, the observation holds {frames}; expected one: set "
+            f"env.window=1, or choose a windowed network ({others})"
         )
     return image_shape
 
 
 def build(name: str, image_shape: tuple[int, ...], vector_size: int) -> nn.Module:
-    """A network of that name for these inputs. Raises PolicyError when its class cannot be built with them."""
+    """A network for these inputs. Raises PolicyError when its class cannot be built with them."""
     network = find_network(name)
     try:
         return network(image_shape, vector_size)
     except (TypeError, ValueError, RuntimeError) as error:
         raise PolicyError(
-            f"network {name!r} could not be built with image_shape={image_shape}, vector_size={vector_size}: {error}"
+            f"network {name!r} could not be built with image_shape={image_shape}, "
+            f"vector_size={vector_size}: {error}"
         ) from error

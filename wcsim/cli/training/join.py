@@ -99,12 +99,12 @@ def run(words: list[str]) -> int:
 
 def _joined(order: ClientSpec, resume: bool) -> None:
     # torch is loaded here, before there is a seat for which others would wait
-    from wcsim.agents.clients.client import opened
+    from wcsim.agents.clients.client import open_env
     from wcsim.agents.learning.train import train
 
     out, beats = Path(order.out), count(1)
     with gone_if_nothing_came_of_it(out):
-        order, street = opened(order)
+        order, street = open_env(order)
         with street, StageBar("loading the town") as bar:
             run = ResolvedRun(config=order.config, out=out, info=order.info, resume=resume)
             train(run, lambda: street, steps_shown(bar), alive=lambda: street.beat(next(beats)))

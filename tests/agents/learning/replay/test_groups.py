@@ -34,7 +34,7 @@ def driven(plan, **chosen):
 
     def noted(obs, *step):
         numbers.append([number_of(v) for v in obs["joystick"]])
-        buffer.groups.coming = np.array(numbers[-1], np.float32)[:, None]
+        buffer.groups.next_states = np.array(numbers[-1], np.float32)[:, None]
         add(obs, *step)
 
     buffer.add = noted
@@ -72,7 +72,7 @@ def expected_groups(buffer, reference, length, burn_in):
 def test_a_draw_shuffles_all_whole_groups(plan, length, burn_in, state_size, rows):
     buffer, reference = driven(plan, length=length, burn_in=burn_in, state_size=state_size, rows=rows)
     wanted = expected_groups(buffer, reference, length, burn_in)
-    assert {tuple(row) for row in buffer.groups.whole(buffer).tolist()} == set(wanted)
+    assert {tuple(row) for row in buffer.groups.complete(buffer).tolist()} == set(wanted)
     if not wanted:
         with pytest.raises(ValueError, match="no whole group"):
             buffer.sample_groups(32)
@@ -94,9 +94,7 @@ def test_groups_hold_what_was_driven_and_never_another_episode(plan, length, bur
     starts, seats = np.array(sorted(wanted)).T
     batch = buffer.groups.gather(buffer, starts, seats)
     burned = {
-        int(k): seen
-        for rows_, seen in batch.burn_in
-        for k, seen in zip(rows_, _each(seen_of(rows_, batch)), strict=True)
+        int(k): seen for rows_, seen in batch.burn_in for k, seen in zip(rows_, seen_of(rows_, batch), strict=True)
     }
     for k, (start, seat) in enumerate(zip(starts.tolist(), seats.tolist(), strict=True)):
         steps = reference.steps[seat]
@@ -120,10 +118,6 @@ def test_groups_hold_what_was_driven_and_never_another_episode(plan, length, bur
 def seen_of(rows, batch):
     """Joysticks (R, steps, 2) of the burn-in of these groups."""
     return next(seen["joystick"] for kept, seen in batch.burn_in if kept is rows)
-
-
-def _each(values):
-    return [list(row) for row in values]
 
 
 @settings(max_examples=40, deadline=None)
@@ -165,12 +159,12 @@ def memory_steps(buffer, size):
 
 def test_a_group_can_be_drawn_as_soon_as_it_is_whole():
     buffer, _ = driven([["go"]] * 60, rows=60, length=4, burn_in=0)
-    before = {int(k) for k, _ in buffer.groups.whole(buffer)}
+    before = {int(k) for k, _ in buffer.groups.complete(buffer)}
     buffer.groups.draw(buffer, 5)
     for number in range(1000, 1012):
         one = (stack([number]), stack([number + 1]), np.array([0]), np.zeros(1), np.zeros(1, bool), [{}])
         FrameReplay.add(buffer, *one)
-    now = {int(k) for k, _ in buffer.groups.whole(buffer)}
+    now = {int(k) for k, _ in buffer.groups.complete(buffer)}
     assert len(before - now) == len(now - before) == 3
     assert set(buffer.groups.draw(buffer, len(now))[0].tolist()) == now
 

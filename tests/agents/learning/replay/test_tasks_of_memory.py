@@ -81,7 +81,7 @@ def _carried_over_when_it_is_asked(monkeypatch):
 
 def _never_zero_in_the_memory(monkeypatch):
     """Groups that begin an episode are learned from with a state that is not zero."""
-    stored = Groups.stored
+    stored = Groups.stored_states
 
     def stale(self, memory, index, seats):
         states, steps = stored(self, memory, index, seats)
@@ -89,7 +89,7 @@ def _never_zero_in_the_memory(monkeypatch):
         states[begins] = 0.5
         return states, steps
 
-    monkeypatch.setattr(Groups, "stored", stale)
+    monkeypatch.setattr(Groups, "stored_states", stale)
 
 
 @pytest.mark.proof

@@ -45,7 +45,7 @@ def test_windows_are_drawn_whole_with_what_came_after_and_never_of_two_episodes(
     streets = [Street() for _ in range(seats)]
     for ends in plan:
         add(buffer, streets, ends)
-    if memory == "groups" and not len(buffer.groups.whole(buffer)):
+    if memory == "groups" and not len(buffer.groups.complete(buffer)):
         return
     drawn = []
     gather = buffer.gather

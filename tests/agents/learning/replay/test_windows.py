@@ -41,6 +41,7 @@ from wcsim.supervisor.observation import observation_space
 KEYS = ("seg", "depth")
 CAMERA = toy_camera(16, 20)
 CONFIG = RunConfig(cameras=(CAMERA,), env=EnvConfig(window=3))
+WINDOWS = windowed_space(observation_space("compact", W, H), 3)
 
 
 def numbers(observation):
@@ -136,8 +137,6 @@ def test_the_papers_floats_have_no_window():
 
 # --- replay ---
 
-WINDOWS = windowed_space(observation_space("compact", W, H), 3)
-
 
 class Street:
     """Drives one seat of a replay; `record` holds every observation as it was added, by absolute index."""
@@ -216,7 +215,7 @@ def test_what_is_drawn_is_what_was_added(data):
                     street.after.pop()
         check(buffer, streets)
         check(twin, streets)
-    assert all(index >= buffer.total - buffer.size() for index, _ in buffer.windows.whole)
+    assert all(index >= buffer.total - buffer.size() for index, _ in buffer.windows.whole_windows)
 
 
 def test_a_window_costs_no_more_than_its_newest_image():
@@ -224,7 +223,7 @@ def test_a_window_costs_no_more_than_its_newest_image():
     for step in range(450):
         add(buffer, streets, ["limit" if step % 40 == 39 else "go"])
     assert buffer.windows.frames._frames.nbytes == (400 + 2) * 2 * H * W
-    assert not buffer.windows.whole
+    assert not buffer.windows.whole_windows
     one = replay(400, space=observation_space("compact", W, H))
     assert one.windows.frames._frames.nbytes == 400 * 2 * H * W
 

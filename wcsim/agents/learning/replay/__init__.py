@@ -1,1 +1,1 @@
-"""The replay memory of a learner: frames stored once, windows, labels. Not the replay of a recorded world."""
+"""The replay memory of a learner: frames, windows, labels. Not the replay of a recorded world."""

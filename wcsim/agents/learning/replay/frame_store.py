@@ -1,16 +1,17 @@
 """Where a replay memory stores its images: frames as they are or packed, and windows made of them.
 
-Frames are raw bytes when they are small, and one zstd blob each when they are large. Grouping several frames into a
-blob gains nothing (no temporal coding) and would cost random access.
+Frames are raw bytes when they are small, and one zstd blob each when they are large. Grouping
+several frames into a blob gains nothing (no temporal coding) and would cost random access.
 
-In a blob, smooth pictures are differences between neighbours, then zstd at level 1. A noisy depth picture is a third
-smaller when its holes (zeros: what the camera did not measure) are packed apart and what is left is written as
-differences of neighbouring bytes; and so is a blob whose parts are packed by themselves, because zstd gives every part
-an entropy code of its own.
+In a blob, smooth pictures are differences between neighbours, then zstd at level 1. A noisy depth
+picture is a third smaller when its holes (zeros: what the camera did not measure) are packed apart
+and what is left is written as differences of neighbouring bytes. So is a blob whose parts are
+packed by themselves, because zstd gives every part an entropy code of its own.
 
-Of a window of frames, each frame is stored once: a window is put together from the steps before it. The first frame of
-a chain of steps fills its window. A window that is put together otherwise (a wrapper changed the observations, or the
-steps before it are gone) is stored whole beside the frames, so what is read is what was written.
+Of a window of frames, each frame is stored once: a window is put together from the steps before it.
+The first frame of a chain of steps fills its window. A window that is put together otherwise (a
+wrapper changed the observations, or the steps before it are forgotten) is stored whole beside the
+frames, so what is read is what was written.
 """
 
 from __future__ import annotations
@@ -24,22 +25,22 @@ import zstandard
 from wcsim.core.reading import unzstd
 from wcsim.types import I64, U8, Bool
 
-LEVEL: Final = 1  # of zstd
+ZSTD_LEVEL: Final = 1
+# An 80x60 pair of images has 9.6 kB and is not worth the time of packing.
+PACK_ABOVE_BYTES: Final = 40_000
 _LEAST_MATCH: Final = 7  # bytes; in noise a shorter repetition costs more than it saves
-_HASH_LOG: Final = (
-    12  # a table so small that it is in the cache, though a world was computed in between
-)
+# A table so small that it stays in the cache, though a world was computed in between.
+_HASH_LOG: Final = 12
 _LENGTHS: Final = struct.Struct("<II")
-PACK_ABOVE_BYTES = 40_000  # an 80x60 pair of images has 9.6 kB and is not worth the time of packing
 
 
 class BlobCodec:
-    """Packs frames of `size` bytes, the first `smooth` of which are of a smooth picture with holes."""
+    """Packs frames of `size` bytes, the first `smooth` of a smooth picture with holes."""
 
     def __init__(self, size: int, smooth: int) -> None:
         self._size, self._smooth = size, smooth
         settings = zstandard.ZstdCompressionParameters.from_level(
-            LEVEL, min_match=_LEAST_MATCH, hash_log=_HASH_LOG
+            ZSTD_LEVEL, min_match=_LEAST_MATCH, hash_log=_HASH_LOG
         )
         self._pack = zstandard.ZstdCompressor(compression_params=settings)
         self._unpack = zstandard.ZstdDecompressor()
@@ -47,11 +48,11 @@ class BlobCodec:
     def pack(self, frame: U8) -> bytes:
         """The blob of a frame (size,)."""
         smooth, others = frame[: self._smooth], frame[self._smooth :]
-        there = smooth != 0
+        measured = smooth != 0
         holes = b""
-        if not there.all():
-            holes = self._pack.compress(np.packbits(there).data)
-            smooth = smooth[there]
+        if not measured.all():
+            holes = self._pack.compress(np.packbits(measured).data)
+            smooth = smooth[measured]
         steps = smooth.copy()
         steps[1:] -= smooth[:-1]
         packed = self._pack.compress(steps.data)
@@ -59,7 +60,7 @@ class BlobCodec:
         return _LENGTHS.pack(len(holes), len(packed)) + holes + packed + rest
 
     def unpack(self, blob: bytes) -> U8:
-        """The frame (size,) of a blob. Raises ValueError or ZstdError when it is of something else."""
+        """The frame (size,) of a blob. Raises ValueError or ZstdError when it is none."""
         if len(blob) < _LENGTHS.size:
             raise ValueError(f"{len(blob)} bytes")
         hole_bytes, smooth_bytes = _LENGTHS.unpack_from(blob)
@@ -70,8 +71,8 @@ class BlobCodec:
         frame[self._smooth :] = self._part(blob[stop:], self._size - self._smooth)
         if hole_bytes:
             bits = self._part(blob[_LENGTHS.size : first], -(-self._smooth // 8))
-            there = np.unpackbits(bits, count=self._smooth).astype(bool)
-            frame[: self._smooth][there] = np.cumsum(steps, dtype=np.uint8)
+            measured = np.unpackbits(bits, count=self._smooth).astype(bool)
+            frame[: self._smooth][measured] = np.cumsum(steps, dtype=np.uint8)
         else:
             np.cumsum(steps, dtype=np.uint8, out=frame[: self._smooth])
         return frame
@@ -80,8 +81,79 @@ class BlobCodec:
         return np.frombuffer(unzstd(packed, most, self._unpack), np.uint8)
 
 
+class WindowStore:
+    """Windows (frames * size,) by absolute step index and seat, of the last `steps` steps."""
+
+    def __init__(self, steps: int, seats: int, frames: int, size: int, smooth: int = 0) -> None:
+        """Room for windows of `frames` frames of `size` bytes, the first `smooth` of depth."""
+        self._window, self._size = frames, size
+        self._steps = steps
+        # The oldest window's older frames belong to steps before it.
+        self._rows = steps + frames - 1
+        self.frames = _frame_store(self._rows, seats, size, smooth)
+        self._chain_step = np.zeros((self._rows, seats), dtype=np.int64)  # since the chain's start
+        # The last windows, as they would be read.
+        self._last = np.zeros((seats, frames * size), dtype=np.uint8)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything."""
+        self._next = -1  # the step that follows the last one
+        self.whole_windows: dict[tuple[int, int], U8] = {}  # by (absolute index, seat)
+
+    def write(self, index: int, windows: U8, starts: Bool) -> None:
+        """Store the windows (seats, frames * size) of the next step.
+
+        `starts` (seats,) are those where a chain starts.
+        """
+        self.write_newest(index, windows[:, -self._size :], starts)
+        for seat in range(len(windows)):
+            if not np.array_equal(windows[seat], self._last[seat]):
+                self.whole_windows[index, seat] = windows[seat].copy()
+
+    def write_newest(self, index: int, frames: U8, starts: Bool) -> None:
+        """Store the newest frames (seats, size) of the next step; its windows follow from them."""
+        # 1. After a gap nothing is known of the steps before: every chain starts.
+        if index != self._next:
+            starts = np.ones_like(starts)
+        self._next = index + 1
+        before = self._chain_step[(index - 1) % self._rows]
+        self._chain_step[index % self._rows] = np.where(starts, 0, before + 1)
+        for seat, frame in enumerate(frames):
+            # 2. The frame takes the place of the oldest.
+            self.whole_windows.pop((index - self._steps, seat), None)
+            self.frames.write(index, seat, frame)
+            # 3. The window that will be read is moved on by it.
+            last = self._last[seat].reshape(self._window, self._size)
+            if starts[seat]:
+                last[:] = frame
+            else:
+                last[:-1] = last[1:].copy()
+                last[-1] = frame
+
+    def read(self, index: I64, seats: I64) -> U8:
+        """Copies of windows, (K,) and (K,) -> (K, frames * size)."""
+        rows = index % self._rows
+        if self._window == 1 and not self.whole_windows:
+            return self.frames.read(index, seats)
+        back = np.arange(self._window - 1, -1, -1)[:, None]  # oldest first
+        steps = np.minimum(back, self._chain_step[rows, seats])  # (frames, K)
+        read = self.frames.read((index - steps).reshape(-1), np.tile(seats, self._window))
+        in_order = np.moveaxis(read.reshape(self._window, len(index), self._size), 0, 1)
+        # No -1 here: there may be no windows at all.
+        out = in_order.reshape(len(index), self._window * self._size)
+        if self.whole_windows:
+            for k, key in enumerate(zip(index.tolist(), seats.tolist(), strict=True)):
+                out[k] = self.whole_windows.get(key, out[k])
+        return out
+
+    def read_newest(self, index: I64, seat: int) -> U8:
+        """Copies of the newest frames of one seat's windows, (K,) -> (K, size)."""
+        return self.frames.read(index, np.full(len(index), seat))
+
+
 class _RawFrames:
-    """Frames of the last steps by (absolute index, seat) as they are: flat uint8 arrays of `size` bytes."""
+    """Frames of the last steps by (absolute index, seat): flat uint8 arrays of `size` bytes."""
 
     def __init__(self, rows: int, seats: int, size: int) -> None:
         self._frames = np.zeros((rows, seats, size), dtype=np.uint8)
@@ -96,7 +168,7 @@ class _RawFrames:
 
 
 class _PackedFrames:
-    """Frames as blobs, 3 to 24 kB for a 320x240 pair of images; `smooth` bytes at a frame's beginning are of depth."""
+    """Frames as blobs, 3 to 24 kB for a 320x240 pair of images; their first bytes are of depth."""
 
     def __init__(self, rows: int, seats: int, size: int, smooth: int = 0) -> None:
         self._blobs: list[list[bytes]] = [[b""] * seats for _ in range(rows)]
@@ -117,83 +189,7 @@ class _PackedFrames:
 
 
 def _frame_store(rows: int, seats: int, size: int, smooth: int = 0) -> _RawFrames | _PackedFrames:
-    """The store in memory that fits frames of `size` bytes, the first `smooth` of depth, of the last `rows` steps."""
-    return (
-        _RawFrames(rows, seats, size)
-        if size <= PACK_ABOVE_BYTES
-        else _PackedFrames(rows, seats, size, smooth)
-    )
-
-
-class WindowStore:
-    """Windows (frames * size,) by absolute step index and seat, of the last `steps` steps."""
-
-    def __init__(self, steps: int, seats: int, frames: int, size: int, smooth: int = 0) -> None:
-        """A place for `steps` windows of `frames` frames of `size` bytes in each seat, the first `smooth` of depth."""
-        self._window, self._size = frames, size
-        self._rows = (
-            steps + frames - 1
-        )  # the oldest window's older frames belong to steps before it
-        self._steps = steps
-        self.frames = _frame_store(self._rows, seats, size, smooth)
-        self._depth = np.zeros(
-            (self._rows, seats), dtype=np.int64
-        )  # steps since the start of the chain
-        self._last = np.zeros(
-            (seats, frames * size), dtype=np.uint8
-        )  # the last windows, as they would be read
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget everything."""
-        self._next = -1  # the step that follows the last one
-        self.whole: dict[tuple[int, int], U8] = {}  # by (absolute index, seat)
-
-    def write(self, index: int, windows: U8, fresh: Bool) -> None:
-        """Store the windows (seats, frames * size) of the next step; `fresh` (seats,) says where a chain begins."""
-        self.write_newest(index, windows[:, -self._size :], fresh)
-        for seat in range(len(windows)):
-            if not np.array_equal(windows[seat], self._last[seat]):
-                self.whole[index, seat] = windows[seat].copy()
-
-    def write_newest(self, index: int, frames: U8, fresh: Bool) -> None:
-        """Store the newest frames (seats, size) of the next step, whose windows follow from the steps before."""
-        fresh = self._follow(index, fresh)
-        for seat, frame in enumerate(frames):
-            self.whole.pop((index - self._steps, seat), None)
-            self.frames.write(index, seat, frame)
-            last = self._last[seat].reshape(self._window, self._size)
-            if fresh[seat]:
-                last[:] = frame
-            else:
-                last[:-1] = last[1:].copy()
-                last[-1] = frame
-
-    def _follow(self, index: int, fresh: Bool) -> Bool:
-        """Note where chains begin at the next step; returns where they do."""
-        if index != self._next:  # nothing is known of the steps before
-            fresh = np.ones_like(fresh)
-        self._next = index + 1
-        self._depth[index % self._rows] = np.where(
-            fresh, 0, self._depth[(index - 1) % self._rows] + 1
-        )
-        return fresh
-
-    def read(self, index: I64, seats: I64) -> U8:
-        """Copies of windows, (K,) and (K,) -> (K, frames * size)."""
-        rows = index % self._rows
-        if self._window == 1 and not self.whole:
-            return self.frames.read(index, seats)
-        back = np.arange(self._window - 1, -1, -1)[:, None]  # oldest first
-        steps = np.minimum(back, self._depth[rows, seats])  # (frames, K)
-        read = self.frames.read((index - steps).reshape(-1), np.tile(seats, self._window))
-        in_order = np.moveaxis(read.reshape(self._window, len(index), self._size), 0, 1)
-        out = in_order.reshape(len(index), self._window * self._size)  # also of no windows at all
-        if self.whole:
-            for k, key in enumerate(zip(index.tolist(), seats.tolist(), strict=True)):
-                out[k] = self.whole.get(key, out[k])
-        return out
-
-    def read_newest(self, index: I64, seat: int) -> U8:
-        """Copies of the newest frames of one seat's windows, (K,) -> (K, size)."""
-        return self.frames.read(index, np.full(len(index), seat))
+    """The store that fits frames of `size` bytes, the first `smooth` of depth, of `rows` steps."""
+    if size <= PACK_ABOVE_BYTES:
+        return _RawFrames(rows, seats, size)
+    return _PackedFrames(rows, seats, size, smooth)
