@@ -18,7 +18,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from wcsim.agents.perception.alarm import TWO_TICKS, Alarm, next_alarm
-from wcsim.agents.perception.arcs import LONGEST_S, STEP_S, advance, arcs, touches_after
+from wcsim.agents.perception.arcs import (
+    LONGEST_S,
+    STEP_S,
+    advance,
+    evaluate_arcs,
+    time_to_contact_s,
+)
 from wcsim.agents.perception.street_memory import is_known
 from wcsim.agents.perception.surroundings import StreetSense
 from wcsim.agents.policy_api import (
@@ -143,7 +149,7 @@ def _brakes_in_time(
     """
     commands, limits, box = around.commands, around.limits, around.box_B_m
     gap_m, blind = np.empty(len(commands)), np.empty(len(commands), np.bool_)
-    free: Bool = arcs(start, later_s, care.hold_s, commands, limits, box, points, gap_m)
+    free: Bool = evaluate_arcs(start, later_s, care.hold_s, commands, limits, box, points, gap_m)
     _backs_blindly(
         start, care.hold_s, commands, limits, box, around.memory.cells, around.ego.pose_O, blind
     )
@@ -223,7 +229,7 @@ class DynamicWindow(HearsSent):
         around = self.around
         shaped, limits, box = around.shaped(stick), around.limits, around.box_B_m
         return math.isfinite(
-            touches_after(start, later_s, shaped, limits, box, points, _WARN_MARGIN_M, WARN_S)
+            time_to_contact_s(start, later_s, shaped, limits, box, points, _WARN_MARGIN_M, WARN_S)
         )
 
     def _choose(self, stick: F64, start: F64, later_s: float, points: F64) -> int:
