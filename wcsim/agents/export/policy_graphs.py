@@ -54,7 +54,7 @@ from wcsim.agents.perception.ego_motion import (
     TRUST,
     TURN_FULL_SCALE,
 )
-from wcsim.agents.perception.surroundings import box_of, stride_px
+from wcsim.agents.perception.surroundings import FAR_SHARE, box_of, stride_px
 from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY
 from wcsim.config import RunConfig
 from wcsim.config.run_file import DangerRule
@@ -236,7 +236,7 @@ class DangerGraph(nn.Module):
         self.delay, self.tick_s = config.world.action_delay_ticks, config.world.tick_s
         self.drive = Drive(limits_of(chair), chair.deadband, chair.shape_exponent)
         # As `StreetSense` sees: every so many pixels, depths short of the camera's range.
-        self.far_m, self.stride = 0.99 * camera.range_m, stride_px(camera)
+        self.far_m, self.stride = FAR_SHARE * camera.range_m, stride_px(camera)
         rays = viewing_rays(camera).reshape(camera.height_px, camera.width_px, 3)
         self.rays = _constant(rays[:: self.stride, :: self.stride].reshape(-1, 3))
         self.eye = _constant(np.array(camera.p_BC_m))

@@ -25,6 +25,8 @@ from wcsim.core.joystick import limits_of, shaped_rows
 from wcsim.supervisor.actions import ActionSet
 from wcsim.types import F32, F64, I64, U8, Outline
 
+# Of a camera's range; depths from here on are no measurement.
+FAR_SHARE: Final = 0.99
 SHY_M: Final = 0.06  # added for movers: they are wider than what is seen, and may move otherwise
 _AHEAD_MPS: Final = 0.05  # slower is no driving ahead
 # Where edges are searched for: ahead, and to each side.
@@ -66,8 +68,7 @@ class StreetSense:
         self.box_B_m = box_of(outline)
         self.commands = shaped_rows(actions.points, self._chair)
         self.limits = limits_of(self._chair)
-        # Depths of the last percent of the range are no measurement.
-        self.far_m = 0.99 * camera.range_m
+        self.far_m = FAR_SHARE * camera.range_m
         self._range_m, self._near_m = camera.range_m, camera.near_m
         self._stride = stride_px(camera)
         self._size = (camera.height_px, camera.width_px)
