@@ -17,7 +17,7 @@ SHORT_TRAINING = (*QUICK, "--set", "learn.total_steps=8", "--set", "learn.phase1
 STAGES = ("reading ", "building the ", "street of ", "starting SUMO")
 
 
-def refused(result: Result, *told: str) -> None:
+def refused(result: Result, *message: str) -> None:
     """The command ended as it must after a mistake of its user."""
     assert result.code == 2, result
     lines = [line for line in result.err.strip().splitlines() if not line.startswith(STAGES)]
@@ -25,7 +25,7 @@ def refused(result: Result, *told: str) -> None:
     assert lines[0].startswith("wcsim: ")
     assert "Traceback" not in result.err
     assert result.out == ""
-    for text in told:
+    for text in message:
         assert text in result.err, result.err
 
 
@@ -253,16 +253,16 @@ def test_a_scenario_of_ones_own_is_tested_in_unless_it_is_a_copy_of_a_training_t
     (own / "town.toml").unlink()
     scenario = next(own.glob("*.sumocfg"))
     words = ("--only", "--episodes", "1", "--max-steps", "3", *QUICK)
-    told = wcsim("test", "--town", scenario, *words)
-    assert told.code == 0
-    assert "1 episode a policy" in told.err and "zero" not in told.out
+    result = wcsim("test", "--town", scenario, *words)
+    assert result.code == 0
+    assert "1 episode a policy" in result.err and "zero" not in result.out
     known = shutil.copytree(corner, folder / "scenarios/sumo/known")
     text = (known / "town.toml").read_text()
     for split in ("test", "train"):
         (known / "town.toml").write_text(re.sub(r'split = "\w+"', f'split = "{split}"', text))
-        told = wcsim("test", "--town", scenario, *words)
-        assert told.code == (2 if split == "train" else 0)
-    refused(told, "own is a training town: it has the streets of", "--split test", "--allow-train-town")
+        result = wcsim("test", "--town", scenario, *words)
+        assert result.code == (2 if split == "train" else 0)
+    refused(result, "own is a training town: it has the streets of", "--split test", "--allow-train-town")
 
 
 @pytest.mark.proof
@@ -284,14 +284,14 @@ def test_two_towns_of_one_name_are_not_mixed_up(wcsim, folder, corner, tmp_path)
 
 
 def test_configuration_files_are_checked(wcsim, folder, corner):
-    for text, told in (
+    for text, message in (
         ("[learn]\nspeed = 3\n", "unknown key 'learn.speed'"),
         ("[learn]\ngamma = 2.0\n", "learn.gamma"),
         ("[learn\n", "is not TOML"),
         ("learn = 3\n", "learn"),
     ):
         Path("own.toml").write_text(text)
-        refused(wcsim("train", "--town", corner, "--config", "own.toml"), "own.toml", told)
+        refused(wcsim("train", "--town", corner, "--config", "own.toml"), "own.toml", message)
     refused(wcsim("train", "--town", corner, "--config", "missing.toml"), "missing.toml", "cannot be read")
     assert files_in(folder) == {"own.toml"}
 
@@ -359,7 +359,7 @@ def test_a_place_that_turns_out_to_be_closed_is_named_after_the_work(wcsim, fold
 
 
 @pytest.mark.parametrize(
-    ("bbox", "told"),
+    ("bbox", "message"),
     [
         ("25,60,25.1", "west,south,east,north"),
         ("a,b,c,d", "west,south,east,north"),
@@ -370,9 +370,9 @@ def test_a_place_that_turns_out_to_be_closed_is_named_after_the_work(wcsim, fold
         ("4.9,59.9,5.0,60.1", "bounding box"),  # somewhere else
     ],
 )
-def test_wrong_bounding_boxes_are_refused(wcsim, folder, bbox, told):
+def test_wrong_bounding_boxes_are_refused(wcsim, folder, bbox, message):
     Path("tiny.osm").write_text(tiny_osm())
-    refused(wcsim("town", "import", "--osm", "tiny.osm", f"--bbox={bbox}", "--name", "tiny"), told)
+    refused(wcsim("town", "import", "--osm", "tiny.osm", f"--bbox={bbox}", "--name", "tiny"), message)
     assert files_in(folder) == {"tiny.osm"}
 
 
@@ -396,7 +396,7 @@ def test_an_import_never_replaces_what_is_no_town(wcsim, folder):
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "message"),
     [
         ("", ("needs a source", "--osm FILE", "--bbox", "--sumocfg")),
         ("--osm tiny.osm --url http://localhost/", ("--url", "download")),
@@ -415,7 +415,7 @@ def test_an_import_never_replaces_what_is_no_town(wcsim, folder):
         ("--bbox 25,60,25.01,60.01 --url http://127.0.0.1:9/", ("127.0.0.1:9", "--osm FILE")),
     ],
 )
-def test_wrong_options_of_an_import_are_refused(wcsim, folder, words, told):
+def test_wrong_options_of_an_import_are_refused(wcsim, folder, words, message):
     Path("tiny.osm").write_text(tiny_osm())
-    refused(wcsim("town", "import", *words.split(), "--name", "tiny"), *told)
+    refused(wcsim("town", "import", *words.split(), "--name", "tiny"), *message)
     assert files_in(folder) == {"tiny.osm"}

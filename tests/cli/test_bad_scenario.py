@@ -66,14 +66,14 @@ def test_a_net_without_crossings(wcsim, folder, theirs):
     assert wcsim("town", "run", theirs, *RUN).code == 0
 
 
-def refused_at_once(wcsim, folder, theirs, *told):
+def refused_at_once(wcsim, folder, theirs, *message):
     """By each command that reads a scenario."""
     for words in (
         ("check", theirs),
         ("run", theirs, *RUN),
         ("import", "--sumocfg", theirs / "a.sumocfg", "--name", "x"),
     ):
-        refused(wcsim("town", *words), *told)
+        refused(wcsim("town", *words), *message)
     assert files_in(folder) == set()
 
 

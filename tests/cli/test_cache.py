@@ -48,11 +48,11 @@ def cache(tmp_path, monkeypatch) -> Path:
 
 
 def test_the_cache_says_where_it_is_and_what_it_holds(wcsim, cache):
-    told = wcsim("cache", "--json", "c.json")
-    assert (told.code, told.err) == (0, "")
-    assert f"{cache}: 1 street, 1 checked net or scenario, 1 kernel, 2 generated places to drive" in told.out
-    assert "1 unfinished, 3.0 MB" in told.out
-    assert "wcsim cache --clear" in told.out
+    result = wcsim("cache", "--json", "c.json")
+    assert (result.code, result.err) == (0, "")
+    assert f"{cache}: 1 street, 1 checked net or scenario, 1 kernel, 2 generated places to drive" in result.out
+    assert "1 unfinished, 3.0 MB" in result.out
+    assert "wcsim cache --clear" in result.out
     assert json.loads(Path("c.json").read_text()) == {
         **{"folder": str(cache), "streets": 1, "verdicts": 1, "kernels": 1, "driven": 2, "unfinished": 1},
         **{"size_bytes": 3_000_028, "left_bytes": 3_000_028},
@@ -61,8 +61,8 @@ def test_the_cache_says_where_it_is_and_what_it_holds(wcsim, cache):
 
 def test_clearing_removes_what_is_ours_and_nothing_else(wcsim, cache, tmp_path):
     before = {str(path.relative_to(cache)) for path in cache.rglob("*")}
-    told = wcsim("cache", "--clear", "--json", "c.json")
-    assert (told.code, told.err, "removed 3.0 MB" in told.out) == (0, "", True)
+    result = wcsim("cache", "--clear", "--json", "c.json")
+    assert (result.code, result.err, "removed 3.0 MB" in result.out) == (0, "", True)
     gone = before - {str(path.relative_to(cache)) for path in cache.rglob("*")}
     code = {f"{KERNELS}/core_0123/boxes.f-0123.py311.{end}" for end in ("nbi", "1.nbc")}
     driven = {f"{place}{file}" for place in DRIVEN for file in ("", "/sumo", "/sumo/net.xml")}
@@ -74,8 +74,8 @@ def test_clearing_removes_what_is_ours_and_nothing_else(wcsim, cache, tmp_path):
 
 def test_a_cache_that_is_not_there_is_empty(wcsim, tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "none"))
-    told = wcsim("cache", "--clear")
-    assert (told.code, "0 streets" in told.out) == (0, True)
+    result = wcsim("cache", "--clear")
+    assert (result.code, "0 streets" in result.out) == (0, True)
     assert not (tmp_path / "none").exists()
 
 

@@ -38,10 +38,10 @@ def read(path: str | Path) -> Any:
     return json.loads(Path(path).read_text(encoding="utf-8"), parse_constant=refuse)
 
 
-def well(told: Result) -> None:
+def well(result: Result) -> None:
     """All went well and quietly, and the table can be read."""
-    assert (told.code, told.err) == (0, "")
-    assert fits(told.out)
+    assert (result.code, result.err) == (0, "")
+    assert fits(result.out)
 
 
 def fits(text: str) -> bool:
@@ -72,20 +72,20 @@ def tiny(wcsim, folder, imported) -> Path:
 
 
 def test_town_list_shows_the_shipped_towns_and_ones_own(wcsim, folder, corner):
-    told = wcsim("town", "list")
-    assert (told.code, told.err) == (0, "")
-    shown = re.findall(r"(\w[\w-]*) +│ (train|test|scene) ", told.out)
+    result = wcsim("town", "list")
+    assert (result.code, result.err) == (0, "")
+    shown = re.findall(r"(\w[\w-]*) +│ (train|test|scene) ", result.out)
     assert shown == [("helsinki", "train"), ("manhattan", "test"), ("monaco", "test")]
-    assert fits(told.out)
+    assert fits(result.out)
     Path("scenarios/sumo").mkdir(parents=True)
     Path("scenarios/sumo/bay-corner").symlink_to(corner)
     assert "bay-corner" in wcsim("town", "list").out
 
 
 def test_town_check_reports_and_writes_its_keys(wcsim, folder, corner):
-    told = wcsim("town", "check", corner, "--json", "new/check.json")
-    assert (told.code, told.err) == (0, "note: made the folder new\n")
-    assert fits(told.out)
+    result = wcsim("town", "check", corner, "--json", "new/check.json")
+    assert (result.code, result.err) == (0, "note: made the folder new\n")
+    assert fits(result.out)
     report = read("new/check.json")
     assert set(report) >= TOWN_KEYS
     assert (report["town"], report["unroutable"]) == ("pedestrian-crossing", 0)
@@ -98,19 +98,19 @@ def test_town_check_reports_and_writes_its_keys(wcsim, folder, corner):
 
 
 def test_scene_list_says_what_each_shows(wcsim):
-    told = wcsim("scene", "list")
-    well(told)
-    assert {"kerb-drop", "pedestrian-crossing"} <= set(re.findall(r"│ ([\w-]+)", told.out))
+    result = wcsim("scene", "list")
+    well(result)
+    assert {"kerb-drop", "pedestrian-crossing"} <= set(re.findall(r"│ ([\w-]+)", result.out))
 
 
 def test_test_writes_what_is_promised(wcsim, folder, corner):
     words = ("--episodes", "2", "--max-steps", "8", "--profile", "slow,tremor", "--seed", "4", "--json", "t.json")
-    told = wcsim("test", "follow", "--town", corner, *words, *QUICK)
-    assert told.code == 0
-    assert fits(told.out)
+    ended = wcsim("test", "follow", "--town", corner, *words, *QUICK)
+    assert ended.code == 0
+    assert fits(ended.out)
     words_shown = ("score", "asked", "arrived", "crash", "95 %")
     for text in ("seed-4: pedestrian-crossing, slow user", "tremor user", "SIMULATION ONLY", *words_shown):
-        assert text in told.out
+        assert text in ended.out
     result = read("t.json")
     assert (result["suite"], result["set"]) == ("pedestrian-crossing", "seed-4")
     rows = result["rows"]
@@ -152,10 +152,10 @@ def test_long_names_of_policies_are_shown_whole(wcsim, folder, corner, tmp_path)
     assert trained.code == 0
     assert read("train.json") == {"run": str(run), "town": "pedestrian-crossing", "seed": 0}
     words = ("--town", corner, "--allow-train-town", "--only", "--episodes", "1", "--max-steps", "5", *QUICK[:2])
-    told = wcsim("test", run, f"{run}:phase1", run / "policies" / "final", *words, "--json", "t.json")
-    assert told.code == 0
-    assert fits(told.out)
-    shown = "".join(re.sub(r"(\s+[\d.%-]+){9}\s*$", "", line).strip() for line in told.out.splitlines())
+    result = wcsim("test", run, f"{run}:phase1", run / "policies" / "final", *words, "--json", "t.json")
+    assert result.code == 0
+    assert fits(result.out)
+    shown = "".join(re.sub(r"(\s+[\d.%-]+){9}\s*$", "", line).strip() for line in result.out.splitlines())
     for name in (str(run), f"{run}:phase1", str(run / "policies" / "final")):
         assert name in shown
     assert len(read("t.json")["pooled"]) == 3 + len(("follow",))
@@ -165,8 +165,8 @@ HOW = ("low", "high", "method", "source", "ok", "note", "judged")
 
 
 def test_chair_check_gives_rows_beside_their_ranges(wcsim, folder):
-    told = wcsim("chair", "check", "--rows", "mass,stopping_6", "--workers", "1", "--json", "chair.json")
-    well(told)
+    result = wcsim("chair", "check", "--rows", "mass,stopping_6", "--workers", "1", "--json", "chair.json")
+    well(result)
     plants = read("chair.json")["plants"]
     assert set(plants) == {"rwd", "mwd"}
     for plant in plants.values():
@@ -179,38 +179,38 @@ def test_chair_check_gives_rows_beside_their_ranges(wcsim, folder):
 def test_chair_check_takes_settings_and_leaves_out_what_is_too_fast(wcsim, folder):
     plant = str(Path(__file__).parents[2] / "examples" / "fwd.toml")
     words = ("--set", "chair.yaw_rate_max_radps=1.0", "--rows", "turn_in,cruise_road", "--workers", "1", "--json", "x")
-    told = wcsim("chair", "check", "--plants", plant, *words)
-    assert told.code == 0 and fits(told.out.partition("\n")[2])
-    assert "left out" in told.err and "cruise_road" in told.err
+    result = wcsim("chair", "check", "--plants", plant, *words)
+    assert result.code == 0 and fits(result.out.partition("\n")[2])
+    assert "left out" in result.err and "cruise_road" in result.err
     (row,) = read("x")["plants"][plant]["rows"]
     assert row["value"] == pytest.approx(1.0, rel=0.03) and row["bound"] == "stick"
 
 
 def test_chair_check_ends_with_1_when_a_row_is_red(wcsim, folder, monkeypatch):
     monkeypatch.setattr(engine, "GRAVITY_MPS2", 9.0)
-    told = wcsim("chair", "check", "--plants", "rwd", "--rows", "mass", "--workers", "1")
-    assert told.code == 1 and "RED" in told.out
+    result = wcsim("chair", "check", "--plants", "rwd", "--rows", "mass", "--workers", "1")
+    assert result.code == 1 and "RED" in result.out
 
 
 def test_chair_check_compares_rates(wcsim, folder):
     words = ("--plants", "rwd", "--rows", "mass", "--workers", "1", "--compare-hz", "120,240", "--json", "rates.json")
-    told = wcsim("chair", "check", *words)
-    well(told)
+    result = wcsim("chair", "check", *words)
+    well(result)
     (row,) = read("rates.json")["plants"]["rwd"]["rows"]
     assert row["ok"] and row["change"] < 0.001 and len(row["values"]) == 2
 
 
 def test_chair_check_draws_the_plants(wcsim, folder):
-    told = wcsim("chair", "check", "--plants", "mwd", "--pictures", "drawn")
-    assert (told.code, told.err) == (0, "")
+    result = wcsim("chair", "check", "--plants", "mwd", "--pictures", "drawn")
+    assert (result.code, result.err) == (0, "")
     picture = cv2.imread("drawn/plant_mwd.png")
     assert picture.shape[0] > 800 and len({tuple(pixel) for pixel in picture[::7, ::7].reshape(-1, 3)}) > 5
 
 
 def test_snapshot_is_a_picture_of_the_right_size(wcsim, folder, corner):
-    told = wcsim("snapshot", corner, "--seed", "2", "--seconds", "1", "--width", "96", "--out", "new/shot.png")
-    assert (told.code, told.err) == (0, "note: made the folder new\n")
-    assert told.out.startswith("new/shot.png: ")
+    result = wcsim("snapshot", corner, "--seed", "2", "--seconds", "1", "--width", "96", "--out", "new/shot.png")
+    assert (result.code, result.err) == (0, "note: made the folder new\n")
+    assert result.out.startswith("new/shot.png: ")
     picture = cv2.imread("new/shot.png")
     assert picture.shape == (72, 3 * 96, 3)
     assert picture.std() > 5.0
@@ -218,8 +218,8 @@ def test_snapshot_is_a_picture_of_the_right_size(wcsim, folder, corner):
 
 
 def test_video_holds_all_its_frames(wcsim, folder, corner):
-    told = wcsim("video", corner, "--seconds", "1.5", "--width", "80", "--out", "new/film.webm")
-    assert (told.code, told.err) == (0, "note: made the folder new\n")
+    result = wcsim("video", corner, "--seconds", "1.5", "--width", "80", "--out", "new/film.webm")
+    assert (result.code, result.err) == (0, "note: made the folder new\n")
     film = cv2.VideoCapture("new/film.webm")
     frames = []
     while True:
@@ -236,29 +236,29 @@ def test_video_holds_all_its_frames(wcsim, folder, corner):
 
 def test_a_video_without_a_policy_shows_the_user_who_was_asked_for(wcsim, folder, corner):
     for words, who in (((), "competent"), (("--profile", "slow"), "slow")):
-        told = wcsim("video", corner, "--seconds", "0.2", "--width", "80", *words)
-        assert told.code == 0 and told.out.endswith(f"0.2 s, the user {who}\n")
+        result = wcsim("video", corner, "--seconds", "0.2", "--width", "80", *words)
+        assert result.code == 0 and result.out.endswith(f"0.2 s, the user {who}\n")
 
 
 def test_settings_are_laid_over_those_of_pictures_and_films(wcsim, folder, corner):
     wrong, slow = ("--set", "chair.plant=none-of-these.toml"), ("--set", "chair.v_max_mps=0.2")
     shows = {"snapshot": ("--width", "80"), "look": (), "video": ("--width", "80"), "video --policy follow": ()}
     for words, more in shows.items():
-        told = wcsim(*words.split(), corner, *more, *wrong, "--seconds", "0.3")
-        assert told.code == 2 and "none-of-these.toml" in told.err
+        result = wcsim(*words.split(), corner, *more, *wrong, "--seconds", "0.3")
+        assert result.code == 2 and "none-of-these.toml" in result.err
     assert files_in(folder) == set()
     for words in ("video", "video --policy follow"):
-        told = wcsim(*words.split(), corner, "--width", "80", *slow, "--seconds", "0.5", "--out", "slow.webm")
-        assert told.code == 0
+        result = wcsim(*words.split(), corner, "--width", "80", *slow, "--seconds", "0.5", "--out", "slow.webm")
+        assert result.code == 0
         assert cv2.VideoCapture("slow.webm").get(cv2.CAP_PROP_FRAME_COUNT) == 5
 
 
 def test_look_takes_a_picture_and_a_video_of_a_town(wcsim, folder, corner):
-    told = wcsim("look", corner, "--seconds", "0.3", "--out", "new")
-    assert (told.code, told.err) == (0, "note: made the folder new\n")
+    result = wcsim("look", corner, "--seconds", "0.3", "--out", "new")
+    assert (result.code, result.err) == (0, "note: made the folder new\n")
     name = find_town(str(corner)).name
     made = [f"new/{name}-street.png", f"new/{name}.png", f"new/{name}.webm"]
-    assert [line.split(": ")[0] for line in told.out.splitlines()] == made
+    assert [line.split(": ")[0] for line in result.out.splitlines()] == made
     assert files_in(folder) == {"new", *made}
     street = cv2.imread(made[0])
     assert street.shape == (540, 960, 3) and street.std() > 20.0
@@ -267,14 +267,14 @@ def test_look_takes_a_picture_and_a_video_of_a_town(wcsim, folder, corner):
 def test_look_shows_no_chair_that_still_turns_towards_its_way(wcsim, folder, corner, monkeypatch):
     faces = chain([False, False], repeat(True))  # at the beginning, and after each tick
     monkeypatch.setattr(StillPictures, "on_way", property(lambda stills: next(faces)))
-    told = wcsim("look", corner, "--seconds", "0.3")
-    assert told.code == 0 and not re.search(r"after 0\.[01] s", told.out)
+    result = wcsim("look", corner, "--seconds", "0.3")
+    assert result.code == 0 and not re.search(r"after 0\.[01] s", result.out)
 
 
 def test_doctor_finds_this_machine_well(wcsim, folder, corner, monkeypatch):
     monkeypatch.setattr(doctor, "TICK_SECONDS", 0.2)
-    told = wcsim("doctor", "--town", corner, "--json", "d.json")
-    well(told)
+    result = wcsim("doctor", "--town", corner, "--json", "d.json")
+    well(result)
     found = read("d.json")
     assert [*found] == ["python", "packages", "sumo", "threads", "shared memory", "tick rate", "cache"]
     assert not found["cache"]["says"].startswith("0 streets"), "that of the town is in it by now"
@@ -282,38 +282,38 @@ def test_doctor_finds_this_machine_well(wcsim, folder, corner, monkeypatch):
 
 
 def test_doctor_says_what_fails(wcsim, folder):
-    told = wcsim("doctor", "--town", "atlantis")
-    assert told.code == 2
-    assert "FAILS" in told.out
-    assert "unknown town 'atlantis'" in told.out
+    result = wcsim("doctor", "--town", "atlantis")
+    assert result.code == 2
+    assert "FAILS" in result.out
+    assert "unknown town 'atlantis'" in result.out
 
 
 def test_demo_trains_tests_and_films_it(wcsim, folder, corner, tiny):
     small = ("collect.segments=1", "collect.ticks=20", "collect.chairs=2", "collect.scene_share=0", "danger.updates=4")
     words = [word for text in (*small, "world.warmup_s=5", "cameras.0.width_px=40") for word in ("--set", text)]
     write_list(town_list([find_town(str(tiny))], ("ataxic",), 2, 10, 0), folder / "two.json")
-    told = wcsim("demo", "--train-town", corner, "--suite", "two.json", *words)
-    assert told.code == 0
+    done = wcsim("demo", "--train-town", corner, "--suite", "two.json", *words)
+    assert done.code == 0
     result = read("runs/demo/test/result.json")
     assert [row["policy"] for row in result["rows"]] == ["follow", "zero", "runs/demo"]
-    for said in ("1 round of 1 x 20 ticks with 2 chairs", "4 updates", "2 drives: by the user alone", "--policy"):
-        assert said in " ".join(told.out.split())
-    assert fits("\n".join(line for line in told.out.splitlines() if "/" not in line))
-    assert not re.search(r"[^\n\x20-\x7e\u2500-\u257f]", told.out + told.err), "piped, so nothing that a terminal obeys"
-    assert "minutes" not in told.out, "it takes what its settings make it take"
-    assert len(re.findall(r"^\S+: [12] of 2 blocks.*left$", told.err, re.MULTILINE)) >= 3
+    for message in ("1 round of 1 x 20 ticks with 2 chairs", "4 updates", "2 drives: by the user alone", "--policy"):
+        assert message in " ".join(done.out.split())
+    assert fits("\n".join(line for line in done.out.splitlines() if "/" not in line))
+    assert not re.search(r"[^\n\x20-\x7e\u2500-\u257f]", done.out + done.err), "piped, so nothing that a terminal obeys"
+    assert "minutes" not in done.out, "it takes what its settings make it take"
+    assert len(re.findall(r"^\S+: [12] of 2 blocks.*left$", done.err, re.MULTILINE)) >= 3
     film = cv2.VideoCapture("runs/demo/alone_and_with_help.webm")
     assert (film.get(cv2.CAP_PROP_FRAME_COUNT), film.get(cv2.CAP_PROP_FRAME_WIDTH)) == (10 + 20, 2 * 560)
     page = Path("runs/demo/demo.html").read_text(encoding="utf-8")
-    assert "runs/demo/demo.html" in told.out and "data:video/webm;base64," in page
+    assert "runs/demo/demo.html" in done.out and "data:video/webm;base64," in page
     assert page.count("<tr>") == 1 + 3, "of one table"
-    assert "Of 2 drives, the user crashed in" in page and "Of 2 drives, the user crashed in" in told.out
+    assert "Of 2 drives, the user crashed in" in page and "Of 2 drives, the user crashed in" in done.out
 
 
 def test_a_video_of_a_policy_holds_all_its_frames(wcsim, folder, corner):
     words = ("--seconds", "0.8", "--width", "80", "--policy", "follow", "--out", "film.webm")
-    told = wcsim("video", corner, *words)
-    assert told.code == 0 and "follow assists the user inattentive" in told.out
+    result = wcsim("video", corner, *words)
+    assert result.code == 0 and "follow assists the user inattentive" in result.out
     assert cv2.VideoCapture(str(folder / "film.webm")).get(cv2.CAP_PROP_FRAME_COUNT) == 8
     later = wcsim("video", corner, *words, "--start", "0.5")
     assert later.code == 0 and "0.8 s after 0.5 s, follow" in later.out

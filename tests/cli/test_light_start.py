@@ -171,7 +171,7 @@ def outcome(tmp_path_factory: pytest.TempPathFactory) -> dict[tuple[str, ...], t
     found = [json.loads(line) for line in run.stdout.splitlines()]
     assert [path.name for path in folder.iterdir()] == ["file"]
     assert [tuple(words) for words, *_ in found] == lines
-    return {tuple(words): (code, loaded, told) for words, code, loaded, told in found}
+    return {tuple(words): (code, loaded, message) for words, code, loaded, message in found}
 
 
 def test_the_walk_finds_commands_of_commands_and_their_numbers():

@@ -44,17 +44,17 @@ def test_ctrl_c_keeps_what_was_learned_and_resume_goes_on(wcsim, folder, corner)
     assert manifest["status"] == "interrupted"
     assert 0 < manifest["steps"] < total
     assert (folder / "run" / "policies" / "final" / "policy.json").is_file()
-    told = wcsim("resume", "run", "--steps", total - 1)
-    assert (told.code, told.err.count("\n"), str(total - 1) in told.err) == (Exit.REFUSED, 1, True), told
-    told = wcsim("resume", "run")
-    assert told.code == 0, told
-    assert "\nrun folder: run" in told.out
+    result = wcsim("resume", "run", "--steps", total - 1)
+    assert (result.code, result.err.count("\n"), str(total - 1) in result.err) == (Exit.REFUSED, 1, True), result
+    result = wcsim("resume", "run")
+    assert result.code == 0, result
+    assert "\nrun folder: run" in result.out
     assert json.loads((folder / "run" / "manifest.json").read_text())["status"] == "done"
     config = (folder / "run" / "config.json").read_text()
     (folder / "run" / "config.json").write_text(config.replace('"gamma": 0.9', '"gamma": 0.8'))
-    told = wcsim("resume", "run")
-    assert (told.code, "damaged" in told.err) == (Exit.REFUSED, True), told
+    result = wcsim("resume", "run")
+    assert (result.code, "damaged" in result.err) == (Exit.REFUSED, True), result
     (folder / "run" / "config.json").write_text(config)
-    told = wcsim("resume", "run", "--steps", total + 20)
-    assert told.code == 0, told
+    result = wcsim("resume", "run", "--steps", total + 20)
+    assert result.code == 0, result
     assert json.loads((folder / "run" / "manifest.json").read_text())["steps"] >= total + 20

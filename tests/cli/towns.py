@@ -25,8 +25,8 @@ def tiny_osm() -> str:
 
 def way(number: int, nodes: list[int], **tags: str) -> str:
     refs = "".join(f'<nd ref="{node}"/>' for node in nodes)
-    told = "".join(f'<tag k="{key}" v="{value}"/>' for key, value in tags.items())
-    return f'<way id="{number}" version="1">{refs}{told}</way>'
+    elements = "".join(f'<tag k="{key}" v="{value}"/>' for key, value in tags.items())
+    return f'<way id="{number}" version="1">{refs}{elements}</way>'
 
 
 def _net(town: Path) -> Path:

@@ -1,4 +1,4 @@
-"""`wcsim chair check | fit`: plants on the test rig, in the manner of ISO 7176; a controller fitted to drives."""
+"""`wcsim chair check | fit`: plants on a test rig as in ISO 7176; a controller fitted to drives."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass, replace
 from functools import partial
 from itertools import compress
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from rich import box
 from rich.table import Column, Table
@@ -44,10 +44,11 @@ if TYPE_CHECKING:  # loads the engine, which --help must not
     from wcsim.chair_check.drive_fit import DriveFit, MotionErrors
     from wcsim.chair_check.stick_drives import StickDrive
 
-_WORKERS = 2
-_HZ = Bounds(SLOWEST_HZ, FASTEST_HZ, 10)
-_SET = Keys({"chair.plant": "--plants names the plants"}, ("chair", "imu"))
-_MEANS = {
+_WORKERS: Final = 2
+_HZ: Final = Bounds(SLOWEST_HZ, FASTEST_HZ, 10)
+_SET: Final = Keys({"chair.plant": "--plants names the plants"}, ("chair", "imu"))
+# What a row outside its range means, by the source of its bounds.
+_MEANS: Final = {
     "norm": "the chair does not meet a standard (EN 12184)",
     "file": "the file contradicts itself, or the simulation does not match it",
     "stick": "motors or grip are too weak for the stick's command with these settings",
@@ -55,12 +56,16 @@ _MEANS = {
     "rwd, mwd": "its impacts differ from those of the original chair",
     "trial": "it does not fall off kerbs like the chair in the experiment",
 }
-_OTHER = "measured with another kind of chair; a difference is not an error"
+_OTHER: Final = "measured with another kind of chair; a difference is not an error"
+_FIT_HZ: Final = 120
+# Values of world.action_delay_ticks that are tried, from 0 on.
+_DELAYS_TICKS: Final = 4
+_CHAIR_SECTION: Final = re.compile(r"(?ms)^\[chair\][^\n]*\n?(.*?)(?=^\[|\Z)")
 
 
 @dataclass
 class _CheckOptions:
-    """Test each chair in the manner of ISO 7176: driving, climbing, weight, tipping; compare with expected values."""
+    """Test each chair in the manner of ISO 7176: driving, climbing, weight, tipping; compare with expected values."""  # noqa: E501
 
     plants: str = "rwd,mwd"
     """Chairs (plants) to test: names or paths of .toml files, separated by commas."""
@@ -80,6 +85,26 @@ class _CheckOptions:
     """Write the result to this file."""
 
 
+@dataclass
+class _FitOptions:
+    """Fit the controller's numbers to recorded drives of a chair; say how well they repeat the drives."""  # noqa: E501
+
+    drives: Annotated[tuple[Path, ...], Positional, arg(metavar="NAME.joy.csv [...]")]
+    """Recorded sticks (t_s,axis0,axis1), each beside its NAME.odom.csv (t_s,v_mps,w_radps); .gz may follow."""  # noqa: E501
+    hold_out: str = ""
+    """Words of file names, whole between _ . and -, separated by commas: a fit leaves out the drives of each."""  # noqa: E501
+    base: str = "rwd"
+    """Chair (plant) for --plant and --out."""
+    plant: Flag = False
+    """Drive that chair in PyBullet by the sticks, with the fitted numbers."""
+    picture: Annotated[Path | None, arg(metavar="FILE"), Writes()] = None
+    """Draw the longest drive, measured and simulated: .png or .svg."""
+    out: Annotated[Path | None, arg(metavar="FILE.toml"), Writes(".toml", new=True)] = None
+    """Write that chair with the fitted numbers, for chair.plant."""
+    json: OutFile = None
+    """Write the result to this file."""
+
+
 def run(words: list[str]) -> int:
     """Run one of them; 1 when a row is outside its range, or changes too much with the rate."""
     return run_part(words, "chair", {"check": (_CheckOptions, _check), "fit": (_FitOptions, _fit)})
@@ -88,64 +113,67 @@ def run(words: list[str]) -> int:
 def _check(options: _CheckOptions) -> int:
     plants = some_words("--plants", options.plants)
     if options.pictures is not None:
-        return _draw(plants, options.pictures)
-    setups = {plant: _setup(plant, options) for plant in plants}
-    return _compare(setups, options) if options.compare_hz else _judge(setups, options)
+        from wcsim.chair_check.plant_picture import draw_plant
 
-
-def _setup(plant: str, options: _CheckOptions) -> Setup:
-    """The chair at the first rate that is asked for; what is left out of its table is said before the work."""
+        check_folder("--pictures", options.pictures)
+        for plant in plants:
+            print(draw_plant(plant, options.pictures))
+        return 0
     from wcsim.chair_check.table import too_fast  # loads the engine, which --help must not
 
-    hz = _rates(options.compare_hz)[0] if options.compare_hz else options.hz
-    setup = _driving(plant, hz, options.set)
-    fast = too_fast(setup, words_of(options.rows))
-    if fast:
-        print(f"note: {plant} is too slow for {', '.join(fast)}: left out", file=sys.stderr)
-    return setup
+    setups = {}
+    for plant in plants:
+        hz = _rates(options.compare_hz)[0] if options.compare_hz else options.hz
+        setups[plant] = _setup(plant, hz, options.set)
+        # Before the work: what its table will leave out.
+        fast = too_fast(setups[plant], words_of(options.rows))
+        if fast:
+            print(f"note: {plant} is too slow for {', '.join(fast)}: left out", file=sys.stderr)
+    return _compare_rates(setups, options) if options.compare_hz else _judge(setups, options)
 
 
-def _driving(plant: str, hz: int, settings: Sequence[str] = ()) -> Setup:
-    """A plant that is driven as its own file says, and as asked for besides."""
+def _setup(plant: str, hz: int, settings: Sequence[str] = ()) -> Setup:
+    """A plant with the settings of its own file, changed by `settings`."""
     config = resolve(RunConfig(), (f"chair.plant={json.dumps(plant)}", *settings))
     return Setup(chair=config.chair, imu=config.imu, hz=hz)
 
 
 def _judge(setups: Mapping[str, Setup], options: _CheckOptions) -> int:
-    found = {plant: _table(plant, setup, options) for plant, setup in setups.items()}
+    """Measure all rows of each plant and print them against their ranges."""
+    found = {plant: _measure(plant, setup, options) for plant, setup in setups.items()}
+    plain: dict[str, Any] = {}
     for plant, rows in found.items():
-        stdout_console().print(_shown(plant, rows))
-        for line in _remarks(rows):
-            print(line)
-    write_json(
-        options.json, {"plants": {plant: {"rows": _plain(rows)} for plant, rows in found.items()}}
-    )
+        stdout_console().print(_judged_table(plant, rows))
+        for row in rows:
+            if row.note:
+                print(f"{row.name}: {row.note}")
+        for bound in dict.fromkeys(row.bound for row in rows if row.red):
+            print(f"RED, bound by {bound}: {_MEANS[bound]}")
+        for bound in dict.fromkeys(row.bound for row in rows if not row.ok and not row.red):
+            print(f"other, bound by {bound}: {_OTHER}")
+        plain_rows = [asdict(row) for row in rows]
+        for row_json in plain_rows:
+            del row_json["impact"]
+        plain[plant] = {"rows": plain_rows}
+    write_json(options.json, {"plants": plain})
     return 1 if any(row.red for rows in found.values() for row in rows) else 0
 
 
-def _compare(setups: Mapping[str, Setup], options: _CheckOptions) -> int:
+def _compare_rates(setups: Mapping[str, Setup], options: _CheckOptions) -> int:
+    """Measure all rows of each plant at several rates and print how they change."""
     rates = _rates(options.compare_hz)
     found = {
-        plant: changes({hz: _table(plant, replace(setup, hz=hz), options) for hz in rates})
+        plant: changes({hz: _measure(plant, replace(setup, hz=hz), options) for hz in rates})
         for plant, setup in setups.items()
     }
     for plant, rows in found.items():
-        stdout_console().print(_compared(plant, rates, rows))
+        stdout_console().print(_compared_table(plant, rates, rows))
     plain = {plant: {"rows": [asdict(row) for row in rows]} for plant, rows in found.items()}
     write_json(options.json, {"hz": rates, "plants": plain})
     return 0 if all(row.ok for rows in found.values() for row in rows) else 1
 
 
-def _draw(plants: Sequence[str], folder: Path) -> int:
-    from wcsim.chair_check.plant_picture import draw_plant
-
-    check_folder("--pictures", folder)
-    for plant in plants:
-        print(draw_plant(plant, folder))
-    return 0
-
-
-def _table(plant: str, setup: Setup, options: _CheckOptions) -> list[Row]:
+def _measure(plant: str, setup: Setup, options: _CheckOptions) -> list[Row]:
     from wcsim.chair_check.table import table  # loads the engine, which --help must not
 
     what = f"{plant} at {setup.hz} Hz"
@@ -172,44 +200,25 @@ def _rates(text: str) -> list[int]:
     return rates
 
 
-def _plain(rows: Sequence[Row]) -> list[dict[str, Any]]:
-    return [{key: value for key, value in asdict(row).items() if key != "impact"} for row in rows]
-
-
-def _shown(plant: str, rows: Sequence[Row]) -> Table:
+def _judged_table(plant: str, rows: Sequence[Row]) -> Table:
     judged = [row for row in rows if row.judged]
-    out = _frame(f"{plant}: {sum(row.ok for row in judged)} of {len(judged)} rows as expected")
+    out = _table(f"{plant}: {sum(row.ok for row in judged)} of {len(judged)} rows as expected")
     for heading in ("value", "low", "high"):
         out.add_column(heading, justify="right")
     for heading in ("unit", "bound by", ""):
         out.add_column(heading)
     for row in rows:
+        if row.ok:
+            verdict = "" if row.judged else "not judged"
+        else:
+            verdict = "[bold red]RED[/]" if row.red else "other"
         numbers = (f"{number:.4g}" for number in (row.value, row.low, row.high))
-        verdict = (
-            ("" if row.judged else "not judged")
-            if row.ok
-            else "[bold red]RED[/]"
-            if row.red
-            else "other"
-        )
         out.add_row(row.name, *numbers, row.unit, row.bound, verdict)
     return out
 
 
-def _remarks(rows: Sequence[Row]) -> list[str]:
-    """What happened in rows whose value does not say it, and what a row out of its range means, by who bounds it."""
-    said = [f"{row.name}: {row.note}" for row in rows if row.note]
-    red = dict.fromkeys(row.bound for row in rows if row.red)
-    other = dict.fromkeys(row.bound for row in rows if not row.ok and not row.red)
-    return [
-        *said,
-        *(f"RED, bound by {bound}: {_MEANS[bound]}" for bound in red),
-        *(f"other, bound by {bound}: {_OTHER}" for bound in other),
-    ]
-
-
-def _compared(plant: str, rates: Sequence[int], rows: Sequence[Change]) -> Table:
-    out = _frame(f"{plant}: {sum(row.ok for row in rows)} of {len(rows)} rows change little")
+def _compared_table(plant: str, rates: Sequence[int], rows: Sequence[Change]) -> Table:
+    out = _table(f"{plant}: {sum(row.ok for row in rows)} of {len(rows)} rows change little")
     for rate in rates:
         out.add_column(f"{rate} Hz", justify="right")
     out.add_column("change", justify="right")
@@ -220,10 +229,9 @@ def _compared(plant: str, rates: Sequence[int], rows: Sequence[Change]) -> Table
     return out
 
 
-def _frame(title: str) -> Table:
-    name = Column("row", overflow="fold")
+def _table(title: str) -> Table:
     return Table(
-        name,
+        Column("row", overflow="fold"),
         title=title,
         title_justify="left",
         box=box.SIMPLE_HEAD,
@@ -232,33 +240,9 @@ def _frame(title: str) -> Table:
     )
 
 
-_HZ_OF_FIT = 120
-_CHAIR = re.compile(r"(?ms)^\[chair\][^\n]*\n?(.*?)(?=^\[|\Z)")
-_LATE_TICKS = 4  # of world.action_delay_ticks that are tried, from 0 on
-
-
-@dataclass
-class _FitOptions:
-    """Fit the controller's numbers to recorded drives of a chair; say how well they repeat the drives."""
-
-    drives: Annotated[tuple[Path, ...], Positional, arg(metavar="NAME.joy.csv [...]")]
-    """Recorded sticks (t_s,axis0,axis1), each beside its NAME.odom.csv (t_s,v_mps,w_radps); .gz may follow."""
-    hold_out: str = ""
-    """Words of file names, whole between _ . and -, separated by commas: a fit leaves out the drives of each."""
-    base: str = "rwd"
-    """Chair (plant) for --plant and --out."""
-    plant: Flag = False
-    """Drive that chair in PyBullet by the sticks, with the fitted numbers."""
-    picture: Annotated[Path | None, arg(metavar="FILE"), Writes()] = None
-    """Draw the longest drive, measured and simulated: .png or .svg."""
-    out: Annotated[Path | None, arg(metavar="FILE.toml"), Writes(".toml", new=True)] = None
-    """Write that chair with the fitted numbers, for chair.plant."""
-    json: OutFile = None
-    """Write the result to this file."""
-
-
 def _fit(options: _FitOptions) -> int:
     """Fit, compare, print, write."""
+    # 1. Refuse what cannot be used, before the engine is loaded.
     if not options.drives:
         raise ConfigError("chair fit got no file; expected recorded drives, such as walk.joy.csv")
     if options.picture is not None:
@@ -268,36 +252,40 @@ def _fit(options: _FitOptions) -> int:
             )
         check_installed("--picture needs matplotlib", "report", "matplotlib")
     read_plant(options.base)
-    chair = _driving(options.base, _HZ_OF_FIT).chair
+    chair = _setup(options.base, _FIT_HZ).chair
     from wcsim.chair_check.drive_fit import DELAY_S, fit_drives, later, law_motion, motion_errors
     from wcsim.chair_check.stick_drives import read_stick_drives
 
+    # 2. Fit; then compare the drives with the law as fitted, as set, and fitted to other drives.
     drives = read_stick_drives(options.drives)
-    left_out = _errors_left_out(drives, options.hold_out)
+    left_out = _left_out_errors(drives, options.hold_out)
     with stderr_console().status("fitting"):
         fit = fit_drives(drives)
-    was, made = {**dict(chair), DELAY_S: 0.0}, {"law": law_motion(drives, fit.values)}
+    as_set = {**dict(chair), DELAY_S: 0.0}
+    motions = {"law": law_motion(drives, fit.values)}
     errors = {
-        "all, fitted": motion_errors(drives, made["law"]),
-        f"all, as {options.base} is set": motion_errors(drives, law_motion(drives, was)),
+        "all, fitted": motion_errors(drives, motions["law"]),
+        f"all, as {options.base} is set": motion_errors(drives, law_motion(drives, as_set)),
         **left_out,
     }
+    # 3. The whole chair in PyBullet with the fitted numbers, which obeys some ticks late.
     rounded = {name: float(f"{value:.4g}") for name, value in fit.values.items() if name != DELAY_S}
-    own = chair.model_copy(update=rounded | {"profile": "custom"})
-    ridden = _ridden(drives, own) if options.plant else []
-    for ticks in range(_LATE_TICKS) if ridden else ():
-        late = [later(motion, ticks * TICK_S) for motion in ridden]
-        errors[f"{options.base}, {ticks} ticks late"] = motion_errors(drives, late)
-    if ridden:
-        made[f"{options.base} in PyBullet"] = [
-            later(motion, fit.values[DELAY_S]) for motion in ridden
+    fitted = chair.model_copy(update=rounded | {"profile": "custom"})
+    if options.plant:
+        driven = _drive_plant(drives, fitted)
+        for ticks in range(_DELAYS_TICKS):
+            late = [later(motion, ticks * TICK_S) for motion in driven]
+            errors[f"{options.base}, {ticks} ticks late"] = motion_errors(drives, late)
+        motions[f"{options.base} in PyBullet"] = [
+            later(motion, fit.values[DELAY_S]) for motion in driven
         ]
-    _print_fit(fit, was, errors)
+    # 4. Print, draw, write.
+    _print_fit(fit, as_set, errors)
     if options.picture is not None:
-        _draw_fit(options.picture, drives, made)
+        _draw_longest(options.picture, drives, motions)
     if options.out is not None:
-        told = f"fitted to {len(drives)} drives; from stick to wheels {fit.values[DELAY_S]:.2f} s"
-        _write_plant(options.out, own, rounded, told)
+        note = f"fitted to {len(drives)} drives; from stick to wheels {fit.values[DELAY_S]:.2f} s"
+        _write_plant(options.out, fitted, rounded, note)
     numbers = {name: [value, *fit.intervals.get(name, ())] for name, value in fit.values.items()}
     write_json(
         options.json,
@@ -306,91 +294,105 @@ def _fit(options: _FitOptions) -> int:
     return 0
 
 
-def _errors_left_out(drives: Sequence[StickDrive], words: str) -> dict[str, MotionErrors]:
-    """Errors on the drives in whose names each word is, by the fit to the rest; and all of them together.
+def _left_out_errors(drives: Sequence[StickDrive], words: str) -> dict[str, MotionErrors]:
+    """Errors on the drives of each word, by a fit to the rest; then on all of these together.
 
-    Raises ConfigError where a word, whole between `_`, `.` and `-`, is in no name, or in all.
+    Raises:
+        ConfigError: A word, whole between `_`, `.` and `-`, is in no name, or in all.
     """
     from wcsim.chair_check.drive_fit import fit_drives, law_motion, motion_errors
 
-    parts, found = {}, {}
+    # All words are checked before the first fit.
+    chosen: dict[str, list[bool]] = {}
     for word in words_of(words):
         whole = re.compile(rf"(^|[_.-]){re.escape(word)}($|[_.-])")
-        parts[word] = [whole.search(drive.name) is not None for drive in drives]
-        if not 0 < sum(parts[word]) < len(drives):
-            told = f"--hold-out {word!r} is a word of {sum(parts[word])} of {len(drives)} names"
-            raise ConfigError(f"{told}; expected some, not all")
-    driven: list[StickDrive] = []
-    moved: list[F64] = []
-    for word, out in parts.items():
-        left, rest = [*compress(drives, out)], [*compress(drives, [not gone for gone in out])]
+        chosen[word] = [whole.search(drive.name) is not None for drive in drives]
+        count = sum(chosen[word])
+        if not 0 < count < len(drives):
+            raise ConfigError(
+                f"--hold-out {word!r} is a word of {count} of {len(drives)} names; "
+                "expected some, not all"
+            )
+    errors: dict[str, MotionErrors] = {}
+    all_left: list[StickDrive] = []
+    all_motions: list[F64] = []
+    for word, is_left_out in chosen.items():
+        left = [*compress(drives, is_left_out)]
+        rest = [*compress(drives, [not out for out in is_left_out])]
         with stderr_console().status(f"fitting without {word}"):
             motions = law_motion(left, fit_drives(rest, draws=0).values)
-        found[f"{word}, left out"] = motion_errors(left, motions)
-        driven, moved = [*driven, *left], [*moved, *motions]
-    return {**found, "each left out": motion_errors(driven, moved)} if parts else {}
+        errors[f"{word}, left out"] = motion_errors(left, motions)
+        all_left += left
+        all_motions += motions
+    if chosen:
+        errors["each left out"] = motion_errors(all_left, all_motions)
+    return errors
 
 
-def _ridden(drives: Sequence[StickDrive], chair: ChairConfig) -> list[F64]:
-    """What the whole chair does in PyBullet, of each drive."""
+def _drive_plant(drives: Sequence[StickDrive], chair: ChairConfig) -> list[F64]:
+    """The motion of the whole chair in PyBullet, for each drive."""
     from wcsim.chair_check.drive_fit import plant_motion
 
+    work = partial(plant_motion, setup=Setup(chair=chair, hz=_FIT_HZ))
     with stderr_console().status(f"driving {chair.plant} in PyBullet"):
-        found = dict(
-            run_in_pool(
-                partial(plant_motion, setup=Setup(chair=chair, hz=_HZ_OF_FIT)), drives, _WORKERS
-            )
-        )
+        found = dict(run_in_pool(work, drives, _WORKERS))
     return [found[place] for place in range(len(drives))]
 
 
-def _print_fit(fit: DriveFit, was: Mapping[str, float], errors: Mapping[str, MotionErrors]) -> None:
+def _print_fit(
+    fit: DriveFit, as_set: Mapping[str, float], errors: Mapping[str, MotionErrors]
+) -> None:
     numbers = []
     for name, value in fit.values.items():
         span = [f"{number:.4g}" for number in fit.intervals.get(name, ())] or ["-", "-"]
-        numbers.append((name, f"{value:.4g}", *span, f"{was[name]:.4g}"))
+        numbers.append((name, f"{value:.4g}", *span, f"{as_set[name]:.4g}"))
     show_table(("number", "fitted", "95 % from", "to", "without"), numbers, box=box.SIMPLE_HEAD)
     rows = []
     for name, item in errors.items():
         shares = (f"{share:.1%}" for share in (item.speed_explained, item.turn_explained))
         rows.append((name, f"{item.speed_rms_mps:.3f}", f"{item.turn_rms_radps:.3f}", *shares))
-    show_table(
-        ("drives", "m/s rms", "rad/s rms", "speed explained", "turn"), rows, box=box.SIMPLE_HEAD
-    )
+    headings = ("drives", "m/s rms", "rad/s rms", "speed explained", "turn")
+    show_table(headings, rows, box=box.SIMPLE_HEAD)
 
 
-def _draw_fit(path: Path, drives: Sequence[StickDrive], made: Mapping[str, Sequence[F64]]) -> None:
-    """The longest drive."""
+def _draw_longest(
+    path: Path, drives: Sequence[StickDrive], motions: Mapping[str, Sequence[F64]]
+) -> None:
+    """Draw the longest drive, as measured and as simulated."""
     from wcsim.chair_check.stick_drives import STEP_S
     from wcsim.view.report.figures import motion_chart  # loads matplotlib
 
-    place = max(range(len(drives)), key=lambda k: len(drives[k].motion))
-    shown = {name: motions[place] for name, motions in made.items()}
+    place = max(range(len(drives)), key=lambda index: len(drives[index].motion))
+    drive = drives[place]
+    shown = {name: each[place] for name, each in motions.items()}
     with result_file(path) as part:
-        motion_chart(part, path.suffix[1:], drives[place].name, STEP_S, drives[place].motion, shown)
+        motion_chart(part, path.suffix[1:], drive.name, STEP_S, drive.motion, shown)
 
 
-def _write_plant(path: Path, own: ChairConfig, numbers: Mapping[str, float], head: str) -> None:
-    """The plant's file with these numbers in its [chair]. Raises ConfigError where they are beyond its limits."""
+def _write_plant(path: Path, own: ChairConfig, numbers: Mapping[str, float], note: str) -> None:
+    """Write the plant's file with these numbers in its [chair].
+
+    Raises:
+        ConfigError: They are beyond its limits.
+    """
     from wcsim.physics.wheelchair.plant import plant_spec  # loads the engine, which --help must not
 
     plant_spec(own)
     text = read_text(plant_path(own.plant), SETTINGS)
-    table = _CHAIR.search(text)
-    begin, end = table.span() if table else (len(text), len(text))
-    kept = re.sub(
-        rf"(?m)^[ \t]*({'|'.join(numbers)}|profile)[ \t]*=.*\n?", "", table[1] if table else ""
-    )
+    section = _CHAIR_SECTION.search(text)
+    start, end = section.span() if section else (len(text), len(text))
+    # Its other numbers stay, with their comments.
+    replaced = rf"(?m)^[ \t]*({'|'.join(numbers)}|profile)[ \t]*=.*\n?"
+    others = re.sub(replaced, "", section[1] if section else "")
     lines = [
-        text[:begin].rstrip(),
+        text[:start].rstrip(),
         "",
-        f"[chair] # {head}",
+        f"[chair] # {note}",
         *(f"{name} = {value:g}" for name, value in numbers.items()),
+        others + text[end:],
     ]
-    made, where = (
-        "\n".join([*lines, kept + text[end:]]).rstrip() + "\n",
-        f"{escaped(own.plant)} with a new [chair]",
-    )
+    made = "\n".join(lines).rstrip() + "\n"
+    where = f"{escaped(own.plant)} with a new [chair]"
     parse(PlantFile, parse_toml(made, where, SETTINGS), where)
     with result_file(path) as part:
         part.write_text(made, encoding="utf-8")

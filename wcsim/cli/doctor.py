@@ -1,4 +1,4 @@
-"""`wcsim doctor`: does everything that wcsim needs work on this machine? `wcsim cache`: where streets are kept."""
+"""`wcsim doctor`: does all that wcsim needs work on this machine? `wcsim cache`: built streets."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Final
 
 from rich.table import Column
 
@@ -21,18 +22,19 @@ from wcsim.core.reading import counted, escaped
 from wcsim.core.sources import version_of
 from wcsim.errors import ConfigError, WcsimError
 
-PACKAGES = (
+PACKAGES: Final = (
     *("wcsim", "libsumo", "eclipse-sumo", "pybullet", "gymnasium", "numpy", "numba"),
     *("opencv-python-headless", "shapely", "onnxruntime"),
 )
-_TRAINS = ("torch", "stable-baselines3")
-_PYTHONS = ((3, 11), (3, 12), (3, 13))
-TICK_SECONDS = 5.0
-_FIRST_TICKS = (
-    10  # in a new installation these compile kernels, which says nothing of those that follow
-)
-_REAL_TIME_TICKS_PER_S = 10.0
-_MIN_SHM_BYTES = 32 << 20
+_TRAIN_PACKAGES: Final = ("torch", "stable-baselines3")
+_PYTHONS: Final = ((3, 11), (3, 12), (3, 13))
+TICK_SECONDS: Final = 5.0
+# Not measured: in a new installation they compile kernels.
+_FIRST_TICKS: Final = 10
+_REAL_TIME_TICKS_PER_S: Final = 10.0
+_MIN_SHM_BYTES: Final = 32 << 20
+_Finding = tuple[bool, str]
+"""Whether a check succeeded, and what it found."""
 
 
 @dataclass
@@ -47,50 +49,55 @@ class _Options:
     """Write the findings to this file."""
 
 
-_Finding = tuple[bool, str]  # whether a check came out well, and what it says
+@dataclass
+class _CacheOptions:
+    """Show the cache of streets, checked nets, machine code and generated places."""
+
+    clear: Flag = False
+    """Delete everything in it; what is needed is built again. Running worlds continue."""
+    json: OutFile = None
+    """Write the result to this file."""
 
 
 def run(words: list[str]) -> int:
     """Run the checks; exit code 2 when one fails."""
     options = parse(_Options, words, "doctor")
     checks: dict[str, Callable[[], _Finding]] = {
-        "python": _python,
-        "packages": _versions,
-        "sumo": _sumo,
-        "threads": _threads,
-        "shared memory": _shared_memory,
-        "tick rate": lambda: _ticks(options.town, options.seed),
-        "cache": _cache,  # the street of that town is in it by now
+        "python": _check_python,
+        "packages": _check_packages,
+        "sumo": _check_sumo,
+        "threads": _check_threads,
+        "shared memory": _check_shared_memory,
+        "tick rate": lambda: _check_tick_rate(options.town, options.seed),
+        # After the tick rate, which puts the town's street into it.
+        "cache": _check_cache,
     }
     findings = {name: check() for name, check in checks.items()}
-    rows = ((name, "ok" if ok else "FAILS", says) for name, (ok, says) in findings.items())
+    rows = ((name, "ok" if ok else "FAILS", text) for name, (ok, text) in findings.items())
     show_table(("check", "", Column("found", overflow="fold")), rows)
     write_json(
-        options.json, {name: {"ok": ok, "says": says} for name, (ok, says) in findings.items()}
+        options.json, {name: {"ok": ok, "says": text} for name, (ok, text) in findings.items()}
     )
     return 0 if all(ok for ok, _ in findings.values()) else 2
 
 
-def _python() -> _Finding:
+def _check_python() -> _Finding:
     right = sys.version_info[:2] in _PYTHONS and sys.platform == "linux"
     return right, f"{sys.version.split()[0]} on {sys.platform}; needs 3.11, 3.12 or 3.13 on linux"
 
 
-def _versions() -> _Finding:
-    found = {name: version_of(name) for name in (*PACKAGES, *_TRAINS)}
+def _check_packages() -> _Finding:
+    found = {name: version_of(name) for name in (*PACKAGES, *_TRAIN_PACKAGES)}
     missing = [name for name in PACKAGES if not found[name]]
-    says = ", ".join(f"{name} {version}" for name, version in found.items() if version)
+    text = ", ".join(f"{name} {version}" for name, version in found.items() if version)
     if missing:
-        return False, f"{says}; MISSING: {', '.join(missing)} (pip install)"
-    light = (
-        ""
-        if all(found[name] for name in _TRAINS)
-        else "; it cannot train: pip install 'wcsim[train]'"
-    )
-    return True, says + light
+        return False, f"{text}; MISSING: {', '.join(missing)} (pip install)"
+    if not all(found[name] for name in _TRAIN_PACKAGES):
+        text += "; it cannot train: pip install 'wcsim[train]'"
+    return True, text
 
 
-def _sumo() -> _Finding:
+def _check_sumo() -> _Finding:
     from wcsim.towns.sumo.tools import run_tool
 
     try:
@@ -100,39 +107,42 @@ def _sumo() -> _Finding:
     return done.returncode == 0, done.output.strip().splitlines()[0]
 
 
-def _threads() -> _Finding:
+def _check_threads() -> _Finding:
     cores = len(os.sched_getaffinity(0))
     return cores >= 2, f"{cores} cores usable; needs 2"
 
 
-def _shared_memory() -> _Finding:
+def _check_shared_memory() -> _Finding:
     folder = Path("/dev/shm") if Path("/dev/shm").is_dir() else Path(tempfile.gettempdir())  # noqa: S108
     free = shutil.disk_usage(folder).free
-    says = f"{free >> 20} MiB free in {folder}; needs 32 MiB"
+    text = f"{free >> 20} MiB free in {folder}; needs 32 MiB"
     if free < _MIN_SHM_BYTES:
-        return False, says
+        return False, text
     try:
         with tempfile.TemporaryFile(dir=folder) as file:
             file.truncate(_MIN_SHM_BYTES)
             with mmap.mmap(file.fileno(), _MIN_SHM_BYTES) as block:
                 block[-1] = 1
     except (OSError, ValueError) as error:
-        return False, f"{says}; it cannot be used: {error}"
-    return True, says
+        return False, f"{text}; it cannot be used: {error}"
+    return True, text
 
 
-def _cache() -> _Finding:
+def _check_cache() -> _Finding:
     from wcsim.towns.cache.folder import cache_facts, shown_cache
 
     facts = cache_facts()
     size_mb = facts.size_bytes / 1e6
-    says = f"{facts.streets} streets, {size_mb:.0f} MB in {shown_cache()}; wcsim cache --clear empties it"
+    text = (
+        f"{facts.streets} streets, {size_mb:.0f} MB in {shown_cache()}; "
+        "wcsim cache --clear empties it"
+    )
     if not can_be_written(facts.folder):
-        says += "; it is read-only, so each world builds its street again"
-    return True, says
+        text += "; it is read-only, so each world builds its street again"
+    return True, text
 
 
-def _ticks(town: str, seed: int) -> _Finding:
+def _check_tick_rate(town: str, seed: int) -> _Finding:
     from wcsim.config import resolve
     from wcsim.towns.scenario.town import find_town
     from wcsim.types import SeatSpec
@@ -152,20 +162,11 @@ def _ticks(town: str, seed: int) -> _Finding:
                 next(steps)
                 ticks += 1
             rate = ticks / (time.perf_counter() - ready)
-            says = f"{rate:.0f} ticks/s in {town}, ready after {ready - started:.1f} s; real time is 10"
-            return rate >= _REAL_TIME_TICKS_PER_S, says
+            ready_s = f"ready after {ready - started:.1f} s"
+            text = f"{rate:.0f} ticks/s in {town}, {ready_s}; real time is 10"
+            return rate >= _REAL_TIME_TICKS_PER_S, text
     except WcsimError as error:
         return False, str(error)
-
-
-@dataclass
-class _CacheOptions:
-    """Show the cache of streets, checked nets, machine code and generated places."""
-
-    clear: Flag = False
-    """Delete everything in it; what is needed is built again. Running worlds continue."""
-    json: OutFile = None
-    """Write the result to this file."""
 
 
 def cache(words: list[str]) -> int:
@@ -176,11 +177,11 @@ def cache(words: list[str]) -> int:
     before = cache_facts()
     left = clear_cache() if options.clear else before
     checked = counted(before.verdicts, "checked net or scenario", "checked nets and scenarios")
-    kept = f"{counted(before.streets, 'street')}, {checked}, {counted(before.kernels, 'kernel')}"
-    kept += (
-        f", {counted(before.driven, 'generated place')} to drive in, {before.unfinished} unfinished"
+    content = (
+        f"{counted(before.streets, 'street')}, {checked}, {counted(before.kernels, 'kernel')}, "
+        f"{counted(before.driven, 'generated place')} to drive in, {before.unfinished} unfinished"
     )
-    print(f"{escaped(before.folder)}: {kept}, {before.size_bytes / 1e6:.1f} MB")
+    print(f"{escaped(before.folder)}: {content}, {before.size_bytes / 1e6:.1f} MB")
     if options.clear:
         print(f"removed {(before.size_bytes - left.size_bytes) / 1e6:.1f} MB")
     else:
@@ -191,6 +192,7 @@ def cache(words: list[str]) -> int:
     )
     if options.clear and left.size_bytes:
         raise ConfigError(
-            f"{escaped(left.folder)}: {left.size_bytes} bytes are left; expected files that you may remove"
+            f"{escaped(left.folder)}: {left.size_bytes} bytes are left; expected files that you "
+            "may remove"
         )
     return 0

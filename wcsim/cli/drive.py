@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Final
 
 from tyro.conf import arg
 
@@ -15,31 +15,24 @@ from wcsim.drive.driven import LEAST_SENSITIVITY, LEAST_SPEED, MOST_SENSITIVITY
 from wcsim.errors import ConfigError
 from wcsim.towns.scenario.town import find_town
 
-_PLACE = (
-    "town",
-    "policy",
-    "network",
-    "profile",
-    "seed",
-    "suite",
-    "block",
-    "seat",
-    "speed",
-    "sensitivity",
-)  # where and with whom
-_LOADING = "loading the simulator and the page ..."
+# The options that a drive starts with; the others are about the page and the recording.
+_OF_DRIVE: Final = (
+    *("town", "policy", "network", "profile", "seed"),
+    *("suite", "block", "seat", "speed", "sensitivity"),
+)
+_LOADING: Final = "loading the simulator and the page ..."
 
 
 @dataclass(kw_only=True)
 class _AssistedOptions(PageOptions):
-    """Who assists, and what is kept of it."""
+    """The policy that assists, the user's stick, and the recording."""
 
     policy: str = "dwa"
-    """The policy that assists: a run, shipped, a baseline, or your own module:Class; follow does not assist."""
+    """The policy that assists: a run, shipped, a baseline, or your own module:Class; follow does not assist."""  # noqa: E501
     network: str = ""
     """Your own network as module:Class, for a run that was trained with it."""
     profile: str = ""
-    """The simulated user, who drives when you select it on the page; by default that of the episode."""
+    """The simulated user, who drives when you select it on the page; by default that of the episode."""  # noqa: E501
     speed: Annotated[float, Bounds(LEAST_SPEED, 1.0)] = 1.0
     """Speed of your stick, a share of all; on the page you can change it, as the next."""
     sensitivity: Annotated[float, Bounds(LEAST_SENSITIVITY, MOST_SENSITIVITY)] = 1.0
@@ -56,7 +49,7 @@ class _Options(_AssistedOptions):
 
     With `--suite LIST` you start with an episode of a list, with `--study FILE` you run a study
     (`wcsim drive --suite dev -h`, `wcsim drive --study assistance -h`).
-    """
+    """  # noqa: E501
 
     town: SomeTown = "helsinki"
     """A town's name, its folder, or a .sumocfg file."""
@@ -98,25 +91,25 @@ def run(words: list[str]) -> int:
     """Serve the page until Ctrl-C."""
     if says(words, "--set"):
         raise ConfigError(
-            "drive has no option --set: settings and chair come from the policy; expected --policy RUN, a run that was "
-            "trained with your settings: wcsim train --set ... --out RUN"
+            "drive has no option --set: settings and chair come from the policy; expected "
+            "--policy RUN, a run that was trained with your settings: wcsim train --set ... --out "
+            "RUN"
         )
     if says(words, "--study"):
         return _study(parse(_StudyOptions, words, "drive"))
-    options: _AssistedOptions = parse(
-        _EpisodeOptions if says(words, "--suite") else _Options, words, "drive"
-    )
+    kind: type[_AssistedOptions] = _EpisodeOptions if says(words, "--suite") else _Options
+    options = parse(kind, words, "drive")
     require_policy(options.policy, options.network, alone=True)
     if options.profile:
         require_user(options.profile)
     if isinstance(options, _Options):
         find_town(options.town)
-    place = {name: value for name, value in vars(options).items() if name in _PLACE}
+    chosen = {name: value for name, value in vars(options).items() if name in _OF_DRIVE}
     print(_LOADING, flush=True)
     from wcsim.drive.runner import DriveOrder  # loads the simulators, which --help must not
     from wcsim.drive.starting import DriveStart, check_recordable, checked
 
-    start = DriveStart(**{"seed": _Options.seed, **place})
+    start = DriveStart(**{"seed": _Options.seed, **chosen})
     if options.record is not None:
         check_recordable(start)
     return serve_page(DriveOrder(start=checked(start), keep=options.record), options)
@@ -130,7 +123,5 @@ def _study(options: _StudyOptions) -> int:
     study = open_study(
         options.study, options.participant, options.out, options.policy, options.network
     )
-    return serve_page(
-        DriveOrder(start=study_start(study.file, study.file.places[0], study.network), keep=study),
-        options,
-    )
+    start = study_start(study.file, study.file.places[0], study.network)
+    return serve_page(DriveOrder(start=start, keep=study), options)

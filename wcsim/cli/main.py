@@ -1,4 +1,4 @@
-"""The `wcsim` command: finds the subcommand's file, loads only that, and turns expected errors into two lines."""
+"""The `wcsim` command: loads the subcommand it is given, and turns expected errors into a line."""
 
 from __future__ import annotations
 
@@ -23,92 +23,42 @@ from wcsim.cli.shared.exit_codes import Exit, exit_of
 from wcsim.core.reading import escaped, has_surrogates
 from wcsim.errors import ConfigError, WcsimError, meant
 
-_PATHS: Final = frozenset(
+_PATH_ERRORS: Final = frozenset(
     {
         *(errno.ENOENT, errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR, errno.EISDIR),
         *(errno.EEXIST, errno.ENAMETOOLONG, errno.ELOOP, errno.ENXIO, errno.ENODEV, errno.ESTALE),
     }
 )
-_NOTHING: Final = Path(os.devnull)
+_NULL_DEVICE: Final = Path(os.devnull)
+# In a narrower terminal the help is laid out for minutes.
 _LEAST_COLUMNS: Final = 40
-_TRAINS: Final = ("torch", "stable_baselines3", "onnx")
+_TRAIN_PACKAGES: Final = ("torch", "stable_baselines3", "onnx")
 _PACKAGE: Final = Path(__file__).parents[1]
-
-
-def _require_streams() -> None:
-    """Put the empty device in the place of a stream that is closed, else the next file that is opened would be it.
-
-    A terminal of a few columns counts as one of 40: in less the help is laid out for minutes.
-
-    Raises:
-        ConfigError: Standard output is closed.
-    """
-    if shutil.get_terminal_size().columns < _LEAST_COLUMNS:
-        os.environ["COLUMNS"] = str(_LEAST_COLUMNS)
-    for number in range(3):
-        try:
-            os.fstat(number)
-        except OSError:
-            os.open(_NOTHING, os.O_RDWR)  # the lowest number that is free
-    sys.stdin = sys.stdin or _NOTHING.open(encoding="utf-8")
-    sys.stderr = sys.stderr or _NOTHING.open("w", encoding="utf-8")
-    if sys.stdout is None:
-        sys.stdout = _NOTHING.open("w", encoding="utf-8")
-        raise ConfigError("standard output is closed; if you do not need it, add: > /dev/null")
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="backslashreplace")  # a terminal may know few letters
-
-
-def _told_cause(error: Exception) -> tuple[str, Exit]:
-    """What to do about an error whose cause is around the command, and how that ends; "" for a fault of ours."""
-    from wcsim.server.protocol.limits import limit_message  # as seldom wanted as this is
-
-    limit = limit_message(error)
-    if limit:
-        return limit, Exit.FAILED
-    if isinstance(error, ModuleNotFoundError) and error.name in _TRAINS:
-        needs = f"to train and to load networks this needs {error.name}, which is not installed"
-        return f"{needs}: pip install 'wcsim[train]'", Exit.REFUSED
-    last = [frame for frame, _ in traceback.walk_tb(error.__traceback__)][-1:]
-    variables = [name for name in os.environ if name.startswith("NUMBA_")]
-    of_numba = any(frame.f_globals["__name__"].startswith("numba.") for frame in last)
-    if isinstance(error, ValueError) and variables and of_numba:
-        return (
-            f"numba refuses its settings ({escaped(error)}); try again after: unset {' '.join(variables)}",
-            Exit.REFUSED,
-        )
-    told = _told_path(error) if isinstance(error, OSError) and error.errno in _PATHS else ""
-    ours = any(
-        frame.f_code.co_name == "_execute_child" for frame in last
-    )  # of subprocess: a program that we want
-    return (told, Exit.REFUSED) if told and not ours else ("", Exit.FAILED)
-
-
-def _told_path(error: OSError) -> str:
-    """What to do about a path that cannot be used; "" for one of the package."""
-    try:
-        Path.cwd()
-    except OSError:
-        return "the working folder does not exist any more; change to another one: cd"
-    path = error.filename2 or error.filename
-    if not isinstance(path, str | bytes) or _PACKAGE in Path(os.fsdecode(path)).parents:
-        return ""
-    told = f"{escaped(os.fsdecode(path))}: {error.strerror}"
-    return f"{told}; choose another path, or make this one usable"
+# Command and option of version 0.1, and what to type instead.
+_FORMER: Final = {
+    "train --network": "wcsim train-q --network NAME",
+    "train --reward": "wcsim train-q --reward module:Class",
+    "train --resume": "wcsim resume RUN",
+    "replay --verify": "wcsim log verify LOG",
+    "replay --first-difference": "wcsim log compare LOG LOG",
+    "replay --mcap": "wcsim log convert LOG FILE.mcap",
+    "replay --fcd": "wcsim log convert LOG FILE.xml",
+    "bench chair": "wcsim chair check",
+    "bench ": "python -m benchmarks NAME, in a checkout",
+}
 
 
 @dataclass(frozen=True, slots=True)
 class _Subcommand:
-    """One line of the help, and the module that does the work with `run(arguments)`, or with the function it names."""
+    """One line of the help, and the module with `run(words)`, or `module:function`."""
 
     name: str
     module: str  # below wcsim.cli
-    task: str  # what it is for: the group that it stands in
-    says: str
+    task: str  # the group of the help that it belongs to
+    summary: str
 
 
-SUBCOMMANDS = (
+SUBCOMMANDS: Final = (
     _Subcommand(
         "demo", "training.demo", "learn", "train a network, and see what its help is worth"
     ),
@@ -176,21 +126,8 @@ SUBCOMMANDS = (
 )
 
 
-FORMER = {  # command and option of version 0.1, and what to type instead
-    "train --network": "wcsim train-q --network NAME",
-    "train --reward": "wcsim train-q --reward module:Class",
-    "train --resume": "wcsim resume RUN",
-    "replay --verify": "wcsim log verify LOG",
-    "replay --first-difference": "wcsim log compare LOG LOG",
-    "replay --mcap": "wcsim log convert LOG FILE.mcap",
-    "replay --fcd": "wcsim log convert LOG FILE.xml",
-    "bench chair": "wcsim chair check",
-    "bench ": "python -m benchmarks NAME, in a checkout",
-}
-
-
 class _Terminated(KeyboardInterrupt):
-    """Raised when somebody asks the command to end by SIGTERM."""
+    """Raised in the main thread by SIGTERM."""
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -199,35 +136,41 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def guarded(work: Callable[[list[str]], int], arguments: list[str] | None) -> int:
-    """Give the words of a command line to `work`, the process's own if there are none; returns the exit code."""
+    """Run `work` on the words of a command line, by default the process's own.
+
+    Returns:
+        The exit code; errors that are expected end with a line on standard error.
+    """
+    own_process = arguments is None
+    words = sys.argv[1:] if arguments is None else arguments
     try:
-        with _orderly_end(own_process=arguments is None):
-            code = _run(
-                work,
-                sys.argv[1:] if arguments is None else arguments,
-                own_process=arguments is None,
-            )
-            if arguments is None and code in (Exit.STOPPED, Exit.INTERRUPTED, Exit.TERMINATED):
-                _end_undisturbed()
+        with _sigterm_interrupts(own_process):
+            code = _run(work, words, own_process)
+            stopped = code in (Exit.STOPPED, Exit.INTERRUPTED, Exit.TERMINATED)
+            if own_process and stopped and _in_main_thread():
+                # A further signal may not change the code of a process that ends as requested.
+                for number in (signal.SIGINT, signal.SIGTERM):
+                    signal.signal(number, signal.SIG_IGN)
         sys.stdout.flush()
         return code
-    except BrokenPipeError:  # whoever read the output, as `head` does, has seen enough
+    except BrokenPipeError:
+        # The reader of the output, such as `head`, has closed it: nothing may be flushed at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return Exit.BROKEN_PIPE
 
 
 @contextmanager
-def _orderly_end(own_process: bool) -> Iterator[None]:
-    """While open, a first SIGTERM ends the command as Ctrl-C does, so that nothing half-done stays behind.
+def _sigterm_interrupts(own_process: bool) -> Iterator[None]:
+    """While open, a first SIGTERM ends the command as Ctrl-C does, so that nothing half-done stays.
 
-    What is ignored at the end stays so if the process ends with the command.
+    Signals that are ignored in the end stay ignored if the process ends with the command.
     """
     before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT)}
     default = before[signal.SIGTERM] is signal.SIG_DFL
-    if not default or threading.current_thread() is not threading.main_thread():
+    if not default or not _in_main_thread():
         yield
         return
-    signal.signal(signal.SIGTERM, _terminate)
+    signal.signal(signal.SIGTERM, _raise_terminated)
     try:
         yield
     finally:
@@ -236,34 +179,26 @@ def _orderly_end(own_process: bool) -> Iterator[None]:
                 signal.signal(number, handler)
 
 
-def _terminate(_number: int, _frame: FrameType | None) -> None:
+def _raise_terminated(_number: int, _frame: FrameType | None) -> None:
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     raise _Terminated
 
 
-def _run_command(words: list[str]) -> int:
-    for said in (f"{' '.join(words[:1])} {word.partition('=')[0]}" for word in (*words[1:], "")):
-        if said in FORMER:
-            raise ConfigError(
-                f"wcsim {said.strip()} is of version 0.1; type instead: {FORMER[said]}"
-            )
-    chosen = next((item for item in SUBCOMMANDS if words and item.name == words[0]), None)
-    if chosen is None:
-        return _no_subcommand(words)
-    module, _, work = chosen.module.partition(":")
-    return int(
-        getattr(importlib.import_module(f"wcsim.cli.{module}"), work or "run")(words[1:])
-        or Exit.DONE
-    )
+def _in_main_thread() -> bool:
+    """Whether this thread may set signal handlers."""
+    return threading.current_thread() is threading.main_thread()
 
 
 def _run(work: Callable[[list[str]], int], words: list[str], own_process: bool) -> int:
+    """Run `work`; the exit code of its result or of the error that it raised."""
     try:
         if own_process:
-            _require_streams()
-        for word in filter(has_surrogates, words):  # no record of ours could name it
+            _prepare_streams()
+        for word in filter(has_surrogates, words):
+            # No record of a run could hold it.
             raise ConfigError(
-                f"argument '{escaped(word)}' is not valid UTF-8; rename that file, or set LANG=C.UTF-8"
+                f"argument '{escaped(word)}' is not valid UTF-8; "
+                "rename that file, or set LANG=C.UTF-8"
             )
         return work(words)
     except WcsimError as error:
@@ -278,42 +213,67 @@ def _run(work: Callable[[list[str]], int], words: list[str], own_process: bool) 
     except BrokenPipeError:
         raise
     except Exception as error:
-        told, code = _told_cause(error)
-        if not told:
+        message, code = _explain(error)
+        if not message:
             raise
-        print(f"wcsim: {told}", file=sys.stderr)
+        print(f"wcsim: {message}", file=sys.stderr)
         return code
-    except SystemExit as leave:  # from the parser of options: 0 after --help, 2 after a mistake
+    except SystemExit as leave:
+        # From the parser of options: 0 after --help, 2 after a mistake.
         return leave.code if isinstance(leave.code, int) else Exit.REFUSED
 
 
-def _printable(text: str) -> str:
-    """What may hold words of others, without what a terminal obeys; lines stay lines."""
-    return "\n".join(escaped(line, len(line) * 10) for line in text.split("\n"))
+def _prepare_streams() -> None:
+    """Open the null device for each closed standard stream, and widen a narrow terminal.
+
+    Otherwise the next file that is opened would become the closed stream.
+
+    Raises:
+        ConfigError: Standard output is closed.
+    """
+    if shutil.get_terminal_size().columns < _LEAST_COLUMNS:
+        os.environ["COLUMNS"] = str(_LEAST_COLUMNS)
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            # It gets the lowest free number, which is this one.
+            os.open(_NULL_DEVICE, os.O_RDWR)
+    sys.stdin = sys.stdin or _NULL_DEVICE.open(encoding="utf-8")
+    sys.stderr = sys.stderr or _NULL_DEVICE.open("w", encoding="utf-8")
+    if sys.stdout is None:
+        sys.stdout = _NULL_DEVICE.open("w", encoding="utf-8")
+        raise ConfigError("standard output is closed; if you do not need it, add: > /dev/null")
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            # A terminal may know few characters.
+            stream.reconfigure(errors="backslashreplace")
 
 
-def _end_undisturbed() -> None:
-    """The process ends as it was asked to: a further signal may not change the code that says so."""
-    if threading.current_thread() is threading.main_thread():
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, signal.SIG_IGN)
-
-
-def _no_subcommand(words: list[str]) -> int:
-    if not words or words[0] in ("-h", "--help", "help"):
+def _run_command(words: list[str]) -> int:
+    for option in (*words[1:], ""):
+        former = f"{' '.join(words[:1])} {option.partition('=')[0]}"
+        if former in _FORMER:
+            raise ConfigError(
+                f"wcsim {former.strip()} is of version 0.1; type instead: {_FORMER[former]}"
+            )
+    command = words[0] if words else "--help"
+    if command in ("-h", "--help", "help"):
         print(_usage())
         return Exit.DONE
-    if words[0] in ("-V", "--version"):
+    if command in ("-V", "--version"):
         from wcsim import __version__
 
         print(__version__)
         return Exit.DONE
-    names = [item.name for item in SUBCOMMANDS]
-    told = (
-        f"unknown command {words[0]!r}; expected one of: {', '.join(names)}{meant(words[0], names)}"
-    )
-    print(f"wcsim: {told}", file=sys.stderr)
-    return Exit.REFUSED
+    modules = {item.name: item.module for item in SUBCOMMANDS}
+    if command not in modules:
+        expected = f"expected one of: {', '.join(modules)}{meant(command, [*modules])}"
+        print(f"wcsim: unknown command {command!r}; {expected}", file=sys.stderr)
+        return Exit.REFUSED
+    module, _, function = modules[command].partition(":")
+    work = getattr(importlib.import_module(f"wcsim.cli.{module}"), function or "run")
+    return int(work(words[1:]) or Exit.DONE)
 
 
 def _usage() -> str:
@@ -321,6 +281,50 @@ def _usage() -> str:
     lines = ["usage: wcsim COMMAND [options]                (details: wcsim COMMAND --help)"]
     for _, group in groupby(SUBCOMMANDS, lambda item: item.task):
         for number, item in enumerate(group):
-            lines.append(f"{'' if number else item.task:<10}{item.name:<15}{item.says}")
-    ends = "Ends with 0 done, 1 failed, 2 refused: change the command, 3 stopped: resume it,"
-    return "\n".join([*lines, ends, "130 or 143 stopped by a signal with nothing to save."])
+            lines.append(f"{'' if number else item.task:<10}{item.name:<15}{item.summary}")
+    lines.append("Ends with 0 done, 1 failed, 2 refused: change the command, 3 stopped: resume it,")
+    lines.append("130 or 143 stopped by a signal with nothing to save.")
+    return "\n".join(lines)
+
+
+def _printable(text: str) -> str:
+    """Text of others without control characters, which a terminal would obey; lines stay lines."""
+    return "\n".join(escaped(line, len(line) * 10) for line in text.split("\n"))
+
+
+def _explain(error: Exception) -> tuple[str, Exit]:
+    """What to do about an error caused outside wcsim, and its code; "" for a fault of wcsim."""
+    from wcsim.server.protocol.limits import limit_message  # rarely needed
+
+    limit = limit_message(error)
+    if limit:
+        return limit, Exit.FAILED
+    if isinstance(error, ModuleNotFoundError) and error.name in _TRAIN_PACKAGES:
+        needs = f"to train and to load networks this needs {error.name}, which is not installed"
+        return f"{needs}: pip install 'wcsim[train]'", Exit.REFUSED
+    last = [frame for frame, _ in traceback.walk_tb(error.__traceback__)][-1:]
+    variables = [name for name in os.environ if name.startswith("NUMBA_")]
+    in_numba = any(frame.f_globals["__name__"].startswith("numba.") for frame in last)
+    if isinstance(error, ValueError) and variables and in_numba:
+        refused = f"numba refuses its settings ({escaped(error)})"
+        return f"{refused}; try again after: unset {' '.join(variables)}", Exit.REFUSED
+    # A program that wcsim itself starts and that is missing is no path of the user.
+    in_subprocess = any(frame.f_code.co_name == "_execute_child" for frame in last)
+    if isinstance(error, OSError) and error.errno in _PATH_ERRORS and not in_subprocess:
+        message = _explain_path(error)
+        if message:
+            return message, Exit.REFUSED
+    return "", Exit.FAILED
+
+
+def _explain_path(error: OSError) -> str:
+    """What to do about a path that cannot be used; "" for one of the package."""
+    try:
+        Path.cwd()
+    except OSError:
+        return "the working folder does not exist any more; change to another one: cd"
+    path = error.filename2 or error.filename
+    if not isinstance(path, str | bytes) or _PACKAGE in Path(os.fsdecode(path)).parents:
+        return ""
+    reason = f"{escaped(os.fsdecode(path))}: {error.strerror}"
+    return f"{reason}; choose another path, or make this one usable"

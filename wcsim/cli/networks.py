@@ -33,34 +33,29 @@ def run(words: list[str]) -> int:
     names = some_words("--names", options.names)
     for name in names:
         check_network(name)
-    from wcsim.agents.networks.costs import (
-        LIMIT_MS,
-        RESERVE_MS,
-        measure_cost,
-    )  # torch is loaded here
+    from wcsim.agents.networks.costs import LIMIT_MS, RESERVE_MS, measure_cost  # loads torch
 
     costs = [measure_cost(name, options.height, options.width, options.runs) for name in names]
-    headings = (
-        "network",
-        "window",
-        "params",
-        "MACs",
-        "MB",
-        "p50 ms",
-        "p99 ms",
-        "ONNX p50 ms",
-        "fits",
-    )
-    rows = (
-        (cost.name, str(cost.window), f"{cost.params:,}", f"{cost.macs / 1e6:.1f} M", f"{cost.mb:.1f}",
-         f"{cost.p50_ms:.2f}", f"{cost.p99_ms:.2f}", "-" if cost.onnx_p50_ms is None else f"{cost.onnx_p50_ms:.2f}",
-         "yes" if cost.within_100_ms else "no")
+    sizes = ("network", "window", "params", "MACs", "MB")
+    times = ("p50 ms", "p99 ms", "ONNX p50 ms", "fits")
+    rows = [
+        (
+            cost.name,
+            str(cost.window),
+            f"{cost.params:,}",
+            f"{cost.macs / 1e6:.1f} M",
+            f"{cost.mb:.1f}",
+            f"{cost.p50_ms:.2f}",
+            f"{cost.p99_ms:.2f}",
+            "-" if cost.onnx_p50_ms is None else f"{cost.onnx_p50_ms:.2f}",
+            "yes" if cost.within_100_ms else "no",
+        )
         for cost in costs
-    )  # fmt: skip
-    show_table(headings, rows)
+    ]
+    show_table((*sizes, *times), rows)
     print(
-        f"{options.width}x{options.height} pixels, one core; fits: a decision takes at most {LIMIT_MS:g} ms less "
-        f"{RESERVE_MS:g} ms, which a real chair needs to segment its pictures"
+        f"{options.width}x{options.height} pixels, one core; fits: a decision takes at most "
+        f"{LIMIT_MS:g} ms less {RESERVE_MS:g} ms, which a real chair needs to segment its pictures"
     )
     write_json(
         options.json, [{**asdict(cost), "within_100_ms": cost.within_100_ms} for cost in costs]

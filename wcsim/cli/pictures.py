@@ -1,10 +1,10 @@
-"""`wcsim look`, `snapshot` and `video`: pictures and films of a chair in a town, without any training."""
+"""`wcsim look`, `snapshot` and `video`: pictures and films of a chair in a town."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Final
 
 from tyro.conf import arg
 
@@ -26,12 +26,14 @@ from wcsim.towns.scenario.town import find_town
 if TYPE_CHECKING:  # loads the simulators, which --help must not
     from wcsim.view.filming import Shot
 
-MIN_SECONDS, MAX_SECONDS = 0.1, 3600.0
-OF_VIDEO = Keys(
+MIN_SECONDS: Final = 0.1
+MAX_SECONDS: Final = 3600.0
+_SET_KEYS: Final = Keys(
     {"env.profile": "its user is competent; for another, use `wcsim video --profile NAME`"}
 )
-_LOOK_PX = 640  # width of the camera's picture
-_SEARCH_S = 60.0  # of driving, at most, for a moment that shows a street
+_LOOK_PX: Final = 640  # width of the camera's picture
+# Of driving, at most, in search of a moment that shows a street.
+_SEARCH_S: Final = 60.0
 
 
 @dataclass
@@ -46,34 +48,34 @@ class _LookOptions:
     """Folder for TOWN-street.png, TOWN.png and TOWN.webm."""
     seconds: Annotated[float, Bounds(MIN_SECONDS, MAX_SECONDS)] = 10.0
     """Length of the film. It begins where a road, a kerb, a crossing and somebody are near, within the first minute;
-    the pictures show the moment with most of these in which the chair faces its route."""
-    set: Annotated[Repeated, OF_VIDEO] = ()
-    """section.key=value, over the settings, such as chair.plant=mine.toml; may be given several times."""
+    the pictures show the moment with most of these in which the chair faces its route."""  # noqa: E501
+    set: Annotated[Repeated, _SET_KEYS] = ()
+    """section.key=value, over the settings, such as chair.plant=mine.toml; may be given several times."""  # noqa: E501
 
 
 def look(words: list[str]) -> int:
-    """One drive: it is filmed from where it shows a street on, and its most telling moment is the picture."""
+    """Drive once: film it from where it shows a street, and picture the moment that shows most."""
     options = parse(_LookOptions, words, "look")
     town = find_town(options.town)
-    street, picture, video = (
-        options.out / f"{town.name}{kind}" for kind in ("-street.png", ".png", ".webm")
-    )
+    street = options.out / f"{town.name}-street.png"
+    picture = options.out / f"{town.name}.png"
+    video = options.out / f"{town.name}.webm"
     Writes().check("--out", video)
 
+    # These load the simulators, which --help must not.
     from wcsim.view.filming import BusiestMoment, FilmDriver, FilmedDrive
     from wcsim.view.pictures import write_png
-    from wcsim.view.street_pictures import (
-        StillPictures,
-    )  # these load the simulators, which --help must not
+    from wcsim.view.street_pictures import StillPictures
 
     with (
         told_if_made(video),
         StageBar("filming") as bar,
         FilmedDrive(town, options.seed, _LOOK_PX, FilmDriver(settings=options.set), video) as film,
     ):
+        # 1. Drive on to where the film begins; the chair from behind is drawn at busier moments.
         stills = StillPictures(film.world)
         busiest = BusiestMoment(film, stills.on_way)
-        seen, frames = stills.draw(), round(options.seconds / film.tick_s)
+        seen = stills.draw()
         before, most = 0, round(_SEARCH_S / film.tick_s)
         while not busiest.shows_all and before < most:
             film.drive()
@@ -81,8 +83,11 @@ def look(words: list[str]) -> int:
             bar.show(0.5 * before / most, "looking for a crossing and somebody near")
             if busiest.look(before * film.tick_s, stills.on_way):
                 seen = stills.draw()
+        # Something to look at while it is filmed.
         with result_file(street) as part:
-            write_png(part, seen)  # something to look at while it is filmed
+            write_png(part, seen)
+        # 2. Film.
+        frames = round(options.seconds / film.tick_s)
         for done in range(1, frames + 1):
             film.add()
             if busiest.look((before + done) * film.tick_s, stills.on_way):
@@ -90,11 +95,12 @@ def look(words: list[str]) -> int:
             bar.show(
                 0.5 + 0.5 * done / frames, f"second {done * film.tick_s:.0f} of {options.seconds:g}"
             )
+    # 3. Write the pictures.
     place = f"{options.town}, seed {options.seed}"
     with result_file(street) as part:
         write_png(part, seen)
     print(f"{street}: {place}, the chair from behind")
-    _keep_shot(picture, busiest.shot, place)
+    _write_shot(picture, busiest.shot, place)
     print(f"{video}: the chair's camera and a map, {options.seconds:g} s; a browser plays it")
     return 0
 
@@ -112,13 +118,13 @@ class _SnapshotOptions:
     width: int = 640
     """Width of each of the three images, in pixels."""
     seconds: Annotated[float, Bounds(0.0, MAX_SECONDS)] = 20.0
-    """Time to drive; the picture shows the moment with most of road, kerb, crossing and road users near in view."""
-    set: Annotated[Repeated, OF_VIDEO] = ()
-    """section.key=value, over the settings, such as chair.plant=mine.toml; may be given several times."""
+    """Time to drive; the picture shows the moment with most of road, kerb, crossing and road users near in view."""  # noqa: E501
+    set: Annotated[Repeated, _SET_KEYS] = ()
+    """section.key=value, over the settings, such as chair.plant=mine.toml; may be given several times."""  # noqa: E501
 
 
 def snapshot(words: list[str]) -> int:
-    """Take the picture at the most telling moment."""
+    """Take the picture at the moment that shows most."""
     options = parse(_SnapshotOptions, words, "snapshot")
     town = find_town(options.town)
 
@@ -130,18 +136,19 @@ def snapshot(words: list[str]) -> int:
         for done in range(1, max(1, round(options.seconds / film.tick_s)) + 1):
             film.drive()
             busiest.look(done * film.tick_s)
-    _keep_shot(options.out, busiest.shot, f"{options.town}, seed {options.seed}")
+    _write_shot(options.out, busiest.shot, f"{options.town}, seed {options.seed}")
     return 0
 
 
-def _keep_shot(out: Path, shot: Shot, place: str) -> None:
-    """Write a moment as a picture, and say what it shows."""
+def _write_shot(out: Path, shot: Shot, place: str) -> None:
+    """Write a moment as a picture, and print what it shows."""
     from wcsim.view.pictures import write_png
 
     with result_file(out) as part:
         write_png(part, shot.picture)
     print(
-        f"{out}: {place}, after {shot.after_s:.1f} s, {shot.in_view} actor{'s' * (shot.in_view != 1)} near in view"
+        f"{out}: {place}, after {shot.after_s:.1f} s, {shot.in_view} "
+        f"actor{'s' * (shot.in_view != 1)} near in view"
     )
 
 
@@ -171,7 +178,7 @@ class _VideoOptions:
     profile: str = ""
     """The simulated user. (default: inattentive with --policy, competent without)"""
     set: Annotated[Repeated, Keys({"env.profile": "expected --profile NAME"})] = ()
-    """section.key=value, over those of the policy, such as chair.plant=mine.toml; may be given several times."""
+    """section.key=value, over those of the policy, such as chair.plant=mine.toml; may be given several times."""  # noqa: E501
 
 
 def video(words: list[str]) -> int:
@@ -186,10 +193,7 @@ def video(words: list[str]) -> int:
         )
     require_user(profile)
     town = find_town(options.town)
-    from wcsim.view.filming import (
-        FilmDriver,
-        FilmedDrive,
-    )  # loads the simulators, which --help must not
+    from wcsim.view.filming import FilmDriver, FilmedDrive  # loads the simulators
 
     driver = FilmDriver(
         policy=options.policy, network=options.network, profile=profile, settings=options.set
@@ -199,18 +203,19 @@ def video(words: list[str]) -> int:
         StageBar("filming") as bar,
         FilmedDrive(town, options.seed, options.width, driver, options.out) as film,
     ):
-        before, frames = round(options.start / film.tick_s), round(options.seconds / film.tick_s)
-        for done in range(1, before + frames + 1):
+        before = round(options.start / film.tick_s)
+        ticks = before + round(options.seconds / film.tick_s)
+        for done in range(1, ticks + 1):
             if done <= before:
                 film.drive()
             else:
                 film.add()
             second = f"second {done * film.tick_s:.0f} of {options.start + options.seconds:g}"
-            bar.show(done / (before + frames), second)
-    user = f"the user {profile}"
-    who = f"{options.policy} assists {user}" if options.policy else user
+            bar.show(done / ticks, second)
+    driver_text = f"the user {profile}"
+    if options.policy:
+        driver_text = f"{options.policy} assists {driver_text}"
     after = f" after {options.start:g} s" if before else ""
-    print(
-        f"{options.out}: {options.town}, seed {options.seed}, {options.seconds:g} s{after}, {who}"
-    )
+    place = f"{options.town}, seed {options.seed}"
+    print(f"{options.out}: {place}, {options.seconds:g} s{after}, {driver_text}")
     return 0

@@ -1,4 +1,4 @@
-"""`wcsim scene run | list | bless | new | make`: short street scenes with a fixed seed, and their golden traces."""
+"""`wcsim scene run | list | bless | new | make`: short street scenes, and their golden traces."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import shlex
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Final
 
 from tyro.conf import Positional, arg
 
@@ -22,7 +22,10 @@ from wcsim.scenes.template import write_scene
 from wcsim.towns.scene_folders.build import GOLDEN, NETCONVERT_FILES, find_scene, list_scenes
 
 Scenes = Annotated[tuple[str, ...], Positional, arg(metavar="[SCENE ...]")]
-HOME = Path("scenarios") / "sumo" / "scenes"
+HOME: Final = Path("scenarios") / "sumo" / "scenes"
+_TRACE: Final = "new.trace"
+# With a larger distance no road user was near.
+_NEAR_M: Final = 50.0
 
 
 @dataclass
@@ -88,21 +91,60 @@ def run(words: list[str]) -> int:
         "run": (_RunOptions, _run),
         "list": (_ListOptions, _list),
         "bless": (_BlessOptions, _bless),
+        "new": (_NewOptions, _new),
+        "make": (_MakeOptions, _make),
     }
-    return run_part(
-        words, "scene", {**parts, "new": (_NewOptions, _new), "make": (_MakeOptions, _make)}
+    return run_part(words, "scene", parts)
+
+
+def _run(options: _RunOptions) -> int:
+    if options.film is not None and len(options.scenes) != 1:
+        raise ConfigError(
+            f"--film takes one scene, got {len(options.scenes)}; name the scene to film"
+        )
+    folders = _named_folders(options.scenes)
+    outcomes = [_outcome(folder, name) for name, folder in folders]
+    rows = []
+    for each in outcomes:
+        if each.faults:
+            rows.append((each.name, "FAILS", "; ".join(each.faults)))
+        else:
+            result = "; ".join(filter(None, (_facts_text(each.facts), each.note)))
+            rows.append((each.name, "ok", result))
+    show_table(("scene", "", "result"), rows)
+    write_json(
+        options.json,
+        {
+            each.name: {
+                "ok": not each.faults,
+                "faults": list(each.faults),
+                "note": each.note,
+                **each.facts,
+            }
+            for each in outcomes
+        },
     )
+    if options.film is not None:
+        # It takes seconds to load, and most runs need no film.
+        from wcsim.scenes.run import film_scene
+
+        ((name, folder),) = folders
+        film_scene(folder, options.film)
+        print(f"{options.film}: {name}")
+    return 1 if any(outcome.faults for outcome in outcomes) else 0
 
 
-def _folders(names: tuple[str, ...]) -> tuple[Path, ...]:
-    return tuple(find_scene(name) for name in names) if names else list_scenes()
+def _named_folders(words: Scenes) -> list[tuple[str, Path]]:
+    """The requested scenes, or all, each with the name under which its result is shown.
 
-
-def _names(folders: tuple[Path, ...]) -> tuple[str, ...]:
-    """What their results are told under: the folder's name, by which a scene is found; its path where two share it."""
+    That is the folder's name, by which a scene is found, or its path where two share the name.
+    """
+    folders = [find_scene(word) for word in words] if words else [*list_scenes()]
     names = [folder.resolve().name for folder in folders]
-    pairs = zip(folders, names, strict=True)
-    return tuple(name if names.count(name) == 1 else str(folder) for folder, name in pairs)
+    return [
+        (name if names.count(name) == 1 else str(folder), folder)
+        for folder, name in zip(folders, names, strict=True)
+    ]
 
 
 def _list(_: _ListOptions) -> int:
@@ -113,101 +155,64 @@ def _list(_: _ListOptions) -> int:
         except ConfigError as error:
             broken.append(str(error))
             continue
-        rows.append(
-            (
-                folder.name,
-                f"{scene.duration_s:g}",
-                str(len(scene.seats)),
-                escaped(scene.shows, 2000),
-            )
-        )
+        shows = escaped(scene.shows, 2000)
+        rows.append((folder.name, f"{scene.duration_s:g}", str(len(scene.seats)), shows))
     show_table(("scene", "seconds", "chairs", "what it tests"), rows, show_lines=True)
     if broken:
         raise ConfigError("; ".join(broken))
     return 0
 
 
-def _run(options: _RunOptions) -> int:
-    if options.film is not None and len(options.scenes) != 1:
-        raise ConfigError(
-            f"--film takes one scene, got {len(options.scenes)}; name the scene to film"
-        )
-    folders = _folders(options.scenes)
-    outcomes = [
-        _outcome(folder, name) for folder, name in zip(folders, _names(folders), strict=True)
-    ]
-    rows = (
-        (each.name, "FAILS", "; ".join(each.faults))
-        if each.faults
-        else (each.name, "ok", "; ".join(filter(None, (_words(each.facts), each.note))))
-        for each in outcomes
-    )
-    show_table(("scene", "", "result"), rows)
-    write_json(
-        options.json,
-        {
-            o.name: {"ok": not o.faults, "faults": list(o.faults), "note": o.note, **o.facts}
-            for o in outcomes
-        },
-    )
-    if options.film is not None:
-        from wcsim.scenes.run import (
-            film_scene,
-        )  # it takes seconds to load, and most runs need no film
-
-        film_scene(folders[0], options.film)
-        print(f"{options.film}: {outcomes[0].name}")
-    return 1 if any(outcome.faults for outcome in outcomes) else 0
-
-
 def _outcome(folder: Path, name: str) -> _Outcome:
-    from wcsim.log.diff import (
-        golden_difference,
-        golden_note,
-    )  # loads the simulators, which --help must not
+    """Run a scene in a child, and compare it with its [expect] and its golden trace."""
+    # These load the simulators, which --help must not.
+    from wcsim.log.diff import golden_difference, golden_note
     from wcsim.scenes.run import run_in_child
 
-    note, scene = "", read_toml(folder / "scene.toml", SceneFile)
+    golden = folder / GOLDEN
+    scene = read_toml(folder / "scene.toml", SceneFile)
+    note = ""
     with temporary_folder() as work:
-        trace = work / "new.trace"
+        trace = work / _TRACE
         facts = run_in_child(folder, trace)
         found = faults(facts, scene.expect)
-        golden = folder / GOLDEN
         if not golden.is_file():
             found += (
-                f"no golden trace; when the scene is right, save one: wcsim scene bless {_called(folder)}",
+                "no golden trace; when the scene is right, save one: "
+                f"wcsim scene bless {_shell_name(folder)}",
             )
+        elif difference := golden_difference(trace, golden):
+            found += (f"differs from the golden trace: {difference}",)
         else:
-            told = golden_difference(trace, golden)
-            found += (f"differs from the golden trace: {told}",) if told else ()
-            note = "" if told else golden_note(trace, golden)
+            note = golden_note(trace, golden)
     return _Outcome(name, facts, found, note)
 
 
 def _bless(options: _BlessOptions) -> int:
     if not options.scenes:
         raise ConfigError(
-            "no scene is named; expected those whose golden traces are to change: wcsim scene bless NAME"
+            "no scene is named; expected those whose golden traces are to change: "
+            "wcsim scene bless NAME"
         )
-    folders = _folders(options.scenes)
+    folders = _named_folders(options.scenes)
 
     from wcsim.scenes.run import run_in_child  # loads the simulators, which --help must not
 
-    for folder, name in zip(folders, _names(folders), strict=True):
+    for name, folder in folders:
         with temporary_folder() as work:
-            trace = work / "new.trace"
+            trace, golden = work / _TRACE, folder / GOLDEN
             facts = run_in_child(folder, trace)
-            golden = folder / GOLDEN
-            told = _news(trace, golden)
-            if told:
+            reason = _bless_reason(trace, golden)
+            if reason:
                 shutil.copyfile(trace, golden)
             wrong = faults(facts, read_toml(folder / "scene.toml", SceneFile).expect)
-            but = f"; but its [expect] fails: {'; '.join(wrong)}" if wrong else ""
-            print(f"{name}: {'blessed, ' + told if told else 'unchanged'}; {_words(facts)}{but}")
+        result = f"blessed, {reason}" if reason else "unchanged"
+        but = f"; but its [expect] fails: {'; '.join(wrong)}" if wrong else ""
+        print(f"{name}: {result}; {_facts_text(facts)}{but}")
     return 0
 
 
-def _news(trace: Path, golden: Path) -> str:
+def _bless_reason(trace: Path, golden: Path) -> str:
     """Why a golden trace must be written anew; "" when it need not."""
     from wcsim.log.diff import golden_difference
     from wcsim.log.reader import read_states
@@ -215,17 +220,16 @@ def _news(trace: Path, golden: Path) -> str:
     if not golden.is_file():
         return "no golden trace before"
     other_versions = read_states(trace)[0] != read_states(golden)[0]
-    return golden_difference(trace, golden) or (
-        "the golden trace is of other versions" if other_versions else ""
-    )
+    if difference := golden_difference(trace, golden):
+        return difference
+    return "the golden trace is of other versions" if other_versions else ""
 
 
 def _new(options: _NewOptions) -> int:
     folder = write_scene(options.out, options.name)
-    called = _called(folder)
     print(f"created {folder}; it runs as it is. Edit it, and look at the result:")
-    _print_ways_in(folder, options.name)
-    print(f"  wcsim scene bless {called}   when it is right; later runs must match")
+    _print_next_commands(folder, options.name)
+    print(f"  wcsim scene bless {_shell_name(folder)}   when it is right; later runs must match")
     return 0
 
 
@@ -234,31 +238,35 @@ def _make(options: _MakeOptions) -> int:
 
     folder = families.write_scene(options.family, options.seed, options.out)
     print(f"created {folder}, a scene of the family {options.family}. Look at the result:")
-    _print_ways_in(folder, folder.name)
+    _print_next_commands(folder, folder.name)
     return 0
 
 
-def _print_ways_in(folder: Path, film: str) -> None:
-    named = [(option, folder / f"street.{kind}.xml") for option, kind in NETCONVERT_FILES]
-    files = [word for option, path in named if path.is_file() for word in (option, str(path))]
-    print(f"  wcsim scene run {_called(folder)} --film {shlex.quote(film)}.webm")
+def _print_next_commands(folder: Path, film: str) -> None:
+    """Print how to run a new scene, and how to open its street."""
+    files: list[str] = []
+    for option, kind in NETCONVERT_FILES:
+        path = folder / f"street.{kind}.xml"
+        if path.is_file():
+            files += (option, str(path))
+    print(f"  wcsim scene run {_shell_name(folder)} --film {shlex.quote(film)}.webm")
     print(f"  netedit {shlex.join(files)}")
 
 
-def _called(folder: Path) -> str:
-    """What to call a scene on the command line: its name where that is enough."""
+def _shell_name(folder: Path) -> str:
+    """A scene as a word of a command line: its name where that is enough, else its path."""
     known = folder.resolve() in [scene.resolve() for scene in list_scenes()]
     return shlex.quote(folder.name if known else str(folder))
 
 
-def _words(facts: Facts) -> str:
-    nearest = (
-        f"closest {facts['closest_actor_m']:.2f} m"
-        if facts["closest_actor_m"] < 50.0
-        else "no road user near"
-    )
+def _facts_text(facts: Facts) -> str:
+    crash = "crash" if facts["crashed"] else "no crash"
+    nearest = "no road user near"
+    if facts["closest_actor_m"] < _NEAR_M:
+        nearest = f"closest {facts['closest_actor_m']:.2f} m"
+    road_users = counted(int(facts["actors_seen"]), "road user")
     return (
-        f"{'crash' if facts['crashed'] else 'no crash'}, {facts['travelled_m']:.1f} m, drop {facts['drop_m']:.2f} m, "
+        f"{crash}, {facts['travelled_m']:.1f} m, drop {facts['drop_m']:.2f} m, "
         f"roll {facts['max_roll_deg']:.1f} deg, pitch {facts['max_pitch_deg']:.1f} deg, "
-        f"{nearest}, standing {facts['standing_s']:.1f} s, {counted(int(facts['actors_seen']), 'road user')}"
+        f"{nearest}, standing {facts['standing_s']:.1f} s, {road_users}"
     )

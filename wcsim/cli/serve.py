@@ -1,4 +1,4 @@
-"""`wcsim serve`: a world by hand, for clients that join and leave as they like."""
+"""`wcsim serve`: a shared world, for clients that join and leave as they like."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import shlex
 import socket
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Final
 
 from tyro.conf import arg
 
@@ -41,14 +41,14 @@ from wcsim.types.bounds import MOST_SEATS
 from wcsim.users.profiles import user_files
 from wcsim.view.live_table import LiveTable
 
-GATHER_S = 600.0
-_TOLD_NAMES = 4
-_EVERYWHERE = ("0.0.0.0", "[::]", "*")  # noqa: S104 - what is compared with, not listened at
+GATHER_S: Final = 600.0
+_MOST_NAMED: Final = 4  # clients whose whole commands are printed
+_EVERYWHERE: Final = ("0.0.0.0", "[::]", "*")  # noqa: S104 - only compared with
 
 
 @dataclass(kw_only=True)
 class _Options(SettingsOptions):
-    """Run a shared world until Ctrl-C; clients join it with `wcsim join`, on this machine or on others."""
+    """Run a shared world until Ctrl-C; clients join it with `wcsim join`, on this machine or on others."""  # noqa: E501
 
     town: str = "helsinki"
     """Where: a town's name, its folder, or a .sumocfg file."""
@@ -57,7 +57,7 @@ class _Options(SettingsOptions):
     expected: int = 1
     """Number of clients that the first tick waits for."""
     hook: str = ""
-    """Your own step hook as module:Class, called around every step of SUMO with the libsumo module."""
+    """Your own step hook as module:Class, called around every step of SUMO with the libsumo module."""  # noqa: E501
     listen: Annotated[str, arg(metavar="tcp://HOST:PORT")] = ""
     """Also accept clients from other machines; beyond 127.0.0.1 this needs keys."""
     keys: OutFolder = None
@@ -65,7 +65,7 @@ class _Options(SettingsOptions):
     make_keys: Annotated[str, arg(metavar="NAME,...")] = ""
     """Generate missing keys for these clients and the server in the folder --keys."""
     run: OutFolder = None
-    """Save journal, logs and the outputs of the town's scenario here; continues a world in the folder."""
+    """Save journal, logs and the outputs of the town's scenario here; continues a world in the folder."""  # noqa: E501
     lease: Lease = 120.0
     """Seconds without a sign of progress after which a client is dropped."""
     max_think: Annotated[float | None, arg(metavar="S"), Bounds(0.1, 86_400.0)] = None
@@ -77,38 +77,38 @@ class _Options(SettingsOptions):
 
 
 def run(words: list[str]) -> int:
-    """Serve until somebody asks for the end."""
+    """Serve until Ctrl-C."""
     options = parse(_Options, words, "serve")
     Bounds(1, options.seats).check("--expected", options.expected)
-    _check_doors(options)
+    _prepare_network(options)
     config = resolve(options.preset, options.config, options.set)
     if options.run is not None:
-        _prepare(options.run)
+        _prepare_folder(options.run)
     require_files(options.seats)
     town = find_town(options.town)
     validate_net(town.net)
     with workplace() as place:
-        return _served(options, town, config, place)
+        return _serve(options, town, config, place)
 
 
-def _served(options: _Options, town: Town, config: RunConfig, place: Path) -> int:
+def _serve(options: _Options, town: Town, config: RunConfig, place: Path) -> int:
     folder = place if options.run is None else options.run
     overrides = overrides_of(town, config, options.seed)
-    told = [True]
+    running = False
     with LiveTable() as table:
         out = beside(table.console)
 
         def show(state: LaunchState) -> None:
-            if told and state.world_standing == "running":
-                told.clear()
+            nonlocal running
+            if state.world_standing == "running" and not running:
+                running = True
                 print_overrides(out, town.name, overrides, verbose=options.verbose)
                 listening = "" if state.world is None else state.world.listening
                 out.print(_how_to_join(endpoint_in(place), listening, options), soft_wrap=True)
             table.show(state)
 
-        world = world_plan(
-            _order(options, town, config, place), place, folder / "logs" / "world.log"
-        )
+        order = _order(options, town, config, place)
+        world = world_plan(order, place, folder / "logs" / "world.log")
         outcome = Launcher(world, (), folder, show=show).run()
     if outcome.code == Exit.REFUSED:
         raise ConfigError(outcome.message)
@@ -119,38 +119,38 @@ def _served(options: _Options, town: Town, config: RunConfig, place: Path) -> in
 
 
 def _how_to_join(endpoint: str, listening: str, options: _Options) -> str:
-    """What a client has to say."""
+    """The commands with which clients join."""
     lines = [
-        f"the world runs until Ctrl-C; join it with: wcsim join {shlex.quote(endpoint)} --network patch --steps 1000"
+        f"the world runs until Ctrl-C; join it with: wcsim join {shlex.quote(endpoint)} --network "
+        "patch --steps 1000"
     ]
     if listening:
         address = _reachable(listening, socket.gethostname())
         names = () if options.keys is None else known_names(options.keys)
-        named = [
-            f" --keys {shlex.quote(str(options.keys))} --name {name}"
-            for name in names[:_TOLD_NAMES]
-        ] or [""]
-        lines += [
-            f"over the network: wcsim join {address}{who} --network patch --steps 1000"
-            for who in named
-        ]
-        if len(names) > _TOLD_NAMES:
-            lines.append(f"also for {', '.join(names[_TOLD_NAMES:])}")
+        keys = f" --keys {shlex.quote(str(options.keys))} --name "
+        for client in [f"{keys}{name}" for name in names[:_MOST_NAMED]] or [""]:
+            lines.append(
+                f"over the network: wcsim join {address}{client} --network patch --steps 1000"
+            )
+        if len(names) > _MOST_NAMED:
+            lines.append(f"also for {', '.join(names[_MOST_NAMED:])}")
     return "\n".join(lines)
 
 
 def _reachable(listening: str, host: str) -> str:
-    """An address as others can use it: one that listens everywhere is called by the machine's name.
+    """An address for other machines: one that listens everywhere has the machine's name.
 
-    >>> _reachable("tcp://0.0.0.0:5555", "lab3"), _reachable("tcp://[::]:5555", "lab3"), _reachable("tcp://a:5", "lab3")
-    ('tcp://lab3:5555', 'tcp://lab3:5555', 'tcp://a:5')
+    >>> _reachable("tcp://0.0.0.0:5555", "lab3"), _reachable("tcp://[::]:5555", "lab3")
+    ('tcp://lab3:5555', 'tcp://lab3:5555')
+    >>> _reachable("tcp://a:5", "lab3")
+    'tcp://a:5'
     """
     place, _, port = listening.removeprefix("tcp://").rpartition(":")
     return f"tcp://{host}:{port}" if place in _EVERYWHERE else listening
 
 
-def _check_doors(options: _Options) -> None:
-    """Make the keys that are asked for, and refuse an address that others could reach without any."""
+def _prepare_network(options: _Options) -> None:
+    """Write the requested keys, and refuse an address that others could reach without keys."""
     if options.make_keys:
         if options.keys is None:
             raise ConfigError("--make-keys: add --keys FOLDER, where to write them")
@@ -158,7 +158,8 @@ def _check_doors(options: _Options) -> None:
         make_keys(options.keys, some_words("--make-keys", options.make_keys))
     if options.keys is not None and not options.listen:
         raise ConfigError(
-            "--keys without --listen: keys are for clients of other machines; add --listen tcp://HOST:PORT"
+            "--keys without --listen: keys are for clients of other machines; add --listen "
+            "tcp://HOST:PORT"
         )
     if options.listen and not is_loopback(options.listen) and options.keys is None:
         raise ConfigError(
@@ -167,8 +168,8 @@ def _check_doors(options: _Options) -> None:
         )
 
 
-def _prepare(folder: Path) -> None:
-    """Cut off what was torn in a world's journal when a process died, and say so.
+def _prepare_folder(folder: Path) -> None:
+    """Cut off a truncated end of a world's journal, which a killed process left, and warn of it.
 
     Raises:
         ConfigError: The folder cannot be used, or has other things in it.
@@ -178,7 +179,8 @@ def _prepare(folder: Path) -> None:
     journal = folder / JOURNAL
     if any(folder.glob("*")) and not part_files(journal):
         raise ConfigError(
-            f"--run {folder} is not empty and has no journal; choose a new folder, or one with a world"
+            f"--run {folder} is not empty and has no journal; choose a new folder, or one with a "
+            "world"
         )
     if folder.exists():
         require_no_links(folder, ConfigError)

@@ -55,7 +55,9 @@ def test_the_drives_law_is_that_of_the_chair():
     motion = rng.uniform(-1.5, 1.5, (200, 3))
     commands = shaped_rows(rng.uniform(-1.0, 1.0, (200, 2)), chair)
     drive = Drive(limits_of(chair), chair.deadband, chair.shape_exponent)
-    told = torch.stack(drive.follow(torch.as_tensor(motion).unbind(1), drive.wanted(torch.as_tensor(commands)), 0.1), 1)
+    told = torch.stack(
+        drive.follow(torch.as_tensor(motion).unbind(1), drive.targets(torch.as_tensor(commands)), 0.1), 1
+    )
     pairs = zip(motion.tolist(), commands, strict=True)
     true = [driven(*row, *command, limits_of(chair), 0.1) for row, command in pairs]
     assert np.allclose(told, true, atol=1e-9)
@@ -103,7 +105,7 @@ def test_the_graph_sees_what_the_policy_sees_and_does_what_it_does(width, height
         with torch.inference_mode():
             values, warning, danger, *state = graph(*(torch.as_tensor(seen[key])[None] for key in graph.inputs), *state)
             wanted = torch.sigmoid(net(*to_tensors(eye, *sight.batch())))
-        own = graph._codes(state[0], state[4])
+        own = graph._read_cells(state[0], state[4])
         differ = (own - torch.as_tensor(sight.picture).float()).abs() > 2.0
         assert differ.float().mean() < 0.01, "cells at a border may go either way"
         assert (danger - wanted).abs().max() < 0.05
@@ -133,7 +135,7 @@ def test_the_highest_value_is_that_of_the_action_which_the_rule_takes():
         taken = own if recent > 1 and own != last else -1
         chosen.append(_choose(exact, stick.astype(np.float64), actions, rule, last, recent > 0, taken))
         told = torch.as_tensor(danger)[None], torch.as_tensor(stick)[None], torch.tensor([[last + 1.0]])
-        values, later = graph._values(*told, torch.tensor([[float(recent)]]))
+        values, later = graph._choose(*told, torch.tensor([[float(recent)]]))
         assert int(values.argmax()) == chosen[-1]
         unsafe = not _within(exact, rule, last, taken)[own]
         assert float(later[0, 0]) == _next_recent(recent, unsafe, float(exact[own]), rule)

@@ -15,7 +15,7 @@ def test_a_model_that_says_more_than_a_pipe_holds_ends_while_it_is_throttled(tmp
 
     monkeypatch.setattr(footprint, "_PROGRAM", str(talker))
     monkeypatch.setattr(footprint, "_throttle", watched)
-    monkeypatch.setattr(footprint, "_PATIENCE_S", 60.0)
-    told = footprint._told(tmp_path / "model.onnx", tmp_path / "reference.npz", ("depth",), 0.5)
+    monkeypatch.setattr(footprint, "_TIMEOUT_S", 60.0)
+    told = footprint._measure_apart(tmp_path / "model.onnx", tmp_path / "reference.npz", ("depth",), 0.5)
     assert ended == [0], "it ended by itself, and not because nobody waited any longer"
     assert len(told["wall_ms"]) == 20_000, "some 200 kB"

@@ -61,7 +61,7 @@ def made(request, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Expor
     config = config_of(*request.param)
     policy = saved(place / "policy", config)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(onnx_export, "footprint", lambda *given: COST)
+        patch.setattr(onnx_export, "measure_footprint", lambda *given: COST)
         return place / "onnx", export_policy(policy, place / "onnx", config, RIDE), policy
 
 
@@ -116,7 +116,7 @@ def test_every_network_of_wcsim_is_exported_here():
 
 
 def test_what_takes_too_long_is_refused_and_nothing_is_written(tmp_path, monkeypatch):
-    monkeypatch.setattr(onnx_export, "footprint", lambda *given: COST)
+    monkeypatch.setattr(onnx_export, "measure_footprint", lambda *given: COST)
     config = config_of("patch")
     with pytest.raises(PolicyError, match="--force"):
         export_policy(saved(tmp_path / "policy", config), tmp_path / "onnx", config, RIDE[:2], limit_ms=0.5)
@@ -149,7 +149,7 @@ class Strange(Plain):
 
 
 def test_a_network_of_ones_own_is_exported_when_it_is_named_or_refused_with_the_reason(tmp_path, monkeypatch):
-    monkeypatch.setattr(onnx_export, "footprint", lambda *given: COST)
+    monkeypatch.setattr(onnx_export, "measure_footprint", lambda *given: COST)
     refusals = {"Plain": "", "Branches": "without `if`", "Strange": "cannot be exported to ONNX"}
     for name, refusal in refusals.items():
         network = f"{__name__}:{name}"

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from wcsim.agents.perception.arcs import advance, after
+from wcsim.agents.perception.arcs import advance, state_after
 from wcsim.agents.perception.ego_motion import EgoMotion, in_body, in_odometric
 from wcsim.config import ChairConfig
 from wcsim.core.joystick import limits_of
@@ -90,9 +90,9 @@ def test_what_is_on_its_way_is_driven_before_the_next_command():
     state = np.concatenate([np.zeros(3), motion])
     for command in waiting:
         advance(state, command, LIMITS, TICK_S)
-    assert after(motion, waiting, LIMITS, TICK_S).tolist() == state.tolist()
+    assert state_after(motion, waiting, LIMITS, TICK_S).tolist() == state.tolist()
     assert state[0] > 0.19 and state[4] > 0.0
-    assert after(motion, np.zeros((0, 2)), LIMITS, TICK_S).tolist() == [0.0, 0.0, 0.0, 1.0, 0.0, 0.0]
+    assert state_after(motion, np.zeros((0, 2)), LIMITS, TICK_S).tolist() == [0.0, 0.0, 0.0, 1.0, 0.0, 0.0]
 
 
 def test_places_go_to_the_odometric_frame_and_back():

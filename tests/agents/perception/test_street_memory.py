@@ -17,7 +17,7 @@ from wcsim.agents.perception.street_memory import (
     is_ground,
     is_known,
 )
-from wcsim.agents.perception.surroundings import _carry_on
+from wcsim.agents.perception.surroundings import _extend_edges
 from wcsim.agents.policies.dwa import _backs_blindly
 from wcsim.config import ChairConfig
 from wcsim.core.joystick import limits_of
@@ -40,7 +40,7 @@ def measured(*places):
 
 def look(memory, points=NOTHING, low_m=UNSEEN, pose=HERE, way_m=0.0, brief=False, times=1, ahead=True):
     for _ in range(times):
-        memory.see(points, np.full(len(points), brief), low_m, pose, way_m, ahead=ahead)
+        memory.update(points, np.full(len(points), brief), low_m, pose, way_m, ahead=ahead)
 
 
 @pytest.fixture
@@ -148,7 +148,7 @@ def test_backing_up_does_not_make_known_what_is_behind(memory):
 
 def carried(memory, points):
     added = np.empty((96, 2))
-    return added[: _carry_on(points, memory.cells, HERE, added)].copy()
+    return added[: _extend_edges(points, memory.cells, HERE, added)].copy()
 
 
 def line(begin, end, count=30):

@@ -13,7 +13,7 @@ from wcsim.agents.perception.clusters import (
     WALKERS,
     beside_movers,
     find_clusters,
-    kinds,
+    mobility_of_classes,
 )
 from wcsim.agents.perception.clusters import X as AT_X
 from wcsim.agents.perception.clusters import Y as AT_Y
@@ -36,7 +36,7 @@ def seen(*boxes, pose=(0.0, 0.0, 0.0)):
         for kind, x0, x1, y0, y1, height in boxes:
             hit = (x > x0) & (x < x1) & (y > y0) & (y < y1) & (z > 0.0) & (z < height)
             depth[hit], classes[hit] = t, kind
-    picture = kinds()[classes].reshape(60, 80)
+    picture = mobility_of_classes()[classes].reshape(60, 80)
     return find_clusters(picture, depth.astype(np.float32), RAYS, EYE, 39.0, UP, np.array(pose, float))
 
 
@@ -89,7 +89,7 @@ def watched(ticks, *movers, noise_m=0.0, tracker=None):
     for tick in range(ticks):
         now = [np.array([x + vx * 0.1 * tick, y + vy * 0.1 * tick]) for x, y, vx, vy in movers]
         now = [at + rng.normal(0.0, noise_m, 2) if noise_m else at for at in now]
-        tracker.see(np.array([cluster(*at) for at in now]).reshape(-1, 11), [at[None] for at in now])
+        tracker.update(np.array([cluster(*at) for at in now]).reshape(-1, 11), [at[None] for at in now])
     return tracker
 
 
@@ -113,12 +113,12 @@ def test_who_is_not_seen_any_more_goes_on_for_a_while():
     tracker = watched(10, (3.0, 1.0, 0.0, -1.0))
     x, y = tracker.movers[0].p_O_m
     for _ in range(10):
-        tracker.see(np.zeros((0, 11)), [])
+        tracker.update(np.zeros((0, 11)), [])
     (track,) = tracker.movers
     assert track.p_O_m == pytest.approx([x, y - 1.0], abs=0.05) and track.moves
     assert track.cells_O_m[0] == pytest.approx(track.p_O_m, abs=0.1)
     for _ in range(10):
-        tracker.see(np.zeros((0, 11)), [])
+        tracker.update(np.zeros((0, 11)), [])
     assert tracker.movers == []
 
 
@@ -127,11 +127,11 @@ def test_a_long_thing_moves_when_both_its_ends_do():
     for tick in range(15):
         front = 2.0 + 0.1 * tick * 2.0  # its rear is cut off by the border of the view
         one = cluster(0.5 * front, 2.0, size=1.5, walks=False, length=front)
-        tracker.see(one[None], [one[None, [AT_X, AT_Y]]])
+        tracker.update(one[None], [one[None, [AT_X, AT_Y]]])
     assert np.hypot(*tracker.movers[0].v_O_mps) < 0.1  # one edge alone may be more of it
     for tick in range(15):
         one = cluster(6.0 + 0.2 * tick, 2.0, size=1.5, walks=False, length=4.0)
-        tracker.see(one[None], [one[None, [AT_X, AT_Y]]])
+        tracker.update(one[None], [one[None, [AT_X, AT_Y]]])
     moving = [track for track in tracker.movers if track.moves]
     assert len(moving) == 1 and moving[0].v_O_mps == pytest.approx([2.0, 0.0], abs=0.2) and not moving[0].walks
 
@@ -144,7 +144,7 @@ def test_a_car_as_fast_as_a_town_allows_is_known_to_rush(speed_mps):
     for tick in range(round(90 / speed_mps)):
         rear = -4.0 + 0.1 * tick * speed_mps
         clusters, cells, owner = seen((ClassId.CAR, 5.0, 6.8, rear, rear + 4.3, 1.5))
-        tracker.see(clusters, [cells[owner == number] for number in range(len(clusters))])
+        tracker.update(clusters, [cells[owner == number] for number in range(len(clusters))])
         told += [one.v_O_mps[1] for one in tracker.movers if one.rushes and one.unseen_s == 0.0]
     assert max(told) == pytest.approx(speed_mps, rel=0.25)  # of its ends one is often out of view
 
@@ -155,7 +155,7 @@ def test_people_who_pass_each_other_are_not_taken_for_one_who_rushes():
     tracker = Tracker(0.1)
     for tick in range(20):
         now = [np.array([x + vx * 0.1 * tick, y]) for x, y, vx, _ in side_by_side + facing]
-        tracker.see(np.array([cluster(*at) for at in now]), [at[None] for at in now])
+        tracker.update(np.array([cluster(*at) for at in now]), [at[None] for at in now])
         assert not any(track.rushes for track in tracker.movers)
     assert len(tracker.movers) == 11
     assert sorted(round(float(track.v_O_mps[0]), 1) for track in tracker.movers) == [-1.0] * 6 + [1.0] * 5
@@ -170,7 +170,7 @@ def test_what_stands_in_a_row_stands_though_it_is_not_seen_each_time(gap_m, seen
         for _ in range(30):
             now = [np.array([4.0, gap_m * place - 6.0]) for place in range(12) if rng.random() < seen_share]
             now = [at + rng.normal(0.0, 0.04, 2) for at in now]
-            tracker.see(np.array([cluster(*at, walks=False) for at in now]), [at[None] for at in now])
+            tracker.update(np.array([cluster(*at, walks=False) for at in now]), [at[None] for at in now])
             rushing += sum(track.rushes for track in tracker.movers)
     assert rushing == 0 or (seen_share < 1.0 and rushing / (8 * 30) < 0.5)  # of twelve; chance pairs, each for a second
 
@@ -178,10 +178,10 @@ def test_what_stands_in_a_row_stands_though_it_is_not_seen_each_time(gap_m, seen
 def test_a_cluster_goes_to_its_own_track_and_not_to_that_of_a_larger_one_beside_it():
     tracker = Tracker(0.1)
     stands, comes = np.array([4.0, 0.0]), np.array([4.0, 0.9])
-    tracker.see(np.array([cluster(*stands)]), [stands[None]])
+    tracker.update(np.array([cluster(*stands)]), [stands[None]])
     larger = cluster(*(comes - [0.0, 0.2]))
     larger[[PIXELS, WALKERS]] = 400, 400
-    tracker.see(np.array([larger, cluster(*stands)]), [comes[None], stands[None]])
+    tracker.update(np.array([larger, cluster(*stands)]), [comes[None], stands[None]])
     assert [(track.hits, *track.p_O_m.round(1)) for track in tracker.movers] == [(2, 4.0, 0.0), (1, 4.0, 0.7)]
 
 
@@ -189,6 +189,6 @@ def test_who_is_far_from_where_another_was_is_one_who_rushes_only_when_the_next_
     tracker = Tracker(0.1)
     for at in ([4.0, 0.0], [4.0, 1.2], [4.0, 1.2]):
         place = np.array(at)
-        tracker.see(np.array([cluster(*place)]), [place[None]])
+        tracker.update(np.array([cluster(*place)]), [place[None]])
     (track,) = tracker.movers
     assert (track.hits, *track.v_O_mps) == (1, 0.0, 0.0)

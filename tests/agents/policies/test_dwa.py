@@ -10,7 +10,7 @@ from tests.agents.driven import driven
 from tests.agents.policies.test_baselines import box, ground, looking_at
 from tests.support.yardstick import multiple
 from wcsim.agents.envs.wheelchair_env import WheelchairEnv
-from wcsim.agents.perception.arcs import arcs, follow, gaps, touches_after
+from wcsim.agents.perception.arcs import advance_motion, evaluate_arcs, gaps_to_points, time_to_contact_s
 from wcsim.agents.perception.depth_image import viewing_rays
 from wcsim.agents.perception.street_memory import KEEP_BRIEFLY_S, StepMap
 from wcsim.agents.perception.surroundings import _up_in_body
@@ -161,7 +161,7 @@ def test_reckoned_braking_takes_the_way_that_the_drive_takes():
     motion, way_m = np.array([1.67, 0.0, 0.0]), 0.0
     while motion[0] > 0.0:
         before = motion[0]
-        follow(motion, np.zeros(2), LIMITS, 0.02)
+        advance_motion(motion, np.zeros(2), LIMITS, 0.02)
         way_m += 0.01 * (before + motion[0])
     assert way_m == pytest.approx(stopping_distance_m(1.67, 1.5, 4.0), abs=0.12)
 
@@ -174,7 +174,7 @@ def free_of(commands, *points, speed_mps=0.0, later_s=0.0):
     """Which commands are free of points (x, y, vx, vy, distance to keep), and how near they come to them."""
     gap_m = np.empty(len(commands))
     rows = np.array(points).reshape(-1, 5)
-    free = arcs(from_rest(speed_mps), later_s, 0.5, np.array(commands), LIMITS, CHAIR, rows, gap_m)
+    free = evaluate_arcs(from_rest(speed_mps), later_s, 0.5, np.array(commands), LIMITS, CHAIR, rows, gap_m)
     return free.tolist(), gap_m
 
 
@@ -201,7 +201,7 @@ def test_arcs_meet_those_who_move_where_they_will_be():
 
 def test_what_is_inside_the_chair_may_leave_it_and_get_no_deeper():
     inside, post = (0.7, 0.0, 0.0, 0.0, 0.07), (1.05, 0.0, 0.0, 0.0, 0.07)
-    assert gaps(from_rest(), 0.0, CHAIR, np.array([inside])) == pytest.approx([-0.1])
+    assert gaps_to_points(from_rest(), 0.0, CHAIR, np.array([inside])) == pytest.approx([-0.1])
     commands = [(0.0, 0.5), (0.0, 0.0), (0.0, -0.5)]
     assert free_of(commands, inside)[0] == [False, True, True]
     assert free_of(commands, (0.2, 0.0, 0.0, 0.0, 0.07), post)[0] == [False, True, True]  # nor does it excuse others
@@ -214,7 +214,7 @@ def test_a_held_stick_meets_a_wall_when_the_chair_gets_there():
     wall, ahead = np.array([[3.0, 0.0, 0.0, 0.0, 0.07]]), np.array([0.0, 1.0])
 
     def meets_s(within_s, later_s=0.0):
-        return touches_after(from_rest(1.67), later_s, ahead, LIMITS, CHAIR, wall, 0.0, within_s)
+        return time_to_contact_s(from_rest(1.67), later_s, ahead, LIMITS, CHAIR, wall, 0.0, within_s)
 
     assert meets_s(3.0) == pytest.approx((3.0 - CHAIR[1]) / 1.67, abs=0.1)
     assert math.isinf(meets_s(1.0))
@@ -225,7 +225,7 @@ def test_what_is_near_already_is_met_only_by_a_stick_that_brings_it_nearer():
     points = np.array([[0.82, 0.0, 0.0, 0.0, 0.07], [0.78, 0.1, 0.0, 0.0, 0.07], [0.3, 0.33, 0.0, 0.0, 0.07]])
 
     def meets_s(stick, rows=points):
-        return touches_after(from_rest(), 0.2, np.array(stick), LIMITS, CHAIR, rows, 0.03, 2.0)
+        return time_to_contact_s(from_rest(), 0.2, np.array(stick), LIMITS, CHAIR, rows, 0.03, 2.0)
 
     assert math.isinf(meets_s((0.0, 0.0))) and math.isinf(meets_s((0.0, -0.5)))
     assert meets_s((0.0, 0.5)) < 1.0

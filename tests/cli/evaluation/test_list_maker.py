@@ -7,7 +7,7 @@ from wcsim.errors import ConfigError
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         (("--suite-file", "My_Town.json"), "--suite-file: got the name 'My_Town'; .* such as my-town"),
         (("--suite-file", f"{'a' * 33}.json"), "at most 32 .* such as a{32}$"),
@@ -15,7 +15,7 @@ from wcsim.errors import ConfigError
         (("--name", "__"), "lower-case letters, digits and -$"),
     ],
 )
-def test_a_name_that_no_list_can_have_is_refused_before_anything_is_drawn(words, said, tmp_path, monkeypatch):
+def test_a_name_that_no_list_can_have_is_refused_before_anything_is_drawn(words, message, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(ConfigError, match=said):
+    with pytest.raises(ConfigError, match=message):
         make_list(["--make-suite", "helsinki", *words])

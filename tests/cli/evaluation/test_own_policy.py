@@ -76,33 +76,33 @@ def test_it_has_a_row_beside_the_user_alone(wcsim, folder, corner, own):
 
 
 @pytest.mark.parametrize(
-    ("name", "said"),
+    ("name", "message"),
     [("Nothing", "has no name, begin, reset, act; expected a class with"), ("Nobody", "has no class 'Nobody'"),
      ("Plain", "'own_controller:Plain' could not be created with the configuration"), ("Missing", "'weights.zip'")],
 )  # fmt: skip
-def test_a_class_that_is_no_controller_is_refused(wcsim, corner, own, name, said):
-    told = wcsim("test", f"{own}:{name}", "--town", corner, "--only", "--allow-train-town", *QUICK)
-    assert told.code == 2 and said in told.err and "Traceback" not in told.err
+def test_a_class_that_is_no_controller_is_refused(wcsim, corner, own, name, message):
+    result = wcsim("test", f"{own}:{name}", "--town", corner, "--only", "--allow-train-town", *QUICK)
+    assert result.code == 2 and message in result.err and "Traceback" not in result.err
 
 
 def test_a_class_that_is_named_by_its_file_is_refused_with_the_name_that_works(wcsim, corner, own):
-    told = wcsim("test", f"{own}.py:Still", "--town", corner, "--only", "--allow-train-town", *QUICK)
-    assert told.code == 2 and f"expected module:Class, without .py: {own}:Still" in told.err
+    result = wcsim("test", f"{own}.py:Still", "--town", corner, "--only", "--allow-train-town", *QUICK)
+    assert result.code == 2 and f"expected module:Class, without .py: {own}:Still" in result.err
 
 
 def test_in_a_suite_a_class_that_cannot_be_built_is_refused_before_anything_is_driven(wcsim, folder, listed, own):
-    told = wcsim("test", "--suite", listed, f"{own}:Still", f"{own}:Missing", "--only", "--out", "out")
-    assert told.code == 2 and "'own_controller:Missing' could not be created" in told.err
-    assert "blocks" not in told.err and not (folder / "out").exists()
+    result = wcsim("test", "--suite", listed, f"{own}:Still", f"{own}:Missing", "--only", "--out", "out")
+    assert result.code == 2 and "'own_controller:Missing' could not be created" in result.err
+    assert "blocks" not in result.err and not (folder / "out").exists()
     played = wcsim("test", "--suite", listed, f"{own}:Missing", "--play", "0.0", "--out", "out")
     assert played.code == 2 and "'own_controller:Missing' could not be created" in played.err
 
 
 def test_in_a_suite_a_class_that_always_fails_is_told_with_its_reason(wcsim, folder, listed, own, monkeypatch):
     monkeypatch.setenv("COLUMNS", "300")
-    told = wcsim("test", "--suite", listed, f"{own}:Boom", "--only", "--out", "out")
-    assert told.code == 1 and "own_controller:Boom: failed in 2 of 2 episodes: KeyError: 'lidar' (" in told.out
-    assert f"{own}.py, line " in told.out, "as other commands say where"
+    result = wcsim("test", "--suite", listed, f"{own}:Boom", "--only", "--out", "out")
+    assert result.code == 1 and "own_controller:Boom: failed in 2 of 2 episodes: KeyError: 'lidar' (" in result.out
+    assert f"{own}.py, line " in result.out, "as other commands say where"
     rows = {row["policy"]: row for row in json.loads((folder / "out" / "result.json").read_text())["pooled"]}
     assert [rows[name]["status"]["policy_failed"] for name in ("follow", f"{own}:Boom")] == [0, 2]
 
@@ -138,8 +138,8 @@ def test_a_controller_that_sees_numbers_drives_a_list_as_its_training_ended(wcsi
     agent.actor.out.bias.data = torch.eye(10)[7] * 9.0  # backwards is by far the likeliest
     torch.save(agent.state_dict(), folder / "cleanrl_ppo.pt")
     for refused in ("veto:state_policy:Trained", "dwa"):
-        told = wcsim("test", "--suite", listed, refused, "--only", "--set", "env.observation=state", "--out", refused)
-        assert told.code == 2 and "Traceback" not in told.err and "pictures" in told.err, refused
+        result = wcsim("test", "--suite", listed, refused, "--only", "--set", "env.observation=state", "--out", refused)
+        assert result.code == 2 and "Traceback" not in result.err and "pictures" in result.err, refused
     assert wcsim("test", "--suite", listed, "state_policy:Trained", "--only", "--out", "out").code == 0
     rows = {row["policy"]: row for row in json.loads((folder / "out" / "result.json").read_text())["pooled"]}
     assert rows["state_policy:Trained"]["status"]["policy_failed"] == 0

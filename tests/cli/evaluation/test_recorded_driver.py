@@ -7,12 +7,12 @@ from wcsim.towns.scenario.town import content_hash, find_town
 def test_a_drive_of_another_town_is_refused_with_the_words_that_work(wcsim, folder):
     there = {"town_name": "helsinki", "town_sha256": content_hash(find_town("helsinki"))}
     write_drive(folder / "a.drive", [tick(1), tick(2)], **there)
-    told = wcsim("test", "stop", "--profile", "recorded:a.drive")  # in monaco, unless it is said
-    assert told.code == 2 and "was driven in helsinki" in told.err
-    assert told.err.rstrip().endswith("Use --town helsinki --allow-train-town")
+    result = wcsim("test", "stop", "--profile", "recorded:a.drive")  # in monaco, unless it is said
+    assert result.code == 2 and "was driven in helsinki" in result.err
+    assert result.err.rstrip().endswith("Use --town helsinki --allow-train-town")
 
 
 def test_nothing_is_proposed_for_a_town_that_is_not_here_as_it_was(wcsim, folder):
     write_drive(folder / "a.drive", [tick(1), tick(2)], town_name="helsinki")
-    told = wcsim("test", "stop", "--profile", "recorded:a.drive")
-    assert told.code == 2 and told.err.rstrip().endswith("expected the same town: name it, or restore its files")
+    result = wcsim("test", "stop", "--profile", "recorded:a.drive")
+    assert result.code == 2 and result.err.rstrip().endswith("expected the same town: name it, or restore its files")

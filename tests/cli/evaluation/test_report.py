@@ -56,8 +56,8 @@ def tested(finished, folder):
 
 @pytest.mark.proof
 def test_the_page_of_a_test_shows_its_failures_in_pictures_and_their_command_runs(wcsim, tested):
-    told = wcsim("report", "runs/out", "--pictures", "1")
-    assert told.code == 0 and "report.html" in told.out
+    result = wcsim("report", "runs/out", "--pictures", "1")
+    assert result.code == 0 and "report.html" in result.out
     text = (tested / "report.html").read_text(encoding="utf-8")
     driven = json.loads((tested / "episodes.json").read_text("utf-8"))["follow"]
     assert {record["status"] for record in driven} == {"timed_out"}
@@ -82,8 +82,8 @@ def test_a_result_that_cannot_be_driven_as_it_was_has_a_page_without_those_pictu
 def test_another_list_gives_a_page_without_pictures_and_says_why(wcsim, folder):
     write_result(folder / "out", set="dev")
     score_anew(folder / "out")
-    told = wcsim("report", "out", "--out", "elsewhere")
-    assert told.code == 0 and "list dev has the hash" in told.err
+    result = wcsim("report", "out", "--out", "elsewhere")
+    assert result.code == 0 and "list dev has the hash" in result.err
     assert "list dev has the hash" in (folder / "elsewhere" / "report.html").read_text(encoding="utf-8")
     assert (folder / "elsewhere" / "report").is_dir() and not (folder / "out" / "report.html").exists()
 
@@ -91,13 +91,13 @@ def test_another_list_gives_a_page_without_pictures_and_says_why(wcsim, folder):
 def test_what_cannot_be_reported_is_refused(wcsim, folder, monkeypatch):
     (folder / "empty").mkdir()
     for place in ("empty", "nowhere"):
-        told = wcsim("report", place)
-        assert told.code == 2 and "nothing to report" in told.err
+        result = wcsim("report", place)
+        assert result.code == 2 and "nothing to report" in result.err
     write_result(folder / "out")
     assert wcsim("report", "out", "--jobs", "0").code == 2
     monkeypatch.setattr("wcsim.errors.find_spec", lambda name: None)
-    told = wcsim("report", "out")
-    assert told.code == 2 and "pip install 'wcsim[report]'" in told.err
+    result = wcsim("report", "out")
+    assert result.code == 2 and "pip install 'wcsim[report]'" in result.err
 
 
 def test_code_that_a_result_names_runs_only_when_it_is_named_again(wcsim, tested, folder, monkeypatch):

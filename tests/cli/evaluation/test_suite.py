@@ -48,12 +48,12 @@ def test_a_list_gives_rows_with_all_keys_and_says_what_was_changed(small, tmp_pa
 def test_a_line_says_which_rules_of_a_run_stay_behind(small, tmp_path, capsys):
     own = run_of(tmp_path / "own", "quick", "reward.drop=false", "world.warmup_s=0")
     assert run("--suite", small, own, "--only", "--out", tmp_path / "out") == 2  # it has no weights
-    told = " ".join(capsys.readouterr().err.split())
-    assert "was trained with reward.drop=false; all policies of a list are tested with reward.drop=true" in told
+    message = " ".join(capsys.readouterr().err.split())
+    assert "was trained with reward.drop=false; all policies of a list are tested with reward.drop=true" in message
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         (("--suite", "nothing"), "no such list"),
         (("--suite", "dev", "--jobs", "0"), "--jobs"),
@@ -61,10 +61,10 @@ def test_a_line_says_which_rules_of_a_run_stay_behind(small, tmp_path, capsys):
         (("stop", "--suite", "dev", "--play", "0.0", "--sensitivity"), "--sensitivity"),
     ],
 )
-def test_what_cannot_be_is_refused(words, said, tmp_path, capsys, monkeypatch):
+def test_what_cannot_be_is_refused(words, message, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert run(*words) == 2
-    assert said in capsys.readouterr().err
+    assert message in capsys.readouterr().err
 
 
 def test_an_episode_is_driven_again_and_must_be_the_same(small, tmp_path, capsys):
@@ -82,18 +82,18 @@ def test_an_episode_is_driven_again_and_must_be_the_same(small, tmp_path, capsys
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [(("follow", "--play", "7.0"), "from 0 to 0"), (("--play", "0.0"), "takes one policy"),
      (("follow", "--play", "0.9"), "no seat 9")],
 )  # fmt: skip
-def test_what_cannot_be_played_is_refused(small, words, said, tmp_path, capsys):
+def test_what_cannot_be_played_is_refused(small, words, message, tmp_path, capsys):
     assert run("--suite", small, "--out", tmp_path / "out", *words) == 2
-    assert said in capsys.readouterr().err
+    assert message in capsys.readouterr().err
 
 
 def result(records, **changes):
-    said = {"suite": "s", "set": "x", "list_sha256": "", "changed": (), "list_name": "x", "preset": "", "network": ""}
-    return result_of(records, **{**said, "out": "", **changes})
+    head = {"suite": "s", "set": "x", "list_sha256": "", "changed": (), "list_name": "x", "preset": "", "network": ""}
+    return result_of(records, **{**head, "out": "", **changes})
 
 
 def shown(found, width=120, undriven=()):
@@ -105,14 +105,14 @@ def shown(found, width=120, undriven=()):
 def test_names_in_tables_are_no_markup():
     """What stands in brackets would be gone."""
     records = {name: [GOOD] for name in ("own:Robot:", "runs/[red]a")}
-    told = shown(result(records, suite="s [b]"), undriven=["runs/[red]b: failed"])
-    assert told.count("runs/[red]a") == 1 and "s [b] x: free" in told and "runs/[red]b: failed" in told
+    message = shown(result(records, suite="s [b]"), undriven=["runs/[red]b: failed"])
+    assert message.count("runs/[red]a") == 1 and "s [b] x: free" in message and "runs/[red]b: failed" in message
 
 
 @pytest.mark.parametrize("parts", [("tight",), ("free", "tight")])
 def test_a_list_of_one_part_is_shown_once(parts):
-    told = shown(result({"follow": [replace(GOOD, part=part) for part in parts]}))
-    found = re.findall(r"^s x: (.+?) *$", told, re.MULTILINE)
+    message = shown(result({"follow": [replace(GOOD, part=part) for part in parts]}))
+    found = re.findall(r"^s x: (.+?) *$", message, re.MULTILINE)
     assert found == [*parts, *(["all parts"] if len(parts) > 1 else [])]
 
 
@@ -126,11 +126,11 @@ def test_the_tables_show_what_was_counted_and_call_the_oracles_upper_bounds():
     record = replace(
         GOOD, **crash, m=100.0, distance_sum=25.0, within=33, free_steps=80, free_sum=4.0, moving_sum=2.4, goals=2
     )
-    told = shown(result({"follow": [record] * 2}), width=80)
-    assert max(map(len, told.splitlines())) <= 80
-    rows = [line.split()[1:] for line in told.splitlines() if line.split()[:1] == ["follow"]]
+    text = shown(result({"follow": [record] * 2}), width=80)
+    assert max(map(len, text.splitlines())) <= 80
+    rows = [line.split()[1:] for line in text.splitlines() if line.split()[:1] == ["follow"]]
     assert rows == [["2", "of", "2", "75%", "0", "in", "2", "0", "of", "2", "0.00"]]
-    assert "follow, episode 0.1: drop, own fault: it fell off a kerb, edge e" in told and "upper bound" not in told
+    assert "follow, episode 0.1: drop, own fault: it fell off a kerb, edge e" in text and "upper bound" not in text
     both = shown(result({name: [record] for name in ("follow", "oracle-visible", "oracle")}))
     assert "upper bound" in both and "road users in its cameras" in " ".join(both.split())
 
@@ -141,9 +141,9 @@ def test_no_name_and_no_number_is_broken_however_long(width):
     far = "/somewhere/experiments/2026-11/assistive-networks/runs"
     names = ["follow", "runs/demo", "runs/demo:phase1", "oracle-visible", f"{far}/a:phase1", f"{far}/b/two", "c/two"]
     names += [f"{far}/{'d' * 60}"]
-    told = shown(result({name: [replace(GOOD, **many)] for name in names}), width)
-    lines = [line.rstrip() for line in told.splitlines()]
-    assert max(map(len, lines)) <= width and "…" not in told
+    message = shown(result({name: [replace(GOOD, **many)] for name in names}), width)
+    lines = [line.rstrip() for line in message.splitlines()]
+    assert max(map(len, lines)) <= width and "…" not in message
     joined = "".join(lines)
     labels = [re.split(r" +0 of 1 ", line)[0] for line in lines if " 12345 in 1 " in line]
     assert len(set(labels)) == len(labels) == len(names)

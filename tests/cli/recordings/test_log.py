@@ -45,11 +45,11 @@ def test_a_run_is_verified_in_a_fresh_process(journaled, tmp_path):
 
 def test_a_changed_command_is_found_at_its_tick(wcsim, folder, changed):
     result = wcsim("log", "verify", changed, "--epoch", 0, "--from", 11, "--to", 60, "--json", "told.json")
-    told = read("told.json")
+    written = read("told.json")
     assert result.code == 1, result
-    assert told["ticks"] == 50
-    assert 1 <= told["mismatches"] <= 11
-    assert told["first_mismatch"] == {"epoch": 0, "tick": 50}
+    assert written["ticks"] == 50
+    assert 1 <= written["mismatches"] <= 11
+    assert written["first_mismatch"] == {"epoch": 0, "tick": 50}
     assert wcsim("log", "verify", changed / "journal", "--epoch", 0, "--to", 49).code == 0
 
 
@@ -66,8 +66,8 @@ def test_the_first_difference_of_two_runs(wcsim, folder, journaled, changed):
     result = wcsim("log", "compare", journaled, changed, "--json", "told.json")
     assert result.code == 1
     assert result.out.startswith("Ticked (epoch 0, tick 50): seat 0 is commanded (")
-    told = read("told.json")
-    assert told == {"equal": False, "first_difference": result.out.strip()}
+    written = read("told.json")
+    assert written == {"equal": False, "first_difference": result.out.strip()}
     assert wcsim("log", "compare", journaled, journaled / "journal", "--json", "told.json").code == 0
     assert read("told.json") == {"equal": True, "first_difference": ""}
     trace = journaled / "beside.trace"
@@ -107,10 +107,10 @@ def test_a_drive_is_recorded_made_again_and_written_for_ros(wcsim, folder, corne
     result = wcsim("log", "verify", "a.drive", "--json", "told.json")
     assert (result.code, result.err) == (0, "")
     assert "30 ticks compared, all equal, at most 0 m apart" in result.out
-    told = read("told.json")
-    assert told == {"ticks": 30, "mismatches": 0, "first_mismatch": None, "farthest_m": 0.0}
-    told = wcsim("log", "convert", "a.drive", "a.mcap").out
-    assert "151 messages on /joy, /joy_command, /joy_intent, /odom" in told
+    written = read("told.json")
+    assert written == {"ticks": 30, "mismatches": 0, "first_mismatch": None, "farthest_m": 0.0}
+    written = wcsim("log", "convert", "a.drive", "a.mcap").out
+    assert "151 messages on /joy, /joy_command, /joy_intent, /odom" in written
     refused(wcsim("log", "convert", "a.drive", "a.xml"), "is a drive, which holds no traffic")
     assert wcsim("log", "verify", "a.drive", "--epoch", 0, "--to", 9).out.startswith("a.drive: 9 ticks compared")
     refused(wcsim("log", "verify", "a.drive", "--epoch", 1), "no epoch 1", "[0]")
@@ -126,7 +126,7 @@ def test_what_cannot_be_replayed_is_refused(wcsim, folder, journaled):
     Path("notes").write_text("hello")
     shutil.copy(journaled / "beside.trace", "trace")
     before = sorted(Path().iterdir())
-    for words, told in (
+    for words, message in (
         (("verify", "empty"), ("empty: has no trace and no journal", "run folder")),
         (("verify", "trace"), ("trace: is not a journal but a trace",)),
         (("play", "notes"), ("notes: is not a log",)),
@@ -140,5 +140,5 @@ def test_what_cannot_be_replayed_is_refused(wcsim, folder, journaled):
         (("convert", journaled, "x.xml", "--epoch", 5), ("no epoch 5", "[0, 1]")),
         (("verify", journaled, "--epoch", 1, "--from", 61), ("no tick in that range",)),
     ):
-        refused(wcsim("log", *words), *told)
+        refused(wcsim("log", *words), *message)
     assert sorted(Path().iterdir()) == before

@@ -28,9 +28,9 @@ def test_a_drive_is_fitted_and_its_profile_taken(wcsim, folder, drive):
     hint = result.out.rpartition("try it: ")[2].strip()
     assert hint == "wcsim test --profile 'my user.toml' --only --episodes 1 --max-steps 600", "a minute, not an hour"
     assert "only 4" in result.err and "tremor" in result.out
-    told = json.loads(Path("told.json").read_text())
-    assert told["estimates"]["reaction_s"]["value"] == pytest.approx(0.8, abs=0.05)
-    assert told["estimates"]["reaction_s"]["told"] is True
+    written = json.loads(Path("told.json").read_text())
+    assert written["estimates"]["reaction_s"]["value"] == pytest.approx(0.8, abs=0.05)
+    assert written["estimates"]["reaction_s"]["told"] is True
     made = _read_profile(Path("my user.toml"))
     assert (made.name, made.lookahead_m, made.spread) == ("my-user", 0.9, 0.0)
     assert made.reaction_s == pytest.approx(0.8, abs=0.05)
@@ -44,10 +44,10 @@ def test_a_folder_of_stick_tables_is_a_person(wcsim, folder):
         write_recording(Path(name) / "drive.csv", 0.02 * np.arange(len(stick)), stick)
     result = wcsim("users", "fit", "ann", "bob", "eve/drive.csv", "--out", "us.toml", "--json", "told.json")
     assert result.code == 0, result
-    told, made = json.loads(Path("told.json").read_text()), _read_profile(Path("us.toml"))
+    written, made = json.loads(Path("told.json").read_text()), _read_profile(Path("us.toml"))
     assert (made.name, made.reaction_s) == ("us", 0.25) and made.lag_s == pytest.approx(0.12, rel=0.2)
-    assert told["estimates"]["lag_s"]["n"] == 3 and "noise" not in told["habits"]["tremor"]
-    assert all(who in result.out for who in ("fitted", "inattentive")) and "person eve/drive.csv" in told["habits"]
+    assert written["estimates"]["lag_s"]["n"] == 3 and "noise" not in written["habits"]["tremor"]
+    assert all(who in result.out for who in ("fitted", "inattentive")) and "person eve/drive.csv" in written["habits"]
     Path("none").mkdir()
     refused(wcsim("users", "fit", "none", "--out", "a.toml"), "none: 0 s in .csv or .csv.gz files; expected 30 s")
     refused(wcsim("users", "fit", "ann", "no.csv", "--out", "a.toml"), "no.csv: cannot be read")
@@ -58,7 +58,7 @@ def test_what_cannot_be_fitted_is_refused(wcsim, folder, drive):
     Path("notes.txt").write_text("hello")
     Path("mine.toml").write_text("changed by hand")
     before = sorted(Path().iterdir())
-    for words, told in (
+    for words, message in (
         (("short.drive", "--out", "a.toml"), ("no episode of 5 s or more", "drive longer")),
         (("notes.txt", "--out", "a.toml"), ("notes.txt: is not a log",)),
         (("none.drive", "--out", "a.toml"), ("none.drive: cannot be read",)),
@@ -67,5 +67,5 @@ def test_what_cannot_be_fitted_is_refused(wcsim, folder, drive):
         ((drive, "--out", "a.toml", "--base", "drunk"), ("unknown user profile 'drunk'",)),
         ((drive, "--out", "a.toml", "--without-intents"), ("unknown town 'nowhere'",)),
     ):
-        refused(wcsim("users", "fit", *words), *told)
+        refused(wcsim("users", "fit", *words), *message)
     assert sorted(Path().iterdir()) == before and Path("mine.toml").read_text() == "changed by hand"

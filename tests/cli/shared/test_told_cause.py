@@ -10,7 +10,7 @@ import pytest
 
 import wcsim
 from wcsim.cli import main as cli
-from wcsim.cli.main import _told_cause
+from wcsim.cli.main import _explain
 from wcsim.cli.shared.exit_codes import Exit
 
 
@@ -67,7 +67,7 @@ def _caught(raised: Exception) -> Exception:
     ],
 )
 def test_the_cause_decides_what_is_told(raised: Exception, code: Exit, told: str) -> None:
-    line, ends = _told_cause(_caught(raised))
+    line, ends = _explain(_caught(raised))
     assert ends == code
     assert told in line if told else line == ""
 
@@ -81,7 +81,7 @@ def test_settings_that_numba_refuses_are_named(monkeypatch: pytest.MonkeyPatch, 
     monkeypatch.setenv("NUMBA_NUM_THREADS", "0")
     with pytest.raises(ValueError, match="must be") as refused:
         exec(code, {"__name__": module})  # noqa: S102
-    line = _told_cause(refused.value)[0]
+    line = _explain(refused.value)[0]
     assert line.endswith(told) if told else line == ""
 
 

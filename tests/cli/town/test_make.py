@@ -20,8 +20,8 @@ def test_a_town_is_made_checked_found_by_name_and_made_again_by_its_own_command(
 ) -> None:
     made = wcsim("town", "make", "mine", "--seed", "9", *SMALL, "--split", "test", "--json", "made.json")
     assert made.code == 0, made.err
-    told = json.loads(Path("made.json").read_text())
-    assert told["faults"] == [] and told["crossings"] > 5
+    written = json.loads(Path("made.json").read_text())
+    assert written["faults"] == [] and written["crossings"] > 5
     assert "drawing the streets" in made.err
     place = folder / "scenarios" / "sumo" / "mine"
     town = find_town("mine")

@@ -24,13 +24,13 @@ def test_a_scenario_without_pavements_is_cured_by_what_is_printed(wcsim: Run, fo
     assert paved.code == 1 and "fault: the demand has no pedestrians" in paved.out, paved.err
     assert "24 streets got a pavement; " in paved.out and "10 signal programs" in paved.out
     later = printed(paved.out, "create walkers")
-    told = json.loads(Path("paved.json").read_text())
-    assert told["walkable_largest_share"] > 0.95 and told["paved"]["streets"] == 24
-    ours = find_town(told["paved"]["sumocfg"])
-    (fault,) = told["faults"]
+    written = json.loads(Path("paved.json").read_text())
+    assert written["walkable_largest_share"] > 0.95 and written["paved"]["streets"] == 24
+    ours = find_town(written["paved"]["sumocfg"])
+    (fault,) = written["faults"]
     assert shlex.split(later) == shlex.split(printed(fault, "no pedestrians")), "it was for the copy"
-    code, said = typed(printed(fault, "no pedestrians"), folder)
-    assert code == 0, said
+    code, message = typed(printed(fault, "no pedestrians"), folder)
+    assert code == 0, message
     text = (ours.folder / "walkers.rou.xml").read_text()
     departs_s = [float(found) for found in re.findall(r'<person id="[^"]*" depart="([^"]*)"', text)]
     assert len(departs_s) > 100 and min(departs_s) >= BEGIN_S and max(departs_s) <= BEGIN_S + 600.0
@@ -48,10 +48,10 @@ def test_a_scenario_with_pavements_alone_is_told_what_it_has_and_what_was_added(
     assert "has pavements beside 24 streets, but no walking areas to join them, so pedestrians" in checked.out
     assert "; add crossings and walking areas: wcsim town pave /" in checked.out
     paved = wcsim("town", "pave", theirs.sumocfg, "--out", "ours", "--json", "paved.json")
-    told = json.loads(Path("paved.json").read_text())
-    added = f"added {told['crossings']} crossings and {told['walkingareas']} walking areas"
+    written = json.loads(Path("paved.json").read_text())
+    added = f"added {written['crossings']} crossings and {written['walkingareas']} walking areas"
     assert f"24 streets already had one; {added}" in paved.out and "got a pavement" not in paved.out
-    assert told["crossings"] > 0 and told["walkingareas"] > 0 and told["paved"]["had"] == 24
+    assert written["crossings"] > 0 and written["walkingareas"] > 0 and written["paved"]["had"] == 24
 
 
 def test_a_paved_copy_is_checked_where_its_files_lie_apart(wcsim: Run, folder: Path) -> None:
@@ -59,20 +59,20 @@ def test_a_paved_copy_is_checked_where_its_files_lie_apart(wcsim: Run, folder: P
     (folder / "theirs" / "net").mkdir()
     (theirs.parent / "u.net.xml").rename(folder / "theirs" / "net" / "u.net.xml")
     theirs.write_text(theirs.read_text().replace('"u.net.xml"', '"../net/u.net.xml"'))
-    said = wcsim("town", "pave", theirs, "--allow-outside", "--out", "trusted copy")
-    assert said.code == 1 and "walkable area" in said.out, said.err
-    assert "sumo-gui -c 'trusted copy/runs/u.sumocfg'\n" in said.out
+    result = wcsim("town", "pave", theirs, "--allow-outside", "--out", "trusted copy")
+    assert result.code == 1 and "walkable area" in result.out, result.err
+    assert "sumo-gui -c 'trusted copy/runs/u.sumocfg'\n" in result.out
     (folder / "theirs" / "town.toml").write_text('name = "apart"\nsplit = "test"\nsumocfg = "runs/u.sumocfg"\n')
-    said = wcsim("town", "pave", folder / "theirs", "--out", "declared")
-    assert said.code == 1 and "town apart" in said.out, said.err
+    result = wcsim("town", "pave", folder / "theirs", "--out", "declared")
+    assert result.code == 1 and "town apart" in result.out, result.err
     assert open_town(folder / "declared").net == folder / "declared" / "runs" / "../net/u.net.xml"
 
 
 def test_the_place_of_a_town_toml_above_the_scenario_is_kept(wcsim: Run, folder: Path) -> None:
     theirs = write_unpaved(folder / "theirs" / "runs")
     (folder / "theirs" / "town.toml").write_text('name = "above"\nsplit = "test"\nsumocfg = "runs/u.sumocfg"\n')
-    said = wcsim("town", "pave", folder / "theirs", "--out", "ours")
-    assert said.code == 1, said.err
+    result = wcsim("town", "pave", folder / "theirs", "--out", "ours")
+    assert result.code == 1, result.err
     assert open_town(folder / "ours").sumocfg.relative_to(folder / "ours") == theirs.relative_to(folder / "theirs")
 
 
@@ -80,8 +80,8 @@ def test_paving_refuses_what_it_would_spoil(wcsim: Run, folder: Path) -> None:
     theirs = write_unpaved(folder / "theirs")
     (folder / "full").mkdir()
     (folder / "full" / "x").write_text("x")
-    said = wcsim("town", "pave", theirs, "--out", "full")
-    assert said.code == 2 and "full already exists" in said.err
+    result = wcsim("town", "pave", theirs, "--out", "full")
+    assert result.code == 2 and "full already exists" in result.err
     assert wcsim("town", "pave", theirs).code == 2
     assert wcsim("town", "pave", theirs, "--out", "ours", "--max-speed", "5").code == 2
     assert not (folder / "ours").exists()

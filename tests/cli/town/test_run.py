@@ -14,8 +14,8 @@ QUICK = ["--set", "world.warmup_s=0", "--set", "cameras.0.width_px=32", "--set",
 
 
 def test_a_town_runs_and_is_replayed(corner, tmp_path, capsys):
-    out, told = tmp_path / "run", tmp_path / "told.json"
-    words = ["town", "run", str(corner), "--seconds", "3", "--seed", "3", "--out", str(out), "--json", str(told)]
+    out, written = tmp_path / "run", tmp_path / "told.json"
+    words = ["town", "run", str(corner), "--seconds", "3", "--seed", "3", "--out", str(out), "--json", str(written)]
     assert main([*words, "--outputs", "fcd,tripinfo", "--verbose", *QUICK]) == 0
     shown = capsys.readouterr()
     assert "vehicles" in shown.out and "what this run overrides" in shown.out
@@ -26,7 +26,7 @@ def test_a_town_runs_and_is_replayed(corner, tmp_path, capsys):
     assert rows["seed"]["wcsim"] == str(manifest["sumo_seed"])
     assert set(manifest["outputs"]) == {"sumo/fcd.xml", "sumo/tripinfo.xml"}
     assert all((out / name).is_file() for name in (*manifest["outputs"], "trace"))
-    result = json.loads(told.read_text())
+    result = json.loads(written.read_text())
     assert result["ticks"] == 30 and result["episodes"] >= 1
     assert main(["log", "convert", str(out), str(tmp_path / "replay.xml")]) == 0
     assert 'id="wheelchair.0"' in (tmp_path / "replay.xml").read_text()
@@ -91,8 +91,8 @@ def test_a_net_without_pavements_runs_traffic_and_refuses_chairs(corner, tmp_pat
     assert main([*words, "--chairs", "0", "--out", str(tmp_path / "none")]) == 0
     assert "wcsim town pave" in capsys.readouterr().out  # nobody walks, and how to change that
     assert main([*words, "--chairs", "1", "--out", str(tmp_path / "one"), *QUICK]) == 2
-    said = capsys.readouterr().err
-    assert "no pavement" in said and f"wcsim town pave {sumocfg}" in said and "--chairs 0" in said
+    message = capsys.readouterr().err
+    assert "no pavement" in message and f"wcsim town pave {sumocfg}" in message and "--chairs 0" in message
     assert not (tmp_path / "one").exists()
 
 
@@ -141,8 +141,8 @@ def test_training_keeps_what_it_overrides_and_the_outputs_of_the_scenario(corner
     out = tmp_path / "run"
     small = ["--set", "learn.total_steps=60", "--set", "learn.phase1_steps=30", *QUICK]
     assert main(["train-q", "--town", str(sumocfg), "--out", str(out), *small]) == 0
-    told = capsys.readouterr().out
-    assert "what this run overrides" not in told and "summary-output" in told and "--verbose" in told
+    message = capsys.readouterr().out
+    assert "what this run overrides" not in message and "summary-output" in message and "--verbose" in message
     rows = {row["option"]: row for row in json.loads((out / "manifest.json").read_text())["overrides"]}
     assert rows["summary-output"]["wcsim"] == "sumo/s.xml" and (out / "sumo" / "s.xml").stat().st_size > 1000
     from wcsim.agents.runs.run_folder import open_run
@@ -152,16 +152,16 @@ def test_training_keeps_what_it_overrides_and_the_outputs_of_the_scenario(corner
 
 
 def test_the_first_crashes_are_listed(corner, tmp_path, capsys):
-    told = "was hit by car cars.8.1, at x 10.0 y 0.0 in the net, edge :C_c0"
-    fact = CrashFact(seat=1, reason="collision", time_s=2.5, at_m=(10.0, 0.0), fault="other", told=told)
+    crash = "was hit by car cars.8.1, at x 10.0 y 0.0 in the net, edge :C_c0"
+    fact = CrashFact(seat=1, reason="collision", time_s=2.5, at_m=(10.0, 0.0), fault="other", told=crash)
     crashed = (fact,) * 7
     lines = _crash_lines(crashed)
-    assert lines[0] == f"wheelchair 1, 2.5 s: collision, other fault: it {told}"
+    assert lines[0] == f"wheelchair 1, 2.5 s: collision, other fault: it {crash}"
     assert len(lines) == 6 and lines[-1] == "and 2 more crashes; all of them are in the manifest"
     assert _crash_lines(()) == [] and len(_crash_lines(crashed[:5])) == 5
     jolts = ["--set", "reward.accel_window_mps2=[0.001, 0.002]", "--set", "imu.saturation_mps2=10"]
     words = ["town", "run", str(corner), "--seconds", "2", "--out", str(tmp_path / "run"), *QUICK, *jolts]
     assert main(words) == 0
-    told = capsys.readouterr()
-    assert "s: acceleration, own fault: it was shaken too hard, at x " in told.out and " in the net, edge " in told.out
-    assert "traffic warm-up of 0 s" in told.err
+    done = capsys.readouterr()
+    assert "s: acceleration, own fault: it was shaken too hard, at x " in done.out and " in the net, edge " in done.out
+    assert "traffic warm-up of 0 s" in done.err

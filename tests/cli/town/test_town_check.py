@@ -23,23 +23,23 @@ pytestmark = pytest.mark.usefixtures("own_cache")
 
 
 @pytest.mark.parametrize(
-    ("options", "more", "culprit", "said"),
+    ("options", "more", "culprit", "text"),
     [
         ("", LOOP, "a.add.xml", "nowhere"),
         ("<default.carfollowmodel value='fly'/>", "", "a.sumocfg", "'fly'"),
     ],
 )
-def test_what_only_sumo_refuses_is_a_fault_in_its_words(wcsim: Run, folder: Path, corner, options, more, culprit, said):
+def test_what_only_sumo_refuses_is_a_fault_in_its_words(wcsim: Run, folder: Path, corner, options, more, culprit, text):
     sound = hostile.scenario(find_town(str(corner)), folder / "sound")
     broken = hostile.scenario(find_town(str(corner)), folder / "broken", options, more)
     before, faults = files_in(folder), []
     for town in (sound, broken):
-        told = wcsim("town", "check", town, "--json", "check.json")
+        result = wcsim("town", "check", town, "--json", "check.json")
         faults.append(json.loads(Path("check.json").read_text())["faults"])
-    assert (told.code, len(faults[1])) == (1, len(faults[0]) + 1)
+    assert (result.code, len(faults[1])) == (1, len(faults[0]) + 1)
     (fault,) = [fault for fault in faults[1] if "SUMO cannot run" in fault]
-    assert fault in told.out and f"/{culprit}: SUMO cannot run this scenario" in fault
-    assert "Error: " in fault and said in fault and fault.endswith(f"sumo -c {broken.resolve()}")
+    assert fault in result.out and f"/{culprit}: SUMO cannot run this scenario" in fault
+    assert "Error: " in fault and text in fault and fault.endswith(f"sumo -c {broken.resolve()}")
     assert files_in(folder) == before | {"check.json"}
 
 
@@ -68,6 +68,6 @@ def test_collisions_are_those_that_plain_sumo_reports(folder: Path, monkeypatch)
 
 def test_an_import_says_it_too(wcsim: Run, folder: Path, corner) -> None:
     broken = hostile.scenario(find_town(str(corner)), folder / "broken", "", LOOP)
-    told = wcsim("town", "import", "--sumocfg", broken, "--name", "mine")
-    assert told.code == 1 and "testing the first steps in SUMO" in told.err
-    assert "a.add.xml: SUMO cannot run this scenario" in told.out and "nowhere" in told.out
+    result = wcsim("town", "import", "--sumocfg", broken, "--name", "mine")
+    assert result.code == 1 and "testing the first steps in SUMO" in result.err
+    assert "a.add.xml: SUMO cannot run this scenario" in result.out and "nowhere" in result.out

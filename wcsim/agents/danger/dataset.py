@@ -21,7 +21,7 @@ from wcsim.agents.danger.street_map import (
     FeatureExtractor,
     sweep,
 )
-from wcsim.agents.perception.depth_image import sees_in_a_mirror
+from wcsim.agents.perception.depth_image import is_mirror_symmetric
 from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, IMU_KEY, JOYSTICK_KEY, ODOMETRY_KEY
 from wcsim.agents.runs.data_folder import ORACLE, Segment, unsafe_ahead
 from wcsim.config import RunConfig
@@ -101,7 +101,7 @@ class Dataset:
         self._config, self._spec = config, spec_of(config)
         self._rng, self._extractor = np.random.default_rng(0), FeatureExtractor(config, street=self._spec.street)
         # A street map lies around the chair wherever its camera looks; pictures need one that looks straight ahead.
-        self._may_mirror = not self._spec.pictures or sees_in_a_mirror(config.cameras[0])
+        self._may_mirror = not self._spec.pictures or is_mirror_symmetric(config.cameras[0])
         self._size = (2, config.cameras[0].height_px, config.cameras[0].width_px)
         self._actions = action_set(config.env.actions)
         self._pictures: list[bytes] = []  # of each step: zstd, (PLANES, SIDE, SIDE) uint8

@@ -230,11 +230,11 @@ class FeatureExtractor:
         self._require(observation)
         picture = np.zeros((PLANES, SIDE, SIDE), np.uint8)
         if self.street:
-            self.around.move(observation)
+            self.around.observe_motion_and_depth(observation)
             self._see(observation)
             _read(self.around.ego.pose_O, self._tick, self._cells, self._heights_m, picture)
         else:
-            self.around.feel(observation)
+            self.around.observe_motion(observation)
         start, later_s = self.around.start()
         return Features(
             picture=picture,

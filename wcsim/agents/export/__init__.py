@@ -1,1 +1,1 @@
-"""A trained policy for machines without wcsim: as one ONNX model a tick; how it is made, checked and measured."""
+"""A trained policy for machines without wcsim: its ONNX model of a tick, checked and measured."""

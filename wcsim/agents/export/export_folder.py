@@ -1,4 +1,4 @@
-"""What an exported policy's folder holds, and what is refused: another's folder, a recording that lacks inputs."""
+"""What the folder of an exported policy holds; which recordings and folders an export refuses."""
 
 from __future__ import annotations
 
@@ -16,87 +16,93 @@ from wcsim.config import RunConfig
 from wcsim.core.reading import escaped, is_folder
 from wcsim.errors import ConfigError, PolicyError
 
-_CAMERA: Final = ("width_px", "height_px", *SIGHT_KEYS)
-_OTHERS: Final = (
-    *(("env", "actions"), ("env", "classes"), ("world", "tick_s")),
-    *(("env", "observe_gyro"), ("env", "observe_yaw")),
-)
-REFERENCE, LOOP = "reference.npz", "exported_policy.py"
+REFERENCE: Final = "reference.npz"
+LOOP: Final = "exported_policy.py"
 WRITTEN: Final = (MODEL_FILE, ABOUT_FILE, MEANING, REFERENCE, LOOP)
+# Beside these Python leaves its own folder, once the loop was imported.
+_EXPECTED: Final = (*WRITTEN, "__pycache__")
 _MOST_NAMED: Final = 3
+_CAMERA_KEYS: Final = ("width_px", "height_px", *SIGHT_KEYS)
+_OTHER_KEYS: Final = (
+    ("env", "actions"),
+    ("env", "classes"),
+    ("world", "tick_s"),
+    ("env", "observe_gyro"),
+    ("env", "observe_yaw"),
+)
 
 
-def settings_apart(own: RunConfig, other: RunConfig) -> list[str]:
-    """The settings of what a network sees and can choose, as far as another configuration has others."""
-    mine, others = own.model_dump(mode="json"), other.model_dump(mode="json")
-    there = other.sensors.on()
-    camera, usual = own.eye, other.eye
-    seen = {key: getattr(camera, key) for key in _CAMERA}
-    told = [
-        (f"cameras.0.{key}", value) for key, value in seen.items() if value != getattr(usual, key)
-    ]
+def differing_settings(own: RunConfig, other: RunConfig) -> list[str]:
+    """The settings of what a network sees and can choose, where `other` differs from `own`."""
+    found: list[tuple[str, Any]] = []
+    for key in _CAMERA_KEYS:
+        value = getattr(own.eye, key)
+        if value != getattr(other.eye, key):
+            found.append((f"cameras.0.{key}", value))
     for name, sensor in own.sensors.on().items():
-        if name not in there:
-            told += [(f"sensors.{name}", "typical")]
-            told += [
+        if name not in other.sensors.on():
+            # `typical` switches a sensor on with its defaults, which own values then replace.
+            usual = type(sensor)()
+            found.append((f"sensors.{name}", "typical"))
+            found += [
                 (f"sensors.{name}.{key}", value)
                 for key, value in sensor
-                if value != getattr(type(sensor)(), key)
+                if value != getattr(usual, key)
             ]
-    told += [
-        (f"{part}.{key}", mine[part][key])
-        for part, key in _OTHERS
-        if mine[part][key] != others[part][key]
-    ]
-    return as_words(told)
+    own_json, other_json = own.model_dump(mode="json"), other.model_dump(mode="json")
+    for section, key in _OTHER_KEYS:
+        if own_json[section][key] != other_json[section][key]:
+            found.append((f"{section}.{key}", own_json[section][key]))
+    return format_settings(found)
 
 
-def as_words(told: Iterable[tuple[str, Any]]) -> list[str]:
-    """Settings as words.
+def format_settings(settings: Iterable[tuple[str, Any]]) -> list[str]:
+    """Settings as `--set` takes them.
 
-    >>> as_words([("world.tick_s", 0.1), ("env.classes", "wcsim")])
+    >>> format_settings([("world.tick_s", 0.1), ("env.classes", "wcsim")])
     ['world.tick_s=0.1', 'env.classes=wcsim']
     """
     return [
-        f"{name}={value if isinstance(value, str) else json.dumps(value)}" for name, value in told
+        f"{name}={value if isinstance(value, str) else json.dumps(value)}"
+        for name, value in settings
     ]
 
 
-def require_shown(recorded: RunConfig, own: RunConfig, file: Path, policy: str) -> None:
-    """Refuse a recording in which a network would see another street than it knows, or lack a sense.
+def require_same_inputs(recorded: RunConfig, own: RunConfig, file: Path, policy: str) -> None:
+    """Refuse a recording that shows a network other inputs than its training did, or too few.
 
     Args:
         recorded: Settings of the recording.
-        own: Those that fit the policy, with its senses.
+        own: Settings that fit the policy, with its senses.
         file: The recording.
         policy: The network's name.
 
     Raises:
-        PolicyError: With all that has to be set when it is recorded again.
+        PolicyError: With all settings that a new recording needs.
     """
-    words = settings_apart(own, recorded)
-    if words:
-        typed = " ".join(f"--set {shlex.quote(word)}" for word in words)
+    settings = differing_settings(own, recorded)
+    if settings:
+        options = " ".join(f"--set {shlex.quote(setting)}" for setting in settings)
         raise PolicyError(
             f"{escaped(file)} lacks inputs of {escaped(policy)}; expected a recording with "
-            f"{', '.join(words)}: record it again with the same command and {typed}, or with "
+            f"{', '.join(settings)}: record it again with the same command and {options}, or with "
             f"wcsim drive --policy {shlex.quote(policy)} --record FILE, which needs no settings"
         )
 
 
-def require_export_place(option: str, folder: Path) -> None:
-    """Refuse a folder that holds what no export wrote, for an export takes its whole place. Raises ConfigError."""
-    expected = (*WRITTEN, "__pycache__")  # Python's, once the loop was imported
-    others = (
-        sorted(path.name for path in folder.iterdir() if path.name not in expected)
-        if is_folder(folder)
-        else []
-    )
+def require_export_folder(option: str, folder: Path) -> None:
+    """Refuse a folder with files that no export wrote, since an export replaces all of it.
+
+    Raises:
+        ConfigError: There are such files.
+    """
+    if not is_folder(folder):
+        return
+    others = sorted(path.name for path in folder.iterdir() if path.name not in _EXPECTED)
     if others:
-        named = ", ".join(escaped(name, 80) for name in others[:_MOST_NAMED]) + " and more" * (
-            len(others) > _MOST_NAMED
-        )
+        named = ", ".join(escaped(name, 80) for name in others[:_MOST_NAMED])
+        more = " and more" if len(others) > _MOST_NAMED else ""
         raise ConfigError(
-            f"{option} {escaped(folder)} holds {named}, which is not from an export; expected a new folder, or an "
-            "earlier export, which is replaced: choose another one"
+            f"{option} {escaped(folder)} holds {named}{more}, which is not from an export; "
+            "expected a new folder, or an earlier export, which is replaced: choose another one"
         )

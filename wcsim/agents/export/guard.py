@@ -1,9 +1,9 @@
-"""What stands between an exported policy and a chair in a test: numbers that are not finite do not drive it.
+"""What stands between an exported policy and a chair in a test: only finite numbers drive it.
 
-After such a tick the command goes to zero within `stop_s`, whatever it was. It comes back when `good_ticks` good ticks
-have come one after the other; till then the policy is shown the user's stick at rest, and begins anew wherever it wants
-something else than was sent, so that it never believes to have sent that. On a real chair frames are late or missing,
-too: `examples/exported_policy.py` has the whole guard, in NumPy.
+After a tick with others the command falls to zero within `stop_s`. The policy drives again after
+`good_ticks` good ticks in a row. Until then it sees the user's stick at rest, and is reset whenever
+it chooses another stick than was sent. On a real chair frames are also late or missing:
+`examples/exported_policy.py` has the whole guard, in NumPy.
 """
 
 from __future__ import annotations
@@ -22,17 +22,20 @@ from wcsim.core.reading import escaped, is_file, read_json
 from wcsim.errors import ConfigError, PolicyError
 from wcsim.supervisor.actions import ActionSet
 
-_LONGEST: Final = math.sqrt(2.0)  # of a stick, in a corner of its square
 MEANING: Final = "meaning.json"
+# A stick in a corner of its square is this long.
+_LONGEST: Final = math.sqrt(2.0)
 
 
 class GuardedPolicy:
-    """Drives one chair; `stick` is the command that was sent last, `tripped` whether the policy does not drive now.
+    """Drives one chair with a policy, except in ticks that are not finite and shortly after them.
+
+    `stick` is the command that was sent last; `tripped` means that the policy does not drive now.
 
     Args:
-        policy: Begun anew whenever it could not be trusted.
+        policy: It is reset whenever something else was sent than it chose.
         actions: Its joystick positions.
-        rule: See there.
+        rule: How fast the chair stops, and when the policy drives again.
     """
 
     def __init__(self, policy: Policy, actions: ActionSet, rule: GuardRule) -> None:
@@ -41,8 +44,9 @@ class GuardedPolicy:
         self._rest()
 
     def _rest(self) -> None:
-        self.stick, self.tripped, self.warning = (0.0, 0.0), False, False
-        self._good = 0  # good ticks since the last bad one
+        self.stick = (0.0, 0.0)
+        self.tripped = self.warning = False
+        self._good_ticks = 0
 
     def begin(self) -> None:
         """Nothing outlives an episode."""
@@ -56,26 +60,25 @@ class GuardedPolicy:
     def act(self, observation: Observation) -> int:
         """The action nearest to the guarded command.
 
-        Raises what the policy does: in a simulation a fault of a policy is to be seen.
+        Errors of the policy pass through: in a simulation they are to be seen.
         """
-        wanted, rule = self._asked(observation), self._rule
-        self._good = 0 if wanted is None else self._good + 1
-        self.tripped = wanted is None or (self.tripped and self._good < rule.good_ticks)
-        self.warning = self.warning and wanted is not None
-        share = max(
-            0.0, 1.0 - _LONGEST * rule.tick_s / rule.stop_s / max(math.hypot(*self.stick), 1e-9)
-        )
-        self.stick = (
-            wanted
-            if wanted and not self.tripped
-            else (self.stick[0] * share, self.stick[1] * share)
-        )
-        if self.stick != wanted:  # it remembers what it wanted as what was sent
+        rule, chosen = self._rule, self._finite_choice(observation)
+        self._good_ticks = 0 if chosen is None else self._good_ticks + 1
+        self.tripped = chosen is None or (self.tripped and self._good_ticks < rule.good_ticks)
+        self.warning = self.warning and chosen is not None
+        if chosen and not self.tripped:
+            self.stick = chosen
+        else:
+            step = _LONGEST * rule.tick_s / rule.stop_s
+            share = max(0.0, 1.0 - step / max(math.hypot(*self.stick), 1e-9))
+            self.stick = (self.stick[0] * share, self.stick[1] * share)
+        if self.stick != chosen:
+            # A policy remembers its choice as what was sent, which it was not.
             self._policy.reset()
         return self._actions.nearest(self.stick)
 
-    def _asked(self, frames: Observation) -> tuple[float, float] | None:
-        """What the policy wants; None where a number on either side is not finite."""
+    def _finite_choice(self, frames: Observation) -> tuple[float, float] | None:
+        """The policy's stick; None where its input or output is not finite."""
         if not all(np.isfinite(frame).all() for frame in frames.values()):
             return None
         seen: dict[str, Any] = dict(frames)
@@ -90,13 +93,14 @@ class GuardedPolicy:
 
 
 def guard_of(folder: Path) -> GuardRule | None:
-    """The guard of an ONNX folder; None where it has none. Raises PolicyError when it cannot be read."""
-    if not is_file(folder / MEANING):
+    """The guard of an ONNX folder; None where it has none. Raises PolicyError for a faulty one."""
+    path = folder / MEANING
+    if not is_file(path):
         return None
-    said = read_json(folder / MEANING, reading.MEANING).get("guard")
-    if not isinstance(said, dict):
+    guard = read_json(path, reading.MEANING).get("guard")
+    if not isinstance(guard, dict):
         return None
     try:
-        return parse(GuardFile, {"guard": said}, escaped(folder / MEANING)).guard
+        return parse(GuardFile, {"guard": guard}, escaped(path)).guard
     except ConfigError as error:
         raise PolicyError(str(error)) from None

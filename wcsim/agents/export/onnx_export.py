@@ -1,4 +1,4 @@
-"""Exports a trained policy for whoever has no wcsim: one ONNX model per tick, what it means, and reference steps."""
+"""Exports a trained policy for programs without wcsim: an ONNX model, its meaning, and examples."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ import torch
 import wcsim
 from wcsim.agents.danger.policy import DangerPolicy, load_net
 from wcsim.agents.envs.episode_view import FrameWindow, newest_frames
-from wcsim.agents.export.export_folder import LOOP, REFERENCE, as_words, settings_apart
-from wcsim.agents.export.footprint import PERIOD_S, SHARE, Footprint, footprint, steps_of
+from wcsim.agents.export.export_folder import LOOP, REFERENCE, differing_settings, format_settings
+from wcsim.agents.export.footprint import PERIOD_S, SHARE, Footprint, measure_footprint, run_steps
 from wcsim.agents.export.guard import MEANING
 from wcsim.agents.export.policy_graphs import DangerGraph, ValueGraph
 from wcsim.agents.learning.saved_policy import load_policy
@@ -44,17 +44,73 @@ from wcsim.supervisor.actions import ActionSet, action_set
 from wcsim.supervisor.observation import imu_size
 from wcsim.types import F32, ClassId
 
-_PRESET: Final = "quick"  # that policy.toml begins with
-MOST_OFF: Final = (
-    1e-4  # of the largest danger or value, between the model and the network it was made of
-)
-BORDER_OFF: Final = (
-    0.05  # of it, in a step in which a place on the border of two cells was read in the other
-)
-LEAST_SAME: Final = (
-    0.95  # of the actions, as wcsim's own policy chooses: a border may lead on to others
-)
+_PRESET: Final = "quick"  # of policy.toml
+# Largest difference between the model and the network it was made of, as a share of the largest
+# danger or value. Two cells have a border: there a place may be read in the other cell.
+MOST_OFF: Final = 1e-4
+BORDER_OFF: Final = 0.05
+# Least share of actions as wcsim's own policy chooses them: after one border others follow.
+LEAST_SAME: Final = 0.95
 Graph = DangerGraph | ValueGraph
+
+# The texts of meaning.json.
+_NOT_FOR: Final = (
+    "this says nothing about a real street or a real chair: it was trained and tested in a "
+    "simulation, and no person has driven with it"
+)
+_INPUTS: Final = {
+    DEPTH_KEY: "uint8 (1, 1, H, W): 0 not measured, else 1 + 254 log(d / 0.1 m) / log(range / 0.1 "
+    "m), rounded to the nearest, d along the optical axis, at least 0.1 m and at most the range; "
+    "a pixel is what lies in the direction of its middle (of a larger picture: the nearest pixel, "
+    "no mean)",
+    CLASS_KEY: "uint8 (1, 1, H, W): the numbers of `classes` (Cityscapes labelIds; where 34 to 36 "
+    "are not among them, kerbs are sidewalk and crosswalks road), at the pixels of depth",
+    JOYSTICK_KEY: "float32 (1, 2): the user's stick, x right, y ahead, in -1..1",
+}
+_FORCE_AND_TILT: Final = (
+    "each within -1..1: mean specific force x, y, z of the tick / 40 m/s2 (at rest z is +0.245), "
+    "roll / pi (right side down is positive), pitch / (pi / 2) (nose up is positive)"
+)
+_TURNS: Final = ", turn rates about x, y, z / 4 rad/s (right-handed)"
+_HEADING: Final = ", sine and cosine of the heading"
+_WHEN: Final = (
+    "all inputs describe the end of a tick; one tick every tick_s. Use each picture once: a tick "
+    "without a new picture has no frame (see the guard)"
+)
+_RESET: Final = (
+    "set every state to zero at the start, and whenever the chair did not execute the output of "
+    "this model (an emergency stop, an attendant) or was carried; the output next_state_X goes "
+    "into state_X at the next tick"
+)
+_OUTPUTS: Final = {
+    "values": "float32 (1, A): the action is that of the highest value",
+    "warning": "float32 (1, 1): above 0.5 the user should be warned",
+    "danger": "float32 (1, A) in 0..1: the danger of each action",
+}
+_VALUES: Final = (
+    "the reward that the network expects from an action on, reward_scale times the sum of "
+    "discount^n times the reward of the nth tick; compare values of one tick, they are no "
+    "probabilities and no dangers"
+)
+_RULE: Final = (
+    "already in `values`: the user's own action where its danger is below threshold, or below "
+    "at_once and it was not above the threshold in the ticks before, which state_recent counts; "
+    "else the nearest action that is below it, each farther by danger_cost times its danger over "
+    "the threshold, the last one nearer by hysteresis and allowed up to hysteresis_factor times "
+    "the threshold; it warns above warn"
+)
+_SENSES: Final = (
+    "settings in training, in wcsim's words. Of imu: mean_gravity is about the specific force of "
+    "`inputs` (included: at rest z is 9.81 m/s2), tilt says what its roll and pitch are made of; "
+    "lowpass_hz, accel_window and gravity are about the shocks by which wcsim judges a drive, "
+    "which are no input; the rest are the sensor's place, range and errors"
+)
+_GUARD: Final = (
+    "a tick is bad without frames, with an input or output that is not finite, a frame older than "
+    "oldest_s, or an answer later than deadline_s, and when the model fails: then all states are "
+    "reset, and the stick goes to zero within stop_s, by sqrt(2) * tick_s / stop_s per tick; the "
+    "policy drives again after good_ticks good ticks with a joystick at rest as its input"
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -69,9 +125,7 @@ class ExportFacts:
     border_off: float  # of the largest danger, in these
     same_actions: float  # share of the steps
     same_as_wcsim: float  # share of the steps that the policy of wcsim itself chooses
-    same_as_recorded: float | None = (
-        None  # share of a recording's actions that are these; None without a recording
-    )
+    same_as_recorded: float | None = None  # share of a recording's actions that are these
     cost: Footprint
     bytes: int
     quota_share: float = SHARE
@@ -89,7 +143,7 @@ def export_policy(
     recorded: Sequence[int] | None = None,
     network: str | None = None,
 ) -> ExportFacts:
-    """Write an ONNX folder that `wcsim test` takes as a policy, in one step.
+    """Write an ONNX folder that `wcsim test` takes as a policy, all of it or nothing.
 
     Args:
         policy: Folder of the policy.
@@ -98,27 +152,32 @@ def export_policy(
         ride: Observations of successive ticks of one episode, for the reference steps.
         limit_ms: For a decision, 99 of 100 times.
         level: Of assistance, a threshold of danger; None for the policy's own.
-        recorded: What was chosen in the ride when it was recorded, by whomever, to compare with; None for no recording.
-        network: Somebody's own class that may be loaded, `module:Class`.
+        recorded: Actions of the ride's recording, by any driver, to compare with.
+        network: Class of a user that may be loaded, `module:Class`.
 
     Raises:
-        PolicyError: The network cannot be exported, the model differs from it or is too slow, or ONNX is not
-            installed.
+        PolicyError: The network cannot be exported, the model differs from it or is too slow, or
+            ONNX is not installed.
         DiskFullError: There is no room.
     """
-    torch.set_num_threads(
-        1
-    )  # one picture is too little for two threads, as in `agents/opening/named_policy.py`
-    graph, own = _opened(policy, config, level, network)
+    # One picture is too little work for two threads, as in `agents/opening/named_policy.py`.
+    torch.set_num_threads(1)
+    # 1. Open the policy twice, as a graph and as wcsim drives with it, and let it drive the ride.
+    graph, own = _open_both(policy, config, level, network)
     graph.train(False)
     config = resolve(config, sense_settings(config, senses_of(own)))
     ride = [newest_frames(seen, 1) for seen in ride]
-    chosen = _chosen(own, ride, graph.window)
+    window = FrameWindow(graph.window)
+    own.begin()
+    own.reset()
+    chosen = [own.act(window.add(dict(seen))) for seen in ride]
+    # 2. Trace the graph.
     shapes = graph.shapes()
-    given = tuple(torch.as_tensor(ride[0][key])[None] for key in graph.inputs)
+    inputs = tuple(torch.as_tensor(ride[0][key])[None] for key in graph.inputs)
     states = tuple(torch.zeros(shape) for shape in shapes.values())
     outputs = (*graph.outputs, *(f"next_{name}" for name in shapes))
-    model = exported(graph, (*given, *states), (*graph.inputs, *shapes), outputs)
+    model = exported(graph, (*inputs, *states), (*graph.inputs, *shapes), outputs)
+    # 3. Write the folder; what is wrong with the model leaves no folder behind.
     with files.whole_folder(out) as target:
         (target / MODEL_FILE).write_bytes(model)
         facts = _write_reference(
@@ -126,70 +185,27 @@ def export_policy(
         )
         if facts.cost.p99_ms > limit_ms:
             raise PolicyError(
-                f"a decision takes {facts.cost.p99_ms:.0f} ms (99th percentile); expected at most {limit_ms:g} ms: "
-                "export it anyway with --force"
+                f"a decision takes {facts.cost.p99_ms:.0f} ms (99th percentile); expected at most "
+                f"{limit_ms:g} ms: export it anyway with --force"
             )
         (target / ABOUT_FILE).write_text(_about(config), encoding="utf-8")
-        shutil.copyfile(_loop_place(), target / LOOP)
+        shutil.copyfile(_loop_source(), target / LOOP)
         measured = {"sha256": files.sha256(target / MODEL_FILE), "facts": asdict(facts)}
         files.write_json(target / MEANING, {**_meaning_of(graph, config), **measured})
     return facts
 
 
-def _loop_place() -> Path:
-    """The loop in NumPy that drives an exported policy: in a wheel within the package, in a checkout beside it.
-
-    Raises PolicyError when it is in neither.
-    """
-    package = Path(wcsim.__file__).parent
-    for place in (package, package.parent):
-        if is_file(place / "examples" / LOOP):
-            return place / "examples" / LOOP
-    raise PolicyError(
-        f"wcsim has no examples/{LOOP}; expected one in {escaped(package)} or beside it: install it again"
-    )
-
-
-def _run_model(
-    path: Path,
-    ride: Sequence[Observation],
-    keys: Sequence[str],
-    before: Sequence[Sequence[F32]] | None = None,
-) -> dict[str, Any]:
-    """Outputs by name, stacked over the steps of a ride.
-
-    Args:
-        path: The model.
-        ride: What it is shown.
-        keys: Of its inputs.
-        before: The states that each step begins with; None for those that the model itself told.
-    """
-    told: dict[str, list[Any]] = {}
-    for out in steps_of(open_session(path), ride, keys, before):
-        for name, values in out.items():
-            if not name.startswith("next_"):
-                told.setdefault(name, []).append(values[0])
-    return {name: np.stack(values) for name, values in told.items()}
-
-
-def _opened(
+def _open_both(
     policy: Path, config: RunConfig, level: float | None, network: str | None
 ) -> tuple[Graph, Policy]:
     """A policy as a graph, and as wcsim drives with it."""
     if not is_danger(policy):
-        held = load_policy(policy, network)
-        return ValueGraph(held.net, held.file.window), held
+        saved = load_policy(policy, network)
+        return ValueGraph(saved.net, saved.file.window), saved
     net, rule = load_net(policy)
-    rule = rule if level is None else rule.model_copy(update={"threshold": level})
+    if level is not None:
+        rule = rule.model_copy(update={"threshold": level})
     return DangerGraph(net, config, rule), DangerPolicy("own", net, config, rule)
-
-
-def _chosen(policy: Policy, ride: Sequence[Observation], window: int) -> list[int]:
-    """What the policy itself does on a ride of single images."""
-    held = FrameWindow(window)
-    policy.begin()
-    policy.reset()
-    return [policy.act(held.add(dict(seen))) for seen in ride]
 
 
 def _write_reference(
@@ -200,170 +216,167 @@ def _write_reference(
     points: ActionSet,
     recorded: Sequence[int] | None,
 ) -> ExportFacts:
-    wanted, actions, before = [], [], []
-    at, state = (
-        graph.outputs.index(graph.checked),
-        [torch.zeros(shape) for shape in graph.shapes().values()],
-    )
+    """Write the reference steps beside a model, compare it with graph and wcsim, measure it.
+
+    Raises:
+        PolicyError: It differs by too much.
+    """
+    model = target / MODEL_FILE
+    # 1. The graph in torch, with the states before each step.
+    expected, graph_actions, states_before = [], [], []
+    checked = graph.outputs.index(graph.checked)
+    states = [torch.zeros(shape) for shape in graph.shapes().values()]
     with torch.inference_mode():
         for seen in ride:
-            before.append([part.numpy() for part in state])
-            out = graph(*(torch.as_tensor(seen[key])[None] for key in graph.inputs), *state)
-            state = list(out[len(graph.outputs) :])
-            wanted.append(out[at][0].numpy())
-            actions.append(int(out[0].argmax()))
-    off = _off(
-        _run_model(target / MODEL_FILE, ride, graph.inputs, before)[graph.checked],
-        np.stack(wanted),
-        graph,
-    )
-    told = _run_model(target / MODEL_FILE, ride, graph.inputs)
-    inputs = {key: np.stack([seen[key] for seen in ride]) for key in graph.inputs}
-    # Its own actions, whoever drove a recording: whoever runs the model again can have no others.
-    kept: dict[str, Any] = {
-        **inputs,
-        graph.checked: told[graph.checked],
-        "action": np.array(actions),
-    }
-    np.savez_compressed(target / REFERENCE, **kept)
-    own = points.nearest_many(inputs["joystick"])
+            states_before.append([state.numpy() for state in states])
+            out = graph(*(torch.as_tensor(seen[key])[None] for key in graph.inputs), *states)
+            states = list(out[len(graph.outputs) :])
+            expected.append(out[checked][0].numpy())
+            graph_actions.append(int(out[0].argmax()))
+    actions = np.array(graph_actions)
+    # 2. The model, each step from the graph's states: so that no difference adds up.
+    stepwise = _run_model(model, ride, graph.inputs, states_before)
+    off = _require_equal(stepwise[graph.checked], np.stack(expected), graph)
     at_border = off > MOST_OFF
-    same = told["values"].argmax(axis=1) == np.array(chosen)
+    # 3. The model by itself. Its actions are the reference, whoever drove a recording: a program
+    # that runs the model again can have no others.
+    outputs = _run_model(model, ride, graph.inputs)
+    inputs = {key: np.stack([seen[key] for seen in ride]) for key in graph.inputs}
+    reference: dict[str, Any] = {
+        **inputs,
+        graph.checked: outputs[graph.checked],
+        "action": actions,
+    }
+    np.savez_compressed(target / REFERENCE, **reference)
+    model_actions = outputs["values"].argmax(axis=1)
+    same = model_actions == np.array(chosen)
     if np.mean(same) < LEAST_SAME:
         raise PolicyError(
-            f"the exported model chooses the action of wcsim's policy in {np.mean(same):.1%} of the steps "
-            f"(first difference: step {int(np.argmin(same))}); expected at least {LEAST_SAME:.0%}: this is a "
-            "bug of the export, please report it; nothing was written"
+            f"the exported model chooses the action of wcsim's policy in {np.mean(same):.1%} of "
+            f"the steps (first difference: step {int(np.argmin(same))}); expected at least "
+            f"{LEAST_SAME:.0%}: this is a bug of the export, please report it; nothing was written"
         )
+    # 4. What it costs.
+    own = points.nearest_many(inputs["joystick"])
     return ExportFacts(
         steps=len(ride),
-        interventions=int(np.sum(own != np.array(actions))),
-        warnings=int(sum(np.sum(told[name] > 0.5) for name in graph.outputs if name == "warning")),
+        interventions=int(np.sum(own != actions)),
+        warnings=int(np.sum(outputs["warning"] > 0.5)) if "warning" in outputs else 0,
         most_off=float(off[~at_border].max(initial=0.0)),
         border_steps=int(at_border.sum()),
         border_off=float(off.max()),
-        same_actions=float(np.mean(told["values"].argmax(axis=1) == actions)),
+        same_actions=float(np.mean(model_actions == actions)),
         same_as_wcsim=float(np.mean(same)),
         same_as_recorded=None
         if recorded is None
-        else float(np.mean(np.array(actions) == np.array(recorded))),
-        cost=footprint(target / MODEL_FILE, target / REFERENCE, graph.inputs),
-        bytes=(target / MODEL_FILE).stat().st_size,
+        else float(np.mean(actions == np.array(recorded))),
+        cost=measure_footprint(model, target / REFERENCE, graph.inputs),
+        bytes=model.stat().st_size,
     )
 
 
-def _off(told: F32, wanted: F32, graph: Graph) -> F32:
-    """How far the worst number of each step is off, (steps,), of the largest. Raises PolicyError where it is a fault.
+def _run_model(
+    path: Path,
+    ride: Sequence[Observation],
+    keys: Sequence[str],
+    states_before: Sequence[Sequence[F32]] | None = None,
+) -> dict[str, Any]:
+    """Outputs of a model by name, stacked over the steps of a ride; see `run_steps`."""
+    columns: dict[str, list[Any]] = {}
+    for outputs in run_steps(open_session(path), ride, keys, states_before):
+        for name, values in outputs.items():
+            if not name.startswith("next_"):
+                columns.setdefault(name, []).append(values[0])
+    return {name: np.stack(values) for name, values in columns.items()}
 
-    Two libraries round the place of a cell in their last bit each in its own way: on the border of two cells one
-    reads this and the other that, and what is read there may differ a little.
+
+def _require_equal(found: F32, expected: F32, graph: Graph) -> F32:
+    """How far the worst number of each step is off, (steps,), as a share of the largest number.
+
+    Two libraries round the last bit of a cell's place in different ways. On the border of two cells
+    one reads this cell and the other that one, whose content may differ a little.
+
+    Raises:
+        PolicyError: They differ by more than borders explain.
     """
-    off: F32 = np.abs(told - wanted).max(axis=1) / max(float(np.abs(wanted).max()), 1e-9)
+    off: F32 = np.abs(found - expected).max(axis=1) / max(float(np.abs(expected).max()), 1e-9)
     share, worst = float(np.mean(off > MOST_OFF)), int(off.argmax())
     if share > graph.border_share or off[worst] > BORDER_OFF:
         raise PolicyError(
-            f"the exported model's {graph.checked} differ by up to {off[worst]:.2g} of the largest (step {worst}), and "
-            f"by more than {MOST_OFF:g} in {share:.1%} of the steps; expected at most {BORDER_OFF:g}, and "
-            f"{graph.border_share:.0%}: in a network of your own, compute the same for whatever it is shown, without "
-            "`if`; in one of wcsim this is a bug of the export, please report it; nothing was written"
+            f"the exported model's {graph.checked} differ by up to {off[worst]:.2g} of the "
+            f"largest (step {worst}), and by more than {MOST_OFF:g} in {share:.1%} of the steps; "
+            f"expected at most {BORDER_OFF:g}, and {graph.border_share:.0%}: in a network of your "
+            "own, compute the same for whatever it is shown, without `if`; in one of wcsim this "
+            "is a bug of the export, please report it; nothing was written"
         )
     return off
 
 
 def _about(config: RunConfig) -> str:
-    """The settings with which `wcsim test` shows the model what it was trained on, over those of a preset."""
+    """policy.toml: the settings with which `wcsim test` shows the model what it was trained on."""
     usual = resolve(_PRESET)
-    told = [
-        (f"chair.{key}", value) for key, value in config.chair if value is not None
-    ]  # a plant brings its own
-    told += [("imu.tilt", config.imu.tilt)] if config.imu.tilt != usual.imu.tilt else []
-    told += [("world.action_delay_ticks", config.world.action_delay_ticks)]
-    size = as_words(
-        (f"cameras.0.{key}", getattr(config.eye, key)) for key in ("width_px", "height_px")
+    size = [(f"cameras.0.{key}", getattr(config.eye, key)) for key in ("width_px", "height_px")]
+    # A value of None is that of the plant, which brings its own.
+    more = [(f"chair.{key}", value) for key, value in config.chair if value is not None]
+    if config.imu.tilt != usual.imu.tilt:
+        more.append(("imu.tilt", config.imu.tilt))
+    more.append(("world.action_delay_ticks", config.world.action_delay_ticks))
+    settings = dict.fromkeys(
+        (*format_settings(size), *differing_settings(config, usual), *format_settings(more))
     )
-    settings = dict.fromkeys((*size, *settings_apart(config, usual), *as_words(told)))
     lines = ",\n  ".join(json.dumps(setting) for setting in settings)
     return f'preset = "{_PRESET}"\nsettings = [\n  {lines},\n]\n'
 
 
-_NOT_FOR: Final = (
-    "this says nothing about a real street or a real chair: it was trained and tested in a simulation, and no person "
-    "has driven with it"
-)
-_INPUTS: Final = {
-    DEPTH_KEY: "uint8 (1, 1, H, W): 0 not measured, else 1 + 254 log(d / 0.1 m) / log(range / 0.1 m), rounded to the "
-    "nearest, d along the optical axis, at least 0.1 m and at most the range; a pixel is what lies in the direction of "
-    "its middle (of a larger picture: the nearest pixel, no mean)",
-    CLASS_KEY: "uint8 (1, 1, H, W): the numbers of `classes` (Cityscapes labelIds; where 34 to 36 are not among them, "
-    "kerbs are sidewalk and crosswalks road), at the pixels of depth",
-    JOYSTICK_KEY: "float32 (1, 2): the user's stick, x right, y ahead, in -1..1",
-}
-_FORCE_AND_TILT: Final = (
-    "each within -1..1: mean specific force x, y, z of the tick / 40 m/s2 (at rest z is +0.245), roll / pi (right side "
-    "down is positive), pitch / (pi / 2) (nose up is positive)"
-)
-_TURNS: Final = ", turn rates about x, y, z / 4 rad/s (right-handed)"
-_HEADING: Final = ", sine and cosine of the heading"
-_WHEN: Final = (
-    "all inputs describe the end of a tick; one tick every tick_s. Use each picture once: a tick without a new picture "
-    "has no frame (see the guard)"
-)
-_RESET: Final = (
-    "set every state to zero at the start, and whenever the chair did not execute the output of this model (an "
-    "emergency stop, an attendant) or was carried; the output next_state_X goes into state_X at the next tick"
-)
-_OUTPUTS: Final = {
-    "values": "float32 (1, A): the action is that of the highest value",
-    "warning": "float32 (1, 1): above 0.5 the user should be warned",
-    "danger": "float32 (1, A) in 0..1: the danger of each action",
-}
-_VALUES: Final = (
-    "the reward that the network expects from an action on, reward_scale times the sum of discount^n times the reward "
-    "of the nth tick; compare values of one tick, they are no probabilities and no dangers"
-)
-_RULE: Final = (
-    "already in `values`: the user's own action where its danger is below threshold, or below at_once and it was not "
-    "above the threshold in the ticks before, which state_recent counts; else the nearest action that is below it, "
-    "each farther by danger_cost times its danger over the threshold, the last one nearer by hysteresis and allowed up "
-    "to hysteresis_factor times the threshold; it warns above warn"
-)
-_SENSES: Final = (
-    "settings in training, in wcsim's words. Of imu: mean_gravity is about the specific force of `inputs` (included: "
-    "at rest z is 9.81 m/s2), tilt says what its roll and pitch are made of; lowpass_hz, accel_window and gravity are "
-    "about the shocks by which wcsim judges a drive, which are no input; the rest are the sensor's place, range and "
-    "errors"
-)
-_GUARD: Final = (
-    "a tick is bad without frames, with an input or output that is not finite, a frame older than oldest_s, or an "
-    "answer later than deadline_s, and when the model fails: then all states are reset, and the stick "
-    "goes to zero within stop_s, by sqrt(2) * tick_s / stop_s per tick; the policy drives again after good_ticks good "
-    "ticks with a joystick at rest as its input"
-)
+def _loop_source() -> Path:
+    """The loop in NumPy that drives an exported policy, in a wheel or in a checkout.
+
+    Raises:
+        PolicyError: It is in neither.
+    """
+    package = Path(wcsim.__file__).parent
+    # A wheel holds it within the package, a checkout beside it.
+    for place in (package, package.parent):
+        if is_file(place / "examples" / LOOP):
+            return place / "examples" / LOOP
+    raise PolicyError(
+        f"wcsim has no examples/{LOOP}; expected one in {escaped(package)} or beside it: install "
+        "it again"
+    )
 
 
-def _meaning_of(graph: DangerGraph | ValueGraph, config: RunConfig) -> dict[str, Any]:
-    """Units, scales, signs, classes, camera, chair and guard of an exported policy, as JSON values."""
-    actions, sensors = action_set(config.env.actions), config.sensors.on()
+def _meaning_of(graph: Graph, config: RunConfig) -> dict[str, Any]:
+    """meaning.json: units, scales, signs, classes, camera, chair and guard, as JSON values."""
     folded = config.env.classes == "cityscapes"
-    sensed = {
+    senses = {
         key: section.model_dump(mode="json")
-        for key, section in sensors.items()
+        for key, section in config.sensors.on().items()
         if key in graph.inputs
     }
+    values: dict[str, Any]
+    if isinstance(graph, DangerGraph):
+        values = {"rule": graph.rule.model_dump(), "rule_meaning": _RULE}
+    else:
+        scale = graph.net.spec.prior.reward_scale
+        values = {
+            "values_meaning": _VALUES,
+            "reward_scale": scale,
+            "discount": config.learn.gamma,
+        }
     return {
         "not_for": _NOT_FOR,
-        "inputs": {key: _input(key, config) for key in graph.inputs},
+        "inputs": {key: _input_text(key, config) for key in graph.inputs},
         "when": _WHEN,
         "states": {name: list(shape) for name, shape in graph.shapes().items()},
         "reset": _RESET,
         "outputs": {key: _OUTPUTS[key] for key in graph.outputs},
-        "actions_xy": actions.points.tolist(),
-        **_of_kind(graph, config),
+        "actions_xy": action_set(config.env.actions).points.tolist(),
+        **values,
         "classes": {
             kind.name.lower(): int(kind) for kind in ClassId if kind < ClassId.KERB or not folded
         },
         "camera": config.cameras[0].model_dump(mode="json"),
-        "senses": {"imu": config.imu.model_dump(mode="json"), **sensed},
+        "senses": {"imu": config.imu.model_dump(mode="json"), **senses},
         "senses_meaning": _SENSES,
         "chair": config.chair.model_dump(mode="json"),
         "tick_s": config.world.tick_s,
@@ -373,24 +386,19 @@ def _meaning_of(graph: DangerGraph | ValueGraph, config: RunConfig) -> dict[str,
     }
 
 
-def _input(key: str, config: RunConfig) -> str:
-    """What an input holds."""
+def _input_text(key: str, config: RunConfig) -> str:
+    """Type, shape, unit and signs of an input."""
     if key == IMU_KEY:
         more = _TURNS * config.env.observe_gyro + _HEADING * config.env.observe_yaw
         size = imu_size(config.env.observe_gyro, config.env.observe_yaw)
-        return f"float32 (1, {size}), {_FORCE_AND_TILT}{more}; x ahead, y left, z up, of the chair; see `senses`"
+        axes = "x ahead, y left, z up, of the chair; see `senses`"
+        return f"float32 (1, {size}), {_FORCE_AND_TILT}{more}; {axes}"
     if key in _INPUTS:
         return _INPUTS[key]
     measure = config.sensors.measures()[key]
     parts = ", ".join(
         f"{part} / {scale:g}" for part, scale in zip(measure.parts, measure.full_scale, strict=True)
     )
-    return f"float32 (1, {len(measure.parts)}), each within -1..1: {parts}, means of the tick; to the left is positive"
-
-
-def _of_kind(graph: DangerGraph | ValueGraph, config: RunConfig) -> dict[str, Any]:
-    """How a danger network's dangers become an action, or what the values of Q-learning are."""
-    if isinstance(graph, DangerGraph):
-        return {"rule": graph.rule.model_dump(), "rule_meaning": _RULE}
-    scale = graph.net.spec.prior.reward_scale
-    return {"values_meaning": _VALUES, "reward_scale": scale, "discount": config.learn.gamma}
+    size = len(measure.parts)
+    means = f"{parts}, means of the tick; to the left is positive"
+    return f"float32 (1, {size}), each within -1..1: {means}"

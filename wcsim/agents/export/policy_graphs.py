@@ -1,9 +1,10 @@
-"""One tick of a policy as a torch module for export: what it remembers goes in and comes out, pictures go in once.
+"""One tick of a policy as a torch module for the export to ONNX: its memory goes in and comes out.
 
-`DangerGraph` makes the street map as `danger/street_map.py` does, with the tensors that ONNX knows; a test holds the
-two together (`tests/agents/export/test_danger_graph.py`).
-Each operation costs a machine more than the numbers in it, so there are as few as can be.
-`ValueGraph` has the state of a network that carries one, else the earlier pictures of its window.
+A danger policy drives with NumPy and numba kernels, which no exporter can trace. `Drive` and
+`DangerGraph` therefore compute the same a second time, with the tensor operations that ONNX has.
+Each of their methods names the function it repeats: a change of one is a change of both.
+`tests/agents/export/test_danger_graph.py` compares them. An operation costs more than the numbers
+in it, so there are as few as possible. `ValueGraph` repeats nothing: it calls the network itself.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from typing import Final
 
 import numpy as np
 import torch
-from torch import nn
+from torch import Tensor, nn
 
 from wcsim.agents.danger.network import DangerNet
 from wcsim.agents.danger.policy import GIVES_BACK, LESS_M, RECENT_TICKS
@@ -53,7 +54,7 @@ from wcsim.agents.perception.ego_motion import (
     TRUST,
     TURN_FULL_SCALE,
 )
-from wcsim.agents.perception.surroundings import box_of, stride_px
+from wcsim.agents.perception.surroundings import FAR_SHARE, box_of, stride_px
 from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY
 from wcsim.config import RunConfig
 from wcsim.config.run_file import DangerRule
@@ -76,15 +77,29 @@ from wcsim.supervisor.actions import MAX_DISTANCE, action_set
 from wcsim.supervisor.observation import decode_depth
 from wcsim.types import F64
 
-Motion = tuple[torch.Tensor, torch.Tensor, torch.Tensor]
+# Columns of the state of motion: whether the episode has started, its tick, pose in O, then
+# speed, turn rate and acceleration.
+_STARTED: Final = slice(0, 1)
+_NOW: Final = slice(1, 2)
+_POSE: Final = slice(2, 5)
+_MOTION: Final = slice(5, 8)
+# Rows of the state of cells.
+_KEY, _TICK, _MOVER, _CLASS, _HIGH, _LOW = range(6)
+# A key wraps around after so many cells each way, 410 m; float32 holds all keys exactly.
+_KEY_SIDE: Final = 4096.0
+_EMPTY: Final = -1.0e6  # below any value of a cell
+
+Motion = tuple[Tensor, Tensor, Tensor]
 """Speed, turn rate and acceleration, (B,) each."""
 
-Places = tuple[torch.Tensor, torch.Tensor, torch.Tensor]
+Places = tuple[Tensor, Tensor, Tensor]
 """x, y and yaw; (B,) each, or (T, B) of successive steps."""
 
 
 class Drive:
-    """How a chair obeys its stick.
+    """How a chair obeys its stick: `core/joystick.py` in tensors, for many commands at once.
+
+    The numba kernels there take single floats and branch, which a traced graph cannot.
 
     Args:
         limits: (8,) of the drive, see `limits_of`.
@@ -96,51 +111,67 @@ class Drive:
         self._limits: list[float] = limits.tolist()
         self._deadband, self._exponent = deadband, exponent
 
-    def shaped(self, stick: torch.Tensor) -> torch.Tensor:
-        """Joystick positions (B, 2) as the drive takes them."""
+    def shaped(self, stick: Tensor) -> Tensor:
+        """Joystick positions (B, 2) as the drive takes them; repeats `joystick.shaped`."""
         radius = (stick * stick).sum(dim=1, keepdim=True).sqrt()
-        out = ((radius.clamp(max=1.0) - self._deadband) / (1.0 - self._deadband)).clamp(
-            min=0.0
-        ) ** self._exponent
+        pushed = (radius.clamp(max=1.0) - self._deadband) / (1.0 - self._deadband)
+        out = pushed.clamp(min=0.0) ** self._exponent
         return stick / radius.clamp(min=1e-9) * out
 
-    def wanted(self, command: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """The speed (B,) that shaped commands (B, 2) ask for, and the turn rate as it were on the spot."""
+    def targets(self, command: Tensor) -> tuple[Tensor, Tensor]:
+        """The speed (B,) that shaped commands (B, 2) demand, and the turn rate if on the spot.
+
+        The part of the drive's law that does not depend on its speed of now, so that `roll_out`
+        needs it once for all steps. `_target_turn` is the rest.
+        """
         limits = self._limits
         x, y = command[:, 0], command[:, 1]
         return y * limits[V_MAX] * torch.where(y < 0.0, limits[REVERSE], 1.0), -x * limits[YAW_MAX]
 
-    def follow(
-        self, motion: Motion, wanted: tuple[torch.Tensor, torch.Tensor], dt_s: float
-    ) -> Motion:
-        """The motion `dt_s` later, with what `wanted` gives."""
+    def follow(self, motion: Motion, targets: tuple[Tensor, Tensor], dt_s: float) -> Motion:
+        """The motion `dt_s` later, with what `targets` gives; repeats `joystick.driven`."""
         v, w, a = motion
-        faster, a = self._faster(v, a, wanted[0] - v, dt_s)
-        return faster, self._turned(w, self._turn(wanted, v), dt_s), a
+        later, a = self._follow_speed(v, a, targets[0] - v, dt_s)
+        return later, self._follow_turn(w, self._target_turn(targets, v), dt_s), a
 
-    def roll(
-        self, places: Places, motion: Motion, command: torch.Tensor, holds: list[bool], dt_s: float
+    def advance(
+        self, places: Places, motion: Motion, command: Tensor, dt_s: float
+    ) -> tuple[Places, Motion]:
+        """Places and motion (B,) `dt_s` later, with commands (B, 2); repeats `arcs.advance`."""
+        now = self.follow(motion, self.targets(command), dt_s)
+        turn, way = 0.5 * dt_s * (motion[1] + now[1]), 0.5 * dt_s * (motion[0] + now[0])
+        heading = places[2] + 0.5 * turn
+        x, y = places[0] + way * torch.cos(heading), places[1] + way * torch.sin(heading)
+        return (x, y, places[2] + turn), now
+
+    def roll_out(
+        self, places: Places, motion: Motion, command: Tensor, holds: list[bool], dt_s: float
     ) -> Places:
-        """Where shaped commands (B, 2) bring chairs that begin at `places` with `motion`, (T, B) after each step.
+        """Where shaped commands (B, 2) bring chairs, (T, B) after each step.
+
+        Repeats the loop over `arcs.advance` in `street_map.sweep`. Here speeds, turn rates and
+        places are computed one after the other, each for all steps: a graph of fewer operations.
 
         Args:
-            places: (1,) each, or (B,).
-            motion: (1,) each, or (B,).
-            command: Held where `holds` says so, let go elsewhere.
+            places: At the start, (1,) each, or (B,).
+            motion: At the start, (1,) each, or (B,).
+            command: Held where `holds` is true; elsewhere the stick is released.
             holds: Of each of the T steps.
             dt_s: Of a step.
         """
-        wanted = self.wanted(command)
+        targets = self.targets(command)
+        # Rows (1, B), so that nothing has to be reshaped into one afterwards.
         v, w, a = (part.expand(1, len(command)) for part in motion)
         speeds = [v]
-        for held in holds:  # rows (1, B), so that nothing has to be made one row afterwards
-            v, a = self._faster(v, a, wanted[0] - v if held else -v, dt_s)
+        for held in holds:
+            v, a = self._follow_speed(v, a, targets[0] - v if held else -v, dt_s)
             speeds.append(v)
         all_v = torch.cat(speeds)
         held_now = torch.tensor(holds, device=command.device)[:, None]
         turns = [w]
-        for turn in torch.split(torch.where(held_now, self._turn(wanted, all_v[:-1]), 0.0), 1):
-            turns.append(self._turned(turns[-1], turn, dt_s))
+        target_turns = torch.where(held_now, self._target_turn(targets, all_v[:-1]), 0.0)
+        for target in torch.split(target_turns, 1):
+            turns.append(self._follow_turn(turns[-1], target, dt_s))
         all_w = torch.cat(turns)
         way, turned = 0.5 * dt_s * (all_v[:-1] + all_v[1:]), 0.5 * dt_s * (all_w[:-1] + all_w[1:])
         yaw = places[2] + turned.cumsum(0)
@@ -148,52 +179,37 @@ class Drive:
         x, y = (way * torch.cos(heading)).cumsum(0), (way * torch.sin(heading)).cumsum(0)
         return places[0] + x, places[1] + y, yaw
 
-    def _faster(
-        self, v: torch.Tensor, a: torch.Tensor, gap: torch.Tensor, dt_s: float
-    ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Speed and acceleration `dt_s` later, where `gap` is missing."""
+    def _follow_speed(
+        self, v: Tensor, a: Tensor, gap: Tensor, dt_s: float
+    ) -> tuple[Tensor, Tensor]:
+        """Speed and acceleration `dt_s` later; repeats `joystick.follow_speed`, given the gap."""
         limits, jerk = self._limits, self._limits[JERK]
         limit = torch.where(v * gap < 0.0, limits[DECEL], limits[ACCEL])
         ahead = gap - a * dt_s
-        a_wanted = torch.sign(ahead) * torch.minimum(limit, (ahead.abs() * (2.0 * jerk)).sqrt())
-        a = a + (a_wanted - a).clamp(-jerk * dt_s, jerk * dt_s)
+        target = torch.sign(ahead) * torch.minimum(limit, (ahead.abs() * (2.0 * jerk)).sqrt())
+        a = a + (target - a).clamp(-jerk * dt_s, jerk * dt_s)
         move = a * dt_s
         there = (gap.abs() <= move.abs() + STILL_MPS * dt_s) & (a.abs() <= 2.0 * jerk * dt_s + 0.1)
         return v + torch.where(there, gap, move), torch.where(there, 0.0, a)
 
-    def _turn(self, wanted: tuple[torch.Tensor, torch.Tensor], v: torch.Tensor) -> torch.Tensor:
-        """The turn rate that is asked for at a speed."""
-        return wanted[1] / (
-            1.0 + self._limits[YAW_SLOWDOWN] * torch.maximum(wanted[0].abs(), v.abs())
-        )
+    def _target_turn(self, targets: tuple[Tensor, Tensor], v: Tensor) -> Tensor:
+        """The turn rate that is demanded at a speed; repeats `joystick.yaw_rate_limit`."""
+        faster = torch.maximum(targets[0].abs(), v.abs())
+        return targets[1] / (1.0 + self._limits[YAW_SLOWDOWN] * faster)
 
-    def _turned(self, w: torch.Tensor, asked: torch.Tensor, dt_s: float) -> torch.Tensor:
+    def _follow_turn(self, w: Tensor, target: Tensor, dt_s: float) -> Tensor:
+        """The turn rate `dt_s` later; repeats `joystick.towards`."""
         most = self._limits[YAW_ACCEL] * dt_s
-        return w + (asked - w).clamp(-most, most)
-
-    def advance(
-        self, places: Places, motion: Motion, command: torch.Tensor, dt_s: float
-    ) -> tuple[Places, Motion]:
-        """Places and motion (B,) `dt_s` later, with shaped commands (B, 2)."""
-        now = self.follow(motion, self.wanted(command), dt_s)
-        turn, way = 0.5 * dt_s * (motion[1] + now[1]), 0.5 * dt_s * (motion[0] + now[0])
-        heading = places[2] + 0.5 * turn
-        x, y = places[0] + way * torch.cos(heading), places[1] + way * torch.sin(heading)
-        return (x, y, places[2] + turn), now
-
-
-_KEY, _TICK, _MOVER, _CLASS, _HIGH, _LOW = range(6)
-_KEYS: Final = (
-    4096.0  # cells each way, after which keys come again: 410 m away, and float32 holds all of them
-)
-_NOWHERE: Final = -1.0e6
+        return w + (target - w).clamp(-most, most)
 
 
 class DangerGraph(nn.Module):
-    """One step of a danger policy; every state is zero at the start of an episode.
+    """One tick of a danger policy; every state is zero at the start of an episode.
+
+    It repeats `DangerPolicy` and all that this calls; only the network is the same object.
 
     Args:
-        net: One that looks at the street map.
+        net: A network that looks at the street map.
         config: Of the run.
         rule: From dangers to an action.
     """
@@ -201,9 +217,8 @@ class DangerGraph(nn.Module):
     inputs: Final = ("depth", "seg", "imu", "odometry", "joystick")
     outputs: Final = ("values", "warning", "danger")
     checked: Final = "danger"  # the output that is compared with the network's own
-    border_share: Final = (
-        0.02  # of the steps, in which a place on the border of two cells may be read in the other
-    )
+    # Share of the steps in which a place on the border of two cells may be read in the other.
+    border_share: Final = 0.02
     window: Final = 1  # images that it looks at
 
     def __init__(self, net: DangerNet, config: RunConfig, rule: DangerRule) -> None:
@@ -214,156 +229,147 @@ class DangerGraph(nn.Module):
                 f"a network with danger.eye={net.spec.net.eye} cannot be exported; "
                 "train with danger.eye=map, its default"
             )
-        camera, actions = config.cameras[0], action_set(config.env.actions)
-        self.net, self.rule, self.delay = net, rule, config.world.action_delay_ticks
-        self.tick_s, self.far_m = config.world.tick_s, 0.99 * camera.range_m
-        self.stride = stride_px(camera)
-        rays = viewing_rays(camera).reshape(camera.height_px, camera.width_px, 3)[
-            :: self.stride, :: self.stride
-        ]
-        spec = plant_spec(config.chair)
-        self.drive = Drive(
-            limits_of(config.chair), config.chair.deadband, config.chair.shape_exponent
-        )
-        chair = hull_and_wheels(box_of(spec.outline), np.array(spec.stand_m(), np.float64))
-        self.rays, self.eye = _constant(rays.reshape(-1, 3)), _constant(np.array(camera.p_BC_m))
+        camera, chair = config.cameras[0], config.chair
+        points = action_set(config.env.actions).points
+        spec = plant_spec(chair)
+        self.net, self.rule = net, rule
+        self.delay, self.tick_s = config.world.action_delay_ticks, config.world.tick_s
+        self.drive = Drive(limits_of(chair), chair.deadband, chair.shape_exponent)
+        # As `StreetSense` sees: every so many pixels, depths short of the camera's range.
+        self.far_m, self.stride = FAR_SHARE * camera.range_m, stride_px(camera)
+        rays = viewing_rays(camera).reshape(camera.height_px, camera.width_px, 3)
+        self.rays = _constant(rays[:: self.stride, :: self.stride].reshape(-1, 3))
+        self.eye = _constant(np.array(camera.p_BC_m))
         self.metres = _constant(decode_depth(np.arange(256, dtype=np.uint8), camera.range_m))
         self.kinds, self.movers = _constant(kinds_of_ground()), _constant(movers())
-        self.points, self.commands = (
-            _constant(actions.points),
-            _constant(shaped_rows(actions.points, config.chair)),
-        )
-        self.chair, self.plane, self.cells_B = (
-            _constant(chair),
-            _constant(_planes(chair)),
-            _constant(_cells_B()),
-        )
+        self.points = _constant(points)
+        self.commands = _constant(shaped_rows(points, chair))
+        swept = hull_and_wheels(box_of(spec.outline), np.array(spec.stand_m(), np.float64))
+        self.chair = _constant(swept)
+        # (steps, 1, n) where in flat maps the one of each step and point of the chair starts.
+        each_slice = np.repeat(np.arange(SLICES), EACH_SLICE)[:, None, None]
+        self.plane = _constant(SIDE * SIDE * (each_slice + SLICES * (swept[:, 2] > 0.0)))
+        self.cells_B = _constant(_picture_cells_B())
 
     def shapes(self) -> dict[str, tuple[int, ...]]:
         """The shapes of all states."""
         return {
-            "state_motion": (1, 8),  # begun, tick, x, y, yaw in O, v, w, acceleration
-            "state_waiting": (
-                1,
-                self.delay + 1,
-                2,
-            ),  # sent, not yet measured; the oldest was obeyed last
+            # See the names of its columns.
+            "state_motion": (1, 8),
+            # Sent and not yet measured; the oldest one is the last that was obeyed.
+            "state_waiting": (1, self.delay + 1, 2),
             "state_sent": (1, COMMANDS, 2),
-            "state_last": (1, 1),  # action, counted from 1
+            # The last action, counted from 1.
+            "state_last": (1, 1),
             "state_cells": (1, 6, RASTER * RASTER),
-            "state_alarm": (1, 2),  # smoothed danger of the user's own stick, and whether it warns
-            "state_recent": (
-                1,
-                1,
-            ),  # ticks left in which the user's own action was unsafe a short time ago
+            # Smoothed danger of the user's own stick, and whether it warns.
+            "state_alarm": (1, 2),
+            # See `policy._next_recent`.
+            "state_recent": (1, 1),
         }
 
     def forward(
         self,
-        depth: torch.Tensor,
-        seg: torch.Tensor,
-        imu: torch.Tensor,
-        odometry: torch.Tensor,
-        joystick: torch.Tensor,
-        *states: torch.Tensor,
-    ) -> tuple[torch.Tensor, ...]:
-        """Values (1, A), warning (1, 1), dangers (1, A), and the next states."""
+        depth: Tensor,
+        seg: Tensor,
+        imu: Tensor,
+        odometry: Tensor,
+        joystick: Tensor,
+        *states: Tensor,
+    ) -> tuple[Tensor, ...]:
+        """Values (1, A), warning (1, 1), dangers (1, A), and the next states.
+
+        Repeats `DangerPolicy.act`: what it observes, chooses and sends.
+        """
         motion, waiting, sent, last, cells, alarm, recent = states
-        asked = self.drive.shaped(joystick)
-        motion, waiting = self._moved(imu, odometry, asked, motion, waiting)
-        cells = self._seen(depth, seg, motion, cells)
-        codes = self._codes(motion, cells)
+        # 1. Observe: how the chair moves, then what its camera shows.
+        shaped = self.drive.shaped(joystick)
+        motion, waiting = self._observe_motion(imu, odometry, shaped, motion, waiting)
+        cells = self._write_cells(depth, seg, motion, cells)
+        codes = self._read_cells(motion, cells)
+        # 2. Roll every action out from where the next command reaches the chair.
         places, start = self._start(motion, waiting)
         holds = [step * STEP_S < HOLD_S - 1e-9 for step in range(SLICES * EACH_SLICE)]
-        rolled = self.drive.roll(places, start, self.commands, holds, STEP_S)
+        rolled = self.drive.roll_out(places, start, self.commands, holds, STEP_S)
+        # 3. Dangers, and the action that the rule chooses.
         vector = self._vector(imu, motion, sent)
-        danger = torch.sigmoid(self.net(codes[None] / 255.0, vector, self._swept(rolled)))
-        values, recent = self._values(danger, joystick, last, recent)
+        danger = torch.sigmoid(self.net(codes[None] / 255.0, vector, self._sweep(rolled)))
+        values, recent = self._choose(danger, joystick, last, recent)
         action = values.argmax(dim=1)
-        alarm = self._alarm(danger, joystick, alarm)
+        alarm = self._next_alarm(danger, joystick, alarm)
+        # 4. Send it, to the drive as shaped, to the next ticks' vectors as the stick itself.
         chosen = self.commands[action][:, None]
         waiting = torch.cat([waiting[:, 1:], chosen], 1)
         sent = torch.cat([self.points[action][:, None], sent[:, :-1]], 1)
         last = (action[:, None] + 1).to(torch.float32)
         return values, alarm[:, 1:2], danger, motion, waiting, sent, last, cells, alarm, recent
 
-    def _alarm(
-        self, danger: torch.Tensor, joystick: torch.Tensor, alarm: torch.Tensor
-    ) -> torch.Tensor:
-        """As `alarm.next_alarm`."""
-        wish = ((self.points[None] - joystick[:, None]) ** 2).sum(-1).argmin(dim=1)
-        level = alarm[:, 0:1] + NEWEST * (danger.gather(1, wish[:, None]) - alarm[:, 0:1])
-        kept = (alarm[:, 1:2] > 0.5) & (level > CALM * self.rule.warn)
-        return torch.cat([level, ((level > self.rule.warn) | kept).to(level.dtype)], 1)
-
-    def _moved(
-        self,
-        imu: torch.Tensor,
-        odometry: torch.Tensor,
-        asked: torch.Tensor,
-        motion: torch.Tensor,
-        waiting: torch.Tensor,
-    ) -> tuple[torch.Tensor, torch.Tensor]:
-        """As `EgoMotion.observe`."""
-        begun = motion[:, 0:1] > 0.5
+    def _observe_motion(
+        self, imu: Tensor, odometry: Tensor, shaped: Tensor, motion: Tensor, waiting: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Repeats `EgoMotion.observe`: both of its branches are computed, and one is selected."""
+        started = motion[:, _STARTED] > 0.5
         measured = torch.cat(
             [odometry[:, 0:1] * SPEED_FULL_SCALE, imu[:, GYRO_Z : GYRO_Z + 1] * TURN_FULL_SCALE], 1
         )
-        v, w, a = (motion[:, part] for part in (5, 6, 7))
-        after = self.drive.follow((v, w, a), self.drive.wanted(waiting[:, 0]), self.tick_s)
+        # 1. A later tick: the drive's law, corrected towards what is measured.
+        v, w, a = (motion[:, column] for column in (5, 6, 7))
+        after = self.drive.follow((v, w, a), self.drive.targets(waiting[:, 0]), self.tick_s)
         mean = 0.5 * torch.stack([v + after[0], w + after[1]], 1)
-        now = torch.cat(
-            [torch.stack(after[:2], 1) + TRUST * (measured - mean), after[2][:, None]], 1
-        )
+        corrected = torch.stack(after[:2], 1) + TRUST * (measured - mean)
+        now = torch.cat([corrected, after[2][:, None]], 1)
         way, turn = measured[:, 0:1] * self.tick_s, measured[:, 1:2] * self.tick_s
         heading = motion[:, 4:5] + 0.5 * turn
-        pose = motion[:, 2:5] + torch.cat(
+        pose = motion[:, _POSE] + torch.cat(
             [way * torch.cos(heading), way * torch.sin(heading), turn], 1
         )
+        # 2. The first tick: a chair that moves already obeyed the user's stick so far.
         fresh = torch.cat([measured, torch.zeros_like(measured[:, :1])], 1)
         moves = (measured[:, 0:1].abs() > MOVES_MPS).to(measured.dtype)
-        first = (asked * moves)[:, None].expand_as(waiting)
-        state = torch.cat([torch.ones_like(way), motion[:, 1:2] + 1.0, pose, now], 1)
-        begins = torch.cat(
+        first_waiting = (shaped * moves)[:, None].expand_as(waiting)
+        later = torch.cat([torch.ones_like(way), motion[:, _NOW] + 1.0, pose, now], 1)
+        first = torch.cat(
             [torch.ones_like(way), torch.ones_like(way), torch.zeros_like(pose), fresh], 1
         )
-        return torch.where(begun, state, begins), torch.where(begun[:, None], waiting, first)
+        return (
+            torch.where(started, later, first),
+            torch.where(started[:, None], waiting, first_waiting),
+        )
 
-    def _seen(
-        self, depth: torch.Tensor, seg: torch.Tensor, motion: torch.Tensor, cells: torch.Tensor
-    ) -> torch.Tensor:
-        """As `StreetMap.see`."""
-        tick = motion[:, 1:2]
-        metres = self.metres[self._looked_at(depth)]
+    def _write_cells(self, depth: Tensor, seg: Tensor, motion: Tensor, cells: Tensor) -> Tensor:
+        """Repeats `street_map._write`: scattered maxima take the place of its loop over pixels."""
+        tick = motion[:, _NOW]
+        # 1. Which pixels are used, and in which cell of O each is.
+        metres = self.metres[self._sampled(depth)]
         place = self.eye + metres[:, None] * self.rays
-        classes = self._looked_at(seg)
+        classes = self._sampled(seg)
         kind, may_move = self.kinds[classes], self.movers[classes]
         used = (metres > 0.0) & (metres < self.far_m) & (place[:, 2] <= HEAD_M)
         used = used & (place[:, :2].abs().amax(dim=1) <= REACH_M)
-        x, y = _in_O(motion, place[:, 0], place[:, 1])
-        ix, iy = torch.floor(x / CELL_M), torch.floor(y / CELL_M)
-        cells_and_none = (
-            RASTER * RASTER + 1
-        )  # what is not used goes into a cell more, which is let go of
-        slot = torch.where(used, _slot(ix, iy), torch.full_like(ix, RASTER * RASTER)).to(
+        ix, iy = _cells_in_O(motion, place[:, 0], place[:, 1])
+        # What is not used goes into one more cell, which is dropped.
+        slots_and_rest = RASTER * RASTER + 1
+        slot = torch.where(used, _wrapped(ix, iy, RASTER), torch.full_like(ix, RASTER * RASTER)).to(
             torch.int64
         )
+        # 2. The most of each number in each cell.
         order = torch.arange(len(kind), dtype=kind.dtype, device=kind.device)
-        kinds = torch.where(
-            kind > 0, 8.0 * order + kind, torch.zeros_like(kind)
-        )  # the last one of a cell wins
+        # The last pixel of a cell that has a kind decides, as in a loop.
+        kinds = torch.where(kind > 0, 8.0 * order + kind, torch.zeros_like(kind))
         moving = may_move * (place[:, 2] > MOVER_M).to(kind.dtype)
-        said = torch.stack([_key(ix, iy), moving, kinds, place[:, 2], -place[:, 2]])
-        begin = said.new_full(
-            (5 * cells_and_none,), _NOWHERE
-        )  # one after the other: ONNX takes no more dimensions
-        slots = torch.cat([slot + number * cells_and_none for number in range(5)])
-        most = begin.scatter_reduce(
-            0, slots, said.reshape(-1), reduce="amax", include_self=True
+        numbers = torch.stack(
+            [_wrapped(ix, iy, _KEY_SIDE), moving, kinds, place[:, 2], -place[:, 2]]
+        )
+        # The five numbers lie behind one another: ONNX scatters along one dimension only.
+        empty = numbers.new_full((5 * slots_and_rest,), _EMPTY)
+        slots = torch.cat([slot + number * slots_and_rest for number in range(5)])
+        most = empty.scatter_reduce(
+            0, slots, numbers.reshape(-1), reduce="amax", include_self=True
         ).view(5, -1)[:, :-1]
+        # 3. Seen cells replace older ones; a mover of the same place is remembered.
         key, moving, kinds, high, low = (most[number] for number in range(5))
         old = cells[0]
-        seen = high > 0.5 * _NOWHERE
+        seen = high > 0.5 * _EMPTY
         same = (old[_KEY] == key) & (old[_TICK] > 0.0)
         now = tick[0].expand_as(high)
         mover = torch.where(
@@ -372,20 +378,19 @@ class DangerGraph(nn.Module):
         kinds = kinds - 8.0 * torch.floor(kinds / 8.0)
         return torch.where(seen, torch.stack([key, now, mover, kinds, high, -low]), old)[None]
 
-    def _looked_at(self, image: torch.Tensor) -> torch.Tensor:
-        """As `StreetSense`: (n,) int64, one for each of `rays`."""
+    def _sampled(self, image: Tensor) -> Tensor:
+        """Repeats `StreetSense._sampled`: (n,) int64, one for each of `rays`."""
         return image[..., :: self.stride, :: self.stride].reshape(-1).to(torch.int64)
 
-    def _codes(self, motion: torch.Tensor, cells: torch.Tensor) -> torch.Tensor:
-        """As `StreetMap.picture`, (PLANES, SIDE, SIDE) in 0..255."""
-        x, y = _in_O(motion, self.cells_B[:, 0], self.cells_B[:, 1])
-        ix, iy = torch.floor(x / CELL_M), torch.floor(y / CELL_M)
-        found = cells[0].index_select(1, _slot(ix, iy).to(torch.int64))
-        known = (found[_TICK] > 0.0) & (found[_KEY] == _key(ix, iy))
+    def _read_cells(self, motion: Tensor, cells: Tensor) -> Tensor:
+        """Repeats `street_map._read`: (PLANES, SIDE, SIDE) in 0..255."""
+        ix, iy = _cells_in_O(motion, self.cells_B[:, 0], self.cells_B[:, 1])
+        found = cells[0].index_select(1, _wrapped(ix, iy, RASTER).to(torch.int64))
+        known = (found[_TICK] > 0.0) & (found[_KEY] == _wrapped(ix, iy, _KEY_SIDE))
         tick = motion[0, 1]
         age, trail = tick - found[_TICK], tick - found[_MOVER]
-        fresh = (known & (age <= KEEP_TICKS)).to(x.dtype)
-        moved = (known & (found[_MOVER] > 0.0) & (trail <= TRAIL_TICKS)).to(x.dtype)
+        fresh = (known & (age <= KEEP_TICKS)).to(ix.dtype)
+        moved = (known & (found[_MOVER] > 0.0) & (trail <= TRAIL_TICKS)).to(ix.dtype)
         planes = torch.stack(
             [
                 fresh * _height_code(found[_HIGH]),
@@ -397,25 +402,25 @@ class DangerGraph(nn.Module):
         )
         return planes.reshape(PLANES, SIDE, SIDE)
 
-    def _start(self, motion: torch.Tensor, waiting: torch.Tensor) -> tuple[Places, Motion]:
-        """As `StreetSense.start`: (1,) each."""
+    def _start(self, motion: Tensor, waiting: Tensor) -> tuple[Places, Motion]:
+        """Repeats `StreetSense.start`: (1,) each, when the next command reaches the chair."""
         here = torch.zeros_like(motion[:, 0])
         places, now = (here, here, here), (motion[:, 5], motion[:, 6], motion[:, 7])
         for number in range(self.delay):
             places, now = self.drive.advance(places, now, waiting[:, number + 1], self.tick_s)
         return places, now
 
-    def _vector(self, imu: torch.Tensor, motion: torch.Tensor, sent: torch.Tensor) -> torch.Tensor:
-        """As `FeatureExtractor` has it."""
-        scaled = motion[:, 5:8] / motion.new_tensor(FULL_MOTION)
-        later = motion.new_full((1, 1), self.delay * self.tick_s)
-        said = torch.cat(
-            [10.0 * imu[:, TILT], imu[:, TURNS], scaled, later, sent.reshape(1, -1)], 1
+    def _vector(self, imu: Tensor, motion: Tensor, sent: Tensor) -> Tensor:
+        """Repeats `FeatureExtractor._vector`."""
+        scaled = motion[:, _MOTION] / motion.new_tensor(FULL_MOTION)
+        later_s = motion.new_full((1, 1), self.delay * self.tick_s)
+        vector = torch.cat(
+            [10.0 * imu[:, TILT], imu[:, TURNS], scaled, later_s, sent.reshape(1, -1)], 1
         )
-        return said.clamp(-2.0, 2.0)
+        return vector.clamp(-2.0, 2.0)
 
-    def _swept(self, rolled: Places) -> torch.Tensor:
-        """As `street_map.sweep`: (1, A, n) int64."""
+    def _sweep(self, rolled: Places) -> Tensor:
+        """Repeats `street_map.sweep`, for the places of a roll-out: (1, A, n) int64."""
         x, y, yaw = (part[:, :, None] for part in rolled)
         cos, sin = torch.cos(yaw), torch.sin(yaw)
         x = x + cos * self.chair[:, 0] - sin * self.chair[:, 1]
@@ -425,88 +430,59 @@ class DangerGraph(nn.Module):
         found = self.plane + row * SIDE + column
         return found.transpose(0, 1).reshape(1, len(self.commands), -1).to(torch.int64)
 
-    def _values(
-        self, danger: torch.Tensor, joystick: torch.Tensor, last: torch.Tensor, recent: torch.Tensor
-    ) -> tuple[torch.Tensor, torch.Tensor]:
-        """The highest one is what `danger.policy` takes, and `_next_recent` of it."""
+    def _next_alarm(self, danger: Tensor, joystick: Tensor, alarm: Tensor) -> Tensor:
+        """Repeats `alarm.next_alarm`, for the danger of the action nearest to the user's stick."""
+        own = ((self.points[None] - joystick[:, None]) ** 2).sum(-1).argmin(dim=1)
+        level = alarm[:, 0:1] + NEWEST * (danger.gather(1, own[:, None]) - alarm[:, 0:1])
+        still_on = (alarm[:, 1:2] > 0.5) & (level > CALM * self.rule.warn)
+        return torch.cat([level, ((level > self.rule.warn) | still_on).to(level.dtype)], 1)
+
+    def _choose(
+        self, danger: Tensor, joystick: Tensor, last: Tensor, recent: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Repeats `policy._choose`, `_within` and `_next_recent`.
+
+        A graph has no early return, so the branches of the rule become values (1, A), whose highest
+        is that of the chosen action.
+        """
         rule = self.rule
-        distance = (
-            ((self.points[None] - joystick[:, None]) ** 2).sum(-1).sqrt().clamp(max=MAX_DISTANCE)
-        )
-        numbers = torch.arange(1, len(self.points) + 1, dtype=danger.dtype, device=danger.device)[
-            None
-        ]
-        kept = (numbers == last).to(danger.dtype)
-        cost = distance + rule.danger_cost * danger / rule.threshold - rule.hysteresis * kept
+        distance = ((self.points[None] - joystick[:, None]) ** 2).sum(-1).sqrt()
+        distance = distance.clamp(max=MAX_DISTANCE)
+        numbers = torch.arange(1, len(self.points) + 1, dtype=danger.dtype, device=danger.device)
+        numbers = numbers[None]
+        # 1. What each action costs; the last one is favoured.
+        is_last = (numbers == last).to(danger.dtype)
+        cost = distance + rule.danger_cost * danger / rule.threshold - rule.hysteresis * is_last
         own = numbers == distance.argmin(dim=1, keepdim=True) + 1
+        # 2. Which actions are safe enough, as `_within`.
         taken = ((recent > 1.5) & own & (numbers != last)).to(danger.dtype)
         limit = (
             rule.threshold
-            * (1.0 + (rule.hysteresis_factor - 1.0) * kept)
+            * (1.0 + (rule.hysteresis_factor - 1.0) * is_last)
             * (1.0 - (1.0 - GIVES_BACK) * taken)
         )
+        # The user's own action wins wherever it is allowed.
         cost = torch.where(own, torch.full_like(cost, -1e6), cost)
         allowed = danger < limit
         doubtful = (recent < 0.5) & (danger < rule.at_once)
+        # 3. For how long the own action stays taken away, as `_next_recent`.
         unsafe = (own & ~allowed).any(dim=1, keepdim=True)
         sure = (own & ~doubtful).any(dim=1, keepdim=True).to(recent.dtype)
         later = torch.where(
             unsafe, 1.0 + (RECENT_TICKS - 1.0) * sure, (recent - 1.0).clamp(min=0.0)
         )
+        # 4. The choice; where nothing is allowed, the least dangerous action.
         allowed = allowed | (own & doubtful)
         nothing = ~allowed.any(dim=1, keepdim=True)
         cost = torch.where(allowed, cost, torch.full_like(cost, 1e6))
         return -torch.where(nothing, danger + LESS_M * distance, cost), later
 
 
-def _constant(numbers: np.ndarray) -> torch.Tensor:
-    """What a graph never changes, float32; no file of weights holds it."""
-    return nn.Buffer(torch.from_numpy(np.ascontiguousarray(numbers, np.float32)), persistent=False)
-
-
-def _in_O(
-    motion: torch.Tensor, x: torch.Tensor, y: torch.Tensor
-) -> tuple[torch.Tensor, torch.Tensor]:
-    cos, sin = torch.cos(motion[0, 4]), torch.sin(motion[0, 4])
-    return motion[0, 2] + cos * x - sin * y, motion[0, 3] + sin * x + cos * y
-
-
-def _slot(ix: torch.Tensor, iy: torch.Tensor) -> torch.Tensor:
-    return _number(ix, iy, RASTER)
-
-
-def _key(ix: torch.Tensor, iy: torch.Tensor) -> torch.Tensor:
-    return _number(ix, iy, _KEYS)
-
-
-def _number(ix: torch.Tensor, iy: torch.Tensor, side: float) -> torch.Tensor:
-    """Of a cell, row by row, in a square of so many each way that comes again and again."""
-    return (ix - side * torch.floor(ix / side)) * side + (iy - side * torch.floor(iy / side))
-
-
-def _height_code(height_m: torch.Tensor) -> torch.Tensor:
-    return 1.0 + torch.floor(254.0 * ((height_m - LOW_M) / SPAN_M).clamp(0.0, 1.0))
-
-
-def _planes(chair: np.ndarray) -> np.ndarray:
-    """(steps, 1, n) where in flat cost maps those of each point of the chair begin."""
-    each_slice = np.repeat(np.arange(SLICES), EACH_SLICE)[:, None, None]
-    return SIDE * SIDE * (each_slice + SLICES * (chair[:, 2] > 0.0))
-
-
-def _cells_B() -> np.ndarray:
-    """(SIDE * SIDE, 2) middles of the picture's cells in B."""
-    rows, columns = np.meshgrid(np.arange(SIDE), np.arange(SIDE), indexing="ij")
-    x = (SIDE - rows - 0.5) * CELL_M - BEHIND_M
-    y = HALF_M - (columns + 0.5) * CELL_M
-    return np.stack([x.reshape(-1), y.reshape(-1)], 1)
-
-
 class ValueGraph(nn.Module):
     """One tick of a network of Q-learning; every state is zero at the start of an episode.
 
     Args:
-        net: Its weights.
+        net: With its weights.
         window: Images that it looks at; 1 if it carries a state.
     """
 
@@ -518,7 +494,8 @@ class ValueGraph(nn.Module):
         """Raises PolicyError for a network that sees something else than classes and depth."""
         if net.encoder.form != "compact":
             raise PolicyError(
-                f"a network that sees env.observation={net.encoder.form} cannot be exported; expected compact"
+                f"a network that sees env.observation={net.encoder.form} cannot be exported; "
+                "expected compact"
             )
         super().__init__()
         self.net, self.window = net, window
@@ -528,26 +505,53 @@ class ValueGraph(nn.Module):
         """The shapes of all states."""
         if self.net.spec.stateful:
             return {"state_memory": (1, self.net.encoder.state_size)}
-        height_px, width_px = image_size(self.net.observation_space)
-        earlier = (
-            1,
-            2,
-            self.window - 1,
-            height_px,
-            width_px,
-        )  # depth and classes, each number one higher
-        return {"state_pictures": earlier} if self.window > 1 else {}
+        if self.window == 1:
+            return {}
+        # Depth and classes of the earlier pictures, each number one higher: 0 is no picture.
+        return {"state_pictures": (1, 2, self.window - 1, *image_size(self.net.observation_space))}
 
-    def forward(self, *given: torch.Tensor) -> tuple[torch.Tensor, ...]:
-        """Values (1, A) and the next states, of inputs and states in the order of `inputs` and `shapes`."""
-        seen, states = dict(zip(self.inputs, given, strict=False)), given[len(self.inputs) :]
+    def forward(self, *given: Tensor) -> tuple[Tensor, ...]:
+        """Values (1, A) and the next states, of inputs and states in their order."""
+        seen = dict(zip(self.inputs, given, strict=False))
+        states = given[len(self.inputs) :]
         if self.net.spec.stateful:
             return self.net.step(seen, *states)
         if not states:
             return (self.net(seen),)
         (earlier,) = states
         newest = torch.stack([seen[DEPTH_KEY], seen[CLASS_KEY]], 1).to(torch.float32) + 1.0
-        # 0 is no picture yet: the first one of an episode fills the window, as in `FrameWindow`
+        # The first picture of an episode fills the window, as in `FrameWindow`.
         pictures = torch.cat([torch.where(earlier > 0.0, earlier, newest), newest], 2)
         depth, classes = (pictures - 1.0).unbind(1)
         return self.net({**seen, DEPTH_KEY: depth, CLASS_KEY: classes}), pictures[:, :, 1:]
+
+
+def _constant(numbers: np.ndarray) -> Tensor:
+    """Numbers that a graph never changes, float32; no file of weights holds them."""
+    return nn.Buffer(torch.from_numpy(np.ascontiguousarray(numbers, np.float32)), persistent=False)
+
+
+def _cells_in_O(motion: Tensor, x_B_m: Tensor, y_B_m: Tensor) -> tuple[Tensor, Tensor]:
+    """The cells of O in which places of B lie."""
+    cos, sin = torch.cos(motion[0, 4]), torch.sin(motion[0, 4])
+    x = motion[0, 2] + cos * x_B_m - sin * y_B_m
+    y = motion[0, 3] + sin * x_B_m + cos * y_B_m
+    return torch.floor(x / CELL_M), torch.floor(y / CELL_M)
+
+
+def _wrapped(ix: Tensor, iy: Tensor, side: float) -> Tensor:
+    """The number of a cell, row by row, in a square of `side` cells each way that wraps around."""
+    return (ix - side * torch.floor(ix / side)) * side + (iy - side * torch.floor(iy / side))
+
+
+def _height_code(height_m: Tensor) -> Tensor:
+    """Repeats `street_map._height_code`."""
+    return 1.0 + torch.floor(254.0 * ((height_m - LOW_M) / SPAN_M).clamp(0.0, 1.0))
+
+
+def _picture_cells_B() -> np.ndarray:
+    """(SIDE * SIDE, 2) middles of the picture's cells in B, in the order of `street_map._read`."""
+    rows, columns = np.meshgrid(np.arange(SIDE), np.arange(SIDE), indexing="ij")
+    x = (SIDE - rows - 0.5) * CELL_M - BEHIND_M
+    y = HALF_M - (columns + 0.5) * CELL_M
+    return np.stack([x.reshape(-1), y.reshape(-1)], 1)

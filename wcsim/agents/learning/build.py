@@ -10,7 +10,7 @@ from stable_baselines3.common.type_aliases import GymEnv
 from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.networks import registry
 from wcsim.agents.networks.q_network import SeqQPolicy
-from wcsim.agents.perception.depth_image import sees_in_a_mirror
+from wcsim.agents.perception.depth_image import is_mirror_symmetric
 from wcsim.config import LearnConfig, RunConfig
 from wcsim.config.run_file import FollowPrior, NetSpec
 from wcsim.errors import ConfigError, PolicyError
@@ -47,7 +47,7 @@ def build_model(config: RunConfig, env: GymEnv, seed: int) -> SeqDQN:
     """
     _check_memory(config)
     learn, camera = config.learn, config.eye
-    if learn.mirror and not sees_in_a_mirror(camera):
+    if learn.mirror and not is_mirror_symmetric(camera):
         raise ConfigError(
             f"learn.mirror=true with a camera at y={camera.p_BC_m[1]} m, yaw {camera.yaw_deg}, "
             f"roll {camera.roll_deg} deg; expected 0, because pictures are mirrored: set "

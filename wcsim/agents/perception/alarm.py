@@ -1,6 +1,6 @@
-"""When a user is warned: what each tick says of the own stick, smoothed, so that a doubtful tick is not enough.
+"""When a user is warned: the smoothed danger of the own stick, as one doubtful tick is not enough.
 
-Policies that warn share it, so that tables compare what they know, and not how often they change their minds.
+Policies that warn share it, so that tables compare what they detect, not how often they waver.
 """
 
 from __future__ import annotations
@@ -8,34 +8,35 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
-NEWEST: Final = (
-    0.5  # share of the newest tick in the danger that is warned of: about three ticks count
-)
-CALM: Final = 0.7  # times the level of the warning: below it a warning ends
-TWO_TICKS: Final = 0.6  # level for who knows only a danger of 0 or 1: two ticks in a row are enough, a lone one is not
+# Share of the newest tick in the smoothed danger: about three ticks count.
+NEWEST: Final = 0.5
+# A warning ends below this share of the level at which it starts.
+CALM: Final = 0.7
+# Level for a policy with dangers of 0 and 1 alone: two ticks in a row reach it, one does not.
+TWO_TICKS: Final = 0.6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Alarm:
-    """Whether the user is warned, and the smoothed danger of the own stick that it follows from; 0 before anything."""
+    """Whether the user is warned, and the smoothed danger of the own stick behind it."""
 
     level: float = 0.0
     on: bool = False
 
 
 def next_alarm(before: Alarm, danger: float, warn: float) -> Alarm:
-    """The alarm a tick later: on above `warn`, off again below 0.7 of it; a doubtful tick is not enough.
+    """The alarm a tick later: on above `warn`, off again below `CALM` of it.
 
     Args:
         before: The alarm of the tick before.
         danger: Of the user's own stick, if it is held, in 0..1.
-        warn: Smoothed danger from which on the user is warned.
+        warn: Smoothed danger above which the user is warned.
 
-    >>> alarm, told = Alarm(), []
+    >>> alarm, warned = Alarm(), []
     >>> for danger in (0.9, 0.0, 0.9, 0.9, 0.4, 0.3, 0.1):
     ...     alarm = next_alarm(alarm, danger, warn=0.5)
-    ...     told.append(alarm.on)
-    >>> told
+    ...     warned.append(alarm.on)
+    >>> warned
     [False, False, True, True, True, True, False]
     """
     level = before.level + NEWEST * (danger - before.level)

@@ -1,11 +1,14 @@
-"""Where the joystick positions of an action set bring a chair, and how near that is to what is in the way.
+"""Where joystick positions bring a chair, and how near that is to what is in the way.
 
-Kernels: plain arrays in and out.
+Kernels: plain arrays in and out. A state (6,) is x, y, yaw in B of now, speed, turn rate and
+acceleration. An obstacle (5,) is its place in B of now, its velocity over the ground, and the
+distance to keep from it.
 """
 
 from __future__ import annotations
 
 import math
+from typing import Final
 
 import numpy as np
 
@@ -13,14 +16,17 @@ from wcsim.core.jit import exact_kernel
 from wcsim.core.joystick import driven
 from wcsim.types import F64, Bool
 
-STEP_S, LONGEST_S = 0.1, 3.0
-CLOSER_M = 0.02  # who is nearer than should be kept may get no nearer than this
-NEAR_M = 0.6  # farther away nothing matters
+STEP_S: Final = 0.1
+LONGEST_S: Final = 3.0
+# A point that is nearer already than the distance to keep may get nearer by this.
+CLOSER_M: Final = 0.02
+# Points farther away than this do not matter.
+NEAR_M: Final = 0.6
 
 
 @exact_kernel
-def follow(motion: F64, command: F64, limits: F64, dt_s: float) -> None:
-    """Move `motion` (3,) v, w, acceleration on by `dt_s` towards a command (2,), within the drive's limits (8,)."""
+def advance_motion(motion: F64, command: F64, limits: F64, dt_s: float) -> None:
+    """Move `motion` (3,) v, w, acceleration on by `dt_s` towards a command (2,)."""
     motion[0], motion[1], motion[2] = driven(
         motion[0], motion[1], motion[2], command[0], command[1], limits, dt_s
     )
@@ -28,9 +34,9 @@ def follow(motion: F64, command: F64, limits: F64, dt_s: float) -> None:
 
 @exact_kernel
 def advance(state: F64, command: F64, limits: F64, dt_s: float) -> None:
-    """Move `state` (6,) x, y, yaw, v, w, acceleration on by `dt_s` towards a command (2,)."""
+    """Move a state (6,) on by `dt_s` towards a command (2,)."""
     v, w = state[3], state[4]
-    follow(state[3:], command, limits, dt_s)
+    advance_motion(state[3:], command, limits, dt_s)
     turn = 0.5 * (w + state[4]) * dt_s
     way = 0.5 * (v + state[3]) * dt_s
     state[0] += way * math.cos(state[2] + 0.5 * turn)
@@ -39,8 +45,8 @@ def advance(state: F64, command: F64, limits: F64, dt_s: float) -> None:
 
 
 @exact_kernel
-def after(motion: F64, waiting: F64, limits: F64, tick_s: float) -> F64:
-    """The state (6,) x, y, yaw, v, w, acceleration in B of now, once `waiting` (M, 2) has been obeyed, one a tick."""
+def state_after(motion: F64, waiting: F64, limits: F64, tick_s: float) -> F64:
+    """The state (6,) once the commands `waiting` (M, 2) have been obeyed, one a tick."""
     state = np.zeros(6)
     state[3:] = motion
     for command in waiting:
@@ -49,7 +55,7 @@ def after(motion: F64, waiting: F64, limits: F64, tick_s: float) -> F64:
 
 
 @exact_kernel
-def arcs(
+def evaluate_arcs(
     start: F64,
     later_s: float,
     hold_s: float,
@@ -59,37 +65,40 @@ def arcs(
     points: F64,
     gap_m: F64,
 ) -> Bool:
-    """Hold each command, then brake to a stop, and see how near that is to what is in the way.
+    """Hold each command, then brake to a stop; how near does that bring the chair to obstacles?
+
+    What happens before a command reaches the chair is no fault of the command.
 
     Args:
-        start: (6,) x, y, yaw in B of now, speed, turn rate, acceleration, when the command reaches the chair.
+        start: (6,) the state when the command reaches the chair.
         later_s: When that is, from now on.
         hold_s: For how long each command is held.
         commands: (K, 2) joystick positions as the drive takes them.
         limits: (8,) of the drive.
         box: (3,) rear, front, half the width of the chair in B.
-        points: (n, 5) what is in the way, in B of now, how fast it moves over the ground, and the distance to keep.
-        gap_m: (K,) written for those that keep it: the least distance, infinity where nothing is within NEAR_M.
+        points: (n, 5) obstacles.
+        gap_m: (K,) written: the least distance, infinity where nothing is within NEAR_M. Where a
+            command fails, the arc ends there.
 
     Returns:
-        (K,) which commands keep the distance of every point. One that is nearer already may hardly get nearer. What
-        happens before a command reaches the chair is no command's fault.
+        (K,) which commands keep the distance of every point; one that is nearer already may get
+        nearer by `CLOSER_M`.
     """
-    kept_m = _kept_m(points, points[:, 4], box)
+    bounds_m = _distance_bounds(points, points[:, 4], box)
     free = np.empty(len(commands), np.bool_)
     for k in range(len(commands)):
-        gap_m[k], free[k] = _arc(start, later_s, hold_s, commands[k], limits, box, points, kept_m)
+        gap_m[k], free[k] = _arc(start, later_s, hold_s, commands[k], limits, box, points, bounds_m)
     return free
 
 
 @exact_kernel
-def _kept_m(points: F64, margin_m: F64, box: F64) -> F64:
+def _distance_bounds(points: F64, margin_m: F64, box: F64) -> F64:
     """(n,) how near each point may come: `margin_m` (n,), or hardly nearer than it is now."""
-    kept_m = np.empty(len(points))
+    bounds_m = np.empty(len(points))
     for i in range(len(points)):
         now_m = _box_gap(points[i, 0], points[i, 1], 1.0, 0.0, box)
-        kept_m[i] = min(margin_m[i], now_m - CLOSER_M)
-    return kept_m
+        bounds_m[i] = min(margin_m[i], now_m - CLOSER_M)
+    return bounds_m
 
 
 @exact_kernel
@@ -101,25 +110,26 @@ def _arc(
     limits: F64,
     box: F64,
     points: F64,
-    kept_m: F64,
+    bounds_m: F64,
 ) -> tuple[float, bool]:
-    """The least distance on one arc, and whether that of every point was kept; where not, it ends."""
+    """The least distance on one arc, and whether no point came too near; otherwise the arc ends."""
     now, rest = start.copy(), np.zeros(2)
     least = np.inf
     for i in range(int(LONGEST_S / STEP_S) + 1):
-        cos, sin, at_s = math.cos(now[2]), math.sin(now[2]), later_s + i * STEP_S
+        at_s = later_s + i * STEP_S
+        cos, sin = math.cos(now[2]), math.sin(now[2])
         for n in range(len(points)):
-            dx, dy = (
-                points[n, 0] + at_s * points[n, 2] - now[0],
-                points[n, 1] + at_s * points[n, 3] - now[1],
-            )
+            dx = points[n, 0] + at_s * points[n, 2] - now[0]
+            dy = points[n, 1] + at_s * points[n, 3] - now[1]
             if max(abs(dx), abs(dy)) > box[1] + NEAR_M:
                 continue
             gap = _box_gap(dx, dy, cos, sin, box)
             if gap < NEAR_M:
                 least = min(least, gap)
-                if i > 0 and gap <= kept_m[n]:
+                # A command cannot change where the chair is when it arrives.
+                if i > 0 and gap <= bounds_m[n]:
                     return least, False
+        # A hair less: rounding of the product must not add a step.
         held = i * STEP_S < hold_s - 1e-9
         if not held and now[3] == 0.0 and abs(now[4]) < 1e-3:
             break
@@ -128,7 +138,7 @@ def _arc(
 
 
 @exact_kernel
-def touches_after(
+def time_to_contact_s(
     start: F64,
     later_s: float,
     command: F64,
@@ -138,16 +148,16 @@ def touches_after(
     margin_m: float,
     within_s: float,
 ) -> float:
-    """Seconds from now on until the chair comes so near to what is in the way when a command (2,) is held; see `arcs`.
+    """Seconds from now until a held command (2,) brings the chair within `margin_m` of an obstacle.
 
-    Infinite when it does not within `within_s`. What is so near already, or under it in memory, is met only when the
-    chair gets nearer still.
+    It is infinite beyond `within_s`. An obstacle that is so near already, or under the chair in
+    memory, counts only when the chair gets nearer still. For the arguments see `evaluate_arcs`.
     """
     now = start.copy()
-    kept_m = _kept_m(points, np.full(len(points), margin_m), box)
+    bounds_m = _distance_bounds(points, np.full(len(points), margin_m), box)
     at_s = later_s
     while at_s < within_s + 1e-9:
-        if (gaps(now, at_s, box, points) <= kept_m).any():
+        if (gaps_to_points(now, at_s, box, points) <= bounds_m).any():
             return at_s
         advance(now, command, limits, STEP_S)
         at_s += STEP_S
@@ -155,15 +165,13 @@ def touches_after(
 
 
 @exact_kernel
-def gaps(state: F64, at_s: float, box: F64, points: F64) -> F64:
-    """(n,) from the chair in a state (6,) to each of `points` (n, 5) at a time, below 0 inside it; see `arcs`."""
+def gaps_to_points(state: F64, at_s: float, box: F64, points: F64) -> F64:
+    """(n,) from the chair in a state (6,) to each obstacle at a time; below 0 inside it."""
     cos, sin = math.cos(state[2]), math.sin(state[2])
     gap_m = np.empty(len(points))
     for n in range(len(points)):
-        dx, dy = (
-            points[n, 0] + at_s * points[n, 2] - state[0],
-            points[n, 1] + at_s * points[n, 3] - state[1],
-        )
+        dx = points[n, 0] + at_s * points[n, 2] - state[0]
+        dy = points[n, 1] + at_s * points[n, 3] - state[1]
         gap_m[n] = _box_gap(dx, dy, cos, sin, box)
     return gap_m
 

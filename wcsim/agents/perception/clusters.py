@@ -1,4 +1,4 @@
-"""Who could move: the pixels of people, riders and vehicles, put together by where they are on the ground."""
+"""Movers in a picture: pixels of people, riders and vehicles, grouped by place on the ground."""
 
 from __future__ import annotations
 
@@ -11,23 +11,29 @@ from scipy.ndimage import label
 from wcsim.core.jit import exact_kernel
 from wcsim.types import F32, F64, I64, U8, Bool, ClassId
 
-CELL_M = 0.2
-AHEAD_M, ASIDE_M = 12.0, 8.0  # how far movers are looked for
-LOW_M, HIGH_M = 0.15, 2.2  # above the ground: what a mover shows between them counts
-_ROWS, _COLUMNS = round(AHEAD_M / CELL_M), 2 * round(ASIDE_M / CELL_M)
-FEWEST_PX = 4  # less is noise
-_FRINGE_PX = 3  # beside a mover, its class is painted on what is behind it
-MOST = 24  # movers at once
-_MOST_CELLS = 1024
+FEWEST_PX: Final = 4  # less is noise
+STANDS, WALKS, DRIVES = range(3)
+# Columns of a cluster (m, 11): middle and extent in O; pixels, those of walkers; first and last
+# column of the picture; mean depth.
+X, Y, LEAST_X, MOST_X, LEAST_Y, MOST_Y, PIXELS, WALKERS, FIRST, LAST, DEPTH = range(11)
 _WALK: Final = (ClassId.PERSON, ClassId.RIDER, ClassId.BICYCLE, ClassId.MOTORCYCLE)
 _DRIVE: Final = (ClassId.CAR, ClassId.TRUCK, ClassId.BUS, ClassId.TRAIN)
-STANDS, WALKS, DRIVES = range(3)
-# columns of a cluster (m, 11): middle and extent in O; pixels, those of walkers; first and last column of the picture;
-# mean depth
-X, Y, LEAST_X, MOST_X, LEAST_Y, MOST_Y, PIXELS, WALKERS, FIRST, LAST, DEPTH = range(11)
+_CELL_M: Final = 0.2
+# How far movers are searched for.
+_AHEAD_M: Final = 12.0
+_ASIDE_M: Final = 8.0
+_ROWS: Final = round(_AHEAD_M / _CELL_M)
+_COLUMNS: Final = 2 * round(_ASIDE_M / _CELL_M)
+# Above the ground: only what a mover shows between them counts.
+_LOW_M: Final = 0.15
+_HIGH_M: Final = 2.2
+# Beside a mover, so many columns of its class are painted on what is behind it.
+_FRINGE_PX: Final = 3
+_MOST: Final = 24  # clusters at once
+_MOST_CELLS: Final = 1024
 
 
-def kinds() -> U8:
+def mobility_of_classes() -> U8:
     """Table (256,) uint8 from a pixel's class to STANDS, WALKS or DRIVES."""
     table = np.full(256, STANDS, np.uint8)
     table[list(_WALK)] = WALKS
@@ -50,19 +56,24 @@ def find_clusters(
         pose_O: (3,) of the chair.
 
     Returns:
-        The clusters (m, 11), see the column names; the middles of the cells that are taken (k, 2) in B; and whose they
-        are (k,), -1 for nobody's.
+        The clusters (m, 11), see the column names; the middles (k, 2) in B of the cells with such
+        pixels; and the number of each cell's cluster (k,), -1 for none.
     """
-    cells, points = np.full((_ROWS, _COLUMNS), -1, np.int64), np.empty((_MOST_CELLS, 2))
-    count = _gather(kind.reshape(-1), depth_m, rays, eye, far_m, up, cells, points)
-    # Touching cells have one owner; owners are numbered as their first cells are, and those beyond MOST left out.
-    taken, owner = cells >= 0, np.empty(count, np.int64)
+    # 1. Which cells have such pixels.
+    cells = np.full((_ROWS, _COLUMNS), -1, np.int64)
+    points = np.empty((_MOST_CELLS, 2))
+    count = _number_cells(kind.reshape(-1), depth_m, rays, eye, far_m, up, cells, points)
+    # 2. Touching cells have one owner. Owners are numbered in the order of their first cells, and
+    # those beyond _MOST are left out.
+    taken = cells >= 0
+    owner = np.empty(count, np.int64)
     owner[cells[taken]] = label(taken, np.ones((3, 3)))[0][taken]
-    _, first, whose = np.unique(owner, return_index=True, return_inverse=True)
-    owner = np.argsort(np.argsort(first))[whose]
-    owner[owner >= MOST] = -1
-    clusters = np.zeros((MOST, 11))
-    kept = _measure(
+    _, first, owner_index = np.unique(owner, return_index=True, return_inverse=True)
+    owner = np.argsort(np.argsort(first))[owner_index]
+    owner[owner >= _MOST] = -1
+    # 3. Measure each cluster, and drop noise and fringes.
+    clusters = np.zeros((_MOST, 11))
+    found = _measure(
         kind.reshape(-1),
         kind.shape[1],
         depth_m,
@@ -75,27 +86,42 @@ def find_clusters(
         owner,
         clusters,
     )
-    return clusters[:kept], points[:count], owner
+    return clusters[:found], points[:count], owner
+
+
+@exact_kernel
+def beside_movers(points_B_m: F64, cells_B_m: F64) -> Bool:
+    """(n,) which of the points lie in a cell of `cells_B_m` (k, 2), or right beside it."""
+    near = np.zeros(len(points_B_m), np.bool_)
+    for n in range(len(points_B_m)):
+        for k in range(len(cells_B_m)):
+            if (
+                abs(points_B_m[n, 0] - cells_B_m[k, 0]) < 1.5 * _CELL_M
+                and abs(points_B_m[n, 1] - cells_B_m[k, 1]) < 1.5 * _CELL_M
+            ):
+                near[n] = True
+                break
+    return near
 
 
 @exact_kernel
 def _cell(depth: float, ray: F32, eye: F64, far_m: float, up: F64) -> tuple[int, int, float, float]:
-    """Row and column of a pixel, -1 for none, and where it is in B."""
+    """Row and column of a pixel, -1 outside the grid, and its place in B."""
     if not 0.0 < depth < far_m:
         return -1, -1, 0.0, 0.0
     x, y, z = eye[0] + depth * ray[0], eye[1] + depth * ray[1], eye[2] + depth * ray[2]
     height = max(z, up[0] * x + up[1] * y + up[2] * z)
-    row, column = math.floor(x / CELL_M), math.floor((y + ASIDE_M) / CELL_M)
-    if not (LOW_M < height < HIGH_M and 0 <= row < _ROWS and 0 <= column < _COLUMNS):
+    row, column = math.floor(x / _CELL_M), math.floor((y + _ASIDE_M) / _CELL_M)
+    if not (_LOW_M < height < _HIGH_M and 0 <= row < _ROWS and 0 <= column < _COLUMNS):
         return -1, -1, 0.0, 0.0
     return row, column, x, y
 
 
 @exact_kernel
-def _gather(
+def _number_cells(
     kind: U8, depth_m: F32, rays: F32, eye: F64, far_m: float, up: F64, cells: I64, points: F64
 ) -> int:
-    """Number the cells in which there are pixels that could move; returns how many."""
+    """Write numbers and middles of the cells with pixels that could move; returns how many."""
     count = 0
     for n in range(len(kind)):
         if kind[n] == STANDS or count >= len(points):
@@ -103,18 +129,22 @@ def _gather(
         row, column, _, _ = _cell(depth_m[n], rays[n], eye, far_m, up)
         if row >= 0 and cells[row, column] < 0:
             cells[row, column] = count
-            points[count, 0] = (row + 0.5) * CELL_M
-            points[count, 1] = (column + 0.5) * CELL_M - ASIDE_M
+            points[count, 0] = (row + 0.5) * _CELL_M
+            points[count, 1] = (column + 0.5) * _CELL_M - _ASIDE_M
             count += 1
     return count
 
 
 @exact_kernel
 def _measure(
-    kind: U8, width: int, depth_m: F32, rays: F32, eye: F64, far_m: float, up: F64, cells: I64, pose: F64,
-    owner: I64, clusters: F64,
+    kind: U8, width: int, depth_m: F32, rays: F32, eye: F64, far_m: float, up: F64, cells: I64,
+    pose: F64, owner: I64, clusters: F64,
 ) -> int:  # fmt: skip
-    """Add up the pixels of each cluster, and move those that are kept to the front; returns how many."""
+    """Write the columns of the clusters, valid ones first, and their numbers into `owner`.
+
+    Returns:
+        How many are valid.
+    """
     clusters[:, LEAST_X] = clusters[:, LEAST_Y] = clusters[:, FIRST] = np.inf
     clusters[:, MOST_X] = clusters[:, MOST_Y] = clusters[:, LAST] = -np.inf
     cos, sin = math.cos(pose[2]), math.sin(pose[2])
@@ -139,26 +169,26 @@ def _measure(
             one[X] /= one[PIXELS]
             one[Y] /= one[PIXELS]
             one[DEPTH] /= one[PIXELS]
-    number = np.full(MOST, -1, np.int64)
-    kept = 0
-    for c in range(MOST):
+    number = np.full(_MOST, -1, np.int64)
+    valid = 0
+    for c in range(_MOST):
         if clusters[c, PIXELS] >= FEWEST_PX and not _is_fringe(clusters, c):
-            number[c] = kept
-            clusters[kept] = clusters[c]
-            kept += 1
+            number[c] = valid
+            clusters[valid] = clusters[c]
+            valid += 1
     for n in range(len(owner)):
         if owner[n] >= 0:
             owner[n] = number[owner[n]]
-    return kept
+    return valid
 
 
 @exact_kernel
 def _is_fringe(clusters: F64, index: int) -> bool:
-    """Whether a cluster is what is seen behind the border of a nearer, larger one."""
+    """Whether a cluster is the background at the border of a nearer, larger one."""
     one = clusters[index]
-    for c in range(MOST):
+    for c in range(_MOST):
         other = clusters[c]
-        nearer = other[DEPTH] < one[DEPTH] - CELL_M and other[PIXELS] > one[PIXELS]
+        nearer = other[DEPTH] < one[DEPTH] - _CELL_M and other[PIXELS] > one[PIXELS]
         if (
             nearer
             and one[FIRST] >= other[FIRST] - _FRINGE_PX
@@ -166,22 +196,3 @@ def _is_fringe(clusters: F64, index: int) -> bool:
         ):
             return True
     return False
-
-
-def beside_movers(points_B_m: F64, cells_B_m: F64) -> Bool:
-    """(n,) which of the points belong to a cell of `cells_B_m` (k, 2)."""
-    near = np.zeros(len(points_B_m), np.bool_)
-    _mark_near(points_B_m, cells_B_m, near)
-    return near
-
-
-@exact_kernel
-def _mark_near(points: F64, cells: F64, near: Bool) -> None:
-    for n in range(len(points)):
-        for k in range(len(cells)):
-            if (
-                abs(points[n, 0] - cells[k, 0]) < 1.5 * CELL_M
-                and abs(points[n, 1] - cells[k, 1]) < 1.5 * CELL_M
-            ):
-                near[n] = True
-                break

@@ -1,4 +1,4 @@
-"""A camera's depth image in metres, and where its pixels look."""
+"""A camera's depth image in metres, and the directions of its pixels."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def depth_metres(image: U8 | F32, range_m: float) -> F32:
 
 
 def viewing_rays(camera: CameraConfig) -> F64:
-    """Directions in B per metre of depth (along the optical axis), (H * W, 3), row by row from the top left."""
+    """(H * W, 3) directions in B per metre of depth along the optical axis, from the top left."""
     height, width = camera.height_px, camera.width_px
     focal_px = width / 2.0 / math.tan(rad(camera.hfov_deg) / 2.0)
     right, down = np.meshgrid(
@@ -40,10 +40,10 @@ def viewing_rays(camera: CameraConfig) -> F64:
     return np.stack([x, y, up], axis=-1).reshape(-1, 3)
 
 
-def sees_in_a_mirror(camera: CameraConfig) -> bool:
-    """Whether its picture with left and right exchanged is that of the mirrored street: it looks ahead from the middle.
+def is_mirror_symmetric(camera: CameraConfig) -> bool:
+    """Whether its mirrored picture is that of the mirrored street: it looks ahead from the middle.
 
-    >>> sees_in_a_mirror(CameraConfig()), sees_in_a_mirror(CameraConfig(yaw_deg=20.0))
+    >>> is_mirror_symmetric(CameraConfig()), is_mirror_symmetric(CameraConfig(yaw_deg=20.0))
     (True, False)
     """
     return camera.p_BC_m[1] == 0.0 and camera.yaw_deg == 0.0 and camera.roll_deg == 0.0

@@ -1,48 +1,55 @@
-"""What a chair sees in its way, and remembers of the street: walls, people, kerbs, drops, and ground it has seen.
+"""What a chair sees in its way and remembers: walls, people, kerbs, drops, and ground.
 
-In one depth image the ground ahead is a raster of the lowest and the highest point seen in each cell, in the body
-frame. What counts is how the ground steps from a cell to the next, so a hill is no obstacle, and neither height nor
-slope must be known well.
+In one depth image the ground ahead is a raster of the lowest and the highest point seen in each
+cell, in the body frame. What counts is how the ground steps from a cell to the next, so a hill is
+no obstacle, and neither height nor slope must be known well.
 
-The memory is a raster of the odometric frame O that goes round: a cell is taken over by a new place once its old one is
-too far away. What was seen goes when the ground is seen there instead, when the chair has left it, or when it has
-driven so far since that its place is no longer sure. What was seen once, and whoever can walk off, is kept for seconds.
+The memory is a raster of the odometric frame O that wraps around: a new place takes a cell over
+once its old one is too far away. An obstacle is removed when ground is seen there instead, when the
+chair has left it, or when it has driven so far since that its place is no longer sure. What was
+seen once, and people who can walk off, stay for seconds.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import Final
 
 import numpy as np
 
 from wcsim.core.jit import exact_kernel
 from wcsim.types import F32, F64, I64, Bool
 
-CELL_M = 0.1
-REACH_M = 4.0  # beyond, rows of the image are farther apart than cells
-ROWS, COLUMNS = (
-    round(REACH_M / CELL_M),
-    2 * round(REACH_M / CELL_M),
-)  # ahead from the axle, and left of -REACH_M
-STEP_M = 0.06  # more than casters climb, and less than a kerb; depth codes alone give 0.03
-RISE_PER_M = 0.12  # a steep ramp
-GAP_CELLS = 4  # how far apart neighbours may be: behind a kerb's edge, some ground is hidden
-HEAD_M = 1.6  # what hangs higher passes above
-DROP_M, DROP_PER_M = (
-    0.15,
-    0.06,
-)  # rays that go so far below level ground have met no ground where it should be
-_MOST_POINTS = 1024
-FORGET_M = 4.5  # away from the chair
-KEEP_WAY_M = 15.0  # driven since it was seen
-KEEP_BRIEFLY_S = 3.0  # what was seen once, and whoever can walk off
-AROUND_M = 0.25  # around the footprint of a chair that drives ahead, or has just begun, the ground is known
-_SIDE = 96  # cells of the raster each way: more than twice FORGET_M
-_SURE = 3  # times that something was seen, at most; it must be contradicted as often
+CELL_M: Final = 0.1
+# Farther away rows of the image are farther apart than cells.
+REACH_M: Final = 4.0
+ROWS: Final = round(REACH_M / CELL_M)  # ahead from the axle
+COLUMNS: Final = 2 * round(REACH_M / CELL_M)  # to the left from -REACH_M
+# More than casters climb, and less than a kerb; the rounding of depth codes alone is 0.03.
+STEP_M: Final = 0.06
+RISE_PER_M: Final = 0.12  # a steep ramp
+# How far apart neighbours may be: a kerb's edge hides some ground behind it.
+GAP_CELLS: Final = 4
+HEAD_M: Final = 1.6  # what hangs higher passes above
+# A ray that goes so far below level ground has met no ground where it should be.
+DROP_M: Final = 0.15
+DROP_PER_M: Final = 0.06
+# An obstacle is forgotten so far from the chair, or after so long a way or time.
+FORGET_M: Final = 4.5
+KEEP_WAY_M: Final = 15.0
+KEEP_BRIEFLY_S: Final = 3.0  # what was seen once, and people who can walk off
+# So far around a chair that drives ahead, or has just started, the ground is known.
+AROUND_M: Final = 0.25
+_MOST_POINTS: Final = 1024
+_SIDE: Final = 96  # cells of the raster each way: more than twice FORGET_M
+# Times that an obstacle was seen, at most; it must be contradicted as often.
+_SURE: Final = 3
+# Columns of a cell, of its place, and values of its ground: near the chair's own footprint, or
+# seen or stood on.
 _KEY_X, _KEY_Y, _EVIDENCE, _TICK, _GROUND = range(5)
 _X, _Y, _WAY = range(3)
-_AROUND, _SEEN = 1, 2  # ground near the chair's own footprint, and ground that was seen or stood on
+_AROUND, _SEEN = 1, 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +69,7 @@ class StepMap:
         up_B: F64,
         box_B_m: F64,
     ) -> F64:
-        """Middles of what is in the way.
+        """Find what is in the way.
 
         Args:
             depth_m: (H * W,) along the optical axis.
@@ -73,9 +80,9 @@ class StepMap:
             box_B_m: (3,) rear, front and half the width of the chair in B.
 
         Returns:
-            (n, 2) x forward, y left in B; a view of a buffer, valid until the next call.
+            (n, 2) its middles in B; a view of a buffer, valid until the next call.
         """
-        drops = _fill(
+        drops = _fill_raster(
             depth_m,
             rays,
             eye_B_m,
@@ -86,11 +93,12 @@ class StepMap:
             self.high_m,
             self.points_B_m,
         )
-        return self.points_B_m[: _steps(self.low_m, self.high_m, box_B_m, self.points_B_m, drops)]
+        count = _add_steps(self.low_m, self.high_m, box_B_m, self.points_B_m, drops)
+        return self.points_B_m[:count]
 
 
 @exact_kernel
-def _fill(
+def _fill_raster(
     depth_m: F32,
     rays: F32,
     eye: F64,
@@ -101,24 +109,24 @@ def _fill(
     high: F32,
     points: F64,
 ) -> int:
-    """Make the raster; returns how many points were written where a ray has fallen below the ground."""
+    """Write the raster, and a point for each ray that falls below the ground; returns how many."""
     low[:] = np.inf
     high[:] = -np.inf
     dropped = np.zeros(low.shape, np.bool_)
     count = 0
-    for i in range(len(depth_m) - 1, -1, -1):  # from the nearest ground on
+    # From the nearest ground on, which is at the bottom of the image.
+    for i in range(len(depth_m) - 1, -1, -1):
         depth = depth_m[i]
         if not depth > nearest_m:
             continue
-        x, y, z = (
-            eye[0] + depth * rays[i, 0],
-            eye[1] + depth * rays[i, 1],
-            eye[2] + depth * rays[i, 2],
-        )
+        x = eye[0] + depth * rays[i, 0]
+        y = eye[1] + depth * rays[i, 1]
+        z = eye[2] + depth * rays[i, 2]
         level = up[0] * x + up[1] * y + up[2] * z
         away = math.hypot(x, y)
         if max(z, level) < -DROP_M - DROP_PER_M * away:
-            fall = eye[2] / max(eye[2] - z, 1e-6)  # where it should have met the ground
+            # A drop starts where the ray should have met the ground.
+            fall = eye[2] / max(eye[2] - z, 1e-6)
             x, y = eye[0] + fall * (x - eye[0]), eye[1] + fall * (y - eye[1])
             row, column = math.floor(x / CELL_M), math.floor((y + REACH_M) / CELL_M)
             if (
@@ -144,9 +152,9 @@ def _fill(
 
 
 @exact_kernel
-def _steps(seen: F32, high: F32, box: F64, points: F64, count: int) -> int:
-    """Add the cells that hold a step, and the edges between cells that are one; returns the number of points."""
-    # The chair stands on ground that it does not see: between that and the first that it sees may lie a step.
+def _add_steps(seen: F32, high: F32, box: F64, points: F64, count: int) -> int:
+    """Write cells that hold a step, and steps between cells; returns the number of points."""
+    # Between the unseen ground below the chair and the first ground that it sees may lie a step.
     low, half = seen.copy(), round(box[2] / CELL_M)
     under = low[: round((box[1] + AROUND_M) / CELL_M), COLUMNS // 2 - half : COLUMNS // 2 + half]
     under[:] = np.where(under < np.inf, under, 0.0)
@@ -160,13 +168,18 @@ def _steps(seen: F32, high: F32, box: F64, points: F64, count: int) -> int:
                 count += 1
                 continue
             for way in range(4):
-                count = _edge(low, row, column, int(way != 1), (0, 1, 1, -1)[way], points, count)
+                # Half of the directions, so that each pair of cells is compared once.
+                count = _add_step(
+                    low, row, column, int(way != 1), (0, 1, 1, -1)[way], points, count
+                )
     return count
 
 
 @exact_kernel
-def _edge(low: F32, row: int, column: int, down: int, right: int, points: F64, count: int) -> int:
-    """Look for a step between a cell and the next one known in a direction; its place is the upper cell's border."""
+def _add_step(
+    low: F32, row: int, column: int, down: int, right: int, points: F64, count: int
+) -> int:
+    """Write a step between a cell and the next known one; it is at the upper cell's border."""
     for gap in range(1, GAP_CELLS + 1):
         r, c = row + gap * down, column + gap * right
         if not (0 <= r < ROWS and 0 <= c < COLUMNS):
@@ -189,7 +202,7 @@ class StreetMemory:
     """The raster of one chair.
 
     Args:
-        tick_s: Time between two looks.
+        tick_s: Time between two updates.
         box_B_m: (3,) rear, front and half the width of the chair in B.
     """
 
@@ -206,27 +219,28 @@ class StreetMemory:
         self.cells[:] = 0
         self._tick = 0
 
-    def see(
+    def update(
         self, points_B_m: F64, brief: Bool, low_m: F32, pose_O: F64, way_m: float, *, ahead: bool
     ) -> None:
-        """Take in what is seen in a tick.
+        """Take what is seen in a tick.
 
         Args:
             points_B_m: (n, 2) middles of what is in the way.
             brief: (n,) which of them can walk off.
-            low_m: (ROWS, COLUMNS) where something was measured: the raster of `StepMap`.
+            low_m: (ROWS, COLUMNS) the raster of `StepMap`, finite where something was measured.
             pose_O: (3,) of the chair.
-            way_m: That it has driven so far.
+            way_m: Driven so far.
             ahead: Whether it drives ahead now.
         """
         self._tick += 1
-        _note(self.cells, self._places, points_B_m, brief, pose_O, self._tick, way_m)
-        _contradict(self.cells, self._places, low_m, pose_O, self._tick)
-        _stand(self.cells, self._box_B_m, AROUND_M if ahead or self._tick == 1 else 0.0, pose_O)
+        _write_obstacles(self.cells, self._places, points_B_m, brief, pose_O, self._tick, way_m)
+        _write_ground(self.cells, self._places, low_m, pose_O, self._tick)
+        around_m = AROUND_M if ahead or self._tick == 1 else 0.0
+        _write_footprint(self.cells, self._box_B_m, around_m, pose_O)
 
     def points_B_m(self, pose_O: F64, way_m: float) -> F64:
         """What is in the way (n, 2), in B; a view of a buffer, valid until the next call."""
-        count = _collect(
+        count = _collect_obstacles(
             self.cells, self._places, pose_O, self._tick, way_m, self._brief_ticks, self._found_B_m
         )
         return self._found_B_m[:count]
@@ -234,7 +248,7 @@ class StreetMemory:
 
 @exact_kernel
 def is_ground(cells: I64, x_O_m: float, y_O_m: float) -> bool:
-    """Whether a place in O is surely ground: seen or stood on, with nothing in the way."""
+    """Whether a place in O is surely ground: seen or stood on, and without an obstacle."""
     ix, iy = math.floor(x_O_m / CELL_M), math.floor(y_O_m / CELL_M)
     cell = cells[ix % _SIDE, iy % _SIDE]
     return bool(
@@ -256,8 +270,8 @@ def is_known(cells: I64, x_O_m: float, y_O_m: float) -> bool:
 
 
 @exact_kernel
-def _claim(cells: I64, x_O_m: float, y_O_m: float) -> tuple[int, int]:
-    """The cell of a place, emptied when it was another place's."""
+def _claim_cell(cells: I64, x_O_m: float, y_O_m: float) -> tuple[int, int]:
+    """The cell of a place; it is emptied first if it was another place's."""
     ix, iy = math.floor(x_O_m / CELL_M), math.floor(y_O_m / CELL_M)
     i, j = ix % _SIDE, iy % _SIDE
     if cells[i, j, _KEY_X] != ix or cells[i, j, _KEY_Y] != iy:
@@ -267,15 +281,15 @@ def _claim(cells: I64, x_O_m: float, y_O_m: float) -> tuple[int, int]:
 
 
 @exact_kernel
-def _note(
+def _write_obstacles(
     cells: I64, places: F64, points: F64, brief: Bool, pose: F64, tick: int, way_m: float
 ) -> None:
-    """Put what is in the way into its cells; what can walk off is never sure."""
+    """Put obstacles into their cells; what can walk off is never sure."""
     cos, sin = math.cos(pose[2]), math.sin(pose[2])
     for n in range(len(points)):
         x = pose[0] + cos * points[n, 0] - sin * points[n, 1]
         y = pose[1] + sin * points[n, 0] + cos * points[n, 1]
-        i, j = _claim(cells, x, y)
+        i, j = _claim_cell(cells, x, y)
         if cells[i, j, _TICK] != tick:
             cells[i, j, _TICK] = tick
             cells[i, j, _EVIDENCE] = 1 if brief[n] else min(cells[i, j, _EVIDENCE] + 1, _SURE)
@@ -283,8 +297,8 @@ def _note(
 
 
 @exact_kernel
-def _contradict(cells: I64, places: F64, low: F32, pose: F64, tick: int) -> None:
-    """Where something was measured that is not in the way there is ground, and what was there counts for less."""
+def _write_ground(cells: I64, places: F64, low: F32, pose: F64, tick: int) -> None:
+    """Where ground is measured, mark it, and take evidence from an older obstacle there."""
     cos, sin = math.cos(pose[2]), math.sin(pose[2])
     for i in range(_SIDE):
         for j in range(_SIDE):
@@ -298,13 +312,14 @@ def _contradict(cells: I64, places: F64, low: F32, pose: F64, tick: int) -> None
         for column in range(COLUMNS):
             if low[row, column] < np.inf:
                 bx, by = (row + 0.5) * CELL_M, (column + 0.5) * CELL_M - REACH_M
-                i, j = _claim(cells, pose[0] + cos * bx - sin * by, pose[1] + sin * bx + cos * by)
+                x, y = pose[0] + cos * bx - sin * by, pose[1] + sin * bx + cos * by
+                i, j = _claim_cell(cells, x, y)
                 cells[i, j, _GROUND] = _SEEN
 
 
 @exact_kernel
 def _would_show(low: F32, row: int, column: int) -> bool:
-    """Whether a step at a cell would show: the ground before it, towards the chair, was measured, too."""
+    """Whether a step at a cell would show: ground before it, towards the chair, was measured."""
     aside = column - COLUMNS // 2
     away = max(row, abs(aside), 1)
     for nearer in range(2, GAP_CELLS + 2):
@@ -315,28 +330,28 @@ def _would_show(low: F32, row: int, column: int) -> bool:
 
 
 @exact_kernel
-def _stand(cells: I64, box: F64, around_m: float, pose: F64) -> None:
-    """The ground under the chair, and so far around it, is known."""
+def _write_footprint(cells: I64, box: F64, around_m: float, pose: F64) -> None:
+    """Mark the ground under the chair, and so far around it."""
     cos, sin = math.cos(pose[2]), math.sin(pose[2])
     rear, front, half = box[0] - around_m, box[1] + around_m, box[2] + around_m
-    along, across = (
-        math.ceil((front - rear) / (0.7 * CELL_M)),
-        math.ceil(2.0 * half / (0.7 * CELL_M)),
-    )
+    # Points this close leave out no cell, however the chair is turned.
+    along = math.ceil((front - rear) / (0.7 * CELL_M))
+    across = math.ceil(2.0 * half / (0.7 * CELL_M))
     for a in range(along + 1):
         bx = rear + (front - rear) * a / along
         for b in range(across + 1):
             by = half * (2.0 * b / across - 1.0)
-            i, j = _claim(cells, pose[0] + cos * bx - sin * by, pose[1] + sin * bx + cos * by)
+            x, y = pose[0] + cos * bx - sin * by, pose[1] + sin * bx + cos * by
+            i, j = _claim_cell(cells, x, y)
             under = box[0] <= bx <= box[1] and abs(by) <= box[2]
             cells[i, j, _GROUND] = max(cells[i, j, _GROUND], _SEEN if under else _AROUND)
 
 
 @exact_kernel
-def _collect(
+def _collect_obstacles(
     cells: I64, places: F64, pose: F64, tick: int, way_m: float, brief_ticks: int, found: F64
 ) -> int:
-    """Write what is in the way into `found`, in B; forget what is too far, too long ago or a long way back."""
+    """Write the obstacles into `found`, in B; forget those too far away, too old or far back."""
     cos, sin = math.cos(pose[2]), math.sin(pose[2])
     count = 0
     for i in range(_SIDE):

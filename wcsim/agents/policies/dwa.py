@@ -20,7 +20,7 @@ from typing import Final
 import numpy as np
 
 from wcsim.agents.perception.alarm import TWO_TICKS, Alarm, next_alarm
-from wcsim.agents.perception.arcs import LONGEST_S, STEP_S, advance, arcs, touches_after
+from wcsim.agents.perception.arcs import LONGEST_S, STEP_S, advance, time_to_contact_s
 from wcsim.agents.perception.street_memory import is_known
 from wcsim.agents.perception.surroundings import StreetSense
 from wcsim.agents.policy_api import (
@@ -147,7 +147,7 @@ def _brakes_in_time(
     commands, limits, box = around.commands, around.limits, around.box_B_m
     gap_m = np.empty(len(commands))
     blind = np.empty(len(commands), np.bool_)
-    free: Bool = arcs(start, later_s, care.hold_s, commands, limits, box, points, gap_m)
+    free: Bool = evaluate_arcs(start, later_s, care.hold_s, commands, limits, box, points, gap_m)
     _backs_blindly(
         start, care.hold_s, commands, limits, box, around.memory.cells, around.ego.pose_O, blind
     )
@@ -227,7 +227,7 @@ class DynamicWindow(HearsSent):
         points = around.in_the_way(care.margin_m)
         start, later_s = around.start()
         # 2. Warn where the user's stick, held, would meet something soon.
-        meets_s = touches_after(
+        meets_s = time_to_contact_s(
             start,
             later_s,
             around.shaped(stick),

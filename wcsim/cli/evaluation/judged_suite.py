@@ -1,6 +1,7 @@
-"""Policies judged on a list of episodes: `wcsim test --suite`, with `--sensitivity` and `--play`, and `--make-suite`.
+"""Policies judged on a list of episodes: `wcsim test --suite`, and lists: `--make-suite`.
 
-`judge`, `drive_list`, `order_of` and `save_result` serve `wcsim test --town`, `demo` and `train-clients`, too.
+`judge`, `drive_list`, `order_of` and `save_result` also serve `wcsim test --town`, `demo` and
+`train-clients`.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Final
 
 from rich.table import Column
 from tyro.conf import Positional, arg
@@ -54,17 +55,25 @@ if TYPE_CHECKING:  # loads the simulators, which --help must not
     from wcsim.agents.opening.list_file import Suite
 
 
-_OTHERS = (*BASELINES, *UPPER_BOUNDS)  # drive beside the policies, unless --only
-_LISTED = {
-    "env.profile": "each episode of a list has its own user; choose it with --town and --profile, no --suite",
-    "env.max_steps": "each episode of a list has its own step limit; set it with --town and --max-steps, no --suite",
+# These drive beside the policies, unless --only.
+_OTHERS: Final = (*BASELINES, *UPPER_BOUNDS)
+_LISTED: Final = {
+    "env.profile": (
+        "each episode of a list has its own user; choose it with --town and --profile, no --suite"
+    ),
+    "env.max_steps": (
+        "each episode of a list has its own step limit; set it with --town and --max-steps, "
+        "no --suite"
+    ),
 }
-_WORKERS_EVERY_S = 20.0  # a line about who drives what, where that is another machine
+# A line about the workers of other machines, each with what it drives.
+_WORKERS_EVERY_S: Final = 20.0
 # Of an episode that is played again: its end is filmed, and every so often a row is printed.
-_PLACE = re.compile(r"([0-9]{1,6})\.([0-9]{1,3})")
-_FILMED_S = 10.0
-_ROW_EVERY_S = 0.5
-_MAP_PX, _MAP_SPAN_M = 480, 30.0
+_PLACE: Final = re.compile(r"([0-9]{1,6})\.([0-9]{1,3})")
+_FILMED_S: Final = 10.0
+_ROW_EVERY_S: Final = 0.5
+_MAP_PX: Final = 480
+_MAP_SPAN_M: Final = 30.0
 
 
 @dataclass
@@ -72,17 +81,17 @@ class _DriveOptions:
     """What drives a list, whether it comes with wcsim, lies in a file or is drawn for a town."""
 
     policies: Annotated[tuple[str, ...], Positional, arg(metavar="[POLICY ...]")] = ()
-    """Runs (RUN, RUN:phase1), policy folders, module:Class, or baselines. All baselines are added unless --only."""
+    """Runs (RUN, RUN:phase1), policy folders, module:Class, or baselines. All baselines are added unless --only."""  # noqa: E501
     jobs: Jobs = 1
     """Parallel processes; the result is the same for any number."""
     cluster: Cluster = ""
-    """HOST:PORT of a Ray cluster whose nodes drive, or `local`; the result is the same (docs/cluster.md)."""
+    """HOST:PORT of a Ray cluster whose nodes drive, or `local`; the result is the same (docs/cluster.md)."""  # noqa: E501
     out: OutFolder = None
     """Folder for the result and for finished blocks. (default: runs/suite-SET; none with --town)"""
     resume: bool = False
     """Continue in a folder that holds finished blocks of this test."""
     preset: str = "quick"
-    """Settings of policies that have none. Its rules for street, chair and crashes apply to all policies."""
+    """Settings of policies that have none. Its rules for street, chair and crashes apply to all policies."""  # noqa: E501
     set: Repeated = ()
     """section.key=value, over the settings of the list; the result names it."""
     network: str = ""
@@ -109,7 +118,7 @@ class _OfSuite(_DriveOptions):
     set: Annotated[Repeated, Keys(_LISTED)] = ()
     """section.key=value, over the settings of the list; the result names it."""
     suite: str = ""
-    """The list: one that comes with wcsim (demo, dev, validation, v1), or a file of --make-suite."""
+    """The list: one that comes with wcsim (demo, dev, validation, v1), or a file of --make-suite."""  # noqa: E501
 
 
 @dataclass
@@ -118,7 +127,7 @@ class _SuiteOptions(_OfSuite, JudgeOptions):
 
     With `--sensitivity` they drive it without disturbances, and with each alone: which changes the score?
     With `--play BLOCK.SEAT` one policy drives that episode again.
-    """
+    """  # noqa: E501
 
     clean: bool = False
     """Turn off camera noise and delay; IMU and odometry keep their errors."""
@@ -126,7 +135,7 @@ class _SuiteOptions(_OfSuite, JudgeOptions):
 
 @dataclass
 class _SensitivityOptions(_OfSuite):
-    """Drive a list with these policies and the user alone without disturbances, and with each alone."""
+    """Drive a list with these policies and the user alone without disturbances, and with each alone."""  # noqa: E501
 
     sensitivity: Flag = False
     """Which disturbance changes the score?"""
@@ -136,7 +145,7 @@ class _SensitivityOptions(_OfSuite):
 
 @dataclass
 class _PlayedEpisodeOptions(_OfSuite):
-    """Drive an episode of one policy again, film its last 10 s into --out, and print what happened."""
+    """Drive an episode of one policy again, film its last 10 s into --out, and print what happened."""  # noqa: E501
 
     play: Annotated[str, arg(metavar="BLOCK.SEAT")] = ""
     """The episode."""
@@ -156,7 +165,7 @@ def run_suites(words: list[str]) -> int:
 
 
 def judge(order: SuiteOrder, options: JudgeOptions, name: str) -> int:
-    """Drive a list with the user alone, the policies and, unless `--only`, all baselines; print what came of it.
+    """Drive a list with the user alone, the policies and, unless `--only`, all baselines; print it.
 
     Args:
         order: How.
@@ -260,14 +269,12 @@ def save_result(
         },
         ASKED: {"suite": name, **typed},
     }
-    with (
-        ExitStack() as opened
-    ):  # all of it first: a full disk leaves what an earlier test wrote as it was
+    # All files are written before one is replaced: a full disk leaves an earlier test as it was.
+    with ExitStack() as opened:
         for file, content in contents.items():
             part = opened.enter_context(result_file(order.out / file))
-            indent = (
-                None if file == EPISODES else 2
-            )  # many records: half of the file would be blanks
+            # Of many records half of the file would be blanks.
+            indent = None if file == EPISODES else 2
             part.write_text(json_text(order.out / file, content, indent), encoding="utf-8")
     return result
 
@@ -285,14 +292,14 @@ def _suite_order(options: _OfSuite, forks: int | None = None, *, clean: bool = F
 
 
 def _require_usable(order: SuiteOrder, options: _DriveOptions) -> None:
-    """Print what is going to be driven; refuse what can be used in no episode. Raises WcsimError."""
+    """Print what will be driven; raise a WcsimError for what can be used in no episode."""
     from wcsim.agents.evaluation.suite.run import KEPT, require_usable
     from wcsim.agents.opening.named_policy import told_of_rules
 
     if (order.out / KEPT).exists() and not options.resume:
         raise ConfigError(
-            f"--out {order.out}: it holds blocks of an earlier test; continue them with --resume, or choose another "
-            "folder"
+            f"--out {order.out}: it holds blocks of an earlier test; continue them with --resume, "
+            "or choose another folder"
         )
     suite, console = order.suite, stderr_console()
     listed = f"{suite.file.suite} {suite.file.set}, list {suite.sha256[:12]}"
@@ -312,13 +319,13 @@ def _resumable(order: SuiteOrder, options: _DriveOptions) -> Iterator[None]:
     def saved() -> set[Path]:
         return set(order.out.rglob(f"{KEPT}/*.json"))
 
-    before = set() if options.resume else saved()  # of another test in the same folder
+    # Blocks of another test may lie in the same folder.
+    before = set() if options.resume else saved()
     try:
         yield
     except KeyboardInterrupt:
-        stays = options.out is not None or isinstance(
-            options, _OfSuite
-        )  # the folder of --town is temporary
+        # The folder of --town is temporary.
+        stays = options.out is not None or isinstance(options, _OfSuite)
         if not stays or not saved() - before:
             raise
         message = f"stopped; finished blocks are saved in {order.out}; continue with --resume"
@@ -406,14 +413,12 @@ def _play_episode(order: SuiteOrder, policies: Sequence[str], place: str) -> int
     )
 
     # 3. Compare it with the one that was saved.
-    twin = next((item for item in saved if (item.block, item.seat) == (index, seat)), None)
-    if twin is not None:
-        require_same(record, twin)
-    compared = (
-        "the same as the saved one"
-        if twin is not None
-        else f"not compared: none is saved in {order.out}"
-    )
+    compared = f"not compared: none is saved in {order.out}"
+    for earlier in saved:
+        if (earlier.block, earlier.seat) == (index, seat):
+            require_same(record, earlier)
+            compared = "the same as the saved one"
+            break
     stdout_console().print(
         f"{film if played.steps else 'no video: nothing was driven'}; the episode is {compared}",
         style="dim",
@@ -431,12 +436,10 @@ def _place_of_play(text: str, blocks: int) -> tuple[int, int]:
     if found is None or int(found[1]) >= blocks:
         most = blocks - 1
         raise ConfigError(
-            f"--play {escaped(text)!r}: expected BLOCK.SEAT, such as 0.1, with a block from 0 to {most}"
+            f"--play {escaped(text)!r}: expected BLOCK.SEAT, such as 0.1, with a block from 0 to "
+            f"{most}"
         )
     return int(found[1]), int(found[2])
-
-
-# --- lists are made ---
 
 
 @dataclass(frozen=True, slots=True)
@@ -451,7 +454,8 @@ class _Named(OptionNote):
             return
         proposed = re.sub(r"[^a-z0-9]+", "-", value.lower()).strip("-")[: self.most]
         raise ConfigError(
-            f"{option}: got the name {escaped(value, 80)!r}; expected at most {self.most} lower-case letters, digits "
+            f"{option}: got the name {escaped(value, 80)!r}; expected at most {self.most} "
+            "lower-case letters, digits "
             "and -" + f", such as {proposed}" * bool(proposed)
         )
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Final
 
 from tyro.conf import Positional, arg
 
@@ -14,10 +14,9 @@ from wcsim.core.reading import counted, escaped, is_file, is_folder
 from wcsim.errors import ConfigError, FileError, check_installed
 
 if TYPE_CHECKING:  # loads the simulators, which --help must not
-    from wcsim.agents.evaluation.suite.result_files import TestResult
-    from wcsim.view.report.failures import FailedEpisode, Illustration, Key
+    from wcsim.view.report.failures import Illustration, Key
 
-_MOST_PICTURES = 1000
+_MOST_PICTURES: Final = 1000
 
 
 @dataclass
@@ -32,7 +31,7 @@ class _Options:
     out: OutFolder = None
     """Folder for the page. (default: the one folder, or runs/report for several)"""
     pictures: Annotated[int, Bounds(0, _MOST_PICTURES)] = 8
-    """Failures with pictures, the worst of each policy. Each is driven again, which takes up to a minute."""
+    """Failures with pictures, the worst of each policy. Each is driven again, which takes up to a minute."""  # noqa: E501
     own: Repeated = ()
     """module:Class: a policy or network of your own in this test; its code may run for pictures."""
     jobs: Jobs = 1
@@ -45,27 +44,32 @@ def run(words: list[str]) -> int:
     kinds = [_is_test(folder) for folder in options.folders]
     if not kinds or (len(kinds) > 1 and any(kinds)):
         raise ConfigError(
-            f"got {counted(len(kinds), 'folder')}, {sum(kinds)} of tests; expected one, or several of `wcsim train`"
+            f"got {counted(len(kinds), 'folder')}, {sum(kinds)} of tests; expected one, or "
+            "several of `wcsim train`"
         )
     out = options.out or (options.folders[0] if len(kinds) == 1 else Path("runs") / "report")
     check_folder("FOLDER" if options.out is None and len(kinds) == 1 else "--out", out)
     check_installed("figures need matplotlib", "report", "matplotlib")
-    path = _of_test(options, out) if kinds[0] else _of_trainings(options.folders, out)
+    if kinds[0]:
+        path = _write_test_page(options, out)
+    else:
+        path = _write_trainings_page(options.folders, out)
     stdout_console().print(f"{path}: open it in a browser", soft_wrap=True)
     return 0
 
 
 def _is_test(folder: Path) -> bool:
-    """Whether a folder is of a test; else it is of a training. Raises ConfigError when it is neither."""
+    """Whether a folder is of a test, else of a training. Raises ConfigError for any other."""
     is_test, is_run = (is_file(folder / name) for name in ("result.json", "manifest.json"))
     if not is_folder(folder) or not (is_test or is_run):
         raise ConfigError(
-            f"{escaped(folder)}: nothing to report; expected a folder of `wcsim test --suite` or `wcsim train`"
+            f"{escaped(folder)}: nothing to report; expected a folder of `wcsim test --suite` or "
+            "`wcsim train`"
         )
     return is_test
 
 
-def _of_trainings(folders: tuple[Path, ...], out: Path) -> Path:
+def _write_trainings_page(folders: tuple[Path, ...], out: Path) -> Path:
     from wcsim.view.report.learning_curve import crossing, read_training
     from wcsim.view.report.training_page import rounds_summary, write_training_page
 
@@ -79,34 +83,28 @@ def _of_trainings(folders: tuple[Path, ...], out: Path) -> Path:
     return page
 
 
-def _of_test(options: _Options, out: Path) -> Path:
+def _write_test_page(options: _Options, out: Path) -> Path:
     from wcsim.agents.evaluation.suite.result_files import read_result
-    from wcsim.view.report.failures import failures_of
+    from wcsim.view.report.failures import chosen, failures_of, illustrated, order_of
     from wcsim.view.report.suite_page import write_suite_page
 
     tested = options.folders[0]
     result = read_result(tested)
     failures = failures_of(result, tested)
-    try:
-        pictures, why_none = _pictures(options, result, failures), ""
-    except FileError as error:  # the numbers stand without pictures
-        pictures, why_none = {}, f"No pictures: {error}"
-        stderr_console().print(why_none, soft_wrap=True)
+    shown = chosen(failures, options.pictures)
+    pictures: dict[Key, Illustration] = {}
+    why_none = ""
+    if shown:
+        try:
+            pictures = illustrated(
+                order_of(result, tested, options.own),
+                shown,
+                options.own,
+                options.jobs,
+                lambda done, of: say(f"pictures: {done} of {of} blocks"),
+            )
+        except FileError as error:
+            # The numbers stand without pictures.
+            why_none = f"No pictures: {error}"
+            stderr_console().print(why_none, soft_wrap=True)
     return write_suite_page(result, tested, failures, pictures, why_none, out)
-
-
-def _pictures(
-    options: _Options, result: TestResult, failures: tuple[FailedEpisode, ...]
-) -> dict[Key, Illustration]:
-    from wcsim.view.report.failures import chosen, illustrated, order_of
-
-    wanted = chosen(failures, options.pictures)
-    if not wanted:
-        return {}
-    return illustrated(
-        order_of(result, options.folders[0], options.own),
-        wanted,
-        options.own,
-        options.jobs,
-        lambda done, of: say(f"pictures: {done} of {of} blocks"),
-    )

@@ -1,4 +1,4 @@
-"""`wcsim test`: how trained networks do in a town that they have never seen, compared with baselines."""
+"""`wcsim test`: trained networks in a town that they have never seen, compared with baselines."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Final
 
 from wcsim.agents.networks.names import check_network
 from wcsim.agents.opening.named_policy import config_for
@@ -45,7 +45,7 @@ from wcsim.towns.scenario.town import (
 if TYPE_CHECKING:  # loads torch, which --help must not
     from wcsim.agents.evaluation.suite.run import SuiteOrder
 
-_MAX_STEPS = 1_000_000  # as in env.max_steps
+_MAX_STEPS: Final = 1_000_000  # as in env.max_steps
 
 
 @dataclass
@@ -64,7 +64,7 @@ class Options(JudgeOptions):
     town: str = "monaco"
     """A town's name, its folder, or a .sumocfg file; several are separated by commas."""
     profile: str = "inattentive"
-    """User profiles, separated by commas; FILE.toml is your own, recorded:FILE replays a recording."""
+    """User profiles, separated by commas; FILE.toml is your own, recorded:FILE replays a recording."""  # noqa: E501
     episodes: Annotated[int, Bounds(1)] = 5
     """Episodes for each policy, town and profile."""
     max_steps: Annotated[int, Bounds(1, _MAX_STEPS)] = 10_000
@@ -74,7 +74,7 @@ class Options(JudgeOptions):
     network: Annotated[str, Finds(check_network)] = ""
     """Your own network as module:Class, for runs that were trained with it."""
     hook: Annotated[str, Finds(find_hook)] = ""
-    """Your own step hook as module:Class, called around every step of SUMO with the libsumo module."""
+    """Your own step hook as module:Class, called around every step of SUMO with the libsumo module."""  # noqa: E501
     allow_train_town: bool = False
     """Allow a town that is for training, or the town that a run was trained in."""
     verbose: Flag = False
@@ -82,53 +82,62 @@ class Options(JudgeOptions):
 
 
 def run(words: list[str]) -> int:
-    """Test and print the tables of each town and profile; with --suite or --make-suite see their files here."""
+    """Test and print the tables of each town and profile, or pass on to what a list needs."""
     if says(words, "--make-suite"):
         return make_list(words)
     if says(words, "--suite"):
         return run_suites(words)
     options = parse(Options, words, "test")
-    with _ordered(options) as (order, name):
+    with _town_order(options) as (order, name):
         return judge(order, options, name)
 
 
 @contextlib.contextmanager
-def _ordered(options: Options) -> Iterator[tuple[SuiteOrder, str]]:
-    """How the episodes of a town are driven, and where their list lies.
+def _town_order(options: Options) -> Iterator[tuple[SuiteOrder, str]]:
+    """How the episodes of a town are driven, and the name of their list.
 
-    The list is written once all of it is driven. Without `--out` the folder is gone afterwards.
+    The list is written once all of it is driven. Without `--out` its folder is temporary.
     """
-    towns, profiles = _tested(options)
+    towns, profiles = _checked_places(options)
     if options.out is not None:
         check_folder("--out", options.out / "x")
     elif options.resume:
         raise ConfigError("--resume needs the folder of the test: --out FOLDER")
-    for name in options.policies:  # before torch is loaded for it
+    for name in options.policies:
         require_policy(name, options.network)
     config = config_for(UNAIDED, options.preset, options.set, in_list=True)
 
-    from wcsim.agents.evaluation.suite.make import (
-        town_list,
-    )  # the simulators are loaded here: not for a refusal
+    # These load the simulators and torch, which a refusal must not.
+    from wcsim.agents.evaluation.suite.make import town_list
     from wcsim.agents.evaluation.suite.result_files import LIST
     from wcsim.agents.opening.list_file import suite_of, write_list
 
     for town in towns.values():
-        told = overrides_of(town, config, options.seed)
-        print_overrides(stdout_console(), town.name, told, verbose=options.verbose)
-    many = options.episodes, options.max_steps, options.seed
-    suite = suite_of(town_list(list(towns.values()), profiles, *many, settings=options.set))
-    with contextlib.ExitStack() as held:
-        out = options.out or held.enter_context(temporary_folder())
-        yield (
-            replace(order_of(options, suite, out, options.forks), settings=(), hook=options.hook),
-            str(out / LIST),
-        )
+        overrides = overrides_of(town, config, options.seed)
+        print_overrides(stdout_console(), town.name, overrides, verbose=options.verbose)
+    file = town_list(
+        list(towns.values()),
+        profiles,
+        options.episodes,
+        options.max_steps,
+        options.seed,
+        settings=options.set,
+    )
+    suite = suite_of(file)
+    with contextlib.ExitStack() as opened:
+        out = options.out or opened.enter_context(temporary_folder())
+        # The list holds the settings already.
+        order = order_of(options, suite, out, options.forks)
+        yield replace(order, settings=(), hook=options.hook), str(out / LIST)
         write_list(suite.file, out / LIST)
 
 
-def _tested(options: Options) -> tuple[dict[str, Town], tuple[str, ...]]:
-    """The towns by name and the profiles of a test. Raises ConfigError or TownError for what cannot be tested."""
+def _checked_places(options: Options) -> tuple[dict[str, Town], tuple[str, ...]]:
+    """The towns by name and the profiles of a test.
+
+    Raises:
+        ConfigError, TownError: One of them cannot be tested.
+    """
     profiles = some_words("--profile", options.profile)
     for name in profiles:
         require_user(name)
@@ -139,23 +148,22 @@ def _tested(options: Options) -> tuple[dict[str, Town], tuple[str, ...]]:
         from wcsim.users.recordings.recorded_user import read_recording
 
         recording = read_recording(Path(name.removeprefix(RECORDED)))
-        for town in towns.values():  # before the world of another town begins
+        for town in towns.values():
             try:
                 recording.require_driven_here(town.name, partial(content_hash, town))
             except ConfigError as error:
-                raise ConfigError(
-                    f"{error}{_words_for(recording.town, recording.town_sha256)}"
-                ) from None
+                options_text = _town_options(recording.town, recording.town_sha256)
+                raise ConfigError(f"{error}{options_text}") from None
     return towns, profiles
 
 
-def _words_for(name: str, sha256: str) -> str:
-    """The options that test in the town of that name, if it is there and is the one of that content; "" else."""
+def _town_options(name: str, sha256: str) -> str:
+    """The options that test in a town; "" where there is none of that name and content."""
     with contextlib.suppress(TownError):
         town = find_town(name)
         if content_hash(town) == sha256:
-            school = " --allow-train-town" if town.declared and town.split == "train" else ""
-            return f". Use --town {name}{school}"
+            allow = " --allow-train-town" if town.declared and town.split == "train" else ""
+            return f". Use --town {name}{allow}"
     return ""
 
 
@@ -165,32 +173,34 @@ def _checked_town(name: str, options: Options) -> Town:
     validate_net(town.net)
     if options.allow_train_town:
         return town
-    digest, other = streets_hash(town), "Choose another --town, or add --allow-train-town"
-    # Nobody has said so of a scenario that was made elsewhere; but it may be a copy of such a town.
-    known = (town,) if town.declared else list_towns()
-    schools = (school for school in known if school.declared and school.split == "train")
-    school = next((school for school in schools if streets_hash(school) == digest), None)
-    if school is not None:
-        copied = f": it has the streets of {school.name}, which was not imported with --split test"
-        raise TownError(
-            f"{town.name} is a training town{'' if town.declared else copied}; expected a town of split test (wcsim "
-            f"town list), or a scenario of your own. {other}"
-        )
+    digest = streets_hash(town)
+    other = "Choose another --town, or add --allow-train-town"
+    # A scenario without a split may be a copy of a training town.
+    for known in (town,) if town.declared else list_towns():
+        if known.declared and known.split == "train" and streets_hash(known) == digest:
+            copied = (
+                f": it has the streets of {known.name}, which was not imported with --split test"
+            )
+            raise TownError(
+                f"{town.name} is a training town{'' if town.declared else copied}; expected a town "
+                f"of split test (wcsim town list), or a scenario of your own. {other}"
+            )
     for policy in options.policies:
-        if policy_name(policy).is_network and digest in _schools(policy):
+        if policy_name(policy).is_network and digest in _training_streets(policy):
             raise TownError(
                 f"{policy} was trained in {town.name}; expected a town it has never seen. {other}"
             )
     return town
 
 
-def _schools(policy: str) -> set[str]:
-    """Hashes of the streets that a run's policy was trained in; of one without its run nothing is known."""
+def _training_streets(policy: str) -> set[str]:
+    """Hashes of the streets that a policy was trained in; empty for one without its run."""
     run = run_of(policy)
     if run is None:
         return set()
     found = {run.manifest.town_sha256, *run.manifest.more_towns.values()}
     for name in run.config.collect.towns:
-        with contextlib.suppress(TownError):  # it is not here any more
+        # A town that is not here any more cannot be tested either.
+        with contextlib.suppress(TownError):
             found.add(streets_hash(find_town(name)))
     return found

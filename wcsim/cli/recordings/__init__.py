@@ -1,1 +1,1 @@
-"""Commands for recordings: replay, and the users that are recorded and fitted. Not the results of tests."""
+"""Commands for recordings: log, replay, watch, and users that are recorded and fitted."""

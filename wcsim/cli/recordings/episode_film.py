@@ -1,4 +1,4 @@
-"""A block of a suite as a film: driven again by its policy, which also says what it holds for unsafe."""
+"""A block of a suite as a film: its policy drives it again, and shows its unsafe actions."""
 
 from __future__ import annotations
 
@@ -34,47 +34,56 @@ from wcsim.view.report.failures import failures_of, fate, order_of
 NOT_IN_EPISODES: Final = ("Sensor errors of the camera: its picture is drawn without them.",)
 
 
-def episode_film(source: FilmSource, say: Callable[[Said], object]) -> None:
-    """Drive a block to its end, and compare what is kept of it; that of the worst failure where none is named.
+def episode_film(source: FilmSource, send: Callable[[Said], object]) -> None:
+    """Drive a block to its end, and compare it with its saved episodes.
+
+    Args:
+        source: Where no block or policy is named, it is that of the worst failure.
+        send: Called with each part of the film.
 
     Raises:
         ConfigError: The folder holds no result, or has no such block or policy.
         PolicyError, TownError: The policy or a town cannot be used.
     """
     result = read_result(source.path)
-    policy, index = _found(result, source)
+    policy, index = _chosen_block(result, source)
     order = order_of(result, source.path, source.own)
     piece = piece_of(order, index, policy, town_addresses(order), judged=False)
     config = config_for(piece.policy, piece.preset, piece.settings, in_list=True)
-    records = drive_piece(piece, _BlockWatch(result.suite, piece, config, say))
-    kept = {(one.block, one.seat): one for one in result.episodes[policy]}
-    told = [f"chair {record.seat}: {fate(record)}" for record in records]
+    records = drive_piece(piece, _BlockWatch(result.suite, piece, config, send))
+    saved = {(one.block, one.seat): one for one in result.episodes[policy]}
     for record in records:
-        twin = kept.get((record.block, record.seat))
-        if twin is None:
-            continue
-        try:
-            require_same(record, twin)
-        except ConfigError as error:
-            say(FilmLine(kind="bad", told=str(error)))
-    say(FilmLine(kind="end", told="; ".join(told)))
+        if (record.block, record.seat) in saved:
+            try:
+                require_same(record, saved[record.block, record.seat])
+            except ConfigError as error:
+                send(FilmLine(kind="bad", told=str(error)))
+    fates = "; ".join(f"chair {record.seat}: {fate(record)}" for record in records)
+    send(FilmLine(kind="end", told=fates))
 
 
-def _found(result: TestResult, source: FilmSource) -> tuple[str, int]:
+def _chosen_block(result: TestResult, source: FilmSource) -> tuple[str, int]:
     """Policy and block. Raises ConfigError."""
-    failures = failures_of(result, source.path)
-    worst = next((one for one in failures if source.policy in ("", one.policy)), None)
-    first = worst.policy if worst is not None else next(iter(result.episodes))
-    policy = source.policy or first
+    # The first failure is the worst.
+    failures = [
+        one for one in failures_of(result, source.path) if source.policy in ("", one.policy)
+    ]
+    policy = source.policy
+    if not policy:
+        policy = failures[0].policy if failures else next(iter(result.episodes))
     if policy not in result.episodes:
         raise ConfigError(
-            f"--policy {policy!r}: not in this result; expected one of: {', '.join(result.episodes)}"
+            f"--policy {policy!r}: not in this result; expected one of: "
+            f"{', '.join(result.episodes)}"
         )
     if policy_name(policy).kind == "class" and policy not in source.own:
         raise ConfigError(
-            f"{policy} is your own code, which runs only when you name it: --policy {shlex.quote(policy)}"
+            f"{policy} is your own code, which runs only when you name it: --policy "
+            f"{shlex.quote(policy)}"
         )
-    block = source.block if source.block >= 0 else (worst.key[0] if worst is not None else 0)
+    block = source.block
+    if block < 0:
+        block = failures[0].key[0] if failures else 0
     blocks = sorted({episode.block for episode in result.episodes[policy]})
     if block not in blocks:
         raise ConfigError(
@@ -84,22 +93,22 @@ def _found(result: TestResult, source: FilmSource) -> tuple[str, int]:
 
 
 class _BlockWatch:
-    """Says a frame for each tick, once all seats of it were seen.
+    """Sends a frame for each tick, once all of its seats were seen.
 
     Args:
         suite: Its name.
         piece: What is driven.
         config: Of the policy.
-        say: Hears the film.
+        send: Called with each part of the film.
     """
 
     def __init__(
-        self, suite: str, piece: Piece, config: RunConfig, say: Callable[[Said], object]
+        self, suite: str, piece: Piece, config: RunConfig, send: Callable[[Said], object]
     ) -> None:
-        self._suite, self._piece, self._config, self._say = suite, piece, config, say
+        self._suite, self._piece, self._config, self._send = suite, piece, config, send
         self._maker = FrameMaker()
         self._now: Snapshot | None = None
-        self._said: dict[int, TickSays] = {}
+        self._seats: dict[int, TickSays] = {}
 
     @property
     def seats(self) -> frozenset[int]:
@@ -107,38 +116,40 @@ class _BlockWatch:
         return frozenset(range(len(self._piece.block.episodes)))
 
     def see(self, seat: int, step: EpisodeStep, world: World, policy: Policy) -> None:
-        """A seat has done its step; one whose episode ends leaves the street, but was in it at the tick's end."""
+        """Take the step of a seat."""
         if self._now is None:
-            self._begin(world, policy)
-        if not self._said:
+            self._send_head(world, policy)
+        if not self._seats:
+            # Before a chair leaves: one whose episode ends was in the street at the tick's end.
             self._maker.look(world)
             self._now = world.snapshot
         alone = step.info["events"].step <= self._piece.block.episodes[seat].handover_step
-        asked, given = step.info["asked"], step.info["given"]
-        unsafe = list[int]() if isinstance(policy, TellsUnsafe) else None
-        if isinstance(policy, TellsUnsafe) and not alone:
-            unsafe = policy.unsafe.nonzero()[0].tolist()
-        self._said[seat] = TickSays(
-            stick=xy_of(asked),
+        user, given = step.info["asked"], step.info["given"]
+        unsafe: list[int] | None = None
+        if isinstance(policy, TellsUnsafe):
+            unsafe = [] if alone else policy.unsafe.nonzero()[0].tolist()
+        self._seats[seat] = TickSays(
+            stick=xy_of(user),
             commanded=xy_of(given),
             unsafe=unsafe,
             warning=isinstance(policy, Warns) and policy.warning and not alone,
-            intervening=not alone and is_intervention(asked, given),
+            intervening=not alone and is_intervention(user, given),
             alone=alone,
             unaided=self._piece.policy == UNAIDED,
         )
         if self._now is not None and seat == self._now.clients[-1].seat:
-            self._say(self._maker.frame(self._now, self._said))
-            self._said = {}
+            self._send(self._maker.frame(self._now, self._seats))
+            self._seats = {}
 
     def ended(self, seat: int, world: World) -> None:
         """Its chair leaves the street; it was in the frame of this tick."""
 
-    def _begin(self, world: World, policy: Policy) -> None:
+    def _send_head(self, world: World, policy: Policy) -> None:
         block, piece = self._piece.block, self._piece
-        self._say(
+        place = f"block {piece.index}, {block.part}, {block.town}"
+        self._send(
             FilmAbout(
-                title=f"{self._suite} block {piece.index}, {block.part}, {block.town}: {piece.policy}",
+                title=f"{self._suite} {place}: {piece.policy}",
                 town=world.town.address,
                 tick_s=world.config.world.tick_s,
                 camera=self._config.cameras[0].model_dump_json(),
@@ -153,4 +164,4 @@ class _BlockWatch:
             seat: f"{seat}: {Path(episode.profile).stem}"
             for seat, episode in enumerate(block.episodes)
         }
-        self._say(FilmNames(names=names))
+        self._send(FilmNames(names=names))

@@ -1,4 +1,4 @@
-"""Serving a page: of a film for `wcsim watch`, `wcsim log play` and `wcsim replay`, of a drive for `wcsim drive`."""
+"""Serves a page: a film for `wcsim watch`, `log play` and `replay`, a drive for `wcsim drive`."""
 
 from __future__ import annotations
 

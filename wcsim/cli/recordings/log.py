@@ -1,4 +1,4 @@
-"""`wcsim log play | verify | compare | convert`: what can be done with a recording, of whatever kind."""
+"""`wcsim log play | verify | compare | convert`: commands for recordings of all kinds."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ from wcsim.log.diff import first_difference
 from wcsim.log.reader import read_header
 
 _SHOW_EVERY: Final = 1000  # ticks
-_FCD, _MCAP = ".xml", ".mcap"
-
+_FCD: Final = ".xml"
+_MCAP: Final = ".mcap"
 Epoch = Annotated[int | None, arg(metavar="N"), Bounds(0)]
 
 
@@ -41,12 +41,12 @@ class _LogOptions:
     epoch: Epoch = None
     """Number of the world in the run; default all."""
     hook: str = ""
-    """Your own step hook, module:Class, that the run was made with; its code runs only when you name it."""
+    """Your own step hook, module:Class, that the run was made with; its code runs only when you name it."""  # noqa: E501
 
 
 @dataclass(kw_only=True)
 class _PlayOptions(_LogOptions, PageOptions):
-    """Play a recording in your browser: pause, speed, single steps, jumps to crashes and interventions."""
+    """Play a recording in your browser: pause, speed, single steps, jumps to crashes and interventions."""  # noqa: E501
 
     seat: Seat = None
     """Chair to follow."""
@@ -82,7 +82,7 @@ class _ConvertOptions(_LogOptions):
 
     out: Annotated[Path, Positional, arg(metavar="FILE")]
     """FILE.xml for traffic and wheelchairs as FCD, FILE.mcap for motion, commands and sensor data of the wheelchairs.
-    MCAP needs the extra wcsim[bag]."""
+    MCAP needs the extra wcsim[bag]."""  # noqa: E501
     epoch: Epoch = 0
     """Number of the world in the run."""
     json: OutFile = None
@@ -91,36 +91,42 @@ class _ConvertOptions(_LogOptions):
 
 def run(words: list[str]) -> int:
     """Run one of them; 1 when something differs."""
-    return run_part(words, "log", _COMMANDS)
+    parts: Parts = {
+        "play": (_PlayOptions, _play),
+        "verify": (_VerifyOptions, _verify),
+        "compare": (_CompareOptions, _compare),
+        "convert": (_ConvertOptions, _convert),
+    }
+    return run_part(words, "log", parts)
 
 
 def _log_in(run: Path, first: str = "journal") -> Path:
-    """A log as it is named, or that of a run folder, which may have two. Raises ConfigError where there is none."""
+    """A log itself, or that of a run folder: where it has both, `first` or else the other one.
+
+    Raises:
+        ConfigError: There is none.
+    """
     if is_folder(run):
-        found = [
-            run / name for name in sorted(("journal", "trace"), key=lambda name: name != first)
-        ]
-        there = [path for path in found if is_file(path)]
-        if there:
-            return there[0]
+        for name in (first, "trace" if first == "journal" else "journal"):
+            if is_file(run / name):
+                return run / name
         raise ConfigError(
-            f"{escaped(run)}: has no trace and no journal; expected a run folder of a server or of wcsim town run"
+            f"{escaped(run)}: has no trace and no journal; expected a run folder of a server or "
+            "of wcsim town run"
         )
     if not is_file(run):
         raise ConfigError(
-            f"{escaped(run)}: is not there; expected a run folder, a trace, a journal or a recorded drive"
+            f"{escaped(run)}: is not there; expected a run folder, a trace, a journal or a "
+            "recorded drive"
         )
     return run
 
 
 def _play(options: _PlayOptions) -> int:
     path = _log_in(options.log)
-    header = read_header(path)  # what cannot be played is refused before a page is served for it
-    from wcsim.bridge.replay.replayed import (
-        log_of,
-        require_hook,
-        worlds_of,
-    )  # the simulators: not for a refusal
+    # What cannot be played is refused before the simulators are loaded and a page is served.
+    header = read_header(path)
+    from wcsim.bridge.replay.replayed import log_of, require_hook, worlds_of
     from wcsim.drive.playing.play_runner import PlayStart
     from wcsim.drive.playing.sources.source_process import FilmSource
 
@@ -141,36 +147,48 @@ def _verify(options: _VerifyOptions) -> int:
     path = _log_in(options.log)
     header = read_header(path)
     from wcsim.bridge.replay.replayed import log_of, verify
+    from wcsim.log.fingerprint import fingerprint
 
-    _note_versions(header.kind, header.fingerprint)
-    begun_s = time.perf_counter()
-    result = verify(log_of(path), options.epoch, options.first, options.last, _show, options.hook)
-    rate = result.ticks / max(time.perf_counter() - begun_s, 1e-9)
+    here = fingerprint()
+    if header.fingerprint != here:
+        print(
+            f"the {header.kind} was made with other versions, so results may differ: "
+            f"{escaped(header.fingerprint)}; here: {here}",
+            file=sys.stderr,
+        )
+
+    def show(ticks: int) -> None:
+        if ticks % _SHOW_EVERY == 0:
+            print(f"{ticks} ticks", file=sys.stderr)
+
+    started_s = time.perf_counter()
+    result = verify(log_of(path), options.epoch, options.first, options.last, show, options.hook)
+    rate = result.ticks / max(time.perf_counter() - started_s, 1e-9)
     if not result.ticks and (options.epoch, options.first, options.last) != (None, 0, None):
         raise ConfigError(f"{path}: has no tick in that range; change --epoch, --from or --to")
-    first = (
-        None if result.first is None else {"epoch": result.first.epoch, "tick": result.first.tick}
-    )
-    told = "all equal" if first is None else f"{result.mismatches} differ, first {first}"
+    first, message = None, "all equal"
+    if result.first is not None:
+        first = {"epoch": result.first.epoch, "tick": result.first.tick}
+        message = f"{result.mismatches} differ, first {first}"
     found: dict[str, Any] = {
         "ticks": result.ticks,
         "mismatches": result.mismatches,
         "first_mismatch": first,
     }
     if header.kind == "drive":
-        told += f", at most {result.farthest_m:.3g} m apart"
+        message += f", at most {result.farthest_m:.3g} m apart"
         found["farthest_m"] = result.farthest_m
-    print(f"{path}: {result.ticks} ticks compared, {told} ({rate:.0f} ticks/s)")
+    print(f"{path}: {result.ticks} ticks compared, {message} ({rate:.0f} ticks/s)")
     write_json(options.json, found)
     return 1 if result.mismatches else 0
 
 
 def _compare(options: _CompareOptions) -> int:
     one, other = map(_log_in, options.logs)
-    told = first_difference(one, other)
-    print(told or f"{one} and {other} are equal")
-    write_json(options.json, {"equal": not told, "first_difference": told})
-    return 1 if told else 0
+    difference = first_difference(one, other)
+    print(difference or f"{one} and {other} are equal")
+    write_json(options.json, {"equal": not difference, "first_difference": difference})
+    return 1 if difference else 0
 
 
 def _convert(options: _ConvertOptions) -> int:
@@ -190,35 +208,11 @@ def _convert(options: _ConvertOptions) -> int:
     with result_file(out) as part:
         if kind == _FCD:
             found["steps"] = convert_to_fcd(path, part, options.epoch or 0, options.hook)
-            told = f"{found['steps']} time steps"
+            content = f"{found['steps']} time steps"
         else:
-            counts = found["messages"] = convert_to_mcap(
-                path, part, options.epoch or 0, options.hook
-            )
-            told = f"{sum(counts.values())} messages on {', '.join(sorted(counts))}"
-    print(f"wrote {out}: {told}")
+            counts = convert_to_mcap(path, part, options.epoch or 0, options.hook)
+            found["messages"] = counts
+            content = f"{sum(counts.values())} messages on {', '.join(sorted(counts))}"
+    print(f"wrote {out}: {content}")
     write_json(options.json, found)
     return 0
-
-
-def _show(ticks: int) -> None:
-    if ticks % _SHOW_EVERY == 0:
-        print(f"{ticks} ticks", file=sys.stderr)
-
-
-def _note_versions(what: str, made_by: str) -> None:
-    """Say it when equal results cannot be expected."""
-    from wcsim.log.fingerprint import fingerprint
-
-    here = fingerprint()
-    if made_by != here:
-        told = f"the {what} was made with other versions, so results may differ: {escaped(made_by)}; here: {here}"
-        print(told, file=sys.stderr)
-
-
-_COMMANDS: Final[Parts] = {
-    "play": (_PlayOptions, _play),
-    "verify": (_VerifyOptions, _verify),
-    "compare": (_CompareOptions, _compare),
-    "convert": (_ConvertOptions, _convert),
-}

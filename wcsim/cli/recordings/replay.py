@@ -1,4 +1,4 @@
-"""`wcsim replay RESULT`: an episode of a test, driven again on a page; `wcsim watch RUN`: a running training, live."""
+"""`wcsim replay RESULT`: an episode of a test, driven again; `wcsim watch RUN`: a run, live."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class _Options(PageOptions):
     result: Annotated[Path, Positional, arg(metavar="RESULT")]
     """The folder of a finished test, or its result.json."""
     policy: str = ""
-    """Policy of the test; by default that of the worst failure. Your own code runs only when you name it."""
+    """Policy of the test; by default that of the worst failure. Your own code runs only when you name it."""  # noqa: E501
     network: str = ""
     """Your own network as module:Class, where the policy is a run that was trained with it."""
     block: Annotated[int | None, Bounds(0, 1 << 30)] = None
@@ -50,12 +50,12 @@ def run(words: list[str]) -> int:
 
 
 def _episode_start(options: _Options) -> PlayStart:
-    """What a player begins with. Raises ConfigError when there is no result, or it is damaged."""
+    """Where a player starts. Raises ConfigError without a result, or for a damaged one."""
     folder = options.result.parent if options.result.name == RESULT else options.result
     if not is_file(folder / RESULT):
         raise ConfigError(
-            f"{escaped(options.result)}: is no finished test; expected the folder of a wcsim test --suite: play a "
-            "recording with wcsim log play"
+            f"{escaped(options.result)}: is no finished test; expected the folder of a wcsim test "
+            "--suite: play a recording with wcsim log play"
         )
     from wcsim.agents.evaluation.suite.result_files import read_result
     from wcsim.cli.recordings.episode_film import episode_film
@@ -64,22 +64,19 @@ def _episode_start(options: _Options) -> PlayStart:
     from wcsim.view.report.failures import failures_of
 
     failed = tuple(
-        FailedLine(policy=one.policy, block=one.key[0], seat=one.key[1], told=_told(one))
+        FailedLine(policy=one.policy, block=one.key[0], seat=one.key[1], told=_failure_text(one))
         for one in failures_of(read_result(folder), folder)[:_MOST_FAILED]
     )
-    policy, block, seat = (
-        options.policy,
-        -1 if options.block is None else options.block,
-        options.seat,
-    )
-    worst = next(
-        (one for one in failed if policy in ("", one.policy) and block in (-1, one.block)), None
-    )
-    if worst is not None:
-        policy = policy or worst.policy
-        block = worst.block if block < 0 else block
-        seat = worst.seat if seat is None else seat
-    if policy and policy_name(policy).kind != "class":  # a class that is not named is not imported
+    policy, seat = options.policy, options.seat
+    block = -1 if options.block is None else options.block
+    # What the options leave open is that of the first failure which fits them, the worst.
+    for one in failed:
+        if policy in ("", one.policy) and block in (-1, one.block):
+            policy, block = one.policy, one.block
+            seat = one.seat if seat is None else seat
+            break
+    # A class that is not named is not imported.
+    if policy and policy_name(policy).kind != "class":
         require_policy(policy, options.network)
     own = tuple(name for name in (options.policy, options.network) if name)
     path = folder.absolute()
@@ -89,10 +86,11 @@ def _episode_start(options: _Options) -> PlayStart:
     return PlayStart(source=source, seat=seat, failed=failed)
 
 
-def _told(failure: FailedEpisode) -> str:
+def _failure_text(failure: FailedEpisode) -> str:
     record = failure.record
-    words = (failure.reason, f"with {record.partner}" if record.partner else "", failure.whose)
-    return f"{' '.join(word for word in words if word)}, {record.town}"
+    partner = f"with {record.partner}" if record.partner else ""
+    words = filter(None, (failure.reason, partner, failure.whose))
+    return f"{' '.join(words)}, {record.town}"
 
 
 @dataclass(kw_only=True)
@@ -100,14 +98,14 @@ class _WatchOptions(PageOptions):
     """Watch a run live in your browser: its street, chairs, joysticks and KPIs.
 
     For runs with a journal: `wcsim train-clients`, `wcsim serve --run`. Does not change the run. docs/watching.md
-    """
+    """  # noqa: E501
 
     run: Annotated[Path, Positional, arg(metavar="RUN")]
     """The run folder; the run may start later."""
     seat: Seat = None
     """The chair to follow first."""
     hook: str = ""
-    """Your own step hook, module:Class, that the run was started with; its code runs only when you name it."""
+    """Your own step hook, module:Class, that the run was started with; its code runs only when you name it."""  # noqa: E501
 
 
 def watch(words: list[str]) -> int:
@@ -115,25 +113,23 @@ def watch(words: list[str]) -> int:
     options = parse(_WatchOptions, words, "watch")
     if not is_folder(options.run):
         raise ConfigError(
-            f"{escaped(options.run)}: is not there; expected the folder of a wcsim train-clients run"
+            f"{escaped(options.run)}: is not there; expected the folder of a wcsim train-clients "
+            "run"
         )
     from wcsim.bridge.replay.replayed import worlds_of
     from wcsim.log.reader import part_files, read_header
     from wcsim.log.writer import JOURNAL
 
-    if part_files(
-        options.run / JOURNAL
-    ):  # what cannot be watched is refused before a page is served for it
+    # What cannot be watched is refused before a page is served. A run of several clients that has
+    # not started yet has no journal: the page waits for it.
+    if part_files(options.run / JOURNAL):
         worlds_of(read_header(options.run / JOURNAL), options.hook)
-    # One of several clients that has only not begun yet is waited for.
     elif is_file(options.run / MANIFEST) and "clients" not in read_json(options.run, MANIFEST):
         raise ConfigError(
-            f"{escaped(options.run)}: this run has no journal and cannot be watched; expected a run of wcsim "
-            "train-clients NETWORK (one client is enough), or of wcsim serve --run"
+            f"{escaped(options.run)}: this run has no journal and cannot be watched; expected a "
+            "run of wcsim train-clients NETWORK (one client is enough), or of wcsim serve --run"
         )
-    from wcsim.drive.playing.play_runner import (
-        PlayStart,
-    )  # the simulators are loaded here, not for --help
+    from wcsim.drive.playing.play_runner import PlayStart  # loads the simulators
     from wcsim.drive.playing.sources.source_process import FilmSource
 
     source = FilmSource(kind="run", path=options.run.absolute(), hook=options.hook, gives_way=True)

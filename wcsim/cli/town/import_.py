@@ -1,4 +1,4 @@
-"""Towns made: `wcsim town import`, of a map or a scenario; `make`, from a seed; `pave`, of one without pavements."""
+"""New towns: `wcsim town import` of a map or a scenario, `make` from a seed, `pave` of a copy."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import shutil
 import time
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 from tyro.conf import Positional, arg, create_mutex_group
 
@@ -25,7 +25,7 @@ from wcsim.cli.shared.common import (
     words_of,
 )
 from wcsim.cli.shared.consoles import say
-from wcsim.cli.town.town_check import checked, told_report, try_town
+from wcsim.cli.town.town_check import check_and_try, report_town, try_town
 from wcsim.core.own_folder import temporary_folder
 from wcsim.core.reading import counted
 from wcsim.errors import ConfigError
@@ -34,15 +34,14 @@ from wcsim.towns.importing.adopt import adopt_scenario
 from wcsim.towns.importing.folder_texts import check_words
 from wcsim.towns.making.asked_town import Wishes, check_wishes
 from wcsim.towns.osm.read import Box, download
-from wcsim.towns.scenario.town import Town, find_town, open_town
-from wcsim.types import Street
+from wcsim.towns.scenario.town import find_town, open_town
 
 if TYPE_CHECKING:  # loads what builds streets, which --help must not
     from wcsim.towns.checks.check import TownReport
-    from wcsim.towns.importing.importer import ImportOrder
     from wcsim.towns.pave.pavements import Paved
 
-
+_TOWNS: Final = Path("scenarios/sumo")
+_MOST_MOVED: Final = 5  # positions that are printed
 _LAND, _SIDE = create_mutex_group(required=False), create_mutex_group(required=False)
 
 
@@ -92,7 +91,7 @@ class ImportOptions(_TownOptions):
     righthand: Annotated[Flag, _SIDE] = False
     """Traffic drives on the right."""
     per_hour: str = ""
-    """Departures per hour by SUMO vehicle class, e.g. passenger=900,bicycle=300; other classes keep their density."""
+    """Departures per hour by SUMO vehicle class, e.g. passenger=900,bicycle=300; other classes keep their density."""  # noqa: E501
     traffic: Annotated[float, Bounds(0.0, 10.0)] = 1.0
     """Factor for all traffic; 0 for none."""
     parked: Annotated[float, Bounds(0.0, 1.0)] = 0.7
@@ -109,127 +108,6 @@ class ImportOptions(_TownOptions):
     """Seed of the demand, the parked cars and the hill."""
     replace: Flag = False
     """Replace a town that was edited; all edits are lost."""
-
-
-def run(options: AdoptOptions | ImportOptions) -> int:
-    """Import, check, and print the result; 0 when the town has no faults, else 1."""
-    started_s = time.monotonic()
-    out = options.out or Path("scenarios/sumo") / options.name
-    check_folder("--out", out)
-    result = options.json and options.json.resolve()  # this folder itself may be built anew
-    with fresh_folders(out.parent):
-        if isinstance(options, AdoptOptions):
-            report, more = _adopt(options, out), dict[str, Any]()
-        else:
-            report, more = _build(options, out)
-    return told_report(report, started_s, result, **more)
-
-
-def _adopt(options: AdoptOptions, out: Path) -> TownReport:
-    if options.allow_outside:
-        print(
-            f"note: files outside of the folder of {options.sumocfg} are copied too; check {out} before you share it"
-        )
-    named = options.name, out, options.split, options.source
-    town = adopt_scenario(
-        options.sumocfg, *named, outside=options.allow_outside, cycle_paths=options.cycle_paths
-    )
-    try:
-        report = checked(town, told=say)
-    except BaseException:  # what cannot be read is no town
-        shutil.rmtree(town.folder, ignore_errors=True)
-        raise
-    print(f"wrote {town.folder}; open it with: sumo-gui -c {shlex.quote(str(town.sumocfg))}")
-    return report
-
-
-def _build(options: ImportOptions, out: Path) -> tuple[TownReport, dict[str, Any]]:
-    """The check of a town that was built, and what else the result file says of it."""
-    if options.osm is None and not options.bbox:
-        raise ConfigError(
-            "town import needs a source: --osm FILE, --bbox W,S,E,N to download an area, or --sumocfg FILE"
-        )
-    box = _bbox(options.bbox) if options.bbox else None
-    if options.osm is not None and not options.osm.is_file():
-        raise ConfigError(
-            f"--osm {options.osm}: there is no such file; expected an OpenStreetMap extract"
-        )
-    if options.osm is not None and options.url:
-        raise ConfigError(
-            "--url is for a download and cannot be combined with --osm; leave one out"
-        )
-
-    from wcsim.towns.importing.importer import import_town
-
-    with temporary_folder() as folder:
-        osm = options.osm or download(_bbox(options.bbox), folder, options.url)
-        made = import_town(_order(options, osm, box, out), _built, say)
-    print(
-        f"wrote {made.town.folder}; open it with: sumo-gui -c {shlex.quote(str(made.town.sumocfg))}"
-    )
-    print(f"traffic drives on the {made.side}")
-    report = checked(made.town, made.walkable_share, say)
-    more = {"left_out": asdict(made.left_out), **made.counts}
-    return replace(report, notes=(*made.notes, *report.notes)), more
-
-
-def _built(town: Town) -> Street:
-    from wcsim.towns.street import load_street
-
-    return load_street(town, say)
-
-
-def _order(options: ImportOptions, osm: Path, box: Box | None, out: Path) -> ImportOrder:
-    from wcsim.towns.importing.elevation import Heights
-    from wcsim.towns.importing.importer import ImportOrder
-
-    return ImportOrder(
-        osm=osm,
-        bbox=box,
-        name=options.name,
-        split=options.split,
-        out=out,
-        lefthand=options.lefthand if options.lefthand or options.righthand else None,
-        seed=options.seed,
-        traffic=options.traffic,
-        per_hour=_per_hour(options.per_hour),
-        parked=options.parked,
-        relief=Heights(dem=options.dem, hill_m=options.hill, max_grade=options.max_grade),
-        keep_service=options.keep_service,
-        cycle_paths=options.cycle_paths,
-        source=options.source,
-        overwrite=options.replace,
-    )
-
-
-def _per_hour(text: str) -> dict[str, float]:
-    found: dict[str, float] = {}
-    for word in words_of(text):
-        name, _, number = word.partition("=")
-        try:
-            rate = float(number)
-        except ValueError:
-            rate = math.nan
-        if not name or not math.isfinite(rate) or name.strip() in found:
-            raise ConfigError(
-                f"--per-hour {word!r} is not CLASS=NUMBER, once per class, such as passenger=900"
-            )
-        found[name.strip()] = rate
-    return found
-
-
-def _bbox(text: str) -> Box:
-    try:
-        box = Box.of(text)
-    except ValueError:
-        raise ConfigError(
-            f"--bbox {text!r} is not west,south,east,north in degrees, such as 24.9,60.1,25.0,60.2"
-        ) from None
-    if not (-180 <= box.west < box.east <= 180 and -90 <= box.south < box.north <= 90):
-        raise ConfigError(
-            f"--bbox {text!r} is empty or outside of the globe; expected west < east and south < north"
-        )
-    return box
 
 
 @dataclass
@@ -260,37 +138,6 @@ class TownMakeOptions:
     """Write the result of the check to this file."""
 
 
-def make(options: TownMakeOptions) -> int:
-    """Generate, check, and print the result; 0 when the town has no faults, else 1."""
-    started_s = time.monotonic()
-    out = options.out or Path("scenarios/sumo") / options.name
-    wishes = Wishes(
-        size_m=options.size,
-        kind="" if options.kind == "any" else options.kind,
-        split=options.split,
-        traffic=options.traffic,
-        parked=options.parked,
-        hill_m=options.hill,
-    )
-    check_words(options.name, options.split)
-    check_wishes(options.seed, wishes)
-    check_folder("--out", out)
-    result = options.json and options.json.resolve()  # this folder itself may be made anew
-
-    from wcsim.towns.making.maker import (
-        make_town,
-    )  # loads what builds streets, which --help must not
-
-    town = make_town(
-        out, options.seed, wishes, name=options.name, overwrite=options.replace, stage=say
-    )
-    print(f"wrote {town.folder}; open it with: sumo-gui -c {shlex.quote(str(town.sumocfg))}")
-    return told_report(checked(town, told=say), started_s, result)
-
-
-TOLD = 5
-
-
 @dataclass
 class PaveOptions:
     """Copy a scenario into a folder and add pavements and crossings."""
@@ -307,54 +154,200 @@ class PaveOptions:
     """Write the result to this file."""
 
 
+def run(options: AdoptOptions | ImportOptions) -> int:
+    """Import, check, and print the result; 0 when the town has no faults, else 1."""
+    started_s = time.monotonic()
+    out = options.out or _TOWNS / options.name
+    check_folder("--out", out)
+    # The import may replace the working folder itself.
+    json = options.json and options.json.resolve()
+    with fresh_folders(out.parent):
+        if isinstance(options, AdoptOptions):
+            report, more = _adopt(options, out), dict[str, Any]()
+        else:
+            report, more = _build(options, out)
+    return report_town(report, started_s, json, **more)
+
+
+def _adopt(options: AdoptOptions, out: Path) -> TownReport:
+    """Copy a scenario and check the copy."""
+    if options.allow_outside:
+        print(
+            f"note: files outside of the folder of {options.sumocfg} are copied too; "
+            f"check {out} before you share it"
+        )
+    town = adopt_scenario(
+        options.sumocfg,
+        options.name,
+        out,
+        options.split,
+        options.source,
+        outside=options.allow_outside,
+        cycle_paths=options.cycle_paths,
+    )
+    try:
+        report = check_and_try(town, show=say)
+    except BaseException:
+        # What cannot be read is no town.
+        shutil.rmtree(town.folder, ignore_errors=True)
+        raise
+    _print_written(town.folder, town.sumocfg)
+    return report
+
+
+def _build(options: ImportOptions, out: Path) -> tuple[TownReport, dict[str, Any]]:
+    """Build a town from a map and check it; also what else goes into the result file."""
+    # 1. Refuse what cannot be used, before streets are built.
+    if options.osm is None and not options.bbox:
+        raise ConfigError(
+            "town import needs a source: --osm FILE, --bbox W,S,E,N to download an area, "
+            "or --sumocfg FILE"
+        )
+    box = _bbox(options.bbox) if options.bbox else None
+    if options.osm is not None and not options.osm.is_file():
+        raise ConfigError(
+            f"--osm {options.osm}: there is no such file; expected an OpenStreetMap extract"
+        )
+    if options.osm is not None and options.url:
+        raise ConfigError(
+            "--url is for a download and cannot be combined with --osm; leave one out"
+        )
+
+    from wcsim.towns.importing.elevation import Heights
+    from wcsim.towns.importing.importer import ImportOrder, import_town
+    from wcsim.towns.street import load_street
+
+    # 2. Download the map where there is no file, and build.
+    with temporary_folder() as folder:
+        order = ImportOrder(
+            osm=options.osm or download(_bbox(options.bbox), folder, options.url),
+            bbox=box,
+            name=options.name,
+            split=options.split,
+            out=out,
+            lefthand=options.lefthand if options.lefthand or options.righthand else None,
+            seed=options.seed,
+            traffic=options.traffic,
+            per_hour=_per_hour(options.per_hour),
+            parked=options.parked,
+            relief=Heights(dem=options.dem, hill_m=options.hill, max_grade=options.max_grade),
+            keep_service=options.keep_service,
+            cycle_paths=options.cycle_paths,
+            source=options.source,
+            overwrite=options.replace,
+        )
+        made = import_town(order, lambda town: load_street(town, say), say)
+    _print_written(made.town.folder, made.town.sumocfg)
+    print(f"traffic drives on the {made.side}")
+    # 3. Check it.
+    report = check_and_try(made.town, made.walkable_share, say)
+    more = {"left_out": asdict(made.left_out), **made.counts}
+    return replace(report, notes=(*made.notes, *report.notes)), more
+
+
+def _per_hour(text: str) -> dict[str, float]:
+    found: dict[str, float] = {}
+    for word in words_of(text):
+        name, _, number = word.partition("=")
+        try:
+            rate = float(number)
+        except ValueError:
+            rate = math.nan
+        if not name or not math.isfinite(rate) or name.strip() in found:
+            raise ConfigError(
+                f"--per-hour {word!r} is not CLASS=NUMBER, once per class, such as passenger=900"
+            )
+        found[name.strip()] = rate
+    return found
+
+
+def _bbox(text: str) -> Box:
+    try:
+        box = Box.of(text)
+    except ValueError:
+        raise ConfigError(
+            f"--bbox {text!r} is not west,south,east,north in degrees, such as 24.9,60.1,25.0,60.2"
+        ) from None
+    if not (-180 <= box.west < box.east <= 180 and -90 <= box.south < box.north <= 90):
+        raise ConfigError(
+            f"--bbox {text!r} is empty or outside of the globe; expected west < east and south < "
+            "north"
+        )
+    return box
+
+
+def make(options: TownMakeOptions) -> int:
+    """Generate, check, and print the result; 0 when the town has no faults, else 1."""
+    started_s = time.monotonic()
+    out = options.out or _TOWNS / options.name
+    requested = Wishes(
+        size_m=options.size,
+        kind="" if options.kind == "any" else options.kind,
+        split=options.split,
+        traffic=options.traffic,
+        parked=options.parked,
+        hill_m=options.hill,
+    )
+    check_words(options.name, options.split)
+    check_wishes(options.seed, requested)
+    check_folder("--out", out)
+    # It may replace the working folder itself.
+    json = options.json and options.json.resolve()
+
+    from wcsim.towns.making.maker import make_town  # loads what builds streets
+
+    town = make_town(
+        out, options.seed, requested, name=options.name, overwrite=options.replace, stage=say
+    )
+    _print_written(town.folder, town.sumocfg)
+    return report_town(check_and_try(town, show=say), started_s, json)
+
+
 def pave(options: PaveOptions) -> int:
-    """Pave, let SUMO try the copy, check it, and say what was done; 0 when the copy has no faults, else 1."""
+    """Pave a copy, let SUMO try it, check it; 0 when the copy has no faults, else 1."""
     started_s = time.monotonic()
     check_folder("--out", options.out)
     bare = find_town(options.town, outside=options.allow_outside)
 
-    from wcsim.towns.checks.check import (
-        check_town,
-    )  # loads what builds streets, which --help must not
+    from wcsim.towns.checks.check import check_town  # loads what builds streets
     from wcsim.towns.pave.pavements import pave_town
 
     say(f"adding pavements in {options.out}")
     paved = pave_town(bare, options.out, options.max_speed)
-    town = _copy_of(bare, paved.sumocfg, outside=options.allow_outside)
+    # Opened as the scenario was: by the folder whose town.toml names its place, or as it is.
+    depth = len(Path(os.path.relpath(bare.sumocfg, bare.folder)).parts)
+    place = paved.sumocfg if depth == 1 else paved.sumocfg.parents[depth - 1]
+    town = open_town(place, outside=options.allow_outside)
     say("testing the first steps in SUMO")
     try_town(town)
     say("checking the copy")
     report = check_town(town)
-    _print(paved)
-    return told_report(
-        report, started_s, options.json, paved={**asdict(paved), "sumocfg": str(paved.sumocfg)}
-    )
+    _print_paved(paved)
+    result = {**asdict(paved), "sumocfg": str(paved.sumocfg)}
+    return report_town(report, started_s, options.json, paved=result)
 
 
-def _copy_of(bare: Town, sumocfg: Path, *, outside: bool) -> Town:
-    """The copy, opened as the scenario was: by the folder whose town.toml says where it lies, or as it is."""
-    deep = len(Path(os.path.relpath(bare.sumocfg, bare.folder)).parts)
-    return open_town(sumocfg if deep == 1 else sumocfg.parents[deep - 1], outside=outside)
-
-
-def _print(paved: Paved) -> None:
-    print(f"wrote {paved.sumocfg}; open it with: sumo-gui -c {shlex.quote(str(paved.sumocfg))}")
-    streets = (
-        [f"{counted(paved.streets, 'street')} got a pavement"]
-        if paved.streets or not paved.had
-        else []
-    )
-    streets += [f"{counted(paved.had, 'street')} already had one"] if paved.had else []
+def _print_paved(paved: Paved) -> None:
+    _print_written(paved.sumocfg, paved.sumocfg)
+    streets = []
+    if paved.streets or not paved.had:
+        streets.append(f"{counted(paved.streets, 'street')} got a pavement")
+    if paved.had:
+        streets.append(f"{counted(paved.had, 'street')} already had one")
     print(
         f"{', '.join(streets)}; added {counted(paved.crossings, 'crossing')} and "
-        f"{counted(paved.walkingareas, 'walking area')}; checked {counted(paved.placed, 'element')} on lanes (stops, "
-        f"detectors, ...) and {counted(paved.programs, 'signal program')}"
+        f"{counted(paved.walkingareas, 'walking area')}; checked "
+        f"{counted(paved.placed, 'element')} on lanes (stops, detectors, ...) and "
+        f"{counted(paved.programs, 'signal program')}"
     )
     if paved.moved_m:
-        print(
-            f"{counted(len(paved.moved_m), 'position')} moved off junctions that grew; the farthest, in m:"
-        )
-        for name, along_m in paved.moved_m[:TOLD]:
+        positions = counted(len(paved.moved_m), "position")
+        print(f"{positions} moved off junctions that grew; the farthest, in m:")
+        for name, along_m in paved.moved_m[:_MOST_MOVED]:
             print(f"  {name}: {along_m:.2f}")
     for note in paved.notes:
         print(f"note: {note}")
+
+
+def _print_written(place: Path, sumocfg: Path) -> None:
+    print(f"wrote {place}; open it with: sumo-gui -c {shlex.quote(str(sumocfg))}")

@@ -7,7 +7,7 @@ import shutil
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from wcsim.cli.shared.common import (
     Bounds,
@@ -34,8 +34,8 @@ if TYPE_CHECKING:  # loads the simulators, which --help must not
     from wcsim.bridge.town_run import CrashFact, TrafficFacts
     from wcsim.towns.scenario.stage import Scenario
 
-MANIFEST = "manifest.json"
-MAX_CHAIRS = 64
+MANIFEST: Final = "manifest.json"
+MAX_CHAIRS: Final = 64
 
 
 @dataclass
@@ -57,7 +57,7 @@ class RunOptions:
     allow_outside: Flag = False
     """Permit a .sumocfg to name files outside of its folder."""
     hook: str = ""
-    """Your own step hook as module:Class; it gets the libsumo module, and the wheelchairs around each step."""
+    """Your own step hook as module:Class; it gets the libsumo module, and the wheelchairs around each step."""  # noqa: E501
     preset: str = "quick"
     """Settings to start with: quick, laptop, best, dqn or paper."""
     set: Repeated = ()
@@ -69,16 +69,17 @@ class RunOptions:
 
 
 def run(options: RunOptions, words: Sequence[str]) -> int:
-    """Run, print a summary, and leave the run folder; `words` are the command line, for the manifest."""
-    plain = () if options.chairs else ("world.warmup_s=0",)  # nobody waits, as in plain sumo
+    """Run, print a summary, and leave the run folder; the command line goes into its manifest."""
+    # Without a chair the traffic starts as in plain sumo.
+    plain = () if options.chairs else ("world.warmup_s=0",)
     config = resolve(options.preset, plain, options.set)
     town = find_town(options.town, outside=options.allow_outside)
     out = options.out or Path("runs") / f"{town.name}-run-{options.seed}"
     check_folder("--out", out)
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise ConfigError(f"--out {out} is not empty; choose another folder, or remove it")
-    facts = _recorded(options, town, config, out, ("wcsim", "town", *words))
-    show_table((f"town {town.name}", ""), _told(facts).items())
+    facts = _record(options, town, config, out, ("wcsim", "town", *words))
+    show_table((f"town {town.name}", ""), _summary(facts).items())
     for line in _crash_lines(facts.crashed):
         print(line)
     if not facts.persons:
@@ -91,15 +92,16 @@ def run(options: RunOptions, words: Sequence[str]) -> int:
     return 0
 
 
-def _recorded(
+def _record(
     options: RunOptions, town: Town, config: RunConfig, out: Path, command: tuple[str, ...]
 ) -> TrafficFacts:
+    """Run the traffic into a folder, with a manifest from the first step on."""
     from wcsim.bridge.town_run import RecordOrder, record_town
 
     manifest = _manifest(options, town, config, command)
     out.mkdir(parents=True, exist_ok=True)
 
-    def opened(scenario: Scenario) -> None:
+    def write_start(scenario: Scenario) -> None:
         print_overrides(
             stdout_console(),
             town.name,
@@ -117,6 +119,7 @@ def _recorded(
         write_json(out / MANIFEST, manifest)
 
     def show(done: int, all_ticks: int) -> None:
+        # A line for each tenth.
         if done * 10 // all_ticks > (done - 1) * 10 // all_ticks:
             say(f"{round(done * config.world.tick_s, 3):g} of {options.seconds:g} s")
 
@@ -129,11 +132,12 @@ def _recorded(
         hook=options.hook,
     )
     try:
-        facts = record_town(town, config, order, opened, show, say)
+        facts = record_town(town, config, order, write_start, show, say)
     except BaseException:
         if (out / MANIFEST).is_file():
             write_json(out / MANIFEST, {**manifest, "status": "interrupted"})
-        else:  # nothing had begun
+        else:
+            # Nothing had started.
             shutil.rmtree(out, ignore_errors=True)
         raise
     write_json(out / MANIFEST, {**manifest, "status": "done", "facts": asdict(facts)})
@@ -160,14 +164,18 @@ def _manifest(
     }
 
 
-def _told(facts: TrafficFacts) -> dict[str, str]:
+def _summary(facts: TrafficFacts) -> dict[str, str]:
     """The rows of the summary."""
+
+    def with_warmup(number: int, warming: int) -> str:
+        return f"{number}, {warming} during warm-up" if warming else str(number)
+
     rows = {
         "simulated": f"{facts.ticks} ticks, to {facts.end_s:g} s of SUMO's time",
         "vehicles": str(facts.vehicles),
         "persons": str(facts.persons),
-        "teleports out of jams": _counted(facts.teleports, facts.teleports_warming),
-        "collisions within SUMO's traffic": _counted(facts.collisions, facts.collisions_warming),
+        "teleports out of jams": with_warmup(facts.teleports, facts.teleports_warming),
+        "collisions within SUMO's traffic": with_warmup(facts.collisions, facts.collisions_warming),
     }
     if facts.episodes:
         rows["road users near a wheelchair"] = (
@@ -177,27 +185,22 @@ def _told(facts: TrafficFacts) -> dict[str, str]:
     return rows
 
 
-def _counted(number: int, warming: int) -> str:
-    return f"{number}{f', {warming} during warm-up' if warming else ''}"
-
-
 def _crash_lines(crashed: Sequence[CrashFact]) -> list[str]:
-    """Up to five crashes of wheelchairs, each with its second, reason, fault, with whom, and where."""
+    """Up to five crashes of wheelchairs, each with its time, reason, fault and partner."""
     lines = [
-        f"wheelchair {c.seat}, {c.time_s:.1f} s: {blamed(c.reason, c.fault, c.told)}"
-        for c in crashed
+        f"wheelchair {crash.seat}, {crash.time_s:.1f} s: "
+        f"{blamed(crash.reason, crash.fault, crash.told)}"
+        for crash in crashed
     ]
     return first_few(lines, "crashes; all of them are in the manifest")
 
 
 def _no_persons(town: Town) -> str:
-    """What makes somebody walk; first of all pavements, in a net that nobody can walk in."""
-    told = "no pedestrians: the demand has none, or none in this time"
+    """How to get pedestrians: first of all by pavements, where the net has none."""
+    reason = "no pedestrians: the demand has none, or none in this time"
     net = read_net(town.net)
     if net.lanes(LaneKind.WALKINGAREA):
-        return f"{told}; {Cures(town).walkers()}"
-    told = f"{told}, and the net has no walking areas"
-    later = (
-        "" if net.slowest_mps is None else f"\n{PAVED_LATER}"
-    )  # else there will be no paved copy
-    return f"{told}; {Cures(town).pave()}{later}"
+        return f"{reason}; {Cures(town).walkers()}"
+    text = f"{reason}, and the net has no walking areas; {Cures(town).pave()}"
+    # Without a street to pave there will be no copy to continue with.
+    return text if net.slowest_mps is None else f"{text}\n{PAVED_LATER}"

@@ -1,4 +1,4 @@
-"""`wcsim town check`, which every new town goes through too: whether it works, and whether SUMO runs all of it."""
+"""`wcsim town check`, also of every new town: does it work, and does SUMO run all of it?"""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from wcsim.cli.shared.common import OutFile, TownWord, write_json
 from wcsim.cli.shared.consoles import show_table, stdout_console
@@ -26,10 +26,9 @@ from wcsim.towns.sumo.xml_io import read_root
 if TYPE_CHECKING:  # loads what builds streets, which --help must not
     from wcsim.towns.checks.check import TownReport
 
-
-COLLIDING_S = 300.0
-_LIMITS = Limits(wall_s=60.0, cpu_s=60, memory_bytes=16 << 30)
-_TOLD = 3
+COLLIDING_S: Final = 300.0
+_LIMITS: Final = Limits(wall_s=60.0, cpu_s=60, memory_bytes=16 << 30)
+_MOST_NAMED: Final = 3
 
 
 @dataclass
@@ -45,33 +44,37 @@ class CheckOptions:
 def run(options: CheckOptions) -> int:
     """Check, and print the result; 0 when the town has no faults, else 1."""
     started_s = time.monotonic()
-    return told_report(checked(find_town(options.town)), started_s, options.json)
+    return report_town(check_and_try(find_town(options.town)), started_s, options.json)
 
 
-def checked(
-    town: Town, share: float | None = None, told: Callable[[str], None] = lambda stage: None
+def check_and_try(
+    town: Town, share: float | None = None, show: Callable[[str], None] = lambda stage: None
 ) -> TownReport:
-    """`check_town`, SUMO's refusal among the faults, and collisions among the notes; `told` hears the stage.
+    """Check a town, then let SUMO run it: a refusal is a fault, and collisions are a note.
 
-    Raises TownError as `check_town` does.
+    Args:
+        town: The town.
+        share: See `check_town`.
+        show: Called with each stage.
+
+    Raises:
+        TownError: As `check_town` does.
     """
-    from wcsim.towns.checks.check import (
-        check_town,
-    )  # loads what builds streets, which --help must not
+    from wcsim.towns.checks.check import check_town  # loads what builds streets
 
-    told("checking the town")
+    show("checking the town")
     report = check_town(town, share)
-    told("testing the first steps in SUMO")
+    show("testing the first steps in SUMO")
     try:
         try_town(town)
     except TownError as refused:
         return replace(report, faults=(*report.faults, str(refused)))
-    told(f"testing {COLLIDING_S:g} s of traffic in SUMO")
+    show(f"testing {COLLIDING_S:g} s of traffic in SUMO")
     return replace(report, notes=(*report.notes, *_collisions_note(town)))
 
 
 def _collisions_note(town: Town) -> tuple[str, ...]:
-    """Who collides in the first COLLIDING_S of a town's traffic, by SUMO itself, or that this takes too long."""
+    """Collisions that SUMO reports in the first COLLIDING_S of a town's traffic, or its timeout."""
     with temporary_folder() as work:
         staged = stage_scenario(town, Settings(world=resolve("quick").world, seed=1), work)
         seed = read_configuration(town.sumocfg).value("seed")
@@ -80,45 +83,52 @@ def _collisions_note(town: Town) -> tuple[str, ...]:
         words += ["--collision-output", str(found), *(("--seed", seed) if seed else ())]
         try:
             run_tool("sumo", words, work, _LIMITS)
-            told = [
+            collisions = [
                 (hit.get("collider", ""), hit.get("victim", ""), hit.get("lane", ""))
                 for hit in read_root(found)
             ]
         except (SumoError, TownError):
             return (
-                f"SUMO did not finish the first {COLLIDING_S:g} s of this traffic within {_LIMITS.wall_s:g} s",
+                f"SUMO did not finish the first {COLLIDING_S:g} s of this traffic within "
+                f"{_LIMITS.wall_s:g} s",
             )
-    hits = {frozenset((one, other)): f"{one} with {other} on {lane}" for one, other, lane in told}
+    # Two vehicles collide once, however many steps that takes.
+    hits = {
+        frozenset((one, other)): f"{one} with {other} on {lane}" for one, other, lane in collisions
+    }
     if not hits:
         return ()
-    who = listed(hits.values(), _TOLD)
+    vehicles = listed(hits.values(), _MOST_NAMED)
     return (
-        f"SUMO itself reports {counted(len(hits), 'collision')} in the first {COLLIDING_S:g} s of this traffic: {who}; "
-        f"its junction rules permit that, mostly for bicycles, and the vehicles pass through each other; half the "
-        f"traffic collides about half as often: {Cures(town).traffic_alone()} --set world.demand_scale=0.5",
+        f"SUMO itself reports {counted(len(hits), 'collision')} in the first {COLLIDING_S:g} s of "
+        f"this traffic: {vehicles}; its junction rules permit that, mostly for bicycles, and the "
+        "vehicles pass through each other; half the traffic collides about half as often: "
+        f"{Cures(town).traffic_alone()} --set world.demand_scale=0.5",
     )
 
 
 def try_town(town: Town) -> None:
-    """Let SUMO run the first steps of what a world would run, in a folder that goes; once for each state of its files.
+    """Let SUMO run a world's first steps in a temporary folder, once for each state of its files.
 
-    Raises TownError with SUMO's own words when it cannot.
+    Raises:
+        TownError: It cannot, with SUMO's own message.
     """
-    from wcsim.bridge.sumo.open_scenario import open_scenario  # not what --help has to wait for
+    # These load libsumo, which --help must not.
+    from wcsim.bridge.sumo.open_scenario import open_scenario
     from wcsim.bridge.sumo.run_place import RunPlace
 
     with ExitStack() as held:
         open_scenario(town, Settings(world=resolve("quick").world, seed=1), RunPlace(), held)
 
 
-def told_report(report: TownReport, began_s: float, json: Path | None, **more: Any) -> int:
+def report_town(report: TownReport, started_s: float, json: Path | None, **more: Any) -> int:
     """Print a report and write the result; returns 1 when the town has faults, else 0.
 
     Args:
         report: Of a town.
-        began_s: When the command began, of the monotonic clock.
+        started_s: Of the command, by the monotonic clock.
         json: The result file, None for none.
-        more: What else the result file says.
+        more: What else the result file holds.
     """
     rows = {
         "crossings": str(report.crossings),
@@ -129,12 +139,12 @@ def told_report(report: TownReport, began_s: float, json: Path | None, **more: A
         "traffic drives on the": "left" if report.lefthand else "right",
     }
     show_table((f"town {report.town}", ""), rows.items())
-    for line in (
-        *(f"note: {note}" for note in report.notes),
-        *(f"fault: {fault}" for fault in report.faults),
-    ):
+    lines = [f"note: {note}" for note in report.notes]
+    lines += [f"fault: {fault}" for fault in report.faults]
+    for line in lines:
         stdout_console().print(line, soft_wrap=True)
-    told = asdict(report)
-    del told["overlaps"], told["cut_off"]  # the notes and faults say them
-    write_json(json, {**told, "seconds": round(time.monotonic() - began_s, 3), **more})
+    result = asdict(report)
+    # Notes and faults have them as text.
+    del result["overlaps"], result["cut_off"]
+    write_json(json, {**result, "seconds": round(time.monotonic() - started_s, 3), **more})
     return 1 if report.faults else 0

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 from tyro.conf import Positional, arg
 
-from wcsim.agents.export.export_folder import require_export_place
+from wcsim.agents.export.export_folder import require_export_folder
 from wcsim.agents.opening.named_policy import config_for, open_named, sensing
 from wcsim.agents.policy_api import BASELINES, UPPER_BOUNDS, Observation, Policy
 from wcsim.agents.runs.policy_file import SHIPPED, is_danger, policy_name, read_danger_file
@@ -64,7 +64,7 @@ def run(words: list[str]) -> int:
     if options.onnx is None:
         raise ConfigError("nothing to write to; expected --onnx FOLDER")
     check_folder("--onnx", options.onnx)
-    require_export_place("--onnx", options.onnx)
+    require_export_folder("--onnx", options.onnx)
     if options.ride is not None and not options.ride.exists():
         raise ConfigError(
             f"--ride {escaped(options.ride)}: not found; expected a recorded drive, a journal, or the folder of a run"
@@ -163,7 +163,7 @@ def _ride(
     options: _Options, own: RunConfig, policy: Policy
 ) -> tuple[tuple[str, ...], Sequence[Observation], tuple[int, ...] | None, str]:
     """The reference ride: its delay and observations, and of a recording the actions and who chose them."""
-    from wcsim.agents.export.export_folder import require_shown
+    from wcsim.agents.export.export_folder import require_same_inputs
     from wcsim.agents.rounds.recorded_ride import header_of, recorded_ride, reference_ride
     from wcsim.bridge.replay.replayed import config_of
 
@@ -176,7 +176,7 @@ def _ride(
             "",
         )
     header = header_of(options.ride)
-    require_shown(
+    require_same_inputs(
         config_of(header), own, options.ride, options.policy
     )  # before its world is made again
     held = recorded_ride(options.ride, options.steps, options.seat)

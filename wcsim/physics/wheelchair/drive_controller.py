@@ -22,8 +22,8 @@ from wcsim.core.joystick import (
     follow_speed,
     limits_of,
     shaped,
-    towards,
     target_speeds,
+    towards,
 )
 from wcsim.physics.wheelchair.plant import PlantSpec
 from wcsim.types import F64
