@@ -334,7 +334,7 @@ class FrameWindow:
             return observation
         missing = max(self._frames - len(self._observations), 1)
         self._observations.extend([observation] * missing)
-        images = {
+        images: dict[str, npt.NDArray[Any]] = {
             key: np.concatenate([old[key] for old in self._observations])
             for key in _IMAGE_KEYS
             if key in observation

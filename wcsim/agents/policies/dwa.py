@@ -20,7 +20,13 @@ from typing import Final
 import numpy as np
 
 from wcsim.agents.perception.alarm import TWO_TICKS, Alarm, next_alarm
-from wcsim.agents.perception.arcs import LONGEST_S, STEP_S, advance, time_to_contact_s
+from wcsim.agents.perception.arcs import (
+    LONGEST_S,
+    STEP_S,
+    advance,
+    evaluate_arcs,
+    time_to_contact_s,
+)
 from wcsim.agents.perception.street_memory import is_known
 from wcsim.agents.perception.surroundings import StreetSense
 from wcsim.agents.policy_api import (
@@ -67,7 +73,7 @@ def _backs_blindly(
     """Write to `blind` (K,) which commands bring the chair's rear, backwards, onto unknown ground.
 
     Args:
-        start: (6,) see `arcs`.
+        start: (6,) see `evaluate_arcs`.
         hold_s: For how long each command is held, before the chair brakes.
         commands: (K, 2) joystick positions as the drive takes them.
         limits: (8,) of the drive.
