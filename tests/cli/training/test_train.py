@@ -9,13 +9,13 @@ from pathlib import Path
 import pytest
 
 from wcsim.agents.learning.callbacks import TrainProgress
+from wcsim.agents.opening.learner_registry import DANGER_ROUNDS, share_of_rounds, step_display
 from wcsim.agents.rounds import train_rounds
 from wcsim.agents.rounds.train_rounds import RoundProgress
 from wcsim.agents.runs.run_folder import ResolvedRun
 from wcsim.cli.shared.consoles import StageBar
 from wcsim.cli.shared.exit_codes import NothingKept
-from wcsim.cli.shared.run_config import how_it_learns
-from wcsim.cli.training.train import _share_done, gone_if_nothing_came_of_it, steps_shown, train_in
+from wcsim.cli.training.train import gone_if_nothing_came_of_it, train_in
 from wcsim.config import resolve
 from wcsim.errors import ConfigError, DiskFullError, InterruptedRunError, WorkersError
 from wcsim.server.specs import RunInfo
@@ -75,25 +75,25 @@ def test_a_log_file_says_when_a_round_is_driven_and_when_it_is_learned(run, corn
 def test_the_work_of_rounds_adds_up():
     config = resolve("quick", ("collect.rounds=3",))
     of = config.collect.segments
-    shares = [_share_done(RoundProgress(round=0, rounds=3, segments=back, of=of), config) for back in range(of + 1)]
+    shares = [share_of_rounds(RoundProgress(round=0, rounds=3, segments=back, of=of), config) for back in range(of + 1)]
     for number in range(3):
         for learned in (1, config.danger.updates):
             now = RoundProgress(round=number, rounds=3, segments=of, of=of, learned=learned)
-            shares.append(_share_done(now, config))
-        shares.append(_share_done(replace(now, updates=config.danger.updates * (number + 1)), config))
+            shares.append(share_of_rounds(now, config))
+        shares.append(share_of_rounds(replace(now, updates=config.danger.updates * (number + 1)), config))
     assert shares[0] == 0.0 and shares[-1] == pytest.approx(1.0)
     assert shares == sorted(shares)
     without = resolve("quick", ("collect.segments=0",))
-    assert _share_done(RoundProgress(round=1, rounds=2, segments=0, of=0), without) == pytest.approx(0.5)
+    assert share_of_rounds(RoundProgress(round=1, rounds=2, segments=0, of=0), without) == pytest.approx(0.5)
 
 
 def test_a_demo_says_what_its_settings_make_it_do():
     config = resolve("quick")
-    told = how_it_learns(config)
+    told = DANGER_ROUNDS.describe(config)
     assert f"{config.collect.rounds} rounds" in told and f"{config.danger.updates} updates" in told
     assert "learns from the oracle's labels, not rewards" in told
-    assert "from crashes that happened" in how_it_learns(resolve("reward"))
-    assert how_it_learns(resolve("quick", ("collect.rounds=1",))).startswith("1 round of ")
+    assert "from crashes that happened" in DANGER_ROUNDS.describe(resolve("reward"))
+    assert DANGER_ROUNDS.describe(resolve("quick", ("collect.rounds=1",))).startswith("1 round of ")
 
 
 CURED = [DiskFullError("x: no room"), OSError(errno.ENOSPC, "No space left on device"), WorkersError("head is dead")]
@@ -125,5 +125,5 @@ def test_work_stays_whatever_has_ended_it(tmp_path, kept):
 
 def test_no_more_steps_are_told_than_there_are_to_do(capsys):
     with StageBar("loading the town") as bar:
-        steps_shown(bar)(TrainProgress(step=52, total_steps=50, phase=2, episodes=1, crashes=0, kpi1=None))
+        step_display(bar)(TrainProgress(step=52, total_steps=50, phase=2, episodes=1, crashes=0, kpi1=None))
     assert capsys.readouterr().err == "phase 2: 50/50 steps, 1 episode, 0 crashes\n"

@@ -14,13 +14,11 @@ import numpy as np
 import torch
 
 import wcsim
-from wcsim.agents.danger.policy import DangerPolicy, load_net
 from wcsim.agents.envs.episode_view import FrameWindow, newest
 from wcsim.agents.export.export_folder import LOOP, REFERENCE, as_words, settings_apart
 from wcsim.agents.export.footprint import PERIOD_S, SHARE, Footprint, footprint, steps_of
 from wcsim.agents.export.guard import MEANING
 from wcsim.agents.export.policy_graphs import DangerGraph, ValueGraph
-from wcsim.agents.learning.saved_policy import load_policy
 from wcsim.agents.networks.onnx_form import exported
 from wcsim.agents.policies.onnx_policy import ABOUT_FILE, open_session
 from wcsim.agents.policy_api import (
@@ -34,7 +32,6 @@ from wcsim.agents.policy_api import (
     sense_settings,
     senses_of,
 )
-from wcsim.agents.runs.policy_file import is_danger
 from wcsim.config import RunConfig, resolve
 from wcsim.config.run_file import GuardRule
 from wcsim.core import files
@@ -80,26 +77,24 @@ class ExportFacts:
 
 
 def export_policy(
-    policy: Path,
+    graph: Graph,
+    own: Policy,
     out: Path,
     config: RunConfig,
     ride: Sequence[Observation],
     limit_ms: float = math.inf,
-    level: float | None = None,
     recorded: Sequence[int] | None = None,
-    network: str | None = None,
 ) -> ExportFacts:
     """Write an ONNX folder that `wcsim test` takes as a policy, in one step.
 
     Args:
-        policy: Folder of the policy.
+        graph: The policy as a graph, see `agents/opening/learner_registry.py`.
+        own: The policy as wcsim drives with it.
         out: To make.
         config: Of its run.
         ride: Observations of successive ticks of one episode, for the reference steps.
         limit_ms: For a decision, 99 of 100 times.
-        level: Of assistance, a threshold of danger; None for the policy's own.
         recorded: What was chosen in the ride when it was recorded, by whomever, to compare with; None for no recording.
-        network: Somebody's own class that may be loaded, `module:Class`.
 
     Raises:
         PolicyError: The network cannot be exported, the model differs from it or is too slow, or ONNX is not
@@ -109,7 +104,6 @@ def export_policy(
     torch.set_num_threads(
         1
     )  # one picture is too little for two threads, as in `agents/opening/named_policy.py`
-    graph, own = _opened(policy, config, level, network)
     graph.train(False)
     config = resolve(config, sense_settings(config, senses_of(own)))
     ride = [newest(seen, 1) for seen in ride]
@@ -170,18 +164,6 @@ def _run_model(
             if not name.startswith("next_"):
                 told.setdefault(name, []).append(values[0])
     return {name: np.stack(values) for name, values in told.items()}
-
-
-def _opened(
-    policy: Path, config: RunConfig, level: float | None, network: str | None
-) -> tuple[Graph, Policy]:
-    """A policy as a graph, and as wcsim drives with it."""
-    if not is_danger(policy):
-        held = load_policy(policy, network)
-        return ValueGraph(held.net, held.file.window), held
-    net, rule = load_net(policy)
-    rule = rule if level is None else rule.model_copy(update={"threshold": level})
-    return DangerGraph(net, config, rule), DangerPolicy("own", net, config, rule)
 
 
 def _chosen(policy: Policy, ride: Sequence[Observation], window: int) -> list[int]:

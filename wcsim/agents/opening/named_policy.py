@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from wcsim.agents.export.guard import GuardedPolicy, guard_of
+from wcsim.agents.opening.learner_registry import learner_of_policy
 from wcsim.agents.policies.onnx_policy import ExportedLaw, OnnxPolicy, read_about
 from wcsim.agents.policies.served_policy import ServedPolicy
 from wcsim.agents.policy_api import (
@@ -26,10 +27,8 @@ from wcsim.agents.policy_api import (
 )
 from wcsim.agents.runs.policy_file import (
     EXPORTED,
-    is_danger,
     policy_name,
     read_danger_file,
-    read_policy_file,
     require_same_senses,
 )
 from wcsim.agents.runs.run_folder import policy_path, run_of
@@ -111,16 +110,11 @@ def _network(name: str, config: RunConfig, network: str | None) -> Policy:
     From it on torch works on one thread in this process: one picture is too little for two, and where others use
     the cores they wait for one another, fifty times as long as the work takes.
     """
-    import torch  # here, and with it the learners: the checks of names must not load it
-
-    from wcsim.agents.danger.policy import load_danger
-    from wcsim.agents.learning.saved_policy import load_fitting
+    import torch  # not at the top: checks of names must not load it
 
     torch.set_num_threads(1)
     path = policy_path(name)
-    if is_danger(path):
-        return load_danger(path, name, config, policy_name(name).level, network)
-    return load_fitting(path, name, config, network)
+    return learner_of_policy(path).load_policy(path, name, config, policy_name(name).level, network)
 
 
 def sensing(config: RunConfig, policy: Policy) -> tuple[str, ...]:
@@ -171,27 +165,17 @@ def config_for(
         own = resolve(about.preset, about.settings)
     elif named.is_network:
         run = run_of(policy)
-        own = resolve(base, _policy_settings(policy_path(policy))) if run is None else run.config
+        folder = policy_path(policy)
+        own = (
+            run.config
+            if run is not None
+            else resolve(base, learner_of_policy(folder).policy_settings(folder))
+        )
     if in_list:
         own = own.model_copy(update={name: getattr(base, name) for name in RULES})
     config = resolve(own, settings)
     action_set(config.env.actions)
     return config
-
-
-def _policy_settings(path: Path) -> dict[str, Any]:
-    """What a policy folder says of itself, as tables of a configuration: its camera, actions. Raises PolicyError."""
-    if is_danger(path):
-        told = read_danger_file(path)
-        env = {"actions": told.net.actions, "classes": told.classes, "window": 1}
-        chair = told.chair.model_dump(mode="json")
-        return {"cameras": [told.camera.model_dump(mode="json")], "env": env, "chair": chair}
-    file = read_policy_file(path)
-    seen = {"classes": file.net.classes, "window": file.window, "observation": file.observation}
-    return {
-        "cameras": [file.camera.model_dump(mode="json")],
-        "env": {"actions": file.net.actions, **seen},
-    }
 
 
 def told_of_rules(policies: Iterable[str], preset: str, settings: tuple[str, ...]) -> Iterator[str]:

@@ -43,9 +43,9 @@ def read_danger_file(path: Path) -> DangerFile:
     return _parsed(DangerFile, path)
 
 
-def is_danger(path: Path) -> bool:
-    """Whether a policy folder holds a danger network. Raises PolicyError when it is no policy folder."""
-    return _read(path).get("algorithm") == "danger"
+def algorithm_of(path: Path) -> object:
+    """The algorithm that `policy.json` names, unchecked. Raises PolicyError when it is no policy folder."""
+    return _read(path).get("algorithm")
 
 
 def _parsed(model: type[File], path: Path) -> File:

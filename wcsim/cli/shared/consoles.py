@@ -96,6 +96,11 @@ class StageBar(Closing):
         self._share = 0.0
 
     @property
+    def is_terminal(self) -> bool:
+        """Whether the bar is drawn; a log gets lines alone."""
+        return self.console.is_terminal
+
+    @property
     def left(self) -> str:
         """As `_told_left`, from the first `show` on."""
         first = self._first or 0.0

@@ -9,14 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from wcsim.agents.networks.names import check_network, is_own, require_named
+from wcsim.agents.opening.learner_registry import Learner, learner_of, learner_of_policy
 from wcsim.agents.policy_api import VETO
-from wcsim.agents.runs.policy_file import (
-    EXPORTED,
-    is_danger,
-    policy_name,
-    read_danger_file,
-    read_policy_file,
-)
+from wcsim.agents.runs.policy_file import EXPORTED, policy_name
 from wcsim.agents.runs.run_folder import ResolvedRun, policy_path, whole_data
 from wcsim.bridge.sumo.step_hook import find_hook
 from wcsim.cli.shared.common import check_folder
@@ -25,7 +20,7 @@ from wcsim.config.load import sets_key
 from wcsim.core import reading, seeding
 from wcsim.core.constants import RECORDED
 from wcsim.core.plugins import find_class
-from wcsim.core.reading import SETTINGS, counted, escaped, is_file
+from wcsim.core.reading import SETTINGS, escaped, is_file
 from wcsim.errors import ConfigError, PolicyError, check_installed
 from wcsim.server.specs import RunInfo
 from wcsim.supervisor.rewards import find_reward_term
@@ -55,7 +50,7 @@ def require_policy(name: str, network: str, *, alone: bool = False, bare_for: st
         find_class(named.inner, "policy")
     elif named.is_network:
         path = policy_path(name)
-        used = (read_danger_file if is_danger(path) else read_policy_file)(path).net.network
+        used = learner_of_policy(path).read_policy(path).net.network
         if is_own(used):
             require_named(escaped(name), used, network)
         by_law = (
@@ -73,25 +68,14 @@ def require_policy(name: str, network: str, *, alone: bool = False, bare_for: st
             )
 
 
-def require_head(config: RunConfig, *, in_rounds: bool) -> None:
-    """Refuse settings of the other kind of learning.
-
-    Args:
-        config: Of whoever learns.
-        in_rounds: Whether it is to be a danger network that learns in rounds, or Q-learning.
-
-    Raises:
-        ConfigError: It is the other.
-    """
-    if learns_in_rounds(config) == in_rounds:
-        return
-    rounds, steps = (
-        "preset quick, laptop, best or reward, or wcsim train-q",
-        "preset dqn or paper, or wcsim train",
-    )
-    expected = rounds if in_rounds else steps
-    does = "learns dangers in rounds" if in_rounds else "learns by Q-learning"
-    raise ConfigError(f"learn.head={config.learn.head}: this command {does}; expected {expected}")
+def require_learner(config: RunConfig, wanted: Learner) -> None:
+    """Raise ConfigError for settings of another learner than a command's own."""
+    found = learner_of(config)
+    if found is not wanted:
+        raise ConfigError(
+            f"learn.head={config.learn.head}: this command {wanted.method}; expected preset {wanted.presets}, "
+            f"or wcsim {found.command}"
+        )
 
 
 def require_users(
@@ -171,31 +155,6 @@ def in_town(info: RunInfo, town: Town, config: RunConfig) -> RunInfo:
     return replace(info, town=town.name, town_sha256=streets_hash(town), overrides=overrides)
 
 
-def how_it_learns(config: RunConfig) -> str:
-    """From what and for how long a network learns, in a sentence or two."""
-    learn, collect = config.learn, config.collect
-    if learns_in_rounds(config):
-        who, what = (
-            "simulated users and an oracle, which sees everything, drive",
-            "the oracle's labels, not rewards",
-        )
-        if config.danger.teacher == "crashes":
-            who, what = (
-                "simulated users and the network drive",
-                "crashes that happened, without an oracle",
-            )
-        return (
-            f"{counted(collect.rounds, 'round')} of {collect.segments} x {collect.ticks} ticks with {collect.chairs} "
-            f"chairs, fewer in scenes: {who}. A network learns from {what}, in "
-            f"{config.danger.updates} updates per round: which joystick positions end badly."
-        )
-    aid = " and from an oracle's labels (learn.aid=oracle)" if learn.aid == "oracle" else ""
-    return (
-        f"Q-learning from rewards{aid}, {learn.total_steps} steps: {learn.phase1_steps} in the first phase, updates "
-        f"from step {learn.learning_starts} on"
-    )
-
-
 def learning(config: RunConfig) -> dict[str, Any]:
     """The settings that a configuration is learned with: episodes of the learner's length, the truth when advised.
 
@@ -207,11 +166,6 @@ def learning(config: RunConfig) -> dict[str, Any]:
         "truth_visible": False,
     }
     return {"env": env, **whole_data(config)}
-
-
-def learns_in_rounds(config: RunConfig) -> bool:
-    """Whether a danger network learns in rounds, from worlds of its own."""
-    return config.learn.head == "danger"
 
 
 def require_user(name: str) -> None:

@@ -20,6 +20,7 @@ from wcsim.agents.clients.group_run import (
     world_order,
 )
 from wcsim.agents.clients.paid_times import PaidTimes, PaidTimesLog
+from wcsim.agents.opening.learner_registry import Q_LEARNING
 from wcsim.agents.runs.run_folder import (
     MANIFEST,
     Status,
@@ -31,7 +32,7 @@ from wcsim.agents.runs.run_folder import (
 from wcsim.cli.shared.common import Lease, Worlds, check_folder, write_json
 from wcsim.cli.shared.consoles import print_overrides, show_table, stdout_console, warn
 from wcsim.cli.shared.exit_codes import Exit, NothingKept
-from wcsim.cli.shared.run_config import how_it_learns, how_to_test
+from wcsim.cli.shared.run_config import how_to_test
 from wcsim.cli.training.train import ToldOptions
 from wcsim.config import RunConfig, resolve
 from wcsim.core.files import locked
@@ -231,7 +232,7 @@ def train_clients(
                 paid.add(state)
                 paid.save_each(state.elapsed_s)
                 if rate.add(state):
-                    note = how_it_learns(run.clients[0].config)
+                    note = Q_LEARNING.describe(run.clients[0].config)
                     notes, told = () if run.resume else (note,), run.info.overrides
                     print_overrides(
                         table.console, town.name, told, notes, verbose=options.verbose, kept=True

@@ -8,15 +8,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from wcsim.agents.opening.learner_registry import DANGER_ROUNDS
 from wcsim.agents.opening.named_policy import RULES
 from wcsim.cli.evaluation.judged_suite import JudgeOptions, drive_list, order_of
 from wcsim.cli.evaluation.result_tables import show_result
 from wcsim.cli.shared.common import OutFolder, Repeated, check_folder, parse
 from wcsim.cli.shared.consoles import StageBar, stdout_console
 from wcsim.cli.shared.run_config import (
-    how_it_learns,
     learning,
-    require_head,
+    require_learner,
     require_users,
     resolve_run,
 )
@@ -81,7 +81,7 @@ def run(words: list[str]) -> int:
     check_folder("--out", out)
     config = resolve(_PRESET, (*_SHORT, *options.set))
     config = resolve(config, learning(config))
-    require_head(config, in_rounds=True)
+    require_learner(config, DANGER_ROUNDS)
     require_users(config, (options.set, None))
     from wcsim.agents.opening.list_file import open_suite
 
@@ -98,7 +98,7 @@ def run(words: list[str]) -> int:
 
     # 2. It is trained.
     _say(f"\n1/3 training in {school.name}", "bold")
-    _say(how_it_learns(config), "dim")
+    _say(DANGER_ROUNDS.describe(config), "dim")
     info = RunInfo(seed=options.seed, command=("wcsim", "demo", *words))
     train_in(resolve_run(config, info, school, out), school)
 
@@ -144,7 +144,7 @@ def run(words: list[str]) -> int:
     page = write_demo_page(
         out,
         result,
-        learned=how_it_learns(config),
+        learned=DANGER_ROUNDS.describe(config),
         film_webm=film.read_bytes(),
         film_says=told,
         key=key,

@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING, Annotated, Final
 from tyro.conf import Positional, arg
 
 from wcsim.agents.export.export_folder import require_export_place
+from wcsim.agents.opening.learner_registry import learner_of_policy
 from wcsim.agents.opening.named_policy import config_for, open_named, sensing
 from wcsim.agents.policy_api import BASELINES, UPPER_BOUNDS, Observation, Policy
-from wcsim.agents.runs.policy_file import SHIPPED, is_danger, policy_name, read_danger_file
+from wcsim.agents.runs.policy_file import SHIPPED, policy_name
 from wcsim.agents.runs.run_folder import policy_path
 from wcsim.cli.shared.common import Bounds, InFile, OutFile, check_folder, parse, write_json
 from wcsim.cli.shared.exit_codes import Exit
@@ -76,23 +77,22 @@ def run(words: list[str]) -> int:
     from wcsim.agents.networks.onnx_form import check_onnx
 
     check_onnx()
-    preset = "laptop" if is_danger(path) else "paper"  # for a folder outside of its run
-    own = config_for(options.policy, preset)
+    learner = learner_of_policy(path)
+    own = config_for(options.policy, learner.export_preset)
     policy = open_named(
         options.policy, resolve(own, _delay(options.delay_ticks)), 0, options.network or None
     )
     own = resolve(own, sensing(own, policy))
     delay, seen, actions, by = _ride(options, own, policy)
     bar_ms = LIMIT_MS - RESERVE_MS
+    config, level = resolve(own, delay), policy_name(options.policy).level
     facts = export_policy(
-        path,
+        *learner.open_graph(path, config, level, options.network or None),
         options.onnx,
-        resolve(own, delay),
+        config,
         seen,
         math.inf if options.force else bar_ms,
-        policy_name(options.policy).level,
         actions,
-        options.network or None,
     )
     print(f"exported to {options.onnx}: {_compared(facts)}")
     if facts.same_as_recorded is not None:
@@ -116,12 +116,7 @@ def _network(name: str) -> Path:
             f"a policy folder, or {SHIPPED}{meant(named.place, (SHIPPED,))}"
         )
     path = policy_path(name)
-    eye = read_danger_file(path).net.eye if is_danger(path) else "map"
-    if eye != "map":
-        raise PolicyError(
-            f"{name} uses camera pictures (danger.eye={eye}), which cannot be exported; expected a danger network with "
-            "danger.eye=map: docs/export.md, What cannot be exported"
-        )
+    learner_of_policy(path).require_exportable(path, name)
     return path
 
 

@@ -14,17 +14,17 @@ from tyro.conf import Positional, arg
 
 from wcsim.agents.clients.group_run import CLIENT_ARGV
 from wcsim.agents.networks.names import check_network, client_name
+from wcsim.agents.opening.learner_registry import Q_LEARNING, step_display
 from wcsim.agents.runs.run_folder import ResolvedRun, open_run, require_new
 from wcsim.cli.shared.common import Bounds, Flag, OutFolder, check_folder, parse
 from wcsim.cli.shared.consoles import StageBar
 from wcsim.cli.shared.exit_codes import Exit, NothingKept
-from wcsim.cli.shared.run_config import how_it_learns, how_to_test, require_user
+from wcsim.cli.shared.run_config import how_to_test, require_user
 from wcsim.cli.training.train import (
     LearnerOptions,
     came_of,
     gone_if_nothing_came_of_it,
     q_layers,
-    steps_shown,
 )
 from wcsim.config import RunConfig, resolve
 from wcsim.core.files import locked
@@ -92,7 +92,7 @@ def run(words: list[str]) -> int:
     else:
         _joined(order, options.resume)
     if options.steps is not None:
-        print(f"note: {how_it_learns(config)}")
+        print(f"note: {Q_LEARNING.describe(config)}")
     print(f"run folder: {out}    test it: {how_to_test(out, config.learn.network)}")
     return Exit.DONE
 
@@ -107,7 +107,7 @@ def _joined(order: ClientSpec, resume: bool) -> None:
         order, street = opened(order)
         with street, StageBar("loading the town") as bar:
             run = ResolvedRun(config=order.config, out=out, info=order.info, resume=resume)
-            train(run, lambda: street, steps_shown(bar), alive=lambda: street.beat(next(beats)))
+            train(run, lambda: street, step_display(bar), alive=lambda: street.beat(next(beats)))
 
 
 def _supervised(order: ClientSpec, resume: bool) -> None:

@@ -13,6 +13,7 @@ from typing import Annotated
 from tyro.conf import Positional, arg
 
 from wcsim.agents.clients.group_run import Client, GroupRun, open_clients_folder
+from wcsim.agents.opening.learner_registry import learner_of
 from wcsim.agents.runs.own_code import own_classes, require_own
 from wcsim.agents.runs.run_folder import (
     CONFIG,
@@ -33,7 +34,7 @@ from wcsim.cli.shared.common import (
     parse,
     some_words,
 )
-from wcsim.cli.shared.run_config import in_town, learning, learns_in_rounds, resolve_run
+from wcsim.cli.shared.run_config import in_town, learning, resolve_run
 from wcsim.cli.training.train import ToldOptions, told, train_in
 from wcsim.config import RunConfig, resolve
 from wcsim.config import parse as parse_config
@@ -66,17 +67,16 @@ def run(words: list[str]) -> int:
     options = parse(_Options, words, "resume")
     check_folder("RUN", options.run)
     was = None if "clients" in read_json(options.run, MANIFEST) else open_run(options.run)
-    in_rounds = was is not None and learns_in_rounds(was.config)
-    if options.cluster and not in_rounds:
+    learner = None if was is None else learner_of(was.config)
+    if options.cluster and (learner is None or not learner.own_worlds):
         raise ConfigError(
             f"--cluster: {options.run} learns from every step, on this machine; leave it out"
         )
-    if was is None:
+    if was is None or learner is None:
         return _resume_group(options)
-    if options.steps is not None and in_rounds:
-        rounds = was.config.collect.rounds
+    if options.steps is not None and not learner.extends:
         raise ConfigError(
-            f"--steps: {options.run} learns in {rounds} rounds, not steps; leave it out"
+            f"--steps: {options.run} learns in {learner.length(was.config)}, not steps; leave it out"
         )
     machines = machines_of(options.cluster, options.worlds, "--worlds")
     again, town = _resumed(options)
@@ -91,9 +91,9 @@ def run(words: list[str]) -> int:
 
 def _finished(out: Path, config: RunConfig) -> str:
     """What to say of a run that has nothing left to do."""
-    if learns_in_rounds(config):
-        return f"{out} is finished: all of its {config.collect.rounds} rounds are done"
-    return f"{out} is finished: all of its {config.learn.total_steps} steps are done; extend it with --steps N"
+    learner = learner_of(config)
+    extend_it = "; extend it with --steps N" if learner.extends else ""
+    return f"{out} is finished: all of its {learner.length(config)} are done{extend_it}"
 
 
 def _resumed(options: _Options) -> tuple[ResolvedRun, Town]:

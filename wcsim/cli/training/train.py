@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 from tyro.conf import arg
 
+from wcsim.agents.opening.learner_registry import DANGER_ROUNDS, Q_LEARNING, learner_of
 from wcsim.agents.runs.data_folder import DATA, SEGMENTS
 from wcsim.agents.runs.metrics import logged_rows
-from wcsim.agents.runs.run_folder import METRICS, ResolvedRun, open_run
+from wcsim.agents.runs.run_folder import METRICS, ResolvedRun
 from wcsim.cli.shared.common import (
     Cluster,
     Finds,
@@ -34,11 +34,9 @@ from wcsim.cli.shared.common import (
 from wcsim.cli.shared.consoles import StageBar, beside, print_overrides, warn
 from wcsim.cli.shared.exit_codes import Exit, NothingKept
 from wcsim.cli.shared.run_config import (
-    how_it_learns,
     how_to_test,
     learning,
-    learns_in_rounds,
-    require_head,
+    require_learner,
     require_users,
     resolve_run,
 )
@@ -53,10 +51,6 @@ from wcsim.supervisor.rewards import find_reward_term
 from wcsim.towns.checks.validate import validate_net
 from wcsim.towns.making.asked_town import asked_town
 from wcsim.towns.scenario.town import Town, by_name, streets_hash
-
-if TYPE_CHECKING:  # these load torch, which --help must not
-    from wcsim.agents.learning.callbacks import TrainProgress
-    from wcsim.agents.rounds.train_rounds import RoundProgress
 
 
 @dataclass(kw_only=True)
@@ -108,7 +102,7 @@ def run(words: list[str]) -> int:
     data = {"collect": {"data": list(options.data)}} if options.data else None
     config = resolve(options.preset, options.config, options.set, data)
     config = resolve(config, learning(config))
-    require_head(config, in_rounds=True)
+    require_learner(config, DANGER_ROUNDS)
     require_users(config, (options.set, options.config))
     return _trained(
         options, RunInfo(seed=options.seed, command=("wcsim", "train", *words)), config, machines
@@ -121,7 +115,8 @@ def _trained(
     """Train one network as it was asked for, and say where it is; raises as `placed`, `resolve_run`, `train_in` do."""
     town, info, out = placed(options, info, config)
     made = resolve_run(config, info, town, out)
-    train_in(made, town, note=how_it_learns(config), verbose=options.verbose, machines=machines)
+    note = learner_of(config).describe(config)
+    train_in(made, town, note=note, verbose=options.verbose, machines=machines)
     return told(options, made)
 
 
@@ -129,8 +124,7 @@ def told(options: ToldOptions, run: ResolvedRun) -> int:
     """Say where a finished run is and how to test it; returns the exit code."""
     from wcsim.cli.training.clients import print_crossings
 
-    if not learns_in_rounds(run.config):  # rounds write no line an episode
-        print_crossings(run.out)
+    print_crossings(run.out)
     trained_in = (run.info.town, *run.info.more_towns)
     print(
         f"run folder: {run.out}    test it: {how_to_test(run.out, run.config.learn.network, trained_in)}"
@@ -152,7 +146,7 @@ def placed(
     towns = [checked_town(word, options.allow_test_town) for word in typed]
     if len(by_name(towns)) < len(towns):
         raise ConfigError(f"--town {options.town}: a town comes twice; expected each once")
-    if len(towns) > 1 and not learns_in_rounds(config) and not config.epoch_ticks:
+    if len(towns) > 1 and not learner_of(config).own_worlds and not config.epoch_ticks:
         raise ConfigError(
             f"--town {options.town}: with world.epoch_ticks=0 the world never changes town; set it above 0"
         )
@@ -173,6 +167,50 @@ def checked_town(name: str, allow_test_town: bool) -> Town:
     return town
 
 
+class TrainingBar(StageBar):
+    """The bar of a training, and what is printed beside it.
+
+    Args:
+        stage: Name of the first stage.
+        town: Name of the town.
+        run: The run.
+        note: How it learns; "" prints nothing.
+        verbose: Whether overrides are printed with their reasons.
+    """
+
+    def __init__(self, stage: str, town: str, run: ResolvedRun, note: str, verbose: bool) -> None:
+        super().__init__(stage)
+        self._town = town
+        self._overrides = run.info.overrides
+        self._note = note
+        self._verbose = verbose
+        self._printed = False
+
+    def print_note(self) -> None:
+        """Print how the network learns, above the bar."""
+        if self._note:
+            self.say(f"note: {self._note}")
+
+    def print_overrides(self) -> None:
+        """Print once which options of SUMO the run overrides, and how the network learns."""
+        if self._printed:
+            return
+        self._printed = True
+        notes = (self._note,) if self._note else ()
+        print_overrides(
+            beside(self.console),
+            self._town,
+            self._overrides,
+            notes,
+            verbose=self._verbose,
+            kept=True,
+        )
+
+    def warn(self, text: str) -> None:
+        """Print what went wrong without ending the training."""
+        warn(text)
+
+
 def train_in(
     run: ResolvedRun,
     town: Town,
@@ -181,114 +219,25 @@ def train_in(
     verbose: bool = False,
     machines: Machines | None = None,
 ) -> Path:
-    """Train one network with a progress bar; returns the run folder."""
-    if learns_in_rounds(run.config):
-        return _train_rounds_in(run, town, machines or machines_of("", None, "--worlds"), note)
-    from wcsim.agents.envs.wheelchair_env import WheelchairEnv
-    from wcsim.agents.learning.train import train
-
-    config, info = run.config, run.info
-    terms = tuple(find_reward_term(name) for name in info.rewards)
-    notes = (note,) if note else ()
-    with StageBar("loading the town") as bar, gone_if_nothing_came_of_it(run.out):
-        place = beside(bar.console)
-        announce = cache(
-            lambda: print_overrides(
-                place, town.name, info.overrides, notes, verbose=verbose, kept=True
-            )
-        )
-        shown = steps_shown(bar)
-
-        def show(now: TrainProgress) -> None:
-            announce()
-            shown(now)
-
-        def make_env() -> WheelchairEnv:
-            towns = tuple(info.more_towns)
-            env = WheelchairEnv(
-                town.address,
-                towns=towns,
-                config=config,
-                reward_terms=terms,
-                run=run.out,
-                hook=info.hook,
-            )
-            env.on_town = lambda word: open_run(run.out).event("town", town=Path(word).name)
-            return env
-
-        return train(run, make_env, show, log=warn)
-
-
-def _train_rounds_in(run: ResolvedRun, town: Town, machines: Machines, note: str) -> Path:
-    """Train with a progress bar, and a note above it; returns the run folder.
+    """Train one network with a progress bar; returns the run folder.
 
     Raises:
         InterruptedRunError: The user stopped it.
         NothingKept: ... before anything was driven.
-        WcsimError: Something that was asked for cannot be used.
+        WcsimError: A setting, the folder or a machine cannot be used.
     """
-    from wcsim.agents.rounds.train_rounds import train_danger
-
-    with StageBar("driving") as bar:
-
-        def show(now: RoundProgress) -> None:
-            bar.rows(
-                {
-                    row.name: f"segment {row.key}, {row.for_s:.0f} s" if row.key else "free"
-                    for row in now.workers
-                }
-            )
-            learns = now.learned > 0 or now.segments == now.of
-            at = f"update {now.learned}" if learns else f"segment {now.segments} of {now.of}"
-            bar.show(
-                _share_done(now, run.config),
-                f"round {now.round + 1} of {now.rounds}, {at}",
-                "learning" if learns else "driving",
-            )
-            if not bar.console.is_terminal:
-                _log(bar, now)
-
-        if note:
-            bar.say(f"note: {note}")
-
-        def say(told: str) -> None:
-            bar.say(told, left=False)
-
+    learner = learner_of(run.config)
+    machines = machines or machines_of("", None, "--worlds")
+    with TrainingBar(learner.first_stage, town.name, run, note, verbose) as bar:
         try:
             with gone_if_nothing_came_of_it(run.out):
-                return train_danger(run, town, replace(machines, say=say), show, say)
+                return learner.train(run, town, machines, bar)
         except InterruptedRunError:
             if run.out.exists():
                 raise
             raise NothingKept(
                 "stopped before the first segment was driven; nothing is saved"
             ) from None
-
-
-def _share_done(now: RoundProgress, config: RunConfig) -> float:
-    """Which share of a run's work is done, 0 to 1.
-
-    A step that is driven and one in a batch that is learned from cost about the same on two cores. From the second
-    round on worlds drive while the network learns, so that a round takes as long as the longer of both.
-    """
-    collect, danger = config.collect, config.danger
-    drive, learn = collect.segments * collect.ticks * collect.chairs, danger.updates * danger.batch
-    both, last = max(drive, learn), now.rounds - 1
-    before = 0 if now.round == 0 else drive + now.round * both
-    driven = drive * now.segments / max(1, now.of) if now.round == 0 else 0.0
-    learned = 1.0 if now.updates else now.learned / danger.updates
-    return (before + driven + learned * (learn if now.round == last else both)) / (
-        drive + last * both + learn
-    )
-
-
-def _log(bar: StageBar, now: RoundProgress) -> None:
-    """A line where a round is driven, and one where it is learned from."""
-    says = f"round {now.round + 1} of {now.rounds}, {now.segments} of {now.of} segments"
-    if now.updates:
-        bar.say(f"{says}, {reading.counted(now.updates, 'update')}, loss {now.loss:.4f}")
-    elif now.segments == now.of and not now.learned:
-        bar.say(f"{says}: learning")
 
 
 @contextmanager
@@ -314,26 +263,6 @@ def came_of(run: Path) -> bool:
     return logged_rows(run / METRICS) > 0 or any(
         any(run.glob(f"{kept}/*")) for kept in ("checkpoints", "policies", f"{DATA}/{SEGMENTS}")
     )
-
-
-def steps_shown(bar: StageBar) -> Callable[[TrainProgress], None]:
-    """Shows on a bar how far a training has come; where that is no terminal, in a line for each tenth of the way."""
-    tenths = 0
-
-    def show(now: TrainProgress) -> None:
-        nonlocal tenths
-        kpi1 = "" if now.kpi1 is None else f", KPI 1 {now.kpi1:.3f}"
-        step = min(
-            now.step, now.total_steps
-        )  # the last steps are done together, and may be a few more
-        known = f"{reading.counted(now.episodes, 'episode')}, {reading.counted(now.crashes, 'crash')}{kpi1}"
-        says, phase = f"{step}/{now.total_steps} steps, {known}", f"phase {now.phase}"
-        bar.show(step / now.total_steps, says, phase)
-        if not bar.console.is_terminal and 10 * step // now.total_steps > tenths:
-            tenths = 10 * step // now.total_steps
-            bar.say(f"{phase}: {says}", left=False)
-
-    return show
 
 
 _PARTS = ("phase1_steps", "learning_starts")  # of [learn], that shrink with the steps
@@ -412,7 +341,7 @@ def q_layers(
         parts = _shrunk_parts(config.learn, asked.steps, own)
         layers = (*layers, {"learn": {"total_steps": asked.steps, **parts}})
         config = resolve(asked.preset, *layers)
-    require_head(config, in_rounds=False)
+    require_learner(config, Q_LEARNING)
     require_users(config)
     return (*layers, learning(config))
 
