@@ -19,9 +19,9 @@ from wcsim.agents.runs.run_folder import create_run, make_manifest, open_run
 from wcsim.cli.main import main
 from wcsim.cli.shared.exit_codes import Exit
 from wcsim.cli.shared.run_config import learning
+from wcsim.cli.shared.training import q_layers
 from wcsim.cli.training.clients import ALL_DONE, GroupOptions, _told_stop, train_clients
 from wcsim.cli.training.train import _QLearningOptions as QOptions
-from wcsim.cli.training.train import q_layers
 from wcsim.cli.training.train_clients import Options, client_names, resolved
 from wcsim.config import resolve
 from wcsim.errors import ConfigError, InterruptedRunError, PolicyError

@@ -33,7 +33,7 @@ from wcsim.cli.shared.common import Lease, Worlds, check_folder, write_json
 from wcsim.cli.shared.consoles import print_overrides, show_table, stdout_console, warn
 from wcsim.cli.shared.exit_codes import Exit, NothingKept
 from wcsim.cli.shared.run_config import how_to_test
-from wcsim.cli.training.train import ToldOptions
+from wcsim.cli.shared.training import OutputOptions, print_crossings
 from wcsim.config import RunConfig, resolve
 from wcsim.core.files import locked
 from wcsim.core.own_folder import workplace
@@ -43,7 +43,6 @@ from wcsim.errors import (
     DiskFullError,
     InterruptedRunError,
     JournalError,
-    PolicyError,
     WcsimError,
 )
 from wcsim.log.reader import iter_inputs, log_digest, part_files
@@ -61,7 +60,6 @@ from wcsim.server.protocol.limits import require_files
 from wcsim.server.specs import world_plan
 from wcsim.towns.scenario.town import Town
 from wcsim.view.live_table import LiveTable
-from wcsim.view.report.learning_curve import crossing, read_training
 
 
 class _TickRate:
@@ -169,23 +167,12 @@ def _paid(waits: PaidTimes) -> Iterator[tuple[str, ...]]:
         )
 
 
-def print_crossings(run: Path) -> None:
-    """Where KPI 1 of each client of a run came below its limit; a log that cannot be read is no reason to fail."""
-    try:
-        steps = read_training([run]).steps
-    except PolicyError as error:
-        return warn(str(error))
-    for name, rows in steps.items():
-        if rows:
-            print(f"{name}: {crossing(rows).told()}")
-
-
 LEASE_S = 120.0
 ALL_DONE = LaunchOutcome(code=0, message="", stopped=False, clients=())
 
 
 @dataclass(kw_only=True)
-class GroupOptions(ToldOptions):
+class GroupOptions(OutputOptions):
     """How the processes of several clients are run."""
 
     worlds: Worlds = None

@@ -25,7 +25,7 @@ from wcsim.cli.shared.common import (
 from wcsim.cli.shared.consoles import warn
 from wcsim.cli.shared.exit_codes import Exit
 from wcsim.cli.shared.run_config import require_policy, require_users
-from wcsim.cli.training.train import checked_town
+from wcsim.cli.shared.training import training_town
 from wcsim.config import resolve
 from wcsim.core.reading import counted
 from wcsim.errors import InterruptedRunError
@@ -66,7 +66,7 @@ def run(words: list[str]) -> int:
         require_policy(options.policy, config.learn.network, bare_for="collecting")
     require_users(config, (options.set, options.config))
     machines = replace(machines_of(options.cluster, options.worlds, "--worlds"), say=warn)
-    towns = [checked_town(name, False) for name in some_words("--town", options.town)]
+    towns = [training_town(name, False) for name in some_words("--town", options.town)]
     out = options.out or Path("data") / f"{towns[0].name}-{options.seed}"
     check_folder("--out", out)
     from wcsim.agents.rounds.collect_data import DataOrder, collect_data  # torch is loaded here

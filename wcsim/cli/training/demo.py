@@ -20,7 +20,7 @@ from wcsim.cli.shared.run_config import (
     require_users,
     resolve_run,
 )
-from wcsim.cli.training.train import checked_town, train_in
+from wcsim.cli.shared.training import train_network, training_town
 from wcsim.config import RunConfig, resolve
 from wcsim.core.files import numbered_names
 from wcsim.errors import InterruptedRunError, TownError
@@ -76,7 +76,7 @@ def run(words: list[str]) -> int:
     started = time.monotonic()
 
     # 1. What would be refused later is refused now.
-    school = checked_town(options.train_town, False)
+    school = training_town(options.train_town, False)
     out = options.out or next(numbered_names(Path("runs") / "demo"))
     check_folder("--out", out)
     config = resolve(_PRESET, (*_SHORT, *options.set))
@@ -100,7 +100,7 @@ def run(words: list[str]) -> int:
     _say(f"\n1/3 training in {school.name}", "bold")
     _say(DANGER_ROUNDS.describe(config), "dim")
     info = RunInfo(seed=options.seed, command=("wcsim", "demo", *words))
-    train_in(resolve_run(config, info, school, out), school)
+    train_network(resolve_run(config, info, school, out), school)
 
     # 3. It is tested beside the user alone, and beside a chair that stands still.
     _say(

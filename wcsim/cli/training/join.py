@@ -20,11 +20,11 @@ from wcsim.cli.shared.common import Bounds, Flag, OutFolder, check_folder, parse
 from wcsim.cli.shared.consoles import StageBar
 from wcsim.cli.shared.exit_codes import Exit, NothingKept
 from wcsim.cli.shared.run_config import how_to_test, require_user
-from wcsim.cli.training.train import (
-    LearnerOptions,
-    came_of,
-    gone_if_nothing_came_of_it,
+from wcsim.cli.shared.training import (
+    QLearningOptions,
+    has_results,
     q_layers,
+    removed_without_results,
 )
 from wcsim.config import RunConfig, resolve
 from wcsim.core.files import locked
@@ -40,7 +40,7 @@ from wcsim.view.live_table import LiveTable
 
 
 @dataclass(kw_only=True)
-class _Options(LearnerOptions):
+class _Options(QLearningOptions):
     """Train one network in a running world of `wcsim serve`.
 
     The server sets world, chair and camera.
@@ -103,7 +103,7 @@ def _joined(order: ClientSpec, resume: bool) -> None:
     from wcsim.agents.learning.train import train
 
     out, beats = Path(order.out), count(1)
-    with gone_if_nothing_came_of_it(out):
+    with removed_without_results(out):
         order, street = opened(order)
         with street, StageBar("loading the town") as bar:
             run = ResolvedRun(config=order.config, out=out, info=order.info, resume=resume)
@@ -130,7 +130,7 @@ def _supervised(order: ClientSpec, resume: bool) -> None:
                 open_run(out)
             else:
                 require_new(out)
-            with gone_if_nothing_came_of_it(out):
+            with removed_without_results(out):
                 _launched(replace(order, out=str(out)), resume, beside)
     finally:
         with suppress(OSError):  # it stays where something was logged
@@ -155,7 +155,7 @@ def _launched(order: ClientSpec, resume: bool, beside: Path) -> None:
         raise ConfigError(outcome.message)
     if outcome.code:
         raise ServerGoneError(outcome.message)
-    if outcome.stopped and not came_of(Path(out)):
+    if outcome.stopped and not has_results(Path(out)):
         raise NothingKept("stopped before anything was learned; nothing is saved")
     if outcome.stopped:
         lost = outcome.clients[0].unsaved

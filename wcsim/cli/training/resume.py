@@ -34,8 +34,11 @@ from wcsim.cli.shared.common import (
     parse,
     some_words,
 )
+from wcsim.cli.shared.exit_codes import Exit
 from wcsim.cli.shared.run_config import in_town, learning, resolve_run
-from wcsim.cli.training.train import ToldOptions, told, train_in
+from wcsim.cli.shared.training import OutputOptions, report_run, train_network
+from wcsim.cli.training.clients import LEASE_S, GroupOptions
+from wcsim.cli.training.phases_apart import train_group
 from wcsim.config import RunConfig, resolve
 from wcsim.config import parse as parse_config
 from wcsim.core.files import locked
@@ -45,7 +48,7 @@ from wcsim.towns.scenario.town import Town, streets_hash
 
 
 @dataclass(kw_only=True)
-class _Options(ToldOptions):
+class _Options(OutputOptions):
     """Continue a training from its newest checkpoint, with its own settings."""
 
     run: Annotated[Path, Positional, arg(metavar="RUN")]
@@ -85,8 +88,9 @@ def run(words: list[str]) -> int:
         and again.config.learn.total_steps == was.config.learn.total_steps
     ):
         print(f"note: {_finished(options.run, was.config)}", file=sys.stderr)
-    train_in(again, town, verbose=options.verbose, machines=machines)
-    return told(options, again)
+    train_network(again, town, verbose=options.verbose, machines=machines)
+    report_run(options, again)
+    return Exit.DONE
 
 
 def _finished(out: Path, config: RunConfig) -> str:
@@ -125,9 +129,6 @@ def _resumed(options: _Options) -> tuple[ResolvedRun, Town]:
 
 
 def _resume_group(options: _Options) -> int:
-    from wcsim.cli.training.clients import LEASE_S, GroupOptions
-    from wcsim.cli.training.phases_apart import train_group
-
     run, town = _resumed_group(options)
     command = run.info.command
     try:

@@ -14,9 +14,9 @@ from wcsim.agents.clients.group_run import Client, GroupRun
 from wcsim.agents.networks.names import NETWORK_NAMES, client_name
 from wcsim.cli.shared.common import Repeated, parse, some_words
 from wcsim.cli.shared.run_config import in_town, require_user
+from wcsim.cli.shared.training import QTrainingOptions, place_run, q_layers
 from wcsim.cli.training.clients import GroupOptions
 from wcsim.cli.training.phases_apart import train_group
-from wcsim.cli.training.train import QOptions, placed, q_layers
 from wcsim.config import resolve
 from wcsim.errors import ConfigError
 
@@ -34,7 +34,7 @@ _TAKEN = (
 
 
 @dataclass(kw_only=True)
-class Options(QOptions, GroupOptions):
+class Options(QTrainingOptions, GroupOptions):
     """Train several networks at once in one shared world, by Q-learning, each in a process of its own."""
 
     clients: Annotated[str, Positional, arg(metavar="A,B,...")]
@@ -51,7 +51,7 @@ def run(words: list[str]) -> int:
     options = parse(Options, words, "train-clients")
     clients = resolved(options)
     config = clients[0].config
-    town, info, out = placed(options, options.info(("wcsim", "train-clients", *words)), config)
+    town, info, out = place_run(options, options.info(("wcsim", "train-clients", *words)), config)
     return train_group(
         options, GroupRun(clients=clients, out=out, info=in_town(info, town, config)), town
     )
