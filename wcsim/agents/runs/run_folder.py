@@ -162,7 +162,9 @@ def create_run(path: Path, config: RunConfig, manifest: Manifest) -> RunFolder:
         files.write_bytes(path / PLANT, plant)
     files.write_bytes(path / CONFIG, config.model_dump_json(indent=2).encode())
     files.write_json(path / MANIFEST, asdict(manifest))
-    return RunFolder(path=path, config=resolve(config, _kept_plant(path)), manifest=manifest)
+    # Without a plant of its own the folder fixes nothing more.
+    saved = resolve(config, _saved_plant(path)) if plant else config
+    return RunFolder(path=path, config=saved, manifest=manifest)
 
 
 def open_run(path: Path) -> RunFolder:
@@ -173,7 +175,9 @@ def open_run(path: Path) -> RunFolder:
         raise PolicyError(f"{path} is a run of several clients; name one of them: {names}")
     manifest = manifest_of(data, path)
     try:
-        resolved = resolve(parse(RunConfig, config, str(path / CONFIG)), _kept_plant(path))
+        resolved = parse(RunConfig, config, str(path / CONFIG))
+        if is_file(path / PLANT):
+            resolved = resolve(resolved, _saved_plant(path))
     except ConfigError as error:
         raise PolicyError(str(error)) from None
     return RunFolder(path=path, config=resolved, manifest=manifest)
@@ -193,7 +197,7 @@ def _checked_manifest(data: dict[str, Any], file: Path) -> ManifestFile:
         raise PolicyError(f"{error}: not a manifest of this version; train again") from None
 
 
-def _kept_plant(path: Path) -> Layer:
+def _saved_plant(path: Path) -> Layer:
     """The plant that a run folder keeps: what the user's file says later is not that run's."""
     return {"chair": {"plant": str(path / PLANT)}} if is_file(path / PLANT) else None
 
@@ -299,7 +303,7 @@ def folder_of(run: ResolvedRun, complete: Complete = lambda _: None) -> RunFolde
     other = [key for key in kept if getattr(folder.manifest, key) != getattr(run.info, key)]
     if plant_text(run.config.chair.plant) != plant_text(folder.config.chair.plant):
         other.append("plant")
-    wanted = resolve(run.config, _kept_plant(run.out))
+    wanted = resolve(run.config, _saved_plant(run.out))
     was, now = (resolve(config, complete(config)) for config in (folder.config, wanted))
     if was != now or other:
         raise PolicyError(

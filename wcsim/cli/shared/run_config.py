@@ -112,8 +112,7 @@ def require_users(
             f"env.profile={escaped(name)}: a network that learns in rounds draws its users from collect.profiles; "
             f"""expected --set 'collect.profiles=["{escaped(name)}"]', or wcsim train-q, which learns with that user"""
         )
-    for name in config.collect.profiles:
-        require_user(name)
+    require_user(*config.collect.profiles)
 
 
 def resolve_run(
@@ -145,7 +144,7 @@ def resolve_run(
     from wcsim.agents.networks.registry import find_network
 
     find_network(config.learn.network)
-    fit = resolve(config, network_settings(config))
+    fit = resolve(config, learning(config), network_settings(config))
     return ResolvedRun(config=fit, out=out, info=in_town(info, town, config), resume=resume)
 
 
@@ -168,18 +167,20 @@ def learning(config: RunConfig) -> dict[str, Any]:
     return {"env": env, **whole_data(config)}
 
 
-def require_user(name: str) -> None:
-    """Refuse a user that there is not; what replays a recorded joystick is loaded for one of those alone.
+def require_user(*names: str) -> None:
+    """Refuse users that do not exist.
 
     Raises:
         ConfigError: There is no such profile, or no such file.
     """
-    if not name.startswith(RECORDED):
-        find_profile(name)
-        return
-    from wcsim.users.recordings.recorded_user import find_user
+    for name in names:
+        if not name.startswith(RECORDED):
+            find_profile(name)
+            continue
+        # Not at the top: what replays a recorded joystick takes long to load.
+        from wcsim.users.recordings.recorded_user import find_user
 
-    find_user(name)
+        find_user(name)
 
 
 def how_to_test(run: Path, network: str, trained_in: Collection[str] = ()) -> str:

@@ -12,6 +12,7 @@ from typing import Any
 from rich import box
 
 from wcsim.agents.clients.group_run import (
+    Client,
     ClientsFolder,
     GroupRun,
     client_plan,
@@ -34,7 +35,6 @@ from wcsim.cli.shared.consoles import print_overrides, show_table, stdout_consol
 from wcsim.cli.shared.exit_codes import Exit, NothingKept
 from wcsim.cli.shared.run_config import how_to_test
 from wcsim.cli.shared.training import OutputOptions, print_crossings
-from wcsim.config import RunConfig, resolve
 from wcsim.core.files import locked
 from wcsim.core.own_folder import workplace
 from wcsim.core.processes import StopSignals
@@ -252,7 +252,7 @@ def _opened(run: GroupRun) -> Iterator[ClientsFolder]:
             folder = open_clients_folder(run.out)
             _mend(folder)
             for client in run.clients:
-                _lengthen(folder.path / client.name, resolve(client.config, client.shortened))
+                _lengthen(folder.path / client.name, client)
             folder.rewrite(configs)
             yield folder.with_status("running", folder.manifest.steps)
         return
@@ -274,14 +274,15 @@ def _opened(run: GroupRun) -> Iterator[ClientsFolder]:
             raise
 
 
-def _lengthen(run: Path, config: RunConfig) -> None:
-    """Let a client's own run be as long as its configuration says, where there is one."""
-    steps, fade = config.learn.total_steps, config.learn.learning_rate_fade
+def _lengthen(run: Path, client: Client) -> None:
+    """Let a client's own run folder, where there is one, be as long as the client learns now."""
     if not (run / MANIFEST).is_file():
         return
     learn = open_run(run).config.learn
-    if (learn.total_steps, learn.learning_rate_fade) != (steps, fade):
-        extend(run, steps, fade)
+    # A rate that fades does so in the last part alone.
+    fade = client.config.learn.learning_rate_fade if client.until is None else 0.0
+    if (learn.total_steps, learn.learning_rate_fade) != (client.steps, fade):
+        extend(run, client.steps, fade)
 
 
 def _mend(folder: ClientsFolder) -> None:

@@ -15,7 +15,6 @@ from wcsim.cli.evaluation.result_tables import show_result
 from wcsim.cli.shared.common import OutFolder, Repeated, check_folder, parse
 from wcsim.cli.shared.consoles import StageBar, stdout_console
 from wcsim.cli.shared.run_config import (
-    learning,
     require_learner,
     require_users,
     resolve_run,
@@ -80,7 +79,6 @@ def run(words: list[str]) -> int:
     out = options.out or next(numbered_names(Path("runs") / "demo"))
     check_folder("--out", out)
     config = resolve(_PRESET, (*_SHORT, *options.set))
-    config = resolve(config, learning(config))
     require_learner(config, DANGER_ROUNDS)
     require_users(config, (options.set, None))
     from wcsim.agents.opening.list_file import open_suite

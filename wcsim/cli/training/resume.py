@@ -35,7 +35,7 @@ from wcsim.cli.shared.common import (
     some_words,
 )
 from wcsim.cli.shared.exit_codes import Exit
-from wcsim.cli.shared.run_config import in_town, learning, resolve_run
+from wcsim.cli.shared.run_config import in_town, resolve_run
 from wcsim.cli.shared.training import OutputOptions, report_run, train_network
 from wcsim.cli.training.clients import LEASE_S, GroupOptions
 from wcsim.cli.training.phases_apart import train_group
@@ -124,8 +124,7 @@ def _resumed(options: _Options) -> tuple[ResolvedRun, Town]:
         with locked(path):  # by nobody else at work: a run in use keeps its steps
             extend(path, steps)
         run = open_run(path)
-    config = resolve(run.config, learning(run.config))
-    return resolve_run(config, run.manifest.info, town, path, resume=True), town
+    return resolve_run(run.config, run.manifest.info, town, path, resume=True), town
 
 
 def _resume_group(options: _Options) -> int:

@@ -10,7 +10,7 @@ from tyro.conf import arg
 from wcsim.agents.opening.learner_registry import DANGER_ROUNDS, learner_of
 from wcsim.cli.shared.common import Cluster, Repeated, Worlds, machines_of, parse
 from wcsim.cli.shared.exit_codes import Exit
-from wcsim.cli.shared.run_config import learning, require_learner, require_users, resolve_run
+from wcsim.cli.shared.run_config import require_learner, require_users, resolve_run
 from wcsim.cli.shared.training import (
     QTrainingOptions,
     TrainingOptions,
@@ -55,7 +55,6 @@ def run(words: list[str]) -> int:
     machines = machines_of(options.cluster, options.worlds, "--worlds")
     data = {"collect": {"data": list(options.data)}} if options.data else None
     config = resolve(options.preset, options.config, options.set, data)
-    config = resolve(config, learning(config))
     require_learner(config, DANGER_ROUNDS)
     require_users(config, (options.set, options.config))
     info = RunInfo(seed=options.seed, command=("wcsim", "train", *words))
