@@ -191,7 +191,7 @@ class ManifestFile(Model):
     status: Literal["running", "done", "interrupted"] = "running"
     steps: Annotated[int, within(0, 10**12)] = 0
     hook: Word = ""
-    own_code: MaybeSha256 = ""  # see agents/runs/own_code.py
+    own_code: MaybeSha256 = ""  # see agents/runs/transfer.py
     more_towns: Annotated[dict[Text, Sha256], Field(max_length=4096)] = Field(default_factory=dict)
     overrides: Annotated[tuple[_OverrideFile, ...], Field(max_length=4096)] = ()
     clients: Annotated[tuple[ClientName, ...], Field(max_length=64)] = ()

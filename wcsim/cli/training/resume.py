@@ -14,7 +14,6 @@ from tyro.conf import Positional, arg
 
 from wcsim.agents.clients.group_run import Client, GroupRun, open_clients_folder
 from wcsim.agents.opening.learner_registry import learner_of
-from wcsim.agents.runs.own_code import own_classes, require_own
 from wcsim.agents.runs.run_folder import (
     CONFIG,
     MANIFEST,
@@ -24,6 +23,7 @@ from wcsim.agents.runs.run_folder import (
     open_run,
     read_json,
 )
+from wcsim.agents.runs.transfer import own_classes, require_own
 from wcsim.cli.shared.common import (
     Cluster,
     Repeated,
