@@ -103,8 +103,10 @@ def towns_of(file: SuiteFile, folder: Path) -> dict[str, Town]:
         got = content_hash(town)
         if got != wanted.sha256:
             raise TownError(
-                f"town {wanted.name} has the hash {got[:12]}; expected {wanted.sha256[:12]}, for which the list "
-                f"{file.suite} {file.set} was made: make your own list with --make-suite {wanted.name}"
+                f"town {wanted.name} has the hash {got[:12]}; expected {wanted.sha256[:12]}, for "
+                "which the list "
+                f"{file.suite} {file.set} was made: make your own list with --make-suite "
+                f"{wanted.name}"
             )
         found[wanted.name] = town
     return found
@@ -130,7 +132,8 @@ def require_towns(file: SuiteFile) -> None:
     for block in file.blocks:
         if block.part != TIGHT and block.town not in named:
             raise ConfigError(
-                f"a block is in town {block.town!r}; expected one of {sorted(named)}: add it to `towns`"
+                f"a block is in town {block.town!r}; expected one of {sorted(named)}: add it to "
+                "`towns`"
             )
 
 
@@ -157,7 +160,8 @@ def open_block(
     got = scene_digest(folder)
     if got != block.scene_sha256:
         raise TownError(
-            f"scene {block.town} {block.seed} has the hash {got[:12]}; expected {str(block.scene_sha256)[:12]}, as "
+            f"scene {block.town} {block.seed} has the hash {got[:12]}; expected "
+            f"{str(block.scene_sha256)[:12]}, as "
             "the list says: the list was made by another version of wcsim"
         )
     built, scene = build_scene(folder, work / SCENE_TOWN)

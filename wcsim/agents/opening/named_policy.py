@@ -98,7 +98,8 @@ def _own_policy(name: str, config: RunConfig) -> Policy:
     missing = [part for part in ("name", "begin", "reset", "act") if not hasattr(policy, part)]
     if missing:
         raise PolicyError(
-            f"policy {name!r} has no {', '.join(missing)}; expected a class with name, begin(), reset() and "
+            f"policy {name!r} has no {', '.join(missing)}; expected a class with name, begin(), "
+            "reset() and "
             "act(observation), see docs/suites.md"
         )
     return policy

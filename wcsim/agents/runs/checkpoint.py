@@ -209,7 +209,8 @@ def _read_state(path: Path) -> dict[str, Any]:
     version = state.get("schema_version")
     if version != _VERSION:
         raise PolicyError(
-            f"{STATE} is of version {escaped(version)}, expected {_VERSION}: finish the run with the wcsim that began "
+            f"{STATE} is of version {escaped(version)}, expected {_VERSION}: finish the run with "
+            "the wcsim that began "
             "it, or start a new one"
         )
     sealed = files.take_seal(state, STATE)

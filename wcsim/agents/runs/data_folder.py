@@ -201,14 +201,16 @@ def read_segment(path: Path, sha256: str = "") -> Segment:
     got = hashlib.sha256(data).hexdigest()
     if sha256 and got != sha256:
         raise PolicyError(
-            f"{escaped(path)} has SHA-256 {got[:12]}..., expected {sha256[:12]}...: damaged or replaced; "
+            f"{escaped(path)} has SHA-256 {got[:12]}..., expected {sha256[:12]}...: damaged or "
+            "replaced; "
             "collect it again"
         )
     try:
         columns = _columns(data)
     except Exception as error:  # of zstd, zipfile or NumPy, by what is wrong with the bytes
         raise PolicyError(
-            f"{escaped(path)} cannot be read ({escaped(error)}); expected a segment as `wcsim collect` writes it"
+            f"{escaped(path)} cannot be read ({escaped(error)}); expected a segment as `wcsim "
+            "collect` writes it"
         ) from None
     _require_whole(path, columns)
     return Segment(**columns)
@@ -260,7 +262,8 @@ def require_same_settings(folder: Path, file: DataFile, config: RunConfig) -> No
     other = [name for name in _TOLD if _part(had, name) != _part(wanted, name)]
     if other or file.settings_sha256 != _settings_digest(config):
         raise PolicyError(
-            f"{escaped(folder)} was driven with other settings ({', '.join(other) or 'of another version'}); expected "
+            f"{escaped(folder)} was driven with other settings "
+            f"({', '.join(other) or 'of another version'}); expected "
             "those of this run: train with the configuration in its data.json"
         )
 
@@ -334,7 +337,8 @@ def _require_whole(path: Path, columns: dict[str, np.ndarray]) -> None:
     wrong = [name for name, (kind, wide) in COLUMNS.items() if not _fits(columns[name], kind, wide)]
     if wrong:
         raise PolicyError(
-            f"{escaped(path)} has another form ({', '.join(wrong)}); expected a segment of this version"
+            f"{escaped(path)} has another form ({', '.join(wrong)}); expected a segment of this "
+            "version"
         )
     lengths = {len(column) for column in columns.values()}
     finite = all(
@@ -344,7 +348,8 @@ def _require_whole(path: Path, columns: dict[str, np.ndarray]) -> None:
     )
     if len(lengths) != 1 or not finite:
         raise PolicyError(
-            f"{escaped(path)} has columns of {sorted(lengths)} rows, or numbers not finite or too large; "
+            f"{escaped(path)} has columns of {sorted(lengths)} rows, or numbers not finite or too "
+            "large; "
             "collect it again"
         )
     pictures, said = columns["depth"].shape == columns["seg"].shape, columns["visible"].shape[1]

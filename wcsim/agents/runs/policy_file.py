@@ -59,7 +59,8 @@ def _read(path: Path) -> dict[str, Any]:
     if not is_file(path / POLICY_JSON):
         raise PolicyError(
             f"{escaped(path)} is not a policy folder: it has no {POLICY_JSON}; "
-            "expected a folder as `wcsim train` writes it, for example runs/a/policies/final, or RUN:phase1"
+            "expected a folder as `wcsim train` writes it, for example runs/a/policies/final, or "
+            "RUN:phase1"
         )
     return read_json(path / POLICY_JSON, POLICY)
 
@@ -95,7 +96,8 @@ def shipped_folder(place: Path | None = None) -> Path:
     folder = shipped_place() if place is None else place
     if not is_file(folder / FILES):
         raise PolicyError(
-            f"this wcsim comes without a policy: {escaped(folder)} has no {FILES}; expected one made by "
+            f"this wcsim comes without a policy: {escaped(folder)} has no {FILES}; expected one "
+            "made by "
             "tools/ship_policy.py RUN: name a run of your own"
         )
     try:
@@ -175,7 +177,8 @@ def _with_threshold(name: str) -> tuple[str, float | None]:
     level = float(text)
     if not 0.0 < level <= 1.0:
         raise PolicyError(
-            f"policy {escaped(name)!r} has no such level of assistance; expected RUN@L with a danger threshold L "
+            f"policy {escaped(name)!r} has no such level of assistance; expected RUN@L with a "
+            "danger threshold L "
             "above 0 and at most 1"
         )
     return head, level
@@ -194,6 +197,7 @@ def require_same_senses(folder: Path, name: str, config: RunConfig) -> None:
     other += [key for key in ("classes",) if file.classes != config.env.classes]
     if other:
         raise PolicyError(
-            f"policy {name!r} was trained with another camera, class form or action set ({', '.join(other)} differ): "
+            f"policy {name!r} was trained with another camera, class form or action set "
+            f"({', '.join(other)} differ): "
             "set these as in its training, or test it on its own"
         )

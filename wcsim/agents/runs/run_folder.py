@@ -263,7 +263,8 @@ def policy_path(name: str) -> Path:
     if not is_folder(named.folder):
         names = (*BASELINES, *UPPER_BOUNDS)
         raise PolicyError(
-            f"{escaped(named.folder)} is not a run: no such folder; expected one that `wcsim train` "
+            f"{escaped(named.folder)} is not a run: no such folder; expected one that `wcsim "
+            "train` "
             f"made, {SHIPPED}, module:Class of your own, or a baseline: {', '.join(names)}"
             f"{meant(str(named.folder), (SHIPPED, *names))}"
         )

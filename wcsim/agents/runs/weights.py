@@ -81,7 +81,8 @@ def _read_weights(path: Path, sha256: str, wanted: Iterable[torch.Tensor]) -> by
     least = sum(tensor.numel() * tensor.element_size() for tensor in wanted)
     if not least <= size <= least + _MAX_HEADER_BYTES:
         raise PolicyError(
-            f"{escaped(path)} has {size} bytes, and the network that policy.json describes has weights of {least}; "
+            f"{escaped(path)} has {size} bytes, and the network that policy.json describes has "
+            f"weights of {least}; "
             "copy the whole policy folder again"
         )
     data = read_bytes(path, reading.WEIGHTS)

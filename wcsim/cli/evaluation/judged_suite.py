@@ -31,14 +31,20 @@ from wcsim.cli.shared.common import (
     Repeated,
     Writes,
     check_folder,
+    has_option,
     json_text,
     machines_of,
     parse,
     result_file,
-    says,
     write_json,
 )
-from wcsim.cli.shared.consoles import StageBar, say, show_table, stderr_console, stdout_console
+from wcsim.cli.shared.consoles import (
+    StageBar,
+    print_note,
+    show_table,
+    stderr_console,
+    stdout_console,
+)
 from wcsim.cli.shared.exit_codes import Exit
 from wcsim.config.suite import MOST_NAME, MOST_SET, name_pattern
 from wcsim.core.own_folder import temporary_folder
@@ -146,10 +152,10 @@ class _PlayedEpisodeOptions(_OfSuite):
 
 def run_suites(words: list[str]) -> int:
     """Judge policies on a list; tables for each part and for all."""
-    if says(words, "--play"):
+    if has_option(words, "--play"):
         play = parse(_PlayedEpisodeOptions, words, "test")
         return _play_episode(_suite_order(play, clean=play.clean), play.policies, play.play)
-    if says(words, "--sensitivity"):
+    if has_option(words, "--sensitivity"):
         return _compare_disturbances(parse(_SensitivityOptions, words, "test"))
     options = parse(_SuiteOptions, words, "test")
     return judge(_suite_order(options, options.forks, clean=options.clean), options, options.suite)
@@ -191,7 +197,7 @@ def drive_list(order: SuiteOrder, options: JudgeOptions, name: str) -> TestResul
             done += 1
             bar.show(done / (of * len(policies)), f"{policy}: {blocks} of {of} blocks")
             if not bar.console.is_terminal:
-                bar.say(f"{policy}: {blocks} of {of} blocks")
+                bar.print_line(f"{policy}: {blocks} of {of} blocks")
 
         return save_result(order, name, run_suite(order, policies, show))
 
@@ -212,7 +218,7 @@ def order_of(
                 (each.name, f"{each.key} for {each.for_s:.0f} s" if each.key else "free")
                 for each in workers
             )
-            say(", ".join(f"{worker} {what}" for worker, what in busy))
+            print_note(", ".join(f"{worker} {what}" for worker, what in busy))
 
     machines = machines_of(options.cluster, options.jobs, "--jobs")
     return SuiteOrder(
@@ -515,7 +521,7 @@ def make_list(words: list[str]) -> int:
 
             def show(text: str, share: float) -> None:
                 bar.show(share, "")
-                bar.say(text)
+                bar.print_line(text)
 
             file = make_suite(order, towns, show)
     write_list(file, options.suite_file)

@@ -24,7 +24,7 @@ from wcsim.cli.shared.common import (
     fresh_folders,
     words_of,
 )
-from wcsim.cli.shared.consoles import say
+from wcsim.cli.shared.consoles import print_note
 from wcsim.cli.town.town_check import checked, told_report, try_town
 from wcsim.core.own_folder import temporary_folder
 from wcsim.core.reading import counted
@@ -318,12 +318,12 @@ def pave(options: PaveOptions) -> int:
     )  # loads what builds streets, which --help must not
     from wcsim.towns.pave.pavements import pave_town
 
-    say(f"adding pavements in {options.out}")
+    print_note(f"adding pavements in {options.out}")
     paved = pave_town(bare, options.out, options.max_speed)
     town = _copy_of(bare, paved.sumocfg, outside=options.allow_outside)
-    say("testing the first steps in SUMO")
+    print_note("testing the first steps in SUMO")
     try_town(town)
-    say("checking the copy")
+    print_note("checking the copy")
     report = check_town(town)
     _print(paved)
     return told_report(
