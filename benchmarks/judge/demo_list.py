@@ -73,4 +73,4 @@ def _shortened(block: BlockFile) -> BlockFile:
 
 if __name__ == "__main__":
     with temporary_folder() as folder:
-        write_list(demo_list(folder, 2, say), Path(sys.argv[1]))
+        write_list(demo_list(folder, 2, print_note), Path(sys.argv[1]))

@@ -60,7 +60,6 @@ class ChairConfig(Model):
         if got != speed_mps:
             raise ValueError(
                 f"profile {data['profile']!r} drives at {speed_mps} m/s, v_max_mps is {got}; "
-                "expected the same speed: "
-                f"set v_max_mps to {speed_mps}, or profile to custom"
+                f"expected the same speed: set v_max_mps to {speed_mps}, or profile to custom"
             )
         return {**data, "v_max_mps": speed_mps}

@@ -33,8 +33,7 @@ class FollowReward(Model):
         if self.max_distance - self.max_follow_distance < LEAST_WINDOW:
             raise ValueError(
                 f"max_distance {self.max_distance} is not above max_follow_distance "
-                f"{self.max_follow_distance} by "
-                f"{LEAST_WINDOW}; expected low < high"
+                f"{self.max_follow_distance} by {LEAST_WINDOW}; expected low < high"
             )
         return self
 
@@ -99,8 +98,7 @@ class EnvConfig(Model):
         if self.observation in ("table3", "state") and self.frames > 1:
             raise ValueError(
                 f"window {self.window} with observation {self.observation!r}; expected one image "
-                "in this form: "
-                "set env.window=1, or env.observation=compact"
+                "in this form: set env.window=1, or env.observation=compact"
             )
         if self.observation == "state" and self.truth_visible:
             raise ValueError(

@@ -101,8 +101,7 @@ class PolicyFile(Model):
         if seen_px > MAX_SEEN_PX:
             raise ValueError(
                 f"image_hw_px {list(self.image_hw_px)} in a window of {self.window} are {seen_px} "
-                "pixels; "
-                f"expected at most {MAX_SEEN_PX}"
+                f"pixels; expected at most {MAX_SEEN_PX}"
             )
         return self
 

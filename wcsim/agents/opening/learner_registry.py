@@ -153,8 +153,7 @@ class QLearning(Learner):
         aid = " and from an oracle's labels (learn.aid=oracle)" if learn.aid == "oracle" else ""
         return (
             f"Q-learning from rewards{aid}, {learn.total_steps} steps: {learn.phase1_steps} in the "
-            "first phase, "
-            f"updates from step {learn.learning_starts} on"
+            f"first phase, updates from step {learn.learning_starts} on"
         )
 
     def length(self, config: RunConfig) -> str:

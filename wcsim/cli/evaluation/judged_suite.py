@@ -225,7 +225,7 @@ def order_of(
         suite=suite,
         out=out,
         jobs=options.jobs,
-        machines=replace(machines, say=say),
+        machines=replace(machines, say=print_note),
         look=show_workers,
         preset=options.preset,
         settings=options.set,
@@ -293,7 +293,7 @@ def _suite_order(options: _OfSuite, forks: int | None = None, *, clean: bool = F
 def _require_usable(order: SuiteOrder, options: _DriveOptions) -> None:
     """Print what is going to be driven; refuse what can be used in no episode. Raises WcsimError."""
     from wcsim.agents.evaluation.suite.run import KEPT, require_usable
-    from wcsim.agents.opening.named_policy import told_of_rules
+    from wcsim.agents.opening.named_policy import rule_notes
 
     if (order.out / KEPT).exists() and not options.resume:
         raise ConfigError(
@@ -303,9 +303,7 @@ def _require_usable(order: SuiteOrder, options: _DriveOptions) -> None:
     suite, console = order.suite, stderr_console()
     listed = f"{suite.file.suite} {suite.file.set}, list {suite.sha256[:12]}"
     console.print(f"{listed}: {counted(suite.episodes, 'episode')} a policy")
-    for line in told_of_rules(
-        options.policies, order.preset, (*suite.file.settings, *order.settings)
-    ):
+    for line in rule_notes(options.policies, order.preset, (*suite.file.settings, *order.settings)):
         console.print(line)
     require_usable(order, options.policies)
 
@@ -340,7 +338,7 @@ def _compare_disturbances(options: _SensitivityOptions) -> int:
     _require_usable(order, options)
     policies = tuple(dict.fromkeys((UNAIDED, *options.policies)))
     with _resumable(order, options):
-        moved = sensitivity(order, policies, say)
+        moved = sensitivity(order, policies, print_note)
     rows = [each.to_json() for each in moved]
     write_json(order.out / "sensitivity.json", rows)
     show_sensitivity(stdout_console(), f"{file.suite} {file.set}", moved)
@@ -500,7 +498,7 @@ def make_list(words: list[str]) -> int:
 
     from wcsim.agents.evaluation.suite.make import MakeOrder, make_suite
     from wcsim.agents.evaluation.suite.result_files import TOWNS
-    from wcsim.agents.opening.list_file import asked_towns, suite_of, write_list
+    from wcsim.agents.opening.list_file import suite_of, suite_towns, write_list
 
     with temporary_folder() as work:
         order = MakeOrder(
@@ -516,7 +514,7 @@ def make_list(words: list[str]) -> int:
             jobs=options.jobs,
             work=work,
         )
-        towns = asked_towns(options.make_suite, order.work / TOWNS)
+        towns = suite_towns(options.make_suite, order.work / TOWNS)
         with StageBar("making the list") as bar:
 
             def show(text: str, share: float) -> None:

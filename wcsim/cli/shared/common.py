@@ -331,8 +331,7 @@ def machines_of(cluster: str, workers: int | None, option: str) -> Machines:
     if cluster != LOCAL and count > 1:
         raise ConfigError(
             f"{option} {count} and --cluster {cluster}: `ray start --num-cpus` sets the workers of "
-            "a "
-            "node there; leave one of the two out"
+            "a node there; leave one of the two out"
         )
     require_address(cluster)
     return Machines(count=count, cluster=cluster)

@@ -77,8 +77,7 @@ def require_learner(config: RunConfig, expected: Learner) -> None:
     if found is not expected:
         raise ConfigError(
             f"learn.head={config.learn.head}: this command {expected.method}; expected preset "
-            f"{expected.presets}, "
-            f"or wcsim {found.command}"
+            f"{expected.presets}, or wcsim {found.command}"
         )
 
 
@@ -104,8 +103,7 @@ def require_users(
             if name in HELD_OUT:
                 raise ConfigError(
                     f"profile {name} is held out of training: tests use it as a user that a "
-                    "network has never met; "
-                    f"expected another {key}"
+                    f"network has never met; expected another {key}"
                 )
     if drawn is None:
         return

@@ -129,7 +129,7 @@ def _recorded(
         hook=options.hook,
     )
     try:
-        facts = record_town(town, config, order, opened, show, say)
+        facts = record_town(town, config, order, opened, show, print_note)
     except BaseException:
         if (out / MANIFEST).is_file():
             write_json(out / MANIFEST, {**manifest, "status": "interrupted"})

@@ -112,14 +112,12 @@ def _network(name: str) -> Path:
     if not named.is_network:
         raise PolicyError(
             f"{escaped(name)} has no network that can be exported; expected a run that `wcsim "
-            "train` made, "
-            f"RUN:phase1, a policy folder, or {SHIPPED}"
+            f"train` made, RUN:phase1, a policy folder, or {SHIPPED}"
         )
     if named.kind != "shipped" and not is_folder(named.folder):
         raise PolicyError(
             f"{escaped(named.place)} is not a run: there is no such folder; expected one that "
-            "`wcsim train` made, "
-            f"a policy folder, or {SHIPPED}{meant(named.place, (SHIPPED,))}"
+            f"`wcsim train` made, a policy folder, or {SHIPPED}{meant(named.place, (SHIPPED,))}"
         )
     path = policy_path(name)
     learner_of_policy(path).require_exportable(path, name)
@@ -150,9 +148,8 @@ def _beside_recording(same: float, by: str, policy: str) -> str:
         return text
     return (
         f"{text}: another policy or threshold. The reference ride holds the actions of "
-        f"{escaped(policy)} for these "
-        f"observations. Record it while it drives: wcsim drive --policy {shlex.quote(policy)} "
-        "--record FILE"
+        f"{escaped(policy)} for these observations. Record it while it drives: wcsim drive "
+        f"--policy {shlex.quote(policy)} --record FILE"
     )
 
 

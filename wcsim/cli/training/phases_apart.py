@@ -60,8 +60,7 @@ def train_group(options: GroupOptions, run: GroupRun, town: Town) -> int:
         if options.worlds is not None:
             raise ConfigError(
                 f"--worlds {options.worlds}: no clients are tested; expected several clients and "
-                "--select-by LIST, "
-                "or leave that out"
+                "--select-by LIST, or leave that out"
             )
         return train_clients(options, run, town)
     suite = _checked(options, run, by)
@@ -95,8 +94,7 @@ def _checked(options: GroupOptions, run: GroupRun, by: str) -> Suite | None:
     if unled:
         raise ConfigError(
             f"learn.select_by={by} chooses after the first phase, and that of {unled[0]} has less "
-            f"than {least} steps: "
-            "set learn.phase1_steps"
+            f"than {least} steps: set learn.phase1_steps"
         )
     return suite
 
@@ -144,8 +142,7 @@ def _choose(options: GroupOptions, run: GroupRun, by: str, suite: Suite | None) 
         log.add("comparison_stopped")
         raise InterruptedRunError(
             f"stopped while clients were compared; {run.out} holds the episodes so far; continue "
-            "it: "
-            f"{how_to_resume(run.out)}"
+            f"it: {how_to_resume(run.out)}"
         ) from None
     for name, own in figures.items():
         log.add("compared", who=name, **own)
@@ -161,7 +158,7 @@ def _followed(run: GroupRun) -> Figures:
 
 def _tested(options: GroupOptions, run: GroupRun, suite: Suite, name: str) -> Figures:
     from wcsim.agents.evaluation.suite.run import SuiteOrder, run_suite
-    from wcsim.agents.opening.named_policy import told_of_rules
+    from wcsim.agents.opening.named_policy import rule_notes
     from wcsim.agents.policy_api import UNAIDED
 
     order = SuiteOrder(
@@ -178,7 +175,7 @@ def _tested(options: GroupOptions, run: GroupRun, suite: Suite, name: str) -> Fi
     for client in run.clients:
         network = client.config.learn.network
         networks[_policy_of(run.out, client.name)] = network if is_own(network) else ""
-    for line in told_of_rules(networks, order.preset, suite.file.settings):
+    for line in rule_notes(networks, order.preset, suite.file.settings):
         console.print(line)
     found: dict[str, tuple[EpisodeRecord, ...]] = {}
     for network in dict.fromkeys(networks.values()):

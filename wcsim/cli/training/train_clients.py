@@ -82,9 +82,8 @@ def resolved(options: Options) -> tuple[Client, ...]:
     if len(worlds) > 1:
         raise ConfigError(
             f"clients {' and '.join(worlds.values())} ask for different worlds; expected the same "
-            "world, chair, "
-            "camera, IMU and reward for all: only [learn] and the observation in [env] may differ "
-            "(--config-for)"
+            "world, chair, camera, IMU and reward for all: only [learn] and the observation in "
+            "[env] may differ (--config-for)"
         )
     return tuple(clients)
 
