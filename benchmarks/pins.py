@@ -14,7 +14,7 @@ from typing import Final
 
 from wcsim.agents.opening.list_file import open_suite, write_list
 from wcsim.cli.main import main as wcsim
-from wcsim.cli.shared.consoles import say
+from wcsim.cli.shared.consoles import print_note
 from wcsim.core.files import sha256, write_json
 from wcsim.core.own_folder import temporary_folder
 
@@ -41,11 +41,11 @@ def main(words: list[str]) -> int:
         found = {str(path): sha256(path) for form in _PINNED for path in sorted(Path().glob(form))}
     if not file.exists():
         write_json(file, found)
-        say(f"{len(found)} hashes written")
+        print_note(f"{len(found)} hashes written")
         return 0
     before = json.loads(file.read_text(encoding="utf-8"))
     moved = sorted({name for name, _ in found.items() ^ before.items()})
-    say(f"moved: {', '.join(moved)}" if moved else f"{len(found)} hashes as they were")
+    print_note(f"moved: {', '.join(moved)}" if moved else f"{len(found)} hashes as they were")
     return 1 if moved else 0
 
 

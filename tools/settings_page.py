@@ -25,6 +25,9 @@ These keys work in `--set section.key=value`, in a `--config` file and in a pres
 keys and values out of bounds are rejected. The end of a name is its unit; only names in `_deg` are angles in degrees.
 An item of a list has a number: `cameras.0.width_px=80`.
 
+The last of these wins: preset, `--config`, `--set`, options of the command, what learner and network fix. `chair.plant`
+and `chair.profile` change several values of the preset; whatever else sets one of these wins.
+
 Other files: [plants](chair.md#every-field), [suites](suites.md), [towns and scenes](#files-of-towns-and-scenes).
 
 This page is generated: `python -m tools.pages`.

@@ -20,6 +20,7 @@ from typing import Any
 from wcsim.agents.export.export_folder import REFERENCE
 from wcsim.agents.export.guard import MEANING
 from wcsim.agents.export.onnx_export import export_policy
+from wcsim.agents.opening.learner_registry import DANGER_ROUNDS
 from wcsim.agents.policy_api import MODEL_FILE, Observation
 from wcsim.agents.rounds.train_rounds import data_of
 from wcsim.agents.runs.data_folder import DATA, SEGMENTS, data_digest, key_of, read_manifest
@@ -48,7 +49,8 @@ def ship(run: RunFolder, ride: Sequence[Observation], results: Sequence[Path], t
     told = card(run, [row for path in results for row in rows_of(path, run.path)])  # before what takes long
     with tempfile.TemporaryDirectory() as held:
         for delay, name in EXPORTED.items():
-            export_policy(policy, Path(held) / name, resolve(run.config, (f"world.action_delay_ticks={delay}",)), ride)
+            config = resolve(run.config, f"world.action_delay_ticks={delay}")
+            export_policy(*DANGER_ROUNDS.open_graph(policy, config), Path(held) / name, config, ride)
         onnx = Path(held) / EXPORTED[run.config.world.action_delay_ticks]
         with files.whole_folder(to) as target:
             readme = to.glob("README.md")

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from wcsim.agents.runs.own_code import KEY_FILE
+from wcsim.agents.runs.transfer import KEY_FILE
 from wcsim.core.files import KERNELS
 from wcsim.towns.cache.folder import WRITTEN_S
 from wcsim.towns.scenario.town import find_town

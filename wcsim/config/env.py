@@ -17,6 +17,8 @@ EpisodeSteps = Annotated[int, within(1, 1_000_000)]
 
 LEAST_WINDOW = 1e-6  # from low to high; a share of nothing would be no number
 
+Window = Annotated[int, within(1, 16)]
+
 
 class FollowReward(Model):
     """The reward for following the user, and the penalty at the end of a window."""
@@ -32,8 +34,8 @@ class FollowReward(Model):
     def _distances_are_apart(self) -> Self:
         if self.max_distance - self.max_follow_distance < LEAST_WINDOW:
             raise ValueError(
-                f"max_distance {self.max_distance} is not above max_follow_distance {self.max_follow_distance} by "
-                f"{LEAST_WINDOW}; expected low < high"
+                f"max_distance {self.max_distance} is not above max_follow_distance "
+                f"{self.max_follow_distance} by {LEAST_WINDOW}; expected low < high"
             )
         return self
 
@@ -67,9 +69,6 @@ class RewardConfig(FollowReward):
         return self
 
 
-Window = Annotated[int, within(1, 16)]
-
-
 class EnvConfig(Model):
     """Observations, actions and episodes."""
 
@@ -97,18 +96,19 @@ class EnvConfig(Model):
     def _window_is_compact(self) -> EnvConfig:
         if self.observation in ("table3", "state") and self.frames > 1:
             raise ValueError(
-                f"window {self.window} with observation {self.observation!r}; expected one image in this form: "
-                "set env.window=1, or env.observation=compact"
+                f"window {self.window} with observation {self.observation!r}; expected one image "
+                "in this form: set env.window=1, or env.observation=compact"
             )
         if self.observation == "state" and self.truth_visible:
             raise ValueError(
-                "truth_visible with observation 'state', whose cameras draw nothing; expected env.truth"
+                "truth_visible with observation 'state', whose cameras draw nothing; expected "
+                "env.truth"
             )
         return self
 
     @property
     def lattice(self) -> str:
-        """The action set that the oracle judges: that of `actions`, or the paper's grid where any stick will do."""
+        """The action set that the oracle judges: `actions`, or the paper's grid for any stick."""
         return "square81" if self.actions == "stick" else self.actions
 
     @property

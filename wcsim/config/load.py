@@ -1,10 +1,19 @@
-"""Configuration from presets, files and `section.key=value`. Every error has the value and what was expected."""
+"""Configuration from presets, files and `section.key=value`.
+
+The rule of precedence: of all layers that set a key, the last one wins. From the bottom the layers
+are the models' defaults, a preset (or a configuration), the file of `--config`, each `--set`, the
+options of a command, and last what a learner, its network and its run folder fix.
+
+Two keys stand for several: `chair.plant` brings `[chair]` of the plant's file, and `chair.profile`
+brings a top speed. What they bring belongs to the bottom layer: it replaces values there, and every
+layer wins over it. Tables of wcsim itself choose no plant: they only say where its file lies.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Final, TypeVar
 
 from pydantic import ValidationError
 
@@ -16,39 +25,53 @@ from wcsim.core import reading
 from wcsim.core.reading import CONFIG, SETTINGS, VALUE, FileKind, escaped
 from wcsim.errors import ConfigError, meant
 
-_PLANTS = Path(__file__).parent / "plants"
+_PLANTS: Final = Path(__file__).parent / "plants"
+_PRESETS: Final = Path(__file__).parent / "presets"
 
-_PRESETS = Path(__file__).parent / "presets"
+# A plant's file that sets one of them sets both.
+_SPEED_KEYS: Final = frozenset({"profile", "v_max_mps"})
 
-_SPEED = {"profile", "v_max_mps"}  # a plant that says one of them sets both
+# Faults of one file that a message lists.
+_MOST_FAULTS: Final = 12
 
-_FAULTS = 12  # that are told of one file
-
-_PARTS = 16  # of a key of `--set`
+# Parts of a key of --set, separated by dots.
+_MOST_PARTS: Final = 16
 
 M = TypeVar("M", bound=Model)
 
+Layer = Path | str | Mapping[str, Any] | Sequence[str] | None
+"""A TOML file, a `section.key=value` (or several), or tables of keys; None adds nothing."""
+
 
 def read_toml(path: Path, model: type[M], kind: FileKind = SETTINGS) -> M:
-    """Read a TOML file as `model`. Raises ConfigError that lists its errors and their keys, or its kind's error."""
+    """Read a TOML file as `model`.
+
+    Raises:
+        ConfigError: It lists the file's faults with their keys; or the error of its kind.
+    """
     return parse(model, reading.read_toml(path, kind), escaped(path))
 
 
 def parse(model: type[M], data: dict[str, Any], where: str) -> M:
-    """Validate `data` as `model`. Raises ConfigError with `where`, the key, the value and what was expected."""
+    """Validate `data` as `model`.
+
+    Raises:
+        ConfigError: It names `where`, the key, the value and what was expected.
+    """
     try:
         return model.model_validate(data)
     except ValidationError as error:
-        found = _causes(error.errors())
-        told = [fault(model, item) for item in found[:_FAULTS]]
-        more = ["and more"] if len(found) > _FAULTS else []
-        raise ConfigError(f"{where}: " + "; ".join([*told, *more])) from None
+        causes = _causes(error.errors())
+        faults = [fault(model, item) for item in causes[:_MOST_FAULTS]]
+        if len(causes) > _MOST_FAULTS:
+            faults.append("and more")
+        raise ConfigError(f"{where}: " + "; ".join(faults)) from None
 
 
-def _causes(found: Sequence[Any]) -> list[Any]:
-    """Errors of pydantic without those of lists that are too short only as an item of theirs is wrong."""
-    above = {item["loc"][:depth] for item in found for depth in range(len(item["loc"]))}
-    return [item for item in found if item["type"] != "too_short" or item["loc"] not in above]
+def _causes(errors: Sequence[Any]) -> list[Any]:
+    """Pydantic's errors, without lists that are too short only because an item is wrong."""
+    above = {item["loc"][:depth] for item in errors for depth in range(len(item["loc"]))}
+    return [item for item in errors if item["type"] != "too_short" or item["loc"] not in above]
 
 
 def parse_json(model: type[M], text: str, where: str) -> M:
@@ -56,30 +79,44 @@ def parse_json(model: type[M], text: str, where: str) -> M:
     return parse(model, reading.parse_json(text, where, CONFIG), where)
 
 
-Layer = Path | str | Mapping[str, Any] | Sequence[str] | None
-"""A TOML file, a `section.key=value` (or several of them), or tables of keys; None adds nothing."""
-
-
 def resolve(base: str | RunConfig, *layers: Layer) -> RunConfig:
-    """A configuration: a preset, or one that is resolved already, with layers over it, the last one on top.
+    """A preset or a configuration with layers over it, by the rule of precedence of this file.
 
     Args:
-        base: Name of a preset, or a configuration.
-        layers: What is laid over it. Values of a `section.key=value` are in TOML syntax, or words. A plant that a file
-            or a `section.key=value` names brings the `[chair]` of its own file, below all layers, and takes away what
-            that of the plant before it has set; one in tables of keys, or that is the base's already, does not.
+        base: Name of a preset, or a configuration that is resolved already.
+        layers: What is laid over it, the last one on top. Values of a `section.key=value` are in
+            TOML syntax, or words.
 
     Raises:
-        ConfigError: There is no such preset or file, or a key or value cannot be used; it says what was expected.
+        ConfigError: There is no such preset or file, or a key or value cannot be used; it says what
+            was expected.
     """
-    own = [table for layer in layers for table in _tables(layer)]
-    where, data = (
-        _preset(base) if isinstance(base, str) else ("configuration", base.model_dump(mode="json"))
-    )
-    data = _giving_way(_with_plant(data, layers), own)
-    for _, table in own:
+    # 1. Read all layers. A file or text of the user may choose a plant.
+    tables: list[tuple[str, dict[str, Any]]] = []
+    plants = []
+    for layer in layers:
+        read = _tables(layer)
+        tables += read
+        if not isinstance(layer, Mapping):
+            named = (chair.get("plant") for chair in _chairs(read))
+            plants += [plant for plant in named if isinstance(plant, str)]
+
+    # 2. Let a chosen plant and a named speed change the bottom layer.
+    if isinstance(base, str):
+        where, data = _preset(base)
+    else:
+        where, data = "configuration", base.model_dump(mode="json")
+    chair = data.get("chair", {})
+    if plants and plants[-1] != chair.get("plant"):
+        chair = _with_plant(chair, plants[-1])
+    if _names_speed(_chairs(tables)):
+        chair = {key: value for key, value in chair.items() if key != "v_max_mps"}
+    data = {**data, "chair": chair}
+
+    # 3. Lay the layers over it, and validate the whole once.
+    for _, table in tables:
         data = _merged(data, table)
-    return parse(RunConfig, data, own[-1][0] if own else where)
+    return parse(RunConfig, data, tables[-1][0] if tables else where)
 
 
 def _tables(layer: Layer) -> list[tuple[str, dict[str, Any]]]:
@@ -94,60 +131,57 @@ def _tables(layer: Layer) -> list[tuple[str, dict[str, Any]]]:
     return [(f"--set {escaped(text)}", _override(text)) for text in texts]
 
 
-def presets() -> str:
-    """What each preset learns from, for how long, and what came of it: a table in Markdown."""
-    return (_PRESETS / "presets.md").read_text(encoding="utf-8")
+def _chairs(tables: Sequence[tuple[str, dict[str, Any]]]) -> list[dict[str, Any]]:
+    """`[chair]` of each table that has one."""
+    return [chair for _, table in tables if isinstance(chair := table.get("chair"), dict)]
 
 
-def _preset(name: str) -> tuple[str, dict[str, Any]]:
-    path = _PRESETS / f"{name}.toml"
-    if not path.is_file():
-        known = sorted(item.stem for item in _PRESETS.glob("*.toml"))
-        told = f"unknown preset {escaped(name)!r}; expected one of: {', '.join(known)}"
-        raise ConfigError(told + meant(name, known))
-    return f"preset {name}", reading.read_toml(path, SETTINGS)
+def _names_speed(chairs: Sequence[Mapping[str, Any]]) -> bool:
+    """Whether the last profile among these brings a speed, and none of them sets a speed."""
+    profiles = [str(chair["profile"]) for chair in chairs if "profile" in chair]
+    return (
+        bool(profiles)
+        and profiles[-1] in PROFILE_SPEED_MPS
+        and not any("v_max_mps" in chair for chair in chairs)
+    )
 
 
-def _with_plant(data: dict[str, Any], layers: Sequence[Layer]) -> dict[str, Any]:
-    """Data with `[chair]` as the plant's file says that somebody names, without what the last plant's file said."""
-    told = [
-        table for layer in layers if not isinstance(layer, Mapping) for _, table in _tables(layer)
-    ]
-    chairs = [chair for table in told if isinstance(chair := table.get("chair"), dict)]
-    named = [plant for chair in chairs if isinstance(plant := chair.get("plant"), str)]
-    was = data.get("chair", {})
-    if not named or named[-1] == was.get("plant"):
-        return data
-    old, new = (_chair_of_plant(plant) for plant in (str(was.get("plant")), named[-1]))
-    gone = {key for key, value in old.items() if was.get(key) == value} | new.keys()
-    if not gone.isdisjoint(_SPEED):
-        gone |= _SPEED
-    return {**data, "chair": {key: value for key, value in was.items() if key not in gone} | new}
+def _with_plant(chair: dict[str, Any], plant: str) -> dict[str, Any]:
+    """`[chair]` with what a plant's file says, and without what the file of its old plant said."""
+    old = _chair_of_plant(str(chair.get("plant")))
+    new = _chair_of_plant(plant)
+    replaced = {key for key, value in old.items() if chair.get(key) == value} | new.keys()
+    if not replaced.isdisjoint(_SPEED_KEYS):
+        replaced |= _SPEED_KEYS
+    return {key: value for key, value in chair.items() if key not in replaced} | new
 
 
 def _chair_of_plant(plant: str) -> dict[str, Any]:
-    """`[chair]` of a plant's file; whoever reads the whole plant says that it is missing or wrong."""
+    """`[chair]` of a plant's file; {} where it is missing or wrong, which its reader reports."""
     path = Path(plant if plant.endswith(".toml") else _PLANTS / f"{plant}.toml")
     chair = reading.read_toml(path, SETTINGS).get("chair") if reading.is_file(path) else None
     return chair if isinstance(chair, dict) else {}
 
 
-def _giving_way(data: dict[str, Any], own: Sequence[tuple[str, dict[str, Any]]]) -> dict[str, Any]:
-    """Data below what is asked for: its speed gives way to a named profile's, unless a speed is asked for, too."""
-    chairs = [chair for _, table in own if isinstance(chair := table.get("chair"), dict)]
-    named = [str(chair["profile"]) for chair in chairs if "profile" in chair]
-    if (
-        named
-        and named[-1] in PROFILE_SPEED_MPS
-        and not any("v_max_mps" in chair for chair in chairs)
-    ):
-        chair = {key: value for key, value in data.get("chair", {}).items() if key != "v_max_mps"}
-        return {**data, "chair": chair}
-    return data
+def presets() -> str:
+    """What each preset learns from, for how long, and its results: a table in Markdown."""
+    return (_PRESETS / "presets.md").read_text(encoding="utf-8")
+
+
+def _preset(name: str) -> tuple[str, dict[str, Any]]:
+    """What an error names, and the preset's tables."""
+    path = _PRESETS / f"{name}.toml"
+    if not path.is_file():
+        known = sorted(item.stem for item in _PRESETS.glob("*.toml"))
+        raise ConfigError(
+            f"unknown preset {escaped(name)!r}; expected one of: {', '.join(known)}"
+            + meant(name, known)
+        )
+    return f"preset {name}", reading.read_toml(path, SETTINGS)
 
 
 def sets_key(override: str, key: str) -> bool:
-    """Whether a `section.key=value` sets a key, or a part of it; `section={key=value}` does as well.
+    """Whether a `section.key=value` sets a key or a part of it, as `section={key=value}` does.
 
     >>> sets_key("env.profile=slow", "env.profile"), sets_key("env={profile='slow'}", "env.profile")
     (True, True)
@@ -188,7 +222,7 @@ def _override(text: str) -> dict[str, Any]:
     key, equals, value = text.partition("=")
     parts = key.strip().split(".")
     where = f"--set {escaped(text)}"
-    if not equals or not all(parts) or len(parts) > _PARTS:
+    if not equals or not all(parts) or len(parts) > _MOST_PARTS:
         raise ConfigError(
             f"--set {escaped(text)!r} is not section.key=value, for example learn.total_steps=2000"
         )
@@ -205,7 +239,7 @@ def _override(text: str) -> dict[str, Any]:
 
 
 def _merged(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
-    """`over` laid on `base`; tables are merged, everything else replaced. A list takes its items by number."""
+    """`over` laid on `base`: tables are merged, all else is replaced, items of lists by number."""
     return {**base, **{key: _laid(base.get(key), value, key) for key, value in over.items()}}
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from typing import Annotated, Self
+from typing import Annotated, Final, Self
 
 from pydantic import Field, model_validator
 
@@ -14,15 +14,20 @@ from wcsim.config.learn import CollectConfig, DangerConfig, LearnConfig
 from wcsim.config.sensors import CameraConfig, ImuConfig, SensorsConfig
 from wcsim.config.world import EPOCH_TICKS, VaryConfig, WorldConfig
 
-_EPOCH_EPISODES = 10  # of the longest kind, in the life of a shared world
+# Longest episodes in the life of a shared world.
+_EPOCH_EPISODES: Final = 10
 
-MAX_SEEN_PX = 1 << 22  # of all images in an observation
+# Pixels of all images in an observation.
+MAX_SEEN_PX: Final = 1 << 22
 
-_MAX_BATCH_PX = 1 << 29  # of all images that are learned from at a time
+# Pixels of all images in a batch.
+_MAX_BATCH_PX: Final = 1 << 29
 
-MAX_CAMERAS = 64  # as many as a frame of a served world has room for
+# As many as a frame of a served world has room for.
+MAX_CAMERAS: Final = 64
 
-_MAX_CAMERAS_PX = 1 << 25  # of all cameras of a chair
+# Pixels of all cameras of a chair.
+_MAX_CAMERAS_PX: Final = 1 << 25
 
 
 class RunConfig(Model):
@@ -56,7 +61,7 @@ class RunConfig(Model):
 
     @property
     def epoch_ticks(self) -> int:
-        """Ticks after which a new world replaces a shared one: as few episodes as possible are cut by it. 0: never."""
+        """Ticks after which a new world replaces a shared one, and cuts few episodes. 0: never."""
         given = self.world.epoch_ticks
         return (
             max(EPOCH_TICKS, _EPOCH_EPISODES * self.learn.episode_steps) if given is None else given
@@ -72,9 +77,9 @@ class RunConfig(Model):
         farthest = self.eye  # cameras of films may see empty streets far away
         if farthest.range_m > self.world.mirror_radius_m:
             raise ValueError(
-                f"camera {farthest.name!r} has range_m {farthest.range_m:g}, but road users are drawn only within "
-                f"world.mirror_radius_m {self.world.mirror_radius_m:g}; expected no more: set "
-                f"world.mirror_radius_m={farthest.range_m:g}, or a smaller range_m"
+                f"camera {farthest.name!r} has range_m {farthest.range_m:g}, but road users are "
+                f"drawn only within world.mirror_radius_m {self.world.mirror_radius_m:g}; expected "
+                f"no more: set world.mirror_radius_m={farthest.range_m:g}, or a smaller range_m"
             )
         return self
 
@@ -85,12 +90,13 @@ class RunConfig(Model):
             raise ValueError(f"cameras are named {names}; expected a different name for each")
         if self.env.camera and self.env.camera not in names:
             raise ValueError(
-                f"env.camera is {self.env.camera!r}; expected the name of a camera: {', '.join(names)}"
+                f"env.camera is {self.env.camera!r}; expected the name of a camera: "
+                f"{', '.join(names)}"
             )
         if self.env.observation == "compact_rgb" and not self.eye.rgb:
             raise ValueError(
-                f"env.observation=compact_rgb with camera {self.eye.name!r}, which draws no colours; expected "
-                f"cameras.{names.index(self.eye.name)}.rgb=true"
+                f"env.observation=compact_rgb with camera {self.eye.name!r}, which draws no "
+                f"colours; expected cameras.{names.index(self.eye.name)}.rgb=true"
             )
         return self
 
@@ -100,9 +106,9 @@ class RunConfig(Model):
         seen_px = self.eye.width_px * self.eye.height_px * self.env.frames
         if sum(sizes_px) > _MAX_CAMERAS_PX or seen_px > MAX_SEEN_PX:
             raise ValueError(
-                f"{len(sizes_px)} cameras have {sum(sizes_px)} pixels, the {self.env.frames} images of an observation "
-                f"{seen_px}; expected at most {_MAX_CAMERAS_PX} and {MAX_SEEN_PX}: make "
-                "width_px and height_px smaller, or env.window"
+                f"{len(sizes_px)} cameras have {sum(sizes_px)} pixels, the {self.env.frames} "
+                f"images of an observation {seen_px}; expected at most {_MAX_CAMERAS_PX} and "
+                f"{MAX_SEEN_PX}: make width_px and height_px smaller, or env.window"
             )
         batch = max(self.learn.batch_size, self.danger.batch if self.danger.eye != "map" else 0)
         if self.learn.memory == "groups":
@@ -122,7 +128,7 @@ class RunConfig(Model):
         return hashlib.sha256(self.model_dump_json().encode()).hexdigest()
 
     def world_digest(self) -> str:
-        """SHA-256 over what all clients of one world share: all but what each learns with and sees of its pictures."""
+        """SHA-256 over the settings that all clients of one world share."""
         shared = {"world", "chair", "cameras", "imu", "sensors", "reward", "vary"}
         text = self.model_dump_json(include={**dict.fromkeys(shared, True), "env": {"actions"}})
         return hashlib.sha256(text.encode()).hexdigest()

@@ -1,4 +1,4 @@
-"""What a run leaves for others, as frozen models: `manifest.json` of a run folder and `policy.json` of a policy."""
+"""Files of runs and policies as frozen models: manifests, policies, checkpoints, recorded data."""
 
 from __future__ import annotations
 
@@ -33,6 +33,13 @@ Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.:-]{1,120}$")]
 Segments = Annotated[
     dict[Name, Sha256], Field(max_length=1_000_000)
 ]  # of recorded driving, by file
+
+ConfigName = Annotated[str, Field(pattern=r"^(configs/[A-Za-z0-9_-]{1,64}|config)\.json$")]
+Count = Annotated[int, Field(strict=True, ge=0, le=10**12)]  # of steps and the like
+_Bits64 = Annotated[int, Field(strict=True, ge=0, lt=1 << 64)]
+_Whole = Annotated[int, within(0, 10**15)]
+_Measured = Annotated[float, Field(ge=0.0, le=1e15, allow_inf_nan=False)]
+_Seconds = Annotated[float, Field(gt=0.0, le=10.0)]
 
 
 def _all_named(model: M) -> M:
@@ -90,7 +97,8 @@ class PolicyFile(Model):
     def _has_an_imu(self) -> PolicyFile:
         if self.vector_size - sum(self.sensors.values()) < 3:
             raise ValueError(
-                f"vector_size {self.vector_size} with sensors {self.sensors}; expected 3 more than theirs"
+                f"vector_size {self.vector_size} with sensors {self.sensors}; expected 3 more than "
+                "theirs"
             )
         return self
 
@@ -99,8 +107,8 @@ class PolicyFile(Model):
         seen_px = self.image_hw_px[0] * self.image_hw_px[1] * self.window
         if seen_px > MAX_SEEN_PX:
             raise ValueError(
-                f"image_hw_px {list(self.image_hw_px)} in a window of {self.window} are {seen_px} pixels; "
-                f"expected at most {MAX_SEEN_PX}"
+                f"image_hw_px {list(self.image_hw_px)} in a window of {self.window} are {seen_px} "
+                f"pixels; expected at most {MAX_SEEN_PX}"
             )
         return self
 
@@ -162,9 +170,6 @@ class DangerFile(DangerSpec):
     versions: Versions = Field(default_factory=dict)
 
 
-ConfigName = Annotated[str, Field(pattern=r"^(configs/[A-Za-z0-9_-]{1,64}|config)\.json$")]
-
-
 class _OverrideFile(Model):
     """One option of a town's own scenario that a run had with another value."""
 
@@ -191,7 +196,7 @@ class ManifestFile(Model):
     status: Literal["running", "done", "interrupted"] = "running"
     steps: Annotated[int, within(0, 10**12)] = 0
     hook: Word = ""
-    own_code: MaybeSha256 = ""  # see agents/runs/own_code.py
+    own_code: MaybeSha256 = ""  # see agents/runs/transfer.py
     more_towns: Annotated[dict[Text, Sha256], Field(max_length=4096)] = Field(default_factory=dict)
     overrides: Annotated[tuple[_OverrideFile, ...], Field(max_length=4096)] = ()
     clients: Annotated[tuple[ClientName, ...], Field(max_length=64)] = ()
@@ -229,10 +234,6 @@ class LearnedFile(Model):
 
     schema_version: Literal[1]
     folders: Annotated[dict[Text, Segments], Field(max_length=64)]
-
-
-Count = Annotated[int, Field(strict=True, ge=0, le=10**12)]  # of steps and the like
-_Bits64 = Annotated[int, Field(strict=True, ge=0, lt=1 << 64)]
 
 
 class _GeneratorFile(Model):
@@ -273,10 +274,6 @@ class RoundFile(Model):
     segments: Segments  # that it has learned from
 
 
-_Whole = Annotated[int, within(0, 10**15)]
-_Measured = Annotated[float, Field(ge=0.0, le=1e15, allow_inf_nan=False)]
-
-
 class TrainedRound(Model):
     """A row of `metrics.csv` of a danger network's run, in the order of its columns."""
 
@@ -293,9 +290,6 @@ class TrainedRound(Model):
     loss: float  # at its end, smoothed over some 50 updates; NaN where nothing was learned
     wait_s: _Measured  # wall clock, for the worlds
     learn_s: _Measured  # wall clock
-
-
-_Seconds = Annotated[float, Field(gt=0.0, le=10.0)]
 
 
 class GuardRule(Model):

@@ -1,4 +1,4 @@
-"""`town.toml`, what a town says of itself, and `scene.toml`, a short scene with a fixed seed and what it must show."""
+"""`town.toml` of a town, and `scene.toml`: a short scene with a fixed seed and expected results."""
 
 from __future__ import annotations
 
@@ -17,6 +17,8 @@ ScriptStep = tuple[NotNegative, Stick, Stick]  # from this second on: right, for
 KerbHeight = Annotated[float, within(0.0, 0.4)]
 ChairWay = Literal["sidewalk", "crossing", "cycleway", "shared"]
 NetMetre = Annotated[int, Field(ge=-(10**9), le=10**9)]
+
+_Between = Window | None
 
 
 class TownFile(Model):
@@ -69,7 +71,8 @@ class SceneSeat(Model):
         driven = [self.goal_m is not None, self.joystick is not None, bool(self.script)]
         if sum(driven) != 1:
             raise ValueError(
-                "a seat is driven by exactly one of goal_m (with a profile or a recording), joystick and script"
+                "a seat is driven by exactly one of goal_m (with a profile or a recording), "
+                "joystick and script"
             )
         if self.recording is not None and (
             self.goal_m is None or "profile" in self.model_fields_set
@@ -79,9 +82,6 @@ class SceneSeat(Model):
         if any(later <= sooner for sooner, later in pairwise(times_s)):
             raise ValueError(f"the times of script must rise, got {times_s}")
         return self
-
-
-_Between = Window | None
 
 
 class SceneExpect(Model):

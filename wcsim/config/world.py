@@ -1,4 +1,4 @@
-"""Sections `[world]` and `[vary]`: town, step, how the others watch out, and what differs from episode to episode."""
+"""Sections `[world]` and `[vary]`: clock, traffic, attention, and what varies by episode."""
 
 from __future__ import annotations
 
@@ -11,6 +11,32 @@ from wcsim.config.base import Finite, Model, Share, UserMass, Word, within
 
 Number = TypeVar("Number", int, float)
 
+Factor = Annotated[float, within(0.05, 2.0)]
+Brightness = Annotated[float, within(0.1, 4.0)]
+Shift = Annotated[float, within(-0.5, 0.5)]
+Turn = Annotated[float, within(-45.0, 45.0)]
+Delay = Annotated[int, within(0, 10)]
+Reaction = Annotated[float, within(0.0, 60.0)]
+Driver = Literal["car", "truck", "bus", "tram", "motorcycle", "bicycle", "scooter", "other"]
+Watcher = Literal[Driver, "pedestrian"]
+EVERYBODY = "all"  # who has no range of its own
+JUPEDSIM = "jupedsim"
+"""The street whose people walk by SUMO's JuPedSim, as SUMO calls that model."""
+STREETS: dict[str, tuple[float, float] | None] = {
+    "usual": None,
+    "careless": (0.7, 1.5),
+    JUPEDSIM: None,
+}
+"""Streets by name: attention share and reaction time in seconds; None: those of the settings."""
+StreetName = Literal["usual", "careless", "jupedsim"]
+EPOCH_TICKS = 6_000
+"""Ticks of an epoch: a world repeats as many from its journal in five minutes (docs/clients.md)."""
+SUMO_STEP_S = 0.001
+"""What SUMO counts time in; it rounds every other step to it."""
+HELP_S = 10.0
+"""How long a request for help raises the assistance."""
+_USUAL_HZ, _CONTACT_HZ = 120.0, 240.0
+
 
 def _ordered(span: tuple[Number, Number]) -> tuple[Number, Number]:
     low, high = span
@@ -22,16 +48,7 @@ def _ordered(span: tuple[Number, Number]) -> tuple[Number, Number]:
 
 
 Range = Annotated[tuple[Number, Number], AfterValidator(_ordered)]
-Factor = Annotated[float, within(0.05, 2.0)]
-Brightness = Annotated[float, within(0.1, 4.0)]
-Shift = Annotated[float, within(-0.5, 0.5)]
-Turn = Annotated[float, within(-45.0, 45.0)]
-Delay = Annotated[int, within(0, 10)]
 Span = Range[Finite]
-Reaction = Annotated[float, within(0.0, 60.0)]
-Driver = Literal["car", "truck", "bus", "tram", "motorcycle", "bicycle", "scooter", "other"]
-Watcher = Literal[Driver, "pedestrian"]
-EVERYBODY = "all"  # who has no range of its own
 Shares = Annotated[dict[Literal[Watcher, "all"], Range[Share]], Field(max_length=16)]
 Reactions = Annotated[dict[Literal[Driver, "all"], Range[Reaction]], Field(max_length=16)]
 Spans = Annotated[dict[Word, Span], Field(max_length=64)]  # by dotted names
@@ -64,29 +81,6 @@ class VaryConfig(Model):
     def nothing(self) -> bool:
         """Whether every episode is like the others."""
         return self == VaryConfig()
-
-
-JUPEDSIM = "jupedsim"
-"""The street whose people walk by SUMO's JuPedSim, as SUMO calls that model."""
-STREETS: dict[str, tuple[float, float] | None] = {
-    "usual": None,
-    "careless": (0.7, 1.5),
-    JUPEDSIM: None,
-}
-"""Streets by name: the share of those who look and their reaction time in seconds; None: as the settings say."""
-StreetName = Literal["usual", "careless", "jupedsim"]
-
-
-EPOCH_TICKS = 6_000
-"""Ticks of an epoch: as many as a world does again from its journal within five minutes (docs/clients.md)."""
-
-SUMO_STEP_S = 0.001
-"""What SUMO counts time in; it rounds every other step to it."""
-
-HELP_S = 10.0
-"""How long a request for help raises the assistance."""
-
-_USUAL_HZ, _CONTACT_HZ = 120.0, 240.0
 
 
 class WorldConfig(Model):
@@ -143,8 +137,8 @@ class WorldConfig(Model):
         substep_s = self.tick_s / self.usual_substeps
         if not 1 / 1000 <= substep_s <= 1 / 100:
             raise ValueError(
-                f"tick_s {self.tick_s} / substeps {self.usual_substeps} gives a physics step of {substep_s:.5f} s; "
-                "expected 0.001 to 0.01 s: change world.substeps"
+                f"tick_s {self.tick_s} / substeps {self.usual_substeps} gives a physics step of "
+                f"{substep_s:.5f} s; expected 0.001 to 0.01 s: change world.substeps"
             )
         return self
 
@@ -153,8 +147,8 @@ class WorldConfig(Model):
         if not _is_whole(self.tick_s / SUMO_STEP_S):
             rounded_s = round(self.tick_s / SUMO_STEP_S) * SUMO_STEP_S
             raise ValueError(
-                f"tick_s is {self.tick_s} s, but SUMO's clock counts whole milliseconds; expected a whole number of "
-                f"milliseconds, for example {rounded_s:g}"
+                f"tick_s is {self.tick_s} s, but SUMO's clock counts whole milliseconds; expected "
+                f"a whole number of milliseconds, for example {rounded_s:g}"
             )
         return self
 
@@ -163,8 +157,9 @@ class WorldConfig(Model):
         ticks = 1.0 if self.action_step_s is None else self.action_step_s / self.tick_s
         if ticks < 1.0 - 1e-6 or not _is_whole(ticks):
             raise ValueError(
-                f"action_step_s is {self.action_step_s} s with a tick_s of {self.tick_s} s, but SUMO's drivers decide "
-                f"only at whole steps; expected a multiple of tick_s: {max(1, round(ticks)) * self.tick_s:g}"
+                f"action_step_s is {self.action_step_s} s with a tick_s of {self.tick_s} s, but "
+                "SUMO's drivers decide only at whole steps; expected a multiple of tick_s: "
+                f"{max(1, round(ticks)) * self.tick_s:g}"
             )
         return self
 
@@ -185,7 +180,7 @@ class WorldConfig(Model):
 
     @property
     def finest_substeps(self) -> int:
-        """Steps in a tick in which a wheel is about to meet an edge; never fewer than in the others."""
+        """Physics steps of a tick in which a wheel is about to meet an edge; the most of all."""
         return max(self.usual_substeps, _steps(self.tick_s, _CONTACT_HZ))
 
 

@@ -12,8 +12,10 @@ from wcsim.agents.danger.policy import save_danger
 from wcsim.agents.export import onnx_export
 from wcsim.agents.export.guard import MEANING, GuardedPolicy, guard_of
 from wcsim.agents.export.onnx_export import MOST_OFF, ExportFacts, export_policy
+from wcsim.agents.opening.learner_registry import DANGER_ROUNDS
 from wcsim.agents.opening.named_policy import open_named
 from wcsim.agents.policies.onnx_policy import read_about
+from wcsim.agents.policy_api import Policy
 from wcsim.agents.runs.policy_file import SIGHT_KEYS
 from wcsim.config import resolve
 from wcsim.config.run_file import DangerRule, GuardRule
@@ -22,11 +24,15 @@ from wcsim.errors import PolicyError
 RIDE = ride(200)
 
 
+def opened(folder: Path, level: float | None = None) -> tuple[onnx_export.Graph, Policy]:
+    return DANGER_ROUNDS.open_graph(folder, CONFIG, level)
+
+
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, ExportFacts]:
     place = tmp_path_factory.mktemp("export")
     save_danger(place / "policy", network(), DangerRule(threshold=0.4), CONFIG)
-    return place / "onnx", export_policy(place / "policy", place / "onnx", CONFIG, RIDE, level=0.35)
+    return place / "onnx", export_policy(*opened(place / "policy", 0.35), place / "onnx", CONFIG, RIDE)
 
 
 def test_200_steps_are_those_of_the_network_and_of_wcsim(made):
@@ -86,7 +92,7 @@ def test_what_cannot_be_exported_or_read_is_refused_in_a_line(made, tmp_path):
     seeing = network(eye="picture")
     save_danger(tmp_path / "seeing", seeing, DangerRule(), CONFIG)
     with pytest.raises(PolicyError, match=r"danger\.eye=picture cannot be exported"):
-        export_policy(tmp_path / "seeing", tmp_path / "out", CONFIG, RIDE[:2])
+        export_policy(*opened(tmp_path / "seeing"), tmp_path / "out", CONFIG, RIDE[:2])
     (tmp_path / MEANING).write_text(json.dumps({"guard": {"oldest_s": -1.0}}))
     with pytest.raises(PolicyError, match="oldest_s"):
         guard_of(tmp_path)

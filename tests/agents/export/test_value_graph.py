@@ -22,6 +22,7 @@ from wcsim.agents.export.onnx_export import MOST_OFF, ExportFacts, export_policy
 from wcsim.agents.learning.build import build_model, network_settings
 from wcsim.agents.learning.saved_policy import load_policy, save_policy
 from wcsim.agents.networks.names import NETWORK_NAMES
+from wcsim.agents.opening.learner_registry import Q_LEARNING
 from wcsim.agents.opening.named_policy import open_named
 from wcsim.agents.policies.onnx_policy import OnnxPolicy
 from wcsim.config import CameraConfig, LearnConfig, RunConfig, resolve
@@ -62,7 +63,8 @@ def made(request, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Expor
     policy = saved(place / "policy", config)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(onnx_export, "measure_footprint", lambda *given: COST)
-        return place / "onnx", export_policy(policy, place / "onnx", config, RIDE), policy
+        graph = Q_LEARNING.open_graph(policy, config)
+        return place / "onnx", export_policy(*graph, place / "onnx", config, RIDE), policy
 
 
 def test_the_folder_has_what_the_network_says_and_means(made):
@@ -119,7 +121,8 @@ def test_what_takes_too_long_is_refused_and_nothing_is_written(tmp_path, monkeyp
     monkeypatch.setattr(onnx_export, "measure_footprint", lambda *given: COST)
     config = config_of("patch")
     with pytest.raises(PolicyError, match="--force"):
-        export_policy(saved(tmp_path / "policy", config), tmp_path / "onnx", config, RIDE[:2], limit_ms=0.5)
+        graph = Q_LEARNING.open_graph(saved(tmp_path / "policy", config), config)
+        export_policy(*graph, tmp_path / "onnx", config, RIDE[:2], limit_ms=0.5)
     assert not (tmp_path / "onnx").exists()
 
 
@@ -156,10 +159,11 @@ def test_a_network_of_ones_own_is_exported_when_it_is_named_or_refused_with_the_
         config = config_of(network)
         policy, out = saved(tmp_path / name, config), tmp_path / f"{name} onnx"
         with pytest.raises(PolicyError, match=f"--network {network}"):
-            export_policy(policy, out, config, RIDE)
+            Q_LEARNING.open_graph(policy, config)
         if not refusal:
-            assert export_policy(policy, out, config, RIDE, network=network).same_as_wcsim == 1.0
+            graph = Q_LEARNING.open_graph(policy, config, network=network)
+            assert export_policy(*graph, out, config, RIDE).same_as_wcsim == 1.0
             continue
         with pytest.raises(PolicyError, match=refusal):
-            export_policy(policy, out, config, RIDE, network=network)
+            export_policy(*Q_LEARNING.open_graph(policy, config, network=network), out, config, RIDE)
         assert not out.exists()

@@ -8,7 +8,7 @@ import pytest
 from tests.attack.peers.peers import Attacker, a_join, refusal
 from tests.server.servers import AHEAD, Server, stand_in_order
 from wcsim.agents.clients.client import learn
-from wcsim.agents.runs import own_code
+from wcsim.agents.runs import transfer
 from wcsim.agents.runs.run_folder import MANIFEST, create_run, make_manifest, open_run, read_json
 from wcsim.bridge.replay.replayed import verify
 from wcsim.cli.main import _printable, main
@@ -48,18 +48,18 @@ def test_a_journals_hook_is_named_on_the_command_line_or_not_loaded(tmp_path: Pa
 
 def test_own_classes_of_a_run_made_elsewhere_are_named_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "mine"))
-    classes = own_code.own_classes("a:Hook", ("b:Reward",), ("patch", "c:Net"))
+    classes = transfer.own_classes("a:Hook", ("b:Reward",), ("patch", "c:Net"))
     assert classes == ("a:Hook", "b:Reward", "c:Net")
-    mark = own_code.mark_of(classes)
-    own_code.require_own(tmp_path, classes, mark, ())
-    own_code.require_own(tmp_path, (), "", ())
+    mark = transfer.mark_of(classes)
+    transfer.require_own(tmp_path, classes, mark, ())
+    transfer.require_own(tmp_path, (), "", ())
     with pytest.raises(PolicyError, match=r"b:Reward"):
-        own_code.require_own(tmp_path, (*classes, "d:More"), mark, ("a:Hook", "c:Net", "d:More"))
+        transfer.require_own(tmp_path, (*classes, "d:More"), mark, ("a:Hook", "c:Net", "d:More"))
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "theirs"))
     for theirs in (mark, "", "0" * 64):
         with pytest.raises(PolicyError, match="made elsewhere"):
-            own_code.require_own(tmp_path, classes, theirs, ())
-    own_code.require_own(tmp_path, classes, mark, classes)
+            transfer.require_own(tmp_path, classes, theirs, ())
+    transfer.require_own(tmp_path, classes, mark, classes)
 
 
 def test_resume_refuses_a_folder_that_names_code(

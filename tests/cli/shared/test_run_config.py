@@ -5,10 +5,11 @@ from dataclasses import replace
 import pytest
 
 from tests.cli.training.test_clients import q_config
+from wcsim.agents.opening.learner_registry import DANGER_ROUNDS, Q_LEARNING
 from wcsim.cli.shared.run_config import (
     learning,
     overrides_of,
-    require_head,
+    require_learner,
     require_policy,
     resolve_run,
 )
@@ -68,10 +69,13 @@ def test_what_needs_pytorch_says_so_before_a_street_is_built(monkeypatch):
 
 
 def test_each_command_refuses_the_other_kind_of_learning():
-    for preset, in_rounds, told in (("quick", False, "preset dqn or paper"), ("dqn", True, "preset quick, laptop")):
-        require_head(resolve(preset), in_rounds=not in_rounds)
+    for preset, own, other, told in (
+        ("quick", DANGER_ROUNDS, Q_LEARNING, "preset dqn or paper"),
+        ("dqn", Q_LEARNING, DANGER_ROUNDS, "preset quick, laptop"),
+    ):
+        require_learner(resolve(preset), own)
         with pytest.raises(ConfigError, match=told):
-            require_head(resolve(preset), in_rounds=in_rounds)
+            require_learner(resolve(preset), other)
 
 
 def test_a_first_phase_that_the_user_gave_is_taken_as_it_is(tmp_path):

@@ -14,13 +14,14 @@ from wcsim.agents.clients.group_run import GroupRun, create_clients_folder, open
 from wcsim.agents.clients.paid_times import read_paid_times
 from wcsim.agents.networks.names import NETWORK_NAMES
 from wcsim.agents.networks.registry import NETWORKS
+from wcsim.agents.opening.learner_registry import Q_LEARNING
 from wcsim.agents.runs.run_folder import create_run, make_manifest, open_run
 from wcsim.cli.main import main
 from wcsim.cli.shared.exit_codes import Exit
-from wcsim.cli.shared.run_config import how_it_learns, learning
-from wcsim.cli.training.clients import ALL_DONE, GroupOptions, _told_stop, train_clients
+from wcsim.cli.shared.run_config import learning
+from wcsim.cli.shared.training import q_layers
+from wcsim.cli.training.clients import ALL_DONE, GroupOptions, _stop_message, train_clients
 from wcsim.cli.training.train import _QLearningOptions as QOptions
-from wcsim.cli.training.train import q_layers
 from wcsim.cli.training.train_clients import Options, client_names, resolved
 from wcsim.config import resolve
 from wcsim.errors import ConfigError, InterruptedRunError, PolicyError
@@ -78,9 +79,9 @@ def test_steps_shorten_a_first_phase_that_would_be_most_of_it():
         assert short.total_steps == steps
         assert short.phase1_steps == round(steps * learn.phase1_steps / learn.total_steps)
         assert short.learning_starts <= max(steps / 2, 1)
-        assert f"{steps} steps: {short.phase1_steps} in" in how_it_learns(config)
-    assert "an oracle's labels (learn.aid=oracle)" in how_it_learns(resolve("dqn"))
-    assert how_it_learns(resolve("paper")).startswith("Q-learning from rewards, 1000000 steps: 250000 in")
+        assert f"{steps} steps: {short.phase1_steps} in" in Q_LEARNING.describe(config)
+    assert "an oracle's labels (learn.aid=oracle)" in Q_LEARNING.describe(resolve("dqn"))
+    assert Q_LEARNING.describe(resolve("paper")).startswith("Q-learning from rewards, 1000000 steps: 250000 in")
 
 
 def test_clients_differ_in_what_they_learn_with_and_share_the_world(tmp_path):
@@ -159,10 +160,10 @@ def test_a_stop_that_comes_while_a_part_of_a_run_is_told_ends_the_run(monkeypatc
 
 def test_work_that_a_client_could_not_save_when_it_was_stopped_is_not_called_kept(tmp_path):
     kept, lost = (ClientState(name=n, seat=0, standing="stopped", unsaved=why) for n, why in (("a", ""), ("b", "x")))
-    assert "holds the training so far" in _told_stop(tmp_path, (kept,))
-    assert "client b x: the training since its last checkpoint is lost" in _told_stop(tmp_path, (kept, lost))
+    assert "holds the training so far" in _stop_message(tmp_path, (kept,))
+    assert "client b x: the training since its last checkpoint is lost" in _stop_message(tmp_path, (kept, lost))
     full = ClientState(name="c", seat=0, standing="given up", reason="has no disk space to save: x")
-    told = _told_stop(tmp_path, (kept, full))
+    told = _stop_message(tmp_path, (kept, full))
     assert "stopped, but client c has no disk space to save: x: the training since" in told
 
 

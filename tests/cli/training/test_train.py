@@ -9,13 +9,13 @@ from pathlib import Path
 import pytest
 
 from wcsim.agents.learning.callbacks import TrainProgress
+from wcsim.agents.opening.learner_registry import DANGER_ROUNDS, share_of_rounds, step_display
 from wcsim.agents.rounds import train_rounds
 from wcsim.agents.rounds.train_rounds import RoundProgress
 from wcsim.agents.runs.run_folder import ResolvedRun
 from wcsim.cli.shared.consoles import StageBar
-from wcsim.cli.shared.exit_codes import NothingKept
-from wcsim.cli.shared.run_config import how_it_learns
-from wcsim.cli.training.train import _share_done, gone_if_nothing_came_of_it, steps_shown, train_in
+from wcsim.cli.shared.exit_codes import NothingSaved
+from wcsim.cli.shared.training import removed_without_results, train_network
 from wcsim.config import resolve
 from wcsim.errors import ConfigError, DiskFullError, InterruptedRunError, WorkersError
 from wcsim.server.specs import RunInfo
@@ -45,15 +45,15 @@ def stopped(policy: str) -> Callable[..., Path]:
 
 def test_what_was_stopped_before_its_first_segment_leaves_nothing(run, corner, monkeypatch):
     monkeypatch.setattr(train_rounds, "train_danger", stopped(""))
-    with pytest.raises(NothingKept, match="first segment"):
-        train_in(run, find_town(str(corner)), machines=HERE)
+    with pytest.raises(NothingSaved, match="first segment"):
+        train_network(run, find_town(str(corner)), machines=HERE)
     assert not run.out.parent.exists()
 
 
 def test_what_was_stopped_later_is_kept(run, corner, monkeypatch):
     monkeypatch.setattr(train_rounds, "train_danger", stopped("round-000"))
     with pytest.raises(InterruptedRunError):
-        train_in(run, find_town(str(corner)), machines=HERE)
+        train_network(run, find_town(str(corner)), machines=HERE)
     assert (run.out / "policies" / "round-000").is_dir()
 
 
@@ -66,7 +66,7 @@ def test_a_log_file_says_when_a_round_is_driven_and_when_it_is_learned(run, corn
         return run.out
 
     monkeypatch.setattr(train_rounds, "train_danger", train)
-    train_in(run, find_town(str(corner)), machines=HERE)
+    train_network(run, find_town(str(corner)), machines=HERE)
     driven, learned = capsys.readouterr().err.splitlines()
     assert re.fullmatch(r"round 1 of 3, 2 of 2 segments: learning, about \d+ s left", driven)
     assert re.fullmatch(r"round 1 of 3, 2 of 2 segments, 7 updates, loss 0.5000, about \d+ s left", learned)
@@ -75,25 +75,25 @@ def test_a_log_file_says_when_a_round_is_driven_and_when_it_is_learned(run, corn
 def test_the_work_of_rounds_adds_up():
     config = resolve("quick", ("collect.rounds=3",))
     of = config.collect.segments
-    shares = [_share_done(RoundProgress(round=0, rounds=3, segments=back, of=of), config) for back in range(of + 1)]
+    shares = [share_of_rounds(RoundProgress(round=0, rounds=3, segments=back, of=of), config) for back in range(of + 1)]
     for number in range(3):
         for learned in (1, config.danger.updates):
             now = RoundProgress(round=number, rounds=3, segments=of, of=of, learned=learned)
-            shares.append(_share_done(now, config))
-        shares.append(_share_done(replace(now, updates=config.danger.updates * (number + 1)), config))
+            shares.append(share_of_rounds(now, config))
+        shares.append(share_of_rounds(replace(now, updates=config.danger.updates * (number + 1)), config))
     assert shares[0] == 0.0 and shares[-1] == pytest.approx(1.0)
     assert shares == sorted(shares)
     without = resolve("quick", ("collect.segments=0",))
-    assert _share_done(RoundProgress(round=1, rounds=2, segments=0, of=0), without) == pytest.approx(0.5)
+    assert share_of_rounds(RoundProgress(round=1, rounds=2, segments=0, of=0), without) == pytest.approx(0.5)
 
 
 def test_a_demo_says_what_its_settings_make_it_do():
     config = resolve("quick")
-    told = how_it_learns(config)
+    told = DANGER_ROUNDS.describe(config)
     assert f"{config.collect.rounds} rounds" in told and f"{config.danger.updates} updates" in told
     assert "learns from the oracle's labels, not rewards" in told
-    assert "from crashes that happened" in how_it_learns(resolve("reward"))
-    assert how_it_learns(resolve("quick", ("collect.rounds=1",))).startswith("1 round of ")
+    assert "from crashes that happened" in DANGER_ROUNDS.describe(resolve("reward"))
+    assert DANGER_ROUNDS.describe(resolve("quick", ("collect.rounds=1",))).startswith("1 round of ")
 
 
 CURED = [DiskFullError("x: no room"), OSError(errno.ENOSPC, "No space left on device"), WorkersError("head is dead")]
@@ -102,14 +102,14 @@ CURED = [DiskFullError("x: no room"), OSError(errno.ENOSPC, "No space left on de
 @pytest.mark.parametrize("error", [*CURED, ConfigError("no")], ids=lambda error: type(error).__name__)
 def test_what_can_be_cured_removes_nothing(tmp_path, error):
     run = tmp_path / "run"
-    with pytest.raises(type(error)), gone_if_nothing_came_of_it(run):
+    with pytest.raises(type(error)), removed_without_results(run):
         run.mkdir()
         raise error
     assert run.exists() == (error in CURED)
 
 
 def test_what_was_there_before_stays(tmp_path):
-    with pytest.raises(ConfigError), gone_if_nothing_came_of_it(tmp_path):
+    with pytest.raises(ConfigError), removed_without_results(tmp_path):
         raise ConfigError("no")
     assert tmp_path.exists()
 
@@ -117,7 +117,7 @@ def test_what_was_there_before_stays(tmp_path):
 @pytest.mark.parametrize("kept", ["data/segments/1-000-0000.npz.zst", "policies/phase1", "checkpoints/step-1"])
 def test_work_stays_whatever_has_ended_it(tmp_path, kept):
     run = tmp_path / "run"
-    with pytest.raises(KeyboardInterrupt), gone_if_nothing_came_of_it(run):
+    with pytest.raises(KeyboardInterrupt), removed_without_results(run):
         (run / kept).mkdir(parents=True)
         raise KeyboardInterrupt
     assert (run / kept).exists()
@@ -125,5 +125,5 @@ def test_work_stays_whatever_has_ended_it(tmp_path, kept):
 
 def test_no_more_steps_are_told_than_there_are_to_do(capsys):
     with StageBar("loading the town") as bar:
-        steps_shown(bar)(TrainProgress(step=52, total_steps=50, phase=2, episodes=1, crashes=0, kpi1=None))
+        step_display(bar)(TrainProgress(step=52, total_steps=50, phase=2, episodes=1, crashes=0, kpi1=None))
     assert capsys.readouterr().err == "phase 2: 50/50 steps, 1 episode, 0 crashes\n"

@@ -53,7 +53,7 @@ def test_the_nodes_say_how_many_work_at_once():
 
 
 def test_what_lies_on_this_machine_alone_is_refused():
-    from wcsim.agents.runs.run_folder import require_travels
+    from wcsim.agents.runs.transfer import require_travels
 
     config = resolve("quick")
     require_travels(config, ("env.profile=slow",), ("patch",))

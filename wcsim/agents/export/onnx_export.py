@@ -14,13 +14,11 @@ import numpy as np
 import torch
 
 import wcsim
-from wcsim.agents.danger.policy import DangerPolicy, load_net
 from wcsim.agents.envs.episode_view import FrameWindow, newest_frames
 from wcsim.agents.export.export_folder import LOOP, REFERENCE, differing_settings, format_settings
 from wcsim.agents.export.footprint import PERIOD_S, SHARE, Footprint, measure_footprint, run_steps
 from wcsim.agents.export.guard import MEANING
 from wcsim.agents.export.policy_graphs import DangerGraph, ValueGraph
-from wcsim.agents.learning.saved_policy import load_policy
 from wcsim.agents.networks.onnx_form import exported
 from wcsim.agents.policies.onnx_policy import ABOUT_FILE, open_session
 from wcsim.agents.policy_api import (
@@ -34,7 +32,6 @@ from wcsim.agents.policy_api import (
     sense_settings,
     senses_of,
 )
-from wcsim.agents.runs.policy_file import is_danger
 from wcsim.config import RunConfig, resolve
 from wcsim.config.run_file import GuardRule
 from wcsim.core import files
@@ -134,26 +131,24 @@ class ExportFacts:
 
 
 def export_policy(
-    policy: Path,
+    graph: Graph,
+    own: Policy,
     out: Path,
     config: RunConfig,
     ride: Sequence[Observation],
     limit_ms: float = math.inf,
-    level: float | None = None,
     recorded: Sequence[int] | None = None,
-    network: str | None = None,
 ) -> ExportFacts:
     """Write an ONNX folder that `wcsim test` takes as a policy, all of it or nothing.
 
     Args:
-        policy: Folder of the policy.
+        graph: The policy as a graph, see `agents/opening/learner_registry.py`.
+        own: The policy as wcsim drives with it.
         out: To make.
         config: Of its run.
         ride: Observations of successive ticks of one episode, for the reference steps.
         limit_ms: For a decision, 99 of 100 times.
-        level: Of assistance, a threshold of danger; None for the policy's own.
         recorded: Actions of the ride's recording, by any driver, to compare with.
-        network: Class of a user that may be loaded, `module:Class`.
 
     Raises:
         PolicyError: The network cannot be exported, the model differs from it or is too slow, or
@@ -162,8 +157,7 @@ def export_policy(
     """
     # One picture is too little work for two threads, as in `agents/opening/named_policy.py`.
     torch.set_num_threads(1)
-    # 1. Open the policy twice, as a graph and as wcsim drives with it, and let it drive the ride.
-    graph, own = _open_both(policy, config, level, network)
+    # 1. Let the policy drive the ride.
     graph.train(False)
     config = resolve(config, sense_settings(config, senses_of(own)))
     ride = [newest_frames(seen, 1) for seen in ride]
@@ -193,19 +187,6 @@ def export_policy(
         measured = {"sha256": files.sha256(target / MODEL_FILE), "facts": asdict(facts)}
         files.write_json(target / MEANING, {**_meaning_of(graph, config), **measured})
     return facts
-
-
-def _open_both(
-    policy: Path, config: RunConfig, level: float | None, network: str | None
-) -> tuple[Graph, Policy]:
-    """A policy as a graph, and as wcsim drives with it."""
-    if not is_danger(policy):
-        saved = load_policy(policy, network)
-        return ValueGraph(saved.net, saved.file.window), saved
-    net, rule = load_net(policy)
-    if level is not None:
-        rule = rule.model_copy(update={"threshold": level})
-    return DangerGraph(net, config, rule), DangerPolicy("own", net, config, rule)
 
 
 def _write_reference(

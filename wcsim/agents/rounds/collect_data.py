@@ -19,15 +19,15 @@ from wcsim.agents.runs.data_folder import (
     SEGMENTS,
     SegmentKey,
     packed_segment,
+    plain_settings,
     read_manifest,
     read_segment,
     require_same_settings,
     segment_path,
-    told_settings,
     write_manifest,
 )
 from wcsim.agents.runs.policy_file import require_same_senses
-from wcsim.agents.runs.run_folder import folder_parcel, require_travels, town_parcel
+from wcsim.agents.runs.transfer import folder_files, require_travels, town_files
 from wcsim.config import RunConfig, resolve
 from wcsim.config.load import Layer
 from wcsim.core import reading
@@ -125,8 +125,8 @@ def _work(order: SegmentOrder) -> Work:
 
 def _needs_of(order: SegmentOrder) -> tuple[InputFiles, ...]:
     """What travels with an order: its towns, the network that drives, the user's own wheelchair."""
-    policy = (folder_parcel(Path(order.policy), order.policy),) if order.policy else ()
-    return (*map(town_parcel, order.towns), *policy, *_plant_parcels(order.config))
+    policy = (folder_files(Path(order.policy), order.policy),) if order.policy else ()
+    return (*map(town_files, order.towns), *policy, *_plant_parcels(order.config))
 
 
 def _plant_parcels(config: RunConfig) -> tuple[InputFiles, ...]:
@@ -236,9 +236,9 @@ def _require_same_order(order: DataOrder, towns: Sequence[Town]) -> None:
     """
     path, seed = order.folder / ORDERS, str(order.seed)
     begun = read_json(path, reading.ORDERS) if is_file(path) else {}
-    driver = folder_parcel(Path(order.policy)) if order.policy else None
+    driver = folder_files(Path(order.policy)) if order.policy else None
     policy = [] if driver is None else [[name, sha256(driver.folder / name)] for name in sorted(driver.names)]
-    said = [told_settings(order.config), [content_hash(town) for town in towns], policy]
+    said = [plain_settings(order.config), [content_hash(town) for town in towns], policy]
     digest = sha256_text(json.dumps(said, sort_keys=True))
     if begun.get(seed, digest) != digest:
         raise PolicyError(

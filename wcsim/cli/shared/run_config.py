@@ -1,4 +1,4 @@
-"""How commands make the configuration of a run from their options, and check the policies that they are given."""
+"""How commands make a run's configuration, and check the policies and users that they name."""
 
 from __future__ import annotations
 
@@ -9,14 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from wcsim.agents.networks.names import check_network, is_own, require_named
+from wcsim.agents.opening.learner_registry import Learner, learner_of, learner_of_policy
 from wcsim.agents.policy_api import VETO
-from wcsim.agents.runs.policy_file import (
-    EXPORTED,
-    is_danger,
-    policy_name,
-    read_danger_file,
-    read_policy_file,
-)
+from wcsim.agents.runs.policy_file import EXPORTED, policy_name
 from wcsim.agents.runs.run_folder import ResolvedRun, policy_path, whole_data
 from wcsim.bridge.sumo.step_hook import find_hook
 from wcsim.cli.shared.common import check_folder
@@ -25,7 +20,7 @@ from wcsim.config.load import sets_key
 from wcsim.core import reading, seeding
 from wcsim.core.constants import RECORDED
 from wcsim.core.plugins import find_class
-from wcsim.core.reading import SETTINGS, counted, escaped, is_file
+from wcsim.core.reading import SETTINGS, escaped, is_file
 from wcsim.errors import ConfigError, PolicyError, check_installed
 from wcsim.server.specs import RunInfo
 from wcsim.supervisor.rewards import find_reward_term
@@ -35,27 +30,30 @@ from wcsim.users.profiles import HELD_OUT, find_profile
 
 
 def require_policy(name: str, network: str, *, alone: bool = False, bare_for: str = "") -> None:
-    """Refuse what names no policy, and one with a network of somebody's own that was not named.
+    """Refuse a name of no policy, and a policy whose own network was not named.
 
     Args:
         name: The policy; one that is module:Class is imported.
         network: The own network that was named, "" for none.
-        alone: It is the command's only policy, and also has to use the network that was named.
-        bare_for: What uses its network alone, which no veto may stand before; "" where the policy drives.
+        alone: It is the command's only policy, and has to use the network that was named.
+        bare_for: What uses the network alone, without a veto; "" where the policy drives.
 
     Raises:
-        PolicyError: There is no such policy, class or network, its network was not named, or another one was.
+        PolicyError: There is no such policy, class or network, its network was not named, or
+            another one was.
     """
-    named, used = policy_name(name), ""
+    named = policy_name(name)
+    used = ""
     if bare_for and named.veto:
         raise PolicyError(
-            f"{escaped(name)}: {bare_for} uses the network alone; expected {escaped(named.inner)}, without {VETO}"
+            f"{escaped(name)}: {bare_for} uses the network alone; expected {escaped(named.inner)}, "
+            f"without {VETO}"
         )
     if named.kind == "class":
         find_class(named.inner, "policy")
     elif named.is_network:
         path = policy_path(name)
-        used = (read_danger_file if is_danger(path) else read_policy_file)(path).net.network
+        used = learner_of_policy(path).read_policy(path).net.network
         if is_own(used):
             require_named(escaped(name), used, network)
         by_law = (
@@ -73,25 +71,14 @@ def require_policy(name: str, network: str, *, alone: bool = False, bare_for: st
             )
 
 
-def require_head(config: RunConfig, *, in_rounds: bool) -> None:
-    """Refuse settings of the other kind of learning.
-
-    Args:
-        config: Of whoever learns.
-        in_rounds: Whether it is to be a danger network that learns in rounds, or Q-learning.
-
-    Raises:
-        ConfigError: It is the other.
-    """
-    if learns_in_rounds(config) == in_rounds:
-        return
-    rounds, steps = (
-        "preset quick, laptop, best or reward, or wcsim train-q",
-        "preset dqn or paper, or wcsim train",
-    )
-    expected = rounds if in_rounds else steps
-    does = "learns dangers in rounds" if in_rounds else "learns by Q-learning"
-    raise ConfigError(f"learn.head={config.learn.head}: this command {does}; expected {expected}")
+def require_learner(config: RunConfig, expected: Learner) -> None:
+    """Raise ConfigError for settings of another learner than a command's own."""
+    found = learner_of(config)
+    if found is not expected:
+        raise ConfigError(
+            f"learn.head={config.learn.head}: this command {expected.method}; expected preset "
+            f"{expected.presets}, or wcsim {found.command}"
+        )
 
 
 def require_users(
@@ -100,9 +87,10 @@ def require_users(
     """Refuse simulated users that are kept for tests.
 
     Args:
-        config: Of whoever drives.
-        drawn: Where users are drawn from `collect.profiles`: section.key=value and the TOML file that made `config`.
-            A user who is none is refused then, and one of `env.profile`, who would never sit in a chair.
+        config: The configuration of the drives.
+        drawn: Where users are drawn from `collect.profiles`: the section.key=value and the TOML
+            file that made `config`. A setting of `env.profile`, which would have no effect, and
+            users that do not exist are refused then.
 
     Raises:
         ConfigError: A user cannot be used.
@@ -114,8 +102,8 @@ def require_users(
         for name in names:
             if name in HELD_OUT:
                 raise ConfigError(
-                    f"profile {name} is held out of training: tests use it as a user that a network has never met; "
-                    f"expected another {key}"
+                    f"profile {name} is held out of training: tests use it as a user that a "
+                    f"network has never met; expected another {key}"
                 )
     if drawn is None:
         return
@@ -125,20 +113,20 @@ def require_users(
     if "profile" in own or any(sets_key(text, "env.profile") for text in settings):
         name = config.env.profile
         raise ConfigError(
-            f"env.profile={escaped(name)}: a network that learns in rounds draws its users from collect.profiles; "
-            f"""expected --set 'collect.profiles=["{escaped(name)}"]', or wcsim train-q, which learns with that user"""
+            f"env.profile={escaped(name)}: a network that learns in rounds draws its users from "
+            f"collect.profiles; expected --set 'collect.profiles=[\"{escaped(name)}\"]', or wcsim "
+            "train-q, which learns with that user"
         )
-    for name in config.collect.profiles:
-        require_user(name)
+    require_user(*config.collect.profiles)
 
 
 def resolve_run(
     config: RunConfig, info: RunInfo, town: Town, out: Path, resume: bool = False
 ) -> ResolvedRun:
-    """The run of a configuration in a town: with the network's window, and with what its manifest says of the town.
+    """The run of a configuration in a town, with all that learner, network and town fix.
 
     Args:
-        config: As it is learned with.
+        config: The resolved configuration.
         info: Seed, command, and the user's own classes.
         town: To train in.
         out: The run folder.
@@ -155,51 +143,25 @@ def resolve_run(
         find_hook(info.hook)
     require_user(config.env.profile)
 
-    from wcsim.agents.learning.build import (
-        network_settings,
-    )  # torch is loaded here: not for --help, nor for a refusal
+    # PyTorch is loaded here: not for --help, nor for a refusal.
+    from wcsim.agents.learning.build import network_settings
     from wcsim.agents.networks.registry import find_network
 
     find_network(config.learn.network)
-    fit = resolve(config, network_settings(config))
+    fit = resolve(config, learning(config), network_settings(config))
     return ResolvedRun(config=fit, out=out, info=in_town(info, town, config), resume=resume)
 
 
 def in_town(info: RunInfo, town: Town, config: RunConfig) -> RunInfo:
-    """The same, with what there is to say of the town."""
+    """The run's facts, with those of its town."""
     overrides = overrides_of(town, config, info.seed)
     return replace(info, town=town.name, town_sha256=streets_hash(town), overrides=overrides)
 
 
-def how_it_learns(config: RunConfig) -> str:
-    """From what and for how long a network learns, in a sentence or two."""
-    learn, collect = config.learn, config.collect
-    if learns_in_rounds(config):
-        who, what = (
-            "simulated users and an oracle, which sees everything, drive",
-            "the oracle's labels, not rewards",
-        )
-        if config.danger.teacher == "crashes":
-            who, what = (
-                "simulated users and the network drive",
-                "crashes that happened, without an oracle",
-            )
-        return (
-            f"{counted(collect.rounds, 'round')} of {collect.segments} x {collect.ticks} ticks with {collect.chairs} "
-            f"chairs, fewer in scenes: {who}. A network learns from {what}, in "
-            f"{config.danger.updates} updates per round: which joystick positions end badly."
-        )
-    aid = " and from an oracle's labels (learn.aid=oracle)" if learn.aid == "oracle" else ""
-    return (
-        f"Q-learning from rewards{aid}, {learn.total_steps} steps: {learn.phase1_steps} in the first phase, updates "
-        f"from step {learn.learning_starts} on"
-    )
-
-
 def learning(config: RunConfig) -> dict[str, Any]:
-    """The settings that a configuration is learned with: episodes of the learner's length, the truth when advised.
+    """The settings that a learner fixes: the length of episodes, and the truth for its oracle.
 
-    Rounds set by themselves what their worlds tell.
+    Learning in rounds sets the truth of its worlds itself.
     """
     env = {
         "max_steps": config.learn.episode_steps,
@@ -209,23 +171,20 @@ def learning(config: RunConfig) -> dict[str, Any]:
     return {"env": env, **whole_data(config)}
 
 
-def learns_in_rounds(config: RunConfig) -> bool:
-    """Whether a danger network learns in rounds, from worlds of its own."""
-    return config.learn.head == "danger"
-
-
-def require_user(name: str) -> None:
-    """Refuse a user that there is not; what replays a recorded joystick is loaded for one of those alone.
+def require_user(*names: str) -> None:
+    """Refuse users that do not exist.
 
     Raises:
         ConfigError: There is no such profile, or no such file.
     """
-    if not name.startswith(RECORDED):
-        find_profile(name)
-        return
-    from wcsim.users.recordings.recorded_user import find_user
+    for name in names:
+        if not name.startswith(RECORDED):
+            find_profile(name)
+            continue
+        # Not at the top: what replays a recorded joystick takes long to load.
+        from wcsim.users.recordings.recorded_user import find_user
 
-    find_user(name)
+        find_user(name)
 
 
 def how_to_test(run: Path, network: str, trained_in: Collection[str] = ()) -> str:

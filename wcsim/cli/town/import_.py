@@ -24,7 +24,7 @@ from wcsim.cli.shared.common import (
     fresh_folders,
     words_of,
 )
-from wcsim.cli.shared.consoles import say
+from wcsim.cli.shared.consoles import print_note
 from wcsim.cli.town.town_check import check_and_try, report_town, try_town
 from wcsim.core.own_folder import temporary_folder
 from wcsim.core.reading import counted
@@ -186,7 +186,7 @@ def _adopt(options: AdoptOptions, out: Path) -> TownReport:
         cycle_paths=options.cycle_paths,
     )
     try:
-        report = check_and_try(town, show=say)
+        report = check_and_try(town, show=print_note)
     except BaseException:
         # What cannot be read is no town.
         shutil.rmtree(town.folder, ignore_errors=True)
@@ -236,11 +236,11 @@ def _build(options: ImportOptions, out: Path) -> tuple[TownReport, dict[str, Any
             source=options.source,
             overwrite=options.replace,
         )
-        made = import_town(order, lambda town: load_street(town, say), say)
+        made = import_town(order, lambda town: load_street(town, print_note), print_note)
     _print_written(made.town.folder, made.town.sumocfg)
     print(f"traffic drives on the {made.side}")
     # 3. Check it.
-    report = check_and_try(made.town, made.walkable_share, say)
+    report = check_and_try(made.town, made.walkable_share, print_note)
     more = {"left_out": asdict(made.left_out), **made.counts}
     return replace(report, notes=(*made.notes, *report.notes)), more
 
@@ -297,10 +297,10 @@ def make(options: TownMakeOptions) -> int:
     from wcsim.towns.making.maker import make_town  # loads what builds streets
 
     town = make_town(
-        out, options.seed, requested, name=options.name, overwrite=options.replace, stage=say
+        out, options.seed, requested, name=options.name, overwrite=options.replace, stage=print_note
     )
     _print_written(town.folder, town.sumocfg)
-    return report_town(check_and_try(town, show=say), started_s, json)
+    return report_town(check_and_try(town, show=print_note), started_s, json)
 
 
 def pave(options: PaveOptions) -> int:
@@ -312,15 +312,15 @@ def pave(options: PaveOptions) -> int:
     from wcsim.towns.checks.check import check_town  # loads what builds streets
     from wcsim.towns.pave.pavements import pave_town
 
-    say(f"adding pavements in {options.out}")
+    print_note(f"adding pavements in {options.out}")
     paved = pave_town(bare, options.out, options.max_speed)
     # Opened as the scenario was: by the folder whose town.toml names its place, or as it is.
     depth = len(Path(os.path.relpath(bare.sumocfg, bare.folder)).parts)
     place = paved.sumocfg if depth == 1 else paved.sumocfg.parents[depth - 1]
     town = open_town(place, outside=options.allow_outside)
-    say("testing the first steps in SUMO")
+    print_note("testing the first steps in SUMO")
     try_town(town)
-    say("checking the copy")
+    print_note("checking the copy")
     report = check_town(town)
     _print_paved(paved)
     result = {**asdict(paved), "sumocfg": str(paved.sumocfg)}

@@ -1,4 +1,4 @@
-"""`wcsim resume RUN`: a training goes on from its newest checkpoint; everything is taken from the run folder."""
+"""`wcsim resume RUN`: a training continues from its newest checkpoint, as its run folder states."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import Annotated
 from tyro.conf import Positional, arg
 
 from wcsim.agents.clients.group_run import Client, GroupRun, open_clients_folder
-from wcsim.agents.runs.own_code import own_classes, require_own
+from wcsim.agents.opening.learner_registry import learner_of
 from wcsim.agents.runs.run_folder import (
     CONFIG,
     MANIFEST,
@@ -23,6 +23,7 @@ from wcsim.agents.runs.run_folder import (
     open_run,
     read_json,
 )
+from wcsim.agents.runs.transfer import own_classes, require_own
 from wcsim.cli.shared.common import (
     Cluster,
     Repeated,
@@ -33,8 +34,11 @@ from wcsim.cli.shared.common import (
     parse,
     some_words,
 )
-from wcsim.cli.shared.run_config import in_town, learning, learns_in_rounds, resolve_run
-from wcsim.cli.training.train import ToldOptions, told, train_in
+from wcsim.cli.shared.exit_codes import Exit
+from wcsim.cli.shared.run_config import in_town, resolve_run
+from wcsim.cli.shared.training import OutputOptions, report_run, train_network
+from wcsim.cli.training.clients import LEASE_S, GroupOptions
+from wcsim.cli.training.phases_apart import train_group
 from wcsim.config import RunConfig, resolve
 from wcsim.config import parse as parse_config
 from wcsim.core.files import locked
@@ -44,7 +48,7 @@ from wcsim.towns.scenario.town import Town, streets_hash
 
 
 @dataclass(kw_only=True)
-class _Options(ToldOptions):
+class _Options(OutputOptions):
     """Continue a training from its newest checkpoint, with its own settings."""
 
     run: Annotated[Path, Positional, arg(metavar="RUN")]
@@ -52,11 +56,11 @@ class _Options(ToldOptions):
     steps: Steps = None
     """Total steps of a longer training by Q-learning."""
     worlds: Worlds = None
-    """Worker processes, where data is driven or clients are compared. None: one per core, at most 4."""
+    """Worker processes, where data is driven or clients are compared. None: one per core, at most 4."""  # noqa: E501 - help text
     cluster: Cluster = ""
     """HOST:PORT of a Ray cluster that drives data for a danger network, or `local`."""
     town: str = ""
-    """Where its towns are by now, if they were moved: folders or .sumocfg files, separated by commas."""
+    """Where its towns are by now, if they were moved: folders or .sumocfg files, separated by commas."""  # noqa: E501 - help text
     trust: Annotated[Repeated, arg(metavar="CLASS")] = ()
     """Your own module:Class that a run names which was made elsewhere: resuming runs its code."""
 
@@ -66,17 +70,17 @@ def run(words: list[str]) -> int:
     options = parse(_Options, words, "resume")
     check_folder("RUN", options.run)
     was = None if "clients" in read_json(options.run, MANIFEST) else open_run(options.run)
-    in_rounds = was is not None and learns_in_rounds(was.config)
-    if options.cluster and not in_rounds:
+    learner = None if was is None else learner_of(was.config)
+    if options.cluster and (learner is None or not learner.own_worlds):
         raise ConfigError(
             f"--cluster: {options.run} learns from every step, on this machine; leave it out"
         )
-    if was is None:
+    if was is None or learner is None:
         return _resume_group(options)
-    if options.steps is not None and in_rounds:
-        rounds = was.config.collect.rounds
+    if options.steps is not None and not learner.extends:
         raise ConfigError(
-            f"--steps: {options.run} learns in {rounds} rounds, not steps; leave it out"
+            f"--steps: {options.run} learns in {learner.length(was.config)}, not steps; leave it "
+            "out"
         )
     machines = machines_of(options.cluster, options.worlds, "--worlds")
     again, town = _resumed(options)
@@ -85,15 +89,16 @@ def run(words: list[str]) -> int:
         and again.config.learn.total_steps == was.config.learn.total_steps
     ):
         print(f"note: {_finished(options.run, was.config)}", file=sys.stderr)
-    train_in(again, town, verbose=options.verbose, machines=machines)
-    return told(options, again)
+    train_network(again, town, verbose=options.verbose, machines=machines)
+    report_run(options, again)
+    return Exit.DONE
 
 
 def _finished(out: Path, config: RunConfig) -> str:
     """What to say of a run that has nothing left to do."""
-    if learns_in_rounds(config):
-        return f"{out} is finished: all of its {config.collect.rounds} rounds are done"
-    return f"{out} is finished: all of its {config.learn.total_steps} steps are done; extend it with --steps N"
+    learner = learner_of(config)
+    extend_it = "; extend it with --steps N" if learner.extends else ""
+    return f"{out} is finished: all of its {learner.length(config)} are done{extend_it}"
 
 
 def _resumed(options: _Options) -> tuple[ResolvedRun, Town]:
@@ -120,14 +125,10 @@ def _resumed(options: _Options) -> tuple[ResolvedRun, Town]:
         with locked(path):  # by nobody else at work: a run in use keeps its steps
             extend(path, steps)
         run = open_run(path)
-    config = resolve(run.config, learning(run.config))
-    return resolve_run(config, run.manifest.info, town, path, resume=True), town
+    return resolve_run(run.config, run.manifest.info, town, path, resume=True), town
 
 
 def _resume_group(options: _Options) -> int:
-    from wcsim.cli.training.clients import LEASE_S, GroupOptions
-    from wcsim.cli.training.phases_apart import train_group
-
     run, town = _resumed_group(options)
     command = run.info.command
     try:
@@ -177,8 +178,8 @@ def _town_of(options: _Options, manifest: Manifest, networks: Sequence[str]) -> 
     """The town that a run of these networks was made in, of several the first one.
 
     Raises:
-        PolicyError: The run was made elsewhere with code that nobody named here, its town has other streets by now, or
-            it is a run of `wcsim join`.
+        PolicyError: The run was made elsewhere with code that is not named here, its town has other
+            streets by now, or it is a run of `wcsim join`.
         TownError: One is not found under the name that it had.
     """
     path, command = options.run, manifest.command
@@ -190,24 +191,27 @@ def _town_of(options: _Options, manifest: Manifest, networks: Sequence[str]) -> 
     )
     if command[1:2] == ("join",):
         raise PolicyError(
-            f"{path} learns in a world that somebody serves; join again: {shlex.join(command)} --resume"
+            f"{path} learns in a world that somebody serves; join again: {shlex.join(command)} "
+            "--resume"
         )
-    said = options.town or _value_of(command, "town") or manifest.town
+    words = options.town or _value_of(command, "town") or manifest.town
     try:
-        towns = [asked_town(word) for word in some_words("--town", said)]
-        kept = [asked_town(word) for word in manifest.more_towns]
+        towns = [asked_town(word) for word in some_words("--town", words)]
+        others = [asked_town(word) for word in manifest.more_towns]
     except TownError as error:
         if options.town:
             raise
         raise TownError(
-            f"{path} was made in the town {said!r}: {error}; give its location: --town FOLDER"
+            f"{path} was made in the town {words!r}: {error}; give its location: --town FOLDER"
         ) from None
     of_run = [manifest.town_sha256, *manifest.more_towns.values()]
-    for found in (towns, [towns[0], *kept]):
+    for found in (towns, [towns[0], *others]):
         if [streets_hash(town) for town in found] != of_run:
             own = ", ".join((manifest.town, *manifest.more_towns))
-            told = f"{path} was made with another town or other streets ({own})"
-            raise PolicyError(f"--town {said}: {told}; restore them")
+            raise PolicyError(
+                f"--town {words}: {path} was made with another town or other streets ({own}); "
+                "restore them"
+            )
     return towns[0]
 
 
@@ -216,6 +220,7 @@ def _steps_of(options: _Options, config: RunConfig) -> int:
     total = config.learn.total_steps
     if options.steps is not None and options.steps < total:
         raise PolicyError(
-            f"--steps {options.steps}: {options.run} was made for {total}; expected at least as many"
+            f"--steps {options.steps}: {options.run} was made for {total}; expected at least as "
+            "many"
         )
     return options.steps or total

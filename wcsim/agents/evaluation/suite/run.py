@@ -18,15 +18,8 @@ from wcsim.agents.opening.named_policy import config_for, open_named, sensing
 from wcsim.agents.policies.served_policy import ServedPolicy
 from wcsim.agents.policy_api import Policy
 from wcsim.agents.runs.policy_file import policy_name
-from wcsim.agents.runs.run_folder import (
-    CONFIG,
-    MANIFEST,
-    PLANT,
-    folder_parcel,
-    policy_path,
-    require_travels,
-    town_parcel,
-)
+from wcsim.agents.runs.run_folder import CONFIG, MANIFEST, PLANT, policy_path
+from wcsim.agents.runs.transfer import folder_files, require_travels, town_files
 from wcsim.config import RunConfig, resolve
 from wcsim.config.load import texts_of
 from wcsim.config.suite import BlockFile, repeats
@@ -194,18 +187,18 @@ def _work_key(piece: Piece) -> str:
 
 def _needs_of(piece: Piece) -> tuple[InputFiles, ...]:
     """What travels with a piece: its town, unless it is a generated scene, and its policy, unless it is a baseline."""
-    towns = (town_parcel(piece.town),) if piece.block.part != TIGHT else ()
+    towns = (town_files(piece.town),) if piece.block.part != TIGHT else ()
     named = policy_name(piece.policy)
     if named.kind == "baseline":
         return towns
-    policy = folder_parcel(named.folder, named.place) if named.kind == "onnx" else _policy_parcel(named.place)
+    policy = folder_files(named.folder, named.place) if named.kind == "onnx" else _policy_parcel(named.place)
     return (*towns, policy)
 
 
 def _policy_parcel(name: str) -> InputFiles:
     """A policy by its name without a level, with what its run says of it. Raises PolicyError."""
     policy = policy_path(name).resolve()
-    alone, run = folder_parcel(policy, name), policy.parent.parent
+    alone, run = folder_files(policy, name), policy.parent.parent
     if not is_file(run / MANIFEST):
         return alone
     said = [file for file in (MANIFEST, CONFIG, PLANT) if is_file(run / file)]

@@ -1,0 +1,410 @@
+"""The ways to learn: what each one trains, resumes, loads as a policy and exports.
+
+`LEARNERS` is the registry. A new learner is a class with the members of `Learner` and one entry
+there; `learn.head` and `policy.json` name it. PyTorch and the simulators are imported within the
+methods that need them: `--help` and refusals load neither.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, Protocol
+
+from wcsim.agents.policy_api import Policy
+from wcsim.agents.runs.policy_file import algorithm_of, read_danger_file, read_policy_file
+from wcsim.agents.runs.run_folder import ResolvedRun, open_run
+from wcsim.config import RunConfig
+from wcsim.config.run_file import DangerFile, PolicyFile
+from wcsim.core.reading import counted
+from wcsim.errors import PolicyError
+from wcsim.server.workers.machines import Machines
+from wcsim.supervisor.rewards import find_reward_term
+from wcsim.towns.scenario.town import Town
+
+if TYPE_CHECKING:  # these load PyTorch, which --help must not
+    from wcsim.agents.envs.wheelchair_env import WheelchairEnv
+    from wcsim.agents.export.onnx_export import Graph
+    from wcsim.agents.learning.callbacks import TrainProgress
+    from wcsim.agents.rounds.train_rounds import RoundProgress
+
+
+class Bar(Protocol):
+    """A progress bar on a terminal, or lines in a log."""
+
+    @property
+    def is_terminal(self) -> bool:
+        """Whether the bar is drawn; in a log only lines appear."""
+
+    def show(self, share: float, text: str, name: str | None = None) -> None:
+        """Show the share of the work that is done (0 to 1), what goes on, and the stage's name."""
+
+    def rows(self, texts: dict[str, str]) -> None:
+        """Show a row for each worker."""
+
+    def print_line(self, line: str, *, left: bool = True) -> None:
+        """Print a line above the bar; `left` adds the time that is left where there is no bar."""
+
+
+class Display(Bar, Protocol):
+    """What a training of one network shows its user."""
+
+    def print_note(self) -> None:
+        """Print how the network learns, if that was not printed before."""
+
+    def print_overrides(self) -> None:
+        """Print once which options of SUMO the world overrides, and how the network learns."""
+
+    def warn(self, text: str) -> None:
+        """Print what went wrong without ending the training."""
+
+
+class Learner(Protocol):
+    """A way to learn. Its attributes are words of messages, and what commands may ask of it."""
+
+    heads: tuple[str, ...]  # values of learn.head
+    algorithm: str  # in policy.json of its policies
+    command: str  # that trains one network
+    presets: str  # of its settings, as messages list them
+    method: str  # how messages describe the command
+    export_preset: str  # settings of a policy folder outside of its run
+    first_stage: str  # name of the bar until progress arrives
+    # Whether it drives worlds of its own on any machines, or learns from each step of one world.
+    own_worlds: bool
+    extends: bool  # whether --steps makes a run longer
+
+    def describe(self, config: RunConfig) -> str:
+        """From what and for how long a network learns, in a sentence or two."""
+
+    def length(self, config: RunConfig) -> str:
+        """The length of a run, as in "20 rounds"."""
+
+    def train(self, run: ResolvedRun, town: Town, machines: Machines, display: Display) -> Path:
+        """Train one network, or resume its run; returns the run folder.
+
+        Args:
+            run: The run; with `resume` it continues from its newest checkpoint.
+            town: The run's own town.
+            machines: The machines that drive worlds, where `own_worlds` is set.
+            display: Shows the progress.
+
+        Raises:
+            InterruptedRunError: The user stopped it.
+            WcsimError: A setting, the folder or a machine cannot be used.
+        """
+
+    def read_policy(self, folder: Path) -> PolicyFile | DangerFile:
+        """Read and check `policy.json` of its policies. Raises PolicyError."""
+
+    def policy_settings(self, folder: Path) -> dict[str, Any]:
+        """What a policy folder fixes of a configuration, such as its camera. Raises PolicyError."""
+
+    def load_policy(
+        self,
+        folder: Path,
+        name: str,
+        config: RunConfig,
+        level: float | None = None,
+        network: str | None = None,
+    ) -> Policy:
+        """A policy for one chair.
+
+        Args:
+            folder: The policy folder.
+            name: Its name in tables.
+            config: The configuration of the world in which it drives.
+            level: Level of assistance; None for the policy's own.
+            network: The user's own network that may be loaded, `module:Class`.
+
+        Raises:
+            PolicyError: It cannot be loaded, or was trained with other observations or actions.
+        """
+
+    def require_exportable(self, folder: Path, name: str) -> None:
+        """Raise PolicyError for a policy that has no ONNX form; by default every policy has one."""
+
+    def open_graph(
+        self,
+        folder: Path,
+        config: RunConfig,
+        level: float | None = None,
+        network: str | None = None,
+    ) -> tuple[Graph, Policy]:
+        """A policy as a graph to export, and as wcsim drives with it; see `load_policy`."""
+
+
+class QLearning(Learner):
+    """Q-learning from the reward of every step, in one world."""
+
+    heads = ("residual", "plain")
+    algorithm = "SeqDQN"
+    command = "train-q"
+    presets = "dqn or paper"
+    method = "learns by Q-learning"
+    export_preset = "paper"
+    first_stage = "loading the town"
+    own_worlds = False
+    extends = True
+
+    def describe(self, config: RunConfig) -> str:
+        """See `Learner`."""
+        learn = config.learn
+        aid = " and from an oracle's labels (learn.aid=oracle)" if learn.aid == "oracle" else ""
+        return (
+            f"Q-learning from rewards{aid}, {learn.total_steps} steps: {learn.phase1_steps} in the "
+            f"first phase, updates from step {learn.learning_starts} on"
+        )
+
+    def length(self, config: RunConfig) -> str:
+        """See `Learner`."""
+        return f"{config.learn.total_steps} steps"
+
+    def train(self, run: ResolvedRun, town: Town, machines: Machines, display: Display) -> Path:
+        """See `Learner`."""
+        from wcsim.agents.envs.wheelchair_env import WheelchairEnv
+        from wcsim.agents.learning.train import train
+
+        info = run.info
+        terms = tuple(find_reward_term(name) for name in info.rewards)
+        show_steps = step_display(display)
+
+        def show(now: TrainProgress) -> None:
+            display.print_overrides()
+            show_steps(now)
+
+        def make_env() -> WheelchairEnv:
+            env = WheelchairEnv(
+                town.address,
+                towns=tuple(info.more_towns),
+                config=run.config,
+                reward_terms=terms,
+                run=run.out,
+                hook=info.hook,
+            )
+            env.on_town = lambda word: open_run(run.out).event("town", town=Path(word).name)
+            return env
+
+        return train(run, make_env, show, log=display.warn)
+
+    def read_policy(self, folder: Path) -> PolicyFile:
+        """See `Learner`."""
+        return read_policy_file(folder)
+
+    def policy_settings(self, folder: Path) -> dict[str, Any]:
+        """See `Learner`."""
+        file = read_policy_file(folder)
+        env = {
+            "actions": file.net.actions,
+            "classes": file.net.classes,
+            "window": file.window,
+            "observation": file.observation,
+        }
+        return {"cameras": [file.camera.model_dump(mode="json")], "env": env}
+
+    def load_policy(
+        self,
+        folder: Path,
+        name: str,
+        config: RunConfig,
+        level: float | None = None,
+        network: str | None = None,
+    ) -> Policy:
+        """See `Learner`; values have no level of assistance."""
+        from wcsim.agents.learning.saved_policy import load_fitting
+
+        return load_fitting(folder, name, config, network)
+
+    def open_graph(
+        self,
+        folder: Path,
+        config: RunConfig,
+        level: float | None = None,
+        network: str | None = None,
+    ) -> tuple[Graph, Policy]:
+        """See `Learner`."""
+        from wcsim.agents.export.policy_graphs import ValueGraph
+        from wcsim.agents.learning.saved_policy import load_policy
+
+        policy = load_policy(folder, network)
+        return ValueGraph(policy.net, policy.file.window), policy
+
+
+class DangerRounds(Learner):
+    """A danger network, in rounds of driving and learning, in worlds of its own."""
+
+    heads = ("danger",)
+    algorithm = "danger"
+    command = "train"
+    presets = "quick, laptop, best or reward"
+    method = "learns dangers in rounds"
+    export_preset = "laptop"
+    first_stage = "driving"
+    own_worlds = True
+    extends = False
+
+    def describe(self, config: RunConfig) -> str:
+        """See `Learner`."""
+        collect = config.collect
+        drivers = "simulated users and an oracle, which sees everything, drive"
+        source = "the oracle's labels, not rewards"
+        if config.danger.teacher == "crashes":
+            drivers = "simulated users and the network drive"
+            source = "crashes that happened, without an oracle"
+        return (
+            f"{counted(collect.rounds, 'round')} of {collect.segments} x {collect.ticks} ticks "
+            f"with {collect.chairs} "
+            f"chairs, fewer in scenes: {drivers}. A network learns from {source}, in "
+            f"{config.danger.updates} updates per round: which joystick positions end badly."
+        )
+
+    def length(self, config: RunConfig) -> str:
+        """See `Learner`."""
+        return f"{config.collect.rounds} rounds"
+
+    def train(self, run: ResolvedRun, town: Town, machines: Machines, display: Display) -> Path:
+        """See `Learner`."""
+        from wcsim.agents.rounds.train_rounds import train_danger
+
+        def show(now: RoundProgress) -> None:
+            _show_round(display, now, run.config)
+
+        def log(text: str) -> None:
+            display.print_line(text, left=False)
+
+        display.print_note()
+        return train_danger(run, town, replace(machines, report=log), show, log)
+
+    def read_policy(self, folder: Path) -> DangerFile:
+        """See `Learner`."""
+        return read_danger_file(folder)
+
+    def policy_settings(self, folder: Path) -> dict[str, Any]:
+        """See `Learner`."""
+        file = read_danger_file(folder)
+        return {
+            "cameras": [file.camera.model_dump(mode="json")],
+            "env": {"actions": file.net.actions, "classes": file.classes, "window": 1},
+            "chair": file.chair.model_dump(mode="json"),
+        }
+
+    def load_policy(
+        self,
+        folder: Path,
+        name: str,
+        config: RunConfig,
+        level: float | None = None,
+        network: str | None = None,
+    ) -> Policy:
+        """See `Learner`; the level is a threshold of danger."""
+        from wcsim.agents.danger.policy import load_danger
+
+        return load_danger(folder, name, config, level, network)
+
+    def require_exportable(self, folder: Path, name: str) -> None:
+        """See `Learner`."""
+        eye = read_danger_file(folder).net.eye
+        if eye != "map":
+            raise PolicyError(
+                f"{name} uses camera pictures (danger.eye={eye}), which cannot be exported; "
+                "expected a danger network "
+                "with danger.eye=map: docs/export.md, What cannot be exported"
+            )
+
+    def open_graph(
+        self,
+        folder: Path,
+        config: RunConfig,
+        level: float | None = None,
+        network: str | None = None,
+    ) -> tuple[Graph, Policy]:
+        """See `Learner`."""
+        from wcsim.agents.danger.policy import DangerPolicy, load_net
+        from wcsim.agents.export.policy_graphs import DangerGraph
+
+        net, rule = load_net(folder)
+        if level is not None:
+            rule = rule.model_copy(update={"threshold": level})
+        return DangerGraph(net, config, rule), DangerPolicy("own", net, config, rule)
+
+
+Q_LEARNING: Final = QLearning()
+DANGER_ROUNDS: Final = DangerRounds()
+LEARNERS: Final[tuple[Learner, ...]] = (Q_LEARNING, DANGER_ROUNDS)
+
+
+def learner_of(config: RunConfig) -> Learner:
+    """The learner that `learn.head` of a configuration chooses."""
+    (found,) = (learner for learner in LEARNERS if config.learn.head in learner.heads)
+    return found
+
+
+def learner_of_policy(folder: Path) -> Learner:
+    """The learner of a policy folder. Raises PolicyError when it is no policy folder."""
+    algorithm = algorithm_of(folder)
+    for learner in LEARNERS:
+        if learner.algorithm == algorithm:
+            return learner
+    # Its check of the file reports the unknown algorithm.
+    return Q_LEARNING
+
+
+def step_display(bar: Bar) -> Callable[[TrainProgress], None]:
+    """Shows the progress of Q-learning; a log gets a line for each tenth of the run."""
+    tenths = 0
+
+    def show(now: TrainProgress) -> None:
+        nonlocal tenths
+        # The last steps are done together, and may be a few more.
+        step = min(now.step, now.total_steps)
+        kpi1 = "" if now.kpi1 is None else f", KPI 1 {now.kpi1:.3f}"
+        known = f"{counted(now.episodes, 'episode')}, {counted(now.crashes, 'crash')}{kpi1}"
+        text = f"{step}/{now.total_steps} steps, {known}"
+        phase = f"phase {now.phase}"
+        bar.show(step / now.total_steps, text, phase)
+        if not bar.is_terminal and 10 * step // now.total_steps > tenths:
+            tenths = 10 * step // now.total_steps
+            bar.print_line(f"{phase}: {text}", left=False)
+
+    return show
+
+
+def _show_round(display: Display, now: RoundProgress, config: RunConfig) -> None:
+    """Show a round and its workers; a log gets a line when driving and when learning ends."""
+    rows = {}
+    for worker in now.workers:
+        rows[worker.name] = f"segment {worker.key}, {worker.for_s:.0f} s" if worker.key else "free"
+    display.rows(rows)
+    learns = now.learned > 0 or now.segments == now.of
+    at = f"update {now.learned}" if learns else f"segment {now.segments} of {now.of}"
+    display.show(
+        share_of_rounds(now, config),
+        f"round {now.round + 1} of {now.rounds}, {at}",
+        "learning" if learns else "driving",
+    )
+    if display.is_terminal:
+        return
+    text = f"round {now.round + 1} of {now.rounds}, {now.segments} of {now.of} segments"
+    if now.updates:
+        display.print_line(f"{text}, {counted(now.updates, 'update')}, loss {now.loss:.4f}")
+    elif now.segments == now.of and not now.learned:
+        display.print_line(f"{text}: learning")
+
+
+def share_of_rounds(now: RoundProgress, config: RunConfig) -> float:
+    """Which share of a run's work is done, 0 to 1.
+
+    A step that is driven and one in a batch that is learned from cost about the same on two cores.
+    From the second round on worlds drive while the network learns, so that a round takes as long as
+    the longer of both.
+    """
+    collect, danger = config.collect, config.danger
+    drive = collect.segments * collect.ticks * collect.chairs
+    learn = danger.updates * danger.batch
+    both = max(drive, learn)
+    last = now.rounds - 1
+    before = 0 if now.round == 0 else drive + now.round * both
+    driven = drive * now.segments / max(1, now.of) if now.round == 0 else 0.0
+    learned = 1.0 if now.updates else now.learned / danger.updates
+    done = before + driven + learned * (learn if now.round == last else both)
+    return done / (drive + last * both + learn)
