@@ -14,7 +14,7 @@ from typing import Final
 
 from wcsim.agents.opening.list_file import open_suite, write_list
 from wcsim.cli.main import main as wcsim
-from wcsim.cli.shared.consoles import say
+from wcsim.cli.shared.consoles import print_note
 from wcsim.core.files import sha256, write_json
 from wcsim.core.own_folder import temporary_folder
 
@@ -43,7 +43,7 @@ def main(words: list[str]) -> int:
         write_json(file, found)
     before = json.loads(file.read_text(encoding="utf-8"))
     moved = [name for name in {**before, **found} if before.get(name) != found.get(name)]
-    say(f"moved: {', '.join(moved)}" if moved else f"{len(found)} hashes as they were")
+    print_note(f"moved: {', '.join(moved)}" if moved else f"{len(found)} hashes as they were")
     return int(bool(moved))
 
 

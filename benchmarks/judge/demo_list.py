@@ -16,7 +16,7 @@ from wcsim.agents.evaluation.suite.make import SETTINGS, USUAL_STREET, tight_blo
 from wcsim.agents.evaluation.suite.run import SuiteOrder, run_suite
 from wcsim.agents.opening.list_file import suite_of, write_list
 from wcsim.agents.policy_api import UNAIDED
-from wcsim.cli.shared.consoles import say
+from wcsim.cli.shared.consoles import print_note
 from wcsim.config import resolve
 from wcsim.config.suite import BlockFile, SuiteFile, TownOfSuite
 from wcsim.core.own_folder import temporary_folder
@@ -73,4 +73,4 @@ def _shortened(block: BlockFile) -> BlockFile:
 
 if __name__ == "__main__":
     with temporary_folder() as folder:
-        write_list(demo_list(folder, 2, say), Path(sys.argv[1]))
+        write_list(demo_list(folder, 2, print_note), Path(sys.argv[1]))

@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 
 from wcsim.cli.shared.common import Bounds, OutFile, some_words, write_json
-from wcsim.cli.shared.consoles import say, stdout_console
+from wcsim.cli.shared.consoles import print_note, stdout_console
 from wcsim.errors import ConfigError
 from wcsim.towns.scenario.town import find_town
 
@@ -57,7 +57,7 @@ def run(options: SightOptions) -> int:
             if item.before is not None:
                 write_png(options.out / f"{picture}-before.png", item.before)
             key[picture] = {"question": item.question, "truth": item.truth, "town": name}
-            say(f"{name}: {item.question}, {len(key)} items")
+            print_note(f"{name}: {item.question}, {len(key)} items")
     lines += [f"{picture}: {ASKED[said['question']]}" for picture, said in sorted(key.items())]
     (options.out / "questions.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
     write_json(options.out / _KEY, key)

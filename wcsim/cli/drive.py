@@ -9,7 +9,7 @@ from typing import Annotated
 from tyro.conf import arg
 
 from wcsim.cli.recordings.film_page import PageOptions, serve_page
-from wcsim.cli.shared.common import Bounds, OutFolder, SomeTown, Writes, parse, says
+from wcsim.cli.shared.common import Bounds, OutFolder, SomeTown, Writes, has_option, parse
 from wcsim.cli.shared.run_config import require_policy, require_user
 from wcsim.drive.driven import LEAST_SENSITIVITY, LEAST_SPEED, MOST_SENSITIVITY
 from wcsim.errors import ConfigError
@@ -96,15 +96,15 @@ class _StudyOptions(PageOptions):
 
 def run(words: list[str]) -> int:
     """Serve the page until Ctrl-C."""
-    if says(words, "--set"):
+    if has_option(words, "--set"):
         raise ConfigError(
             "drive has no option --set: settings and chair come from the policy; expected --policy RUN, a run that was "
             "trained with your settings: wcsim train --set ... --out RUN"
         )
-    if says(words, "--study"):
+    if has_option(words, "--study"):
         return _study(parse(_StudyOptions, words, "drive"))
     options: _AssistedOptions = parse(
-        _EpisodeOptions if says(words, "--suite") else _Options, words, "drive"
+        _EpisodeOptions if has_option(words, "--suite") else _Options, words, "drive"
     )
     require_policy(options.policy, options.network, alone=True)
     if options.profile:

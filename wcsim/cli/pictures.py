@@ -14,9 +14,9 @@ from wcsim.cli.shared.common import (
     Repeated,
     SomeTown,
     Writes,
+    note_if_made,
     parse,
     result_file,
-    told_if_made,
 )
 from wcsim.cli.shared.consoles import StageBar
 from wcsim.cli.shared.run_config import require_policy, require_user
@@ -67,7 +67,7 @@ def look(words: list[str]) -> int:
     )  # these load the simulators, which --help must not
 
     with (
-        told_if_made(video),
+        note_if_made(video),
         StageBar("filming") as bar,
         FilmedDrive(town, options.seed, _LOOK_PX, FilmDriver(settings=options.set), video) as film,
     ):
@@ -195,7 +195,7 @@ def video(words: list[str]) -> int:
         policy=options.policy, network=options.network, profile=profile, settings=options.set
     )
     with (
-        told_if_made(options.out),
+        note_if_made(options.out),
         StageBar("filming") as bar,
         FilmedDrive(town, options.seed, options.width, driver, options.out) as film,
     ):

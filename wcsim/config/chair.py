@@ -59,7 +59,7 @@ class ChairConfig(Model):
         got = data.get("v_max_mps", speed_mps)
         if got != speed_mps:
             raise ValueError(
-                f"profile {data['profile']!r} drives at {speed_mps} m/s, v_max_mps is {got}; expected the same speed: "
-                f"set v_max_mps to {speed_mps}, or profile to custom"
+                f"profile {data['profile']!r} drives at {speed_mps} m/s, v_max_mps is {got}; "
+                f"expected the same speed: set v_max_mps to {speed_mps}, or profile to custom"
             )
         return {**data, "v_max_mps": speed_mps}

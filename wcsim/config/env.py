@@ -32,8 +32,8 @@ class FollowReward(Model):
     def _distances_are_apart(self) -> Self:
         if self.max_distance - self.max_follow_distance < LEAST_WINDOW:
             raise ValueError(
-                f"max_distance {self.max_distance} is not above max_follow_distance {self.max_follow_distance} by "
-                f"{LEAST_WINDOW}; expected low < high"
+                f"max_distance {self.max_distance} is not above max_follow_distance "
+                f"{self.max_follow_distance} by {LEAST_WINDOW}; expected low < high"
             )
         return self
 
@@ -97,12 +97,13 @@ class EnvConfig(Model):
     def _window_is_compact(self) -> EnvConfig:
         if self.observation in ("table3", "state") and self.frames > 1:
             raise ValueError(
-                f"window {self.window} with observation {self.observation!r}; expected one image in this form: "
-                "set env.window=1, or env.observation=compact"
+                f"window {self.window} with observation {self.observation!r}; expected one image "
+                "in this form: set env.window=1, or env.observation=compact"
             )
         if self.observation == "state" and self.truth_visible:
             raise ValueError(
-                "truth_visible with observation 'state', whose cameras draw nothing; expected env.truth"
+                "truth_visible with observation 'state', whose cameras draw nothing; expected "
+                "env.truth"
             )
         return self
 

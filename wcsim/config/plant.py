@@ -226,7 +226,8 @@ def with_values(file: PlantFile, values: Mapping[str, float]) -> PlantFile:
         places = [(node, key) for node in nodes for key in _keys(node, last)]
         if not places or any(isinstance(node[key], (dict, list)) for node, key in places):
             raise ConfigError(
-                f"plant parameter {name!r} is unknown; expected a name like mass.user_kg or casters.*.trail_m"
+                f"plant parameter {name!r} is unknown; expected a name like mass.user_kg or "
+                "casters.*.trail_m"
             )
         for node, key in places:
             node[key] = value

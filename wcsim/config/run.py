@@ -72,9 +72,9 @@ class RunConfig(Model):
         farthest = self.eye  # cameras of films may see empty streets far away
         if farthest.range_m > self.world.mirror_radius_m:
             raise ValueError(
-                f"camera {farthest.name!r} has range_m {farthest.range_m:g}, but road users are drawn only within "
-                f"world.mirror_radius_m {self.world.mirror_radius_m:g}; expected no more: set "
-                f"world.mirror_radius_m={farthest.range_m:g}, or a smaller range_m"
+                f"camera {farthest.name!r} has range_m {farthest.range_m:g}, but road users are "
+                f"drawn only within world.mirror_radius_m {self.world.mirror_radius_m:g}; expected "
+                f"no more: set world.mirror_radius_m={farthest.range_m:g}, or a smaller range_m"
             )
         return self
 
@@ -85,12 +85,13 @@ class RunConfig(Model):
             raise ValueError(f"cameras are named {names}; expected a different name for each")
         if self.env.camera and self.env.camera not in names:
             raise ValueError(
-                f"env.camera is {self.env.camera!r}; expected the name of a camera: {', '.join(names)}"
+                f"env.camera is {self.env.camera!r}; expected the name of a camera: "
+                f"{', '.join(names)}"
             )
         if self.env.observation == "compact_rgb" and not self.eye.rgb:
             raise ValueError(
-                f"env.observation=compact_rgb with camera {self.eye.name!r}, which draws no colours; expected "
-                f"cameras.{names.index(self.eye.name)}.rgb=true"
+                f"env.observation=compact_rgb with camera {self.eye.name!r}, which draws no "
+                f"colours; expected cameras.{names.index(self.eye.name)}.rgb=true"
             )
         return self
 
@@ -100,9 +101,9 @@ class RunConfig(Model):
         seen_px = self.eye.width_px * self.eye.height_px * self.env.frames
         if sum(sizes_px) > _MAX_CAMERAS_PX or seen_px > MAX_SEEN_PX:
             raise ValueError(
-                f"{len(sizes_px)} cameras have {sum(sizes_px)} pixels, the {self.env.frames} images of an observation "
-                f"{seen_px}; expected at most {_MAX_CAMERAS_PX} and {MAX_SEEN_PX}: make "
-                "width_px and height_px smaller, or env.window"
+                f"{len(sizes_px)} cameras have {sum(sizes_px)} pixels, the {self.env.frames} "
+                f"images of an observation {seen_px}; expected at most {_MAX_CAMERAS_PX} and "
+                f"{MAX_SEEN_PX}: make width_px and height_px smaller, or env.window"
             )
         batch = max(self.learn.batch_size, self.danger.batch if self.danger.eye != "map" else 0)
         if self.learn.memory == "groups":

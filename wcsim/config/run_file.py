@@ -90,7 +90,8 @@ class PolicyFile(Model):
     def _has_an_imu(self) -> PolicyFile:
         if self.vector_size - sum(self.sensors.values()) < 3:
             raise ValueError(
-                f"vector_size {self.vector_size} with sensors {self.sensors}; expected 3 more than theirs"
+                f"vector_size {self.vector_size} with sensors {self.sensors}; expected 3 more than "
+                "theirs"
             )
         return self
 
@@ -99,8 +100,8 @@ class PolicyFile(Model):
         seen_px = self.image_hw_px[0] * self.image_hw_px[1] * self.window
         if seen_px > MAX_SEEN_PX:
             raise ValueError(
-                f"image_hw_px {list(self.image_hw_px)} in a window of {self.window} are {seen_px} pixels; "
-                f"expected at most {MAX_SEEN_PX}"
+                f"image_hw_px {list(self.image_hw_px)} in a window of {self.window} are {seen_px} "
+                f"pixels; expected at most {MAX_SEEN_PX}"
             )
         return self
 

@@ -69,7 +69,8 @@ class SceneSeat(Model):
         driven = [self.goal_m is not None, self.joystick is not None, bool(self.script)]
         if sum(driven) != 1:
             raise ValueError(
-                "a seat is driven by exactly one of goal_m (with a profile or a recording), joystick and script"
+                "a seat is driven by exactly one of goal_m (with a profile or a recording), "
+                "joystick and script"
             )
         if self.recording is not None and (
             self.goal_m is None or "profile" in self.model_fields_set

@@ -85,7 +85,8 @@ class StudyQuestion(Model):
         given = [key for key in ("low", "high", "choices") if getattr(self, key)]
         if sorted(given) != sorted(wanted) or (self.steps != _STEPS and self.kind != "scale"):
             raise ValueError(
-                f"a question of kind {self.kind} has {' and '.join(wanted) or 'no answers of its own'}"
+                f"a question of kind {self.kind} has "
+                f"{' and '.join(wanted) or 'no answers of its own'}"
             )
         if self.kind == "choice" and (
             len(self.choices) < 2 or len(set(self.choices)) < len(self.choices)
@@ -125,7 +126,8 @@ class StudyFile(Model):
             raise ValueError("practice_place needs a practice")
         if len(self.blocks) % len(self.places) and len(self.places) > 1:
             raise ValueError(
-                f"{len(self.places)} places for {len(self.blocks)} blocks; expected one place, as many as blocks, or "
+                f"{len(self.places)} places for {len(self.blocks)} blocks; expected one place, as "
+                "many as blocks, or "
                 "a divisor of the number of blocks, so that each place is used equally often"
             )
         return self

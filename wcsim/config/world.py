@@ -143,8 +143,8 @@ class WorldConfig(Model):
         substep_s = self.tick_s / self.usual_substeps
         if not 1 / 1000 <= substep_s <= 1 / 100:
             raise ValueError(
-                f"tick_s {self.tick_s} / substeps {self.usual_substeps} gives a physics step of {substep_s:.5f} s; "
-                "expected 0.001 to 0.01 s: change world.substeps"
+                f"tick_s {self.tick_s} / substeps {self.usual_substeps} gives a physics step of "
+                f"{substep_s:.5f} s; expected 0.001 to 0.01 s: change world.substeps"
             )
         return self
 
@@ -153,8 +153,8 @@ class WorldConfig(Model):
         if not _is_whole(self.tick_s / SUMO_STEP_S):
             rounded_s = round(self.tick_s / SUMO_STEP_S) * SUMO_STEP_S
             raise ValueError(
-                f"tick_s is {self.tick_s} s, but SUMO's clock counts whole milliseconds; expected a whole number of "
-                f"milliseconds, for example {rounded_s:g}"
+                f"tick_s is {self.tick_s} s, but SUMO's clock counts whole milliseconds; expected "
+                f"a whole number of milliseconds, for example {rounded_s:g}"
             )
         return self
 
@@ -163,8 +163,9 @@ class WorldConfig(Model):
         ticks = 1.0 if self.action_step_s is None else self.action_step_s / self.tick_s
         if ticks < 1.0 - 1e-6 or not _is_whole(ticks):
             raise ValueError(
-                f"action_step_s is {self.action_step_s} s with a tick_s of {self.tick_s} s, but SUMO's drivers decide "
-                f"only at whole steps; expected a multiple of tick_s: {max(1, round(ticks)) * self.tick_s:g}"
+                f"action_step_s is {self.action_step_s} s with a tick_s of {self.tick_s} s, but "
+                "SUMO's drivers decide only at whole steps; expected a multiple of tick_s: "
+                f"{max(1, round(ticks)) * self.tick_s:g}"
             )
         return self
 

@@ -8,7 +8,7 @@ from tests.agents.evaluation.suite.lists import episode
 from wcsim.agents.evaluation.suite import make
 from wcsim.agents.evaluation.suite.draw import Wanted, free_blocks
 from wcsim.agents.evaluation.suite.records import EpisodeRecord
-from wcsim.agents.opening.list_file import asked_towns, require_towns, towns_of
+from wcsim.agents.opening.list_file import require_towns, suite_towns, towns_of
 from wcsim.config import resolve
 from wcsim.config.suite import BlockFile
 
@@ -72,11 +72,11 @@ def test_a_town_that_is_named_by_where_it_lies_is_found_again_by_its_list(
     monkeypatch.setattr(make, "_crossing", lambda *_: [])
     monkeypatch.setattr(make, "_settled", lambda _order, _towns, blocks, *_: list(blocks))
     order = order_in(tmp_path, hazards=0)
-    file = make.make_suite(order, asked_towns(str(corner), tmp_path), lambda *_: None)
+    file = make.make_suite(order, suite_towns(str(corner), tmp_path), lambda *_: None)
     require_towns(file)
     ((name, town),) = towns_of(file, tmp_path).items()
     assert town.folder == corner and {block.town for block in file.blocks} == {name}
-    ((helsinki, _),) = asked_towns("helsinki", tmp_path)
+    ((helsinki, _),) = suite_towns("helsinki", tmp_path)
     assert [make._listed_as(helsinki, None), make._listed_as(helsinki, 7)] == ["helsinki", "helsinki"]
 
 
@@ -84,10 +84,10 @@ def test_a_town_that_is_named_by_where_it_lies_is_found_again_by_its_list(
 def test_a_made_town_is_the_same_wherever_it_is_made_and_kept_where_it_is(tmp_path: Path) -> None:
     from wcsim.towns.scenario.town import content_hash
 
-    ((first, seed),) = asked_towns("made:9002", tmp_path / "a")
-    ((second, _),) = asked_towns("made:9002", tmp_path / "b")
+    ((first, seed),) = suite_towns("made:9002", tmp_path / "a")
+    ((second, _),) = suite_towns("made:9002", tmp_path / "b")
     assert (first.name, seed) == ("made-9002", 9002)
     assert content_hash(first) == content_hash(second)
     before = first.net.stat().st_mtime_ns
-    asked_towns("made:9002", tmp_path / "a")
+    suite_towns("made:9002", tmp_path / "a")
     assert first.net.stat().st_mtime_ns == before

@@ -55,7 +55,7 @@ def test_every_number_of_the_log_is_a_scalar(board, tmp_path):
 
 
 def test_a_run_that_goes_on_drops_what_was_lost(board, tmp_path):
-    BoardLog(tmp_path, keep_to_step=120).close()
+    BoardLog(tmp_path, last_step=120).close()
     assert [writer.purge_step for writer in board] == [121]
 
 

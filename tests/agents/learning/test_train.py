@@ -350,7 +350,7 @@ def test_metrics_drop_lost_rows_and_torn_lines(tmp_path):
     assert read_metrics(path)[0]["loss"] == ""
     with path.open("a") as file:
         file.write("40,,,,,,,,,,,,,,,,,,,,,\n" * 70_000 + "40,4,")  # more than a report would read
-    MetricsFile(path, keep_to_step=20)
+    MetricsFile(path, last_step=20)
     with path.open(newline="") as file:
         assert [row["step"] for row in csv.DictReader(file)] == ["10", "20"]
     path.write_text("a,b\n1,2\n")

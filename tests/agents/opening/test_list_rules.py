@@ -11,7 +11,7 @@ from wcsim.agents.opening.list_file import open_suite
 from wcsim.agents.opening.named_policy import (
     RULES,
     config_for,
-    told_of_rules,
+    rule_notes,
 )
 from wcsim.agents.runs.policy_file import POLICY_JSON
 from wcsim.agents.runs.run_folder import RunInfo, create_run, make_manifest
@@ -53,7 +53,7 @@ def test_a_run_of_the_paper_drives_under_the_rules_of_whom_it_is_compared_with(t
     assert user.reward.drop and user.world.button
     assert policy.cameras[0].width_px == 320 and policy.cameras[0].noise == user.cameras[0].noise
     assert policy.learn.network == "fig6"
-    (line,) = told_of_rules(["follow", "stop", run], "quick", listed())
+    (line,) = rule_notes(["follow", "stop", run], "quick", listed())
     assert line.startswith(run) and "world.button=false" in line and "reward.drop=true" in line
 
 
@@ -66,7 +66,7 @@ def test_a_run_keeps_what_it_senses_and_does_and_brings_no_street_chair_or_range
         assert getattr(policy, name) == getattr(own, name)
     assert policy.env == own.env.model_copy(update={"max_steps": 10_000})
     assert policy.cameras[0].width_px == 32 and policy.cameras[0].noise is not None
-    (line,) = told_of_rules([run], "quick", listed())
+    (line,) = rule_notes([run], "quick", listed())
     for word in ("chair.plant=mwd", "world.tick_s=0.05", "with world.tick_s=0.1", "vary.action_delay_ticks=[0, 3]"):
         assert word in line
 
@@ -85,7 +85,7 @@ def test_what_is_typed_for_the_test_holds_for_all(tmp_path):
 def test_presets_that_change_no_rule_are_tested_as_their_runs_learned(tmp_path, name, more):
     policy, settings = "shipped" if name == "shipped" else run_of(tmp_path / "run", name), (*listed(), *more)
     assert config_for(policy, "quick", settings, in_list=True) == config_for(policy, "quick", settings)
-    assert not list(told_of_rules([policy], "quick", settings))
+    assert not list(rule_notes([policy], "quick", settings))
 
 
 def test_a_model_in_onnx_drives_under_the_rules_too(tmp_path):
@@ -95,7 +95,7 @@ def test_a_model_in_onnx_drives_under_the_rules_too(tmp_path):
     found = config_for(str(tmp_path), "quick", listed(), in_list=True)
     drives_as_the_user(found)
     assert found.cameras[0].width_px == 32
-    (line,) = told_of_rules([str(tmp_path)], "quick", listed())
+    (line,) = rule_notes([str(tmp_path)], "quick", listed())
     assert "chair.plant=mwd" in line
     assert _identity_of(str(tmp_path), "quick") != _identity_of(str(tmp_path), "paper")
 

@@ -212,7 +212,7 @@ def check_metrics(path: Path, data: bytes, whole: bytes) -> bool:
     try:
         rows = read_metrics(path)
         last = int(rows[-1]["step"]) if rows else 0
-        MetricsFile(path, keep_to_step=last)
+        MetricsFile(path, last_step=last)
     except Exception:
         if path.read_bytes() != data:
             return False

@@ -11,7 +11,7 @@ import pytest
 
 from wcsim import errors
 from wcsim.cli import main as cli
-from wcsim.cli.shared.exit_codes import Exit, NothingKept, exit_of
+from wcsim.cli.shared.exit_codes import Exit, NothingSaved, exit_of
 
 CODES = {
     errors.InterruptedRunError: Exit.STOPPED,
@@ -34,7 +34,7 @@ def test_every_error_has_a_code(kind):
 @pytest.mark.parametrize(
     ("error", "code", "told"),
     [
-        (NothingKept("nothing is kept"), Exit.INTERRUPTED, "nothing is kept"),
+        (NothingSaved("nothing is kept"), Exit.INTERRUPTED, "nothing is kept"),
         (KeyboardInterrupt(), Exit.INTERRUPTED, "interrupted"),
         (OSError(errno.ENOSPC, "No space left on device"), Exit.FAILED, "make room"),
         (OSError(errno.EMFILE, "Too many open files"), Exit.FAILED, "ulimit -n 1024"),

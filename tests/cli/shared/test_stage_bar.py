@@ -2,14 +2,14 @@
 
 from rich.console import Console
 
-from wcsim.cli.shared.consoles import StageBar, _told_left
+from wcsim.cli.shared.consoles import StageBar, _time_left
 
 
 def test_the_time_that_is_left_is_what_the_share_says():
-    assert _told_left(60.0, 0.5) == "about 60 s left"
-    assert _told_left(61.0, 0.5) == "about 65 s left"
-    assert _told_left(60.0, 0.25) == "about 3 min left"
-    assert _told_left(60.0, 0.0) == _told_left(60.0, 1.0) == ""
+    assert _time_left(60.0, 0.5) == "about 60 s left"
+    assert _time_left(61.0, 0.5) == "about 65 s left"
+    assert _time_left(60.0, 0.25) == "about 3 min left"
+    assert _time_left(60.0, 0.0) == _time_left(60.0, 1.0) == ""
 
 
 def test_what_was_done_before_takes_no_time_now(capsys):
@@ -19,10 +19,10 @@ def test_what_was_done_before_takes_no_time_now(capsys):
         now_s[0] = 30.0
         bar.show(0.75, "as much is left as was done here")
         assert bar.left == "about 30 s left"
-        bar.say("a line")
-        bar.say("a word of others", left=False)
+        bar.print_line("a line")
+        bar.print_line("a word of others", left=False)
         bar.show(1.0, "")
-        bar.say("the last")
+        bar.print_line("the last")
     assert capsys.readouterr().err.splitlines() == ["a line, about 30 s left", "a word of others", "the last"]
 
 
@@ -62,6 +62,6 @@ def test_names_beside_a_bar_are_no_markup(monkeypatch, capsys):
     )
     with StageBar("own:Robot: of [a]") as bar:
         bar.show(0.5, "own:Robot: in [b]")
-        bar.say("own:Robot: by [c]")
+        bar.print_line("own:Robot: by [c]")
     told = capsys.readouterr().err
     assert all(f"own:Robot: {where}" in told for where in ("of [a]", "in [b]", "by [c]"))

@@ -20,7 +20,7 @@ from wcsim.cli.main import main
 from wcsim.cli.shared.exit_codes import Exit
 from wcsim.cli.shared.run_config import learning
 from wcsim.cli.shared.training import q_layers
-from wcsim.cli.training.clients import ALL_DONE, GroupOptions, _told_stop, train_clients
+from wcsim.cli.training.clients import ALL_DONE, GroupOptions, _stop_message, train_clients
 from wcsim.cli.training.train import _QLearningOptions as QOptions
 from wcsim.cli.training.train_clients import Options, client_names, resolved
 from wcsim.config import resolve
@@ -160,10 +160,10 @@ def test_a_stop_that_comes_while_a_part_of_a_run_is_told_ends_the_run(monkeypatc
 
 def test_work_that_a_client_could_not_save_when_it_was_stopped_is_not_called_kept(tmp_path):
     kept, lost = (ClientState(name=n, seat=0, standing="stopped", unsaved=why) for n, why in (("a", ""), ("b", "x")))
-    assert "holds the training so far" in _told_stop(tmp_path, (kept,))
-    assert "client b x: the training since its last checkpoint is lost" in _told_stop(tmp_path, (kept, lost))
+    assert "holds the training so far" in _stop_message(tmp_path, (kept,))
+    assert "client b x: the training since its last checkpoint is lost" in _stop_message(tmp_path, (kept, lost))
     full = ClientState(name="c", seat=0, standing="given up", reason="has no disk space to save: x")
-    told = _told_stop(tmp_path, (kept, full))
+    told = _stop_message(tmp_path, (kept, full))
     assert "stopped, but client c has no disk space to save: x: the training since" in told
 
 

@@ -10,7 +10,7 @@ from wcsim.agents.evaluation.suite.run import SuiteOrder, run_suite
 from wcsim.agents.opening.list_file import open_suite
 from wcsim.agents.policy_api import UNAIDED
 from wcsim.cli.main import main
-from wcsim.cli.shared.consoles import say
+from wcsim.cli.shared.consoles import print_note
 from wcsim.towns.scene_folders.families import LISTED
 
 SEEDS = range(1, 6)
@@ -66,8 +66,10 @@ def test_five_seeds_crash_less_than_the_user_alone_and_than_placebos(tmp_path, m
     }
     worth = {name: gained(alone, helped) for name, helped in groups.items()}
     with capsys.disabled():
-        say(f"\nuser alone: a crash in {alone.sum()} of {alone.size} drives")
+        print_note(f"\nuser alone: a crash in {alone.sum()} of {alone.size} drives")
         for name, (share, (low, high)) in worth.items():
-            say(f"{name}: {groups[name].sum(axis=1)} of {alone.size}, {share:+.2f} fewer ({low:+.2f} to {high:+.2f})")
+            print_note(
+                f"{name}: {groups[name].sum(axis=1)} of {alone.size}, {share:+.2f} fewer ({low:+.2f} to {high:+.2f})"
+            )
     assert worth["network"][1][0] > 0.0, "the interval lies above nothing"
     assert worth["network"][0] > worth["placebo"][0]

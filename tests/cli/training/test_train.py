@@ -14,7 +14,7 @@ from wcsim.agents.rounds import train_rounds
 from wcsim.agents.rounds.train_rounds import RoundProgress
 from wcsim.agents.runs.run_folder import ResolvedRun
 from wcsim.cli.shared.consoles import StageBar
-from wcsim.cli.shared.exit_codes import NothingKept
+from wcsim.cli.shared.exit_codes import NothingSaved
 from wcsim.cli.shared.training import removed_without_results, train_network
 from wcsim.config import resolve
 from wcsim.errors import ConfigError, DiskFullError, InterruptedRunError, WorkersError
@@ -45,7 +45,7 @@ def stopped(policy: str) -> Callable[..., Path]:
 
 def test_what_was_stopped_before_its_first_segment_leaves_nothing(run, corner, monkeypatch):
     monkeypatch.setattr(train_rounds, "train_danger", stopped(""))
-    with pytest.raises(NothingKept, match="first segment"):
+    with pytest.raises(NothingSaved, match="first segment"):
         train_network(run, find_town(str(corner)), machines=HERE)
     assert not run.out.parent.exists()
 

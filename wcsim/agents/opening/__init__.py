@@ -1,1 +1,1 @@
-"""Whatever a user names, opened: policies of any kind, lists of test episodes, the street of a block."""
+"""Opens what a user names: learners, policies, lists of episodes, the street of a block."""

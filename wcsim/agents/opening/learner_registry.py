@@ -1,8 +1,8 @@
 """The ways to learn: what each one trains, resumes, loads as a policy and exports.
 
-`LEARNERS` is the registry. A new learner is a class with the members of `Learner` and one entry there; `learn.head` and
-`policy.json` name it. PyTorch and the simulators are imported within the methods that need them: `--help` and refusals
-load neither.
+`LEARNERS` is the registry. A new learner is a class with the members of `Learner` and one entry
+there; `learn.head` and `policy.json` name it. PyTorch and the simulators are imported within the
+methods that need them: `--help` and refusals load neither.
 """
 
 from __future__ import annotations
@@ -37,13 +37,13 @@ class Bar(Protocol):
     def is_terminal(self) -> bool:
         """Whether the bar is drawn; in a log only lines appear."""
 
-    def show(self, share: float, says: str, name: str | None = None) -> None:
+    def show(self, share: float, text: str, name: str | None = None) -> None:
         """Show the share of the work that is done (0 to 1), what goes on, and the stage's name."""
 
-    def rows(self, told: dict[str, str]) -> None:
+    def rows(self, texts: dict[str, str]) -> None:
         """Show a row for each worker."""
 
-    def say(self, line: str, *, left: bool = True) -> None:
+    def print_line(self, line: str, *, left: bool = True) -> None:
         """Print a line above the bar; `left` adds the time that is left where there is no bar."""
 
 
@@ -70,7 +70,8 @@ class Learner(Protocol):
     method: str  # how messages describe the command
     export_preset: str  # settings of a policy folder outside of its run
     first_stage: str  # name of the bar until progress arrives
-    own_worlds: bool  # it drives worlds of its own on any machines; else it learns from each step of one world here
+    # Whether it drives worlds of its own on any machines, or learns from each step of one world.
+    own_worlds: bool
     extends: bool  # whether --steps makes a run longer
 
     def describe(self, config: RunConfig) -> str:
@@ -97,7 +98,7 @@ class Learner(Protocol):
         """Read and check `policy.json` of its policies. Raises PolicyError."""
 
     def policy_settings(self, folder: Path) -> dict[str, Any]:
-        """What a policy folder fixes of a configuration: camera, actions and the like. Raises PolicyError."""
+        """What a policy folder fixes of a configuration, such as its camera. Raises PolicyError."""
 
     def load_policy(
         self,
@@ -130,7 +131,7 @@ class Learner(Protocol):
         level: float | None = None,
         network: str | None = None,
     ) -> tuple[Graph, Policy]:
-        """A policy as a graph to export, and as wcsim drives with it; arguments and errors as of `load_policy`."""
+        """A policy as a graph to export, and as wcsim drives with it; see `load_policy`."""
 
 
 class QLearning(Learner):
@@ -151,8 +152,8 @@ class QLearning(Learner):
         learn = config.learn
         aid = " and from an oracle's labels (learn.aid=oracle)" if learn.aid == "oracle" else ""
         return (
-            f"Q-learning from rewards{aid}, {learn.total_steps} steps: {learn.phase1_steps} in the first phase, "
-            f"updates from step {learn.learning_starts} on"
+            f"Q-learning from rewards{aid}, {learn.total_steps} steps: {learn.phase1_steps} in the "
+            f"first phase, updates from step {learn.learning_starts} on"
         )
 
     def length(self, config: RunConfig) -> str:
@@ -254,7 +255,8 @@ class DangerRounds(Learner):
             drivers = "simulated users and the network drive"
             source = "crashes that happened, without an oracle"
         return (
-            f"{counted(collect.rounds, 'round')} of {collect.segments} x {collect.ticks} ticks with {collect.chairs} "
+            f"{counted(collect.rounds, 'round')} of {collect.segments} x {collect.ticks} ticks "
+            f"with {collect.chairs} "
             f"chairs, fewer in scenes: {drivers}. A network learns from {source}, in "
             f"{config.danger.updates} updates per round: which joystick positions end badly."
         )
@@ -271,7 +273,7 @@ class DangerRounds(Learner):
             _show_round(display, now, run.config)
 
         def log(text: str) -> None:
-            display.say(text, left=False)
+            display.print_line(text, left=False)
 
         display.print_note()
         return train_danger(run, town, replace(machines, say=log), show, log)
@@ -307,7 +309,8 @@ class DangerRounds(Learner):
         eye = read_danger_file(folder).net.eye
         if eye != "map":
             raise PolicyError(
-                f"{name} uses camera pictures (danger.eye={eye}), which cannot be exported; expected a danger network "
+                f"{name} uses camera pictures (danger.eye={eye}), which cannot be exported; "
+                "expected a danger network "
                 "with danger.eye=map: docs/export.md, What cannot be exported"
             )
 
@@ -364,13 +367,13 @@ def step_display(bar: Bar) -> Callable[[TrainProgress], None]:
         bar.show(step / now.total_steps, text, phase)
         if not bar.is_terminal and 10 * step // now.total_steps > tenths:
             tenths = 10 * step // now.total_steps
-            bar.say(f"{phase}: {text}", left=False)
+            bar.print_line(f"{phase}: {text}", left=False)
 
     return show
 
 
 def _show_round(display: Display, now: RoundProgress, config: RunConfig) -> None:
-    """Show a round, its workers, and in a log a line where it is driven and one where it is learned from."""
+    """Show a round and its workers; a log gets a line when driving and when learning ends."""
     rows = {}
     for worker in now.workers:
         rows[worker.name] = f"segment {worker.key}, {worker.for_s:.0f} s" if worker.key else "free"
@@ -386,16 +389,17 @@ def _show_round(display: Display, now: RoundProgress, config: RunConfig) -> None
         return
     text = f"round {now.round + 1} of {now.rounds}, {now.segments} of {now.of} segments"
     if now.updates:
-        display.say(f"{text}, {counted(now.updates, 'update')}, loss {now.loss:.4f}")
+        display.print_line(f"{text}, {counted(now.updates, 'update')}, loss {now.loss:.4f}")
     elif now.segments == now.of and not now.learned:
-        display.say(f"{text}: learning")
+        display.print_line(f"{text}: learning")
 
 
 def share_of_rounds(now: RoundProgress, config: RunConfig) -> float:
     """Which share of a run's work is done, 0 to 1.
 
-    A step that is driven and one in a batch that is learned from cost about the same on two cores. From the second
-    round on worlds drive while the network learns, so that a round takes as long as the longer of both.
+    A step that is driven and one in a batch that is learned from cost about the same on two cores.
+    From the second round on worlds drive while the network learns, so that a round takes as long as
+    the longer of both.
     """
     collect, danger = config.collect, config.danger
     drive = collect.segments * collect.ticks * collect.chairs

@@ -1,4 +1,4 @@
-"""Lists of episodes: read, checked, hashed; the street of a block, and what its chairs are taken with."""
+"""Lists of episodes: read, checked and hashed; the street of a block, and its seats."""
 
 from __future__ import annotations
 
@@ -22,9 +22,14 @@ from wcsim.towns.scene_folders.build import build_scene, scene_config, scene_dig
 from wcsim.towns.scene_folders.families import write_scene
 from wcsim.types import SeatSpec, StartSpec
 
-TIGHT: Final = "tight"  # the part whose towns are generated scenes
-SCENE, SCENE_TOWN = "scene", "town"  # folders of a block in a generated scene
-_SHIPPED = Path(__file__).parent / "lists"
+# The part whose towns are generated scenes.
+TIGHT: Final = "tight"
+
+# Folders of a block in a generated scene.
+SCENE: Final = "scene"
+SCENE_TOWN: Final = "town"
+
+_SHIPPED: Final = Path(__file__).parent / "lists"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,10 +51,13 @@ def shipped() -> tuple[str, ...]:
 
 
 def open_suite(name_or_path: str) -> Suite:
-    """A set that comes with wcsim, or a list at a path. Raises ConfigError when it is none, or broken."""
-    path = (
-        _SHIPPED / f"{name_or_path}.json" if name_or_path in shipped() else expanded(name_or_path)
-    )
+    """A set that comes with wcsim, or a list at a path.
+
+    Raises:
+        ConfigError: There is no such list, or it is damaged.
+    """
+    is_shipped = name_or_path in shipped()
+    path = _SHIPPED / f"{name_or_path}.json" if is_shipped else expanded(name_or_path)
     if not is_file(path):
         known = ", ".join(shipped()) or "(none)"
         raise ConfigError(
@@ -60,29 +68,22 @@ def open_suite(name_or_path: str) -> Suite:
 
 def suite_of(file: SuiteFile) -> Suite:
     """A list with its hash."""
-    return Suite(
-        file=file, sha256=hashlib.sha256(_canonical(file.model_dump(mode="json"))).hexdigest()
-    )
-
-
-def _canonical(data: object) -> bytes:
-    """The one spelling of plain data that is hashed."""
-    return json.dumps(data, sort_keys=True, separators=(",", ":"), allow_nan=False).encode()
+    data = file.model_dump(mode="json")
+    # The one spelling of plain data that is hashed.
+    text = json.dumps(data, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return Suite(file=file, sha256=hashlib.sha256(text.encode()).hexdigest())
 
 
 def write_list(file: SuiteFile, path: Path) -> None:
     """Write a list, an episode a line, so that a change shows in a diff. Raises OSError."""
     head = file.model_dump(mode="json", exclude={"blocks"})
     lines = [json.dumps(head)[:-1] + ', "blocks": [']
-    blocks = list(file.blocks)
-    for number, block in enumerate(blocks):
-        said = json.dumps(block.model_dump(mode="json", exclude={"episodes"}))[:-1]
-        episodes = ",\n  ".join(
-            json.dumps(episode.model_dump(mode="json")) for episode in block.episodes
-        )
-        lines.append(
-            f'{said}, "episodes": [\n  {episodes}]}}{"," if number + 1 < len(blocks) else "]}"}'
-        )
+    for number, block in enumerate(file.blocks, 1):
+        facts = json.dumps(block.model_dump(mode="json", exclude={"episodes"}))[:-1]
+        rows = [json.dumps(episode.model_dump(mode="json")) for episode in block.episodes]
+        episodes = ",\n  ".join(rows)
+        end = "," if number < len(file.blocks) else "]}"
+        lines.append(f'{facts}, "episodes": [\n  {episodes}]}}{end}')
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
@@ -93,35 +94,34 @@ def towns_of(file: SuiteFile, folder: Path) -> dict[str, Town]:
         TownError: One is missing, or is another than that of the list.
         SumoError: One of SUMO's tools failed at a made one.
     """
-    found = {}
-    for wanted in file.towns:
-        town = (
-            find_town(wanted.name)
-            if wanted.made_seed is None
-            else made_town(folder, wanted.made_seed)
-        )
-        got = content_hash(town)
-        if got != wanted.sha256:
+    towns = {}
+    for entry in file.towns:
+        seed = entry.made_seed
+        town = find_town(entry.name) if seed is None else made_town(folder, seed)
+        sha256 = content_hash(town)
+        if sha256 != entry.sha256:
             raise TownError(
-                f"town {wanted.name} has the hash {got[:12]}; expected {wanted.sha256[:12]}, for which the list "
-                f"{file.suite} {file.set} was made: make your own list with --make-suite {wanted.name}"
+                f"town {entry.name} has the hash {sha256[:12]}; expected {entry.sha256[:12]}, for "
+                f"which the list {file.suite} {file.set} was made: make your own list with "
+                f"--make-suite {entry.name}"
             )
-        found[wanted.name] = town
-    return found
+        towns[entry.name] = town
+    return towns
 
 
-def asked_towns(words: str, folder: Path) -> list[tuple[Town, int | None]]:
-    """The towns of `--make-suite`, joined by commas, each with the seed that it was made of; `made:7` is made now.
+def suite_towns(words: str, folder: Path) -> list[tuple[Town, int | None]]:
+    """The towns of `--make-suite`, each with the seed that it was made of; `made:7` is made now.
 
     Raises:
         ConfigError: A seed is none.
         TownError: There is no such town, or it cannot be made.
     """
-    words_seeds = [(word.strip(), made_seed(word.strip())) for word in words.split(",")]
-    return [
-        (find_town(word) if seed is None else made_town(folder, seed), seed)
-        for word, seed in words_seeds
-    ]
+    towns = []
+    # All seeds are read before the first town is made.
+    seeds = [(word.strip(), made_seed(word.strip())) for word in words.split(",")]
+    for word, seed in seeds:
+        towns.append((find_town(word) if seed is None else made_town(folder, seed), seed))
+    return towns
 
 
 def require_towns(file: SuiteFile) -> None:
@@ -130,7 +130,8 @@ def require_towns(file: SuiteFile) -> None:
     for block in file.blocks:
         if block.part != TIGHT and block.town not in named:
             raise ConfigError(
-                f"a block is in town {block.town!r}; expected one of {sorted(named)}: add it to `towns`"
+                f"a block is in town {block.town!r}; expected one of {sorted(named)}: add it to "
+                "`towns`"
             )
 
 
@@ -147,18 +148,20 @@ class BlockPlace:
 def open_block(
     block: BlockFile, config: RunConfig, town: Callable[[], Town], work: Path
 ) -> BlockPlace:
-    """The block's place: its `town`, or the scene of a tight block, built in `work`, its settings laid over `config`.
+    """The block's place: its `town`, or the scene of a tight block, built in `work`.
 
-    Raises TownError when the scene is another than the list's, and what `town` raises.
+    Raises:
+        TownError: The scene differs from the list's, or as `town` does.
     """
     if block.part != TIGHT:
         return BlockPlace(town=town(), config=config, seed=block.seed)
     folder = write_scene(block.town, block.seed, work / SCENE)
-    got = scene_digest(folder)
-    if got != block.scene_sha256:
+    sha256 = scene_digest(folder)
+    if sha256 != block.scene_sha256:
         raise TownError(
-            f"scene {block.town} {block.seed} has the hash {got[:12]}; expected {str(block.scene_sha256)[:12]}, as "
-            "the list says: the list was made by another version of wcsim"
+            f"scene {block.town} {block.seed} has the hash {sha256[:12]}; expected "
+            f"{str(block.scene_sha256)[:12]}, as the list says: the list was made by another version "
+            "of wcsim"
         )
     built, scene = build_scene(folder, work / SCENE_TOWN)
     return BlockPlace(
@@ -167,7 +170,7 @@ def open_block(
 
 
 def seat_of(place: BlockPlace, episode: EpisodeFile, policy: Policy) -> SeatSpec:
-    """What a seat is taken with for an episode of a block."""
+    """The seat of a policy for an episode of a block."""
     user = episode.profile
     if place.recordings is not None and user.startswith(RECORDED):
         user = f"{RECORDED}{place.recordings / user.removeprefix(RECORDED)}"

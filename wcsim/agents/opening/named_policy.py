@@ -1,8 +1,9 @@
-"""Whatever may be named as a policy: a baseline, a run, a class, an ONNX folder, a process on a socket.
+"""Opens a policy by its name: a baseline, a run, a class, an ONNX folder, a process on a socket.
 
-All policies of a list drive the same chair in the same world, and the same things are a crash. A run brings what its
-network senses and does (cameras, sensors, `[imu]`, `[env]`, how it learned). Its street, chair, crashes and ranges stay
-behind: with them `saved`, `lost` and the score would compare drives that were not judged alike.
+All policies of a list drive the same chair in the same world, and the same things are a crash. A
+run brings what its network senses and does (cameras, sensors, `[imu]`, `[env]`, how it learned).
+Its street, chair, crashes and ranges are left out: with them `saved`, `lost` and the score would
+compare drives that were not judged alike.
 """
 
 from __future__ import annotations
@@ -40,19 +41,30 @@ from wcsim.errors import PolicyError, check_installed
 from wcsim.supervisor.actions import action_set
 from wcsim.types import SeatSpec
 
+# Sections that are the preset's in a list: with others its policies would not be judged alike.
 RULES: Final = ("world", "chair", "reward", "vary")
-"""Sections that are the preset's in a list, as with others its policies would not be judged alike."""
-_PACE: Final = ("draw_threads", "epoch_ticks")  # of `world`: they change no result
+
+# Of `world`: they change no result.
+_PACE: Final = ("draw_threads", "epoch_ticks")
 
 
 def open_named(name: str, config: RunConfig, seed: int, network: str | None = None) -> Policy:
-    """The policy of that name for one chair. Raises PolicyError when there is none, or it does not fit."""
+    """The policy of that name for one chair.
+
+    Args:
+        name: The policy's name.
+        config: The configuration of the world in which it drives.
+        seed: Seed of a baseline that draws random numbers.
+        network: The user's own network that may be loaded, `module:Class`.
+
+    Raises:
+        PolicyError: There is no such policy, or it does not fit the configuration.
+    """
     actions = action_set(config.env.actions)
     named = policy_name(name)
     if named.veto:
-        from wcsim.agents.policies.dwa import (
-            Veto,
-        )  # and with it kernels, which the checks of names must not load
+        # Not at the top: it loads kernels, which checks of names must not load.
+        from wcsim.agents.policies.dwa import Veto
 
         inner = open_named(named.inner, config, seed, network)
         if isinstance(
@@ -82,7 +94,7 @@ def open_named(name: str, config: RunConfig, seed: int, network: str | None = No
 
 
 def _law_without_torch(folder: Path, config: RunConfig) -> str:
-    """The exported law by which a network drives where there is no torch: of this delay and chair; "" for none."""
+    """The exported law of this delay and chair, for a network without PyTorch; "" for none."""
     if find_spec("torch") is not None or config.vary.action_delay_ticks:
         return ""
     law = EXPORTED.get(config.world.action_delay_ticks, "")
@@ -98,8 +110,8 @@ def _own_policy(name: str, config: RunConfig) -> Policy:
     missing = [part for part in ("name", "begin", "reset", "act") if not hasattr(policy, part)]
     if missing:
         raise PolicyError(
-            f"policy {name!r} has no {', '.join(missing)}; expected a class with name, begin(), reset() and "
-            "act(observation), see docs/suites.md"
+            f"policy {name!r} has no {', '.join(missing)}; expected a class with name, begin(), "
+            "reset() and act(observation), see docs/suites.md"
         )
     return policy
 
@@ -107,8 +119,8 @@ def _own_policy(name: str, config: RunConfig) -> Policy:
 def _network(name: str, config: RunConfig, network: str | None) -> Policy:
     """A network of wcsim's own: of a run folder, `RUN:phase1`, or a policy folder.
 
-    From it on torch works on one thread in this process: one picture is too little for two, and where others use
-    the cores they wait for one another, fifty times as long as the work takes.
+    It sets PyTorch to one thread in this process: one picture is too little for two, and on busy
+    cores they wait for one another, fifty times as long as the work takes.
     """
     import torch  # not at the top: checks of names must not load it
 
@@ -118,23 +130,22 @@ def _network(name: str, config: RunConfig, network: str | None) -> Policy:
 
 
 def sensing(config: RunConfig, policy: Policy) -> tuple[str, ...]:
-    """The settings of the senses that a policy wants, and of as many images in an observation as it needs.
+    """The settings of a policy's senses, and of as many images in an observation as it needs.
 
-    Those are what it was trained on, or more where `env.window` is: who is no network of wcsim's is told in settings.
+    A network of Q-learning needs as many as it was trained on; `env.window` may ask for more. Other
+    policies get the number of `env.window`.
     """
     from wcsim.agents.policies.dwa import Veto
 
-    file = getattr(
-        policy.inner if isinstance(policy, Veto) else policy, "file", None
-    )  # of a network of Q-learning
-    window = (
-        f"env.window={max(file.window if isinstance(file, PolicyFile) else 1, config.env.frames)}"
-    )
+    inner = policy.inner if isinstance(policy, Veto) else policy
+    file = getattr(inner, "file", None)
+    trained = file.window if isinstance(file, PolicyFile) else 1
+    window = f"env.window={max(trained, config.env.frames)}"
     return (window, *sense_settings(config, senses_of(policy)))
 
 
 def seat_for(policy: Policy, profile: str) -> SeatSpec:
-    """A seat for this policy, and for this user: what of the truth reaches it."""
+    """A seat for this policy and user, with the parts of the truth that the policy gets."""
     return SeatSpec(
         profile=profile,
         truth=isinstance(policy, SeesTruth),
@@ -146,11 +157,11 @@ def seat_for(policy: Policy, profile: str) -> SeatSpec:
 def config_for(
     policy: str, preset: str, settings: Sequence[str] = (), *, in_list: bool = False
 ) -> RunConfig:
-    """What a policy drives with: its own configuration, or the preset's where it has none, with settings over it.
+    """The configuration that a policy drives with: its own or else the preset's, under `settings`.
 
     Args:
-        policy: Its name.
-        preset: Of whoever drives it.
+        policy: The policy's name.
+        preset: The preset of the command that drives it.
         settings: section.key=value.
         in_list: Whether the preset's rules hold, see `RULES`.
 
@@ -158,19 +169,19 @@ def config_for(
         PolicyError: There is no such policy.
         ConfigError: The settings cannot be used.
     """
-    named, base = policy_name(policy), resolve(preset)
+    named = policy_name(policy)
+    base = resolve(preset)
     own = base
     if named.kind == "onnx":
         about = read_about(named.folder)
         own = resolve(about.preset, about.settings)
     elif named.is_network:
         run = run_of(policy)
-        folder = policy_path(policy)
-        own = (
-            run.config
-            if run is not None
-            else resolve(base, learner_of_policy(folder).policy_settings(folder))
-        )
+        if run is None:
+            folder = policy_path(policy)
+            own = resolve(base, learner_of_policy(folder).policy_settings(folder))
+        else:
+            own = run.config
     if in_list:
         own = own.model_copy(update={name: getattr(base, name) for name in RULES})
     config = resolve(own, settings)
@@ -178,14 +189,17 @@ def config_for(
     return config
 
 
-def told_of_rules(policies: Iterable[str], preset: str, settings: tuple[str, ...]) -> Iterator[str]:
-    """A line for each policy that was trained under other rules than the list's. Raises as `config_for` does."""
+def rule_notes(policies: Iterable[str], preset: str, settings: tuple[str, ...]) -> Iterator[str]:
+    """A line for each policy that was trained under other rules than the list's.
+
+    Raises:
+        PolicyError, ConfigError: See `config_for`.
+    """
     for policy in policies:
         if policy_name(policy).kind in ("baseline", "served", "class"):
             continue
-        learned, tested = (
-            config_for(policy, preset, settings, in_list=rules) for rules in (False, True)
-        )
+        learned = config_for(policy, preset, settings, in_list=False)
+        tested = config_for(policy, preset, settings, in_list=True)
         other = list(_others(learned, tested))
         if other:
             was = ", ".join(f"{name}={_text(value)}" for name, value, _ in other)
@@ -194,6 +208,7 @@ def told_of_rules(policies: Iterable[str], preset: str, settings: tuple[str, ...
 
 
 def _others(learned: RunConfig, tested: RunConfig) -> Iterator[tuple[str, Any, Any]]:
+    """The keys of `RULES` that differ, each with both values."""
     for name in RULES:
         one, two = getattr(learned, name), getattr(tested, name)
         for key in type(one).model_fields:

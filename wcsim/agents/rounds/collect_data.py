@@ -23,7 +23,7 @@ from wcsim.agents.runs.data_folder import (
     read_segment,
     require_same_settings,
     segment_path,
-    told_settings,
+    plain_settings,
     write_manifest,
 )
 from wcsim.agents.runs.policy_file import require_same_senses
@@ -236,7 +236,7 @@ def _require_same_order(order: DataOrder, towns: Sequence[Town]) -> None:
     begun = read_json(path, reading.ORDERS) if is_file(path) else {}
     driver = folder_files(Path(order.policy)) if order.policy else None
     policy = [] if driver is None else [[name, sha256(driver.folder / name)] for name in sorted(driver.names)]
-    said = [told_settings(order.config), [content_hash(town) for town in towns], policy]
+    said = [plain_settings(order.config), [content_hash(town) for town in towns], policy]
     digest = sha256_text(json.dumps(said, sort_keys=True))
     if begun.get(seed, digest) != digest:
         raise PolicyError(

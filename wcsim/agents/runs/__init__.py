@@ -1,1 +1,1 @@
-"""Run folders of training: manifest, configuration, policy files, whose own code they name; recorded data."""
+"""Run folders of trainings: manifest, settings, checkpoints, logs, policy files; recorded data."""

@@ -1,8 +1,8 @@
 """Checkpoints of any learner: folders of arrays and plain values, all of it under hashes.
 
-Each is written in one step, and the newest ones stay. Arrays that are large and seldom saved are shared, as a hard
-link, with the newest checkpoint that has them. A learner goes on from the newest one that is sound and fits it: one
-that is damaged in any place is passed over for the one before it.
+Each is written in one step, and the newest ones stay. Large arrays that are seldom saved are
+shared, as a hard link, with the newest checkpoint that has them. A learner resumes from the newest
+one that is sound and fits it: one that is damaged in any place is skipped for the one before it.
 """
 
 from __future__ import annotations
@@ -27,9 +27,11 @@ from wcsim.core.reading import escaped, is_folder, read_json, regular_size
 from wcsim.errors import PolicyError, WcsimError
 
 STATE: Final = "state.json"
-KEEP: Final = 3  # checkpoints of a run
+# Checkpoints of a run that stay.
+KEEP: Final = 3
 _VERSION: Final = 4
-_WIDTH: Final = {"step": 8, "round": 3}  # least number of digits, by what is counted
+# Least number of digits, by what is counted.
+_WIDTH: Final = {"step": 8, "round": 3}
 _NAME: Final = re.compile(r"(step|round)-(\d{3,18})", re.ASCII)
 _END: Final = ".safetensors"
 _FILE: Final = re.compile(rf"[a-z_]+{re.escape(_END)}", re.ASCII)
@@ -37,28 +39,28 @@ _FILE: Final = re.compile(rf"[a-z_]+{re.escape(_END)}", re.ASCII)
 Arrays = dict[str, np.ndarray]
 T = TypeVar("T")
 Restore = Callable[[int, dict[str, Any], dict[str, Arrays]], T]
-"""Brings a learner to a step or round with its state and arrays; raises where they do not fit, and is asked again."""
+"""Restores a learner at a step or round from state and arrays; raises where they do not fit."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Restored(Generic[T]):
-    """What a learner was brought to, what `Restore` returned, and what was not used, newest first, each with why."""
+    """A checkpoint that was restored."""
 
     path: Path
-    value: T
-    passed_over: Mapping[Path, str]
+    value: T  # that `Restore` returned
+    passed_over: Mapping[Path, str]  # newer checkpoints with the reason, newest first
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Shared:
-    """A file of arrays that a checkpoint has already, and the hash that it was written with, not compared with it."""
+    """A file of arrays that a checkpoint has already."""
 
     path: Path
-    sha256: str
+    sha256: str  # as it was written; not compared with the file
 
 
 def tag(counted: str, number: int) -> str:
-    """The name of the checkpoint of a step or round; their order as text is not that of their numbers.
+    """The name of a step's or round's checkpoint; names do not sort as their numbers do.
 
     >>> tag("step", 5000), tag("step", 100_000_000), tag("round", 7)
     ('step-00005000', 'step-100000000', 'round-007')
@@ -67,13 +69,12 @@ def tag(counted: str, number: int) -> str:
 
 
 def checkpoints(folder: Path) -> list[Path]:
-    """Those of a run, oldest first: real folders with exactly such a name; whatever else is there is not."""
-    there = (
-        folder.glob("*-*") if is_folder(folder) else ()
-    )  # glob fails at a name that no system could hold
-    found = (
-        path for path in there if _is_name(path.name) and path.is_dir() and not path.is_symlink()
-    )
+    """The checkpoints of a run, oldest first: real folders with exactly such a name."""
+    # `glob` fails at a name that no system could hold.
+    paths = folder.glob("*-*") if is_folder(folder) else ()
+    found = [
+        path for path in paths if _is_name(path.name) and path.is_dir() and not path.is_symlink()
+    ]
     return sorted(found, key=number_of)
 
 
@@ -97,7 +98,7 @@ def save(
     """Write the checkpoint `folder/name` in one step, and drop all but it and the newest ones.
 
     Args:
-        folder: Of a run's checkpoints.
+        folder: The folder of a run's checkpoints.
         name: See `tag`.
         state: Plain values.
         arrays: By the name of their file; see `newest_arrays` for those that are saved already.
@@ -110,7 +111,8 @@ def save(
         DiskFullError: It could not be written; those before are whole.
     """
     with files.whole_folder(folder / name) as target:
-        hashes, sizes = {}, {}
+        hashes = {}
+        sizes = {}
         for part, held in arrays.items():
             file = f"{part}{_END}"
             if isinstance(held, _Shared):
@@ -122,14 +124,14 @@ def save(
                         {key: np.asarray(value, order="C") for key, value in held.items()},
                         target / file,
                     )
-                except SafetensorError as error:  # what it says of a full disk
+                except SafetensorError as error:  # its error for a full disk
                     raise OSError(errno.ENOSPC, escaped(error)) from None
                 alive()
                 hashes[file] = files.sha256(target / file)
             sizes[file] = (target / file).stat().st_size
             alive()
-        said = {"schema_version": _VERSION, "name": name, **state, "sha256": hashes, "bytes": sizes}
-        files.write_sealed_json(target / STATE, said)
+        data = {"schema_version": _VERSION, "name": name, **state, "sha256": hashes, "bytes": sizes}
+        files.write_sealed_json(target / STATE, data)
     _drop_old(folder, folder / name)
     return folder / name
 
@@ -155,10 +157,8 @@ def _restore_newest(folder: Path, restore: Restore[T]) -> _Restored[T]:
             arrays = {file.removesuffix(_END): load_file(path / file) for file in hashes}
             value = restore(number_of(path), state, arrays)
         except Exception as error:  # whatever is wrong with it, the one before may be sound
-            reason = (
-                str(error) if isinstance(error, WcsimError) else f"{type(error).__name__}: {error}"
-            )
-            passed[path] = escaped(reason, 300)
+            kind = "" if isinstance(error, WcsimError) else f"{type(error).__name__}: "
+            passed[path] = escaped(f"{kind}{error}", 300)
             continue
         return _Restored(path=path, value=value, passed_over=passed)
     faults = "; ".join(f"{path.name}: {reason}" for path, reason in passed.items()) or "none found"
@@ -168,9 +168,9 @@ def _restore_newest(folder: Path, restore: Restore[T]) -> _Restored[T]:
 
 
 def go_on(run: RunFolder, restore: Restore[T], log: Callable[[str], object]) -> _Restored[T] | None:
-    """`_restore_newest` for a run, with a message on what was passed over; None for a run that has no checkpoint yet.
+    """Restore a run's newest sound checkpoint, and log skipped ones; None for a run without any.
 
-    What was passed over is set aside: it belongs to work that is done again, with another outcome.
+    Skipped ones are set aside: they belong to work that is done again, with another result.
 
     Raises:
         PolicyError: There are checkpoints, and none is sound and fits.
@@ -179,11 +179,12 @@ def go_on(run: RunFolder, restore: Restore[T], log: Callable[[str], object]) -> 
         return None
     found = _restore_newest(run.checkpoints, restore)
     for path, reason in found.passed_over.items():
-        kept = files.set_aside(path)
+        aside = files.set_aside(path)
         log(
-            f"{path}: skipped ({reason}); continuing from {found.path.name}, renamed to {kept.name}"
+            f"{path}: skipped ({reason}); continuing from {found.path.name}, renamed to "
+            f"{aside.name}"
         )
-        run.event("passed_over", checkpoint=kept.name, reason=reason)
+        run.event("passed_over", checkpoint=aside.name, reason=reason)
     return found
 
 
@@ -204,13 +205,13 @@ def _is_name(name: str) -> bool:
 
 
 def _read_state(path: Path) -> dict[str, Any]:
-    """What was written of a checkpoint. Raises PolicyError when it is not that."""
+    """The state of a checkpoint. Raises PolicyError when it is damaged."""
     state = read_json(path / STATE, reading.STATE)
     version = state.get("schema_version")
     if version != _VERSION:
         raise PolicyError(
-            f"{STATE} is of version {escaped(version)}, expected {_VERSION}: finish the run with the wcsim that began "
-            "it, or start a new one"
+            f"{STATE} is of version {escaped(version)}, expected {_VERSION}: finish the run with "
+            "the wcsim that began it, or start a new one"
         )
     sealed = files.take_seal(state, STATE)
     name, hashes = state.get("name"), state.get("sha256")
@@ -234,22 +235,26 @@ def _link(source: Path, target: Path) -> None:
 
 
 def _drop_old(folder: Path, newest: Path) -> None:
-    """Remove all checkpoints but `newest`, the last ones and one with other arrays, and what is half-written."""
+    """Remove old and half-written checkpoints; `newest`, the last ones and a spare one stay."""
     older = checkpoints(folder)
-    kept = {newest, *older[-KEEP:]}
-    shared = set.intersection(*map(_inodes, kept))
-    if shared:  # a damaged file must not take all of them
-        kept.update([path for path in older if not _inodes(path) & shared][-1:])
-    begun = (
+    staying = {newest, *older[-KEEP:]}
+    # One with other arrays stays, too: one damaged file must not take all checkpoints.
+    shared = set.intersection(*map(_inodes, staying))
+    if shared:
+        staying.update([path for path in older if not _inodes(path) & shared][-1:])
+    unfinished = [
         path
         for path in folder.iterdir()
-        if files.is_begun(path) and _is_name(path.name[1:].partition(".")[0])
-    )
-    for old in (*older, *(path for path in begun if path.is_dir() and not path.is_symlink())):
-        if old not in kept:
-            shutil.rmtree(old, ignore_errors=True)
+        if files.is_begun(path)
+        and _is_name(path.name[1:].partition(".")[0])
+        and path.is_dir()
+        and not path.is_symlink()
+    ]
+    for path in (*older, *unfinished):
+        if path not in staying:
+            shutil.rmtree(path, ignore_errors=True)
 
 
 def _inodes(checkpoint: Path) -> set[int]:
-    """Which files a checkpoint has its arrays in: linked ones have the same."""
+    """The inodes of a checkpoint's files of arrays: linked files have the same."""
     return {path.stat().st_ino for path in checkpoint.glob(f"*{_END}") if path.is_file()}

@@ -1,8 +1,8 @@
-"""Recorded driving: segments of some hundred ticks, and the folder that holds them beside a manifest.
+"""Recorded driving: segments of some hundred ticks, in a folder with a manifest.
 
-A segment is a world of its own with several chairs, one piece of work and one file of plain arrays (NumPy's .npy format
-in a zip, compressed as a whole by zstd); nothing in it is code. It is written in one step under the name of its key, so
-what is there is whole, and is never written again.
+A segment is a world of its own with several chairs, one piece of work and one file of plain arrays
+(NumPy's .npy format in a zip, compressed as a whole by zstd); nothing in it is code. It is written
+in one step under the name of its key: a file that exists is whole, and is never written again.
 """
 
 from __future__ import annotations
@@ -27,40 +27,45 @@ from wcsim.core.reading import SEGMENT, escaped, read_bytes, read_json, unzstd
 from wcsim.errors import ConfigError, PolicyError
 from wcsim.types import F32, F64, U8, Bool
 
+# What chose an action: the user alone, the blinded oracle, the network, or the user's stick with a
+# random offset.
 FOLLOW, ORACLE, NETWORK, RECKLESS = range(4)
-"""Who chose an action: the user alone, the blinded oracle, the network, the user's stick gone astray."""
 DRIVERS: Final = ("follow", "oracle", "network", "reckless")
+
+# Codes of danger: the seconds until a crash in steps of 0.05 s, or safe.
 SAFE: Final = 255
-STEP_S: Final = 0.05  # of a code
+STEP_S: Final = 0.05
+
 MANIFEST: Final = "data.json"
-DATA: Final = "data"  # the data folder of a run
+# The data folder of a run.
+DATA: Final = "data"
 SEGMENTS: Final = "segments"
 _NAME: Final = re.compile(r"([0-9]+)-([0-9]{3,})-([0-9]{4,})\.npz\.zst", re.ASCII)
+# Of zstd.
 _LEVEL: Final = 3
-_LARGEST: Final = 1e9  # of a number, metres, seconds and newtons alike
-_MAX_RATIO, _FREE_BYTES = 100, 64 << 20  # unpacked against packed
+# Of a number, metres, seconds and newtons alike.
+_LARGEST: Final = 1e9
+# Unpacked data may have so many times the bytes of packed data, and these beside.
+_MAX_RATIO: Final = 100
+_FREE_BYTES: Final = 64 << 20
 _SETTINGS: Final = (
     *("cameras.0.width_px", "cameras.0.height_px", "cameras.0.hfov_deg"),
     *("chair", "env.actions", "env.classes"),
 )
-_ALSO: Final = (  # of the world that was seen; not in the digest, so that older folders keep theirs
-    *(
-        "cameras.0.range_m",
-        "cameras.0.near_m",
-        "cameras.0.p_BC_m",
-        "cameras.0.yaw_deg",
-        "cameras.0.pitch_deg",
-    ),
+# Also of the world that was seen. They are not in the digest, so that older folders' stay the same.
+_ALSO: Final = (
+    *("cameras.0.range_m", "cameras.0.near_m", "cameras.0.p_BC_m"),
+    *("cameras.0.yaw_deg", "cameras.0.pitch_deg"),
     "world.tick_s",
 )
-_TOLD: Final = (  # where they differ
+# What a message names where it differs.
+_COMPARED: Final = (
     *(name for name in _SETTINGS if name != "chair"),
     *(f"chair.{key}" for key in ChairConfig.model_fields),
     *_ALSO,
 )
-COLUMNS: Final[
-    Mapping[str, tuple[str, tuple[int, ...]]]
-] = {  # of a column: its kind; numbers in a row, 0 for any
+# The kind of each column, and the numbers in a row; 0 for any number.
+COLUMNS: Final[Mapping[str, tuple[str, tuple[int, ...]]]] = {
     **dict.fromkeys(("depth", "seg"), ("u1", (0, 0))),
     **dict.fromkeys(("visible", "truth"), ("u1", (0,))),
     **dict.fromkeys(("action", "driver", "delay"), ("u1", ())),
@@ -73,7 +78,7 @@ COLUMNS: Final[
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SegmentKey:
-    """Which piece of a run's driving it is; everything random in it follows from this and the run's seed."""
+    """The place of a segment in a run's driving; its random numbers follow from it."""
 
     run: int  # its seed
     round: int
@@ -81,7 +86,7 @@ class SegmentKey:
 
     @property
     def name(self) -> str:
-        """What it is called wherever something is said of it.
+        """Its name in files and messages.
 
         >>> SegmentKey(run=3, round=0, index=12).name
         '3-000-0012'
@@ -91,26 +96,27 @@ class SegmentKey:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Segment:
-    """Steps of several chairs, sorted by chair and step; row n tells what was seen, then what was done about it."""
+    """Steps of several chairs, sorted by chair and step: the observation, then the action."""
 
     depth: U8  # (N, H, W) newest image, see `supervisor/observation.py`
     seg: U8  # (N, H, W)
     imu: F32  # (N, I)
     odometry: F32  # (N, 2)
     stick: F32  # (N, 2) the user's
-    wish: F32  # (N, 2) the stick that was answered: the user's, or one gone astray
+    wish: F32  # (N, 2) the stick that was answered: the user's, maybe with a random offset
     action: U8  # (N,) executed
     driver: U8  # (N,) see DRIVERS
-    visible: U8  # (N, A) see `codes_of`, of the oracle that knows what the cameras showed; (N, 0) where none was asked
+    # (N, A) see `codes_of`, of the oracle that knows what the cameras showed; (N, 0) without one
+    visible: U8
     truth: U8  # (N, A) or (N, 0), the same of the oracle that knows all
-    reward: F32  # (N,) what the step brought
+    reward: F32  # (N,) of the step
     crashed: Bool  # (N,) the step ended in a crash
     own: Bool  # (N,) in one of the chair's own fault, see `supervisor.rewards.fault`
     ended: Bool  # (N,) it was the last one of its episode here
     delay: U8  # (N,) ticks from a command to the chair that obeys it
 
     def __len__(self) -> int:
-        """How many steps."""
+        """The number of steps."""
         return len(self.action)
 
     def arrays(self) -> dict[str, np.ndarray]:
@@ -130,7 +136,7 @@ def joined(segments: list[Segment]) -> Segment:
 
 
 def codes_of(first_s: F64) -> U8:
-    """Seconds until it goes wrong (A,), infinity when it ends well, as codes of 0.05 s; 255 is safe.
+    """Seconds until a crash (A,), infinity for none, as codes of 0.05 s; 255 is safe.
 
     >>> codes_of(np.array([0.0, 0.26, np.inf, 40.0])).tolist()
     [0, 5, 255, 254]
@@ -143,7 +149,7 @@ def codes_of(first_s: F64) -> U8:
 
 
 def unsafe_ahead(codes: U8, ends: Bool, ahead: int) -> Bool:
-    """(N, A) what is unsafe now, or in one of the next `ahead` steps as long as another position is left.
+    """(N, A) the positions that are unsafe now or within `ahead` steps, as long as one is safe.
 
     Args:
         codes: (N, A) of successive steps, see `codes_of`.
@@ -151,13 +157,14 @@ def unsafe_ahead(codes: U8, ends: Bool, ahead: int) -> Bool:
         ahead: Steps to look ahead.
     """
     safe = codes == SAFE
-    wanted, at = safe.copy(), np.arange(len(codes))
+    allowed = safe.copy()
+    at = np.arange(len(codes))
     for _ in range(ahead):
         goes_on = ~ends[at] & (at < len(codes) - 1)
         at = np.where(goes_on, at + 1, at)
-        both = wanted & safe[at]
-        wanted = np.where(both.any(axis=1, keepdims=True), both, wanted)
-    unsafe: Bool = ~wanted
+        both = allowed & safe[at]
+        allowed = np.where(both.any(axis=1, keepdims=True), both, allowed)
+    unsafe: Bool = ~allowed
     return unsafe
 
 
@@ -182,7 +189,7 @@ def key_of(name: str) -> SegmentKey:
 
 
 def in_order(segments: Iterable[str]) -> list[str]:
-    """Names of segments in the order in which a run learns from them: round by round. Raises as `key_of`.
+    """Names of segments in the order of learning, round by round. Raises as `key_of`.
 
     >>> in_order(["3-1000-0000.npz.zst", "3-999-0001.npz.zst", "3-999-0000.npz.zst"])
     ['3-999-0000.npz.zst', '3-999-0001.npz.zst', '3-1000-0000.npz.zst']
@@ -196,19 +203,24 @@ def packed_segment(segment: Segment) -> bytes:
 
 
 def read_segment(path: Path, sha256: str = "") -> Segment:
-    """Read a segment. Raises PolicyError when it is missing, cut short, damaged, or another than `sha256` says."""
+    """Read a segment.
+
+    Raises:
+        PolicyError: It is missing, truncated, damaged, or has another hash than `sha256`.
+    """
     data = read_bytes(path, SEGMENT)
-    got = hashlib.sha256(data).hexdigest()
-    if sha256 and got != sha256:
+    digest = hashlib.sha256(data).hexdigest()
+    if sha256 and digest != sha256:
         raise PolicyError(
-            f"{escaped(path)} has SHA-256 {got[:12]}..., expected {sha256[:12]}...: damaged or replaced; "
-            "collect it again"
+            f"{escaped(path)} has SHA-256 {digest[:12]}..., expected {sha256[:12]}...: damaged or "
+            "replaced; collect it again"
         )
     try:
         columns = _columns(data)
     except Exception as error:  # of zstd, zipfile or NumPy, by what is wrong with the bytes
         raise PolicyError(
-            f"{escaped(path)} cannot be read ({escaped(error)}); expected a segment as `wcsim collect` writes it"
+            f"{escaped(path)} cannot be read ({escaped(error)}); expected a segment as `wcsim "
+            "collect` writes it"
         ) from None
     _require_whole(path, columns)
     return Segment(**columns)
@@ -217,7 +229,7 @@ def read_segment(path: Path, sha256: str = "") -> Segment:
 def write_manifest(
     folder: Path, config: RunConfig, towns: dict[str, str], segments: dict[str, str]
 ) -> str:
-    """Say what the folder holds: the settings, the towns with their hashes, and the segments' hashes by file name.
+    """Write the folder's settings, its towns with their hashes, and the segments' hashes by name.
 
     Returns:
         The SHA-256 of all segments, see `data_digest`.
@@ -256,23 +268,26 @@ def require_same_settings(folder: Path, file: DataFile, config: RunConfig) -> No
         PolicyError: It is.
         ConfigError: The user's own plant file cannot be read.
     """
-    had, wanted = _by_content(file.config, file.plant_sha256), told_settings(config)
-    other = [name for name in _TOLD if _part(had, name) != _part(wanted, name)]
+    recorded = _by_content(file.config, file.plant_sha256)
+    own = plain_settings(config)
+    other = [name for name in _COMPARED if _part(recorded, name) != _part(own, name)]
     if other or file.settings_sha256 != _settings_digest(config):
         raise PolicyError(
-            f"{escaped(folder)} was driven with other settings ({', '.join(other) or 'of another version'}); expected "
+            f"{escaped(folder)} was driven with other settings "
+            f"({', '.join(other) or 'of another version'}); expected "
             "those of this run: train with the configuration in its data.json"
         )
 
 
 def _settings_digest(config: RunConfig) -> str:
-    """SHA-256 over what data must have in common with whoever learns from it: camera, chair, actions."""
-    told = told_settings(config)
-    return hashlib.sha256(repr([_part(told, name) for name in _SETTINGS]).encode()).hexdigest()
+    """SHA-256 over the settings that data and its learner share: camera, chair, actions."""
+    settings = plain_settings(config)
+    parts = [_part(settings, name) for name in _SETTINGS]
+    return hashlib.sha256(repr(parts).encode()).hexdigest()
 
 
-def told_settings(config: RunConfig) -> dict[str, Any]:
-    """All settings as plain values; a wheelchair of one's own by what its file says, and not by where that lies.
+def plain_settings(config: RunConfig) -> dict[str, Any]:
+    """All settings as plain values; the user's own plant by its file's hash, not its path.
 
     Raises:
         ConfigError: The file cannot be read.
@@ -281,7 +296,7 @@ def told_settings(config: RunConfig) -> dict[str, Any]:
 
 
 def _plant_sha256(config: RunConfig) -> str:
-    """Of the user's own plant file; "" for a plant that comes with wcsim."""
+    """SHA-256 of the user's own plant file; "" for a plant that comes with wcsim."""
     text = plant_text(config.chair.plant)
     return hashlib.sha256(text).hexdigest() if text else ""
 
@@ -294,7 +309,7 @@ def _by_content(dumped: dict[str, Any], plant_sha256: str) -> dict[str, Any]:
 
 
 def data_digest(segments: dict[str, str]) -> str:
-    """SHA-256 over all segments, whatever the order in which they came."""
+    """SHA-256 over all segments, in any order."""
     return hashlib.sha256(
         "\n".join(f"{name} {segments[name]}" for name in sorted(segments)).encode()
     ).hexdigest()
@@ -311,12 +326,15 @@ def _part(dumped: dict[str, Any], name: str) -> Any:
 
 
 def _columns(data: bytes) -> dict[str, np.ndarray]:
-    """The arrays of a packed segment, which may be anybody's. Raises what NumPy and zstd do, or ValueError."""
+    """The arrays of a packed segment from any source.
+
+    Raises:
+        Exception: The bytes are damaged: an error of NumPy, zipfile or zstd, or ValueError.
+    """
     unpacked = unzstd(data, min(SEGMENT.limit_bytes, _FREE_BYTES + _MAX_RATIO * len(data)))
     with zipfile.ZipFile(io.BytesIO(unpacked)) as held:
-        if any(
-            item.compress_type != zipfile.ZIP_STORED for item in held.infolist()
-        ):  # so that none unpacks to more
+        # Stored items alone, so that none unpacks to more.
+        if any(item.compress_type != zipfile.ZIP_STORED for item in held.infolist()):
             raise ValueError("packed in another way")
         names = [
             field.name
@@ -326,7 +344,7 @@ def _columns(data: bytes) -> dict[str, np.ndarray]:
         columns = {
             name: np.lib.format.read_array(io.BytesIO(held.read(f"{name}.npy"))) for name in names
         }
-    # Older data does not tell whose fault a crash was: then none teaches as the chair's own.
+    # Older data does not record whose fault a crash was: then none counts as the chair's own.
     return {"own": np.zeros_like(columns["crashed"]), **columns}
 
 
@@ -334,7 +352,8 @@ def _require_whole(path: Path, columns: dict[str, np.ndarray]) -> None:
     wrong = [name for name, (kind, wide) in COLUMNS.items() if not _fits(columns[name], kind, wide)]
     if wrong:
         raise PolicyError(
-            f"{escaped(path)} has another form ({', '.join(wrong)}); expected a segment of this version"
+            f"{escaped(path)} has another form ({', '.join(wrong)}); expected a segment of this "
+            "version"
         )
     lengths = {len(column) for column in columns.values()}
     finite = all(
@@ -344,12 +363,18 @@ def _require_whole(path: Path, columns: dict[str, np.ndarray]) -> None:
     )
     if len(lengths) != 1 or not finite:
         raise PolicyError(
-            f"{escaped(path)} has columns of {sorted(lengths)} rows, or numbers not finite or too large; "
-            "collect it again"
+            f"{escaped(path)} has columns of {sorted(lengths)} rows, or numbers not finite or too "
+            "large; collect it again"
         )
-    pictures, said = columns["depth"].shape == columns["seg"].shape, columns["visible"].shape[1]
-    acted = columns["action"].max(initial=0) < (said or SAFE) and said == columns["truth"].shape[1]
-    if 0 in lengths or not (pictures and acted) or columns["driver"].max() >= len(DRIVERS):
+    pictures = columns["depth"].shape == columns["seg"].shape
+    actions = columns["visible"].shape[1]
+    labels = actions == columns["truth"].shape[1]
+    acted = columns["action"].max(initial=0) < (actions or SAFE)
+    if (
+        0 in lengths
+        or not (pictures and acted and labels)
+        or columns["driver"].max() >= len(DRIVERS)
+    ):
         raise PolicyError(
             f"{escaped(path)} has columns that do not fit each other; collect it again"
         )
@@ -361,7 +386,7 @@ def _fits(column: np.ndarray, kind: str, wide: tuple[int, ...]) -> bool:
     return (
         column.dtype.str.lstrip("<|") == kind
         and len(column.shape) == 1 + len(wide)
-        and all(want in (0, got) for want, got in zip(wide, rows, strict=True))
+        and all(size in (0, row) for size, row in zip(wide, rows, strict=True))
     )
 
 

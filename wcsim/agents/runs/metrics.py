@@ -1,6 +1,6 @@
-"""The logs of trainings: metrics.csv with a row for each episode or round, steps.csv with a row for each 100 steps.
+"""The logs of trainings: metrics.csv with episodes or rounds, steps.csv with rows of 100 steps.
 
-The rows of episodes go to TensorBoard too, where it is installed and requested (`learn.tensorboard`).
+Episodes go to TensorBoard too, where it is installed and requested (`learn.tensorboard`).
 """
 
 from __future__ import annotations
@@ -20,29 +20,29 @@ from wcsim.core.closing import Closing
 from wcsim.core.reading import escaped, read_lines, read_text
 from wcsim.errors import ConfigError, DiskFullError, PolicyError
 
-COLUMNS = (
-    "step", "episode", "phase", "return", "length", "kpi1", "kpi1_greedy", "crashed", "crash_reason", "speed_mps",
-    "progress_m", "arrivals", "epsilon", "margin_weight", "loss", "max_abs_q", "updates", "elapsed_s_wall",
-    "value_start", "return_start", "overestimate", "cut",
-)  # fmt: skip
-ROW_STEPS = 100  # steps in a row of steps.csv
-KPI1_STEPS = 20 * ROW_STEPS  # steps that a mean of KPI 1 goes over
-STEP_COLUMNS = ("step", "phase", "kpi1_greedy", "elapsed_s_wall")
-_STEP = re.compile(r"[0-9]{1,15}", re.ASCII)
-_ROUND_COLUMNS: Final = (
-    *(
-        "round",
-        "steps",
-        "new_steps",
-        "tight_share",
-        "crashes",
-        "network_steps",
-        "network_crashes",
-        "user_steps",
-    ),
-    *("user_crashes", "updates", "loss", "wait_s_wall", "learn_s_wall"),
+COLUMNS: Final = (
+    *("step", "episode", "phase", "return", "length", "kpi1", "kpi1_greedy", "crashed"),
+    *("crash_reason", "speed_mps", "progress_m", "arrivals", "epsilon", "margin_weight", "loss"),
+    *("max_abs_q", "updates", "elapsed_s_wall", "value_start", "return_start", "overestimate"),
+    "cut",
 )
-TENSORBOARD: Final = "tensorboard"  # in a run folder
+STEP_COLUMNS: Final = ("step", "phase", "kpi1_greedy", "elapsed_s_wall")
+_ROUND_COLUMNS: Final = (
+    *("round", "steps", "new_steps", "tight_share", "crashes", "network_steps"),
+    *("network_crashes", "user_steps", "user_crashes", "updates", "loss"),
+    *("wait_s_wall", "learn_s_wall"),
+)
+
+# Steps in a row of steps.csv.
+ROW_STEPS: Final = 100
+
+# Steps that a mean of KPI 1 goes over.
+KPI1_STEPS: Final = 20 * ROW_STEPS
+
+# In a run folder.
+TENSORBOARD: Final = "tensorboard"
+
+_STEP: Final = re.compile(r"[0-9]{1,15}", re.ASCII)
 _TRAINS: Final = frozenset({"epsilon", "margin_weight", "loss", "max_abs_q", "updates"})
 _LEFT_OUT: Final = frozenset({"step", "episode"})
 Value = float | int | str | None
@@ -52,22 +52,26 @@ class MetricsFile:
     """Appends rows; every row is complete on disk before the next step."""
 
     def __init__(
-        self, path: Path, keep_to_step: int | None = None, columns: tuple[str, ...] = COLUMNS
+        self, path: Path, last_step: int | None = None, columns: tuple[str, ...] = COLUMNS
     ) -> None:
-        """Begin a new file, or go on with one: rows after `keep_to_step` belong to work that was lost."""
-        self.path, self.columns = path, columns
-        kept = keep_to_step if keep_to_step is not None and path.is_file() else -1
-        rows = (
-            _checked(path, columns, read_lines(path, reading.METRIC_LINES))
-            if kept >= 0
-            else iter(())
-        )
+        """Start a new file, or continue one: rows after `last_step` belong to lost work."""
+        self.path = path
+        self.columns = columns
+        last = last_step if last_step is not None and path.is_file() else -1
+        rows: Iterator[list[str]] = iter(())
+        if last >= 0:
+            rows = _checked(path, columns, read_lines(path, reading.METRIC_LINES))
         with files.whole_file(path) as part, part.open("w", encoding="utf-8", newline="") as file:
             file.write(_line(columns))
-            file.writelines(_line(row) for row in rows if int(row[0]) <= kept)
+            file.writelines(_line(row) for row in rows if int(row[0]) <= last)
 
     def add(self, row: Mapping[str, Value]) -> None:
-        """Append a row; numbers that are not finite are left empty. Raises KeyError, DiskFullError."""
+        """Append a row; numbers that are not finite are left empty.
+
+        Raises:
+            KeyError: A column has no value.
+            DiskFullError: There is no room.
+        """
         line = _line([_text(row[name]) for name in self.columns])
         try:
             with self.path.open("a", encoding="utf-8", newline="") as file:
@@ -78,27 +82,34 @@ class MetricsFile:
             ) from None
 
 
-def read_metrics(path: Path, wanted: tuple[str, ...] = COLUMNS) -> list[dict[str, str]]:
-    """All complete rows of a log. Raises PolicyError when it has other columns, or a row in it is damaged."""
+def read_metrics(path: Path, columns: tuple[str, ...] = COLUMNS) -> list[dict[str, str]]:
+    """All complete rows of a log.
+
+    Raises:
+        PolicyError: It has other columns, or a row is damaged.
+    """
     lines = io.StringIO(read_text(path, reading.METRICS), newline="")
-    return [dict(zip(wanted, row, strict=True)) for row in _checked(path, wanted, lines)]
+    return [dict(zip(columns, row, strict=True)) for row in _checked(path, columns, lines)]
 
 
-def _checked(path: Path, wanted: tuple[str, ...], lines: Iterable[str]) -> Iterator[list[str]]:
-    """The rows below the head. A process that was killed can leave a torn last line."""
+def _checked(path: Path, columns: tuple[str, ...], lines: Iterable[str]) -> Iterator[list[str]]:
+    """The rows below the head; a process that was killed can leave a truncated last line."""
     rows = csv.reader(line for line in lines if line.endswith(("\n", "\r")))
     try:
-        head, last = next(rows, []), 0
-        if tuple(head) != wanted:
-            got = escaped(", ".join(head)) or "none"
+        head = next(rows, [])
+        if tuple(head) != columns:
+            names = escaped(", ".join(head)) or "none"
             raise PolicyError(
-                f"{path} has columns {got}; expected those of this version: {', '.join(wanted)}"
+                f"{path} has columns {names}; expected those of this version: {', '.join(columns)}"
             )
+        last = 0
         for row in rows:
-            step = int(row[0]) if len(row) == len(wanted) and _STEP.fullmatch(row[0]) else -1
+            step = int(row[0]) if len(row) == len(columns) and _STEP.fullmatch(row[0]) else -1
             if step < last:
-                expected = f"expected {len(wanted)} values, the first a growing {wanted[0]}"
-                raise PolicyError(f"{path}:{rows.line_num}: is damaged; {expected}")
+                raise PolicyError(
+                    f"{path}:{rows.line_num}: is damaged; expected {len(columns)} values, the "
+                    f"first a growing {columns[0]}"
+                )
             last = step
             yield row
     except csv.Error as error:
@@ -161,15 +172,15 @@ def read_rounds(path: Path) -> tuple[TrainedRound, ...]:
 
 
 class BoardLog(Closing):
-    """Writes each number of a row as a scalar, `episode/NAME` or `train/NAME`, at the row's step; close it."""
+    """Writes the numbers of a row as scalars, `episode/NAME` or `train/NAME`, at the row's step."""
 
-    def __init__(self, run: Path, keep_to_step: int | None = None) -> None:
-        """Begin in a run folder, or go on there: what is after `keep_to_step` belongs to work that was lost.
+    def __init__(self, run: Path, last_step: int | None = None) -> None:
+        """Start in a run folder, or continue: what is after `last_step` belongs to lost work.
 
         Raises:
             ConfigError: TensorBoard is not installed.
         """
-        purge_step = None if keep_to_step is None else keep_to_step + 1
+        purge_step = None if last_step is None else last_step + 1
         self._writer = _writer_class()(str(run / TENSORBOARD), purge_step=purge_step)
 
     def add(self, row: Mapping[str, Value]) -> None:

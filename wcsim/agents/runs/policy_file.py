@@ -1,4 +1,4 @@
-"""How a policy is named (`dwa@0.5`, `runs/a:phase1`, `veto:shipped@0.2`, `tcp:5000`), and what its folder says.
+"""Names of policies (`dwa@0.5`, `runs/a:phase1`, `veto:shipped@0.2`, `tcp:5000`); their folders.
 
 `policy_name` reads such a name in one place. Nothing of the policy is loaded here, nor is torch.
 """
@@ -27,9 +27,31 @@ from wcsim.core import files
 from wcsim.core.reading import HASHES, POLICY, escaped, is_file, is_folder, read_json
 from wcsim.errors import ConfigError, PolicyError
 
-POLICY_JSON, WEIGHTS = "policy.json", "weights.safetensors"
-SIGHT_KEYS = ("hfov_deg", "range_m", "near_m", "p_BC_m", "yaw_deg", "pitch_deg", "roll_deg")
-"""Of a camera: what makes the same street look different to a network."""
+POLICY_JSON: Final = "policy.json"
+WEIGHTS: Final = "weights.safetensors"
+
+# Of a camera: what makes the same street look different to a network.
+SIGHT_KEYS: Final = (
+    *("hfov_deg", "range_m", "near_m", "p_BC_m"),
+    *("yaw_deg", "pitch_deg", "roll_deg"),
+)
+
+SHIPPED: Final = "shipped"
+FILES: Final = "files.json"
+# Laws of the shipped policy for machines without PyTorch, by their delay in ticks.
+EXPORTED: Final = MappingProxyType({0: "model-0.onnx", 2: "model.onnx"})
+HELD: Final = (
+    "policy.json",
+    "weights.safetensors",
+    *EXPORTED.values(),
+    "meaning.json",
+    "reference.npz",
+    "MODEL_CARD.md",
+)
+
+STAGES: Final = ("phase1", "final")
+_LEVEL: Final = re.compile(r"\d+(\.\d*)?|\.\d+")
+Kind = Literal["baseline", "served", "onnx", "class", "shipped", "folder"]
 File = TypeVar("File", PolicyFile, DangerFile)
 
 
@@ -44,7 +66,7 @@ def read_danger_file(path: Path) -> DangerFile:
 
 
 def algorithm_of(path: Path) -> object:
-    """The algorithm that `policy.json` names, unchecked. Raises PolicyError when it is no policy folder."""
+    """The algorithm in `policy.json`, unchecked. Raises PolicyError when it is no policy folder."""
     return _read(path).get("algorithm")
 
 
@@ -58,24 +80,10 @@ def _parsed(model: type[File], path: Path) -> File:
 def _read(path: Path) -> dict[str, Any]:
     if not is_file(path / POLICY_JSON):
         raise PolicyError(
-            f"{escaped(path)} is not a policy folder: it has no {POLICY_JSON}; "
-            "expected a folder as `wcsim train` writes it, for example runs/a/policies/final, or RUN:phase1"
+            f"{escaped(path)} is not a policy folder: it has no {POLICY_JSON}; expected a folder "
+            "as `wcsim train` writes it, for example runs/a/policies/final, or RUN:phase1"
         )
     return read_json(path / POLICY_JSON, POLICY)
-
-
-SHIPPED: Final = "shipped"
-FILES: Final = "files.json"
-EXPORTED: Final = MappingProxyType({0: "model-0.onnx", 2: "model.onnx"})
-"""Its laws for where there is no torch, by the delay in ticks that they reckon with."""
-HELD: Final = (
-    "policy.json",
-    "weights.safetensors",
-    *EXPORTED.values(),
-    "meaning.json",
-    "reference.npz",
-    "MODEL_CARD.md",
-)
 
 
 def shipped_place() -> Path:
@@ -95,16 +103,17 @@ def shipped_folder(place: Path | None = None) -> Path:
     folder = shipped_place() if place is None else place
     if not is_file(folder / FILES):
         raise PolicyError(
-            f"this wcsim comes without a policy: {escaped(folder)} has no {FILES}; expected one made by "
-            "tools/ship_policy.py RUN: name a run of your own"
+            f"this wcsim comes without a policy: {escaped(folder)} has no {FILES}; expected one "
+            "made by tools/ship_policy.py RUN: name a run of your own"
         )
     try:
-        told = parse(ShippedFile, read_json(folder / FILES, HASHES), escaped(folder / FILES)).sha256
+        file = parse(ShippedFile, read_json(folder / FILES, HASHES), escaped(folder / FILES))
     except ConfigError as error:
         raise PolicyError(str(error)) from None
-    missing = [name for name in HELD if name not in told or not is_file(folder / name)]
+    hashes = file.sha256
+    missing = [name for name in HELD if name not in hashes or not is_file(folder / name)]
     other = [
-        name for name in HELD if name not in missing and files.sha256(folder / name) != told[name]
+        name for name in HELD if name not in missing and files.sha256(folder / name) != hashes[name]
     ]
     if missing or other:
         raise PolicyError(
@@ -114,11 +123,6 @@ def shipped_folder(place: Path | None = None) -> Path:
     return folder
 
 
-STAGES: Final = ("phase1", "final")
-_LEVEL: Final = re.compile(r"\d+(\.\d*)?|\.\d+")
-Kind = Literal["baseline", "served", "onnx", "class", "shipped", "folder"]
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _PolicyName:
     """The parts of a policy's name."""
@@ -126,7 +130,7 @@ class _PolicyName:
     inner: str  # the name without a veto
     veto: bool
     kind: Kind
-    place: str  # the name without veto and level: RUN:stage, FOLDER, module:Class, an address, or a word
+    place: str  # without veto and level: RUN:stage, FOLDER, module:Class, an address, or a word
     stage: str = ""  # of RUN:stage
     level: float | None = None  # of assistance, or the threshold of dangers
 
@@ -144,8 +148,10 @@ class _PolicyName:
 def policy_name(text: str) -> _PolicyName:
     """The parts of a policy's name; whether there is such a policy is not asked.
 
-    >>> policy_name("veto:dwa@0.5").kind, policy_name("runs/a:phase1@0.2").stage, policy_name("mine:Policy").kind
-    ('baseline', 'phase1', 'class')
+    >>> policy_name("veto:dwa@0.5").kind, policy_name("runs/a:phase1@0.2").stage
+    ('baseline', 'phase1')
+    >>> policy_name("mine:Policy").kind
+    'class'
 
     Raises:
         PolicyError: It ends with a level that there is not.
@@ -175,14 +181,14 @@ def _with_threshold(name: str) -> tuple[str, float | None]:
     level = float(text)
     if not 0.0 < level <= 1.0:
         raise PolicyError(
-            f"policy {escaped(name)!r} has no such level of assistance; expected RUN@L with a danger threshold L "
-            "above 0 and at most 1"
+            f"policy {escaped(name)!r} has no such level of assistance; expected RUN@L with a "
+            "danger threshold L above 0 and at most 1"
         )
     return head, level
 
 
 def require_same_senses(folder: Path, name: str, config: RunConfig) -> None:
-    """Refuse a policy that was trained with another camera, class form or action set. Raises PolicyError."""
+    """Refuse a danger network of another camera, class form or action set. Raises PolicyError."""
     file = read_danger_file(folder)
     camera = config.cameras[0]
     other = [
@@ -194,6 +200,6 @@ def require_same_senses(folder: Path, name: str, config: RunConfig) -> None:
     other += [key for key in ("classes",) if file.classes != config.env.classes]
     if other:
         raise PolicyError(
-            f"policy {name!r} was trained with another camera, class form or action set ({', '.join(other)} differ): "
-            "set these as in its training, or test it on its own"
+            f"policy {name!r} was trained with another camera, class form or action set "
+            f"({', '.join(other)} differ): set these as in its training, or test it on its own"
         )

@@ -263,9 +263,9 @@ def policy_path(name: str) -> Path:
     if not is_folder(named.folder):
         names = (*BASELINES, *UPPER_BOUNDS)
         raise PolicyError(
-            f"{escaped(named.folder)} is not a run: no such folder; expected one that `wcsim train` "
-            f"made, {SHIPPED}, module:Class of your own, or a baseline: {', '.join(names)}"
-            f"{meant(str(named.folder), (SHIPPED, *names))}"
+            f"{escaped(named.folder)} is not a run: no such folder; expected one that `wcsim "
+            f"train` made, {SHIPPED}, module:Class of your own, or a baseline: "
+            f"{', '.join(names)}{meant(str(named.folder), (SHIPPED, *names))}"
         )
     run = open_run(named.folder)
     policy = run.policy(stage)
@@ -327,9 +327,9 @@ def folder_of(run: ResolvedRun, complete: Complete = lambda _: None) -> RunFolde
     ]
     if plant_text(run.config.chair.plant) != plant_text(folder.config.chair.plant):
         other.append("plant")
-    asks_for = resolve(run.config, _saved_plant(run.out))
+    requested = resolve(run.config, _saved_plant(run.out))
     was = resolve(folder.config, complete(folder.config))
-    if was != resolve(asks_for, complete(asks_for)) or other:
+    if was != resolve(requested, complete(requested)) or other:
         raise PolicyError(
             f"{run.out} was made with another {', '.join(other) or 'configuration'}; resume with "
             "its own"

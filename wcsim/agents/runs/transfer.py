@@ -1,8 +1,9 @@
 """What of a run reaches other machines: files that are sent with work, and code that is not.
 
-Code in a run folder from elsewhere must not run here because the folder names it. A run that is made
-here gets a mark with a key that only this user's machine has. Where the mark fits, `wcsim resume`
-loads the classes that the run was made with; elsewhere they have to be named on the command line.
+Code in a run folder from elsewhere must not run here because the folder names it. A run that is
+made here gets a mark with a key that only this user's machine has. Where the mark fits,
+`wcsim resume` loads the classes that the run was made with; elsewhere they have to be named on the
+command line.
 """
 
 from __future__ import annotations

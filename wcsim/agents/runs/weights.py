@@ -1,4 +1,4 @@
-"""Policy folders with their weights, written, and read from bytes that may come from others: checked, then loaded."""
+"""Policy folders with their weights: written, and read from any source, checked before loading."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ Tensors = Mapping[str, torch.Tensor]
 Net = TypeVar("Net", bound=torch.nn.Module)
 
 
-def write_policy(folder: Path, net: torch.nn.Module, said: Mapping[str, Any]) -> Path:
+def write_policy(folder: Path, net: torch.nn.Module, facts: Mapping[str, Any]) -> Path:
     """Write a policy folder in one step, replacing an older one; returns it.
 
     Args:
-        folder: Of the policy.
-        net: Its network.
-        said: What `policy.json` says of it, but for its versions and the hash of its weights.
+        folder: The policy folder.
+        net: The policy's network.
+        facts: The keys of `policy.json` but for versions and the hash of the weights.
 
     Raises:
         DiskFullError: There is no room.
@@ -42,7 +42,7 @@ def write_policy(folder: Path, net: torch.nn.Module, said: Mapping[str, Any]) ->
         digest = files.sha256(target / WEIGHTS)
         files.write_json(
             target / POLICY_JSON,
-            {"schema_version": 1, **said, "weights_sha256": digest, "versions": versions},
+            {"schema_version": 1, **facts, "weights_sha256": digest, "versions": versions},
         )
     return folder
 
@@ -51,13 +51,13 @@ def load_network(folder: Path, sha256: str, make: Callable[[], Net], *, own: boo
     """The network of a policy folder, with its weights.
 
     Args:
-        folder: Of the policy.
-        sha256: What policy.json says of its weights.
+        folder: The policy folder.
+        sha256: The hash of the weights in policy.json.
         make: Makes the network that policy.json describes.
-        own: Whether it is one of wcsim's: what it asks for is known before any memory is given to it.
+        own: Whether the network is one of wcsim's: its size is known before it gets memory.
 
     Raises:
-        PolicyError: As `_read_weights` and `checked_tensors` do, or the bytes are none of a safetensors file.
+        PolicyError: The weights do not fit, or the bytes are no safetensors file.
     """
     path = folder / WEIGHTS
     with torch.device("meta") if own else contextlib.nullcontext():
@@ -72,17 +72,18 @@ def load_network(folder: Path, sha256: str, make: Callable[[], Net], *, own: boo
     return net
 
 
-def _read_weights(path: Path, sha256: str, wanted: Iterable[torch.Tensor]) -> bytes:
+def _read_weights(path: Path, sha256: str, tensors: Iterable[torch.Tensor]) -> bytes:
     """The bytes of a weights file of the size of these tensors.
 
-    Raises PolicyError: The file cannot be read, or has another size or digest.
+    Raises:
+        PolicyError: The file cannot be read, or has another size or digest.
     """
     size = regular_size(path, reading.WEIGHTS)
-    least = sum(tensor.numel() * tensor.element_size() for tensor in wanted)
+    least = sum(tensor.numel() * tensor.element_size() for tensor in tensors)
     if not least <= size <= least + _MAX_HEADER_BYTES:
         raise PolicyError(
-            f"{escaped(path)} has {size} bytes, and the network that policy.json describes has weights of {least}; "
-            "copy the whole policy folder again"
+            f"{escaped(path)} has {size} bytes, and the network that policy.json describes has "
+            f"weights of {least}; copy the whole policy folder again"
         )
     data = read_bytes(path, reading.WEIGHTS)
     found = hashlib.sha256(data).hexdigest()
@@ -97,21 +98,22 @@ def _read_weights(path: Path, sha256: str, wanted: Iterable[torch.Tensor]) -> by
 def checked_tensors(
     where: str,
     tensors: dict[str, torch.Tensor],
-    wanted: Tensors,
+    expected: Tensors,
     of: str = "the network that policy.json describes",
 ) -> dict[str, torch.Tensor]:
-    """The same tensors. Raises PolicyError where they are not those of `wanted` in name, type and shape, or finite."""
-    got, expected = (
-        {name: _facts(tensor) for name, tensor in each.items()} for each in (tensors, wanted)
-    )
-    odd = sorted(
-        name for name in expected.keys() | got.keys() if expected.get(name) != got.get(name)
-    )
+    """The tensors, if they are finite and have the names, types and shapes of `expected`.
+
+    Raises:
+        PolicyError: They do not.
+    """
+    found = {name: _facts(tensor) for name, tensor in tensors.items()}
+    facts = {name: _facts(tensor) for name, tensor in expected.items()}
+    odd = sorted(name for name in facts.keys() | found.keys() if facts.get(name) != found.get(name))
     if odd:
         first = odd[0]
         raise PolicyError(
             f"{where} does not fit {of}: {escaped(first, 80)} is "
-            f"{got.get(first, 'missing')}, expected {expected.get(first, 'nothing')} "
+            f"{found.get(first, 'missing')}, expected {facts.get(first, 'nothing')} "
             f"({len(odd)} tensors differ); use the weights it was trained with"
         )
     if not all(bool(torch.isfinite(tensor).all()) for tensor in tensors.values()):

@@ -31,14 +31,20 @@ from wcsim.cli.shared.common import (
     Repeated,
     Writes,
     check_folder,
+    has_option,
     json_text,
     machines_of,
     parse,
     result_file,
-    says,
     write_json,
 )
-from wcsim.cli.shared.consoles import StageBar, say, show_table, stderr_console, stdout_console
+from wcsim.cli.shared.consoles import (
+    StageBar,
+    print_note,
+    show_table,
+    stderr_console,
+    stdout_console,
+)
 from wcsim.cli.shared.exit_codes import Exit
 from wcsim.config.suite import MOST_NAME, MOST_SET, name_pattern
 from wcsim.core.own_folder import temporary_folder
@@ -146,10 +152,10 @@ class _PlayedEpisodeOptions(_OfSuite):
 
 def run_suites(words: list[str]) -> int:
     """Judge policies on a list; tables for each part and for all."""
-    if says(words, "--play"):
+    if has_option(words, "--play"):
         play = parse(_PlayedEpisodeOptions, words, "test")
         return _play_episode(_suite_order(play, clean=play.clean), play.policies, play.play)
-    if says(words, "--sensitivity"):
+    if has_option(words, "--sensitivity"):
         return _compare_disturbances(parse(_SensitivityOptions, words, "test"))
     options = parse(_SuiteOptions, words, "test")
     return judge(_suite_order(options, options.forks, clean=options.clean), options, options.suite)
@@ -191,7 +197,7 @@ def drive_list(order: SuiteOrder, options: JudgeOptions, name: str) -> TestResul
             done += 1
             bar.show(done / (of * len(policies)), f"{policy}: {blocks} of {of} blocks")
             if not bar.console.is_terminal:
-                bar.say(f"{policy}: {blocks} of {of} blocks")
+                bar.print_line(f"{policy}: {blocks} of {of} blocks")
 
         return save_result(order, name, run_suite(order, policies, show))
 
@@ -212,14 +218,14 @@ def order_of(
                 (each.name, f"{each.key} for {each.for_s:.0f} s" if each.key else "free")
                 for each in workers
             )
-            say(", ".join(f"{worker} {what}" for worker, what in busy))
+            print_note(", ".join(f"{worker} {what}" for worker, what in busy))
 
     machines = machines_of(options.cluster, options.jobs, "--jobs")
     return SuiteOrder(
         suite=suite,
         out=out,
         jobs=options.jobs,
-        machines=replace(machines, say=say),
+        machines=replace(machines, say=print_note),
         look=show_workers,
         preset=options.preset,
         settings=options.set,
@@ -287,7 +293,7 @@ def _suite_order(options: _OfSuite, forks: int | None = None, *, clean: bool = F
 def _require_usable(order: SuiteOrder, options: _DriveOptions) -> None:
     """Print what is going to be driven; refuse what can be used in no episode. Raises WcsimError."""
     from wcsim.agents.evaluation.suite.run import KEPT, require_usable
-    from wcsim.agents.opening.named_policy import told_of_rules
+    from wcsim.agents.opening.named_policy import rule_notes
 
     if (order.out / KEPT).exists() and not options.resume:
         raise ConfigError(
@@ -297,9 +303,7 @@ def _require_usable(order: SuiteOrder, options: _DriveOptions) -> None:
     suite, console = order.suite, stderr_console()
     listed = f"{suite.file.suite} {suite.file.set}, list {suite.sha256[:12]}"
     console.print(f"{listed}: {counted(suite.episodes, 'episode')} a policy")
-    for line in told_of_rules(
-        options.policies, order.preset, (*suite.file.settings, *order.settings)
-    ):
+    for line in rule_notes(options.policies, order.preset, (*suite.file.settings, *order.settings)):
         console.print(line)
     require_usable(order, options.policies)
 
@@ -334,7 +338,7 @@ def _compare_disturbances(options: _SensitivityOptions) -> int:
     _require_usable(order, options)
     policies = tuple(dict.fromkeys((UNAIDED, *options.policies)))
     with _resumable(order, options):
-        moved = sensitivity(order, policies, say)
+        moved = sensitivity(order, policies, print_note)
     rows = [each.to_json() for each in moved]
     write_json(order.out / "sensitivity.json", rows)
     show_sensitivity(stdout_console(), f"{file.suite} {file.set}", moved)
@@ -494,7 +498,7 @@ def make_list(words: list[str]) -> int:
 
     from wcsim.agents.evaluation.suite.make import MakeOrder, make_suite
     from wcsim.agents.evaluation.suite.result_files import TOWNS
-    from wcsim.agents.opening.list_file import asked_towns, suite_of, write_list
+    from wcsim.agents.opening.list_file import suite_of, suite_towns, write_list
 
     with temporary_folder() as work:
         order = MakeOrder(
@@ -510,12 +514,12 @@ def make_list(words: list[str]) -> int:
             jobs=options.jobs,
             work=work,
         )
-        towns = asked_towns(options.make_suite, order.work / TOWNS)
+        towns = suite_towns(options.make_suite, order.work / TOWNS)
         with StageBar("making the list") as bar:
 
             def show(text: str, share: float) -> None:
                 bar.show(share, "")
-                bar.say(text)
+                bar.print_line(text)
 
             file = make_suite(order, towns, show)
     write_list(file, options.suite_file)

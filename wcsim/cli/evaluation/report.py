@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 from tyro.conf import Positional, arg
 
 from wcsim.cli.shared.common import Bounds, Jobs, OutFolder, Repeated, check_folder, parse
-from wcsim.cli.shared.consoles import say, stderr_console, stdout_console
+from wcsim.cli.shared.consoles import print_note, stderr_console, stdout_console
 from wcsim.core.reading import counted, escaped, is_file, is_folder
 from wcsim.errors import ConfigError, FileError, check_installed
 
@@ -108,5 +108,5 @@ def _pictures(
         wanted,
         options.own,
         options.jobs,
-        lambda done, of: say(f"pictures: {done} of {of} blocks"),
+        lambda done, of: print_note(f"pictures: {done} of {of} blocks"),
     )

@@ -23,8 +23,8 @@ from wcsim.cli.shared.common import (
     Keys,
     Repeated,
     check_folder,
+    has_option,
     parse,
-    says,
     some_words,
 )
 from wcsim.cli.shared.consoles import print_overrides, stdout_console
@@ -83,9 +83,9 @@ class Options(JudgeOptions):
 
 def run(words: list[str]) -> int:
     """Test and print the tables of each town and profile; with --suite or --make-suite see their files here."""
-    if says(words, "--make-suite"):
+    if has_option(words, "--make-suite"):
         return make_list(words)
-    if says(words, "--suite"):
+    if has_option(words, "--suite"):
         return run_suites(words)
     options = parse(Options, words, "test")
     with _ordered(options) as (order, name):

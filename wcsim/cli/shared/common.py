@@ -1,4 +1,4 @@
-"""What the subcommands share: parsing, bounds, machines that work, files that results go to."""
+"""What commands share: options and their bounds, parsing, machines that work, files for results."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, TypeVar, get_args, get_type_hints
+from typing import Annotated, Any, Final, TypeVar, get_args, get_type_hints
 
 import tyro
 from tyro.conf import FlagCreatePairsOff, Positional, UseAppendAction, arg
@@ -23,34 +23,25 @@ from wcsim.core.reading import escaped, is_folder
 from wcsim.errors import ConfigError, meant, nearest
 from wcsim.server.workers.machines import Machines
 
+MAX_SEED: Final = (1 << 31) - 1
+
+# Processes that a command may start.
+MOST_JOBS: Final = 256
+
+# Lines of a list that a message prints.
+_MOST_LINES: Final = 5
+
+# Worlds where --worlds is not given: each takes a gigabyte.
+_USUAL_WORLDS: Final = 4
+
 T = TypeVar("T")
-Repeated = Annotated[tuple[str, ...], UseAppendAction]
-"""An option that may be given several times, once for each value."""
-
-OutFolder = Annotated[Path | None, arg(metavar="FOLDER")]
-"""A folder that is made, with a default of its own."""
-
-TownWord = Annotated[str, Positional, arg(metavar="TOWN")]
-"""A town, as the first word without a name."""
-
-SomeTown = Annotated[str, Positional, arg(metavar="[TOWN]")]
-"""The same, where it may be left out."""
-
-InFile = Annotated[Path | None, arg(metavar="FILE")]
-"""A file that is read."""
-
-Cluster = Annotated[str, arg(metavar="ADDRESS")]
-"""A Ray cluster."""
-
-MAX_SEED = (1 << 31) - 1
-MOST_JOBS = 256  # processes that a command may start
 
 
 class OptionNote:
     """What an option takes, noted beside its type: `Annotated[int, Bounds(1, 64)]`."""
 
     def check(self, option: str, value: Any) -> None:
-        """Raise ConfigError for what it does not take."""
+        """Raise ConfigError for a value that the option does not take."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,10 +54,10 @@ class Bounds(OptionNote):
 
     def check(self, option: str, value: Any) -> None:
         """See `OptionNote`."""
-        if not self.low <= value <= self.high:  # as NaN never is
-            expected = (
-                f"{self.low} or more" if math.isinf(self.high) else f"{self.low} to {self.high}"
-            )
+        # NaN is in no range, and so it is refused, too.
+        if not self.low <= value <= self.high:
+            unbounded = math.isinf(self.high)
+            expected = f"{self.low} or more" if unbounded else f"{self.low} to {self.high}"
             raise ConfigError(f"{option} {value}: expected {expected}")
         if self.step > 1 and value % self.step:
             raise ConfigError(f"{option} {value}: expected a multiple of {self.step}")
@@ -74,7 +65,7 @@ class Bounds(OptionNote):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Keys(OptionNote):
-    """Keys of `--set`: those of some sections alone, or of all, and what to do instead of setting a key."""
+    """Keys of `--set`: the sections that are allowed, and what to do instead of setting a key."""
 
     instead: Mapping[str, str]
     sections: tuple[str, ...] = ()
@@ -82,9 +73,9 @@ class Keys(OptionNote):
     def check(self, option: str, value: Any) -> None:
         """See `OptionNote`."""
         for text in value:
-            key = next((key for key in self.instead if sets_key(text, key)), None)
-            if key is not None:
-                raise ConfigError(f"{option} {key}: is not used here; {self.instead[key]}")
+            for key, advice in self.instead.items():
+                if sets_key(text, key):
+                    raise ConfigError(f"{option} {key}: is not used here; {advice}")
             if self.sections and text.strip().partition(".")[0] not in self.sections:
                 expected = " or ".join(f"[{section}]" for section in self.sections)
                 raise ConfigError(f"{option} {escaped(text)}: expected a key of {expected}")
@@ -92,7 +83,7 @@ class Keys(OptionNote):
 
 @dataclass(frozen=True, slots=True)
 class Writes(OptionNote):
-    """A file that can be written before the work begins, with its ending; missing folders are made later."""
+    """A file that can be written, with its ending; missing folders are made later."""
 
     suffix: str = ""
     new: bool = False  # nothing is there yet
@@ -110,18 +101,37 @@ class Writes(OptionNote):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Finds(OptionNote):
-    """A name, or several, of what there must be: `find` raises where there is none; "" is no name."""
+    """One or more names of things that exist: `find` raises where there is none; "" is no name."""
 
     find: Callable[[str], object]
 
     def check(self, option: str, value: Any) -> None:
         """See `OptionNote`."""
-        for name in filter(None, (value,) if isinstance(value, str) else value):
-            self.find(name)
+        for name in (value,) if isinstance(value, str) else value:
+            if name:
+                self.find(name)
 
+
+Repeated = Annotated[tuple[str, ...], UseAppendAction]
+"""An option that may be given several times, once for each value."""
+
+OutFolder = Annotated[Path | None, arg(metavar="FOLDER")]
+"""A folder that is made, with a default of its own."""
+
+TownWord = Annotated[str, Positional, arg(metavar="TOWN")]
+"""A town, as the first word without a name."""
+
+SomeTown = Annotated[str, Positional, arg(metavar="[TOWN]")]
+"""A town as the first word without a name; it may be left out."""
+
+InFile = Annotated[Path | None, arg(metavar="FILE")]
+"""A file that is read."""
 
 OutFile = Annotated[Path | None, arg(metavar="FILE"), Writes()]
 """A file that is written only when it is named."""
+
+Cluster = Annotated[str, arg(metavar="ADDRESS")]
+"""A Ray cluster."""
 
 Flag = Annotated[bool, FlagCreatePairsOff]
 """A switch that is off unless it is named."""
@@ -129,21 +139,8 @@ Flag = Annotated[bool, FlagCreatePairsOff]
 Jobs = Annotated[int, Bounds(1, MOST_JOBS)]
 """Processes that work at once."""
 
-
-@dataclass(kw_only=True)
-class SettingsOptions:
-    """Settings over a preset."""
-
-    preset: str = "quick"
-    """Preset to start from: quick, laptop, best, reward, dqn or paper. Without a name: a table of all."""
-    config: InFile = None
-    """TOML file with settings that override the preset."""
-    set: Repeated = ()
-    """Setting as section.key=value; overrides preset and file."""
-
-
 Worlds = Annotated[int | None, arg(metavar="N"), Bounds(1, MOST_JOBS)]
-"""Worker processes; None for what `worlds_of` says."""
+"""Worker processes; None for the usual number, see `worlds_of`."""
 
 Lease = Annotated[float, arg(metavar="S"), Bounds(1.0, 86_400.0)]
 """Seconds without progress."""
@@ -154,15 +151,25 @@ Steps = Annotated[int | None, arg(metavar="N"), Bounds(1)]
 Parts = Mapping[str, tuple[type[Any], Callable[[Any], int]]]
 """The parts of a command by their words: the options of each, and what runs with them."""
 
-_TOLD = 5
-_MOST_UNASKED = 4  # of them where nobody said how many: each world takes a gigabyte
+
+@dataclass(kw_only=True)
+class SettingsOptions:
+    """Settings over a preset."""
+
+    preset: str = "quick"
+    """Preset to start from: quick, laptop, best, reward, dqn or paper. Without a name: a table of all."""  # noqa: E501 - help text
+    config: InFile = None
+    """TOML file with settings that override the preset."""
+    set: Repeated = ()
+    """Setting as section.key=value; overrides preset and file."""
 
 
 def parse(options: type[T], words: list[str], command: str, program: str = "wcsim") -> T:
     """Parse a subcommand's options; a mistake prints what was expected and exits with code 2.
 
-    Raises ConfigError as the notes of the options do: of a file that cannot be written it is better to hear before
-    the work than after it. So it does for an option that is a word without a name, such as TOWN.
+    Raises:
+        ConfigError: A value is not what the option's note takes, such as a file that cannot be
+            written; or an option stands for a word without a name, such as TOWN.
     """
     _require_bare(options, words, command)
     if issubclass(options, SettingsOptions) and words[-1:] == ["--preset"]:
@@ -174,8 +181,10 @@ def parse(options: type[T], words: list[str], command: str, program: str = "wcsi
     )
     for name, notes in _notes(options).items():
         value = getattr(parsed, name.replace("-", "_"))
+        if value is None:
+            continue
         for note in (Bounds(0, MAX_SEED), *notes) if name == "seed" else notes:
-            if value is not None and isinstance(note, OptionNote):
+            if isinstance(note, OptionNote):
                 note.check(f"--{name}", value)
     return parsed
 
@@ -189,21 +198,23 @@ def _notes(options: type) -> dict[str, tuple[Any, ...]]:
 
 
 def _require_bare(options: type, words: Sequence[str], command: str) -> None:
-    """Refuse an option that is meant for what stands without a name: the parser knows none that is like it."""
+    """Refuse an option that is meant for a word without a name: the parser knows no similar one."""
     notes = _notes(options)
     for option in (word.partition("=")[0] for word in words if word.startswith("--")):
         name = option[2:] if option[2:] in notes else nearest(option[2:], notes)
         found = notes.get(name, ())
         if Positional in found:
-            told = next((note.metavar for note in found if getattr(note, "metavar", None)), name)
-            bare = re.findall(r"\w+", told)[0].upper()  # of [TOWN], or FILE [FILE ...]
+            metavars = [note.metavar for note in found if getattr(note, "metavar", None)]
+            # The word itself, of [TOWN], or FILE [FILE ...].
+            bare = re.findall(r"\w+", metavars[0] if metavars else name)[0].upper()
             raise ConfigError(
-                f"{option} is not an option of {command}; give {bare} without a name: wcsim {command} {bare}"
+                f"{option} is not an option of {command}; give {bare} without a name: "
+                f"wcsim {command} {bare}"
             )
 
 
 def _numbers() -> tyro.constructors.ConstructorRegistry:
-    """How options that are numbers are read: what is none is refused in words, not in those of Python's types."""
+    """How options that are numbers are read: messages do not speak of Python's types."""
     known = tyro.constructors.ConstructorRegistry()
 
     @known.primitive_rule
@@ -236,7 +247,7 @@ def _number(word: str, kind: type[int | float]) -> float:
 
 
 def run_part(words: list[str], command: str, parts: Parts) -> int:
-    """Run the part of a command that the first word names, or print what parts there are; returns the exit code.
+    """Run the part of a command that the first word names, or print them; returns the exit code.
 
     Args:
         words: What follows the command.
@@ -251,14 +262,17 @@ def run_part(words: list[str], command: str, parts: Parts) -> int:
         options, work = parts[name]
         return work(parse(options, words[1:], f"{command} {name}"))
     if name in ("-h", "--help"):
-        lines = [
-            f"  {word:<10}{(options.__doc__ or '').strip()}" for word, (options, _) in parts.items()
+        lines = [f"usage: wcsim {command} {'|'.join(parts)} [options]", ""]
+        lines += [
+            f"  {word:<10}{(part.__doc__ or '').strip()}" for word, (part, _) in parts.items()
         ]
-        print("\n".join([f"usage: wcsim {command} {'|'.join(parts)} [options]", "", *lines]))
+        print("\n".join(lines))
         return 0
-    got = f"unknown {command} command {name!r}" if words else f"{command} needs a command"
+    fault = f"unknown {command} command {name!r}" if words else f"{command} needs a command"
     near = meant(name, parts) if words else ""
-    raise ConfigError(f"{got}; expected one of: {', '.join(parts)} (wcsim {command} --help){near}")
+    raise ConfigError(
+        f"{fault}; expected one of: {', '.join(parts)} (wcsim {command} --help){near}"
+    )
 
 
 def words_of(text: str) -> tuple[str, ...]:
@@ -270,8 +284,8 @@ def words_of(text: str) -> tuple[str, ...]:
     return tuple(word.strip() for word in text.split(",") if word.strip())
 
 
-def says(words: Sequence[str], option: str) -> bool:
-    """Whether an option is among the words of a command, as `--option VALUE` or `--option=VALUE`."""
+def has_option(words: Sequence[str], option: str) -> bool:
+    """Whether a command has an option, as `--option VALUE` or `--option=VALUE`."""
     return any(word == option or word.startswith(f"{option}=") for word in words)
 
 
@@ -285,55 +299,55 @@ def some_words(option: str, text: str) -> tuple[str, ...]:
 
 def first_few(lines: Sequence[str], what: str) -> list[str]:
     """The first five lines, and how many more of `what` there are."""
-    more = len(lines) - _TOLD
-    return [*lines[:_TOLD], f"and {more} more {what}"] if more > 0 else list(lines)
+    more = len(lines) - _MOST_LINES
+    return [*lines[:_MOST_LINES], f"and {more} more {what}"] if more > 0 else list(lines)
 
 
-def worlds_of(asked: int | None) -> int:
-    """How many processes `--worlds` means: one for each core, 4 at the most, where nothing is said."""
-    if asked is not None:
-        return asked
+def worlds_of(count: int | None) -> int:
+    """The number of processes of `--worlds`; by default one for each core, at most 4."""
+    if count is not None:
+        return count
     from wcsim.physics.sensors.drawing_threads import cores
 
-    return min(cores(), _MOST_UNASKED)
+    return min(cores(), _USUAL_WORLDS)
 
 
-def machines_of(cluster: str, asked: int | None, option: str) -> Machines:
-    """The machines that somebody names.
+def machines_of(cluster: str, workers: int | None, option: str) -> Machines:
+    """The machines of `--cluster`, or this one.
 
     Args:
-        cluster: As typed.
-        asked: How many workers; None where nobody said: see `worlds_of`, and nodes of a cluster say it themselves.
-        option: What that is called.
+        cluster: The address as typed; "" for this machine.
+        workers: Number of workers; None for that of `worlds_of`, or of a cluster's nodes.
+        option: Name of the option that sets the workers.
 
     Raises:
-        ConfigError: There are none.
+        ConfigError: There are no such machines.
     """
     if not cluster:
-        return Machines(count=worlds_of(asked))
+        return Machines(count=worlds_of(workers))
     from wcsim.server.workers.ray_workers import LOCAL, require_address
 
-    count = worlds_of(asked) if cluster == LOCAL else asked or 1
+    count = worlds_of(workers) if cluster == LOCAL else workers or 1
     if cluster != LOCAL and count > 1:
         raise ConfigError(
-            f"{option} {count} and --cluster {cluster}: `ray start --num-cpus` sets the workers of a node "
-            f"there; leave one of the two out"
+            f"{option} {count} and --cluster {cluster}: `ray start --num-cpus` sets the workers of "
+            "a node there; leave one of the two out"
         )
     require_address(cluster)
     return Machines(count=count, cluster=cluster)
 
 
 def check_folder(option: str, folder: Path) -> None:
-    """Make sure that a folder can be made or is there and can be written. Raises ConfigError."""
+    """Raise ConfigError for a folder that can be neither made nor written to."""
     if not can_be_written(folder):
         raise ConfigError(
-            f"{option}: {escaped(standing(folder))} is not a folder that can be written to; choose another with "
-            f"{option}"
+            f"{option}: {escaped(standing(folder))} is not a folder that can be written to; choose "
+            f"another with {option}"
         )
 
 
 def write_json(path: Path | None, data: Any) -> None:
-    """Write a result file, where one is asked for, at once or not at all; NaN and infinity never appear in it."""
+    """Write a result file where there is a path, in one step; it never holds NaN or infinity."""
     if path is None:
         return
     text = json_text(path, data)
@@ -342,7 +356,7 @@ def write_json(path: Path | None, data: Any) -> None:
 
 
 def json_text(path: Path, data: Any, indent: int | None = 2) -> str:
-    """What goes into a result file. Raises ConfigError for NaN and infinity."""
+    """The text of a result file. Raises ConfigError for NaN and infinity."""
     try:
         return json.dumps(data, indent=indent, allow_nan=False) + "\n"
     except ValueError as error:
@@ -353,13 +367,13 @@ def json_text(path: Path, data: Any, indent: int | None = 2) -> str:
 
 @contextmanager
 def result_file(path: Path) -> Iterator[Path]:
-    """As `whole_file`, and says that it made a folder for it.
+    """As `whole_file`, and notes that it made a folder for it.
 
     Raises:
         ConfigError: Its folder cannot be made.
         DiskFullError: There is no room.
     """
-    with told_if_made(path):
+    with note_if_made(path):
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
@@ -373,20 +387,21 @@ def result_file(path: Path) -> Iterator[Path]:
 @contextmanager
 def fresh_folders(folder: Path) -> Iterator[None]:
     """Leave no empty folders behind when the block fails."""
-    fresh = [place for place in (folder, *folder.parents) if not place.exists()]
+    missing = [place for place in (folder, *folder.parents) if not place.exists()]
     try:
         yield
     except BaseException:
-        for place in fresh:
-            with suppress(OSError):  # somebody else has put something there
+        for place in missing:
+            # Another process may have put something there.
+            with suppress(OSError):
                 place.rmdir()
         raise
 
 
 @contextmanager
-def told_if_made(path: Path) -> Iterator[None]:
-    """Say at the end that a folder was made for a result, the outermost one: a mistyped one is noticed so."""
-    missing = next((folder for folder in reversed(path.parents) if not folder.exists()), None)
+def note_if_made(path: Path) -> Iterator[None]:
+    """Note at the end which folder was made for a result, so that a mistyped one is seen."""
+    missing = [folder for folder in reversed(path.parents) if not folder.exists()]
     yield
-    if missing is not None:
-        print(f"note: made the folder {escaped(missing)}", file=sys.stderr)
+    if missing:
+        print(f"note: made the folder {escaped(missing[0])}", file=sys.stderr)

@@ -1,4 +1,4 @@
-"""What the command line writes: results to stdout; notes, warnings and bars with the time that is left to stderr."""
+"""What the command line prints: results to stdout; notes, warnings and progress bars to stderr."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 import sys
 import time
 from collections.abc import Callable, Iterable, Sequence
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, Final, Self
 
 from rich import box
 from rich.console import Console, RenderableType
@@ -19,17 +19,19 @@ from wcsim.core.reading import escaped
 if TYPE_CHECKING:
     from wcsim.towns.scenario.overrides import Override
 
-_BAR_WIDTH = 16  # with what is said beside it a row has 80 characters
-_TOLD = ("description", "fields[says]", "fields[left]")
-_ALMOST_S = 90.0  # from here on minutes are told
-_MOST = 2000  # letters in a cell
-_CALIBRATED = (
-    "step-length"  # what drivers were calibrated with: to run otherwise is more than housekeeping
-)
+# With the text beside it a row has 80 characters.
+_BAR_WIDTH: Final = 16
+_FIELDS: Final = ("description", "fields[text]", "fields[left]")
+# A longer time is printed in minutes.
+_MOST_SECONDS_S: Final = 90.0
+# Characters in a cell.
+_MOST_CHARACTERS: Final = 2000
+# Drivers were calibrated with it: another value changes results.
+_CALIBRATED: Final = "step-length"
 
 
 def stdout_console() -> Console:
-    """The console of results: names are printed as they are, `[/x]` and `:car:` too, with no colours for numbers."""
+    """The console of results: it prints names such as `[/x]` and `:car:` as they are."""
     return Console(highlight=False, emoji=False, markup=False)
 
 
@@ -48,20 +50,20 @@ def show_table(
     stdout_console().print(table)
 
 
-def say(told: str) -> None:
-    """A note on what goes on meanwhile."""
-    stderr_console().print(told, style="dim", soft_wrap=True)
+def print_note(text: str) -> None:
+    """Print a note on the progress."""
+    stderr_console().print(text, style="dim", soft_wrap=True)
 
 
-def warn(told: str) -> None:
-    """What went otherwise than it was meant to, and ends nothing."""
-    print(f"wcsim: {told}", file=sys.stderr, flush=True)
+def warn(text: str) -> None:
+    """Print what went wrong without ending the command."""
+    print(f"wcsim: {text}", file=sys.stderr, flush=True)
 
 
-def _told_left(spent_s: float, share: float) -> str:
-    """How long the rest takes, if it goes on as it did; "" when that is not known, or nothing is left.
+def _time_left(spent_s: float, share: float) -> str:
+    """How long the rest takes at the same speed; "" when that is not known, or nothing is left.
 
-    >>> _told_left(30.0, 0.25), _told_left(30.0, 0.75), _told_left(30.0, 0.0)
+    >>> _time_left(30.0, 0.25), _time_left(30.0, 0.75), _time_left(30.0, 0.0)
     ('about 2 min left', 'about 10 s left', '')
     """
     if not 0.0 < share < 1.0:
@@ -69,13 +71,15 @@ def _told_left(spent_s: float, share: float) -> str:
     left_s = spent_s * (1.0 - share) / share
     return (
         f"about {math.ceil(left_s / 5) * 5} s left"
-        if left_s < _ALMOST_S
+        if left_s < _MOST_SECONDS_S
         else f"about {round(left_s / 60)} min left"
     )
 
 
 class StageBar(Closing):
-    """A stage of a command and how far it has come; a context manager. Where less is done than before, another begins.
+    """A stage of a command and its progress; a context manager.
+
+    A smaller share than before starts another stage.
 
     Args:
         name: Of the stage.
@@ -84,15 +88,15 @@ class StageBar(Closing):
 
     def __init__(self, name: str, clock: Callable[[], float] = time.monotonic) -> None:
         self.console = stderr_console()
-        names, *text = (
-            TextColumn(f"{{task.{what}}}", markup=False) for what in _TOLD
-        )  # names are no markup
-        columns = (names, BarColumn(_BAR_WIDTH), *text)
+        # Without markup, as a name may look like a tag.
+        name_column, *texts = (TextColumn(f"{{task.{field}}}", markup=False) for field in _FIELDS)
+        columns = (name_column, BarColumn(_BAR_WIDTH), *texts)
         self._bar = Progress(*columns, console=self.console, disable=not self.console.is_terminal)
-        self._task = self._bar.add_task(name, total=1.0, says="", left="")
+        self._task = self._bar.add_task(name, total=1.0, text="", left="")
         self._rows: dict[str, TaskID] = {}
-        self._clock, self._began_s = clock, clock()
-        self._first: float | None = None  # share that was done before, as by a run that goes on
+        self._clock = clock
+        self._started_s = clock()
+        self._first: float | None = None  # share that was done before, as in a resumed run
         self._share = 0.0
 
     @property
@@ -102,35 +106,38 @@ class StageBar(Closing):
 
     @property
     def left(self) -> str:
-        """As `_told_left`, from the first `show` on."""
+        """As `_time_left`, from the first `show` on."""
         first = self._first or 0.0
-        return _told_left(
-            self._clock() - self._began_s,
+        return _time_left(
+            self._clock() - self._started_s,
             (self._share - first) / (1.0 - first) if first < 1.0 else 1.0,
         )
 
-    def show(self, share: float, says: str, name: str | None = None) -> None:
-        """A share of the work (0 to 1) is done; `says` is what goes on, in 30 characters or so."""
+    def show(self, share: float, text: str, name: str | None = None) -> None:
+        """Show the share of the work that is done (0 to 1), what goes on, and the stage's name.
+
+        The text has about 30 characters.
+        """
         if self._first is None:
             self._first = share
         elif share < self._share:
-            self._first, self._began_s = share, self._clock()
+            self._first, self._started_s = share, self._clock()
         self._share = share
-        self._bar.update(self._task, completed=share, says=says, left=self.left, description=name)
+        self._bar.update(self._task, completed=share, text=text, left=self.left, description=name)
 
-    def say(self, line: str, *, left: bool = True) -> None:
-        """A line of its own, above the bar; without a bar the time that is left stands in it, unless it shall not."""
+    def print_line(self, line: str, *, left: bool = True) -> None:
+        """Print a line above the bar; in a log `left` adds the time that is left."""
         more = self.left if left and not self.console.is_terminal else ""
         self.console.print(f"{line}, {more}" if more else line, soft_wrap=True)
 
-    def rows(self, told: dict[str, str]) -> None:
-        """A row below the bar for each of those who work."""
-        for gone in self._rows.keys() - told.keys():
-            self._bar.remove_task(self._rows.pop(gone))
-        for name, says in told.items():
+    def rows(self, texts: dict[str, str]) -> None:
+        """Show a row below the bar for each worker."""
+        for name in self._rows.keys() - texts.keys():
+            self._bar.remove_task(self._rows.pop(name))
+        for name, text in texts.items():
             if name not in self._rows:
-                self._rows[name] = self._bar.add_task(f"  {name}", total=None, says=says, left="")
-            self._bar.update(self._rows[name], says=says)
+                self._rows[name] = self._bar.add_task(f"  {name}", total=None, text=text, left="")
+            self._bar.update(self._rows[name], text=text)
 
     def __enter__(self) -> Self:
         self._bar.start()
@@ -142,7 +149,7 @@ class StageBar(Closing):
 
 
 def beside(live: Console) -> Console:
-    """Where to print results while something is drawn anew on a terminal: above it, or to an output that is a file."""
+    """The console for results beside a live display: above it, or an output that is a file."""
     out = stdout_console()
     return live if live.is_terminal and out.is_terminal else out
 
@@ -154,33 +161,35 @@ def print_overrides(
     notes: Sequence[str] = (),
     *,
     verbose: bool = False,
-    kept: bool = False,
+    in_manifest: bool = False,
 ) -> None:
-    """What differs from a scenario's own options.
+    """Print which options of SUMO differ from a scenario's own.
 
     Args:
-        console: Where to say it.
+        console: Where to print.
         town: The town's name.
         overrides: The options.
-        notes: What else there is to know; printed in any case.
+        notes: Further notes; printed in any case.
         verbose: A table with values and reasons, instead of a line with the names.
-        kept: Whether the run's manifest holds them.
+        in_manifest: Whether the run's manifest holds them.
     """
     if verbose:
         console.print(_table(town, overrides))
     elif overrides:
         names = ", ".join(escaped(row.option, 80) for row in overrides)
-        where = "--verbose says why, as does the run's manifest" if kept else "--verbose says why"
-        told = [
+        where = "--verbose says why"
+        if in_manifest:
+            where += ", as does the run's manifest"
+        lines = [
             f"{len(overrides)} of SUMO's options are not as in {town}'s scenario ({names}); {where}"
         ]
-        told += [
+        lines += [
             f"{row.option} is {row.wcsim}: {row.why}"
             for row in overrides
             if row.author and row.option == _CALIBRATED
         ]
-        for line in told:
-            console.print(escaped(line, _MOST), highlight=False)
+        for line in lines:
+            console.print(escaped(line, _MOST_CHARACTERS), highlight=False)
     for note in notes:
         console.print(f"note: {note}", highlight=False)
 
@@ -198,6 +207,9 @@ def _table(town: str, overrides: Sequence[Override]) -> Table:
     )
     for row in overrides:
         table.add_row(
-            *(escaped(cell, _MOST) for cell in (row.option, row.author or "-", row.wcsim, row.why))
+            *(
+                escaped(cell, _MOST_CHARACTERS)
+                for cell in (row.option, row.author or "-", row.wcsim, row.why)
+            )
         )
     return table

@@ -43,7 +43,7 @@ _ON_THE_WAY = (
 )
 
 
-class NothingKept(KeyboardInterrupt):
+class NothingSaved(KeyboardInterrupt):
     """Raised when a command was stopped before there was anything to keep."""
 
 

@@ -1,4 +1,4 @@
-"""How commands make the configuration of a run from their options, and check the policies that they are given."""
+"""How commands make a run's configuration, and check the policies and users that they name."""
 
 from __future__ import annotations
 
@@ -30,21 +30,24 @@ from wcsim.users.profiles import HELD_OUT, find_profile
 
 
 def require_policy(name: str, network: str, *, alone: bool = False, bare_for: str = "") -> None:
-    """Refuse what names no policy, and one with a network of somebody's own that was not named.
+    """Refuse a name of no policy, and a policy whose own network was not named.
 
     Args:
         name: The policy; one that is module:Class is imported.
         network: The own network that was named, "" for none.
-        alone: It is the command's only policy, and also has to use the network that was named.
-        bare_for: What uses its network alone, which no veto may stand before; "" where the policy drives.
+        alone: It is the command's only policy, and has to use the network that was named.
+        bare_for: What uses the network alone, without a veto; "" where the policy drives.
 
     Raises:
-        PolicyError: There is no such policy, class or network, its network was not named, or another one was.
+        PolicyError: There is no such policy, class or network, its network was not named, or
+            another one was.
     """
-    named, used = policy_name(name), ""
+    named = policy_name(name)
+    used = ""
     if bare_for and named.veto:
         raise PolicyError(
-            f"{escaped(name)}: {bare_for} uses the network alone; expected {escaped(named.inner)}, without {VETO}"
+            f"{escaped(name)}: {bare_for} uses the network alone; expected {escaped(named.inner)}, "
+            f"without {VETO}"
         )
     if named.kind == "class":
         find_class(named.inner, "policy")
@@ -68,13 +71,13 @@ def require_policy(name: str, network: str, *, alone: bool = False, bare_for: st
             )
 
 
-def require_learner(config: RunConfig, wanted: Learner) -> None:
+def require_learner(config: RunConfig, expected: Learner) -> None:
     """Raise ConfigError for settings of another learner than a command's own."""
     found = learner_of(config)
-    if found is not wanted:
+    if found is not expected:
         raise ConfigError(
-            f"learn.head={config.learn.head}: this command {wanted.method}; expected preset {wanted.presets}, "
-            f"or wcsim {found.command}"
+            f"learn.head={config.learn.head}: this command {expected.method}; expected preset "
+            f"{expected.presets}, or wcsim {found.command}"
         )
 
 
@@ -84,9 +87,10 @@ def require_users(
     """Refuse simulated users that are kept for tests.
 
     Args:
-        config: Of whoever drives.
-        drawn: Where users are drawn from `collect.profiles`: section.key=value and the TOML file that made `config`.
-            A user who is none is refused then, and one of `env.profile`, who would never sit in a chair.
+        config: The configuration of the drives.
+        drawn: Where users are drawn from `collect.profiles`: the section.key=value and the TOML
+            file that made `config`. A setting of `env.profile`, which would have no effect, and
+            users that do not exist are refused then.
 
     Raises:
         ConfigError: A user cannot be used.
@@ -98,8 +102,8 @@ def require_users(
         for name in names:
             if name in HELD_OUT:
                 raise ConfigError(
-                    f"profile {name} is held out of training: tests use it as a user that a network has never met; "
-                    f"expected another {key}"
+                    f"profile {name} is held out of training: tests use it as a user that a "
+                    f"network has never met; expected another {key}"
                 )
     if drawn is None:
         return
@@ -109,8 +113,9 @@ def require_users(
     if "profile" in own or any(sets_key(text, "env.profile") for text in settings):
         name = config.env.profile
         raise ConfigError(
-            f"env.profile={escaped(name)}: a network that learns in rounds draws its users from collect.profiles; "
-            f"""expected --set 'collect.profiles=["{escaped(name)}"]', or wcsim train-q, which learns with that user"""
+            f"env.profile={escaped(name)}: a network that learns in rounds draws its users from "
+            f"collect.profiles; expected --set 'collect.profiles=[\"{escaped(name)}\"]', or wcsim "
+            "train-q, which learns with that user"
         )
     require_user(*config.collect.profiles)
 
@@ -118,10 +123,10 @@ def require_users(
 def resolve_run(
     config: RunConfig, info: RunInfo, town: Town, out: Path, resume: bool = False
 ) -> ResolvedRun:
-    """The run of a configuration in a town: with the network's window, and with what its manifest says of the town.
+    """The run of a configuration in a town, with all that learner, network and town fix.
 
     Args:
-        config: As it is learned with.
+        config: The resolved configuration.
         info: Seed, command, and the user's own classes.
         town: To train in.
         out: The run folder.
@@ -138,9 +143,8 @@ def resolve_run(
         find_hook(info.hook)
     require_user(config.env.profile)
 
-    from wcsim.agents.learning.build import (
-        network_settings,
-    )  # torch is loaded here: not for --help, nor for a refusal
+    # PyTorch is loaded here: not for --help, nor for a refusal.
+    from wcsim.agents.learning.build import network_settings
     from wcsim.agents.networks.registry import find_network
 
     find_network(config.learn.network)
@@ -149,15 +153,15 @@ def resolve_run(
 
 
 def in_town(info: RunInfo, town: Town, config: RunConfig) -> RunInfo:
-    """The same, with what there is to say of the town."""
+    """The run's facts, with those of its town."""
     overrides = overrides_of(town, config, info.seed)
     return replace(info, town=town.name, town_sha256=streets_hash(town), overrides=overrides)
 
 
 def learning(config: RunConfig) -> dict[str, Any]:
-    """The settings that a configuration is learned with: episodes of the learner's length, the truth when advised.
+    """The settings that a learner fixes: the length of episodes, and the truth for its oracle.
 
-    Rounds set by themselves what their worlds tell.
+    Learning in rounds sets the truth of its worlds itself.
     """
     env = {
         "max_steps": config.learn.episode_steps,

@@ -1,4 +1,4 @@
-"""What the commands that train share: options, towns and run folder, the training itself, the report at its end."""
+"""What the commands that train share: options, towns, run folder, the training, its report."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from wcsim.cli.shared.common import (
     write_json,
 )
 from wcsim.cli.shared.consoles import StageBar, beside, print_overrides, warn
-from wcsim.cli.shared.exit_codes import NothingKept
+from wcsim.cli.shared.exit_codes import NothingSaved
 from wcsim.cli.shared.run_config import how_to_test, learning, require_learner, require_users
 from wcsim.config import LearnConfig, RunConfig, resolve
 from wcsim.config.load import Layer, sets_key
@@ -68,7 +68,7 @@ class TrainingOptions(SettingsOptions, OutputOptions):
 
     town: str = "helsinki"
     """Training towns, separated by commas: a town's name, its folder, or a .sumocfg file; made:SEED is generated. The
-    world changes town after world.epoch_ticks. Test towns need --allow-test-town."""
+    world changes town after world.epoch_ticks. Test towns need --allow-test-town."""  # noqa: E501 - help text
     seed: int = 0
     """Random seed: equal seeds give equal weights."""
     out: OutFolder = None
@@ -86,7 +86,7 @@ class QLearningOptions(SettingsOptions):
     reward: Annotated[Repeated, Finds(find_reward_term)] = ()
     """Your own reward term as module:Class, added to the paper's terms."""
     steps: Steps = None
-    """Total steps, as --set learn.total_steps=N. A preset's first phase of more than half of them shrinks."""
+    """Total steps, as --set learn.total_steps=N. A preset's first phase of more than half of them shrinks."""  # noqa: E501 - help text
 
 
 @dataclass(kw_only=True)
@@ -94,7 +94,7 @@ class QTrainingOptions(QLearningOptions, TrainingOptions):
     """Options of every new training by Q-learning."""
 
     hook: str = ""
-    """Your own step hook as module:Class, called around every step of SUMO with the libsumo module."""
+    """Your own step hook as module:Class, called around every step of SUMO with the libsumo module."""  # noqa: E501 - help text
     tensorboard: bool = False
     """Also log scalars for TensorBoard in the run folder, as --set learn.tensorboard=true."""
 
@@ -213,7 +213,7 @@ class TrainingBar(StageBar):
     def print_note(self) -> None:
         """Print how the network learns, above the bar."""
         if self._note:
-            self.say(f"note: {self._note}")
+            self.print_line(f"note: {self._note}")
 
     def print_overrides(self) -> None:
         """Print once which options of SUMO the run overrides, and how the network learns."""
@@ -226,7 +226,7 @@ class TrainingBar(StageBar):
             self._overrides,
             (self._note,) if self._note else (),
             verbose=self._verbose,
-            kept=True,
+            in_manifest=True,
         )
 
     def warn(self, text: str) -> None:
@@ -246,7 +246,7 @@ def train_network(
 
     Raises:
         InterruptedRunError: The user stopped it.
-        NothingKept: ... before anything was driven.
+        NothingSaved: ... before anything was driven.
         WcsimError: A setting, the folder or a machine cannot be used.
     """
     learner = learner_of(run.config)
@@ -258,16 +258,16 @@ def train_network(
         except InterruptedRunError:
             if run.out.exists():
                 raise
-            raise NothingKept(
+            raise NothingSaved(
                 "stopped before the first segment was driven; nothing is saved"
             ) from None
 
 
 @contextmanager
 def removed_without_results(run: Path) -> Iterator[None]:
-    """Remove a run folder made in the block when it fails before an episode, a segment or a checkpoint was saved.
+    """Remove a run folder that the block made, when the block fails without results.
 
-    It stays after a full disk, and when a cluster is lost: wcsim resume goes on.
+    It stays after a full disk, and when a cluster is lost: wcsim resume continues.
     """
     is_new = not run.exists()
     with fresh_folders(run.parent):
@@ -298,7 +298,7 @@ def report_run(options: OutputOptions, run: ResolvedRun) -> None:
 
 
 def print_crossings(run: Path) -> None:
-    """Print where KPI 1 of each client of a run came below its limit; runs in rounds log no KPI 1."""
+    """Print where KPI 1 of each client fell below its limit; runs in rounds log no KPI 1."""
     # Not at the top: the pages' figures take long to load, and --help needs none.
     from wcsim.view.report.learning_curve import crossing, read_training
 

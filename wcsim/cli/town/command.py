@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from rich.table import Column
 
-from wcsim.cli.shared.common import Parts, run_part, says
+from wcsim.cli.shared.common import Parts, has_option, run_part
 from wcsim.cli.shared.consoles import show_table
 from wcsim.cli.town import import_, town_check
 from wcsim.cli.town import run as traffic
@@ -22,7 +22,7 @@ def run(words: list[str]) -> int:
     """Run one of the subcommands."""
     parts: Parts = {
         "import": (
-            import_.AdoptOptions if says(words, "--sumocfg") else import_.ImportOptions,
+            import_.AdoptOptions if has_option(words, "--sumocfg") else import_.ImportOptions,
             import_.run,
         ),
         "make": (import_.TownMakeOptions, import_.make),

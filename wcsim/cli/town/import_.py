@@ -24,7 +24,7 @@ from wcsim.cli.shared.common import (
     fresh_folders,
     words_of,
 )
-from wcsim.cli.shared.consoles import say
+from wcsim.cli.shared.consoles import print_note
 from wcsim.cli.town.town_check import checked, told_report, try_town
 from wcsim.core.own_folder import temporary_folder
 from wcsim.core.reading import counted
@@ -135,7 +135,7 @@ def _adopt(options: AdoptOptions, out: Path) -> TownReport:
         options.sumocfg, *named, outside=options.allow_outside, cycle_paths=options.cycle_paths
     )
     try:
-        report = checked(town, told=say)
+        report = checked(town, told=print_note)
     except BaseException:  # what cannot be read is no town
         shutil.rmtree(town.folder, ignore_errors=True)
         raise
@@ -163,12 +163,12 @@ def _build(options: ImportOptions, out: Path) -> tuple[TownReport, dict[str, Any
 
     with temporary_folder() as folder:
         osm = options.osm or download(_bbox(options.bbox), folder, options.url)
-        made = import_town(_order(options, osm, box, out), _built, say)
+        made = import_town(_order(options, osm, box, out), _built, print_note)
     print(
         f"wrote {made.town.folder}; open it with: sumo-gui -c {shlex.quote(str(made.town.sumocfg))}"
     )
     print(f"traffic drives on the {made.side}")
-    report = checked(made.town, made.walkable_share, say)
+    report = checked(made.town, made.walkable_share, print_note)
     more = {"left_out": asdict(made.left_out), **made.counts}
     return replace(report, notes=(*made.notes, *report.notes)), more
 
@@ -176,7 +176,7 @@ def _build(options: ImportOptions, out: Path) -> tuple[TownReport, dict[str, Any
 def _built(town: Town) -> Street:
     from wcsim.towns.street import load_street
 
-    return load_street(town, say)
+    return load_street(town, print_note)
 
 
 def _order(options: ImportOptions, osm: Path, box: Box | None, out: Path) -> ImportOrder:
@@ -282,10 +282,10 @@ def make(options: TownMakeOptions) -> int:
     )  # loads what builds streets, which --help must not
 
     town = make_town(
-        out, options.seed, wishes, name=options.name, overwrite=options.replace, stage=say
+        out, options.seed, wishes, name=options.name, overwrite=options.replace, stage=print_note
     )
     print(f"wrote {town.folder}; open it with: sumo-gui -c {shlex.quote(str(town.sumocfg))}")
-    return told_report(checked(town, told=say), started_s, result)
+    return told_report(checked(town, told=print_note), started_s, result)
 
 
 TOLD = 5
@@ -318,12 +318,12 @@ def pave(options: PaveOptions) -> int:
     )  # loads what builds streets, which --help must not
     from wcsim.towns.pave.pavements import pave_town
 
-    say(f"adding pavements in {options.out}")
+    print_note(f"adding pavements in {options.out}")
     paved = pave_town(bare, options.out, options.max_speed)
     town = _copy_of(bare, paved.sumocfg, outside=options.allow_outside)
-    say("testing the first steps in SUMO")
+    print_note("testing the first steps in SUMO")
     try_town(town)
-    say("checking the copy")
+    print_note("checking the copy")
     report = check_town(town)
     _print(paved)
     return told_report(

@@ -21,7 +21,7 @@ from wcsim.cli.shared.common import (
     words_of,
     write_json,
 )
-from wcsim.cli.shared.consoles import print_overrides, say, show_table, stdout_console
+from wcsim.cli.shared.consoles import print_note, print_overrides, show_table, stdout_console
 from wcsim.config import RunConfig, resolve
 from wcsim.core import seeding
 from wcsim.errors import ConfigError
@@ -106,7 +106,7 @@ def _recorded(
             scenario.overrides,
             scenario.notes,
             verbose=options.verbose,
-            kept=True,
+            in_manifest=True,
         )
         manifest.update(
             overrides=[asdict(row) for row in scenario.overrides],
@@ -118,7 +118,7 @@ def _recorded(
 
     def show(done: int, all_ticks: int) -> None:
         if done * 10 // all_ticks > (done - 1) * 10 // all_ticks:
-            say(f"{round(done * config.world.tick_s, 3):g} of {options.seconds:g} s")
+            print_note(f"{round(done * config.world.tick_s, 3):g} of {options.seconds:g} s")
 
     order = RecordOrder(
         seconds=options.seconds,
@@ -129,7 +129,7 @@ def _recorded(
         hook=options.hook,
     )
     try:
-        facts = record_town(town, config, order, opened, show, say)
+        facts = record_town(town, config, order, opened, show, print_note)
     except BaseException:
         if (out / MANIFEST).is_file():
             write_json(out / MANIFEST, {**manifest, "status": "interrupted"})

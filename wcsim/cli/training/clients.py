@@ -1,4 +1,4 @@
-"""Several networks learn at once in one world, each in a process of its own; and what came of it, told at the end."""
+"""Trains several networks at once in one world, in a process each, and reports their run."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from rich import box
 
@@ -32,7 +32,7 @@ from wcsim.agents.runs.run_folder import (
 )
 from wcsim.cli.shared.common import Lease, Worlds, check_folder, write_json
 from wcsim.cli.shared.consoles import print_overrides, show_table, stdout_console, warn
-from wcsim.cli.shared.exit_codes import Exit, NothingKept
+from wcsim.cli.shared.exit_codes import Exit, NothingSaved
 from wcsim.cli.shared.run_config import how_to_test
 from wcsim.cli.shared.training import OutputOptions, print_crossings
 from wcsim.core.files import locked
@@ -61,114 +61,10 @@ from wcsim.server.specs import world_plan
 from wcsim.towns.scenario.town import Town
 from wcsim.view.live_table import LiveTable
 
+LEASE_S: Final = 120.0
 
-class _TickRate:
-    """Ticks a second over a run, restarts of the world included, loading at the beginning left out."""
-
-    def __init__(self) -> None:
-        self._ticks = 0  # in all
-        self._last = 0  # of this life of the world
-        self._begun_s = self._ended_s = -1.0
-        self._at_begin = 0
-
-    def add(self, state: LaunchState) -> bool:
-        """Take in how things are; True when the world has just begun to tick."""
-        now = 0 if state.world is None else state.world.ticks
-        self._ticks += now - self._last if now >= self._last else now
-        self._last = now
-        if self._ticks == 0:
-            return False
-        first = self._begun_s < 0.0
-        if first:
-            self._begun_s, self._at_begin = state.elapsed_s, self._ticks
-        if not state.stopping:
-            self._ended_s = state.elapsed_s
-        return first
-
-    @property
-    def ticks_per_s(self) -> float:
-        """The mean; 0 when it is not known."""
-        spent_s = self._ended_s - self._begun_s
-        return (self._ticks - self._at_begin) / spent_s if spent_s > 0.0 else 0.0
-
-
-def _report_of(
-    folder: ClientsFolder, seed: int, rate: _TickRate, waits: PaidTimes
-) -> dict[str, Any]:
-    """How a run ended, as `--json` has it: ledgers are compared with the journal, whose hash is equal for equal runs.
-
-    Raises:
-        WcsimError: One cannot be read.
-    """
-    path = folder.path / JOURNAL
-    journal = path if part_files(path) else None
-    ledgers = [folder.ledger(name) for name in folder.clients]
-    entries = [iter_ledger(ledger) if ledger.is_file() else () for ledger in ledgers]
-    whole, against = audit(
-        () if journal is None else iter_inputs(journal), list(enumerate(entries))
-    )
-    rows = [_steps_of(ledger, journal, one) for ledger, one in zip(ledgers, against, strict=True)]
-    return {
-        "run": str(folder.path),
-        "town": ", ".join((folder.manifest.town, *folder.manifest.more_towns)),
-        "seed": seed,
-        "status": folder.manifest.status,
-        "clients": [{"name": name, **row} for name, row in zip(folder.clients, rows, strict=True)],
-        "ticks": whole.ticks,
-        "journal_hash": "" if journal is None else log_digest(path),
-        "ticks_per_s": rate.ticks_per_s,
-        "waits": asdict(waits),
-    }
-
-
-def _steps_of(ledger: Path, journal: Path | None, against: Audit) -> dict[str, int]:
-    """The steps of one client, counted in its ledger and compared with the journal.
-
-    Missing are those that the world did with its action and that it never saw. Doubled ones it saw twice, or the world
-    never did.
-    """
-    if journal is None and against.first_tick >= 0:
-        raise WcsimError(
-            f"{ledger}: has frames of a world without a journal; restore {JOURNAL} next to its folder"
-        )
-    return {
-        "first_tick": against.first_tick,  # -1 when it never had a frame
-        "last_tick": against.last_tick,
-        "ticks": against.steps,
-        "missing": max(against.missing, against.lost),
-        "duplicated": against.doubled + against.phantom,
-    }
-
-
-def _print_report(report: Mapping[str, Any], waits: PaidTimes) -> None:
-    """The report as a table."""
-    headings = ("client", "first tick", "last tick", "ticks", "missing", "duplicated")
-    rows = (map(str, client.values()) for client in report["clients"])
-    show_table(headings, rows, box=box.SIMPLE_HEAD, pad_edge=False)
-    if len(waits.clients) > 1:
-        paid = ("client", "acting s", "learning s", "waiting s", "mostly for")
-        show_table(paid, _paid(waits), box=box.SIMPLE_HEAD, pad_edge=False)
-    stdout_console().print(
-        f"{report['ticks']} world ticks, {report['ticks_per_s']:.1f} per second; journal hash {report['journal_hash']}",
-        soft_wrap=True,
-    )
-
-
-def _paid(waits: PaidTimes) -> Iterator[tuple[str, ...]]:
-    """What each client paid, and for whom it waited most; the page of `wcsim report` has all pairs."""
-    for name, paid in waits.clients.items():
-        waited = waits.waited_s.get(name, {})
-        whom = max(waited, key=lambda other: waited[other], default="")
-        most = f"{whom} ({waited[whom]:.1f})" if whom and waited[whom] > 0.0 else "-"
-        yield (
-            name,
-            *(f"{part_s:.1f}" for part_s in (paid.acting_s, paid.learning_s, paid.waiting_s)),
-            most,
-        )
-
-
-LEASE_S = 120.0
-ALL_DONE = LaunchOutcome(code=0, message="", stopped=False, clients=())
+# Clients whose run is done when nothing is left to launch.
+ALL_DONE: Final = LaunchOutcome(code=0, message="", stopped=False, clients=())
 
 
 @dataclass(kw_only=True)
@@ -188,31 +84,36 @@ def train_clients(
     watch: Callable[[LaunchState], bool] = lambda state: False,
     restarts: RestartRules | None = None,
 ) -> int:
-    """Train them all; returns the exit code: FAILED when a client was given up, or the world.
+    """Train all clients; returns the exit code: FAILED when a client or the world was given up.
 
     Args:
-        options: How it is run.
-        run: The clients, and where their run goes.
+        options: How the processes are run.
+        run: The clients, and their run folder.
         town: The town.
-        watch: Told how things are a few times a second; the run is stopped, as by SIGTERM, when it says True.
-        restarts: When a process that dies is given up, for a run whose processes somebody kills on purpose.
+        watch: Called with the state a few times a second; True stops the run, as SIGTERM does.
+        restarts: When a process that dies is given up; for runs whose processes are killed on
+            purpose.
 
     Raises:
         InterruptedRunError: The user stopped it.
-        NothingKept: ... before anything was done.
-        WcsimError: Something that was asked for cannot be used.
+        NothingSaved: ... before anything was done.
+        WcsimError: A setting, the folder or the world cannot be used.
     """
     check_folder("--out", run.out)
     require_files(len(run.clients))
-    with StopSignals() as signals, ExitStack() as held:
-        folder = held.enter_context(_opened(run))
-        place = held.enter_context(workplace())
-        left = tuple(client for client in run.clients if not folder.done(client.name, client.steps))
-        plans = [client_plan(run, folder, place, client) for client in left]
+    with StopSignals() as signals, ExitStack() as stack:
+        # 1. Open the run folder, and plan a process for the world and for each client.
+        folder = stack.enter_context(_opened(run))
+        place = stack.enter_context(workplace())
+        left = [client for client in run.clients if not folder.done(client.name, client.steps)]
+        plans = tuple(client_plan(run, folder, place, client) for client in left)
         order = world_order(run, town.address, folder, place, len(left), options.lease)
         world = world_plan(order, place, folder.log("world"))
-        rate, paid = _TickRate(), PaidTimesLog(folder.path)
-        held.callback(paid.save)
+        rate = _TickRate()
+        paid = PaidTimesLog(folder.path)
+        stack.callback(paid.save)
+
+        # 2. Launch them, and show their state until all are done.
         with LiveTable() as table:
 
             def show(state: LaunchState) -> None:
@@ -220,9 +121,13 @@ def train_clients(
                 paid.save_each(state.elapsed_s)
                 if rate.add(state):
                     note = Q_LEARNING.describe(run.clients[0].config)
-                    notes, told = () if run.resume else (note,), run.info.overrides
                     print_overrides(
-                        table.console, town.name, told, notes, verbose=options.verbose, kept=True
+                        table.console,
+                        town.name,
+                        run.info.overrides,
+                        () if run.resume else (note,),
+                        verbose=options.verbose,
+                        in_manifest=True,
                     )
                 table.show(state)
                 if watch(state) and not state.stopping:
@@ -232,10 +137,12 @@ def train_clients(
             rules = LaunchRules(client_lease_s=max(30.0, options.lease), client=again, world=again)
             launcher = Launcher(world, plans, folder.path, rules, show, signals=signals)
             outcome = launcher.run() if left else ALL_DONE
-        code = _told(run, folder, options.json, outcome, (rate, paid.times))
-    if (
-        signals.count and not run.last
-    ):  # one that came when nothing ran any more, and what is to follow has not begun
+
+        # 3. Write the status, and report.
+        code = _finish(run, folder, options.json, outcome, (rate, paid.times))
+
+    # A signal may arrive when nothing runs any more; without it the next phase would start.
+    if signals.count and not run.last:
         raise InterruptedRunError(
             f"stopped; {run.out} holds the training so far: {how_to_resume(run.out)}"
         )
@@ -244,34 +151,54 @@ def train_clients(
 
 @contextmanager
 def _opened(run: GroupRun) -> Iterator[ClientsFolder]:
-    """The run folder, new or gone on with, for this process alone; a new one is removed when nothing came of it."""
+    """The run folder, new or to resume, locked; a new one in which nothing was done is removed."""
     configs = {client.name: client.config for client in run.clients}
-    world = run.clients[0].config
     if run.resume:
         with locked(run.out):
             folder = open_clients_folder(run.out)
-            _mend(folder)
+            _cut_truncated(folder)
             for client in run.clients:
                 _lengthen(folder.path / client.name, client)
             folder.rewrite(configs)
             yield folder.with_status("running", folder.manifest.steps)
         return
-    wanted = make_manifest(world, run.info, [config.learn.network for config in configs.values()])
+    world = run.clients[0].config
+    manifest = make_manifest(world, run.info, [each.learn.network for each in configs.values()])
     made = not run.out.exists()
     if made:
         run.out.mkdir(parents=True)
     with locked(run.out):
-        begun: ClientsFolder | None = None
+        created: ClientsFolder | None = None
         try:
-            yield (begun := create_clients_folder(run.out, world, wanted, configs))
-        except (WcsimError, NothingKept) as error:
-            if (
-                made
-                if begun is None
-                else not isinstance(error, DiskFullError) and begun.fruitless()
-            ):
+            created = create_clients_folder(run.out, world, manifest, configs)
+            yield created
+        except (WcsimError, NothingSaved) as error:
+            if created is None:
+                remove = made
+            else:
+                # After a full disk wcsim resume goes on.
+                remove = not isinstance(error, DiskFullError) and created.fruitless()
+            if remove:
                 shutil.rmtree(run.out, ignore_errors=True)
             raise
+
+
+def _cut_truncated(folder: ClientsFolder) -> None:
+    """Cut off records that were truncated when a process died, and warn of each cut.
+
+    Raises:
+        JournalError: A log is damaged elsewhere.
+    """
+    path = folder.path / JOURNAL
+    ledgers = [file for file in map(folder.ledger, folder.clients) if file.is_file()]
+    if not part_files(path) and any(True for file in ledgers for _ in iter_ledger(file)):
+        raise JournalError(
+            f"{path}: is missing, but the ledgers contain ticks; restore it, or start a new run"
+        )
+    for log in ([path] if path.exists() else []) + ledgers:
+        with LogWriter.append_to(log) as writer:
+            if writer.cut_bytes:
+                warn(told_torn(log, writer.cut_bytes))
 
 
 def _lengthen(run: Path, client: Client) -> None:
@@ -285,82 +212,52 @@ def _lengthen(run: Path, client: Client) -> None:
         extend(run, client.steps, fade)
 
 
-def _mend(folder: ClientsFolder) -> None:
-    """Cut off what was torn when a process died, and say so. Raises JournalError when something else is damaged."""
-    path = folder.path / JOURNAL
-    ledgers = [file for file in map(folder.ledger, folder.clients) if file.is_file()]
-    if not part_files(path) and any(True for file in ledgers for _ in iter_ledger(file)):
-        raise JournalError(
-            f"{path}: is missing, but the ledgers contain ticks; restore it, or start a new run"
-        )
-    for log in ([path] if path.exists() else []) + ledgers:
-        with LogWriter.append_to(log) as writer:
-            if writer.cut_bytes:
-                warn(told_torn(log, writer.cut_bytes))
-
-
-def _told(
+def _finish(
     run: GroupRun,
     folder: ClientsFolder,
     json: Path | None,
     outcome: LaunchOutcome,
-    seen: tuple[_TickRate, PaidTimes],
+    measured: tuple[_TickRate, PaidTimes],
 ) -> int:
-    """Write down how it ended and say so; returns the exit code.
+    """Write how the run ended, and report it; returns the exit code.
 
     Raises:
         InterruptedRunError: It was stopped.
-        NothingKept: ... before anything was done.
-        ConfigError: A client or the world could not use what was asked for.
+        NothingSaved: ... before anything was done.
+        ConfigError: A client or the world could not use a setting.
     """
     if outcome.stopped and folder.fruitless() and not run.resume:
-        raise NothingKept("stopped before anything was learned; nothing is saved")
-    told = {
-        client.name: client.status.step for client in outcome.clients if client.status is not None
-    }
-    steps = sum(
-        max(told.get(name, 0), folder.steps(name)) for name in folder.clients
-    )  # not all were launched
+        raise NothingSaved("stopped before anything was learned; nothing is saved")
+    # Of clients that were not launched the folder alone knows the steps.
+    reported = {each.name: each.status.step for each in outcome.clients if each.status is not None}
+    steps = sum(max(reported.get(name, 0), folder.steps(name)) for name in folder.clients)
     folder = _with_status(run, folder, steps)
     if outcome.code == Exit.REFUSED:
         raise ConfigError(outcome.message)
-    report = _report_of(folder, run.info.seed, *seen)
-    _print_report(report, seen[1])
-    for kept in folder.truncated_parts():
-        warn(f"{kept}: a truncated end was cut off earlier")
+    report = _report_of(folder, run.info.seed, *measured)
+    _print_report(report, measured[1])
+    for part in folder.truncated_parts():
+        warn(f"{part}: a truncated end was cut off earlier")
     write_json(json, report)
     if outcome.stopped:
-        raise InterruptedRunError(_told_stop(folder.path, outcome.clients))
+        raise InterruptedRunError(_stop_message(folder.path, outcome.clients))
     if outcome.code:
-        lost = "".join(
+        unsaved = [
             f"; client {each.name} {each.unsaved}" for each in outcome.clients if each.unsaved
-        )
+        ]
         again = f"{folder.path} is kept; continue it: {how_to_resume(folder.path)}"
-        warn(f"{outcome.message}{lost}; {again}")
+        warn(f"{outcome.message}{''.join(unsaved)}; {again}")
         return Exit.FAILED
     print_crossings(folder.path)
     if run.last:
-        tested = folder.path / (run.best or folder.clients[0])
-        trained_in = (run.info.town, *run.info.more_towns)
-        print(f"run folder: {folder.path}    test one: {how_to_test(tested, '', trained_in)}")
+        best = folder.path / (run.best or folder.clients[0])
+        test = how_to_test(best, "", (run.info.town, *run.info.more_towns))
+        print(f"run folder: {folder.path}    test one: {test}")
     return Exit.DONE
 
 
-def _told_stop(path: Path, clients: Sequence[ClientState]) -> str:
-    """What a run leaves that was stopped, by all of its clients or by some."""
-    given_up = {client.name: client.reason for client in clients if client.standing == "given up"}
-    why = {client.name: client.unsaved for client in clients} | given_up
-    lost = [f"client {name} {told}" for name, told in why.items() if told]
-    if not lost:
-        return f"stopped; {path} holds the training so far; continue it: {how_to_resume(path)}"
-    return (
-        f"stopped, but {'; '.join(lost)}: the training since its last checkpoint is lost; {path} holds the rest; "
-        f"continue it: {how_to_resume(path)}"
-    )
-
-
 def _with_status(run: GroupRun, folder: ClientsFolder, steps: int) -> ClientsFolder:
-    """Write down whether the run is done, where there is room."""
+    """Write whether the run is done, where there is room."""
     done = all(folder.done(client.name, client.steps) for client in run.clients)
     status: Status = "done" if done and run.last else "interrupted"
     try:
@@ -368,3 +265,128 @@ def _with_status(run: GroupRun, folder: ClientsFolder, steps: int) -> ClientsFol
     except DiskFullError as error:  # the work is there all the same
         warn(str(error))
         return folder
+
+
+def _stop_message(path: Path, clients: Sequence[ClientState]) -> str:
+    """The message of a run that was stopped by its user: what it holds, and what is lost."""
+    reasons = {client.name: client.unsaved for client in clients}
+    for client in clients:
+        if client.standing == "given up":
+            reasons[client.name] = client.reason
+    lost = [f"client {name} {reason}" for name, reason in reasons.items() if reason]
+    if not lost:
+        return f"stopped; {path} holds the training so far; continue it: {how_to_resume(path)}"
+    return (
+        f"stopped, but {'; '.join(lost)}: the training since its last checkpoint is lost; {path} "
+        f"holds the rest; continue it: {how_to_resume(path)}"
+    )
+
+
+class _TickRate:
+    """Ticks a second over a run, with restarts of the world, and without the first loading."""
+
+    def __init__(self) -> None:
+        self._ticks = 0  # in all
+        self._last = 0  # of the present world
+        self._started_s = -1.0
+        self._ended_s = -1.0
+        self._at_start = 0
+
+    def add(self, state: LaunchState) -> bool:
+        """Add a state; True when the world has just started to tick."""
+        now = 0 if state.world is None else state.world.ticks
+        # A restarted world counts from zero.
+        self._ticks += now - self._last if now >= self._last else now
+        self._last = now
+        if self._ticks == 0:
+            return False
+        first = self._started_s < 0.0
+        if first:
+            self._started_s = state.elapsed_s
+            self._at_start = self._ticks
+        if not state.stopping:
+            self._ended_s = state.elapsed_s
+        return first
+
+    @property
+    def ticks_per_s(self) -> float:
+        """The mean; 0 when it is not known."""
+        spent_s = self._ended_s - self._started_s
+        return (self._ticks - self._at_start) / spent_s if spent_s > 0.0 else 0.0
+
+
+def _report_of(
+    folder: ClientsFolder, seed: int, rate: _TickRate, waits: PaidTimes
+) -> dict[str, Any]:
+    """The report of a run, as `--json` has it.
+
+    Ledgers are compared with the journal, whose hash is equal for equal runs.
+
+    Raises:
+        WcsimError: A log cannot be read.
+    """
+    path = folder.path / JOURNAL
+    journal = path if part_files(path) else None
+    ledgers = [folder.ledger(name) for name in folder.clients]
+    entries = [iter_ledger(ledger) if ledger.is_file() else () for ledger in ledgers]
+    inputs = () if journal is None else iter_inputs(journal)
+    whole, audits = audit(inputs, list(enumerate(entries)))
+    rows = [_steps_of(ledger, journal, one) for ledger, one in zip(ledgers, audits, strict=True)]
+    return {
+        "run": str(folder.path),
+        "town": ", ".join((folder.manifest.town, *folder.manifest.more_towns)),
+        "seed": seed,
+        "status": folder.manifest.status,
+        "clients": [{"name": name, **row} for name, row in zip(folder.clients, rows, strict=True)],
+        "ticks": whole.ticks,
+        "journal_hash": "" if journal is None else log_digest(path),
+        "ticks_per_s": rate.ticks_per_s,
+        "waits": asdict(waits),
+    }
+
+
+def _steps_of(ledger: Path, journal: Path | None, counts: Audit) -> dict[str, int]:
+    """The steps of one client, counted in its ledger and compared with the journal.
+
+    Missing are steps that the world did with its action and that it never saw. Doubled are steps
+    that it saw twice, or that the world never did.
+    """
+    if journal is None and counts.first_tick >= 0:
+        raise WcsimError(
+            f"{ledger}: has frames of a world without a journal; restore {JOURNAL} next to its "
+            "folder"
+        )
+    return {
+        "first_tick": counts.first_tick,  # -1 when it never had a frame
+        "last_tick": counts.last_tick,
+        "ticks": counts.steps,
+        "missing": max(counts.missing, counts.lost),
+        "duplicated": counts.doubled + counts.phantom,
+    }
+
+
+def _print_report(report: Mapping[str, Any], waits: PaidTimes) -> None:
+    """Print the report as tables."""
+    headings = ("client", "first tick", "last tick", "ticks", "missing", "duplicated")
+    rows = (map(str, client.values()) for client in report["clients"])
+    show_table(headings, rows, box=box.SIMPLE_HEAD, pad_edge=False)
+    if len(waits.clients) > 1:
+        paid = ("client", "acting s", "learning s", "waiting s", "mostly for")
+        show_table(paid, _paid_rows(waits), box=box.SIMPLE_HEAD, pad_edge=False)
+    stdout_console().print(
+        f"{report['ticks']} world ticks, {report['ticks_per_s']:.1f} per second; "
+        f"journal hash {report['journal_hash']}",
+        soft_wrap=True,
+    )
+
+
+def _paid_rows(waits: PaidTimes) -> Iterator[tuple[str, ...]]:
+    """The times of each client, and the other that it waited for most."""
+    for name, paid in waits.clients.items():
+        waited_s = waits.waited_s.get(name, {})
+        longest = max(waited_s, key=lambda other: waited_s[other], default="")
+        most = (
+            f"{longest} ({waited_s[longest]:.1f})" if longest and waited_s[longest] > 0.0 else "-"
+        )
+        parts_s = (paid.acting_s, paid.learning_s, paid.waiting_s)
+        yield (name, *(f"{part_s:.1f}" for part_s in parts_s), most)

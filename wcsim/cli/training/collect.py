@@ -1,4 +1,4 @@
-"""`wcsim collect`: drive, and write down what was seen and done, and which actions would have ended badly."""
+"""`wcsim collect`: drive, and record observations, actions, and which actions would end badly."""
 
 from __future__ import annotations
 
@@ -36,19 +36,19 @@ class _Options(SettingsOptions):
     """Record driving as training data; `wcsim train --data FOLDER` reads it."""
 
     town: str = "helsinki"
-    """Training towns, used in turn, joined by commas: a town's name, its folder, or a .sumocfg file."""
+    """Training towns, used in turn, joined by commas: a town's name, its folder, or a .sumocfg file."""  # noqa: E501 - help text
     preset: str = "laptop"
     """Preset to start from. Its section [collect] sets drivers and segments."""
     segments: Annotated[int, Bounds(1)] = 10
     """Total segments, each a fresh world of collect.ticks ticks. Existing segments are kept."""
     policy: str = ""
-    """Trained danger network that drives some of the episodes. By default, users and the oracle drive all."""
+    """Trained danger network that drives some of the episodes. By default, users and the oracle drive all."""  # noqa: E501 - help text
     network: Annotated[str, Finds(check_network)] = ""
     """Your own network as module:Class, if the --policy uses it."""
     worlds: Jobs = 1
     """Worker processes that drive at once. The data does not depend on their number."""
     cluster: Cluster = ""
-    """HOST:PORT of a Ray cluster that drives, or `local`. The data stays the same (docs/cluster.md)."""
+    """HOST:PORT of a Ray cluster that drives, or `local`. The data stays the same (docs/cluster.md)."""  # noqa: E501 - help text
     seed: int = 0
     """Random seed: equal seeds give equal data."""
     out: OutFolder = None
@@ -85,12 +85,11 @@ def run(words: list[str]) -> int:
     try:
         sha256 = collect_data(order, lambda done, of: print(f"{done} of {of} segments", flush=True))
     except KeyboardInterrupt:
-        kept = len(list(out.glob(f"{SEGMENTS}/*.npz.zst")))
-        if not kept:
+        segments = len(list(out.glob(f"{SEGMENTS}/*.npz.zst")))
+        if not segments:
             raise
-        held = counted(kept, "segment")
         raise InterruptedRunError(
-            f"stopped; {out} holds {held}; the same command continues"
+            f"stopped; {out} holds {counted(segments, 'segment')}; the same command continues"
         ) from None
     learn = f"wcsim train --preset laptop --data {shlex.quote(str(out))}"
     print(f"data folder: {out}, SHA-256 {sha256}    train on it: {learn}")

@@ -1,4 +1,4 @@
-"""`wcsim demo`, or `make demo`: train a network, and see what its help is worth in a town that it has never seen."""
+"""`wcsim demo`, or `make demo`: train a network, and test its help in a town that is new to it."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import shlex
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from wcsim.agents.opening.learner_registry import DANGER_ROUNDS
 from wcsim.agents.opening.named_policy import RULES
@@ -24,26 +24,33 @@ from wcsim.config import RunConfig, resolve
 from wcsim.core.files import numbered_names
 from wcsim.errors import InterruptedRunError, TownError
 from wcsim.server.specs import RunInfo
-from wcsim.towns.scenario.town import content_hash
+from wcsim.towns.scenario.town import Town, content_hash
 
-if TYPE_CHECKING:  # loads the simulators, which --help must not
+if TYPE_CHECKING:  # these load the simulators, which --help must not
+    from wcsim.agents.evaluation.suite.result_files import TestResult
+    from wcsim.agents.evaluation.suite.run import SuiteOrder
     from wcsim.agents.opening.list_file import Suite
 
-_STANDS = "zero"
-_PRESET = "laptop"
-_SHORT = (
+_STANDS: Final = "zero"
+_PRESET: Final = "laptop"
+_SHORT: Final = (
     "collect.rounds=1",
     "collect.segments=8",
     "collect.made_towns=0",
     "learn.threads=2",
-    # A narrow network and many small steps: of what was tried, it knows most after a minute of learning.
+    # A narrow network and many small steps: of all settings that were tried, these taught it most
+    # in a minute.
     "danger.width=10",
     "danger.learning_rate=0.004",
     "danger.updates=2500",
     "danger.batch=16",
-    "danger.threshold=0.1",  # who learned for a minute had better be careful
+    # A network that learned for a minute has to be careful.
+    "danger.threshold=0.1",
 )
-_USUAL = "This takes about 5 minutes on two free cores, half of them for training. The first run takes one minute more."
+_USUAL: Final = (
+    "This takes about 5 minutes on two free cores, half of them for training. "
+    "The first run takes one minute more."
+)
 
 
 @dataclass
@@ -51,7 +58,7 @@ class _Options:
     """Train a short preset laptop in Helsinki. Then a user drives in another town: alone, and with the network's help.
 
     This takes about 5 minutes on two free cores. Every stage shows the time left.
-    """
+    """  # noqa: E501 - help text
 
     train_town: str = "helsinki"
     """Training town: a town's name, its folder, or a .sumocfg file."""
@@ -65,49 +72,38 @@ class _Options:
     """Random seed."""
 
 
-def _say(text: str, style: str | None = None) -> None:
-    stdout_console().print(text, style=style)
-
-
 def run(words: list[str]) -> int:
-    """Do it all, and say where everything is."""
+    """Train, test and film, and print where the page is."""
     options = parse(_Options, words, "demo")
-    started = time.monotonic()
+    started_s = time.monotonic()
 
-    # 1. What would be refused later is refused now.
-    school = training_town(options.train_town, False)
+    # 1. Check all options: what would be refused later is refused now.
+    town = training_town(options.train_town, False)
     out = options.out or next(numbered_names(Path("runs") / "demo"))
     check_folder("--out", out)
     config = resolve(_PRESET, (*_SHORT, *options.set))
     require_learner(config, DANGER_ROUNDS)
     require_users(config, (options.set, None))
-    from wcsim.agents.opening.list_file import open_suite
-
-    suite = open_suite(options.suite)
-    if content_hash(school) in {town.sha256 for town in suite.file.towns}:
-        raise TownError(
-            f"{school.name} is a town of the list {options.suite}; expected another --train-town"
-        )
-    _say(
-        f"wcsim demo: a network is trained in {school.name} and helps a user elsewhere, in {suite.episodes} drives."
+    suite = _unseen_suite(options.suite, town)
+    _print(
+        f"wcsim demo: a network is trained in {town.name} and helps a user elsewhere, in "
+        f"{suite.episodes} drives."
     )
     if parse(_Options, [], "demo") == replace(options, seed=1, out=None):
-        _say(_USUAL)
+        _print(_USUAL)
 
-    # 2. It is trained.
-    _say(f"\n1/3 training in {school.name}", "bold")
-    _say(DANGER_ROUNDS.describe(config), "dim")
+    # 2. Train.
+    _print(f"\n1/3 training in {town.name}", "bold")
+    _print(DANGER_ROUNDS.describe(config), "dim")
     info = RunInfo(seed=options.seed, command=("wcsim", "demo", *words))
-    train_network(resolve_run(config, info, school, out), school)
+    train_network(resolve_run(config, info, town, out), town)
 
-    # 3. It is tested beside the user alone, and beside a chair that stands still.
-    _say(
+    # 3. Test beside the user alone, and beside a chair that stands still, by the rules of training.
+    _print(
         f"\n2/3 {suite.episodes} drives: by the user alone, standing still, and with the network",
         "bold",
     )
-    rules = tuple(
-        text for text in options.set if text.partition(".")[0] in RULES
-    )  # as those that it was trained with
+    rules = tuple(text for text in options.set if text.partition(".")[0] in RULES)
     trial = JudgeOptions(
         policies=(_STANDS, str(out)), only=True, jobs=2, out=out / "test", set=rules
     )
@@ -115,47 +111,61 @@ def run(words: list[str]) -> int:
     try:
         result = drive_list(order, trial, options.suite)
     except InterruptedRunError:
-        again = (
-            "test",
-            _STANDS,
-            str(out),
-            "--suite",
-            options.suite,
-            "--only",
-            "--out",
-            str(out / "test"),
-            "--resume",
-        )
-        raise InterruptedRunError(f"stopped; go on with: {shlex.join(('wcsim', *again))}") from None
+        again = ["wcsim", "test", _STANDS, str(out), "--suite", options.suite, "--only"]
+        again += ["--out", str(out / "test"), "--resume"]
+        raise InterruptedRunError(f"stopped; go on with: {shlex.join(again)}") from None
     show_result(stdout_console(), result)
 
-    # 4. A drive in which the help is worth something is filmed, and all of it stands on a page.
+    # 4. Film a drive in which the help counts, and write the page.
     from wcsim.view.report.comparisons import verdict
+
+    page, key = _write_page(out, order, result, config, options.suite, suite)
+    _print("\n" + verdict(result), "bold")
+    _print(f"\ndone in {_minutes(time.monotonic() - started_s)}; open this page: {page}", "bold")
+    _print("next:")
+    for command, purpose in _commands(out, options.suite, key):
+        _print(f"  {command}\n      {purpose}")
+    _print("SIMULATION ONLY: these figures say nothing about a real street.", "dim")
+    return 0
+
+
+def _print(text: str, style: str | None = None) -> None:
+    stdout_console().print(text, style=style)
+
+
+def _unseen_suite(name: str, town: Town) -> Suite:
+    """The list of test drives. Raises TownError when the training town is one of its towns."""
+    from wcsim.agents.opening.list_file import open_suite
+
+    suite = open_suite(name)
+    if content_hash(town) in {each.sha256 for each in suite.file.towns}:
+        raise TownError(f"{town.name} is a town of the list {name}; expected another --train-town")
+    return suite
+
+
+def _write_page(
+    out: Path, order: SuiteOrder, result: TestResult, config: RunConfig, name: str, suite: Suite
+) -> tuple[Path, tuple[int, int]]:
+    """Film a drive, alone and with help, and write the page; returns it, and the block and seat."""
     from wcsim.view.report.suite_page import write_demo_page
     from wcsim.view.report.twin_film import film_twins, telling_episode
 
     film = out / "alone_and_with_help.webm"
-    _say(f"\n3/3 filming one of these drives twice, alone and with help: {film}", "bold")
+    _print(f"\n3/3 filming one of these drives twice, alone and with help: {film}", "bold")
     key = telling_episode(result, str(out))
     with StageBar("filming") as bar:
-        told, _ = film_twins(film, order, result, str(out), key, bar.show)
+        caption, _ = film_twins(film, order, result, str(out), key, bar.show)
     page = write_demo_page(
         out,
         result,
         learned=DANGER_ROUNDS.describe(config),
         film_webm=film.read_bytes(),
-        film_says=told,
+        film_says=caption,
         key=key,
         trained=_trained_families(config, suite),
-        commands=_commands(out, options.suite, key),
+        commands=_commands(out, name, key),
     )
-    _say("\n" + verdict(result), "bold")
-    _say(f"\ndone in {_minutes(time.monotonic() - started)}; open this page: {page}", "bold")
-    _say("next:")
-    for command, does in _commands(out, options.suite, key):
-        _say(f"  {command}\n      {does}")
-    _say("SIMULATION ONLY: these figures say nothing about a real street.", "dim")
-    return 0
+    return page, key
 
 
 def _trained_families(config: RunConfig, suite: Suite) -> list[str]:
@@ -167,11 +177,9 @@ def _trained_families(config: RunConfig, suite: Suite) -> list[str]:
 
 
 def _commands(out: Path, suite: str, key: tuple[int, int]) -> tuple[tuple[str, str], ...]:
-    """What to do next, each with what it does; `key` is block and seat of the filmed drive."""
-    run, place = (
-        shlex.quote(str(out)),
-        f"--suite {shlex.quote(suite)} --block {key[0]} --seat {key[1]}",
-    )
+    """The next commands with their purposes; `key` is block and seat of the filmed drive."""
+    run = shlex.quote(str(out))
+    place = f"--suite {shlex.quote(suite)} --block {key[0]} --seat {key[1]}"
     return (
         (
             f"wcsim drive {place} --policy {run}",

@@ -27,9 +27,8 @@ from wcsim.errors import ConfigError, PolicyError, meant
 if TYPE_CHECKING:
     from wcsim.agents.export.onnx_export import ExportFacts
 
-_SAME_POLICY: Final = (
-    0.95  # of a recording's actions: with fewer it was hardly this policy that chose them
-)
+# Of a recording's actions: with fewer it was hardly this policy that chose them.
+_SAME_POLICY: Final = 0.95
 
 
 @dataclass
@@ -37,14 +36,14 @@ class _Options:
     """Export a trained network as an ONNX model, with a reference ride to check it."""
 
     policy: Annotated[str, Positional]
-    """Run, RUN:phase1, policy folder, or shipped; RUN@0.2 sets the threshold of a danger network."""
+    """Run, RUN:phase1, policy folder, or shipped; RUN@0.2 sets the threshold of a danger network."""  # noqa: E501 - help text
     onnx: Annotated[Path | None, arg(metavar="FOLDER")] = None
     """Output folder; an earlier export in it is replaced."""
     town: str = "helsinki"
     """Town of the reference ride: a town's name, its folder, or a .sumocfg file."""
     ride: InFile = None
     """Recorded drive, or journal of a run, to use as the reference ride instead. Its first episode counts. The command
-    reports how many of the policy's actions match the recorded ones."""
+    reports how many of the policy's actions match the recorded ones."""  # noqa: E501 - help text
     seat: int = 0
     """Seat of the journal in --ride."""
     steps: Annotated[int, Bounds(2, 100_000)] = 200
@@ -68,7 +67,8 @@ def run(words: list[str]) -> int:
     require_export_place("--onnx", options.onnx)
     if options.ride is not None and not options.ride.exists():
         raise ConfigError(
-            f"--ride {escaped(options.ride)}: not found; expected a recorded drive, a journal, or the folder of a run"
+            f"--ride {escaped(options.ride)}: not found; expected a recorded drive, a journal, or "
+            "the folder of a run"
         )
     path = _network(options.policy)
     require_policy(options.policy, options.network, alone=True, bare_for="an export")
@@ -103,17 +103,21 @@ def run(words: list[str]) -> int:
 
 
 def _network(name: str) -> Path:
-    """The folder of a network that may be exported. Raises PolicyError, also for what drives and has none."""
+    """The folder of a network that may be exported.
+
+    Raises:
+        PolicyError: There is no such policy, or it drives without a network.
+    """
     named = policy_name(name)
     if not named.is_network:
         raise PolicyError(
-            f"{escaped(name)} has no network that can be exported; expected a run that `wcsim train` made, "
-            f"RUN:phase1, a policy folder, or {SHIPPED}"
+            f"{escaped(name)} has no network that can be exported; expected a run that `wcsim "
+            f"train` made, RUN:phase1, a policy folder, or {SHIPPED}"
         )
     if named.kind != "shipped" and not is_folder(named.folder):
         raise PolicyError(
-            f"{escaped(named.place)} is not a run: there is no such folder; expected one that `wcsim train` made, "
-            f"a policy folder, or {SHIPPED}{meant(named.place, (SHIPPED,))}"
+            f"{escaped(named.place)} is not a run: there is no such folder; expected one that "
+            f"`wcsim train` made, a policy folder, or {SHIPPED}{meant(named.place, (SHIPPED,))}"
         )
     path = policy_path(name)
     learner_of_policy(path).require_exportable(path, name)
@@ -122,23 +126,30 @@ def _network(name: str) -> Path:
 
 def _compared(facts: ExportFacts) -> str:
     """How the model compares with the network and with wcsim."""
-    borders = f" ({facts.border_off:.1g} in {counted(facts.border_steps, 'step')} at borders of map cells)"
+    borders = ""
+    if facts.border_steps:
+        steps = counted(facts.border_steps, "step")
+        borders = f" ({facts.border_off:.1g} in {steps} at borders of map cells)"
     return (
         f"{facts.bytes / 1e6:.1f} MB, outputs differ by at most {facts.most_off:.1g} of the largest"
-        f"{borders if facts.border_steps else ''}\n"
-        f"{facts.same_actions:.1%} of {facts.steps} actions match the network, {facts.same_as_wcsim:.1%} match wcsim's "
-        f"policy; {counted(facts.interventions, 'intervention')}, {counted(facts.warnings, 'step')} with a warning"
+        f"{borders}\n"
+        f"{facts.same_actions:.1%} of {facts.steps} actions match the network, "
+        f"{facts.same_as_wcsim:.1%} match wcsim's "
+        f"policy; {counted(facts.interventions, 'intervention')}, "
+        f"{counted(facts.warnings, 'step')} with a warning"
     )
 
 
 def _beside_recording(same: float, by: str, policy: str) -> str:
     """How the network's own actions compare with those of a recording."""
-    told = f"{same:.1%} of the actions match the recording{f', which {escaped(by, 80)} drove' if by else ''}"
+    driver = f", which {escaped(by, 80)} drove" if by else ""
+    text = f"{same:.1%} of the actions match the recording{driver}"
     if same >= _SAME_POLICY and by.partition("@")[0] not in (*BASELINES, *UPPER_BOUNDS):
-        return told
+        return text
     return (
-        f"{told}: another policy or threshold. The reference ride holds the actions of {escaped(policy)} for these "
-        f"observations. Record it while it drives: wcsim drive --policy {shlex.quote(policy)} --record FILE"
+        f"{text}: another policy or threshold. The reference ride holds the actions of "
+        f"{escaped(policy)} for these observations. Record it while it drives: wcsim drive "
+        f"--policy {shlex.quote(policy)} --record FILE"
     )
 
 
@@ -147,7 +158,8 @@ def _costs(facts: ExportFacts, bar_ms: float) -> str:
     cost, slow = facts.cost, facts.quota_share
     within = "within" if cost.p99_ms <= bar_ms else "over"
     return (
-        f"one thread: {cost.p50_ms:.2f} ms per step (p99 {cost.p99_ms:.2f}, {within} the limit of {bar_ms:g} "
+        f"one thread: {cost.p50_ms:.2f} ms per step (p99 {cost.p99_ms:.2f}, {within} the limit of "
+        f"{bar_ms:g} "
         f"ms; {cost.cpu_p50_ms:.2f} ms CPU time), {cost.peak_mb:.0f} MB of memory\n"
         f"{slow:.0%} of a core, by {facts.quota_by} every {1000.0 * facts.quota_period_s:g} ms: "
         f"{cost.quota_p50_ms:.2f} ms (p99 {cost.quota_p99_ms:.2f})"
@@ -157,7 +169,7 @@ def _costs(facts: ExportFacts, bar_ms: float) -> str:
 def _ride(
     options: _Options, own: RunConfig, policy: Policy
 ) -> tuple[tuple[str, ...], Sequence[Observation], tuple[int, ...] | None, str]:
-    """The reference ride: its delay and observations, and of a recording the actions and who chose them."""
+    """The reference ride: delay and observations; of a recording also its actions and policy."""
     from wcsim.agents.export.export_folder import require_shown
     from wcsim.agents.rounds.recorded_ride import header_of, recorded_ride, reference_ride
     from wcsim.bridge.replay.replayed import config_of

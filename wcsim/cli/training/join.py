@@ -18,7 +18,7 @@ from wcsim.agents.opening.learner_registry import Q_LEARNING, step_display
 from wcsim.agents.runs.run_folder import ResolvedRun, open_run, require_new
 from wcsim.cli.shared.common import Bounds, Flag, OutFolder, check_folder, parse
 from wcsim.cli.shared.consoles import StageBar
-from wcsim.cli.shared.exit_codes import Exit, NothingKept
+from wcsim.cli.shared.exit_codes import Exit, NothingSaved
 from wcsim.cli.shared.run_config import how_to_test, require_user
 from wcsim.cli.shared.training import (
     QLearningOptions,
@@ -65,7 +65,7 @@ class _Options(QLearningOptions):
     resume: bool = False
     """Continue an interrupted run from its newest checkpoint."""
     supervise: Flag = False
-    """Start it again from its newest checkpoint when it died (five times without progress) or lost its world (20)."""
+    """Start it again from its newest checkpoint when it died (five times without progress) or lost its world (20)."""  # noqa: E501 - help text
 
 
 def run(words: list[str]) -> int:
@@ -73,11 +73,13 @@ def run(words: list[str]) -> int:
     options = parse(_Options, words, "join")
     if options.endpoint.partition("://")[0] not in ("ipc", "tcp"):
         raise ConfigError(
-            f"endpoint {options.endpoint!r}: expected ipc://FILE or tcp://HOST:PORT, as `wcsim serve` prints it"
+            f"endpoint {options.endpoint!r}: expected ipc://FILE or tcp://HOST:PORT, as `wcsim "
+            "serve` prints it"
         )
     if options.name and not re.fullmatch(CLIENT_NAME, options.name):
         raise ConfigError(
-            f"--name {options.name!r}: expected 1 to 64 letters, digits, - _ or ., not starting with ."
+            f"--name {options.name!r}: expected 1 to 64 letters, digits, - _ or ., not starting "
+            "with ."
         )
     config = resolve(options.preset, *q_layers(options, options.network))
     check_network(config.learn.network)
@@ -115,9 +117,10 @@ def _supervised(order: ClientSpec, resume: bool) -> None:
 
     Raises:
         InterruptedRunError: The user stopped it.
-        NothingKept: ... before anything was learned.
+        NothingSaved: ... before anything was learned.
         ConfigError: Something that was asked for cannot be used.
-        PolicyError: There is no run to go on with, the folder of a new one is not empty, or somebody else has it.
+        PolicyError: There is no run to resume, the folder of a new one is not empty, or another
+            process has it.
         ServerGoneError: It has died, or lost its world, too often.
     """
     out = Path(order.out).absolute()
@@ -125,7 +128,8 @@ def _supervised(order: ClientSpec, resume: bool) -> None:
     beside.mkdir(parents=True, exist_ok=True)
     try:
         with locked(beside):
-            # A later life removes a folder without a run and begins again: never one of somebody else.
+            # A restarted client removes a folder without a run and starts again: it must not be
+            # another user's folder.
             if resume:
                 open_run(out)
             else:
@@ -156,16 +160,14 @@ def _launched(order: ClientSpec, resume: bool, beside: Path) -> None:
     if outcome.code:
         raise ServerGoneError(outcome.message)
     if outcome.stopped and not has_results(Path(out)):
-        raise NothingKept("stopped before anything was learned; nothing is saved")
+        raise NothingSaved("stopped before anything was learned; nothing is saved")
     if outcome.stopped:
         lost = outcome.clients[0].unsaved
-        told = (
-            f"stopped, but it {lost}: the training since its last checkpoint is lost"
-            if lost
-            else "stopped"
-        )
+        stopped = "stopped"
+        if lost:
+            stopped += f", but it {lost}: the training since its last checkpoint is lost"
         raise InterruptedRunError(
-            f"{told}; {out} holds the rest; the same command with --resume goes on"
+            f"{stopped}; {out} holds the rest; the same command with --resume goes on"
         )
 
 

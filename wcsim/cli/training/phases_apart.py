@@ -1,7 +1,8 @@
-"""Several clients as in the paper: all learn the first phase in one world, the best of them alone the second.
+"""Several clients as in the paper: all learn the first phase in one world, the best the second.
 
-`learn.select_by` says which is the best: KPI 1 of the first phase, as in the paper, a suite, or the name of a client.
-What is done is in the run folder (`selection/`), so a run that was stopped anywhere goes on from there.
+`learn.select_by` sets how the best is found: by KPI 1 of the first phase, as in the paper, by a
+suite, or by a client's name. The run folder holds the choice (`selection/`), so that a run that was
+stopped anywhere resumes from there.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from wcsim.agents.runs.metrics import KPI1_STEPS, ROW_STEPS
 from wcsim.agents.runs.run_folder import how_to_resume
 from wcsim.cli.evaluation.judged_suite import save_result
 from wcsim.cli.shared.common import worlds_of, write_json
-from wcsim.cli.shared.consoles import say, show_table, stderr_console
+from wcsim.cli.shared.consoles import print_note, show_table, stderr_console
 from wcsim.cli.shared.exit_codes import Exit
 from wcsim.cli.training.clients import GroupOptions, train_clients
 from wcsim.core.files import locked
@@ -45,21 +46,21 @@ def train_group(options: GroupOptions, run: GroupRun, town: Town) -> int:
 
     Raises:
         InterruptedRunError: The user stopped it.
-        NothingKept: ... before anything was done.
+        NothingSaved: ... before anything was done.
         WcsimError: Something that was asked for cannot be used.
     """
-    asked = {client.config.learn.select_by for client in run.clients}
-    if len(asked) > 1:
-        told = ", ".join(sorted(map(escaped, asked)))
+    ways = {client.config.learn.select_by for client in run.clients}
+    if len(ways) > 1:
+        names = ", ".join(sorted(map(escaped, ways)))
         raise ConfigError(
-            f"clients have different learn.select_by ({told}); expected the same for all"
+            f"clients have different learn.select_by ({names}); expected the same for all"
         )
-    (by,) = asked
+    (by,) = ways
     if not by or len(run.clients) == 1:
         if options.worlds is not None:
             raise ConfigError(
-                f"--worlds {options.worlds}: no clients are tested; expected several clients and --select-by LIST, "
-                "or leave that out"
+                f"--worlds {options.worlds}: no clients are tested; expected several clients and "
+                "--select-by LIST, or leave that out"
             )
         return train_clients(options, run, town)
     suite = _checked(options, run, by)
@@ -73,7 +74,11 @@ def train_group(options: GroupOptions, run: GroupRun, town: Town) -> int:
 
 
 def _checked(options: GroupOptions, run: GroupRun, by: str) -> Suite | None:
-    """The suite to choose by, None for another way; what cannot be done is refused before the first phase."""
+    """The suite to choose by; None for another way.
+
+    Raises:
+        ConfigError: The choice will not be possible; it is known before the first phase.
+    """
     suite = None
     if by == KPI1 or by in [client.name for client in run.clients]:
         if options.worlds is not None:
@@ -88,8 +93,8 @@ def _checked(options: GroupOptions, run: GroupRun, by: str) -> Suite | None:
     unled = [client.name for client in run.clients if client.config.learn.phase1_steps < least]
     if unled:
         raise ConfigError(
-            f"learn.select_by={by} chooses after the first phase, and that of {unled[0]} has less than {least} steps: "
-            "set learn.phase1_steps"
+            f"learn.select_by={by} chooses after the first phase, and that of {unled[0]} has less "
+            f"than {least} steps: set learn.phase1_steps"
         )
     return suite
 
@@ -120,23 +125,24 @@ def _choose(options: GroupOptions, run: GroupRun, by: str, suite: Suite | None) 
         with locked(run.out):
             figures = _followed(run) if suite is None else _tested(options, run, suite, by)
             best = by if by in figures else _best_of(figures)
+            # The choice is made by all digits; the file is for people.
             figures = {
                 name: {
                     key: round(figure, 4) if key == KPI1 else figure for key, figure in own.items()
                 }
                 for name, own in figures.items()
-            }  # for people; the choice is made by all digits
-            kept = {"list_sha256": suite.sha256} if suite else {}
-            # Written last: a run without it compares again, one with it goes on with the second phase.
+            }
+            used = {"list_sha256": suite.sha256} if suite else {}
+            # Written last: a run without it compares again, one with it starts the second phase.
             (run.out / SELECTION).mkdir(exist_ok=True)
             write_json(
-                run.out / SELECTION / CHOICE, {"by": by, **kept, "clients": figures, "best": best}
+                run.out / SELECTION / CHOICE, {"by": by, **used, "clients": figures, "best": best}
             )
     except KeyboardInterrupt:
         log.add("comparison_stopped")
         raise InterruptedRunError(
-            f"stopped while clients were compared; {run.out} holds the episodes so far; continue it: "
-            f"{how_to_resume(run.out)}"
+            f"stopped while clients were compared; {run.out} holds the episodes so far; continue "
+            f"it: {how_to_resume(run.out)}"
         ) from None
     for name, own in figures.items():
         log.add("compared", who=name, **own)
@@ -146,39 +152,38 @@ def _choose(options: GroupOptions, run: GroupRun, by: str, suite: Suite | None) 
 
 
 def _followed(run: GroupRun) -> Figures:
-    """KPI 1 of each client's own choice at the end of its first phase, a mean of at most 2,000 steps."""
+    """KPI 1 of each client's own choice at the end of its first phase, over 2,000 steps."""
     return {client.name: {KPI1: kpi1_of(run.out / client.name)} for client in run.clients}
 
 
 def _tested(options: GroupOptions, run: GroupRun, suite: Suite, name: str) -> Figures:
     from wcsim.agents.evaluation.suite.run import SuiteOrder, run_suite
-    from wcsim.agents.opening.named_policy import told_of_rules
+    from wcsim.agents.opening.named_policy import rule_notes
     from wcsim.agents.policy_api import UNAIDED
 
     order = SuiteOrder(
         suite=suite, out=run.out / SELECTION, jobs=worlds_of(options.worlds), forks=0
     )
-    told = stderr_console()
+    console = stderr_console()
     by = f"{suite.file.suite} {suite.file.set}"
-    told.print(
+    console.print(
         f"first phase done; comparing clients on {by}: {counted(suite.episodes, 'episode')} each"
     )
 
-    networks = {
-        UNAIDED: ""
-    }  # own code that a policy needs; all that need none share their processes
+    # The own code that each policy needs; all that need none share their processes.
+    networks = {UNAIDED: ""}
     for client in run.clients:
         network = client.config.learn.network
         networks[_policy_of(run.out, client.name)] = network if is_own(network) else ""
-    for line in told_of_rules(networks, order.preset, suite.file.settings):
-        told.print(line)
+    for line in rule_notes(networks, order.preset, suite.file.settings):
+        console.print(line)
     found: dict[str, tuple[EpisodeRecord, ...]] = {}
     for network in dict.fromkeys(networks.values()):
         policies = [policy for policy, its in networks.items() if its == network]
         found |= run_suite(
             replace(order, network=network),
             policies,
-            lambda policy, done, of: say(f"{policy}: {done} of {of} blocks"),
+            lambda policy, done, of: print_note(f"{policy}: {done} of {of} blocks"),
         )
     records = {policy: found[policy] for policy in networks}
     return _figures_of(
@@ -202,9 +207,12 @@ def _figures_of(result: TestResult, run: Path, clients: Sequence[str]) -> Figure
 
 
 def _best_of(figures: Figures) -> str:
-    """Who has the lowest KPI 1, or the highest score and then the fewest own crashes; else the first.
+    """The client of the lowest KPI 1, or of the highest score, then the fewest own crashes.
 
-    >>> _best_of({name: {"score": 0.5, "crashes_own": own} for name, own in (("a", 2), ("b", 1), ("c", 1))})
+    Of equal ones it is the first.
+
+    >>> crashes = {"a": 2, "b": 1, "c": 1}
+    >>> _best_of({name: {"score": 0.5, "crashes_own": own} for name, own in crashes.items()})
     'b'
     """
 

@@ -1,4 +1,4 @@
-"""`wcsim resume RUN`: a training goes on from its newest checkpoint; everything is taken from the run folder."""
+"""`wcsim resume RUN`: a training continues from its newest checkpoint, as its run folder states."""
 
 from __future__ import annotations
 
@@ -56,11 +56,11 @@ class _Options(OutputOptions):
     steps: Steps = None
     """Total steps of a longer training by Q-learning."""
     worlds: Worlds = None
-    """Worker processes, where data is driven or clients are compared. None: one per core, at most 4."""
+    """Worker processes, where data is driven or clients are compared. None: one per core, at most 4."""  # noqa: E501 - help text
     cluster: Cluster = ""
     """HOST:PORT of a Ray cluster that drives data for a danger network, or `local`."""
     town: str = ""
-    """Where its towns are by now, if they were moved: folders or .sumocfg files, separated by commas."""
+    """Where its towns are by now, if they were moved: folders or .sumocfg files, separated by commas."""  # noqa: E501 - help text
     trust: Annotated[Repeated, arg(metavar="CLASS")] = ()
     """Your own module:Class that a run names which was made elsewhere: resuming runs its code."""
 
@@ -79,7 +79,8 @@ def run(words: list[str]) -> int:
         return _resume_group(options)
     if options.steps is not None and not learner.extends:
         raise ConfigError(
-            f"--steps: {options.run} learns in {learner.length(was.config)}, not steps; leave it out"
+            f"--steps: {options.run} learns in {learner.length(was.config)}, not steps; leave it "
+            "out"
         )
     machines = machines_of(options.cluster, options.worlds, "--worlds")
     again, town = _resumed(options)
@@ -177,8 +178,8 @@ def _town_of(options: _Options, manifest: Manifest, networks: Sequence[str]) -> 
     """The town that a run of these networks was made in, of several the first one.
 
     Raises:
-        PolicyError: The run was made elsewhere with code that nobody named here, its town has other streets by now, or
-            it is a run of `wcsim join`.
+        PolicyError: The run was made elsewhere with code that is not named here, its town has other
+            streets by now, or it is a run of `wcsim join`.
         TownError: One is not found under the name that it had.
     """
     path, command = options.run, manifest.command
@@ -190,24 +191,27 @@ def _town_of(options: _Options, manifest: Manifest, networks: Sequence[str]) -> 
     )
     if command[1:2] == ("join",):
         raise PolicyError(
-            f"{path} learns in a world that somebody serves; join again: {shlex.join(command)} --resume"
+            f"{path} learns in a world that somebody serves; join again: {shlex.join(command)} "
+            "--resume"
         )
-    said = options.town or _value_of(command, "town") or manifest.town
+    words = options.town or _value_of(command, "town") or manifest.town
     try:
-        towns = [asked_town(word) for word in some_words("--town", said)]
-        kept = [asked_town(word) for word in manifest.more_towns]
+        towns = [asked_town(word) for word in some_words("--town", words)]
+        others = [asked_town(word) for word in manifest.more_towns]
     except TownError as error:
         if options.town:
             raise
         raise TownError(
-            f"{path} was made in the town {said!r}: {error}; give its location: --town FOLDER"
+            f"{path} was made in the town {words!r}: {error}; give its location: --town FOLDER"
         ) from None
     of_run = [manifest.town_sha256, *manifest.more_towns.values()]
-    for found in (towns, [towns[0], *kept]):
+    for found in (towns, [towns[0], *others]):
         if [streets_hash(town) for town in found] != of_run:
             own = ", ".join((manifest.town, *manifest.more_towns))
-            told = f"{path} was made with another town or other streets ({own})"
-            raise PolicyError(f"--town {said}: {told}; restore them")
+            raise PolicyError(
+                f"--town {words}: {path} was made with another town or other streets ({own}); "
+                "restore them"
+            )
     return towns[0]
 
 
@@ -216,6 +220,7 @@ def _steps_of(options: _Options, config: RunConfig) -> int:
     total = config.learn.total_steps
     if options.steps is not None and options.steps < total:
         raise PolicyError(
-            f"--steps {options.steps}: {options.run} was made for {total}; expected at least as many"
+            f"--steps {options.steps}: {options.run} was made for {total}; expected at least as "
+            "many"
         )
     return options.steps or total

@@ -1,4 +1,4 @@
-"""`wcsim train`: a danger network learns to assist, in rounds; `wcsim train-q`: a network does, by Q-learning."""
+"""`wcsim train`: train a danger network, in rounds; `wcsim train-q`: train one by Q-learning."""
 
 from __future__ import annotations
 
@@ -29,16 +29,16 @@ class _RoundsOptions(TrainingOptions):
     """Train a danger network: users and an oracle drive in rounds, and it learns which positions end badly.
 
     `wcsim train-q` learns by Q-learning instead.
-    """
+    """  # noqa: E501 - help text
 
     preset: str = "quick"
     """Preset to start from: quick, laptop, best or reward. Without a name: a table of all."""
     data: Repeated = ()
     """Data folder of `wcsim collect` that the network also learns from, as collect.data."""
     worlds: Worlds = None
-    """Worker processes that drive data. Results do not depend on their number. None: one per core, at most 4."""
+    """Worker processes that drive data. Results do not depend on their number. None: one per core, at most 4."""  # noqa: E501 - help text
     cluster: Cluster = ""
-    """HOST:PORT of a Ray cluster that drives data, or `local`. Data and weights stay the same (docs/cluster.md)."""
+    """HOST:PORT of a Ray cluster that drives data, or `local`. Data and weights stay the same (docs/cluster.md)."""  # noqa: E501 - help text
 
 
 @dataclass(kw_only=True)

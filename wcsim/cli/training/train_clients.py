@@ -1,4 +1,4 @@
-"""`wcsim train-clients A,B,...`: several networks learn at once in one world, each in a process of its own."""
+"""`wcsim train-clients A,B,...`: several networks learn at once in one world, in a process each."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _TAKEN = (
 
 @dataclass(kw_only=True)
 class Options(QTrainingOptions, GroupOptions):
-    """Train several networks at once in one shared world, by Q-learning, each in a process of its own."""
+    """Train several networks at once in one shared world, by Q-learning, each in a process of its own."""  # noqa: E501 - help text
 
     clients: Annotated[str, Positional, arg(metavar="A,B,...")]
     """Networks, separated by commas: names or module:Class."""
@@ -43,7 +43,7 @@ class Options(QTrainingOptions, GroupOptions):
     """TOML file with settings for one client; overrides all others."""
     select_by: Annotated[str | None, arg(metavar="HOW")] = None
     """Which client learns the second phase: kpi1 (the lowest KPI 1 in the first phase), the name of a client, or a
-    suite or episode list (the best on it). With '' all do. None: learn.select_by, which is kpi1 in preset paper."""
+    suite or episode list (the best on it). With '' all do. None: learn.select_by, which is kpi1 in preset paper."""  # noqa: E501 - help text
 
 
 def run(words: list[str]) -> int:
@@ -81,8 +81,9 @@ def resolved(options: Options) -> tuple[Client, ...]:
     worlds = {client.config.world_digest(): client.name for client in clients}
     if len(worlds) > 1:
         raise ConfigError(
-            f"clients {' and '.join(worlds.values())} ask for different worlds; expected the same world, chair, "
-            "camera, IMU and reward for all: only [learn] and the observation in [env] may differ (--config-for)"
+            f"clients {' and '.join(worlds.values())} ask for different worlds; expected the same "
+            "world, chair, camera, IMU and reward for all: only [learn] and the observation in "
+            "[env] may differ (--config-for)"
         )
     return tuple(clients)
 
@@ -96,7 +97,8 @@ def client_names(networks: Sequence[str]) -> tuple[str, ...]:
     Raises:
         ConfigError: A network cannot be named so.
     """
-    used, names = set(_TAKEN), []
+    used = set(_TAKEN)
+    names = []
     for network in networks:
         if not _NETWORK.fullmatch(network):
             raise ConfigError(
@@ -108,11 +110,10 @@ def client_names(networks: Sequence[str]) -> tuple[str, ...]:
                 f"client: unknown network {network!r}; expected {known}, or module:Class"
             )
         base = client_name(network)
-        name = next(
-            n
-            for n in (base, *(f"{base}-{k}" for k in range(2, 2 * MOST_CLIENTS + 9)))
-            if n not in used
-        )
+        name, number = base, 1
+        while name in used:
+            number += 1
+            name = f"{base}-{number}"
         used.add(name)
         names.append(name)
     return tuple(names)
