@@ -49,7 +49,7 @@ def ship(run: RunFolder, ride: Sequence[Observation], results: Sequence[Path], t
     told = card(run, [row for path in results for row in rows_of(path, run.path)])  # before what takes long
     with tempfile.TemporaryDirectory() as held:
         for delay, name in EXPORTED.items():
-            config = resolve(run.config, (f"world.action_delay_ticks={delay}",))
+            config = resolve(run.config, f"world.action_delay_ticks={delay}")
             export_policy(*DANGER_ROUNDS.open_graph(policy, config), Path(held) / name, config, ride)
         onnx = Path(held) / EXPORTED[run.config.world.action_delay_ticks]
         with files.whole_folder(to) as target:

@@ -1,6 +1,7 @@
-"""Every file that wcsim reads from disk, as frozen models: an unknown key or a number out of bounds is an error.
+"""Every file that wcsim reads from disk, as frozen models: unknown keys and bad values are errors.
 
-Angles are in degrees in keys that end in `_deg`, and nowhere else. Presets are TOML files in `wcsim/config/presets/`.
+Angles are in degrees in keys that end in `_deg`, and nowhere else. Presets are TOML files in
+`wcsim/config/presets/`.
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
-"""The base of every file model, the kinds of numbers in them, and the words for a value that is out of bounds."""
+"""The base of every file model, kinds of numbers, and messages for values out of bounds."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Iterator
 from itertools import islice
-from typing import Annotated, Any, ClassVar, get_args, get_origin
+from typing import Annotated, Any, ClassVar, Final, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, model_validator
 
@@ -18,7 +18,8 @@ def within(low: float, high: float) -> Any:
     return Field(ge=low, le=high)
 
 
-_LARGEST = 1e9  # of numbers that nothing else bounds: nothing that is computed of them overflows
+# Of numbers that nothing else bounds: nothing that is computed from them overflows.
+_LARGEST: Final = 1e9
 Positive = Annotated[float, Field(gt=0.0, le=_LARGEST, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0.0, le=_LARGEST, allow_inf_nan=False)]
 Share = Annotated[float, within(0.0, 1.0)]
@@ -32,9 +33,11 @@ Texts = Annotated[tuple[Text, ...], Field(max_length=64)]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")]
 Seed = Annotated[int, Field(ge=0, lt=1 << 31)]  # as large as SUMO takes them
 
-_BOUNDS = {"gt": "more than", "ge": "at least", "lt": "less than", "le": "at most"}
-_UNITS: dict[str, str] = own_data(__file__)
-_OUT_OF_BOUNDS = (
+_BOUNDS: Final = {"gt": "more than", "ge": "at least", "lt": "less than", "le": "at most"}
+_UNITS: Final[dict[str, str]] = own_data(__file__)
+# Of a table: with more keys a message names the nearest alone.
+_MOST_KEYS: Final = 16
+_OUT_OF_BOUNDS: Final = (
     "greater_than",
     "greater_than_equal",
     "less_than",
@@ -43,16 +46,13 @@ _OUT_OF_BOUNDS = (
 )
 
 
-_MOST_KEYS = 16  # of a table that are all named where one is unknown
-
-
 class Model(BaseModel):
     """Base of all models. They are frozen and reject unknown keys."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
     stand_ins: ClassVar[tuple[str, ...]] = ()  # words that are taken in the place of its table
 
-    # Pydantic tells every error of a file in a kilobyte each: of a megabyte of wrong items that were gigabytes.
+    # Pydantic reports each error in a kilobyte: a megabyte of wrong items would take gigabytes.
 
     @model_validator(mode="before")
     @classmethod
@@ -82,57 +82,52 @@ class Model(BaseModel):
 
 
 def fault(model: type[BaseModel], item: Any) -> str:
-    """One error of pydantic in words: the key, what is wrong, what was got with its unit, and its bounds."""
+    """The message of pydantic's error: the key, the fault, the value with its unit, the bounds."""
     key = escaped(".".join(str(part) for part in item["loc"]), 200) or "(file)"
     if item["type"] == "extra_forbidden":
         return f"unknown key {key!r}: remove it or correct its name" + _known(model, item["loc"])
     if item["type"] == "missing":
-        beside = (
-            escaped(", ".join(map(str, item["input"])), 200)
-            if isinstance(item["input"], dict)
-            else ""
-        )
-        return f"{key}: is missing" + f"; expected it beside {beside}" * bool(beside)
-    got = json.dumps(item["input"], default=str)[:80]
+        keys = item["input"] if isinstance(item["input"], dict) else {}
+        beside = escaped(", ".join(map(str, keys)), 200)
+        return f"{key}: is missing" + (f"; expected it beside {beside}" if beside else "")
+    value = json.dumps(item["input"], default=str)[:80]
     if item["type"] in ("tuple_type", "list_type"):
-        return f"{key}: expected a list, got {got}; write the whole list, as {key}=[...]"
+        return f"{key}: expected a list, got {value}; write the whole list, as {key}=[...]"
     if item["type"] == "model_type":
-        return f"{key}: got {got}; {_table(model, item)}"
+        return f"{key}: got {value}; {_table(model, item)}"
     if item["type"] not in _OUT_OF_BOUNDS:
-        return f"{key}: {item['msg']}, got {got}"
+        return f"{key}: {item['msg']}, got {value}"
     names = [part for part in item["loc"] if isinstance(part, str)]
     unit = _UNITS.get(names[-1].rpartition("_")[2], "") if names else ""
     limits = [f"{_BOUNDS[name]} {limit:g}" for name, limit in _bounds(model, item["loc"])]
     bounds = " and ".join(limits) or "a finite number"
-    return (
-        f"{key}: {item['msg']}, got {got} {unit}".rstrip() + f"; expected {bounds} {unit}".rstrip()
-    )
+    received = f"{key}: {item['msg']}, got {value} {unit}".rstrip()
+    return received + f"; expected {bounds} {unit}".rstrip()
 
 
 def _known(model: type[BaseModel], loc: tuple[str | int, ...]) -> str:
-    """The keys of the table that an unknown key stands in: the one that it looks like, or all where they are few."""
+    """The known keys beside an unknown one: the one that looks like it, or all of a few."""
     keys = list(
         next((kind.model_fields for kind in _parts(_at(model, loc[:-1])) if _is_model(kind)), {})
     )
     near = meant(str(loc[-1]), keys)
-    return (
-        near
-        if near or not keys or len(keys) > _MOST_KEYS
-        else f"; expected one of: {', '.join(keys)}"
-    )
+    if near or not keys or len(keys) > _MOST_KEYS:
+        return near
+    return f"; expected one of: {', '.join(keys)}"
 
 
 def _table(model: type[BaseModel], item: Any) -> str:
-    """What is expected where something else stands than a table, and the word for it that is nearest."""
+    """What is expected in place of a value that is no table, and the nearest word for it."""
     kind = next((kind for kind in _parts(_at(model, item["loc"])) if _is_model(kind)), Model)
-    words, keys = getattr(kind, "stand_ins", ()), list(kind.model_fields)
+    words = getattr(kind, "stand_ins", ())
+    keys = list(kind.model_fields)
     table = f"a table of {', '.join(keys)}" if 0 < len(keys) <= _MOST_KEYS else "a table of keys"
     expected = f"expected {', '.join(words)}, or {table}" if words else f"expected {table}"
     return expected + (meant(item["input"], words) if isinstance(item["input"], str) else "")
 
 
 def _bounds(model: type[BaseModel], loc: tuple[str | int, ...]) -> list[tuple[str, float]]:
-    """The bounds (their name in pydantic, the limit) of the number at `loc` of a model; empty when there are none."""
+    """The bounds of the number at `loc` of a model: their names in pydantic, and the limits."""
     held = [
         note
         for kind in _parts(_at(model, loc))

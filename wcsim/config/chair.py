@@ -1,4 +1,4 @@
-"""Section `[chair]`: the wheelchair as it is driven. `core/joystick.py` applies its speed and acceleration limits."""
+"""Section `[chair]`: the wheelchair and its controller; `core/joystick.py` applies the limits."""
 
 from __future__ import annotations
 
@@ -56,10 +56,10 @@ class ChairConfig(Model):
         speed_mps = PROFILE_SPEED_MPS.get(str(data.get("profile")))
         if speed_mps is None:
             return data
-        got = data.get("v_max_mps", speed_mps)
-        if got != speed_mps:
+        given_mps = data.get("v_max_mps", speed_mps)
+        if given_mps != speed_mps:
             raise ValueError(
-                f"profile {data['profile']!r} drives at {speed_mps} m/s, v_max_mps is {got}; "
+                f"profile {data['profile']!r} drives at {speed_mps} m/s, v_max_mps is {given_mps}; "
                 f"expected the same speed: set v_max_mps to {speed_mps}, or profile to custom"
             )
         return {**data, "v_max_mps": speed_mps}

@@ -109,7 +109,7 @@ class EnvConfig(Model):
 
     @property
     def lattice(self) -> str:
-        """The action set that the oracle judges: that of `actions`, or the paper's grid where any stick will do."""
+        """The action set that the oracle judges: `actions`, or the paper's grid for any stick."""
         return "square81" if self.actions == "stick" else self.actions
 
     @property

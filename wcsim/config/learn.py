@@ -1,4 +1,4 @@
-"""Sections `[learn]`, `[danger]` and `[collect]`: the learner, its danger head, and what driving it learns from."""
+"""Sections `[learn]`, `[danger]` and `[collect]`: the learner, its danger head, and its data."""
 
 from __future__ import annotations
 

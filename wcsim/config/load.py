@@ -137,7 +137,7 @@ def _chairs(tables: Sequence[tuple[str, dict[str, Any]]]) -> list[dict[str, Any]
 
 
 def _names_speed(chairs: Sequence[Mapping[str, Any]]) -> bool:
-    """Whether the last profile among these has a speed of its own, and none of them sets a speed."""
+    """Whether the last profile among these brings a speed, and none of them sets a speed."""
     profiles = [str(chair["profile"]) for chair in chairs if "profile" in chair]
     return (
         bool(profiles)
@@ -181,7 +181,7 @@ def _preset(name: str) -> tuple[str, dict[str, Any]]:
 
 
 def sets_key(override: str, key: str) -> bool:
-    """Whether a `section.key=value` sets a key, or a part of it; `section={key=value}` does as well.
+    """Whether a `section.key=value` sets a key or a part of it, as `section={key=value}` does.
 
     >>> sets_key("env.profile=slow", "env.profile"), sets_key("env={profile='slow'}", "env.profile")
     (True, True)
@@ -239,7 +239,7 @@ def _override(text: str) -> dict[str, Any]:
 
 
 def _merged(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
-    """`over` laid on `base`; tables are merged, everything else replaced. A list takes its items by number."""
+    """`over` laid on `base`: tables are merged, all else is replaced, items of lists by number."""
     return {**base, **{key: _laid(base.get(key), value, key) for key, value in over.items()}}
 
 

@@ -1,7 +1,8 @@
-"""A wheelchair's parameter file: everything that a plant is, as frozen models; an unknown key is refused.
+"""A wheelchair's parameter file, as frozen models; an unknown key is refused.
 
-Lengths are in the body frame B: x forward, y left, z up, origin on the ground below the middle of the drive axle.
-Wheels, casters and anti-tips come in pairs, left and right alike. The files of wcsim lie in `wcsim/config/plants/`.
+Lengths are in the body frame B: x forward, y left, z up, origin on the ground below the middle of
+the drive axle. Wheels, casters and anti-tips come in pairs, left and right alike. The files of
+wcsim lie in `wcsim/config/plants/`.
 """
 
 from __future__ import annotations
@@ -187,32 +188,33 @@ def _shipped_plant(plant: str) -> PlantFile:
 
 
 def plant_path(plant: str) -> Path:
-    """The file of a plant by name or by its path. Raises ConfigError when no plant has that name."""
+    """The file of a plant by its name or path. Raises ConfigError when no plant has that name."""
     if plant.endswith(".toml"):
         return Path(plant)
     if plant not in known_plants():
-        names, got = ", ".join(known_plants()), reading.escaped(plant)
         raise ConfigError(
-            f"chair.plant is {got!r}; expected one of: {names}, or the path of a .toml file"
+            f"chair.plant is {reading.escaped(plant)!r}; expected one of: "
+            f"{', '.join(known_plants())}, or the path of a .toml file"
         )
     return _PLANTS / f"{plant}.toml"
 
 
 def plant_text(plant: str) -> bytes:
-    """What a user's own plant file holds; nothing for a plant that comes with wcsim. Raises ConfigError as above."""
+    """The bytes of a user's own plant file; none for a plant that comes with wcsim.
+
+    Raises:
+        ConfigError: The file cannot be read, or is no plant.
+    """
     if not plant.endswith(".toml"):
         return b""
+    where = reading.escaped(plant)
     text = reading.read_text(Path(plant), SETTINGS)
-    parse(
-        PlantFile,
-        reading.parse_toml(text, reading.escaped(plant), SETTINGS),
-        reading.escaped(plant),
-    )
+    parse(PlantFile, reading.parse_toml(text, where, SETTINGS), where)
     return text.encode()
 
 
 def with_values(file: PlantFile, values: Mapping[str, float]) -> PlantFile:
-    """A plant with other values under dotted names (`wheel.friction`, `casters.0.trail_m`, `casters.*.friction`).
+    """A plant with other values under dotted names, such as `wheel.friction`, `casters.*.friction`.
 
     Raises:
         ConfigError: A name is unknown or a value out of bounds.

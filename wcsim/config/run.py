@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from typing import Annotated, Self
+from typing import Annotated, Final, Self
 
 from pydantic import Field, model_validator
 
@@ -14,15 +14,20 @@ from wcsim.config.learn import CollectConfig, DangerConfig, LearnConfig
 from wcsim.config.sensors import CameraConfig, ImuConfig, SensorsConfig
 from wcsim.config.world import EPOCH_TICKS, VaryConfig, WorldConfig
 
-_EPOCH_EPISODES = 10  # of the longest kind, in the life of a shared world
+# Longest episodes in the life of a shared world.
+_EPOCH_EPISODES: Final = 10
 
-MAX_SEEN_PX = 1 << 22  # of all images in an observation
+# Pixels of all images in an observation.
+MAX_SEEN_PX: Final = 1 << 22
 
-_MAX_BATCH_PX = 1 << 29  # of all images that are learned from at a time
+# Pixels of all images in a batch.
+_MAX_BATCH_PX: Final = 1 << 29
 
-MAX_CAMERAS = 64  # as many as a frame of a served world has room for
+# As many as a frame of a served world has room for.
+MAX_CAMERAS: Final = 64
 
-_MAX_CAMERAS_PX = 1 << 25  # of all cameras of a chair
+# Pixels of all cameras of a chair.
+_MAX_CAMERAS_PX: Final = 1 << 25
 
 
 class RunConfig(Model):
@@ -56,7 +61,7 @@ class RunConfig(Model):
 
     @property
     def epoch_ticks(self) -> int:
-        """Ticks after which a new world replaces a shared one: as few episodes as possible are cut by it. 0: never."""
+        """Ticks after which a new world replaces a shared one, and cuts few episodes. 0: never."""
         given = self.world.epoch_ticks
         return (
             max(EPOCH_TICKS, _EPOCH_EPISODES * self.learn.episode_steps) if given is None else given
@@ -123,7 +128,7 @@ class RunConfig(Model):
         return hashlib.sha256(self.model_dump_json().encode()).hexdigest()
 
     def world_digest(self) -> str:
-        """SHA-256 over what all clients of one world share: all but what each learns with and sees of its pictures."""
+        """SHA-256 over the settings that all clients of one world share."""
         shared = {"world", "chair", "cameras", "imu", "sensors", "reward", "vary"}
         text = self.model_dump_json(include={**dict.fromkeys(shared, True), "env": {"actions"}})
         return hashlib.sha256(text.encode()).hexdigest()

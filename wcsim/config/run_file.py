@@ -1,4 +1,4 @@
-"""What a run leaves for others, as frozen models: `manifest.json` of a run folder and `policy.json` of a policy."""
+"""Files of runs and policies as frozen models: manifests, policies, checkpoints, recorded data."""
 
 from __future__ import annotations
 

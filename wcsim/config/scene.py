@@ -1,4 +1,4 @@
-"""`town.toml`, what a town says of itself, and `scene.toml`, a short scene with a fixed seed and what it must show."""
+"""`town.toml` of a town, and `scene.toml`: a short scene with a fixed seed and expected results."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a chair carries: cameras, the inertial sensor and others, and how badly they measure, as frozen models."""
+"""A chair's sensors with their errors, as frozen models: cameras, the IMU and others."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _TYPICAL: dict[str, dict[str, Any]] = {
 
 
 def by_word(key: str, given: Any) -> Any:
-    """What stands in the place of a sensor's table: the same, or the table for the word "none" or "typical".
+    """A sensor's table as given, or the table for the word "none" or "typical".
 
     >>> by_word("odometry", "typical"), by_word("noise", "none"), by_word("noise", {"rgb": {}})
     ({}, None, {'rgb': {}})

@@ -1,4 +1,4 @@
-"""A study with people on the drive's page, as it lies in a file: what is compared, where, and what is asked."""
+"""The file of a study with people on the drive's page: blocks, places and questions."""
 
 from __future__ import annotations
 
@@ -81,12 +81,12 @@ class StudyQuestion(Model):
 
     @model_validator(mode="after")
     def _fits_its_kind(self) -> StudyQuestion:
-        wanted = _ANSWERS[self.kind]
+        expected = _ANSWERS[self.kind]
         given = [key for key in ("low", "high", "choices") if getattr(self, key)]
-        if sorted(given) != sorted(wanted) or (self.steps != _STEPS and self.kind != "scale"):
+        if sorted(given) != sorted(expected) or (self.steps != _STEPS and self.kind != "scale"):
             raise ValueError(
                 f"a question of kind {self.kind} has "
-                f"{' and '.join(wanted) or 'no answers of its own'}"
+                f"{' and '.join(expected) or 'no answers of its own'}"
             )
         if self.kind == "choice" and (
             len(self.choices) < 2 or len(set(self.choices)) < len(self.choices)

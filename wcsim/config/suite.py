@@ -58,7 +58,7 @@ class BlockFile(Model):
 
 
 def repeats(blocks: Sequence[BlockFile], index: int) -> frozenset[int]:
-    """The hazards of a block that are the same street, start and user as an episode of part `free`."""
+    """The hazards of a block that have street, start and user of an episode of part `free`."""
     if blocks[index].part != "hazard":
         return frozenset()
 

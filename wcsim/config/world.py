@@ -1,4 +1,4 @@
-"""Sections `[world]` and `[vary]`: town, step, how the others watch out, and what differs from episode to episode."""
+"""Sections `[world]` and `[vary]`: clock, traffic, attention, and what varies by episode."""
 
 from __future__ import annotations
 
@@ -73,12 +73,12 @@ STREETS: dict[str, tuple[float, float] | None] = {
     "careless": (0.7, 1.5),
     JUPEDSIM: None,
 }
-"""Streets by name: the share of those who look and their reaction time in seconds; None: as the settings say."""
+"""Streets by name: attention share and reaction time in seconds; None: those of the settings."""
 StreetName = Literal["usual", "careless", "jupedsim"]
 
 
 EPOCH_TICKS = 6_000
-"""Ticks of an epoch: as many as a world does again from its journal within five minutes (docs/clients.md)."""
+"""Ticks of an epoch: a world repeats as many from its journal in five minutes (docs/clients.md)."""
 
 SUMO_STEP_S = 0.001
 """What SUMO counts time in; it rounds every other step to it."""
@@ -186,7 +186,7 @@ class WorldConfig(Model):
 
     @property
     def finest_substeps(self) -> int:
-        """Steps in a tick in which a wheel is about to meet an edge; never fewer than in the others."""
+        """Physics steps of a tick in which a wheel is about to meet an edge; the most of all."""
         return max(self.usual_substeps, _steps(self.tick_s, _CONTACT_HZ))
 
 
