@@ -12,19 +12,11 @@ from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, model_v
 from wcsim.core.reading import escaped, own_data
 from wcsim.errors import meant
 
-
-def within(low: float, high: float) -> Any:
-    """A bound for `Annotated`: a number from `low` to `high`, both of them allowed."""
-    return Field(ge=low, le=high)
-
-
 # Of numbers that nothing else bounds: nothing that is computed from them overflows.
 _LARGEST: Final = 1e9
 Positive = Annotated[float, Field(gt=0.0, le=_LARGEST, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0.0, le=_LARGEST, allow_inf_nan=False)]
-Share = Annotated[float, within(0.0, 1.0)]
 PositiveShare = Annotated[float, Field(gt=0.0, le=1.0)]
-UserMass = Annotated[float, within(25.0, 150.0)]
 TopSpeed = Annotated[float, Field(gt=0.1, le=5.0)]
 Finite = Annotated[float, Field(ge=-_LARGEST, le=_LARGEST, allow_inf_nan=False)]
 Word = Annotated[str, Field(max_length=400)]
@@ -32,7 +24,6 @@ Text = Annotated[str, Field(max_length=16_384)]  # paths, commands, attributions
 Texts = Annotated[tuple[Text, ...], Field(max_length=64)]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")]
 Seed = Annotated[int, Field(ge=0, lt=1 << 31)]  # as large as SUMO takes them
-
 _BOUNDS: Final = {"gt": "more than", "ge": "at least", "lt": "less than", "le": "at most"}
 _UNITS: Final[dict[str, str]] = own_data(__file__)
 # Of a table: with more keys a message names the nearest alone.
@@ -44,6 +35,15 @@ _OUT_OF_BOUNDS: Final = (
     "less_than_equal",
     "finite_number",
 )
+
+
+def within(low: float, high: float) -> Any:
+    """A bound for `Annotated`: a number from `low` to `high`, both of them allowed."""
+    return Field(ge=low, le=high)
+
+
+Share = Annotated[float, within(0.0, 1.0)]
+UserMass = Annotated[float, within(25.0, 150.0)]
 
 
 class Model(BaseModel):

@@ -17,6 +17,8 @@ EpisodeSteps = Annotated[int, within(1, 1_000_000)]
 
 LEAST_WINDOW = 1e-6  # from low to high; a share of nothing would be no number
 
+Window = Annotated[int, within(1, 16)]
+
 
 class FollowReward(Model):
     """The reward for following the user, and the penalty at the end of a window."""
@@ -65,9 +67,6 @@ class RewardConfig(FollowReward):
         if any(high - low < LEAST_WINDOW for low, high in windows):
             raise ValueError("a window is empty; expected low < high")
         return self
-
-
-Window = Annotated[int, within(1, 16)]
 
 
 class EnvConfig(Model):

@@ -21,6 +21,12 @@ from wcsim.config.env import EpisodeSteps
 
 Eye = Literal["map", "picture", "both"]
 
+Count = Annotated[int, within(1, 100_000)]
+Steps = Annotated[int, within(1, 10**9)]
+PROCESS_GROWTH_MB = 400.0
+UpdateTime = Literal["before_acting", "while_waiting"]
+StepsOrNone = Annotated[int, within(0, 10**9)]
+
 
 class DangerConfig(Model):
     """The danger network: its parts, its training, and its rule."""
@@ -43,9 +49,6 @@ class DangerConfig(Model):
     warn: Share = (
         0.3  # Warns above this danger of the user's own stick, smoothed over about three ticks.
     )
-
-
-Count = Annotated[int, within(1, 100_000)]
 
 
 class CollectConfig(Model):
@@ -93,15 +96,6 @@ class CollectConfig(Model):
                 f"collect.astray_ticks={list(self.astray_ticks)}; expected the shorter time first"
             )
         return self
-
-
-Steps = Annotated[int, within(1, 10**9)]
-
-PROCESS_GROWTH_MB = 400.0
-
-UpdateTime = Literal["before_acting", "while_waiting"]
-
-StepsOrNone = Annotated[int, within(0, 10**9)]
 
 
 class LearnConfig(Model):

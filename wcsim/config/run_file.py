@@ -34,6 +34,13 @@ Segments = Annotated[
     dict[Name, Sha256], Field(max_length=1_000_000)
 ]  # of recorded driving, by file
 
+ConfigName = Annotated[str, Field(pattern=r"^(configs/[A-Za-z0-9_-]{1,64}|config)\.json$")]
+Count = Annotated[int, Field(strict=True, ge=0, le=10**12)]  # of steps and the like
+_Bits64 = Annotated[int, Field(strict=True, ge=0, lt=1 << 64)]
+_Whole = Annotated[int, within(0, 10**15)]
+_Measured = Annotated[float, Field(ge=0.0, le=1e15, allow_inf_nan=False)]
+_Seconds = Annotated[float, Field(gt=0.0, le=10.0)]
+
 
 def _all_named(model: M) -> M:
     """The same: what a file leaves out is no default."""
@@ -163,9 +170,6 @@ class DangerFile(DangerSpec):
     versions: Versions = Field(default_factory=dict)
 
 
-ConfigName = Annotated[str, Field(pattern=r"^(configs/[A-Za-z0-9_-]{1,64}|config)\.json$")]
-
-
 class _OverrideFile(Model):
     """One option of a town's own scenario that a run had with another value."""
 
@@ -232,10 +236,6 @@ class LearnedFile(Model):
     folders: Annotated[dict[Text, Segments], Field(max_length=64)]
 
 
-Count = Annotated[int, Field(strict=True, ge=0, le=10**12)]  # of steps and the like
-_Bits64 = Annotated[int, Field(strict=True, ge=0, lt=1 << 64)]
-
-
 class _GeneratorFile(Model):
     """The state of a Philox generator."""
 
@@ -274,10 +274,6 @@ class RoundFile(Model):
     segments: Segments  # that it has learned from
 
 
-_Whole = Annotated[int, within(0, 10**15)]
-_Measured = Annotated[float, Field(ge=0.0, le=1e15, allow_inf_nan=False)]
-
-
 class TrainedRound(Model):
     """A row of `metrics.csv` of a danger network's run, in the order of its columns."""
 
@@ -294,9 +290,6 @@ class TrainedRound(Model):
     loss: float  # at its end, smoothed over some 50 updates; NaN where nothing was learned
     wait_s: _Measured  # wall clock, for the worlds
     learn_s: _Measured  # wall clock
-
-
-_Seconds = Annotated[float, Field(gt=0.0, le=10.0)]
 
 
 class GuardRule(Model):

@@ -18,6 +18,8 @@ KerbHeight = Annotated[float, within(0.0, 0.4)]
 ChairWay = Literal["sidewalk", "crossing", "cycleway", "shared"]
 NetMetre = Annotated[int, Field(ge=-(10**9), le=10**9)]
 
+_Between = Window | None
+
 
 class TownFile(Model):
     """`town.toml`: what SUMO does not store about a town."""
@@ -80,9 +82,6 @@ class SceneSeat(Model):
         if any(later <= sooner for sooner, later in pairwise(times_s)):
             raise ValueError(f"the times of script must rise, got {times_s}")
         return self
-
-
-_Between = Window | None
 
 
 class SceneExpect(Model):

@@ -11,6 +11,32 @@ from wcsim.config.base import Finite, Model, Share, UserMass, Word, within
 
 Number = TypeVar("Number", int, float)
 
+Factor = Annotated[float, within(0.05, 2.0)]
+Brightness = Annotated[float, within(0.1, 4.0)]
+Shift = Annotated[float, within(-0.5, 0.5)]
+Turn = Annotated[float, within(-45.0, 45.0)]
+Delay = Annotated[int, within(0, 10)]
+Reaction = Annotated[float, within(0.0, 60.0)]
+Driver = Literal["car", "truck", "bus", "tram", "motorcycle", "bicycle", "scooter", "other"]
+Watcher = Literal[Driver, "pedestrian"]
+EVERYBODY = "all"  # who has no range of its own
+JUPEDSIM = "jupedsim"
+"""The street whose people walk by SUMO's JuPedSim, as SUMO calls that model."""
+STREETS: dict[str, tuple[float, float] | None] = {
+    "usual": None,
+    "careless": (0.7, 1.5),
+    JUPEDSIM: None,
+}
+"""Streets by name: attention share and reaction time in seconds; None: those of the settings."""
+StreetName = Literal["usual", "careless", "jupedsim"]
+EPOCH_TICKS = 6_000
+"""Ticks of an epoch: a world repeats as many from its journal in five minutes (docs/clients.md)."""
+SUMO_STEP_S = 0.001
+"""What SUMO counts time in; it rounds every other step to it."""
+HELP_S = 10.0
+"""How long a request for help raises the assistance."""
+_USUAL_HZ, _CONTACT_HZ = 120.0, 240.0
+
 
 def _ordered(span: tuple[Number, Number]) -> tuple[Number, Number]:
     low, high = span
@@ -22,16 +48,7 @@ def _ordered(span: tuple[Number, Number]) -> tuple[Number, Number]:
 
 
 Range = Annotated[tuple[Number, Number], AfterValidator(_ordered)]
-Factor = Annotated[float, within(0.05, 2.0)]
-Brightness = Annotated[float, within(0.1, 4.0)]
-Shift = Annotated[float, within(-0.5, 0.5)]
-Turn = Annotated[float, within(-45.0, 45.0)]
-Delay = Annotated[int, within(0, 10)]
 Span = Range[Finite]
-Reaction = Annotated[float, within(0.0, 60.0)]
-Driver = Literal["car", "truck", "bus", "tram", "motorcycle", "bicycle", "scooter", "other"]
-Watcher = Literal[Driver, "pedestrian"]
-EVERYBODY = "all"  # who has no range of its own
 Shares = Annotated[dict[Literal[Watcher, "all"], Range[Share]], Field(max_length=16)]
 Reactions = Annotated[dict[Literal[Driver, "all"], Range[Reaction]], Field(max_length=16)]
 Spans = Annotated[dict[Word, Span], Field(max_length=64)]  # by dotted names
@@ -64,29 +81,6 @@ class VaryConfig(Model):
     def nothing(self) -> bool:
         """Whether every episode is like the others."""
         return self == VaryConfig()
-
-
-JUPEDSIM = "jupedsim"
-"""The street whose people walk by SUMO's JuPedSim, as SUMO calls that model."""
-STREETS: dict[str, tuple[float, float] | None] = {
-    "usual": None,
-    "careless": (0.7, 1.5),
-    JUPEDSIM: None,
-}
-"""Streets by name: attention share and reaction time in seconds; None: those of the settings."""
-StreetName = Literal["usual", "careless", "jupedsim"]
-
-
-EPOCH_TICKS = 6_000
-"""Ticks of an epoch: a world repeats as many from its journal in five minutes (docs/clients.md)."""
-
-SUMO_STEP_S = 0.001
-"""What SUMO counts time in; it rounds every other step to it."""
-
-HELP_S = 10.0
-"""How long a request for help raises the assistance."""
-
-_USUAL_HZ, _CONTACT_HZ = 120.0, 240.0
 
 
 class WorldConfig(Model):

@@ -37,6 +37,24 @@ _USUAL_WORLDS: Final = 4
 T = TypeVar("T")
 
 
+Repeated = Annotated[tuple[str, ...], UseAppendAction]
+"""An option that may be given several times, once for each value."""
+OutFolder = Annotated[Path | None, arg(metavar="FOLDER")]
+"""A folder that is made, with a default of its own."""
+TownWord = Annotated[str, Positional, arg(metavar="TOWN")]
+"""A town, as the first word without a name."""
+SomeTown = Annotated[str, Positional, arg(metavar="[TOWN]")]
+"""A town as the first word without a name; it may be left out."""
+InFile = Annotated[Path | None, arg(metavar="FILE")]
+"""A file that is read."""
+Cluster = Annotated[str, arg(metavar="ADDRESS")]
+"""A Ray cluster."""
+Flag = Annotated[bool, FlagCreatePairsOff]
+"""A switch that is off unless it is named."""
+Parts = Mapping[str, tuple[type[Any], Callable[[Any], int]]]
+"""The parts of a command by their words: the options of each, and what runs with them."""
+
+
 class OptionNote:
     """What an option takes, noted beside its type: `Annotated[int, Bounds(1, 64)]`."""
 
@@ -112,29 +130,9 @@ class Finds(OptionNote):
                 self.find(name)
 
 
-Repeated = Annotated[tuple[str, ...], UseAppendAction]
-"""An option that may be given several times, once for each value."""
-
-OutFolder = Annotated[Path | None, arg(metavar="FOLDER")]
-"""A folder that is made, with a default of its own."""
-
-TownWord = Annotated[str, Positional, arg(metavar="TOWN")]
-"""A town, as the first word without a name."""
-
-SomeTown = Annotated[str, Positional, arg(metavar="[TOWN]")]
-"""A town as the first word without a name; it may be left out."""
-
-InFile = Annotated[Path | None, arg(metavar="FILE")]
-"""A file that is read."""
-
 OutFile = Annotated[Path | None, arg(metavar="FILE"), Writes()]
 """A file that is written only when it is named."""
 
-Cluster = Annotated[str, arg(metavar="ADDRESS")]
-"""A Ray cluster."""
-
-Flag = Annotated[bool, FlagCreatePairsOff]
-"""A switch that is off unless it is named."""
 
 Jobs = Annotated[int, Bounds(1, MOST_JOBS)]
 """Processes that work at once."""
@@ -147,9 +145,6 @@ Lease = Annotated[float, arg(metavar="S"), Bounds(1.0, 86_400.0)]
 
 Steps = Annotated[int | None, arg(metavar="N"), Bounds(1)]
 """Steps of a training by Q-learning in all; None for those of its settings."""
-
-Parts = Mapping[str, tuple[type[Any], Callable[[Any], int]]]
-"""The parts of a command by their words: the options of each, and what runs with them."""
 
 
 @dataclass(kw_only=True)

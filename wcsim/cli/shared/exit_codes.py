@@ -17,19 +17,6 @@ from wcsim.errors import (
     WorkersError,
 )
 
-
-class Exit(IntEnum):
-    """The codes; 130, 141 and 143 are those that a shell gives to the signals."""
-
-    DONE = 0  # all that was asked for
-    FAILED = 1  # something broke on the way, as a disk that is full; what was saved before is kept
-    REFUSED = 2  # what was asked for cannot be used; something has to be changed first
-    STOPPED = 3  # ended when asked; the work is kept, and wcsim resume RUN goes on with it
-    INTERRUPTED = 130  # ended by Ctrl-C with nothing to keep
-    BROKEN_PIPE = 141  # whoever read the output has seen enough
-    TERMINATED = 143  # ended by SIGTERM with nothing to keep
-
-
 _ON_THE_WAY = (
     *(
         DiskFullError,
@@ -41,6 +28,18 @@ _ON_THE_WAY = (
     ),
     WorkersError,
 )
+
+
+class Exit(IntEnum):
+    """The codes; 130, 141 and 143 are those that a shell gives to the signals."""
+
+    DONE = 0  # all that was asked for
+    FAILED = 1  # something broke on the way, as a disk that is full; what was saved before is kept
+    REFUSED = 2  # what was asked for cannot be used; something has to be changed first
+    STOPPED = 3  # ended when asked; the work is kept, and wcsim resume RUN goes on with it
+    INTERRUPTED = 130  # ended by Ctrl-C with nothing to keep
+    BROKEN_PIPE = 141  # whoever read the output has seen enough
+    TERMINATED = 143  # ended by SIGTERM with nothing to keep
 
 
 class NothingSaved(KeyboardInterrupt):
