@@ -122,7 +122,7 @@ class Learner(Protocol):
         """
 
     def require_exportable(self, folder: Path, name: str) -> None:
-        """Raise PolicyError for a policy that has no ONNX form."""
+        """Raise PolicyError for a policy that has no ONNX form; by default every policy has one."""
 
     def open_graph(
         self,
@@ -214,9 +214,6 @@ class QLearning(Learner):
         from wcsim.agents.learning.saved_policy import load_fitting
 
         return load_fitting(folder, name, config, network)
-
-    def require_exportable(self, folder: Path, name: str) -> None:
-        """See `Learner`; every network of values can be exported."""
 
     def open_graph(
         self,

@@ -160,8 +160,8 @@ def open_block(
     if sha256 != block.scene_sha256:
         raise TownError(
             f"scene {block.town} {block.seed} has the hash {sha256[:12]}; expected "
-            f"{str(block.scene_sha256)[:12]}, as the list says: the list was made by another version "
-            "of wcsim"
+            f"{str(block.scene_sha256)[:12]}, as the list says: the list was made by another "
+            "version of wcsim"
         )
     built, scene = build_scene(folder, work / SCENE_TOWN)
     return BlockPlace(
