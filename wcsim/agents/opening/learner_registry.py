@@ -123,6 +123,7 @@ class Learner(Protocol):
 
     def require_exportable(self, folder: Path, name: str) -> None:
         """Raise PolicyError for a policy that has no ONNX form; by default every policy has one."""
+        return
 
     def open_graph(
         self,
