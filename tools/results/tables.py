@@ -12,7 +12,7 @@ from tools.pages import table
 from tools.results.compared import BLINDED, RIVAL, USER, compared_text
 from tools.results.parts import AT_0_MS, SEEDS, judged
 from wcsim.agents.evaluation.suite.result_files import read_result
-from wcsim.view.report.columns import COLUMNS, Column
+from wcsim.agents.evaluation.suite.rows import COLUMNS, Column
 
 
 def page(out: Path) -> str:
