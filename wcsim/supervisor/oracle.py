@@ -133,7 +133,7 @@ class Oracle:
         if known is not None:
             few = self._near(plant, known, later_s)
             # The known ones are among the others: if they are as many, one roll-out is enough.
-            same = few.count == others.count
+            same = few.total == others.total
             visible = verdict if same else self._verdict(plant, joystick, few, waiting, accel_mps2)
         grid = self._grid.around(plant.p_WB_m)
         gap_m = free_distance(
@@ -235,7 +235,7 @@ class _Others(NamedTuple):
     people: F64  # (m, 9) those who walk, see `walkers`
 
     @property
-    def count(self) -> int:
+    def total(self) -> int:
         """How many they are."""
         return len(self.boxes) + len(self.people)
 

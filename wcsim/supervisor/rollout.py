@@ -353,7 +353,7 @@ def _tips(now: I64, start_cm: I64, wheels: F64, aside_mps2: float, stops: bool) 
         tips |= not stops and abs(now[j] - now[j + 1]) > max(
             ASKEW_CM, abs(start_cm[j] - start_cm[j + 1])
         )
-    return tips
+    return bool(tips)
 
 
 @exact_kernel
