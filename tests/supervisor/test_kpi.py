@@ -176,10 +176,10 @@ def test_totals_are_means_and_sums_of_all_ticks_and_of_judged_ones():
 def test_an_episode_of_totals_counts_once_it_is_over_and_has_steps():
     totals = totals_after(set(), set(), set())
     assert totals.kpi2 == 3.0, "the one that is on"
-    totals = totals.over().over()
+    totals = totals.after_episode().after_episode()
     assert (totals.ended, totals.ended_steps, totals.steps) == (1, 3, 0)
-    assert totals.plus(set(), 0.5, 0.0).over().kpi2 == 2.0
-    assert totals.plus(set(), 0.5, 0.0, steps=0).over().ended == 1, "it ended before its handover"
+    assert totals.plus(set(), 0.5, 0.0).after_episode().kpi2 == 2.0
+    assert totals.plus(set(), 0.5, 0.0, steps=0).after_episode().ended == 1, "it ended before its handover"
 
 
 def test_stretches_count_once_in_totals():

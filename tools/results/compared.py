@@ -11,9 +11,10 @@ import numpy as np
 import numpy.typing as npt
 
 from tools.pages import table
+from wcsim.agents.evaluation.suite.intervals import bootstrapped, garwood
 from wcsim.agents.evaluation.suite.records import EpisodeRecord, saved_and_lost
 from wcsim.agents.evaluation.suite.result_files import TestResult
-from wcsim.agents.evaluation.suite.rows import ResultRow, bootstrapped, garwood
+from wcsim.agents.evaluation.suite.rows import ResultRow
 from wcsim.core import seeding
 from wcsim.users.profiles import HELD_OUT
 

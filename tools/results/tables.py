@@ -12,7 +12,7 @@ from tools.pages import table
 from tools.results.compared import BLINDED, RIVAL, USER, compared_text
 from tools.results.parts import AT_0_MS, SEEDS, judged
 from wcsim.agents.evaluation.suite.result_files import read_result
-from wcsim.view.report.columns import COLUMNS, Column
+from wcsim.agents.evaluation.suite.rows import LOOK, Column, ResultRow
 
 
 def page(out: Path) -> str:
@@ -32,21 +32,18 @@ def page(out: Path) -> str:
 
 def suite_table(result: Mapping[str, Any], out: Path) -> str:
     """The rows of a test, and those of all parts together, with the columns of the console."""
-    columns = [column for column in COLUMNS if column.short]
-    rows = [
-        (row.get("part") or "all", row["policy"].removeprefix(f"{out}/"), *(_cell(row, column) for column in columns))
-        for row in [*result["rows"], *result["pooled"]]
+    rows = [ResultRow(**row) for row in [*result["rows"], *result["pooled"]]]
+    cells = [
+        (row.part or "all", row.policy.removeprefix(f"{out}/"), *(_cell(row, column) for column in LOOK))
+        for row in rows
     ]
-    return "\n".join([*table(("part", "policy", *(column.heading for column in columns)), rows), ""])
+    return "\n".join([*table(("part", "policy", *(column.heading for column in LOOK)), cells), ""])
 
 
-def _cell(row: Mapping[str, Any], column: Column) -> str:
+def _cell(row: ResultRow, column: Column) -> str:
     """A figure, with its interval where it has one; - where nothing was measured."""
-    if row[column.key] is None:
-        return "-"
-    told = column.form.format(row[column.key])
-    both = row[column.interval] if column.interval else None
-    return told if both is None else f"{told} ({column.form.format(both[0])} to {column.form.format(both[1])})"
+    figure, ends = column.texts(row)
+    return f"{figure} ({ends})" if ends else figure or "-"
 
 
 def pooled_text(folder: Path, runs: Sequence[str]) -> str:

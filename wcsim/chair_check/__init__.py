@@ -1,1 +1,1 @@
-"""A wheelchair on a test rig, in the manner of ISO 7176: driving, kerbs, ramps, mass rig, tilt table."""
+"""A wheelchair on a test rig, as in ISO 7176: driving, kerbs, ramps, mass rig, tilt table."""

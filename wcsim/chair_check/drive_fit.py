@@ -1,4 +1,7 @@
-"""The drive law of `core/joystick.py` fitted to recorded drives of a chair, and how well law and plant repeat them."""
+"""The drive law of `core/joystick.py`, fitted to recorded drives of a chair.
+
+It also measures how well law and plant repeat such drives.
+"""
 
 from __future__ import annotations
 
@@ -18,11 +21,12 @@ from wcsim.core.jit import exact_kernel
 from wcsim.core.joystick import driven, limits_of, shaped
 from wcsim.types import F64, Joystick
 
-# the numbers of the law (11,): the limits of `core/joystick.py`, and these
+# The numbers of the law (11,): the limits of `core/joystick.py`, and these.
 _DEADBAND, _EXPONENT, _DELAY = 8, 9, 10
 # Those that are fitted; hardly anybody drives backwards for long.
 DELAY_S: Final = "delay_s"
-_NUMBERS: Final = {  # least, usual and most; what these drives reach takes the place of 0
+# Least, usual and most; what these drives reach takes the place of 0.
+_NUMBERS: Final = {
     "v_max_mps": (0.11, 0.0, 5.0),
     "accel_mps2": (0.05, 0.6, 6.0),
     "decel_mps2": (0.05, 1.5, 6.0),
@@ -35,16 +39,12 @@ _NUMBERS: Final = {  # least, usual and most; what these drives reach takes the 
     DELAY_S: (0.001, 0.15, 1.0),
 }
 _LEAST, _USUAL, _MOST = np.array(list(_NUMBERS.values())).T
-_JERKS_MPS3: Final = (
-    3.0,
-    10.0,
-    30.0,
-)  # each is begun with: jerk and deceleration together have several valleys
+# A fit starts with each: jerk and deceleration together have several valleys.
+_JERKS_MPS3: Final = (3.0, 10.0, 30.0)
 _PULL: Final = 0.05  # of the misfit is what a number costs that is e times the usual one
 _IS_JERK: Final = np.array([name == "jerk_mps3" for name in _NUMBERS])
-_NUDGE: Final = (
-    0.01  # of a number, for slopes: less would follow the steps in which a drive of samples answers
-)
+# Of a number, for slopes: less would follow the steps in which a drive of samples answers.
+_NUDGE: Final = 0.01
 _DRAWS: Final = 100
 _SPARE_M: Final = 10.0  # of the yard, beyond where full speed leads
 
@@ -61,14 +61,16 @@ class MotionErrors:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DriveFit:
-    """The numbers of a chair's controller, and their 95 % intervals over drives; of one drive there are none."""
+    """The numbers of a chair's controller, and their 95 % intervals; one drive gives none."""
 
     values: dict[str, float]  # by their names in [chair]; and delay_s, from the stick to the wheels
     intervals: dict[str, tuple[float, float]]
 
 
 def fit_drives(drives: Sequence[StickDrive], draws: int = _DRAWS) -> DriveFit:
-    """Fit by least squares, speed and turn rate weighted by their variance; intervals by drawing drives anew.
+    """Fit by least squares, speed and turn rate weighted by their variance.
+
+    The intervals come from drives that are drawn anew.
 
     Args:
         drives: At least one, with turns.
@@ -76,7 +78,7 @@ def fit_drives(drives: Sequence[StickDrive], draws: int = _DRAWS) -> DriveFit:
     """
     usual = _usual(drives)
     starts = [np.where(_IS_JERK, math.log(jerk), usual) for jerk in _JERKS_MPS3]
-    # Drives tell jerk and deceleration hardly apart: of all that fit, the pull finds the most usual ones.
+    # Drives hardly separate jerk and deceleration: of all that fit, the pull finds the most usual.
     pull = math.sqrt(_PULL * min(_solved(drives, start, usual, 0.0)[1] for start in starts))
     found = min(
         (_solved(drives, start, usual, pull) for start in starts), key=lambda pair: pair[1]
@@ -132,7 +134,10 @@ def _solved(drives: Sequence[StickDrive], start: F64, usual: F64, pull: float) -
 
 
 def law_motion(drives: Sequence[StickDrive], values: Mapping[str, float]) -> list[F64]:
-    """Speeds and turn rates (n, 2) by the law alone, of numbers as in a `DriveFit`, in samples as the drives have."""
+    """Speeds and turn rates (n, 2) by the law alone, of numbers as in a `DriveFit`.
+
+    Their samples are those of the drives.
+    """
     chair = ChairConfig.model_construct(**cast(Mapping[str, Any], values))
     numbers = np.array([*limits_of(chair), chair.deadband, chair.shape_exponent, values[DELAY_S]])
     return [_followed(drive.stick, numbers) for drive in drives]
@@ -147,18 +152,20 @@ def _followed(stick: F64, numbers: F64) -> F64:
     v = w = a = 0.0
     for at in range(len(stick)):
         new, old = stick[max(0, at - whole)], stick[max(0, at - whole - 1)]
-        # between two samples, so that the delay has a slope
+        # Between two samples, so that the delay has a slope.
         x, y = new[0] + part * (old[0] - new[0]), new[1] + part * (old[1] - new[1])
-        out[at, 0], out[at, 1] = v, w  # what this sample asks for shows in the next one
+        # What this sample causes shows in the next one.
+        out[at, 0], out[at, 1] = v, w
         sx, sy = shaped(x, y, numbers[_DEADBAND], numbers[_EXPONENT])
         v, w, a = driven(v, w, a, sx, sy, numbers, STEP_S)
     return out
 
 
 def plant_motion(drive: StickDrive, setup: Setup) -> F64:
-    """Speeds and turn rates (n, 2) of the chair in PyBullet on a level yard, which is told the stick once a tick.
+    """Speeds and turn rates (n, 2) of the chair in PyBullet on a level yard.
 
-    The next sample after a tick's beginning is the first that may show what the tick did.
+    It gets the stick once a tick. The next sample after a tick's beginning is the first that may
+    show what the tick did.
     """
     ticks = round(TICK_S / STEP_S)
     found = [(0.0, 0.0)]
@@ -172,7 +179,7 @@ def plant_motion(drive: StickDrive, setup: Setup) -> F64:
 
 
 def later(motion: F64, delay_s: float) -> F64:
-    """The motion of a chair that hears the same stick so much later: first it stands."""
+    """The motion of a chair that gets the same stick so much later: first it stands."""
     samples = round(delay_s / STEP_S)
     return np.concatenate([np.zeros((samples, 2)), motion])[: len(motion)]
 
@@ -181,10 +188,8 @@ def motion_errors(drives: Sequence[StickDrive], motions: Sequence[F64]) -> Motio
     """What lies between motions (n, 2) and those measured in all drives together."""
     measured = np.concatenate([drive.motion for drive in drives])
     missed = np.mean((np.concatenate(list(motions)) - measured) ** 2, axis=0)
-    rms, explained = (
-        np.sqrt(missed).tolist(),
-        (1.0 - missed / np.maximum(measured.var(axis=0), 1e-12)).tolist(),
-    )
+    rms = np.sqrt(missed).tolist()
+    explained = (1.0 - missed / np.maximum(measured.var(axis=0), 1e-12)).tolist()
     return MotionErrors(
         speed_rms_mps=rms[0],
         turn_rms_radps=rms[1],

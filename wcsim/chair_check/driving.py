@@ -1,4 +1,4 @@
-"""Driving trials and their rows: straight on, round and round, to a stop, uphill and across a slope."""
+"""Driving trials: straight on, round and round, to a stop, uphill and across a slope."""
 
 from __future__ import annotations
 
@@ -22,6 +22,13 @@ _SLOPE_RAD: Final = rad(10.0)
 _PULL_N: Final = 400.0
 _ROAD_MPS: Final = PROFILE_SPEED_MPS["road"]
 _KMH: Final = 1.0 / 3.6
+_START_S: Final = 4.0  # after these a chair drives steadily
+_ROUND_S: Final = 6.0
+_HEADING_RAD: Final = 0.3  # not along the edges of the ground
+_STRAIGHT_M: Final = 10.0
+_BACK_M: Final = 12.0
+_ACROSS_M: Final = 8.0
+_LOST_RAD: Final = 0.5  # off the heading that the stick was held for
 
 
 def driving_trials(setup: Setup) -> Iterator[Trial]:
@@ -31,7 +38,8 @@ def driving_trials(setup: Setup) -> Iterator[Trial]:
         yield trial_of(
             "cruise_{profile}", _cruise_mps, speed, speed_mps=speed, profile=name, speed=speed
         )
-    diagonal = math.sqrt(0.5)  # of full stick: the corner is pulled to the unit circle
+    # Of full stick: the corner is pulled to the unit circle.
+    diagonal = math.sqrt(0.5)
     most = partial(
         yaw_rate_limit,
         yaw_max_radps=setup.chair.yaw_rate_max_radps,
@@ -56,10 +64,10 @@ def driving_trials(setup: Setup) -> Iterator[Trial]:
 def _slopes(setup: Setup) -> Iterator[Trial]:
     yield trial_of("climb_10deg", partial(_climb_mps, slope_rad=_SLOPE_RAD), setup.chair.v_max_mps)
     spec = plant_spec(setup.chair)
-    asked = min(_ROAD_MPS, spec.limits.speed_mps)
-    top = min(_top_speed_mps(spec, _PULL_N), asked)
+    top_mps = min(_ROAD_MPS, spec.limits.speed_mps)
+    top = min(_top_speed_mps(spec, _PULL_N), top_mps)
     pulling = partial(_pulling_mps, pull_N=_PULL_N)
-    yield trial_of("pulling_400N", pulling, top, speed_mps=asked, pull=_PULL_N, asked=asked)
+    yield trial_of("pulling_400N", pulling, top, speed_mps=top_mps, pull=_PULL_N, asked=top_mps)
     for facing, ahead, left in (
         ("up", _SLOPE_RAD, 0.0),
         ("down", -_SLOPE_RAD, 0.0),
@@ -83,15 +91,6 @@ def _top_speed_mps(spec: PlantSpec, pull_N: float) -> float:
         max(0.0, motor.no_load_radps * (1.0 - need_Nm / motor.stall_torque_Nm))
         * spec.wheel.radius_m
     )
-
-
-_START_S: Final = 4.0  # after these a chair drives steadily
-_ROUND_S: Final = 6.0
-_HEADING_RAD: Final = 0.3  # not along the edges of the ground
-_STRAIGHT_M: Final = 10.0
-_BACK_M: Final = 12.0
-_ACROSS_M: Final = 8.0
-_LOST_RAD: Final = 0.5  # off the heading that the stick was held for
 
 
 def _straight_drift_m(setup: Setup) -> float:
@@ -147,7 +146,7 @@ def _climb_mps(setup: Setup, slope_rad: float) -> float:
 
 
 def _pulling_mps(setup: Setup, pull_N: float) -> float:
-    """Steady speed at full stick on level ground while something behind pulls back with a constant force."""
+    """Steady speed at full stick on level ground against a constant pull from behind."""
     with Rig(setup) as rig:
         rig.place(-2.0 * _BACK_M)
         rig.drive(FORWARD, _START_S + 2.0 * setup.chair.v_max_mps, pull_N=pull_N)
@@ -155,7 +154,7 @@ def _pulling_mps(setup: Setup, pull_N: float) -> float:
 
 
 def _creep_m(setup: Setup, ahead_rad: float, left_rad: float) -> float:
-    """How far it moves in five seconds on a slope with the stick let go, after one second to settle."""
+    """How far it moves in five seconds on a slope without stick, after one second to settle."""
     with Rig(setup, plane_street(ahead_rad, left_rad)) as rig:
         start = rig.drive(NEUTRAL, 1.0).p_m[-1]
         end = rig.drive(NEUTRAL, 5.0).p_m[-1]
@@ -163,7 +162,7 @@ def _creep_m(setup: Setup, ahead_rad: float, left_rad: float) -> float:
 
 
 def _cross_slope_drift_m(setup: Setup, slope_rad: float) -> float | Unfinished:
-    """How far downhill it is after 8 m straight ahead across a slope, the stick held straight, if it gets there."""
+    """How far downhill it is after 8 m across a slope with a straight stick, if it gets there."""
 
     def ends(state: PlantState) -> bool:
         return float(state.p_WB_m[0]) > _ACROSS_M or abs(state.yaw_rad) > _LOST_RAD

@@ -1,6 +1,7 @@
 """Kerbs and ramps: what a chair climbs and what stops it, what it feels, and when it falls off one.
 
-A twisted ramp is as a kerb lowered at a corner has it: what the wheels carry on it, how the chair stops and turns.
+A twisted ramp is as a kerb lowered at a corner has it: what the wheels carry on it, how the chair
+stops and turns.
 """
 
 from __future__ import annotations
@@ -27,6 +28,31 @@ _MEASURED: Final = ("rwd", "mwd")  # whose peaks the rows expect
 _FALL_MPS: Final = 1.5
 _SHALLOW_DEG, _STEEP_DEG = 25, 60
 _MOST_MPS2: Final = 157.0  # what the sensor shows at most, 16 g
+_TOUCHING_M: Final = 0.002
+_LEVEL_M: Final = 0.005
+_RUN_M: Final = 3.3  # to reach a steady speed before a kerb
+_WALL_M: Final = 2.0
+_RUNS: Final = 6
+_LONGEST_STEP_S: Final = 1.0 / 120.0
+_TIPPED: Final = 0.5  # upright part of the chair's z below which it lies on its side
+
+# Twisted ramps.
+_TWIST_RAD: Final = rad(3.0)  # over the wheelbase
+_FALL_RAD: Final = rad(4.0)  # of the ramp, 1 in 14
+_STEADY: Final = Joystick(0.0, 0.5)
+_CELL_M: Final = 0.1
+_HALF_M: Final = 6.0
+_WIDE_M: Final = 2.0
+_START_M: Final = 4.0  # ahead of the middle
+_RUN_S: Final = 3.0
+_PHASES: Final = 6
+_TURN_S: Final = 1.5
+_STOP_S: Final = 4.0
+
+Height = Callable[[float, float], float]
+_RAMP: Final = (
+    f"ramp of {deg(_FALL_RAD):.0f} degrees, twisted by {deg(_TWIST_RAD):.0f} over the wheelbase"
+)
 
 
 def kerb_trials(setup: Setup) -> Iterator[Trial]:
@@ -34,11 +60,10 @@ def kerb_trials(setup: Setup) -> Iterator[Trial]:
     spec = plant_spec(setup.chair)
     yield from _climbs(spec)
     yield from _events(spec)
-    ours = (
-        setup.chair.plant in _MEASURED
-    )  # of another chair these rows say how it compares, and judge nothing
-    yield from _peaks(judged=ours)
-    yield from _falls(spec, judged=ours or _like_the_experiments(spec))
+    # These rows show how another chair compares, and judge nothing.
+    is_measured = setup.chair.plant in _MEASURED
+    yield from _peaks(judged=is_measured)
+    yield from _falls(spec, judged=is_measured or _like_the_experiments(spec))
 
 
 def _climbs(spec: PlantSpec) -> Iterator[Trial]:
@@ -64,7 +89,7 @@ def _events(spec: PlantSpec) -> Iterator[Trial]:
     window = f"penalty window {low:g} to {high:g} m/s2"
     yield trial_of("event_driving", _driving_peak_mps2, low, window=window)
     yield trial_of("event_cruise", driving.cruise_peak_mps2, window=window)
-    # sprung casters take a kerb softly, so a plant with them meets it faster
+    # Sprung casters take a kerb softly, so a plant with them meets it faster.
     speed = 1.67 if any(pair.arm is not None for pair in spec.casters) else 1.0
     over = partial(_step_peak_mps2, rise_m=0.04)
     yield trial_of(
@@ -74,7 +99,8 @@ def _events(spec: PlantSpec) -> Iterator[Trial]:
 
 
 def _peaks(*, judged: bool) -> Iterator[Trial]:
-    # faster over the lowest kerb, it is over within two steps of 1/120 s, and its peak depends on the step
+    # Faster over the lowest kerb, it is over within two steps of 1/120 s, and its peak depends on
+    # the step.
     kerbs_m = ((0.02, 0.8, 9.0, 20.0), (-0.06, 1.0, 12.0, 40.0), (-0.12, 1.0, 25.0, 46.0))
     for rise_m, speed, low, high in kerbs_m:
         yield trial_of(
@@ -119,17 +145,8 @@ def _falls(spec: PlantSpec, *, judged: bool) -> Iterator[Trial]:
         )
 
 
-_TOUCHING_M: Final = 0.002
-_LEVEL_M: Final = 0.005
-_RUN_M: Final = 3.3  # to reach a steady speed before a kerb
-_WALL_M: Final = 2.0
-_RUNS: Final = 6
-_LONGEST_STEP_S: Final = 1.0 / 120.0
-_TIPPED: Final = 0.5  # upright part of the chair's z below which it lies on its side
-
-
 def _front_m(spec: PlantSpec) -> float:
-    """The foremost point of the foremost caster, trailing, ahead of the drive axle; the drive wheel's if it leads."""
+    """The foremost point of all wheels, casters trailing, ahead of the drive axle."""
     casters = [pair.swivel_x_m - pair.trail_m + pair.radius_m for pair in spec.casters]
     return max([spec.wheel.radius_m, *casters])
 
@@ -165,7 +182,8 @@ def _step_peak_mps2(setup: Setup, rise_m: float, face: ClassId = ClassId.KERB) -
     """
     with Rig(setup, step_street(rise_m, face)) as rig:
         spec, speed = rig.chair.spec, setup.chair.v_max_mps
-        start_m, beyond_m = FACE_X_M - _front_m(spec) - _RUN_M, FACE_X_M + 0.8 - _rear_m(spec)
+        start_m = FACE_X_M - _front_m(spec) - _RUN_M
+        beyond_m = FACE_X_M + 0.8 - _rear_m(spec)
         peaks = []
         for run in range(_RUNS):
             rig.place(start_m - run / _RUNS * speed * _LONGEST_STEP_S)
@@ -182,7 +200,7 @@ _WALL: Final = partial(_step_peak_mps2, rise_m=_WALL_M, face=ClassId.BUILDING)
 
 
 def _driving_peak_mps2(setup: Setup) -> float:
-    """The largest low-passed acceleration of ordinary driving: off, straight, full turn, to a stop."""
+    """The largest low-passed acceleration of driving: off, straight, full turn, to a stop."""
     with Rig(setup) as rig:
         rig.drive(NEUTRAL, 1.0)  # it was put down from a millimetre
         drives = [
@@ -205,10 +223,9 @@ def _tips_off(setup: Setup, drop_m: float, approach_rad: float) -> float:
     with Rig(setup, step_street(-drop_m)) as rig:
         outline = rig.chair.spec.outline
         ahead, aside = outline.middle_x_m + 0.5 * outline.length_m, 0.5 * outline.width_m
-        gap = (
-            0.1 + ahead * math.cos(heading) + aside * math.sin(heading)
-        )  # of the corner that comes first
-        away = 0.5 + setup.chair.v_max_mps  # to reach full speed before the edge
+        # Of the first corner, and enough to reach full speed before the edge.
+        gap = 0.1 + ahead * math.cos(heading) + aside * math.sin(heading)
+        away = 0.5 + setup.chair.v_max_mps
         x = FACE_X_M - gap - away * math.cos(heading)
         rig.place(x, -away * math.sin(heading), heading)
         ride = rig.drive(
@@ -221,24 +238,6 @@ def _lies(state: PlantState) -> bool:
     return bool(np.cos(state.roll_rad) * np.cos(state.pitch_rad) < _TIPPED)
 
 
-_TWIST_RAD: Final = rad(3.0)  # over the wheelbase
-_FALL_RAD: Final = rad(4.0)  # of the ramp, 1 in 14
-_STEADY: Final = Joystick(0.0, 0.5)
-_CELL_M: Final = 0.1
-_HALF_M: Final = 6.0
-_WIDE_M: Final = 2.0
-_START_M: Final = 4.0  # ahead of the middle
-_RUN_S: Final = 3.0
-_PHASES: Final = 6
-_TURN_S: Final = 1.5
-_STOP_S: Final = 4.0
-
-Height = Callable[[float, float], float]
-_RAMP: Final = (
-    f"ramp of {deg(_FALL_RAD):.0f} degrees, twisted by {deg(_TWIST_RAD):.0f} over the wheelbase"
-)
-
-
 def ramp_trials(_setup: Setup) -> Iterator[Trial]:
     """The rows of one plant."""
     yield trial_of("twisted_ramp_load", _least_load_share, ramp=_RAMP)
@@ -247,7 +246,7 @@ def ramp_trials(_setup: Setup) -> Iterator[Trial]:
 
 
 def _least_load_share(setup: Setup) -> float:
-    """The least load of a drive wheel at rest on a twisted ramp, facing up or down it, over that on level ground."""
+    """The least load of a drive wheel at rest on a twisted ramp, over that on level ground."""
     level = _loads_N(setup, lambda _x, _y: 0.0)
     least = [
         load / level[name]
@@ -259,12 +258,15 @@ def _least_load_share(setup: Setup) -> float:
 
 
 def _stopping_share(setup: Setup) -> float:
-    """Way to a stop from a steady speed down a ramp that twists to and fro, at its worst, over that on a level."""
+    """The longest way to a stop down a ramp that twists to and fro, over that on a level."""
     return max(_stop_m(setup, phase) for phase in range(_PHASES)) / _level_stop_m(setup)
 
 
 def _turned_share(setup: Setup) -> float:
-    """The least turn in 1.5 s down a ramp that twists to and fro, over that on a level; below 0 if the other way."""
+    """The least turn in 1.5 s down a ramp that twists to and fro, over that on a level.
+
+    Below 0 if it turns the other way.
+    """
     shares = []
     for stick in (Joystick(-0.5, 0.3), Joystick(0.5, 0.3)):
         level = _turned_rad(setup, stick, lambda _x, _y: 0.0)

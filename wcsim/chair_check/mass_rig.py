@@ -1,9 +1,10 @@
-"""The mass rig and the tilt table: weight, where it rests, what it takes to turn the chair, and when it tips.
+"""The mass rig and the tilt table: a chair's weight, inertia and grip, and when it tips.
 
-How far a chair can be tilted until its uphill wheels carry nothing is as ISO 7176-1 asks. The table is level ground and
-gravity turns, at most 0.2 degrees a second. Brakes are on, casters and swivels are held at the angle that brings the
-tip line nearest to the centre of mass, and everything grips, so that nothing slides. A chair on a beam rolls freely
-where it is tilted sideways, casters trailing, and its beam's bearing has no friction.
+How far a chair can be tilted until its uphill wheels carry nothing is as ISO 7176-1 asks. The table
+is level ground and gravity turns, at most 0.2 degrees a second. Brakes are on, casters and swivels
+are held at the angle that brings the tip line nearest to the centre of mass, and everything grips,
+so that nothing slides. A chair on a beam rolls freely where it is tilted sideways, casters
+trailing, and its beam's bearing has no friction.
 """
 
 from __future__ import annotations
@@ -36,6 +37,7 @@ from wcsim.physics.engine import GRAVITY_MPS2
 from wcsim.physics.wheelchair.plant import PlantSpec, plant_spec
 from wcsim.types import F64
 
+# The mass rig.
 _FLOAT_M: Final = 20.0  # above the ground
 _TORQUE_NM: Final = 20.0
 _PUSH_S: Final = 0.5
@@ -45,6 +47,19 @@ _SLIP_MPS: Final = 0.02
 _AXES: Final = np.eye(3)
 _COAST_MPS: Final = 1.0
 _AXIS_NAMES: Final = ("roll", "pitch", "yaw")
+
+# The tilt table.
+_TILT_RADPS: Final = rad(0.2)
+_BEFORE_RAD: Final = rad(2.0)  # the slow part begins so far below the tilt that is expected
+_BEYOND_RAD: Final = rad(3.0)  # and is given up so far above it
+_FAST_RADPS: Final = rad(4.0)  # or it falls hard onto its anti-tips
+_SETTLE_S: Final = 10.0
+_QUIET_RADPS: Final = 1e-3
+_STAGES: Final = (1 / 3, 2 / 3, 1.0)
+_GRIP: Final = 2.0
+_ITERATIONS: Final = 1000  # many wheels held at once are stiff
+_COM_HEIGHTS_M: Final = (0.50, 0.60)
+_TIP: Final = "{way}_com_{cm}cm"
 
 
 def mass_trials(setup: Setup) -> Iterator[Trial]:
@@ -85,7 +100,10 @@ def _drive_wheel_share(setup: Setup) -> float:
 
 
 def _turning_inertia_kgm2(setup: Setup, axis: int) -> float:
-    """Moment of inertia about an axis (0 roll, 1 pitch, 2 yaw): a known torque for half a second, then the rate."""
+    """Moment of inertia about an axis: 0 roll, 1 pitch, 2 yaw.
+
+    A known torque acts for half a second; the rate gives the inertia.
+    """
     with Rig(setup) as rig:
         _float(rig)
         _turn(rig, _AXES[axis])
@@ -93,7 +111,7 @@ def _turning_inertia_kgm2(setup: Setup, axis: int) -> float:
 
 
 def _turning_loss_per_s(setup: Setup) -> float:
-    """Share of its yaw rate that a chair afloat loses in a second: nothing but damping could take it."""
+    """Share of its yaw rate that a floating chair loses in a second: by damping alone."""
     with Rig(setup) as rig:
         _float(rig)
         _turn(rig, _AXES[2])
@@ -120,9 +138,10 @@ def _coasting_mps2(setup: Setup) -> float:
 
 
 def _grip(setup: Setup) -> float:
-    """Pull on the chair along the ground, wheels held, at which it begins to slide, as a share of its weight.
+    """Pull along the ground at which it slides with held wheels, as a share of its weight.
 
-    It is pulled towards its casters: pulled away from them, wheels that are held hop before they slide.
+    It is pulled towards its casters: pulled away from them, wheels that are held hop before they
+    slide.
     """
     with Rig(setup) as rig:
         rig.drive(NEUTRAL, 2.0)
@@ -174,23 +193,11 @@ def _rate(rig: Rig) -> F64:
     return np.array(rig.bullet.getBaseVelocity(rig.body)[1])
 
 
-_TILT_RADPS: Final = rad(0.2)
-_BEFORE_RAD: Final = rad(2.0)  # the slow part begins so far below the tilt that is expected
-_BEYOND_RAD: Final = rad(3.0)  # and is given up so far above it
-_FAST_RADPS: Final = rad(4.0)  # or it falls hard onto its anti-tips
-_SETTLE_S: Final = 10.0
-_QUIET_RADPS: Final = 1e-3
-_STAGES: Final = (1 / 3, 2 / 3, 1.0)
-_GRIP: Final = 2.0
-_ITERATIONS: Final = 1000  # many wheels held at once are stiff
-_COM_HEIGHTS_M: Final = (0.50, 0.60)
-_TIP: Final = "{way}_com_{cm}cm"
-
-
 def tip_trials(setup: Setup, only: Sequence[str] = ()) -> Iterator[Trial]:
     """The rows of one plant: each way to tip at each height of the centre of mass.
 
-    What is expected takes a moment to find, so rows whose names begin with none of the words of `only` are left out.
+    What is expected takes a moment to find, so rows whose names begin with none of the words of
+    `only` are left out.
     """
     for name, downhill, antitips in _ways(setup):
         for height_m in _COM_HEIGHTS_M:
@@ -202,17 +209,18 @@ def tip_trials(setup: Setup, only: Sequence[str] = ()) -> Iterator[Trial]:
 
 
 def falling_rows(setup: Setup, rows: Mapping[str, Row]) -> Iterator[Row]:
-    """Share of each tip angle that is left as the centre of mass is raised; the pivots of each way stay the same."""
+    """Share of each tip angle that is left as the centre of mass is raised; same pivots."""
     low_m, high_m = _COM_HEIGHTS_M
     for name, _, _ in _ways(setup):
         pair = rows.get(_name(name, low_m)), rows.get(_name(name, high_m))
         if pair[0] is None or pair[1] is None:
             continue
-        value = pair[1].value / pair[0].value
-        trial = trial_of(
-            "{way}_falls", lambda _, value=value: value, way=name, low=low_m, high=high_m
-        )  # type: ignore[misc]
-        yield measured(trial, setup)
+        found = partial(_as_measured, value=pair[1].value / pair[0].value)
+        yield measured(trial_of("{way}_falls", found, way=name, low=low_m, high=high_m), setup)
+
+
+def _as_measured(_setup: Setup, value: float) -> float:
+    return value
 
 
 def _ways(setup: Setup) -> Iterator[tuple[str, Vec2, bool]]:
@@ -236,7 +244,9 @@ def _expected_tip_rad(setup: Setup, downhill: Vec2, antitips: bool) -> float:
 
 
 def _tip_deg(setup: Setup, height_m: float, downhill: Vec2, antitips: bool) -> float:
-    """The tilt at which the simulated chair's uphill wheels carry nothing any more, at most 3 degrees above expected.
+    """The tilt at which the simulated chair's uphill wheels carry nothing any more.
+
+    It is at most 3 degrees above the expected one.
 
     Args:
         setup: The chair and the rate.
@@ -252,7 +262,8 @@ def _tip_deg(setup: Setup, height_m: float, downhill: Vec2, antitips: bool) -> f
         table = _Table(rig, downhill, upper)
         table.settle()
         start_rad = max(expected - _BEFORE_RAD, 0.0)
-        for share in _STAGES:  # a chair that falls onto its anti-tips rocks there for a while
+        # A chair that falls onto its anti-tips rocks there for a while.
+        for share in _STAGES:
             table.tilt_to(share * start_rad)
             table.settle()
         return deg(table.tip_rad(start_rad + _BEFORE_RAD + _BEYOND_RAD))
@@ -265,9 +276,10 @@ def _stand(setup: Setup, downhill: Vec2, antitips: bool) -> Stand:
 
 
 def _rolls(spec: PlantSpec, downhill: Vec2) -> bool:
-    """Whether its wheels are left to roll: a beam is turned by the grip of its casters, sideways, too.
+    """Whether its wheels are left to roll.
 
-    How much of the grip wheels give that are all held is not determined; of wheels that roll it is, by their loads.
+    A beam is turned by the grip of its casters, sideways, too. How much of the grip wheels give
+    that are all held is not determined; of wheels that roll it is, by their loads.
     """
     return downhill[0] == 0.0 and any(pair.beam is not None for pair in spec.casters)
 
@@ -294,14 +306,14 @@ class _Table:
     """A table under a chair that tilts downhill."""
 
     def __init__(self, rig: Rig, downhill: Vec2, upper: frozenset[str]) -> None:
-        self._yard, self._downhill, self._upper = rig, downhill, upper
+        self._rig, self._downhill, self._upper = rig, downhill, upper
         self._tilt_rad = 0.0
 
     def settle(self) -> None:
         """Wait until the chair is quiet, ten seconds at most."""
         for _ in range(round(_SETTLE_S / TICK_S)):
             self._tick(0.0)
-            if np.abs(self._yard.chair.state().w_B_radps).max() < _QUIET_RADPS:
+            if np.abs(self._rig.chair.state().w_B_radps).max() < _QUIET_RADPS:
                 return
 
     def tilt_to(self, tilt_rad: float) -> None:
@@ -314,8 +326,8 @@ class _Table:
     def tip_rad(self, most_rad: float) -> float:
         """Tilt slowly until the uphill wheels are off the table for a tick, or to an angle at most.
 
-        A load of zero alone would not do: before it tips, a chair may stand on the whole width of its lower tyres, and
-        then the solver is free to give the upper wheels none.
+        A load of zero alone would not do: before it tips, a chair may stand on the whole width of
+        its lower tyres, and then the solver is free to give the upper wheels none.
         """
         while self._tilt_rad < most_rad:
             if self._tick(_TILT_RADPS):
@@ -324,7 +336,7 @@ class _Table:
 
     def _tick(self, rate_radps: float) -> bool:
         """A tick at a rate; returns whether no uphill foot touched the table in it."""
-        rig, lifted = self._yard, True
+        rig, lifted = self._rig, True
         rig.chair.command(NEUTRAL)
         for _ in range(rig.setup.substeps):
             self._tilt_rad += rate_radps / rig.setup.hz

@@ -1,4 +1,4 @@
-"""A picture of a plant, drawn from its parameters: from the side and from above, with contacts, pivots and masses."""
+"""A picture of a plant from the side and from above, with contacts, pivots and masses."""
 
 from __future__ import annotations
 
@@ -146,7 +146,8 @@ def _legend(spec: PlantSpec, name: str, width_px: int) -> Image:
     image: Image = np.full((_TEXT_PX, width_px, 3), 255, np.uint8)
     outline, mass = spec.outline, spec.mass
     lines = (
-        f"{name}: {outline.length_m:.2f} x {outline.width_m:.2f} x {outline.height_m:.2f} m, front to the right",
+        f"{name}: {outline.length_m:.2f} x {outline.width_m:.2f} x {outline.height_m:.2f} m, "
+        "front to the right",
         "red: contact points   blue: axles, swivels, arm travel",
         f"green: centre of mass, {mass.com_x_m:.2f} m ahead of the axle, {mass.com_z_m:.2f} m up",
         f"chair {mass.chair_kg:g} kg, user {mass.user_kg:g} kg",

@@ -39,12 +39,10 @@ def plane_street(ahead_rad: float = 0.0, left_rad: float = 0.0) -> StreetMesh:
 def grid_street(
     height_m: Callable[[float, float], float], long_m: float, wide_m: float, cell_m: float
 ) -> StreetMesh:
-    """Road around the origin, so far ahead, back and to the sides, as high as a function of x and y says."""
+    """Road around the origin, so long and wide to each side, with a height for each x and y."""
     columns, rows = round(2.0 * long_m / cell_m) + 1, round(2.0 * wide_m / cell_m) + 1
-    xs, ys = (
-        np.linspace(-long_m, long_m, columns).tolist(),
-        np.linspace(-wide_m, wide_m, rows).tolist(),
-    )
+    xs = np.linspace(-long_m, long_m, columns).tolist()
+    ys = np.linspace(-wide_m, wide_m, rows).tolist()
     vertices = [(x, y, height_m(x, y)) for x in xs for y in ys]
     corners = [i * rows + k for i in range(columns - 1) for k in range(rows - 1)]
     faces = [
@@ -54,7 +52,7 @@ def grid_street(
 
 
 def step_street(rise_m: float, face: ClassId = ClassId.KERB) -> StreetMesh:
-    """A level road up to x = FACE_X_M and level ground `rise_m` higher (or lower) behind that face."""
+    """A level road up to x = FACE_X_M, and level ground `rise_m` higher (or lower) behind it."""
     x, far, half, h = FACE_X_M, FACE_X_M + _HALF_M, _HALF_M, rise_m
     vertices = [(-half, -half, 0.0), (x, -half, 0.0), (x, half, 0.0), (-half, half, 0.0)]
     vertices += [(x, -half, h), (far, -half, h), (far, half, h), (x, half, h)]
@@ -79,9 +77,8 @@ class _Ride:
     """What a drive showed, one item a tick."""
 
     states: list[PlantState] = field(default_factory=list)
-    peaks_mps2: list[F64] = field(
-        default_factory=list
-    )  # of the low-passed accelerometer, (3,) each
+    # Of the low-passed accelerometer, (3,) each.
+    peaks_mps2: list[F64] = field(default_factory=list)
 
     @property
     def p_m(self) -> F64:
@@ -150,10 +147,11 @@ class Rig(Closing):
         """Drive with a joystick position for whole ticks.
 
         Args:
-            stick: What the driver wants.
+            stick: The driver's.
             seconds: For how long.
             until: Ends the drive early when it holds of the state at the end of a tick.
-            pull_N: A force along -x of the world, tied to the chair behind its axle near the ground.
+            pull_N: A force along -x of the world, tied to the chair behind its axle near the
+                ground.
         """
         ride = _Ride()
         for _ in range(round(seconds / TICK_S)):
@@ -201,7 +199,7 @@ class Rig(Closing):
                 self.bullet.resetJointState(self.body, index, angle_rad, 0.0)
 
     def lock(self, *prefixes: str) -> None:
-        """Hold the joints of links whose names begin so where they are; every joint that moves if none is named."""
+        """Hold the joints of links whose names begin so; all that move if none is named."""
         for name, index in self.links().items():
             kind = self.bullet.getJointInfo(self.body, index)[2]
             if kind == _FIXED or (prefixes and not name.startswith(prefixes)):
@@ -220,7 +218,7 @@ class Rig(Closing):
                 )
 
     def loads_N(self) -> dict[str, float]:
-        """Normal force in the last step of every link that touches something, by name; the frame is "frame"."""
+        """Normal force in the last step of every link that touches something; of "frame", too."""
         names = {index: name for name, index in self.links().items()}
         loads: dict[str, float] = {}
         for point in self.bullet.getContactPoints(bodyA=self.body):

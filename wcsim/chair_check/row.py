@@ -1,4 +1,4 @@
-"""What a trial asks and what it answers: one row of the table of a plant, and how it changes with the rate."""
+"""A trial and its result: one row of a plant's table, and how it changes with the rate."""
 
 from __future__ import annotations
 
@@ -15,6 +15,12 @@ SLOWEST_HZ: Final = 100
 FASTEST_HZ: Final = 1000
 TICK_S: Final = 0.1
 _KINDS: Final = own_data(__file__)
+_MOST_CHANGE: Final = 0.10
+_MOST_CHANGE_IMPACT: Final = 0.15
+
+Bound = Literal["norm", "file", "stick", "wcsim", "rwd, mwd", "trial"]
+"""The source of an expectation: a standard, the parameter file, the stick and the controller's
+settings, wcsim, what its own plants felt, or an experiment with a rear-wheel drive."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,7 +38,8 @@ class Setup:
     def __post_init__(self) -> None:
         if not SLOWEST_HZ <= self.hz <= FASTEST_HZ or self.hz % 10:
             raise PhysicsError(
-                f"physics rate is {self.hz} Hz; expected a multiple of 10 from {SLOWEST_HZ} to {FASTEST_HZ} Hz"
+                f"physics rate is {self.hz} Hz; "
+                f"expected a multiple of 10 from {SLOWEST_HZ} to {FASTEST_HZ} Hz"
             )
 
     @property
@@ -54,16 +61,13 @@ class Setup:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Unfinished:
-    """What a trial answers that came to no end: how far it got, and what happened."""
+    """The result of a trial that did not finish: how far it got, and what happened."""
 
     value: float
     what: str
 
 
 Measure = Callable[[Setup], float | Unfinished]
-Bound = Literal["norm", "file", "stick", "wcsim", "rwd, mwd", "trial"]
-"""Who says what is expected: a standard, the parameter file, the stick and the controller's settings, wcsim, what the
-plants that come with it felt, or an experiment with a rear-wheel drive."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -78,8 +82,10 @@ class _Expected:
         high: Largest value that is expected.
         method: How the value is taken, in a sentence.
         source: Where the expectation comes from.
-        impact: Whether the value is the peak of an impact, which depends on the step more than others do.
-        judged: Whether a value out of its range is a fault; it is none where the range is another kind of chair's.
+        impact: Whether the value is the peak of an impact, which depends on the step more than
+            others do.
+        judged: Whether a value out of its range is a fault; it is none where the range is another
+            kind of chair's.
     """
 
     name: str
@@ -122,7 +128,7 @@ def trial_of(
     span: tuple[float, float] | None = None,
     speed_mps: float | None = None,
     judged: bool = True,
-    **told: object,
+    **words: object,
 ) -> Trial:
     """A trial of a kind of `row.toml`.
 
@@ -133,20 +139,20 @@ def trial_of(
         span: Its bounds, where they are not there.
         speed_mps: As of a `Trial`.
         judged: As of a `Trial`.
-        told: Words in its texts.
+        words: Those of its texts in braces.
     """
     row = _KINDS[kind]
     if "within" in row:
         span = expected - row["within"], expected + row["within"]
     low, high = span or (part * expected for part in row["times"])
     return Trial(
-        name=kind.format(**told),
+        name=kind.format(**words),
         unit=row["unit"],
         bound=row["bound"],
         low=low,
         high=high,
-        method=row["method"].format(**told),
-        source=row["source"].format(**told),
+        method=row["method"].format(**words),
+        source=row["source"].format(**words),
         impact=row.get("impact", False),
         judged=judged,
         measure=measure,
@@ -166,10 +172,6 @@ def measured(trial: Trial, setup: Setup) -> Row:
     return Row(**expected, value=value, ok=not note and trial.low <= value <= trial.high, note=note)
 
 
-_MOST_CHANGE: Final = 0.10
-_MOST_CHANGE_IMPACT: Final = 0.15
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Change:
     """One row at several rates."""
@@ -185,8 +187,9 @@ class Change:
 def changes(tables: Mapping[int, Sequence[Row]]) -> list[Change]:
     """The change of every row over tables of the same plant, by rate in Hz.
 
-    The difference between the largest and the smallest value counts as a share of the largest magnitude; of the bound
-    instead, where a row is expected to lie near zero and its bound is larger.
+    The difference between the largest and the smallest value counts as a share of the largest
+    magnitude; of the bound instead, where a row is expected to lie near zero and its bound is
+    larger.
     """
     by_rate = [{row.name: row for row in rows} for rows in tables.values()]
     out = []

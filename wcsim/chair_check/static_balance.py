@@ -1,8 +1,9 @@
-"""Statics of a chair on a tilted table: which wheel carries what, and at which tilt the uphill wheels carry nothing.
+"""Statics of a chair on a tilted table: the load of each wheel, and the tilt at which it tips.
 
-Everything is computed from masses and contact points alone, as a plant's file declares them, never from the simulated
-body. Table frame T: z normal to the table, x and y of the chair before it moves on its springs. The chair does not
-slide: friction holds it in the plane of the table, so that only the height, pitch and roll of the frame are unknown.
+Everything is computed from masses and contact points alone, as a plant's file declares them, never
+from the simulated body. Table frame T: z normal to the table, x and y of the chair before it moves
+on its springs. The chair does not slide: friction holds it in the plane of the table, so that only
+the height, pitch and roll of the frame are unknown.
 """
 
 from __future__ import annotations
@@ -24,6 +25,11 @@ from wcsim.types import F64
 
 Vec2 = tuple[float, float]
 Vec3 = tuple[float, float, float]
+FORWARD_DOWN: Final[Vec2] = (1.0, 0.0)
+REAR_DOWN: Final[Vec2] = (-1.0, 0.0)
+LEFT_DOWN: Final[Vec2] = (0.0, 1.0)
+_TURNS: Final = 72  # swivel angles that are tried for the worst
+_SIDES: Final = (("l", 1.0), ("r", -1.0))
 _FIRM_N_PER_M: Final = 1e7  # of a wheel on the table: 0.1 mm under a whole chair
 _UP: Final = np.array([0.0, 0.0, 1.0])
 _LEVEL_M: Final = 1e-6
@@ -36,26 +42,18 @@ _NOTHING: Final = 1e-6  # of the weight
 _CLOSE: Final = 1e-6  # of the weight
 _MOST_ROUNDS: Final = 60
 _STUCK: Final = 100.0  # times the stiffness of a wheel: moves are too small to get anywhere
-_PRESSED: Final = np.array(
-    [-5e-5, 0.0, 0.0]
-)  # every wheel touches: one that just does not gives Newton no slope
-_LEANS_RAD: Final = (
-    0.0,
-    0.04,
-    0.08,
-    0.12,
-    0.16,
-    0.2,
-)  # downhill, where it may come to lean on an anti-tip or a stop
-_LANDING_RAD: Final = (
-    0.05  # apart: leans between which it may fall from one pair of feet onto another
-)
+# Every wheel touches: one that just does not gives Newton no slope.
+_PRESSED: Final = np.array([-5e-5, 0.0, 0.0])
+# Downhill, where it may lean on an anti-tip or a stop in the end.
+_LEANS_RAD: Final = (0.0, 0.04, 0.08, 0.12, 0.16, 0.2)
+# Apart: leans between which it may fall from one pair of feet onto another.
+_LANDING_RAD: Final = 0.05
 _LANDED_RAD: Final = 1e-6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Beam:
-    """A beam that carries feet and rocks freely about a lengthwise pivot in the chair's middle plane."""
+    """A beam that carries feet and rocks freely about a lengthwise pivot in the middle plane."""
 
     pivot_z_m: float
     stop_rad: float
@@ -80,7 +78,7 @@ class Foot:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Stand:
-    """A chair as statics sees it."""
+    """A chair as statics takes it."""
 
     mass_kg: float
     com_m: Vec3
@@ -107,9 +105,10 @@ def uphill(stand: Stand, downhill: Vec2) -> frozenset[str]:
 
 
 def _rigid_tip_rad(stand: Stand, downhill: Vec2) -> float:
-    """Tilt at which the centre of mass stands above the tip line, with every foot on the table and no spring.
+    """Tilt at which the centre of mass stands above the tip line, every foot on the table.
 
-    The tip line is the edge of the feet's hull that lies downhill of the centre of mass.
+    Nothing is sprung. The tip line is the edge of the feet's hull that lies downhill of the centre
+    of mass.
     """
     dx, dy = downhill
     points = [
@@ -125,7 +124,8 @@ def _rigid_tip_rad(stand: Stand, downhill: Vec2) -> float:
     ]
     if not reach:
         raise PhysicsError(
-            "the centre of mass is not above the feet; expected a plant that stands: check its numbers"
+            "the centre of mass is not above the feet; expected a plant that stands: "
+            "check its numbers"
         )
     return math.atan2(max(reach) - along, height_m)
 
@@ -137,7 +137,7 @@ def _edges(foot: Foot) -> tuple[Vec3, Vec3]:
 
 
 def tip_rad(stand: Stand, downhill: Vec2) -> float:
-    """Tilt of the table at which the uphill feet carry nothing, springs and anti-tips taken into account.
+    """Tilt of the table at which the uphill feet carry nothing, with springs and anti-tips.
 
     Args:
         stand: The chair.
@@ -176,7 +176,7 @@ def _rest(
     upper: frozenset[str],
     leans_rad: tuple[float, ...],
 ) -> F64 | None:
-    """The pose in which it stands with a load on its uphill feet, near `pose` or leaning on an anti-tip or stop."""
+    """A pose with a load on its uphill feet, near `pose` or leaning on an anti-tip or stop."""
     least_N = _NOTHING * stand.mass_kg * GRAVITY_MPS2
     table = _Table(stand, tilt_rad, downhill)
     guesses = [pose - lean * np.array([0.0, *downhill]) for lean in leans_rad]
@@ -232,7 +232,7 @@ class _Table:
         self._cos, self._sin = math.cos(tilt_rad), math.sin(tilt_rad)
 
     def _contacts(self, pose: F64) -> tuple[F64, F64, F64]:
-        """Lowest points (E, 3) in T, their normal loads (E,) and the compressions of their arms (E,)."""
+        """Lowest points (E, 3) in T, their normal loads (E,), and their arms' compressions (E,)."""
         turn = _turn(pose[1], pose[2])
         axis = self._axis @ turn.T
         low = axis * axis[:, 2:] - _UP  # straight down, but in the wheel's plane
@@ -248,7 +248,7 @@ class _Table:
         return place, self._share * np.where(self._sprung, load, firm), compressed
 
     def _rocked_m(self, beam: _Beam, place: F64, depth: F64, share: F64, turn: F64) -> F64:
-        """How far a beam lifts its feet, (E,), so that their loads turn it no more, or it leans on a stop.
+        """How far a beam lifts its feet, (E,), at rest between them or leaning on a stop.
 
         Friction that holds the chair is taken in proportion to the load, as for arms.
         """
@@ -268,8 +268,8 @@ class _Table:
     def _sprung_loads(self, depth: F64, arm: F64) -> tuple[F64, F64]:
         """Loads and compressions of sprung feet whose arms move along `arm`, a unit vector in T.
 
-        The foot pushes its arm with its load and with its share of the friction that holds the chair, which is taken
-        in proportion to the load.
+        The foot pushes its arm with its load and with its share of the friction that holds the
+        chair, which is taken in proportion to the load.
         """
         along = arm[2] - self._sin / self._cos * (self._down @ arm[:2])
         hangs = GRAVITY_MPS2 * (self._cos * arm[2] - self._sin * (self._down @ arm[:2]))
@@ -283,7 +283,7 @@ class _Table:
         )
 
     def landings(self) -> list[F64]:
-        """The poses in which it has fallen downhill from its lowest feet onto others, as onto anti-tips."""
+        """The poses after a fall downhill from its lowest feet onto others, as onto anti-tips."""
         found = []
         for start in np.arange(0.0, _MOST_LEAN_RAD, _LANDING_RAD):
             low, high = float(start), float(start + _LANDING_RAD)
@@ -297,13 +297,13 @@ class _Table:
         return found
 
     def _lowest(self, lean_rad: float) -> tuple[float, float]:
-        """Of the edge that a chair leaning downhill stands on: its place downhill, and how far it lifts the chair."""
+        """Place downhill, and lift of the chair, of the edge on which a leaning chair stands."""
         height = self._contacts(np.array([0.0, *(-lean_rad * self._down)]))[0][:, 2]
         lowest = int(np.argmin(height))
         return round(float(self._centre[lowest, :2] @ self._down), 3), -float(height[lowest])
 
     def settle(self, pose: F64) -> F64 | None:
-        """The stable rest that Newton's method finds from a pose, damped where it would overshoot; None if none."""
+        """The stable rest that Newton's method finds from a pose, damped; None if there is none."""
         drag, residual = 1e-6, self._residual(pose)
         slope = self._slope(pose, residual)
         for _ in range(_MOST_ROUNDS):
@@ -353,7 +353,7 @@ class _Table:
 
 
 def _zero(falling: Callable[[float], float], most: float, kinks: F64) -> float:
-    """Where a function that falls in straight pieces between kinks is zero; `most` to either side of zero at most."""
+    """Where a function that falls in straight pieces between kinks is zero, within -most..most."""
     angles = sorted({-most, most, *(float(kink) for kink in kinks if abs(kink) < most)})
     values = [falling(angle) for angle in angles]
     if values[0] <= 0.0:
@@ -365,7 +365,7 @@ def _zero(falling: Callable[[float], float], most: float, kinks: F64) -> float:
 
 
 def _standing(foot: Foot, downhill: Vec2) -> list[tuple[Vec3, float]]:
-    """The edges that a foot stands on as the chair tips downhill: the lower one, or both where they lie level."""
+    """The edges on which a foot stands as the chair tips: the lower one, or both where level."""
     edges = _edges(foot)
     along = [edge[0] * downhill[0] + edge[1] * downhill[1] for edge in edges]
     if abs(along[0] - along[1]) < _LEVEL_M:
@@ -379,13 +379,6 @@ def _turn(pitch: float, roll: float) -> F64:
     nose = np.array([[cp, 0.0, -sp], [0.0, 1.0, 0.0], [sp, 0.0, cp]])
     side = np.array([[1.0, 0.0, 0.0], [0.0, cr, -sr], [0.0, sr, cr]])
     return np.asarray(side @ nose)
-
-
-FORWARD_DOWN: Final[Vec2] = (1.0, 0.0)
-REAR_DOWN: Final[Vec2] = (-1.0, 0.0)
-LEFT_DOWN: Final[Vec2] = (0.0, 1.0)
-_TURNS: Final = 72  # swivel angles that are tried for the worst
-_SIDES: Final = (("l", 1.0), ("r", -1.0))
 
 
 def stand(spec: PlantSpec, swivel_rad: float = 0.0) -> Stand:
@@ -406,7 +399,7 @@ def _com_m(spec: PlantSpec, swivel_rad: float = 0.0) -> Vec3:
 
 
 def worst_swivel_rad(spec: PlantSpec, downhill: Vec2) -> float:
-    """The swivel angle at which the tip line lies nearest to the centre of mass, anti-tips left out."""
+    """The swivel angle with the tip line nearest to the centre of mass, without anti-tips."""
     angles = [2.0 * math.pi * k / _TURNS for k in range(_TURNS)]
     return min(
         angles, key=lambda angle: _rigid_tip_rad(stand(spec, angle).without("antitip"), downhill)
@@ -414,7 +407,7 @@ def worst_swivel_rad(spec: PlantSpec, downhill: Vec2) -> float:
 
 
 def inertia_kgm2(spec: PlantSpec) -> F64:
-    """Moments of inertia of the whole chair about its centre of mass, along B's axes, (3,), casters trailing."""
+    """Moments of inertia (3,) about the centre of mass, along B's axes, casters trailing."""
     about = np.array(_com_m(spec))
     total = np.zeros(3)
     frame = (

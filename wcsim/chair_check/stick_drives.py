@@ -1,4 +1,4 @@
-"""Drives of a chair as its own electronics recorded them: the stick beside the speeds that its wheels measured."""
+"""Drives that a chair's own electronics recorded: the stick, and the speeds of its wheels."""
 
 from __future__ import annotations
 
@@ -14,12 +14,13 @@ from wcsim.errors import ConfigError
 from wcsim.types import F64
 
 STEP_S: Final = 0.02
-_STICK, _ODOMETRY = "t_s,axis0,axis1", "t_s,v_mps,w_radps"
-_LONGEST_GAP_S: Final = 1.0  # over more nobody knows what the stick did
-_SHORTEST_S, _LONGEST_S = 2.0, 86_400.0
-_ANSWER_S: Final = (
-    0.2  # after which a turn of the stick shows, roughly: enough for the sign of an axis
-)
+_STICK: Final = "t_s,axis0,axis1"
+_ODOMETRY: Final = "t_s,v_mps,w_radps"
+_LONGEST_GAP_S: Final = 1.0  # over more it is not known what the stick did
+_SHORTEST_S: Final = 2.0
+_LONGEST_S: Final = 86_400.0
+# After which a turn of the stick shows, roughly: enough for the sign of an axis.
+_ANSWER_S: Final = 0.2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,24 +33,25 @@ class StickDrive:
 
 
 def read_stick_drives(paths: Sequence[Path]) -> tuple[StickDrive, ...]:
-    """Read drives. Whether their first axis points right or left is what fits the turns of all of them best.
+    """Read drives. The sign of their first axis is the one that fits all their turns best.
 
     Args:
-        paths: `NAME.joy.csv` (`t_s,axis0,axis1`, axis1 ahead, both from -1 to 1), each with `NAME.odom.csv`
-            (`t_s,v_mps,w_radps`) beside it; one or both may end in `.gz`.
+        paths: `NAME.joy.csv` (`t_s,axis0,axis1`, axis1 ahead, both from -1 to 1), each with
+            `NAME.odom.csv` (`t_s,v_mps,w_radps`) beside it; one or both may end in `.gz`.
 
     Raises:
-        ConfigError: A file is missing or no such table, or all drives together turn too little to tell the axis.
+        ConfigError: A file is missing or no such table, or all drives together turn too little to
+            tell the axis.
     """
     drives = [_read(path) for path in paths]
     late = round(_ANSWER_S / STEP_S)
     turned = sum(float(drive.stick[:-late, 0] @ drive.motion[late:, 1]) for drive in drives)
     if abs(turned) * STEP_S < 1.0:
         raise ConfigError(
-            f"{len(drives)} drives turn too little to say whether axis0 points right or left; expected some turns: "
-            "add drives with turns"
+            f"{len(drives)} drives turn too little to say whether axis0 points right or left; "
+            "expected some turns: add drives with turns"
         )
-    # to the left is positive for turns and negative for the stick
+    # To the left is positive for turns and negative for the stick.
     turn = np.array([-np.sign(turned), 1.0])
     return tuple(replace(drive, stick=drive.stick * turn) for drive in drives)
 
@@ -61,10 +63,8 @@ def _read(path: Path) -> StickDrive:
             f"{escaped(path)}: expected the name of a file as NAME.joy.csv or NAME.joy.csv.gz"
         )
     beside = [path.with_name(f"{name}.odom.csv{end}") for end in ("", ".gz")]
-    stick, odometry = (
-        _table(path, _STICK),
-        _table(next(filter(is_file, beside), beside[0]), _ODOMETRY),
-    )
+    stick = _table(path, _STICK)
+    odometry = _table(next(filter(is_file, beside), beside[0]), _ODOMETRY)
     if np.abs(stick[:, 1:]).max() > 1.1:
         raise ConfigError(
             f"{escaped(path)}: the stick is at {np.abs(stick[:, 1:]).max():g}; expected -1 to 1"
@@ -72,8 +72,8 @@ def _read(path: Path) -> StickDrive:
     first_s, last_s = max(stick[0, 0], odometry[0, 0]), min(stick[-1, 0], odometry[-1, 0])
     if not _SHORTEST_S <= last_s - first_s <= _LONGEST_S:
         raise ConfigError(
-            f"{escaped(path)}: stick and odometry have {last_s - first_s:.1f} s in common; expected {_SHORTEST_S:g} s "
-            "to a day: record both by one clock"
+            f"{escaped(path)}: stick and odometry have {last_s - first_s:.1f} s in common; "
+            f"expected {_SHORTEST_S:g} s to a day: record both by one clock"
         )
     at_s = np.arange(first_s, last_s, STEP_S)
     both = [
@@ -95,14 +95,15 @@ def _table(path: Path, columns: str) -> F64:
         ) from None
     if head.strip() != columns:
         raise ConfigError(
-            f"{escaped(path)}: begins with {escaped(head, 40)!r}; expected {columns}, in {CHAIR.what}"
+            f"{escaped(path)}: begins with {escaped(head, 40)!r}; "
+            f"expected {columns}, in {CHAIR.what}"
         )
     apart_s = (
         np.diff(rows[:, 0]) if rows.shape[1] == 3 and np.isfinite(rows).all() else np.array([])
     )
     if not len(apart_s) or apart_s.min() < 0.0 or apart_s.max() > _LONGEST_GAP_S:
         raise ConfigError(
-            f"{escaped(path)}: expected rows of three finite numbers whose times rise by at most {_LONGEST_GAP_S:g} s; "
-            "split it where the recording stopped"
+            f"{escaped(path)}: expected rows of three finite numbers whose times rise by at most "
+            f"{_LONGEST_GAP_S:g} s; split it where the recording stopped"
         )
     return rows

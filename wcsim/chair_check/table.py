@@ -33,7 +33,7 @@ def _trials(setup: Setup, only: Sequence[str] = ()) -> tuple[Trial, ...]:
 
 
 def too_fast(setup: Setup, only: Sequence[str] = ()) -> tuple[str, ...]:
-    """Names of the rows that ask for more speed than the plant's `limits.speed_mps`, and are left out."""
+    """Names of the rows that are left out: they need more than the plant's `limits.speed_mps`."""
     most_mps = plant_spec(setup.chair).limits.speed_mps
     return tuple(
         trial.name
@@ -66,12 +66,9 @@ def table(
     """
     chosen = _trials(setup, only)
     if not chosen:
-        fast = too_fast(setup, only)
-        what = (
-            f"{', '.join(fast)}: faster than the plant's limits.speed_mps"
-            if fast
-            else (f"no row starts with {', '.join(only)!r}")
-        )
+        what = f"no row starts with {', '.join(only)!r}"
+        if fast := too_fast(setup, only):
+            what = f"{', '.join(fast)}: faster than the plant's limits.speed_mps"
         raise ConfigError(f"{what}; expected the start of a row's name")
     done: dict[int, Row] = {}
     for place, row in _done(chosen, setup, workers):

@@ -23,7 +23,7 @@ from wcsim.drive.starting import DriveStart, OpenPlace, open_place
 from wcsim.log.records import Admitted, DriveTick, Note, Respawned, tick_end_fields
 from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.kpi import KpiTotals
-from wcsim.supervisor.rewards import hardest
+from wcsim.supervisor.rewards import hardest_contact
 from wcsim.types import F64, ClientSnapshot, Joystick, Route, StartSpec
 from wcsim.types.chair import AT_REST
 from wcsim.users.hand import in_gate
@@ -141,7 +141,7 @@ class DriveSession(Closing):
     def _crash_side(self) -> str:
         """On which side of the chair it is what was hit: a road user, or the nearest wall; "" for ground and kerbs."""
         plant, outline = self.client.plant, self.world.seats[0].chair.outline
-        touch = hardest(self.client.events.crash_reason, self.client.contacts, self.world.config.reward)
+        touch = hardest_contact(self.client.events.crash_reason, self.client.contacts, self.world.config.reward)
         if touch is None or touch.kind in ("ground", "kerb"):
             return ""
         hit = next((actor.p_W_m for actor in self.world.snapshot.actors if actor.id == touch.actor_id), None)
@@ -359,7 +359,7 @@ class DriveSession(Closing):
             happened = happened_in(driven) - {"helps"}  # a request for help counts when it is heard
             self.metrics = self.metrics.plus(happened, distance, driven.speed_mps)
             if driven.ends:  # a drive may end before the next episode begins
-                self.metrics = self.metrics.over()
+                self.metrics = self.metrics.after_episode()
         now = (driven.warning, driven.intervening, driven.overruled)
         kinds = (EventKind.WARNING, EventKind.INTERVENING, EventKind.OVERRULE)
         for kind, is_on, was in zip(kinds, now, self._said, strict=True):
@@ -450,7 +450,7 @@ class DriveSession(Closing):
         return "before the crash"
 
     def _next(self, why: str) -> None:
-        self.metrics = self.metrics.over()
+        self.metrics = self.metrics.after_episode()
         self.episode += 1
         self._begin()
         self._face_way()

@@ -1,4 +1,4 @@
-"""The paper's supervisor and the oracle: actions, observation, rewards, KPIs; pure functions over `types`.
+"""The paper's supervisor and the oracle: actions, observation, rewards, KPIs, as pure functions.
 
 Not the user.
 """

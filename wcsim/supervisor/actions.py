@@ -1,27 +1,28 @@
-"""The joystick positions that an agent can choose: points of a lattice of step 0.25 (x right, y forward).
+"""The joystick positions that an agent can choose: a lattice of step 0.25 (x right, y forward).
 
-`square81` is the paper's grid. `disc69` keeps the lattice cells that meet the unit disc, which is all that a joystick
-in a round gate can reach. The 49 lattice points inside the disc would not do: more than a third of the directions of a
-full push would have no point within 0.1768, the largest distance that still earns the reward for following.
+`square81` is the paper's grid. `disc69` has the lattice cells that meet the unit disc, which is all
+that a joystick in a round gate can reach. The 49 lattice points inside the disc would not do: more
+than a third of the directions of a full push would have no point within 0.1768, the largest
+distance that still earns the reward for following.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
 from wcsim.errors import ConfigError
 from wcsim.types import F32, F64, I64
 
-STEP = 0.25
-_HALF_CELLS = 4  # the lattice runs from -4 to 4 steps on both axes
-_DISC_LIMIT = 20  # i * i + j * j <= 20: the cells that the unit disc (16) reaches into
-MAX_DISTANCE = (
-    2.0  # the largest distance within a round gate; a corner of the square counts as this far
-)
-NAMES = ("square81", "disc69")
+NAMES: Final = ("square81", "disc69")
+# The largest distance within a round gate; a corner of the square counts as this far.
+MAX_DISTANCE: Final = 2.0
+_STEP: Final = 0.25
+_HALF_CELLS: Final = 4  # the lattice runs from -4 to 4 steps on both axes
+_DISC_LIMIT: Final = 20  # i * i + j * j <= 20: the cells that the unit disc (16) reaches into
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -40,11 +41,11 @@ class ActionSet:
         return int(self.nearest_many(np.asarray(joystick_xy, dtype=np.float64)[None])[0])
 
     def nearest_many(self, joysticks_xy: F32 | F64) -> I64:
-        """The same for many positions, (N, 2) -> (N,)."""
+        """The nearest actions to many positions, (N, 2) -> (N,)."""
         return np.asarray(self._squared(joysticks_xy).argmin(axis=1), dtype=np.int64)
 
     def distance(self, action: int, joystick_xy: Sequence[float] | F32 | F64) -> float:
-        """Distance between an action's position and a joystick position, at most 2 (Table 1 of the paper)."""
+        """Distance of an action's position to a joystick position, at most 2 (Table 1)."""
         dx, dy = self.points[action] - np.asarray(joystick_xy, dtype=np.float64)
         return min(float(np.hypot(dx, dy)), MAX_DISTANCE)
 
@@ -67,12 +68,10 @@ def action_set(name: str) -> ActionSet:
     (81, 69)
     """
     if name not in NAMES:
-        told = (
-            ": env.actions=stick is for environments, what chooses from a list needs one"
-            if name == "stick"
-            else ""
-        )
-        raise ConfigError(f"unknown action set {name!r}; expected one of: {', '.join(NAMES)}{told}")
+        hint = ""
+        if name == "stick":
+            hint = ": env.actions=stick is for environments, what chooses from a list needs one"
+        raise ConfigError(f"unknown action set {name!r}; expected one of: {', '.join(NAMES)}{hint}")
     steps = np.arange(-_HALF_CELLS, _HALF_CELLS + 1)
     # Policies are saved with indices into this list, so its order may never change.
     cells = np.array([(i, j) for i in steps for j in steps])
@@ -80,4 +79,4 @@ def action_set(name: str) -> ActionSet:
         cells = cells[(cells**2).sum(axis=1) <= _DISC_LIMIT]
     index = {(int(i), int(j)): k for k, (i, j) in enumerate(cells)}
     mirror = np.array([index[-int(i), int(j)] for i, j in cells], dtype=np.int64)
-    return ActionSet(name=name, points=cells * STEP, mirror=mirror)
+    return ActionSet(name=name, points=cells * _STEP, mirror=mirror)

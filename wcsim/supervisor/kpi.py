@@ -1,8 +1,9 @@
-"""The paper's two key performance indicators and what must stand beside them, counted of one episode step by step.
+"""The paper's two key performance indicators, and what must stand beside them.
 
-KPI 1 is the mean joystick distance between user and agent, KPI 2 the number of steps an episode lives. A chair that
-never moves wins KPI 2, and most steps are easy to follow in, so it is counted too how a policy follows where the user
-moves and nothing is in the way, and whether it gets anywhere: routes, crossings, crashes, and what it holds up.
+KPI 1 is the mean joystick distance between user and agent, KPI 2 the number of steps an episode
+lives. A chair that never moves wins KPI 2, and most steps are easy to follow in. So this counts,
+too, how a policy follows where the user moves and nothing is in the way, and whether it gets
+anywhere: routes, crossings, crashes, and what it holds up.
 """
 
 from __future__ import annotations
@@ -13,22 +14,22 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from wcsim.config import RewardConfig
-from wcsim.supervisor.rewards import DISTANCE_TOLERANCE, fault, hardest
+from wcsim.supervisor.rewards import DISTANCE_TOLERANCE, fault, hardest_contact
 from wcsim.types import F64, Bool, Contact, Events, Joystick
 
-MAX_FOLLOW_DISTANCE = 0.1768  # Table 1, sqrt(0.125^2 + 0.125^2)
-FOLLOWED = MAX_FOLLOW_DISTANCE + DISTANCE_TOLERANCE  # up to which a stick counts as followed
-PUSHES = 0.3  # a stick that is out so far is meant
-_BLOCKED_SHARE = 0.5  # who gives less than this share of the user's throttle blocks
-STANDS_MPS = 0.05
-FREEZE_S = 3.0
-DROP = "drop"  # the crash reason of a fall off a kerb
-_STOOD_S: Final = 1.0  # a chair that stands so long on a carriageway stands where it should not
-_PATH_S: Final = 1.0  # a point of the path every so often
-_STRETCHES: Final = frozenset(
-    {"warnings", "interventions", "overrules"}
-)  # of ticks, counted where they begin
-_EVENTS: Final = {  # of a record, and what a step counts for
+MAX_FOLLOW_DISTANCE: Final = 0.1768  # Table 1, sqrt(0.125^2 + 0.125^2)
+FOLLOWED: Final = MAX_FOLLOW_DISTANCE + DISTANCE_TOLERANCE  # up to here a stick counts as followed
+DROP: Final = "drop"  # the crash reason of a fall off a kerb
+_PUSHES: Final = 0.3  # a stick that is out so far is meant
+_BLOCKED_SHARE: Final = 0.5  # a policy blocks that gives less of the user's throttle
+_STANDS_MPS: Final = 0.05
+_FREEZE_S: Final = 3.0
+_ON_ROAD_S: Final = 1.0  # a chair that stands so long on a carriageway stands where it should not
+_PATH_S: Final = 1.0  # from one point of a path to the next
+# Stretches of ticks, counted where they begin.
+_STRETCHES: Final = frozenset({"warnings", "interventions", "overrules"})
+# Counts of a record, and the event of a step that each counts.
+_EVENTS: Final = {
     "goals": "arrived",
     "given_up": "gave_up",
     "red_entries": "entered_red",
@@ -38,7 +39,7 @@ _EVENTS: Final = {  # of a record, and what a step counts for
 
 
 class KpiTotals(NamedTuple):
-    """Running totals of one chair over its episodes, after each tick; a film keeps those of every tick."""
+    """Running totals of one chair over its episodes, after each tick; a film has those of all."""
 
     ticks: int = 0
     judged: int = 0  # ticks of which both sticks are known
@@ -55,8 +56,8 @@ class KpiTotals(NamedTuple):
     overrules: int = 0
     ended: int = 0  # episodes
     ended_steps: int = 0  # of them
-    steps: int = 0  # of the episode that is on, from a handover on; 0 once it has ended
-    on: frozenset[str] = frozenset()  # the stretches that go on
+    steps: int = 0  # of the running episode, from a handover on; 0 once it has ended
+    on: frozenset[str] = frozenset()  # the running stretches
 
     @property
     def kpi1(self) -> float | None:
@@ -65,11 +66,11 @@ class KpiTotals(NamedTuple):
 
     @property
     def kpi2(self) -> float:
-        """Mean steps that an episode lived, KPI 2; of the one that is on while none has ended."""
+        """Mean steps that an episode lived, KPI 2; those of the first while none has ended."""
         return self.ended_steps / self.ended if self.ended else float(self.steps)
 
-    def begun(self, happened: Set[str]) -> Set[str]:
-        """What of this begins with the next tick: a stretch does so once."""
+    def starting(self, happened: Set[str]) -> Set[str]:
+        """What of this starts with the next tick: a stretch does so once."""
         return happened - self.on
 
     def plus(
@@ -81,54 +82,58 @@ class KpiTotals(NamedTuple):
             happened: Names of the counters above that it counts for.
             distance: Of the joysticks; None where it is not judged.
             speed_mps: Of the chair.
-            steps: Of the episode that is on, with this tick; None for one more than before.
+            steps: Of the running episode, with this tick; None for one more than before.
         """
-        counts: dict[str, Any] = {name: getattr(self, name) + 1 for name in self.begun(happened)}
+        counts: dict[str, Any] = {name: getattr(self, name) + 1 for name in self.starting(happened)}
         return self._replace(
             ticks=self.ticks + 1,
             judged=self.judged + (distance is not None),
             distance_sum=self.distance_sum + (distance or 0.0),
             speed_sum=self.speed_sum + abs(speed_mps),
-            moving_ticks=self.moving_ticks + (abs(speed_mps) > STANDS_MPS),
+            moving_ticks=self.moving_ticks + (abs(speed_mps) > _STANDS_MPS),
             steps=self.steps + 1 if steps is None else steps,
             on=_STRETCHES & happened,
             **counts,
         )
 
-    def over(self) -> KpiTotals:
-        """After the episode's end, by a crash, its step limit, or because somebody began another."""
+    def after_episode(self) -> KpiTotals:
+        """After the episode's end, by a crash, its step limit, or the start of another one."""
         return self._replace(
             ended=self.ended + (self.steps > 0), ended_steps=self.ended_steps + self.steps, steps=0
         )
 
 
 class KpiStep(NamedTuple):
-    """What the record of an episode is made of, of one step that a policy drove."""
+    """One step that a policy drove, as far as the record of its episode depends on it."""
 
     distance: float  # of the joysticks
-    asked: Joystick
-    given: Joystick
+    user: Joystick
+    given: Joystick  # what the chair was given
     speed_mps: float
-    free: bool  # whether the moment that was answered was free of danger
+    free: bool  # whether the moment of the decision was free of danger
     events: Events
-    at_m: tuple[float, float] | None  # W; None where it is not told
+    at_m: tuple[float, float] | None  # W; None where it is not known
 
     @classmethod
     def of(cls, info: Mapping[str, Any], free: bool) -> KpiStep:
-        """One step, as an environment's `info` tells it."""
-        state = info.get("state")
-        at_m = (
-            None
-            if state is None
-            else (round(float(state.p_WB_m[0]), 2), round(float(state.p_WB_m[1]), 2))
+        """One step, from an environment's `info`."""
+        state, at_m = info.get("state"), None
+        if state is not None:
+            at_m = round(float(state.p_WB_m[0]), 2), round(float(state.p_WB_m[1]), 2)
+        return cls(
+            distance=float(info["joystick_distance"]),
+            user=info["asked"],
+            given=info["given"],
+            speed_mps=float(info["speed_mps"]),
+            free=free,
+            events=info["events"],
+            at_m=at_m,
         )
-        distance, speed_mps = float(info["joystick_distance"]), float(info["speed_mps"])
-        return cls(distance, info["asked"], info["given"], speed_mps, free, info["events"], at_m)
 
     @property
     def stands_on_road(self) -> bool:
         """Whether the chair stands on a carriageway."""
-        return self.events.on_carriageway and abs(self.speed_mps) < STANDS_MPS
+        return self.events.on_carriageway and abs(self.speed_mps) < _STANDS_MPS
 
 
 def crash_of(
@@ -138,50 +143,54 @@ def crash_of(
     tick_s: float,
     config: RewardConfig,
 ) -> dict[str, Any]:
-    """Reason, fault, partner and words of a crash, which these steps led to, under their names in a record.
+    """Reason, fault, partner and words of a crash after these steps, by their names in a record.
 
-    The other's fault is the chair's own where it had stood on a carriageway or had come onto it at red.
+    The other's fault is the chair's own where it had stood on a carriageway, or entered it at red.
     """
-    whose = str(fault(events.crash_reason, contacts, config))
-    stood_s, in_red = 0.0, False
+    at_fault = str(fault(events.crash_reason, contacts, config))
+    still_s, in_red = 0.0, False
     for step in steps:
-        if step.events.crashed:  # how a chair came into a crash is not told by what that did to it
+        # What a crash did to a chair says nothing of how it came into the crash.
+        if step.events.crashed:
             break
-        stood_s = stood_s + tick_s if step.stands_on_road else 0.0
+        still_s = still_s + tick_s if step.stands_on_road else 0.0
         in_red = step.events.on_carriageway and (in_red or step.events.entered_red)
-    if whose == "other" and (stood_s >= _STOOD_S - 1e-9 or in_red):
-        whose = "own"
-    hit = hardest(events.crash_reason, contacts, config)
-    partner = "" if hit is None else hit.kind
+    if at_fault == "other" and (still_s >= _ON_ROAD_S - 1e-9 or in_red):
+        at_fault = "own"
+    hit = hardest_contact(events.crash_reason, contacts, config)
     return {
         "reason": events.crash_reason,
-        "fault": whose,
-        "partner": partner,
+        "fault": at_fault,
+        "partner": "" if hit is None else hit.kind,
         "crash": events.crash,
     }
 
 
 def sums_of(steps: Sequence[KpiStep], tick_s: float) -> dict[str, Any]:
-    """The sums of an episode's steps under their names in a record."""
+    """The sums of an episode's steps, by their names in a record.
+
+    NumPy sums pairwise, `KpiTotals` tick by tick: their last digits differ, and saved results
+    depend on both.
+    """
     rows = [
-        (each.distance, each.asked.x, each.asked.y, each.given.x, each.given.y, each.speed_mps)
+        (each.distance, each.user.x, each.user.y, each.given.x, each.given.y, each.speed_mps)
         for each in steps
     ]
     numbers = np.array(rows, np.float64).reshape(-1, 6)
-    distance, asked, given, speed_mps = (
-        numbers[:, 0],
-        numbers[:, 1:3],
-        numbers[:, 3:5],
-        numbers[:, 5],
-    )
+    distance = numbers[:, 0]
+    user = numbers[:, 1:3]
+    given = numbers[:, 3:5]
+    speed_mps = numbers[:, 5]
     free = np.array([each.free for each in steps], np.bool_)
-    within, pushed = distance <= FOLLOWED, _out(asked) > PUSHES
+    within = distance <= FOLLOWED
+    pushed = _out(user) > _PUSHES
     moving = free & pushed
-    blocked = free & (asked[:, 1] > PUSHES) & (given[:, 1] < _BLOCKED_SHARE * asked[:, 1])
-    driven = len(steps) - bool(
-        steps and steps[-1].events.crashed
-    )  # how smooth it was is not told by a crash
-    accelerations = np.diff(speed_mps[:driven]) / tick_s
+    stands = np.abs(speed_mps) < _STANDS_MPS
+    blocked = free & (user[:, 1] > _PUSHES) & (given[:, 1] < _BLOCKED_SHARE * user[:, 1])
+    frozen = stands & pushed & (_out(given) < _PUSHES)
+    # A crash says nothing of how smooth the drive was.
+    smooth = len(steps) - bool(steps and steps[-1].events.crashed)
+    accelerations = np.diff(speed_mps[:smooth]) / tick_s
     return {
         "steps": len(steps),
         "m": round(float(np.sum(np.abs(speed_mps) * tick_s)), 6),
@@ -193,12 +202,12 @@ def sums_of(steps: Sequence[KpiStep], tick_s: float) -> dict[str, Any]:
         "moving_steps": int(moving.sum()),
         "moving_sum": round(float(distance[moving].sum()), 9),
         "moving_within": int((moving & within).sum()),
-        "stood_steps": int((~free & pushed & (np.abs(speed_mps) < STANDS_MPS)).sum()),
-        "freezes": _freezes(speed_mps, asked, given, tick_s),
+        "stood_steps": int((~free & pushed & stands).sum()),
+        "freezes": _long_stretches(frozen, tick_s),
         "road_s": round(sum(each.stands_on_road for each in steps) * tick_s, 6),
         "accel_sq_sum": round(float(np.sum(accelerations**2)), 6),
         "stick_travel": round(_travel(given), 6),
-        "asked_travel": round(_travel(asked), 6),
+        "asked_travel": round(_travel(user), 6),
         "path_m": _path(steps, max(1, round(_PATH_S / tick_s))),
         **{
             name: sum(getattr(each.events, event) for each in steps)
@@ -209,26 +218,23 @@ def sums_of(steps: Sequence[KpiStep], tick_s: float) -> dict[str, Any]:
 
 def _path(steps: Sequence[KpiStep], every: int) -> tuple[tuple[float, float], ...]:
     """Where the chair was after every so many steps, and at the end."""
-    kept = [*steps[every - 1 :: every], *steps[len(steps) - bool(len(steps) % every) :]]
-    return tuple(each.at_m for each in kept if each.at_m is not None)
+    shown = [*steps[every - 1 :: every], *steps[len(steps) - bool(len(steps) % every) :]]
+    return tuple(each.at_m for each in shown if each.at_m is not None)
 
 
-def _freezes(speed_mps: F64, asked: F64, given: F64, tick_s: float) -> int:
-    """Stretches of FREEZE_S and more in which only the agent keeps the chair from going."""
-    frozen: Bool = (
-        (np.abs(speed_mps) < STANDS_MPS) & (_out(asked) > PUSHES) & (_out(given) < PUSHES)
-    )
+def _long_stretches(frozen: Bool, tick_s: float) -> int:
+    """Stretches of _FREEZE_S and more of ticks (N,) in which only the agent stops the chair."""
     edges = np.flatnonzero(np.diff(np.r_[False, frozen, False]))
     lasted_s = (edges[1::2] - edges[::2]) * tick_s
     # A hair less: so many ticks may be a little under the bound.
-    return int(np.count_nonzero(lasted_s >= FREEZE_S - 1e-6))
+    return int(np.count_nonzero(lasted_s >= _FREEZE_S - 1e-6))
 
 
 def _out(sticks: F64) -> F64:
-    """(N,) how far sticks (N, 2) are out."""
+    """How far sticks (N, 2) are out, (N,)."""
     return np.asarray(np.hypot(sticks[:, 0], sticks[:, 1]), np.float64)
 
 
 def _travel(sticks: F64) -> float:
-    """How far a stick's tip goes in all."""
+    """The length of the way of a stick's tip."""
     return float(np.sum(np.hypot(*np.diff(sticks, axis=0).T))) if len(sticks) > 1 else 0.0

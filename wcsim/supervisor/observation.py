@@ -1,11 +1,12 @@
-"""What the agent gets to see (Table 3 of the paper), in three forms with pictures, and in one without.
+"""What the agent sees (Table 3 of the paper), in three forms with pictures, and in one without.
 
-`compact` keeps images as uint8 (class ids, and depth on a logarithmic scale) for the replay store, and networks expand
-them; `compact_rgb` has the camera's colours too; `table3` gives the paper's floats. All hold the same picture, in fresh
-arrays that a replay buffer may keep. A
-depth of 0 says in both that nothing was measured there; whatever was measured is above 0.
+`compact` has images as uint8 (class ids, and depth on a logarithmic scale) for the replay store,
+and networks expand them; `compact_rgb` has the camera's colours, too; `table3` has the paper's
+floats. All show the same picture, in fresh arrays that a replay buffer may hold. A depth of 0 means
+that nothing was measured there; whatever was measured is above 0.
 
-`state` is for experiments: rows of numbers about what is near, from the world's truth. No real chair has them.
+`state` is for experiments: rows of numbers about what is near, from the world's truth. No real
+chair has them.
 """
 
 from __future__ import annotations
@@ -29,13 +30,22 @@ from wcsim.types import F32, F64, U8, CameraFrame, ClientSnapshot, ImuFrame, Mea
 
 Observation = dict[str, npt.NDArray[Any]]
 Measures = Mapping[str, Measure]
-NO_MEASURES: Measures = MappingProxyType({})
+_NO_MEASURES: Final[Measures] = MappingProxyType({})
+_WITHOUT_PICTURES: Final = (
+    "env.observation=state has no pictures, and wcsim's networks and policies need them; expected "
+    "env.observation=compact"
+)
 
-_DEPTH_NEAR_M = 0.1  # the camera's near plane; anything closer reads as this
-_DEPTH_STEPS = 254  # of the codes 1 to 255; 0 is for what was not measured
-_ACCEL_FULL_SCALE_MPS2 = 40.0  # maximum of Table 1
-_GYRO_FULL_SCALE_RADPS = 4.0  # more than a chair turns before it falls
-_IMU_SIZE = 5  # numbers of the IMU in the paper's observation
+_ACCEL_FULL_SCALE_MPS2: Final = 40.0  # maximum of Table 1
+_GYRO_FULL_SCALE_RADPS: Final = 4.0  # more than a chair turns before it falls
+_IMU_SIZE: Final = 5  # numbers of the IMU in the paper's observation
+
+_DEPTH_NEAR_M: Final = 0.1  # the camera's near plane; anything closer reads as this
+_DEPTH_STEPS: Final = 254  # of the codes 1 to 255; 0 is for what was not measured
+# Of 23: leaves a relative step of 2^-10, a twentieth of one depth code.
+_MANTISSA_BITS_DROPPED: Final = 13
+_TABLE_SIZE: Final = 1 << (32 - _MANTISSA_BITS_DROPPED)
+_INFINITE: Final = 0x7F800000 >> _MANTISSA_BITS_DROPPED  # infinity and NaN begin here
 
 NEAR: Final = "around"  # the reading with the rows of `state`
 WAY_AHEAD_M: Final = (1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0)  # along the route
@@ -50,21 +60,14 @@ OTHERS_ROW: Final = EDGE_ROW + SECTORS
 STATE_SHAPE: Final = (OTHERS_ROW + MOST_OTHERS, 9)
 MOST_KINDS: Final = 16  # numbers of kinds in the first column, 0 where a row is empty
 
-_MANTISSA_BITS_DROPPED = 13  # of 23: leaves a relative step of 2^-10, a twentieth of one depth code
-_WITHOUT_PICTURES = (
-    "env.observation=state has no pictures, and wcsim's networks and policies need them; expected "
-    "env.observation=compact"
-)
-_TABLE_SIZE = 1 << (32 - _MANTISSA_BITS_DROPPED)
-_INFINITE = 0x7F800000 >> _MANTISSA_BITS_DROPPED  # infinity and NaN begin here
-
 
 def observation_space(
-    form: Form, width: int, height: int, imu: int = _IMU_SIZE, measures: Measures = NO_MEASURES
+    form: Form, width: int, height: int, imu: int = _IMU_SIZE, measures: Measures = _NO_MEASURES
 ) -> spaces.Dict:
-    """The Gymnasium space of `observation_of`; images are (C, height, width), `imu` numbers come from the IMU.
+    """The Gymnasium space of `observation_of`.
 
-    The sensors of `measures` have entries of their own, by name. Raises ConfigError for an unknown form.
+    Images are (C, height, width), `imu` numbers are those of the IMU. The sensors of `measures`
+    have entries of their own, by name. Raises ConfigError for an unknown form.
     """
     if form not in get_args(Form):
         raise ConfigError(
@@ -107,15 +110,15 @@ def observation_of(snapshot: ClientSnapshot, config: RunConfig) -> Observation:
     sensors, env, eye = snapshot.sensors, config.env, config.eye
     if env.observation == "state":
         raise ConfigError(_WITHOUT_PICTURES)
-    frame, fold = (
-        _frame(sensors, eye.name),
-        env.classes == "cityscapes",
-    )  # kerbs to sidewalk, crosswalk to road
-    imu = _imu_vector(sensors.imu, env.observe_gyro, env.observe_yaw)
-    vectors = {"imu": imu, "joystick": np.array([snapshot.user.x, snapshot.user.y], np.float32)}
-    vectors |= {
-        name: _measured(sensors, name, measure)
-        for name, measure in config.sensors.measures().items()
+    frame = _frame(sensors, eye.name)
+    fold = env.classes == "cityscapes"  # kerbs to sidewalk, crosswalk to road
+    vectors = {
+        "imu": _imu_vector(sensors.imu, env.observe_gyro, env.observe_yaw),
+        "joystick": np.array([snapshot.user.x, snapshot.user.y], np.float32),
+        **{
+            name: _measured(sensors, name, measure)
+            for name, measure in config.sensors.measures().items()
+        },
     }
     if env.observation != "table3":
         seg = _fold(frame.class_id) if fold else frame.class_id.copy()
@@ -143,31 +146,29 @@ def state_space() -> spaces.Box:
 
 
 def state_of(snapshot: ClientSnapshot) -> F32:
-    """The rows of `state` (STATE_SHAPE) float32, each column over its full scale and cut to [-1, 1].
+    """The rows of `state` (STATE_SHAPE) float32, each column over its full scale, within [-1, 1].
 
     Raises ConfigError for the frame of a seat that did not ask for them.
     """
-    rows = next(
-        (reading.values for reading in snapshot.sensors.readings if reading.name == NEAR), None
-    )
+    readings = {reading.name: reading.values for reading in reversed(snapshot.sensors.readings)}
+    rows = readings.get(NEAR)
     if rows is None or rows.size != math.prod(STATE_SHAPE):
         raise ConfigError(f"the seat has no numbers for env.observation=state. {_WITHOUT_PICTURES}")
     scaled = (rows.reshape(STATE_SHAPE) / _state_scale()).astype(np.float32)
-    scaled[0, 1:3] = (
-        snapshot.user.x,
-        snapshot.user.y,
-    )  # of a person, where one holds the stick in the user's place
+    # Those of a person, where one holds the stick in the user's place.
+    scaled[0, 1:3] = snapshot.user.x, snapshot.user.y
     return np.clip(scaled, -1.0, 1.0)
 
 
 @lru_cache(maxsize=1)
 def _state_scale() -> F64:
-    """Full scale of each number: metres by the reach of a row's block, 15 m/s, vehicles of 15 m by 5 m."""
+    """Full scale of each number: metres by the reach of a block, 15 m/s, vehicles of 15 by 5 m."""
     scale = np.tile(
         np.array([MOST_KINDS, 1.0, 1.0, 15.0, 15.0, 1.0, 1.0, 15.0, 5.0]), (STATE_SHAPE[0], 1)
     )
     reach_m = ((WAY_ROW, WAY_AHEAD_M[-1]), (SOLID_ROW, SOLID_REACH_M), (OTHERS_ROW, OTHERS_REACH_M))
-    for row, metres in reach_m:  # each block up to the end; the next one overwrites its own
+    # Each block up to the end; the next one overwrites its own.
+    for row, metres in reach_m:
         scale[row:, 1:3] = metres
     # kind, stick x and y, speeds ahead and left, turn rate, roll, pitch, metres to the destination
     scale[0] = [MOST_KINDS, 1.0, 1.0, 4.0, 4.0, 4.0, math.pi, 0.5 * math.pi, 400.0]
@@ -182,8 +183,8 @@ def imu_size(gyro: bool, yaw: bool) -> int:
 def _imu_vector(imu: ImuFrame, gyro: bool = False, yaw: bool = False) -> F32:
     """What is seen of the IMU, float32 in [-1, 1]; (5,), and more when asked for.
 
-    Tick-mean ax, ay, az over 40 m/s^2 (gravity included), roll over pi, pitch over pi/2; with `gyro` the turn rates
-    over 4 rad/s; with `yaw` the sine and cosine of the heading.
+    Tick-mean ax, ay, az over 40 m/s^2 (gravity included), roll over pi, pitch over pi/2; with
+    `gyro` the turn rates over 4 rad/s; with `yaw` the sine and cosine of the heading.
     """
     accel = imu.accel_mean_mps2 / _ACCEL_FULL_SCALE_MPS2
     scaled = [*accel, imu.roll_rad / math.pi, imu.pitch_rad / (0.5 * math.pi)]
@@ -200,21 +201,23 @@ def _measured(sensors: SensorFrame, name: str, measure: Measure) -> F32:
 
     Raises ConfigError when the chair has no such sensor, or one with other parts.
     """
-    said = {reading.name: reading.values for reading in sensors.readings}
-    if name not in said or said[name].shape != (len(measure.parts),):
-        known = {other: values.shape for other, values in said.items()}
+    readings = {reading.name: reading.values for reading in sensors.readings}
+    if name not in readings or readings[name].shape != (len(measure.parts),):
+        known = {other: values.shape for other, values in readings.items()}
         raise ConfigError(
             f"no sensor {name!r} with {len(measure.parts)} numbers on this chair; it has {known}"
         )
-    return np.clip((said[name] / measure.full_scale).astype(np.float32), -1.0, 1.0)
+    return np.clip((readings[name] / measure.full_scale).astype(np.float32), -1.0, 1.0)
 
 
 def encode_depth(depth_m: F32, range_m: float) -> U8:
-    """Depth (H, W) as uint8 on a logarithmic scale: 1 at 0.1 m and below, 255 at `range_m` and above, 0 for none.
+    """Depth (H, W) as uint8 on a logarithmic scale.
 
-    None is what is not above 0: a pixel that a noisy camera did not measure, and no distance at all.
+    1 at 0.1 m and below, 255 at `range_m` and above, 0 for none. None is what is not above 0: a
+    pixel that a noisy camera did not measure, and no distance at all.
     """
-    # The leading bits of a float32 are a logarithm already: a table over them is many times faster than np.log.
+    # The leading bits of a float32 are a logarithm already: a table over them is many times faster
+    # than np.log.
     bits = np.ascontiguousarray(depth_m, dtype=np.float32).view(np.uint32)
     code = np.empty(bits.shape, np.uint8)
     _look_up(bits.reshape(-1), _depth_codes(float(range_m)), code.reshape(-1))
@@ -230,7 +233,8 @@ def _look_up(bits: npt.NDArray[np.uint32], codes: U8, out: U8) -> None:
 def decode_depth(code: U8, range_m: float) -> F32:
     """The depth in metres that a code of `encode_depth` stands for, 0 for none.
 
-    The relative error is at most 1.3 % up to 40 m. Who looks for obstacles must leave zeros out: they are not near.
+    The relative error is at most 1.3 % up to 40 m. A search for obstacles must leave zeros out:
+    they are not near.
     """
     steps = np.arange(-1, _DEPTH_STEPS + 1) / _DEPTH_STEPS
     metres = (_DEPTH_NEAR_M * (range_m / _DEPTH_NEAR_M) ** steps).astype(np.float32)
@@ -241,10 +245,12 @@ def decode_depth(code: U8, range_m: float) -> F32:
 
 @lru_cache(maxsize=8)
 def _depth_codes(range_m: float) -> U8:
-    """Table from the leading bits of a float32 to its code; what is not above 0 and NaN give 0, infinity gives 255."""
-    leading = np.arange(
-        _TABLE_SIZE // 2, dtype=np.uint32
-    )  # the sign bit is the first: the other half is negative
+    """Table from the leading bits of a float32 to its code.
+
+    What is not above 0 and NaN give 0, infinity gives 255.
+    """
+    # The sign bit is the first: the other half is negative.
+    leading = np.arange(_TABLE_SIZE // 2, dtype=np.uint32)
     # The middle of the numbers that share these bits, which halves the error.
     middle = (leading << _MANTISSA_BITS_DROPPED) + (1 << (_MANTISSA_BITS_DROPPED - 1))
     middle[leading >= _INFINITE] = np.float32(range_m).view(np.uint32)
@@ -261,9 +267,8 @@ def _depth_codes(range_m: float) -> U8:
 
 
 def _fold(class_id: U8) -> U8:
-    folded = bytearray(class_id.tobytes()).translate(
-        _fold_bytes()
-    )  # twice as fast as indexing with uint8
+    # Twice as fast as indexing with uint8.
+    folded = bytearray(class_id.tobytes()).translate(_fold_bytes())
     return np.frombuffer(folded, np.uint8).reshape(class_id.shape)
 
 

@@ -1,16 +1,18 @@
-"""The oracle: which commands end badly, on the true geometry. For metrics and baselines, never part of an observation.
+"""The oracle: which commands end badly, on the true geometry.
 
-A command is dangerous when holding it for 0.5 s and then letting the stick go (the chair brakes at its comfortable
-rate) would touch something, drop off or bump into a kerb, or tip; others are taken to go on as they do. So is one that
-lets the chair run into somebody on foot who does otherwise, although the stick is let go after a tick (`rollout.py`).
-Everything else is free. Where commands reach the chair late, those that still wait are driven first.
+It is for metrics and baselines, never part of an observation. A command is dangerous when holding
+it for 0.5 s and then releasing the stick (the chair brakes at its comfortable rate) would touch
+something, drop off or bump into a kerb, or tip; others are taken to go on as they do. So is one
+that lets the chair run into a person who does otherwise, although the stick is released after a
+tick (`rollout.py`). Everything else is free. Where commands reach the chair late, those that still
+wait are driven first.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -41,10 +43,12 @@ from wcsim.types import (
 )
 from wcsim.types.street import FLAT
 
-REACH_M = 4.0  # at least so far a chair with its footprint may get in one roll-out,
-_LONGEST_ROLL_OUT_S = 2.5  # which may take so long at least; both more for who brakes softly
-FASTEST_MPS = 5.0  # of any chair
-FAR_M = 25.5
+# How far a chair with its footprint may get in one roll-out, and how long that may take, at least;
+# both are more for a chair that brakes softly.
+_REACH_M: Final = 4.0
+_ROLL_OUT_S: Final = 2.5
+_FASTEST_MPS: Final = 5.0  # of any chair
+_FAR_M: Final = 25.5
 
 
 class Oracle:
@@ -66,8 +70,8 @@ class Oracle:
             grid: The street from above.
             chair: The limits of the drive.
             outline: The chair seen from above.
-            wheels_m: (W, 3) where its wheels stand in B, and their trail behind a swivel: the left and right drive
-                wheel, then pairs of casters.
+            wheels_m: (W, 3) where its wheels stand in B, and their trail behind a swivel: the left
+                and right drive wheel, then pairs of casters.
             rims_m: (n, 3) what can meet a step of the ground in B, and the step that it takes.
             actions: (A, 2) joystick positions of the action set.
             tick_s: How long a command lasts.
@@ -83,8 +87,8 @@ class Oracle:
         self._limits = limits_of(chair)
         self._tick_s = tick_s
         roll_s = float(rolls_s(self._limits))
-        self._roll_s = max(_LONGEST_ROLL_OUT_S, roll_s)
-        self._reach_m = max(REACH_M, outline.length_m + chair.v_max_mps * 0.5 * (HOLD_S + roll_s))
+        self._roll_s = max(_ROLL_OUT_S, roll_s)
+        self._reach_m = max(_REACH_M, outline.length_m + chair.v_max_mps * 0.5 * (HOLD_S + roll_s))
 
     def danger(
         self,
@@ -94,7 +98,7 @@ class Oracle:
         waiting: Sequence[Joystick] = (),
         accel_mps2: float = 0.0,
     ) -> bool:
-        """Whether the user's command ends badly, as `assess` says it, without the other commands.
+        """Whether the user's command ends badly, as in `assess`, without the other commands.
 
         `actors` are the others, this chair not among them.
         """
@@ -111,24 +115,34 @@ class Oracle:
         known: Iterable[ActorState] | None = None,
         accel_mps2: float = 0.0,
     ) -> Truth:
-        """All answers at once, with the stick for the intent and no progress: of these a seat knows more.
+        """All answers at once, with the stick for the intent and no progress: a seat knows these.
 
-        `waiting` are the commands that the chair obeys before the next one, one a tick; `known` are those of the
-        actors with whom alone it is asked once more what ends badly; `accel_mps2` is what the drive asks for now: it
-        fades with the drive's jerk, whatever the stick says.
+        Args:
+            plant: The chair.
+            joystick: The user's.
+            actors: The others, this chair not among them.
+            waiting: Commands that the chair obeys before the next one, one a tick.
+            known: Those of the actors with which alone `visible` is answered; None for no such
+                answer.
+            accel_mps2: What the drive gives now: it fades with the drive's jerk, whatever the
+                stick is.
         """
         later_s = len(waiting) * self._tick_s
         others = self._near(plant, actors, later_s)
-        said, visible = self._verdict(plant, joystick, others, waiting, accel_mps2), None
+        verdict, visible = self._verdict(plant, joystick, others, waiting, accel_mps2), None
         if known is not None:
             few = self._near(plant, known, later_s)
-            # The known ones are among the others: if they are as many, one roll-out answers both questions.
-            same = few.many == others.many
-            visible = said if same else self._verdict(plant, joystick, few, waiting, accel_mps2)
+            # The known ones are among the others: if they are as many, one roll-out is enough.
+            same = few.total == others.total
+            visible = verdict if same else self._verdict(plant, joystick, few, waiting, accel_mps2)
+        grid = self._grid.around(plant.p_WB_m)
+        gap_m = free_distance(
+            _state(plant), self._body.hull, _land(grid), others.boxes, others.people
+        )
         return Truth(
-            danger=said.danger,
-            first_s=said.first_s,
-            clearance_m=self._clearance(plant, others),
+            danger=verdict.danger,
+            first_s=verdict.first_s,
+            clearance_m=min(float(gap_m), _FAR_M),
             visible=visible,
             intent=joystick,
             progress_m=0.0,
@@ -151,16 +165,19 @@ class Oracle:
     def _near(
         self, plant: PlantState, actors: Iterable[ActorState], later_s: float = 0.0
     ) -> _Others:
-        """Who can meet the chair, or is within `FAR_M`; the roll-out of a command begins `later_s` from now."""
-        reach_m, meets_s = self._reach_m + later_s * FASTEST_MPS, self._roll_s + later_s
+        """The actors that can meet the chair, or are within `_FAR_M`.
+
+        The roll-out of a command begins `later_s` from now.
+        """
+        reach_m, meets_s = self._reach_m + later_s * _FASTEST_MPS, self._roll_s + later_s
         x, y, z = plant.p_WB_m.tolist()
         boxes, people = [], []
         for actor in actors:
             ax, ay, az = actor.p_W_m.tolist()
             vx, vy, _ = actor.v_W_mps.tolist()
             length, width, _ = actor.size_lwh_m
-            # |vx| + |vy| is never less than the speed, so nobody who can meet the chair is left out.
-            reach = max(reach_m + meets_s * (abs(vx) + abs(vy)), FAR_M) + 0.5 * (length + width)
+            # |vx| + |vy| is never less than the speed: this leaves out no actor that may meet it.
+            reach = max(reach_m + meets_s * (abs(vx) + abs(vy)), _FAR_M) + 0.5 * (length + width)
             if not (abs(ax - x) < reach and abs(ay - y) < reach and abs(az - z) < OTHER_LEVEL_M):
                 continue
             cos, sin = math.cos(actor.yaw_rad), math.sin(actor.yaw_rad)
@@ -193,7 +210,7 @@ class Oracle:
             self._limits,
             self._body,
             np.rint(100.0 * above_m).astype(np.int64),
-            self._reach_m + len(waiting) * self._tick_s * FASTEST_MPS,
+            self._reach_m + len(waiting) * self._tick_s * _FASTEST_MPS,
             _land(grid),
             others.boxes,
             others.people,
@@ -206,26 +223,19 @@ class Oracle:
         sticks = shaped_rows(
             np.array([(stick.x, stick.y) for stick in waiting]).reshape(-1, 2), self._chair
         )
-        # A hair against rounding, here and below: each step takes the command of the tick that it lies in.
+        # A hair against rounding, here and below: each step takes the command of its tick.
         steps = np.arange(math.ceil(len(waiting) * self._tick_s / STEP_S - 1e-6))
         return np.ascontiguousarray(sticks[(steps * STEP_S / self._tick_s + 1e-6).astype(np.intp)])
-
-    def _clearance(self, plant: PlantState, others: _Others) -> float:
-        grid = self._grid.around(plant.p_WB_m)
-        gap = free_distance(
-            _state(plant), self._body.hull, _land(grid), others.boxes, others.people
-        )
-        return min(float(gap), FAR_M)
 
 
 class _Others(NamedTuple):
     """Those near a chair, as the kernels take them."""
 
-    boxes: F64  # (n, 9) who drives, see `rollout`
-    people: F64  # (m, 9) who walks, see `people`
+    boxes: F64  # (n, 9) vehicles, see `rollout`
+    people: F64  # (m, 9) those who walk, see `walkers`
 
     @property
-    def many(self) -> int:
+    def total(self) -> int:
         """How many they are."""
         return len(self.boxes) + len(self.people)
 
@@ -240,13 +250,5 @@ def _land(grid: StreetGrid) -> Land:
 
 
 def _state(plant: PlantState, accel_mps2: float = 0.0) -> F64:
-    return np.array(
-        [
-            plant.p_WB_m[0],
-            plant.p_WB_m[1],
-            plant.yaw_rad,
-            plant.v_B_mps[0],
-            plant.w_B_radps[2],
-            accel_mps2,
-        ]
-    )
+    x, y, _ = plant.p_WB_m
+    return np.array([x, y, plant.yaw_rad, plant.v_B_mps[0], plant.w_B_radps[2], accel_mps2])

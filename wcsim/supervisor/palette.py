@@ -1,12 +1,14 @@
-"""Colours of the pixel classes (Cityscapes, and our own for kerbs), and how our classes fold into Cityscapes."""
+"""Colours of the pixel classes, and how wcsim's own classes fold into those of Cityscapes."""
 
 from __future__ import annotations
+
+from typing import Final
 
 import numpy as np
 
 from wcsim.types import U8, ClassId
 
-COLOURS: dict[ClassId, tuple[int, int, int]] = {
+COLOURS: Final[dict[ClassId, tuple[int, int, int]]] = {
     ClassId.VOID: (0, 0, 0),
     ClassId.STATIC: (0, 0, 0),
     ClassId.DYNAMIC: (111, 74, 0),
@@ -51,7 +53,7 @@ def palette() -> U8:
 
 
 def class_fold_table() -> U8:
-    """Table (256,) uint8 that folds wcsim's own classes into Cityscapes' (kerbs to sidewalk, crosswalk to road).
+    """Table (256,) uint8 that folds wcsim's own classes: kerbs to sidewalk, crosswalk to road.
 
     >>> int(class_fold_table()[ClassId.CROSSWALK]) == ClassId.ROAD
     True

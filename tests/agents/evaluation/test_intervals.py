@@ -2,7 +2,7 @@
 
 import pytest
 
-from wcsim.agents.evaluation.suite.rows import FEWEST, _wilson, bootstrapped, garwood, mcnemar
+from wcsim.agents.evaluation.suite.intervals import FEWEST, bootstrapped, garwood, mcnemar, wilson
 
 
 @pytest.mark.parametrize(
@@ -24,11 +24,11 @@ def test_many_events_give_an_interval_that_shrinks_towards_them():
     [(0, 10, 0.0, 0.2775), (10, 10, 0.7225, 1.0), (5, 10, 0.2366, 0.7634), (81, 263, 0.2553, 0.3662)],
 )
 def test_shares_have_the_bounds_of_tables_and_a_width_at_their_ends(count, of, low, high):
-    assert _wilson(count, of) == pytest.approx((low, high), abs=1e-4)
+    assert wilson(count, of) == pytest.approx((low, high), abs=1e-4)
 
 
 def test_a_share_of_nothing_is_none():
-    assert _wilson(0, 0) is None
+    assert wilson(0, 0) is None
 
 
 def test_pairs_that_differ_decide_by_their_number_however_many_there_are():

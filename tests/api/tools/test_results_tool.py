@@ -3,9 +3,10 @@
 import json
 import sys
 
+from tests.view.report.results import write_result
 from tools.results.__main__ import code_of, command_of, is_done, main
 from tools.results.parts import AT_0_MS, Part, judged, parts, trained
-from tools.results.tables import delay_text, page
+from tools.results.tables import delay_text, page, suite_table
 from wcsim.agents.runs.run_folder import create_run, make_manifest
 from wcsim.config import RunConfig, resolve
 from wcsim.server.specs import RunInfo
@@ -63,6 +64,13 @@ def test_an_unknown_part_is_refused(tmp_path, capsys):
 
 def test_a_folder_without_tables_has_none(tmp_path):
     assert page(tmp_path) == ""
+
+
+def test_a_table_has_the_columns_of_the_console(tmp_path):
+    write_result(tmp_path)
+    lines = suite_table(json.loads((tmp_path / "result.json").read_text("utf-8")), tmp_path).splitlines()
+    assert "| part | policy | drives with a crash | did what was asked |" in lines[0]
+    assert any(line.startswith("| all | dwa | 0 of 6 (0% to ") for line in lines)
 
 
 def test_what_a_delay_costs_is_said_once_both_lists_are_driven(tmp_path):

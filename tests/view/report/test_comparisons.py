@@ -6,8 +6,8 @@ import re
 import pytest
 
 from tests.view.report.results import POLICIES, records_of, write_result
+from wcsim.agents.evaluation.suite.intervals import FEWEST
 from wcsim.agents.evaluation.suite.result_files import read_result
-from wcsim.agents.evaluation.suite.rows import FEWEST
 from wcsim.view.report.comparisons import _paired, compared
 from wcsim.view.report.pages import TEMPLATES
 from wcsim.view.report.suite_page import _comparison_table

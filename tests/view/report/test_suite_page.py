@@ -15,7 +15,7 @@ import pytest
 
 from tests.view.report.results import POLICIES, SCRIPT, score_anew, write_result
 from wcsim.agents.evaluation.suite.result_files import read_result
-from wcsim.view.report.columns import GROUPS
+from wcsim.agents.evaluation.suite.rows import GROUPS
 from wcsim.view.report.comparisons import verdict
 from wcsim.view.report.failures import Illustration, _SeenMoment, failures_of
 from wcsim.view.report.figures import _obedience_figure, figures_of

@@ -13,12 +13,11 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from wcsim.agents.evaluation.suite.rows import LOOK, Column, ResultRow
 from wcsim.cli.shared.common import first_few
-from wcsim.view.report.columns import LOOK, Column
 
 if TYPE_CHECKING:  # loads the simulators, which --help must not
     from wcsim.agents.evaluation.suite.result_files import TestResult
-    from wcsim.agents.evaluation.suite.rows import ResultRow
     from wcsim.agents.evaluation.suite.sensitivity import Disturbed
 
 # Widths in characters; the first is that of the longest numbers of a row.

@@ -147,12 +147,12 @@ class TickFilm:
         """Mark and count what a chair did; as in a test, nothing before a handover is judged."""
         seat, happened = chair.seat, happened_in(chair)
         before = self._sums.get(seat, KpiTotals())
-        self._mark(chair, before.begun(happened))
+        self._mark(chair, before.starting(happened))
         alone = (0 if chair.step == 1 else self._alone.get(seat, 0)) + chair.alone
         steps = chair.step - alone if chair.step >= 0 else before.steps + (not chair.alone)
         after = before.plus(happened, None if chair.alone else _distance(chair), chair.speed_mps, steps)
         ends = chair.crashed or chair.truncated
-        self._alone[seat], self._sums[seat] = (0, after.over()) if ends else (alone, after)
+        self._alone[seat], self._sums[seat] = (0, after.after_episode()) if ends else (alone, after)
 
     def _mark(self, chair: FilmChair, begun: Set[str]) -> None:
         for name, kind in _MARKS.items():

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from textwrap import wrap
 from typing import Any, Final
 
+from wcsim.agents.evaluation.suite.intervals import FEWEST, Interval, bootstrapped, mcnemar
 from wcsim.agents.evaluation.suite.records import both_counted, saved_and_lost
 from wcsim.agents.evaluation.suite.result_files import TestResult
-from wcsim.agents.evaluation.suite.rows import FEWEST, Interval, bootstrapped, mcnemar
 from wcsim.agents.policy_api import BASELINES, UNAIDED, UPPER_BOUNDS
 from wcsim.view.report.pages import page
 

@@ -7,13 +7,13 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import Final
 
+from wcsim.agents.evaluation.suite.intervals import FEWEST
 from wcsim.agents.evaluation.suite.records import EpisodeRecord
 from wcsim.agents.evaluation.suite.result_files import TestResult
-from wcsim.agents.evaluation.suite.rows import FEWEST, ResultRow
+from wcsim.agents.evaluation.suite.rows import COLUMNS, GROUPS, LOOK, Column, ResultRow
 from wcsim.agents.policy_api import UNAIDED
 from wcsim.core.constants import RECORDED
 from wcsim.core.reading import counted
-from wcsim.view.report.columns import COLUMNS, GROUPS, LOOK, Column
 from wcsim.view.report.comparisons import Paired, compared, verdict
 from wcsim.view.report.failures import FailedEpisode, Illustration, Key, where_typed
 from wcsim.view.report.figures import figures_of

@@ -1,5 +1,7 @@
 """A block of a suite, driven in a street corner: how episodes end, whatever a policy does."""
 
+from dataclasses import fields
+
 import pytest
 
 from tests.agents.evaluation.suite.lists import (
@@ -18,8 +20,10 @@ from tests.agents.evaluation.suite.lists import (
     order_of,
 )
 from tests.support.worlds import open_world
+from wcsim.agents.evaluation.suite import drive
 from wcsim.agents.evaluation.suite.alarms import _users_alone
 from wcsim.agents.evaluation.suite.drive import Piece, drive_block, refused
+from wcsim.agents.evaluation.suite.records import EpisodeRecord
 from wcsim.agents.policies.baselines import baseline
 from wcsim.bridge.world_rollout import rollout
 from wcsim.types import SeatSpec
@@ -141,3 +145,10 @@ def test_danger_is_that_of_the_truth(corner):
             asked = [world.in_danger(client.seat) for client in clients if client.first is None]
             assert asked == said[len(said) - len(asked) :]
         assert len(set(said)) == 2
+
+
+def test_a_record_has_a_field_for_each_measure_and_no_other(corner, monkeypatch):
+    monkeypatch.setattr(drive, "EpisodeRecord", lambda **named: named)
+    found, _ = drive_block(*order_of(corner, block_of(corner, max_steps=3)), follow)
+    of_crashes = {"fault", "partner", "crash"}
+    assert found.keys() | of_crashes == {field.name for field in fields(EpisodeRecord)}

@@ -1,14 +1,15 @@
 """Rows of the table, and the planted fools: each is caught by the column that should."""
 
 import json
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import pytest
 
 from tests.agents.driven import Script, driven
 from tests.agents.evaluation.suite.test_records import GOOD
-from wcsim.agents.evaluation.suite.records import Intervention
-from wcsim.agents.evaluation.suite.rows import pooled_rows, row_of
+from tests.support.tracked import ROOT
+from wcsim.agents.evaluation.suite.records import SCORE_VERSION, Intervention
+from wcsim.agents.evaluation.suite.rows import COLUMNS, LOOK, ResultRow, pooled_rows, row_of
 from wcsim.agents.policies.baselines import baseline
 from wcsim.config import RunConfig
 
@@ -136,3 +137,22 @@ def test_a_policy_that_stands_freezes_on_the_carriageway():
 def test_a_cut_episode_survived():
     found = driven(baseline("follow", RunConfig()), Script(crash_at=99), episodes=1, max_steps=5)
     assert (found.kpi2, found.crashes_own, found.crashes_per_km, found.crashed) == (5, 0, None, 0.0)
+
+
+def test_arrivals_are_nothing_where_no_episode_is_an_attempt_to_arrive():
+    (arrivals,) = (column for column in LOOK if column.key == "arrivals")
+    drawn, sent = ([replace(GOOD, part=part, route_m=0.0)] for part in ("Helsinki, ataxic user", "free"))
+    assert arrivals.value(row_of("follow", "", drawn, ())) is None
+    assert (
+        arrivals.value(row_of("follow", "", sent, ())) == arrivals.value(row_of("follow", "", [*drawn, *sent], ())) == 1
+    )
+
+
+def test_what_else_a_new_figure_changes():
+    """Its key is explained; results of before are read no more, so that they need another version of the score."""
+    keys = [field.name for field in fields(ResultRow)]
+    page = (ROOT / "docs/suites.md").read_text(encoding="utf-8")
+    explained = [key for key in keys if key.endswith("_ci") or f"`{key}`" in page]
+    assert [key for key in keys if key not in explained] == ["policy", "part", "episodes"]
+    assert (SCORE_VERSION, len(keys)) == (2, 54)
+    assert all(column.interval for column in COLUMNS if column.range_of or column.range_form)

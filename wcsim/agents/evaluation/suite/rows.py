@@ -1,15 +1,26 @@
-"""The rows of a suite's table: sums of episodes, what each figure stands on, and how well it is known."""
+"""The figures of a test: what each is, how it is summed over episodes, and how tables show it.
+
+A figure is one entry of `ResultRow`, whose place there is its place in result.json. What an episode's
+record does not hold yet is measured in `supervisor/kpi.py` or `drive.py`, under a new field of the record.
+"""
 
 from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, fields
 from typing import Any, Final
 
 import numpy as np
 
+from wcsim.agents.evaluation.suite.intervals import (
+    Interval,
+    bootstrapped,
+    garwood,
+    mcnemar,
+    wilson,
+)
 from wcsim.agents.evaluation.suite.records import (
     CRASHED,
     FINISHED,
@@ -24,133 +35,358 @@ from wcsim.agents.evaluation.suite.records import (
     both_counted,
     saved_and_lost,
 )
-from wcsim.core import seeding
 from wcsim.supervisor.kpi import DROP
-from wcsim.types import F64
 
-_DRAWS = 2000
-FEWEST = 6  # of so many coins one in 32 shows one side alone, of five one in 16: fewer tell nothing at 95 %
-_TAIL = 0.5 * (1.0 - 0.95)  # of a distribution on each side of the interval
+# ruff: noqa: RUF009 - a call of `_figure` declares a field
 
-Interval = tuple[float, float]
-
-
-def garwood(events: int) -> Interval:
-    """The exact (Garwood) 95 % interval of the mean of a Poisson distribution from which `events` were counted once.
-
-    >>> [round(bound, 3) for bound in garwood(5)]
-    [1.623, 11.668]
-    """
-    from scipy.stats import chi2
-
-    low = 0.5 * float(chi2.ppf(_TAIL, 2 * events)) if events else 0.0
-    return low, 0.5 * float(chi2.isf(_TAIL, 2 * events + 2))
-
-
-def _wilson(count: int, of: int) -> Interval | None:
-    """Wilson's 95 % interval of a share, which has a width where none or all were counted too; None of nothing.
-
-    >>> [round(bound, 3) for bound in _wilson(20, 20)]
-    [0.839, 1.0]
-    """
-    from scipy.stats import binomtest
-
-    if of == 0:
-        return None
-    low, high = binomtest(count, of).proportion_ci(method="wilson")
-    return float(low), float(high)
-
-
-def bootstrapped(values: Sequence[float] | F64, weights: Sequence[float] | F64 | None = None) -> Interval | None:
-    """The 95 % interval of a weighted mean over episodes, by drawing episodes anew.
-
-    None without any weight, and of fewer than `FEWEST`. The draws are the same for the same numbers of episodes.
-    """
-    value = np.asarray(values, np.float64)
-    weight = np.ones(len(value)) if weights is None else np.asarray(weights, np.float64)
-    if len(value) < FEWEST or weight.sum() <= 0.0:
-        return None
-    drawn = seeding.generator(0, "bootstrap", len(value)).integers(0, len(value), (_DRAWS, len(value)))
-    total = weight[drawn].sum(1)
-    means = np.where(total > 0.0, (value * weight)[drawn].sum(1) / np.maximum(total, 1e-12), np.nan)
-    low, high = np.nanpercentile(means, (2.5, 97.5)).tolist()
-    return float(low), float(high)
-
-
-def mcnemar(only_first: int, only_second: int) -> float:
-    """Exact two-sided p-value of McNemar's test: as many or more one-sided pairs if neither were better.
-
-    >>> round(mcnemar(1, 9), 4)
-    0.0215
-    """
-    from scipy.stats import binomtest
-
-    pairs = only_first + only_second
-    return float(binomtest(only_first, pairs).pvalue) if pairs else 1.0
-
+# The questions that the columns of a page answer.
+_GLANCE: Final = "At a glance"  # the first, which consoles show, too
+_FAULT: Final = "Whose fault were the crashes?"
+_OBEDIENCE: Final = "Does it do what is asked?"
+_ARRIVAL: Final = "Does one get there?"
+_ALARMS: Final = "Does it step in and warn when it should?"
+_QUESTIONS: Final = (_GLANCE, _FAULT, _OBEDIENCE, _ARRIVAL, _ALARMS)
 
 _DIGITS: Final = 6
 _FAR_ENOUGH_KM: Final = 0.05  # below this a rate per kilometre says nothing
 
+Measured = float | None  # None where nothing was measured
+Range = Interval | None  # 95 %
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """A figure as tables show it."""
+
+    key: str  # of `ResultRow`
+    question: str
+    heading: str
+    says: str
+    form: str = "{:d}"
+    range_of: str = ""  # the figure whose 95 % range stands beside it; "" for its own, if any
+    range_form: str = ""  # of its two ends; "" for that of the figure
+    counted_in: str = ""  # key of a number: where that is 0 there is no figure
+    after: str = ""  # key of the column before it; "" for the order of the row
+
+    @property
+    def interval(self) -> str:
+        """Key of its range; "" where there is none."""
+        key = f"{self.range_of or self.key}_ci"
+        return key if key in _FIGURES else ""
+
+    def value(self, row: ResultRow) -> Any:
+        """The figure of a row; None where nothing was measured."""
+        return getattr(row, self.key) if getattr(row, self.counted_in or "policy") else None
+
+    def texts(self, row: ResultRow) -> tuple[str, str]:
+        """The figure of a row and its 95 % range in words, "" for each that is not known."""
+        value = self.value(row)
+        if value is None:
+            return "", ""
+        if self.key == "mcnemar_p" and value == 0:
+            return "< 1e-6", ""  # a result holds six digits
+        bounds = getattr(row, self.interval) if self.interval else None
+        ends = " to ".join((self.range_form or self.form).format(end) for end in bounds or ())
+        return self.form.format(value, row=row), ends
+
+
+class _Drives:
+    """The episodes of a row, and those of them that a figure may be about."""
+
+    def __init__(self, records: Sequence[EpisodeRecord], unaided: Sequence[EpisodeRecord]) -> None:
+        self.all = records
+        self.unaided = unaided if len(unaided) == len(records) else ()
+        self.saved_lost = saved_and_lost(records, self.unaided) if self.unaided else None
+        self.counted = [each for each in records if each.counts]
+        self.crashed = [each for each in self.counted if each.status == CRASHED]
+        self.own = sum(each.own for each in self.crashed)
+        self.directed = [each for each in self.counted if each.part in ON_THE_WAY]  # to an end
+        self.arrived = sum(each.status == FINISHED for each in self.directed)
+        self.judged = [each for each in self.counted if each.judged]
+        self.km = _total(self.counted, "m") / 1000.0
+        self.judged_km = _total(self.judged, "m") / 1000.0
+        self.scores = [each.score for each in self.counted]
+
+
+_Sum = Callable[[_Drives], Any]
+
+
+def _figure(total: _Sum, question: str = "", words: str = "", *form: str, **look: str) -> Any:
+    """A field of a row.
+
+    Args:
+        total: How it is summed.
+        question: The group of columns that shows it; "" for a figure that stands in files alone.
+        words: Its heading and, after a colon, what it says.
+        form: Form of a `Column`.
+        look: The other parts of a `Column`.
+    """
+    column = question and (question, *words.split(": ", 1), *form)
+    return field(metadata={"total": total, "column": column, "look": look})
+
+
+def _count(name: str) -> _Sum:
+    return lambda d: sum(getattr(each, name) for each in d.counted)
+
+
+def _total(records: Sequence[EpisodeRecord], name: str) -> float:
+    return math.fsum(getattr(each, name) for each in records)
+
+
+def _share(part: float, of: float) -> Measured:
+    return part / of if of else None
+
+
+def _ratio(above: str, below: str) -> _Sum:
+    return lambda d: _share(_total(d.counted, above), _total(d.counted, below))
+
+
+def _per_km(count: float, km: float) -> Measured:
+    return count / km if km >= _FAR_ENOUGH_KM else None
+
+
+def _crash_rate_range(d: _Drives) -> Range:
+    low, high = garwood(d.own)
+    return (low / d.km, high / d.km) if d.km >= _FAR_ENOUGH_KM else None
+
+
+def _obedience_range(d: _Drives) -> Range:
+    shares = [_share(each.moving_within, each.moving_steps) or 0.0 for each in d.counted]
+    return bootstrapped(shares, [float(each.moving_steps) for each in d.counted])
+
+
+def _jerkiness(d: _Drives) -> Measured:
+    # From step to step; that of a crash is left out.
+    changes = sum(max(0, each.steps - 1 - (each.status == CRASHED)) for each in d.counted)
+    mean = _share(_total(d.counted, "accel_sq_sum"), changes)
+    return None if mean is None else math.sqrt(mean)
+
+
+def _interventions(d: _Drives, verdict: str) -> list[int]:
+    """How many interventions of each judged episode have a verdict."""
+    return [sum(item.verdict == verdict for item in each.interventions) for each in d.judged]
+
+
+def _needless_range(d: _Drives) -> Range:
+    mean = bootstrapped(_interventions(d, NEEDLESS))
+    return mean and (mean[0] * len(d.judged), mean[1] * len(d.judged))
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ResultRow:
-    """A policy on one part of a list, or on all of it; None where nothing was measured, `_ci` are 95 % intervals."""
+    """A policy on one part of a list, or on all of it.
+
+    A figure is None where nothing was measured; a name with `_ci` is a 95 % interval.
+    """
 
     policy: str
     part: str  # "" for all
-    episodes: int  # that count
-    uncounted: int  # that ended before the policy took over, and hazards that are free episodes once more
-    status: Mapping[str, int]  # how many ended so, all of them
-    km: float
-    crashes_any: int
-    crashes_own: int
-    crashes_other: int  # another's fault, while the chair stood where it may
-    drops: int
-    crash_reasons: Mapping[str, int]
-    crashes_per_km: float | None  # of the chair's own
-    crashes_per_km_ci: Interval | None
-    red_entries: int  # it set out over a crossing that had red
-    crashed: float | None  # share of the episodes that a crash ended, whosever fault it was
-    crashed_ci: Interval | None
-    kpi1: float | None  # mean joystick distance
-    kpi1_within: float | None  # share of steps with one of at most 0.1768
-    kpi1_free: float | None  # mean over the steps that were free of danger when the policy answered
-    kpi1_moving: float | None  # mean over the free steps in which the user's stick is out by more than 0.3
-    kpi1_free_within: float | None  # share of those with one of at most 0.1768
-    kpi1_free_within_ci: Interval | None
-    free_share: float | None  # of the steps
-    kpi2: float | None  # mean steps that an episode lived
-    kpi2_median: float | None
-    blocked_share: float | None  # of the free steps: the user pushes forward and gets less than half of it
-    freezes: int  # times that the chair stood for 3 s and more though the user pushed, because the policy did not
-    accel_rms_mps2: float | None  # from step to step
-    stick_travel_per_s: float | None  # way of the stick that the chair was given
-    asked_travel_per_s: float | None  # and of the user's
-    speed_mps: float | None
-    arrivals: int  # episodes that ended at their goal, of those that have one to reach
-    attempts: int  # those
-    arrivals_ci: Interval | None
-    goals: int  # destinations reached, also those that are drawn one after the other
-    given_up: int
-    crossings: int  # completed: in from one pavement, out on the opposite one
-    road_s: float  # of standing on a carriageway
-    score: float | None
-    score_ci: Interval | None
-    interventions: int
-    judged_episodes: int
-    judged_km: float
-    needed: int
-    needless: int
-    needless_ci: Interval | None
-    missed: int
-    warned_share: float | None
-    false_warnings_per_km: float | None
-    helps: int  # times that the user asked for help
-    unaided_crashes_own: int | None = None  # of the same episodes with the user alone, as the next
-    saved: int | None = None
-    lost: int | None = None
-    mcnemar_p: float | None = None
+    episodes: int = _figure(lambda d: len(d.counted), _FAULT, "drives: however they ended, less those uncounted")
+    uncounted: int = _figure(
+        lambda d: len(d.all) - len(d.counted),
+        _FAULT,
+        "uncounted: ended before the policy took over, or repeat a free drive",
+    )
+    status: Mapping[str, int] = _figure(
+        lambda d: {name: sum(each.status == name for each in d.all) for name in STATUSES}
+    )
+    km: float = _figure(lambda d: d.km, _FAULT, "km: distance driven", "{:.2f}")
+    crashes_any: int = _figure(
+        lambda d: len(d.crashed),
+        _GLANCE,
+        "drives with a crash: whosever fault it was; the range is a share",
+        "{:d} of {row.episodes}",
+        range_of="crashed",
+        range_form="{:.0%}",
+    )
+    crashes_own: int = _figure(lambda d: d.own, _FAULT, "own crashes: crashes and falls by the chair's fault")
+    crashes_other: int = _figure(lambda d: len(d.crashed) - d.own, _FAULT, "crashes by others: by another's fault")
+    drops: int = _figure(
+        lambda d: sum(each.reason == DROP for each in d.crashed),
+        _FAULT,
+        "falls off kerbs: also own crashes",
+    )
+    crash_reasons: Mapping[str, int] = _figure(
+        lambda d: dict(sorted(Counter(each.reason for each in d.crashed).items()))
+    )
+    crashes_per_km: Measured = _figure(
+        lambda d: _per_km(d.own, d.km),
+        _FAULT,
+        "own crashes per km: with Garwood's interval",
+        "{:.2f}",
+        after="crashes_own",
+    )
+    crashes_per_km_ci: Range = _figure(_crash_rate_range)
+    red_entries: int = _figure(
+        _count("red_entries"),
+        _FAULT,
+        "red lights: times that the chair entered a crossing at red",
+    )
+    crashed: Measured = _figure(lambda d: _share(len(d.crashed), len(d.counted)))
+    crashed_ci: Range = _figure(lambda d: wilson(len(d.crashed), len(d.counted)))
+    kpi1: Measured = _figure(
+        _ratio("distance_sum", "steps"),
+        _OBEDIENCE,
+        "KPI 1: mean distance between the driven and the user's stick, over all steps",
+        "{:.3f}",
+    )
+    kpi1_within: Measured = _figure(
+        _ratio("within", "steps"),
+        _OBEDIENCE,
+        "within 0.1768: share of all steps within 0.1768 of the user's stick",
+        "{:.0%}",
+    )
+    kpi1_free: Measured = _figure(
+        _ratio("free_sum", "free_steps"),
+        _OBEDIENCE,
+        "KPI 1, free steps: over steps without danger",
+        "{:.3f}",
+    )
+    kpi1_moving: Measured = _figure(
+        _ratio("moving_sum", "moving_steps"),
+        _OBEDIENCE,
+        "KPI 1, moving free steps: over steps without danger in which the user's stick is out",
+        "{:.3f}",
+    )
+    kpi1_free_within: Measured = _figure(
+        _ratio("moving_within", "moving_steps"),
+        _GLANCE,
+        "did what was asked: share of moving steps without danger within 0.1768 of the user's stick",
+        "{:.0%}",
+    )
+    kpi1_free_within_ci: Range = _figure(_obedience_range)
+    free_share: Measured = _figure(
+        _ratio("free_steps", "steps"),
+        _OBEDIENCE,
+        "free steps: share of steps without danger",
+        "{:.0%}",
+    )
+    kpi2: Measured = _figure(
+        lambda d: _share(_count("steps")(d), len(d.counted)),
+        _ARRIVAL,
+        "KPI 2: steps of a drive until a crash or its end, mean",
+        "{:.0f}",
+    )
+    kpi2_median: Measured = _figure(
+        lambda d: float(np.median([each.steps for each in d.counted])) if d.counted else None
+    )
+    blocked_share: Measured = _figure(
+        _ratio("blocked_steps", "free_steps"),
+        _OBEDIENCE,
+        "blocked: share of steps without danger that give less than half of the user's push ahead",
+        "{:.1%}",
+    )
+    freezes: int = _figure(
+        _count("freezes"),
+        _OBEDIENCE,
+        "times frozen: stood for 3 s or more while the user's stick was out",
+        after="stick_travel_per_s",
+    )
+    accel_rms_mps2: Measured = _figure(
+        _jerkiness,
+        _OBEDIENCE,
+        "jerkiness: root mean square of the acceleration, m/s²",
+        "{:.2f}",
+    )
+    stick_travel_per_s: Measured = _figure(
+        _ratio("stick_travel", "time_s"),
+        _OBEDIENCE,
+        "stick travel: of the driven stick, per second",
+        "{:.2f}",
+    )
+    asked_travel_per_s: Measured = _figure(_ratio("asked_travel", "time_s"))
+    speed_mps: Measured = _figure(_ratio("m", "time_s"), _ARRIVAL, "speed, m/s: mean", "{:.2f}", after="crossings")
+    arrivals: int = _figure(
+        lambda d: d.arrived,
+        _GLANCE,
+        "arrived: at the destination, of drives that have one to reach; the range is a share",
+        "{:d} of {row.attempts}",
+        range_form="{:.0%}",
+        counted_in="attempts",
+    )
+    attempts: int = _figure(lambda d: len(d.directed))
+    arrivals_ci: Range = _figure(lambda d: wilson(d.arrived, len(d.directed)))
+    goals: int = _figure(
+        _count("goals"),
+        _ARRIVAL,
+        "goals: destinations reached, also in drives that go on to another",
+    )
+    given_up: int = _figure(_count("given_up"), _ARRIVAL, "given up: destinations that the user gave up")
+    crossings: int = _figure(_count("crossings"), _ARRIVAL, "crossings: crossings completed")
+    road_s: float = _figure(
+        lambda d: _total(d.counted, "road_s"),
+        _ARRIVAL,
+        "seconds on road: time of standing on a carriageway",
+        "{:.0f}",
+    )
+    score: Measured = _figure(
+        lambda d: _share(math.fsum(d.scores), len(d.counted)),
+        _GLANCE,
+        "score: 0 after an own crash or a red light, else share of the route x pace x what was done as "
+        "asked; without a route the last alone; in tight 0 after any crash; mean over drives",
+        "{:.2f}",
+    )
+    score_ci: Range = _figure(lambda d: bootstrapped(d.scores))
+    interventions: int = _figure(
+        lambda d: sum(len(each.interventions) for each in d.counted),
+        _ALARMS,
+        "interventions: stretches in which the policy did not do what was asked, in all drives",
+    )
+    judged_episodes: int = _figure(lambda d: len(d.judged))
+    judged_km: float = _figure(lambda d: d.judged_km)
+    needed: int = _figure(
+        lambda d: sum(_interventions(d, NEEDED)),
+        _ALARMS,
+        "needed: judged interventions without which the user crashes within 5 s: a copy of the world says so",
+        after="missed",
+    )
+    needless: int = _figure(
+        lambda d: sum(_interventions(d, NEEDLESS)),
+        _GLANCE,
+        "unneeded interventions: without which nothing happens within 5 s, in the drives that were judged so",
+        "{:d} in {row.judged_episodes}",
+        range_form="{:.0f}",
+        counted_in="judged_episodes",
+        after="kpi1_free_within",
+    )
+    needless_ci: Range = _figure(_needless_range)
+    missed: int = _figure(
+        _count("missed"),
+        _ALARMS,
+        "missed crashes: own crashes without an intervention in the last 5 s",
+    )
+    warned_share: Measured = _figure(
+        lambda d: _share(_total(d.judged, "warned"), _total(d.judged, "to_warn")),
+        _ALARMS,
+        "warned in time: share of dangers with a warning at least 1 s ahead; 0 % if the policy cannot warn",
+        "{:.0%}",
+    )
+    false_warnings_per_km: Measured = _figure(
+        lambda d: _per_km(_total(d.judged, "false_warnings"), d.judged_km),
+        _ALARMS,
+        "false warnings per km: warnings that no danger follows",
+        "{:.0f}",
+    )
+    helps: int = _figure(_count("helps"), _ALARMS, "help: times that the user asked for help")
+    unaided_crashes_own: int | None = _figure(
+        lambda d: sum(user.own for _, user in both_counted(d.all, d.unaided)) if d.unaided else None
+    )
+    saved: int | None = _figure(
+        lambda d: d.saved_lost and d.saved_lost[0],
+        _FAULT,
+        "saved: drives with an own crash of the user alone, and none with the policy",
+    )
+    lost: int | None = _figure(
+        lambda d: d.saved_lost and d.saved_lost[1],
+        _FAULT,
+        "lost: drives with an own crash with the policy, and none of the user alone",
+    )
+    mcnemar_p: Measured = _figure(
+        lambda d: d.saved_lost and mcnemar(*d.saved_lost),
+        _FAULT,
+        "p: McNemar's exact p-value of saved against lost",
+        "{:.2g}",
+    )
 
     @property
     def undone(self) -> int:
@@ -159,12 +395,26 @@ class ResultRow:
 
     @property
     def without_result(self) -> bool:
-        """Whether its policy came to the end of no episode that it was given, whatever the figures say."""
+        """Whether its policy came to the end of no episode that it was given."""
         return self.undone == sum(self.status.values()) - self.status[NOT_REACHED] > 0
 
     def to_json(self) -> dict[str, Any]:
         """Plain values under the same names."""
         return asdict(self)
+
+
+_FIGURES: Final = {each.name: each.metadata for each in fields(ResultRow) if each.metadata}
+_ORDER: Final = (*_QUESTIONS, *_FIGURES)
+COLUMNS: Final = sorted(
+    (Column(name, *of["column"], **of["look"]) for name, of in _FIGURES.items() if of["column"]),
+    key=lambda column: (
+        _ORDER.index(column.question),
+        _ORDER.index(column.after or column.key),
+        bool(column.after),
+    ),
+)
+GROUPS: Final = {question: [column for column in COLUMNS if column.question == question] for question in _QUESTIONS}
+LOOK: Final = GROUPS[_GLANCE]  # all that a first look needs
 
 
 def row_of(policy: str, part: str, records: Sequence[EpisodeRecord], unaided: Sequence[EpisodeRecord]) -> ResultRow:
@@ -174,144 +424,24 @@ def row_of(policy: str, part: str, records: Sequence[EpisodeRecord], unaided: Se
         policy: What it is called.
         part: The part, "" for all.
         records: Its episodes.
-        unaided: The same episodes with the user alone, in the same order; empty where they were not driven.
+        unaided: The same episodes with the user alone, in the same order; empty where they were
+            not driven.
     """
-    counted = [record for record in records if record.counts]
-    figures: dict[str, Any] = {
-        "uncounted": len(records) - len(counted),
-        "status": {name: sum(record.status == name for record in records) for name in STATUSES},
-        **_crashes(counted),
-        **_obedience(counted),
-        **_service(counted),
-        **_interventions(counted),
-        **(_twins(records, unaided) if records and len(unaided) == len(records) else {}),
-    }
-    rounded = {key: _rounded(value) for key, value in figures.items()}
-    return ResultRow(policy=policy, part=part, episodes=len(counted), **rounded)
-
-
-def _crashes(records: Sequence[EpisodeRecord]) -> dict[str, Any]:
-    crashes = [record for record in records if record.status == CRASHED]
-    own = sum(record.own for record in crashes)
-    km = _km(records)
-    low, high = garwood(own)
-    rated = km >= _FAR_ENOUGH_KM
-    return {
-        "km": km,
-        "crashes_any": len(crashes),
-        "crashes_own": own,
-        "crashes_other": len(crashes) - own,
-        "drops": sum(record.reason == DROP for record in crashes),
-        "crash_reasons": dict(sorted(Counter(record.reason for record in crashes).items())),
-        "crashes_per_km": own / km if rated else None,
-        "crashes_per_km_ci": (low / km, high / km) if rated else None,
-        "red_entries": _count(records, "red_entries"),
-        "crashed": _ratio(len(crashes), len(records)),
-        "crashed_ci": _wilson(len(crashes), len(records)),
-    }
-
-
-def _obedience(records: Sequence[EpisodeRecord]) -> dict[str, Any]:
-    steps, free, moving = (_count(records, name) for name in ("steps", "free_steps", "moving_steps"))
-    within = [record.moving_within / record.moving_steps if record.moving_steps else 0.0 for record in records]
-    return {
-        "kpi1": _ratio(_sum(records, "distance_sum"), steps),
-        "kpi1_within": _ratio(_count(records, "within"), steps),
-        "kpi1_free": _ratio(_sum(records, "free_sum"), free),
-        "kpi1_moving": _ratio(_sum(records, "moving_sum"), moving),
-        "kpi1_free_within": _ratio(_count(records, "moving_within"), moving),
-        "kpi1_free_within_ci": bootstrapped(within, [float(record.moving_steps) for record in records]),
-        "free_share": _ratio(free, steps),
-        "kpi2": _ratio(steps, len(records)),
-        "kpi2_median": float(np.median([record.steps for record in records])) if records else None,
-        "blocked_share": _ratio(_count(records, "blocked_steps"), free),
-        "freezes": _count(records, "freezes"),
-    }
-
-
-def _service(records: Sequence[EpisodeRecord]) -> dict[str, Any]:
-    scores = [record.score for record in records]
-    sent = [record for record in records if record.part in ON_THE_WAY]
-    arrived = sum(record.status == FINISHED for record in sent)
-    time_s = _sum(records, "time_s")
-    # From step to step; that of a crash is left out.
-    changes = sum(max(0, record.steps - 1 - (record.status == CRASHED)) for record in records)
-    return {
-        "accel_rms_mps2": None if (mean := _ratio(_sum(records, "accel_sq_sum"), changes)) is None else math.sqrt(mean),
-        "stick_travel_per_s": _ratio(_sum(records, "stick_travel"), time_s),
-        "asked_travel_per_s": _ratio(_sum(records, "asked_travel"), time_s),
-        "speed_mps": _ratio(_sum(records, "m"), time_s),
-        "arrivals": arrived,
-        "attempts": len(sent),
-        "arrivals_ci": _wilson(arrived, len(sent)),
-        "goals": _count(records, "goals"),
-        "given_up": _count(records, "given_up"),
-        "crossings": _count(records, "crossings"),
-        "road_s": _sum(records, "road_s"),
-        "score": _ratio(math.fsum(scores), len(scores)),
-        "score_ci": bootstrapped(scores),
-    }
-
-
-def _interventions(records: Sequence[EpisodeRecord]) -> dict[str, Any]:
-    judged = [record for record in records if record.judged]
-    needed, needless = (
-        [sum(item.verdict == verdict for item in record.interventions) for record in judged]
-        for verdict in (NEEDED, NEEDLESS)
-    )
-    spread = bootstrapped(needless)  # of the mean
-    km = _km(judged)
-    return {
-        "interventions": sum(len(record.interventions) for record in records),
-        "judged_episodes": len(judged),
-        "judged_km": km,
-        "needed": sum(needed),
-        "needless": sum(needless),
-        "needless_ci": spread and (spread[0] * len(judged), spread[1] * len(judged)),
-        "missed": _count(records, "missed"),
-        "warned_share": _ratio(_count(judged, "warned"), _count(judged, "to_warn")),
-        "false_warnings_per_km": _count(judged, "false_warnings") / km if km >= _FAR_ENOUGH_KM else None,
-        "helps": _count(records, "helps"),
-    }
-
-
-def _count(records: Sequence[EpisodeRecord], name: str) -> int:
-    return sum(getattr(record, name) for record in records)
-
-
-def _sum(records: Sequence[EpisodeRecord], name: str) -> float:
-    return math.fsum(getattr(record, name) for record in records)
-
-
-def _km(records: Sequence[EpisodeRecord]) -> float:
-    return math.fsum(record.m for record in records) / 1000.0
+    drives = _Drives(records, unaided)
+    figures = {name: _rounded(figure["total"](drives)) for name, figure in _FIGURES.items()}
+    return ResultRow(policy=policy, part=part, **figures)
 
 
 def pooled_rows(
     policy: str, records: Sequence[EpisodeRecord], unaided: Sequence[EpisodeRecord]
 ) -> tuple[list[ResultRow], ResultRow]:
-    """A policy's rows by part, in the order of the parts' first episodes, and that of all episodes."""
+    """A policy's rows by part, in the order of the parts' first episodes, and that of all."""
     rows = []
     for part in dict.fromkeys(record.part for record in records):
         chosen = [number for number, record in enumerate(records) if record.part == part]
-        twins = [unaided[number] for number in chosen] if len(unaided) == len(records) else []
-        rows.append(row_of(policy, part, [records[number] for number in chosen], twins))
+        alone = [unaided[number] for number in chosen] if len(unaided) == len(records) else []
+        rows.append(row_of(policy, part, [records[number] for number in chosen], alone))
     return rows, row_of(policy, "", records, unaided)
-
-
-def _twins(records: Sequence[EpisodeRecord], unaided: Sequence[EpisodeRecord]) -> dict[str, Any]:
-    """What became of the same episodes with the user alone; crashes that are the chair's own, and falls."""
-    saved, lost = saved_and_lost(records, unaided)
-    return {
-        "unaided_crashes_own": sum(twin.own for _, twin in both_counted(records, unaided)),
-        "saved": saved,
-        "lost": lost,
-        "mcnemar_p": mcnemar(saved, lost),
-    }
-
-
-def _ratio(above: float, below: float) -> float | None:
-    return above / below if below else None
 
 
 def _rounded(value: Any) -> Any:

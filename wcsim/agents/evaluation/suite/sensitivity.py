@@ -8,8 +8,9 @@ from typing import Any, Final
 
 import numpy as np
 
+from wcsim.agents.evaluation.suite.intervals import Interval, bootstrapped
 from wcsim.agents.evaluation.suite.records import EpisodeRecord, both_counted, undriven
-from wcsim.agents.evaluation.suite.rows import Interval, ResultRow, bootstrapped, row_of
+from wcsim.agents.evaluation.suite.rows import ResultRow, row_of
 from wcsim.agents.evaluation.suite.run import Done, SuiteOrder, run_suite
 from wcsim.errors import TownError
 
