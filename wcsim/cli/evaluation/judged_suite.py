@@ -502,7 +502,7 @@ def make_list(words: list[str]) -> int:
 
     from wcsim.agents.evaluation.suite.make import MakeOrder, make_suite
     from wcsim.agents.evaluation.suite.result_files import TOWNS
-    from wcsim.agents.opening.list_file import suite_towns, suite_of, write_list
+    from wcsim.agents.opening.list_file import suite_of, suite_towns, write_list
 
     with temporary_folder() as work:
         order = MakeOrder(
