@@ -7,7 +7,7 @@ import numpy as np
 
 from wcsim.agents.evaluation.suite.records import CRASHED, TIMED_OUT, EpisodeRecord
 from wcsim.agents.evaluation.suite.rows import ResultRow, row_of
-from wcsim.agents.policy_api import Policy, SeesTruth, tell_delay
+from wcsim.agents.policy_api import Policy, SeesTruth, pass_delay
 from wcsim.config import RunConfig
 from wcsim.supervisor.kpi import KpiStep, crash_of, sums_of
 from wcsim.types import Events, Joystick, Truth
@@ -21,7 +21,7 @@ def driven(
     policy.begin()
     for number in range(episodes):
         seen, info = env.reset(seed=seed) if number == 0 else env.reset()
-        tell_delay(policy, info.get("drawn"))
+        pass_delay(policy, info.get("drawn"))
         policy.reset()
         steps, ended = [], {"status": TIMED_OUT}
         for _ in range(max_steps):

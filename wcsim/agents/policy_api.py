@@ -114,7 +114,7 @@ class Warns(Protocol):
 
 
 @runtime_checkable
-class HearsSent(Protocol):
+class TracksExecuted(Protocol):
     """A policy that needs to know which action was executed, as that may differ from its choice."""
 
     def choose(self, observation: Observation) -> int:
@@ -131,20 +131,20 @@ class HearsSent(Protocol):
 
 
 @runtime_checkable
-class HearsDelay(Protocol):
+class NeedsDelay(Protocol):
     """A policy that is given the action delay of each episode, if `[vary]` draws one."""
 
     def set_delay(self, ticks: int) -> None:
         """From the next `reset` on, commands reach the chair this many ticks late."""
 
 
-def tell_delay(policy: Policy, drawn: Drawn | None) -> None:
+def pass_delay(policy: Policy, drawn: Drawn | None) -> None:
     """Hand on the delay drawn for the episode, before `reset`.
 
     Without one the policy assumes the configured delay.
     """
     if (
-        isinstance(policy, HearsDelay)
+        isinstance(policy, NeedsDelay)
         and drawn is not None
         and drawn.action_delay_ticks is not None
     ):
@@ -152,7 +152,7 @@ def tell_delay(policy: Policy, drawn: Drawn | None) -> None:
 
 
 @runtime_checkable
-class TellsUnsafe(Protocol):
+class ReportsUnsafe(Protocol):
     """A policy that says for every action whether it considers it unsafe."""
 
     @property
@@ -180,7 +180,7 @@ class Helping:
     """Raises a policy's level of assistance after a request for help, for a while.
 
     Args:
-        policy: Who assists.
+        policy: The policy that assists.
         ticks: How long, from the newest request on; with 0 nothing happens.
     """
 
@@ -189,8 +189,8 @@ class Helping:
         self._policy, self._ticks = policy, ticks
         self._level: float | None = None  # to go back to
 
-    def ask(self) -> None:
-        """The user asks for help."""
+    def request(self) -> None:
+        """Assist the most from now on."""
         self.left, policy = self._ticks, self._policy
         if self.left and self._level is None and isinstance(policy, Levelled):
             self._level = policy.level
@@ -227,8 +227,8 @@ def level_of(name: str) -> float:
     Raises:
         PolicyError: L is no number from 0 to 2.
     """
-    who, at, text = name.partition("@")
-    if who != LEVELLED or not at:
+    base, at, text = name.partition("@")
+    if base != LEVELLED or not at:
         return USUAL_LEVEL
     try:
         level = float(text)

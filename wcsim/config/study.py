@@ -16,7 +16,7 @@ _STEPS = 7
 _Name = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_-]{0,31}$")]
 _Line = Annotated[str, Field(min_length=1, max_length=200)]
 _Paragraph = Annotated[str, Field(min_length=1, max_length=1000)]
-_Told = Annotated[tuple[_Paragraph, ...], Field(max_length=12)]
+_StudyTexts = Annotated[tuple[_Paragraph, ...], Field(max_length=12)]
 _Minutes = Annotated[float, within(0.05, 120.0)]
 _Level = Annotated[float, within(0.0, 100.0)]
 _Reference = Annotated[str, Field(min_length=1, max_length=400)]
@@ -52,7 +52,7 @@ class StudyBlock(Model):
 
     name: _Name
     title: _Line  # as the participant reads it: it need not say what is compared
-    told: _Told = ()  # before it begins
+    told: _StudyTexts = ()  # before it begins
     assistance: bool
     level: _Level | None = None  # of assistance; None leaves the policy's own
     minutes: _Minutes = 5.0  # of driving, pauses do not count
@@ -100,7 +100,7 @@ class StudyFile(Model):
 
     name: _Name
     title: _Line
-    told: _Told  # on the first page
+    told: _StudyTexts  # on the first page
     policy: _Reference = "dwa"  # who assists, in every block
     profile: _Reference = "competent"  # of the simulated user beside, who says where the way goes
     balanced: bool = True  # the blocks' order by participant number; else as they stand
@@ -110,7 +110,7 @@ class StudyFile(Model):
     practice_place: StudyPlace | None = None  # None for the first of `places`
     blocks: Annotated[tuple[StudyBlock, ...], Field(min_length=1, max_length=MOST_BLOCKS)]
     questions: Annotated[tuple[StudyQuestion, ...], Field(max_length=MOST_QUESTIONS)] = ()
-    thanks: _Told = ()  # on the last page
+    thanks: _StudyTexts = ()  # on the last page
 
     @model_validator(mode="after")
     def _has_no_name_twice(self) -> StudyFile:

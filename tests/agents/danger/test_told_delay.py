@@ -11,7 +11,7 @@ from tests.agents.evaluation.suite.lists import Held, block_of, order_of
 from wcsim.agents.danger.policy import DangerPolicy
 from wcsim.agents.evaluation.suite.drive import drive_block
 from wcsim.agents.policies.baselines import baseline
-from wcsim.agents.policy_api import HearsDelay, tell_delay
+from wcsim.agents.policy_api import NeedsDelay, pass_delay
 from wcsim.config import resolve
 from wcsim.types import Drawn
 
@@ -41,8 +41,8 @@ class Drawing(Script):
 def test_a_network_that_was_told_a_delay_sees_what_one_sees_that_was_made_with_it(ticks):
     config, told = small_config(), policy_of()
     made = DangerPolicy("own", told._net, config, told.rule, ticks)
-    tell_delay(told, Drawn(action_delay_ticks=ticks + 1))
-    tell_delay(told, Drawn(action_delay_ticks=ticks))
+    pass_delay(told, Drawn(action_delay_ticks=ticks + 1))
+    pass_delay(told, Drawn(action_delay_ticks=ticks))
     for policy in (told, made):
         policy.reset()
     for tick in range(5):
@@ -55,10 +55,10 @@ def test_a_network_that_was_told_a_delay_sees_what_one_sees_that_was_made_with_i
 def test_without_a_drawn_delay_the_configured_one_stays():
     policy, told = policy_of("world.action_delay_ticks=2"), Told()
     for drawn in (None, Drawn(light=0.5)):
-        tell_delay(policy, drawn)
-        tell_delay(told, drawn)
+        pass_delay(policy, drawn)
+        pass_delay(told, drawn)
     assert policy.extractor.around.ego.delay_ticks == 2 and told.heard == []
-    assert isinstance(policy, HearsDelay) and not isinstance(baseline("dwa", small_config()), HearsDelay)
+    assert isinstance(policy, NeedsDelay) and not isinstance(baseline("dwa", small_config()), NeedsDelay)
 
 
 def test_a_test_in_a_town_tells_each_episodes_delay_before_it_begins():

@@ -10,7 +10,7 @@ from tests.agents.export.test_danger_graph import network
 from tests.support.journals import JournaledWorld
 from tests.support.worlds import quick_config
 from wcsim.agents.danger.policy import DangerPolicy, load_net, save_danger
-from wcsim.agents.policy_api import tell_delay
+from wcsim.agents.policy_api import pass_delay
 from wcsim.agents.rounds.recorded_ride import _RecordedRide, recorded_ride
 from wcsim.bridge.replay.replayed import config_of
 from wcsim.config import RunConfig, resolve
@@ -74,7 +74,7 @@ def test_who_sees_a_journals_seat_again_chooses_what_was_chosen(
         driver.begin()
         it.admit(0)
         it.admit(1)  # of 25 steps
-        tell_delay(driver, it.now.clients[1].drawn)
+        pass_delay(driver, it.now.clients[1].drawn)
         driver.reset()
         chosen = []
         for _ in range(30):

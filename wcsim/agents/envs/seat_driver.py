@@ -5,7 +5,14 @@ from __future__ import annotations
 from typing import Protocol
 
 from wcsim.agents.envs.episode_view import ChairView, EpisodeStep, Info, policy_observation
-from wcsim.agents.policy_api import HearsSent, Helping, Observation, Policy, SeesTruth, tell_delay
+from wcsim.agents.policy_api import (
+    Helping,
+    Observation,
+    Policy,
+    SeesTruth,
+    TracksExecuted,
+    pass_delay,
+)
 from wcsim.config import RunConfig
 from wcsim.types import ClientSnapshot, Joystick
 
@@ -77,22 +84,22 @@ class PolicyAgent:
             # Set first: a policy that fails to begin is not begun again.
             self._is_new = False
             self.policy.begin()
-        tell_delay(self.policy, info["drawn"])
+        pass_delay(self.policy, info["drawn"])
         self.policy.reset()
 
     def act(self, observation: Observation, info: Info) -> int:
         """The policy's action."""
         self._show(info)
         if info["help"]:
-            self.help.ask()
+            self.help.request()
         action = self.policy.act(observation)
         self.help.tick()
         return action
 
     def choose(self, observation: Observation, info: Info) -> int:
-        """As `act`, where the caller handles calls for help, and sends a `HearsSent` the action."""
+        """As `act`, where the caller handles calls for help, and sends a `TracksExecuted` the action."""
         self._show(info)
-        if isinstance(self.policy, HearsSent):
+        if isinstance(self.policy, TracksExecuted):
             return int(self.policy.choose(observation))
         return int(self.policy.act(observation))
 

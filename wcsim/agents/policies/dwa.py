@@ -35,12 +35,12 @@ from wcsim.agents.policy_api import (
     MOTION_SENSES,
     STATE_SENSE,
     USUAL_LEVEL,
-    HearsDelay,
-    HearsSent,
+    NeedsDelay,
     Observation,
     Policy,
+    ReportsUnsafe,
     SeesTruth,
-    TellsUnsafe,
+    TracksExecuted,
     Warns,
     require_level,
     senses_of,
@@ -160,7 +160,7 @@ def _brakes_in_time(
     return free & ~blind, gap_m
 
 
-class DynamicWindow(HearsSent):
+class DynamicWindow(TracksExecuted):
     """Chooses the action nearest to the user's stick that can be braked in time, with some room.
 
     It remembers the street around it, the road users there, and its own motion.
@@ -264,7 +264,7 @@ class DynamicWindow(HearsSent):
         return int(np.argmin(np.where(free, cost, np.inf)))
 
 
-class Veto(HearsSent):
+class Veto(TracksExecuted):
     """Drives one chair: its action is the policy's, or the nearest one to it that is not forbidden.
 
     Its level of assistance is that of `dwa`: how early, and how widely, it forbids.
@@ -308,7 +308,7 @@ class Veto(HearsSent):
 
     def set_delay(self, ticks: int) -> None:
         """Pass the delay on to a policy that takes it."""
-        if isinstance(self.inner, HearsDelay):
+        if isinstance(self.inner, NeedsDelay):
             self.inner.set_delay(ticks)
 
     def begin(self) -> None:
@@ -329,11 +329,11 @@ class Veto(HearsSent):
     def choose(self, observation: Observation) -> int:
         """The action, while another one may still be sent."""
         inner = self.inner
-        chooses = inner.choose if isinstance(inner, HearsSent) else inner.act
+        chooses = inner.choose if isinstance(inner, TracksExecuted) else inner.act
         chosen = int(chooses(observation))
         self._dwa.choose(observation)
         forbidden = self._dwa.unsafe
-        doubted = inner.unsafe if isinstance(inner, TellsUnsafe) else np.zeros_like(forbidden)
+        doubted = inner.unsafe if isinstance(inner, ReportsUnsafe) else np.zeros_like(forbidden)
         self.unsafe = forbidden | doubted
         # With every action forbidden `dwa` knows no better than the policy.
         if not forbidden[chosen] or forbidden.all():
@@ -344,6 +344,6 @@ class Veto(HearsSent):
 
     def sent(self, action: int) -> None:
         """Take the action that is executed."""
-        if isinstance(self.inner, HearsSent):
+        if isinstance(self.inner, TracksExecuted):
             self.inner.sent(action)
         self._dwa.sent(action)
