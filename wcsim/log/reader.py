@@ -69,6 +69,7 @@ def read_header(path: Path, expected: LogKind | None = None) -> Header:
 def iter_log(path: Path) -> Iterator[LogRecord]:
     """The records of a log one by one, of all its parts, up to the last whole one.
 
+    The headers of all parts are read at once, so that a part that is no log raises here.
     Raises JournalError when it is no log, and where it is damaged before its end.
     """
     first, *others = _parts(path)
@@ -212,7 +213,9 @@ class LogScan:
 
 
 class LogTail(Closing):
-    """Follows a log that is being written: from its newest part on, and into each part after it.
+    """Follows a log that is being written: from its newest part on, and into a newer one.
+
+    Of parts that come and go between two calls it reads the newest alone.
 
     Args:
         path: Of the log; it need not exist yet.

@@ -16,7 +16,7 @@ from wcsim.agents.opening.learner_registry import DANGER_ROUNDS
 from wcsim.agents.opening.named_policy import open_named
 from wcsim.agents.policies.onnx_policy import read_about
 from wcsim.agents.policy_api import Policy
-from wcsim.agents.runs.policy_file import SIGHT_KEYS
+from wcsim.agents.runs.policy_file import CAMERA_KEYS
 from wcsim.config import resolve
 from wcsim.config.run_file import DangerRule, GuardRule
 from wcsim.errors import PolicyError
@@ -65,7 +65,7 @@ def test_a_test_of_the_folder_shows_it_the_camera_and_the_chair_of_its_training(
     about = read_about(tmp_path)
     tested = resolve(about.preset, about.settings)
     assert tested.chair == config.chair and tested.env.classes == "wcsim" and tested.env.actions == "disc69"
-    keys = ("width_px", "height_px", *SIGHT_KEYS)
+    keys = CAMERA_KEYS
     assert all(getattr(tested.cameras[0], key) == getattr(config.cameras[0], key) for key in keys)
     assert tested.world.action_delay_ticks == 1
     assert tested.env.observe_yaw and not tested.env.observe_gyro and tested.sensors == config.sensors

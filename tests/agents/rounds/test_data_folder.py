@@ -189,7 +189,13 @@ def test_data_of_another_camera_is_refused_and_told(tmp_path: Path):
     file = read_manifest(tmp_path)
     require_same_settings(tmp_path, file, dqn_config("learn.gamma=0.9"))
     assert file.data_sha256 == data_digest({"a": "2" * 64, "b": "1" * 64})
-    for other in ("world.tick_s=0.05", "cameras.0.width_px=40", "cameras.0.pitch_deg=10", "chair.v_max_mps=2.0"):
+    for other in (
+        "world.tick_s=0.05",
+        "cameras.0.width_px=40",
+        "cameras.0.pitch_deg=10",
+        "cameras.0.roll_deg=10",
+        "chair.v_max_mps=2.0",
+    ):
         with pytest.raises(PolicyError, match=other.partition("=")[0]):
             require_same_settings(tmp_path, file, dqn_config(other))
 

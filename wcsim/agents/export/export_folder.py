@@ -11,18 +11,19 @@ from typing import Any, Final
 from wcsim.agents.export.guard import MEANING
 from wcsim.agents.policies.onnx_policy import ABOUT_FILE
 from wcsim.agents.policy_api import MODEL_FILE
-from wcsim.agents.runs.policy_file import SIGHT_KEYS
+from wcsim.agents.runs.policy_file import CAMERA_KEYS
 from wcsim.config import RunConfig
 from wcsim.core.reading import escaped, is_folder
 from wcsim.errors import ConfigError, PolicyError
 
 REFERENCE: Final = "reference.npz"
 LOOP: Final = "exported_policy.py"
+# What `onnx_export.export_policy` writes, each file in a line of its own there. A file that is
+# missing here makes the next export into the same folder be refused.
 WRITTEN: Final = (MODEL_FILE, ABOUT_FILE, MEANING, REFERENCE, LOOP)
 # Beside these Python leaves its own folder, once the loop was imported.
 _EXPECTED: Final = (*WRITTEN, "__pycache__")
 _MOST_NAMED: Final = 3
-_CAMERA_KEYS: Final = ("width_px", "height_px", *SIGHT_KEYS)
 _OTHER_KEYS: Final = (
     ("env", "actions"),
     ("env", "classes"),
@@ -33,9 +34,12 @@ _OTHER_KEYS: Final = (
 
 
 def differing_settings(own: RunConfig, other: RunConfig) -> list[str]:
-    """The settings of what a network sees and can choose, where `other` differs from `own`."""
+    """The policy's settings of what it sees and can choose, where `other` has other ones.
+
+    `other` is a recording to refuse, or the preset that policy.toml is laid over.
+    """
     found: list[tuple[str, Any]] = []
-    for key in _CAMERA_KEYS:
+    for key in CAMERA_KEYS:
         value = getattr(own.eye, key)
         if value != getattr(other.eye, key):
             found.append((f"cameras.0.{key}", value))

@@ -51,7 +51,8 @@ Progress = Callable[[TrainProgress], None]
 
 PROGRESS_EVERY: Final = 50  # steps
 Q_ALARM: Final = 1.5  # times the largest value that the reward allows
-# Between checkpoints with a replay of their own (True), and those that share the newest replay.
+# Wall time between checkpoints with a replay of their own (True), and between those that share the
+# newest replay, if there is one. Each has a timer; `learn.checkpoint_every` saves beside them.
 SAVE_EVERY_S: Final = {True: 900.0, False: 60.0}
 _now_s = time.monotonic
 

@@ -19,6 +19,7 @@ from typing import Any, Final
 import numpy as np
 import zstandard
 
+from wcsim.agents.runs.policy_file import SIGHT_KEYS
 from wcsim.config import ChairConfig, RunConfig, parse
 from wcsim.config.plant import plant_text
 from wcsim.config.run_file import DataFile
@@ -54,8 +55,7 @@ _SETTINGS: Final = (
 )
 # Also of the world that was seen. They are not in the digest, so that older folders' stay the same.
 _ALSO: Final = (
-    *("cameras.0.range_m", "cameras.0.near_m", "cameras.0.p_BC_m"),
-    *("cameras.0.yaw_deg", "cameras.0.pitch_deg"),
+    *(f"cameras.0.{key}" for key in SIGHT_KEYS if key != "hfov_deg"),
     "world.tick_s",
 )
 # What a message names where it differs.

@@ -30,11 +30,13 @@ from wcsim.errors import ConfigError, PolicyError
 POLICY_JSON: Final = "policy.json"
 WEIGHTS: Final = "weights.safetensors"
 
-# Of a camera: what makes the same street look different to a network.
+# Of a camera: what makes the same street look different to a network. A key here is compared
+# wherever a network meets a camera: tests, collected data, recordings to export with.
 SIGHT_KEYS: Final = (
     *("hfov_deg", "range_m", "near_m", "p_BC_m"),
     *("yaw_deg", "pitch_deg", "roll_deg"),
 )
+CAMERA_KEYS: Final = ("width_px", "height_px", *SIGHT_KEYS)
 
 SHIPPED: Final = "shipped"
 FILES: Final = "files.json"
@@ -191,11 +193,7 @@ def require_same_senses(folder: Path, name: str, config: RunConfig) -> None:
     """Refuse a danger network of another camera, class form or action set. Raises PolicyError."""
     file = read_danger_file(folder)
     camera = config.cameras[0]
-    other = [
-        key
-        for key in ("width_px", "height_px", *SIGHT_KEYS)
-        if getattr(file.camera, key) != getattr(camera, key)
-    ]
+    other = [key for key in CAMERA_KEYS if getattr(file.camera, key) != getattr(camera, key)]
     other += [key for key in ("actions",) if file.net.actions != config.env.actions]
     other += [key for key in ("classes",) if file.classes != config.env.classes]
     if other:

@@ -23,6 +23,7 @@ from wcsim.errors import ConfigError
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.events import Peer
 from wcsim.server.transport.keys import KnownKeys, is_loopback, server_keys
+from wcsim.types.bounds import MOST_SEATS
 
 log = logging.getLogger("wcsim.server.transport.sockets")
 
@@ -32,7 +33,8 @@ REMOTE: Final = b"R"
 # Unread messages of a peer: 1 MiB at most. For one message that does not end see SECURITY.md.
 QUEUE: Final = 128
 BATCH: Final = 256  # messages that are received at a time
-MAX_PEERS: Final = 64
+# Peers with an account: as many as seats at least, or a client of a full world gets no answer.
+MAX_PEERS: Final = MOST_SEATS
 # A sole master in a world that costs nothing sends 2,500 (measured).
 MESSAGES_PER_S: Final = 10_000.0
 BURST: Final = 10_000.0
@@ -123,7 +125,10 @@ class ServerSockets(Closing):
         self._watched.add(fileno)
 
     def wait(self, most_ms: int) -> bool:
-        """Wait until something can be read; returns whether from a watched descriptor."""
+        """Wait until something can be read; returns whether a watched descriptor ended the wait.
+
+        False also where there are messages.
+        """
         # A ZeroMQ descriptor wakes once for events of any kind. EVENTS says whether there is a
         # message (measured: in a fifth of the time of zmq.Poller, but longer than to receive one).
         for side, socket in self._sockets.items():
@@ -250,7 +255,11 @@ class ServerSockets(Closing):
 
 
 class PeerLimits:
-    """How much each peer may send: a token bucket, and a count of faults that shuts it out."""
+    """How much each peer may send: a token bucket, and a count of faults that shuts it out.
+
+    An account outlives its connection. A peer that lost its account to another one begins anew,
+    without faults.
+    """
 
     def __init__(self) -> None:
         self._accounts: dict[Peer, _Account] = {}
