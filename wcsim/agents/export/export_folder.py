@@ -18,8 +18,8 @@ from wcsim.errors import ConfigError, PolicyError
 
 REFERENCE: Final = "reference.npz"
 LOOP: Final = "exported_policy.py"
-# What `onnx_export.export_policy` writes, each file in a line of its own there. A file that is
-# missing here makes the next export into the same folder be refused.
+# What `onnx_export.export_policy` writes; it does not read this list. A file that is missing here
+# makes the next export into the same folder be refused.
 WRITTEN: Final = (MODEL_FILE, ABOUT_FILE, MEANING, REFERENCE, LOOP)
 # Beside these Python leaves its own folder, once the loop was imported.
 _EXPECTED: Final = (*WRITTEN, "__pycache__")

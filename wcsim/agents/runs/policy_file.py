@@ -31,7 +31,8 @@ POLICY_JSON: Final = "policy.json"
 WEIGHTS: Final = "weights.safetensors"
 
 # Of a camera: what makes the same street look different to a network. A key here is compared
-# wherever a network meets a camera: tests, collected data, recordings to export with.
+# wherever a network meets a camera: tests, collected data, recordings to export with. A new key
+# needs `exclude_if` at its default, or all older data folders would differ.
 SIGHT_KEYS: Final = (
     *("hfov_deg", "range_m", "near_m", "p_BC_m"),
     *("yaw_deg", "pitch_deg", "roll_deg"),
