@@ -210,8 +210,8 @@ class SimulatedUser(User):
         path = Path(route)
         street = self._street
         ground = None if street is None else street.grid
-        # Whether the user obeys the law is drawn by a generator of each route: it does not depend on
-        # how far the chair got on the route before. Attention, hand, misses and fear draw on.
+        # Whether the user obeys the law is drawn by a generator of each route: it does not depend
+        # on how far the chair got on the route before. Attention, hand, misses and fear draw on.
         (law_rng,) = self._law_rng.spawn(1)
         self._stops = CrossingStops(
             () if street is None else crossings(route, street.walk),
