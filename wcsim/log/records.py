@@ -376,7 +376,10 @@ def record_bytes(record: LogRecord) -> bytes:
 
 
 def comparable_record(record: LogRecord) -> LogRecord:
-    """A record without what may differ between equal runs: names, reasons, claims."""
+    """A record without what may differ between equal runs: names, reasons, claims.
+
+    `log_digest` and `wcsim log compare` both compare such records.
+    """
     if isinstance(record, Admitted):
         return changed(record, name="", claim="")
     return changed(record, reason="") if isinstance(record, Dismissed | Ended) else record

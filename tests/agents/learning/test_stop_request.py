@@ -25,17 +25,25 @@ def test_a_run_that_is_stopped_while_its_world_is_away_keeps_all_its_steps(tmp_p
     assert signal.getsignal(WAIT_NO_MORE) is before
 
 
-def test_ctrl_c_while_the_world_is_silent_shortens_the_wait_and_keeps_all_steps(tmp_path):
+@pytest.mark.parametrize(("again", "last"), [(False, 149), (True, 120)])
+def test_ctrl_c_while_the_world_is_silent_shortens_the_wait_and_keeps_all_steps(again, last, tmp_path):
+    """A second one, `again` while that is saved, leaves the checkpoint before."""
+
     def away():
         os.kill(os.getpid(), signal.SIGINT)
         assert less, "it waits as long as ever"
         raise ServerGoneError("nobody answers")
 
+    def saves():
+        if again and less:
+            os.kill(os.getpid(), signal.SIGINT)
+
     env, less = Nervous(150, away), []
     env.unwrapped.wait_less = lambda: less.append(True)
     with pytest.raises(InterruptedRunError, match="wcsim resume"):
-        train(a_run(config(), tmp_path / "run", 5), lambda: env)
-    assert newest_number(tmp_path / "run" / "checkpoints") == 149
+        train(a_run(config(), tmp_path / "run", 5), lambda: env, alive=saves)
+    assert newest_number(tmp_path / "run" / "checkpoints") == last
+    assert open_run(tmp_path / "run").manifest.status == "interrupted"
 
 
 def test_a_second_signal_that_was_sent_to_all_does_not_tear_what_a_client_saves(tmp_path):

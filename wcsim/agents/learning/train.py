@@ -227,9 +227,11 @@ class _Session(SeqCallback):
                     self._save_checkpoint()
             raise self._save_interrupted() from None
         except (LinkError, DiskFullError) as error:
-            # 3. The world or the seat is lost; what was learned is worth saving.
+            # 3. The world or the seat is lost; what was learned is worth saving. A stop meanwhile
+            # leaves the checkpoints before, which are whole.
             if model.num_timesteps > 0:
-                self._save_checkpoint()
+                with contextlib.suppress(KeyboardInterrupt):
+                    self._save_checkpoint()
             if self._stop.requested and isinstance(error, LinkError):
                 raise self._save_interrupted() from error
             raise
