@@ -91,7 +91,7 @@ class Assistance:
     def ask_for_help(self) -> None:
         """Helping from now on; where help is on already, its time begins again. A policy that broke does not."""
         if not self.failed:
-            self._guarded(self._agent.help.ask)
+            self._guarded(self._agent.help.request)
 
     def end_tick(self) -> None:
         """A tick has been driven: the time of help runs."""
