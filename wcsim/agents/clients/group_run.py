@@ -113,7 +113,11 @@ class ClientsFolder:
         return read_json(folder, MANIFEST) if (folder / MANIFEST).is_file() else {}
 
     def fruitless(self) -> bool:
-        """Whether nothing was done: no tick of the world, no step of a client, nothing saved."""
+        """Whether nothing was done: no tick of the world, no step of a client, nothing saved.
+
+        A new run of which that is true is removed when it fails. For a run of one network
+        `removed_without_results` of `cli/shared/training.py` judges, by `has_results` alone.
+        """
         journal = self.path / JOURNAL
         if part_files(journal) and _may_hold(
             journal, iter_inputs, lambda record: isinstance(record, Ticked)
