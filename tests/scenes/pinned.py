@@ -16,7 +16,7 @@ import numpy as np
 
 from wcsim.config import ChairConfig
 from wcsim.core.joystick import shaped_rows
-from wcsim.scenes.facts import Facts
+from wcsim.scenes.meter import Facts
 from wcsim.scenes.run import _PINNED_LIBM, _run_scene
 
 

@@ -8,6 +8,7 @@ import pytest
 
 from tests.scenes.pinned import pinned_scenes
 from tests.scenes.planted import PLANTED, plant
+from wcsim.cli.scene import faults
 from wcsim.config import read_toml
 from wcsim.config.scene import SceneExpect, SceneFile
 from wcsim.log.diff import golden_difference, golden_note
@@ -15,7 +16,6 @@ from wcsim.log.fingerprint import PACKAGES
 from wcsim.log.reader import read_states
 from wcsim.log.records import changed
 from wcsim.log.writer import LogWriter
-from wcsim.scenes.facts import faults
 from wcsim.scenes.run import TRACE_EVERY, run_in_child
 from wcsim.towns.scene_folders.build import GOLDEN, find_scene, list_scenes
 

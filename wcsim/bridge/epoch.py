@@ -65,7 +65,10 @@ class ReactingTraffic:
 
     def read(self, places_W_m: F64) -> tuple[ActorState, ...]:
         """The actors near the chairs (n, 2) after SUMO's step; whom it has just put on top of a chair leaves again."""
-        return self._shown(self._admitted(self._near(places_W_m)))
+        near = self._near(places_W_m)
+        on_top = self._drivers.turned_away(self._level(near), self.chairs, self._sumo.come)
+        away = [actor_id for actor_id in on_top if self._sumo.turn_away(actor_id)]
+        return self._shown(tuple(actor for actor in near if actor.id not in away) if away else near)
 
     def move(self, near: tuple[ActorState, ...], places_W_m: F64) -> None:
         """Carry the people's steps aside on by a tick, and make those of `read` the actors of now."""
@@ -89,12 +92,6 @@ class ReactingTraffic:
     def _near(self, places_W_m: F64) -> tuple[ActorState, ...]:
         """The actors near any chair as SUMO has them."""
         return self._sumo.actors(places_W_m, self._config.mirror_radius_m)
-
-    def _admitted(self, near: tuple[ActorState, ...]) -> tuple[ActorState, ...]:
-        """All but those that SUMO has just put on top of a chair; these leave the street again if they can."""
-        on_top = self._drivers.turned_away(self._level(near), self.chairs, self._sumo.come)
-        away = [actor_id for actor_id in on_top if self._sumo.turn_away(actor_id)]
-        return tuple(actor for actor in near if actor.id not in away) if away else near
 
     def _shown(self, near: tuple[ActorState, ...]) -> tuple[ActorState, ...]:
         """The same actors with long vehicles as they take a bend: wide of it, and each in its rigid pieces."""

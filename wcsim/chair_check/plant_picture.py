@@ -49,7 +49,8 @@ def _plant_image(spec: PlantSpec, name: str) -> Image:
     """The picture, (H, W, 3) BGR: side view above, top view below."""
     side, above = _View(spec, 2, spec.outline.height_m), _View(spec, 1, spec.outline.width_m)
     for view in (side, above):
-        _draw_frame(view, spec)
+        for box in spec.frame.boxes:
+            view.box(box.centre_m, box.size_m, _FRAME)
         for foot in stand(spec).feet:
             _draw_foot(view, foot)
         _draw_pivots(view, spec)
@@ -95,11 +96,6 @@ class _View:
 
     def mark(self, p_m: Vec3, colour: Colour, kind: int, size: int = 16) -> None:
         cv2.drawMarker(self.image, self.at(p_m), colour, kind, size, 2, cv2.LINE_AA)
-
-
-def _draw_frame(view: _View, spec: PlantSpec) -> None:
-    for box in spec.frame.boxes:
-        view.box(box.centre_m, box.size_m, _FRAME)
 
 
 def _draw_foot(view: _View, foot: Foot) -> None:

@@ -8,8 +8,16 @@ from typing import Annotated, Final
 
 from tyro.conf import arg
 
-from wcsim.cli.recordings.film_page import PageOptions, serve_page
-from wcsim.cli.shared.common import Bounds, OutFolder, SomeTown, Writes, has_option, parse
+from wcsim.cli.shared.common import (
+    Bounds,
+    OutFolder,
+    PageOptions,
+    SomeTown,
+    Writes,
+    has_option,
+    parse,
+    serve_page,
+)
 from wcsim.cli.shared.run_config import require_policy, require_user
 from wcsim.drive.driven import LEAST_SENSITIVITY, LEAST_SPEED, MOST_SENSITIVITY
 from wcsim.errors import ConfigError

@@ -6,20 +6,22 @@ import shlex
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Final
+from typing import TYPE_CHECKING, Annotated, Final
 
 from tyro.conf import Positional, arg
 
 from wcsim.cli.shared.common import OutFile, Parts, Writes, run_part, write_json
 from wcsim.cli.shared.consoles import show_table
 from wcsim.config import read_toml
-from wcsim.config.scene import SceneFile
+from wcsim.config.scene import SceneExpect, SceneFile
 from wcsim.core.own_folder import temporary_folder
 from wcsim.core.reading import counted, escaped
 from wcsim.errors import ConfigError
-from wcsim.scenes.facts import Facts, faults
 from wcsim.scenes.template import write_scene
 from wcsim.towns.scene_folders.build import GOLDEN, NETCONVERT_FILES, find_scene, list_scenes
+
+if TYPE_CHECKING:  # loads the simulators, which --help must not
+    from wcsim.scenes.meter import Facts
 
 Scenes = Annotated[tuple[str, ...], Positional, arg(metavar="[SCENE ...]")]
 HOME: Final = Path("scenarios") / "sumo" / "scenes"
@@ -186,6 +188,18 @@ def _outcome(folder: Path, name: str) -> _Outcome:
         else:
             note = golden_note(trace, golden)
     return _Outcome(name, facts, found, note)
+
+
+def faults(facts: Facts, expect: SceneExpect) -> tuple[str, ...]:
+    """Where what happened is not what the scene must show; empty when all is well."""
+    found = []
+    if expect.crashed is not None and facts["crashed"] != expect.crashed:
+        found.append(f"crashed is {facts['crashed']}, expected {expect.crashed}")
+    for name in SceneExpect.model_fields:
+        window = getattr(expect, name)
+        if isinstance(window, tuple) and not window[0] <= facts[name] <= window[1]:
+            found.append(f"{name} is {facts[name]:.3f}, expected {window[0]:g} to {window[1]:g}")
+    return tuple(found)
 
 
 def _bless(options: _BlessOptions) -> int:

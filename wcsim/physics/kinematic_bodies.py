@@ -102,7 +102,9 @@ class BodyPool:
         for actor_id, move in wanted.items():
             body = self._used.get(actor_id)
             if body is None:
-                body = self._take(buckets[actor_id])
+                bucket = buckets[actor_id]
+                free = self._free.get(bucket)
+                body = free.pop() if free else self._make(bucket)
                 self._used[actor_id] = body
             self._move(body, move)
         self._placed += 1
@@ -166,10 +168,6 @@ class BodyPool:
             yaw_rate_radps=move.yaw_rate_radps,
         )
         self._engine.tag(body.body_id, tag)
-
-    def _take(self, bucket: Bucket) -> _Body:
-        free = self._free.get(bucket)
-        return free.pop() if free else self._make(bucket)
 
     def _park(self, body: _Body) -> None:
         bullet = self._engine.bullet

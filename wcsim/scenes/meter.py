@@ -15,7 +15,6 @@ import numpy as np
 from wcsim.config.scene import SceneFile, SceneSeat
 from wcsim.core import frames
 from wcsim.core.boxes import Box, box_of, boxes_touch, gap_to_box
-from wcsim.scenes.facts import ALONE_M, FASTEST_MPS, Facts
 from wcsim.types import (
     F64,
     ActorKind,
@@ -33,7 +32,13 @@ from wcsim.types import (
 from wcsim.users.crossing import is_red
 
 Group = Literal["vehicle", "rider", "person", "chair"]
+Facts = dict[str, float]
+"""What a scene came to, over all its seats, by the names of `SceneExpect`, which says what each is."""
 
+ALONE_M = 99.0
+"""The gap to others when there are none."""
+FASTEST_MPS = 99.0
+"""The slowest speed when no vehicle drives."""
 NEAR_M = 15.0  # who is farther away has nothing to do with a chair
 BEHIND_M = 1.5  # from middle to middle, to count as behind or ahead
 BESIDE_M = 3.0

@@ -29,8 +29,7 @@ from wcsim.log.fingerprint import engines_fingerprint
 from wcsim.log.records import Header, changed, state_of
 from wcsim.log.writer import LogWriter
 from wcsim.physics.wheelchair.plant import plant_spec
-from wcsim.scenes.facts import Facts
-from wcsim.scenes.meter import SceneMeter
+from wcsim.scenes.meter import Facts, SceneMeter
 from wcsim.towns.scene_folders.build import build_scene, scene_config, seat_specs
 from wcsim.types import ClassId, ClientSnapshot, Joystick, Snapshot
 from wcsim.types.chair import AT_REST

@@ -191,6 +191,9 @@ def sums_of(steps: Sequence[KpiStep], tick_s: float) -> dict[str, Any]:
     # A crash says nothing of how smooth the drive was.
     smooth = len(steps) - bool(steps and steps[-1].events.crashed)
     accelerations = np.diff(speed_mps[:smooth]) / tick_s
+    # The path has a place after every so many steps, and the last one.
+    every = max(1, round(_PATH_S / tick_s))
+    shown = [*steps[every - 1 :: every], *steps[len(steps) - bool(len(steps) % every) :]]
     return {
         "steps": len(steps),
         "m": round(float(np.sum(np.abs(speed_mps) * tick_s)), 6),
@@ -208,18 +211,12 @@ def sums_of(steps: Sequence[KpiStep], tick_s: float) -> dict[str, Any]:
         "accel_sq_sum": round(float(np.sum(accelerations**2)), 6),
         "stick_travel": round(_travel(given), 6),
         "asked_travel": round(_travel(user), 6),
-        "path_m": _path(steps, max(1, round(_PATH_S / tick_s))),
+        "path_m": tuple(each.at_m for each in shown if each.at_m is not None),
         **{
             name: sum(getattr(each.events, event) for each in steps)
             for name, event in _EVENTS.items()
         },
     }
-
-
-def _path(steps: Sequence[KpiStep], every: int) -> tuple[tuple[float, float], ...]:
-    """Where the chair was after every so many steps, and at the end."""
-    shown = [*steps[every - 1 :: every], *steps[len(steps) - bool(len(steps) % every) :]]
-    return tuple(each.at_m for each in shown if each.at_m is not None)
 
 
 def _long_stretches(frozen: Bool, tick_s: float) -> int:

@@ -56,19 +56,15 @@ def around_picture(view: MapView, step: PlayedStep, trail: Sequence[PlayedStep])
 def film_steps(path: Path, view: MapView, steps: Sequence[PlayedStep], config: RunConfig) -> None:
     """A video of what was seen beside the street around, with sticks and speed. Raises ConfigError."""
     with open_video(path, config.world.tick_s) as write:
-        for number in range(len(steps)):
-            write(_film_frame(view, steps, number, config))
-
-
-def _film_frame(view: MapView, steps: Sequence[PlayedStep], number: int, config: RunConfig) -> U8:
-    step = steps[number]
-    seen = seen_picture(step.seen, config)
-    width = round(_FILM_PX * seen.shape[1] / seen.shape[0])
-    large = cv2.resize(seen, (width, _FILM_PX), interpolation=cv2.INTER_NEAREST)
-    before_s = (len(steps) - 1 - number) * config.world.tick_s
-    street = around_picture(view, step, steps[: number + 1])
-    caption = f"-{before_s:.1f} s  {step.speed_mps:.2f} m/s  user {sticks(step)[0]}  driven {sticks(step)[1]}"
-    return side_by_side(np.asarray(large, np.uint8), captioned(street, caption))
+        for number, step in enumerate(steps):
+            seen = seen_picture(step.seen, config)
+            width = round(_FILM_PX * seen.shape[1] / seen.shape[0])
+            large = cv2.resize(seen, (width, _FILM_PX), interpolation=cv2.INTER_NEAREST)
+            before_s = (len(steps) - 1 - number) * config.world.tick_s
+            street = around_picture(view, step, steps[: number + 1])
+            user, driven = sticks(step)
+            caption = f"-{before_s:.1f} s  {step.speed_mps:.2f} m/s  user {user}  driven {driven}"
+            write(side_by_side(np.asarray(large, np.uint8), captioned(street, caption)))
 
 
 def sticks(step: PlayedStep) -> tuple[str, str]:
@@ -311,18 +307,14 @@ def with_sticks(image: U8, asked: Joystick, given: Joystick, *, warning: bool) -
         cv2.circle(pad, at, max(2, round(size * side)), colour, -1, cv2.LINE_AA)
     scale = max(0.35, width / 1200.0)
     low = top - 3
+    # Each word stands on a dark strip of its own, above the one before.
     for word, colour in (("user", ASKED_RGB), ("driven", GIVEN_RGB)):
-        low = _with_word(image, (left, low), word, scale, colour)
+        (wide, high), below = cv2.getTextSize(word, cv2.FONT_HERSHEY_SIMPLEX, scale, 1)
+        at = (left + 3, low - below - 1)
+        strip_top = max(0, low - high - below - 4)
+        strip = image[strip_top:low, left : left + wide + 6]
+        strip[:] = (0.3 * strip + 0.7 * np.array(_DARK)).astype(np.uint8)
+        cv2.putText(image, word, at, cv2.FONT_HERSHEY_SIMPLEX, scale, colour, 1, cv2.LINE_AA)
+        low = strip_top
     if warning:
         cv2.putText(image, "WARNING", (8, height - 12), 0, 2.0 * scale, WARN_RGB, 2, cv2.LINE_AA)
-
-
-def _with_word(image: U8, place: tuple[int, int], word: str, scale: float, colour: tuple[int, int, int]) -> int:
-    """Write a word on a dark strip of its own, from its lower left corner (column, row); returns the strip's top."""
-    (wide, high), below = cv2.getTextSize(word, cv2.FONT_HERSHEY_SIMPLEX, scale, 1)
-    left, low = place
-    top = max(0, low - high - below - 4)
-    strip = image[top:low, left : left + wide + 6]
-    strip[:] = (0.3 * strip + 0.7 * np.array(_DARK)).astype(np.uint8)
-    cv2.putText(image, word, (left + 3, low - below - 1), cv2.FONT_HERSHEY_SIMPLEX, scale, colour, 1, cv2.LINE_AA)
-    return top

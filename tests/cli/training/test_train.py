@@ -9,13 +9,13 @@ from pathlib import Path
 import pytest
 
 from wcsim.agents.learning.callbacks import TrainProgress
-from wcsim.agents.opening.learner_registry import DANGER_ROUNDS, share_of_rounds, step_display
+from wcsim.agents.opening.learner_registry import DANGER_ROUNDS
 from wcsim.agents.rounds import train_rounds
 from wcsim.agents.rounds.train_rounds import RoundProgress
 from wcsim.agents.runs.run_folder import ResolvedRun
 from wcsim.cli.shared.consoles import StageBar
 from wcsim.cli.shared.exit_codes import NothingSaved
-from wcsim.cli.shared.training import removed_without_results, train_network
+from wcsim.cli.shared.training import removed_without_results, share_of_rounds, step_display, train_network
 from wcsim.config import resolve
 from wcsim.errors import ConfigError, DiskFullError, InterruptedRunError, WorkersError
 from wcsim.server.specs import RunInfo

@@ -20,14 +20,14 @@ from itertools import count
 from pathlib import Path
 from typing import Any, Final, ParamSpec, TypeVar
 
-from wcsim.agents.clients.group_run import RECONNECT_S, has_work
+from wcsim.agents.clients.group_run import RECONNECT_S
 from wcsim.agents.envs.wheelchair_env import WheelchairEnv
 from wcsim.agents.learning.build import network_settings
 from wcsim.agents.learning.callbacks import SeqCallback, TrainProgress
 from wcsim.agents.learning.train import train
 from wcsim.agents.networks.device import checked_device
 from wcsim.agents.networks.registry import find_network
-from wcsim.agents.runs.run_folder import MANIFEST, ResolvedRun
+from wcsim.agents.runs.run_folder import MANIFEST, ResolvedRun, has_results
 from wcsim.config import LearnConfig, RunConfig, parse_json, resolve
 from wcsim.config.plant import known_plants
 from wcsim.core.reading import escaped
@@ -91,7 +91,8 @@ def learn(
     out = Path(order.out)
     goes_on = resume and (out / MANIFEST).is_file()
     if resume and not goes_on and out.is_dir():
-        if has_work(out):
+        # Without its manifest the folder shows no more than this.
+        if has_results(out):
             raise PolicyError(
                 f"{out} holds data but no {MANIFEST}; restore that file, or move the folder away"
             )

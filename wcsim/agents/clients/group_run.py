@@ -22,13 +22,12 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
-from wcsim.agents.runs.metrics import logged_rows
 from wcsim.agents.runs.run_folder import (
     CONFIG,
     MANIFEST,
-    METRICS,
     Manifest,
     Status,
+    has_results,
     manifest_of,
     read_json,
     require_new,
@@ -114,7 +113,11 @@ class ClientsFolder:
         return read_json(folder, MANIFEST) if (folder / MANIFEST).is_file() else {}
 
     def fruitless(self) -> bool:
-        """Whether nothing was done: no tick of the world, no step of a client, nothing saved."""
+        """Whether nothing was done: no tick of the world, no step of a client, nothing saved.
+
+        A new run of which that is true is removed when it fails. For a run of one network
+        `removed_without_results` of `cli/shared/training.py` judges, by `has_results` alone.
+        """
         journal = self.path / JOURNAL
         if part_files(journal) and _may_hold(
             journal, iter_inputs, lambda record: isinstance(record, Ticked)
@@ -124,7 +127,7 @@ class ClientsFolder:
         for ledger in map(self.ledger, self.clients):
             if ledger.exists() and _may_hold(ledger, iter_ledger, lambda seen: seen.stepped):
                 return False
-        return not any(has_work(self.path / name) for name in self.clients)
+        return not any(_has_work(self.path / name) for name in self.clients)
 
     def client_config(self, name: str) -> RunConfig:
         """The configuration of a client. Raises PolicyError when it is not there, or damaged."""
@@ -209,21 +212,6 @@ def read_choice(path: Path, clients: Collection[str]) -> str:
             f"{path / SELECTION / CHOICE}: names no client of this run; remove it to compare again"
         )
     return best
-
-
-def has_work(run: Path) -> bool:
-    """Whether a client's folder holds an episode, a step, a checkpoint or a policy."""
-    manifest = read_json(run, MANIFEST) if (run / MANIFEST).is_file() else {}
-    steps = manifest.get("steps", 0)
-    # Stopped before its first step: its policy is the one that it started with.
-    if manifest.get("status") == "interrupted" and steps == 0:
-        return False
-    return (
-        logged_rows(run / METRICS) > 0
-        or steps != 0
-        or any(run.glob("checkpoints/*"))
-        or any(run.glob("policies/*"))
-    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -376,6 +364,16 @@ def _check_sealed(path: Path, data: dict[str, Any]) -> None:
         allowed = (digest, next_hashes.get(name))
         if not (path / name).is_file() or files.sha256(path / name) not in allowed:
             raise PolicyError(f"{path / name} is damaged, or was changed by hand; restore it")
+
+
+def _has_work(run: Path) -> bool:
+    """Whether a client's folder holds a step, or results as `has_results` judges them."""
+    manifest = read_json(run, MANIFEST) if (run / MANIFEST).is_file() else {}
+    steps = manifest.get("steps", 0)
+    # Stopped before its first step: its policy is the one that it started with.
+    if manifest.get("status") == "interrupted" and steps == 0:
+        return False
+    return steps != 0 or has_results(run)
 
 
 def _may_hold(log: Path, read: Callable[[Path], Iterator[T]], is_work: Callable[[T], bool]) -> bool:

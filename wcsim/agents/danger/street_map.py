@@ -236,9 +236,15 @@ class FeatureExtractor:
         else:
             self.around.observe_motion(observation)
         start, later_s = self.around.start()
+        imu, motion = observation[IMU_KEY], self.around.ego.motion
+        vector: F64 = np.concatenate(
+            # Tilts are a few hundredths of the half turn that is 1 in the observation.
+            [10.0 * imu[TILT], imu[TURNS], motion / FULL_MOTION, [later_s], self._sent.reshape(-1)]
+        )
         return Features(
             picture=picture,
-            vector=self._vector(observation, later_s),
+            # A fault of a sensor must not carry the network beyond what it has learned from.
+            vector=np.clip(vector, -2.0, 2.0).astype(np.float32),
             start=start.astype(np.float32),
             frames=self._seen(observation),
         )
@@ -281,12 +287,3 @@ class FeatureExtractor:
                 f"a danger network got pictures of {shapes}; expected {self._shape[1:]} (rows, columns): test it with "
                 "the camera of its training"
             )
-
-    def _vector(self, observation: Observation, later_s: float) -> F32:
-        imu, motion = observation[IMU_KEY], self.around.ego.motion
-        vector: F64 = np.concatenate(
-            # Tilts are a few hundredths of the half turn that is 1 in the observation.
-            [10.0 * imu[TILT], imu[TURNS], motion / FULL_MOTION, [later_s], self._sent.reshape(-1)]
-        )
-        # A fault of a sensor must not carry the network beyond what it has learned from.
-        return np.clip(vector, -2.0, 2.0).astype(np.float32)

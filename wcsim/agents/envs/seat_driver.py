@@ -97,7 +97,7 @@ class PolicyAgent:
         return action
 
     def choose(self, observation: Observation, info: Info) -> int:
-        """As `act`, where the caller handles calls for help, and sends a `TracksExecuted` the action."""
+        """As `act`; the caller handles calls for help, and sends a `TracksExecuted` the action."""
         self._show(info)
         if isinstance(self.policy, TracksExecuted):
             return int(self.policy.choose(observation))

@@ -411,7 +411,7 @@ class DangerGraph(nn.Module):
         return places, now
 
     def _vector(self, imu: Tensor, motion: Tensor, sent: Tensor) -> Tensor:
-        """Repeats `FeatureExtractor._vector`."""
+        """Repeats the vector of `FeatureExtractor.extract`."""
         scaled = motion[:, _MOTION] / motion.new_tensor(FULL_MOTION)
         later_s = motion.new_full((1, 1), self.delay * self.tick_s)
         vector = torch.cat(

@@ -25,7 +25,7 @@ from wcsim.config import parse
 from wcsim.config.run_file import SeqFile, SittingFile
 from wcsim.core.reading import unzstd
 from wcsim.errors import PolicyError
-from wcsim.types import I64, U8
+from wcsim.types import I64
 
 _MODEL: Final = "model.safetensors"
 # Arrays of a memory with a row for each step; those of advice only where it is stored.
@@ -316,9 +316,10 @@ def _restore_frames(
     # Blobs of one seat after the other; each step needs the frames of all seats.
     each = len(blobs) // replay.n_envs
     by_seat = [blobs[seat * each : (seat + 1) * each] for seat in range(replay.n_envs)]
-    restored = 0
+    restored, size = 0, replay.layout.frame_bytes
     for parts in zip(*by_seat, strict=True):
-        frames = np.stack([_unpack(blob, replay.layout.frame_bytes) for blob in parts], axis=1)
+        raw = [unzstd(blob, _CHUNK_FRAMES * size) for blob in parts]
+        frames = np.stack([np.frombuffer(each, np.uint8).reshape(-1, size) for each in raw], axis=1)
         steps = index[restored : restored + len(frames)]
         for step, frame in zip(steps, frames, strict=True):  # frame: (seats, frame_bytes)
             starts = replay.episode_step[step % replay.buffer_size] == 0
@@ -327,8 +328,3 @@ def _restore_frames(
         alive()
     if restored != len(index):
         raise ValueError(f"replay has frames of {restored} steps; expected {len(index)}")
-
-
-def _unpack(blob: bytes, size: int) -> U8:
-    """The frames (K, size) of a blob."""
-    return np.frombuffer(unzstd(blob, _CHUNK_FRAMES * size), dtype=np.uint8).reshape(-1, size)

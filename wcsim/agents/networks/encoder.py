@@ -69,16 +69,24 @@ class ObservationEncoder(BaseFeaturesExtractor):
         self.form = observation_form(observation_space)
         # Class planes and depth, with colours or without; or the four planes of Table 3.
         count = {"compact": len(table) + 1, "compact_rgb": len(table) + 4, "table3": 4}[self.form]
-        shape = registry.input_shape(
-            network, window_size(observation_space), (count, height, width)
-        )
+        # A windowed network is built with (T, C, H, W), any other with (C, H, W).
+        shape: tuple[int, ...] = (count, height, width)
+        frames, windowed = window_size(observation_space), registry.is_windowed(network)
+        if windowed:
+            shape = (frames, *shape)
+        elif frames > 1:
+            others = ", ".join(sorted(filter(registry.is_windowed, registry.NETWORKS)))
+            raise PolicyError(
+                f"network {network!r} reads one image, the observation holds {frames}; expected "
+                f"one: set env.window=1, or choose a windowed network ({others})"
+            )
         body = registry.build(network, shape, numbers)
         super().__init__(
             observation_space, features_dim=_features_dim(network, body, shape, numbers)
         )
         self.body = body
         self.vector_keys = vector_keys(observation_space)
-        self.windowed = registry.is_windowed(network)
+        self.windowed = windowed
         self.state_size = int(body.state_size) if stateful else 0  # type: ignore[arg-type]
         # (256, G + 1): the last plane is for depth.
         planes = torch.cat([table, torch.zeros(1, 256, dtype=torch.bool)]).t()

@@ -89,22 +89,6 @@ def preferred_window(name: str) -> int:
     return int(getattr(find_network(name), "window", 1)) if is_windowed(name) else 1
 
 
-def input_shape(name: str, frames: int, image_shape: tuple[int, int, int]) -> tuple[int, ...]:
-    """What a network is built with: (T, C, H, W) when it is windowed, else (C, H, W).
-
-    Raises PolicyError for a window of several images and a network that reads one.
-    """
-    if is_windowed(name):
-        return (frames, *image_shape)
-    if frames > 1:
-        others = ", ".join(sorted(other for other in NETWORKS if is_windowed(other)))
-        raise PolicyError(
-            f"network {name!r} reads one image, the observation holds {frames}; expected one: set "
-            f"env.window=1, or choose a windowed network ({others})"
-        )
-    return image_shape
-
-
 def build(name: str, image_shape: tuple[int, ...], vector_size: int) -> nn.Module:
     """A network for these inputs. Raises PolicyError when its class cannot be built with them."""
     network = find_network(name)

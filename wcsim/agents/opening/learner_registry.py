@@ -7,7 +7,6 @@ methods that need them: `--help` and refusals load neither.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Protocol
@@ -30,31 +29,20 @@ if TYPE_CHECKING:  # these load PyTorch, which --help must not
     from wcsim.agents.rounds.train_rounds import RoundProgress
 
 
-class Bar(Protocol):
-    """A progress bar on a terminal, or lines in a log."""
-
-    @property
-    def is_terminal(self) -> bool:
-        """Whether the bar is drawn; in a log only lines appear."""
-
-    def show(self, share: float, text: str, name: str | None = None) -> None:
-        """Show the share of the work that is done (0 to 1), what goes on, and the stage's name."""
-
-    def rows(self, texts: dict[str, str]) -> None:
-        """Show a row for each worker."""
-
-    def print_line(self, line: str, *, left: bool = True) -> None:
-        """Print a line above the bar; `left` adds the time that is left where there is no bar."""
-
-
-class Display(Bar, Protocol):
+class Display(Protocol):
     """What a training of one network shows its user."""
 
     def print_note(self) -> None:
-        """Print how the network learns, if that was not printed before."""
+        """Print how the network learns."""
 
-    def print_overrides(self) -> None:
-        """Print once which options of SUMO the world overrides, and how the network learns."""
+    def show_step(self, now: TrainProgress) -> None:
+        """Show the progress of Q-learning."""
+
+    def show_round(self, now: RoundProgress) -> None:
+        """Show a round and its workers."""
+
+    def print_line(self, line: str, *, left: bool = True) -> None:
+        """Print a line above the bar; `left` adds the time that is left where there is no bar."""
 
     def warn(self, text: str) -> None:
         """Print what went wrong without ending the training."""
@@ -135,7 +123,7 @@ class Learner(Protocol):
         """A policy as a graph to export, and as wcsim drives with it; see `load_policy`."""
 
 
-class QLearning(Learner):
+class _QLearning(Learner):
     """Q-learning from the reward of every step, in one world."""
 
     heads = ("residual", "plain")
@@ -168,11 +156,6 @@ class QLearning(Learner):
 
         info = run.info
         terms = tuple(find_reward_term(name) for name in info.rewards)
-        show_steps = step_display(display)
-
-        def show(now: TrainProgress) -> None:
-            display.print_overrides()
-            show_steps(now)
 
         def make_env() -> WheelchairEnv:
             env = WheelchairEnv(
@@ -186,7 +169,7 @@ class QLearning(Learner):
             env.on_town = lambda word: open_run(run.out).event("town", town=Path(word).name)
             return env
 
-        return train(run, make_env, show, log=display.warn)
+        return train(run, make_env, display.show_step, log=display.warn)
 
     def read_policy(self, folder: Path) -> PolicyFile:
         """See `Learner`."""
@@ -231,7 +214,7 @@ class QLearning(Learner):
         return ValueGraph(policy.net, policy.file.window), policy
 
 
-class DangerRounds(Learner):
+class _DangerRounds(Learner):
     """A danger network, in rounds of driving and learning, in worlds of its own."""
 
     heads = ("danger",)
@@ -267,14 +250,11 @@ class DangerRounds(Learner):
         """See `Learner`."""
         from wcsim.agents.rounds.train_rounds import train_danger
 
-        def show(now: RoundProgress) -> None:
-            _show_round(display, now, run.config)
-
         def log(text: str) -> None:
             display.print_line(text, left=False)
 
         display.print_note()
-        return train_danger(run, town, replace(machines, report=log), show, log)
+        return train_danger(run, town, replace(machines, report=log), display.show_round, log)
 
     def read_policy(self, folder: Path) -> DangerFile:
         """See `Learner`."""
@@ -329,8 +309,8 @@ class DangerRounds(Learner):
         return DangerGraph(net, config, rule), DangerPolicy("own", net, config, rule)
 
 
-Q_LEARNING: Final = QLearning()
-DANGER_ROUNDS: Final = DangerRounds()
+Q_LEARNING: Final = _QLearning()
+DANGER_ROUNDS: Final = _DangerRounds()
 LEARNERS: Final[tuple[Learner, ...]] = (Q_LEARNING, DANGER_ROUNDS)
 
 
@@ -348,64 +328,3 @@ def learner_of_policy(folder: Path) -> Learner:
             return learner
     # Its check of the file reports the unknown algorithm.
     return Q_LEARNING
-
-
-def step_display(bar: Bar) -> Callable[[TrainProgress], None]:
-    """Shows the progress of Q-learning; a log gets a line for each tenth of the run."""
-    tenths = 0
-
-    def show(now: TrainProgress) -> None:
-        nonlocal tenths
-        # The last steps are done together, and may be a few more.
-        step = min(now.step, now.total_steps)
-        kpi1 = "" if now.kpi1 is None else f", KPI 1 {now.kpi1:.3f}"
-        known = f"{counted(now.episodes, 'episode')}, {counted(now.crashes, 'crash')}{kpi1}"
-        text = f"{step}/{now.total_steps} steps, {known}"
-        phase = f"phase {now.phase}"
-        bar.show(step / now.total_steps, text, phase)
-        if not bar.is_terminal and 10 * step // now.total_steps > tenths:
-            tenths = 10 * step // now.total_steps
-            bar.print_line(f"{phase}: {text}", left=False)
-
-    return show
-
-
-def _show_round(display: Display, now: RoundProgress, config: RunConfig) -> None:
-    """Show a round and its workers; a log gets a line when driving and when learning ends."""
-    rows = {}
-    for worker in now.workers:
-        rows[worker.name] = f"segment {worker.key}, {worker.for_s:.0f} s" if worker.key else "free"
-    display.rows(rows)
-    learns = now.learned > 0 or now.segments == now.of
-    at = f"update {now.learned}" if learns else f"segment {now.segments} of {now.of}"
-    display.show(
-        share_of_rounds(now, config),
-        f"round {now.round + 1} of {now.rounds}, {at}",
-        "learning" if learns else "driving",
-    )
-    if display.is_terminal:
-        return
-    text = f"round {now.round + 1} of {now.rounds}, {now.segments} of {now.of} segments"
-    if now.updates:
-        display.print_line(f"{text}, {counted(now.updates, 'update')}, loss {now.loss:.4f}")
-    elif now.segments == now.of and not now.learned:
-        display.print_line(f"{text}: learning")
-
-
-def share_of_rounds(now: RoundProgress, config: RunConfig) -> float:
-    """Which share of a run's work is done, 0 to 1.
-
-    A step that is driven and one in a batch that is learned from cost about the same on two cores.
-    From the second round on worlds drive while the network learns, so that a round takes as long as
-    the longer of both.
-    """
-    collect, danger = config.collect, config.danger
-    drive = collect.segments * collect.ticks * collect.chairs
-    learn = danger.updates * danger.batch
-    both = max(drive, learn)
-    last = now.rounds - 1
-    before = 0 if now.round == 0 else drive + now.round * both
-    driven = drive * now.segments / max(1, now.of) if now.round == 0 else 0.0
-    learned = 1.0 if now.updates else now.learned / danger.updates
-    done = before + driven + learned * (learn if now.round == last else both)
-    return done / (drive + last * both + learn)

@@ -11,7 +11,7 @@ before a kerb, below or above it, or where none belongs, and is pushed ahead: us
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
@@ -273,7 +273,8 @@ class _DataDriver:
                 action = self._learned.choose({**observation, JOYSTICK_KEY: wish.astype(np.float32)})
             self._learned.sent(action)
         elif self._driver == ORACLE and said is not None and not reckless:
-            action = self._safest(wish, said.first_s)
+            distance = self._actions.distances(wish[None])[0]
+            action = int(np.argmin(np.where(said.first_s == said.first_s.max(), distance, np.inf)))
         return {"action": action, "wish": wish, "driver": RECKLESS if reckless else self._driver}
 
     def _wish(self, stick: F64) -> F64:
@@ -292,10 +293,6 @@ class _DataDriver:
             return stick
         wish: F64 = np.clip(stick + self._offset, -1.0, 1.0)
         return wish
-
-    def _safest(self, wish: F64, first_s: F64) -> int:
-        distance = self._actions.distances(wish[None])[0]
-        return int(np.argmin(np.where(first_s == first_s.max(), distance, np.inf)))
 
 
 MakeLearned = Callable[[int], _Learned]  # for a chair whose commands arrive so many ticks late
@@ -339,7 +336,10 @@ def _driven(place: _SegmentPlace, make_learned: MakeLearned | None, seed: int) -
                 seat.take(client)
                 if client.first is not None and number < len(draws):
                     _begin_off_way(world, number, draws[number])
-    return _segment_of([seat.rows for seat in seats])
+    for seat in seats:
+        seat.rows[-1]["ended"] = True  # nobody drives on from here: what lies ahead of it is not known
+    rows = [row for seat in seats for row in seat.rows]
+    return Segment(**{name: np.array([row[name] for row in rows], kind) for name, (kind, _) in COLUMNS.items()})
 
 
 def _begin_off_way(world: World, seat: int, rng: np.random.Generator) -> None:
@@ -409,11 +409,3 @@ class _Seat:
 def _codes(said: Verdict | None) -> U8:
     """(A,) see `codes_of`, or (0,) where no oracle was asked."""
     return np.zeros(0, np.uint8) if said is None else codes_of(said.first_s)
-
-
-def _segment_of(chairs: Sequence[Sequence[dict[str, Any]]]) -> Segment:
-    """The rows of all chairs, one chair after the other; a chair's last step here ends its episode."""
-    for chair in chairs:
-        chair[-1]["ended"] = True  # nobody drives on from here: what lies ahead of it is not known
-    rows = [row for chair in chairs for row in chair]
-    return Segment(**{name: np.array([row[name] for row in rows], kind) for name, (kind, _) in COLUMNS.items()})

@@ -142,11 +142,6 @@ def note_round(path: Path, row: Sequence[float]) -> None:
     )
 
 
-def logged_rows(path: Path) -> int:
-    """How many rows a log has, 0 for none. Raises PolicyError."""
-    return sum(1 for _ in read_lines(path, reading.METRIC_LINES)) - 1 if path.is_file() else 0
-
-
 def logs_rounds(path: Path) -> bool:
     """Whether a metrics.csv is one of rounds."""
     return next(read_lines(path, reading.METRIC_LINES), "").startswith(

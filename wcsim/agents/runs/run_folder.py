@@ -26,6 +26,7 @@ from pathlib import Path
 from typing import Any, Final, Literal
 
 from wcsim.agents.policy_api import BASELINES, UPPER_BOUNDS
+from wcsim.agents.runs.data_folder import DATA, SEGMENTS
 from wcsim.agents.runs.policy_file import POLICY_JSON, SHIPPED, STAGES, policy_name, shipped_folder
 from wcsim.agents.runs.transfer import mark_of, own_classes
 from wcsim.config import RunConfig, parse, resolve
@@ -34,7 +35,7 @@ from wcsim.config.plant import plant_text
 from wcsim.config.run_file import ManifestFile
 from wcsim.core import files
 from wcsim.core.processes import run_command
-from wcsim.core.reading import RUN, escaped, is_file, is_folder
+from wcsim.core.reading import METRIC_LINES, RUN, escaped, is_file, is_folder, read_lines
 from wcsim.core.reading import read_json as read_bounded_json
 from wcsim.core.sources import version_of
 from wcsim.errors import ConfigError, PolicyError, meant
@@ -135,6 +136,15 @@ class RunFolder:
         line = json.dumps({"event": kind, **values}, allow_nan=False) + "\n"
         with contextlib.suppress(OSError), (self.path / EVENTS).open("a", encoding="utf-8") as file:
             file.write(line)
+
+
+def has_results(run: Path) -> bool:
+    """Whether an episode, a segment, a checkpoint or a policy was saved in a run folder."""
+    metrics = run / METRICS
+    lines = sum(1 for _ in read_lines(metrics, METRIC_LINES)) if metrics.is_file() else 0
+    folders = (_CHECKPOINTS, _POLICIES, f"{DATA}/{SEGMENTS}")
+    # The first line names the columns.
+    return lines > 1 or any(any(run.glob(f"{each}/*")) for each in folders)
 
 
 def make_manifest(config: RunConfig, info: RunInfo, networks: Collection[str] = ()) -> Manifest:

@@ -9,7 +9,7 @@ import numpy as np
 
 from wcsim.bridge.reaction.swept_path import AHEAD_M, STEP_M, Tube
 from wcsim.core import frames
-from wcsim.core.boxes import box_of, boxes_touch
+from wcsim.core.boxes import boxes_touch
 from wcsim.core.jit import exact_kernel
 from wcsim.types import F64, I32, ActorState
 
@@ -242,14 +242,6 @@ class ConflictCheck:
             return 0.0
         _, _, cos, sin = self._pose(at)
         return max(0.0, float(self.row[6] * cos + self.row[7] * sin))
-
-
-def lands_on(actor: ActorState, row: F64, tick_s: float) -> bool:
-    """Whether an actor's body covers the chair, or will before it can be told anything."""
-    x, y, cos, sin, long_m, wide_m = box_of(actor, NO_TOUCH_M)
-    ahead_m = tick_s * math.hypot(actor.v_W_mps[0], actor.v_W_mps[1])
-    middle = x + 0.5 * ahead_m * cos, y + 0.5 * ahead_m * sin
-    return boxes_touch(*middle, cos, sin, long_m + 0.5 * ahead_m, wide_m, *row[:6].tolist())
 
 
 def look_m(speed_mps: float, brake_mps2: float) -> float:

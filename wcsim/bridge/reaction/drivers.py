@@ -23,6 +23,7 @@ from wcsim.bridge.reaction.attention import AttentionModel
 from wcsim.bridge.reaction.commands import LET_GO, ActorCommand, Blocked, ChairInStreet
 from wcsim.bridge.reaction.conflict import (
     LAST_GAP_M,
+    NO_TOUCH_M,
     ON_PAVEMENT_M,
     ON_ROAD_M,
     SIDE_GAP_M,
@@ -30,12 +31,12 @@ from wcsim.bridge.reaction.conflict import (
     ConflictCheck,
     SweptOverlap,
     approach_mps,
-    lands_on,
     look_m,
 )
 from wcsim.bridge.reaction.swept_path import STEP_M, Brakes, LaneShape, OnLane, Roads, Tube, way_ahead
 from wcsim.bridge.reaction.wide_turns import SwingOut
 from wcsim.config import WorldConfig
+from wcsim.core.boxes import box_of, boxes_touch
 from wcsim.types import F64, ActorKind, ActorState
 
 ASIDE_MPS, ASIDE_START_S = 0.8, 0.5  # how fast a vehicle moves over, and what it needs to begin
@@ -430,7 +431,7 @@ class StreetReaction:
             return ()
         rows = [chair.row() for chair in chairs]
         fresh = [actor for actor in actors if actor.id in come]
-        return tuple(actor.id for actor in fresh if any(lands_on(actor, row, self._config.tick_s) for row in rows))
+        return tuple(actor.id for actor in fresh if any(_lands_on(actor, row, self._config.tick_s) for row in rows))
 
     def blocked(self) -> tuple[Blocked, ...]:
         """The vehicles that stand because of a chair now."""
@@ -551,3 +552,11 @@ class StreetReaction:
         brakes = replace(watch.brakes, emergency_mps2=math.inf) if fresh else watch.brakes  # it begins at any speed
         speed = _braking(plan, speed_mps, roads.allowed_mps(actor.id), brakes, tick_s)
         return _command(actor.id, plan, speed, waiting.pushy, watch.moves_over), waiting
+
+
+def _lands_on(actor: ActorState, row: F64, tick_s: float) -> bool:
+    """Whether an actor's body covers the chair, or will before it can be told anything."""
+    x, y, cos, sin, long_m, wide_m = box_of(actor, NO_TOUCH_M)
+    ahead_m = tick_s * math.hypot(actor.v_W_mps[0], actor.v_W_mps[1])
+    middle = x + 0.5 * ahead_m * cos, y + 0.5 * ahead_m * sin
+    return boxes_touch(*middle, cos, sin, long_m + 0.5 * ahead_m, wide_m, *row[:6].tolist())

@@ -10,7 +10,6 @@ import math
 from collections.abc import Iterable, Iterator
 from contextlib import closing
 from pathlib import Path
-from typing import TextIO
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
@@ -65,23 +64,19 @@ def _write_steps(header: Header, records: Iterable[WorldState], out: Path) -> in
     with out.open("w", encoding="utf-8") as file:
         file.write(_HEAD)
         for record in records:
-            _write_step(file, header, record)
+            begun_s = record.time_s - header.tick_s  # SUMO calls a step by the time at which it begins
+            file.write(f'    <timestep time="{max(0.0, begun_s):.2f}">\n')
+            lines = list(_actor_lines(header, record))
+            lines += [("vehicle", text) for text in _chair_lines(header, record)]
+            # SUMO's schema wants all vehicles, the chairs among them, before all persons.
+            for wanted in ("vehicle", "person"):
+                for tag, text in lines:
+                    if tag == wanted:
+                        file.write(f"        <{tag} {text}/>\n")
+            file.write("    </timestep>\n")
             steps += 1
         file.write("</fcd-export>\n")
     return steps
-
-
-def _write_step(file: TextIO, header: Header, record: WorldState) -> None:
-    """One time step: SUMO's schema wants all vehicles, the chairs among them, before all persons."""
-    begun_s = record.time_s - header.tick_s  # SUMO calls a step by the time at which it begins
-    file.write(f'    <timestep time="{max(0.0, begun_s):.2f}">\n')
-    lines = list(_actor_lines(header, record))
-    lines += [("vehicle", text) for text in _chair_lines(header, record)]
-    for wanted in ("vehicle", "person"):
-        for tag, text in lines:
-            if tag == wanted:
-                file.write(f"        <{tag} {text}/>\n")
-    file.write("    </timestep>\n")
 
 
 def _actor_lines(header: Header, record: WorldState) -> Iterator[tuple[str, str]]:

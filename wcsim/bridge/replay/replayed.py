@@ -26,7 +26,7 @@ from wcsim.core.reading import escaped
 from wcsim.errors import ConfigError, TownError, WcsimError
 from wcsim.log.drive import DriveRecording, read_drive
 from wcsim.log.reader import iter_inputs, read_header
-from wcsim.log.records import Admitted, DriveTick, Ended, EpochBegun, Header, Input, Note, Ticked, WorldTick, changed
+from wcsim.log.records import Admitted, DriveTick, Ended, EpochBegun, Header, Input, Note, WorldTick, changed
 from wcsim.towns.cache.folder import cache_folder
 from wcsim.towns.making.asked_town import asked_town
 from wcsim.towns.scenario.town import Town, content_hash, find_town, towns_hash
@@ -191,7 +191,11 @@ def replayed(
         known = yield from _played(player, inputs, epoch, until_tick, look)
     finally:
         player.close()
-    _require_epoch(log if isinstance(log, Path) else Path(log.name), epoch, known)
+    name = log if isinstance(log, Path) else Path(log.name)
+    if not known:
+        raise WcsimError(f"{name}: has no epoch: it is truncated, or its world never started; expected a whole journal")
+    if epoch is not None and epoch not in known:
+        raise WcsimError(f"{name}: has no epoch {epoch}; expected one of {sorted(known)}")
 
 
 def _played(
@@ -214,13 +218,6 @@ def _played(
         else:
             player.seats.note(record)
     return known
-
-
-def _require_epoch(log: Path, epoch: int | None, known: set[int]) -> None:
-    if not known:
-        raise WcsimError(f"{log}: has no epoch: it is truncated, or its world never started; expected a whole journal")
-    if epoch is not None and epoch not in known:
-        raise WcsimError(f"{log}: has no epoch {epoch}; expected one of {sorted(known)}")
 
 
 def worlds_of(header: Header, hook: str = "") -> MakesEpoch[World]:
@@ -257,13 +254,6 @@ def _towns(header: Header) -> tuple[Town, ...]:
         named = ", ".join(town.name for town in towns)
         raise TownError(f"{named}: a net has changed since the journal was made; restore it")
     return towns
-
-
-def count_ticks(log: Log, epoch: int | None = None) -> int:
-    """How many ticks a log has, in one epoch or in all. Raises JournalError when it is neither journal nor drive."""
-    if isinstance(log, DriveRecording):
-        return len(log.ticks)
-    return sum(isinstance(record, Ticked) and epoch in (None, record.epoch) for record in iter_inputs(log))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

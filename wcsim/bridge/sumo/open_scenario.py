@@ -24,7 +24,7 @@ from wcsim.towns.scenario.options import read_configuration
 from wcsim.towns.scenario.overrides import PEOPLE, Settings
 from wcsim.towns.scenario.stage import Scenario, stage_scenario
 from wcsim.towns.scenario.town import Town
-from wcsim.towns.sumo.tools import Limits, ToolRun, run_child, run_tool
+from wcsim.towns.sumo.tools import Limits, run_child, run_tool
 
 log = logging.getLogger("wcsim.bridge.sumo.open_scenario")
 
@@ -69,8 +69,13 @@ def _try_scenario(town: Town, settings: Settings, digest: str) -> None:
         tick_s = settings.world.tick_s
         by_jupedsim = read_configuration(staged.sumocfg).value(PEOPLE) == JUPEDSIM
         steps = max(_TRIAL_STEPS, round(_JUPEDSIM_TRIAL_S / tick_s)) if by_jupedsim else _TRIAL_STEPS
+        command = [sys.executable, "-m", "wcsim.bridge.sumo.first_steps", str(staged.sumocfg), repr(tick_s)]
+        command += [str(steps), _BEGUN_ANEW]
+        # The child has to find the packages that this process found, however it was started.
+        env = os.environ | {"PYTHONPATH": os.pathsep.join(item for item in sys.path if item)}
+        limits = _JUPEDSIM_LIMITS if by_jupedsim else _LIMITS
         try:
-            run = _trial(staged.sumocfg, tick_s, steps, _JUPEDSIM_LIMITS if by_jupedsim else _LIMITS)
+            run = run_child("sumo", command, staged.sumocfg.parent, env, limits)
         except SumoError as error:
             raise TownError(
                 f"{town.sumocfg}: SUMO could not run its first {steps} steps ({error}); reduce the load: "
@@ -94,14 +99,6 @@ def _try_scenario(town: Town, settings: Settings, digest: str) -> None:
             f"sumo -c {town.sumocfg}"
         )
     write_verdict(verdict)
-
-
-def _trial(sumocfg: Path, step_s: float, steps: int, limits: Limits) -> ToolRun:
-    command = [sys.executable, "-m", "wcsim.bridge.sumo.first_steps", str(sumocfg), repr(step_s), str(steps)]
-    command.append(_BEGUN_ANEW)
-    # The child has to find the packages that this process found, however it was started.
-    env = os.environ | {"PYTHONPATH": os.pathsep.join(item for item in sys.path if item)}
-    return run_child("sumo", command, sumocfg.parent, env, limits)
 
 
 def _culprit(town: Town, staged: Scenario, settings: Settings) -> Path:

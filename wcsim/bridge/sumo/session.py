@@ -62,11 +62,6 @@ def refuse_second_world() -> None:
         )
 
 
-def _pair_of(collider: str, victim: str) -> tuple[str, str]:
-    """Who collided, the same whichever of them SUMO blames."""
-    return (collider, victim) if collider <= victim else (victim, collider)
-
-
 def _stood(vehicle: str) -> str:
     """Where somebody stood who is being teleported: SUMO has put them onto the next edge of their route already."""
     try:
@@ -124,7 +119,7 @@ class SumoSession(Closing):
         self.teleports = 0  # vehicles that SUMO took out of a jam during the last step
         self.come: frozenset[str] = frozenset()  # in the last step, as in `ActorState.id`: departed, or off a teleport
         self.mishaps = (0, 0)  # since the scenario began, warm-up included: teleports, and collisions that began
-        self._colliding: frozenset[tuple[str, str]] = frozenset()
+        self._colliding: frozenset[frozenset[str]] = frozenset()
 
     def step(self, chairs: Callable[[], tuple[HookChair, ...]] = tuple) -> None:
         """Advance SUMO by one step, with the user's hook around it, and log jams that it dissolved.
@@ -144,8 +139,8 @@ class SumoSession(Closing):
         unsure = bool(jammed or landed or self._jumpers or self._hook is not None)
         self._reader.stepped(vehicles, people, unsure=unsure)
         self.teleports = len(jammed)
-        pairs = frozenset(_pair_of(hit.collider, hit.victim) for hit in libsumo.simulation.getCollisions())
-        # SUMO lists a collision in every step that it lasts: only new pairs count.
+        # SUMO lists a collision in every step that it lasts: only new pairs count, whichever of them SUMO blames.
+        pairs = frozenset(frozenset((hit.collider, hit.victim)) for hit in libsumo.simulation.getCollisions())
         self.mishaps = self.mishaps[0] + self.teleports, self.mishaps[1] + len(pairs - self._colliding)
         self._colliding = pairs
         self.come = frozenset([*("v:" + name for name in (*vehicles, *landed)), *("p:" + name for name in people)])

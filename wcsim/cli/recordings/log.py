@@ -11,14 +11,16 @@ from typing import Annotated, Any, Final
 
 from tyro.conf import Positional, arg
 
-from wcsim.cli.recordings.film_page import PageOptions, Seat, serve_page
 from wcsim.cli.shared.common import (
     Bounds,
     OutFile,
+    PageOptions,
     Parts,
+    Seat,
     Writes,
     result_file,
     run_part,
+    serve_page,
     write_json,
 )
 from wcsim.core.reading import escaped, is_file, is_folder

@@ -10,8 +10,7 @@ from tyro.conf import Positional, arg
 
 from wcsim.agents.runs.policy_file import policy_name
 from wcsim.agents.runs.run_folder import MANIFEST, read_json
-from wcsim.cli.recordings.film_page import PageOptions, Seat, serve_page
-from wcsim.cli.shared.common import Bounds, parse
+from wcsim.cli.shared.common import Bounds, PageOptions, Seat, parse, serve_page
 from wcsim.cli.shared.run_config import require_policy
 from wcsim.core.reading import escaped, is_file, is_folder
 from wcsim.errors import ConfigError

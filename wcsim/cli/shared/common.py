@@ -1,4 +1,4 @@
-"""What commands share: options and their bounds, parsing, machines that work, files for results."""
+"""What commands share: options, their bounds and parsing, machines, pages, files for results."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Final, TypeVar, get_args, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, Final, TypeVar, get_args, get_type_hints
 
 import tyro
 from tyro.conf import FlagCreatePairsOff, Positional, UseAppendAction, arg
@@ -22,6 +23,10 @@ from wcsim.core.files import can_be_written, nearest_existing, whole_file
 from wcsim.core.reading import escaped, is_folder
 from wcsim.errors import ConfigError, meant, nearest
 from wcsim.server.workers.machines import LOCAL, Machines, require_address
+
+if TYPE_CHECKING:  # loads the simulators, which --help must not
+    from wcsim.drive.playing.play_runner import PlayStart
+    from wcsim.drive.runner import DriveOrder
 
 MAX_SEED: Final = (1 << 31) - 1
 
@@ -143,6 +148,9 @@ Worlds = Annotated[int | None, arg(metavar="N"), Bounds(1, MOST_JOBS)]
 Lease = Annotated[float, arg(metavar="S"), Bounds(1.0, 86_400.0)]
 """Seconds without progress."""
 
+Seat = Annotated[int | None, Bounds(0, 1 << 30)]
+"""The number of a chair; None for the first."""
+
 Steps = Annotated[int | None, arg(metavar="N"), Bounds(1)]
 """Steps of a training by Q-learning in all; None for those of its settings."""
 
@@ -157,6 +165,16 @@ class SettingsOptions:
     """TOML file with settings that override the preset."""
     set: Repeated = ()
     """Setting as section.key=value; overrides preset and file."""
+
+
+@dataclass(kw_only=True)
+class PageOptions:
+    """Where a page is served."""
+
+    port: Annotated[int, Bounds(0, 65535)] = 8080
+    """Port of the page; 0 takes a free one."""
+    host: str = "127.0.0.1"
+    """Address to serve at; any but the loopback needs the token in the printed address."""
 
 
 def parse(options: type[T], words: list[str], command: str, program: str = "wcsim") -> T:
@@ -331,12 +349,25 @@ def machines_of(cluster: str, workers: int | None, option: str) -> Machines:
     return Machines(count=count, cluster=cluster)
 
 
+def serve_page(start: DriveOrder | PlayStart, page: PageOptions) -> int:
+    """Serve a page until Ctrl-C: a film, or a drive."""
+    import asyncio
+
+    from wcsim.drive.serving.server import DriveServer
+
+    try:
+        asyncio.run(DriveServer(start, page.host, page.port, partial(print, flush=True)).run())
+    except KeyboardInterrupt:
+        print("the page is closed")
+    return 0
+
+
 def check_folder(option: str, folder: Path) -> None:
     """Raise ConfigError for a folder that can be neither made nor written to."""
     if not can_be_written(folder):
         raise ConfigError(
-            f"{option}: {escaped(nearest_existing(folder))} is not a folder that can be written to; choose "
-            f"another with {option}"
+            f"{option}: {escaped(nearest_existing(folder))} is not a folder that can be written "
+            f"to; choose another with {option}"
         )
 
 

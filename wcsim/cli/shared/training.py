@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from wcsim.agents.opening.learner_registry import Q_LEARNING, learner_of
-from wcsim.agents.runs.data_folder import DATA, SEGMENTS
-from wcsim.agents.runs.metrics import logged_rows
-from wcsim.agents.runs.run_folder import METRICS, ResolvedRun
+from wcsim.agents.runs.run_folder import ResolvedRun, has_results
 from wcsim.cli.shared.common import (
     Finds,
     Flag,
@@ -32,7 +30,7 @@ from wcsim.cli.shared.run_config import how_to_test, learning, require_learner, 
 from wcsim.config import LearnConfig, RunConfig, resolve
 from wcsim.config.load import Layer, sets_key
 from wcsim.core import reading
-from wcsim.core.reading import SETTINGS
+from wcsim.core.reading import SETTINGS, counted
 from wcsim.errors import (
     ConfigError,
     DiskFullError,
@@ -47,6 +45,10 @@ from wcsim.supervisor.rewards import find_reward_term
 from wcsim.towns.checks.validate import validate_net
 from wcsim.towns.making.asked_town import asked_town
 from wcsim.towns.scenario.town import Town, by_name, streets_hash
+
+if TYPE_CHECKING:  # these load PyTorch, which --help must not
+    from wcsim.agents.learning.callbacks import TrainProgress
+    from wcsim.agents.rounds.train_rounds import RoundProgress
 
 # Of [learn]: a preset's own values shrink when --steps asks for a short run.
 _SHRINKING: Final = ("phase1_steps", "learning_starts")
@@ -191,47 +193,106 @@ def training_town(name: str, allow_test_town: bool) -> Town:
     return town
 
 
-class TrainingBar(StageBar):
+class _TrainingBar(StageBar):
     """The bar of a training, and what is printed beside it.
 
     Args:
-        stage: Name of the first stage.
         town: Name of the town.
         run: The run.
         note: How it learns; "" prints nothing.
         verbose: Whether overrides are printed with their reasons.
     """
 
-    def __init__(self, stage: str, town: str, run: ResolvedRun, note: str, verbose: bool) -> None:
-        super().__init__(stage)
+    def __init__(self, town: str, run: ResolvedRun, note: str, verbose: bool) -> None:
+        super().__init__(learner_of(run.config).first_stage)
         self._town = town
-        self._overrides = run.info.overrides
+        self._run = run
         self._note = note
         self._verbose = verbose
         self._printed = False
+        self._show_step = step_display(self)
 
     def print_note(self) -> None:
         """Print how the network learns, above the bar."""
         if self._note:
             self.print_line(f"note: {self._note}")
 
-    def print_overrides(self) -> None:
-        """Print once which options of SUMO the run overrides, and how the network learns."""
-        if self._printed:
+    def show_step(self, now: TrainProgress) -> None:
+        """Show the progress of Q-learning; first which options of SUMO the run overrides."""
+        if not self._printed:
+            self._printed = True
+            print_overrides(
+                beside(self.console),
+                self._town,
+                self._run.info.overrides,
+                (self._note,) if self._note else (),
+                verbose=self._verbose,
+                in_manifest=True,
+            )
+        self._show_step(now)
+
+    def show_round(self, now: RoundProgress) -> None:
+        """Show a round and its workers; a log gets a line when driving and when learning ends."""
+        rows = {}
+        for worker in now.workers:
+            busy = f"segment {worker.key}, {worker.for_s:.0f} s"
+            rows[worker.name] = busy if worker.key else "free"
+        self.rows(rows)
+        learns = now.learned > 0 or now.segments == now.of
+        at = f"update {now.learned}" if learns else f"segment {now.segments} of {now.of}"
+        text = f"round {now.round + 1} of {now.rounds}, "
+        stage = "learning" if learns else "driving"
+        self.show(share_of_rounds(now, self._run.config), text + at, stage)
+        if self.is_terminal:
             return
-        self._printed = True
-        print_overrides(
-            beside(self.console),
-            self._town,
-            self._overrides,
-            (self._note,) if self._note else (),
-            verbose=self._verbose,
-            in_manifest=True,
-        )
+        text += f"{now.segments} of {now.of} segments"
+        if now.updates:
+            self.print_line(f"{text}, {counted(now.updates, 'update')}, loss {now.loss:.4f}")
+        elif now.segments == now.of and not now.learned:
+            self.print_line(f"{text}: learning")
 
     def warn(self, text: str) -> None:
         """Print what went wrong without ending the training."""
         warn(text)
+
+
+def step_display(bar: StageBar) -> Callable[[TrainProgress], None]:
+    """Shows the progress of Q-learning; a log gets a line for each tenth of the run."""
+    tenths = 0
+
+    def show(now: TrainProgress) -> None:
+        nonlocal tenths
+        # The last steps are done together, and may be a few more.
+        step = min(now.step, now.total_steps)
+        kpi1 = "" if now.kpi1 is None else f", KPI 1 {now.kpi1:.3f}"
+        known = f"{counted(now.episodes, 'episode')}, {counted(now.crashes, 'crash')}{kpi1}"
+        text = f"{step}/{now.total_steps} steps, {known}"
+        phase = f"phase {now.phase}"
+        bar.show(step / now.total_steps, text, phase)
+        if not bar.is_terminal and 10 * step // now.total_steps > tenths:
+            tenths = 10 * step // now.total_steps
+            bar.print_line(f"{phase}: {text}", left=False)
+
+    return show
+
+
+def share_of_rounds(now: RoundProgress, config: RunConfig) -> float:
+    """Which share of a run's work is done, 0 to 1.
+
+    A step that is driven and one in a batch that is learned from cost about the same on two cores.
+    From the second round on worlds drive while the network learns, so that a round takes as long as
+    the longer of both.
+    """
+    collect, danger = config.collect, config.danger
+    drive = collect.segments * collect.ticks * collect.chairs
+    learn = danger.updates * danger.batch
+    both = max(drive, learn)
+    last = now.rounds - 1
+    before = 0 if now.round == 0 else drive + now.round * both
+    driven = drive * now.segments / max(1, now.of) if now.round == 0 else 0.0
+    learned = 1.0 if now.updates else now.learned / danger.updates
+    done = before + driven + learned * (learn if now.round == last else both)
+    return done / (drive + last * both + learn)
 
 
 def train_network(
@@ -251,7 +312,7 @@ def train_network(
     """
     learner = learner_of(run.config)
     machines = machines or machines_of("", None, "--worlds")
-    with TrainingBar(learner.first_stage, town.name, run, note, verbose) as bar:
+    with _TrainingBar(town.name, run, note, verbose) as bar:
         try:
             with removed_without_results(run.out):
                 return learner.train(run, town, machines, bar)
@@ -267,7 +328,8 @@ def train_network(
 def removed_without_results(run: Path) -> Iterator[None]:
     """Remove a run folder that the block made, when the block fails without results.
 
-    It stays after a full disk, and when a cluster is lost: wcsim resume continues.
+    It stays after a full disk, and when a cluster is lost: wcsim resume continues. For a run of
+    several clients `ClientsFolder.fruitless` judges, which looks at the world's journal, too.
     """
     is_new = not run.exists()
     with fresh_folders(run.parent):
@@ -279,13 +341,6 @@ def removed_without_results(run: Path) -> Iterator[None]:
             if is_new and not has_results(run):
                 shutil.rmtree(run, ignore_errors=True)
             raise
-
-
-def has_results(run: Path) -> bool:
-    """Whether an episode, a segment, a checkpoint or a policy was saved in a run folder."""
-    return logged_rows(run / METRICS) > 0 or any(
-        any(run.glob(f"{folder}/*")) for folder in ("checkpoints", "policies", f"{DATA}/{SEGMENTS}")
-    )
 
 
 def report_run(options: OutputOptions, run: ResolvedRun) -> None:

@@ -151,7 +151,10 @@ def train_clients(
 
 @contextmanager
 def _opened(run: GroupRun) -> Iterator[ClientsFolder]:
-    """The run folder, new or to resume, locked; a new one in which nothing was done is removed."""
+    """The run folder, new or to resume, locked; a new one in which nothing was done is removed.
+
+    `removed_without_results` does so for a run of one network.
+    """
     configs = {client.name: client.config for client in run.clients}
     if run.resume:
         with locked(run.out):

@@ -14,17 +14,17 @@ from tyro.conf import Positional, arg
 
 from wcsim.agents.clients.group_run import CLIENT_ARGV
 from wcsim.agents.networks.names import check_network, client_name
-from wcsim.agents.opening.learner_registry import Q_LEARNING, step_display
-from wcsim.agents.runs.run_folder import ResolvedRun, open_run, require_new
+from wcsim.agents.opening.learner_registry import Q_LEARNING
+from wcsim.agents.runs.run_folder import ResolvedRun, has_results, open_run, require_new
 from wcsim.cli.shared.common import Bounds, Flag, OutFolder, check_folder, parse
 from wcsim.cli.shared.consoles import StageBar
 from wcsim.cli.shared.exit_codes import Exit, NothingSaved
 from wcsim.cli.shared.run_config import how_to_test, require_user
 from wcsim.cli.shared.training import (
     QLearningOptions,
-    has_results,
     q_layers,
     removed_without_results,
+    step_display,
 )
 from wcsim.config import RunConfig, resolve
 from wcsim.core.files import locked

@@ -88,17 +88,12 @@ def run(words: list[str]) -> int:
         was.manifest.status == "done"
         and again.config.learn.total_steps == was.config.learn.total_steps
     ):
-        print(f"note: {_finished(options.run, was.config)}", file=sys.stderr)
+        done = f"all of its {learner.length(was.config)} are done"
+        extend_it = "; extend it with --steps N" if learner.extends else ""
+        print(f"note: {options.run} is finished: {done}{extend_it}", file=sys.stderr)
     train_network(again, town, verbose=options.verbose, machines=machines)
     report_run(options, again)
     return Exit.DONE
-
-
-def _finished(out: Path, config: RunConfig) -> str:
-    """What to say of a run that has nothing left to do."""
-    learner = learner_of(config)
-    extend_it = "; extend it with --steps N" if learner.extends else ""
-    return f"{out} is finished: all of its {learner.length(config)} are done{extend_it}"
 
 
 def _resumed(options: _Options) -> tuple[ResolvedRun, Town]:
@@ -129,23 +124,7 @@ def _resumed(options: _Options) -> tuple[ResolvedRun, Town]:
 
 
 def _resume_group(options: _Options) -> int:
-    run, town = _resumed_group(options)
-    command = run.info.command
-    try:
-        lease_s = float(_value_of(command, "lease") or LEASE_S)
-    except ValueError:
-        lease_s = LEASE_S
-    again = GroupOptions(
-        lease=lease_s if 1.0 <= lease_s <= 86_400.0 else LEASE_S,
-        worlds=options.worlds,
-        verbose=options.verbose,
-        json=options.json,
-    )
-    return train_group(again, run, town)
-
-
-def _resumed_group(options: _Options) -> tuple[GroupRun, Town]:
-    """What a run of several clients goes on with. Raises as `_resumed` does."""
+    """Go on with a run of several clients. Raises as `_resumed` does."""
     path = options.run
     folder = open_clients_folder(path)
     configs = {name: folder.client_config(name) for name in folder.clients}
@@ -155,7 +134,18 @@ def _resumed_group(options: _Options) -> tuple[GroupRun, Town]:
         longer = resolve(config, {"learn": {"total_steps": _steps_of(options, config)}})
         clients.append(Client(name=name, seat=seat, config=longer))
     info = in_town(folder.manifest.info, town, clients[0].config)
-    return GroupRun(clients=tuple(clients), out=path, info=info, resume=True), town
+    try:
+        lease_s = float(_value_of(info.command, "lease") or LEASE_S)
+    except ValueError:
+        lease_s = LEASE_S
+    again = GroupOptions(
+        lease=lease_s if 1.0 <= lease_s <= 86_400.0 else LEASE_S,
+        worlds=options.worlds,
+        verbose=options.verbose,
+        json=options.json,
+    )
+    run = GroupRun(clients=tuple(clients), out=path, info=info, resume=True)
+    return train_group(again, run, town)
 
 
 def _value_of(command: Sequence[str], option: str) -> str | None:

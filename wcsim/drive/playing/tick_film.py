@@ -126,7 +126,15 @@ class TickFilm:
         return Moment(
             actors=frame.actors,
             signals=frame.signals,
-            chairs=tuple(_pose(each) for each in frame.chairs),
+            chairs=tuple(
+                ChairPose(
+                    seat=each.seat,
+                    p_WB_m=np.array(each.p_WB_m),
+                    q_WB=np.array(each.q_WB),
+                    outline=each.outline,
+                )
+                for each in frame.chairs
+            ),
             seat=seat,
             jumped=jumped or chair.step == 1,
             route=frame.route(seat),
@@ -167,7 +175,3 @@ class TickFilm:
 
 def _unpacked(blocks: Mapping[int, bytes], block: int) -> list[_FilmTick]:
     return _TICKS.decode(zstandard.ZstdDecompressor().decompress(blocks[block]))
-
-
-def _pose(chair: FilmChair) -> ChairPose:
-    return ChairPose(seat=chair.seat, p_WB_m=np.array(chair.p_WB_m), q_WB=np.array(chair.q_WB), outline=chair.outline)

@@ -55,7 +55,16 @@ class RasterRenderer:
         check_images(camera, out)
         wordless = out.rgb is None and out.instance is None
         words = np.empty((0, 0) if wordless else out.class_id.shape, np.uint32)
-        target, view = kernels.Target(out.depth_m, out.class_id, words), self._view(camera, T_CW)
+        target = kernels.Target(out.depth_m, out.class_id, words)
+        T_CW = np.ascontiguousarray(T_CW, np.float64)
+        view = kernels.View(
+            T_CW=T_CW,
+            focal_px=float(camera.focal_px),
+            near_m=float(camera.near_m),
+            range_m=float(camera.range_m),
+            sun_C=T_CW[:, :3] @ SUN_W,
+            light=self._light,
+        )
         actors = instances.placed
         if shown is None:
             shown = np.ones(len(instances), np.bool_)
@@ -70,17 +79,6 @@ class RasterRenderer:
             T_WC = _inverse(view.T_CW)
             _colour(self._street, view, T_WC, out.depth_m, words, out.rgb)
             _stand(actors.T_WM, shown, view, T_WC, out.depth_m, words, out.rgb)
-
-    def _view(self, camera: Pinhole, T_CW: F64) -> kernels.View:
-        T_CW = np.ascontiguousarray(T_CW, np.float64)
-        return kernels.View(
-            T_CW=T_CW,
-            focal_px=float(camera.focal_px),
-            near_m=float(camera.near_m),
-            range_m=float(camera.range_m),
-            sun_C=T_CW[:, :3] @ SUN_W,
-            light=self._light,
-        )
 
 
 def warm_up(renderer: RasterRenderer) -> None:

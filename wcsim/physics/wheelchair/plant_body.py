@@ -236,7 +236,10 @@ def _set_dynamics(body: ChairBody, spec: PlantSpec, most_radps: float, bullet: B
             spinningFriction=0.0,
             jointDamping=0.0,
         )
-    _turn_rotors(body, spec, bullet)
+    # The drive wheels turn the motors' rotors, whose inertia URDF refuses. Without it a wheel is so light beside the
+    # chair that the solver does not end, and the chair creeps down slopes.
+    for index in body.drives:
+        bullet.changeDynamics(body.id, index, localInertiaDiagonal=spec.drive_inertia_kgm2)
     for name, index in body.links.items():
         if not name.startswith("antitip"):
             torque = _bearing_Nm(spec, name)
@@ -249,15 +252,6 @@ def _bearing_Nm(spec: PlantSpec, link: str) -> float:
         return spec.casters[_pair(link)].swivel_friction_Nm
     beam = spec.casters[_pair(link)].beam if _part(link) == "beam" else None
     return beam.friction_Nm if beam is not None else 0.0
-
-
-def _turn_rotors(body: ChairBody, spec: PlantSpec, bullet: Bullet) -> None:
-    """Give the drive wheels the inertia of the motors' rotors, which turn with them; URDF refuses such a wheel.
-
-    Without it a wheel is so light beside the chair that the solver does not end, and the chair creeps down slopes.
-    """
-    for index in body.drives:
-        bullet.changeDynamics(body.id, index, localInertiaDiagonal=spec.drive_inertia_kgm2)
 
 
 def _part(link: str) -> str:

@@ -65,7 +65,13 @@ def _find_notes(town: Town, net: Net, over: tuple[_Overlap, ...] = ()) -> tuple[
         again = f"; to route the traffic over the new net, {Cures(town).routes()}" if town.routes else ""
         notes.append(f"changed since the import: {path.name}{again}")
     if over:
-        notes.append(_overlap(town, over))
+        total_m2, worst = sum(item.area_m2 for item in over), over[0]
+        notes.append(
+            f"{total_m2:.0f} m2 of pavement overlap the carriageway of another street without a junction (places of "
+            f"more than {LEAST_M2:g} m2): SUMO's pedestrians and cars do not see each other there; the largest: edge "
+            f"{worst.pavement} under {worst.street}, {worst.area_m2:.0f} m2; move or delete one of them: "
+            f"{Cures(town).netedit()}"
+        )
     if _polygons(town) is None and not _built_up(town, net):
         notes.append("there are no buildings or trees: the town has no .poly.xml")
     return tuple(notes)
@@ -138,12 +144,6 @@ def _lacks_crossings(net: Net, found: TownReport) -> bool:
     return not found.crossings and bool(net.lanes(LaneKind.MOTOR))
 
 
-def _is_unpaved(town: Town, net: Net, found: TownReport) -> bool:
-    """Whether walkers need a paved copy of the scenario first, and there can be one."""
-    unpaved = not found.walkingareas or _lacks_crossings(net, found)
-    return unpaved and "town import" not in town.file.rebuild and net.slowest_mps is not None
-
-
 def _parts(cut_off: tuple[CutOff, ...]) -> str:
     """Which parts of the walkable ground cannot be reached on foot."""
     parts = ", ".join(f"edge {part.edge} ({part.area_m2:.0f} m2)" for part in cut_off[:_TOLD_PARTS])
@@ -154,7 +154,10 @@ def _parts(cut_off: tuple[CutOff, ...]) -> str:
 def _demand(town: Town, net: Net, found: TownReport) -> list[str]:
     lines = []
     if _WALKER not in found.classes and (found.walkingareas or net.slowest_mps is not None):
-        cure = PAVED_LATER if _is_unpaved(town, net, found) else Cures(town).walkers()
+        # Walkers need a paved copy of the scenario first, where there can be one.
+        unpaved = not found.walkingareas or _lacks_crossings(net, found)
+        later = unpaved and "town import" not in town.file.rebuild and net.slowest_mps is not None
+        cure = PAVED_LATER if later else Cures(town).walkers()
         words = shlex.split(town.file.rebuild)
         if "--traffic" in words[:-1] and words[words.index("--traffic") + 1] == "0":
             words[words.index("--traffic") + 1] = "1"
@@ -165,16 +168,6 @@ def _demand(town: Town, net: Net, found: TownReport) -> list[str]:
             f"{found.unroutable} trips have no route through the net; to drop or repair them, {Cures(town).routes()}"
         )
     return lines
-
-
-def _overlap(town: Town, over: tuple[_Overlap, ...]) -> str:
-    total_m2, worst = sum(item.area_m2 for item in over), over[0]
-    return (
-        f"{total_m2:.0f} m2 of pavement overlap the carriageway of another street without a junction (places of more "
-        f"than {LEAST_M2:g} m2): SUMO's pedestrians and cars do not see each other there; the largest: edge "
-        f"{worst.pavement} under {worst.street}, {worst.area_m2:.0f} m2; move or delete one of them: "
-        f"{Cures(town).netedit()}"
-    )
 
 
 _CHECKED_S = 600.0  # of the demand, from its begin

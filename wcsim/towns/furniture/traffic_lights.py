@@ -58,7 +58,10 @@ class _Approach:
 def signal_things(net: Net, additional: tuple[Path, ...], place: FreeGround) -> list[StandingObject]:
     """A post with heads at the kerb of each approach that a signal controls, and at both ends of such crossings."""
     found: list[StandingObject] = []
-    columns = _columns(all_phases(net, additional))
+    # The states of all phases of each light: links with the same letter in all of them share a head.
+    columns: dict[str, list[str]] = defaultdict(list)
+    for phase in all_phases(net, additional):
+        columns[phase.tls_id].append(phase.colours.lower())
     for thing in chain(_vehicle_signals(net, columns, place), _walk_signals(net, place)):
         place.take([thing])
         found.append(thing)
@@ -117,14 +120,6 @@ def _more_phases(files: tuple[Path, ...]) -> Iterator[tuple[str, str]]:
         data = read_bytes(path)
         if b"<tlLogic" in data:
             yield from read_phases(parse_root(data, str(path)))
-
-
-def _columns(phases: tuple[SignalState, ...]) -> dict[str, list[str]]:
-    """For each traffic light the states of all phases: links with the same letter in all of them share a head."""
-    found: dict[str, list[str]] = defaultdict(list)
-    for phase in phases:
-        found[phase.tls_id].append(phase.colours.lower())
-    return found
 
 
 def _vehicle_signals(net: Net, columns: dict[str, list[str]], place: FreeGround) -> Iterator[StandingObject]:

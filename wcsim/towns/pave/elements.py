@@ -204,12 +204,19 @@ def _first_member(distribution: Element) -> str:
 
 
 def _placed(element: Element, tag: str, paving: Paving) -> dict[str, str]:
-    """An element on a lane, on an edge, or one that names lanes."""
+    """An element on a lane, on an edge, or one that names lanes; `paving` counts it. Raises TownError."""
     named = ("lanes", *(key for owner, key in _IDS if owner == tag))
     found = {key: _renamed(value, paving) for key in named if (value := element.get(key))}
     lanes = _lanes_of(element, tag, paving)
+    name = element.get("id", "")
     if element.get("lane"):
-        _note_placed(element, tag, lanes[0], paving)
+        if lanes[0] not in paving.lanes.lines:
+            raise TownError(
+                f"{tag} {name!r}: names lane {lanes[0]!r}, which the net does not have; correct that name first"
+            )
+        paving.placed += 1
+        if tag == "parkingArea" and paving.lanes.shift(lanes[0].rpartition("_")[0]):
+            paving.parking.append(name)
         found["lane"] = _renamed(element.get("lane", ""), paving)
     if not lanes or lanes[0] not in paving.lanes.moved or lanes[-1] not in paving.lanes.moved:
         return found
@@ -217,7 +224,9 @@ def _placed(element: Element, tag: str, paving: Paving) -> dict[str, str]:
         if (pos_m := _number(element.get(key))) is not None:
             lane = lanes[-1] if key == "endPos" else lanes[0]
             found[key], along_m = _position(lane, pos_m, tag in _SPANS, paving.lanes)
-            _note_moved(element, lane, along_m, paving)
+            if along_m > FAR_M:
+                moved = f"{_tag(element)} {name or 'on ' + lane}"
+                paving.moved_m[moved] = max(along_m, paving.moved_m.get(moved, 0.0))
     return found | _whole(element, tag, lanes, found, paving)
 
 
@@ -227,16 +236,6 @@ def _lanes_of(element: Element, tag: str, paving: Paving) -> list[str]:
     if not element.get("lane") and edge in paving.lanes.before and tag in ("stop", "calibrator"):
         return [paving.lanes.before[edge][-1].id]
     return list(_words(element.get("lane") or element.get("lanes") or ""))
-
-
-def _note_placed(element: Element, tag: str, lane: str, paving: Paving) -> None:
-    """Count an element that lies on a lane. Raises TownError for a lane that there is not."""
-    name = element.get("id", "")
-    if lane not in paving.lanes.lines:
-        raise TownError(f"{tag} {name!r}: names lane {lane!r}, which the net does not have; correct that name first")
-    paving.placed += 1
-    if tag == "parkingArea" and paving.lanes.shift(lane.rpartition("_")[0]):
-        paving.parking.append(name)
 
 
 def _whole(element: Element, tag: str, lanes: list[str], found: Mapping[str, str], paving: Paving) -> dict[str, str]:
@@ -261,12 +260,6 @@ def _position(lane: str, pos_m: float, span: bool, lanes: _LaneMap) -> tuple[str
     same_m = pos_m if pos_m >= 0.0 else pos_m + old_m
     kept = abs(found_m - same_m) <= SAME_M and (pos_m >= 0.0 or abs(new_m - old_m) <= SAME_M)
     return _text(pos_m if kept else found_m), along_m
-
-
-def _note_moved(element: Element, lane: str, along_m: float, paving: Paving) -> None:
-    if along_m > FAR_M:
-        name = f"{_tag(element)} {element.get('id') or 'on ' + lane}"
-        paving.moved_m[name] = max(along_m, paving.moved_m.get(name, 0.0))
 
 
 def _travelling(element: Element, tag: str, paving: Paving) -> dict[str, str]:

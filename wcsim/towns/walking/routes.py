@@ -84,7 +84,9 @@ class Router:
         if np.allclose(here, ahead):
             here = self._at(index, at_m - 0.1)
         yaw_rad = yaw_of(ahead - here)
-        return (float(here[0]), float(here[1])), yaw_rad if rng.random() < 0.5 else _turned(yaw_rad)
+        if rng.random() >= 0.5:
+            yaw_rad += -np.pi if yaw_rad > 0.0 else np.pi
+        return (float(here[0]), float(here[1])), yaw_rad
 
     def random_goal(
         self, rng: np.random.Generator, start_xy: XY, min_m: float, max_m: float, crossing_share: float = 0.0
@@ -145,16 +147,14 @@ class Router:
                 if other != node:
                     last = before[other][0]
                     soon = offset_m + found[last] <= SOON_M
-                    crosses[other] = crosses[last] or (soon and self._is_crossing(last, other))
+                    way = self.walk.edges[self._graph[last][other]["index"]]
+                    crosses[other] = crosses[last] or (soon and way.kind is WayKind.CROSSING)
                 if offset_m + cost_m < reach_m.get(other, np.inf):
                     reach_m[other], over[other] = offset_m + cost_m, crosses[other]
         edges = [self.walk.edges[index] for index in self._starts.tolist()]
         nearer = [min((e.start, e.end), key=lambda node: reach_m.get(node, np.inf)) for e in edges]
         near_m = np.array([reach_m.get(node, np.inf) for node in nearer])
         return reach_m, near_m, np.array([over.get(node, False) for node in nearer], np.bool_)
-
-    def _is_crossing(self, a: int, b: int) -> bool:
-        return self.walk.edges[self._graph[a][b]["index"]].kind is WayKind.CROSSING
 
     def _snap(self, xy: XY) -> tuple[int, float]:
         """The nearest edge and the distance along it."""
@@ -227,10 +227,6 @@ def _without_spurs(points_m: F64, arc_m: F64) -> list[int]:
         back = np.flatnonzero((gap_m > 1e-6) & (gap_m < _SPUR_GAP_M) & (way_m > _SPUR_RATIO * gap_m))
         at = at + 2 + int(back[-1]) if len(back) else at + 1
     return kept
-
-
-def _turned(yaw_rad: float) -> float:
-    return yaw_rad - np.pi if yaw_rad > 0.0 else yaw_rad + np.pi
 
 
 def edges_ahead(walk: WalkGraph, route: Route, arc_m: float) -> tuple[str, ...]:

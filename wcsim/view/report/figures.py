@@ -153,11 +153,6 @@ def _arms(row: ResultRow, key: str) -> list[list[float]]:
     return [[max(0.0, value - low)], [max(0.0, high - value)]]
 
 
-def _look(place: int) -> dict[str, Any]:
-    """The mark and the colour of the policy at a place of the result."""
-    return {"fmt": _MARKS[place % len(_MARKS)], "color": _colour_of(place)}
-
-
 _AXES: Final = ("crashes_per_km", "kpi1_free_within")
 
 
@@ -181,7 +176,8 @@ def _obedience_figure(result: TestResult, places: Mapping[str, int]) -> Exhibit:
                 elinewidth=0.8,
                 capsize=2,
                 label=_short(name),
-                **_look(places[name]),
+                fmt=_MARKS[places[name] % len(_MARKS)],
+                color=_colour_of(places[name]),
             )
         axes.set_xlim(left=0.0)
         axes.set_xlabel("own crashes per km (left is better)")

@@ -44,13 +44,11 @@ XY = tuple[float, float]
 def _is_sound(street: Street, route: Route, outline: Outline) -> bool:
     """Whether a test may send a chair of this outline along a route."""
     over = crossings(route, street.walk)
-    return _has_refuges(over, outline) and _road_beside_m(street, route, over) <= BESIDE_M
-
-
-def _has_refuges(over: Sequence[Crossing], outline: Outline) -> bool:
-    """Whether before each light that follows on another crossing there is room for a chair that waits."""
+    # A chair that waits before a light needs room between it and the crossing before.
     room_m = outline.length_m + KERB_GAP_M
-    return all(not then.tls_id or then.start_m - before.end_m > room_m for before, then in pairwise(over))
+    if any(then.tls_id and then.start_m - before.end_m <= room_m for before, then in pairwise(over)):
+        return False
+    return _road_beside_m(street, route, over) <= BESIDE_M
 
 
 def _road_beside_m(street: Street, route: Route, over: Sequence[Crossing]) -> float:

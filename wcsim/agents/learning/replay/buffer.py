@@ -240,7 +240,13 @@ class FrameReplay(ReplayBuffer):
         starts = first + np.floor(self.rng.random(batch_size) * known).astype(np.int64)
         count = round(self.precrash_share * batch_size)
         if count > 0 and self.crashes:
-            starts[:count], seats[:count] = self._draw_before_crashes(count, first)
+            # Steps 0..window-1 before crashes, within their episodes and the ring.
+            index, crashed = self._draw_listed(self.crashes, count).T
+            steps = self.episode_step[index % self.buffer_size, crashed]
+            back = np.minimum(
+                self.rng.integers(0, self.precrash_window, count), np.minimum(steps, index - first)
+            )
+            starts[:count], seats[:count] = index - back, crashed
         return starts, seats
 
     def gather(self, starts: I64, seats: I64) -> DictReplayBufferSamples:
@@ -387,13 +393,6 @@ class FrameReplay(ReplayBuffer):
         """Absolute index and seat, (count, 2), of some of these steps."""
         picks = self.rng.integers(0, max(len(listed), 1), count)
         return np.array([listed[k] for k in picks], np.int64).reshape(-1, 2)
-
-    def _draw_before_crashes(self, count: int, first: int) -> tuple[I64, I64]:
-        """Steps 0..window-1 before crashes, within their episodes and the ring."""
-        index, seats = self._draw_listed(self.crashes, count).T
-        reach = np.minimum(self.episode_step[index % self.buffer_size, seats], index - first)
-        back = np.minimum(self.rng.integers(0, self.precrash_window, count), reach)
-        return index - back, seats
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

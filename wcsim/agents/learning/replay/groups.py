@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 
-from wcsim.types import F32, I64, U8, Bool
+from wcsim.types import F32, I64, U8
 
 if TYPE_CHECKING:
     from wcsim.agents.learning.replay.buffer import FrameReplay
@@ -102,7 +102,9 @@ class Groups:
         ended = memory.ended[last % memory.buffer_size, seats]
         # What follows the newest step is not known yet, unless its episode ended with it.
         followed = (last == index + self.length - 1) & (last < memory.total - 1)
-        usable = (ended | followed) & self._reaches_back(memory, index, seats)
+        # Nothing of a group, or of its burn-in, may be overwritten.
+        burned = self._burned(memory, index, seats)
+        usable = (ended | followed) & (index - burned >= first)
         return np.stack([index[usable], seats[usable]], axis=1)
 
     def gather(self, memory: FrameReplay, index: I64, seats: I64) -> SequenceBatch:
@@ -155,12 +157,6 @@ class Groups:
         if self.state_size == 0:
             return np.zeros_like(index)
         return np.minimum(memory.episode_step[index % memory.buffer_size, seats], self.burn_in)
-
-    def _reaches_back(self, memory: FrameReplay, index: I64, seats: I64) -> Bool:
-        """Whether nothing of the groups, and of their burn-in, was overwritten."""
-        first = memory.total - memory.size()
-        here = index >= first
-        return here & (index - self._burned(memory, np.where(here, index, first), seats) >= first)
 
 
 def _observations(memory: FrameReplay, index: I64, seats: I64, last: I64) -> Tensors:

@@ -22,7 +22,6 @@ from wcsim.agents.policy_api import UNAIDED
 from wcsim.bridge.replay.player import LogPlayer
 from wcsim.bridge.replay.replayed import (
     config_of,
-    count_ticks,
     log_of,
     replayed,
     town_of_drive,
@@ -46,7 +45,7 @@ from wcsim.drive.playing.film_states import (
 )
 from wcsim.errors import ConfigError, PolicyError, TownError
 from wcsim.log.drive import DriveRecording
-from wcsim.log.reader import LogTail, read_header, read_states
+from wcsim.log.reader import LogTail, iter_inputs, read_header, read_states
 from wcsim.log.records import (
     Admitted,
     DriveTick,
@@ -109,12 +108,19 @@ def _replay_about(header: Header, ticks: int, *, epoch: int | None = None, live:
 def replay_film(path: Path, epoch: int | None = None, hook: str = "") -> Iterator[Said]:
     """A journal or a drive from its first tick to its last, of one epoch or of all; raises what `replayed` raises."""
     log, header = log_of(path), read_header(path)
-    yield _replay_about(header, count_ticks(log, epoch), epoch=epoch)
+    yield _replay_about(header, _count_ticks(log, epoch), epoch=epoch)
     scene = _RecordScene(log if isinstance(log, DriveRecording) else None)
     with closing(replayed(log, epoch, None, hook)) as steps:
         for world, record in steps:
             yield from scene.said(world, record)
     yield FilmLine(kind="end", told=scene.told(f"The whole {header.kind} is loaded."))
+
+
+def _count_ticks(log: Path | DriveRecording, epoch: int | None = None) -> int:
+    """How many ticks a log has, in one epoch or in all. Raises JournalError when it is neither journal nor drive."""
+    if isinstance(log, DriveRecording):
+        return len(log.ticks)
+    return sum(isinstance(record, Ticked) and epoch in (None, record.epoch) for record in iter_inputs(log))
 
 
 class _RecordScene:
