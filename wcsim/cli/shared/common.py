@@ -335,8 +335,8 @@ def check_folder(option: str, folder: Path) -> None:
     """Raise ConfigError for a folder that can be neither made nor written to."""
     if not can_be_written(folder):
         raise ConfigError(
-            f"{option}: {escaped(nearest_existing(folder))} is not a folder that can be written to; choose "
-            f"another with {option}"
+            f"{option}: {escaped(nearest_existing(folder))} is not a folder that can be written "
+            f"to; choose another with {option}"
         )
 
 
