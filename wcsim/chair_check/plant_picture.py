@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from wcsim.chair_check.static_balance import Foot, stand
+from wcsim.chair_check.static_balance import Foot, static_chair
 from wcsim.config import ChairConfig
 from wcsim.core.frames import Vec3
 from wcsim.physics.wheelchair.plant import FORK_M, PlantSpec, plant_spec
@@ -50,7 +50,7 @@ def _plant_image(spec: PlantSpec, name: str) -> Image:
     side, above = _View(spec, 2, spec.outline.height_m), _View(spec, 1, spec.outline.width_m)
     for view in (side, above):
         _draw_frame(view, spec)
-        for foot in stand(spec).feet:
+        for foot in static_chair(spec).feet:
             _draw_foot(view, foot)
         _draw_pivots(view, spec)
         _draw_com(view, spec)
