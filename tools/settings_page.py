@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import ast
 import inspect
-import io
 import json
+import re
 import textwrap
-import tokenize
 from collections.abc import Iterator
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
@@ -38,6 +37,7 @@ A town is a SUMO scenario with a `town.toml`. A scene is a folder of SUMO's plai
 ([how to make them](authoring.md)). A key with the default "none" is required.
 """
 _SIGNS = {"gt": ">", "ge": "≥", "lt": "<", "le": "≤", "min_length": "length ≥", "max_length": "length ≤"}
+_COMMENT = re.compile(r"(?:^ *|  )# (?!fmt)(.*)", re.MULTILINE)
 _LARGEST = 1e9  # stands for no bound, see wcsim/config/base.py
 
 
@@ -72,21 +72,20 @@ def keys(model: type[BaseModel]) -> list[tuple[str, FieldInfo, str]]:
 
 
 def meanings(model: type[BaseModel]) -> dict[str, str]:
-    """By field: its description, or the comment on its line."""
+    """By field: its description, or the comment behind it, or else the one on lines of their own right above it."""
     found = {name: field.description for name, field in model.model_fields.items() if field.description}
-    source = textwrap.dedent(inspect.getsource(model))
-    comments = {
-        token.start[0]: token.string.lstrip("# ").strip()
-        for token in tokenize.generate_tokens(io.StringIO(source).readline)
-        if token.type == tokenize.COMMENT and not token.string.startswith("# fmt")
-    }
     for base in model.__bases__:
         found |= meanings(base) if issubclass(base, BaseModel) and base.model_fields else {}
-    (told,) = ast.parse(source).body
-    for node in getattr(told, "body", []):
+    source = textwrap.dedent(inspect.getsource(model))
+    lines = source.splitlines()
+    for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
-            lines = range(node.lineno, (node.end_lineno or node.lineno) + 1)
-            found.setdefault(node.target.id, next((comments[line] for line in lines if line in comments), ""))
+            first = node.lineno - 1
+            behind = _COMMENT.findall("\n".join(lines[first : node.end_lineno]))
+            while lines[first - 1].lstrip().startswith("#"):
+                first -= 1
+            above = _COMMENT.findall("\n".join(lines[first : node.lineno - 1]))
+            found.setdefault(node.target.id, " ".join(behind or above))
     return found
 
 
@@ -96,7 +95,7 @@ def _section(name: str, model: type[BaseModel]) -> str:
         for key, field, said in keys(model)
     ]
     rows = table(("key", "type", "bounds", "default", "meaning"), cells) if cells else []
-    return "\n".join([f"## `{name}`", (inspect.getdoc(model) or "").partition("\n")[0], "", *rows, ""])
+    return "\n".join([f"## `{name}`", " ".join((inspect.getdoc(model) or "").split()), "", *rows, ""])
 
 
 def _below(name: str, field: FieldInfo) -> Iterator[tuple[str, type[BaseModel]]]:

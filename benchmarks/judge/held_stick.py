@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 
 from wcsim.agents.envs.seat_driver import PolicyAgent, SeatDriver
-from wcsim.agents.opening.named_policy import config_for, open_named, seat_for, sensing
+from wcsim.agents.opening.named_policy import config_for, open_named, policy_overrides, seat_for
 from wcsim.agents.policy_api import Warns
 from wcsim.bridge.world import World
 from wcsim.bridge.world_copy import in_copy
@@ -105,7 +105,7 @@ class HeldStreet(Closing):
         rules = (f"chair.plant={plant}", "world.warmup_s=20.0")
         config = config_for(policy, "quick", rules, in_list=True)
         self.policy = open_named(policy, config, seed)
-        self.config = resolve(config, sensing(config, self.policy))
+        self.config = resolve(config, policy_overrides(config, self.policy))
         self.hand = StickHolder()
         self.actions = action_set(self.config.env.actions)
         spec = replace(seat_for(self.policy, "held"), truth=True)

@@ -35,7 +35,7 @@ from wcsim.agents.perception.depth_image import viewing_rays
 from wcsim.agents.perception.ego_motion import in_body, in_odometric
 from wcsim.agents.perception.surroundings import box_of
 from wcsim.agents.policies.dwa import DynamicWindow, Veto
-from wcsim.agents.policy_api import Policy, SeesTruth, ReportsUnsafe
+from wcsim.agents.policy_api import Policy, ReportsUnsafe, SeesTruth
 from wcsim.bridge.world_copy import in_copy
 from wcsim.core.constants import KERB_STEP_M
 from wcsim.core.joystick import limits_of, shaped_rows

@@ -22,13 +22,13 @@ from wcsim.chair_check.static_balance import (
     FORWARD_DOWN,
     LEFT_DOWN,
     REAR_DOWN,
-    Stand,
+    StaticChair,
     Vec2,
     inertia_kgm2,
-    loads_N,
-    stand,
-    tip_rad,
-    uphill,
+    level_loads_N,
+    static_chair,
+    tip_angle_rad,
+    uphill_feet,
     worst_swivel_rad,
 )
 from wcsim.core.frames import deg, rad
@@ -38,50 +38,77 @@ from wcsim.physics.wheelchair.plant import PlantSpec, plant_spec
 from wcsim.types import F64
 
 # The mass rig.
-_FLOAT_M: Final = 20.0  # above the ground
+_LIFT_M: Final = 20.0
 _TORQUE_NM: Final = 20.0
 _PUSH_S: Final = 0.5
 _COAST_S: Final = 2.0
-_RAMP_NPS: Final = 200.0
-_SLIP_MPS: Final = 0.02
-_AXES: Final = np.eye(3)
 _COAST_MPS: Final = 1.0
+_PULL_RATE_NPS: Final = 200.0
+_SLIP_MPS: Final = 0.02
+_UNIT_AXES: Final = np.eye(3)
 _AXIS_NAMES: Final = ("roll", "pitch", "yaw")
 
 # The tilt table.
-_TILT_RADPS: Final = rad(0.2)
-_BEFORE_RAD: Final = rad(2.0)  # the slow part begins so far below the tilt that is expected
-_BEYOND_RAD: Final = rad(3.0)  # and is given up so far above it
-_FAST_RADPS: Final = rad(4.0)  # or it falls hard onto its anti-tips
+_SLOW_TILT_RADPS: Final = rad(0.2)
+# A faster table lets the chair fall hard onto its anti-tips.
+_FAST_TILT_RADPS: Final = rad(4.0)
+# The slow part begins so far below the tilt that is expected, and is given up so far above it.
+_SLOW_FROM_RAD: Final = rad(2.0)
+_GIVE_UP_RAD: Final = rad(3.0)
 _SETTLE_S: Final = 10.0
 _QUIET_RADPS: Final = 1e-3
-_STAGES: Final = (1 / 3, 2 / 3, 1.0)
+_STAGE_SHARES: Final = (1 / 3, 2 / 3, 1.0)
 _GRIP: Final = 2.0
-_ITERATIONS: Final = 1000  # many wheels held at once are stiff
+# Many wheels that are held at once are stiff.
+_SOLVER_ITERATIONS: Final = 1000
 _COM_HEIGHTS_M: Final = (0.50, 0.60)
-_TIP: Final = "{way}_com_{cm}cm"
+_TIP_ROW: Final = "{way}_com_{cm}cm"
 
 
 def mass_trials(setup: Setup) -> Iterator[Trial]:
     """The rows of one plant."""
     spec = plant_spec(setup.chair)
     yield trial_of("mass", _mass_kg, spec.whole_kg)
-    chair = stand(spec)
-    loads = loads_N(chair)
-    share = sum(load for name, load in loads.items() if name.startswith("wheel")) / sum(
-        loads.values()
-    )
-    yield trial_of("drive_wheel_share", _drive_wheel_share, share)
+    chair = static_chair(spec)
+    loads = level_loads_N(chair)
+    yield trial_of("drive_wheel_share", _drive_wheel_share, _share_on_wheels(loads))
     for axis, inertia in enumerate(inertia_kgm2(spec)):
         measure = partial(_turning_inertia_kgm2, axis=axis)
         yield trial_of("inertia_{axis}", measure, float(inertia), axis=_AXIS_NAMES[axis])
     yield trial_of("turning_loss", _turning_loss_per_s)
     yield trial_of("coasting_loss", _coasting_mps2, speed_mps=_COAST_MPS)
+    # The friction of each foot, weighted with its load.
     friction = {foot.name: foot.friction for foot in chair.feet}
     grip = sum(load * friction[name] for name, load in loads.items()) / (
         spec.whole_kg * GRAVITY_MPS2
     )
     yield trial_of("grip", _grip, grip)
+
+
+def tip_trials(setup: Setup, only: Sequence[str] = ()) -> Iterator[Trial]:
+    """The rows of one plant: each way to tip at each height of the centre of mass.
+
+    What is expected takes a moment to find, so rows whose names begin with none of the words of
+    `only` are left out.
+    """
+    for name, downhill, antitips in _tip_cases(setup):
+        for height_m in _COM_HEIGHTS_M:
+            if only and not _tip_row_name(name, height_m).startswith(tuple(only)):
+                continue
+            expected_deg = deg(_expected_tip_rad(setup.at_com_height(height_m), downhill, antitips))
+            measure = partial(_tip_deg, height_m=height_m, downhill=downhill, antitips=antitips)
+            yield trial_of(_TIP_ROW, measure, expected_deg, way=name, cm=round(100 * height_m))
+
+
+def tip_ratio_rows(setup: Setup, rows: Mapping[str, Row]) -> Iterator[Row]:
+    """Share of each tip angle that is left as the centre of mass is raised; same pivots."""
+    low_m, high_m = _COM_HEIGHTS_M
+    for name, _, _ in _tip_cases(setup):
+        pair = rows.get(_tip_row_name(name, low_m)), rows.get(_tip_row_name(name, high_m))
+        if pair[0] is None or pair[1] is None:
+            continue
+        found = partial(_known_value, value=pair[1].value / pair[0].value)
+        yield measured(trial_of("{way}_falls", found, way=name, low=low_m, high=high_m), setup)
 
 
 def _mass_kg(setup: Setup) -> float:
@@ -93,10 +120,12 @@ def _mass_kg(setup: Setup) -> float:
 def _drive_wheel_share(setup: Setup) -> float:
     """Share of the weight that rests on the drive wheels."""
     with Rig(setup) as rig:
-        loads = rig.weigh_N()
-    return sum(load for name, load in loads.items() if name.startswith("wheel")) / sum(
-        loads.values()
-    )
+        return _share_on_wheels(rig.weigh_N())
+
+
+def _share_on_wheels(loads_N: Mapping[str, float]) -> float:
+    on_wheels_N = sum(load for name, load in loads_N.items() if name.startswith("wheel"))
+    return on_wheels_N / sum(loads_N.values())
 
 
 def _turning_inertia_kgm2(setup: Setup, axis: int) -> float:
@@ -105,20 +134,20 @@ def _turning_inertia_kgm2(setup: Setup, axis: int) -> float:
     A known torque acts for half a second; the rate gives the inertia.
     """
     with Rig(setup) as rig:
-        _float(rig)
-        _turn(rig, _AXES[axis])
-        return _TORQUE_NM * _PUSH_S / float(_rate(rig)[axis])
+        _lift_off(rig)
+        _apply_torque(rig, _UNIT_AXES[axis])
+        return _TORQUE_NM * _PUSH_S / float(_angular_rate_radps(rig)[axis])
 
 
 def _turning_loss_per_s(setup: Setup) -> float:
     """Share of its yaw rate that a floating chair loses in a second: by damping alone."""
     with Rig(setup) as rig:
-        _float(rig)
-        _turn(rig, _AXES[2])
-        before = float(_rate(rig)[2])
+        _lift_off(rig)
+        _apply_torque(rig, _UNIT_AXES[2])
+        before = float(_angular_rate_radps(rig)[2])
         for _ in range(2 * setup.hz):
             rig.engine.step()
-        return 0.5 * (1.0 - float(_rate(rig)[2]) / before)
+        return 0.5 * (1.0 - float(_angular_rate_radps(rig)[2]) / before)
 
 
 def _coasting_mps2(setup: Setup) -> float:
@@ -138,19 +167,16 @@ def _coasting_mps2(setup: Setup) -> float:
 
 
 def _grip(setup: Setup) -> float:
-    """Pull along the ground at which it slides with held wheels, as a share of its weight.
-
-    It is pulled towards its casters: pulled away from them, wheels that are held hop before they
-    slide.
-    """
+    """Pull along the ground at which it slides with held wheels, as a share of its weight."""
     with Rig(setup) as rig:
         rig.drive(NEUTRAL, 2.0)
         rig.lock("wheel", "caster", "swivel")
         spec = rig.chair.spec
+        # Towards its casters: pulled away from them, wheels that are held hop before they slide.
         way = -1.0 if all(pair.swivel_x_m < 0.0 for pair in spec.casters) else 1.0
         pull_N = 0.0
         while pull_N < 3.0 * spec.whole_kg * GRAVITY_MPS2:
-            pull_N += _RAMP_NPS / setup.hz
+            pull_N += _PULL_RATE_NPS / setup.hz
             place = rig.chair.state().p_WB_m + np.array([spec.mass.com_x_m, 0.0, 0.0])
             rig.chair.before_step()
             rig.bullet.applyExternalForce(
@@ -163,16 +189,16 @@ def _grip(setup: Setup) -> float:
         return pull_N / (spec.whole_kg * GRAVITY_MPS2)
 
 
-def _float(rig: Rig) -> None:
+def _lift_off(rig: Rig) -> None:
     """Lift the chair off the ground, without gravity, every joint held."""
     place, turn = rig.bullet.getBasePositionAndOrientation(rig.body)
-    up = (place[0], place[1], place[2] + _FLOAT_M)
+    up = (place[0], place[1], place[2] + _LIFT_M)
     rig.bullet.resetBasePositionAndOrientation(rig.body, up, turn)
     rig.bullet.setGravity(0.0, 0.0, 0.0)
     rig.lock()
 
 
-def _turn(rig: Rig, axis: F64) -> None:
+def _apply_torque(rig: Rig, axis: F64) -> None:
     """Give the chair a torque about an axis of the world for a while, as a pair of forces."""
     lever = np.roll(axis, 1)
     force = _TORQUE_NM * np.cross(axis, lever) / 2.0
@@ -189,41 +215,15 @@ def _turn(rig: Rig, axis: F64) -> None:
         rig.engine.step()
 
 
-def _rate(rig: Rig) -> F64:
+def _angular_rate_radps(rig: Rig) -> F64:
     return np.array(rig.bullet.getBaseVelocity(rig.body)[1])
 
 
-def tip_trials(setup: Setup, only: Sequence[str] = ()) -> Iterator[Trial]:
-    """The rows of one plant: each way to tip at each height of the centre of mass.
-
-    What is expected takes a moment to find, so rows whose names begin with none of the words of
-    `only` are left out.
-    """
-    for name, downhill, antitips in _ways(setup):
-        for height_m in _COM_HEIGHTS_M:
-            if only and not _name(name, height_m).startswith(tuple(only)):
-                continue
-            expected_deg = deg(_expected_tip_rad(setup.at_com_height(height_m), downhill, antitips))
-            measure = partial(_tip_deg, height_m=height_m, downhill=downhill, antitips=antitips)
-            yield trial_of(_TIP, measure, expected_deg, way=name, cm=round(100 * height_m))
-
-
-def falling_rows(setup: Setup, rows: Mapping[str, Row]) -> Iterator[Row]:
-    """Share of each tip angle that is left as the centre of mass is raised; same pivots."""
-    low_m, high_m = _COM_HEIGHTS_M
-    for name, _, _ in _ways(setup):
-        pair = rows.get(_name(name, low_m)), rows.get(_name(name, high_m))
-        if pair[0] is None or pair[1] is None:
-            continue
-        found = partial(_as_measured, value=pair[1].value / pair[0].value)
-        yield measured(trial_of("{way}_falls", found, way=name, low=low_m, high=high_m), setup)
-
-
-def _as_measured(_setup: Setup, value: float) -> float:
+def _known_value(_setup: Setup, value: float) -> float:
     return value
 
 
-def _ways(setup: Setup) -> Iterator[tuple[str, Vec2, bool]]:
+def _tip_cases(setup: Setup) -> Iterator[tuple[str, Vec2, bool]]:
     yield "tip_forward", FORWARD_DOWN, True
     yield "tip_rear", REAR_DOWN, True
     antitips_x_m = [pair.p_m[0] for pair in plant_spec(setup.chair).antitips]
@@ -234,13 +234,13 @@ def _ways(setup: Setup) -> Iterator[tuple[str, Vec2, bool]]:
     yield "tip_lateral", LEFT_DOWN, True
 
 
-def _name(way: str, height_m: float) -> str:
-    return _TIP.format(way=way, cm=round(100 * height_m))
+def _tip_row_name(way: str, height_m: float) -> str:
+    return _TIP_ROW.format(way=way, cm=round(100 * height_m))
 
 
 def _expected_tip_rad(setup: Setup, downhill: Vec2, antitips: bool) -> float:
     """The tilt at which a chair tips, from the masses and contact points that its file declares."""
-    return tip_rad(_stand(setup, downhill, antitips), downhill)
+    return tip_angle_rad(_chair_on_table(setup, downhill, antitips), downhill)
 
 
 def _tip_deg(setup: Setup, height_m: float, downhill: Vec2, antitips: bool) -> float:
@@ -250,32 +250,36 @@ def _tip_deg(setup: Setup, height_m: float, downhill: Vec2, antitips: bool) -> f
 
     Args:
         setup: The chair and the rate.
-        height_m: Of its centre of mass.
+        height_m: Height of its centre of mass.
         downhill: Unit vector in the chair's x and y.
         antitips: Whether it has its anti-tips.
     """
     setup = setup.at_com_height(height_m)
     expected = _expected_tip_rad(setup, downhill, antitips)
-    upper = uphill(_stand(setup, downhill, antitips), downhill)
-    with Rig(setup, iterations=_ITERATIONS) as rig:
-        _prepare(rig, downhill, antitips)
-        table = _Table(rig, downhill, upper)
+    upper = uphill_feet(_chair_on_table(setup, downhill, antitips), downhill)
+    with Rig(setup, iterations=_SOLVER_ITERATIONS) as rig:
+        # 1. Hold the joints, and wait on level ground.
+        _hold_joints(rig, downhill, antitips)
+        table = _TiltTable(rig, downhill, upper)
         table.settle()
-        start_rad = max(expected - _BEFORE_RAD, 0.0)
-        # A chair that falls onto its anti-tips rocks there for a while.
-        for share in _STAGES:
+
+        # 2. Tilt fast, in stages: a chair that falls onto its anti-tips rocks there for a while.
+        start_rad = max(expected - _SLOW_FROM_RAD, 0.0)
+        for share in _STAGE_SHARES:
             table.tilt_to(share * start_rad)
             table.settle()
-        return deg(table.tip_rad(start_rad + _BEFORE_RAD + _BEYOND_RAD))
+
+        # 3. Tilt slowly until it tips.
+        return deg(table.tip_angle_rad(start_rad + _SLOW_FROM_RAD + _GIVE_UP_RAD))
 
 
-def _stand(setup: Setup, downhill: Vec2, antitips: bool) -> Stand:
+def _chair_on_table(setup: Setup, downhill: Vec2, antitips: bool) -> StaticChair:
     spec = plant_spec(setup.chair)
-    chair = stand(spec, _swivel_rad(spec, downhill))
+    chair = static_chair(spec, _swivel_rad(spec, downhill))
     return chair if antitips else chair.without("antitip")
 
 
-def _rolls(spec: PlantSpec, downhill: Vec2) -> bool:
+def _wheels_roll(spec: PlantSpec, downhill: Vec2) -> bool:
     """Whether its wheels are left to roll.
 
     A beam is turned by the grip of its casters, sideways, too. How much of the grip wheels give
@@ -285,13 +289,14 @@ def _rolls(spec: PlantSpec, downhill: Vec2) -> bool:
 
 
 def _swivel_rad(spec: PlantSpec, downhill: Vec2) -> float:
-    return 0.0 if _rolls(spec, downhill) else worst_swivel_rad(spec, downhill)
+    return 0.0 if _wheels_roll(spec, downhill) else worst_swivel_rad(spec, downhill)
 
 
-def _prepare(rig: Rig, downhill: Vec2, antitips: bool) -> None:
+def _hold_joints(rig: Rig, downhill: Vec2, antitips: bool) -> None:
     spec = rig.chair.spec
     rig.turn_swivels(_swivel_rad(spec, downhill))
-    if _rolls(spec, downhill):
+    if _wheels_roll(spec, downhill):
+        # The statics that this is held against have no friction in the beam's bearing.
         rig.lock("swivel")
         rig.free("beam")
     else:
@@ -302,41 +307,40 @@ def _prepare(rig: Rig, downhill: Vec2, antitips: bool) -> None:
             rig.bullet.setCollisionFilterGroupMask(rig.body, index, 0, 0)
 
 
-class _Table:
+class _TiltTable:
     """A table under a chair that tilts downhill."""
 
     def __init__(self, rig: Rig, downhill: Vec2, upper: frozenset[str]) -> None:
-        self._rig, self._downhill, self._upper = rig, downhill, upper
+        self._rig = rig
+        self._downhill = downhill
+        self._upper = upper
         self._tilt_rad = 0.0
 
     def settle(self) -> None:
         """Wait until the chair is quiet, ten seconds at most."""
         for _ in range(round(_SETTLE_S / TICK_S)):
-            self._tick(0.0)
+            self._simulate_tick(0.0)
             if np.abs(self._rig.chair.state().w_B_radps).max() < _QUIET_RADPS:
                 return
 
     def tilt_to(self, tilt_rad: float) -> None:
         """Tilt to an angle, fast."""
         away_rad = tilt_rad - self._tilt_rad
-        ticks = math.ceil(away_rad / (_FAST_RADPS * TICK_S))
+        ticks = math.ceil(away_rad / (_FAST_TILT_RADPS * TICK_S))
         for _ in range(ticks):
-            self._tick(away_rad / (ticks * TICK_S))
+            self._simulate_tick(away_rad / (ticks * TICK_S))
 
-    def tip_rad(self, most_rad: float) -> float:
-        """Tilt slowly until the uphill wheels are off the table for a tick, or to an angle at most.
-
-        A load of zero alone would not do: before it tips, a chair may stand on the whole width of
-        its lower tyres, and then the solver is free to give the upper wheels none.
-        """
+    def tip_angle_rad(self, most_rad: float) -> float:
+        """Tilt slowly until the uphill wheels are off for a tick, or to an angle at most."""
         while self._tilt_rad < most_rad:
-            if self._tick(_TILT_RADPS):
+            if self._simulate_tick(_SLOW_TILT_RADPS):
                 return self._tilt_rad
         return self._tilt_rad
 
-    def _tick(self, rate_radps: float) -> bool:
-        """A tick at a rate; returns whether no uphill foot touched the table in it."""
-        rig, lifted = self._rig, True
+    def _simulate_tick(self, rate_radps: float) -> bool:
+        """Simulate a tick at a rate; returns whether no uphill foot touched the table in it."""
+        rig = self._rig
+        lifted = True
         rig.chair.command(NEUTRAL)
         for _ in range(rig.setup.substeps):
             self._tilt_rad += rate_radps / rig.setup.hz
@@ -348,6 +352,8 @@ class _Table:
             )
             rig.bullet.setGravity(*down)
             rig.substep()
+            # Contacts, not loads: before it tips, a chair may stand on the whole width of its lower
+            # tyres. Then the solver is free to give the upper wheels no load.
             lifted = lifted and self._upper.isdisjoint(rig.loads_N())
         rig.chair.end_tick(None)
         return lifted

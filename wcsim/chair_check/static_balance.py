@@ -25,30 +25,47 @@ from wcsim.types import F64
 
 Vec2 = tuple[float, float]
 Vec3 = tuple[float, float, float]
+# Unit vectors in the table that point downhill.
 FORWARD_DOWN: Final[Vec2] = (1.0, 0.0)
 REAR_DOWN: Final[Vec2] = (-1.0, 0.0)
 LEFT_DOWN: Final[Vec2] = (0.0, 1.0)
-_TURNS: Final = 72  # swivel angles that are tried for the worst
+
+# The chair and its contacts.
 _SIDES: Final = (("l", 1.0), ("r", -1.0))
-_FIRM_N_PER_M: Final = 1e7  # of a wheel on the table: 0.1 mm under a whole chair
 _UP: Final = np.array([0.0, 0.0, 1.0])
-_LEVEL_M: Final = 1e-6
-_MOST_LEAN_RAD: Final = 0.5
-_GROUP_M: Final = 0.05  # wheels this much less downhill than the last one are uphill of it
-_COARSE_RAD: Final = rad(1.0)
-_FINE_RAD: Final = rad(0.01)
-_MOST_RAD: Final = rad(60.0)
-_NOTHING: Final = 1e-6  # of the weight
-_CLOSE: Final = 1e-6  # of the weight
-_MOST_ROUNDS: Final = 60
-_STUCK: Final = 100.0  # times the stiffness of a wheel: moves are too small to get anywhere
-# Every wheel touches: one that just does not gives Newton no slope.
-_PRESSED: Final = np.array([-5e-5, 0.0, 0.0])
-# Downhill, where it may lean on an anti-tip or a stop in the end.
+# Swivel angles among which the worst is looked for.
+_SWIVEL_ANGLES: Final = 72
+# Feet that are less than this behind the farthest one downhill belong to the same pair.
+_GROUP_M: Final = 0.05
+# A wheel on the table gives by 0.1 mm under a whole chair.
+_TYRE_N_PER_M: Final = 1e7
+_SAME_HEIGHT_M: Final = 1e-6
+
+# The search for the tip angle.
+_COARSE_STEP_RAD: Final = rad(1.0)
+_FINE_STEP_RAD: Final = rad(0.01)
+_MAX_TILT_RAD: Final = rad(60.0)
+# Of the weight: uphill feet with less carry nothing.
+_LEAST_LOAD_SHARE: Final = 1e-6
+# Guesses of a pose downhill, where the chair may lean on an anti-tip or a stop in the end.
 _LEANS_RAD: Final = (0.0, 0.04, 0.08, 0.12, 0.16, 0.2)
-# Apart: leans between which it may fall from one pair of feet onto another.
-_LANDING_RAD: Final = 0.05
-_LANDED_RAD: Final = 1e-6
+# Apart: leans between which the chair may fall from one pair of feet onto another.
+_LEAN_STEP_RAD: Final = 0.05
+_LEAN_PRECISION_RAD: Final = 1e-6
+
+# Newton's method.
+# Every wheel touches at first: one that just does not gives Newton no slope.
+_START_POSE: Final = np.array([-5e-5, 0.0, 0.0])
+_MAX_NEWTON_STEPS: Final = 60
+# Of the weight.
+_TOLERANCE_SHARE: Final = 1e-6
+_MAX_LEAN_RAD: Final = 0.5
+# Times the stiffness of a wheel: with more, moves are too small to get anywhere.
+_MAX_DAMPING: Final = 100.0
+
+_TIPS_AT_REST: Final = (
+    "the plant tips at rest; expected one that stands: check its masses and wheels"
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,7 +74,8 @@ class _Beam:
 
     pivot_z_m: float
     stop_rad: float
-    weight_N: float  # of all that rocks
+    # Of all that rocks.
+    weight_N: float
     com_z_m: float
 
 
@@ -77,99 +95,113 @@ class Foot:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Stand:
-    """A chair as statics takes it."""
+class StaticChair:
+    """A chair on level ground before it moves on its springs: its mass and its feet."""
 
     mass_kg: float
     com_m: Vec3
     feet: tuple[Foot, ...]
 
-    def without(self, prefix: str) -> Stand:
+    def without(self, prefix: str) -> StaticChair:
         """The same chair without the feet whose names begin so."""
         feet = tuple(foot for foot in self.feet if not foot.name.startswith(prefix))
-        return Stand(mass_kg=self.mass_kg, com_m=self.com_m, feet=feet)
+        return StaticChair(mass_kg=self.mass_kg, com_m=self.com_m, feet=feet)
 
 
-def uphill(stand: Stand, downhill: Vec2) -> frozenset[str]:
+def static_chair(spec: PlantSpec, swivel_rad: float = 0.0) -> StaticChair:
+    """The chair with every caster's fork turned to an angle (0 is trailing), arms at rest."""
+    feet = [*_wheels(spec), *_casters(spec, swivel_rad), *_antitips(spec)]
+    return StaticChair(mass_kg=spec.whole_kg, com_m=_com_m(spec, swivel_rad), feet=tuple(feet))
+
+
+def worst_swivel_rad(spec: PlantSpec, downhill: Vec2) -> float:
+    """The swivel angle with the tip line nearest to the centre of mass, without anti-tips."""
+    angles = [2.0 * math.pi * k / _SWIVEL_ANGLES for k in range(_SWIVEL_ANGLES)]
+    return min(
+        angles,
+        key=lambda angle: _rigid_tip_angle_rad(
+            static_chair(spec, angle).without("antitip"), downhill
+        ),
+    )
+
+
+def inertia_kgm2(spec: PlantSpec) -> F64:
+    """Moments of inertia (3,) about the centre of mass, along B's axes, casters trailing."""
+    about = np.array(_com_m(spec))
+    total = np.zeros(3)
+    frame = (
+        spec.frame_mass_kg,
+        spec.frame_com_m,
+        tuple(0.5 * one for one in spec.frame_inertia_kgm2),
+    )
+    for mass_kg, place, own in (frame, *spec.parts()):
+        arm = np.array(place) - about
+        total += 2.0 * np.array(own) + mass_kg * (arm @ arm - arm**2)
+    return total
+
+
+def uphill_feet(chair: StaticChair, downhill: Vec2) -> frozenset[str]:
     """Names of the feet that carry nothing when the chair tips downhill.
 
     Sideways these are the feet of the upper side; forward and back all but those farthest downhill.
     """
     along = {
         foot.name: foot.centre_m[0] * downhill[0] + foot.centre_m[1] * downhill[1]
-        for foot in stand.feet
+        for foot in chair.feet
     }
     sideways = abs(downhill[1]) > abs(downhill[0])
     least = 0.0 if sideways else max(along.values()) - _GROUP_M
     return frozenset(name for name, place_m in along.items() if place_m < least)
 
 
-def _rigid_tip_rad(stand: Stand, downhill: Vec2) -> float:
-    """Tilt at which the centre of mass stands above the tip line, every foot on the table.
-
-    Nothing is sprung. The tip line is the edge of the feet's hull that lies downhill of the centre
-    of mass.
-    """
-    dx, dy = downhill
-    points = [
-        (p[0] * dx + p[1] * dy, p[1] * dx - p[0] * dy) for foot in stand.feet for p in _edges(foot)
-    ]
-    cx, cy, height_m = stand.com_m
-    along, aside = cx * dx + cy * dy, cy * dx - cx * dy
-    reach = [
-        a[0] + (b[0] - a[0]) * (aside - a[1]) / (b[1] - a[1])
-        for a in points
-        for b in points
-        if a[1] <= aside < b[1] or b[1] < aside <= a[1]
-    ]
-    if not reach:
-        raise PhysicsError(
-            "the centre of mass is not above the feet; expected a plant that stands: "
-            "check its numbers"
-        )
-    return math.atan2(max(reach) - along, height_m)
+def level_loads_N(chair: StaticChair) -> dict[str, float]:
+    """Normal load of each foot on level ground. Raises PhysicsError when it does not stand."""
+    level = _TiltedChair(chair, 0.0, FORWARD_DOWN)
+    pose = level.solve_rest(_START_POSE)
+    if pose is None:
+        raise PhysicsError(_TIPS_AT_REST)
+    return level.loads(pose)
 
 
-def _edges(foot: Foot) -> tuple[Vec3, Vec3]:
-    """The two ends of a foot's contact line on level ground, as places of B above the ground."""
-    (x, y, z), (ax, ay, az), w = foot.centre_m, foot.axis, foot.half_width_m
-    return (x + w * ax, y + w * ay, z + w * az), (x - w * ax, y - w * ay, z - w * az)
-
-
-def tip_rad(stand: Stand, downhill: Vec2) -> float:
+def tip_angle_rad(chair: StaticChair, downhill: Vec2) -> float:
     """Tilt of the table at which the uphill feet carry nothing, with springs and anti-tips.
 
     Args:
-        stand: The chair.
+        chair: The chair.
         downhill: Unit vector in the table, from the chair's own x and y.
 
     Raises:
         PhysicsError: It does not tip below 60 degrees, or never stands.
     """
-    upper = uphill(stand, downhill)
-    pose = _rest(stand, 0.0, downhill, _PRESSED, upper, (0.0,))
+    # 1. Find the rest on level ground.
+    upper = uphill_feet(chair, downhill)
+    pose = _rest_with_uphill_load(chair, 0.0, downhill, _START_POSE, upper, (0.0,))
     if pose is None:
-        raise PhysicsError(
-            "the plant tips at rest; expected one that stands: check its masses and wheels"
-        )
-    tilt, step = 0.0, _COARSE_RAD
-    hanging = any(load == 0.0 for load in _Table(stand, 0.0, downhill).loads(pose).values())
-    leans = _LEANS_RAD if hanging or any(foot.beam for foot in stand.feet) else (0.0,)
-    while step > _FINE_RAD:
-        after = _rest(stand, tilt + step, downhill, pose, upper, leans)
+        raise PhysicsError(_TIPS_AT_REST)
+
+    # 2. See whether the chair can lean: on a foot that hangs in the air, or on the stop of a beam.
+    hanging = any(load == 0.0 for load in _TiltedChair(chair, 0.0, downhill).loads(pose).values())
+    leans = _LEANS_RAD if hanging or any(foot.beam for foot in chair.feet) else (0.0,)
+
+    # 3. Tilt on from each rest to the next, in halved steps where there is none.
+    tilt = 0.0
+    step = _COARSE_STEP_RAD
+    while step > _FINE_STEP_RAD:
+        after = _rest_with_uphill_load(chair, tilt + step, downhill, pose, upper, leans)
         if after is None:
             step *= 0.5
         else:
-            tilt, pose = tilt + step, after
-        if tilt > _MOST_RAD:
+            tilt += step
+            pose = after
+        if tilt > _MAX_TILT_RAD:
             raise PhysicsError(
                 "the plant does not tip at 60 degrees; expected less: check its masses and wheels"
             )
     return tilt
 
 
-def _rest(
-    stand: Stand,
+def _rest_with_uphill_load(
+    chair: StaticChair,
     tilt_rad: float,
     downhill: Vec2,
     pose: F64,
@@ -177,36 +209,29 @@ def _rest(
     leans_rad: tuple[float, ...],
 ) -> F64 | None:
     """A pose with a load on its uphill feet, near `pose` or leaning on an anti-tip or stop."""
-    least_N = _NOTHING * stand.mass_kg * GRAVITY_MPS2
-    table = _Table(stand, tilt_rad, downhill)
+    least_N = _LEAST_LOAD_SHARE * chair.mass_kg * GRAVITY_MPS2
+    tilted = _TiltedChair(chair, tilt_rad, downhill)
     guesses = [pose - lean * np.array([0.0, *downhill]) for lean in leans_rad]
-    for guess in [*guesses, *(table.landings() if len(leans_rad) > 1 else [])]:
-        found = table.settle(guess)
-        if (
-            found is not None
-            and sum(load for name, load in table.loads(found).items() if name in upper) > least_N
-        ):
+    if len(leans_rad) > 1:
+        guesses += tilted.poses_after_falls()
+    for guess in guesses:
+        found = tilted.solve_rest(guess)
+        if found is None:
+            continue
+        loads = tilted.loads(found)
+        if sum(load for name, load in loads.items() if name in upper) > least_N:
             return found
     return None
 
 
-def loads_N(stand: Stand) -> dict[str, float]:
-    """Normal load of each foot on level ground. Raises PhysicsError when it does not stand."""
-    table = _Table(stand, 0.0, (1.0, 0.0))
-    pose = table.settle(_PRESSED)
-    if pose is None:
-        raise PhysicsError(
-            "the plant tips at rest; expected one that stands: check its masses and wheels"
-        )
-    return table.loads(pose)
-
-
-class _Table:
+class _TiltedChair:
     """The equations of one chair at one tilt; vectors over the edges of its feet."""
 
-    def __init__(self, stand: Stand, tilt_rad: float, downhill: Vec2) -> None:
+    def __init__(self, chair: StaticChair, tilt_rad: float, downhill: Vec2) -> None:
         edges = [
-            (foot, edge, share) for foot in stand.feet for edge, share in _standing(foot, downhill)
+            (foot, edge, share)
+            for foot in chair.feet
+            for edge, share in _contact_edges(foot, downhill)
         ]
         self._names = [foot.name for foot, _, _ in edges]
         self._centre = np.array([edge for _, edge, _ in edges])
@@ -226,23 +251,26 @@ class _Table:
         self._beams = [
             (beam, np.array([b == beam for b in beams])) for beam in dict.fromkeys(beams) if beam
         ]
-        self._mass, self._weight_N = stand.mass_kg, stand.mass_kg * GRAVITY_MPS2
-        self._com = np.array(stand.com_m)
+        self._mass_kg = chair.mass_kg
+        self._weight_N = chair.mass_kg * GRAVITY_MPS2
+        self._com = np.array(chair.com_m)
         self._down = np.array(downhill)
-        self._cos, self._sin = math.cos(tilt_rad), math.sin(tilt_rad)
+        self._cos = math.cos(tilt_rad)
+        self._sin = math.sin(tilt_rad)
 
     def _contacts(self, pose: F64) -> tuple[F64, F64, F64]:
         """Lowest points (E, 3) in T, their normal loads (E,), and their arms' compressions (E,)."""
-        turn = _turn(pose[1], pose[2])
+        turn = _rotation_TB(pose[1], pose[2])
         axis = self._axis @ turn.T
-        low = axis * axis[:, 2:] - _UP  # straight down, but in the wheel's plane
+        # Straight down, but in the wheel's plane.
+        low = axis * axis[:, 2:] - _UP
         place = self._centre @ turn.T + low * (self._radius / np.linalg.norm(low, axis=1))[:, None]
         depth = -(place[:, 2] + pose[0])
         for beam, carried in self._beams:
             depth[carried] -= self._rocked_m(
                 beam, place[carried], depth[carried], self._share[carried], turn
             )
-        firm = _FIRM_N_PER_M * np.maximum(depth, 0.0)
+        firm = _TYRE_N_PER_M * np.maximum(depth, 0.0)
         load, compressed = self._sprung_loads(depth, turn[:, 2])
         place = place + np.where(self._sprung, compressed, 0.0)[:, None] * turn[:, 2]
         return place, self._share * np.where(self._sprung, load, firm), compressed
@@ -256,14 +284,14 @@ class _Table:
         push = np.append(-self._sin / self._cos * self._down, 1.0)
         lift_m = np.cross(axis, arm)[:, 2]
         moment_m = np.cross(arm, push) @ axis
-        firm = _FIRM_N_PER_M * share
+        firm = _TYRE_N_PER_M * share
         hangs = beam.weight_N * np.append(self._sin * self._down, -self._cos)
         own_Nm = (beam.com_z_m - beam.pivot_z_m) * float(np.cross(turn[:, 2], hangs) @ axis)
 
         def turned_Nm(angle_rad: float) -> float:
             return own_Nm + float((firm * np.maximum(depth - angle_rad * lift_m, 0.0)) @ moment_m)
 
-        return lift_m * _zero(turned_Nm, beam.stop_rad, depth / lift_m)
+        return lift_m * _root_of_falling(turned_Nm, beam.stop_rad, depth / lift_m)
 
     def _sprung_loads(self, depth: F64, arm: F64) -> tuple[F64, F64]:
         """Loads and compressions of sprung feet whose arms move along `arm`, a unit vector in T.
@@ -275,63 +303,70 @@ class _Table:
         hangs = GRAVITY_MPS2 * (self._cos * arm[2] - self._sin * (self._down @ arm[:2]))
         pushed = depth / arm[2]
         force = self._preload + self._unsprung * hangs + self._stiff * pushed
-        force = force + _FIRM_N_PER_M * np.maximum(pushed - self._most, 0.0)
+        force = force + _TYRE_N_PER_M * np.maximum(pushed - self._most, 0.0)
         hanging = np.maximum(-(self._preload + self._unsprung * hangs) / self._stiff, self._least)
         in_air = pushed < hanging
-        return np.where(in_air, 0.0, np.maximum(force, 0.0) / along), np.where(
-            in_air, hanging, pushed
-        )
+        load = np.where(in_air, 0.0, np.maximum(force, 0.0) / along)
+        return load, np.where(in_air, hanging, pushed)
 
-    def landings(self) -> list[F64]:
+    def poses_after_falls(self) -> list[F64]:
         """The poses after a fall downhill from its lowest feet onto others, as onto anti-tips."""
         found = []
-        for start in np.arange(0.0, _MOST_LEAN_RAD, _LANDING_RAD):
-            low, high = float(start), float(start + _LANDING_RAD)
-            first = self._lowest(low)[0]
-            if self._lowest(high)[0] == first:
+        for start in np.arange(0.0, _MAX_LEAN_RAD, _LEAN_STEP_RAD):
+            low = float(start)
+            high = float(start + _LEAN_STEP_RAD)
+            first = self._lowest_edge(low)[0]
+            if self._lowest_edge(high)[0] == first:
                 continue
-            while high - low > _LANDED_RAD:
+            while high - low > _LEAN_PRECISION_RAD:
                 middle = 0.5 * (low + high)
-                low, high = (middle, high) if self._lowest(middle)[0] == first else (low, middle)
-            found.append(_PRESSED + np.array([self._lowest(low)[1], *(-low * self._down)]))
+                if self._lowest_edge(middle)[0] == first:
+                    low = middle
+                else:
+                    high = middle
+            found.append(_START_POSE + np.array([self._lowest_edge(low)[1], *(-low * self._down)]))
         return found
 
-    def _lowest(self, lean_rad: float) -> tuple[float, float]:
+    def _lowest_edge(self, lean_rad: float) -> tuple[float, float]:
         """Place downhill, and lift of the chair, of the edge on which a leaning chair stands."""
         height = self._contacts(np.array([0.0, *(-lean_rad * self._down)]))[0][:, 2]
         lowest = int(np.argmin(height))
         return round(float(self._centre[lowest, :2] @ self._down), 3), -float(height[lowest])
 
-    def settle(self, pose: F64) -> F64 | None:
+    def solve_rest(self, pose: F64) -> F64 | None:
         """The stable rest that Newton's method finds from a pose, damped; None if there is none."""
-        drag, residual = 1e-6, self._residual(pose)
+        damping = 1e-6
+        residual = self._residual(pose)
         slope = self._slope(pose, residual)
-        for _ in range(_MOST_ROUNDS):
+        for _ in range(_MAX_NEWTON_STEPS):
             size = float(np.linalg.norm(residual))
-            if size < _CLOSE * self._weight_N:
-                upright = bool(np.abs(pose[1:]).max() < _MOST_LEAN_RAD)
+            if size < _TOLERANCE_SHARE * self._weight_N:
+                # A rest is stable where every small move meets a push back.
+                upright = bool(np.abs(pose[1:]).max() < _MAX_LEAN_RAD)
                 return pose if upright and np.linalg.eigvalsh(slope + slope.T).max() < 0.0 else None
             try:
-                move = np.linalg.solve(slope - drag * _FIRM_N_PER_M * np.eye(3), -residual)
+                move = np.linalg.solve(slope - damping * _TYRE_N_PER_M * np.eye(3), -residual)
             except np.linalg.LinAlgError:
                 return None
             tried = self._residual(pose + move)
             if np.linalg.norm(tried) < size:
-                pose, residual, drag = pose + move, tried, max(0.1 * drag, 1e-9)
+                pose = pose + move
+                residual = tried
+                damping = max(0.1 * damping, 1e-9)
                 slope = self._slope(pose, residual)
             else:
-                drag *= 10.0
-                if drag > _STUCK:
+                damping *= 10.0
+                if damping > _MAX_DAMPING:
                     return None
         return None
 
     def _residual(self, pose: F64) -> F64:
         """What is missing to equilibrium: force along z, moments about y and x of T, (3,)."""
         place, load, compressed = self._contacts(pose)
-        turn = _turn(pose[1], pose[2])
+        turn = _rotation_TB(pose[1], pose[2])
         com = (
             turn @ self._com
-            + (self._share * self._unsprung * compressed).sum() / self._mass * turn[:, 2]
+            + (self._share * self._unsprung * compressed).sum() / self._mass_kg * turn[:, 2]
         )
         lever = self._cos * com[:2] + self._sin * (com[2] + pose[0]) * self._down
         moment = (load[:, None] * place[:, :2]).sum(axis=0) - self._weight_N * lever
@@ -352,7 +387,30 @@ class _Table:
         return sums
 
 
-def _zero(falling: Callable[[float], float], most: float, kinks: F64) -> float:
+def _contact_edges(foot: Foot, downhill: Vec2) -> list[tuple[Vec3, float]]:
+    """The edges on which a foot stands as the chair tips: the lower one, or both where level."""
+    edges = _rim_edges(foot)
+    along = [edge[0] * downhill[0] + edge[1] * downhill[1] for edge in edges]
+    if abs(along[0] - along[1]) < _SAME_HEIGHT_M:
+        return [(edge, 0.5) for edge in edges]
+    return [(edges[along.index(max(along))], 1.0)]
+
+
+def _rim_edges(foot: Foot) -> tuple[Vec3, Vec3]:
+    """The two ends of a foot's contact line on level ground, as places of B above the ground."""
+    (x, y, z), (ax, ay, az), w = foot.centre_m, foot.axis, foot.half_width_m
+    return (x + w * ax, y + w * ay, z + w * az), (x - w * ax, y - w * ay, z - w * az)
+
+
+def _rotation_TB(pitch: float, roll: float) -> F64:
+    """Rotation from B to T: nose up by `pitch`, then right side down by `roll`."""
+    cp, sp, cr, sr = math.cos(pitch), math.sin(pitch), math.cos(roll), math.sin(roll)
+    nose = np.array([[cp, 0.0, -sp], [0.0, 1.0, 0.0], [sp, 0.0, cp]])
+    side = np.array([[1.0, 0.0, 0.0], [0.0, cr, -sr], [0.0, sr, cr]])
+    return np.asarray(side @ nose)
+
+
+def _root_of_falling(falling: Callable[[float], float], most: float, kinks: F64) -> float:
     """Where a function that falls in straight pieces between kinks is zero, within -most..most."""
     angles = sorted({-most, most, *(float(kink) for kink in kinks if abs(kink) < most)})
     values = [falling(angle) for angle in angles]
@@ -364,27 +422,34 @@ def _zero(falling: Callable[[float], float], most: float, kinks: F64) -> float:
     return angles[-1]
 
 
-def _standing(foot: Foot, downhill: Vec2) -> list[tuple[Vec3, float]]:
-    """The edges on which a foot stands as the chair tips: the lower one, or both where level."""
-    edges = _edges(foot)
-    along = [edge[0] * downhill[0] + edge[1] * downhill[1] for edge in edges]
-    if abs(along[0] - along[1]) < _LEVEL_M:
-        return [(edge, 0.5) for edge in edges]
-    return [(edges[along.index(max(along))], 1.0)]
+def _rigid_tip_angle_rad(chair: StaticChair, downhill: Vec2) -> float:
+    """Tilt at which the centre of mass stands above the tip line, every foot on the table.
 
-
-def _turn(pitch: float, roll: float) -> F64:
-    """Rotation from B to T: nose up by `pitch`, then right side down by `roll`."""
-    cp, sp, cr, sr = math.cos(pitch), math.sin(pitch), math.cos(roll), math.sin(roll)
-    nose = np.array([[cp, 0.0, -sp], [0.0, 1.0, 0.0], [sp, 0.0, cp]])
-    side = np.array([[1.0, 0.0, 0.0], [0.0, cr, -sr], [0.0, sr, cr]])
-    return np.asarray(side @ nose)
-
-
-def stand(spec: PlantSpec, swivel_rad: float = 0.0) -> Stand:
-    """The chair with every caster's fork turned to an angle (0 is trailing), arms at rest."""
-    feet = [*_wheels(spec), *_casters(spec, swivel_rad), *_antitips(spec)]
-    return Stand(mass_kg=spec.whole_kg, com_m=_com_m(spec, swivel_rad), feet=tuple(feet))
+    Nothing is sprung. The tip line is the edge of the feet's hull that lies downhill of the centre
+    of mass.
+    """
+    dx, dy = downhill
+    points = [
+        (p[0] * dx + p[1] * dy, p[1] * dx - p[0] * dy)
+        for foot in chair.feet
+        for p in _rim_edges(foot)
+    ]
+    cx, cy, height_m = chair.com_m
+    along, aside = cx * dx + cy * dy, cy * dx - cx * dy
+    # Where the line downhill through the centre of mass crosses each line between two contacts: the
+    # farthest crossing lies on the edge of the hull.
+    reach = [
+        a[0] + (b[0] - a[0]) * (aside - a[1]) / (b[1] - a[1])
+        for a in points
+        for b in points
+        if a[1] <= aside < b[1] or b[1] < aside <= a[1]
+    ]
+    if not reach:
+        raise PhysicsError(
+            "the centre of mass is not above the feet; expected a plant that stands: "
+            "check its numbers"
+        )
+    return math.atan2(max(reach) - along, height_m)
 
 
 def _com_m(spec: PlantSpec, swivel_rad: float = 0.0) -> Vec3:
@@ -396,29 +461,6 @@ def _com_m(spec: PlantSpec, swivel_rad: float = 0.0) -> Vec3:
         x += moment_kgm * turned_x / spec.whole_kg
         y += moment_kgm * turned_y / spec.whole_kg
     return x, y, z
-
-
-def worst_swivel_rad(spec: PlantSpec, downhill: Vec2) -> float:
-    """The swivel angle with the tip line nearest to the centre of mass, without anti-tips."""
-    angles = [2.0 * math.pi * k / _TURNS for k in range(_TURNS)]
-    return min(
-        angles, key=lambda angle: _rigid_tip_rad(stand(spec, angle).without("antitip"), downhill)
-    )
-
-
-def inertia_kgm2(spec: PlantSpec) -> F64:
-    """Moments of inertia (3,) about the centre of mass, along B's axes, casters trailing."""
-    about = np.array(_com_m(spec))
-    total = np.zeros(3)
-    frame = (
-        spec.frame_mass_kg,
-        spec.frame_com_m,
-        tuple(0.5 * one for one in spec.frame_inertia_kgm2),
-    )
-    for mass_kg, place, own in (frame, *spec.parts()):
-        arm = np.array(place) - about
-        total += 2.0 * np.array(own) + mass_kg * (arm @ arm - arm**2)
-    return total
 
 
 def _wheels(spec: PlantSpec) -> Iterator[Foot]:

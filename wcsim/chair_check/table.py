@@ -8,7 +8,7 @@ from typing import Final
 
 from wcsim.chair_check.driving import driving_trials
 from wcsim.chair_check.kerbs import kerb_trials, ramp_trials
-from wcsim.chair_check.mass_rig import falling_rows, mass_trials, tip_trials
+from wcsim.chair_check.mass_rig import mass_trials, tip_ratio_rows, tip_trials
 from wcsim.chair_check.row import Row, Setup, Trial, measured
 from wcsim.core.processes import run_in_pool
 from wcsim.errors import ConfigError
@@ -76,7 +76,7 @@ def table(
         if progress is not None:
             progress(row.name)
     rows = {done[place].name: done[place] for place in sorted(done)}
-    return [*rows.values(), *falling_rows(setup, rows)]
+    return [*rows.values(), *tip_ratio_rows(setup, rows)]
 
 
 def _done(chosen: Sequence[Trial], setup: Setup, workers: int) -> Iterator[tuple[int, Row]]:

@@ -42,6 +42,12 @@ def within(low: float, high: float) -> Any:
     return Field(ge=low, le=high)
 
 
+def exclude_at(default: Any) -> Any:
+    """A mark for `Annotated`: a field is not written while it has this value."""
+    # A setting that is younger than the first files: without it their digests would change.
+    return Field(exclude_if=lambda value: value == default)
+
+
 Share = Annotated[float, within(0.0, 1.0)]
 UserMass = Annotated[float, within(25.0, 150.0)]
 
@@ -50,13 +56,13 @@ class Model(BaseModel):
     """Base of all models. They are frozen and reject unknown keys."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
-    stand_ins: ClassVar[tuple[str, ...]] = ()  # words that are taken in the place of its table
-
-    # Pydantic reports each error in a kilobyte: a megabyte of wrong items would take gigabytes.
+    # Words that are taken in the place of its table.
+    stand_ins: ClassVar[tuple[str, ...]] = ()
 
     @model_validator(mode="before")
     @classmethod
     def _with_few_unknown_keys(cls, data: Any) -> Any:
+        # Pydantic reports each error in a kilobyte: a megabyte of wrong items would take gigabytes.
         if not isinstance(data, dict) or len(data) <= len(cls.model_fields) + _MOST_KEYS:
             return data
         unknown = islice((key for key in data if key not in cls.model_fields), _MOST_KEYS)
@@ -69,6 +75,7 @@ class Model(BaseModel):
     def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> Any:
         """As usual, but lists and tables are given up at their first item that is wrong."""
         schema: Any = handler(source)
+        # Each error takes a kilobyte, and one says what is wrong with the list.
         waiting = [schema]
         while waiting:
             part = waiting.pop()
@@ -99,7 +106,7 @@ def fault(model: type[BaseModel], item: Any) -> str:
         return f"{key}: {item['msg']}, got {value}"
     names = [part for part in item["loc"] if isinstance(part, str)]
     unit = _UNITS.get(names[-1].rpartition("_")[2], "") if names else ""
-    limits = [f"{_BOUNDS[name]} {limit:g}" for name, limit in _bounds(model, item["loc"])]
+    limits = [f"{_BOUNDS[name]} {limit:g}" for name, limit in _bounds(model, item["loc"]).items()]
     bounds = " and ".join(limits) or "a finite number"
     received = f"{key}: {item['msg']}, got {value} {unit}".rstrip()
     return received + f"; expected {bounds} {unit}".rstrip()
@@ -107,9 +114,7 @@ def fault(model: type[BaseModel], item: Any) -> str:
 
 def _known(model: type[BaseModel], loc: tuple[str | int, ...]) -> str:
     """The known keys beside an unknown one: the one that looks like it, or all of a few."""
-    keys = list(
-        next((kind.model_fields for kind in _parts(_at(model, loc[:-1])) if _is_model(kind)), {})
-    )
+    keys = list(_first_model(_at(model, loc[:-1])).model_fields)
     near = meant(str(loc[-1]), keys)
     if near or not keys or len(keys) > _MOST_KEYS:
         return near
@@ -118,7 +123,7 @@ def _known(model: type[BaseModel], loc: tuple[str | int, ...]) -> str:
 
 def _table(model: type[BaseModel], item: Any) -> str:
     """What is expected in place of a value that is no table, and the nearest word for it."""
-    kind = next((kind for kind in _parts(_at(model, item["loc"])) if _is_model(kind)), Model)
+    kind = _first_model(_at(model, item["loc"]))
     words = getattr(kind, "stand_ins", ())
     keys = list(kind.model_fields)
     table = f"a table of {', '.join(keys)}" if 0 < len(keys) <= _MOST_KEYS else "a table of keys"
@@ -126,21 +131,21 @@ def _table(model: type[BaseModel], item: Any) -> str:
     return expected + (meant(item["input"], words) if isinstance(item["input"], str) else "")
 
 
-def _bounds(model: type[BaseModel], loc: tuple[str | int, ...]) -> list[tuple[str, float]]:
-    """The bounds of the number at `loc` of a model: their names in pydantic, and the limits."""
+def _bounds(model: type[BaseModel], loc: tuple[str | int, ...]) -> dict[str, float]:
+    """The bounds of the number at `loc` of a model, by their names in pydantic."""
+    # Pydantic's fields have `metadata`, types inside a list have `__metadata__`.
     held = [
         note
         for kind in _parts(_at(model, loc))
         for note in getattr(kind, "metadata", getattr(kind, "__metadata__", ()))
     ]
     notes = [note for extra in held for note in (extra, *getattr(extra, "metadata", ()))]
-    found = {
+    return {
         name: getattr(note, name)
         for note in notes
         for name in _BOUNDS
         if getattr(note, name, None) is not None
     }
-    return list(found.items())
 
 
 def _at(model: type[BaseModel], loc: tuple[str | int, ...]) -> Any:
@@ -151,11 +156,7 @@ def _at(model: type[BaseModel], loc: tuple[str | int, ...]) -> Any:
             fixed = next((get_args(kind) for kind in _parts(here) if get_origin(kind) is tuple), ())
             here = fixed[part] if part < len(fixed) and Ellipsis not in fixed else here
             continue
-        fields: dict[str, Any] = next(
-            (kind.model_fields for kind in _parts(here) if _is_model(kind)), {}
-        )
-        if part in fields:
-            here = fields[str(part)]
+        here = _first_model(here).model_fields.get(part, here)
     return here
 
 
@@ -167,5 +168,9 @@ def _parts(kind: Any) -> Iterator[Any]:
         yield from _parts(part)
 
 
-def _is_model(kind: Any) -> bool:
-    return isinstance(kind, type) and issubclass(kind, BaseModel)
+def _first_model(kind: Any) -> Any:
+    """The first model in a type or field; without one the base, which has no fields."""
+    for part in _parts(kind):
+        if isinstance(part, type) and issubclass(part, BaseModel):
+            return part
+    return Model

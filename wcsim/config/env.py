@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Final, Literal, Self
 
 from pydantic import Field, model_validator
 
-from wcsim.config.base import Finite, Model, NotNegative, Positive, Text, within
+from wcsim.config.base import Finite, Model, NotNegative, Positive, Text, exclude_at, within
 
 JoystickDistance = Annotated[float, Field(gt=0.0, le=100.0)]
 
@@ -15,7 +15,8 @@ Actions = Literal["square81", "disc69", "stick"]
 Classes = Literal["cityscapes", "wcsim"]
 EpisodeSteps = Annotated[int, within(1, 1_000_000)]
 
-LEAST_WINDOW = 1e-6  # from low to high; a share of nothing would be no number
+# From low to high: a share of nothing would be no number.
+LEAST_WINDOW: Final = 1e-6
 
 Window = Annotated[int, within(1, 16)]
 
@@ -24,9 +25,8 @@ class FollowReward(Model):
     """The reward for following the user, and the penalty at the end of a window."""
 
     base: Finite = 1.0  # Reward of a step within max_follow_distance.
-    max_follow_distance: JoystickDistance = (
-        0.1768  # Joystick distance to the user with full reward, sqrt(0.125^2 + 0.125^2).
-    )
+    # Joystick distance to the user with full reward, sqrt(0.125^2 + 0.125^2).
+    max_follow_distance: JoystickDistance = 0.1768
     max_distance: JoystickDistance = 2.0  # Joystick distance with the full penalty.
     penalty: NotNegative = 2.0  # Penalty at the upper end of each window.
 
@@ -43,22 +43,18 @@ class FollowReward(Model):
 class RewardConfig(FollowReward):
     """Reward and crash limits (Tables 1 and 2 of the paper)."""
 
-    accel_window_mps2: tuple[Positive, Positive] = (
-        20.0,
-        40.0,
-    )  # Acceleration per axis, from no penalty to a crash.
-    roll_window_deg: tuple[Positive, Positive] = (
-        5.0,
-        20.0,
-    )  # Roll angle, from no penalty to a crash.
-    pitch_window_deg: tuple[Positive, Positive] = (
-        20.0,
-        30.0,
-    )  # Pitch angle, from no penalty to a crash.
+    # A kerb of 40 mm lies inside this window, and a wall above it (`chair_check/kerbs.py`).
+
+    # Acceleration per axis, from no penalty to a crash.
+    accel_window_mps2: tuple[Positive, Positive] = (20.0, 40.0)
+    # Roll angle, from no penalty to a crash.
+    roll_window_deg: tuple[Positive, Positive] = (5.0, 20.0)
+    # Pitch angle, from no penalty to a crash.
+    pitch_window_deg: tuple[Positive, Positive] = (20.0, 30.0)
     crash: NotNegative = 100.0  # Penalty for a crash.
-    body_on_ground_Ns: NotNegative = (
-        20.0  # Impulse of footplate or body on the ground that counts as a crash.
-    )
+    # Impulse of footplate or body on the ground that counts as a crash.
+    body_on_ground_Ns: NotNegative = 20.0
+    # A fall off a kerb of 12 cm mostly meets none of the paper's limits (ADR 8).
     drop: bool = True  # Whether a wheel that falls off a kerb is a crash. Not in the paper.
 
     @model_validator(mode="after")
@@ -72,23 +68,21 @@ class RewardConfig(FollowReward):
 class EnvConfig(Model):
     """Observations, actions and episodes."""
 
-    observation: Form = "compact"  # Class ids and log-depth as uint8; with colours (compact_rgb); floats of Table 3; no images (state).
-    camera: Annotated[str, Field(max_length=40, exclude_if=lambda name: not name)] = (
-        ""  # Name of the camera that networks see. Empty: the first.
-    )
+    # Class ids and log-depth as uint8; with colours (compact_rgb); floats of Table 3; no images
+    # (state).
+    observation: Form = "compact"
+    # Name of the camera that networks see. Empty: the first.
+    camera: Annotated[str, Field(max_length=40), exclude_at("")] = ""
     classes: Classes = "cityscapes"  # Classes of Cityscapes, or wcsim's with kerbs and crosswalks.
     observe_gyro: bool = False  # Whether the observation contains turn rates. Not in the paper.
     observe_yaw: bool = False  # Whether the observation contains the heading. Not in the paper.
-    window: Window | None = (
-        None  # Images in an observation, one per tick. Without a value: the network decides.
-    )
-    actions: Actions = (
-        "square81"  # Joystick positions: a 9 by 9 grid, those on the unit disc, or any (stick).
-    )
+    # Images in an observation, one per tick. Without a value: the network decides.
+    window: Window | None = None
+    # Joystick positions: a 9 by 9 grid, those on the unit disc, or any (stick).
+    actions: Actions = "square81"
     max_steps: EpisodeSteps = 10_000  # Longest episode in steps. Training uses learn.episode_steps.
-    profile: Text = (
-        "inattentive"  # Simulated user: a name, FILE.toml, or recorded:FILE (docs/user.md).
-    )
+    # Simulated user: a name, FILE.toml, or recorded:FILE (docs/user.md).
+    profile: Text = "inattentive"
     truth: bool = False  # Whether info holds the oracle's labels, for baselines and measurements.
     truth_visible: bool = False  # The same, limited to road users that the cameras showed recently.
 

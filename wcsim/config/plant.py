@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Final, Literal
 
 from pydantic import Field
 
@@ -20,7 +20,9 @@ from wcsim.core import reading
 from wcsim.core.reading import SETTINGS
 from wcsim.errors import ConfigError
 
-_PLANTS = Path(__file__).parent / "plants"
+_PLANTS: Final = Path(__file__).parent / "plants"
+
+# docs/chair.md says what each field means and how it is found.
 
 Friction = Annotated[float, within(0.0, 2.0)]  # times that of the ground, which is 1
 PartKg = Annotated[float, within(0.1, 30.0)]
@@ -30,13 +32,14 @@ Rises = Annotated[tuple[Annotated[float, Field(gt=0.0, le=0.3)], ...], Field(max
 
 
 class _MassPart(Model):
-    """Chair and user together; wheels, forks, arms, beams and anti-tips are part of the chair's mass."""
+    """Chair and user together; wheels, forks, arms, beams and anti-tips are part of the chair."""
 
     chair_kg: Annotated[float, within(50.0, 200.0)]
     user_kg: UserMass
     com_x_m: Annotated[float, within(-0.5, 0.6)]  # of chair and user, ahead of the drive axle
     com_z_m: Annotated[float, within(0.3, 0.9)]
-    inertia_box_m: tuple[  # frame and user resist turning like a box of this size
+    # Frame and user resist turning like a box of this size.
+    inertia_box_m: tuple[
         Annotated[float, within(0.2, 1.5)],
         Annotated[float, within(0.2, 1.5)],
         Annotated[float, within(0.2, 2.0)],
@@ -54,7 +57,10 @@ class _WheelPart(Model):
 
 
 class ArmPart(Model):
-    """A sprung arm that carries a caster up and down. `preload_N` is its push at the height where all wheels stand."""
+    """A sprung arm that carries a caster up and down.
+
+    `preload_N` is its push at the height where all wheels stand.
+    """
 
     stiffness_Npm: Annotated[float, within(1e3, 1e5)]
     damping_Nspm: Annotated[float, within(0.0, 5e3)]
@@ -65,10 +71,14 @@ class ArmPart(Model):
 
 
 class BeamPart(Model):
-    """A beam across the frame that carries both casters of a pair and rocks about a lengthwise pivot in its middle."""
+    """A beam across the frame that carries both casters of a pair.
+
+    It rocks about a lengthwise pivot in its middle.
+    """
 
     pivot_z_m: Annotated[float, within(0.0, 0.5)]
-    stop_deg: Annotated[float, within(0.5, 15.0)]  # to either side; less is a value in rad
+    # To either side. Less than half a degree is a value that was given in rad.
+    stop_deg: Annotated[float, within(0.5, 15.0)]
     friction_Nm: Annotated[float, within(0.0, 200.0)]
     mass_kg: PartKg
 
@@ -126,9 +136,8 @@ class _MotorPart(Model):
     stall_torque_Nm: Annotated[float, within(20.0, 300.0)]
     no_load_radps: Annotated[float, within(5.0, 60.0)]
     least_torque_share: Share  # of the stall torque, however fast it turns
-    rotor_inertia_kgm2: Annotated[
-        float, within(0.0, 2.0)
-    ]  # as the wheel feels it, times the gear ratio squared
+    # As the wheel feels it, times the gear ratio squared.
+    rotor_inertia_kgm2: Annotated[float, within(0.0, 2.0)]
     brake_torque_Nm: Annotated[float, within(20.0, 500.0)]
 
 
@@ -144,7 +153,10 @@ class _LimitPart(Model):
 
 
 class _ClimbPart(Model):
-    """Kerbs that the chair climbs square on, from standstill and with a run-up of 0.5 m, and kerbs that stop it."""
+    """Kerbs that the chair climbs square on, from standstill or a run-up, and kerbs that stop it.
+
+    The run-up is 0.5 m long.
+    """
 
     standstill_m: Rises
     run_up_m: Rises
@@ -163,9 +175,8 @@ class PlantFile(Model):
     motor: _MotorPart
     limits: _LimitPart
     climbs: _ClimbPart
-    chair: ChairConfig = (
-        ChairConfig()
-    )  # what naming this plant sets in [chair], see `wcsim.config.resolve`
+    # What naming this plant sets in [chair], see `wcsim.config.resolve`.
+    chair: ChairConfig = ChairConfig()
 
 
 def known_plants() -> tuple[str, ...]:
@@ -182,7 +193,8 @@ def read_plant(plant: str) -> PlantFile:
     return read_toml(Path(plant), PlantFile) if plant.endswith(".toml") else _shipped_plant(plant)
 
 
-@cache  # a world asks for its chairs' plant several times, and a file of the package stays as it is
+# A world asks for its chairs' plant several times, and a file of the package stays as it is.
+@cache
 def _shipped_plant(plant: str) -> PlantFile:
     return read_toml(plant_path(plant), PlantFile)
 

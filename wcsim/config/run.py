@@ -7,7 +7,7 @@ from typing import Annotated, Final, Self
 
 from pydantic import Field, model_validator
 
-from wcsim.config.base import Model
+from wcsim.config.base import Model, exclude_at
 from wcsim.config.chair import ChairConfig
 from wcsim.config.env import EnvConfig, RewardConfig
 from wcsim.config.learn import CollectConfig, DangerConfig, LearnConfig
@@ -46,12 +46,8 @@ class RunConfig(Model):
     env: EnvConfig = EnvConfig()
     learn: LearnConfig = LearnConfig()
     vary: VaryConfig = VaryConfig()
-    collect: Annotated[CollectConfig, Field(exclude_if=lambda part: part == CollectConfig())] = (
-        CollectConfig()
-    )
-    danger: Annotated[DangerConfig, Field(exclude_if=lambda part: part == DangerConfig())] = (
-        DangerConfig()
-    )
+    collect: Annotated[CollectConfig, exclude_at(CollectConfig())] = CollectConfig()
+    danger: Annotated[DangerConfig, exclude_at(DangerConfig())] = DangerConfig()
 
     @property
     def eye(self) -> CameraConfig:
@@ -74,12 +70,13 @@ class RunConfig(Model):
                 f"imu.saturation_mps2 {self.imu.saturation_mps2} hides reward.accel_window_mps2 "
                 f"{self.reward.accel_window_mps2}; expected a higher saturation"
             )
-        farthest = self.eye  # cameras of films may see empty streets far away
-        if farthest.range_m > self.world.mirror_radius_m:
+        # Cameras of films may see empty streets far away.
+        eye = self.eye
+        if eye.range_m > self.world.mirror_radius_m:
             raise ValueError(
-                f"camera {farthest.name!r} has range_m {farthest.range_m:g}, but road users are "
+                f"camera {eye.name!r} has range_m {eye.range_m:g}, but road users are "
                 f"drawn only within world.mirror_radius_m {self.world.mirror_radius_m:g}; expected "
-                f"no more: set world.mirror_radius_m={farthest.range_m:g}, or a smaller range_m"
+                f"no more: set world.mirror_radius_m={eye.range_m:g}, or a smaller range_m"
             )
         return self
 
@@ -110,8 +107,10 @@ class RunConfig(Model):
                 f"images of an observation {seen_px}; expected at most {_MAX_CAMERAS_PX} and "
                 f"{MAX_SEEN_PX}: make width_px and height_px smaller, or env.window"
             )
+        # A danger network of the map gets no pictures.
         batch = max(self.learn.batch_size, self.danger.batch if self.danger.eye != "map" else 0)
         if self.learn.memory == "groups":
+            # A group is drawn with its burn-in, and with the steps of its last return.
             groups = max(1, round(self.learn.batch_size / self.learn.group_steps))
             batch = max(
                 batch, groups * (self.learn.group_steps + self.learn.burn_in + self.learn.n_step)
@@ -129,6 +128,7 @@ class RunConfig(Model):
 
     def world_digest(self) -> str:
         """SHA-256 over the settings that all clients of one world share."""
+        # Of `env` the actions alone: observations and users are a client's own.
         shared = {"world", "chair", "cameras", "imu", "sensors", "reward", "vary"}
         text = self.model_dump_json(include={**dict.fromkeys(shared, True), "env": {"actions"}})
         return hashlib.sha256(text.encode()).hexdigest()

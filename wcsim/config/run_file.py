@@ -30,9 +30,8 @@ ClientName = Annotated[str, Field(pattern=rf"^{CLIENT_NAME}$")]  # a folder of t
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 MaybeSha256 = Sha256 | Literal[""]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.:-]{1,120}$")]
-Segments = Annotated[
-    dict[Name, Sha256], Field(max_length=1_000_000)
-]  # of recorded driving, by file
+# Segments of recorded driving, by file.
+Segments = Annotated[dict[Name, Sha256], Field(max_length=1_000_000)]
 
 ConfigName = Annotated[str, Field(pattern=r"^(configs/[A-Za-z0-9_-]{1,64}|config)\.json$")]
 Count = Annotated[int, Field(strict=True, ge=0, le=10**12)]  # of steps and the like
@@ -43,10 +42,9 @@ _Seconds = Annotated[float, Field(gt=0.0, le=10.0)]
 
 
 def _all_named(model: M) -> M:
-    """The same: what a file leaves out is no default."""
-    left_out = (
-        type(model).model_fields.keys() - model.model_fields_set - {"stateful"}
-    )  # which is younger
+    """Return a model that its file names in full: what is left out there is no default."""
+    # Files are older than `stateful`: without it a network has no state.
+    left_out = type(model).model_fields.keys() - model.model_fields_set - {"stateful"}
     if left_out:
         raise ValueError(f"{', '.join(sorted(left_out))} is missing")
     for name in type(model).model_fields:
@@ -56,7 +54,10 @@ def _all_named(model: M) -> M:
 
 
 class FollowPrior(FollowReward):
-    """The reward for following the user, known for every action without learning (Tables 1 and 2 of the paper)."""
+    """The reward for following the user, known for every action without learning.
+
+    Its numbers are those of Tables 1 and 2 of the paper.
+    """
 
     reward_scale: Positive = 0.05
 
@@ -82,9 +83,10 @@ class PolicyFile(Model):
     net: Annotated[NetSpec, AfterValidator(_all_named)]
     image_hw_px: tuple[Pixels, Pixels]
     vector_size: Annotated[int, within(3, 1024)]
+    # How many of these numbers each sensor of [sensors] gives.
     sensors: Annotated[dict[Name, Annotated[int, within(1, 1021)]], Field(max_length=64)] = Field(
         default_factory=dict
-    )  # numbers of each sensor of [sensors] among them
+    )
     window: Window = 1
     observation: Form = "compact"
     camera: CameraConfig
@@ -127,17 +129,15 @@ class DangerRule(Model):
     """How dangers are answered."""
 
     threshold: PositiveShare = 0.2  # of danger: below it an action is allowed
-    hysteresis: NotNegative = (
-        0.2  # joystick distance by which the last action is nearer, where the user's is not safe
-    )
+    # Joystick distance by which the last action counts as nearer, where the user's is not safe.
+    hysteresis: NotNegative = 0.2
     hysteresis_factor: Positive = 1.3  # times the threshold for the last action
-    danger_cost: NotNegative = (
-        0.1  # joystick distance that a danger of the whole threshold is worth, there too
-    )
-    at_once: Share = 0.0  # danger from which one tick is enough to take the user's own away; below it, two in a row
-    warn: Share = (
-        0.3  # of the user's own stick's danger, smoothed, see `next_alarm`: above it, warn
-    )
+    # Joystick distance that a danger of the whole threshold is worth, there too.
+    danger_cost: NotNegative = 0.1
+    # Danger from which one tick is enough to take the user's own away; below it, two in a row.
+    at_once: Share = 0.0
+    # Warns above this smoothed danger of the user's own stick, see `next_alarm`.
+    warn: Share = 0.3
 
 
 class DangerSpec(Model):
@@ -180,15 +180,14 @@ class _OverrideFile(Model):
 
 
 class ManifestFile(Model):
-    """`manifest.json`: what a run was made with; `clients` is there in the folder of a run of several."""
+    """`manifest.json`: what a run was made with; a run of several clients has `clients`."""
 
     seed: Annotated[int, within(0, MAX_INTEGER)]
     town: Text
     town_sha256: Word
     config_sha256: Word
-    config_was_sha256: Word = (
-        ""  # while a longer run is written: the file may still be the one before
-    )
+    # While a longer run is written, the file may still be the one before.
+    config_was_sha256: Word = ""
     rewards: Annotated[tuple[Word, ...], Field(max_length=1024)]
     command: Annotated[tuple[Text, ...], Field(max_length=4096)]
     versions: Versions
@@ -203,9 +202,10 @@ class ManifestFile(Model):
     files_sha256: Annotated[dict[ConfigName, Sha256], Field(max_length=65)] = Field(
         default_factory=dict
     )
+    # While a longer run is written, each file is still the one before, or already this one.
     files_to_come_sha256: Annotated[dict[ConfigName, Sha256], Field(max_length=65)] = Field(
         default_factory=dict
-    )  # while a longer run is written: each file is still the one before, or already this one
+    )
     seal: MaybeSha256 = ""  # a hash over all of it, where `clients` is there
 
     @model_validator(mode="after")
@@ -299,9 +299,8 @@ class GuardRule(Model):
     deadline_s: _Seconds = 0.1  # from a frame's arrival to the answer
     tick_s: Annotated[float, Field(gt=0.0, le=1.0)] = 0.1
     stop_s: _Seconds = 0.5  # within so long the command is zero
-    good_ticks: Annotated[int, within(1, 10_000)] = (
-        10  # one after the other, until the policy drives again
-    )
+    # One after the other, until the policy drives again.
+    good_ticks: Annotated[int, within(1, 10_000)] = 10
 
 
 class GuardFile(Model):

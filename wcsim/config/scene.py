@@ -25,30 +25,25 @@ class TownFile(Model):
     """`town.toml`: what SUMO does not store about a town."""
 
     name: Name  # Letters, digits, _ and -.
-    split: Literal[
-        "train", "test", "scene"
-    ]  # Use of the town. train and test refuse each other's towns.
-    origin_m: tuple[NetMetre, NetMetre] = (
-        0,
-        0,
-    )  # Net coordinates of the world's origin. Far nets: the middle of the net.
+    # Use of the town. train and test refuse each other's towns.
+    split: Literal["train", "test", "scene"]
+    # Net coordinates of the world's origin. Far nets: the middle of the net.
+    origin_m: tuple[NetMetre, NetMetre] = (0, 0)
     kerb_height_m: KerbHeight = 0.12  # Height of pavements above the road.
-    lowered_kerb_m: Annotated[float, within(0.0, 0.1)] = (
-        0.0  # Height of lowered kerbs, at crossings and where the map has them.
-    )
-    chair_ways: Annotated[tuple[ChairWay, ...], Field(max_length=16)] = (  # Ways that users drive on.
+    # Height of lowered kerbs, at crossings and where the map has them.
+    lowered_kerb_m: Annotated[float, within(0.0, 0.1)] = 0.0
+    # Ways that users drive on.
+    chair_ways: Annotated[tuple[ChairWay, ...], Field(max_length=16)] = (
         "sidewalk", "crossing", "shared",
     )  # fmt: skip
-    warmup_s: Annotated[float, within(0.0, 3600.0)] | None = (
-        None  # Time that SUMO simulates before the first step, unless you set world.warmup_s.
-    )
+    # Time that SUMO simulates before the first step, unless you set world.warmup_s.
+    warmup_s: Annotated[float, within(0.0, 3600.0)] | None = None
     sumocfg: Text = ""  # Path of the scenario, if it is not the only .sumocfg here.
     source: Text = ""  # Source of the map.
     attribution: Text = ""  # Attribution that pictures of the town must show.
     rebuild: Text = ""  # Command that builds the town again from its folder.
-    hashes: Annotated[dict[Text, Word], Field(max_length=4096)] = Field(
-        default_factory=dict
-    )  # SHA-256 of its files, by name.
+    # SHA-256 of its files, by name.
+    hashes: Annotated[dict[Text, Word], Field(max_length=4096)] = Field(default_factory=dict)
 
 
 class SceneSeat(Model):
@@ -58,13 +53,11 @@ class SceneSeat(Model):
     heading_deg: Finite  # Heading as in SUMO, clockwise from north.
     goal_m: tuple[Finite, Finite] | None = None  # Goal in net coordinates.
     profile: Text = "competent"  # Simulated user who drives to the goal.
-    recording: FileName | None = (
-        None  # Recorded joystick instead of a profile: a .csv file in this folder.
-    )
+    # Recorded joystick instead of a profile: a .csv file in this folder.
+    recording: FileName | None = None
     joystick: tuple[Stick, Stick] | None = None  # Constant stick: right, forward.
-    script: Annotated[
-        tuple[ScriptStep, ...], Field(max_length=4096)
-    ] = ()  # Rows of seconds, right, forward.
+    # Rows of seconds, right, forward.
+    script: Annotated[tuple[ScriptStep, ...], Field(max_length=4096)] = ()
 
     @model_validator(mode="after")
     def _is_driven_by_one(self) -> SceneSeat:
@@ -85,7 +78,10 @@ class SceneSeat(Model):
 
 
 class SceneExpect(Model):
-    """Expected results over all seats, as lowest and highest value. A missing key is not checked."""
+    """Expected results over all seats, as lowest and highest value.
+
+    A missing key is not checked.
+    """
 
     crashed: bool | None = None  # Whether any chair crashed.
     arrivals: _Between = None  # Chairs that reached their goals.
@@ -133,9 +129,8 @@ class SceneFile(Model):
     duration_s: Annotated[float, within(0.1, 60.0)]  # Simulated time after the warm-up.
     kerb_height_m: KerbHeight = 0.12  # Height of pavements above the road.
     lefthand: bool = False  # Whether traffic keeps left.
-    warmup_s: Annotated[float, within(0.0, 600.0)] = (
-        0.0  # Time that SUMO simulates before the first step.
-    )
+    # Time that SUMO simulates before the first step.
+    warmup_s: Annotated[float, within(0.0, 600.0)] = 0.0
     attention_share: Share = 1.0  # Share of road users who look for wheelchairs.
     street: StreetName = "usual"  # Street as in world.street.
     seats: Annotated[tuple[SceneSeat, ...], Field(min_length=1, max_length=64)]

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections import Counter
-from typing import Annotated, Literal
+from typing import Annotated, Final, Literal
 
 from pydantic import Field, model_validator
 
 from wcsim.config.base import Model, Seed, Word, within
 
-MOST_BLOCKS = 12
-MOST_QUESTIONS = 20
-MOST_STEPS = 11  # of a scale
-_STEPS = 7
+MOST_BLOCKS: Final = 12
+MOST_QUESTIONS: Final = 20
+# Steps of a scale: at most, and usually.
+MOST_STEPS: Final = 11
+_STEPS: Final = 7
 _Name = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_-]{0,31}$")]
 _Line = Annotated[str, Field(min_length=1, max_length=200)]
 _Paragraph = Annotated[str, Field(min_length=1, max_length=1000)]
@@ -22,7 +23,8 @@ _Level = Annotated[float, within(0.0, 100.0)]
 _Reference = Annotated[str, Field(min_length=1, max_length=400)]
 _Number = Annotated[int, Field(ge=0, lt=1 << 31)]
 _Arrivals = Annotated[int, within(1, 100)]
-_ANSWERS = {"scale": ("low", "high"), "choice": ("choices",), "yes_no": ()}
+# The keys that a question of each kind must have.
+_ANSWERS: Final = {"scale": ("low", "high"), "choice": ("choices",), "yes_no": ()}
 
 
 class StudyPlace(Model):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated, Self
+from typing import Annotated, Final, Self
 
 from pydantic import Field, model_validator
 
@@ -11,11 +11,12 @@ from wcsim.config.base import Finite, Model, NotNegative, Seed, Text, Texts, wit
 from wcsim.config.env import EpisodeSteps
 from wcsim.config.run_file import Sha256
 
-MOST_SEATS = 12
-MOST_NAME, MOST_SET = 64, 32  # characters of a list's name, and of that of its set
-Part = Annotated[
-    str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9 ,.-]{0,127}$")
-]  # free, crossing, hazard, tight, or drawn
+MOST_SEATS: Final = 12
+# Characters of a list's name, and of that of its set.
+MOST_NAME: Final = 64
+MOST_SET: Final = 32
+# One of free, crossing, hazard, tight or drawn.
+Part = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9 ,.-]{0,127}$")]
 
 
 def name_pattern(most: int) -> str:
@@ -26,9 +27,8 @@ def name_pattern(most: int) -> str:
 class EpisodeFile(Model):
     """One way of one wheelchair."""
 
-    start_m: (
-        tuple[Finite, Finite] | None
-    )  # W; None where the block's world draws it, and one goal after the other
+    # In W. None where the block's world draws it, and one goal after the other.
+    start_m: tuple[Finite, Finite] | None
     heading_rad: Finite
     goal_m: tuple[Finite, Finite] | None  # W; None as the start is
     profile: Text  # of the user
@@ -83,13 +83,11 @@ class TownOfSuite(Model):
 class SuiteFile(Model):
     """The whole file; what it hashes to is the suite's identity."""
 
-    suite: Annotated[
-        str, Field(pattern=name_pattern(MOST_NAME))
-    ]  # with its version: street-assist-v1
+    # With its version: street-assist-v1.
+    suite: Annotated[str, Field(pattern=name_pattern(MOST_NAME))]
     set: Annotated[str, Field(pattern=name_pattern(MOST_SET))]  # dev, validation, v1, or a town's
     settings: Texts  # section.key=value, over the policy's own
     towns: Annotated[tuple[TownOfSuite, ...], Field(min_length=1, max_length=64)]
-    forks: Annotated[int, within(0, 1_000_000)] = (
-        1_000_000  # episodes whose interventions are judged, at most
-    )
+    # Episodes whose interventions are judged, at most.
+    forks: Annotated[int, within(0, 1_000_000)] = 1_000_000
     blocks: Annotated[tuple[BlockFile, ...], Field(min_length=1, max_length=100_000)]

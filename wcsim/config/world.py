@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Final, Literal, TypeVar
 
 from pydantic import AfterValidator, Field, model_validator
 
-from wcsim.config.base import Finite, Model, Share, UserMass, Word, within
+from wcsim.config.base import Finite, Model, Share, UserMass, Word, exclude_at, within
 
 Number = TypeVar("Number", int, float)
 
@@ -19,23 +19,27 @@ Delay = Annotated[int, within(0, 10)]
 Reaction = Annotated[float, within(0.0, 60.0)]
 Driver = Literal["car", "truck", "bus", "tram", "motorcycle", "bicycle", "scooter", "other"]
 Watcher = Literal[Driver, "pedestrian"]
-EVERYBODY = "all"  # who has no range of its own
-JUPEDSIM = "jupedsim"
+# Of road users without a range of their own.
+EVERYBODY: Final = "all"
+JUPEDSIM: Final = "jupedsim"
 """The street whose people walk by SUMO's JuPedSim, as SUMO calls that model."""
-STREETS: dict[str, tuple[float, float] | None] = {
+STREETS: Final[dict[str, tuple[float, float] | None]] = {
     "usual": None,
     "careless": (0.7, 1.5),
     JUPEDSIM: None,
 }
 """Streets by name: attention share and reaction time in seconds; None: those of the settings."""
 StreetName = Literal["usual", "careless", "jupedsim"]
-EPOCH_TICKS = 6_000
+EPOCH_TICKS: Final = 6_000
 """Ticks of an epoch: a world repeats as many from its journal in five minutes (docs/clients.md)."""
-SUMO_STEP_S = 0.001
+SUMO_STEP_S: Final = 0.001
 """What SUMO counts time in; it rounds every other step to it."""
-HELP_S = 10.0
+HELP_S: Final = 10.0
 """How long a request for help raises the assistance."""
-_USUAL_HZ, _CONTACT_HZ = 120.0, 240.0
+# At the usual rate a kerb of 20 mm is felt a third too weakly, and a car sinks 7 cm into a chair.
+# So ticks with a contact ahead have the other rate (ADR 11).
+_USUAL_HZ: Final = 120.0
+_CONTACT_HZ: Final = 240.0
 
 
 def _ordered(span: tuple[Number, Number]) -> tuple[Number, Number]:
@@ -55,7 +59,10 @@ Spans = Annotated[dict[Word, Span], Field(max_length=64)]  # by dotted names
 
 
 class VaryConfig(Model):
-    """Ranges [low, high] for domain randomisation, drawn for every episode and seat. "none" removes a range."""
+    """Ranges [low, high] for domain randomisation, drawn for every episode and seat.
+
+    "none" removes a range.
+    """
 
     light: Range[Brightness] | None = None  # Factor on the brightness of colour images.
     friction: Range[Factor] | None = None  # Factor on the friction of wheels and casters.
@@ -64,12 +71,10 @@ class VaryConfig(Model):
     camera_turn_deg: Range[Turn] | None = None  # Rotation of each camera in yaw and pitch.
     action_delay_ticks: Range[Delay] | None = None  # Delay of actions.
     plant: Spans = Field(default_factory=dict)  # Any number of the plant's file, by dotted name.
-    sensors: Annotated[Spans, Field(exclude_if=lambda spans: not spans)] = Field(
-        default_factory=dict
-    )  # Any number of a sensor, by section.key.
-    attention: Shares = Field(
-        default_factory=dict
-    )  # Share of road users who look for this chair, by class.
+    # Any number of a sensor, by section.key.
+    sensors: Annotated[Spans, exclude_at({})] = Field(default_factory=dict)
+    # Share of road users who look for this chair, by class.
+    attention: Shares = Field(default_factory=dict)
     reaction: Reactions = Field(default_factory=dict)  # Reaction time in seconds, by class.
 
     @model_validator(mode="before")
@@ -86,54 +91,47 @@ class VaryConfig(Model):
 class WorldConfig(Model):
     """Clock, traffic, and how road users react to a chair."""
 
-    tick_s: Annotated[float, within(0.02, 1.0)] = (
-        0.1  # Length of a world step, in whole milliseconds. SUMO and each action take one step.
-    )
-    substeps: Annotated[int, within(1, 480)] | None = (
-        None  # Physics steps per tick. Without a value: 120 per second, and 240 with a contact ahead.
-    )
-    warmup_s: Annotated[float, within(0.0, 3600.0)] | None = (
-        None  # Time that SUMO simulates before the first step. Without a value: the town's own, or 240.
-    )
+    # Length of a world step, in whole milliseconds. SUMO and each action take one step.
+    tick_s: Annotated[float, within(0.02, 1.0)] = 0.1
+    # Physics steps per tick. Without a value: 120 per second, and 240 with a contact ahead.
+    substeps: Annotated[int, within(1, 480)] | None = None
+    # Time that SUMO simulates before the first step. Without a value: the town's own, or 240.
+    warmup_s: Annotated[float, within(0.0, 3600.0)] | None = None
     demand_scale: Annotated[float, within(0.0, 10.0)] = 1.0  # Factor on the town's own traffic.
-    mirror_radius_m: Annotated[float, within(5.0, 300.0)] = (
-        50.0  # Road users within this distance of a chair are drawn and may react.
-    )
-    jam_teleport_s: Annotated[float, within(-1.0, 36000.0)] | None = (
-        None  # SUMO's time to teleport. Without a value: that of the scenario.
-    )
-    action_step_s: Annotated[float, within(0.02, 10.0)] | None = (
-        None  # Time between decisions of SUMO's drivers, a multiple of tick_s.
-    )
-    street: StreetName = "usual"  # Careless sets attention_share to 0.7 and reaction_s to 1.5; jupedsim has people walk by JuPedSim.
+    # Road users within this distance of a chair are drawn and may react.
+    mirror_radius_m: Annotated[float, within(5.0, 300.0)] = 50.0
+    # SUMO's time to teleport. Without a value: that of the scenario.
+    jam_teleport_s: Annotated[float, within(-1.0, 36000.0)] | None = None
+    # Time between decisions of SUMO's drivers, a multiple of tick_s.
+    action_step_s: Annotated[float, within(0.02, 10.0)] | None = None
+    # Careless sets attention_share to 0.7 and reaction_s to 1.5; jupedsim has people walk by
+    # JuPedSim.
+    street: StreetName = "usual"
     attention_share: Share = 0.95  # Share of road users who look for the chair.
     reaction_s: Reaction = 0.7  # Time from seeing the chair to braking.
-    attention: Annotated[dict[Watcher, Share], Field(max_length=16)] = Field(
-        default_factory=dict
-    )  # Attention share by class of road user.
-    reaction: Annotated[dict[Driver, Reaction], Field(max_length=16)] = Field(
-        default_factory=dict
-    )  # Reaction time in seconds by class of road user.
+    # Attention share by class of road user.
+    attention: Annotated[dict[Watcher, Share], Field(max_length=16)] = Field(default_factory=dict)
+    # Reaction time in seconds by class of road user.
+    reaction: Annotated[dict[Driver, Reaction], Field(max_length=16)] = Field(default_factory=dict)
     crossing_share: Share = 0.5  # Share of destinations chosen beyond a nearby crossing.
+    # SUMO's actuated signals give an optional green to its own persons alone: 17 of 100 users who
+    # obey waited there for 130 s, and then went at red (ADR 10).
     button: bool = True  # Whether a chair that waits at a red crossing of its route requests green.
-    action_delay_ticks: Annotated[int, within(0, 10)] = (
-        0  # Delay from an action to the motion of the chair.
-    )
-    epoch_ticks: Annotated[
-        int | None, Field(ge=0, le=10**9, exclude_if=lambda ticks: ticks is None)
-    ] = None  # Ticks after which a new world replaces a shared one. None: 10 episodes, at least 6,000. 0: never.
-    help_s: Annotated[
-        float, Field(ge=0.0, le=600.0, exclude_if=lambda seconds: seconds == HELP_S)
-    ] = HELP_S  # Time for which a request for help raises the assistance. 0: never.
-    help_users: Annotated[bool, Field(exclude_if=lambda on: not on)] = (
-        False  # Whether requests of simulated users raise it too. Without it they are only counted.
-    )
-    draw_threads: Annotated[int, within(0, 64)] = (
-        0  # Threads that draw camera images. 0: one per core.
-    )
+    # Delay from an action to the motion of the chair.
+    action_delay_ticks: Annotated[int, within(0, 10)] = 0
+    # Ticks after which a new world replaces a shared one. None: 10 episodes, at least 6,000. 0:
+    # never.
+    epoch_ticks: Annotated[int | None, within(0, 10**9), exclude_at(None)] = None
+    # Time for which a request for help raises the assistance. 0: never.
+    help_s: Annotated[float, within(0.0, 600.0), exclude_at(HELP_S)] = HELP_S
+    # Whether requests of simulated users raise it too. Without it they are only counted.
+    help_users: Annotated[bool, exclude_at(False)] = False
+    # Threads that draw camera images. 0: one per core.
+    draw_threads: Annotated[int, within(0, 64)] = 0
 
     @model_validator(mode="after")
     def _substep_is_sane(self) -> WorldConfig:
+        # The rates at which a chair can be checked, 100 to 1000 Hz (`chair_check/row.py`).
         substep_s = self.tick_s / self.usual_substeps
         if not 1 / 1000 <= substep_s <= 1 / 100:
             raise ValueError(

@@ -7,7 +7,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, replace
 
 from wcsim.agents.opening.list_file import TIGHT, Suite, open_block, open_suite, require_towns, seat_of, shipped
-from wcsim.agents.opening.named_policy import config_for, open_named, seat_for, sensing
+from wcsim.agents.opening.named_policy import config_for, open_named, policy_overrides, seat_for
 from wcsim.agents.policy_api import Policy
 from wcsim.config import RunConfig, resolve
 from wcsim.config.suite import BlockFile
@@ -115,7 +115,7 @@ def _of_town(start: DriveStart) -> OpenPlace:
     return OpenPlace(
         start=start,
         town=town,
-        config=resolve(config, sensing(config, policy)),
+        config=resolve(config, policy_overrides(config, policy)),
         policy=policy,
         spec=replace(seat_for(policy, start.profile), max_steps=LONGEST_STEPS),
         seed=start.seed,
@@ -135,7 +135,7 @@ def _of_suite(start: DriveStart, held: ExitStack) -> OpenPlace:
     episode = block.episodes[start.seat]
     if start.profile:
         episode = episode.model_copy(update={"profile": start.profile})
-    config = resolve(config, sensing(config, policy))
+    config = resolve(config, policy_overrides(config, policy))
     place = open_block(block, config, lambda: _town_of(suite, block), work)
     return OpenPlace(
         start=start,

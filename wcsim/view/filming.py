@@ -14,7 +14,7 @@ import numpy as np
 from wcsim.agents.envs.episode_view import Info
 from wcsim.agents.envs.seat_driver import PolicyAgent, SeatDriver
 from wcsim.agents.evaluation.suite.playback import PlayedStep
-from wcsim.agents.opening.named_policy import config_for, open_named, seat_for, sensing
+from wcsim.agents.opening.named_policy import config_for, open_named, policy_overrides, seat_for
 from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, STATE_SENSE, Observation, Policy, Warns, calling
 from wcsim.bridge.world import World
 from wcsim.bridge.world_rollout import rollout
@@ -239,7 +239,7 @@ def _senses(driver: FilmDriver, seed: int, width: int) -> tuple[RunConfig, SeatS
     film = camera.model_copy(update={"name": _FILM_CAMERA})
     own = own.model_copy(update={"cameras": (*own.cameras, film)})
     policy = open_named(driver.policy, own, seed, driver.network or None)
-    return resolve(own, sensing(own, policy)), seat_for(policy, driver.profile), policy
+    return resolve(own, policy_overrides(own, policy)), seat_for(policy, driver.profile), policy
 
 
 class BusiestMoment:

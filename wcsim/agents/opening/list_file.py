@@ -37,7 +37,8 @@ class Suite:
     """A list and what it hashes to."""
 
     file: SuiteFile
-    sha256: str  # hex, over the list's content
+    # In hex, over the list's content.
+    sha256: str
 
     @property
     def episodes(self) -> int:
@@ -116,12 +117,11 @@ def suite_towns(words: str, folder: Path) -> list[tuple[Town, int | None]]:
         ConfigError: A seed is none.
         TownError: There is no such town, or it cannot be made.
     """
-    towns = []
     # All seeds are read before the first town is made.
     seeds = [(word.strip(), made_seed(word.strip())) for word in words.split(",")]
-    for word, seed in seeds:
-        towns.append((find_town(word) if seed is None else made_town(folder, seed), seed))
-    return towns
+    return [
+        (find_town(word) if seed is None else made_town(folder, seed), seed) for word, seed in seeds
+    ]
 
 
 def require_towns(file: SuiteFile) -> None:
@@ -140,9 +140,12 @@ class BlockPlace:
     """Where a block is driven: its street is there, and all its settings."""
 
     town: Town
-    config: RunConfig  # see `config_for`
-    seed: int  # of the world
-    recordings: Path | None = None  # folder of recorded joysticks that users are named by
+    # By `config_for`.
+    config: RunConfig
+    # Of the world.
+    seed: int
+    # Folder of recorded joysticks that users are named by.
+    recordings: Path | None = None
 
 
 def open_block(
@@ -174,7 +177,8 @@ def seat_of(place: BlockPlace, episode: EpisodeFile, policy: Policy) -> SeatSpec
     user = episode.profile
     if place.recordings is not None and user.startswith(RECORDED):
         user = f"{RECORDED}{place.recordings / user.removeprefix(RECORDED)}"
-    start = None  # where the world draws it
+    # Without a start the world draws it.
+    start = None
     if episode.start_m is not None and episode.goal_m is not None:
         start = StartSpec(
             p_W_m=episode.start_m, yaw_rad=episode.heading_rad, goal_W_m=episode.goal_m

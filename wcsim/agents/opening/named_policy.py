@@ -67,9 +67,8 @@ def open_named(name: str, config: RunConfig, seed: int, network: str | None = No
         from wcsim.agents.policies.dwa import Veto
 
         inner = open_named(named.inner, config, seed, network)
-        if isinstance(
-            inner, ExportedLaw
-        ):  # its law says one action, and a veto asks for its dangers
+        # An exported law gives one action, and a veto needs the dangers of all.
+        if isinstance(inner, ExportedLaw):
             check_installed(f"policy {name!r} needs PyTorch", "train", "torch", error=PolicyError)
         return Veto(name, inner, config)
     if named.kind == "served":
@@ -80,13 +79,14 @@ def open_named(name: str, config: RunConfig, seed: int, network: str | None = No
     if named.kind == "class":
         return _own_policy(name, config)
     if named.kind == "baseline":
-        from wcsim.agents.policies.baselines import baseline  # with kernels, too
+        # Loads kernels, too.
+        from wcsim.agents.policies.baselines import baseline
 
         return baseline(name, config, seed)
     folder = policy_path(name)
-    law = (
-        "" if named.level is not None or network is not None else _law_without_torch(folder, config)
-    )
+    # A law has the level of its policy, and knows no network of the user's own.
+    is_exported = named.level is None and network is None
+    law = _law_without_torch(folder, config) if is_exported else ""
     if law:
         require_same_senses(folder, name, config)
         return ExportedLaw(folder, name, law, config)
@@ -95,6 +95,7 @@ def open_named(name: str, config: RunConfig, seed: int, network: str | None = No
 
 def _law_without_torch(folder: Path, config: RunConfig) -> str:
     """The exported law of this delay and chair, for a network without PyTorch; "" for none."""
+    # A law is exported for one fixed delay.
     if find_spec("torch") is not None or config.vary.action_delay_ticks:
         return ""
     law = EXPORTED.get(config.world.action_delay_ticks, "")
@@ -103,10 +104,10 @@ def _law_without_torch(folder: Path, config: RunConfig) -> str:
 
 
 def _own_policy(name: str, config: RunConfig) -> Policy:
-    made = find_class(name, "policy")
+    policy_class = find_class(name, "policy")
     what = f"policy {name!r} could not be created with the configuration as its only argument"
     with running_own(what, "correct it, or test the others without it"):
-        policy: Policy = made(config)
+        policy: Policy = policy_class(config)
     missing = [part for part in ("name", "begin", "reset", "act") if not hasattr(policy, part)]
     if missing:
         raise PolicyError(
@@ -117,24 +118,23 @@ def _own_policy(name: str, config: RunConfig) -> Policy:
 
 
 def _network(name: str, config: RunConfig, network: str | None) -> Policy:
-    """A network of wcsim's own: of a run folder, `RUN:phase1`, or a policy folder.
+    """Load a network of wcsim: of a run folder, `RUN:phase1`, or a policy folder.
 
-    It sets PyTorch to one thread in this process: one picture is too little for two, and on busy
-    cores they wait for one another, fifty times as long as the work takes.
+    It sets PyTorch to one thread in this process.
     """
-    import torch  # not at the top: checks of names must not load it
+    # Not at the top: checks of names must not load it.
+    import torch
 
+    # One picture is too little for two threads: on busy cores they wait for one another, fifty
+    # times as long as the work takes.
     torch.set_num_threads(1)
     path = policy_path(name)
     return learner_of_policy(path).load_policy(path, name, config, policy_name(name).level, network)
 
 
-def sensing(config: RunConfig, policy: Policy) -> tuple[str, ...]:
-    """The settings of a policy's senses, and of as many images in an observation as it needs.
-
-    A network of Q-learning needs as many as it was trained on; `env.window` may ask for more. Other
-    policies get the number of `env.window`.
-    """
+def policy_overrides(config: RunConfig, policy: Policy) -> tuple[str, ...]:
+    """The settings of a policy's senses, and of as many images in an observation as it needs."""
+    # A network of Q-learning needs as many images as it was trained on; `env.window` may give more.
     from wcsim.agents.policies.dwa import Veto
 
     inner = policy.inner if isinstance(policy, Veto) else policy
@@ -172,6 +172,7 @@ def config_for(
     named = policy_name(policy)
     base = resolve(preset)
     own = base
+    # Baselines, classes and served policies bring no settings.
     if named.kind == "onnx":
         about = read_about(named.folder)
         own = resolve(about.preset, about.settings)

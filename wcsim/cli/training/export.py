@@ -13,7 +13,7 @@ from tyro.conf import Positional, arg
 
 from wcsim.agents.export.export_folder import require_export_folder
 from wcsim.agents.opening.learner_registry import learner_of_policy
-from wcsim.agents.opening.named_policy import config_for, open_named, sensing
+from wcsim.agents.opening.named_policy import config_for, open_named, policy_overrides
 from wcsim.agents.policy_api import BASELINES, UPPER_BOUNDS, Observation, Policy
 from wcsim.agents.runs.policy_file import SHIPPED, policy_name
 from wcsim.agents.runs.run_folder import policy_path
@@ -82,7 +82,7 @@ def run(words: list[str]) -> int:
     policy = open_named(
         options.policy, resolve(own, _delay(options.delay_ticks)), 0, options.network or None
     )
-    own = resolve(own, sensing(own, policy))
+    own = resolve(own, policy_overrides(own, policy))
     delay, seen, actions, by = _ride(options, own, policy)
     bar_ms = LIMIT_MS - RESERVE_MS
     config, level = resolve(own, delay), policy_name(options.policy).level

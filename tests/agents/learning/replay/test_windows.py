@@ -29,7 +29,7 @@ from wcsim.agents.learning.replay.frame_store import WindowStore
 from wcsim.agents.learning.saved_policy import load_policy
 from wcsim.agents.learning.seqdqn import _mirror_batch
 from wcsim.agents.learning.train import train
-from wcsim.agents.opening.named_policy import config_for, open_named, sensing
+from wcsim.agents.opening.named_policy import config_for, open_named, policy_overrides
 from wcsim.agents.policies.baselines import baseline
 from wcsim.agents.runs.policy_file import POLICY_JSON
 from wcsim.agents.runs.run_folder import open_run, policy_path
@@ -351,7 +351,7 @@ def test_policies_with_different_windows_are_tested_in_one_environment(run, tmp_
     """Each drives as it does in an environment of its own."""
     single = train(a_run(ONE_IMAGE, tmp_path / "run", 5), lambda: street(1))
     policies = [open_named(str(path), CONFIG, 0) for path in (run, single)] + [baseline("stop", CONFIG)]
-    assert [sensing(RunConfig(), policy)[0] for policy in policies] == [f"env.window={n}" for n in (3, 1, 1)]
+    assert [policy_overrides(RunConfig(), policy)[0] for policy in policies] == [f"env.window={n}" for n in (3, 1, 1)]
     for policy, own in zip(policies, (3, 1, 1), strict=True):
         rows = [driven(policy, WindowedStreet(n, CAMERA, 20), 2, 20, seed=4) for n in (own, 3, 5)]
         assert rows[0] == rows[1] == rows[2]

@@ -14,7 +14,7 @@ from wcsim.agents.evaluation.suite.drive import LATE_S, Piece, Watch, drive_bloc
 from wcsim.agents.evaluation.suite.records import EpisodeRecord, record_of
 from wcsim.agents.evaluation.suite.result_files import TOWNS
 from wcsim.agents.opening.list_file import TIGHT, Suite, open_block, require_towns, towns_of
-from wcsim.agents.opening.named_policy import config_for, open_named, sensing
+from wcsim.agents.opening.named_policy import config_for, open_named, policy_overrides
 from wcsim.agents.policies.served_policy import ServedPolicy
 from wcsim.agents.policy_api import Policy
 from wcsim.agents.runs.policy_file import policy_name
@@ -102,7 +102,7 @@ def require_usable(order: SuiteOrder, policies: Iterable[str]) -> None:
     for name in policies:
         config = config_for(name, order.preset, (*order.suite.file.settings, *order.settings), in_list=True)
         with ExitStack() as opened:
-            resolve(config, sensing(config, _open_in(opened, name, config, 0, order.network)))
+            resolve(config, policy_overrides(config, _open_in(opened, name, config, 0, order.network)))
 
 
 def _open_in(opened: ExitStack, name: str, config: RunConfig, seed: int, network: str) -> Policy:
@@ -231,7 +231,7 @@ def drive_piece(piece: Piece, watch: Watch | None = None) -> tuple[EpisodeRecord
     seeds = (seeding.derive(piece.block.seed, "driver", seat) for seat in range(len(piece.block.episodes)))
     with ExitStack() as opened, temporary_folder() as work:
         try:
-            config = resolve(config, sensing(config, _open_in(opened, piece.policy, config, 0, piece.network)))
+            config = resolve(config, policy_overrides(config, _open_in(opened, piece.policy, config, 0, piece.network)))
             drivers = [_open_in(opened, piece.policy, config, seed, piece.network) for seed in seeds]
         except WcsimError as error:
             return refused(piece, str(error))
