@@ -166,7 +166,7 @@ def test_arriving_is_a_success_until_the_episode_ends(corner, monkeypatch):
         env.reset(seed=1)
         user = env._own.home.world.seats[0].user
         with monkeypatch.context() as patch:
-            patch.setattr(user, "_judge_progress", lambda *_: setattr(user, "arrived", True))
+            patch.setattr(user, "_move_along", lambda *_: setattr(user, "arrived", True))
             assert env.step(40)[4]["is_success"] is True
         assert (env.step(40)[4]["is_success"], env.reset()[1]["is_success"]) == (True, False)
 
