@@ -109,3 +109,11 @@ def corner(tmp_path_factory: pytest.TempPathFactory) -> Path:
     build_scene(find_scene(str(ROOT / "scenarios" / "sumo" / "scenes" / "pedestrian-crossing")), work)
     load_street(find_town(str(work)))  # once, for all commands
     return work
+
+
+@pytest.fixture(scope="session")
+def corner_town(corner: Path) -> object:
+    """The town in the folder `corner`."""
+    from wcsim.towns.scenario.town import find_town
+
+    return find_town(str(corner))

@@ -3,7 +3,7 @@
 import gymnasium as gym
 import numpy as np
 
-from wcsim.supervisor.actions import action_set
+from tests.support.samples import ACTIONS
 from wcsim.supervisor.observation import observation_space
 
 LENGTH, SIDE = 5, 8
@@ -21,7 +21,7 @@ class TinyTask(gym.Env):
     """A task with the usual actions that is seen in tiny images."""
 
     def __init__(self):
-        self.actions = action_set("square81")
+        self.actions = ACTIONS
         self.observation_space = observation_space("compact", SIDE, SIDE)
         self.action_space = gym.spaces.Discrete(len(self.actions))
 

@@ -8,7 +8,6 @@ the paper without accelerations.
 import errno
 import importlib
 import math
-import os
 import signal
 from collections.abc import Callable
 from pathlib import Path
@@ -20,11 +19,13 @@ import torch
 from stable_baselines3.common.logger import configure
 from stable_baselines3.common.vec_env import DummyVecEnv
 
-from tests.support.samples import stacked
+from tests.support.samples import ACTIONS, stacked
 from wcsim.agents.envs.episode_view import FrameWindow, windowed_space
 from wcsim.agents.learning.build import build_model
 from wcsim.agents.learning.checkpoint import checkpoint_restorer
+from wcsim.agents.learning.replay.buffer import FrameReplay
 from wcsim.agents.learning.seqdqn import SeqDQN
+from wcsim.agents.learning.train import train
 from wcsim.agents.runs.checkpoint import _restore_newest, _Restored
 from wcsim.agents.runs.metrics import STEP_COLUMNS, MetricsFile
 from wcsim.agents.runs.run_folder import ResolvedRun
@@ -33,7 +34,6 @@ from wcsim.config.run_file import SittingFile
 from wcsim.errors import ServerGoneError
 from wcsim.server.launch.states import WAIT_NO_MORE
 from wcsim.server.specs import RunInfo
-from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.observation import observation_space
 from wcsim.types import ClassId, Events, Joystick, RewardTerms, Truth
 
@@ -51,6 +51,13 @@ def toy_camera(height_px: int = 24, width_px: int = 32) -> CameraConfig:
 def a_run(config: RunConfig, out: Path, seed: int, *, resume: bool = False, **info: Any) -> ResolvedRun:
     """A run of these settings; what else its manifest says is left out unless it is given."""
     return ResolvedRun(config=config, out=out, info=RunInfo(seed=seed, **info), resume=resume)
+
+
+def train_toy(
+    config: RunConfig, out: Path, make: Callable[[], Any], *more: Any, seed: int = 5, resume: bool = False, **rest: Any
+) -> Path:
+    """Train in toy streets, and return the folder of the run; see `train` for what else may be given."""
+    return train(a_run(config, out, seed, resume=resume), make, *more, **rest)
 
 
 def logs_in(folder: Path) -> tuple[MetricsFile, MetricsFile]:
@@ -90,7 +97,7 @@ def same_from_here_on(wrote: SeqDQN, again: SeqDQN, updates: int = 5, batch: int
 def stopped_while_away(waits: list[bool]) -> None:
     """What a launcher that ends sends to a client whose world is away, and what comes of waiting then."""
     for number in (signal.SIGTERM, WAIT_NO_MORE):
-        os.kill(os.getpid(), number)
+        signal.raise_signal(number)
     assert waits, "nobody says that there is no use in waiting"
     raise ServerGoneError("nobody answers")
 
@@ -103,7 +110,7 @@ class ToyStreet(gym.Env[dict[str, Any], np.int64]):
     def __init__(self, camera: CameraConfig | None = None, max_steps: int = 400, obstacles: int = OBSTACLES):
         self.camera = camera or toy_camera()
         self.max_steps, self.count = max_steps, obstacles
-        self.actions = action_set("square81")
+        self.actions = ACTIONS
         self.observation_space = observation_space("compact", self.camera.width_px, self.camera.height_px)
         self.action_space = gym.spaces.Discrete(len(self.actions))
         self.rays = camera_rays(self.camera)  # (H * W, 3) body frame, per metre of depth
@@ -293,6 +300,11 @@ def q_config(camera: CameraConfig, **learn: Any) -> RunConfig:
 def q_learner(config: RunConfig, seed: int = 0, envs: int = 1, max_steps: int = 400) -> SeqDQN:
     """A fresh learner of the toy street, in so many seats."""
     return build_model(config, DummyVecEnv([lambda: ToyStreet(config.eye, max_steps)] * envs), seed)
+
+
+def make_replay(size: int, space: gym.spaces.Dict, seats: int = 1, **chosen: Any) -> FrameReplay:
+    """A replay memory of 81 actions for so many seats; see `memory_of`."""
+    return FrameReplay(size, space, gym.spaces.Discrete(81), device="cpu", n_envs=seats, **memory_of(**chosen))
 
 
 def memory_of(seed: int = 0, **learn: Any) -> dict[str, Any]:

@@ -12,11 +12,10 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import numpy as np
 import psutil
 
 from tests.attack.files.damage import flipped
-from tests.attack.scenarios.twists import pick
+from tests.attack.scenarios.twists import draws, pick
 from tests.support.tracked import ROOT
 from wcsim.agents.clients.group_run import open_clients_folder
 from wcsim.agents.clients.paid_times import PaidTimes
@@ -109,6 +108,15 @@ def wrong_with(run: Path, code: int, err: str, allowed: Sequence[int]) -> str:
     return "" if code == Exit.REFUSED else audited(run)
 
 
+def note_end(
+    row: Row, run: Path, child: subprocess.Popen[str], allowed: Sequence[int], what: str, limit_s: float = 120.0
+) -> None:
+    """Count how a command ends, and note what is not as it should be."""
+    _, err = child.communicate(timeout=limit_s)
+    row.codes[child.returncode] += 1
+    row.note(wrong_with(run, child.returncode, err, allowed), what)
+
+
 def audited(run: Path) -> str:
     """What journal and ledgers tell, "" when every step was seen once."""
     if not (run / "manifest.json").is_file():
@@ -125,8 +133,7 @@ def storms(folder: Path, corner: Path, count: int, seed: int) -> Row:
     """Three to twenty SIGTERM at any moment, each storm in a command that goes on with the run of the one before."""
     row, begin_s = Row(what="storms of SIGTERM"), time.monotonic()
     run = begun(folder, corner)
-    for number in range(count):
-        rng = np.random.default_rng((seed, number))
+    for number, rng in draws(count, seed):
         child = start(folder, "resume", "run")
         time.sleep(float(rng.uniform(0.05, 9.0)))
         spacing_s = float(pick(rng, (0.0, 0.002, 0.05, 0.3)))
@@ -134,9 +141,7 @@ def storms(folder: Path, corner: Path, count: int, seed: int) -> Row:
             if child.poll() is None:
                 child.send_signal(signal.SIGTERM)
             time.sleep(spacing_s)
-        _, err = child.communicate(timeout=120)
-        row.codes[child.returncode] += 1
-        row.note(wrong_with(run, child.returncode, err, (Exit.STOPPED, *AT_ONCE)), f"storm {number}")
+        note_end(row, run, child, (Exit.STOPPED, *AT_ONCE), f"storm {number}")
     _went_on(row, folder, begin_s)
     return row
 
@@ -147,8 +152,7 @@ def full_disks(folder: Path, corner: Path, count: int, seed: int) -> Row:
     folder.mkdir()
     with _disk(folder) as limit:
         run = begun(folder, corner)
-        for number in range(count):
-            rng = np.random.default_rng((seed, number))
+        for number, rng in draws(count, seed):
             before = limit(int(rng.integers(0, 24)))
             child = start(folder, "resume", "run", before=before)
             try:
@@ -169,8 +173,8 @@ def stops(folder: Path, corner: Path, count: int, seed: int) -> Row:
     folder.mkdir()
     words = ("train-clients", "patch,patch", "--town", corner, "--steps", FOREVER, "--out", "run", *QUICK)
     child = start(folder, *words)
-    for number in range(count):
-        rng, before = np.random.default_rng((seed, number)), ticks_of(run)
+    for _, rng in draws(count, seed):
+        before = ticks_of(run)
         while child.poll() is None and ticks_of(run) < before + 10:
             time.sleep(0.2)
         chosen = pick(rng, psutil.Process(child.pid).children(recursive=True))
@@ -195,16 +199,13 @@ def flips(folder: Path, corner: Path, count: int, seed: int) -> Row:
     run = begun(folder, corner, steps=40, ticks=25)
     shutil.copytree(run, folder / "sound")
     names = sorted(str(path.relative_to(run)) for path in run.rglob("*") if path.is_file() and path.stat().st_size)
-    for number in range(count):
-        rng = np.random.default_rng((seed, number))
+    for number, rng in draws(count, seed):
         shutil.rmtree(run)
         shutil.copytree(folder / "sound", run)
         name = names[(number * 7) % len(names)]
         (run / name).write_bytes(flipped((run / name).read_bytes(), rng))
         child = start(folder, "resume", "run")
-        _, err = child.communicate(timeout=200)
-        row.codes[child.returncode] += 1
-        row.note(wrong_with(run, child.returncode, err, (Exit.DONE, Exit.REFUSED)), f"flip {number} in {name}")
+        note_end(row, run, child, (Exit.DONE, Exit.REFUSED), f"flip {number} in {name}", limit_s=200.0)
     row.seconds = time.monotonic() - begin_s
     return row
 
@@ -223,8 +224,7 @@ def flips_when_done(
     names = [path for path in files if "checkpoints" not in path.parts and "policies" not in path.parts]
     for path in sorted(names):
         whole = path.read_bytes()
-        for number in range(each):
-            rng = np.random.default_rng((seed, number))
+        for number, rng in draws(each, seed):
             path.write_bytes(flipped(whole, rng))
             code, err = wcsim(["resume", str(run)])
             row.codes[code] += 1

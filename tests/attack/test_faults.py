@@ -2,7 +2,6 @@
 
 import os
 import re
-import resource
 import subprocess
 import sys
 from pathlib import Path
@@ -10,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from tests.attack import faults
+from tests.support.one_process import files_of_at_most
 from tests.view.report.results import records_of
 from wcsim.agents.evaluation.suite.run import SuiteOrder
 from wcsim.agents.opening.list_file import open_suite
@@ -52,13 +52,8 @@ def test_a_disk_that_is_full_while_a_test_is_written_leaves_the_earlier_result_w
     order = SuiteOrder(suite=open_suite("dev"), out=tmp_path)
     save_result(order, "dev", {UNAIDED: records_of("dwa"), "mine": records_of("dwa")})
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
-    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (room_kb << 10, limits[1]))
-    try:
-        with pytest.raises(DiskFullError, match="could not be written"):
-            save_result(order, "dev", {UNAIDED: records_of("follow") * 9, "mine": records_of("net@0.25") * 9})
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    with files_of_at_most(room_kb << 10), pytest.raises(DiskFullError, match="could not be written"):
+        save_result(order, "dev", {UNAIDED: records_of("follow") * 9, "mine": records_of("net@0.25") * 9})
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
 
 

@@ -19,8 +19,12 @@ from wcsim.types import WayKind
 LIMIT_S, LIMIT_MB = 10.0, 1000.0
 
 
-def test_only_the_street_near_a_wheelchair_is_loaded(tmp_path):
-    town = make_grid_town(tmp_path / "big", blocks=4, vehicles=20, people=20)
+@pytest.fixture
+def town(tmp_path):
+    return make_grid_town(tmp_path / "big", blocks=4, vehicles=20, people=20)
+
+
+def test_only_the_street_near_a_wheelchair_is_loaded(town):
     with open_world(town) as world:
         follow(world)
         near, everything = set(world._open.street.keys), set(world.street.tiles.keys)
@@ -36,12 +40,11 @@ def test_only_the_street_near_a_wheelchair_is_loaded(tmp_path):
         assert abs(world.snapshot.clients[0].plant.p_WB_m[2] - 0.12) < 0.03  # it stands on the new tile's pavement
 
 
-def test_a_chair_is_placed_once_and_on_a_street_that_is_there(tmp_path, monkeypatch):
+def test_a_chair_is_placed_once_and_on_a_street_that_is_there(town, monkeypatch):
     happened = []
     place, add_street = Wheelchair.place, Engine.add_street
     monkeypatch.setattr(Wheelchair, "place", lambda self, *at: happened.append(self.seat) or place(self, *at))
     monkeypatch.setattr(Engine, "add_street", lambda self, *mesh: happened.append("tile") or add_street(self, *mesh))
-    town = make_grid_town(tmp_path / "big", blocks=4, vehicles=20, people=20)
     with open_world(town, seats=2) as world:
         assert happened[0] == "tile" and happened[-2:] == [0, 1] and happened.count(0) == happened.count(1) == 1
         for begin in (lambda: world.respawn(1), lambda: world.put_chair(1, np.array((-250.0, -250.0)), 0.0)):
@@ -53,10 +56,9 @@ def test_a_chair_is_placed_once_and_on_a_street_that_is_there(tmp_path, monkeypa
         assert happened == []  # what a tick could need was there
 
 
-def test_a_tile_that_nobody_is_near_leaves_the_engine_and_comes_back(tmp_path, monkeypatch):
+def test_a_tile_that_nobody_is_near_leaves_the_engine_and_comes_back(town, monkeypatch):
     monkeypatch.setattr("wcsim.bridge.world.MOST_TILES", 1)
     monkeypatch.setattr("wcsim.bridge.world.ENGINE_KEEP_M", 40.0)
-    town = make_grid_town(tmp_path / "big", blocks=4, vehicles=20, people=20)
     seen = []
     for _ in range(2):
         with open_world(town) as world:

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 import shapely
 
-from tests.support.worlds import follow, open_world
+from tests.support.worlds import follow, open_world, push
 from tests.towns.ground.rays import normals
 from tests.towns.made.nets import hilly
 from wcsim.bridge.mirror import on_ground
 from wcsim.bridge.world import World
-from wcsim.types import F64, ActorKind, Command, Joystick, SeatSpec, StartSpec
+from wcsim.types import F64, ActorKind, SeatSpec, StartSpec
 from wcsim.types.street import StreetMesh
 
 RIDERS = """<routes>
@@ -107,8 +107,7 @@ def test_a_wheelchair_starts_on_a_slope_without_a_jump(slope: Path, heading: flo
     with open_world(slope, spec=start(-30.0, -4.6, heading)) as world:
         before, peak = world.seats[0].chair.state(), 0.0
         for _ in range(3):
-            still = (Command(seat=0, tick=world.snapshot.tick, joystick=Joystick(0.0, 0.0)),)
-            peak = max(peak, float(np.abs(world.tick(still).clients[0].sensors.imu.accel_peak_mps2).max()))
+            peak = max(peak, float(np.abs(push(world).sensors.imu.accel_peak_mps2).max()))
         after = world.seats[0].chair.state()
         ahead = 0.3 * np.array([math.cos(heading), math.sin(heading)])
         rise = float(np.diff(_lands_m(world, before.p_WB_m[:2] + np.array([-ahead, ahead])))[0])

@@ -46,10 +46,10 @@ def test_a_tram_near_a_chair_is_recorded_in_all_its_pieces_and_is_one_vehicle_of
     assert [(v.get("id"), float(v.get("x", "nan"))) for v in step] == [("far", 313.0), ("tram", 33.0)]
 
 
-def test_a_recorded_town_holds_everybody_and_the_chairs(corner, tmp_path):
+def test_a_recorded_town_holds_everybody_and_the_chairs(corner_town, tmp_path):
     order = RecordOrder(seconds=6.0, seed=3, chairs=2, folder=tmp_path, outputs=("fcd",))
     opened = []
-    facts = record_town(find_town(str(corner)), quick_config(), order, opened.append)
+    facts = record_town(corner_town, quick_config(), order, opened.append)
     header, records = read_states(tmp_path / TRACE)
     assert (header.seats, len(records), facts.ticks) == (2, 60, 60)
     assert records[-1].plants.shape == (2, 15)
@@ -58,21 +58,21 @@ def test_a_recorded_town_holds_everybody_and_the_chairs(corner, tmp_path):
     assert facts.vehicles + facts.persons == len({name for record in records for name in record.actor_ids})
     assert facts.mirrored >= 1 and facts.episodes >= 2
     assert opened[0].outputs[0] == tmp_path / "sumo" / "fcd.xml"
-    again = record_town(find_town(str(corner)), quick_config(), replace(order, folder=tmp_path / "b"), opened.append)
+    again = record_town(corner_town, quick_config(), replace(order, folder=tmp_path / "b"), opened.append)
     assert again == facts
     assert (tmp_path / TRACE).read_bytes() == (tmp_path / "b" / TRACE).read_bytes()
 
 
-def test_traffic_alone_is_that_of_a_world_without_chairs_and_builds_no_street(corner, tmp_path, monkeypatch):
-    town, config = find_town(str(corner)), quick_config()
-    with World(town, config, (), 3) as world:
+def test_traffic_alone_is_that_of_a_world_without_chairs_and_builds_no_street(corner_town, tmp_path, monkeypatch):
+    config = quick_config()
+    with World(corner_town, config, (), 3) as world:
         plain = [(world.tick(()).state_hash, [a.id for a in world.sumo.everyone()]) for _ in range(40)]
         mishaps = world.sumo.mishaps
     for name in ("wcsim.bridge.town_run.load_street", "wcsim.bridge.world.load_street", "wcsim.bridge.town_run.World"):
         monkeypatch.setattr(name, lambda *words: pytest.fail("a street was built for nobody"))
     stages = []
     order = RecordOrder(seconds=4.0, seed=3, chairs=0, folder=tmp_path)
-    facts = record_town(town, config, order, lambda scenario: None, stage=stages.append)
+    facts = record_town(corner_town, config, order, lambda scenario: None, stage=stages.append)
     header, records = read_states(tmp_path / TRACE)
     assert [(r.state_hash, list(r.actor_ids)) for r in records] == plain
     assert (header.seats, facts.episodes, facts.crashed) == (0, 0, ()) and facts.vehicles > 0
@@ -80,8 +80,8 @@ def test_traffic_alone_is_that_of_a_world_without_chairs_and_builds_no_street(co
     assert len(stages) == 2 and "files" in stages[0]
 
 
-def test_a_file_that_is_missing_is_said_before_the_net_is_opened(corner, tmp_path, monkeypatch):
-    sumocfg = hostile.scenario(find_town(str(corner)), tmp_path / "theirs", more='<include href="gone.add.xml"/>')
+def test_a_file_that_is_missing_is_said_before_the_net_is_opened(corner_town, tmp_path, monkeypatch):
+    sumocfg = hostile.scenario(corner_town, tmp_path / "theirs", more='<include href="gone.add.xml"/>')
     for name in ("wcsim.bridge.town_run.validate_net", "wcsim.bridge.town_run.validate_net"):
         monkeypatch.setattr(name, lambda *words, **more: pytest.fail("the net was opened first"))
     monkeypatch.setattr("wcsim.bridge.world.validate_net", lambda *words, **more: pytest.fail("the net was opened"))
@@ -91,14 +91,13 @@ def test_a_file_that_is_missing_is_said_before_the_net_is_opened(corner, tmp_pat
             record_town(find_town(str(sumocfg)), quick_config(), order, lambda scenario: None)
 
 
-def test_a_crash_is_kept_with_its_reason_second_and_place(corner, tmp_path, monkeypatch):
+def test_a_crash_is_kept_with_its_reason_second_and_place(corner_town, tmp_path, monkeypatch):
     config = quick_config("reward.accel_window_mps2=[0.001, 0.002]", "imu.saturation_mps2=10")
     order = RecordOrder(seconds=3.0, seed=3, chairs=1, folder=tmp_path)
-    town = find_town(str(corner))
-    facts = record_town(town, config, order, lambda scenario: None)
+    facts = record_town(corner_town, config, order, lambda scenario: None)
     assert facts.crashes == len(facts.crashed) >= 1
     first = facts.crashed[0]
     assert (first.seat, first.reason) == (0, "acceleration") and facts.begin_s < first.time_s <= facts.end_s
     _, records = read_states(tmp_path / TRACE)
     record = next(record for record in records if record.time_s == first.time_s)
-    assert np.hypot(*(record.plants[0, :2] + town.file.origin_m - first.at_m)) < 0.01
+    assert np.hypot(*(record.plants[0, :2] + corner_town.file.origin_m - first.at_m)) < 0.01

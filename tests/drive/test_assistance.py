@@ -2,13 +2,12 @@ import numpy as np
 import pytest
 
 from tests.drive.lookers import Breaks, HearsDelays, Remembers
+from tests.support.samples import ACTIONS
 from wcsim.agents.policies.baselines import Follow
 from wcsim.drive.assistance import Assistance
 from wcsim.errors import PolicyError
-from wcsim.supervisor.actions import action_set
 from wcsim.types import Drawn
 
-ACTIONS = action_set("square81")
 AHEAD = {"joystick": np.array([0.0, 1.0], np.float32)}
 OWN = ACTIONS.nearest((0.0, 1.0))
 

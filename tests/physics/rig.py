@@ -142,9 +142,7 @@ def ray_down(engine: Engine, points_W_m: np.ndarray) -> np.ndarray:
     return np.array([hit[3][2] if hit[0] >= 0 else -np.inf for hit in hits])
 
 
-def shoot(cameras, seat, tick, plant, actors, chairs, buffers=None, signals=(), counted=False):
+def shoot(cameras, plant, actors=(), chairs=(), tick=0, seat=0, **more):
     """The images of one seat alone; see `Surroundings` for the arguments."""
-    scene = Surroundings(
-        tick=tick, plant=plant, actors=actors, chairs=chairs, signals=signals, buffers=buffers, counted=counted
-    )
-    return cameras.frames(seat, scene)
+    more = {"signals": (), "buffers": None, "counted": False, **more}
+    return cameras.frames(seat, Surroundings(tick=tick, plant=plant, actors=actors, chairs=chairs, **more))

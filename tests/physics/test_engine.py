@@ -13,13 +13,12 @@ from wcsim.physics.wheelchair.plant import plant_spec
 from wcsim.types import ClassId
 
 
-def test_the_street_is_a_few_bodies_and_stands_where_the_mesh_says():
-    with Engine(1 / 240) as engine:
-        engine.add_street(strip_street().mesh)
-        assert engine.bullet.getNumBodies() == 4
-        roles = [engine.tag_of(body).role for body in range(4)]
-        assert sorted(role.value for role in roles) == ["building", "ground", "kerb", "static"]
-        heights = ray_down(engine, np.array([[10.0, 0.0], [10.0, 5.5], [60.0, 14.0], [25.1, 6.7], [500.0, 0.0]]))
+def test_the_street_is_a_few_bodies_and_stands_where_the_mesh_says(engine):
+    engine.add_street(strip_street().mesh)
+    assert engine.bullet.getNumBodies() == 4
+    roles = [engine.tag_of(body).role for body in range(4)]
+    assert sorted(role.value for role in roles) == ["building", "ground", "kerb", "static"]
+    heights = ray_down(engine, np.array([[10.0, 0.0], [10.0, 5.5], [60.0, 14.0], [25.1, 6.7], [500.0, 0.0]]))
     assert heights == pytest.approx([0.0, KERB_M, 9.0, 5.0, -np.inf], abs=1e-6)
 
 
@@ -51,31 +50,29 @@ def test_seams_are_welded_and_slivers_go():
     assert len(tidy.vertices_m) == 4
 
 
-def test_a_mesh_that_cannot_be_used_is_refused():
+def test_a_mesh_that_cannot_be_used_is_refused(engine):
     good = flat_street()
-    with Engine(1 / 240) as engine:
-        for vertices, faces, classes in (
-            (good.vertices_W_m * np.nan, good.faces, good.face_class),
-            (good.vertices_W_m, good.faces + 100, good.face_class),
-            (good.vertices_W_m[:, :2], good.faces, good.face_class),
-        ):
-            with pytest.raises(PhysicsError, match="street mesh"):
-                engine.add_street(mesh(vertices, faces, classes))
+    for vertices, faces, classes in (
+        (good.vertices_W_m * np.nan, good.faces, good.face_class),
+        (good.vertices_W_m, good.faces + 100, good.face_class),
+        (good.vertices_W_m[:, :2], good.faces, good.face_class),
+    ):
+        with pytest.raises(PhysicsError, match="street mesh"):
+            engine.add_street(mesh(vertices, faces, classes))
 
 
-def test_steps_and_ids_out_of_bounds_are_refused():
+def test_steps_and_ids_out_of_bounds_are_refused(engine):
     with pytest.raises(PhysicsError, match="physics step"):
         Engine(0.1)
     with pytest.raises(PhysicsError, match="solver_iterations"):
         Engine(1 / 240, solver_iterations=0)
-    with Engine(1 / 240) as engine, pytest.raises(PhysicsError, match="unknown"):
+    with pytest.raises(PhysicsError, match="unknown"):
         engine.tag_of(77)
 
 
-def test_an_empty_street_is_no_street():
-    with Engine(1 / 240) as engine:
-        engine.add_street(mesh(np.zeros((0, 3)), np.zeros((0, 3)), ClassId.ROAD))
-        assert engine.bullet.getNumBodies() == 0
+def test_an_empty_street_is_no_street(engine):
+    engine.add_street(mesh(np.zeros((0, 3)), np.zeros((0, 3)), ClassId.ROAD))
+    assert engine.bullet.getNumBodies() == 0
 
 
 def test_masses_and_centre_of_mass_are_those_asked_for():
@@ -91,24 +88,22 @@ def test_masses_and_centre_of_mass_are_those_asked_for():
     assert whole == pytest.approx([r.chair.spec.mass.com_x_m, 0.0, 0.6], abs=0.002)
 
 
-def test_wheels_are_round():
-    with rig() as r:
-        shapes = {
-            r.engine.bullet.getCollisionShapeData(r.chair.body_id, link)[0][2]
-            for name, link in r.chair._body.links.items()
-            if name.startswith(("wheel", "caster"))
-        }
+def test_wheels_are_round(on_flat):
+    shapes = {
+        on_flat.engine.bullet.getCollisionShapeData(on_flat.chair.body_id, link)[0][2]
+        for name, link in on_flat.chair._body.links.items()
+        if name.startswith(("wheel", "caster"))
+    }
     assert shapes == {pybullet.GEOM_CYLINDER}  # a hull of 32 corners would say GEOM_MESH
 
 
-def test_roles_cover_every_class_of_the_street():
-    with Engine(1 / 240) as engine:
-        corners = [(0, 0, 0), (1, 0, 0), (0, 1, 0)]
-        found = {}
-        for class_id in ClassId:
-            before = engine.bullet.getNumBodies()
-            engine.add_street(mesh(corners, [[0, 1, 2]], class_id))
-            found[class_id] = engine.tag_of(before).role
+def test_roles_cover_every_class_of_the_street(engine):
+    corners = [(0, 0, 0), (1, 0, 0), (0, 1, 0)]
+    found = {}
+    for class_id in ClassId:
+        before = engine.bullet.getNumBodies()
+        engine.add_street(mesh(corners, [[0, 1, 2]], class_id))
+        found[class_id] = engine.tag_of(before).role
     assert {c for c, role in found.items() if role is Role.KERB} == {ClassId.KERB, ClassId.LOWERED_KERB}
     assert found[ClassId.CROSSWALK] is found[ClassId.TERRAIN] is Role.GROUND
     assert found[ClassId.FENCE] is Role.BUILDING and found[ClassId.POLE] is Role.STATIC

@@ -20,17 +20,15 @@ KINDS = list(ActorKind)
 
 
 @pytest.fixture
-def engine():
-    with Engine(1 / 240) as made:
-        yield made
+def pool(engine):
+    return BodyPool(engine)
 
 
 def move(moved, v=(0.0, 0.0, 0.0), yaw_rate=0.0) -> BodyMove:
     return BodyMove(actor=moved, v_W_mps=np.array(v), yaw_rate_radps=yaw_rate)
 
 
-def test_a_body_stands_where_its_actor_stands(engine):
-    pool = BodyPool(engine)
+def test_a_body_stands_where_its_actor_stands(engine, pool):
     walker = actor("p", 1.0, 1.0, -2.0, ActorKind.PEDESTRIAN, (0.3, 0.5, 1.7))
     pool.place([move(actor("a", 3.0, 4.0, 0.5)), move(walker)])
     poses = pool.poses()
@@ -43,8 +41,7 @@ def test_a_body_stands_where_its_actor_stands(engine):
     assert engine.tag_of(pool.body_of("a")).role is Role.ACTOR
 
 
-def test_it_is_carried_through_the_tick_by_its_velocity(engine):
-    pool = BodyPool(engine)
+def test_it_is_carried_through_the_tick_by_its_velocity(engine, pool):
     pool.place([move(actor("a", 0.0, 0.0), (13.9, 0.0, 0.0)), move(actor("b", 0.0, 9.0), (5.0, 0.0, 0.0), 0.5)])
     for _ in range(24):
         engine.step()
@@ -53,8 +50,7 @@ def test_it_is_carried_through_the_tick_by_its_velocity(engine):
     assert pool.poses()["b"][1] == pytest.approx(0.05, abs=1e-3)
 
 
-def test_a_car_on_a_slope_is_pitched(engine):
-    pool = BodyPool(engine)
+def test_a_car_on_a_slope_is_pitched(engine, pool):
     car = actor("a", 0.0, 0.0)
     tilted = type(car)(**{name: getattr(car, name) for name in car.__slots__ if name != "pitch_rad"}, pitch_rad=0.2)
     pool.place([move(tilted)])
@@ -63,8 +59,7 @@ def test_a_car_on_a_slope_is_pitched(engine):
     assert front - back == pytest.approx(3.0 * math.tan(0.2), rel=0.05)
 
 
-def test_who_leaves_is_parked_and_the_body_is_used_again(engine):
-    pool = BodyPool(engine)
+def test_who_leaves_is_parked_and_the_body_is_used_again(engine, pool):
     pool.place([move(actor("a", 0.0, 0.0)), move(actor("b", 10.0, 0.0))])
     first = pool.body_of("a")
     pool.place([move(actor("b", 10.0, 0.0))])
@@ -78,7 +73,7 @@ def test_who_leaves_is_parked_and_the_body_is_used_again(engine):
 
 
 @given(st.lists(st.lists(st.tuples(st.integers(0, 7), st.sampled_from(KINDS)), unique_by=lambda x: x[0], max_size=8)))
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 def test_the_pool_holds_exactly_the_listed_actors(ticks):
     with Engine(1 / 240) as engine:
         pool = BodyPool(engine)
@@ -95,16 +90,14 @@ def test_the_pool_holds_exactly_the_listed_actors(ticks):
             assert pool.made == sum(most.values())  # never more than were needed at once
 
 
-def test_every_kind_gets_a_body_of_its_size(engine):
-    pool = BodyPool(engine)
+def test_every_kind_gets_a_body_of_its_size(engine, pool):
     size = (2.0, 0.8, 1.2)
     pool.place([move(actor(kind.value, 20.0 * i, 0.0, kind=kind, size=size)) for i, kind in enumerate(KINDS)])
     heights = ray_down(engine, np.array([[20.0 * i, 0.0] for i in range(len(KINDS))]))
     assert heights == pytest.approx(np.full(len(KINDS), 1.2), abs=0.01)
 
 
-def test_what_cannot_be_used_is_refused(engine):
-    pool = BodyPool(engine)
+def test_what_cannot_be_used_is_refused(pool):
     with pytest.raises(PhysicsError, match="one move for each"):
         pool.place([move(actor("a", 0.0, 0.0)), move(actor("a", 1.0, 0.0))])
     with pytest.raises(PhysicsError, match="'n'"):
@@ -119,7 +112,7 @@ def test_what_cannot_be_used_is_refused(engine):
     yaw=st.floats(-math.pi, math.pi), turn=st.floats(-0.5, 0.5), speed=st.floats(0.0, 16.0),
     pitch=st.floats(-0.15, 0.15), kind=st.sampled_from(KINDS),
 )  # fmt: skip
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_substeps_lie_between_the_ticks_and_the_tick_ends_within_a_centimetre(yaw, turn, speed, pitch, kind):
     """A vehicle drives an arc: straight on within a millimetre, round a bend within a centimetre of the next tick."""
     start = replace(actor("a", 1.0, 2.0, yaw, kind, (4.5, 1.8, 1.5)), pitch_rad=pitch)

@@ -53,45 +53,42 @@ def test_a_tile_that_comes_back_is_felt_as_one_that_comes():
     assert driven[0] == driven[1]
 
 
-def test_a_tile_that_left_is_not_there():
-    with Engine(1 / 240) as engine:
-        street, kerb = StreetBodies(engine), np.array([[60.0, 5.0, 0.12]])
-        street.lay(HERE, strip)
-        assert engine.ground_at(kerb) == pytest.approx(0.12, abs=1e-6)
-        street.lift(HERE)
-        assert street.keys == set() and engine.rolling_ids == set()
-        assert np.isnan(engine.ground_at(kerb)).all()
-        assert engine.bullet.getNumBodies() == 0
-        street.lay(HERE, strip)
-        assert street.keys == {HERE}
-        assert engine.ground_at(kerb) == pytest.approx(0.12, abs=1e-6)
+def test_a_tile_that_left_is_not_there(engine):
+    street, kerb = StreetBodies(engine), np.array([[60.0, 5.0, 0.12]])
+    street.lay(HERE, strip)
+    assert engine.ground_at(kerb) == pytest.approx(0.12, abs=1e-6)
+    street.lift(HERE)
+    assert street.keys == set() and engine.rolling_ids == set()
+    assert np.isnan(engine.ground_at(kerb)).all()
+    assert engine.bullet.getNumBodies() == 0
+    street.lay(HERE, strip)
+    assert street.keys == {HERE}
+    assert engine.ground_at(kerb) == pytest.approx(0.12, abs=1e-6)
 
 
-def test_a_mesh_is_read_once_and_its_shapes_are_kept(monkeypatch):
+def test_a_mesh_is_read_once_and_its_shapes_are_kept(engine, monkeypatch):
     made, create = [], pybullet.createCollisionShape
     monkeypatch.setattr(pybullet, "createCollisionShape", lambda *a, **k: made.append(1) or create(*a, **k))
     read = []
-    with Engine(1 / 240) as engine:
-        street = StreetBodies(engine)
-        for _ in range(5):
-            street.lay(HERE, lambda: read.append(1) or strip())
-            street.lift(HERE)
+    street = StreetBodies(engine)
+    for _ in range(5):
+        street.lay(HERE, lambda: read.append(1) or strip())
+        street.lift(HERE)
     assert (len(read), len(made)) == (1, 4)
 
 
-def test_pybullet_is_left_with_no_lists_of_vertices():
+def test_pybullet_is_left_with_no_lists_of_vertices(engine):
     """It never lets go of the lists that it reads a mesh from."""
     floor = tiled_street(0.2)
     vertices, faces = len(floor.vertices_W_m), len(floor.faces)
-    with Engine(1 / 240) as engine:
-        engine.add_street(floor)  # makes what is used again
+    engine.add_street(floor)  # makes what is used again
+    gc.collect()
+    tracemalloc.start()
+    try:
+        for _ in range(5):
+            engine.add_street(floor)
         gc.collect()
-        tracemalloc.start()
-        try:
-            for _ in range(5):
-                engine.add_street(floor)
-            gc.collect()
-            kept, _ = tracemalloc.get_traced_memory()
-        finally:
-            tracemalloc.stop()
+        kept, _ = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
     assert kept < 5 * faces, f"{kept} bytes for 5 meshes of {vertices} vertices and {faces} faces"

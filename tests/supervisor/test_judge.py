@@ -7,15 +7,14 @@ import pytest
 
 from tests.supervisor.test_observation import sensors
 from tests.support.plants import CALM
+from tests.support.samples import ACTIONS
 from tests.users.kinematics import plant
 from wcsim.agents.envs.episode_view import ChairView, EpisodeStep
 from wcsim.config import EnvConfig, RunConfig
 from wcsim.errors import ConfigError
-from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.observation import observation_of
 from wcsim.types import ClientSnapshot, Joystick
 
-ACTIONS = action_set("square81")
 CONFIG = RunConfig()
 FORWARD = Joystick(0.0, 1.0)
 

@@ -6,20 +6,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.support.samples import KERB_M, USUAL_OUTLINE, straight_route, strip_street
+from tests.support.samples import ACTIONS, KERB_M, USUAL_OUTLINE, straight_route, strip_street
 from tests.support.yardstick import multiple
 from tests.users.actors import USUAL_RIMS_M, USUAL_WHEELS_M, actor, make_user
 from tests.users.kinematics import TICK_S, Chair, Sim, plant, polyline
 from wcsim.config import ChairConfig
 from wcsim.core.frames import quaternion
 from wcsim.core.joystick import shaped_rows
-from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.oracle import Oracle
 from wcsim.types import ActorKind, Joystick, StreetGrid
 from wcsim.types.street import AT_EDGE
 
 STREET = strip_street()
-ACTIONS = action_set("square81")
 ORACLE = Oracle(STREET.grid, ChairConfig(), USUAL_OUTLINE, USUAL_WHEELS_M, USUAL_RIMS_M, ACTIONS.points)
 FORWARD = Joystick(0.0, 0.8)
 STOP = Joystick(0.0, 0.0)

@@ -33,6 +33,14 @@ def gap_m(chair: Chair, x: float, y: float) -> float:
     return math.hypot(max(0.0, out_x), max(0.0, abs(y - chair.y) - 0.5 * USUAL_OUTLINE.width_m)) - RADIUS_M
 
 
+def drive_late(chair: Chair, waiting: deque[Joystick], best, distances) -> None:
+    """One tick of a chair that obeys late; it is given the best of the actions that is nearest to its wish."""
+    waiting.append(Joystick(*ACTIONS.points[np.where(best, distances, np.inf).argmin()]))
+    for _ in range(24):
+        chair.drive(waiting[0], TICK_S / 24)
+    waiting.popleft()
+
+
 def met_at_mps(chair: Chair, wish: Joystick, path: Path, own_line_y_m: float, longest_s: float = 8.0) -> float:
     """How fast the oracle's chair, which obeys two ticks late, is when its front touches somebody, else 0."""
     waiting = deque([wish, wish])
@@ -45,10 +53,7 @@ def met_at_mps(chair: Chair, wish: Joystick, path: Path, own_line_y_m: float, lo
         distances = np.hypot(*(ACTIONS.points - np.array((wish.x, wish.y))).T)
         straight = np.where(ACTIONS.points[:, 0] == 0.0, distances, 9.0)
         best = said.first_s == said.first_s[ACTIONS.points[:, 0] == 0.0].max()
-        waiting.append(Joystick(*ACTIONS.points[np.where(best, straight, np.inf).argmin()]))
-        for _ in range(24):
-            chair.drive(waiting[0], TICK_S / 24)
-        waiting.popleft()
+        drive_late(chair, waiting, best, straight)
     return 0.0
 
 
@@ -125,10 +130,7 @@ def test_who_comes_does_not_drive_the_chair_into_a_wall(room_m):
         first_s = ORACLE.assess(chair.plant(), FORWARD, (other,), tuple(waiting), accel_mps2=chair.a).first_s
         wish = (0.0, 0.0) if np.isfinite(first_s).all() else (0.0, 1.0)
         distances = np.hypot(*(ACTIONS.points - np.array(wish)).T)
-        waiting.append(Joystick(*ACTIONS.points[np.where(first_s == first_s.max(), distances, np.inf).argmin()]))
-        for _ in range(24):
-            chair.drive(waiting[0], TICK_S / 24)
-        waiting.popleft()
+        drive_late(chair, waiting, first_s == first_s.max(), distances)
         reach_m = 0.8 * math.sin(chair.yaw) + half_m * math.cos(chair.yaw)
         assert wall_y_m - chair.y - reach_m > 0.05
 

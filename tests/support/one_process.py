@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+import resource
 from collections.abc import Callable, Collection, Iterator, Sequence
 from concurrent.futures import Future
 from contextlib import contextmanager
@@ -64,6 +65,17 @@ def in_this_process() -> Iterator[None]:
         for asking in ("wcsim.agents.evaluation.suite.run", "wcsim.agents.rounds.collect_data"):
             patch.setattr(f"{asking}.Scheduler", OneScheduler)
         yield
+
+
+@contextmanager
+def files_of_at_most(size: int) -> Iterator[None]:
+    """No file of this process grows beyond so many bytes, as on a full disk."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
 def die_after(dying: pytest.MonkeyPatch, name: str, written: int) -> None:

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from wcsim.supervisor.actions import action_set
 from wcsim.types import (
     F64,
     ClassId,
@@ -26,6 +27,7 @@ from wcsim.types import (
 )
 
 KERB_M = 0.12
+ACTIONS = action_set("square81")
 USUAL_OUTLINE = Outline(length_m=1.135, width_m=0.62, height_m=1.25, middle_x_m=0.2325)  # of plant rwd
 X_M = np.array([-20.0, 0.0, 20.0, 36.56, 38.0, 42.0, 43.44, 60.0, 80.0, 100.0])
 CELL_M = 0.1

@@ -7,7 +7,8 @@ from wcsim.bridge.world import World
 from wcsim.bridge.world_rollout import rollout
 from wcsim.config import RunConfig, resolve
 from wcsim.towns.scenario.town import find_town
-from wcsim.types import SeatSpec, Snapshot
+from wcsim.types import ClientSnapshot, Command, Joystick, SeatSpec, Snapshot
+from wcsim.types.chair import AT_REST
 from wcsim.users.recordings.recorded_user import find_user
 
 QUICK = ("world.warmup_s=0", "cameras.0.width_px=32", "cameras.0.height_px=24")
@@ -33,6 +34,11 @@ def open_world(town: Path, *overrides: str, seats: int = 1, seed: int = 1, spec:
 def follow(world: World) -> Snapshot:
     """One tick in which everybody gets what their user asks for."""
     return next(rollout(world)).after
+
+
+def push(world: World, stick: Joystick = AT_REST) -> ClientSnapshot:
+    """What becomes of a chair that is alone in its world in one tick with this stick."""
+    return world.tick((Command(seat=0, tick=world.snapshot.tick, joystick=stick),)).clients[0]
 
 
 def hashes(world: World, ticks: int) -> list[str]:

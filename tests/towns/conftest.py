@@ -1,11 +1,14 @@
 """Streets that the tests of this package share."""
 
 import os
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import pytest
 
 from tests.support.tracked import ROOT
+from tests.towns.made import hostile
 from wcsim.towns.build_street import build_street
 from wcsim.towns.cache.street_cache import unpack_street
 from wcsim.towns.scenario.town import Town, find_town
@@ -14,17 +17,26 @@ from wcsim.towns.street import load_street
 from wcsim.towns.sumo.tools import run_tool
 from wcsim.types import Street
 
+WriteScenario = Callable[..., Path]
+
 
 def bytes_in(folder: Path) -> dict[str, bytes]:
     """What all files of a folder hold."""
     return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
+def tool_output(tool: str, options: list[str], folder: Path) -> str:
+    """What a tool of SUMO says that runs in a folder and does not fail."""
+    run = run_tool(tool, options, folder)
+    assert run.returncode == 0, run.output
+    return run.output
+
+
 def run_in_sumo(sumocfg: Path, end_s: float, folder: Path, *options: str) -> str:
     """What SUMO says of a scenario that it runs without an error."""
-    run = run_tool("sumo", ["-c", str(sumocfg), "--end", str(end_s), "--no-step-log", *options], folder)
-    assert run.returncode == 0 and "Error" not in run.output, run.output
-    return run.output
+    output = tool_output("sumo", ["-c", str(sumocfg), "--end", str(end_s), "--no-step-log", *options], folder)
+    assert "Error" not in output, output
+    return output
 
 
 @pytest.fixture(autouse=True)
@@ -37,6 +49,18 @@ def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def corner_town(tmp_path_factory: pytest.TempPathFactory) -> Town:
     """A hand-written crossroads with pavements and four zebra crossings."""
     return build_scene(find_scene("pedestrian-crossing"), tmp_path_factory.mktemp("corner"))[0]
+
+
+@pytest.fixture
+def write_theirs(corner_town: Town, tmp_path: Path) -> WriteScenario:
+    """Writes a stranger's scenario on the corner's streets into `theirs`; see `hostile.scenario`."""
+    return partial(hostile.scenario, corner_town, tmp_path / "theirs")
+
+
+@pytest.fixture(scope="session")
+def lane(corner_town: Town) -> str:
+    """A lane of the corner for cars."""
+    return hostile.lane_of(corner_town)
 
 
 @pytest.fixture(scope="session")

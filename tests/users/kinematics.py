@@ -9,10 +9,9 @@ from itertools import pairwise
 import numpy as np
 
 from tests.support.plants import plant_state
-from tests.support.samples import strip_street
+from tests.support.samples import ACTIONS, strip_street
 from tests.users.actors import user_view
 from wcsim.config import ChairConfig
-from wcsim.supervisor.actions import action_set
 from wcsim.types import ActorState, Joystick, PlantState, Route, SignalState, UserView
 from wcsim.users.user import SimulatedUser
 
@@ -95,7 +94,7 @@ class Sim:
         self.obstacles = np.zeros((0, 3))
         self.time_s = 0.0
         self.track = Track()
-        self._points = action_set("square81") if quantised else None
+        self._points = ACTIONS if quantised else None
         self.frozen = False
         user.follow(route)
         user.look(self.view())

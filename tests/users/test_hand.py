@@ -51,7 +51,7 @@ def test_tremor_has_its_amplitude_and_frequency():
     assert 0.19 < np.abs(path).max() < 0.25  # the electronics take a little off
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.sampled_from(profile_names()), st.integers(0, 999), st.floats(-9, 9), st.floats(-9, 9))
 def test_the_stick_stays_on_the_disc(name, seed, x, y):
     user = profile(name)

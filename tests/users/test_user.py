@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from tests.support.samples import USUAL_OUTLINE, straight_route, strip_street
+from tests.support.samples import ACTIONS, USUAL_OUTLINE, straight_route, strip_street
 from tests.users.actors import USUAL_RIMS_M, USUAL_WHEELS_M, actor, make_user
 from tests.users.kinematics import Chair, Sim, lateral, polyline
 from tests.users.test_crossing import lit, over_the_road
@@ -15,7 +15,6 @@ from wcsim.config import ChairConfig
 from wcsim.core.joystick import pushed, shaped
 from wcsim.core.seeding import generator
 from wcsim.errors import ConfigError
-from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.oracle import Oracle
 from wcsim.types import ActorKind, Joystick, SignalState
 from wcsim.users.avoidance import Body
@@ -25,7 +24,7 @@ from wcsim.users.route_line import Path
 from wcsim.users.user import SimulatedUser, steer
 
 STREET = strip_street()
-ORACLE = Oracle(STREET.grid, ChairConfig(), USUAL_OUTLINE, USUAL_WHEELS_M, USUAL_RIMS_M, action_set("square81").points)
+ORACLE = Oracle(STREET.grid, ChairConfig(), USUAL_OUTLINE, USUAL_WHEELS_M, USUAL_RIMS_M, ACTIONS.points)
 CORNERS = polyline((0, 0), (20, 0), (20, 15), (40, 15), step_m=2.0)
 PERSON, CAR = ActorKind.PEDESTRIAN, ActorKind.CAR
 

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from wcsim.errors import PolicyError
-from wcsim.towns.scenario.town import find_town
 from wcsim.types import Joystick
 from wcsim.view import filming
 from wcsim.view.filming import ASKED_RGB, GIVEN_RGB, BusiestMoment, FilmDriver, FilmedDrive, with_sticks
@@ -37,13 +36,13 @@ def test_the_words_of_both_sticks_stand_apart_on_dark_ground(width):
     assert around.max() < 130, "light letters on light ground cannot be read"
 
 
-def test_the_clock_counts_from_the_beginning_of_the_film(corner, tmp_path, monkeypatch):
+def test_the_clock_counts_from_the_beginning_of_the_film(corner_town, tmp_path, monkeypatch):
     said = []
     real = filming.captioned
     monkeypatch.setattr(filming, "captioned", lambda image, text: said.append(text) or real(image, text))
     settings = ("world.warmup_s=5", "cameras.0.width_px=32", "cameras.0.height_px=24", "chair.v_max_mps=0.5")
     driver = FilmDriver(policy="follow", profile="inattentive", settings=settings)
-    film = FilmedDrive(find_town(str(corner)), 0, 80, driver, tmp_path / "a.webm")
+    film = FilmedDrive(corner_town, 0, 80, driver, tmp_path / "a.webm")
     with film:
         frames = [film.add() for _ in range(12)]
     assert said[0].split()[:3] == ["follow", "0.1", "s"] and said[-1].split()[:3] == ["follow", "1.2", "s"]
@@ -51,13 +50,13 @@ def test_the_clock_counts_from_the_beginning_of_the_film(corner, tmp_path, monke
     assert max(float(text.split()[3]) for text in said) < 0.6, "settings are laid over those of the policy"
 
 
-def test_a_film_that_begins_later_shows_the_same_street(corner, tmp_path):
+def test_a_film_that_begins_later_shows_the_same_street(corner_town, tmp_path):
     settings = ("world.warmup_s=5", "cameras.0.width_px=32", "cameras.0.height_px=24")
 
     driver = FilmDriver(policy="follow", profile="inattentive", settings=settings)
 
     def last_of_eight(before: int, name: str) -> list[np.ndarray]:
-        with FilmedDrive(find_town(str(corner)), 0, 80, driver, tmp_path / name) as film:
+        with FilmedDrive(corner_town, 0, 80, driver, tmp_path / name) as film:
             for _ in range(before):
                 film.drive()
             return [film.add() for _ in range(8 - before)][-3:]
@@ -68,7 +67,7 @@ def test_a_film_that_begins_later_shows_the_same_street(corner, tmp_path):
 
 
 @pytest.mark.parametrize("call", ["begin", "reset"])
-def test_a_policy_that_fails_at_once_leaves_no_half_video(corner, tmp_path, monkeypatch, call):
+def test_a_policy_that_fails_at_once_leaves_no_half_video(corner_town, tmp_path, monkeypatch, call):
     from wcsim.bridge.sumo.session import world_in_this_process
 
     real = filming.open_named
@@ -85,7 +84,7 @@ def test_a_policy_that_fails_at_once_leaves_no_half_video(corner, tmp_path, monk
     settings = ("world.warmup_s=0", "cameras.0.width_px=32", "cameras.0.height_px=24")
     driver = FilmDriver(policy="follow", profile="inattentive", settings=settings)
     with pytest.raises(PolicyError, match="it failed"):
-        FilmedDrive(find_town(str(corner)), 0, 80, driver, tmp_path / "a.webm")
+        FilmedDrive(corner_town, 0, 80, driver, tmp_path / "a.webm")
     assert list(tmp_path.iterdir()) == []
     assert not world_in_this_process()
 

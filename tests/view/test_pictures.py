@@ -1,12 +1,11 @@
 """Pictures, maps and videos for people."""
 
-import resource
-
 import cv2
 import numpy as np
 import pytest
 
 from tests.physics.renderer.render_oracle import actor
+from tests.support.one_process import files_of_at_most
 from tests.support.samples import USUAL_OUTLINE, straight_route, strip_street
 from wcsim.core.files import whole_file
 from wcsim.errors import ConfigError, DiskFullError
@@ -87,9 +86,7 @@ def test_a_failed_video_leaves_nothing_behind(tmp_path):
 
 def test_a_video_that_was_cut_short_is_none(tmp_path):
     noise = np.random.default_rng(0).integers(0, 256, (240, 320, 3), np.uint8)
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 15, hard))
-    try:
+    with files_of_at_most(1 << 15):
         with (
             pytest.raises(DiskFullError, match=r"/a\.webm: .*make room"),
             open_video(tmp_path / "a.webm", 0.1) as write,
@@ -98,8 +95,6 @@ def test_a_video_that_was_cut_short_is_none(tmp_path):
                 write(noise)
         with pytest.raises(DiskFullError, match=r"/a\.png: .*make room"), whole_file(tmp_path / "a.png") as part:
             write_png(part, noise)
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert not list(tmp_path.iterdir())
 
 

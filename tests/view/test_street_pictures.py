@@ -1,6 +1,6 @@
 import math
 import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import cv2
@@ -18,7 +18,6 @@ from wcsim.view.street_pictures import (
     GOAL_RGB,
     WAY_RGB,
     CameraKind,
-    Moment,
     PageLooks,
     StillPictures,
     StreetPictures,
@@ -31,6 +30,8 @@ from wcsim.view.street_pictures import (
     clamped,
     moment_of,
 )
+
+Draw = Callable[..., bytes]
 
 
 @pytest.fixture
@@ -49,22 +50,25 @@ def parts(message: bytes) -> dict[str, np.ndarray]:
     return found
 
 
-def pictures_of(session: DriveSession) -> StreetPictures:
-    return StreetPictures(session.world.street, session.world.config.cameras[0])
+@pytest.fixture
+def draw(session: DriveSession) -> Draw:
+    """Draws the pictures of a page that has these looks."""
+    pictures = StreetPictures(session.world.street, session.world.config.cameras[0])
 
+    def drawn(after_s: float = 0.1, jumped: bool = False, **looks: object) -> bytes:
+        moment = moment_of(session.world, session.client, session.route, session.done_m, jumped=jumped)
+        return pictures.draw(moment, PageLooks(**looks), after_s)
 
-def now(session: DriveSession, *, jumped: bool) -> Moment:
-    return moment_of(session.world, session.client, session.route, session.done_m, jumped=jumped)
+    return drawn
 
 
 def near(picture: np.ndarray, rgb: tuple[int, int, int]) -> int:
     return int((np.abs(picture.astype(int) - rgb).max(axis=2) < 40).sum())
 
 
-def test_pictures_have_their_sizes_and_show_something(session: DriveSession) -> None:
+def test_pictures_have_their_sizes_and_show_something(session: DriveSession, draw: Draw) -> None:
     session.tick(Wish())
-    pictures = pictures_of(session)
-    shown = parts(pictures.draw(now(session, jumped=False), PageLooks(width_px=640, height_px=360), 0.1))
+    shown = parts(draw(width_px=640, height_px=360))
     assert {letter: picture.shape[:2] for letter, picture in shown.items()} == {
         "S": (360, 640),
         "C": (240, 320),
@@ -72,18 +76,16 @@ def test_pictures_have_their_sizes_and_show_something(session: DriveSession) -> 
     }
     assert all(picture.std() > 10.0 for picture in shown.values())
     assert near(shown["S"], WAY_RGB) > 20, "the way is dotted"
-    little = PageLooks(camera=CameraKind.NOTHING, chart=False)
-    less = parts(pictures.draw(now(session, jumped=False), little, 0.1))
+    less = parts(draw(camera=CameraKind.NOTHING, chart=False))
     assert set(less) == {"S"}
 
 
-def test_the_street_moves_past_and_the_numbers_of_pictures_rise(session: DriveSession) -> None:
+def test_the_street_moves_past_and_the_numbers_of_pictures_rise(session: DriveSession, draw: Draw) -> None:
     session.assist(False)
-    pictures = pictures_of(session)
-    before = pictures.draw(now(session, jumped=False), PageLooks(), 0.1)
+    before = draw()
     for _ in range(15):
         session.tick(Wish(stick=Joystick(0.0, 1.0)))
-    after = pictures.draw(now(session, jumped=False), PageLooks(), 0.1)
+    after = draw()
     assert struct.unpack_from("<I", before) < struct.unpack_from("<I", after)
     changed = np.abs(parts(before)["S"].astype(int) - parts(after)["S"]).mean()
     assert changed > 0.3
@@ -99,22 +101,20 @@ def test_a_still_tells_whether_the_chair_faces_its_way(session: DriveSession) ->
     assert told == {True, False}, "it turns on the spot"
 
 
-def test_the_camera_is_at_a_new_start_at_once(session: DriveSession) -> None:
+def test_the_camera_is_at_a_new_start_at_once(session: DriveSession, draw: Draw) -> None:
     """Whatever the start's heading: it does not fly there."""
-    pictures = pictures_of(session)
     session.tick(Wish())
-    pictures.draw(now(session, jumped=False), PageLooks(), 0.1)
+    draw()
     session.new_place()
     session.tick(Wish())
-    first = parts(pictures.draw(now(session, jumped=True), PageLooks(), 0.02))["S"]
-    later = parts(pictures.draw(now(session, jumped=False), PageLooks(), 5.0))["S"]
+    first = parts(draw(0.02, jumped=True))["S"]
+    later = parts(draw(5.0))["S"]
     assert (first == later).all()
 
 
 @pytest.mark.parametrize("kind", [CameraKind.CLASSES, CameraKind.DEPTH])
-def test_classes_and_depth_are_what_the_policy_gets(session: DriveSession, kind: CameraKind) -> None:
-    pictures = pictures_of(session)
-    shown = parts(pictures.draw(now(session, jumped=False), PageLooks(camera=kind), 0.1))["C"]
+def test_classes_and_depth_are_what_the_policy_gets(draw: Draw, kind: CameraKind) -> None:
+    shown = parts(draw(camera=kind))["C"]
     assert shown.shape == (240, 320, 3)
     block = shown[100:104, 100:104]
     assert np.ptp(block.reshape(-1, 3).astype(int), axis=0).max() < 40, "pixels of the policy's 80 x 60, enlarged"

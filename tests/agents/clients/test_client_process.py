@@ -8,7 +8,7 @@ from itertools import count
 import pytest
 
 from tests.agents.learning.test_train import CAMERA, Nervous, config, street
-from tests.agents.toy import ToyStreet, a_run
+from tests.agents.toy import ToyStreet, train_toy
 from wcsim import errors
 from wcsim.agents.clients.client import (
     _ProcessGrownError,
@@ -20,7 +20,6 @@ from wcsim.agents.clients.client import (
 )
 from wcsim.agents.clients.client_process import main
 from wcsim.agents.learning.callbacks import StopRequest, TrainProgress
-from wcsim.agents.learning.train import train
 from wcsim.config import LearnConfig
 from wcsim.core.files import locked
 from wcsim.server.launch.states import ClientExit, ClientStatus
@@ -121,7 +120,7 @@ def test_a_client_whose_launcher_is_gone_is_asked_once_and_may_save():
 def test_time_shares_of_a_run_and_progress_at_every_rollout(tmp_path):
     shares, seen = _TimeShares(), []
     settings = config(total_steps=60, phase1_steps=20, learning_starts=10, train_every=4)
-    train(a_run(settings, tmp_path / "run", 3), street, seen.append, progress_every=1, callbacks=(shares,))
+    train_toy(settings, tmp_path / "run", street, seen.append, seed=3, progress_every=1, callbacks=(shares,))
     assert shares.learning.calls == pytest.approx(50 / 4, abs=2)
     assert shares.inference.calls >= 40  # each step of the second phase, and some of the first
     assert min(shares.learning.seconds, shares.inference.seconds) > 0.0
@@ -176,16 +175,16 @@ def test_a_client_that_loses_its_world_keeps_what_it_has_learned(tmp_path):
 
     settings = config(total_steps=60, phase1_steps=20, learning_starts=10, checkpoint_every=1000)
     with pytest.raises(errors.ServerGoneError):
-        train(a_run(settings, tmp_path / "run", 3), lambda: Nervous(31, fail))
+        train_toy(settings, tmp_path / "run", lambda: Nervous(31, fail), seed=3)
     assert [path.name for path in (tmp_path / "run" / "checkpoints").glob("step-*")] == ["step-00000030"]
-    train(a_run(settings, tmp_path / "run", 3, resume=True), street)
+    train_toy(settings, tmp_path / "run", street, seed=3, resume=True)
     assert json.loads((tmp_path / "run" / "manifest.json").read_text())["status"] == "done"
 
 
 def test_measuring_changes_nothing(tmp_path):
     settings = config(total_steps=60, phase1_steps=20, learning_starts=10)
-    train(a_run(settings, tmp_path / "a", 3), street)
-    train(a_run(settings, tmp_path / "b", 3), street, progress_every=1, callbacks=(_TimeShares(),))
+    train_toy(settings, tmp_path / "a", street, seed=3)
+    train_toy(settings, tmp_path / "b", street, seed=3, progress_every=1, callbacks=(_TimeShares(),))
     a, b = ((tmp_path / name / "policies" / "final" / "weights.safetensors").read_bytes() for name in "ab")
     assert a == b
     assert json.loads((tmp_path / "a" / "manifest.json").read_text())["status"] == "done"

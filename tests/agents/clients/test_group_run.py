@@ -10,7 +10,7 @@ from wcsim.agents.runs.run_folder import make_manifest
 from wcsim.cli import serve
 from wcsim.server.host import opening
 from wcsim.server.specs import RunInfo
-from wcsim.towns.scenario.town import find_town
+from wcsim.towns.scenario.town import Town, find_town
 
 
 def of_one_client(out, config, info):
@@ -28,12 +28,12 @@ def test_a_world_gives_its_clients_the_lease_that_was_asked_for(tmp_path, lease_
 
 
 def test_each_generation_of_a_world_is_in_the_next_town(
-    tmp_path: Path, corner: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, corner: Path, corner_town: Town, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     info = RunInfo(seed=1, town="t", more_towns={str(corner): "0" * 64, "made:7": "0" * 64})
     run, folder = of_one_client(tmp_path / "run", dqn_config(), info)
     order = world_order(run, "helsinki", folder, tmp_path, 1, 10.0)
-    assert order.more_towns == (find_town(str(corner)).address, "made:7")
+    assert order.more_towns == (corner_town.address, "made:7")
     monkeypatch.setattr(opening, "asked_town", str)
     monkeypatch.setattr(opening, "World", lambda town, *given, epoch, find_user: (town, epoch))
     worlds = [opening.street_world(order, (None,), 3, epoch=epoch) for epoch in range(4)]

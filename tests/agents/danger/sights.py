@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from tests.support.samples import ACTIONS
 from tests.support.worlds import dqn_config
 from wcsim.agents.danger.dataset import Dataset
 from wcsim.agents.runs.data_folder import SAFE, Segment, packed_segment
 from wcsim.config import RunConfig
 from wcsim.core import files
-from wcsim.supervisor.actions import action_set
 
 HEIGHT_PX, WIDTH_PX = 24, 32
 SMALL = ("danger.batch=16", "danger.width=8", "sensors.odometry=typical", "env.observe_gyro=true")
@@ -33,7 +33,7 @@ def a_segment(rows: int = 24, seed: int = 0, ends: tuple[int, ...] = (9,)) -> Se
     near = rng.random(rows) < 0.5
     depth = np.where(near[:, None, None], 90, 200) + rng.integers(-20, 21, (rows, HEIGHT_PX, WIDTH_PX))
     codes = np.full((rows, 81), SAFE, np.uint8)
-    codes[np.ix_(near, action_set("square81").points[:, 1] > 0.0)] = 3
+    codes[np.ix_(near, ACTIONS.points[:, 1] > 0.0)] = 3
     return Segment(
         depth=depth.astype(np.uint8),
         seg=rng.choice([7, 8, 11, 24, 26], depth.shape).astype(np.uint8),

@@ -5,12 +5,11 @@ import pytest
 import torch
 
 from tests.agents.danger.sights import HEIGHT_PX, WIDTH_PX, a_segment, all_of, lectures, small_config
+from tests.support.samples import ACTIONS
 from wcsim.agents.danger.dataset import Dataset, _frame_windows
 from wcsim.agents.danger.network import spec_of
 from wcsim.agents.danger.street_map import MIRRORED, SIDE, SLICES, FeatureExtractor
-from wcsim.supervisor.actions import action_set
 
-ACTIONS = action_set("square81")
 BOTH = ("danger.eye=both", "learn.network=fig6", "env.window=3")
 
 

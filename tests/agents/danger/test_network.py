@@ -4,12 +4,11 @@ import pytest
 import torch
 
 from tests.agents.danger.sights import Silent, all_of, lectures, small_config
+from tests.support.samples import ACTIONS
 from wcsim.agents.danger.network import DangerNet, channels_last, spec_of
 from wcsim.agents.networks.names import NETWORK_NAMES
 from wcsim.errors import PolicyError
-from wcsim.supervisor.actions import action_set
 
-ACTIONS = action_set("square81")
 POINTS = torch.as_tensor(ACTIONS.points)
 
 

@@ -5,15 +5,14 @@ import pytest
 import torch
 
 from tests.agents.danger.sights import observation, small_config
+from tests.support.samples import ACTIONS
 from wcsim.agents.danger.network import DangerNet, channels_last, spec_of
 from wcsim.agents.danger.policy import DangerPolicy
 from wcsim.agents.perception.alarm import Alarm, next_alarm
 from wcsim.agents.policy_api import NeedsSenses, Warns
 from wcsim.config.run_file import DangerRule
 from wcsim.errors import PolicyError
-from wcsim.supervisor.actions import action_set
 
-ACTIONS = action_set("square81")
 RULE = DangerRule(warn=0.5)
 
 

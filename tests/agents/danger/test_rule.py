@@ -4,11 +4,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from tests.support.samples import ACTIONS
 from wcsim.agents.danger.policy import RECENT_TICKS, _choose, _next_recent, _within
 from wcsim.config.run_file import DangerRule
-from wcsim.supervisor.actions import action_set
 
-ACTIONS = action_set("square81")
 RULE = DangerRule()
 STICK = np.array([0.1, 0.9])
 

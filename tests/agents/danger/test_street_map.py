@@ -3,6 +3,7 @@
 import numpy as np
 
 from tests.agents.policies.test_baselines import box, looking_at
+from tests.support.samples import ACTIONS
 from wcsim.agents.danger.street_map import (
     AGE,
     BEHIND_M,
@@ -19,13 +20,12 @@ from wcsim.agents.danger.street_map import (
     sweep,
 )
 from wcsim.config import CameraConfig, RunConfig
-from wcsim.supervisor.actions import action_set
 from wcsim.types import ClassId
 
 CAMERA = CameraConfig(width_px=96, height_px=72)
 CONFIG = RunConfig(cameras=(CAMERA,))
-POINTS = action_set("square81").points
-AHEAD, LEFT = action_set("square81").nearest((0.0, 1.0)), action_set("square81").nearest((-1.0, 0.0))
+POINTS = ACTIONS.points
+AHEAD, LEFT = ACTIONS.nearest((0.0, 1.0)), ACTIONS.nearest((-1.0, 0.0))
 
 
 def observation(surface, speed=0.0, kind=0):

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from tests.support.samples import ACTIONS
 from tests.support.worlds import quick_config
 from wcsim.agents.danger.policy import _choose
 from wcsim.agents.danger.street_map import FeatureExtractor
@@ -20,7 +21,6 @@ from wcsim.agents.runs.data_folder import SAFE, Segment
 from wcsim.config import RunConfig
 from wcsim.config.run_file import DangerRule
 from wcsim.core.jit import exact_kernel
-from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.observation import encode_depth
 from wcsim.types import ClassId
 
@@ -28,7 +28,6 @@ WALL, DROP, PERSON = range(3)
 SHY_M, PIT_M, TALL_M = 0.25, -0.6, 1.6
 TICK_S, STEPS, HELD = 0.1, 16, 5
 FAR_M = 2.5  # more than the hull's length, a person's way in STEPS ticks and SHY_M together
-ACTIONS = action_set("square81")
 _SMALL = (
     "cameras.0.width_px=48", "cameras.0.height_px=36", "sensors.odometry=typical", "env.observe_gyro=true",
     "danger.ahead=0", "danger.width=8", "danger.batch=32", "danger.weight_decay=0",

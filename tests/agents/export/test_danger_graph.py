@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import torch
 
+from tests.support.samples import ACTIONS
 from wcsim.agents.danger.dataset import to_tensors
 from wcsim.agents.danger.network import DangerNet
 from wcsim.agents.danger.policy import DangerPolicy, _choose, _next_recent, _within
@@ -120,27 +121,27 @@ def test_the_graph_sees_what_the_policy_sees_and_does_what_it_does(width, height
 
 
 def test_the_highest_value_is_that_of_the_action_which_the_rule_takes():
-    rule, actions = DangerRule(threshold=0.1, at_once=0.5), action_set("square81")
+    rule = DangerRule(threshold=0.1, at_once=0.5)
     graph, rng = DangerGraph(network(), CONFIG, rule), np.random.default_rng(7)
     chosen, beyond, doubtful = [], 0, 0
     for number in range(1200):
         stick = np.clip(rng.uniform(-2.0, 2.0, 2), -1.0, 1.0).astype(np.float32)  # mostly at edges and in corners
         low, high = ((0.0, 1.0), (0.0, 0.1), (0.2, 0.22))[number % 3]  # few are safe, all of them, none is
         danger, last = rng.uniform(low, high, 81).astype(np.float32), int(rng.integers(-1, 81))
-        danger[actions.distances(stick[None])[0] < rng.uniform(0.0, 2.8)] = 1.0  # and none near the stick
-        own = actions.nearest(stick.astype(np.float64))
+        danger[ACTIONS.distances(stick[None])[0] < rng.uniform(0.0, 2.8)] = 1.0  # and none near the stick
+        own = ACTIONS.nearest(stick.astype(np.float64))
         danger[own] = rng.choice(np.array([0.03, 0.07, 0.3, 0.7, 1.0], np.float32))
         recent = int(rng.integers(0, 3))
         exact = danger.astype(np.float64)
         taken = own if recent > 1 and own != last else -1
-        chosen.append(_choose(exact, stick.astype(np.float64), actions, rule, last, recent > 0, taken))
+        chosen.append(_choose(exact, stick.astype(np.float64), ACTIONS, rule, last, recent > 0, taken))
         told = torch.as_tensor(danger)[None], torch.as_tensor(stick)[None], torch.tensor([[last + 1.0]])
         values, later = graph._choose(*told, torch.tensor([[float(recent)]]))
         assert int(values.argmax()) == chosen[-1]
         unsafe = not _within(exact, rule, last, taken)[own]
         assert float(later[0, 0]) == _next_recent(recent, unsafe, float(exact[own]), rule)
         doubtful += chosen[-1] == own and 0.2 < danger[own] < 0.5 and last != own
-        beyond += float(np.linalg.norm(actions.points[chosen[-1]] - stick)) > MAX_DISTANCE
+        beyond += float(np.linalg.norm(ACTIONS.points[chosen[-1]] - stick)) > MAX_DISTANCE
     assert beyond > 20 and len(set(chosen)) > 40 and doubtful > 20
 
 

@@ -10,14 +10,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.support.samples import ACTIONS
 from wcsim.agents.export.guard import GuardedPolicy
 from wcsim.agents.policy_api import NotFinite
 from wcsim.config.run_file import GuardRule
-from wcsim.supervisor.actions import action_set
 
 EXAMPLE = runpy.run_path(str(Path(__file__).parents[3] / "examples" / "exported_policy.py"), run_name="example")
 RULE = GuardRule()
-ACTIONS = action_set("square81")
 SIDE = st.floats(-1.0, 1.0)
 GOOD = st.tuples(st.tuples(SIDE, SIDE), st.just(True), st.just(0.0), st.just(0.0))
 TICKS = st.tuples(  # wanted, finite, age and time of the answer

@@ -1,7 +1,6 @@
 """Checkpoints: which one is resumed from, which ones are kept, and what is refused."""
 
 import json
-import os
 import shutil
 import signal
 
@@ -9,11 +8,10 @@ import pytest
 import torch
 from stable_baselines3.common.vec_env import DummyVecEnv
 
-from tests.agents.toy import a_run, load_checkpoint
+from tests.agents.toy import load_checkpoint, train_toy
 from tests.attack.files.checkpoints import Bench, config, content, street
 from wcsim.agents.learning.build import build_model
 from wcsim.agents.learning.checkpoint import save_checkpoint
-from wcsim.agents.learning.train import train
 from wcsim.agents.runs.checkpoint import STATE, checkpoints
 from wcsim.agents.runs.metrics import read_metrics
 from wcsim.agents.runs.run_folder import open_run
@@ -136,10 +134,10 @@ def test_what_was_passed_over_is_said_and_set_aside(tmp_path):
             raise KeyboardInterrupt
 
     with pytest.raises(InterruptedRunError):
-        train(a_run(config(), out, 5), street, stop, progress_every=10)
+        train_toy(config(), out, street, stop, progress_every=10)
     newest = checkpoints(out / "checkpoints")[-1]
     (newest / STATE).write_text("[" * 100_000)
-    train(a_run(config(), out, 5, resume=True), street, log=told.append)
+    train_toy(config(), out, street, resume=True, log=told.append)
     assert open_run(out).manifest.status == "done"
     assert [newest.name in line and "not JSON" in line for line in told] == [True]
     assert newest.with_name(f"{newest.name}.damaged").is_dir()
@@ -151,21 +149,21 @@ def test_a_storm_of_signals_leaves_a_run_that_can_be_resumed(tmp_path):
 
     def storm():
         for _ in range(2 if signal.getsignal(signal.SIGTERM) is not before else 0):
-            os.kill(os.getpid(), signal.SIGTERM)
+            signal.raise_signal(signal.SIGTERM)
 
     with pytest.raises(InterruptedRunError):
-        train(a_run(config(), out, 5), street, lambda now: now.step >= 60 and storm(), progress_every=10)
+        train_toy(config(), out, street, lambda now: now.step >= 60 and storm(), progress_every=10)
     assert open_run(out).manifest.status == "interrupted"
-    train(a_run(config(), out, 5, resume=True), street)
+    train_toy(config(), out, street, resume=True)
     assert open_run(out).manifest.status == "done"
 
 
 def test_a_run_without_a_checkpoint_begins_again(tmp_path):
     """As after a disk that was full before the first one."""
-    once, out, told = train(a_run(config(), tmp_path / "once", 5), street), tmp_path / "run", []
+    once, out, told = train_toy(config(), tmp_path / "once", street), tmp_path / "run", []
     shutil.copytree(once, out)
     shutil.rmtree(out / "checkpoints")
-    train(a_run(config(), out, 5, resume=True), street, log=told.append)
+    train_toy(config(), out, street, resume=True, log=told.append)
     assert "starts again" in told[0]
     rows = [read_metrics(run / "metrics.csv") for run in (once, out)]
     one, other = ([{k: v for k, v in row.items() if "wall" not in k} for row in some] for some in rows)
@@ -175,18 +173,24 @@ def test_a_run_without_a_checkpoint_begins_again(tmp_path):
 def test_two_cannot_learn_in_one_folder(tmp_path):
     def again(now):
         with pytest.raises(PolicyError, match="by another process"):
-            train(a_run(config(), tmp_path / "run", 5, resume=True), street)
+            train_toy(config(), tmp_path / "run", street, resume=True)
 
-    train(a_run(config(), tmp_path / "run", 5), street, again, progress_every=60)
+    train_toy(config(), tmp_path / "run", street, again, progress_every=60)
+
+
+def learn_on(wrote, folder):
+    """The newest of four more checkpoints, of weights alone."""
+    for _ in range(4):
+        wrote.learn(20, reset_num_timesteps=False)
+        newest = save_checkpoint(folder, wrote, {}, replay=False)
+    return newest
 
 
 def test_checkpoints_of_weights_share_the_newest_replay_and_restore(tmp_path):
     wrote = build_model(config(), DummyVecEnv([street]), 1)
     wrote.learn(60)
     first = save_checkpoint(tmp_path, wrote, {})
-    for _ in range(4):
-        wrote.learn(20, reset_num_timesteps=False)
-        newest = save_checkpoint(tmp_path, wrote, {}, replay=False)
+    newest = learn_on(wrote, tmp_path)
     assert newest.name == "step-00000140"
     assert (newest / "replay.safetensors").samefile(next(tmp_path.glob("step-*")) / "replay.safetensors")
     again = build_model(config(), DummyVecEnv([street]), 2)
@@ -194,9 +198,7 @@ def test_checkpoints_of_weights_share_the_newest_replay_and_restore(tmp_path):
     assert (again.num_timesteps, again.replay_buffer.total) == (140, 60)
     assert all(torch.equal(a, b) for a, b in zip(wrote.q_net.parameters(), again.q_net.parameters(), strict=True))
     save_checkpoint(tmp_path, wrote, {})
-    for _ in range(4):
-        wrote.learn(20, reset_num_timesteps=False)
-        newest = save_checkpoint(tmp_path, wrote, {}, replay=False)
+    newest = learn_on(wrote, tmp_path)
     assert not first.exists()
     (newest / "replay.safetensors").write_bytes(b"damaged")  # all that share it
     found = load_checkpoint(tmp_path, build_model(config(), DummyVecEnv([street]), 2))

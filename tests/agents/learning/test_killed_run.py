@@ -8,10 +8,9 @@ import pytest
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from tests.agents.learning.test_train import weights
-from tests.agents.toy import ToyStreet, a_run, load_checkpoint, q_config, same_from_here_on, toy_camera
+from tests.agents.toy import ToyStreet, load_checkpoint, q_config, same_from_here_on, toy_camera, train_toy
 from wcsim.agents.learning.build import build_model
 from wcsim.agents.learning.checkpoint import save_checkpoint
-from wcsim.agents.learning.train import train
 from wcsim.agents.runs.checkpoint import checkpoints
 from wcsim.agents.runs.run_folder import open_run
 
@@ -59,7 +58,7 @@ def drive(out, epsilon, resume=False, at=None):
 
     explores = {"epsilon_start": epsilon, "epsilon_end": epsilon}
     short = config(replay_frames=100, checkpoint_every=50, **explores)  # at HALF, the oldest frames are gone
-    return train(a_run(short, out, 5, resume=resume), lambda: Killed(done // EPISODE))
+    return train_toy(short, out, lambda: Killed(done // EPISODE), resume=resume)
 
 
 @pytest.mark.proof

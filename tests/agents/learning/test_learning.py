@@ -7,11 +7,10 @@ it is 1.6, 4.7 and 1.5 for seeds 0, 1 and 2, at a joystick distance of 0.54 to 0
 import pytest
 
 from tests.agents.driven import driven
-from tests.agents.toy import ToyStreet, a_run, q_config, toy_camera
+from tests.agents.toy import ToyStreet, q_config, toy_camera, train_toy
 from wcsim.agents.learning.replay.buffer import FrameReplay
 from wcsim.agents.learning.saved_policy import load_policy
 from wcsim.agents.learning.seqdqn import SeqDQN
-from wcsim.agents.learning.train import train
 from wcsim.agents.policies.baselines import baseline
 from wcsim.agents.runs.metrics import read_metrics
 from wcsim.agents.runs.run_folder import policy_path
@@ -41,7 +40,7 @@ def has_learned(learned, follow):
 @pytest.mark.proof
 def test_it_learns_to_avoid_what_the_user_does_not_see(tmp_path):
     settings = config(**SHORT)
-    run = train(a_run(settings, tmp_path / "run", 0), lambda: ToyStreet(CAMERA))
+    run = train_toy(settings, tmp_path / "run", lambda: ToyStreet(CAMERA), seed=0)
     follow = drive(baseline("follow", settings), 8000)  # 2000 steps hold 9 to 17 crashes for equal policies
     obedient, learned = (drive(load_policy(policy_path(f"{run}:{stage}")), 8000) for stage in ("phase1", "final"))
     # The first phase teaches obedience: what the user wants, crashes included.
@@ -57,7 +56,7 @@ def test_it_learns_to_avoid_what_the_user_does_not_see(tmp_path):
 @pytest.mark.parametrize("seed", [1, 2])
 def test_it_learns_with_other_seeds_and_more_time(seed, tmp_path):
     settings = config(total_steps=16_000, phase1_steps=2000)
-    run = train(a_run(settings, tmp_path / "run", seed), lambda: ToyStreet(CAMERA))
+    run = train_toy(settings, tmp_path / "run", lambda: ToyStreet(CAMERA), seed=seed)
     follow, learned = drive(baseline("follow", settings), 8000), drive(load_policy(policy_path(str(run))), 8000)
     assert per_1000(learned) <= 0.25 * per_1000(follow)
     assert learned.speed_mps >= 0.4
@@ -83,6 +82,6 @@ def _wrong_sign(monkeypatch):
 def test_a_learner_with_a_planted_fault_is_found_out(fault, tmp_path, monkeypatch):
     fault(monkeypatch)
     settings = config(**SHORT)
-    run = train(a_run(settings, tmp_path / "run", 0), lambda: ToyStreet(CAMERA))
+    run = train_toy(settings, tmp_path / "run", lambda: ToyStreet(CAMERA), seed=0)
     follow, learned = drive(baseline("follow", settings), 2000), drive(load_policy(policy_path(str(run))), 2000)
     assert not has_learned(learned, follow), learned

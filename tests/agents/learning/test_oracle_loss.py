@@ -2,16 +2,15 @@
 
 from types import SimpleNamespace
 
-import gymnasium as gym
 import numpy as np
 import pytest
 import torch
 from stable_baselines3.common.type_aliases import DictReplayBufferSamples
 
 import wcsim.agents.learning.seqdqn as seqdqn
-from tests.agents.toy import memory_of, q_config, q_learner, toy_camera
+from tests.agents.toy import make_replay, q_config, q_learner, toy_camera
+from tests.support.samples import ACTIONS
 from wcsim.agents.learning.checkpoint import _replay_arrays, _restore_replay
-from wcsim.agents.learning.replay.buffer import FrameReplay
 from wcsim.agents.learning.seqdqn import (
     MARGIN_OFFSET,
     _aid_loss,
@@ -21,12 +20,10 @@ from wcsim.agents.learning.seqdqn import (
 )
 from wcsim.config import resolve
 from wcsim.errors import ConfigError
-from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.observation import observation_space
 from wcsim.types import ClassId
 
 CAMERA = toy_camera(24, 32)
-ACTIONS = action_set("square81")
 POINTS = ACTIONS.points
 AHEAD = POINTS[:, 1] > 0.3
 SPACE = observation_space("compact", 32, 24)
@@ -104,8 +101,7 @@ def mask(number):
 
 
 def memory(rows, advice=True, **settings):
-    chosen = memory_of(aid="oracle" if advice else "none", **settings)
-    return FrameReplay(rows, SPACE, gym.spaces.Discrete(81), "cpu", **chosen)
+    return make_replay(rows, SPACE, aid="oracle" if advice else "none", **settings)
 
 
 def filled(steps, rows=1000, crash_every=7, unknown=()):

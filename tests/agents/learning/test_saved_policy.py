@@ -122,7 +122,7 @@ def test_wrong_entries_are_named(saved, changes, says):
         load_policy(saved)
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.data())
 def test_no_policy_json_breaks_the_loader(saved, data):
     text = (saved / POLICY_JSON).read_text()

@@ -6,6 +6,7 @@ from torch import nn
 
 from tests.agents.chain import CLASSES, SIDE, Chain, chain_values
 from tests.agents.toy import ToyStreet, explores, logs_in, memory_of, q_config, q_learner, toy_camera
+from tests.support.samples import ACTIONS
 from wcsim.agents.learning import seqdqn
 from wcsim.agents.learning.callbacks import EpisodeMetrics
 from wcsim.agents.learning.phases import LearningPhase, PhasePlan
@@ -16,7 +17,6 @@ from wcsim.agents.runs.metrics import read_metrics
 from wcsim.config import LearnConfig
 from wcsim.config.run_file import FollowPrior, NetSpec
 from wcsim.errors import PolicyError
-from wcsim.supervisor.actions import action_set
 
 CAMERA = toy_camera(24, 32)
 SMALL = {"learning_starts": 20, "replay_frames": 1000, "batch_size": 16}
@@ -65,7 +65,7 @@ def test_targets_by_hand(double_q):
 
 def test_margin_loss_by_hand_and_zero_when_the_user_wins_clearly():
     learner, data = model(), batch()
-    points = action_set("square81").points
+    points = ACTIONS.points
     values = torch.randn(6, 81, generator=torch.Generator().manual_seed(0))
     losses = []
     for k in range(6):
@@ -92,7 +92,7 @@ def test_phase_one_executes_the_users_action_and_phase_two_the_agents():
     learner = model(phase1_steps=60, total_steps=120, head="plain", epsilon_start=0.0, epsilon_end=0.0, margin=0.0)
     learner.learn(120)
     buffer = learner.replay_buffer
-    followed = action_set("square81").nearest_many(buffer.vectors[:120, 0, -2:]) == buffer.actions[:120, 0]
+    followed = ACTIONS.nearest_many(buffer.vectors[:120, 0, -2:]) == buffer.actions[:120, 0]
     assert followed[:60].all()
     assert followed[60:].mean() < 0.5
 
@@ -105,10 +105,10 @@ def test_each_seat_explores_by_itself_and_near_the_stick():
     actions, _ = learner.predict(many)
     greedy, _ = learner.predict(many, deterministic=True)
     assert 0.3 < np.mean(actions != greedy) < 0.6
-    wide = action_set("square81").distances(one["joystick"][None])[0][actions]
+    wide = ACTIONS.distances(one["joystick"][None])[0][actions]
     assert wide.mean() < 0.5
     learner.settings = LearnConfig(exploration="uniform")
-    assert action_set("square81").distances(one["joystick"][None])[0][learner.predict(many)[0]].mean() > wide.mean()
+    assert ACTIONS.distances(one["joystick"][None])[0][learner.predict(many)[0]].mean() > wide.mean()
 
 
 def test_exploration_leaves_the_global_generators_alone():
@@ -122,7 +122,7 @@ def test_exploration_leaves_the_global_generators_alone():
 def test_a_supervised_first_phase_is_cross_entropy_of_unscaled_values_with_the_user_s_action():
     learner, data = model(phase1="supervised", reward_scale=0.1), batch()
     sticks = data.observations["joystick"].numpy()
-    labels = [action_set("square81").nearest(stick) for stick in sticks]
+    labels = [ACTIONS.nearest(stick) for stick in sticks]
     with torch.no_grad():
         values = learner.q_net(data.observations).numpy() / 0.1
         got = float(learner.supervised_loss(learner.q_net(data.observations), data.observations))
@@ -198,7 +198,7 @@ def test_the_running_means_of_a_network_are_its_target_s_too_and_those_that_it_a
 
 def chain_errors(n_step=1, seed=1, steps=1200, network="patch"):
     """Largest error of the values of going on and of giving up, over the states of a chain."""
-    gamma, forward = 0.9, action_set("square81").points[:, 1] > 0
+    gamma, forward = 0.9, ACTIONS.points[:, 1] > 0
     learner = SeqDQN(
         SeqQPolicy, Chain(), settings=explores(1.0, 1.0), seed=seed,
         gamma=gamma, learning_rate=1e-3, buffer_size=2000, learning_starts=100, batch_size=64, tau=0.05, train_freq=1,

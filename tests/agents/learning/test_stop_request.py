@@ -1,12 +1,11 @@
 """A run that is asked to stop while its world is away, or while it saves: nothing of it is lost."""
 
-import os
 import signal
 
 import pytest
 
 from tests.agents.learning.test_train import Nervous, config
-from tests.agents.toy import a_run, stopped_while_away
+from tests.agents.toy import a_run, stopped_while_away, train_toy
 from wcsim.agents.learning.train import train
 from wcsim.agents.runs.checkpoint import newest_number
 from wcsim.agents.runs.run_folder import open_run
@@ -18,7 +17,7 @@ def test_a_run_that_is_stopped_while_its_world_is_away_keeps_all_its_steps(tmp_p
     waits = []
     env, before = Nervous(150, lambda: stopped_while_away(waits)), signal.getsignal(WAIT_NO_MORE)
     with pytest.raises(InterruptedRunError, match="wcsim resume"):
-        train(a_run(config(), tmp_path / "run", 5), lambda: env, wait_no_more=lambda: waits.append(True))
+        train_toy(config(), tmp_path / "run", lambda: env, wait_no_more=lambda: waits.append(True))
     manifest = open_run(tmp_path / "run").manifest
     assert (manifest.status, manifest.steps) == ("interrupted", 149)
     assert newest_number(tmp_path / "run" / "checkpoints") == 149
@@ -30,18 +29,18 @@ def test_ctrl_c_while_the_world_is_silent_shortens_the_wait_and_keeps_all_steps(
     """A second one, `again` while that is saved, leaves the checkpoint before."""
 
     def away():
-        os.kill(os.getpid(), signal.SIGINT)
+        signal.raise_signal(signal.SIGINT)
         assert less, "it waits as long as ever"
         raise ServerGoneError("nobody answers")
 
     def saves():
         if again and less:
-            os.kill(os.getpid(), signal.SIGINT)
+            signal.raise_signal(signal.SIGINT)
 
     env, less = Nervous(150, away), []
     env.unwrapped.wait_less = lambda: less.append(True)
     with pytest.raises(InterruptedRunError, match="wcsim resume"):
-        train(a_run(config(), tmp_path / "run", 5), lambda: env, alive=saves)
+        train_toy(config(), tmp_path / "run", lambda: env, alive=saves)
     assert newest_number(tmp_path / "run" / "checkpoints") == last
     assert open_run(tmp_path / "run").manifest.status == "interrupted"
 
@@ -51,11 +50,11 @@ def test_a_second_signal_that_was_sent_to_all_does_not_tear_what_a_client_saves(
 
     def saves():
         if asked:  # the checkpoint before the end is being written
-            os.kill(os.getpid(), signal.SIGTERM)
+            signal.raise_signal(signal.SIGTERM)
 
     def ask():
         asked.append(True)
-        os.kill(os.getpid(), signal.SIGTERM)
+        signal.raise_signal(signal.SIGTERM)
 
     run = a_run(config(), tmp_path / "run", 5)
     with pytest.raises(InterruptedRunError):

@@ -6,8 +6,7 @@ from types import SimpleNamespace
 import pytest
 
 from tests.agents.learning.test_train import CAMERA, config, street
-from tests.agents.toy import ToyStreet, a_run
-from wcsim.agents.learning.train import train
+from tests.agents.toy import ToyStreet, train_toy
 from wcsim.agents.runs.metrics import COLUMNS, BoardLog, read_metrics
 from wcsim.errors import ConfigError
 
@@ -41,7 +40,7 @@ def board(monkeypatch):
 
 
 def test_every_number_of_the_log_is_a_scalar(board, tmp_path):
-    run = train(a_run(config(tensorboard=True, total_steps=120, phase1_steps=40), tmp_path / "run", 1), street)
+    run = train_toy(config(tensorboard=True, total_steps=120, phase1_steps=40), tmp_path / "run", street, seed=1)
     (writer,) = board
     assert (writer.folder, writer.purge_step, writer.closed) == (str(run / "tensorboard"), None, True)
     rows = read_metrics(run / "metrics.csv")
@@ -60,5 +59,5 @@ def test_a_run_that_goes_on_drops_what_was_lost(board, tmp_path):
 def test_without_the_package_it_is_said_before_a_folder_is_made(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, MODULE, None)
     with pytest.raises(ConfigError, match="python -m pip install tensorboard"):
-        train(a_run(config(tensorboard=True), tmp_path / "run", 1), lambda: ToyStreet(CAMERA))
+        train_toy(config(tensorboard=True), tmp_path / "run", lambda: ToyStreet(CAMERA), seed=1)
     assert list(tmp_path.iterdir()) == []

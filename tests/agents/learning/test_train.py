@@ -1,7 +1,6 @@
 import csv
 import errno
 import json
-import os
 import shutil
 import signal
 from dataclasses import replace
@@ -19,7 +18,7 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 import wcsim
-from tests.agents.toy import ToyStreet, a_run, full_once, q_config, toy_camera
+from tests.agents.toy import ToyStreet, a_run, full_once, q_config, toy_camera, train_toy
 from tests.support.events import read_events
 from wcsim.agents.envs.episode_view import WORLD_RESTARTED
 from wcsim.agents.learning.build import build_model
@@ -126,7 +125,7 @@ class Cut(ToyStreet):
 
 
 def test_an_episode_that_its_world_cut_says_so_and_counts_no_step_that_nobody_drove(tmp_path):
-    path = train(a_run(config(total_steps=120), tmp_path / "run", 5), lambda: Cut(CAMERA, max_steps=1000))
+    path = train_toy(config(total_steps=120), tmp_path / "run", lambda: Cut(CAMERA, max_steps=1000))
     rows = read_metrics(path / "metrics.csv")
     (cut,) = (row for row in rows if row["cut"] == "1")
     assert int(cut["step"]) == 75 and cut["crashed"] == "0"
@@ -137,7 +136,7 @@ def test_work_is_saved_by_wall_time(tmp_path, monkeypatch):
     """Weights every 60 s, weights and replay every 900 s; here each reading of the clock is 10 s later."""
     clock = count(0, 10)
     monkeypatch.setattr("wcsim.agents.learning.train._now_s", lambda: float(next(clock)))
-    path = train(a_run(config(checkpoint_every=10**6), tmp_path / "run", 5), street)
+    path = train_toy(config(checkpoint_every=10**6), tmp_path / "run", street)
     events = read_events(path)
     kinds = [event["event"] for event in events if event["event"] in ("weights", "checkpoint")]
     assert kinds.count("weights") > 5 * kinds.count("checkpoint") > 0, kinds
@@ -169,8 +168,8 @@ def test_what_a_policy_was_made_with_can_be_asked(run, tmp_path):
 
 def test_equal_seeds_give_equal_runs_and_other_seeds_do_not(run, tmp_path):
     path, *_ = run
-    again = train(a_run(config(), tmp_path / "again", 5), street)
-    other = train(a_run(config(), tmp_path / "other", 6), street)
+    again = train_toy(config(), tmp_path / "again", street)
+    other = train_toy(config(), tmp_path / "other", street, seed=6)
     assert weights(path) == weights(again) != weights(other)
     assert comparable(path) == comparable(again) != comparable(other)
     assert not torch.are_deterministic_algorithms_enabled()
@@ -188,11 +187,11 @@ def test_an_interrupted_run_is_usable_and_can_be_continued(stop, tmp_path):
     def interrupt():
         if stop == "exception":
             raise KeyboardInterrupt
-        os.kill(os.getpid(), signal.SIGINT)
+        signal.raise_signal(signal.SIGINT)
 
     env, before = Nervous(150, interrupt), signal.getsignal(signal.SIGINT)
     with pytest.raises(InterruptedRunError, match="wcsim resume"):
-        train(a_run(config(), tmp_path / "run", 5), lambda: env)
+        train_toy(config(), tmp_path / "run", lambda: env)
     path = tmp_path / "run"
     first = open_run(path).manifest
     assert (first.status, first.steps) == ("interrupted", 149 if stop == "exception" else 152)
@@ -201,7 +200,7 @@ def test_an_interrupted_run_is_usable_and_can_be_continued(stop, tmp_path):
     assert signal.getsignal(signal.SIGINT) is before  # ignored, when the tests run in a shell's background
 
     follower = Nervous(-1, interrupt)
-    train(a_run(config(), path, 5, resume=True), lambda: follower)
+    train_toy(config(), path, lambda: follower, resume=True)
     done = open_run(path).manifest
     assert (done.status, done.steps) == ("done", 240)
     # What was torn out of a step goes on from the last checkpoint, what was asked to stop from where it stopped.
@@ -218,7 +217,7 @@ def test_the_first_decision_of_a_sitting_explores_as_any_other(tmp_path, monkeyp
     always = {"phase1_steps": 0, "epsilon_start": 0.7, "epsilon_end": 0.7}
     asked = a_run(config(total_steps=60, **always), tmp_path / "run", 5)
     with pytest.raises(InterruptedRunError):
-        train(asked, lambda: Nervous(30, lambda: os.kill(os.getpid(), signal.SIGINT)))
+        train(asked, lambda: Nervous(30, lambda: signal.raise_signal(signal.SIGINT)))
     train(replace(asked, resume=True), street)
     assert rates == [pytest.approx(0.7)] * 60
 
@@ -237,9 +236,9 @@ def test_a_reward_that_is_no_number_is_refused_where_it_comes_and_the_run_goes_o
 
     broken.step = told
     with pytest.raises(PolicyError, match=rf"reward of step 70 was {reward}; expected a finite .*--reward") as said:
-        train(a_run(asked, tmp_path / "run", 5), lambda: broken)
+        train_toy(asked, tmp_path / "run", lambda: broken)
     assert "\n" not in str(said.value)
-    train(a_run(asked, tmp_path / "run", 5, resume=True), street)
+    train_toy(asked, tmp_path / "run", street, resume=True)
     assert open_run(tmp_path / "run").manifest.status == "done"
     assert all(row["loss"] and row["return"] for row in read_metrics(tmp_path / "run" / "metrics.csv")[2:])
 
@@ -248,7 +247,7 @@ def test_a_reward_that_is_no_number_is_refused_where_it_comes_and_the_run_goes_o
 def test_values_beyond_all_returns_are_said_once(value, told, tmp_path, monkeypatch):
     monkeypatch.setattr(SeqDQN, "_update", lambda self, loss: setattr(self, "max_abs_q", value))
     short = config(total_steps=60, phase1_steps=20, checkpoint_every=20)
-    run = train(a_run(short, tmp_path / "run", 5), street)
+    run = train_toy(short, tmp_path / "run", street)
     events = read_events(run)
     assert [event["max_abs_q"] for event in events if event["event"] == "q_alarm"] == [told]
     assert open_run(run).manifest.status == "done"
@@ -269,17 +268,17 @@ def test_a_disk_that_is_full_when_a_run_is_stopped_is_said(tmp_path, monkeypatch
 
     def stop():
         monkeypatch.setattr("wcsim.agents.learning.train.save_checkpoint", full)
-        os.kill(os.getpid(), signal.SIGINT)
+        signal.raise_signal(signal.SIGINT)
 
     with pytest.raises(DiskFullError, match=r"stopped after 32 of 60 .*No space left.*wcsim resume .* continues from"):
-        train(a_run(config(total_steps=60, phase1_steps=20), tmp_path / "run", 5), lambda: Nervous(30, stop))
+        train_toy(config(total_steps=60, phase1_steps=20), tmp_path / "run", lambda: Nervous(30, stop))
     assert open_run(tmp_path / "run").manifest.status == "interrupted"
 
 
 def test_wrong_folders_are_explained(run, tmp_path):
     path, *_ = run
     with pytest.raises(PolicyError, match="not empty"):
-        train(a_run(config(), path, 5), street)
+        train_toy(config(), path, street)
     with pytest.raises(PolicyError, match="not a run"):
         open_run(tmp_path)
     with pytest.raises(PolicyError, match="another configuration"):
@@ -300,11 +299,11 @@ def test_wrong_folders_are_explained(run, tmp_path):
 
 def test_a_network_that_does_not_exist_leaves_a_clear_error(tmp_path):
     with pytest.raises(PolicyError, match="expected one of"):
-        train(a_run(config(network="enormous"), tmp_path / "run", 0), street)
+        train_toy(config(network="enormous"), tmp_path / "run", street, seed=0)
 
 
 def test_a_run_of_one_phase_has_both_policies(tmp_path):
-    path = train(a_run(config(total_steps=60, phase1_steps=60), tmp_path / "run", 0), street)
+    path = train_toy(config(total_steps=60, phase1_steps=60), tmp_path / "run", street, seed=0)
     assert weights(path) == weights(path, "phase1")
 
 
@@ -314,7 +313,7 @@ def test_callbacks_of_stable_baselines3_run_beside_wcsim_s_own_and_what_they_sav
         best_model_save_path=str(tmp_path / "best"),
     )  # fmt: skip
     keep = CheckpointCallback(100, str(tmp_path / "kept"))
-    watched = train(a_run(config(), tmp_path / "run", 5), street, callbacks=(judge, keep))
+    watched = train_toy(config(), tmp_path / "run", street, callbacks=(judge, keep))
     assert list(np.load(tmp_path / "judged" / "evaluations.npz")["timesteps"]) == [60, 120, 180, 240]
     assert {path.name for path in (tmp_path / "kept").iterdir()} == {f"rl_model_{k}_steps.zip" for k in (100, 200)}
     seen = street().reset(seed=2)[0]
@@ -330,7 +329,7 @@ def test_callbacks_of_stable_baselines3_run_beside_wcsim_s_own_and_what_they_sav
 # --- the parts ---
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.integers(0, 2**31), st.integers(0, 50))
 def test_generators_survive_json(seed, draws):
     rng = np.random.Generator(np.random.Philox(seed))

@@ -1,6 +1,5 @@
 """Updates that are done while a learner waits for its world: the same weights, whoever does them when."""
 
-import os
 import signal
 import threading
 import time
@@ -11,7 +10,7 @@ import pytest
 from pydantic import ValidationError
 
 from tests.agents.learning.test_train import Nervous, config, street, weights
-from tests.agents.toy import ToyStreet, a_run, toy_camera
+from tests.agents.toy import ToyStreet, a_run, toy_camera, train_toy
 from wcsim.agents.learning.train import train
 from wcsim.config import LearnConfig
 from wcsim.errors import InterruptedRunError
@@ -39,7 +38,7 @@ class Waiting(ToyStreet):
 
 
 def learned(folder: Path, make, **learn) -> bytes:
-    return weights(train(a_run(config(**{**SHORT, **learn}), folder, 1), make))
+    return weights(train_toy(config(**{**SHORT, **learn}), folder, make, seed=1))
 
 
 def test_the_same_weights_whether_the_updates_are_done_before_the_step_or_within_it(tmp_path):
@@ -135,7 +134,7 @@ def test_updates_that_are_due_when_a_run_is_stopped_are_done_when_it_goes_on(tmp
     done.clear()
     asked = a_run(config(**SHORT, **fading), tmp_path / "parts", 1)
     with pytest.raises(InterruptedRunError):
-        train(asked, lambda: Nervous(79, lambda: os.kill(os.getpid(), signal.SIGTERM)))
+        train(asked, lambda: Nervous(79, lambda: signal.raise_signal(signal.SIGTERM)))
     assert len(done) < len(straight)
     train(replace(asked, resume=True), street)
     assert done == straight, "none is lost between"

@@ -12,6 +12,7 @@ from stable_baselines3 import DQN
 from torch import nn
 
 from tests.agents.toy import WindowedStreet
+from tests.support.samples import ACTIONS
 from wcsim.agents.envs.episode_view import windowed_space
 from wcsim.agents.networks import registry
 from wcsim.agents.networks.encoder import GROUPS, WCSIM_GROUPS, ObservationEncoder, _group_table
@@ -20,7 +21,6 @@ from wcsim.agents.networks.q_network import QNet
 from wcsim.config import RewardConfig
 from wcsim.config.run_file import FollowPrior, NetSpec
 from wcsim.errors import PolicyError
-from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.observation import observation_space
 from wcsim.supervisor.rewards import _joystick_terms
 from wcsim.types import ClassId
@@ -61,10 +61,10 @@ def test_patch_has_about_a_fifth_of_a_million_parameters():
     assert 150_000 < sum(p.numel() for p in q_net().parameters()) < 250_000
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.lists(st.tuples(st.floats(-1, 1), st.floats(-1, 1)), min_size=1, max_size=8))
 def test_a_fresh_residual_network_follows_the_user(sticks):
-    points = action_set("square81").points
+    points = ACTIONS.points
     chosen = q_net(24, 32)(batch(24, 32, sticks)).argmax(dim=1).numpy()
     distance = np.linalg.norm(points[chosen] - np.asarray(sticks), axis=1)
     assert np.all(distance <= 0.1768 + 0.02)
@@ -76,11 +76,11 @@ def test_a_fresh_plain_network_does_not():
     assert len(set(chosen.tolist())) < len(sticks)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.floats(-1, 1), st.floats(-1, 1))
 def test_the_known_part_is_the_rewards_joystick_part(x, y):
     net = q_net(24, 32, prior=FollowPrior(reward_scale=0.05))
-    actions, config = action_set("square81"), RewardConfig()
+    actions, config = ACTIONS, RewardConfig()
     stick = np.array([x, y], dtype=np.float32)
     expected = [0.05 * sum(_joystick_terms(actions.distance(a, stick), config)) for a in range(81)]
     got = net.follow_reward(torch.from_numpy(stick)[None])[0].numpy()

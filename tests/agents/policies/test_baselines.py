@@ -5,18 +5,18 @@ import pytest
 
 from tests.agents.driven import driven
 from tests.agents.toy import ToyStreet, camera_rays, toy_camera
-from tests.support.samples import USUAL_OUTLINE
+from tests.support.samples import ACTIONS, USUAL_OUTLINE
 from wcsim.agents.perception.depth_image import viewing_rays
 from wcsim.agents.policies.baselines import _CorridorWatch, _in_corridor, baseline
 from wcsim.agents.policy_api import BASELINES, UPPER_BOUND, VISIBLE_BOUND, SeesTruth
 from wcsim.agents.runs.policy_file import policy_name
 from wcsim.config import CameraConfig, ChairConfig, RunConfig
 from wcsim.errors import PolicyError
-from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.observation import encode_depth
 from wcsim.types import Joystick, Truth, Verdict
 
 CAMERA = CameraConfig(width_px=80, height_px=60)
+CONFIG = RunConfig(cameras=(CAMERA,))
 WATCH = _CorridorWatch(CAMERA, ChairConfig(), USUAL_OUTLINE)
 FORWARD = (0.0, 1.0)
 
@@ -39,25 +39,38 @@ def ground(x, y, z):
     return z <= 0.0
 
 
+def drop(x_m, depth_m):
+    """A floor that ends in a step down across the way."""
+    return lambda x, y, z: z <= np.where(x < x_m, 0.0, -depth_m)
+
+
+def ramp(x_m, run, rise_m):
+    """A ramp of one in `run` across the way, up or down by `rise_m`."""
+    return lambda x, y, z: z <= np.sign(rise_m) * np.clip((x - x_m) / run, 0, abs(rise_m))
+
+
 def box(x0, x1, y0, y1, z0, z1):
     return lambda x, y, z: ground(x, y, z) | ((x > x0) & (x < x1) & (y > y0) & (y < y1) & (z > z0) & (z < z1))
+
+
+WALL = box(2.0, 3.0, -3, 3, 0, 3)
 
 
 @pytest.mark.parametrize(
     ("name", "surface", "blocked"),
     [
         ("level ground", ground, False),
-        ("a wall near", box(2.0, 3.0, -3, 3, 0, 3), True),
+        ("a wall near", WALL, True),
         ("a wall far", box(6.0, 7.0, -3, 3, 0, 3), False),
         ("a post in the way", box(1.6, 1.8, -0.1, 0.1, 0, 1.0), True),
         ("a post beside the way", box(1.6, 1.8, 0.7, 0.9, 0, 1.0), False),
         ("a branch above", box(1.4, 2.0, -1, 1, 1.7, 1.9), False),
         ("a low thing that casters climb", box(1.6, 1.8, -0.5, 0.5, 0, 0.06), False),
         ("a bench", box(1.6, 2.0, -1, 1, 0.4, 0.5), True),
-        ("a ramp up 1:12", lambda x, y, z: z <= np.clip((x - 1.0) / 12, 0, 0.15), False),
-        ("a ramp down 1:12", lambda x, y, z: z <= -np.clip((x - 1.0) / 12, 0, 0.15), False),
-        ("steps down", lambda x, y, z: z <= np.where(x < 1.5, 0.0, -0.6), True),
-        ("a platform's edge", lambda x, y, z: z <= np.where(x < 1.8, 0.0, -20.0), True),
+        ("a ramp up 1:12", ramp(1.0, 12, 0.15), False),
+        ("a ramp down 1:12", ramp(1.0, 12, -0.15), False),
+        ("steps down", drop(1.5, 0.6), True),
+        ("a platform's edge", drop(1.8, 20.0), True),
         ("an edge beside the way", lambda x, y, z: z <= np.where(y < 0.7, 0.0, -20.0), False),
     ],
 )
@@ -74,7 +87,7 @@ def test_a_slope_under_the_chair_is_level_for_it():
 
 
 def test_slower_means_a_shorter_look_ahead():
-    view = looking_at(box(2.0, 3.0, -3, 3, 0, 3))
+    view = looking_at(WALL)
     assert WATCH.blocked(view, 0.0, 1.0)
     assert not WATCH.blocked(view, 0.0, 0.25)
 
@@ -131,20 +144,21 @@ def test_baselines_in_the_toy_street_rank_as_they_must():
 
 
 def test_random_is_seeded_and_stop_keeps_turning():
-    config = RunConfig(cameras=(CAMERA,))
-    randoms = [baseline("random", config, seed=s) for s in (1, 1, 2)]
+    randoms = [baseline("random", CONFIG, seed=s) for s in (1, 1, 2)]
     drives = [[policy.act({}) for _ in range(9)] for policy in randoms]
     assert drives[0] == drives[1] != drives[2]
     view = {**looking_at(box(1.5, 3.0, -3, 3, 0, 3)), "joystick": np.array([0.5, 0.8], np.float32)}
-    points = action_set("square81").points
-    assert tuple(points[baseline("stop", config).act(view)]) == (0.5, 0.0)
-    assert tuple(points[baseline("stop", config).act({**view, "joystick": np.array([0.5, -0.8])})]) == (0.5, -0.75)
+    assert tuple(ACTIONS.points[baseline("stop", CONFIG).act(view)]) == (0.5, 0.0)
+    assert tuple(ACTIONS.points[baseline("stop", CONFIG).act({**view, "joystick": np.array([0.5, -0.8])})]) == (
+        0.5,
+        -0.75,
+    )
 
 
 def test_stop_warns_of_a_wall_that_it_sees_twice_and_of_none_that_flickers():
-    ahead = {**looking_at(box(2.0, 3.0, -3, 3, 0, 3)), "joystick": np.array([0.0, 0.8], np.float32)}
+    ahead = {**looking_at(WALL), "joystick": np.array([0.0, 0.8], np.float32)}
     turning = {**ahead, "joystick": np.array([0.8, 0.0], np.float32)}
-    policy, told = baseline("stop", RunConfig(cameras=(CAMERA,))), []
+    policy, told = baseline("stop", CONFIG), []
     for view in (ahead, turning, turning, ahead, ahead, turning, turning):
         policy.act(view)
         told.append(policy.warning)
@@ -162,24 +176,23 @@ def test_an_unknown_baseline_is_refused():
 
 
 def test_the_oracle_takes_the_safe_action_nearest_to_the_stick():
-    actions = action_set("square81")
-    oracle = baseline(UPPER_BOUND, RunConfig(cameras=(CAMERA,)))
-    assert isinstance(oracle, SeesTruth) and not isinstance(baseline("dwa", RunConfig(cameras=(CAMERA,))), SeesTruth)
+    oracle = baseline(UPPER_BOUND, CONFIG)
+    assert isinstance(oracle, SeesTruth) and not isinstance(baseline("dwa", CONFIG), SeesTruth)
     ahead = {"joystick": np.array([0.1, 0.9], np.float32)}
 
     def chosen(safe, first_s=1.0):
         first_s = np.where(safe, np.inf, first_s)
         truth = Truth(intent=Joystick(0, 0), danger=True, first_s=first_s, clearance_m=1.0, progress_m=0.0)
         oracle.see(truth)
-        return tuple(actions.points[oracle.act(ahead)])
+        return tuple(ACTIONS.points[oracle.act(ahead)])
 
-    everything = np.ones(len(actions), bool)
+    everything = np.ones(len(ACTIONS), bool)
     assert chosen(everything) == (0.0, 1.0)
-    assert chosen(everything & (actions.points[:, 1] < 0.6)) == (0.0, 0.5)
+    assert chosen(everything & (ACTIONS.points[:, 1] < 0.6)) == (0.0, 0.5)
     assert chosen(~everything) == (0.0, 0.0)  # all fail together: the gentlest
-    backwards = 1.0 + (actions.points[:, 1] < -0.4)
+    backwards = 1.0 + (ACTIONS.points[:, 1] < -0.4)
     assert chosen(~everything, backwards) == (0.0, -0.5)  # those that fail last, gently
-    assert chosen(~everything, np.where(np.arange(81) == 7, 1.05, 1.0)) == tuple(actions.points[7])
+    assert chosen(~everything, np.where(np.arange(81) == 7, 1.05, 1.0)) == tuple(ACTIONS.points[7])
     with pytest.raises(PolicyError, match="see"):
         oracle.act(ahead)
     with pytest.raises(PolicyError, match=r"env\.truth"):
@@ -187,18 +200,17 @@ def test_the_oracle_takes_the_safe_action_nearest_to_the_stick():
 
 
 def test_the_oracle_that_sees_as_the_cameras_do_takes_its_own_part_of_the_truth():
-    actions = action_set("square81")
-    full, visible = (baseline(name, RunConfig(cameras=(CAMERA,))) for name in (UPPER_BOUND, VISIBLE_BOUND))
+    full, visible = (baseline(name, CONFIG) for name in (UPPER_BOUND, VISIBLE_BOUND))
     assert isinstance(visible, SeesTruth) and policy_name(VISIBLE_BOUND).kind == "baseline"
     assert (full.name, visible.name) == ("oracle", "oracle-visible")
     ahead = {"joystick": np.array([0.0, 1.0], np.float32)}
-    everything, stand = np.full(81, np.inf), actions.nearest((0.0, 0.0))
+    everything, stand = np.full(81, np.inf), ACTIONS.nearest((0.0, 0.0))
     blocked = np.where(np.arange(81) == stand, np.inf, 1.0)  # by somebody whom no camera showed
     truth = Truth(
         intent=Joystick(0, 0), danger=True, first_s=blocked, clearance_m=1.0, progress_m=0.0,
         visible=Verdict(danger=False, first_s=everything),
     )  # fmt: skip
-    for oracle, chosen in ((full, stand), (visible, actions.nearest((0.0, 1.0)))):
+    for oracle, chosen in ((full, stand), (visible, ACTIONS.nearest((0.0, 1.0)))):
         oracle.see(truth)
         assert oracle.act(ahead) == chosen
     for nothing in (None, Truth(intent=Joystick(0, 0), danger=True, first_s=blocked, clearance_m=1.0, progress_m=0.0)):

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from tests.agents.driven import driven
-from tests.agents.policies.test_baselines import box, ground, looking_at
+from tests.agents.policies.test_baselines import WALL, box, drop, ground, looking_at, ramp
+from tests.support.samples import ACTIONS
 from tests.support.yardstick import multiple
 from wcsim.agents.envs.wheelchair_env import WheelchairEnv
 from wcsim.agents.perception.arcs import advance_motion, evaluate_arcs, gaps_to_points, time_to_contact_s
@@ -21,12 +22,11 @@ from wcsim.config import CameraConfig, ChairConfig, RunConfig, resolve
 from wcsim.core.joystick import limits_of
 from wcsim.errors import PolicyError
 from wcsim.physics.wheelchair.drive_controller import stopping_distance_m
-from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.observation import decode_depth
 
 CAMERA = CameraConfig(width_px=96, height_px=72)
 CONFIG = RunConfig(cameras=(CAMERA,))
-POINTS = action_set("square81").points
+POINTS = ACTIONS.points
 CHAIR = np.array([-0.34, 0.80, 0.31])
 LIMITS = limits_of(ChairConfig())
 AHEAD = np.array([0.0, 1.0], np.float32)
@@ -59,20 +59,20 @@ def drive(surface, ticks, stick=AHEAD, driver=None):
     [
         ("level ground", ground, None),
         ("a step that casters climb", box(1.8, 9.0, -5, 5, 0, 0.04), None),
-        ("a ramp up 1:8", lambda x, y, z: z <= np.clip((x - 1.0) / 8, 0, 0.3), None),
-        ("a ramp down 1:8", lambda x, y, z: z <= -np.clip((x - 1.0) / 8, 0, 0.3), None),
+        ("a ramp up 1:8", ramp(1.0, 8, 0.3), None),
+        ("a ramp down 1:8", ramp(1.0, 8, -0.3), None),
         ("a hill of 8 degrees beside a level chair", lambda x, y, z: z <= 0.14 * y, None),
         ("a branch above", box(1.6, 2.2, -1, 1, 1.8, 1.9), None),
-        ("a wall", box(2.0, 3.0, -3, 3, 0, 3), 2.0),
+        ("a wall", WALL, 2.0),
         ("a kerb up", box(1.8, 9.0, -5, 5, 0, 0.12), 1.8),
-        ("a kerb down", lambda x, y, z: z <= np.where(x < 1.8, 0.0, -0.12), 1.8),
+        ("a kerb down", drop(1.8, 0.12), 1.8),
         ("a kerb up under the nose", box(0.9, 9.0, -5, 5, 0, 0.12), 1.0),
-        ("a kerb down under the nose", lambda x, y, z: z <= np.where(x < 0.9, 0.0, -0.12), 1.0),
-        ("a ramp up 1:8 under the nose", lambda x, y, z: z <= np.clip((x - 0.5) / 8, 0, 0.3), None),
+        ("a kerb down under the nose", drop(0.9, 0.12), 1.0),
+        ("a ramp up 1:8 under the nose", ramp(0.5, 8, 0.3), None),
         ("a lowered kerb under the nose", box(0.9, 9.0, -5, 5, 0, 0.03), None),
         ("a bench", box(1.6, 2.0, -1, 1, 0.4, 0.5), 1.6),
-        ("steps down", lambda x, y, z: z <= np.where(x < 1.7, 0.0, -0.6), 1.7),
-        ("a platform's edge", lambda x, y, z: z <= np.where(x < 1.8, 0.0, -20.0), 1.8),
+        ("steps down", drop(1.7, 0.6), 1.7),
+        ("a platform's edge", drop(1.8, 20.0), 1.8),
     ],
 )
 def test_what_is_an_obstacle_and_where(name, surface, at_m):
@@ -104,10 +104,10 @@ def test_what_was_not_measured_is_nothing():
 
 def test_on_a_free_way_the_user_decides():
     rng = np.random.default_rng(1)
-    driver, actions = baseline("dwa", CONFIG), action_set("square81")
+    driver = baseline("dwa", CONFIG)
     view = view_of(ground)
     for stick in rng.uniform(-0.7, 0.7, (40, 2)):
-        assert driver.act({**view, "joystick": stick}) == actions.nearest(stick)
+        assert driver.act({**view, "joystick": stick}) == ACTIONS.nearest(stick)
 
 
 def test_it_stops_before_a_wall_and_keeps_turning():
@@ -120,7 +120,7 @@ def test_it_stops_before_a_wall_and_keeps_turning():
 def test_it_slows_down_the_later_the_farther_the_wall():
     driver = baseline("dwa", CONFIG)
     drive(ground, 25, driver=driver)  # at full speed
-    near, far = box(2.0, 3.0, -3, 3, 0, 3), box(3.9, 4.5, -3, 3, 0, 3)
+    near, far = WALL, box(3.9, 4.5, -3, 3, 0, 3)
     assert drive(far, 1, driver=driver) == [(0.0, 1.0)]
     ((_, y),) = drive(near, 1, driver=driver)
     assert y <= 0.5

@@ -7,6 +7,7 @@ import pytest
 
 from tests.agents.danger.sights import observation
 from tests.agents.policies.test_baselines import box, ground, looking_at
+from tests.support.samples import ACTIONS
 from wcsim.agents.evaluation.suite.run import _identity_of, _policy_at
 from wcsim.agents.opening.named_policy import config_for, open_named
 from wcsim.agents.policies.baselines import baseline
@@ -15,10 +16,8 @@ from wcsim.agents.policy_api import Levelled, NeedsSenses, ReportsUnsafe, Tracks
 from wcsim.agents.runs.policy_file import policy_name
 from wcsim.config import CameraConfig, RunConfig
 from wcsim.errors import PolicyError
-from wcsim.supervisor.actions import action_set
 
 CONFIG = RunConfig(cameras=(CameraConfig(width_px=96, height_px=72),))
-ACTIONS = action_set("square81")
 AHEAD = np.array([0.0, 1.0], np.float32)
 WALL = box(1.3, 3.0, -3, 3, 0, 2)  # 0.5 m ahead: driving on at 0.8 m/s would be too late
 

@@ -2,9 +2,10 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 from tests.support.worlds import dqn_config
-from wcsim.agents.rounds.train_rounds import DATA
+from wcsim.agents.rounds.train_rounds import DATA, train_danger
 from wcsim.agents.runs.data_folder import read_manifest
 from wcsim.agents.runs.run_folder import ResolvedRun
 from wcsim.core import files
@@ -19,10 +20,14 @@ SMALL = (
 
 
 def run_in(corner: Path, out: Path, *overrides: str, resume: bool = False) -> ResolvedRun:
-    config = dqn_config(*SMALL, *overrides)
     town = find_town(str(corner))
     info = RunInfo(seed=3, town=town.name, town_sha256=streets_hash(town))
-    return ResolvedRun(config=config, out=out, info=info, resume=resume)
+    return ResolvedRun(config=dqn_config(*SMALL, *overrides), out=out, info=info, resume=resume)
+
+
+def train_in(corner: Path, out: Path, *overrides: str, resume: bool = False, **more: Any) -> None:
+    """Train the small run in `out`; see `train_danger`."""
+    train_danger(run_in(corner, out, *overrides, resume=resume), find_town(str(corner)), **more)
 
 
 def outcome(out: Path) -> tuple[str, str]:

@@ -12,12 +12,11 @@ from pathlib import Path
 
 import pytest
 
-from tests.agents.rounds.small_runs import outcome, rows_of, run_in
+from tests.agents.rounds.small_runs import outcome, rows_of, train_in
 from tests.support.cluster.ray_nodes import RayNode, quiet_environment
-from wcsim.agents.rounds.train_rounds import DATA, RoundProgress, train_danger
+from wcsim.agents.rounds.train_rounds import DATA, RoundProgress
 from wcsim.errors import ConfigError, WorkersError
 from wcsim.server.workers.machines import Machines
-from wcsim.towns.scenario.town import find_town
 
 pytestmark = pytest.mark.proof
 LONGER = ("collect.segments=4", "collect.ticks=60")
@@ -33,7 +32,7 @@ def quiet(monkeypatch: pytest.MonkeyPatch) -> None:
 def trained(
     corner: Path, out: Path, machines: Machines, *, resume: bool = False, show=lambda now: None
 ) -> tuple[str, str]:
-    train_danger(run_in(corner, out, *LONGER, resume=resume), find_town(str(corner)), machines, show)
+    train_in(corner, out, *LONGER, resume=resume, machines=machines, progress=show)
     return outcome(out)
 
 

@@ -53,6 +53,13 @@ def order(corner: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Data
     return DataOrder(folder=tmp_path / "data", config=small_config(), towns=(str(corner),), seed=1, segments=2)
 
 
+def die_at_second(order: DataOrder) -> None:
+    """Begin to collect data, and die before it is whole."""
+    with pytest.MonkeyPatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(OneDies, "dies", True)
+        collect_data(order)
+
+
 def test_a_folder_is_added_to_with_more_of_a_seed_and_with_other_seeds(order: DataOrder) -> None:
     collect_data(order)
     collect_data(replace(order, segments=3))
@@ -75,10 +82,7 @@ def test_a_seed_that_another_wheelchair_drove_is_refused_and_the_same_elsewhere_
     mine.write_text(PLANT)
     copy.write_text(PLANT)
     with_plant = replace(order, config=small_config(f"chair.plant={mine}"))
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(OneDies, "dies", True)  # so that no data.json says what was driven
-        with pytest.raises(KeyboardInterrupt):
-            collect_data(with_plant)
+    die_at_second(with_plant)  # so that no data.json says what was driven
     mine.write_text(f"{PLANT}# another one\n")
     with pytest.raises(PolicyError, match=r"seed 1 .*another --seed"):
         collect_data(with_plant)
@@ -113,13 +117,8 @@ def a_policy(folder: Path) -> Path:
     return save_danger(folder / "policy", DangerNet(spec_of(config)), DangerRule(), config)
 
 
-def test_a_drive_that_died_goes_on_with_its_own_settings_alone(
-    order: DataOrder, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    with monkeypatch.context() as patch:
-        patch.setattr(OneDies, "dies", True)
-        with pytest.raises(KeyboardInterrupt):
-            collect_data(order)
+def test_a_drive_that_died_goes_on_with_its_own_settings_alone(order: DataOrder) -> None:
+    die_at_second(order)
     with pytest.raises(PolicyError, match="another --seed"):
         collect_data(replace(order, config=small_config("cameras.0.width_px=40")))
     collect_data(order)

@@ -6,6 +6,7 @@ from shutil import copytree
 import numpy as np
 import pytest
 
+from tests.support.samples import ACTIONS
 from tests.support.worlds import dqn_config
 from wcsim.agents.rounds.drive_segment import (
     OFF_WAY_STEPS,
@@ -22,12 +23,10 @@ from wcsim.agents.runs.data_folder import FOLLOW, ORACLE, RECKLESS, SAFE, Segmen
 from wcsim.bridge.world import World
 from wcsim.config import CollectConfig, RunConfig, resolve
 from wcsim.errors import ConfigError
-from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.observation import observation_of
 from wcsim.types import Command, Joystick, Verdict
 
 KEY = SegmentKey(run=5, round=0, index=0)
-ACTIONS = action_set("square81")
 
 
 def order_in(corner: Path, *overrides: str, key: SegmentKey = KEY) -> SegmentOrder:

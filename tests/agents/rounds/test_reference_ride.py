@@ -4,13 +4,12 @@ from pathlib import Path
 
 import numpy as np
 
+from tests.support.samples import ACTIONS
 from tests.support.worlds import quick_config
 from wcsim.agents.policy_api import Observation
 from wcsim.agents.rounds.recorded_ride import TRIES, reference_ride
 from wcsim.config import RunConfig
-from wcsim.supervisor.actions import action_set
 
-ACTIONS = action_set("square81")
 AHEAD, AT_REST = ACTIONS.nearest((0.0, 1.0)), ACTIONS.nearest((0.0, 0.0))
 STEPS, STARTS_AT = 30, 10
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import re
-import resource
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +15,8 @@ import torch
 from safetensors.torch import load_file, save_file
 
 from tests.agents.danger.sights import a_segment, lectures, small_config, write_segment
-from tests.agents.rounds.small_runs import SMALL, outcome, run_in
+from tests.agents.rounds.small_runs import SMALL, outcome, run_in, train_in
+from tests.support.one_process import files_of_at_most
 from tests.support.worlds import dqn_config
 from wcsim.agents.danger.learner import DangerLearner
 from wcsim.agents.rounds import train_rounds
@@ -32,7 +32,7 @@ from wcsim.config import RunConfig, resolve
 from wcsim.core import files
 from wcsim.errors import ConfigError, DiskFullError, InterruptedRunError, PolicyError
 from wcsim.server.workers.machines import Machines
-from wcsim.towns.scenario.town import find_town
+from wcsim.towns.scenario.town import Town
 
 SETTINGS = ("danger.width=8", "collect.segments=1")
 
@@ -64,9 +64,9 @@ def noise(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_run_learns_from_the_driving_of_others_that_it_began_with_wherever_it_goes_on(
-    corner: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    corner: Path, corner_town: Town, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    town, words = find_town(str(corner)), (*SETTINGS, 'collect.data=["mine"]', "collect.rounds=2")
+    words = (*SETTINGS, 'collect.data=["mine"]', "collect.rounds=2")
     monkeypatch.chdir(tmp_path)
     held = others_drive(Path("mine"), 2)
     learn, drawn = DangerLearner.learn, []
@@ -78,17 +78,17 @@ def test_a_run_learns_from_the_driving_of_others_that_it_began_with_wherever_it_
 
     monkeypatch.setattr(DangerLearner, "learn", drawing)
     straight, stopped = (whole(run_in(corner, tmp_path / name, *words)) for name in ("straight", "stopped"))
-    train_danger(straight, town)
+    train_danger(straight, corner_town)
 
     def stop(now: RoundProgress) -> None:
         if now.updates:
             raise KeyboardInterrupt
 
     with pytest.raises(InterruptedRunError):
-        train_danger(stopped, town, progress=stop)
+        train_danger(stopped, corner_town, progress=stop)
     others_drive(Path("mine"), 3)
     monkeypatch.chdir(tmp_path.parent)
-    train_danger(replace(stopped, resume=True), town)
+    train_danger(replace(stopped, resume=True), corner_town)
     assert outcome(stopped.out) == outcome(straight.out)
     assert drawn[:2] == [drawn[2], drawn[-1]] and drawn[0] != drawn[1], "as in a run that was not stopped"
     assert json.loads((stopped.out / "learned_data.json").read_text())["folders"] == {str(tmp_path / "mine"): held}
@@ -96,16 +96,16 @@ def test_a_run_learns_from_the_driving_of_others_that_it_began_with_wherever_it_
 
 @pytest.mark.parametrize("gone", [True, False])
 def test_driving_of_others_that_is_gone_or_another_when_a_run_goes_on_is_told(
-    corner: Path, tmp_path: Path, gone: bool
+    corner: Path, corner_town: Town, tmp_path: Path, gone: bool
 ) -> None:
-    town, words = find_town(str(corner)), (*SETTINGS, f'collect.data=["{tmp_path / "mine"}"]', "collect.rounds=1")
+    words = (*SETTINGS, f'collect.data=["{tmp_path / "mine"}"]', "collect.rounds=1")
     (name,) = others_drive(tmp_path / "mine", 1)
-    train_danger(run_in(corner, tmp_path / "run", *words), town)
+    train_danger(run_in(corner, tmp_path / "run", *words), corner_town)
     path = tmp_path / "mine" / "segments" / name
     path.unlink() if gone else write_segment(path, a_segment(seed=99))
     told = r"No such file.*learned_data\.json names it" if gone else r"replaced.*learned_data\.json names it"
     with pytest.raises(PolicyError, match=told):
-        train_danger(run_in(corner, tmp_path / "run", *words, resume=True), town)
+        train_danger(run_in(corner, tmp_path / "run", *words, resume=True), corner_town)
 
 
 def test_a_run_that_nobody_drives_for_or_nobody_could_is_refused_before_towns_are_made(
@@ -114,17 +114,19 @@ def test_a_run_that_nobody_drives_for_or_nobody_could_is_refused_before_towns_ar
     monkeypatch.setattr(train_rounds, "towns_of", None)
     run, told = tmp_path / "run", r"no data to learn from; expected --data FOLDER, or collect\.segments of 1"
     with pytest.raises(ConfigError, match=told):
-        train_danger(run_in(corner, run, "collect.segments=0"), find_town(str(corner)))
+        train_in(corner, run, "collect.segments=0")
     with pytest.raises(ConfigError, match="variants: 'nonsense' cannot be used"):
-        train_danger(run_in(corner, run, 'collect.variants=["nonsense"]'), find_town(str(corner)))
+        train_in(corner, run, 'collect.variants=["nonsense"]')
     assert not run.exists()
 
 
-def test_folders_without_driving_are_refused_where_nobody_drives(corner: Path, tmp_path: Path) -> None:
+def test_folders_without_driving_are_refused_where_nobody_drives(
+    corner: Path, corner_town: Town, tmp_path: Path
+) -> None:
     others_drive(tmp_path / "mine", 0)
     run = run_in(corner, tmp_path / "run", "collect.segments=0", f'collect.data=["{tmp_path / "mine"}"]')
     with pytest.raises(PolicyError, match="mine: holds no data to learn from"):
-        train_danger(run, find_town(str(corner)))
+        train_danger(run, corner_town)
 
 
 def others_drive(folder: Path, count: int) -> dict[str, str]:
@@ -157,20 +159,19 @@ def _checkpoint_path(folder: Path, number: int) -> Path:
 
 
 @pytest.fixture(scope="module")
-def straight(corner: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def straight(corner: Path, corner_town: Town, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run that nothing happened to."""
     run = run_in(corner, tmp_path_factory.mktemp("rounds") / "straight", *SETTINGS)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(train_rounds, "SegmentCrew", NoiseCrew)
-        train_danger(run, find_town(str(corner)))
+        train_danger(run, corner_town)
     return run.out
 
 
 @pytest.mark.parametrize("step", ["_save", "note_round", "_save_round"])
 def test_a_round_whose_files_cannot_be_written_is_done_again_to_the_same_weights(
-    corner: Path, straight: Path, tmp_path: Path, step: str
+    corner: Path, corner_town: Town, straight: Path, tmp_path: Path, step: str
 ) -> None:
-    town = find_town(str(corner))
 
     def full(*words: object) -> None:
         raise DiskFullError("no room")
@@ -178,8 +179,8 @@ def test_a_round_whose_files_cannot_be_written_is_done_again_to_the_same_weights
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(train_rounds, step, full)
         with pytest.raises(DiskFullError):
-            train_danger(run_in(corner, tmp_path / "full", *SETTINGS), town)
-    train_danger(run_in(corner, tmp_path / "full", *SETTINGS, resume=True), town)
+            train_danger(run_in(corner, tmp_path / "full", *SETTINGS), corner_town)
+    train_danger(run_in(corner, tmp_path / "full", *SETTINGS, resume=True), corner_town)
     assert outcome(tmp_path / "full") == outcome(straight)
     assert [row.round for row in read_rounds(tmp_path / "full" / "metrics.csv")] == [0, 1, 2]
 
@@ -222,15 +223,11 @@ def test_a_checkpoint_whose_state_is_damaged_is_passed_over_for_the_one_before(t
 
 def test_a_full_disk_is_told_in_words(tmp_path: Path) -> None:
     learner = a_learner()
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 12, hard))
-    try:
+    with files_of_at_most(1 << 12):
         with pytest.raises(DiskFullError, match="make room"):
             _save_round(tmp_path, 0, learner, {})
         with pytest.raises(DiskFullError, match="make room"):
             write_policy(tmp_path / "policy", torch.nn.Linear(100, 100), {})
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert not (tmp_path / "policy").exists() and list(tmp_path.glob("round*")) == []
 
 

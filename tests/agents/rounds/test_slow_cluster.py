@@ -16,11 +16,9 @@ from pathlib import Path
 
 import pytest
 
-from tests.agents.rounds.small_runs import outcome, rows_of, run_in
+from tests.agents.rounds.small_runs import outcome, rows_of, train_in
 from tests.support.cluster import slow_net
 from tests.support.cluster.slow_net import SlowNet, address_of
-from wcsim.agents.rounds.train_rounds import train_danger
-from wcsim.towns.scenario.town import find_town
 
 pytestmark = pytest.mark.proof
 CUT_S = 30.0
@@ -88,7 +86,7 @@ def environment(cache: Path) -> dict[str, str]:
 @pytest.mark.skipif(bool(_WHY_NOT), reason=f"a slow network {_WHY_NOT}")
 def test_three_machines_and_a_cut_link(corner: Path, tmp_path: Path, capsys):
     pytest.importorskip("ray", reason="Ray is not installed: pip install 'wcsim[cluster]'")
-    train_danger(run_in(corner, tmp_path / "alone", *LONGER), find_town(str(corner)))
+    train_in(corner, tmp_path / "alone", *LONGER)
     out, head, cut = tmp_path / "out", f"{address_of(0)}:6379", []
     with (
         SlowNet(3) as net,

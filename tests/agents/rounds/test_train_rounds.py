@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.agents.rounds.small_runs import SMALL, outcome, rows_of, run_in, weights_of
+from tests.agents.rounds.small_runs import SMALL, outcome, rows_of, run_in, train_in, weights_of
 from tests.support.one_process import in_this_process
 from tests.support.worlds import dqn_config
 from wcsim.agents.danger.policy import load_danger
@@ -25,38 +25,38 @@ from wcsim.config import RunConfig
 from wcsim.core import files
 from wcsim.errors import InterruptedRunError, PolicyError, TownError
 from wcsim.server.workers.machines import Machines
-from wcsim.towns.scenario.town import find_town
+from wcsim.towns.scenario.town import Town, find_town
 
 
-def test_towns_are_made_where_somebody_drives_in_them_alone(corner, tmp_path, monkeypatch):
-    own, made = find_town(str(corner)), list[Path]()
+def test_towns_are_made_where_somebody_drives_in_them_alone(corner_town, tmp_path, monkeypatch):
+    made = list[Path]()
     monkeypatch.setattr(train_rounds, "make_town", lambda out, drawn, wishes: made.append(out))
-    monkeypatch.setattr(train_rounds, "open_town", lambda out: own)
+    monkeypatch.setattr(train_rounds, "open_town", lambda out: corner_town)
     driven, read = (dqn_config("collect.made_towns=2", f"collect.segments={count}") for count in (1, 0))
-    assert towns_of(own, (), read, tmp_path, 3) == (str(own.address),) and not made
-    assert towns_of(own, (), driven, tmp_path, 3) == (str(own.address),) * 3 and len(made) == 2
+    assert towns_of(corner_town, (), read, tmp_path, 3) == (str(corner_town.address),) and not made
+    assert towns_of(corner_town, (), driven, tmp_path, 3) == (str(corner_town.address),) * 3 and len(made) == 2
 
 
-def test_towns_of_the_command_take_turns_with_those_of_the_configuration(corner, tmp_path):
-    own, config = find_town(str(corner)), dqn_config(f'collect.towns=["{corner}"]')
-    assert towns_of(own, ("helsinki",), config, tmp_path, 3) == (
+def test_towns_of_the_command_take_turns_with_those_of_the_configuration(corner, corner_town, tmp_path):
+    config = dqn_config(f'collect.towns=["{corner}"]')
+    assert towns_of(corner_town, ("helsinki",), config, tmp_path, 3) == (
         str(corner),
         find_town("helsinki").address,
         str(corner),
     )
     with pytest.raises(TownError, match="monaco is a test town"):
-        towns_of(own, (), dqn_config('collect.towns=["monaco"]'), tmp_path, 3)
+        towns_of(corner_town, (), dqn_config('collect.towns=["monaco"]'), tmp_path, 3)
 
 
 @pytest.fixture(scope="module")
 def straight(corner: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("rounds") / "straight"
     with in_this_process():
-        train_danger(run_in(corner, out), find_town(str(corner)))
+        train_in(corner, out)
     return out
 
 
-def test_a_run_leaves_data_rounds_and_a_policy_that_drives(straight: Path, corner: Path):
+def test_a_run_leaves_data_rounds_and_a_policy_that_drives(straight: Path):
     assert len(list((straight / DATA / SEGMENTS).iterdir())) == 6
     assert [json.loads(line)["event"] for line in (straight / "events.jsonl").read_text().splitlines()] == ["done"]
     assert open_run(straight).manifest.status == "done"
@@ -73,10 +73,10 @@ def test_a_run_leaves_data_rounds_and_a_policy_that_drives(straight: Path, corne
 
 
 @pytest.mark.proof
-def test_a_network_of_pictures_is_trained_in_rounds(corner: Path, tmp_path: Path):
+def test_a_network_of_pictures_is_trained_in_rounds(corner: Path, corner_town: Town, tmp_path: Path):
     words = ("danger.eye=both", "learn.network=fig6", "env.window=2")
     run = run_in(corner, tmp_path / "seen", *words, "collect.segments=1")
-    train_danger(run, find_town(str(corner)))
+    train_danger(run, corner_town)
     policy = load_danger(run.out / "policies" / "final", "own", run.config)
     assert policy.senses == ("odometry", "gyro")
     last = sorted((run.out / DATA / SEGMENTS).iterdir())[-1]
@@ -102,7 +102,7 @@ def test_two_worlds_and_one_that_is_killed_give_the_same_data_and_weights(straig
 
     thread = threading.Thread(target=kill_one, daemon=True)
     thread.start()
-    train_danger(run_in(corner, tmp_path / "two"), find_town(str(corner)), Machines(count=2))
+    train_in(corner, tmp_path / "two", machines=Machines(count=2))
     assert killed
     assert outcome(tmp_path / "two") == outcome(straight)
 
@@ -131,14 +131,14 @@ def test_a_run_that_was_stopped_goes_on_to_the_same_weights(straight: Path, corn
             raise KeyboardInterrupt
 
     with pytest.raises(InterruptedRunError, match=r"the policy of the complete rounds.*wcsim resume"):
-        train_danger(run_in(corner, out), find_town(str(corner)), progress=stop)
+        train_in(corner, out, progress=stop)
     assert open_run(out).manifest.status == "interrupted"
     kept = {name: files.sha256(out / "policies" / name / "weights.safetensors") for name in ("round-001", "final")}
     assert kept["final"] == kept["round-001"] != weights_of(straight)
     segment = sorted((out / DATA / SEGMENTS).iterdir())[-1]
     if segment.name.split("-")[1] == "002":  # what was being driven may be cut short
         segment.write_bytes(segment.read_bytes()[:100])
-    train_danger(run_in(corner, out, resume=True), find_town(str(corner)))
+    train_in(corner, out, resume=True)
     assert outcome(out) == outcome(straight)
 
 
@@ -147,15 +147,15 @@ def test_a_run_that_was_stopped_in_its_first_round_has_no_policy(corner: Path, t
         raise KeyboardInterrupt
 
     with in_this_process(), pytest.raises(InterruptedRunError, match="no policy yet"):
-        train_danger(run_in(corner, tmp_path / "run"), find_town(str(corner)), progress=stop)
+        train_in(corner, tmp_path / "run", progress=stop)
     assert not (tmp_path / "run" / "policies" / "final").exists()
 
 
-def test_a_run_goes_on_with_its_own_settings_alone(straight: Path, corner: Path):
+def test_a_run_goes_on_with_its_own_settings_alone(straight: Path, corner: Path, corner_town: Town):
     config: RunConfig = dqn_config(*SMALL, "danger.width=12")
     other = ResolvedRun(config=config, out=straight, info=run_in(corner, straight).info, resume=True)
     with pytest.raises(PolicyError, match="resume with its own"):
-        train_danger(other, find_town(str(corner)))
+        train_danger(other, corner_town)
 
 
 @pytest.mark.proof
@@ -168,7 +168,7 @@ def test_a_ray_cluster_gives_the_same_data_and_weights(straight: Path, corner: P
         seen.update(worker.name for worker in now.workers)
 
     machines = Machines(cluster="local", report=told.append)
-    train_danger(run_in(corner, out), find_town(str(corner)), machines, show)
+    train_in(corner, out, machines=machines, progress=show)
     assert outcome(out) == outcome(straight)
     assert seen == {"127.0.0.1/1"} and not [line for line in told if "processor" in line]
     rows = rows_of(out)

@@ -7,15 +7,14 @@ import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-import numpy as np
 import torch
 from stable_baselines3.common.vec_env import DummyVecEnv
 from torch import nn
 
-from tests.agents.toy import ToyStreet, a_run, load_checkpoint, toy_camera
+from tests.agents.toy import ToyStreet, load_checkpoint, toy_camera, train_toy
 from tests.attack.files.damage import ANY, Damage, bomb, change, edited, flipped
 from tests.attack.outcomes import Case
-from tests.attack.scenarios.twists import Rng, integer, pick
+from tests.attack.scenarios.twists import Rng, draws, integer, pick
 from wcsim.agents.learning.build import build_model
 from wcsim.agents.learning.checkpoint import (
     _generator_state,
@@ -25,7 +24,6 @@ from wcsim.agents.learning.checkpoint import (
     save_checkpoint,
 )
 from wcsim.agents.learning.seqdqn import SeqDQN
-from wcsim.agents.learning.train import train
 from wcsim.agents.runs.checkpoint import STATE, checkpoints, tag
 from wcsim.config import LearnConfig, RunConfig
 from wcsim.errors import PolicyError
@@ -64,7 +62,7 @@ class Bench:
     """Sound checkpoints, and a learner that is fresh again before each case."""
 
     def __init__(self, work: Path) -> None:
-        self.sound = train(a_run(config(), work / "sound", 5), street) / "checkpoints"
+        self.sound = train_toy(config(), work / "sound", street) / "checkpoints"
         self.model = build_model(config(), DummyVecEnv([street]), 7)
         self._nets = [copy.deepcopy(net.state_dict()) for net in (self.model.q_net, self.model.q_net_target)]
         self._optimizer = copy.deepcopy(self.model.policy.optimizer.state_dict())
@@ -108,8 +106,7 @@ def cases(count: int, seed: int, work: Path) -> Iterator[Case]:
     """So many attacks."""
     work.mkdir(parents=True, exist_ok=True)
     bench = Bench(work)
-    for number in range(count):
-        rng = np.random.default_rng((seed, number))
+    for number, rng in draws(count, seed):
         attack = pick(rng, ATTACKS)
         name = f"{number} {attack.__name__}"
         yield Case(area="checkpoints", name=name, feed=lambda a=attack, r=rng: _feed(bench, a, r, work / "case"))

@@ -7,11 +7,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from tests.attack.files.damage import cheap
 from tests.attack.outcomes import Case, Outcome
-from tests.attack.scenarios.twists import NASTY, PLACES, Rng, integer, pick, spoiled, toml_text, twisted
+from tests.attack.scenarios.twists import NASTY, PLACES, Rng, draws, integer, pick, spoiled, toml_text, twisted
+
+Take = Callable[[Path], bool]
+Twist = Callable[[Rng], tuple[bytes, str]]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -21,8 +22,8 @@ class Family:
     name: str
     file: str  # where it lies in a folder of its own
     sound: bytes
-    twist: Callable[[Rng], tuple[bytes, str]]
-    take: Callable[[Path], bool]  # whether what was made of the file makes the same again
+    twist: Twist
+    take: Take  # whether what was made of the file makes the same again
     beside: tuple[tuple[str, bytes], ...] = ()  # files that a sound one needs
 
 
@@ -30,9 +31,7 @@ Families = Callable[[Path], Sequence[Family]]
 """Makes sound files, each once, in a folder that is empty again afterwards."""
 
 
-def model_twist(
-    data: dict[str, Any], write: Callable[[dict[str, Any]], str], nasty: tuple[Any, ...] = NASTY
-) -> Callable[[Rng], tuple[bytes, str]]:
+def model_twist(data: dict[str, Any], write: Callable[[dict[str, Any]], str], nasty: tuple[Any, ...] = NASTY) -> Twist:
     """Fields of a sound one are others, none or more than there were."""
 
     def twist(rng: Rng) -> tuple[bytes, str]:
@@ -46,7 +45,7 @@ def modelled(
     name: str,
     file: str,
     data: dict[str, Any],
-    take: Callable[[Path], bool],
+    take: Take,
     write: Callable[[dict[str, Any]], str] = toml_text,
     **more: Any,
 ) -> Family:
@@ -58,8 +57,7 @@ def modelled(
 def spoilt(families: Families, count: int, seed: int, work: Path) -> Iterator[Case]:
     """So many hostile files, of each kind in turn; each is gone before the next one comes."""
     kinds = families(work)
-    for number in range(count):
-        rng = np.random.default_rng([seed, number])
+    for number, rng in draws(count, seed):
         yield _case(kinds[number % len(kinds)], rng, number, work / "case")
 
 

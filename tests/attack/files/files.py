@@ -3,7 +3,7 @@
 import csv
 import io
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +11,12 @@ import msgspec
 import numpy as np
 
 from tests.attack.files.damage import swollen
-from tests.attack.files.family import Family, modelled
+from tests.attack.files.family import Family, Take, Twist, modelled
 from tests.attack.outcomes import Case
 from tests.attack.scenarios.twists import (
     NASTY,
     Rng,
+    draws,
     integer,
     json_text,
     pick,
@@ -101,7 +102,7 @@ def _write_trace(path: Path, header: Header, ticks: Sequence[WorldState]) -> Non
 # --- sound ones ---
 
 
-def csv_twist(rows: list[list[Any]]) -> Callable[[Rng], tuple[bytes, str]]:
+def csv_twist(rows: list[list[Any]]) -> Twist:
     def twist(rng: Rng) -> tuple[bytes, str]:
         table = [list(row) for row in rows]
         line, number = integer(rng, len(table)), integer(rng, len(NASTY))
@@ -114,7 +115,7 @@ def csv_twist(rows: list[list[Any]]) -> Callable[[Rng], tuple[bytes, str]]:
     return twist
 
 
-def log_twist(sound: bytes) -> Callable[[Rng], tuple[bytes, str]]:
+def log_twist(sound: bytes) -> Twist:
     """A field of the header or of a record, or its numbers, with lengths and checksums made to fit."""
     records = list(whole_records(io.BytesIO(sound)))
     payloads, last = [record.payload for record in records], records[-1].crc
@@ -137,7 +138,7 @@ def log_twist(sound: bytes) -> Callable[[Rng], tuple[bytes, str]]:
     return twist
 
 
-def logged(name: str, file: str, sound: bytes, take: Callable[[Path], bool]) -> Family:
+def logged(name: str, file: str, sound: bytes, take: Take) -> Family:
     """A kind of file that is a journal."""
     return Family(name=name, file=file, sound=sound, twist=log_twist(sound), take=take)
 
@@ -236,8 +237,8 @@ def set_cases(count: int, seed: int, work: Path) -> Iterator[Case]:
     del work
     config = resolve("quick")
     keys = [".".join(map(str, at)) for at in places(config.model_dump(mode="json"))]
-    for number in range(count):
-        yield _set_case(config, keys, np.random.default_rng([seed, number]), number)
+    for number, rng in draws(count, seed):
+        yield _set_case(config, keys, rng, number)
 
 
 def _set_case(config: RunConfig, keys: list[str], rng: Rng, number: int) -> Case:

@@ -6,11 +6,9 @@ import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-import numpy as np
-
 from tests.attack.files.damage import ANY, bomb, flipped, flipped_at, swollen
 from tests.attack.outcomes import Case
-from tests.attack.scenarios.twists import Rng, cleared, integer, pick
+from tests.attack.scenarios.twists import Rng, cleared, draws, integer, pick
 from tests.log.test_log import HEADER, RECORDS, tick
 from tests.support.events import read_events
 from tests.support.framing import chained, pieces, read_whole
@@ -36,8 +34,7 @@ def cases(count: int, seed: int, work: Path, areas: tuple[str, ...] = ("journals
     sound = {area: MAKERS[area](work / f"sound-{area}") for area in areas}
     for area in areas:
         cleared(work / f"sound-{area}")
-    for number in range(count):
-        rng = np.random.default_rng((seed, number))
+    for number, rng in draws(count, seed):
         area = areas[number % len(areas)]
         spoil = pick(rng, SPOILS[area])
         data = spoil(sound[area], rng)

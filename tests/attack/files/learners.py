@@ -13,7 +13,7 @@ import numpy as np
 import zstandard
 
 from tests.agents.danger.sights import a_segment, lectures, small_config
-from tests.attack.files.family import Family
+from tests.attack.files.family import Family, Twist
 from tests.attack.files.policies import CHANGES, bad_header, packed, unpacked
 from tests.attack.scenarios.twists import Rng, cleared, integer, json_text, pick, spoiled, twisted
 from wcsim.agents.danger.dataset import Dataset
@@ -110,7 +110,7 @@ def _other_npy(column: Any, data: bytes, rng: Rng, what: int) -> bytes:
 # --- checkpoints ---
 
 
-def _state_twist(data: dict[str, Any]) -> Callable[[Rng], tuple[bytes, str]]:
+def _state_twist(data: dict[str, Any]) -> Twist:
     def twist(rng: Rng) -> tuple[bytes, str]:
         changed, told = twisted(data, rng)
         text = json_text(changed)
@@ -130,7 +130,7 @@ def _sealed(text: str) -> bytes:
     return json.dumps({**data, "seal": seal}).encode()
 
 
-def _tensors_twist(data: bytes) -> Callable[[Rng], tuple[bytes, str]]:
+def _tensors_twist(data: bytes) -> Twist:
     def twist(rng: Rng) -> tuple[bytes, str]:
         tensors = unpacked(data)
         if integer(rng, 2):

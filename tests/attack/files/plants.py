@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from tests.attack.outcomes import Case
-from tests.attack.scenarios.twists import pick, toml_text, without_none
+from tests.attack.scenarios.twists import draws, pick, toml_text, without_none
 from tests.physics.rig import rig, step_street
 from wcsim.config import ChairConfig
 from wcsim.config.plant import PlantFile, known_plants, read_plant, with_values
@@ -27,8 +27,7 @@ def cases(count: int, seed: int, work: Path) -> Iterator[Case]:
     """Each bound of each plant alone, in turn, and then draws of many."""
     bounds = [(plant, key, value) for plant in known_plants() for key, both in _bounds(plant) for value in both]
     _drives("rwd", {}, work)  # machine code is made once
-    for number in range(count):
-        rng = np.random.default_rng([seed, number])
+    for number, rng in draws(count, seed):
         plant, key, value = bounds[(number // 2 * 7919) % len(bounds)]
         values = {key: value}
         if number % 2:

@@ -18,6 +18,7 @@ from tests.attack.scenarios.twists import (
     PLACES,
     Rng,
     cleared,
+    draws,
     integer,
     json_text,
     pick,
@@ -180,8 +181,7 @@ def bad_header(tensors: Tensors, rng: Rng) -> tuple[bytes, str]:
 def cases(count: int, seed: int, work: Path) -> Iterator[Case]:
     """So many hostile policies, one after the other, each in the same folder."""
     sounds = [sound_policy(work, network) for network in SOUND_NETWORKS]
-    for number in range(count):
-        rng = np.random.default_rng([seed, number])
+    for number, rng in draws(count, seed):
         sound = sounds[number % len(sounds)]
         tensors = unpacked(sound.weights)
         about, weights, told, lay = json_text(sound.about).encode(), sound.weights, "sound", None

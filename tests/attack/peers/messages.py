@@ -7,12 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
-import numpy as np
 
 from benchmarks.barrier.fake_world import FakeWorld
 from tests.attack.outcomes import Case
 from tests.attack.peers.wire import each_field, shapes, spoilt
-from tests.attack.scenarios.twists import Rng, integer, pick
+from tests.attack.scenarios.twists import Rng, draws, integer, pick
 from tests.server.protocol.desk import join_of
 from tests.support.worlds import quick_config
 from wcsim.server.host.opening import OpenedServer
@@ -34,8 +33,7 @@ def cases(count: int, seed: int, work: Path) -> Iterator[Case]:
     """Spoilt messages of every kind, read."""
     del work
     kinds = shapes()
-    for number in range(count):
-        rng = np.random.default_rng((seed, number))
+    for number, rng in draws(count, seed):
         shape = pick(rng, kinds)
         yield read_case(f"{shape.kind} {number}", shape.request, spoilt(shape, rng))
 
@@ -126,8 +124,7 @@ def siege_cases(count: int, seed: int, work: Path) -> Iterator[Case]:
     kinds = [shape for shape in shapes() if shape.request]
     siege = Besieged(work / f"siege-{seed}-{os.getpid()}")
     try:
-        for number in range(count):
-            rng = np.random.default_rng((seed, number))
+        for number, rng in draws(count, seed):
             data = hostile_request(kinds, rng, siege.core.epoch, siege.core.tick)
             yield Case(area="server", name=f"{seed} {number}: {data[:60]!r}", feed=lambda data=data: siege.attack(data))
     finally:

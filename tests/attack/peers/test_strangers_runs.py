@@ -21,6 +21,7 @@ from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.events import Rules
 from wcsim.server.specs import ClientSpec, RunInfo, SeatRequest
 from wcsim.server.transport.keys import make_keys
+from wcsim.towns.scenario.town import Town, streets_hash
 
 HEADER = Header(name="x", town="helsinki", town_sha256="0", config="{}", seed=1, seats=2, tick_s=0.1, fingerprint="f")
 
@@ -81,17 +82,15 @@ def test_a_run_in_use_keeps_its_steps(a_small_run: Path) -> None:
 
 
 @pytest.fixture
-def a_small_run(tmp_path: Path, corner: Path) -> Path:
+def a_small_run(tmp_path: Path, corner: Path, corner_town: Town) -> Path:
     """A run folder as `wcsim train` leaves it, but for its policies."""
     from wcsim.cli.shared.run_config import learning
     from wcsim.config import resolve
-    from wcsim.towns.scenario.town import find_town, streets_hash
 
     config = resolve("dqn", ("learn.total_steps=30", "learn.network=patch"))
     config = resolve(config, learning(config))
-    town = find_town(str(corner))
     words = ("wcsim", "train", "--town", str(corner))
-    info = RunInfo(seed=1, town=town.name, town_sha256=streets_hash(town), command=words)
+    info = RunInfo(seed=1, town=corner_town.name, town_sha256=streets_hash(corner_town), command=words)
     return create_run(tmp_path / "run", config, make_manifest(config, info)).path
 
 

@@ -4,7 +4,7 @@ import json
 import os
 import re
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from copy import deepcopy
 from pathlib import Path
 from typing import Any
@@ -35,6 +35,12 @@ NASTY: tuple[Any, ...] = (
     *(Raw('"\\ud800"'), Raw("'"), Raw('"'), Raw('"""'), Raw("0x7f"), Raw("1_000"), Raw("")),
     Raw("1979-05-27T07:32:00Z"),
 )
+
+
+def draws(count: int, seed: int) -> Iterator[tuple[int, Rng]]:
+    """So many numbers, each with a generator of its own."""
+    for number in range(count):
+        yield number, np.random.default_rng((seed, number))
 
 
 def integer(rng: Rng, below: int) -> int:

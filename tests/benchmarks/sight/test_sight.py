@@ -7,11 +7,10 @@ import pytest
 
 from benchmarks.__main__ import main
 from benchmarks.sight.items import ASKED, items_of
-from wcsim.towns.scenario.town import find_town
 
 
-def test_every_question_is_asked_of_a_street_the_same_way_each_time(corner):
-    items, again = (list(items_of(find_town(str(corner)), 1, 3)) for _ in range(2))
+def test_every_question_is_asked_of_a_street_the_same_way_each_time(corner_town):
+    items, again = (list(items_of(corner_town, 1, 3)) for _ in range(2))
     assert {"surface", "speed", "place"} <= {item.question for item in items} <= set(ASKED)
     assert all((a.picture == b.picture).all() and a.truth == b.truth for a, b in zip(items, again, strict=True))
     truths = {item.question: item.truth for item in items}

@@ -12,7 +12,6 @@ from tests.cli.conftest import start
 from tests.cli.training.test_clients import SMALL
 from wcsim.errors import InterruptedRunError
 from wcsim.server.launch.states import RestartRules
-from wcsim.towns.scenario.town import find_town
 
 NOTHING = dict.fromkeys(("lost", "doubled", "unrecovered", "orphans", "leaked_shm"), 0)
 SIX = "fig6,conv3d,patch,fig6,patch,convlstm"
@@ -35,12 +34,12 @@ def soaked(folder, corner, *words, timeout_s=280):
     return told["runs"]
 
 
-def test_a_learner_is_not_given_up_for_the_deaths_that_a_soak_causes(corner, tmp_path, monkeypatch):
+def test_a_learner_is_not_given_up_for_the_deaths_that_a_soak_causes(corner_town, tmp_path, monkeypatch):
     asked = []
     monkeypatch.setattr("wcsim.cli.training.clients.train_clients", lambda *given: asked.append(given[-1]))
     monkeypatch.setattr("benchmarks.soak.learners.soak_learners", lambda order, run, told, train: train(None))
     options = SoakOptions(networks="patch,fig6", kills=150, stops=140)
-    _soaked(options, find_town(str(corner)), tmp_path / "run-1", FaultOrder(kills=150, stops=140, lease_s=10.0))
+    _soaked(options, corner_town, tmp_path / "run-1", FaultOrder(kills=150, stops=140, lease_s=10.0))
     plain = RestartRules()
     assert asked == [replace(plain, deaths=290 + plain.deaths)]
     assert asked[0].wait_s(290) == plain.longest_s

@@ -21,7 +21,7 @@ from tests.support.worlds import follow, open_world, quick_config
 from wcsim.bridge.world import World
 from wcsim.config import resolve
 from wcsim.errors import ConfigError
-from wcsim.towns.scenario.town import find_town
+from wcsim.towns.scenario.town import Town, find_town
 from wcsim.types import SeatSpec
 from wcsim.users.profiles import profile_names
 from wcsim.users.recordings.recorded_user import find_user, read_recording
@@ -65,9 +65,9 @@ def off(rows: Mapping[str, Statistic], looser: float = 1.0) -> dict[str, tuple[f
     return found
 
 
-def test_users_in_a_street_show_their_parameters(corner: Path, tmp_path: Path):
+def test_users_in_a_street_show_their_parameters(corner_town: Town, tmp_path: Path):
     names = ("tremor", "switch")
-    driven = drive_routes(find_town(str(corner)), quick_config(), names, 1, 20.0, seed=3)
+    driven = drive_routes(corner_town, quick_config(), names, 1, 20.0, seed=3)
     logs = {name: routes[0].log for name, routes in driven.items()}
     rows = {name: statistics([log]) for name, log in logs.items()}
     assert {"reaction_s", "lag_s", "tremor_hz", "tremor"} <= set(rows["tremor"])
@@ -104,9 +104,9 @@ def test_a_recorded_joystick_drives_a_chair_as_it_did(corner: Path, tmp_path: Pa
 
 
 @pytest.mark.parametrize("name", ["drunk", "recorded:nowhere.csv"])
-def test_an_unknown_user_is_refused_before_the_first_tick(corner: Path, name: str):
+def test_an_unknown_user_is_refused_before_the_first_tick(corner_town: Town, name: str):
     with pytest.raises(ConfigError, match=r"competent|nowhere\.csv"):
-        World(find_town(str(corner)), quick_config(), (SeatSpec(profile=name),), 1, find_user=find_user)
+        World(corner_town, quick_config(), (SeatSpec(profile=name),), 1, find_user=find_user)
 
 
 # --- proofs ---

@@ -6,12 +6,12 @@ import pytest
 
 from tests.support.lit_road import CROSSING_LINKS, lit_road
 from tests.support.samples import USUAL_OUTLINE, strip_street
-from tests.support.worlds import follow, hashes, open_world
+from tests.support.worlds import follow, hashes, open_world, push
 from tests.users.test_crossing import ROUTE, lit
 from wcsim.bridge.ego.crossing_watch import CrossingButton
 from wcsim.bridge.reaction.commands import GreenRequest
 from wcsim.config import WorldConfig, resolve
-from wcsim.types import Command, Joystick, SeatSpec, SignalState, StartSpec
+from wcsim.types import SeatSpec, SignalState, StartSpec
 
 HALF_M = 0.5 * USUAL_OUTLINE.length_m
 AT_KERB_M = 11.5 - HALF_M - 0.3  # where a user waits for a crossing that begins at 11.5 m
@@ -104,8 +104,8 @@ def test_the_person_presses_whoever_drives_the_chair(road):
         with open_world(road, spec=spec(*start)) as world:
             free = False
             for _ in range(120):
-                at_rest = Command(seat=0, tick=world.snapshot.tick, joystick=Joystick(0.0, 0.0))
-                free |= world.tick((at_rest,)).signals[0].frees(CROSSING_LINKS)
+                push(world)
+                free |= world.snapshot.signals[0].frees(CROSSING_LINKS)
             assert free == presses, start
 
 

@@ -10,11 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.support.samples import strip_street
-from tests.support.worlds import open_world
+from tests.support.worlds import open_world, push
 from wcsim.bridge.ego.crossing_watch import SET_OUT_M, CrossingWatch, OnRoad
-from wcsim.towns.scenario.town import find_town
 from wcsim.towns.street import load_street
-from wcsim.types import ActorKind, ActorState, Command, Joystick, SeatSpec, SignalState, StartSpec, WayKind
+from wcsim.types import ActorKind, ActorState, Joystick, SeatSpec, SignalState, StartSpec, WayKind
 
 HALF_M = 0.5
 TICK_S = 0.1
@@ -169,9 +168,9 @@ def test_nobody_crosses_more_often_than_the_sides_change(places):
     assert sum(moment.crossed for moment in seen) <= sides
 
 
-def test_a_wheelchair_that_crosses_tells_it_once(corner):
+def test_a_wheelchair_that_crosses_tells_it_once(corner, corner_town):
     """In the world: a careless user drives over a crossing whatever its light shows."""
-    street = load_street(find_town(str(corner)))
+    street = load_street(corner_town)
     (edge, *_) = (e for e in street.walk.edges if e.kind is WayKind.CROSSING)
     (x0, y0), (x1, y1) = edge.points_W_m[0], edge.points_W_m[-1]
     length_m = math.dist((x0, y0), (x1, y1))
@@ -183,8 +182,7 @@ def test_a_wheelchair_that_crosses_tells_it_once(corner):
     with open_world(corner, "world.demand_scale=0", spec=spec) as world:
         seen = []
         while not (seen and (seen[-1].arrived or len(seen) > 400)):
-            command = Command(seat=0, tick=world.snapshot.tick, joystick=Joystick(0.0, 0.6))
-            seen.append(world.tick((command,)).clients[0].events)
+            seen.append(push(world, Joystick(0.0, 0.6)).events)
             at_m = float(np.dot(world.seats[0].as_actor().p_W_m[:2] - (x0, y0), (ux, uy)))
             assert seen[-1].on_carriageway == (0.0 < at_m < length_m) or min(abs(at_m), abs(at_m - length_m)) < 0.4
             if at_m > length_m + 1.0:

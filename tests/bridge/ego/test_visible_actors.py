@@ -8,20 +8,18 @@ import pytest
 
 from tests.physics.rig import shoot
 from tests.physics.sensors.test_camera import SMALL, plant
-from tests.support.samples import USUAL_OUTLINE, strip_street
+from tests.support.samples import ACTIONS, USUAL_OUTLINE, strip_street
 from tests.support.worlds import follow, open_world
 from tests.users.actors import USUAL_RIMS_M, USUAL_WHEELS_M, actor
 from wcsim.bridge.ego.ego import _ShownActors
 from wcsim.bridge.world import World
 from wcsim.config import ChairConfig, WorldConfig
 from wcsim.physics.sensors.camera import CameraRig
-from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.oracle import Oracle
 from wcsim.towns.scenario.town import find_town
 from wcsim.towns.street import load_street
 from wcsim.types import ActorKind, Command, Joystick, SeatSpec, StartSpec, Truth, WayKind
 
-ACTIONS = action_set("square81")
 FORWARD, BACKWARD = ACTIONS.nearest((0.0, 1.0)), ACTIONS.nearest((0.0, -1.0))
 AT_REST = Joystick(0.0, 0.0)
 
@@ -67,7 +65,7 @@ def said(place, others, history=()) -> tuple[np.ndarray, np.ndarray]:
     shown = _ShownActors(WorldConfig())
     with CameraRig(street.mesh, (SMALL,), seats=1) as rig:
         for tick, at, actors in (*history, (100, place, others)):
-            shoot(rig, 0, tick, at, actors, (), counted=True)
+            shoot(rig, at, actors, tick=tick, counted=True)
             shown.see(tick, rig.shown_px(0))
     full = oracle.assess(place, AT_REST, others, known=shown.known(others))
     assert full.visible is not None

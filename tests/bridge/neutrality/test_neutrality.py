@@ -49,8 +49,8 @@ def compare(town: Town, seconds: float, tmp_path: Path, look: bool = True) -> No
         path.unlink()  # ten minutes of a city are close to a gigabyte
 
 
-def test_a_street_corner_flows_as_in_plain_sumo(corner, tmp_path):
-    compare(find_town(str(corner)), 60.0, tmp_path)
+def test_a_street_corner_flows_as_in_plain_sumo(corner_town, tmp_path):
+    compare(corner_town, 60.0, tmp_path)
 
 
 def test_monaco_flows_as_in_plain_sumo(tmp_path):

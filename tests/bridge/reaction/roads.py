@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -15,6 +16,8 @@ from wcsim.bridge.reaction.swept_path import Brakes, LaneShape, OnLane
 from wcsim.types import ActorKind, ActorState
 
 LANE_M = 3.2
+# From the origin by a right angle, on a radius of 10 m.
+LEFT_TURN = [(10.0 * math.sin(a), 10.0 - 10.0 * math.cos(a)) for a in np.linspace(0.0, 0.5 * math.pi, 20)]
 
 actor = partial(actors.actor, speed=10.0, size=actors.CAR_LWH_M)
 

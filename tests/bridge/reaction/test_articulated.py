@@ -63,7 +63,7 @@ def test_a_tram_does_not_sweep_over_the_pavement_in_a_curve():
 
 @given(st.floats(0.05, 1.4), st.sampled_from([ActorKind.TRAM, ActorKind.BUS, ActorKind.TRUCK]), st.floats(18.0, 60.0))
 @example(1.0, ActorKind.BUS, 53.5)
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 def test_pieces_hang_together_and_the_first_has_sumo_s_front_and_id(step_m, kind, length_m):
     bends = Articulation()
     for way_m in np.arange(40.0, 40.0 + 80 * step_m, step_m):

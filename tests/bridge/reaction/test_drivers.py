@@ -2,12 +2,11 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.bridge.reaction.roads import LANE_M, StraightRoads, actor, chair, lane_shape, walker
+from tests.bridge.reaction.roads import LANE_M, LEFT_TURN, StraightRoads, actor, chair, lane_shape, walker
 from wcsim.bridge.reaction.attention import Attention, AttentionModel
 from wcsim.bridge.reaction.commands import LET_GO
 from wcsim.bridge.reaction.drivers import StreetReaction
@@ -47,7 +46,7 @@ def drive(vehicle, chairs, roads, seconds=30.0, reaction=None):
     return track
 
 
-@settings(deadline=None, max_examples=15)
+@settings(max_examples=15)
 @given(st.floats(0.5, 16.0), st.floats(45.0, 60.0), st.floats(-0.3, 0.3))
 def test_a_car_stops_short_of_a_chair_that_fills_its_lane(speed, x, y):
     track = drive(actor(speed=speed), (chair(x, y),), StraightRoads())
@@ -194,8 +193,7 @@ class Bend(StraightRoads):
     """A lane that turns left by a right angle on a radius of 10 m, from x = 0 on."""
 
     def lane(self, lane_id: str) -> LaneShape:
-        turn = [(10.0 * math.sin(a), 10.0 - 10.0 * math.cos(a)) for a in np.linspace(0.0, 0.5 * math.pi, 20)]
-        return lane_shape(lane_id, [(-100.0, 0.0), *turn, (10.0, 100.0)], "E")
+        return lane_shape(lane_id, [(-100.0, 0.0), *LEFT_TURN, (10.0, 100.0)], "E")
 
 
 def test_a_turning_car_stops_for_a_chair_round_the_corner_and_not_for_one_straight_on():

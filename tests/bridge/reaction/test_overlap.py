@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.bridge.reaction.roads import LEFT_TURN
 from tests.bridge.reaction.roads import lane_shape as lane
 from wcsim.bridge.reaction.conflict import ROOM_M, SweptOverlap, _first_touches
 from wcsim.bridge.reaction.pedestrians import _Block, _block_around, _block_around_disc, _ways_round
@@ -82,8 +83,7 @@ def test_who_has_room_keeps_a_gap_and_stays_in_its_lane(middle, width):
 
 
 def test_a_long_vehicle_cuts_the_corner_and_a_short_one_hardly():
-    turn = [(10.0 * math.sin(a), 10.0 - 10.0 * math.cos(a)) for a in np.linspace(0.0, 0.5 * math.pi, 20)]
-    way = lane("a_0", [(-50.0, 0.0), *turn, (10.0, 60.0)])
+    way = lane("a_0", [(-50.0, 0.0), *LEFT_TURN, (10.0, 60.0)])
     inward = []
     for length_m in (4.0, 12.0):
         tube = _lay_out([way], 45.0, length_m, np.array([45.0 - 50.0 - length_m, 0.0]), None)

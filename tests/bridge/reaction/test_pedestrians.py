@@ -64,7 +64,7 @@ def test_who_does_not_look_walks_on_as_if_there_was_no_chair():
     assert places[-1].p_W_m[0] > 18.0
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(
     st.lists(st.tuples(st.floats(0.0, 18.0), st.floats(4.4, 6.8), st.booleans()), min_size=1, max_size=5),
     st.floats(6.0, 12.0),

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.support.samples import write_recording
-from tests.support.worlds import open_world, quick_config
+from tests.support.worlds import open_world, push, quick_config
 from wcsim.bridge.replay.replayed import first_inputs, verify
 from wcsim.bridge.user_drives import (
     drawn_user,
@@ -23,24 +23,24 @@ from wcsim.errors import ConfigError, TownError
 from wcsim.log.drive import read_drive
 from wcsim.log.records import Admitted, DriveTick, Respawned, changed, tick_end_fields
 from wcsim.log.writer import LogWriter
-from wcsim.towns.scenario.town import content_hash, find_town
-from wcsim.types import Command, Joystick, SeatSpec
+from wcsim.towns.scenario.town import Town, content_hash, find_town
+from wcsim.types import Joystick, SeatSpec
 from wcsim.users.profiles import _read_profile, profile, profile_json, profile_names, profile_toml, sample
 from wcsim.users.recordings.recorded_user import find_user
 
 
 @pytest.fixture(scope="module")
-def driven(corner: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def driven(corner_town: Town, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("drives") / "a.drive"
     user = drawn_user(profile("tremor"), 5)
-    record_user(path, find_town(str(corner)), quick_config(), user, ticks=60, seed=2)
+    record_user(path, corner_town, quick_config(), user, ticks=60, seed=2)
     return path
 
 
-def test_a_drive_says_what_it_was_and_is_made_again_to_the_last_bit(corner, driven):
+def test_a_drive_says_what_it_was_and_is_made_again_to_the_last_bit(corner_town, driven):
     drive = read_drive(driven)
     assert (drive.about.profile, drive.about.policy, len(drive.ticks)) == ("tremor", "follow", 60)
-    assert drive.header.town_sha256 == content_hash(find_town(str(corner)))
+    assert drive.header.town_sha256 == content_hash(corner_town)
     (sat,) = (record for record in drive.records if isinstance(record, Admitted))
     assert find_user(sat.spec.profile) == drawn_user(profile("tremor"), 5)
     assert drive.knows_intents
@@ -89,15 +89,14 @@ def test_a_drive_is_replayed_as_a_user_in_its_own_town(corner, driven):
         for tick in drive.ticks:
             assert world.snapshot.clients[0].user == tick.stick
             assert world.snapshot.clients[0].truth.intent == tick.intent
-            world.tick((Command(seat=0, tick=world.snapshot.tick, joystick=tick.commanded),))
-            assert np.array_equal(world.snapshot.clients[0].plant.p_WB_m, tick.p_WB_m)
+            assert np.array_equal(push(world, tick.commanded).plant.p_WB_m, tick.p_WB_m)
     with pytest.raises(ConfigError, match=r"was driven in .*\(\w{12}\), this is helsinki \("):
         World(find_town("helsinki"), quick_config(), (SeatSpec(profile=f"recorded:{driven}"),), 1, find_user=find_user)
 
 
-def test_a_persons_drive_with_a_cut_episode_is_made_again(corner, tmp_path):
+def test_a_persons_drive_with_a_cut_episode_is_made_again(corner_town, tmp_path):
     """A person is whoever gives sticks: here a table of them, and an episode that is begun anew after tick 12."""
-    rng, config, town = np.random.default_rng(4), quick_config(), find_town(str(corner))
+    rng, config, town = np.random.default_rng(4), quick_config(), corner_town
     sticks = np.clip(np.c_[rng.normal(0.0, 0.2, 40), rng.uniform(0.3, 0.8, 40)], -0.7, 0.7)
     write_recording(tmp_path / "sticks.csv", 0.1 * np.arange(40), sticks)
     spec, path = SeatSpec(profile=f"recorded:{tmp_path / 'sticks.csv'}"), tmp_path / "a.drive"
@@ -135,11 +134,11 @@ def replace_header(drive, **changes):
     return replace(drive, header=changed(drive.header, **changes))
 
 
-def test_a_driver_of_the_model_beside_a_person_wants_what_the_person_wants(corner, tmp_path):
+def test_a_driver_of_the_model_beside_a_person_wants_what_the_person_wants(corner_town, tmp_path):
     """A user of the model, whose intents are known, stands for the person; both know the same street."""
     user = replace(drawn_user(profile("competent"), 3), noise=0.0)
     config = quick_config("world.demand_scale=0")
-    record_user(tmp_path / "a.drive", find_town(str(corner)), config, user, ticks=120, seed=4)
+    record_user(tmp_path / "a.drive", corner_town, config, user, ticks=120, seed=4)
     drive = read_drive(tmp_path / "a.drive")
     hidden = replace_ticks(drive, {tick.tick: changed(tick, intent=None) for tick in drive.ticks})
     seen = seen_drive(hidden)

@@ -14,7 +14,6 @@ from wcsim.log.reader import read_states
 from wcsim.log.records import Header, WorldState, changed
 from wcsim.log.writer import LogWriter
 from wcsim.physics.wheelchair.plant import plant_spec
-from wcsim.towns.scenario.town import find_town
 from wcsim.towns.sumo.tools import sumo_home
 from wcsim.towns.sumo.xml_io import read_root
 
@@ -22,10 +21,10 @@ XSD = "{http://www.w3.org/2001/XMLSchema}"
 
 
 @pytest.fixture(scope="module")
-def run(corner, tmp_path_factory) -> Path:
+def run(corner_town, tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("run")
     order = RecordOrder(seconds=8.0, seed=3, chairs=1, folder=folder, outputs=("fcd",))
-    record_town(find_town(str(corner)), quick_config(), order, lambda scenario: None)
+    record_town(corner_town, quick_config(), order, lambda scenario: None)
     convert_to_fcd(folder / TRACE, folder / "replay.xml")
     return folder
 
@@ -63,10 +62,10 @@ def test_the_wheelchair_is_in_it_front_first(run):
     assert np.allclose(ahead_m, 0.80 * np.array([math.sin(heading_rad), math.cos(heading_rad)]), atol=0.02)
 
 
-def test_another_wheelchair_has_the_front_of_its_own_plant(corner, tmp_path):
+def test_another_wheelchair_has_the_front_of_its_own_plant(corner_town, tmp_path):
     outline = plant_spec(ChairConfig(plant="mwd")).outline
     order = RecordOrder(seconds=0.2, seed=3, chairs=1, folder=tmp_path, outputs=())
-    record_town(find_town(str(corner)), quick_config("chair.plant='mwd'"), order, lambda scenario: None)
+    record_town(corner_town, quick_config("chair.plant='mwd'"), order, lambda scenario: None)
     convert_to_fcd(tmp_path / TRACE, tmp_path / "replay.xml")
     header, records = read_states(tmp_path / TRACE)
     element = steps(tmp_path / "replay.xml")[0.0]["wheelchair.0"]

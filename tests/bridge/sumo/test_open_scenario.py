@@ -12,14 +12,20 @@ from wcsim.bridge.sumo.session import SumoOptions, SumoSession, world_in_this_pr
 from wcsim.bridge.world import World
 from wcsim.errors import TownError
 from wcsim.towns.scenario.overrides import Settings
-from wcsim.towns.scenario.town import Town, find_town, open_town
+from wcsim.towns.scenario.town import Town, open_town
 
 SETTINGS = Settings(world=quick_config().world, seed=1)
 
 
 @pytest.fixture
-def sound(corner) -> Town:
-    return find_town(str(corner))
+def sound(corner_town) -> Town:
+    return corner_town
+
+
+@pytest.fixture
+def open_theirs(sound, tmp_path):
+    """Writes a stranger's scenario on the corner's streets into `theirs` and opens it; see `hostile.scenario`."""
+    return lambda *written: open_town(hostile.scenario(sound, tmp_path / "theirs", *written))
 
 
 @pytest.fixture
@@ -28,9 +34,9 @@ def own_cache(tmp_path, monkeypatch) -> Path:
     return tmp_path / "cache"
 
 
-def test_a_scenario_that_kills_sumo_is_refused_and_not_remembered(sound, tmp_path, own_cache):
+def test_a_scenario_that_kills_sumo_is_refused_and_not_remembered(open_theirs, own_cache):
     broken = '<flow id="f" begin="0" period="1"><route edges="nowhere"/></flow>'
-    town = open_town(hostile.scenario(sound, tmp_path / "theirs", "", "", broken))
+    town = open_theirs("", "", broken)
     said = r"a\.rou\.xml: SUMO cannot run this scenario.*nowhere"
     for _ in range(2):
         with ExitStack() as held, pytest.raises(TownError, match=said):
@@ -38,8 +44,8 @@ def test_a_scenario_that_kills_sumo_is_refused_and_not_remembered(sound, tmp_pat
     assert not list(own_cache.rglob("scenario-*"))
 
 
-def test_without_a_run_folder_nothing_is_left(sound, tmp_path):
-    town = open_town(hostile.scenario(sound, tmp_path / "theirs", "<summary value='s.xml'/>"))
+def test_without_a_run_folder_nothing_is_left(open_theirs, tmp_path):
+    town = open_theirs("<summary value='s.xml'/>")
     before = {path.name for path in (tmp_path / "theirs").iterdir()}
     with World(town, quick_config(), (), 1) as world:
         world.tick(())
@@ -49,8 +55,8 @@ def test_without_a_run_folder_nothing_is_left(sound, tmp_path):
     assert {path.name for path in (tmp_path / "theirs").iterdir()} == before
 
 
-def test_a_second_sitting_of_a_run_keeps_the_first_ones_outputs(sound, tmp_path):
-    town = open_town(hostile.scenario(sound, tmp_path / "theirs", "<summary value='s.xml'/>"))
+def test_a_second_sitting_of_a_run_keeps_the_first_ones_outputs(open_theirs, tmp_path):
+    town = open_theirs("<summary value='s.xml'/>")
     for _ in range(2):
         with World(town, quick_config(), (), 1, RunPlace(folder=tmp_path / "run")) as world:
             world.tick(())
@@ -58,10 +64,10 @@ def test_a_second_sitting_of_a_run_keeps_the_first_ones_outputs(sound, tmp_path)
     assert all((tmp_path / "run" / name / "s.xml").stat().st_size > 300 for name in ("sumo", "sumo-2"))
 
 
-def test_the_authors_end_does_not_end_the_run_and_his_begin_begins_it(sound, tmp_path):
+def test_the_authors_end_does_not_end_the_run_and_his_begin_begins_it(sound, open_theirs):
     edge = hostile.lane_of(sound).rpartition("_")[0]
     flow = f'<flow id="f" begin="100" number="4"><route edges="{edge}"/></flow>'
-    town = open_town(hostile.scenario(sound, tmp_path / "t", "<begin value='100'/><end value='0:01:48'/>", "", flow))
+    town = open_theirs("<begin value='100'/><end value='0:01:48'/>", "", flow)
     with ExitStack() as held:
         scenario = open_scenario(town, SETTINGS, RunPlace(), held)
         options = SumoOptions(sumocfg=scenario.sumocfg, origin_m=(0, 0), settings=SETTINGS)
@@ -76,10 +82,10 @@ def test_the_authors_end_does_not_end_the_run_and_his_begin_begins_it(sound, tmp
     assert not world_in_this_process()
 
 
-def test_the_authors_time_to_teleport_holds_unless_the_run_sets_it(sound, tmp_path):
+def test_the_authors_time_to_teleport_holds_unless_the_run_sets_it(open_theirs):
     import libsumo
 
-    town = open_town(hostile.scenario(sound, tmp_path / "t", "<time-to-teleport value='77'/><scale value='2'/>"))
+    town = open_theirs("<time-to-teleport value='77'/><scale value='2'/>")
     for overrides, wanted in (((), "77"), (("world.jam_teleport_s=12", "world.demand_scale=1.5"), "12.0")):
         with World(town, quick_config(*overrides), (), 1):
             assert libsumo.simulation.getOption("time-to-teleport") == wanted
@@ -100,7 +106,7 @@ def test_the_authors_time_to_teleport_holds_unless_the_run_sets_it(sound, tmp_pa
     ],
     ids=["no such model", "kills the next one", "additional", "routes"],
 )
-def test_the_file_that_is_wrong_is_named(sound, tmp_path, written, said):
-    town = open_town(hostile.scenario(sound, tmp_path / "theirs", *written))
+def test_the_file_that_is_wrong_is_named(open_theirs, written, said):
+    town = open_theirs(*written)
     with ExitStack() as held, pytest.raises(TownError, match=said):
         open_scenario(town, SETTINGS, RunPlace(), held)

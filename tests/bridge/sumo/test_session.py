@@ -110,10 +110,10 @@ def test_a_collision_is_counted_once_however_long_it_lasts(corner, monkeypatch):
         monkeypatch.undo()
 
 
-def test_people_who_jump_from_street_to_street_are_seen_where_they_land(corner, tmp_path):
+def test_people_who_jump_from_street_to_street_are_seen_where_they_land(corner, corner_town, tmp_path):
     walks = (f'<person id="w{k}" depart="{k}"><walk edges="WC C{"NES"[k % 3]}"/></person>' for k in range(40))
     (tmp_path / "a.rou.xml").write_text(f"<routes>{''.join(walks)}</routes>")
-    inputs = f"<n value='{find_town(str(corner)).net}'/><r value='a.rou.xml'/>"
+    inputs = f"<n value='{corner_town.net}'/><r value='a.rou.xml'/>"
     (tmp_path / "a.sumocfg").write_text(f"<c>{inputs}<pedestrian.model value='nonInteracting'/></c>")
     landing_m = np.array([[8.0, -5.0]])
     with SumoSession(options(corner, sumocfg=tmp_path / "a.sumocfg")) as sumo:

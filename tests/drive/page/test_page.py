@@ -38,11 +38,18 @@ def page(only_page: Any) -> Any:
     return only_page
 
 
-def open_page(context: Any, address: str) -> Any:
+def go_to_page(context: Any, address: str) -> Any:
+    """A new page, whose errors are kept."""
     new = context.new_page()
     new.errors = []
     new.on("pageerror", lambda error: new.errors.append(str(error)))
     new.goto(f"http://{address}/")
+    return new
+
+
+def open_page(context: Any, address: str) -> Any:
+    """A new page that shows pictures."""
+    new = go_to_page(context, address)
     new.wait_for_selector("body[data-pictures]")
     return new
 

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from tests.drive.page.stage import IN_CHROMIUM, axe_finds_nothing
-from tests.drive.page.test_page import wait
+from tests.drive.page.test_page import go_to_page, wait
 from tests.drive.recording.studies import write_study
 from tests.drive.serving.served import PATIENCE_S, served
 from tests.drive.serving.test_served_study import SHORT
@@ -22,11 +22,7 @@ def page(browser: Any, corner: Path, tmp_path: Path) -> Iterator[Any]:
     with served(None, *words) as (address, _):
         context = browser.new_context(viewport={"width": 1280, "height": 800})
         context.set_default_timeout(1000 * PATIENCE_S)
-        new = context.new_page()
-        new.errors = []
-        new.on("pageerror", lambda error: new.errors.append(str(error)))
-        new.goto(f"http://{address}/")
-        yield new
+        yield go_to_page(context, address)
         context.close()
 
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.physics.renderer.render_oracle import actor, crowd
@@ -186,7 +186,6 @@ def test_a_seat_s_wheelchair_has_the_size_of_its_model_and_its_axle_at_the_origi
 
 
 @given(yaw=ANGLE, pitch=st.floats(-1.5, 1.5), roll=ANGLE)
-@settings(deadline=None)  # the first call compiles
 def test_one_turn_in_three_spellings(yaw, pitch, roll):
     q = np.array(quaternion(yaw, pitch, roll))
     chair = ChairPose(seat=0, p_WB_m=np.array([3.0, -2.0, 0.5]), q_WB=q, outline=USUAL_OUTLINE)

@@ -46,10 +46,10 @@ def test_it_is_seen_in_depth_and_class_at_the_predicted_pixel(kind, classes, sla
             u = int(hole.focal_px * cx / cz + hole.width_px / 2)
             v = int(hole.focal_px * cy / cz + hole.height_px / 2)
             assert 0 <= u < hole.width_px and 0 <= v < hole.height_px, "the test must ask for a pixel of the picture"
-            frame = shoot(rig, 0, number, here, (one,), ())[0]
+            frame = shoot(rig, here, (one,), tick=number)[0]
             assert frame.class_id[v, u] in classes
             assert cz - slack_m <= frame.depth_m[v, u] <= cz + 0.1
-            empty = shoot(rig, 0, 100 + number, here, (), ())[0]
+            empty = shoot(rig, here, tick=100 + number)[0]
             assert empty.class_id[v, u] not in classes and empty.depth_m[v, u] > frame.depth_m[v, u] + 0.3
 
 

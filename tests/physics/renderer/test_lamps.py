@@ -108,9 +108,9 @@ def test_a_rig_shows_the_lights_of_now():
     with CameraRig(strip_street().mesh, (camera,), 1, near) as rig:
         seen = []
         for tick, letter in enumerate("rgO"):
-            frame = shoot(rig, 0, tick, plant, (), (), signals=state(letter))[0]
+            frame = shoot(rig, plant, tick=tick, signals=state(letter))[0]
             seen.append(lit(frame.rgb, frame.class_id)[0])
-        dark = shoot(rig, 0, 9, plant, (), ())[0]
+        dark = shoot(rig, plant, tick=9)[0]
     assert seen == [{"red"}, {"green"}, set()]
     assert (dark.class_id == ClassId.TRAFFIC_LIGHT).any() and lit(dark.rgb, dark.class_id)[0] == set()
 

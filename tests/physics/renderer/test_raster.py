@@ -62,7 +62,7 @@ def test_agrees_in_the_middle_of_a_crowd(store, raster):
     x=st.floats(-5, 75), y=st.floats(-8, 8), z=st.floats(0.3, 12), yaw=st.floats(-math.pi, math.pi),
     pitch=st.floats(-1.5, 0.5), focal=st.floats(30, 400), seed=st.integers(0, 3),
 )  # fmt: skip
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_culling_drops_nothing_that_is_visible(x, y, z, yaw, pitch, focal, seed):
     store = GeometryStore(strip_street().mesh)
     camera = replace(CAMERA, width_px=96, height_px=72, focal_px=focal)

@@ -106,7 +106,7 @@ def test_the_same_actor_has_as_many_in_pictures_of_all_sizes(size):
     shown = []
     for camera in cameras:
         with CameraRig(strip_street().mesh, (camera,), seats=1) as rig:
-            shoot(rig, 0, 0, plant(), person, (), counted=True)
+            shoot(rig, plant(), person, counted=True)
             shown.append(rig.shown_px(0)["pedestrian1"])
     assert shown[1] == pytest.approx(shown[0], rel=0.15)
 
@@ -127,13 +127,13 @@ def test_a_rig_counts_actors_and_other_chairs_in_all_its_cameras(store):
         for seat, x in ((0, 0.0), (1, 4.0))
     )
     with CameraRig(store, (SMALL, left), seats=2) as rig:
-        shoot(rig, 0, 0, plant(), (*pieces, beside, behind), chairs, counted=True)
+        shoot(rig, plant(), (*pieces, beside, behind), chairs, counted=True)
         both = rig.shown_px(0)
         assert set(both) == {"tram1", "car0", "w:1"}
-        shoot(rig, 0, 1, plant(), (*pieces, beside, behind), chairs)
+        shoot(rig, plant(), (*pieces, beside, behind), chairs, tick=1)
         assert rig.shown_px(0) == {}
     with CameraRig(store, (SMALL,), seats=2) as rig:
-        shoot(rig, 0, 0, plant(), (*pieces, beside, behind), chairs, counted=True)
+        shoot(rig, plant(), (*pieces, beside, behind), chairs, counted=True)
         assert set(rig.shown_px(0)) == {"tram1", "w:1"} and rig.shown_px(1) == {}
         assert rig.shown_px(0)["w:1"] == both["w:1"]
 
@@ -143,7 +143,7 @@ def test_a_camera_that_repeats_its_picture_shows_what_is_in_it(store):
     car = (actor(ActorKind.CAR, 6.0, 5.5, 0.12),)
     with CameraRig(store, (slow,), seats=1) as rig:
         for tick, actors in ((0, car), (1, ()), (2, ()), (3, ())):
-            shoot(rig, 0, tick, plant(), actors, (), counted=True)
+            shoot(rig, plant(), actors, tick=tick, counted=True)
             assert bool(rig.shown_px(0)) == (tick < 3)
 
 
@@ -151,8 +151,8 @@ def test_a_bus_behind_a_house_is_not_shown(store):
     """The house stands from x = 50 to 70 m and y = 9 to 19 m."""
     with CameraRig(store, (SMALL,), seats=1) as rig:
         bus, north = actor(ActorKind.BUS, 60.0, 23.0, 0.12), math.pi / 2
-        shoot(rig, 0, 0, plant(60.0, 0.0, 0.0, north), (bus,), (), counted=True)
+        shoot(rig, plant(60.0, 0.0, 0.0, north), (bus,), counted=True)
         assert rig.shown_px(0) == {}
         before = replace(bus, p_W_m=np.array([60.0, 6.0, 0.12]))
-        shoot(rig, 0, 1, plant(60.0, 0.0, 0.0, north), (before,), (), counted=True)
+        shoot(rig, plant(60.0, 0.0, 0.0, north), (before,), tick=1, counted=True)
         assert rig.shown_px(0)["bus0"] > 1000.0

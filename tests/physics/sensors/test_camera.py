@@ -81,9 +81,9 @@ def test_focal_length_gives_the_field_of_view():
 
 def test_the_camera_is_fixed_to_the_chair_in_pitch_and_roll(mesh):
     with CameraRig(mesh, (SMALL,), seats=1) as rig:
-        level = shoot(rig, 0, 0, plant(), (), ())[0].depth_m.copy()
-        nose_up = shoot(rig, 0, 1, plant(pitch=math.radians(10)), (), ())[0].depth_m.copy()
-        rolled = shoot(rig, 0, 2, plant(roll=math.radians(10)), (), ())[0].depth_m
+        level = shoot(rig, plant())[0].depth_m.copy()
+        nose_up = shoot(rig, plant(pitch=math.radians(10)), tick=1)[0].depth_m.copy()
+        rolled = shoot(rig, plant(roll=math.radians(10)), tick=2)[0].depth_m
         assert nose_up[59, 40] > level[59, 40]  # looks less steeply at the ground
         # Rolled to the right, the right half looks at nearer ground.
         assert rolled[59, 79] < level[59, 79] and rolled[59, 0] > level[59, 0]
@@ -92,21 +92,21 @@ def test_the_camera_is_fixed_to_the_chair_in_pitch_and_roll(mesh):
 def test_a_slower_camera_repeats_its_image_and_reset_wakes_it(mesh):
     slow = CameraConfig(name="slow", width_px=40, height_px=30, every_ticks=3)
     with CameraRig(mesh, (SMALL, slow), seats=1) as rig:
-        taken = [shoot(rig, 0, tick, plant(x=tick), (), ()) for tick in range(7)]
+        taken = [shoot(rig, plant(x=tick), tick=tick) for tick in range(7)]
         assert [frames[0].taken_tick for frames in taken] == list(range(7))
         assert [frames[1].taken_tick for frames in taken] == [0, 0, 0, 3, 3, 3, 6]
         assert taken[4][1] is taken[3][1]
         rig.reset(0)
-        assert shoot(rig, 0, 7, plant(), (), ())[1].taken_tick == 7
+        assert shoot(rig, plant(), tick=7)[1].taken_tick == 7
 
 
 def test_a_lost_picture_leaves_the_one_before_and_each_tick_has_its_chance(mesh):
     lossy = CameraConfig(name="lossy", width_px=40, height_px=30, lost_share=0.4)
     with CameraRig(mesh, (lossy,), seats=2) as rig:
         rig.begin(5)
-        taken = [[shoot(rig, s, tick, plant(x=tick), (), ())[0].taken_tick for tick in range(200)] for s in (0, 1)]
+        taken = [[shoot(rig, plant(x=tick), tick=tick, seat=s)[0].taken_tick for tick in range(200)] for s in (0, 1)]
         rig.begin(5)
-        again = [shoot(rig, 0, tick, plant(x=tick), (), ())[0].taken_tick for tick in range(200)]
+        again = [shoot(rig, plant(x=tick), tick=tick)[0].taken_tick for tick in range(200)]
     assert taken[0] == again != taken[1]
     assert taken[0][0] == 0 and all(a in (b, tick) for tick, (b, a) in enumerate(itertools.pairwise(taken[0]), 1))
     assert sum(at != tick for tick, at in enumerate(taken[0])) == pytest.approx(80, abs=25)
@@ -114,13 +114,13 @@ def test_a_lost_picture_leaves_the_one_before_and_each_tick_has_its_chance(mesh)
 
 def test_frames_outlive_two_more_shots_of_their_camera(mesh):
     with CameraRig(mesh, (SMALL,), seats=2) as rig:
-        first = shoot(rig, 0, 0, plant(), (), ())[0]
+        first = shoot(rig, plant())[0]
         kept = first.depth_m.copy()
-        shoot(rig, 0, 1, plant(x=50.0, yaw=0.5), (), ())
-        shoot(rig, 0, 2, plant(x=50.0, yaw=0.7), (), ())
-        shoot(rig, 1, 2, plant(x=50.0, yaw=1.0), (), ())
+        shoot(rig, plant(x=50.0, yaw=0.5), tick=1)
+        shoot(rig, plant(x=50.0, yaw=0.7), tick=2)
+        shoot(rig, plant(x=50.0, yaw=1.0), tick=2, seat=1)
         assert np.array_equal(first.depth_m, kept)
-        shoot(rig, 0, 3, plant(x=50.0, yaw=0.5), (), ())
+        shoot(rig, plant(x=50.0, yaw=0.5), tick=3)
         assert not np.array_equal(first.depth_m, kept)
 
 
@@ -128,21 +128,21 @@ def test_images_go_into_given_buffers_also_when_they_are_repeated(mesh):
     slow = CameraConfig(width_px=40, height_px=30, every_ticks=2, rgb=True)
     with CameraRig(mesh, (slow,), seats=1) as rig:
         a, b = new_images(40, 30, True), new_images(40, 30, True)
-        first = shoot(rig, 0, 0, plant(), (), (), (a,))[0]
-        again = shoot(rig, 0, 1, plant(), (), (), (b,))[0]
+        first = shoot(rig, plant(), buffers=(a,))[0]
+        again = shoot(rig, plant(), tick=1, buffers=(b,))[0]
         assert np.may_share_memory(first.depth_m, a.depth_m) and np.may_share_memory(again.depth_m, b.depth_m)
         assert again.taken_tick == 0
         for name in ("depth_m", "class_id", "rgb"):
             assert np.array_equal(getattr(a, name), getattr(b, name))
         assert np.may_share_memory(again.rgb, b.rgb)
         with pytest.raises(ConfigError, match="new_images"):
-            shoot(rig, 0, 2, plant(), (), (), (new_images(41, 30, True),))
+            shoot(rig, plant(), tick=2, buffers=(new_images(41, 30, True),))
 
 
 def test_colours_are_taken_only_when_asked_for(mesh):
     coloured = CameraConfig(name="colour", width_px=40, height_px=30, rgb=True)
     with CameraRig(mesh, (SMALL, coloured), seats=1) as rig:
-        plain, colour = shoot(rig, 0, 0, plant(), (), ())
+        plain, colour = shoot(rig, plant())
         assert plain.rgb is None
         assert colour.rgb is not None and colour.rgb.shape == (30, 40, 3) and colour.rgb.std() > 5
 
@@ -153,8 +153,8 @@ def test_a_chair_sees_the_others_but_not_itself(mesh):
         return ChairPose(seat=seat, p_WB_m=np.array([x, 5.5, 0.12]), q_WB=q_WB, outline=USUAL_OUTLINE)
 
     with CameraRig(mesh, (SMALL,), seats=2) as rig:
-        me = shoot(rig, 0, 0, plant(), (), [chair(0, 0.0)])[0].class_id.copy()
-        both = shoot(rig, 0, 1, plant(), (), [chair(0, 0.0), chair(1, 3.0)])[0].class_id
+        me = shoot(rig, plant(), (), [chair(0, 0.0)])[0].class_id.copy()
+        both = shoot(rig, plant(), (), [chair(0, 0.0), chair(1, 3.0)], tick=1)[0].class_id
         assert not np.isin(me, (ClassId.PERSON, ClassId.DYNAMIC)).any()
         assert (both == ClassId.PERSON).any() and (both == ClassId.DYNAMIC).any()
 
@@ -162,19 +162,19 @@ def test_a_chair_sees_the_others_but_not_itself(mesh):
 def test_new_actors_are_seen_at_once_and_a_changed_list_too(mesh):
     with CameraRig(mesh, (SMALL,), seats=1) as rig:
         cars = [actor(ActorKind.CAR, 6.0, 5.5, 0.12)]
-        assert (shoot(rig, 0, 0, plant(), tuple(cars), ())[0].class_id == ClassId.CAR).any()
-        assert not (shoot(rig, 0, 1, plant(), (), ())[0].class_id == ClassId.CAR).any()
+        assert (shoot(rig, plant(), tuple(cars))[0].class_id == ClassId.CAR).any()
+        assert not (shoot(rig, plant(), tick=1)[0].class_id == ClassId.CAR).any()
         moving = []
-        shoot(rig, 0, 2, plant(), moving, ())
+        shoot(rig, plant(), moving, tick=2)
         moving.append(cars[0])
-        assert (shoot(rig, 0, 3, plant(), moving, ())[0].class_id == ClassId.CAR).any()
+        assert (shoot(rig, plant(), moving, tick=3)[0].class_id == ClassId.CAR).any()
 
 
 def test_two_rigs_draw_the_same_bytes(mesh):
     cars = (actor(ActorKind.CAR, 6.0, 2.0, 0.0, 0.4), actor(ActorKind.PEDESTRIAN, 5.0, 5.0, 0.12, 2.0))
     camera = SMALL.model_copy(update={"rgb": True})
     with CameraRig(mesh, (camera,), seats=1) as one, CameraRig(mesh, (camera,), seats=1) as two:
-        a, b = shoot(one, 0, 0, plant(), cars, ())[0], shoot(two, 0, 0, plant(), cars, ())[0]
+        a, b = shoot(one, plant(), cars)[0], shoot(two, plant(), cars)[0]
         assert a.depth_m.tobytes() == b.depth_m.tobytes()
         assert a.class_id.tobytes() == b.class_id.tobytes() and a.rgb.tobytes() == b.rgb.tobytes()
 
@@ -182,7 +182,7 @@ def test_two_rigs_draw_the_same_bytes(mesh):
 def test_the_reference_back_end_is_one_word_in_the_configuration(mesh):
     tiny = SMALL.model_copy(update={"renderer": "pybullet", "name": "tiny"})
     with CameraRig(mesh, (SMALL, tiny), seats=1) as rig:
-        mine, other = shoot(rig, 0, 0, plant(), (actor(ActorKind.CAR, 6.0, 5.5, 0.12),), ())
+        mine, other = shoot(rig, plant(), (actor(ActorKind.CAR, 6.0, 5.5, 0.12),))
         assert (mine.class_id == other.class_id).mean() > 0.95  # sample points differ by half a pixel
 
 
@@ -286,4 +286,4 @@ def test_buffers_that_do_not_fit_are_refused_in_every_thread(mesh):
         wrong = (new_images(40, 30, False),)
         with pytest.raises(ConfigError, match="new_images"):
             rig.shoot_all({seat: replace(scene, buffers=wrong) for seat, scene in scenes(0).items()})
-        assert shoot(rig, 0, 1, plant(), (), ())[0].taken_tick == 1
+        assert shoot(rig, plant(), tick=1)[0].taken_tick == 1

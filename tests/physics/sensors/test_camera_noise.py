@@ -188,7 +188,7 @@ TYPICAL = CameraConfig(name="front", width_px=80, height_px=60, rgb=True, noise=
 def shots(rig: CameraRig, seat: int, ticks) -> list[bytes]:
     out = []
     for tick in ticks:
-        frame = shoot(rig, seat, tick, plant(), (), ())[0]
+        frame = shoot(rig, plant(), tick=tick, seat=seat)[0]
         out.append(frame.depth_m.tobytes() + frame.class_id.tobytes() + frame.rgb.tobytes())
     return out
 
@@ -213,7 +213,7 @@ def test_noise_is_that_of_seed_seat_camera_and_tick_alone(mesh):
         assert shots(rig, 0, range(4))[1] != seen[1]
         other.begin(5)  # another rig, with another camera beside it
         for tick in range(4):
-            frame, front = shoot(other, 0, tick, plant(), (), ())
+            frame, front = shoot(other, plant(), tick=tick)
             assert front.depth_m.tobytes() == seen[tick][: front.depth_m.nbytes]
             assert not np.array_equal(frame.depth_m, front.depth_m)
 

@@ -26,12 +26,20 @@ def test_each_piece_is_done_once(threads, pieces):
     assert not named()
 
 
-def test_two_pieces_are_at_work_at_once():
+def turns_of_two(run):
+    """Turns of two pieces of work that wait for each other, as `run` gives them to a pool."""
     both, turns = threading.Barrier(2, timeout=20.0), []
     pool = DrawingThreads(2)
-    pool.run([lambda: turns.append(both.wait())] * 2)
+    run(pool, lambda: turns.append(both.wait()))
     pool.close()
-    assert sorted(turns) == [0, 1]  # neither waited in vain: a broken barrier raises
+    return sorted(turns)
+
+
+def test_two_pieces_are_at_work_at_once():
+    assert turns_of_two(lambda pool, meet: pool.run([meet] * 2)) == [
+        0,
+        1,
+    ]  # neither waited in vain: a broken barrier raises
 
 
 @pytest.mark.parametrize("threads", [1, 2, 4])
@@ -80,8 +88,4 @@ def test_meanwhile_is_done_once_by_whoever_asks_and_its_error_waits_for_the_othe
 
 
 def test_others_draw_while_whoever_asks_does_something_else():
-    both, turns = threading.Barrier(2, timeout=20.0), []
-    pool = DrawingThreads(2)
-    pool.run([lambda: turns.append(both.wait()), lambda: None], lambda: turns.append(both.wait()))
-    pool.close()
-    assert sorted(turns) == [0, 1]
+    assert turns_of_two(lambda pool, meet: pool.run([meet, lambda: None], meet)) == [0, 1]

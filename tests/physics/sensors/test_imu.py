@@ -20,29 +20,26 @@ def imu(dt_s: float = 1 / 240, **config) -> Imu:
     return Imu(ImuConfig(**config), (0.0, 0.0, 0.5), dt_s)
 
 
-def test_at_rest_it_feels_one_g_upwards():
-    with rig() as r:
-        r.drive(NEUTRAL, 8)
-        frame = r.chair.imu()
+def test_at_rest_it_feels_one_g_upwards(on_flat):
+    on_flat.drive(NEUTRAL, 8)
+    frame = on_flat.chair.imu()
     assert frame.accel_mean_mps2 == pytest.approx([0.0, 0.0, 9.81], abs=0.01)
     assert frame.accel_peak_mps2 == pytest.approx([0.0, 0.0, 0.0], abs=0.01)
     assert frame.gyro_radps == pytest.approx([0.0, 0.0, 0.0], abs=1e-3)
 
 
-def test_right_after_it_was_placed_it_reads_like_one_at_rest():
-    with rig() as r:
-        frame = r.place(yaw=0.5).chair.imu()
+def test_right_after_it_was_placed_it_reads_like_one_at_rest(on_flat):
+    frame = on_flat.place(yaw=0.5).chair.imu()
     assert frame.accel_mean_mps2 == pytest.approx([0.0, 0.0, 9.81])
     assert (frame.roll_rad, frame.pitch_rad, frame.yaw_rad) == pytest.approx((0.0, 0.0, 0.5))
 
 
-def test_speeding_up_and_turning_have_the_right_signs():
-    with rig() as r:
-        r.drive(FORWARD, 5)
-        assert r.chair.imu().accel_mean_mps2[0] == pytest.approx(1.0, abs=0.1)
-        r.drive(FORWARD, 20)
-        r.drive(NEUTRAL, 6)
-        assert r.chair.imu().accel_mean_mps2[0] == pytest.approx(-1.5, abs=0.15)
+def test_speeding_up_and_turning_have_the_right_signs(on_flat):
+    on_flat.drive(FORWARD, 5)
+    assert on_flat.chair.imu().accel_mean_mps2[0] == pytest.approx(1.0, abs=0.1)
+    on_flat.drive(FORWARD, 20)
+    on_flat.drive(NEUTRAL, 6)
+    assert on_flat.chair.imu().accel_mean_mps2[0] == pytest.approx(-1.5, abs=0.15)
 
 
 def still(sensor, up):
@@ -63,15 +60,20 @@ def test_tilted_it_feels_gravity_along_its_axes():
     assert frame.accel_peak_mps2 == pytest.approx([0.0, 0.0, 0.0])
 
 
+def feel(sensor, v_W_mps, w_W_radps=STILL):
+    """One substep of a level chair that moves so."""
+    sensor.sample(BodyMotion(LEVEL, v_W_mps, w_W_radps))
+
+
 @pytest.mark.parametrize("hz", [120, 240, 480])
 def test_a_sudden_stop_gives_the_peak_of_two_low_passes_in_a_row(hz):
     sensor = imu(1 / hz)
-    sensor.sample(BodyMotion(LEVEL, (1.0, 0.0, 0.0), STILL))
+    feel(sensor, (1.0, 0.0, 0.0))
     for _ in range(hz):  # forget the start
-        sensor.sample(BodyMotion(LEVEL, (1.0, 0.0, 0.0), STILL))
+        feel(sensor, (1.0, 0.0, 0.0))
     sensor.end_tick(None)
     for _ in range(hz // 10):
-        sensor.sample(BodyMotion(LEVEL, STILL, STILL))
+        feel(sensor, STILL)
     peak = sensor.end_tick(None).accel_peak_mps2
     assert peak[0] == pytest.approx(2 * math.pi * 20.0 / math.e, rel=0.1)  # of the continuous filter, for 1 m/s
     assert peak[1:] == pytest.approx([0.0, 0.0])
@@ -79,16 +81,16 @@ def test_a_sudden_stop_gives_the_peak_of_two_low_passes_in_a_row(hz):
 
 def test_the_filter_goes_on_over_the_end_of_a_tick():
     sensor = imu()
-    sensor.sample(BodyMotion(LEVEL, (1.0, 0.0, 0.0), STILL))
+    feel(sensor, (1.0, 0.0, 0.0))
     sensor.end_tick(None)
-    sensor.sample(BodyMotion(LEVEL, (1.0, 0.0, 0.0), STILL))
+    feel(sensor, (1.0, 0.0, 0.0))
     assert sensor.end_tick(None).accel_peak_mps2[0] > 10.0
 
 
 def test_turning_moves_a_mount_off_the_centre():
     sensor = imu(p_BI_m=(0.5, 0.0, 0.5))
     spin = (0.0, 0.0, 2.0)
-    sensor.sample(BodyMotion(LEVEL, STILL, spin))
+    feel(sensor, STILL, spin)
     sensor.end_tick(None)
     quarter = matrix(quaternion(2.0 / 240))
     sensor.sample(BodyMotion(quarter, STILL, spin))
@@ -102,7 +104,7 @@ def test_noise_is_on_the_means_only_and_saturation_holds():
     frames = []
     for key in (11, 11, 12):
         sensor.reset(BodyMotion(LEVEL))
-        sensor.sample(BodyMotion(LEVEL, (0.01, 0.0, 0.0), STILL))
+        feel(sensor, (0.01, 0.0, 0.0))
         frames.append(sensor.end_tick(key))
         sensor.start(1)
     assert np.array_equal(frames[0].accel_peak_mps2, frames[2].accel_peak_mps2)
@@ -112,14 +114,14 @@ def test_noise_is_on_the_means_only_and_saturation_holds():
 
 def test_a_fast_turn_ends_at_the_range_of_the_gyroscope():
     sensor = imu(gyro_range_deg=250.0, noise=False)
-    sensor.sample(BodyMotion(LEVEL, STILL, (0.0, -9.0, 3.0)))
+    feel(sensor, STILL, (0.0, -9.0, 3.0))
     assert sensor.end_tick(None).gyro_radps == pytest.approx([0.0, -math.radians(250), 3.0])
 
 
 def test_the_low_pass_can_be_read_substep_by_substep():
     sensor = imu(noise=False)
     for k in range(24):
-        sensor.sample(BodyMotion(LEVEL, (0.0 if k < 12 else 1.0, 0.0, 0.0), STILL))
+        feel(sensor, (0.0 if k < 12 else 1.0, 0.0, 0.0))
     peak = sensor.end_tick(None).accel_peak_mps2
     assert sensor.lowpass_mps2.shape == (24, 3)
     assert np.abs(sensor.lowpass_mps2[:12]).max() == 0.0
@@ -128,11 +130,11 @@ def test_the_low_pass_can_be_read_substep_by_substep():
 
 def braking(sensor: Imu, ticks: int = 1):
     """One frame after ticks of braking at 1.5 m/s2 on level ground."""
-    sensor.sample(BodyMotion(LEVEL, (3.0, 0.0, 0.0), STILL))
+    feel(sensor, (3.0, 0.0, 0.0))
     sensor.end_tick(None)
     for tick in range(ticks):
         for k in range(1, 25):
-            sensor.sample(BodyMotion(LEVEL, (3.0 - 1.5 * (tick + k / 24) / 10, 0.0, 0.0), STILL))
+            feel(sensor, (3.0 - 1.5 * (tick + k / 24) / 10, 0.0, 0.0))
         frame = sensor.end_tick(None)
     return frame
 
@@ -162,7 +164,7 @@ def test_gravity_in_the_peak_does_not_ring_in_at_a_start():
 
 def test_numbers_that_are_not_finite_are_refused():
     sensor = imu()
-    sensor.sample(BodyMotion(LEVEL, (math.nan, 0.0, 0.0), STILL))
+    feel(sensor, (math.nan, 0.0, 0.0))
     with pytest.raises(PhysicsError, match="finite"):
         sensor.end_tick(None)
 

@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from tests.physics.rig import FORWARD, NEUTRAL, Rig, flat_street, mesh, rig
+from tests.physics.rig import FORWARD, NEUTRAL, Rig, flat_street, mesh
 from wcsim.config import ChairConfig, ImuConfig, OdometryConfig
 from wcsim.physics.engine import Engine
 from wcsim.physics.sensors.base import BodyMotion
@@ -111,9 +111,8 @@ def rigged(engine: Engine, street=None, **config) -> Rig:
 
 
 @pytest.mark.parametrize(("stick", "moving"), [(FORWARD, 0), (Joystick(0.8, 0.0), 1), (Joystick(0.4, 0.7), 0)])
-def test_a_wheel_that_rolls_tells_the_truth(stick, moving):
-    with Engine(1 / 240) as engine:
-        said, true = ridden(rigged(engine), stick, 60)
+def test_a_wheel_that_rolls_tells_the_truth(engine, stick, moving):
+    said, true = ridden(rigged(engine), stick, 60)
     (v_mps, w_radps), (says_v_mps, says_w_radps) = true[30:].mean(axis=0), said[30:].mean(axis=0)
     assert abs((v_mps, w_radps)[moving]) > 0.3
     assert says_w_radps == pytest.approx(w_radps, rel=0.02, abs=0.005)
@@ -121,9 +120,8 @@ def test_a_wheel_that_rolls_tells_the_truth(stick, moving):
     assert says_v_mps == pytest.approx(v_mps, rel=0.01, abs=0.01 + 0.05 * abs(w_radps))
 
 
-def test_wheels_turn_on_beyond_a_whole_turn():
-    with Engine(1 / 240) as engine:
-        said, true = ridden(rigged(engine), FORWARD, 150)
+def test_wheels_turn_on_beyond_a_whole_turn(engine):
+    said, true = ridden(rigged(engine), FORWARD, 150)
     assert said[:, 0].sum() * TICK_S / R_M > 4.0 * math.pi
     assert max(abs(b - a) for a, b in pairwise(said[60:, 0])) < 0.05 < true[-1, 0]
 
@@ -144,15 +142,13 @@ def test_a_wheel_that_slips_is_believed():
         assert (np.abs(said[10:, 0]) < 0.2 * np.abs(true[10:, 0])).all()
 
 
-def test_the_nominal_radius_is_the_configured_one_whatever_was_drawn():
+def test_the_nominal_radius_is_the_configured_one_whatever_was_drawn(engine):
     worn = varied(plant_spec(ChairConfig()), {"wheel.radius_m": 0.9 * plant_spec(ChairConfig()).wheel.radius_m})
-    with Engine(1 / 240) as engine:
-        r = rigged(engine)
-        r.chair.become(worn)
-        said, true = ridden(r.place(), FORWARD, 40)
+    r = rigged(engine)
+    r.chair.become(worn)
+    said, true = ridden(r.place(), FORWARD, 40)
     assert said[20:, 0].mean() == pytest.approx(true[20:, 0].mean() / 0.9, rel=0.02)
 
 
-def test_a_chair_without_odometry_has_none():
-    with rig() as r:
-        assert r.chair.sensors.names == ("imu",)
+def test_a_chair_without_odometry_has_none(on_flat):
+    assert on_flat.chair.sensors.names == ("imu",)

@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from tests.physics.rig import FORWARD, rig
+from tests.physics.rig import FORWARD
 from wcsim.config import ChairConfig, ImuConfig
 from wcsim.errors import ConfigError
-from wcsim.physics.engine import Engine
 from wcsim.physics.sensors import registry
 from wcsim.physics.sensors.base import BodyMotion, Mount, Sensor, Surroundings
 from wcsim.physics.sensors.imu import Imu
@@ -46,33 +45,31 @@ def scene(tick: int, chair: Wheelchair) -> Surroundings:
 
 
 @pytest.mark.parametrize("sees", [False, True])
-def test_a_further_sensor_is_fitted_sampled_and_read_by_its_name_alone(made, sees):
-    with rig() as r:
-        r.chair.remove()
-        r.chair = Wheelchair(r.engine, ChairConfig(), ImuConfig(), 0, {"steps": sees, "cameras": True})
-        r.place()
-        r.chair.sensors.start({"imu": 1, "steps": 5, "cameras": 3})
-        r.drive(FORWARD, 1)
-        r.chair.sensors.end_tick({"imu": 2, "steps": 4, "cameras": 6})
-        frame = r.chair.sensors.observe(scene(9, r.chair))
+def test_a_further_sensor_is_fitted_sampled_and_read_by_its_name_alone(made, on_flat, sees):
+    on_flat.chair.remove()
+    on_flat.chair = Wheelchair(on_flat.engine, ChairConfig(), ImuConfig(), 0, {"steps": sees, "cameras": True})
+    on_flat.place()
+    on_flat.chair.sensors.start({"imu": 1, "steps": 5, "cameras": 3})
+    on_flat.drive(FORWARD, 1)
+    on_flat.chair.sensors.end_tick({"imu": 2, "steps": 4, "cameras": 6})
+    frame = on_flat.chair.sensors.observe(scene(9, on_flat.chair))
     assert [reading.name for reading in frame.readings] == ["steps"]
     assert frame.readings[0].values.tolist() == ([9.0] if sees else [0.0, 4.0, 5.0])
-    assert frame.imu is r.chair.imu() and frame.tick == 9 and frame.cameras.tolist() == [9.0]
+    assert frame.imu is on_flat.chair.imu() and frame.tick == 9 and frame.cameras.tolist() == [9.0]
 
 
-def test_it_is_sampled_in_every_step_and_made_anew_for_another_section(made):
-    with rig() as r:
-        r.chair.remove()
-        r.chair = Wheelchair(r.engine, ChairConfig(), ImuConfig(), 0, {"steps": False})
-        r.place().drive(FORWARD, 1)
-        assert r.chair.sensors.felt("steps")[0] == 24
-        r.chair.become(r.chair.spec, {"steps": True})
-        r.place().drive(FORWARD, 1)
-        assert r.chair.sensors.felt("steps") is None
+def test_it_is_sampled_in_every_step_and_made_anew_for_another_section(made, on_flat):
+    on_flat.chair.remove()
+    on_flat.chair = Wheelchair(on_flat.engine, ChairConfig(), ImuConfig(), 0, {"steps": False})
+    on_flat.place().drive(FORWARD, 1)
+    assert on_flat.chair.sensors.felt("steps")[0] == 24
+    on_flat.chair.become(on_flat.chair.spec, {"steps": True})
+    on_flat.place().drive(FORWARD, 1)
+    assert on_flat.chair.sensors.felt("steps") is None
 
 
-def test_cameras_need_a_rig():
-    with Engine(1 / 240) as engine, pytest.raises(ConfigError, match="no rig"):
+def test_cameras_need_a_rig(engine):
+    with pytest.raises(ConfigError, match="no rig"):
         Wheelchair(engine, ChairConfig(), ImuConfig(), 0, {"cameras": ()})
 
 

@@ -37,20 +37,19 @@ def test_turning_on_about_the_vertical(yaw, rate):
     assert math.remainder(euler(matrix(q))[2] - yaw - 0.01 * rate, 2 * math.pi) == pytest.approx(0.0, abs=1e-6)
 
 
-def test_coasting_carries_on_as_before():
-    with rig() as r:
-        r.drive(FORWARD, 20)
-        chair, bullet = r.chair, r.engine.bullet
-        chair.before_step()
-        before: Motion = chair._before
-        bullet.resetBaseVelocity(chair.body_id, (0.0, 0.0, 9.0))
-        r.engine.step()
-        before.coast(chair.body_id, chair._body.joints, r.engine.step_s, bullet)
-        chair._read()
-        assert chair._v_W_mps == pytest.approx(before.v_W_mps)
-        assert np.subtract(chair._p_com_W_m, before.p_W_m) == pytest.approx(np.array(before.v_W_mps) / 240)
-        wheel = bullet.getJointState(chair.body_id, chair._body.joints[0])
-        assert wheel[1] == pytest.approx(before.joints[0][1])
+def test_coasting_carries_on_as_before(on_flat):
+    on_flat.drive(FORWARD, 20)
+    chair, bullet = on_flat.chair, on_flat.engine.bullet
+    chair.before_step()
+    before: Motion = chair._before
+    bullet.resetBaseVelocity(chair.body_id, (0.0, 0.0, 9.0))
+    on_flat.engine.step()
+    before.coast(chair.body_id, chair._body.joints, on_flat.engine.step_s, bullet)
+    chair._read()
+    assert chair._v_W_mps == pytest.approx(before.v_W_mps)
+    assert np.subtract(chair._p_com_W_m, before.p_W_m) == pytest.approx(np.array(before.v_W_mps) / 240)
+    wheel = bullet.getJointState(chair.body_id, chair._body.joints[0])
+    assert wheel[1] == pytest.approx(before.joints[0][1])
 
 
 def impossible(chair) -> tuple:
@@ -60,17 +59,16 @@ def impossible(chair) -> tuple:
     return (0, chair.body_id, 0, chair._body.links["wheel_l"], -1, place, place, (0.0, 0.0, 1.0), 0.0, 15_000.0)
 
 
-def test_an_impossible_contact_is_coasted_over_but_not_for_ever():
-    with rig() as r:
-        r.drive(FORWARD, 20)
-        chair, speed = r.chair, r.chair.state().v_B_mps[0]
-        for number in range(MOST_IN_A_ROW + 1):
-            chair.before_step()
-            r.engine.step()
-            chair._coast_over_ghosts([impossible(chair)], [])
-            chair._read()
-            assert chair.ghosts == min(number + 1, MOST_IN_A_ROW)
-        assert chair.state().v_B_mps[0] == pytest.approx(speed, abs=0.01)
+def test_an_impossible_contact_is_coasted_over_but_not_for_ever(on_flat):
+    on_flat.drive(FORWARD, 20)
+    chair, speed = on_flat.chair, on_flat.chair.state().v_B_mps[0]
+    for number in range(MOST_IN_A_ROW + 1):
+        chair.before_step()
+        on_flat.engine.step()
+        chair._coast_over_ghosts([impossible(chair)], [])
+        chair._read()
+        assert chair.ghosts == min(number + 1, MOST_IN_A_ROW)
+    assert chair.state().v_B_mps[0] == pytest.approx(speed, abs=0.01)
 
 
 def test_real_kerbs_are_no_ghosts():

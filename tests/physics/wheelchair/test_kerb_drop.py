@@ -8,13 +8,12 @@ import pytest
 
 from tests.physics.rig import FORWARD, mesh, rig, step_street
 from tests.support.samples import strip_street
-from tests.support.worlds import open_world
+from tests.support.worlds import open_world, push
 from wcsim.config import resolve
 from wcsim.physics.wheelchair.wheelchair import SAMPLE_S, fell
 from wcsim.supervisor.rewards import _crash_term
-from wcsim.towns.scenario.town import find_town
 from wcsim.towns.street import load_street
-from wcsim.types import ClassId, Command, Joystick, SeatSpec, StartSpec, StreetGrid, WayKind
+from wcsim.types import ClassId, Joystick, SeatSpec, StartSpec, StreetGrid, WayKind
 
 STREET = strip_street()
 BACK = Joystick(0.0, -1.0)
@@ -178,14 +177,13 @@ def kerb_of(street):
 
 
 @pytest.mark.parametrize("counts", [True, False])
-def test_in_the_world_a_fall_ends_the_episode_where_it_is_set(corner, counts):
-    (x, y), yaw_rad = kerb_of(load_street(find_town(str(corner))))
+def test_in_the_world_a_fall_ends_the_episode_where_it_is_set(corner, corner_town, counts):
+    (x, y), yaw_rad = kerb_of(load_street(corner_town))
     goal = (x - 20.0 * math.cos(yaw_rad), y - 20.0 * math.sin(yaw_rad))
     spec = SeatSpec(start=StartSpec(p_W_m=(x, y), yaw_rad=yaw_rad, goal_W_m=goal))
     with open_world(corner, f"reward.drop={str(counts).lower()}", "world.demand_scale=0", spec=spec) as world:
         for _ in range(80):
-            command = Command(seat=0, tick=world.snapshot.tick, joystick=Joystick(0.0, 0.5))
-            client = world.tick((command,)).clients[0]
+            client = push(world, Joystick(0.0, 0.5))
             if client.events.crashed:
                 break
         assert (client.events.crash_reason == "drop") == counts

@@ -194,15 +194,14 @@ def test_a_caster_has_an_arm_or_a_beam():
         _check_plant(MWD.model_copy(update={"casters": both}), "both")
 
 
-def test_the_casters_of_a_beam_stand_on_steps_of_different_height():
-    with rig() as r:
-        r.drive(NEUTRAL, 10)
-        beam = r.chair._body.joints[2]
-        for angle_rad in (0.08, -0.08):
-            r.engine.bullet.resetJointState(r.chair.body_id, beam, angle_rad, 0.0)
-            r.drive(NEUTRAL, 20)
-            turned = r.engine.bullet.getJointState(r.chair.body_id, beam)[0]
-            assert abs(turned) < 0.01  # level ground brings it back
+def test_the_casters_of_a_beam_stand_on_steps_of_different_height(on_flat):
+    on_flat.drive(NEUTRAL, 10)
+    beam = on_flat.chair._body.joints[2]
+    for angle_rad in (0.08, -0.08):
+        on_flat.engine.bullet.resetJointState(on_flat.chair.body_id, beam, angle_rad, 0.0)
+        on_flat.drive(NEUTRAL, 20)
+        turned = on_flat.engine.bullet.getJointState(on_flat.chair.body_id, beam)[0]
+        assert abs(turned) < 0.01  # level ground brings it back
 
 
 def test_a_sprung_caster_gives_way_and_comes_back():
@@ -279,47 +278,43 @@ def test_values_out_of_bounds_are_refused():
         varied(RWD, {"mass.com_x_m": 0.5})
 
 
-def test_a_chair_becomes_another_and_the_first_again():
+def test_a_chair_becomes_another_and_the_first_again(on_flat):
     heavy = varied(RWD, {"mass.user_kg": 140.0, "mass.com_z_m": 0.6, "wheel.friction": 0.4})
-    with rig() as r:
-        first, chair = r.place().drive(FORWARD, 15), r.chair
-        chair.become(heavy)
-        assert chair.parked and chair.spec is heavy
-        dynamics, _ = body_of(chair)
-        assert sum(item[0] for item in dynamics.values()) == pytest.approx(heavy.whole_kg)
-        assert dynamics["wheel_l"][1] == 0.4
-        other = r.place().drive(FORWARD, 15)
-        chair.become(RWD)
-        again = r.place().drive(FORWARD, 15)
+    first, chair = on_flat.place().drive(FORWARD, 15), on_flat.chair
+    chair.become(heavy)
+    assert chair.parked and chair.spec is heavy
+    dynamics, _ = body_of(chair)
+    assert sum(item[0] for item in dynamics.values()) == pytest.approx(heavy.whole_kg)
+    assert dynamics["wheel_l"][1] == 0.4
+    other = on_flat.place().drive(FORWARD, 15)
+    chair.become(RWD)
+    again = on_flat.place().drive(FORWARD, 15)
     assert np.array_equal(first.p_m, again.p_m)
     assert not np.array_equal(first.p_m, other.p_m)
 
 
-def test_the_engine_knows_the_body_of_today_only():
-    with rig() as r:
-        bodies = r.engine.bullet.getNumBodies()
-        other = Wheelchair(r.engine, ChairConfig(), ImuConfig(), seat=1)
-        r.chair.become(MWD)
-        assert r.engine.tag_of(r.chair.body_id).actor_id == "w:0"
-        assert r.engine.tag_of(other.body_id).actor_id == "w:1"
-        assert r.engine.bullet.getNumBodies() == bodies + 1
-        ride = r.place().drive(FORWARD, 40)
+def test_the_engine_knows_the_body_of_today_only(on_flat):
+    bodies = on_flat.engine.bullet.getNumBodies()
+    other = Wheelchair(on_flat.engine, ChairConfig(), ImuConfig(), seat=1)
+    on_flat.chair.become(MWD)
+    assert on_flat.engine.tag_of(on_flat.chair.body_id).actor_id == "w:0"
+    assert on_flat.engine.tag_of(other.body_id).actor_id == "w:1"
+    assert on_flat.engine.bullet.getNumBodies() == bodies + 1
+    ride = on_flat.place().drive(FORWARD, 40)
     assert ride.speed[-1] == pytest.approx(1.67, rel=0.01)
 
 
-def test_a_body_that_was_taken_out_is_unknown():
-    with rig() as r:
-        body = r.chair.body_id
-        r.engine.remove_body(body)
-        with pytest.raises(PhysicsError, match="unknown"):
-            r.engine.tag_of(body)
+def test_a_body_that_was_taken_out_is_unknown(on_flat):
+    body = on_flat.chair.body_id
+    on_flat.engine.remove_body(body)
+    with pytest.raises(PhysicsError, match="unknown"):
+        on_flat.engine.tag_of(body)
 
 
-def test_becoming_what_it_is_changes_nothing():
-    with rig() as r:
-        body = r.chair.body_id
-        r.chair.become(plant_spec(ChairConfig()))
-        assert r.chair.body_id == body and r.chair.parked
+def test_becoming_what_it_is_changes_nothing(on_flat):
+    body = on_flat.chair.body_id
+    on_flat.chair.become(plant_spec(ChairConfig()))
+    assert on_flat.chair.body_id == body and on_flat.chair.parked
 
 
 def test_frictions_motors_and_springs_change_without_a_new_body(monkeypatch):
@@ -373,13 +368,12 @@ def test_a_wet_wheel_slips():
 
 
 @pytest.mark.proof
-def test_a_thousand_episodes_as_others_keep_little_memory():
+def test_a_thousand_episodes_as_others_keep_little_memory(on_flat):
     specs: list[PlantSpec] = [varied(RWD, {"mass.user_kg": 60.0 + k}) for k in range(40)]
-    with rig() as r:
-        seen = []
-        for k in range(1000):
-            r.chair.become(specs[k % len(specs)])
-            if k % 100 == 99:
-                seen.append(psutil.Process().memory_info().rss)
+    seen = []
+    for k in range(1000):
+        on_flat.chair.become(specs[k % len(specs)])
+        if k % 100 == 99:
+            seen.append(psutil.Process().memory_info().rss)
     growth = [(late - early) / 100 for early, late in pairwise(seen)]
     assert math.fsum(growth[2:]) / len(growth[2:]) < 100e3  # bytes an episode

@@ -25,11 +25,17 @@ START_TICKS = 30  # after these a chair cruises
 EACH_PLANT = pytest.mark.parametrize("plant", known_plants())
 
 
+@pytest.fixture
+def each(plant):
+    """A chair of each plant on a flat street."""
+    with rig(plant=plant) as made:
+        yield made
+
+
 @EACH_PLANT
-def test_stands_within_5_mm_of_where_it_was_placed(plant):
-    with rig(plant=plant) as r:
-        ride = r.place(1.0, 2.0, yaw=0.7).drive(NEUTRAL, 10)
-        state = r.chair.state()
+def test_stands_within_5_mm_of_where_it_was_placed(each):
+    ride = each.place(1.0, 2.0, yaw=0.7).drive(NEUTRAL, 10)
+    state = each.chair.state()
     assert np.abs(state.p_WB_m - (1.0, 2.0, 0.0)).max() < 0.005
     assert abs(state.yaw_rad - 0.7) < 1e-3
     assert max(map(abs, (state.roll_rad, state.pitch_rad))) < 1e-3
@@ -46,9 +52,8 @@ def test_stands_on_a_pavement_and_after_a_long_wait_still_obeys():
 
 
 @EACH_PLANT
-def test_drives_straight_at_the_speed_asked_for(plant):
-    with rig(plant=plant) as r:
-        ride = r.place(-6.0).drive(FORWARD, 90)
+def test_drives_straight_at_the_speed_asked_for(each):
+    ride = each.place(-6.0).drive(FORWARD, 90)
     way = np.array(ride.p_m)
     assert way[-1][0] - way[0][0] > 10.0
     assert np.abs(way[:, 1]).max() < 0.05
@@ -58,42 +63,38 @@ def test_drives_straight_at_the_speed_asked_for(plant):
 
 @EACH_PLANT
 @pytest.mark.parametrize(("x", "y"), [(1.0, 0.0), (-1.0, 0.0), (0.6, 0.5)])
-def test_turns_at_the_rate_asked_for(x, y, plant):
-    with rig(plant=plant) as r:
-        ride = r.drive(Joystick(x, y), 50)
+def test_turns_at_the_rate_asked_for(each, x, y, plant):
+    ride = each.drive(Joystick(x, y), 50)
     stick = (math.hypot(x, y) - 0.08) / 0.92 / math.hypot(x, y)
     speed = 1.67 * y * stick
-    rate = -x * stick * yaw_rate_limit(speed, r.config.yaw_rate_max_radps, r.config.yaw_slowdown_s_per_m)
+    rate = -x * stick * yaw_rate_limit(speed, each.config.yaw_rate_max_radps, each.config.yaw_slowdown_s_per_m)
     assert np.mean(ride.yaw_rate[START_TICKS:]) == pytest.approx(rate, rel=0.03)
     assert np.mean(ride.speed[START_TICKS:]) == pytest.approx(speed, rel=0.03, abs=0.02)
 
 
-def test_its_drive_tells_what_it_asks_for():
-    with rig() as r:
-        r.place(-6.0)
-        assert r.chair.drive_accel_mps2() == 0.0
-        r.drive(FORWARD, 5)
-        assert r.chair.drive_accel_mps2() == pytest.approx(ChairConfig().accel_mps2, abs=0.01)
-        r.drive(FORWARD, 60)
-        assert abs(r.chair.drive_accel_mps2()) < 0.05
-        r.drive(NEUTRAL, 5)
-        assert r.chair.drive_accel_mps2() == pytest.approx(-ChairConfig().decel_mps2, abs=0.01)
-        assert r.place(0.0).chair.drive_accel_mps2() == 0.0
+def test_its_drive_tells_what_it_asks_for(on_flat):
+    on_flat.place(-6.0)
+    assert on_flat.chair.drive_accel_mps2() == 0.0
+    on_flat.drive(FORWARD, 5)
+    assert on_flat.chair.drive_accel_mps2() == pytest.approx(ChairConfig().accel_mps2, abs=0.01)
+    on_flat.drive(FORWARD, 60)
+    assert abs(on_flat.chair.drive_accel_mps2()) < 0.05
+    on_flat.drive(NEUTRAL, 5)
+    assert on_flat.chair.drive_accel_mps2() == pytest.approx(-ChairConfig().decel_mps2, abs=0.01)
+    assert on_flat.place(0.0).chair.drive_accel_mps2() == 0.0
 
 
-def test_reverses_straight_at_its_share_of_the_speed():
-    with rig() as r:
-        ride = r.drive(Joystick(0.0, -1.0), 90)
+def test_reverses_straight_at_its_share_of_the_speed(on_flat):
+    ride = on_flat.drive(Joystick(0.0, -1.0), 90)
     assert np.mean(ride.speed[60:]) == pytest.approx(-0.4 * 1.67, rel=0.03)
     assert abs(ride.end.yaw_rad) < 0.15  # the casters swing round on the way
 
 
 @EACH_PLANT
-def test_stops_in_the_distance_that_its_limits_give(plant):
-    with rig(plant=plant) as r:
-        start = r.place(-6.0).drive(FORWARD, 40).p_m[-1][0]
-        ride = r.drive(NEUTRAL, 30)
-    expected = stopping_distance_m(1.67, r.config.decel_mps2, r.config.jerk_mps3)
+def test_stops_in_the_distance_that_its_limits_give(each):
+    start = each.place(-6.0).drive(FORWARD, 40).p_m[-1][0]
+    ride = each.drive(NEUTRAL, 30)
+    expected = stopping_distance_m(1.67, each.config.decel_mps2, each.config.jerk_mps3)
     assert ride.p_m[-1][0] - start == pytest.approx(expected, rel=0.10)
     assert abs(ride.speed[-1]) < 1e-3
 
@@ -123,11 +124,16 @@ CLIMBS += [(name, rise, 0.5) for name, climbs in DECLARED.items() for rise in cl
 REFUSES = [(name, rise, run) for name, climbs in DECLARED.items() for rise in climbs.refused_m for run in (0.0, 0.5)]
 
 
-@pytest.mark.parametrize(("plant", "rise_m", "run_up_m"), CLIMBS)
-def test_climbs_the_kerbs_that_its_file_declares(plant, rise_m, run_up_m):
+def ride_at_kerb(plant, rise_m: float, run_up_m: float, ticks: int):
+    """A ride that begins so far before its first trailing caster meets a kerb."""
     with rig(step_street(rise_m), plant=plant) as r:
         start = 3.0 - reach_m(r.chair.spec, rise_m) - 0.002 - run_up_m
-        ride = r.place(start).drive(FORWARD, 45)
+        return r.place(start).drive(FORWARD, ticks)
+
+
+@pytest.mark.parametrize(("plant", "rise_m", "run_up_m"), CLIMBS)
+def test_climbs_the_kerbs_that_its_file_declares(plant, rise_m, run_up_m):
+    ride = ride_at_kerb(plant, rise_m, run_up_m, 45)
     assert ride.end.p_WB_m[0] > 3.8
     assert ride.end.p_WB_m[2] == pytest.approx(rise_m, abs=0.006)
     assert "building" not in ride.kinds()
@@ -135,9 +141,7 @@ def test_climbs_the_kerbs_that_its_file_declares(plant, rise_m, run_up_m):
 
 @pytest.mark.parametrize(("plant", "rise_m", "run_up_m"), REFUSES)
 def test_is_stopped_by_the_kerbs_that_its_file_declares(plant, rise_m, run_up_m):
-    with rig(step_street(rise_m), plant=plant) as r:
-        start = 3.0 - reach_m(r.chair.spec, rise_m) - 0.002 - run_up_m
-        ride = r.place(start).drive(FORWARD, 40)
+    ride = ride_at_kerb(plant, rise_m, run_up_m, 40)
     assert ride.end.p_WB_m[0] < 2.7
     assert abs(ride.end.p_WB_m[2]) < 0.02
     if run_up_m:
@@ -178,9 +182,8 @@ def test_flat_ground_rides_smoothly_however_it_is_cut_into_triangles(street):
 
 
 @EACH_PLANT
-def test_cruising_on_two_large_triangles_is_felt_by_no_axis(plant):
-    with rig(plant=plant) as r:
-        ride = r.place(-15.0).drive(FORWARD, 120)
+def test_cruising_on_two_large_triangles_is_felt_by_no_axis(each):
+    ride = each.place(-15.0).drive(FORWARD, 120)
     felt = np.array(ride.lowpass[START_TICKS * 24 :])
     assert np.sqrt((felt**2).mean(axis=0)).max() < 0.05
     assert np.abs(felt).max() < 1.0  # once, where it rolls over the line between them
@@ -198,18 +201,17 @@ def test_the_sample_street_rides_smoothly_down_a_lowered_kerb_and_up_again():
 
 
 @EACH_PLANT
-def test_a_parked_chair_stays_out_of_the_way_and_comes_back(plant):
-    with rig(plant=plant) as r:
-        r.drive(FORWARD, 5)
-        r.chair.park()
-        r.drive(FORWARD, 5)
-        for _ in range(240):
-            r.engine.step()
-        r.chair._read()
-        assert r.chair.parked and r.chair.state().p_WB_m[2] == pytest.approx(PARK_Z_M)  # it does not fall
-        r.place(2.0).drive(FORWARD, 10)
-        assert r.chair.state().p_WB_m[2] == pytest.approx(0.0, abs=0.005)
-        assert r.chair.state().v_B_mps[0] > 0.5
+def test_a_parked_chair_stays_out_of_the_way_and_comes_back(each):
+    each.drive(FORWARD, 5)
+    each.chair.park()
+    each.drive(FORWARD, 5)
+    for _ in range(240):
+        each.engine.step()
+    each.chair._read()
+    assert each.chair.parked and each.chair.state().p_WB_m[2] == pytest.approx(PARK_Z_M)  # it does not fall
+    each.place(2.0).drive(FORWARD, 10)
+    assert each.chair.state().p_WB_m[2] == pytest.approx(0.0, abs=0.005)
+    assert each.chair.state().v_B_mps[0] > 0.5
 
 
 def require_asked(engine: Engine, *chairs: Wheelchair) -> list[bool]:
@@ -225,25 +227,24 @@ def require_asked(engine: Engine, *chairs: Wheelchair) -> list[bool]:
     return more
 
 
-def test_two_chairs_collide():
-    with Engine(1 / 240) as engine:
-        engine.add_street(flat_street())
-        chairs = [Wheelchair(engine, ChairConfig(), ImuConfig(), seat) for seat in range(2)]
-        chairs[0].place(np.array([0.0, 0.0, 0.0]), 0.0)
-        chairs[1].place(np.array([4.0, 0.0, 0.0]), math.pi)
-        touched: list[set[tuple[str, str, str]]] = [set(), set()]
-        for _ in range(30):
-            chairs[0].command(FORWARD)
-            for _ in range(24):
-                for chair in chairs:
-                    chair.before_step()
-                engine.step()
-                require_asked(engine, *chairs)
-                for chair in chairs:
-                    chair.after_step()
-            for chair, found in zip(chairs, touched, strict=True):
-                chair.end_tick(None)
-                found |= {(contact.kind, contact.actor_id, contact.cause) for contact in chair.contacts()}
+def test_two_chairs_collide(engine):
+    engine.add_street(flat_street())
+    chairs = [Wheelchair(engine, ChairConfig(), ImuConfig(), seat) for seat in range(2)]
+    chairs[0].place(np.array([0.0, 0.0, 0.0]), 0.0)
+    chairs[1].place(np.array([4.0, 0.0, 0.0]), math.pi)
+    touched: list[set[tuple[str, str, str]]] = [set(), set()]
+    for _ in range(30):
+        chairs[0].command(FORWARD)
+        for _ in range(24):
+            for chair in chairs:
+                chair.before_step()
+            engine.step()
+            require_asked(engine, *chairs)
+            for chair in chairs:
+                chair.after_step()
+        for chair, found in zip(chairs, touched, strict=True):
+            chair.end_tick(None)
+            found |= {(contact.kind, contact.actor_id, contact.cause) for contact in chair.contacts()}
     assert touched[0] == {("wheelchair", "w:1", "own")}
     assert touched[1] == {("wheelchair", "w:0", "other")}
 
@@ -260,35 +261,33 @@ def test_only_who_has_more_than_feet_on_the_ground_is_asked_for_contacts():
 
 @pytest.mark.parametrize("start_m", [-3.5, -3.488, -3.476])  # where within a substep the car arrives
 @pytest.mark.parametrize("yaw", [0.0, 0.7, math.pi / 2, math.pi, 4.19, 4.71])
-def test_a_car_pushes_the_chair_and_does_not_sink_into_it(yaw, start_m):
+def test_a_car_pushes_the_chair_and_does_not_sink_into_it(on_flat, yaw, start_m):
     deepest = fastest = 0.0
-    with rig() as r:
-        pool = BodyPool(r.engine)
-        r.place(yaw=yaw)
-        for tick in range(8):
-            car = actor("car", 0.8 * tick + start_m, 0.0)
-            pool.place([BodyMove(actor=car, v_W_mps=np.array([8.0, 0.0, 0.0]), yaw_rate_radps=0.0)])
-            for _ in range(24):
-                r.step()
-                require_asked(r.engine, r.chair)
-                body, bullet = pool.body_of("car"), r.engine.bullet
-                points = bullet.getContactPoints(r.chair.body_id, body)
-                deepest = min([deepest, *[point[8] for point in points]])
-            r.chair.end_tick(None)
-            fastest = max(fastest, float(np.hypot(*r.chair.state().v_B_mps[:2])))
-            for contact in r.chair.contacts():
-                if contact.kind == "car":
-                    assert contact.cause == "other" and contact.actor_id == "car"
+    pool = BodyPool(on_flat.engine)
+    on_flat.place(yaw=yaw)
+    for tick in range(8):
+        car = actor("car", 0.8 * tick + start_m, 0.0)
+        pool.place([BodyMove(actor=car, v_W_mps=np.array([8.0, 0.0, 0.0]), yaw_rate_radps=0.0)])
+        for _ in range(24):
+            on_flat.step()
+            require_asked(on_flat.engine, on_flat.chair)
+            body, bullet = pool.body_of("car"), on_flat.engine.bullet
+            points = bullet.getContactPoints(on_flat.chair.body_id, body)
+            deepest = min([deepest, *[point[8] for point in points]])
+        on_flat.chair.end_tick(None)
+        fastest = max(fastest, float(np.hypot(*on_flat.chair.state().v_B_mps[:2])))
+        for contact in on_flat.chair.contacts():
+            if contact.kind == "car":
+                assert contact.cause == "other" and contact.actor_id == "car"
     assert -0.05 < deepest < 0.0  # the car moves 3.3 cm in a substep, a caster of the turning chair comes against it
     assert fastest > 6.0
 
 
-def test_who_drives_into_a_standing_person_is_the_cause():
-    with rig() as r:
-        pool = BodyPool(r.engine)
-        person = actor("p", 2.5, 0.0, kind=ActorKind.PEDESTRIAN, size=(0.25, 0.5, 1.75))
-        move = BodyMove(actor=person, v_W_mps=np.zeros(3), yaw_rate_radps=0.0)
-        ride = r.drive(FORWARD, 30, before_tick=lambda _: pool.place([move]))
+def test_who_drives_into_a_standing_person_is_the_cause(on_flat):
+    pool = BodyPool(on_flat.engine)
+    person = actor("p", 2.5, 0.0, kind=ActorKind.PEDESTRIAN, size=(0.25, 0.5, 1.75))
+    move = BodyMove(actor=person, v_W_mps=np.zeros(3), yaw_rate_radps=0.0)
+    ride = on_flat.drive(FORWARD, 30, before_tick=lambda _: pool.place([move]))
     assert {(c.kind, c.cause, c.actor_id) for c in ride.contacts} == {("pedestrian", "own", "p")}
 
 
@@ -324,11 +323,10 @@ def test_an_episode_does_not_depend_on_the_one_before():
     assert np.array_equal(positions(True), positions(False))
 
 
-def test_refuses_an_unknown_plant_and_numbers_that_are_not_finite():
-    with rig() as r:
-        with pytest.raises(PhysicsError, match="not finite"):
-            r.chair.place(np.array([0.0, math.nan, 0.0]), 0.0)
-        with pytest.raises(PhysicsError, match="joystick"):
-            r.chair.command(Joystick(math.inf, 0.0))
-        with pytest.raises(ConfigError, match="rwd"):
-            Wheelchair(r.engine, ChairConfig(plant="hover"), ImuConfig(), seat=1)
+def test_refuses_an_unknown_plant_and_numbers_that_are_not_finite(on_flat):
+    with pytest.raises(PhysicsError, match="not finite"):
+        on_flat.chair.place(np.array([0.0, math.nan, 0.0]), 0.0)
+    with pytest.raises(PhysicsError, match="joystick"):
+        on_flat.chair.command(Joystick(math.inf, 0.0))
+    with pytest.raises(ConfigError, match="rwd"):
+        Wheelchair(on_flat.engine, ChairConfig(plant="hover"), ImuConfig(), seat=1)

@@ -75,18 +75,25 @@ def launcher(
     return Launcher(plan, plans, folder, rules, show)
 
 
-def counted(folder, event):
+@pytest.fixture
+def launch(tmp_path):
+    """Runs a launcher of stubs to its end."""
+    return lambda *clients, **more: launcher(tmp_path, *clients, **more).run()
+
+
+@pytest.fixture
+def who_had(tmp_path):
     """Who had such an event, in their order."""
-    return [line["who"] for line in read_events(folder) if line["event"] == event]
+    return lambda event: [line["who"] for line in read_events(tmp_path) if line["event"] == event]
 
 
 def standings(outcome):
     return {client.name: client.standing for client in outcome.clients}
 
 
-def test_all_start_and_end_in_order(tmp_path):
+def test_all_start_and_end_in_order(launch, who_had, tmp_path):
     states = []
-    outcome = launcher(tmp_path, {"a": "steps=30", "b": "steps=60"}, show=states.append).run()
+    outcome = launch({"a": "steps=30", "b": "steps=60"}, show=states.append)
     assert (outcome.code, outcome.message, outcome.stopped) == (0, "", False)
     assert standings(outcome) == {"a": "done", "b": "done"}
     assert [client.status.step for client in outcome.clients] == [30, 60]
@@ -94,17 +101,17 @@ def test_all_start_and_end_in_order(tmp_path):
     assert [(e["event"], e["who"]) for e in read_events(tmp_path)[:3]] == [
         ("start", "world"), ("start", "a"), ("start", "b"),
     ]  # fmt: skip
-    assert counted(tmp_path, "done") == ["a", "b"]
+    assert who_had("done") == ["a", "b"]
     assert read_events(tmp_path)[-1]["event"] == "end"
     assert all(state.world is None or state.world.tick >= 0 for state in states)
     assert states[-1].stopping
     assert list((tmp_path / "place").iterdir()) == []
 
 
-def test_a_client_that_is_killed_goes_on_where_it_was(tmp_path):
-    outcome = launcher(tmp_path, {"a": "steps=60 die=20x1", "b": "steps=60"}).run()
+def test_a_client_that_is_killed_goes_on_where_it_was(launch, who_had, tmp_path):
+    outcome = launch({"a": "steps=60 die=20x1", "b": "steps=60"})
     assert outcome.code == 0
-    assert counted(tmp_path, "death") == counted(tmp_path, "restart") == counted(tmp_path, "recovery") == ["a"]
+    assert who_had("death") == who_had("restart") == who_had("recovery") == ["a"]
     death = next(e for e in read_events(tmp_path) if e["event"] == "death")
     assert "SIGKILL" in death["reason"]
     back = next(e for e in read_events(tmp_path) if e["event"] == "recovery")
@@ -113,103 +120,103 @@ def test_a_client_that_is_killed_goes_on_where_it_was(tmp_path):
     assert [(client.restarts, client.status.step) for client in outcome.clients] == [(1, 60), (0, 60)]
 
 
-def test_clients_that_lost_their_world_or_seat_are_started_again(tmp_path):
-    outcome = launcher(tmp_path, {f"exit{code}": f"steps=40 exit{code}=20x1" for code in (1, 3, 4, 5)}).run()
+def test_clients_that_lost_their_world_or_seat_are_started_again(launch, who_had):
+    outcome = launch({f"exit{code}": f"steps=40 exit{code}=20x1" for code in (1, 3, 4, 5)})
     assert outcome.code == 0
-    assert sorted(counted(tmp_path, "restart")) == ["exit1", "exit3", "exit4", "exit5"]
+    assert sorted(who_had("restart")) == ["exit1", "exit3", "exit4", "exit5"]
 
 
-def test_a_client_that_has_grown_is_replaced_at_once_and_has_not_died(tmp_path):
-    outcome = launcher(tmp_path, {"a": "steps=200 exit7=20x3"}).run()
+def test_a_client_that_has_grown_is_replaced_at_once_and_has_not_died(launch, who_had):
+    outcome = launch({"a": "steps=200 exit7=20x3"})
     assert (outcome.code, standings(outcome)) == (0, {"a": "done"})
-    assert counted(tmp_path, "replaced") == ["a"] * 3 and counted(tmp_path, "death") == []
-    assert counted(tmp_path, "restart") == ["a"] * 3 and outcome.clients[0].restarts == 0
+    assert who_had("replaced") == ["a"] * 3 and who_had("death") == []
+    assert who_had("restart") == ["a"] * 3 and outcome.clients[0].restarts == 0
 
 
-def test_a_client_that_dies_in_vain_is_given_up_and_the_others_go_on(tmp_path):
-    outcome = launcher(tmp_path, {"a": "steps=60 die=10 forgets", "b": "steps=200"}).run()
+def test_a_client_that_dies_in_vain_is_given_up_and_the_others_go_on(launch, who_had, tmp_path):
+    outcome = launch({"a": "steps=60 die=10 forgets", "b": "steps=200"})
     assert outcome.code == 1
     assert standings(outcome) == {"a": "given up", "b": "done"}
     assert "client a was dropped: it was killed by SIGKILL" in outcome.message
     assert str(tmp_path / "logs" / "a.log") in outcome.message
-    assert counted(tmp_path, "death") == ["a"] * 5
+    assert who_had("death") == ["a"] * 5
 
 
-def test_a_client_that_dies_often_but_comes_on_is_not_given_up(tmp_path):
+def test_a_client_that_dies_often_but_comes_on_is_not_given_up(launch, who_had):
     words = " ".join(f"die={step}x{life}" for life, step in enumerate(range(5, 35, 5), start=1))
-    outcome = launcher(tmp_path, {"a": f"steps=40 {words}"}).run()
+    outcome = launch({"a": f"steps=40 {words}"})
     assert outcome.code == 0
-    assert counted(tmp_path, "death") == ["a"] * 6
+    assert who_had("death") == ["a"] * 6
 
 
-def test_a_mistake_of_the_user_ends_the_run_with_its_message(tmp_path):
-    outcome = launcher(tmp_path, {"a": "steps=100000", "b": "exit2=3 patient"}).run()
+def test_a_mistake_of_the_user_ends_the_run_with_its_message(launch, who_had, tmp_path):
+    outcome = launch({"a": "steps=100000", "b": "exit2=3 patient"})
     assert (outcome.code, outcome.message) == (2, "a fault of kind 2")
     assert standings(outcome) == {"a": "stopped", "b": "given up"}
     assert (tmp_path / "a" / "saved").exists()
-    assert counted(tmp_path, "restart") == []
+    assert who_had("restart") == []
 
 
-def test_a_world_that_dies_is_started_again(tmp_path):
-    outcome = launcher(tmp_path, {"a": "steps=150"}, world="die=30x1").run()
+def test_a_world_that_dies_is_started_again(launch, who_had):
+    outcome = launch({"a": "steps=150"}, world="die=30x1")
     assert outcome.code == 0
-    assert counted(tmp_path, "death") == counted(tmp_path, "restart") == counted(tmp_path, "recovery") == ["world"]
+    assert who_had("death") == who_had("restart") == who_had("recovery") == ["world"]
 
 
-def test_a_world_whose_epoch_is_over_is_replaced_at_once_and_has_not_died(tmp_path):
+def test_a_world_whose_epoch_is_over_is_replaced_at_once_and_has_not_died(launch, who_had, tmp_path):
     states = []
-    outcome = launcher(tmp_path, {"a": "steps=200"}, world="exit5=20x3", show=states.append).run()
+    outcome = launch({"a": "steps=200"}, world="exit5=20x3", show=states.append)
     assert (outcome.code, standings(outcome)) == (0, {"a": "done"})
-    assert counted(tmp_path, "replaced") == ["world"] * 3 and counted(tmp_path, "death") == []
+    assert who_had("replaced") == ["world"] * 3 and who_had("death") == []
     assert next(line["reason"] for line in read_events(tmp_path) if line["event"] == "replaced") == "a fault of kind 5"
-    assert counted(tmp_path, "restart") == ["world"] * 3 and states[-1].world_restarts == 0
+    assert who_had("restart") == ["world"] * 3 and states[-1].world_restarts == 0
 
 
-def test_a_world_that_hangs_is_ended_and_started_again(tmp_path):
-    outcome = launcher(tmp_path, {"a": "steps=1500"}, world="hang=30x1").run()
+def test_a_world_that_hangs_is_ended_and_started_again(launch, who_had):
+    outcome = launch({"a": "steps=1500"}, world="hang=30x1")
     assert outcome.code == 0
-    assert counted(tmp_path, "hang") == counted(tmp_path, "restart") == ["world"]
+    assert who_had("hang") == who_had("restart") == ["world"]
 
 
-def test_a_world_that_a_signal_holds_is_ended_long_before_one_that_may_be_busy(tmp_path):
+def test_a_world_that_a_signal_holds_is_ended_long_before_one_that_may_be_busy(launch, who_had):
     rules = replace(QUICK, world_lease_s=600.0, held_s=0.2)
-    outcome = launcher(tmp_path, {"a": "steps=1500"}, world="held=30x1", rules=rules).run()
+    outcome = launch({"a": "steps=1500"}, world="held=30x1", rules=rules)
     assert outcome.code == 0
-    assert counted(tmp_path, "hang") == counted(tmp_path, "restart") == ["world"]
+    assert who_had("hang") == who_had("restart") == ["world"]
 
 
-def test_a_world_that_dies_at_the_same_tick_again_and_again_is_given_up(tmp_path):
-    outcome = launcher(tmp_path, {"a": "steps=100000"}, world="die=30").run()
+def test_a_world_that_dies_at_the_same_tick_again_and_again_is_given_up(launch, who_had):
+    outcome = launch({"a": "steps=100000"}, world="die=30")
     assert outcome.code == 1
     assert "died 5 times at tick" in outcome.message
-    assert counted(tmp_path, "death") == ["world"] * 5
+    assert who_had("death") == ["world"] * 5
     assert standings(outcome) == {"a": "stopped"}
 
 
 @pytest.mark.parametrize("words", ["exit2=40", "exit3=0"])
-def test_what_a_world_says_of_its_order_is_not_tried_again(tmp_path, words):
-    outcome = launcher(tmp_path, {"a": "steps=100000"}, world=words).run()
+def test_what_a_world_says_of_its_order_is_not_tried_again(launch, who_had, words):
+    outcome = launch({"a": "steps=100000"}, world=words)
     assert (outcome.code, outcome.message) == (2, f"a fault of kind {words[4]}")
-    assert counted(tmp_path, "restart") == []
+    assert who_had("restart") == []
 
 
-def test_a_client_that_lost_its_seat_and_hangs_is_ended(tmp_path):
+def test_a_client_that_lost_its_seat_and_hangs_is_ended(launch, who_had):
     rules = replace(QUICK, joining_s=8.0)  # at times it hears late that its seat is lost
-    outcome = launcher(tmp_path, {"a": "steps=30 hang=10x1"}, world="evict=9", rules=rules).run()
+    outcome = launch({"a": "steps=30 hang=10x1"}, world="evict=9", rules=rules)
     assert outcome.code == 0
-    assert counted(tmp_path, "hang") == counted(tmp_path, "restart") == ["a"]
+    assert who_had("hang") == who_had("restart") == ["a"]
 
 
-def test_a_client_that_never_takes_its_seat_is_ended(tmp_path):
+def test_a_client_that_never_takes_its_seat_is_ended(launch, who_had):
     rules = replace(QUICK, joining_s=0.5, client_lease_s=0.3)
-    outcome = launcher(tmp_path, {"a": "steps=100000"}, members=[], rules=rules).run()
+    outcome = launch({"a": "steps=100000"}, members=[], rules=rules)
     assert outcome.code == 1
-    assert set(counted(tmp_path, "hang")) == {"a"}
+    assert set(who_had("hang")) == {"a"}
 
 
-def test_a_client_that_does_not_end_when_asked_is_killed(tmp_path):
+def test_a_client_that_does_not_end_when_asked_is_killed(launch, tmp_path):
     rules = replace(QUICK, saving_s=2.0)
-    outcome = launcher(tmp_path, {"a": "steps=100000 hang=5 deaf", "b": "exit2=20 patient"}, rules=rules).run()
+    outcome = launch({"a": "steps=100000 hang=5 deaf", "b": "exit2=20 patient"}, rules=rules)
     assert outcome.code == 2
     assert standings(outcome)["a"] == "stopped"
     stopped = next(e for e in read_events(tmp_path) if e["event"] == "stopped")
@@ -217,31 +224,31 @@ def test_a_client_that_does_not_end_when_asked_is_killed(tmp_path):
     assert {client.name: client.unsaved for client in outcome.clients} == {"a": "was killed by SIGKILL", "b": ""}
 
 
-def test_a_client_without_room_is_given_up_and_the_others_go_on(tmp_path):
-    outcome = launcher(tmp_path, {"a": "exit6=5 steps=99", "b": "steps=80"}).run()
+def test_a_client_without_room_is_given_up_and_the_others_go_on(launch, who_had):
+    outcome = launch({"a": "exit6=5 steps=99", "b": "steps=80"})
     assert outcome.code == 1
     assert standings(outcome) == {"a": "given up", "b": "done"}
     assert "no disk space" in outcome.message and "a fault of kind 6" in outcome.message
-    assert counted(tmp_path, "restart") == []
+    assert who_had("restart") == []
 
 
-def test_a_world_without_room_has_failed_and_was_not_refused(tmp_path):
-    outcome = launcher(tmp_path, {"a": "steps=100000"}, world="exit4=40").run()
+def test_a_world_without_room_has_failed_and_was_not_refused(launch, who_had):
+    outcome = launch({"a": "steps=100000"}, world="exit4=40")
     assert (outcome.code, standings(outcome)) == (1, {"a": "stopped"})
     assert "wcsim resume" in outcome.message
-    assert counted(tmp_path, "restart") == []
+    assert who_had("restart") == []
 
 
-def test_a_client_that_a_world_which_does_not_tick_sends_away_is_given_up_and_the_run_ends(tmp_path):
+def test_a_client_that_a_world_which_does_not_tick_sends_away_is_given_up_and_the_run_ends(launch, who_had):
     """As one whose pictures do not fit; the world would wait for it, and the others with the world."""
-    outcome = launcher(tmp_path, {"a": "steps=99 exit4=1", "b": "steps=100000"}, world="idle").run()
+    outcome = launch({"a": "steps=99 exit4=1", "b": "steps=100000"}, world="idle")
     assert (outcome.code, standings(outcome)) == (1, {"a": "given up", "b": "stopped"})
-    deaths = counted(tmp_path, "death")
+    deaths = who_had("death")
     assert set(deaths) == {"a"}
     assert 5 <= len(deaths) < 5 + MOST_EXCUSED_DEATHS  # those before the world is there are forgiven
 
 
-def test_orders_are_there_again_when_somebody_removed_them(tmp_path):
+def test_orders_are_there_again_when_somebody_removed_them(who_had, tmp_path):
     def rob(state):
         if state.clients[0].status and state.clients[0].status.step > 5 and not (tmp_path / "robbed").exists():
             (tmp_path / "robbed").touch()
@@ -250,8 +257,8 @@ def test_orders_are_there_again_when_somebody_removed_them(tmp_path):
     it = launcher(tmp_path, {"a": "steps=300 die=30x1"}, show=rob, orders=True)
     outcome = it.run()
     assert outcome.code == 0, outcome.message
-    assert counted(tmp_path, "place lost") == ["world"]
-    assert counted(tmp_path, "restart").count("world") == 1
+    assert who_had("place lost") == ["world"]
+    assert who_had("restart").count("world") == 1
 
 
 # --- signals, in a process of its own ---
@@ -321,7 +328,7 @@ def test_a_second_signal_ends_everything_at_once(tmp_path):
     assert gone(pids, 0.0)
 
 
-def test_world_and_clients_go_on_while_their_launcher_stands_still(tmp_path):
+def test_world_and_clients_go_on_while_their_launcher_stands_still(who_had, tmp_path):
     child, pids = begun(tmp_path)
     child.send_signal(signal.SIGSTOP)
     wanted = 100 + json.loads((tmp_path / "pids").read_text())["steps"][0]
@@ -333,7 +340,7 @@ def test_world_and_clients_go_on_while_their_launcher_stands_still(tmp_path):
     child.send_signal(signal.SIGCONT)
     out, _ = child.communicate(timeout=120)
     assert out.split() == ["0", "True", "stopped"]
-    assert gone(pids, 0.0) and counted(tmp_path, "death") == []
+    assert gone(pids, 0.0) and who_had("death") == []
 
 
 @pytest.mark.parametrize("stands", [False, True])

@@ -5,6 +5,7 @@ All times are 0 after every event. Time passes by events of its own, in which th
 
 from collections.abc import Callable, Hashable
 from dataclasses import replace
+from typing import Any
 
 from tests.server.model.scope import Scope
 from wcsim.server.protocol import messages as m
@@ -99,10 +100,15 @@ class Servers:
             tuple(sorted(set(core.roster.retired))),
             tuple(sorted(set(core.roster.forgotten))),
         )
-        number = self._ids.setdefault(key, len(self.cores))
-        if number == len(self.cores):
-            self.cores.append(core)
-        return number
+        return _number_of(key, core, self._ids, self.cores)
+
+
+def _number_of(key: Hashable, core: Any, ids: dict[Hashable, int], cores: list[Any]) -> int:
+    """The number of a core with this key; one that is new is kept."""
+    number = ids.setdefault(key, len(cores))
+    if number == len(cores):
+        cores.append(core)
+    return number
 
 
 def _is_note(effect: Effect) -> bool:
@@ -154,7 +160,4 @@ class Clients:
         core._restart_reason = "yes" if core._restart_reason else ""
         place = (core.phase, core.session, core.seat, core.epoch, core.tick, core.life, core.master)
         key = (*place, core.pending, core._restart_reason, core._done_tick)
-        number = self._ids.setdefault(key, len(self.cores))
-        if number == len(self.cores):
-            self.cores.append(core)
-        return number
+        return _number_of(key, core, self._ids, self.cores)

@@ -40,10 +40,15 @@ def welcome(core: ClientCore, epoch: int = 0, tick: int = 0) -> m.Welcome:
     return m.Welcome(core.session, epoch, tick, 0, 0)
 
 
-def thinking(tick: int = 0) -> ClientCore:
+def welcomed(tick: int = 0) -> ClientCore:
     core = client()
     core.join(0.0)
     core.handle(welcome(core, tick=tick), 0.0)
+    return core
+
+
+def thinking(tick: int = 0) -> ClientCore:
+    core = welcomed(tick)
     core.handle(frame(tick), 0.0)
     assert core.phase is ClientPhase.THINK
     return core
@@ -100,9 +105,7 @@ def test_what_was_lost_is_asked_for_again(lost: tuple[str, ...]) -> None:
 
 
 def test_a_lost_first_frame_is_asked_for_by_joining_again_and_cuts_nothing() -> None:
-    core = client()
-    core.join(0.0)
-    core.handle(welcome(core), 0.0)
+    core = welcomed()
     (join,) = said(core.clock(3.0))
     assert isinstance(join, m.Join) and join.session == core.session
     core.handle(welcome(core), 3.0)
@@ -148,9 +151,7 @@ def test_world_restarted_by_somebody_else_but_not_by_oneself() -> None:
 
 
 def test_who_has_seen_no_frame_is_not_told_of_a_restart() -> None:
-    core = client()
-    core.join(0.0)
-    core.handle(welcome(core), 0.0)
+    core = welcomed()
     core.handle(m.Restarted(1, "with seed 3"), 1.0)
     assert core.handle(frame(0, epoch=1), 1.0) == [seen(0, epoch=1)]
 

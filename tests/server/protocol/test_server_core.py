@@ -311,9 +311,7 @@ def changed(world: Shadow, effect: Effect) -> Shadow:
 
 
 TestAnyRequests = AnyRequests.TestCase
-TestAnyRequests.settings = settings(
-    max_examples=60, stateful_step_count=40, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck)
-)
+TestAnyRequests.settings = settings(max_examples=60, stateful_step_count=40, suppress_health_check=list(HealthCheck))
 
 
 @pytest.mark.proof

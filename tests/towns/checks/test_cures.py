@@ -11,6 +11,7 @@ import pytest
 
 from tests.support.typed import printed, typed
 from tests.towns.checks.test_faults import FINE
+from tests.towns.conftest import run_in_sumo, tool_output
 from tests.towns.made.nets import hilly
 from tests.towns.made.strangers import made
 from tests.towns.made.unpaved import BEGIN_S, write_unpaved
@@ -23,7 +24,6 @@ from wcsim.towns.checks.cures import FASTEST_MPS, Cures
 from wcsim.towns.ground.relief import steepest_grade
 from wcsim.towns.scenario.town import Town, open_town
 from wcsim.towns.sumo.net import read_net
-from wcsim.towns.sumo.tools import run_tool
 
 _TYPES = '<vType id="slow" vClass="passenger" maxSpeed="9"/>'
 _LOST = """<vehicle id="lost" depart="50400"><route edges="elsewhere nowhere"/></vehicle>
@@ -70,8 +70,7 @@ def _with_an_island(net: Path) -> None:
     edges = '<edges><edge id="alone" from="p" to="q"/></edges>'
     for name, text in (("i.nod.xml", nodes), ("i.edg.xml", edges)):
         net.with_name(name).write_text(text, encoding="utf-8")
-    run = run_tool("netconvert", ["-s", net.name, "-n", "i.nod.xml", "-e", "i.edg.xml", "-o", net.name], net.parent)
-    assert run.returncode == 0, run.output
+    tool_output("netconvert", ["-s", net.name, "-n", "i.nod.xml", "-e", "i.edg.xml", "-o", net.name], net.parent)
 
 
 def test_trips_without_a_way_are_dropped_by_what_is_printed(theirs: Town, tmp_path: Path) -> None:
@@ -86,8 +85,7 @@ def test_trips_without_a_way_are_dropped_by_what_is_printed(theirs: Town, tmp_pa
     text = better.routes[0].read_text(encoding="utf-8")
     assert _unroutable_trips(better) == 0 and 'id="found"' in text and 'id="lost"' not in text
     assert 'busStop="stop"' in text and 'departLane="0"' in text
-    run = run_tool("sumo", ["-c", str(better.sumocfg), "--end", str(BEGIN_S + 60.0), "--no-step-log"], tmp_path)
-    assert run.returncode == 0 and "Error" not in run.output, run.output
+    run_in_sumo(better.sumocfg, BEGIN_S + 60.0, tmp_path)
 
 
 def test_a_demand_is_looked_at_from_its_own_begin(theirs: Town) -> None:

@@ -138,7 +138,7 @@ TYPES = st.sampled_from(
 
 
 @given(TAGS, TYPES, st.dictionaries(st.sampled_from(KEYS), VALUES, max_size=9))
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_odd_attributes_are_said_or_harmless(
     corner_net: Net, tmp_path: Path, tag: str, kind: str, attributes: dict[str, str]
 ) -> None:

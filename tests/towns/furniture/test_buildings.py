@@ -159,7 +159,7 @@ KINDS = st.sampled_from(["building.yes", "building.part", "building.courtyard", 
         st.tuples(KINDS, st.lists(POINT, min_size=4, max_size=7), st.sampled_from(["", "3", "-1", "x"])), max_size=5
     )
 )
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_odd_outlines_never_crash_and_never_overlap(drawn: list[tuple[str, list[tuple[int, int]], str]]) -> None:
     items = [item(kind, *points, filled=True, min_height=text) for kind, points, text in drawn]
     street = box(-30, -2, 30, 2)

@@ -2,7 +2,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.towns.conftest import bytes_in
+from tests.towns.conftest import WriteScenario, bytes_in
 from tests.towns.made import hostile
 from wcsim.errors import TownError
 from wcsim.towns.checks.check import check_town
@@ -10,8 +10,8 @@ from wcsim.towns.importing.adopt import adopt_scenario
 from wcsim.towns.scenario.town import Town, find_changes, find_town, net_middle, open_town, own_work
 
 
-def test_a_scenario_becomes_a_town_of_its_own(corner_town: Town, tmp_path: Path) -> None:
-    sumocfg = hostile.scenario(corner_town, tmp_path / "theirs", "<g value='look.xml'/>", '<include href="in/b.xml"/>')
+def test_a_scenario_becomes_a_town_of_its_own(write_theirs: WriteScenario, tmp_path: Path) -> None:
+    sumocfg = write_theirs("<g value='look.xml'/>", '<include href="in/b.xml"/>')
     (tmp_path / "theirs" / "in").mkdir()
     (tmp_path / "theirs" / "in" / "b.xml").write_text("<additional><edgeData id='e' file='../e.xml'/></additional>")
     (tmp_path / "theirs" / "look.xml").write_text("<viewsettings/>")
@@ -49,17 +49,17 @@ def test_chairs_drive_on_cycle_paths_of_a_scenario_where_they_may(corner_town: T
     ],
 )
 def test_settings_of_a_window_never_refuse_a_copy_and_are_no_way_for_private_files(
-    corner_town: Town, tmp_path: Path, theirs: str, copied: str
+    write_theirs: WriteScenario, tmp_path: Path, theirs: str, copied: str
 ) -> None:
-    sumocfg = hostile.scenario(corner_town, tmp_path / "theirs", "<gui-settings-file value='look.xml'/>")
+    sumocfg = write_theirs("<gui-settings-file value='look.xml'/>")
     (tmp_path / "theirs" / "look.xml").write_text(theirs)
     town = adopt_scenario(sumocfg, "mine", tmp_path / "mine")
     assert (town.folder / "look.xml").read_text() == copied
     assert find_changes(town.folder, town.file) == ()
 
 
-def test_an_edit_of_an_adopted_scenario_is_noted_and_no_fault(corner_town: Town, tmp_path: Path) -> None:
-    town = adopt_scenario(hostile.scenario(corner_town, tmp_path / "theirs"), "mine", tmp_path / "mine")
+def test_an_edit_of_an_adopted_scenario_is_noted_and_no_fault(write_theirs: WriteScenario, tmp_path: Path) -> None:
+    town = adopt_scenario(write_theirs(), "mine", tmp_path / "mine")
     assert own_work(town.folder) and find_changes(town.folder, town.file) == ()
     for name in ("a.net.xml", "a.rou.xml"):
         path = town.folder / name
@@ -88,17 +88,17 @@ def test_files_beside_the_scenarios_folder_keep_their_structure(corner_town: Tow
 
 
 def test_a_copy_may_go_beside_the_folder_one_is_in(
-    corner_town: Town, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    write_theirs: WriteScenario, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    hostile.scenario(corner_town, tmp_path / "theirs")
+    write_theirs()
     (tmp_path / "here").mkdir()
     monkeypatch.chdir(tmp_path / "here")
     adopt_scenario(Path("../theirs/a.sumocfg"), "mine", Path("../mine"))
     assert find_town(str(tmp_path / "mine")).name == "mine"
 
 
-def test_names_in_any_letters_are_noted(corner_town: Town, tmp_path: Path) -> None:
-    sumocfg = hostile.scenario(corner_town, tmp_path / "theirs")
+def test_names_in_any_letters_are_noted(write_theirs: WriteScenario, tmp_path: Path) -> None:
+    sumocfg = write_theirs()
     name = "\u00fc \U0001f600.rou.xml"
     (tmp_path / "theirs" / "a.rou.xml").rename(tmp_path / "theirs" / name)
     sumocfg.write_text(sumocfg.read_text(encoding="utf-8").replace("a.rou.xml", name), encoding="utf-8")
@@ -108,8 +108,10 @@ def test_names_in_any_letters_are_noted(corner_town: Town, tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("fault", ["absolute", "missing", "in the way", "name", "no such file"])
-def test_what_cannot_be_adopted_is_said_and_leaves_nothing(corner_town: Town, tmp_path: Path, fault: str) -> None:
-    sumocfg, out, name = hostile.scenario(corner_town, tmp_path / "theirs"), tmp_path / "mine", "mine"
+def test_what_cannot_be_adopted_is_said_and_leaves_nothing(
+    write_theirs: WriteScenario, tmp_path: Path, fault: str
+) -> None:
+    sumocfg, out, name = write_theirs(), tmp_path / "mine", "mine"
     if fault == "absolute":
         sumocfg.write_text(sumocfg.read_text().replace("a.rou.xml", str(tmp_path / "theirs" / "a.rou.xml")))
     if fault == "missing":

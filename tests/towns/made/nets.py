@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import shapely
 
+from tests.towns.conftest import tool_output
 from tests.towns.ground.rays import steepest
 from wcsim.towns.ground.kerb_heights import STEEPEST, make_kerbing
 from wcsim.towns.ground.mesh import LOW_CLASSES, _GroundMesh, build_ground, kerb_walls
 from wcsim.towns.ground.plane_geometry import cross_z
 from wcsim.towns.ground.surfaces import lane_area, make_surfaces
 from wcsim.towns.sumo.net import WALK_KINDS, Lane, LaneKind, Net, read_net
-from wcsim.towns.sumo.tools import run_tool
 from wcsim.types import F64
 from wcsim.types.street import FLAT, ClassId, Relief
 
@@ -52,8 +52,7 @@ def write_net(folder: Path, *parts: str) -> Net:
 
 def generated(folder: Path, *options: str) -> Net:
     """What netgenerate makes of its options."""
-    run = run_tool("netgenerate", [*options, "-o", "made.net.xml"], folder)
-    assert run.returncode == 0, run.output
+    tool_output("netgenerate", [*options, "-o", "made.net.xml"], folder)
     return read_net(folder / "made.net.xml")
 
 

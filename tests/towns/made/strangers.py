@@ -7,8 +7,9 @@ from pathlib import Path
 
 import sumolib
 
+from tests.towns.conftest import tool_output
 from tests.towns.made.unpaved import BEGIN_S, write_unpaved
-from wcsim.towns.sumo.tools import Limits, run_child, run_tool, sumo_home
+from wcsim.towns.sumo.tools import Limits, run_child, sumo_home
 
 PAVED = ("--sidewalks.guess", "--crossings.guess", "--walkingareas")
 _CONFIG = """<configuration>
@@ -48,8 +49,7 @@ def made(
 ) -> Path:
     """A net of netgenerate with the trips of randomTrips, and a stop, a loop and an area on every fifth street."""
     folder.mkdir(parents=True)
-    run = run_tool("netgenerate", [*options, "--default.speed", str(speed_mps), "-L", "2", "-o", "t.net.xml"], folder)
-    assert run.returncode == 0, run.output
+    tool_output("netgenerate", [*options, "--default.speed", str(speed_mps), "-L", "2", "-o", "t.net.xml"], folder)
     times = ["-b", str(begin_s), "-e", str(begin_s + 300.0), "--seed", "3", "--validate"]
     _trips(folder, "t.rou.xml", [*times, "-p", "2"])
     routes = ["t.rou.xml"]

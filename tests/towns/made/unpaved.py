@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from wcsim.towns.sumo.tools import run_tool
+from tests.towns.conftest import tool_output
 
 BEGIN_S = 50300.0
 _CONFIG = """<configuration>
@@ -50,8 +50,7 @@ def write_unpaved(folder: Path, *, lefthand: bool = False, signals: str = "stati
     options = ["--grid", "--grid.number", "3", "--grid.length", "120", "-j", "traffic_light", "-L", "2"]
     options += ["--default.speed", "13.8", "--no-turnarounds", "--default.junctions.radius", "0.5"]
     options += ["--tls.default-type", signals, "-o", "u.net.xml", *(["--lefthand"] * lefthand)]
-    run = run_tool("netgenerate", options, folder)
-    assert run.returncode == 0, run.output
+    tool_output("netgenerate", options, folder)
     phases = "".join(
         f'<phase duration="{seconds}" state="{"".join((letter if k % 2 == street else "r") * 4 for k in range(4))}"/>'
         for seconds, street, letter in _PHASES

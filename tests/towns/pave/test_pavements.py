@@ -9,7 +9,7 @@ import pytest
 import sumolib
 
 from tests.support.typed import printed
-from tests.towns.conftest import run_in_sumo
+from tests.towns.conftest import run_in_sumo, tool_output
 from tests.towns.made.unpaved import BEGIN_S, write_unpaved
 from wcsim.cli.shared.common import parse
 from wcsim.cli.town.import_ import PaveOptions
@@ -18,7 +18,6 @@ from wcsim.towns.pave.elements import _padded, _SignalLinks, _VehicleLink
 from wcsim.towns.pave.pavements import Paved, pave_town
 from wcsim.towns.scenario.town import Town, open_town
 from wcsim.towns.sumo.net import read_net
-from wcsim.towns.sumo.tools import run_tool
 
 OWN_PROGRAM = 'type="actuated" programID="mine" offset="17"'
 POSITIONS = ("pos", "startPos", "endPos")
@@ -144,8 +143,7 @@ def theirs(tmp_path: Path) -> Path:
 
 
 def test_a_net_without_lanes_within_junctions_gets_crossings_too(theirs: Path, tmp_path: Path) -> None:
-    run = run_tool("netconvert", ["-s", "u.net.xml", "--no-internal-links", "-o", "u.net.xml"], theirs.parent)
-    assert run.returncode == 0, run.output
+    tool_output("netconvert", ["-s", "u.net.xml", "--no-internal-links", "-o", "u.net.xml"], theirs.parent)
     told = pave_town(open_town(theirs), tmp_path / "ours")
     assert told.crossings > 0 and told.walkingareas > 0
     assert any("lanes inside junctions were added" in note for note in told.notes)
@@ -158,8 +156,7 @@ def test_a_net_of_any_number_of_paths_is_paved(theirs: Path, tmp_path: Path) -> 
     for name, kind, text in (("i.nod.xml", "nodes", nodes), ("i.edg.xml", "edges", edges)):
         theirs.with_name(name).write_text(f"<{kind}>{text}</{kind}>", encoding="utf-8")
     options = ["-s", "u.net.xml", "-n", "i.nod.xml", "-e", "i.edg.xml", "-o", "u.net.xml"]
-    run = run_tool("netconvert", options, theirs.parent)
-    assert run.returncode == 0, run.output
+    tool_output("netconvert", options, theirs.parent)
     told = pave_town(open_town(theirs), tmp_path / "ours")
     assert told.streets == 24
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from tests.support.worlds import quick_config
+from tests.towns.conftest import WriteScenario
 from tests.towns.made import hostile
 from tests.towns.scenario.test_stage import SETTINGS, staged_in
 from wcsim.bridge.sumo.run_place import RunPlace
@@ -29,8 +30,10 @@ HIDDEN = {
 
 @pytest.mark.parametrize("name", HIDDEN)
 @pytest.mark.parametrize("option", ["routes", "a", "weight-files", "load-state", "device.fcd-replay.files"])
-def test_no_file_that_hides_its_names_gets_to_sumo(corner_town: Town, tmp_path: Path, name: str, option: str) -> None:
-    sumocfg = hostile.scenario(corner_town, tmp_path / "theirs")
+def test_no_file_that_hides_its_names_gets_to_sumo(
+    write_theirs: WriteScenario, tmp_path: Path, name: str, option: str
+) -> None:
+    sumocfg = write_theirs()
     (tmp_path / "theirs" / "evil.xml").write_bytes(HIDDEN[name])
     text = sumocfg.read_text(encoding="utf-8")
     more = {"routes": "a.rou.xml", "a": "a.add.xml"}
@@ -58,9 +61,9 @@ UNASKED = """
 
 @pytest.mark.parametrize("names", [("one", "two", "three"), ("one", "a/b", "stdout")])
 def test_with_every_device_on_the_current_folder_stays_empty(
-    corner_town: Town, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, names: tuple[str, ...]
+    write_theirs: WriteScenario, lane: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, names: tuple[str, ...]
 ) -> None:
-    edge = hostile.lane_of(corner_town).rpartition("_")[0]
+    edge = lane.rpartition("_")[0]
     lane = f"{edge}_1"
     more = f"""<edgeData id="e" file="NULL" period="1"/><laneData id="l" file="null" period="1"/>
         <e1Detector id="d" lane="{lane}" pos="5" period="1" file="NULL"/>
@@ -73,7 +76,7 @@ def test_with_every_device_on_the_current_folder_stays_empty(
         '<param key="has.ssm.device" value="true"/></vehicle>'
         for k, name in enumerate(names)
     )
-    town = open_town(hostile.scenario(corner_town, tmp_path / "theirs", UNASKED, more, cars))
+    town = open_town(write_theirs(UNASKED, more, cars))
     theirs = sorted((tmp_path / "theirs").iterdir())
     (tmp_path / "empty").mkdir()
     monkeypatch.chdir(tmp_path / "empty")
@@ -87,7 +90,7 @@ def test_with_every_device_on_the_current_folder_stays_empty(
 
 
 @pytest.mark.parametrize("place", ["route", "include", "link", "gui", "weights", "list", "parent", "picture"])
-def test_nothing_of_the_user_is_taken_along(corner_town: Town, tmp_path: Path, place: str) -> None:
+def test_nothing_of_the_user_is_taken_along(write_theirs: WriteScenario, tmp_path: Path, place: str) -> None:
     private = tmp_path / "private"
     private.mkdir()
     for name in ("key.txt", "key.xml"):
@@ -102,7 +105,7 @@ def test_nothing_of_the_user_is_taken_along(corner_town: Town, tmp_path: Path, p
         "include": '<include href="../private/key.xml"/>',
         "picture": '<poi id="p" x="1" y="1" imgFile="../private/key.txt"/>',
     }
-    sumocfg = hostile.scenario(corner_town, theirs, options.get(place, ""), more.get(place, ""))
+    sumocfg = write_theirs(options.get(place, ""), more.get(place, ""))
     if place == "route":
         sumocfg.write_text(sumocfg.read_text().replace("a.rou.xml", "a.rou.xml,../private/key.txt"))
     if place == "parent":
@@ -128,10 +131,10 @@ def test_nothing_of_the_user_is_taken_along(corner_town: Town, tmp_path: Path, p
 
 
 def test_a_flag_trusts_a_scenario_and_an_import_that_fails_leaves_nothing(
-    corner_town: Town, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    write_theirs: WriteScenario, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    sumocfg = hostile.scenario(corner_town, tmp_path / "theirs")
+    sumocfg = write_theirs()
     (tmp_path / "parts").mkdir()
     (tmp_path / "theirs" / "a.rou.xml").rename(tmp_path / "parts" / "b.rou.xml")
     sumocfg.write_text(sumocfg.read_text().replace("a.rou.xml", "../parts/b.rou.xml"))
@@ -159,10 +162,10 @@ def test_a_flag_trusts_a_scenario_and_an_import_that_fails_leaves_nothing(
     ("name", "text"), [("notes.xml", "<html>x</html>"), ("notes.txt", "root:x:0"), ("e.txt", "a\nb")]
 )
 def test_what_is_none_of_sumos_files_does_not_go_with_a_copy(
-    corner_town: Town, tmp_path: Path, name: str, text: str
+    write_theirs: WriteScenario, tmp_path: Path, name: str, text: str
 ) -> None:
     option = "fcd-output.filter-edges.input-file" if name == "e.txt" else "weight-files"
-    sumocfg = hostile.scenario(corner_town, tmp_path / "theirs", f"<{option} value='{name}'/>")
+    sumocfg = write_theirs(f"<{option} value='{name}'/>")
     (tmp_path / "theirs" / name).write_text(text, encoding="utf-8")
     with pytest.raises(TownError, match=rf"{name}.*(well-formed|which is no SUMO file|not a list of edges)"):
         adopt_scenario(sumocfg, "mine", tmp_path / "mine")
@@ -181,8 +184,8 @@ def test_the_scenario_that_town_toml_names_lies_in_the_towns_folder(corner_town:
             find_town(str(mine))
 
 
-def test_a_file_that_is_none_cannot_hold_a_scenario_up(corner_town: Town, tmp_path: Path) -> None:
-    sumocfg = hostile.scenario(corner_town, tmp_path / "theirs")
+def test_a_file_that_is_none_cannot_hold_a_scenario_up(write_theirs: WriteScenario, tmp_path: Path) -> None:
+    sumocfg = write_theirs()
     (tmp_path / "theirs" / "a.rou.xml").unlink()
     os.mkfifo(tmp_path / "theirs" / "a.rou.xml")
     with pytest.raises(TownError, match=r"a\.rou\.xml"):
@@ -192,8 +195,8 @@ def test_a_file_that_is_none_cannot_hold_a_scenario_up(corner_town: Town, tmp_pa
 @pytest.mark.parametrize(
     "net", ['projParameter="+proj=utm +zone=32 +nadgrids=/etc/hostname"', 'projParameter="+init=/etc/passwd:x"']
 )
-def test_a_projection_names_no_file(corner_town: Town, tmp_path: Path, net: str) -> None:
-    sumocfg = hostile.scenario(corner_town, tmp_path / "theirs")
+def test_a_projection_names_no_file(write_theirs: WriteScenario, tmp_path: Path, net: str) -> None:
+    sumocfg = write_theirs()
     path = tmp_path / "theirs" / "a.net.xml"
     text = path.read_text(encoding="utf-8")
     assert 'projParameter="!"' in text

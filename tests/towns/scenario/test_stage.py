@@ -3,7 +3,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.towns.conftest import bytes_in
+from tests.towns.conftest import WriteScenario, bytes_in
 from tests.towns.made import hostile
 from wcsim.config import WorldConfig
 from wcsim.errors import ConfigError, TownError
@@ -36,7 +36,7 @@ def assert_nothing_escapes(sumocfg: Path, escape: Path, tmp_path: Path) -> Scena
     return staged
 
 
-def test_no_option_of_sumo_can_write_outside_the_folder(corner_town: Town, tmp_path: Path) -> None:
+def test_no_option_of_sumo_can_write_outside_the_folder(write_theirs: WriteScenario, tmp_path: Path) -> None:
     escape = tmp_path / "escape"
     escape.mkdir()
     writers = [
@@ -49,7 +49,7 @@ def test_no_option_of_sumo_can_write_outside_the_folder(corner_town: Town, tmp_p
     options = "".join(f'<{name} value="{value}"/>' for name, value in names.items())
     options += f'<save-state.times value="5"/><output-prefix value="{escape}/TIME_"/><remote-port value="9999"/>'
     options += f'<C value="{escape}/saved.xml"/><device.ssm.probability value="1"/><summary-output.period value="5"/>'
-    sumocfg = hostile.scenario(corner_town, tmp_path / "theirs", options)
+    sumocfg = write_theirs(options)
     staged = assert_nothing_escapes(sumocfg, escape, tmp_path)
     made = bytes_in(tmp_path / "run")
     assert {"stop-output.xml", "a.sumocfg"} <= set(made)
@@ -58,15 +58,15 @@ def test_no_option_of_sumo_can_write_outside_the_folder(corner_town: Town, tmp_p
     assert kept["remote-port"].wcsim == kept["output-prefix"].wcsim == "(left out)"
 
 
-def test_no_element_can_write_outside_the_folder(corner_town: Town, tmp_path: Path) -> None:
-    escape, lane = tmp_path / "escape", hostile.lane_of(corner_town)
+def test_no_element_can_write_outside_the_folder(write_theirs: WriteScenario, lane: str, tmp_path: Path) -> None:
+    escape = tmp_path / "escape"
     escape.mkdir()
     edge = lane.rpartition("_")[0]
     cars = (
         f'<vehicle id="one" type="watched" depart="0"><route edges="{edge}"/>'
         f'<param key="device.ssm.file" value="{escape}/own&#46;xml"/></vehicle>'
     )
-    sumocfg = hostile.scenario(corner_town, tmp_path / "theirs", "", '<include href="more.xml"/>', cars)
+    sumocfg = write_theirs("", '<include href="more.xml"/>', cars)
     more = f"<additional>{hostile.hostile_additional(lane, '../escape')}</additional>"
     (tmp_path / "theirs" / "more.xml").write_text(more, encoding="utf-8")
     assert_nothing_escapes(sumocfg, escape, tmp_path)
@@ -77,34 +77,34 @@ def test_no_element_can_write_outside_the_folder(corner_town: Town, tmp_path: Pa
     assert 'maxAccelProfile="0 2 10 1"' in copy  # a profile is no file
 
 
-def test_a_socket_and_the_console_become_files(corner_town: Town, tmp_path: Path) -> None:
+def test_a_socket_and_the_console_become_files(write_theirs: WriteScenario, tmp_path: Path) -> None:
     options = '<summary value="localhost:9999"/><tripinfo value="stdout"/><fcd-output value="/dev/null"/>'
-    staged = staged_in(tmp_path, hostile.scenario(corner_town, tmp_path / "theirs", options))
+    staged = staged_in(tmp_path, write_theirs(options))
     run_staged(staged.sumocfg, 2.0)
     names = {path.name for path in (tmp_path / "run").iterdir()}
     assert names == {"a.sumocfg", "localhost_9999", "tripinfo-output.xml"}
 
 
-def test_outputs_of_one_name_stay_apart_and_one_file_stays_one(corner_town: Town, tmp_path: Path) -> None:
-    lane = hostile.lane_of(corner_town)
+def test_outputs_of_one_name_stay_apart_and_one_file_stays_one(
+    write_theirs: WriteScenario, lane: str, tmp_path: Path
+) -> None:
     more = "".join(
         f'<e1Detector id="e{k}" lane="{lane}" pos="5" period="5" file="{file}"/>'
         for k, file in enumerate(("out.xml", "./out.xml", "other/out.xml"))
     )
-    staged = staged_in(tmp_path, hostile.scenario(corner_town, tmp_path / "theirs", "", more))
+    staged = staged_in(tmp_path, write_theirs("", more))
     root = read_root(tmp_path / "run" / "inputs" / "a.add.xml")
     assert [Path(element.get("file", "")).name for element in root] == ["out.xml", "out.xml", "out-2.xml"]
     assert [path.name for path in staged.outputs] == ["out-2.xml", "out.xml"]
 
 
-def test_what_writes_nothing_is_read_where_it_lies(corner_town: Town, tmp_path: Path) -> None:
-    lane = hostile.lane_of(corner_town)
+def test_what_writes_nothing_is_read_where_it_lies(write_theirs: WriteScenario, lane: str, tmp_path: Path) -> None:
     more = (
         f'<parkingArea id="p" lane="{lane}" startPos="2" endPos="12" roadsideCapacity="2"/>'
         f'<busStop id="b" lane="{lane}" startPos="2" endPos="12"/><poi id="x" x="1" y="2" type="wcsim.bench"/>'
         '<vType id="t" vClass="bus"/><poly id="q" shape="0,0 1,0 1,1" color="red" type="building"/>'
     )
-    sumocfg = hostile.scenario(corner_town, tmp_path / "theirs", "", more)
+    sumocfg = write_theirs("", more)
     staged = staged_in(tmp_path, sumocfg)
     assert {path.name for path in (tmp_path / "run").iterdir()} == {"a.sumocfg"}
     text = staged.sumocfg.read_text()
@@ -113,8 +113,9 @@ def test_what_writes_nothing_is_read_where_it_lies(corner_town: Town, tmp_path: 
     run_staged(staged.sumocfg, 1.0)
 
 
-def test_files_that_a_copied_file_reads_are_found_from_its_new_place(corner_town: Town, tmp_path: Path) -> None:
-    lane = hostile.lane_of(corner_town)
+def test_files_that_a_copied_file_reads_are_found_from_its_new_place(
+    corner_town: Town, lane: str, tmp_path: Path
+) -> None:
     sign = f'<variableSpeedSign id="v" lanes="{lane}" file="speeds.xml"/>'
     writer = '<edgeData id="ed" file="edges.xml"/>'
     sumocfg = hostile.scenario(corner_town, tmp_path / "their town", "", sign + writer)
@@ -124,9 +125,9 @@ def test_files_that_a_copied_file_reads_are_found_from_its_new_place(corner_town
     assert (tmp_path / "run" / "edges.xml").is_file()
 
 
-def test_compressed_files_and_other_outputs_are_taken(corner_town: Town, tmp_path: Path) -> None:
+def test_compressed_files_and_other_outputs_are_taken(write_theirs: WriteScenario, tmp_path: Path) -> None:
     more = '<edgeData id="ed" file="edges.xml.gz"/>'
-    sumocfg = hostile.scenario(corner_town, tmp_path / "theirs", "", more)
+    sumocfg = write_theirs("", more)
     add = tmp_path / "theirs" / "a.add.xml"
     add.write_bytes(gzip.compress(add.read_bytes()))
     staged = stage_scenario(open_town(sumocfg), SETTINGS, tmp_path / "run", ("fcd", "tripinfo"))
@@ -144,15 +145,15 @@ def test_compressed_files_and_other_outputs_are_taken(corner_town: Town, tmp_pat
         ('<edgeData id="x" file="x.xml"', "not well-formed"),
     ],
 )
-def test_broken_files_are_refused_by_name(corner_town: Town, tmp_path: Path, more: str, says: str) -> None:
-    sumocfg = hostile.scenario(corner_town, tmp_path / "theirs", "", more)
+def test_broken_files_are_refused_by_name(write_theirs: WriteScenario, tmp_path: Path, more: str, says: str) -> None:
+    sumocfg = write_theirs("", more)
     with pytest.raises(TownError, match=rf"a\.add\.xml.*{says}"):
         staged_in(tmp_path, sumocfg)
 
 
-def test_files_with_odd_names_are_read_from_copies_with_plain_ones(corner_town: Town, tmp_path: Path) -> None:
+def test_files_with_odd_names_are_read_from_copies_with_plain_ones(write_theirs: WriteScenario, tmp_path: Path) -> None:
     theirs = tmp_path / "theirs"
-    sumocfg = hostile.scenario(corner_town, theirs, "", '<include href="weg \u00e4%41.xml"/>')
+    sumocfg = write_theirs("", '<include href="weg \u00e4%41.xml"/>')
     (theirs / "weg \u00e4%41.xml").write_text('<additional><poi id="x" x="1" y="1"/></additional>', encoding="utf-8")
     (theirs / "a.rou.xml").rename(theirs / "r&\u00fc.rou.xml")
     text = sumocfg.read_text(encoding="utf-8").replace("a.rou.xml", "r&amp;\u00fc.rou.xml")
@@ -162,9 +163,9 @@ def test_files_with_odd_names_are_read_from_copies_with_plain_ones(corner_town: 
     assert {path.name for path in (tmp_path / "run" / "inputs").iterdir()} == {"a.add.xml", "weg_41.xml", "r_.rou.xml"}
 
 
-def test_overrides_name_only_what_differs(corner_town: Town, tmp_path: Path) -> None:
+def test_overrides_name_only_what_differs(write_theirs: WriteScenario, tmp_path: Path) -> None:
     options = "<time><step-length value='0.1'/><end value='50'/></time><seed value='9'/><time-to-teleport value='77'/>"
-    town = open_town(hostile.scenario(corner_town, tmp_path / "theirs", options + "<scale value='2'/>"))
+    town = open_town(write_theirs(options + "<scale value='2'/>"))
     rows = {row.option: row for row in stage_scenario(town, SETTINGS, tmp_path / "run").overrides}
     assert "step-length" not in rows and "time-to-teleport" not in rows and "scale" not in rows
     assert (rows["seed"].author, rows["seed"].wcsim) == ("9", "5")
@@ -179,9 +180,9 @@ def test_overrides_name_only_what_differs(corner_town: Town, tmp_path: Path) -> 
 
 
 def test_shorter_steps_than_the_authors_are_told_and_drivers_may_decide_as_before(
-    corner_town: Town, tmp_path: Path
+    write_theirs: WriteScenario, tmp_path: Path
 ) -> None:
-    town = open_town(hostile.scenario(corner_town, tmp_path / "theirs"))
+    town = open_town(write_theirs())
     (row,) = (row for row in stage_scenario(town, SETTINGS, tmp_path / "a").overrides if row.option == "step-length")
     assert row.author == "1 (default)" and "faster" in row.why and "world.action_step_s" in row.why
     staged = stage_scenario(town, Settings(world=WorldConfig(action_step_s=1.0), seed=5), tmp_path / "b")
@@ -189,29 +190,31 @@ def test_shorter_steps_than_the_authors_are_told_and_drivers_may_decide_as_befor
     assert rows["default.action-step-length"].wcsim == "1.0" and "faster" not in rows["step-length"].why
     assert '<default.action-step-length value="1.0"' in staged.sumocfg.read_text()
     set_by_author = "<default.action-step-length value='0.5'/>"
-    own = open_town(hostile.scenario(corner_town, tmp_path / "own", set_by_author))
+    own = open_town(write_theirs(set_by_author))
     kept = stage_scenario(own, SETTINGS, tmp_path / "c")
     assert not [row for row in kept.overrides if "faster" in row.why or row.option == "default.action-step-length"]
     assert '<default.action-step-length value="0.5"' in kept.sumocfg.read_text()
 
 
-def test_the_digest_follows_the_files_and_not_the_seed_or_place(corner_town: Town, tmp_path: Path) -> None:
-    sumocfg = hostile.scenario(corner_town, tmp_path / "theirs")
+def test_the_digest_follows_the_files_and_not_the_seed_or_place(
+    corner_town: Town, write_theirs: WriteScenario, tmp_path: Path
+) -> None:
+    sumocfg = write_theirs()
     first = staged_in(tmp_path, sumocfg).digest
     assert stage_scenario(open_town(sumocfg), Settings(seed=6), tmp_path / "run2").digest == first
     copy = hostile.scenario(corner_town, tmp_path / "copy")
     assert stage_scenario(open_town(copy), SETTINGS, tmp_path / "run3").digest == first
-    other = hostile.scenario(corner_town, tmp_path / "theirs", "", '<poi id="x" x="1" y="2"/>')
+    other = write_theirs("", '<poi id="x" x="1" y="2"/>')
     assert stage_scenario(open_town(other), SETTINGS, tmp_path / "run4").digest != first
 
 
-def test_a_mesoscopic_scenario_is_refused(corner_town: Town, tmp_path: Path) -> None:
-    town = open_town(hostile.scenario(corner_town, tmp_path / "theirs", "<mesosim value='true'/>"))
+def test_a_mesoscopic_scenario_is_refused(write_theirs: WriteScenario, tmp_path: Path) -> None:
+    town = open_town(write_theirs("<mesosim value='true'/>"))
     with pytest.raises(TownError, match="mesoscopic"):
         stage_scenario(town, SETTINGS, tmp_path / "run")
 
 
-def test_a_folder_that_sumo_cannot_write_to_is_refused(corner_town: Town, tmp_path: Path) -> None:
-    town = open_town(hostile.scenario(corner_town, tmp_path / "theirs"))
+def test_a_folder_that_sumo_cannot_write_to_is_refused(write_theirs: WriteScenario, tmp_path: Path) -> None:
+    town = open_town(write_theirs())
     with pytest.raises(TownError, match="SUMO cannot write"):
         stage_scenario(town, SETTINGS, tmp_path / "at 12:30")

@@ -60,6 +60,12 @@ def test_both_sides_and_short_scenes_are_drawn(family: str, tmp_path: Path) -> N
     assert len({scene.seed for scene in scenes}) == len(scenes)
 
 
+def first_crash(world, scene):
+    """The client at its first crash."""
+    ticks = (step.after.clients[0] for step in play(world, scene))
+    return next(client for client in ticks if client.events.crashed)
+
+
 @pytest.mark.parametrize("family", FAMILIES)
 def test_who_only_follows_from_a_start_on_pavement_meets_the_danger_that_is_meant(family: str, tmp_path: Path) -> None:
     seed, reason, partner = MEANT[family]
@@ -68,8 +74,7 @@ def test_who_only_follows_from_a_start_on_pavement_meets_the_danger_that_is_mean
         ground = ClassId.ROAD if family == "out-of-place" else ClassId.SIDEWALK
         assert int(world.street.grid.class_at(start_m)) == ground
         assert float(world.street.grid.clearance_at(start_m)) > 0.3
-        ticks = (step.after.clients[0] for step in play(world, scene))
-        end = next(client for client in ticks if client.events.crashed)
+        end = first_crash(world, scene)
     assert end.events.crash_reason == reason
     assert {contact.actor_id for contact in end.contacts} <= {partner}
     assert bool(end.contacts) == (reason == "collision")
@@ -89,8 +94,7 @@ def test_where_a_chair_does_not_belong_its_stick_leads_into_danger(seed, where, 
     with _open_scene(write_scene("out-of-place", seed, tmp_path / "scene")) as (world, scene):
         assert f" is {where}, " in scene.shows
         assert int(world.street.grid.class_at(np.array(scene.seats[0].start_m))) == ground
-        ticks = (step.after.clients[0] for step in play(world, scene))
-        end = next(client for client in ticks if client.events.crashed)
+        end = first_crash(world, scene)
     assert end.events.crash_reason == reason and {contact.actor_id for contact in end.contacts} <= {partner, ""}
 
 

@@ -114,7 +114,7 @@ def test_no_share_draws_as_if_there_were_none(manhattan: Street) -> None:
 HOLES = st.lists(st.tuples(st.floats(1, 9), st.floats(1, 9), st.floats(0.3, 2)), max_size=4)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(HOLES, st.floats(0.1, 9.9), st.floats(0.1, 9.9))
 def test_shortest_way_stays_inside_and_is_not_shorter_than_straight(
     holes: list[tuple[float, float, float]], y0: float, y1: float

@@ -10,7 +10,6 @@ import pytest
 
 from tests.view.report.results import record, with_episodes, write_result
 from wcsim.agents.evaluation.suite.result_files import read_result
-from wcsim.towns.scenario.town import find_town
 from wcsim.towns.street import load_street
 from wcsim.types import ClassId
 from wcsim.view.report.figures import Curve, _ground_around, _levels_of, curve_chart, figures_of
@@ -45,14 +44,14 @@ def test_levels_of_one_policy_are_joined_in_their_order():
     assert _levels_of(["n@0.75", "follow", "n@0.5", "m@1", "n@10", "x@y"]) == [["n@0.5", "n@0.75", "n@10"]]
 
 
-def test_the_ground_shows_the_street_around_the_points_and_nothing_where_there_is_no_town(corner):
+def test_the_ground_shows_the_street_around_the_points_and_nothing_where_there_is_no_town(corner, corner_town):
     image, edges_m = _ground_around(str(corner), [(-10.0, -5.0), (20.0, 5.0)])
     assert edges_m == (-35.0, 45.0, -30.0, 30.0)
     rows, columns, _ = image.shape
     assert columns / rows == pytest.approx(80 / 60, rel=0.01)
     x = -35.0 + (np.arange(columns) + 0.5) * 80.0 / columns
     y = 30.0 - (np.arange(rows) + 0.5) * 60.0 / rows
-    street = load_street(find_town(str(corner))).grid
+    street = load_street(corner_town).grid
     points = np.stack(np.meshgrid(x, y), axis=-1)
     classes, open_ground = street.class_at(points), street.clearance_at(points) > 0.0
     colours = [

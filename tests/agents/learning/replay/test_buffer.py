@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.agents.toy import memory_of
+from tests.agents.toy import make_replay
 from tests.support.samples import stacked
 from wcsim.agents.envs.episode_view import WORLD_RESTARTED
 from wcsim.agents.learning.checkpoint import _replay_arrays, _restore_replay
@@ -92,7 +92,7 @@ def check(buffer, reference, starts, seats):
         assert batch.next_observations["seg"][k].unique().tolist() == [want[3] % 251]
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.data())
 def test_every_draw_is_the_references_transition(data):
     seats, n_step = data.draw(st.integers(1, 3)), data.draw(st.integers(1, 6))
@@ -101,10 +101,8 @@ def test_every_draw_is_the_references_transition(data):
     plan = data.draw(st.lists(ends, min_size=2, max_size=60))
     # A cut from outside is only known when the next observation comes.
     plan[-1] = ["go" if e == "reset" else e for e in plan[-1]]
-    buffer = FrameReplay(
-        size * seats, SPACE, gym.spaces.Discrete(81), device="cpu", n_envs=seats,
-        **memory_of(n_step=n_step, gamma=0.9, precrash_share=share, seed=1),
-    )  # fmt: skip
+    chosen = {"n_step": n_step, "gamma": 0.9, "precrash_share": share}
+    buffer = make_replay(size * seats, SPACE, seats, seed=1, **chosen)
     buffer.precrash_window = 5
     reference = Reference(seats)
     fill(buffer, reference, plan, seats)
@@ -118,8 +116,7 @@ def test_every_draw_is_the_references_transition(data):
 
 
 def filled(plan, seats=1, **settings):
-    chosen = memory_of(**settings)
-    buffer = FrameReplay(200, SPACE, gym.spaces.Discrete(81), device="cpu", n_envs=seats, **chosen)
+    buffer = make_replay(200, SPACE, seats, **settings)
     reference = Reference(seats)
     fill(buffer, reference, plan, seats)
     return buffer, reference

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from wcsim.agents.learning.replay.frame_store import BlobCodec
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(st.binary(min_size=1, max_size=300), st.integers(0, 300), st.booleans())
 def test_a_frame_comes_back(data, smooth, without_holes):
     frame = np.frombuffer(data, np.uint8)

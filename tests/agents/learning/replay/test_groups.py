@@ -1,6 +1,5 @@
 """Memory (a) of the paper: groups shuffled before each draw, inside their episode, with the state that was stored."""
 
-import gymnasium as gym
 import numpy as np
 import pytest
 import torch
@@ -8,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.agents.learning.replay.test_buffer import ENDS, SPACE, Reference, check, fill, number_of, stack
-from tests.agents.toy import memory_of
+from tests.agents.toy import make_replay
 from wcsim.agents.learning.checkpoint import _check_fit, _replay_arrays, _restore_replay
 from wcsim.agents.learning.replay.buffer import FrameReplay
 
@@ -20,8 +19,8 @@ PLANS = st.integers(1, 3).flatmap(
 
 
 def memory(seats=1, rows=60, length=4, burn_in=3, state_size=0, **more):
-    chosen = memory_of(**{"memory": "groups", "seed": 1, **more}, group_steps=length, burn_in=burn_in)
-    buffer = FrameReplay(rows * seats, SPACE, gym.spaces.Discrete(81), device="cpu", n_envs=seats, **chosen)
+    chosen = {"memory": "groups", "seed": 1, **more}
+    buffer = make_replay(rows * seats, SPACE, seats, **chosen, group_steps=length, burn_in=burn_in)
     buffer.groups.state_size = state_size
     return buffer
 
@@ -67,7 +66,7 @@ def expected_groups(buffer, reference, length, burn_in):
     return out
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(PLANS, st.integers(1, 6), st.integers(0, 7), st.sampled_from((0, 1)), st.integers(20, 70))
 def test_a_draw_shuffles_all_whole_groups(plan, length, burn_in, state_size, rows):
     buffer, reference = driven(plan, length=length, burn_in=burn_in, state_size=state_size, rows=rows)
@@ -83,7 +82,7 @@ def test_a_draw_shuffles_all_whole_groups(plan, length, burn_in, state_size, row
     assert [wanted[key] for key in drawn] == buffer.groups.lengths(buffer, starts, seats).tolist()
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(PLANS, st.integers(1, 6), st.integers(0, 7), st.integers(1, 5), st.integers(20, 70))
 def test_groups_hold_what_was_driven_and_never_another_episode(plan, length, burn_in, n_step, rows):
     chosen = {"length": length, "burn_in": burn_in, "state_size": 1, "rows": rows, "n_step": n_step, "gamma": 0.9}
@@ -120,7 +119,7 @@ def seen_of(rows, batch):
     return next(seen["joystick"] for kept, seen in batch.burn_in if kept is rows)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(PLANS, st.integers(1, 6), st.integers(1, 4), st.integers(1, 40))
 def test_a_network_without_a_state_learns_from_all_steps_of_groups(plan, length, n_step, size):
     buffer, reference = driven(plan, length=length, n_step=n_step, gamma=0.9)

@@ -1,14 +1,12 @@
 """What the samplers draw where an observation is a window of images: steps one by one, and steps of groups."""
 
-import gymnasium as gym
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.agents.learning.replay.test_windows import WINDOWS, Street, add
-from tests.agents.toy import memory_of
-from wcsim.agents.learning.replay.buffer import FrameReplay
+from tests.agents.toy import make_replay
 
 KINDS = st.sampled_from(("go", "go", "go", "go", "crash", "limit", "reset", "odd"))
 PLANS = st.integers(1, 3).flatmap(
@@ -34,13 +32,13 @@ def begin_of(ends, step):
 
 
 @pytest.mark.parametrize(("memory", "precrash"), [("windows", 0.5), ("windows", 0.0), ("groups", 0.0)])
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(plan=PLANS, n_step=st.integers(1, 5), rows=st.integers(20, 70))
 def test_windows_are_drawn_whole_with_what_came_after_and_never_of_two_episodes(memory, precrash, plan, n_step, rows):
     seats = len(plan[0])
     plan = [*plan[:-1], ["go" if end in ("reset", "odd") else end for end in plan[-1]]]  # known by the next step alone
-    chosen = memory_of(memory=memory, group_steps=4, burn_in=2, n_step=n_step, precrash_share=precrash, seed=1)
-    buffer = FrameReplay(rows * seats, WINDOWS, gym.spaces.Discrete(81), device="cpu", n_envs=seats, **chosen)
+    chosen = {"memory": memory, "group_steps": 4, "burn_in": 2, "n_step": n_step, "precrash_share": precrash}
+    buffer = make_replay(rows * seats, WINDOWS, seats, seed=1, **chosen)
     buffer.precrash_window = 5
     streets = [Street() for _ in range(seats)]
     for ends in plan:

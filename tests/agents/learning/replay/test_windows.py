@@ -1,7 +1,6 @@
 """Windows of images, from the environment through replay, training and policies on disk to a test of several."""
 
 import json
-import os
 import shutil
 import signal
 
@@ -19,23 +18,28 @@ from tests.agents.learning.replay.test_buffer import H, W
 from tests.agents.learning.replay.test_buffer import observation as frame
 from tests.agents.learning.test_train import weights
 from tests.agents.policies.test_baselines import box, ground, looking_at
-from tests.agents.toy import ToyStreet, WindowedStreet, a_run, load_checkpoint, memory_of, same_from_here_on, toy_camera
-from tests.support.samples import stacked
+from tests.agents.toy import (
+    ToyStreet,
+    WindowedStreet,
+    load_checkpoint,
+    make_replay,
+    same_from_here_on,
+    toy_camera,
+    train_toy,
+)
+from tests.support.samples import ACTIONS, stacked
 from wcsim.agents.envs.episode_view import FrameWindow, newest_frames, windowed_space
 from wcsim.agents.learning.build import build_model, network_settings
 from wcsim.agents.learning.checkpoint import _check_fit, _replay_arrays, _restore_replay, save_checkpoint
-from wcsim.agents.learning.replay.buffer import FrameReplay
 from wcsim.agents.learning.replay.frame_store import WindowStore
 from wcsim.agents.learning.saved_policy import load_policy
 from wcsim.agents.learning.seqdqn import _mirror_batch
-from wcsim.agents.learning.train import train
 from wcsim.agents.opening.named_policy import config_for, open_named, policy_overrides
 from wcsim.agents.policies.baselines import baseline
 from wcsim.agents.runs.policy_file import POLICY_JSON
 from wcsim.agents.runs.run_folder import open_run, policy_path
 from wcsim.config import CameraConfig, EnvConfig, LearnConfig, RunConfig, resolve
 from wcsim.errors import ConfigError, InterruptedRunError, PolicyError
-from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.observation import observation_space
 
 KEYS = ("seg", "depth")
@@ -83,7 +87,7 @@ def test_the_environment_gives_the_images_that_it_gives_one_by_one(corner):
     def drive(*overrides):
         env = gym.make(wcsim.ENV_ID, town=str(corner), overrides=(*common, *overrides))
         try:
-            seen, turn = [env.reset(seed=3)[0]], action_set("square81").nearest((1.0, 0.0))
+            seen, turn = [env.reset(seed=3)[0]], ACTIONS.nearest((1.0, 0.0))
             for _ in range(2):
                 for _ in range(8):
                     observation, *_ = env.step(turn)
@@ -173,7 +177,7 @@ def add(buffer, streets, ends):
 
 
 def replay(size=400, seats=1, space=WINDOWS):
-    return FrameReplay(size, space, gym.spaces.Discrete(81), device="cpu", n_envs=seats, **memory_of(seed=1))
+    return make_replay(size, space, seats, seed=1)
 
 
 def check(buffer, streets):
@@ -189,7 +193,7 @@ def check(buffer, streets):
                 assert np.array_equal(batch.next_observations[key][k].numpy(), street.after[step][key]), (step, key)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.data())
 def test_what_is_drawn_is_what_was_added(data):
     seats, size = data.draw(st.integers(1, 3)), data.draw(st.integers(4, 30))
@@ -285,27 +289,27 @@ def street(window=3):
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
-    return train(a_run(config(), tmp_path_factory.mktemp("a") / "run", 5), street)
+    return train_toy(config(), tmp_path_factory.mktemp("a") / "run", street)
 
 
 def test_equal_seeds_give_equal_runs(run, tmp_path):
-    again = train(a_run(config(), tmp_path / "two", 5), street)
+    again = train_toy(config(), tmp_path / "two", street)
     assert weights(run) == weights(again) != weights(run, "phase1")
 
 
 def goes_on(run):
-    train(a_run(config(), run, 5, resume=True), street)
+    train_toy(config(), run, street, resume=True)
     assert open_run(run).manifest.status == "done"
 
 
 def test_a_run_that_is_stopped_while_its_town_loads_goes_on(tmp_path):
     class StopsAtOnce(gym.Wrapper):
         def reset(self, **options):
-            os.kill(os.getpid(), signal.SIGINT)
+            signal.raise_signal(signal.SIGINT)
             return super().reset(**options)
 
     with pytest.raises(InterruptedRunError, match="stopped after 0 of 80"):
-        train(a_run(config(), tmp_path / "run", 5), lambda: StopsAtOnce(street()))
+        train_toy(config(), tmp_path / "run", lambda: StopsAtOnce(street()))
     goes_on(tmp_path / "run")
 
 
@@ -335,7 +339,7 @@ ONE_IMAGE = config(window=1, network="patch", total_steps=48)
 
 
 def test_a_policy_from_before_there_were_windows_sees_one_image(tmp_path):
-    path = train(a_run(ONE_IMAGE, tmp_path / "run", 5), lambda: street(1))
+    path = train_toy(ONE_IMAGE, tmp_path / "run", lambda: street(1))
     file = policy_path(str(path)) / POLICY_JSON
     data = json.loads(file.read_text())
     assert data.pop("window") == 1
@@ -344,12 +348,12 @@ def test_a_policy_from_before_there_were_windows_sees_one_image(tmp_path):
     kept = json.loads((path / "config.json").read_text())
     del kept["env"]["window"]
     (path / "config.json").write_text(json.dumps(kept))
-    train(a_run(ONE_IMAGE, path, 5, resume=True), lambda: street(1))
+    train_toy(ONE_IMAGE, path, lambda: street(1), resume=True)
 
 
 def test_policies_with_different_windows_are_tested_in_one_environment(run, tmp_path):
     """Each drives as it does in an environment of its own."""
-    single = train(a_run(ONE_IMAGE, tmp_path / "run", 5), lambda: street(1))
+    single = train_toy(ONE_IMAGE, tmp_path / "run", lambda: street(1))
     policies = [open_named(str(path), CONFIG, 0) for path in (run, single)] + [baseline("stop", CONFIG)]
     assert [policy_overrides(RunConfig(), policy)[0] for policy in policies] == [f"env.window={n}" for n in (3, 1, 1)]
     for policy, own in zip(policies, (3, 1, 1), strict=True):

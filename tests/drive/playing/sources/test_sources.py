@@ -34,7 +34,7 @@ from wcsim.errors import ConfigError, JournalError, TownError
 from wcsim.log.drive import read_drive
 from wcsim.log.reader import read_states
 from wcsim.log.records import Ticked
-from wcsim.towns.scenario.town import find_town
+from wcsim.towns.scenario.town import Town, find_town
 from wcsim.types import Joystick
 from wcsim.users.profiles import profile
 
@@ -136,10 +136,10 @@ def test_a_torn_journal_is_shown_up_to_its_last_whole_tick(run: Path, tmp_path: 
     assert Filmed(replay_film(tmp_path / "journal", 1, "")).film.count == 59
 
 
-def test_a_drive_is_made_again(corner: Path, tmp_path: Path) -> None:
+def test_a_drive_is_made_again(corner_town: Town, tmp_path: Path) -> None:
     config = resolve("quick")
     user = drawn_user(profile("tremor"), 3)
-    record_user(tmp_path / "a.drive", find_town(str(corner)), config, user, ticks=40, seed=3)
+    record_user(tmp_path / "a.drive", corner_town, config, user, ticks=40, seed=3)
     shown = Filmed(replay_film(tmp_path / "a.drive"))
     ticks = read_drive(tmp_path / "a.drive").ticks
     frames = shown.frames()
