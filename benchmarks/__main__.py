@@ -7,8 +7,8 @@ from collections.abc import Callable
 from importlib import import_module
 from typing import Any
 
-from wcsim.cli.main import guarded
-from wcsim.cli.shared.common import parse
+from wcsim.cli.main import run_with_exit_code
+from wcsim.cli.shared.common import parse_options
 from wcsim.errors import ConfigError, meant
 
 SCRIPTS = {
@@ -28,7 +28,7 @@ PROGRAM = "python -m benchmarks"
 
 def main(arguments: list[str] | None = None) -> int:
     """Run one script; only its own file is loaded. Returns the exit code, as that of `wcsim`."""
-    return guarded(_run, arguments)
+    return run_with_exit_code(_run, arguments)
 
 
 def _run(words: list[str]) -> int:
@@ -40,7 +40,7 @@ def _run(words: list[str]) -> int:
     if name not in SCRIPTS:
         raise ConfigError(f"unknown benchmark {name!r}; expected one of: {', '.join(SCRIPTS)}{meant(name, SCRIPTS)}")
     options, run = _script(name)
-    return int(run(parse(options, words[1:], name, PROGRAM)))
+    return int(run(parse_options(options, words[1:], name, PROGRAM)))
 
 
 def _script(name: str) -> tuple[type, Callable[[Any], int]]:

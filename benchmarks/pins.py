@@ -12,10 +12,10 @@ from contextlib import chdir
 from pathlib import Path
 from typing import Final
 
-from wcsim.agents.opening.list_file import open_suite, write_list
+from wcsim.agents.opening.list_file import read_suite, write_suite_file
 from wcsim.cli.main import main as wcsim
 from wcsim.cli.shared.consoles import print_note
-from wcsim.core.files import sha256, write_json
+from wcsim.core.files import sha256_from_file, write_json
 from wcsim.core.own_folder import temporary_folder
 
 _BLOCKS: Final = slice(None, None, 8)  # of the list `dev`
@@ -33,12 +33,12 @@ _PINNED: Final = ("rounds/data/data.json", "**/*.safetensors", "exported/*.onnx"
 def main(words: list[str]) -> int:
     """Run all commands in an empty folder; 1 if one fails, or a hash is another one than in the file."""
     file = Path(words[0]).absolute()
-    suite = open_suite("dev").file
+    suite = read_suite("dev").file
     with temporary_folder() as work, chdir(work):
-        write_list(suite.model_copy(update={"blocks": suite.blocks[_BLOCKS]}), Path("list.json"))
+        write_suite_file(suite.model_copy(update={"blocks": suite.blocks[_BLOCKS]}), Path("list.json"))
         if any(wcsim(command.split()) for command in _COMMANDS):
             return 1
-        found = {str(path): sha256(path) for form in _PINNED for path in sorted(Path().glob(form))}
+        found = {str(path): sha256_from_file(path) for form in _PINNED for path in sorted(Path().glob(form))}
     if not file.exists():
         write_json(file, found)
         print_note(f"{len(found)} hashes written")

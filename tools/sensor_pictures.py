@@ -9,7 +9,7 @@ import numpy as np
 from benchmarks.chart import Line, Panel, chart
 from wcsim.bridge.world import World
 from wcsim.bridge.world_rollout import rollout
-from wcsim.chair_check.rig import plane_street, step_street
+from wcsim.chair_check.rig import make_sloped_street, make_step_street
 from wcsim.config import CameraConfig, CameraNoiseConfig, ChairConfig, ImuConfig, RunConfig
 from wcsim.core import seeding
 from wcsim.physics.engine import Engine
@@ -78,7 +78,7 @@ def ride(imu: ImuConfig, street: StreetMesh, seconds: float, stick: Stick, chair
         engine.add_street(street)
         driven = Wheelchair(engine, chair, imu, seat=0)
         driven.place(np.zeros(3), 0.0)
-        driven.sensors.start({"imu": seeding.key(SEED, "imu", 0, "start", 0)})
+        driven.sensors.start({"imu": seeding.derive_key(SEED, "imu", 0, "start", 0)})
         told: Told = ([], [])
         for tick in range(round(seconds / TICK_S)):
             driven.command(stick(tick * TICK_S))
@@ -94,7 +94,7 @@ def ride(imu: ImuConfig, street: StreetMesh, seconds: float, stick: Stick, chair
 
 def imu_kerb() -> np.ndarray:
     """Up a 40 mm kerb at 1 m/s."""
-    street, chair = step_street(0.04), ChairConfig(v_max_mps=1.0)
+    street, chair = make_step_street(0.04), ChairConfig(v_max_mps=1.0)
     exact, noisy = (ride(ImuConfig(noise=n), street, 8.0, lambda _: Joystick(0.0, 1.0), chair) for n in (False, True))
     t = times(exact)
     mean = np.array([frame.accel_mean_mps2 for frame in exact[0]])
@@ -116,7 +116,10 @@ def tilt_braking() -> np.ndarray:
     """Pitch as three sensors say it: start, cruise, brake, on level ground and up a slope."""
     stick = lambda t: Joystick(0.0, 1.0 if 1.0 < t < 5.0 else 0.0)  # noqa: E731
     panels = []
-    for name, street in (("level ground", plane_street()), ("a slope of 5 deg, up", plane_street(math.radians(5.0)))):
+    for name, street in (
+        ("level ground", make_sloped_street()),
+        ("a slope of 5 deg, up", make_sloped_street(math.radians(5.0))),
+    ):
         curves = {}
         for mode in ("accelerometer", "complementary", "ideal"):
             told = ride(ImuConfig(tilt=mode), street, 9.0, stick, ChairConfig())

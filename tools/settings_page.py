@@ -16,7 +16,7 @@ from pydantic.fields import FieldInfo
 
 from tools.pages import table
 from wcsim.config import RunConfig
-from wcsim.config.scene import SceneExpect, SceneFile, SceneSeat, TownFile
+from wcsim.config.scene import SceneExpectations, SceneFile, SceneSeat, TownFile
 
 HEAD = """# All settings of a run
 
@@ -61,7 +61,7 @@ def file_sections() -> list[tuple[str, type[BaseModel]]]:
         ("town.toml", TownFile),
         ("scene.toml", SceneFile),
         ("[[seats]] of scene.toml", SceneSeat),
-        ("[expect] of scene.toml", SceneExpect),
+        ("[expect] of scene.toml", SceneExpectations),
     ]
 
 

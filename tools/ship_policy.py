@@ -23,8 +23,16 @@ from wcsim.agents.export.onnx_export import export_policy
 from wcsim.agents.opening.learner_registry import DANGER_ROUNDS
 from wcsim.agents.policy_api import MODEL_FILE, Observation
 from wcsim.agents.rounds.train_rounds import data_of
-from wcsim.agents.runs.data_folder import DATA, SEGMENTS, data_digest, key_of, read_manifest
-from wcsim.agents.runs.policy_file import EXPORTED, FILES, HELD, POLICY_JSON, WEIGHTS, shipped_folder, shipped_place
+from wcsim.agents.runs.data_folder import DATA, SEGMENTS, data_digest, read_data_manifest, segment_key_from_name
+from wcsim.agents.runs.policy_file import (
+    EXPORTED,
+    FILES,
+    HELD,
+    POLICY_JSON,
+    WEIGHTS,
+    find_shipped_policy,
+    shipped_policy_path,
+)
 from wcsim.agents.runs.run_folder import MANIFEST, RunFolder, open_run
 from wcsim.config import CameraConfig, CollectConfig, resolve
 from wcsim.core import files
@@ -52,15 +60,15 @@ def ship(run: RunFolder, ride: Sequence[Observation], results: Sequence[Path], t
             config = resolve(run.config, f"world.action_delay_ticks={delay}")
             export_policy(*DANGER_ROUNDS.open_graph(policy, config), Path(held) / name, config, ride)
         onnx = Path(held) / EXPORTED[run.config.world.action_delay_ticks]
-        with files.whole_folder(to) as target:
+        with files.write_folder_atomically(to) as target:
             readme = to.glob("README.md")
             for source in (policy / POLICY_JSON, policy / WEIGHTS, onnx / MEANING, onnx / REFERENCE, *readme):
                 shutil.copy(source, target)
             for name in EXPORTED.values():
                 shutil.copyfile(Path(held) / name / MODEL_FILE, target / name)
             (target / "MODEL_CARD.md").write_text(told, encoding="utf-8")
-            files.write_json(target / FILES, {"sha256": {name: files.sha256(target / name) for name in HELD}})
-    return shipped_folder(to)
+            files.write_json(target / FILES, {"sha256": {name: files.sha256_from_file(target / name) for name in HELD}})
+    return find_shipped_policy(to)
 
 
 def rows_of(path: Path, run: Path) -> list[dict[str, Any]]:
@@ -143,11 +151,11 @@ def driving(run: RunFolder) -> tuple[list[str], list[str], int]:
         made = [f"{collect.made_towns} generated"] if collect.made_towns else []
         towns, users = [run.manifest.town, *collect.towns, *made], list(collect.profiles)
     for folder in map(Path, others):
-        towns += read_manifest(folder).towns
+        towns += read_data_manifest(folder).towns
         if is_of_run(folder):  # all profiles that took turns
             users += open_run(folder.parent).config.collect.profiles
         else:
-            users += read_manifest(folder).config.get("collect", {}).get("profiles", CollectConfig().profiles)
+            users += read_data_manifest(folder).config.get("collect", {}).get("profiles", CollectConfig().profiles)
     kept = sum(1 for _ in (run.path / DATA / SEGMENTS).glob("*")) + sum(map(len, others.values()))
     return list(dict.fromkeys(towns)), list(dict.fromkeys(users)), kept
 
@@ -167,8 +175,8 @@ def driven_by(folder: Path, segments: dict[str, str]) -> list[str]:
     """How segments of a data folder came to be: the command of its run, or `wcsim collect` for each seed."""
     if is_of_run(folder):
         return [typed(open_run(folder.parent))]
-    seeds = Counter(key_of(name).run for name in segments)
-    where = ["--town", ",".join(read_manifest(folder).towns), "--out", f"data/{folder.name}"]
+    seeds = Counter(segment_key_from_name(name).run for name in segments)
+    where = ["--town", ",".join(read_data_manifest(folder).towns), "--out", f"data/{folder.name}"]
     return [
         shlex.join(["wcsim", "collect", *where, "--seed", str(seed), "--segments", str(count)])
         + f"  # with the settings in its data.json; SHA-256 of the data {data_digest(segments)[:12]}"
@@ -215,12 +223,12 @@ def main() -> None:
     parser.add_argument("--to", type=Path, default=None, help="another folder than that of this wcsim")
     parser.add_argument("--town", default="helsinki", help="of the reference steps")
     asked = parser.parse_args()
-    from wcsim.agents.opening.named_policy import open_named  # these load the simulators
+    from wcsim.agents.opening.named_policy import open_named_policy  # these load the simulators
     from wcsim.agents.rounds.recorded_ride import reference_ride
 
     run = open_run(asked.run)
-    ride = reference_ride(asked.town, run.config, 200, open_named(str(asked.run), run.config, 0))
-    folder = ship(run, ride, asked.result, asked.to or shipped_place())
+    ride = reference_ride(asked.town, run.config, 200, open_named_policy(str(asked.run), run.config, 0))
+    folder = ship(run, ride, asked.result, asked.to or shipped_policy_path())
     sys.stdout.write(f"shipped: {folder}\n")
 
 

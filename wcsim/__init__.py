@@ -9,7 +9,7 @@ environment is first used.
 from types import ModuleType as _ModuleType
 from typing import TYPE_CHECKING
 
-from wcsim.core.on_load import on_load as _on_load
+from wcsim.core.on_load import call_on_import as _on_load
 
 if TYPE_CHECKING:  # for editors and type checkers; at run time `__getattr__` loads them
     from wcsim.agents.envs.parallel_env import parallel_env

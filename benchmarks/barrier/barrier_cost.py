@@ -23,12 +23,12 @@ import numpy as np
 from benchmarks.barrier.fake_world import FakeWorld
 from benchmarks.barrier.parts import TICK_TIMES, PartOrder, Sizes
 from wcsim.config import RunConfig
-from wcsim.core.own_folder import OwnFolder, workplace
+from wcsim.core.own_folder import LockedTempFolder, runtime_folder
 from wcsim.errors import LinkTimeoutError
-from wcsim.server.launch.states import WorldStatus
+from wcsim.server.launch.states import WorldStatusReport
 from wcsim.server.protocol import messages as m
-from wcsim.server.protocol.events import Rules
-from wcsim.server.specs import SeatRequest, WorldOrder, WorldSpec, of_line, to_line
+from wcsim.server.protocol.events import ServerRules
+from wcsim.server.specs import SeatRequest, WorldBuildSpec, WorldProcessSpec, decode_json_line, encode_json_line
 from wcsim.server.transport.keys import make_keys
 from wcsim.types import SeatSpec
 
@@ -90,8 +90,8 @@ class _Bench:
     """All processes of a bench, ready to go."""
 
     def __init__(self, config: RunConfig, clients: int, remote: bool, held: ExitStack) -> None:
-        self._folder = held.enter_context(workplace(prefix="wcsim-bench-"))
-        ring = OwnFolder()
+        self._folder = held.enter_context(runtime_folder(prefix="wcsim-bench-"))
+        ring = LockedTempFolder()
         held.callback(ring.close)
         keys = str(self._folder / "keys") if remote else ""
         names = tuple(f"client-{number}" for number in range(clients))
@@ -168,11 +168,11 @@ def _world(
     config: RunConfig, clients: int, keys: str, folder: Path, ring: Path, held: ExitStack
 ) -> subprocess.Popen[bytes]:
     """The world process; its status lines go to its stdout."""
-    order = WorldSpec(
+    order = WorldProcessSpec(
         town="",
         config=config,
         seed=0,
-        rules=Rules(capacity=clients, expected=clients),
+        rules=ServerRules(capacity=clients, expected=clients),
         endpoint=f"ipc://{folder}/s/world",
         ring=str(ring),
         run=str(folder),
@@ -182,7 +182,7 @@ def _world(
         status_fd=1,
     )
     path = folder / "world.json"
-    path.write_bytes(to_line(order))
+    path.write_bytes(encode_json_line(order))
     command = [sys.executable, "-m", "benchmarks.barrier.parts", "world", str(path)]
     world = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE)
     held.callback(_killed, world)
@@ -192,7 +192,7 @@ def _world(
 def _listening(world: subprocess.Popen[bytes], remote: bool, folder: Path) -> str:
     """Where clients reach the world, once it is there."""
     for line in world.stdout or ():
-        status = of_line(WorldStatus, line)
+        status = decode_json_line(WorldStatusReport, line)
         if status.stage != "loading":
             return status.listening if remote else f"ipc://{folder}/s/world"
     raise LinkTimeoutError("the world of the bench has ended; its messages above say why")
@@ -200,12 +200,12 @@ def _listening(world: subprocess.Popen[bytes], remote: bool, folder: Path) -> st
 
 def _sizes(config: RunConfig, remote: bool) -> Sizes:
     """What the messages of a tick weigh."""
-    world = FakeWorld(WorldOrder(town="", config=config, seed=0), (SeatSpec(),), 0)
+    world = FakeWorld(WorldBuildSpec(town="", config=config, seed=0), (SeatSpec(),), 0)
     frame = m.Frame(0, 1000, 0, world.snapshot.clients[0], -1 if remote else 0)
     return Sizes(
-        act=len(m.encode(m.Act(_SESSION, 0, 1000, 0, 0.1, 0.8))),
-        done=len(m.encode(m.TickDone(0, 1000, 0, 1e-4))),
-        frame=len(m.encode(frame)),
+        act=len(m.encode_message(m.Act(_SESSION, 0, 1000, 0, 0.1, 0.8))),
+        done=len(m.encode_message(m.TickDone(0, 1000, 0, 1e-4))),
+        frame=len(m.encode_message(frame)),
     )
 
 

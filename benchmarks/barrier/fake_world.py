@@ -19,7 +19,7 @@ from wcsim.bridge.replay.player import Specs
 from wcsim.core.constants import GRAVITY_MPS2
 from wcsim.errors import ProtocolError
 from wcsim.physics.buffers import ImageSink, SeatBuffers, new_images
-from wcsim.server.specs import WorldOrder
+from wcsim.server.specs import WorldBuildSpec
 from wcsim.types import (
     CameraFrame,
     ClientSnapshot,
@@ -60,7 +60,7 @@ class _Chair:
 class FakeWorld:
     """See the module's text; used like `bridge.world.World` (`SeatWorld`)."""
 
-    def __init__(self, order: WorldOrder, specs: Specs, seed: int, epoch: int = 0) -> None:
+    def __init__(self, order: WorldBuildSpec, specs: Specs, seed: int, epoch: int = 0) -> None:
         """A world with a chair for each of `specs` that is not None."""
         self._config, self.epoch = order.config, epoch - 1
         self._chairs = {seat: _Chair(spec, -1) for seat, spec in enumerate(specs) if spec is not None}

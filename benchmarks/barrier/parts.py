@@ -19,10 +19,10 @@ import zmq
 from benchmarks.barrier.fake_world import FakeWorld
 from wcsim.bridge.replay.player import Specs
 from wcsim.core.processes import die_with_parent
-from wcsim.server.links.base import WorldLink
+from wcsim.server.links.base import ProcessSeatLink
 from wcsim.server.links.socket import SocketSeat
-from wcsim.server.specs import SeatRequest, WorldOrder
-from wcsim.server.transport.keys import KnownKeys, client_keys, server_keys, server_public
+from wcsim.server.specs import SeatRequest, WorldBuildSpec
+from wcsim.server.transport.keys import ClientKeyLookup, read_client_keys, read_server_keys, read_server_public_key
 from wcsim.types import ClientSnapshot, Command, Joystick, SensorFrame, Snapshot
 
 TICK_TIMES = "tick-times.json"  # in the run folder of a `TimedWorld`
@@ -54,7 +54,7 @@ class PartOrder:
 class TimedWorld(FakeWorld):
     """A stand-in that notes when each tick was done, and writes that down when it is closed."""
 
-    def __init__(self, order: WorldOrder, specs: Specs, seed: int, epoch: int = 0) -> None:
+    def __init__(self, order: WorldBuildSpec, specs: Specs, seed: int, epoch: int = 0) -> None:
         super().__init__(order, specs, seed, epoch=epoch)
         self._file = Path(order.run) / TICK_TIMES
         self._times_s: list[float] = []
@@ -108,8 +108,8 @@ def _client(context: zmq.Context[zmq.Socket[bytes]], order: PartOrder) -> None:
         _prepare(socket)
         socket.setsockopt(zmq.IDENTITY, b"%d" % (order.number + 1))
         if order.keys:
-            pair = client_keys(Path(order.keys), order.join.name)
-            socket.curve_serverkey = server_public(Path(order.keys))
+            pair = read_client_keys(Path(order.keys), order.join.name)
+            socket.curve_serverkey = read_server_public_key(Path(order.keys))
             socket.curve_publickey, socket.curve_secretkey = pair.public, pair.secret
         socket.connect(order.echo)
         link.join()
@@ -119,7 +119,7 @@ def _client(context: zmq.Context[zmq.Socket[bytes]], order: PartOrder) -> None:
             _say(_ticks(link, int(count)) if kind == b"ticks" else _rounds(socket, order, int(count)))
 
 
-def _ticks(link: WorldLink, count: int) -> list[float]:
+def _ticks(link: ProcessSeatLink, count: int) -> list[float]:
     tick, times_s = link.join().tick, []
     for _ in range(count):
         tick = link.act(tick, _AHEAD).tick
@@ -141,7 +141,7 @@ def _echo(context: zmq.Context[zmq.Socket[bytes]], order: PartOrder) -> None:
     with context.socket(zmq.ROUTER) as socket:
         _prepare(socket)
         if order.keys:
-            guard, pair = KnownKeys(Path(order.keys)).guard(context), server_keys(Path(order.keys))
+            guard, pair = ClientKeyLookup(Path(order.keys)).guard(context), read_server_keys(Path(order.keys))
             socket.curve_server = True
             socket.curve_secretkey, socket.curve_publickey = pair.secret, pair.public
         socket.bind(order.echo)

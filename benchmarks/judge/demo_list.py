@@ -14,11 +14,11 @@ from typing import Final
 from wcsim.agents.evaluation.suite.draw import DrawPlace, Wanted, free_blocks
 from wcsim.agents.evaluation.suite.make import SETTINGS, USUAL_STREET, tight_block
 from wcsim.agents.evaluation.suite.run import SuiteOrder, run_suite
-from wcsim.agents.opening.list_file import suite_of, write_list
+from wcsim.agents.opening.list_file import suite_from_file, write_suite_file
 from wcsim.agents.policy_api import UNAIDED
 from wcsim.cli.shared.consoles import print_note
 from wcsim.config import resolve
-from wcsim.config.suite import BlockFile, SuiteFile, TownOfSuite
+from wcsim.config.suite import SuiteBlock, SuiteFile, SuiteTown
 from wcsim.core.own_folder import temporary_folder
 from wcsim.towns.making.asked_town import made_town
 from wcsim.towns.scenario.town import content_hash
@@ -38,17 +38,17 @@ def demo_list(work: Path, jobs: int, told: Callable[[str], object]) -> SuiteFile
     """Choose and draw; the scenes and ways that were taken are told, each with its crashes."""
     town = made_town(work / "towns", TOWN_SEED)
     place = DrawPlace(town.name, load_street(town), resolve("quick", SETTINGS))
-    named = TownOfSuite(name=town.name, sha256=content_hash(town), made_seed=TOWN_SEED)
+    named = SuiteTown(name=town.name, sha256=content_hash(town), made_seed=TOWN_SEED)
     drawn = [_shortened(block) for block in free_blocks(place, _WANTED, SEARCHED + 2, 0)]
     ways = [block.model_copy(update={"episodes": (each,)}) for block in drawn[:SEARCHED] for each in block.episodes]
 
-    def listed(blocks: Sequence[BlockFile]) -> SuiteFile:
+    def listed(blocks: Sequence[SuiteBlock]) -> SuiteFile:
         return SuiteFile(suite="street-help-v1", set="demo", settings=SETTINGS, towns=(named,), blocks=tuple(blocks))
 
-    def most(number: int, tries: Sequence[Sequence[BlockFile]]) -> list[int]:
+    def most(number: int, tries: Sequence[Sequence[SuiteBlock]]) -> list[int]:
         """Those with the most own crashes of the user alone; among equals the first."""
         order = SuiteOrder(
-            suite=suite_of(listed([each for one in tries for each in one])), out=work, jobs=jobs, forks=0
+            suite=suite_from_file(listed([each for one in tries for each in one])), out=work, jobs=jobs, forks=0
         )
         records = iter(run_suite(order, (UNAIDED,), lambda _, done, of: told(f"{done} of {of}"))[UNAIDED])
         own = [sum(next(records).own for _ in one) for one in tries]
@@ -66,11 +66,11 @@ def demo_list(work: Path, jobs: int, told: Callable[[str], object]) -> SuiteFile
     return listed([*hazards, *scenes, first, rest])
 
 
-def _shortened(block: BlockFile) -> BlockFile:
+def _shortened(block: SuiteBlock) -> SuiteBlock:
     episodes = tuple(each.model_copy(update={"max_steps": _LASTS_STEPS}) for each in block.episodes)
     return block.model_copy(update={"episodes": episodes})
 
 
 if __name__ == "__main__":
     with temporary_folder() as folder:
-        write_list(demo_list(folder, 2, print_note), Path(sys.argv[1]))
+        write_suite_file(demo_list(folder, 2, print_note), Path(sys.argv[1]))

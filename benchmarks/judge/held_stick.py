@@ -12,17 +12,22 @@ from typing import Final
 
 import numpy as np
 
-from wcsim.agents.envs.seat_driver import PolicyAgent, SeatDriver
-from wcsim.agents.opening.named_policy import config_for, open_named, policy_overrides, seat_for
+from wcsim.agents.envs.seat_driver import AgentSeatDriver, PolicyAgentAdapter
+from wcsim.agents.opening.named_policy import (
+    config_from_policy_name,
+    make_policy_seat_spec,
+    open_named_policy,
+    policy_overrides,
+)
 from wcsim.agents.policy_api import Warns
 from wcsim.bridge.world import World
 from wcsim.bridge.world_copy import in_copy
 from wcsim.bridge.world_rollout import rollout
 from wcsim.config import resolve
-from wcsim.core.closing import Closing
+from wcsim.core.closing import ClosingContextBase
 from wcsim.errors import ConfigError
 from wcsim.supervisor.actions import action_set
-from wcsim.supervisor.rewards import DISTANCE_TOLERANCE, fault
+from wcsim.supervisor.rewards import DISTANCE_TOLERANCE, judge_crash_fault
 from wcsim.supervisor.rollout import HOLD_S
 from wcsim.towns.scenario.town import Town
 from wcsim.types import ClientSnapshot, Joystick, Outline, StartSpec, UserView
@@ -97,21 +102,21 @@ class Driven:
         return None if self.crash_s is None or self.warned_s is None else self.crash_s - self.warned_s
 
 
-class HeldStreet(Closing):
+class HeldStreet(ClosingContextBase):
     """A world with one chair and one policy, which begins again wherever it is told to."""
 
     def __init__(self, town: Town, policy: str, plant: str, seed: int) -> None:
         """Open the town. Raises what a world and the opening of a policy raise."""
         rules = (f"chair.plant={plant}", "world.warmup_s=20.0")
-        config = config_for(policy, "quick", rules, in_list=True)
-        self.policy = open_named(policy, config, seed)
+        config = config_from_policy_name(policy, "quick", rules, in_list=True)
+        self.policy = open_named_policy(policy, config, seed)
         self.config = resolve(config, policy_overrides(config, self.policy))
         self.hand = StickHolder()
         self.actions = action_set(self.config.env.actions)
-        spec = replace(seat_for(self.policy, "held"), truth=True)
+        spec = replace(make_policy_seat_spec(self.policy, "held"), truth=True)
         self.world = World(town, self.config, (spec,), seed, find_user=lambda _name: self.hand)
-        self._agent = PolicyAgent(self.policy)
-        self.driver: SeatDriver
+        self._agent = PolicyAgentAdapter(self.policy)
+        self.driver: AgentSeatDriver
 
     @property
     def taken(self) -> bool:
@@ -123,7 +128,7 @@ class HeldStreet(Closing):
         """Put the chair there; whether that could be, and it stands there while nobody drives it."""
         self.hand.stick = stick
         with suppress(ConfigError):
-            self.driver = SeatDriver(self.config, self._agent, self.world.respawn(0, start=start))
+            self.driver = AgentSeatDriver(self.config, self._agent, self.world.respawn(0, start=start))
             _, end = json.loads(in_copy(self.world, partial(given, stick=Joystick(0.0, 0.0))))
             return not str(end)
         return False
@@ -151,7 +156,7 @@ class HeldStreet(Closing):
                 warned_s=now_s if warns and said.warned_s is None else said.warned_s,
             )
             if (events := client.events).crashed:
-                whose = fault(events.crash_reason, client.contacts, self.config.reward)
+                whose = judge_crash_fault(events.crash_reason, client.contacts, self.config.reward)
                 return replace(said, crash_s=step * tick_s, reason=events.crash_reason, fault=whose, words=events.crash)
         return said
 
@@ -170,7 +175,7 @@ def given(world: World, stick: Joystick) -> bytes:
     for tick, step in zip(range(1, last + 1), rollout(world, {0: lambda _now: next(sticks)}), strict=False):
         (client,) = step.after.clients
         if client.events.crashed:
-            whose = fault(client.events.crash_reason, client.contacts, world.config.reward)
+            whose = judge_crash_fault(client.events.crash_reason, client.contacts, world.config.reward)
             return json.dumps((tick * tick_s, whose)).encode()
         speed = math.hypot(*client.plant.v_B_mps[:2].tolist()) + abs(float(client.plant.w_B_radps[2]))
         if tick > held and speed < STANDS_MPS:

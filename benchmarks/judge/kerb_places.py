@@ -9,10 +9,10 @@ from typing import Final
 
 import numpy as np
 
-from wcsim.agents.perception.ego_motion import in_odometric
+from wcsim.agents.perception.ego_motion import body_to_odometric
 from wcsim.core.frames import rad
 from wcsim.types import F64, ClassId, Joystick, StartSpec, Street
-from wcsim.types.street import joined_mesh
+from wcsim.types.street import join_meshes
 
 HALF_CHAIR_M: Final = 1.0  # kept clear of walls, however the chair stands
 UPRIGHT: Final = 0.2  # vertical part of a kerb face's normal, at most
@@ -50,7 +50,7 @@ def kerb_starts(street: Street, case: KerbCase, near_W_m: F64, rng: np.random.Ge
     On the road all is carriageway as far as a metre behind the chair; on the pavement nothing solid is near.
     """
     tiles = street.tiles
-    mesh = joined_mesh([tiles.mesh(key) for key in tiles.near(np.array([[*near_W_m, 0.0]]), REACH_M)])
+    mesh = join_meshes([tiles.mesh(key) for key in tiles.near(np.array([[*near_W_m, 0.0]]), REACH_M)])
     corners_W_m = mesh.vertices_W_m[mesh.faces[mesh.face_class == ClassId.KERB]].astype(np.float64)
     normals = np.cross(corners_W_m[:, 1] - corners_W_m[:, 0], corners_W_m[:, 2] - corners_W_m[:, 0])
     upright = np.abs(normals[:, 2]) < UPRIGHT * np.linalg.norm(normals, axis=1)
@@ -59,7 +59,7 @@ def kerb_starts(street: Street, case: KerbCase, near_W_m: F64, rng: np.random.Ge
     for number in rng.permutation(len(feet)):
         away = out[number] if case.below else -out[number]  # from the kerb to the chair
         turn = rad(case.angle_deg) * (1.0 if rng.random() < 0.5 else -1.0)
-        way = -in_odometric(away[None], np.array([0.0, 0.0, turn]))[0]
+        way = -body_to_odometric(away[None], np.array([0.0, 0.0, turn]))[0]
         place = feet[number] - case.far_m * way
         if math.dist(feet[number], near_W_m) < REACH_M and _is_free(street, feet[number], away, way, case):
             heading = -way if case.backwards else way

@@ -30,15 +30,15 @@ from wcsim.agents.danger.street_map import (
     SLICES,
     SPAN_M,
 )
-from wcsim.agents.perception.arcs import LONGEST_S, STEP_S, advance
+from wcsim.agents.perception.arcs import LONGEST_S, STEP_S, integrate_chair_state
 from wcsim.agents.perception.depth_image import viewing_rays
-from wcsim.agents.perception.ego_motion import in_body, in_odometric
-from wcsim.agents.perception.surroundings import box_of
-from wcsim.agents.policies.dwa import DynamicWindow, Veto
+from wcsim.agents.perception.ego_motion import body_to_odometric, odometric_to_body
+from wcsim.agents.perception.surroundings import outline_to_box
+from wcsim.agents.policies.dwa import DynamicWindowPolicy, VetoPolicy
 from wcsim.agents.policy_api import Policy, ReportsUnsafe, SeesTruth
 from wcsim.bridge.world_copy import in_copy
 from wcsim.core.constants import KERB_STEP_M
-from wcsim.core.joystick import limits_of, shaped_rows
+from wcsim.core.joystick import drive_limits_from_chair, shape_joysticks
 from wcsim.physics.wheelchair.plant import plant_spec
 from wcsim.supervisor.rollout import HOLD_S
 from wcsim.types import F64, U8, Bool, ClientSnapshot, Ground, Joystick
@@ -106,14 +106,14 @@ class _Site:
         config, policy = street.config, street.policy
         self._street, self._actor = street, actor
         spec = plant_spec(config.chair)
-        self._box, self._limits = box_of(spec.outline), limits_of(config.chair)
+        self._box, self._limits = outline_to_box(spec.outline), drive_limits_from_chair(config.chair)
         self._outline = outline_points(self._box, 0.0)
         self._still_W_m = what_stands(street.world.street.grid, pose, self._box)
         camera = config.cameras[0]
         self._rays, self._eye = viewing_rays(camera), np.array(camera.p_BC_m)
         self._range_m = 0.99 * camera.range_m
-        watched = policy.inner if isinstance(policy, Veto) else policy
-        self._dwa = policy if isinstance(policy, DynamicWindow) else None
+        watched = policy.inner if isinstance(policy, VetoPolicy) else policy
+        self._dwa = policy if isinstance(policy, DynamicWindowPolicy) else None
         self._net = watched if isinstance(watched, DangerPolicy) else None
         self._judged = np.array([*(p[:2] for p in spec.rims_m()), *spec.stand_m()])
 
@@ -137,8 +137,8 @@ class _Site:
         if who:
             length_m, width_m, _ = who[0].size_lwh_m
             box = outline_points(np.array([-0.5 * length_m, 0.5 * length_m, 0.5 * width_m]), 0.0)
-            places = in_odometric(box, np.array([*who[0].p_W_m[:2], who[0].yaw_rad]))
-        return in_body(places, _pose(now))
+            places = body_to_odometric(box, np.array([*who[0].p_W_m[:2], who[0].yaw_rad]))
+        return odometric_to_body(places, _pose(now))
 
     def _pictured(self, now: ClientSnapshot, places_B_m: F64) -> bool:
         frame = now.sensors.cameras[0]
@@ -174,13 +174,13 @@ class _Site:
         self, now: ClientSnapshot, places_B_m: F64, points_B_m: F64, stick: Joystick, hold_s: float, most_s: float
     ) -> bool:
         """Whether points of the chair come within half a cell of what is looked for."""
-        shaped = shaped_rows(np.array([[stick.x, stick.y]]), self._street.config.chair)[0]
+        shaped = shape_joysticks(np.array([[stick.x, stick.y]]), self._street.config.chair)[0]
         state = np.array([0.0, 0.0, 0.0, now.plant.v_B_mps[0], now.plant.w_B_radps[2], 0.0])
         at_s = 0.0
         while at_s < most_s and (at_s < hold_s - 1e-9 or state[3] != 0.0 or abs(state[4]) > 1e-3):
-            advance(state, shaped if at_s < hold_s - 1e-9 else np.zeros(2), self._limits, STEP_S)
+            integrate_chair_state(state, shaped if at_s < hold_s - 1e-9 else np.zeros(2), self._limits, STEP_S)
             at_s += STEP_S
-            if (_gaps(in_odometric(points_B_m, state[:3]), places_B_m) < 0.5 * CELL_M).any():
+            if (_gaps(body_to_odometric(points_B_m, state[:3]), places_B_m) < 0.5 * CELL_M).any():
                 return True
         return False
 
@@ -197,7 +197,7 @@ def what_stands(ground: Ground, pose: list[float], box: F64) -> F64:
     ahead = np.arange(box[0] - AROUND_M, box[1] + AROUND_M, _RASTER_M)
     left = np.arange(-box[2], box[2], _RASTER_M)
     grid = np.stack(np.meshgrid(ahead, left), axis=-1).reshape(-1, 2)
-    places = in_odometric(grid, np.array(pose))
+    places = body_to_odometric(grid, np.array(pose))
     around = places[:, None] + np.array([(0.1, 0.0), (-0.1, 0.0), (0.0, 0.1), (0.0, -0.1)])
     steps = np.abs(ground.raised_at(around) - ground.raised_at(places)[:, None]).max(axis=1) > KERB_STEP_M
     there: F64 = places[steps | (ground.clearance_at(places) < 0.1)]

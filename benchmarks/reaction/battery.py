@@ -121,7 +121,9 @@ def run_battery(
     standing, every = dict.fromkeys(KINDS, 0), list[Standing]()
     seen = set[str]()
     for each in (*towns, find_town(town)) if town else towns:
-        for place, result in _stand_everywhere(each, seeding.derive(seed, "site", each.name), standing_s, warmup_s):
+        for place, result in _stand_everywhere(
+            each, seeding.derive_seed(seed, "site", each.name), standing_s, warmup_s
+        ):
             progress(f"{each.name} {place.kind} at {place.p_W_m}: {len(result.contacts)} contacts")
             standing[place.kind] += len(result.contacts)
             seen.add(place.kind)
@@ -144,7 +146,7 @@ def _stand_everywhere(
     street, config = load_street(town), WorldConfig(attention_share=1.0)
 
     def stage() -> ReactionStage:
-        return ReactionStage(town, street, config, seeding.derive(seed, "sumo"), warmup_s)
+        return ReactionStage(town, street, config, seeding.derive_seed(seed, "sumo"), warmup_s)
 
     with stage() as first:
         net = read_net(town.net, town.file.origin_m)

@@ -16,8 +16,8 @@ from wcsim.bridge.reaction.attention import AttentionModel
 from wcsim.bridge.reaction.commands import CHAIR, ROADWAY, VEHICLE, ActorCommand, Blocked, ChairInStreet
 from wcsim.bridge.sumo.session import SumoOptions, SumoSession, warm_up
 from wcsim.config import ChairConfig, WorldConfig
-from wcsim.core.boxes import box_of, boxes_touch, gap_to_box
-from wcsim.core.closing import Closing
+from wcsim.core.boxes import box_from_actor, boxes_touch, gap_to_box
+from wcsim.core.closing import ClosingContextBase
 from wcsim.physics.wheelchair.plant import plant_spec
 from wcsim.towns.scenario.overrides import Settings
 from wcsim.towns.scenario.town import Town
@@ -26,7 +26,7 @@ from wcsim.types import F64, ActorState, Street
 _TOUCH_M = 0.01  # bodies that share less than this only touch
 
 
-class ReactionStage(Closing):
+class ReactionStage(ClosingContextBase):
     """A `ReactingTraffic` and any chairs; `deflected_into` and `contacts` collect what should not happen."""
 
     def __init__(self, town: Town, street: Street, config: WorldConfig, seed: int, warmup_s: float) -> None:
@@ -128,7 +128,7 @@ def touches_chair(actor: ActorState, chair: ChairInStreet) -> bool:
     if actor.is_person:
         px, py, _ = actor.p_W_m.tolist()
         return gap_to_box(px, py, *box) < _radius_m(actor) - _TOUCH_M
-    return bool(boxes_touch(*box_of(actor, -_TOUCH_M), *box))
+    return bool(boxes_touch(*box_from_actor(actor, -_TOUCH_M), *box))
 
 
 def _overlap_m(person: ActorState, other: ActorState) -> float:
@@ -136,7 +136,7 @@ def _overlap_m(person: ActorState, other: ActorState) -> float:
     if other.is_person:
         ox, oy, _ = other.p_W_m.tolist()
         return _radius_m(person) + _radius_m(other) - math.hypot(x - ox, y - oy)
-    return _radius_m(person) - float(gap_to_box(x, y, *box_of(other)))
+    return _radius_m(person) - float(gap_to_box(x, y, *box_from_actor(other)))
 
 
 def _radius_m(person: ActorState) -> float:

@@ -16,7 +16,7 @@ from benchmarks.reaction.streets import SMALL_STREETS, build_small_street
 from wcsim.bridge.reaction.commands import CHAIR, ChairInStreet
 from wcsim.config import WorldConfig
 from wcsim.core.boxes import gap_to_box
-from wcsim.core.processes import without_line
+from wcsim.core.processes import drop_stderr_lines
 from wcsim.towns.scenario.town import find_town
 from wcsim.towns.scene_folders.build import build_scene, find_scene
 from wcsim.towns.street import load_street
@@ -64,7 +64,10 @@ def _at_the_gate(model: str, runs: int, work: Path) -> Figures:
         config = WorldConfig(street="jupedsim", attention_share=1.0)
     street, found = load_street(town), list[Figures]()
     for seed in range(runs):
-        with without_line(b"Error: Error during iteration"), ReactionStage(town, street, config, seed, 0.0) as stage:
+        with (
+            drop_stderr_lines(b"Error: Error during iteration"),
+            ReactionStage(town, street, config, seed, 0.0) as stage,
+        ):
             found.append(_pass_the_gate(stage, striping))
     return {name: [value for run in found for value in run[name]] for name in found[0]}
 

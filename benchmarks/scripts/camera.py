@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from rich import box
 from rich.table import Column, Table
 
-from wcsim.cli.shared.common import Bounds, OutFile, some_words, write_json
+from wcsim.cli.shared.common import Bounds, OutFile, split_nonempty_list, write_json
 from wcsim.cli.shared.consoles import stdout_console
 from wcsim.config import CameraConfig
 from wcsim.towns.scenario.town import Town, find_town
@@ -40,7 +40,7 @@ def run(options: CameraOptions) -> int:
     for option, fewest in (("poses", 1), ("actors", 0), ("rounds", 1)):
         Bounds(fewest, 1000).check(f"--{option}", getattr(options, option))
     camera = CameraConfig()
-    names = some_words("--towns", options.towns)
+    names = split_nonempty_list("--towns", options.towns)
     towns = {name: find_town(name) for name in names}
 
     from benchmarks.camera.compare import pooled

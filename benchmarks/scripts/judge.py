@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from rich import box
 from rich.table import Table
 
-from wcsim.cli.shared.common import Bounds, OutFile, some_words, write_json
+from wcsim.cli.shared.common import Bounds, OutFile, split_nonempty_list, write_json
 from wcsim.cli.shared.consoles import stdout_console
 from wcsim.core.own_folder import temporary_folder
 
@@ -49,7 +49,9 @@ def run(options: KerbOptions) -> int:
     from benchmarks.judge.starts import drive_list
 
     console, found = stdout_console(), list[Any]()
-    towns, policies = (tuple(some_words(f"--{what}", getattr(options, what))) for what in ("towns", "policies"))
+    towns, policies = (
+        tuple(split_nonempty_list(f"--{what}", getattr(options, what))) for what in ("towns", "policies")
+    )
     if options.forks:
         found += ask_everywhere(policies, towns, options.forks, options.seed)
         console.print(_verdicts(found))

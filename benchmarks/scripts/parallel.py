@@ -19,8 +19,8 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from wcsim.agents.clients.paid_times import PaidShares, read_paid_times
-from wcsim.cli.shared.common import Bounds, OutFile, Repeated, some_words, write_json
+from wcsim.agents.clients.paid_times import ClientTimeShares, read_group_run_times
+from wcsim.cli.shared.common import Bounds, OutFile, Repeated, split_nonempty_list, write_json
 from wcsim.cli.shared.consoles import stdout_console
 from wcsim.cli.training.train_clients import client_names
 from wcsim.core.own_folder import temporary_folder
@@ -67,7 +67,7 @@ class Trained:
 
 def run(options: ParallelOptions) -> int:
     """Run all, print the tables."""
-    networks = some_words("--clients", options.clients)
+    networks = split_nonempty_list("--clients", options.clients)
     Bounds(1, 10_000_000).check("--steps", options.steps)
     names, here = client_names(networks), len(os.sched_getaffinity(0))
     sizes = _numbers("--sizes", options.sizes, len(networks)) or (len(networks),)
@@ -96,7 +96,7 @@ def _numbers(option: str, text: str, most: int) -> tuple[int, ...]:
     """Whole numbers from 1 on, separated by commas; none for an empty text."""
     if not text:
         return ()
-    words = some_words(option, text)
+    words = split_nonempty_list(option, text)
     if not all(word.isdecimal() and 1 <= int(word) <= most for word in words):
         raise ConfigError(f"{option} {text[:80]!r}: expected whole numbers from 1 to {most}, separated by commas")
     return tuple(int(word) for word in words)
@@ -118,7 +118,7 @@ def _trained(options: ParallelOptions, networks: Sequence[str], folder: Path, co
     wall_s = time.monotonic() - begun_s
     if done.returncode:
         raise WcsimError(f"wcsim {' '.join(words)} ended with code {done.returncode}: {done.stderr.strip()[-400:]}")
-    paid = read_paid_times(folder)
+    paid = read_group_run_times(folder)
     if paid is None:
         raise WcsimError(f"{folder} holds no times of its clients")
     waited = {name: _told(paid.clients[name]) for name in client_names(networks)}
@@ -127,7 +127,7 @@ def _trained(options: ParallelOptions, networks: Sequence[str], folder: Path, co
     return Trained(wall_s=wall_s, start_s=max(0.0, start_s), ticks_per_s=rate, waited=waited, cores=cores)
 
 
-def _told(shares: PaidShares) -> dict[str, float]:
+def _told(shares: ClientTimeShares) -> dict[str, float]:
     """A client's shares, and their sum."""
     return {**asdict(shares), "total_s": shares.acting_s + shares.learning_s + shares.waiting_s}
 

@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from wcsim.cli.shared.common import Bounds, OutFile, some_words, write_json
+from wcsim.cli.shared.common import Bounds, OutFile, split_nonempty_list, write_json
 from wcsim.cli.shared.consoles import print_note, stdout_console
 from wcsim.errors import ConfigError
 from wcsim.towns.scenario.town import find_town
@@ -50,7 +50,7 @@ def run(options: SightOptions) -> int:
     options.out.mkdir(parents=True, exist_ok=True)
     names, key = np.random.default_rng(options.seed).permutation(10_000), dict[str, dict[str, str]]()
     lines = ["Each picture P.png is a street from behind a wheelchair; P-before.png is half a second earlier.", ""]
-    for name in some_words("--towns", options.towns):
+    for name in split_nonempty_list("--towns", options.towns):
         for item in items_of(find_town(name), options.each, options.seed):
             picture = f"{names[len(key)]:04d}"
             write_png(options.out / f"{picture}.png", item.picture)

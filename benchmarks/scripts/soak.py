@@ -143,10 +143,10 @@ def _faults(options: SoakOptions, asked: int | None) -> int:
 def _soaked(options: SoakOptions, town: Town, folder: Path, struck: FaultOrder) -> LearnersFacts:
     """One run of the learners, as `wcsim train-clients` would do it."""
     from benchmarks.soak.learners import ENDLESS, SETTINGS, LearnersOrder, slowed, soak_learners
-    from wcsim.agents.clients.group_run import GroupRun
-    from wcsim.cli.shared.run_config import in_town
+    from wcsim.agents.clients.group_run import ResolvedGroupRun
+    from wcsim.cli.shared.run_config import add_town_to_info
     from wcsim.cli.training.clients import train_clients
-    from wcsim.cli.training.train_clients import Options, resolved
+    from wcsim.cli.training.train_clients import Options, resolve_clients
     from wcsim.server.launch.states import RestartRules
     from wcsim.server.specs import RunInfo
 
@@ -167,9 +167,11 @@ def _soaked(options: SoakOptions, town: Town, folder: Path, struck: FaultOrder) 
         out=folder,
         json=folder.with_name(f"{folder.name}.json"),
     )
-    *clients, last = resolved(trained)
-    info = in_town(RunInfo(seed=options.seed, command=("python", "-m", "benchmarks", "soak")), town, last.config)
-    run = GroupRun(clients=(*clients, slowed(last, options.slow or 1)), out=folder, info=info)
+    *clients, last = resolve_clients(trained)
+    info = add_town_to_info(
+        RunInfo(seed=options.seed, command=("python", "-m", "benchmarks", "soak")), town, last.config
+    )
+    run = ResolvedGroupRun(clients=(*clients, slowed(last, options.slow or 1)), out=folder, info=info)
     told = folder.with_name(f"{folder.name}.json")
     deaths = RestartRules().deaths + struck.kills + struck.stops  # those that faults cause, which may come in a row
     restarts = RestartRules(deaths=deaths)

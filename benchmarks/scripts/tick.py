@@ -9,7 +9,7 @@ from rich.markup import escape
 from rich.progress import Progress
 from rich.table import Table
 
-from wcsim.cli.shared.common import Bounds, OutFile, Repeated, some_words, write_json
+from wcsim.cli.shared.common import Bounds, OutFile, Repeated, split_nonempty_list, write_json
 from wcsim.cli.shared.consoles import stderr_console, stdout_console
 from wcsim.config import RunConfig, resolve
 from wcsim.core.reading import counted
@@ -112,7 +112,7 @@ def _config(options: TickOptions) -> RunConfig:
 
 def _chairs(text: str) -> list[int]:
     try:
-        found = [int(word) for word in some_words("--chairs", text)]
+        found = [int(word) for word in split_nonempty_list("--chairs", text)]
     except ValueError:
         raise ConfigError(f"--chairs {text!r}: expected whole numbers separated by commas, as 1,4") from None
     for number in found:

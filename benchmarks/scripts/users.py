@@ -9,11 +9,20 @@ from typing import TYPE_CHECKING, Any
 from rich import box
 from rich.table import Table
 
-from wcsim.cli.shared.common import Bounds, Keys, OutFile, OutFolder, Repeated, check_folder, some_words, write_json
+from wcsim.cli.shared.common import (
+    AllowedSettingKeys,
+    Bounds,
+    OutFile,
+    OutFolder,
+    Repeated,
+    require_writable_folder,
+    split_nonempty_list,
+    write_json,
+)
 from wcsim.cli.shared.consoles import stderr_console, stdout_console
 from wcsim.config import RunConfig, resolve
 from wcsim.towns.scenario.town import Town, find_town
-from wcsim.users.profiles import profile, profile_names
+from wcsim.users.profiles import find_builtin_profile, profile_names
 
 if TYPE_CHECKING:  # loads the simulators, which --help must not
     from benchmarks.users.drives import DrivenRoute
@@ -53,11 +62,11 @@ def run(options: UsersOptions) -> int:
     """Run the bench."""
     Bounds(1, 1000).check("--routes", options.routes)
     Bounds(20.0, LONGEST_S).check("--seconds", options.seconds)
-    Keys({"env.profile": "expected --profiles NAME,..."}).check("--set", options.set)
+    AllowedSettingKeys({"env.profile": "expected --profiles NAME,..."}).check("--set", options.set)
     if options.pictures is not None:
-        check_folder("--pictures", options.pictures)
-    names = tuple(profile(name).name for name in some_words("--profiles", options.profiles))
-    towns = tuple(find_town(name) for name in some_words("--towns", options.towns))
+        require_writable_folder("--pictures", options.pictures)
+    names = tuple(find_builtin_profile(name).name for name in split_nonempty_list("--profiles", options.profiles))
+    towns = tuple(find_town(name) for name in split_nonempty_list("--towns", options.towns))
     config = resolve("quick", (*TINY_CAMERA, *options.set))
     # A seed of its own for each town: with one for all, the same few users would be drawn in each again.
     seeds = range(options.seed, options.seed + len(towns))

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from wcsim.core import seeding
-from wcsim.server.launch.states import ClientState, LaunchState
+from wcsim.server.launch.states import ClientProcessState, LaunchProcessStates
 
 WORLD = "world"
 What = Literal["kill", "stop", "pause"]
@@ -84,7 +84,7 @@ class Chaos:
         """What was done so far."""
         return self._striker.faults
 
-    def act(self, state: LaunchState) -> None:
+    def act(self, state: LaunchProcessStates) -> None:
         """Do what is due now."""
         now_s = time.monotonic()
         self._striker.wake(now_s)
@@ -108,7 +108,7 @@ class Chaos:
         """Let every stopped process go on."""
         self._striker.wake(float("inf"))
 
-    def _strike(self, state: LaunchState, now_s: float) -> None:
+    def _strike(self, state: LaunchProcessStates, now_s: float) -> None:
         shares = [share for _, _, share in _MENU]
         who, what, _ = _MENU[int(self._rng.choice(len(_MENU), p=[share / sum(shares) for share in shares]))]
         seated = () if state.world is None else state.world.members
@@ -119,7 +119,7 @@ class Chaos:
         there = [c for c in state.clients if c.pid and c.name in seated]
         chosen = [c for c in there if (c.name == master) == (who == "master")]
         if chosen:
-            client: ClientState = chosen[int(self._rng.integers(len(chosen)))]
+            client: ClientProcessState = chosen[int(self._rng.integers(len(chosen)))]
             others = tuple(name for name in seated if name != client.name)
             fault = Fault(time_s=now_s, what=what, who=client.name, master=client.name == master, others=others)
             self._do(what, client.pid, fault)

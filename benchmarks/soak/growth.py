@@ -17,8 +17,8 @@ from typing import Final
 import numpy as np
 import psutil  # type: ignore[import-untyped]
 
-from wcsim.core.files import folder_bytes
-from wcsim.server.launch.states import LaunchState
+from wcsim.core.files import count_folder_bytes
+from wcsim.server.launch.states import LaunchProcessStates
 
 RUN_H: Final = 600.0
 """Hours of the long run that bounds are reckoned for."""
@@ -125,7 +125,7 @@ class GrowthLog:
         self._disk = _Samples()  # MB
         self._looked_s = -math.inf
 
-    def look(self, state: LaunchState, now_s: float, *, settled: bool = True) -> None:
+    def look(self, state: LaunchProcessStates, now_s: float, *, settled: bool = True) -> None:
         """Take samples when it is time to; until the run has settled, of who there is alone."""
         if now_s - self._looked_s < SAMPLE_S or state.stopping:
             return
@@ -137,7 +137,7 @@ class GrowthLog:
                 if pid:
                     self._sample(who, psutil.Process(pid), now_s, settled=settled, ours=pid != here)
         if settled:
-            self._disk.add(now_s, folder_bytes(self._folder) / 1e6)
+            self._disk.add(now_s, count_folder_bytes(self._folder) / 1e6)
 
     def orphans(self) -> int:
         """Processes that were started and still run."""
@@ -172,7 +172,7 @@ class SettledPace:
         self._ticks, self._spent_s = 0, 0.0
         self._last: tuple[int, int, float] | None = None  # process, its ticks, and when
 
-    def look(self, state: LaunchState, now_s: float, *, settled: bool = True) -> None:
+    def look(self, state: LaunchProcessStates, now_s: float, *, settled: bool = True) -> None:
         """Take in how things are; what a world does before the run has settled, or while it ends, does not count."""
         world, before = state.world, self._last
         if state.stopping or not settled or world is None or not (state.world_pid and world.ticks):

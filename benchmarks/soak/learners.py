@@ -16,12 +16,12 @@ import numpy as np
 from benchmarks.soak.faults import WORLD
 from benchmarks.soak.growth import GrowthLog, LongRun, SettledPace, Slope, long_run, predicted_s
 from benchmarks.soak.planned import FaultOrder, PlannedFaults, Recovered
-from wcsim.agents.clients.group_run import Client, GroupRun
-from wcsim.agents.clients.paid_times import PaidTimes, read_paid_times
+from wcsim.agents.clients.group_run import ResolvedClient, ResolvedGroupRun
+from wcsim.agents.clients.paid_times import GroupRunTimes, read_group_run_times
 from wcsim.agents.runs.checkpoint import KEEP
 from wcsim.config import LearnConfig
 from wcsim.errors import InterruptedRunError
-from wcsim.server.launch.states import ClientState, LaunchState
+from wcsim.server.launch.states import ClientProcessState, LaunchProcessStates
 
 SETTINGS = ("learn.replay_frames=1000", "learn.checkpoint_every=100", "learn.updates=while_waiting")
 """Laid over the preset: a replay that is full soon, so that what grows afterwards is no replay; and checkpoints that
@@ -59,7 +59,7 @@ class LearnersFacts:
     memory: dict[str, Slope]  # MB, by process
     disk: Slope  # MB
     bounds: LongRun
-    paid: PaidTimes | None
+    paid: GroupRunTimes | None
 
     def recovery_s(self, of_world: bool) -> list[float]:
         """How long faults were felt, of the world or of clients."""
@@ -84,7 +84,7 @@ class _Watch:
         self._begun_s: float | None = None  # of the first tick
         self.over = False  # by the clock
 
-    def look(self, state: LaunchState) -> bool:
+    def look(self, state: LaunchProcessStates) -> bool:
         """Called a few times a second; True when it is time to stop."""
         now_s = time.monotonic()
         if self._begun_s is None and state.world is not None and state.world.ticks > 0:
@@ -97,7 +97,7 @@ class _Watch:
         self.over = self.over or (self._order.steps is None and self._progress(state) >= 1.0)
         return self.over
 
-    def _progress(self, state: LaunchState) -> float:
+    def _progress(self, state: LaunchProcessStates) -> float:
         """How much of the run is over, 0..1; faults come in the part before the calm end."""
         if self._order.steps is not None:
             return max((c.status.step for c in state.clients if c.status is not None), default=0) / self._order.steps
@@ -107,9 +107,9 @@ class _Watch:
 
 def soak_learners(
     order: LearnersOrder,
-    run: GroupRun,
+    run: ResolvedGroupRun,
     told: Path,
-    train: Callable[[Callable[[LaunchState], bool]], int],
+    train: Callable[[Callable[[LaunchProcessStates], bool]], int],
     progress: Callable[[float], object] = lambda share: None,
 ) -> LearnersFacts:
     """Run it.
@@ -158,7 +158,7 @@ def soak_learners(
             _recovery_s(watch.faults.recovered),
             max(client.config.learn.process_growth_mb for client in run.clients),
         ),
-        paid=read_paid_times(order.folder),
+        paid=read_group_run_times(order.folder),
     )
 
 
@@ -167,18 +167,18 @@ def settled_step(learn: LearnConfig) -> int:
     return learn.replay_frames + KEEP * learn.checkpoint_every
 
 
-def _step(client: ClientState) -> int:
+def _step(client: ClientProcessState) -> int:
     return 0 if client.status is None else client.status.step
 
 
-def slowed(client: Client, times: int) -> Client:
+def slowed(client: ResolvedClient, times: int) -> ResolvedClient:
     """The same client with batches so many times as large."""
     learn = client.config.learn
     learn = learn.model_copy(update={"batch_size": times * learn.batch_size})
     return replace(client, config=client.config.model_copy(update={"learn": learn}))
 
 
-def _epoch_h(run: GroupRun, watch: _Watch) -> float:
+def _epoch_h(run: ResolvedGroupRun, watch: _Watch) -> float:
     """Hours that an epoch lasts at the pace of this soak."""
     ticks = run.clients[0].config.epoch_ticks or math.inf
     return ticks / max(watch.pace.ticks_per_s, 1e-3) / 3600.0

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from benchmarks.soak.faults import TOLD_S, WORLD, Fault, Striker, What
 from wcsim.core import seeding
-from wcsim.server.launch.states import LaunchState
+from wcsim.server.launch.states import LaunchProcessStates
 
 _TARGETS = (("client", 0.6), ("master", 0.2), (WORLD, 0.2))
 _STOP_LEASES = (0.4, 1.8)  # a stopped client wakes after so many leases: half of them find that they were given up
@@ -39,7 +39,7 @@ class Recovered:
 class PlannedFaults:
     """Does what was planned, one fault after the other, each when everybody is there; see the module's text."""
 
-    def __init__(self, order: FaultOrder, progress: Callable[[LaunchState], float]) -> None:
+    def __init__(self, order: FaultOrder, progress: Callable[[LaunchProcessStates], float]) -> None:
         """`progress` says how much of the run is over, 0..1."""
         self._rng = seeding.generator(order.seed, "planned faults")
         self._lease_s, self._progress, self._most = order.lease_s, progress, 0.0
@@ -60,7 +60,7 @@ class PlannedFaults:
         """Let every stopped process go on."""
         self._striker.wake(float("inf"))
 
-    def act(self, state: LaunchState) -> None:
+    def act(self, state: LaunchProcessStates) -> None:
         """Do what is due now; called a few times a second."""
         now_s = time.monotonic()
         self._striker.wake(now_s)
@@ -81,7 +81,7 @@ class PlannedFaults:
         """Whom a fault is for."""
         return _TARGETS[int(self._rng.choice(len(_TARGETS), p=[share for _, share in _TARGETS]))][0]
 
-    def _strike(self, state: LaunchState, plan: tuple[str, What], now_s: float) -> None:
+    def _strike(self, state: LaunchProcessStates, plan: tuple[str, What], now_s: float) -> None:
         world, (who, what) = state.world, plan
         if world is None or not world.members:
             return
@@ -104,7 +104,7 @@ class PlannedFaults:
             self._striker.strike(fault, client.pid, wakes_s)
         self._felt = (fault, base) if fault.others else None
 
-    def _watch(self, state: LaunchState, now_s: float) -> None:
+    def _watch(self, state: LaunchProcessStates, now_s: float) -> None:
         """Whether the last fault was got over."""
         world = state.world
         if self._felt is None or world is None or state.world_standing != "running":

@@ -19,16 +19,16 @@ from benchmarks.soak.faults import WORLD, Chaos, Fault
 from benchmarks.soak.growth import GrowthLog, LongRun, SettledPace, Slope, long_run, predicted_s
 from benchmarks.soak.stub_client import StubSight, read_sights
 from wcsim.config import RunConfig
-from wcsim.core.own_folder import endpoint_in, workplace
-from wcsim.log.reader import iter_inputs
+from wcsim.core.own_folder import runtime_folder, world_endpoint_from_folder
+from wcsim.log.reader import iter_journal_inputs
 from wcsim.log.writer import JOURNAL
 from wcsim.server.launch.launcher import Launcher
-from wcsim.server.launch.states import ClientPlan, LaunchOutcome, LaunchRules, LaunchState
-from wcsim.server.ledger import Audit, audit, iter_ledger
-from wcsim.server.protocol.events import Rules
-from wcsim.server.specs import SeatRequest, WorldSpec, to_line, world_plan
+from wcsim.server.launch.states import ClientLaunchPlan, LauncherTimeouts, LaunchProcessStates, LaunchResult
+from wcsim.server.ledger import LedgerAuditResult, audit_ledgers, iter_ledger_frames
+from wcsim.server.protocol.events import ServerRules
+from wcsim.server.specs import SeatRequest, WorldProcessSpec, encode_json_line, make_world_launch_plan
 from wcsim.types import SeatSpec
-from wcsim.users.profiles import user_files
+from wcsim.users.profiles import filter_user_file_names
 
 _LEASE_S = 3.0
 _CALM_SHARE = 0.25  # of the time, at the end
@@ -81,7 +81,7 @@ class RecoveryTimes:
 class SoakFacts:
     """What a soak showed."""
 
-    audit: Audit
+    audit: LedgerAuditResult
     faults: tuple[Fault, ...]
     times: RecoveryTimes
     bars: RecoveryBars
@@ -90,7 +90,7 @@ class SoakFacts:
     memory: dict[str, Slope]  # MB, by process
     disk: Slope  # MB
     bounds: LongRun
-    outcome: LaunchOutcome
+    outcome: LaunchResult
 
 
 def soak(order: SoakOrder, progress: Callable[[float], object] = lambda done_s: None) -> SoakFacts:
@@ -101,19 +101,23 @@ def soak(order: SoakOrder, progress: Callable[[float], object] = lambda done_s: 
     """
     names = [f"c{seat}" for seat in range(order.clients)]
     watch = _Watch(order, progress)
-    with workplace() as place:
+    with runtime_folder() as place:
         world = _server_order(order, place)
         plans = [_plan(order, world, name, seat, place) for seat, name in enumerate(names)]
-        rules = LaunchRules(world_lease_s=_WORLD_LEASE_S, client_lease_s=30.0)
+        rules = LauncherTimeouts(world_lease_s=_WORLD_LEASE_S, client_lease_s=30.0)
         launcher = Launcher(
-            world_plan(world, place, order.folder / "logs" / "world.log"), plans, order.folder, rules, watch.show
+            make_world_launch_plan(world, place, order.folder / "logs" / "world.log"),
+            plans,
+            order.folder,
+            rules,
+            watch.show,
         )
         watch.launcher = launcher
         outcome = launcher.run()
-    ledgers = [(seat, iter_ledger(_ledger(order, name))) for seat, name in enumerate(names)]
+    ledgers = [(seat, iter_ledger_frames(_ledger(order, name))) for seat, name in enumerate(names)]
     times = _recovery_times(watch.chaos.faults, {name: read_sights(_sights(order, name)) for name in names})
     return SoakFacts(
-        audit=audit(iter_inputs(order.folder / JOURNAL), ledgers)[0],
+        audit=audit_ledgers(iter_journal_inputs(order.folder / JOURNAL), ledgers)[0],
         faults=tuple(watch.chaos.faults),
         times=times,
         bars=recovery_bars(order),
@@ -201,7 +205,7 @@ class _Watch:
         self._seconds, self._progress = order.seconds, progress
         self._calm_s = _calm_s(order.seconds, order.lease_s)
 
-    def show(self, state: LaunchState) -> None:
+    def show(self, state: LaunchProcessStates) -> None:
         """Called a few times a second."""
         now_s = time.monotonic()
         if self._end_s == math.inf and state.world is not None and state.world.ticks > 0:
@@ -222,20 +226,20 @@ def _bounds(order: SoakOrder, watch: _Watch, times: RecoveryTimes) -> LongRun:
     return long_run(watch.growth.memory, watch.growth.disk, epoch_h, predicted_s(times.world_s))
 
 
-def _server_order(order: SoakOrder, place: Path) -> WorldSpec:
-    rules = Rules(
+def _server_order(order: SoakOrder, place: Path) -> WorldProcessSpec:
+    rules = ServerRules(
         capacity=order.clients,
         config=order.config.world_digest(),
         expected=order.clients,
         lease_s=order.lease_s,
-        recordings=user_files([order.config.env.profile]),
+        recordings=filter_user_file_names([order.config.env.profile]),
     )
-    return WorldSpec(
+    return WorldProcessSpec(
         town=order.town,
         config=order.config,
         seed=order.seed,
         rules=rules,
-        endpoint=endpoint_in(place),
+        endpoint=world_endpoint_from_folder(place),
         ring=str(place),
         name="soak",
         run=str(order.folder),
@@ -243,7 +247,7 @@ def _server_order(order: SoakOrder, place: Path) -> WorldSpec:
     )
 
 
-def _plan(order: SoakOrder, world: WorldSpec, name: str, seat: int, place: Path) -> ClientPlan:
+def _plan(order: SoakOrder, world: WorldProcessSpec, name: str, seat: int, place: Path) -> ClientLaunchPlan:
     join = SeatRequest(
         endpoint=world.endpoint,
         name=name,
@@ -254,9 +258,9 @@ def _plan(order: SoakOrder, world: WorldSpec, name: str, seat: int, place: Path)
         ledger=str(_ledger(order, name)),
     )
     file = place / f"{name}.json"
-    file.write_bytes(to_line(join))
+    file.write_bytes(encode_json_line(join))
     argv = (sys.executable, "-m", "benchmarks.soak.stub_client", str(file), "--sights", str(_sights(order, name)))
-    return ClientPlan(name=name, seat=seat, argv=argv, log=order.folder / "logs" / f"{name}.log")
+    return ClientLaunchPlan(name=name, seat=seat, argv=argv, log=order.folder / "logs" / f"{name}.log")
 
 
 def _ledger(order: SoakOrder, name: str) -> Path:

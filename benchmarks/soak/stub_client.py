@@ -1,7 +1,7 @@
 """A client without a learner, for benches and soaks: `python -m benchmarks.soak.stub_client ORDER_FILE [options]`.
 
 It drives as its user wishes, thinks for a given time, and writes down when it saw each frame (the machine's monotonic
-clock, the same for all processes). SIGTERM ends it in good order; it ends with a code of `ClientExit`.
+clock, the same for all processes). SIGTERM ends it in good order; it ends with a code of `ClientExitCode`.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from types import FrameType
 
 from wcsim.core.processes import die_with_parent
 from wcsim.errors import EvictedError, LinkError, WcsimError, WorldRestartedError
-from wcsim.server.launch.states import WAIT_NO_MORE, ClientExit, ClientStatus
-from wcsim.server.links.base import WorldLink
+from wcsim.server.launch.states import WAIT_NO_MORE, ClientExitCode, ClientStatusReport
+from wcsim.server.links.base import ProcessSeatLink
 from wcsim.server.links.socket import SocketSeat
-from wcsim.server.specs import SeatRequest, read_order, to_line
+from wcsim.server.specs import SeatRequest, encode_json_line, read_spec_file
 from wcsim.types import ClientSnapshot
 
 SAY_S = 0.5
@@ -69,7 +69,7 @@ class _Notes:
         self._count = self._file.tell() // _SEEN.size
         self._said_s = 0.0
 
-    def note(self, link: WorldLink, seen: ClientSnapshot) -> None:
+    def note(self, link: ProcessSeatLink, seen: ClientSnapshot) -> None:
         """One more frame."""
         now_s = time.monotonic()
         self._file.write(_SEEN.pack(now_s, link.epoch, seen.tick))
@@ -77,11 +77,11 @@ class _Notes:
         if self._pipe >= 0 and now_s - self._said_s > SAY_S:
             self._said_s = now_s
             with contextlib.suppress(OSError):
-                os.write(self._pipe, to_line(ClientStatus(name=self._name, step=self._count)))
+                os.write(self._pipe, encode_json_line(ClientStatusReport(name=self._name, step=self._count)))
 
 
 def main(words: Sequence[str]) -> int:
-    """Drive until the steps are done or the end is asked for; returns a code of `ClientExit`."""
+    """Drive until the steps are done or the end is asked for; returns a code of `ClientExitCode`."""
     die_with_parent()
     ends = _Ends()
     parser = argparse.ArgumentParser()
@@ -93,7 +93,7 @@ def main(words: Sequence[str]) -> int:
     parser.add_argument("--resume", action="store_true")
     options = parser.parse_args(words)
     try:
-        order = read_order(SeatRequest, options.order)
+        order = read_spec_file(SeatRequest, options.order)
         notes = _Notes(options.sights, order.name, options.status_fd)
         with SocketSeat(order) as link:
             signal.signal(WAIT_NO_MORE, lambda number, frame: link.wait_no_more())
@@ -101,12 +101,12 @@ def main(words: Sequence[str]) -> int:
     except WcsimError as error:
         sys.stderr.write(f"wcsim: {type(error).__name__}: {error}\n")
         if ends.asked:
-            return ClientExit.STOPPED
+            return ClientExitCode.STOPPED
         return _exit_of(error)
-    return ClientExit.STOPPED if ends.asked else ClientExit.DONE
+    return ClientExitCode.STOPPED if ends.asked else ClientExitCode.DONE
 
 
-def _drive(link: WorldLink, notes: _Notes, ends: _Ends, steps: int, think_s: float) -> None:
+def _drive(link: ProcessSeatLink, notes: _Notes, ends: _Ends, steps: int, think_s: float) -> None:
     seen = link.join()
     notes.note(link, seen)
     for _ in range(steps):
@@ -121,10 +121,10 @@ def _drive(link: WorldLink, notes: _Notes, ends: _Ends, steps: int, think_s: flo
         notes.note(link, seen)
 
 
-def _exit_of(error: WcsimError) -> ClientExit:
+def _exit_of(error: WcsimError) -> ClientExitCode:
     if isinstance(error, EvictedError):
-        return ClientExit.EVICTED
-    return ClientExit.SERVER_GONE if isinstance(error, LinkError) else ClientExit.USER_ERROR
+        return ClientExitCode.EVICTED
+    return ClientExitCode.SERVER_GONE if isinstance(error, LinkError) else ClientExitCode.USER_ERROR
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ import numpy as np
 from benchmarks.interleave import Contestant, Runner, in_turns
 from benchmarks.tick.bridgeless_world import BLOCK_TICKS, STAGES, StopwatchedWorld, TimedTwin, bridge_cost, typical
 from wcsim.config import RunConfig
-from wcsim.server.specs import seat_spec
+from wcsim.server.specs import seat_spec_from_env
 from wcsim.towns.scenario.town import Town
 
 
@@ -43,7 +43,7 @@ def measure_tick(
     Raises:
         SumoError: One of the three dies or hangs.
     """
-    given = (town.sumocfg, config, (seat_spec(config.env),) * chairs, seed)
+    given = (town.sumocfg, config, (seat_spec_from_env(config.env),) * chairs, seed)
     takers = [Contestant(make=make, given=given, ticks=BLOCK_TICKS) for make in (StopwatchedWorld, TimedTwin)]
     if naive is not None:
         takers.append(Contestant(make=naive, given=(town.sumocfg, config, chairs, seed), ticks=BLOCK_TICKS))

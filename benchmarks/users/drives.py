@@ -20,7 +20,7 @@ from wcsim.config import RunConfig
 from wcsim.supervisor.actions import ActionSet, action_set
 from wcsim.towns.scenario.town import Town
 from wcsim.types import ClientSnapshot, Command, Joystick, SeatSpec, Snapshot
-from wcsim.users.profiles import UserProfile, profile
+from wcsim.users.profiles import UserProfile, find_builtin_profile
 from wcsim.users.user import SimulatedUser
 
 Outcome = Literal["arrived", "crashed", "gave up", "time"]
@@ -134,7 +134,7 @@ def drive_routes(
         ConfigError: A name is that of no profile.
     """
     for name in names:
-        profile(name)
+        find_builtin_profile(name)
     points = action_set(config.env.actions)
     specs = tuple(SeatSpec(profile=name, max_steps=ENDLESS, truth=truth) for name in names)
     with World(town, config, specs, seed) as world:

@@ -10,12 +10,12 @@ import numpy as np
 
 from benchmarks.users.hand_fit import HandFit, fit_hand
 from benchmarks.users.hand_habits import HandLog, Tremor, pauses, switch_holds, tremor
-from wcsim.core.frames import rad, wrap
+from wcsim.core.frames import rad, wrap_angle
 from wcsim.types import F64, ActorKind, UserView
 from wcsim.users.hand import DRIVE_ABOVE, PULSE_S, STEER_ABOVE
-from wcsim.users.perception import PERSON_SIGHT, Seen
+from wcsim.users.perception import PERSON_SIGHT, PerceivedObjects
 from wcsim.users.profiles import UserProfile
-from wcsim.users.recordings.hand_series import correction_s
+from wcsim.users.recordings.hand_series import mean_correction_interval_s
 
 _SHAKES = 0.05  # a tremor below this is not averaged away before the fit
 _SHORTEST_S = 15.0  # of a route whose hand is fitted
@@ -57,7 +57,7 @@ def statistics(logs: Sequence[RouteLog]) -> dict[str, Statistic]:
     return rows | _of_noticing(logs) | _of_looks_away(logs)
 
 
-def meet(view: UserView, seen: Seen, profile: UserProfile, met: dict[str, bool]) -> None:
+def meet(view: UserView, seen: PerceivedObjects, profile: UserProfile, met: dict[str, bool]) -> None:
     """Add to `met` what has come near enough that the user must have noticed or missed it, and which it was."""
     aware = np.array([(thing.x_m, thing.y_m) for thing in seen.things]).reshape(-1, 2)
     here = view.p_W_m[:2]
@@ -68,7 +68,7 @@ def meet(view: UserView, seen: Seen, profile: UserProfile, met: dict[str, bool])
             near.append((actor.id, x, y, PERSON_SIGHT * profile.see_m, 0.5 * max(actor.size_lwh_m[:2])))
     for name, x, y, sight_m, size_m in near:
         away_m = math.hypot(x - here[0], y - here[1])
-        aside = abs(wrap(math.atan2(y - here[1], x - here[0]) - view.yaw_rad))
+        aside = abs(wrap_angle(math.atan2(y - here[1], x - here[0]) - view.yaw_rad))
         if name not in met and away_m < _SURELY_NEAR * sight_m and aside < _SURELY_AHEAD_RAD:
             met[name] = bool((np.hypot(*(aware - (x, y)).T) < size_m).any())
 
@@ -83,7 +83,9 @@ def _of_hands(logs: Sequence[RouteLog]) -> dict[str, Statistic]:
     rows = _of_responses(fits, users)
     rows |= _of_tremors(shakes, users) if users[0].tremor > 0.0 else _of_wander(fits, users)
     if users[0].correct_every_s > 0.0:
-        found = ((correction_s(log.hand.intents, log.tick_s), log.profile.correct_every_s) for log in long)
+        found = (
+            (mean_correction_interval_s(log.hand.intents, log.tick_s), log.profile.correct_every_s) for log in long
+        )
         _add(rows, "correct_every_s", "s", found)
     if users[0].gain == (1.0, 1.0):
         _add(rows, "speed_share", "", ((_usual_speed_share(log), log.profile.speed_share) for log in long))

@@ -4,7 +4,7 @@ import gymnasium as gym
 import numpy as np
 
 from tests.support.samples import ACTIONS
-from wcsim.supervisor.observation import observation_space
+from wcsim.supervisor.observation import make_observation_space
 
 LENGTH, SIDE = 5, 8
 CLASSES = (8, 11, 21, 23, 24)  # one class fills the image of each state
@@ -22,7 +22,7 @@ class TinyTask(gym.Env):
 
     def __init__(self):
         self.actions = ACTIONS
-        self.observation_space = observation_space("compact", SIDE, SIDE)
+        self.observation_space = make_observation_space("compact", SIDE, SIDE)
         self.action_space = gym.spaces.Discrete(len(self.actions))
 
     def reset(self, *, seed=None, options=None):

@@ -9,7 +9,7 @@ from wcsim.agents.evaluation.suite.records import CRASHED, TIMED_OUT, EpisodeRec
 from wcsim.agents.evaluation.suite.rows import ResultRow, row_of
 from wcsim.agents.policy_api import Policy, SeesTruth, pass_delay
 from wcsim.config import RunConfig
-from wcsim.supervisor.kpi import KpiStep, crash_of, sums_of
+from wcsim.supervisor.kpi import KpiStep, make_crash_fields, sum_kpi_steps
 from wcsim.types import Events, Joystick, Truth
 
 
@@ -31,10 +31,10 @@ def driven(
             seen, _, terminated, truncated, info = env.step(policy.act(seen))
             steps.append(KpiStep.of(info, truth is None or not truth.danger))
             if info["events"].crashed:
-                ended = {"status": CRASHED, **crash_of(info["events"], (), steps, tick_s, RunConfig().reward)}
+                ended = {"status": CRASHED, **make_crash_fields(info["events"], (), steps, tick_s, RunConfig().reward)}
             if terminated or truncated:
                 break
-        sums = sums_of(steps, tick_s)
+        sums = sum_kpi_steps(steps, tick_s)
         place = {"block": number, "seat": 0, "part": "", "town": "", "profile": ""}
         records.append(EpisodeRecord(**place, time_s=sums["steps"] * tick_s, **ended, **sums))
     return row_of(policy.name, "", records, ())

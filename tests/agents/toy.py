@@ -20,9 +20,9 @@ from stable_baselines3.common.logger import configure
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from tests.support.samples import ACTIONS, stacked
-from wcsim.agents.envs.episode_view import FrameWindow, windowed_space
+from wcsim.agents.envs.episode_view import FrameWindow, window_observation_space
 from wcsim.agents.learning.build import build_model
-from wcsim.agents.learning.checkpoint import checkpoint_restorer
+from wcsim.agents.learning.checkpoint import make_checkpoint_restorer
 from wcsim.agents.learning.replay.buffer import FrameReplay
 from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.learning.train import train
@@ -30,11 +30,11 @@ from wcsim.agents.runs.checkpoint import _restore_newest, _Restored
 from wcsim.agents.runs.metrics import STEP_COLUMNS, MetricsFile
 from wcsim.agents.runs.run_folder import ResolvedRun
 from wcsim.config import CameraConfig, LearnConfig, RunConfig
-from wcsim.config.run_file import SittingFile
+from wcsim.config.run_file import QTrainingProgress
 from wcsim.errors import ServerGoneError
 from wcsim.server.launch.states import WAIT_NO_MORE
 from wcsim.server.specs import RunInfo
-from wcsim.supervisor.observation import observation_space
+from wcsim.supervisor.observation import make_observation_space
 from wcsim.types import ClassId, Events, Joystick, RewardTerms, Truth
 
 DT_S, V_MAX, W_MAX, LAG_S = 0.1, 1.6, 1.5, 0.25
@@ -111,7 +111,7 @@ class ToyStreet(gym.Env[dict[str, Any], np.int64]):
         self.camera = camera or toy_camera()
         self.max_steps, self.count = max_steps, obstacles
         self.actions = ACTIONS
-        self.observation_space = observation_space("compact", self.camera.width_px, self.camera.height_px)
+        self.observation_space = make_observation_space("compact", self.camera.width_px, self.camera.height_px)
         self.action_space = gym.spaces.Discrete(len(self.actions))
         self.rays = camera_rays(self.camera)  # (H * W, 3) body frame, per metre of depth
         self.g = np.random.default_rng(0)
@@ -269,7 +269,7 @@ class WindowedStreet(gym.Wrapper):
     def __init__(self, frames: int, camera: CameraConfig | None = None, max_steps: int = 400) -> None:
         super().__init__(ToyStreet(camera, max_steps))
         self.window = FrameWindow(frames)
-        self.observation_space = windowed_space(self.env.observation_space, frames)
+        self.observation_space = window_observation_space(self.env.observation_space, frames)
 
     def reset(self, **options):
         observation, info = self.env.reset(**options)
@@ -281,9 +281,11 @@ class WindowedStreet(gym.Wrapper):
         return self.window.add(observation), *rest
 
 
-def load_checkpoint(folder: Path, model: SeqDQN, alive: Callable[[], object] = lambda: None) -> _Restored[SittingFile]:
+def load_checkpoint(
+    folder: Path, model: SeqDQN, alive: Callable[[], object] = lambda: None
+) -> _Restored[QTrainingProgress]:
     """Bring a learner to the newest sound checkpoint."""
-    return _restore_newest(folder, checkpoint_restorer(model, alive))
+    return _restore_newest(folder, make_checkpoint_restorer(model, alive))
 
 
 def explores(start: float, end: float, **learn: Any) -> LearnConfig:

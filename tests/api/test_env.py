@@ -25,7 +25,7 @@ from wcsim.agents.envs.vector_env import StreetVectorEnv
 from wcsim.agents.envs.wheelchair_env import WheelchairEnv
 from wcsim.config import resolve
 from wcsim.errors import BadActionError, ConfigError, ProtocolError, TownError
-from wcsim.supervisor.rewards import find_reward_term
+from wcsim.supervisor.rewards import make_reward_term
 from wcsim.types import Events, PlantState, RewardTerms
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -340,7 +340,7 @@ def test_a_picture_that_is_kept_stays_what_it_was(corner):
 
 def test_an_own_reward_term_is_added(corner, monkeypatch):
     monkeypatch.chdir(EXAMPLES)
-    with made(corner, reward_terms=(find_reward_term("own_reward:Gentle"),)) as env:
+    with made(corner, reward_terms=(make_reward_term("own_reward:Gentle"),)) as env:
         _, info = env.reset(seed=1)
         total, before = 0.0, info["state"].v_B_mps[0]
         for _ in range(15):

@@ -8,7 +8,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 from tests.support.worlds import follow, open_world, quick_config
-from wcsim.agents.envs.episode_view import ChairView
+from wcsim.agents.envs.episode_view import SeatEnvAdapter
 from wcsim.agents.envs.parallel_env import StreetParallelEnv
 from wcsim.agents.envs.vec_env import StreetVecEnv
 from wcsim.agents.envs.wheelchair_env import WheelchairEnv
@@ -112,4 +112,4 @@ def test_a_world_without_it_is_no_world_for_who_expects_it(corner):
     with open_world(corner) as world:
         bare = world.snapshot.clients[0]
     with pytest.raises(ConfigMismatchError, match=r"sensors are \{\}; expected \{'odometry': 2\}"):
-        ChairView(quick_config(ON)).begin(bare)
+        SeatEnvAdapter(quick_config(ON)).begin(bare)

@@ -17,12 +17,12 @@ import psutil
 from tests.attack.files.damage import flipped
 from tests.attack.scenarios.twists import draws, pick
 from tests.support.tracked import ROOT
-from wcsim.agents.clients.group_run import open_clients_folder
-from wcsim.agents.clients.paid_times import PaidTimes
+from wcsim.agents.clients.group_run import open_group_run_folder
+from wcsim.agents.clients.paid_times import GroupRunTimes
 from wcsim.cli.shared.exit_codes import Exit
 from wcsim.cli.training.clients import _report_of, _TickRate
 from wcsim.errors import WcsimError
-from wcsim.log.reader import iter_inputs
+from wcsim.log.reader import iter_journal_inputs
 from wcsim.log.records import Ticked
 
 QUICK = (
@@ -73,7 +73,7 @@ def start(folder: Path, *words: object, before: Sequence[str] = ()) -> subproces
 def ticks_of(run: Path) -> int:
     """Ticks that a world has done, by its journal."""
     with contextlib.suppress(WcsimError):
-        return sum(isinstance(record, Ticked) for record in iter_inputs(run / "journal"))
+        return sum(isinstance(record, Ticked) for record in iter_journal_inputs(run / "journal"))
     return 0
 
 
@@ -122,7 +122,7 @@ def audited(run: Path) -> str:
     if not (run / "manifest.json").is_file():
         return f"{run} is gone"
     try:
-        report = _report_of(open_clients_folder(run), 0, _TickRate(), PaidTimes(clients={}, waited_s={}))
+        report = _report_of(open_group_run_folder(run), 0, _TickRate(), GroupRunTimes(clients={}, waited_s={}))
     except WcsimError as error:
         return str(error)
     bad = [client for client in report["clients"] if client["missing"] or client["duplicated"]]

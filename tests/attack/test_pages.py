@@ -15,7 +15,7 @@ from tests.support.worlds import dqn_config
 from tests.view.report.results import score_anew, write_result
 from wcsim.agents.evaluation.suite.result_files import read_result
 from wcsim.agents.runs.metrics import COLUMNS, MetricsFile
-from wcsim.agents.runs.run_folder import create_run, make_manifest
+from wcsim.agents.runs.run_folder import create_run_folder, make_run_manifest
 from wcsim.cli.main import main
 from wcsim.drive.playing.play_runner import FailedLine, _film_about
 from wcsim.server.specs import RunInfo
@@ -78,7 +78,7 @@ def test_the_report_of_a_hostile_test_shows_its_names(context: Any, tmp_path: Pa
 
 def test_the_report_of_a_hostile_training_shows_its_names(context: Any, tmp_path: Path) -> None:
     run, config = tmp_path / "<svg onload=alert(1)>", dqn_config()
-    create_run(run, config, make_manifest(config, RunInfo(seed=1, town=NAMES[0], rewards=NAMES[1:3])))
+    create_run_folder(run, config, make_run_manifest(config, RunInfo(seed=1, town=NAMES[0], rewards=NAMES[1:3])))
     metrics = MetricsFile(run / "metrics.csv")
     for step, name in enumerate(NAMES, 1):
         row = {"step": 10 * step, "phase": 1, "length": 10, "kpi1": 0.5, "crash_reason": name.replace("\0", "")}

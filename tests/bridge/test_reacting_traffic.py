@@ -29,7 +29,7 @@ def test_a_worlds_actors_are_those_of_its_traffic_alone_round_the_same_chairs(co
     with ExitStack() as held:
         _, sumo = open_session(town, config, 4, RunPlace(), street.net_origin_m[2], held)
         warm_up(sumo, warmup_s(town, config), config.world.tick_s)
-        habits = AttentionModel(config.world, seeding.derive(4, "street"))
+        habits = AttentionModel(config.world, seeding.derive_seed(4, "street"))
         traffic = ReactingTraffic(config.world, street.grid, sumo, habits)
         traffic.look_again(places[0])
         assert traffic.actors == actors[0]

@@ -11,8 +11,8 @@ from wcsim.bridge.recording.convert import convert_to_fcd
 from wcsim.bridge.town_run import TRACE, RecordOrder, _check_mirrored, as_recorded, record_town
 from wcsim.bridge.world import World
 from wcsim.errors import SumoError, TownError
-from wcsim.log.reader import read_states
-from wcsim.log.records import Header, state_of
+from wcsim.log.reader import read_trace_states
+from wcsim.log.records import Header, world_state_from_snapshot
 from wcsim.log.writer import LogWriter
 from wcsim.towns.scenario.town import find_town
 from wcsim.towns.sumo.xml_io import read_root
@@ -40,7 +40,7 @@ def test_a_tram_near_a_chair_is_recorded_in_all_its_pieces_and_is_one_vehicle_of
     assert sum(a.size_lwh_m[0] for a in recorded[1:]) == pytest.approx(26.0)
     header = Header(town="t", seed=1, tick_s=0.1, seats=0, fingerprint="f")
     with LogWriter(tmp_path / TRACE, header) as writer:
-        writer.append(state_of(snapshot, (), recorded))
+        writer.append(world_state_from_snapshot(snapshot, (), recorded))
     convert_to_fcd(tmp_path / TRACE, tmp_path / "fcd.xml")
     (step,) = read_root(tmp_path / "fcd.xml")
     assert [(v.get("id"), float(v.get("x", "nan"))) for v in step] == [("far", 313.0), ("tram", 33.0)]
@@ -50,7 +50,7 @@ def test_a_recorded_town_holds_everybody_and_the_chairs(corner_town, tmp_path):
     order = RecordOrder(seconds=6.0, seed=3, chairs=2, folder=tmp_path, outputs=("fcd",))
     opened = []
     facts = record_town(corner_town, quick_config(), order, opened.append)
-    header, records = read_states(tmp_path / TRACE)
+    header, records = read_trace_states(tmp_path / TRACE)
     assert (header.seats, len(records), facts.ticks) == (2, 60, 60)
     assert records[-1].plants.shape == (2, 15)
     assert records[-1].time_s == pytest.approx(6.0) == facts.end_s
@@ -73,7 +73,7 @@ def test_traffic_alone_is_that_of_a_world_without_chairs_and_builds_no_street(co
     stages = []
     order = RecordOrder(seconds=4.0, seed=3, chairs=0, folder=tmp_path)
     facts = record_town(corner_town, config, order, lambda scenario: None, stage=stages.append)
-    header, records = read_states(tmp_path / TRACE)
+    header, records = read_trace_states(tmp_path / TRACE)
     assert [(r.state_hash, list(r.actor_ids)) for r in records] == plain
     assert (header.seats, facts.episodes, facts.crashed) == (0, 0, ()) and facts.vehicles > 0
     assert (facts.teleports, facts.collisions) == mishaps
@@ -98,6 +98,6 @@ def test_a_crash_is_kept_with_its_reason_second_and_place(corner_town, tmp_path,
     assert facts.crashes == len(facts.crashed) >= 1
     first = facts.crashed[0]
     assert (first.seat, first.reason) == (0, "acceleration") and facts.begin_s < first.time_s <= facts.end_s
-    _, records = read_states(tmp_path / TRACE)
+    _, records = read_trace_states(tmp_path / TRACE)
     record = next(record for record in records if record.time_s == first.time_s)
     assert np.hypot(*(record.plants[0, :2] + corner_town.file.origin_m - first.at_m)) < 0.01

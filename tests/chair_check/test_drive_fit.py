@@ -10,9 +10,15 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
 from wcsim.chair_check import drive_fit
-from wcsim.chair_check.drive_fit import fit_drives, later, law_motion, motion_errors, plant_motion
+from wcsim.chair_check.drive_fit import (
+    delay_motion,
+    fit_drive_law,
+    motion_errors,
+    simulate_drive_law,
+    simulate_plant_motion,
+)
 from wcsim.chair_check.row import Setup
-from wcsim.chair_check.stick_drives import STEP_S, StickDrive, read_stick_drives
+from wcsim.chair_check.stick_drives import STEP_S, RecordedDrive, read_recorded_drives
 from wcsim.cli.main import main
 from wcsim.config import ChairConfig, resolve
 from wcsim.errors import ConfigError
@@ -46,24 +52,26 @@ def sticks(seed, seconds=20.0):
 
 def made(seeds, numbers=TRUE, noise=0.0):
     rng = np.random.default_rng(7)
-    still = [StickDrive(name=f"d{seed}", stick=(stick := sticks(seed)), motion=np.zeros_like(stick)) for seed in seeds]
-    moved = law_motion(still, numbers)
+    still = [
+        RecordedDrive(name=f"d{seed}", stick=(stick := sticks(seed)), motion=np.zeros_like(stick)) for seed in seeds
+    ]
+    moved = simulate_drive_law(still, numbers)
     return [replace(a, motion=b + noise * rng.normal(size=b.shape)) for a, b in zip(still, moved, strict=True)]
 
 
 def test_a_law_gives_its_numbers_back():
     drives = made(range(2))
-    fit = fit_drives(drives, draws=0)
+    fit = fit_drive_law(drives, draws=0)
     for name, value in TRUE.items():
         assert fit.values[name] == pytest.approx(value, rel=0.03), name
-    assert motion_errors(drives, law_motion(drives, fit.values)).speed_rms_mps < 0.003
+    assert motion_errors(drives, simulate_drive_law(drives, fit.values)).speed_rms_mps < 0.003
 
 
 @settings(max_examples=2, deadline=None, derandomize=True, phases=[Phase.generate])
 @given(st.floats(0.4, 1.2), st.floats(0.6, 2.0), st.floats(0.1, 0.3))
 def test_numbers_lie_in_their_intervals_under_noise(accel, turn, delay):
     numbers = {**TRUE, "accel_mps2": accel, "yaw_rate_max_radps": turn, "delay_s": delay}
-    fit = fit_drives(made(range(2), numbers, noise=0.02), draws=4)
+    fit = fit_drive_law(made(range(2), numbers, noise=0.02), draws=4)
     for name in ("v_max_mps", "accel_mps2", "yaw_rate_max_radps", "delay_s"):
         low, high = fit.intervals[name]
         spare = 0.01 if name == "delay_s" else 0.04 * numbers[name]  # four draws make a rough interval
@@ -86,7 +94,7 @@ def write(folder, drive, turn=1.0, name=None, **changed):
 @pytest.mark.parametrize("turn", [1.0, -1.0])
 def test_files_are_read_whichever_way_the_axis_points(tmp_path, turn):
     (drive,) = made([1])
-    (read,) = read_stick_drives([write(tmp_path, drive, turn)])
+    (read,) = read_recorded_drives([write(tmp_path, drive, turn)])
     count = len(read.stick)
     assert np.allclose(read.stick, drive.stick[:count], atol=2e-3)
     assert np.allclose(read.motion, drive.motion[:count], atol=2e-3)
@@ -107,7 +115,7 @@ def test_bad_files_are_refused(tmp_path, old, new, told):
     path = write(tmp_path, made([1])[0])
     path.write_bytes(path.read_bytes().replace(old, new, 1))
     with pytest.raises(ConfigError, match=told) as caught:
-        read_stick_drives([path])
+        read_recorded_drives([path])
     assert str(path) in str(caught.value)
 
 
@@ -115,28 +123,28 @@ def test_drives_without_turns_and_files_without_odometry_are_refused(tmp_path):
     (drive,) = made([1])
     straight = replace(drive, stick=drive.stick * (0.0, 1.0), motion=drive.motion * (1.0, 0.0))
     with pytest.raises(ConfigError, match="turn too little"):
-        read_stick_drives([write(tmp_path, straight)])
+        read_recorded_drives([write(tmp_path, straight)])
     alone = write(tmp_path, drive)
     (tmp_path / "d1.odom.csv.gz").write_bytes(b"\x1f\x8b broken")
     with pytest.raises(ConfigError, match="cannot be read"):
-        read_stick_drives([alone])
+        read_recorded_drives([alone])
     (tmp_path / "d1.odom.csv.gz").unlink()
     with pytest.raises(ConfigError, match=r"d1\.odom\.csv"):
-        read_stick_drives([alone])
+        read_recorded_drives([alone])
 
 
 def test_the_plant_in_the_engine_repeats_the_law():
     numbers = {**TRUE, "delay_s": 0.0}
     chair = resolve("quick", {"chair": {name: value for name, value in numbers.items() if name != "delay_s"}}).chair
     (drive,) = made([2], numbers)
-    errors = motion_errors([drive], [plant_motion(drive, Setup(chair=chair, hz=120))])
+    errors = motion_errors([drive], [simulate_plant_motion(drive, Setup(chair=chair, hz=120))])
     assert errors.speed_explained > 0.9 and errors.turn_explained > 0.9
-    worse = motion_errors([drive], [later(drive.motion, 0.3)])
+    worse = motion_errors([drive], [delay_motion(drive.motion, 0.3)])
     assert worse.turn_explained < errors.turn_explained
 
 
 def test_the_command_fits_draws_and_writes_a_chair_that_one_name_sets(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(drive_fit, "fit_drives", partial(fit_drives, draws=2))
+    monkeypatch.setattr(drive_fit, "fit_drive_law", partial(fit_drive_law, draws=2))
     paths = [str(write(tmp_path, drive)) for drive in made(range(2))]
     out, picture = tmp_path / "mine.toml", tmp_path / "mine.png"
     assert main(["chair", "fit", *paths, "--hold-out", "d1", "--out", str(out), "--picture", str(picture)]) == 0

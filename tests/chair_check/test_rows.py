@@ -7,8 +7,8 @@ import pytest
 
 from wcsim.chair_check import kerbs, mass_rig
 from wcsim.chair_check.kerbs import RUN_UP_M
-from wcsim.chair_check.row import Row, Setup, Trial, changes, measured
-from wcsim.chair_check.table import _trials, table, too_fast
+from wcsim.chair_check.row import Setup, TrialResult, TrialSpec, compare_rates, run_trial
+from wcsim.chair_check.table import _trials, list_too_fast_trials, run_plant_trials
 from wcsim.config import ChairConfig, ImuConfig
 from wcsim.core.constants import KERB_STEP_M
 from wcsim.errors import ConfigError, PhysicsError
@@ -16,7 +16,7 @@ from wcsim.physics.wheelchair.plant import plant_spec
 
 
 def table_of(plant, hz, only=(), workers=1):
-    return table(Setup(chair=ChairConfig(plant=plant), hz=hz), only, workers)
+    return run_plant_trials(Setup(chair=ChairConfig(plant=plant), hz=hz), only, workers)
 
 
 EACH_PLANT = pytest.mark.parametrize("plant", ["rwd", "mwd"])
@@ -73,11 +73,13 @@ WORDS = {"name": "x", "unit": "", "bound": "trial", "low": 1.0, "method": "", "s
 
 def test_a_row_is_red_outside_its_range_and_a_value_must_be_a_number():
     setup = Setup(chair=ChairConfig(), hz=240)
-    assert [measured(Trial(**WORDS, high=2.0, measure=lambda _, v=v: v), setup).ok for v in (0.9, 1.0, 2.0, 2.1)] == [
+    assert [
+        run_trial(TrialSpec(**WORDS, high=2.0, measure=lambda _, v=v: v), setup).ok for v in (0.9, 1.0, 2.0, 2.1)
+    ] == [
         *(False, True, True, False),
     ]
     with pytest.raises(PhysicsError, match="trial x"):
-        measured(Trial(**WORDS, high=2.0, measure=lambda _: float("nan")), setup)
+        run_trial(TrialSpec(**WORDS, high=2.0, measure=lambda _: float("nan")), setup)
 
 
 FWD = str(Path(__file__).parents[2] / "examples" / "fwd.toml")
@@ -85,19 +87,19 @@ SLOW = Setup(chair=ChairConfig(plant=FWD, v_max_mps=1.2), hz=120)
 
 
 def test_rows_that_are_too_fast_for_a_plant_are_left_out():
-    assert too_fast(SLOW) == ("cruise_road", "stopping_10kmh")
-    assert too_fast(SLOW, ("stopping_6",)) == too_fast(Setup(chair=ChairConfig(), hz=120)) == ()
+    assert list_too_fast_trials(SLOW) == ("cruise_road", "stopping_10kmh")
+    assert list_too_fast_trials(SLOW, ("stopping_6",)) == list_too_fast_trials(Setup(chair=ChairConfig(), hz=120)) == ()
     names = {trial.name for trial in _trials(SLOW, ("cruise", "stopping", "pulling"))}
     assert names == {"cruise_indoor", "cruise_pavement", "stopping_6kmh", "pulling_400N"}
     with pytest.raises(ConfigError, match="stopping_10kmh: faster than the plant"):
-        table(SLOW, ("stopping_10",))
+        run_plant_trials(SLOW, ("stopping_10",))
 
 
 def test_the_chairs_own_settings_are_driven():
-    (row,) = table(SLOW, ("climb",))
+    (row,) = run_plant_trials(SLOW, ("climb",))
     assert row.ok and row.value == pytest.approx(1.2, rel=0.03)
     here, there = (dataclasses.replace(SLOW, imu=ImuConfig(p_BI_m=(x_m, 0.0, 0.5))) for x_m in (0.0, 0.8))
-    (near,), (far,) = (table(setup, ("event_driving",)) for setup in (here, there))
+    (near,), (far,) = (run_plant_trials(setup, ("event_driving",)) for setup in (here, there))
     assert far.value > near.value + 0.1, "far from the axle it feels turns"
 
 
@@ -106,7 +108,7 @@ def test_rows_of_another_kind_of_chair_judge_no_other(plant, judged):
     found = _trials(Setup(chair=ChairConfig(plant=plant), hz=120), ("peak", "falls_off", "kerb", "event"))
     assert {trial.judged for trial in found if trial.bound in ("rwd, mwd", "trial")} == {judged}
     assert all(trial.judged for trial in found if trial.bound not in ("rwd, mwd", "trial"))
-    row = measured(Trial(**WORDS, high=1.0, measure=lambda _: 0.0, judged=judged), SLOW)
+    row = run_trial(TrialSpec(**WORDS, high=1.0, measure=lambda _: 0.0, judged=judged), SLOW)
     assert not row.ok and row.red == judged
 
 
@@ -114,7 +116,7 @@ def test_a_chair_too_weak_to_hold_its_heading_is_told_so(tmp_path):
     weak = Path(FWD).read_text(encoding="utf-8").replace("stall_torque_Nm = 90.0", "stall_torque_Nm = 25.0")
     (tmp_path / "weak.toml").write_text(weak, encoding="utf-8")
     setup = Setup(chair=ChairConfig(plant=str(tmp_path / "weak.toml")), hz=120)
-    (row,) = table(setup, ("cross",))
+    (row,) = run_plant_trials(setup, ("cross",))
     assert row.red and row.note.startswith(("lost its heading after", "stood still after")) and row.value < 8.0
 
 
@@ -125,11 +127,11 @@ def test_front_antitips_are_taken_off_to_the_front():
 
 
 def test_changes_compare_values_or_where_zero_is_expected_their_bound():
-    row = Row(name="a", value=10.0, unit="", bound="wcsim", low=5.0, high=20.0, method="", source="", ok=True)
+    row = TrialResult(name="a", value=10.0, unit="", bound="wcsim", low=5.0, high=20.0, method="", source="", ok=True)
     near = dataclasses.replace(row, name="b", value=0.001, low=0.0, high=0.05)
     peak = dataclasses.replace(row, name="c", impact=True)
     other = [dataclasses.replace(item, value=1.13 * item.value) for item in (row, near, peak)]
-    a, b, c = changes({120: [row, near, peak], 240: other})
+    a, b, c = compare_rates({120: [row, near, peak], 240: other})
     assert (a.ok, b.ok, c.ok) == (False, True, True)
     assert a.change == c.change == pytest.approx(0.13 / 1.13)
     assert b.change == pytest.approx(0.00013 / 0.05)
@@ -160,5 +162,5 @@ def test_every_row_is_as_expected(plant):
 @pytest.mark.timeout(900)
 @EACH_PLANT
 def test_the_rows_hardly_change_with_the_step(plant):
-    rows = changes({hz: table_of(plant, hz) for hz in (120, 240, 480)})
+    rows = compare_rates({hz: table_of(plant, hz) for hz in (120, 240, 480)})
     assert {row.name: (row.values, row.change) for row in rows if not row.ok} == {}

@@ -9,8 +9,8 @@ from wcsim.chair_check.static_balance import (
     FORWARD_DOWN,
     LEFT_DOWN,
     REAR_DOWN,
-    Foot,
     StaticChair,
+    SupportFoot,
     _Beam,
     _com_m,
     _rigid_tip_angle_rad,
@@ -21,18 +21,18 @@ from wcsim.chair_check.static_balance import (
     worst_swivel_rad,
 )
 from wcsim.config import ChairConfig
-from wcsim.config.plant import ArmPart
+from wcsim.config.plant import CasterArmPart
 from wcsim.errors import PhysicsError
 from wcsim.physics.wheelchair.plant import plant_spec
 
 DIRECTIONS = (FORWARD_DOWN, REAR_DOWN, LEFT_DOWN)
-ARM = ArmPart(mass_kg=0.5, stiffness_Npm=2e4, damping_Nspm=0.0, preload_N=0.0, down_m=0.05, up_m=0.05)
+ARM = CasterArmPart(mass_kg=0.5, stiffness_Npm=2e4, damping_Nspm=0.0, preload_N=0.0, down_m=0.05, up_m=0.05)
 
 
 def cart(height_m=0.5, x_m=0.1, arm=None) -> StaticChair:
     """A box on four balls 1 m apart lengthwise and 0.6 m across."""
     feet = tuple(
-        Foot(name=f"{end}_{side}", centre_m=(x, y, 0.1), radius_m=0.1, arm=arm)
+        SupportFoot(name=f"{end}_{side}", centre_m=(x, y, 0.1), radius_m=0.1, arm=arm)
         for end, x in (("front", 0.5), ("rear", -0.5))
         for side, y in (("l", 0.3), ("r", -0.3))
     )
@@ -83,7 +83,7 @@ def test_a_beam_leaves_a_triangle_to_stand_on():
 @pytest.mark.parametrize("gap_m", [0.02, 0.05, 0.1, 0.13])
 def test_antitips_hold_a_chair_that_has_to_lean_far_to_reach_them(gap_m):
     raised = tuple(
-        Foot(name=f"antitip_0_{side}", centre_m=(0.8, y, 0.1 + gap_m), radius_m=0.1)
+        SupportFoot(name=f"antitip_0_{side}", centre_m=(0.8, y, 0.1 + gap_m), radius_m=0.1)
         for side, y in (("l", 0.3), ("r", -0.3))
     )
     chair = cart(height_m=0.6)

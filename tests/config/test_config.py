@@ -7,7 +7,7 @@ from tools.readability import ROOT
 from wcsim.cli.main import main
 from wcsim.config import RunConfig, TownFile, parse, read_toml, resolve
 from wcsim.config.plant import PlantFile, read_plant
-from wcsim.config.run_file import ManifestFile, PolicyFile
+from wcsim.config.run_file import QPolicyFile, RunManifestFile
 from wcsim.config.scene import SceneFile
 from wcsim.config.suite import SuiteFile
 from wcsim.core.reading import SETTINGS, parse_toml
@@ -250,7 +250,7 @@ def unbounded(schema, definitions, where=""):
     return []
 
 
-@pytest.mark.parametrize("model", [RunConfig, PlantFile, SceneFile, TownFile, PolicyFile, ManifestFile])
+@pytest.mark.parametrize("model", [RunConfig, PlantFile, SceneFile, TownFile, QPolicyFile, RunManifestFile])
 def test_every_field_of_every_file_has_bounds(model):
     schema = model.model_json_schema()
     assert unbounded(schema, schema.get("$defs", {})) == []

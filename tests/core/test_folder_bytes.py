@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from wcsim.core.files import folder_bytes
+from wcsim.core.files import count_folder_bytes
 
 
 def test_of_regular_files_alone(tmp_path: Path) -> None:
@@ -17,8 +17,8 @@ def test_of_regular_files_alone(tmp_path: Path) -> None:
     (tmp_path / "d").write_bytes(b"123")
     (tmp_path / "link").symlink_to(tmp_path / "d")
     os.mkfifo(tmp_path / "pipe")
-    assert folder_bytes(tmp_path) == 8
-    assert folder_bytes(tmp_path / "none") == 0
+    assert count_folder_bytes(tmp_path) == 8
+    assert count_folder_bytes(tmp_path / "none") == 0
 
 
 def test_what_is_removed_meanwhile_is_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -38,7 +38,7 @@ def test_what_is_removed_meanwhile_is_nothing(tmp_path: Path, monkeypatch: pytes
         return found
 
     monkeypatch.setattr(os, "scandir", remove_then_list)
-    assert folder_bytes(tmp_path) == 10
+    assert count_folder_bytes(tmp_path) == 10
 
 
 class _Entries:

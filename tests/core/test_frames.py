@@ -27,14 +27,14 @@ def test_heading_survives_the_round_trip(heading_deg):
 
 @given(st.floats(0.0, 359.99))
 def test_a_vehicle_that_drives_along_its_heading_moves_along_its_yaw(heading_deg):
-    ahead = frames.forward(frames.yaw_from_sumo(heading_deg), 0.0)
+    ahead = frames.forward_vector(frames.yaw_from_sumo(heading_deg), 0.0)
     angle = math.radians(heading_deg)
     assert np.allclose(ahead, [math.sin(angle), math.cos(angle), 0.0], atol=1e-12)
 
 
 @given(ANGLES)
 def test_wrap_keeps_the_direction(angle):
-    wrapped = frames.wrap(angle)
+    wrapped = frames.wrap_angle(angle)
     assert -math.pi < wrapped <= math.pi
     assert math.isclose(math.cos(wrapped), math.cos(angle), abs_tol=1e-9)
     assert math.isclose(math.sin(wrapped), math.sin(angle), abs_tol=1e-9)

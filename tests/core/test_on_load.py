@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from wcsim.core.on_load import on_load
+from wcsim.core.on_load import call_on_import
 
 BEFORE = "import wcsim, sys; assert 'gymnasium' not in sys.modules and 'numpy' not in sys.modules; import gymnasium"
 AFTER = "import gymnasium, wcsim"
@@ -24,7 +24,7 @@ def late(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
 
 def test_it_is_called_once_with_the_module_when_that_is_complete(late: str) -> None:
     seen: list[int] = []
-    on_load(late, lambda module: seen.append(module.value))
+    call_on_import(late, lambda module: seen.append(module.value))
     assert (seen, late in sys.modules) == ([], False)
     import late_library
 
@@ -36,7 +36,7 @@ def test_it_is_called_once_with_the_module_when_that_is_complete(late: str) -> N
 
 
 def test_the_module_keeps_its_own_loader(late: str) -> None:
-    on_load(late, lambda module: None)
+    call_on_import(late, lambda module: None)
     import late_library
 
     assert late_library.__spec__.loader is late_library.__loader__
@@ -48,12 +48,12 @@ def test_it_is_called_at_once_for_a_module_that_is_there(late: str) -> None:
 
     seen: list[object] = []
     watching = list(sys.meta_path)
-    on_load(late, seen.append)
+    call_on_import(late, seen.append)
     assert (seen, sys.meta_path) == ([late_library], watching)
 
 
 def test_a_library_that_is_not_there_is_missed_as_ever(late: str) -> None:
-    on_load("no_such_library", lambda module: pytest.fail("there is no such library"))
+    call_on_import("no_such_library", lambda module: pytest.fail("there is no such library"))
     with pytest.raises(ModuleNotFoundError, match="no_such_library"):
         import no_such_library  # noqa: F401
 

@@ -6,7 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from wcsim.core.own_folder import LOCK, OwnFolder, _remove_stale
+from wcsim.core.own_folder import LOCK, LockedTempFolder, _remove_stale
 
 OWNER = """
 import sys, time
@@ -24,7 +24,7 @@ def owned(home):
 
 
 def test_folders_of_dead_owners_go_and_others_stay(tmp_path):
-    mine, (theirs, child) = OwnFolder(tmp_path), owned(tmp_path)
+    mine, (theirs, child) = LockedTempFolder(tmp_path), owned(tmp_path)
     try:
         assert stat.S_IMODE(mine.path.stat().st_mode) == 0o700
         (theirs / "seat-0").write_bytes(b"picture")
@@ -43,7 +43,7 @@ def test_folders_of_dead_owners_go_and_others_stay(tmp_path):
 def test_who_cannot_see_a_process_leaves_its_folder_alone(tmp_path, monkeypatch):
     """As in a container that shares the place: there, no number means the same process."""
     monkeypatch.setattr(os, "kill", lambda pid, number: (_ for _ in ()).throw(ProcessLookupError()))
-    mine = OwnFolder(tmp_path)
+    mine = LockedTempFolder(tmp_path)
     other = tmp_path / mine.path.name.replace(f"-{os.getpid()}-", "-4194305-")
     mine.path.rename(other)
     assert _remove_stale(tmp_path) == 0

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from wcsim.core.plugins import find_class, running_own, sources_of
+from wcsim.core.plugins import find_class, find_user_class_files, wrap_user_code_errors
 from wcsim.errors import HookError, PolicyError
 
 
@@ -60,8 +60,8 @@ def test_the_sources_of_a_class_are_its_file_and_what_it_imports_beside_it(folde
         "import numpy, wcsim.errors\nclass Base:\n    size = 3\n    def late(self):\n        import runs\n"
     )
     names = ["own_base_net.py", "own_big_net.py", "own_late_part.py"]
-    assert list(sources_of("own_big_net:Bigger", "network")) == names
-    assert sources_of("json.decoder:JSONDecoder", "network").keys() == {"decoder.py"}
+    assert list(find_user_class_files("own_big_net:Bigger", "network")) == names
+    assert find_user_class_files("json.decoder:JSONDecoder", "network").keys() == {"decoder.py"}
 
 
 def test_a_folder_that_is_no_package_yet_is_named(folder, monkeypatch):
@@ -72,17 +72,20 @@ def test_a_folder_that_is_no_package_yet_is_named(folder, monkeypatch):
     (folder / "own_parts" / "__init__.py").touch()
     for name in ("own_parts", "own_parts.mine"):
         monkeypatch.delitem(sys.modules, name, raising=False)
-    assert sources_of("own_parts.mine:Net", "network").keys() == {"own_parts/__init__.py", "own_parts/mine.py"}
+    assert find_user_class_files("own_parts.mine:Net", "network").keys() == {
+        "own_parts/__init__.py",
+        "own_parts/mine.py",
+    }
     with pytest.raises(PolicyError, match=r"expected own_parts/yours\.py in"):
         find_class("own_parts.yours:Net", "network")
 
 
 def test_what_ones_own_code_raises_becomes_one_line_that_says_where():
     told = r"my hook: ZeroDivisionError: .* \(.*test_plugins\.py, line \d+\); mend it"
-    with pytest.raises(HookError, match=told), running_own("my hook", "mend it", HookError):
+    with pytest.raises(HookError, match=told), wrap_user_code_errors("my hook", "mend it", HookError):
         raise ZeroDivisionError("of mine")
 
 
 def test_errors_of_wcsim_pass_ones_own_code_as_they_are():
-    with pytest.raises(PolicyError, match=r"^no such weights$"), running_own("my hook", "mend it", HookError):
+    with pytest.raises(PolicyError, match=r"^no such weights$"), wrap_user_code_errors("my hook", "mend it", HookError):
         raise PolicyError("no such weights")

@@ -11,7 +11,7 @@ import zstandard
 from wcsim.core.reading import (
     FileKind,
     escaped,
-    opened,
+    open_regular_file,
     parse_json,
     parse_toml,
     read_bytes,
@@ -44,7 +44,7 @@ def test_a_file_is_read_whole(tmp_path: Path) -> None:
     assert read_text(path, KIND) == "a = 1\n"
     assert read_toml(path, KIND) == {"a": 1}
     assert read_bytes(path, FileKind(what="", limit_bytes=9)) == path.read_bytes()
-    with opened(path, KIND) as file:
+    with open_regular_file(path, KIND) as file:
         assert len(file.read()) == 9
     path.write_text('{"a": [1, 2.5, null]}', encoding="utf-8")
     assert read_json(path, KIND) == {"a": [1, 2.5, None]}

@@ -49,7 +49,7 @@ def test_only_what_is_needed_counts(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text, encoding="utf-8")
     monkeypatch.setattr(sources, "_ROOT", tmp_path)
-    found = sources.sources_of("wcsim.a")
+    found = sources.find_module_sources("wcsim.a")
     assert [path.relative_to(tmp_path / "wcsim").as_posix() for path in found] == [
         "a.py", "b.py", "deep/late.py", "seeds.py", "t.py",
     ]  # fmt: skip
@@ -74,4 +74,4 @@ def test_the_fork_counts_as_the_release_whose_bytes_it_gives(
         raise metadata.PackageNotFoundError(name)
 
     monkeypatch.setattr(metadata, "version", version)
-    assert sources.version_of("pybullet") == told and sources.version_of("numpy") == ""
+    assert sources.read_package_version("pybullet") == told and sources.read_package_version("numpy") == ""

@@ -3,7 +3,7 @@ import pytest
 
 from tests.drive.lookers import Breaks, HearsDelays, Remembers
 from tests.support.samples import ACTIONS
-from wcsim.agents.policies.baselines import Follow
+from wcsim.agents.policies.baselines import FollowPolicy
 from wcsim.drive.assistance import Assistance
 from wcsim.errors import PolicyError
 from wcsim.types import Drawn
@@ -51,7 +51,7 @@ def test_an_action_that_is_none_is_a_failure() -> None:
 
 
 def test_levels_are_those_of_the_policy() -> None:
-    with_levels, without = Assistance(Remembers(), ACTIONS), Assistance(Follow(actions=ACTIONS), ACTIONS)
+    with_levels, without = Assistance(Remembers(), ACTIONS), Assistance(FollowPolicy(actions=ACTIONS), ACTIONS)
     with_levels.set_level(0.5)
     assert (with_levels.level, with_levels.levels, with_levels.tells_unsafe) == (0.5, (0.0, 2.0), True)
     assert (without.level, without.levels, without.tells_unsafe) == (None, None, False)
@@ -132,7 +132,7 @@ def test_help_raises_the_level_for_a_while_and_a_second_request_begins_it_again(
 
 
 def test_a_policy_without_levels_helps_by_half_of_its_choice() -> None:
-    assistance = Assistance(Follow(actions=ACTIONS), ACTIONS, help_ticks=2)
+    assistance = Assistance(FollowPolicy(actions=ACTIONS), ACTIONS, help_ticks=2)
     assistance.ask_for_help()
     half = ACTIONS.nearest((0.0, 0.5))
     assert drive(assistance, 3) == [(None, half), (None, half), (None, OWN)]

@@ -172,7 +172,7 @@ def test_the_policy_hears_the_delay_of_each_episode_before_it_begins(
     corner: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     varied = quick_config("vary.action_delay_ticks=[0,9]")
-    monkeypatch.setattr(starting, "config_for", lambda *_, **__: varied)
+    monkeypatch.setattr(starting, "config_from_policy_name", lambda *_, **__: varied)
     with DriveSession(DriveStart(town=str(corner), policy="tests.drive.lookers:HearsDelays", seed=4)) as drive:
         drawn = [drive.client.drawn]
         for _ in range(3):
@@ -247,9 +247,9 @@ def test_what_is_not_there_is_refused_before_anything_is_closed(
 
 def test_an_episode_of_a_suite_begins_where_the_list_says() -> None:
     """A generated scene: the car door, with its own user, settings and start."""
-    from wcsim.agents.opening.list_file import open_suite
+    from wcsim.agents.opening.list_file import read_suite
 
-    blocks = open_suite("dev").file.blocks
+    blocks = read_suite("dev").file.blocks
     index = next(number for number, block in enumerate(blocks) if block.town == "car-door")
     with DriveSession(DriveStart(suite="dev", block=index, profile="")) as drive:
         at = drive.tick(Wish()).p_WB_m

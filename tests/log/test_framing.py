@@ -4,7 +4,13 @@ import time
 import zlib
 
 from tests.support.framing import chained
-from wcsim.log.framing import MOST_TRUNCATED_BYTES, crc_of, framed, truncated_bytes, whole_records
+from wcsim.log.framing import (
+    MOST_TRUNCATED_BYTES,
+    count_truncated_bytes,
+    crc_from_record,
+    frame_payload,
+    iter_whole_records,
+)
 
 
 class Growing(io.BytesIO):
@@ -26,17 +32,17 @@ class Growing(io.BytesIO):
 
 
 def test_what_is_written_while_somebody_looks_at_the_end_is_no_damage():
-    first = framed(b"one")
-    second = framed(b"two", crc_of(first))
+    first = frame_payload(b"one")
+    second = frame_payload(b"two", crc_from_record(first))
     file = Growing(first, second)
-    assert truncated_bytes(file, len(first), crc_of(first)) == 0
+    assert count_truncated_bytes(file, len(first), crc_from_record(first)) == 0
     file.seek(len(first))
-    assert [record.payload for record in whole_records(file, crc_of(first))] == [b"two"]
+    assert [record.payload for record in iter_whole_records(file, crc_from_record(first))] == [b"two"]
 
 
 def test_what_is_torn_whole_or_damaged_is_told_apart():
-    first = framed(b"one")
-    second = framed(b"two" * 50, crc_of(first))
+    first = frame_payload(b"one")
+    second = frame_payload(b"two" * 50, crc_from_record(first))
     for end, after, told in (
         (first, b"", 0),
         (first, second[:-1], len(second) - 1),
@@ -44,13 +50,13 @@ def test_what_is_torn_whole_or_damaged_is_told_apart():
         (first, second, "appended"),
         (first, b"\x05" + second, "damaged"),
     ):
-        assert truncated_bytes(io.BytesIO(end + after), len(end), crc_of(first)) == told
+        assert count_truncated_bytes(io.BytesIO(end + after), len(end), crc_from_record(first)) == told
 
 
 def cost_s(rest: bytes) -> tuple[float, int | str]:
     """Processor time of a look at a torn end, and its answer."""
     begun_s = time.process_time()
-    told = truncated_bytes(io.BytesIO(rest), 0)
+    told = count_truncated_bytes(io.BytesIO(rest), 0)
     return time.process_time() - begun_s, told
 
 
@@ -69,8 +75,8 @@ def test_a_torn_end_of_many_beginnings_costs_little_and_is_damage():
 
 def test_a_record_that_unpacks_to_far_more_than_it_has_is_none():
     sound = chained([bytes(4000), bytes(range(256)) * 30, b"two"])
-    assert len(list(whole_records(io.BytesIO(sound)))) == 3
+    assert len(list(iter_whole_records(io.BytesIO(sound)))) == 3
     two = chained([b"two", bytes(1 << 20), b"two"])
-    assert [record.payload for record in whole_records(io.BytesIO(two))] == [b"two"]
-    for rest in (framed(bytes(1 << 20)), chained([bytes(1 << 20), b"two"])):
-        assert truncated_bytes(io.BytesIO(rest), 0) == "damaged"
+    assert [record.payload for record in iter_whole_records(io.BytesIO(two))] == [b"two"]
+    for rest in (frame_payload(bytes(1 << 20)), chained([bytes(1 << 20), b"two"])):
+        assert count_truncated_bytes(io.BytesIO(rest), 0) == "damaged"

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 
 from tests.support.framing import chained, last_crc, read_whole
 from wcsim.errors import ConfigError, DiskFullError, WcsimError
-from wcsim.log.diff import first_difference
-from wcsim.log.framing import framed
-from wcsim.log.reader import inputs_of_part, iter_inputs, log_digest, read_header
+from wcsim.log.diff import find_log_difference
+from wcsim.log.framing import frame_payload
+from wcsim.log.reader import iter_journal_inputs, iter_part_inputs, log_digest, read_header
 from wcsim.log.records import (
     Admitted,
     Dismissed,
@@ -24,10 +24,10 @@ from wcsim.log.records import (
     Respawned,
     Ticked,
     changed,
-    header_bytes,
-    header_of,
-    record_of,
-    ticked,
+    header_from_bytes,
+    header_to_bytes,
+    make_ticked_record,
+    record_from_bytes,
 )
 from wcsim.log.writer import LogWriter
 from wcsim.types import Command, Joystick, SeatSpec, StartSpec
@@ -51,7 +51,7 @@ def tick(number: int, seats: tuple[int, ...] = (0, 1, 2), epoch: int = 0) -> Tic
     commands = tuple(
         Command(seat=seat, tick=number - 1, joystick=Joystick(x, y)) for seat, (x, y) in zip(seats, sticks, strict=True)
     )
-    return ticked(epoch, number, commands, f"{number * 0x9E3779B97F4A7C15:016x}"[-16:])
+    return make_ticked_record(epoch, number, commands, f"{number * 0x9E3779B97F4A7C15:016x}"[-16:])
 
 
 RECORDS: tuple[Input, ...] = (
@@ -77,7 +77,7 @@ def write(path: Path, records=RECORDS, header=HEADER) -> str:
 def test_commands_come_back_to_the_last_bit(tmp_path):
     sticks = [(-0.0, 5e-324), (0.1 + 0.2, -1.0), (1.0, 0.25)]
     commands = tuple(Command(seat=i, tick=4, joystick=Joystick(x, y)) for i, (x, y) in enumerate(sticks))
-    write(tmp_path / "j", [ticked(0, 5, commands, "ff")])
+    write(tmp_path / "j", [make_ticked_record(0, 5, commands, "ff")])
     (got,) = read_whole(tmp_path / "j").records
     assert isinstance(got, Ticked)
     assert [(c.seat, c.tick) for c in got.commands] == [(0, 4), (1, 4), (2, 4)]
@@ -87,12 +87,12 @@ def test_commands_come_back_to_the_last_bit(tmp_path):
 def test_text_that_would_fill_the_memory_is_not_parsed():
     bomb = b'{"a": [' + b"[]," * (1 << 19) + b"[]]}"
     with pytest.raises(WcsimError, match="bytes of JSON; expected at most"):
-        header_of(header_bytes(HEADER)[:-1] + b", " + bomb[1:])
+        header_from_bytes(header_to_bytes(HEADER)[:-1] + b", " + bomb[1:])
     with pytest.raises(WcsimError, match="is not a log"):
-        header_of(bomb)
+        header_from_bytes(bomb)
     for record in (pack(["a", *[[]] * (1 << 21)]), pack(["t", 0, 1, [0] * (1 << 21), [], "ff"])):
         with pytest.raises(WcsimError, match="bytes; expected at most"):
-            record_of(record)
+            record_from_bytes(record)
 
 
 def test_a_tick_of_three_seats_is_small(tmp_path):
@@ -107,8 +107,8 @@ def test_the_digest_is_that_of_what_happened_and_of_nothing_else(tmp_path):
     assert write(tmp_path / "b", header=elsewhere) == digest == log_digest(tmp_path / "a")
     renamed = {1: changed(RECORDS[1], name="4711"), 5: changed(RECORDS[5], reason="silent for 1.2 s")}
     assert write(tmp_path / "c", [renamed.get(number, record) for number, record in enumerate(RECORDS)]) == digest
-    assert first_difference(tmp_path / "a", tmp_path / "b") == ""
-    assert first_difference(tmp_path / "a", tmp_path / "c") == ""
+    assert find_log_difference(tmp_path / "a", tmp_path / "b") == ""
+    assert find_log_difference(tmp_path / "a", tmp_path / "c") == ""
     others = [
         write(tmp_path / "shorter", RECORDS[:-1]),
         write(tmp_path / "swapped", (*RECORDS[:-2], *RECORDS[:-3:-1])),
@@ -160,14 +160,16 @@ def test_a_closed_journal_says_so(tmp_path):
 
 def test_every_record_can_be_read_as_soon_as_it_is_written(tmp_path):
     with LogWriter(tmp_path / "j", HEADER) as writer:
-        reading = iter_inputs(tmp_path / "j")
+        reading = iter_journal_inputs(tmp_path / "j")
         for count, record in enumerate(RECORDS, start=1):
             writer.append(record)
             assert next(reading) == record
             assert len(read_whole(tmp_path / "j").records) == count
 
 
-@pytest.mark.parametrize("data", [b"", b"hello", bytes(64), framed(b"{}"), framed(b"[1]"), framed(b"\xff"), None])
+@pytest.mark.parametrize(
+    "data", [b"", b"hello", bytes(64), frame_payload(b"{}"), frame_payload(b"[1]"), frame_payload(b"\xff"), None]
+)
 def test_something_else_is_refused(tmp_path, data):
     if data is not None:
         (tmp_path / "j").write_bytes(data)
@@ -210,7 +212,7 @@ def test_a_whole_record_that_is_none_is_refused(tmp_path, payload):
 def test_no_payload_raises_anything_else(data):
     for payload in (data, b"\x96\xa1t" + data, b"\x97\xa1a" + data, b"\x9b\xa1s" + data):
         try:
-            record_of(payload)
+            record_from_bytes(payload)
         except WcsimError:
             continue
 
@@ -318,4 +320,4 @@ def test_a_journal_has_one_writer_at_a_time(tmp_path):
 
 def test_a_journal_is_read_without_its_ticks(tmp_path):
     write(tmp_path / "j")
-    assert list(inputs_of_part(tmp_path / "j", ticks=False)) == [r for r in RECORDS if not isinstance(r, Ticked)]
+    assert list(iter_part_inputs(tmp_path / "j", ticks=False)) == [r for r in RECORDS if not isinstance(r, Ticked)]

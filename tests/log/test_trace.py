@@ -6,8 +6,8 @@ from hypothesis import strategies as st
 
 from tests.support.framing import chained, payloads_of
 from wcsim.errors import WcsimError
-from wcsim.log.diff import golden_difference
-from wcsim.log.reader import read_states
+from wcsim.log.diff import find_golden_difference
+from wcsim.log.reader import read_trace_states
 from wcsim.log.records import Header, WorldState, changed
 from wcsim.log.writer import LogWriter
 
@@ -36,13 +36,13 @@ def write(path, records, header=HEADER):
 def test_a_tick_of_a_great_city_is_read_and_names_with_any_blank(tmp_path):
     names = tuple(f"v:Gare\u00a0Sud.{number:060d}" for number in range(20_000))
     write(tmp_path / "a", [record(0, actors=names)])
-    assert read_states(tmp_path / "a")[1][0].actor_ids == names
+    assert read_trace_states(tmp_path / "a")[1][0].actor_ids == names
 
 
 def test_what_was_written_is_read(tmp_path):
     records = [record(0), record(1, actors=())]
     write(tmp_path / "a", records)
-    header, back = read_states(tmp_path / "a")
+    header, back = read_trace_states(tmp_path / "a")
     assert header == HEADER
     for old, new in zip(records, back, strict=True):
         assert (old.tick, old.actor_ids, old.state_hash) == (new.tick, new.actor_ids, new.state_hash)
@@ -57,8 +57,8 @@ def test_a_torn_end_loses_the_last_records_only(tmp_path_factory, cut):
     write(path, [record(i) for i in range(5)])
     data = path.read_bytes()
     path.write_bytes(data[:-cut])
-    assert [item.tick for item in read_states(path)[1]] == list(range(len(read_states(path)[1])))
-    assert len(read_states(path)[1]) < 5
+    assert [item.tick for item in read_trace_states(path)[1]] == list(range(len(read_trace_states(path)[1])))
+    assert len(read_trace_states(path)[1]) < 5
 
 
 def test_a_tick_that_holds_what_no_writer_writes_is_refused(tmp_path, monkeypatch):
@@ -81,33 +81,33 @@ def test_a_tick_that_holds_what_no_writer_writes_is_refused(tmp_path, monkeypatc
         (tmp_path / "b").write_bytes(chained([head, msgspec.msgpack.encode(changed_record)]))
         if says:
             with pytest.raises(WcsimError, match=says):
-                read_states(tmp_path / "b")
+                read_trace_states(tmp_path / "b")
         else:
-            assert len(read_states(tmp_path / "b")[1]) == 1
+            assert len(read_trace_states(tmp_path / "b")[1]) == 1
     monkeypatch.setattr("wcsim.log.records._STATE_BYTES", 300)
     with pytest.raises(WcsimError, match="bytes; expected at most 300"):
-        read_states(tmp_path / "a")
+        read_trace_states(tmp_path / "a")
 
 
 @pytest.mark.parametrize("name", ["v:\x00", "v:a\x1b[2J", "p:\u202e", "v:a\nb"])
 def test_a_name_that_no_xml_can_hold_is_refused(tmp_path, name):
     write(tmp_path / "a", [record(0, actors=(name, "p:b"))])
     with pytest.raises(WcsimError, match="does not belong in a log"):
-        read_states(tmp_path / "a")
+        read_trace_states(tmp_path / "a")
 
 
 def test_difference_is_exact_within_a_version_and_tolerant_across(tmp_path):
     write(tmp_path / "a", [record(1), record(2)])
     write(tmp_path / "same", [record(1), record(2)])
     write(tmp_path / "near", [record(1), record(2, shift=1e-5)])
-    assert golden_difference(tmp_path / "same", tmp_path / "a") == ""
-    assert "tick 2" in golden_difference(tmp_path / "near", tmp_path / "a")
+    assert find_golden_difference(tmp_path / "same", tmp_path / "a") == ""
+    assert "tick 2" in find_golden_difference(tmp_path / "near", tmp_path / "a")
     other = Header(town="t", seed=1, tick_s=0.1, seats=2, fingerprint="b")
     write(tmp_path / "far", [record(1), record(2, shift=0.1)], other)
     (tmp_path / "near").unlink()
     write(tmp_path / "near", [record(1), record(2, shift=1e-5)], other)
-    assert golden_difference(tmp_path / "near", tmp_path / "a") == ""
-    assert "chair" in golden_difference(tmp_path / "far", tmp_path / "a")
+    assert find_golden_difference(tmp_path / "near", tmp_path / "a") == ""
+    assert "chair" in find_golden_difference(tmp_path / "far", tmp_path / "a")
 
 
 def test_difference_tells_how_far_two_traces_go(tmp_path):
@@ -115,10 +115,10 @@ def test_difference_tells_how_far_two_traces_go(tmp_path):
     write(tmp_path / "short", [record(10)])
     write(tmp_path / "longer", [record(10), record(22)])
     write(tmp_path / "none", [])
-    told = golden_difference(tmp_path / "short", tmp_path / "a")
+    told = find_golden_difference(tmp_path / "short", tmp_path / "a")
     assert told == "its records are 1, up to tick 10, those of the golden trace 2, up to tick 20"
-    assert "up to tick 22, those" in golden_difference(tmp_path / "longer", tmp_path / "a")
-    assert "its records are none, those" in golden_difference(tmp_path / "none", tmp_path / "a")
+    assert "up to tick 22, those" in find_golden_difference(tmp_path / "longer", tmp_path / "a")
+    assert "its records are none, those" in find_golden_difference(tmp_path / "none", tmp_path / "a")
 
 
 @pytest.mark.parametrize("chairs", [1, 3])
@@ -131,5 +131,6 @@ def test_difference_tells_another_number_of_chairs(tmp_path, chairs, fingerprint
     other = changed(of_two, plants=plants, commands=np.zeros((chairs, 2)), state_hash="0")
     write(tmp_path / "other", [other], changed(HEADER, seats=chairs, fingerprint=fingerprint))
     assert (
-        golden_difference(tmp_path / "other", tmp_path / "a") == f"tick 1: the number of chairs is {chairs}, golden 2"
+        find_golden_difference(tmp_path / "other", tmp_path / "a")
+        == f"tick 1: the number of chairs is {chairs}, golden 2"
     )

@@ -132,4 +132,4 @@ def test_substeps_lie_between_the_ticks_and_the_tick_ends_within_a_centimetre(ya
     for k, (p, _) in enumerate(seen):
         assert np.linalg.norm(p - (start.p_W_m + k / 24 * (end - start.p_W_m))) < 0.05 + 0.15 * way * abs(turn)
     assert np.linalg.norm(seen[-1][0] - end) < 1e-4
-    assert frames.wrap(seen[-1][1] - yaw - turn) == pytest.approx(0.0, abs=2e-3)
+    assert frames.wrap_angle(seen[-1][1] - yaw - turn) == pytest.approx(0.0, abs=2e-3)

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from wcsim.config import ChairConfig
-from wcsim.core.joystick import shaped_rows
+from wcsim.core.joystick import shape_joysticks
 from wcsim.scenes.meter import Facts
 from wcsim.scenes.run import _PINNED_LIBM, _run_scene
 
@@ -39,7 +39,7 @@ def pinned_scenes() -> Iterator[Callable[[Path, Path], Facts]]:
 
 
 def main() -> None:
-    shaped_rows(np.zeros((1, 2)), ChairConfig())  # the first kernel loads most of the compiler
+    shape_joysticks(np.zeros((1, 2)), ChairConfig())  # the first kernel loads most of the compiler
     for line in sys.stdin:
         asked, child = json.loads(line), os.fork()
         answer = json.dumps([asked, None if child else _run_scene(*map(Path, asked))])

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from wcsim.cli.main import main
-from wcsim.config.scene import SceneExpect
+from wcsim.config.scene import SceneExpectations
 from wcsim.core.own_folder import WORK_PREFIX
 from wcsim.errors import TownError
 from wcsim.scenes.run import _run_scene
@@ -168,7 +168,7 @@ def test_scenes_are_told_by_their_folders_by_which_they_are_found(tmp_path, caps
     (folder / "scene.toml").write_text(text.replace('name = "mine"', 'name = "nobodys"'))
     assert main(["scene", "list"]) == 0
     assert "mine" in (told := capsys.readouterr().out) and "nobodys" not in told
-    facts = dict.fromkeys(SceneExpect.model_fields, 0)
+    facts = dict.fromkeys(SceneExpectations.model_fields, 0)
     monkeypatch.setattr("wcsim.scenes.run.run_in_child", lambda folder, trace: facts)
     assert main(["scene", "run", "mine", "--json", "told.json"]) == 1
     assert list(json.loads(Path("told.json").read_text())) == ["mine"]

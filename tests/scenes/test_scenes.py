@@ -10,10 +10,10 @@ from tests.scenes.pinned import pinned_scenes
 from tests.scenes.planted import PLANTED, plant
 from wcsim.cli.scene import faults
 from wcsim.config import read_toml
-from wcsim.config.scene import SceneExpect, SceneFile
-from wcsim.log.diff import golden_difference, golden_note
+from wcsim.config.scene import SceneExpectations, SceneFile
+from wcsim.log.diff import explain_hash_mismatch, find_golden_difference
 from wcsim.log.fingerprint import PACKAGES
-from wcsim.log.reader import read_states
+from wcsim.log.reader import read_trace_states
 from wcsim.log.records import changed
 from wcsim.log.writer import LogWriter
 from wcsim.scenes.run import TRACE_EVERY, run_in_child
@@ -52,12 +52,12 @@ def test_scene(name, tmp_path, run_pinned):
     scene = read_toml(folder / "scene.toml", SceneFile)
     facts = run_pinned(folder, tmp_path / "new.trace")
     assert faults(facts, scene.expect) == ()
-    assert scene.expect != SceneExpect(), "a scene that expects nothing shows nothing"
-    assert golden_difference(tmp_path / "new.trace", folder / GOLDEN) == ""
+    assert scene.expect != SceneExpectations(), "a scene that expects nothing shows nothing"
+    assert find_golden_difference(tmp_path / "new.trace", folder / GOLDEN) == ""
     # On every Python and with either PyBullet: a processor or a C library may round otherwise, a package must not.
-    note = golden_note(tmp_path / "new.trace", folder / GOLDEN)
+    note = explain_hash_mismatch(tmp_path / "new.trace", folder / GOLDEN)
     assert not any(f"{package}-" in note for package in PACKAGES)
-    assert set(facts) == set(SceneExpect.model_fields)
+    assert set(facts) == set(SceneExpectations.model_fields)
 
 
 def test_every_scene_has_a_planted_fault():
@@ -75,13 +75,13 @@ def test_a_planted_fault_turns_a_scene_red(fault, tmp_path, run_pinned):
     facts = run_pinned(folder, tmp_path / "new.trace")
     told = faults(facts, read_toml(folder / "scene.toml", SceneFile).expect)
     assert any(fault.told in line for line in told), told
-    assert golden_difference(tmp_path / "new.trace", folder / GOLDEN)
+    assert find_golden_difference(tmp_path / "new.trace", folder / GOLDEN)
 
 
 def test_a_fault_is_named_with_what_was_got_and_expected(tmp_path, run_pinned):
     facts = run_in_child(find_scene("kerb-drop"), tmp_path / "a")  # as `wcsim scene run` does
     assert facts == run_pinned(find_scene("kerb-drop"), tmp_path / "b")
-    told = faults(facts, SceneExpect(crashed=False, max_pitch_deg=(0.0, 1.0)))
+    told = faults(facts, SceneExpectations(crashed=False, max_pitch_deg=(0.0, 1.0)))
     assert len(told) == 2
     assert "crashed is True, expected False" in told[0]
     assert "expected 0 to 1" in told[1]
@@ -89,12 +89,12 @@ def test_a_fault_is_named_with_what_was_got_and_expected(tmp_path, run_pinned):
 
 def test_one_changed_number_is_found(tmp_path):
     golden = find_scene("pedestrian-crossing") / GOLDEN
-    header, ticks = read_states(golden)
+    header, ticks = read_trace_states(golden)
     plants = ticks[5].plants.copy()
     plants[0, 0] += 1e-9
     other = changed(ticks[5], plants=plants, state_hash="0")
     with LogWriter(tmp_path / "a", header) as writer:
         for tick in (*ticks[:5], other, *ticks[6:]):
             writer.append(tick)
-    assert f"tick {ticks[5].tick}" in golden_difference(tmp_path / "a", golden)
+    assert f"tick {ticks[5].tick}" in find_golden_difference(tmp_path / "a", golden)
     assert ticks[5].tick == 6 * TRACE_EVERY

@@ -7,8 +7,8 @@ import shutil
 
 import pytest
 
-from wcsim.log.diff import golden_difference
-from wcsim.log.reader import read_states
+from wcsim.log.diff import find_golden_difference
+from wcsim.log.reader import read_trace_states
 from wcsim.scenes.run import _run_scene
 from wcsim.towns.scene_folders.build import find_scene
 
@@ -23,5 +23,5 @@ def test_a_change_in_the_last_tick_is_told(duration_s, ticks, tmp_path):
         script = f"script = [[0.0, 0.0, 0.6], [{duration_s - 0.1:.1f}, 0.0, {last_y}]]"
         file.write_text(re.sub(r"joystick = .*", script, text))
         _run_scene(folder, tmp_path / name)
-    assert [record.tick for record in read_states(tmp_path / "golden")[1]] == ticks
-    assert f"tick {ticks[-1]}: " in golden_difference(tmp_path / "changed", tmp_path / "golden")
+    assert [record.tick for record in read_trace_states(tmp_path / "golden")[1]] == ticks
+    assert f"tick {ticks[-1]}: " in find_golden_difference(tmp_path / "changed", tmp_path / "golden")

@@ -15,23 +15,23 @@ from tests.server.sim_world import SimWorld, Wrong
 from wcsim.core import seeding
 from wcsim.errors import WcsimError, WorldRestartedError
 from wcsim.server.protocol import messages as m
-from wcsim.server.protocol.client_core import ClientCore, ClientPhase, FrameSeen, JoinRequest, Outcome, Patience
+from wcsim.server.protocol.client_core import ClientCore, ClientPhase, FrameOutcome, JoinSettings, Outcome, Patience
 from wcsim.server.protocol.events import (
-    Admit,
-    Clock,
-    Dismiss,
+    AdmitSeatEffect,
+    ClientLostEvent,
+    DismissSeatEffect,
     Effect,
     Event,
-    Lost,
+    MessageReceivedEvent,
     Peer,
-    RebuildWorld,
-    Received,
-    RespawnSeats,
-    Rules,
-    Send,
-    SendFrame,
-    Step,
-    Stepped,
+    RebuildWorldEffect,
+    RespawnSeatsEffect,
+    SendFrameEffect,
+    SendMessageEffect,
+    ServerRules,
+    StepWorldEffect,
+    TimePassedEvent,
+    WorldSteppedEvent,
 )
 from wcsim.server.protocol.server_core import ServerCore
 from wcsim.types import Joystick, SeatSpec
@@ -92,7 +92,7 @@ class Simulation:
         self.draws, self._trace = Draws(seed), trace
         self.clients = 1 + self.draws.below(6)
         self.capacity = self.clients
-        self.rules = Rules(
+        self.rules = ServerRules(
             capacity=self.capacity, expected=1 + self.draws.below(self.clients), gather_s=8.0, lease_s=12.0,
             notice_s=1.0,
         )  # fmt: skip
@@ -142,29 +142,29 @@ class Simulation:
         todo = list(self.core.handle(event, self.now_s + self.jump_s))
         while todo:
             effect = todo.pop(0)
-            if isinstance(effect, Step):
+            if isinstance(effect, StepWorldEffect):
                 self.world.step(effect)
                 self._tell("step", effect.tick, *effect.commands)
-                todo += self.core.handle(Stepped(self.world.tick), self.now_s + self.jump_s)
+                todo += self.core.handle(WorldSteppedEvent(self.world.tick), self.now_s + self.jump_s)
             else:
                 self._carry_out(effect)
 
     def _carry_out(self, effect: Effect) -> None:
         match effect:
-            case Send():
+            case SendMessageEffect():
                 self._post(effect.peer, effect.message)
-            case SendFrame():
+            case SendFrameEffect():
                 chair = self.world.show(effect.seat, effect.epoch, effect.tick, effect.life)
                 self._post(effect.peer, m.Frame(effect.epoch, effect.tick, effect.life, None, chair))
-            case Admit():
+            case AdmitSeatEffect():
                 self.world.admit(effect.seat, effect.name)
-            case Dismiss():
+            case DismissSeatEffect():
                 self.world.dismiss(effect.seat)
-            case RespawnSeats():
+            case RespawnSeatsEffect():
                 self.world.respawn(effect.seats)
-            case RebuildWorld():
+            case RebuildWorldEffect():
                 self.world.rebuild(effect.epoch)
-            case Step():
+            case StepWorldEffect():
                 raise Wrong("a step among other effects")
 
     def _post(self, peer: Peer, message: m.Reply) -> None:
@@ -176,7 +176,7 @@ class Simulation:
     def _on_clock(self) -> None:
         self._at(self.now_s + 1.0, "clock")
         if self.now_s >= self.down_until_s:
-            self._feed(Clock())
+            self._feed(TimePassedEvent())
         for process in self.slots.values():
             if process.alive and self.now_s >= process.asleep_s:
                 self._do(process, process.core.clock(self.now_s))
@@ -187,12 +187,12 @@ class Simulation:
     def _on_request(self, process: Process, wire: int, message: m.Request) -> None:
         if wire == process.wire and self.now_s >= self.down_until_s:
             self._tell(process.number, "said", message)
-            self._feed(Received(process.peer, message))
+            self._feed(MessageReceivedEvent(process.peer, message))
 
     def _on_stray(self, peer: Peer, message: m.Request) -> None:
         if self.now_s >= self.down_until_s:
             self._tell("stray", message)
-            self._feed(Received(peer, message))
+            self._feed(MessageReceivedEvent(peer, message))
 
     # --- clients ---
 
@@ -202,7 +202,7 @@ class Simulation:
             return
         peer = next(self._peers).to_bytes(4, "big")
         seat = m.ANY_SEAT if self._any else number
-        ask = JoinRequest(claim=b"claim%d" % number, name=f"c{number}", spec=SeatSpec(), seat=seat)
+        ask = JoinSettings(claim=b"claim%d" % number, name=f"c{number}", spec=SeatSpec(), seat=seat)
         core = ClientCore(ask, PATIENCE, lambda: next(self._sessions).to_bytes(m.SESSION_BYTES, "big"))
         process = Process(number, peer, core, 0.3 + 3.0 * self.draws.unit())
         self.processes[peer] = self.slots[number] = process
@@ -238,7 +238,7 @@ class Simulation:
         restarted = any(isinstance(x, WorldRestartedError) for x in outcomes)
         for outcome in outcomes:
             match outcome:
-                case FrameSeen():
+                case FrameOutcome():
                     self._see(process, outcome, restarted)
                 case WcsimError():
                     self._fail(process, outcome)
@@ -252,7 +252,7 @@ class Simulation:
         process.last_up_s = max(process.last_up_s, self.now_s + 0.001 + self._delay_s * self.draws.unit())
         self._at(process.last_up_s, "request", process, process.wire, message)
 
-    def _see(self, process: Process, seen: FrameSeen, restarted: bool) -> None:
+    def _see(self, process: Process, seen: FrameOutcome, restarted: bool) -> None:
         core = process.core
         now = (core.session, seen.epoch, seen.tick, core.life, seen.slot)
         if process.seen and not restarted:
@@ -304,7 +304,7 @@ class Simulation:
 
     def _on_lost(self, session: bytes, may_return: bool = False) -> None:
         if self.now_s >= self.down_until_s:
-            self._feed(Lost(session, may_return=may_return))
+            self._feed(ClientLostEvent(session, may_return=may_return))
 
     def _fault_suspect(self, process: Process) -> None:
         self._on_lost(process.core.session)

@@ -10,12 +10,12 @@ from collections import deque
 
 from wcsim.bridge.replay.player import SeatWorld
 from wcsim.errors import TickTimeoutError
-from wcsim.server.host.world_host import WorldHost
-from wcsim.server.links.base import WorldLink, new_session
+from wcsim.server.host.world_host import WorldEffectExecutor
+from wcsim.server.links.base import ProcessSeatLink, make_session_id
 from wcsim.server.links.socket import _private_rules
 from wcsim.server.protocol import messages as m
-from wcsim.server.protocol.client_core import ClientCore, JoinRequest, Patience
-from wcsim.server.protocol.events import Clock, Peer, Received
+from wcsim.server.protocol.client_core import ClientCore, JoinSettings, Patience
+from wcsim.server.protocol.events import MessageReceivedEvent, Peer, TimePassedEvent
 from wcsim.server.protocol.server_core import ServerCore
 from wcsim.types import SeatSpec
 
@@ -32,18 +32,18 @@ class LocalServer:
         self._inbox: deque[tuple[Peer, m.Reply]] = deque()
         now, inbox = world.snapshot, self._inbox
         core = ServerCore(_private_rules(capacity, expected), now.epoch)
-        self.hub = WorldHost(core, world, lambda peer, message: inbox.append((peer, message)))
+        self.hub = WorldEffectExecutor(core, world, lambda peer, message: inbox.append((peer, message)))
 
     def link(self, spec: SeatSpec, seat: int = m.ANY_SEAT, name: str = "") -> PumpedSeat:
         """A link to a seat; it has to join."""
         peer = f"local-{len(self._links)}".encode()
-        ask = JoinRequest(claim=peer, name=name, spec=spec, seat=seat)
+        ask = JoinSettings(claim=peer, name=name, spec=spec, seat=seat)
         self._links[peer] = PumpedSeat(self, peer, ask)
         return self._links[peer]
 
     def say(self, peer: Peer, message: m.Request) -> None:
         """A link says something."""
-        self.hub.feed(Received(peer, message), time.monotonic())
+        self.hub.feed(MessageReceivedEvent(peer, message), time.monotonic())
 
     def pump(self) -> None:
         """Let every link hear what there is for it, until all is quiet."""
@@ -52,12 +52,12 @@ class LocalServer:
             self._links[peer].handle(message)
 
 
-class PumpedSeat(WorldLink):
+class PumpedSeat(ProcessSeatLink):
     """One seat of a `LocalServer`."""
 
-    def __init__(self, server: LocalServer, peer: Peer, ask: JoinRequest) -> None:
+    def __init__(self, server: LocalServer, peer: Peer, ask: JoinSettings) -> None:
         patience = Patience(resend_s=NEVER_S, reconnect_s=NEVER_S, tick_s=NEVER_S)
-        super().__init__(ClientCore(ask, patience, new_session))
+        super().__init__(ClientCore(ask, patience, make_session_id))
         self._server, self._peer = server, peer
 
     def _post(self, message: m.Request) -> None:
@@ -70,4 +70,4 @@ class PumpedSeat(WorldLink):
 
     def _end(self) -> None:
         self._server.pump()
-        self._server.hub.feed(Clock(), time.monotonic())
+        self._server.hub.feed(TimePassedEvent(), time.monotonic())

@@ -16,12 +16,12 @@ from typing import Any
 
 from tests.support.worlds import quick_config
 from wcsim.errors import ConfigError
-from wcsim.server.launch.states import WorldStatus
-from wcsim.server.links.base import Seat, SeatGroup, WorldLink
+from wcsim.server.launch.states import WorldStatusReport
+from wcsim.server.links.base import ProcessSeatLink, SeatLink, SeatLinkGroup
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.client_core import Patience
-from wcsim.server.protocol.events import Rules
-from wcsim.server.specs import SeatRequest, WorldSpec, of_line, to_line
+from wcsim.server.protocol.events import ServerRules
+from wcsim.server.specs import SeatRequest, WorldProcessSpec, decode_json_line, encode_json_line
 from wcsim.types import ClientSnapshot, Joystick
 
 AHEAD = Joystick(0.1, 0.8)
@@ -31,10 +31,10 @@ WAIT_S = 120.0
 QUICK = Patience(resend_s=0.3, reconnect_s=120.0, tick_s=120.0)
 
 
-def stand_in_order(folder: Path, seats: int = 2, **changes: Any) -> WorldSpec:
+def stand_in_order(folder: Path, seats: int = 2, **changes: Any) -> WorldProcessSpec:
     """A server, all in `folder`; a stand-in for a world, unless `changes` name a town."""
-    rules = changes.pop("rules", Rules(capacity=seats, expected=1, gather_s=60.0, notice_s=0.2))
-    order = WorldSpec(
+    rules = changes.pop("rules", ServerRules(capacity=seats, expected=1, gather_s=60.0, notice_s=0.2))
+    order = WorldProcessSpec(
         town=NOWHERE,
         config=quick_config(),
         seed=3,
@@ -45,13 +45,13 @@ def stand_in_order(folder: Path, seats: int = 2, **changes: Any) -> WorldSpec:
     return replace(order, **changes)
 
 
-def far_order(folder: Path, town: Path, **changes: Any) -> WorldSpec:
+def far_order(folder: Path, town: Path, **changes: Any) -> WorldProcessSpec:
     """A real world with one seat, for clients on other machines too."""
-    return stand_in_order(folder, town=str(town), rules=Rules(capacity=1), listen="tcp://127.0.0.1:*", **changes)
+    return stand_in_order(folder, town=str(town), rules=ServerRules(capacity=1), listen="tcp://127.0.0.1:*", **changes)
 
 
 @contextmanager
-def alone(group: SeatGroup) -> Iterator[Seat]:
+def alone(group: SeatLinkGroup) -> Iterator[SeatLink]:
     """The only seat of a world, which ends with it."""
     with group:
         yield group.links[0]
@@ -60,7 +60,7 @@ def alone(group: SeatGroup) -> Iterator[Seat]:
 class Server:
     """A world process; `start` may be called again when it has ended."""
 
-    def __init__(self, order: WorldSpec, folder: Path, before: Callable[[], None] | None = None) -> None:
+    def __init__(self, order: WorldProcessSpec, folder: Path, before: Callable[[], None] | None = None) -> None:
         self.order, self._file, self._before = order, folder / "order.json", before
         self.process: subprocess.Popen[bytes]
         self._pipe = -1
@@ -73,7 +73,7 @@ class Server:
         if self._pipe >= 0:
             os.close(self._pipe)
         self._pipe, theirs = os.pipe()
-        self._file.write_bytes(to_line(replace(self.order, status_fd=theirs)))
+        self._file.write_bytes(encode_json_line(replace(self.order, status_fd=theirs)))
         module = STAND_IN if self.order.town == NOWHERE else REAL
         command = [sys.executable, "-m", module, str(self._file)]
         self.process = subprocess.Popen(
@@ -81,7 +81,9 @@ class Server:
         )
         os.close(theirs)
 
-    def status(self, fits: Callable[[WorldStatus], bool] = lambda status: status.stage != "loading") -> WorldStatus:
+    def status(
+        self, fits: Callable[[WorldStatusReport], bool] = lambda status: status.stage != "loading"
+    ) -> WorldStatusReport:
         """The first status from now on that fits."""
         end_s = time.monotonic() + WAIT_S
         while time.monotonic() < end_s:
@@ -90,7 +92,7 @@ class Server:
                 *lines, self._rest = (self._rest + data).split(b"\n")
                 for line in lines:
                     try:
-                        status = of_line(WorldStatus, line)
+                        status = decode_json_line(WorldStatusReport, line)
                     except ConfigError:
                         self.failures.append(line)
                         continue
@@ -138,25 +140,25 @@ class Server:
         return replace(order, **changes)
 
 
-def frames_of(link: WorldLink, ticks: int) -> list[bytes]:
+def frames_of(link: ProcessSeatLink, ticks: int) -> list[bytes]:
     """Every frame as bytes, because images are views that later frames overwrite."""
     frame = link.join()
-    frames = [m.encode(m.Frame(0, frame.tick, 0, frame))]
+    frames = [m.encode_message(m.Frame(0, frame.tick, 0, frame))]
     for _ in range(ticks):
         frame = link.act(frame.tick, AHEAD)
-        frames.append(m.encode(m.Frame(0, frame.tick, 0, frame)))
+        frames.append(m.encode_message(m.Frame(0, frame.tick, 0, frame)))
     return frames
 
 
-def joined(links: Sequence[WorldLink]) -> list[ClientSnapshot]:
+def joined(links: Sequence[ProcessSeatLink]) -> list[ClientSnapshot]:
     """All links join at the same time."""
     return together(links, lambda link: link.join())
 
 
-def driven(links: Sequence[WorldLink], ticks: int) -> list[ClientSnapshot]:
+def driven(links: Sequence[ProcessSeatLink], ticks: int) -> list[ClientSnapshot]:
     """All links drive so many ticks at the same time."""
 
-    def drive(link: WorldLink) -> ClientSnapshot:
+    def drive(link: ProcessSeatLink) -> ClientSnapshot:
         seen = link.join()
         for _ in range(ticks):
             seen = link.act(seen.tick, AHEAD)
@@ -165,7 +167,7 @@ def driven(links: Sequence[WorldLink], ticks: int) -> list[ClientSnapshot]:
     return together(links, drive)
 
 
-def together(links: Sequence[WorldLink], do: Callable[[WorldLink], ClientSnapshot]) -> list[ClientSnapshot]:
+def together(links: Sequence[ProcessSeatLink], do: Callable[[ProcessSeatLink], ClientSnapshot]) -> list[ClientSnapshot]:
     """The same with every link, each in a thread of its own: all wait for each other."""
     with ThreadPoolExecutor(len(links)) as pool:
         return list(pool.map(do, links))
@@ -175,7 +177,7 @@ def together(links: Sequence[WorldLink], do: Callable[[WorldLink], ClientSnapsho
 def stub_client(join: SeatRequest, folder: Path, *options: str) -> Iterator[subprocess.Popen[bytes]]:
     """A client process that drives on and on."""
     order, sights = folder / f"{join.name}.json", folder / f"{join.name}.sights"
-    order.write_bytes(to_line(join))
+    order.write_bytes(encode_json_line(join))
     command = [sys.executable, "-m", "benchmarks.soak.stub_client", str(order), "--sights", str(sights), *options]
     process = subprocess.Popen(command, stdin=subprocess.DEVNULL)
     try:

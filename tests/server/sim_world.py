@@ -3,7 +3,7 @@
 import zlib
 
 from tests.server.model.shadow import Shadow, stick_of
-from wcsim.server.protocol.events import Step
+from wcsim.server.protocol.events import StepWorldEffect
 
 
 class Wrong(Exception):
@@ -33,7 +33,7 @@ class SimWorld:
         """What every client says at this tick."""
         return stick_of(epoch, tick)
 
-    def step(self, step: Step) -> None:
+    def step(self, step: StepWorldEffect) -> None:
         """One tick. Raises Violation unless every chair has its own client's action of exactly this tick."""
         sticks = {chair.owner: int(chair.owner[1:]) / 8 for chair in self._shadow.chairs}
         self._shadow.check(step.tick, step.commands, sticks)

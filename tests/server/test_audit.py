@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from wcsim.log.records import EpochBegun, SeenFrame
-from wcsim.log.records import ticked as log_ticked
-from wcsim.server.ledger import audit
+from wcsim.log.records import make_ticked_record as log_ticked
+from wcsim.server.ledger import audit_ledgers
 from wcsim.types import Command, Joystick
 
 
@@ -31,7 +31,7 @@ WHOLE = seen((0, 0, 1), (0, 1), (0, 2), (0, 3), (1, 0, 1), (1, 1), (1, 2))
 
 
 def counts(entries, records=JOURNAL):
-    found, _ = audit(iter(records), [(0, iter(entries))])
+    found, _ = audit_ledgers(iter(records), [(0, iter(entries))])
     return found.ticks, found.lost, found.doubled, found.phantom
 
 
@@ -57,7 +57,7 @@ def test_what_was_seen_twice_or_never_done_is_found():
 def test_each_ledger_by_itself_and_a_ledger_by_itself():
     records = [EpochBegun(epoch=0, seed=1), ticked(0, 1, 0, 1), ticked(0, 2, 0), ticked(0, 3, 0, 1)]
     whole, gone = seen((0, 0, 1), (0, 1), (0, 2), (0, 3)), seen((0, 0, 1), (0, 3))
-    whole, (one, other) = audit(records, [(0, whole), (1, gone)])
+    whole, (one, other) = audit_ledgers(records, [(0, whole), (1, gone)])
     assert whole.ticks == 3 and (one.lost, one.phantom) == (0, 0) and (other.lost, other.phantom) == (1, 0)
     assert (other.first_tick, other.last_tick, other.steps, other.missing) == (0, 3, 1, 2)
 
@@ -71,7 +71,7 @@ def test_the_same_as_with_everything_in_memory(frames, data):
     mine = {(entry.epoch, entry.tick) for entry in entries if entry.stepped}
     lives = [a for a, b in pairwise(entries) if not b.stepped] + entries[-1:]
     ends = {(entry.epoch, entry.tick + 1) for entry in lives}
-    found, _ = audit(records, [(0, entries)])
+    found, _ = audit_ledgers(records, [(0, entries)])
     assert (found.lost, found.phantom) == (len(done - mine - ends), _phantoms(entries, done))
 
 

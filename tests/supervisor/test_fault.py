@@ -1,7 +1,7 @@
 import pytest
 
 from wcsim.config import RewardConfig
-from wcsim.supervisor.rewards import crash_words
+from wcsim.supervisor.rewards import describe_crash
 from wcsim.types import Contact
 
 
@@ -24,4 +24,4 @@ def hit(kind, actor_id="", cause="own", impulse_Ns=50.0):
     ],
 )
 def test_a_crash_in_words(reason, contacts, words):
-    assert crash_words(reason, contacts, RewardConfig()) == words
+    assert describe_crash(reason, contacts, RewardConfig()) == words

@@ -9,10 +9,10 @@ from tests.supervisor.test_observation import sensors
 from tests.support.plants import CALM
 from tests.support.samples import ACTIONS
 from tests.users.kinematics import plant
-from wcsim.agents.envs.episode_view import ChairView, EpisodeStep
+from wcsim.agents.envs.episode_view import EnvStepResult, SeatEnvAdapter
 from wcsim.config import EnvConfig, RunConfig
 from wcsim.errors import ConfigError
-from wcsim.supervisor.observation import observation_of
+from wcsim.supervisor.observation import make_observation
 from wcsim.types import ClientSnapshot, Joystick
 
 CONFIG = RunConfig()
@@ -31,9 +31,9 @@ def snapshot(crashed=False, truncated=False, user=FORWARD) -> ClientSnapshot:
     )
 
 
-def judged(after: ClientSnapshot, action: int, asked: Joystick) -> EpisodeStep:
+def judged(after: ClientSnapshot, action: int, asked: Joystick) -> EnvStepResult:
     """The step of a chair whose user asked for this, and whose agent answered so."""
-    chair = ChairView(CONFIG)
+    chair = SeatEnvAdapter(CONFIG)
     chair.now = snapshot(user=asked)
     chair.command(action)
     return chair.finish_step(after)
@@ -73,9 +73,9 @@ def test_how_an_episode_ends(crashed, truncated, expected):
 
 def test_the_configuration_chooses_form_classes_and_camera():
     config = CONFIG.model_copy(update={"env": EnvConfig(observation="table3", classes="wcsim")})
-    assert observation_of(snapshot(), config)["segmentation"].shape == (3, 24, 32)
+    assert make_observation(snapshot(), config)["segmentation"].shape == (3, 24, 32)
     two = (CONFIG.cameras[0].model_copy(update={"name": "rear"}), CONFIG.cameras[0])
     seen = CONFIG.model_copy(update={"cameras": two, "env": EnvConfig(camera="front")})
-    assert observation_of(snapshot(), seen)["seg"].shape == (1, 24, 32)
+    assert make_observation(snapshot(), seen)["seg"].shape == (1, 24, 32)
     with pytest.raises(ConfigError, match="no camera 'rear' on this chair"):
-        observation_of(snapshot(), seen.model_copy(update={"env": EnvConfig(camera="rear")}))
+        make_observation(snapshot(), seen.model_copy(update={"env": EnvConfig(camera="rear")}))

@@ -29,7 +29,7 @@ def step(distance=0.0, free=True, speed_mps=1.0, asked=REST, given=REST, **event
 
 
 def sums_of(*steps, tick_s=0.1) -> dict[str, Any]:
-    return kpi.sums_of(steps, tick_s)
+    return kpi.sum_kpi_steps(steps, tick_s)
 
 
 def test_a_small_test_by_hand():
@@ -141,7 +141,7 @@ def crash_after(*speeds_mps: float, **events: Any) -> tuple[list[KpiStep], str]:
     """These ticks and one in which a car hits the chair and throws it, and whose fault that is."""
     steps = [step(speed_mps=speed, **{"on_carriageway": True, **events}) for speed in speeds_mps]
     steps.append(step(speed_mps=3.2, on_carriageway=True, crashed=True, crash_reason="collision"))
-    return steps, str(kpi.crash_of(steps[-1].events, (HIT,), steps, 0.1, RewardConfig())["fault"])
+    return steps, str(kpi.make_crash_fields(steps[-1].events, (HIT,), steps, 0.1, RewardConfig())["fault"])
 
 
 @pytest.mark.parametrize(("still_ticks", "whose"), [(0, "other"), (8, "other"), (10, "own"), (50, "own")])

@@ -19,15 +19,15 @@ from wcsim.supervisor.observation import (
     NEAR,
     STATE_SHAPE,
     _imu_vector,
+    count_imu_values,
     decode_depth,
     encode_depth,
-    imu_size,
-    observation_of,
-    observation_space,
-    state_of,
-    state_space,
+    make_observation,
+    make_observation_space,
+    make_state_observation,
+    make_state_observation_space,
 )
-from wcsim.supervisor.palette import COLOURS, palette
+from wcsim.supervisor.palette import COLOURS, make_class_palette
 from wcsim.types import CameraFrame, ClassId, ClientSnapshot, ImuFrame, Joystick, Reading, SensorFrame
 
 RANGE_M = 40.0
@@ -57,7 +57,7 @@ def sensors(width=320, height=240) -> SensorFrame:
 def seen(form, frame, fold=True, camera="front"):
     env = EnvConfig(observation=form, classes="cityscapes" if fold else "wcsim")
     eye = CameraConfig(name=camera, range_m=RANGE_M, rgb=form == "compact_rgb")
-    return observation_of(snapshot(frame), RunConfig(env=env, cameras=(eye,)))
+    return make_observation(snapshot(frame), RunConfig(env=env, cameras=(eye,)))
 
 
 def snapshot(frame):
@@ -71,7 +71,7 @@ def snapshot(frame):
 @pytest.mark.parametrize("fold", [True, False])
 def test_observation_is_in_its_space(form, fold):
     got = seen(form, sensors(80, 60), fold)
-    space = observation_space(form, 80, 60)
+    space = make_observation_space(form, 80, 60)
     assert space.contains(got)
     assert set(got) == set(space.spaces)
     assert all(array.flags.c_contiguous and array.flags.writeable for array in got.values())
@@ -82,13 +82,13 @@ def test_what_needs_pictures_refuses_the_form_without():
     with pytest.raises(ConfigError, match=r"policies need them; expected env\.observation=compact"):
         seen("state", sensors(40, 30))
     with pytest.raises(ConfigError, match="networks and policies need them"):
-        observation_space("state", 80, 60)
+        make_observation_space("state", 80, 60)
 
 
 def test_the_rows_have_the_stick_of_now_not_that_of_the_simulated_user():
     frame = replace(sensors(40, 30), readings=(Reading(name=NEAR, values=np.ones(math.prod(STATE_SHAPE))),))
-    rows = state_of(snapshot(frame))
-    assert rows.shape == STATE_SHAPE and state_space().contains(rows)
+    rows = make_state_observation(snapshot(frame))
+    assert rows.shape == STATE_SHAPE and make_state_observation_space().contains(rows)
     np.testing.assert_array_equal(rows[0, 1:3], [-0.25, 0.75])
 
 
@@ -143,7 +143,7 @@ def test_what_was_not_measured_is_told_from_what_is_near(form):
 def test_both_forms_show_the_same_picture():
     frame = sensors(80, 60)
     compact, table3 = seen("compact", frame), seen("table3", frame)
-    colours = palette()[compact["seg"][0]]
+    colours = make_class_palette()[compact["seg"][0]]
     np.testing.assert_allclose(table3["segmentation"], np.moveaxis(colours, -1, 0) / 255.0, atol=1e-6)
     metres = decode_depth(compact["depth"], RANGE_M)
     np.testing.assert_allclose(metres, table3["depth"] * RANGE_M, rtol=0.013)
@@ -170,7 +170,7 @@ def test_imu_is_scaled_and_held():
 def test_turn_rates_and_heading_can_be_seen_too(gyro, yaw, size):
     felt = replace(imu(), gyro_radps=np.array([0.4, -0.8, 99.0]), yaw_rad=math.pi / 6)
     got = _imu_vector(felt, gyro, yaw)
-    assert got.shape == (size,) == (imu_size(gyro, yaw),)
+    assert got.shape == (size,) == (count_imu_values(gyro, yaw),)
     expected = [0.1, -0.2, 1.0] * gyro + [0.5, math.sqrt(0.75)] * yaw
     np.testing.assert_allclose(got[5:], expected, atol=1e-6)
     np.testing.assert_array_equal(got[:5], _imu_vector(imu()))
@@ -180,7 +180,7 @@ def test_unknown_camera_and_form_are_named():
     with pytest.raises(ConfigError, match=r"rear.*front"):
         seen("compact", sensors(8, 8), camera="rear")
     with pytest.raises(ConfigError, match="table3"):
-        observation_space("table4", 8, 8)
+        make_observation_space("table4", 8, 8)
 
 
 def test_colours_stand_beside_the_classes_plane_by_plane():
@@ -207,10 +207,10 @@ def test_a_further_sensor_is_seen_over_its_full_scale_under_its_name():
     said = config.sensors.measures()
     scale = said["odometry"].full_scale
     frame = replace(sensors(), readings=(Reading(name="odometry", values=np.array(scale) * (0.25, -9.0)),))
-    got = observation_of(snapshot(frame), config)
+    got = make_observation(snapshot(frame), config)
     assert got["odometry"].tolist() == [0.25, -1.0] and got["odometry"].dtype == np.float32
-    assert observation_space(config.env.observation, 320, 240, measures=said).contains(got)
-    assert "odometry" not in observation_of(snapshot(frame), RunConfig())
+    assert make_observation_space(config.env.observation, 320, 240, measures=said).contains(got)
+    assert "odometry" not in make_observation(snapshot(frame), RunConfig())
     for strange in ((), (Reading(name="odometry", values=np.zeros(3)),)):
         with pytest.raises(ConfigError, match="no sensor 'odometry' with 2 numbers"):
-            observation_of(snapshot(replace(frame, readings=strange)), config)
+            make_observation(snapshot(replace(frame, readings=strange)), config)

@@ -11,8 +11,8 @@ from tests.support.yardstick import multiple
 from tests.users.actors import USUAL_RIMS_M, USUAL_WHEELS_M, actor, make_user
 from tests.users.kinematics import TICK_S, Chair, Sim, plant, polyline
 from wcsim.config import ChairConfig
-from wcsim.core.frames import quaternion
-from wcsim.core.joystick import shaped_rows
+from wcsim.core.frames import quaternion_from_ypr
+from wcsim.core.joystick import shape_joysticks
 from wcsim.supervisor.oracle import Oracle
 from wcsim.types import ActorKind, Joystick, StreetGrid
 from wcsim.types.street import AT_EDGE
@@ -97,7 +97,7 @@ def test_a_chair_that_stands_on_both_sides_of_a_kerb_may_drive_along_it():
     leans = replace(
         level,
         p_WB_m=np.array([20.0, 4.0, 0.5 * KERB_M]),
-        q_WB=np.array(quaternion(0.0, 0.0, roll_rad)),
+        q_WB=np.array(quaternion_from_ypr(0.0, 0.0, roll_rad)),
         roll_rad=roll_rad,
     )
     assert ORACLE.danger(level, FORWARD, ())
@@ -228,7 +228,7 @@ def test_mirrored_streets_give_mirrored_answers():
 
 def test_shaping_is_the_drives():
     chair = ChairConfig(deadband=0.1, shape_exponent=2.0)
-    got = shaped_rows(np.array([[0.0, 0.05], [0.0, 0.55], [3.0, 4.0], [1.0, -1.0]]), chair)
+    got = shape_joysticks(np.array([[0.0, 0.05], [0.0, 0.55], [3.0, 4.0], [1.0, -1.0]]), chair)
     np.testing.assert_allclose(got, [[0, 0], [0, 0.25], [0.6, 0.8], [math.sqrt(0.5), -math.sqrt(0.5)]], atol=1e-12)
 
 

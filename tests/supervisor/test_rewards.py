@@ -17,9 +17,9 @@ from wcsim.supervisor.rewards import (
     _intensity,
     _joystick_terms,
     _tilt_term,
+    compute_reward_terms,
     crash_reason,
     joystick_distance,
-    reward,
 )
 from wcsim.types import Contact, Events, ImuFrame
 
@@ -95,11 +95,11 @@ def test_tilt_rows(roll, pitch, penalty):
 
 
 def test_a_crash_costs_100_once_and_the_terms_add_up():
-    terms = reward(1.0884, imu(peak=(50, 50, 50)), plant(50, 50), events(crashed=True), C)
+    terms = compute_reward_terms(1.0884, imu(peak=(50, 50, 50)), plant(50, 50), events(crashed=True), C)
     assert terms.crash == -100.0
     assert terms.total == pytest.approx(0.0 - 1.0 - 6.0 - 4.0 - 100.0)
     assert _crash_term(False, C) == 0.0
-    assert reward(0.1, imu(), plant(), events(), C).total == 1.0
+    assert compute_reward_terms(0.1, imu(), plant(), events(), C).total == 1.0
 
 
 @given(finite, finite)
@@ -117,9 +117,9 @@ def test_reward_never_grows_with_distance(a, b):
 
 @given(st.lists(st.floats(-200, 200), min_size=3, max_size=3), st.floats(-180, 180), st.floats(-90, 90), st.booleans())
 def test_reward_is_bounded_and_even_in_its_signs(peak, roll, pitch, crashed):
-    got = reward(0.5, imu(peak), plant(roll, pitch), events(crashed), C).total
+    got = compute_reward_terms(0.5, imu(peak), plant(roll, pitch), events(crashed), C).total
     assert -2 * 6 - 100 <= got <= 1.0
-    mirrored = reward(0.5, imu([-p for p in peak]), plant(-roll, -pitch), events(crashed), C).total
+    mirrored = compute_reward_terms(0.5, imu([-p for p in peak]), plant(-roll, -pitch), events(crashed), C).total
     assert got == pytest.approx(mirrored)
 
 

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
-from wcsim.log.framing import crc_of, framed, whole_records
-from wcsim.log.reader import LogScan, part_files
+from wcsim.log.framing import crc_from_record, frame_payload, iter_whole_records
+from wcsim.log.reader import LogScan, list_log_parts
 from wcsim.log.records import Header, LogRecord
 
 
@@ -21,7 +21,7 @@ class WholeLog:
 
 def read_whole(path: Path) -> WholeLog:
     """A log with all its parts."""
-    scans = [LogScan(part) for part in part_files(path) or (path,)]
+    scans = [LogScan(part) for part in list_log_parts(path) or (path,)]
     records = tuple(record for scan in scans for record in scan.records())
     return WholeLog(header=scans[0].header, records=records, torn=scans[-1].truncated_bytes > 0)
 
@@ -30,27 +30,27 @@ def chained(payloads: Iterable[bytes], after: int = 0) -> bytes:
     """Payloads as the records of a log."""
     records = []
     for payload in payloads:
-        records.append(framed(payload, after))
-        after = crc_of(records[-1])
+        records.append(frame_payload(payload, after))
+        after = crc_from_record(records[-1])
     return b"".join(records)
 
 
 def payloads_of(path: Path) -> list[bytes]:
     """The payloads of a log."""
     with path.open("rb") as file:
-        return [record.payload for record in whole_records(file)]
+        return [record.payload for record in iter_whole_records(file)]
 
 
 def last_crc(path: Path) -> int:
     """The CRC of the last record of a log."""
     with path.open("rb") as file:
-        return [record.crc for record in whole_records(file)][-1]
+        return [record.crc for record in iter_whole_records(file)][-1]
 
 
 def record_ends(path: Path) -> list[int]:
     """Where the records of a log end."""
     with path.open("rb") as file:
-        return [record.end for record in whole_records(file)]
+        return [record.end for record in iter_whole_records(file)]
 
 
 def pieces(path: Path) -> list[bytes]:

@@ -12,7 +12,7 @@ from tests.support.worlds import quick_config
 from wcsim.bridge.town_run import as_recorded, chair_box_m
 from wcsim.bridge.world import World
 from wcsim.log.fingerprint import fingerprint
-from wcsim.log.reader import iter_inputs, log_digest, read_header
+from wcsim.log.reader import iter_journal_inputs, log_digest, read_header
 from wcsim.log.records import (
     Admitted,
     Dismissed,
@@ -22,10 +22,10 @@ from wcsim.log.records import (
     Respawned,
     Ticked,
     changed,
-    header_bytes,
-    record_bytes,
-    state_of,
-    ticked,
+    header_to_bytes,
+    make_ticked_record,
+    record_to_bytes,
+    world_state_from_snapshot,
 )
 from wcsim.log.writer import LogWriter
 from wcsim.towns.scenario.town import find_town, streets_hash
@@ -105,9 +105,11 @@ class JournaledWorld:
                 for client in before.clients
             )
             after = self.world.tick(commands)
-            self.writer.append(ticked(after.epoch, after.tick, commands, after.state_hash))
+            self.writer.append(make_ticked_record(after.epoch, after.tick, commands, after.state_hash))
             if after.epoch == 0:
-                self.trace.append(state_of(after, commands, as_recorded(after, self.world.sumo.everyone())))
+                self.trace.append(
+                    world_state_from_snapshot(after, commands, as_recorded(after, self.world.sumo.everyone()))
+                )
 
 
 def eventful_run(corner: Path, run: Path) -> dict[str, object]:
@@ -138,9 +140,9 @@ def eventful_run(corner: Path, run: Path) -> dict[str, object]:
 
 def rewritten(journal: Path, out: Path, change: dict[int, Input]) -> Path:
     """A copy of a journal with other records at some places."""
-    records = [change.get(number, record) for number, record in enumerate(iter_inputs(journal))]
+    records = [change.get(number, record) for number, record in enumerate(iter_journal_inputs(journal))]
     out.parent.mkdir(exist_ok=True)
-    out.write_bytes(chained([header_bytes(read_header(journal)), *map(record_bytes, records)]))
+    out.write_bytes(chained([header_to_bytes(read_header(journal)), *map(record_to_bytes, records)]))
     assert len(record_ends(out)) == len(records) + 1
     return out
 

@@ -61,7 +61,7 @@ def in_this_process() -> Iterator[None]:
     """Pieces are driven and failures illustrated without further processes; those have tests of their own."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(failures, "run_in_pool", _run_here)
-        patch.setattr(machines, "start_worker", InlinePool)
+        patch.setattr(machines, "start_single_worker_pool", InlinePool)
         for asking in ("wcsim.agents.evaluation.suite.run", "wcsim.agents.rounds.collect_data"):
             patch.setattr(f"{asking}.Scheduler", OneScheduler)
         yield

@@ -13,7 +13,7 @@ from wcsim.config import ChairConfig
 from wcsim.core.seeding import generator
 from wcsim.physics.wheelchair.plant import plant_spec
 from wcsim.types import ActorKind, ActorState, Route, SignalState, Street, UserView
-from wcsim.users.profiles import profile
+from wcsim.users.profiles import find_builtin_profile
 from wcsim.users.user import SimulatedUser
 
 USUAL_RIMS_M = np.array(plant_spec(ChairConfig()).rims_m())
@@ -25,7 +25,7 @@ def actor(kind: ActorKind, x: float, y: float, yaw: float = 0.0, v: float = 0.0,
 
 
 def make_user(name: str = "competent", seed: int = 0, street: Street | None = None, **changes: float) -> SimulatedUser:
-    exact = replace(profile(name), **changes)
+    exact = replace(find_builtin_profile(name), **changes)
     return SimulatedUser(exact, generator(seed, "user"), ChairConfig(), USUAL_OUTLINE, street)
 
 

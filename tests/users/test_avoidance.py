@@ -8,12 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.support.samples import straight_route
-from wcsim.users.avoidance import Body, choose_lane
+from wcsim.users.avoidance import PredictedChairPose, choose_lane
 from wcsim.users.perception import DetectedObject
-from wcsim.users.route_line import Path
+from wcsim.users.route_line import RouteLine
 
-PATH = Path(straight_route())
-BODY = Body(x_m=10.0, y_m=5.5, yaw_rad=0.0, speed_mps=1.3, arc_m=10.0, left_m=0.0, half_m=(0.57, 0.31))
+PATH = RouteLine(straight_route())
+BODY = PredictedChairPose(x_m=10.0, y_m=5.5, yaw_rad=0.0, speed_mps=1.3, arc_m=10.0, left_m=0.0, half_m=(0.57, 0.31))
 LANES = st.tuples(st.floats(-3, 3), st.floats(0.05, 3)).map(lambda t: (t[0], t[0] + t[1]))
 
 

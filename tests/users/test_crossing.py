@@ -11,8 +11,8 @@ from tests.users.actors import actor, make_user, user_view
 from tests.users.kinematics import Chair, Sim, polyline
 from wcsim.core.seeding import generator
 from wcsim.types import ActorKind, Route, SignalState, Street, WalkGraph
-from wcsim.users.crossing import CrossingStops, _has_conflict, _has_light, crossings, is_red
-from wcsim.users.route_line import Path
+from wcsim.users.crossing import CrossingStopPlanner, _has_conflict, _has_light, find_route_crossings, is_red
+from wcsim.users.route_line import RouteLine
 
 STREET = strip_street()
 
@@ -35,14 +35,14 @@ def lit(street: Street) -> Street:
 
 
 ROUTE = over_the_road()
-(ROAD,) = crossings(ROUTE, walk("t", (1, 2)))
+(ROAD,) = find_route_crossings(ROUTE, walk("t", (1, 2)))
 
 
 def test_the_crossing_is_found_where_it_is():
     assert (ROAD.start_m, ROAD.end_m) == pytest.approx((11.5, 19.5))
     assert ROAD.start_W_m == pytest.approx((40.0, 4.0)) and ROAD.end_W_m == pytest.approx((40.0, -4.0))
     assert (ROAD.tls_id, ROAD.tls_links) == ("t", (1, 2))
-    assert crossings(replace(ROUTE, edge_index=np.zeros(len(ROUTE.arc_m), np.int32)), walk()) == ()
+    assert find_route_crossings(replace(ROUTE, edge_index=np.zeros(len(ROUTE.arc_m), np.int32)), walk()) == ()
 
 
 @pytest.mark.parametrize(
@@ -56,7 +56,7 @@ def test_lights(colours, red, light):
 
 
 def test_without_a_light_nothing_is_red():
-    (bare,) = crossings(ROUTE, walk())
+    (bare,) = find_route_crossings(ROUTE, walk())
     signals = (SignalState(tls_id="", colours="rrr"), SignalState(tls_id="t", colours="rrr"))
     assert not is_red(bare, signals) and not _has_light(bare, signals)
     assert not is_red(ROAD, ())
@@ -85,7 +85,7 @@ def test_vehicles(vehicle, conflict):
     ("colours", "from_m", "waits"), [("rGGr", 28.0, False), ("rGGr", 22.0, True), ("oooo", 28.0, True)]
 )
 def test_at_green_those_far_away_have_red_and_are_not_waited_for(colours, from_m, waits):
-    here = CrossingStops((ROAD,), Path(ROUTE), None, 1.0, generator(0, "user"), 0.57)
+    here = CrossingStopPlanner((ROAD,), RouteLine(ROUTE), None, 1.0, generator(0, "user"), 0.57)
     red, now = (SignalState(tls_id="t", colours="GrrG"),), (SignalState(tls_id="t", colours=colours),)
     assert here.stop_m(10.6, 59.9, red, ()) is not None
     car = actor(ActorKind.CAR, 40.0 - from_m, -2.0, v=10.0)
@@ -114,7 +114,9 @@ def test_whether_a_light_is_obeyed_is_independent_of_the_way_to_it():
 def test_each_crossing_of_a_route_has_a_draw_of_its_own_whichever_is_reached():
     far = replace(ROAD, start_m=60.0, end_m=68.0)
     for seed in range(12):
-        both, one = (CrossingStops((ROAD, far), Path(ROUTE), None, 0.5, generator(seed), 0.57) for _ in range(2))
+        both, one = (
+            CrossingStopPlanner((ROAD, far), RouteLine(ROUTE), None, 0.5, generator(seed), 0.57) for _ in range(2)
+        )
         for here, places_m in ((both, (10.6, 59.0)), (one, (59.0,))):
             for arc_m in places_m:
                 here.stop_m(arc_m, 1.0, (), ())
@@ -138,7 +140,9 @@ def test_each_crossing_of_a_route_has_a_draw_of_its_own_whichever_is_reached():
     ],
 )
 def test_riders_on_the_road_are_waited_for(kind, x, y, yaw, v, waits):
-    here = CrossingStops(crossings(ROUTE, walk()), Path(ROUTE), STREET.grid, 1.0, generator(0, "user"), 0.57)
+    here = CrossingStopPlanner(
+        find_route_crossings(ROUTE, walk()), RouteLine(ROUTE), STREET.grid, 1.0, generator(0, "user"), 0.57
+    )
     assert (here.stop_m(10.6, 1.0, (), (actor(kind, x, y, yaw, v),)) is not None) == waits
 
 

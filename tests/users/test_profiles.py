@@ -13,31 +13,34 @@ from wcsim.users.profiles import (
     PROFILE_LIMITS,
     UserProfile,
     _read_profile,
-    is_user_file,
-    profile,
+    filter_user_file_names,
+    find_builtin_profile,
+    is_user_file_name,
     profile_from_json,
-    profile_json,
     profile_names,
-    profile_toml,
-    sample,
-    user_files,
+    profile_to_json,
+    profile_to_toml,
+    sample_profile,
 )
 from wcsim.users.recordings.recorded_user import find_user
 
 
 def test_all_are_there():
     assert profile_names() == ("competent", "slow", "tremor", "ataxic", "inattentive", "switch", "recorded")
-    assert all(profile(name).name == name for name in profile_names())
+    assert all(find_builtin_profile(name).name == name for name in profile_names())
 
 
 def test_an_unknown_name_is_answered_with_the_known():
     with pytest.raises(ConfigError, match="competent, slow, tremor"):
-        profile("drunk")
+        find_builtin_profile("drunk")
 
 
 @given(st.sampled_from(profile_names()), st.integers(0, 2**20))
 def test_a_sample_stays_within_30_percent_and_shares_stay_shares(name, seed):
-    base, drawn = asdict(profile(name)), asdict(sample(profile(name), generator(seed, "user")))
+    base, drawn = (
+        asdict(find_builtin_profile(name)),
+        asdict(sample_profile(find_builtin_profile(name), generator(seed, "user"))),
+    )
     for key, value in drawn.items():
         if key in ("name", "discrete"):
             assert value == base[key]
@@ -52,13 +55,15 @@ def test_a_sample_stays_within_30_percent_and_shares_stay_shares(name, seed):
 
 
 def test_a_sample_depends_on_the_seed_only():
-    first, again, other = (sample(profile("tremor"), generator(seed, "user")) for seed in (1, 1, 2))
+    first, again, other = (
+        sample_profile(find_builtin_profile("tremor"), generator(seed, "user")) for seed in (1, 1, 2)
+    )
     assert first == again != other
 
 
 def test_a_bias_ahead_is_spread_as_one_to_the_side_is():
-    base = replace(profile("ataxic"), bias=(0.12, 0.1))
-    drawn = np.array([sample(base, generator(seed, "user")).bias for seed in range(40)]) / base.bias
+    base = replace(find_builtin_profile("ataxic"), bias=(0.12, 0.1))
+    drawn = np.array([sample_profile(base, generator(seed, "user")).bias for seed in range(40)]) / base.bias
     assert (drawn.min(axis=0) < 0.8).all() and (drawn.max(axis=0) > 1.2).all()
     assert (np.abs(drawn - 1.0) < base.spread + 1e-9).all()
 
@@ -68,12 +73,12 @@ def test_a_bias_ahead_is_spread_as_one_to_the_side_is():
 
 @pytest.mark.parametrize("name", profile_names())
 def test_what_is_written_is_read(tmp_path, name):
-    user = replace(sample(profile(name), generator(3, "user")), spread=0.1)
+    user = replace(sample_profile(find_builtin_profile(name), generator(3, "user")), spread=0.1)
     file = tmp_path / "me.toml"
-    file.write_text(profile_toml(user, {"lag_s": "0.1 to 0.2"}, "a head\nof two lines"))
+    file.write_text(profile_to_toml(user, {"lag_s": "0.1 to 0.2"}, "a head\nof two lines"))
     assert _read_profile(file) == find_user(str(file)) == user
     assert "# a head\n# of two lines\n" in file.read_text() and "# 0.1 to 0.2\n" in file.read_text()
-    assert profile_from_json(profile_json(user), "there") == user
+    assert profile_from_json(profile_to_json(user), "there") == user
 
 
 def test_every_number_of_a_profile_has_bounds_and_every_profile_is_within_them():
@@ -81,15 +86,17 @@ def test_every_number_of_a_profile_has_bounds_and_every_profile_is_within_them()
     assert numbers == set(PROFILE_LIMITS)
     for name in profile_names():
         for key, (low, high) in PROFILE_LIMITS.items():
-            value = asdict(profile(name))[key]
+            value = asdict(find_builtin_profile(name))[key]
             assert all(low <= part <= high for part in (value if isinstance(value, tuple) else (value,))), (name, key)
 
 
 def test_what_is_left_out_is_the_bases(tmp_path):
     file = tmp_path / "my tired user.toml"
     file.write_text('base = "slow"\nreaction_s = 0.9\n')
-    assert _read_profile(file) == replace(profile("slow"), name="my-tired-user", reaction_s=0.9, spread=0.0)
-    assert sample(_read_profile(file), generator(1, "user")) == _read_profile(file)
+    assert _read_profile(file) == replace(
+        find_builtin_profile("slow"), name="my-tired-user", reaction_s=0.9, spread=0.0
+    )
+    assert sample_profile(_read_profile(file), generator(1, "user")) == _read_profile(file)
 
 
 @pytest.mark.parametrize(
@@ -123,5 +130,5 @@ def test_a_missing_file_is_named():
 
 def test_files_are_distinguished_from_names():
     names = ("slow", "me.toml", "recorded:a.drive", "me.toml")
-    assert [is_user_file(name) for name in names] == [False, True, True, True]
-    assert user_files(names) == ("me.toml", "recorded:a.drive")
+    assert [is_user_file_name(name) for name in names] == [False, True, True, True]
+    assert filter_user_file_names(names) == ("me.toml", "recorded:a.drive")

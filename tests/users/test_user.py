@@ -12,16 +12,16 @@ from tests.users.actors import USUAL_RIMS_M, USUAL_WHEELS_M, actor, make_user
 from tests.users.kinematics import Chair, Sim, lateral, polyline
 from tests.users.test_crossing import lit, over_the_road
 from wcsim.config import ChairConfig
-from wcsim.core.joystick import pushed, shaped
+from wcsim.core.joystick import raw_radius_from_shaped, shape_joystick
 from wcsim.core.seeding import generator
 from wcsim.errors import ConfigError
 from wcsim.supervisor.oracle import Oracle
 from wcsim.types import ActorKind, Joystick, SignalState
-from wcsim.users.avoidance import Body
-from wcsim.users.crossing import CrossingStops, crossings
-from wcsim.users.profiles import profile, profile_names, sample
-from wcsim.users.route_line import Path
-from wcsim.users.user import SimulatedUser, steer
+from wcsim.users.avoidance import PredictedChairPose
+from wcsim.users.crossing import CrossingStopPlanner, find_route_crossings
+from wcsim.users.profiles import find_builtin_profile, profile_names, sample_profile
+from wcsim.users.route_line import RouteLine
+from wcsim.users.user import SimulatedUser, plan_stick_to_goal
 
 STREET = strip_street()
 ORACLE = Oracle(STREET.grid, ChairConfig(), USUAL_OUTLINE, USUAL_WHEELS_M, USUAL_RIMS_M, ACTIONS.points)
@@ -54,7 +54,7 @@ def nearest(sim: Sim, seconds: float, actors) -> float:
 def test_the_competent_user_holds_its_line_around_corners(quantised):
     for seed in range(3):
         rng = generator(seed, "user")
-        user = SimulatedUser(sample(profile("competent"), rng), rng, ChairConfig(), USUAL_OUTLINE)
+        user = SimulatedUser(sample_profile(find_builtin_profile("competent"), rng), rng, ChairConfig(), USUAL_OUTLINE)
         sim = Sim(user, CORNERS, Chair(), quantised)
         off = lateral(sim.run(90.0).array(), CORNERS)
         assert user.arrived
@@ -91,12 +91,14 @@ def test_on_the_inside_of_a_hairpin_the_user_looks_farther_along(lane_m):
     route = polyline((0, 0), (10, 0), (4, 5), step_m=0.5)
     user.follow(route)
     user._lanes.offset_m = -lane_m
-    path = Path(route)
+    path = RouteLine(route)
     for arc_m in np.arange(7.0, 12.0, 0.1).tolist():
         x, y = path.at(arc_m)
         for yaw_rad in np.arange(0.0, 6.2, 0.3).tolist():
             half_m = USUAL_OUTLINE.half_lw_m
-            body = Body(x_m=x, y_m=y, yaw_rad=yaw_rad, speed_mps=0.0, arc_m=arc_m, left_m=0.0, half_m=half_m)
+            body = PredictedChairPose(
+                x_m=x, y_m=y, yaw_rad=yaw_rad, speed_mps=0.0, arc_m=arc_m, left_m=0.0, half_m=half_m
+            )
             goal, axle = user._goal(body, path, arc_m + 1.2), user._axle(body)
             assert math.dist(goal, (axle.x_m, axle.y_m)) >= 0.5
             assert path.project(*goal, arc_m + 2.0).arc_m < arc_m + 4.5
@@ -257,9 +259,11 @@ def test_a_look_away_lets_the_steering_go_and_goes_on_braking():
     assert sim.chair.v < 0.05 and clearance_m(sim.chair.plant(), sim.actors) > 0.1
 
 
-def stops(route, ground=None, law_share=1.0) -> CrossingStops:
-    found = crossings(route, lit(STREET).walk)
-    return CrossingStops(found, Path(route), ground, law_share, generator(0, "user"), USUAL_OUTLINE.half_lw_m[0])
+def stops(route, ground=None, law_share=1.0) -> CrossingStopPlanner:
+    found = find_route_crossings(route, lit(STREET).walk)
+    return CrossingStopPlanner(
+        found, RouteLine(route), ground, law_share, generator(0, "user"), USUAL_OUTLINE.half_lw_m[0]
+    )
 
 
 def test_a_chair_that_has_rolled_over_the_line_at_red_waits_there_and_not_in_the_lane():
@@ -314,8 +318,13 @@ def test_a_lawful_user_watches_a_light_from_just_before_the_kerb():
     for arc_m, heeds in ((4.0, False), (8.3, False), (8.6, True), (10.9, True), (11.3, False)):
         here.stop_m(arc_m, 0.0, light(0.0)(0.0), ())
         assert here.heeds_light(arc_m) == heeds
-    careless = CrossingStops(
-        crossings(over_the_road(), lit(STREET).walk), Path(over_the_road()), None, 0.0, generator(0), 0.57
+    careless = CrossingStopPlanner(
+        find_route_crossings(over_the_road(), lit(STREET).walk),
+        RouteLine(over_the_road()),
+        None,
+        0.0,
+        generator(0),
+        0.57,
     )
     careless.stop_m(10.0, 0.0, light(0.0)(0.0), ())
     assert not careless.heeds_light(10.0)
@@ -411,12 +420,12 @@ def test_an_impossible_step_is_refused(steps, dt_s):
 
 
 def test_a_user_knows_the_dead_band_and_the_shape_of_its_own_chair():
-    body = Body(x_m=0.0, y_m=0.0, yaw_rad=0.0, speed_mps=0.5, arc_m=0.0, left_m=0.0, half_m=(0.57, 0.31))
+    body = PredictedChairPose(x_m=0.0, y_m=0.0, yaw_rad=0.0, speed_mps=0.5, arc_m=0.0, left_m=0.0, half_m=(0.57, 0.31))
     for chair in (ChairConfig(), ChairConfig(deadband=0.2), ChairConfig(deadband=0.05, shape_exponent=2.0)):
-        stick = steer(body, (10.0, 0.0), 0.5, chair, 0.2, 0.0)
-        _, out = shaped(stick.x, stick.y, chair.deadband, chair.shape_exponent)
+        stick = plan_stick_to_goal(body, (10.0, 0.0), 0.5, chair, 0.2, 0.0)
+        _, out = shape_joystick(stick.x, stick.y, chair.deadband, chair.shape_exponent)
         assert out * chair.v_max_mps == pytest.approx(0.5)
-        assert pushed(out, chair) == pytest.approx(stick.y)
+        assert raw_radius_from_shaped(out, chair) == pytest.approx(stick.y)
 
 
 # --- help ---

@@ -70,7 +70,7 @@ def test_a_film_that_begins_later_shows_the_same_street(corner_town, tmp_path):
 def test_a_policy_that_fails_at_once_leaves_no_half_video(corner_town, tmp_path, monkeypatch, call):
     from wcsim.bridge.sumo.session import world_in_this_process
 
-    real = filming.open_named
+    real = filming.open_named_policy
 
     def broken(*words):
         def fails(self):
@@ -80,7 +80,7 @@ def test_a_policy_that_fails_at_once_leaves_no_half_video(corner_town, tmp_path,
         monkeypatch.setattr(type(policy), call, fails)
         return policy
 
-    monkeypatch.setattr(filming, "open_named", broken)
+    monkeypatch.setattr(filming, "open_named_policy", broken)
     settings = ("world.warmup_s=0", "cameras.0.width_px=32", "cameras.0.height_px=24")
     driver = FilmDriver(policy="follow", profile="inattentive", settings=settings)
     with pytest.raises(PolicyError, match="it failed"):

@@ -6,7 +6,13 @@ import sys
 
 from rich.console import Console
 
-from wcsim.server.launch.states import BarrierDelay, ClientState, ClientStatus, LaunchState, WorldStatus
+from wcsim.server.launch.states import (
+    ClientBarrierDelay,
+    ClientProcessState,
+    ClientStatusReport,
+    LaunchProcessStates,
+    WorldStatusReport,
+)
 from wcsim.view.live_table import LiveTable, _head_of, _line_of, _table_of, _waits_of
 
 NAMES = ("fig6", "conv3d", "convlstm")
@@ -14,16 +20,18 @@ NAMES = ("fig6", "conv3d", "convlstm")
 
 def world(**changed):
     usual = {"stage": "collect", "epoch": 1, "tick": 70, "ticks": 40, "ticks_per_s": 9.5, "members": NAMES}
-    return WorldStatus(**{**usual, "master": "conv3d", "rss_mb": 310.2, "step_ms": 20.0, **changed})
+    return WorldStatusReport(**{**usual, "master": "conv3d", "rss_mb": 310.2, "step_ms": 20.0, **changed})
 
 
 def client(name, seat, **changed):
-    status = ClientStatus(name=name, step=40 + seat, total_steps=100, phase=2, episodes=3, crashes=1, kpi1=0.25)
-    return ClientState(**{"name": name, "seat": seat, "standing": "running", "pid": 7, "status": status, **changed})
+    status = ClientStatusReport(name=name, step=40 + seat, total_steps=100, phase=2, episodes=3, crashes=1, kpi1=0.25)
+    return ClientProcessState(
+        **{"name": name, "seat": seat, "standing": "running", "pid": 7, "status": status, **changed}
+    )
 
 
 def state(elapsed_s=12.0, standing="running", seen=None, clients=None, **changed):
-    return LaunchState(
+    return LaunchProcessStates(
         elapsed_s=elapsed_s,
         world_standing=standing,
         world_pid=1,
@@ -69,7 +77,7 @@ def test_a_client_that_has_no_seat_yet_joins():
 
 
 def test_the_world_that_is_not_there():
-    assert _head_of(state(standing="starting", seen=WorldStatus(stage="loading"))) == "the world is loading"
+    assert _head_of(state(standing="starting", seen=WorldStatusReport(stage="loading"))) == "the world is loading"
     assert _head_of(state(standing="down", restarts=2)) == "the world is down (started again 2 times)"
     assert "ending" in _head_of(state(stopping=True))
 
@@ -83,13 +91,13 @@ def test_who_is_waited_for_now():
 
 def test_who_is_slow_in_the_mean():
     def held(*seconds):
-        return tuple(BarrierDelay(name=name, seconds=s) for name, s in zip(NAMES, seconds, strict=True))
+        return tuple(ClientBarrierDelay(name=name, seconds=s) for name, s in zip(NAMES, seconds, strict=True))
 
     assert _waits_of(world(held=held(1.0, 2.0, 7.0))) == "slowest client convlstm (70% of 10.0 s waiting)"
     assert _waits_of(world(held=held(3.0, 3.0, 4.0))) == ""
     assert _waits_of(world(held=held(0.0, 0.1, 0.2))) == ""
     assert _waits_of(world(late=("fig6",), late_s=2.0, held=held(0.0, 0.0, 9.0))).startswith("waiting for fig6")
-    assert _waits_of(world(held=(BarrierDelay(name="sole", seconds=9.0),))) == ""
+    assert _waits_of(world(held=(ClientBarrierDelay(name="sole", seconds=9.0),))) == ""
 
 
 def test_a_line_every_ten_seconds_where_there_is_no_terminal():

@@ -7,7 +7,7 @@ import pytest
 from tests.physics.renderer.render_oracle import actor
 from tests.support.one_process import files_of_at_most
 from tests.support.samples import USUAL_OUTLINE, straight_route, strip_street
-from wcsim.core.files import whole_file
+from wcsim.core.files import write_file_atomically
 from wcsim.errors import ConfigError, DiskFullError
 from wcsim.physics.renderer.instances import ChairPose
 from wcsim.supervisor.palette import COLOURS
@@ -93,7 +93,10 @@ def test_a_video_that_was_cut_short_is_none(tmp_path):
         ):
             for _ in range(20):
                 write(noise)
-        with pytest.raises(DiskFullError, match=r"/a\.png: .*make room"), whole_file(tmp_path / "a.png") as part:
+        with (
+            pytest.raises(DiskFullError, match=r"/a\.png: .*make room"),
+            write_file_atomically(tmp_path / "a.png") as part,
+        ):
             write_png(part, noise)
     assert not list(tmp_path.iterdir())
 

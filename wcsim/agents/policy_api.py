@@ -12,7 +12,7 @@ from typing import Any, Final, Protocol, runtime_checkable
 import numpy.typing as npt
 
 from wcsim.config import RunConfig
-from wcsim.core.plugins import running_own
+from wcsim.core.plugins import wrap_user_code_errors
 from wcsim.core.reading import escaped
 from wcsim.errors import PolicyError
 from wcsim.types import Bool, Drawn, Truth
@@ -91,7 +91,7 @@ def calling(policy: Policy, method: str) -> AbstractContextManager[None]:
     """
     if type(policy).__module__.partition(".")[0] == __name__.partition(".")[0]:
         return nullcontext()
-    return running_own(
+    return wrap_user_code_errors(
         f"policy {policy.name!r} failed in {method}", "correct it, or test the others without it"
     )
 

@@ -118,7 +118,7 @@ class Epoch:
 
     def __init__(self, config: RunConfig, ground: Ground, sumo: SumoSession, seed: int) -> None:
         """Nothing has happened yet. Raises PhysicsError when PyBullet gives no engine."""
-        self.attention = AttentionModel(config.world, seeding.derive(seed, "street"))
+        self.attention = AttentionModel(config.world, seeding.derive_seed(seed, "street"))
         self.engine = Engine(config.world.tick_s / config.world.usual_substeps)
         self.bodies = BodyPool(self.engine)
         sight_m = max(camera.range_m for camera in config.cameras)

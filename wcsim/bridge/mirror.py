@@ -60,7 +60,7 @@ def _put(actor: ActorState, grid: Ground) -> ActorState:
 
 def _leaning(actors: tuple[ActorState, ...], relief: Relief) -> tuple[ActorState, ...]:
     """The same actors, nose up or down with the land from their rear to their front; people stand upright."""
-    half_W_m = np.array([0.5 * a.size_lwh_m[0] * frames.forward(a.yaw_rad, 0.0) for a in actors])
+    half_W_m = np.array([0.5 * a.size_lwh_m[0] * frames.forward_vector(a.yaw_rad, 0.0) for a in actors])
     here_W_m = np.array([actor.p_W_m for actor in actors])
     rise_m = relief.at(here_W_m + half_W_m) - relief.at(here_W_m - half_W_m)
     pitch_rad = np.arctan2(rise_m, 2.0 * np.hypot(half_W_m[:, 0], half_W_m[:, 1]))
@@ -126,7 +126,7 @@ def _move(old: ActorState | None, new: ActorState, dt_s: float) -> BodyMove:
     if math.hypot(*v_W_mps.tolist()) > speed_mps + JUMP_M / dt_s:
         return BodyMove(actor=new, v_W_mps=np.zeros(3), yaw_rate_radps=0.0)
     # A person's body is round; turning it would only bend the way that the velocity leads.
-    turned_rad = 0.0 if new.kind is ActorKind.PEDESTRIAN else frames.wrap(new.yaw_rad - start.yaw_rad)
+    turned_rad = 0.0 if new.kind is ActorKind.PEDESTRIAN else frames.wrap_angle(new.yaw_rad - start.yaw_rad)
     # Turned at once, as SUMO did it: with a turn rate its ends would sweep through a chair.
     if abs(turned_rad) > _SNAP_RAD:
         start, turned_rad = replace(start, yaw_rad=new.yaw_rad), 0.0
@@ -186,7 +186,7 @@ def _check_mirror(pool: BodyPool, actors: Sequence[ActorState], first: int = 0, 
         x, y, z, yaw_rad = pool.pose(actor.id)
         px, py, pz = actor.p_W_m.tolist()
         error_m = math.hypot(x - px, y - py, z - pz)
-        askew = actor.kind not in UPRIGHT and abs(frames.wrap(yaw_rad - actor.yaw_rad)) > _TOLERANCE_RAD
+        askew = actor.kind not in UPRIGHT and abs(frames.wrap_angle(yaw_rad - actor.yaw_rad)) > _TOLERANCE_RAD
         # Written so that a distance that is not a number fails, too.
         if askew or not error_m <= _TOLERANCE_M:
             raise PhysicsError(

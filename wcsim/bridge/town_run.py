@@ -18,13 +18,13 @@ from wcsim.bridge.sumo.session import open_session, refuse_second_world, warm_up
 from wcsim.bridge.world import World
 from wcsim.bridge.world_rollout import RolloutStep, rollout
 from wcsim.config import ChairConfig, RunConfig
-from wcsim.core.closing import Closing
+from wcsim.core.closing import ClosingContextBase
 from wcsim.errors import SumoError
 from wcsim.log.fingerprint import fingerprint
-from wcsim.log.records import Header, state_of
+from wcsim.log.records import Header, world_state_from_snapshot
 from wcsim.log.writer import TRACE, LogWriter
 from wcsim.physics.wheelchair.plant import plant_spec
-from wcsim.supervisor.rewards import fault
+from wcsim.supervisor.rewards import judge_crash_fault
 from wcsim.towns.checks.validate import validate_net
 from wcsim.towns.scenario.stage import Scenario, files_of
 from wcsim.towns.scenario.town import Town
@@ -34,7 +34,7 @@ from wcsim.types import F64, ActorState, ClientSnapshot, SeatSpec, Snapshot
 from wcsim.users.recordings.recorded_user import find_user
 
 
-class _TownTraffic(Closing):
+class _TownTraffic(ClosingContextBase):
     """SUMO with a town's scenario, one tick after the other; what a world without seats does, without its street."""
 
     def __init__(self, town: Town, config: RunConfig, seed: int, place: RunPlace) -> None:
@@ -166,7 +166,7 @@ def record_town(
         meter = _Meter(world, town, config)
         for done, step in enumerate(islice(steps, ticks), start=1):
             everyone = world.sumo.everyone()
-            writer.append(state_of(step.after, step.commands, as_recorded(step.after, everyone)))
+            writer.append(world_state_from_snapshot(step.after, step.commands, as_recorded(step.after, everyone)))
             meter.add(step.after, everyone)
             if progress is not None:
                 progress(done, ticks)
@@ -270,7 +270,7 @@ class _Meter:
             reason=reason,
             time_s=time_s,
             at_m=(round(x_m, 2), round(y_m, 2)),
-            fault=fault(reason, client.contacts, self._config.reward),
+            fault=judge_crash_fault(reason, client.contacts, self._config.reward),
             told=client.events.crash,
         )
 

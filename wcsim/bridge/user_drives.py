@@ -21,12 +21,12 @@ from wcsim.config import RunConfig
 from wcsim.core import seeding
 from wcsim.log.drive import DriveRecording, wcsim_version
 from wcsim.log.fingerprint import fingerprint
-from wcsim.log.records import DriveHeader, DriveTick, EpochBegun, Header, Input, changed, tick_end_fields
+from wcsim.log.records import DriveHeader, DriveTick, EpochBegun, Header, Input, changed, end_fields_from_snapshot
 from wcsim.log.writer import LogWriter
 from wcsim.supervisor.actions import ActionSet, action_set
 from wcsim.towns.scenario.town import Town, content_hash
 from wcsim.types import ClientSnapshot, Joystick, Outline, SeatSpec, Street, UserView
-from wcsim.users.profiles import UserProfile, profile_json, sample
+from wcsim.users.profiles import UserProfile, profile_to_json, sample_profile
 from wcsim.users.recordings.recorded_user import find_user
 from wcsim.users.user import SimulatedUser
 
@@ -120,7 +120,7 @@ ENDLESS = 1_000_000_000  # steps of an episode that only a crash ends
 
 def drawn_user(base: UserProfile, seed: int) -> UserProfile:
     """One user of a profile, who is then nobody else in any episode."""
-    return replace(sample(base, seeding.generator(seed, "drive", "user")), spread=0.0)
+    return replace(sample_profile(base, seeding.generator(seed, "drive", "user")), spread=0.0)
 
 
 def record_user(
@@ -143,7 +143,7 @@ def record_user(
         TownError: The town cannot be run.
     """
     crashes = 0
-    spec = SeatSpec(profile=profile_json(user), max_steps=ENDLESS)
+    spec = SeatSpec(profile=profile_to_json(user), max_steps=ENDLESS)
     header = drive_header(town, config, seed, profile=user.name, policy=FOLLOW)
     with LogWriter(out, header) as recorder, World(town, config, (spec,), seed, find_user=find_user) as world:
         for record in first_inputs(spec, seed):
@@ -183,5 +183,5 @@ class _Follower:
             commanded=given,
             chosen=given,
             action=self._action,
-            **tick_end_fields(after),
+            **end_fields_from_snapshot(after),
         )

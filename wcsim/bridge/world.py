@@ -24,7 +24,7 @@ from wcsim.bridge.sumo.actors import moved
 from wcsim.bridge.sumo.run_place import RunPlace
 from wcsim.bridge.sumo.session import open_session, refuse_second_world, sumo_seed, warm_up, warmup_s
 from wcsim.config import RunConfig
-from wcsim.core.closing import Closing
+from wcsim.core.closing import ClosingContextBase
 from wcsim.errors import ProtocolError
 from wcsim.physics.buffers import ImageSink
 from wcsim.physics.engine import StreetBodies
@@ -35,7 +35,7 @@ from wcsim.towns.checks.validate import validate_net
 from wcsim.towns.scenario.town import Town
 from wcsim.towns.street import load_street
 from wcsim.types import F64, ActorState, ClientSnapshot, Command, SeatSpec, Snapshot, StartSpec, TileKey, UserView
-from wcsim.types.street import StreetTiles, joined_mesh
+from wcsim.types.street import StreetTiles, join_meshes
 from wcsim.users.profiles import find_profile
 from wcsim.users.user import FindUser
 
@@ -84,7 +84,7 @@ class _TileLoader:
                 self._rig.show(GeometryStore.joined(list(self._drawn.values())))
 
 
-class World(Closing):
+class World(ClosingContextBase):
     """A town with traffic and wheelchairs that come and go between ticks; images go into `out` where it is given."""
 
     def __init__(
@@ -122,7 +122,7 @@ class World(Closing):
         self._held = ExitStack()
         try:
             seats, heads, threads = max(1, len(specs)), self.street.signal_heads, config.world.draw_threads
-            rig = CameraRig(joined_mesh(()), config.cameras, seats, heads, threads, config.world.tick_s)
+            rig = CameraRig(join_meshes(()), config.cameras, seats, heads, threads, config.world.tick_s)
             self._rig = self._held.enter_context(rig)
             range_m = max(camera.range_m for camera in config.cameras)
             self._loader = _TileLoader(self.street.tiles, rig, range_m)

@@ -12,13 +12,13 @@ from typing import Any, Final, cast
 
 import numpy as np
 
-from wcsim.chair_check.rig import Rig, grid_street
+from wcsim.chair_check.rig import Rig, make_heightfield_street
 from wcsim.chair_check.row import TICK_S, Setup
-from wcsim.chair_check.stick_drives import STEP_S, StickDrive
+from wcsim.chair_check.stick_drives import STEP_S, RecordedDrive
 from wcsim.config import ChairConfig
 from wcsim.core import seeding
 from wcsim.core.jit import exact_kernel
-from wcsim.core.joystick import driven, limits_of, shaped
+from wcsim.core.joystick import advance_drive, drive_limits_from_chair, shape_joystick
 from wcsim.types import F64, Joystick
 
 # The numbers of the law (11,): the limits of `core/joystick.py`, and these.
@@ -67,7 +67,7 @@ class DriveFit:
     intervals: dict[str, tuple[float, float]]
 
 
-def fit_drives(drives: Sequence[StickDrive], draws: int = _DRAWS) -> DriveFit:
+def fit_drive_law(drives: Sequence[RecordedDrive], draws: int = _DRAWS) -> DriveFit:
     """Fit by least squares, speed and turn rate weighted by their variance.
 
     The intervals come from drives that are drawn anew.
@@ -97,7 +97,7 @@ def fit_drives(drives: Sequence[StickDrive], draws: int = _DRAWS) -> DriveFit:
     )
 
 
-def _usual(drives: Sequence[StickDrive]) -> F64:
+def _usual(drives: Sequence[RecordedDrive]) -> F64:
     """Logarithms of the numbers (10,) that a chair has which reaches what these drives reach."""
     usual = _USUAL.copy()
     usual[usual == 0.0] = np.percentile(
@@ -106,7 +106,9 @@ def _usual(drives: Sequence[StickDrive]) -> F64:
     return np.asarray(np.log(np.clip(usual, _LEAST, _MOST)), np.float64)
 
 
-def _solved(drives: Sequence[StickDrive], start: F64, usual: F64, pull: float) -> tuple[F64, float]:
+def _solved(
+    drives: Sequence[RecordedDrive], start: F64, usual: F64, pull: float
+) -> tuple[F64, float]:
     """Logarithms of the numbers (10,) that fit best near a start, and the half sum of squares."""
     from scipy.optimize import least_squares  # takes a while to load
 
@@ -115,7 +117,7 @@ def _solved(drives: Sequence[StickDrive], start: F64, usual: F64, pull: float) -
 
     def misses(logs: F64) -> F64:
         made = np.concatenate(
-            law_motion(drives, dict(zip(_NUMBERS, np.exp(logs).tolist(), strict=True)))
+            simulate_drive_law(drives, dict(zip(_NUMBERS, np.exp(logs).tolist(), strict=True)))
         )
         return np.concatenate([((made - motion) / scale).ravel(), pull * (logs - usual)])
 
@@ -133,13 +135,15 @@ def _solved(drives: Sequence[StickDrive], start: F64, usual: F64, pull: float) -
     return solved.x, float(solved.cost)
 
 
-def law_motion(drives: Sequence[StickDrive], values: Mapping[str, float]) -> list[F64]:
+def simulate_drive_law(drives: Sequence[RecordedDrive], values: Mapping[str, float]) -> list[F64]:
     """Speeds and turn rates (n, 2) by the law alone, of numbers as in a `DriveFit`.
 
     Their samples are those of the drives.
     """
     chair = ChairConfig.model_construct(**cast(Mapping[str, Any], values))
-    numbers = np.array([*limits_of(chair), chair.deadband, chair.shape_exponent, values[DELAY_S]])
+    numbers = np.array(
+        [*drive_limits_from_chair(chair), chair.deadband, chair.shape_exponent, values[DELAY_S]]
+    )
     return [_followed(drive.stick, numbers) for drive in drives]
 
 
@@ -156,12 +160,12 @@ def _followed(stick: F64, numbers: F64) -> F64:
         x, y = new[0] + part * (old[0] - new[0]), new[1] + part * (old[1] - new[1])
         # What this sample causes shows in the next one.
         out[at, 0], out[at, 1] = v, w
-        sx, sy = shaped(x, y, numbers[_DEADBAND], numbers[_EXPONENT])
-        v, w, a = driven(v, w, a, sx, sy, numbers, STEP_S)
+        sx, sy = shape_joystick(x, y, numbers[_DEADBAND], numbers[_EXPONENT])
+        v, w, a = advance_drive(v, w, a, sx, sy, numbers, STEP_S)
     return out
 
 
-def plant_motion(drive: StickDrive, setup: Setup) -> F64:
+def simulate_plant_motion(drive: RecordedDrive, setup: Setup) -> F64:
     """Speeds and turn rates (n, 2) of the chair in PyBullet on a level yard.
 
     It gets the stick once a tick. The next sample after a tick's beginning is the first that may
@@ -170,7 +174,7 @@ def plant_motion(drive: StickDrive, setup: Setup) -> F64:
     ticks = round(TICK_S / STEP_S)
     found = [(0.0, 0.0)]
     half_m = _SPARE_M + setup.chair.v_max_mps * STEP_S * len(drive.stick)
-    with Rig(setup, grid_street(lambda x, y: 0.0, half_m, half_m, 2.0 * half_m)) as rig:
+    with Rig(setup, make_heightfield_street(lambda x, y: 0.0, half_m, half_m, 2.0 * half_m)) as rig:
         for x, y in drive.stick[::ticks].tolist():
             state = rig.drive(Joystick(x, y), TICK_S).states[-1]
             found.append((float(state.v_B_mps[0]), float(state.w_B_radps[2])))
@@ -178,13 +182,13 @@ def plant_motion(drive: StickDrive, setup: Setup) -> F64:
     return np.stack([np.interp(at, np.arange(len(rows)), rows[:, k]) for k in (0, 1)], axis=1)
 
 
-def later(motion: F64, delay_s: float) -> F64:
+def delay_motion(motion: F64, delay_s: float) -> F64:
     """The motion of a chair that gets the same stick so much later: first it stands."""
     samples = round(delay_s / STEP_S)
     return np.concatenate([np.zeros((samples, 2)), motion])[: len(motion)]
 
 
-def motion_errors(drives: Sequence[StickDrive], motions: Sequence[F64]) -> MotionErrors:
+def motion_errors(drives: Sequence[RecordedDrive], motions: Sequence[F64]) -> MotionErrors:
     """What lies between motions (n, 2) and those measured in all drives together."""
     measured = np.concatenate([drive.motion for drive in drives])
     missed = np.mean((np.concatenate(list(motions)) - measured) ** 2, axis=0)

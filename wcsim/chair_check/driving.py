@@ -9,8 +9,8 @@ from typing import Final
 
 import numpy as np
 
-from wcsim.chair_check.rig import FORWARD, NEUTRAL, Rig, plane_street
-from wcsim.chair_check.row import Setup, Trial, Unfinished, trial_of
+from wcsim.chair_check.rig import FORWARD, NEUTRAL, Rig, make_sloped_street
+from wcsim.chair_check.row import Setup, TrialSpec, UnfinishedMeasurement, make_trial_spec
 from wcsim.config import PROFILE_SPEED_MPS
 from wcsim.core.frames import rad
 from wcsim.core.joystick import yaw_rate_limit
@@ -31,11 +31,11 @@ _ACROSS_M: Final = 8.0
 _LOST_RAD: Final = 0.5  # off the heading that the stick was held for
 
 
-def driving_trials(setup: Setup) -> Iterator[Trial]:
+def make_driving_trials(setup: Setup) -> Iterator[TrialSpec]:
     """The rows of one plant."""
-    yield trial_of("straight_drift_10m", _straight_drift_m)
+    yield make_trial_spec("straight_drift_10m", _straight_drift_m)
     for name, speed in PROFILE_SPEED_MPS.items():
-        yield trial_of(
+        yield make_trial_spec(
             "cruise_{profile}", _cruise_mps, speed, speed_mps=speed, profile=name, speed=speed
         )
     # Of full stick: the corner is pulled to the unit circle.
@@ -51,34 +51,38 @@ def driving_trials(setup: Setup) -> Iterator[Trial]:
     )
     for name, stick, rate in turns:
         towards = "diagonal" if stick.y else "to the side"
-        yield trial_of(
+        yield make_trial_spec(
             "turn_{way}", partial(_turn_radps, stick=stick), rate, way=name, stick=towards
         )
     for kmh in (6, 10):
         speed = kmh * _KMH
         way_m = stopping_distance_m(speed, setup.chair.decel_mps2, setup.chair.jerk_mps3)
-        yield trial_of("stopping_{kmh}kmh", _stopping_m, way_m, speed_mps=speed, kmh=kmh)
+        yield make_trial_spec("stopping_{kmh}kmh", _stopping_m, way_m, speed_mps=speed, kmh=kmh)
     yield from _slopes(setup)
 
 
-def _slopes(setup: Setup) -> Iterator[Trial]:
-    yield trial_of("climb_10deg", partial(_climb_mps, slope_rad=_SLOPE_RAD), setup.chair.v_max_mps)
+def _slopes(setup: Setup) -> Iterator[TrialSpec]:
+    yield make_trial_spec(
+        "climb_10deg", partial(_climb_mps, slope_rad=_SLOPE_RAD), setup.chair.v_max_mps
+    )
     spec = plant_spec(setup.chair)
     top_mps = min(_ROAD_MPS, spec.limits.speed_mps)
     top = min(_top_speed_mps(spec, _PULL_N), top_mps)
     pulling = partial(_pulling_mps, pull_N=_PULL_N)
-    yield trial_of("pulling_400N", pulling, top, speed_mps=top_mps, pull=_PULL_N, asked=top_mps)
+    yield make_trial_spec(
+        "pulling_400N", pulling, top, speed_mps=top_mps, pull=_PULL_N, asked=top_mps
+    )
     for facing, ahead, left in (
         ("up", _SLOPE_RAD, 0.0),
         ("down", -_SLOPE_RAD, 0.0),
         ("across", 0.0, _SLOPE_RAD),
     ):
-        yield trial_of(
+        yield make_trial_spec(
             "parked_10deg_{facing}",
             partial(_creep_m, ahead_rad=ahead, left_rad=left),
             facing=facing,
         )
-    yield trial_of("cross_slope_10deg", partial(_cross_slope_drift_m, slope_rad=_SLOPE_RAD))
+    yield make_trial_spec("cross_slope_10deg", partial(_cross_slope_drift_m, slope_rad=_SLOPE_RAD))
 
 
 def _top_speed_mps(spec: PlantSpec, pull_N: float) -> float:
@@ -114,7 +118,7 @@ def _cruise_mps(setup: Setup) -> float:
         return float(rig.drive(FORWARD, 2.0).speed_mps.mean())
 
 
-def cruise_peak_mps2(setup: Setup) -> float:
+def cruise_peak_accel_mps2(setup: Setup) -> float:
     """The largest low-passed acceleration while it cruises straight on level ground."""
     with Rig(setup) as rig:
         rig.place(-_BACK_M, yaw_rad=_HEADING_RAD)
@@ -140,7 +144,7 @@ def _stopping_m(setup: Setup) -> float:
 
 def _climb_mps(setup: Setup, slope_rad: float) -> float:
     """Speed straight up a slope at full stick, after it has become steady."""
-    with Rig(setup, plane_street(ahead_rad=slope_rad)) as rig:
+    with Rig(setup, make_sloped_street(ahead_rad=slope_rad)) as rig:
         rig.drive(FORWARD, _START_S + setup.chair.v_max_mps)
         return float(rig.drive(FORWARD, 1.0).speed_mps.mean())
 
@@ -155,26 +159,26 @@ def _pulling_mps(setup: Setup, pull_N: float) -> float:
 
 def _creep_m(setup: Setup, ahead_rad: float, left_rad: float) -> float:
     """How far it moves in five seconds on a slope without stick, after one second to settle."""
-    with Rig(setup, plane_street(ahead_rad, left_rad)) as rig:
+    with Rig(setup, make_sloped_street(ahead_rad, left_rad)) as rig:
         start = rig.drive(NEUTRAL, 1.0).p_m[-1]
         end = rig.drive(NEUTRAL, 5.0).p_m[-1]
     return math.dist(start, end)
 
 
-def _cross_slope_drift_m(setup: Setup, slope_rad: float) -> float | Unfinished:
+def _cross_slope_drift_m(setup: Setup, slope_rad: float) -> float | UnfinishedMeasurement:
     """How far downhill it is after 8 m across a slope with a straight stick, if it gets there."""
 
     def ends(state: PlantState) -> bool:
         return float(state.p_WB_m[0]) > _ACROSS_M or abs(state.yaw_rad) > _LOST_RAD
 
-    with Rig(setup, plane_street(left_rad=slope_rad)) as rig:
+    with Rig(setup, make_sloped_street(left_rad=slope_rad)) as rig:
         ride = rig.drive(FORWARD, 30.0, ends)
     aside_m = float(np.abs(ride.p_m[:, 1]).max()) / math.cos(slope_rad)
     far_m, turned_rad = float(ride.p_m[-1, 0]), ride.states[-1].yaw_rad
     if far_m > _ACROSS_M:
         return aside_m
     lost = "lost its heading" if abs(turned_rad) > _LOST_RAD else "stood still"
-    return Unfinished(
+    return UnfinishedMeasurement(
         value=aside_m,
         what=f"{lost} after {far_m:.1f} m of {_ACROSS_M:g} m: motors too weak, or no grip",
     )

@@ -15,8 +15,15 @@ from typing import Final
 import numpy as np
 
 from wcsim.chair_check import driving
-from wcsim.chair_check.rig import FACE_X_M, FORWARD, NEUTRAL, Rig, grid_street, step_street
-from wcsim.chair_check.row import Setup, Trial, trial_of
+from wcsim.chair_check.rig import (
+    FACE_X_M,
+    FORWARD,
+    NEUTRAL,
+    Rig,
+    make_heightfield_street,
+    make_step_street,
+)
+from wcsim.chair_check.row import Setup, TrialSpec, make_trial_spec
 from wcsim.config import RewardConfig
 from wcsim.core.frames import deg, rad
 from wcsim.physics.wheelchair.drive_controller import stopping_distance_m
@@ -66,7 +73,7 @@ _TURN_S: Final = 1.5
 _STOP_S: Final = 4.0
 
 
-def kerb_trials(setup: Setup) -> Iterator[Trial]:
+def make_kerb_trials(setup: Setup) -> Iterator[TrialSpec]:
     """The rows of one plant."""
     spec = plant_spec(setup.chair)
     yield from _climbs(spec)
@@ -77,21 +84,21 @@ def kerb_trials(setup: Setup) -> Iterator[Trial]:
     yield from _falls(spec, judged=has_peaks or _has_no_rear_casters(spec))
 
 
-def ramp_trials(_setup: Setup) -> Iterator[Trial]:
+def make_twisted_ramp_trials(_setup: Setup) -> Iterator[TrialSpec]:
     """The rows of one plant."""
-    yield trial_of("twisted_ramp_load", _least_load_share, ramp=_RAMP)
-    yield trial_of("twisted_ramp_stop", _stopping_share, ramp=_RAMP)
-    yield trial_of("twisted_ramp_turn", _turned_share, ramp=_RAMP)
+    yield make_trial_spec("twisted_ramp_load", _least_load_share, ramp=_RAMP)
+    yield make_trial_spec("twisted_ramp_stop", _stopping_share, ramp=_RAMP)
+    yield make_trial_spec("twisted_ramp_turn", _turned_share, ramp=_RAMP)
 
 
-def _climbs(spec: PlantSpec) -> Iterator[Trial]:
+def _climbs(spec: PlantSpec) -> Iterator[TrialSpec]:
     declared = spec.climbs
     starts = (("standstill", 0.0, declared.standstill_m), ("run_up", RUN_UP_M, declared.run_up_m))
     for start, run_up_m, climbed_m in starts:
         for rise_m in sorted({*climbed_m, *declared.refused_m}):
             measure = partial(_kerb_climbed, rise_m=rise_m, run_up_m=run_up_m)
             up = 1.0 if rise_m in climbed_m else 0.0
-            yield trial_of(
+            yield make_trial_spec(
                 "kerb_{mm}mm_{start}",
                 measure,
                 up,
@@ -101,19 +108,19 @@ def _climbs(spec: PlantSpec) -> Iterator[Trial]:
             )
 
 
-def _events(spec: PlantSpec) -> Iterator[Trial]:
+def _events(spec: PlantSpec) -> Iterator[TrialSpec]:
     """Driving, kerb and wall: the penalty on acceleration must tell them apart."""
     low, high = RewardConfig().accel_window_mps2
     window = f"penalty window {low:g} to {high:g} m/s2"
-    yield trial_of("event_driving", _driving_peak_mps2, low, window=window)
-    yield trial_of("event_cruise", driving.cruise_peak_mps2, window=window)
+    yield make_trial_spec("event_driving", _driving_peak_mps2, low, window=window)
+    yield make_trial_spec("event_cruise", driving.cruise_peak_accel_mps2, window=window)
     # Sprung casters take a kerb softly, so a plant with them meets it faster.
     speed = 1.67 if any(pair.arm is not None for pair in spec.casters) else 1.0
     over = partial(_step_peak_mps2, rise_m=0.04)
-    yield trial_of(
+    yield make_trial_spec(
         "event_kerb_40mm", over, span=(low, high), speed_mps=speed, speed=speed, window=window
     )
-    yield trial_of(
+    yield make_trial_spec(
         "event_wall_6kmh",
         _wall_peak_mps2,
         span=(high, _SENSOR_RANGE_MPS2),
@@ -122,12 +129,12 @@ def _events(spec: PlantSpec) -> Iterator[Trial]:
     )
 
 
-def _peaks(*, judged: bool) -> Iterator[Trial]:
+def _peaks(*, judged: bool) -> Iterator[TrialSpec]:
     # A faster chair is over the lowest kerb within two steps of 1/120 s, and its peak depends on
     # the step.
     kerbs = ((0.02, 0.8, 9.0, 20.0), (-0.06, 1.0, 12.0, 40.0), (-0.12, 1.0, 25.0, 46.0))
     for rise_m, speed, low, high in kerbs:
-        yield trial_of(
+        yield make_trial_spec(
             "peak_{what}_{mm:.0f}mm",
             partial(_step_peak_mps2, rise_m=rise_m),
             span=(low, high),
@@ -137,10 +144,10 @@ def _peaks(*, judged: bool) -> Iterator[Trial]:
             mm=1000 * abs(rise_m),
             speed=speed,
         )
-    yield trial_of("peak_wall_1mps", _wall_peak_mps2, speed_mps=1.0, judged=judged)
+    yield make_trial_spec("peak_wall_1mps", _wall_peak_mps2, speed_mps=1.0, judged=judged)
 
 
-def _falls(spec: PlantSpec, *, judged: bool) -> Iterator[Trial]:
+def _falls(spec: PlantSpec, *, judged: bool) -> Iterator[TrialSpec]:
     # Higher kerbs and shallower approaches tip.
     cases = [
         (0.12, _SHALLOW_DEG, 0.0),
@@ -154,7 +161,7 @@ def _falls(spec: PlantSpec, *, judged: bool) -> Iterator[Trial]:
     if not _has_no_rear_casters(spec):
         cases.remove((0.20, _SHALLOW_DEG, 0.0))
     for drop_m, angle_deg, tips in cases:
-        yield trial_of(
+        yield make_trial_spec(
             "falls_off_{cm}cm_at_{angle}deg",
             partial(_tips_off, drop_m=drop_m, approach_rad=rad(angle_deg)),
             tips,
@@ -190,7 +197,7 @@ def _kerb_climbed(setup: Setup, rise_m: float, run_up_m: float) -> float:
         rise_m: Height of the kerb.
         run_up_m: Way of the foremost wheel to the kerb, from rest; 0 to begin with the wheel at it.
     """
-    with Rig(setup, step_street(rise_m)) as rig:
+    with Rig(setup, make_step_street(rise_m)) as rig:
         spec = rig.chair.spec
         rig.place(FACE_X_M - _foremost_x_m(spec) - max(run_up_m, _TOUCHING_M))
         up_m = FACE_X_M + 0.3 - _rear_axle_x_m(spec)
@@ -205,7 +212,7 @@ def _step_peak_mps2(setup: Setup, rise_m: float, face: ClassId = ClassId.KERB) -
     It is the mean over runs whose starts lie a fraction of a step's way apart.
     """
     # Where within a step a wheel meets an edge is chance, and moves a single peak by up to a fifth.
-    with Rig(setup, step_street(rise_m, face)) as rig:
+    with Rig(setup, make_step_street(rise_m, face)) as rig:
         spec = rig.chair.spec
         speed_mps = setup.chair.v_max_mps
         start_m = FACE_X_M - _foremost_x_m(spec) - _APPROACH_M
@@ -245,7 +252,7 @@ def _tips_off(setup: Setup, drop_m: float, approach_rad: float) -> float:
         approach_rad: Angle between its way and the kerb's edge.
     """
     heading = 0.5 * math.pi - approach_rad
-    with Rig(setup, step_street(-drop_m)) as rig:
+    with Rig(setup, make_step_street(-drop_m)) as rig:
         outline = rig.chair.spec.outline
         ahead_m = outline.middle_x_m + 0.5 * outline.length_m
         aside_m = 0.5 * outline.width_m
@@ -316,14 +323,16 @@ def _wavy_ramp(setup: Setup, phase: int) -> HeightAt:
 
 def _loads_N(setup: Setup, height: HeightAt) -> dict[str, float]:
     """Mean loads of the drive wheels at rest in the middle."""
-    with Rig(setup, grid_street(height, _HALF_WIDTH_M, _HALF_WIDTH_M, 0.5 * _CELL_M)) as rig:
+    with Rig(
+        setup, make_heightfield_street(height, _HALF_WIDTH_M, _HALF_WIDTH_M, 0.5 * _CELL_M)
+    ) as rig:
         loads = rig.weigh_N()
     return {name: loads.get(name, 0.0) for name in ("wheel_l", "wheel_r")}
 
 
 def _ramp_stop_m(setup: Setup, phase: int) -> float:
     height = _wavy_ramp(setup, phase)
-    with Rig(setup, grid_street(height, _HALF_LENGTH_M, _HALF_WIDTH_M, _CELL_M)) as rig:
+    with Rig(setup, make_heightfield_street(height, _HALF_LENGTH_M, _HALF_WIDTH_M, _CELL_M)) as rig:
         rig.place(-_START_M, z_m=height(-_START_M, 0.0))
         start = rig.drive(_STEADY_STICK, _RUN_S).states[-1]
         end = rig.drive(NEUTRAL, _STOP_S).states[-1]
@@ -338,7 +347,7 @@ def _level_stop_m(setup: Setup) -> float:
 
 
 def _turned_rad(setup: Setup, stick: Joystick, height: HeightAt) -> float:
-    with Rig(setup, grid_street(height, _HALF_LENGTH_M, _HALF_WIDTH_M, _CELL_M)) as rig:
+    with Rig(setup, make_heightfield_street(height, _HALF_LENGTH_M, _HALF_WIDTH_M, _CELL_M)) as rig:
         rig.place(-_START_M, z_m=height(-_START_M, 0.0))
         states = [*rig.drive(_STEADY_STICK, _RUN_S).states[-1:], *rig.drive(stick, _TURN_S).states]
     return sum(

@@ -17,7 +17,7 @@ from typing import Final
 import numpy as np
 
 from wcsim.chair_check.rig import FORWARD, NEUTRAL, Rig
-from wcsim.chair_check.row import TICK_S, Row, Setup, Trial, measured, trial_of
+from wcsim.chair_check.row import TICK_S, Setup, TrialResult, TrialSpec, make_trial_spec, run_trial
 from wcsim.chair_check.static_balance import (
     FORWARD_DOWN,
     LEFT_DOWN,
@@ -65,27 +65,27 @@ _COM_HEIGHTS_M: Final = (0.50, 0.60)
 _TIP_ROW: Final = "{way}_com_{cm}cm"
 
 
-def mass_trials(setup: Setup) -> Iterator[Trial]:
+def make_mass_rig_trials(setup: Setup) -> Iterator[TrialSpec]:
     """The rows of one plant."""
     spec = plant_spec(setup.chair)
-    yield trial_of("mass", _mass_kg, spec.whole_kg)
+    yield make_trial_spec("mass", _mass_kg, spec.whole_kg)
     chair = static_chair(spec)
     loads = level_loads_N(chair)
-    yield trial_of("drive_wheel_share", _drive_wheel_share, _share_on_wheels(loads))
+    yield make_trial_spec("drive_wheel_share", _drive_wheel_share, _share_on_wheels(loads))
     for axis, inertia in enumerate(inertia_kgm2(spec)):
         measure = partial(_turning_inertia_kgm2, axis=axis)
-        yield trial_of("inertia_{axis}", measure, float(inertia), axis=_AXIS_NAMES[axis])
-    yield trial_of("turning_loss", _turning_loss_per_s)
-    yield trial_of("coasting_loss", _coasting_mps2, speed_mps=_COAST_MPS)
+        yield make_trial_spec("inertia_{axis}", measure, float(inertia), axis=_AXIS_NAMES[axis])
+    yield make_trial_spec("turning_loss", _turning_loss_per_s)
+    yield make_trial_spec("coasting_loss", _coasting_mps2, speed_mps=_COAST_MPS)
     # The friction of each foot, weighted with its load.
     friction = {foot.name: foot.friction for foot in chair.feet}
     grip = sum(load * friction[name] for name, load in loads.items()) / (
         spec.whole_kg * GRAVITY_MPS2
     )
-    yield trial_of("grip", _grip, grip)
+    yield make_trial_spec("grip", _grip, grip)
 
 
-def tip_trials(setup: Setup, only: Sequence[str] = ()) -> Iterator[Trial]:
+def make_tip_trials(setup: Setup, only: Sequence[str] = ()) -> Iterator[TrialSpec]:
     """The rows of one plant: each way to tip at each height of the centre of mass.
 
     What is expected takes a moment to find, so rows whose names begin with none of the words of
@@ -97,10 +97,12 @@ def tip_trials(setup: Setup, only: Sequence[str] = ()) -> Iterator[Trial]:
                 continue
             expected_deg = deg(_expected_tip_rad(setup.at_com_height(height_m), downhill, antitips))
             measure = partial(_tip_deg, height_m=height_m, downhill=downhill, antitips=antitips)
-            yield trial_of(_TIP_ROW, measure, expected_deg, way=name, cm=round(100 * height_m))
+            yield make_trial_spec(
+                _TIP_ROW, measure, expected_deg, way=name, cm=round(100 * height_m)
+            )
 
 
-def tip_ratio_rows(setup: Setup, rows: Mapping[str, Row]) -> Iterator[Row]:
+def tip_ratio_rows(setup: Setup, rows: Mapping[str, TrialResult]) -> Iterator[TrialResult]:
     """Share of each tip angle that is left as the centre of mass is raised; same pivots."""
     low_m, high_m = _COM_HEIGHTS_M
     for name, _, _ in _tip_cases(setup):
@@ -108,7 +110,9 @@ def tip_ratio_rows(setup: Setup, rows: Mapping[str, Row]) -> Iterator[Row]:
         if pair[0] is None or pair[1] is None:
             continue
         found = partial(_known_value, value=pair[1].value / pair[0].value)
-        yield measured(trial_of("{way}_falls", found, way=name, low=low_m, high=high_m), setup)
+        yield run_trial(
+            make_trial_spec("{way}_falls", found, way=name, low=low_m, high=high_m), setup
+        )
 
 
 def _mass_kg(setup: Setup) -> float:

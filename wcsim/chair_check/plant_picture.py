@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from wcsim.chair_check.static_balance import Foot, static_chair
+from wcsim.chair_check.static_balance import SupportFoot, static_chair
 from wcsim.config import ChairConfig
 from wcsim.core.frames import Vec3
 from wcsim.physics.wheelchair.plant import FORK_M, PlantSpec, plant_spec
@@ -29,7 +29,7 @@ _PIVOT: Final[Colour] = (200, 90, 30)
 _COM: Final[Colour] = (30, 140, 30)
 
 
-def draw_plant(plant: str, folder: Path) -> Path:
+def write_plant_picture(plant: str, folder: Path) -> Path:
     """Draw `plant_NAME.png` into a folder, which is made if need be; returns the file.
 
     Raises:
@@ -98,7 +98,7 @@ class _View:
         cv2.drawMarker(self.image, self.at(p_m), colour, kind, size, 2, cv2.LINE_AA)
 
 
-def _draw_foot(view: _View, foot: Foot) -> None:
+def _draw_foot(view: _View, foot: SupportFoot) -> None:
     x, y, _ = foot.centre_m
     if foot.half_width_m == 0.0 or not view.from_above:
         view.disc(foot.centre_m, foot.radius_m, _WHEEL)

@@ -10,8 +10,8 @@ from typing import Final
 import numpy as np
 
 from wcsim.chair_check.row import TICK_S, Setup
-from wcsim.core.closing import Closing
-from wcsim.core.frames import forward
+from wcsim.core.closing import ClosingContextBase
+from wcsim.core.frames import forward_vector
 from wcsim.physics.bullet import Bullet, pybullet
 from wcsim.physics.engine import Engine
 from wcsim.physics.wheelchair.wheelchair import Wheelchair
@@ -26,9 +26,9 @@ _FIRM_NM: Final = 5000.0
 _FIXED: Final = 4  # pybullet.JOINT_FIXED
 
 
-def plane_street(ahead_rad: float = 0.0, left_rad: float = 0.0) -> StreetMesh:
+def make_sloped_street(ahead_rad: float = 0.0, left_rad: float = 0.0) -> StreetMesh:
     """One plane through the origin that rises ahead (x) and to the left (y) by these angles."""
-    return grid_street(
+    return make_heightfield_street(
         lambda x, y: x * math.tan(ahead_rad) + y * math.tan(left_rad),
         _HALF_M,
         _HALF_M,
@@ -36,7 +36,7 @@ def plane_street(ahead_rad: float = 0.0, left_rad: float = 0.0) -> StreetMesh:
     )
 
 
-def grid_street(
+def make_heightfield_street(
     height_m: Callable[[float, float], float], long_m: float, wide_m: float, cell_m: float
 ) -> StreetMesh:
     """Road around the origin, so long and wide to each side, with a height for each x and y."""
@@ -51,7 +51,7 @@ def grid_street(
     return _mesh(vertices, faces, [ClassId.ROAD] * len(faces))
 
 
-def step_street(rise_m: float, face: ClassId = ClassId.KERB) -> StreetMesh:
+def make_step_street(rise_m: float, face: ClassId = ClassId.KERB) -> StreetMesh:
     """A level road up to x = FACE_X_M, and level ground `rise_m` higher (or lower) behind it."""
     x, far, half, h = FACE_X_M, FACE_X_M + _HALF_M, _HALF_M, rise_m
     vertices = [(-half, -half, 0.0), (x, -half, 0.0), (x, half, 0.0), (-half, half, 0.0)]
@@ -96,7 +96,7 @@ class _Ride:
         return float(np.max(self.peaks_mps2))
 
 
-class Rig(Closing):
+class Rig(ClosingContextBase):
     """An engine with a street and one chair, placed at the origin.
 
     Args:
@@ -110,7 +110,7 @@ class Rig(Closing):
     ) -> None:
         self.engine: Final = Engine(1.0 / setup.hz, iterations)
         self.setup: Final = setup
-        self.engine.add_street(plane_street() if street is None else street)
+        self.engine.add_street(make_sloped_street() if street is None else street)
         self.chair: Final = Wheelchair(self.engine, setup.chair, setup.imu, seat=0)
         self.place(0.0)
 
@@ -187,7 +187,7 @@ class Rig(Closing):
     def _pull(self, force_N: float) -> None:
         if force_N > 0.0:
             state = self.chair.state()
-            tied = state.p_WB_m - _TIED_M * forward(state.yaw_rad, 0.0)
+            tied = state.p_WB_m - _TIED_M * forward_vector(state.yaw_rad, 0.0)
             self.bullet.applyExternalForce(
                 self.body, -1, (-force_N, 0.0, 0.0), tied.tolist(), pybullet.WORLD_FRAME
             )

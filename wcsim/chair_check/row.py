@@ -8,13 +8,13 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Final, Literal
 
 from wcsim.config import ChairConfig, ImuConfig
-from wcsim.core.reading import own_data
+from wcsim.core.reading import read_module_toml
 from wcsim.errors import PhysicsError
 
 SLOWEST_HZ: Final = 100
 FASTEST_HZ: Final = 1000
 TICK_S: Final = 0.1
-_KINDS: Final = own_data(__file__)
+_KINDS: Final = read_module_toml(__file__)
 _MOST_CHANGE: Final = 0.10
 _MOST_CHANGE_IMPACT: Final = 0.15
 
@@ -60,14 +60,14 @@ class Setup:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Unfinished:
+class UnfinishedMeasurement:
     """The result of a trial that did not finish: how far it got, and what happened."""
 
     value: float
     what: str
 
 
-Measure = Callable[[Setup], float | Unfinished]
+Measure = Callable[[Setup], float | UnfinishedMeasurement]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -100,7 +100,7 @@ class _Expected:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Trial(_Expected):
+class TrialSpec(_Expected):
     """One row before it was measured."""
 
     measure: Measure  # a pure function from chair and rate to the value
@@ -108,7 +108,7 @@ class Trial(_Expected):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Row(_Expected):
+class TrialResult(_Expected):
     """One row of the table: a value beside what is expected."""
 
     value: float
@@ -121,7 +121,7 @@ class Row(_Expected):
         return self.judged and not self.ok
 
 
-def trial_of(
+def make_trial_spec(
     kind: str,
     measure: Measure,
     expected: float = 1.0,
@@ -129,7 +129,7 @@ def trial_of(
     speed_mps: float | None = None,
     judged: bool = True,
     **words: object,
-) -> Trial:
+) -> TrialSpec:
     """A trial of a kind of `row.toml`.
 
     Args:
@@ -137,15 +137,15 @@ def trial_of(
         measure: How its value is taken.
         expected: What its bounds there belong to.
         span: Its bounds, where they are not there.
-        speed_mps: As of a `Trial`.
-        judged: As of a `Trial`.
+        speed_mps: As of a `TrialSpec`.
+        judged: As of a `TrialSpec`.
         words: Those of its texts in braces.
     """
     row = _KINDS[kind]
     if "within" in row:
         span = expected - row["within"], expected + row["within"]
     low, high = span or (part * expected for part in row["times"])
-    return Trial(
+    return TrialSpec(
         name=kind.format(**words),
         unit=row["unit"],
         bound=row["bound"],
@@ -160,20 +160,26 @@ def trial_of(
     )
 
 
-def measured(trial: Trial, setup: Setup) -> Row:
+def run_trial(trial: TrialSpec, setup: Setup) -> TrialResult:
     """Do a trial. Raises PhysicsError when its value is not finite."""
     found = trial.measure(setup if trial.speed_mps is None else setup.at_speed(trial.speed_mps))
-    value, note = (found.value, found.what) if isinstance(found, Unfinished) else (float(found), "")
+    value, note = (
+        (found.value, found.what)
+        if isinstance(found, UnfinishedMeasurement)
+        else (float(found), "")
+    )
     if not math.isfinite(value):
         raise PhysicsError(
             f"trial {trial.name}: the value is {value}; expected a finite number: check the plant"
         )
     expected = {item.name: getattr(trial, item.name) for item in fields(_Expected)}
-    return Row(**expected, value=value, ok=not note and trial.low <= value <= trial.high, note=note)
+    return TrialResult(
+        **expected, value=value, ok=not note and trial.low <= value <= trial.high, note=note
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Change:
+class RateComparison:
     """One row at several rates."""
 
     name: str
@@ -184,7 +190,7 @@ class Change:
     ok: bool
 
 
-def changes(tables: Mapping[int, Sequence[Row]]) -> list[Change]:
+def compare_rates(tables: Mapping[int, Sequence[TrialResult]]) -> list[RateComparison]:
     """The change of every row over tables of the same plant, by rate in Hz.
 
     The difference between the largest and the smallest value counts as a share of the largest
@@ -201,7 +207,7 @@ def changes(tables: Mapping[int, Sequence[Row]]) -> list[Change]:
         change = (max(values) - min(values)) / whole if whole > 0.0 else 0.0
         most = _MOST_CHANGE_IMPACT if first.impact else _MOST_CHANGE
         out.append(
-            Change(
+            RateComparison(
                 name=name,
                 unit=first.unit,
                 values=values,

@@ -16,7 +16,7 @@ from typing import Final
 
 import numpy as np
 
-from wcsim.config.plant import ArmPart, CasterPart
+from wcsim.config.plant import CasterArmPart, CasterPart
 from wcsim.core.frames import rad
 from wcsim.errors import PhysicsError
 from wcsim.physics.engine import GRAVITY_MPS2
@@ -80,7 +80,7 @@ class _Beam:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Foot:
+class SupportFoot:
     """A wheel or ball that can stand on the table, in B with its arm at rest."""
 
     name: str
@@ -89,7 +89,7 @@ class Foot:
     axis: Vec3 = (0.0, 0.0, 0.0)  # unit vector along the axle; none for a ball
     half_width_m: float = 0.0
     friction: float = 1.0
-    arm: ArmPart | None = None  # sprung, upright in B
+    arm: CasterArmPart | None = None  # sprung, upright in B
     unsprung_kg: float = 0.0  # what hangs on the arm
     beam: _Beam | None = None
 
@@ -100,7 +100,7 @@ class StaticChair:
 
     mass_kg: float
     com_m: Vec3
-    feet: tuple[Foot, ...]
+    feet: tuple[SupportFoot, ...]
 
     def without(self, prefix: str) -> StaticChair:
         """The same chair without the feet whose names begin so."""
@@ -387,7 +387,7 @@ class _TiltedChair:
         return sums
 
 
-def _contact_edges(foot: Foot, downhill: Vec2) -> list[tuple[Vec3, float]]:
+def _contact_edges(foot: SupportFoot, downhill: Vec2) -> list[tuple[Vec3, float]]:
     """The edges on which a foot stands as the chair tips: the lower one, or both where level."""
     edges = _rim_edges(foot)
     along = [edge[0] * downhill[0] + edge[1] * downhill[1] for edge in edges]
@@ -396,7 +396,7 @@ def _contact_edges(foot: Foot, downhill: Vec2) -> list[tuple[Vec3, float]]:
     return [(edges[along.index(max(along))], 1.0)]
 
 
-def _rim_edges(foot: Foot) -> tuple[Vec3, Vec3]:
+def _rim_edges(foot: SupportFoot) -> tuple[Vec3, Vec3]:
     """The two ends of a foot's contact line on level ground, as places of B above the ground."""
     (x, y, z), (ax, ay, az), w = foot.centre_m, foot.axis, foot.half_width_m
     return (x + w * ax, y + w * ay, z + w * az), (x - w * ax, y - w * ay, z - w * az)
@@ -463,10 +463,10 @@ def _com_m(spec: PlantSpec, swivel_rad: float = 0.0) -> Vec3:
     return x, y, z
 
 
-def _wheels(spec: PlantSpec) -> Iterator[Foot]:
+def _wheels(spec: PlantSpec) -> Iterator[SupportFoot]:
     wheel = spec.wheel
     for side, sign in _SIDES:
-        yield Foot(
+        yield SupportFoot(
             name=f"wheel_{side}",
             centre_m=(0.0, 0.5 * sign * wheel.track_m, wheel.radius_m),
             radius_m=wheel.radius_m,
@@ -476,7 +476,7 @@ def _wheels(spec: PlantSpec) -> Iterator[Foot]:
         )
 
 
-def _casters(spec: PlantSpec, swivel_rad: float) -> Iterator[Foot]:
+def _casters(spec: PlantSpec, swivel_rad: float) -> Iterator[SupportFoot]:
     cos, sin = math.cos(swivel_rad), math.sin(swivel_rad)
     for number, pair in enumerate(spec.casters):
         for side, sign in _SIDES:
@@ -484,7 +484,7 @@ def _casters(spec: PlantSpec, swivel_rad: float) -> Iterator[Foot]:
                 pair.swivel_x_m - pair.trail_m * cos,
                 0.5 * sign * pair.track_m - pair.trail_m * sin,
             )
-            yield Foot(
+            yield SupportFoot(
                 name=f"caster_{number}_{side}",
                 centre_m=(*hub, pair.radius_m),
                 radius_m=pair.radius_m,
@@ -517,11 +517,11 @@ def _beam(pair: CasterPart) -> _Beam | None:
     )
 
 
-def _antitips(spec: PlantSpec) -> Iterator[Foot]:
+def _antitips(spec: PlantSpec) -> Iterator[SupportFoot]:
     for number, pair in enumerate(spec.antitips):
         for side, sign in _SIDES:
             x, y, z = pair.p_m
             name = f"antitip_{number}_{side}"
-            yield Foot(
+            yield SupportFoot(
                 name=name, centre_m=(x, sign * y, z), radius_m=pair.radius_m, friction=pair.friction
             )

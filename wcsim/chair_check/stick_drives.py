@@ -24,7 +24,7 @@ _ANSWER_S: Final = 0.2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class StickDrive:
+class RecordedDrive:
     """A drive that begins at rest, a sample every `STEP_S`."""
 
     name: str  # of its files
@@ -32,7 +32,7 @@ class StickDrive:
     motion: F64  # (n, 2) speed ahead in m/s, turn rate to the left in rad/s
 
 
-def read_stick_drives(paths: Sequence[Path]) -> tuple[StickDrive, ...]:
+def read_recorded_drives(paths: Sequence[Path]) -> tuple[RecordedDrive, ...]:
     """Read drives. The sign of their first axis is the one that fits all their turns best.
 
     Args:
@@ -56,7 +56,7 @@ def read_stick_drives(paths: Sequence[Path]) -> tuple[StickDrive, ...]:
     return tuple(replace(drive, stick=drive.stick * turn) for drive in drives)
 
 
-def _read(path: Path) -> StickDrive:
+def _read(path: Path) -> RecordedDrive:
     name, found, _ = path.name.partition(".joy.csv")
     if not found:
         raise ConfigError(
@@ -80,7 +80,7 @@ def _read(path: Path) -> StickDrive:
         np.stack([np.interp(at_s, rows[:, 0], rows[:, k]) for k in (1, 2)], axis=1)
         for rows in (stick, odometry)
     ]
-    return StickDrive(name=name, stick=both[0], motion=both[1])
+    return RecordedDrive(name=name, stick=both[0], motion=both[1])
 
 
 def _table(path: Path, columns: str) -> F64:

@@ -6,19 +6,24 @@ from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import Final
 
-from wcsim.chair_check.driving import driving_trials
-from wcsim.chair_check.kerbs import kerb_trials, ramp_trials
-from wcsim.chair_check.mass_rig import mass_trials, tip_ratio_rows, tip_trials
-from wcsim.chair_check.row import Row, Setup, Trial, measured
+from wcsim.chair_check.driving import make_driving_trials
+from wcsim.chair_check.kerbs import make_kerb_trials, make_twisted_ramp_trials
+from wcsim.chair_check.mass_rig import make_mass_rig_trials, make_tip_trials, tip_ratio_rows
+from wcsim.chair_check.row import Setup, TrialResult, TrialSpec, run_trial
 from wcsim.core.processes import run_in_pool
 from wcsim.errors import ConfigError
 from wcsim.physics.wheelchair.plant import plant_spec
 
 Progress = Callable[[str], None]
-_MAKERS: Final = (mass_trials, driving_trials, ramp_trials, kerb_trials)
+_MAKERS: Final = (
+    make_mass_rig_trials,
+    make_driving_trials,
+    make_twisted_ramp_trials,
+    make_kerb_trials,
+)
 
 
-def _trials(setup: Setup, only: Sequence[str] = ()) -> tuple[Trial, ...]:
+def _trials(setup: Setup, only: Sequence[str] = ()) -> tuple[TrialSpec, ...]:
     """The trials of a plant whose names begin with one of some words; all if none.
 
     Raises ConfigError or PhysicsError for a plant that cannot be.
@@ -29,10 +34,10 @@ def _trials(setup: Setup, only: Sequence[str] = ()) -> tuple[Trial, ...]:
         for trial in _made(setup, only)
         if trial.speed_mps is None or trial.speed_mps <= most_mps
     )
-    return (*slow_enough, *tip_trials(setup, only))
+    return (*slow_enough, *make_tip_trials(setup, only))
 
 
-def too_fast(setup: Setup, only: Sequence[str] = ()) -> tuple[str, ...]:
+def list_too_fast_trials(setup: Setup, only: Sequence[str] = ()) -> tuple[str, ...]:
     """Names of the rows that are left out: they need more than the plant's `limits.speed_mps`."""
     most_mps = plant_spec(setup.chair).limits.speed_mps
     return tuple(
@@ -42,16 +47,16 @@ def too_fast(setup: Setup, only: Sequence[str] = ()) -> tuple[str, ...]:
     )
 
 
-def _made(setup: Setup, only: Sequence[str]) -> Iterator[Trial]:
+def _made(setup: Setup, only: Sequence[str]) -> Iterator[TrialSpec]:
     for make in _MAKERS:
         yield from (
             trial for trial in make(setup) if not only or trial.name.startswith(tuple(only))
         )
 
 
-def table(
+def run_plant_trials(
     setup: Setup, only: Sequence[str] = (), workers: int = 1, progress: Progress | None = None
-) -> list[Row]:
+) -> list[TrialResult]:
     """The table of a plant.
 
     Args:
@@ -67,10 +72,10 @@ def table(
     chosen = _trials(setup, only)
     if not chosen:
         what = f"no row starts with {', '.join(only)!r}"
-        if fast := too_fast(setup, only):
+        if fast := list_too_fast_trials(setup, only):
             what = f"{', '.join(fast)}: faster than the plant's limits.speed_mps"
         raise ConfigError(f"{what}; expected the start of a row's name")
-    done: dict[int, Row] = {}
+    done: dict[int, TrialResult] = {}
     for place, row in _done(chosen, setup, workers):
         done[place] = row
         if progress is not None:
@@ -79,8 +84,10 @@ def table(
     return [*rows.values(), *tip_ratio_rows(setup, rows)]
 
 
-def _done(chosen: Sequence[Trial], setup: Setup, workers: int) -> Iterator[tuple[int, Row]]:
+def _done(
+    chosen: Sequence[TrialSpec], setup: Setup, workers: int
+) -> Iterator[tuple[int, TrialResult]]:
     """Each row with its place, as it is done."""
     if workers == 1:
-        return enumerate(measured(trial, setup) for trial in chosen)
-    return run_in_pool(partial(measured, setup=setup), chosen, workers)
+        return enumerate(run_trial(trial, setup) for trial in chosen)
+    return run_in_pool(partial(run_trial, setup=setup), chosen, workers)

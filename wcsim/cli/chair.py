@@ -16,20 +16,28 @@ from rich import box
 from rich.table import Column, Table
 from tyro.conf import Positional, arg
 
-from wcsim.chair_check.row import FASTEST_HZ, SLOWEST_HZ, TICK_S, Change, Row, Setup, changes
+from wcsim.chair_check.row import (
+    FASTEST_HZ,
+    SLOWEST_HZ,
+    TICK_S,
+    RateComparison,
+    Setup,
+    TrialResult,
+    compare_rates,
+)
 from wcsim.cli.shared.common import (
+    AllowedSettingKeys,
     Bounds,
     Flag,
-    Keys,
     OutFile,
     OutFolder,
     Repeated,
-    Writes,
-    check_folder,
-    result_file,
-    run_part,
-    some_words,
-    words_of,
+    WritableFile,
+    require_writable_folder,
+    run_subcommand,
+    split_comma_list,
+    split_nonempty_list,
+    stage_result_file,
     write_json,
 )
 from wcsim.cli.shared.consoles import show_table, stderr_console, stdout_console
@@ -42,11 +50,11 @@ from wcsim.types import F64
 
 if TYPE_CHECKING:  # loads the engine, which --help must not
     from wcsim.chair_check.drive_fit import DriveFit, MotionErrors
-    from wcsim.chair_check.stick_drives import StickDrive
+    from wcsim.chair_check.stick_drives import RecordedDrive
 
 _WORKERS: Final = 2
 _HZ: Final = Bounds(SLOWEST_HZ, FASTEST_HZ, 10)
-_SET: Final = Keys({"chair.plant": "--plants names the plants"}, ("chair", "imu"))
+_SET: Final = AllowedSettingKeys({"chair.plant": "--plants names the plants"}, ("chair", "imu"))
 # What a row outside its range means, by the source of its bounds.
 _MEANS: Final = {
     "norm": "the chair does not meet a standard (EN 12184)",
@@ -97,9 +105,9 @@ class _FitOptions:
     """Chair (plant) for --plant and --out."""
     plant: Flag = False
     """Drive that chair in PyBullet by the sticks, with the fitted numbers."""
-    picture: Annotated[Path | None, arg(metavar="FILE"), Writes()] = None
+    picture: Annotated[Path | None, arg(metavar="FILE"), WritableFile()] = None
     """Draw the longest drive, measured and simulated: .png or .svg."""
-    out: Annotated[Path | None, arg(metavar="FILE.toml"), Writes(".toml", new=True)] = None
+    out: Annotated[Path | None, arg(metavar="FILE.toml"), WritableFile(".toml", new=True)] = None
     """Write that chair with the fitted numbers, for chair.plant."""
     json: OutFile = None
     """Write the result to this file."""
@@ -107,26 +115,30 @@ class _FitOptions:
 
 def run(words: list[str]) -> int:
     """Run one of them; 1 when a row is outside its range, or changes too much with the rate."""
-    return run_part(words, "chair", {"check": (_CheckOptions, _check), "fit": (_FitOptions, _fit)})
+    return run_subcommand(
+        words, "chair", {"check": (_CheckOptions, _check), "fit": (_FitOptions, _fit)}
+    )
 
 
 def _check(options: _CheckOptions) -> int:
-    plants = some_words("--plants", options.plants)
+    plants = split_nonempty_list("--plants", options.plants)
     if options.pictures is not None:
-        from wcsim.chair_check.plant_picture import draw_plant
+        from wcsim.chair_check.plant_picture import write_plant_picture
 
-        check_folder("--pictures", options.pictures)
+        require_writable_folder("--pictures", options.pictures)
         for plant in plants:
-            print(draw_plant(plant, options.pictures))
+            print(write_plant_picture(plant, options.pictures))
         return 0
-    from wcsim.chair_check.table import too_fast  # loads the engine, which --help must not
+    from wcsim.chair_check.table import (
+        list_too_fast_trials,  # loads the engine, which --help must not
+    )
 
     setups = {}
     for plant in plants:
         hz = _rates(options.compare_hz)[0] if options.compare_hz else options.hz
         setups[plant] = _setup(plant, hz, options.set)
         # Before the work: what its table will leave out.
-        fast = too_fast(setups[plant], words_of(options.rows))
+        fast = list_too_fast_trials(setups[plant], split_comma_list(options.rows))
         if fast:
             print(f"note: {plant} is too slow for {', '.join(fast)}: left out", file=sys.stderr)
     return _compare_rates(setups, options) if options.compare_hz else _judge(setups, options)
@@ -163,7 +175,7 @@ def _compare_rates(setups: Mapping[str, Setup], options: _CheckOptions) -> int:
     """Measure all rows of each plant at several rates and print how they change."""
     rates = _rates(options.compare_hz)
     found = {
-        plant: changes({hz: _measure(plant, replace(setup, hz=hz), options) for hz in rates})
+        plant: compare_rates({hz: _measure(plant, replace(setup, hz=hz), options) for hz in rates})
         for plant, setup in setups.items()
     }
     for plant, rows in found.items():
@@ -173,14 +185,14 @@ def _compare_rates(setups: Mapping[str, Setup], options: _CheckOptions) -> int:
     return 0 if all(row.ok for rows in found.values() for row in rows) else 1
 
 
-def _measure(plant: str, setup: Setup, options: _CheckOptions) -> list[Row]:
-    from wcsim.chair_check.table import table  # loads the engine, which --help must not
+def _measure(plant: str, setup: Setup, options: _CheckOptions) -> list[TrialResult]:
+    from wcsim.chair_check.table import run_plant_trials  # loads the engine, which --help must not
 
     what = f"{plant} at {setup.hz} Hz"
     with stderr_console().status(what) as status:
-        return table(
+        return run_plant_trials(
             setup,
-            words_of(options.rows),
+            split_comma_list(options.rows),
             options.workers,
             lambda name: status.update(f"{what}: {name}"),
         )
@@ -188,7 +200,7 @@ def _measure(plant: str, setup: Setup, options: _CheckOptions) -> list[Row]:
 
 def _rates(text: str) -> list[int]:
     try:
-        rates = [int(word) for word in some_words("--compare-hz", text)]
+        rates = [int(word) for word in split_nonempty_list("--compare-hz", text)]
     except ValueError:
         raise ConfigError(
             f"--compare-hz {text!r}: expected whole numbers separated by commas, such as 120,240"
@@ -200,7 +212,7 @@ def _rates(text: str) -> list[int]:
     return rates
 
 
-def _judged_table(plant: str, rows: Sequence[Row]) -> Table:
+def _judged_table(plant: str, rows: Sequence[TrialResult]) -> Table:
     judged = [row for row in rows if row.judged]
     out = _table(f"{plant}: {sum(row.ok for row in judged)} of {len(judged)} rows as expected")
     for heading in ("value", "low", "high"):
@@ -217,7 +229,7 @@ def _judged_table(plant: str, rows: Sequence[Row]) -> Table:
     return out
 
 
-def _compared_table(plant: str, rates: Sequence[int], rows: Sequence[Change]) -> Table:
+def _compared_table(plant: str, rates: Sequence[int], rows: Sequence[RateComparison]) -> Table:
     out = _table(f"{plant}: {sum(row.ok for row in rows)} of {len(rows)} rows change little")
     for rate in rates:
         out.add_column(f"{rate} Hz", justify="right")
@@ -253,19 +265,25 @@ def _fit(options: _FitOptions) -> int:
         check_installed("--picture needs matplotlib", "report", "matplotlib")
     read_plant(options.base)
     chair = _setup(options.base, _FIT_HZ).chair
-    from wcsim.chair_check.drive_fit import DELAY_S, fit_drives, later, law_motion, motion_errors
-    from wcsim.chair_check.stick_drives import read_stick_drives
+    from wcsim.chair_check.drive_fit import (
+        DELAY_S,
+        delay_motion,
+        fit_drive_law,
+        motion_errors,
+        simulate_drive_law,
+    )
+    from wcsim.chair_check.stick_drives import read_recorded_drives
 
     # 2. Fit; then compare the drives with the law as fitted, as set, and fitted to other drives.
-    drives = read_stick_drives(options.drives)
+    drives = read_recorded_drives(options.drives)
     left_out = _left_out_errors(drives, options.hold_out)
     with stderr_console().status("fitting"):
-        fit = fit_drives(drives)
+        fit = fit_drive_law(drives)
     as_set = {**dict(chair), DELAY_S: 0.0}
-    motions = {"law": law_motion(drives, fit.values)}
+    motions = {"law": simulate_drive_law(drives, fit.values)}
     errors = {
         "all, fitted": motion_errors(drives, motions["law"]),
-        f"all, as {options.base} is set": motion_errors(drives, law_motion(drives, as_set)),
+        f"all, as {options.base} is set": motion_errors(drives, simulate_drive_law(drives, as_set)),
         **left_out,
     }
     # 3. The whole chair in PyBullet with the fitted numbers, which obeys some ticks late.
@@ -274,10 +292,10 @@ def _fit(options: _FitOptions) -> int:
     if options.plant:
         driven = _drive_plant(drives, fitted)
         for ticks in range(_DELAYS_TICKS):
-            late = [later(motion, ticks * TICK_S) for motion in driven]
+            late = [delay_motion(motion, ticks * TICK_S) for motion in driven]
             errors[f"{options.base}, {ticks} ticks late"] = motion_errors(drives, late)
         motions[f"{options.base} in PyBullet"] = [
-            later(motion, fit.values[DELAY_S]) for motion in driven
+            delay_motion(motion, fit.values[DELAY_S]) for motion in driven
         ]
     # 4. Print, draw, write.
     _print_fit(fit, as_set, errors)
@@ -294,17 +312,17 @@ def _fit(options: _FitOptions) -> int:
     return 0
 
 
-def _left_out_errors(drives: Sequence[StickDrive], words: str) -> dict[str, MotionErrors]:
+def _left_out_errors(drives: Sequence[RecordedDrive], words: str) -> dict[str, MotionErrors]:
     """Errors on the drives of each word, by a fit to the rest; then on all of these together.
 
     Raises:
         ConfigError: A word, whole between `_`, `.` and `-`, is in no name, or in all.
     """
-    from wcsim.chair_check.drive_fit import fit_drives, law_motion, motion_errors
+    from wcsim.chair_check.drive_fit import fit_drive_law, motion_errors, simulate_drive_law
 
     # All words are checked before the first fit.
     chosen: dict[str, list[bool]] = {}
-    for word in words_of(words):
+    for word in split_comma_list(words):
         whole = re.compile(rf"(^|[_.-]){re.escape(word)}($|[_.-])")
         chosen[word] = [whole.search(drive.name) is not None for drive in drives]
         count = sum(chosen[word])
@@ -314,13 +332,13 @@ def _left_out_errors(drives: Sequence[StickDrive], words: str) -> dict[str, Moti
                 "expected some, not all"
             )
     errors: dict[str, MotionErrors] = {}
-    all_left: list[StickDrive] = []
+    all_left: list[RecordedDrive] = []
     all_motions: list[F64] = []
     for word, is_left_out in chosen.items():
         left = [*compress(drives, is_left_out)]
         rest = [*compress(drives, [not out for out in is_left_out])]
         with stderr_console().status(f"fitting without {word}"):
-            motions = law_motion(left, fit_drives(rest, draws=0).values)
+            motions = simulate_drive_law(left, fit_drive_law(rest, draws=0).values)
         errors[f"{word}, left out"] = motion_errors(left, motions)
         all_left += left
         all_motions += motions
@@ -329,11 +347,11 @@ def _left_out_errors(drives: Sequence[StickDrive], words: str) -> dict[str, Moti
     return errors
 
 
-def _drive_plant(drives: Sequence[StickDrive], chair: ChairConfig) -> list[F64]:
+def _drive_plant(drives: Sequence[RecordedDrive], chair: ChairConfig) -> list[F64]:
     """The motion of the whole chair in PyBullet, for each drive."""
-    from wcsim.chair_check.drive_fit import plant_motion
+    from wcsim.chair_check.drive_fit import simulate_plant_motion
 
-    work = partial(plant_motion, setup=Setup(chair=chair, hz=_FIT_HZ))
+    work = partial(simulate_plant_motion, setup=Setup(chair=chair, hz=_FIT_HZ))
     with stderr_console().status(f"driving {chair.plant} in PyBullet"):
         found = dict(run_in_pool(work, drives, _WORKERS))
     return [found[place] for place in range(len(drives))]
@@ -356,7 +374,7 @@ def _print_fit(
 
 
 def _draw_longest(
-    path: Path, drives: Sequence[StickDrive], motions: Mapping[str, Sequence[F64]]
+    path: Path, drives: Sequence[RecordedDrive], motions: Mapping[str, Sequence[F64]]
 ) -> None:
     """Draw the longest drive, as measured and as simulated."""
     from wcsim.chair_check.stick_drives import STEP_S
@@ -365,7 +383,7 @@ def _draw_longest(
     place = max(range(len(drives)), key=lambda index: len(drives[index].motion))
     drive = drives[place]
     shown = {name: each[place] for name, each in motions.items()}
-    with result_file(path) as part:
+    with stage_result_file(path) as part:
         motion_chart(part, path.suffix[1:], drive.name, STEP_S, drive.motion, shown)
 
 
@@ -394,6 +412,6 @@ def _write_plant(path: Path, own: ChairConfig, numbers: Mapping[str, float], not
     made = "\n".join(lines).rstrip() + "\n"
     where = f"{escaped(own.plant)} with a new [chair]"
     parse(PlantFile, parse_toml(made, where, SETTINGS), where)
-    with result_file(path) as part:
+    with stage_result_file(path) as part:
         part.write_text(made, encoding="utf-8")
     print(f"wrote {path}; drive it: --set chair.plant={path}")

@@ -15,11 +15,11 @@ from typing import Final
 
 from rich.table import Column
 
-from wcsim.cli.shared.common import Flag, OutFile, parse, write_json
+from wcsim.cli.shared.common import Flag, OutFile, parse_options, write_json
 from wcsim.cli.shared.consoles import show_table
-from wcsim.core.files import can_be_written
+from wcsim.core.files import is_writable_folder
 from wcsim.core.reading import counted, escaped
-from wcsim.core.sources import version_of
+from wcsim.core.sources import read_package_version
 from wcsim.errors import ConfigError, WcsimError
 
 PACKAGES: Final = (
@@ -61,7 +61,7 @@ class _CacheOptions:
 
 def run(words: list[str]) -> int:
     """Run the checks; exit code 2 when one fails."""
-    options = parse(_Options, words, "doctor")
+    options = parse_options(_Options, words, "doctor")
     checks: dict[str, Callable[[], _Finding]] = {
         "python": _check_python,
         "packages": _check_packages,
@@ -87,7 +87,7 @@ def _check_python() -> _Finding:
 
 
 def _check_packages() -> _Finding:
-    found = {name: version_of(name) for name in (*PACKAGES, *_TRAIN_PACKAGES)}
+    found = {name: read_package_version(name) for name in (*PACKAGES, *_TRAIN_PACKAGES)}
     missing = [name for name in PACKAGES if not found[name]]
     text = ", ".join(f"{name} {version}" for name, version in found.items() if version)
     if missing:
@@ -137,7 +137,7 @@ def _check_cache() -> _Finding:
         f"{facts.streets} streets, {size_mb:.0f} MB in {shown_cache()}; "
         "wcsim cache --clear empties it"
     )
-    if not can_be_written(facts.folder):
+    if not is_writable_folder(facts.folder):
         text += "; it is read-only, so each world builds its street again"
     return True, text
 
@@ -173,7 +173,7 @@ def cache(words: list[str]) -> int:
     """Print it, and clear the cache if requested."""
     from wcsim.towns.cache.folder import cache_facts, clear_cache
 
-    options = parse(_CacheOptions, words, "cache")
+    options = parse_options(_CacheOptions, words, "cache")
     before = cache_facts()
     left = clear_cache() if options.clear else before
     checked = counted(before.verdicts, "checked net or scenario", "checked nets and scenarios")

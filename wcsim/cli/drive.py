@@ -13,12 +13,12 @@ from wcsim.cli.shared.common import (
     OutFolder,
     PageOptions,
     SomeTown,
-    Writes,
+    WritableFile,
     has_option,
-    parse,
+    parse_options,
     serve_page,
 )
-from wcsim.cli.shared.run_config import require_policy, require_user
+from wcsim.cli.shared.run_config import require_known_users, require_usable_policy
 from wcsim.drive.driven import LEAST_SENSITIVITY, LEAST_SPEED, MOST_SENSITIVITY
 from wcsim.errors import ConfigError
 from wcsim.towns.scenario.town import find_town
@@ -45,7 +45,7 @@ class _AssistedOptions(PageOptions):
     """Speed of your stick, a share of all; on the page you can change it, as the next."""
     sensitivity: Annotated[float, Bounds(LEAST_SENSITIVITY, MOST_SENSITIVITY)] = 1.0
     """Sensitivity of your stick: below 1 it is softer about its middle."""
-    record: Annotated[Path | None, arg(metavar="FILE"), Writes(new=True)] = None
+    record: Annotated[Path | None, arg(metavar="FILE"), WritableFile(new=True)] = None
     """Record the drive in this new file; a further town or world is recorded in FILE-2, FILE-3."""
 
 
@@ -104,12 +104,12 @@ def run(words: list[str]) -> int:
             "RUN"
         )
     if has_option(words, "--study"):
-        return _study(parse(_StudyOptions, words, "drive"))
+        return _study(parse_options(_StudyOptions, words, "drive"))
     kind: type[_AssistedOptions] = _EpisodeOptions if has_option(words, "--suite") else _Options
-    options = parse(kind, words, "drive")
-    require_policy(options.policy, options.network, alone=True)
+    options = parse_options(kind, words, "drive")
+    require_usable_policy(options.policy, options.network, alone=True)
     if options.profile:
-        require_user(options.profile)
+        require_known_users(options.profile)
     if isinstance(options, _Options):
         find_town(options.town)
     chosen = {name: value for name, value in vars(options).items() if name in _OF_DRIVE}

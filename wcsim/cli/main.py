@@ -19,7 +19,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Final
 
-from wcsim.cli.shared.exit_codes import Exit, exit_of
+from wcsim.cli.shared.exit_codes import Exit, exit_code_from_error
 from wcsim.core.reading import escaped, has_surrogates
 from wcsim.errors import ConfigError, WcsimError, meant
 
@@ -132,10 +132,10 @@ class _Terminated(KeyboardInterrupt):
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line; returns the exit code, see `cli/shared/exit_codes.py`."""
-    return guarded(_run_command, arguments)
+    return run_with_exit_code(_run_command, arguments)
 
 
-def guarded(work: Callable[[list[str]], int], arguments: list[str] | None) -> int:
+def run_with_exit_code(work: Callable[[list[str]], int], arguments: list[str] | None) -> int:
     """Run `work` on the words of a command line, by default the process's own.
 
     Returns:
@@ -203,7 +203,7 @@ def _run(work: Callable[[list[str]], int], words: list[str], own_process: bool) 
         return work(words)
     except WcsimError as error:
         print(f"wcsim: {_printable(str(error))}", file=sys.stderr)
-        return exit_of(error)
+        return exit_code_from_error(error)
     except _Terminated:
         print("wcsim: terminated", file=sys.stderr)
         return Exit.TERMINATED
@@ -294,9 +294,9 @@ def _printable(text: str) -> str:
 
 def _explain(error: Exception) -> tuple[str, Exit]:
     """What to do about an error caused outside wcsim, and its code; "" for a fault of wcsim."""
-    from wcsim.server.protocol.limits import limit_message  # rarely needed
+    from wcsim.server.protocol.limits import resource_limit_message  # rarely needed
 
-    limit = limit_message(error)
+    limit = resource_limit_message(error)
     if limit:
         return limit, Exit.FAILED
     if isinstance(error, ModuleNotFoundError) and error.name in _TRAIN_PACKAGES:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Annotated
 
-from wcsim.agents.networks.names import NETWORK_NAMES, check_network
-from wcsim.cli.shared.common import Bounds, OutFile, parse, some_words, write_json
+from wcsim.agents.networks.names import NETWORK_NAMES, require_known_network
+from wcsim.cli.shared.common import Bounds, OutFile, parse_options, split_nonempty_list, write_json
 from wcsim.cli.shared.consoles import show_table
 from wcsim.cli.shared.exit_codes import Exit
 
@@ -29,13 +29,19 @@ class _Options:
 
 def run(words: list[str]) -> int:
     """Measure and print a table."""
-    options = parse(_Options, words, "networks")
-    names = some_words("--names", options.names)
+    options = parse_options(_Options, words, "networks")
+    names = split_nonempty_list("--names", options.names)
     for name in names:
-        check_network(name)
-    from wcsim.agents.networks.costs import LIMIT_MS, RESERVE_MS, measure_cost  # loads torch
+        require_known_network(name)
+    from wcsim.agents.networks.costs import (  # loads torch
+        LIMIT_MS,
+        RESERVE_MS,
+        measure_network_cost,
+    )
 
-    costs = [measure_cost(name, options.height, options.width, options.runs) for name in names]
+    costs = [
+        measure_network_cost(name, options.height, options.width, options.runs) for name in names
+    ]
     sizes = ("network", "window", "params", "MACs", "MB")
     times = ("p50 ms", "p99 ms", "ONNX p50 ms", "fits")
     rows = [

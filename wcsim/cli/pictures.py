@@ -9,17 +9,17 @@ from typing import TYPE_CHECKING, Annotated, Final
 from tyro.conf import arg
 
 from wcsim.cli.shared.common import (
+    AllowedSettingKeys,
     Bounds,
-    Keys,
     Repeated,
     SomeTown,
-    Writes,
-    note_if_made,
-    parse,
-    result_file,
+    WritableFile,
+    note_created_folder,
+    parse_options,
+    stage_result_file,
 )
 from wcsim.cli.shared.consoles import StageBar
-from wcsim.cli.shared.run_config import require_policy, require_user
+from wcsim.cli.shared.run_config import require_known_users, require_usable_policy
 from wcsim.errors import ConfigError
 from wcsim.towns.scenario.town import find_town
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:  # loads the simulators, which --help must not
 
 MIN_SECONDS: Final = 0.1
 MAX_SECONDS: Final = 3600.0
-_SET_KEYS: Final = Keys(
+_SET_KEYS: Final = AllowedSettingKeys(
     {"env.profile": "its user is competent; for another, use `wcsim video --profile NAME`"}
 )
 _LOOK_PX: Final = 640  # width of the camera's picture
@@ -55,12 +55,12 @@ class _LookOptions:
 
 def look(words: list[str]) -> int:
     """Drive once: film it from where it shows a street, and picture the moment that shows most."""
-    options = parse(_LookOptions, words, "look")
+    options = parse_options(_LookOptions, words, "look")
     town = find_town(options.town)
     street = options.out / f"{town.name}-street.png"
     picture = options.out / f"{town.name}.png"
     video = options.out / f"{town.name}.webm"
-    Writes().check("--out", video)
+    WritableFile().check("--out", video)
 
     # These load the simulators, which --help must not.
     from wcsim.view.filming import BusiestMoment, FilmDriver, FilmedDrive
@@ -68,7 +68,7 @@ def look(words: list[str]) -> int:
     from wcsim.view.street_pictures import StillPictures
 
     with (
-        note_if_made(video),
+        note_created_folder(video),
         StageBar("filming") as bar,
         FilmedDrive(town, options.seed, _LOOK_PX, FilmDriver(settings=options.set), video) as film,
     ):
@@ -84,7 +84,7 @@ def look(words: list[str]) -> int:
             if busiest.look(before * film.tick_s, stills.on_way):
                 seen = stills.draw()
         # Something to look at while it is filmed.
-        with result_file(street) as part:
+        with stage_result_file(street) as part:
             write_png(part, seen)
         # 2. Film.
         frames = round(options.seconds / film.tick_s)
@@ -97,7 +97,7 @@ def look(words: list[str]) -> int:
             )
     # 3. Write the pictures.
     place = f"{options.town}, seed {options.seed}"
-    with result_file(street) as part:
+    with stage_result_file(street) as part:
         write_png(part, seen)
     print(f"{street}: {place}, the chair from behind")
     _write_shot(picture, busiest.shot, place)
@@ -113,7 +113,7 @@ class _SnapshotOptions:
     """A town's name, its folder, or a .sumocfg file."""
     seed: int = 0
     """Seed of the traffic and of the chair's start."""
-    out: Annotated[Path, arg(metavar="FILE"), Writes(".png")] = Path("snapshot.png")
+    out: Annotated[Path, arg(metavar="FILE"), WritableFile(".png")] = Path("snapshot.png")
     """The picture (PNG)."""
     width: int = 640
     """Width of each of the three images, in pixels."""
@@ -125,7 +125,7 @@ class _SnapshotOptions:
 
 def snapshot(words: list[str]) -> int:
     """Take the picture at the moment that shows most."""
-    options = parse(_SnapshotOptions, words, "snapshot")
+    options = parse_options(_SnapshotOptions, words, "snapshot")
     town = find_town(options.town)
 
     # Loads the simulators, which --help must not.
@@ -144,7 +144,7 @@ def _write_shot(out: Path, shot: Shot, place: str) -> None:
     """Write a moment as a picture, and print what it shows."""
     from wcsim.view.pictures import write_png
 
-    with result_file(out) as part:
+    with stage_result_file(out) as part:
         write_png(part, shot.picture)
     print(
         f"{out}: {place}, after {shot.after_s:.1f} s, {shot.in_view} "
@@ -163,7 +163,7 @@ class _VideoOptions:
     """A town's name, its folder, or a .sumocfg file."""
     seed: int = 0
     """Seed of the traffic and of the chair's start."""
-    out: Annotated[Path, arg(metavar="FILE"), Writes(".webm")] = Path("video.webm")
+    out: Annotated[Path, arg(metavar="FILE"), WritableFile(".webm")] = Path("video.webm")
     """The video (WebM)."""
     seconds: Annotated[float, Bounds(MIN_SECONDS, MAX_SECONDS)] = 10.0
     """Length of the film."""
@@ -177,21 +177,21 @@ class _VideoOptions:
     """Your own network as module:Class, for a run that was trained with it."""
     profile: str = ""
     """The simulated user. (default: inattentive with --policy, competent without)"""
-    set: Annotated[Repeated, Keys({"env.profile": "expected --profile NAME"})] = ()
+    set: Annotated[Repeated, AllowedSettingKeys({"env.profile": "expected --profile NAME"})] = ()
     """section.key=value, over those of the policy, such as chair.plant=mine.toml; may be given several times."""  # noqa: E501
 
 
 def video(words: list[str]) -> int:
     """Film it."""
-    options = parse(_VideoOptions, words, "video")
+    options = parse_options(_VideoOptions, words, "video")
     profile = options.profile or ("inattentive" if options.policy else "competent")
     if options.policy:
-        require_policy(options.policy, options.network, alone=True)
+        require_usable_policy(options.policy, options.network, alone=True)
     elif options.network:
         raise ConfigError(
             "--network is for a run that was trained with it; expected --policy RUN, too"
         )
-    require_user(profile)
+    require_known_users(profile)
     town = find_town(options.town)
     from wcsim.view.filming import FilmDriver, FilmedDrive  # loads the simulators
 
@@ -199,7 +199,7 @@ def video(words: list[str]) -> int:
         policy=options.policy, network=options.network, profile=profile, settings=options.set
     )
     with (
-        note_if_made(options.out),
+        note_created_folder(options.out),
         StageBar("filming") as bar,
         FilmedDrive(town, options.seed, options.width, driver, options.out) as film,
     ):

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 from tyro.conf import Positional, arg
 
-from wcsim.cli.shared.common import OutFile, Parts, Writes, run_part, write_json
+from wcsim.cli.shared.common import OutFile, Parts, WritableFile, run_subcommand, write_json
 from wcsim.cli.shared.consoles import show_table
 from wcsim.config import read_toml
-from wcsim.config.scene import SceneExpect, SceneFile
+from wcsim.config.scene import SceneExpectations, SceneFile
 from wcsim.core.own_folder import temporary_folder
 from wcsim.core.reading import counted, escaped
 from wcsim.errors import ConfigError
@@ -38,7 +38,7 @@ class _RunOptions:
     """Names or folders of scenes."""
     json: OutFile = None
     """Write the results to this file."""
-    film: Annotated[Path | None, arg(metavar="FILE"), Writes(".webm")] = None
+    film: Annotated[Path | None, arg(metavar="FILE"), WritableFile(".webm")] = None
     """Write a video (WebM) of the scene to this file; one scene must be named."""
 
 
@@ -96,7 +96,7 @@ def run(words: list[str]) -> int:
         "new": (_NewOptions, _new),
         "make": (_MakeOptions, _make),
     }
-    return run_part(words, "scene", parts)
+    return run_subcommand(words, "scene", parts)
 
 
 def _run(options: _RunOptions) -> int:
@@ -168,7 +168,7 @@ def _list(_: _ListOptions) -> int:
 def _outcome(folder: Path, name: str) -> _Outcome:
     """Run a scene in a child, and compare it with its [expect] and its golden trace."""
     # These load the simulators, which --help must not.
-    from wcsim.log.diff import golden_difference, golden_note
+    from wcsim.log.diff import explain_hash_mismatch, find_golden_difference
     from wcsim.scenes.run import run_in_child
 
     golden = folder / GOLDEN
@@ -183,19 +183,19 @@ def _outcome(folder: Path, name: str) -> _Outcome:
                 "no golden trace; when the scene is right, save one: "
                 f"wcsim scene bless {_shell_name(folder)}",
             )
-        elif difference := golden_difference(trace, golden):
+        elif difference := find_golden_difference(trace, golden):
             found += (f"differs from the golden trace: {difference}",)
         else:
-            note = golden_note(trace, golden)
+            note = explain_hash_mismatch(trace, golden)
     return _Outcome(name, facts, found, note)
 
 
-def faults(facts: Facts, expect: SceneExpect) -> tuple[str, ...]:
+def faults(facts: Facts, expect: SceneExpectations) -> tuple[str, ...]:
     """Where what happened is not what the scene must show; empty when all is well."""
     found = []
     if expect.crashed is not None and facts["crashed"] != expect.crashed:
         found.append(f"crashed is {facts['crashed']}, expected {expect.crashed}")
-    for name in SceneExpect.model_fields:
+    for name in SceneExpectations.model_fields:
         window = getattr(expect, name)
         if isinstance(window, tuple) and not window[0] <= facts[name] <= window[1]:
             found.append(f"{name} is {facts[name]:.3f}, expected {window[0]:g} to {window[1]:g}")
@@ -228,13 +228,13 @@ def _bless(options: _BlessOptions) -> int:
 
 def _bless_reason(trace: Path, golden: Path) -> str:
     """Why a golden trace must be written anew; "" when it need not."""
-    from wcsim.log.diff import golden_difference
-    from wcsim.log.reader import read_states
+    from wcsim.log.diff import find_golden_difference
+    from wcsim.log.reader import read_trace_states
 
     if not golden.is_file():
         return "no golden trace before"
-    other_versions = read_states(trace)[0] != read_states(golden)[0]
-    if difference := golden_difference(trace, golden):
+    other_versions = read_trace_states(trace)[0] != read_trace_states(golden)[0]
+    if difference := find_golden_difference(trace, golden):
         return difference
     return "the golden trace is of other versions" if other_versions else ""
 

@@ -16,29 +16,29 @@ from wcsim.cli.shared.common import (
     Lease,
     OutFolder,
     SettingsOptions,
-    check_folder,
-    parse,
-    some_words,
+    parse_options,
+    require_writable_folder,
+    split_nonempty_list,
 )
-from wcsim.cli.shared.consoles import beside, print_overrides, warn
+from wcsim.cli.shared.consoles import choose_result_console, print_sumo_overrides, warn
 from wcsim.cli.shared.exit_codes import Exit
-from wcsim.cli.shared.run_config import overrides_of
+from wcsim.cli.shared.run_config import list_sumo_overrides
 from wcsim.config import RunConfig, resolve
-from wcsim.core.own_folder import endpoint_in, workplace
+from wcsim.core.own_folder import runtime_folder, world_endpoint_from_folder
 from wcsim.core.reading import require_no_links
 from wcsim.errors import ConfigError
-from wcsim.log.reader import part_files
+from wcsim.log.reader import list_log_parts
 from wcsim.log.writer import JOURNAL, LogWriter, truncation_message
 from wcsim.server.launch.launcher import Launcher
-from wcsim.server.launch.states import LaunchState
-from wcsim.server.protocol.events import Rules
-from wcsim.server.protocol.limits import require_files
-from wcsim.server.specs import WorldSpec, world_plan
-from wcsim.server.transport.keys import is_loopback, known_names, make_keys
+from wcsim.server.launch.states import LaunchProcessStates
+from wcsim.server.protocol.events import ServerRules
+from wcsim.server.protocol.limits import ensure_open_file_limit
+from wcsim.server.specs import WorldProcessSpec, make_world_launch_plan
+from wcsim.server.transport.keys import is_loopback, list_known_clients, make_keys
 from wcsim.towns.checks.validate import validate_net
 from wcsim.towns.scenario.town import Town, find_town
 from wcsim.types.bounds import MOST_SEATS
-from wcsim.users.profiles import user_files
+from wcsim.users.profiles import filter_user_file_names
 from wcsim.view.live_table import LiveTable
 
 GATHER_S: Final = 600.0
@@ -78,37 +78,40 @@ class _Options(SettingsOptions):
 
 def run(words: list[str]) -> int:
     """Serve until Ctrl-C."""
-    options = parse(_Options, words, "serve")
+    options = parse_options(_Options, words, "serve")
     Bounds(1, options.seats).check("--expected", options.expected)
     _prepare_network(options)
     config = resolve(options.preset, options.config, options.set)
     if options.run is not None:
         _prepare_folder(options.run)
-    require_files(options.seats)
+    ensure_open_file_limit(options.seats)
     town = find_town(options.town)
     validate_net(town.net)
-    with workplace() as place:
+    with runtime_folder() as place:
         return _serve(options, town, config, place)
 
 
 def _serve(options: _Options, town: Town, config: RunConfig, place: Path) -> int:
     folder = place if options.run is None else options.run
-    overrides = overrides_of(town, config, options.seed)
+    overrides = list_sumo_overrides(town, config, options.seed)
     running = False
     with LiveTable() as table:
-        out = beside(table.console)
+        out = choose_result_console(table.console)
 
-        def show(state: LaunchState) -> None:
+        def show(state: LaunchProcessStates) -> None:
             nonlocal running
             if state.world_standing == "running" and not running:
                 running = True
-                print_overrides(out, town.name, overrides, verbose=options.verbose)
+                print_sumo_overrides(out, town.name, overrides, verbose=options.verbose)
                 listening = "" if state.world is None else state.world.listening
-                out.print(_how_to_join(endpoint_in(place), listening, options), soft_wrap=True)
+                out.print(
+                    _how_to_join(world_endpoint_from_folder(place), listening, options),
+                    soft_wrap=True,
+                )
             table.show(state)
 
         order = _order(options, town, config, place)
-        world = world_plan(order, place, folder / "logs" / "world.log")
+        world = make_world_launch_plan(order, place, folder / "logs" / "world.log")
         outcome = Launcher(world, (), folder, show=show).run()
     if outcome.code == Exit.REFUSED:
         raise ConfigError(outcome.message)
@@ -126,7 +129,7 @@ def _how_to_join(endpoint: str, listening: str, options: _Options) -> str:
     ]
     if listening:
         address = _reachable(listening, socket.gethostname())
-        names = () if options.keys is None else known_names(options.keys)
+        names = () if options.keys is None else list_known_clients(options.keys)
         keys = f" --keys {shlex.quote(str(options.keys))} --name "
         for client in [f"{keys}{name}" for name in names[:_MOST_NAMED]] or [""]:
             lines.append(
@@ -154,8 +157,8 @@ def _prepare_network(options: _Options) -> None:
     if options.make_keys:
         if options.keys is None:
             raise ConfigError("--make-keys: add --keys FOLDER, where to write them")
-        check_folder("--keys", options.keys)
-        make_keys(options.keys, some_words("--make-keys", options.make_keys))
+        require_writable_folder("--keys", options.keys)
+        make_keys(options.keys, split_nonempty_list("--make-keys", options.make_keys))
     if options.keys is not None and not options.listen:
         raise ConfigError(
             "--keys without --listen: keys are for clients of other machines; add --listen "
@@ -175,9 +178,9 @@ def _prepare_folder(folder: Path) -> None:
         ConfigError: The folder cannot be used, or has other things in it.
         JournalError: The journal is damaged elsewhere.
     """
-    check_folder("--run", folder)
+    require_writable_folder("--run", folder)
     journal = folder / JOURNAL
-    if any(folder.glob("*")) and not part_files(journal):
+    if any(folder.glob("*")) and not list_log_parts(journal):
         raise ConfigError(
             f"--run {folder} is not empty and has no journal; choose a new folder, or one with a "
             "world"
@@ -190,21 +193,21 @@ def _prepare_folder(folder: Path) -> None:
                 warn(truncation_message(journal, writer.cut_bytes))
 
 
-def _order(options: _Options, town: Town, config: RunConfig, place: Path) -> WorldSpec:
-    return WorldSpec(
+def _order(options: _Options, town: Town, config: RunConfig, place: Path) -> WorldProcessSpec:
+    return WorldProcessSpec(
         town=town.address,
         config=config,
         seed=options.seed,
-        rules=Rules(
+        rules=ServerRules(
             capacity=options.seats,
             config=config.world_digest(),
             expected=options.expected,
             gather_s=GATHER_S,
             lease_s=options.lease,
             max_think_s=options.max_think,
-            recordings=user_files([config.env.profile]),
+            recordings=filter_user_file_names([config.env.profile]),
         ),
-        endpoint=endpoint_in(place),
+        endpoint=world_endpoint_from_folder(place),
         ring=str(place / "ring"),
         name=town.name,
         run="" if options.run is None else str(options.run.absolute()),

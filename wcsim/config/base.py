@@ -9,7 +9,7 @@ from typing import Annotated, Any, ClassVar, Final, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, model_validator
 
-from wcsim.core.reading import escaped, own_data
+from wcsim.core.reading import escaped, read_module_toml
 from wcsim.errors import meant
 
 # Of numbers that nothing else bounds: nothing that is computed from them overflows.
@@ -25,7 +25,7 @@ Texts = Annotated[tuple[Text, ...], Field(max_length=64)]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")]
 Seed = Annotated[int, Field(ge=0, lt=1 << 31)]  # as large as SUMO takes them
 _BOUNDS: Final = {"gt": "more than", "ge": "at least", "lt": "less than", "le": "at most"}
-_UNITS: Final[dict[str, str]] = own_data(__file__)
+_UNITS: Final[dict[str, str]] = read_module_toml(__file__)
 # Of a table: with more keys a message names the nearest alone.
 _MOST_KEYS: Final = 16
 _OUT_OF_BOUNDS: Final = (
@@ -88,7 +88,7 @@ class Model(BaseModel):
         return schema
 
 
-def fault(model: type[BaseModel], item: Any) -> str:
+def validation_error_text(model: type[BaseModel], item: Any) -> str:
     """The message of pydantic's error: the key, the fault, the value with its unit, the bounds."""
     key = escaped(".".join(str(part) for part in item["loc"]), 200) or "(file)"
     if item["type"] == "extra_forbidden":

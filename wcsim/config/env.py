@@ -21,7 +21,7 @@ LEAST_WINDOW: Final = 1e-6
 Window = Annotated[int, within(1, 16)]
 
 
-class FollowReward(Model):
+class FollowRewardConfig(Model):
     """The reward for following the user, and the penalty at the end of a window."""
 
     base: Finite = 1.0  # Reward of a step within max_follow_distance.
@@ -40,7 +40,7 @@ class FollowReward(Model):
         return self
 
 
-class RewardConfig(FollowReward):
+class RewardConfig(FollowRewardConfig):
     """Reward and crash limits (Tables 1 and 2 of the paper)."""
 
     # A kerb of 40 mm lies inside this window, and a wall above it (`chair_check/kerbs.py`).

@@ -17,10 +17,10 @@ from typing import Any, Final, TypeVar
 
 from pydantic import ValidationError
 
-from wcsim.config.base import Model, fault
+from wcsim.config.base import Model, validation_error_text
 from wcsim.config.chair import PROFILE_SPEED_MPS
 from wcsim.config.run import RunConfig
-from wcsim.config.sensors import by_word
+from wcsim.config.sensors import sensor_table_from_word
 from wcsim.core import reading
 from wcsim.core.reading import CONFIG, SETTINGS, VALUE, FileKind, escaped
 from wcsim.errors import ConfigError, meant
@@ -62,7 +62,7 @@ def parse(model: type[M], data: dict[str, Any], where: str) -> M:
         return model.model_validate(data)
     except ValidationError as error:
         causes = _causes(error.errors())
-        faults = [fault(model, item) for item in causes[:_MOST_FAULTS]]
+        faults = [validation_error_text(model, item) for item in causes[:_MOST_FAULTS]]
         if len(causes) > _MOST_FAULTS:
             faults.append("and more")
         raise ConfigError(f"{where}: " + "; ".join(faults)) from None
@@ -163,7 +163,7 @@ def _chair_of_plant(plant: str) -> dict[str, Any]:
     return chair if isinstance(chair, dict) else {}
 
 
-def presets() -> str:
+def read_presets_table() -> str:
     """What each preset learns from, for how long, and its results: a table in Markdown."""
     return (_PRESETS / "presets.md").read_text(encoding="utf-8")
 
@@ -180,7 +180,7 @@ def _preset(name: str) -> tuple[str, dict[str, Any]]:
     return f"preset {name}", reading.read_toml(path, SETTINGS)
 
 
-def sets_key(override: str, key: str) -> bool:
+def is_override_of_key(override: str, key: str) -> bool:
     """Whether a `section.key=value` sets a key or a part of it, as `section={key=value}` does.
 
     >>> sets_key("env.profile=slow", "env.profile"), sets_key("env={profile='slow'}", "env.profile")
@@ -199,7 +199,7 @@ def sets_key(override: str, key: str) -> bool:
     return True
 
 
-def texts_of(override: str) -> tuple[str, ...]:
+def texts_from_override(override: str) -> tuple[str, ...]:
     """Every text that a `section.key=value` sets, in tables and lists too.
 
     >>> texts_of("chair={plant='my chair.toml'}"), texts_of("env.window=2")
@@ -245,7 +245,7 @@ def _merged(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
 
 def _laid(old: Any, value: Any, key: str) -> Any:
     if isinstance(value, dict):
-        old = by_word(key, old)  # a key inside it changes that key alone
+        old = sensor_table_from_word(key, old)  # a key inside it changes that key alone
     if isinstance(old, dict) and isinstance(value, dict):
         return _merged(old, value)
     if isinstance(old, list) and isinstance(value, dict):

@@ -56,7 +56,7 @@ class _WheelPart(Model):
     friction: Friction
 
 
-class ArmPart(Model):
+class CasterArmPart(Model):
     """A sprung arm that carries a caster up and down.
 
     `preload_N` is its push at the height where all wheels stand.
@@ -70,7 +70,7 @@ class ArmPart(Model):
     mass_kg: PartKg
 
 
-class BeamPart(Model):
+class CasterBeamPart(Model):
     """A beam across the frame that carries both casters of a pair.
 
     It rocks about a lengthwise pivot in its middle.
@@ -96,8 +96,8 @@ class CasterPart(Model):
     fork_inertia_kgm2: Annotated[float, within(1e-4, 0.1)]
     swivel_friction_Nm: Annotated[float, within(0.0, 5.0)]
     friction: Friction
-    arm: ArmPart | None = None
-    beam: BeamPart | None = None
+    arm: CasterArmPart | None = None
+    beam: CasterBeamPart | None = None
 
 
 class _AntitipPart(Model):
@@ -211,7 +211,7 @@ def plant_path(plant: str) -> Path:
     return _PLANTS / f"{plant}.toml"
 
 
-def plant_text(plant: str) -> bytes:
+def read_own_plant_bytes(plant: str) -> bytes:
     """The bytes of a user's own plant file; none for a plant that comes with wcsim.
 
     Raises:
@@ -225,7 +225,7 @@ def plant_text(plant: str) -> bytes:
     return text.encode()
 
 
-def with_values(file: PlantFile, values: Mapping[str, float]) -> PlantFile:
+def override_plant_values(file: PlantFile, values: Mapping[str, float]) -> PlantFile:
     """A plant with other values under dotted names, such as `wheel.friction`, `casters.*.friction`.
 
     Raises:

@@ -18,7 +18,7 @@ from wcsim.config.base import (
     Word,
     within,
 )
-from wcsim.config.env import Actions, Classes, FollowReward, Form, Window
+from wcsim.config.env import Actions, Classes, FollowRewardConfig, Form, Window
 from wcsim.config.learn import Eye
 from wcsim.config.sensors import Pixels
 from wcsim.core.reading import MAX_INTEGER
@@ -53,7 +53,7 @@ def _all_named(model: M) -> M:
     return model
 
 
-class FollowPrior(FollowReward):
+class FollowPriorConfig(FollowRewardConfig):
     """The reward for following the user, known for every action without learning.
 
     Its numbers are those of Tables 1 and 2 of the paper.
@@ -62,7 +62,7 @@ class FollowPrior(FollowReward):
     reward_scale: Positive = 0.05
 
 
-class NetSpec(Model):
+class QNetworkSpec(Model):
     """Everything that an action-value network depends on besides the spaces."""
 
     network: Name = "patch"
@@ -71,16 +71,16 @@ class NetSpec(Model):
     hidden: Annotated[int, within(1, 65_536)] = 128
     actions: Actions = "square81"
     classes: Classes = "cityscapes"
-    prior: FollowPrior = FollowPrior()
+    prior: FollowPriorConfig = FollowPriorConfig()
     stateful: bool = False  # carries a state from tick to tick, and sees one image at a time
 
 
-class PolicyFile(Model):
+class QPolicyFile(Model):
     """`policy.json`: everything about a trained policy but its weights."""
 
     schema_version: Literal[1]
     algorithm: Literal["SeqDQN"]
-    net: Annotated[NetSpec, AfterValidator(_all_named)]
+    net: Annotated[QNetworkSpec, AfterValidator(_all_named)]
     image_hw_px: tuple[Pixels, Pixels]
     vector_size: Annotated[int, within(3, 1024)]
     # How many of these numbers each sensor of [sensors] gives.
@@ -96,7 +96,7 @@ class PolicyFile(Model):
     versions: Versions = Field(default_factory=dict)
 
     @model_validator(mode="after")
-    def _has_an_imu(self) -> PolicyFile:
+    def _has_an_imu(self) -> QPolicyFile:
         if self.vector_size - sum(self.sensors.values()) < 3:
             raise ValueError(
                 f"vector_size {self.vector_size} with sensors {self.sensors}; expected 3 more than "
@@ -105,7 +105,7 @@ class PolicyFile(Model):
         return self
 
     @model_validator(mode="after")
-    def _pictures_can_be_held(self) -> PolicyFile:
+    def _pictures_can_be_held(self) -> QPolicyFile:
         seen_px = self.image_hw_px[0] * self.image_hw_px[1] * self.window
         if seen_px > MAX_SEEN_PX:
             raise ValueError(
@@ -115,7 +115,7 @@ class PolicyFile(Model):
         return self
 
 
-class DangerNetFile(Model):
+class DangerNetworkShape(Model):
     """The shape of a danger network."""
 
     width: Annotated[int, within(4, 256)]
@@ -125,7 +125,7 @@ class DangerNetFile(Model):
     window: Window = 1
 
 
-class DangerRule(Model):
+class DangerRuleSettings(Model):
     """How dangers are answered."""
 
     threshold: PositiveShare = 0.2  # of danger: below it an action is allowed
@@ -140,10 +140,10 @@ class DangerRule(Model):
     warn: Share = 0.3
 
 
-class DangerSpec(Model):
+class DangerNetworkSpec(Model):
     """What a danger network is made of, and what it is shown."""
 
-    net: DangerNetFile
+    net: DangerNetworkShape
     camera: CameraConfig
     classes: Classes
 
@@ -158,12 +158,12 @@ class DangerSpec(Model):
         return 0 if self.net.eye == "map" else self.net.window
 
 
-class DangerFile(DangerSpec):
+class DangerPolicyFile(DangerNetworkSpec):
     """`policy.json` of a danger network."""
 
     schema_version: Literal[1]
     algorithm: Literal["danger"]
-    rule: Annotated[DangerRule, AfterValidator(_all_named)]
+    rule: Annotated[DangerRuleSettings, AfterValidator(_all_named)]
     chair: ChairConfig  # whose drive its roll-outs obey
     manifest_sha256: MaybeSha256
     weights_sha256: Sha256
@@ -179,7 +179,7 @@ class _OverrideFile(Model):
     why: Text
 
 
-class ManifestFile(Model):
+class RunManifestFile(Model):
     """`manifest.json`: what a run was made with; a run of several clients has `clients`."""
 
     seed: Annotated[int, within(0, MAX_INTEGER)]
@@ -209,7 +209,7 @@ class ManifestFile(Model):
     seal: MaybeSha256 = ""  # a hash over all of it, where `clients` is there
 
     @model_validator(mode="after")
-    def _clients_have_names_of_their_own(self) -> ManifestFile:
+    def _clients_have_names_of_their_own(self) -> RunManifestFile:
         if len(set(self.clients)) != len(self.clients):
             raise ValueError(
                 f"clients are named {list(self.clients)}; expected a different name for each"
@@ -217,7 +217,7 @@ class ManifestFile(Model):
         return self
 
 
-class DataFile(Model):
+class DrivingDataFile(Model):
     """`data.json` of a folder of recorded driving."""
 
     schema_version: Literal[1]
@@ -229,7 +229,7 @@ class DataFile(Model):
     data_sha256: Sha256
 
 
-class LearnedFile(Model):
+class LearnedDataFile(Model):
     """`learned_data.json` of a run: what it learns from beside its own driving."""
 
     schema_version: Literal[1]
@@ -247,7 +247,7 @@ class _GeneratorFile(Model):
     uinteger: Annotated[int, Field(strict=True, ge=0, lt=1 << 32)]
 
 
-class SittingFile(Model):
+class QTrainingProgress(Model):
     """What a run of Q-learning has met so far, beside its learner."""
 
     crashes: Count = 0
@@ -256,17 +256,17 @@ class SittingFile(Model):
     owes_updates: StrictBool = False
 
 
-class SeqFile(Model):
+class QCheckpointFile(Model):
     """`state.json` in a checkpoint of Q-learning."""
 
     n_updates: Count
     episodes: Count
     explore_rng: _GeneratorFile
     replay_rng: _GeneratorFile
-    extra: SittingFile
+    extra: QTrainingProgress
 
 
-class RoundFile(Model):
+class DangerCheckpointFile(Model):
     """`state.json` in a checkpoint of a danger network."""
 
     updates: Count
@@ -274,7 +274,7 @@ class RoundFile(Model):
     segments: Segments  # that it has learned from
 
 
-class TrainedRound(Model):
+class RoundMetricsRow(Model):
     """A row of `metrics.csv` of a danger network's run, in the order of its columns."""
 
     round: _Whole
@@ -292,7 +292,7 @@ class TrainedRound(Model):
     learn_s: _Measured  # wall clock
 
 
-class GuardRule(Model):
+class GuardSettings(Model):
     """What the driver of an exported policy trusts, and what happens when it cannot."""
 
     oldest_s: _Seconds = 0.3  # a frame that was taken earlier is too old
@@ -303,19 +303,19 @@ class GuardRule(Model):
     good_ticks: Annotated[int, within(1, 10_000)] = 10
 
 
-class GuardFile(Model):
+class ExportedGuardSection(Model):
     """The `guard` of the `meaning.json` of an exported policy."""
 
-    guard: Annotated[GuardRule, AfterValidator(_all_named)]
+    guard: Annotated[GuardSettings, AfterValidator(_all_named)]
 
 
-class ShippedFile(Model):
+class ShippedPolicyHashes(Model):
     """`files.json` of the policy that comes with wcsim."""
 
     sha256: Annotated[dict[Name, Sha256], Field(max_length=64)]  # by file
 
 
-class OnnxPolicyFile(Model):
+class OnnxPolicySettings(Model):
     """`policy.toml` beside an ONNX model: what it was trained with."""
 
     preset: Text = "quick"

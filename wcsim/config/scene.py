@@ -77,7 +77,7 @@ class SceneSeat(Model):
         return self
 
 
-class SceneExpect(Model):
+class SceneExpectations(Model):
     """Expected results over all seats, as lowest and highest value.
 
     A missing key is not checked.
@@ -110,7 +110,7 @@ class SceneExpect(Model):
     actors_seen: _Between = None  # Road users that came near a chair.
 
     @model_validator(mode="after")
-    def _windows_are_open(self) -> SceneExpect:
+    def _windows_are_open(self) -> SceneExpectations:
         for name in type(self).model_fields:
             window = getattr(self, name)
             if isinstance(window, tuple) and window[0] > window[1]:
@@ -134,4 +134,4 @@ class SceneFile(Model):
     attention_share: Share = 1.0  # Share of road users who look for wheelchairs.
     street: StreetName = "usual"  # Street as in world.street.
     seats: Annotated[tuple[SceneSeat, ...], Field(min_length=1, max_length=64)]
-    expect: SceneExpect = SceneExpect()
+    expect: SceneExpectations = SceneExpectations()

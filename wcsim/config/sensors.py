@@ -22,7 +22,7 @@ ErrorDeg = Annotated[float, within(0.0, 5.0)]
 _TYPICAL: Final[dict[str, dict[str, Any]]] = {"noise": {"depth": {}, "classes": {}, "rgb": {}}}
 
 
-def by_word(key: str, given: Any) -> Any:
+def sensor_table_from_word(key: str, given: Any) -> Any:
     """A sensor's table as given, or the table for the word "none" or "typical".
 
     >>> by_word("odometry", "typical"), by_word("noise", "none"), by_word("noise", {"rgb": {}})
@@ -131,7 +131,7 @@ class CameraConfig(Model):
     @field_validator("noise", mode="before")
     @classmethod
     def _noise_by_name(cls, noise: Any) -> Any:
-        return by_word("noise", noise)
+        return sensor_table_from_word("noise", noise)
 
     @model_validator(mode="after")
     def _sees_something(self) -> CameraConfig:
@@ -237,7 +237,7 @@ class SensorsConfig(Model):
     def _by_name(cls, data: Any) -> Any:
         if not isinstance(data, dict):
             return {} if data == "none" else data
-        return {key: by_word(key, value) for key, value in data.items()}
+        return {key: sensor_table_from_word(key, value) for key, value in data.items()}
 
     # A field is the name of a kind in `physics/sensors/registry.py`. A sensor that is not there is
     # not written either, so that old files and their hashes stay.

@@ -19,12 +19,12 @@ MOST_SET: Final = 32
 Part = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9 ,.-]{0,127}$")]
 
 
-def name_pattern(most: int) -> str:
+def suite_name_pattern(most: int) -> str:
     """What the name of a list or a set is like that has at most so many characters."""
     return rf"^[a-z0-9][a-z0-9-]{{0,{most - 1}}}$"
 
 
-class EpisodeFile(Model):
+class SuiteEpisode(Model):
     """One way of one wheelchair."""
 
     # In W. None where the block's world draws it, and one goal after the other.
@@ -46,7 +46,7 @@ class EpisodeFile(Model):
         return self
 
 
-class BlockFile(Model):
+class SuiteBlock(Model):
     """Some episodes that share a world, a chair each."""
 
     part: Part
@@ -54,15 +54,15 @@ class BlockFile(Model):
     scene_sha256: Sha256 | None = None  # of a tight place's files
     seed: Seed  # of the world; of a tight place that of its scene
     settings: Texts = ()  # section.key=value, over those of the suite
-    episodes: Annotated[tuple[EpisodeFile, ...], Field(min_length=1, max_length=MOST_SEATS)]
+    episodes: Annotated[tuple[SuiteEpisode, ...], Field(min_length=1, max_length=MOST_SEATS)]
 
 
-def repeats(blocks: Sequence[BlockFile], index: int) -> frozenset[int]:
+def seats_repeating_free_part(blocks: Sequence[SuiteBlock], index: int) -> frozenset[int]:
     """The hazards of a block that have street, start and user of an episode of part `free`."""
     if blocks[index].part != "hazard":
         return frozenset()
 
-    def drives(block: BlockFile) -> list[tuple[object, ...]]:
+    def drives(block: SuiteBlock) -> list[tuple[object, ...]]:
         return [
             (block.town, block.seed, each.start_m, each.goal_m, each.profile)
             for each in block.episodes
@@ -72,7 +72,7 @@ def repeats(blocks: Sequence[BlockFile], index: int) -> frozenset[int]:
     return frozenset(seat for seat, drive in enumerate(drives(blocks[index])) if drive in free)
 
 
-class TownOfSuite(Model):
+class SuiteTown(Model):
     """A town that must be there as it was when the list was made."""
 
     name: Text
@@ -84,10 +84,12 @@ class SuiteFile(Model):
     """The whole file; what it hashes to is the suite's identity."""
 
     # With its version: street-assist-v1.
-    suite: Annotated[str, Field(pattern=name_pattern(MOST_NAME))]
-    set: Annotated[str, Field(pattern=name_pattern(MOST_SET))]  # dev, validation, v1, or a town's
+    suite: Annotated[str, Field(pattern=suite_name_pattern(MOST_NAME))]
+    set: Annotated[
+        str, Field(pattern=suite_name_pattern(MOST_SET))
+    ]  # dev, validation, v1, or a town's
     settings: Texts  # section.key=value, over the policy's own
-    towns: Annotated[tuple[TownOfSuite, ...], Field(min_length=1, max_length=64)]
+    towns: Annotated[tuple[SuiteTown, ...], Field(min_length=1, max_length=64)]
     # Episodes whose interventions are judged, at most.
     forks: Annotated[int, within(0, 1_000_000)] = 1_000_000
-    blocks: Annotated[tuple[BlockFile, ...], Field(min_length=1, max_length=100_000)]
+    blocks: Annotated[tuple[SuiteBlock, ...], Field(min_length=1, max_length=100_000)]

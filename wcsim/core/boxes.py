@@ -46,7 +46,7 @@ def gap_to_box(
     return math.hypot(max(beyond, 0.0), max(aside, 0.0))
 
 
-def box_of(actor: ActorState, more_m: float = 0.0) -> Box:
+def box_from_actor(actor: ActorState, more_m: float = 0.0) -> Box:
     """An actor's box on the ground, larger by `more_m` on every side."""
     x, y, _ = actor.p_W_m.tolist()
     length_m, width_m, _ = actor.size_lwh_m

@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from typing import Self
 
 
-class Closing(ABC):
+class ClosingContextBase(ABC):
     """A context manager that calls `close` at its end, also after an error."""
 
     @abstractmethod

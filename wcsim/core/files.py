@@ -37,7 +37,7 @@ _MOST_NAMES: Final = 10_000
 
 
 @contextmanager
-def exclusive(lock: Path) -> Iterator[None]:
+def hold_file_lock(lock: Path) -> Iterator[None]:
     """While open, other processes that open the same lock wait.
 
     Where no lock can be made, as in a read-only folder, none waits. The last owner removes the
@@ -52,7 +52,7 @@ def exclusive(lock: Path) -> Iterator[None]:
 
 
 @contextmanager
-def whole_file(path: Path) -> Iterator[Path]:
+def write_file_atomically(path: Path) -> Iterator[Path]:
     """The path to write a file that appears at `path` when the block ends: flushed, then renamed.
 
     After an error, or where the block writes nothing, an older file is as it was. Several processes
@@ -70,7 +70,7 @@ def whole_file(path: Path) -> Iterator[Path]:
 
 
 @contextmanager
-def whole_folder(path: Path, *, flush: bool = True) -> Iterator[Path]:
+def write_folder_atomically(path: Path, *, flush: bool = True) -> Iterator[Path]:
     """A new folder that appears at `path`, and replaces an older one, when the block ends.
 
     After an error the older one is as it was. What dead processes left of the same folder is
@@ -108,9 +108,9 @@ def whole_folder(path: Path, *, flush: bool = True) -> Iterator[Path]:
 
 
 def write_bytes(path: Path, data: bytes, mode: int = _FILE_MODE) -> None:
-    """Replace a file in one step, see `whole_file`. Raises DiskFullError."""
+    """Replace a file in one step, see `write_file_atomically`. Raises DiskFullError."""
     with (
-        whole_file(path) as part,
+        write_file_atomically(path) as part,
         os.fdopen(os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode), "wb") as file,
     ):
         file.write(data)
@@ -126,7 +126,7 @@ def write_sealed_json(path: Path, data: Mapping[str, Any]) -> None:
     write_json(path, {**data, _SEAL: _seal_of(data)})
 
 
-def take_seal(data: dict[str, Any], where: str, cure: str = "") -> bool:
+def check_and_remove_seal(data: dict[str, Any], where: str, cure: str = "") -> bool:
     """Remove the seal from a file's content; whether there was one, as older versions wrote none.
 
     Raises:
@@ -138,12 +138,12 @@ def take_seal(data: dict[str, Any], where: str, cure: str = "") -> bool:
     return seal is not None
 
 
-def is_unfinished(path: Path) -> bool:
+def is_unfinished_write(path: Path) -> bool:
     """Whether a process that died has left this of a file or folder that it wrote."""
     return path.name.startswith(".") and path.name.endswith((_WORK, _OLD))
 
 
-def set_aside(path: Path) -> Path:
+def rename_damaged_path(path: Path) -> Path:
     """Rename what is damaged, so that it stays, but is never read again; returns its new path."""
     names = (path.with_name(f"{path.name}{_DAMAGED}{'' if k == 1 else f'-{k}'}") for k in count(1))
     free = next(name for name in names if not os.path.lexists(name))
@@ -151,7 +151,7 @@ def set_aside(path: Path) -> Path:
 
 
 @contextmanager
-def locked(path: Path) -> Iterator[None]:
+def lock_run_folder(path: Path) -> Iterator[None]:
     """Reserve a run folder for this process while open.
 
     Raises:
@@ -175,7 +175,7 @@ def locked(path: Path) -> Iterator[None]:
         os.close(descriptor)
 
 
-def folder_bytes(folder: Path) -> int:
+def count_folder_bytes(folder: Path) -> int:
     """Bytes of all regular files in a folder; what others remove meanwhile counts as nothing."""
     total = 0
     for place, _, names in os.walk(folder):
@@ -186,7 +186,7 @@ def folder_bytes(folder: Path) -> int:
     return total
 
 
-def nearest_existing(path: Path) -> Path:
+def find_existing_ancestor(path: Path) -> Path:
     """The path itself, or the nearest folder above it that exists."""
     path = path.absolute()
     while not os.path.lexists(path):
@@ -194,13 +194,13 @@ def nearest_existing(path: Path) -> Path:
     return path
 
 
-def can_be_written(folder: Path) -> bool:
+def is_writable_folder(folder: Path) -> bool:
     """Whether a folder can be written to, or made."""
-    place = nearest_existing(folder)
+    place = find_existing_ancestor(folder)
     return is_folder(place) and os.access(place, os.W_OK | os.X_OK)
 
 
-def numbered_names(first: Path) -> Iterator[Path]:
+def iter_unused_paths(first: Path) -> Iterator[Path]:
     """The first name, and then FILE-2, FILE-3, ..., as far as they do not exist yet.
 
     >>> names = numbered_names(Path("no-such-folder/a.drive"))
@@ -213,36 +213,36 @@ def numbered_names(first: Path) -> Iterator[Path]:
             yield path
 
 
-def sha256(path: Path) -> str:
+def sha256_from_file(path: Path) -> str:
     """SHA-256 of a file, in hexadecimal digits."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def sha256_text(text: str) -> str:
+def sha256_from_text(text: str) -> str:
     """SHA-256 of a text in UTF-8, in hexadecimal digits."""
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def user_cache() -> Path:
+def find_cache_folder() -> Path:
     """$XDG_CACHE_HOME/wcsim or ~/.cache/wcsim; else, where that cannot be written, a temporary one.
 
     So a user without a home, as of a service or a container, builds a street once, and not in each
     process.
     """
-    base, own = os.environ.get("XDG_CACHE_HOME", ""), home()
+    base, own = os.environ.get("XDG_CACHE_HOME", ""), find_home_folder()
     usual: Path | None = None
     if base:
         usual = Path(base) / "wcsim"
     elif own is not None:
         usual = own / ".cache" / "wcsim"
-    if usual is not None and can_be_written(usual):
+    if usual is not None and is_writable_folder(usual):
         return usual
     # The last two cannot be written: nothing is cached.
     return _temporary_cache() or usual or Path(os.devnull) / "wcsim"
 
 
-def home() -> Path | None:
+def find_home_folder() -> Path | None:
     """The user's home; None for a user without one, such as a number without a name."""
     try:
         return Path.home()
@@ -316,7 +316,7 @@ def _is_running(process: int) -> bool:
 
 
 def _seal_of(data: Mapping[str, Any]) -> str:
-    return sha256_text(json.dumps(data, sort_keys=True, allow_nan=False))
+    return sha256_from_text(json.dumps(data, sort_keys=True, allow_nan=False))
 
 
 def _sync_folder(path: Path) -> None:

@@ -25,7 +25,7 @@ Quat = tuple[float, float, float, float]
 LEVEL: Final[Rotation] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 
 
-def rotate(r: Rotation, x: float, y: float, z: float) -> Vec3:
+def rotate_vector(r: Rotation, x: float, y: float, z: float) -> Vec3:
     """R times a vector."""
     return (
         r[0] * x + r[1] * y + r[2] * z,
@@ -34,7 +34,7 @@ def rotate(r: Rotation, x: float, y: float, z: float) -> Vec3:
     )
 
 
-def rotate_back(r: Rotation, x: float, y: float, z: float) -> Vec3:
+def rotate_vector_inverse(r: Rotation, x: float, y: float, z: float) -> Vec3:
     """R transposed times a vector."""
     return (
         r[0] * x + r[3] * y + r[6] * z,
@@ -43,7 +43,7 @@ def rotate_back(r: Rotation, x: float, y: float, z: float) -> Vec3:
     )
 
 
-def added(a: Vec3, b: Vec3) -> Vec3:
+def add_vectors(a: Vec3, b: Vec3) -> Vec3:
     """Sum of two vectors."""
     return (a[0] + b[0], a[1] + b[1], a[2] + b[2])
 
@@ -62,7 +62,7 @@ def velocity_at(point: Vec3, known: Vec3, v_known: Vec3, w: Vec3) -> Vec3:
     )
 
 
-def matrix(q: Quat) -> Rotation:
+def matrix_from_quaternion(q: Quat) -> Rotation:
     """Rotation matrix of a unit quaternion (x, y, z, w).
 
     >>> matrix((0.0, 0.0, 0.0, 1.0))
@@ -85,13 +85,13 @@ def matrix(q: Quat) -> Rotation:
     )
 
 
-def euler(r: Rotation) -> tuple[float, float, float]:
+def rpy_from_matrix(r: Rotation) -> tuple[float, float, float]:
     """Roll, pitch (nose up positive) and yaw of a rotation, in radians."""
     pitch = math.asin(min(max(r[6], -1.0), 1.0))
     return math.atan2(r[7], r[8]), pitch, math.atan2(r[3], r[0])
 
 
-def turned(q: Quat, w: Vec3, dt_s: float) -> Quat:
+def integrate_quaternion(q: Quat, w: Vec3, dt_s: float) -> Quat:
     """A rotation after a turn with angular velocity w (world frame) for a short time."""
     hx, hy, hz = 0.5 * dt_s * w[0], 0.5 * dt_s * w[1], 0.5 * dt_s * w[2]
     x, y, z, s = q
@@ -101,7 +101,7 @@ def turned(q: Quat, w: Vec3, dt_s: float) -> Quat:
     return (k * out[0], k * out[1], k * out[2], k * last)
 
 
-def quaternion(yaw_rad: float, pitch_rad: float = 0.0, roll_rad: float = 0.0) -> Quat:
+def quaternion_from_ypr(yaw_rad: float, pitch_rad: float = 0.0, roll_rad: float = 0.0) -> Quat:
     """Unit quaternion (x, y, z, w) of yaw, pitch (nose up) and roll (right side down).
 
     >>> [round(part, 4) for part in quaternion(math.pi / 2)]
@@ -122,7 +122,7 @@ def yaw_from_sumo(heading_deg: float) -> float:
     >>> round(yaw_from_sumo(90.0), 6), round(yaw_from_sumo(0.0), 4), round(yaw_from_sumo(270.0), 4)
     (0.0, 1.5708, 3.1416)
     """
-    return wrap(math.radians(90.0 - heading_deg))
+    return wrap_angle(math.radians(90.0 - heading_deg))
 
 
 def sumo_from_yaw(yaw_rad: float) -> float:
@@ -134,7 +134,7 @@ def sumo_from_yaw(yaw_rad: float) -> float:
     return (90.0 - math.degrees(yaw_rad)) % 360.0
 
 
-def wrap(angle_rad: float) -> float:
+def wrap_angle(angle_rad: float) -> float:
     """The same angle in (-pi, pi].
 
     >>> round(wrap(3 * math.pi / 2), 4)
@@ -152,15 +152,15 @@ def centre_from_front(front_m: F64, yaw_rad: float, pitch_rad: float, length_m: 
     >>> centre_from_front(np.array([10.0, 0.0, 0.0]), 0.0, 0.0, 4.0).tolist()
     [8.0, 0.0, 0.0]
     """
-    return front_m - 0.5 * length_m * forward(yaw_rad, pitch_rad)
+    return front_m - 0.5 * length_m * forward_vector(yaw_rad, pitch_rad)
 
 
 def front_from_centre(centre_m: F64, yaw_rad: float, pitch_rad: float, length_m: float) -> F64:
     """The inverse of `centre_from_front`."""
-    return centre_m + 0.5 * length_m * forward(yaw_rad, pitch_rad)
+    return centre_m + 0.5 * length_m * forward_vector(yaw_rad, pitch_rad)
 
 
-def forward(yaw_rad: float, pitch_rad: float) -> F64:
+def forward_vector(yaw_rad: float, pitch_rad: float) -> F64:
     """Unit vector (3,) in W along yaw, nose up by pitch."""
     flat = math.cos(pitch_rad)
     return np.array([flat * math.cos(yaw_rad), flat * math.sin(yaw_rad), math.sin(pitch_rad)])

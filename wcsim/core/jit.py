@@ -35,7 +35,7 @@ from numba.core.caching import (
 )
 from numba.extending import is_jitted
 
-from wcsim.core.files import KERNELS, user_cache
+from wcsim.core.files import KERNELS, find_cache_folder
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -76,7 +76,7 @@ class _UserLocator(UserWideCacheLocator):
         """As numba makes it."""
         super().__init__(py_func, py_file)  # type: ignore[no-untyped-call]
         name: str = self.get_suitable_cache_subpath(py_file)  # type: ignore[no-untyped-call]
-        self._cache_path = str(user_cache() / KERNELS / name)
+        self._cache_path = str(find_cache_folder() / KERNELS / name)
 
 
 class _Copies(CompileResultCacheImpl):

@@ -46,7 +46,7 @@ class _DriveSettings(Protocol):
     def shape_exponent(self) -> float: ...
 
 
-def limits_of(chair: _DriveSettings) -> F64:
+def drive_limits_from_chair(chair: _DriveSettings) -> F64:
     """The limits of a drive (8,), in the order of the names above."""
     speeds = (
         chair.v_max_mps,
@@ -60,14 +60,16 @@ def limits_of(chair: _DriveSettings) -> F64:
     )
 
 
-def shaped_rows(joysticks: F64, chair: _DriveSettings) -> F64:
-    """Joystick positions (K, 2) as the drive takes them, see `shaped`."""
-    rows = [shaped(x, y, chair.deadband, chair.shape_exponent) for x, y in joysticks.tolist()]
+def shape_joysticks(joysticks: F64, chair: _DriveSettings) -> F64:
+    """Joystick positions (K, 2) as the drive takes them, see `shape_joystick`."""
+    rows = [
+        shape_joystick(x, y, chair.deadband, chair.shape_exponent) for x, y in joysticks.tolist()
+    ]
     return np.array(rows, np.float64).reshape(-1, 2)
 
 
-def pushed(radius: float, chair: _DriveSettings) -> float:
-    """How far out a stick must be for `shaped` to give `radius`; practised drivers know this.
+def raw_radius_from_shaped(radius: float, chair: _DriveSettings) -> float:
+    """How far out a stick must be for `shape_joystick` to give `radius`; practised drivers know this.
 
     >>> from wcsim.config import ChairConfig
     >>> round(pushed(0.5, ChairConfig(deadband=0.1)), 3), pushed(0.0, ChairConfig())
@@ -78,7 +80,7 @@ def pushed(radius: float, chair: _DriveSettings) -> float:
 
 
 @exact_kernel
-def shaped(x: float, y: float, deadband: float, exponent: float) -> tuple[float, float]:
+def shape_joystick(x: float, y: float, deadband: float, exponent: float) -> tuple[float, float]:
     """A joystick position within the unit disc, without the deadband, shaped along its radius."""
     radius = math.sqrt(x * x + y * y)
     if not radius > deadband:
@@ -108,13 +110,13 @@ def target_speeds(x: float, y: float, v_now_mps: float, limits: F64) -> tuple[fl
 
 
 @exact_kernel
-def towards(value: float, goal: float, most: float) -> float:
+def move_towards(value: float, goal: float, most: float) -> float:
     """A value moved towards a goal, by so much at most."""
     return value + min(max(goal - value, -most), most)
 
 
 @exact_kernel
-def follow_speed(
+def advance_speed(
     v_mps: float, a_mps2: float, v_target_mps: float, limits: F64, dt_s: float
 ) -> tuple[float, float]:
     """Speed and acceleration `dt_s` later, without overshoot; acceleration and jerk are limited."""
@@ -125,7 +127,7 @@ def follow_speed(
     # taken one step ahead, so that the jerk need not catch up at the end.
     ahead = gap - a_mps2 * dt_s
     a_target = math.copysign(min(limit, math.sqrt(2.0 * jerk * abs(ahead))), ahead)
-    a_mps2 = towards(a_mps2, a_target, jerk * dt_s)
+    a_mps2 = move_towards(a_mps2, a_target, jerk * dt_s)
     move = a_mps2 * dt_s
     if abs(gap) <= abs(move) + STILL_MPS * dt_s and abs(a_mps2) <= 2.0 * jerk * dt_s + 0.1:
         return v_target_mps, 0.0
@@ -133,7 +135,7 @@ def follow_speed(
 
 
 @exact_kernel
-def driven(
+def advance_drive(
     v: float, w: float, a: float, stick_x: float, stick_y: float, limits: F64, dt_s: float
 ) -> tuple[float, float, float]:
     """Speed, turn rate and acceleration `dt_s` later; the drive follows a shaped stick.
@@ -141,5 +143,5 @@ def driven(
     `limits` (8,) are in the order of the names above.
     """
     v_target, w_target = target_speeds(stick_x, stick_y, v, limits)
-    v, a = follow_speed(v, a, v_target, limits, dt_s)
-    return v, towards(w, w_target, limits[YAW_ACCEL] * dt_s), a
+    v, a = advance_speed(v, a, v_target, limits, dt_s)
+    return v, move_towards(w, w_target, limits[YAW_ACCEL] * dt_s), a

@@ -12,7 +12,7 @@ from types import ModuleType
 Action = Callable[[ModuleType], None]
 
 
-def on_load(module: str, act: Action) -> None:
+def call_on_import(module: str, act: Action) -> None:
     """Call `act` with a module: now if it is loaded, else right after its first load."""
     loaded = sys.modules.get(module)
     if loaded is not None:

@@ -34,7 +34,7 @@ _NUMBERED: Final = re.compile(r"(\d+)-\w+")
 _FLAGS: Final = os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
 
 
-class OwnFolder:
+class LockedTempFolder:
     """A new folder that only its user can enter; `close` removes it."""
 
     def __init__(self, home: Path | None = None, prefix: str = _PREFIX) -> None:
@@ -82,9 +82,9 @@ def is_abandoned(folder: Path) -> bool:
 
 
 @contextmanager
-def workplace(home: Path | None = None, prefix: str = _PREFIX) -> Iterator[Path]:
+def runtime_folder(home: Path | None = None, prefix: str = _PREFIX) -> Iterator[Path]:
     """A new folder that only its user can enter, while open."""
-    folder = OwnFolder(home, prefix)
+    folder = LockedTempFolder(home, prefix)
     try:
         yield folder.path
     finally:
@@ -93,10 +93,10 @@ def workplace(home: Path | None = None, prefix: str = _PREFIX) -> Iterator[Path]
 
 def temporary_folder() -> AbstractContextManager[Path]:
     """A new folder for temporary files, while open; those of killed processes are removed first."""
-    return workplace(Path(tempfile.gettempdir()), WORK_PREFIX)
+    return runtime_folder(Path(tempfile.gettempdir()), WORK_PREFIX)
 
 
-def endpoint_in(folder: Path) -> str:
+def world_endpoint_from_folder(folder: Path) -> str:
     """The address of the world of a workplace."""
     return f"ipc://{folder / 'world'}"
 

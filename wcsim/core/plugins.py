@@ -57,7 +57,9 @@ def find_class(name: str, what: str, error: type[WcsimError] = PolicyError) -> t
 
 
 @contextlib.contextmanager
-def running_own(what: str, cure: str, error: type[WcsimError] = PolicyError) -> Iterator[None]:
+def wrap_user_code_errors(
+    what: str, cure: str, error: type[WcsimError] = PolicyError
+) -> Iterator[None]:
     """While open, whatever a user's own code raises becomes one line with its place.
 
     Args:
@@ -73,17 +75,17 @@ def running_own(what: str, cure: str, error: type[WcsimError] = PolicyError) -> 
     except WcsimError:
         raise
     except Exception as fault:  # the user's own code may raise anything
-        raise error(f"{what}: {described(fault)}; {cure}") from fault
+        raise error(f"{what}: {describe_error(fault)}; {cure}") from fault
 
 
-def described(fault: Exception) -> str:
+def describe_error(fault: Exception) -> str:
     """An error of a user's code, and its place."""
     line = traceback.extract_tb(fault.__traceback__)[-1]
     message = str(fault).strip()[:_MOST_CHARACTERS]
     return f"{type(fault).__name__}: {message} ({line.filename}, line {line.lineno})"
 
 
-def sources_of(name: str, what: str) -> dict[str, Path]:
+def find_user_class_files(name: str, what: str) -> dict[str, Path]:
     """The files of the module that `module:Class` names, and of all beside it that it imports.
 
     Imports in functions count, too. Installed packages are known by their version, wcsim by its own

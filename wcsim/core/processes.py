@@ -1,9 +1,9 @@
 """Child processes: the four ways in which wcsim starts them, and the signals that end them.
 
 1. `run_command` runs a command to its end.
-2. A long-lived child is a `Child` (a command that writes status lines; `server/launch` restarts
-   it) or comes from `start_child` (a function that exchanges objects with its parent).
-3. Workers come from `run_in_pool`, or one by one from `start_worker`. `server/workers` gives those
+2. A long-lived child is a `CommandProcess` (a command that writes status lines; `server/launch` restarts
+   it) or comes from `start_piped_process` (a function that exchanges objects with its parent).
+3. Workers come from `run_in_pool`, or one by one from `start_single_worker_pool`. `server/workers` gives those
    of this machine and of a Ray cluster one interface.
 4. `os.fork` copies a warm world, in `bridge/world_copy.py` alone.
 
@@ -96,7 +96,7 @@ def run_command(
         return subprocess.CompletedProcess(command, code, _tail(out), _tail(err))
 
 
-class Child(subprocess.Popen[bytes]):
+class CommandProcess(subprocess.Popen[bytes]):
     """A long-lived command that writes status lines to a pipe.
 
     It has a session of its own, so that Ctrl-C at the terminal reaches its parent alone.
@@ -197,7 +197,7 @@ class Child(subprocess.Popen[bytes]):
             os.close(self._pipe)
 
 
-def start_child(
+def start_piped_process(
     run: Callable[..., object], *args: object, name: str, daemon: bool = False
 ) -> tuple[Connection, BaseProcess]:
     """Start a process that runs `run(its end of a pipe, *args)`; Ctrl-C does not reach it.
@@ -237,7 +237,7 @@ def run_in_pool(
             raise
 
 
-def start_worker() -> ProcessPoolExecutor:
+def start_single_worker_pool() -> ProcessPoolExecutor:
     """A pool of one process, which is started at once; Ctrl-C does not reach it."""
     pool = _new_pool(1)
     with _sigint_blocked():
@@ -252,7 +252,7 @@ def kill_workers(pool: ProcessPoolExecutor) -> None:
         process.kill()
 
 
-class StopSignals:
+class StopSignalCounter:
     """While open, SIGINT and SIGTERM are counted and have no other effect; in the main thread only.
 
     Afterwards they are ignored if there was one: the process is ending with a code that reports it.
@@ -293,7 +293,7 @@ def die_with_parent(number: int = signal.SIGTERM) -> None:
         raise OSError(ctypes.get_errno(), "prctl(PR_SET_PDEATHSIG) failed")
 
 
-def outlive_parent_by(grace_s: float, code: int, stop_signal: int) -> None:
+def limit_orphan_lifetime(grace_s: float, code: int, stop_signal: int) -> None:
     """Limit the life of this process after its parent.
 
     A moment after the parent's end it is sent `stop_signal`; `grace_s` later it ends with `code`.
@@ -311,7 +311,7 @@ def outlive_parent_by(grace_s: float, code: int, stop_signal: int) -> None:
 
 
 @contextmanager
-def without_line(beginning: bytes) -> Iterator[None]:
+def drop_stderr_lines(beginning: bytes) -> Iterator[None]:
     """Within the block, lines of native code on stderr that begin like this are dropped.
 
     Native code writes past `sys.stderr`. So the file descriptor itself is redirected, and the rest

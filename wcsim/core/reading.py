@@ -142,7 +142,7 @@ ORDER: Final = FileKind(what="an order to a process of wcsim", limit_bytes=16 * 
 
 
 @contextmanager
-def opened(path: Path, kind: FileKind) -> Iterator[BinaryIO]:
+def open_regular_file(path: Path, kind: FileKind) -> Iterator[BinaryIO]:
     """A regular file, open for reading; what fails while it is open becomes `kind.error`.
 
     A pipe, a device or a folder is refused unread, so that none can hang or fill this process.
@@ -165,7 +165,7 @@ def opened(path: Path, kind: FileKind) -> Iterator[BinaryIO]:
 
 def read_bytes(path: Path, kind: FileKind) -> bytes:
     """The whole content of a file. Raises FileError, of the kind's class."""
-    with opened(path, kind) as file:
+    with open_regular_file(path, kind) as file:
         size = os.fstat(file.fileno()).st_size
         data = file.read(kind.limit_bytes + 1) if size <= kind.limit_bytes else b""
     if max(size, len(data)) > kind.limit_bytes:
@@ -207,7 +207,7 @@ def read_lines(path: Path, kind: FileKind) -> Iterator[str]:
         FileError: Of the kind's class; also for more than `MOST_LINES` lines, or one of more than
             `MOST_LINE` characters.
     """
-    with opened(path, kind) as file:
+    with open_regular_file(path, kind) as file:
         left = kind.limit_bytes
         lines = 0
         try:
@@ -301,9 +301,9 @@ def unzstd(
     return (unpacker or zstandard.ZstdDecompressor()).decompress(packed, max_output_size=limit)
 
 
-def regular_size(path: Path, kind: FileKind) -> int:
+def read_file_size(path: Path, kind: FileKind) -> int:
     """Bytes of a file that a library will read itself. Raises FileError when it must not."""
-    with opened(path, kind) as file:
+    with open_regular_file(path, kind) as file:
         size = os.fstat(file.fileno()).st_size
     if size > kind.limit_bytes:
         raise kind.error(
@@ -382,7 +382,7 @@ def counted(count: int, one: str, several: str = "") -> str:
     return f"{count} {several or one + ('es' if one.endswith(('s', 'sh', 'ch')) else 's')}"
 
 
-def listed(names: Collection[str], most: int) -> str:
+def join_names(names: Collection[str], most: int) -> str:
     """Names for a message, at most `most` of them.
 
     >>> listed(["a", "b", "c"], 2), listed(["a", "b"], 2)
@@ -391,7 +391,7 @@ def listed(names: Collection[str], most: int) -> str:
     return ", ".join(list(names)[:most]) + " and more" * (len(names) > most)
 
 
-def escaped_value(value: object, most: int = 60) -> str:
+def escaped_repr(value: object, most: int = 60) -> str:
     """An argument of a function, for a message, as Python writes it."""
     try:
         return escaped(repr(value), most)
@@ -399,7 +399,7 @@ def escaped_value(value: object, most: int = 60) -> str:
         return f"a very large {type(value).__name__}"
 
 
-def own_data(module: str | Path) -> dict[str, Any]:
+def read_module_toml(module: str | Path) -> dict[str, Any]:
     """The TOML file beside a module of wcsim, of the same name; `module` is its `__file__`."""
     return tomllib.loads(Path(module).with_suffix(".toml").read_text(encoding="utf-8"))
 

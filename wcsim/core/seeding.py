@@ -25,11 +25,11 @@ def generator(seed: int, *path: str | int) -> np.random.Generator:
     return np.random.Generator(np.random.Philox(_sequence(seed, *path)))
 
 
-def derive(seed: int, *path: str | int) -> int:
+def derive_seed(seed: int, *path: str | int) -> int:
     """A 31-bit integer seed for a library that takes only a number (SUMO, torch)."""
     return int(_sequence(seed, *path).generate_state(1, np.uint32)[0] >> 1)
 
 
-def key(seed: int, *path: str | int) -> int:
+def derive_key(seed: int, *path: str | int) -> int:
     """A 64-bit key for numbers that depend on a key and a place, such as a pixel's noise."""
     return int(_sequence(seed, *path).generate_state(1, np.uint64)[0])

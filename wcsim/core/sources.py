@@ -30,7 +30,7 @@ _SAME_BYTES: Final = {"3.2.8": "3.2.7"}
 Imported = tuple[str, str, str]
 
 
-def sources_of(module: str) -> tuple[Path, ...]:
+def find_module_sources(module: str) -> tuple[Path, ...]:
     """The files of the package that a module needs, its own among them, sorted.
 
     What is imported for type checkers alone does not count; what a function imports does. A name
@@ -73,7 +73,7 @@ def code_digest(root: Path = _ROOT / _NAME) -> str:
     return digest.hexdigest()
 
 
-def version_of(package: str) -> str:
+def read_package_version(package: str) -> str:
     """The version of a distribution, "" where it is not installed.
 
     That of "pybullet" is of the engine: a fork that gives the same bytes counts as the release that
@@ -84,7 +84,7 @@ def version_of(package: str) -> str:
     except metadata.PackageNotFoundError:
         if package != "pybullet":
             return ""
-    fork = version_of(_FORK)
+    fork = read_package_version(_FORK)
     return _SAME_BYTES.get(fork, fork and f"{_FORK}-{fork}")
 
 

@@ -8,7 +8,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, Final
 
-from wcsim.agents.envs.seat_driver import PolicyAgent
+from wcsim.agents.envs.seat_driver import PolicyAgentAdapter
 from wcsim.agents.policy_api import Levelled, Observation, Policy, ReportsUnsafe, TracksExecuted, Warns
 from wcsim.errors import PolicyError, WcsimError
 from wcsim.supervisor.actions import ActionSet
@@ -45,7 +45,7 @@ class Assistance:
 
     def __init__(self, policy: Policy, actions: ActionSet, help_ticks: int = 0) -> None:
         self._on, self.failed = True, ""  # `failed` says why a policy that broke was switched off
-        self._agent, self._actions = PolicyAgent(policy, help_ticks), actions
+        self._agent, self._actions = PolicyAgentAdapter(policy, help_ticks), actions
         self._drawn: Drawn | None = None  # for the episode of now
         self.own_level = self.level  # the one that the policy came with
 

@@ -14,8 +14,8 @@ from typing import Any, ClassVar, Final
 
 import numpy as np
 
-from wcsim.agents.opening.list_file import open_suite, shipped
-from wcsim.core.files import numbered_names
+from wcsim.agents.opening.list_file import list_shipped_suites, read_suite
+from wcsim.core.files import iter_unused_paths
 from wcsim.core.frames import deg
 from wcsim.core.reading import counted
 from wcsim.drive import messages as m
@@ -232,7 +232,7 @@ class _DriveRunner(PageRunner):
     ) -> None:
         super().__init__(pipe, clock)
         self._start = start
-        self._names = numbered_names(keep) if isinstance(keep, Path) else None
+        self._names = iter_unused_paths(keep) if isinstance(keep, Path) else None
         self._study = keep if isinstance(keep, OpenStudy) else None
         self._lead: StudyLead | None = None
         self.session: DriveSession | None = None
@@ -479,7 +479,7 @@ class _DriveRunner(PageRunner):
         self._lead.begin()
 
     def _open_part(self, start: DriveStart, path: Path) -> DriveSession:
-        self._names = numbered_names(path)
+        self._names = iter_unused_paths(path)
         try:
             return self._open_place(start)
         except WcsimError:
@@ -505,8 +505,8 @@ def _refuse_in_study(_: m.PageMessage) -> None:
 def _drive_about(session: DriveSession) -> dict[str, Any]:
     """What is driven, and what else could be; said when a place has been opened, and to each page that comes."""
     suites = {
-        name: [(f"{block.part}, {block.town}", len(block.episodes)) for block in open_suite(name).file.blocks]
-        for name in shipped()
+        name: [(f"{block.part}, {block.town}", len(block.episodes)) for block in read_suite(name).file.blocks]
+        for name in list_shipped_suites()
     }
     assistance = session.assistance
     return {

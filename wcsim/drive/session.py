@@ -11,22 +11,22 @@ from typing import Any, Final
 
 import numpy as np
 
-from wcsim.agents.envs.episode_view import ChairView, policy_observation
+from wcsim.agents.envs.episode_view import SeatEnvAdapter, env_to_policy_observation
 from wcsim.bridge.ego.start_place import bearing_rad
 from wcsim.bridge.world import World
 from wcsim.bridge.world_rollout import rollout
-from wcsim.core.closing import Closing
-from wcsim.core.joystick import shaped
+from wcsim.core.closing import ClosingContextBase
+from wcsim.core.joystick import shape_joystick
 from wcsim.drive.assistance import Answer, Assistance
 from wcsim.drive.driven import DriveObserver, DriveRecord, DriverKind, EventKind, happened_in
 from wcsim.drive.starting import DriveStart, OpenPlace, open_place
-from wcsim.log.records import Admitted, DriveTick, Note, Respawned, tick_end_fields
+from wcsim.log.records import Admitted, DriveTick, Note, Respawned, end_fields_from_snapshot
 from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.kpi import KpiTotals
 from wcsim.supervisor.rewards import hardest_contact
 from wcsim.types import F64, ClientSnapshot, Joystick, Route, StartSpec
 from wcsim.types.chair import AT_REST
-from wcsim.users.hand import in_gate
+from wcsim.users.hand import clip_stick_to_gate
 from wcsim.users.recordings.recorded_user import find_user
 
 _NO_STICKS: Final[F64] = np.zeros((0, 2))  # of a person: known at the ticks' beginnings alone
@@ -50,7 +50,7 @@ class Wish:
     pace: float = 1.0  # times real time, as the person sees it
 
 
-class DriveSession(Closing):
+class DriveSession(ClosingContextBase):
     """A drive, tick by tick; its observers hear of each tick and of what happens.
 
     Args:
@@ -91,7 +91,7 @@ class DriveSession(Closing):
             self.world = held.enter_context(
                 World(self.place.town, config, (spec,), self.place.seed, say=say, find_user=find_user)
             )
-            self._chair = ChairView(config)
+            self._chair = SeatEnvAdapter(config)
             self._begin()
             self.assistance.reset(self.client.drawn)
             self._held = held.pop_all()
@@ -273,7 +273,7 @@ class DriveSession(Closing):
             self._next(self._go_back() if self.client.events.crashed else "after the end of the last one")
         by_user = self.driver is DriverKind.SIMULATED or not self.handed_over
         self._hear_help(wish.help, by_user)
-        stick = self.client.user if by_user else self._as_set(in_gate(wish.stick))  # nobody sees the raw one
+        stick = self.client.user if by_user else self._as_set(clip_stick_to_gate(wish.stick))  # nobody sees the raw one
         self._see(stick)
         overrule = wish.overrule and self.handed_over
         answer = self.assistance.answer(self._seen, self._info, asked=self.handed_over and not overrule)
@@ -309,7 +309,7 @@ class DriveSession(Closing):
     def _as_set(self, stick: Joystick) -> Joystick:
         """The person's stick as a chair's controller shapes it: slower, and softer or sharper about its middle."""
         speed, sensitivity = self.shape
-        x, y = shaped(stick.x, stick.y, 0.0, 1.0 / sensitivity)
+        x, y = shape_joystick(stick.x, stick.y, 0.0, 1.0 / sensitivity)
         return Joystick(speed * x, speed * y)
 
     def _see(self, stick: Joystick) -> None:
@@ -321,7 +321,7 @@ class DriveSession(Closing):
         else:
             step = self._chair.finish_step(client)
             seen, self._info = step.observation, step.info
-        self._seen = policy_observation(seen)
+        self._seen = env_to_policy_observation(seen)
 
     def _move(self, answer: Answer) -> None:
         given = self._chair.command(answer.sent).joystick
@@ -350,7 +350,7 @@ class DriveSession(Closing):
             overruled=wish.overrule,
             helped=wish.help,
             pace=wish.pace,
-            **tick_end_fields(self.client),
+            **end_fields_from_snapshot(self.client),
         )
 
     def _tell(self, driven: DriveTick, distance: float) -> None:

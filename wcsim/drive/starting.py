@@ -6,11 +6,24 @@ from collections.abc import Callable, Collection
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 
-from wcsim.agents.opening.list_file import TIGHT, Suite, open_block, open_suite, require_towns, seat_of, shipped
-from wcsim.agents.opening.named_policy import config_for, open_named, policy_overrides, seat_for
+from wcsim.agents.opening.list_file import (
+    TIGHT,
+    HashedSuite,
+    list_shipped_suites,
+    make_block_setup,
+    make_episode_seat_spec,
+    read_suite,
+    require_block_towns,
+)
+from wcsim.agents.opening.named_policy import (
+    config_from_policy_name,
+    make_policy_seat_spec,
+    open_named_policy,
+    policy_overrides,
+)
 from wcsim.agents.policy_api import Policy
 from wcsim.config import RunConfig, resolve
-from wcsim.config.suite import BlockFile
+from wcsim.config.suite import SuiteBlock
 from wcsim.core import seeding
 from wcsim.core.constants import RECORDED
 from wcsim.core.own_folder import temporary_folder
@@ -75,7 +88,7 @@ def checked(start: DriveStart) -> DriveStart:
     if start.profile:
         find_user(start.profile)
     if start.suite:
-        _block(open_suite(start.suite), start)
+        _block(read_suite(start.suite), start)
     else:
         find_town(start.town)
     return start
@@ -89,7 +102,7 @@ def check_offered(start: DriveStart, begun: DriveStart) -> DriveStart:
     offered: tuple[tuple[str, str, str, Callable[[], Collection[str]]], ...] = (
         ("town", start.town, begun.town, lambda: [town.name for town in list_towns()]),
         ("user", start.profile, begun.profile, profile_names),
-        ("list", start.suite, begun.suite, shipped),
+        ("list", start.suite, begun.suite, list_shipped_suites),
     )
     for what, wanted, own, names in offered:
         if wanted and wanted != own and wanted not in names():
@@ -108,8 +121,8 @@ def check_recordable(start: DriveStart) -> DriveStart:
 
 
 def _of_town(start: DriveStart) -> OpenPlace:
-    config = config_for(start.policy, PRESET, ())
-    policy = open_named(start.policy, config, start.seed, start.network or None)
+    config = config_from_policy_name(start.policy, PRESET, ())
+    policy = open_named_policy(start.policy, config, start.seed, start.network or None)
     town = find_town(start.town)
     find_user(start.profile)
     return OpenPlace(
@@ -117,7 +130,7 @@ def _of_town(start: DriveStart) -> OpenPlace:
         town=town,
         config=resolve(config, policy_overrides(config, policy)),
         policy=policy,
-        spec=replace(seat_for(policy, start.profile), max_steps=LONGEST_STEPS),
+        spec=replace(make_policy_seat_spec(policy, start.profile), max_steps=LONGEST_STEPS),
         seed=start.seed,
         told=f"{town.name}, seed {start.seed}",
     )
@@ -125,24 +138,24 @@ def _of_town(start: DriveStart) -> OpenPlace:
 
 def _of_suite(start: DriveStart, held: ExitStack) -> OpenPlace:
     """An episode of a list, in a street of its own: the other chairs of its block are not there."""
-    suite = open_suite(start.suite)
-    require_towns(suite.file)
+    suite = read_suite(start.suite)
+    require_block_towns(suite.file)
     block = _block(suite, start)
     work = held.enter_context(temporary_folder())
-    config = config_for(start.policy, PRESET, (*suite.file.settings, *block.settings), in_list=True)
-    driver_seed = seeding.derive(block.seed, "driver", start.seat)
-    policy = open_named(start.policy, config, driver_seed, start.network or None)
+    config = config_from_policy_name(start.policy, PRESET, (*suite.file.settings, *block.settings), in_list=True)
+    driver_seed = seeding.derive_seed(block.seed, "driver", start.seat)
+    policy = open_named_policy(start.policy, config, driver_seed, start.network or None)
     episode = block.episodes[start.seat]
     if start.profile:
         episode = episode.model_copy(update={"profile": start.profile})
     config = resolve(config, policy_overrides(config, policy))
-    place = open_block(block, config, lambda: _town_of(suite, block), work)
+    place = make_block_setup(block, config, lambda: _town_of(suite, block), work)
     return OpenPlace(
         start=start,
         town=place.town,
         config=place.config,
         policy=policy,
-        spec=seat_of(place, episode, policy),
+        spec=make_episode_seat_spec(place, episode, policy),
         seed=place.seed,
         handover_step=episode.handover_step,
         told=f"{suite.file.set} {start.block}.{start.seat}, {block.part}, {block.town}",
@@ -151,7 +164,7 @@ def _of_suite(start: DriveStart, held: ExitStack) -> OpenPlace:
     )
 
 
-def _block(suite: Suite, start: DriveStart) -> BlockFile:
+def _block(suite: HashedSuite, start: DriveStart) -> SuiteBlock:
     blocks = suite.file.blocks
     if not 0 <= start.block < len(blocks):
         raise ConfigError(f"{start.suite} has no block {start.block}; expected 0 to {len(blocks) - 1}")
@@ -161,7 +174,7 @@ def _block(suite: Suite, start: DriveStart) -> BlockFile:
     return blocks[start.block]
 
 
-def _town_of(suite: Suite, block: BlockFile) -> Town:
+def _town_of(suite: HashedSuite, block: SuiteBlock) -> Town:
     """The block's town, as it was when the list was made; one that is made of a seed is kept in the cache."""
     (wanted,) = [town for town in suite.file.towns if town.name == block.town]
     made = wanted.made_seed

@@ -10,13 +10,13 @@ from typing import Final
 import numpy as np
 
 from wcsim.errors import WcsimError
-from wcsim.log.reader import iter_log, read_header, read_states
+from wcsim.log.reader import iter_log, read_header, read_trace_states
 from wcsim.log.records import (
     LogRecord,
     Ticked,
     WorldState,
-    comparable_record,
-    record_bytes,
+    record_to_bytes,
+    strip_uncompared_fields,
 )
 
 # Equal runs may have other names, other folders and other versions.
@@ -36,7 +36,7 @@ _EARLY_M: Final = 0.001
 _LATER_M: Final = 0.05
 
 
-def first_difference(one: Path, other: Path) -> str:
+def find_log_difference(one: Path, other: Path) -> str:
     """The first difference between two logs, to the last bit; "" when they are equal.
 
     Raises WcsimError when one is no log, or they are of two kinds.
@@ -57,20 +57,22 @@ def first_difference(one: Path, other: Path) -> str:
         if record is None or other_record is None:
             ended, rest = (one, other_record) if record is None else (other, record)
             return f"{ended} ends {place}; the other one continues with {_label(rest)}"
-        difference = _record_difference(comparable_record(record), comparable_record(other_record))
+        difference = _record_difference(
+            strip_uncompared_fields(record), strip_uncompared_fields(other_record)
+        )
         if difference:
             return difference
         place = f"after {_label(record)}"
     return ""
 
 
-def golden_difference(trace: Path, golden: Path) -> str:
+def find_golden_difference(trace: Path, golden: Path) -> str:
     """The first difference between two traces, "" when they agree.
 
     Hashes are compared exactly when both were made by the same versions; otherwise positions, to
     1 mm over the first second and 5 cm later.
     """
-    (head, ticks), (golden_head, golden_ticks) = read_states(trace), read_states(golden)
+    (head, ticks), (golden_head, golden_ticks) = read_trace_states(trace), read_trace_states(golden)
     exact = head.fingerprint == golden_head.fingerprint
     if [new.tick for new in ticks] != [old.tick for old in golden_ticks]:
         return (
@@ -84,9 +86,9 @@ def golden_difference(trace: Path, golden: Path) -> str:
     return ""
 
 
-def golden_note(trace: Path, golden: Path) -> str:
+def explain_hash_mismatch(trace: Path, golden: Path) -> str:
     """Why a trace was compared with its golden one by positions alone; "" when all hashes agree."""
-    (head, ticks), (golden_head, golden_ticks) = read_states(trace), read_states(golden)
+    (head, ticks), (golden_head, golden_ticks) = read_trace_states(trace), read_trace_states(golden)
     if [new.state_hash for new in ticks] == [old.state_hash for old in golden_ticks]:
         return ""
     here = head.fingerprint.split()
@@ -101,7 +103,7 @@ def _record_difference(a: LogRecord, b: LogRecord) -> str:
     if isinstance(a, WorldState) and isinstance(b, WorldState):
         difference = _state_difference(a, b)
         return f"{label}: {difference}" if difference else ""
-    if record_bytes(a) == record_bytes(b):
+    if record_to_bytes(a) == record_to_bytes(b):
         return ""
     if isinstance(a, Ticked) and isinstance(b, Ticked):
         if a.seats != b.seats:

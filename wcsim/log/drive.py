@@ -11,7 +11,7 @@ from typing import Final
 
 from wcsim.core.reading import escaped
 from wcsim.errors import JournalError
-from wcsim.log.reader import scan_in_memory
+from wcsim.log.reader import scan_small_log
 from wcsim.log.records import DriveHeader, DriveTick, Ended, Header, Input, Note, Ticked
 from wcsim.log.writer import MOST_RECORDS
 
@@ -26,7 +26,7 @@ def wcsim_version() -> str:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DriveRecording:
-    """A whole recording; see `read_drive`."""
+    """A whole recording; see `read_drive_recording`."""
 
     name: str  # of the file
     header: Header
@@ -71,13 +71,13 @@ class DriveRecording:
         return bool(self.ticks) and all(tick.intent is not None for tick in self.ticks)
 
 
-def read_drive(path: Path) -> DriveRecording:
+def read_drive_recording(path: Path) -> DriveRecording:
     """Read a recording; a truncated last record is left out.
 
     Raises:
         JournalError: The file is no drive, of another version or damaged, or its values cannot be.
     """
-    scan = scan_in_memory(path, "drive")
+    scan = scan_small_log(path, "drive")
     records: list[Input | Note] = []
     before: DriveTick | None = None
     for record in scan.records():

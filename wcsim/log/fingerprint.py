@@ -7,7 +7,7 @@ import platform
 from pathlib import Path
 from typing import Final
 
-from wcsim.core.sources import version_of
+from wcsim.core.sources import read_package_version
 
 PACKAGES: Final = ("libsumo", "pybullet", "numpy", "numba", "shapely", "networkx")
 # CPUs with the same vector units still differ in the last bit: numpy, its linear algebra and numba
@@ -17,7 +17,7 @@ _CPU_KIND: Final = ("vendor_id", "cpu family", "model")
 
 def fingerprint() -> str:
     """`engines_fingerprint` and the version of wcsim, for what is made again to the last bit."""
-    return f"wcsim-{version_of('wcsim')} {engines_fingerprint()}"
+    return f"wcsim-{read_package_version('wcsim')} {engines_fingerprint()}"
 
 
 def engines_fingerprint() -> str:
@@ -28,7 +28,7 @@ def engines_fingerprint() -> str:
     """
     pinned = "pinned" if "hwcaps" in os.environ.get("GLIBC_TUNABLES", "") else "unpinned"
     libc = "-".join(platform.libc_ver())
-    versions = (f"{name}-{version_of(name)}" for name in PACKAGES)
+    versions = (f"{name}-{read_package_version(name)}" for name in PACKAGES)
     return " ".join([*versions, libc, platform.machine(), _cpu_kind(), pinned])
 
 

@@ -29,7 +29,7 @@ _STREAM: Final = b"\x78\x9c"  # how a zlib stream of that level begins
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Record:
+class FramedRecord:
     """A payload, and where its record ends in the file."""
 
     payload: bytes
@@ -37,19 +37,19 @@ class Record:
     crc: int  # as it stands in the file
 
 
-def framed(payload: bytes, after: int = 0) -> bytes:
+def frame_payload(payload: bytes, after: int = 0) -> bytes:
     """A payload as the record that holds it; `after` is the CRC of the record before it."""
     packed = zlib.compress(payload, _LEVEL)
     return _FRAME.pack(len(packed), zlib.crc32(packed, after)) + packed
 
 
-def crc_of(record: bytes) -> int:
+def crc_from_record(record: bytes) -> int:
     """The CRC that stands in a framed record."""
     crc: int = _FRAME.unpack_from(record)[1]
     return crc
 
 
-def whole_records(file: BinaryIO, after: int = 0) -> Iterator[Record]:
+def iter_whole_records(file: BinaryIO, after: int = 0) -> Iterator[FramedRecord]:
     """The records from here on, up to the end or to the first that is truncated or damaged.
 
     Args:
@@ -67,10 +67,10 @@ def whole_records(file: BinaryIO, after: int = 0) -> Iterator[Record]:
             return
         end += _FRAME.size + size
         after = crc
-        yield Record(payload=payload, end=end, crc=crc)
+        yield FramedRecord(payload=payload, end=end, crc=crc)
 
 
-def truncated_bytes(
+def count_truncated_bytes(
     file: BinaryIO, end: int, after: int = 0
 ) -> int | Literal["appended", "damaged"]:
     """How many bytes after the last whole record are a truncated one, which may be cut off.
@@ -80,7 +80,7 @@ def truncated_bytes(
     Args:
         file: Open for reading.
         end: Where the last whole record ends.
-        after: As for `whole_records`.
+        after: As for `iter_whole_records`.
 
     Returns:
         The bytes; "appended" when another process has written a whole record by now; "damaged" when
@@ -91,7 +91,7 @@ def truncated_bytes(
     # What another process writes from here on is for the next look.
     if not rest:
         return 0
-    if any(whole_records(io.BytesIO(rest), after)):
+    if any(iter_whole_records(io.BytesIO(rest), after)):
         return "appended"
     size = file.seek(0, os.SEEK_END) - end
     if not any(rest):

@@ -1,7 +1,7 @@
 """Reads logs, record by record and checked; any process may have written them, or be writing them.
 
 A log is a file: first a header, which names its kind (`Header.kind`), then the records of that kind
-(`records.py`). `read_header` gives the one, `iter_log`, `iter_inputs` and `read_states` the others.
+(`records.py`). `read_header` gives the one, `iter_log`, `iter_journal_inputs` and `read_trace_states` the others.
 A truncated end is left out, as a killed process leaves it; damage before the end is a JournalError.
 
 A journal of a long run lies in parts, so that the file in use stays short: `journal` is the part
@@ -20,10 +20,10 @@ from itertools import chain
 from pathlib import Path
 from typing import BinaryIO, Final
 
-from wcsim.core.closing import Closing
-from wcsim.core.reading import LOG, WHOLE_LOG, escaped, opened, regular_size
+from wcsim.core.closing import ClosingContextBase
+from wcsim.core.reading import LOG, WHOLE_LOG, escaped, open_regular_file, read_file_size
 from wcsim.errors import FileError, JournalError, WcsimError
-from wcsim.log.framing import Record, truncated_bytes, whole_records
+from wcsim.log.framing import FramedRecord, count_truncated_bytes, iter_whole_records
 from wcsim.log.records import (
     ActorBody,
     Header,
@@ -32,13 +32,13 @@ from wcsim.log.records import (
     LogRecord,
     WorldState,
     changed,
-    comparable_record,
-    header_content,
-    header_of,
-    is_header,
-    is_tick,
-    record_bytes,
-    record_of,
+    compared_header_bytes,
+    header_from_bytes,
+    is_header_payload,
+    is_ticked_payload,
+    record_from_bytes,
+    record_to_bytes,
+    strip_uncompared_fields,
 )
 
 _MADE_BY: Final[dict[LogKind, str]] = {
@@ -54,11 +54,11 @@ _LOCKS: Final = Path("/proc/locks")
 def is_log(path: Path) -> bool:
     """Whether a file begins as a log, of whatever version; False for what cannot be read."""
     try:
-        with opened(path, LOG) as file:
-            first = next(whole_records(file), None)
+        with open_regular_file(path, LOG) as file:
+            first = next(iter_whole_records(file), None)
     except FileError:
         return False
-    return first is not None and is_header(first.payload)
+    return first is not None and is_header_payload(first.payload)
 
 
 def read_header(path: Path, expected: LogKind | None = None) -> Header:
@@ -76,14 +76,14 @@ def iter_log(path: Path) -> Iterator[LogRecord]:
     return chain(LogScan(first).records(), *(LogScan(part).records() for part in others))
 
 
-def iter_inputs(path: Path) -> Iterator[Input]:
+def iter_journal_inputs(path: Path) -> Iterator[Input]:
     """What was done to the world of a journal, of all its parts. Raises as `iter_log`."""
     first, *others = _parts(path)
-    return chain(inputs_of_part(first), *(inputs_of_part(part) for part in others))
+    return chain(iter_part_inputs(first), *(iter_part_inputs(part) for part in others))
 
 
-def inputs_of_part(path: Path, ticks: bool = True) -> Iterator[Input]:
-    """As `iter_inputs`, of one part of a journal alone.
+def iter_part_inputs(path: Path, ticks: bool = True) -> Iterator[Input]:
+    """As `iter_journal_inputs`, of one part of a journal alone.
 
     Without `ticks` those of `Ticked` are left out, unread: nearly all inputs are, and reading them
     takes most of the time.
@@ -93,19 +93,19 @@ def inputs_of_part(path: Path, ticks: bool = True) -> Iterator[Input]:
     )
 
 
-def read_states(path: Path) -> tuple[Header, tuple[WorldState, ...]]:
+def read_trace_states(path: Path) -> tuple[Header, tuple[WorldState, ...]]:
     """The header of a trace and all its states, each with the bodies of all its actors.
 
     Raises:
         JournalError: The file is no trace, is damaged, or its values cannot be.
     """
-    scan = scan_in_memory(path, "trace")
+    scan = scan_small_log(path, "trace")
     return scan.header, tuple(record for record in scan.records() if isinstance(record, WorldState))
 
 
-def scan_in_memory(path: Path, expected: LogKind) -> LogScan:
+def scan_small_log(path: Path, expected: LogKind) -> LogScan:
     """A log short enough to be held in memory. Raises JournalError, also as `LogScan`."""
-    regular_size(path, WHOLE_LOG)
+    read_file_size(path, WHOLE_LOG)
     return LogScan(path, expected)
 
 
@@ -114,8 +114,8 @@ def log_digest(path: Path) -> str:
 
     Names, reasons, places and versions are left out. Raises JournalError as `iter_log`.
     """
-    header = header_content(read_header(path))
-    records = (record_bytes(comparable_record(record)) for record in iter_log(path))
+    header = compared_header_bytes(read_header(path))
+    records = (record_to_bytes(strip_uncompared_fields(record)) for record in iter_log(path))
     digest = hashlib.blake2b(digest_size=16)
     for payload in chain([header], records):
         digest.update(struct.pack("<I", len(payload)) + payload)
@@ -144,14 +144,14 @@ class LogScan:
         self._file = file
         self.truncated_bytes = 0
         with self._opened() as log:
-            first = next(whole_records(log), None)
+            first = next(iter_whole_records(log), None)
         if first is None:
             raise JournalError(
                 f"{escaped(path)}: is not a log, or was truncated in its first record; expected a "
                 "whole file written by wcsim: copy it again, or record it again"
             )
         try:
-            self.header = header_of(first.payload)
+            self.header = header_from_bytes(first.payload)
         except WcsimError as error:
             raise JournalError(f"{escaped(path)}: {error}") from None
         self.end = first.end
@@ -177,9 +177,9 @@ class LogScan:
         bodies: dict[str, ActorBody] = {}
         for end, item in self._items():
             record: LogRecord | None = None
-            if ticks or not is_tick(item.payload):
+            if ticks or not is_ticked_payload(item.payload):
                 try:
-                    record = record_of(item.payload)
+                    record = record_from_bytes(item.payload)
                 except WcsimError as error:
                     raise JournalError(
                         f"{escaped(self._path)}: after {self.end} bytes: {error}"
@@ -193,17 +193,17 @@ class LogScan:
                 yield record
 
     def _opened(self) -> AbstractContextManager[BinaryIO]:
-        return opened(self._path, LOG) if self._file is None else nullcontext(self._file)
+        return open_regular_file(self._path, LOG) if self._file is None else nullcontext(self._file)
 
-    def _items(self) -> Iterator[tuple[int, Record]]:
+    def _items(self) -> Iterator[tuple[int, FramedRecord]]:
         """Each whole record after the last one that was read, and where it ends in the file."""
         with self._opened() as file:
             rest: int | str = "appended"
             while rest == "appended":
                 start = file.seek(self.end)
-                for item in whole_records(file, self.after):
+                for item in iter_whole_records(file, self.after):
                     yield start + item.end, item
-                rest = truncated_bytes(file, self.end, self.after)
+                rest = count_truncated_bytes(file, self.end, self.after)
         if isinstance(rest, str):
             raise JournalError(
                 f"{escaped(self._path)}: is damaged at byte {self.end}; restore it from a copy, or "
@@ -212,7 +212,7 @@ class LogScan:
         self.truncated_bytes = rest
 
 
-class LogTail(Closing):
+class LogTail(ClosingContextBase):
     """Follows a log that is being written: from its newest part on, and into a newer one.
 
     Of parts that come and go between two calls it reads the newest alone.
@@ -266,10 +266,10 @@ class LogTail(Closing):
 
     def _open(self) -> None:
         """Open the newest part, if there is one with a header in it by now."""
-        parts = part_files(self._path)
+        parts = list_log_parts(self._path)
         if not parts:
             return
-        self._file = self._held.enter_context(opened(parts[-1], LOG))
+        self._file = self._held.enter_context(open_regular_file(parts[-1], LOG))
         try:
             if parts[-1].stat().st_size:
                 self._scan = LogScan(parts[-1], file=self._file)
@@ -308,7 +308,7 @@ class LogTail(Closing):
         return (current.st_dev, current.st_ino) != (own.st_dev, own.st_ino)
 
 
-def part_files(path: Path) -> tuple[Path, ...]:
+def list_log_parts(path: Path) -> tuple[Path, ...]:
     """The parts of a journal that exist, the oldest first and the one in use last.
 
     >>> part_files(Path("nowhere/journal"))
@@ -328,14 +328,14 @@ def rotate_log(path: Path) -> Path:
 
     No process may have it open for writing.
     """
-    before = [part for part in part_files(path) if part != path]
+    before = [part for part in list_log_parts(path) if part != path]
     number = 1 + (_part_number(before[-1]) if before else 0)
     return path.rename(path.with_name(f"{path.name}.{number:0{_PART_DIGITS}d}"))
 
 
 def _parts(path: Path) -> tuple[Path, ...]:
     """The parts of a log; where there is none, the file that should exist."""
-    return part_files(path) or (path,)
+    return list_log_parts(path) or (path,)
 
 
 def _part_number(part: Path) -> int:

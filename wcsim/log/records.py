@@ -257,7 +257,7 @@ class DriveTick(_Record, frozen=True, kw_only=True, tag="k", eq=False):
         return type(other) is DriveTick and _ENCODER.encode(self) == _ENCODER.encode(other)
 
 
-def tick_end_fields(after: ClientSnapshot) -> dict[str, Any]:
+def end_fields_from_snapshot(after: ClientSnapshot) -> dict[str, Any]:
     """The fields of a `DriveTick` of its end: where the chair is, and what has ended."""
     plant = after.plant
     events = after.events
@@ -289,7 +289,9 @@ Input = EpochBegun | Admitted | Dismissed | Respawned | WorldTick | Ended
 LogRecord = Input | WorldState | Note | SeenFrame
 
 
-def ticked(epoch: int, tick: int, commands: tuple[Command, ...], state_hash: str) -> Ticked:
+def make_ticked_record(
+    epoch: int, tick: int, commands: tuple[Command, ...], state_hash: str
+) -> Ticked:
     """The record of a world that reached a tick by these commands."""
     return Ticked(
         epoch=epoch,
@@ -300,7 +302,7 @@ def ticked(epoch: int, tick: int, commands: tuple[Command, ...], state_hash: str
     )
 
 
-def state_of(
+def world_state_from_snapshot(
     snapshot: Snapshot, commands: Sequence[Command], actors: Sequence[ActorState] | None = None
 ) -> WorldState:
     """The state after a tick, from its commands and the snapshot to which they led.
@@ -326,14 +328,14 @@ def state_of(
     )
 
 
-def header_bytes(header: Header) -> bytes:
+def header_to_bytes(header: Header) -> bytes:
     """A header as a payload."""
     return msgspec.json.encode(header)
 
 
-def header_of(payload: bytes) -> Header:
+def header_from_bytes(payload: bytes) -> Header:
     """A payload as a header. Raises WcsimError when it is none of this version."""
-    if not is_header(payload):
+    if not is_header_payload(payload):
         raise WcsimError("is not a log; expected a file written by wcsim")
     if len(payload) > MOST_JSON_BYTES:
         raise WcsimError(
@@ -357,12 +359,12 @@ def header_of(payload: bytes) -> Header:
     return header
 
 
-def is_header(payload: bytes) -> bool:
+def is_header_payload(payload: bytes) -> bool:
     """Whether a file's first record is that of a log, of whatever version."""
     return payload.startswith(_HEADER_STARTS)
 
 
-def header_content(header: Header) -> bytes:
+def compared_header_bytes(header: Header) -> bytes:
     """What the headers of two equal runs share, for the digest: no names, places or versions."""
     same = ("town_sha256", "config", "seed", "seats", "tick_s", "hook", "recovery")
     return msgspec.json.encode(
@@ -370,12 +372,12 @@ def header_content(header: Header) -> bytes:
     )
 
 
-def record_bytes(record: LogRecord) -> bytes:
+def record_to_bytes(record: LogRecord) -> bytes:
     """A record as a payload."""
     return _ENCODER.encode(record)
 
 
-def comparable_record(record: LogRecord) -> LogRecord:
+def strip_uncompared_fields(record: LogRecord) -> LogRecord:
     """A record without what may differ between equal runs: names, reasons, claims.
 
     `log_digest` and `wcsim log compare` both compare such records.
@@ -390,12 +392,12 @@ def changed(record: S, **fields: Any) -> S:
     return msgspec.structs.replace(record, **fields)
 
 
-def is_tick(payload: bytes) -> bool:
+def is_ticked_payload(payload: bytes) -> bool:
     """Whether a payload is of `Ticked`, without decoding it."""
     return payload[1:3] == _TICK_TAG
 
 
-def record_of(payload: bytes) -> LogRecord:
+def record_from_bytes(payload: bytes) -> LogRecord:
     """A payload as a record. Raises WcsimError when it is none."""
     most = _STATE_BYTES if payload[1:3] == _STATE_TAG else MOST_JSON_BYTES
     if len(payload) > most:

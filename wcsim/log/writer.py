@@ -15,10 +15,10 @@ from itertools import count
 from pathlib import Path
 from typing import Final, Self
 
-from wcsim.core.closing import Closing
+from wcsim.core.closing import ClosingContextBase
 from wcsim.core.reading import escaped
 from wcsim.errors import ConfigError, DiskFullError, WcsimError
-from wcsim.log.framing import MOST_TRUNCATED_BYTES, crc_of, framed
+from wcsim.log.framing import MOST_TRUNCATED_BYTES, crc_from_record, frame_payload
 from wcsim.log.reader import LogScan
 from wcsim.log.records import (
     ActorBody,
@@ -27,10 +27,10 @@ from wcsim.log.records import (
     LogRecord,
     WorldState,
     changed,
-    header_bytes,
-    header_of,
-    record_bytes,
-    record_of,
+    header_from_bytes,
+    header_to_bytes,
+    record_from_bytes,
+    record_to_bytes,
 )
 
 JOURNAL: Final = "journal"  # its name in a run folder
@@ -40,7 +40,7 @@ _SYNC_TICKS: Final = 50
 _SYNC_S: Final = 1.0
 
 
-class LogWriter(Closing):
+class LogWriter(ClosingContextBase):
     """Appends to a log; a context manager."""
 
     def __init__(self, path: Path, header: Header) -> None:
@@ -52,8 +52,8 @@ class LogWriter(Closing):
         """
         # 1. Check the header: with one out of bounds nothing of the log could be read again.
         try:
-            first = header_bytes(header)
-            header_of(first)
+            first = header_to_bytes(header)
+            header_from_bytes(first)
         except (WcsimError, ValueError) as error:
             raise ConfigError(
                 f"{escaped(path)}: its header is out of bounds ({error}); "
@@ -168,7 +168,7 @@ class LogWriter(Closing):
             new = tuple(body for body in record.bodies if self._bodies.get(body.id) != body)
             self._bodies.update((body.id, body) for body in new)
             record = changed(record, bodies=new)
-        payload = record_bytes(record)
+        payload = record_to_bytes(record)
         # The numbers of a drive are of a person and a policy, so they may be anything.
         if self._is_drive:
             self._require_readable(payload)
@@ -194,7 +194,7 @@ class LogWriter(Closing):
                 f"{escaped(self._path)}: is full, with {self._records} records; start another one"
             )
         try:
-            record_of(payload)
+            record_from_bytes(payload)
         except WcsimError as error:
             raise WcsimError(
                 f"{escaped(self._path)}: a number is not finite or out of its bounds ({error}); "
@@ -207,7 +207,7 @@ class LogWriter(Closing):
             raise WcsimError(
                 f"{escaped(self._path)}: this log is closed; open it again to continue it"
             )
-        data = framed(payload, self._after)
+        data = frame_payload(payload, self._after)
         try:
             written = self._file.write(data) or 0
             # A second write raises the reason for which the first stopped.
@@ -228,7 +228,7 @@ class LogWriter(Closing):
                 f"{self._end} bytes are intact: make room"
             )
         self._end += len(data)
-        self._after = crc_of(data)
+        self._after = crc_from_record(data)
 
     def _sync(self) -> None:
         try:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
-from wcsim.core.processes import without_line
+from wcsim.core.processes import drop_stderr_lines
 from wcsim.errors import PhysicsError
 
 __all__ = ["Bullet", "pybullet"]
 
-with without_line(b"pybullet build time:"):
+with drop_stderr_lines(b"pybullet build time:"):
     import pybullet
 
 

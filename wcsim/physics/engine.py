@@ -18,7 +18,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from wcsim.core.closing import Closing
+from wcsim.core.closing import ClosingContextBase
 from wcsim.core.constants import GRAVITY_MPS2 as GRAVITY_MPS2
 from wcsim.errors import PhysicsError
 from wcsim.physics.bullet import Bullet, pybullet
@@ -146,7 +146,7 @@ _ROLE_OF_CLASS: Final = {
 }
 
 
-class Engine(Closing):
+class Engine(ClosingContextBase):
     """One PyBullet world without a window.
 
     Args:

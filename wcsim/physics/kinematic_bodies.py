@@ -17,7 +17,7 @@ from typing import Final
 
 import numpy as np
 
-from wcsim.core.frames import Vec3, matrix, quaternion, rotate
+from wcsim.core.frames import Vec3, matrix_from_quaternion, quaternion_from_ypr, rotate_vector
 from wcsim.errors import PhysicsError
 from wcsim.physics.bullet import pybullet
 from wcsim.physics.engine import PARK_Z_M, BodyTag, Engine, Role
@@ -145,9 +145,11 @@ class BodyPool:
 
     def _move(self, body: _Body, move: BodyMove) -> None:
         actor, bullet = move.actor, self._engine.bullet
-        q = quaternion(actor.yaw_rad, actor.pitch_rad)
+        q = quaternion_from_ypr(actor.yaw_rad, actor.pitch_rad)
         level = actor.pitch_rad == 0.0
-        ux, uy, uz = (0.0, 0.0, body.middle_m) if level else rotate(matrix(q), 0.0, 0.0, body.middle_m)
+        ux, uy, uz = (
+            (0.0, 0.0, body.middle_m) if level else rotate_vector(matrix_from_quaternion(q), 0.0, 0.0, body.middle_m)
+        )
         (x, y, z), (vx, vy, vz) = actor.p_W_m.tolist(), move.v_W_mps.tolist()
         sx, sy = vx, vy
         if move.yaw_rate_radps and move.dt_s:

@@ -14,7 +14,7 @@ import numpy as np
 
 from wcsim.config.scene import SceneFile, SceneSeat
 from wcsim.core import frames
-from wcsim.core.boxes import Box, box_of, boxes_touch, gap_to_box
+from wcsim.core.boxes import Box, box_from_actor, boxes_touch, gap_to_box
 from wcsim.types import (
     F64,
     ActorKind,
@@ -72,7 +72,7 @@ class _OthersMeter:
                 self._come_near("chair", _box_gap_m(box, other))
             for actor in snapshot.actors:
                 if math.dist(actor.p_W_m[:2], box[:2]) < NEAR_M + 0.5 * actor.size_lwh_m[0]:
-                    self._come_near(_group(actor), _box_gap_m(box, box_of(actor)))
+                    self._come_near(_group(actor), _box_gap_m(box, box_from_actor(actor)))
                     self._passing(i, box, actor)
                     self._giving_way(actor)
 

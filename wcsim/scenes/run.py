@@ -26,7 +26,7 @@ from wcsim.core.own_folder import WORK_PREFIX, temporary_folder
 from wcsim.core.processes import run_command
 from wcsim.errors import TownError, WcsimError
 from wcsim.log.fingerprint import engines_fingerprint
-from wcsim.log.records import Header, changed, state_of
+from wcsim.log.records import Header, changed, world_state_from_snapshot
 from wcsim.log.writer import LogWriter
 from wcsim.physics.wheelchair.plant import plant_spec
 from wcsim.scenes.meter import Facts, SceneMeter
@@ -65,7 +65,9 @@ def _run_scene(folder: Path, trace: Path) -> Facts:
             meter.add(snapshot, world.config.world.tick_s)
             digest.update(snapshot.state_hash.encode())
             if snapshot.tick % TRACE_EVERY == 0 or snapshot.tick == last:
-                writer.append(changed(state_of(snapshot, step.commands), state_hash=digest.hexdigest()))
+                writer.append(
+                    changed(world_state_from_snapshot(snapshot, step.commands), state_hash=digest.hexdigest())
+                )
         return meter.facts()
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from wcsim.core.files import whole_folder
+from wcsim.core.files import write_folder_atomically
 from wcsim.errors import TownError
 
 _FILES = {
@@ -90,7 +90,7 @@ def write_scene(home: Path, name: str) -> Path:
     folder = home / name
     if folder.exists():
         raise TownError(f"{folder} already exists; choose another name, or remove it first")
-    with whole_folder(folder) as part:
+    with write_folder_atomically(folder) as part:
         for file, text in _FILES.items():
             (part / file).write_text(text.replace("{name}", name), encoding="utf-8")
     return folder

@@ -1,6 +1,6 @@
 """A client's own record of what it has seen: half of the proof that no step was lost or done twice.
 
-It is a log with one record a frame. `audit` compares ledgers with a world's journal.
+It is a log with one record a frame. `audit_ledgers` compares ledgers with a world's journal.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from wcsim.log.records import Header, Input, SeenFrame, Ticked
 from wcsim.log.writer import LogWriter
 
 
-def open_ledger(path: Path, client: str) -> LogWriter:
+def open_ledger_writer(path: Path, client: str) -> LogWriter:
     """Start a client's ledger, or go on with that of its last process.
 
     Raises what `LogWriter` raises.
@@ -27,7 +27,7 @@ def open_ledger(path: Path, client: str) -> LogWriter:
     )
 
 
-def iter_ledger(path: Path) -> Iterator[SeenFrame]:
+def iter_ledger_frames(path: Path) -> Iterator[SeenFrame]:
     """What a client saw, up to the last whole record; the client may be writing it.
 
     Raises:
@@ -37,7 +37,7 @@ def iter_ledger(path: Path) -> Iterator[SeenFrame]:
 
 
 @dataclass(slots=True, kw_only=True)
-class Audit:
+class LedgerAuditResult:
     """A ledger, by itself and against its world's journal; or the ledgers of all clients."""
 
     ticks: int = 0  # of the world, in the audit of all clients
@@ -50,9 +50,9 @@ class Audit:
     missing: int = 0  # ticks between two frames of one life that were not seen
 
 
-def audit(
+def audit_ledgers(
     records: Iterable[Input], ledgers: Sequence[tuple[int, Iterable[SeenFrame]]]
-) -> tuple[Audit, tuple[Audit, ...]]:
+) -> tuple[LedgerAuditResult, tuple[LedgerAuditResult, ...]]:
     """Compare a journal with (seat, ledger) of each client: the faults of all, and of each.
 
     Only the very last step of a life may be missing from a ledger: its client acted, and died
@@ -73,7 +73,7 @@ def audit(
     for reader in readers:
         reader.compare(None, set())
     each = tuple(reader.found for reader in readers)
-    total = Audit(
+    total = LedgerAuditResult(
         ticks=ticks,
         lost=sum(one.lost for one in each),
         doubled=sum(one.doubled for one in each),
@@ -87,7 +87,7 @@ class _LedgerReader:
 
     def __init__(self, seat: int, entries: Iterable[SeenFrame]) -> None:
         self.seat = seat
-        self.found = Audit()
+        self.found = LedgerAuditResult()
         self._entries = iter(entries)
         self._next = next(self._entries, None)
         self._before: SeenFrame | None = None

@@ -16,12 +16,12 @@ from wcsim.bridge.sumo.run_place import RunPlace
 from wcsim.config import EnvConfig, RunConfig
 from wcsim.core.reading import ORDER, read_bytes
 from wcsim.errors import ConfigError, WcsimError
-from wcsim.log.reader import inputs_of_part
+from wcsim.log.reader import iter_part_inputs
 from wcsim.log.records import EpochBegun, Ticked
 from wcsim.log.writer import JOURNAL
-from wcsim.server.launch.states import ClientStatus, WorldPlan, WorldStatus
+from wcsim.server.launch.states import ClientStatusReport, WorldLaunchPlan, WorldStatusReport
 from wcsim.server.protocol.client_core import Patience
-from wcsim.server.protocol.events import Rules
+from wcsim.server.protocol.events import ServerRules
 from wcsim.server.protocol.messages import ANY_SEAT
 from wcsim.towns.scenario.overrides import Override
 from wcsim.types import SeatSpec
@@ -30,7 +30,7 @@ WORLD_ARGV: Final = (sys.executable, "-m", "wcsim.server.host.process")
 MOST_READ_BYTES: Final = 8 << 20  # of a journal, between a death and a restart
 
 
-def seat_spec(env: EnvConfig) -> SeatSpec:
+def seat_spec_from_env(env: EnvConfig) -> SeatSpec:
     """What a client with these settings requests when it takes a seat."""
     return SeatSpec(
         profile=env.profile,
@@ -41,7 +41,7 @@ def seat_spec(env: EnvConfig) -> SeatSpec:
     )
 
 
-def town_of_epoch(town: str, more_towns: Sequence[str], epoch: int) -> str:
+def town_name_for_epoch(town: str, more_towns: Sequence[str], epoch: int) -> str:
     """The name of the town of an epoch: a run's towns take turns, its own one first.
 
     >>> [town_of_epoch("helsinki", ("made:7", "made:8"), epoch) for epoch in (0, 1, 3)]
@@ -51,7 +51,7 @@ def town_of_epoch(town: str, more_towns: Sequence[str], epoch: int) -> str:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class WorldOrder:
+class WorldBuildSpec:
     """Everything that a world is made from."""
 
     town: str
@@ -61,7 +61,7 @@ class WorldOrder:
     seats: int = 1
     run: str = ""  # the run folder, where the outputs of the town's own scenario go
     hook: str = ""  # the user's own step hook, module:Class
-    more_towns: tuple[str, ...] = ()  # see `town_of_epoch`
+    more_towns: tuple[str, ...] = ()  # see `town_name_for_epoch`
 
     @property
     def place(self) -> RunPlace:
@@ -70,10 +70,10 @@ class WorldOrder:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class WorldSpec(WorldOrder):
+class WorldProcessSpec(WorldBuildSpec):
     """A world process: its world, how it is reached, and its rules with the number of seats."""
 
-    rules: Rules
+    rules: ServerRules
     endpoint: str  # ipc://..., in a folder that only its owner can enter
     ring: str  # folder for the shared memory of the seats' pictures
     name: str = ""
@@ -119,7 +119,7 @@ class RunInfo:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ClientSpec:
+class ClientProcessSpec:
     """A client process that learns: its seat, its own settings, its run folder, its manifest."""
 
     join: SeatRequest
@@ -128,15 +128,23 @@ class ClientSpec:
     info: RunInfo
 
 
-T = TypeVar("T", WorldSpec, SeatRequest, ClientSpec, WorldStatus, ClientStatus)
+T = TypeVar(
+    "T", WorldProcessSpec, SeatRequest, ClientProcessSpec, WorldStatusReport, ClientStatusReport
+)
 
 
-def to_line(value: WorldSpec | SeatRequest | ClientSpec | WorldStatus | ClientStatus) -> bytes:
+def encode_json_line(
+    value: WorldProcessSpec
+    | SeatRequest
+    | ClientProcessSpec
+    | WorldStatusReport
+    | ClientStatusReport,
+) -> bytes:
     """A value as one line of JSON, with its newline."""
     return msgspec.json.encode(value, enc_hook=RunConfig.model_dump_json) + b"\n"
 
 
-def of_line(kind: type[T], line: bytes) -> T:
+def decode_json_line(kind: type[T], line: bytes) -> T:
     """The value of a line. Raises ConfigError for any other line."""
     try:
         return msgspec.json.decode(
@@ -146,9 +154,9 @@ def of_line(kind: type[T], line: bytes) -> T:
         raise ConfigError(f"{line[:80]!r} is not a {kind.__name__}: {error}") from None
 
 
-def world_plan(
-    order: WorldSpec, place: Path, log: Path, argv: Sequence[str] = WORLD_ARGV
-) -> WorldPlan:
+def make_world_launch_plan(
+    order: WorldProcessSpec, place: Path, log: Path, argv: Sequence[str] = WORLD_ARGV
+) -> WorldLaunchPlan:
     """How a launcher starts the world of an order, again and again.
 
     Args:
@@ -160,10 +168,10 @@ def world_plan(
 
     def order_line(status_fd: int, begins: bool, listening: str) -> bytes:
         listen = listening or order.listen
-        return to_line(replace(order, status_fd=status_fd, begins=begins, listen=listen))
+        return encode_json_line(replace(order, status_fd=status_fd, begins=begins, listen=listen))
 
     file = place / "world.json"
-    return WorldPlan(
+    return WorldLaunchPlan(
         argv=(*argv, str(file)),
         order=order_line,
         order_file=file,
@@ -183,7 +191,7 @@ def _last_tick(run: str, reported: int) -> int:
     tick = 0
     try:
         # A world that died while it loaded has not reported its epoch: the last one counts.
-        for record in inputs_of_part(journal):
+        for record in iter_part_inputs(journal):
             if isinstance(record, EpochBegun):
                 tick = 0
             elif isinstance(record, Ticked):
@@ -193,9 +201,9 @@ def _last_tick(run: str, reported: int) -> int:
     return tick
 
 
-def read_order(kind: type[T], path: Path) -> T:
+def read_spec_file(kind: type[T], path: Path) -> T:
     """The value in a file. Raises ConfigError for any other file."""
-    return of_line(kind, read_bytes(path, ORDER))
+    return decode_json_line(kind, read_bytes(path, ORDER))
 
 
 def rss_mb() -> float:

@@ -14,7 +14,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from wcsim.config import RewardConfig
-from wcsim.supervisor.rewards import DISTANCE_TOLERANCE, fault, hardest_contact
+from wcsim.supervisor.rewards import DISTANCE_TOLERANCE, hardest_contact, judge_crash_fault
 from wcsim.types import F64, Bool, Contact, Events, Joystick
 
 MAX_FOLLOW_DISTANCE: Final = 0.1768  # Table 1, sqrt(0.125^2 + 0.125^2)
@@ -136,7 +136,7 @@ class KpiStep(NamedTuple):
         return self.events.on_carriageway and abs(self.speed_mps) < _STANDS_MPS
 
 
-def crash_of(
+def make_crash_fields(
     events: Events,
     contacts: Sequence[Contact],
     steps: Sequence[KpiStep],
@@ -147,7 +147,7 @@ def crash_of(
 
     The other's fault is the chair's own where it had stood on a carriageway, or entered it at red.
     """
-    at_fault = str(fault(events.crash_reason, contacts, config))
+    at_fault = str(judge_crash_fault(events.crash_reason, contacts, config))
     still_s, in_red = 0.0, False
     for step in steps:
         # What a crash did to a chair says nothing of how it came into the crash.
@@ -166,7 +166,7 @@ def crash_of(
     }
 
 
-def sums_of(steps: Sequence[KpiStep], tick_s: float) -> dict[str, Any]:
+def sum_kpi_steps(steps: Sequence[KpiStep], tick_s: float) -> dict[str, Any]:
     """The sums of an episode's steps, by their names in a record.
 
     NumPy sums pairwise, `KpiTotals` tick by tick: their last digits differ, and saved results

@@ -25,7 +25,7 @@ from wcsim.config import RunConfig
 from wcsim.config.env import Form
 from wcsim.core.jit import exact_kernel
 from wcsim.errors import ConfigError
-from wcsim.supervisor.palette import class_fold_table, palette
+from wcsim.supervisor.palette import make_cityscapes_class_table, make_class_palette
 from wcsim.types import F32, F64, U8, CameraFrame, ClientSnapshot, ImuFrame, Measure, SensorFrame
 
 Observation = dict[str, npt.NDArray[Any]]
@@ -61,10 +61,10 @@ STATE_SHAPE: Final = (OTHERS_ROW + MOST_OTHERS, 9)
 MOST_KINDS: Final = 16  # numbers of kinds in the first column, 0 where a row is empty
 
 
-def observation_space(
+def make_observation_space(
     form: Form, width: int, height: int, imu: int = _IMU_SIZE, measures: Measures = _NO_MEASURES
 ) -> spaces.Dict:
-    """The Gymnasium space of `observation_of`.
+    """The Gymnasium space of `make_observation`.
 
     Images are (C, height, width), `imu` numbers are those of the IMU. The sensors of `measures`
     have entries of their own, by name. Raises ConfigError for an unknown form.
@@ -98,11 +98,11 @@ def observation_space(
     )
 
 
-def observation_of(snapshot: ClientSnapshot, config: RunConfig) -> Observation:
+def make_observation(snapshot: ClientSnapshot, config: RunConfig) -> Observation:
     """The observation of a snapshot in the configured form; also for the first frame of an episode.
 
     Returns:
-        Arrays as in `observation_space`, contiguous and owned by the caller.
+        Arrays as in `make_observation_space`, contiguous and owned by the caller.
 
     Raises:
         ConfigError: There is no such camera or sensor, or no colours where they are asked for.
@@ -140,12 +140,12 @@ def observation_of(snapshot: ClientSnapshot, config: RunConfig) -> Observation:
     return {"segmentation": image, "depth": np.clip(depth, 0.0, 1.0, out=depth)[None], **vectors}
 
 
-def state_space() -> spaces.Box:
-    """The Gymnasium space of `state_of`."""
+def make_state_observation_space() -> spaces.Box:
+    """The Gymnasium space of `make_state_observation`."""
     return spaces.Box(-1.0, 1.0, STATE_SHAPE, np.float32)
 
 
-def state_of(snapshot: ClientSnapshot) -> F32:
+def make_state_observation(snapshot: ClientSnapshot) -> F32:
     """The rows of `state` (STATE_SHAPE) float32, each column over its full scale, within [-1, 1].
 
     Raises ConfigError for the frame of a seat that did not ask for them.
@@ -175,7 +175,7 @@ def _state_scale() -> F64:
     return scale
 
 
-def imu_size(gyro: bool, yaw: bool) -> int:
+def count_imu_values(gyro: bool, yaw: bool) -> int:
     """How many numbers `_imu_vector` has; no two choices give the same."""
     return _IMU_SIZE + 3 * gyro + 2 * yaw
 
@@ -274,15 +274,15 @@ def _fold(class_id: U8) -> U8:
 
 @lru_cache(maxsize=1)
 def _fold_bytes() -> bytes:
-    return class_fold_table().tobytes()
+    return make_cityscapes_class_table().tobytes()
 
 
 @lru_cache(maxsize=2)
 def _planes(fold: bool) -> F32:
     """Colour planes (3, 256) float32 in 0..1, by class id."""
-    table = palette()
+    table = make_class_palette()
     if fold:
-        table = table[class_fold_table()]
+        table = table[make_cityscapes_class_table()]
     planes: F32 = np.ascontiguousarray(table.T, dtype=np.float32) / np.float32(255.0)
     return planes
 

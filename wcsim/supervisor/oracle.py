@@ -18,16 +18,16 @@ import numpy as np
 
 from wcsim.config import ChairConfig
 from wcsim.core.constants import OTHER_LEVEL_M
-from wcsim.core.frames import matrix
-from wcsim.core.joystick import limits_of, shaped_rows
+from wcsim.core.frames import matrix_from_quaternion
+from wcsim.core.joystick import drive_limits_from_chair, shape_joysticks
 from wcsim.supervisor.rollout import (
     HOLD_S,
     STEP_S,
     ChairShape,
-    Land,
-    free_distance,
+    StreetRasters,
+    compute_clearance_m,
+    longest_roll_out_s,
     roll_out,
-    rolls_s,
 )
 from wcsim.types import (
     F64,
@@ -83,10 +83,10 @@ class Oracle:
             wheels=np.ascontiguousarray(wheels_m, np.float64),
             rims=rims_m * (1.0, 1.0, 100.0),  # the raster has centimetres
         )
-        self._commands = shaped_rows(actions, chair)
-        self._limits = limits_of(chair)
+        self._commands = shape_joysticks(actions, chair)
+        self._limits = drive_limits_from_chair(chair)
         self._tick_s = tick_s
-        roll_s = float(rolls_s(self._limits))
+        roll_s = float(longest_roll_out_s(self._limits))
         self._roll_s = max(_ROLL_OUT_S, roll_s)
         self._reach_m = max(_REACH_M, outline.length_m + chair.v_max_mps * 0.5 * (HOLD_S + roll_s))
 
@@ -102,7 +102,7 @@ class Oracle:
 
         `actors` are the others, this chair not among them.
         """
-        commands = shaped_rows(np.array([[joystick.x, joystick.y]]), self._chair)
+        commands = shape_joysticks(np.array([[joystick.x, joystick.y]]), self._chair)
         others = self._near(plant, actors, len(waiting) * self._tick_s)
         return bool(np.isfinite(self._roll_out(plant, commands, others, waiting, accel_mps2)[0]))
 
@@ -136,7 +136,7 @@ class Oracle:
             same = few.total == others.total
             visible = verdict if same else self._verdict(plant, joystick, few, waiting, accel_mps2)
         grid = self._grid.around(plant.p_WB_m)
-        gap_m = free_distance(
+        gap_m = compute_clearance_m(
             _state(plant), self._body.hull, _land(grid), others.boxes, others.people
         )
         return Truth(
@@ -156,7 +156,7 @@ class Oracle:
         waiting: Sequence[Joystick],
         accel_mps2: float,
     ) -> Verdict:
-        own = shaped_rows(np.array([[joystick.x, joystick.y]]), self._chair)
+        own = shape_joysticks(np.array([[joystick.x, joystick.y]]), self._chair)
         first_s = self._roll_out(
             plant, np.concatenate([self._commands, own]), others, waiting, accel_mps2
         )
@@ -200,7 +200,7 @@ class Oracle:
     ) -> F64:
         grid = self._grid.around(plant.p_WB_m)
         # Where each wheel is, as the chair lies: beside a kerb it may stand on both sides.
-        r, wheels = matrix(plant.q_WB.tolist()), self._body.wheels[:, :2]
+        r, wheels = matrix_from_quaternion(plant.q_WB.tolist()), self._body.wheels[:, :2]
         wheels_W_m = plant.p_WB_m + wheels @ np.array([(r[0], r[3], r[6]), (r[1], r[4], r[7])])
         above_m = wheels_W_m[:, 2] - (0.0 if grid.relief is FLAT else grid.relief.at(wheels_W_m))
         first_s: F64 = roll_out(
@@ -220,7 +220,7 @@ class Oracle:
 
     def _steps(self, waiting: Sequence[Joystick]) -> F64:
         """The waiting commands, shaped, one for each step of the roll-out (M, 2)."""
-        sticks = shaped_rows(
+        sticks = shape_joysticks(
             np.array([(stick.x, stick.y) for stick in waiting]).reshape(-1, 2), self._chair
         )
         # A hair against rounding, here and below: each step takes the command of its tick.
@@ -240,8 +240,8 @@ class _Others(NamedTuple):
         return len(self.boxes) + len(self.people)
 
 
-def _land(grid: StreetGrid) -> Land:
-    return Land(
+def _land(grid: StreetGrid) -> StreetRasters:
+    return StreetRasters(
         grid.height_cm,
         grid.edge_cm,
         grid.clearance_dm,

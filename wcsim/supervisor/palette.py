@@ -40,7 +40,7 @@ COLOURS: Final[dict[ClassId, tuple[int, int, int]]] = {
 }
 
 
-def palette() -> U8:
+def make_class_palette() -> U8:
     """Table (256, 3) uint8 from class id to red, green, blue; ids without a class are black.
 
     >>> palette()[ClassId.ROAD].tolist()
@@ -52,7 +52,7 @@ def palette() -> U8:
     return table
 
 
-def class_fold_table() -> U8:
+def make_cityscapes_class_table() -> U8:
     """Table (256,) uint8 that folds wcsim's own classes: kerbs to sidewalk, crosswalk to road.
 
     >>> int(class_fold_table()[ClassId.CROSSWALK]) == ClassId.ROAD

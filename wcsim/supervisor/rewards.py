@@ -44,7 +44,7 @@ _STANDING: Final = {
 _LONGEST_ID: Final = 100
 
 
-def reward(
+def compute_reward_terms(
     distance: float, imu: ImuFrame, plant: PlantState, events: Events, config: RewardConfig
 ) -> RewardTerms:
     """All terms of one step; `distance` is that of `joystick_distance`.
@@ -110,18 +110,18 @@ def hardest_contact(
     return max(collisions, key=lambda contact: contact.impulse_Ns, default=None)
 
 
-def fault(reason: str, contacts: Sequence[Contact], config: RewardConfig) -> Fault:
+def judge_crash_fault(reason: str, contacts: Sequence[Contact], config: RewardConfig) -> Fault:
     """Who is at fault: the cause of the hardest touch; without a collision the chair's own."""
     hit = hardest_contact(reason, contacts, config)
     return "own" if hit is None else hit.cause
 
 
-def blamed(reason: str, at_fault: str, words: str) -> str:
-    """A crash in a line: its reason, who is at fault, and `words` as those of `crash_words`."""
+def format_crash_summary(reason: str, at_fault: str, words: str) -> str:
+    """A crash in a line: its reason, who is at fault, and `words` as those of `describe_crash`."""
     return f"{reason}, {at_fault} fault: it {words}"
 
 
-def crash_words(reason: str, contacts: Sequence[Contact], config: RewardConfig) -> str:
+def describe_crash(reason: str, contacts: Sequence[Contact], config: RewardConfig) -> str:
     """What happened to a chair that crashed: into what it drove, or what hit it, by SUMO's id.
 
     >>> hit = Contact(kind="car", part="body", impulse_Ns=9.0, cause="other", actor_id="v:flow.3")
@@ -152,7 +152,7 @@ def is_reward_term(value: object) -> bool:
     return all(callable(getattr(value, method, None)) for method in ("reset", "reward"))
 
 
-def find_reward_term(name: str) -> RewardTerm:
+def make_reward_term(name: str) -> RewardTerm:
     """A new reward term of the class `module:Class`. Raises ConfigError if it is none."""
     term_class = find_class(name, "reward term")
     if not is_reward_term(term_class):

@@ -18,15 +18,15 @@ from wcsim.core.boxes import boxes_touch, gap_to_box
 from wcsim.core.constants import GRAVITY_MPS2, KERB_STEP_CM
 from wcsim.core.frames import rad
 from wcsim.core.jit import exact_kernel
-from wcsim.core.joystick import ACCEL, DECEL, JERK, V_MAX, YAW_ACCEL, YAW_MAX, driven
+from wcsim.core.joystick import ACCEL, DECEL, JERK, V_MAX, YAW_ACCEL, YAW_MAX, advance_drive
 from wcsim.supervisor.walkers import (
     HALF_L,
     HALF_W,
     MIDDLE,
-    near_people,
+    filter_reachable_people,
+    has_possible_person_collision,
+    has_steady_person_collision,
     person_gap,
-    runs_into_any_way,
-    runs_into_going_on,
     set_people_margins,
 )
 from wcsim.types import F64, I64, U8, Bool
@@ -79,7 +79,7 @@ class ChairShape(NamedTuple):
     rims: F64  # (n, 3) what can meet a step up, see the column names above
 
 
-class Land(NamedTuple):
+class StreetRasters(NamedTuple):
     """The rasters of a `StreetGrid`."""
 
     height_cm: U8
@@ -97,7 +97,7 @@ def roll_out(
     body: ChairShape,
     above_cm: I64,
     reach_m: float,
-    land: Land,
+    land: StreetRasters,
     boxes: F64,
     people: F64,
     tick_s: float,
@@ -140,7 +140,9 @@ def roll_out(
         + limits[V_MAX] / limits[DECEL]
         + limits[DECEL] / limits[JERK]
     )
-    near = near_people(state[0], state[1], stands_s * limits[V_MAX], stands_s, hull, people)
+    near = filter_reachable_people(
+        state[0], state[1], stands_s * limits[V_MAX], stands_s, hull, people
+    )
     # 3. Try each command, held, and released after one tick.
     first_s = np.full(len(commands), np.inf)
     for k in range(len(commands)):
@@ -160,14 +162,16 @@ def roll_out(
 
 
 @exact_kernel
-def rolls_s(limits: F64) -> float:
+def longest_roll_out_s(limits: F64) -> float:
     """Seconds, at most, of a held command and of the way to a stop; of a drive's limits (8,)."""
     straight_s = limits[V_MAX] / limits[DECEL] + (limits[ACCEL] + limits[DECEL]) / limits[JERK]
     return float(min(SOFTEST_S, HOLD_S + max(straight_s, limits[YAW_MAX] / limits[YAW_ACCEL])))
 
 
 @exact_kernel
-def free_distance(state: F64, hull: F64, land: Land, boxes: F64, people: F64) -> float:
+def compute_clearance_m(
+    state: F64, hull: F64, land: StreetRasters, boxes: F64, people: F64
+) -> float:
     """Metres from the chair's footprint to the nearest solid thing or actor, 0 when they touch."""
     nearest = _solid_gap(
         state[0], state[1], state[2], hull, land.clearance_dm, land.frame_m, np.inf
@@ -205,7 +209,7 @@ def free_distance(state: F64, hull: F64, land: Land, boxes: F64, people: F64) ->
 def _held_goes_wrong_s(
     state: F64, waiting: F64, command: F64, limits: F64, body: ChairShape, allowed_gap: float,
     rims: F64, around: tuple[float, float, float], places: F64, start_cm: I64, hanging: Bool,
-    land: Land, boxes: F64, people: F64,
+    land: StreetRasters, boxes: F64, people: F64,
 ) -> float:  # fmt: skip
     """Seconds until a command that is held for HOLD_S goes wrong, or infinity."""
     # Unpacked once: a tuple of arrays that is passed on costs more than what is done with it.
@@ -270,7 +274,7 @@ def _held_goes_wrong_s(
             or _bumps(x, y, cos, sin, wheels, now, rims, around, height_cm, edge_cm, frame_m)
             or gap_m < allowed_gap
             or _touches(x, y, cos, sin, hull, later_s, boxes)
-            or runs_into_going_on(x, y, yaw, v, w, hull, later_s, people)
+            or has_steady_person_collision(x, y, yaw, v, w, hull, later_s, people)
         ):
             return later_s
         # A step that a slow wheel cannot climb ends the drive.
@@ -295,7 +299,7 @@ def _released_meets_s(
         if i >= held and v == 0.0 and abs(w) < 1e-3:
             break
         x, y, yaw, v, w, a = _moved(x, y, yaw, v, w, a, sticks[i], limits)
-        if runs_into_any_way(x, y, yaw, v, w, hull, (i + 1) * STEP_S, people):
+        if has_possible_person_collision(x, y, yaw, v, w, hull, (i + 1) * STEP_S, people):
             return (i + 1) * STEP_S
     return np.inf
 
@@ -306,7 +310,7 @@ def _sticks(waiting: F64, command: F64, held_s: float, limits: F64) -> tuple[F64
     waits = len(waiting)
     # A hair less: rounding of the quotient must not add a step.
     held = waits + math.ceil(held_s / STEP_S - 1e-6)
-    steps = int(max(LONGEST_S, rolls_s(limits) + _SPARE_S) / STEP_S)
+    steps = int(max(LONGEST_S, longest_roll_out_s(limits) + _SPARE_S) / STEP_S)
     sticks = np.zeros((waits + steps, 2))
     sticks[:waits] = waiting
     sticks[waits:held] = command
@@ -319,7 +323,7 @@ def _moved(
 ) -> tuple[float, float, float, float, float, float]:
     """Pose, speeds and acceleration a step later."""
     v_before, yaw_before = v, yaw
-    v, w, a = driven(v, w, a, stick[0], stick[1], limits, STEP_S)
+    v, w, a = advance_drive(v, w, a, stick[0], stick[1], limits, STEP_S)
     yaw += w * STEP_S
     # Mean speed along the mean heading: with those of one end the way would err by the first order
     # of the step.
@@ -372,7 +376,7 @@ def _wheel_places(state: F64, wheels: F64) -> F64:
 
 @exact_kernel
 def _stance(
-    state: F64, body: ChairShape, places: F64, above_cm: I64, reach_m: float, land: Land
+    state: F64, body: ChairShape, places: F64, above_cm: I64, reach_m: float, land: StreetRasters
 ) -> tuple[I64, Bool, F64]:
     """Heights (W,) on which the wheels stand, which of them hang, and the rims to look under.
 

@@ -49,7 +49,9 @@ def person_gap(x: float, y: float, yaw: float, hull: F64, person: F64) -> float:
 
 
 @exact_kernel
-def near_people(x: float, y: float, way_m: float, within_s: float, hull: F64, people: F64) -> F64:
+def filter_reachable_people(
+    x: float, y: float, way_m: float, within_s: float, hull: F64, people: F64
+) -> F64:
     """The people that a chair can meet which drives at most `way_m` in `within_s`."""
     near = np.empty_like(people)
     many = 0
@@ -63,7 +65,7 @@ def near_people(x: float, y: float, way_m: float, within_s: float, hull: F64, pe
 
 
 @exact_kernel
-def runs_into_going_on(
+def has_steady_person_collision(
     x: float, y: float, yaw: float, v: float, w: float, hull: F64, later_s: float, people: F64
 ) -> bool:
     """Whether the chair, there and as fast in `later_s`, runs into a person who goes on as now."""
@@ -78,7 +80,7 @@ def runs_into_going_on(
 
 
 @exact_kernel
-def runs_into_any_way(
+def has_possible_person_collision(
     x: float, y: float, yaw: float, v: float, w: float, hull: F64, later_s: float, people: F64
 ) -> bool:
     """Whether it runs into a person who goes on, slows down or stops.

@@ -327,10 +327,10 @@ class Street:
     @property
     def mesh(self) -> StreetMesh:
         """All tiles as one mesh, for tools and tests; a world loads single tiles."""
-        return joined_mesh([self.tiles.mesh(key) for key in self.tiles.keys])
+        return join_meshes([self.tiles.mesh(key) for key in self.tiles.keys])
 
 
-def joined_mesh(parts: Sequence[StreetMesh]) -> StreetMesh:
+def join_meshes(parts: Sequence[StreetMesh]) -> StreetMesh:
     """Join several meshes into one, in their order."""
     if len(parts) == 1:
         return parts[0]

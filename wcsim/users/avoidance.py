@@ -19,7 +19,7 @@ from wcsim.core.constants import KERB_STEP_CM
 from wcsim.core.jit import exact_kernel
 from wcsim.types import F64, U8, ClassId, Ground
 from wcsim.users.perception import DetectedObject
-from wcsim.users.route_line import Path
+from wcsim.users.route_line import RouteLine
 
 _HORIZON_M: Final = 4.5  # standing things farther along the route are not steered around yet
 _NEAR_M: Final = 10.0
@@ -54,7 +54,7 @@ _SPREAD_M: Final = 1.0  # the offset of an edge also holds so far before and beh
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Body:
+class PredictedChairPose:
     """The chair's middle as the user feels it move, and how far the chair reaches from there."""
 
     x_m: float
@@ -66,7 +66,7 @@ class Body:
     half_m: tuple[float, float]  # half the length and width of the chair's box
 
     def blocked_lanes(
-        self, path: Path, things: Sequence[DetectedObject], desired_mps: float
+        self, path: RouteLine, things: Sequence[DetectedObject], desired_mps: float
     ) -> list[tuple[float, float]]:
         """Offsets (low, high; left positive) that lead into something within the horizon."""
         lanes = []
@@ -128,7 +128,7 @@ class Body:
 class LanePlanner:
     """The lateral offset at which a user drives along one route."""
 
-    def __init__(self, path: Path, ground: Ground | None) -> None:
+    def __init__(self, path: RouteLine, ground: Ground | None) -> None:
         """Start on the route. Without a ground the user stays near it and sees no edge."""
         self.offset_m = 0.0  # beside the route, left positive
         self._path = path
@@ -139,7 +139,11 @@ class LanePlanner:
         return math.inf if self._edges is None else self._edges.slope_ahead(arc_m, ahead_m)
 
     def change_lane(
-        self, body: Body, things: Sequence[DetectedObject], desired_mps: float, goal_m: float
+        self,
+        body: PredictedChairPose,
+        things: Sequence[DetectedObject],
+        desired_mps: float,
+        goal_m: float,
     ) -> float:
         """Set the offset for the way to the place `goal_m`; the speed that it allows."""
         home_m = 0.0 if self._edges is None else self._edges.offset_at(goal_m)
@@ -204,7 +208,7 @@ def _meet_s(gap_m: float, closing_mps: float) -> float:
 class PavementEdges:
     """How far the street goes on beside a route, looked at in pieces as the user comes near."""
 
-    def __init__(self, ground: Ground, path: Path) -> None:
+    def __init__(self, ground: Ground, path: RouteLine) -> None:
         self._ground = ground
         self._path = path
         self._room_m = np.zeros((0, 2))  # (stations, left and right)

@@ -21,7 +21,7 @@ from wcsim.types import (
     WalkGraph,
     WayKind,
 )
-from wcsim.users.route_line import Path
+from wcsim.users.route_line import RouteLine
 
 KERB_GAP_M: Final = 0.3  # left between footplate and road while waiting
 MOVING_MPS: Final = 0.5
@@ -58,7 +58,7 @@ _ASLANT_STEP_M: Final = 0.1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Crossing:
+class RouteCrossing:
     """A stretch of the route over a road."""
 
     start_m: float  # arc on the route
@@ -69,13 +69,13 @@ class Crossing:
     tls_links: tuple[int, ...]
 
 
-class CrossingStops:
+class CrossingStopPlanner:
     """Where a user must stop at the crossings of one route."""
 
     def __init__(
         self,
-        items: Sequence[Crossing],
-        path: Path,
+        items: Sequence[RouteCrossing],
+        path: RouteLine,
         ground: Ground | None,
         law_share: float,
         rng: np.random.Generator,
@@ -101,7 +101,7 @@ class CrossingStops:
         for item, obeys in zip(items, lawful, strict=True):
             near_m = road_m = item.start_m
             if ground is not None:
-                near_m = kerb_arc_m(ground, path, item.start_m)
+                near_m = find_kerb_arc_m(ground, path, item.start_m)
                 road_m = _road_arc_m(ground, path, item.start_m)
             self._states.append(
                 _CrossingState(
@@ -110,7 +110,7 @@ class CrossingStops:
             )
 
     @property
-    def obeys(self) -> Mapping[Crossing, bool]:
+    def obeys(self) -> Mapping[RouteCrossing, bool]:
         """The crossings that the user has reached, and whether it obeys the law there."""
         return {state.crossing: state.lawful for state in self._states if state.reached}
 
@@ -185,7 +185,7 @@ class CrossingStops:
 class _CrossingState:
     """One crossing of a route, and what its user has seen there."""
 
-    crossing: Crossing
+    crossing: RouteCrossing
     lawful: bool
     stop_m: float  # arc of the chair's middle from where a turn does not swing over the road
     road_m: float  # arc where the route gets onto the road
@@ -228,9 +228,9 @@ class _CrossingState:
         return self.hesitates and shortest_s < _SHORT_GREEN_S + _SPARE_S
 
 
-def crossings(route: Route, walk: WalkGraph) -> tuple[Crossing, ...]:
+def find_route_crossings(route: Route, walk: WalkGraph) -> tuple[RouteCrossing, ...]:
     """The crossings on a route, in order; pieces of one crossing edge are one crossing."""
-    found: list[Crossing] = []
+    found: list[RouteCrossing] = []
     index = route.edge_index.tolist()
     arc_m = route.arc_m.tolist()
     points = [(float(x), float(y)) for x, y in route.points_W_m[:, :2].tolist()]
@@ -242,7 +242,7 @@ def crossings(route: Route, walk: WalkGraph) -> tuple[Crossing, ...]:
             last += 1
         if edge.kind is WayKind.CROSSING and arc_m[last] > arc_m[first]:
             found.append(
-                Crossing(
+                RouteCrossing(
                     start_m=arc_m[first],
                     end_m=arc_m[last],
                     start_W_m=points[first],
@@ -255,7 +255,7 @@ def crossings(route: Route, walk: WalkGraph) -> tuple[Crossing, ...]:
     return tuple(found)
 
 
-def kerb_arc_m(ground: Ground, path: Path, start_m: float) -> float:
+def find_kerb_arc_m(ground: Ground, path: RouteLine, start_m: float) -> float:
     """Arc where a route to a crossing comes near to the road.
 
     It is at the crossing's start, or before it on a way along the kerb.
@@ -270,7 +270,7 @@ def kerb_arc_m(ground: Ground, path: Path, start_m: float) -> float:
     return start_m
 
 
-def _road_arc_m(ground: Ground, path: Path, start_m: float) -> float:
+def _road_arc_m(ground: Ground, path: RouteLine, start_m: float) -> float:
     """Arc where a route to a crossing gets onto the road.
 
     It is at the crossing's start, or before it where the kerb runs aslant.
@@ -282,13 +282,13 @@ def _road_arc_m(ground: Ground, path: Path, start_m: float) -> float:
     return start_m
 
 
-def is_red(crossing: Crossing | WalkEdge, signals: Iterable[SignalState]) -> bool:
+def is_red(crossing: RouteCrossing | WalkEdge, signals: Iterable[SignalState]) -> bool:
     """Whether the pedestrian signal forbids to start; one that is missing or off never does."""
     signal = _signal_of(crossing, signals)
     return signal is not None and not signal.frees(crossing.tls_links)
 
 
-def _has_light(crossing: Crossing, signals: Iterable[SignalState]) -> bool:
+def _has_light(crossing: RouteCrossing, signals: Iterable[SignalState]) -> bool:
     """Whether a signal that is switched on governs the crossing."""
     signal = _signal_of(crossing, signals)
     if signal is None:
@@ -297,20 +297,22 @@ def _has_light(crossing: Crossing, signals: Iterable[SignalState]) -> bool:
     return any(colour in "rRyYuGg" for colour in colours)
 
 
-def _signal_of(crossing: Crossing | WalkEdge, signals: Iterable[SignalState]) -> SignalState | None:
+def _signal_of(
+    crossing: RouteCrossing | WalkEdge, signals: Iterable[SignalState]
+) -> SignalState | None:
     for signal in signals:
         if signal.tls_id == crossing.tls_id and crossing.tls_id:
             return signal
     return None
 
 
-def _near_start(crossing: Crossing, vehicles: Iterable[ActorState]) -> list[ActorState]:
+def _near_start(crossing: RouteCrossing, vehicles: Iterable[ActorState]) -> list[ActorState]:
     """The vehicles so near to where a crossing starts that they count at green."""
     start = crossing.start_W_m
     return [v for v in vehicles if math.dist(v.p_W_m[:2].tolist(), start) < _GREEN_SEEN_M]
 
 
-def _is_traffic(crossing: Crossing, vehicle: ActorState, ground: Ground | None) -> bool:
+def _is_traffic(crossing: RouteCrossing, vehicle: ActorState, ground: Ground | None) -> bool:
     """Whether a vehicle drives on the road that is crossed.
 
     A rider need not: where many ride on the pavement, they pass the kerb without end, and one that
@@ -327,7 +329,7 @@ def _is_traffic(crossing: Crossing, vehicle: ActorState, ground: Ground | None) 
     return bool(abs(vx * to_x + vy * to_y) <= _ALONG * math.hypot(vx, vy) * math.hypot(to_x, to_y))
 
 
-def _has_conflict(crossing: Crossing, vehicles: Iterable[ActorState]) -> bool:
+def _has_conflict(crossing: RouteCrossing, vehicles: Iterable[ActorState]) -> bool:
     """Whether a vehicle, driving on as it does, gets too near to a chair that crosses now.
 
     Too near: it is somewhere on the crossing within the next `_GAP_S` seconds, or within `_GAP_S`
@@ -354,7 +356,9 @@ def _has_conflict(crossing: Crossing, vehicles: Iterable[ActorState]) -> bool:
     return False
 
 
-def _passes_wide(vehicle: ActorState, speed_mps: float, crossing: Crossing, half_m: float) -> bool:
+def _passes_wide(
+    vehicle: ActorState, speed_mps: float, crossing: RouteCrossing, half_m: float
+) -> bool:
     """Whether a vehicle's straight way leads past a crossing, or has left it.
 
     So does that of most vehicles in sight, and this costs little.

@@ -42,7 +42,7 @@ STEER_ABOVE: Final = 0.2  # an intent to turn less than this is not worth a swit
 DRIVE_ABOVE: Final = 0.1
 
 
-class Hand:
+class StickHandModel:
     """A hand on a joystick: reaction delay, lag, slow wander, tremor, bias, the stick's low-pass.
 
     Its noise does not depend on the step's length (Ornstein-Uhlenbeck and phase diffusion).
@@ -71,7 +71,7 @@ class Hand:
         return _move(self._delay.advance(steps, dt_s), normals, self._coefficients, self._state)
 
 
-class SwitchHand:
+class SwitchHandModel:
     """Four switches instead of a stick: forward latches, left and right are pulses.
 
     A pulse lasts as long as the turn needs.
@@ -111,7 +111,7 @@ class SwitchHand:
         self._remaining_s = self._hold_s if forward or after_turn else 0.0
 
 
-def on_disc(x: float, y: float) -> tuple[float, float]:
+def clip_to_disc(x: float, y: float) -> tuple[float, float]:
     """The nearest position in the joystick's round gate.
 
     >>> on_disc(3.0, 4.0)
@@ -121,7 +121,7 @@ def on_disc(x: float, y: float) -> tuple[float, float]:
     return (x / radius, y / radius) if radius > 1.0 else (x, y)
 
 
-def in_gate(stick: Joystick) -> Joystick:
+def clip_stick_to_gate(stick: Joystick) -> Joystick:
     """A stick within its round gate; one that is not finite is at rest.
 
     >>> in_gate(Joystick(0.0, -3.0)), in_gate(Joystick(math.nan, 1.0))
@@ -129,7 +129,7 @@ def in_gate(stick: Joystick) -> Joystick:
     """
     if not (math.isfinite(stick.x) and math.isfinite(stick.y)):
         return AT_REST
-    return Joystick(*on_disc(stick.x, stick.y))
+    return Joystick(*clip_to_disc(stick.x, stick.y))
 
 
 class _Delay:

@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from wcsim.core.frames import rad, wrap
+from wcsim.core.frames import rad, wrap_angle
 from wcsim.types import ActorKind, ActorState, UserView
 from wcsim.users.crossing import MOVING_MPS, RIDERS
 from wcsim.users.profiles import UserProfile
@@ -48,14 +48,14 @@ class DetectedObject:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Seen:
+class PerceivedObjects:
     """What the user is aware of now."""
 
     things: tuple[DetectedObject, ...]  # to go around, or to stop behind
     vehicles: tuple[ActorState, ...]  # that one may have to wait for before a road, riders too
 
 
-class Perception:
+class UserPerception:
     """Attention, and the memory of what was detected."""
 
     def __init__(self, profile: UserProfile, rng: np.random.Generator) -> None:
@@ -92,7 +92,7 @@ class Perception:
             self.attentive = changes or heeds or self._away_s >= LONGEST_AWAY * p.away_s - 1e-9
         return self.attentive
 
-    def update(self, view: UserView) -> Seen:
+    def update(self, view: UserView) -> PerceivedObjects:
         """Look at the street: draw what is detected, and return what is known and still near."""
         see_m = self._profile.see_m
         things = [
@@ -119,14 +119,14 @@ class Perception:
             near, road = f"a{actor.id}", f"r{actor.id}"
             known = self._recall_or_draw(near, x, y, reach_m, view, not slow, road)
             if known and gap_m < _AROUND_M:
-                things.extend(discs(actor))
+                things.extend(actor_to_discs(actor))
             if (known and not slow) or (
                 rides and self._recall_or_draw(road, x, y, rider_m, view, True, near)
             ):
                 vehicles.append(actor)
         if len(self._memory) > _MOST_REMEMBERED:
             self._memory = {k: v for k, v in self._memory.items() if view.time_s - v[1] < _FORGET_S}
-        return Seen(things=tuple(things), vehicles=tuple(vehicles))
+        return PerceivedObjects(things=tuple(things), vehicles=tuple(vehicles))
 
     def _recall_or_draw(
         self,
@@ -149,7 +149,7 @@ class Perception:
             return False
         known = self._memory.get(key)
         if known is None:
-            ahead = abs(wrap(math.atan2(dy_m, dx_m) - view.yaw_rad)) <= _HALF_VIEW_RAD
+            ahead = abs(wrap_angle(math.atan2(dy_m, dx_m) - view.yaw_rad)) <= _HALF_VIEW_RAD
             in_sight = everywhere or ahead or distance_m < _BESIDE_M
             if distance_m > reach_m or not in_sight:
                 return False
@@ -160,7 +160,7 @@ class Perception:
         return known[0]
 
 
-def discs(actor: ActorState) -> list[DetectedObject]:
+def actor_to_discs(actor: ActorState) -> list[DetectedObject]:
     """A box seen from above as a row of discs of its width."""
     length_m, width_m, _ = actor.size_lwh_m
     short_m, long_m = min(length_m, width_m), max(length_m, width_m)

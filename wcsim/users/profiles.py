@@ -16,12 +16,19 @@ from typing import Any, Final
 import numpy as np
 
 from wcsim.core.constants import RECORDED
-from wcsim.core.reading import PROFILE, escaped, escaped_value, own_data, parse_json, read_toml
+from wcsim.core.reading import (
+    PROFILE,
+    escaped,
+    escaped_repr,
+    parse_json,
+    read_module_toml,
+    read_toml,
+)
 from wcsim.errors import ConfigError, meant
 
 _SUFFIX: Final = ".toml"
 _NAME: Final = re.compile(r"[A-Za-z0-9_-][A-Za-z0-9_.-]{0,63}")
-_DATA: Final[dict[str, dict[str, Any]]] = own_data(__file__)
+_DATA: Final[dict[str, dict[str, Any]]] = read_module_toml(__file__)
 
 PROFILE_LIMITS: Final[dict[str, tuple[float, float]]] = {
     name: (low, high) for name, (low, high) in _DATA.pop("limits").items()
@@ -64,7 +71,7 @@ class UserProfile:
     spread: float = 0.3  # parameters of an episode lie within 1 -+ this times the profile's
 
 
-def profile(name: str) -> UserProfile:
+def find_builtin_profile(name: str) -> UserProfile:
     """The profile called `name`. Raises ConfigError with the known names."""
     if name not in _DATA:
         names = ", ".join(profile_names())
@@ -88,20 +95,20 @@ def find_profile(name: str) -> UserProfile:
     Raises:
         ConfigError: There is no such profile, or the file cannot be used; with what was expected.
     """
-    return _read_profile(Path(name)) if name.endswith(_SUFFIX) else profile(name)
+    return _read_profile(Path(name)) if name.endswith(_SUFFIX) else find_builtin_profile(name)
 
 
-def is_user_file(name: str) -> bool:
+def is_user_file_name(name: str) -> bool:
     """Whether it names a file in the place of a profile: "recorded:FILE", or "FILE.toml"."""
     return name.startswith(RECORDED) or name.endswith(_SUFFIX)
 
 
-def user_files(names: Iterable[str]) -> tuple[str, ...]:
+def filter_user_file_names(names: Iterable[str]) -> tuple[str, ...]:
     """Those of these names that are of files in the place of a profile, sorted, each once."""
-    return tuple(sorted({name for name in names if is_user_file(name)}))
+    return tuple(sorted({name for name in names if is_user_file_name(name)}))
 
 
-def sample(base: UserProfile, rng: np.random.Generator) -> UserProfile:
+def sample_profile(base: UserProfile, rng: np.random.Generator) -> UserProfile:
     """Draw the user of one episode: every parameter within the profile's spread, and its bounds.
 
     Chances to see and to obey the law are spread by their complement: 2 % of misses become 1.4 to
@@ -147,17 +154,17 @@ def sample(base: UserProfile, rng: np.random.Generator) -> UserProfile:
 
 
 def profile_from_json(text: str, where: str) -> UserProfile:
-    """A profile that `profile_json` wrote. Raises ConfigError, beginning with `where`."""
+    """A profile that `profile_to_json` wrote. Raises ConfigError, beginning with `where`."""
     data = parse_json(text, where, PROFILE)
-    return _with_values(profile("competent"), data, where)
+    return _with_values(find_builtin_profile("competent"), data, where)
 
 
-def profile_json(user: UserProfile) -> str:
+def profile_to_json(user: UserProfile) -> str:
     """A profile with every number to the last bit, on one line."""
     return json.dumps(asdict(user), allow_nan=False)
 
 
-def profile_toml(user: UserProfile, notes: Mapping[str, str], head: str = "") -> str:
+def profile_to_toml(user: UserProfile, notes: Mapping[str, str], head: str = "") -> str:
     """A profile as TOML that `find_profile` reads; `notes` stand behind keys, `head` above all."""
     lines = [f"# {line}" for line in head.splitlines()]
     for name, value in asdict(user).items():
@@ -174,7 +181,7 @@ def profile_toml(user: UserProfile, notes: Mapping[str, str], head: str = "") ->
     return "\n".join([*lines, ""])
 
 
-def valid_profile_name(text: str) -> str:
+def profile_name_from_text(text: str) -> str:
     """A name for a profile that is made of any text, as of its file's name."""
     return re.sub(r"[^A-Za-z0-9_.-]", "-", text)[:64].lstrip(".") or "user"
 
@@ -190,10 +197,10 @@ def _read_profile(path: Path) -> UserProfile:
     base = data.pop("base", "competent")
     if not isinstance(base, str):
         raise ConfigError(
-            f"{escaped(path)}: base: got {escaped_value(base)}; "
+            f"{escaped(path)}: base: got {escaped_repr(base)}; "
             "expected the name of one of wcsim's profiles"
         )
-    plain = replace(profile(base), name=valid_profile_name(path.stem), spread=0.0)
+    plain = replace(find_builtin_profile(base), name=profile_name_from_text(path.stem), spread=0.0)
     return _with_values(plain, data, escaped(path))
 
 
@@ -214,19 +221,19 @@ def _value(key: str, value: Any, where: str) -> Any:
         if isinstance(value, str) and _NAME.fullmatch(value):
             return value
         raise ConfigError(
-            f"{where}: name: got {escaped_value(value)}; expected 1 to 64 letters, digits, - _ or ."
+            f"{where}: name: got {escaped_repr(value)}; expected 1 to 64 letters, digits, - _ or ."
         )
     if key == "discrete":
         if isinstance(value, bool):
             return value
-        raise ConfigError(f"{where}: discrete: got {escaped_value(value)}; expected true or false")
+        raise ConfigError(f"{where}: discrete: got {escaped_repr(value)}; expected true or false")
     low, high = PROFILE_LIMITS[key]
     numbers = value if key in PAIRS and isinstance(value, list) else [value]
     fits = len(numbers) == (2 if key in PAIRS else 1)
     if not fits or not all(_is_number(number) and low <= number <= high for number in numbers):
         what = "two numbers, each" if key in PAIRS else "a number,"
         raise ConfigError(
-            f"{where}: {key}: got {escaped_value(value)}; expected {what} {low:g} to {high:g}"
+            f"{where}: {key}: got {escaped_repr(value)}; expected {what} {low:g} to {high:g}"
         )
     return tuple(map(float, numbers)) if key in PAIRS else float(value)
 

@@ -27,7 +27,7 @@ class _RoutePoint(NamedTuple):
     left_m: float  # beside it, left positive
 
 
-class Path:
+class RouteLine:
     """A route prepared for quick queries; immutable."""
 
     def __init__(self, route: Route) -> None:

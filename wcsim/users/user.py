@@ -16,17 +16,17 @@ from typing import Final, Protocol
 import numpy as np
 
 from wcsim.config import ChairConfig
-from wcsim.core.frames import wrap
-from wcsim.core.joystick import pushed, yaw_rate_limit
+from wcsim.core.frames import wrap_angle
+from wcsim.core.joystick import raw_radius_from_shaped, yaw_rate_limit
 from wcsim.errors import ConfigError
 from wcsim.types import F64, Joystick, Outline, Route, Street, UserView
 from wcsim.types.chair import AT_REST
-from wcsim.users.avoidance import Body, LanePlanner
-from wcsim.users.crossing import Crossing, CrossingStops, crossings
-from wcsim.users.hand import Hand, SwitchHand, on_disc
-from wcsim.users.perception import Perception, Seen
+from wcsim.users.avoidance import LanePlanner, PredictedChairPose
+from wcsim.users.crossing import CrossingStopPlanner, RouteCrossing, find_route_crossings
+from wcsim.users.hand import StickHandModel, SwitchHandModel, clip_to_disc
+from wcsim.users.perception import PerceivedObjects, UserPerception
 from wcsim.users.profiles import UserProfile
-from wcsim.users.route_line import Path
+from wcsim.users.route_line import RouteLine
 from wcsim.users.turning import ActiveTurn, AxlePose, TurnPlan, plan_turn
 
 _LONGEST_STEP_S: Final = 0.05
@@ -91,12 +91,12 @@ class User(ABC):
         self.requests_help = False  # at the last look; it moves no stick
         self.patient = False  # never gives up: another driver drives, and this one knows the way
         self._sticks = sticks
-        self._path: Path | None = None
+        self._path: RouteLine | None = None
         self._arc_m = 0.0  # of the chair's middle along the route
 
     def follow(self, route: Route) -> None:
         """Take a new destination. Raises ConfigError for a route without points."""
-        self._path = Path(route)
+        self._path = RouteLine(route)
         self._arc_m = 0.0
         self.arrived = self.gave_up = False
 
@@ -128,20 +128,20 @@ class User(ABC):
         """How far along the present route the chair is."""
         return self._arc_m
 
-    def _middle_arc_m(self, path: Path, view: UserView, middle_x_m: float) -> float:
+    def _middle_arc_m(self, path: RouteLine, view: UserView, middle_x_m: float) -> float:
         """The place of the chair's middle on the route, searched around its last place."""
         x_m, y_m, yaw_rad = float(view.p_W_m[0]), float(view.p_W_m[1]), view.yaw_rad
         x_m += middle_x_m * math.cos(yaw_rad)
         y_m += middle_x_m * math.sin(yaw_rad)
         return path.project(x_m, y_m, self._arc_m).arc_m
 
-    def _move_along(self, path: Path, arc_m: float) -> None:
+    def _move_along(self, path: RouteLine, arc_m: float) -> None:
         """Set the place on the route; near its end the user has arrived."""
         self._arc_m = arc_m
         self.arrived = self.arrived or arc_m > path.length_m - _ARRIVED_M
 
 
-class RecordedStick(Protocol):
+class StickRecording(Protocol):
     """A stick that was recorded in the place of a profile."""
 
     def user(self, episode: int, outline: Outline) -> User:
@@ -155,7 +155,7 @@ class RecordedStick(Protocol):
         """
 
 
-FindUser = Callable[[str], UserProfile | RecordedStick]
+FindUser = Callable[[str], UserProfile | StickRecording]
 """Finds a user by its name. Raises ConfigError for an unknown one."""
 
 
@@ -187,8 +187,10 @@ class SimulatedUser(User):
         self._street = street
         # A generator for each part: what one part draws does not change what another does.
         attention_rng, hand_rng, self._miss_rng, self._law_rng, self._fear_rng = rng.spawn(5)
-        self._perception = Perception(profile, attention_rng)
-        self._hand = SwitchHand(profile) if profile.discrete else Hand(profile, hand_rng)
+        self._perception = UserPerception(profile, attention_rng)
+        self._hand = (
+            SwitchHandModel(profile) if profile.discrete else StickHandModel(profile, hand_rng)
+        )
         self._delay_s = profile.reaction_s + profile.lag_s
         self._intent = AT_REST
         self._time_s: float | None = None
@@ -196,8 +198,10 @@ class SimulatedUser(User):
         self._yaw_rate_radps = 0.0
         self._correct_at_s = -math.inf
         self._scared_at_s = -math.inf
-        self._witness: tuple[UserView, Seen] | None = None
-        self._moved: tuple[float, Body] | None = None  # when and where the chair last moved
+        self._witness: tuple[UserView, PerceivedObjects] | None = None
+        self._moved: tuple[float, PredictedChairPose] | None = (
+            None  # when and where the chair last moved
+        )
         self._freed_m = _FREE_M
 
     def follow(self, route: Route) -> None:
@@ -207,14 +211,14 @@ class SimulatedUser(User):
             ConfigError: The route has no points.
         """
         super().follow(route)
-        path = Path(route)
+        path = RouteLine(route)
         street = self._street
         ground = None if street is None else street.grid
         # Whether the user obeys the law is drawn by a generator of each route: it does not depend
         # on how far the chair got on the route before. Attention, hand, misses and fear draw on.
         (law_rng,) = self._law_rng.spawn(1)
-        self._stops = CrossingStops(
-            () if street is None else crossings(route, street.walk),
+        self._stops = CrossingStopPlanner(
+            () if street is None else find_route_crossings(route, street.walk),
             path,
             ground,
             self.profile.law_share,
@@ -235,7 +239,7 @@ class SimulatedUser(User):
         return self._intent
 
     @property
-    def witness(self) -> tuple[UserView, Seen] | None:
+    def witness(self) -> tuple[UserView, PerceivedObjects] | None:
         """What was there at the last look and what of it was detected; None of a look elsewhere.
 
         It is for tests.
@@ -243,7 +247,7 @@ class SimulatedUser(User):
         return self._witness
 
     @property
-    def obeys(self) -> Mapping[Crossing, bool]:
+    def obeys(self) -> Mapping[RouteCrossing, bool]:
         """The crossings reached so far on this route, and whether the user obeys the law there.
 
         It is for measurements.
@@ -270,7 +274,7 @@ class SimulatedUser(User):
         # 1. Feel the turn since the last look.
         dt_s = 0.0 if self._time_s is None else max(0.0, view.time_s - self._time_s)
         if dt_s > 0.0:
-            self._yaw_rate_radps = wrap(view.yaw_rad - self._yaw_rad) / dt_s
+            self._yaw_rate_radps = wrap_angle(view.yaw_rad - self._yaw_rad) / dt_s
         self._yaw_rad = view.yaw_rad
         self._time_s = view.time_s
         path = self._path
@@ -310,7 +314,7 @@ class SimulatedUser(User):
         # 6. Send the intent on its way. The hand gets it after the reaction time.
         self._hand.send_intent(self._intent)
 
-    def _plan(self, view: UserView, body: Body, path: Path) -> Joystick:
+    def _plan(self, view: UserView, body: PredictedChairPose, path: RouteLine) -> Joystick:
         """The stick for what the user sees; sets stop, lane, turn and request for help."""
         profile = self.profile
         desired_mps = profile.speed_share * self._chair.v_max_mps
@@ -357,7 +361,7 @@ class SimulatedUser(User):
         turn = self._turn_in_place(body, goal, seen, view.time_s)
         return self._steer(body, goal, speed_mps) if turn is None else turn
 
-    def _predicted_body(self, view: UserView, path: Path) -> Body:
+    def _predicted_body(self, view: UserView, path: RouteLine) -> PredictedChairPose:
         """The chair's middle where it will be when the hand answers: drivers steer ahead of it."""
         delay_s = self._delay_s
         ahead_m = self._outline.middle_x_m
@@ -370,7 +374,7 @@ class SimulatedUser(User):
         x_m += driven_m * math.cos(course_rad) + ahead_m * math.cos(yaw_rad)
         y_m += driven_m * math.sin(course_rad) + ahead_m * math.sin(yaw_rad)
         place = path.project(x_m, y_m, self._arc_m)
-        return Body(
+        return PredictedChairPose(
             x_m=x_m,
             y_m=y_m,
             yaw_rad=yaw_rad,
@@ -380,7 +384,7 @@ class SimulatedUser(User):
             half_m=self._outline.half_lw_m,
         )
 
-    def _unattended(self, body: Body, dt_s: float) -> Joystick:
+    def _unattended(self, body: PredictedChairPose, dt_s: float) -> Joystick:
         """The stick of a look elsewhere: the hand lets the steering go, and goes on with a stop."""
         x, y = self._intent.x, self._intent.y
         x = math.copysign(max(0.0, abs(x) - _CALM_STICK * dt_s / _STRAIGHT_S), x)
@@ -398,7 +402,7 @@ class SimulatedUser(User):
         # Counted from when it was due: the grid of ticks would make every period longer.
         self._correct_at_s = max(self._correct_at_s, time_s - period_s) + period_s
         wrong_x, wrong_y = (1.0 + _CORRECTION_ERROR * self._miss_rng.standard_normal(2)).tolist()
-        return Joystick(*on_disc(stick.x * wrong_x, stick.y * wrong_y))
+        return Joystick(*clip_to_disc(stick.x * wrong_x, stick.y * wrong_y))
 
     def _draw_help_request(self, too_fast_mps: float, time_s: float) -> bool:
         """Whether a scare starts now and the user requests help, which is drawn for each scare."""
@@ -408,13 +412,13 @@ class SimulatedUser(User):
         self._scared_at_s = time_s
         return starts and bool(self._fear_rng.random() < self.profile.ask_share)
 
-    def _slope_speed(self, body: Body) -> float:
+    def _slope_speed(self, body: PredictedChairPose) -> float:
         """The speed from which the chair is slow enough where the ground slopes."""
         rear_m = body.arc_m - 0.5 * self._outline.length_m
         slope_m = self._lanes.slope_ahead(rear_m, _SLOPE_AHEAD_M)
         return math.hypot(_SLOPE_MPS, _stopping_speed(slope_m - self._outline.length_m))
 
-    def _goal(self, body: Body, path: Path, arc_m: float) -> tuple[float, float]:
+    def _goal(self, body: PredictedChairPose, path: RouteLine, arc_m: float) -> tuple[float, float]:
         """Where to steer at or beyond a place of the route: far enough off to give a direction.
 
         On the inside of a sharp bend, a place well ahead may be right beside the chair's axle. A
@@ -428,7 +432,7 @@ class SimulatedUser(User):
             goal = path.at(arc_m + farther_m, self._lanes.offset_m)
         return goal
 
-    def _back_up_when_stuck(self, body: Body, time_s: float) -> None:
+    def _back_up_when_stuck(self, body: PredictedChairPose, time_s: float) -> None:
         """Plan to back up, or next time to creep on, when the chair hangs on something.
 
         It may be a kerb, or a caster that stands across.
@@ -443,13 +447,19 @@ class SimulatedUser(User):
             self._moved = (time_s, body)
 
     def _turn_in_place(
-        self, body: Body, goal: tuple[float, float], seen: Seen, time_s: float
+        self,
+        body: PredictedChairPose,
+        goal: tuple[float, float],
+        seen: PerceivedObjects,
+        time_s: float,
     ) -> Joystick | None:
         """The stick of a turn in place, with room made for it before; None when none is needed."""
         axle = self._axle(body)
         if self._turn is None:
             # Seen from the axle, which a turn does not move: else the turn would change the error.
-            error_rad = wrap(math.atan2(goal[1] - axle.y_m, goal[0] - axle.x_m) - body.yaw_rad)
+            error_rad = wrap_angle(
+                math.atan2(goal[1] - axle.y_m, goal[0] - axle.x_m) - body.yaw_rad
+            )
             far_off = abs(error_rad) >= _TURN_IN_PLACE_RAD
             if self._street is None or not far_off or abs(body.speed_mps) > _STANDS_MPS:
                 return None
@@ -472,17 +482,19 @@ class SimulatedUser(User):
             body, body.yaw_rad + turn_rad, min(_CREEP_MPS, safe_mps) if on_m > 0.0 else 0.0
         )
 
-    def _straight_on(self, body: Body, speed_mps: float) -> Joystick:
+    def _straight_on(self, body: PredictedChairPose, speed_mps: float) -> Joystick:
         return self._steer_along(body, body.yaw_rad, speed_mps)
 
-    def _steer_along(self, body: Body, yaw_rad: float, speed_mps: float) -> Joystick:
+    def _steer_along(self, body: PredictedChairPose, yaw_rad: float, speed_mps: float) -> Joystick:
         ahead = (body.x_m + math.cos(yaw_rad), body.y_m + math.sin(yaw_rad))
         return self._steer(body, ahead, speed_mps)
 
-    def _steer(self, body: Body, goal: tuple[float, float], speed_mps: float) -> Joystick:
-        return steer(body, goal, speed_mps, self._chair, self._delay_s, self._intent.x)
+    def _steer(
+        self, body: PredictedChairPose, goal: tuple[float, float], speed_mps: float
+    ) -> Joystick:
+        return plan_stick_to_goal(body, goal, speed_mps, self._chair, self._delay_s, self._intent.x)
 
-    def _axle(self, body: Body) -> AxlePose:
+    def _axle(self, body: PredictedChairPose) -> AxlePose:
         """The drive axle of a body. It may be near the chair's rear, and a body is the middle."""
         ahead_m, yaw_rad = self._outline.middle_x_m, body.yaw_rad
         return AxlePose(
@@ -492,8 +504,8 @@ class SimulatedUser(User):
         )
 
 
-def steer(
-    body: Body,
+def plan_stick_to_goal(
+    body: PredictedChairPose,
     goal: tuple[float, float],
     speed_mps: float,
     chair: ChairConfig,
@@ -511,7 +523,7 @@ def steer(
         delay_s: How late the driver's hand answers.
         before_x: The stick's x of the plan before, for goals right behind.
     """
-    error_rad = wrap(math.atan2(goal[1] - body.y_m, goal[0] - body.x_m) - body.yaw_rad)
+    error_rad = wrap_angle(math.atan2(goal[1] - body.y_m, goal[0] - body.x_m) - body.yaw_rad)
     # A goal right behind may be taken on either side: stay on the side of the plan before.
     if abs(error_rad) > _BEHIND_RAD and before_x * error_rad > 0.0:
         error_rad = -error_rad
@@ -530,7 +542,7 @@ def steer(
     radius = math.hypot(x, y)
     if radius < _LEAST_STICK:
         return AT_REST
-    scale = pushed(radius, chair) / radius
+    scale = raw_radius_from_shaped(radius, chair) / radius
     return Joystick(x * scale, y * scale)
 
 
@@ -539,8 +551,8 @@ def _stopping_speed(distance_m: float) -> float:
     return math.sqrt(2.0 * _BRAKE_MPS2 * max(0.0, distance_m))
 
 
-def _are_apart(a: Body, b: Body) -> bool:
+def _are_apart(a: PredictedChairPose, b: PredictedChairPose) -> bool:
     return (
         math.hypot(a.x_m - b.x_m, a.y_m - b.y_m) > _STUCK_M
-        or abs(wrap(a.yaw_rad - b.yaw_rad)) > _STUCK_RAD
+        or abs(wrap_angle(a.yaw_rad - b.yaw_rad)) > _STUCK_RAD
     )

@@ -12,9 +12,14 @@ import cv2
 import numpy as np
 
 from wcsim.agents.envs.episode_view import Info
-from wcsim.agents.envs.seat_driver import PolicyAgent, SeatDriver
+from wcsim.agents.envs.seat_driver import AgentSeatDriver, PolicyAgentAdapter
 from wcsim.agents.evaluation.suite.playback import PlayedStep
-from wcsim.agents.opening.named_policy import config_for, open_named, policy_overrides, seat_for
+from wcsim.agents.opening.named_policy import (
+    config_from_policy_name,
+    make_policy_seat_spec,
+    open_named_policy,
+    policy_overrides,
+)
 from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, STATE_SENSE, Observation, Policy, Warns, calling
 from wcsim.bridge.world import World
 from wcsim.bridge.world_rollout import rollout
@@ -129,7 +134,7 @@ class FilmedDrive:
         """Raises PolicyError, TownError, or ConfigError for what cannot be."""
         if not 64 <= width <= 1920:
             raise ConfigError(f"a picture cannot be {width} pixels wide; expected 64 to 1920")
-        self._driver: SeatDriver | None = None
+        self._driver: AgentSeatDriver | None = None
         self._info = Info()
         config, spec, self._policy = _senses(driver, seed, width)
         self.camera, self.tick_s = config.cameras[-1], config.world.tick_s
@@ -137,7 +142,7 @@ class FilmedDrive:
         with ExitStack() as held:
             self.world = held.enter_context(World(town, config, (spec,), seed, find_user=find_user))
             if self._policy is not None:
-                self._driver = SeatDriver(config, _OwnCode(self._policy), self.world.snapshot.clients[0])
+                self._driver = AgentSeatDriver(config, _OwnCode(self._policy), self.world.snapshot.clients[0])
             self._steps = rollout(self.world, {} if self._driver is None else {0: self._driver.choose})
             if video is not None:  # last: what failed before leaves no file
                 try:
@@ -235,11 +240,11 @@ def _senses(driver: FilmDriver, seed: int, width: int) -> tuple[RunConfig, SeatS
     if not driver.policy:
         config = RunConfig(cameras=(camera,), world=WorldConfig(mirror_radius_m=SIGHT_M))
         return resolve(config, driver.settings), SeatSpec(profile=driver.profile), None
-    own = config_for(driver.policy, "quick", driver.settings)
+    own = config_from_policy_name(driver.policy, "quick", driver.settings)
     film = camera.model_copy(update={"name": _FILM_CAMERA})
     own = own.model_copy(update={"cameras": (*own.cameras, film)})
-    policy = open_named(driver.policy, own, seed, driver.network or None)
-    return resolve(own, policy_overrides(own, policy)), seat_for(policy, driver.profile), policy
+    policy = open_named_policy(driver.policy, own, seed, driver.network or None)
+    return resolve(own, policy_overrides(own, policy)), make_policy_seat_spec(policy, driver.profile), policy
 
 
 class BusiestMoment:
@@ -269,7 +274,7 @@ class BusiestMoment:
         return True
 
 
-class _OwnCode(PolicyAgent):
+class _OwnCode(PolicyAgentAdapter):
     """What a user's own policy raises becomes a PolicyError that says where."""
 
     def reset(self, info: Info) -> None:

@@ -11,9 +11,9 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from wcsim.core.closing import Closing
+from wcsim.core.closing import ClosingContextBase
 from wcsim.core.reading import counted
-from wcsim.server.launch.states import ClientState, ClientStatus, LaunchState, WorldStatus
+from wcsim.server.launch.states import ClientProcessState, ClientStatusReport, LaunchProcessStates, WorldStatusReport
 
 PAYS = "acts/learns/waits %"
 _LINE_S = 10.0  # between two lines where there is no terminal
@@ -22,8 +22,8 @@ _SLOW_SHARE = 0.5  # ... or when one client causes so much of all waiting ...
 _ENOUGH_S = 1.0  # ... once that is worth a word
 
 
-class LiveTable(Closing):
-    """Shows a `LaunchState` again and again: a table on a terminal, elsewhere a line every ten seconds."""
+class LiveTable(ClosingContextBase):
+    """Shows a `LaunchProcessStates` again and again: a table on a terminal, elsewhere a line every ten seconds."""
 
     def __init__(self, console: Console | None = None) -> None:
         """Show on a console, by default that of stderr."""
@@ -32,7 +32,7 @@ class LiveTable(Closing):
         self._lined_s = 0.0
         self._nobody_reads = False
 
-    def show(self, state: LaunchState) -> None:
+    def show(self, state: LaunchProcessStates) -> None:
         """Print the status; a terminal that is gone must not end the program."""
         try:
             if not self._nobody_reads:
@@ -40,7 +40,7 @@ class LiveTable(Closing):
         except (OSError, SystemExit):  # rich ends a program whose output is not read
             self._nobody_reads = True
 
-    def _say(self, state: LaunchState) -> None:
+    def _say(self, state: LaunchProcessStates) -> None:
         if self.console.is_terminal:
             self._live.update(_table_of(state), refresh=True)
         elif state.elapsed_s - self._lined_s >= _LINE_S:
@@ -59,7 +59,7 @@ class LiveTable(Closing):
                 self._live.stop()
 
 
-def _table_of(state: LaunchState) -> RenderableType:
+def _table_of(state: LaunchProcessStates) -> RenderableType:
     """A head line and a row for each client."""
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     for title in ("client", "chair", "step", "phase", "episodes", "crashes", "KPI 1", PAYS, "state", "restarts"):
@@ -69,13 +69,13 @@ def _table_of(state: LaunchState) -> RenderableType:
     return Group(Text(_head_of(state), no_wrap=True, overflow="ellipsis"), table)
 
 
-def _line_of(state: LaunchState) -> str:
+def _line_of(state: LaunchProcessStates) -> str:
     """Everything in one line, for log files."""
     clients = "; ".join(_brief(client) for client in state.clients)
     return f"{state.elapsed_s:.0f} s: {_head_of(state)}{' | ' if clients else ''}{clients}"
 
 
-def _head_of(state: LaunchState) -> str:
+def _head_of(state: LaunchProcessStates) -> str:
     """The world, and for whom it waits."""
     world = state.world
     if world is None or state.world_standing != "running":
@@ -93,7 +93,7 @@ def _head_of(state: LaunchState) -> str:
     return ", ".join(part for part in parts if part)
 
 
-def _waits_of(world: WorldStatus) -> str:
+def _waits_of(world: WorldStatusReport) -> str:
     """For whom everybody waits: now when that is long, else in the mean when one stands out; "" else."""
     if world.late and world.late_s >= _WAITS_S and len(world.late) < max(2, len(world.members)):
         return f"waiting for {', '.join(world.late)} ({world.late_s:.1f} s)"
@@ -104,7 +104,7 @@ def _waits_of(world: WorldStatus) -> str:
     return f"slowest client {slowest.name} ({slowest.seconds / all_s:.0%} of {all_s:.1f} s waiting)"
 
 
-def _row(client: ClientState, world: WorldStatus | None) -> tuple[str, ...]:
+def _row(client: ClientProcessState, world: WorldStatusReport | None) -> tuple[str, ...]:
     status = client.status
     master = world is not None and bool(world.master) and world.master == client.name
     cells = ("-",) * 6
@@ -121,7 +121,7 @@ def _row(client: ClientState, world: WorldStatus | None) -> tuple[str, ...]:
     )
 
 
-def _pays_of(status: ClientStatus) -> str:
+def _pays_of(status: ClientStatusReport) -> str:
     """What share of its time a client spends on acting, learning and waiting, in percent.
 
     >>> client = ClientStatus(name="a", inference_s=1.0, learning_s=6.0, simulation_s=2.0, barrier_s=2.0, overlap_s=1.0)
@@ -134,7 +134,7 @@ def _pays_of(status: ClientStatus) -> str:
     return "/".join(f"{100.0 * part_s / all_s:.0f}" for part_s in parts_s) if all_s > 0.0 else "-"
 
 
-def _standing(client: ClientState, world: WorldStatus | None) -> str:
+def _standing(client: ClientProcessState, world: WorldStatusReport | None) -> str:
     if client.standing == "running" and world is not None:
         if client.name not in world.members:
             return "joining"
@@ -142,7 +142,7 @@ def _standing(client: ClientState, world: WorldStatus | None) -> str:
     return f"down: {client.reason}" if client.standing == "down" else client.standing
 
 
-def _brief(client: ClientState) -> str:
+def _brief(client: ClientProcessState) -> str:
     status = client.status
     far = "" if status is None else f" {status.step}/{status.total_steps}"
     kpi1 = "" if status is None or status.kpi1 is None else f", KPI 1 {status.kpi1:.3f}"

@@ -12,10 +12,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from wcsim.core.files import whole_file, write_bytes
-from wcsim.core.processes import without_line
+from wcsim.core.files import write_bytes, write_file_atomically
+from wcsim.core.processes import drop_stderr_lines
 from wcsim.errors import ConfigError, DiskFullError
-from wcsim.supervisor.palette import palette
+from wcsim.supervisor.palette import make_class_palette
 from wcsim.types import F32, U8, ClassId
 
 INK_RGB = (255, 255, 255)
@@ -25,7 +25,7 @@ _MOST_NAMES = 8  # of a legend
 
 def class_colours(class_id: U8) -> U8:
     """Class ids (H, W) as a colour image (H, W, 3), in the Cityscapes colours; an unknown id is black."""
-    return np.asarray(palette()[class_id], np.uint8)
+    return np.asarray(make_class_palette()[class_id], np.uint8)
 
 
 def depth_colours(depth_m: F32, range_m: float | None = None) -> U8:
@@ -54,7 +54,7 @@ def with_legend(image: U8, class_id: U8) -> U8:
         name = ClassId(number).name.replace("_", " ").lower()
         (wide, _), _ = cv2.getTextSize(name, cv2.FONT_HERSHEY_SIMPLEX, scale, 1)
         cv2.rectangle(out, (4, low - size), (size + wide + 14, low), _STRIP_RGB, cv2.FILLED)
-        cv2.rectangle(out, (7, low - size + 3), (size, low - 3), palette()[number].tolist(), cv2.FILLED)
+        cv2.rectangle(out, (7, low - size + 3), (size, low - 3), make_class_palette()[number].tolist(), cv2.FILLED)
         cv2.putText(out, name, (size + 8, low - size // 4), cv2.FONT_HERSHEY_SIMPLEX, scale, INK_RGB, 1, cv2.LINE_AA)
     return out
 
@@ -98,7 +98,7 @@ def open_video(path: Path, tick_s: float) -> Iterator[Callable[[U8], None]]:
         raise refused
     shape: tuple[int, ...] = ()
     frames = 0
-    with whole_file(path) as part:
+    with write_file_atomically(path) as part:
         video = cv2.VideoWriter()
 
         def write(image: U8) -> None:
@@ -107,7 +107,7 @@ def open_video(path: Path, tick_s: float) -> Iterator[Callable[[U8], None]]:
             pad_v, pad_u = height % 2, width % 2  # FFmpeg's VP8 wants even sides: the last row or column is repeated
             if not shape:
                 # OpenCV says of every WebM file that its tag is not supported, and writes a sound one.
-                with without_line(b"OpenCV: FFMPEG: tag"):
+                with drop_stderr_lines(b"OpenCV: FFMPEG: tag"):
                     code = cv2.VideoWriter.fourcc(*"VP80")
                     if not video.open(str(part), code, 1.0 / tick_s, (width + pad_u, height + pad_v)):
                         raise refused
@@ -125,7 +125,7 @@ def open_video(path: Path, tick_s: float) -> Iterator[Callable[[U8], None]]:
             cv2.utils.logging.setLogLevel(level)
         # OpenCV does not say whether it could write.
         film = cv2.VideoCapture(str(part))
-        with without_line(b"[matroska"):
+        with drop_stderr_lines(b"[matroska"):
             whole = all(film.grab() for _ in range(frames))
         if not whole:
             raise DiskFullError(f"{path}: could not be written whole; make room, or choose another place")

@@ -15,69 +15,71 @@ from wcsim.agents.clients.client import (
     _ProcessGrowth,
     _StatusPipe,
     _TimeShares,
-    exit_code,
-    learn,
+    client_exit_from_error,
+    train_client,
 )
 from wcsim.agents.clients.client_process import main
-from wcsim.agents.learning.callbacks import StopRequest, TrainProgress
+from wcsim.agents.learning.callbacks import StopSignalHandler, TrainProgress
 from wcsim.config import LearnConfig
-from wcsim.core.files import locked
-from wcsim.server.launch.states import ClientExit, ClientStatus
-from wcsim.server.links.base import Waits
-from wcsim.server.specs import ClientSpec, RunInfo, SeatRequest, of_line, to_line
+from wcsim.core.files import lock_run_folder
+from wcsim.server.launch.states import ClientExitCode, ClientStatusReport
+from wcsim.server.links.base import LinkWaitTimes
+from wcsim.server.specs import ClientProcessSpec, RunInfo, SeatRequest, decode_json_line, encode_json_line
 from wcsim.towns.scenario.overrides import Override
 
 
 @pytest.mark.parametrize(
     ("error", "code"),
     [
-        (errors.InterruptedRunError, ClientExit.STOPPED),
-        (_ProcessGrownError, ClientExit.GROWN),
-        (errors.ConfigError, ClientExit.USER_ERROR),
-        (errors.PolicyError, ClientExit.USER_ERROR),
-        (errors.DiskFullError, ClientExit.DISK_FULL),
-        (errors.ConfigMismatchError, ClientExit.USER_ERROR),
-        (errors.VersionMismatchError, ClientExit.USER_ERROR),
-        (errors.AccessError, ClientExit.USER_ERROR),
-        (errors.PicturesError, ClientExit.USER_ERROR),
-        (errors.ProtocolError, ClientExit.SERVER_GONE),
-        (errors.EvictedError, ClientExit.EVICTED),
-        (errors.StaleSessionError, ClientExit.EVICTED),
-        (errors.ServerGoneError, ClientExit.SERVER_GONE),
-        (errors.TickTimeoutError, ClientExit.SERVER_GONE),
-        (errors.SeatTakenError, ClientExit.SERVER_GONE),
+        (errors.InterruptedRunError, ClientExitCode.STOPPED),
+        (_ProcessGrownError, ClientExitCode.GROWN),
+        (errors.ConfigError, ClientExitCode.USER_ERROR),
+        (errors.PolicyError, ClientExitCode.USER_ERROR),
+        (errors.DiskFullError, ClientExitCode.DISK_FULL),
+        (errors.ConfigMismatchError, ClientExitCode.USER_ERROR),
+        (errors.VersionMismatchError, ClientExitCode.USER_ERROR),
+        (errors.AccessError, ClientExitCode.USER_ERROR),
+        (errors.PicturesError, ClientExitCode.USER_ERROR),
+        (errors.ProtocolError, ClientExitCode.SERVER_GONE),
+        (errors.EvictedError, ClientExitCode.EVICTED),
+        (errors.StaleSessionError, ClientExitCode.EVICTED),
+        (errors.ServerGoneError, ClientExitCode.SERVER_GONE),
+        (errors.TickTimeoutError, ClientExitCode.SERVER_GONE),
+        (errors.SeatTakenError, ClientExitCode.SERVER_GONE),
     ],
 )
 def test_how_a_client_ends(error, code):
-    assert exit_code(error("so")) is code
+    assert client_exit_from_error(error("so")) is code
 
 
 def test_a_mistake_in_the_order_is_told_before_anybody_waits_for_the_client(tmp_path, capfd, monkeypatch):
     monkeypatch.setattr("wcsim.agents.clients.client_process.die_with_parent", lambda: None)
-    monkeypatch.setattr("wcsim.agents.clients.client_process.outlive_parent_by", lambda *words: None)
+    monkeypatch.setattr("wcsim.agents.clients.client_process.limit_orphan_lifetime", lambda *words: None)
     join = SeatRequest(endpoint=f"ipc://{tmp_path}/nobody", name="a", claim="c")
-    order = ClientSpec(
+    order = ClientProcessSpec(
         join=join,
         config=config(network="nonesuch"),
         out=str(tmp_path / "run"),
         info=RunInfo(seed=1),
     )
-    (tmp_path / "order").write_bytes(to_line(order))
-    assert main([str(tmp_path / "order")]) == ClientExit.USER_ERROR
+    (tmp_path / "order").write_bytes(encode_json_line(order))
+    assert main([str(tmp_path / "order")]) == ClientExitCode.USER_ERROR
     assert "wcsim: unknown network 'nonesuch'" in capfd.readouterr().err
-    assert main([str(tmp_path / "none")]) == ClientExit.USER_ERROR
+    assert main([str(tmp_path / "none")]) == ClientExitCode.USER_ERROR
     assert not (tmp_path / "run").exists()
 
 
 def test_an_order_brings_everything_that_the_manifest_says():
     override = Override(option="--step-length", author="1", wcsim="0.1", why="ticks")
     info = RunInfo(seed=1, town="a", rewards=("a:B",), command=("x",), hook="c:D", overrides=(override,))
-    order = ClientSpec(join=SeatRequest(endpoint="ipc://a", name="a", claim="c"), config=config(), out="o", info=info)
-    assert of_line(ClientSpec, to_line(order)) == order
+    order = ClientProcessSpec(
+        join=SeatRequest(endpoint="ipc://a", name="a", claim="c"), config=config(), out="o", info=info
+    )
+    assert decode_json_line(ClientProcessSpec, encode_json_line(order)) == order
 
 
 class WaitingEnv:
-    waits, epoch = Waits(steps=3, simulation_s=1.5, link_s=4.0), 0
+    waits, epoch = LinkWaitTimes(steps=3, simulation_s=1.5, link_s=4.0), 0
 
 
 def told(step, total=100):
@@ -90,7 +92,7 @@ def test_status_lines_come_half_a_second_apart_and_in_the_end():
     for step in (1, 2, 3, 100):
         pipe.show(told(step))
     os.close(writes)
-    lines = [of_line(ClientStatus, line) for line in os.read(reads, 1 << 16).splitlines()]
+    lines = [decode_json_line(ClientStatusReport, line) for line in os.read(reads, 1 << 16).splitlines()]
     os.close(reads)
     assert [status.step for status in lines] == [1, 100]
     assert (lines[0].name, lines[0].simulation_s, lines[0].barrier_s) == ("a", 1.5, 2.5)
@@ -98,10 +100,10 @@ def test_status_lines_come_half_a_second_apart_and_in_the_end():
 
 def test_a_client_whose_launcher_died_while_it_began_does_not_begin(tmp_path, monkeypatch):
     monkeypatch.setattr("wcsim.agents.clients.client_process.die_with_parent", lambda: None)
-    monkeypatch.setattr("wcsim.agents.clients.client_process.outlive_parent_by", lambda *words: None)
+    monkeypatch.setattr("wcsim.agents.clients.client_process.limit_orphan_lifetime", lambda *words: None)
     reads, writes = os.pipe()
     os.close(reads)
-    assert main([str(tmp_path / "none"), "--status-fd", str(writes)]) == ClientExit.SERVER_GONE
+    assert main([str(tmp_path / "none"), "--status-fd", str(writes)]) == ClientExitCode.SERVER_GONE
     os.close(writes)
 
 
@@ -109,7 +111,7 @@ def test_a_client_whose_launcher_is_gone_is_asked_once_and_may_save():
     reads, writes = os.pipe()
     os.close(reads)
     pipe = _StatusPipe("a", writes, WaitingEnv(), _TimeShares(), _ProcessGrowth(LearnConfig()))
-    with StopRequest() as request:
+    with StopSignalHandler() as request:
         signal.raise_signal(signal.SIGTERM)  # as the kernel does when the launcher dies
         pipe.show(told(100))
         pipe.show(told(100))
@@ -130,7 +132,7 @@ def test_time_shares_of_a_run_and_progress_at_every_rollout(tmp_path):
 
 def test_a_client_that_has_grown_saves_its_work_and_says_that_another_process_goes_on(tmp_path, monkeypatch):
     class Seat(ToyStreet):
-        waits, steps = Waits(), 0
+        waits, steps = LinkWaitTimes(), 0
 
         def __init__(self):
             super().__init__(CAMERA, max_steps=30)
@@ -159,13 +161,13 @@ def test_a_client_that_has_grown_saves_its_work_and_says_that_another_process_go
     settings = config(**few, process_growth_mb=50, checkpoint_every=1000)
     join = SeatRequest(endpoint=f"ipc://{tmp_path}/nobody", name="patch", claim="c")
     info = RunInfo(seed=1, town="toy", town_sha256="0" * 64)
-    order = ClientSpec(join=join, config=settings, out=str(tmp_path / "run"), info=info)
+    order = ClientProcessSpec(join=join, config=settings, out=str(tmp_path / "run"), info=info)
     with pytest.raises(_ProcessGrownError, match="grown from 100 to 160 MB") as told:
-        learn(order, resume=False)
-    assert exit_code(told.value) is ClientExit.GROWN
+        train_client(order, resume=False)
+    assert client_exit_from_error(told.value) is ClientExitCode.GROWN
     (kept,) = (path.name for path in (tmp_path / "run" / "checkpoints").glob("step-*"))
     assert kept == "step-00000120"
-    learn(order, resume=True)
+    train_client(order, resume=True)
     assert json.loads((tmp_path / "run" / "manifest.json").read_text())["status"] == "done"
 
 
@@ -191,7 +193,11 @@ def test_measuring_changes_nothing(tmp_path):
 
 
 def test_a_run_folder_belongs_to_one_launcher_at_a_time(tmp_path):
-    with locked(tmp_path), pytest.raises(errors.PolicyError, match="another process"), locked(tmp_path):
+    with (
+        lock_run_folder(tmp_path),
+        pytest.raises(errors.PolicyError, match="another process"),
+        lock_run_folder(tmp_path),
+    ):
         pass
-    with locked(tmp_path):
+    with lock_run_folder(tmp_path):
         pass

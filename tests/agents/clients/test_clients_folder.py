@@ -8,26 +8,26 @@ from tests.support.one_process import die_after
 from tests.support.worlds import dqn_config
 from wcsim.agents.clients.group_run import (
     CONFIGS,
-    ClientsFolder,
-    create_clients_folder,
-    open_clients_folder,
+    GroupRunFolder,
+    create_group_run_folder,
+    open_group_run_folder,
 )
-from wcsim.agents.runs.run_folder import make_manifest
+from wcsim.agents.runs.run_folder import make_run_manifest
 from wcsim.errors import PolicyError
 from wcsim.log.records import SeenFrame
-from wcsim.server.ledger import open_ledger
+from wcsim.server.ledger import open_ledger_writer
 from wcsim.server.specs import RunInfo
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> ClientsFolder:
+def folder(tmp_path: Path) -> GroupRunFolder:
     config = dqn_config()
-    manifest = make_manifest(config, RunInfo(seed=1, town="t"))
-    return create_clients_folder(tmp_path / "run", config, manifest, {"a": config, "b": config})
+    manifest = make_run_manifest(config, RunInfo(seed=1, town="t"))
+    return create_group_run_folder(tmp_path / "run", config, manifest, {"a": config, "b": config})
 
 
-def write(folder: ClientsFolder, name: str, *stepped: bool) -> None:
-    with open_ledger(folder.ledger(name), name) as ledger:
+def write(folder: GroupRunFolder, name: str, *stepped: bool) -> None:
+    with open_ledger_writer(folder.ledger(name), name) as ledger:
         for tick, own in enumerate(stepped):
             ledger.append(SeenFrame(epoch=0, tick=tick, stepped=own))
 
@@ -63,11 +63,11 @@ def test_a_process_that_ends_while_configurations_are_written_leaves_a_run_that_
         with pytest.raises(KeyboardInterrupt):
             folder.rewrite(more)
             folder.with_status("running", 0)
-    again = open_clients_folder(folder.path)
+    again = open_group_run_folder(folder.path)
     again.rewrite(more)
     again = again.with_status("running", 7)
-    assert open_clients_folder(folder.path) == again
+    assert open_group_run_folder(folder.path) == again
     assert {again.client_config(name).learn.total_steps for name in "ab"} == {900}
     (folder.path / CONFIGS / "b.json").write_text(folder.config.model_dump_json(indent=2))
     with pytest.raises(PolicyError, match="changed by hand"):
-        open_clients_folder(folder.path)
+        open_group_run_folder(folder.path)

@@ -4,11 +4,17 @@ from dataclasses import replace
 
 import pytest
 
-from wcsim.agents.clients.paid_times import WAITS, PaidShares, PaidTimes, PaidTimesLog, read_paid_times
+from wcsim.agents.clients.paid_times import (
+    WAITS,
+    ClientTimeShares,
+    GroupRunTimes,
+    GroupRunTimesFile,
+    read_group_run_times,
+)
 from wcsim.errors import PolicyError
 from wcsim.server.host.status import _names_of, _WaitingTimes
-from wcsim.server.launch.states import ClientState, ClientStatus, LaunchState, WorldStatus
-from wcsim.server.protocol.members import Member
+from wcsim.server.launch.states import ClientProcessState, ClientStatusReport, LaunchProcessStates, WorldStatusReport
+from wcsim.server.protocol.members import RosterClient
 from wcsim.types import SeatSpec
 from wcsim.view.live_table import PAYS, _pays_of
 from wcsim.view.report import training_page
@@ -19,53 +25,59 @@ def state(learned_s, waited_s, pid=1, names=("a", "b"), lives=(7, 8)):
     """Both clients have learned so long in this life, and a has waited so long for b in this life of the world."""
     times = {"inference_s": 1.0, "simulation_s": 2.0, "barrier_s": 3.0, "overlap_s": 1.0}
     status = {
-        name: ClientStatus(name=name, learning_s=s, pid=life, **times)
+        name: ClientStatusReport(name=name, learning_s=s, pid=life, **times)
         for name, s, life in zip(names, learned_s, lives, strict=True)
     }
-    return LaunchState(
+    return LaunchProcessStates(
         elapsed_s=1.0,
         world_standing="running",
         world_pid=pid,
         world_restarts=0,
-        world=WorldStatus(stage="collect", members=names, waited_s=((0.0, waited_s), (0.25, 0.0))),
-        clients=tuple(ClientState(name=n, seat=k, standing="running", status=status[n]) for k, n in enumerate(names)),
+        world=WorldStatusReport(stage="collect", members=names, waited_s=((0.0, waited_s), (0.25, 0.0))),
+        clients=tuple(
+            ClientProcessState(name=n, seat=k, standing="running", status=status[n]) for k, n in enumerate(names)
+        ),
     )
 
 
 def test_lives_of_clients_and_worlds_add_up(tmp_path):
-    log = PaidTimesLog(tmp_path)
+    log = GroupRunTimesFile(tmp_path)
     log.add(state((5.0, 6.0), 2.0))
     log.add(state((5.0, 6.0), 2.0))
     log.add(state((7.0, 8.0), 3.0, lives=(7, 9)))  # b was killed, and has learned more since than in the life before
     log.add(state((7.5, 8.0), 0.5, pid=2, lives=(7, 9)))  # the world, too
     log.save()
-    times = read_paid_times(tmp_path)
+    times = read_group_run_times(tmp_path)
     assert times == log.times
-    assert times.clients["a"] == PaidShares(acting_s=1.0, learning_s=7.5, overlap_s=1.0, world_s=2.0, others_s=3.0)
+    assert times.clients["a"] == ClientTimeShares(
+        acting_s=1.0, learning_s=7.5, overlap_s=1.0, world_s=2.0, others_s=3.0
+    )
     assert (times.clients["b"].learning_s, times.clients["b"].waiting_s) == (14.0, 8.0)
     assert times.waited_s == {"a": {"b": 3.5}, "b": {"a": 0.5}}
-    again = PaidTimesLog(tmp_path)
+    again = GroupRunTimesFile(tmp_path)
     again.add(state((1.0, 1.0), 1.0, pid=3))
     assert again.times.clients["a"].learning_s == 8.5 and again.times.waited_s["a"]["b"] == 4.5
 
 
 def test_two_clients_of_one_name_are_told_apart():
-    mates = [Member(seat=seat, session=b"s", peer=b"door", claim=b"", name="a", spec=SeatSpec()) for seat in (1, 0)]
+    mates = [
+        RosterClient(seat=seat, session=b"s", peer=b"door", claim=b"", name="a", spec=SeatSpec()) for seat in (1, 0)
+    ]
     assert _names_of(mates) == ["a (seat 1)", "a"]
 
 
 def test_the_last_words_of_a_world_that_is_down_are_no_other_worlds(tmp_path):
-    log = PaidTimesLog(tmp_path)
+    log = GroupRunTimesFile(tmp_path)
     for pid, waited_s in ((1, 60.0), (0, 60.0), (0, 60.0), (2, 1.0), (0, 1.0), (3, 0.5)):
         log.add(state((5.0, 6.0), waited_s, pid=pid))
     assert log.times.waited_s["a"]["b"] == 61.5
 
 
 def test_who_comes_back_is_not_waited_for_again_in_what_it_was_waited_for_before(tmp_path):
-    waits, now, log = _WaitingTimes(), [0.0], PaidTimesLog(tmp_path)
+    waits, now, log = _WaitingTimes(), [0.0], GroupRunTimesFile(tmp_path)
 
     def seen(*members):
-        world = WorldStatus(stage="collect", members=members, waited_s=waits.table(members))
+        world = WorldStatusReport(stage="collect", members=members, waited_s=waits.table(members))
         log.add(replace(state((5.0, 6.0), 0.0), world=world))
 
     def wait(waiting_s, *after):
@@ -87,7 +99,7 @@ def test_who_comes_back_is_not_waited_for_again_in_what_it_was_waited_for_before
 
 
 def test_a_table_says_who_waits_for_whom(tmp_path):
-    log = PaidTimesLog(tmp_path)
+    log = GroupRunTimesFile(tmp_path)
     log.add(state((5.0, 6.0), 2.0))
     log.save()
     shown = _waiting(tmp_path, "")
@@ -96,12 +108,14 @@ def test_a_table_says_who_waits_for_whom(tmp_path):
         ["a", 1.0, 5.0, 2.0, 3.0, 1.0, 4.0, None, 2.0],
         ["b", 1.0, 6.0, 2.0, 3.0, 1.0, 4.0, 0.2, None],
     ]
-    assert PAYS.startswith("acts") and _pays_of(ClientStatus(name="a")) == "-"
+    assert PAYS.startswith("acts") and _pays_of(ClientStatusReport(name="a")) == "-"
 
 
 def test_parts_of_waiting_sum_to_it_where_most_of_it_was_spent_on_learning(monkeypatch, tmp_path):
-    paid = PaidShares(acting_s=10.0, learning_s=50.0, overlap_s=35.0, world_s=40.0)
-    monkeypatch.setattr(training_page, "read_paid_times", lambda _: PaidTimes(clients={"a": paid}, waited_s={}))
+    paid = ClientTimeShares(acting_s=10.0, learning_s=50.0, overlap_s=35.0, world_s=40.0)
+    monkeypatch.setattr(
+        training_page, "read_group_run_times", lambda _: GroupRunTimes(clients={"a": paid}, waited_s={})
+    )
     shown = _waiting(tmp_path, "")
     row = dict(zip(shown.columns[1:], shown.rows[0][1:], strict=True))
     assert (row["waiting for the world s"], row["of both learning s"], row["idle s"]) == (40.0, 35.0, 5.0)
@@ -111,8 +125,8 @@ def test_parts_of_waiting_sum_to_it_where_most_of_it_was_spent_on_learning(monke
 
 
 def test_what_is_no_such_file_is_refused_and_none_is_none(tmp_path):
-    assert read_paid_times(tmp_path) is None
+    assert read_group_run_times(tmp_path) is None
     for text in ("{", '{"clients": {}}', '{"clients": {"a": {"b": 1}}, "waited_s": {}}', "1"):
         (tmp_path / WAITS).write_text(text)
         with pytest.raises(PolicyError, match=WAITS):
-            PaidTimesLog(tmp_path)
+            GroupRunTimesFile(tmp_path)

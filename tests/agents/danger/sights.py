@@ -8,7 +8,7 @@ import torch
 from tests.support.samples import ACTIONS
 from tests.support.worlds import dqn_config
 from wcsim.agents.danger.dataset import Dataset
-from wcsim.agents.runs.data_folder import SAFE, Segment, packed_segment
+from wcsim.agents.runs.data_folder import SAFE, DrivingSegment, segment_to_bytes
 from wcsim.config import RunConfig
 from wcsim.core import files
 
@@ -27,14 +27,14 @@ def small_config(*overrides: str) -> RunConfig:
     return dqn_config(*SMALL, *overrides)
 
 
-def a_segment(rows: int = 24, seed: int = 0, ends: tuple[int, ...] = (9,)) -> Segment:
+def a_segment(rows: int = 24, seed: int = 0, ends: tuple[int, ...] = (9,)) -> DrivingSegment:
     """Steps of one chair after the other through noise; what lies ahead is unsafe where the depth is small."""
     rng = np.random.default_rng(seed)
     near = rng.random(rows) < 0.5
     depth = np.where(near[:, None, None], 90, 200) + rng.integers(-20, 21, (rows, HEIGHT_PX, WIDTH_PX))
     codes = np.full((rows, 81), SAFE, np.uint8)
     codes[np.ix_(near, ACTIONS.points[:, 1] > 0.0)] = 3
-    return Segment(
+    return DrivingSegment(
         depth=depth.astype(np.uint8),
         seg=rng.choice([7, 8, 11, 24, 26], depth.shape).astype(np.uint8),
         imu=(0.02 * rng.normal(size=(rows, 8))).astype(np.float32),
@@ -53,10 +53,10 @@ def a_segment(rows: int = 24, seed: int = 0, ends: tuple[int, ...] = (9,)) -> Se
     )
 
 
-def write_segment(path: Path, segment: Segment) -> str:
+def write_segment(path: Path, segment: DrivingSegment) -> str:
     """The SHA-256 of its file."""
-    files.write_bytes(path, packed_segment(segment))
-    return files.sha256(path)
+    files.write_bytes(path, segment_to_bytes(segment))
+    return files.sha256_from_file(path)
 
 
 def lectures(config: RunConfig, rows: int = 64, seed: int = 0) -> Dataset:

@@ -9,15 +9,15 @@ import pytest
 from tests.agents.export.test_danger_graph import CONFIG, network, ride
 from wcsim.agents.danger.policy import load_danger, save_danger
 from wcsim.agents.danger.street_map import FeatureExtractor
-from wcsim.agents.runs.data_folder import read_manifest, require_same_settings, write_manifest
+from wcsim.agents.runs.data_folder import read_data_manifest, require_same_data_settings, write_data_manifest
 from wcsim.config import resolve
-from wcsim.config.run_file import DangerRule
+from wcsim.config.run_file import DangerRuleSettings
 from wcsim.errors import PolicyError
 
 
 @pytest.fixture
 def saved(tmp_path: Path) -> Path:
-    return save_danger(tmp_path / "policy", network(), DangerRule(), CONFIG)
+    return save_danger(tmp_path / "policy", network(), DangerRuleSettings(), CONFIG)
 
 
 @pytest.mark.parametrize(
@@ -49,8 +49,8 @@ def test_an_observation_without_its_senses_is_refused(bad, told):
 
 
 def test_data_that_says_nothing_of_its_world_is_refused(tmp_path: Path):
-    write_manifest(tmp_path, CONFIG, {"corner": "0" * 64}, {})
+    write_data_manifest(tmp_path, CONFIG, {"corner": "0" * 64}, {})
     said = json.loads((tmp_path / "data.json").read_text())
     (tmp_path / "data.json").write_text(json.dumps({**said, "config": {"cameras": 3}}))
     with pytest.raises(PolicyError, match="other settings"):
-        require_same_settings(tmp_path, read_manifest(tmp_path), CONFIG)
+        require_same_data_settings(tmp_path, read_data_manifest(tmp_path), CONFIG)

@@ -16,8 +16,8 @@ from wcsim.agents.danger import dataset as dataset_module
 from wcsim.agents.danger.dataset import UNKNOWN, Dataset, _happened
 from wcsim.agents.danger.learner import DangerLearner
 from wcsim.agents.danger.policy import DangerPolicy
-from wcsim.agents.runs.data_folder import ORACLE, joined
-from wcsim.config.run_file import DangerRule
+from wcsim.agents.runs.data_folder import ORACLE, join_segments
+from wcsim.config.run_file import DangerRuleSettings
 from wcsim.errors import PolicyError
 
 AHEAD, CLEAR, TICK_S = 6, 12, 0.1
@@ -80,7 +80,7 @@ episodes = st.lists(
 def test_an_episode_is_judged_by_itself_and_neither_wish_nor_driver_nor_oracle_counts(found, delay, seed):
     parts = [driven(sticks, delay=delay, crashed=crashed) for sticks, crashed in found]
     alone = [_happened(part, ACTIONS, AHEAD, TICK_S) for part in parts]
-    rng, whole = np.random.default_rng(seed), joined(parts)
+    rng, whole = np.random.default_rng(seed), join_segments(parts)
     other = replace(
         whole,
         wish=rng.normal(size=(len(whole), 2)).astype(np.float32),
@@ -177,7 +177,7 @@ def test_a_network_that_learned_from_crashes_alone_crashes_less_than_the_user():
     lessons.add(segment_of(ride(config, astray(), 120, seed=1).rows))
     lessons.begin(np.random.default_rng(0))
     learner.learn(lessons, 600)
-    mine = ride(config, DangerPolicy("toy", learner.net, config, DangerRule(threshold=0.25)), 20, seed=99)
+    mine = ride(config, DangerPolicy("toy", learner.net, config, DangerRuleSettings(threshold=0.25)), 20, seed=99)
     alone = ride(config, follow, 20, seed=99)
     assert mine.crashes / mine.steps <= 0.7 * alone.crashes / alone.steps, (mine.crashes, mine.steps)
     assert mine.way_m / mine.steps >= 0.3 * alone.way_m / alone.steps

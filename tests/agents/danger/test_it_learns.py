@@ -18,7 +18,7 @@ from wcsim.agents.danger.dataset import Dataset
 from wcsim.agents.danger.learner import DangerLearner
 from wcsim.agents.danger.policy import DangerPolicy
 from wcsim.agents.runs.data_folder import SAFE
-from wcsim.config.run_file import DangerRule
+from wcsim.config.run_file import DangerRuleSettings
 
 ALONE = {
     "roll_out": ("danger.batch=16", "danger.learning_rate=0.005"),
@@ -100,8 +100,8 @@ def test_each_part_learns_with_other_seeds(part, seed, streets):
 
 
 def _a_tick_late(monkeypatch):
-    labels = dataset_module.unsafe_ahead
-    monkeypatch.setattr(dataset_module, "unsafe_ahead", lambda *of: np.roll(labels(*of), 1, axis=0))
+    labels = dataset_module.find_unsafe_actions_ahead
+    monkeypatch.setattr(dataset_module, "find_unsafe_actions_ahead", lambda *of: np.roll(labels(*of), 1, axis=0))
 
 
 def _mirrored_in_part(monkeypatch, pictures_alone):
@@ -126,8 +126,8 @@ def _all_but_pictures(monkeypatch):
 
 def _upside_down(monkeypatch):
     """The sign is wrong: what is safe counts as unsafe."""
-    labels = dataset_module.unsafe_ahead
-    monkeypatch.setattr(dataset_module, "unsafe_ahead", lambda *of: ~labels(*of))
+    labels = dataset_module.find_unsafe_actions_ahead
+    monkeypatch.setattr(dataset_module, "find_unsafe_actions_ahead", lambda *of: ~labels(*of))
 
 
 @pytest.mark.proof
@@ -179,7 +179,7 @@ def driven(seed, rides):
     lectures.add(segment_of(rides[0].rows))
     lectures.begin(np.random.default_rng(seed))
     learner.learn(lectures, RIDE_UPDATES)
-    return ride(config, DangerPolicy("toy", learner.net, config, DangerRule(threshold=0.15)), 20, seed=99)
+    return ride(config, DangerPolicy("toy", learner.net, config, DangerRuleSettings(threshold=0.15)), 20, seed=99)
 
 
 def drives_well(mine, alone):

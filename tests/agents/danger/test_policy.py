@@ -8,12 +8,12 @@ from tests.agents.danger.sights import observation, small_config
 from tests.support.samples import ACTIONS
 from wcsim.agents.danger.network import DangerNet, channels_last, spec_of
 from wcsim.agents.danger.policy import DangerPolicy
-from wcsim.agents.perception.alarm import Alarm, next_alarm
+from wcsim.agents.perception.alarm import AlarmState, next_alarm_state
 from wcsim.agents.policy_api import NeedsSenses, Warns
-from wcsim.config.run_file import DangerRule
+from wcsim.config.run_file import DangerRuleSettings
 from wcsim.errors import PolicyError
 
-RULE = DangerRule(warn=0.5)
+RULE = DangerRuleSettings(warn=0.5)
 
 
 def policy_of(*words: str, base: float = -3.0) -> DangerPolicy:
@@ -51,7 +51,7 @@ def test_it_follows_where_nothing_is_dangerous_and_brings_down_danger_where_all_
 def test_a_tick_of_doubt_is_forgotten_with_everything_else_at_a_reset():
     """Every action has a danger of some 0.3, above the threshold: the second tick takes the user's own away."""
     policy, config = policy_of(base=-0.8), small_config()
-    policy.rule = DangerRule(at_once=0.9)
+    policy.rule = DangerRuleSettings(at_once=0.9)
     for _ in range(2):
         policy.reset()
         seen = observation(config)
@@ -61,7 +61,7 @@ def test_a_tick_of_doubt_is_forgotten_with_everything_else_at_a_reset():
 
 def test_what_was_taken_is_given_back_only_where_there_is_room(monkeypatch):
     policy, config = policy_of(), small_config()
-    policy.rule = DangerRule(threshold=0.2, at_once=0.0)
+    policy.rule = DangerRuleSettings(threshold=0.2, at_once=0.0)
     seen = observation(config)
     own = ACTIONS.nearest(seen["joystick"])
     dangers = iter((0.15, 0.3, 0.15, 0.15, 0.09, 0.15))
@@ -92,9 +92,9 @@ def test_it_warns_of_the_users_own_stick_after_two_ticks_and_not_after_a_reset()
 
 
 def alarms(*dangers: float) -> list[bool]:
-    alarm, told = Alarm(), []
+    alarm, told = AlarmState(), []
     for danger in dangers:
-        alarm = next_alarm(alarm, danger, RULE.warn)
+        alarm = next_alarm_state(alarm, danger, RULE.warn)
         told.append(alarm.on)
     return told
 
@@ -114,8 +114,8 @@ def test_a_warning_does_not_flicker_about_its_level():
 
 
 def test_a_level_of_one_never_warns_and_zero_always_does():
-    assert next_alarm(Alarm(), 0.01, warn=0.0).on
-    alarm = Alarm()
+    assert next_alarm_state(AlarmState(), 0.01, warn=0.0).on
+    alarm = AlarmState()
     for _ in range(50):
-        alarm = next_alarm(alarm, 1.0, warn=1.0)
+        alarm = next_alarm_state(alarm, 1.0, warn=1.0)
     assert not alarm.on and np.isclose(alarm.level, 1.0)

@@ -6,9 +6,9 @@ from hypothesis.extra import numpy as hnp
 
 from tests.support.samples import ACTIONS
 from wcsim.agents.danger.policy import RECENT_TICKS, _choose, _next_recent, _within
-from wcsim.config.run_file import DangerRule
+from wcsim.config.run_file import DangerRuleSettings
 
-RULE = DangerRule()
+RULE = DangerRuleSettings()
 STICK = np.array([0.1, 0.9])
 
 
@@ -44,25 +44,25 @@ def test_a_way_round_is_kept_but_never_kept_from_who_can_be_followed():
     left, right = ACTIONS.nearest((-0.25, 0.25)), ACTIONS.nearest((0.25, 0.25))
     ahead = np.array([0.0, 0.9])
     assert [_choose(danger, ahead, ACTIONS, RULE, last=last) for last in (left, right)] == [left, right]
-    calm = DangerRule(hysteresis=0.0)
+    calm = DangerRuleSettings(hysteresis=0.0)
     assert _choose(danger, ahead, ACTIONS, calm, last=left) == _choose(danger, ahead, ACTIONS, calm, last=right)
-    assert _choose(np.zeros(81), STICK, ACTIONS, DangerRule(hysteresis=5.0), last=left) == wish
+    assert _choose(np.zeros(81), STICK, ACTIONS, DangerRuleSettings(hysteresis=5.0), last=left) == wish
 
 
 @given(hnp.arrays(np.float64, 81, elements=st.floats(0.0, 1.0)), st.tuples(st.floats(-1, 1), st.floats(-1, 1)))
 def test_a_lower_level_is_never_more_dangerous(danger, stick):
     wish = np.array(stick)
-    rules = [DangerRule(threshold=level, hysteresis=0.0, danger_cost=0.0) for level in (0.1, 0.5, 1.0)]
+    rules = [DangerRuleSettings(threshold=level, hysteresis=0.0, danger_cost=0.0) for level in (0.1, 0.5, 1.0)]
     chosen = [danger[_choose(danger, wish, ACTIONS, rule)] for rule in rules]
     allowed = [danger.min() < rule.threshold for rule in rules]
     for value, rule, any_is in zip(chosen, rules, allowed, strict=True):
         assert value < rule.threshold or not any_is
 
 
-PATIENT = DangerRule(at_once=0.6)
+PATIENT = DangerRuleSettings(at_once=0.6)
 
 
-def taken_of(dangers: list[float], rule: DangerRule, others: float = 0.0) -> list[bool]:
+def taken_of(dangers: list[float], rule: DangerRuleSettings, others: float = 0.0) -> list[bool]:
     """Whether the user's own action is taken away, tick by tick, for its dangers."""
     wish, recent, found = ACTIONS.nearest(STICK), 0, []
     for level in dangers:
@@ -74,12 +74,12 @@ def taken_of(dangers: list[float], rule: DangerRule, others: float = 0.0) -> lis
 
 
 def test_a_lone_doubtful_tick_takes_nothing_away_two_in_a_row_do():
-    assert taken_of([0.3, 0.0, 0.0, 0.3, 0.3, 0.3], DangerRule()) == [True, False, False, True, True, True]
+    assert taken_of([0.3, 0.0, 0.0, 0.3, 0.3, 0.3], DangerRuleSettings()) == [True, False, False, True, True, True]
     assert taken_of([0.3, 0.0, 0.3, 0.3, 0.3], PATIENT) == [False, False, False, True, True]
 
 
 def test_who_drives_to_learn_has_no_patience():
-    exploring = DangerRule(at_once=0.6, threshold=0.3).model_copy(update={"at_once": 0.0})
+    exploring = DangerRuleSettings(at_once=0.6, threshold=0.3).model_copy(update={"at_once": 0.0})
     assert taken_of([0.5], exploring) == [True]
 
 

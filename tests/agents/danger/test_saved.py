@@ -12,11 +12,11 @@ from wcsim.agents.danger.network import DangerNet, channels_last, spec_of
 from wcsim.agents.danger.policy import load_danger, load_net, save_danger
 from wcsim.agents.runs.policy_file import POLICY_JSON, WEIGHTS
 from wcsim.config import RunConfig
-from wcsim.config.run_file import DangerRule
+from wcsim.config.run_file import DangerRuleSettings
 from wcsim.core import files
 from wcsim.errors import PolicyError
 
-RULE = DangerRule(threshold=0.2, warn=0.6)
+RULE = DangerRuleSettings(threshold=0.2, warn=0.6)
 EYES = (
     (),
     ("danger.eye=both", "learn.network=conv3d", "env.window=2"),
@@ -44,7 +44,7 @@ def test_a_network_comes_back_as_it_was_saved(tmp_path: Path, words: tuple[str, 
 
 def reseal(folder: Path) -> None:
     told = json.loads((folder / POLICY_JSON).read_text())
-    told["weights_sha256"] = files.sha256(folder / WEIGHTS)
+    told["weights_sha256"] = files.sha256_from_file(folder / WEIGHTS)
     (folder / POLICY_JSON).write_text(json.dumps(told))
 
 

@@ -15,11 +15,11 @@ from tests.support.samples import ACTIONS
 from tests.support.worlds import quick_config
 from wcsim.agents.danger.policy import _choose
 from wcsim.agents.danger.street_map import FeatureExtractor
-from wcsim.agents.perception.arcs import advance
+from wcsim.agents.perception.arcs import integrate_chair_state
 from wcsim.agents.perception.depth_image import viewing_rays
-from wcsim.agents.runs.data_folder import SAFE, Segment
+from wcsim.agents.runs.data_folder import SAFE, DrivingSegment
 from wcsim.config import RunConfig
-from wcsim.config.run_file import DangerRule
+from wcsim.config.run_file import DangerRuleSettings
 from wcsim.core.jit import exact_kernel
 from wcsim.supervisor.observation import encode_depth
 from wcsim.types import ClassId
@@ -75,7 +75,7 @@ class Street:
 
     def move(self, action):
         """A tick: people walk, the chair obeys."""
-        advance(self.chair, self.eye.around.commands[action], self.eye.around.limits, TICK_S)
+        integrate_chair_state(self.chair, self.eye.around.commands[action], self.eye.around.limits, TICK_S)
         self.things[:, 1:3] += TICK_S * self.things[:, 5:7]
 
     def _touched(self, poses, ahead_s, shy_m):
@@ -102,7 +102,7 @@ def _held(chair, commands, limits):
     for k in range(len(commands)):
         now = chair.copy()
         for step in range(STEPS):
-            advance(now, commands[k] if step < HELD else rest, limits, TICK_S)
+            integrate_chair_state(now, commands[k] if step < HELD else rest, limits, TICK_S)
             poses[k, step] = now[:3]
     return poses
 
@@ -239,7 +239,7 @@ def mixed(street, stick, rng):
     """Follows, or avoids what is unsafe; by a draw of each tick, from sticks that go astray."""
     wish = np.clip(stick + rng.normal(0.0, 0.3, 2), -1.0, 1.0)
     danger = street.unsafe().astype(float) if rng.random() < 0.5 else np.zeros(len(ACTIONS))
-    return _choose(danger, wish, ACTIONS, DangerRule())
+    return _choose(danger, wish, ACTIONS, DangerRuleSettings())
 
 
 def astray():
@@ -263,7 +263,7 @@ def segment_of(rows):
     unsafe = np.stack([np.zeros(0, bool) if row[1] is None else row[1] for row in rows])
     codes = np.where(unsafe, 3, SAFE).astype(np.uint8)
     count = len(rows)
-    return Segment(
+    return DrivingSegment(
         depth=seen["depth"][:, 0],
         seg=seen["seg"][:, 0],
         imu=seen["imu"],

@@ -8,9 +8,9 @@ from tests.agents.evaluation.suite.lists import episode
 from wcsim.agents.evaluation.suite import make
 from wcsim.agents.evaluation.suite.draw import Wanted, free_blocks
 from wcsim.agents.evaluation.suite.records import EpisodeRecord
-from wcsim.agents.opening.list_file import require_towns, suite_towns, towns_of
+from wcsim.agents.opening.list_file import load_suite_towns, parse_suite_towns, require_block_towns
 from wcsim.config import resolve
-from wcsim.config.suite import BlockFile
+from wcsim.config.suite import SuiteBlock
 
 
 def record(block: int, seat: int, time_s: float, status: str = "chair_crashed", fault: str = "own") -> EpisodeRecord:
@@ -19,9 +19,9 @@ def record(block: int, seat: int, time_s: float, status: str = "chair_crashed", 
     )
 
 
-def block_with(*lengths_m: float) -> BlockFile:
+def block_with(*lengths_m: float) -> SuiteBlock:
     episodes = tuple(episode(route_m=length_m) for length_m in lengths_m)
-    return BlockFile(part="free", town="a", seed=1, episodes=episodes)
+    return SuiteBlock(part="free", town="a", seed=1, episodes=episodes)
 
 
 def order_in(work: Path, hazards: int = 1) -> make.MakeOrder:
@@ -36,7 +36,7 @@ def test_who_is_left_out_is_missing_for_the_others_who_are_driven_again(
     """Ways of 1 m end at once; without them a way of 2 m does, and then one of 3 m."""
     driven: list[list[list[float]]] = []
 
-    def alone(_order: object, _towns: object, blocks: list[BlockFile], *_: object) -> tuple[EpisodeRecord, ...]:
+    def alone(_order: object, _towns: object, blocks: list[SuiteBlock], *_: object) -> tuple[EpisodeRecord, ...]:
         lengths = [[item.route_m for item in block.episodes] for block in blocks]
         driven.append(lengths)
         return tuple(
@@ -72,11 +72,11 @@ def test_a_town_that_is_named_by_where_it_lies_is_found_again_by_its_list(
     monkeypatch.setattr(make, "_crossing", lambda *_: [])
     monkeypatch.setattr(make, "_settled", lambda _order, _towns, blocks, *_: list(blocks))
     order = order_in(tmp_path, hazards=0)
-    file = make.make_suite(order, suite_towns(str(corner), tmp_path), lambda *_: None)
-    require_towns(file)
-    ((name, town),) = towns_of(file, tmp_path).items()
+    file = make.make_suite(order, parse_suite_towns(str(corner), tmp_path), lambda *_: None)
+    require_block_towns(file)
+    ((name, town),) = load_suite_towns(file, tmp_path).items()
     assert town.folder == corner and {block.town for block in file.blocks} == {name}
-    ((helsinki, _),) = suite_towns("helsinki", tmp_path)
+    ((helsinki, _),) = parse_suite_towns("helsinki", tmp_path)
     assert [make._listed_as(helsinki, None), make._listed_as(helsinki, 7)] == ["helsinki", "helsinki"]
 
 
@@ -84,10 +84,10 @@ def test_a_town_that_is_named_by_where_it_lies_is_found_again_by_its_list(
 def test_a_made_town_is_the_same_wherever_it_is_made_and_kept_where_it_is(tmp_path: Path) -> None:
     from wcsim.towns.scenario.town import content_hash
 
-    ((first, seed),) = suite_towns("made:9002", tmp_path / "a")
-    ((second, _),) = suite_towns("made:9002", tmp_path / "b")
+    ((first, seed),) = parse_suite_towns("made:9002", tmp_path / "a")
+    ((second, _),) = parse_suite_towns("made:9002", tmp_path / "b")
     assert (first.name, seed) == ("made-9002", 9002)
     assert content_hash(first) == content_hash(second)
     before = first.net.stat().st_mtime_ns
-    suite_towns("made:9002", tmp_path / "a")
+    parse_suite_towns("made:9002", tmp_path / "a")
     assert first.net.stat().st_mtime_ns == before

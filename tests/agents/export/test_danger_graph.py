@@ -9,10 +9,10 @@ from wcsim.agents.danger.dataset import to_tensors
 from wcsim.agents.danger.network import DangerNet
 from wcsim.agents.danger.policy import DangerPolicy, _choose, _next_recent, _within
 from wcsim.agents.danger.street_map import FeatureExtractor
-from wcsim.agents.export.policy_graphs import DangerGraph, Drive
+from wcsim.agents.export.policy_graphs import DangerPolicyGraph, TorchDriveModel
 from wcsim.config import CameraConfig, ChairConfig, RunConfig, resolve
-from wcsim.config.run_file import DangerNetFile, DangerRule, DangerSpec
-from wcsim.core.joystick import driven, limits_of, shaped_rows
+from wcsim.config.run_file import DangerNetworkShape, DangerNetworkSpec, DangerRuleSettings
+from wcsim.core.joystick import advance_drive, drive_limits_from_chair, shape_joysticks
 from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import MAX_DISTANCE, action_set
 
@@ -21,8 +21,8 @@ CONFIG = resolve(RunConfig(cameras=(CameraConfig(width_px=48, height_px=36),)), 
 
 def network(**parts: object) -> DangerNet:
     torch.manual_seed(0)
-    shape = DangerNetFile(**{"width": 20, "actions": "square81", **parts})
-    net = DangerNet(DangerSpec(net=shape, camera=CONFIG.cameras[0], classes="cityscapes"))
+    shape = DangerNetworkShape(**{"width": 20, "actions": "square81", **parts})
+    net = DangerNet(DangerNetworkSpec(net=shape, camera=CONFIG.cameras[0], classes="cityscapes"))
     with torch.no_grad():
         for value in net.parameters():
             value.add_(0.3 * torch.randn_like(value) * value.abs().mean())
@@ -54,23 +54,23 @@ def test_the_drives_law_is_that_of_the_chair():
     chair = ChairConfig()
     rng = np.random.default_rng(0)
     motion = rng.uniform(-1.5, 1.5, (200, 3))
-    commands = shaped_rows(rng.uniform(-1.0, 1.0, (200, 2)), chair)
-    drive = Drive(limits_of(chair), chair.deadband, chair.shape_exponent)
+    commands = shape_joysticks(rng.uniform(-1.0, 1.0, (200, 2)), chair)
+    drive = TorchDriveModel(drive_limits_from_chair(chair), chair.deadband, chair.shape_exponent)
     told = torch.stack(
         drive.follow(torch.as_tensor(motion).unbind(1), drive.targets(torch.as_tensor(commands)), 0.1), 1
     )
     pairs = zip(motion.tolist(), commands, strict=True)
-    true = [driven(*row, *command, limits_of(chair), 0.1) for row, command in pairs]
+    true = [advance_drive(*row, *command, drive_limits_from_chair(chair), 0.1) for row, command in pairs]
     assert np.allclose(told, true, atol=1e-9)
     sticks = rng.uniform(-1.0, 1.0, (200, 2))
-    assert np.allclose(drive.shaped(torch.as_tensor(sticks)).numpy(), shaped_rows(sticks, chair), atol=1e-9)
+    assert np.allclose(drive.shaped(torch.as_tensor(sticks)).numpy(), shape_joysticks(sticks, chair), atol=1e-9)
 
 
 @pytest.mark.parametrize("delay", [0, 1, 2])
 def test_the_graph_moves_as_the_policy_thinks_that_the_chair_does(delay):
     config = resolve(CONFIG, (f"world.action_delay_ticks={delay}",))
     eye, points = FeatureExtractor(config), action_set(config.env.actions)
-    graph = DangerGraph(network(), config, DangerRule()).eval()
+    graph = DangerPolicyGraph(network(), config, DangerRuleSettings()).eval()
     state = [torch.zeros(shape) for shape in graph.shapes().values()]
     for seen in ride(12):
         eye.extract(seen)
@@ -95,9 +95,9 @@ def _before_sent(waiting):
 @pytest.mark.parametrize("width, height", [(48, 36), (320, 240)])
 def test_the_graph_sees_what_the_policy_sees_and_does_what_it_does(width, height):
     config = CONFIG.model_copy(update={"cameras": (CameraConfig(width_px=width, height_px=height),)})
-    net, rule = network(), DangerRule(threshold=0.4)
+    net, rule = network(), DangerRuleSettings(threshold=0.4)
     policy, eye = DangerPolicy("own", net, config, rule), FeatureExtractor(config)
-    graph = DangerGraph(net, config, rule).eval()
+    graph = DangerPolicyGraph(net, config, rule).eval()
     state = [torch.zeros(shape) for shape in graph.shapes().values()]
     policy.reset()
     actions, same = [], 0
@@ -121,8 +121,8 @@ def test_the_graph_sees_what_the_policy_sees_and_does_what_it_does(width, height
 
 
 def test_the_highest_value_is_that_of_the_action_which_the_rule_takes():
-    rule = DangerRule(threshold=0.1, at_once=0.5)
-    graph, rng = DangerGraph(network(), CONFIG, rule), np.random.default_rng(7)
+    rule = DangerRuleSettings(threshold=0.1, at_once=0.5)
+    graph, rng = DangerPolicyGraph(network(), CONFIG, rule), np.random.default_rng(7)
     chosen, beyond, doubtful = [], 0, 0
     for number in range(1200):
         stick = np.clip(rng.uniform(-2.0, 2.0, 2), -1.0, 1.0).astype(np.float32)  # mostly at edges and in corners
@@ -148,4 +148,4 @@ def test_the_highest_value_is_that_of_the_action_which_the_rule_takes():
 @pytest.mark.parametrize("eye", ["picture", "both"])
 def test_what_looks_at_pictures_cannot_be_exported(eye):
     with pytest.raises(PolicyError, match=r"danger\.eye=map"):
-        DangerGraph(network(eye=eye), CONFIG, DangerRule())
+        DangerPolicyGraph(network(eye=eye), CONFIG, DangerRuleSettings())

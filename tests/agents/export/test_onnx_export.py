@@ -10,15 +10,15 @@ from tests.agents.export.test_danger_graph import CONFIG, network, ride
 from tests.agents.export.test_guarded_policy import EXAMPLE
 from wcsim.agents.danger.policy import save_danger
 from wcsim.agents.export import onnx_export
-from wcsim.agents.export.guard import MEANING, GuardedPolicy, guard_of
-from wcsim.agents.export.onnx_export import MOST_OFF, ExportFacts, export_policy
+from wcsim.agents.export.guard import MEANING, GuardedPolicy, read_guard_rule
+from wcsim.agents.export.onnx_export import MOST_OFF, ExportMeasurements, export_policy
 from wcsim.agents.opening.learner_registry import DANGER_ROUNDS
-from wcsim.agents.opening.named_policy import open_named
-from wcsim.agents.policies.onnx_policy import read_about
+from wcsim.agents.opening.named_policy import open_named_policy
+from wcsim.agents.policies.onnx_policy import read_onnx_policy_file
 from wcsim.agents.policy_api import Policy
 from wcsim.agents.runs.policy_file import CAMERA_KEYS
 from wcsim.config import resolve
-from wcsim.config.run_file import DangerRule, GuardRule
+from wcsim.config.run_file import DangerRuleSettings, GuardSettings
 from wcsim.errors import PolicyError
 
 RIDE = ride(200)
@@ -29,9 +29,9 @@ def opened(folder: Path, level: float | None = None) -> tuple[onnx_export.Graph,
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, ExportFacts]:
+def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, ExportMeasurements]:
     place = tmp_path_factory.mktemp("export")
-    save_danger(place / "policy", network(), DangerRule(threshold=0.4), CONFIG)
+    save_danger(place / "policy", network(), DangerRuleSettings(threshold=0.4), CONFIG)
     return place / "onnx", export_policy(*opened(place / "policy", 0.35), place / "onnx", CONFIG, RIDE)
 
 
@@ -41,7 +41,7 @@ def test_200_steps_are_those_of_the_network_and_of_wcsim(made):
     assert facts.same_as_wcsim > 0.97, "cells at a border may go either way"
     meaning = json.loads((folder / MEANING).read_text())
     assert meaning["rule"]["threshold"] == 0.35 and meaning["facts"]["steps"] == 200
-    assert guard_of(folder) == GuardRule()
+    assert read_guard_rule(folder) == GuardSettings()
     for key in ("gravity", "mean_gravity"):  # one of what is judged, one of the input: side by side they want a word
         assert key in meaning["senses"]["imu"] and key in meaning["senses_meaning"]
 
@@ -62,7 +62,7 @@ def test_a_test_of_the_folder_shows_it_the_camera_and_the_chair_of_its_training(
     )
     config = resolve("laptop", own)
     (tmp_path / "policy.toml").write_text(onnx_export._about(config), encoding="utf-8")
-    about = read_about(tmp_path)
+    about = read_onnx_policy_file(tmp_path)
     tested = resolve(about.preset, about.settings)
     assert tested.chair == config.chair and tested.env.classes == "wcsim" and tested.env.actions == "disc69"
     keys = CAMERA_KEYS
@@ -74,7 +74,7 @@ def test_a_test_of_the_folder_shows_it_the_camera_and_the_chair_of_its_training(
 def test_the_example_and_wcsim_do_the_same_with_bad_frames(made):
     """NaN in the odometry, and good frames after it."""
     folder, _ = made
-    mine = open_named(str(folder), CONFIG, 0)
+    mine = open_named_policy(str(folder), CONFIG, 0)
     assert isinstance(mine, GuardedPolicy)
     mine.begin()
     mine.reset()
@@ -90,12 +90,12 @@ def test_the_example_and_wcsim_do_the_same_with_bad_frames(made):
 
 def test_what_cannot_be_exported_or_read_is_refused_in_a_line(made, tmp_path):
     seeing = network(eye="picture")
-    save_danger(tmp_path / "seeing", seeing, DangerRule(), CONFIG)
+    save_danger(tmp_path / "seeing", seeing, DangerRuleSettings(), CONFIG)
     with pytest.raises(PolicyError, match=r"danger\.eye=picture cannot be exported"):
         export_policy(*opened(tmp_path / "seeing"), tmp_path / "out", CONFIG, RIDE[:2])
     (tmp_path / MEANING).write_text(json.dumps({"guard": {"oldest_s": -1.0}}))
     with pytest.raises(PolicyError, match="oldest_s"):
-        guard_of(tmp_path)
+        read_guard_rule(tmp_path)
     assert not (tmp_path / "out").exists()
 
 

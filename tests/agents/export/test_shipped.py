@@ -13,14 +13,14 @@ from tests.agents.export.test_danger_graph import CONFIG, network, ride
 from tests.support.tracked import ROOT
 from wcsim.agents.danger.policy import save_danger
 from wcsim.agents.evaluation.suite.run import _identity_of
-from wcsim.agents.opening.named_policy import config_for, open_named
+from wcsim.agents.opening.named_policy import config_from_policy_name, open_named_policy
 from wcsim.agents.rounds.train_rounds import LEARNED
 from wcsim.agents.runs import policy_file, run_folder
-from wcsim.agents.runs.data_folder import write_manifest
-from wcsim.agents.runs.policy_file import policy_name
-from wcsim.agents.runs.run_folder import create_run, make_manifest, open_run, policy_path
+from wcsim.agents.runs.data_folder import write_data_manifest
+from wcsim.agents.runs.policy_file import parse_policy_name
+from wcsim.agents.runs.run_folder import create_run_folder, make_run_manifest, open_run, policy_folder_from_name
 from wcsim.config import CameraConfig, resolve
-from wcsim.config.run_file import DangerRule
+from wcsim.config.run_file import DangerRuleSettings
 from wcsim.core import files
 from wcsim.errors import PolicyError
 from wcsim.server.specs import RunInfo
@@ -33,8 +33,8 @@ OWN = resolve(CONFIG, ("learn.head=danger",))
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     place = tmp_path_factory.mktemp("shipped")
     info = RunInfo(seed=3, town="helsinki", town_sha256="a" * 64, command=("wcsim", "train", "--seed", "3"))
-    run = create_run(place / "run", OWN, make_manifest(OWN, info))
-    save_danger(run.policy("final"), network(), DangerRule(), OWN)
+    run = create_run_folder(place / "run", OWN, make_run_manifest(OWN, info))
+    save_danger(run.policy("final"), network(), DangerRuleSettings(), OWN)
     rows = {"rows": [{"policy": "own", "crashes_own": 2, "km": 1.5}], "pooled": []}
     (place / "result.json").write_text(json.dumps(rows))
     (place / "here").mkdir()
@@ -45,15 +45,15 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def there(made: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setattr(policy_file, "shipped_place", lambda: made)
+    monkeypatch.setattr(policy_file, "shipped_policy_path", lambda: made)
     return made
 
 
 def test_a_folder_that_was_dropped_there_is_the_policy_of_that_name(there):
     assert {path.name for path in there.iterdir()} == {*policy_file.HELD, policy_file.FILES, "README.md"}
-    assert policy_path("shipped") == policy_path("shipped@0.2") == there
-    assert policy_name("shipped").kind == "shipped" and _identity_of("shipped@0.2", "quick")[-1] == 0.2
-    policy = open_named("shipped@0.2", config_for("shipped", "quick"), 0)
+    assert policy_folder_from_name("shipped") == policy_folder_from_name("shipped@0.2") == there
+    assert parse_policy_name("shipped").kind == "shipped" and _identity_of("shipped@0.2", "quick")[-1] == 0.2
+    policy = open_named_policy("shipped@0.2", config_from_policy_name("shipped", "quick"), 0)
     policy.begin()
     policy.reset()
     assert 0 <= policy.act(ride(1)[0]) < 81
@@ -82,15 +82,15 @@ def test_driving_is_told_by_the_run_that_it_is_of_or_as_it_was_collected(made, t
     words = ("collect.segments=0", "collect.made_towns=4")
     info = RunInfo(seed=3, town="helsinki", command=("wcsim", "train", "--out", "/home/me/a"))
     in_rounds = resolve(OWN, ("collect.rounds=2",))
-    driven = create_run(tmp_path / "a", in_rounds, make_manifest(in_rounds, info)).path / "data"
+    driven = create_run_folder(tmp_path / "a", in_rounds, make_run_manifest(in_rounds, info)).path / "data"
     collected = tmp_path / "mine"
     names = ("1-000-0000", "1-000-0001", "2-000-0000")
-    write_manifest(driven, in_rounds, {"helsinki": "a" * 64}, {})
+    write_data_manifest(driven, in_rounds, {"helsinki": "a" * 64}, {})
     met = resolve(OWN, ('collect.profiles=["slow", "ataxic"]',))
     towns = {"corner": "b" * 64, "monaco": "c" * 64}
-    write_manifest(collected, met, towns, {f"{name}.npz.zst": "d" * 64 for name in names})
+    write_data_manifest(collected, met, towns, {f"{name}.npz.zst": "d" * 64 for name in names})
     own = resolve(OWN, (*words, f"collect.data={json.dumps([str(driven), str(collected)])}"))
-    run = create_run(tmp_path / "b", own, make_manifest(own, info))
+    run = create_run_folder(tmp_path / "b", own, make_run_manifest(own, info))
     collect = "wcsim collect --town corner,monaco --out data/mine"
     told = "  # with the settings in its data.json; SHA-256 of the data "
     first, *by_seed, last = TOOL["commands"](run)
@@ -110,7 +110,7 @@ def test_driving_is_told_by_the_run_that_it_is_of_or_as_it_was_collected(made, t
 
 def test_what_cannot_be_told_is_known_before_anything_is_exported(tmp_path):
     own = resolve(OWN, (f'collect.data=["{tmp_path / "gone"}"]',))
-    run = create_run(tmp_path / "run", own, make_manifest(own, RunInfo(seed=3, town="helsinki")))
+    run = create_run_folder(tmp_path / "run", own, make_run_manifest(own, RunInfo(seed=3, town="helsinki")))
     with pytest.raises(PolicyError, match=r"gone/data\.json"):
         TOOL["ship"](run, ride(4), [], tmp_path / "here")
 
@@ -120,18 +120,18 @@ def test_a_file_that_is_not_what_was_shipped_is_refused(there, name):
     kept = (there / name).read_bytes()
     (there / name).write_bytes(kept[:-1] + b"x")
     with pytest.raises(PolicyError, match=f"{name} damaged or replaced"):
-        policy_path("shipped")
+        policy_folder_from_name("shipped")
     (there / name).unlink()
     with pytest.raises(PolicyError, match=f"{name} missing"):
-        policy_path("shipped")
+        policy_folder_from_name("shipped")
     (there / name).write_bytes(kept)
-    assert policy_path("shipped") == there
+    assert policy_folder_from_name("shipped") == there
 
 
 def test_where_none_came_with_wcsim_the_name_is_refused_in_a_line(tmp_path, monkeypatch):
-    monkeypatch.setattr(policy_file, "shipped_place", lambda: tmp_path)
+    monkeypatch.setattr(policy_file, "shipped_policy_path", lambda: tmp_path)
     with pytest.raises(PolicyError, match=r"this wcsim comes without a policy.*tools/ship_policy\.py RUN"):
-        run_folder.policy_path("shipped")
+        run_folder.policy_folder_from_name("shipped")
 
 
 def test_what_the_example_says_of_it_is_what_the_page_quotes():
@@ -145,6 +145,6 @@ def test_what_the_example_says_of_it_is_what_the_page_quotes():
 def test_what_lies_in_this_checkout_is_whole_or_not_there():
     place = ROOT / "wcsim" / "agents" / "shipped"
     if (place / policy_file.FILES).is_file():
-        assert policy_file.shipped_folder(place) == place
+        assert policy_file.find_shipped_policy(place) == place
     else:
         assert [path.name for path in place.iterdir()] == ["README.md"]

@@ -16,21 +16,21 @@ from tests.agents.toy import ToyStreet, WindowedStreet, toy_camera
 from wcsim.agents.envs.episode_view import FrameWindow
 from wcsim.agents.export import onnx_export
 from wcsim.agents.export.export_folder import WRITTEN
-from wcsim.agents.export.footprint import Footprint
+from wcsim.agents.export.footprint import OnnxModelCost
 from wcsim.agents.export.guard import MEANING
-from wcsim.agents.export.onnx_export import MOST_OFF, ExportFacts, export_policy
-from wcsim.agents.learning.build import build_model, network_settings
+from wcsim.agents.export.onnx_export import MOST_OFF, ExportMeasurements, export_policy
+from wcsim.agents.learning.build import build_model, default_settings_for_network
 from wcsim.agents.learning.saved_policy import load_policy, save_policy
 from wcsim.agents.networks.names import NETWORK_NAMES
 from wcsim.agents.opening.learner_registry import Q_LEARNING
-from wcsim.agents.opening.named_policy import open_named
+from wcsim.agents.opening.named_policy import open_named_policy
 from wcsim.agents.policies.onnx_policy import OnnxPolicy
 from wcsim.config import CameraConfig, LearnConfig, RunConfig, resolve
 from wcsim.errors import PolicyError
 
 CAMERA = toy_camera(16, 20)
 RIDE = [{**seen, "imu": seen["imu"][:5]} for seen in ride(40, (16, 20))]
-COST = Footprint(**dict.fromkeys((field.name for field in fields(Footprint)), 1.0))
+COST = OnnxModelCost(**dict.fromkeys((field.name for field in fields(OnnxModelCost)), 1.0))
 KINDS = (("patch", "groups"), ("fig6", "groups"), ("conv3d", "windows"), ("convlstm", "groups"), ("fig6", "windows"))
 ALONE = """import runpy, sys
 sys.modules.update(dict.fromkeys(("wcsim", "torch", "onnx", "gymnasium", "scipy")))  # to import one of them fails
@@ -42,7 +42,7 @@ runpy.run_path(sys.argv[0], run_name="__main__")
 def config_of(network: str, memory: str = "windows", camera: CameraConfig = CAMERA) -> RunConfig:
     learn = LearnConfig(network=network, memory=memory, head="plain", replay_frames=200, learning_starts=40)
     config = RunConfig(cameras=(camera,), learn=learn)
-    return resolve(config, network_settings(config))
+    return resolve(config, default_settings_for_network(config))
 
 
 def saved(folder: Path, config: RunConfig) -> Path:
@@ -57,12 +57,12 @@ def saved(folder: Path, config: RunConfig) -> Path:
 
 
 @pytest.fixture(scope="module", params=KINDS, ids="-".join)
-def made(request, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, ExportFacts, Path]:
+def made(request, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, ExportMeasurements, Path]:
     place = tmp_path_factory.mktemp("export")
     config = config_of(*request.param)
     policy = saved(place / "policy", config)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(onnx_export, "measure_footprint", lambda *given: COST)
+        patch.setattr(onnx_export, "measure_onnx_model_cost", lambda *given: COST)
         graph = Q_LEARNING.open_graph(policy, config)
         return place / "onnx", export_policy(*graph, place / "onnx", config, RIDE), policy
 
@@ -85,7 +85,7 @@ def test_the_folder_has_what_the_network_says_and_means(made):
 
 def test_over_several_episodes_the_folder_chooses_what_the_policy_of_wcsim_chooses(made):
     folder, _, policy = made
-    own, other = load_policy(policy), open_named(str(folder), RunConfig(cameras=(CAMERA,)), 0)
+    own, other = load_policy(policy), open_named_policy(str(folder), RunConfig(cameras=(CAMERA,)), 0)
     view, chosen = FrameWindow(own.file.window), []
     for each in (own, other):
         each.begin()
@@ -118,7 +118,7 @@ def test_every_network_of_wcsim_is_exported_here():
 
 
 def test_what_takes_too_long_is_refused_and_nothing_is_written(tmp_path, monkeypatch):
-    monkeypatch.setattr(onnx_export, "measure_footprint", lambda *given: COST)
+    monkeypatch.setattr(onnx_export, "measure_onnx_model_cost", lambda *given: COST)
     config = config_of("patch")
     with pytest.raises(PolicyError, match="--force"):
         graph = Q_LEARNING.open_graph(saved(tmp_path / "policy", config), config)
@@ -152,7 +152,7 @@ class Strange(Plain):
 
 
 def test_a_network_of_ones_own_is_exported_when_it_is_named_or_refused_with_the_reason(tmp_path, monkeypatch):
-    monkeypatch.setattr(onnx_export, "measure_footprint", lambda *given: COST)
+    monkeypatch.setattr(onnx_export, "measure_onnx_model_cost", lambda *given: COST)
     refusals = {"Plain": "", "Branches": "without `if`", "Strange": "cannot be exported to ONNX"}
     for name, refusal in refusals.items():
         network = f"{__name__}:{name}"

@@ -10,19 +10,19 @@ from torch import nn
 from tests.agents.chain import LENGTH, Chain
 from tests.agents.toy import explores, logs_in, memory_of
 from tests.support.plants import CALM
-from wcsim.agents.learning.callbacks import EpisodeMetrics, EventWatch, _DiscountedReturn
+from wcsim.agents.learning.callbacks import EpisodeMetricsCallback, EventReportCallback, _DiscountedReturn
 from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.networks import registry
 from wcsim.agents.networks.q_network import SeqQPolicy
 from wcsim.agents.runs.metrics import read_metrics
-from wcsim.config.run_file import FollowPrior, NetSpec
+from wcsim.config.run_file import FollowPriorConfig, QNetworkSpec
 
 GAMMA = 0.97
 
 
 def test_a_jam_is_reported_once_a_step_and_crashes_each_with_their_words():
     told = []
-    watch = EventWatch(lambda kind, **values: told.append((kind, values)))
+    watch = EventReportCallback(lambda kind, **values: told.append((kind, values)))
     crash = replace(CALM, crashed=True, crash_reason="collision", crash="was hit by car c", jam_teleports=2)
     watch.num_timesteps, watch.locals = 7, {"infos": [{"events": each} for each in (crash, CALM, crash)]}
     assert watch._on_step()
@@ -83,7 +83,7 @@ def overestimates(folder, double_q, seed, steps=400):
 
     Double Q-learning helps as far as the two networks err independently; here the target's values begin with noise.
     """
-    spec = NetSpec(network="mean-of-planes", head="plain", prior=FollowPrior(reward_scale=1.0))
+    spec = QNetworkSpec(network="mean-of-planes", head="plain", prior=FollowPriorConfig(reward_scale=1.0))
     learner = SeqDQN(
         SeqQPolicy, Worthless(), settings=explores(1.0, 1.0, double_q=double_q),
         seed=seed, gamma=GAMMA, learning_rate=1e-3, buffer_size=2000, learning_starts=50, batch_size=32, tau=0.002,
@@ -93,7 +93,7 @@ def overestimates(folder, double_q, seed, steps=400):
     )  # fmt: skip
     torch.manual_seed(seed)
     learner.q_net_target.advantage.bias.data += torch.randn(81)  # it errs in a way of its own, and forgets that slowly
-    learner.learn(steps, callback=EpisodeMetrics(*logs_in(folder), 0.0))
+    learner.learn(steps, callback=EpisodeMetricsCallback(*logs_in(folder), 0.0))
     return [float(row["overestimate"]) for row in read_metrics(folder / "metrics.csv")]
 
 

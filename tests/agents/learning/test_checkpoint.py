@@ -12,7 +12,7 @@ from tests.agents.toy import load_checkpoint, train_toy
 from tests.attack.files.checkpoints import Bench, config, content, street
 from wcsim.agents.learning.build import build_model
 from wcsim.agents.learning.checkpoint import save_checkpoint
-from wcsim.agents.runs.checkpoint import STATE, checkpoints
+from wcsim.agents.runs.checkpoint import STATE, list_checkpoints
 from wcsim.agents.runs.metrics import read_metrics
 from wcsim.agents.runs.run_folder import open_run
 from wcsim.core import files
@@ -37,7 +37,7 @@ def folder(bench, tmp_path):
 
 
 def names(folder):
-    return [path.name for path in checkpoints(folder)]
+    return [path.name for path in list_checkpoints(folder)]
 
 
 def test_the_newest_is_that_of_the_largest_number(bench, folder):
@@ -107,7 +107,7 @@ def test_a_state_with_another_value_is_passed_over(bench, folder, key, sealed):
 
 @pytest.mark.parametrize("version", [{}, {"schema_version": 2}, {"schema_version": 3}])
 def test_checkpoints_of_an_older_version_are_refused_with_what_to_do(bench, folder, version):
-    for path in checkpoints(folder):
+    for path in list_checkpoints(folder):
         data = json.loads((path / STATE).read_text())
         del data["schema_version"], data["seal"]
         (path / STATE).write_text(json.dumps({**data, **version}))
@@ -117,11 +117,11 @@ def test_checkpoints_of_an_older_version_are_refused_with_what_to_do(bench, fold
 
 
 def test_a_learner_is_what_it_was_when_all_are_refused(bench, folder):
-    for path in checkpoints(folder):
+    for path in list_checkpoints(folder):
         (path / MODEL).write_bytes(b"")
     with pytest.raises(PolicyError, match="no intact checkpoint that fits") as told:
         load_checkpoint(folder, bench.model)
-    assert all(path.name in str(told.value) for path in checkpoints(folder))
+    assert all(path.name in str(told.value) for path in list_checkpoints(folder))
     assert content(bench.model, {}) == bench.blank
 
 
@@ -135,7 +135,7 @@ def test_what_was_passed_over_is_said_and_set_aside(tmp_path):
 
     with pytest.raises(InterruptedRunError):
         train_toy(config(), out, street, stop, progress_every=10)
-    newest = checkpoints(out / "checkpoints")[-1]
+    newest = list_checkpoints(out / "checkpoints")[-1]
     (newest / STATE).write_text("[" * 100_000)
     train_toy(config(), out, street, resume=True, log=told.append)
     assert open_run(out).manifest.status == "done"

@@ -11,15 +11,15 @@ import pytest
 
 from tests.agents.toy import ToyStreet, a_run, toy_camera
 from tests.support.samples import stacked
-from wcsim.agents.envs.episode_view import FrameWindow, newest_frames, windowed_space
+from wcsim.agents.envs.episode_view import FrameWindow, trim_frame_window, window_observation_space
 from wcsim.agents.learning.replay.buffer import _layout_of
 from wcsim.agents.learning.saved_policy import load_policy
 from wcsim.agents.learning.train import train
-from wcsim.agents.opening.named_policy import config_for, open_named
+from wcsim.agents.opening.named_policy import config_from_policy_name, open_named_policy
 from wcsim.config import RunConfig, resolve
 from wcsim.errors import InterruptedRunError, PolicyError
-from wcsim.supervisor.observation import observation_space
-from wcsim.supervisor.palette import palette
+from wcsim.supervisor.observation import make_observation_space
+from wcsim.supervisor.palette import make_class_palette
 
 CAMERA = toy_camera(16, 20).model_copy(update={"rgb": True})
 SMALL = (
@@ -36,7 +36,7 @@ class Formed(gym.Wrapper[Any, Any, Any, Any]):
     def __init__(self, form: str, stop_at: int = -1) -> None:
         super().__init__(ToyStreet(CAMERA, max_steps=30))
         self.form, self.stop_at, self.steps = form, stop_at, 0
-        self.observation_space = observation_space(form, 20, 16)  # type: ignore[arg-type]
+        self.observation_space = make_observation_space(form, 20, 16)  # type: ignore[arg-type]
 
     def reset(self, **given: Any) -> Any:
         seen, info = self.env.reset(**given)
@@ -50,7 +50,7 @@ class Formed(gym.Wrapper[Any, Any, Any, Any]):
         return self._formed(seen), *rest
 
     def _formed(self, seen: dict[str, Any]) -> dict[str, Any]:
-        colours = np.moveaxis(palette()[seen["seg"][0]], -1, 0)
+        colours = np.moveaxis(make_class_palette()[seen["seg"][0]], -1, 0)
         if self.form == "compact_rgb":
             return {**seen, "rgb": colours.astype(np.uint8)}
         rows = {key: seen[key] for key in ("imu", "joystick")}
@@ -78,11 +78,11 @@ def test_a_network_learns_from_it_goes_on_and_is_loaded(tmp_path: Path, form: st
     assert values.shape == (81,) and np.ptp(values) > 0.0
     other = {**seen, "depth": np.zeros_like(seen["depth"])}
     assert not np.array_equal(values, policy.values(other)), "it looks at the picture"
-    settings = config_for(str(whole), "quick")
-    assert open_named(str(whole), settings, 0).name == str(whole)
+    settings = config_from_policy_name(str(whole), "quick")
+    assert open_named_policy(str(whole), settings, 0).name == str(whole)
     plain = settings.model_copy(update={"env": settings.env.model_copy(update={"observation": "compact"})})
     with pytest.raises(PolicyError, match=f"sees env.observation={form}, this test has compact"):
-        open_named(str(whole), plain, 0)
+        open_named_policy(str(whole), plain, 0)
 
 
 @pytest.mark.parametrize("form", ["table3", "compact_rgb"])
@@ -98,7 +98,7 @@ def test_replay_gives_back_what_was_stored_to_the_bit(form: str) -> None:
 
 
 def test_colours_have_a_window_too() -> None:
-    space = windowed_space(observation_space("compact_rgb", 20, 16), 3)
+    space = window_observation_space(make_observation_space("compact_rgb", 20, 16), 3)
     assert {key: space[key].shape[0] for key in ("seg", "depth", "rgb")} == {"seg": 3, "depth": 3, "rgb": 9}
     assert _layout_of(space).window == 3
     env, window = Formed("compact_rgb"), FrameWindow(3)
@@ -106,7 +106,10 @@ def test_colours_have_a_window_too() -> None:
     seen = [window.add(frame) for frame in frames][-1]
     assert space.contains({**seen, "joystick": seen["joystick"]})
     assert np.array_equal(seen["rgb"][3:6], frames[1]["rgb"]) and np.array_equal(seen["rgb"][6:], frames[2]["rgb"])
-    assert np.array_equal(newest_frames(seen, 2)["rgb"], seen["rgb"][3:]) and len(newest_frames(seen, 1)["seg"]) == 1
+    assert (
+        np.array_equal(trim_frame_window(seen, 2)["rgb"], seen["rgb"][3:])
+        and len(trim_frame_window(seen, 1)["seg"]) == 1
+    )
     layout = _layout_of(space)
     row = layout.image_rows({key: value[None] for key, value in seen.items()})
     assert np.array_equal(layout.split(row, np.zeros((1, layout.vector_size), np.float32))["rgb"][0], seen["rgb"])

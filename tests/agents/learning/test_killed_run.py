@@ -11,7 +11,7 @@ from tests.agents.learning.test_train import weights
 from tests.agents.toy import ToyStreet, load_checkpoint, q_config, same_from_here_on, toy_camera, train_toy
 from wcsim.agents.learning.build import build_model
 from wcsim.agents.learning.checkpoint import save_checkpoint
-from wcsim.agents.runs.checkpoint import checkpoints
+from wcsim.agents.runs.checkpoint import list_checkpoints
 from wcsim.agents.runs.run_folder import open_run
 
 CAMERA = toy_camera(16, 20)
@@ -45,7 +45,7 @@ def config(**learn):
 
 def drive(out, epsilon, resume=False, at=None):
     """Train to the end, or be killed a few steps after step `at`; the resumed sitting meets the same street."""
-    done = int(checkpoints(out / "checkpoints")[-1].name[5:]) if resume else 0
+    done = int(list_checkpoints(out / "checkpoints")[-1].name[5:]) if resume else 0
 
     class Killed(Fixed):
         steps = 0
@@ -69,7 +69,7 @@ def test_killed_with_groups_it_learns_what_it_would_have_learned(tmp_path, epsil
     code = f"from pathlib import Path; from {__name__} import drive; drive({killed}, {epsilon}, at={HALF})"
     killed = subprocess.run([sys.executable, "-c", f"import torch; torch.set_num_threads(1); {code}"], check=False)
     assert killed.returncode == -signal.SIGKILL
-    assert checkpoints(tmp_path / "killed" / "checkpoints")[-1].name == f"step-{HALF:08d}"
+    assert list_checkpoints(tmp_path / "killed" / "checkpoints")[-1].name == f"step-{HALF:08d}"
     again = drive(tmp_path / "killed", epsilon, resume=True)
     assert open_run(again).manifest.steps == STEPS
     assert weights(again) == weights(straight)

@@ -13,7 +13,7 @@ from wcsim.agents.learning.saved_policy import load_policy
 from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.policies.baselines import baseline
 from wcsim.agents.runs.metrics import read_metrics
-from wcsim.agents.runs.run_folder import policy_path
+from wcsim.agents.runs.run_folder import policy_folder_from_name
 
 CAMERA = toy_camera(18, 24)
 SHORT = {"total_steps": 4000, "phase1_steps": 800, "learning_rate": 5e-4}
@@ -42,7 +42,9 @@ def test_it_learns_to_avoid_what_the_user_does_not_see(tmp_path):
     settings = config(**SHORT)
     run = train_toy(settings, tmp_path / "run", lambda: ToyStreet(CAMERA), seed=0)
     follow = drive(baseline("follow", settings), 8000)  # 2000 steps hold 9 to 17 crashes for equal policies
-    obedient, learned = (drive(load_policy(policy_path(f"{run}:{stage}")), 8000) for stage in ("phase1", "final"))
+    obedient, learned = (
+        drive(load_policy(policy_folder_from_name(f"{run}:{stage}")), 8000) for stage in ("phase1", "final")
+    )
     # The first phase teaches obedience: what the user wants, crashes included.
     assert obedient.kpi1 <= 0.1768
     assert per_1000(obedient) > 0.5 * per_1000(follow)
@@ -57,7 +59,10 @@ def test_it_learns_to_avoid_what_the_user_does_not_see(tmp_path):
 def test_it_learns_with_other_seeds_and_more_time(seed, tmp_path):
     settings = config(total_steps=16_000, phase1_steps=2000)
     run = train_toy(settings, tmp_path / "run", lambda: ToyStreet(CAMERA), seed=seed)
-    follow, learned = drive(baseline("follow", settings), 8000), drive(load_policy(policy_path(str(run))), 8000)
+    follow, learned = (
+        drive(baseline("follow", settings), 8000),
+        drive(load_policy(policy_folder_from_name(str(run))), 8000),
+    )
     assert per_1000(learned) <= 0.25 * per_1000(follow)
     assert learned.speed_mps >= 0.4
     assert learned.kpi1 <= 0.85
@@ -83,5 +88,8 @@ def test_a_learner_with_a_planted_fault_is_found_out(fault, tmp_path, monkeypatc
     fault(monkeypatch)
     settings = config(**SHORT)
     run = train_toy(settings, tmp_path / "run", lambda: ToyStreet(CAMERA), seed=0)
-    follow, learned = drive(baseline("follow", settings), 2000), drive(load_policy(policy_path(str(run))), 2000)
+    follow, learned = (
+        drive(baseline("follow", settings), 2000),
+        drive(load_policy(policy_folder_from_name(str(run))), 2000),
+    )
     assert not has_learned(learned, follow), learned

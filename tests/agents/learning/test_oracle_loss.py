@@ -20,13 +20,13 @@ from wcsim.agents.learning.seqdqn import (
 )
 from wcsim.config import resolve
 from wcsim.errors import ConfigError
-from wcsim.supervisor.observation import observation_space
+from wcsim.supervisor.observation import make_observation_space
 from wcsim.types import ClassId
 
 CAMERA = toy_camera(24, 32)
 POINTS = ACTIONS.points
 AHEAD = POINTS[:, 1] > 0.3
-SPACE = observation_space("compact", 32, 24)
+SPACE = make_observation_space("compact", 32, 24)
 
 
 def distances(*sticks):

@@ -16,7 +16,7 @@ from wcsim.agents.learning.build import build_model
 from wcsim.agents.learning.saved_policy import load_policy, save_policy
 from wcsim.agents.networks import registry
 from wcsim.agents.networks.convolutional import PatchNet
-from wcsim.agents.opening.named_policy import open_named
+from wcsim.agents.opening.named_policy import open_named_policy
 from wcsim.agents.policy_api import Warns
 from wcsim.agents.runs.policy_file import POLICY_JSON, WEIGHTS
 from wcsim.config import resolve
@@ -99,14 +99,14 @@ def test_weights_of_another_shape_or_not_finite_are_refused(saved):
     not_finite = torch.full((81,), float("nan"))
     for wrong, says in ((torch.zeros(69), r"\[69\], expected float32 \[81\]"), (not_finite, "not finite")):
         save_file({**tensors, name: wrong}, saved / WEIGHTS)
-        rewrite(saved, weights_sha256=files.sha256(saved / WEIGHTS))
+        rewrite(saved, weights_sha256=files.sha256_from_file(saved / WEIGHTS))
         with pytest.raises(PolicyError, match=says):
             load_policy(saved)
 
 
 def test_weights_that_are_a_pickle_are_refused(saved):
     torch.save({"a": torch.zeros(1)}, saved / WEIGHTS)
-    rewrite(saved, weights_sha256=files.sha256(saved / WEIGHTS))
+    rewrite(saved, weights_sha256=files.sha256_from_file(saved / WEIGHTS))
     with pytest.raises(PolicyError, match="safetensors"):
         load_policy(saved)
 
@@ -188,9 +188,9 @@ def test_a_policy_says_which_further_sensors_it_reads_and_only_then(original, sa
     assert not np.array_equal(policy.values(observation), policy.values(still))
     assert load_policy(saved).values(observation).shape == (81,)
     with pytest.raises(PolicyError, match=r"needs the sensors \{'wheels': 2\}.* this test has \{\}"):
-        open_named(str(folder), config, 0)
+        open_named_policy(str(folder), config, 0)
     rewrite(folder, sensors={"odometry": 2})
-    assert open_named(str(folder), resolve(config, ("sensors.odometry=typical",)), 0).name == str(folder)
+    assert open_named_policy(str(folder), resolve(config, ("sensors.odometry=typical",)), 0).name == str(folder)
     rewrite(folder, sensors={"wheels": 7})
     with pytest.raises(PolicyError, match="expected 3 more than theirs"):
         load_policy(folder)

@@ -10,7 +10,7 @@ from torch.nn import functional
 
 from tests.agents.toy import ToyStreet, WindowedStreet, q_config, q_learner, toy_camera
 from wcsim.agents.envs.episode_view import WORLD_RESTARTED
-from wcsim.agents.learning.build import build_model, network_settings
+from wcsim.agents.learning.build import build_model, default_settings_for_network
 from wcsim.agents.learning.saved_policy import load_policy, save_policy
 from wcsim.agents.learning.seqdqn import _burned_in, _group_targets, _group_values, _sequence_loss
 from wcsim.config import resolve
@@ -67,9 +67,9 @@ def test_step_by_step_is_the_same_as_in_one_go(network):
 
 
 def test_a_carried_state_replaces_the_window():
-    assert network_settings(config()) == ("env.window=1",)
-    assert network_settings(config(memory="steps")) == ("env.window=4",)
-    assert "env.window=4" in network_settings(config(network="conv3d"))
+    assert default_settings_for_network(config()) == ("env.window=1",)
+    assert default_settings_for_network(config(memory="steps")) == ("env.window=4",)
+    assert "env.window=4" in default_settings_for_network(config(network="conv3d"))
     assert model().q_net.spec.stateful
     assert not model(network="patch").q_net.spec.stateful
     with pytest.raises(PolicyError, match=r"sees 3 images at a time.*env\.window=1"):

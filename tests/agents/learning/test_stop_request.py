@@ -7,7 +7,7 @@ import pytest
 from tests.agents.learning.test_train import Nervous, config
 from tests.agents.toy import a_run, stopped_while_away, train_toy
 from wcsim.agents.learning.train import train
-from wcsim.agents.runs.checkpoint import newest_number
+from wcsim.agents.runs.checkpoint import newest_checkpoint_number
 from wcsim.agents.runs.run_folder import open_run
 from wcsim.errors import InterruptedRunError, ServerGoneError
 from wcsim.server.launch.states import WAIT_NO_MORE
@@ -20,7 +20,7 @@ def test_a_run_that_is_stopped_while_its_world_is_away_keeps_all_its_steps(tmp_p
         train_toy(config(), tmp_path / "run", lambda: env, wait_no_more=lambda: waits.append(True))
     manifest = open_run(tmp_path / "run").manifest
     assert (manifest.status, manifest.steps) == ("interrupted", 149)
-    assert newest_number(tmp_path / "run" / "checkpoints") == 149
+    assert newest_checkpoint_number(tmp_path / "run" / "checkpoints") == 149
     assert signal.getsignal(WAIT_NO_MORE) is before
 
 
@@ -41,7 +41,7 @@ def test_ctrl_c_while_the_world_is_silent_shortens_the_wait_and_keeps_all_steps(
     env.unwrapped.wait_less = lambda: less.append(True)
     with pytest.raises(InterruptedRunError, match="wcsim resume"):
         train_toy(config(), tmp_path / "run", lambda: env, alive=saves)
-    assert newest_number(tmp_path / "run" / "checkpoints") == last
+    assert newest_checkpoint_number(tmp_path / "run" / "checkpoints") == last
     assert open_run(tmp_path / "run").manifest.status == "interrupted"
 
 
@@ -59,5 +59,5 @@ def test_a_second_signal_that_was_sent_to_all_does_not_tear_what_a_client_saves(
     run = a_run(config(), tmp_path / "run", 5)
     with pytest.raises(InterruptedRunError):
         train(run, lambda: Nervous(150, ask), alive=saves, wait_no_more=lambda: asked.append(False))
-    assert newest_number(tmp_path / "run" / "checkpoints") == 152
+    assert newest_checkpoint_number(tmp_path / "run" / "checkpoints") == 152
     assert False in asked

@@ -7,7 +7,7 @@ import pytest
 
 from tests.agents.learning.test_train import CAMERA, config, street
 from tests.agents.toy import ToyStreet, train_toy
-from wcsim.agents.runs.metrics import COLUMNS, BoardLog, read_metrics
+from wcsim.agents.runs.metrics import COLUMNS, TensorBoardLog, read_metrics
 from wcsim.errors import ConfigError
 
 MODULE = "torch.utils.tensorboard"
@@ -52,7 +52,7 @@ def test_every_number_of_the_log_is_a_scalar(board, tmp_path):
 
 
 def test_a_run_that_goes_on_drops_what_was_lost(board, tmp_path):
-    BoardLog(tmp_path, last_step=120).close()
+    TensorBoardLog(tmp_path, last_step=120).close()
     assert [writer.purge_step for writer in board] == [121]
 
 

@@ -26,9 +26,15 @@ from wcsim.agents.learning.checkpoint import _generator_state, _restored_generat
 from wcsim.agents.learning.saved_policy import load_policy
 from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.learning.train import train
-from wcsim.agents.opening.named_policy import config_for, open_named
+from wcsim.agents.opening.named_policy import config_from_policy_name, open_named_policy
 from wcsim.agents.runs.metrics import COLUMNS, STEP_COLUMNS, MetricsFile, read_metrics
-from wcsim.agents.runs.run_folder import create_run, make_manifest, open_run, policy_path, run_of
+from wcsim.agents.runs.run_folder import (
+    create_run_folder,
+    make_run_manifest,
+    open_run,
+    policy_folder_from_name,
+    run_from_policy_name,
+)
 from wcsim.config import RunConfig
 from wcsim.core import files
 from wcsim.errors import ConfigError, DiskFullError, InterruptedRunError, PolicyError
@@ -146,24 +152,24 @@ def test_work_is_saved_by_wall_time(tmp_path, monkeypatch):
 
 def test_both_policies_can_be_named(run):
     path, *_ = run
-    assert policy_path(str(path)) == policy_path(f"{path}:final") == path / "policies" / "final"
-    assert open_named(f"{path}:phase1", config(), 0).name == f"{path}:phase1"
+    assert policy_folder_from_name(str(path)) == policy_folder_from_name(f"{path}:final") == path / "policies" / "final"
+    assert open_named_policy(f"{path}:phase1", config(), 0).name == f"{path}:phase1"
     assert weights(path) != weights(path, "phase1")
-    assert load_policy(policy_path(str(path))).file.manifest_sha256 == open_run(path).manifest_sha256()
+    assert load_policy(policy_folder_from_name(str(path))).file.manifest_sha256 == open_run(path).manifest_sha256()
 
 
 def test_what_a_policy_was_made_with_can_be_asked(run, tmp_path):
     path, *_ = run
     for name in (str(path), f"{path}:phase1", str(path / "policies" / "final")):
-        assert run_of(name) == open_run(path)
-        assert config_for(name, "dqn", ("learn.gamma=0.5",)).learn == config(gamma=0.5).learn
+        assert run_from_policy_name(name) == open_run(path)
+        assert config_from_policy_name(name, "dqn", ("learn.gamma=0.5",)).learn == config(gamma=0.5).learn
     shutil.copytree(path / "policies" / "final", tmp_path / "copy")
-    assert run_of(str(tmp_path / "copy")) is None
-    alone = config_for(str(tmp_path / "copy"), "dqn", ("env.max_steps=7",))
+    assert run_from_policy_name(str(tmp_path / "copy")) is None
+    alone = config_from_policy_name(str(tmp_path / "copy"), "dqn", ("env.max_steps=7",))
     assert (alone.cameras, alone.env.max_steps) == ((CAMERA,), 7)
-    assert open_named(str(tmp_path / "copy"), alone, 0).name == str(tmp_path / "copy")
+    assert open_named_policy(str(tmp_path / "copy"), alone, 0).name == str(tmp_path / "copy")
     with pytest.raises(PolicyError, match="20x16 images"):
-        open_named(str(path), RunConfig(), 0)
+        open_named_policy(str(path), RunConfig(), 0)
 
 
 def test_equal_seeds_give_equal_runs_and_other_seeds_do_not(run, tmp_path):
@@ -195,8 +201,8 @@ def test_an_interrupted_run_is_usable_and_can_be_continued(stop, tmp_path):
     path = tmp_path / "run"
     first = open_run(path).manifest
     assert (first.status, first.steps) == ("interrupted", 149 if stop == "exception" else 152)
-    assert load_policy(policy_path(f"{path}:phase1")).act(street().reset(seed=0)[0]) in range(81)
-    assert load_policy(policy_path(str(path))).act(street().reset(seed=0)[0]) in range(81)
+    assert load_policy(policy_folder_from_name(f"{path}:phase1")).act(street().reset(seed=0)[0]) in range(81)
+    assert load_policy(policy_folder_from_name(str(path))).act(street().reset(seed=0)[0]) in range(81)
     assert signal.getsignal(signal.SIGINT) is before  # ignored, when the tests run in a shell's background
 
     follower = Nervous(-1, interrupt)
@@ -288,10 +294,10 @@ def test_wrong_folders_are_explained(run, tmp_path):
     with pytest.raises(PolicyError, match="another rewards"):
         train(a_run(config(), path, 5, town="toy", town_sha256="00", rewards=("a:B",), resume=True), street)
     with pytest.raises(PolicyError, match="unknown stage"):
-        policy_path(f"{path}:best")
-    fresh = create_run(tmp_path / "new", config(), make_manifest(config(), RunInfo(seed=1, town="t")))
+        policy_folder_from_name(f"{path}:best")
+    fresh = create_run_folder(tmp_path / "new", config(), make_run_manifest(config(), RunInfo(seed=1, town="t")))
     with pytest.raises(PolicyError, match="it has: none"):
-        policy_path(str(fresh.path))
+        policy_folder_from_name(str(fresh.path))
     (fresh.path / "manifest.json").write_text("{")
     with pytest.raises(PolicyError, match=r"is not JSON.*train again"):
         open_run(fresh.path)
@@ -359,20 +365,20 @@ def test_metrics_drop_lost_rows_and_torn_lines(tmp_path):
 
 def test_a_folder_is_written_whole_or_not_at_all(tmp_path):
     target = tmp_path / "x"
-    with files.whole_folder(target) as folder:
+    with files.write_folder_atomically(target) as folder:
         (folder / "a").write_text("1")
-    with pytest.raises(RuntimeError), files.whole_folder(target) as folder:
+    with pytest.raises(RuntimeError), files.write_folder_atomically(target) as folder:
         (folder / "a").write_text("2")
         raise RuntimeError
     assert (target / "a").read_text() == "1"
-    with files.whole_folder(target) as folder:
+    with files.write_folder_atomically(target) as folder:
         (folder / "b").write_text("3")
     assert [p.name for p in target.iterdir()] == ["b"]
     assert [p.name for p in tmp_path.iterdir()] == ["x"]
 
 
 def test_a_manifest_says_its_status_and_keeps_its_digest(tmp_path):
-    run = create_run(tmp_path / "r", config(), make_manifest(config(), INFO))
+    run = create_run_folder(tmp_path / "r", config(), make_run_manifest(config(), INFO))
     digest = run.manifest_sha256()
     run = run.with_status("interrupted", 7)
     assert open_run(run.path).manifest == run.manifest == replace(run.manifest, status="interrupted", steps=7)
@@ -382,7 +388,7 @@ def test_a_manifest_says_its_status_and_keeps_its_digest(tmp_path):
 def test_a_manifest_keeps_what_it_was_told(tmp_path):
     override = Override(option="--step-length", author="1", wcsim="0.1", why="ticks")
     told = replace(INFO, rewards=("a:B",), hook="c:D", overrides=(override,))
-    run = create_run(tmp_path / "r", config(), make_manifest(config(), told))
+    run = create_run_folder(tmp_path / "r", config(), make_run_manifest(config(), told))
     assert open_run(run.path).manifest.info == run.manifest.info == told
 
 
@@ -390,7 +396,7 @@ def test_a_run_keeps_the_user_s_own_plant(tmp_path):
     own = tmp_path / "own.toml"
     own.write_bytes((Path(wcsim.__file__).parent / "config" / "plants" / "rwd.toml").read_bytes())
     wanted = config().model_copy(update={"chair": config().chair.model_copy(update={"plant": str(own)})})
-    run = create_run(tmp_path / "r", wanted, make_manifest(wanted, INFO))
+    run = create_run_folder(tmp_path / "r", wanted, make_run_manifest(wanted, INFO))
     text = own.read_bytes()
     own.unlink()
     kept = open_run(run.path).config.chair.plant

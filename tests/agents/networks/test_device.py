@@ -2,12 +2,12 @@
 
 import pytest
 
-from wcsim.agents.networks.device import checked_device
+from wcsim.agents.networks.device import validate_device_name
 from wcsim.errors import ConfigError
 
 
 def test_a_device_without_numbers_is_named():
-    assert checked_device("cpu") == "cpu"
+    assert validate_device_name("cpu") == "cpu"
     for name in ("meta", "abacus"):
         with pytest.raises(ConfigError, match=rf"learn\.device='{name}' cannot be used here"):
-            checked_device(name)
+            validate_device_name(name)

@@ -13,15 +13,15 @@ from torch import nn
 
 from tests.agents.toy import WindowedStreet
 from tests.support.samples import ACTIONS
-from wcsim.agents.envs.episode_view import windowed_space
+from wcsim.agents.envs.episode_view import window_observation_space
 from wcsim.agents.networks import registry
 from wcsim.agents.networks.encoder import GROUPS, WCSIM_GROUPS, ObservationEncoder, _group_table
 from wcsim.agents.networks.names import NETWORK_NAMES
 from wcsim.agents.networks.q_network import QNet
 from wcsim.config import RewardConfig
-from wcsim.config.run_file import FollowPrior, NetSpec
+from wcsim.config.run_file import FollowPriorConfig, QNetworkSpec
 from wcsim.errors import PolicyError
-from wcsim.supervisor.observation import observation_space
+from wcsim.supervisor.observation import make_observation_space
 from wcsim.supervisor.rewards import _joystick_terms
 from wcsim.types import ClassId
 
@@ -31,7 +31,7 @@ EXAMPLE = Path(__file__).parents[3] / "examples" / "own_network.py"
 
 
 def space(height, width, frames=1):
-    return windowed_space(observation_space("compact", width, height), frames)
+    return window_observation_space(make_observation_space("compact", width, height), frames)
 
 
 def batch(height, width, joysticks, frames=1):
@@ -47,7 +47,7 @@ def batch(height, width, joysticks, frames=1):
 
 def q_net(height=60, width=80, frames=1, **spec):
     torch.manual_seed(0)
-    return QNet(space(height, width, frames), gym.spaces.Discrete(81), NetSpec(**spec))
+    return QNet(space(height, width, frames), gym.spaces.Discrete(81), QNetworkSpec(**spec))
 
 
 @pytest.mark.parametrize("network", NETWORK_NAMES)
@@ -79,7 +79,7 @@ def test_a_fresh_plain_network_does_not():
 @settings(max_examples=25)
 @given(st.floats(-1, 1), st.floats(-1, 1))
 def test_the_known_part_is_the_rewards_joystick_part(x, y):
-    net = q_net(24, 32, prior=FollowPrior(reward_scale=0.05))
+    net = q_net(24, 32, prior=FollowPriorConfig(reward_scale=0.05))
     actions, config = ACTIONS, RewardConfig()
     stick = np.array([x, y], dtype=np.float32)
     expected = [0.05 * sum(_joystick_terms(actions.distance(a, stick), config)) for a in range(81)]
@@ -256,8 +256,8 @@ class Pairs(nn.Module):
 def test_a_windowed_network_of_ones_own_is_built_with_the_window(monkeypatch):
     monkeypatch.setitem(registry.NETWORKS, "pairs", Pairs)
     assert ObservationEncoder(space(24, 32, 3), "pairs").features_dim == 6
-    assert registry.preferred_window("pairs") == 1
-    assert [registry.preferred_window(name) for name in (*WINDOWED, "patch")] == [4] * len(WINDOWED) + [1]
+    assert registry.preferred_window_size("pairs") == 1
+    assert [registry.preferred_window_size(name) for name in (*WINDOWED, "patch")] == [4] * len(WINDOWED) + [1]
 
 
 # --- the registry ---

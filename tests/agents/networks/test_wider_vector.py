@@ -6,10 +6,10 @@ import torch
 from gymnasium import spaces
 
 from wcsim.agents.learning.seqdqn import _mirrored
-from wcsim.agents.networks.encoder import vector_keys
+from wcsim.agents.networks.encoder import vector_keys_from_space
 from wcsim.agents.networks.q_network import QNet
-from wcsim.config.run_file import NetSpec
-from wcsim.supervisor.observation import imu_size, observation_space
+from wcsim.config.run_file import QNetworkSpec
+from wcsim.supervisor.observation import count_imu_values, make_observation_space
 from wcsim.types import Measure
 
 MEASURES = {
@@ -24,8 +24,8 @@ def drawn(space):
 
 @pytest.mark.parametrize(("gyro", "yaw"), [(False, False), (True, False), (False, True), (True, True)])
 def test_a_network_takes_what_the_observation_has(gyro, yaw):
-    space = observation_space("compact", 32, 24, imu_size(gyro, yaw))
-    net = QNet(space, spaces.Discrete(81), NetSpec())
+    space = make_observation_space("compact", 32, 24, count_imu_values(gyro, yaw))
+    net = QNet(space, spaces.Discrete(81), QNetworkSpec())
     batch = drawn(space)
     assert net(batch).shape == (1, 81)
 
@@ -42,9 +42,17 @@ def test_what_turns_left_turns_right_in_the_mirror():
 
 
 def test_further_rows_of_numbers_come_last_and_nobody_names_them():
-    paper, more = observation_space("compact", 32, 24), observation_space("compact", 32, 24, measures=MEASURES)
-    net, wide = QNet(paper, spaces.Discrete(81), NetSpec()), QNet(more, spaces.Discrete(81), NetSpec())
-    assert vector_keys(paper) == ("imu", "joystick") and vector_keys(more) == ("imu", "joystick", "beams", "wheels")
+    paper, more = (
+        make_observation_space("compact", 32, 24),
+        make_observation_space("compact", 32, 24, measures=MEASURES),
+    )
+    net, wide = QNet(paper, spaces.Discrete(81), QNetworkSpec()), QNet(more, spaces.Discrete(81), QNetworkSpec())
+    assert vector_keys_from_space(paper) == ("imu", "joystick") and vector_keys_from_space(more) == (
+        "imu",
+        "joystick",
+        "beams",
+        "wheels",
+    )
     batch = drawn(more)
     got = wide.encoder.vector(batch)[0].tolist()
     assert got[7:] == [*batch["beams"][0].tolist(), *batch["wheels"][0].tolist()]

@@ -6,11 +6,11 @@ import pytest
 from tests.agents.driven import Script, driven
 from tests.agents.toy import toy_camera
 from wcsim.agents.opening import named_policy
-from wcsim.agents.opening.named_policy import config_for, open_named
+from wcsim.agents.opening.named_policy import config_from_policy_name, open_named_policy
 from wcsim.agents.policies.baselines import baseline
-from wcsim.agents.policies.onnx_policy import ExportedLaw
+from wcsim.agents.policies.onnx_policy import ExportedDangerPolicy
 from wcsim.agents.policy_api import MOTION_SENSES
-from wcsim.agents.runs.policy_file import shipped_folder
+from wcsim.agents.runs.policy_file import find_shipped_policy
 from wcsim.config import RunConfig
 from wcsim.errors import PolicyError
 
@@ -39,12 +39,12 @@ def test_the_oracle_is_shown_the_truth_of_the_moment_it_answers_to():
 
 @pytest.mark.parametrize("delay", [0, 2])
 def test_without_torch_shipped_drives_as_with_it(delay, monkeypatch):
-    config = config_for("shipped", "quick", (f"world.action_delay_ticks={delay}",))
-    policies = [open_named("shipped", config, 0)]
+    config = config_from_policy_name("shipped", "quick", (f"world.action_delay_ticks={delay}",))
+    policies = [open_named_policy("shipped", config, 0)]
     monkeypatch.setattr(named_policy, "find_spec", lambda name: None)
-    policies.append(open_named("shipped", config, 0))
-    assert isinstance(policies[1], ExportedLaw) and policies[1].senses == MOTION_SENSES
-    with np.load(shipped_folder() / "reference.npz") as ride:
+    policies.append(open_named_policy("shipped", config, 0))
+    assert isinstance(policies[1], ExportedDangerPolicy) and policies[1].senses == MOTION_SENSES
+    with np.load(find_shipped_policy() / "reference.npz") as ride:
         inputs = {key: ride[key] for key in ride.files if key not in ("danger", "action")}
     done = []
     for policy in policies:
@@ -60,17 +60,17 @@ def test_without_torch_shipped_drives_as_with_it(delay, monkeypatch):
 def test_without_torch_nothing_drives_by_a_law_that_is_not_its_own(monkeypatch):
     for module in ("wcsim.errors", "wcsim.agents.opening.named_policy"):
         monkeypatch.setattr(f"{module}.find_spec", lambda name: None)
-    config = config_for("shipped", "quick")
+    config = config_from_policy_name("shipped", "quick")
     others = ("@0.3", "world.tick_s=0.1"), ("", "world.action_delay_ticks=1"), ("", "chair.v_max_mps=1.0")
     for level, other in others:
-        policy = open_named(f"shipped{level}", config_for("shipped", "quick", (other,)), 0)
-        assert not isinstance(policy, ExportedLaw)
+        policy = open_named_policy(f"shipped{level}", config_from_policy_name("shipped", "quick", (other,)), 0)
+        assert not isinstance(policy, ExportedDangerPolicy)
     with pytest.raises(PolicyError, match=r"pip install 'wcsim\[train\]'"):
-        open_named("veto:shipped", config, 0)
+        open_named_policy("veto:shipped", config, 0)
     with pytest.raises(PolicyError, match="trained with another camera"):
-        open_named("shipped", CONFIG, 0)
+        open_named_policy("shipped", CONFIG, 0)
 
 
 def test_an_unknown_policy_is_explained(tmp_path):
     with pytest.raises(PolicyError, match="not a run"):
-        open_named(str(tmp_path / "nowhere"), CONFIG, 0)
+        open_named_policy(str(tmp_path / "nowhere"), CONFIG, 0)

@@ -5,12 +5,12 @@ import math
 import numpy as np
 import pytest
 
-from wcsim.agents.perception.arcs import advance, state_after
-from wcsim.agents.perception.ego_motion import EgoMotion, in_body, in_odometric
+from wcsim.agents.perception.arcs import integrate_chair_state, predict_delayed_state
+from wcsim.agents.perception.ego_motion import EgoMotionEstimator, body_to_odometric, odometric_to_body
 from wcsim.config import ChairConfig
-from wcsim.core.joystick import limits_of
+from wcsim.core.joystick import drive_limits_from_chair
 
-LIMITS = limits_of(ChairConfig())
+LIMITS = drive_limits_from_chair(ChairConfig())
 TICK_S = 0.1
 REST, AHEAD, LEFT = np.zeros(2), np.array([0.0, 1.0]), np.array([-0.5, 0.5])
 
@@ -33,7 +33,7 @@ def drive(ego, command, ticks, observation):
 
 
 def test_without_senses_the_commands_say_how_fast_it_is():
-    ego = EgoMotion(LIMITS, TICK_S, 0)
+    ego = EgoMotionEstimator(LIMITS, TICK_S, 0)
     drive(ego, AHEAD, 30, seen())
     ego.observe(seen(), REST)
     assert ego.motion[0] == pytest.approx(1.67) and ego.pose_O[0] > 3.0
@@ -41,7 +41,7 @@ def test_without_senses_the_commands_say_how_fast_it_is():
 
 
 def test_a_late_command_is_obeyed_late():
-    prompt, late = EgoMotion(LIMITS, TICK_S, 0), EgoMotion(LIMITS, TICK_S, 3)
+    prompt, late = EgoMotionEstimator(LIMITS, TICK_S, 0), EgoMotionEstimator(LIMITS, TICK_S, 3)
     speeds = {"prompt": [], "late": []}
     for _ in range(12):
         for name, ego in (("prompt", prompt), ("late", late)):
@@ -53,18 +53,18 @@ def test_a_late_command_is_obeyed_late():
 
 
 def test_what_the_wheels_and_the_gyroscope_say_counts_more_than_what_was_commanded():
-    ego = EgoMotion(LIMITS, TICK_S, 0)
+    ego = EgoMotionEstimator(LIMITS, TICK_S, 0)
     drive(ego, AHEAD, 40, seen(speed_mps=0.4, turn_radps=0.3, gyro_radps=-0.2))
     assert ego.motion[0] < 0.75 and ego.motion[1] == pytest.approx(-0.2, abs=0.1)
     assert ego.way_m == pytest.approx(39 * TICK_S * 0.4, rel=1e-3)
     assert ego.pose_O[2] == pytest.approx(-39 * TICK_S * 0.2, rel=1e-3)
-    wheels = EgoMotion(LIMITS, TICK_S, 0)
+    wheels = EgoMotionEstimator(LIMITS, TICK_S, 0)
     drive(wheels, AHEAD, 40, seen(speed_mps=0.4, turn_radps=0.3))
     assert wheels.pose_O[2] == pytest.approx(39 * TICK_S * 0.3, rel=1e-3)
 
 
 def test_a_chair_that_is_taken_over_on_its_way_obeys_its_driver_for_a_while():
-    moving, standing = EgoMotion(LIMITS, TICK_S, 2), EgoMotion(LIMITS, TICK_S, 2)
+    moving, standing = EgoMotionEstimator(LIMITS, TICK_S, 2), EgoMotionEstimator(LIMITS, TICK_S, 2)
     moving.observe(seen(speed_mps=1.2), LEFT)
     standing.observe(seen(speed_mps=0.0), LEFT)
     assert moving.waiting.tolist() == [LEFT.tolist()] * 2 and moving.motion[0] == pytest.approx(1.2)
@@ -72,7 +72,7 @@ def test_a_chair_that_is_taken_over_on_its_way_obeys_its_driver_for_a_while():
 
 
 def test_without_odometry_a_chair_that_is_taken_over_drives_as_its_user_asks():
-    ego, gyro = EgoMotion(LIMITS, TICK_S, 2), EgoMotion(LIMITS, TICK_S, 2)
+    ego, gyro = EgoMotionEstimator(LIMITS, TICK_S, 2), EgoMotionEstimator(LIMITS, TICK_S, 2)
     ego.observe(seen(), LEFT)
     gyro.observe(seen(gyro_radps=-0.2), LEFT)
     assert ego.waiting.tolist() == gyro.waiting.tolist() == [LEFT.tolist()] * 2
@@ -89,15 +89,15 @@ def test_what_is_on_its_way_is_driven_before_the_next_command():
     waiting = np.array([AHEAD, LEFT])
     state = np.concatenate([np.zeros(3), motion])
     for command in waiting:
-        advance(state, command, LIMITS, TICK_S)
-    assert state_after(motion, waiting, LIMITS, TICK_S).tolist() == state.tolist()
+        integrate_chair_state(state, command, LIMITS, TICK_S)
+    assert predict_delayed_state(motion, waiting, LIMITS, TICK_S).tolist() == state.tolist()
     assert state[0] > 0.19 and state[4] > 0.0
-    assert state_after(motion, np.zeros((0, 2)), LIMITS, TICK_S).tolist() == [0.0, 0.0, 0.0, 1.0, 0.0, 0.0]
+    assert predict_delayed_state(motion, np.zeros((0, 2)), LIMITS, TICK_S).tolist() == [0.0, 0.0, 0.0, 1.0, 0.0, 0.0]
 
 
 def test_places_go_to_the_odometric_frame_and_back():
     pose = np.array([2.0, -1.0, 0.7])
     points = np.random.default_rng(0).uniform(-4, 4, (20, 2))
-    assert np.allclose(in_body(in_odometric(points, pose), pose), points)
-    (front,) = in_odometric(np.array([[1.0, 0.0]]), pose)
+    assert np.allclose(odometric_to_body(body_to_odometric(points, pose), pose), points)
+    (front,) = body_to_odometric(np.array([[1.0, 0.0]]), pose)
     assert front == pytest.approx([2.0 + math.cos(0.7), -1.0 + math.sin(0.7)])

@@ -13,17 +13,17 @@ from wcsim.agents.perception.street_memory import (
     KEEP_WAY_M,
     REACH_M,
     ROWS,
-    StreetMemory,
-    is_ground,
-    is_known,
+    StreetMemoryGrid,
+    is_free_ground,
+    is_known_place,
 )
 from wcsim.agents.perception.surroundings import _extend_edges
 from wcsim.agents.policies.dwa import _backs_blindly
 from wcsim.config import ChairConfig
-from wcsim.core.joystick import limits_of
+from wcsim.core.joystick import drive_limits_from_chair
 
 BOX = np.array([-0.34, 0.80, 0.31])
-LIMITS = limits_of(ChairConfig())
+LIMITS = drive_limits_from_chair(ChairConfig())
 HERE = np.zeros(3)
 NOTHING, UNSEEN = np.zeros((0, 2)), np.full((ROWS, COLUMNS), np.inf, np.float32)
 POST = np.array([[2.05, 0.45]])
@@ -45,7 +45,7 @@ def look(memory, points=NOTHING, low_m=UNSEEN, pose=HERE, way_m=0.0, brief=False
 
 @pytest.fixture
 def memory():
-    return StreetMemory(0.1, BOX)
+    return StreetMemoryGrid(0.1, BOX)
 
 
 def test_what_was_seen_for_a_while_stays_until_the_chair_has_left_it(memory):
@@ -111,11 +111,11 @@ def test_the_raster_goes_round_without_mixing_up_places(memory):
 def test_ground_is_what_was_seen_or_stood_on(memory):
     look(memory, POST, measured((3.05, -1.05), POST[0]))
     cells = memory.cells
-    assert is_ground(cells, 3.05, -1.05) and is_ground(cells, 0.5, 0.2)
-    assert not is_ground(cells, *POST[0]) and is_known(cells, *POST[0])
-    assert not is_ground(cells, 0.0, 0.45) and is_known(cells, 0.0, 0.45)  # right beside the chair
-    assert not is_known(cells, -0.9, 0.0) and not is_known(cells, 0.0, 0.9)
-    assert not is_known(cells, 3.05 + 96 * CELL_M, -1.05)  # the same cell, another place
+    assert is_free_ground(cells, 3.05, -1.05) and is_free_ground(cells, 0.5, 0.2)
+    assert not is_free_ground(cells, *POST[0]) and is_known_place(cells, *POST[0])
+    assert not is_free_ground(cells, 0.0, 0.45) and is_known_place(cells, 0.0, 0.45)  # right beside the chair
+    assert not is_known_place(cells, -0.9, 0.0) and not is_known_place(cells, 0.0, 0.9)
+    assert not is_known_place(cells, 3.05 + 96 * CELL_M, -1.05)  # the same cell, another place
 
 
 def blind(memory, *sticks, pose=HERE, speed_mps=0.0):

@@ -11,14 +11,14 @@ from wcsim.agents.perception.clusters import (
     MOST_Y,
     PIXELS,
     WALKERS,
-    beside_movers,
-    find_clusters,
-    mobility_of_classes,
+    find_movable_clusters,
+    make_class_mobility_table,
+    mask_points_near_cells,
 )
 from wcsim.agents.perception.clusters import X as AT_X
 from wcsim.agents.perception.clusters import Y as AT_Y
 from wcsim.agents.perception.depth_image import viewing_rays
-from wcsim.agents.perception.tracker import Tracker
+from wcsim.agents.perception.tracker import MoverTracker
 from wcsim.config import CameraConfig
 from wcsim.types import ClassId
 
@@ -36,8 +36,8 @@ def seen(*boxes, pose=(0.0, 0.0, 0.0)):
         for kind, x0, x1, y0, y1, height in boxes:
             hit = (x > x0) & (x < x1) & (y > y0) & (y < y1) & (z > 0.0) & (z < height)
             depth[hit], classes[hit] = t, kind
-    picture = mobility_of_classes()[classes].reshape(60, 80)
-    return find_clusters(picture, depth.astype(np.float32), RAYS, EYE, 39.0, UP, np.array(pose, float))
+    picture = make_class_mobility_table()[classes].reshape(60, 80)
+    return find_movable_clusters(picture, depth.astype(np.float32), RAYS, EYE, 39.0, UP, np.array(pose, float))
 
 
 def person(x, y, kind=ClassId.PERSON):
@@ -53,7 +53,7 @@ def test_two_people_are_two_clusters_and_a_post_is_none():
     for number, one in enumerate(clusters):
         own = cells[owner == number]
         assert len(own) and np.abs(own - one[[AT_X, AT_Y]]).max() < 0.5
-    assert beside_movers(np.array([[3.1, -1.1], [2.1, 0.1]]), cells).tolist() == [True, False]
+    assert mask_points_near_cells(np.array([[3.1, -1.1], [2.1, 0.1]]), cells).tolist() == [True, False]
 
 
 def test_a_car_is_no_walker_and_a_pose_turns_places():
@@ -85,7 +85,7 @@ def cluster(x, y, size=0.4, walks=True, length=None):
 
 def watched(ticks, *movers, noise_m=0.0, tracker=None):
     """A tracker that has seen movers (x, y, vx, vy) for some ticks."""
-    tracker, rng = tracker or Tracker(0.1), np.random.default_rng(5)
+    tracker, rng = tracker or MoverTracker(0.1), np.random.default_rng(5)
     for tick in range(ticks):
         now = [np.array([x + vx * 0.1 * tick, y + vy * 0.1 * tick]) for x, y, vx, vy in movers]
         now = [at + rng.normal(0.0, noise_m, 2) if noise_m else at for at in now]
@@ -123,7 +123,7 @@ def test_who_is_not_seen_any_more_goes_on_for_a_while():
 
 
 def test_a_long_thing_moves_when_both_its_ends_do():
-    tracker = Tracker(0.1)
+    tracker = MoverTracker(0.1)
     for tick in range(15):
         front = 2.0 + 0.1 * tick * 2.0  # its rear is cut off by the border of the view
         one = cluster(0.5 * front, 2.0, size=1.5, walks=False, length=front)
@@ -140,7 +140,7 @@ def test_a_long_thing_moves_when_both_its_ends_do():
 def test_a_car_as_fast_as_a_town_allows_is_known_to_rush(speed_mps):
     (track,) = watched(4, (5.0, -4.0, 0.0, speed_mps)).movers
     assert track.rushes and track.v_O_mps == pytest.approx([0.0, speed_mps], abs=0.1)
-    tracker, told = Tracker(0.1), []
+    tracker, told = MoverTracker(0.1), []
     for tick in range(round(90 / speed_mps)):
         rear = -4.0 + 0.1 * tick * speed_mps
         clusters, cells, owner = seen((ClassId.CAR, 5.0, 6.8, rear, rear + 4.3, 1.5))
@@ -152,7 +152,7 @@ def test_a_car_as_fast_as_a_town_allows_is_known_to_rush(speed_mps):
 def test_people_who_pass_each_other_are_not_taken_for_one_who_rushes():
     side_by_side = [(3.0, 0.6 * place - 1.5, -1.0, 0.0) for place in range(6)]
     facing = [(0.5, 0.6 * place - 1.2, 1.0, 0.0) for place in range(5)]
-    tracker = Tracker(0.1)
+    tracker = MoverTracker(0.1)
     for tick in range(20):
         now = [np.array([x + vx * 0.1 * tick, y]) for x, y, vx, _ in side_by_side + facing]
         tracker.update(np.array([cluster(*at) for at in now]), [at[None] for at in now])
@@ -166,7 +166,7 @@ def test_people_who_pass_each_other_are_not_taken_for_one_who_rushes():
 def test_what_stands_in_a_row_stands_though_it_is_not_seen_each_time(gap_m, seen_share):
     rushing = 0
     for seed in range(8):
-        rng, tracker = np.random.default_rng(seed), Tracker(0.1)
+        rng, tracker = np.random.default_rng(seed), MoverTracker(0.1)
         for _ in range(30):
             now = [np.array([4.0, gap_m * place - 6.0]) for place in range(12) if rng.random() < seen_share]
             now = [at + rng.normal(0.0, 0.04, 2) for at in now]
@@ -176,7 +176,7 @@ def test_what_stands_in_a_row_stands_though_it_is_not_seen_each_time(gap_m, seen
 
 
 def test_a_cluster_goes_to_its_own_track_and_not_to_that_of_a_larger_one_beside_it():
-    tracker = Tracker(0.1)
+    tracker = MoverTracker(0.1)
     stands, comes = np.array([4.0, 0.0]), np.array([4.0, 0.9])
     tracker.update(np.array([cluster(*stands)]), [stands[None]])
     larger = cluster(*(comes - [0.0, 0.2]))
@@ -186,7 +186,7 @@ def test_a_cluster_goes_to_its_own_track_and_not_to_that_of_a_larger_one_beside_
 
 
 def test_who_is_far_from_where_another_was_is_one_who_rushes_only_when_the_next_look_says_so():
-    tracker = Tracker(0.1)
+    tracker = MoverTracker(0.1)
     for at in ([4.0, 0.0], [4.0, 1.2], [4.0, 1.2]):
         place = np.array(at)
         tracker.update(np.array([cluster(*place)]), [place[None]])

@@ -9,7 +9,7 @@ from tests.support.samples import ACTIONS, USUAL_OUTLINE
 from wcsim.agents.perception.depth_image import viewing_rays
 from wcsim.agents.policies.baselines import _CorridorWatch, _in_corridor, baseline
 from wcsim.agents.policy_api import BASELINES, UPPER_BOUND, VISIBLE_BOUND, SeesTruth
-from wcsim.agents.runs.policy_file import policy_name
+from wcsim.agents.runs.policy_file import parse_policy_name
 from wcsim.config import CameraConfig, ChairConfig, RunConfig
 from wcsim.errors import PolicyError
 from wcsim.supervisor.observation import encode_depth
@@ -201,7 +201,7 @@ def test_the_oracle_takes_the_safe_action_nearest_to_the_stick():
 
 def test_the_oracle_that_sees_as_the_cameras_do_takes_its_own_part_of_the_truth():
     full, visible = (baseline(name, CONFIG) for name in (UPPER_BOUND, VISIBLE_BOUND))
-    assert isinstance(visible, SeesTruth) and policy_name(VISIBLE_BOUND).kind == "baseline"
+    assert isinstance(visible, SeesTruth) and parse_policy_name(VISIBLE_BOUND).kind == "baseline"
     assert (full.name, visible.name) == ("oracle", "oracle-visible")
     ahead = {"joystick": np.array([0.0, 1.0], np.float32)}
     everything, stand = np.full(81, np.inf), ACTIONS.nearest((0.0, 0.0))

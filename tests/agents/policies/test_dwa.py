@@ -11,15 +11,20 @@ from tests.agents.policies.test_baselines import WALL, box, drop, ground, lookin
 from tests.support.samples import ACTIONS
 from tests.support.yardstick import multiple
 from wcsim.agents.envs.wheelchair_env import WheelchairEnv
-from wcsim.agents.perception.arcs import advance_motion, evaluate_arcs, gaps_to_points, time_to_contact_s
+from wcsim.agents.perception.arcs import (
+    find_collision_free_commands,
+    integrate_drive_motion,
+    measure_obstacle_gaps,
+    time_to_contact_s,
+)
 from wcsim.agents.perception.depth_image import viewing_rays
-from wcsim.agents.perception.street_memory import KEEP_BRIEFLY_S, StepMap
+from wcsim.agents.perception.street_memory import KEEP_BRIEFLY_S, StepObstacleDetector
 from wcsim.agents.perception.surroundings import _up_in_body
 from wcsim.agents.policies.baselines import baseline
 from wcsim.agents.policies.dwa import _caution
-from wcsim.agents.runs.policy_file import policy_name
+from wcsim.agents.runs.policy_file import parse_policy_name
 from wcsim.config import CameraConfig, ChairConfig, RunConfig, resolve
-from wcsim.core.joystick import limits_of
+from wcsim.core.joystick import drive_limits_from_chair
 from wcsim.errors import PolicyError
 from wcsim.physics.wheelchair.drive_controller import stopping_distance_m
 from wcsim.supervisor.observation import decode_depth
@@ -28,7 +33,7 @@ CAMERA = CameraConfig(width_px=96, height_px=72)
 CONFIG = RunConfig(cameras=(CAMERA,))
 POINTS = ACTIONS.points
 CHAIR = np.array([-0.34, 0.80, 0.31])
-LIMITS = limits_of(ChairConfig())
+LIMITS = drive_limits_from_chair(ChairConfig())
 AHEAD = np.array([0.0, 1.0], np.float32)
 
 
@@ -44,7 +49,7 @@ def obstacles(surface):
     depth_m = decode_depth(seen["depth"].reshape(-1), CAMERA.range_m)
     rays = viewing_rays(CAMERA).astype(np.float32)
     eye_m, up = np.array(CAMERA.p_BC_m), _up_in_body(seen["imu"])
-    return StepMap().obstacles(depth_m, rays, eye_m, (0.1, 39.0), up, CHAIR).copy()
+    return StepObstacleDetector().obstacles(depth_m, rays, eye_m, (0.1, 39.0), up, CHAIR).copy()
 
 
 def drive(surface, ticks, stick=AHEAD, driver=None):
@@ -96,7 +101,7 @@ def test_what_was_not_measured_is_nothing():
     rays = viewing_rays(CAMERA).astype(np.float32)
     for depth in (0.0, CAMERA.range_m):
         depth_m = np.full(len(rays), depth, np.float32)
-        found = StepMap().obstacles(
+        found = StepObstacleDetector().obstacles(
             depth_m, rays, np.array(CAMERA.p_BC_m), (0.1, 39.0), np.array([0.0, 0.0, 1.0]), CHAIR
         )
         assert (found[:, 0] < 4.0).sum() == 0 or depth > 0.0  # far below the horizon, no ground is a drop
@@ -161,7 +166,7 @@ def test_reckoned_braking_takes_the_way_that_the_drive_takes():
     motion, way_m = np.array([1.67, 0.0, 0.0]), 0.0
     while motion[0] > 0.0:
         before = motion[0]
-        advance_motion(motion, np.zeros(2), LIMITS, 0.02)
+        integrate_drive_motion(motion, np.zeros(2), LIMITS, 0.02)
         way_m += 0.01 * (before + motion[0])
     assert way_m == pytest.approx(stopping_distance_m(1.67, 1.5, 4.0), abs=0.12)
 
@@ -174,7 +179,9 @@ def free_of(commands, *points, speed_mps=0.0, later_s=0.0):
     """Which commands are free of points (x, y, vx, vy, distance to keep), and how near they come to them."""
     gap_m = np.empty(len(commands))
     rows = np.array(points).reshape(-1, 5)
-    free = evaluate_arcs(from_rest(speed_mps), later_s, 0.5, np.array(commands), LIMITS, CHAIR, rows, gap_m)
+    free = find_collision_free_commands(
+        from_rest(speed_mps), later_s, 0.5, np.array(commands), LIMITS, CHAIR, rows, gap_m
+    )
     return free.tolist(), gap_m
 
 
@@ -201,7 +208,7 @@ def test_arcs_meet_those_who_move_where_they_will_be():
 
 def test_what_is_inside_the_chair_may_leave_it_and_get_no_deeper():
     inside, post = (0.7, 0.0, 0.0, 0.0, 0.07), (1.05, 0.0, 0.0, 0.0, 0.07)
-    assert gaps_to_points(from_rest(), 0.0, CHAIR, np.array([inside])) == pytest.approx([-0.1])
+    assert measure_obstacle_gaps(from_rest(), 0.0, CHAIR, np.array([inside])) == pytest.approx([-0.1])
     commands = [(0.0, 0.5), (0.0, 0.0), (0.0, -0.5)]
     assert free_of(commands, inside)[0] == [False, True, True]
     assert free_of(commands, (0.2, 0.0, 0.0, 0.0, 0.07), post)[0] == [False, True, True]  # nor does it excuse others
@@ -286,10 +293,10 @@ def test_levels_keep_wider_and_earlier_from_what_is_in_the_way():
 @pytest.mark.parametrize("name", ["dwa@", "dwa@-0.1", "dwa@2.01", "dwa@nan", "dwa@much"])
 def test_a_level_that_there_is_not_is_refused(name):
     with pytest.raises(PolicyError, match="from 0 to 2"):
-        policy_name(name)
+        parse_policy_name(name)
     with pytest.raises(PolicyError, match="from 0 to 2"):
         baseline(name, CONFIG)
-    assert policy_name("follow@1").kind != "baseline"
+    assert parse_policy_name("follow@1").kind != "baseline"
 
 
 def test_both_forms_of_observation_give_the_same_choice():

@@ -11,9 +11,9 @@ import pytest
 from onnx import TensorProto, helper
 
 from wcsim.agents.policies import onnx_policy
-from wcsim.agents.policies.onnx_policy import OnnxPolicy, read_about
+from wcsim.agents.policies.onnx_policy import OnnxPolicy, read_onnx_policy_file
 from wcsim.agents.policy_api import MODEL_FILE
-from wcsim.agents.runs.policy_file import policy_name
+from wcsim.agents.runs.policy_file import parse_policy_name
 from wcsim.errors import PolicyError
 
 ACTIONS = 9
@@ -100,20 +100,20 @@ def test_what_does_not_fit_is_told(tmp_path: Path, made: dict, seen: dict, said:
 
 
 def test_a_folder_is_read_or_refused(tmp_path: Path) -> None:
-    assert policy_name(str(tmp_path)).kind == "folder"
+    assert parse_policy_name(str(tmp_path)).kind == "folder"
     with pytest.raises(PolicyError, match="has no output 'next_state_h'"):
         OnnxPolicy(write_model(tmp_path, state="later"), "toy", ACTIONS)
-    assert policy_name(str(tmp_path)).kind == "onnx"
+    assert parse_policy_name(str(tmp_path)).kind == "onnx"
     (tmp_path / MODEL_FILE).write_bytes(b"no model")
     with pytest.raises(PolicyError, match="expected an ONNX model"):
         OnnxPolicy(tmp_path, "toy", ACTIONS)
-    assert read_about(tmp_path).preset == "quick"
+    assert read_onnx_policy_file(tmp_path).preset == "quick"
     (tmp_path / "policy.toml").write_text('settings = ["env.actions=paper"]\n')
-    assert read_about(tmp_path).settings == ("env.actions=paper",)
+    assert read_onnx_policy_file(tmp_path).settings == ("env.actions=paper",)
     for text in ("settings = 3\n", "settings = " + 2000 * "[", "x" * (2 << 20)):
         (tmp_path / "policy.toml").write_text(text)
         with pytest.raises(PolicyError, match=r"policy\.toml"):
-            read_about(tmp_path)
+            read_onnx_policy_file(tmp_path)
 
 
 def test_a_step_that_does_not_end_is_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

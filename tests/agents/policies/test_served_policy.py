@@ -17,7 +17,7 @@ from tests.support.cluster.ray_nodes import free_port
 from wcsim.agents.evaluation.suite.drive import FIRST_SHARE, LATE_S
 from wcsim.agents.evaluation.suite.run import _identity_of
 from wcsim.agents.policies import served_policy
-from wcsim.agents.policies.served_policy import ServedPolicy
+from wcsim.agents.policies.served_policy import ServedPolicyClient
 from wcsim.agents.policy_api import ANSWER_S
 from wcsim.errors import PolicyError
 
@@ -44,7 +44,10 @@ def seen(depth: int) -> dict[str, np.ndarray]:
 
 
 def test_the_example_follows_and_creeps_when_something_is_near(example: str) -> None:
-    first, second = ServedPolicy(example, POINTS), ServedPolicy(example, POINTS)  # a connection for each chair
+    first, second = (
+        ServedPolicyClient(example, POINTS),
+        ServedPolicyClient(example, POINTS),
+    )  # a connection for each chair
     assert first.version == "careful 1"
     for policy in (first, second):
         policy.begin()
@@ -107,7 +110,7 @@ def test_a_suite_that_asks_for_the_version_names_the_actions_too():
     ],
 )
 def test_a_wrong_answer_or_none_is_told(answer: bytes | None, said: str) -> None:
-    policy = ServedPolicy(answering(HELLO, *([] if answer is None else [answer])), POINTS)
+    policy = ServedPolicyClient(answering(HELLO, *([] if answer is None else [answer])), POINTS)
     with pytest.raises(PolicyError, match=said):
         policy.act(seen(1))
     policy.close()
@@ -115,15 +118,15 @@ def test_a_wrong_answer_or_none_is_told(answer: bytes | None, said: str) -> None
 
 def test_nobody_there_and_no_address():
     with pytest.raises(PolicyError, match="no policy is served"):
-        ServedPolicy(f"tcp:{free_port()}", POINTS)
+        ServedPolicyClient(f"tcp:{free_port()}", POINTS)
     for wrong in ("tcp:", "tcp:x", "tcp:70000", "tcp:host:0"):
         with pytest.raises(PolicyError, match="not an address"):
-            ServedPolicy(wrong, POINTS)
+            ServedPolicyClient(wrong, POINTS)
 
 
 def test_an_answer_may_take_longer_than_a_connection(monkeypatch):
     monkeypatch.setattr("wcsim.agents.policies.served_policy._CONNECT_TIMEOUT_S", 0.3)
-    policy = ServedPolicy(answering(HELLO, b"{}", late_s=0.6), POINTS)
+    policy = ServedPolicyClient(answering(HELLO, b"{}", late_s=0.6), POINTS)
     policy.reset()
     assert LATE_S * FIRST_SHARE < ANSWER_S
     policy.close()
@@ -140,13 +143,13 @@ def test_an_answer_may_take_longer_than_a_connection(monkeypatch):
 )
 def test_who_says_hello_so_is_refused_in_a_line(hello: bytes) -> None:
     with pytest.raises(PolicyError) as told:
-        ServedPolicy(answering(hello), POINTS)
+        ServedPolicyClient(answering(hello), POINTS)
     assert str(told.value).isprintable() and len(str(told.value)) < 500
 
 
 def test_an_answer_that_drips_is_ended_and_no_later_one_is_taken_for_it(monkeypatch):
     act = b'{"action": 1}' + 100 * b" "
-    policy = ServedPolicy(answering(HELLO, act, act, byte_s=0.01), POINTS)
+    policy = ServedPolicyClient(answering(HELLO, act, act, byte_s=0.01), POINTS)
     monkeypatch.setattr(served_policy, "ANSWER_S", 0.3)
     for said in (r"no answer to 'act' within 0\.3 s", "no answer to 'act': "):
         with pytest.raises(PolicyError, match=said):

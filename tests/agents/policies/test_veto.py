@@ -9,11 +9,11 @@ from tests.agents.danger.sights import observation
 from tests.agents.policies.test_baselines import box, ground, looking_at
 from tests.support.samples import ACTIONS
 from wcsim.agents.evaluation.suite.run import _identity_of, _policy_at
-from wcsim.agents.opening.named_policy import config_for, open_named
+from wcsim.agents.opening.named_policy import config_from_policy_name, open_named_policy
 from wcsim.agents.policies.baselines import baseline
-from wcsim.agents.policies.dwa import Veto
+from wcsim.agents.policies.dwa import VetoPolicy
 from wcsim.agents.policy_api import Levelled, NeedsSenses, ReportsUnsafe, TracksExecuted, Warns
-from wcsim.agents.runs.policy_file import policy_name
+from wcsim.agents.runs.policy_file import parse_policy_name
 from wcsim.config import CameraConfig, RunConfig
 from wcsim.errors import PolicyError
 
@@ -60,13 +60,13 @@ class Doubter:
 
 
 def test_where_dwa_forbids_nothing_the_policy_drives():
-    policy = Veto("veto:follow", baseline("follow", CONFIG), CONFIG)
+    policy = VetoPolicy("veto:follow", baseline("follow", CONFIG), CONFIG)
     assert policy.act(seen(ground)) == ACTIONS.nearest(AHEAD)
     assert not policy.unsafe[ACTIONS.nearest(AHEAD)]
 
 
 def test_before_a_wall_the_nearest_action_that_is_allowed_is_taken():
-    policy = Veto("veto:follow", baseline("follow", CONFIG), CONFIG)
+    policy = VetoPolicy("veto:follow", baseline("follow", CONFIG), CONFIG)
     chosen = ACTIONS.points[policy.act(seen(WALL))]
     assert policy.unsafe[ACTIONS.nearest(AHEAD)] and not policy.unsafe[ACTIONS.nearest(chosen)]
     distance = ACTIONS.distances(AHEAD[None].astype(np.float64))[0]
@@ -74,20 +74,20 @@ def test_before_a_wall_the_nearest_action_that_is_allowed_is_taken():
 
 
 def test_what_the_policy_itself_holds_for_unsafe_is_not_put_in_the_place():
-    free = Veto("veto:a", Doubter(AHEAD), CONFIG)
+    free = VetoPolicy("veto:a", Doubter(AHEAD), CONFIG)
     first = free.act(seen(WALL))
     doubter = Doubter(AHEAD, doubts={tuple(ACTIONS.points[first].tolist())})
-    assert Veto("veto:b", doubter, CONFIG).act(seen(WALL)) != first
+    assert VetoPolicy("veto:b", doubter, CONFIG).act(seen(WALL)) != first
 
 
 def test_where_all_is_unsafe_to_one_of_both_the_veto_counts():
     everything = {tuple(point) for point in ACTIONS.points.tolist()}
-    first = Veto("veto:a", Doubter(AHEAD), CONFIG).act(seen(WALL))
-    assert Veto("veto:b", Doubter(AHEAD, doubts=everything), CONFIG).act(seen(WALL)) == first
+    first = VetoPolicy("veto:a", Doubter(AHEAD), CONFIG).act(seen(WALL))
+    assert VetoPolicy("veto:b", Doubter(AHEAD, doubts=everything), CONFIG).act(seen(WALL)) == first
 
 
 def test_where_dwa_would_take_nothing_the_policy_decides(monkeypatch):
-    policy = Veto("veto:a", Doubter(AHEAD), CONFIG)
+    policy = VetoPolicy("veto:a", Doubter(AHEAD), CONFIG)
     monkeypatch.setattr(policy._dwa, "choose", lambda observation: 0)
     policy._dwa.unsafe = np.ones(81, np.bool_)
     assert policy.act(seen(WALL)) == ACTIONS.nearest(AHEAD)
@@ -95,7 +95,7 @@ def test_where_dwa_would_take_nothing_the_policy_decides(monkeypatch):
 
 def test_it_has_the_senses_of_both_and_tells_the_policy_what_happens():
     inner = Doubter(AHEAD)
-    policy = Veto("veto:doubter", inner, CONFIG)
+    policy = VetoPolicy("veto:doubter", inner, CONFIG)
     assert all(isinstance(policy, what) for what in (TracksExecuted, Levelled, NeedsSenses, ReportsUnsafe, Warns))
     assert policy.senses == ("odometry", "gyro", "brake") and policy.warning
     policy.begin()
@@ -107,7 +107,7 @@ def test_it_has_the_senses_of_both_and_tells_the_policy_what_happens():
 
 
 def test_its_level_is_that_of_dwa():
-    policy = Veto("veto:follow", baseline("follow", CONFIG), CONFIG)
+    policy = VetoPolicy("veto:follow", baseline("follow", CONFIG), CONFIG)
     allowed = []
     for level in (0.0, 1.0, 2.0):
         policy.set_level(level)
@@ -124,27 +124,27 @@ def test_names():
     kinds = {"dwa@0.5": "baseline", "tcp:5000": "served", "follow": "baseline", "mine:Policy": "class"}
     kinds |= {"runs/a:phase1": "folder", "runs/a@0.2": "folder", "shipped@0.2": "shipped"}
     for name, kind in kinds.items():
-        named = policy_name(f"veto:{name}")
-        assert (named.veto, named.inner, named.kind) == (True, name, kind) and not policy_name(name).veto
-    named = policy_name("veto:runs/a:phase1@0.2")
+        named = parse_policy_name(f"veto:{name}")
+        assert (named.veto, named.inner, named.kind) == (True, name, kind) and not parse_policy_name(name).veto
+    named = parse_policy_name("veto:runs/a:phase1@0.2")
     assert (named.place, str(named.folder), named.stage, named.level) == ("runs/a:phase1", "runs/a", "phase1", 0.2)
-    assert (policy_name("b@home").place, policy_name("dwa@0.5").level) == ("b@home", 0.5)
+    assert (parse_policy_name("b@home").place, parse_policy_name("dwa@0.5").level) == ("b@home", 0.5)
     assert _policy_at("veto:runs/a@0.2", lambda address: f"/far/{address}") == "veto:/far/runs/a@0.2"
     assert _identity_of("veto:dwa", "quick") == ["veto", "baseline", "dwa", "quick"] != _identity_of("dwa", "quick")
-    assert config_for("veto:dwa", "quick", ()) == config_for("dwa", "quick", ())
+    assert config_from_policy_name("veto:dwa", "quick", ()) == config_from_policy_name("dwa", "quick", ())
 
 
 def test_a_policy_that_sees_the_truth_needs_no_veto():
     with pytest.raises(PolicyError, match="sees the truth"):
-        open_named("veto:oracle", CONFIG, 0)
+        open_named_policy("veto:oracle", CONFIG, 0)
     rows = SimpleNamespace(name="rows", senses=("state",))
     with pytest.raises(PolicyError, match="rows sees the truth; expected one that sees pictures"):
-        Veto("veto:rows", rows, CONFIG)
+        VetoPolicy("veto:rows", rows, CONFIG)
 
 
 def test_the_shipped_policy_drives_behind_a_veto():
-    config = config_for("veto:shipped", "quick", ())
-    policy = open_named("veto:shipped", config, 0)
+    config = config_from_policy_name("veto:shipped", "quick", ())
+    policy = open_named_policy("veto:shipped", config, 0)
     assert policy.name == "veto:shipped"
     policy.begin()
     policy.reset()

@@ -6,7 +6,7 @@ from typing import Any
 
 from tests.support.worlds import dqn_config
 from wcsim.agents.rounds.train_rounds import DATA, train_danger
-from wcsim.agents.runs.data_folder import read_manifest
+from wcsim.agents.runs.data_folder import read_data_manifest
 from wcsim.agents.runs.run_folder import ResolvedRun
 from wcsim.core import files
 from wcsim.server.specs import RunInfo
@@ -32,12 +32,12 @@ def train_in(corner: Path, out: Path, *overrides: str, resume: bool = False, **m
 
 def outcome(out: Path) -> tuple[str, str]:
     """SHA-256 of the data and of the weights."""
-    return read_manifest(out / DATA).data_sha256, weights_of(out)
+    return read_data_manifest(out / DATA).data_sha256, weights_of(out)
 
 
 def weights_of(out: Path) -> str:
     """SHA-256 of the weights alone."""
-    return files.sha256(out / "policies" / "final" / "weights.safetensors")
+    return files.sha256_from_file(out / "policies" / "final" / "weights.safetensors")
 
 
 def rows_of(out: Path) -> list[dict]:

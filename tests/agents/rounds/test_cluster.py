@@ -16,7 +16,7 @@ from tests.agents.rounds.small_runs import outcome, rows_of, train_in
 from tests.support.cluster.ray_nodes import RayNode, quiet_environment
 from wcsim.agents.rounds.train_rounds import DATA, RoundProgress
 from wcsim.errors import ConfigError, WorkersError
-from wcsim.server.workers.machines import Machines
+from wcsim.server.workers.machines import WorkerPoolSettings
 
 pytestmark = pytest.mark.proof
 LONGER = ("collect.segments=4", "collect.ticks=60")
@@ -30,7 +30,7 @@ def quiet(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def trained(
-    corner: Path, out: Path, machines: Machines, *, resume: bool = False, show=lambda now: None
+    corner: Path, out: Path, machines: WorkerPoolSettings, *, resume: bool = False, show=lambda now: None
 ) -> tuple[str, str]:
     train_in(corner, out, *LONGER, resume=resume, machines=machines, progress=show)
     return outcome(out)
@@ -40,7 +40,7 @@ def trained(
 def by_processes(corner: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, str]:
     """With one world, with two and with three: the same."""
     out = tmp_path_factory.mktemp("processes")
-    found = {trained(corner, out / str(worlds), Machines(count=worlds)) for worlds in (1, 2, 3)}
+    found = {trained(corner, out / str(worlds), WorkerPoolSettings(count=worlds)) for worlds in (1, 2, 3)}
     assert len(found) == 1
     return found.pop()
 
@@ -62,7 +62,7 @@ def test_a_node_that_is_killed_and_one_that_is_stopped_change_nothing(by_process
                 stopped.signal(signal.SIGSTOP)
 
         try:
-            machines = Machines(cluster=head.address, report=told.append)
+            machines = WorkerPoolSettings(cluster=head.address, report=told.append)
             assert trained(corner, tmp_path / "out", machines, show=harm) == by_processes
         finally:
             stopped.signal(signal.SIGCONT)
@@ -83,7 +83,7 @@ def test_a_node_that_joins_works(by_processes, corner, tmp_path):
                 joined.append(RayNode(tmp_path / "late", head.address))
 
         try:
-            machines = Machines(cluster=head.address, report=told.append)
+            machines = WorkerPoolSettings(cluster=head.address, report=told.append)
             assert trained(corner, tmp_path / "out", machines, show=join) == by_processes
         finally:
             for node in joined:
@@ -99,15 +99,15 @@ def test_a_cluster_lets_in_who_has_its_token_and_one_without_does_not_mind(by_pr
     monkeypatch.delenv("RAY_AUTH_MODE")
     monkeypatch.setenv("RAY_AUTH_TOKEN_PATH", str(token))
     with RayNode(tmp_path / "a", environment=guarded) as head:
-        assert trained(corner, tmp_path / "in", Machines(cluster=head.address)) == by_processes
+        assert trained(corner, tmp_path / "in", WorkerPoolSettings(cluster=head.address)) == by_processes
         for number, mode in enumerate(("token", "disabled")):  # another token, and none
             monkeypatch.setenv("RAY_AUTH_TOKEN_PATH", str(other))
             monkeypatch.setenv("RAY_AUTH_MODE", mode)
             with pytest.raises(ConfigError, match="needs its token, and this user has none or another one"):
-                trained(corner, tmp_path / str(number), Machines(cluster=head.address))
+                trained(corner, tmp_path / str(number), WorkerPoolSettings(cluster=head.address))
     monkeypatch.delenv("RAY_AUTH_MODE")
     with RayNode(tmp_path / "b") as head:
-        assert trained(corner, tmp_path / "free", Machines(cluster=head.address)) == by_processes
+        assert trained(corner, tmp_path / "free", WorkerPoolSettings(cluster=head.address)) == by_processes
 
 
 def test_the_heads_death_ends_the_run_in_a_line_and_it_goes_on_from_its_checkpoint(by_processes, corner, tmp_path):
@@ -119,10 +119,10 @@ def test_the_heads_death_ends_the_run_in_a_line_and_it_goes_on_from_its_checkpoi
                 head.kill()
 
         with pytest.raises(WorkersError, match=r"is lost: start its head again.*wcsim resume"):
-            trained(corner, out, Machines(cluster=head.address), show=die)
+            trained(corner, out, WorkerPoolSettings(cluster=head.address), show=die)
     assert (out / "checkpoints" / "round-000").is_dir()
     with RayNode(tmp_path / "again") as head:
-        assert trained(corner, out, Machines(cluster=head.address), resume=True) == by_processes
+        assert trained(corner, out, WorkerPoolSettings(cluster=head.address), resume=True) == by_processes
 
 
 def test_a_worker_that_is_stopped_alone_is_killed(by_processes, corner, tmp_path, monkeypatch):
@@ -136,7 +136,7 @@ def test_a_worker_that_is_stopped_alone_is_killed(by_processes, corner, tmp_path
                 hit.append(busy[0])
                 os.kill(busy[0], signal.SIGSTOP)
 
-        assert trained(corner, tmp_path / "out", Machines(cluster=head.address), show=stop) == by_processes
+        assert trained(corner, tmp_path / "out", WorkerPoolSettings(cluster=head.address), show=stop) == by_processes
     assert hit
     assert not Path(f"/proc/{hit[0]}").exists()
     assert len(list((tmp_path / "out" / DATA / "segments").iterdir())) == 12

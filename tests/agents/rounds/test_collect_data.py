@@ -13,12 +13,12 @@ from wcsim.agents.danger.network import DangerNet, spec_of
 from wcsim.agents.danger.policy import save_danger
 from wcsim.agents.rounds.collect_data import DataOrder, collect_data
 from wcsim.agents.rounds.drive_segment import SegmentOrder
-from wcsim.agents.runs.data_folder import read_manifest, segment_path
+from wcsim.agents.runs.data_folder import read_data_manifest, segment_path
 from wcsim.config import RunConfig
-from wcsim.config.run_file import DangerRule
-from wcsim.core.files import locked
+from wcsim.config.run_file import DangerRuleSettings
+from wcsim.core.files import lock_run_folder
 from wcsim.errors import ConfigError, PolicyError
-from wcsim.server.workers.machines import Machines
+from wcsim.server.workers.machines import WorkerPoolSettings
 
 PLANT = (Path(__file__).parents[3] / "examples" / "fwd.toml").read_text()
 
@@ -28,7 +28,7 @@ class OneDies:
 
     dies = False
 
-    def __init__(self, config: RunConfig, data: Path, machines: Machines, logs: Path) -> None:
+    def __init__(self, config: RunConfig, data: Path, machines: WorkerPoolSettings, logs: Path) -> None:
         self._folder = data
 
     def __enter__(self) -> OneDies:
@@ -64,7 +64,7 @@ def test_a_folder_is_added_to_with_more_of_a_seed_and_with_other_seeds(order: Da
     collect_data(order)
     collect_data(replace(order, segments=3))
     collect_data(replace(order, seed=2, config=small_config("collect.follow_share=0.1")))
-    assert len(read_manifest(order.folder).segments) == 5
+    assert len(read_data_manifest(order.folder).segments) == 5
 
 
 @pytest.mark.parametrize("words", ["collect.follow_share=0.1", "collect.ticks=11", "cameras.0.noise=typical"])
@@ -72,7 +72,7 @@ def test_a_seed_that_was_driven_with_other_settings_is_refused(order: DataOrder,
     sha256 = collect_data(order)
     with pytest.raises(PolicyError, match=r"seed 1 .*another --seed"):
         collect_data(replace(order, config=small_config(words), segments=3))
-    assert read_manifest(order.folder).data_sha256 == sha256
+    assert read_data_manifest(order.folder).data_sha256 == sha256
 
 
 def test_a_seed_that_another_wheelchair_drove_is_refused_and_the_same_elsewhere_is_not(
@@ -87,7 +87,7 @@ def test_a_seed_that_another_wheelchair_drove_is_refused_and_the_same_elsewhere_
     with pytest.raises(PolicyError, match=r"seed 1 .*another --seed"):
         collect_data(with_plant)
     collect_data(replace(order, config=small_config(f"chair.plant={copy}")))
-    assert len(read_manifest(order.folder).segments) == 2
+    assert len(read_data_manifest(order.folder).segments) == 2
 
 
 def test_a_seed_that_another_policy_drove_is_refused(order: DataOrder, tmp_path: Path) -> None:
@@ -114,7 +114,7 @@ def test_a_policy_of_other_senses_or_actions_is_refused_before_anything_is_begun
 def a_policy(folder: Path) -> Path:
     """A danger network that learned nothing, with the settings of `small_config`."""
     config = small_config()
-    return save_danger(folder / "policy", DangerNet(spec_of(config)), DangerRule(), config)
+    return save_danger(folder / "policy", DangerNet(spec_of(config)), DangerRuleSettings(), config)
 
 
 def test_a_drive_that_died_goes_on_with_its_own_settings_alone(order: DataOrder) -> None:
@@ -122,12 +122,12 @@ def test_a_drive_that_died_goes_on_with_its_own_settings_alone(order: DataOrder)
     with pytest.raises(PolicyError, match="another --seed"):
         collect_data(replace(order, config=small_config("cameras.0.width_px=40")))
     collect_data(order)
-    assert len(read_manifest(order.folder).segments) == 2
+    assert len(read_data_manifest(order.folder).segments) == 2
 
 
 def test_two_at_a_time_are_refused(order: DataOrder) -> None:
     collect_data(order)
-    with locked(order.folder), pytest.raises(PolicyError, match="in use by another process"):
+    with lock_run_folder(order.folder), pytest.raises(PolicyError, match="in use by another process"):
         collect_data(replace(order, seed=2))
     collect_data(replace(order, seed=2))
 
@@ -136,4 +136,4 @@ def test_what_a_killed_one_had_begun_to_write_is_no_foreign_file(order: DataOrde
     order.folder.mkdir()
     (order.folder / ".orders.json.tmp").write_text("{")
     collect_data(order)
-    assert len(read_manifest(order.folder).segments) == 2
+    assert len(read_data_manifest(order.folder).segments) == 2

@@ -14,27 +14,27 @@ from tests.agents.danger.sights import write_segment
 from tests.support.worlds import dqn_config
 from wcsim.agents.runs import data_folder
 from wcsim.agents.runs.data_folder import (
-    Segment,
-    SegmentKey,
+    DrivingSegment,
+    DrivingSegmentKey,
     data_digest,
-    joined,
-    read_manifest,
+    join_segments,
+    read_data_manifest,
     read_segment,
-    require_same_settings,
+    require_same_data_settings,
     segment_path,
-    write_manifest,
+    write_data_manifest,
 )
 from wcsim.errors import PolicyError
 
-KEY = SegmentKey(run=1, round=2, index=3)
+KEY = DrivingSegmentKey(run=1, round=2, index=3)
 TOWN = "0" * 64
 EXAMPLES = Path(__file__).parents[3] / "examples"
 PLANT = (EXAMPLES / "fwd.toml").read_text()
 
 
-def a_segment(rows: int = 7, seed: int = 0) -> Segment:
+def a_segment(rows: int = 7, seed: int = 0) -> DrivingSegment:
     rng = np.random.default_rng(seed)
-    return Segment(
+    return DrivingSegment(
         depth=rng.integers(0, 256, (rows, 24, 32)).astype(np.uint8),
         seg=rng.integers(0, 34, (rows, 24, 32)).astype(np.uint8),
         imu=rng.normal(size=(rows, 8)).astype(np.float32),
@@ -73,10 +73,10 @@ def test_a_segment_may_lack_the_oracle_and_an_older_one_does_not_tell_whose_faul
 
 def test_segments_are_joined_in_their_order():
     one, other = a_segment(3), a_segment(4, seed=1)
-    both = joined([one, other])
+    both = join_segments([one, other])
     assert len(both) == 7 and (both.action[3:] == other.action).all()
     with pytest.raises(ValueError, match="expected one"):
-        joined([])
+        join_segments([])
 
 
 @pytest.mark.parametrize("bytes_left", [0, 10, 2000])
@@ -185,9 +185,9 @@ def packed(way: int = zipfile.ZIP_STORED, **columns: np.ndarray | bytes) -> byte
 
 def test_data_of_another_camera_is_refused_and_told(tmp_path: Path):
     config = dqn_config()
-    write_manifest(tmp_path, config, {"corner": TOWN}, {"b": "1" * 64, "a": "2" * 64})
-    file = read_manifest(tmp_path)
-    require_same_settings(tmp_path, file, dqn_config("learn.gamma=0.9"))
+    write_data_manifest(tmp_path, config, {"corner": TOWN}, {"b": "1" * 64, "a": "2" * 64})
+    file = read_data_manifest(tmp_path)
+    require_same_data_settings(tmp_path, file, dqn_config("learn.gamma=0.9"))
     assert file.data_sha256 == data_digest({"a": "2" * 64, "b": "1" * 64})
     for other in (
         "world.tick_s=0.05",
@@ -197,7 +197,7 @@ def test_data_of_another_camera_is_refused_and_told(tmp_path: Path):
         "chair.v_max_mps=2.0",
     ):
         with pytest.raises(PolicyError, match=other.partition("=")[0]):
-            require_same_settings(tmp_path, file, dqn_config(other))
+            require_same_data_settings(tmp_path, file, dqn_config(other))
 
 
 def test_a_wheelchair_of_ones_own_is_known_by_what_its_file_says(tmp_path: Path):
@@ -205,21 +205,21 @@ def test_a_wheelchair_of_ones_own_is_known_by_what_its_file_says(tmp_path: Path)
     kept.parent.mkdir()
     first.write_text(PLANT)
     kept.write_text(PLANT)
-    write_manifest(tmp_path, dqn_config(f"chair.plant={first}"), {"corner": TOWN}, {})
-    file = read_manifest(tmp_path)
-    require_same_settings(tmp_path, file, dqn_config(f"chair.plant={kept}"))
+    write_data_manifest(tmp_path, dqn_config(f"chair.plant={first}"), {"corner": TOWN}, {})
+    file = read_data_manifest(tmp_path)
+    require_same_data_settings(tmp_path, file, dqn_config(f"chair.plant={kept}"))
     first.write_text(f"{PLANT}# another one\n")
     for other in (str(first), "rwd"):
         with pytest.raises(PolicyError, match=r"other settings \(chair\.plant\)"):
-            require_same_settings(tmp_path, file, dqn_config(f"chair.plant={other}"))
+            require_same_data_settings(tmp_path, file, dqn_config(f"chair.plant={other}"))
 
 
 def test_data_of_before_own_wheelchairs_were_known_is_learned_from(tmp_path: Path):
-    write_manifest(tmp_path, dqn_config(), {"corner": TOWN}, {})
+    write_data_manifest(tmp_path, dqn_config(), {"corner": TOWN}, {})
     said = json.loads((tmp_path / "data.json").read_text())
     del said["plant_sha256"]
     (tmp_path / "data.json").write_text(json.dumps(said))
-    require_same_settings(tmp_path, read_manifest(tmp_path), dqn_config())
+    require_same_data_settings(tmp_path, read_data_manifest(tmp_path), dqn_config())
 
 
 @pytest.mark.filterwarnings("ignore")

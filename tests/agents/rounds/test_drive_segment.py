@@ -19,17 +19,25 @@ from wcsim.agents.rounds.drive_segment import (
     collect,
     require_recordable,
 )
-from wcsim.agents.runs.data_folder import FOLLOW, ORACLE, RECKLESS, SAFE, Segment, SegmentKey, codes_of
+from wcsim.agents.runs.data_folder import (
+    FOLLOW,
+    ORACLE,
+    RECKLESS,
+    SAFE,
+    DrivingSegment,
+    DrivingSegmentKey,
+    crash_times_to_codes,
+)
 from wcsim.bridge.world import World
 from wcsim.config import CollectConfig, RunConfig, resolve
 from wcsim.errors import ConfigError
-from wcsim.supervisor.observation import observation_of
+from wcsim.supervisor.observation import make_observation
 from wcsim.types import Command, Joystick, Verdict
 
-KEY = SegmentKey(run=5, round=0, index=0)
+KEY = DrivingSegmentKey(run=5, round=0, index=0)
 
 
-def order_in(corner: Path, *overrides: str, key: SegmentKey = KEY) -> SegmentOrder:
+def order_in(corner: Path, *overrides: str, key: DrivingSegmentKey = KEY) -> SegmentOrder:
     varied = 'collect.variants=["vary.action_delay_ticks=[0,2]"]'
     shares = ("collect.scene_share=0", "collect.off_way_share=0")
     config = dqn_config("collect.ticks=40", "collect.chairs=2", *shares, varied, *overrides)
@@ -37,11 +45,11 @@ def order_in(corner: Path, *overrides: str, key: SegmentKey = KEY) -> SegmentOrd
 
 
 @pytest.fixture(scope="module")
-def segment(corner: Path) -> Segment:
+def segment(corner: Path) -> DrivingSegment:
     return collect(order_in(corner, "collect.episode_steps=15"), None)
 
 
-def test_every_chair_has_a_row_for_every_tick(segment: Segment):
+def test_every_chair_has_a_row_for_every_tick(segment: DrivingSegment):
     assert len(segment) == 80
     assert segment.ended.sum() >= 6 and segment.ended[39] and segment.ended[79]
     assert segment.depth.shape == (80, 24, 32) and segment.visible.shape == (80, 81)
@@ -49,10 +57,10 @@ def test_every_chair_has_a_row_for_every_tick(segment: Segment):
     assert set(segment.driver.tolist()) <= {FOLLOW, ORACLE, RECKLESS}
 
 
-def test_the_same_key_gives_the_same_segment_and_another_another(corner: Path, segment: Segment):
+def test_the_same_key_gives_the_same_segment_and_another_another(corner: Path, segment: DrivingSegment):
     again = collect(order_in(corner, "collect.episode_steps=15"), None)
     assert all((column == again.arrays()[name]).all() for name, column in segment.arrays().items())
-    other = collect(order_in(corner, "collect.episode_steps=15", key=SegmentKey(run=5, round=0, index=1)), None)
+    other = collect(order_in(corner, "collect.episode_steps=15", key=DrivingSegmentKey(run=5, round=0, index=1)), None)
     assert not np.array_equal(other.stick, segment.stick)
 
 
@@ -82,7 +90,7 @@ def test_an_oracle_that_would_drive_is_refused_where_crashes_teach():
 
 def test_scenes_are_driven_in_their_share(corner: Path, tmp_path: Path):
     config = resolve(RunConfig(), ("collect.scene_share=0.25", "collect.segments=4"))
-    keys = [SegmentKey(run=0, round=r, index=i) for r in range(2) for i in range(4)]
+    keys = [DrivingSegmentKey(run=0, round=r, index=i) for r in range(2) for i in range(4)]
     assert [_is_of_scenes(config, key) for key in keys].count(True) == 2
     place = next(_places_of(order_in(corner, "collect.scene_share=1"), tmp_path))
     assert len(place.seats) == 1 and place.seats[0].profile.startswith("recorded:")
@@ -94,18 +102,18 @@ def test_streets_are_driven_in_each_town_in_turn_also_with_scenes_between_and_ov
         copytree(corner, tmp_path / name)
         towns.append(str(tmp_path / name))
     order = order_in(corner, "collect.scene_share=0.5", "collect.segments=3")
-    keys = [SegmentKey(run=5, round=n, index=k) for n in range(4) for k in range(3)]
+    keys = [DrivingSegmentKey(run=5, round=n, index=k) for n in range(4) for k in range(3)]
     streets = [key for key in keys if not _is_of_scenes(order.config, key)]
     places = [next(_places_of(replace(order, key=key, towns=tuple(towns)), tmp_path)) for key in streets]
     driven = [place.town.folder.name for place in places]
     assert sorted(driven[:3]) == ["a", "b", "c"] and driven[3:] == driven[:3]
-    firsts = {_town_in_turn(order.config, SegmentKey(run=run, round=0, index=0), 3) for run in range(30)}
+    firsts = {_town_in_turn(order.config, DrivingSegmentKey(run=run, round=0, index=0), 3) for run in range(30)}
     assert firsts == {0, 1, 2}, "many short runs leave no town out"
 
 
 def test_variants_are_drawn_by_key():
     config = resolve(RunConfig(), ('collect.variants=["a=1 b=2", "c=3"]',))
-    drawn = {_drawn_settings(config, SegmentKey(run=0, round=0, index=index)) for index in range(20)}
+    drawn = {_drawn_settings(config, DrivingSegmentKey(run=0, round=0, index=index)) for index in range(20)}
     assert drawn == {("a=1", "b=2"), ("c=3",)}
     assert _drawn_settings(RunConfig(), KEY) == ()
 
@@ -172,7 +180,7 @@ def test_the_oracle_takes_the_nearest_action_that_ends_well():
 
 
 def test_labels_and_senses_are_of_the_moment_in_which_the_action_is_chosen(
-    corner: Path, tmp_path: Path, segment: Segment
+    corner: Path, tmp_path: Path, segment: DrivingSegment
 ):
     place = next(_places_of(order_in(corner, "collect.episode_steps=15"), tmp_path))
     specs = tuple(replace(spec, truth=True, truth_visible=True) for spec in place.seats)
@@ -180,9 +188,9 @@ def test_labels_and_senses_are_of_the_moment_in_which_the_action_is_chosen(
     with World(place.town, place.config, specs, place.seed) as world:
         for tick in range(40):
             now = [client.first or client for client in world.snapshot.clients]
-            all_knowing = [codes_of(client.truth.first_s) for client in now]
-            visible = [codes_of(client.truth.visible.first_s) for client in now]
-            odometry = [observation_of(client, place.config)["odometry"] for client in now]
+            all_knowing = [crash_times_to_codes(client.truth.first_s) for client in now]
+            visible = [crash_times_to_codes(client.truth.visible.first_s) for client in now]
+            odometry = [make_observation(client, place.config)["odometry"] for client in now]
             told.append((all_knowing, visible, odometry))
             sticks = (Joystick(*ACTIONS.points[action].tolist()) for action in actions[:, tick])
             at = world.snapshot.tick
@@ -193,6 +201,6 @@ def test_labels_and_senses_are_of_the_moment_in_which_the_action_is_chosen(
         assert not np.array_equal(said[1:], rows[:-1]), "a tick late is something else"
 
 
-def test_who_knows_less_fears_less(segment: Segment):
+def test_who_knows_less_fears_less(segment: DrivingSegment):
     unsafe = segment.truth != SAFE
     assert (segment.visible[~unsafe] == SAFE).mean() > 0.99

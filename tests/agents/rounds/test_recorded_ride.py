@@ -14,15 +14,15 @@ from wcsim.agents.policy_api import pass_delay
 from wcsim.agents.rounds.recorded_ride import _RecordedRide, recorded_ride
 from wcsim.bridge.replay.replayed import config_of
 from wcsim.config import RunConfig, resolve
-from wcsim.config.run_file import DangerRule
-from wcsim.core.files import numbered_names
+from wcsim.config.run_file import DangerRuleSettings
+from wcsim.core.files import iter_unused_paths
 from wcsim.drive.recording.session_recorder import SessionRecorder
 from wcsim.drive.session import DriveSession, Wish
 from wcsim.drive.starting import DriveStart
 from wcsim.errors import ConfigError, JournalError
-from wcsim.log.drive import read_drive
+from wcsim.log.drive import read_drive_recording
 from wcsim.supervisor.actions import action_set
-from wcsim.supervisor.observation import observation_of
+from wcsim.supervisor.observation import make_observation
 from wcsim.types import Joystick
 
 TICKS = 40
@@ -32,7 +32,7 @@ TICKS = 40
 def policy(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A danger network that finds much dangerous, for the camera that drives have."""
     place = tmp_path_factory.mktemp("policy") / "policy"
-    save_danger(place, network(), DangerRule(threshold=0.45), resolve("laptop"))
+    save_danger(place, network(), DangerRuleSettings(threshold=0.45), resolve("laptop"))
     return place
 
 
@@ -48,7 +48,7 @@ def again(policy: Path, ride: _RecordedRide, config: RunConfig) -> list[int]:
 def test_who_sees_a_drive_again_chooses_what_was_chosen(corner: Path, policy: Path, tmp_path: Path) -> None:
     path = tmp_path / "a.drive"
     session = DriveSession(DriveStart(town=str(corner), policy=str(policy), seed=4))
-    session.add_observer(SessionRecorder(session, numbered_names(path), lambda news: None))
+    session.add_observer(SessionRecorder(session, iter_unused_paths(path), lambda news: None))
     sticks = [Joystick(0.8 * math.sin(0.3 * number), 0.6) for number in range(TICKS)]
     chosen = [session.tick(Wish(stick=stick)).action for stick in sticks]
     session.close()
@@ -57,7 +57,7 @@ def test_who_sees_a_drive_again_chooses_what_was_chosen(corner: Path, policy: Pa
     given = np.array([(stick.x, stick.y) for stick in sticks], np.float32)
     assert np.array_equal([seen["joystick"] for seen in ride.seen], given)
     assert ride.seen[0]["depth"].any()
-    assert again(policy, ride, config_of(read_drive(path).header)) == chosen
+    assert again(policy, ride, config_of(read_drive_recording(path).header)) == chosen
     assert len(set(chosen)) > 5
     assert len(recorded_ride(path, 7).seen) == 7
 
@@ -81,7 +81,7 @@ def test_who_sees_a_journals_seat_again_chooses_what_was_chosen(
             client = it.now.clients[1]
             if client.first is not None:
                 break
-            chosen.append(driver.act(observation_of(client, config)))
+            chosen.append(driver.act(make_observation(client, config)))
             it.tick(1, {1: Joystick(*points[chosen[-1]].tolist())})
         it.tick(3)
     ride = recorded_ride(tmp_path, 100, seat=1)

@@ -22,16 +22,16 @@ from wcsim.agents.danger.learner import DangerLearner
 from wcsim.agents.rounds import train_rounds
 from wcsim.agents.rounds.drive_segment import SegmentOrder
 from wcsim.agents.rounds.train_rounds import RoundProgress, _restoring, _save_round, train_danger
-from wcsim.agents.runs.checkpoint import _restore_newest, number_of, tag
-from wcsim.agents.runs.data_folder import SegmentKey, segment_path, write_manifest
-from wcsim.agents.runs.metrics import read_rounds
+from wcsim.agents.runs.checkpoint import _restore_newest, checkpoint_number_from_path, format_checkpoint_name
+from wcsim.agents.runs.data_folder import DrivingSegmentKey, segment_path, write_data_manifest
+from wcsim.agents.runs.metrics import read_round_metrics
 from wcsim.agents.runs.run_folder import ResolvedRun
-from wcsim.agents.runs.weights import write_policy
-from wcsim.cli.shared.run_config import learning
+from wcsim.agents.runs.weights import write_policy_folder
+from wcsim.cli.shared.run_config import learner_fixed_settings
 from wcsim.config import RunConfig, resolve
 from wcsim.core import files
 from wcsim.errors import ConfigError, DiskFullError, InterruptedRunError, PolicyError
-from wcsim.server.workers.machines import Machines
+from wcsim.server.workers.machines import WorkerPoolSettings
 from wcsim.towns.scenario.town import Town
 
 SETTINGS = ("danger.width=8", "collect.segments=1")
@@ -40,7 +40,7 @@ SETTINGS = ("danger.width=8", "collect.segments=1")
 class NoiseCrew:
     """Whoever asks gets streets of noise, which follow from the key; a network has to be where an order says."""
 
-    def __init__(self, config: RunConfig, data: Path, machines: Machines, logs: Path) -> None:
+    def __init__(self, config: RunConfig, data: Path, machines: WorkerPoolSettings, logs: Path) -> None:
         self._folder = data
 
     def __enter__(self) -> NoiseCrew:
@@ -131,15 +131,15 @@ def test_folders_without_driving_are_refused_where_nobody_drives(
 
 def others_drive(folder: Path, count: int) -> dict[str, str]:
     """A data folder with so many segments of noise; their SHA-256 by file name."""
-    paths = [segment_path(folder, SegmentKey(run=8, round=0, index=index).name) for index in range(count)]
+    paths = [segment_path(folder, DrivingSegmentKey(run=8, round=0, index=index).name) for index in range(count)]
     held = {path.name: write_segment(path, a_segment(seed=50 + number)) for number, path in enumerate(paths)}
-    write_manifest(folder, dqn_config(*SMALL), {"corner": "0" * 64}, held)
+    write_data_manifest(folder, dqn_config(*SMALL), {"corner": "0" * 64}, held)
     return held
 
 
 def whole(run: ResolvedRun) -> ResolvedRun:
     """As the command line resolves it."""
-    return replace(run, config=resolve(run.config, learning(run.config)))
+    return replace(run, config=resolve(run.config, learner_fixed_settings(run.config)))
 
 
 def a_learner() -> DangerLearner:
@@ -151,11 +151,11 @@ def a_learner() -> DangerLearner:
 def load_round(folder: Path) -> tuple[int, dict[str, str]]:
     """The round that a run goes on from, and the segments that it had learned from."""
     found = _restore_newest(folder, _restoring(a_learner()))
-    return number_of(found.path), found.value
+    return checkpoint_number_from_path(found.path), found.value
 
 
 def _checkpoint_path(folder: Path, number: int) -> Path:
-    return folder / tag("round", number)
+    return folder / format_checkpoint_name("round", number)
 
 
 @pytest.fixture(scope="module")
@@ -168,7 +168,7 @@ def straight(corner: Path, corner_town: Town, tmp_path_factory: pytest.TempPathF
     return run.out
 
 
-@pytest.mark.parametrize("step", ["_save", "note_round", "_save_round"])
+@pytest.mark.parametrize("step", ["_save", "append_round_metrics", "_save_round"])
 def test_a_round_whose_files_cannot_be_written_is_done_again_to_the_same_weights(
     corner: Path, corner_town: Town, straight: Path, tmp_path: Path, step: str
 ) -> None:
@@ -182,7 +182,7 @@ def test_a_round_whose_files_cannot_be_written_is_done_again_to_the_same_weights
             train_danger(run_in(corner, tmp_path / "full", *SETTINGS), corner_town)
     train_danger(run_in(corner, tmp_path / "full", *SETTINGS, resume=True), corner_town)
     assert outcome(tmp_path / "full") == outcome(straight)
-    assert [row.round for row in read_rounds(tmp_path / "full" / "metrics.csv")] == [0, 1, 2]
+    assert [row.round for row in read_round_metrics(tmp_path / "full" / "metrics.csv")] == [0, 1, 2]
 
 
 def test_a_round_with_very_many_segments_is_kept_and_found(tmp_path: Path) -> None:
@@ -212,7 +212,7 @@ def test_a_checkpoint_whose_state_is_damaged_is_passed_over_for_the_one_before(t
     changed = {"3-000-0000.npz.zst": "b" * 64} if key == "segments" else state[key] + 1
     path.write_text(json.dumps({**state, key: changed}))
     found = _restore_newest(tmp_path, _restoring(learner))
-    assert number_of(found.path) == 0
+    assert checkpoint_number_from_path(found.path) == 0
     assert ["its content does not match its hash" in reason for reason in found.passed_over.values()] == [True]
     seal = state.pop("seal")
     path.write_text(json.dumps({**state, "sea1": seal}))
@@ -227,7 +227,7 @@ def test_a_full_disk_is_told_in_words(tmp_path: Path) -> None:
         with pytest.raises(DiskFullError, match="make room"):
             _save_round(tmp_path, 0, learner, {})
         with pytest.raises(DiskFullError, match="make room"):
-            write_policy(tmp_path / "policy", torch.nn.Linear(100, 100), {})
+            write_policy_folder(tmp_path / "policy", torch.nn.Linear(100, 100), {})
     assert not (tmp_path / "policy").exists() and list(tmp_path.glob("round*")) == []
 
 
@@ -263,7 +263,7 @@ def test_arrays_that_are_none_of_a_learner_are_refused_however_right_their_hash(
     arrays = list(path.parent.glob("*.saf*"))
     resealed(
         path.with_name("state.json"),
-        sha256={item.name: files.sha256(item) for item in arrays},
+        sha256={item.name: files.sha256_from_file(item) for item in arrays},
         bytes={item.name: item.stat().st_size for item in arrays},
     )
     with pytest.raises(PolicyError, match=rf"{re.escape(key)}|not finite"):

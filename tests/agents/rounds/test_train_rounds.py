@@ -24,7 +24,7 @@ from wcsim.agents.runs.run_folder import ResolvedRun, open_run
 from wcsim.config import RunConfig
 from wcsim.core import files
 from wcsim.errors import InterruptedRunError, PolicyError, TownError
-from wcsim.server.workers.machines import Machines
+from wcsim.server.workers.machines import WorkerPoolSettings
 from wcsim.towns.scenario.town import Town, find_town
 
 
@@ -102,7 +102,7 @@ def test_two_worlds_and_one_that_is_killed_give_the_same_data_and_weights(straig
 
     thread = threading.Thread(target=kill_one, daemon=True)
     thread.start()
-    train_in(corner, tmp_path / "two", machines=Machines(count=2))
+    train_in(corner, tmp_path / "two", machines=WorkerPoolSettings(count=2))
     assert killed
     assert outcome(tmp_path / "two") == outcome(straight)
 
@@ -133,7 +133,9 @@ def test_a_run_that_was_stopped_goes_on_to_the_same_weights(straight: Path, corn
     with pytest.raises(InterruptedRunError, match=r"the policy of the complete rounds.*wcsim resume"):
         train_in(corner, out, progress=stop)
     assert open_run(out).manifest.status == "interrupted"
-    kept = {name: files.sha256(out / "policies" / name / "weights.safetensors") for name in ("round-001", "final")}
+    kept = {
+        name: files.sha256_from_file(out / "policies" / name / "weights.safetensors") for name in ("round-001", "final")
+    }
     assert kept["final"] == kept["round-001"] != weights_of(straight)
     segment = sorted((out / DATA / SEGMENTS).iterdir())[-1]
     if segment.name.split("-")[1] == "002":  # what was being driven may be cut short
@@ -167,7 +169,7 @@ def test_a_ray_cluster_gives_the_same_data_and_weights(straight: Path, corner: P
     def show(now: RoundProgress) -> None:
         seen.update(worker.name for worker in now.workers)
 
-    machines = Machines(cluster="local", report=told.append)
+    machines = WorkerPoolSettings(cluster="local", report=told.append)
     train_in(corner, out, machines=machines, progress=show)
     assert outcome(out) == outcome(straight)
     assert seen == {"127.0.0.1/1"} and not [line for line in told if "processor" in line]

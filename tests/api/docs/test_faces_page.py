@@ -8,7 +8,7 @@ import pytest
 
 from tests.server.servers import Server, stand_in_order
 from wcsim.config import resolve
-from wcsim.server.protocol.events import Rules
+from wcsim.server.protocol.events import ServerRules
 
 PAGE = (Path(__file__).parents[3] / "docs" / "faces.md").read_text(encoding="utf-8")
 EXAMPLES = re.findall(r"^## (.+?)\n.*?^```python\n(.*?)^```", PAGE, re.MULTILINE | re.DOTALL)
@@ -37,7 +37,7 @@ def test_an_example_runs(name, code, corner, tmp_path):
 
 def test_the_example_of_a_shared_world_runs(tmp_path):
     config = resolve("quick")
-    rules = Rules(capacity=1, config=config.world_digest())
+    rules = ServerRules(capacity=1, config=config.world_digest())
     order = stand_in_order(tmp_path, rules=rules, config=config)
     with Server(order, tmp_path) as server:
         server.status()

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from tests.support.tracked import ROOT
-from wcsim.agents.opening.list_file import open_suite
-from wcsim.users.recordings.recorded_user import read_recording
+from wcsim.agents.opening.list_file import read_suite
+from wcsim.users.recordings.recorded_user import read_stick_recording
 
 TUTORIALS = ROOT / "docs" / "tutorials"
 NO_WARMUP = 'overrides=("world.warmup_s=0", "env.max_steps=20")'
@@ -61,9 +61,9 @@ def test_the_learners_code_runs(corner: Path, tmp_path: Path) -> None:
 def test_the_scripts_about_a_recording_and_a_list_run(tmp_path: Path) -> None:
     recording, cut = code_of(TUTORIALS / "assistive-technology.md")
     run(recording, tmp_path)
-    assert read_recording(tmp_path / "stick.csv").time_s[-1] == 19.95
+    assert read_stick_recording(tmp_path / "stick.csv").time_s[-1] == 19.95
     assert len(set(run(cut, tmp_path).split())) == 10
-    assert {block.part for block in open_suite(str(tmp_path / "tight.json")).file.blocks} == {"tight"}
+    assert {block.part for block in read_suite(str(tmp_path / "tight.json")).file.blocks} == {"tight"}
 
 
 def test_other_tutorials_have_no_python() -> None:

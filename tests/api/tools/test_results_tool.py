@@ -7,7 +7,7 @@ from tests.view.report.results import write_result
 from tools.results.__main__ import code_of, command_of, is_done, main
 from tools.results.parts import AT_0_MS, Part, judged, parts, trained
 from tools.results.tables import delay_text, page, suite_table
-from wcsim.agents.runs.run_folder import create_run, make_manifest
+from wcsim.agents.runs.run_folder import create_run_folder, make_run_manifest
 from wcsim.config import RunConfig, resolve
 from wcsim.server.specs import RunInfo
 
@@ -26,7 +26,7 @@ def test_what_is_made_is_not_made_again_and_what_was_stopped_goes_on(tmp_path):
     step = trained(tmp_path, "run", 1)
     part = Part(name="p", says="", steps=(step,))
     assert command_of(step)[1:] == [*step.words] and not is_done(part)
-    run = create_run(tmp_path / "run", RunConfig(), make_manifest(RunConfig(), RunInfo(seed=1)))
+    run = create_run_folder(tmp_path / "run", RunConfig(), make_run_manifest(RunConfig(), RunInfo(seed=1)))
     run.policy("final").mkdir()
     (run.policy("final") / "policy.json").touch()
     for status in ("running", "interrupted"):

@@ -24,7 +24,7 @@ from wcsim.agents.learning.checkpoint import (
     save_checkpoint,
 )
 from wcsim.agents.learning.seqdqn import SeqDQN
-from wcsim.agents.runs.checkpoint import STATE, checkpoints, tag
+from wcsim.agents.runs.checkpoint import STATE, format_checkpoint_name, list_checkpoints
 from wcsim.config import LearnConfig, RunConfig
 from wcsim.errors import PolicyError
 
@@ -68,7 +68,7 @@ class Bench:
         self._optimizer = copy.deepcopy(self.model.policy.optimizer.state_dict())
         self._rngs = _generator_state(self.model.rng), _generator_state(self.model.replay_buffer.rng)
         self.known: dict[int, str] = {}
-        for path in checkpoints(self.sound):
+        for path in list_checkpoints(self.sound):
             alone = work / "alone"
             shutil.copytree(path, alone / path.name)
             self.fresh()
@@ -132,7 +132,7 @@ def _feed(bench: Bench, attack: Attack, rng: Rng, folder: Path) -> bool:
         step = bench.model.num_timesteps
         right = step >= expected and bench.known.get(step) == content(bench.model, loaded.value.model_dump())
         went_on = right and _goes_on(bench.model, folder, loaded.value.model_dump(), rng)
-        return went_on and _strays(folder) | {path.name for path in checkpoints(folder)} >= strays
+        return went_on and _strays(folder) | {path.name for path in list_checkpoints(folder)} >= strays
     finally:
         shutil.rmtree(folder)
 
@@ -143,20 +143,20 @@ def _goes_on(model: SeqDQN, folder: Path, extra: Extra, rng: Rng) -> bool:
     for _ in range(2):
         model.num_timesteps += 1
         written = save_checkpoint(folder, model, extra)
-        if not written.is_dir() or len(checkpoints(folder)) > 4:
+        if not written.is_dir() or len(list_checkpoints(folder)) > 4:
             return False
     kept = content(model, extra)
     return load_checkpoint(folder, model).path == written and content(model, extra) == kept
 
 
 def _strays(folder: Path) -> set[str]:
-    known = {path.name for path in checkpoints(folder)} | {".step-00000090.tmp"}
+    known = {path.name for path in list_checkpoints(folder)} | {".step-00000090.tmp"}
     return {path.name for path in folder.iterdir()} - known
 
 
 def _some(folder: Path, rng: Rng) -> list[Path]:
     """One of the checkpoints, more often the newest, or several."""
-    paths = checkpoints(folder)[::-1]
+    paths = list_checkpoints(folder)[::-1]
     count = int(pick(rng, (1, 1, 1, 1, 2, 3)))
     return paths[:count] if rng.random() < 0.7 else [pick(rng, paths)]
 
@@ -187,7 +187,7 @@ def bombed_state(folder: Path, rng: Rng) -> set[int]:
 
 def moved_file(folder: Path, rng: Rng) -> set[int]:
     """A file of another checkpoint, or none."""
-    (one, *_), other, name = _some(folder, rng), pick(rng, checkpoints(folder)), pick(rng, NAMES)
+    (one, *_), other, name = _some(folder, rng), pick(rng, list_checkpoints(folder)), pick(rng, NAMES)
     data = (other / name).read_bytes()
     (one / name).unlink()
     if rng.random() < 0.7:
@@ -212,7 +212,7 @@ def odd_file(folder: Path, rng: Rng) -> set[int]:
 
 def odd_names(folder: Path, rng: Rng) -> set[int]:
     """Names beside the checkpoints that are none."""
-    old, new = checkpoints(folder)[0], checkpoints(folder)[-1]
+    old, new = list_checkpoints(folder)[0], list_checkpoints(folder)[-1]
     names = (
         "step-zzz", f"{old.name}-copy", "step-90", "step-000000090", "step--0000090", "step-", "step-0000009\u0663",
         f"{new.name}.damaged", ".step-00000090.tmp", "step-00000090x", "step-" + "9" * 200,
@@ -230,7 +230,10 @@ def odd_names(folder: Path, rng: Rng) -> set[int]:
 
 def odd_folder(folder: Path, rng: Rng) -> set[int]:
     """A checkpoint under the name of another step, or a link, a file or an empty folder in place of one."""
-    old, one = checkpoints(folder)[0], folder / tag("step", int(pick(rng, (40, 80, 120, 121, 10**8, 10**17))))
+    old, one = (
+        list_checkpoints(folder)[0],
+        folder / format_checkpoint_name("step", int(pick(rng, (40, 80, 120, 121, 10**8, 10**17)))),
+    )
     hurt = _steps([one]) if one.is_dir() else set()
     if one == old:
         return set()

@@ -27,20 +27,27 @@ from tests.attack.scenarios.twists import (
     without_none,
 )
 from tests.support.framing import chained
-from wcsim.agents.envs.env_spec import make_spec
-from wcsim.agents.runs.run_folder import CONFIG, MANIFEST, make_manifest, manifest_of, open_run, read_json
+from wcsim.agents.envs.env_spec import make_env_settings
+from wcsim.agents.runs.run_folder import (
+    CONFIG,
+    MANIFEST,
+    make_run_manifest,
+    open_run,
+    read_run_json,
+    run_manifest_from_json,
+)
 from wcsim.config import Model, RunConfig, TownFile, parse_json, read_toml, resolve
-from wcsim.config.plant import plant_text, read_plant
+from wcsim.config.plant import read_own_plant_bytes, read_plant
 from wcsim.config.scene import SceneFile
-from wcsim.log.framing import framed, whole_records
-from wcsim.log.reader import read_states
-from wcsim.log.records import ActorBody, Header, WorldState, record_bytes
+from wcsim.log.framing import frame_payload, iter_whole_records
+from wcsim.log.reader import read_trace_states
+from wcsim.log.records import ActorBody, Header, WorldState, record_to_bytes
 from wcsim.log.writer import LogWriter
 from wcsim.physics.wheelchair.plant import plant_spec
 from wcsim.server.specs import RunInfo
 from wcsim.towns.scenario.overrides import Override
 from wcsim.types import ActorKind
-from wcsim.users.recordings.recorded_user import COLUMNS, find_user, read_recording
+from wcsim.users.recordings.recorded_user import COLUMNS, find_user, read_stick_recording
 
 RICH = (
     *("cameras.0.noise=typical", 'vary.plant={"wheel.friction" = [0.5, 0.9]}'),
@@ -55,42 +62,42 @@ def same(model: Model) -> bool:
 
 def take_config(config: RunConfig) -> bool:
     """A configuration, with all that the faces do with one before there is a world."""
-    make_spec("nowhere", {"config": config}).observation_space()
+    make_env_settings("nowhere", {"config": config}).observation_space()
     plant_spec(config.chair)
     return same(config)
 
 
 def _take_plant(path: Path) -> bool:
-    plant_text(str(path))
+    read_own_plant_bytes(str(path))
     return same(read_plant(str(path)))
 
 
 def _take_manifest(path: Path) -> bool:
-    data = read_json(path.parent, MANIFEST)
+    data = read_run_json(path.parent, MANIFEST)
     clients = data.pop("clients", [])
-    manifest = manifest_of(data, path.parent)
+    manifest = run_manifest_from_json(data, path.parent)
     plain = all(Path(name).name == name for name in clients)
-    return plain and manifest_of(json.loads(json.dumps(data)), path.parent) == manifest
+    return plain and run_manifest_from_json(json.loads(json.dumps(data)), path.parent) == manifest
 
 
 def _take_recording(path: Path) -> bool:
-    recording = read_recording(path)
+    recording = read_stick_recording(path)
     rows = np.c_[recording.time_s, recording.sticks].tolist()
     path.write_text("\n".join([",".join(COLUMNS), *(",".join(map(repr, row)) for row in rows)]), encoding="utf-8")
-    again = read_recording(path)
+    again = read_stick_recording(path)
     return np.array_equal(recording.time_s, again.time_s) and np.allclose(recording.sticks, again.sticks, atol=1e-12)
 
 
 def _take_trace(path: Path) -> bool:
-    header, ticks = read_states(path)
+    header, ticks = read_trace_states(path)
     path.unlink()
     _write_trace(path, header, ticks)
-    found, again = read_states(path)
+    found, again = read_trace_states(path)
     return found == header and len(again) == len(ticks) and all(map(_same_tick, ticks, again))
 
 
 def _same_tick(a: WorldState, b: WorldState) -> bool:
-    return record_bytes(a) == record_bytes(b)
+    return record_to_bytes(a) == record_to_bytes(b)
 
 
 def _write_trace(path: Path, header: Header, ticks: Sequence[WorldState]) -> None:
@@ -117,12 +124,12 @@ def csv_twist(rows: list[list[Any]]) -> Twist:
 
 def log_twist(sound: bytes) -> Twist:
     """A field of the header or of a record, or its numbers, with lengths and checksums made to fit."""
-    records = list(whole_records(io.BytesIO(sound)))
+    records = list(iter_whole_records(io.BytesIO(sound)))
     payloads, last = [record.payload for record in records], records[-1].crc
 
     def twist(rng: Rng) -> tuple[bytes, str]:
         if integer(rng, 5) == 0:
-            return swollen(sound, rng, lambda payload: framed(payload, last)), "swollen"
+            return swollen(sound, rng, lambda payload: frame_payload(payload, last)), "swollen"
         at, how = integer(rng, len(payloads)), integer(rng, 4)
         if not at:
             data, told = twisted(json.loads(payloads[0]), rng)
@@ -192,7 +199,7 @@ def _sound_manifest(config: RunConfig) -> dict[str, Any]:
         seed=3, town="helsinki", town_sha256="ab" * 32, rewards=("own:Term",), command=words, hook="own:Hook",
         overrides=(override,),
     )  # fmt: skip
-    manifest = make_manifest(config, info)
+    manifest = make_run_manifest(config, info)
     names = ("seed", "town", "town_sha256", "config_sha256", "rewards", "command", "versions", "git_revision", "steps")
     data = {name: getattr(manifest, name) for name in (*names, "status", "hook")}
     rows = [{"option": "--step-length", "author": "1", "wcsim": "0.1", "why": "ticks"}]

@@ -13,12 +13,12 @@ from tests.log.test_log import HEADER, RECORDS, tick
 from tests.support.events import read_events
 from tests.support.framing import chained, pieces, read_whole
 from wcsim.agents.runs.metrics import COLUMNS, MetricsFile, read_metrics
-from wcsim.log.framing import MAX_RECORD_BYTES, framed
-from wcsim.log.reader import iter_inputs, log_digest
-from wcsim.log.records import Ended, Input, LogRecord, SeenFrame, header_bytes
+from wcsim.log.framing import MAX_RECORD_BYTES, frame_payload
+from wcsim.log.reader import iter_journal_inputs, log_digest
+from wcsim.log.records import Ended, Input, LogRecord, SeenFrame, header_to_bytes
 from wcsim.log.writer import LogWriter
-from wcsim.server.launch.event_log import EVENTS, RunLog
-from wcsim.server.ledger import iter_ledger, open_ledger
+from wcsim.server.launch.event_log import EVENTS, EventLogWriter
+from wcsim.server.ledger import iter_ledger_frames, open_ledger_writer
 
 TICKS = tuple(tick(number, epoch=1) for number in range(1, 240))
 LONG: tuple[Input, ...] = (*RECORDS[:-1], *TICKS, Ended(reason="x"))
@@ -73,7 +73,7 @@ def a_journal(path: Path) -> list[bytes]:
 
 def a_ledger(path: Path) -> list[bytes]:
     """The pieces of a sound one."""
-    with open_ledger(path, "c0") as ledger:
+    with open_ledger_writer(path, "c0") as ledger:
         for frame in FRAMES:
             ledger.append(frame)
     return pieces(path)
@@ -85,7 +85,7 @@ def check_log(path: Path, data: bytes, whole: bytes) -> bool:
         seen = read_whole(path)
         digest, ledger = log_digest(path), seen.header.kind == "ledger"
         sound: tuple[LogRecord, ...] = FRAMES if ledger else LONG
-        read: tuple[LogRecord, ...] = tuple(iter_ledger(path) if ledger else iter_inputs(path))
+        read: tuple[LogRecord, ...] = tuple(iter_ledger_frames(path) if ledger else iter_journal_inputs(path))
         if seen.records != sound[: len(seen.records)] or read != seen.records:
             return False
         with LogWriter.append_to(path) as writer:
@@ -170,7 +170,7 @@ def strange_records(parts: list[bytes], rng: Rng) -> bytes:
     payload = pick(rng, (DEEP, b"", b"\x90", b"\xc0", short_tick, b"\x92\xa1q\x80", bomb(rng), rng.bytes(40)))
     place = int(rng.integers(1, len(parts) + 1))
     after = struct.unpack_from("<I", parts[place - 1], 4)[0]
-    strange = pick(rng, (framed(payload), chained([payload], after), framed(payload, after)[:-1]))
+    strange = pick(rng, (frame_payload(payload), chained([payload], after), frame_payload(payload, after)[:-1]))
     return b"".join([*parts[:place], strange, *(parts[place:] if rng.random() < 0.5 else [])])
 
 
@@ -182,13 +182,13 @@ def huge_lengths(parts: list[bytes], rng: Rng) -> bytes:
 
 def a_swollen_end(parts: list[bytes], rng: Rng) -> bytes:
     after = struct.unpack_from("<I", parts[-1], 4)[0]
-    return swollen(b"".join(parts), rng, lambda payload: framed(payload, after))
+    return swollen(b"".join(parts), rng, lambda payload: frame_payload(payload, after))
 
 
 def another_header(parts: list[bytes], rng: Rng) -> bytes:
-    head = header_bytes(HEADER)
+    head = header_to_bytes(HEADER)
     other = pick(rng, (bomb(rng), head.replace(b"log-1", b"log-2"), head[:-5], head.replace(b"wcsim", b"xcsim"), DEEP))
-    return b"".join([framed(other), *parts[1:]])
+    return b"".join([frame_payload(other), *parts[1:]])
 
 
 # --- metrics and events ---
@@ -219,7 +219,7 @@ def check_metrics(path: Path, data: bytes, whole: bytes) -> bool:
 
 def some_events(path: Path) -> list[bytes]:
     path.mkdir()
-    log = RunLog(path)
+    log = EventLogWriter(path)
     for number in range(20):
         log.add("death", who=f"c{number}", code=-9)
     return (path / EVENTS).read_bytes().splitlines(keepends=True)
@@ -229,7 +229,7 @@ def check_events(path: Path, data: bytes, whole: bytes) -> bool:
     """Every line is told, and the next one is a line of its own."""
     del whole
     before = read_events(path.parent)
-    RunLog(path.parent).add("recovery", who="a")
+    EventLogWriter(path.parent).add("recovery", who="a")
     after = read_events(path.parent)
     torn = bool(data) and not data.endswith(b"\n")
     return (

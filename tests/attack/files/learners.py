@@ -19,8 +19,8 @@ from tests.attack.scenarios.twists import Rng, cleared, integer, json_text, pick
 from wcsim.agents.danger.dataset import Dataset
 from wcsim.agents.danger.learner import DangerLearner
 from wcsim.agents.rounds.train_rounds import _restoring, _save_round
-from wcsim.agents.runs.checkpoint import STATE, _restore_newest, number_of
-from wcsim.agents.runs.data_folder import packed_segment, read_segment
+from wcsim.agents.runs.checkpoint import STATE, _restore_newest, checkpoint_number_from_path
+from wcsim.agents.runs.data_folder import read_segment, segment_to_bytes
 from wcsim.core import files
 from wcsim.core.reading import is_file
 
@@ -31,7 +31,7 @@ PACKINGS = (zipfile.ZIP_STORED, zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfil
 
 def families(work: Path) -> list[Family]:
     """A segment, and each file of a checkpoint."""
-    learner, segment = _learner(), packed_segment(a_segment(rows=6, ends=(3,)))
+    learner, segment = _learner(), segment_to_bytes(a_segment(rows=6, ends=(3,)))
     _save_round(work, 7, learner, {"3-007-0000.npz.zst": "0" * 64})
     kinds = [Family(name="segment", file="a.npz.zst", sound=segment, twist=_segment_twist, take=_take_segment)]
     held = {name: (work / ROUND / name).read_bytes() for name in (STATE, WEIGHTS, MOMENTS)}
@@ -63,7 +63,7 @@ def _learner() -> DangerLearner:
 def _take_segment(path: Path) -> bool:
     """What is read, written again, is read as the same, and can be learned from."""
     segment = read_segment(path)
-    path.write_bytes(packed_segment(segment))
+    path.write_bytes(segment_to_bytes(segment))
     again = read_segment(path).arrays()
     Dataset(small_config()).add(segment)
     return all(np.array_equal(column, again[name]) for name, column in segment.arrays().items())
@@ -124,7 +124,7 @@ def _sealed(text: str) -> bytes:
     try:
         data = json.loads(text)
         data.pop("seal", None)
-        seal = files.sha256_text(json.dumps(data, sort_keys=True, allow_nan=False))
+        seal = files.sha256_from_text(json.dumps(data, sort_keys=True, allow_nan=False))
     except (ValueError, RecursionError, AttributeError):
         return text.encode()
     return json.dumps({**data, "seal": seal}).encode()
@@ -147,7 +147,7 @@ def _resealed(path: Path) -> None:
     if path.name != STATE and is_file(path) and path.stat().st_size < 1 << 24 and state.is_file():
         data = json.loads(state.read_text())
         with suppress(OSError):
-            data["sha256"][path.name] = files.sha256(path)
+            data["sha256"][path.name] = files.sha256_from_file(path)
         state.write_bytes(_sealed(json.dumps(data)))
 
 
@@ -155,7 +155,9 @@ def _take_round(path: Path) -> bool:
     _resealed(path)
     learner = _learner()
     found = _restore_newest(path.parents[1], _restoring(learner))
-    return _same(found.path, learner, lambda out: _save_round(out, number_of(found.path), learner, found.value))
+    return _same(
+        found.path, learner, lambda out: _save_round(out, checkpoint_number_from_path(found.path), learner, found.value)
+    )
 
 
 def _same(folder: Path, learner: DangerLearner, save: Callable[[Path], object]) -> bool:

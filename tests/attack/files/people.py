@@ -8,11 +8,11 @@ from tests.attack.scenarios.twists import toml_text, without_none
 from tests.log.drives import tick, write_drive
 from wcsim.config import parse_json, read_toml
 from wcsim.config.study import StudyFile
-from wcsim.log.drive import DriveRecording, read_drive
+from wcsim.log.drive import DriveRecording, read_drive_recording
 from wcsim.log.reader import is_log, read_header
-from wcsim.log.records import Note, header_bytes, record_bytes
+from wcsim.log.records import Note, header_to_bytes, record_to_bytes
 from wcsim.log.writer import LogWriter
-from wcsim.users.profiles import _read_profile, profile_toml
+from wcsim.users.profiles import _read_profile, profile_to_toml
 
 STUDY = {
     "name": "a-study",
@@ -51,13 +51,13 @@ def _take_study(path: Path) -> bool:
 
 def _take_profile(path: Path) -> bool:
     user = _read_profile(path)
-    path.write_text(profile_toml(user, {}), encoding="utf-8")
+    path.write_text(profile_to_toml(user, {}), encoding="utf-8")
     return _read_profile(path) == user
 
 
 def _take_drive(path: Path) -> bool:
     """What is read and recorded again is the same; what is no drive for one reader is none for the others."""
-    drive = read_drive(path)
+    drive = read_drive_recording(path)
     if not is_log(path) or read_header(path) != drive.header:
         return False
     path.unlink()
@@ -66,11 +66,11 @@ def _take_drive(path: Path) -> bool:
             recorder.append(event)
         for item in drive.ticks:
             recorder.append(item)
-    return _payloads(read_drive(path)) == _payloads(drive)
+    return _payloads(read_drive_recording(path)) == _payloads(drive)
 
 
 def _payloads(drive: DriveRecording) -> list[bytes]:
-    return [header_bytes(drive.header), *map(record_bytes, (*drive.events, *drive.ticks))]
+    return [header_to_bytes(drive.header), *map(record_to_bytes, (*drive.events, *drive.ticks))]
 
 
 def sound_drive(path: Path) -> bytes:

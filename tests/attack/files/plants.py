@@ -12,7 +12,7 @@ from tests.attack.outcomes import Case
 from tests.attack.scenarios.twists import draws, pick, toml_text, without_none
 from tests.physics.rig import rig, step_street
 from wcsim.config import ChairConfig
-from wcsim.config.plant import PlantFile, known_plants, read_plant, with_values
+from wcsim.config.plant import PlantFile, known_plants, override_plant_values, read_plant
 from wcsim.physics.wheelchair.plant import plant_spec
 from wcsim.physics.wheelchair.plant_body import urdf
 from wcsim.types import Joystick
@@ -41,7 +41,9 @@ def _drives(plant: str, values: dict[str, float], work: Path) -> bool:
     """Whether it stays where chairs are, in finite numbers, ahead over a kerb, back, and turning."""
     path = work / "p.toml"
     try:
-        path.write_text(toml_text(without_none(with_values(read_plant(plant), values).model_dump(mode="json"))))
+        path.write_text(
+            toml_text(without_none(override_plant_values(read_plant(plant), values).model_dump(mode="json")))
+        )
         if not all(map(_is_of_a_body, _INERTIA.findall(urdf(plant_spec(ChairConfig(plant=str(path))))))):
             return False
         with rig(step_street(_KERB_M, at_x_m=1.5), plant=str(path)) as driven:

@@ -14,8 +14,8 @@ from tests.attack.files.people import STUDY
 from tests.attack.scenarios.twists import NASTY, cleared, json_text, toml_text
 from tests.view.report.results import write_result
 from wcsim.agents.evaluation.suite.result_files import ASKED, EPISODES, RESULT, read_result
-from wcsim.agents.opening.list_file import open_suite, write_list
-from wcsim.agents.runs.metrics import note_round, read_rounds
+from wcsim.agents.opening.list_file import read_suite, write_suite_file
+from wcsim.agents.runs.metrics import append_round_metrics, read_round_metrics
 from wcsim.config import parse
 from wcsim.config.study import StudyFile
 from wcsim.core.reading import FileKind, parse_toml
@@ -36,10 +36,10 @@ def families(work: Path) -> list[Family]:
     sha256 = json.loads(held[RESULT])["sha256"]
     for row in range(3):
         append_row(work / "t.csv", COLUMNS, {"study_sha256": "ab" * 6, "participant": str(row), "town": "a, b"})
-        note_round(work / "r.csv", (row, 9 * row, 9, 0.5, row, 5, 1, 4, row, 10 * row, 0.25, 1.5, 0.5))
+        append_round_metrics(work / "r.csv", (row, 9 * row, 9, 0.5, row, 5, 1, 4, row, 10 * row, 0.25, 1.5, 0.5))
     table, rounds = ((work / name).read_bytes() for name in ("t.csv", "r.csv"))
-    episodes = open_suite("dev").file
-    write_list(episodes.model_copy(update={"blocks": episodes.blocks[:2]}), work / "l.json")
+    episodes = read_suite("dev").file
+    write_suite_file(episodes.model_copy(update={"blocks": episodes.blocks[:2]}), work / "l.json")
     listed = (work / "l.json").read_bytes()
     for name in (*held, "t.csv", "r.csv", "l.json"):
         cleared(work / name)
@@ -53,7 +53,7 @@ def families(work: Path) -> list[Family]:
         Family(name="study table", file="t.csv", sound=table, twist=csv_twist(_rows(table)), take=_take_table),
         Family(name="rounds", file="r.csv", sound=rounds, twist=csv_twist(_rows(rounds)), take=_take_rounds),
         Family(name="episode list", file="l.json", sound=listed, twist=model_twist(json.loads(listed), json_text),
-               take=lambda path: same(open_suite(str(path)).file)),
+               take=lambda path: same(read_suite(str(path)).file)),
     ]  # fmt: skip
 
 
@@ -81,6 +81,6 @@ def _take_table(path: Path) -> bool:
 
 def _take_rounds(path: Path) -> bool:
     """All rows are there after the next round."""
-    rows = read_rounds(path)
-    note_round(path, (len(rows), 99, 9, 0.5, 0, 1, 0, 1, 0, 10, 0.25, 1.5, 0.5))
-    return repr(read_rounds(path)[:-1]) == repr(rows)
+    rows = read_round_metrics(path)
+    append_round_metrics(path, (len(rows), 99, 9, 0.5, 0, 1, 0, 1, 0, 10, 0.25, 1.5, 0.5))
+    return repr(read_round_metrics(path)[:-1]) == repr(rows)

@@ -17,15 +17,15 @@ from tests.attack.scenarios.twists import json_text
 from wcsim.agents.learning import saved_policy
 from wcsim.agents.learning.saved_policy import load_policy
 from wcsim.agents.runs.policy_file import POLICY_JSON, WEIGHTS
-from wcsim.agents.runs.run_folder import CONFIG, MANIFEST, open_run, read_json
+from wcsim.agents.runs.run_folder import CONFIG, MANIFEST, open_run, read_run_json
 from wcsim.cli.main import main
-from wcsim.cli.shared.consoles import print_overrides
+from wcsim.cli.shared.consoles import print_sumo_overrides
 from wcsim.config import TownFile, read_toml, resolve
 from wcsim.config.plant import read_plant
 from wcsim.config.scene import SceneFile
 from wcsim.errors import ConfigError, JournalError, PolicyError
-from wcsim.log.framing import framed, whole_records
-from wcsim.log.reader import read_states
+from wcsim.log.framing import frame_payload, iter_whole_records
+from wcsim.log.reader import read_trace_states
 from wcsim.towns.scenario.overrides import Override
 from wcsim.users.recordings.recorded_user import find_user
 
@@ -109,7 +109,7 @@ def test_pipes_devices_and_odd_names_are_no_files(tmp_path: Path) -> None:
             with pytest.raises(ConfigError):
                 take(path)
         with pytest.raises(JournalError):
-            read_states(path)
+            read_trace_states(path)
 
 
 @pytest.mark.parametrize("bomb", TOML_BOMBS)
@@ -168,7 +168,7 @@ def test_entries_of_a_manifest_have_types_and_bounds(tmp_path: Path, changes: di
     path = a_run(tmp_path) / MANIFEST
     path.write_text(json.dumps({**json.loads(path.read_text()), **changes}))
     with pytest.raises(PolicyError, match=r"manifest\.json: .*" + next(iter(changes))):
-        read_json(tmp_path, MANIFEST)
+        read_run_json(tmp_path, MANIFEST)
     with pytest.raises(PolicyError, match=r"manifest\.json"):
         open_run(tmp_path)
 
@@ -295,10 +295,10 @@ def test_weights_that_change_between_two_looks_are_read_once(
 
 def test_a_recording_that_unpacks_to_far_more_than_it_has_is_refused(tmp_path: Path) -> None:
     trace = next(kind for kind in files.families(tmp_path) if kind.name == "trace").sound
-    last = [record.crc for record in whole_records(io.BytesIO(trace))][-1]
-    (tmp_path / "trace").write_bytes(trace + framed(bytes(8 << 20), last))
+    last = [record.crc for record in iter_whole_records(io.BytesIO(trace))][-1]
+    (tmp_path / "trace").write_bytes(trace + frame_payload(bytes(8 << 20), last))
     with pytest.raises(JournalError, match="is damaged at byte"):
-        read_states(tmp_path / "trace")
+        read_trace_states(tmp_path / "trace")
 
 
 def test_a_policy_with_a_long_name_is_unknown_and_no_traceback() -> None:
@@ -308,8 +308,8 @@ def test_a_policy_with_a_long_name_is_unknown_and_no_traceback() -> None:
 def test_words_of_a_scenario_are_shown_and_not_obeyed() -> None:
     console = Console(markup=False, file=io.StringIO(), width=200)
     rows = (Override(option="[/b]", author="[red]\x1b[2J", wcsim="[/]", why="why"),)
-    print_overrides(console, "own", rows)
+    print_sumo_overrides(console, "own", rows)
     assert "([/b])" in console.file.getvalue()
-    print_overrides(console, "own", rows, verbose=True)
+    print_sumo_overrides(console, "own", rows, verbose=True)
     shown = console.file.getvalue()
     assert "[/b]" in shown and "[red]" in shown and "[/]" in shown and "\x1b" not in shown

@@ -25,8 +25,8 @@ from tests.attack.peers.messages import hostile_request
 from tests.attack.peers.wire import shapes
 from tests.attack.scenarios.twists import Rng, integer, pick
 from wcsim.server.protocol import messages as m
-from wcsim.server.specs import SeatRequest, to_line
-from wcsim.server.transport.keys import client_keys, server_public
+from wcsim.server.specs import SeatRequest, encode_json_line
+from wcsim.server.transport.keys import read_client_keys, read_server_public_key
 from wcsim.types import SeatSpec
 
 PER_S = 1000
@@ -58,7 +58,7 @@ def flood(endpoint: str, keys: Path, seed: int) -> None:
     """Say the worst; a connection is left when it is not heard any more."""
     rng = np.random.default_rng(seed)
     kinds = [shape for shape in shapes() if shape.request]
-    pair, server = client_keys(keys, "evil"), server_public(keys)
+    pair, server = read_client_keys(keys, "evil"), read_server_public_key(keys)
     with zmq.Context() as context:
         while True:
             with context.socket(zmq.DEALER) as socket:
@@ -75,7 +75,7 @@ def _say_some(socket: zmq.Socket[bytes], kinds: list[Any], rng: Rng) -> None:
     epoch, tick = integer(rng, 3), integer(rng, 100_000)
     for _ in range(round(PER_S * TURN_S)):
         wild = rng.random() < 0.05
-        data = hostile_request(kinds, rng, epoch, tick) if wild else m.encode(_readable(rng, epoch, tick))
+        data = hostile_request(kinds, rng, epoch, tick) if wild else m.encode_message(_readable(rng, epoch, tick))
         try:
             socket.send(data, zmq.NOBLOCK)
         except zmq.Again:
@@ -142,7 +142,7 @@ def _phase(what: str, words: list[str], phase_s: float) -> Generator[Phase, None
 def honest_client(order: SeatRequest, folder: Path) -> subprocess.Popen[bytes]:
     """A client without a learner, in a process of its own, with a ledger and a list of what it saw when."""
     file = folder / f"{order.name}.json"
-    file.write_bytes(to_line(order))
+    file.write_bytes(encode_json_line(order))
     sights = str(folder / f"{order.name}.sights")
     words = [sys.executable, "-m", "benchmarks.soak.stub_client", str(file), "--sights", sights]
     return subprocess.Popen(words, stdin=subprocess.DEVNULL)

@@ -14,14 +14,14 @@ from tests.attack.peers.wire import each_field, shapes, spoilt
 from tests.attack.scenarios.twists import Rng, draws, integer, pick
 from tests.server.protocol.desk import join_of
 from tests.support.worlds import quick_config
-from wcsim.server.host.opening import OpenedServer
+from wcsim.server.host.opening import ServerParts
 from wcsim.server.host.process import _ProcessWatch, _ServerLoop
-from wcsim.server.host.status import Reporter
+from wcsim.server.host.status import StatusPipeWriter
 from wcsim.server.protocol import messages as m
-from wcsim.server.protocol.events import Rules
+from wcsim.server.protocol.events import ServerRules
 from wcsim.server.protocol.members import REMEMBERED
 from wcsim.server.protocol.server_core import ServerCore
-from wcsim.server.specs import WorldOrder, WorldSpec
+from wcsim.server.specs import WorldBuildSpec, WorldProcessSpec
 from wcsim.server.transport.sockets import LOCAL, REMOTE, IncomingMessage, PeerLimits
 from wcsim.types import SeatSpec
 
@@ -51,8 +51,10 @@ def read_case(name: str, request: bool, data: bytes) -> Case:
 
     def feed() -> bool:
         message = decode(data)
-        again = decode(m.encode(message))
-        return _same(again, message) and all(_sane(leaf) for leaf in _leaves(msgspec.msgpack.decode(m.encode(message))))
+        again = decode(m.encode_message(message))
+        return _same(again, message) and all(
+            _sane(leaf) for leaf in _leaves(msgspec.msgpack.decode(m.encode_message(message)))
+        )
 
     return Case(area="messages", name=name, feed=feed)
 
@@ -63,17 +65,17 @@ class Besieged:
     def __init__(self, work: Path, capacity: int = 3) -> None:
         work.mkdir(parents=True, exist_ok=True)
         config = quick_config()
-        rules = Rules(capacity=capacity, lease_s=1e9, notice_s=1e9)
-        order = WorldSpec(town="x", config=config, seed=1, rules=rules, endpoint="", ring=str(work))
-        world = FakeWorld(WorldOrder(town="x", config=config, seed=1), (None,) * capacity, 1)
+        rules = ServerRules(capacity=capacity, lease_s=1e9, notice_s=1e9)
+        order = WorldProcessSpec(town="x", config=config, seed=1, rules=rules, endpoint="", ring=str(work))
+        world = FakeWorld(WorldBuildSpec(town="x", config=config, seed=1), (None,) * capacity, 1)
         self.core = ServerCore(rules)
         self.doors = _Doors()
         self._lifelines = _ProcessWatch()
-        opened = OpenedServer(world=world, core=self.core, journal=None)
-        self.loop = _ServerLoop(order, opened, self.doors, self._lifelines, Reporter(-1))  # type: ignore[arg-type]
+        opened = ServerParts(world=world, core=self.core, journal=None)
+        self.loop = _ServerLoop(order, opened, self.doors, self._lifelines, StatusPipeWriter(-1))  # type: ignore[arg-type]
         self.world = world
         self._said = 0
-        self.say(HONEST, m.encode(_honest_join()))
+        self.say(HONEST, m.encode_message(_honest_join()))
 
     def say(self, peer: bytes, data: bytes, key: str | None = None) -> None:
         """A message comes in, and is dealt with."""
@@ -103,14 +105,14 @@ class Besieged:
         """Seats that the attacker got are given back, as when its lease is over."""
         for entry in [*self.core.roster.members, *self.core.roster.pending]:
             if entry.session != SESSION:
-                self.say(entry.peer, m.encode(m.Leave(entry.session)))
+                self.say(entry.peer, m.encode_message(m.Leave(entry.session)))
 
     def _honest_step(self) -> bool:
         mine = self.core.roster.member(SESSION)
         if mine is None or [entry.seat for entry in self.core.roster.members] != [0]:
             return False
         before = self.world.snapshot.tick
-        self.say(HONEST, m.encode(m.Act(SESSION, self.core.epoch, self.core.tick, mine.life, 0.5, 0.5)))
+        self.say(HONEST, m.encode_message(m.Act(SESSION, self.core.epoch, self.core.tick, mine.life, 0.5, 0.5)))
         return self.world.snapshot.tick == before + 1 == self.core.tick
 
     def _bounded(self) -> bool:
@@ -142,7 +144,7 @@ def hostile_request(kinds: list[Any], rng: Rng, epoch: int, tick: int) -> bytes:
         join = msgspec.structs.replace(_honest_join(), session=rng.bytes(16), claim=rng.bytes(4), seat=m.ANY_SEAT)
         spec = SeatSpec(profile=profile, max_steps=steps)
         seat = pick(rng, (m.ANY_SEAT, 0, 1, 2, 3, -2, 99))
-        return m.encode(msgspec.structs.replace(join, spec=spec, seat=seat, pid=integer(rng, 1 << 22)))
+        return m.encode_message(msgspec.structs.replace(join, spec=spec, seat=seat, pid=integer(rng, 1 << 22)))
     session = pick(rng, (SESSION[:15], rng.bytes(16), rng.bytes(16)))
     epoch, tick = epoch + int(rng.integers(-1, 2)), tick + int(rng.integers(-2, 3))
     said: tuple[m.Request, ...] = (
@@ -153,7 +155,7 @@ def hostile_request(kinds: list[Any], rng: Rng, epoch: int, tick: int) -> bytes:
         m.Leave(session),
         m.Leave(rng.bytes(integer(rng, 8000))),
     )
-    return m.encode(pick(rng, said))
+    return m.encode_message(pick(rng, said))
 
 
 def _honest_join() -> m.Join:
@@ -186,7 +188,7 @@ class _Doors:
 
 
 def _same(one: Any, other: Any) -> bool:
-    return type(one) is type(other) and m.encode(one) == m.encode(other)
+    return type(one) is type(other) and m.encode_message(one) == m.encode_message(other)
 
 
 def _leaves(value: Any) -> Iterator[Any]:

@@ -12,14 +12,14 @@ import zmq
 from tests.server.protocol.desk import join_of
 from tests.server.servers import stand_in_order
 from wcsim.server.protocol import messages as m
-from wcsim.server.specs import WorldSpec
-from wcsim.server.transport.keys import client_keys, server_public
+from wcsim.server.specs import WorldProcessSpec
+from wcsim.server.transport.keys import read_client_keys, read_server_public_key
 from wcsim.types import SeatSpec
 
 ANSWER_MS = 30_000
 
 
-def real_order(town: Path, folder: Path, **changes: object) -> WorldSpec:
+def real_order(town: Path, folder: Path, **changes: object) -> WorldProcessSpec:
     """A world process with a real world in it, whose network door is on loopback."""
     order = stand_in_order(folder, **{"seats": 4, "listen": "tcp://127.0.0.1:*", **changes})
     return replace(order, town=str(town))
@@ -40,8 +40,8 @@ class Attacker:
         self._socket.setsockopt(zmq.LINGER, 0)
         self._socket.setsockopt(zmq.RCVTIMEO, ANSWER_MS)
         if keys is not None:
-            pair = client_keys(keys, name)
-            self._socket.curve_serverkey = server_public(keys)
+            pair = read_client_keys(keys, name)
+            self._socket.curve_serverkey = read_server_public_key(keys)
             self._socket.curve_publickey, self._socket.curve_secretkey = pair.public, pair.secret
         self._socket.connect(endpoint)
 
@@ -52,7 +52,7 @@ class Attacker:
 
     def shout(self, message: m.Request | bytes) -> None:
         """Say it."""
-        self._socket.send(message if isinstance(message, bytes) else m.encode(message))
+        self._socket.send(message if isinstance(message, bytes) else m.encode_message(message))
 
     def hear(self) -> Sequence[m.Reply]:
         """The next that is said."""

@@ -11,10 +11,10 @@ import pytest
 
 from tests.attack.peers import hostile
 from tests.server.servers import Server, stand_in_order
-from wcsim.log.reader import iter_inputs
+from wcsim.log.reader import iter_journal_inputs
 from wcsim.log.writer import JOURNAL
-from wcsim.server.ledger import audit, iter_ledger
-from wcsim.server.protocol.events import Rules
+from wcsim.server.ledger import audit_ledgers, iter_ledger_frames
+from wcsim.server.protocol.events import ServerRules
 from wcsim.server.transport.keys import make_keys
 
 NAMES = ("a", "b", "c", "d")
@@ -26,7 +26,7 @@ def besieged(
     """Let four clients drive a world through phases of its address and keys: what they lost, and the phases."""
     keys = folder / "keys"
     make_keys(keys, ("evil",))
-    rules = Rules(capacity=4, expected=4, gather_s=120.0, lease_s=60.0, notice_s=1.0)
+    rules = ServerRules(capacity=4, expected=4, gather_s=120.0, lease_s=60.0, notice_s=1.0)
     listen = {"listen": "tcp://127.0.0.1:*", "keys": str(keys), "run": str(folder / "run")}
     order = stand_in_order(folder, rules=rules, **listen)
     if town:
@@ -44,8 +44,8 @@ def besieged(
             hostile.end(client)
         server.process.terminate()
         server.wait()
-    ledgers = [(seat, iter_ledger(folder / f"{name}.ledger")) for seat, name in enumerate(NAMES)]
-    found, _ = audit(iter_inputs(folder / "run" / JOURNAL), ledgers)
+    ledgers = [(seat, iter_ledger_frames(folder / f"{name}.ledger")) for seat, name in enumerate(NAMES)]
+    found, _ = audit_ledgers(iter_journal_inputs(folder / "run" / JOURNAL), ledgers)
     lost = found.lost + found.doubled + found.phantom
     return {"members": len(members), "ticks": found.ticks, "lost": lost, "grown_mb": after_mb - before_mb}, told
 

@@ -47,6 +47,6 @@ def test_the_siege_sees_a_server_that_lets_an_honest_client_go(tmp_path: Path) -
     siege = Besieged(tmp_path)
     assert siege.attack(b"")
     siege.core.roster.members[0].action = None
-    siege.say(b"Lhonest", m.encode(m.Leave(b"h" * 16)))
+    siege.say(b"Lhonest", m.encode_message(m.Leave(b"h" * 16)))
     assert not siege.attack(b"")
     siege.close()

@@ -16,10 +16,10 @@ from tests.server.servers import AHEAD, Server, stand_in_order
 from tests.support.samples import write_recording
 from wcsim.server.links.socket import SocketSeat
 from wcsim.server.protocol import messages as m
-from wcsim.server.protocol.events import Rules
+from wcsim.server.protocol.events import ServerRules
 from wcsim.server.transport.keys import make_keys
 from wcsim.types import ClientSnapshot, Joystick, SeatSpec, StartSpec
-from wcsim.users.profiles import user_files
+from wcsim.users.profiles import filter_user_file_names
 
 AHEAD_A_LITTLE = Joystick(0.0, 0.05)  # within the dead band: the street stays the same
 NAN, INF = math.nan, math.inf
@@ -77,7 +77,7 @@ def test_a_recording_that_the_world_was_started_with_is_replayed(corner: Path, t
     file = tmp_path / "hand.csv"
     write_recording(file, np.arange(0.0, 5.0, 0.1), np.full((50, 2), [0.0, 0.7]))
     profile = f"recorded:{file}"
-    rules = Rules(capacity=1, expected=1, recordings=user_files(["competent", profile]))
+    rules = ServerRules(capacity=1, expected=1, recordings=filter_user_file_names(["competent", profile]))
     with Server(real_order(corner, tmp_path, rules=rules), tmp_path) as server:
         network = server.status().listening
         with SocketSeat(server.seat("own", endpoint=network, spec=SeatSpec(profile=profile))) as seat:
@@ -140,7 +140,7 @@ def test_a_connection_has_one_seat(town: Town) -> None:
 
 
 def test_nobody_waits_for_a_client_that_is_not_heard_any_more(tmp_path: Path) -> None:
-    rules = Rules(capacity=2, expected=2, gather_s=60.0, lease_s=1e6, notice_s=60.0)
+    rules = ServerRules(capacity=2, expected=2, gather_s=60.0, lease_s=1e6, notice_s=60.0)
     with Server(stand_in_order(tmp_path, rules=rules), tmp_path) as server, ThreadPoolExecutor() as pool:
         server.status()
         with SocketSeat(server.seat("honest")) as honest, Attacker(server.order.endpoint) as peer:
@@ -154,7 +154,7 @@ def test_nobody_waits_for_a_client_that_is_not_heard_any_more(tmp_path: Path) ->
 
 
 def test_an_empty_claim_takes_no_seat_of_another_empty_claim(tmp_path: Path) -> None:
-    rules = Rules(capacity=2, expected=2, gather_s=60.0, notice_s=60.0)
+    rules = ServerRules(capacity=2, expected=2, gather_s=60.0, notice_s=60.0)
     order = stand_in_order(tmp_path, rules=rules)
     with Server(order, tmp_path) as server, Attacker(order.endpoint) as one, Attacker(order.endpoint) as other:
         server.status()
@@ -168,7 +168,7 @@ def test_an_empty_claim_takes_no_seat_of_another_empty_claim(tmp_path: Path) -> 
 def test_a_client_is_known_by_the_name_of_its_key_and_a_key_can_be_taken_back(tmp_path: Path) -> None:
     keys = tmp_path / "keys"
     make_keys(keys, ("ann", "ben"))
-    rules = Rules(capacity=4, expected=3, gather_s=60.0, notice_s=60.0)
+    rules = ServerRules(capacity=4, expected=3, gather_s=60.0, notice_s=60.0)
     order = stand_in_order(tmp_path, rules=rules, listen="tcp://127.0.0.1:*", keys=str(keys))
     with Server(order, tmp_path) as server:
         network = server.status().listening
@@ -191,7 +191,7 @@ def test_a_client_is_known_by_the_name_of_its_key_and_a_key_can_be_taken_back(tm
 
 
 def test_what_strangers_say_does_not_grow_the_world(tmp_path: Path) -> None:
-    order = stand_in_order(tmp_path, rules=Rules(capacity=1, expected=1, notice_s=60.0))
+    order = stand_in_order(tmp_path, rules=ServerRules(capacity=1, expected=1, notice_s=60.0))
     with Server(order, tmp_path) as server, SocketSeat(server.seat("honest")) as honest:
         server.status()
         seen = honest.join()

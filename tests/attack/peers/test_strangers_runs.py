@@ -7,19 +7,19 @@ import pytest
 
 from tests.attack.peers.peers import Attacker, a_join, refusal
 from tests.server.servers import AHEAD, Server, stand_in_order
-from wcsim.agents.clients.client import learn
+from wcsim.agents.clients.client import train_client
 from wcsim.agents.runs import transfer
-from wcsim.agents.runs.run_folder import MANIFEST, create_run, make_manifest, open_run, read_json
+from wcsim.agents.runs.run_folder import MANIFEST, create_run_folder, make_run_manifest, open_run, read_run_json
 from wcsim.bridge.replay.replayed import verify
 from wcsim.cli.main import _printable, main
-from wcsim.core.files import locked, write_json
+from wcsim.core.files import lock_run_folder, write_json
 from wcsim.core.plugins import find_class
 from wcsim.errors import ConfigError, PolicyError, WcsimError
-from wcsim.log.records import Header, changed, header_bytes, header_of
+from wcsim.log.records import Header, changed, header_from_bytes, header_to_bytes
 from wcsim.server.links.socket import SocketSeat
 from wcsim.server.protocol import messages as m
-from wcsim.server.protocol.events import Rules
-from wcsim.server.specs import ClientSpec, RunInfo, SeatRequest
+from wcsim.server.protocol.events import ServerRules
+from wcsim.server.specs import ClientProcessSpec, RunInfo, SeatRequest
 from wcsim.server.transport.keys import make_keys
 from wcsim.towns.scenario.town import Town, streets_hash
 
@@ -49,18 +49,18 @@ def test_a_journals_hook_is_named_on_the_command_line_or_not_loaded(tmp_path: Pa
 
 def test_own_classes_of_a_run_made_elsewhere_are_named_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "mine"))
-    classes = transfer.own_classes("a:Hook", ("b:Reward",), ("patch", "c:Net"))
+    classes = transfer.custom_class_names("a:Hook", ("b:Reward",), ("patch", "c:Net"))
     assert classes == ("a:Hook", "b:Reward", "c:Net")
-    mark = transfer.mark_of(classes)
-    transfer.require_own(tmp_path, classes, mark, ())
-    transfer.require_own(tmp_path, (), "", ())
+    mark = transfer.sign_custom_classes(classes)
+    transfer.require_trusted_classes(tmp_path, classes, mark, ())
+    transfer.require_trusted_classes(tmp_path, (), "", ())
     with pytest.raises(PolicyError, match=r"b:Reward"):
-        transfer.require_own(tmp_path, (*classes, "d:More"), mark, ("a:Hook", "c:Net", "d:More"))
+        transfer.require_trusted_classes(tmp_path, (*classes, "d:More"), mark, ("a:Hook", "c:Net", "d:More"))
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "theirs"))
     for theirs in (mark, "", "0" * 64):
         with pytest.raises(PolicyError, match="made elsewhere"):
-            transfer.require_own(tmp_path, classes, theirs, ())
-    transfer.require_own(tmp_path, classes, mark, classes)
+            transfer.require_trusted_classes(tmp_path, classes, theirs, ())
+    transfer.require_trusted_classes(tmp_path, classes, mark, classes)
 
 
 def test_resume_refuses_a_folder_that_names_code(
@@ -68,7 +68,7 @@ def test_resume_refuses_a_folder_that_names_code(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "evil.py").write_text("raise SystemExit('it ran')\n", encoding="utf-8")
-    manifest = read_json(a_small_run, MANIFEST)
+    manifest = read_run_json(a_small_run, MANIFEST)
     for changes in ({"hook": "evil:H"}, {"rewards": ["evil:H"]}):
         write_json(a_small_run / MANIFEST, {**manifest, **changes})
         assert main(["resume", str(a_small_run), "--steps", "40"]) == 2
@@ -76,7 +76,7 @@ def test_resume_refuses_a_folder_that_names_code(
 
 
 def test_a_run_in_use_keeps_its_steps(a_small_run: Path) -> None:
-    with locked(a_small_run):
+    with lock_run_folder(a_small_run):
         assert main(["resume", str(a_small_run), "--steps", "40"]) == 2
     assert open_run(a_small_run).config.learn.total_steps == 30
 
@@ -84,14 +84,14 @@ def test_a_run_in_use_keeps_its_steps(a_small_run: Path) -> None:
 @pytest.fixture
 def a_small_run(tmp_path: Path, corner: Path, corner_town: Town) -> Path:
     """A run folder as `wcsim train` leaves it, but for its policies."""
-    from wcsim.cli.shared.run_config import learning
+    from wcsim.cli.shared.run_config import learner_fixed_settings
     from wcsim.config import resolve
 
     config = resolve("dqn", ("learn.total_steps=30", "learn.network=patch"))
-    config = resolve(config, learning(config))
+    config = resolve(config, learner_fixed_settings(config))
     words = ("wcsim", "train", "--town", str(corner))
     info = RunInfo(seed=1, town=corner_town.name, town_sha256=streets_hash(corner_town), command=words)
-    return create_run(tmp_path / "run", config, make_manifest(config, info)).path
+    return create_run_folder(tmp_path / "run", config, make_run_manifest(config, info)).path
 
 
 @pytest.mark.parametrize("hard", [False, True])
@@ -102,13 +102,13 @@ def test_a_folder_with_a_link_is_not_written_to(tmp_path: Path, hard: bool) -> N
     inside.parent.mkdir(parents=True)
     (tmp_path / "run" / "shared").touch()
     (inside.parent / "shared").hardlink_to(tmp_path / "run" / "shared")
-    with locked(tmp_path / "run"):  # two names in the folder for one file, as checkpoints have
+    with lock_run_folder(tmp_path / "run"):  # two names in the folder for one file, as checkpoints have
         pass
     if hard:
         inside.hardlink_to(precious)
     else:
         inside.symlink_to(precious)
-    with pytest.raises(PolicyError, match="is a link"), locked(tmp_path / "run"):
+    with pytest.raises(PolicyError, match="is a link"), lock_run_folder(tmp_path / "run"):
         pass
 
 
@@ -118,26 +118,26 @@ def test_a_clients_folder_with_work_and_no_manifest_is_kept(tmp_path: Path) -> N
     kept = tmp_path / "patch" / "checkpoints" / "step-00000100"
     kept.mkdir(parents=True)
     join = SeatRequest(endpoint="ipc:///nowhere/x", name="patch", claim="c")
-    order = ClientSpec(
+    order = ClientProcessSpec(
         config=quick_config(),
         out=str(tmp_path / "patch"),
         info=RunInfo(seed=1, town="helsinki"),
         join=join,
     )
     with pytest.raises(PolicyError, match="holds data"):
-        learn(order, resume=True)
+        train_client(order, resume=True)
     assert kept.is_dir()
 
 
 @pytest.mark.parametrize("changes", [{"seats": 10**9}, {"seats": 0}, {"tick_s": 1e-300}, {"seed": -1}])
 def test_a_journals_header_asks_for_no_boundless_world(changes: dict[str, float]) -> None:
-    assert header_of(header_bytes(HEADER)) == HEADER
+    assert header_from_bytes(header_to_bytes(HEADER)) == HEADER
     with pytest.raises(WcsimError, match="expected"):
-        header_of(header_bytes(changed(HEADER, **changes)))  # type: ignore[arg-type]
+        header_from_bytes(header_to_bytes(changed(HEADER, **changes)))  # type: ignore[arg-type]
 
 
 def test_a_seat_asked_for_by_number_is_not_an_empty_claims(tmp_path: Path) -> None:
-    rules = Rules(capacity=2, expected=1, notice_s=60.0)
+    rules = ServerRules(capacity=2, expected=1, notice_s=60.0)
     with Server(stand_in_order(tmp_path, rules=rules), tmp_path) as server:
         server.status()
         with Attacker(server.order.endpoint) as one, Attacker(server.order.endpoint) as other:
@@ -148,7 +148,7 @@ def test_a_seat_asked_for_by_number_is_not_an_empty_claims(tmp_path: Path) -> No
 def test_a_key_that_was_taken_back_is_not_heard_through_an_old_connection(tmp_path: Path) -> None:
     keys = tmp_path / "keys"
     make_keys(keys, ("ann", "ben"))
-    rules = Rules(capacity=2, expected=1, notice_s=60.0)
+    rules = ServerRules(capacity=2, expected=1, notice_s=60.0)
     with Server(stand_in_order(tmp_path, rules=rules, listen="tcp://127.0.0.1:*", keys=str(keys)), tmp_path) as server:
         network = server.status().listening
         with SocketSeat(server.seat("honest")) as honest, Attacker(network, keys, "ben") as ben:
@@ -171,5 +171,5 @@ def test_what_a_terminal_obeys_is_not_printed() -> None:
 
 def test_a_pipe_is_no_entry_of_a_folder_to_follow(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
-    with locked(tmp_path):
+    with lock_run_folder(tmp_path):
         pass

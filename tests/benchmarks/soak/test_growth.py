@@ -12,7 +12,7 @@ import pytest
 from benchmarks.soak.growth import RUN_H, WARM_S, WORLD, GrowthLog, Slope, fitted, long_run, predicted_s
 from benchmarks.soak.learners import settled_step
 from wcsim.config import LearnConfig
-from wcsim.server.launch.states import ClientState, LaunchState
+from wcsim.server.launch.states import ClientProcessState, LaunchProcessStates
 
 
 def life(begin_s, level, per_h, noise=0.0, seed=0, count=400):
@@ -59,13 +59,13 @@ def test_errors_of_processes_that_grow_apart_are_added_as_variances():
 
 def test_what_fills_up_before_a_run_has_settled_is_no_growth(tmp_path):
     log = GrowthLog(tmp_path, warm_s=0.0)
-    state = LaunchState(
+    state = LaunchProcessStates(
         elapsed_s=0.0,
         world_standing="running",
         world_pid=os.getpid(),
         world_restarts=0,
         world=None,
-        clients=(ClientState(name="a", seat=0, standing="running", pid=os.getpid()),),
+        clients=(ClientProcessState(name="a", seat=0, standing="running", pid=os.getpid()),),
     )
     for now in range(20):
         (tmp_path / "replay").write_bytes(bytes(1000 * min(now, 10)))
@@ -81,8 +81,8 @@ def test_a_process_that_was_killed_and_is_not_yet_waited_for_is_no_sample(tmp_pa
     log = GrowthLog(tmp_path, warm_s=0.0)
     child = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE)
     try:
-        client = ClientState(name="a", seat=0, standing="running", pid=child.pid)
-        shown = LaunchState(
+        client = ClientProcessState(name="a", seat=0, standing="running", pid=child.pid)
+        shown = LaunchProcessStates(
             elapsed_s=0.0, world_standing="running", world_pid=0, world_restarts=0, world=None, clients=(client,)
         )
         log.look(shown, 0.0)

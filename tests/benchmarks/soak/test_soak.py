@@ -25,8 +25,8 @@ from benchmarks.soak.soak import (
 )
 from benchmarks.soak.stub_client import StubSight
 from tests.support.worlds import quick_config
-from wcsim.server.launch.states import ClientState, LaunchOutcome, LaunchState, WorldStatus
-from wcsim.server.ledger import Audit
+from wcsim.server.launch.states import ClientProcessState, LaunchProcessStates, LaunchResult, WorldStatusReport
+from wcsim.server.ledger import LedgerAuditResult
 
 A_KILLED = Fault(time_s=10.0, what="kill", who="a", others=("b",))
 
@@ -68,15 +68,17 @@ def test_every_pair_that_shares_a_moment_is_found(lengths):
     assert overlapping(spans) == each
 
 
-def state(tick: int, epoch: int = 0) -> LaunchState:
+def state(tick: int, epoch: int = 0) -> LaunchProcessStates:
     names = ("a", "b", "c")
-    return LaunchState(
+    return LaunchProcessStates(
         elapsed_s=1.0,
         world_standing="running",
         world_pid=1,
         world_restarts=0,
-        world=WorldStatus(stage="collect", epoch=epoch, tick=tick, ticks=tick, members=names, master="a"),
-        clients=tuple(ClientState(name=name, seat=i, standing="running", pid=i + 2) for i, name in enumerate(names)),
+        world=WorldStatusReport(stage="collect", epoch=epoch, tick=tick, ticks=tick, members=names, master="a"),
+        clients=tuple(
+            ClientProcessState(name=name, seat=i, standing="running", pid=i + 2) for i, name in enumerate(names)
+        ),
     )
 
 
@@ -126,7 +128,7 @@ def test_a_recovery_is_slow_by_the_lease_that_was_asked_for(tmp_path, lease_s, s
     times = RecoveryTimes(client_s=(lease_s, 40.0), world_s=(12.0,), overlap_s=(), rejoin_s=())
     faults = tuple(Fault(time_s=1.0, what="kill", who=who, others=("c",)) for who in ("a", "b", "world"))
     facts = SoakFacts(
-        audit=Audit(ticks=100, lost=0, doubled=0, phantom=0),
+        audit=LedgerAuditResult(ticks=100, lost=0, doubled=0, phantom=0),
         faults=faults,
         times=times,
         bars=recovery_bars(order),
@@ -135,7 +137,7 @@ def test_a_recovery_is_slow_by_the_lease_that_was_asked_for(tmp_path, lease_s, s
         memory={},
         disk=Slope(),
         bounds=LongRun(memory_gb=1.0, disk_gb=1.0, recovery_s=1.0),
-        outcome=LaunchOutcome(code=0, message="", stopped=True, clients=()),
+        outcome=LaunchResult(code=0, message="", stopped=True, clients=()),
     )
     assert faults_of(facts) == slow
 

@@ -24,7 +24,7 @@ from wcsim.errors import ConfigError
 from wcsim.towns.scenario.town import Town, find_town
 from wcsim.types import SeatSpec
 from wcsim.users.profiles import profile_names
-from wcsim.users.recordings.recorded_user import find_user, read_recording
+from wcsim.users.recordings.recorded_user import find_user, read_stick_recording
 
 TOWNS = ("helsinki", "monaco", "manhattan")
 # How far a mean over 20 routes may lie from the mean of the parameters that were drawn: absolute, then relative.
@@ -91,7 +91,7 @@ def test_a_recorded_joystick_drives_a_chair_as_it_did(corner: Path, tmp_path: Pa
             sticks.append(world.seats[0].user.joystick)
     file = tmp_path / "stick.csv"
     write_recording(file, 0.1 * np.arange(len(sticks)), np.array([(j.x, j.y) for j in sticks]))
-    assert len(read_recording(file).time_s) == 31
+    assert len(read_stick_recording(file).time_s) == 31
     with open_world(corner, seed=2, spec=SeatSpec(profile=f"recorded:{file}")) as world:
         replayed, gave_up = [world.seats[0].user.joystick], []
         for _ in range(35):

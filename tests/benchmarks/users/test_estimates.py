@@ -14,9 +14,9 @@ from tests.users.actors import actor, make_user
 from tests.users.kinematics import Chair, Sim, polyline
 from wcsim.core.seeding import generator
 from wcsim.types import ActorKind, Joystick
-from wcsim.users.hand import Hand
-from wcsim.users.profiles import profile
-from wcsim.users.recordings.hand_series import correction_s
+from wcsim.users.hand import StickHandModel
+from wcsim.users.profiles import find_builtin_profile
+from wcsim.users.recordings.hand_series import mean_correction_interval_s
 
 DT_S, STEPS, TICK_S = 0.1 / 24, 24, 0.1
 STREET = strip_street()
@@ -31,7 +31,7 @@ def wishes(seconds: float, seed: int = 2) -> np.ndarray:
 
 def log_of(user, seconds=40.0, seed=1, stretch=1.0) -> HandLog:
     """A hand that is given wishes; with `stretch` its clock runs wrong."""
-    hand, sticks, wanted = Hand(user, generator(seed, "hand")), [], wishes(seconds)
+    hand, sticks, wanted = StickHandModel(user, generator(seed, "hand")), [], wishes(seconds)
     for x, y in wanted:
         hand.send_intent(Joystick(x, y))
         sticks.append(hand.move(STEPS, stretch * DT_S))
@@ -54,7 +54,7 @@ def test_a_sine_is_found_with_frequency_and_amplitude():
 
 @pytest.mark.parametrize("name", ["competent", "slow", "tremor", "ataxic"])
 def test_a_hand_shows_its_parameters(name):
-    user = profile(name)
+    user = find_builtin_profile(name)
     rows = statistics([route(user, log_of(user, seed=seed)) for seed in (1, 2)])
     off = {key: abs(row.measured - row.parameter) for key, row in rows.items()}
     assert off["reaction_s"] < 0.02 and off["lag_s"] < 0.045
@@ -78,7 +78,7 @@ def test_a_hand_shows_its_parameters(name):
     ],
 )
 def test_a_hand_that_is_not_its_profile_is_noticed(name, fault, row):
-    user = profile(name)
+    user = find_builtin_profile(name)
     got = statistics([route(user, log_of(replace(user, **fault)))])[row]
     assert abs(got.measured - got.parameter) > 0.25 * abs(got.parameter) - 0.01 or row == "tremor_hz"
     if row == "tremor_hz":
@@ -86,7 +86,7 @@ def test_a_hand_that_is_not_its_profile_is_noticed(name, fault, row):
 
 
 def test_a_hand_whose_clock_runs_wrong_is_noticed():
-    log = log_of(profile("tremor"), stretch=1.25)
+    log = log_of(find_builtin_profile("tremor"), stretch=1.25)
     assert tremor(log).hz == pytest.approx(1.25 * 4.5, abs=0.2)
     assert fit_hand(log, 0.2).delay_s == pytest.approx(0.35 / 1.25, abs=0.03)
 
@@ -104,8 +104,8 @@ def test_pauses_are_where_an_intent_stands_still_but_not_rest_backing_up_or_turn
 def test_corrections_are_counted_without_the_rests_between_them():
     steps = np.repeat(np.random.default_rng(0).normal(0.0, 0.3, (30, 2)), 4, axis=0)
     steps[40:80] = 0.0
-    assert correction_s(steps, TICK_S) == pytest.approx(0.4)
-    assert correction_s(np.zeros((30, 2)), TICK_S) is None
+    assert mean_correction_interval_s(steps, TICK_S) == pytest.approx(0.4)
+    assert mean_correction_interval_s(np.zeros((30, 2)), TICK_S) is None
 
 
 def test_how_long_switches_are_held():

@@ -15,7 +15,7 @@ from benchmarks.users.table import RouteLog, statistics
 from tests.benchmarks.users.test_drives import off
 from tests.users.actors import make_user
 from tests.users.kinematics import SUBSTEPS, TICK_S, Chair, Sim, polyline
-from wcsim.users.profiles import profile
+from wcsim.users.profiles import find_builtin_profile
 
 ZIGZAG = polyline(*((8.0 * k, 5.0 * (k % 2)) for k in range(12)))
 STRAIGHT = polyline((0.0, 0.0), (90.0, 0.0))
@@ -33,7 +33,9 @@ def driven(name: str, seed: int, straight: bool = False, **fault) -> RouteLog:
         sticks.append(sim.user.sticks)
     hand = HandLog(dt_s=TICK_S / SUBSTEPS, intents=np.array(intents), sticks=np.array(sticks))
     speed = np.array(sim.track.speed)
-    return RouteLog(profile=profile(name), tick_s=TICK_S, hand=hand, speed_mps=speed, v_max_mps=1.67, met=0, noticed=0)
+    return RouteLog(
+        profile=find_builtin_profile(name), tick_s=TICK_S, hand=hand, speed_mps=speed, v_max_mps=1.67, met=0, noticed=0
+    )
 
 
 def wrong(name: str, names: set[str], straight: bool = False, **fault) -> set[str]:

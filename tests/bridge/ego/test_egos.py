@@ -15,8 +15,8 @@ from wcsim.errors import ConfigError, ProtocolError
 from wcsim.physics.buffers import SeatBuffers, new_images
 from wcsim.towns.scenario.town import find_town
 from wcsim.types import ClientSnapshot, Command, Joystick, SeatSpec
-from wcsim.users.perception import Perception
-from wcsim.users.profiles import PROFILE_LIMITS, profile
+from wcsim.users.perception import UserPerception
+from wcsim.users.profiles import PROFILE_LIMITS, find_builtin_profile
 from wcsim.users.user import SimulatedUser
 
 SPEC = SeatSpec(profile="competent")
@@ -183,7 +183,7 @@ def test_a_user_knows_of_a_car_three_seconds_away(world):
     x, y, _ = world.seats[0].plant.p_WB_m.tolist()
     coming = car(x=x - 41.0, y=y, speed=13.9)
     view = world.seats[0].view(0.0, (coming,), ())
-    assert Perception(profile("competent"), generator(0)).update(view).vehicles == (coming,)
+    assert UserPerception(find_builtin_profile("competent"), generator(0)).update(view).vehicles == (coming,)
 
 
 def test_a_chair_keeps_for_a_second_of_its_worlds_ticks_who_came_into_whom(corner):

@@ -11,7 +11,7 @@ from wcsim.bridge.ego.randomization import Randomization, _draw
 from wcsim.bridge.world import World
 from wcsim.config import VaryConfig, resolve
 from wcsim.errors import ConfigError
-from wcsim.server.protocol.messages import Frame, decode_reply, encode
+from wcsim.server.protocol.messages import Frame, decode_reply, encode_message
 from wcsim.types import Command, Joystick
 
 EVERYTHING = VaryConfig(
@@ -98,7 +98,7 @@ def test_what_was_drawn_reaches_the_client_through_an_environment_and_a_message(
         drawn = info["drawn"]
         assert drawn == _draw(config.vary, 1, 4, 0, 0)
         assert env.step(0)[-1]["drawn"] == drawn
-        reply = decode_reply(encode(Frame(epoch=0, tick=1, life=0, client=env._chair.now)))
+        reply = decode_reply(encode_message(Frame(epoch=0, tick=1, life=0, client=env._chair.now)))
         assert isinstance(reply, Frame) and reply.client.drawn == drawn
     finally:
         env.close()

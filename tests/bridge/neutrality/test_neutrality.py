@@ -31,7 +31,14 @@ def by_wcsim(town: Town, seconds: float, folder: Path, look: bool = False, seed:
 def by_sumo(town: Town, seconds: float, folder: Path) -> dict[str, Path]:
     """The author's own file under plain sumo, with the options that the table of overrides names."""
     folder.mkdir()
-    options = ["-c", str(town.sumocfg.resolve()), "--step-length", "0.1", "--seed", str(seeding.derive(SEED, "sumo"))]
+    options = [
+        "-c",
+        str(town.sumocfg.resolve()),
+        "--step-length",
+        "0.1",
+        "--seed",
+        str(seeding.derive_seed(SEED, "sumo")),
+    ]
     options += ["--end", str(seconds), "--no-step-log", "--no-warnings", "--xml-validation", "never"]
     options += ["--xml-validation.net", "never", "--xml-validation.routes", "never", "--log", str(folder / "log")]
     for output in (*OUTPUTS, "stop"):

@@ -143,7 +143,7 @@ def _inside(via: str, lanes: dict[str, Lane], following: dict[str, str]) -> list
 
 
 def _turn_rad(way: Way) -> float:
-    return frames.wrap(_heading(way[-1].points_m[:2]) - _heading(way[0].points_m[-2:]))
+    return frames.wrap_angle(_heading(way[-1].points_m[:2]) - _heading(way[0].points_m[-2:]))
 
 
 def _heading(points: F64) -> float:

@@ -42,7 +42,7 @@ def tram(way_m: float, speed: float = 5.0, kind=ActorKind.TRAM, length_m: float 
     return replace(
         box,
         p_W_m=frames.centre_from_front(front, yaw, 0.0, length_m),
-        v_W_mps=speed * frames.forward(yaw, 0.0),
+        v_W_mps=speed * frames.forward_vector(yaw, 0.0),
     )
 
 

@@ -127,7 +127,7 @@ def test_its_body_drives_as_its_velocity_says_and_never_jumps():
         if before is not None and now.deflect_m:
             assert now.p_W_m == pytest.approx(before.p_W_m + TICK_S * now.v_W_mps, abs=0.03)
             assert math.dist(now.p_W_m, before.p_W_m) < 2.0 * 0.5
-            assert abs(frames.wrap(now.yaw_rad - before.yaw_rad)) < 0.25
+            assert abs(frames.wrap_angle(now.yaw_rad - before.yaw_rad)) < 0.25
         assert abs(now.deflect_m) <= MOST_M
         assert now is bare or now.deflect_m
         before, aside = now, [*aside, now.deflect_m]

@@ -20,29 +20,36 @@ from wcsim.bridge.world import World
 from wcsim.bridge.world_rollout import rollout
 from wcsim.core.seeding import generator
 from wcsim.errors import ConfigError, TownError
-from wcsim.log.drive import read_drive
-from wcsim.log.records import Admitted, DriveTick, Respawned, changed, tick_end_fields
+from wcsim.log.drive import read_drive_recording
+from wcsim.log.records import Admitted, DriveTick, Respawned, changed, end_fields_from_snapshot
 from wcsim.log.writer import LogWriter
 from wcsim.towns.scenario.town import Town, content_hash, find_town
 from wcsim.types import Joystick, SeatSpec
-from wcsim.users.profiles import _read_profile, profile, profile_json, profile_names, profile_toml, sample
+from wcsim.users.profiles import (
+    _read_profile,
+    find_builtin_profile,
+    profile_names,
+    profile_to_json,
+    profile_to_toml,
+    sample_profile,
+)
 from wcsim.users.recordings.recorded_user import find_user
 
 
 @pytest.fixture(scope="module")
 def driven(corner_town: Town, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("drives") / "a.drive"
-    user = drawn_user(profile("tremor"), 5)
+    user = drawn_user(find_builtin_profile("tremor"), 5)
     record_user(path, corner_town, quick_config(), user, ticks=60, seed=2)
     return path
 
 
 def test_a_drive_says_what_it_was_and_is_made_again_to_the_last_bit(corner_town, driven):
-    drive = read_drive(driven)
+    drive = read_drive_recording(driven)
     assert (drive.about.profile, drive.about.policy, len(drive.ticks)) == ("tremor", "follow", 60)
     assert drive.header.town_sha256 == content_hash(corner_town)
     (sat,) = (record for record in drive.records if isinstance(record, Admitted))
-    assert find_user(sat.spec.profile) == drawn_user(profile("tremor"), 5)
+    assert find_user(sat.spec.profile) == drawn_user(find_builtin_profile("tremor"), 5)
     assert drive.knows_intents
     assert all(tick.sticks.shape == (24, 2) for tick in drive.ticks)
     assert all(
@@ -59,18 +66,18 @@ def test_a_user_drawn_of_a_wide_profile_can_be_recorded(tmp_path, own):
     base = _read_profile(tmp_path / "me.toml")
     for seed in range(60):
         user = drawn_user(base, seed)
-        (tmp_path / "drawn.toml").write_text(profile_toml(user, {}))
-        assert _read_profile(tmp_path / "drawn.toml") == find_user(profile_json(user)) == user
+        (tmp_path / "drawn.toml").write_text(profile_to_toml(user, {}))
+        assert _read_profile(tmp_path / "drawn.toml") == find_user(profile_to_json(user)) == user
 
 
 def test_a_user_drawn_of_a_usual_profile_is_the_one_of_the_episodes():
     for name in profile_names():
-        drawn = sample(profile(name), generator(3, "drive", "user"))
-        assert drawn_user(profile(name), 3) == replace(drawn, spread=0.0)
+        drawn = sample_profile(find_builtin_profile(name), generator(3, "drive", "user"))
+        assert drawn_user(find_builtin_profile(name), 3) == replace(drawn, spread=0.0)
 
 
 def test_a_drive_that_is_not_what_it_says_is_noticed(driven):
-    drive = read_drive(driven)
+    drive = read_drive_recording(driven)
     wrong = changed(drive.ticks[20], commanded=Joystick(1.0, 0.0))
     found = verify(replace_ticks(drive, {20: wrong}))
     assert (found.ticks, found.first.tick) == (60, 21)
@@ -84,7 +91,7 @@ def test_a_drive_that_is_not_what_it_says_is_noticed(driven):
 
 
 def test_a_drive_is_replayed_as_a_user_in_its_own_town(corner, driven):
-    drive = read_drive(driven)
+    drive = read_drive_recording(driven)
     with open_world(corner, seed=2, spec=SeatSpec(profile=f"recorded:{driven}", truth=True)) as world:
         for tick in drive.ticks:
             assert world.snapshot.clients[0].user == tick.stick
@@ -116,8 +123,10 @@ def test_a_persons_drive_with_a_cut_episode_is_made_again(corner_town, tmp_path)
             (command,), (after,) = step.commands, step.after.clients
             at = {"tick": after.tick, "episode": after.events.episode, "time_s": after.tick * 0.1}
             given = command.joystick
-            recorder.append(DriveTick(**at, stick=before.user, commanded=given, chosen=given, **tick_end_fields(after)))
-    drive = read_drive(path)
+            recorder.append(
+                DriveTick(**at, stick=before.user, commanded=given, chosen=given, **end_fields_from_snapshot(after))
+            )
+    drive = read_drive_recording(path)
     assert (drive.about.driver, drive.about.episode, len(drive.episodes)) == ("person", "dev 1.0", 2)
     assert not drive.knows_intents
     found = verify(drive)
@@ -136,10 +145,10 @@ def replace_header(drive, **changes):
 
 def test_a_driver_of_the_model_beside_a_person_wants_what_the_person_wants(corner_town, tmp_path):
     """A user of the model, whose intents are known, stands for the person; both know the same street."""
-    user = replace(drawn_user(profile("competent"), 3), noise=0.0)
+    user = replace(drawn_user(find_builtin_profile("competent"), 3), noise=0.0)
     config = quick_config("world.demand_scale=0")
     record_user(tmp_path / "a.drive", corner_town, config, user, ticks=120, seed=4)
-    drive = read_drive(tmp_path / "a.drive")
+    drive = read_drive_recording(tmp_path / "a.drive")
     hidden = replace_ticks(drive, {tick.tick: changed(tick, intent=None) for tick in drive.ticks})
     seen = seen_drive(hidden)
     assert len(seen.views) == 120

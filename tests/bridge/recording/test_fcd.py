@@ -10,7 +10,7 @@ from wcsim.bridge.recording.convert import convert_to_fcd
 from wcsim.bridge.town_run import TRACE, RecordOrder, record_town
 from wcsim.config import ChairConfig
 from wcsim.errors import WcsimError
-from wcsim.log.reader import read_states
+from wcsim.log.reader import read_trace_states
 from wcsim.log.records import Header, WorldState, changed
 from wcsim.log.writer import LogWriter
 from wcsim.physics.wheelchair.plant import plant_spec
@@ -53,7 +53,7 @@ def test_a_replay_has_the_times_and_places_of_sumos_own_data(run):
 
 
 def test_the_wheelchair_is_in_it_front_first(run):
-    header, records = read_states(run / TRACE)
+    header, records = read_trace_states(run / TRACE)
     element = steps(run / "replay.xml")[0.0]["wheelchair.0"]
     assert (element.tag, element.get("type")) == ("vehicle", "wheelchair")
     axle_m = records[0].plants[0, :2] + header.origin_m
@@ -67,7 +67,7 @@ def test_another_wheelchair_has_the_front_of_its_own_plant(corner_town, tmp_path
     order = RecordOrder(seconds=0.2, seed=3, chairs=1, folder=tmp_path, outputs=())
     record_town(corner_town, quick_config("chair.plant='mwd'"), order, lambda scenario: None)
     convert_to_fcd(tmp_path / TRACE, tmp_path / "replay.xml")
-    header, records = read_states(tmp_path / TRACE)
+    header, records = read_trace_states(tmp_path / TRACE)
     element = steps(tmp_path / "replay.xml")[0.0]["wheelchair.0"]
     front_m = np.array([float(element.get("x")), float(element.get("y"))])
     assert math.dist(front_m, records[0].plants[0, :2] + header.origin_m) == pytest.approx(outline.front_x_m, abs=0.02)
@@ -108,7 +108,7 @@ def test_what_cannot_be_replayed_is_refused(run, tmp_path):
     )
     with LogWriter(tmp_path / "old", Header(town="o", seed=1, tick_s=0.1, seats=0, fingerprint="f")) as writer:
         writer.append(old)
-    assert read_states(tmp_path / "old")[1][0].bodies == ()
+    assert read_trace_states(tmp_path / "old")[1][0].bodies == ()
     with pytest.raises(WcsimError, match="older version"):
         convert_to_fcd(tmp_path / "old", tmp_path / "x.xml")
     chair = changed(old, actor_ids=(), actors=np.zeros((0, 8)), plants=np.zeros((1, 15)), commands=np.zeros((1, 2)))

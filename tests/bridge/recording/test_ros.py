@@ -15,9 +15,9 @@ from tests.log.drives import tick, write_drive
 from wcsim.bridge.recording.ros_bag import RosBag
 from wcsim.bridge.recording.ros_chairs import RosChair, _quaternion_of, drive_bag, trace_bag
 from wcsim.config import resolve
-from wcsim.core.frames import matrix, quaternion
+from wcsim.core.frames import matrix_from_quaternion, quaternion_from_ypr
 from wcsim.errors import ConfigError, JournalError
-from wcsim.log.drive import read_drive
+from wcsim.log.drive import read_drive_recording
 from wcsim.log.records import WorldState
 from wcsim.physics.sensors.camera_geometry import mount
 from wcsim.types import CameraFrame, Joystick
@@ -43,7 +43,7 @@ def stamp_ns(header):
 def bag(tmp_path_factory):
     folder = tmp_path_factory.mktemp("bags")
     ticks = [tick(k, warning=k == 7, helped=k == 9, yaw_rad=0.001 * k) for k in range(1, TICKS + 1)]
-    drive = read_drive(write_drive(folder / "a.drive", ticks))
+    drive = read_drive_recording(write_drive(folder / "a.drive", ticks))
     counts = drive_bag(drive, folder / "a.mcap")
     return counts, list(messages(folder / "a.mcap")), folder
 
@@ -150,7 +150,7 @@ def test_a_camera_looks_along_z_of_its_frame(tmp_path):
     camera = config.cameras[0]
     seat = moves[f"camera_{camera.name}_optical_frame"]
     turn = seat.transform.rotation
-    R = np.array(matrix((turn.x, turn.y, turn.z, turn.w))).reshape(3, 3)
+    R = np.array(matrix_from_quaternion((turn.x, turn.y, turn.z, turn.w))).reshape(3, 3)
     assert np.allclose(R[:, 2], mount(camera)[:, 0]) and np.allclose(R[:, 0], -mount(camera)[:, 1])
     at = seat.transform.translation
     assert np.allclose((at.x, at.y, at.z), camera.p_BC_m)
@@ -158,8 +158,8 @@ def test_a_camera_looks_along_z_of_its_frame(tmp_path):
 
 @pytest.mark.parametrize("angles", [(0.3, 0.2, -0.1), (3.0, -0.5, 2.9), (-1.6, 1.2, 0.0)])
 def test_a_quaternion_is_that_of_its_matrix(angles):
-    turn = np.array(matrix(quaternion(*angles))).reshape(3, 3)
-    assert np.allclose(np.array(matrix(tuple(_quaternion_of(turn).tolist()))).reshape(3, 3), turn)
+    turn = np.array(matrix_from_quaternion(quaternion_from_ypr(*angles))).reshape(3, 3)
+    assert np.allclose(np.array(matrix_from_quaternion(tuple(_quaternion_of(turn).tolist()))).reshape(3, 3), turn)
 
 
 def test_static_transforms_are_offered_as_those_who_listen_to_them_ask(bag):
@@ -179,7 +179,9 @@ def test_without_the_extra_it_is_said_what_to_install(tmp_path, monkeypatch):
 
 
 def test_a_stick_that_is_commanded_is_the_same_forward(tmp_path):
-    drive = read_drive(write_drive(tmp_path / "a.drive", [tick(1, commanded=Joystick(-0.5, 0.75), intent=None)]))
+    drive = read_drive_recording(
+        write_drive(tmp_path / "a.drive", [tick(1, commanded=Joystick(-0.5, 0.75), intent=None)])
+    )
     counts = drive_bag(drive, tmp_path / "a.mcap")
     assert "/joy_intent" not in counts
     (told,) = [m for topic, _, _, m in messages(tmp_path / "a.mcap") if topic == "/joy_command"]

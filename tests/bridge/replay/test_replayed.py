@@ -11,9 +11,19 @@ from wcsim.bridge.replay.replayed import replayed, verify, worlds_of
 from wcsim.bridge.sumo.session import world_in_this_process
 from wcsim.drive.playing.sources.replay_source import _replay_about
 from wcsim.errors import ConfigError, ReplayMismatchError, TownError, WcsimError
-from wcsim.log.diff import first_difference
-from wcsim.log.reader import log_digest, read_header, read_states
-from wcsim.log.records import Admitted, Dismissed, Ended, EpochBegun, Header, Respawned, Ticked, changed, ticked
+from wcsim.log.diff import find_log_difference
+from wcsim.log.reader import log_digest, read_header, read_trace_states
+from wcsim.log.records import (
+    Admitted,
+    Dismissed,
+    Ended,
+    EpochBegun,
+    Header,
+    Respawned,
+    Ticked,
+    changed,
+    make_ticked_record,
+)
 from wcsim.log.writer import LogWriter
 from wcsim.towns.scenario.town import find_town, towns_hash
 from wcsim.towns.scene_folders.build import build_scene, find_scene
@@ -47,7 +57,7 @@ def test_who_is_in_after_the_records_of_a_journal():
     begun = EpochBegun(epoch=0, seed=1, fresh=True)
     assert kept(begun, came(1, 0, "b"), came(0, 0, "a")) == [(0, "a"), (1, "b")]
     assert seats.specs(3) == (SPEC, SPEC, None)
-    assert kept(ticked(0, 1, (), ""), Dismissed(epoch=0, tick=1, seat=0)) == [(1, "b")]
+    assert kept(make_ticked_record(0, 1, (), ""), Dismissed(epoch=0, tick=1, seat=0)) == [(1, "b")]
     assert kept(Respawned(epoch=0, tick=1, seat=1), EpochBegun(epoch=1, seed=2)) == [(1, "b")]
     assert kept(Dismissed(epoch=1, tick=0, seat=1), came(1, 0, "c")) == [(1, "c")]
     assert kept(EpochBegun(epoch=2, seed=2, fresh=True)) == []
@@ -79,7 +89,7 @@ def test_one_bit_of_a_command_is_found_at_its_tick(run, records, tmp_path):
     assert (result.first.tick, result.ticks) == (12, 60)
     assert 1 <= result.mismatches <= 49
     assert verify(other, 1, 0, 11).mismatches == 0
-    told = first_difference(run / "journal", other)
+    told = find_log_difference(run / "journal", other)
     assert told.startswith("Ticked (epoch 1, tick 12): seat 0 is commanded (")
     with pytest.raises(ReplayMismatchError):
         convert_to_fcd(other, tmp_path / "x.xml", 1)
@@ -164,7 +174,7 @@ def test_the_first_difference_of_two_journals_is_told_in_words(run, records, tmp
         with LogWriter(path, head) as writer:
             for number, record in enumerate(kept):
                 writer.append((change or {}).get(number, record))
-        return first_difference(run / "journal", path)
+        return find_log_difference(run / "journal", path)
 
     last = len(records) - 1
     assert against() == ""
@@ -185,14 +195,14 @@ def test_the_first_difference_of_two_journals_is_told_in_words(run, records, tmp
 
 
 def test_the_first_difference_of_two_traces_is_told_in_words(run, tmp_path):
-    header, ticks = read_states(run / "beside.trace")
+    header, ticks = read_trace_states(run / "beside.trace")
 
     def against(kept=ticks, head: Header = header) -> str:
         (tmp_path / "other").unlink(missing_ok=True)
         with LogWriter(tmp_path / "other", head) as writer:
             for tick in kept:
                 writer.append(tick)
-        return first_difference(run / "beside.trace", tmp_path / "other")
+        return find_log_difference(run / "beside.trace", tmp_path / "other")
 
     def with_other(**fields) -> list:
         return [*ticks[:40], changed(ticks[40], **fields), *ticks[41:]]

@@ -32,7 +32,7 @@ def test_a_person_stops_with_its_front_at_the_kerb_whatever_its_length(tmp_path,
                 before = here
             actor = next((a for a in loop.actors if a.id == "p:p"), None)
             if actor is not None:
-                ahead = frames.forward(actor.yaw_rad, 0.0)
+                ahead = frames.forward_vector(actor.yaw_rad, 0.0)
                 front = actor.p_W_m + 0.5 * length * ahead
                 assert front[:2] == pytest.approx(libsumo.person.getPosition("p"), abs=1e-6)
         stood.append(np.median(waits) if waits else math.nan)

@@ -17,8 +17,8 @@ from wcsim.bridge.sumo.step_hook import HookChair
 from wcsim.bridge.world import World
 from wcsim.core.frames import sumo_from_yaw
 from wcsim.errors import HookError
-from wcsim.server.links.socket import ProcessGroup
-from wcsim.server.specs import WorldOrder
+from wcsim.server.links.socket import ProcessSeatLinkGroup
+from wcsim.server.specs import WorldBuildSpec
 from wcsim.towns.scenario.town import find_town
 from wcsim.towns.sumo.net import LaneKind, read_net
 from wcsim.types import SeatSpec, StartSpec
@@ -144,8 +144,8 @@ def test_a_hook_that_cannot_be_made_is_refused_and_leaves_no_world(corner, signa
 
 
 def test_a_world_in_another_process_runs_the_hook_too(corner, signals):
-    order = WorldOrder(town=str(corner), config=quick_config(), seat=SeatSpec(), seed=1, hook=f"{signals}:Fails")
-    with alone(ProcessGroup(order)) as link:
+    order = WorldBuildSpec(town=str(corner), config=quick_config(), seat=SeatSpec(), seed=1, hook=f"{signals}:Fails")
+    with alone(ProcessSeatLinkGroup(order)) as link:
         snapshot = link.join()
         with pytest.raises(HookError, match="no more"):
             for _ in range(5):

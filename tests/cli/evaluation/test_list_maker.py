@@ -2,7 +2,7 @@
 
 import pytest
 
-from wcsim.cli.evaluation.judged_suite import make_list
+from wcsim.cli.evaluation.judged_suite import run_make_suite_command
 from wcsim.errors import ConfigError
 
 
@@ -18,4 +18,4 @@ from wcsim.errors import ConfigError
 def test_a_name_that_no_list_can_have_is_refused_before_anything_is_drawn(words, message, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(ConfigError, match=message):
-        make_list(["--make-suite", "helsinki", *words])
+        run_make_suite_command(["--make-suite", "helsinki", *words])

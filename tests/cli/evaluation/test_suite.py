@@ -16,7 +16,7 @@ from wcsim.agents.evaluation.suite.records import NEEDLESS, Intervention
 from wcsim.agents.evaluation.suite.result_files import result_of
 from wcsim.agents.evaluation.suite.rows import ResultRow
 from wcsim.cli import main
-from wcsim.cli.evaluation.result_tables import show_result
+from wcsim.cli.evaluation.result_tables import print_test_result
 
 KEYS = {field.name for field in fields(ResultRow)}
 
@@ -98,7 +98,7 @@ def result(records, **changes):
 
 def shown(found, width=120, undriven=()):
     console = Console(width=width, file=io.StringIO(), emoji=False, markup=False)
-    show_result(console, found, undriven)
+    print_test_result(console, found, undriven)
     return console.file.getvalue()
 
 

@@ -11,8 +11,8 @@ from tests.cli.test_bad_input import refused
 from tests.cli.test_commands import read
 from tests.support.framing import chained, read_whole
 from tests.support.journals import eventful_run, nudged, rewritten
-from wcsim.log.reader import iter_inputs, read_header
-from wcsim.log.records import Ticked, header_bytes, record_bytes
+from wcsim.log.reader import iter_journal_inputs, read_header
+from wcsim.log.records import Ticked, header_to_bytes, record_to_bytes
 from wcsim.log.records import changed as with_fields
 
 
@@ -55,8 +55,8 @@ def test_a_changed_command_is_found_at_its_tick(wcsim, folder, changed):
 
 def test_a_journal_of_other_versions_says_so(wcsim, folder, journaled):
     header = read_header(journaled / "journal")
-    records = map(record_bytes, iter_inputs(journaled / "journal"))
-    Path("journal").write_bytes(chained([header_bytes(with_fields(header, fingerprint="numpy-0")), *records]))
+    records = map(record_to_bytes, iter_journal_inputs(journaled / "journal"))
+    Path("journal").write_bytes(chained([header_to_bytes(with_fields(header, fingerprint="numpy-0")), *records]))
     result = wcsim("log", "verify", "journal", "--to", 1, "--epoch", 1)
     assert result.code == 0
     assert "other versions, so results may differ: numpy-0" in result.err

@@ -12,12 +12,12 @@ from tests.log.drives import write_drive
 from tests.support.samples import write_recording
 from tests.users.recordings.plane_drives import plane_drive
 from tests.users.recordings.test_fit_sticks import driven
-from wcsim.users.profiles import _read_profile, profile
+from wcsim.users.profiles import _read_profile, find_builtin_profile
 
 
 @pytest.fixture(scope="module")
 def drive(tmp_path_factory) -> Path:
-    made = plane_drive(replace(profile("slow"), reaction_s=0.8), 45.0, 3)
+    made = plane_drive(replace(find_builtin_profile("slow"), reaction_s=0.8), 45.0, 3)
     return write_drive(tmp_path_factory.mktemp("drives") / "slow.drive", list(made.ticks))
 
 
@@ -40,7 +40,7 @@ def test_a_drive_is_fitted_and_its_profile_taken(wcsim, folder, drive):
 def test_a_folder_of_stick_tables_is_a_person(wcsim, folder):
     for number, name in enumerate(("ann", "bob", "eve")):
         Path(name).mkdir()
-        stick = driven(replace(profile("competent"), noise=0.01), number, 45.0)
+        stick = driven(replace(find_builtin_profile("competent"), noise=0.01), number, 45.0)
         write_recording(Path(name) / "drive.csv", 0.02 * np.arange(len(stick)), stick)
     result = wcsim("users", "fit", "ann", "bob", "eve/drive.csv", "--out", "us.toml", "--json", "told.json")
     assert result.code == 0, result
@@ -54,7 +54,7 @@ def test_a_folder_of_stick_tables_is_a_person(wcsim, folder):
 
 
 def test_what_cannot_be_fitted_is_refused(wcsim, folder, drive):
-    write_drive(Path("short.drive"), list(plane_drive(profile("competent"), 2.0, 1).ticks))
+    write_drive(Path("short.drive"), list(plane_drive(find_builtin_profile("competent"), 2.0, 1).ticks))
     Path("notes.txt").write_text("hello")
     Path("mine.toml").write_text("changed by hand")
     before = sorted(Path().iterdir())

@@ -11,7 +11,7 @@ import pytest
 
 from wcsim import errors
 from wcsim.cli import main as cli
-from wcsim.cli.shared.exit_codes import Exit, NothingSaved, exit_of
+from wcsim.cli.shared.exit_codes import Exit, NothingSavedInterrupt, exit_code_from_error
 
 CODES = {
     errors.InterruptedRunError: Exit.STOPPED,
@@ -28,13 +28,13 @@ CODES = {
 
 @pytest.mark.parametrize("kind", CODES, ids=lambda kind: kind.__name__)
 def test_every_error_has_a_code(kind):
-    assert exit_of(kind("x")) == CODES[kind]
+    assert exit_code_from_error(kind("x")) == CODES[kind]
 
 
 @pytest.mark.parametrize(
     ("error", "code", "told"),
     [
-        (NothingSaved("nothing is kept"), Exit.INTERRUPTED, "nothing is kept"),
+        (NothingSavedInterrupt("nothing is kept"), Exit.INTERRUPTED, "nothing is kept"),
         (KeyboardInterrupt(), Exit.INTERRUPTED, "interrupted"),
         (OSError(errno.ENOSPC, "No space left on device"), Exit.FAILED, "make room"),
         (OSError(errno.EMFILE, "Too many open files"), Exit.FAILED, "ulimit -n 1024"),

@@ -13,7 +13,7 @@ from tests.cli.conftest import QUICK
 from tests.cli.test_bad_input import refused
 from tests.support.tracked import ROOT
 from wcsim.drive.starting import DriveStart, open_place
-from wcsim.log.framing import whole_records
+from wcsim.log.framing import iter_whole_records
 
 SMALL = ("--set", "learn.total_steps=8", "--set", "learn.phase1_steps=4", *QUICK)
 
@@ -55,7 +55,7 @@ def test_a_drive_that_cannot_be_kept_is_refused_before_anything_is_loaded(wcsim,
 
 def first_record(trace: bytes) -> int:
     """How long the first record of a trace is."""
-    return next(whole_records(io.BytesIO(trace))).end
+    return next(iter_whole_records(io.BytesIO(trace))).end
 
 
 def test_a_trace_that_was_cut_off_is_said_to_be(wcsim, folder, corner):

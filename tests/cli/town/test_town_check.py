@@ -10,9 +10,9 @@ from tests.cli.conftest import Run, files_in
 from tests.support.menagerie import HITTING, build_street
 from tests.support.typed import printed
 from tests.towns.made import hostile
-from wcsim.cli.shared.common import parse
+from wcsim.cli.shared.common import parse_options
 from wcsim.cli.town import town_check
-from wcsim.cli.town.run import RunOptions
+from wcsim.cli.town.run import TownRunOptions
 from wcsim.towns.scenario.town import find_town, open_town
 from wcsim.towns.sumo.tools import Limits, ToolRun
 
@@ -55,7 +55,7 @@ def test_collisions_of_the_traffic_are_told_with_a_command(corner, folder: Path,
     monkeypatch.setattr(town_check, "run_tool", sumo)
     (note,) = town_check._collisions_note(town)
     assert "reports 2 collisions in the first 300 s of this traffic: b with a on :j_0_0, p with q on e_0;" in note
-    parse(RunOptions, shlex.split(printed(note, "about half as often"))[3:], "town run")
+    parse_options(TownRunOptions, shlex.split(printed(note, "about half as often"))[3:], "town run")
     hits.clear()
     assert town_check._collisions_note(town) == ()
 

@@ -10,25 +10,25 @@ from pathlib import Path
 import pytest
 
 from tests.cli.conftest import QUICK, finished, start
-from wcsim.agents.clients.group_run import GroupRun, create_clients_folder, open_clients_folder
-from wcsim.agents.clients.paid_times import read_paid_times
+from wcsim.agents.clients.group_run import ResolvedGroupRun, create_group_run_folder, open_group_run_folder
+from wcsim.agents.clients.paid_times import read_group_run_times
 from wcsim.agents.networks.names import NETWORK_NAMES
 from wcsim.agents.networks.registry import NETWORKS
 from wcsim.agents.opening.learner_registry import Q_LEARNING
-from wcsim.agents.runs.run_folder import create_run, make_manifest, open_run
+from wcsim.agents.runs.run_folder import create_run_folder, make_run_manifest, open_run
 from wcsim.cli.main import main
 from wcsim.cli.shared.exit_codes import Exit
-from wcsim.cli.shared.run_config import learning
-from wcsim.cli.shared.training import q_layers
-from wcsim.cli.training.clients import ALL_DONE, GroupOptions, _stop_message, train_clients
+from wcsim.cli.shared.run_config import learner_fixed_settings
+from wcsim.cli.shared.training import make_q_config_layers
+from wcsim.cli.training.clients import ALL_DONE, ClientProcessOptions, _stop_message, train_clients
 from wcsim.cli.training.train import _QLearningOptions as QOptions
-from wcsim.cli.training.train_clients import Options, client_names, resolved
+from wcsim.cli.training.train_clients import Options, client_names, resolve_clients
 from wcsim.config import resolve
 from wcsim.errors import ConfigError, InterruptedRunError, PolicyError
-from wcsim.log.reader import iter_inputs, read_header
+from wcsim.log.reader import iter_journal_inputs, read_header
 from wcsim.log.records import EpochBegun
 from wcsim.log.writer import JOURNAL
-from wcsim.server.launch.states import ClientState, ClientStatus, LaunchState, RestartRules
+from wcsim.server.launch.states import ClientProcessState, ClientStatusReport, LaunchProcessStates, RestartRules
 from wcsim.server.specs import RunInfo
 from wcsim.towns.scenario.town import find_town, streets_hash
 from wcsim.towns.scene_folders.build import build_scene, find_scene
@@ -40,7 +40,7 @@ SMALL = (
 
 
 def q_config(asked, *more):
-    return resolve(asked.preset, *q_layers(asked, *more))
+    return resolve(asked.preset, *make_q_config_layers(asked, *more))
 
 
 def waited(what, within_s=120.0):
@@ -88,14 +88,14 @@ def test_clients_differ_in_what_they_learn_with_and_share_the_world(tmp_path):
     own = tmp_path / "own.toml"
     own.write_text("[learn]\ngamma = 0.5\n[env]\nwindow = 2\n")
     options = Options(clients="patch,fig6", steps=100, config_for=(f"fig6={own}",))
-    patch, fig6 = resolved(options)
+    patch, fig6 = resolve_clients(options)
     assert [(c.name, c.seat) for c in (patch, fig6)] == [("patch", 0), ("fig6", 1)]
     assert [c.config.learn.network for c in (patch, fig6)] == ["patch", "fig6"]
     assert (patch.config.learn.gamma, fig6.config.learn.gamma, fig6.config.env.window) == (0.97, 0.5, 2)
-    assert patch.config == resolve(patch.config, learning(patch.config))
+    assert patch.config == resolve(patch.config, learner_fixed_settings(patch.config))
     own.write_text("[world]\ntick_s = 0.05\nsubsteps = 12\n")
     with pytest.raises(ConfigError, match="patch and fig6 ask for different worlds"):
-        resolved(options)
+        resolve_clients(options)
 
 
 # --- how a run ends, without its processes ---
@@ -109,11 +109,11 @@ def halfway(tmp_path, corner):
     town = find_town(str(corner))
     words = ("wcsim", "train", "--town", str(corner), "--preset", "dqn")
     info = RunInfo(seed=1, town="corner", town_sha256=streets_hash(town), command=words)
-    clients = resolved(Options(clients="patch,fig6", steps=STEPS, preset="dqn"))
+    clients = resolve_clients(Options(clients="patch,fig6", steps=STEPS, preset="dqn"))
     configs, world = {client.name: client.config for client in clients}, clients[0].config
-    folder = create_clients_folder(tmp_path / "run", world, make_manifest(world, info), configs)
-    create_run(folder.path / "patch", world, make_manifest(world, info)).with_status("done", STEPS)
-    return GroupRun(clients=clients, out=folder.path, info=info, resume=True), town
+    folder = create_group_run_folder(tmp_path / "run", world, make_run_manifest(world, info), configs)
+    create_run_folder(folder.path / "patch", world, make_run_manifest(world, info)).with_status("done", STEPS)
+    return ResolvedGroupRun(clients=clients, out=folder.path, info=info, resume=True), town
 
 
 class NoProcesses:
@@ -139,7 +139,7 @@ def ended(monkeypatch, halfway, states=(), ends=None, last=True, **asked):
     monkeypatch.setattr(NoProcesses, "ends", None if ends is None else staticmethod(ends))
     monkeypatch.setattr("wcsim.cli.training.clients.Launcher", NoProcesses)
     run, town = halfway
-    return train_clients(GroupOptions(), replace(run, last=last), town, **asked)
+    return train_clients(ClientProcessOptions(), replace(run, last=last), town, **asked)
 
 
 def test_a_stop_that_comes_while_a_part_of_a_run_is_told_ends_the_run(monkeypatch, halfway, capsys):
@@ -159,10 +159,12 @@ def test_a_stop_that_comes_while_a_part_of_a_run_is_told_ends_the_run(monkeypatc
 
 
 def test_work_that_a_client_could_not_save_when_it_was_stopped_is_not_called_kept(tmp_path):
-    kept, lost = (ClientState(name=n, seat=0, standing="stopped", unsaved=why) for n, why in (("a", ""), ("b", "x")))
+    kept, lost = (
+        ClientProcessState(name=n, seat=0, standing="stopped", unsaved=why) for n, why in (("a", ""), ("b", "x"))
+    )
     assert "holds the training so far" in _stop_message(tmp_path, (kept,))
     assert "client b x: the training since its last checkpoint is lost" in _stop_message(tmp_path, (kept, lost))
-    full = ClientState(name="c", seat=0, standing="given up", reason="has no disk space to save: x")
+    full = ClientProcessState(name="c", seat=0, standing="given up", reason="has no disk space to save: x")
     told = _stop_message(tmp_path, (kept, full))
     assert "stopped, but client c has no disk space to save: x: the training since" in told
 
@@ -176,10 +178,10 @@ def test_who_kills_processes_on_purpose_says_when_they_are_given_up(monkeypatch,
 
 def learning_state(elapsed_s, learned_s, step=1):
     """The second client learns, in a world that does not tick yet."""
-    status = ClientStatus(name="fig6", step=step, learning_s=learned_s)
-    client = ClientState(name="fig6", seat=1, standing="running", status=status)
+    status = ClientStatusReport(name="fig6", step=step, learning_s=learned_s)
+    client = ClientProcessState(name="fig6", seat=1, standing="running", status=status)
     told = {"elapsed_s": elapsed_s, "world_standing": "running", "world_pid": 1, "world_restarts": 0, "world": None}
-    return LaunchState(**told, clients=(client,))
+    return LaunchProcessStates(**told, clients=(client,))
 
 
 def test_what_clients_pay_is_kept_each_minute_and_when_something_fails(monkeypatch, halfway):
@@ -189,7 +191,7 @@ def test_what_clients_pay_is_kept_each_minute_and_when_something_fails(monkeypat
     def states():
         for elapsed_s in (1.0, 59.0, 61.0, 90.0):
             yield learning_state(elapsed_s, learned_s=elapsed_s)
-            times = read_paid_times(run.out)
+            times = read_group_run_times(run.out)
             kept.append(None if times is None else times.clients["fig6"].learning_s)
 
     def fail():
@@ -198,14 +200,14 @@ def test_what_clients_pay_is_kept_each_minute_and_when_something_fails(monkeypat
     with pytest.raises(RuntimeError):
         ended(monkeypatch, halfway, states(), fail)
     assert kept == [None, None, 61.0, 61.0]
-    assert read_paid_times(run.out).clients["fig6"].learning_s == 90.0
+    assert read_group_run_times(run.out).clients["fig6"].learning_s == 90.0
 
 
 def test_steps_of_clients_that_were_done_before_stay_in_the_sum(monkeypatch, halfway):
     run, _ = halfway
     for step, total in ((5, STEPS + 5), (0, STEPS)):  # in the second sitting the other one said nothing yet
         ended(monkeypatch, halfway, (learning_state(1.0, 1.0, step),))
-        assert open_clients_folder(run.out).manifest.steps == total
+        assert open_group_run_folder(run.out).manifest.steps == total
 
 
 # --- whole runs ---
@@ -227,13 +229,13 @@ def test_two_networks_learn_in_one_world_of_a_town_a_generation(tmp_path, corner
     assert (result["ticks"], result["status"]) == (19, "done")
     assert result["journal_hash"] in out
     assert result["ticks_per_s"] >= 0.0
-    run = open_clients_folder(tmp_path / "run")
+    run = open_group_run_folder(tmp_path / "run")
     assert (run.manifest.status, run.manifest.seed, run.clients) == ("done", 0, ("patch", "fig6"))
     for name in run.clients:
         own = open_run(tmp_path / "run" / name)
         assert (own.manifest.status, own.config.learn.network) == ("done", name)
         assert own.policy("final").is_dir()
-        times = read_paid_times(run.path).clients[name]
+        times = read_group_run_times(run.path).clients[name]
         assert times.learning_s > 0.0
         assert times.world_s > 0.0
     with pytest.raises(PolicyError, match="several clients; name one of them"):
@@ -241,7 +243,7 @@ def test_two_networks_learn_in_one_world_of_a_town_a_generation(tmp_path, corner
     assert places(child) == []
     journal = tmp_path / "run" / JOURNAL
     assert read_header(journal).more_towns == (str(other),)
-    assert [record.epoch for record in iter_inputs(journal) if isinstance(record, EpochBegun)] == [0, 1]
+    assert [record.epoch for record in iter_journal_inputs(journal) if isinstance(record, EpochBegun)] == [0, 1]
     assert main(["log", "verify", str(journal)]) == Exit.DONE
 
 
@@ -275,7 +277,7 @@ def test_what_was_stopped_goes_on_with_resume(tmp_path, corner):
     _, err = finished(child, 200, Exit.STOPPED)
     assert "wcsim resume run" in err
     assert places(child) == []
-    assert open_clients_folder(tmp_path / "run").manifest.status == "interrupted"
+    assert open_group_run_folder(tmp_path / "run").manifest.status == "interrupted"
     for name in ("patch", "fig6"):
         assert open_run(tmp_path / "run" / name).manifest.status == "interrupted"
     with (tmp_path / "run" / "journal").open("ab") as file:

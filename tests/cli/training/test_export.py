@@ -21,14 +21,14 @@ from wcsim.agents.rounds.recorded_ride import _RecordedRide
 from wcsim.cli.recordings.users import SMALL_CAMERA
 from wcsim.cli.training import export
 from wcsim.config import resolve
-from wcsim.config.run_file import DangerRule
+from wcsim.config.run_file import DangerRuleSettings
 
 SEEN = ("cameras.0.width_px=48", "cameras.0.height_px=36", "sensors.odometry=typical", "env.observe_gyro=true")
 
 
 @pytest.fixture
 def policy(folder: Path) -> Path:
-    save_danger(folder / "own", network(), DangerRule(threshold=0.4), CONFIG)
+    save_danger(folder / "own", network(), DangerRuleSettings(threshold=0.4), CONFIG)
     return Path("own")
 
 
@@ -55,7 +55,7 @@ def test_what_has_no_network_is_not_exported(wcsim, folder, name):
 
 
 def test_a_network_that_looks_at_pictures_is_not_exported_whoever_made_its_eye(wcsim, folder):
-    save_danger(folder / "seeing", network(eye="picture"), DangerRule(), CONFIG)
+    save_danger(folder / "seeing", network(eye="picture"), DangerRuleSettings(), CONFIG)
     told = wcsim("export", "seeing", "--onnx", "x")
     refused(told, "seeing uses camera pictures (danger.eye=picture), which cannot be exported", "danger.eye=map")
     said = json.loads(Path("seeing/policy.json").read_text())

@@ -8,15 +8,15 @@ import pytest
 
 from tests.server.servers import Server, stand_in_order
 from tests.support.events import read_events
-from wcsim.agents.clients.client import open_env
+from wcsim.agents.clients.client import make_client_env
 from wcsim.agents.clients.group_run import RECONNECT_S
 from wcsim.cli.training import join
 from wcsim.config import RunConfig
-from wcsim.core.files import locked
+from wcsim.core.files import lock_run_folder
 from wcsim.errors import ConfigError, PolicyError, ServerGoneError
 from wcsim.server.links.socket import SocketSeat
 from wcsim.server.protocol.client_core import ClientPhase, Patience
-from wcsim.server.specs import ClientSpec, RunInfo, SeatRequest
+from wcsim.server.specs import ClientProcessSpec, RunInfo, SeatRequest
 
 WORDS = ("--network", "patch", "--steps", "20")
 
@@ -85,9 +85,9 @@ def test_a_world_that_was_never_there_is_refused_and_one_that_was_is_tried_again
     assert [line["event"] for line in read_events(tmp_path / "run.supervised")][:2] == ["start", "refused"]
     assert not (tmp_path / "run").exists()
     request = SeatRequest(endpoint=nobody, name="a", claim="a", patience=Patience(reconnect_s=0.2))
-    order = ClientSpec(join=request, config=RunConfig(), out="", info=RunInfo(seed=0))
+    order = ClientProcessSpec(join=request, config=RunConfig(), out="", info=RunInfo(seed=0))
     with pytest.raises(ServerGoneError):
-        open_env(order, again=True)
+        make_client_env(order, again=True)
 
 
 @pytest.mark.parametrize("more", [(), ("--resume",)])
@@ -101,7 +101,7 @@ def test_a_folder_of_something_else_is_refused_before_a_life_could_remove_it(tmp
 def test_a_run_that_somebody_looks_after_is_not_looked_after_twice(tmp_path):
     words = ["--network", "patch", "--out", str(tmp_path / "run"), "--supervise"]
     (tmp_path / "run.supervised").mkdir()
-    with locked(tmp_path / "run.supervised"), pytest.raises(PolicyError, match="in use by another process"):
+    with lock_run_folder(tmp_path / "run.supervised"), pytest.raises(PolicyError, match="in use by another process"):
         join.run([f"ipc://{tmp_path}/nobody", *words])
 
 

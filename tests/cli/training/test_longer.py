@@ -3,9 +3,9 @@
 import pytest
 
 from tests.support.one_process import die_after
-from wcsim.agents.runs.run_folder import create_run, make_manifest, open_run
+from wcsim.agents.runs.run_folder import create_run_folder, make_run_manifest, open_run
 from wcsim.cli.main import main
-from wcsim.cli.shared.run_config import learning
+from wcsim.cli.shared.run_config import learner_fixed_settings
 from wcsim.cli.training.resume import _Options, _resumed
 from wcsim.config import RunConfig, resolve
 from wcsim.errors import PolicyError
@@ -18,7 +18,7 @@ def run(tmp_path, corner):
     command = ("wcsim", "train-q", "--town", str(corner))
     info = RunInfo(seed=1, town="corner", town_sha256=streets_hash(find_town(str(corner))), command=command)
     config = RunConfig.model_validate({"learn": {"total_steps": 100}})
-    return create_run(tmp_path / "run", config, make_manifest(config, info)).path
+    return create_run_folder(tmp_path / "run", config, make_run_manifest(config, info)).path
 
 
 def steps_of(path, steps=None):
@@ -49,16 +49,16 @@ def test_a_run_goes_on_without_options_that_it_would_not_hear_of(corner, tmp_pat
     info = RunInfo(seed=1, town=str(corner), town_sha256=streets_hash(town))
     refused = {"quick": ("--steps 40000", "learns in 2 rounds"), "dqn": ("--cluster local", "learns from every step")}
     for preset, (typed, told) in refused.items():
-        config = resolve(resolve(preset), learning(resolve(preset)))
-        create_run(tmp_path / preset, config, make_manifest(config, info))
+        config = resolve(resolve(preset), learner_fixed_settings(resolve(preset)))
+        create_run_folder(tmp_path / preset, config, make_run_manifest(config, info))
         assert main(["resume", str(tmp_path / preset), *typed.split()]) == 2
         assert told in capsys.readouterr().err
         assert open_run(tmp_path / preset).config == config
 
 
 def test_a_run_of_wcsim_join_is_told_to_join_again(run, corner):
-    joined = make_manifest(RunConfig(), RunInfo(seed=1, command=("wcsim", "join", "ipc:///x")))
-    path = create_run(run.parent / "joined", RunConfig(), joined).path
+    joined = make_run_manifest(RunConfig(), RunInfo(seed=1, command=("wcsim", "join", "ipc:///x")))
+    path = create_run_folder(run.parent / "joined", RunConfig(), joined).path
     with pytest.raises(PolicyError, match="wcsim join ipc:///x --resume"):
         _resumed(_Options(run=path))
 
@@ -66,7 +66,7 @@ def test_a_run_of_wcsim_join_is_told_to_join_again(run, corner):
 def test_folders_of_data_are_kept_by_their_whole_path(run, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     config = resolve(open_run(run).config, 'collect.data=["mine"]')
-    config = resolve(config, learning(config))
+    config = resolve(config, learner_fixed_settings(config))
     assert config.collect.data == (str(tmp_path / "mine"),)
     monkeypatch.chdir(tmp_path.parent)
-    assert resolve(config, learning(config)) == config
+    assert resolve(config, learner_fixed_settings(config)) == config

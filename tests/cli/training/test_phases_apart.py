@@ -11,17 +11,17 @@ from tests.agents.evaluation.suite.lists import block_of, suite_in, written_list
 from tests.cli.conftest import finished, start
 from tests.cli.training.test_clients import SMALL, waited
 from tests.support.events import read_events
-from wcsim.agents.clients.group_run import GroupRun, open_clients_folder, read_choice
+from wcsim.agents.clients.group_run import ResolvedGroupRun, open_group_run_folder, read_selected_client
 from wcsim.agents.evaluation.suite.result_files import result_of
 from wcsim.agents.evaluation.suite.rows import pooled_rows
-from wcsim.agents.opening.list_file import write_list
+from wcsim.agents.opening.list_file import write_suite_file
 from wcsim.agents.runs.metrics import STEP_COLUMNS, read_metrics
 from wcsim.agents.runs.run_folder import open_run
 from wcsim.cli.main import main
 from wcsim.cli.shared.exit_codes import Exit
 from wcsim.cli.training import phases_apart
 from wcsim.cli.training.phases_apart import _best_of, _figures_of, _first_phase, _policy_of, _second_phase
-from wcsim.cli.training.train_clients import Options, resolved
+from wcsim.cli.training.train_clients import Options, resolve_clients
 from wcsim.config import resolve
 from wcsim.errors import PolicyError
 from wcsim.server.specs import RunInfo
@@ -38,7 +38,7 @@ def suite(corner, tmp_path_factory):
 
 def a_group(*words):
     options = Options(clients="patch,fig6", steps=100, set=words)
-    return GroupRun(clients=resolved(options), out=Path("x"), info=RunInfo(seed=1))
+    return ResolvedGroupRun(clients=resolve_clients(options), out=Path("x"), info=RunInfo(seed=1))
 
 
 def test_the_paper_chooses_by_kpi_1_and_trains_figure_6_in_a_supervised_way():
@@ -79,16 +79,16 @@ def test_the_highest_score_goes_on_then_fewer_crashes_then_the_first_seat():
 
 
 def test_a_choice_that_names_no_client_is_refused(tmp_path):
-    assert read_choice(tmp_path, ["a"]) == ""
+    assert read_selected_client(tmp_path, ["a"]) == ""
     (tmp_path / "selection").mkdir()
     for best in ('"b"', "3", "null"):
         (tmp_path / "selection" / "choice.json").write_text(f'{{"best": {best}}}')
         with pytest.raises(PolicyError, match="names no client"):
-            read_choice(tmp_path, ["a"])
+            read_selected_client(tmp_path, ["a"])
 
 
 def check(run, best, left):
-    folder = open_clients_folder(run)
+    folder = open_group_run_folder(run)
     assert folder.manifest.status == "done"
     assert (open_run(run / best).manifest.steps, open_run(run / left).manifest.steps) == (32, 16)
     assert {row["phase"] for row in read_metrics(run / left / "metrics.csv")} == {"1"}
@@ -110,7 +110,9 @@ def test_the_lowest_kpi_1_of_the_first_phase_goes_on_or_whom_the_user_names(tmp_
     choice = {"by": "kpi1", "clients": {"patch": {"kpi1": 0.3}, "fig6": {"kpi1": 0.35}}, "best": "patch"}
     assert json.loads((tmp_path / "selection" / "choice.json").read_text()) == choice
     assert "KPI 1, last 2000 steps" in (told := capsys.readouterr().out) and "learns the second phase" in told
-    assert phases_apart._choose(options, run, "fig6", None) == "fig6" == read_choice(tmp_path, ["patch", "fig6"])
+    assert (
+        phases_apart._choose(options, run, "fig6", None) == "fig6" == read_selected_client(tmp_path, ["patch", "fig6"])
+    )
     ((_, title, (exhibit,)),) = _client_sections(Training(manifests={str(tmp_path): {}}, clients={}))
     assert exhibit.csv.splitlines() == ["client,KPI 1,learned on", "patch,0.3,", "fig6,0.35,second phase"]
     assert "The user chose fig6" in exhibit.says and title == "Which client learns the second phase"
@@ -147,7 +149,7 @@ def test_one_command_trains_compares_and_goes_on_with_the_best(tmp_path, corner,
 def test_what_is_stopped_while_clients_are_compared_goes_on_there(tmp_path, corner):
     file = suite_in(corner, *[block_of(corner, max_steps=60)] * 3).file
     blocks = [block.model_copy(update={"seed": seed}) for seed, block in enumerate(file.blocks)]
-    write_list(file.model_copy(update={"blocks": tuple(blocks)}), tmp_path / "three.json")
+    write_suite_file(file.model_copy(update={"blocks": tuple(blocks)}), tmp_path / "three.json")
     words = ("patch,fig6", "--town", corner, "--select-by", "three.json", "--out", "run", *STEPS, *SMALL)
     child = start(tmp_path, "train-clients", *words)
     kept = tmp_path / "run" / "selection" / "kept"
@@ -161,5 +163,5 @@ def test_what_is_stopped_while_clients_are_compared_goes_on_there(tmp_path, corn
     finished(child)
     after = {path.name: path.stat().st_mtime_ns for path in kept.glob("*.json")}
     assert len(after) == 9 and {name: after[name] for name in before} == before
-    best = read_choice(tmp_path / "run", ["patch", "fig6"])
+    best = read_selected_client(tmp_path / "run", ["patch", "fig6"])
     check(tmp_path / "run", best, *({"patch", "fig6"} - {best}))

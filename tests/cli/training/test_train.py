@@ -14,12 +14,12 @@ from wcsim.agents.rounds import train_rounds
 from wcsim.agents.rounds.train_rounds import RoundProgress
 from wcsim.agents.runs.run_folder import ResolvedRun
 from wcsim.cli.shared.consoles import StageBar
-from wcsim.cli.shared.exit_codes import NothingSaved
-from wcsim.cli.shared.training import removed_without_results, share_of_rounds, step_display, train_network
+from wcsim.cli.shared.exit_codes import NothingSavedInterrupt
+from wcsim.cli.shared.training import remove_run_without_results, share_of_rounds, step_display, train_single_network
 from wcsim.config import resolve
 from wcsim.errors import ConfigError, DiskFullError, InterruptedRunError, WorkersError
 from wcsim.server.specs import RunInfo
-from wcsim.server.workers.machines import HERE, Machines
+from wcsim.server.workers.machines import HERE, WorkerPoolSettings
 from wcsim.towns.scenario.town import find_town
 
 Show = Callable[[RoundProgress], object]
@@ -34,7 +34,7 @@ def run(tmp_path: Path) -> ResolvedRun:
 def stopped(policy: str) -> Callable[..., Path]:
     """A training that is stopped when it has kept a policy, or before."""
 
-    def train(run: ResolvedRun, town: object, machines: Machines, show: Show, stage: object) -> Path:
+    def train(run: ResolvedRun, town: object, machines: WorkerPoolSettings, show: Show, stage: object) -> Path:
         (run.out / "data").mkdir(parents=True)
         if policy:
             (run.out / "policies" / policy).mkdir(parents=True)
@@ -45,20 +45,20 @@ def stopped(policy: str) -> Callable[..., Path]:
 
 def test_what_was_stopped_before_its_first_segment_leaves_nothing(run, corner, monkeypatch):
     monkeypatch.setattr(train_rounds, "train_danger", stopped(""))
-    with pytest.raises(NothingSaved, match="first segment"):
-        train_network(run, find_town(str(corner)), machines=HERE)
+    with pytest.raises(NothingSavedInterrupt, match="first segment"):
+        train_single_network(run, find_town(str(corner)), machines=HERE)
     assert not run.out.parent.exists()
 
 
 def test_what_was_stopped_later_is_kept(run, corner, monkeypatch):
     monkeypatch.setattr(train_rounds, "train_danger", stopped("round-000"))
     with pytest.raises(InterruptedRunError):
-        train_network(run, find_town(str(corner)), machines=HERE)
+        train_single_network(run, find_town(str(corner)), machines=HERE)
     assert (run.out / "policies" / "round-000").is_dir()
 
 
 def test_a_log_file_says_when_a_round_is_driven_and_when_it_is_learned(run, corner, monkeypatch, capsys):
-    def train(run: ResolvedRun, town: object, machines: Machines, show: Show, stage: object) -> Path:
+    def train(run: ResolvedRun, town: object, machines: WorkerPoolSettings, show: Show, stage: object) -> Path:
         for back in (1, 2):
             show(RoundProgress(round=0, rounds=3, segments=back, of=2))
         show(RoundProgress(round=0, rounds=3, segments=2, of=2, learned=1))
@@ -66,7 +66,7 @@ def test_a_log_file_says_when_a_round_is_driven_and_when_it_is_learned(run, corn
         return run.out
 
     monkeypatch.setattr(train_rounds, "train_danger", train)
-    train_network(run, find_town(str(corner)), machines=HERE)
+    train_single_network(run, find_town(str(corner)), machines=HERE)
     driven, learned = capsys.readouterr().err.splitlines()
     assert re.fullmatch(r"round 1 of 3, 2 of 2 segments: learning, about \d+ s left", driven)
     assert re.fullmatch(r"round 1 of 3, 2 of 2 segments, 7 updates, loss 0.5000, about \d+ s left", learned)
@@ -102,14 +102,14 @@ CURED = [DiskFullError("x: no room"), OSError(errno.ENOSPC, "No space left on de
 @pytest.mark.parametrize("error", [*CURED, ConfigError("no")], ids=lambda error: type(error).__name__)
 def test_what_can_be_cured_removes_nothing(tmp_path, error):
     run = tmp_path / "run"
-    with pytest.raises(type(error)), removed_without_results(run):
+    with pytest.raises(type(error)), remove_run_without_results(run):
         run.mkdir()
         raise error
     assert run.exists() == (error in CURED)
 
 
 def test_what_was_there_before_stays(tmp_path):
-    with pytest.raises(ConfigError), removed_without_results(tmp_path):
+    with pytest.raises(ConfigError), remove_run_without_results(tmp_path):
         raise ConfigError("no")
     assert tmp_path.exists()
 
@@ -117,7 +117,7 @@ def test_what_was_there_before_stays(tmp_path):
 @pytest.mark.parametrize("kept", ["data/segments/1-000-0000.npz.zst", "policies/phase1", "checkpoints/step-1"])
 def test_work_stays_whatever_has_ended_it(tmp_path, kept):
     run = tmp_path / "run"
-    with pytest.raises(KeyboardInterrupt), removed_without_results(run):
+    with pytest.raises(KeyboardInterrupt), remove_run_without_results(run):
         (run / kept).mkdir(parents=True)
         raise KeyboardInterrupt
     assert (run / kept).exists()

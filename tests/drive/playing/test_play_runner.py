@@ -87,7 +87,7 @@ def test_what_cannot_be_read_is_told_of(tmp_path: Path) -> None:
 
 
 def test_who_waits_for_a_run_is_told_why_it_may_take_long(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(play_runner, "start_child", lambda *_, **__: (MagicMock(), MagicMock()))
+    monkeypatch.setattr(play_runner, "start_piped_process", lambda *_, **__: (MagicMock(), MagicMock()))
     for gives_way in (True, False):
         ours, theirs = Pipe()
         source = FilmSource(kind="run", path=Path("run"), gives_way=gives_way)

@@ -4,7 +4,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from types import SimpleNamespace
 
-from wcsim.core.files import numbered_names
+from wcsim.core.files import iter_unused_paths
 from wcsim.drive.recording.session_recorder import SessionRecorder
 from wcsim.drive.recording.study_lead import OpenStudy, StudyHands, StudyLead
 from wcsim.drive.recording.study_plan import StepKind
@@ -91,7 +91,7 @@ class Participant:
     def _open(self, start: DriveStart, path: Path) -> DriveSession:
         self.close()
         self.session = self._held.enter_context(DriveSession(start))
-        self.session.add_observer(SessionRecorder(self.session, numbered_names(path), lambda _: None))
+        self.session.add_observer(SessionRecorder(self.session, iter_unused_paths(path), lambda _: None))
         return self.session
 
     def close(self) -> None:

@@ -12,18 +12,18 @@ from wcsim.bridge.ego import ego
 from wcsim.bridge.replay import replayed
 from wcsim.bridge.replay.replayed import _made_scene, verify
 from wcsim.bridge.user_drives import seen_drive, with_shadow
-from wcsim.core.files import numbered_names
+from wcsim.core.files import iter_unused_paths
 from wcsim.drive import starting
 from wcsim.drive.driven import DriverKind, EventKind
 from wcsim.drive.recording.session_recorder import RecorderStatus, SessionRecorder
 from wcsim.drive.session import DriveSession, Wish
 from wcsim.drive.starting import DriveStart, check_recordable
 from wcsim.errors import ConfigError, DiskFullError, TownError
-from wcsim.log.drive import DriveRecording, read_drive
+from wcsim.log.drive import DriveRecording, read_drive_recording
 from wcsim.log.records import Admitted, Dismissed, Respawned, changed
 from wcsim.log.writer import LogWriter
 from wcsim.types import Joystick
-from wcsim.users.profiles import profile
+from wcsim.users.profiles import find_builtin_profile
 from wcsim.users.recordings.recorded_user import find_user
 
 TIGHT_BLOCK = 25  # of dev: a generated scene
@@ -36,7 +36,7 @@ class Kept:
     def __init__(self, start: DriveStart, path: Path) -> None:
         self.news: list[RecorderStatus] = []
         self.session = DriveSession(start)
-        self.session.add_observer(SessionRecorder(self.session, numbered_names(path), self.news.append))
+        self.session.add_observer(SessionRecorder(self.session, iter_unused_paths(path), self.news.append))
 
     def drive(self, ticks: int, more: Wish | None = None) -> None:
         for number in range(ticks):
@@ -60,7 +60,7 @@ def users_of(drive: DriveRecording) -> list[object]:
 
 
 def same_again(path: Path) -> DriveRecording:
-    drive = read_drive(path)
+    drive = read_drive_recording(path)
     found = verify(drive)
     assert (found.ticks, found.mismatches, found.farthest_m) == (len(drive.ticks), 0, 0.0), found
     return drive
@@ -116,7 +116,7 @@ def test_a_drive_with_everything_in_it_is_made_again_to_the_last_bit(kept: Kept,
     assert len(respawned) > 4, "three were asked for, one is that after the crash, and some turn to their way"
     again = same_again(second)
     assert (len(again.ticks), again.ticks[0].tick) == (20, 1)
-    assert users_of(again) == [profile("slow")], "the street begins with who sits there now"
+    assert users_of(again) == [find_builtin_profile("slow")], "the street begins with who sits there now"
     assert not kept.news[-1].on and "20 ticks" in kept.news[-1].log
 
 
@@ -134,7 +134,7 @@ def test_a_change_that_is_left_out_is_noticed(kept: Kept, tmp_path: Path) -> Non
     kept.session.change_user("slow")
     kept.drive(10)
     kept.session.close()
-    drive = read_drive(tmp_path / "a.drive")
+    drive = read_drive_recording(tmp_path / "a.drive")
     assert verify(drive).mismatches == 0
     kept_records = tuple(record for record in drive.records if not isinstance(record, Respawned | Dismissed))
     first, *others = (record for record in kept_records if isinstance(record, Admitted))
@@ -179,7 +179,7 @@ def test_a_person_who_was_kept_is_a_user(kept: Kept, tmp_path: Path) -> None:
     kept.drive(20)
     kept.session.close()
     user = find_user(f"recorded:{tmp_path / 'a.drive'}")
-    drive = read_drive(tmp_path / "a.drive")
+    drive = read_drive_recording(tmp_path / "a.drive")
     assert not hasattr(user, "reaction_s")
     assert user.at(np.array([0.5]))[0] == pytest.approx((drive.ticks[5].stick.x, drive.ticks[5].stick.y))
 
@@ -255,7 +255,7 @@ def test_of_a_person_the_simulated_stretches_are_left_out_of_what_was_wanted(kep
     kept.session.drive_by(DriverKind.PERSON)
     kept.drive(8)
     kept.session.close()
-    made = with_shadow(seen_drive(read_drive(tmp_path / "a.drive")), profile("competent"))
+    made = with_shadow(seen_drive(read_drive_recording(tmp_path / "a.drive")), find_builtin_profile("competent"))
     assert made.knows_intents
     assert [(tick.tick, tick.episode) for tick in made.ticks] == [
         *((number, 0) for number in range(1, 9)),

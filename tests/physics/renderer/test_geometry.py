@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from tests.physics.renderer.render_oracle import actor, crowd
 from tests.support.samples import USUAL_OUTLINE, strip_street
-from wcsim.core.frames import quaternion
+from wcsim.core.frames import quaternion_from_ypr
 from wcsim.physics.renderer.base import Pinhole
 from wcsim.physics.renderer.geometry import GeometryStore, _connected_parts
 from wcsim.physics.renderer.instances import (
@@ -187,7 +187,7 @@ def test_a_seat_s_wheelchair_has_the_size_of_its_model_and_its_axle_at_the_origi
 
 @given(yaw=ANGLE, pitch=st.floats(-1.5, 1.5), roll=ANGLE)
 def test_one_turn_in_three_spellings(yaw, pitch, roll):
-    q = np.array(quaternion(yaw, pitch, roll))
+    q = np.array(quaternion_from_ypr(yaw, pitch, roll))
     chair = ChairPose(seat=0, p_WB_m=np.array([3.0, -2.0, 0.5]), q_WB=q, outline=USUAL_OUTLINE)
     row = chair_instances([chair])
     T_WM = row.placed.T_WM[0]

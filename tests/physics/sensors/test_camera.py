@@ -14,7 +14,7 @@ from tests.support.plants import plant_state
 from tests.support.samples import USUAL_OUTLINE, strip_street
 from wcsim.agents.perception.depth_image import viewing_rays
 from wcsim.config import CameraConfig
-from wcsim.core.frames import quaternion
+from wcsim.core.frames import quaternion_from_ypr
 from wcsim.errors import ConfigError
 from wcsim.physics.buffers import new_images
 from wcsim.physics.renderer.instances import ChairPose, actor_instances, chair_pose
@@ -54,7 +54,7 @@ def test_the_default_camera_sits_at_knee_height_and_looks_down():
 def test_a_camera_turns_with_its_yaw_and_with_its_chair():
     left = camera_matrix(np.eye(3, 4), mount(CameraConfig(yaw_deg=90.0, pitch_deg=0.0)))
     assert seen(left, (0.35, 4.0, 1.0)) == pytest.approx([0, 0, 4])
-    turned = pose_matrix(np.array([1.0, 2.0, 0.0]), np.array(quaternion(math.pi / 2)))
+    turned = pose_matrix(np.array([1.0, 2.0, 0.0]), np.array(quaternion_from_ypr(math.pi / 2)))
     ahead = camera_matrix(turned, mount(CameraConfig(pitch_deg=0.0)))
     assert seen(ahead, (1.0, 2.35 + 3.0, 1.0)) == pytest.approx([0, 0, 3])
 

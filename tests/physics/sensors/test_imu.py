@@ -7,7 +7,7 @@ import pytest
 
 from tests.physics.rig import FORWARD, NEUTRAL, rig, step_street
 from wcsim.config import ImuConfig
-from wcsim.core.frames import LEVEL, euler, matrix, quaternion
+from wcsim.core.frames import LEVEL, matrix_from_quaternion, quaternion_from_ypr, rpy_from_matrix
 from wcsim.errors import PhysicsError
 from wcsim.physics.sensors.base import BodyMotion
 from wcsim.physics.sensors.imu import Imu
@@ -52,7 +52,7 @@ def still(sensor, up):
 
 def test_tilted_it_feels_gravity_along_its_axes():
     sensor = imu()
-    up = matrix(quaternion(0.3, math.radians(10.0)))  # nose up
+    up = matrix_from_quaternion(quaternion_from_ypr(0.3, math.radians(10.0)))  # nose up
     frame = still(sensor, up)
     expected = [9.81 * math.sin(math.radians(10)), 0.0, 9.81 * math.cos(math.radians(10))]
     assert frame.accel_mean_mps2 == pytest.approx(expected)
@@ -92,7 +92,7 @@ def test_turning_moves_a_mount_off_the_centre():
     spin = (0.0, 0.0, 2.0)
     feel(sensor, STILL, spin)
     sensor.end_tick(None)
-    quarter = matrix(quaternion(2.0 / 240))
+    quarter = matrix_from_quaternion(quaternion_from_ypr(2.0 / 240))
     sensor.sample(BodyMotion(quarter, STILL, spin))
     frame = sensor.end_tick(None)
     assert frame.accel_mean_mps2[0] == pytest.approx(-0.5 * 4.0, rel=0.02)  # towards the centre
@@ -154,7 +154,7 @@ def test_gravity_can_be_taken_out_of_what_the_agent_sees():
 
 def test_gravity_in_the_peak_does_not_ring_in_at_a_start():
     sensor = imu(gravity="included")
-    up = matrix(quaternion(0.0, 0.2))
+    up = matrix_from_quaternion(quaternion_from_ypr(0.0, 0.2))
     sensor.reset(BodyMotion(up))
     gravity = pytest.approx([9.81 * math.sin(0.2), 0.0, 9.81 * math.cos(0.2)])
     assert sensor.end_tick(None).accel_peak_mps2 == gravity
@@ -184,11 +184,13 @@ def test_peaks_do_not_depend_on_the_physics_step():
 
 def test_angles_come_back_from_the_rotation():
     for yaw, pitch in ((0.3, 0.2), (-3.0, -0.4), (1.6, 0.0)):
-        assert euler(matrix(quaternion(yaw, pitch))) == pytest.approx((0.0, pitch, yaw))
+        assert rpy_from_matrix(matrix_from_quaternion(quaternion_from_ypr(yaw, pitch))) == pytest.approx(
+            (0.0, pitch, yaw)
+        )
 
 
 def test_a_turned_sensor_feels_in_its_own_axes_and_what_is_judged_stays():
-    tilted = matrix(quaternion(0.3, math.radians(10.0)))
+    tilted = matrix_from_quaternion(quaternion_from_ypr(0.3, math.radians(10.0)))
     frames = []
     for turns in ((0.0, 0.0, 0.0), (0.0, 0.0, 90.0), (0.0, -10.0, 0.0)):
         sensor = imu(rpy_deg=turns, mean_gravity="included", noise=False)
@@ -210,7 +212,7 @@ def test_a_turned_sensor_feels_in_its_own_axes_and_what_is_judged_stays():
 @pytest.mark.parametrize("mode", ["ideal", "accelerometer", "complementary"])
 def test_the_tilt_sensor_ends_at_its_range(mode):
     sensor = imu(tilt=mode, tilt_range_deg=6.0, noise=False)
-    up = matrix(quaternion(0.0, math.radians(10.0), math.radians(-3.0)))
+    up = matrix_from_quaternion(quaternion_from_ypr(0.0, math.radians(10.0), math.radians(-3.0)))
     frame = still(sensor, up)
     assert math.degrees(frame.pitch_rad) == pytest.approx(6.0)
     assert math.degrees(frame.roll_rad) == pytest.approx(-3.0, abs=0.1)

@@ -29,7 +29,7 @@ from wcsim.physics.sensors.camera import CameraRig, _CameraNoise
 from wcsim.physics.sensors.camera_geometry import look_along, pinhole
 from wcsim.physics.sensors.object_noise import ObjectNoise, object_rates
 from wcsim.physics.sensors.pixel_noise import child, normal_quantiles
-from wcsim.supervisor.palette import class_fold_table
+from wcsim.supervisor.palette import make_cityscapes_class_table
 from wcsim.towns.scenario.town import find_town
 from wcsim.types import ActorKind, ClassId, SeatSpec
 
@@ -275,7 +275,7 @@ def test_errors_about_things_cost_less_than_those_of_pixels():
 @pytest.mark.proof
 def test_levels_lose_about_as_much_of_a_town_as_their_networks_do(monkeypatch):
     """In percent: intersection over union of each class, its part within 15 m, and what is published (-s prints it)."""
-    lay_over, fold = ObjectNoise.lay_over, class_fold_table().astype(np.int64)
+    lay_over, fold = ObjectNoise.lay_over, make_cityscapes_class_table().astype(np.int64)
     white = _CameraNoise(CameraConfig(noise={"classes": {}}), CAMERA)  # without it the borders of things are exact
     noises = {level: ObjectNoise(level, CAMERA, 0.1) for level in LEVELS}
     pairs = {level: np.zeros((2, 40, 40)) for level in LEVELS}

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from wcsim.config import ImuConfig
-from wcsim.core.frames import LEVEL, euler, matrix, quaternion, turned
+from wcsim.core.frames import LEVEL, integrate_quaternion, matrix_from_quaternion, quaternion_from_ypr, rpy_from_matrix
 from wcsim.physics.sensors.base import BodyMotion
 from wcsim.physics.sensors.imu import Imu, _tilt_felt, _tilt_turned, _TiltSensor
 from wcsim.physics.sensors.pixel_noise import child
@@ -20,15 +20,15 @@ angle = st.floats(-1.2, 1.2)
 
 @given(angle, angle, st.floats(-3, 3))
 def test_at_rest_gravity_gives_the_tilt(roll, pitch, yaw):
-    rotation = matrix(quaternion(yaw, pitch, roll))
-    assert _tilt_felt(9.81 * np.array(rotation[6:9])) == pytest.approx(euler(rotation)[:2], abs=1e-9)
+    rotation = matrix_from_quaternion(quaternion_from_ypr(yaw, pitch, roll))
+    assert _tilt_felt(9.81 * np.array(rotation[6:9])) == pytest.approx(rpy_from_matrix(rotation)[:2], abs=1e-9)
 
 
 @given(angle, angle, st.tuples(*[st.floats(-2, 2)] * 3))
 def test_the_gyroscope_turns_the_tilt_as_the_body_turns(roll, pitch, w_B):
-    q, dt_s = quaternion(0.4, pitch, roll), 1e-4
-    r = np.array(matrix(q)).reshape(3, 3)
-    after = euler(matrix(turned(q, tuple(r @ w_B), dt_s)))
+    q, dt_s = quaternion_from_ypr(0.4, pitch, roll), 1e-4
+    r = np.array(matrix_from_quaternion(q)).reshape(3, 3)
+    after = rpy_from_matrix(matrix_from_quaternion(integrate_quaternion(q, tuple(r @ w_B), dt_s)))
     assert _tilt_turned((roll, pitch), np.array(w_B), dt_s) == pytest.approx(after[:2], abs=5e-7)
 
 
@@ -49,7 +49,7 @@ def test_the_filter_follows_a_real_tilt_at_once():
     sensor.read((0.0, 0.0), np.array([0.0, 0.0, 9.81]), np.zeros(3), 0.0, NONE)
     for k in range(1, 6):  # 10 degrees nose up and 5 to the right in half a second
         truth = (math.radians(1.0 * k), math.radians(2.0 * k))
-        rotation = matrix(quaternion(0.0, truth[1], truth[0]))
+        rotation = matrix_from_quaternion(quaternion_from_ypr(0.0, truth[1], truth[0]))
         rate = np.array([math.radians(10.0), -math.radians(20.0), 0.0])
         got = sensor.read(truth, 9.81 * np.array(rotation[6:9]), rate, 0.1, NONE)
         assert got == pytest.approx(truth, abs=math.radians(0.3))
@@ -85,7 +85,7 @@ def test_noise_and_bias_have_their_size(mode):
 def test_the_ideal_sensor_has_no_errors():
     sensor = Imu(ImuConfig(), (0.18, 0.0, 0.5), 0.1)
     sensor.start(3)
-    up = matrix(quaternion(0.0, 0.1, -0.05))
+    up = matrix_from_quaternion(quaternion_from_ypr(0.0, 0.1, -0.05))
     sensor.reset(BodyMotion(up))
     sensor.sample(BodyMotion(up, STILL, STILL))
     frame = sensor.end_tick(4)

@@ -38,7 +38,7 @@ chairs = st.builds(
 
 @given(sticks, st.floats(0.0, 0.5), st.floats(1.0, 3.0))
 def test_the_shaped_stick_stays_in_the_disc_and_keeps_its_direction(stick, deadband, exponent):
-    x, y = joystick.shaped(stick.x, stick.y, deadband, exponent)
+    x, y = joystick.shape_joystick(stick.x, stick.y, deadband, exponent)
     assert math.hypot(x, y) <= 1.0 + 1e-12
     if math.sqrt(stick.x**2 + stick.y**2) <= deadband:
         assert (x, y) == (0.0, 0.0)
@@ -48,15 +48,15 @@ def test_the_shaped_stick_stays_in_the_disc_and_keeps_its_direction(stick, deadb
 
 
 def test_deadband_and_shape():
-    assert joystick.shaped(0.0, 0.05, 0.08, 1.0) == (0.0, 0.0)
-    assert joystick.shaped(0.0, 3.0, 0.08, 1.5) == (0.0, 1.0)
-    assert joystick.shaped(-0.5, 0.0, 0.0, 2.0) == (-0.25, 0.0)
+    assert joystick.shape_joystick(0.0, 0.05, 0.08, 1.0) == (0.0, 0.0)
+    assert joystick.shape_joystick(0.0, 3.0, 0.08, 1.5) == (0.0, 1.0)
+    assert joystick.shape_joystick(-0.5, 0.0, 0.0, 2.0) == (-0.25, 0.0)
 
 
 @given(st.floats(0.0, 2 * math.pi), st.floats(0.0, 1.5), st.floats(0.0, 1.5))
 def test_more_stick_never_asks_for_less(angle, a, b):
     small, large = sorted((a, b))
-    outs = [joystick.shaped(r * math.cos(angle), r * math.sin(angle), 0.08, 1.5) for r in (small, large)]
+    outs = [joystick.shape_joystick(r * math.cos(angle), r * math.sin(angle), 0.08, 1.5) for r in (small, large)]
     assert math.hypot(*outs[0]) <= math.hypot(*outs[1]) + 1e-12
 
 

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.physics.rig import FORWARD, rig, step_street
-from wcsim.core.frames import euler, matrix, quaternion, turned
+from wcsim.core.frames import integrate_quaternion, matrix_from_quaternion, quaternion_from_ypr, rpy_from_matrix
 from wcsim.physics.wheelchair.contacts import MOST_IN_A_ROW, Motion, Tyre, _off_tyre
 
 TYRE = Tyre(radius_m=0.178, half_width_m=0.04)
@@ -33,8 +33,10 @@ def test_a_point_ahead_on_flat_ground_is_off_the_tyre():
 
 @given(st.floats(-3.0, 3.0), st.floats(-2.0, 2.0))
 def test_turning_on_about_the_vertical(yaw, rate):
-    q = turned(quaternion(yaw), (0.0, 0.0, rate), 0.01)
-    assert math.remainder(euler(matrix(q))[2] - yaw - 0.01 * rate, 2 * math.pi) == pytest.approx(0.0, abs=1e-6)
+    q = integrate_quaternion(quaternion_from_ypr(yaw), (0.0, 0.0, rate), 0.01)
+    assert math.remainder(
+        rpy_from_matrix(matrix_from_quaternion(q))[2] - yaw - 0.01 * rate, 2 * math.pi
+    ) == pytest.approx(0.0, abs=1e-6)
 
 
 def test_coasting_carries_on_as_before(on_flat):

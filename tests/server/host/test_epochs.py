@@ -13,15 +13,15 @@ from tests.server.servers import AHEAD, Server, stand_in_order, together
 from tests.server.servers import driven as driven_through
 from tests.support.worlds import quick_config
 from wcsim.config import resolve
-from wcsim.log.reader import inputs_of_part, iter_inputs, log_digest, part_files, read_header, rotate_log
+from wcsim.log.reader import iter_journal_inputs, iter_part_inputs, list_log_parts, log_digest, read_header, rotate_log
 from wcsim.log.records import Admitted, Dismissed, Ended, EpochBegun
 from wcsim.log.writer import JOURNAL
-from wcsim.server.host.opening import EPOCH_OVER, _epoch_seed, open_server
+from wcsim.server.host.opening import EPOCH_OVER, _epoch_seed, open_server_parts
 from wcsim.server.host.process import SETTLED_TICKS, _EpochCap
-from wcsim.server.launch.states import WorldExit
-from wcsim.server.ledger import iter_ledger
+from wcsim.server.launch.states import WorldExitCode
+from wcsim.server.ledger import iter_ledger_frames
 from wcsim.server.protocol.events import BarrierState
-from wcsim.server.protocol.members import Member
+from wcsim.server.protocol.members import RosterClient
 from wcsim.server.protocol.server_core import ServerCore
 from wcsim.types import SeatSpec
 
@@ -72,14 +72,14 @@ def first(tmp_path_factory):
 
 def test_an_epoch_ends_at_its_cap_and_all_go_on_in_the_next_one(first):
     folder, codes, restarts = first
-    assert codes == [WorldExit.EPOCH_OVER] * 2 and restarts == [2, 2]
+    assert codes == [WorldExitCode.EPOCH_OVER] * 2 and restarts == [2, 2]
     records = audited(folder)
     for name in "ab":  # the last frame of an epoch was seen before its world went
-        seen = {(entry.epoch, entry.tick) for entry in iter_ledger(folder / name) if entry.stepped}
+        seen = {(entry.epoch, entry.tick) for entry in iter_ledger_frames(folder / name) if entry.stepped}
         assert {(epoch, tick) for epoch in (0, 1) for tick in range(1, CAP + 1)} <= seen
-    parts = part_files(folder / "run" / JOURNAL)
+    parts = list_log_parts(folder / "run" / JOURNAL)
     assert [part.name for part in parts] == ["journal.00001", "journal.00002", "journal"]
-    begun = [[r.epoch for r in inputs_of_part(part) if isinstance(r, EpochBegun)] for part in parts]
+    begun = [[r.epoch for r in iter_part_inputs(part) if isinstance(r, EpochBegun)] for part in parts]
     assert begun == [[0], [1], [2]]
     assert sum(isinstance(record, EpochBegun) for record in records) == 3
 
@@ -101,7 +101,7 @@ def test_a_world_that_died_between_two_parts_goes_on_with_the_next_epoch(first, 
 
 def written(order, *records):
     """A world's beginning, and these records after it."""
-    journal = open_server(order, FakeWorld).journal
+    journal = open_server_parts(order, FakeWorld).journal
     for record in records:
         journal.append(record)
     journal.close()
@@ -118,13 +118,13 @@ def test_a_world_that_ended_while_it_was_made_leaves_its_epoch_to_the_next_one(t
 
     for _ in range(2):  # the second one comes upon a part in which nothing has begun
         with pytest.raises(SystemExit):
-            open_server(order, dying)
-        assert len(part_files(path)) == 2 and list(inputs_of_part(path)) == []
-    opened = open_server(order, FakeWorld)
+            open_server_parts(order, dying)
+        assert len(list_log_parts(path)) == 2 and list(iter_part_inputs(path)) == []
+    opened = open_server_parts(order, FakeWorld)
     opened.journal.close()
     assert (opened.core.epoch, opened.core.rules.expected) == (1, 2)
-    begun = [(record.epoch, record.seed) for record in iter_inputs(path) if isinstance(record, EpochBegun)]
-    assert begun == [(epoch, _epoch_seed(order.seed, epoch)) for epoch in (0, 1)] and len(part_files(path)) == 2
+    begun = [(record.epoch, record.seed) for record in iter_journal_inputs(path) if isinstance(record, EpochBegun)]
+    assert begun == [(epoch, _epoch_seed(order.seed, epoch)) for epoch in (0, 1)] and len(list_log_parts(path)) == 2
 
 
 def test_who_leaves_at_the_last_tick_of_an_epoch_is_not_waited_for_in_the_next_one(tmp_path):
@@ -132,10 +132,10 @@ def test_who_leaves_at_the_last_tick_of_an_epoch_is_not_waited_for_in_the_next_o
         driven_through([a, b], CAP)
         b.close()
         a.send(CAP, AHEAD)
-        assert server.wait() == WorldExit.EPOCH_OVER
-    *_, gone, last = inputs_of_part(tmp_path / "run" / JOURNAL)
+        assert server.wait() == WorldExitCode.EPOCH_OVER
+    *_, gone, last = iter_part_inputs(tmp_path / "run" / JOURNAL)
     assert gone == Dismissed(epoch=0, tick=CAP, seat=1, reason="left") and isinstance(last, Ended)
-    opened = open_server(capped(tmp_path), FakeWorld)
+    opened = open_server_parts(capped(tmp_path), FakeWorld)
     assert opened.core.rules.expected == 1 and opened.journal is not None
     opened.journal.close()
 
@@ -143,7 +143,7 @@ def test_who_leaves_at_the_last_tick_of_an_epoch_is_not_waited_for_in_the_next_o
 def full_at(core, tick):
     """Why the epoch is over when the barrier of this tick is full."""
     core.stage, core.tick = BarrierState.COLLECT, tick
-    core.roster.members = [Member(seat=0, name="a", spec=SeatSpec(), session=b"a", peer=b"a", action=AHEAD)]
+    core.roster.members = [RosterClient(seat=0, name="a", spec=SeatSpec(), session=b"a", peer=b"a", action=AHEAD)]
     core.advance(0.0)
     return core.stage is BarrierState.EPOCH_OVER
 

@@ -16,19 +16,19 @@ from tests.server.servers import AHEAD, WAIT_S, Server, driven, joined, stand_in
 from tests.support.framing import read_whole
 from wcsim.bridge.replay.replayed import verify
 from wcsim.errors import AccessError, DiskFullError, LinkError, WorldRestartedError
-from wcsim.log.reader import part_files
+from wcsim.log.reader import list_log_parts
 from wcsim.log.records import Ended, EpochBegun, Ticked
 from wcsim.log.writer import JOURNAL
 from wcsim.server.host.process import main
-from wcsim.server.launch.states import WorldExit
-from wcsim.server.ledger import audit, iter_ledger
+from wcsim.server.launch.states import WorldExitCode
+from wcsim.server.ledger import audit_ledgers, iter_ledger_frames
 from wcsim.server.links.socket import SocketSeat
 from wcsim.server.protocol import messages as m
-from wcsim.server.protocol.events import Rules
-from wcsim.server.specs import to_line
+from wcsim.server.protocol.events import ServerRules
+from wcsim.server.specs import encode_json_line
 from wcsim.server.transport.keys import make_keys
 
-BOTH = Rules(capacity=2, expected=2, gather_s=60.0, lease_s=10.0 * WAIT_S, notice_s=0.2)
+BOTH = ServerRules(capacity=2, expected=2, gather_s=60.0, lease_s=10.0 * WAIT_S, notice_s=0.2)
 
 
 def two_seats(server, folder):
@@ -45,7 +45,7 @@ def two_linked(order, folder):
 def audited(folder):
     """The journal of two clients, of whose steps none was lost, doubled or made up."""
     records = read_whole(folder / "run" / JOURNAL).records
-    found, *_ = audit(records, [(0, iter_ledger(folder / "a")), (1, iter_ledger(folder / "b"))])
+    found, *_ = audit_ledgers(records, [(0, iter_ledger_frames(folder / "a")), (1, iter_ledger_frames(folder / "b"))])
     assert (found.lost, found.doubled, found.phantom) == (0, 0, 0)
     return records
 
@@ -84,7 +84,7 @@ def killed_after(ticks, folder, **world):
 
 def test_a_world_that_is_killed_comes_back_and_no_step_is_lost_or_doubled(tmp_path):
     records = killed_after(20, tmp_path)
-    assert [len(read_whole(part).records) > 20 for part in part_files(tmp_path / "run" / JOURNAL)] == [True, True]
+    assert [len(read_whole(part).records) > 20 for part in list_log_parts(tmp_path / "run" / JOURNAL)] == [True, True]
     assert [record.epoch for record in records if isinstance(record, EpochBegun)] == [0, 1]
     assert isinstance(records[-1], Ended)
 
@@ -257,7 +257,7 @@ def test_a_full_disk_ends_it_with_a_word_to_everybody(tmp_path):
         with pytest.raises(DiskFullError, match="make room"):
             for tick in range(2000):
                 a.act(tick, AHEAD)
-        assert server.wait() == WorldExit.DISK_FULL
+        assert server.wait() == WorldExitCode.DISK_FULL
         assert "DiskFullError" in server.errors()
     journal = read_whole(tmp_path / "run" / JOURNAL)
     assert not journal.torn
@@ -348,4 +348,4 @@ def test_the_server_tells_its_clients_what_world_it_is(tmp_path):
         a.join()
     assert (told[0].town, told[0].config_json) == ("nowhere", server.order.config.model_dump_json())
     assert Path(told[0].ring).name == "seat-0"
-    assert to_line(server.order)
+    assert encode_json_line(server.order)

@@ -16,10 +16,10 @@ from wcsim.errors import ConfigError
 from wcsim.log.reader import read_header
 from wcsim.log.records import Ended
 from wcsim.log.writer import JOURNAL, LogWriter
-from wcsim.server.host.opening import EPOCH_OVER, REGATHER_S, open_server
+from wcsim.server.host.opening import EPOCH_OVER, REGATHER_S, open_server_parts
 from wcsim.server.host.process import _ProcessWatch
 from wcsim.server.launch.awake_clock import LEAP_S, AwakeClock
-from wcsim.server.protocol.events import Rules
+from wcsim.server.protocol.events import ServerRules
 from wcsim.server.transport.sockets import BURST, MAX_PEERS, MOST_FAULTS, PeerLimits, ServerSockets
 
 
@@ -187,15 +187,17 @@ def test_a_folder_that_others_can_enter_is_no_place_for_a_socket(tmp_path):
 
 
 def test_a_world_that_died_before_its_first_epoch_waits_for_all_as_a_new_one_does(tmp_path):
-    order = stand_in_order(tmp_path, run=str(tmp_path / "new"), rules=Rules(capacity=2, expected=2, gather_s=20.0))
-    first = open_server(order, FakeWorld).journal
+    order = stand_in_order(
+        tmp_path, run=str(tmp_path / "new"), rules=ServerRules(capacity=2, expected=2, gather_s=20.0)
+    )
+    first = open_server_parts(order, FakeWorld).journal
     assert first is not None
     first.close()
     (tmp_path / "died").mkdir()
     LogWriter(tmp_path / "died" / JOURNAL, read_header(tmp_path / "new" / JOURNAL)).close()
     again = replace(order, run=str(tmp_path / "died"))
     for epoch, expected, gather_s in ((0, 2, 20.0), (1, 1, REGATHER_S)):
-        opened = open_server(again, FakeWorld)
+        opened = open_server_parts(again, FakeWorld)
         rules = opened.core.rules
         assert (opened.core.epoch, rules.expected, rules.gather_s) == (epoch, expected, gather_s)
         assert opened.journal is not None
@@ -204,12 +206,14 @@ def test_a_world_that_died_before_its_first_epoch_waits_for_all_as_a_new_one_doe
 
 @pytest.mark.parametrize("reason", ["asked to end", EPOCH_OVER])
 def test_the_first_world_of_a_launch_waits_for_all_who_load_whatever_its_journal_says(tmp_path, reason):
-    order = stand_in_order(tmp_path, run=str(tmp_path / "run"), rules=Rules(capacity=2, expected=2, gather_s=600.0))
-    first = open_server(order, FakeWorld).journal
+    order = stand_in_order(
+        tmp_path, run=str(tmp_path / "run"), rules=ServerRules(capacity=2, expected=2, gather_s=600.0)
+    )
+    first = open_server_parts(order, FakeWorld).journal
     assert first is not None
     with first:
         first.append(Ended(reason=reason))
-    resumed = open_server(replace(order, begins=True), FakeWorld)
+    resumed = open_server_parts(replace(order, begins=True), FakeWorld)
     assert resumed.journal is not None
     resumed.journal.close()
     assert (resumed.core.epoch, resumed.core.rules) == (1, order.rules)

@@ -6,14 +6,14 @@ from pathlib import Path
 from benchmarks.soak.stub_client import read_sights
 from tests.server.servers import STAND_IN
 from tests.support.worlds import quick_config
-from wcsim.core.own_folder import endpoint_in, workplace
-from wcsim.log.reader import iter_inputs
+from wcsim.core.own_folder import runtime_folder, world_endpoint_from_folder
+from wcsim.log.reader import iter_journal_inputs
 from wcsim.log.writer import JOURNAL
 from wcsim.server.launch.launcher import Launcher
-from wcsim.server.launch.states import ClientPlan, LaunchState
-from wcsim.server.ledger import audit, iter_ledger
-from wcsim.server.protocol.events import Rules
-from wcsim.server.specs import SeatRequest, WorldSpec, to_line, world_plan
+from wcsim.server.launch.states import ClientLaunchPlan, LaunchProcessStates
+from wcsim.server.ledger import audit_ledgers, iter_ledger_frames
+from wcsim.server.protocol.events import ServerRules
+from wcsim.server.specs import SeatRequest, WorldProcessSpec, encode_json_line, make_world_launch_plan
 from wcsim.types import SeatSpec
 from wcsim.view.live_table import _line_of
 
@@ -21,10 +21,10 @@ STEPS, SLOW = 60, 4
 THINK_MS = 5.0
 
 
-def plan(place: Path, folder: Path, seat: int) -> ClientPlan:
+def plan(place: Path, folder: Path, seat: int) -> ClientLaunchPlan:
     name = f"c{seat}"
     join = SeatRequest(
-        endpoint=endpoint_in(place),
+        endpoint=world_endpoint_from_folder(place),
         name=name,
         claim=name,
         spec=SeatSpec(),
@@ -32,33 +32,36 @@ def plan(place: Path, folder: Path, seat: int) -> ClientPlan:
         ledger=str(folder / f"{name}.ledger"),
     )
     file = place / f"{name}.json"
-    file.write_bytes(to_line(join))
+    file.write_bytes(encode_json_line(join))
     think_ms = 10.0 * THINK_MS if seat == SLOW else THINK_MS
     argv = (sys.executable, "-m", "benchmarks.soak.stub_client", str(file), "--steps", str(STEPS))
     argv += ("--think-ms", str(think_ms), "--sights", str(folder / f"{name}.sights"))
-    return ClientPlan(name=name, seat=seat, argv=argv, log=folder / "logs" / name)
+    return ClientLaunchPlan(name=name, seat=seat, argv=argv, log=folder / "logs" / name)
 
 
 def test_all_step_at_its_pace_nobody_loses_a_tick_and_it_is_named(tmp_path: Path):
-    states: list[LaunchState] = []
-    with workplace() as place:
-        order = WorldSpec(
+    states: list[LaunchProcessStates] = []
+    with runtime_folder() as place:
+        order = WorldProcessSpec(
             town="",
             config=quick_config(),
             seed=1,
-            rules=Rules(capacity=6, expected=6),
-            endpoint=endpoint_in(place),
+            rules=ServerRules(capacity=6, expected=6),
+            endpoint=world_endpoint_from_folder(place),
             ring=str(place / "ring"),
             run=str(tmp_path),
         )
         plans = [plan(place, tmp_path, seat) for seat in range(6)]
         argv = (sys.executable, "-m", STAND_IN)
         outcome = Launcher(
-            world_plan(order, place, tmp_path / "logs" / "world.log", argv), plans, tmp_path, show=states.append
+            make_world_launch_plan(order, place, tmp_path / "logs" / "world.log", argv),
+            plans,
+            tmp_path,
+            show=states.append,
         ).run()
     assert outcome.code == 0, outcome.message
-    ledgers = [(seat, tuple(iter_ledger(tmp_path / f"c{seat}.ledger"))) for seat in range(6)]
-    whole, each = audit(iter_inputs(tmp_path / JOURNAL), ledgers)
+    ledgers = [(seat, tuple(iter_ledger_frames(tmp_path / f"c{seat}.ledger"))) for seat in range(6)]
+    whole, each = audit_ledgers(iter_journal_inputs(tmp_path / JOURNAL), ledgers)
     assert whole.ticks == STEPS
     for told in each:
         assert (told.first_tick, told.last_tick, told.steps) == (0, STEPS, STEPS)

@@ -13,15 +13,15 @@ import pytest
 
 from tests.support.events import read_events
 from wcsim.config import RunConfig
-from wcsim.core.own_folder import endpoint_in, workplace
+from wcsim.core.own_folder import runtime_folder, world_endpoint_from_folder
 from wcsim.server.launch.launcher import Launcher
-from wcsim.server.launch.states import ClientPlan, LaunchRules, RestartRules
+from wcsim.server.launch.states import ClientLaunchPlan, LauncherTimeouts, RestartRules
 from wcsim.server.launch.supervised import MOST_EXCUSED_DEATHS
-from wcsim.server.protocol.events import Rules
-from wcsim.server.specs import WorldSpec, world_plan
+from wcsim.server.protocol.events import ServerRules
+from wcsim.server.specs import WorldProcessSpec, make_world_launch_plan
 
 STUB = (sys.executable, "-I", "-S", str(Path(__file__).parent / "launch_stubs.py"))
-QUICK = LaunchRules(
+QUICK = LauncherTimeouts(
     world_lease_s=3.0,
     loading_lease_s=60.0,
     client_lease_s=3.0,
@@ -48,12 +48,12 @@ def launcher(
     """A launcher of stubs; `clients` maps names to their words."""
     place = folder / "place"
     place.mkdir(parents=True, mode=0o700)
-    order = WorldSpec(
+    order = WorldProcessSpec(
         town="",
         config=RunConfig(),
         seed=0,
-        rules=Rules(capacity=4),
-        endpoint=endpoint_in(place),
+        rules=ServerRules(capacity=4),
+        endpoint=world_endpoint_from_folder(place),
         ring=str(place / "ring"),
         name=" ".join(clients if members is None else members),
         run=str(folder),
@@ -61,7 +61,7 @@ def launcher(
         listen=listen,
     )
     plans = [
-        ClientPlan(
+        ClientLaunchPlan(
             name=name,
             seat=seat,
             argv=(*STUB, "client", str(folder / name), *words.split()),
@@ -71,7 +71,7 @@ def launcher(
         )
         for seat, (name, words) in enumerate(clients.items())
     ]
-    plan = world_plan(order, place, folder / "logs" / "world.log", world_argv)
+    plan = make_world_launch_plan(order, place, folder / "logs" / "world.log", world_argv)
     return Launcher(plan, plans, folder, rules, show)
 
 
@@ -368,11 +368,11 @@ def test_the_place_of_a_killed_launcher_is_removed_by_the_next_one(tmp_path):
     left = Path(child.stdout.readline().strip())
     assert left.is_dir()
     assert left.stat().st_mode & 0o077 == 0
-    with workplace():
+    with runtime_folder():
         assert left.is_dir()  # its owner lives
     child.kill()
     child.communicate()
-    with workplace() as mine:
+    with runtime_folder() as mine:
         assert not left.exists()
         assert mine.is_dir()
     assert not mine.exists()

@@ -5,13 +5,13 @@ import selectors
 import pytest
 
 from tests.support.events import read_events
-from wcsim.server.launch.event_log import RunLog
-from wcsim.server.launch.states import ClientPlan, LaunchRules, WorldStatus
-from wcsim.server.launch.supervised import SupervisedClient
+from wcsim.server.launch.event_log import EventLogWriter
+from wcsim.server.launch.states import ClientLaunchPlan, LauncherTimeouts, WorldStatusReport
+from wcsim.server.launch.supervised import WatchedClientProcess
 
 SILENT = ("sh", "-c", "sleep 1000")
 LEASE_S, JOINING_S = 30.0, 600.0
-RULES = LaunchRules(client_lease_s=LEASE_S, joining_s=JOINING_S)
+RULES = LauncherTimeouts(client_lease_s=LEASE_S, joining_s=JOINING_S)
 
 
 @pytest.fixture
@@ -20,8 +20,8 @@ def ended(tmp_path):
 
     def is_ended(*worlds):
         selector = selectors.DefaultSelector()
-        plan = ClientPlan(name="a", seat=0, argv=SILENT, log=tmp_path / "log")
-        client = SupervisedClient(plan, RULES, selector, RunLog(tmp_path))
+        plan = ClientLaunchPlan(name="a", seat=0, argv=SILENT, log=tmp_path / "log")
+        client = WatchedClientProcess(plan, RULES, selector, EventLogWriter(tmp_path))
         client.start(0.0)
         now_s = 0.0
         for world, lasts_s in worlds:
@@ -37,7 +37,7 @@ def ended(tmp_path):
 
 
 def world(epoch, stage="collect", members=()):
-    return WorldStatus(stage=stage, epoch=epoch, ticks=20, members=members)
+    return WorldStatusReport(stage=stage, epoch=epoch, ticks=20, members=members)
 
 
 SEATED = (world(0, members=("a",)), 5.0)

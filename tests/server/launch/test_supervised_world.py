@@ -5,7 +5,7 @@ import shlex
 from pathlib import Path
 
 from tests.server.launch.test_launcher import STUB, launcher
-from wcsim.log.records import EpochBegun, Header, ticked
+from wcsim.log.records import EpochBegun, Header, make_ticked_record
 from wcsim.log.writer import JOURNAL, LogWriter
 
 
@@ -36,6 +36,6 @@ def test_where_a_world_died_that_never_came_up_is_read_from_its_journal(tmp_path
         for epoch, ticks in ((0, 9), (1, 5)):
             journal.append(EpochBegun(epoch=epoch, seed=0, fresh=True))
             for tick in range(1, ticks + 1):
-                journal.append(ticked(epoch, tick, (), ""))
+                journal.append(make_ticked_record(epoch, tick, (), ""))
     outcome = launcher(tmp_path, {"a": "steps=100000"}, world="die=0").run()
     assert outcome.code == 1 and "died 5 times at tick 5" in outcome.message

@@ -10,14 +10,14 @@ import pytest
 from tests.api.streets import TINY, action_at, equal
 from tests.server.local_server import LocalServer
 from tests.server.servers import AHEAD, Server, stand_in_order
-from wcsim.agents.envs.episode_view import ChairView
+from wcsim.agents.envs.episode_view import SeatEnvAdapter
 from wcsim.agents.envs.wheelchair_env import WheelchairEnv
 from wcsim.config import resolve
 from wcsim.errors import ConfigMismatchError, EvictedError, NotMasterError, ProtocolError, ServerGoneError
-from wcsim.server.host.opening import street_world
+from wcsim.server.host.opening import make_street_world
 from wcsim.server.links import socket
-from wcsim.server.protocol.events import Lost, Rules
-from wcsim.server.specs import SeatRequest, WorldOrder
+from wcsim.server.protocol.events import ClientLostEvent, ServerRules
+from wcsim.server.specs import SeatRequest, WorldBuildSpec
 from wcsim.types import SeatSpec
 
 CONFIG = resolve("quick", TINY)
@@ -38,8 +38,8 @@ def hall(corner: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
         return open_now[-1].link(order.spec, order.seat, order.name)
 
     def make(seats: int, expected: int) -> LocalServer:
-        order = WorldOrder(town=str(corner), config=CONFIG, seed=4, seats=seats)
-        open_now.append(LocalServer(street_world(order, (None,) * order.seats, order.seed), seats, expected))
+        order = WorldBuildSpec(town=str(corner), config=CONFIG, seed=4, seats=seats)
+        open_now.append(LocalServer(make_street_world(order, (None,) * order.seats, order.seed), seats, expected))
         return open_now[-1]
 
     monkeypatch.setattr(socket, "SocketSeat", opened)
@@ -83,7 +83,7 @@ def test_a_seat_of_a_world_process_shows_what_a_world_of_ones_own_shows(corner, 
     expected = [drive(own, 30, None), drive(own, 5, 9)]
     own.close()
     world = {"town": str(corner), "seed": 4, "config": CONFIG}
-    order = stand_in_order(tmp_path, rules=Rules(capacity=1, config=CONFIG.world_digest()), **world)
+    order = stand_in_order(tmp_path, rules=ServerRules(capacity=1, config=CONFIG.world_digest()), **world)
     with Server(order, tmp_path) as server:
         server.status()
         env = WheelchairEnv(config=CONFIG, join=server.seat("env", spec=SPEC, config=CONFIG.world_digest()))
@@ -159,7 +159,7 @@ def test_a_client_that_was_given_up_hears_of_it_and_may_come_again(hall):
     env = WheelchairEnv(config=CONFIG, join=seat_of())
     env.reset()
     env.step(40)
-    server.hub.feed(Lost(env._link.core.session, "it hung"), time.monotonic())
+    server.hub.feed(ClientLostEvent(env._link.core.session, "it hung"), time.monotonic())
     with pytest.raises(EvictedError, match="it hung"):
         env.step(40)
     _, info = env.reset(seed=1)
@@ -205,7 +205,7 @@ def test_a_world_that_is_killed_and_comes_back_cuts_the_episode(tmp_path):
 
 
 def test_a_chair_without_an_episode_has_nothing_to_cut_or_to_go_on_with():
-    chair = ChairView(CONFIG)
+    chair = SeatEnvAdapter(CONFIG)
     for call in (chair.truncate, chair.begin_next):
         with pytest.raises(ProtocolError, match="expected one that has"):
             call()

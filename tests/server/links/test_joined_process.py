@@ -13,7 +13,7 @@ from wcsim.bridge import world
 from wcsim.bridge.sumo import open_scenario, session
 from wcsim.physics import engine
 from wcsim.physics.renderer import kernels
-from wcsim.server.specs import SeatRequest, to_line
+from wcsim.server.specs import SeatRequest, encode_json_line
 from wcsim.types import SeatSpec
 
 LIBRARIES = ("libsumo", "traci", "sumolib", "pybullet", "shapely", "networkx")
@@ -38,7 +38,7 @@ def test_a_client_that_joined_and_drove_has_loaded_no_simulator(tmp_path: Path) 
     with Server(stand_in_order(tmp_path, seats=1), tmp_path) as server:
         server.status()
         order: SeatRequest = server.seat("env", spec=SeatSpec())
-        words = [sys.executable, "-c", CODE, to_line(order).decode(), server.order.config.model_dump_json()]
+        words = [sys.executable, "-c", CODE, encode_json_line(order).decode(), server.order.config.model_dump_json()]
         run = subprocess.run(words, capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stderr
     assert json.loads(run.stdout.splitlines()[-1]) == [3, []]

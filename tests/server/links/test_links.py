@@ -19,7 +19,7 @@ import pytest
 
 from tests.server.servers import AHEAD, QUICK, Server, alone, driven, far_order, frames_of, stand_in_order
 from tests.support.worlds import quick_config
-from wcsim.core.own_folder import OwnFolder, endpoint_in
+from wcsim.core.own_folder import LockedTempFolder, world_endpoint_from_folder
 from wcsim.errors import (
     ConfigMismatchError,
     LinkClosedError,
@@ -31,13 +31,13 @@ from wcsim.errors import (
     WorldFullError,
 )
 from wcsim.server.links import base
-from wcsim.server.links.base import Seat, WorldLink, open_group
-from wcsim.server.links.local import LocalGroup
-from wcsim.server.links.socket import ProcessGroup, SocketSeat
+from wcsim.server.links.base import ProcessSeatLink, SeatLink, open_seat_links
+from wcsim.server.links.local import LocalSeatLinkGroup
+from wcsim.server.links.socket import ProcessSeatLinkGroup, SocketSeat
 from wcsim.server.protocol import messages as m
-from wcsim.server.protocol.client_core import ClientCore, JoinRequest, Patience
-from wcsim.server.protocol.events import Rules
-from wcsim.server.specs import SeatRequest, WorldOrder
+from wcsim.server.protocol.client_core import ClientCore, JoinSettings, Patience
+from wcsim.server.protocol.events import ServerRules
+from wcsim.server.specs import SeatRequest, WorldBuildSpec
 from wcsim.server.transport.keys import make_keys
 from wcsim.types import SeatSpec
 
@@ -45,13 +45,13 @@ SEED, CONFIG, SPEC = 4, quick_config(), SeatSpec(max_steps=25, truth_visible=Tru
 TICKS = 40
 
 
-def order(corner, seed=SEED) -> WorldOrder:
-    return WorldOrder(town=str(corner), config=CONFIG, seat=SPEC, seed=seed)
+def order(corner, seed=SEED) -> WorldBuildSpec:
+    return WorldBuildSpec(town=str(corner), config=CONFIG, seat=SPEC, seed=seed)
 
 
 @pytest.fixture(scope="module")
 def reference(corner):
-    with alone(LocalGroup(order(corner))) as link:
+    with alone(LocalSeatLinkGroup(order(corner))) as link:
         return frames_of(link, TICKS)
 
 
@@ -59,12 +59,12 @@ def reference(corner):
 class Opened:
     """A link, and every frame it gave from a new world."""
 
-    link: Seat
+    link: SeatLink
     frames: list[bytes]
 
 
 @contextmanager
-def over_tcp(corner, folder, keys: str) -> Iterator[WorldLink]:
+def over_tcp(corner, folder, keys: str) -> Iterator[ProcessSeatLink]:
     """A seat for a client on another machine."""
     world = far_order(folder, corner, config=CONFIG, seed=SEED, keys=keys)
     with Server(world, folder) as server:
@@ -78,9 +78,9 @@ def opened(request, corner, reference, tmp_path_factory):
     del reference  # its world has to be closed before another one is opened
     with ExitStack() as held:
         if request.param == "local":
-            link = held.enter_context(alone(LocalGroup(order(corner))))
+            link = held.enter_context(alone(LocalSeatLinkGroup(order(corner))))
         elif request.param == "process":
-            link = held.enter_context(alone(ProcessGroup(order(corner))))
+            link = held.enter_context(alone(ProcessSeatLinkGroup(order(corner))))
         else:
             folder, keys = tmp_path_factory.mktemp("far"), ""
             if request.param == "tcp+curve":
@@ -124,15 +124,15 @@ def test_a_link_knows_its_seat_and_where_its_time_went(opened):
     assert after.simulation_s > before.simulation_s
 
 
-@pytest.mark.parametrize("make", [LocalGroup, ProcessGroup])
+@pytest.mark.parametrize("make", [LocalSeatLinkGroup, ProcessSeatLinkGroup])
 def test_an_unknown_town_is_the_same_error(make, capfd):
     with pytest.raises(TownError, match="atlantis"):
-        make(WorldOrder(town="atlantis", config=CONFIG, seat=SPEC, seed=0))
+        make(WorldBuildSpec(town="atlantis", config=CONFIG, seat=SPEC, seed=0))
     assert capfd.readouterr().err == ""
 
 
 def test_a_world_that_dies_is_noticed_and_a_closed_link_says_so(corner):
-    with alone(ProcessGroup(order(corner))) as link:
+    with alone(ProcessSeatLinkGroup(order(corner))) as link:
         link.join()
         os.kill(link._child.process.pid, signal.SIGKILL)
         with pytest.raises(LinkClosedError, match="ended"):
@@ -150,7 +150,7 @@ def test_a_world_that_dies_is_noticed_and_a_closed_link_says_so(corner):
 def hall(tmp_path_factory):
     """A server with three seats and a stand-in for a world."""
     folder = tmp_path_factory.mktemp("hall")
-    with Server(stand_in_order(folder, 3, rules=Rules(capacity=3, config="abc", notice_s=0.2)), folder) as server:
+    with Server(stand_in_order(folder, 3, rules=ServerRules(capacity=3, config="abc", notice_s=0.2)), folder) as server:
         server.status()
         yield server
 
@@ -239,8 +239,8 @@ def test_a_client_says_that_its_world_is_gone_long_before_it_gives_up(tmp_path, 
 @pytest.mark.parametrize("launcher_lives", [True, False])
 def test_a_world_that_nobody_can_start_again_is_given_up_soon(tmp_path, monkeypatch, launcher_lives):
     monkeypatch.setattr("wcsim.server.links.base.LEAVING_S", 0.5)
-    place = OwnFolder(tmp_path)
-    with sole_client(tmp_path, endpoint=endpoint_in(place.path)) as (server, a):
+    place = LockedTempFolder(tmp_path)
+    with sole_client(tmp_path, endpoint=world_endpoint_from_folder(place.path)) as (server, a):
         a.core.patience = replace(QUICK, reconnect_s=3.0)
         server.kill()
         if not launcher_lives:
@@ -298,7 +298,7 @@ def test_a_world_of_this_machine_that_dies_in_the_handshake_has_refused_nobody(t
 
 def test_work_between_send_and_receive_is_done_while_the_world_ticks(tmp_path):
     """The master works longer than the others wait for word of it, and its world has gone on all the same."""
-    rules = Rules(capacity=2, expected=2, gather_s=60.0, notice_s=0.2)
+    rules = ServerRules(capacity=2, expected=2, gather_s=60.0, notice_s=0.2)
     with Server(stand_in_order(tmp_path, rules=rules), tmp_path) as server, ExitStack() as held:
         links = [held.enter_context(SocketSeat(server.seat(name, seat=k))) for k, name in enumerate("ab")]
         driven(links, 3)
@@ -336,7 +336,7 @@ def test_a_world_of_ones_own_leaves_nothing_and_removes_what_the_killed_have_lef
     left = Path(told.strip())
     assert (left / "seat-0").exists()
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    with alone(ProcessGroup(order(corner))) as link:
+    with alone(ProcessSeatLinkGroup(order(corner))) as link:
         link.join()
         assert not left.exists()
         place = Path(link._child.endpoint.removeprefix("ipc://")).parent
@@ -345,7 +345,7 @@ def test_a_world_of_ones_own_leaves_nothing_and_removes_what_the_killed_have_lef
     assert not place.exists()
 
 
-class AloneLink(WorldLink):
+class AloneLink(ProcessSeatLink):
     """A link to a world that says nothing."""
 
     def _post(self, message: m.Request) -> None:
@@ -363,7 +363,7 @@ def test_a_client_that_was_stopped_has_not_waited_for_its_world(monkeypatch):
     now = [1000.0]
     monkeypatch.setattr(base, "time", SimpleNamespace(monotonic=lambda: now[0], perf_counter=time.perf_counter))
     link = AloneLink(
-        ClientCore(JoinRequest(claim=b"x", name="a", spec=SPEC), Patience(reconnect_s=90.0), base.new_session)
+        ClientCore(JoinSettings(claim=b"x", name="a", spec=SPEC), Patience(reconnect_s=90.0), base.make_session_id)
     )
     link.request_join()
     now[0] += 3600.0
@@ -377,9 +377,9 @@ def test_a_client_that_was_stopped_has_not_waited_for_its_world(monkeypatch):
 
 
 def test_the_second_world_gets_a_process_of_its_own(corner):
-    first = open_group(order(corner))
-    second = open_group(order(corner))
-    assert isinstance(first, LocalGroup)
-    assert isinstance(second, ProcessGroup)
+    first = open_seat_links(order(corner))
+    second = open_seat_links(order(corner))
+    assert isinstance(first, LocalSeatLinkGroup)
+    assert isinstance(second, ProcessSeatLinkGroup)
     with alone(first) as here, alone(second) as there:
         assert frames_of(there, 10) == frames_of(here, 10)

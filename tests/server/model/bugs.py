@@ -2,22 +2,22 @@
 
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.client_core import ClientCore, ClientPhase, Outcome
-from wcsim.server.protocol.events import BarrierState, Lost
-from wcsim.server.protocol.members import Member
+from wcsim.server.protocol.events import BarrierState, ClientLostEvent
+from wcsim.server.protocol.members import RosterClient
 from wcsim.server.protocol.server_core import ServerCore
 
 
 class AnyTick(ServerCore):
     """Takes an action for one of now, whatever tick it was meant for."""
 
-    def _answer_old(self, member: Member, epoch: int, tick: int, life: int) -> bool:
+    def _answer_old(self, member: RosterClient, epoch: int, tick: int, life: int) -> bool:
         return False
 
 
 class ForgetsTheCut(ServerCore):
     """Knows the session of a lost connection still."""
 
-    def _lose(self, lost: Lost, now_s: float) -> None:
+    def _lose(self, lost: ClientLostEvent, now_s: float) -> None:
         if not lost.may_return:
             super()._lose(lost, now_s)
 
@@ -25,14 +25,14 @@ class ForgetsTheCut(ServerCore):
 class EvictsTheCut(ServerCore):
     """Takes the client of a lost connection for one that is to hear of it."""
 
-    def _lose(self, lost: Lost, now_s: float) -> None:
-        super()._lose(Lost(lost.session), now_s)
+    def _lose(self, lost: ClientLostEvent, now_s: float) -> None:
+        super()._lose(ClientLostEvent(lost.session), now_s)
 
 
 class BeginsTheCutAnew(ServerCore):
     """Gives a session of a lost connection another chair."""
 
-    def _lose(self, lost: Lost, now_s: float) -> None:
+    def _lose(self, lost: ClientLostEvent, now_s: float) -> None:
         super()._lose(lost, now_s)
         self.roster.forgotten.clear()
 
@@ -84,7 +84,7 @@ class NoHeir(ServerCore):
 class NotLookedAtAgain(ServerCore):
     """A barrier that became full because somebody went is not noticed."""
 
-    def remove(self, member: Member, reason: str, now_s: float) -> None:
+    def remove(self, member: RosterClient, reason: str, now_s: float) -> None:
         self._removing = True
         super().remove(member, reason, now_s)
         self._removing = False

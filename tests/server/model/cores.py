@@ -9,8 +9,8 @@ from typing import Any
 
 from tests.server.model.scope import Scope
 from wcsim.server.protocol import messages as m
-from wcsim.server.protocol.client_core import ClientCore, JoinRequest, Outcome, Patience
-from wcsim.server.protocol.events import Clock, Effect, Event, Rules
+from wcsim.server.protocol.client_core import ClientCore, JoinSettings, Outcome, Patience
+from wcsim.server.protocol.events import Effect, Event, ServerRules, TimePassedEvent
 from wcsim.server.protocol.server_core import ServerCore
 from wcsim.types import SeatSpec
 
@@ -19,9 +19,9 @@ LATER_S = 200.0  # beyond every lease of `rules`
 SPEC = SeatSpec()
 
 
-def rules(scope: Scope) -> Rules:
+def rules(scope: Scope) -> ServerRules:
     """Leases that the clock's jumps tell apart."""
-    return Rules(
+    return ServerRules(
         capacity=scope.capacity,
         expected=scope.expected,
         gather_s=20.0,
@@ -61,7 +61,7 @@ class Servers:
             for mate in core.roster.members:
                 mate.progress_s = mate.owes_since_s = 0.0 if mate.seat == seat else LATER_S
             core._last_notice_s = LATER_S
-            return core.handle(Clock(), LATER_S)
+            return core.handle(TimePassedEvent(), LATER_S)
 
         return self._memo((state, "overdue", seat), state, pass_time)
 
@@ -70,7 +70,7 @@ class Servers:
 
         def pass_time(core: ServerCore) -> list[Effect]:
             core._last_notice_s = 30.0
-            return core.handle(Clock(), 30.0)
+            return core.handle(TimePassedEvent(), 30.0)
 
         return self._memo((state, "gather"), state, pass_time)
 
@@ -128,7 +128,7 @@ class Clients:
     def __init__(self, scope: Scope, client: int) -> None:
         self._make, self.client = scope.client, client
         seat = m.ANY_SEAT if scope.any_seat else client % scope.capacity
-        self._ask = JoinRequest(claim=bytes([client]), name=f"c{client}", spec=SPEC, seat=seat)
+        self._ask = JoinSettings(claim=bytes([client]), name=f"c{client}", spec=SPEC, seat=seat)
         self.cores: list[ClientCore] = []
         self._ids: dict[Hashable, int] = {}
         self._done: dict[Hashable, tuple[int, tuple[Outcome, ...], int]] = {}

@@ -13,19 +13,19 @@ from tests.server.model.view import NOTHING_SEEN, View, hear
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.client_core import ClientCore, ClientPhase, Outcome
 from wcsim.server.protocol.events import (
-    Admit,
+    AdmitSeatEffect,
     BarrierState,
-    Dismiss,
+    ClientLostEvent,
+    DismissSeatEffect,
     Effect,
-    Lost,
+    MessageReceivedEvent,
     Peer,
-    RebuildWorld,
-    Received,
-    RespawnSeats,
-    Send,
-    SendFrame,
-    Step,
-    Stepped,
+    RebuildWorldEffect,
+    RespawnSeatsEffect,
+    SendFrameEffect,
+    SendMessageEffect,
+    StepWorldEffect,
+    WorldSteppedEvent,
 )
 from wcsim.types import Joystick
 
@@ -146,7 +146,7 @@ class Space:
     def _lost(self, at: World, session: bytes, fault: bool) -> Iterator[Move]:
         paid = self._pay(at, "suspect") if fault else at
         if paid is not None:
-            server, effects = self.servers.handle(at.server, Lost(session))
+            server, effects = self.servers.handle(at.server, ClientLostEvent(session))
             yield (
                 ("!" if fault else "") + f"lost {session[:2].hex()}",
                 self._carry_out(replace(paid, server=server), effects),
@@ -160,12 +160,12 @@ class Space:
         at = _with(at, i, replace(slot, up=up, homes=kept))
         for one in self.servers.cores[at.server].roster.everyone():
             if one.session in homes and _is_over(slot, homes[one.session]):
-                server, effects = self.servers.handle(at.server, Lost(one.session, may_return=True))
+                server, effects = self.servers.handle(at.server, ClientLostEvent(one.session, may_return=True))
                 at = self._carry_out(replace(at, server=server), effects)
         return at
 
     def _stepped(self, at: World) -> World:
-        server, effects = self.servers.handle(at.server, Stepped(at.shadow.tick + 1))
+        server, effects = self.servers.handle(at.server, WorldSteppedEvent(at.shadow.tick + 1))
         return self._carry_out(replace(at, server=server, shadow=at.shadow.stepped()), effects)
 
     def _deaths(self, at: World) -> Iterator[Move]:
@@ -197,24 +197,24 @@ class Space:
         return epoch == 0 and self.scope.ends_at is not None
 
     def _carry_out(self, at: World, effects: tuple[Effect, ...]) -> World:
-        if sum(isinstance(effect, Step) for effect in effects) > 1:
+        if sum(isinstance(effect, StepWorldEffect) for effect in effects) > 1:
             raise Violation(f"step twice at tick {at.shadow.tick}")
         for effect in effects:
             match effect:
-                case Send():
+                case SendMessageEffect():
                     self._names_the_master(at, effect.message)
                     at = self._post(at, effect.peer, effect.message)
-                case SendFrame():
+                case SendFrameEffect():
                     at = self._show(at, effect)
-                case Admit():
+                case AdmitSeatEffect():
                     at = replace(at, shadow=at.shadow.admit(effect.seat, effect.name))
-                case Dismiss():
+                case DismissSeatEffect():
                     at = replace(at, shadow=at.shadow.dismiss(effect.seat))
-                case RespawnSeats():
+                case RespawnSeatsEffect():
                     at = replace(at, shadow=at.shadow.respawn(effect.seats))
-                case RebuildWorld():
+                case RebuildWorldEffect():
                     at = replace(at, shadow=at.shadow.rebuild(effect.epoch))
-                case Step():
+                case StepWorldEffect():
                     at.shadow.check(effect.tick, effect.commands, self.sticks)
         return at
 
@@ -228,7 +228,7 @@ class Space:
             if message.master != oldest:
                 raise Violation(f"the master is said to be seat {message.master}; seat {oldest} is the oldest")
 
-    def _show(self, at: World, show: SendFrame) -> World:
+    def _show(self, at: World, show: SendFrameEffect) -> World:
         chair = at.shadow.at(show.seat)
         seen, is_so = (show.epoch, show.tick), (at.shadow.epoch, at.shadow.tick)
         if chair is None or (*seen, show.life) != (*is_so, chair.life):
@@ -246,7 +246,7 @@ class Space:
     def _arrivals(self, at: World, i: int, slot: Slot) -> Iterator[Move]:
         (peer, message), rest = slot.up[0], slot.up[1:]
         if self.servers.cores[at.server].stage is not BarrierState.STEPPING or self.scope.split_step:
-            server, effects = self.servers.handle(at.server, Received(peer, message))
+            server, effects = self.servers.handle(at.server, MessageReceivedEvent(peer, message))
             self._fenced(at.server, server, message)
             after = _with(replace(at, server=server), i, replace(slot, up=rest, homes=self._homes(slot, server)))
             yield f"{i} said {_short(message)}", self._carry_out(after, effects)

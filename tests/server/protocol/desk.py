@@ -3,7 +3,15 @@
 from typing import TypeVar
 
 from wcsim.server.protocol import messages as m
-from wcsim.server.protocol.events import Clock, Effect, Event, Received, Rules, Send, Stepped
+from wcsim.server.protocol.events import (
+    Effect,
+    Event,
+    MessageReceivedEvent,
+    SendMessageEffect,
+    ServerRules,
+    TimePassedEvent,
+    WorldSteppedEvent,
+)
 from wcsim.server.protocol.server_core import ServerCore
 from wcsim.types import SeatSpec
 
@@ -35,7 +43,7 @@ class Desk:
 
     def __init__(self, members: int = 2, **rules: float) -> None:
         told = {"capacity": 2, "expected": max(1, members), "config": "cfg", **rules}
-        self.core = ServerCore(Rules(**told))  # type: ignore[arg-type]
+        self.core = ServerCore(ServerRules(**told))  # type: ignore[arg-type]
         self.now_s = 5000.0
         for who in range(members):
             self.say(who, join_of(who))
@@ -46,7 +54,7 @@ class Desk:
 
     def say(self, who: int, message: m.Request) -> list[Effect]:
         """A client says something."""
-        return self.feed(Received(bytes([who]), message))
+        return self.feed(MessageReceivedEvent(bytes([who]), message))
 
     def act(self, who: int, tick: int = 0, x: float = 0.5, y: float = 0.0) -> list[Effect]:
         """A client acts."""
@@ -55,18 +63,18 @@ class Desk:
     def step(self, tick: int = 0) -> list[Effect]:
         """Everybody acts, the world is done."""
         acted = [self.act(member.session[0], tick) for member in list(self.core.roster.members)]
-        return acted[-1] + self.feed(Stepped(tick + 1))
+        return acted[-1] + self.feed(WorldSteppedEvent(tick + 1))
 
     def wait(self, seconds: float) -> list[Effect]:
         """Time passes."""
         self.now_s += seconds
-        return self.feed(Clock())
+        return self.feed(TimePassedEvent())
 
 
 def only(effects: list[Effect], kind: type[Kind], peer: int | None = None) -> Kind:
     """The one message, or the one effect, of a kind; to a peer, when it is named."""
     found: list[Kind] = [e for e in effects if isinstance(e, kind)]
-    sent = [e for e in effects if isinstance(e, Send) and (peer is None or e.peer == bytes([peer]))]
+    sent = [e for e in effects if isinstance(e, SendMessageEffect) and (peer is None or e.peer == bytes([peer]))]
     messages: list[object] = [e.message for e in sent]
     found += [message for message in messages if isinstance(message, kind)]
     assert len(found) == 1, f"{effects}"

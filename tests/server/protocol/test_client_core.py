@@ -11,8 +11,8 @@ from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.client_core import (
     ClientCore,
     ClientPhase,
-    FrameSeen,
-    JoinRequest,
+    FrameOutcome,
+    JoinSettings,
     Outcome,
     Patience,
 )
@@ -24,7 +24,7 @@ AHEAD = Joystick(0.0, 1.0)
 def client(seat: int = m.ANY_SEAT) -> ClientCore:
     numbers = count(1)
     patience = Patience(resend_s=2.0, reconnect_s=90.0, tick_s=300.0)
-    ask = JoinRequest(claim=b"mine", name="me", spec=SeatSpec(), seat=seat)
+    ask = JoinSettings(claim=b"mine", name="me", spec=SeatSpec(), seat=seat)
     return ClientCore(ask, patience, lambda: bytes([next(numbers)]) * m.SESSION_BYTES)
 
 
@@ -32,8 +32,8 @@ def frame(tick: int, epoch: int = 0, life: int = 0) -> m.Frame:
     return m.Frame(epoch, tick, life, None)
 
 
-def seen(tick: int, epoch: int = 0, stepped: bool = False) -> FrameSeen:
-    return FrameSeen(epoch, tick, None, -1, stepped)
+def seen(tick: int, epoch: int = 0, stepped: bool = False) -> FrameOutcome:
+    return FrameOutcome(epoch, tick, None, -1, stepped)
 
 
 def welcome(core: ClientCore, epoch: int = 0, tick: int = 0) -> m.Welcome:

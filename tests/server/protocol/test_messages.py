@@ -41,17 +41,24 @@ REPLIES = [
 
 @pytest.mark.parametrize("request_", REQUESTS, ids=lambda r: type(r).__name__)
 def test_requests_survive_the_wire(request_):
-    assert m.decode_request(m.encode(request_)) == request_
+    assert m.decode_request(m.encode_message(request_)) == request_
 
 
 @pytest.mark.parametrize("reply", REPLIES, ids=lambda r: type(r).__name__)
 def test_replies_survive_the_wire(reply):
-    assert m.decode_reply(m.encode(reply)) == reply
+    assert m.decode_reply(m.encode_message(reply)) == reply
 
 
 @pytest.mark.parametrize(
     "data",
-    [b"", b"\x00", b"hello", m.encode(m.Leave(b"")), b"\x92\xa3Act\x01", m.encode(REQUESTS[1]) + b"\x00"],
+    [
+        b"",
+        b"\x00",
+        b"hello",
+        m.encode_message(m.Leave(b"")),
+        b"\x92\xa3Act\x01",
+        m.encode_message(REQUESTS[1]) + b"\x00",
+    ],
 )
 def test_anything_else_is_a_protocol_error(data):
     with pytest.raises(ProtocolError):
@@ -64,11 +71,11 @@ def test_a_message_beyond_the_limit_is_not_even_read():
 
 
 def test_an_error_arrives_under_its_own_name():
-    arrived = m.error_of(m.failure_of(TownError("no such town")))
+    arrived = m.error_from_failure(m.failure_from_error(TownError("no such town")))
     assert type(arrived) is TownError
     assert str(arrived) == "no such town"
-    assert type(m.error_of(m.Failure(error="SystemExit", message="not one of ours"))) is WcsimError
-    assert type(m.error_of(m.Failure(error="LinkClosedError", message="x"))) is LinkClosedError
+    assert type(m.error_from_failure(m.Failure(error="SystemExit", message="not one of ours"))) is WcsimError
+    assert type(m.error_from_failure(m.Failure(error="LinkClosedError", message="x"))) is LinkClosedError
 
 
 def test_two_programs_of_one_version_have_one_schema():
@@ -94,7 +101,7 @@ def ended(corner):
 
 
 def test_a_snapshot_survives_the_wire(ended):
-    reply = m.decode_reply(m.encode(m.Frame(0, 3, 0, ended)))
+    reply = m.decode_reply(m.encode_message(m.Frame(0, 3, 0, ended)))
     assert isinstance(reply, m.Frame)
     assert reply.client == ended
     camera = reply.client.sensors.cameras[0]
@@ -106,14 +113,14 @@ def test_a_snapshot_survives_the_wire(ended):
 @pytest.mark.parametrize("spoilt", [np.full(3, -1.0), np.full(3, np.nan), np.zeros(1025)])
 def test_a_visible_truth_beyond_its_bounds_is_refused(ended, spoilt):
     visible = replace(ended.truth.visible, first_s=spoilt)
-    frame = m.encode(m.Frame(0, 3, 0, replace(ended, truth=replace(ended.truth, visible=visible))))
+    frame = m.encode_message(m.Frame(0, 3, 0, replace(ended, truth=replace(ended.truth, visible=visible))))
     with pytest.raises(ProtocolError):
         m.decode_reply(frame)
 
 
 def received(client):
     """What comes of a frame on its way."""
-    return m.decode_reply(m.encode(m.Frame(0, 3, 0, client)))
+    return m.decode_reply(m.encode_message(m.Frame(0, 3, 0, client)))
 
 
 EVENTS = ("arrived", "gave_up", "on_carriageway", "crossed", "entered_red", "help_asked")
@@ -133,7 +140,7 @@ def test_numbers_arrive_to_the_bit(ended):
 
 
 def test_pictures_in_shared_memory_do_not_travel(ended):
-    inside, outside = m.encode(m.Frame(0, 3, 0, ended, -1)), m.encode(m.Frame(0, 3, 0, ended, 1))
+    inside, outside = m.encode_message(m.Frame(0, 3, 0, ended, -1)), m.encode_message(m.Frame(0, 3, 0, ended, 1))
     assert len(inside) - len(outside) > 24 * 32 * 8
     reply = m.decode_reply(outside)
     assert reply.slot == 1

@@ -11,21 +11,21 @@ from tests.server.model.shadow import Shadow
 from tests.server.protocol.desk import Desk, failure, join_of, only, session_of
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.events import (
-    Admit,
+    AdmitSeatEffect,
     BarrierState,
-    Clock,
-    Dismiss,
+    ClientLostEvent,
+    DismissSeatEffect,
     Effect,
     Event,
-    Lost,
-    RebuildWorld,
-    Received,
-    RespawnSeats,
-    Rules,
-    Send,
-    SendFrame,
-    Step,
-    Stepped,
+    MessageReceivedEvent,
+    RebuildWorldEffect,
+    RespawnSeatsEffect,
+    SendFrameEffect,
+    SendMessageEffect,
+    ServerRules,
+    StepWorldEffect,
+    TimePassedEvent,
+    WorldSteppedEvent,
 )
 from wcsim.server.protocol.members import MOST_LIVES
 from wcsim.server.protocol.server_core import ServerCore
@@ -58,7 +58,7 @@ def test_a_second_action_that_differs_is_bad_and_the_first_one_counts() -> None:
     desk.act(0, x=0.5)
     assert failure(desk.act(0, x=0.25))[0] == "BadActionError"
     assert desk.act(0, x=0.5) == []
-    assert only(desk.act(1), Step).commands[0].joystick.x == 0.5
+    assert only(desk.act(1), StepWorldEffect).commands[0].joystick.x == 0.5
 
 
 def test_those_who_have_acted_are_told_for_whom_they_wait() -> None:
@@ -78,9 +78,9 @@ def test_the_next_oldest_is_master_when_the_master_goes_and_all_are_told(leaves:
     desk = Desk(members=3, capacity=3)
     desk.act(1)
     desk.act(2)
-    went = desk.say(0, m.Leave(session_of(0))) if leaves else desk.feed(Lost(session_of(0)))
-    assert [c.seat for c in only(went, Step).commands] == [1, 2], "nobody waits for a new master"
-    done = desk.feed(Stepped(1))
+    went = desk.say(0, m.Leave(session_of(0))) if leaves else desk.feed(ClientLostEvent(session_of(0)))
+    assert [c.seat for c in only(went, StepWorldEffect).commands] == [1, 2], "nobody waits for a new master"
+    done = desk.feed(WorldSteppedEvent(1))
     assert [only(done, m.TickDone, peer=who).master for who in (1, 2)] == [1, 1]
     desk.say(0, join_of(0, session=session_of(7)))
     assert only(desk.step(1), m.Welcome, peer=0).master == 1, "it is the youngest now"
@@ -91,7 +91,7 @@ def test_a_new_world_needs_a_seed_that_there_is() -> None:
     error, text = failure(desk.say(0, m.Rebuild(session_of(0), 0, -5)))
     assert error == "ProtocolError"
     assert "-5" in text
-    assert only(desk.say(0, m.Rebuild(session_of(0), 0, 5)), RebuildWorld).seed == 5
+    assert only(desk.say(0, m.Rebuild(session_of(0), 0, 5)), RebuildWorldEffect).seed == 5
 
 
 def test_stale_session() -> None:
@@ -130,12 +130,12 @@ def test_new_lives_give_a_client_no_new_time_to_think_and_have_an_end() -> None:
 
     for life in range(2):
         assert desk.wait(20.0) == []
-        assert only(respawn(life), RespawnSeats).seats == (0,)
+        assert only(respawn(life), RespawnSeatsEffect).seats == (0,)
     assert failure(desk.wait(20.0)) == ("EvictedError", "the server dropped this client: no action within 50 s")
     desk = Desk(members=2, max_think_s=50.0)
     respawn(0)
     desk.wait(49.0)
-    assert only(desk.act(1), RespawnSeats).seats == (0,)
+    assert only(desk.act(1), RespawnSeatsEffect).seats == (0,)
     desk.wait(2.0)
     assert len(desk.core.roster.members) == 2, "while it waited for others it owed nothing"
     desk = Desk(members=1)
@@ -143,8 +143,8 @@ def test_new_lives_give_a_client_no_new_time_to_think_and_have_an_end() -> None:
         respawn(life)
     assert failure(respawn(MOST_LIVES))[0] == "ProtocolError"
     desk.say(0, m.Act(session_of(0), 0, 0, MOST_LIVES, 0.0, 0.0))
-    desk.feed(Stepped(1))
-    assert only(desk.say(0, m.Respawn(session_of(0), 0, 1, 0)), RespawnSeats).seats == (0,)
+    desk.feed(WorldSteppedEvent(1))
+    assert only(desk.say(0, m.Respawn(session_of(0), 0, 1, 0)), RespawnSeatsEffect).seats == (0,)
 
 
 def test_a_client_that_comes_again_gets_a_new_chair_and_holds_nobody_up() -> None:
@@ -152,8 +152,8 @@ def test_a_client_that_comes_again_gets_a_new_chair_and_holds_nobody_up() -> Non
     desk.act(1)
     again = desk.say(0, join_of(0, session=session_of(7)))
     assert failure(again) == ("EvictedError", "the server dropped this client: its client restarted")
-    assert [c.seat for c in only(again, Step).commands] == [1]
-    assert only(desk.feed(Stepped(1)), m.Welcome, peer=0).session == session_of(7)
+    assert [c.seat for c in only(again, StepWorldEffect).commands] == [1]
+    assert only(desk.feed(WorldSteppedEvent(1)), m.Welcome, peer=0).session == session_of(7)
 
 
 def test_the_same_claim_takes_its_seat_over_whatever_seat_it_asks_for() -> None:
@@ -161,8 +161,8 @@ def test_the_same_claim_takes_its_seat_over_whatever_seat_it_asks_for() -> None:
     effects = desk.say(7, join_of(7, claim=bytes([1]), seat=m.ANY_SEAT))
     assert failure(effects)[0] == "EvictedError"
     effects = desk.step(0)
-    assert only(effects, Dismiss).seat == 1
-    assert only(effects, Admit).seat == 1
+    assert only(effects, DismissSeatEffect).seat == 1
+    assert only(effects, AdmitSeatEffect).seat == 1
     assert only(effects, m.Welcome, peer=7).seat == 1
 
 
@@ -183,39 +183,39 @@ def test_an_older_life_that_waits_hears_that_it_is_over() -> None:
 def test_a_sole_master_that_hangs_does_not_hold_the_next_one_up() -> None:
     desk = Desk(members=1, lease_s=100.0)
     desk.say(1, join_of(1))
-    assert not any(isinstance(e, Admit) for e in desk.wait(50.0))
+    assert not any(isinstance(e, AdmitSeatEffect) for e in desk.wait(50.0))
     effects = desk.wait(51.0)
     assert failure(effects)[0] == "EvictedError"
-    assert only(effects, Admit).seat == 1
+    assert only(effects, AdmitSeatEffect).seat == 1
     assert only(effects, m.Welcome, peer=1).master == 1
 
 
 def test_who_lives_goes_on_past_two_that_hang() -> None:
     desk = Desk(members=3, capacity=3, lease_s=100.0)
     desk.act(2)
-    step = only(desk.wait(101.0), Step)
+    step = only(desk.wait(101.0), StepWorldEffect)
     assert [c.seat for c in step.commands] == [2]
-    assert only(desk.feed(Stepped(1)), m.TickDone).master == 2
+    assert only(desk.feed(WorldSteppedEvent(1)), m.TickDone).master == 2
 
 
 def test_an_epoch_ends_at_a_full_barrier_with_those_gone_who_have_left() -> None:
     desk = Desk()
     desk.core.last_tick = 0
     desk.act(0)
-    assert [type(e) for e in desk.say(1, m.Leave(session_of(1)))] == [Send, Dismiss]
+    assert [type(e) for e in desk.say(1, m.Leave(session_of(1)))] == [SendMessageEffect, DismissSeatEffect]
     assert desk.core.stage is BarrierState.EPOCH_OVER
     assert desk.act(0) == desk.wait(1000.0) == []
 
 
 def test_a_lost_session_that_nobody_knows_is_refused_when_it_joins_late() -> None:
     desk = Desk(members=1)
-    desk.feed(Lost(session_of(1)))
+    desk.feed(ClientLostEvent(session_of(1)))
     assert failure(desk.say(1, join_of(1)))[0] == "EvictedError"
 
 
 def test_who_was_cut_off_joins_again_under_another_session_and_is_not_told_that_it_was_dropped() -> None:
     desk = Desk()
-    assert desk.feed(Lost(session_of(1), may_return=True)) == []
+    assert desk.feed(ClientLostEvent(session_of(1), may_return=True)) == []
     for late in (m.Act(session_of(1), 0, 0, 0, 0.5, 0.0), join_of(1)):
         assert failure(desk.say(1, late))[0] == "StaleSessionError"
     desk.say(1, join_of(1, session=session_of(7)))
@@ -232,40 +232,40 @@ class AnyRequests(RuleBasedStateMachine):
 
     def __init__(self) -> None:
         super().__init__()
-        self.core = ServerCore(Rules(capacity=2, expected=1, lease_s=50.0, gather_s=10.0))
+        self.core = ServerCore(ServerRules(capacity=2, expected=1, lease_s=50.0, gather_s=10.0))
         self.world, self.now_s = Shadow(), 0.0
 
     def feed(self, event: Event) -> None:
         todo: list[Effect] = list(self.core.handle(event, self.now_s))
         while todo:
             effect = todo.pop(0)
-            if isinstance(effect, Step):
+            if isinstance(effect, StepWorldEffect):
                 acted = [(c.seat, c.tick) for c in effect.commands]
                 assert acted == [(chair.seat, self.world.tick) for chair in self.world.chairs]
                 self.world = self.world.stepped()
-                todo += self.core.handle(Stepped(self.world.tick), self.now_s)
-            elif isinstance(effect, SendFrame):
+                todo += self.core.handle(WorldSteppedEvent(self.world.tick), self.now_s)
+            elif isinstance(effect, SendFrameEffect):
                 assert self.world.at(effect.seat) is not None
-            elif not isinstance(effect, Send):
+            elif not isinstance(effect, SendMessageEffect):
                 self.world = changed(self.world, effect)
 
     @rule(session=SESSIONS, seat=NUMBERS, claim=st.binary(max_size=2))
     def join(self, session: bytes, seat: int, claim: bytes) -> None:
-        self.feed(Received(b"p", join_of(0, session=session, seat=seat, claim=claim)))
+        self.feed(MessageReceivedEvent(b"p", join_of(0, session=session, seat=seat, claim=claim)))
 
     @rule(who=st.integers(0, 4))
     def join_well(self, who: int) -> None:
-        self.feed(Received(bytes([who]), join_of(who, seat=m.ANY_SEAT)))
+        self.feed(MessageReceivedEvent(bytes([who]), join_of(who, seat=m.ANY_SEAT)))
 
     @rule(session=SESSIONS, epoch=NUMBERS, tick=NUMBERS, life=NUMBERS, x=FLOATS, y=FLOATS)
     def act(self, session: bytes, epoch: int, tick: int, life: int, x: float, y: float) -> None:
-        self.feed(Received(b"p", m.Act(session, epoch, tick, life, x, y)))
+        self.feed(MessageReceivedEvent(b"p", m.Act(session, epoch, tick, life, x, y)))
 
     @rule(which=st.integers(0, 1))
     def act_well(self, which: int) -> None:
         for member in self.core.roster.members[which : which + 1]:
             now = (self.core.epoch, self.core.tick, member.life)
-            self.feed(Received(member.peer, m.Act(member.session, *now, 0.5, 0.5)))
+            self.feed(MessageReceivedEvent(member.peer, m.Act(member.session, *now, 0.5, 0.5)))
 
     @rule(session=SESSIONS, epoch=NUMBERS, number=NUMBERS, life=NUMBERS, kind=st.integers(0, 3))
     def other(self, session: bytes, epoch: int, number: int, life: int, kind: int) -> None:
@@ -275,16 +275,16 @@ class AnyRequests(RuleBasedStateMachine):
             m.Beat(session, number),
             m.Leave(session),
         )
-        self.feed(Received(b"p", requests[kind]))
+        self.feed(MessageReceivedEvent(b"p", requests[kind]))
 
     @rule(session=SESSIONS, may_return=st.booleans())
     def lose(self, session: bytes, may_return: bool) -> None:
-        self.feed(Lost(session, may_return=may_return))
+        self.feed(ClientLostEvent(session, may_return=may_return))
 
     @rule(seconds=st.sampled_from([0.5, 6.0, 60.0]))
     def wait(self, seconds: float) -> None:
         self.now_s += seconds
-        self.feed(Clock())
+        self.feed(TimePassedEvent())
 
     @invariant()
     def holds(self) -> None:
@@ -298,13 +298,13 @@ class AnyRequests(RuleBasedStateMachine):
 def changed(world: Shadow, effect: Effect) -> Shadow:
     """The world after what is done to it between ticks."""
     match effect:
-        case Admit():
+        case AdmitSeatEffect():
             return world.admit(effect.seat, effect.name)
-        case Dismiss():
+        case DismissSeatEffect():
             return world.dismiss(effect.seat)
-        case RespawnSeats():
+        case RespawnSeatsEffect():
             return world.respawn(effect.seats)
-        case RebuildWorld():
+        case RebuildWorldEffect():
             assert effect.seed >= 0
             return world.rebuild(effect.epoch)
     raise AssertionError(f"{effect}")

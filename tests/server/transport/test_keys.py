@@ -3,16 +3,22 @@ import stat
 import pytest
 
 from wcsim.errors import ConfigError
-from wcsim.server.transport.keys import client_keys, is_loopback, make_keys, server_keys, server_public
+from wcsim.server.transport.keys import (
+    is_loopback,
+    make_keys,
+    read_client_keys,
+    read_server_keys,
+    read_server_public_key,
+)
 
 
 def test_keys_are_made_once_and_secrets_are_their_owners_alone(tmp_path):
     assert make_keys(tmp_path, ("a", "b")) == ("a", "b")
-    before = server_keys(tmp_path)
+    before = read_server_keys(tmp_path)
     assert make_keys(tmp_path, ("b", "c")) == ("c",)
-    assert server_keys(tmp_path) == before
-    assert server_public(tmp_path) == before.public
-    assert client_keys(tmp_path, "a") != client_keys(tmp_path, "b")
+    assert read_server_keys(tmp_path) == before
+    assert read_server_public_key(tmp_path) == before.public
+    assert read_client_keys(tmp_path, "a") != read_client_keys(tmp_path, "b")
     secrets = list(tmp_path.rglob("*.secret"))
     assert len(secrets) == 4
     assert all(stat.S_IMODE(path.stat().st_mode) == 0o600 for path in secrets)
@@ -21,26 +27,26 @@ def test_keys_are_made_once_and_secrets_are_their_owners_alone(tmp_path):
 
 def test_the_only_secret_serves_a_client_of_another_name(tmp_path):
     make_keys(tmp_path, ("a",))
-    assert client_keys(tmp_path, "fig6") == client_keys(tmp_path, "a")
+    assert read_client_keys(tmp_path, "fig6") == read_client_keys(tmp_path, "a")
     make_keys(tmp_path, ("b",))
     with pytest.raises(ConfigError, match="2 other secret keys"):
-        client_keys(tmp_path, "fig6")
+        read_client_keys(tmp_path, "fig6")
     with pytest.raises(ConfigError, match="2 other secret keys"):
-        client_keys(tmp_path, "../server")
+        read_client_keys(tmp_path, "../server")
 
 
 def test_what_cannot_be_a_key_is_refused(tmp_path):
     with pytest.raises(ConfigError, match=r"client name '\.\./x'"):
         make_keys(tmp_path, ("../x",))
     with pytest.raises(ConfigError, match=r"server\.public"):
-        server_public(tmp_path)
+        read_server_public_key(tmp_path)
     make_keys(tmp_path, ("a",))
     (tmp_path / "server.secret").chmod(0o644)
     with pytest.raises(ConfigError, match="chmod 600"):
-        server_keys(tmp_path)
+        read_server_keys(tmp_path)
     (tmp_path / "server.public").write_text('public-key = "short"\n')
     with pytest.raises(ConfigError, match="5 characters"):
-        server_public(tmp_path)
+        read_server_public_key(tmp_path)
 
 
 @pytest.mark.parametrize(

@@ -18,18 +18,18 @@ from tests.server.protocol.test_messages import REPLIES, REQUESTS
 from tests.server.servers import AHEAD, Server, stand_in_order
 from tests.support.worlds import quick_config
 from wcsim.errors import OverloadedError, ProtocolError
-from wcsim.server.ledger import audit, iter_ledger
+from wcsim.server.ledger import audit_ledgers, iter_ledger_frames
 from wcsim.server.links.socket import SocketSeat
 from wcsim.server.protocol import messages as m
-from wcsim.server.protocol.events import Rules
-from wcsim.server.specs import WorldOrder
+from wcsim.server.protocol.events import ServerRules
+from wcsim.server.specs import WorldBuildSpec
 from wcsim.server.transport.sockets import BURST, MESSAGES_PER_S
 from wcsim.types import SeatSpec
 
 NAMED = (ProtocolError, OverloadedError)
-WORLD = FakeWorld(WorldOrder(town="x", config=quick_config(), seed=1), (SeatSpec(),), 1)
+WORLD = FakeWorld(WorldBuildSpec(town="x", config=quick_config(), seed=1), (SeatSpec(),), 1)
 FRAME = m.Frame(0, 0, 0, WORLD.snapshot.clients[0])
-VALID = [m.encode(message) for message in (*REQUESTS, *REPLIES, FRAME)]
+VALID = [m.encode_message(message) for message in (*REQUESTS, *REPLIES, FRAME)]
 HUGE = [b"\xc6\xff\xff\xff\xff", b"\xdd\xff\xff\xff\xff", b"\xdf\xff\xff\xff\xff", b"\xdb\xff\xff\xff\xff\xa3Act"]
 NESTED = [b"\x91" * 100_000, b"\x81\xa1x" * 50_000, b"\x92\xa4Join" + b"\x91" * 5_000]
 
@@ -68,7 +68,7 @@ def taken_in(decode, data):
     except NAMED as error:
         assert str(error)
         return False
-    m.encode(message)
+    m.encode_message(message)
     return True
 
 
@@ -146,11 +146,11 @@ class Vandal(threading.Thread):
 
 
 def test_a_good_client_loses_nothing_whatever_others_send(tmp_path):
-    order = stand_in_order(tmp_path, rules=Rules(capacity=2, expected=1))
+    order = stand_in_order(tmp_path, rules=ServerRules(capacity=2, expected=1))
     with Server(order, tmp_path) as server, SocketSeat(server.seat("a", ledger=f"{tmp_path}/a")) as a:
         server.status()
         seen: list[bytes] = []
-        a._post = lambda message, then=a._post: (seen.append(m.encode(message)), then(message))
+        a._post = lambda message, then=a._post: (seen.append(m.encode_message(message)), then(message))
         frame = a.join()
         vandal = Vandal(server.order.endpoint, seen)
         vandal.start()
@@ -165,7 +165,7 @@ def test_a_good_client_loses_nothing_whatever_others_send(tmp_path):
             vandal.join(60.0)
         assert "ProtocolError" in vandal.told
         assert server.status(lambda s: s.tick == frame.tick).members == ("a",)
-    _, (found,) = audit((), [(0, iter_ledger(tmp_path / "a"))])
+    _, (found,) = audit_ledgers((), [(0, iter_ledger_frames(tmp_path / "a"))])
     assert (found.steps, found.missing) == (frame.tick, 0)
 
 
@@ -176,12 +176,12 @@ def test_who_sends_too_much_is_told_and_then_not_heard(tmp_path):
             socket.setsockopt(zmq.LINGER, 0)
             socket.setsockopt(zmq.SNDHWM, 100_000)
             socket.connect(server.order.endpoint)
-            act, began_s = m.encode(REQUESTS[1]), time.monotonic()
+            act, began_s = m.encode_message(REQUESTS[1]), time.monotonic()
             for _ in range(40_000):
                 socket.send(act)
             told = []
             while socket.poll(1000):
-                told.append(type(m.error_of(m.decode_reply(socket.recv()))).__name__)
+                told.append(type(m.error_from_failure(m.decode_reply(socket.recv()))).__name__)
             lasted_s = time.monotonic() - began_s
         assert told.count("OverloadedError") <= 20
         # a machine that has other work to do may read them so slowly that they are not too many

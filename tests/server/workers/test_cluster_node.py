@@ -9,22 +9,22 @@ import zstandard
 from tests.support.cluster.workpieces import blunder, read_parcel, refuse
 from wcsim.errors import ConfigError, TownError, WorkersError
 from wcsim.server.workers import cluster_node
-from wcsim.server.workers.cluster_node import _unpack, do_work, packed
-from wcsim.server.workers.machines import InputFiles, Work, WorkResult
+from wcsim.server.workers.cluster_node import _unpack, compress_input_files, run_work_piece
+from wcsim.server.workers.machines import WorkInputFiles, WorkPiece, WorkResult
 
 
 @pytest.fixture
-def parcel(tmp_path: Path) -> InputFiles:
+def parcel(tmp_path: Path) -> WorkInputFiles:
     folder = tmp_path / "corner"
     folder.mkdir()
     for name in ("a.net.xml", "b.rou.xml", "secret.txt"):
         (folder / name).write_text(name)
-    return InputFiles(address=str(folder), folder=folder, names=("a.net.xml", "b.rou.xml"))
+    return WorkInputFiles(address=str(folder), folder=folder, names=("a.net.xml", "b.rou.xml"))
 
 
-def done(parcel: InputFiles, call=read_parcel, files: Any = None) -> WorkResult:
-    work = Work(key="a/1", call=call, piece=parcel.address)
-    return do_work("here/1", work, (parcel,), packed(parcel) if files is None else files)
+def done(parcel: WorkInputFiles, call=read_parcel, files: Any = None) -> WorkResult:
+    work = WorkPiece(key="a/1", call=call, piece=parcel.address)
+    return run_work_piece("here/1", work, (parcel,), compress_input_files(parcel) if files is None else files)
 
 
 def test_what_is_named_travels_under_the_name_of_its_folder_and_is_there_for_its_piece_alone(parcel):
@@ -51,16 +51,16 @@ def test_a_name_that_no_file_can_have_is_of_that_machine(parcel):
 
 
 def test_too_much_is_neither_sent_nor_taken_in(parcel, tmp_path, monkeypatch):
-    files = packed(parcel)
+    files = compress_input_files(parcel)
     monkeypatch.setattr(cluster_node, "MOST_BYTES", 12)
     with pytest.raises(ConfigError, match="--cluster"):
-        packed(parcel)
+        compress_input_files(parcel)
     with pytest.raises(ValueError, match="more than 3 bytes"):  # the first one has nine
         _unpack(files, tmp_path / "there")
     monkeypatch.setattr(cluster_node, "MOST_BYTES", 1 << 20)
     monkeypatch.setattr(cluster_node, "_MOST_FILES", 1)
     with pytest.raises(ConfigError, match="2 files"):
-        packed(parcel)
+        compress_input_files(parcel)
     with pytest.raises(ValueError, match="2 files"):
         _unpack(files, tmp_path / "there")
 

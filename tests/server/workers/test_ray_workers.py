@@ -17,19 +17,19 @@ from tests.support.cluster.workpieces import (
     itself,
     take_in_a_bomb,
 )
-from wcsim.cli.shared.common import machines_of
+from wcsim.cli.shared.common import machines_from_options
 from wcsim.config import resolve
 from wcsim.errors import ConfigError
 from wcsim.server.workers import machines, ray_workers
-from wcsim.server.workers.cluster_node import MOST_BYTES, facts_here, notes_on, why_refused
-from wcsim.server.workers.machines import InputFiles, Work, WorkResult
-from wcsim.server.workers.ray_workers import RayWorkers, _DriverSpec
+from wcsim.server.workers.cluster_node import MOST_BYTES, find_node_warnings, find_refusal_reason, read_machine_facts
+from wcsim.server.workers.machines import WorkInputFiles, WorkPiece, WorkResult
+from wcsim.server.workers.ray_workers import RayWorkerPool, _DriverSpec
 
 
 @pytest.mark.parametrize("address", ["ray://10.0.0.1:10001", "auto", "10.0.0.1", "10.0.0.1:0", "10.0.0.1:70000", "-"])
 def test_what_is_no_address_is_refused(address):
     with pytest.raises(ConfigError, match=r"expected `local`, or HOST:PORT"):
-        machines_of(address, 1, "--worlds")
+        machines_from_options(address, 1, "--worlds")
 
 
 def test_nobody_at_an_address_is_told_within_seconds(monkeypatch):
@@ -38,46 +38,46 @@ def test_nobody_at_an_address_is_told_within_seconds(monkeypatch):
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))  # bound, and nobody listens
         with pytest.raises(ConfigError, match=r"no answer within .*`ray start --head"):
-            machines_of(f"127.0.0.1:{taken.getsockname()[1]}", 1, "--worlds")
+            machines_from_options(f"127.0.0.1:{taken.getsockname()[1]}", 1, "--worlds")
 
 
 def test_without_ray_the_extra_is_named(monkeypatch):
     monkeypatch.setattr("wcsim.errors.find_spec", lambda name: None)
     with pytest.raises(ConfigError, match=r"pip install 'wcsim\[cluster\]'"):
-        machines_of("local", 1, "--jobs")
+        machines_from_options("local", 1, "--jobs")
 
 
 def test_the_nodes_say_how_many_work_at_once():
     with pytest.raises(ConfigError, match="--num-cpus"):
-        machines_of("10.0.0.1:6379", 2, "--jobs")
+        machines_from_options("10.0.0.1:6379", 2, "--jobs")
 
 
 def test_what_lies_on_this_machine_alone_is_refused():
-    from wcsim.agents.runs.transfer import require_travels
+    from wcsim.agents.runs.transfer import require_sendable_run
 
     config = resolve("quick")
-    require_travels(config, ("env.profile=slow",), ("patch",))
+    require_sendable_run(config, ("env.profile=slow",), ("patch",))
     for own in (
-        lambda: require_travels(config, own_code=("own_network:OwnNet",)),
-        lambda: require_travels(config, ("chair.plant=my.toml",)),
-        lambda: require_travels(config, ('chair.plant="my.toml"',)),
-        lambda: require_travels(config, users=("me.toml",)),
-        lambda: require_travels(resolve("quick", ("collect.profiles=['recorded:mine.csv']",))),
+        lambda: require_sendable_run(config, own_code=("own_network:OwnNet",)),
+        lambda: require_sendable_run(config, ("chair.plant=my.toml",)),
+        lambda: require_sendable_run(config, ('chair.plant="my.toml"',)),
+        lambda: require_sendable_run(config, users=("me.toml",)),
+        lambda: require_sendable_run(resolve("quick", ("collect.profiles=['recorded:mine.csv']",))),
     ):
         with pytest.raises(ConfigError, match=r"cannot be sent; expected .* without --cluster"):
             own()
 
 
 def test_a_node_of_another_version_or_code_is_refused_and_a_small_one_is_not():
-    here = facts_here()
-    assert why_refused(here, here) == ""
-    assert "code 0000" in why_refused(here | {"code": "0000"}, here)
-    assert "libsumo 9.9" in why_refused(here | {"libsumo": "9.9"}, here)
-    assert "torch none" in why_refused(here | {"torch": ""}, here)
-    assert "wcsim 9.9" in why_refused(here | {"wcsim": "9.9"}, here)
-    assert "wcsim None" in why_refused({"host": "old"}, here)
-    assert "Python 3.99" in why_refused(here | {"Python": "3.99"}, here)
-    small = notes_on(here | {"shm_mib": "64", "cpu": "another"}, here)
+    here = read_machine_facts()
+    assert find_refusal_reason(here, here) == ""
+    assert "code 0000" in find_refusal_reason(here | {"code": "0000"}, here)
+    assert "libsumo 9.9" in find_refusal_reason(here | {"libsumo": "9.9"}, here)
+    assert "torch none" in find_refusal_reason(here | {"torch": ""}, here)
+    assert "wcsim 9.9" in find_refusal_reason(here | {"wcsim": "9.9"}, here)
+    assert "wcsim None" in find_refusal_reason({"host": "old"}, here)
+    assert "Python 3.99" in find_refusal_reason(here | {"Python": "3.99"}, here)
+    small = find_node_warnings(here | {"shm_mib": "64", "cpu": "another"}, here)
     assert "64 MiB" in small[0] and "--shm-size=1g" in small[0] and "another" in small[1]
 
 
@@ -156,11 +156,13 @@ def test_what_is_malformed_ends_in_a_line_on_live_ray_and_the_next_piece_is_done
     folder.mkdir()
     (folder / "large").touch()
     os.truncate(folder / "large", MOST_BYTES + 1)
-    needed = [InputFiles(address="p", folder=folder, names=(name,)) for name in ("../cluster/ray.log", "large", "none")]
-    works = [Work(key=one.names[0], call=echo, piece=one, needs=itself) for one in needed]
+    needed = [
+        WorkInputFiles(address="p", folder=folder, names=(name,)) for name in ("../cluster/ray.log", "large", "none")
+    ]
+    works = [WorkPiece(key=one.names[0], call=echo, piece=one, needs=itself) for one in needed]
     calls = (answer_with_text, take_in_a_bomb, always_die, echo)
-    works += [Work(key=call.__name__, call=call, piece="x") for call in calls]
-    with closing(RayWorkers("local", 1, tmp_path / "cluster", lambda told: None, join_s=300.0)) as workers:
+    works += [WorkPiece(key=call.__name__, call=call, piece="x") for call in calls]
+    with closing(RayWorkerPool("local", 1, tmp_path / "cluster", lambda told: None, join_s=300.0)) as workers:
         for work in works:
             workers.begin(workers.names()[0], work)
             until_s = time.monotonic() + 300.0

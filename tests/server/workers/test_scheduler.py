@@ -14,14 +14,14 @@ import psutil
 import pytest
 
 from tests.support.cluster.workpieces import always_die, blunder, die_once, echo, hang_once, refuse
-from wcsim.core.processes import kill_workers, start_worker
+from wcsim.core.processes import kill_workers, start_single_worker_pool
 from wcsim.errors import DiskFullError, TownError, WorkersError
-from wcsim.server.workers.machines import Work, WorkResult, _ProcessWorkers
+from wcsim.server.workers.machines import WorkPiece, WorkResult, _ProcessWorkers
 from wcsim.server.workers.scheduler import MOST_FAILURES, Scheduler, _Piece, _Task
 
 
-def work(key: str, call: Callable[..., bytes] = echo, piece: Any = "") -> Work:
-    return Work(key=key, call=call, piece=piece or key)
+def work(key: str, call: Callable[..., bytes] = echo, piece: Any = "") -> WorkPiece:
+    return WorkPiece(key=key, call=call, piece=piece or key)
 
 
 def drop(key: str, data: bytes) -> None:
@@ -69,7 +69,7 @@ class Scripted:
     def names(self) -> tuple[str, ...]:
         return tuple(self.ends)
 
-    def begin(self, worker: str, work: Work) -> None:
+    def begin(self, worker: str, work: WorkPiece) -> None:
         self.begun.append((worker, work.key))
         self.at[worker] = work.key
 
@@ -186,7 +186,7 @@ def test_what_comes_of_a_piece_that_was_given_to_somebody_else_is_dropped(came):
 
 
 def test_a_process_that_is_killed_in_the_middle_of_a_result_is_not_waited_for():
-    pool = start_worker()
+    pool = start_single_worker_pool()
     pool.submit(os.getpid).result(60.0)
     future = pool.submit(bytes, 1 << 28)
     while not pool._result_queue._reader.poll():

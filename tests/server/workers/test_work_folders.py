@@ -11,14 +11,16 @@ import pytest
 
 from tests.support.cluster.workpieces import echo, hang_once, tell_pid
 from wcsim.core.own_folder import LOCK
-from wcsim.server.workers.cluster_node import do_work, packed
-from wcsim.server.workers.machines import Call, InputFiles, Work, WorkResult
+from wcsim.server.workers.cluster_node import compress_input_files, run_work_piece
+from wcsim.server.workers.machines import Call, WorkInputFiles, WorkPiece, WorkResult
 
 
 def work(folder: str, call: Call, piece: str) -> WorkResult:
     """A piece that needs a network, in this process."""
-    needed = InputFiles(address=folder, folder=Path(folder), names=("weights",))
-    return do_work("here/1", Work(key="a/1", call=call, piece=piece), (needed,), packed(needed))
+    needed = WorkInputFiles(address=folder, folder=Path(folder), names=("weights",))
+    return run_work_piece(
+        "here/1", WorkPiece(key="a/1", call=call, piece=piece), (needed,), compress_input_files(needed)
+    )
 
 
 def be_a_worker(folder: str, piece: str) -> None:

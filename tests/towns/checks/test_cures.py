@@ -16,8 +16,8 @@ from tests.towns.made.nets import hilly
 from tests.towns.made.strangers import made
 from tests.towns.made.unpaved import BEGIN_S, write_unpaved
 from wcsim.cli.main import main
-from wcsim.cli.shared.common import parse
-from wcsim.cli.town.import_ import ImportOptions
+from wcsim.cli.shared.common import parse_options
+from wcsim.cli.town.import_ import OsmImportOptions
 from wcsim.errors import TownError
 from wcsim.towns.checks.check import STEEPEST, _faults_of, _unroutable_trips
 from wcsim.towns.checks.cures import FASTEST_MPS, Cures
@@ -143,7 +143,7 @@ def test_a_larger_area_is_downloaded(tmp_path: Path) -> None:
     town = replace(town, file=town.file.model_copy(update={"rebuild": f"{words} --righthand --seed 7"}))
     (fault,) = _faults_of(town, read_net(town.net), replace(FINE, walkable_largest_share=0.5))
     place, _, command = printed(fault, "take a larger area from the internet").partition(" && ")
-    options = parse(ImportOptions, shlex.split(command)[3:], "town import")
+    options = parse_options(OsmImportOptions, shlex.split(command)[3:], "town import")
     west, south, east, north = (float(part) for part in options.bbox.split(","))
     assert west < 25.0 and south < 60.0 and east > 25.01 and north > 60.01
     assert shlex.split(place) == ["cd", str(town.folder)]

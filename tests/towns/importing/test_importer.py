@@ -15,7 +15,7 @@ from tests.towns.checks.test_faults import FINE
 from tests.towns.conftest import bytes_in
 from tests.towns.made.imported import imported
 from wcsim.cli.main import main
-from wcsim.core.files import whole_folder
+from wcsim.core.files import write_folder_atomically
 from wcsim.errors import SumoError, TownError
 from wcsim.towns.checks.check import _demand_classes, _faults_of, _find_notes, _unroutable_trips, check_town
 from wcsim.towns.ground.relief import steepest_grade
@@ -63,7 +63,7 @@ def test_an_import_that_is_ended_as_soon_as_its_folder_is_made_leaves_none(
             raise KeyboardInterrupt
 
     monkeypatch.setattr(Path, "mkdir", ended)
-    with pytest.raises(KeyboardInterrupt), whole_folder(tmp_path / "towns" / "small"):
+    with pytest.raises(KeyboardInterrupt), write_folder_atomically(tmp_path / "towns" / "small"):
         raise AssertionError("the signal came before")
     assert not list((tmp_path / "towns").iterdir())
 
@@ -95,7 +95,7 @@ def test_what_a_killed_import_left_is_cleared_and_a_town_moved_aside_comes_back(
     for name in (f"small.{dead}-a.tmp", f"small.{alive}-a.tmp", f"small.{dead}-b.old", f"other.{dead}-a.tmp"):
         (towns / f".{name}").mkdir(parents=True)
         (towns / f".{name}" / "town.toml").touch()
-    with pytest.raises(ZeroDivisionError), whole_folder(order.out):
+    with pytest.raises(ZeroDivisionError), write_folder_atomically(order.out):
         raise ZeroDivisionError
     assert {path.name for path in towns.iterdir()} == {"small", f".small.{alive}-a.tmp", f".other.{dead}-a.tmp"}
     assert (order.out / "town.toml").is_file()

@@ -11,8 +11,8 @@ import sumolib
 from tests.support.typed import printed
 from tests.towns.conftest import run_in_sumo, tool_output
 from tests.towns.made.unpaved import BEGIN_S, write_unpaved
-from wcsim.cli.shared.common import parse
-from wcsim.cli.town.import_ import PaveOptions
+from wcsim.cli.shared.common import parse_options
+from wcsim.cli.town.import_ import TownPaveOptions
 from wcsim.errors import TownError
 from wcsim.towns.pave.elements import _padded, _SignalLinks, _VehicleLink
 from wcsim.towns.pave.pavements import Paved, pave_town
@@ -241,7 +241,7 @@ def test_streets_that_are_too_fast_are_counted_and_paved_by_what_is_printed(thei
     told = pave_town(open_town(theirs), tmp_path / "our copy")
     (note,) = [note for note in told.notes if "got no pavement" in note]
     assert told.streets == 21 and note.startswith("3 of 24 streets are faster than 13.9 m/s and got no pavement; ")
-    options = parse(PaveOptions, shlex.split(printed(note, "got no pavement"))[3:], "town pave")
+    options = parse_options(TownPaveOptions, shlex.split(printed(note, "got no pavement"))[3:], "town pave")
     assert options.out != told.sumocfg.parent and options.max_speed == 20.0
     again = pave_town(open_town(Path(options.town)), options.out, options.max_speed)
     assert again.streets == 24 and not [note for note in again.notes if "got no pavement" in note]

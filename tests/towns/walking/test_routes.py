@@ -13,7 +13,7 @@ from wcsim.towns.street import load_street
 from wcsim.towns.walking.graph import _shortest_inside
 from wcsim.towns.walking.routes import Router
 from wcsim.types import Street, WalkEdge, WalkGraph, WayKind
-from wcsim.users.crossing import crossings
+from wcsim.users.crossing import find_route_crossings
 
 
 def test_route_crosses_where_the_crossing_is() -> None:
@@ -83,7 +83,9 @@ def over_a_crossing(street: Street, share: float, seed: int, routes: int = 40) -
     router, rng, found = Router(street.walk), generator(seed, "share"), 0
     for _ in range(routes):
         start, _ = router.random_start(rng)
-        items = crossings(router.route(start, router.random_goal(rng, start, 60.0, 400.0, share)), street.walk)
+        items = find_route_crossings(
+            router.route(start, router.random_goal(rng, start, 60.0, 400.0, share)), street.walk
+        )
         found += bool(items) and items[0].start_m <= 81.0
     return found / routes
 

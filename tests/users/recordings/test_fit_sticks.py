@@ -9,10 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from wcsim.core.seeding import generator
-from wcsim.users.profiles import profile, profile_names
-from wcsim.users.recordings.fit_sticks import STICK_DT_S, driven_stick, fit_sticks, stick_habits
+from wcsim.users.profiles import find_builtin_profile, profile_names
+from wcsim.users.recordings.fit_sticks import STICK_DT_S, fit_user_to_sticks, measure_stick_habits, simulate_hand_stick
 
-BASE, CALM = profile("slow"), replace(profile("competent"), noise=0.01)
+BASE, CALM = find_builtin_profile("slow"), replace(find_builtin_profile("competent"), noise=0.01)
 
 
 def driven(user, seed: int, seconds: float = 90.0) -> np.ndarray:
@@ -21,11 +21,11 @@ def driven(user, seed: int, seconds: float = 90.0) -> np.ndarray:
     while sum(map(len, intents)) < seconds / STICK_DT_S:
         place = (rng.uniform(-0.6, 0.6), rng.choice([0.0, 0.35, 0.5, 0.7]))
         intents.append(np.tile(place if rng.random() < 0.8 else (0.0, 0.0), (int(rng.integers(50, 100)), 1)))
-    return driven_stick(user, np.concatenate(intents), 0.01, seed)
+    return simulate_hand_stick(user, np.concatenate(intents), 0.01, seed)
 
 
 def habits(stick, step=0.0):
-    return stick_habits(stick, CALM.noise_rate, step)
+    return measure_stick_habits(stick, CALM.noise_rate, step)
 
 
 def test_a_push_to_the_gate_is_timed_and_shares_are_those_of_the_time():
@@ -63,14 +63,14 @@ def test_lag_and_wander_of_a_hand_are_found(lag_s, noise):
 
 @given(st.integers(0, 99))
 def test_left_and_right_are_alike(seed):
-    stick = driven(profile("ataxic"), seed, 6.0)
+    stick = driven(find_builtin_profile("ataxic"), seed, 6.0)
     assert habits(stick) == pytest.approx(habits(stick * (-1.0, 1.0)), nan_ok=True)
 
 
 def test_people_are_their_mean_and_one_unlike_the_others_is_out_of_the_range_that_they_let_expect():
     lags_s = (0.1, 0.11, 0.12, 0.13, 0.24)
     people = {f"p{k}": driven(replace(CALM, lag_s=lag_s), k, 45.0) for k, lag_s in enumerate(lags_s)}
-    fit = fit_sticks(people, BASE)
+    fit = fit_user_to_sticks(people, BASE)
     assert fit.profile == replace(BASE, spread=0.0, lag_s=fit.profile.lag_s, noise=fit.profile.noise)
     assert fit.estimates["lag_s"].low < 0.13 < fit.estimates["lag_s"].high and fit.estimates["lag_s"].n == 5
     assert fit.profile.noise == pytest.approx(0.01, rel=0.25) and "in steps of 0.01," in fit.warnings[0]
@@ -84,6 +84,6 @@ def test_people_are_their_mean_and_one_unlike_the_others_is_out_of_the_range_tha
 
 
 def test_one_person_has_pieces_and_a_hand_that_never_holds_shows_nothing():
-    assert fit_sticks({"a": driven(CALM, 1, 60.0)}, BASE).estimates["lag_s"].n == 3
-    fit = fit_sticks({"a": driven(profile("tremor"), 1, 60.0)}, BASE)
+    assert fit_user_to_sticks({"a": driven(CALM, 1, 60.0)}, BASE).estimates["lag_s"].n == 3
+    fit = fit_user_to_sticks({"a": driven(find_builtin_profile("tremor"), 1, 60.0)}, BASE)
     assert fit.profile == replace(BASE, spread=0.0) and not fit.estimates and "hardly ever held" in fit.warnings[1]

@@ -14,11 +14,11 @@ from wcsim.core.seeding import generator
 from wcsim.errors import ConfigError
 from wcsim.log.records import changed
 from wcsim.types import Joystick
-from wcsim.users.profiles import _read_profile, profile, profile_names, profile_toml, sample
-from wcsim.users.recordings.fit_user import _has_switches, fit_user, is_certain
-from wcsim.users.recordings.hand_series import hand_series
+from wcsim.users.profiles import _read_profile, find_builtin_profile, profile_names, profile_to_toml, sample_profile
+from wcsim.users.recordings.fit_user import _has_switches, fit_user_to_drives, is_certain_estimate
+from wcsim.users.recordings.hand_series import hand_series_from_drives
 
-BASE = profile("competent")
+BASE = find_builtin_profile("competent")
 FLOORS = {"bias_x": 0.02, "bias_y": 0.05, "tremor": 0.01, "away_share": 0.06}  # where a drawn number may be zero
 UNCERTAIN = {  # docs/user.md says why
     "inattentive": ("away_share", "away_s"),
@@ -31,7 +31,7 @@ SCANNED = [(0.0, 0.0), (0.0, 1.0), (0.0, 0.5), (-0.25, 0.75), (0.25, 0.75), (-0.
 
 
 def drawn(name, seed):
-    return sample(profile(name), generator(seed, "user"))
+    return sample_profile(find_builtin_profile(name), generator(seed, "user"))
 
 
 def numbers(user):
@@ -58,7 +58,7 @@ def shaking():
 
 @pytest.fixture(scope="module")
 def fit(shaking):
-    return fit_user([shaking[1]], BASE)
+    return fit_user_to_drives([shaking[1]], BASE)
 
 
 def test_a_hand_is_found_in_a_minute_and_a_half(shaking, fit):
@@ -73,14 +73,14 @@ def test_a_hand_is_found_in_a_minute_and_a_half(shaking, fit):
 
 def test_a_stick_of_ten_samples_a_second_shows_a_slow_tremor_and_warns_of_fast_ones(shaking):
     user, drive = shaking
-    fit = fit_user([thinned(drive, 0)], BASE)
+    fit = fit_user_to_drives([thinned(drive, 0)], BASE)
     assert fit.estimates["reaction_s"].value == pytest.approx(user.reaction_s, abs=0.06)
     assert any("a tremor above 5 Hz looks slower" in line for line in fit.warnings)
 
 
 def test_a_steady_hand_has_no_tremor_and_another_reaction_is_found():
     user = replace(drawn("competent", 2), reaction_s=0.7)
-    fit = fit_user([plane_drive(user, 80.0, 2)], BASE)
+    fit = fit_user_to_drives([plane_drive(user, 80.0, 2)], BASE)
     assert fit.estimates["reaction_s"].value == pytest.approx(0.7, abs=0.03)
     assert fit.profile.tremor == 0.0 < fit.estimates["tremor"].high <= 0.02
 
@@ -88,21 +88,21 @@ def test_a_steady_hand_has_no_tremor_and_another_reaction_is_found():
 def test_switches_are_known_and_fitted(shaking):
     user = drawn("switch", 1)
     drive = plane_drive(user, 20.0, 4)
-    assert _has_switches(hand_series([drive])) and not _has_switches(hand_series([shaking[1]]))
-    fit = fit_user([drive], BASE)
+    assert _has_switches(hand_series_from_drives([drive])) and not _has_switches(hand_series_from_drives([shaking[1]]))
+    fit = fit_user_to_drives([drive], BASE)
     assert fit.profile.discrete and fit.profile.noise == 0.0
     assert fit.profile.reaction_s == pytest.approx(user.reaction_s, abs=0.02)
     assert fit.estimates["hold_s"].low <= user.hold_s + 0.1
 
 
 def test_the_file_of_a_fit_is_a_profile(fit, tmp_path):
-    (tmp_path / "me.toml").write_text(profile_toml(fit.profile, {}))
+    (tmp_path / "me.toml").write_text(profile_to_toml(fit.profile, {}))
     assert _read_profile(tmp_path / "me.toml") == fit.profile
-    assert sample(fit.profile, generator(1, "user")) == fit.profile
+    assert sample_profile(fit.profile, generator(1, "user")) == fit.profile
 
 
 def test_intents_of_the_model_show_nothing_of_looks_elsewhere(shaking):
-    fit = fit_user([shaking[1]], replace(BASE, away_share=0.2), true_intents=False)
+    fit = fit_user_to_drives([shaking[1]], replace(BASE, away_share=0.2), true_intents=False)
     assert "away_share" not in fit.estimates and fit.profile.away_share == 0.2
     assert any("looking away counts as noise" in line for line in fit.warnings)
 
@@ -110,9 +110,9 @@ def test_intents_of_the_model_show_nothing_of_looks_elsewhere(shaking):
 def test_drives_that_show_too_little_are_refused(shaking):
     drive = shaking[1]
     with pytest.raises(ConfigError, match="no episode of 5 s"):
-        fit_user([replace(drive, records=drive.ticks[:30])], BASE)
+        fit_user_to_drives([replace(drive, records=drive.ticks[:30])], BASE)
     with pytest.raises(ConfigError, match="ticks without an intent"):
-        fit_user([replace(drive, records=(changed(drive.ticks[0], intent=None), *drive.ticks[1:]))], BASE)
+        fit_user_to_drives([replace(drive, records=(changed(drive.ticks[0], intent=None), *drive.ticks[1:]))], BASE)
 
 
 def test_drives_of_other_ticks_or_of_a_chair_that_takes_a_stick_otherwise_are_refused(shaking):
@@ -120,10 +120,10 @@ def test_drives_of_other_ticks_or_of_a_chair_that_takes_a_stick_otherwise_are_re
     drive = shaking[1]
     slow = replace(drive, name="slow.drive", header=changed(drive.header, tick_s=0.2))
     with pytest.raises(ConfigError, match=r"slow\.drive: was driven with world\.tick_s 0\.2, plane with 0\.1; exp"):
-        fit_user([drive, slow], BASE)
+        fit_user_to_drives([drive, slow], BASE)
     dull = resolve("quick", ("chair.deadband=0.4",)).model_dump_json()
     with pytest.raises(ConfigError, match=r"plane: was driven with chair\.deadband 0\.08, .* with 0\.4; expected"):
-        fit_user([replace(drive, header=changed(drive.header, config=dull)), drive], BASE)
+        fit_user_to_drives([replace(drive, header=changed(drive.header, config=dull)), drive], BASE)
 
 
 def at_positions(drive, positions):
@@ -136,12 +136,12 @@ def at_positions(drive, positions):
 @pytest.mark.parametrize("positions", [KEYS, SCANNED, [(0.0, 0.0), (0.0, 1.0)]])
 def test_keys_and_the_switches_of_a_page_show_no_hand(shaking, positions):
     with pytest.raises(ConfigError, match=r"took only \d+ positions?.*expected a drive by gamepad"):
-        fit_user([shaking[1], at_positions(shaking[1], positions)], BASE)
+        fit_user_to_drives([shaking[1], at_positions(shaking[1], positions)], BASE)
 
 
 def test_pushes_to_the_gate_alone_leave_the_hand_of_the_base():
     user = replace(drawn("competent", 1), gain=(3.0, 3.0))
-    fit = fit_user([plane_drive(user, 60.0, 5)], replace(BASE, lag_s=0.21))
+    fit = fit_user_to_drives([plane_drive(user, 60.0, 5)], replace(BASE, lag_s=0.21))
     assert (fit.profile.gain, fit.profile.lag_s, fit.profile.reaction_s) == (BASE.gain, 0.21, BASE.reaction_s)
     assert any("are those of --base" in line for line in fit.warnings)
 
@@ -153,6 +153,8 @@ def test_pushes_to_the_gate_alone_leave_the_hand_of_the_base():
 @pytest.mark.parametrize("name", profile_names())
 def test_ten_minutes_show_a_user_to_15_per_cent(name):
     user = drawn(name, 7)
-    fit = fit_user([plane_drive(user, 600.0, 8)], BASE)
+    fit = fit_user_to_drives([plane_drive(user, 600.0, 8)], BASE)
     assert set(wrong(fit, user)) <= set(UNCERTAIN.get(name, ()))
-    assert all(is_certain(key, item) for key, item in fit.estimates.items() if key not in UNCERTAIN.get(name, ()))
+    assert all(
+        is_certain_estimate(key, item) for key, item in fit.estimates.items() if key not in UNCERTAIN.get(name, ())
+    )

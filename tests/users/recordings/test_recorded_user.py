@@ -12,8 +12,8 @@ from tests.support.samples import USUAL_OUTLINE, straight_route, write_recording
 from tests.users.kinematics import Chair, Sim
 from wcsim.errors import ConfigError
 from wcsim.types import Joystick
-from wcsim.users.profiles import profile
-from wcsim.users.recordings.recorded_user import _JoystickRecording, _RecordedUser, find_user, read_recording
+from wcsim.users.profiles import find_builtin_profile
+from wcsim.users.recordings.recorded_user import _JoystickRecording, _RecordedUser, find_user, read_stick_recording
 
 HEAD = "time_s,x,y\n"
 
@@ -21,7 +21,7 @@ HEAD = "time_s,x,y\n"
 def recorded(text, folder):
     file = folder / "stick.csv"
     file.write_text(text)
-    return read_recording(file)
+    return read_stick_recording(file)
 
 
 def replay(recording, ticks):
@@ -44,7 +44,7 @@ def test_a_table_of_ros_axes_counts_to_the_left_and_may_be_packed(tmp_path):
     assert found.sticks.tolist() == [[-0.5, 0.25], [1.0, 0.0]] and found.time_s.tolist() == [0.0, 0.1]
     packed = tmp_path / "stick.csv.gz"
     packed.write_bytes(gzip.compress(rows.encode()))
-    assert np.array_equal(read_recording(packed).sticks, found.sticks)
+    assert np.array_equal(read_stick_recording(packed).sticks, found.sticks)
     whole = packed.read_bytes()
     for data in (
         b"",
@@ -56,7 +56,7 @@ def test_a_table_of_ros_axes_counts_to_the_left_and_may_be_packed(tmp_path):
     ):
         packed.write_bytes(data)
         with pytest.raises(ConfigError, match=r"stick.csv.gz.*expected"):
-            read_recording(packed)
+            read_stick_recording(packed)
     with pytest.raises(ConfigError, match=r"stick.csv:2: x is -1.5; expected -1 to 1"):
         recorded("t_s,axis0,axis1\n0,-1.5,0\n", tmp_path)
 
@@ -65,7 +65,7 @@ def test_a_table_of_ros_axes_counts_to_the_left_and_may_be_packed(tmp_path):
 def test_what_is_written_is_replayed_tick_by_tick(tmp_path_factory, sticks):
     file = tmp_path_factory.mktemp("rec") / "stick.csv"
     write_recording(file, 0.1 * np.arange(len(sticks)), np.array(sticks))
-    replayed = replay(read_recording(file), len(sticks) - 1)
+    replayed = replay(read_stick_recording(file), len(sticks) - 1)
     assert [(j.x, j.y) for j in replayed] == sticks
 
 
@@ -119,7 +119,7 @@ def test_a_missing_file_is_named(tmp_path):
 
 
 def test_a_name_is_a_profile_or_a_recording(tmp_path):
-    assert find_user("slow") == profile("slow")
+    assert find_user("slow") == find_builtin_profile("slow")
     write_recording(tmp_path / "stick.csv", np.array([0.0, 0.1]), np.zeros((2, 2)))
     assert isinstance(find_user(f"recorded:{tmp_path}/stick.csv"), _JoystickRecording)
     with pytest.raises(ConfigError, match=r"unknown user profile 'drunk'.*competent.*recorded:FILE"):

@@ -19,7 +19,7 @@ from tests.view.report.results import (
     write_result,
 )
 from wcsim.agents.evaluation.suite.result_files import read_result
-from wcsim.supervisor.kpi import KpiStep, sums_of
+from wcsim.supervisor.kpi import KpiStep, sum_kpi_steps
 from wcsim.types import Joystick
 from wcsim.view.report.failures import _judged, _last_speed_mps, chosen, failures_of, where_typed
 
@@ -92,7 +92,7 @@ def test_a_steady_speed_is_told_however_long_the_episode(steps):
         at_rest = Joystick(0.0, 0.0)
         told = {"events": CALM, "joystick_distance": 0.0, "asked": at_rest, "given": at_rest, "speed_mps": 1.5}
         driven.append(KpiStep.of({**told, "state": state}, True))
-    path_m = sums_of(driven, 0.1)["path_m"]
+    path_m = sum_kpi_steps(driven, 0.1)["path_m"]
     assert _last_speed_mps(kept(path_m, 0.1 * steps)) == pytest.approx(1.5, abs=0.2 if steps in (11, 121) else 0.06)
 
 

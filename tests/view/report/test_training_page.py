@@ -5,9 +5,9 @@ import csv
 import pytest
 
 from tests.support.worlds import dqn_config
-from wcsim.agents.clients.group_run import create_clients_folder
-from wcsim.agents.runs.metrics import COLUMNS, STEP_COLUMNS, MetricsFile, note_round
-from wcsim.agents.runs.run_folder import create_run, make_manifest
+from wcsim.agents.clients.group_run import create_group_run_folder
+from wcsim.agents.runs.metrics import COLUMNS, STEP_COLUMNS, MetricsFile, append_round_metrics
+from wcsim.agents.runs.run_folder import create_run_folder, make_run_manifest
 from wcsim.cli.main import main
 from wcsim.errors import PolicyError
 from wcsim.server.specs import RunInfo
@@ -25,13 +25,13 @@ def row(step, **changes):
 
 def several(path, *names):
     config = dqn_config()
-    create_clients_folder(path, config, make_manifest(config, INFO), dict.fromkeys(names, config))
+    create_group_run_folder(path, config, make_run_manifest(config, INFO), dict.fromkeys(names, config))
     return path
 
 
 def one(path):
     config = dqn_config()
-    return create_run(path, config, make_manifest(config, INFO)).path
+    return create_run_folder(path, config, make_run_manifest(config, INFO)).path
 
 
 def log(folder, *rows):
@@ -99,7 +99,7 @@ def test_rounds_of_danger_networks_are_drawn_beside_the_episodes_of_others(tmp_p
     monkeypatch.chdir(tmp_path)
     danger, values = one(tmp_path / "danger"), one(tmp_path / "values")
     for number, new, steps, crashes in ((0, 2000, 7000, 8), (1, 4000, 11000, 4)):  # 5000 are of --data
-        note_round(
+        append_round_metrics(
             danger / "metrics.csv",
             (number, steps, new, 0.25, crashes, 900 * number, 3 * number, 500, 5, 50 * (number + 1), 0.5, 1.0, 2.0),
         )

@@ -22,10 +22,10 @@ from typing import Any, Final, ParamSpec, TypeVar
 
 from wcsim.agents.clients.group_run import RECONNECT_S
 from wcsim.agents.envs.wheelchair_env import WheelchairEnv
-from wcsim.agents.learning.build import network_settings
-from wcsim.agents.learning.callbacks import SeqCallback, TrainProgress
+from wcsim.agents.learning.build import default_settings_for_network
+from wcsim.agents.learning.callbacks import SeqDqnCallback, TrainProgress
 from wcsim.agents.learning.train import train
-from wcsim.agents.networks.device import checked_device
+from wcsim.agents.networks.device import validate_device_name
 from wcsim.agents.networks.registry import find_network
 from wcsim.agents.runs.run_folder import MANIFEST, ResolvedRun, has_results
 from wcsim.config import LearnConfig, RunConfig, parse_json, resolve
@@ -46,12 +46,12 @@ from wcsim.errors import (
     VersionMismatchError,
     WcsimError,
 )
-from wcsim.server.launch.states import ClientExit, ClientStatus
+from wcsim.server.launch.states import ClientExitCode, ClientStatusReport
 from wcsim.server.links.socket import SocketSeat
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.client_core import Patience
-from wcsim.server.specs import ClientSpec, rss_mb, to_line
-from wcsim.supervisor.rewards import find_reward_term
+from wcsim.server.specs import ClientProcessSpec, encode_json_line, rss_mb
+from wcsim.supervisor.rewards import make_reward_term
 
 STATUS_EVERY_S: Final = 0.5  # shortest time between two status lines
 SETTLED_STEPS: Final = 200  # of a process, after which its memory counts as what it started with
@@ -68,8 +68,8 @@ _P = ParamSpec("_P")
 _R = TypeVar("_R")
 
 
-def learn(
-    order: ClientSpec,
+def train_client(
+    order: ClientProcessSpec,
     resume: bool,
     status_fd: int = -1,
     log: Callable[[str], object] = lambda text: None,
@@ -98,7 +98,7 @@ def learn(
             )
         shutil.rmtree(out)
     # 2. The environment: a seat in the world.
-    order, env = open_env(order, again=resume)
+    order, env = make_client_env(order, again=resume)
     config = order.config
     run = ResolvedRun(config=config, out=out, info=order.info, resume=goes_on)
     # 3. What watches the process while it learns.
@@ -127,7 +127,9 @@ def learn(
         env.close()
 
 
-def open_env(order: ClientSpec, again: bool = False) -> tuple[ClientSpec, WheelchairEnv]:
+def make_client_env(
+    order: ClientProcessSpec, again: bool = False
+) -> tuple[ClientProcessSpec, WheelchairEnv]:
     """The order with all settings of its network, and its environment.
 
     An order without a town takes the world as it finds it: it has its seat there when this returns.
@@ -142,10 +144,10 @@ def open_env(order: ClientSpec, again: bool = False) -> tuple[ClientSpec, Wheelc
         WcsimError: The order cannot be used.
     """
     # 1. What cannot be used is refused before others wait for this client.
-    config = resolve(order.config, network_settings(order.config))
-    checked_device(config.learn.device)
+    config = resolve(order.config, default_settings_for_network(order.config))
+    validate_device_name(config.learn.device)
     find_network(config.learn.network)
-    terms = tuple(find_reward_term(name) for name in order.info.rewards)
+    terms = tuple(make_reward_term(name) for name in order.info.rewards)
     order = replace(order, config=config)
     # 2. In a world of its own run the environment takes the seat itself.
     if order.info.town:
@@ -164,22 +166,22 @@ def open_env(order: ClientSpec, again: bool = False) -> tuple[ClientSpec, Wheelc
         raise
 
 
-def exit_code(error: WcsimError) -> ClientExit:
+def client_exit_from_error(error: WcsimError) -> ClientExitCode:
     """The exit code of a client that met this error."""
     if isinstance(error, _ProcessGrownError):
-        return ClientExit.GROWN
+        return ClientExitCode.GROWN
     if isinstance(error, InterruptedRunError):
-        return ClientExit.STOPPED
+        return ClientExitCode.STOPPED
     if isinstance(error, DiskFullError):
-        return ClientExit.DISK_FULL
+        return ClientExitCode.DISK_FULL
     if isinstance(error, EvictedError | StaleSessionError):
-        return ClientExit.EVICTED
+        return ClientExitCode.EVICTED
     if isinstance(error, LinkError) and not isinstance(error, _LASTING):
-        return ClientExit.SERVER_GONE
-    return ClientExit.USER_ERROR
+        return ClientExitCode.SERVER_GONE
+    return ClientExitCode.USER_ERROR
 
 
-def _join_world(order: ClientSpec, seat: SocketSeat, again: bool) -> ClientSpec:
+def _join_world(order: ClientProcessSpec, seat: SocketSeat, again: bool) -> ClientProcessSpec:
     """Take a seat in a world that another process looks after; the order with its settings."""
     endpoint = order.join.endpoint
     try:
@@ -287,7 +289,7 @@ class _Stopwatch:
         return measured
 
 
-class _TimeShares(SeqCallback):
+class _TimeShares(SeqDqnCallback):
     """Measures how long a learner takes for decisions (`inference`) and updates (`learning`)."""
 
     def __init__(self) -> None:
@@ -328,7 +330,7 @@ class _StatusPipe:
         if self._descriptor < 0 or not is_due:
             return
         waits = self._env.waits
-        status = ClientStatus(
+        status = ClientStatusReport(
             name=self._name,
             **asdict(now),
             simulation_s=waits.simulation_s,
@@ -340,7 +342,7 @@ class _StatusPipe:
         )
         self._written_s = time.monotonic()
         try:
-            os.write(self._descriptor, to_line(status))
+            os.write(self._descriptor, encode_json_line(status))
         except BlockingIOError:
             # The reader is stopped.
             pass

@@ -1,7 +1,7 @@
 """A client that learns, in a process of its own: `python -m wcsim.agents.clients.client_process`.
 
 Its environment is a seat in a running world, its run folder a normal one. It ends with a code of
-`ClientExit`. It does not outlive its launcher: it saves its work first, but within five minutes.
+`ClientExitCode`. It does not outlive its launcher: it saves its work first, but within five minutes.
 """
 
 from __future__ import annotations
@@ -14,17 +14,17 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-from wcsim.core.processes import die_with_parent, outlive_parent_by
+from wcsim.core.processes import die_with_parent, limit_orphan_lifetime
 from wcsim.errors import WcsimError
-from wcsim.server.launch.states import WAIT_NO_MORE, ClientExit
-from wcsim.server.protocol.limits import NO_ROOM, limit_message, write_last_line
-from wcsim.server.specs import ClientSpec, read_order
+from wcsim.server.launch.states import WAIT_NO_MORE, ClientExitCode
+from wcsim.server.protocol.limits import NO_ROOM, resource_limit_message, write_stderr_line
+from wcsim.server.specs import ClientProcessSpec, read_spec_file
 
 SAVING_S: Final = 300.0  # longest life after that of the launcher
 
 
 def main(words: Sequence[str]) -> int:
-    """Run a client; returns a code of `ClientExit`."""
+    """Run a client; returns a code of `ClientExitCode`."""
     parser = argparse.ArgumentParser(
         prog="wcsim.agents.clients.client_process", description=(__doc__ or "").splitlines()[0]
     )
@@ -36,34 +36,34 @@ def main(words: Sequence[str]) -> int:
     signal.signal(WAIT_NO_MORE, signal.SIG_IGN)
     die_with_parent()
     # The world of a launcher that died is not started again.
-    outlive_parent_by(SAVING_S, ClientExit.SERVER_GONE, WAIT_NO_MORE)
+    limit_orphan_lifetime(SAVING_S, ClientExitCode.SERVER_GONE, WAIT_NO_MORE)
     # It may have died before it could be watched.
     if _has_no_reader(options.status_fd):
-        return ClientExit.SERVER_GONE
+        return ClientExitCode.SERVER_GONE
     # 2. The order, and only now torch, which takes its time.
     try:
-        order = read_order(ClientSpec, options.order)
-        from wcsim.agents.clients.client import exit_code, learn
+        order = read_spec_file(ClientProcessSpec, options.order)
+        from wcsim.agents.clients.client import client_exit_from_error, train_client
     except WcsimError as error:
-        write_last_line(f"wcsim: {error}")
-        return ClientExit.USER_ERROR
+        write_stderr_line(f"wcsim: {error}")
+        return ClientExitCode.USER_ERROR
     # 3. The run, and what became of it.
     try:
-        learn(order, options.resume, options.status_fd, write_last_line)
+        train_client(order, options.resume, options.status_fd, write_stderr_line)
     except WcsimError as error:
-        write_last_line(f"wcsim: {error}")
-        return exit_code(error)
+        write_stderr_line(f"wcsim: {error}")
+        return client_exit_from_error(error)
     except Exception as error:
-        message = limit_message(error)
+        message = resource_limit_message(error)
         if not message:
             raise
-        write_last_line(f"wcsim: {message}")
+        write_stderr_line(f"wcsim: {message}")
         is_full = getattr(error, "errno", None) in NO_ROOM
-        return ClientExit.DISK_FULL if is_full else ClientExit.USER_ERROR
+        return ClientExitCode.DISK_FULL if is_full else ClientExitCode.USER_ERROR
     except KeyboardInterrupt:
-        write_last_line("wcsim: interrupted")
-        return ClientExit.STOPPED
-    return ClientExit.DONE
+        write_stderr_line("wcsim: interrupted")
+        return ClientExitCode.STOPPED
+    return ClientExitCode.DONE
 
 
 def _has_no_reader(pipe: int) -> bool:

@@ -25,31 +25,38 @@ from typing import Any, Final, TypeVar
 from wcsim.agents.runs.run_folder import (
     CONFIG,
     MANIFEST,
-    Manifest,
+    RunManifest,
     Status,
     has_results,
-    manifest_of,
-    read_json,
-    require_new,
+    read_run_json,
+    require_empty_folder,
+    run_manifest_from_json,
 )
 from wcsim.config import RunConfig, parse, resolve
 from wcsim.config.load import Layer
 from wcsim.core import files, seeding
-from wcsim.core.own_folder import endpoint_in
+from wcsim.core.own_folder import world_endpoint_from_folder
 from wcsim.core.reading import CLAIM, read_text
 from wcsim.errors import ConfigError, PolicyError, WcsimError
-from wcsim.log.reader import iter_inputs, part_files
+from wcsim.log.reader import iter_journal_inputs, list_log_parts
 from wcsim.log.records import Ticked
 from wcsim.log.writer import JOURNAL
-from wcsim.server.launch.states import ClientPlan
-from wcsim.server.ledger import iter_ledger
+from wcsim.server.launch.states import ClientLaunchPlan
+from wcsim.server.ledger import iter_ledger_frames
 from wcsim.server.protocol.client_core import Patience
-from wcsim.server.protocol.events import Rules
-from wcsim.server.specs import ClientSpec, RunInfo, SeatRequest, WorldSpec, seat_spec, to_line
+from wcsim.server.protocol.events import ServerRules
+from wcsim.server.specs import (
+    ClientProcessSpec,
+    RunInfo,
+    SeatRequest,
+    WorldProcessSpec,
+    encode_json_line,
+    seat_spec_from_env,
+)
 from wcsim.towns.making.asked_town import made_seed
 from wcsim.towns.scenario.town import find_town
 from wcsim.types import CLIENT_NAME
-from wcsim.users.profiles import user_files
+from wcsim.users.profiles import filter_user_file_names
 
 T = TypeVar("T")
 LEDGERS: Final = "ledgers"
@@ -70,12 +77,12 @@ _CLAIM: Final = re.compile(r"[0-9a-f]{32}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ClientsFolder:
+class GroupRunFolder:
     """An existing run of several clients."""
 
     path: Path
     config: RunConfig  # of the world
-    manifest: Manifest
+    manifest: RunManifest
     clients: tuple[str, ...]  # in seat order
 
     def ledger(self, name: str) -> Path:
@@ -110,7 +117,7 @@ class ClientsFolder:
 
     def _own_manifest(self, name: str) -> dict[str, Any]:
         folder = self.path / name
-        return read_json(folder, MANIFEST) if (folder / MANIFEST).is_file() else {}
+        return read_run_json(folder, MANIFEST) if (folder / MANIFEST).is_file() else {}
 
     def fruitless(self) -> bool:
         """Whether nothing was done: no tick of the world, no step of a client, nothing saved.
@@ -119,13 +126,13 @@ class ClientsFolder:
         `removed_without_results` of `cli/shared/training.py` judges, by `has_results` alone.
         """
         journal = self.path / JOURNAL
-        if part_files(journal) and _may_hold(
-            journal, iter_inputs, lambda record: isinstance(record, Ticked)
+        if list_log_parts(journal) and _may_hold(
+            journal, iter_journal_inputs, lambda record: isinstance(record, Ticked)
         ):
             return False
         # The frame that its join gave a client is no step.
         for ledger in map(self.ledger, self.clients):
-            if ledger.exists() and _may_hold(ledger, iter_ledger, lambda seen: seen.stepped):
+            if ledger.exists() and _may_hold(ledger, iter_ledger_frames, lambda seen: seen.stepped):
                 return False
         return not any(_has_work(self.path / name) for name in self.clients)
 
@@ -133,7 +140,7 @@ class ClientsFolder:
         """The configuration of a client. Raises PolicyError when it is not there, or damaged."""
         folder, file = self.path / CONFIGS, f"{name}.json"
         try:
-            return parse(RunConfig, read_json(folder, file), str(folder / file))
+            return parse(RunConfig, read_run_json(folder, file), str(folder / file))
         except ConfigError as error:
             raise PolicyError(str(error)) from None
 
@@ -143,7 +150,7 @@ class ClientsFolder:
             [*self.path.glob(f"{JOURNAL}.torn*"), *(self.path / LEDGERS).glob("*.ledger.torn*")]
         )
 
-    def with_status(self, status: Status, steps: int) -> ClientsFolder:
+    def with_status(self, status: Status, steps: int) -> GroupRunFolder:
         """Write a new status into the manifest."""
         folder = replace(self, manifest=replace(self.manifest, status=status, steps=steps))
         _write_manifest(folder)
@@ -156,14 +163,14 @@ class ClientsFolder:
         again, or write a status.
         """
         texts = _config_texts(clients)
-        _write_manifest(self, {name: files.sha256_text(text) for name, text in texts.items()})
+        _write_manifest(self, {name: files.sha256_from_text(text) for name, text in texts.items()})
         for name, text in texts.items():
             files.write_bytes(self.path / name, text.encode())
 
 
-def create_clients_folder(
-    path: Path, config: RunConfig, manifest: Manifest, clients: Mapping[str, RunConfig]
-) -> ClientsFolder:
+def create_group_run_folder(
+    path: Path, config: RunConfig, manifest: RunManifest, clients: Mapping[str, RunConfig]
+) -> GroupRunFolder:
     """Make a new folder. Raises PolicyError when it exists and is not empty, DiskFullError.
 
     Args:
@@ -172,19 +179,19 @@ def create_clients_folder(
         manifest: What it is made with.
         clients: The configuration of each, in seat order.
     """
-    require_new(path)
+    require_empty_folder(path)
     path.mkdir(parents=True, exist_ok=True)
     files.write_bytes(path / CONFIG, config.model_dump_json(indent=2).encode())
     for name, text in _config_texts(clients).items():
         files.write_bytes(path / name, text.encode())
-    folder = ClientsFolder(path=path, config=config, manifest=manifest, clients=tuple(clients))
+    folder = GroupRunFolder(path=path, config=config, manifest=manifest, clients=tuple(clients))
     _write_manifest(folder)
     return folder
 
 
-def open_clients_folder(path: Path) -> ClientsFolder:
+def open_group_run_folder(path: Path) -> GroupRunFolder:
     """Open an existing folder. Raises PolicyError when it is none."""
-    data = read_json(path, MANIFEST)
+    data = read_run_json(path, MANIFEST)
     _check_sealed(path, data)
     clients = data.pop("clients", None)
     if not isinstance(clients, list) or not all(
@@ -192,21 +199,21 @@ def open_clients_folder(path: Path) -> ClientsFolder:
     ):
         raise PolicyError(f"{path} is a run of one network; expected one of wcsim train-clients")
     try:
-        config = parse(RunConfig, read_json(path, CONFIG), str(path / CONFIG))
+        config = parse(RunConfig, read_run_json(path, CONFIG), str(path / CONFIG))
     except ConfigError as error:
         raise PolicyError(str(error)) from None
-    manifest = manifest_of(data, path)
-    return ClientsFolder(path=path, config=config, manifest=manifest, clients=tuple(clients))
+    manifest = run_manifest_from_json(data, path)
+    return GroupRunFolder(path=path, config=config, manifest=manifest, clients=tuple(clients))
 
 
-def read_choice(path: Path, clients: Collection[str]) -> str:
+def read_selected_client(path: Path, clients: Collection[str]) -> str:
     """The client of a run that was chosen to go on; "" where none was.
 
     Raises PolicyError when the file is damaged.
     """
     if not (path / SELECTION / CHOICE).is_file():
         return ""
-    best = read_json(path / SELECTION, CHOICE).get("best")
+    best = read_run_json(path / SELECTION, CHOICE).get("best")
     if not isinstance(best, str) or best not in clients:
         raise PolicyError(
             f"{path / SELECTION / CHOICE}: names no client of this run; remove it to compare again"
@@ -215,7 +222,7 @@ def read_choice(path: Path, clients: Collection[str]) -> str:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Client:
+class ResolvedClient:
     """One client of a run, resolved."""
 
     name: str
@@ -237,10 +244,10 @@ class Client:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class GroupRun:
+class ResolvedGroupRun:
     """A run of clients as it is going to be: a `ResolvedRun` with a configuration for each."""
 
-    clients: tuple[Client, ...]
+    clients: tuple[ResolvedClient, ...]
     out: Path
     info: RunInfo
     resume: bool = False
@@ -248,14 +255,14 @@ class GroupRun:
     last: bool = True  # whether the run is done when all have learned for `Client.steps`
 
 
-def world_order(
-    run: GroupRun,
+def make_world_spec(
+    run: ResolvedGroupRun,
     town: str,
-    folder: ClientsFolder,
+    folder: GroupRunFolder,
     place: Path,
     expected: int,
     lease_s: float,
-) -> WorldSpec:
+) -> WorldProcessSpec:
     """The world of a run, with its rules.
 
     Args:
@@ -266,13 +273,13 @@ def world_order(
         expected: Clients that the first tick waits for.
         lease_s: So long a client may be silent.
     """
-    rules = Rules(
+    rules = ServerRules(
         capacity=len(run.clients),
         config=folder.config.world_digest(),
         expected=expected,
         gather_s=GATHER_S,
         lease_s=lease_s,
-        recordings=user_files(client.config.env.profile for client in run.clients),
+        recordings=filter_user_file_names(client.config.env.profile for client in run.clients),
     )
     more = [
         word if made_seed(word) is not None else find_town(word).address
@@ -280,13 +287,13 @@ def world_order(
     ]
     # As long as the longest episodes; without an end where one client sets none.
     ticks = [client.config.epoch_ticks for client in run.clients]
-    return WorldSpec(
+    return WorldProcessSpec(
         town=town,
         more_towns=tuple(more),
         config=folder.config,  # as in the journal, whatever the clients have learned since
         seed=run.info.seed,
         rules=rules,
-        endpoint=endpoint_in(place),
+        endpoint=world_endpoint_from_folder(place),
         ring=str(place / "ring"),
         name=folder.path.name,
         run=str(folder.path.absolute()),
@@ -295,15 +302,17 @@ def world_order(
     )
 
 
-def client_plan(run: GroupRun, folder: ClientsFolder, place: Path, client: Client) -> ClientPlan:
+def make_client_plan(
+    run: ResolvedGroupRun, folder: GroupRunFolder, place: Path, client: ResolvedClient
+) -> ClientLaunchPlan:
     """A client's order, and how its process is started."""
     config = resolve(client.config, client.shortened)
-    order = ClientSpec(
+    order = ClientProcessSpec(
         join=SeatRequest(
-            endpoint=endpoint_in(place),
+            endpoint=world_endpoint_from_folder(place),
             name=client.name,
             claim=folder.load_or_create_claim(client.name),
-            spec=seat_spec(client.config.env),
+            spec=seat_spec_from_env(client.config.env),
             seat=client.seat,
             config=config.world_digest(),
             ledger=str(folder.ledger(client.name).absolute()),
@@ -311,16 +320,16 @@ def client_plan(run: GroupRun, folder: ClientsFolder, place: Path, client: Clien
         ),
         config=config,
         out=str((folder.path / client.name).absolute()),
-        info=replace(run.info, seed=seeding.derive(run.info.seed, "client", client.seat)),
+        info=replace(run.info, seed=seeding.derive_seed(run.info.seed, "client", client.seat)),
     )
     file = place / f"{client.name}.json"
-    return ClientPlan(
+    return ClientLaunchPlan(
         name=client.name,
         seat=client.seat,
         argv=(*CLIENT_ARGV, str(file)),
         log=folder.log(client.name),
         resume=run.resume,
-        order=to_line(order),
+        order=encode_json_line(order),
         order_file=file,
     )
 
@@ -333,7 +342,7 @@ def _config_texts(clients: Mapping[str, RunConfig]) -> dict[str, str]:
     }
 
 
-def _write_manifest(folder: ClientsFolder, next_sha256: Mapping[str, str] | None = None) -> None:
+def _write_manifest(folder: GroupRunFolder, next_sha256: Mapping[str, str] | None = None) -> None:
     """Write the manifest, with hashes of what cannot change while the run is made, and a seal.
 
     `next_sha256` are hashes of files that are about to be written, and may already be in place when
@@ -341,7 +350,9 @@ def _write_manifest(folder: ClientsFolder, next_sha256: Mapping[str, str] | None
     """
     configs = [CONFIG, *(f"{CONFIGS}/{name}.json" for name in folder.clients)]
     hashes = {
-        name: files.sha256(folder.path / name) for name in configs if (folder.path / name).is_file()
+        name: files.sha256_from_file(folder.path / name)
+        for name in configs
+        if (folder.path / name).is_file()
     }
     data = {**asdict(folder.manifest), "clients": list(folder.clients), _FILES: hashes}
     if next_sha256:
@@ -355,20 +366,20 @@ def _check_sealed(path: Path, data: dict[str, Any]) -> None:
     Raises:
         PolicyError: The manifest, or a file that it has the hash of, is not as it was written.
     """
-    sealed = files.take_seal(data, str(path / MANIFEST), "; restore it")
+    sealed = files.check_and_remove_seal(data, str(path / MANIFEST), "; restore it")
     hashes = data.pop(_FILES, {})
     next_hashes = data.pop(_FILES_TO_COME, {})
     if not sealed:
         return
     for name, digest in hashes.items():
         allowed = (digest, next_hashes.get(name))
-        if not (path / name).is_file() or files.sha256(path / name) not in allowed:
+        if not (path / name).is_file() or files.sha256_from_file(path / name) not in allowed:
             raise PolicyError(f"{path / name} is damaged, or was changed by hand; restore it")
 
 
 def _has_work(run: Path) -> bool:
     """Whether a client's folder holds a step, or results as `has_results` judges them."""
-    manifest = read_json(run, MANIFEST) if (run / MANIFEST).is_file() else {}
+    manifest = read_run_json(run, MANIFEST) if (run / MANIFEST).is_file() else {}
     steps = manifest.get("steps", 0)
     # Stopped before its first step: its policy is the one that it started with.
     if manifest.get("status") == "interrupted" and steps == 0:

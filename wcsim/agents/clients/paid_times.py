@@ -13,17 +13,17 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any, Final
 
-from wcsim.agents.runs.run_folder import read_json
+from wcsim.agents.runs.run_folder import read_run_json
 from wcsim.core import files
 from wcsim.errors import DiskFullError, PolicyError
-from wcsim.server.launch.states import ClientStatus, LaunchState, WorldStatus
+from wcsim.server.launch.states import ClientStatusReport, LaunchProcessStates, WorldStatusReport
 
 WAITS: Final = "waits.json"
 SAVE_EVERY_S: Final = 60.0  # a launcher that is killed loses so much at most
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PaidShares:
+class ClientTimeShares:
     """Where a client's time went, in seconds."""
 
     acting_s: float = 0.0
@@ -37,31 +37,33 @@ class PaidShares:
         """Waiting in which nothing else was done."""
         return max(0.0, self.world_s + self.others_s - self.overlap_s)
 
-    def plus(self, now: PaidShares, before: PaidShares) -> PaidShares:
+    def plus(self, now: ClientTimeShares, before: ClientTimeShares) -> ClientTimeShares:
         """This, and what has been added from `before` to `now`, two readings of one life."""
         names = [each.name for each in fields(self)]
-        return PaidShares(
+        return ClientTimeShares(
             **{k: getattr(self, k) + getattr(now, k) - getattr(before, k) for k in names}
         )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PaidTimes:
+class GroupRunTimes:
     """The times of all clients; `waited_s` by the one that waited, then by the awaited one."""
 
-    clients: dict[str, PaidShares]
+    clients: dict[str, ClientTimeShares]
     waited_s: dict[str, dict[str, float]]
 
 
-def read_paid_times(run: Path) -> PaidTimes | None:
+def read_group_run_times(run: Path) -> GroupRunTimes | None:
     """The times of a run; None for an older one. Raises PolicyError when they are damaged."""
     if not (run / WAITS).is_file():
         return None
-    data = read_json(run, WAITS)
+    data = read_run_json(run, WAITS)
     try:
-        clients = {name: PaidShares(**_seconds(shares)) for name, shares in data["clients"].items()}
+        clients = {
+            name: ClientTimeShares(**_seconds(shares)) for name, shares in data["clients"].items()
+        }
         waited_s = {name: _seconds(row) for name, row in data["waited_s"].items()}
-        return PaidTimes(clients=clients, waited_s=waited_s)
+        return GroupRunTimes(clients=clients, waited_s=waited_s)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise PolicyError(
             f"{run / WAITS}: is damaged ({str(error)[:80]}); expected the file as a run wrote it: "
@@ -69,20 +71,22 @@ def read_paid_times(run: Path) -> PaidTimes | None:
         ) from None
 
 
-class PaidTimesLog:
+class GroupRunTimesFile:
     """Adds up the status messages of the processes of a launch, life by life."""
 
     def __init__(self, run: Path) -> None:
         """Go on with what a run folder holds. Raises PolicyError when that is damaged."""
         self._run = run
-        self.times = read_paid_times(run) or PaidTimes(clients={}, waited_s={})
-        self._last: dict[str, tuple[int, PaidShares]] = {}  # process and reading of each client
+        self.times = read_group_run_times(run) or GroupRunTimes(clients={}, waited_s={})
+        self._last: dict[
+            str, tuple[int, ClientTimeShares]
+        ] = {}  # process and reading of each client
         self._saved_s = 0.0
         self._world_pid = 0
         # What the world of now has reported, by the client that waited and the awaited one.
         self._world_waits_s: dict[tuple[str, str], float] = {}
 
-    def add(self, state: LaunchState) -> None:
+    def add(self, state: LaunchProcessStates) -> None:
         """Add what has been spent since the last call."""
         for client in state.clients:
             if client.status is not None:
@@ -103,23 +107,23 @@ class PaidTimesLog:
             with suppress(DiskFullError):
                 files.write_json(self._run / WAITS, asdict(self.times))
 
-    def _add_shares(self, name: str, status: ClientStatus) -> None:
-        now = PaidShares(
+    def _add_shares(self, name: str, status: ClientStatusReport) -> None:
+        now = ClientTimeShares(
             acting_s=status.inference_s,
             learning_s=status.learning_s,
             overlap_s=status.overlap_s,
             world_s=status.simulation_s,
             others_s=status.barrier_s,
         )
-        last_pid, before = self._last.get(name, (status.pid, PaidShares()))
+        last_pid, before = self._last.get(name, (status.pid, ClientTimeShares()))
         # A process counts from zero.
         if status.pid != last_pid:
-            before = PaidShares()
-        sums = self.times.clients.get(name, PaidShares())
+            before = ClientTimeShares()
+        sums = self.times.clients.get(name, ClientTimeShares())
         self.times.clients[name] = sums.plus(now, before)
         self._last[name] = status.pid, now
 
-    def _add_waits(self, pid: int, world: WorldStatus) -> None:
+    def _add_waits(self, pid: int, world: WorldStatusReport) -> None:
         """Add the waits that a world reports.
 
         It forgets the waits of those who left, but not the waits for them: these go on when they

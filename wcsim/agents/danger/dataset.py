@@ -21,9 +21,9 @@ from wcsim.agents.danger.street_map import (
     FeatureExtractor,
     sweep,
 )
-from wcsim.agents.perception.depth_image import is_mirror_symmetric
+from wcsim.agents.perception.depth_image import is_camera_mirror_symmetric
 from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, IMU_KEY, JOYSTICK_KEY, ODOMETRY_KEY
-from wcsim.agents.runs.data_folder import ORACLE, Segment, unsafe_ahead
+from wcsim.agents.runs.data_folder import ORACLE, DrivingSegment, find_unsafe_actions_ahead
 from wcsim.config import RunConfig
 from wcsim.core.reading import unzstd
 from wcsim.errors import PolicyError
@@ -52,7 +52,7 @@ def _frame_windows(ended: Bool, frames: int) -> I64:
     return seen
 
 
-def _happened(segment: Segment, actions: ActionSet, ahead: int, tick_s: float) -> U8:
+def _happened(segment: DrivingSegment, actions: ActionSet, ahead: int, tick_s: float) -> U8:
     """(N, A) what became of the positions that were executed: 1 a crash of the chair's own fault, 0 none, or UNKNOWN.
 
     It is known of the executed one and its neighbours alone. 1: the position was held, or held and let go, until the
@@ -101,7 +101,7 @@ class Dataset:
         self._config, self._spec = config, spec_of(config)
         self._rng, self._extractor = np.random.default_rng(0), FeatureExtractor(config, street=self._spec.street)
         # A street map lies around the chair wherever its camera looks; pictures need one that looks straight ahead.
-        self._may_mirror = not self._spec.pictures or is_mirror_symmetric(config.cameras[0])
+        self._may_mirror = not self._spec.pictures or is_camera_mirror_symmetric(config.cameras[0])
         self._size = (2, config.cameras[0].height_px, config.cameras[0].width_px)
         self._actions = action_set(config.env.actions)
         self._pictures: list[bytes] = []  # of each step: zstd, (PLANES, SIDE, SIDE) uint8
@@ -113,7 +113,7 @@ class Dataset:
         self._tight = np.zeros(0, np.int64)  # steps in which something is unsafe
         self._told = np.zeros(0, np.int64)  # steps of which something is known
 
-    def add(self, segment: Segment) -> None:
+    def add(self, segment: DrivingSegment) -> None:
         """Learn from its steps, too; their features are extracted again, as a chair that drives would.
 
         Raises:
@@ -151,7 +151,7 @@ class Dataset:
         self._tight = np.concatenate([self._tight, first + np.flatnonzero((unsafe == 1).any(axis=1))])
         self._told = np.concatenate([self._told, first + np.flatnonzero((unsafe < UNKNOWN).any(axis=1))])
 
-    def _labels(self, segment: Segment) -> U8:
+    def _labels(self, segment: DrivingSegment) -> U8:
         """(N, A) of its steps, by the teacher that was asked for."""
         danger, actions, labels = self._config.danger, len(self._actions), segment.truth.shape[1]
         if danger.teacher == "crashes":
@@ -163,7 +163,7 @@ class Dataset:
             told = f"a segment has labels for {labels} actions; expected {actions}"
             raise PolicyError(f"{told}: collect it again, with an oracle as danger.teacher")
         codes = segment.truth if danger.teacher == "truth" else segment.visible
-        return unsafe_ahead(codes, segment.ended, danger.ahead).astype(np.uint8)
+        return find_unsafe_actions_ahead(codes, segment.ended, danger.ahead).astype(np.uint8)
 
     def begin(self, rng: np.random.Generator) -> None:
         """Draw with this generator from now on."""

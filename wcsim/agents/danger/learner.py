@@ -12,9 +12,9 @@ from torch.nn import functional
 
 from wcsim.agents.danger.dataset import UNKNOWN, Dataset
 from wcsim.agents.danger.network import DangerNet, channels_last, spec_of
-from wcsim.agents.networks.device import checked_device
+from wcsim.agents.networks.device import validate_device_name
 from wcsim.agents.runs.checkpoint import Arrays
-from wcsim.agents.runs.weights import checked_tensors
+from wcsim.agents.runs.weights import validate_tensors
 from wcsim.config import RunConfig
 from wcsim.core import seeding
 from wcsim.errors import PolicyError
@@ -40,8 +40,8 @@ class DangerLearner:
     def __init__(self, config: RunConfig, seed: int, total: int) -> None:
         danger = config.danger
         # Here, and not once for a run: the first weights must not depend on what was drawn before.
-        torch.manual_seed(seeding.derive(seed, "agent", "danger"))
-        self._device = checked_device(config.learn.device)
+        torch.manual_seed(seeding.derive_seed(seed, "agent", "danger"))
+        self._device = validate_device_name(config.learn.device)
         self.net = channels_last(DangerNet(spec_of(config))).to(self._device)
         self._optimizer = torch.optim.AdamW(
             self.net.parameters(), lr=danger.learning_rate, weight_decay=danger.weight_decay
@@ -100,7 +100,7 @@ class DangerLearner:
         weights, moments = (
             {name: torch.from_numpy(value) for name, value in arrays[part].items()} for part in ("weights", "moments")
         )
-        self.net.load_state_dict(checked_tensors("the weights", weights, self.net.state_dict()))
+        self.net.load_state_dict(validate_tensors("the weights", weights, self.net.state_dict()))
         parameters = dict(self.net.named_parameters())
         names = sorted({name.rpartition(".")[0] for name in moments})
         # Of those that were moved: a parameter without a gradient has no moments yet.
@@ -109,7 +109,7 @@ class DangerLearner:
             for name in names
             for key in _MOMENTS
         }
-        held = checked_tensors("the moments", moments, wanted)
+        held = validate_tensors("the moments", moments, wanted)
         # Whatever the optimiser has gathered since would be mixed with what it had then.
         self._optimizer.state.clear()
         for name in names:

@@ -19,24 +19,24 @@ from torch.nn import functional
 from wcsim.agents.danger.street_map import PLANES, SIDE, SLICES, VECTOR
 from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, IMU_KEY, JOYSTICK_KEY
 from wcsim.config import RunConfig
-from wcsim.config.run_file import DangerNetFile, DangerSpec
+from wcsim.config.run_file import DangerNetworkShape, DangerNetworkSpec
 from wcsim.supervisor.actions import action_set
 
 _MAPS: Final = 2 * SLICES  # hull and wheels, by slice of time
 _BASE: Final = -3.0  # so rare are dangers before anything is learned
 
 
-def spec_of(config: RunConfig) -> DangerSpec:
+def spec_of(config: RunConfig) -> DangerNetworkSpec:
     """The network that a run's configuration asks for. Raises PolicyError when there is no such network."""
     danger, network, window = config.danger, "patch", 1
     if danger.eye != "map":
-        from wcsim.agents.networks.registry import preferred_window
+        from wcsim.agents.networks.registry import preferred_window_size
 
         network = config.learn.network
-        window = config.env.window or preferred_window(network)
+        window = config.env.window or preferred_window_size(network)
     width, actions, eye = danger.width, config.env.actions, danger.eye
-    net = DangerNetFile(width=width, actions=actions, eye=eye, network=network, window=window)
-    return DangerSpec(net=net, camera=config.cameras[0], classes=config.env.classes)
+    net = DangerNetworkShape(width=width, actions=actions, eye=eye, network=network, window=window)
+    return DangerNetworkSpec(net=net, camera=config.cameras[0], classes=config.env.classes)
 
 
 class DangerNet(nn.Module):
@@ -46,7 +46,7 @@ class DangerNet(nn.Module):
         spec: Its parts.
     """
 
-    def __init__(self, spec: DangerSpec) -> None:
+    def __init__(self, spec: DangerNetworkSpec) -> None:
         super().__init__()
         self.spec = spec
         count, width = len(action_set(spec.net.actions)), spec.net.width
@@ -159,7 +159,7 @@ class _PictureHead(nn.Module):
         PolicyError: There is no such network, or it cannot see so many pictures.
     """
 
-    def __init__(self, spec: DangerSpec, count: int) -> None:
+    def __init__(self, spec: DangerNetworkSpec, count: int) -> None:
         super().__init__()
         from wcsim.agents.networks.encoder import ObservationEncoder  # and with it Stable-Baselines3
 

@@ -16,13 +16,13 @@ import torch
 from wcsim.agents.danger.dataset import to_tensors
 from wcsim.agents.danger.network import DangerNet, channels_last
 from wcsim.agents.danger.street_map import FeatureExtractor, Features
-from wcsim.agents.networks.names import NETWORK_NAMES, require_named
-from wcsim.agents.perception.alarm import Alarm, next_alarm
+from wcsim.agents.networks.names import NETWORK_NAMES, require_trusted_network
+from wcsim.agents.perception.alarm import AlarmState, next_alarm_state
 from wcsim.agents.policy_api import JOYSTICK_KEY, MOTION_SENSES, NotFinite, Observation, TracksExecuted, require_level
-from wcsim.agents.runs.policy_file import read_danger_file, require_same_senses
-from wcsim.agents.runs.weights import load_network, write_policy
+from wcsim.agents.runs.policy_file import read_danger_policy_file, require_danger_policy_fits
+from wcsim.agents.runs.weights import load_network, write_policy_folder
 from wcsim.config import RunConfig
-from wcsim.config.run_file import DangerRule
+from wcsim.config.run_file import DangerRuleSettings
 from wcsim.core.reading import escaped
 from wcsim.supervisor.actions import ActionSet, action_set
 from wcsim.types import F64, Bool
@@ -33,7 +33,7 @@ RECENT_TICKS: Final = 5  # for so long after it was taken away, the user's own i
 GIVES_BACK: Final = 0.5  # of the threshold: what was taken away is given back only where there is room
 
 
-def _within(danger: F64, rule: DangerRule, last: int = -1, taken: int = -1) -> Bool:
+def _within(danger: F64, rule: DangerRuleSettings, last: int = -1, taken: int = -1) -> Bool:
     """(A,) which actions are safe enough; the arguments are those of `_choose`."""
     limit = np.full(len(danger), rule.threshold)
     if last >= 0:
@@ -45,7 +45,7 @@ def _within(danger: F64, rule: DangerRule, last: int = -1, taken: int = -1) -> B
     return allowed
 
 
-def _next_recent(before: int, unsafe: bool, danger: float, rule: DangerRule) -> int:
+def _next_recent(before: int, unsafe: bool, danger: float, rule: DangerRuleSettings) -> int:
     """For how many ticks more the user's own action is taken away as soon as it is unsafe.
 
     Args:
@@ -70,7 +70,7 @@ def _choose(
     danger: F64,
     stick: F64,
     actions: ActionSet,
-    rule: DangerRule,
+    rule: DangerRuleSettings,
     last: int = -1,
     recent: bool = True,
     taken: int = -1,
@@ -116,10 +116,10 @@ class DangerPolicy(TracksExecuted):
     """
 
     def __init__(
-        self, name: str, net: DangerNet, config: RunConfig, rule: DangerRule, delay_ticks: int | None = None
+        self, name: str, net: DangerNet, config: RunConfig, rule: DangerRuleSettings, delay_ticks: int | None = None
     ) -> None:
         self.name, self.senses = name, MOTION_SENSES
-        self.rule, self._net, self._alarm = rule, net, Alarm()
+        self.rule, self._net, self._alarm = rule, net, AlarmState()
         self._device = next(net.parameters()).device
         self._actions = action_set(config.env.actions)
         self.extractor = FeatureExtractor(config, delay_ticks, net.spec.street, net.spec.pictures)
@@ -129,7 +129,7 @@ class DangerPolicy(TracksExecuted):
 
     @property
     def warning(self) -> bool:
-        """Whether the user's own stick is about to end badly, see `next_alarm`."""
+        """Whether the user's own stick is about to end badly, see `next_alarm_state`."""
         return self._alarm.on
 
     @property
@@ -157,7 +157,7 @@ class DangerPolicy(TracksExecuted):
     def reset(self) -> None:
         """Stand still, and know nothing of the street."""
         self.extractor.forget()
-        self._alarm, self._last, self._recent = Alarm(), -1, 0
+        self._alarm, self._last, self._recent = AlarmState(), -1, 0
 
     def choose(self, observation: Observation) -> int:
         """The action, while another one may still be sent."""
@@ -165,7 +165,7 @@ class DangerPolicy(TracksExecuted):
         self.observe(observation)
         danger = self.danger(self.features)
         own = self._actions.nearest(stick)
-        self._alarm = next_alarm(self._alarm, float(danger[own]), self.rule.warn)
+        self._alarm = next_alarm_state(self._alarm, float(danger[own]), self.rule.warn)
         taken = own if self._recent > 1 and own != self._last else -1
         self.unsafe = ~_within(danger, self.rule, self._last, taken)
         chosen = _choose(danger, stick, self._actions, self.rule, self._last, self._recent > 0, taken)
@@ -194,8 +194,10 @@ class DangerPolicy(TracksExecuted):
         return danger
 
 
-def save_danger(folder: Path, net: DangerNet, rule: DangerRule, config: RunConfig, manifest_sha256: str = "") -> Path:
-    """See `write_policy`."""
+def save_danger(
+    folder: Path, net: DangerNet, rule: DangerRuleSettings, config: RunConfig, manifest_sha256: str = ""
+) -> Path:
+    """See `write_policy_folder`."""
     said = {
         "algorithm": "danger",
         "net": net.spec.net.model_dump(),
@@ -205,10 +207,10 @@ def save_danger(folder: Path, net: DangerNet, rule: DangerRule, config: RunConfi
         "chair": config.chair.model_dump(mode="json"),
         "manifest_sha256": manifest_sha256,
     }
-    return write_policy(folder, net, said)
+    return write_policy_folder(folder, net, said)
 
 
-def load_net(folder: Path, network: str | None = None) -> tuple[DangerNet, DangerRule]:
+def load_net(folder: Path, network: str | None = None) -> tuple[DangerNet, DangerRuleSettings]:
     """The network of a policy folder, and its rule.
 
     Args:
@@ -218,9 +220,9 @@ def load_net(folder: Path, network: str | None = None) -> tuple[DangerNet, Dange
     Raises:
         PolicyError: A file is missing, damaged or unfit, or the policy has a class of its own that was not named.
     """
-    file = read_danger_file(folder)
+    file = read_danger_policy_file(folder)
     if file.net.eye != "map" and file.net.network not in NETWORK_NAMES:
-        require_named(escaped(folder), file.net.network, network)
+        require_trusted_network(escaped(folder), file.net.network, network)
     net = load_network(folder, file.weights_sha256, lambda: DangerNet(file))
     net.train(False)
     return channels_last(net), file.rule
@@ -241,6 +243,6 @@ def load_danger(
     Raises:
         PolicyError: It cannot be loaded, or was trained with another camera, class form or action set.
     """
-    require_same_senses(folder, name, config)
+    require_danger_policy_fits(folder, name, config)
     net, rule = load_net(folder, network)
     return DangerPolicy(name, net, config, rule if level is None else rule.model_copy(update={"threshold": level}))

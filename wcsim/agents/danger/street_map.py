@@ -15,8 +15,8 @@ from typing import Final
 
 import numpy as np
 
-from wcsim.agents.perception.arcs import advance
-from wcsim.agents.perception.surroundings import StreetSense
+from wcsim.agents.perception.arcs import integrate_chair_state
+from wcsim.agents.perception.surroundings import StreetPerception
 from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, IMU_KEY, JOYSTICK_KEY, ODOMETRY_KEY, Observation
 from wcsim.config import RunConfig
 from wcsim.core.jit import exact_kernel
@@ -163,7 +163,7 @@ def sweep(starts: F64, commands: F64, limits: F64, chair: F64, out: I32) -> None
             for i in range(SLICES * EACH_SLICE):
                 # A hair less: rounding of the product must not add a step.
                 held = i * STEP_S < HOLD_S - 1e-9
-                advance(now, commands[k] if held else rest, limits, STEP_S)
+                integrate_chair_state(now, commands[k] if held else rest, limits, STEP_S)
                 cos, sin = math.cos(now[2]), math.sin(now[2])
                 for p in range(len(chair)):
                     x = now[0] + cos * chair[p, 0] - sin * chair[p, 1]
@@ -208,7 +208,7 @@ class FeatureExtractor:
         self._shape = (2, config.cameras[0].height_px, config.cameras[0].width_px)
         self._actions = action_set(config.env.actions)
         spec = plant_spec(config.chair)
-        self.around = StreetSense(config, self._actions, spec.outline, delay_ticks)
+        self.around = StreetPerception(config, self._actions, spec.outline, delay_ticks)
         around = self.around
         self._kinds, self._movers = kinds_of_ground(), movers()
         self._cells = np.zeros((RASTER, RASTER, 5), np.int64)

@@ -18,19 +18,23 @@ import gymnasium
 import numpy as np
 
 from wcsim.agents.envs.episode_view import (
-    ChairView,
     EnvObservation,
-    EpisodeStep,
+    EnvStepResult,
     Info,
-    windowed_space,
+    SeatEnvAdapter,
+    window_observation_space,
 )
 from wcsim.config import RunConfig, resolve
-from wcsim.core.reading import MAX_INTEGER, escaped_value
+from wcsim.core.reading import MAX_INTEGER, escaped_repr
 from wcsim.errors import ConfigError, ProtocolError, meant
-from wcsim.server.links.base import Seat, SeatGroup, open_group
-from wcsim.server.specs import WorldOrder, seat_spec
+from wcsim.server.links.base import SeatLink, SeatLinkGroup, open_seat_links
+from wcsim.server.specs import WorldBuildSpec, seat_spec_from_env
 from wcsim.supervisor.actions import action_set
-from wcsim.supervisor.observation import imu_size, observation_space, state_space
+from wcsim.supervisor.observation import (
+    count_imu_values,
+    make_observation_space,
+    make_state_observation_space,
+)
 from wcsim.supervisor.rewards import RewardTerm, is_reward_term
 from wcsim.users.recordings.recorded_user import find_user
 
@@ -62,7 +66,7 @@ class EnvOptions(TypedDict, total=False):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class StreetEnvSpec:
+class StreetEnvSettings:
     """A town, its configuration, and the place of its outputs."""
 
     town: str
@@ -88,23 +92,23 @@ class StreetEnvSpec:
         """The space of one chair's observations, a new one each time."""
         env = self.config.env
         if env.observation == "state":
-            return state_space()
+            return make_state_observation_space()
         camera = self.config.eye
-        single = observation_space(
+        single = make_observation_space(
             env.observation,
             camera.width_px,
             camera.height_px,
-            imu_size(env.observe_gyro, env.observe_yaw),
+            count_imu_values(env.observe_gyro, env.observe_yaw),
             self.config.sensors.measures(),
         )
-        return windowed_space(single, env.frames)
+        return window_observation_space(single, env.frames)
 
-    def order(self, seed: int, chairs: int = 1) -> WorldOrder:
+    def order(self, seed: int, chairs: int = 1) -> WorldBuildSpec:
         """The order for a world with so many seats."""
-        return WorldOrder(
+        return WorldBuildSpec(
             town=self.town,
             config=self.config,
-            seat=seat_spec(self.config.env),
+            seat=seat_spec_from_env(self.config.env),
             seats=chairs,
             seed=seed % SEED_LIMIT,
             run="" if self.run is None else str(self.run),
@@ -112,7 +116,9 @@ class StreetEnvSpec:
         )
 
 
-def make_spec(town: str, options: EnvOptions, own: Collection[str] = ("town",)) -> StreetEnvSpec:
+def make_env_settings(
+    town: str, options: EnvOptions, own: Collection[str] = ("town",)
+) -> StreetEnvSettings:
     """What the options of an environment describe.
 
     Args:
@@ -143,7 +149,7 @@ def make_spec(town: str, options: EnvOptions, own: Collection[str] = ("town",)) 
     # The characters of a string would be taken for overrides.
     if isinstance(overrides, str):
         raise ConfigError(
-            f"overrides={escaped_value(overrides)} is one string; expected several: "
+            f"overrides={escaped_repr(overrides)} is one string; expected several: "
             f"overrides=[{overrides!r}]"
         )
     resolved = resolve(
@@ -155,7 +161,7 @@ def make_spec(town: str, options: EnvOptions, own: Collection[str] = ("town",)) 
         raise ConfigError(f"render_mode {render_mode!r} is unknown; expected 'rgb_array' or None")
     if render_mode == "rgb_array":
         resolved = resolve(resolved, f"cameras.{resolved.cameras.index(resolved.eye)}.rgb=true")
-    return StreetEnvSpec(
+    return StreetEnvSettings(
         town=town,
         config=resolved,
         render_mode=render_mode,
@@ -164,14 +170,14 @@ def make_spec(town: str, options: EnvOptions, own: Collection[str] = ("town",)) 
     )
 
 
-def checked_chairs(chairs: int) -> int:
+def validate_chair_count(chairs: int) -> int:
     """A number of chairs. Raises ConfigError for one that no world can have."""
     if not 1 <= chairs <= MAX_CHAIRS:
         raise ConfigError(f"chairs={chairs}; expected 1 to {MAX_CHAIRS} in one world")
     return chairs
 
 
-def checked_seed(seed: object) -> int | None:
+def validate_seed(seed: object) -> int | None:
     """A seed, or None. Raises ConfigError for one that is no integer from 0 on."""
     if seed is None:
         return None
@@ -181,13 +187,12 @@ def checked_seed(seed: object) -> int | None:
         number = -1
     if not 0 <= number <= MAX_INTEGER:
         raise ConfigError(
-            f"seed {escaped_value(seed)} cannot be used; expected an integer from 0 to "
-            f"{MAX_INTEGER}"
+            f"seed {escaped_repr(seed)} cannot be used; expected an integer from 0 to {MAX_INTEGER}"
         )
     return number
 
 
-def stacked(observations: Sequence[EnvObservation]) -> EnvObservation:
+def stack_observations(observations: Sequence[EnvObservation]) -> EnvObservation:
     """One observation of all chairs, in new arrays with one more axis, the first."""
     first = observations[0]
     if not isinstance(first, dict):
@@ -195,19 +200,21 @@ def stacked(observations: Sequence[EnvObservation]) -> EnvObservation:
     return {key: np.stack([each[key] for each in observations]) for key in first}  # type: ignore[call-overload]
 
 
-def drawn_seed() -> int:
+def draw_random_seed() -> int:
     """A seed drawn from the system, where none is given."""
     return int(np.random.SeedSequence().generate_state(1)[0]) % SEED_LIMIT
 
 
-class Chairs:
+class ChairGroup:
     """All chairs of a world, by seat; the world is made by the first `begin`."""
 
-    def __init__(self, spec: StreetEnvSpec, count: int, terms: Sequence[RewardTerm] = ()) -> None:
+    def __init__(
+        self, spec: StreetEnvSettings, count: int, terms: Sequence[RewardTerm] = ()
+    ) -> None:
         """So many chairs, each with its own copy of the user's reward terms, which have a state."""
         self.spec = spec
-        self.all = [ChairView(spec.config, copy.deepcopy(tuple(terms))) for _ in range(count)]
-        self._group: SeatGroup | None = None
+        self.all = [SeatEnvAdapter(spec.config, copy.deepcopy(tuple(terms))) for _ in range(count)]
+        self._group: SeatLinkGroup | None = None
 
     def __getstate__(self) -> dict[str, Any]:
         """For copies. Raises ProtocolError while there is a world: several have no replay."""
@@ -224,11 +231,11 @@ class Chairs:
 
     def begin(self, seed: int | None) -> list[tuple[EnvObservation, Info]]:
         """Begin every chair's first episode in a new world; without a seed, one is drawn."""
-        seed = (drawn_seed() if seed is None else seed) % SEED_LIMIT
+        seed = (draw_random_seed() if seed is None else seed) % SEED_LIMIT
         if not self.open:
             self.close()
         if self._group is None:
-            self._group = open_group(self.spec.order(seed, len(self.all)))
+            self._group = open_seat_links(self.spec.order(seed, len(self.all)))
             frames = self._group.join()
         else:
             frames = self._group.begin_again(seed)
@@ -263,11 +270,11 @@ class Chairs:
         for seat, command in enumerate(commands):
             self.link(seat).send(command.tick, command.joystick)
 
-    def receive(self, seat: int) -> EpisodeStep:
+    def receive(self, seat: int) -> EnvStepResult:
         """The result of a chair's action. Raises LinkError."""
         return self.all[seat].finish_step(self.link(seat).receive())
 
-    def receive_all(self) -> list[tuple[EpisodeStep, tuple[EnvObservation, Info] | None]]:
+    def receive_all(self) -> list[tuple[EnvStepResult, tuple[EnvObservation, Info] | None]]:
         """The results of all actions, and the first frame of the next episode where one ended."""
         steps = [self.receive(seat) for seat in range(len(self.all))]
         return [
@@ -275,7 +282,7 @@ class Chairs:
             for chair, step in zip(self.all, steps, strict=True)
         ]
 
-    def link(self, seat: int) -> Seat:
+    def link(self, seat: int) -> SeatLink:
         """The link of a seat. Raises ProtocolError when there is no world."""
         if self._group is None:
             raise ProtocolError("step() came before reset(); call reset() first")
@@ -297,6 +304,6 @@ def _require_terms(terms: object) -> None:
         isinstance(term, type) or not is_reward_term(term) for term in terms
     ):
         raise ConfigError(
-            f"reward_terms={escaped_value(terms)}; expected a list of objects with the methods "
+            f"reward_terms={escaped_repr(terms)}; expected a list of objects with the methods "
             "reset() and reward(before, after), see examples/own_reward.py"
         )

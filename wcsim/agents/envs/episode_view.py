@@ -1,6 +1,6 @@
 """One wheelchair as its agent sees it: frames become observations, rewards and info.
 
-Every environment, and every driver of a seat, uses this one class `ChairView`; so what an agent
+Every environment, and every driver of a seat, uses this one class `SeatEnvAdapter`; so what an agent
 observes and earns does not depend on the interface. `begin` takes the first frame of an episode;
 then each step is a `command` and its `finish_step`.
 """
@@ -21,11 +21,16 @@ import numpy.typing as npt
 from wcsim.agents import policy_api
 from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, JOYSTICK_KEY, RGB_KEY, STATE_SENSE
 from wcsim.config import RunConfig
-from wcsim.core.reading import escaped_value
+from wcsim.core.reading import escaped_repr
 from wcsim.errors import BadActionError, ConfigMismatchError, PolicyError, ProtocolError
 from wcsim.supervisor.actions import MAX_DISTANCE, action_set
-from wcsim.supervisor.observation import NEAR, Observation, observation_of, state_of
-from wcsim.supervisor.rewards import DISTANCE_TOLERANCE, RewardTerm, joystick_distance, reward
+from wcsim.supervisor.observation import NEAR, Observation, make_observation, make_state_observation
+from wcsim.supervisor.rewards import (
+    DISTANCE_TOLERANCE,
+    RewardTerm,
+    compute_reward_terms,
+    joystick_distance,
+)
 from wcsim.types import F32, ClientSnapshot, Command, Drawn, Joystick, RewardTerms
 
 WORLD_RESTARTED: Final = "world_restarted"
@@ -36,7 +41,7 @@ EnvObservation = Observation | F32
 Info = dict[str, Any]
 
 
-class EpisodeStep(NamedTuple):
+class EnvStepResult(NamedTuple):
     """The result of a step, in the order of Gymnasium's `step`."""
 
     observation: EnvObservation
@@ -51,7 +56,7 @@ class EpisodeStep(NamedTuple):
         return self.terminated or self.truncated
 
 
-class ChairView:
+class SeatEnvAdapter:
     """One seat of a world as its agent sees it, from episode to episode.
 
     Args:
@@ -132,7 +137,7 @@ class ChairView:
         most = len(self._actions) - 1
         if not 0 <= index <= most:
             raise BadActionError(
-                f"action {escaped_value(action)} is not in the action set; expected an integer "
+                f"action {escaped_repr(action)} is not in the action set; expected an integer "
                 f"from 0 to {most}"
             )
         return index
@@ -151,7 +156,7 @@ class ChairView:
         # NaN is not within the bounds either.
         if xy.shape != (2,) or not (np.abs(xy) <= 1.0).all():
             raise BadActionError(
-                f"action {escaped_value(action)} is no stick; expected x and y from -1 to 1"
+                f"action {escaped_repr(action)} is no stick; expected x and y from -1 to 1"
             )
         # The gate of a joystick is round: what lies beyond it is pushed that way, up to the gate.
         return Joystick(*(xy / max(1.0, float(np.hypot(*xy)))).tolist())
@@ -162,7 +167,7 @@ class ChairView:
         self._given = self.stick(action)
         return Command(seat=now.seat, tick=now.tick, joystick=self._given)
 
-    def finish_step(self, after: ClientSnapshot) -> EpisodeStep:
+    def finish_step(self, after: ClientSnapshot) -> EnvStepResult:
         """The result of the last command; `after` is the seat's frame after the tick."""
         # 1. Reward. The command answered the user's stick of the frame before.
         before = self.now
@@ -172,7 +177,7 @@ class ChairView:
         user = np.array([before.user.x, before.user.y])
         given = np.array([self._given.x, self._given.y])
         config = self._config.reward
-        terms = reward(
+        terms = compute_reward_terms(
             joystick_distance(user, given, config),
             after.sensors.imu,
             after.plant,
@@ -190,9 +195,9 @@ class ChairView:
         # 3. End. An episode that crashed has ended: nothing is left that could be cut off.
         crashed = after.events.crashed
         truncated = after.events.truncated and not crashed
-        return EpisodeStep(self._observation, float(terms.total), crashed, truncated, info)
+        return EnvStepResult(self._observation, float(terms.total), crashed, truncated, info)
 
-    def truncate(self) -> EpisodeStep:
+    def truncate(self) -> EnvStepResult:
         """End an episode whose world was restarted: the last observation again, reward 0.
 
         Raises:
@@ -215,7 +220,9 @@ class ChairView:
             help_asked=False,
         )
         info = self._info(replace(last, events=events, contacts=()), None, 0.0)
-        return EpisodeStep(self._observation, 0.0, False, True, {**info, "reason": WORLD_RESTARTED})
+        return EnvStepResult(
+            self._observation, 0.0, False, True, {**info, "reason": WORLD_RESTARTED}
+        )
 
     def _require_ready(self) -> ClientSnapshot:
         """The current frame. Raises ProtocolError where no episode is on."""
@@ -228,8 +235,8 @@ class ChairView:
     def _observed(self, frame: ClientSnapshot) -> EnvObservation:
         """The observation of a frame, which the window stores."""
         if self._state:
-            return state_of(frame)
-        return self._window.add(observation_of(frame, self._config))
+            return make_state_observation(frame)
+        return self._window.add(make_observation(frame, self._config))
 
     def _info(
         self,
@@ -296,14 +303,14 @@ class ChairView:
             )
 
 
-def policy_observation(observation: EnvObservation) -> Observation:
+def env_to_policy_observation(observation: EnvObservation) -> Observation:
     """An observation for a policy: rows of `state` by name, with the user's stick (2,)."""
     if isinstance(observation, dict):
         return observation
     return {STATE_SENSE: observation, JOYSTICK_KEY: observation[0, 1:3].copy()}
 
 
-def delay_ticks(config: RunConfig, drawn: Drawn | None) -> int:
+def episode_delay_ticks(config: RunConfig, drawn: Drawn | None) -> int:
     """The delay from a command to the chair's motion, as drawn for an episode or configured."""
     if drawn is None or drawn.action_delay_ticks is None:
         return config.world.action_delay_ticks
@@ -342,7 +349,7 @@ class FrameWindow:
         return {**observation, **images}
 
 
-def windowed_space(space: gymnasium.spaces.Dict, frames: int) -> gymnasium.spaces.Dict:
+def window_observation_space(space: gymnasium.spaces.Dict, frames: int) -> gymnasium.spaces.Dict:
     """The space of the observations that `FrameWindow` makes of the compact ones in `space`."""
     if frames == 1:
         return space
@@ -354,7 +361,7 @@ def windowed_space(space: gymnasium.spaces.Dict, frames: int) -> gymnasium.space
     return gymnasium.spaces.Dict(parts)
 
 
-def newest_frames(observation: policy_api.Observation, frames: int) -> policy_api.Observation:
+def trim_frame_window(observation: policy_api.Observation, frames: int) -> policy_api.Observation:
     """The observation with the newest `frames` images of its window, as views.
 
     Raises PolicyError when the window holds fewer.

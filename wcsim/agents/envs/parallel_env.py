@@ -14,12 +14,12 @@ import numpy as np
 import numpy.typing as npt
 
 from wcsim.agents.envs.env_spec import (
-    Chairs,
+    ChairGroup,
     EnvOptions,
-    checked_chairs,
-    checked_seed,
-    drawn_seed,
-    make_spec,
+    draw_random_seed,
+    make_env_settings,
+    validate_chair_count,
+    validate_seed,
 )
 from wcsim.agents.envs.episode_view import EnvObservation, Info
 from wcsim.core import seeding
@@ -51,9 +51,11 @@ class StreetParallelEnv(ParallelEnv[str, EnvObservation, np.int64]):  # type: ig
             ConfigError: The configuration cannot be used.
             TypeError: There is no such option.
         """
-        spec = make_spec(town, options, ("town", "chairs"))
-        self._chairs = Chairs(spec, checked_chairs(chairs), options.get("reward_terms", ()))
-        self._seed = checked_seed(options.get("seed"))
+        spec = make_env_settings(town, options, ("town", "chairs"))
+        self._chairs = ChairGroup(
+            spec, validate_chair_count(chairs), options.get("reward_terms", ())
+        )
+        self._seed = validate_seed(options.get("seed"))
         self._resets = 0  # since the seed was given, the first of them included
         self.config = spec.config
         self.render_mode = spec.render_mode
@@ -83,17 +85,17 @@ class StreetParallelEnv(ParallelEnv[str, EnvObservation, np.int64]):  # type: ig
             TownError: The town cannot be used.
         """
         del options
-        seed = checked_seed(seed)
+        seed = validate_seed(seed)
         if seed is not None:
             self._seed = seed
             self._resets = 0
         elif self._seed is None:
-            self._seed = drawn_seed()
+            self._seed = draw_random_seed()
         self._resets += 1
         if self._resets == 1:
             seed = self._seed
         else:
-            seed = seeding.derive(self._seed, "reset", self._resets)
+            seed = seeding.derive_seed(self._seed, "reset", self._resets)
         firsts = self._chairs.begin(seed)
         self.agents = list(self.possible_agents)
         observations = {

@@ -1,10 +1,15 @@
-"""Drives seats of a world in this process: agents choose actions, `SeatDriver` carries them out."""
+"""Drives seats of a world in this process: agents choose actions, `AgentSeatDriver` carries them out."""
 
 from __future__ import annotations
 
 from typing import Protocol
 
-from wcsim.agents.envs.episode_view import ChairView, EpisodeStep, Info, policy_observation
+from wcsim.agents.envs.episode_view import (
+    EnvStepResult,
+    Info,
+    SeatEnvAdapter,
+    env_to_policy_observation,
+)
 from wcsim.agents.policy_api import (
     Helping,
     Observation,
@@ -17,7 +22,7 @@ from wcsim.config import RunConfig
 from wcsim.types import ClientSnapshot, Joystick
 
 
-class Agent(Protocol):
+class ChairAgent(Protocol):
     """Chooses the actions of one chair; wrappers around a policy are agents, too."""
 
     def reset(self, info: Info) -> None:
@@ -27,7 +32,7 @@ class Agent(Protocol):
         """The action for an observation; `info` is of the same moment."""
 
 
-class SeatDriver:
+class AgentSeatDriver:
     """An agent in a seat; `observation` and `info` are the latest, `action` the last one.
 
     Args:
@@ -36,10 +41,10 @@ class SeatDriver:
         first: The first frame of the first episode.
     """
 
-    def __init__(self, config: RunConfig, agent: Agent, first: ClientSnapshot) -> None:
+    def __init__(self, config: RunConfig, agent: ChairAgent, first: ClientSnapshot) -> None:
         """Begin an episode. Raises ConfigMismatchError when the world is not that of `config`."""
         self.action = 0
-        self._chair = ChairView(config)
+        self._chair = SeatEnvAdapter(config)
         self._agent = agent
         self._begin(first)
 
@@ -50,20 +55,20 @@ class SeatDriver:
         self.action = self._chair.action_index(self._agent.act(self.observation, self.info))
         return self._chair.command(self.action).joystick
 
-    def finish_step(self, after: ClientSnapshot) -> EpisodeStep:
+    def finish_step(self, after: ClientSnapshot) -> EnvStepResult:
         """The result of the action; `after` is the seat's frame after the tick."""
         step = self._chair.finish_step(after)
-        self.observation = policy_observation(step.observation)
+        self.observation = env_to_policy_observation(step.observation)
         self.info = step.info
         return step
 
     def _begin(self, first: ClientSnapshot) -> None:
         observation, self.info = self._chair.begin(first)
-        self.observation = policy_observation(observation)
+        self.observation = env_to_policy_observation(observation)
         self._agent.reset(self.info)
 
 
-class PolicyAgent:
+class PolicyAgentAdapter:
     """A policy as an agent.
 
     It passes on the delay of each episode, the truth to a policy that sees it, and calls for help.

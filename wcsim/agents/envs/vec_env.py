@@ -16,16 +16,16 @@ import numpy as np
 import numpy.typing as npt
 
 from wcsim.agents.envs.env_spec import (
-    Chairs,
+    ChairGroup,
     EnvOptions,
-    checked_chairs,
-    checked_seed,
-    make_spec,
-    stacked,
+    make_env_settings,
+    stack_observations,
+    validate_chair_count,
+    validate_seed,
 )
 from wcsim.agents.envs.episode_view import EnvObservation, Info
 from wcsim.errors import ConfigError, ProtocolError, check_installed
-from wcsim.server.links.base import Waits
+from wcsim.server.links.base import LinkWaitTimes
 
 try:
     from stable_baselines3.common.vec_env.base_vec_env import (
@@ -55,9 +55,11 @@ class StreetVecEnv(VecEnv):
             ConfigError: The configuration cannot be used.
             TypeError: There is no such option.
         """
-        spec = make_spec(town, options, ("town", "chairs"))
-        self._chairs = Chairs(spec, checked_chairs(chairs), options.get("reward_terms", ()))
-        self._first_seed = checked_seed(options.get("seed"))
+        spec = make_env_settings(town, options, ("town", "chairs"))
+        self._chairs = ChairGroup(
+            spec, validate_chair_count(chairs), options.get("reward_terms", ())
+        )
+        self._first_seed = validate_seed(options.get("seed"))
         self._waiting = False  # for the result of a step
         self.config = spec.config
         self.render_mode = spec.render_mode
@@ -78,11 +80,11 @@ class StreetVecEnv(VecEnv):
         self._reset_seeds()
         self._reset_options()
         self.reset_infos = [info for _, info in firsts]
-        return stacked([observation for observation, _ in firsts])
+        return stack_observations([observation for observation, _ in firsts])
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
         """Make the next reset start a new world with this seed, which gives the chairs' seeds."""
-        self._seeds = [checked_seed(seed)] * self.num_envs
+        self._seeds = [validate_seed(seed)] * self.num_envs
         return self._seeds
 
     def step_async(self, actions: npt.NDArray[Any]) -> None:
@@ -110,7 +112,12 @@ class StreetVecEnv(VecEnv):
             observations.append(observation)
             infos.append(info)
         rewards = np.array([step.reward for step, _ in steps], dtype=np.float32)
-        return stacked(observations), rewards, np.array([step.done for step, _ in steps]), infos
+        return (
+            stack_observations(observations),
+            rewards,
+            np.array([step.done for step, _ in steps]),
+            infos,
+        )
 
     def get_images(self) -> list[npt.NDArray[np.uint8] | None]:
         """Every chair's picture (H, W, 3) uint8, in render mode "rgb_array"."""
@@ -121,7 +128,7 @@ class StreetVecEnv(VecEnv):
         self._chairs.close()
         self._waiting = False
 
-    def waits(self, seat: int) -> Waits:
+    def waits(self, seat: int) -> LinkWaitTimes:
         """The times spent in a chair's link so far."""
         return self._chairs.link(seat).waits
 

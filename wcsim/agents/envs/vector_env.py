@@ -16,12 +16,12 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from wcsim.agents.envs.env_spec import (
-    Chairs,
+    ChairGroup,
     EnvOptions,
-    checked_chairs,
-    checked_seed,
-    make_spec,
-    stacked,
+    make_env_settings,
+    stack_observations,
+    validate_chair_count,
+    validate_seed,
 )
 from wcsim.agents.envs.episode_view import EnvObservation, Info
 from wcsim.config import resolve
@@ -54,15 +54,15 @@ class StreetVectorEnv(VectorEnv[EnvObservation, Any, npt.NDArray[Any]]):
             ConfigError: The configuration cannot be used.
             TypeError: There is no such option.
         """
-        spec = make_spec(town, options, ("town", "num_envs", "max_episode_steps"))
+        spec = make_env_settings(town, options, ("town", "num_envs", "max_episode_steps"))
         if max_episode_steps not in (None, -1) and max_episode_steps < spec.config.env.max_steps:
             spec = replace(spec, config=resolve(spec.config, f"env.max_steps={max_episode_steps}"))
-        self.num_envs = checked_chairs(num_envs)
+        self.num_envs = validate_chair_count(num_envs)
         self.config = spec.config
         self.render_mode = spec.render_mode
         self.metadata = {**spec.metadata, "autoreset_mode": AutoresetMode.SAME_STEP}
-        self._chairs = Chairs(spec, num_envs, options.get("reward_terms", ()))
-        self._first_seed = checked_seed(options.get("seed"))
+        self._chairs = ChairGroup(spec, num_envs, options.get("reward_terms", ()))
+        self._first_seed = validate_seed(options.get("seed"))
         self.single_observation_space = spec.observation_space()
         self.single_action_space = spec.action_space()
         self.observation_space = batch_space(self.single_observation_space, num_envs)
@@ -77,7 +77,7 @@ class StreetVectorEnv(VectorEnv[EnvObservation, Any, npt.NDArray[Any]]):
             ConfigError: The seed is no integer from 0 on; a list is none, as chairs share a world.
             TownError: The town cannot be used.
         """
-        seed = checked_seed(seed)
+        seed = validate_seed(seed)
         if "reset_mask" in (options or {}):
             raise ConfigError(
                 "options has a reset_mask; expected none: chairs begin their episodes by themselves"
@@ -92,7 +92,7 @@ class StreetVectorEnv(VectorEnv[EnvObservation, Any, npt.NDArray[Any]]):
         infos: Info = {}
         for seat, (_, info) in enumerate(firsts):
             infos = self._add_info(infos, info, seat)
-        return stacked([observation for observation, _ in firsts]), infos
+        return stack_observations([observation for observation, _ in firsts]), infos
 
     def step(self, actions: object) -> tuple[EnvObservation, F64, Bool, Bool, Info]:
         """Drive for one tick: actions (N,) or (N, 2), rewards, terminations and truncations (N,).
@@ -119,7 +119,7 @@ class StreetVectorEnv(VectorEnv[EnvObservation, Any, npt.NDArray[Any]]):
         rewards = np.array([step.reward for step, _ in steps])
         terminated = np.array([step.terminated for step, _ in steps], np.bool_)
         truncated = np.array([step.truncated for step, _ in steps], np.bool_)
-        return stacked(observations), rewards, terminated, truncated, infos
+        return stack_observations(observations), rewards, terminated, truncated, infos
 
     def render(self) -> tuple[Any, ...] | None:
         """Every chair's picture (H, W, 3) uint8, in render mode "rgb_array"."""

@@ -26,15 +26,15 @@ from wcsim.agents.envs.env_spec import (
     RENDER_MODES,
     SEED_LIMIT,
     EnvOptions,
-    checked_seed,
-    drawn_seed,
-    make_spec,
+    draw_random_seed,
+    make_env_settings,
+    validate_seed,
 )
-from wcsim.agents.envs.episode_view import ChairView, EnvObservation
+from wcsim.agents.envs.episode_view import EnvObservation, SeatEnvAdapter
 from wcsim.core import seeding
 from wcsim.errors import EvictedError, ProtocolError, ReplayMismatchError, WorldRestartedError
-from wcsim.server.links.base import Seat, SeatGroup, Waits, open_group
-from wcsim.server.specs import SeatRequest, WorldOrder
+from wcsim.server.links.base import LinkWaitTimes, SeatLink, SeatLinkGroup, open_seat_links
+from wcsim.server.specs import SeatRequest, WorldBuildSpec
 from wcsim.types import F32, ClientSnapshot
 
 MOST_REPEATED: Final = 100_000  # steps that a copy repeats; they take 10 minutes or more
@@ -54,7 +54,7 @@ class WheelchairEnv(gymnasium.Env[EnvObservation, np.int64 | F32]):
         town: str = "helsinki",
         *,
         towns: Sequence[str] = (),
-        join: SeatRequest | Seat | None = None,
+        join: SeatRequest | SeatLink | None = None,
         **options: Unpack[EnvOptions],
     ) -> None:
         """Describe the environment; the world is made, or joined, by the first reset.
@@ -73,7 +73,7 @@ class WheelchairEnv(gymnasium.Env[EnvObservation, np.int64 | F32]):
             ConfigError: The configuration cannot be used.
             TypeError: There is no such option.
         """
-        self._spec = make_spec(town, options, ("town", "towns", "join"))
+        self._spec = make_env_settings(town, options, ("town", "towns", "join"))
         self.metadata = {**self.metadata, "render_fps": self._spec.metadata["render_fps"]}
         self._join = join
         self._towns = (town, *towns)
@@ -81,10 +81,10 @@ class WheelchairEnv(gymnasium.Env[EnvObservation, np.int64 | F32]):
         self._turn = 0  # which world of this seed
         self._steps = 0  # in this world
         self.on_town: Callable[[str], object] | None = None  # called with each town of several
-        self._first_seed = checked_seed(options.get("seed"))
+        self._first_seed = validate_seed(options.get("seed"))
         self._driven: list[object] = []  # actions since the world was made; None for a reset
-        self._own: SeatGroup | None = None  # the world, where no server has it
-        self._link: Seat | None = None
+        self._own: SeatLinkGroup | None = None  # the world, where no server has it
+        self._link: SeatLink | None = None
         self._waits_no_more = False
         # Returns work to be done while a step is awaited.
         self.due_work: Callable[[], Callable[[], None] | None] | None = None
@@ -93,7 +93,7 @@ class WheelchairEnv(gymnasium.Env[EnvObservation, np.int64 | F32]):
         # is used as it is.
         with suppress(TypeError):
             terms = copy.deepcopy(terms)
-        self._chair = ChairView(self._spec.config, terms)
+        self._chair = SeatEnvAdapter(self._spec.config, terms)
         self.town = town
         self.config = self._spec.config
         self.render_mode = self._spec.render_mode
@@ -116,7 +116,7 @@ class WheelchairEnv(gymnasium.Env[EnvObservation, np.int64 | F32]):
             NotMasterError: Others share the world, and this client is not its master.
             LinkError: See `wcsim.errors` for what else a client can see.
         """
-        seed = checked_seed(seed)
+        seed = validate_seed(seed)
         super().reset(seed=seed)
         return self._chair.begin(self._first_frame(seed))
 
@@ -174,9 +174,9 @@ class WheelchairEnv(gymnasium.Env[EnvObservation, np.int64 | F32]):
         return -1 if self._link is None else self._link.epoch
 
     @property
-    def waits(self) -> Waits:
+    def waits(self) -> LinkWaitTimes:
         """The times spent in the link so far."""
-        return Waits() if self._link is None else self._link.waits
+        return LinkWaitTimes() if self._link is None else self._link.waits
 
     def beat(self, progress: int) -> None:
         """Show a server that a long computation is running, by a counter that rises."""
@@ -197,9 +197,9 @@ class WheelchairEnv(gymnasium.Env[EnvObservation, np.int64 | F32]):
             self._link.wait_no_more()
 
     @property
-    def _held(self) -> Seat | None:
+    def _held(self) -> SeatLink | None:
         """The link; a seat that was taken before is held before the first reset, too."""
-        if self._link is None and isinstance(self._join, Seat):
+        if self._link is None and isinstance(self._join, SeatLink):
             return self._join
         return self._link
 
@@ -238,13 +238,13 @@ class WheelchairEnv(gymnasium.Env[EnvObservation, np.int64 | F32]):
     def _open(self, seed: int | None, turn: int = 0) -> ClientSnapshot:
         """Make a world, or take a seat in a running one; returns the first frame."""
         if self._join is None:
-            self._root_seed = drawn_seed() if seed is None else seed
+            self._root_seed = draw_random_seed() if seed is None else seed
             self._turn = turn
             self._steps = 0
             self._driven = []
-            self._own = open_group(self._enter_town())
+            self._own = open_seat_links(self._enter_town())
             self._link = self._own.links[0]
-        elif isinstance(self._join, Seat):
+        elif isinstance(self._join, SeatLink):
             self._link = self._join
         else:
             # ZeroMQ is loaded only for a world of another process.
@@ -260,18 +260,18 @@ class WheelchairEnv(gymnasium.Env[EnvObservation, np.int64 | F32]):
             self.close()
             raise
 
-    def _enter_town(self) -> WorldOrder:
+    def _enter_town(self) -> WorldBuildSpec:
         """Set and announce the town of this turn; returns the order for its world.
 
         The seed determines the first of several towns; the others follow in turn.
         """
         seed = self._root_seed
         if self._turn:
-            seed = seeding.derive(self._root_seed, "town", self._turn)
+            seed = seeding.derive_seed(self._root_seed, "town", self._turn)
         order = self._spec.order(seed)
         if len(self._towns) == 1:
             return order
-        first = seeding.derive(self._root_seed, "towns")
+        first = seeding.derive_seed(self._root_seed, "towns")
         self.town = self._towns[(first + self._turn) % len(self._towns)]
         if self.on_town is not None:
             self.on_town(self.town)

@@ -33,7 +33,7 @@ _OTHER_KEYS: Final = (
 )
 
 
-def differing_settings(own: RunConfig, other: RunConfig) -> list[str]:
+def find_differing_settings(own: RunConfig, other: RunConfig) -> list[str]:
     """The policy's settings of what it sees and can choose, where `other` has other ones.
 
     `other` is a recording to refuse, or the preset that policy.toml is laid over.
@@ -57,10 +57,10 @@ def differing_settings(own: RunConfig, other: RunConfig) -> list[str]:
     for section, key in _OTHER_KEYS:
         if own_json[section][key] != other_json[section][key]:
             found.append((f"{section}.{key}", own_json[section][key]))
-    return format_settings(found)
+    return format_setting_overrides(found)
 
 
-def format_settings(settings: Iterable[tuple[str, Any]]) -> list[str]:
+def format_setting_overrides(settings: Iterable[tuple[str, Any]]) -> list[str]:
     """Settings as `--set` takes them.
 
     >>> format_settings([("world.tick_s", 0.1), ("env.classes", "wcsim")])
@@ -72,7 +72,9 @@ def format_settings(settings: Iterable[tuple[str, Any]]) -> list[str]:
     ]
 
 
-def require_same_inputs(recorded: RunConfig, own: RunConfig, file: Path, policy: str) -> None:
+def require_matching_recording(
+    recorded: RunConfig, own: RunConfig, file: Path, policy: str
+) -> None:
     """Refuse a recording that shows a network other inputs than its training did, or too few.
 
     Args:
@@ -84,7 +86,7 @@ def require_same_inputs(recorded: RunConfig, own: RunConfig, file: Path, policy:
     Raises:
         PolicyError: With all settings that a new recording needs.
     """
-    settings = differing_settings(own, recorded)
+    settings = find_differing_settings(own, recorded)
     if settings:
         options = " ".join(f"--set {shlex.quote(setting)}" for setting in settings)
         raise PolicyError(
@@ -94,7 +96,7 @@ def require_same_inputs(recorded: RunConfig, own: RunConfig, file: Path, policy:
         )
 
 
-def require_export_folder(option: str, folder: Path) -> None:
+def require_replaceable_folder(option: str, folder: Path) -> None:
     """Refuse a folder with files that no export wrote, since an export replaces all of it.
 
     Raises:

@@ -34,7 +34,7 @@ Arrays = Mapping[str, Any]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Footprint:
+class OnnxModelCost:
     """Of one model, on this machine."""
 
     p50_ms: float  # of a step, one thread
@@ -45,11 +45,11 @@ class Footprint:
     peak_mb: float  # of the process, ONNX Runtime and Python with it
 
 
-def measure_footprint(model: Path, reference: Path, keys: Sequence[str]) -> Footprint:
+def measure_onnx_model_cost(model: Path, reference: Path, keys: Sequence[str]) -> OnnxModelCost:
     """Measure a model over its reference steps. Raises PolicyError when it does not run."""
     whole = _measure_apart(model, reference, keys, 1.0)
     part = _measure_apart(model, reference, keys, SHARE)
-    return Footprint(
+    return OnnxModelCost(
         p50_ms=float(np.median(whole["wall_ms"])),
         p99_ms=float(np.percentile(whole["wall_ms"], 99)),
         cpu_p50_ms=float(np.median(whole["cpu_ms"])),
@@ -59,7 +59,7 @@ def measure_footprint(model: Path, reference: Path, keys: Sequence[str]) -> Foot
     )
 
 
-def run_steps(
+def run_onnx_steps(
     session: Any,
     observations: Iterable[Arrays],
     keys: Sequence[str],
@@ -139,7 +139,7 @@ def _measure(model: str, reference: str, keys: Sequence[str]) -> dict[str, Any]:
     )
     wall_ms, cpu_ms = [], []
     start_s, start_cpu_s = time.perf_counter(), time.thread_time()
-    for _ in run_steps(session, observations, keys):
+    for _ in run_onnx_steps(session, observations, keys):
         cpu_ms.append(1000.0 * (time.thread_time() - start_cpu_s))
         wall_ms.append(1000.0 * (time.perf_counter() - start_s))
         start_s, start_cpu_s = time.perf_counter(), time.thread_time()

@@ -16,7 +16,7 @@ import numpy as np
 
 from wcsim.agents.policy_api import JOYSTICK_KEY, NotFinite, Observation, Policy
 from wcsim.config import parse
-from wcsim.config.run_file import GuardFile, GuardRule
+from wcsim.config.run_file import ExportedGuardSection, GuardSettings
 from wcsim.core import reading
 from wcsim.core.reading import escaped, is_file, read_json
 from wcsim.errors import ConfigError, PolicyError
@@ -38,7 +38,7 @@ class GuardedPolicy:
         rule: How fast the chair stops, and when the policy drives again.
     """
 
-    def __init__(self, policy: Policy, actions: ActionSet, rule: GuardRule) -> None:
+    def __init__(self, policy: Policy, actions: ActionSet, rule: GuardSettings) -> None:
         self._policy, self._actions, self._rule = policy, actions, rule
         self.name = policy.name
         self._rest()
@@ -92,7 +92,7 @@ class GuardedPolicy:
         return x, y
 
 
-def guard_of(folder: Path) -> GuardRule | None:
+def read_guard_rule(folder: Path) -> GuardSettings | None:
     """The guard of an ONNX folder; None where it has none. Raises PolicyError for a faulty one."""
     path = folder / MEANING
     if not is_file(path):
@@ -101,6 +101,6 @@ def guard_of(folder: Path) -> GuardRule | None:
     if not isinstance(guard, dict):
         return None
     try:
-        return parse(GuardFile, {"guard": guard}, escaped(path)).guard
+        return parse(ExportedGuardSection, {"guard": guard}, escaped(path)).guard
     except ConfigError as error:
         raise PolicyError(str(error)) from None

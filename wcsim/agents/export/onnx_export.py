@@ -14,13 +14,24 @@ import numpy as np
 import torch
 
 import wcsim
-from wcsim.agents.envs.episode_view import FrameWindow, newest_frames
-from wcsim.agents.export.export_folder import LOOP, REFERENCE, differing_settings, format_settings
-from wcsim.agents.export.footprint import PERIOD_S, SHARE, Footprint, measure_footprint, run_steps
+from wcsim.agents.envs.episode_view import FrameWindow, trim_frame_window
+from wcsim.agents.export.export_folder import (
+    LOOP,
+    REFERENCE,
+    find_differing_settings,
+    format_setting_overrides,
+)
+from wcsim.agents.export.footprint import (
+    PERIOD_S,
+    SHARE,
+    OnnxModelCost,
+    measure_onnx_model_cost,
+    run_onnx_steps,
+)
 from wcsim.agents.export.guard import MEANING
-from wcsim.agents.export.policy_graphs import DangerGraph, ValueGraph
-from wcsim.agents.networks.onnx_form import exported
-from wcsim.agents.policies.onnx_policy import ABOUT_FILE, open_session
+from wcsim.agents.export.policy_graphs import DangerPolicyGraph, ValuePolicyGraph
+from wcsim.agents.networks.onnx_form import network_to_onnx
+from wcsim.agents.policies.onnx_policy import ABOUT_FILE, open_onnx_session
 from wcsim.agents.policy_api import (
     CLASS_KEY,
     DEPTH_KEY,
@@ -33,12 +44,12 @@ from wcsim.agents.policy_api import (
     senses_of,
 )
 from wcsim.config import RunConfig, resolve
-from wcsim.config.run_file import GuardRule
+from wcsim.config.run_file import GuardSettings
 from wcsim.core import files
 from wcsim.core.reading import escaped, is_file
 from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import ActionSet, action_set
-from wcsim.supervisor.observation import imu_size
+from wcsim.supervisor.observation import count_imu_values
 from wcsim.types import F32, ClassId
 
 _PRESET: Final = "quick"  # of policy.toml
@@ -48,7 +59,7 @@ MOST_OFF: Final = 1e-4
 BORDER_OFF: Final = 0.05
 # Least share of actions as wcsim's own policy chooses them: after one border others follow.
 LEAST_SAME: Final = 0.95
-Graph = DangerGraph | ValueGraph
+Graph = DangerPolicyGraph | ValuePolicyGraph
 
 # The texts of meaning.json.
 _NOT_FOR: Final = (
@@ -111,7 +122,7 @@ _GUARD: Final = (
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ExportFacts:
+class ExportMeasurements:
     """What was measured of an export on this machine, on one core."""
 
     steps: int
@@ -123,7 +134,7 @@ class ExportFacts:
     same_actions: float  # share of the steps
     same_as_wcsim: float  # share of the steps that the policy of wcsim itself chooses
     same_as_recorded: float | None = None  # share of a recording's actions that are these
-    cost: Footprint
+    cost: OnnxModelCost
     bytes: int
     quota_share: float = SHARE
     quota_period_s: float = PERIOD_S
@@ -138,7 +149,7 @@ def export_policy(
     ride: Sequence[Observation],
     limit_ms: float = math.inf,
     recorded: Sequence[int] | None = None,
-) -> ExportFacts:
+) -> ExportMeasurements:
     """Write an ONNX folder that `wcsim test` takes as a policy, all of it or nothing.
 
     Args:
@@ -160,7 +171,7 @@ def export_policy(
     # 1. Let the policy drive the ride.
     graph.train(False)
     config = resolve(config, sense_settings(config, senses_of(own)))
-    ride = [newest_frames(seen, 1) for seen in ride]
+    ride = [trim_frame_window(seen, 1) for seen in ride]
     window = FrameWindow(graph.window)
     own.begin()
     own.reset()
@@ -170,9 +181,9 @@ def export_policy(
     inputs = tuple(torch.as_tensor(ride[0][key])[None] for key in graph.inputs)
     states = tuple(torch.zeros(shape) for shape in shapes.values())
     outputs = (*graph.outputs, *(f"next_{name}" for name in shapes))
-    model = exported(graph, (*inputs, *states), (*graph.inputs, *shapes), outputs)
+    model = network_to_onnx(graph, (*inputs, *states), (*graph.inputs, *shapes), outputs)
     # 3. Write the folder; what is wrong with the model leaves no folder behind.
-    with files.whole_folder(out) as target:
+    with files.write_folder_atomically(out) as target:
         (target / MODEL_FILE).write_bytes(model)
         facts = _write_reference(
             target, graph, ride, chosen, action_set(config.env.actions), recorded
@@ -184,7 +195,7 @@ def export_policy(
             )
         (target / ABOUT_FILE).write_text(_about(config), encoding="utf-8")
         shutil.copyfile(_loop_source(), target / LOOP)
-        measured = {"sha256": files.sha256(target / MODEL_FILE), "facts": asdict(facts)}
+        measured = {"sha256": files.sha256_from_file(target / MODEL_FILE), "facts": asdict(facts)}
         files.write_json(target / MEANING, {**_meaning_of(graph, config), **measured})
     return facts
 
@@ -196,7 +207,7 @@ def _write_reference(
     chosen: Sequence[int],
     points: ActionSet,
     recorded: Sequence[int] | None,
-) -> ExportFacts:
+) -> ExportMeasurements:
     """Write the reference steps beside a model, compare it with graph and wcsim, measure it.
 
     Raises:
@@ -239,7 +250,7 @@ def _write_reference(
         )
     # 4. What it costs.
     own = points.nearest_many(inputs["joystick"])
-    return ExportFacts(
+    return ExportMeasurements(
         steps=len(ride),
         interventions=int(np.sum(own != actions)),
         warnings=int(np.sum(outputs["warning"] > 0.5)) if "warning" in outputs else 0,
@@ -251,7 +262,7 @@ def _write_reference(
         same_as_recorded=None
         if recorded is None
         else float(np.mean(actions == np.array(recorded))),
-        cost=measure_footprint(model, target / REFERENCE, graph.inputs),
+        cost=measure_onnx_model_cost(model, target / REFERENCE, graph.inputs),
         bytes=model.stat().st_size,
     )
 
@@ -262,9 +273,9 @@ def _run_model(
     keys: Sequence[str],
     states_before: Sequence[Sequence[F32]] | None = None,
 ) -> dict[str, Any]:
-    """Outputs of a model by name, stacked over the steps of a ride; see `run_steps`."""
+    """Outputs of a model by name, stacked over the steps of a ride; see `run_onnx_steps`."""
     columns: dict[str, list[Any]] = {}
-    for outputs in run_steps(open_session(path), ride, keys, states_before):
+    for outputs in run_onnx_steps(open_onnx_session(path), ride, keys, states_before):
         for name, values in outputs.items():
             if not name.startswith("next_"):
                 columns.setdefault(name, []).append(values[0])
@@ -303,7 +314,11 @@ def _about(config: RunConfig) -> str:
         more.append(("imu.tilt", config.imu.tilt))
     more.append(("world.action_delay_ticks", config.world.action_delay_ticks))
     settings = dict.fromkeys(
-        (*format_settings(size), *differing_settings(config, usual), *format_settings(more))
+        (
+            *format_setting_overrides(size),
+            *find_differing_settings(config, usual),
+            *format_setting_overrides(more),
+        )
     )
     lines = ",\n  ".join(json.dumps(setting) for setting in settings)
     return f'preset = "{_PRESET}"\nsettings = [\n  {lines},\n]\n'
@@ -335,7 +350,7 @@ def _meaning_of(graph: Graph, config: RunConfig) -> dict[str, Any]:
         if key in graph.inputs
     }
     values: dict[str, Any]
-    if isinstance(graph, DangerGraph):
+    if isinstance(graph, DangerPolicyGraph):
         values = {"rule": graph.rule.model_dump(), "rule_meaning": _RULE}
     else:
         scale = graph.net.spec.prior.reward_scale
@@ -362,7 +377,9 @@ def _meaning_of(graph: Graph, config: RunConfig) -> dict[str, Any]:
         "chair": config.chair.model_dump(mode="json"),
         "tick_s": config.world.tick_s,
         "action_delay_ticks": config.world.action_delay_ticks,
-        "guard": GuardRule(tick_s=config.world.tick_s, deadline_s=config.world.tick_s).model_dump(),
+        "guard": GuardSettings(
+            tick_s=config.world.tick_s, deadline_s=config.world.tick_s
+        ).model_dump(),
         "guard_meaning": _GUARD,
     }
 
@@ -371,7 +388,7 @@ def _input_text(key: str, config: RunConfig) -> str:
     """Type, shape, unit and signs of an input."""
     if key == IMU_KEY:
         more = _TURNS * config.env.observe_gyro + _HEADING * config.env.observe_yaw
-        size = imu_size(config.env.observe_gyro, config.env.observe_yaw)
+        size = count_imu_values(config.env.observe_gyro, config.env.observe_yaw)
         axes = "x ahead, y left, z up, of the chair; see `senses`"
         return f"float32 (1, {size}), {_FORCE_AND_TILT}{more}; {axes}"
     if key in _INPUTS:

@@ -1,10 +1,10 @@
 """One tick of a policy as a torch module for the export to ONNX: its memory goes in and comes out.
 
-A danger policy drives with NumPy and numba kernels, which no exporter can trace. `Drive` and
-`DangerGraph` therefore compute the same a second time, with the tensor operations that ONNX has.
+A danger policy drives with NumPy and numba kernels, which no exporter can trace. `TorchDriveModel` and
+`DangerPolicyGraph` therefore compute the same a second time, with the tensor operations that ONNX has.
 Each of their methods names the function it repeats: a change of one is a change of both.
 `tests/agents/export/test_danger_graph.py` compares them. An operation costs more than the numbers
-in it, so there are as few as possible. `ValueGraph` repeats nothing: it calls the network itself.
+in it, so there are as few as possible. `ValuePolicyGraph` repeats nothing: it calls the network itself.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ from wcsim.agents.danger.street_map import (
     kinds_of_ground,
     movers,
 )
-from wcsim.agents.networks.encoder import image_size
+from wcsim.agents.networks.encoder import image_size_from_space
 from wcsim.agents.networks.q_network import QNet
 from wcsim.agents.perception.alarm import CALM, NEWEST
 from wcsim.agents.perception.depth_image import viewing_rays
@@ -54,10 +54,10 @@ from wcsim.agents.perception.ego_motion import (
     TRUST,
     TURN_FULL_SCALE,
 )
-from wcsim.agents.perception.surroundings import FAR_SHARE, box_of, stride_px
+from wcsim.agents.perception.surroundings import FAR_SHARE, outline_to_box, sampling_stride_px
 from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY
 from wcsim.config import RunConfig
-from wcsim.config.run_file import DangerRule
+from wcsim.config.run_file import DangerRuleSettings
 from wcsim.core.joystick import (
     ACCEL,
     DECEL,
@@ -68,8 +68,8 @@ from wcsim.core.joystick import (
     YAW_ACCEL,
     YAW_MAX,
     YAW_SLOWDOWN,
-    limits_of,
-    shaped_rows,
+    drive_limits_from_chair,
+    shape_joysticks,
 )
 from wcsim.errors import PolicyError
 from wcsim.physics.wheelchair.plant import plant_spec
@@ -96,13 +96,13 @@ Places = tuple[Tensor, Tensor, Tensor]
 """x, y and yaw; (B,) each, or (T, B) of successive steps."""
 
 
-class Drive:
+class TorchDriveModel:
     """How a chair obeys its stick: `core/joystick.py` in tensors, for many commands at once.
 
     The numba kernels there take single floats and branch, which a traced graph cannot.
 
     Args:
-        limits: (8,) of the drive, see `limits_of`.
+        limits: (8,) of the drive, see `drive_limits_from_chair`.
         deadband: Of the joystick.
         exponent: Of its shape.
     """
@@ -203,7 +203,7 @@ class Drive:
         return w + (target - w).clamp(-most, most)
 
 
-class DangerGraph(nn.Module):
+class DangerPolicyGraph(nn.Module):
     """One tick of a danger policy; every state is zero at the start of an episode.
 
     It repeats `DangerPolicy` and all that this calls; only the network is the same object.
@@ -221,7 +221,7 @@ class DangerGraph(nn.Module):
     border_share: Final = 0.02
     window: Final = 1  # images that it looks at
 
-    def __init__(self, net: DangerNet, config: RunConfig, rule: DangerRule) -> None:
+    def __init__(self, net: DangerNet, config: RunConfig, rule: DangerRuleSettings) -> None:
         """Raises PolicyError for a network that cannot be exported."""
         super().__init__()
         if net.spec.pictures:
@@ -234,17 +234,19 @@ class DangerGraph(nn.Module):
         spec = plant_spec(chair)
         self.net, self.rule = net, rule
         self.delay, self.tick_s = config.world.action_delay_ticks, config.world.tick_s
-        self.drive = Drive(limits_of(chair), chair.deadband, chair.shape_exponent)
+        self.drive = TorchDriveModel(
+            drive_limits_from_chair(chair), chair.deadband, chair.shape_exponent
+        )
         # As `StreetSense` sees: every so many pixels, depths short of the camera's range.
-        self.far_m, self.stride = FAR_SHARE * camera.range_m, stride_px(camera)
+        self.far_m, self.stride = FAR_SHARE * camera.range_m, sampling_stride_px(camera)
         rays = viewing_rays(camera).reshape(camera.height_px, camera.width_px, 3)
         self.rays = _constant(rays[:: self.stride, :: self.stride].reshape(-1, 3))
         self.eye = _constant(np.array(camera.p_BC_m))
         self.metres = _constant(decode_depth(np.arange(256, dtype=np.uint8), camera.range_m))
         self.kinds, self.movers = _constant(kinds_of_ground()), _constant(movers())
         self.points = _constant(points)
-        self.commands = _constant(shaped_rows(points, chair))
-        swept = hull_and_wheels(box_of(spec.outline), np.array(spec.stand_m(), np.float64))
+        self.commands = _constant(shape_joysticks(points, chair))
+        swept = hull_and_wheels(outline_to_box(spec.outline), np.array(spec.stand_m(), np.float64))
         self.chair = _constant(swept)
         # (steps, 1, n) where in flat maps the one of each step and point of the chair starts.
         each_slice = np.repeat(np.arange(SLICES), EACH_SLICE)[:, None, None]
@@ -478,7 +480,7 @@ class DangerGraph(nn.Module):
         return -torch.where(nothing, danger + LESS_M * distance, cost), later
 
 
-class ValueGraph(nn.Module):
+class ValuePolicyGraph(nn.Module):
     """One tick of a network of Q-learning; every state is zero at the start of an episode.
 
     Args:
@@ -508,7 +510,14 @@ class ValueGraph(nn.Module):
         if self.window == 1:
             return {}
         # Depth and classes of the earlier pictures, each number one higher: 0 is no picture.
-        return {"state_pictures": (1, 2, self.window - 1, *image_size(self.net.observation_space))}
+        return {
+            "state_pictures": (
+                1,
+                2,
+                self.window - 1,
+                *image_size_from_space(self.net.observation_space),
+            )
+        }
 
     def forward(self, *given: Tensor) -> tuple[Tensor, ...]:
         """Values (1, A) and the next states, of inputs and states in their order."""

@@ -10,16 +10,16 @@ from stable_baselines3.common.type_aliases import GymEnv
 from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.networks import registry
 from wcsim.agents.networks.q_network import SeqQPolicy
-from wcsim.agents.perception.depth_image import is_mirror_symmetric
+from wcsim.agents.perception.depth_image import is_camera_mirror_symmetric
 from wcsim.config import LearnConfig, RunConfig
-from wcsim.config.run_file import FollowPrior, NetSpec
+from wcsim.config.run_file import FollowPriorConfig, QNetworkSpec
 from wcsim.errors import ConfigError, PolicyError
 from wcsim.supervisor.actions import action_set
 
 LARGEST_GRADIENT: Final = 10.0  # norm to which a larger one is cut
 
 
-def network_settings(config: RunConfig) -> tuple[str, ...]:
+def default_settings_for_network(config: RunConfig) -> tuple[str, ...]:
     """The memory of a network's kind, and the window that it prefers where `env.window` is not set.
 
     Groups are for networks that carry a state; another network of windows learns from windows.
@@ -28,11 +28,11 @@ def network_settings(config: RunConfig) -> tuple[str, ...]:
         PolicyError: There is no such network.
     """
     network, settings = config.learn.network, list[str]()
-    needs_state = config.learn.memory == "groups" and registry.is_windowed(network)
-    if needs_state and not registry.carries_state(network):
+    needs_state = config.learn.memory == "groups" and registry.is_windowed_network(network)
+    if needs_state and not registry.is_recurrent_network(network):
         settings.append("learn.memory=windows")
     if config.env.window is None:
-        window = 1 if _is_stateful(config) else registry.preferred_window(network)
+        window = 1 if _is_stateful(config) else registry.preferred_window_size(network)
         settings.append(f"env.window={window}")
     return tuple(settings)
 
@@ -47,7 +47,7 @@ def build_model(config: RunConfig, env: GymEnv, seed: int) -> SeqDQN:
     """
     _check_memory(config)
     learn, camera = config.learn, config.eye
-    if learn.mirror and not is_mirror_symmetric(camera):
+    if learn.mirror and not is_camera_mirror_symmetric(camera):
         raise ConfigError(
             f"learn.mirror=true with a camera at y={camera.p_BC_m[1]} m, yaw {camera.yaw_deg}, "
             f"roll {camera.roll_deg} deg; expected 0, because pictures are mirrored: set "
@@ -96,10 +96,14 @@ class _FadingRate:
 def _check_memory(config: RunConfig) -> None:
     """Refuse what the memory of a run cannot do."""
     learn = config.learn
-    if learn.memory == "windows" and registry.is_windowed(learn.network) and config.env.frames == 1:
+    if (
+        learn.memory == "windows"
+        and registry.is_windowed_network(learn.network)
+        and config.env.frames == 1
+    ):
         raise ConfigError(
             f"learn.memory=windows with one image in an observation for {learn.network!r}; "
-            f"expected a window: set env.window={registry.preferred_window(learn.network)}"
+            f"expected a window: set env.window={registry.preferred_window_size(learn.network)}"
         )
     if _is_stateful(config) and (learn.mirror or learn.aid != "none"):
         what = "learn.mirror=true" if learn.mirror else f"learn.aid={learn.aid}"
@@ -112,7 +116,7 @@ def _check_memory(config: RunConfig) -> None:
 
 def _is_stateful(config: RunConfig) -> bool:
     """Whether the network carries a state from tick to tick, in the place of a window."""
-    return config.learn.memory == "groups" and registry.carries_state(config.learn.network)
+    return config.learn.memory == "groups" and registry.is_recurrent_network(config.learn.network)
 
 
 def _learning_starts(learn: LearnConfig, seats: int) -> int:
@@ -121,17 +125,17 @@ def _learning_starts(learn: LearnConfig, seats: int) -> int:
     return max(learn.learning_starts, least)
 
 
-def _net_spec(config: RunConfig) -> NetSpec:
+def _net_spec(config: RunConfig) -> QNetworkSpec:
     """The network of a configuration."""
     learn, of_reward = config.learn, {"base", "max_follow_distance", "max_distance", "penalty"}
-    prior = FollowPrior(
+    prior = FollowPriorConfig(
         reward_scale=learn.reward_scale, **config.reward.model_dump(include=of_reward)
     )
     if learn.head == "danger":
         raise PolicyError(
             "learn.head='danger' is not a head for Q-learning; expected residual or plain here"
         )
-    return NetSpec(
+    return QNetworkSpec(
         network=learn.network,
         head=learn.head,
         dueling=learn.duel,

@@ -24,7 +24,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from wcsim.agents.envs.episode_view import WORLD_RESTARTED
 from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.policy_api import JOYSTICK_KEY
-from wcsim.agents.runs.metrics import KPI1_STEPS, ROW_STEPS, BoardLog, MetricsFile, Value
+from wcsim.agents.runs.metrics import KPI1_STEPS, ROW_STEPS, MetricsFile, TensorBoardLog, Value
 from wcsim.server.launch.states import WAIT_NO_MORE
 from wcsim.supervisor.kpi import KpiTotals
 from wcsim.types import Events
@@ -46,7 +46,7 @@ class TrainProgress:
     kpi1: float | None  # of the agent's own choice, mean of the last `KPI1_STEPS` steps
 
 
-class SeqCallback(BaseCallback):
+class SeqDqnCallback(BaseCallback):
     """A callback of a SeqDQN."""
 
     @property
@@ -60,7 +60,7 @@ class SeqCallback(BaseCallback):
         return True
 
 
-class EventWatch(SeqCallback):
+class EventReportCallback(SeqDqnCallback):
     """Reports every step in which SUMO took vehicles out of a jam, once, and every crash."""
 
     def __init__(self, report: Callable[..., None]) -> None:
@@ -80,7 +80,7 @@ class EventWatch(SeqCallback):
         return True
 
 
-class EpisodeMetrics(SeqCallback):
+class EpisodeMetricsCallback(SeqDqnCallback):
     """Writes a row for each episode, and KPI 1 of the agent's own choice for `ROW_STEPS` steps."""
 
     def __init__(
@@ -88,7 +88,7 @@ class EpisodeMetrics(SeqCallback):
         rows: MetricsFile,
         steps: MetricsFile,
         started_s: float,
-        board: BoardLog | None = None,
+        board: TensorBoardLog | None = None,
         episodes: int = 0,
         crashes: int = 0,
     ) -> None:
@@ -106,7 +106,7 @@ class EpisodeMetrics(SeqCallback):
         self._started_s = started_s
         self.episodes = episodes
         self.crashes = crashes
-        self._logs: list[MetricsFile | BoardLog] = [rows] if board is None else [rows, board]
+        self._logs: list[MetricsFile | TensorBoardLog] = [rows] if board is None else [rows, board]
         self._steps = steps
         self._by_seat: list[_EpisodeSums] = []
         self._distances: list[float] = []  # of the greedy actions since the last row of steps.csv
@@ -197,7 +197,7 @@ class EpisodeMetrics(SeqCallback):
         return int(self.learner.plan.phase(self.num_timesteps - self.learner.n_envs))
 
 
-class StopRequest:
+class StopSignalHandler:
     """While open, SIGINT and SIGTERM request a stop; a second signal stops at once.
 
     Only in the main thread. Where a launcher ends this process, no user waits for its end, and a
@@ -220,7 +220,7 @@ class StopRequest:
         if self.requested:
             raise KeyboardInterrupt
 
-    def __enter__(self) -> StopRequest:
+    def __enter__(self) -> StopSignalHandler:
         if threading.current_thread() is threading.main_thread():
             ends_waiting = () if self._wait_no_more is None else (WAIT_NO_MORE,)
             for number in (signal.SIGINT, signal.SIGTERM, *ends_waiting):

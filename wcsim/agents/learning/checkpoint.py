@@ -19,10 +19,17 @@ import zstandard
 from wcsim.agents.learning.replay.buffer import FrameReplay
 from wcsim.agents.learning.replay.frame_store import ZSTD_LEVEL
 from wcsim.agents.learning.seqdqn import SeqDQN
-from wcsim.agents.runs.checkpoint import STATE, Arrays, Restore, newest_arrays, save, tag
-from wcsim.agents.runs.weights import checked_tensors
+from wcsim.agents.runs.checkpoint import (
+    STATE,
+    Arrays,
+    Restore,
+    find_newest_checkpoint_arrays,
+    format_checkpoint_name,
+    write_checkpoint,
+)
+from wcsim.agents.runs.weights import validate_tensors
 from wcsim.config import parse
-from wcsim.config.run_file import SeqFile, SittingFile
+from wcsim.config.run_file import QCheckpointFile, QTrainingProgress
 from wcsim.core.reading import unzstd
 from wcsim.errors import PolicyError
 from wcsim.types import I64
@@ -42,7 +49,7 @@ def save_checkpoint(
     *,
     replay: bool = True,
 ) -> Path:
-    """Save a learner, see `checkpoint.save`; `extra` is the `SittingFile` beside it.
+    """Save a learner, see `checkpoint.save`; `extra` is the `QTrainingProgress` beside it.
 
     Without `replay` it shares that of the newest checkpoint, if there is one.
 
@@ -56,27 +63,29 @@ def save_checkpoint(
         "replay_rng": _generator_state(model.replay_buffer.rng),
         "extra": dict(extra),
     }
-    shared = None if replay else newest_arrays(folder, "replay")
+    shared = None if replay else find_newest_checkpoint_arrays(folder, "replay")
     arrays = {
         "model": _model_arrays(model),
         "replay": shared or _replay_arrays(model.replay_buffer, alive),
     }
-    return save(folder, tag("step", model.num_timesteps), state, arrays, alive)
+    return write_checkpoint(
+        folder, format_checkpoint_name("step", model.num_timesteps), state, arrays, alive
+    )
 
 
-def checkpoint_restorer(
+def make_checkpoint_restorer(
     model: SeqDQN, alive: Callable[[], object] = lambda: None
-) -> Restore[SittingFile]:
+) -> Restore[QTrainingProgress]:
     """The function that brings a fresh model, of the same configuration, to a checkpoint.
 
     What fails on the way leaves a learner that has to be restored from another one. `alive` is
     called now and then.
     """
 
-    def restore(step: int, state: dict[str, Any], arrays: dict[str, Arrays]) -> SittingFile:
+    def restore(step: int, state: dict[str, Any], arrays: dict[str, Arrays]) -> QTrainingProgress:
         memory, optimizer = model.replay_buffer, model.policy.optimizer
         # 1. Counters and the memory are checked before the learner is touched.
-        file = parse(SeqFile, state, STATE)
+        file = parse(QCheckpointFile, state, STATE)
         alive()
         _check_fit(memory, arrays["replay"])
         # 2. Both networks, and the optimiser with its moments.
@@ -84,7 +93,7 @@ def checkpoint_restorer(
             named = _with_prefix(prefix, arrays["model"])
             tensors = {key: torch.from_numpy(value) for key, value in named.items()}
             own = net.state_dict()
-            net.load_state_dict(checked_tensors(_MODEL, tensors, own, "this configuration"))
+            net.load_state_dict(validate_tensors(_MODEL, tensors, own, "this configuration"))
         slots = _optimizer_slots(model, _with_prefix("optimizer", arrays["model"]))
         optimizer.load_state_dict(
             {"state": slots, "param_groups": optimizer.state_dict()["param_groups"]}

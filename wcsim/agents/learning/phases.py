@@ -16,7 +16,7 @@ class LearningPhase(IntEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class PhasePlan:
+class PhaseSchedule:
     """When the phases change and how exploration and supervision fade; pure functions of the step.
 
     >>> steps = {"total_steps": 100, "phase1_steps": 20}

@@ -10,28 +10,28 @@ import numpy as np
 import torch
 from gymnasium import spaces
 
-from wcsim.agents.envs.episode_view import newest_frames, windowed_space
+from wcsim.agents.envs.episode_view import trim_frame_window, window_observation_space
 from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.networks.encoder import (
-    image_size,
-    observation_form,
-    vector_keys,
-    vector_size,
-    window_size,
+    image_size_from_space,
+    observation_form_from_space,
+    vector_keys_from_space,
+    vector_size_from_space,
+    window_size_from_space,
 )
-from wcsim.agents.networks.names import NETWORK_NAMES, require_named
+from wcsim.agents.networks.names import NETWORK_NAMES, require_trusted_network
 from wcsim.agents.networks.q_network import QNet
 from wcsim.agents.networks.registry import NETWORKS
-from wcsim.agents.perception.alarm import TWO_TICKS, Alarm, next_alarm
+from wcsim.agents.perception.alarm import TWO_TICKS, AlarmState, next_alarm_state
 from wcsim.agents.policy_api import CLASS_KEY, JOYSTICK_KEY, Observation
-from wcsim.agents.runs.policy_file import SIGHT_KEYS, read_policy_file
-from wcsim.agents.runs.weights import load_network, write_policy
+from wcsim.agents.runs.policy_file import SIGHT_KEYS, read_value_policy_file
+from wcsim.agents.runs.weights import load_network, write_policy_folder
 from wcsim.config import CameraConfig, RunConfig
-from wcsim.config.run_file import PolicyFile
+from wcsim.config.run_file import QPolicyFile
 from wcsim.core.reading import escaped
 from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import action_set
-from wcsim.supervisor.observation import imu_size, observation_space
+from wcsim.supervisor.observation import count_imu_values, make_observation_space
 from wcsim.types import F32, ClassId
 
 _JOYSTICK_SIZE: Final = 2
@@ -42,23 +42,25 @@ _WARN_STEPS: Final = 3
 def save_policy(
     folder: Path, model: SeqDQN, camera: CameraConfig, manifest_sha256: str = ""
 ) -> Path:
-    """Save the network of a learner, see `write_policy`."""
+    """Save the network of a learner, see `write_policy_folder`."""
     space = model.observation_space
-    sensors = {key: vector_size(space, (key,)) for key in vector_keys(space)[2:]}
-    form = observation_form(space)
+    sensors = {
+        key: vector_size_from_space(space, (key,)) for key in vector_keys_from_space(space)[2:]
+    }
+    form = observation_form_from_space(space)
     about = {
         "algorithm": "SeqDQN",
         "net": model.q_net.spec.model_dump(),
-        "image_hw_px": list(image_size(space)),
-        "vector_size": vector_size(space),
+        "image_hw_px": list(image_size_from_space(space)),
+        "vector_size": vector_size_from_space(space),
         **({"sensors": sensors} if sensors else {}),
         **({"observation": form} if form != "compact" else {}),
-        "window": window_size(space),
+        "window": window_size_from_space(space),
         "camera": camera.model_dump(mode="json"),
         "reward_scale": model.settings.reward_scale,
         "manifest_sha256": manifest_sha256,
     }
-    return write_policy(folder, model.q_net, about)
+    return write_policy_folder(folder, model.q_net, about)
 
 
 def load_policy(path: Path, network: str | None = None) -> _NetPolicy:
@@ -69,9 +71,9 @@ def load_policy(path: Path, network: str | None = None) -> _NetPolicy:
 
     Raises PolicyError when a file is missing, damaged or does not fit.
     """
-    file = read_policy_file(path)
+    file = read_value_policy_file(path)
     if file.net.network not in NETWORKS:
-        require_named(escaped(path), file.net.network, network)
+        require_trusted_network(escaped(path), file.net.network, network)
     net = load_network(
         path, file.weights_sha256, lambda: _empty_net(file), own=file.net.network in NETWORK_NAMES
     )
@@ -81,7 +83,7 @@ def load_policy(path: Path, network: str | None = None) -> _NetPolicy:
     return policy
 
 
-def load_fitting(
+def load_policy_for_config(
     folder: Path, name: str, config: RunConfig, network: str | None = None
 ) -> _NetPolicy:
     """A policy for one chair.
@@ -106,7 +108,7 @@ def load_fitting(
             f"{config.env.actions}: test it alone"
         )
     # 2. Numbers from IMU and joystick, and those of further sensors.
-    available = imu_size(config.env.observe_gyro, config.env.observe_yaw) + _JOYSTICK_SIZE
+    available = count_imu_values(config.env.observe_gyro, config.env.observe_yaw) + _JOYSTICK_SIZE
     needed = file.vector_size - sum(file.sensors.values())
     if needed != available:
         raise PolicyError(
@@ -142,13 +144,13 @@ class _NetPolicy:
     Of a longer window than its own it sees the newest images. One that carries a state does so from
     `act` to `act`, and begins anew with each episode.
 
-    It warns by the value of the user's own stick, see `next_alarm`. A step of not following costs
+    It warns by the value of the user's own stick, see `next_alarm_state`. A step of not following costs
     at most base reward and joystick penalty (3; a crash costs 100). A stick that is worth less than
     the best action by more than three such steps, in unscaled reward, leads to something worse: the
     network expects a crash or a jolt.
     """
 
-    def __init__(self, net: QNet, name: str, file: PolicyFile) -> None:
+    def __init__(self, net: QNet, name: str, file: QPolicyFile) -> None:
         self.net = net
         self.name = name
         self.file = file
@@ -170,13 +172,13 @@ class _NetPolicy:
     def reset(self) -> None:
         """Forget the episode before."""
         self._state = self.net.begin(1)
-        self._alarm = Alarm()
+        self._alarm = AlarmState()
 
     def act(self, observation: Observation) -> int:
         """The action of the highest value; a network with a state remembers the observation."""
         values, self._state = self._evaluate(observation)
         lost = float(values.max() - values[self._actions.nearest(observation[JOYSTICK_KEY])])
-        self._alarm = next_alarm(self._alarm, float(lost > self._tolerated_loss), TWO_TICKS)
+        self._alarm = next_alarm_state(self._alarm, float(lost > self._tolerated_loss), TWO_TICKS)
         return int(values.argmax())
 
     def values(self, observation: Observation) -> F32:
@@ -189,7 +191,7 @@ class _NetPolicy:
 
     def _evaluate(self, observation: Observation) -> tuple[F32, torch.Tensor]:
         """Values of all actions (A,), and the state after this observation."""
-        seen = newest_frames(observation, self.file.window)
+        seen = trim_frame_window(observation, self.file.window)
         with torch.inference_mode():
             batch = {key: torch.as_tensor(np.asarray(value))[None] for key, value in seen.items()}
             if self.net.spec.stateful:
@@ -204,20 +206,20 @@ class _NetPolicy:
         return values, after
 
 
-def _empty_net(file: PolicyFile) -> QNet:
+def _empty_net(file: QPolicyFile) -> QNet:
     return QNet(_space(file), spaces.Discrete(len(action_set(file.net.actions))), file.net)
 
 
-def _space(file: PolicyFile) -> spaces.Dict:
+def _space(file: QPolicyFile) -> spaces.Dict:
     """The observations that a policy was trained with."""
     height, width = file.image_hw_px
     imu = file.vector_size - _JOYSTICK_SIZE - sum(file.sensors.values())
     boxes = {key: spaces.Box(-1.0, 1.0, (size,), np.float32) for key, size in file.sensors.items()}
-    now = observation_space(file.observation, width, height, imu)
-    return windowed_space(spaces.Dict({**now.spaces, **boxes}), file.window)
+    now = make_observation_space(file.observation, width, height, imu)
+    return window_observation_space(spaces.Dict({**now.spaces, **boxes}), file.window)
 
 
-def _probes(file: PolicyFile) -> Iterator[Observation]:
+def _probes(file: QPolicyFile) -> Iterator[Observation]:
     """What a usable network has values for: nothing seen, and every number at its largest."""
     for share in (0.0, 1.0):
         yield {

@@ -26,7 +26,7 @@ from stable_baselines3.common.type_aliases import DictReplayBufferSamples, GymEn
 from stable_baselines3.common.utils import polyak_update
 from torch.nn import functional
 
-from wcsim.agents.learning.phases import LearningPhase, PhasePlan
+from wcsim.agents.learning.phases import LearningPhase, PhaseSchedule
 from wcsim.agents.learning.replay.buffer import FrameReplay
 from wcsim.agents.learning.replay.groups import SequenceBatch
 from wcsim.agents.networks.q_network import QNet, SeqQPolicy
@@ -35,7 +35,7 @@ from wcsim.config import LearnConfig
 from wcsim.core import seeding
 from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import ActionSet, action_set
-from wcsim.supervisor.observation import imu_size
+from wcsim.supervisor.observation import count_imu_values
 from wcsim.types import F32, F64
 
 Tensors = dict[str, torch.Tensor]
@@ -62,7 +62,7 @@ GYRO_SIGNS: Final = (-1.0, 1.0, -1.0)
 YAW_SIGNS: Final = (-1.0, 1.0)  # of its sine and cosine
 JOYSTICK_SIGNS: Final = (-1.0, 1.0)
 _SIGNS: Final = {  # of the IMU's row, by its length
-    imu_size(gyro, yaw): IMU_SIGNS + gyro * GYRO_SIGNS + yaw * YAW_SIGNS
+    count_imu_values(gyro, yaw): IMU_SIGNS + gyro * GYRO_SIGNS + yaw * YAW_SIGNS
     for gyro in (False, True)
     for yaw in (False, True)
 }
@@ -103,7 +103,7 @@ class SeqDQN(DQN):
         self.settings = settings if settings is not None else LearnConfig()
         self.actions = actions
         self.mirror_signs = mirror_signs
-        self.plan = PhasePlan(self.settings)
+        self.plan = PhaseSchedule(self.settings)
         self.rng = seeding.generator(0 if seed is None else seed, "agent", "explore")
         self._offsets: npt.NDArray[np.float64] = np.zeros((0, 2))  # (N, 2) explored by each seat
         # (N,) steps for which they are still held

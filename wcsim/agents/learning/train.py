@@ -19,30 +19,35 @@ import gymnasium
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import DummyVecEnv
 
-from wcsim.agents.learning.build import build_model, network_settings
+from wcsim.agents.learning.build import build_model, default_settings_for_network
 from wcsim.agents.learning.callbacks import (
-    EpisodeMetrics,
-    EventWatch,
-    SeqCallback,
-    StopRequest,
+    EpisodeMetricsCallback,
+    EventReportCallback,
+    SeqDqnCallback,
+    StopSignalHandler,
     TrainProgress,
 )
-from wcsim.agents.learning.checkpoint import checkpoint_restorer, save_checkpoint
+from wcsim.agents.learning.checkpoint import make_checkpoint_restorer, save_checkpoint
 from wcsim.agents.learning.phases import LearningPhase
 from wcsim.agents.learning.saved_policy import save_policy
 from wcsim.agents.learning.seqdqn import SeqDQN
-from wcsim.agents.networks.device import checked_device, torch_settings
-from wcsim.agents.runs.checkpoint import go_on
-from wcsim.agents.runs.metrics import STEP_COLUMNS, BoardLog, MetricsFile, check_tensorboard
+from wcsim.agents.networks.device import temporary_torch_settings, validate_device_name
+from wcsim.agents.runs.checkpoint import restore_newest_checkpoint
+from wcsim.agents.runs.metrics import (
+    STEP_COLUMNS,
+    MetricsFile,
+    TensorBoardLog,
+    require_tensorboard_installed,
+)
 from wcsim.agents.runs.run_folder import (
     METRICS,
     STEPS,
     ResolvedRun,
     RunFolder,
-    folder_of,
-    how_to_resume,
+    format_resume_command,
+    open_or_create_run,
 )
-from wcsim.config.run_file import SittingFile
+from wcsim.config.run_file import QTrainingProgress
 from wcsim.core import files, seeding
 from wcsim.errors import DiskFullError, InterruptedRunError, LinkError
 
@@ -80,7 +85,7 @@ def train(
         alive: Called now and then while something takes long that is no step of the environment.
         log: Gets messages for the user, such as checkpoints that could not be used.
         wait_no_more: Makes a LinkError of waiting for a world, where a launcher ends this process:
-            see `StopRequest`.
+            see `StopSignalHandler`.
 
     Returns:
         The run folder, with policies/phase1 and policies/final.
@@ -94,15 +99,15 @@ def train(
             cannot be used.
     """
     # 1. What cannot be used here is refused before a folder is made.
-    checked_device(run.config.learn.device)
+    validate_device_name(run.config.learn.device)
     if run.config.learn.tensorboard:
-        check_tensorboard()
+        require_tensorboard_installed()
     # 2. The run folder, for this process alone.
-    folder = folder_of(run, network_settings)
+    folder = open_or_create_run(run, default_settings_for_network)
     with (
-        files.locked(folder.path),
-        torch_settings(run.config.learn),
-        StopRequest(wait_no_more) as stop,
+        files.lock_run_folder(folder.path),
+        temporary_torch_settings(run.config.learn),
+        StopSignalHandler(wait_no_more) as stop,
     ):
         env = DummyVecEnv([make_env])
         try:
@@ -134,9 +139,9 @@ def _restore_newest(
     model: SeqDQN,
     log: Callable[[str], object],
     alive: Callable[[], object],
-) -> SittingFile | None:
+) -> QTrainingProgress | None:
     """Bring a learner to its newest sound checkpoint; None, with an event, where a run has none."""
-    found = go_on(folder, checkpoint_restorer(model, alive), log)
+    found = restore_newest_checkpoint(folder, make_checkpoint_restorer(model, alive), log)
     if found is None:
         log(f"{folder.path} stopped before its first checkpoint; it starts again")
         folder.event("begin_again")
@@ -150,14 +155,14 @@ def _start_segment(folder: RunFolder, model: SeqDQN, env: DummyVecEnv) -> RunFol
     A world cannot be saved: the run goes on in a new one, with a seed of its own.
     """
     step = model.num_timesteps
-    seed = seeding.derive(folder.manifest.seed, "agent", "segment", step)
+    seed = seeding.derive_seed(folder.manifest.seed, "agent", "segment", step)
     env.seed(seed)
     folder = folder.with_status("running", step)
     folder.event("resume", step=step, seed=seed)
     return folder
 
 
-class _Session(SeqCallback):
+class _Session(SeqDqnCallback):
     """What one process does of a run: from a fresh start, or a resume, to its end or a stop.
 
     As a callback of SB3 it saves and reports between two rollouts.
@@ -167,9 +172,9 @@ class _Session(SeqCallback):
         self,
         folder: RunFolder,
         model: SeqDQN,
-        before: SittingFile | None,
+        before: QTrainingProgress | None,
         resume: bool,
-        stop: StopRequest,
+        stop: StopSignalHandler,
         progress: Progress | None,
         progress_every: int,
         alive: Callable[[], object],
@@ -183,15 +188,15 @@ class _Session(SeqCallback):
         self._progress_every = progress_every
         self._alive = alive
         self._unsaved = ""  # why the last checkpoint could not be written
-        before = before or SittingFile()
+        before = before or QTrainingProgress()
         self._phase1_done = before.phase1_done
         self._q_alarm = before.q_alarm
         if before.owes_updates:
             model.due = 1, model.batch_size
         # Rows after the restored step belong to work that is done again.
         last_step = model.num_timesteps if resume else None
-        self.board = BoardLog(folder.path, last_step) if self._settings.tensorboard else None
-        self._episodes = EpisodeMetrics(
+        self.board = TensorBoardLog(folder.path, last_step) if self._settings.tensorboard else None
+        self._episodes = EpisodeMetricsCallback(
             MetricsFile(folder.path / METRICS, last_step),
             MetricsFile(folder.path / STEPS, last_step, STEP_COLUMNS),
             time.monotonic(),
@@ -210,7 +215,7 @@ class _Session(SeqCallback):
             # 1. Drive and learn. What is due between two rollouts does `_on_rollout_start`.
             remaining = self._settings.total_steps - model.num_timesteps
             if remaining > 0:
-                own = [self._episodes, EventWatch(self._folder.event), self]
+                own = [self._episodes, EventReportCallback(self._folder.event), self]
                 model.learn(
                     remaining,
                     callback=[*own, *callbacks],
@@ -329,11 +334,11 @@ class _Session(SeqCallback):
         if not self._unsaved:
             return InterruptedRunError(
                 f"stopped after {done}; {path} holds the policy so far; continue it: "
-                f"{how_to_resume(path)}"
+                f"{format_resume_command(path)}"
             )
         return DiskFullError(
             f"stopped after {done}; the policy so far is saved, but the last checkpoint could not "
-            f"be written ({self._unsaved}): {how_to_resume(path)} continues from the one before "
+            f"be written ({self._unsaved}): {format_resume_command(path)} continues from the one before "
             "it, or starts again if there is none; free some disk space"
         )
 

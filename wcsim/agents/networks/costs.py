@@ -14,9 +14,9 @@ from gymnasium import spaces
 from torch import nn
 
 from wcsim.agents.networks.q_network import QNet
-from wcsim.agents.networks.registry import preferred_window
+from wcsim.agents.networks.registry import preferred_window_size
 from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, IMU_KEY, JOYSTICK_KEY
-from wcsim.config.run_file import NetSpec
+from wcsim.config.run_file import QNetworkSpec
 from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import action_set
 
@@ -46,12 +46,12 @@ class _NetworkCost:
         return self.p99_ms <= LIMIT_MS - RESERVE_MS
 
 
-def measure_cost(
+def measure_network_cost(
     name: str, height_px: int = 240, width_px: int = 320, runs: int = 30
 ) -> _NetworkCost:
     """Measure a network on one core of this machine. Raises PolicyError for an unknown name."""
     # 1. The network, and an observation for it.
-    window = preferred_window(name)
+    window = preferred_window_size(name)
     image = spaces.Box(0, 255, (window, height_px, width_px), np.uint8)
     vectors = {
         key: spaces.Box(-1.0, 1.0, (size,), np.float32)
@@ -59,7 +59,9 @@ def measure_cost(
     }
     actions = spaces.Discrete(len(action_set("square81")))
     net = QNet(
-        spaces.Dict({CLASS_KEY: image, DEPTH_KEY: image, **vectors}), actions, NetSpec(network=name)
+        spaces.Dict({CLASS_KEY: image, DEPTH_KEY: image, **vectors}),
+        actions,
+        QNetworkSpec(network=name),
     )
     net.set_training_mode(False)
     seen = {
@@ -146,11 +148,11 @@ class _PositionalNet(nn.Module):
 
 def _time_onnx(net: QNet, seen: dict[str, torch.Tensor], runs: int) -> float | None:
     """Median of a decision by ONNX Runtime, in ms; None where it cannot run the network."""
-    from wcsim.agents.networks.onnx_form import exported
+    from wcsim.agents.networks.onnx_form import network_to_onnx
 
     keys = tuple(seen)
     try:
-        model = exported(_PositionalNet(net, keys), tuple(seen.values()), keys, ("values",))
+        model = network_to_onnx(_PositionalNet(net, keys), tuple(seen.values()), keys, ("values",))
     except PolicyError:
         return None
     import onnxruntime

@@ -11,7 +11,7 @@ from wcsim.config import LearnConfig
 from wcsim.errors import ConfigError
 
 
-def checked_device(name: str) -> str:
+def validate_device_name(name: str) -> str:
     """The device's name.
 
     Raises ConfigError for one that PyTorch does not know or this machine does not have.
@@ -28,7 +28,7 @@ def checked_device(name: str) -> str:
 
 
 @contextmanager
-def torch_settings(learn: LearnConfig) -> Iterator[None]:
+def temporary_torch_settings(learn: LearnConfig) -> Iterator[None]:
     """Threads and determinism while a network learns, and what was set before after it."""
     threads, mode = torch.get_num_threads(), torch.get_deterministic_debug_mode()
     torch.set_num_threads(learn.threads)

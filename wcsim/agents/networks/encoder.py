@@ -63,29 +63,32 @@ class ObservationEncoder(BaseFeaturesExtractor):
     ) -> None:
         if stateful:
             _require_stateful(observation_space, network)
-        height, width = image_size(observation_space)
-        numbers = vector_size(observation_space)
+        height, width = image_size_from_space(observation_space)
+        numbers = vector_size_from_space(observation_space)
         table = _group_table(classes)
-        self.form = observation_form(observation_space)
+        self.form = observation_form_from_space(observation_space)
         # Class planes and depth, with colours or without; or the four planes of Table 3.
         count = {"compact": len(table) + 1, "compact_rgb": len(table) + 4, "table3": 4}[self.form]
         # A windowed network is built with (T, C, H, W), any other with (C, H, W).
         shape: tuple[int, ...] = (count, height, width)
-        frames, windowed = window_size(observation_space), registry.is_windowed(network)
+        frames, windowed = (
+            window_size_from_space(observation_space),
+            registry.is_windowed_network(network),
+        )
         if windowed:
             shape = (frames, *shape)
         elif frames > 1:
-            others = ", ".join(sorted(filter(registry.is_windowed, registry.NETWORKS)))
+            others = ", ".join(sorted(filter(registry.is_windowed_network, registry.NETWORKS)))
             raise PolicyError(
                 f"network {network!r} reads one image, the observation holds {frames}; expected "
                 f"one: set env.window=1, or choose a windowed network ({others})"
             )
-        body = registry.build(network, shape, numbers)
+        body = registry.build_network(network, shape, numbers)
         super().__init__(
             observation_space, features_dim=_features_dim(network, body, shape, numbers)
         )
         self.body = body
-        self.vector_keys = vector_keys(observation_space)
+        self.vector_keys = vector_keys_from_space(observation_space)
         self.windowed = windowed
         self.state_size = int(body.state_size) if stateful else 0  # type: ignore[arg-type]
         # (256, G + 1): the last plane is for depth.
@@ -137,11 +140,11 @@ class ObservationEncoder(BaseFeaturesExtractor):
         return planes if self.windowed else planes[:, 0]
 
     def vector(self, observations: Tensors) -> torch.Tensor:
-        """What `vector_keys` names side by side, (B, vector_size) float32."""
+        """What `vector_keys_from_space` names side by side, (B, vector_size) float32."""
         return torch.cat([observations[key] for key in self.vector_keys], dim=1).to(torch.float32)
 
 
-def vector_keys(space: spaces.Space[object]) -> tuple[str, ...]:
+def vector_keys_from_space(space: spaces.Space[object]) -> tuple[str, ...]:
     """What a network's vector is made of, in its order.
 
     IMU, joystick, then every further row of numbers by name.
@@ -153,20 +156,21 @@ def vector_keys(space: spaces.Space[object]) -> tuple[str, ...]:
     return (IMU_KEY, JOYSTICK_KEY, *sorted(rows - {IMU_KEY, JOYSTICK_KEY}))
 
 
-def vector_size(space: spaces.Space[object], keys: tuple[str, ...] = ()) -> int:
+def vector_size_from_space(space: spaces.Space[object], keys: tuple[str, ...] = ()) -> int:
     """How many numbers the vector has, or those parts of it that `keys` names.
 
     In the paper 7, for IMU and joystick.
     """
     return sum(
-        int(np.prod(_box(_require_own(space), key).shape)) for key in keys or vector_keys(space)
+        int(np.prod(_box(_require_own(space), key).shape))
+        for key in keys or vector_keys_from_space(space)
     )
 
 
-def image_size(space: spaces.Space[object]) -> tuple[int, int]:
+def image_size_from_space(space: spaces.Space[object]) -> tuple[int, int]:
     """(H, W) of the observation's images. Raises PolicyError when the space is none of wcsim's."""
     space = _require_own(space)
-    dtype = np.float32 if observation_form(space) == "table3" else np.uint8
+    dtype = np.float32 if observation_form_from_space(space) == "table3" else np.uint8
     for key in (COLOURS_KEY if COLOURS_KEY in space.spaces else CLASS_KEY, DEPTH_KEY):
         box = _box(space, key)
         if box.dtype != dtype or len(box.shape) != 3 or box.shape[0] < 1:
@@ -177,12 +181,12 @@ def image_size(space: spaces.Space[object]) -> tuple[int, int]:
     return int(_box(space, DEPTH_KEY).shape[1]), int(_box(space, DEPTH_KEY).shape[2])
 
 
-def window_size(space: spaces.Space[object]) -> int:
+def window_size_from_space(space: spaces.Space[object]) -> int:
     """How many images the observation holds (`env.window`)."""
     return int(_box(_require_own(space), DEPTH_KEY).shape[0])
 
 
-def observation_form(space: spaces.Space[object]) -> Form:
+def observation_form_from_space(space: spaces.Space[object]) -> Form:
     """Which form of `env.observation` a space is of. Raises PolicyError when it is of none."""
     keys = _require_own(space).spaces
     if CLASS_KEY not in keys:
@@ -219,15 +223,15 @@ def _group_table(classes: Classes) -> torch.Tensor:
 
 def _require_stateful(space: spaces.Space[object], network: str) -> None:
     """Raise PolicyError for a network, or observations, with which no state can be carried."""
-    if not registry.carries_state(network):
+    if not registry.is_recurrent_network(network):
         raise PolicyError(
             f"network {network!r} carries no state; expected one with `unroll` (see "
             "networks.registry)"
         )
-    if window_size(space) != 1:
+    if window_size_from_space(space) != 1:
         raise PolicyError(
             f"network {network!r} carries its state from tick to tick and sees "
-            f"{window_size(space)} images at a time; expected one: set env.window=1"
+            f"{window_size_from_space(space)} images at a time; expected one: set env.window=1"
         )
 
 

@@ -17,7 +17,7 @@ NETWORK_NAMES: Final = ("conv3d", "convlstm", "fig6", "patch")
 _MOST_CHARACTERS: Final = 56  # of a client's name, so that a number fits behind it
 
 
-def client_name(network: str) -> str:
+def client_name_from_network(network: str) -> str:
     """The name of a client with this network, unless its user gives one: a plain word.
 
     >>> client_name("own_file:OwnNet"), client_name("fig6")
@@ -26,12 +26,12 @@ def client_name(network: str) -> str:
     return re.sub(r"[^A-Za-z0-9_-]", "_", network.rpartition(":")[2])[:_MOST_CHARACTERS]
 
 
-def is_own(name: str) -> bool:
+def is_custom_network(name: str) -> bool:
     """Whether a network is a user's own class, `module:Class`."""
     return ":" in name
 
 
-def check_network(name: str) -> None:
+def require_known_network(name: str) -> None:
     """Refuse what is no network before torch is loaded for it; `find_network` checks the class.
 
     Raises:
@@ -40,20 +40,20 @@ def check_network(name: str) -> None:
     """
     # A caller that registered own names has loaded it.
     registry = sys.modules.get("wcsim.agents.networks.registry")
-    if is_own(name):
+    if is_custom_network(name):
         find_class(name, "network")
     elif name not in NETWORK_NAMES and not (registry is not None and name in registry.NETWORKS):
-        raise unknown_network(name, NETWORK_NAMES)
+        raise unknown_network_error(name, NETWORK_NAMES)
 
 
-def unknown_network(name: str, known: tuple[str, ...]) -> PolicyError:
+def unknown_network_error(name: str, known: tuple[str, ...]) -> PolicyError:
     """The error for a name that no network has."""
     names = ", ".join(sorted(known))
     message = f"unknown network {escaped(name, 80)!r}; expected one of {names}, or module:Class"
     return PolicyError(message + meant(name, known))
 
 
-def require_named(where: str, name: str, named: str | None) -> None:
+def require_trusted_network(where: str, name: str, named: str | None) -> None:
     """Refuse a policy whose own network its user has not named: loading it runs its code.
 
     Args:

@@ -14,12 +14,12 @@ from wcsim.errors import PolicyError, check_installed
 OPSET = 18
 
 
-def check_onnx() -> None:
+def require_onnx_installed() -> None:
     """Raise PolicyError where the extra `train` is not installed."""
     check_installed("exporting needs ONNX", "train", "onnx", error=PolicyError)
 
 
-def exported(
+def network_to_onnx(
     net: nn.Module, given: tuple[torch.Tensor, ...], inputs: Sequence[str], outputs: Sequence[str]
 ) -> bytes:
     """A network as an ONNX model, for inputs of these very shapes.
@@ -34,7 +34,7 @@ def exported(
         PolicyError: ONNX is not installed, or the network cannot be expressed in it.
     """
     held = io.BytesIO()
-    check_onnx()
+    require_onnx_installed()
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # tracing warns of every shape that is a Python number

@@ -12,9 +12,9 @@ from stable_baselines3.common.type_aliases import PyTorchObs, Schedule
 from stable_baselines3.dqn.policies import DQNPolicy
 from torch import nn
 
-from wcsim.agents.networks.encoder import ObservationEncoder, Tensors, vector_size
+from wcsim.agents.networks.encoder import ObservationEncoder, Tensors, vector_size_from_space
 from wcsim.agents.policy_api import JOYSTICK_KEY
-from wcsim.config.run_file import NetSpec
+from wcsim.config.run_file import QNetworkSpec
 from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.rewards import DISTANCE_TOLERANCE
 
@@ -29,7 +29,7 @@ class QNet(BasePolicy):
     """
 
     def __init__(
-        self, observation_space: spaces.Dict, action_space: spaces.Discrete, spec: NetSpec
+        self, observation_space: spaces.Dict, action_space: spaces.Discrete, spec: QNetworkSpec
     ) -> None:
         super().__init__(observation_space, action_space, normalize_images=False)
         self.spec = spec
@@ -37,7 +37,7 @@ class QNet(BasePolicy):
             observation_space, spec.network, spec.classes, spec.stateful
         )
         count = int(action_space.n)
-        inputs = self.encoder.features_dim + vector_size(observation_space)
+        inputs = self.encoder.features_dim + vector_size_from_space(observation_space)
         self.trunk = nn.Sequential(nn.Linear(inputs, spec.hidden), nn.ReLU())
         self.advantage = nn.Linear(spec.hidden, count)
         self.value = nn.Linear(spec.hidden, 1) if spec.dueling else None
@@ -121,10 +121,10 @@ class SeqQPolicy(DQNPolicy):
         observation_space: spaces.Dict,
         action_space: spaces.Discrete,
         lr_schedule: Schedule,
-        spec: NetSpec | None = None,
+        spec: QNetworkSpec | None = None,
         optimizer_kwargs: dict[str, Any] | None = None,
     ) -> None:
-        self.spec = spec if spec is not None else NetSpec()
+        self.spec = spec if spec is not None else QNetworkSpec()
         super().__init__(
             observation_space,
             action_space,

@@ -33,7 +33,7 @@ from typing import Any
 from torch import nn
 
 from wcsim.agents.networks.convolutional import Conv3dNet, ConvLstmNet, Figure6Net, PatchNet
-from wcsim.agents.networks.names import unknown_network
+from wcsim.agents.networks.names import unknown_network_error
 from wcsim.core.plugins import find_class
 from wcsim.errors import PolicyError
 
@@ -65,7 +65,7 @@ def find_network(name: str) -> NetworkClass:
     if name in NETWORKS:
         return NETWORKS[name]
     if ":" not in name:
-        raise unknown_network(name, tuple(NETWORKS))
+        raise unknown_network_error(name, tuple(NETWORKS))
     found = find_class(name, "network")
     if not issubclass(found, nn.Module):
         raise PolicyError(
@@ -74,22 +74,22 @@ def find_network(name: str) -> NetworkClass:
     return found
 
 
-def is_windowed(name: str) -> bool:
+def is_windowed_network(name: str) -> bool:
     """Whether a network reads a window of images. Raises PolicyError when there is none."""
     return bool(getattr(find_network(name), "windowed", False))
 
 
-def carries_state(name: str) -> bool:
+def is_recurrent_network(name: str) -> bool:
     """Whether a network can carry a state between ticks. Raises PolicyError when there is none."""
-    return is_windowed(name) and callable(getattr(find_network(name), "unroll", None))
+    return is_windowed_network(name) and callable(getattr(find_network(name), "unroll", None))
 
 
-def preferred_window(name: str) -> int:
+def preferred_window_size(name: str) -> int:
     """How many images a window should hold for a network. Raises PolicyError when there is none."""
-    return int(getattr(find_network(name), "window", 1)) if is_windowed(name) else 1
+    return int(getattr(find_network(name), "window", 1)) if is_windowed_network(name) else 1
 
 
-def build(name: str, image_shape: tuple[int, ...], vector_size: int) -> nn.Module:
+def build_network(name: str, image_shape: tuple[int, ...], vector_size: int) -> nn.Module:
     """A network for these inputs. Raises PolicyError when its class cannot be built with them."""
     network = find_network(name)
     try:

@@ -12,14 +12,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
 from wcsim.agents.policy_api import Policy
-from wcsim.agents.runs.policy_file import algorithm_of, read_danger_file, read_policy_file
+from wcsim.agents.runs.policy_file import (
+    read_danger_policy_file,
+    read_policy_algorithm,
+    read_value_policy_file,
+)
 from wcsim.agents.runs.run_folder import ResolvedRun, open_run
 from wcsim.config import RunConfig
-from wcsim.config.run_file import DangerFile, PolicyFile
+from wcsim.config.run_file import DangerPolicyFile, QPolicyFile
 from wcsim.core.reading import counted
 from wcsim.errors import PolicyError
-from wcsim.server.workers.machines import Machines
-from wcsim.supervisor.rewards import find_reward_term
+from wcsim.server.workers.machines import WorkerPoolSettings
+from wcsim.supervisor.rewards import make_reward_term
 from wcsim.towns.scenario.town import Town
 
 if TYPE_CHECKING:  # these load PyTorch, which --help must not
@@ -29,7 +33,7 @@ if TYPE_CHECKING:  # these load PyTorch, which --help must not
     from wcsim.agents.rounds.train_rounds import RoundProgress
 
 
-class Display(Protocol):
+class TrainingDisplay(Protocol):
     """What a training of one network shows its user."""
 
     def print_note(self) -> None:
@@ -68,7 +72,9 @@ class Learner(Protocol):
     def length(self, config: RunConfig) -> str:
         """The length of a run, as in "20 rounds"."""
 
-    def train(self, run: ResolvedRun, town: Town, machines: Machines, display: Display) -> Path:
+    def train(
+        self, run: ResolvedRun, town: Town, machines: WorkerPoolSettings, display: TrainingDisplay
+    ) -> Path:
         """Train one network, or resume its run; returns the run folder.
 
         Args:
@@ -82,7 +88,7 @@ class Learner(Protocol):
             WcsimError: A setting, the folder or a machine cannot be used.
         """
 
-    def read_policy(self, folder: Path) -> PolicyFile | DangerFile:
+    def read_policy(self, folder: Path) -> QPolicyFile | DangerPolicyFile:
         """Read and check `policy.json` of its policies. Raises PolicyError."""
 
     def policy_settings(self, folder: Path) -> dict[str, Any]:
@@ -149,13 +155,15 @@ class _QLearning(Learner):
         """See `Learner`."""
         return f"{config.learn.total_steps} steps"
 
-    def train(self, run: ResolvedRun, town: Town, machines: Machines, display: Display) -> Path:
+    def train(
+        self, run: ResolvedRun, town: Town, machines: WorkerPoolSettings, display: TrainingDisplay
+    ) -> Path:
         """See `Learner`."""
         from wcsim.agents.envs.wheelchair_env import WheelchairEnv
         from wcsim.agents.learning.train import train
 
         info = run.info
-        terms = tuple(find_reward_term(name) for name in info.rewards)
+        terms = tuple(make_reward_term(name) for name in info.rewards)
 
         def make_env() -> WheelchairEnv:
             env = WheelchairEnv(
@@ -171,13 +179,13 @@ class _QLearning(Learner):
 
         return train(run, make_env, display.show_step, log=display.warn)
 
-    def read_policy(self, folder: Path) -> PolicyFile:
+    def read_policy(self, folder: Path) -> QPolicyFile:
         """See `Learner`."""
-        return read_policy_file(folder)
+        return read_value_policy_file(folder)
 
     def policy_settings(self, folder: Path) -> dict[str, Any]:
         """See `Learner`."""
-        file = read_policy_file(folder)
+        file = read_value_policy_file(folder)
         env = {
             "actions": file.net.actions,
             "classes": file.net.classes,
@@ -195,9 +203,9 @@ class _QLearning(Learner):
         network: str | None = None,
     ) -> Policy:
         """See `Learner`; values have no level of assistance."""
-        from wcsim.agents.learning.saved_policy import load_fitting
+        from wcsim.agents.learning.saved_policy import load_policy_for_config
 
-        return load_fitting(folder, name, config, network)
+        return load_policy_for_config(folder, name, config, network)
 
     def open_graph(
         self,
@@ -207,11 +215,11 @@ class _QLearning(Learner):
         network: str | None = None,
     ) -> tuple[Graph, Policy]:
         """See `Learner`."""
-        from wcsim.agents.export.policy_graphs import ValueGraph
+        from wcsim.agents.export.policy_graphs import ValuePolicyGraph
         from wcsim.agents.learning.saved_policy import load_policy
 
         policy = load_policy(folder, network)
-        return ValueGraph(policy.net, policy.file.window), policy
+        return ValuePolicyGraph(policy.net, policy.file.window), policy
 
 
 class _DangerRounds(Learner):
@@ -246,7 +254,9 @@ class _DangerRounds(Learner):
         """See `Learner`."""
         return f"{config.collect.rounds} rounds"
 
-    def train(self, run: ResolvedRun, town: Town, machines: Machines, display: Display) -> Path:
+    def train(
+        self, run: ResolvedRun, town: Town, machines: WorkerPoolSettings, display: TrainingDisplay
+    ) -> Path:
         """See `Learner`."""
         from wcsim.agents.rounds.train_rounds import train_danger
 
@@ -256,13 +266,13 @@ class _DangerRounds(Learner):
         display.print_note()
         return train_danger(run, town, replace(machines, report=log), display.show_round, log)
 
-    def read_policy(self, folder: Path) -> DangerFile:
+    def read_policy(self, folder: Path) -> DangerPolicyFile:
         """See `Learner`."""
-        return read_danger_file(folder)
+        return read_danger_policy_file(folder)
 
     def policy_settings(self, folder: Path) -> dict[str, Any]:
         """See `Learner`."""
-        file = read_danger_file(folder)
+        file = read_danger_policy_file(folder)
         return {
             "cameras": [file.camera.model_dump(mode="json")],
             "env": {"actions": file.net.actions, "classes": file.classes, "window": 1},
@@ -284,7 +294,7 @@ class _DangerRounds(Learner):
 
     def require_exportable(self, folder: Path, name: str) -> None:
         """See `Learner`."""
-        eye = read_danger_file(folder).net.eye
+        eye = read_danger_policy_file(folder).net.eye
         if eye != "map":
             raise PolicyError(
                 f"{name} uses camera pictures (danger.eye={eye}), which cannot be exported; "
@@ -301,12 +311,12 @@ class _DangerRounds(Learner):
     ) -> tuple[Graph, Policy]:
         """See `Learner`."""
         from wcsim.agents.danger.policy import DangerPolicy, load_net
-        from wcsim.agents.export.policy_graphs import DangerGraph
+        from wcsim.agents.export.policy_graphs import DangerPolicyGraph
 
         net, rule = load_net(folder)
         if level is not None:
             rule = rule.model_copy(update={"threshold": level})
-        return DangerGraph(net, config, rule), DangerPolicy("own", net, config, rule)
+        return DangerPolicyGraph(net, config, rule), DangerPolicy("own", net, config, rule)
 
 
 Q_LEARNING: Final = _QLearning()
@@ -322,7 +332,7 @@ def learner_of(config: RunConfig) -> Learner:
 
 def learner_of_policy(folder: Path) -> Learner:
     """The learner of a policy folder. Raises PolicyError when it is no policy folder."""
-    algorithm = algorithm_of(folder)
+    algorithm = read_policy_algorithm(folder)
     for learner in LEARNERS:
         if learner.algorithm == algorithm:
             return learner

@@ -9,10 +9,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
-from wcsim.agents.opening.named_policy import seat_for
+from wcsim.agents.opening.named_policy import make_policy_seat_spec
 from wcsim.agents.policy_api import Policy
 from wcsim.config import RunConfig, parse
-from wcsim.config.suite import BlockFile, EpisodeFile, SuiteFile
+from wcsim.config.suite import SuiteBlock, SuiteEpisode, SuiteFile
 from wcsim.core.constants import RECORDED
 from wcsim.core.reading import EPISODES, escaped, is_file, read_json
 from wcsim.errors import ConfigError, TownError
@@ -33,7 +33,7 @@ _SHIPPED: Final = Path(__file__).parent / "lists"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Suite:
+class HashedSuite:
     """A list and what it hashes to."""
 
     file: SuiteFile
@@ -46,36 +46,36 @@ class Suite:
         return sum(len(block.episodes) for block in self.file.blocks)
 
 
-def shipped() -> tuple[str, ...]:
+def list_shipped_suites() -> tuple[str, ...]:
     """The sets that come with wcsim."""
     return tuple(sorted(path.stem for path in _SHIPPED.glob("*.json")))
 
 
-def open_suite(name_or_path: str) -> Suite:
+def read_suite(name_or_path: str) -> HashedSuite:
     """A set that comes with wcsim, or a list at a path.
 
     Raises:
         ConfigError: There is no such list, or it is damaged.
     """
-    is_shipped = name_or_path in shipped()
+    is_shipped = name_or_path in list_shipped_suites()
     path = _SHIPPED / f"{name_or_path}.json" if is_shipped else expanded(name_or_path)
     if not is_file(path):
-        known = ", ".join(shipped()) or "(none)"
+        known = ", ".join(list_shipped_suites()) or "(none)"
         raise ConfigError(
             f"--suite {escaped(name_or_path)!r}: there is no such list; expected {known}, or a file"
         )
-    return suite_of(parse(SuiteFile, read_json(path, EPISODES), escaped(path)))
+    return suite_from_file(parse(SuiteFile, read_json(path, EPISODES), escaped(path)))
 
 
-def suite_of(file: SuiteFile) -> Suite:
+def suite_from_file(file: SuiteFile) -> HashedSuite:
     """A list with its hash."""
     data = file.model_dump(mode="json")
     # The one spelling of plain data that is hashed.
     text = json.dumps(data, sort_keys=True, separators=(",", ":"), allow_nan=False)
-    return Suite(file=file, sha256=hashlib.sha256(text.encode()).hexdigest())
+    return HashedSuite(file=file, sha256=hashlib.sha256(text.encode()).hexdigest())
 
 
-def write_list(file: SuiteFile, path: Path) -> None:
+def write_suite_file(file: SuiteFile, path: Path) -> None:
     """Write a list, an episode a line, so that a change shows in a diff. Raises OSError."""
     head = file.model_dump(mode="json", exclude={"blocks"})
     lines = [json.dumps(head)[:-1] + ', "blocks": [']
@@ -88,7 +88,7 @@ def write_list(file: SuiteFile, path: Path) -> None:
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def towns_of(file: SuiteFile, folder: Path) -> dict[str, Town]:
+def load_suite_towns(file: SuiteFile, folder: Path) -> dict[str, Town]:
     """The list's towns, by name; those made of a seed are made in `folder`, if they are not there.
 
     Raises:
@@ -110,7 +110,7 @@ def towns_of(file: SuiteFile, folder: Path) -> dict[str, Town]:
     return towns
 
 
-def suite_towns(words: str, folder: Path) -> list[tuple[Town, int | None]]:
+def parse_suite_towns(words: str, folder: Path) -> list[tuple[Town, int | None]]:
     """The towns of `--make-suite`, each with the seed that it was made of; `made:7` is made now.
 
     Raises:
@@ -124,7 +124,7 @@ def suite_towns(words: str, folder: Path) -> list[tuple[Town, int | None]]:
     ]
 
 
-def require_towns(file: SuiteFile) -> None:
+def require_block_towns(file: SuiteFile) -> None:
     """Raises ConfigError for a block in a town that the list does not name."""
     named = {town.name for town in file.towns}
     for block in file.blocks:
@@ -136,7 +136,7 @@ def require_towns(file: SuiteFile) -> None:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class BlockPlace:
+class BlockSetup:
     """Where a block is driven: its street is there, and all its settings."""
 
     town: Town
@@ -148,16 +148,16 @@ class BlockPlace:
     recordings: Path | None = None
 
 
-def open_block(
-    block: BlockFile, config: RunConfig, town: Callable[[], Town], work: Path
-) -> BlockPlace:
+def make_block_setup(
+    block: SuiteBlock, config: RunConfig, town: Callable[[], Town], work: Path
+) -> BlockSetup:
     """The block's place: its `town`, or the scene of a tight block, built in `work`.
 
     Raises:
         TownError: The scene differs from the list's, or as `town` does.
     """
     if block.part != TIGHT:
-        return BlockPlace(town=town(), config=config, seed=block.seed)
+        return BlockSetup(town=town(), config=config, seed=block.seed)
     folder = write_scene(block.town, block.seed, work / SCENE)
     sha256 = scene_digest(folder)
     if sha256 != block.scene_sha256:
@@ -167,12 +167,12 @@ def open_block(
             "version of wcsim"
         )
     built, scene = build_scene(folder, work / SCENE_TOWN)
-    return BlockPlace(
+    return BlockSetup(
         town=built, config=scene_config(scene, config), seed=scene.seed, recordings=folder
     )
 
 
-def seat_of(place: BlockPlace, episode: EpisodeFile, policy: Policy) -> SeatSpec:
+def make_episode_seat_spec(place: BlockSetup, episode: SuiteEpisode, policy: Policy) -> SeatSpec:
     """The seat of a policy for an episode of a block."""
     user = episode.profile
     if place.recordings is not None and user.startswith(RECORDED):
@@ -183,4 +183,4 @@ def seat_of(place: BlockPlace, episode: EpisodeFile, policy: Policy) -> SeatSpec
         start = StartSpec(
             p_W_m=episode.start_m, yaw_rad=episode.heading_rad, goal_W_m=episode.goal_m
         )
-    return replace(seat_for(policy, user), max_steps=episode.max_steps, start=start)
+    return replace(make_policy_seat_spec(policy, user), max_steps=episode.max_steps, start=start)

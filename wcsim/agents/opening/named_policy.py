@@ -14,10 +14,14 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Final
 
-from wcsim.agents.export.guard import GuardedPolicy, guard_of
+from wcsim.agents.export.guard import GuardedPolicy, read_guard_rule
 from wcsim.agents.opening.learner_registry import learner_of_policy
-from wcsim.agents.policies.onnx_policy import ExportedLaw, OnnxPolicy, read_about
-from wcsim.agents.policies.served_policy import ServedPolicy
+from wcsim.agents.policies.onnx_policy import (
+    ExportedDangerPolicy,
+    OnnxPolicy,
+    read_onnx_policy_file,
+)
+from wcsim.agents.policies.served_policy import ServedPolicyClient
 from wcsim.agents.policy_api import (
     STATE_SENSE,
     VISIBLE_BOUND,
@@ -28,14 +32,14 @@ from wcsim.agents.policy_api import (
 )
 from wcsim.agents.runs.policy_file import (
     EXPORTED,
-    policy_name,
-    read_danger_file,
-    require_same_senses,
+    parse_policy_name,
+    read_danger_policy_file,
+    require_danger_policy_fits,
 )
-from wcsim.agents.runs.run_folder import policy_path, run_of
+from wcsim.agents.runs.run_folder import policy_folder_from_name, run_from_policy_name
 from wcsim.config import RunConfig, resolve
-from wcsim.config.run_file import PolicyFile
-from wcsim.core.plugins import find_class, running_own
+from wcsim.config.run_file import QPolicyFile
+from wcsim.core.plugins import find_class, wrap_user_code_errors
 from wcsim.core.reading import is_file
 from wcsim.errors import PolicyError, check_installed
 from wcsim.supervisor.actions import action_set
@@ -48,7 +52,9 @@ RULES: Final = ("world", "chair", "reward", "vary")
 _PACE: Final = ("draw_threads", "epoch_ticks")
 
 
-def open_named(name: str, config: RunConfig, seed: int, network: str | None = None) -> Policy:
+def open_named_policy(
+    name: str, config: RunConfig, seed: int, network: str | None = None
+) -> Policy:
     """The policy of that name for one chair.
 
     Args:
@@ -61,20 +67,20 @@ def open_named(name: str, config: RunConfig, seed: int, network: str | None = No
         PolicyError: There is no such policy, or it does not fit the configuration.
     """
     actions = action_set(config.env.actions)
-    named = policy_name(name)
+    named = parse_policy_name(name)
     if named.veto:
         # Not at the top: it loads kernels, which checks of names must not load.
-        from wcsim.agents.policies.dwa import Veto
+        from wcsim.agents.policies.dwa import VetoPolicy
 
-        inner = open_named(named.inner, config, seed, network)
+        inner = open_named_policy(named.inner, config, seed, network)
         # An exported law gives one action, and a veto needs the dangers of all.
-        if isinstance(inner, ExportedLaw):
+        if isinstance(inner, ExportedDangerPolicy):
             check_installed(f"policy {name!r} needs PyTorch", "train", "torch", error=PolicyError)
-        return Veto(name, inner, config)
+        return VetoPolicy(name, inner, config)
     if named.kind == "served":
-        return ServedPolicy(name, actions.points)
+        return ServedPolicyClient(name, actions.points)
     if named.kind == "onnx":
-        alone, rule = OnnxPolicy(Path(name), name, len(actions)), guard_of(Path(name))
+        alone, rule = OnnxPolicy(Path(name), name, len(actions)), read_guard_rule(Path(name))
         return alone if rule is None else GuardedPolicy(alone, actions, rule)
     if named.kind == "class":
         return _own_policy(name, config)
@@ -83,13 +89,13 @@ def open_named(name: str, config: RunConfig, seed: int, network: str | None = No
         from wcsim.agents.policies.baselines import baseline
 
         return baseline(name, config, seed)
-    folder = policy_path(name)
+    folder = policy_folder_from_name(name)
     # A law has the level of its policy, and knows no network of the user's own.
     is_exported = named.level is None and network is None
     law = _law_without_torch(folder, config) if is_exported else ""
     if law:
-        require_same_senses(folder, name, config)
-        return ExportedLaw(folder, name, law, config)
+        require_danger_policy_fits(folder, name, config)
+        return ExportedDangerPolicy(folder, name, law, config)
     return _network(name, config, network)
 
 
@@ -99,14 +105,14 @@ def _law_without_torch(folder: Path, config: RunConfig) -> str:
     if find_spec("torch") is not None or config.vary.action_delay_ticks:
         return ""
     law = EXPORTED.get(config.world.action_delay_ticks, "")
-    fits = law and is_file(folder / law) and read_danger_file(folder).chair == config.chair
+    fits = law and is_file(folder / law) and read_danger_policy_file(folder).chair == config.chair
     return law if fits else ""
 
 
 def _own_policy(name: str, config: RunConfig) -> Policy:
     policy_class = find_class(name, "policy")
     what = f"policy {name!r} could not be created with the configuration as its only argument"
-    with running_own(what, "correct it, or test the others without it"):
+    with wrap_user_code_errors(what, "correct it, or test the others without it"):
         policy: Policy = policy_class(config)
     missing = [part for part in ("name", "begin", "reset", "act") if not hasattr(policy, part)]
     if missing:
@@ -128,23 +134,25 @@ def _network(name: str, config: RunConfig, network: str | None) -> Policy:
     # One picture is too little for two threads: on busy cores they wait for one another, fifty
     # times as long as the work takes.
     torch.set_num_threads(1)
-    path = policy_path(name)
-    return learner_of_policy(path).load_policy(path, name, config, policy_name(name).level, network)
+    path = policy_folder_from_name(name)
+    return learner_of_policy(path).load_policy(
+        path, name, config, parse_policy_name(name).level, network
+    )
 
 
 def policy_overrides(config: RunConfig, policy: Policy) -> tuple[str, ...]:
     """The settings of a policy's senses, and of as many images in an observation as it needs."""
     # A network of Q-learning needs as many images as it was trained on; `env.window` may give more.
-    from wcsim.agents.policies.dwa import Veto
+    from wcsim.agents.policies.dwa import VetoPolicy
 
-    inner = policy.inner if isinstance(policy, Veto) else policy
+    inner = policy.inner if isinstance(policy, VetoPolicy) else policy
     file = getattr(inner, "file", None)
-    trained = file.window if isinstance(file, PolicyFile) else 1
+    trained = file.window if isinstance(file, QPolicyFile) else 1
     window = f"env.window={max(trained, config.env.frames)}"
     return (window, *sense_settings(config, senses_of(policy)))
 
 
-def seat_for(policy: Policy, profile: str) -> SeatSpec:
+def make_policy_seat_spec(policy: Policy, profile: str) -> SeatSpec:
     """A seat for this policy and user, with the parts of the truth that the policy gets."""
     return SeatSpec(
         profile=profile,
@@ -154,7 +162,7 @@ def seat_for(policy: Policy, profile: str) -> SeatSpec:
     )
 
 
-def config_for(
+def config_from_policy_name(
     policy: str, preset: str, settings: Sequence[str] = (), *, in_list: bool = False
 ) -> RunConfig:
     """The configuration that a policy drives with: its own or else the preset's, under `settings`.
@@ -169,17 +177,17 @@ def config_for(
         PolicyError: There is no such policy.
         ConfigError: The settings cannot be used.
     """
-    named = policy_name(policy)
+    named = parse_policy_name(policy)
     base = resolve(preset)
     own = base
     # Baselines, classes and served policies bring no settings.
     if named.kind == "onnx":
-        about = read_about(named.folder)
+        about = read_onnx_policy_file(named.folder)
         own = resolve(about.preset, about.settings)
     elif named.is_network:
-        run = run_of(policy)
+        run = run_from_policy_name(policy)
         if run is None:
-            folder = policy_path(policy)
+            folder = policy_folder_from_name(policy)
             own = resolve(base, learner_of_policy(folder).policy_settings(folder))
         else:
             own = run.config
@@ -190,17 +198,19 @@ def config_for(
     return config
 
 
-def rule_notes(policies: Iterable[str], preset: str, settings: tuple[str, ...]) -> Iterator[str]:
+def describe_rule_differences(
+    policies: Iterable[str], preset: str, settings: tuple[str, ...]
+) -> Iterator[str]:
     """A line for each policy that was trained under other rules than the list's.
 
     Raises:
-        PolicyError, ConfigError: See `config_for`.
+        PolicyError, ConfigError: See `config_from_policy_name`.
     """
     for policy in policies:
-        if policy_name(policy).kind in ("baseline", "served", "class"):
+        if parse_policy_name(policy).kind in ("baseline", "served", "class"):
             continue
-        learned = config_for(policy, preset, settings, in_list=False)
-        tested = config_for(policy, preset, settings, in_list=True)
+        learned = config_from_policy_name(policy, preset, settings, in_list=False)
+        tested = config_from_policy_name(policy, preset, settings, in_list=True)
         other = list(_others(learned, tested))
         if other:
             was = ", ".join(f"{name}={_text(value)}" for name, value, _ in other)

@@ -17,14 +17,14 @@ TWO_TICKS: Final = 0.6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Alarm:
+class AlarmState:
     """Whether the user is warned, and the smoothed danger of the own stick behind it."""
 
     level: float = 0.0
     on: bool = False
 
 
-def next_alarm(before: Alarm, danger: float, warn: float) -> Alarm:
+def next_alarm_state(before: AlarmState, danger: float, warn: float) -> AlarmState:
     """The alarm a tick later: on above `warn`, off again below `CALM` of it.
 
     Args:
@@ -40,4 +40,4 @@ def next_alarm(before: Alarm, danger: float, warn: float) -> Alarm:
     [False, False, True, True, True, True, False]
     """
     level = before.level + NEWEST * (danger - before.level)
-    return Alarm(level=level, on=level > warn or (before.on and level > CALM * warn))
+    return AlarmState(level=level, on=level > warn or (before.on and level > CALM * warn))

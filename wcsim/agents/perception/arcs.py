@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 
 from wcsim.core.jit import exact_kernel
-from wcsim.core.joystick import driven
+from wcsim.core.joystick import advance_drive
 from wcsim.types import F64, Bool
 
 STEP_S: Final = 0.1
@@ -25,18 +25,18 @@ NEAR_M: Final = 0.6
 
 
 @exact_kernel
-def advance_motion(motion: F64, command: F64, limits: F64, dt_s: float) -> None:
+def integrate_drive_motion(motion: F64, command: F64, limits: F64, dt_s: float) -> None:
     """Move `motion` (3,) v, w, acceleration on by `dt_s` towards a command (2,)."""
-    motion[0], motion[1], motion[2] = driven(
+    motion[0], motion[1], motion[2] = advance_drive(
         motion[0], motion[1], motion[2], command[0], command[1], limits, dt_s
     )
 
 
 @exact_kernel
-def advance(state: F64, command: F64, limits: F64, dt_s: float) -> None:
+def integrate_chair_state(state: F64, command: F64, limits: F64, dt_s: float) -> None:
     """Move a state (6,) on by `dt_s` towards a command (2,)."""
     v, w = state[3], state[4]
-    advance_motion(state[3:], command, limits, dt_s)
+    integrate_drive_motion(state[3:], command, limits, dt_s)
     turn = 0.5 * (w + state[4]) * dt_s
     way = 0.5 * (v + state[3]) * dt_s
     state[0] += way * math.cos(state[2] + 0.5 * turn)
@@ -45,17 +45,17 @@ def advance(state: F64, command: F64, limits: F64, dt_s: float) -> None:
 
 
 @exact_kernel
-def state_after(motion: F64, waiting: F64, limits: F64, tick_s: float) -> F64:
+def predict_delayed_state(motion: F64, waiting: F64, limits: F64, tick_s: float) -> F64:
     """The state (6,) once the commands `waiting` (M, 2) have been obeyed, one a tick."""
     state = np.zeros(6)
     state[3:] = motion
     for command in waiting:
-        advance(state, command, limits, tick_s)
+        integrate_chair_state(state, command, limits, tick_s)
     return state
 
 
 @exact_kernel
-def evaluate_arcs(
+def find_collision_free_commands(
     start: F64,
     later_s: float,
     hold_s: float,
@@ -133,7 +133,7 @@ def _arc(
         held = i * STEP_S < hold_s - 1e-9
         if not held and now[3] == 0.0 and abs(now[4]) < 1e-3:
             break
-        advance(now, command if held else rest, limits, STEP_S)
+        integrate_chair_state(now, command if held else rest, limits, STEP_S)
     return least, True
 
 
@@ -151,21 +151,21 @@ def time_to_contact_s(
     """Seconds from now until a held command (2,) brings the chair within `margin_m` of an obstacle.
 
     It is infinite beyond `within_s`. An obstacle that is so near already, or under the chair in
-    memory, counts only when the chair gets nearer still. For the arguments see `evaluate_arcs`.
+    memory, counts only when the chair gets nearer still. For the arguments see `find_collision_free_commands`.
     """
     now = start.copy()
     bounds_m = _distance_bounds(points, np.full(len(points), margin_m), box)
     at_s = later_s
     while at_s < within_s + 1e-9:
-        if (gaps_to_points(now, at_s, box, points) <= bounds_m).any():
+        if (measure_obstacle_gaps(now, at_s, box, points) <= bounds_m).any():
             return at_s
-        advance(now, command, limits, STEP_S)
+        integrate_chair_state(now, command, limits, STEP_S)
         at_s += STEP_S
     return np.inf
 
 
 @exact_kernel
-def gaps_to_points(state: F64, at_s: float, box: F64, points: F64) -> F64:
+def measure_obstacle_gaps(state: F64, at_s: float, box: F64, points: F64) -> F64:
     """(n,) from the chair in a state (6,) to each obstacle at a time; below 0 inside it."""
     cos, sin = math.cos(state[2]), math.sin(state[2])
     gap_m = np.empty(len(points))

@@ -33,7 +33,7 @@ _MOST: Final = 24  # clusters at once
 _MOST_CELLS: Final = 1024
 
 
-def mobility_of_classes() -> U8:
+def make_class_mobility_table() -> U8:
     """Table (256,) uint8 from a pixel's class to STANDS, WALKS or DRIVES."""
     table = np.full(256, STANDS, np.uint8)
     table[list(_WALK)] = WALKS
@@ -41,7 +41,7 @@ def mobility_of_classes() -> U8:
     return table
 
 
-def find_clusters(
+def find_movable_clusters(
     kind: U8, depth_m: F32, rays: F32, eye: F64, far_m: float, up: F64, pose_O: F64
 ) -> tuple[F64, F64, I64]:
     """Group pixels that could move.
@@ -90,7 +90,7 @@ def find_clusters(
 
 
 @exact_kernel
-def beside_movers(points_B_m: F64, cells_B_m: F64) -> Bool:
+def mask_points_near_cells(points_B_m: F64, cells_B_m: F64) -> Bool:
     """(n,) which of the points lie in a cell of `cells_B_m` (k, 2), or right beside it."""
     near = np.zeros(len(points_B_m), np.bool_)
     for n in range(len(points_B_m)):

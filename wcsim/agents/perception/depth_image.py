@@ -12,7 +12,7 @@ from wcsim.supervisor.observation import decode_depth
 from wcsim.types import F32, F64, U8
 
 
-def depth_metres(image: U8 | F32, range_m: float) -> F32:
+def depth_image_to_metres(image: U8 | F32, range_m: float) -> F32:
     """The newest depth image of either form of observation (window, H, W), in metres, (1, H, W)."""
     image = image[-1:]
     if image.dtype == np.uint8:
@@ -40,7 +40,7 @@ def viewing_rays(camera: CameraConfig) -> F64:
     return np.stack([x, y, up], axis=-1).reshape(-1, 3)
 
 
-def is_mirror_symmetric(camera: CameraConfig) -> bool:
+def is_camera_mirror_symmetric(camera: CameraConfig) -> bool:
     """Whether its mirrored picture is that of the mirrored street: it looks ahead from the middle.
 
     >>> is_mirror_symmetric(CameraConfig()), is_mirror_symmetric(CameraConfig(yaw_deg=20.0))

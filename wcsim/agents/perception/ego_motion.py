@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from wcsim.agents.perception.arcs import advance_motion
+from wcsim.agents.perception.arcs import integrate_drive_motion
 from wcsim.agents.policy_api import IMU_KEY, ODOMETRY_KEY, Observation
 from wcsim.core.joystick import target_speeds
 from wcsim.types import F64
@@ -28,7 +28,7 @@ TRUST: Final = 0.8
 MOVES_MPS: Final = 0.05  # slower is standing
 
 
-class EgoMotion:
+class EgoMotionEstimator:
     """Speed, turn rate and place of one chair from tick to tick, and the commands on their way.
 
     Args:
@@ -77,7 +77,7 @@ class EgoMotion:
             return
         # 2. A later tick: the drive's law, corrected towards what is measured.
         before = self.motion.copy()
-        advance_motion(self.motion, self._waiting.popleft(), self._limits, self._tick_s)
+        integrate_drive_motion(self.motion, self._waiting.popleft(), self._limits, self._tick_s)
         mean = 0.5 * (before[:2] + self.motion[:2])
         for index, measured in enumerate((speed_mps, turn_radps)):
             if measured is not None:
@@ -107,14 +107,14 @@ def _measured(observation: Observation) -> tuple[float | None, float | None]:
     return speed_mps, turn_radps
 
 
-def in_body(points_O_m: F64, pose_O: F64) -> F64:
+def odometric_to_body(points_O_m: F64, pose_O: F64) -> F64:
     """Points (n, 2) of O in B, the frame of a chair at a pose (x, y, yaw)."""
     cos, sin = math.cos(pose_O[2]), math.sin(pose_O[2])
     turned: F64 = (points_O_m - pose_O[:2]) @ np.array([[cos, -sin], [sin, cos]])
     return turned
 
 
-def in_odometric(points_B_m: F64, pose_O: F64) -> F64:
+def body_to_odometric(points_B_m: F64, pose_O: F64) -> F64:
     """Points (n, 2) of B in O, with the chair at a pose (x, y, yaw)."""
     cos, sin = math.cos(pose_O[2]), math.sin(pose_O[2])
     turned: F64 = points_B_m @ np.array([[cos, sin], [-sin, cos]])

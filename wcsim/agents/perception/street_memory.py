@@ -53,7 +53,7 @@ _AROUND, _SEEN = 1, 2
 
 
 @dataclass(frozen=True, slots=True)
-class StepMap:
+class StepObstacleDetector:
     """Buffers for one camera; `obstacles` writes into them."""
 
     low_m: F32 = field(default_factory=lambda: np.empty((ROWS, COLUMNS), np.float32))
@@ -198,7 +198,7 @@ def _add_step(
     return count
 
 
-class StreetMemory:
+class StreetMemoryGrid:
     """The raster of one chair.
 
     Args:
@@ -227,7 +227,7 @@ class StreetMemory:
         Args:
             points_B_m: (n, 2) middles of what is in the way.
             brief: (n,) which of them can walk off.
-            low_m: (ROWS, COLUMNS) the raster of `StepMap`, finite where something was measured.
+            low_m: (ROWS, COLUMNS) the raster of `StepObstacleDetector`, finite where something was measured.
             pose_O: (3,) of the chair.
             way_m: Driven so far.
             ahead: Whether it drives ahead now.
@@ -247,7 +247,7 @@ class StreetMemory:
 
 
 @exact_kernel
-def is_ground(cells: I64, x_O_m: float, y_O_m: float) -> bool:
+def is_free_ground(cells: I64, x_O_m: float, y_O_m: float) -> bool:
     """Whether a place in O is surely ground: seen or stood on, and without an obstacle."""
     ix, iy = math.floor(x_O_m / CELL_M), math.floor(y_O_m / CELL_M)
     cell = cells[ix % _SIDE, iy % _SIDE]
@@ -260,7 +260,7 @@ def is_ground(cells: I64, x_O_m: float, y_O_m: float) -> bool:
 
 
 @exact_kernel
-def is_known(cells: I64, x_O_m: float, y_O_m: float) -> bool:
+def is_known_place(cells: I64, x_O_m: float, y_O_m: float) -> bool:
     """Whether a place in O was seen, stood on or stood beside, whatever is there."""
     ix, iy = math.floor(x_O_m / CELL_M), math.floor(y_O_m / CELL_M)
     cell = cells[ix % _SIDE, iy % _SIDE]

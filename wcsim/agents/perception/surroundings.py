@@ -12,16 +12,30 @@ from typing import Final, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from wcsim.agents.perception.arcs import state_after
-from wcsim.agents.perception.clusters import beside_movers, find_clusters, mobility_of_classes
-from wcsim.agents.perception.depth_image import depth_metres, viewing_rays
-from wcsim.agents.perception.ego_motion import EgoMotion, in_body, in_odometric
-from wcsim.agents.perception.street_memory import CELL_M, REACH_M, StepMap, StreetMemory, is_ground
-from wcsim.agents.perception.tracker import Mover, Tracker
+from wcsim.agents.perception.arcs import predict_delayed_state
+from wcsim.agents.perception.clusters import (
+    find_movable_clusters,
+    make_class_mobility_table,
+    mask_points_near_cells,
+)
+from wcsim.agents.perception.depth_image import depth_image_to_metres, viewing_rays
+from wcsim.agents.perception.ego_motion import (
+    EgoMotionEstimator,
+    body_to_odometric,
+    odometric_to_body,
+)
+from wcsim.agents.perception.street_memory import (
+    CELL_M,
+    REACH_M,
+    StepObstacleDetector,
+    StreetMemoryGrid,
+    is_free_ground,
+)
+from wcsim.agents.perception.tracker import MoverTracker, TrackedMover
 from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, IMU_KEY, JOYSTICK_KEY, Observation
 from wcsim.config import CameraConfig, RunConfig
 from wcsim.core.jit import exact_kernel
-from wcsim.core.joystick import limits_of, shaped_rows
+from wcsim.core.joystick import drive_limits_from_chair, shape_joysticks
 from wcsim.supervisor.actions import ActionSet
 from wcsim.types import F32, F64, I64, U8, Outline
 
@@ -47,7 +61,7 @@ _MOST_EXTENDED: Final = 96  # places of extended edges
 Number = TypeVar("Number", np.float32, np.uint8)
 
 
-class StreetSense:
+class StreetPerception:
     """The street around one chair: in each tick `observe`, then any query, then `command`.
 
     Args:
@@ -65,12 +79,12 @@ class StreetSense:
         delay_ticks: int | None = None,
     ) -> None:
         camera, self._chair, self._tick_s = config.cameras[0], config.chair, config.world.tick_s
-        self.box_B_m = box_of(outline)
-        self.commands = shaped_rows(actions.points, self._chair)
-        self.limits = limits_of(self._chair)
+        self.box_B_m = outline_to_box(outline)
+        self.commands = shape_joysticks(actions.points, self._chair)
+        self.limits = drive_limits_from_chair(self._chair)
         self.far_m = FAR_SHARE * camera.range_m
         self._range_m, self._near_m = camera.range_m, camera.near_m
-        self._stride = stride_px(camera)
+        self._stride = sampling_stride_px(camera)
         self._size = (camera.height_px, camera.width_px)
         rays = viewing_rays(camera).reshape(*self._size, 3)[:: self._stride, :: self._stride]
         self._shape = rays.shape[:2]
@@ -78,12 +92,12 @@ class StreetSense:
         self.depth_m = np.zeros(len(self.rays), np.float32)
         self.eye_B_m = np.array(camera.p_BC_m, np.float64)
         delay = config.world.action_delay_ticks if delay_ticks is None else delay_ticks
-        self.ego = EgoMotion(self.limits, self._tick_s, delay)
-        self.memory = StreetMemory(self._tick_s, self.box_B_m)
-        self.tracker = Tracker(self._tick_s)
-        self._map = StepMap()
+        self.ego = EgoMotionEstimator(self.limits, self._tick_s, delay)
+        self.memory = StreetMemoryGrid(self._tick_s, self.box_B_m)
+        self.tracker = MoverTracker(self._tick_s)
+        self._map = StepObstacleDetector()
         self._extended_B_m = np.empty((_MOST_EXTENDED, 2))
-        self._mobility = mobility_of_classes()
+        self._mobility = make_class_mobility_table()
         self.forget()
 
     def forget(self) -> None:
@@ -102,7 +116,7 @@ class StreetSense:
         near = now[np.hypot(now[:, 0], now[:, 1]) < REACH_M - CELL_M]
         self.memory.update(
             near,
-            beside_movers(near, walkers_B_m),
+            mask_points_near_cells(near, walkers_B_m),
             self._map.low_m,
             pose_O,
             self.ego.way_m,
@@ -117,7 +131,7 @@ class StreetSense:
     def observe_motion_and_depth(self, observation: Observation) -> None:
         """Take only the chair's own motion and the depths of the sampled pixels."""
         self.observe_motion(observation)
-        self.depth_m = self._sampled(depth_metres(observation[DEPTH_KEY], self._range_m))
+        self.depth_m = self._sampled(depth_image_to_metres(observation[DEPTH_KEY], self._range_m))
 
     def command(self, action: int) -> None:
         """Take the action that is sent now."""
@@ -125,13 +139,13 @@ class StreetSense:
 
     def shaped(self, stick: F64) -> F64:
         """A joystick position (2,) as the drive takes it."""
-        shaped: F64 = shaped_rows(stick[None], self._chair)[0]
+        shaped: F64 = shape_joysticks(stick[None], self._chair)[0]
         return shaped
 
     def start(self) -> tuple[F64, float]:
         """The state (6,) when the next command reaches the chair, see `arcs`, and when that is."""
         waiting = self.ego.waiting
-        state = state_after(self.ego.motion, waiting, self.limits, self._tick_s)
+        state = predict_delayed_state(self.ego.motion, waiting, self.limits, self._tick_s)
         return state, len(waiting) * self._tick_s
 
     def classes(self, observation: Observation) -> U8:
@@ -146,26 +160,28 @@ class StreetSense:
         count = _extend_edges(seen, self.memory.cells, pose_O, self._extended_B_m)
         extended = self._extended_B_m[:count]
         movers = [np.zeros((0, 2))]
-        movers += [in_body(mover.cells_O_m, pose_O) for mover in self._free_movers()]
+        movers += [odometric_to_body(mover.cells_O_m, pose_O) for mover in self._free_movers()]
         standing = np.zeros((len(seen) + count, 5))
         standing[:, :2] = np.concatenate([seen, extended])
         standing[:, 4] = margin_m
-        standing[: len(seen), 4] += SHY_M * beside_movers(seen, np.concatenate(movers))
+        standing[: len(seen), 4] += SHY_M * mask_points_near_cells(seen, np.concatenate(movers))
         # 2. What rushes; a place inside the chair is left out, as the mover went another way.
         rear, front, half = self.box_B_m
         rushing = []
         for mover in self.tracker.movers:
             if mover.rushes:
-                cells = in_body(mover.cells_O_m, pose_O)
+                cells = odometric_to_body(mover.cells_O_m, pose_O)
                 rows = np.empty((len(cells), 5))
                 rows[:, :2] = cells
-                rows[:, 2:4] = in_body(mover.v_O_mps[None], np.array([0.0, 0.0, pose_O[2]]))
+                rows[:, 2:4] = odometric_to_body(
+                    mover.v_O_mps[None], np.array([0.0, 0.0, pose_O[2]])
+                )
                 rows[:, 4] = margin_m + SHY_M
                 behind_or_ahead = (cells[:, 0] < rear) | (cells[:, 0] > front)
                 rushing.append(rows[behind_or_ahead | (np.abs(cells[:, 1]) > half)])
         return np.concatenate([standing, *rushing])
 
-    def _free_movers(self) -> list[Mover]:
+    def _free_movers(self) -> list[TrackedMover]:
         """All movers except vehicles that stand."""
         return [mover for mover in self.tracker.movers if mover.walks or mover.moves]
 
@@ -175,13 +191,13 @@ class StreetSense:
             return np.zeros((0, 2))
         mobility = self._mobility[self.classes(observation)].reshape(self._shape)
         pose_O = self.ego.pose_O
-        clusters, cells, owner = find_clusters(
+        clusters, cells, owner = find_movable_clusters(
             mobility, self.depth_m, self.rays, self.eye_B_m, self.far_m, up_B, pose_O
         )
         each = [cells[owner == number] for number in range(len(clusters))]
-        self.tracker.update(clusters, [in_odometric(own, pose_O) for own in each])
+        self.tracker.update(clusters, [body_to_odometric(own, pose_O) for own in each])
         seen = [
-            in_body(mover.cells_O_m, pose_O)
+            odometric_to_body(mover.cells_O_m, pose_O)
             for mover in self._free_movers()
             if mover.unseen_s == 0.0
         ]
@@ -193,7 +209,7 @@ class StreetSense:
         return np.ascontiguousarray(pixels).reshape(-1)
 
 
-def stride_px(camera: CameraConfig) -> int:
+def sampling_stride_px(camera: CameraConfig) -> int:
     """The step from one sampled pixel to the next, in rows and columns: more in a larger picture.
 
     >>> [stride_px(CameraConfig(width_px=width, height_px=60)) for width in (80, 160, 320, 640)]
@@ -202,7 +218,7 @@ def stride_px(camera: CameraConfig) -> int:
     return max(1, round(camera.width_px / 160))
 
 
-def box_of(outline: Outline) -> F64:
+def outline_to_box(outline: Outline) -> F64:
     """(3,) rear, front and half the width of a chair in B."""
     half_m = 0.5 * outline.length_m
     return np.array(
@@ -222,7 +238,7 @@ def _extend_edges(points: F64, cells: I64, pose_O: F64, added: F64) -> int:
 
     Args:
         points: (n, 2) what is in the way, in B.
-        cells: Of `StreetMemory`.
+        cells: Of `StreetMemoryGrid`.
         pose_O: (3,) of the chair.
         added: (m, 2) written: the places that may be in the way, in B.
 
@@ -241,7 +257,7 @@ def _extend_edges(points: F64, cells: I64, pose_O: F64, added: F64) -> int:
         while x > BACK_M and count < len(added):
             y = aside + slope * x
             x_O_m, y_O_m = pose_O[0] + cos * x - sin * y, pose_O[1] + sin * x + cos * y
-            if y * side > 0.0 and not is_ground(cells, x_O_m, y_O_m):
+            if y * side > 0.0 and not is_free_ground(cells, x_O_m, y_O_m):
                 added[count, 0], added[count, 1] = x, y
                 count += 1
             x -= CELL_M

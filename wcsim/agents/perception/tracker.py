@@ -29,7 +29,7 @@ _EXTENT: Final = [LEAST_X, MOST_X, LEAST_Y, MOST_Y]
 
 
 @dataclass(slots=True, kw_only=True)
-class Mover:
+class TrackedMover:
     """One mover, in O."""
 
     p_O_m: F64  # (2,)
@@ -52,12 +52,12 @@ class Mover:
         return self.moves and math.hypot(*self.v_O_mps) > _RUSHING_MPS
 
 
-class Tracker:
+class MoverTracker:
     """The movers around one chair; `tick_s` is the time between two looks."""
 
     def __init__(self, tick_s: float) -> None:
         self._tick_s = tick_s
-        self.movers: list[Mover] = []
+        self.movers: list[TrackedMover] = []
 
     def forget(self) -> None:
         """Know no mover."""
@@ -82,7 +82,7 @@ class Tracker:
                 self._correct(known[track_of[index]], one, cells)
             else:
                 self.movers.append(
-                    Mover(
+                    TrackedMover(
                         p_O_m=one[[X, Y]].copy(),
                         v_O_mps=np.zeros(2),
                         extent_O_m=one[_EXTENT].copy(),
@@ -97,12 +97,12 @@ class Tracker:
             if track.unseen_s < _LOST_S + 1e-9 and not self._is_chance(track)
         ]
 
-    def _is_chance(self, track: Mover) -> bool:
+    def _is_chance(self, track: TrackedMover) -> bool:
         """Whether its two places far apart were no track, as the next tick shows none ahead."""
         far = math.hypot(*track.v_O_mps) * self._tick_s > _GATE_M
         return far and track.hits < _SURE_HITS and track.unseen_s > 0.0
 
-    def _correct(self, track: Mover, one: F64, cells_O_m: F64) -> None:
+    def _correct(self, track: TrackedMover, one: F64, cells_O_m: F64) -> None:
         """One step of the filter, with the gains of a least-squares line through the first hits."""
         track.hits += 1
         track.unseen_s = 0.0
@@ -117,7 +117,9 @@ class Tracker:
         track.walks = bool(_walks(one[None])[0])
 
 
-def _assign(tracks: list[Mover], clusters: F64, reach_m: float, tick_s: float) -> dict[int, int]:
+def _assign(
+    tracks: list[TrackedMover], clusters: F64, reach_m: float, tick_s: float
+) -> dict[int, int]:
     """From a cluster's number to its track's, each at most once, the nearest pairs first.
 
     A cluster near where a track should be goes first. A track that was seen once, a tick ago, has
@@ -159,7 +161,7 @@ def _is_small(one: F64) -> bool:
     return bool(max(one[MOST_X] - one[LEAST_X], one[MOST_Y] - one[LEAST_Y]) < _SMALL_M)
 
 
-def _innovation(track: Mover, one: F64) -> F64:
+def _innovation(track: TrackedMover, one: F64) -> F64:
     """How far a cluster is from where its track should be, (2,): its middle, or the nearer edge.
 
     More or less of a large thing may be in view than before; an edge of the view does not move

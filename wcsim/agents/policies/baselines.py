@@ -8,9 +8,9 @@ from typing import Final
 
 import numpy as np
 
-from wcsim.agents.perception.alarm import TWO_TICKS, Alarm, next_alarm
-from wcsim.agents.perception.depth_image import depth_metres, viewing_rays
-from wcsim.agents.policies.dwa import DynamicWindow
+from wcsim.agents.perception.alarm import TWO_TICKS, AlarmState, next_alarm_state
+from wcsim.agents.perception.depth_image import depth_image_to_metres, viewing_rays
+from wcsim.agents.policies.dwa import DynamicWindowPolicy
 from wcsim.agents.policy_api import (
     BASELINES,
     DEPTH_KEY,
@@ -57,7 +57,7 @@ class _Memoryless:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Follow(_Memoryless):
+class FollowPolicy(_Memoryless):
     """The action nearest to the user's joystick."""
 
     actions: ActionSet
@@ -120,7 +120,11 @@ class _CorridorWatch:
         With `ahead_s` the chair begins to brake so much later.
         """
         # 1. The points of the image in B, and how far the chair drives until it stops.
-        depth_m = depth_metres(observation[DEPTH_KEY], self._range_m).reshape(-1).astype(np.float64)
+        depth_m = (
+            depth_image_to_metres(observation[DEPTH_KEY], self._range_m)
+            .reshape(-1)
+            .astype(np.float64)
+        )
         points = self._eye_B_m + self._rays * depth_m[:, None]  # (H * W, 3)
         roll_rad = math.pi * float(observation[IMU_KEY][3])
         pitch_rad = 0.5 * math.pi * float(observation[IMU_KEY][4])
@@ -189,14 +193,14 @@ class _StopBeforeObstacles(_Memoryless):
     """Follows, but without throttle while something is in the way within the stopping distance.
 
     It may still turn on the spot, so a user who steers past the obstacle can go on. The camera
-    looks forward: backwards it follows blindly. It warns, by `next_alarm`, a second before it would
+    looks forward: backwards it follows blindly. It warns, by `next_alarm_state`, a second before it would
     stop.
     """
 
     actions: ActionSet
     watch: _CorridorWatch
     name: str = "stop"
-    _alarm: Alarm = field(init=False, default=Alarm())
+    _alarm: AlarmState = field(init=False, default=AlarmState())
 
     @property
     def warning(self) -> bool:
@@ -205,13 +209,13 @@ class _StopBeforeObstacles(_Memoryless):
 
     def reset(self) -> None:
         """End the warning with the episode."""
-        self._alarm = Alarm()
+        self._alarm = AlarmState()
 
     def act(self, observation: Observation) -> int:
         """The user's stick, without its forward part when the way is blocked."""
         x, y = (float(value) for value in observation[JOYSTICK_KEY])
         stops = y > 0.0 and self.watch.blocked(observation, x, y, WARNS_AHEAD_S)
-        self._alarm = next_alarm(self._alarm, float(stops), TWO_TICKS)
+        self._alarm = next_alarm_state(self._alarm, float(stops), TWO_TICKS)
         if y > 0.0 and self.watch.blocked(observation, x, y):
             return self.actions.nearest((x, 0.0))
         return self.actions.nearest((x, y))
@@ -261,7 +265,7 @@ def baseline(name: str, config: RunConfig, seed: int = 0) -> Policy:
     """A baseline for a run's actions, camera and chair. Raises PolicyError for an unknown name."""
     actions = action_set(config.env.actions)
     if name == "follow":
-        return Follow(actions=actions)
+        return FollowPolicy(actions=actions)
     if name == "random":
         return _Random(actions=actions, seed=seed)
     if name == "zero":
@@ -272,7 +276,7 @@ def baseline(name: str, config: RunConfig, seed: int = 0) -> Policy:
             actions=actions, watch=_CorridorWatch(config.cameras[0], config.chair, outline)
         )
     if name.partition("@")[0] == LEVELLED:
-        return DynamicWindow(
+        return DynamicWindowPolicy(
             name, config, actions, plant_spec(config.chair).outline, level_of(name)
         )
     if name in UPPER_BOUNDS:

@@ -19,16 +19,16 @@ from typing import Final
 
 import numpy as np
 
-from wcsim.agents.perception.alarm import TWO_TICKS, Alarm, next_alarm
+from wcsim.agents.perception.alarm import TWO_TICKS, AlarmState, next_alarm_state
 from wcsim.agents.perception.arcs import (
     LONGEST_S,
     STEP_S,
-    advance,
-    evaluate_arcs,
+    find_collision_free_commands,
+    integrate_chair_state,
     time_to_contact_s,
 )
-from wcsim.agents.perception.street_memory import is_known
-from wcsim.agents.perception.surroundings import StreetSense
+from wcsim.agents.perception.street_memory import is_known_place
+from wcsim.agents.perception.surroundings import StreetPerception
 from wcsim.agents.policy_api import (
     HIGHEST_LEVEL,
     JOYSTICK_KEY,
@@ -73,7 +73,7 @@ def _backs_blindly(
     """Write to `blind` (K,) which commands bring the chair's rear, backwards, onto unknown ground.
 
     Args:
-        start: (6,) see `evaluate_arcs`.
+        start: (6,) see `find_collision_free_commands`.
         hold_s: For how long each command is held, before the chair brakes.
         commands: (K, 2) joystick positions as the drive takes them.
         limits: (8,) of the drive.
@@ -92,7 +92,7 @@ def _backs_blindly(
             held = i * STEP_S < hold_s - 1e-9
             if not held and now[3] == 0.0:
                 break
-            advance(now, commands[k] if held else rest, limits, STEP_S)
+            integrate_chair_state(now, commands[k] if held else rest, limits, STEP_S)
             if now[3] < 0.0 and not _rear_is_known(now, box, cells, pose_O):
                 blind[k] = True
                 break
@@ -105,7 +105,9 @@ def _rear_is_known(now: F64, box: F64, cells: I64, pose: F64) -> bool:
         x = now[0] + cos * box[0] - sin * side * box[2]
         y = now[1] + sin * box[0] + cos * side * box[2]
         turned_x = pose[0] + math.cos(pose[2]) * x - math.sin(pose[2]) * y
-        if not is_known(cells, turned_x, pose[1] + math.sin(pose[2]) * x + math.cos(pose[2]) * y):
+        if not is_known_place(
+            cells, turned_x, pose[1] + math.sin(pose[2]) * x + math.cos(pose[2]) * y
+        ):
             return False
     return True
 
@@ -136,7 +138,7 @@ def _caution(level: float) -> _Caution:
 
 
 def _brakes_in_time(
-    around: StreetSense, care: _Caution, start: F64, later_s: float, points: F64
+    around: StreetPerception, care: _Caution, start: F64, later_s: float, points: F64
 ) -> tuple[Bool, F64]:
     """Of each action, whether it can be braked in time, over known ground; and how near it passes.
 
@@ -153,14 +155,16 @@ def _brakes_in_time(
     commands, limits, box = around.commands, around.limits, around.box_B_m
     gap_m = np.empty(len(commands))
     blind = np.empty(len(commands), np.bool_)
-    free: Bool = evaluate_arcs(start, later_s, care.hold_s, commands, limits, box, points, gap_m)
+    free: Bool = find_collision_free_commands(
+        start, later_s, care.hold_s, commands, limits, box, points, gap_m
+    )
     _backs_blindly(
         start, care.hold_s, commands, limits, box, around.memory.cells, around.ego.pose_O, blind
     )
     return free & ~blind, gap_m
 
 
-class DynamicWindow(TracksExecuted):
+class DynamicWindowPolicy(TracksExecuted):
     """Chooses the action nearest to the user's stick that can be braked in time, with some room.
 
     It remembers the street around it, the road users there, and its own motion.
@@ -191,9 +195,9 @@ class DynamicWindow(TracksExecuted):
         self.level = level
         self._caution = _caution(level)
         self._actions = actions
-        self._alarm = Alarm()
+        self._alarm = AlarmState()
         self.unsafe: Bool = np.zeros(len(actions), np.bool_)
-        self.around = StreetSense(config, actions, outline)
+        self.around = StreetPerception(config, actions, outline)
         self._rest = actions.nearest((0.0, 0.0))
         self._last = self._rest  # the action that was sent last
         self._last_user = self._rest  # the action nearest to the user's stick then
@@ -204,12 +208,12 @@ class DynamicWindow(TracksExecuted):
     def reset(self) -> None:
         """Stand still, and know nothing of the street."""
         self.around.forget()
-        self._alarm = Alarm()
+        self._alarm = AlarmState()
         self._last = self._last_user = self._rest
 
     @property
     def warning(self) -> bool:
-        """Whether the user's own stick is about to meet something, see `next_alarm`."""
+        """Whether the user's own stick is about to meet something, see `next_alarm_state`."""
         return self._alarm.on
 
     def set_level(self, level: float) -> None:
@@ -243,7 +247,7 @@ class DynamicWindow(TracksExecuted):
             _WARN_MARGIN_M,
             WARN_S,
         )
-        self._alarm = next_alarm(self._alarm, float(math.isfinite(meets_s)), TWO_TICKS)
+        self._alarm = next_alarm_state(self._alarm, float(math.isfinite(meets_s)), TWO_TICKS)
         # 3. Exclude what could not be braked in time.
         free, gap_m = _brakes_in_time(around, care, start, later_s, points)
         self.unsafe = ~free
@@ -264,7 +268,7 @@ class DynamicWindow(TracksExecuted):
         return int(np.argmin(np.where(free, cost, np.inf)))
 
 
-class Veto(TracksExecuted):
+class VetoPolicy(TracksExecuted):
     """Drives one chair: its action is the policy's, or the nearest one to it that is not forbidden.
 
     Its level of assistance is that of `dwa`: how early, and how widely, it forbids.
@@ -287,7 +291,9 @@ class Veto(TracksExecuted):
         self.name = name
         self.inner = inner
         self._actions: ActionSet = action_set(config.env.actions)
-        self._dwa = DynamicWindow("dwa", config, self._actions, plant_spec(config.chair).outline)
+        self._dwa = DynamicWindowPolicy(
+            "dwa", config, self._actions, plant_spec(config.chair).outline
+        )
         self.senses = tuple(dict.fromkeys((*MOTION_SENSES, *senses_of(inner))))
         self.levels = self._dwa.levels
         self.unsafe: Bool = np.zeros(len(self._actions), np.bool_)

@@ -29,7 +29,7 @@ from wcsim.agents.policy_api import (
     Observation,
 )
 from wcsim.config import RunConfig, parse
-from wcsim.config.run_file import OnnxPolicyFile
+from wcsim.config.run_file import OnnxPolicySettings
 from wcsim.core.reading import ONNX_TOML, escaped, is_file, read_toml
 from wcsim.errors import ConfigError, PolicyError
 from wcsim.supervisor.actions import action_set
@@ -43,13 +43,13 @@ _MEMORY_BYTES: Final = 1 << 32  # of all arrays of a process's models
 _STOP_S: Final = 5.0  # for a model to stop
 
 
-def read_about(path: Path) -> OnnxPolicyFile:
+def read_onnx_policy_file(path: Path) -> OnnxPolicySettings:
     """Read `policy.toml` of a folder; without one it is that of `quick`. Raises PolicyError."""
     file = path / ABOUT_FILE
     if not is_file(file):
-        return OnnxPolicyFile()
+        return OnnxPolicySettings()
     try:
-        return parse(OnnxPolicyFile, read_toml(file, ONNX_TOML), escaped(file))
+        return parse(OnnxPolicySettings, read_toml(file, ONNX_TOML), escaped(file))
     except ConfigError as error:
         raise PolicyError(f"{error}; expected the keys preset and settings") from None
 
@@ -71,7 +71,7 @@ class OnnxPolicy:
         self.name = name
         self.warning = False
         self._actions = actions
-        self._session = open_session(path / model)
+        self._session = open_onnx_session(path / model)
         self._inputs = {item.name: item for item in self._session.get_inputs()}
         self._outputs = [item.name for item in self._session.get_outputs()]
         self._shapes = {
@@ -145,7 +145,7 @@ class OnnxPolicy:
         return dict(zip(self._outputs, values, strict=True))
 
 
-class ExportedLaw(OnnxPolicy):
+class ExportedDangerPolicy(OnnxPolicy):
     """A danger network of wcsim as it was exported, with its memory; it receives what was sent.
 
     Args:
@@ -158,13 +158,13 @@ class ExportedLaw(OnnxPolicy):
     def __init__(self, path: Path, name: str, model: str, config: RunConfig) -> None:
         """Raises PolicyError as `OnnxPolicy` does."""
         # It has kernels, which the checks of names must not load.
-        from wcsim.core.joystick import shaped_rows
+        from wcsim.core.joystick import shape_joysticks
 
         points = action_set(config.env.actions).points
         super().__init__(path, name, len(points), model)
         self.senses = MOTION_SENSES
         self._points = points
-        self._commands = shaped_rows(points, config.chair)
+        self._commands = shape_joysticks(points, config.chair)
 
     def choose(self, observation: Observation) -> int:
         """The action of the highest value. Raises PolicyError."""
@@ -218,7 +218,7 @@ def _input(key: str, shape: Sequence[Any], observation: Observation) -> Any:
     return np.ascontiguousarray(observation[key][-images:])[None]
 
 
-def open_session(path: Path) -> Any:
+def open_onnx_session(path: Path) -> Any:
     """A model in ONNX Runtime, on one core.
 
     Raises PolicyError when it cannot be loaded, or not within `ANSWER_S`.

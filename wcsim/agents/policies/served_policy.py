@@ -33,7 +33,7 @@ from wcsim.errors import PolicyError
 _CONNECT_TIMEOUT_S: Final = 10.0
 
 
-class ServedPolicy:
+class ServedPolicyClient:
     """One chair's connection to such a process; `close` ends it.
 
     `warning` is whether the policy warned in its last `act`.

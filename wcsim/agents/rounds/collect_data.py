@@ -17,30 +17,37 @@ from wcsim.agents.rounds.drive_segment import MakeLearned, SegmentOrder, collect
 from wcsim.agents.runs.data_folder import (
     MANIFEST,
     SEGMENTS,
-    SegmentKey,
-    packed_segment,
-    plain_settings,
-    read_manifest,
+    DrivingSegmentKey,
+    config_to_plain_settings,
+    read_data_manifest,
     read_segment,
-    require_same_settings,
+    require_same_data_settings,
     segment_path,
-    write_manifest,
+    segment_to_bytes,
+    write_data_manifest,
 )
-from wcsim.agents.runs.policy_file import require_same_senses
-from wcsim.agents.runs.transfer import folder_files, require_travels, town_files
+from wcsim.agents.runs.policy_file import require_danger_policy_fits
+from wcsim.agents.runs.transfer import folder_to_input_files, require_sendable_run, town_to_input_files
 from wcsim.config import RunConfig, resolve
 from wcsim.config.load import Layer
 from wcsim.core import reading
-from wcsim.core.files import is_unfinished, locked, sha256, sha256_text, write_bytes, write_json
+from wcsim.core.files import (
+    is_unfinished_write,
+    lock_run_folder,
+    sha256_from_file,
+    sha256_from_text,
+    write_bytes,
+    write_json,
+)
 from wcsim.core.reading import escaped, is_file, read_json
 from wcsim.errors import PolicyError
-from wcsim.server.workers.machines import HERE, LOGS, InputFiles, Machines, ToLocalPath, Work
-from wcsim.server.workers.scheduler import LEAST_LATE_S, Scheduler, WorkerNow
+from wcsim.server.workers.machines import HERE, LOGS, ToLocalPath, WorkerPoolSettings, WorkInputFiles, WorkPiece
+from wcsim.server.workers.scheduler import LEAST_LATE_S, Scheduler, WorkerStatus
 from wcsim.towns.scenario.town import Town, content_hash, find_town, streets_hash
 
 _LOOK_S = 1.0
 
-Told = Callable[[int, tuple[WorkerNow, ...]], object]
+Told = Callable[[int, tuple[WorkerStatus, ...]], object]
 """Told how many segments are there and who drives what: once with those from before, and every second from then on."""
 ORDERS: Final = "orders.json"  # by seed, what its segments are driven with
 
@@ -55,10 +62,10 @@ class SegmentCrew:
         logs: Folder of the run, for the logs of a cluster.
     """
 
-    def __init__(self, config: RunConfig, data: Path, machines: Machines, logs: Path) -> None:
+    def __init__(self, config: RunConfig, data: Path, machines: WorkerPoolSettings, logs: Path) -> None:
         """Find the workers. Raises ConfigError when there are none, or they could not be sent what they need."""
         if machines.cluster:
-            require_travels(config, own_code=(config.learn.network,))
+            require_sendable_run(config, own_code=(config.learn.network,))
         self._folder = data
         self._scheduler = Scheduler(machines.open(logs), self._keep, least_late_s=LEAST_LATE_S)
         self._sha256: dict[str, str] = {}  # of what has come, by name
@@ -114,28 +121,28 @@ class SegmentCrew:
         if path.is_file():  # one that comes meanwhile is not to be removed
             with contextlib.suppress(PolicyError):
                 read_segment(path)
-                return sha256(path)
+                return sha256_from_file(path)
             path.unlink(missing_ok=True)
         return ""
 
 
-def _work(order: SegmentOrder) -> Work:
-    return Work(key=order.key.name, call=_drive_order, piece=order, needs=_needs_of)
+def _work(order: SegmentOrder) -> WorkPiece:
+    return WorkPiece(key=order.key.name, call=_drive_order, piece=order, needs=_needs_of)
 
 
-def _needs_of(order: SegmentOrder) -> tuple[InputFiles, ...]:
+def _needs_of(order: SegmentOrder) -> tuple[WorkInputFiles, ...]:
     """What travels with an order: its towns, the network that drives, the user's own wheelchair."""
-    policy = (folder_files(Path(order.policy), order.policy),) if order.policy else ()
-    return (*map(town_files, order.towns), *policy, *_plant_parcels(order.config))
+    policy = (folder_to_input_files(Path(order.policy), order.policy),) if order.policy else ()
+    return (*map(town_to_input_files, order.towns), *policy, *_plant_parcels(order.config))
 
 
-def _plant_parcels(config: RunConfig) -> tuple[InputFiles, ...]:
+def _plant_parcels(config: RunConfig) -> tuple[WorkInputFiles, ...]:
     """The user's own wheelchair, where the configuration names one."""
     plant = config.chair.plant
     if not plant.endswith(".toml"):
         return ()
     path = Path(plant).absolute()
-    return (InputFiles(address=plant, folder=path.parent, names=(path.name,), inner=path.name),)
+    return (WorkInputFiles(address=plant, folder=path.parent, names=(path.name,), inner=path.name),)
 
 
 def _plant_at(config: RunConfig, at: ToLocalPath) -> Layer:
@@ -149,7 +156,7 @@ def _drive_order(order: SegmentOrder, at: ToLocalPath) -> bytes:
     config = resolve(order.config, _plant_at(order.config, at))
     here = replace(order, towns=tuple(map(at, order.towns)), policy=order.policy and at(order.policy), config=config)
     make = _learned_of(Path(here.policy), config) if here.policy else None
-    return packed_segment(collect(here, make))
+    return segment_to_bytes(collect(here, make))
 
 
 def _learned_of(folder: Path, config: RunConfig) -> MakeLearned:
@@ -173,7 +180,7 @@ class DataOrder:
     seed: int
     segments: int
     policy: str = ""  # folder of a danger network that drives a share of the episodes
-    machines: Machines = HERE
+    machines: WorkerPoolSettings = HERE
 
 
 def collect_data(order: DataOrder, told: Callable[[int, int], object] = lambda done, of: None) -> str:
@@ -196,10 +203,10 @@ def collect_data(order: DataOrder, told: Callable[[int, int], object] = lambda d
     """
     require_recordable(order.config)
     if order.policy:
-        require_same_senses(Path(order.policy), escaped(order.policy), order.config)
+        require_danger_policy_fits(Path(order.policy), escaped(order.policy), order.config)
     found = [find_town(name) for name in order.towns]
     order.folder.mkdir(parents=True, exist_ok=True)
-    with locked(order.folder):  # what it says of itself is read, added to and written back
+    with lock_run_folder(order.folder):  # what it says of itself is read, added to and written back
         return _collected(order, found, told)
 
 
@@ -207,14 +214,16 @@ def _collected(order: DataOrder, found: Sequence[Town], told: Callable[[int, int
     kept: dict[str, str] = {}
     towns: dict[str, str] = {}
     if (order.folder / MANIFEST).is_file():
-        file = read_manifest(order.folder)
-        require_same_settings(order.folder, file, order.config)
+        file = read_data_manifest(order.folder)
+        require_same_data_settings(order.folder, file, order.config)
         kept, towns = dict(file.segments), dict(file.towns)
-    elif any(path.name not in (SEGMENTS, LOGS, ORDERS) for path in order.folder.iterdir() if not is_unfinished(path)):
+    elif any(
+        path.name not in (SEGMENTS, LOGS, ORDERS) for path in order.folder.iterdir() if not is_unfinished_write(path)
+    ):
         raise PolicyError(f"{order.folder} does not hold recorded driving; choose another --out")
     _require_same_order(order, found)
     towns |= {town.name: streets_hash(town) for town in found}
-    first = SegmentKey(run=order.seed, round=0, index=0)
+    first = DrivingSegmentKey(run=order.seed, round=0, index=0)
     orders = orders_of(order.config, order.towns, first, order.segments, order.policy)
     last = 0
 
@@ -226,7 +235,7 @@ def _collected(order: DataOrder, found: Sequence[Town], told: Callable[[int, int
 
     with SegmentCrew(order.config, order.folder, order.machines, order.folder) as workers:
         kept |= workers.take(orders, back)
-    return write_manifest(order.folder, order.config, towns, kept)
+    return write_data_manifest(order.folder, order.config, towns, kept)
 
 
 def _require_same_order(order: DataOrder, towns: Sequence[Town]) -> None:
@@ -236,10 +245,10 @@ def _require_same_order(order: DataOrder, towns: Sequence[Town]) -> None:
     """
     path, seed = order.folder / ORDERS, str(order.seed)
     begun = read_json(path, reading.ORDERS) if is_file(path) else {}
-    driver = folder_files(Path(order.policy)) if order.policy else None
-    policy = [] if driver is None else [[name, sha256(driver.folder / name)] for name in sorted(driver.names)]
-    said = [plain_settings(order.config), [content_hash(town) for town in towns], policy]
-    digest = sha256_text(json.dumps(said, sort_keys=True))
+    driver = folder_to_input_files(Path(order.policy)) if order.policy else None
+    policy = [] if driver is None else [[name, sha256_from_file(driver.folder / name)] for name in sorted(driver.names)]
+    said = [config_to_plain_settings(order.config), [content_hash(town) for town in towns], policy]
+    digest = sha256_from_text(json.dumps(said, sort_keys=True))
     if begun.get(seed, digest) != digest:
         raise PolicyError(
             f"{escaped(order.folder)} holds segments of seed {seed} that were driven with other settings, in other "

@@ -19,8 +19,8 @@ from typing import Any, Final, Protocol
 
 import numpy as np
 
-from wcsim.agents.envs.episode_view import Info, delay_ticks
-from wcsim.agents.envs.seat_driver import SeatDriver
+from wcsim.agents.envs.episode_view import Info, episode_delay_ticks
+from wcsim.agents.envs.seat_driver import AgentSeatDriver
 from wcsim.agents.policy_api import (
     CLASS_KEY,
     DEPTH_KEY,
@@ -38,10 +38,10 @@ from wcsim.agents.runs.data_folder import (
     NETWORK,
     ORACLE,
     RECKLESS,
-    Segment,
-    SegmentKey,
-    codes_of,
-    joined,
+    DrivingSegment,
+    DrivingSegmentKey,
+    crash_times_to_codes,
+    join_segments,
 )
 from wcsim.bridge.world import World
 from wcsim.bridge.world_rollout import rollout
@@ -51,7 +51,7 @@ from wcsim.core.own_folder import temporary_folder
 from wcsim.core.reading import escaped
 from wcsim.errors import ConfigError
 from wcsim.supervisor.actions import ActionSet, action_set
-from wcsim.supervisor.rewards import fault
+from wcsim.supervisor.rewards import judge_crash_fault
 from wcsim.towns.scenario.town import Town, find_town
 from wcsim.towns.scene_folders.build import build_scene, scene_config, seat_specs
 from wcsim.towns.scene_folders.families import family_of, write_scene
@@ -71,7 +71,7 @@ _APART_M: Final = 4.0  # from everybody, at such a start
 class SegmentOrder:
     """One piece of work; everything in it can be sent to another process."""
 
-    key: SegmentKey
+    key: DrivingSegmentKey
     towns: tuple[str, ...]  # folders or names
     config: RunConfig
     policy: str = ""  # the folder of the network that drives, "" for none
@@ -90,7 +90,7 @@ class _SegmentPlace:
 
 
 def orders_of(
-    config: RunConfig, towns: tuple[str, ...], first: SegmentKey, count: int, policy: str = ""
+    config: RunConfig, towns: tuple[str, ...], first: DrivingSegmentKey, count: int, policy: str = ""
 ) -> list[SegmentOrder]:
     """So many pieces of work of a round, with the keys from `first` on.
 
@@ -135,7 +135,7 @@ def _require_drivable(config: RunConfig) -> None:
         raise ConfigError(f"{told}; expected 1: users, and then the network, drive alone")
 
 
-def _drawn_settings(config: RunConfig, key: SegmentKey) -> tuple[str, ...]:
+def _drawn_settings(config: RunConfig, key: DrivingSegmentKey) -> tuple[str, ...]:
     """What differs from segment to segment: one of the settings of `collect.variants`, drawn for each."""
     variants = config.collect.variants
     if not variants:
@@ -144,7 +144,7 @@ def _drawn_settings(config: RunConfig, key: SegmentKey) -> tuple[str, ...]:
     return tuple(variants[int(draw.integers(len(variants)))].split())
 
 
-def _is_of_scenes(config: RunConfig, key: SegmentKey) -> bool:
+def _is_of_scenes(config: RunConfig, key: DrivingSegmentKey) -> bool:
     """Whether a segment is driven in generated scenes; the share of all that are is kept from the first one on.
 
     >>> config = resolve(RunConfig(), ("collect.scene_share=0.3",))
@@ -155,7 +155,7 @@ def _is_of_scenes(config: RunConfig, key: SegmentKey) -> bool:
     return _scenes_before(config, number + 1) > _scenes_before(config, number)
 
 
-def _town_in_turn(config: RunConfig, key: SegmentKey, towns: int) -> int:
+def _town_in_turn(config: RunConfig, key: DrivingSegmentKey, towns: int) -> int:
     """Which of so many towns a segment is driven in that is not of scenes: each in turn, over all rounds.
 
     The first one is drawn for each run, so that many short ones leave no town out.
@@ -165,11 +165,11 @@ def _town_in_turn(config: RunConfig, key: SegmentKey, towns: int) -> int:
     >>> sorted(_town_in_turn(config, key, 3) for key in keys if not _is_of_scenes(config, key))
     [0, 1, 2]
     """
-    number, first = _number(config, key), seeding.derive(key.run, "collect", "first town")
+    number, first = _number(config, key), seeding.derive_seed(key.run, "collect", "first town")
     return (first + number - _scenes_before(config, number)) % towns
 
 
-def _number(config: RunConfig, key: SegmentKey) -> int:
+def _number(config: RunConfig, key: DrivingSegmentKey) -> int:
     """Of a segment, counted over all rounds."""
     return key.round * config.collect.segments + key.index
 
@@ -206,7 +206,7 @@ def _street(order: SegmentOrder, config: RunConfig) -> _SegmentPlace:
     off_way = round(collect.off_way_share * collect.chairs)
     steps = [OFF_WAY_STEPS if seat < off_way else collect.episode_steps for seat in range(collect.chairs)]
     seats = tuple(SeatSpec(profile=profile, max_steps=most) for profile, most in zip(who, steps, strict=True))
-    seed = seeding.derive(key.run, "collect", key.round, key.index, "world")
+    seed = seeding.derive_seed(key.run, "collect", key.round, key.index, "world")
     return _SegmentPlace(town=town, config=config, seats=seats, ticks=collect.ticks, seed=seed, off_way=off_way)
 
 
@@ -298,7 +298,7 @@ class _DataDriver:
 MakeLearned = Callable[[int], _Learned]  # for a chair whose commands arrive so many ticks late
 
 
-def collect(order: SegmentOrder, make_learned: MakeLearned | None) -> Segment:
+def collect(order: SegmentOrder, make_learned: MakeLearned | None) -> DrivingSegment:
     """The segment that an order asks for; the same one wherever and whenever it is driven.
 
     Args:
@@ -309,15 +309,17 @@ def collect(order: SegmentOrder, make_learned: MakeLearned | None) -> Segment:
         TownError: A town cannot be opened.
         ConfigError: The chairs lack a sense that data needs.
     """
-    key, parts = order.key, list[Segment]()
+    key, parts = order.key, list[DrivingSegment]()
     with temporary_folder() as work:
         for number, place in enumerate(_places_of(order, work)):
-            seed = seeding.derive(key.run, "collect", key.round, key.index, "drivers", number)  # of who drives, and how
+            seed = seeding.derive_seed(
+                key.run, "collect", key.round, key.index, "drivers", number
+            )  # of who drives, and how
             parts.append(_driven(place, make_learned, seed))
-    return joined(parts)
+    return join_segments(parts)
 
 
-def _driven(place: _SegmentPlace, make_learned: MakeLearned | None, seed: int) -> Segment:
+def _driven(place: _SegmentPlace, make_learned: MakeLearned | None, seed: int) -> DrivingSegment:
     """Drive for so many ticks, with a new episode wherever one ends."""
     asked = place.config.danger.teacher != "crashes"  # the oracle costs time, and what happens needs none
     specs = tuple(replace(spec, truth=asked, truth_visible=asked) for spec in place.seats)
@@ -339,7 +341,7 @@ def _driven(place: _SegmentPlace, make_learned: MakeLearned | None, seed: int) -
     for seat in seats:
         seat.rows[-1]["ended"] = True  # nobody drives on from here: what lies ahead of it is not known
     rows = [row for seat in seats for row in seat.rows]
-    return Segment(**{name: np.array([row[name] for row in rows], kind) for name, (kind, _) in COLUMNS.items()})
+    return DrivingSegment(**{name: np.array([row[name] for row in rows], kind) for name, (kind, _) in COLUMNS.items()})
 
 
 def _begin_off_way(world: World, seat: int, rng: np.random.Generator) -> None:
@@ -368,11 +370,11 @@ class _Seat:
         self._delay = 0
         self._choice: dict[str, Any]
         self._agent: _DataDriver
-        self.driver = SeatDriver(config, self, first)
+        self.driver = AgentSeatDriver(config, self, first)
 
     def reset(self, info: Info) -> None:
         """Draw who drives the episode that begins."""
-        self._delay = delay_ticks(self._config, info["drawn"])
+        self._delay = episode_delay_ticks(self._config, info["drawn"])
         learned = None if self._make is None else self._make(self._delay)
         self._agent = _DataDriver(self._config.collect, self._actions, self._rng, learned, self._pushed)
 
@@ -386,7 +388,7 @@ class _Seat:
         """Write down what came of it."""
         seen, said = self.driver.observation, self.driver.info["truth"]
         step = self.driver.finish_step(client)
-        own = fault(client.events.crash_reason, client.contacts, self._config.reward) == "own"
+        own = judge_crash_fault(client.events.crash_reason, client.contacts, self._config.reward) == "own"
         self.rows.append(
             {
                 "depth": seen[DEPTH_KEY][-1],
@@ -407,5 +409,5 @@ class _Seat:
 
 
 def _codes(said: Verdict | None) -> U8:
-    """(A,) see `codes_of`, or (0,) where no oracle was asked."""
-    return np.zeros(0, np.uint8) if said is None else codes_of(said.first_s)
+    """(A,) see `crash_times_to_codes`, or (0,) where no oracle was asked."""
+    return np.zeros(0, np.uint8) if said is None else crash_times_to_codes(said.first_s)

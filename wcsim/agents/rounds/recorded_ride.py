@@ -10,8 +10,8 @@ from typing import Final
 
 import numpy as np
 
-from wcsim.agents.envs.episode_view import Info, delay_ticks
-from wcsim.agents.envs.seat_driver import SeatDriver
+from wcsim.agents.envs.episode_view import Info, episode_delay_ticks
+from wcsim.agents.envs.seat_driver import AgentSeatDriver
 from wcsim.agents.policy_api import JOYSTICK_KEY, Observation, Policy, sense_settings, senses_of
 from wcsim.bridge.replay.replayed import Log, config_of, log_of, replayed
 from wcsim.bridge.world import World
@@ -24,7 +24,7 @@ from wcsim.log.reader import read_header
 from wcsim.log.records import Dismissed, DriveTick, Header, Input, Respawned, WorldTick
 from wcsim.log.writer import JOURNAL
 from wcsim.supervisor.actions import action_set
-from wcsim.supervisor.observation import observation_of
+from wcsim.supervisor.observation import make_observation
 from wcsim.towns.scenario.town import find_town
 from wcsim.types import F32, ClientSnapshot, Joystick, SeatSpec
 from wcsim.users.recordings.recorded_user import find_user
@@ -47,7 +47,7 @@ def reference_ride(town: str, config: RunConfig, steps: int, policy: Policy, see
     with World(find_town(town), sensing, (spec,), seed, find_user=find_user) as world:
         policy.begin()
         agent, tries = _Pushed(policy, pushes), 0
-        driver = SeatDriver(sensing, agent, world.snapshot.clients[0])
+        driver = AgentSeatDriver(sensing, agent, world.snapshot.clients[0])
         for step in rollout(world, {0: driver.choose}):
             (client,) = step.after.clients
             driver.finish_step(client)
@@ -162,10 +162,10 @@ class _SeatWatch:
         return isinstance(record, Respawned | Dismissed) and record.seat == self._seat
 
     def _keep(self, client: ClientSnapshot, given: Joystick, record: WorldTick) -> None:
-        seen, action = observation_of(client, self._config), self._points.nearest((given.x, given.y))
+        seen, action = make_observation(client, self._config), self._points.nearest((given.x, given.y))
         if isinstance(record, DriveTick):
             seen = {**seen, JOYSTICK_KEY: np.array([record.stick.x, record.stick.y], np.float32)}
             action = record.action
         self.seen.append(seen)
         self.actions.append(action)
-        self.delays.append(delay_ticks(self._config, client.drawn))
+        self.delays.append(episode_delay_ticks(self._config, client.drawn))

@@ -20,33 +20,49 @@ import torch
 from wcsim.agents.danger.dataset import Dataset
 from wcsim.agents.danger.learner import DangerLearner
 from wcsim.agents.danger.policy import save_danger
-from wcsim.agents.networks.device import torch_settings
+from wcsim.agents.networks.device import temporary_torch_settings
 from wcsim.agents.rounds.collect_data import SegmentCrew
 from wcsim.agents.rounds.drive_segment import SegmentOrder, orders_of, require_recordable
-from wcsim.agents.runs.checkpoint import STATE, Arrays, Restore, go_on, newest_number, number_of, save, tag
+from wcsim.agents.runs.checkpoint import (
+    STATE,
+    Arrays,
+    Restore,
+    checkpoint_number_from_path,
+    format_checkpoint_name,
+    newest_checkpoint_number,
+    restore_newest_checkpoint,
+    write_checkpoint,
+)
 from wcsim.agents.runs.data_folder import (
     DATA,
     FOLLOW,
     NETWORK,
     SEGMENTS,
-    Segment,
-    SegmentKey,
-    in_order,
-    read_manifest,
+    DrivingSegment,
+    DrivingSegmentKey,
+    read_data_manifest,
     read_segment,
-    require_same_settings,
-    write_manifest,
+    require_same_data_settings,
+    sort_segment_names,
+    write_data_manifest,
 )
-from wcsim.agents.runs.metrics import note_round
-from wcsim.agents.runs.run_folder import METRICS, ResolvedRun, RunFolder, folder_of, how_to_resume, whole_data
-from wcsim.agents.runs.weights import digest_of
+from wcsim.agents.runs.metrics import append_round_metrics
+from wcsim.agents.runs.run_folder import (
+    METRICS,
+    ResolvedRun,
+    RunFolder,
+    absolute_data_folders,
+    format_resume_command,
+    open_or_create_run,
+)
+from wcsim.agents.runs.weights import hash_network_weights
 from wcsim.config import RunConfig, parse
-from wcsim.config.run_file import DangerRule, LearnedFile, RoundFile
+from wcsim.config.run_file import DangerCheckpointFile, DangerRuleSettings, LearnedDataFile
 from wcsim.core import files, reading, seeding
 from wcsim.core.reading import escaped, is_file, read_json
 from wcsim.errors import ConfigError, InterruptedRunError, PolicyError, TownError
-from wcsim.server.workers.machines import HERE, Machines
-from wcsim.server.workers.scheduler import WorkerNow
+from wcsim.server.workers.machines import HERE, WorkerPoolSettings
+from wcsim.server.workers.scheduler import WorkerStatus
 from wcsim.towns.making.asked_town import Wishes, asked_town
 from wcsim.towns.making.maker import make_town
 from wcsim.towns.scenario.town import Town, find_town, open_town, streets_hash
@@ -63,18 +79,18 @@ def data_of(run: RunFolder) -> dict[str, dict[str, str]]:
     path = run.path / LEARNED
     if is_file(path):
         try:
-            return parse(LearnedFile, read_json(path, reading.LEARNED), escaped(path)).folders
+            return parse(LearnedDataFile, read_json(path, reading.LEARNED), escaped(path)).folders
         except ConfigError as error:
             raise PolicyError(str(error)) from None
     found = {}
-    for folder in whole_data(run.config)["collect"]["data"]:
-        file = read_manifest(Path(folder))
-        require_same_settings(Path(folder), file, run.config)
+    for folder in absolute_data_folders(run.config)["collect"]["data"]:
+        file = read_data_manifest(Path(folder))
+        require_same_data_settings(Path(folder), file, run.config)
         found[folder] = file.segments
     return found
 
 
-def _learned_segments(run: RunFolder) -> Iterator[Segment]:
+def _learned_segments(run: RunFolder) -> Iterator[DrivingSegment]:
     """What a run learns from beside its own driving, always the same; it is noted before the first of it is read.
 
     Raises:
@@ -112,14 +128,18 @@ class RoundProgress:
     learned: int = 0  # updates of this round
     updates: int = 0  # of all rounds, when this one is done
     loss: float = float("nan")
-    workers: tuple[WorkerNow, ...] = ()  # who drives what
+    workers: tuple[WorkerStatus, ...] = ()  # who drives what
 
 
 Progress = Callable[[RoundProgress], object]
 
 
 def _train_rounds(
-    folder: RunFolder, towns: tuple[str, ...], machines: Machines, progress: Progress, log: Callable[[str], object]
+    folder: RunFolder,
+    towns: tuple[str, ...],
+    machines: WorkerPoolSettings,
+    progress: Progress,
+    log: Callable[[str], object],
 ) -> str:
     """Do all rounds that are left; the SHA-256 of the weights.
 
@@ -141,15 +161,15 @@ def _train_rounds(
     config = folder.config
     seed, total = folder.manifest.seed, config.collect.rounds
     with SegmentCrew(config, folder.path / DATA, machines, folder.path) as workers:
-        if newest_number(folder.checkpoints) < 0:
+        if newest_checkpoint_number(folder.checkpoints) < 0:
             workers.ask(_orders(folder, towns, 0))  # worlds load while the learner is made
         learner = DangerLearner(config, seed, config.danger.updates * total)
-        found = go_on(folder, _restoring(learner), log)
-        first, segments = (0, {}) if found is None else (number_of(found.path) + 1, dict(found.value))
+        found = restore_newest_checkpoint(folder, _restoring(learner), log)
+        first, segments = (0, {}) if found is None else (checkpoint_number_from_path(found.path) + 1, dict(found.value))
         dataset = Dataset(config)
         for segment in _learned_segments(folder):
             dataset.add(segment)
-        for name in in_order(segments):
+        for name in sort_segment_names(segments):
             dataset.add(read_segment(folder.path / DATA / SEGMENTS / name, segments[name]))
         for number in range(first, total):
             began_s = time.monotonic()
@@ -168,20 +188,22 @@ def _train_rounds(
                     mine = segment.driver == driver
                     driven[place : place + 2] += int(mine.sum()), int(segment.crashed[mine].sum())
             dataset.begin(seeding.generator(seed, "agent", "lectures", number))
-            torch.manual_seed(seeding.derive(seed, "agent", "learn", number))  # of networks that draw, as by dropout
+            torch.manual_seed(
+                seeding.derive_seed(seed, "agent", "learn", number)
+            )  # of networks that draw, as by dropout
             now = replace(now, segments=now.of)
             loss = _learn(learner, dataset, config.danger.updates, now, progress)
             segments |= came
-            _save(folder, learner, tag("round", number))
+            _save(folder, learner, format_checkpoint_name("round", number))
             row = (number, len(dataset), len(dataset) - before, dataset.tight_share, crashes, *driven.tolist())
             spent = (waited_s, time.monotonic() - began_s - waited_s)
-            note_round(folder.path / METRICS, (*row, learner.updates, loss, *spent))
+            append_round_metrics(folder.path / METRICS, (*row, learner.updates, loss, *spent))
             _save_round(folder.checkpoints, number, learner, segments)  # the last: with it the round counts as done
             progress(replace(now, updates=learner.updates, loss=loss))
     hashes = {town.name: streets_hash(town) for town in map(find_town, towns)}
-    write_manifest(folder.path / DATA, config, hashes, segments)
+    write_data_manifest(folder.path / DATA, config, hashes, segments)
     _save(folder, learner, "final")
-    return digest_of(learner.net)
+    return hash_network_weights(learner.net)
 
 
 def _drive(
@@ -197,15 +219,15 @@ def _learn(learner: DangerLearner, dataset: Dataset, updates: int, now: RoundPro
 def _save_round(folder: Path, number: int, learner: DangerLearner, segments: dict[str, str]) -> None:
     """Keep a learner after a round, see `checkpoint.save`; `segments` are those that it has learned from."""
     state = {"updates": learner.updates, "loss": learner.loss, "segments": segments}
-    save(folder, tag("round", number), state, learner.arrays())
+    write_checkpoint(folder, format_checkpoint_name("round", number), state, learner.arrays())
 
 
 def _restoring(learner: DangerLearner) -> Restore[dict[str, str]]:
     """Brings a learner to where it was after a round, and tells the segments that it had learned from."""
 
     def restore(_: int, state: dict[str, Any], arrays: dict[str, Arrays]) -> dict[str, str]:
-        said = parse(RoundFile, state, STATE)
-        in_order(said.segments)
+        said = parse(DangerCheckpointFile, state, STATE)
+        sort_segment_names(said.segments)
         learner.restore(arrays, said.updates, said.loss)
         return said.segments
 
@@ -214,11 +236,14 @@ def _restoring(learner: DangerLearner) -> Restore[dict[str, str]]:
 
 def _keep_newest(folder: RunFolder) -> bool:
     """Let the policy of the last round that is done be the run's. Whether there is one. Raises DiskFullError."""
-    done = [folder.policy(tag("round", number)) for number in range(newest_number(folder.checkpoints) + 1)]
+    done = [
+        folder.policy(format_checkpoint_name("round", number))
+        for number in range(newest_checkpoint_number(folder.checkpoints) + 1)
+    ]
     done = [path for path in done if path.is_dir()]
 
     if done:
-        with files.whole_folder(folder.policy("final")) as target:
+        with files.write_folder_atomically(folder.policy("final")) as target:
             copytree(done[-1], target, dirs_exist_ok=True)
     return bool(done)
 
@@ -226,14 +251,14 @@ def _keep_newest(folder: RunFolder) -> bool:
 def _orders(folder: RunFolder, towns: tuple[str, ...], number: int) -> list[SegmentOrder]:
     """The segments of a round, driven by the network of the round before the last, where there is one."""
     driver = number - 2
-    policy = str(folder.policy(tag("round", driver))) if driver >= 0 else ""
-    first = SegmentKey(run=folder.manifest.seed, round=number, index=0)
+    policy = str(folder.policy(format_checkpoint_name("round", driver))) if driver >= 0 else ""
+    first = DrivingSegmentKey(run=folder.manifest.seed, round=number, index=0)
     return orders_of(folder.config, towns, first, folder.config.collect.segments, policy)
 
 
 def _save(folder: RunFolder, learner: DangerLearner, stage: str) -> None:
     danger = folder.config.danger
-    rule = DangerRule(threshold=danger.threshold, at_once=danger.at_once, warn=danger.warn)
+    rule = DangerRuleSettings(threshold=danger.threshold, at_once=danger.at_once, warn=danger.warn)
     save_danger(folder.policy(stage), learner.net, rule, folder.config, folder.manifest_sha256())
 
 
@@ -266,7 +291,7 @@ def towns_of(
     others = [*map(asked_town, more), *listed]
     made = config.collect.made_towns if config.collect.segments else 0
     for number in range(made):
-        drawn = seeding.derive(seed, "collect", "town", number)
+        drawn = seeding.derive_seed(seed, "collect", "town", number)
         out = folder / TOWNS / f"made-{drawn}"
         if not out.is_dir():
             stage(f"generating town {number + 1} of {made}")
@@ -278,7 +303,7 @@ def towns_of(
 def train_danger(
     run: ResolvedRun,
     town: Town,
-    machines: Machines = HERE,
+    machines: WorkerPoolSettings = HERE,
     progress: Progress = lambda now: None,
     stage: Callable[[str], object] = lambda told: None,
 ) -> Path:
@@ -293,12 +318,12 @@ def train_danger(
 
     Raises:
         InterruptedRunError: Ctrl-C; policies/final is that of the last whole round, and `resume` goes on.
-        PolicyError, TownError, ConfigError, WorkersError, DiskFullError: See `_train_rounds` and `folder_of`.
+        PolicyError, TownError, ConfigError, WorkersError, DiskFullError: See `_train_rounds` and `open_or_create_run`.
     """
     _require_driving(run.config)
     require_recordable(run.config)
-    folder = folder_of(run, whole_data)
-    with files.locked(folder.path), torch_settings(folder.config.learn):
+    folder = open_or_create_run(run, absolute_data_folders)
+    with files.lock_run_folder(folder.path), temporary_torch_settings(folder.config.learn):
         towns = towns_of(town, folder.manifest.more_towns, folder.config, folder.path, folder.manifest.seed, stage)
         data_of(folder)  # what cannot be learned from is refused before worlds load
         try:
@@ -307,7 +332,7 @@ def train_danger(
             folder.with_status("interrupted", 0)
             kept = "the policy of the complete rounds" if _keep_newest(folder) else "the segments so far, no policy yet"
             raise InterruptedRunError(
-                f"stopped; {folder.path} holds {kept}; continue it: {how_to_resume(folder.path)}"
+                f"stopped; {folder.path} holds {kept}; continue it: {format_resume_command(folder.path)}"
             ) from None
         folder.with_status("done", folder.config.collect.rounds * folder.config.danger.updates)
         folder.event("done", weights_sha256=sha256)

@@ -23,7 +23,7 @@ from safetensors.numpy import load_file, save_file
 
 from wcsim.agents.runs.run_folder import RunFolder
 from wcsim.core import files, reading
-from wcsim.core.reading import escaped, is_folder, read_json, regular_size
+from wcsim.core.reading import escaped, is_folder, read_file_size, read_json
 from wcsim.errors import PolicyError, WcsimError
 
 STATE: Final = "state.json"
@@ -59,7 +59,7 @@ class _Shared:
     sha256: str  # as it was written; not compared with the file
 
 
-def tag(counted: str, number: int) -> str:
+def format_checkpoint_name(counted: str, number: int) -> str:
     """The name of a step's or round's checkpoint; names do not sort as their numbers do.
 
     >>> tag("step", 5000), tag("step", 100_000_000), tag("round", 7)
@@ -68,27 +68,27 @@ def tag(counted: str, number: int) -> str:
     return f"{counted}-{number:0{_WIDTH[counted]}d}"
 
 
-def checkpoints(folder: Path) -> list[Path]:
+def list_checkpoints(folder: Path) -> list[Path]:
     """The checkpoints of a run, oldest first: real folders with exactly such a name."""
     # `glob` fails at a name that no system could hold.
     paths = folder.glob("*-*") if is_folder(folder) else ()
     found = [
         path for path in paths if _is_name(path.name) and path.is_dir() and not path.is_symlink()
     ]
-    return sorted(found, key=number_of)
+    return sorted(found, key=checkpoint_number_from_path)
 
 
-def number_of(path: Path) -> int:
+def checkpoint_number_from_path(path: Path) -> int:
     """The step or round of a checkpoint's folder."""
     return int(path.name.rpartition("-")[2])
 
 
-def newest_number(folder: Path) -> int:
+def newest_checkpoint_number(folder: Path) -> int:
     """The step or round of a run's newest checkpoint, sound or not; -1 when there is none."""
-    return max(map(number_of, checkpoints(folder)), default=-1)
+    return max(map(checkpoint_number_from_path, list_checkpoints(folder)), default=-1)
 
 
-def save(
+def write_checkpoint(
     folder: Path,
     name: str,
     state: Mapping[str, Any],
@@ -99,9 +99,9 @@ def save(
 
     Args:
         folder: The folder of a run's checkpoints.
-        name: See `tag`.
+        name: See `format_checkpoint_name`.
         state: Plain values.
-        arrays: By the name of their file; see `newest_arrays` for those that are saved already.
+        arrays: By the name of their file; see `find_newest_checkpoint_arrays` for those that are saved already.
         alive: Called now and then while it is being written.
 
     Returns:
@@ -110,7 +110,7 @@ def save(
     Raises:
         DiskFullError: It could not be written; those before are whole.
     """
-    with files.whole_folder(folder / name) as target:
+    with files.write_folder_atomically(folder / name) as target:
         hashes = {}
         sizes = {}
         for part, held in arrays.items():
@@ -127,7 +127,7 @@ def save(
                 except SafetensorError as error:  # its error for a full disk
                     raise OSError(errno.ENOSPC, escaped(error)) from None
                 alive()
-                hashes[file] = files.sha256(target / file)
+                hashes[file] = files.sha256_from_file(target / file)
             sizes[file] = (target / file).stat().st_size
             alive()
         data = {"schema_version": _VERSION, "name": name, **state, "sha256": hashes, "bytes": sizes}
@@ -143,19 +143,19 @@ def _restore_newest(folder: Path, restore: Restore[T]) -> _Restored[T]:
         PolicyError: There is none.
     """
     passed: dict[Path, str] = {}
-    for path in reversed(checkpoints(folder)):
+    for path in reversed(list_checkpoints(folder)):
         try:
             state = _read_state(path)
             hashes, sizes = state.pop("sha256"), state.pop("bytes")
             if sizes.keys() != hashes.keys():
                 raise PolicyError(f"{STATE} is damaged")
             for file, sha256 in hashes.items():
-                size = regular_size(path / file, reading.ARRAYS)
+                size = read_file_size(path / file, reading.ARRAYS)
                 # Its size first: a file that is larger than it was written may take hours to read.
-                if sizes[file] != size or files.sha256(path / file) != sha256:
+                if sizes[file] != size or files.sha256_from_file(path / file) != sha256:
                     raise PolicyError(f"{file} is damaged")
             arrays = {file.removesuffix(_END): load_file(path / file) for file in hashes}
-            value = restore(number_of(path), state, arrays)
+            value = restore(checkpoint_number_from_path(path), state, arrays)
         except Exception as error:  # whatever is wrong with it, the one before may be sound
             kind = "" if isinstance(error, WcsimError) else f"{type(error).__name__}: "
             passed[path] = escaped(f"{kind}{error}", 300)
@@ -167,7 +167,9 @@ def _restore_newest(folder: Path, restore: Restore[T]) -> _Restored[T]:
     )
 
 
-def go_on(run: RunFolder, restore: Restore[T], log: Callable[[str], object]) -> _Restored[T] | None:
+def restore_newest_checkpoint(
+    run: RunFolder, restore: Restore[T], log: Callable[[str], object]
+) -> _Restored[T] | None:
     """Restore a run's newest sound checkpoint, and log skipped ones; None for a run without any.
 
     Skipped ones are set aside: they belong to work that is done again, with another result.
@@ -175,11 +177,11 @@ def go_on(run: RunFolder, restore: Restore[T], log: Callable[[str], object]) -> 
     Raises:
         PolicyError: There are checkpoints, and none is sound and fits.
     """
-    if not checkpoints(run.checkpoints):
+    if not list_checkpoints(run.checkpoints):
         return None
     found = _restore_newest(run.checkpoints, restore)
     for path, reason in found.passed_over.items():
-        aside = files.set_aside(path)
+        aside = files.rename_damaged_path(path)
         log(
             f"{path}: skipped ({reason}); continuing from {found.path.name}, renamed to "
             f"{aside.name}"
@@ -188,9 +190,9 @@ def go_on(run: RunFolder, restore: Restore[T], log: Callable[[str], object]) -> 
     return found
 
 
-def newest_arrays(folder: Path, part: str) -> _Shared | None:
+def find_newest_checkpoint_arrays(folder: Path, part: str) -> _Shared | None:
     """The arrays of that name in the newest checkpoint that has them; None where there is none."""
-    for path in reversed(checkpoints(folder)):
+    for path in reversed(list_checkpoints(folder)):
         with contextlib.suppress(PolicyError, KeyError):
             return _Shared(
                 path=path / f"{part}{_END}",
@@ -201,7 +203,7 @@ def newest_arrays(folder: Path, part: str) -> _Shared | None:
 
 def _is_name(name: str) -> bool:
     match = _NAME.fullmatch(name)
-    return match is not None and name == tag(match[1], int(match[2]))
+    return match is not None and name == format_checkpoint_name(match[1], int(match[2]))
 
 
 def _read_state(path: Path) -> dict[str, Any]:
@@ -213,7 +215,7 @@ def _read_state(path: Path) -> dict[str, Any]:
             f"{STATE} is of version {escaped(version)}, expected {_VERSION}: finish the run with "
             "the wcsim that began it, or start a new one"
         )
-    sealed = files.take_seal(state, STATE)
+    sealed = files.check_and_remove_seal(state, STATE)
     name, hashes = state.get("name"), state.get("sha256")
     if (
         not sealed
@@ -236,7 +238,7 @@ def _link(source: Path, target: Path) -> None:
 
 def _drop_old(folder: Path, newest: Path) -> None:
     """Remove old and half-written checkpoints; `newest`, the last ones and a spare one stay."""
-    older = checkpoints(folder)
+    older = list_checkpoints(folder)
     staying = {newest, *older[-KEEP:]}
     # One with other arrays stays, too: one damaged file must not take all checkpoints.
     shared = set.intersection(*map(_inodes, staying))
@@ -245,7 +247,7 @@ def _drop_old(folder: Path, newest: Path) -> None:
     unfinished = [
         path
         for path in folder.iterdir()
-        if files.is_unfinished(path)
+        if files.is_unfinished_write(path)
         and _is_name(path.name[1:].partition(".")[0])
         and path.is_dir()
         and not path.is_symlink()

@@ -21,8 +21,8 @@ import zstandard
 
 from wcsim.agents.runs.policy_file import SIGHT_KEYS
 from wcsim.config import ChairConfig, RunConfig, parse
-from wcsim.config.plant import plant_text
-from wcsim.config.run_file import DataFile
+from wcsim.config.plant import read_own_plant_bytes
+from wcsim.config.run_file import DrivingDataFile
 from wcsim.core import files, reading
 from wcsim.core.reading import SEGMENT, escaped, read_bytes, read_json, unzstd
 from wcsim.errors import ConfigError, PolicyError
@@ -77,7 +77,7 @@ COLUMNS: Final[Mapping[str, tuple[str, tuple[int, ...]]]] = {
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SegmentKey:
+class DrivingSegmentKey:
     """The place of a segment in a run's driving; its random numbers follow from it."""
 
     run: int  # its seed
@@ -95,7 +95,7 @@ class SegmentKey:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Segment:
+class DrivingSegment:
     """Steps of several chairs, sorted by chair and step: the observation, then the action."""
 
     depth: U8  # (N, H, W) newest image, see `supervisor/observation.py`
@@ -106,7 +106,7 @@ class Segment:
     wish: F32  # (N, 2) the stick that was answered: the user's, maybe with a random offset
     action: U8  # (N,) executed
     driver: U8  # (N,) see DRIVERS
-    # (N, A) see `codes_of`, of the oracle that knows what the cameras showed; (N, 0) without one
+    # (N, A) see `crash_times_to_codes`, of the oracle that knows what the cameras showed; (N, 0) without one
     visible: U8
     truth: U8  # (N, A) or (N, 0), the same of the oracle that knows all
     reward: F32  # (N,) of the step
@@ -124,7 +124,7 @@ class Segment:
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
 
-def joined(segments: list[Segment]) -> Segment:
+def join_segments(segments: list[DrivingSegment]) -> DrivingSegment:
     """The steps of several segments, one after the other. Raises ValueError for none."""
     if not segments:
         raise ValueError("no segments to join; expected one at least")
@@ -132,10 +132,10 @@ def joined(segments: list[Segment]) -> Segment:
         name: np.concatenate([part.arrays()[name] for part in segments])
         for name in segments[0].arrays()
     }
-    return Segment(**columns)
+    return DrivingSegment(**columns)
 
 
-def codes_of(first_s: F64) -> U8:
+def crash_times_to_codes(first_s: F64) -> U8:
     """Seconds until a crash (A,), infinity for none, as codes of 0.05 s; 255 is safe.
 
     >>> codes_of(np.array([0.0, 0.26, np.inf, 40.0])).tolist()
@@ -148,11 +148,11 @@ def codes_of(first_s: F64) -> U8:
     return codes
 
 
-def unsafe_ahead(codes: U8, ends: Bool, ahead: int) -> Bool:
+def find_unsafe_actions_ahead(codes: U8, ends: Bool, ahead: int) -> Bool:
     """(N, A) the positions that are unsafe now or within `ahead` steps, as long as one is safe.
 
     Args:
-        codes: (N, A) of successive steps, see `codes_of`.
+        codes: (N, A) of successive steps, see `crash_times_to_codes`.
         ends: (N,) with which an episode ended.
         ahead: Steps to look ahead.
     """
@@ -169,11 +169,11 @@ def unsafe_ahead(codes: U8, ends: Bool, ahead: int) -> Bool:
 
 
 def segment_path(folder: Path, name: str) -> Path:
-    """Where the segment of that name lies, see `SegmentKey`."""
+    """Where the segment of that name lies, see `DrivingSegmentKey`."""
     return folder / SEGMENTS / f"{name}.npz.zst"
 
 
-def key_of(name: str) -> SegmentKey:
+def segment_key_from_name(name: str) -> DrivingSegmentKey:
     """The key of a segment's file. Raises PolicyError for any other name.
 
     >>> key_of("3-010-0007.npz.zst")
@@ -185,24 +185,24 @@ def key_of(name: str) -> SegmentKey:
             f"{escaped(name)!r} is no segment's file; expected SEED-ROUND-INDEX.npz.zst"
         )
     run, number, index = map(int, found.groups())
-    return SegmentKey(run=run, round=number, index=index)
+    return DrivingSegmentKey(run=run, round=number, index=index)
 
 
-def in_order(segments: Iterable[str]) -> list[str]:
-    """Names of segments in the order of learning, round by round. Raises as `key_of`.
+def sort_segment_names(segments: Iterable[str]) -> list[str]:
+    """Names of segments in the order of learning, round by round. Raises as `segment_key_from_name`.
 
     >>> in_order(["3-1000-0000.npz.zst", "3-999-0001.npz.zst", "3-999-0000.npz.zst"])
     ['3-999-0000.npz.zst', '3-999-0001.npz.zst', '3-1000-0000.npz.zst']
     """
-    return sorted(segments, key=lambda name: (key_of(name).round, name))
+    return sorted(segments, key=lambda name: (segment_key_from_name(name).round, name))
 
 
-def packed_segment(segment: Segment) -> bytes:
+def segment_to_bytes(segment: DrivingSegment) -> bytes:
     """A segment as its file holds it, compressed."""
     return zstandard.ZstdCompressor(level=_LEVEL, write_checksum=True).compress(_packed(segment))
 
 
-def read_segment(path: Path, sha256: str = "") -> Segment:
+def read_segment(path: Path, sha256: str = "") -> DrivingSegment:
     """Read a segment.
 
     Raises:
@@ -223,10 +223,10 @@ def read_segment(path: Path, sha256: str = "") -> Segment:
             "collect` writes it"
         ) from None
     _require_whole(path, columns)
-    return Segment(**columns)
+    return DrivingSegment(**columns)
 
 
-def write_manifest(
+def write_data_manifest(
     folder: Path, config: RunConfig, towns: dict[str, str], segments: dict[str, str]
 ) -> str:
     """Write the folder's settings, its towns with their hashes, and the segments' hashes by name.
@@ -251,17 +251,17 @@ def write_manifest(
     return digest
 
 
-def read_manifest(folder: Path) -> DataFile:
+def read_data_manifest(folder: Path) -> DrivingDataFile:
     """Read `data.json`. Raises PolicyError."""
     try:
         return parse(
-            DataFile, read_json(folder / MANIFEST, reading.DATA), escaped(folder / MANIFEST)
+            DrivingDataFile, read_json(folder / MANIFEST, reading.DATA), escaped(folder / MANIFEST)
         )
     except ConfigError as error:
         raise PolicyError(str(error)) from None
 
 
-def require_same_settings(folder: Path, file: DataFile, config: RunConfig) -> None:
+def require_same_data_settings(folder: Path, file: DrivingDataFile, config: RunConfig) -> None:
     """Refuse data of another camera, chair, action set or tick.
 
     Raises:
@@ -269,7 +269,7 @@ def require_same_settings(folder: Path, file: DataFile, config: RunConfig) -> No
         ConfigError: The user's own plant file cannot be read.
     """
     recorded = _by_content(file.config, file.plant_sha256)
-    own = plain_settings(config)
+    own = config_to_plain_settings(config)
     other = [name for name in _COMPARED if _part(recorded, name) != _part(own, name)]
     if other or file.settings_sha256 != _settings_digest(config):
         raise PolicyError(
@@ -281,12 +281,12 @@ def require_same_settings(folder: Path, file: DataFile, config: RunConfig) -> No
 
 def _settings_digest(config: RunConfig) -> str:
     """SHA-256 over the settings that data and its learner share: camera, chair, actions."""
-    settings = plain_settings(config)
+    settings = config_to_plain_settings(config)
     parts = [_part(settings, name) for name in _SETTINGS]
     return hashlib.sha256(repr(parts).encode()).hexdigest()
 
 
-def plain_settings(config: RunConfig) -> dict[str, Any]:
+def config_to_plain_settings(config: RunConfig) -> dict[str, Any]:
     """All settings as plain values; the user's own plant by its file's hash, not its path.
 
     Raises:
@@ -297,7 +297,7 @@ def plain_settings(config: RunConfig) -> dict[str, Any]:
 
 def _plant_sha256(config: RunConfig) -> str:
     """SHA-256 of the user's own plant file; "" for a plant that comes with wcsim."""
-    text = plant_text(config.chair.plant)
+    text = read_own_plant_bytes(config.chair.plant)
     return hashlib.sha256(text).hexdigest() if text else ""
 
 
@@ -338,7 +338,7 @@ def _columns(data: bytes) -> dict[str, np.ndarray]:
             raise ValueError("packed in another way")
         names = [
             field.name
-            for field in fields(Segment)
+            for field in fields(DrivingSegment)
             if field.name != "own" or "own.npy" in held.namelist()
         ]
         columns = {
@@ -390,7 +390,7 @@ def _fits(column: np.ndarray, kind: str, wide: tuple[int, ...]) -> bool:
     )
 
 
-def _packed(segment: Segment) -> bytes:
+def _packed(segment: DrivingSegment) -> bytes:
     """An .npz file; `np.savez` would write the time into it."""
     out = io.BytesIO()
     with zipfile.ZipFile(out, "w", zipfile.ZIP_STORED) as held:

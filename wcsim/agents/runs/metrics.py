@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import Any, Final
 
 from wcsim.config import parse
-from wcsim.config.run_file import TrainedRound
+from wcsim.config.run_file import RoundMetricsRow
 from wcsim.core import files, reading
-from wcsim.core.closing import Closing
+from wcsim.core.closing import ClosingContextBase
 from wcsim.core.reading import escaped, read_lines, read_text
 from wcsim.errors import ConfigError, DiskFullError, PolicyError
 
@@ -61,7 +61,10 @@ class MetricsFile:
         rows: Iterator[list[str]] = iter(())
         if last >= 0:
             rows = _checked(path, columns, read_lines(path, reading.METRIC_LINES))
-        with files.whole_file(path) as part, part.open("w", encoding="utf-8", newline="") as file:
+        with (
+            files.write_file_atomically(path) as part,
+            part.open("w", encoding="utf-8", newline="") as file,
+        ):
             file.write(_line(columns))
             file.writelines(_line(row) for row in rows if int(row[0]) <= last)
 
@@ -130,7 +133,7 @@ def _line(values: Iterable[object]) -> str:
     return out.getvalue()
 
 
-def note_round(path: Path, row: Sequence[float]) -> None:
+def append_round_metrics(path: Path, row: Sequence[float]) -> None:
     """Add a row to metrics.csv; rows from its round on belong to work that was lost.
 
     Raises:
@@ -142,21 +145,21 @@ def note_round(path: Path, row: Sequence[float]) -> None:
     )
 
 
-def logs_rounds(path: Path) -> bool:
+def is_round_metrics_file(path: Path) -> bool:
     """Whether a metrics.csv is one of rounds."""
     return next(read_lines(path, reading.METRIC_LINES), "").startswith(
         ",".join(_ROUND_COLUMNS[:2]) + ","
     )
 
 
-def read_rounds(path: Path) -> tuple[TrainedRound, ...]:
+def read_round_metrics(path: Path) -> tuple[RoundMetricsRow, ...]:
     """All rows of it. Raises PolicyError when it is damaged, or of another version."""
     rows = [
-        dict(zip(TrainedRound.model_fields, row.values(), strict=True))
+        dict(zip(RoundMetricsRow.model_fields, row.values(), strict=True))
         for row in read_metrics(path, _ROUND_COLUMNS)
     ]
     try:
-        found = tuple(parse(TrainedRound, row, path.name) for row in rows)
+        found = tuple(parse(RoundMetricsRow, row, path.name) for row in rows)
     except ConfigError as error:
         raise PolicyError(
             f"{escaped(path)}: is damaged ({error}); expected the numbers of a round in each row"
@@ -166,7 +169,7 @@ def read_rounds(path: Path) -> tuple[TrainedRound, ...]:
     return found
 
 
-class BoardLog(Closing):
+class TensorBoardLog(ClosingContextBase):
     """Writes the numbers of a row as scalars, `episode/NAME` or `train/NAME`, at the row's step."""
 
     def __init__(self, run: Path, last_step: int | None = None) -> None:
@@ -193,7 +196,7 @@ class BoardLog(Closing):
         self._writer.close()
 
 
-def check_tensorboard() -> None:
+def require_tensorboard_installed() -> None:
     """Raise ConfigError when TensorBoard is not installed."""
     _writer_class()
 

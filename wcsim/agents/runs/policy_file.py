@@ -1,6 +1,6 @@
 """Names of policies (`dwa@0.5`, `runs/a:phase1`, `veto:shipped@0.2`, `tcp:5000`); their folders.
 
-`policy_name` reads such a name in one place. Nothing of the policy is loaded here, nor is torch.
+`parse_policy_name` reads such a name in one place. Nothing of the policy is loaded here, nor is torch.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from wcsim.agents.policy_api import (
     level_of,
 )
 from wcsim.config import RunConfig, parse
-from wcsim.config.run_file import DangerFile, PolicyFile, ShippedFile
+from wcsim.config.run_file import DangerPolicyFile, QPolicyFile, ShippedPolicyHashes
 from wcsim.core import files
 from wcsim.core.reading import HASHES, POLICY, escaped, is_file, is_folder, read_json
 from wcsim.errors import ConfigError, PolicyError
@@ -55,20 +55,20 @@ HELD: Final = (
 STAGES: Final = ("phase1", "final")
 _LEVEL: Final = re.compile(r"\d+(\.\d*)?|\.\d+")
 Kind = Literal["baseline", "served", "onnx", "class", "shipped", "folder"]
-File = TypeVar("File", PolicyFile, DangerFile)
+File = TypeVar("File", QPolicyFile, DangerPolicyFile)
 
 
-def read_policy_file(path: Path) -> PolicyFile:
+def read_value_policy_file(path: Path) -> QPolicyFile:
     """Read and check `policy.json` of a network that gives values. Raises PolicyError."""
-    return _parsed(PolicyFile, path)
+    return _parsed(QPolicyFile, path)
 
 
-def read_danger_file(path: Path) -> DangerFile:
+def read_danger_policy_file(path: Path) -> DangerPolicyFile:
     """Read and check `policy.json` of a danger network. Raises PolicyError."""
-    return _parsed(DangerFile, path)
+    return _parsed(DangerPolicyFile, path)
 
 
-def algorithm_of(path: Path) -> object:
+def read_policy_algorithm(path: Path) -> object:
     """The algorithm in `policy.json`, unchecked. Raises PolicyError when it is no policy folder."""
     return _read(path).get("algorithm")
 
@@ -89,12 +89,12 @@ def _read(path: Path) -> dict[str, Any]:
     return read_json(path / POLICY_JSON, POLICY)
 
 
-def shipped_place() -> Path:
+def shipped_policy_path() -> Path:
     """Where it lies in this wcsim, whether it is there or not."""
     return Path(wcsim.__file__).parent / "agents" / SHIPPED
 
 
-def shipped_folder(place: Path | None = None) -> Path:
+def find_shipped_policy(place: Path | None = None) -> Path:
     """The folder of the shipped policy, its files compared with their hashes.
 
     Args:
@@ -103,20 +103,24 @@ def shipped_folder(place: Path | None = None) -> Path:
     Raises:
         PolicyError: None came with this wcsim, or a file differs from what was shipped.
     """
-    folder = shipped_place() if place is None else place
+    folder = shipped_policy_path() if place is None else place
     if not is_file(folder / FILES):
         raise PolicyError(
             f"this wcsim comes without a policy: {escaped(folder)} has no {FILES}; expected one "
             "made by tools/ship_policy.py RUN: name a run of your own"
         )
     try:
-        file = parse(ShippedFile, read_json(folder / FILES, HASHES), escaped(folder / FILES))
+        file = parse(
+            ShippedPolicyHashes, read_json(folder / FILES, HASHES), escaped(folder / FILES)
+        )
     except ConfigError as error:
         raise PolicyError(str(error)) from None
     hashes = file.sha256
     missing = [name for name in HELD if name not in hashes or not is_file(folder / name)]
     other = [
-        name for name in HELD if name not in missing and files.sha256(folder / name) != hashes[name]
+        name
+        for name in HELD
+        if name not in missing and files.sha256_from_file(folder / name) != hashes[name]
     ]
     if missing or other:
         raise PolicyError(
@@ -148,7 +152,7 @@ class _PolicyName:
         return self.kind in ("shipped", "folder")
 
 
-def policy_name(text: str) -> _PolicyName:
+def parse_policy_name(text: str) -> _PolicyName:
     """The parts of a policy's name; whether there is such a policy is not asked.
 
     >>> policy_name("veto:dwa@0.5").kind, policy_name("runs/a:phase1@0.2").stage
@@ -190,9 +194,9 @@ def _with_threshold(name: str) -> tuple[str, float | None]:
     return head, level
 
 
-def require_same_senses(folder: Path, name: str, config: RunConfig) -> None:
+def require_danger_policy_fits(folder: Path, name: str, config: RunConfig) -> None:
     """Refuse a danger network of another camera, class form or action set. Raises PolicyError."""
-    file = read_danger_file(folder)
+    file = read_danger_policy_file(folder)
     camera = config.cameras[0]
     other = [key for key in CAMERA_KEYS if getattr(file.camera, key) != getattr(camera, key)]
     other += [key for key in ("actions",) if file.net.actions != config.env.actions]

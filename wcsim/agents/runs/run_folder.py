@@ -27,17 +27,23 @@ from typing import Any, Final, Literal
 
 from wcsim.agents.policy_api import BASELINES, UPPER_BOUNDS
 from wcsim.agents.runs.data_folder import DATA, SEGMENTS
-from wcsim.agents.runs.policy_file import POLICY_JSON, SHIPPED, STAGES, policy_name, shipped_folder
-from wcsim.agents.runs.transfer import mark_of, own_classes
+from wcsim.agents.runs.policy_file import (
+    POLICY_JSON,
+    SHIPPED,
+    STAGES,
+    find_shipped_policy,
+    parse_policy_name,
+)
+from wcsim.agents.runs.transfer import custom_class_names, sign_custom_classes
 from wcsim.config import RunConfig, parse, resolve
 from wcsim.config.load import Layer
-from wcsim.config.plant import plant_text
-from wcsim.config.run_file import ManifestFile
+from wcsim.config.plant import read_own_plant_bytes
+from wcsim.config.run_file import RunManifestFile
 from wcsim.core import files
 from wcsim.core.processes import run_command
 from wcsim.core.reading import METRIC_LINES, RUN, escaped, is_file, is_folder, read_lines
 from wcsim.core.reading import read_json as read_bounded_json
-from wcsim.core.sources import version_of
+from wcsim.core.sources import read_package_version
 from wcsim.errors import ConfigError, PolicyError, meant
 from wcsim.server.specs import RunInfo
 from wcsim.towns.scenario.overrides import Override
@@ -75,7 +81,7 @@ Complete = Callable[[RunConfig], Layer]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Manifest(RunInfo):
+class RunManifest(RunInfo):
     """What a run was made with."""
 
     config_sha256: str
@@ -109,7 +115,7 @@ class RunFolder:
 
     path: Path
     config: RunConfig
-    manifest: Manifest
+    manifest: RunManifest
 
     @property
     def checkpoints(self) -> Path:
@@ -123,7 +129,7 @@ class RunFolder:
     def manifest_sha256(self) -> str:
         """Digest of what the run was made with, the same before and after it ends."""
         manifest = replace(self.manifest, status="running", steps=0)
-        return files.sha256_text(json.dumps(asdict(manifest), sort_keys=True))
+        return files.sha256_from_text(json.dumps(asdict(manifest), sort_keys=True))
 
     def with_status(self, status: Status, steps: int) -> RunFolder:
         """Write a new status into the manifest."""
@@ -147,7 +153,9 @@ def has_results(run: Path) -> bool:
     return lines > 1 or any(any(run.glob(f"{each}/*")) for each in folders)
 
 
-def make_manifest(config: RunConfig, info: RunInfo, networks: Collection[str] = ()) -> Manifest:
+def make_run_manifest(
+    config: RunConfig, info: RunInfo, networks: Collection[str] = ()
+) -> RunManifest:
     """A manifest for a run that starts now.
 
     Args:
@@ -155,19 +163,19 @@ def make_manifest(config: RunConfig, info: RunInfo, networks: Collection[str] = 
         info: Seed, town, command and the user's own classes.
         networks: The networks of all clients; by default the configuration's.
     """
-    versions = {name: version_of(name) for name in PACKAGES}
+    versions = {name: read_package_version(name) for name in PACKAGES}
     versions["python"] = platform.python_version()
-    classes = own_classes(info.hook, info.rewards, networks or (config.learn.network,))
-    return Manifest(
+    classes = custom_class_names(info.hook, info.rewards, networks or (config.learn.network,))
+    return RunManifest(
         **{each.name: getattr(info, each.name) for each in fields(info)},
         config_sha256=config.digest(),
         versions=versions,
         git_revision=_git_revision(),
-        own_code=mark_of(classes),
+        own_code=sign_custom_classes(classes),
     )
 
 
-def how_to_resume(path: Path) -> str:
+def format_resume_command(path: Path) -> str:
     """The command that resumes a run, as it can be typed.
 
     >>> how_to_resume(Path("runs/a b"))
@@ -176,24 +184,24 @@ def how_to_resume(path: Path) -> str:
     return shlex.join(["wcsim", "resume", str(path)])
 
 
-def require_new(path: Path) -> None:
+def require_empty_folder(path: Path) -> None:
     """Raise PolicyError when a folder exists and is not empty."""
     if path.exists() and (not path.is_dir() or any(path.iterdir())):
         raise PolicyError(
             f"{path} exists and is not empty; choose another --out, or continue that run: "
-            f"{how_to_resume(path)}"
+            f"{format_resume_command(path)}"
         )
 
 
-def create_run(path: Path, config: RunConfig, manifest: Manifest) -> RunFolder:
+def create_run_folder(path: Path, config: RunConfig, manifest: RunManifest) -> RunFolder:
     """Make a new run folder.
 
     Raises:
         PolicyError: The folder exists and is not empty.
         ConfigError: The user's own plant file cannot be read.
     """
-    require_new(path)
-    plant = plant_text(config.chair.plant)
+    require_empty_folder(path)
+    plant = read_own_plant_bytes(config.chair.plant)
     (path / _CHECKPOINTS).mkdir(parents=True)
     (path / _POLICIES).mkdir()
     if plant:
@@ -211,12 +219,12 @@ def open_run(path: Path) -> RunFolder:
     Raises:
         PolicyError: The folder is not a run, or a file in it is damaged.
     """
-    data = read_json(path, MANIFEST)
-    config = read_json(path, CONFIG)
+    data = read_run_json(path, MANIFEST)
+    config = read_run_json(path, CONFIG)
     if "clients" in data:
         names = ", ".join(str(path / name) for name in data["clients"])
         raise PolicyError(f"{path} is a run of several clients; name one of them: {names}")
-    manifest = manifest_of(data, path)
+    manifest = run_manifest_from_json(data, path)
     try:
         resolved = parse(RunConfig, config, str(path / CONFIG))
         if is_file(path / PLANT):
@@ -226,16 +234,16 @@ def open_run(path: Path) -> RunFolder:
     return RunFolder(path=path, config=resolved, manifest=manifest)
 
 
-def manifest_of(data: dict[str, Any], path: Path) -> Manifest:
+def run_manifest_from_json(data: dict[str, Any], path: Path) -> RunManifest:
     """The manifest in the data of a run's file. Raises PolicyError when it is none."""
     checked = _checked_manifest(data, path / MANIFEST).model_dump(exclude=set(_NOT_OF_ONE_NETWORK))
     checked["overrides"] = tuple(Override(**row) for row in checked["overrides"])
-    return Manifest(**checked)
+    return RunManifest(**checked)
 
 
-def _checked_manifest(data: dict[str, Any], file: Path) -> ManifestFile:
+def _checked_manifest(data: dict[str, Any], file: Path) -> RunManifestFile:
     try:
-        return parse(ManifestFile, data, escaped(file))
+        return parse(RunManifestFile, data, escaped(file))
     except ConfigError as error:
         raise PolicyError(f"{error}: not a manifest of this version; train again") from None
 
@@ -245,12 +253,12 @@ def _saved_plant(path: Path) -> Layer:
     return {"chair": {"plant": str(path / PLANT)}} if is_file(path / PLANT) else None
 
 
-def whole_data(config: RunConfig) -> dict[str, dict[str, list[str]]]:
+def absolute_data_folders(config: RunConfig) -> dict[str, dict[str, list[str]]]:
     """The absolute paths of a configuration's data folders: a run may be resumed elsewhere."""
     return {"collect": {"data": [str(Path(folder).absolute()) for folder in config.collect.data]}}
 
 
-def policy_path(name: str) -> Path:
+def policy_folder_from_name(name: str) -> Path:
     """The policy folder that `name` means, whatever the level of assistance behind it (`RUN@0.2`).
 
     A name is `shipped`, a policy folder, a run (its final policy), or `RUN:phase1`.
@@ -258,9 +266,9 @@ def policy_path(name: str) -> Path:
     Raises:
         PolicyError: There is no such policy.
     """
-    named = policy_name(name)
+    named = parse_policy_name(name)
     if named.kind == "shipped":
-        return shipped_folder()
+        return find_shipped_policy()
     if not named.stage and is_file(named.folder / POLICY_JSON):
         return named.folder
     stage = named.stage or STAGES[-1]
@@ -284,22 +292,22 @@ def policy_path(name: str) -> Path:
         raise PolicyError(
             f"run {escaped(named.folder)} has no policy {stage!r} (it has: "
             f"{', '.join(stages) or 'none'}; status: {run.manifest.status}); "
-            f"continue it: {how_to_resume(named.folder)}"
+            f"continue it: {format_resume_command(named.folder)}"
         )
     return policy
 
 
-def run_of(name: str) -> RunFolder | None:
+def run_from_policy_name(name: str) -> RunFolder | None:
     """The run of a policy; None for a policy folder that was copied out of its run.
 
     Raises:
         PolicyError: There is no such policy.
     """
-    folder = policy_path(name).resolve().parent.parent
+    folder = policy_folder_from_name(name).resolve().parent.parent
     return open_run(folder) if is_file(folder / MANIFEST) else None
 
 
-def read_json(path: Path, name: str) -> dict[str, Any]:
+def read_run_json(path: Path, name: str) -> dict[str, Any]:
     """A JSON object among a run's files; a manifest's entries have their types and bounds.
 
     Raises:
@@ -317,7 +325,7 @@ def read_json(path: Path, name: str) -> dict[str, Any]:
     return data
 
 
-def folder_of(run: ResolvedRun, complete: Complete = lambda _: None) -> RunFolder:
+def open_or_create_run(run: ResolvedRun, complete: Complete = lambda _: None) -> RunFolder:
     """A new run folder, or that of a run to resume with equal settings, seed, town and rewards.
 
     Args:
@@ -330,12 +338,14 @@ def folder_of(run: ResolvedRun, complete: Complete = lambda _: None) -> RunFolde
         ConfigError: The user's own plant file cannot be read.
     """
     if not run.resume:
-        return create_run(run.out, run.config, make_manifest(run.config, run.info))
+        return create_run_folder(run.out, run.config, make_run_manifest(run.config, run.info))
     folder = open_run(run.out)
     other = [
         key for key in _SAME_WHEN_RESUMED if getattr(folder.manifest, key) != getattr(run.info, key)
     ]
-    if plant_text(run.config.chair.plant) != plant_text(folder.config.chair.plant):
+    if read_own_plant_bytes(run.config.chair.plant) != read_own_plant_bytes(
+        folder.config.chair.plant
+    ):
         other.append("plant")
     requested = resolve(run.config, _saved_plant(run.out))
     was = resolve(folder.config, complete(folder.config))
@@ -347,7 +357,7 @@ def folder_of(run: ResolvedRun, complete: Complete = lambda _: None) -> RunFolde
     return folder
 
 
-def extend(run: Path, steps: int, fade: float | None = None) -> None:
+def extend_run_steps(run: Path, steps: int, fade: float | None = None) -> None:
     """Write another number of steps in all into a run's configuration, and leave all else.
 
     Killed between two files, it leaves a run that can be resumed, and that can be extended again.
@@ -361,8 +371,8 @@ def extend(run: Path, steps: int, fade: float | None = None) -> None:
         PolicyError: It is no run, or cannot have so many.
         DiskFullError: There is no room.
     """
-    data = read_json(run, CONFIG)
-    manifest = read_json(run, MANIFEST)
+    data = read_run_json(run, CONFIG)
+    manifest = read_run_json(run, MANIFEST)
     try:
         was_sha256 = parse(RunConfig, data, str(run / CONFIG)).digest()
         data["learn"]["total_steps"] = steps

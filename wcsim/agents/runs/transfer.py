@@ -22,17 +22,17 @@ from wcsim.config import RunConfig
 from wcsim.core.constants import RECORDED
 from wcsim.core.reading import KEY, escaped, read_bytes
 from wcsim.errors import ConfigError, FileError, PolicyError, TownError
-from wcsim.server.workers.machines import InputFiles
+from wcsim.server.workers.machines import WorkInputFiles
 from wcsim.towns.cache.folder import cache_folder
 from wcsim.towns.scenario.stage import files_of
 from wcsim.towns.scenario.town import find_town
-from wcsim.users.profiles import is_user_file
+from wcsim.users.profiles import is_user_file_name
 
 KEY_FILE: Final = "own-runs.key"
 
 
 @lru_cache(maxsize=256)
-def town_files(address: str) -> InputFiles:
+def town_to_input_files(address: str) -> WorkInputFiles:
     """A town to send: its SUMO files and its town.toml. Raises TownError."""
     town = find_town(address)
     folder = town.folder.absolute()
@@ -45,16 +45,16 @@ def town_files(address: str) -> InputFiles:
         )
     names = tuple(sorted(path.relative_to(folder).as_posix() for path in files))
     inner = "" if Path(town.address).is_dir() else town.sumocfg.name
-    return InputFiles(address=address, folder=folder, names=names, inner=inner)
+    return WorkInputFiles(address=address, folder=folder, names=names, inner=inner)
 
 
-def folder_files(folder: Path, address: str = "") -> InputFiles:
+def folder_to_input_files(folder: Path, address: str = "") -> WorkInputFiles:
     """The files of a folder to send, without those in folders of it."""
     names = tuple(path.name for path in sorted(folder.iterdir()) if path.is_file())
-    return InputFiles(address=address or str(folder), folder=folder.absolute(), names=names)
+    return WorkInputFiles(address=address or str(folder), folder=folder.absolute(), names=names)
 
 
-def require_travels(
+def require_sendable_run(
     config: RunConfig,
     settings: Collection[str] = (),
     own_code: Collection[str] = (),
@@ -74,7 +74,7 @@ def require_travels(
     users = (config.env.profile, *config.collect.profiles, *users)
     words = " ".join((*settings, *config.collect.variants)).split()
     parts = [f"class {escaped(name, 80)}" for name in own_code if ":" in name]
-    parts += [f"user {escaped(user, 80)}" for user in users if is_user_file(user)]
+    parts += [f"user {escaped(user, 80)}" for user in users if is_user_file_name(user)]
     parts += [escaped(word, 80) for word in words if ".toml" in word or RECORDED in word]
     if parts:
         raise ConfigError(
@@ -83,12 +83,14 @@ def require_travels(
         )
 
 
-def own_classes(hook: str, rewards: Sequence[str], networks: Collection[str]) -> tuple[str, ...]:
+def custom_class_names(
+    hook: str, rewards: Sequence[str], networks: Collection[str]
+) -> tuple[str, ...]:
     """The names that are `module:Class`, sorted."""
     return tuple(sorted({name for name in (hook, *rewards, *networks) if ":" in name}))
 
 
-def mark_of(classes: Sequence[str]) -> str:
+def sign_custom_classes(classes: Sequence[str]) -> str:
     """A mark that only this user's machine makes of these names.
 
     It is "" without any name, or where no key can be stored.
@@ -97,7 +99,9 @@ def mark_of(classes: Sequence[str]) -> str:
     return _mark(key, classes) if key else ""
 
 
-def require_own(path: Path, classes: Sequence[str], mark: str, named: Collection[str]) -> None:
+def require_trusted_classes(
+    path: Path, classes: Sequence[str], mark: str, named: Collection[str]
+) -> None:
     """Refuse a run from elsewhere with own classes that this command line does not name.
 
     Raises:

@@ -13,8 +13,8 @@ from safetensors.torch import load, save
 
 from wcsim.agents.runs.policy_file import POLICY_JSON, WEIGHTS
 from wcsim.core import files, reading
-from wcsim.core.reading import escaped, read_bytes, regular_size
-from wcsim.core.sources import version_of
+from wcsim.core.reading import escaped, read_bytes, read_file_size
+from wcsim.core.sources import read_package_version
 from wcsim.errors import PolicyError
 
 _MAX_HEADER_BYTES = 1 << 20
@@ -22,7 +22,7 @@ Tensors = Mapping[str, torch.Tensor]
 Net = TypeVar("Net", bound=torch.nn.Module)
 
 
-def write_policy(folder: Path, net: torch.nn.Module, facts: Mapping[str, Any]) -> Path:
+def write_policy_folder(folder: Path, net: torch.nn.Module, facts: Mapping[str, Any]) -> Path:
     """Write a policy folder in one step, replacing an older one; returns it.
 
     Args:
@@ -33,13 +33,13 @@ def write_policy(folder: Path, net: torch.nn.Module, facts: Mapping[str, Any]) -
     Raises:
         DiskFullError: There is no room.
     """
-    with files.whole_folder(folder) as target:
+    with files.write_folder_atomically(folder) as target:
         tensors = {
             key: value.detach().cpu().contiguous() for key, value in net.state_dict().items()
         }
         (target / WEIGHTS).write_bytes(save(tensors))
-        versions = {name: version_of(name) for name in ("torch", "stable-baselines3")}
-        digest = files.sha256(target / WEIGHTS)
+        versions = {name: read_package_version(name) for name in ("torch", "stable-baselines3")}
+        digest = files.sha256_from_file(target / WEIGHTS)
         files.write_json(
             target / POLICY_JSON,
             {"schema_version": 1, **facts, "weights_sha256": digest, "versions": versions},
@@ -68,7 +68,7 @@ def load_network(folder: Path, sha256: str, make: Callable[[], Net], *, own: boo
         tensors = load(data)
     except Exception as error:  # of safetensors or PyTorch, by what is wrong with the bytes
         raise PolicyError(f"{escaped(path)} is not a safetensors file: {escaped(error)}") from None
-    net.load_state_dict(checked_tensors(escaped(path), tensors, net.state_dict()))
+    net.load_state_dict(validate_tensors(escaped(path), tensors, net.state_dict()))
     return net
 
 
@@ -78,7 +78,7 @@ def _read_weights(path: Path, sha256: str, tensors: Iterable[torch.Tensor]) -> b
     Raises:
         PolicyError: The file cannot be read, or has another size or digest.
     """
-    size = regular_size(path, reading.WEIGHTS)
+    size = read_file_size(path, reading.WEIGHTS)
     least = sum(tensor.numel() * tensor.element_size() for tensor in tensors)
     if not least <= size <= least + _MAX_HEADER_BYTES:
         raise PolicyError(
@@ -95,7 +95,7 @@ def _read_weights(path: Path, sha256: str, tensors: Iterable[torch.Tensor]) -> b
     return data
 
 
-def checked_tensors(
+def validate_tensors(
     where: str,
     tensors: dict[str, torch.Tensor],
     expected: Tensors,
@@ -121,7 +121,7 @@ def checked_tensors(
     return tensors
 
 
-def digest_of(net: torch.nn.Module) -> str:
+def hash_network_weights(net: torch.nn.Module) -> str:
     """SHA-256 over the weights of a network."""
     text = hashlib.sha256()
     for name, value in sorted(net.state_dict().items()):

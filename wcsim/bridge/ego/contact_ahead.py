@@ -11,7 +11,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Final
 
-from wcsim.core.boxes import box_of, boxes_touch
+from wcsim.core.boxes import box_from_actor, boxes_touch
 from wcsim.core.jit import exact_kernel
 from wcsim.types import U8, ActorState, Ground, PlantState
 
@@ -64,7 +64,9 @@ def meets_body(
         actors: Everybody at its end.
         dt_s: The tick.
     """
-    boxes = [box_of(chair, _SLACK_M + _SPARE * dt_s * math.hypot(*chair.v_W_mps[:2].tolist())) for chair in chairs]
+    boxes = [
+        box_from_actor(chair, _SLACK_M + _SPARE * dt_s * math.hypot(*chair.v_W_mps[:2].tolist())) for chair in chairs
+    ]
     for actor in actors:
         x_m, y_m, _ = actor.p_W_m.tolist()
         length_m, width_m, _ = actor.size_lwh_m

@@ -16,8 +16,8 @@ import numpy as np
 from wcsim.bridge.reaction.commands import ROADWAY, GreenRequest
 from wcsim.config import WorldConfig
 from wcsim.types import F64, ActorState, Bool, Ground, Route, SignalState, Street, WalkGraph, WayKind
-from wcsim.users.crossing import Crossing, crossings, is_red, kerb_arc_m
-from wcsim.users.route_line import Path
+from wcsim.users.crossing import RouteCrossing, find_kerb_arc_m, find_route_crossings, is_red
+from wcsim.users.route_line import RouteLine
 
 BESIDE_M = 1.0  # so far beside the painted strip a chair is still on the crossing
 BEFORE_M = 1.0  # and so far before its ends
@@ -146,7 +146,7 @@ _BEYOND_M = 1.9  # and beyond the crossing's beginning: who rolled over the line
 class _Reach:
     """A crossing with a light, and from where to where on the route the footplate is at its button."""
 
-    crossing: Crossing
+    crossing: RouteCrossing
     from_m: float
     to_m: float
 
@@ -156,17 +156,17 @@ class CrossingButton:
 
     def __init__(self, route: Route, street: Street, half_length_m: float, world: WorldConfig) -> None:
         """`half_length_m` is the chair's; `world` says whether it presses."""
-        path = Path(route)
+        path = RouteLine(route)
         self._items = tuple(
             _Reach(
                 crossing=item,
-                from_m=kerb_arc_m(street.grid, path, item.start_m) - _BEFORE_M - half_length_m,
+                from_m=find_kerb_arc_m(street.grid, path, item.start_m) - _BEFORE_M - half_length_m,
                 to_m=min(item.start_m + _BEYOND_M, item.end_m) - half_length_m,
             )
-            for item in crossings(route, street.walk)
+            for item in find_route_crossings(route, street.walk)
             if world.button and item.tls_id
         )
-        self._at: Crossing | None = None
+        self._at: RouteCrossing | None = None
         self._since_s = 0.0
         self._pressed = False
 

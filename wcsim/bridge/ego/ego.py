@@ -36,7 +36,7 @@ from wcsim.physics.wheelchair.wheelchair import Wheelchair, fell
 from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.observation import NEAR
 from wcsim.supervisor.oracle import Oracle
-from wcsim.supervisor.rewards import crash_reason, crash_words
+from wcsim.supervisor.rewards import crash_reason, describe_crash
 from wcsim.towns.checks.validate import require_pavement
 from wcsim.towns.scenario.town import Town, content_hash
 from wcsim.towns.walking.routes import Router, edges_ahead
@@ -61,7 +61,7 @@ from wcsim.types import (
     chair_actor_id,
 )
 from wcsim.types.chair import AT_REST as AT_REST
-from wcsim.users.profiles import UserProfile, sample
+from wcsim.users.profiles import UserProfile, sample_profile
 from wcsim.users.user import FindUser, SimulatedUser, User
 
 
@@ -181,7 +181,7 @@ class Ego:
         others = {"cameras": self._config.cameras, **self._config.sensors.on()}
         tick_s = self._config.world.tick_s
         self.chair = Wheelchair(engine, self._config.chair, self._config.imu, self.index, others, rig, tick_s)
-        self._keys = {name: seeding.key(seed, name, self.index) for name in self.chair.sensors.names}
+        self._keys = {name: seeding.derive_key(seed, name, self.index) for name in self.chair.sensors.names}
 
     def spawn(self, taken: TakenNear, habits: AttentionModel) -> None:
         """Begin the next episode: a clear start, where it has yet to `stand`, a user and a route.
@@ -251,7 +251,7 @@ class Ego:
         self._stands = True
         self.chair.place(self._start.p_W_m, self._start.yaw_rad)
         at = (self.index, "start", self._episode)
-        self.chair.sensors.start({name: seeding.key(self._seed, name, *at) for name in self._keys})
+        self.chair.sensors.start({name: seeding.derive_key(self._seed, name, *at) for name in self._keys})
 
     def end_tick(self, tick: int) -> None:
         """Close the tick's measurements, whose noise is keyed by seat, sensor and tick, and move the user's hand."""
@@ -330,7 +330,7 @@ class Ego:
         chair, street = self.chair, self._street
         east_m, north_m, _ = chair.state().p_WB_m + street.net_origin_m
         (edge, *_) = edges_ahead(street.walk, self.route, self.user.route_progress_m)
-        words = crash_words(reason, chair.contacts(), self._config.reward)
+        words = describe_crash(reason, chair.contacts(), self._config.reward)
         return f"{words}, at x {east_m:.1f} y {north_m:.1f} in the net, edge {edge[:_LONGEST_ID]}"
 
     def _crash_reason(self) -> str:
@@ -414,7 +414,7 @@ class Ego:
             return exact.user(self._episode, self.chair.outline)
         rng = seeding.generator(self._seed, "user", self.index, self._episode)
         return SimulatedUser(
-            sample(exact, rng) if self.spec.start is None else exact,
+            sample_profile(exact, rng) if self.spec.start is None else exact,
             rng,
             self._config.chair,
             self.chair.outline,

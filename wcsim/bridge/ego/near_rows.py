@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from wcsim.bridge.reaction.commands import ROADWAY
-from wcsim.core.boxes import box_of, gap_to_box
+from wcsim.core.boxes import box_from_actor, gap_to_box
 from wcsim.core.constants import KERB_STEP_CM, OTHER_LEVEL_M
 from wcsim.core.jit import exact_kernel
 from wcsim.supervisor.observation import (
@@ -109,7 +109,7 @@ def _road_users(plant: PlantState, pose: _Pose, others: Sequence[ActorState]) ->
         # A cheap look first: most are far, and a box costs more.
         if abs(ax - x) > 2 * OTHERS_REACH_M or abs(ay - y) > 2 * OTHERS_REACH_M or abs(az - z) > OTHER_LEVEL_M:
             continue
-        gap_m = gap_to_box(x, y, *(box := box_of(actor)))
+        gap_m = gap_to_box(x, y, *(box := box_from_actor(actor)))
         if gap_m > OTHERS_REACH_M:
             continue
         dx, dy, (vx, vy, _) = ax - x, ay - y, actor.v_W_mps.tolist()

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from wcsim.core.frames import wrap
+from wcsim.core.frames import wrap_angle
 from wcsim.errors import ConfigError
 from wcsim.towns.walking.routes import Router
 from wcsim.types import F64, ActorState, Ground, Outline, PlantState, Route, StartSpec
@@ -40,7 +40,7 @@ def heading_rad(route: Route, done_m: float, p_W_m: F64) -> float:
 
 def bearing_rad(route: Route, done_m: float, plant: PlantState) -> float:
     """Where the way goes on from a chair's own heading, to the left; 0 straight ahead."""
-    return wrap(heading_rad(route, done_m, plant.p_WB_m) - plant.yaw_rad)
+    return wrap_angle(heading_rad(route, done_m, plant.p_WB_m) - plant.yaw_rad)
 
 
 def is_clear(grid: Ground, outline: Outline, xy_W_m: F64, yaw_rad: float, clear_m: float, taken: TakenNear) -> bool:

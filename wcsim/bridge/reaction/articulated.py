@@ -67,7 +67,7 @@ class Articulation:
     def _way(self, actor: ActorState) -> list[F64]:
         length_m = actor.size_lwh_m[0]
         front = frames.front_from_centre(actor.p_W_m, actor.yaw_rad, actor.pitch_rad, length_m)
-        rear = front - (length_m + STEP_M) * frames.forward(actor.yaw_rad, actor.pitch_rad)
+        rear = front - (length_m + STEP_M) * frames.forward_vector(actor.yaw_rad, actor.pitch_rad)
         way = self._ways.get(actor.id)
         if way is None or math.dist(front[:2], way[0][:2]) > JUMP_M:
             return [front, front, rear]
@@ -89,7 +89,7 @@ class Articulation:
                     p_W_m=0.5 * (head + tail),
                     yaw_rad=yaw,
                     pitch_rad=pitch,
-                    v_W_mps=speed_mps * frames.forward(yaw, pitch),
+                    v_W_mps=speed_mps * frames.forward_vector(yaw, pitch),
                     size_lwh_m=(lengths[k], width_m, height_m),
                     look=_look(k, len(lengths)),
                     piece=k,

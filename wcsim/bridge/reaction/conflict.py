@@ -191,7 +191,7 @@ class ConflictCheck:
         """Tangent of the angle between the body and its line: a vehicle that changes lanes drags its tail behind."""
         _, _, cos, sin = self._here
         turned_rad = self.actor.yaw_rad - math.atan2(sin, cos)
-        return math.tan(max(-MOST_SKEW_RAD, min(MOST_SKEW_RAD, frames.wrap(turned_rad))))
+        return math.tan(max(-MOST_SKEW_RAD, min(MOST_SKEW_RAD, frames.wrap_angle(turned_rad))))
 
     def touch(self, left_m: float, gaps_m: F64, straight: bool = False) -> SweptOverlap:
         """Where its way touches the chair when it drives `left_m` left of the middle of its lane."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from wcsim.bridge.reaction.commands import ChairInStreet
-from wcsim.core.boxes import Box, box_of
+from wcsim.core.boxes import Box, box_from_actor
 from wcsim.types import F64, ActorState
 
 CROWD_M = 7.0  # people this near a chair are looked at
@@ -138,7 +138,7 @@ def vehicles_near(actors: Sequence[ActorState], crowd: Sequence[Walker]) -> list
 
 
 def _vehicle(actor: ActorState, reach_m: float) -> Vehicle:
-    box = box_of(actor)
+    box = box_from_actor(actor)
     vx, vy, _ = actor.v_W_mps.tolist()
     speed_mps = math.hypot(vx, vy)
     x, y, cos, sin, long_m, wide_m = box

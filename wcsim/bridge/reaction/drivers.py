@@ -36,7 +36,7 @@ from wcsim.bridge.reaction.conflict import (
 from wcsim.bridge.reaction.swept_path import STEP_M, Brakes, LaneShape, OnLane, Roads, Tube, way_ahead
 from wcsim.bridge.reaction.wide_turns import SwingOut
 from wcsim.config import WorldConfig
-from wcsim.core.boxes import box_of, boxes_touch
+from wcsim.core.boxes import box_from_actor, boxes_touch
 from wcsim.types import F64, ActorKind, ActorState
 
 ASIDE_MPS, ASIDE_START_S = 0.8, 0.5  # how fast a vehicle moves over, and what it needs to begin
@@ -556,7 +556,7 @@ class StreetReaction:
 
 def _lands_on(actor: ActorState, row: F64, tick_s: float) -> bool:
     """Whether an actor's body covers the chair, or will before it can be told anything."""
-    x, y, cos, sin, long_m, wide_m = box_of(actor, NO_TOUCH_M)
+    x, y, cos, sin, long_m, wide_m = box_from_actor(actor, NO_TOUCH_M)
     ahead_m = tick_s * math.hypot(actor.v_W_mps[0], actor.v_W_mps[1])
     middle = x + 0.5 * ahead_m * cos, y + 0.5 * ahead_m * sin
     return boxes_touch(*middle, cos, sin, long_m + 0.5 * ahead_m, wide_m, *row[:6].tolist())

@@ -21,7 +21,7 @@ from wcsim.bridge.reaction.articulated import piece_lengths
 from wcsim.bridge.reaction.swept_path import AHEAD_M, TAIL_M, Roads, Tube, way_ahead
 from wcsim.core import frames
 from wcsim.core.jit import exact_kernel
-from wcsim.core.joystick import towards
+from wcsim.core.joystick import move_towards
 from wcsim.types import F64, U8, ActorKind, ActorState, ClassId, Ground
 
 STEP_M = 0.5  # places on the line
@@ -265,7 +265,7 @@ class SwingOut:
         length_m, width_m, height_m = actor.size_lwh_m
         return replace(
             actor,
-            v_W_mps=known.speed_mps * frames.forward(actor.yaw_rad, actor.pitch_rad),
+            v_W_mps=known.speed_mps * frames.forward_vector(actor.yaw_rad, actor.pitch_rad),
             size_lwh_m=(length_m, width_m + 2.0 * LINE_ERROR_M, height_m),
         )
 
@@ -301,7 +301,7 @@ class SwingOut:
         way, aside_m, left = self._aside(actor, roads, old)
         if old is not None:  # onto another way by degrees
             most_m = ASIDE_SHARE * math.dist(front_W_m, old.front_W_m)
-            aside_m = towards(old.aside_m[0], aside_m[0], most_m), towards(old.aside_m[1], aside_m[1], most_m)
+            aside_m = move_towards(old.aside_m[0], aside_m[0], most_m), move_towards(old.aside_m[1], aside_m[1], most_m)
         shown_W_m, yaw_rad = _place(actor, front_W_m, aside_m, left)
         v_W_mps = None if old is None else (shown_W_m - old.shown_W_m) / self._tick_s
         return _Driven(
@@ -376,7 +376,7 @@ def _place(actor: ActorState, front_W_m: F64, aside_m: tuple[float, float], left
 
 def _beside(actor: ActorState, now: _Driven) -> ActorState:
     """The actor where it is shown."""
-    ahead = frames.forward(now.yaw_rad, actor.pitch_rad)
+    ahead = frames.forward_vector(now.yaw_rad, actor.pitch_rad)
     bends = len(piece_lengths(actor.kind, actor.size_lwh_m[0])) > 1
     middle = now.shown_W_m - (0.5 * actor.size_lwh_m[0] * ahead[:2] if bends else 0.0)
     moved = middle - actor.p_W_m[:2]

@@ -23,9 +23,9 @@ from wcsim.bridge.world import World
 from wcsim.core import frames
 from wcsim.core.reading import escaped
 from wcsim.errors import ConfigError, ReplayMismatchError, WcsimError
-from wcsim.log.drive import read_drive
-from wcsim.log.reader import read_header, read_states
-from wcsim.log.records import Header, Input, Ticked, WorldState, changed, state_of
+from wcsim.log.drive import read_drive_recording
+from wcsim.log.reader import read_header, read_trace_states
+from wcsim.log.records import Header, Input, Ticked, WorldState, changed, world_state_from_snapshot
 from wcsim.types import F64, ActorKind, ClientSnapshot, Drawn
 
 _CHAIR_TYPE = ActorKind.WHEELCHAIR.value
@@ -42,7 +42,7 @@ def _write_fcd(trace: Path, out: Path, epoch: int = 0) -> int:
     Raises:
         WcsimError: it is no trace, has no such epoch, or was recorded before traces knew sizes.
     """
-    header, records = read_states(trace)
+    header, records = read_trace_states(trace)
     chosen = [record for record in records if record.epoch == epoch]
     if not records:
         raise WcsimError(
@@ -96,7 +96,7 @@ def _chair_lines(header: Header, record: WorldState) -> Iterator[str]:
     for seat, row in zip(record.seats or range(len(record.plants)), record.plants, strict=True):
         x, y, z, w = row[3:7]
         yaw_rad = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
-        middle_W_m = row[:3] + middle_m * frames.forward(yaw_rad, 0.0)
+        middle_W_m = row[:3] + middle_m * frames.forward_vector(yaw_rad, 0.0)
         speed_mps = float(np.hypot(row[7], row[8]))
         name = f"{_CHAIR_TYPE}.{seat}"
         yield _line(name, _CHAIR_TYPE, middle_W_m, yaw_rad, 0.0, length_m, speed_mps, header)
@@ -151,8 +151,8 @@ def convert_to_mcap(log: Path, out: Path, epoch: int = 0, hook: str = "") -> dic
     if header.kind == "drive":
         if epoch:
             raise ConfigError(f"{escaped(log)}: has no epoch {epoch}; a drive has epoch 0 alone: leave --epoch out")
-        return drive_bag(read_drive(log), out)
-    chosen = [record for record in read_states(log)[1] if record.epoch == epoch and len(record.plants)]
+        return drive_bag(read_drive_recording(log), out)
+    chosen = [record for record in read_trace_states(log)[1] if record.epoch == epoch and len(record.plants)]
     if not chosen:
         raise ConfigError(f"{escaped(log)}: has no wheelchair in world {epoch}; expected a run with some")
     return trace_bag(header.tick_s, chosen, out)
@@ -197,7 +197,9 @@ def _ticks(steps: Iterable[tuple[World, Input]]) -> Iterator[WorldState]:
     for world, record in steps:
         _require_equal(world, record)
         if isinstance(record, Ticked):
-            yield state_of(world.snapshot, record.commands, as_recorded(world.snapshot, world.sumo.everyone()))
+            yield world_state_from_snapshot(
+                world.snapshot, record.commands, as_recorded(world.snapshot, world.sumo.everyone())
+            )
 
 
 def _trace_header(header: Header, world: World) -> Header:

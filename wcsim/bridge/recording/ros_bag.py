@@ -13,7 +13,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from wcsim.core.closing import Closing
+from wcsim.core.closing import ClosingContextBase
 from wcsim.errors import JournalError, check_installed
 from wcsim.types import F32, F64, U8
 
@@ -21,7 +21,7 @@ _VERSION: Final = 8  # of the format that ROS 2 Humble and later read
 _STATIC: Final = "/tf_static"
 
 
-class RosBag(Closing):
+class RosBag(ClosingContextBase):
     """A new MCAP file; it appears when it is closed."""
 
     def __init__(self, path: Path) -> None:

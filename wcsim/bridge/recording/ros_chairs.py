@@ -14,7 +14,7 @@ import numpy as np
 
 from wcsim.bridge.recording.ros_bag import RosBag
 from wcsim.config import CameraConfig, ImuConfig, RunConfig
-from wcsim.core.frames import quaternion, wrap
+from wcsim.core.frames import quaternion_from_ypr, wrap_angle
 from wcsim.log.drive import DriveRecording
 from wcsim.log.records import DriveTick, WorldState
 from wcsim.physics.sensors.camera_geometry import camera_matrix, mount, pinhole
@@ -71,7 +71,7 @@ class RosChair:
     def sensed(self, time_s: float, client: ClientSnapshot, config: RunConfig) -> None:
         """What the chair's IMU and cameras say; a picture when it is new."""
         imu = client.sensors.imu
-        turn = np.array(quaternion(imu.yaw_rad, imu.pitch_rad, imu.roll_rad))
+        turn = np.array(quaternion_from_ypr(imu.yaw_rad, imu.pitch_rad, imu.roll_rad))
         self._bag.imu(self.topic("imu/data"), time_s, self.frame("imu_link"), turn, imu.gyro_radps, imu.accel_mean_mps2)
         for frame, camera in zip(client.sensors.cameras, config.cameras, strict=True):
             if frame.taken_tick != client.tick:
@@ -100,7 +100,7 @@ def drive_bag(drive: DriveRecording, out: Path) -> dict[str, int]:
             chair.moved(
                 tick.time_s,
                 tick.p_WB_m,
-                np.array(quaternion(tick.yaw_rad, tick.pitch_rad, tick.roll_rad)),
+                np.array(quaternion_from_ypr(tick.yaw_rad, tick.pitch_rad, tick.roll_rad)),
                 np.array([tick.speed_mps, 0.0, 0.0]),
                 np.array([0.0, 0.0, turn_radps]),
             )
@@ -153,4 +153,4 @@ def _turn_radps(before: DriveTick | None, tick: DriveTick, tick_s: float) -> flo
     """How fast the chair turned in a tick; 0 in the first one of an episode."""
     if before is None or before.episode != tick.episode:
         return 0.0
-    return wrap(tick.yaw_rad - before.yaw_rad) / tick_s
+    return wrap_angle(tick.yaw_rad - before.yaw_rad) / tick_s

@@ -29,7 +29,7 @@ from wcsim.bridge.sumo.vehicle_control import VehicleControl
 from wcsim.config import RunConfig
 from wcsim.config.world import JUPEDSIM
 from wcsim.core import seeding
-from wcsim.core.closing import Closing
+from wcsim.core.closing import ClosingContextBase
 from wcsim.errors import SumoError, WorldInUseError
 from wcsim.towns.scenario.overrides import JUMPING, PEOPLE, Settings, forced
 from wcsim.towns.scenario.stage import Scenario
@@ -90,7 +90,7 @@ class SumoOptions:
         return words
 
 
-class SumoSession(Closing):
+class SumoSession(ClosingContextBase):
     """The one SUMO simulation of this process."""
 
     def __init__(self, options: SumoOptions) -> None:
@@ -215,7 +215,7 @@ class SumoSession(Closing):
 
 def sumo_seed(seed: int) -> int:
     """SUMO's own seed in a world with this one."""
-    return seeding.derive(seed, "sumo")
+    return seeding.derive_seed(seed, "sumo")
 
 
 def open_session(

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from types import ModuleType
 from typing import Any
 
-from wcsim.core.plugins import find_class, running_own
+from wcsim.core.plugins import find_class, wrap_user_code_errors
 from wcsim.errors import HookError
 
 _METHODS = ("before_step", "after_step")
@@ -64,5 +64,5 @@ class StepHook:
 
     def _run(self, what: str, call: Callable[..., Any], *arguments: object) -> Any:
         what = f"step hook {self.name!r} failed in {what}"
-        with running_own(what, "correct it, or run without --hook", HookError):
+        with wrap_user_code_errors(what, "correct it, or run without --hook", HookError):
             return call(*arguments)

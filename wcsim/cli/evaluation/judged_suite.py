@@ -1,6 +1,6 @@
 """Policies judged on a list of episodes: `wcsim test --suite`, and lists: `--make-suite`.
 
-`judge`, `drive_list`, `order_of` and `save_result` also serve `wcsim test --town`, `demo` and
+`run_suite_and_report`, `run_suite_and_save`, `make_suite_order` and `save_test_result` also serve `wcsim test --town`, `demo` and
 `train-clients`.
 """
 
@@ -17,26 +17,26 @@ from typing import TYPE_CHECKING, Annotated, Final
 from rich.table import Column
 from tyro.conf import Positional, arg
 
-from wcsim.agents.opening.named_policy import config_for
+from wcsim.agents.opening.named_policy import config_from_policy_name
 from wcsim.agents.policy_api import BASELINES, UNAIDED, UPPER_BOUNDS
-from wcsim.cli.evaluation.result_tables import show_result, show_sensitivity
+from wcsim.cli.evaluation.result_tables import print_disturbance_sensitivity, print_test_result
 from wcsim.cli.shared.common import (
+    AllowedSettingKeys,
     Bounds,
     Cluster,
     Flag,
     Jobs,
-    Keys,
-    OptionNote,
+    OptionConstraint,
     OutFile,
     OutFolder,
     Repeated,
-    Writes,
-    check_folder,
+    WritableFile,
     has_option,
     json_text,
-    machines_of,
-    parse,
-    result_file,
+    machines_from_options,
+    parse_options,
+    require_writable_folder,
+    stage_result_file,
     write_json,
 )
 from wcsim.cli.shared.consoles import (
@@ -47,18 +47,18 @@ from wcsim.cli.shared.consoles import (
     stdout_console,
 )
 from wcsim.cli.shared.exit_codes import Exit
-from wcsim.config.suite import MOST_NAME, MOST_SET, name_pattern
+from wcsim.config.suite import MOST_NAME, MOST_SET, suite_name_pattern
 from wcsim.core.own_folder import temporary_folder
 from wcsim.core.reading import counted, escaped, is_file
 from wcsim.errors import ConfigError, InterruptedRunError
-from wcsim.server.workers.scheduler import WorkerNow
+from wcsim.server.workers.scheduler import WorkerStatus
 
 if TYPE_CHECKING:  # loads the simulators, which --help must not
     from wcsim.agents.evaluation.suite.records import EpisodeRecord
     from wcsim.agents.evaluation.suite.result_files import TestResult
     from wcsim.agents.evaluation.suite.rows import ResultRow
     from wcsim.agents.evaluation.suite.run import SuiteOrder
-    from wcsim.agents.opening.list_file import Suite
+    from wcsim.agents.opening.list_file import HashedSuite
 
 
 # These drive beside the policies, unless --only.
@@ -105,7 +105,7 @@ class _DriveOptions:
 
 
 @dataclass
-class JudgeOptions(_DriveOptions):
+class SuiteTestOptions(_DriveOptions):
     """Who is judged on a list, and how."""
 
     only: Flag = False
@@ -121,14 +121,14 @@ class JudgeOptions(_DriveOptions):
 class _OfSuite(_DriveOptions):
     """A fixed list."""
 
-    set: Annotated[Repeated, Keys(_LISTED)] = ()
+    set: Annotated[Repeated, AllowedSettingKeys(_LISTED)] = ()
     """section.key=value, over the settings of the list; the result names it."""
     suite: str = ""
     """The list: one that comes with wcsim (demo, dev, validation, v1), or a file of --make-suite."""  # noqa: E501
 
 
 @dataclass
-class _SuiteOptions(_OfSuite, JudgeOptions):
+class _SuiteOptions(_OfSuite, SuiteTestOptions):
     """Test policies on a fixed list of routes, crossings, hazards and tight places.
 
     With `--sensitivity` they drive it without disturbances, and with each alone: which changes the score?
@@ -162,15 +162,17 @@ class _PlayedEpisodeOptions(_OfSuite):
 def run_suites(words: list[str]) -> int:
     """Judge policies on a list; tables for each part and for all."""
     if has_option(words, "--play"):
-        play = parse(_PlayedEpisodeOptions, words, "test")
+        play = parse_options(_PlayedEpisodeOptions, words, "test")
         return _play_episode(_suite_order(play, clean=play.clean), play.policies, play.play)
     if has_option(words, "--sensitivity"):
-        return _compare_disturbances(parse(_SensitivityOptions, words, "test"))
-    options = parse(_SuiteOptions, words, "test")
-    return judge(_suite_order(options, options.forks, clean=options.clean), options, options.suite)
+        return _compare_disturbances(parse_options(_SensitivityOptions, words, "test"))
+    options = parse_options(_SuiteOptions, words, "test")
+    return run_suite_and_report(
+        _suite_order(options, options.forks, clean=options.clean), options, options.suite
+    )
 
 
-def judge(order: SuiteOrder, options: JudgeOptions, name: str) -> int:
+def run_suite_and_report(order: SuiteOrder, options: SuiteTestOptions, name: str) -> int:
     """Drive a list with the user alone, the policies and, unless `--only`, all baselines; print it.
 
     Args:
@@ -178,20 +180,20 @@ def judge(order: SuiteOrder, options: JudgeOptions, name: str) -> int:
         options: As typed.
         name: The list, as it was typed.
     """
-    result = drive_list(order, options, name)
+    result = run_suite_and_save(order, options, name)
     from wcsim.agents.evaluation.suite.records import undriven
     from wcsim.view.report.comparisons import verdict
 
     without = [
         line for policy, found in result.episodes.items() for line in undriven(policy, found)
     ]
-    show_result(stdout_console(), result, without, verdict(result))
+    print_test_result(stdout_console(), result, without, verdict(result))
     write_json(options.json, result.to_json())
     return _exit_of(result.pooled)
 
 
-def drive_list(order: SuiteOrder, options: JudgeOptions, name: str) -> TestResult:
-    """The result of a list that `judge` drives; it is written into its folder."""
+def run_suite_and_save(order: SuiteOrder, options: SuiteTestOptions, name: str) -> TestResult:
+    """The result of a list that `run_suite_and_report` drives; it is written into its folder."""
     from wcsim.agents.evaluation.suite.run import run_suite
 
     _require_usable(order, options)
@@ -208,18 +210,18 @@ def drive_list(order: SuiteOrder, options: JudgeOptions, name: str) -> TestResul
             if not bar.console.is_terminal:
                 bar.print_line(f"{policy}: {blocks} of {of} blocks")
 
-        return save_result(order, name, run_suite(order, policies, show))
+        return save_test_result(order, name, run_suite(order, policies, show))
 
 
-def order_of(
-    options: _DriveOptions, suite: Suite, out: Path, forks: int | None = None
+def make_suite_order(
+    options: _DriveOptions, suite: HashedSuite, out: Path, forks: int | None = None
 ) -> SuiteOrder:
     """How these options drive a list into a folder."""
     from wcsim.agents.evaluation.suite.run import SuiteOrder
 
     shown_s = time.monotonic()
 
-    def show_workers(workers: tuple[WorkerNow, ...]) -> None:
+    def show_workers(workers: tuple[WorkerStatus, ...]) -> None:
         nonlocal shown_s
         if options.cluster and time.monotonic() - shown_s > _WORKERS_EVERY_S:
             shown_s = time.monotonic()
@@ -229,7 +231,7 @@ def order_of(
             )
             print_note(", ".join(f"{worker} {what}" for worker, what in busy))
 
-    machines = machines_of(options.cluster, options.jobs, "--jobs")
+    machines = machines_from_options(options.cluster, options.jobs, "--jobs")
     return SuiteOrder(
         suite=suite,
         out=out,
@@ -243,7 +245,7 @@ def order_of(
     )
 
 
-def save_result(
+def save_test_result(
     order: SuiteOrder, name: str, records: Mapping[str, Sequence[EpisodeRecord]]
 ) -> TestResult:
     """Write what a test leaves in its folder; the result.
@@ -278,7 +280,7 @@ def save_result(
     # All files are written before one is replaced: a full disk leaves an earlier test as it was.
     with ExitStack() as opened:
         for file, content in contents.items():
-            part = opened.enter_context(result_file(order.out / file))
+            part = opened.enter_context(stage_result_file(order.out / file))
             # Of many records half of the file would be blanks.
             indent = None if file == EPISODES else 2
             part.write_text(json_text(order.out / file, content, indent), encoding="utf-8")
@@ -288,19 +290,19 @@ def save_result(
 def _suite_order(options: _OfSuite, forks: int | None = None, *, clean: bool = False) -> SuiteOrder:
     """How a fixed list is driven."""
     from wcsim.agents.evaluation.suite.sensitivity import CLEAN
-    from wcsim.agents.opening.list_file import open_suite
+    from wcsim.agents.opening.list_file import read_suite
 
-    suite = open_suite(options.suite)
+    suite = read_suite(options.suite)
     out = options.out or Path("runs") / f"suite-{suite.file.set}"
-    check_folder("--out", out / "x")
-    order = order_of(options, suite, out, forks)
+    require_writable_folder("--out", out / "x")
+    order = make_suite_order(options, suite, out, forks)
     return replace(order, settings=(*CLEAN, *order.settings)) if clean else order
 
 
 def _require_usable(order: SuiteOrder, options: _DriveOptions) -> None:
     """Print what will be driven; raise a WcsimError for what can be used in no episode."""
     from wcsim.agents.evaluation.suite.run import KEPT, require_usable
-    from wcsim.agents.opening.named_policy import rule_notes
+    from wcsim.agents.opening.named_policy import describe_rule_differences
 
     if (order.out / KEPT).exists() and not options.resume:
         raise ConfigError(
@@ -310,7 +312,9 @@ def _require_usable(order: SuiteOrder, options: _DriveOptions) -> None:
     suite, console = order.suite, stderr_console()
     listed = f"{suite.file.suite} {suite.file.set}, list {suite.sha256[:12]}"
     console.print(f"{listed}: {counted(suite.episodes, 'episode')} a policy")
-    for line in rule_notes(options.policies, order.preset, (*suite.file.settings, *order.settings)):
+    for line in describe_rule_differences(
+        options.policies, order.preset, (*suite.file.settings, *order.settings)
+    ):
         console.print(line)
     require_usable(order, options.policies)
 
@@ -348,7 +352,7 @@ def _compare_disturbances(options: _SensitivityOptions) -> int:
         moved = sensitivity(order, policies, print_note)
     rows = [each.to_json() for each in moved]
     write_json(order.out / "sensitivity.json", rows)
-    show_sensitivity(stdout_console(), f"{file.suite} {file.set}", moved)
+    print_disturbance_sensitivity(stdout_console(), f"{file.suite} {file.set}", moved)
     write_json(options.json, {"suite": file.suite, "set": file.set, "rows": rows})
     return _exit_of([each.row for each in moved])
 
@@ -380,7 +384,7 @@ def _play_episode(order: SuiteOrder, policies: Sequence[str], place: str) -> int
     # 1. Drive it, and film its end.
     require_usable(order, policies)
     piece = piece_of(order, index, policies[0], town_addresses(order), judged=False)
-    config = config_for(piece.policy, piece.preset, piece.settings, in_list=True)
+    config = config_from_policy_name(piece.policy, piece.preset, piece.settings, in_list=True)
     saved = read_episodes(order.out).get(policies[0], ()) if is_file(order.out / EPISODES) else ()
     film = (
         order.out / "play" / f"{re.sub(r'[^A-Za-z0-9_.-]+', '-', policies[0])}-{index}.{seat}.webm"
@@ -447,14 +451,14 @@ def _place_of_play(text: str, blocks: int) -> tuple[int, int]:
 
 
 @dataclass(frozen=True, slots=True)
-class _Named(OptionNote):
+class _Named(OptionConstraint):
     """A name that a list can have, of so many characters at most."""
 
     most: int
 
     def check(self, option: str, value: str) -> None:
-        """See `OptionNote`."""
-        if re.fullmatch(name_pattern(self.most), value):
+        """See `OptionConstraint`."""
+        if re.fullmatch(suite_name_pattern(self.most), value):
             return
         proposed = re.sub(r"[^a-z0-9]+", "-", value.lower()).strip("-")[: self.most]
         raise ConfigError(
@@ -471,7 +475,7 @@ class _SuiteMakeOptions:
     make_suite: str
     """A town's name, its folder, or a .sumocfg file; several are separated by commas.
     made:SEED is a generated town (`wcsim town make`)."""
-    suite_file: Annotated[Path, arg(metavar="FILE"), Writes()] = Path("suite.json")
+    suite_file: Annotated[Path, arg(metavar="FILE"), WritableFile()] = Path("suite.json")
     """The list to write. Its set is named after the file: lower-case letters, digits and - only."""
     name: Annotated[str, _Named(MOST_NAME)] = "own-suite-v1"
     """Name of the list, with its version."""
@@ -495,14 +499,14 @@ class _SuiteMakeOptions:
     """Seed of the list."""
 
 
-def make_list(words: list[str]) -> int:
+def run_make_suite_command(words: list[str]) -> int:
     """Make a list and write it."""
-    options = parse(_SuiteMakeOptions, words, "test")
+    options = parse_options(_SuiteMakeOptions, words, "test")
     _Named(MOST_SET).check("--suite-file", options.suite_file.stem)
 
     from wcsim.agents.evaluation.suite.make import MakeOrder, make_suite
     from wcsim.agents.evaluation.suite.result_files import TOWNS
-    from wcsim.agents.opening.list_file import suite_of, suite_towns, write_list
+    from wcsim.agents.opening.list_file import parse_suite_towns, suite_from_file, write_suite_file
 
     with temporary_folder() as work:
         order = MakeOrder(
@@ -518,7 +522,7 @@ def make_list(words: list[str]) -> int:
             jobs=options.jobs,
             work=work,
         )
-        towns = suite_towns(options.make_suite, order.work / TOWNS)
+        towns = parse_suite_towns(options.make_suite, order.work / TOWNS)
         with StageBar("making the list") as bar:
 
             def show(text: str, share: float) -> None:
@@ -526,8 +530,8 @@ def make_list(words: list[str]) -> int:
                 bar.print_line(text)
 
             file = make_suite(order, towns, show)
-    write_list(file, options.suite_file)
-    suite = suite_of(file)
+    write_suite_file(file, options.suite_file)
+    suite = suite_from_file(file)
     size = f"{counted(suite.episodes, 'episode')} in {counted(len(file.blocks), 'block')}"
     stdout_console().print(f"{options.suite_file}: {size}, {suite.sha256[:12]}")
     return 0

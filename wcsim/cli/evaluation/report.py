@@ -8,7 +8,14 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 from tyro.conf import Positional, arg
 
-from wcsim.cli.shared.common import Bounds, Jobs, OutFolder, Repeated, check_folder, parse
+from wcsim.cli.shared.common import (
+    Bounds,
+    Jobs,
+    OutFolder,
+    Repeated,
+    parse_options,
+    require_writable_folder,
+)
 from wcsim.cli.shared.consoles import print_note, stderr_console, stdout_console
 from wcsim.core.reading import counted, escaped, is_file, is_folder
 from wcsim.errors import ConfigError, FileError, check_installed
@@ -40,7 +47,7 @@ class _Options:
 
 def run(words: list[str]) -> int:
     """Write the page and say where it is."""
-    options = parse(_Options, words, "report")
+    options = parse_options(_Options, words, "report")
     kinds = [_is_test(folder) for folder in options.folders]
     if not kinds or (len(kinds) > 1 and any(kinds)):
         raise ConfigError(
@@ -48,7 +55,7 @@ def run(words: list[str]) -> int:
             "several of `wcsim train`"
         )
     out = options.out or (options.folders[0] if len(kinds) == 1 else Path("runs") / "report")
-    check_folder("FOLDER" if options.out is None and len(kinds) == 1 else "--out", out)
+    require_writable_folder("FOLDER" if options.out is None and len(kinds) == 1 else "--out", out)
     check_installed("figures need matplotlib", "report", "matplotlib")
     if kinds[0]:
         path = _write_test_page(options, out)

@@ -14,7 +14,7 @@ from rich.table import Table
 from rich.text import Text
 
 from wcsim.agents.evaluation.suite.rows import LOOK, Column, ResultRow
-from wcsim.cli.shared.common import first_few
+from wcsim.cli.shared.common import shorten_lines
 
 if TYPE_CHECKING:  # loads the simulators, which --help must not
     from wcsim.agents.evaluation.suite.result_files import TestResult
@@ -31,7 +31,7 @@ _BOUNDS: Final = {
 }
 
 
-def show_result(
+def print_test_result(
     console: Console, result: TestResult, undriven: Sequence[str] = (), verdict: str = ""
 ) -> None:
     """Print a result: a table of each part, and of all where there are several; then the crashes.
@@ -64,7 +64,7 @@ def show_result(
     for name in result.episodes:
         if name in _BOUNDS:
             console.print(_BOUNDS[name], style="dim")
-    for line in first_few(_crash_lines(result), "crashes; episodes.json has all"):
+    for line in shorten_lines(_crash_lines(result), "crashes; episodes.json has all"):
         console.print(line, soft_wrap=True)
     for line in undriven:
         console.print(line, style="bold", soft_wrap=True)
@@ -84,18 +84,18 @@ def _rows_by_part(result: TestResult) -> list[tuple[str, list[ResultRow]]]:
 def _crash_lines(result: TestResult) -> list[str]:
     """Every crash, with its policy, episode, reason, fault and partner."""
     from wcsim.agents.evaluation.suite.records import CRASHED
-    from wcsim.supervisor.rewards import blamed
+    from wcsim.supervisor.rewards import format_crash_summary
 
     return [
         f"{policy}, episode {record.block}.{record.seat}: "
-        f"{blamed(record.reason, record.fault, record.crash)}"
+        f"{format_crash_summary(record.reason, record.fault, record.crash)}"
         for policy, records in result.episodes.items()
         for record in records
         if record.status == CRASHED
     ]
 
 
-def show_sensitivity(console: Console, title: str, moved: Sequence[Disturbed]) -> None:
+def print_disturbance_sensitivity(console: Console, title: str, moved: Sequence[Disturbed]) -> None:
     """Print what `wcsim test --suite --sensitivity` found, a table for each policy."""
     for policy in dict.fromkeys(each.row.policy for each in moved):
         own = [each for each in moved if each.row.policy == policy]

@@ -9,26 +9,36 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
 
-from wcsim.agents.networks.names import check_network
-from wcsim.agents.opening.named_policy import config_for
+from wcsim.agents.networks.names import require_known_network
+from wcsim.agents.opening.named_policy import config_from_policy_name
 from wcsim.agents.policy_api import UNAIDED
-from wcsim.agents.runs.policy_file import policy_name
-from wcsim.agents.runs.run_folder import run_of
+from wcsim.agents.runs.policy_file import parse_policy_name
+from wcsim.agents.runs.run_folder import run_from_policy_name
 from wcsim.bridge.sumo.step_hook import find_hook
-from wcsim.cli.evaluation.judged_suite import JudgeOptions, judge, make_list, order_of, run_suites
-from wcsim.cli.shared.common import (
-    Bounds,
-    Finds,
-    Flag,
-    Keys,
-    Repeated,
-    check_folder,
-    has_option,
-    parse,
-    some_words,
+from wcsim.cli.evaluation.judged_suite import (
+    SuiteTestOptions,
+    make_suite_order,
+    run_make_suite_command,
+    run_suite_and_report,
+    run_suites,
 )
-from wcsim.cli.shared.consoles import print_overrides, stdout_console
-from wcsim.cli.shared.run_config import overrides_of, require_policy, require_user
+from wcsim.cli.shared.common import (
+    AllowedSettingKeys,
+    Bounds,
+    ExistingName,
+    Flag,
+    Repeated,
+    has_option,
+    parse_options,
+    require_writable_folder,
+    split_nonempty_list,
+)
+from wcsim.cli.shared.consoles import print_sumo_overrides, stdout_console
+from wcsim.cli.shared.run_config import (
+    list_sumo_overrides,
+    require_known_users,
+    require_usable_policy,
+)
 from wcsim.core.constants import RECORDED
 from wcsim.core.own_folder import temporary_folder
 from wcsim.errors import ConfigError, TownError
@@ -49,7 +59,7 @@ _MAX_STEPS: Final = 1_000_000  # as in env.max_steps
 
 
 @dataclass
-class Options(JudgeOptions):
+class Options(SuiteTestOptions):
     """Test policies: runs (RUN, RUN:phase1), shipped, your own module:Class, or baselines.
 
     The episodes are drawn for --town. With --suite LIST they come from a fixed list
@@ -58,7 +68,9 @@ class Options(JudgeOptions):
 
     set: Annotated[
         Repeated,
-        Keys({"env.profile": "expected --profile NAME", "env.max_steps": "expected --max-steps N"}),
+        AllowedSettingKeys(
+            {"env.profile": "expected --profile NAME", "env.max_steps": "expected --max-steps N"}
+        ),
     ] = ()
     """section.key=value, over the settings of the preset."""
     town: str = "monaco"
@@ -71,9 +83,9 @@ class Options(JudgeOptions):
     """Steps after which an episode ends without a crash."""
     seed: int = 0
     """Seed of the episodes, the same for every policy."""
-    network: Annotated[str, Finds(check_network)] = ""
+    network: Annotated[str, ExistingName(require_known_network)] = ""
     """Your own network as module:Class, for runs that were trained with it."""
-    hook: Annotated[str, Finds(find_hook)] = ""
+    hook: Annotated[str, ExistingName(find_hook)] = ""
     """Your own step hook as module:Class, called around every step of SUMO with the libsumo module."""  # noqa: E501
     allow_train_town: bool = False
     """Allow a town that is for training, or the town that a run was trained in."""
@@ -84,12 +96,12 @@ class Options(JudgeOptions):
 def run(words: list[str]) -> int:
     """Test and print the tables of each town and profile, or pass on to what a list needs."""
     if has_option(words, "--make-suite"):
-        return make_list(words)
+        return run_make_suite_command(words)
     if has_option(words, "--suite"):
         return run_suites(words)
-    options = parse(Options, words, "test")
+    options = parse_options(Options, words, "test")
     with _town_order(options) as (order, name):
-        return judge(order, options, name)
+        return run_suite_and_report(order, options, name)
 
 
 @contextlib.contextmanager
@@ -100,21 +112,21 @@ def _town_order(options: Options) -> Iterator[tuple[SuiteOrder, str]]:
     """
     towns, profiles = _checked_places(options)
     if options.out is not None:
-        check_folder("--out", options.out / "x")
+        require_writable_folder("--out", options.out / "x")
     elif options.resume:
         raise ConfigError("--resume needs the folder of the test: --out FOLDER")
     for name in options.policies:
-        require_policy(name, options.network)
-    config = config_for(UNAIDED, options.preset, options.set, in_list=True)
+        require_usable_policy(name, options.network)
+    config = config_from_policy_name(UNAIDED, options.preset, options.set, in_list=True)
 
     # These load the simulators and torch, which a refusal must not.
     from wcsim.agents.evaluation.suite.make import town_list
     from wcsim.agents.evaluation.suite.result_files import LIST
-    from wcsim.agents.opening.list_file import suite_of, write_list
+    from wcsim.agents.opening.list_file import suite_from_file, write_suite_file
 
     for town in towns.values():
-        overrides = overrides_of(town, config, options.seed)
-        print_overrides(stdout_console(), town.name, overrides, verbose=options.verbose)
+        overrides = list_sumo_overrides(town, config, options.seed)
+        print_sumo_overrides(stdout_console(), town.name, overrides, verbose=options.verbose)
     file = town_list(
         list(towns.values()),
         profiles,
@@ -123,13 +135,13 @@ def _town_order(options: Options) -> Iterator[tuple[SuiteOrder, str]]:
         options.seed,
         settings=options.set,
     )
-    suite = suite_of(file)
+    suite = suite_from_file(file)
     with contextlib.ExitStack() as opened:
         out = options.out or opened.enter_context(temporary_folder())
         # The list holds the settings already.
-        order = order_of(options, suite, out, options.forks)
+        order = make_suite_order(options, suite, out, options.forks)
         yield replace(order, settings=(), hook=options.hook), str(out / LIST)
-        write_list(suite.file, out / LIST)
+        write_suite_file(suite.file, out / LIST)
 
 
 def _checked_places(options: Options) -> tuple[dict[str, Town], tuple[str, ...]]:
@@ -138,16 +150,18 @@ def _checked_places(options: Options) -> tuple[dict[str, Town], tuple[str, ...]]
     Raises:
         ConfigError, TownError: One of them cannot be tested.
     """
-    profiles = some_words("--profile", options.profile)
+    profiles = split_nonempty_list("--profile", options.profile)
     for name in profiles:
-        require_user(name)
-    towns = by_name(_checked_town(name, options) for name in some_words("--town", options.town))
+        require_known_users(name)
+    towns = by_name(
+        _checked_town(name, options) for name in split_nonempty_list("--town", options.town)
+    )
     for name in profiles:
         if not name.startswith(RECORDED):
             continue
-        from wcsim.users.recordings.recorded_user import read_recording
+        from wcsim.users.recordings.recorded_user import read_stick_recording
 
-        recording = read_recording(Path(name.removeprefix(RECORDED)))
+        recording = read_stick_recording(Path(name.removeprefix(RECORDED)))
         for town in towns.values():
             try:
                 recording.require_driven_here(town.name, partial(content_hash, town))
@@ -186,7 +200,7 @@ def _checked_town(name: str, options: Options) -> Town:
                 f"of split test (wcsim town list), or a scenario of your own. {other}"
             )
     for policy in options.policies:
-        if policy_name(policy).is_network and digest in _training_streets(policy):
+        if parse_policy_name(policy).is_network and digest in _training_streets(policy):
             raise TownError(
                 f"{policy} was trained in {town.name}; expected a town it has never seen. {other}"
             )
@@ -195,7 +209,7 @@ def _checked_town(name: str, options: Options) -> Town:
 
 def _training_streets(policy: str) -> set[str]:
     """Hashes of the streets that a policy was trained in; empty for one without its run."""
-    run = run_of(policy)
+    run = run_from_policy_name(policy)
     if run is None:
         return set()
     found = {run.manifest.town_sha256, *run.manifest.more_towns.values()}

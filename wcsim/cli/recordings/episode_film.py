@@ -7,14 +7,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
-from wcsim.agents.envs.episode_view import EpisodeStep
+from wcsim.agents.envs.episode_view import EnvStepResult
 from wcsim.agents.evaluation.suite.drive import Piece
 from wcsim.agents.evaluation.suite.playback import require_same
 from wcsim.agents.evaluation.suite.result_files import TestResult, read_result
 from wcsim.agents.evaluation.suite.run import drive_piece, piece_of, town_addresses
-from wcsim.agents.opening.named_policy import config_for
+from wcsim.agents.opening.named_policy import config_from_policy_name
 from wcsim.agents.policy_api import UNAIDED, Policy, ReportsUnsafe, Warns
-from wcsim.agents.runs.policy_file import policy_name
+from wcsim.agents.runs.policy_file import parse_policy_name
 from wcsim.bridge.world import World
 from wcsim.config import RunConfig
 from wcsim.drive.driven import is_intervention, xy_of
@@ -34,7 +34,7 @@ from wcsim.view.report.failures import failures_of, fate, order_of
 NOT_IN_EPISODES: Final = ("Sensor errors of the camera: its picture is drawn without them.",)
 
 
-def episode_film(source: FilmSource, send: Callable[[Said], object]) -> None:
+def send_block_film(source: FilmSource, send: Callable[[Said], object]) -> None:
     """Drive a block to its end, and compare it with its saved episodes.
 
     Args:
@@ -49,7 +49,7 @@ def episode_film(source: FilmSource, send: Callable[[Said], object]) -> None:
     policy, index = _chosen_block(result, source)
     order = order_of(result, source.path, source.own)
     piece = piece_of(order, index, policy, town_addresses(order), judged=False)
-    config = config_for(piece.policy, piece.preset, piece.settings, in_list=True)
+    config = config_from_policy_name(piece.policy, piece.preset, piece.settings, in_list=True)
     records = drive_piece(piece, _BlockWatch(result.suite, piece, config, send))
     saved = {(one.block, one.seat): one for one in result.episodes[policy]}
     for record in records:
@@ -76,7 +76,7 @@ def _chosen_block(result: TestResult, source: FilmSource) -> tuple[str, int]:
             f"--policy {policy!r}: not in this result; expected one of: "
             f"{', '.join(result.episodes)}"
         )
-    if policy_name(policy).kind == "class" and policy not in source.own:
+    if parse_policy_name(policy).kind == "class" and policy not in source.own:
         raise ConfigError(
             f"{policy} is your own code, which runs only when you name it: --policy "
             f"{shlex.quote(policy)}"
@@ -115,7 +115,7 @@ class _BlockWatch:
         """All of the block."""
         return frozenset(range(len(self._piece.block.episodes)))
 
-    def see(self, seat: int, step: EpisodeStep, world: World, policy: Policy) -> None:
+    def see(self, seat: int, step: EnvStepResult, world: World, policy: Policy) -> None:
         """Take the step of a seat."""
         if self._now is None:
             self._send_head(world, policy)

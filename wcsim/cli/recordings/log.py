@@ -17,15 +17,15 @@ from wcsim.cli.shared.common import (
     PageOptions,
     Parts,
     Seat,
-    Writes,
-    result_file,
-    run_part,
+    WritableFile,
+    run_subcommand,
     serve_page,
+    stage_result_file,
     write_json,
 )
 from wcsim.core.reading import escaped, is_file, is_folder
 from wcsim.errors import ConfigError, check_installed
-from wcsim.log.diff import first_difference
+from wcsim.log.diff import find_log_difference
 from wcsim.log.reader import read_header
 
 _SHOW_EVERY: Final = 1000  # ticks
@@ -99,7 +99,7 @@ def run(words: list[str]) -> int:
         "compare": (_CompareOptions, _compare),
         "convert": (_ConvertOptions, _convert),
     }
-    return run_part(words, "log", parts)
+    return run_subcommand(words, "log", parts)
 
 
 def _log_in(run: Path, first: str = "journal") -> Path:
@@ -187,7 +187,7 @@ def _verify(options: _VerifyOptions) -> int:
 
 def _compare(options: _CompareOptions) -> int:
     one, other = map(_log_in, options.logs)
-    difference = first_difference(one, other)
+    difference = find_log_difference(one, other)
     print(difference or f"{one} and {other} are equal")
     write_json(options.json, {"equal": not difference, "first_difference": difference})
     return 1 if difference else 0
@@ -199,7 +199,7 @@ def _convert(options: _ConvertOptions) -> int:
         raise ConfigError(
             f"{escaped(out)}: expected a file name that ends in {_FCD} (FCD) or {_MCAP} (ROS 2)"
         )
-    Writes().check("FILE", out)
+    WritableFile().check("FILE", out)
     path = _log_in(options.log, "trace" if kind == _FCD else "journal")
     read_header(path)
     from wcsim.bridge.recording.convert import convert_to_fcd, convert_to_mcap
@@ -207,7 +207,7 @@ def _convert(options: _ConvertOptions) -> int:
     found: dict[str, Any] = {"log": str(options.log), "file": str(out)}
     if kind == _MCAP:
         check_installed("a .mcap file needs rosbags", "bag", "rosbags")
-    with result_file(out) as part:
+    with stage_result_file(out) as part:
         if kind == _FCD:
             found["steps"] = convert_to_fcd(path, part, options.epoch or 0, options.hook)
             content = f"{found['steps']} time steps"

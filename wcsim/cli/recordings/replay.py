@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 from tyro.conf import Positional, arg
 
-from wcsim.agents.runs.policy_file import policy_name
-from wcsim.agents.runs.run_folder import MANIFEST, read_json
-from wcsim.cli.shared.common import Bounds, PageOptions, Seat, parse, serve_page
-from wcsim.cli.shared.run_config import require_policy
+from wcsim.agents.runs.policy_file import parse_policy_name
+from wcsim.agents.runs.run_folder import MANIFEST, read_run_json
+from wcsim.cli.shared.common import Bounds, PageOptions, Seat, parse_options, serve_page
+from wcsim.cli.shared.run_config import require_usable_policy
 from wcsim.core.reading import escaped, is_file, is_folder
 from wcsim.errors import ConfigError
 
@@ -44,7 +44,7 @@ class _Options(PageOptions):
 
 def run(words: list[str]) -> int:
     """Serve the page until Ctrl-C."""
-    options = parse(_Options, words, "replay")
+    options = parse_options(_Options, words, "replay")
     return serve_page(_episode_start(options), options)
 
 
@@ -57,7 +57,7 @@ def _episode_start(options: _Options) -> PlayStart:
             "--suite: play a recording with wcsim log play"
         )
     from wcsim.agents.evaluation.suite.result_files import read_result
-    from wcsim.cli.recordings.episode_film import episode_film
+    from wcsim.cli.recordings.episode_film import send_block_film
     from wcsim.drive.playing.play_runner import FailedLine, PlayStart
     from wcsim.drive.playing.sources.source_process import FilmSource
     from wcsim.view.report.failures import failures_of
@@ -75,12 +75,12 @@ def _episode_start(options: _Options) -> PlayStart:
             seat = one.seat if seat is None else seat
             break
     # A class that is not named is not imported.
-    if policy and policy_name(policy).kind != "class":
-        require_policy(policy, options.network)
+    if policy and parse_policy_name(policy).kind != "class":
+        require_usable_policy(policy, options.network)
     own = tuple(name for name in (options.policy, options.network) if name)
     path = folder.absolute()
     source = FilmSource(
-        kind="episode", path=path, policy=policy, block=block, own=own, drive=episode_film
+        kind="episode", path=path, policy=policy, block=block, own=own, drive=send_block_film
     )
     return PlayStart(source=source, seat=seat, failed=failed)
 
@@ -109,21 +109,21 @@ class _WatchOptions(PageOptions):
 
 def watch(words: list[str]) -> int:
     """Serve the page until Ctrl-C."""
-    options = parse(_WatchOptions, words, "watch")
+    options = parse_options(_WatchOptions, words, "watch")
     if not is_folder(options.run):
         raise ConfigError(
             f"{escaped(options.run)}: is not there; expected the folder of a wcsim train-clients "
             "run"
         )
     from wcsim.bridge.replay.replayed import worlds_of
-    from wcsim.log.reader import part_files, read_header
+    from wcsim.log.reader import list_log_parts, read_header
     from wcsim.log.writer import JOURNAL
 
     # What cannot be watched is refused before a page is served. A run of several clients that has
     # not started yet has no journal: the page waits for it.
-    if part_files(options.run / JOURNAL):
+    if list_log_parts(options.run / JOURNAL):
         worlds_of(read_header(options.run / JOURNAL), options.hook)
-    elif is_file(options.run / MANIFEST) and "clients" not in read_json(options.run, MANIFEST):
+    elif is_file(options.run / MANIFEST) and "clients" not in read_run_json(options.run, MANIFEST):
         raise ConfigError(
             f"{escaped(options.run)}: this run has no journal and cannot be watched; expected a "
             "run of wcsim train-clients NETWORK (one client is enough), or of wcsim serve --run"

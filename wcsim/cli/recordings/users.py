@@ -12,16 +12,16 @@ from rich import box
 from tyro.conf import Positional, arg
 
 from wcsim.cli.shared.common import (
+    AllowedSettingKeys,
     Bounds,
     Flag,
-    Keys,
     OutFile,
     Parts,
     Repeated,
     TownWord,
-    Writes,
-    result_file,
-    run_part,
+    WritableFile,
+    run_subcommand,
+    stage_result_file,
     write_json,
 )
 from wcsim.cli.shared.consoles import show_table
@@ -32,10 +32,10 @@ from wcsim.errors import ConfigError
 from wcsim.towns.scenario.town import find_town
 from wcsim.users.profiles import (
     UserProfile,
+    find_builtin_profile,
     find_profile,
-    profile,
-    profile_toml,
-    valid_profile_name,
+    profile_name_from_text,
+    profile_to_toml,
 )
 
 if TYPE_CHECKING:  # loads what --help must not
@@ -52,7 +52,7 @@ _ROUNDS: Final = 3
 def run(words: list[str]) -> int:
     """Run one of them."""
     parts: Parts = {"record": (_RecordOptions, _record), "fit": (_FitOptions, _fit)}
-    return run_part(words, "users", parts)
+    return run_subcommand(words, "users", parts)
 
 
 @dataclass
@@ -61,7 +61,7 @@ class _RecordOptions:
 
     town: TownWord
     """A town's name, its folder, or a .sumocfg file."""
-    out: Annotated[Path, arg(metavar="FILE"), Writes(new=True)]
+    out: Annotated[Path, arg(metavar="FILE"), WritableFile(new=True)]
     """New file for the recording."""
     profile: str = "competent"
     """Profile of the simulated user, or FILE.toml. One user is drawn and stays the same after a crash."""  # noqa: E501
@@ -69,7 +69,7 @@ class _RecordOptions:
     """Length of the drive in minutes."""
     seed: int = 0
     """Seed of the town, the starts and the user."""
-    set: Annotated[Repeated, Keys({"env.profile": "expected --profile NAME"})] = ()
+    set: Annotated[Repeated, AllowedSettingKeys({"env.profile": "expected --profile NAME"})] = ()
     """section.key=value, overrides preset quick; may be repeated."""
     json: OutFile = None
     """Write the result to this file."""
@@ -127,7 +127,7 @@ class _FitOptions:
     drives: Annotated[tuple[Path, ...], Positional, arg(metavar="FILE [FILE ...]")]
     """Recorded drives of one person; or, for each person, a stick table (.csv, .csv.gz) or a folder of them."""  # noqa: E501
     out: Annotated[
-        Path, arg(metavar="FILE.toml"), Writes(".toml", new=True)
+        Path, arg(metavar="FILE.toml"), WritableFile(".toml", new=True)
     ]  # it may be edited by now
     """New profile file, for --profile of test and video, or env.profile."""
     base: str = "competent"
@@ -140,12 +140,12 @@ class _FitOptions:
 
 def _fit(options: _FitOptions) -> int:
     """Fit, print, write."""
-    base = profile(options.base)
+    base = find_builtin_profile(options.base)
     if not options.drives:
         raise ConfigError("users fit got no file; expected one or more recordings")
     fit = _fit_drives(options, base)
-    fit = replace(fit, profile=replace(fit.profile, name=valid_profile_name(options.out.stem)))
-    from wcsim.users.recordings.fit_user import is_certain
+    fit = replace(fit, profile=replace(fit.profile, name=profile_name_from_text(options.out.stem)))
+    from wcsim.users.recordings.fit_user import is_certain_estimate
 
     head = (
         f"fitted to {fit.seconds:.0f} s of driving; "
@@ -157,8 +157,8 @@ def _fit(options: _FitOptions) -> int:
         key = name.partition("_")[0] if name.startswith(("gain", "bias")) else name
         intervals.setdefault(key, []).append(f"{item.low:.4g} to {item.high:.4g}")
     notes = {key: "95 %: " + ", ".join(parts) for key, parts in intervals.items()}
-    text = profile_toml(fit.profile, notes, head + "\n".join(fit.warnings))
-    with result_file(options.out) as part:
+    text = profile_to_toml(fit.profile, notes, head + "\n".join(fit.warnings))
+    with stage_result_file(options.out) as part:
         part.write_text(text, encoding="utf-8")
     _print_fit(fit)
     print(
@@ -166,7 +166,7 @@ def _fit(options: _FitOptions) -> int:
         "--only --episodes 1 --max-steps 600"
     )
     estimates = {
-        name: asdict(item) | {"told": is_certain(name, item)}
+        name: asdict(item) | {"told": is_certain_estimate(name, item)}
         for name, item in fit.estimates.items()
     }
     write_json(options.json, asdict(fit) | {"estimates": estimates})
@@ -186,46 +186,52 @@ def _fit_drives(options: _FitOptions, base: UserProfile) -> UserFit:
                 "--without-intents is for recorded drives; expected none: stick tables have no "
                 "intents"
             )
-        from wcsim.users.recordings.fit_sticks import fit_sticks, read_sticks
+        from wcsim.users.recordings.fit_sticks import fit_user_to_sticks, read_recorded_sticks
 
-        return fit_sticks({escaped(path): read_sticks(path) for path in options.drives}, base)
-    from wcsim.log.drive import read_drive
+        return fit_user_to_sticks(
+            {escaped(path): read_recorded_sticks(path) for path in options.drives}, base
+        )
+    from wcsim.log.drive import read_drive_recording
 
-    drives = [read_drive(path) for path in options.drives]
+    drives = [read_drive_recording(path) for path in options.drives]
     # Kernels are loaded after what may be refused.
-    from wcsim.users.recordings.fit_user import fit_user
+    from wcsim.users.recordings.fit_user import fit_user_to_drives
 
     known = all(drive.knows_intents for drive in drives) and not options.without_intents
-    return fit_user(drives, base) if known else _fit_without_intents(drives, base)
+    return fit_user_to_drives(drives, base) if known else _fit_without_intents(drives, base)
 
 
 def _fit_without_intents(drives: list[DriveRecording], base: UserProfile) -> UserFit:
     """The user behind drives without intents: each fit's delays give the intents of the next."""
     from wcsim.bridge.replay.replayed import town_of_drive
     from wcsim.bridge.user_drives import seen_drive, with_shadow
-    from wcsim.users.recordings.fit_user import fit_user
-    from wcsim.users.recordings.hand_series import check_stick
+    from wcsim.users.recordings.fit_user import fit_user_to_drives
+    from wcsim.users.recordings.hand_series import require_analogue_stick
 
     for drive in drives:
-        check_stick(drive.name, drive.by_driver)
+        require_analogue_stick(drive.name, drive.by_driver)
         town_of_drive(drive.header)
     print("replaying the drives, to see the street as their driver did", file=sys.stderr)
     seen = [seen_drive(drive) for drive in drives if drive.ticks]
     user = base
     for number in range(1, _ROUNDS + 1):
-        fit = fit_user([with_shadow(item, user) for item in seen], base, true_intents=False)
+        fit = fit_user_to_drives(
+            [with_shadow(item, user) for item in seen], base, true_intents=False
+        )
         user = fit.profile
         print(f"fit {number} of {_ROUNDS}", file=sys.stderr)
     return fit
 
 
 def _print_fit(fit: UserFit) -> None:
-    from wcsim.users.recordings.fit_user import is_certain
+    from wcsim.users.recordings.fit_user import is_certain_estimate
 
     rows = []
     for name, item in fit.estimates.items():
         numbers = (f"{number:.3g}" for number in (item.value, item.low, item.high))
-        rows.append((name, *numbers, "" if is_certain(name, item) else "uncertain by over 15 %"))
+        rows.append(
+            (name, *numbers, "" if is_certain_estimate(name, item) else "uncertain by over 15 %")
+        )
     show_table(("parameter", "fitted", "95 % from", "to", ""), rows, box=box.SIMPLE_HEAD)
     for line in fit.warnings:
         print(f"note: {line}", file=sys.stderr)

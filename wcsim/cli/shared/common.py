@@ -18,11 +18,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, TypeVar, get_args, get_
 import tyro
 from tyro.conf import FlagCreatePairsOff, Positional, UseAppendAction, arg
 
-from wcsim.config.load import presets, sets_key
-from wcsim.core.files import can_be_written, nearest_existing, whole_file
+from wcsim.config.load import is_override_of_key, read_presets_table
+from wcsim.core.files import find_existing_ancestor, is_writable_folder, write_file_atomically
 from wcsim.core.reading import escaped, is_folder
 from wcsim.errors import ConfigError, meant, nearest
-from wcsim.server.workers.machines import LOCAL, Machines, require_address
+from wcsim.server.workers.machines import LOCAL, WorkerPoolSettings, require_reachable_cluster
 
 if TYPE_CHECKING:  # loads the simulators, which --help must not
     from wcsim.drive.playing.play_runner import PlayStart
@@ -60,7 +60,7 @@ Parts = Mapping[str, tuple[type[Any], Callable[[Any], int]]]
 """The parts of a command by their words: the options of each, and what runs with them."""
 
 
-class OptionNote:
+class OptionConstraint:
     """What an option takes, noted beside its type: `Annotated[int, Bounds(1, 64)]`."""
 
     def check(self, option: str, value: Any) -> None:
@@ -68,7 +68,7 @@ class OptionNote:
 
 
 @dataclass(frozen=True, slots=True)
-class Bounds(OptionNote):
+class Bounds(OptionConstraint):
     """The least and the most of a number, and what it is a multiple of."""
 
     low: float
@@ -76,7 +76,7 @@ class Bounds(OptionNote):
     step: int = 1
 
     def check(self, option: str, value: Any) -> None:
-        """See `OptionNote`."""
+        """See `OptionConstraint`."""
         # NaN is in no range, and so it is refused, too.
         if not self.low <= value <= self.high:
             unbounded = math.isinf(self.high)
@@ -87,17 +87,17 @@ class Bounds(OptionNote):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Keys(OptionNote):
+class AllowedSettingKeys(OptionConstraint):
     """Keys of `--set`: the sections that are allowed, and what to do instead of setting a key."""
 
     instead: Mapping[str, str]
     sections: tuple[str, ...] = ()
 
     def check(self, option: str, value: Any) -> None:
-        """See `OptionNote`."""
+        """See `OptionConstraint`."""
         for text in value:
             for key, advice in self.instead.items():
-                if sets_key(text, key):
+                if is_override_of_key(text, key):
                     raise ConfigError(f"{option} {key}: is not used here; {advice}")
             if self.sections and text.strip().partition(".")[0] not in self.sections:
                 expected = " or ".join(f"[{section}]" for section in self.sections)
@@ -105,37 +105,37 @@ class Keys(OptionNote):
 
 
 @dataclass(frozen=True, slots=True)
-class Writes(OptionNote):
+class WritableFile(OptionConstraint):
     """A file that can be written, with its ending; missing folders are made later."""
 
     suffix: str = ""
     new: bool = False  # nothing is there yet
 
     def check(self, option: str, value: Any) -> None:
-        """See `OptionNote`."""
+        """See `OptionConstraint`."""
         if self.suffix and value.suffix.lower() != self.suffix:
             raise ConfigError(f"{option} {value}: expected a file name that ends in {self.suffix}")
         if is_folder(value):
             raise ConfigError(f"{option} {value} is a folder; expected the name of a file")
         if self.new and os.path.lexists(value):
             raise ConfigError(f"{option} {escaped(value)} exists; expected the name of a new file")
-        check_folder(option, value.parent)
+        require_writable_folder(option, value.parent)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Finds(OptionNote):
+class ExistingName(OptionConstraint):
     """One or more names of things that exist: `find` raises where there is none; "" is no name."""
 
     find: Callable[[str], object]
 
     def check(self, option: str, value: Any) -> None:
-        """See `OptionNote`."""
+        """See `OptionConstraint`."""
         for name in (value,) if isinstance(value, str) else value:
             if name:
                 self.find(name)
 
 
-OutFile = Annotated[Path | None, arg(metavar="FILE"), Writes()]
+OutFile = Annotated[Path | None, arg(metavar="FILE"), WritableFile()]
 """A file that is written only when it is named."""
 
 
@@ -143,7 +143,7 @@ Jobs = Annotated[int, Bounds(1, MOST_JOBS)]
 """Processes that work at once."""
 
 Worlds = Annotated[int | None, arg(metavar="N"), Bounds(1, MOST_JOBS)]
-"""Worker processes; None for the usual number, see `worlds_of`."""
+"""Worker processes; None for the usual number, see `resolve_worker_count`."""
 
 Lease = Annotated[float, arg(metavar="S"), Bounds(1.0, 86_400.0)]
 """Seconds without progress."""
@@ -177,7 +177,7 @@ class PageOptions:
     """Address to serve at; any but the loopback needs the token in the printed address."""
 
 
-def parse(options: type[T], words: list[str], command: str, program: str = "wcsim") -> T:
+def parse_options(options: type[T], words: list[str], command: str, program: str = "wcsim") -> T:
     """Parse a subcommand's options; a mistake prints what was expected and exits with code 2.
 
     Raises:
@@ -186,7 +186,7 @@ def parse(options: type[T], words: list[str], command: str, program: str = "wcsi
     """
     _require_bare(options, words, command)
     if issubclass(options, SettingsOptions) and words[-1:] == ["--preset"]:
-        print(presets(), end="")
+        print(read_presets_table(), end="")
         raise SystemExit(0)
     prog = f"{program} {command}"
     parsed = tyro.cli(
@@ -197,7 +197,7 @@ def parse(options: type[T], words: list[str], command: str, program: str = "wcsi
         if value is None:
             continue
         for note in (Bounds(0, MAX_SEED), *notes) if name == "seed" else notes:
-            if isinstance(note, OptionNote):
+            if isinstance(note, OptionConstraint):
                 note.check(f"--{name}", value)
     return parsed
 
@@ -259,7 +259,7 @@ def _number(word: str, kind: type[int | float]) -> float:
         raise ValueError(f"got {escaped(word, 40)!r}, expected {expected}") from None
 
 
-def run_part(words: list[str], command: str, parts: Parts) -> int:
+def run_subcommand(words: list[str], command: str, parts: Parts) -> int:
     """Run the part of a command that the first word names, or print them; returns the exit code.
 
     Args:
@@ -268,12 +268,12 @@ def run_part(words: list[str], command: str, parts: Parts) -> int:
         parts: Its parts.
 
     Raises:
-        ConfigError: The word is missing or unknown, or as `parse` and the part itself do.
+        ConfigError: The word is missing or unknown, or as `parse_options` and the part itself do.
     """
     name = words[0] if words else ""
     if name in parts:
         options, work = parts[name]
-        return work(parse(options, words[1:], f"{command} {name}"))
+        return work(parse_options(options, words[1:], f"{command} {name}"))
     if name in ("-h", "--help"):
         lines = [f"usage: wcsim {command} {'|'.join(parts)} [options]", ""]
         lines += [
@@ -288,7 +288,7 @@ def run_part(words: list[str], command: str, parts: Parts) -> int:
     )
 
 
-def words_of(text: str) -> tuple[str, ...]:
+def split_comma_list(text: str) -> tuple[str, ...]:
     """The items of a comma-separated option; empty ones are left out.
 
     >>> words_of("monaco, manhattan")
@@ -302,21 +302,21 @@ def has_option(words: Sequence[str], option: str) -> bool:
     return any(word == option or word.startswith(f"{option}=") for word in words)
 
 
-def some_words(option: str, text: str) -> tuple[str, ...]:
+def split_nonempty_list(option: str, text: str) -> tuple[str, ...]:
     """The items of a comma-separated option. Raises ConfigError when there is none."""
-    found = words_of(text)
+    found = split_comma_list(text)
     if not found:
         raise ConfigError(f"{option} {text!r}: expected one or more names, separated by commas")
     return found
 
 
-def first_few(lines: Sequence[str], what: str) -> list[str]:
+def shorten_lines(lines: Sequence[str], what: str) -> list[str]:
     """The first five lines, and how many more of `what` there are."""
     more = len(lines) - _MOST_LINES
     return [*lines[:_MOST_LINES], f"and {more} more {what}"] if more > 0 else list(lines)
 
 
-def worlds_of(count: int | None) -> int:
+def resolve_worker_count(count: int | None) -> int:
     """The number of processes of `--worlds`; by default one for each core, at most 4."""
     if count is not None:
         return count
@@ -325,28 +325,28 @@ def worlds_of(count: int | None) -> int:
     return min(cores(), _USUAL_WORLDS)
 
 
-def machines_of(cluster: str, workers: int | None, option: str) -> Machines:
+def machines_from_options(cluster: str, workers: int | None, option: str) -> WorkerPoolSettings:
     """The machines of `--cluster`, or this one.
 
     Args:
         cluster: The address as typed; "" for this machine.
-        workers: Number of workers; None for that of `worlds_of`, or of a cluster's nodes.
+        workers: Number of workers; None for that of `resolve_worker_count`, or of a cluster's nodes.
         option: Name of the option that sets the workers.
 
     Raises:
         ConfigError: There are no such machines.
     """
     if not cluster:
-        return Machines(count=worlds_of(workers))
+        return WorkerPoolSettings(count=resolve_worker_count(workers))
 
-    count = worlds_of(workers) if cluster == LOCAL else workers or 1
+    count = resolve_worker_count(workers) if cluster == LOCAL else workers or 1
     if cluster != LOCAL and count > 1:
         raise ConfigError(
             f"{option} {count} and --cluster {cluster}: `ray start --num-cpus` sets the workers of "
             "a node there; leave one of the two out"
         )
-    require_address(cluster)
-    return Machines(count=count, cluster=cluster)
+    require_reachable_cluster(cluster)
+    return WorkerPoolSettings(count=count, cluster=cluster)
 
 
 def serve_page(start: DriveOrder | PlayStart, page: PageOptions) -> int:
@@ -362,11 +362,11 @@ def serve_page(start: DriveOrder | PlayStart, page: PageOptions) -> int:
     return 0
 
 
-def check_folder(option: str, folder: Path) -> None:
+def require_writable_folder(option: str, folder: Path) -> None:
     """Raise ConfigError for a folder that can be neither made nor written to."""
-    if not can_be_written(folder):
+    if not is_writable_folder(folder):
         raise ConfigError(
-            f"{option}: {escaped(nearest_existing(folder))} is not a folder that can be written "
+            f"{option}: {escaped(find_existing_ancestor(folder))} is not a folder that can be written "
             f"to; choose another with {option}"
         )
 
@@ -376,7 +376,7 @@ def write_json(path: Path | None, data: Any) -> None:
     if path is None:
         return
     text = json_text(path, data)
-    with result_file(path) as part:
+    with stage_result_file(path) as part:
         part.write_text(text, encoding="utf-8")
 
 
@@ -391,26 +391,26 @@ def json_text(path: Path, data: Any, indent: int | None = 2) -> str:
 
 
 @contextmanager
-def result_file(path: Path) -> Iterator[Path]:
-    """As `whole_file`, and notes that it made a folder for it.
+def stage_result_file(path: Path) -> Iterator[Path]:
+    """As `write_file_atomically`, and notes that it made a folder for it.
 
     Raises:
         ConfigError: Its folder cannot be made.
         DiskFullError: There is no room.
     """
-    with note_if_made(path):
+    with note_created_folder(path):
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise ConfigError(
                 f"{path}: cannot be written ({error.strerror}); choose another place"
             ) from None
-        with whole_file(path) as part:
+        with write_file_atomically(path) as part:
             yield part
 
 
 @contextmanager
-def fresh_folders(folder: Path) -> Iterator[None]:
+def remove_folders_on_failure(folder: Path) -> Iterator[None]:
     """Leave no empty folders behind when the block fails."""
     missing = [place for place in (folder, *folder.parents) if not place.exists()]
     try:
@@ -424,7 +424,7 @@ def fresh_folders(folder: Path) -> Iterator[None]:
 
 
 @contextmanager
-def note_if_made(path: Path) -> Iterator[None]:
+def note_created_folder(path: Path) -> Iterator[None]:
     """Note at the end which folder was made for a result, so that a mistyped one is seen."""
     missing = [folder for folder in reversed(path.parents) if not folder.exists()]
     yield

@@ -13,7 +13,7 @@ from rich.console import Console, RenderableType
 from rich.progress import BarColumn, Progress, TaskID, TextColumn
 from rich.table import Column, Table
 
-from wcsim.core.closing import Closing
+from wcsim.core.closing import ClosingContextBase
 from wcsim.core.reading import escaped
 
 if TYPE_CHECKING:
@@ -76,7 +76,7 @@ def _time_left(spent_s: float, share: float) -> str:
     )
 
 
-class StageBar(Closing):
+class StageBar(ClosingContextBase):
     """A stage of a command and its progress; a context manager.
 
     A smaller share than before starts another stage.
@@ -148,13 +148,13 @@ class StageBar(Closing):
         self._bar.stop()
 
 
-def beside(live: Console) -> Console:
+def choose_result_console(live: Console) -> Console:
     """The console for results beside a live display: above it, or an output that is a file."""
     out = stdout_console()
     return live if live.is_terminal and out.is_terminal else out
 
 
-def print_overrides(
+def print_sumo_overrides(
     console: Console,
     town: str,
     overrides: Sequence[Override],

@@ -42,11 +42,11 @@ class Exit(IntEnum):
     TERMINATED = 143  # ended by SIGTERM with nothing to keep
 
 
-class NothingSaved(KeyboardInterrupt):
+class NothingSavedInterrupt(KeyboardInterrupt):
     """Raised when a command was stopped before there was anything to keep."""
 
 
-def exit_of(error: WcsimError) -> Exit:
+def exit_code_from_error(error: WcsimError) -> Exit:
     """How a command ends that met this error."""
     if isinstance(error, InterruptedRunError):
         return Exit.STOPPED

@@ -8,28 +8,34 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from wcsim.agents.networks.names import check_network, is_own, require_named
+from wcsim.agents.networks.names import (
+    is_custom_network,
+    require_known_network,
+    require_trusted_network,
+)
 from wcsim.agents.opening.learner_registry import Learner, learner_of, learner_of_policy
 from wcsim.agents.policy_api import VETO
-from wcsim.agents.runs.policy_file import EXPORTED, policy_name
-from wcsim.agents.runs.run_folder import ResolvedRun, policy_path, whole_data
+from wcsim.agents.runs.policy_file import EXPORTED, parse_policy_name
+from wcsim.agents.runs.run_folder import ResolvedRun, absolute_data_folders, policy_folder_from_name
 from wcsim.bridge.sumo.step_hook import find_hook
-from wcsim.cli.shared.common import check_folder
+from wcsim.cli.shared.common import require_writable_folder
 from wcsim.config import RunConfig, resolve
-from wcsim.config.load import sets_key
+from wcsim.config.load import is_override_of_key
 from wcsim.core import reading, seeding
 from wcsim.core.constants import RECORDED
 from wcsim.core.plugins import find_class
 from wcsim.core.reading import SETTINGS, escaped, is_file
 from wcsim.errors import ConfigError, PolicyError, check_installed
 from wcsim.server.specs import RunInfo
-from wcsim.supervisor.rewards import find_reward_term
+from wcsim.supervisor.rewards import make_reward_term
 from wcsim.towns.scenario.overrides import Override, Settings, scenario_overrides
 from wcsim.towns.scenario.town import Town, streets_hash
 from wcsim.users.profiles import HELD_OUT, find_profile
 
 
-def require_policy(name: str, network: str, *, alone: bool = False, bare_for: str = "") -> None:
+def require_usable_policy(
+    name: str, network: str, *, alone: bool = False, bare_for: str = ""
+) -> None:
     """Refuse a name of no policy, and a policy whose own network was not named.
 
     Args:
@@ -42,7 +48,7 @@ def require_policy(name: str, network: str, *, alone: bool = False, bare_for: st
         PolicyError: There is no such policy, class or network, its network was not named, or
             another one was.
     """
-    named = policy_name(name)
+    named = parse_policy_name(name)
     used = ""
     if bare_for and named.veto:
         raise PolicyError(
@@ -52,10 +58,10 @@ def require_policy(name: str, network: str, *, alone: bool = False, bare_for: st
     if named.kind == "class":
         find_class(named.inner, "policy")
     elif named.is_network:
-        path = policy_path(name)
+        path = policy_folder_from_name(name)
         used = learner_of_policy(path).read_policy(path).net.network
-        if is_own(used):
-            require_named(escaped(name), used, network)
+        if is_custom_network(used):
+            require_trusted_network(escaped(name), used, network)
         by_law = (
             named.level is None
             and not named.veto
@@ -64,14 +70,14 @@ def require_policy(name: str, network: str, *, alone: bool = False, bare_for: st
         if not by_law:
             check_installed(f"{escaped(name)} needs PyTorch", "train", "torch", error=PolicyError)
     if alone and network:
-        check_network(network)
+        require_known_network(network)
         if used != network:
             raise PolicyError(
                 f"--network {escaped(network, 80)}: {escaped(name)} does not use it; leave it out"
             )
 
 
-def require_learner(config: RunConfig, expected: Learner) -> None:
+def require_command_learner(config: RunConfig, expected: Learner) -> None:
     """Raise ConfigError for settings of another learner than a command's own."""
     found = learner_of(config)
     if found is not expected:
@@ -81,7 +87,7 @@ def require_learner(config: RunConfig, expected: Learner) -> None:
         )
 
 
-def require_users(
+def refuse_held_out_users(
     config: RunConfig, drawn: tuple[Sequence[str], Path | None] | None = None
 ) -> None:
     """Refuse simulated users that are kept for tests.
@@ -108,19 +114,19 @@ def require_users(
     if drawn is None:
         return
     settings, file = drawn
-    require_user(config.env.profile)
+    require_known_users(config.env.profile)
     own = {} if file is None else reading.read_toml(file, SETTINGS).get("env", {})
-    if "profile" in own or any(sets_key(text, "env.profile") for text in settings):
+    if "profile" in own or any(is_override_of_key(text, "env.profile") for text in settings):
         name = config.env.profile
         raise ConfigError(
             f"env.profile={escaped(name)}: a network that learns in rounds draws its users from "
             f"collect.profiles; expected --set 'collect.profiles=[\"{escaped(name)}\"]', or wcsim "
             "train-q, which learns with that user"
         )
-    require_user(*config.collect.profiles)
+    require_known_users(*config.collect.profiles)
 
 
-def resolve_run(
+def resolve_training_run(
     config: RunConfig, info: RunInfo, town: Town, out: Path, resume: bool = False
 ) -> ResolvedRun:
     """The run of a configuration in a town, with all that learner, network and town fix.
@@ -135,30 +141,32 @@ def resolve_run(
     Raises:
         PolicyError, ConfigError, HookError: A name stands for nothing, or the folder cannot be one.
     """
-    check_folder("--out", out)
-    check_network(config.learn.network)
+    require_writable_folder("--out", out)
+    require_known_network(config.learn.network)
     for name in info.rewards:
-        find_reward_term(name)
+        make_reward_term(name)
     if info.hook:
         find_hook(info.hook)
-    require_user(config.env.profile)
+    require_known_users(config.env.profile)
 
     # PyTorch is loaded here: not for --help, nor for a refusal.
-    from wcsim.agents.learning.build import network_settings
+    from wcsim.agents.learning.build import default_settings_for_network
     from wcsim.agents.networks.registry import find_network
 
     find_network(config.learn.network)
-    fit = resolve(config, learning(config), network_settings(config))
-    return ResolvedRun(config=fit, out=out, info=in_town(info, town, config), resume=resume)
+    fit = resolve(config, learner_fixed_settings(config), default_settings_for_network(config))
+    return ResolvedRun(
+        config=fit, out=out, info=add_town_to_info(info, town, config), resume=resume
+    )
 
 
-def in_town(info: RunInfo, town: Town, config: RunConfig) -> RunInfo:
+def add_town_to_info(info: RunInfo, town: Town, config: RunConfig) -> RunInfo:
     """The run's facts, with those of its town."""
-    overrides = overrides_of(town, config, info.seed)
+    overrides = list_sumo_overrides(town, config, info.seed)
     return replace(info, town=town.name, town_sha256=streets_hash(town), overrides=overrides)
 
 
-def learning(config: RunConfig) -> dict[str, Any]:
+def learner_fixed_settings(config: RunConfig) -> dict[str, Any]:
     """The settings that a learner fixes: the length of episodes, and the truth for its oracle.
 
     Learning in rounds sets the truth of its worlds itself.
@@ -168,10 +176,10 @@ def learning(config: RunConfig) -> dict[str, Any]:
         "truth": config.learn.aid == "oracle",
         "truth_visible": False,
     }
-    return {"env": env, **whole_data(config)}
+    return {"env": env, **absolute_data_folders(config)}
 
 
-def require_user(*names: str) -> None:
+def require_known_users(*names: str) -> None:
     """Refuse users that do not exist.
 
     Raises:
@@ -187,19 +195,19 @@ def require_user(*names: str) -> None:
         find_user(name)
 
 
-def how_to_test(run: Path, network: str, trained_in: Collection[str] = ()) -> str:
+def make_test_command(run: Path, network: str, trained_in: Collection[str] = ()) -> str:
     """The command that tests a run, as it can be typed.
 
     >>> how_to_test(Path("runs/a b"), "own_network:OwnNet", ("helsinki", "monaco"))
     "wcsim test 'runs/a b' --network own_network:OwnNet --town manhattan"
     """
-    named = ["--network", network] if is_own(network) else []
+    named = ["--network", network] if is_custom_network(network) else []
     unseen = "manhattan" if "monaco" in trained_in else "monaco"
     return shlex.join(["wcsim", "test", str(run), *named, "--town", unseen])
 
 
-def overrides_of(town: Town, config: RunConfig, seed: int) -> tuple[Override, ...]:
+def list_sumo_overrides(town: Town, config: RunConfig, seed: int) -> tuple[Override, ...]:
     """What a run overrides of a town's own SUMO options."""
     return scenario_overrides(
-        town.sumocfg, Settings(world=config.world, seed=seeding.derive(seed, "sumo"))
+        town.sumocfg, Settings(world=config.world, seed=seeding.derive_seed(seed, "sumo"))
     )

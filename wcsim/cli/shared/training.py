@@ -12,23 +12,28 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 from wcsim.agents.opening.learner_registry import Q_LEARNING, learner_of
 from wcsim.agents.runs.run_folder import ResolvedRun, has_results
 from wcsim.cli.shared.common import (
-    Finds,
+    ExistingName,
     Flag,
     OutFile,
     OutFolder,
     Repeated,
     SettingsOptions,
     Steps,
-    fresh_folders,
-    machines_of,
-    some_words,
+    machines_from_options,
+    remove_folders_on_failure,
+    split_nonempty_list,
     write_json,
 )
-from wcsim.cli.shared.consoles import StageBar, beside, print_overrides, warn
-from wcsim.cli.shared.exit_codes import NothingSaved
-from wcsim.cli.shared.run_config import how_to_test, learning, require_learner, require_users
+from wcsim.cli.shared.consoles import StageBar, choose_result_console, print_sumo_overrides, warn
+from wcsim.cli.shared.exit_codes import NothingSavedInterrupt
+from wcsim.cli.shared.run_config import (
+    learner_fixed_settings,
+    make_test_command,
+    refuse_held_out_users,
+    require_command_learner,
+)
 from wcsim.config import LearnConfig, RunConfig, resolve
-from wcsim.config.load import Layer, sets_key
+from wcsim.config.load import Layer, is_override_of_key
 from wcsim.core import reading
 from wcsim.core.reading import SETTINGS, counted
 from wcsim.errors import (
@@ -40,8 +45,8 @@ from wcsim.errors import (
     WorkersError,
 )
 from wcsim.server.specs import RunInfo
-from wcsim.server.workers.machines import Machines
-from wcsim.supervisor.rewards import find_reward_term
+from wcsim.server.workers.machines import WorkerPoolSettings
+from wcsim.supervisor.rewards import make_reward_term
 from wcsim.towns.checks.validate import validate_net
 from wcsim.towns.making.asked_town import asked_town
 from wcsim.towns.scenario.town import Town, by_name, streets_hash
@@ -80,19 +85,19 @@ class TrainingOptions(SettingsOptions, OutputOptions):
 
 
 @dataclass(kw_only=True)
-class QLearningOptions(SettingsOptions):
+class QLearningBaseOptions(SettingsOptions):
     """Options of every command that learns by Q-learning."""
 
     preset: str = "dqn"
     """Preset to start from: dqn or paper. Without a name: a table of all."""
-    reward: Annotated[Repeated, Finds(find_reward_term)] = ()
+    reward: Annotated[Repeated, ExistingName(make_reward_term)] = ()
     """Your own reward term as module:Class, added to the paper's terms."""
     steps: Steps = None
     """Total steps, as --set learn.total_steps=N. A preset's first phase of more than half of them shrinks."""  # noqa: E501 - help text
 
 
 @dataclass(kw_only=True)
-class QTrainingOptions(QLearningOptions, TrainingOptions):
+class NewQTrainingOptions(QLearningBaseOptions, TrainingOptions):
     """Options of every new training by Q-learning."""
 
     hook: str = ""
@@ -105,8 +110,8 @@ class QTrainingOptions(QLearningOptions, TrainingOptions):
         return RunInfo(seed=self.seed, rewards=self.reward, command=command, hook=self.hook)
 
 
-def q_layers(
-    options: QLearningOptions,
+def make_q_config_layers(
+    options: QLearningBaseOptions,
     network: str = "",
     more: Mapping[str, Any] | None = None,
     file: Path | None = None,
@@ -132,14 +137,14 @@ def q_layers(
             key
             for key in _SHRINKING
             if any(key in table for table in tables)
-            or any(sets_key(text, f"learn.{key}") for text in options.set)
+            or any(is_override_of_key(text, f"learn.{key}") for text in options.set)
         }
         parts = _shrunk_parts(config.learn, options.steps, own)
         layers = (*layers, {"learn": {"total_steps": options.steps, **parts}})
         config = resolve(options.preset, *layers)
-    require_learner(config, Q_LEARNING)
-    require_users(config)
-    return (*layers, learning(config))
+    require_command_learner(config, Q_LEARNING)
+    refuse_held_out_users(config)
+    return (*layers, learner_fixed_settings(config))
 
 
 def _shrunk_parts(learn: LearnConfig, steps: int, own: set[str]) -> dict[str, int]:
@@ -158,7 +163,7 @@ def _shrunk_parts(learn: LearnConfig, steps: int, own: set[str]) -> dict[str, in
     return parts
 
 
-def place_run(
+def choose_towns_and_folder(
     options: TrainingOptions, info: RunInfo, config: RunConfig
 ) -> tuple[Town, RunInfo, Path]:
     """The run's first town, the run's facts with its other towns, and its folder.
@@ -167,8 +172,8 @@ def place_run(
         TownError: A town is kept for tests, or two have one name.
         ConfigError: The world would never change town.
     """
-    words = some_words("--town", options.town)
-    towns = [training_town(word, options.allow_test_town) for word in words]
+    words = split_nonempty_list("--town", options.town)
+    towns = [find_training_town(word, options.allow_test_town) for word in words]
     if len(by_name(towns)) < len(towns):
         raise ConfigError(f"--town {options.town}: a town comes twice; expected each once")
     if len(towns) > 1 and not learner_of(config).own_worlds and not config.epoch_ticks:
@@ -181,7 +186,7 @@ def place_run(
     return towns[0], replace(info, more_towns=more), out
 
 
-def training_town(name: str, allow_test_town: bool) -> Town:
+def find_training_town(name: str, allow_test_town: bool) -> Town:
     """The town to train in. Raises TownError for one that is kept for tests."""
     town = asked_town(name)
     validate_net(town.net)
@@ -221,8 +226,8 @@ class _TrainingBar(StageBar):
         """Show the progress of Q-learning; first which options of SUMO the run overrides."""
         if not self._printed:
             self._printed = True
-            print_overrides(
-                beside(self.console),
+            print_sumo_overrides(
+                choose_result_console(self.console),
                 self._town,
                 self._run.info.overrides,
                 (self._note,) if self._note else (),
@@ -295,13 +300,13 @@ def share_of_rounds(now: RoundProgress, config: RunConfig) -> float:
     return done / (drive + last * both + learn)
 
 
-def train_network(
+def train_single_network(
     run: ResolvedRun,
     town: Town,
     *,
     note: str = "",
     verbose: bool = False,
-    machines: Machines | None = None,
+    machines: WorkerPoolSettings | None = None,
 ) -> Path:
     """Train one network with a progress bar; returns the run folder.
 
@@ -311,28 +316,28 @@ def train_network(
         WcsimError: A setting, the folder or a machine cannot be used.
     """
     learner = learner_of(run.config)
-    machines = machines or machines_of("", None, "--worlds")
+    machines = machines or machines_from_options("", None, "--worlds")
     with _TrainingBar(town.name, run, note, verbose) as bar:
         try:
-            with removed_without_results(run.out):
+            with remove_run_without_results(run.out):
                 return learner.train(run, town, machines, bar)
         except InterruptedRunError:
             if run.out.exists():
                 raise
-            raise NothingSaved(
+            raise NothingSavedInterrupt(
                 "stopped before the first segment was driven; nothing is saved"
             ) from None
 
 
 @contextmanager
-def removed_without_results(run: Path) -> Iterator[None]:
+def remove_run_without_results(run: Path) -> Iterator[None]:
     """Remove a run folder that the block made, when the block fails without results.
 
     It stays after a full disk, and when a cluster is lost: wcsim resume continues. For a run of
     several clients `ClientsFolder.fruitless` judges, which looks at the world's journal, too.
     """
     is_new = not run.exists()
-    with fresh_folders(run.parent):
+    with remove_folders_on_failure(run.parent):
         try:
             yield
         except (DiskFullError, OSError, WorkersError):
@@ -343,16 +348,16 @@ def removed_without_results(run: Path) -> Iterator[None]:
             raise
 
 
-def report_run(options: OutputOptions, run: ResolvedRun) -> None:
+def print_finished_run(options: OutputOptions, run: ResolvedRun) -> None:
     """Print where a finished run is and how to test it."""
-    print_crossings(run.out)
+    print_kpi1_limit_steps(run.out)
     trained_in = (run.info.town, *run.info.more_towns)
-    command = how_to_test(run.out, run.config.learn.network, trained_in)
+    command = make_test_command(run.out, run.config.learn.network, trained_in)
     print(f"run folder: {run.out}    test it: {command}")
     write_json(options.json, {"run": str(run.out), "town": run.info.town, "seed": run.info.seed})
 
 
-def print_crossings(run: Path) -> None:
+def print_kpi1_limit_steps(run: Path) -> None:
     """Print where KPI 1 of each client fell below its limit; runs in rounds log no KPI 1."""
     # Not at the top: the pages' figures take long to load, and --help needs none.
     from wcsim.view.report.learning_curve import crossing, read_training

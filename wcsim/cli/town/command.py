@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from rich.table import Column
 
-from wcsim.cli.shared.common import Parts, has_option, run_part
+from wcsim.cli.shared.common import Parts, has_option, run_subcommand
 from wcsim.cli.shared.consoles import show_table
 from wcsim.cli.town import import_, town_check
 from wcsim.cli.town import run as traffic
@@ -22,16 +22,18 @@ def run(words: list[str]) -> int:
     """Run one of the subcommands."""
     parts: Parts = {
         "import": (
-            import_.AdoptOptions if has_option(words, "--sumocfg") else import_.ImportOptions,
+            import_.ScenarioImportOptions
+            if has_option(words, "--sumocfg")
+            else import_.OsmImportOptions,
             import_.run,
         ),
         "make": (import_.TownMakeOptions, import_.make),
         "list": (_ListOptions, _list),
-        "check": (town_check.CheckOptions, town_check.run),
-        "pave": (import_.PaveOptions, import_.pave),
-        "run": (traffic.RunOptions, lambda options: traffic.run(options, words)),
+        "check": (town_check.TownCheckOptions, town_check.run),
+        "pave": (import_.TownPaveOptions, import_.pave),
+        "run": (traffic.TownRunOptions, lambda options: traffic.run(options, words)),
     }
-    return run_part(words, "town", parts)
+    return run_subcommand(words, "town", parts)
 
 
 def _list(_: _ListOptions) -> int:

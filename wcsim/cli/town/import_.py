@@ -20,12 +20,12 @@ from wcsim.cli.shared.common import (
     OutFile,
     OutFolder,
     TownWord,
-    check_folder,
-    fresh_folders,
-    words_of,
+    remove_folders_on_failure,
+    require_writable_folder,
+    split_comma_list,
 )
 from wcsim.cli.shared.consoles import print_note
-from wcsim.cli.town.town_check import check_and_try, report_town, try_town
+from wcsim.cli.town.town_check import check_town_with_sumo, print_town_report, try_town_in_sumo
 from wcsim.core.own_folder import temporary_folder
 from wcsim.core.reading import counted
 from wcsim.errors import ConfigError
@@ -64,7 +64,7 @@ class _TownOptions:
 
 
 @dataclass(kw_only=True)
-class AdoptOptions(_TownOptions):
+class ScenarioImportOptions(_TownOptions):
     """Import a town from a SUMO scenario, whose files are copied unchanged."""
 
     sumocfg: Annotated[Path, arg(metavar="FILE")]
@@ -74,7 +74,7 @@ class AdoptOptions(_TownOptions):
 
 
 @dataclass(kw_only=True)
-class ImportOptions(_TownOptions):
+class OsmImportOptions(_TownOptions):
     """Import a town from OpenStreetMap; with `--sumocfg FILE` from a SUMO scenario.
 
     `wcsim town import --sumocfg FILE -h` has the options for a scenario.
@@ -139,7 +139,7 @@ class TownMakeOptions:
 
 
 @dataclass
-class PaveOptions:
+class TownPaveOptions:
     """Copy a scenario into a folder and add pavements and crossings."""
 
     town: TownWord
@@ -154,22 +154,22 @@ class PaveOptions:
     """Write the result to this file."""
 
 
-def run(options: AdoptOptions | ImportOptions) -> int:
+def run(options: ScenarioImportOptions | OsmImportOptions) -> int:
     """Import, check, and print the result; 0 when the town has no faults, else 1."""
     started_s = time.monotonic()
     out = options.out or _TOWNS / options.name
-    check_folder("--out", out)
+    require_writable_folder("--out", out)
     # The import may replace the working folder itself.
     json = options.json and options.json.resolve()
-    with fresh_folders(out.parent):
-        if isinstance(options, AdoptOptions):
+    with remove_folders_on_failure(out.parent):
+        if isinstance(options, ScenarioImportOptions):
             report, more = _adopt(options, out), dict[str, Any]()
         else:
             report, more = _build(options, out)
-    return report_town(report, started_s, json, **more)
+    return print_town_report(report, started_s, json, **more)
 
 
-def _adopt(options: AdoptOptions, out: Path) -> TownReport:
+def _adopt(options: ScenarioImportOptions, out: Path) -> TownReport:
     """Copy a scenario and check the copy."""
     if options.allow_outside:
         print(
@@ -186,7 +186,7 @@ def _adopt(options: AdoptOptions, out: Path) -> TownReport:
         cycle_paths=options.cycle_paths,
     )
     try:
-        report = check_and_try(town, show=print_note)
+        report = check_town_with_sumo(town, show=print_note)
     except BaseException:
         # What cannot be read is no town.
         shutil.rmtree(town.folder, ignore_errors=True)
@@ -195,7 +195,7 @@ def _adopt(options: AdoptOptions, out: Path) -> TownReport:
     return report
 
 
-def _build(options: ImportOptions, out: Path) -> tuple[TownReport, dict[str, Any]]:
+def _build(options: OsmImportOptions, out: Path) -> tuple[TownReport, dict[str, Any]]:
     """Build a town from a map and check it; also what else goes into the result file."""
     # 1. Refuse what cannot be used, before streets are built.
     if options.osm is None and not options.bbox:
@@ -240,14 +240,14 @@ def _build(options: ImportOptions, out: Path) -> tuple[TownReport, dict[str, Any
     _print_written(made.town.folder, made.town.sumocfg)
     print(f"traffic drives on the {made.side}")
     # 3. Check it.
-    report = check_and_try(made.town, made.walkable_share, print_note)
+    report = check_town_with_sumo(made.town, made.walkable_share, print_note)
     more = {"left_out": asdict(made.left_out), **made.counts}
     return replace(report, notes=(*made.notes, *report.notes)), more
 
 
 def _per_hour(text: str) -> dict[str, float]:
     found: dict[str, float] = {}
-    for word in words_of(text):
+    for word in split_comma_list(text):
         name, _, number = word.partition("=")
         try:
             rate = float(number)
@@ -290,7 +290,7 @@ def make(options: TownMakeOptions) -> int:
     )
     check_words(options.name, options.split)
     check_wishes(options.seed, requested)
-    check_folder("--out", out)
+    require_writable_folder("--out", out)
     # It may replace the working folder itself.
     json = options.json and options.json.resolve()
 
@@ -300,13 +300,13 @@ def make(options: TownMakeOptions) -> int:
         out, options.seed, requested, name=options.name, overwrite=options.replace, stage=print_note
     )
     _print_written(town.folder, town.sumocfg)
-    return report_town(check_and_try(town, show=print_note), started_s, json)
+    return print_town_report(check_town_with_sumo(town, show=print_note), started_s, json)
 
 
-def pave(options: PaveOptions) -> int:
+def pave(options: TownPaveOptions) -> int:
     """Pave a copy, let SUMO try it, check it; 0 when the copy has no faults, else 1."""
     started_s = time.monotonic()
-    check_folder("--out", options.out)
+    require_writable_folder("--out", options.out)
     bare = find_town(options.town, outside=options.allow_outside)
 
     from wcsim.towns.checks.check import check_town  # loads what builds streets
@@ -319,12 +319,12 @@ def pave(options: PaveOptions) -> int:
     place = paved.sumocfg if depth == 1 else paved.sumocfg.parents[depth - 1]
     town = open_town(place, outside=options.allow_outside)
     print_note("testing the first steps in SUMO")
-    try_town(town)
+    try_town_in_sumo(town)
     print_note("checking the copy")
     report = check_town(town)
     _print_paved(paved)
     result = {**asdict(paved), "sumocfg": str(paved.sumocfg)}
-    return report_town(report, started_s, options.json, paved=result)
+    return print_town_report(report, started_s, options.json, paved=result)
 
 
 def _print_paved(paved: Paved) -> None:

@@ -16,16 +16,16 @@ from wcsim.cli.shared.common import (
     OutFolder,
     Repeated,
     TownWord,
-    check_folder,
-    first_few,
-    words_of,
+    require_writable_folder,
+    shorten_lines,
+    split_comma_list,
     write_json,
 )
-from wcsim.cli.shared.consoles import print_note, print_overrides, show_table, stdout_console
+from wcsim.cli.shared.consoles import print_note, print_sumo_overrides, show_table, stdout_console
 from wcsim.config import RunConfig, resolve
 from wcsim.core import seeding
 from wcsim.errors import ConfigError
-from wcsim.supervisor.rewards import blamed
+from wcsim.supervisor.rewards import format_crash_summary
 from wcsim.towns.checks.cures import PAVED_LATER, Cures
 from wcsim.towns.scenario.town import Town, content_hash, find_town
 from wcsim.towns.sumo.net import LaneKind, read_net
@@ -39,7 +39,7 @@ MAX_CHAIRS: Final = 64
 
 
 @dataclass
-class RunOptions:
+class TownRunOptions:
     """Run a town's traffic, with or without wheelchairs, and record it."""
 
     town: TownWord
@@ -68,14 +68,14 @@ class RunOptions:
     """Write the result to this file."""
 
 
-def run(options: RunOptions, words: Sequence[str]) -> int:
+def run(options: TownRunOptions, words: Sequence[str]) -> int:
     """Run, print a summary, and leave the run folder; the command line goes into its manifest."""
     # Without a chair the traffic starts as in plain sumo.
     plain = () if options.chairs else ("world.warmup_s=0",)
     config = resolve(options.preset, plain, options.set)
     town = find_town(options.town, outside=options.allow_outside)
     out = options.out or Path("runs") / f"{town.name}-run-{options.seed}"
-    check_folder("--out", out)
+    require_writable_folder("--out", out)
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise ConfigError(f"--out {out} is not empty; choose another folder, or remove it")
     facts = _record(options, town, config, out, ("wcsim", "town", *words))
@@ -93,7 +93,7 @@ def run(options: RunOptions, words: Sequence[str]) -> int:
 
 
 def _record(
-    options: RunOptions, town: Town, config: RunConfig, out: Path, command: tuple[str, ...]
+    options: TownRunOptions, town: Town, config: RunConfig, out: Path, command: tuple[str, ...]
 ) -> TrafficFacts:
     """Run the traffic into a folder, with a manifest from the first step on."""
     from wcsim.bridge.town_run import RecordOrder, record_town
@@ -102,7 +102,7 @@ def _record(
     out.mkdir(parents=True, exist_ok=True)
 
     def write_start(scenario: Scenario) -> None:
-        print_overrides(
+        print_sumo_overrides(
             stdout_console(),
             town.name,
             scenario.overrides,
@@ -128,7 +128,7 @@ def _record(
         seed=options.seed,
         chairs=options.chairs,
         folder=out,
-        outputs=words_of(options.outputs),
+        outputs=split_comma_list(options.outputs),
         hook=options.hook,
     )
     try:
@@ -145,18 +145,18 @@ def _record(
 
 
 def _manifest(
-    options: RunOptions, town: Town, config: RunConfig, command: tuple[str, ...]
+    options: TownRunOptions, town: Town, config: RunConfig, command: tuple[str, ...]
 ) -> dict[str, Any]:
-    from wcsim.agents.runs.run_folder import make_manifest
+    from wcsim.agents.runs.run_folder import make_run_manifest
     from wcsim.server.specs import RunInfo
 
     info = RunInfo(
         seed=options.seed, town=town.name, town_sha256=content_hash(town), command=command
     )
     return {
-        **asdict(make_manifest(config, info)),
+        **asdict(make_run_manifest(config, info)),
         "kind": "town run",
-        "sumo_seed": seeding.derive(options.seed, "sumo"),
+        "sumo_seed": seeding.derive_seed(options.seed, "sumo"),
         "chairs": options.chairs,
         "seconds": options.seconds,
         "hook": options.hook,
@@ -189,10 +189,10 @@ def _crash_lines(crashed: Sequence[CrashFact]) -> list[str]:
     """Up to five crashes of wheelchairs, each with its time, reason, fault and partner."""
     lines = [
         f"wheelchair {crash.seat}, {crash.time_s:.1f} s: "
-        f"{blamed(crash.reason, crash.fault, crash.told)}"
+        f"{format_crash_summary(crash.reason, crash.fault, crash.told)}"
         for crash in crashed
     ]
-    return first_few(lines, "crashes; all of them are in the manifest")
+    return shorten_lines(lines, "crashes; all of them are in the manifest")
 
 
 def _no_persons(town: Town) -> str:

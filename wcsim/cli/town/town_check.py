@@ -13,7 +13,7 @@ from wcsim.cli.shared.common import OutFile, TownWord, write_json
 from wcsim.cli.shared.consoles import show_table, stdout_console
 from wcsim.config import resolve
 from wcsim.core.own_folder import temporary_folder
-from wcsim.core.reading import counted, listed
+from wcsim.core.reading import counted, join_names
 from wcsim.errors import SumoError, TownError
 from wcsim.towns.checks.cures import Cures
 from wcsim.towns.scenario.options import read_configuration
@@ -32,7 +32,7 @@ _MOST_NAMED: Final = 3
 
 
 @dataclass
-class CheckOptions:
+class TownCheckOptions:
     """Check a town: connected pavements, routes, and whether SUMO runs it."""
 
     town: TownWord
@@ -41,13 +41,13 @@ class CheckOptions:
     """Write the result to this file."""
 
 
-def run(options: CheckOptions) -> int:
+def run(options: TownCheckOptions) -> int:
     """Check, and print the result; 0 when the town has no faults, else 1."""
     started_s = time.monotonic()
-    return report_town(check_and_try(find_town(options.town)), started_s, options.json)
+    return print_town_report(check_town_with_sumo(find_town(options.town)), started_s, options.json)
 
 
-def check_and_try(
+def check_town_with_sumo(
     town: Town, share: float | None = None, show: Callable[[str], None] = lambda stage: None
 ) -> TownReport:
     """Check a town, then let SUMO run it: a refusal is a fault, and collisions are a note.
@@ -66,7 +66,7 @@ def check_and_try(
     report = check_town(town, share)
     show("testing the first steps in SUMO")
     try:
-        try_town(town)
+        try_town_in_sumo(town)
     except TownError as refused:
         return replace(report, faults=(*report.faults, str(refused)))
     show(f"testing {COLLIDING_S:g} s of traffic in SUMO")
@@ -98,7 +98,7 @@ def _collisions_note(town: Town) -> tuple[str, ...]:
     }
     if not hits:
         return ()
-    vehicles = listed(hits.values(), _MOST_NAMED)
+    vehicles = join_names(hits.values(), _MOST_NAMED)
     return (
         f"SUMO itself reports {counted(len(hits), 'collision')} in the first {COLLIDING_S:g} s of "
         f"this traffic: {vehicles}; its junction rules permit that, mostly for bicycles, and the "
@@ -107,7 +107,7 @@ def _collisions_note(town: Town) -> tuple[str, ...]:
     )
 
 
-def try_town(town: Town) -> None:
+def try_town_in_sumo(town: Town) -> None:
     """Let SUMO run a world's first steps in a temporary folder, once for each state of its files.
 
     Raises:
@@ -121,7 +121,7 @@ def try_town(town: Town) -> None:
         open_scenario(town, Settings(world=resolve("quick").world, seed=1), RunPlace(), held)
 
 
-def report_town(report: TownReport, started_s: float, json: Path | None, **more: Any) -> int:
+def print_town_report(report: TownReport, started_s: float, json: Path | None, **more: Any) -> int:
     """Print a report and write the result; returns 1 when the town has faults, else 0.
 
     Args:

@@ -12,32 +12,32 @@ from typing import Any, Final
 from rich import box
 
 from wcsim.agents.clients.group_run import (
-    Client,
-    ClientsFolder,
-    GroupRun,
-    client_plan,
-    create_clients_folder,
-    open_clients_folder,
-    world_order,
+    GroupRunFolder,
+    ResolvedClient,
+    ResolvedGroupRun,
+    create_group_run_folder,
+    make_client_plan,
+    make_world_spec,
+    open_group_run_folder,
 )
-from wcsim.agents.clients.paid_times import PaidTimes, PaidTimesLog
+from wcsim.agents.clients.paid_times import GroupRunTimes, GroupRunTimesFile
 from wcsim.agents.opening.learner_registry import Q_LEARNING
 from wcsim.agents.runs.run_folder import (
     MANIFEST,
     Status,
-    extend,
-    how_to_resume,
-    make_manifest,
+    extend_run_steps,
+    format_resume_command,
+    make_run_manifest,
     open_run,
 )
-from wcsim.cli.shared.common import Lease, Worlds, check_folder, write_json
-from wcsim.cli.shared.consoles import print_overrides, show_table, stdout_console, warn
-from wcsim.cli.shared.exit_codes import Exit, NothingSaved
-from wcsim.cli.shared.run_config import how_to_test
-from wcsim.cli.shared.training import OutputOptions, print_crossings
-from wcsim.core.files import locked
-from wcsim.core.own_folder import workplace
-from wcsim.core.processes import StopSignals
+from wcsim.cli.shared.common import Lease, Worlds, require_writable_folder, write_json
+from wcsim.cli.shared.consoles import print_sumo_overrides, show_table, stdout_console, warn
+from wcsim.cli.shared.exit_codes import Exit, NothingSavedInterrupt
+from wcsim.cli.shared.run_config import make_test_command
+from wcsim.cli.shared.training import OutputOptions, print_kpi1_limit_steps
+from wcsim.core.files import lock_run_folder
+from wcsim.core.own_folder import runtime_folder
+from wcsim.core.processes import StopSignalCounter
 from wcsim.errors import (
     ConfigError,
     DiskFullError,
@@ -45,30 +45,30 @@ from wcsim.errors import (
     JournalError,
     WcsimError,
 )
-from wcsim.log.reader import iter_inputs, log_digest, part_files
+from wcsim.log.reader import iter_journal_inputs, list_log_parts, log_digest
 from wcsim.log.writer import JOURNAL, LogWriter, truncation_message
 from wcsim.server.launch.launcher import Launcher
 from wcsim.server.launch.states import (
-    ClientState,
-    LaunchOutcome,
-    LaunchRules,
-    LaunchState,
+    ClientProcessState,
+    LauncherTimeouts,
+    LaunchProcessStates,
+    LaunchResult,
     RestartRules,
 )
-from wcsim.server.ledger import Audit, audit, iter_ledger
-from wcsim.server.protocol.limits import require_files
-from wcsim.server.specs import world_plan
+from wcsim.server.ledger import LedgerAuditResult, audit_ledgers, iter_ledger_frames
+from wcsim.server.protocol.limits import ensure_open_file_limit
+from wcsim.server.specs import make_world_launch_plan
 from wcsim.towns.scenario.town import Town
 from wcsim.view.live_table import LiveTable
 
 LEASE_S: Final = 120.0
 
 # Clients whose run is done when nothing is left to launch.
-ALL_DONE: Final = LaunchOutcome(code=0, message="", stopped=False, clients=())
+ALL_DONE: Final = LaunchResult(code=0, message="", stopped=False, clients=())
 
 
 @dataclass(kw_only=True)
-class GroupOptions(OutputOptions):
+class ClientProcessOptions(OutputOptions):
     """How the processes of several clients are run."""
 
     worlds: Worlds = None
@@ -78,10 +78,10 @@ class GroupOptions(OutputOptions):
 
 
 def train_clients(
-    options: GroupOptions,
-    run: GroupRun,
+    options: ClientProcessOptions,
+    run: ResolvedGroupRun,
     town: Town,
-    watch: Callable[[LaunchState], bool] = lambda state: False,
+    watch: Callable[[LaunchProcessStates], bool] = lambda state: False,
     restarts: RestartRules | None = None,
 ) -> int:
     """Train all clients; returns the exit code: FAILED when a client or the world was given up.
@@ -99,29 +99,29 @@ def train_clients(
         NothingSaved: ... before anything was done.
         WcsimError: A setting, the folder or the world cannot be used.
     """
-    check_folder("--out", run.out)
-    require_files(len(run.clients))
-    with StopSignals() as signals, ExitStack() as stack:
+    require_writable_folder("--out", run.out)
+    ensure_open_file_limit(len(run.clients))
+    with StopSignalCounter() as signals, ExitStack() as stack:
         # 1. Open the run folder, and plan a process for the world and for each client.
         folder = stack.enter_context(_opened(run))
-        place = stack.enter_context(workplace())
+        place = stack.enter_context(runtime_folder())
         left = [client for client in run.clients if not folder.done(client.name, client.steps)]
-        plans = tuple(client_plan(run, folder, place, client) for client in left)
-        order = world_order(run, town.address, folder, place, len(left), options.lease)
-        world = world_plan(order, place, folder.log("world"))
+        plans = tuple(make_client_plan(run, folder, place, client) for client in left)
+        order = make_world_spec(run, town.address, folder, place, len(left), options.lease)
+        world = make_world_launch_plan(order, place, folder.log("world"))
         rate = _TickRate()
-        paid = PaidTimesLog(folder.path)
+        paid = GroupRunTimesFile(folder.path)
         stack.callback(paid.save)
 
         # 2. Launch them, and show their state until all are done.
         with LiveTable() as table:
 
-            def show(state: LaunchState) -> None:
+            def show(state: LaunchProcessStates) -> None:
                 paid.add(state)
                 paid.save_each(state.elapsed_s)
                 if rate.add(state):
                     note = Q_LEARNING.describe(run.clients[0].config)
-                    print_overrides(
+                    print_sumo_overrides(
                         table.console,
                         town.name,
                         run.info.overrides,
@@ -134,7 +134,9 @@ def train_clients(
                     launcher.stop()
 
             again = RestartRules() if restarts is None else restarts
-            rules = LaunchRules(client_lease_s=max(30.0, options.lease), client=again, world=again)
+            rules = LauncherTimeouts(
+                client_lease_s=max(30.0, options.lease), client=again, world=again
+            )
             launcher = Launcher(world, plans, folder.path, rules, show, signals=signals)
             outcome = launcher.run() if left else ALL_DONE
 
@@ -144,21 +146,21 @@ def train_clients(
     # A signal may arrive when nothing runs any more; without it the next phase would start.
     if signals.count and not run.last:
         raise InterruptedRunError(
-            f"stopped; {run.out} holds the training so far: {how_to_resume(run.out)}"
+            f"stopped; {run.out} holds the training so far: {format_resume_command(run.out)}"
         )
     return code
 
 
 @contextmanager
-def _opened(run: GroupRun) -> Iterator[ClientsFolder]:
+def _opened(run: ResolvedGroupRun) -> Iterator[GroupRunFolder]:
     """The run folder, new or to resume, locked; a new one in which nothing was done is removed.
 
     `removed_without_results` does so for a run of one network.
     """
     configs = {client.name: client.config for client in run.clients}
     if run.resume:
-        with locked(run.out):
-            folder = open_clients_folder(run.out)
+        with lock_run_folder(run.out):
+            folder = open_group_run_folder(run.out)
             _cut_truncated(folder)
             for client in run.clients:
                 _lengthen(folder.path / client.name, client)
@@ -166,16 +168,16 @@ def _opened(run: GroupRun) -> Iterator[ClientsFolder]:
             yield folder.with_status("running", folder.manifest.steps)
         return
     world = run.clients[0].config
-    manifest = make_manifest(world, run.info, [each.learn.network for each in configs.values()])
+    manifest = make_run_manifest(world, run.info, [each.learn.network for each in configs.values()])
     made = not run.out.exists()
     if made:
         run.out.mkdir(parents=True)
-    with locked(run.out):
-        created: ClientsFolder | None = None
+    with lock_run_folder(run.out):
+        created: GroupRunFolder | None = None
         try:
-            created = create_clients_folder(run.out, world, manifest, configs)
+            created = create_group_run_folder(run.out, world, manifest, configs)
             yield created
-        except (WcsimError, NothingSaved) as error:
+        except (WcsimError, NothingSavedInterrupt) as error:
             if created is None:
                 remove = made
             else:
@@ -186,7 +188,7 @@ def _opened(run: GroupRun) -> Iterator[ClientsFolder]:
             raise
 
 
-def _cut_truncated(folder: ClientsFolder) -> None:
+def _cut_truncated(folder: GroupRunFolder) -> None:
     """Cut off records that were truncated when a process died, and warn of each cut.
 
     Raises:
@@ -194,7 +196,7 @@ def _cut_truncated(folder: ClientsFolder) -> None:
     """
     path = folder.path / JOURNAL
     ledgers = [file for file in map(folder.ledger, folder.clients) if file.is_file()]
-    if not part_files(path) and any(True for file in ledgers for _ in iter_ledger(file)):
+    if not list_log_parts(path) and any(True for file in ledgers for _ in iter_ledger_frames(file)):
         raise JournalError(
             f"{path}: is missing, but the ledgers contain ticks; restore it, or start a new run"
         )
@@ -204,7 +206,7 @@ def _cut_truncated(folder: ClientsFolder) -> None:
                 warn(truncation_message(log, writer.cut_bytes))
 
 
-def _lengthen(run: Path, client: Client) -> None:
+def _lengthen(run: Path, client: ResolvedClient) -> None:
     """Let a client's own run folder, where there is one, be as long as the client learns now."""
     if not (run / MANIFEST).is_file():
         return
@@ -212,15 +214,15 @@ def _lengthen(run: Path, client: Client) -> None:
     # A rate that fades does so in the last part alone.
     fade = client.config.learn.learning_rate_fade if client.until is None else 0.0
     if (learn.total_steps, learn.learning_rate_fade) != (client.steps, fade):
-        extend(run, client.steps, fade)
+        extend_run_steps(run, client.steps, fade)
 
 
 def _finish(
-    run: GroupRun,
-    folder: ClientsFolder,
+    run: ResolvedGroupRun,
+    folder: GroupRunFolder,
     json: Path | None,
-    outcome: LaunchOutcome,
-    measured: tuple[_TickRate, PaidTimes],
+    outcome: LaunchResult,
+    measured: tuple[_TickRate, GroupRunTimes],
 ) -> int:
     """Write how the run ended, and report it; returns the exit code.
 
@@ -230,7 +232,7 @@ def _finish(
         ConfigError: A client or the world could not use a setting.
     """
     if outcome.stopped and folder.fruitless() and not run.resume:
-        raise NothingSaved("stopped before anything was learned; nothing is saved")
+        raise NothingSavedInterrupt("stopped before anything was learned; nothing is saved")
     # Of clients that were not launched the folder alone knows the steps.
     reported = {each.name: each.status.step for each in outcome.clients if each.status is not None}
     steps = sum(max(reported.get(name, 0), folder.steps(name)) for name in folder.clients)
@@ -248,18 +250,18 @@ def _finish(
         unsaved = [
             f"; client {each.name} {each.unsaved}" for each in outcome.clients if each.unsaved
         ]
-        again = f"{folder.path} is kept; continue it: {how_to_resume(folder.path)}"
+        again = f"{folder.path} is kept; continue it: {format_resume_command(folder.path)}"
         warn(f"{outcome.message}{''.join(unsaved)}; {again}")
         return Exit.FAILED
-    print_crossings(folder.path)
+    print_kpi1_limit_steps(folder.path)
     if run.last:
         best = folder.path / (run.best or folder.clients[0])
-        test = how_to_test(best, "", (run.info.town, *run.info.more_towns))
+        test = make_test_command(best, "", (run.info.town, *run.info.more_towns))
         print(f"run folder: {folder.path}    test one: {test}")
     return Exit.DONE
 
 
-def _with_status(run: GroupRun, folder: ClientsFolder, steps: int) -> ClientsFolder:
+def _with_status(run: ResolvedGroupRun, folder: GroupRunFolder, steps: int) -> GroupRunFolder:
     """Write whether the run is done, where there is room."""
     done = all(folder.done(client.name, client.steps) for client in run.clients)
     status: Status = "done" if done and run.last else "interrupted"
@@ -270,7 +272,7 @@ def _with_status(run: GroupRun, folder: ClientsFolder, steps: int) -> ClientsFol
         return folder
 
 
-def _stop_message(path: Path, clients: Sequence[ClientState]) -> str:
+def _stop_message(path: Path, clients: Sequence[ClientProcessState]) -> str:
     """The message of a run that was stopped by its user: what it holds, and what is lost."""
     reasons = {client.name: client.unsaved for client in clients}
     for client in clients:
@@ -278,10 +280,12 @@ def _stop_message(path: Path, clients: Sequence[ClientState]) -> str:
             reasons[client.name] = client.reason
     lost = [f"client {name} {reason}" for name, reason in reasons.items() if reason]
     if not lost:
-        return f"stopped; {path} holds the training so far; continue it: {how_to_resume(path)}"
+        return (
+            f"stopped; {path} holds the training so far; continue it: {format_resume_command(path)}"
+        )
     return (
         f"stopped, but {'; '.join(lost)}: the training since its last checkpoint is lost; {path} "
-        f"holds the rest; continue it: {how_to_resume(path)}"
+        f"holds the rest; continue it: {format_resume_command(path)}"
     )
 
 
@@ -295,7 +299,7 @@ class _TickRate:
         self._ended_s = -1.0
         self._at_start = 0
 
-    def add(self, state: LaunchState) -> bool:
+    def add(self, state: LaunchProcessStates) -> bool:
         """Add a state; True when the world has just started to tick."""
         now = 0 if state.world is None else state.world.ticks
         # A restarted world counts from zero.
@@ -319,7 +323,7 @@ class _TickRate:
 
 
 def _report_of(
-    folder: ClientsFolder, seed: int, rate: _TickRate, waits: PaidTimes
+    folder: GroupRunFolder, seed: int, rate: _TickRate, waits: GroupRunTimes
 ) -> dict[str, Any]:
     """The report of a run, as `--json` has it.
 
@@ -329,11 +333,11 @@ def _report_of(
         WcsimError: A log cannot be read.
     """
     path = folder.path / JOURNAL
-    journal = path if part_files(path) else None
+    journal = path if list_log_parts(path) else None
     ledgers = [folder.ledger(name) for name in folder.clients]
-    entries = [iter_ledger(ledger) if ledger.is_file() else () for ledger in ledgers]
-    inputs = () if journal is None else iter_inputs(journal)
-    whole, audits = audit(inputs, list(enumerate(entries)))
+    entries = [iter_ledger_frames(ledger) if ledger.is_file() else () for ledger in ledgers]
+    inputs = () if journal is None else iter_journal_inputs(journal)
+    whole, audits = audit_ledgers(inputs, list(enumerate(entries)))
     rows = [_steps_of(ledger, journal, one) for ledger, one in zip(ledgers, audits, strict=True)]
     return {
         "run": str(folder.path),
@@ -348,7 +352,7 @@ def _report_of(
     }
 
 
-def _steps_of(ledger: Path, journal: Path | None, counts: Audit) -> dict[str, int]:
+def _steps_of(ledger: Path, journal: Path | None, counts: LedgerAuditResult) -> dict[str, int]:
     """The steps of one client, counted in its ledger and compared with the journal.
 
     Missing are steps that the world did with its action and that it never saw. Doubled are steps
@@ -368,7 +372,7 @@ def _steps_of(ledger: Path, journal: Path | None, counts: Audit) -> dict[str, in
     }
 
 
-def _print_report(report: Mapping[str, Any], waits: PaidTimes) -> None:
+def _print_report(report: Mapping[str, Any], waits: GroupRunTimes) -> None:
     """Print the report as tables."""
     headings = ("client", "first tick", "last tick", "ticks", "missing", "duplicated")
     rows = (map(str, client.values()) for client in report["clients"])
@@ -383,7 +387,7 @@ def _print_report(report: Mapping[str, Any], waits: PaidTimes) -> None:
     )
 
 
-def _paid_rows(waits: PaidTimes) -> Iterator[tuple[str, ...]]:
+def _paid_rows(waits: GroupRunTimes) -> Iterator[tuple[str, ...]]:
     """The times of each client, and the other that it waited for most."""
     for name, paid in waits.clients.items():
         waited_s = waits.waited_s.get(name, {})

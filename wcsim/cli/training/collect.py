@@ -7,25 +7,25 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
-from wcsim.agents.networks.names import check_network
+from wcsim.agents.networks.names import require_known_network
 from wcsim.cli.shared.common import (
     Bounds,
     Cluster,
-    Finds,
+    ExistingName,
     Jobs,
     OutFile,
     OutFolder,
     SettingsOptions,
-    check_folder,
-    machines_of,
-    parse,
-    some_words,
+    machines_from_options,
+    parse_options,
+    require_writable_folder,
+    split_nonempty_list,
     write_json,
 )
 from wcsim.cli.shared.consoles import warn
 from wcsim.cli.shared.exit_codes import Exit
-from wcsim.cli.shared.run_config import require_policy, require_users
-from wcsim.cli.shared.training import training_town
+from wcsim.cli.shared.run_config import refuse_held_out_users, require_usable_policy
+from wcsim.cli.shared.training import find_training_town
 from wcsim.config import resolve
 from wcsim.core.reading import counted
 from wcsim.errors import InterruptedRunError
@@ -43,7 +43,7 @@ class _Options(SettingsOptions):
     """Total segments, each a fresh world of collect.ticks ticks. Existing segments are kept."""
     policy: str = ""
     """Trained danger network that drives some of the episodes. By default, users and the oracle drive all."""  # noqa: E501 - help text
-    network: Annotated[str, Finds(check_network)] = ""
+    network: Annotated[str, ExistingName(require_known_network)] = ""
     """Your own network as module:Class, if the --policy uses it."""
     worlds: Jobs = 1
     """Worker processes that drive at once. The data does not depend on their number."""
@@ -59,19 +59,23 @@ class _Options(SettingsOptions):
 
 def run(words: list[str]) -> int:
     """Drive, and leave a data folder."""
-    options = parse(_Options, words, "collect")
+    options = parse_options(_Options, words, "collect")
     own = {"learn": {"network": options.network}} if options.network else None
     config = resolve(options.preset, options.config, options.set, own)
     if options.policy:
-        require_policy(options.policy, config.learn.network, bare_for="collecting")
-    require_users(config, (options.set, options.config))
-    machines = replace(machines_of(options.cluster, options.worlds, "--worlds"), report=warn)
-    towns = [training_town(name, False) for name in some_words("--town", options.town)]
+        require_usable_policy(options.policy, config.learn.network, bare_for="collecting")
+    refuse_held_out_users(config, (options.set, options.config))
+    machines = replace(
+        machines_from_options(options.cluster, options.worlds, "--worlds"), report=warn
+    )
+    towns = [
+        find_training_town(name, False) for name in split_nonempty_list("--town", options.town)
+    ]
     out = options.out or Path("data") / f"{towns[0].name}-{options.seed}"
-    check_folder("--out", out)
+    require_writable_folder("--out", out)
     from wcsim.agents.rounds.collect_data import DataOrder, collect_data  # torch is loaded here
     from wcsim.agents.runs.data_folder import SEGMENTS
-    from wcsim.agents.runs.run_folder import policy_path
+    from wcsim.agents.runs.run_folder import policy_folder_from_name
 
     order = DataOrder(
         folder=out,
@@ -79,7 +83,7 @@ def run(words: list[str]) -> int:
         towns=tuple(str(town.address) for town in towns),
         seed=options.seed,
         segments=options.segments,
-        policy=str(policy_path(options.policy)) if options.policy else "",
+        policy=str(policy_folder_from_name(options.policy)) if options.policy else "",
         machines=machines,
     )
     try:

@@ -10,18 +10,18 @@ from typing import TYPE_CHECKING, Final
 
 from wcsim.agents.opening.learner_registry import DANGER_ROUNDS
 from wcsim.agents.opening.named_policy import RULES
-from wcsim.cli.evaluation.judged_suite import JudgeOptions, drive_list, order_of
-from wcsim.cli.evaluation.result_tables import show_result
-from wcsim.cli.shared.common import OutFolder, Repeated, check_folder, parse
+from wcsim.cli.evaluation.judged_suite import SuiteTestOptions, make_suite_order, run_suite_and_save
+from wcsim.cli.evaluation.result_tables import print_test_result
+from wcsim.cli.shared.common import OutFolder, Repeated, parse_options, require_writable_folder
 from wcsim.cli.shared.consoles import StageBar, stdout_console
 from wcsim.cli.shared.run_config import (
-    require_learner,
-    require_users,
-    resolve_run,
+    refuse_held_out_users,
+    require_command_learner,
+    resolve_training_run,
 )
-from wcsim.cli.shared.training import train_network, training_town
+from wcsim.cli.shared.training import find_training_town, train_single_network
 from wcsim.config import RunConfig, resolve
-from wcsim.core.files import numbered_names
+from wcsim.core.files import iter_unused_paths
 from wcsim.errors import InterruptedRunError, TownError
 from wcsim.server.specs import RunInfo
 from wcsim.towns.scenario.town import Town, content_hash
@@ -29,7 +29,7 @@ from wcsim.towns.scenario.town import Town, content_hash
 if TYPE_CHECKING:  # these load the simulators, which --help must not
     from wcsim.agents.evaluation.suite.result_files import TestResult
     from wcsim.agents.evaluation.suite.run import SuiteOrder
-    from wcsim.agents.opening.list_file import Suite
+    from wcsim.agents.opening.list_file import HashedSuite
 
 _STANDS: Final = "zero"
 _PRESET: Final = "laptop"
@@ -74,29 +74,29 @@ class _Options:
 
 def run(words: list[str]) -> int:
     """Train, test and film, and print where the page is."""
-    options = parse(_Options, words, "demo")
+    options = parse_options(_Options, words, "demo")
     started_s = time.monotonic()
 
     # 1. Check all options: what would be refused later is refused now.
-    town = training_town(options.train_town, False)
-    out = options.out or next(numbered_names(Path("runs") / "demo"))
-    check_folder("--out", out)
+    town = find_training_town(options.train_town, False)
+    out = options.out or next(iter_unused_paths(Path("runs") / "demo"))
+    require_writable_folder("--out", out)
     config = resolve(_PRESET, (*_SHORT, *options.set))
-    require_learner(config, DANGER_ROUNDS)
-    require_users(config, (options.set, None))
+    require_command_learner(config, DANGER_ROUNDS)
+    refuse_held_out_users(config, (options.set, None))
     suite = _unseen_suite(options.suite, town)
     _print(
         f"wcsim demo: a network is trained in {town.name} and helps a user elsewhere, in "
         f"{suite.episodes} drives."
     )
-    if parse(_Options, [], "demo") == replace(options, seed=1, out=None):
+    if parse_options(_Options, [], "demo") == replace(options, seed=1, out=None):
         _print(_USUAL)
 
     # 2. Train.
     _print(f"\n1/3 training in {town.name}", "bold")
     _print(DANGER_ROUNDS.describe(config), "dim")
     info = RunInfo(seed=options.seed, command=("wcsim", "demo", *words))
-    train_network(resolve_run(config, info, town, out), town)
+    train_single_network(resolve_training_run(config, info, town, out), town)
 
     # 3. Test beside the user alone, and beside a chair that stands still, by the rules of training.
     _print(
@@ -104,17 +104,17 @@ def run(words: list[str]) -> int:
         "bold",
     )
     rules = tuple(text for text in options.set if text.partition(".")[0] in RULES)
-    trial = JudgeOptions(
+    trial = SuiteTestOptions(
         policies=(_STANDS, str(out)), only=True, jobs=2, out=out / "test", set=rules
     )
-    order = order_of(trial, suite, out / "test", suite.file.forks)
+    order = make_suite_order(trial, suite, out / "test", suite.file.forks)
     try:
-        result = drive_list(order, trial, options.suite)
+        result = run_suite_and_save(order, trial, options.suite)
     except InterruptedRunError:
         again = ["wcsim", "test", _STANDS, str(out), "--suite", options.suite, "--only"]
         again += ["--out", str(out / "test"), "--resume"]
         raise InterruptedRunError(f"stopped; go on with: {shlex.join(again)}") from None
-    show_result(stdout_console(), result)
+    print_test_result(stdout_console(), result)
 
     # 4. Film a drive in which the help counts, and write the page.
     from wcsim.view.report.comparisons import verdict
@@ -133,18 +133,23 @@ def _print(text: str, style: str | None = None) -> None:
     stdout_console().print(text, style=style)
 
 
-def _unseen_suite(name: str, town: Town) -> Suite:
+def _unseen_suite(name: str, town: Town) -> HashedSuite:
     """The list of test drives. Raises TownError when the training town is one of its towns."""
-    from wcsim.agents.opening.list_file import open_suite
+    from wcsim.agents.opening.list_file import read_suite
 
-    suite = open_suite(name)
+    suite = read_suite(name)
     if content_hash(town) in {each.sha256 for each in suite.file.towns}:
         raise TownError(f"{town.name} is a town of the list {name}; expected another --train-town")
     return suite
 
 
 def _write_page(
-    out: Path, order: SuiteOrder, result: TestResult, config: RunConfig, name: str, suite: Suite
+    out: Path,
+    order: SuiteOrder,
+    result: TestResult,
+    config: RunConfig,
+    name: str,
+    suite: HashedSuite,
 ) -> tuple[Path, tuple[int, int]]:
     """Film a drive, alone and with help, and write the page; returns it, and the block and seat."""
     from wcsim.view.report.suite_page import write_demo_page
@@ -168,7 +173,7 @@ def _write_page(
     return page, key
 
 
-def _trained_families(config: RunConfig, suite: Suite) -> list[str]:
+def _trained_families(config: RunConfig, suite: HashedSuite) -> list[str]:
     """The families of the list's generated scenes that the training draws scenes of, too."""
     from wcsim.towns.scene_folders.families import FAMILIES
 

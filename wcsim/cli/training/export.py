@@ -11,21 +11,32 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 from tyro.conf import Positional, arg
 
-from wcsim.agents.export.export_folder import require_export_folder
+from wcsim.agents.export.export_folder import require_replaceable_folder
 from wcsim.agents.opening.learner_registry import learner_of_policy
-from wcsim.agents.opening.named_policy import config_for, open_named, policy_overrides
+from wcsim.agents.opening.named_policy import (
+    config_from_policy_name,
+    open_named_policy,
+    policy_overrides,
+)
 from wcsim.agents.policy_api import BASELINES, UPPER_BOUNDS, Observation, Policy
-from wcsim.agents.runs.policy_file import SHIPPED, policy_name
-from wcsim.agents.runs.run_folder import policy_path
-from wcsim.cli.shared.common import Bounds, InFile, OutFile, check_folder, parse, write_json
+from wcsim.agents.runs.policy_file import SHIPPED, parse_policy_name
+from wcsim.agents.runs.run_folder import policy_folder_from_name
+from wcsim.cli.shared.common import (
+    Bounds,
+    InFile,
+    OutFile,
+    parse_options,
+    require_writable_folder,
+    write_json,
+)
 from wcsim.cli.shared.exit_codes import Exit
-from wcsim.cli.shared.run_config import require_policy
+from wcsim.cli.shared.run_config import require_usable_policy
 from wcsim.config import RunConfig, resolve
 from wcsim.core.reading import counted, escaped, is_folder
 from wcsim.errors import ConfigError, PolicyError, meant
 
 if TYPE_CHECKING:
-    from wcsim.agents.export.onnx_export import ExportFacts
+    from wcsim.agents.export.onnx_export import ExportMeasurements
 
 # Of a recording's actions: with fewer it was hardly this policy that chose them.
 _SAME_POLICY: Final = 0.95
@@ -60,32 +71,32 @@ class _Options:
 
 def run(words: list[str]) -> int:
     """Export, and say what was measured."""
-    options = parse(_Options, words, "export")
+    options = parse_options(_Options, words, "export")
     if options.onnx is None:
         raise ConfigError("nothing to write to; expected --onnx FOLDER")
-    check_folder("--onnx", options.onnx)
-    require_export_folder("--onnx", options.onnx)
+    require_writable_folder("--onnx", options.onnx)
+    require_replaceable_folder("--onnx", options.onnx)
     if options.ride is not None and not options.ride.exists():
         raise ConfigError(
             f"--ride {escaped(options.ride)}: not found; expected a recorded drive, a journal, or "
             "the folder of a run"
         )
     path = _network(options.policy)
-    require_policy(options.policy, options.network, alone=True, bare_for="an export")
+    require_usable_policy(options.policy, options.network, alone=True, bare_for="an export")
     from wcsim.agents.export.onnx_export import export_policy  # torch is loaded here
     from wcsim.agents.networks.costs import LIMIT_MS, RESERVE_MS
-    from wcsim.agents.networks.onnx_form import check_onnx
+    from wcsim.agents.networks.onnx_form import require_onnx_installed
 
-    check_onnx()
+    require_onnx_installed()
     learner = learner_of_policy(path)
-    own = config_for(options.policy, learner.export_preset)
-    policy = open_named(
+    own = config_from_policy_name(options.policy, learner.export_preset)
+    policy = open_named_policy(
         options.policy, resolve(own, _delay(options.delay_ticks)), 0, options.network or None
     )
     own = resolve(own, policy_overrides(own, policy))
     delay, seen, actions, by = _ride(options, own, policy)
     bar_ms = LIMIT_MS - RESERVE_MS
-    config, level = resolve(own, delay), policy_name(options.policy).level
+    config, level = resolve(own, delay), parse_policy_name(options.policy).level
     facts = export_policy(
         *learner.open_graph(path, config, level, options.network or None),
         options.onnx,
@@ -108,7 +119,7 @@ def _network(name: str) -> Path:
     Raises:
         PolicyError: There is no such policy, or it drives without a network.
     """
-    named = policy_name(name)
+    named = parse_policy_name(name)
     if not named.is_network:
         raise PolicyError(
             f"{escaped(name)} has no network that can be exported; expected a run that `wcsim "
@@ -119,12 +130,12 @@ def _network(name: str) -> Path:
             f"{escaped(named.place)} is not a run: there is no such folder; expected one that "
             f"`wcsim train` made, a policy folder, or {SHIPPED}{meant(named.place, (SHIPPED,))}"
         )
-    path = policy_path(name)
+    path = policy_folder_from_name(name)
     learner_of_policy(path).require_exportable(path, name)
     return path
 
 
-def _compared(facts: ExportFacts) -> str:
+def _compared(facts: ExportMeasurements) -> str:
     """How the model compares with the network and with wcsim."""
     borders = ""
     if facts.border_steps:
@@ -153,7 +164,7 @@ def _beside_recording(same: float, by: str, policy: str) -> str:
     )
 
 
-def _costs(facts: ExportFacts, bar_ms: float) -> str:
+def _costs(facts: ExportMeasurements, bar_ms: float) -> str:
     """What a step takes."""
     cost, slow = facts.cost, facts.quota_share
     within = "within" if cost.p99_ms <= bar_ms else "over"
@@ -170,7 +181,7 @@ def _ride(
     options: _Options, own: RunConfig, policy: Policy
 ) -> tuple[tuple[str, ...], Sequence[Observation], tuple[int, ...] | None, str]:
     """The reference ride: delay and observations; of a recording also its actions and policy."""
-    from wcsim.agents.export.export_folder import require_same_inputs
+    from wcsim.agents.export.export_folder import require_matching_recording
     from wcsim.agents.rounds.recorded_ride import header_of, recorded_ride, reference_ride
     from wcsim.bridge.replay.replayed import config_of
 
@@ -183,7 +194,7 @@ def _ride(
             "",
         )
     header = header_of(options.ride)
-    require_same_inputs(
+    require_matching_recording(
         config_of(header), own, options.ride, options.policy
     )  # before its world is made again
     held = recorded_ride(options.ride, options.steps, options.seat)

@@ -13,34 +13,40 @@ from typing import Annotated
 from tyro.conf import Positional, arg
 
 from wcsim.agents.clients.group_run import CLIENT_ARGV
-from wcsim.agents.networks.names import check_network, client_name
+from wcsim.agents.networks.names import client_name_from_network, require_known_network
 from wcsim.agents.opening.learner_registry import Q_LEARNING
-from wcsim.agents.runs.run_folder import ResolvedRun, has_results, open_run, require_new
-from wcsim.cli.shared.common import Bounds, Flag, OutFolder, check_folder, parse
+from wcsim.agents.runs.run_folder import ResolvedRun, has_results, open_run, require_empty_folder
+from wcsim.cli.shared.common import Bounds, Flag, OutFolder, parse_options, require_writable_folder
 from wcsim.cli.shared.consoles import StageBar
-from wcsim.cli.shared.exit_codes import Exit, NothingSaved
-from wcsim.cli.shared.run_config import how_to_test, require_user
+from wcsim.cli.shared.exit_codes import Exit, NothingSavedInterrupt
+from wcsim.cli.shared.run_config import make_test_command, require_known_users
 from wcsim.cli.shared.training import (
-    QLearningOptions,
-    q_layers,
-    removed_without_results,
+    QLearningBaseOptions,
+    make_q_config_layers,
+    remove_run_without_results,
     step_display,
 )
 from wcsim.config import RunConfig, resolve
-from wcsim.core.files import locked
-from wcsim.core.own_folder import workplace
+from wcsim.core.files import lock_run_folder
+from wcsim.core.own_folder import runtime_folder
 from wcsim.errors import ConfigError, InterruptedRunError, ServerGoneError
 from wcsim.server.launch.launcher import Launcher
-from wcsim.server.launch.states import ClientPlan
+from wcsim.server.launch.states import ClientLaunchPlan
 from wcsim.server.protocol.client_core import Patience
 from wcsim.server.protocol.messages import ANY_SEAT
-from wcsim.server.specs import ClientSpec, RunInfo, SeatRequest, seat_spec, to_line
+from wcsim.server.specs import (
+    ClientProcessSpec,
+    RunInfo,
+    SeatRequest,
+    encode_json_line,
+    seat_spec_from_env,
+)
 from wcsim.types import CLIENT_NAME
 from wcsim.view.live_table import LiveTable
 
 
 @dataclass(kw_only=True)
-class _Options(QLearningOptions):
+class _Options(QLearningBaseOptions):
     """Train one network in a running world of `wcsim serve`.
 
     The server sets world, chair and camera.
@@ -70,7 +76,7 @@ class _Options(QLearningOptions):
 
 def run(words: list[str]) -> int:
     """Join, learn, leave a run folder."""
-    options = parse(_Options, words, "join")
+    options = parse_options(_Options, words, "join")
     if options.endpoint.partition("://")[0] not in ("ipc", "tcp"):
         raise ConfigError(
             f"endpoint {options.endpoint!r}: expected ipc://FILE or tcp://HOST:PORT, as `wcsim "
@@ -81,38 +87,40 @@ def run(words: list[str]) -> int:
             f"--name {options.name!r}: expected 1 to 64 letters, digits, - _ or ., not starting "
             "with ."
         )
-    config = resolve(options.preset, *q_layers(options, options.network))
-    check_network(config.learn.network)
-    require_user(config.env.profile)
+    config = resolve(options.preset, *make_q_config_layers(options, options.network))
+    require_known_network(config.learn.network)
+    require_known_users(config.env.profile)
     network = config.learn.network.rpartition(":")[2]
     out = options.out or Path("runs") / f"joined-{network}-{options.seed}"
-    check_folder("--out", out)
+    require_writable_folder("--out", out)
     info = RunInfo(seed=options.seed, rewards=options.reward, command=("wcsim", "join", *words))
-    order = ClientSpec(join=_request(options, config), config=config, out=str(out), info=info)
+    order = ClientProcessSpec(
+        join=_request(options, config), config=config, out=str(out), info=info
+    )
     if options.supervise:
         _supervised(order, options.resume)
     else:
         _joined(order, options.resume)
     if options.steps is not None:
         print(f"note: {Q_LEARNING.describe(config)}")
-    print(f"run folder: {out}    test it: {how_to_test(out, config.learn.network)}")
+    print(f"run folder: {out}    test it: {make_test_command(out, config.learn.network)}")
     return Exit.DONE
 
 
-def _joined(order: ClientSpec, resume: bool) -> None:
+def _joined(order: ClientProcessSpec, resume: bool) -> None:
     # torch is loaded here, before there is a seat for which others would wait
-    from wcsim.agents.clients.client import open_env
+    from wcsim.agents.clients.client import make_client_env
     from wcsim.agents.learning.train import train
 
     out, beats = Path(order.out), count(1)
-    with removed_without_results(out):
-        order, street = open_env(order)
+    with remove_run_without_results(out):
+        order, street = make_client_env(order)
         with street, StageBar("loading the town") as bar:
             run = ResolvedRun(config=order.config, out=out, info=order.info, resume=resume)
             train(run, lambda: street, step_display(bar), alive=lambda: street.beat(next(beats)))
 
 
-def _supervised(order: ClientSpec, resume: bool) -> None:
+def _supervised(order: ClientProcessSpec, resume: bool) -> None:
     """Learn in a process of its own, which is started again as one of `wcsim train-clients` is.
 
     Raises:
@@ -127,31 +135,31 @@ def _supervised(order: ClientSpec, resume: bool) -> None:
     beside = out.with_name(f"{out.name}.supervised")
     beside.mkdir(parents=True, exist_ok=True)
     try:
-        with locked(beside):
+        with lock_run_folder(beside):
             # A restarted client removes a folder without a run and starts again: it must not be
             # another user's folder.
             if resume:
                 open_run(out)
             else:
-                require_new(out)
-            with removed_without_results(out):
+                require_empty_folder(out)
+            with remove_run_without_results(out):
                 _launched(replace(order, out=str(out)), resume, beside)
     finally:
         with suppress(OSError):  # it stays where something was logged
             beside.rmdir()
 
 
-def _launched(order: ClientSpec, resume: bool, beside: Path) -> None:
+def _launched(order: ClientProcessSpec, resume: bool, beside: Path) -> None:
     out, name = order.out, order.join.name
-    with workplace() as place, LiveTable() as table:
+    with runtime_folder() as place, LiveTable() as table:
         file = place / f"{name}.json"
-        plan = ClientPlan(
+        plan = ClientLaunchPlan(
             name=name,
             seat=max(0, order.join.seat),
             argv=(*CLIENT_ARGV, str(file)),
             log=beside / f"{name}.log",
             resume=resume,
-            order=to_line(order),
+            order=encode_json_line(order),
             order_file=file,
         )
         outcome = Launcher(None, (plan,), beside, show=table.show).run()
@@ -160,7 +168,7 @@ def _launched(order: ClientSpec, resume: bool, beside: Path) -> None:
     if outcome.code:
         raise ServerGoneError(outcome.message)
     if outcome.stopped and not has_results(Path(out)):
-        raise NothingSaved("stopped before anything was learned; nothing is saved")
+        raise NothingSavedInterrupt("stopped before anything was learned; nothing is saved")
     if outcome.stopped:
         lost = outcome.clients[0].unsaved
         stopped = "stopped"
@@ -175,9 +183,9 @@ def _request(options: _Options, config: RunConfig) -> SeatRequest:
     env = config.env
     return SeatRequest(
         endpoint=options.endpoint,
-        name=options.name or client_name(config.learn.network),
+        name=options.name or client_name_from_network(config.learn.network),
         claim=secrets.token_hex(16),
-        spec=seat_spec(env),
+        spec=seat_spec_from_env(env),
         seat=ANY_SEAT if options.seat is None else options.seat,
         keys="" if options.keys is None else str(options.keys.absolute()),
         patience=Patience(reconnect_s=options.wait),

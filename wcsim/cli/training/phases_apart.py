@@ -14,26 +14,33 @@ from typing import TYPE_CHECKING
 
 from rich import box
 
-from wcsim.agents.clients.group_run import CHOICE, KPI1, SELECTION, Client, GroupRun, read_choice
-from wcsim.agents.networks.names import is_own
+from wcsim.agents.clients.group_run import (
+    CHOICE,
+    KPI1,
+    SELECTION,
+    ResolvedClient,
+    ResolvedGroupRun,
+    read_selected_client,
+)
+from wcsim.agents.networks.names import is_custom_network
 from wcsim.agents.runs.metrics import KPI1_STEPS, ROW_STEPS
-from wcsim.agents.runs.run_folder import how_to_resume
-from wcsim.cli.evaluation.judged_suite import save_result
-from wcsim.cli.shared.common import worlds_of, write_json
+from wcsim.agents.runs.run_folder import format_resume_command
+from wcsim.cli.evaluation.judged_suite import save_test_result
+from wcsim.cli.shared.common import resolve_worker_count, write_json
 from wcsim.cli.shared.consoles import print_note, show_table, stderr_console
 from wcsim.cli.shared.exit_codes import Exit
-from wcsim.cli.training.clients import GroupOptions, train_clients
-from wcsim.core.files import locked
+from wcsim.cli.training.clients import ClientProcessOptions, train_clients
+from wcsim.core.files import lock_run_folder
 from wcsim.core.reading import counted, escaped
 from wcsim.errors import ConfigError, InterruptedRunError
-from wcsim.server.launch.event_log import RunLog
+from wcsim.server.launch.event_log import EventLogWriter
 from wcsim.towns.scenario.town import Town
 from wcsim.view.report.learning_curve import kpi1_of
 
 if TYPE_CHECKING:  # loads the simulators, which --help must not
     from wcsim.agents.evaluation.suite.records import EpisodeRecord
     from wcsim.agents.evaluation.suite.result_files import TestResult
-    from wcsim.agents.opening.list_file import Suite
+    from wcsim.agents.opening.list_file import HashedSuite
 
 
 Figures = Mapping[str, Mapping[str, float]]
@@ -41,7 +48,9 @@ Figures = Mapping[str, Mapping[str, float]]
 _HEADS = {KPI1: f"KPI 1, last {KPI1_STEPS} steps", "score": "score", "crashes_own": "own crashes"}
 
 
-def train_group(options: GroupOptions, run: GroupRun, town: Town) -> int:
+def train_clients_in_phases(
+    options: ClientProcessOptions, run: ResolvedGroupRun, town: Town
+) -> int:
     """Train clients, their phases together or apart; returns the exit code.
 
     Raises:
@@ -64,7 +73,9 @@ def train_group(options: GroupOptions, run: GroupRun, town: Town) -> int:
             )
         return train_clients(options, run, town)
     suite = _checked(options, run, by)
-    chosen = read_choice(run.out, [client.name for client in run.clients]) if run.resume else ""
+    chosen = (
+        read_selected_client(run.out, [client.name for client in run.clients]) if run.resume else ""
+    )
     if not chosen:
         code = train_clients(options, _first_phase(run), town)
         if code != Exit.DONE:
@@ -73,7 +84,7 @@ def train_group(options: GroupOptions, run: GroupRun, town: Town) -> int:
     return train_clients(options, _second_phase(run, chosen), town)
 
 
-def _checked(options: GroupOptions, run: GroupRun, by: str) -> Suite | None:
+def _checked(options: ClientProcessOptions, run: ResolvedGroupRun, by: str) -> HashedSuite | None:
     """The suite to choose by; None for another way.
 
     Raises:
@@ -86,9 +97,9 @@ def _checked(options: GroupOptions, run: GroupRun, by: str) -> Suite | None:
                 f"--worlds {options.worlds}: --select-by {by} tests nothing; leave --worlds out"
             )
     else:
-        from wcsim.agents.opening.list_file import open_suite
+        from wcsim.agents.opening.list_file import read_suite
 
-        suite = open_suite(by)
+        suite = read_suite(by)
     least = ROW_STEPS if by == KPI1 else 1
     unled = [client.name for client in run.clients if client.config.learn.phase1_steps < least]
     if unled:
@@ -99,12 +110,12 @@ def _checked(options: GroupOptions, run: GroupRun, by: str) -> Suite | None:
     return suite
 
 
-def _first_phase(run: GroupRun) -> GroupRun:
+def _first_phase(run: ResolvedGroupRun) -> ResolvedGroupRun:
     """The run as far as all learn."""
     return replace(run, clients=tuple(map(_until_switch, run.clients)), last=False)
 
 
-def _second_phase(run: GroupRun, best: str) -> GroupRun:
+def _second_phase(run: ResolvedGroupRun, best: str) -> ResolvedGroupRun:
     """The rest of the run: the best client goes on, the others stay where they are."""
     clients = tuple(
         client if client.name == best else _until_switch(client) for client in run.clients
@@ -112,17 +123,19 @@ def _second_phase(run: GroupRun, best: str) -> GroupRun:
     return replace(run, clients=clients, resume=True, best=best)
 
 
-def _until_switch(client: Client) -> Client:
+def _until_switch(client: ResolvedClient) -> ResolvedClient:
     learn = client.config.learn
     return replace(client, until=min(learn.phase1_steps, learn.total_steps))
 
 
-def _choose(options: GroupOptions, run: GroupRun, by: str, suite: Suite | None) -> str:
+def _choose(
+    options: ClientProcessOptions, run: ResolvedGroupRun, by: str, suite: HashedSuite | None
+) -> str:
     """Compare what each client learned in its first phase; the best one's name."""
-    log = RunLog(run.out)
+    log = EventLogWriter(run.out)
     log.add("first_phase_done", by=by)
     try:
-        with locked(run.out):
+        with lock_run_folder(run.out):
             figures = _followed(run) if suite is None else _tested(options, run, suite, by)
             best = by if by in figures else _best_of(figures)
             # The choice is made by all digits; the file is for people.
@@ -142,7 +155,7 @@ def _choose(options: GroupOptions, run: GroupRun, by: str, suite: Suite | None) 
         log.add("comparison_stopped")
         raise InterruptedRunError(
             f"stopped while clients were compared; {run.out} holds the episodes so far; continue "
-            f"it: {how_to_resume(run.out)}"
+            f"it: {format_resume_command(run.out)}"
         ) from None
     for name, own in figures.items():
         log.add("compared", who=name, **own)
@@ -151,18 +164,20 @@ def _choose(options: GroupOptions, run: GroupRun, by: str, suite: Suite | None) 
     return best
 
 
-def _followed(run: GroupRun) -> Figures:
+def _followed(run: ResolvedGroupRun) -> Figures:
     """KPI 1 of each client's own choice at the end of its first phase, over 2,000 steps."""
     return {client.name: {KPI1: kpi1_of(run.out / client.name)} for client in run.clients}
 
 
-def _tested(options: GroupOptions, run: GroupRun, suite: Suite, name: str) -> Figures:
+def _tested(
+    options: ClientProcessOptions, run: ResolvedGroupRun, suite: HashedSuite, name: str
+) -> Figures:
     from wcsim.agents.evaluation.suite.run import SuiteOrder, run_suite
-    from wcsim.agents.opening.named_policy import rule_notes
+    from wcsim.agents.opening.named_policy import describe_rule_differences
     from wcsim.agents.policy_api import UNAIDED
 
     order = SuiteOrder(
-        suite=suite, out=run.out / SELECTION, jobs=worlds_of(options.worlds), forks=0
+        suite=suite, out=run.out / SELECTION, jobs=resolve_worker_count(options.worlds), forks=0
     )
     console = stderr_console()
     by = f"{suite.file.suite} {suite.file.set}"
@@ -174,8 +189,8 @@ def _tested(options: GroupOptions, run: GroupRun, suite: Suite, name: str) -> Fi
     networks = {UNAIDED: ""}
     for client in run.clients:
         network = client.config.learn.network
-        networks[_policy_of(run.out, client.name)] = network if is_own(network) else ""
-    for line in rule_notes(networks, order.preset, suite.file.settings):
+        networks[_policy_of(run.out, client.name)] = network if is_custom_network(network) else ""
+    for line in describe_rule_differences(networks, order.preset, suite.file.settings):
         console.print(line)
     found: dict[str, tuple[EpisodeRecord, ...]] = {}
     for network in dict.fromkeys(networks.values()):
@@ -187,7 +202,7 @@ def _tested(options: GroupOptions, run: GroupRun, suite: Suite, name: str) -> Fi
         )
     records = {policy: found[policy] for policy in networks}
     return _figures_of(
-        save_result(order, name, records), run.out, [client.name for client in run.clients]
+        save_test_result(order, name, records), run.out, [client.name for client in run.clients]
     )
 
 

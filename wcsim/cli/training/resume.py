@@ -12,36 +12,36 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from wcsim.agents.clients.group_run import Client, GroupRun, open_clients_folder
+from wcsim.agents.clients.group_run import ResolvedClient, ResolvedGroupRun, open_group_run_folder
 from wcsim.agents.opening.learner_registry import learner_of
 from wcsim.agents.runs.run_folder import (
     CONFIG,
     MANIFEST,
-    Manifest,
     ResolvedRun,
-    extend,
+    RunManifest,
+    extend_run_steps,
     open_run,
-    read_json,
+    read_run_json,
 )
-from wcsim.agents.runs.transfer import own_classes, require_own
+from wcsim.agents.runs.transfer import custom_class_names, require_trusted_classes
 from wcsim.cli.shared.common import (
     Cluster,
     Repeated,
     Steps,
     Worlds,
-    check_folder,
-    machines_of,
-    parse,
-    some_words,
+    machines_from_options,
+    parse_options,
+    require_writable_folder,
+    split_nonempty_list,
 )
 from wcsim.cli.shared.exit_codes import Exit
-from wcsim.cli.shared.run_config import in_town, resolve_run
-from wcsim.cli.shared.training import OutputOptions, report_run, train_network
-from wcsim.cli.training.clients import LEASE_S, GroupOptions
-from wcsim.cli.training.phases_apart import train_group
+from wcsim.cli.shared.run_config import add_town_to_info, resolve_training_run
+from wcsim.cli.shared.training import OutputOptions, print_finished_run, train_single_network
+from wcsim.cli.training.clients import LEASE_S, ClientProcessOptions
+from wcsim.cli.training.phases_apart import train_clients_in_phases
 from wcsim.config import RunConfig, resolve
 from wcsim.config import parse as parse_config
-from wcsim.core.files import locked
+from wcsim.core.files import lock_run_folder
 from wcsim.errors import ConfigError, PolicyError, TownError
 from wcsim.towns.making.asked_town import asked_town
 from wcsim.towns.scenario.town import Town, streets_hash
@@ -67,9 +67,9 @@ class _Options(OutputOptions):
 
 def run(words: list[str]) -> int:
     """Go on, by what the run's folder says."""
-    options = parse(_Options, words, "resume")
-    check_folder("RUN", options.run)
-    was = None if "clients" in read_json(options.run, MANIFEST) else open_run(options.run)
+    options = parse_options(_Options, words, "resume")
+    require_writable_folder("RUN", options.run)
+    was = None if "clients" in read_run_json(options.run, MANIFEST) else open_run(options.run)
     learner = None if was is None else learner_of(was.config)
     if options.cluster and (learner is None or not learner.own_worlds):
         raise ConfigError(
@@ -82,7 +82,7 @@ def run(words: list[str]) -> int:
             f"--steps: {options.run} learns in {learner.length(was.config)}, not steps; leave it "
             "out"
         )
-    machines = machines_of(options.cluster, options.worlds, "--worlds")
+    machines = machines_from_options(options.cluster, options.worlds, "--worlds")
     again, town = _resumed(options)
     if (
         was.manifest.status == "done"
@@ -91,8 +91,8 @@ def run(words: list[str]) -> int:
         done = f"all of its {learner.length(was.config)} are done"
         extend_it = "; extend it with --steps N" if learner.extends else ""
         print(f"note: {options.run} is finished: {done}{extend_it}", file=sys.stderr)
-    train_network(again, town, verbose=options.verbose, machines=machines)
-    report_run(options, again)
+    train_single_network(again, town, verbose=options.verbose, machines=machines)
+    print_finished_run(options, again)
     return Exit.DONE
 
 
@@ -106,8 +106,8 @@ def _resumed(options: _Options) -> tuple[ResolvedRun, Town]:
     """
     path = options.run
     run = open_run(path)
-    manifest, was = run.manifest, read_json(path, MANIFEST).get("config_was_sha256")
-    digest = parse_config(RunConfig, read_json(path, CONFIG), str(path / CONFIG)).digest()
+    manifest, was = run.manifest, read_run_json(path, MANIFEST).get("config_was_sha256")
+    digest = parse_config(RunConfig, read_run_json(path, CONFIG), str(path / CONFIG)).digest()
     # Another version of wcsim may know more settings, and so have another hash of the same file.
     same_version = manifest.versions.get("wcsim") == metadata.version("wcsim")
     if same_version and digest not in (manifest.config_sha256, was):
@@ -117,35 +117,35 @@ def _resumed(options: _Options) -> tuple[ResolvedRun, Town]:
     if (
         was is not None or steps != run.config.learn.total_steps
     ):  # a process may have ended between two files
-        with locked(path):  # by nobody else at work: a run in use keeps its steps
-            extend(path, steps)
+        with lock_run_folder(path):  # by nobody else at work: a run in use keeps its steps
+            extend_run_steps(path, steps)
         run = open_run(path)
-    return resolve_run(run.config, run.manifest.info, town, path, resume=True), town
+    return resolve_training_run(run.config, run.manifest.info, town, path, resume=True), town
 
 
 def _resume_group(options: _Options) -> int:
     """Go on with a run of several clients. Raises as `_resumed` does."""
     path = options.run
-    folder = open_clients_folder(path)
+    folder = open_group_run_folder(path)
     configs = {name: folder.client_config(name) for name in folder.clients}
     town = _town_of(options, folder.manifest, [config.learn.network for config in configs.values()])
     clients = []
     for seat, (name, config) in enumerate(configs.items()):
         longer = resolve(config, {"learn": {"total_steps": _steps_of(options, config)}})
-        clients.append(Client(name=name, seat=seat, config=longer))
-    info = in_town(folder.manifest.info, town, clients[0].config)
+        clients.append(ResolvedClient(name=name, seat=seat, config=longer))
+    info = add_town_to_info(folder.manifest.info, town, clients[0].config)
     try:
         lease_s = float(_value_of(info.command, "lease") or LEASE_S)
     except ValueError:
         lease_s = LEASE_S
-    again = GroupOptions(
+    again = ClientProcessOptions(
         lease=lease_s if 1.0 <= lease_s <= 86_400.0 else LEASE_S,
         worlds=options.worlds,
         verbose=options.verbose,
         json=options.json,
     )
-    run = GroupRun(clients=tuple(clients), out=path, info=info, resume=True)
-    return train_group(again, run, town)
+    run = ResolvedGroupRun(clients=tuple(clients), out=path, info=info, resume=True)
+    return train_clients_in_phases(again, run, town)
 
 
 def _value_of(command: Sequence[str], option: str) -> str | None:
@@ -164,7 +164,7 @@ def _value_of(command: Sequence[str], option: str) -> str | None:
     return found
 
 
-def _town_of(options: _Options, manifest: Manifest, networks: Sequence[str]) -> Town:
+def _town_of(options: _Options, manifest: RunManifest, networks: Sequence[str]) -> Town:
     """The town that a run of these networks was made in, of several the first one.
 
     Raises:
@@ -173,9 +173,9 @@ def _town_of(options: _Options, manifest: Manifest, networks: Sequence[str]) -> 
         TownError: One is not found under the name that it had.
     """
     path, command = options.run, manifest.command
-    require_own(
+    require_trusted_classes(
         path,
-        own_classes(manifest.hook, manifest.rewards, networks),
+        custom_class_names(manifest.hook, manifest.rewards, networks),
         manifest.own_code,
         options.trust,
     )
@@ -186,7 +186,7 @@ def _town_of(options: _Options, manifest: Manifest, networks: Sequence[str]) -> 
         )
     words = options.town or _value_of(command, "town") or manifest.town
     try:
-        towns = [asked_town(word) for word in some_words("--town", words)]
+        towns = [asked_town(word) for word in split_nonempty_list("--town", words)]
         others = [asked_town(word) for word in manifest.more_towns]
     except TownError as error:
         if options.town:

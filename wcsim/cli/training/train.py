@@ -8,20 +8,24 @@ from typing import Annotated
 from tyro.conf import arg
 
 from wcsim.agents.opening.learner_registry import DANGER_ROUNDS, learner_of
-from wcsim.cli.shared.common import Cluster, Repeated, Worlds, machines_of, parse
+from wcsim.cli.shared.common import Cluster, Repeated, Worlds, machines_from_options, parse_options
 from wcsim.cli.shared.exit_codes import Exit
-from wcsim.cli.shared.run_config import require_learner, require_users, resolve_run
+from wcsim.cli.shared.run_config import (
+    refuse_held_out_users,
+    require_command_learner,
+    resolve_training_run,
+)
 from wcsim.cli.shared.training import (
-    QTrainingOptions,
+    NewQTrainingOptions,
     TrainingOptions,
-    place_run,
-    q_layers,
-    report_run,
-    train_network,
+    choose_towns_and_folder,
+    make_q_config_layers,
+    print_finished_run,
+    train_single_network,
 )
 from wcsim.config import RunConfig, resolve
 from wcsim.server.specs import RunInfo
-from wcsim.server.workers.machines import Machines
+from wcsim.server.workers.machines import WorkerPoolSettings
 
 
 @dataclass(kw_only=True)
@@ -42,7 +46,7 @@ class _RoundsOptions(TrainingOptions):
 
 
 @dataclass(kw_only=True)
-class _QLearningOptions(QTrainingOptions):
+class _QLearningOptions(NewQTrainingOptions):
     """Train a network by Q-learning, from the reward of every step, as in the paper."""
 
     network: Annotated[str, arg(metavar="NAME")] = ""
@@ -51,42 +55,45 @@ class _QLearningOptions(QTrainingOptions):
 
 def run(words: list[str]) -> int:
     """Train a danger network, and leave a run folder."""
-    options = parse(_RoundsOptions, words, "train")
-    machines = machines_of(options.cluster, options.worlds, "--worlds")
+    options = parse_options(_RoundsOptions, words, "train")
+    machines = machines_from_options(options.cluster, options.worlds, "--worlds")
     data = {"collect": {"data": list(options.data)}} if options.data else None
     config = resolve(options.preset, options.config, options.set, data)
-    require_learner(config, DANGER_ROUNDS)
-    require_users(config, (options.set, options.config))
+    require_command_learner(config, DANGER_ROUNDS)
+    refuse_held_out_users(config, (options.set, options.config))
     info = RunInfo(seed=options.seed, command=("wcsim", "train", *words))
     return _train(options, info, config, machines)
 
 
 def run_q(words: list[str]) -> int:
     """Train by Q-learning, and leave a run folder."""
-    options = parse(_QLearningOptions, words, "train-q")
+    options = parse_options(_QLearningOptions, words, "train-q")
     board = {"learn": {"tensorboard": True}} if options.tensorboard else None
-    config = resolve(options.preset, *q_layers(options, options.network, board))
+    config = resolve(options.preset, *make_q_config_layers(options, options.network, board))
     return _train(options, options.info(("wcsim", "train-q", *words)), config)
 
 
 def _train(
-    options: TrainingOptions, info: RunInfo, config: RunConfig, machines: Machines | None = None
+    options: TrainingOptions,
+    info: RunInfo,
+    config: RunConfig,
+    machines: WorkerPoolSettings | None = None,
 ) -> int:
     """Train one network with settings that were checked; returns the exit code.
 
     Raises:
-        WcsimError: See `place_run`, `resolve_run` and `train_network`.
+        WcsimError: See `choose_towns_and_folder`, `resolve_training_run` and `train_single_network`.
     """
     # 1. Find the towns and choose the run folder. Refusals so far load no PyTorch.
-    town, info, out = place_run(options, info, config)
+    town, info, out = choose_towns_and_folder(options, info, config)
 
     # 2. Fill in what the network and the town fix: its window, the options of SUMO.
-    run = resolve_run(config, info, town, out)
+    run = resolve_training_run(config, info, town, out)
 
     # 3. Train, and leave a run folder.
     note = learner_of(config).describe(config)
-    train_network(run, town, note=note, verbose=options.verbose, machines=machines)
+    train_single_network(run, town, note=note, verbose=options.verbose, machines=machines)
 
     # 4. Report where it is, and how to test it.
-    report_run(options, run)
+    print_finished_run(options, run)
     return Exit.DONE

@@ -10,13 +10,17 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from wcsim.agents.clients.group_run import Client, GroupRun
-from wcsim.agents.networks.names import NETWORK_NAMES, client_name
-from wcsim.cli.shared.common import Repeated, parse, some_words
-from wcsim.cli.shared.run_config import in_town, require_user
-from wcsim.cli.shared.training import QTrainingOptions, place_run, q_layers
-from wcsim.cli.training.clients import GroupOptions
-from wcsim.cli.training.phases_apart import train_group
+from wcsim.agents.clients.group_run import ResolvedClient, ResolvedGroupRun
+from wcsim.agents.networks.names import NETWORK_NAMES, client_name_from_network
+from wcsim.cli.shared.common import Repeated, parse_options, split_nonempty_list
+from wcsim.cli.shared.run_config import add_town_to_info, require_known_users
+from wcsim.cli.shared.training import (
+    NewQTrainingOptions,
+    choose_towns_and_folder,
+    make_q_config_layers,
+)
+from wcsim.cli.training.clients import ClientProcessOptions
+from wcsim.cli.training.phases_apart import train_clients_in_phases
 from wcsim.config import resolve
 from wcsim.errors import ConfigError
 
@@ -34,7 +38,7 @@ _TAKEN = (
 
 
 @dataclass(kw_only=True)
-class Options(QTrainingOptions, GroupOptions):
+class Options(NewQTrainingOptions, ClientProcessOptions):
     """Train several networks at once in one shared world, by Q-learning, each in a process of its own."""  # noqa: E501 - help text
 
     clients: Annotated[str, Positional, arg(metavar="A,B,...")]
@@ -48,22 +52,26 @@ class Options(QTrainingOptions, GroupOptions):
 
 def run(words: list[str]) -> int:
     """Train them, and leave a run folder."""
-    options = parse(Options, words, "train-clients")
-    clients = resolved(options)
+    options = parse_options(Options, words, "train-clients")
+    clients = resolve_clients(options)
     config = clients[0].config
-    town, info, out = place_run(options, options.info(("wcsim", "train-clients", *words)), config)
-    return train_group(
-        options, GroupRun(clients=clients, out=out, info=in_town(info, town, config)), town
+    town, info, out = choose_towns_and_folder(
+        options, options.info(("wcsim", "train-clients", *words)), config
+    )
+    return train_clients_in_phases(
+        options,
+        ResolvedGroupRun(clients=clients, out=out, info=add_town_to_info(info, town, config)),
+        town,
     )
 
 
-def resolved(options: Options) -> tuple[Client, ...]:
+def resolve_clients(options: Options) -> tuple[ResolvedClient, ...]:
     """The clients with their names, seats and configurations.
 
     Raises:
         ConfigError: A name or an option cannot be used, or they do not fit into one world.
     """
-    networks = some_words("clients", options.clients)
+    networks = split_nonempty_list("clients", options.clients)
     if len(networks) > MOST_CLIENTS:
         raise ConfigError(f"{len(networks)} clients; expected at most {MOST_CLIENTS}")
     names = client_names(networks)
@@ -71,13 +79,14 @@ def resolved(options: Options) -> tuple[Client, ...]:
     learn: dict[str, object] = {"tensorboard": True} if options.tensorboard else {}
     if options.select_by is not None:
         learn["select_by"] = options.select_by
-    clients: list[Client] = []
+    clients: list[ResolvedClient] = []
     for seat, (name, network) in enumerate(zip(names, networks, strict=True)):
         config = resolve(
-            options.preset, *q_layers(options, network, {"learn": learn}, files.get(name))
+            options.preset,
+            *make_q_config_layers(options, network, {"learn": learn}, files.get(name)),
         )
-        require_user(config.env.profile)
-        clients.append(Client(name=name, seat=seat, config=config))
+        require_known_users(config.env.profile)
+        clients.append(ResolvedClient(name=name, seat=seat, config=config))
     worlds = {client.config.world_digest(): client.name for client in clients}
     if len(worlds) > 1:
         raise ConfigError(
@@ -109,7 +118,7 @@ def client_names(networks: Sequence[str]) -> tuple[str, ...]:
             raise ConfigError(
                 f"client: unknown network {network!r}; expected {known}, or module:Class"
             )
-        base = client_name(network)
+        base = client_name_from_network(network)
         name, number = base, 1
         while name in used:
             number += 1

@@ -12,7 +12,7 @@ from typing import Any, ClassVar, Final
 import msgspec
 
 from wcsim.config import CameraConfig, parse_json
-from wcsim.core.processes import start_child
+from wcsim.core.processes import start_piped_process
 from wcsim.drive import messages as m
 from wcsim.drive.playing.film_states import FilmAbout, FilmFrame, FilmLine, FilmNames, Said
 from wcsim.drive.playing.sources.source_process import FilmSource, run_at_low_priority, run_source
@@ -295,7 +295,7 @@ class _PlayRunner(PageRunner):
         self._busy(f"Opening the street{waits} ...")
         self._film, self._told, self._ended = None, "", ""
         self._names, self._marked, self._opened = {}, 0, source
-        self._source, self._process = start_child(run_source, source, name="wcsim-film", daemon=True)
+        self._source, self._process = start_piped_process(run_source, source, name="wcsim-film", daemon=True)
 
     def _show_first(self, about: FilmAbout) -> None:
         """A film begins: its street is loaded here too. One that cannot be drawn is told of."""

@@ -14,7 +14,7 @@ from wcsim.drive.session import DriveSession
 from wcsim.errors import WcsimError
 from wcsim.log.records import MOST_DETAIL, Admitted, Dismissed, DriveTick, Header, Input, Note, changed
 from wcsim.log.writer import LogWriter
-from wcsim.users.profiles import profile_json
+from wcsim.users.profiles import profile_to_json
 
 _NO_NAME = "all names for a further file are taken; start wcsim drive again"
 _RECORDED = "the simulated user is a recording, which a drive cannot be replayed with; choose a profile"
@@ -80,7 +80,7 @@ class SessionRecorder:
             episode=session.place.episode,
             scene=session.place.scene,
         )
-        sits = "" if beside is None else profile_json(beside)  # "": who sits in the scene, which is made again
+        sits = "" if beside is None else profile_to_json(beside)  # "": who sits in the scene, which is made again
         self._waiting += first_inputs(replace(session.place.spec, profile=sits), session.place.seed)
         if not session.assistance.on:  # of what was switched before this world, its file would not know
             self._note_first(EventKind.ASSISTANCE, "off")
@@ -115,7 +115,7 @@ class SessionRecorder:
                 self._stop(_RECORDED)
                 return
             self._write(Dismissed(epoch=0, tick=record.tick, seat=0))
-            record = changed(record, spec=replace(record.spec, profile=profile_json(user)))
+            record = changed(record, spec=replace(record.spec, profile=profile_to_json(user)))
         elif isinstance(record, Note):
             record = changed(record, detail=record.detail[:MOST_DETAIL])
         self._write(record)

@@ -13,12 +13,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
-from wcsim.agents.opening.named_policy import config_for, open_named
+from wcsim.agents.opening.named_policy import config_from_policy_name, open_named_policy
 from wcsim.agents.policy_api import Levelled
-from wcsim.agents.runs.policy_file import policy_name
+from wcsim.agents.runs.policy_file import parse_policy_name
 from wcsim.config import parse
 from wcsim.config.study import StudyFile, StudyPlace
-from wcsim.core.files import numbered_names
+from wcsim.core.files import iter_unused_paths
 from wcsim.core.reading import SETTINGS, escaped, is_file, parse_toml, read_text
 from wcsim.drive.recording.study_plan import (
     END,
@@ -138,7 +138,7 @@ def _require_named(policy: str, named: str, where: str) -> None:
     if named and named != policy:
         told = f"{where} says policy = {escaped(policy)!r}"
         raise ConfigError(f"--policy {escaped(named)} with --study: {told}; leave --policy out")
-    if policy_name(policy).kind == "class" and not named:
+    if parse_policy_name(policy).kind == "class" and not named:
         raise ConfigError(
             f"{where}: its policy is the class {escaped(policy)}, and loading it runs its code; if you "
             f"trust it, name it: --policy {shlex.quote(escaped(policy))}"
@@ -150,7 +150,7 @@ def _require_levels(study: OpenStudy, where: str) -> None:
     file = study.file
     blocks = [*file.blocks, *([file.practice] if file.practice else [])]
     wanted = {block.level: block.name for block in blocks if block.level is not None}
-    policy = open_named(file.policy, config_for(file.policy, PRESET, ()), 0, study.network or None)
+    policy = open_named_policy(file.policy, config_from_policy_name(file.policy, PRESET, ()), 0, study.network or None)
     try:
         for level, name in wanted.items():
             levels = policy.levels if isinstance(policy, Levelled) else None
@@ -358,7 +358,7 @@ class StudyLead:
         self._show(ready=False, trouble="")
         self._file, self._failed = "", False
         name = f"{part.number}-{part.block.name}.drive"
-        path = next(numbered_names(self._study.folder / name), None)
+        path = next(iter_unused_paths(self._study.folder / name), None)
         try:
             if path is None:
                 raise WcsimError(

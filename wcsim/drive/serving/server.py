@@ -26,7 +26,7 @@ from aiohttp import WSCloseCode, WSMsgType, web
 from aiohttp.http import HttpProcessingError
 from aiohttp.typedefs import Handler
 
-from wcsim.core.processes import start_child
+from wcsim.core.processes import start_piped_process
 from wcsim.core.reading import escaped
 from wcsim.drive import messages as m
 from wcsim.drive.playing.play_runner import PlayStart
@@ -259,7 +259,7 @@ async def _running(
     that does not hear of the end is told by a signal.
     """
     # no daemon: a player starts the process that makes its film
-    pipe, process = start_child(start.run, name=f"wcsim-{start.word}")
+    pipe, process = start_piped_process(start.run, name=f"wcsim-{start.word}")
     listening, speaking = asyncio.create_task(_listen(pipe, hear)), asyncio.create_task(_speak(pipe, words))
     try:
         try:

@@ -26,7 +26,7 @@ from wcsim.physics.renderer.models.paint import (
     class_paint_table,
 )
 from wcsim.types import F32, F64, I32, I64, U8, Bool, ClassId, GroundPaint, StreetMesh
-from wcsim.types.street import joined_mesh
+from wcsim.types.street import join_meshes
 
 WELD_M = 0.02
 _STONE_M, _STONE_LIFT_M, _HAIR_M = 0.16, 0.025, 1e-4  # how wide a kerb's stone is, and how far above the ground
@@ -188,7 +188,7 @@ class GeometryStore:
             pattern=pattern[order],
             frame=frame[order],
         )
-        marks = joined_mesh((_as_mesh(mesh.paint), _kerb_stones(mesh)))
+        marks = join_meshes((_as_mesh(mesh.paint), _kerb_stones(mesh)))
         self.marks = GeometryStore(marks) if len(marks.faces) else None
 
     @classmethod

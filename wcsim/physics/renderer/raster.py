@@ -33,7 +33,7 @@ from wcsim.physics.renderer.kernels import (
 from wcsim.physics.renderer.models.catalog import actor_templates
 from wcsim.physics.renderer.models.paint import AMBIENT, DIFFUSE, HORIZON_RGB, SUN_W, ZENITH_RGB
 from wcsim.types import F32, F64, I32, U8, Bool
-from wcsim.types.street import joined_mesh
+from wcsim.types.street import join_meshes
 
 
 class RasterRenderer:
@@ -46,7 +46,7 @@ class RasterRenderer:
         """`cull=False` draws what is out of view too; it is for tests."""
         self._cull = cull
         self._street = store.arrays
-        self._marks = (store.marks or GeometryStore(joined_mesh(()))).arrays
+        self._marks = (store.marks or GeometryStore(join_meshes(()))).arrays
         self._models = actor_templates()
         self._light = np.array([AMBIENT, DIFFUSE, *HORIZON_RGB, *ZENITH_RGB])
 

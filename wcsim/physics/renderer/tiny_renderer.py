@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from wcsim.core.closing import Closing
-from wcsim.core.frames import Quat, quaternion
+from wcsim.core.closing import ClosingContextBase
+from wcsim.core.frames import Quat, quaternion_from_ypr
 from wcsim.errors import PhysicsError
 from wcsim.physics.buffers import Images
 from wcsim.physics.bullet import Bullet, pybullet
@@ -40,7 +40,7 @@ class _Model:
     colour: int
 
 
-class TinyRenderer(Closing):
+class TinyRenderer(ClosingContextBase):
     """Draws a `GeometryStore` with PyBullet in a DIRECT client of its own."""
 
     def __init__(self, store: GeometryStore) -> None:
@@ -96,7 +96,9 @@ class TinyRenderer(Closing):
             if taken == len(pool):
                 pool.append(self._actor(model))
             self._used[model] = taken + 1
-            turn = quaternion(float(instances.yaw_rad[i]), float(instances.pitch_rad[i]), float(instances.roll_rad[i]))
+            turn = quaternion_from_ypr(
+                float(instances.yaw_rad[i]), float(instances.pitch_rad[i]), float(instances.roll_rad[i])
+            )
             for body in pool[taken]:
                 self._instance_of[body] = i
                 self._move(body, instances.p_W_m[i].tolist(), turn)

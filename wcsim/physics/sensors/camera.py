@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from wcsim.config import CameraConfig, CameraNoiseConfig, DepthNoiseConfig
 from wcsim.core import frames, seeding
-from wcsim.core.closing import Closing
+from wcsim.core.closing import ClosingContextBase
 from wcsim.core.jit import kernel
 from wcsim.errors import ConfigError
 from wcsim.physics.buffers import Images, SeatBuffers, new_images
@@ -160,7 +160,7 @@ class _Shot:
         self.noise.lay_over(self.out, self.noise_key)
 
 
-class CameraRig(Closing):
+class CameraRig(ClosingContextBase):
     """The cameras of all seats: one geometry, one renderer of each kind, three buffers a camera.
 
     The arrays of a frame stay valid until the third new image of that camera after it: a tick that ends an episode
@@ -223,7 +223,7 @@ class CameraRig(Closing):
 
     def _let_go(self) -> None:
         for renderer in self._renderers.values():
-            if isinstance(renderer, Closing):
+            if isinstance(renderer, ClosingContextBase):
                 renderer.close()
         self._renderers.clear()
 
@@ -238,7 +238,7 @@ class CameraRig(Closing):
         """Take the noise of the pictures from this seed on; each seat and camera has its own."""
         for seat, shutters in enumerate(self._shutters):
             for shutter, camera in zip(shutters, self.cameras, strict=True):
-                shutter.key = seeding.key(seed, "camera", seat, camera.name)
+                shutter.key = seeding.derive_key(seed, "camera", seat, camera.name)
                 shutter.last = None
 
     def mount(self, seat: int, cameras: Sequence[CameraConfig], light: float) -> None:

@@ -23,7 +23,7 @@ import numpy as np
 
 from wcsim.config import ImuConfig
 from wcsim.core.constants import GRAVITY_MPS2
-from wcsim.core.frames import Rotation, Vec3, euler, rad
+from wcsim.core.frames import Rotation, Vec3, rad, rpy_from_matrix
 from wcsim.core.jit import exact_kernel
 from wcsim.errors import PhysicsError
 from wcsim.physics.sensors.base import BodyMotion, Sensor
@@ -246,12 +246,12 @@ class Imu(Sensor):
             peak = np.abs(accel + gravity) if felt else np.abs(accel)
         tick_s = count * self._dt_s
         key = noise_key if config.noise else None
-        roll, pitch, yaw = euler(self._rotation)
+        roll, pitch, yaw = rpy_from_matrix(self._rotation)
         if self._R_BS is not None:
             # Row vectors of B in the sensor's frame. The peak, which is judged, stays in B.
             accel, gravity, gyro = accel @ self._R_BS, gravity @ self._R_BS, gyro @ self._R_BS
             turned = np.array(self._rotation).reshape(3, 3) @ self._R_BS
-            roll, pitch, _ = euler(cast(Rotation, tuple(turned.ravel().tolist())))
+            roll, pitch, _ = rpy_from_matrix(cast(Rotation, tuple(turned.ravel().tolist())))
         force, gyro, drawn = self._errors.on(accel + gravity, gyro, tick_s, key)
         roll, pitch = self._tilt.read((roll, pitch), force, gyro, tick_s, drawn)
         return ImuFrame(

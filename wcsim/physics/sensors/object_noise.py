@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from wcsim.core.jit import kernel
-from wcsim.core.reading import own_data
+from wcsim.core.reading import read_module_toml
 from wcsim.physics.buffers import Images
 from wcsim.physics.renderer.base import Pinhole
 from wcsim.physics.renderer.instances import Instances
@@ -105,7 +105,7 @@ class ObjectNoise:
 @cache
 def object_rates() -> dict[str, Any]:
     """`object_noise.toml`: what all levels share as `law`, and each level by its name."""
-    return own_data(__file__)
+    return read_module_toml(__file__)
 
 
 def _law_of(rates: dict[str, Any], camera: Pinhole, tick_s: float) -> _Law:

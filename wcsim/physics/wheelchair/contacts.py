@@ -16,7 +16,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final, Literal, NamedTuple
 
-from wcsim.core.frames import Quat, Vec3, added, matrix, rotate_back, turned
+from wcsim.core.frames import (
+    Quat,
+    Vec3,
+    add_vectors,
+    integrate_quaternion,
+    matrix_from_quaternion,
+    rotate_vector_inverse,
+)
 from wcsim.physics.bullet import Bullet
 from wcsim.physics.engine import BodyTag, Role
 from wcsim.types import Contact
@@ -146,14 +153,14 @@ class Motion(NamedTuple):
         state = bullet.getLinkState(body, point[3], computeForwardKinematics=1)
         hub, place = state[0], point[5]
         to_place = [place[k] + now[k] - self.p_W_m[k] - hub[k] for k in range(3)]
-        rotation = matrix(state[1])
-        return _off_tyre(rotate_back(rotation, *to_place), rotate_back(rotation, *point[7]), tyre)
+        rotation = matrix_from_quaternion(state[1])
+        return _off_tyre(rotate_vector_inverse(rotation, *to_place), rotate_vector_inverse(rotation, *point[7]), tyre)
 
     def coast(self, body: int, joints: Sequence[int], dt_s: float, bullet: Bullet) -> None:
         """Put the body where this motion carries it in a step, with the motion unchanged."""
         vx, vy, vz = self.v_W_mps
-        p = added(self.p_W_m, (vx * dt_s, vy * dt_s, vz * dt_s))
-        bullet.resetBasePositionAndOrientation(body, p, turned(self.q_WB, self.w_W_radps, dt_s))
+        p = add_vectors(self.p_W_m, (vx * dt_s, vy * dt_s, vz * dt_s))
+        bullet.resetBasePositionAndOrientation(body, p, integrate_quaternion(self.q_WB, self.w_W_radps, dt_s))
         bullet.resetBaseVelocity(body, self.v_W_mps, self.w_W_radps)
         for joint, (place, rate, *_) in zip(joints, self.joints, strict=True):
             bullet.resetJointState(body, joint, place + rate * dt_s, rate)

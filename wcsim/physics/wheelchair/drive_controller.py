@@ -19,11 +19,11 @@ from wcsim.core.joystick import (
     DECEL,
     STILL_MPS,
     YAW_ACCEL,
-    follow_speed,
-    limits_of,
-    shaped,
+    advance_speed,
+    drive_limits_from_chair,
+    move_towards,
+    shape_joystick,
     target_speeds,
-    towards,
 )
 from wcsim.physics.wheelchair.plant import PlantSpec
 from wcsim.types import F64
@@ -57,7 +57,7 @@ def settings(chair: ChairConfig, spec: PlantSpec, dt_s: float) -> F64:
     damping_s = chair.tremor_damping_s
     return np.array(
         [
-            *limits_of(chair),
+            *drive_limits_from_chair(chair),
             dt_s,
             chair.deadband,
             chair.shape_exponent,
@@ -107,7 +107,7 @@ def _target(x: float, y: float, v_ref_mps: float, setting: F64) -> tuple[float, 
         v_ref_mps: Speed that the controllers hold at the moment.
         setting: From `settings`.
     """
-    sx, sy = shaped(x, y, setting[_DEADBAND], setting[_EXPONENT])
+    sx, sy = shape_joystick(x, y, setting[_DEADBAND], setting[_EXPONENT])
     return target_speeds(sx, sy, v_ref_mps, setting)
 
 
@@ -187,10 +187,10 @@ def step(
     _damped(state, x, y, setting)
     v_wanted, w_wanted = _target(state[STICK_X], state[STICK_Y], state[V_REF_MPS], setting)
     idle = v_wanted == 0.0 and w_wanted == 0.0
-    state[V_REF_MPS], state[A_REF_MPS2] = follow_speed(
+    state[V_REF_MPS], state[A_REF_MPS2] = advance_speed(
         state[V_REF_MPS], state[A_REF_MPS2], v_wanted, setting, setting[_DT_S]
     )
-    state[W_REF_RADPS] = towards(state[W_REF_RADPS], w_wanted, setting[YAW_ACCEL] * setting[_DT_S])
+    state[W_REF_RADPS] = move_towards(state[W_REF_RADPS], w_wanted, setting[YAW_ACCEL] * setting[_DT_S])
     state[IDLE_S] = state[IDLE_S] + setting[_DT_S] if idle else 0.0
     if idle and abs(state[V_REF_MPS]) < STILL_MPS and abs(state[W_REF_RADPS]) < _STILL_RADPS:
         # Nothing is left over for the next start: the controllers begin it from rest.

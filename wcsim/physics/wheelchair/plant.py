@@ -13,7 +13,7 @@ from itertools import combinations
 from typing import Final
 
 from wcsim.config import CameraConfig, ChairConfig
-from wcsim.config.plant import BeamPart, CasterPart, PlantFile, read_plant, with_values
+from wcsim.config.plant import CasterBeamPart, CasterPart, PlantFile, override_plant_values, read_plant
 from wcsim.core.frames import Vec3
 from wcsim.errors import ConfigError
 from wcsim.physics.engine import GRAVITY_MPS2
@@ -183,7 +183,7 @@ def disc_inertia_kgm2(mass_kg: float, radius_m: float, width_m: float) -> Vec3:
     return across, 0.5 * mass_kg * radius_m**2, across
 
 
-def beam_inertia_kgm2(beam: BeamPart, track_m: float) -> Vec3:
+def beam_inertia_kgm2(beam: CasterBeamPart, track_m: float) -> Vec3:
     """Those of a rod as long as its pair's track, across the chair."""
     long = beam.mass_kg * track_m**2 / 12.0
     return long, min(_BEAM_INERTIA_KGM2, long), long  # Bullet takes one that no body can have for none
@@ -323,7 +323,7 @@ def plant_spec(chair: ChairConfig) -> PlantSpec:
     """
     file = read_plant(chair.plant)
     own = {"mass.user_kg": chair.user_mass_kg, "mass.com_z_m": chair.com_height_m}
-    file = with_values(file, {name: value for name, value in own.items() if value is not None})
+    file = override_plant_values(file, {name: value for name, value in own.items() if value is not None})
     for key, limit, unit in _LIMITS:
         got, most = getattr(chair, key), getattr(file.limits, limit)
         if got > most:
@@ -343,7 +343,7 @@ def varied(spec: PlantSpec, values: Mapping[str, float]) -> PlantSpec:
     Raises:
         ConfigError: A name is unknown, a value is out of bounds, or the plant cannot stand.
     """
-    return _checked(with_values(spec, values), "varied")
+    return _checked(override_plant_values(spec, values), "varied")
 
 
 def _checked(file: PlantFile, name: str) -> PlantSpec:

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
 
-from wcsim.config.plant import ArmPart, BeamPart, CasterPart
+from wcsim.config.plant import CasterArmPart, CasterBeamPart, CasterPart
 from wcsim.core.frames import Vec3, rad
 from wcsim.core.own_folder import temporary_folder
 from wcsim.errors import ConfigError, PhysicsError
@@ -73,13 +73,13 @@ def _casters(spec: PlantSpec) -> Iterator[str]:
                 yield from _caster(f"{number}_{side}", pair, f"arm_{number}_{side}", _ORIGIN)
 
 
-def _arm(name: str, arm: ArmPart, at_m: Vec3) -> Iterator[str]:
+def _arm(name: str, arm: CasterArmPart, at_m: Vec3) -> Iterator[str]:
     yield f'<link name="{name}">{_inertial(arm.mass_kg, (ARM_INERTIA_KGM2,) * 3, _ORIGIN)}</link>'
     limit = f'<limit lower="{-arm.down_m}" upper="{arm.up_m}" effort="{_ARM_EFFORT_N}" velocity="{_ARM_MPS}"/>'
     yield _joint(name, "frame", at_m, axis="0 0 1", kind="prismatic", limit=limit)
 
 
-def _beam(name: str, pair: CasterPart, beam: BeamPart) -> Iterator[str]:
+def _beam(name: str, pair: CasterPart, beam: CasterBeamPart) -> Iterator[str]:
     """A rod as long as the pair's track, level with the swivels; its pivot's axis is x."""
     com = (0.0, 0.0, pair.radius_m + FORK_M - beam.pivot_z_m)
     yield f'<link name="{name}">{_inertial(beam.mass_kg, beam_inertia_kgm2(beam, pair.track_m), com)}</link>'
@@ -155,7 +155,7 @@ class ChairBody:
     joints: tuple[int, ...]  # all that move: the drive wheels first, then the arms
     drives: tuple[int, int]
     arms: tuple[int, ...]
-    springs: tuple[ArmPart, ...]  # one for each arm
+    springs: tuple[CasterArmPart, ...]  # one for each arm
     part: dict[int, str]  # of every link that may touch the ground
     tyres: dict[int, Tyre]
 

@@ -18,7 +18,18 @@ import numpy as np
 
 from wcsim.config import ChairConfig, ImuConfig
 from wcsim.core.constants import KERB_STEP_M
-from wcsim.core.frames import Quat, Rotation, Vec3, added, euler, matrix, quaternion, rotate, rotate_back, velocity_at
+from wcsim.core.frames import (
+    Quat,
+    Rotation,
+    Vec3,
+    add_vectors,
+    matrix_from_quaternion,
+    quaternion_from_ypr,
+    rotate_vector,
+    rotate_vector_inverse,
+    rpy_from_matrix,
+    velocity_at,
+)
 from wcsim.core.jit import exact_kernel
 from wcsim.errors import PhysicsError
 from wcsim.physics.bullet import Bullet, pybullet
@@ -284,7 +295,7 @@ class Wheelchair:
 
     def park(self) -> None:
         """Stand far below the street, asleep."""
-        self._pose((_PARK_STEP_M * self.seat, 0.0, PARK_Z_M), quaternion(0.0))
+        self._pose((_PARK_STEP_M * self.seat, 0.0, PARK_Z_M), quaternion_from_ypr(0.0))
         self._wake(False)
         self._parked = True
 
@@ -373,14 +384,14 @@ class Wheelchair:
     def _state_now(self) -> PlantState:
         r = self._rotation
         cx, cy, cz = self._com_B_m
-        origin = added(self._p_com_W_m, rotate(r, -cx, -cy, -cz))
+        origin = add_vectors(self._p_com_W_m, rotate_vector(r, -cx, -cy, -cz))
         v_origin = velocity_at(origin, self._p_com_W_m, self._v_W_mps, self._w_W_radps)
-        roll, pitch, yaw = euler(r)
+        roll, pitch, yaw = rpy_from_matrix(r)
         return PlantState(
             p_WB_m=np.array(origin),
             q_WB=np.array(self._q_WB),
-            v_B_mps=np.array(rotate_back(r, *v_origin)),
-            w_B_radps=np.array(rotate_back(r, *self._w_W_radps)),
+            v_B_mps=np.array(rotate_vector_inverse(r, *v_origin)),
+            w_B_radps=np.array(rotate_vector_inverse(r, *self._w_W_radps)),
             wheel_radps=np.array((self._joints[0][1], self._joints[1][1])),
             roll_rad=roll,
             pitch_rad=pitch,
@@ -407,22 +418,22 @@ class Wheelchair:
     def _stance(self, p_W_m: Vec3, yaw_rad: float) -> tuple[float, Quat]:
         """Height of the body's origin and its rotation, with all wheels on the ground or above it."""
         wheels_B_m = self._spec.stand_m()
-        turn = matrix(quaternion(yaw_rad))
-        wheels_W_m = np.array([added(p_W_m, rotate(turn, x, y, 0.0)) for x, y in wheels_B_m])
+        turn = matrix_from_quaternion(quaternion_from_ypr(yaw_rad))
+        wheels_W_m = np.array([add_vectors(p_W_m, rotate_vector(turn, x, y, 0.0)) for x, y in wheels_B_m])
         heights = self._engine.ground_at(wheels_W_m)
         # Where a wheel has no ground below there is no plane; on level ground rounding must not tilt the chair.
         if np.isnan(heights).any() or np.ptp(heights) < LEVEL_M:
-            return p_W_m[2], quaternion(yaw_rad)
+            return p_W_m[2], quaternion_from_ypr(yaw_rad)
         columns = np.array([(1.0, x, y) for x, y in wheels_B_m])
         (base, ahead, left), *_ = np.linalg.lstsq(columns, heights, rcond=None)
         # The plane of least squares passes above some wheel's ground: raised until no wheel is in it.
         lift = float((heights - columns @ (base, ahead, left)).max())
         roll_rad = math.asin(left / math.sqrt(1.0 + ahead**2 + left**2))
-        return float(base) + lift, quaternion(yaw_rad, math.atan(ahead), roll_rad)
+        return float(base) + lift, quaternion_from_ypr(yaw_rad, math.atan(ahead), roll_rad)
 
     def _pose(self, p_WB_m: Vec3, q: Quat) -> None:
         body, bullet = self._body, self._engine.bullet
-        com = added(p_WB_m, rotate(matrix(q), *self._com_B_m))
+        com = add_vectors(p_WB_m, rotate_vector(matrix_from_quaternion(q), *self._com_B_m))
         bullet.resetBasePositionAndOrientation(body.id, com, q)
         bullet.resetBaseVelocity(body.id, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
         for index in body.links.values():
@@ -463,7 +474,7 @@ class Wheelchair:
         self._p_com_W_m, self._q_WB = bullet.getBasePositionAndOrientation(body.id)
         self._v_W_mps, self._w_W_radps = bullet.getBaseVelocity(body.id)
         self._joints = bullet.getJointStates(body.id, body.joints)
-        self._rotation: Rotation = matrix(self._q_WB)
+        self._rotation: Rotation = matrix_from_quaternion(self._q_WB)
         self._state = None  # made when somebody asks
 
     def _coast_over_ghosts(self, suspects: list[tuple[Any, ...]], touches: list[tuple[Any, ...]]) -> None:
@@ -497,7 +508,7 @@ class Wheelchair:
 
     def _frame_part(self, point_W_m: Vec3) -> str:
         px, py, pz = self._p_com_W_m
-        ahead, _, _ = rotate_back(self._rotation, point_W_m[0] - px, point_W_m[1] - py, point_W_m[2] - pz)
+        ahead, _, _ = rotate_vector_inverse(self._rotation, point_W_m[0] - px, point_W_m[1] - py, point_W_m[2] - pz)
         return "footplate" if ahead + self._com_B_m[0] > self._footplate_from_x_m else "body"
 
     def _update_tag(self) -> None:

@@ -15,13 +15,13 @@ from wcsim.bridge.world import World
 from wcsim.core import seeding
 from wcsim.errors import ConfigError
 from wcsim.log.fingerprint import fingerprint
-from wcsim.log.reader import inputs_of_part, part_files, read_header, rotate_log
+from wcsim.log.reader import iter_part_inputs, list_log_parts, read_header, rotate_log
 from wcsim.log.records import Ended, EpochBegun, Header
 from wcsim.log.writer import JOURNAL, LogWriter, truncation_message
-from wcsim.server.launch.event_log import RunLog
-from wcsim.server.protocol.events import Rules
+from wcsim.server.launch.event_log import EventLogWriter
+from wcsim.server.protocol.events import ServerRules
 from wcsim.server.protocol.server_core import ServerCore
-from wcsim.server.specs import WorldOrder, WorldSpec, town_of_epoch
+from wcsim.server.specs import WorldBuildSpec, WorldProcessSpec, town_name_for_epoch
 from wcsim.towns.making.asked_town import asked_town
 from wcsim.towns.scenario.town import towns_hash
 from wcsim.users.recordings.recorded_user import find_user
@@ -31,7 +31,7 @@ EPOCH_OVER: Final = "the world generation is over"
 GATHER_AGAIN_S: Final = 60.0  # after an epoch's planned end, for all clients to come back
 REGATHER_S: Final = 5.0  # after a world's death: its clients may have died with it
 
-MakeWorld = Callable[[WorldOrder, Specs, int, int], SeatWorld]
+MakeWorld = Callable[[WorldBuildSpec, Specs, int, int], SeatWorld]
 """Makes the world of an order, with a chair for each of the specs that is not None.
 
 The numbers are its seed and its first epoch.
@@ -39,7 +39,7 @@ The numbers are its seed and its first epoch.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class OpenedServer:
+class ServerParts:
     """A world with its core, and its journal when it writes one."""
 
     world: SeatWorld
@@ -55,16 +55,16 @@ class _LastEpoch:
     is_over: bool = False  # it ended as planned
 
 
-def street_world(order: WorldOrder, specs: Specs, seed: int, epoch: int = 0) -> World:
+def make_street_world(order: WorldBuildSpec, specs: Specs, seed: int, epoch: int = 0) -> World:
     """The world of a town; see `MakeWorld`.
 
     Raises TownError for a town that does not exist, and what `World` raises.
     """
-    town = asked_town(town_of_epoch(order.town, order.more_towns, epoch))
+    town = asked_town(town_name_for_epoch(order.town, order.more_towns, epoch))
     return World(town, order.config, specs, seed, order.place, epoch=epoch, find_user=find_user)
 
 
-def open_server(order: WorldSpec, make: MakeWorld = street_world) -> OpenedServer:
+def open_server_parts(order: WorldProcessSpec, make: MakeWorld = make_street_world) -> ServerParts:
     """Make the world of an order: the next epoch where the journal in its run folder has one.
 
     An epoch whose world died is over, as one that ended as planned. None of its state is needed,
@@ -81,11 +81,11 @@ def open_server(order: WorldSpec, make: MakeWorld = street_world) -> OpenedServe
     no_clients = (None,) * order.rules.capacity
     if not order.run or not order.journal:
         world = make(order, no_clients, order.seed, 0)
-        return OpenedServer(world=world, core=ServerCore(order.rules), journal=None)
+        return ServerParts(world=world, core=ServerCore(order.rules), journal=None)
     # 1. The journal of an earlier process must be of the same world.
     path = Path(order.run) / JOURNAL
-    header = _header(order, has_town=make is street_world)
-    parts = part_files(path)
+    header = _header(order, has_town=make is make_street_world)
+    parts = list_log_parts(path)
     if parts:
         _require_same(parts[-1], header)
     else:
@@ -108,10 +108,10 @@ def open_server(order: WorldSpec, make: MakeWorld = street_world) -> OpenedServe
         journal.close()
         raise
     core = ServerCore(_rules_after(order, last), epoch)
-    return OpenedServer(world=world, core=core, journal=journal)
+    return ServerParts(world=world, core=core, journal=journal)
 
 
-def _header(order: WorldSpec, has_town: bool) -> Header:
+def _header(order: WorldProcessSpec, has_town: bool) -> Header:
     towns = tuple(map(asked_town, (order.town, *order.more_towns) if has_town else ()))
     return Header(
         name=order.name,
@@ -143,7 +143,7 @@ def _last_epoch(parts: Sequence[Path]) -> _LastEpoch:
     """How the last epoch of a journal ended; a part whose world ended while loading has none."""
     for part in reversed(parts):
         seats, epoch, is_over = Seats(), -1, False
-        for record in inputs_of_part(part, ticks=False):
+        for record in iter_part_inputs(part, ticks=False):
             seats.note(record)
             if isinstance(record, EpochBegun):
                 epoch = max(epoch, record.epoch)
@@ -158,7 +158,7 @@ def _append_to(path: Path) -> LogWriter:
     """A journal to go on with; the events of its run say what was cut off its end."""
     journal = LogWriter.append_to(path)
     if journal.cut_bytes:
-        RunLog(path.parent).add(
+        EventLogWriter(path.parent).add(
             "torn", who="world", reason=truncation_message(path, journal.cut_bytes)
         )
     return journal
@@ -166,10 +166,10 @@ def _append_to(path: Path) -> LogWriter:
 
 def _epoch_seed(seed: int, epoch: int) -> int:
     """The seed of an epoch: the run's own for the first one."""
-    return seed if epoch == 0 else seeding.derive(seed, "epoch", epoch)
+    return seed if epoch == 0 else seeding.derive_seed(seed, "epoch", epoch)
 
 
-def _rules_after(order: WorldSpec, last: _LastEpoch) -> Rules:
+def _rules_after(order: WorldProcessSpec, last: _LastEpoch) -> ServerRules:
     """The rules of an order; after an epoch of this launch its clients are waited for."""
     if order.begins or last.epoch < 0:
         return order.rules

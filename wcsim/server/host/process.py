@@ -1,8 +1,8 @@
-"""A world process: `python -m wcsim.server.host.process ORDER_FILE`, with a `WorldSpec` as JSON.
+"""A world process: `python -m wcsim.server.host.process ORDER_FILE`, with a `WorldProcessSpec` as JSON.
 
 `main` reads the order, opens sockets, world and journal, and runs `_ServerLoop` in its only thread
 until `_StopRequest` has a reason, or an epoch or the parent process has ended. The exit code is
-one of `WorldExit`.
+one of `WorldExitCode`.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from typing import Final
 
 import msgspec
 
-from wcsim.core.closing import Closing
+from wcsim.core.closing import ClosingContextBase
 from wcsim.core.processes import die_with_parent
 from wcsim.errors import (
     AccessError,
@@ -36,17 +36,31 @@ from wcsim.errors import (
     WcsimError,
 )
 from wcsim.log.records import Ended
-from wcsim.server.host.opening import EPOCH_OVER, MakeWorld, OpenedServer, open_server, street_world
-from wcsim.server.host.status import Reporter
-from wcsim.server.host.world_host import WorldHost
+from wcsim.server.host.opening import (
+    EPOCH_OVER,
+    MakeWorld,
+    ServerParts,
+    make_street_world,
+    open_server_parts,
+)
+from wcsim.server.host.status import StatusPipeWriter
+from wcsim.server.host.world_host import WorldEffectExecutor
 from wcsim.server.launch.awake_clock import AwakeClock
-from wcsim.server.launch.states import WorldExit
+from wcsim.server.launch.states import WorldExitCode
 from wcsim.server.protocol import messages as m
-from wcsim.server.protocol.events import BarrierState, Clock, Event, Lost, Peer, Received, Stop
-from wcsim.server.protocol.limits import NO_ROOM, limit_message, write_last_line
+from wcsim.server.protocol.events import (
+    BarrierState,
+    ClientLostEvent,
+    Event,
+    MessageReceivedEvent,
+    Peer,
+    StopServerEvent,
+    TimePassedEvent,
+)
+from wcsim.server.protocol.limits import NO_ROOM, resource_limit_message, write_stderr_line
 from wcsim.server.protocol.server_core import ServerCore
-from wcsim.server.specs import WorldSpec, read_order, rss_mb
-from wcsim.server.transport.shared_images import RingSink
+from wcsim.server.specs import WorldProcessSpec, read_spec_file, rss_mb
+from wcsim.server.transport.shared_images import SharedImageWriter
 from wcsim.server.transport.sockets import (
     LOCAL,
     REMOTE,
@@ -67,8 +81,8 @@ _PARENT_ENDED_REASON: Final = "the process that started it is gone"
 _ORDER_FAULTS: Final = (ConfigError, TownError, HookError, JournalError)
 
 
-def main(words: list[str], make: MakeWorld = street_world) -> int:
-    """Host the world of an order file; returns a code of `WorldExit`.
+def main(words: list[str], make: MakeWorld = make_street_world) -> int:
+    """Host the world of an order file; returns a code of `WorldExitCode`.
 
     Benchmarks and tests pass a `make` of their own.
     """
@@ -76,11 +90,11 @@ def main(words: list[str], make: MakeWorld = street_world) -> int:
     try:
         if len(words) != 1:
             raise ConfigError(f"got {len(words)} arguments; expected an order file")
-        order = read_order(WorldSpec, Path(words[0]))
+        order = read_spec_file(WorldProcessSpec, Path(words[0]))
     except WcsimError as error:
         return _report_exit(error)
     stop = _StopRequest()
-    reporter = Reporter(order.status_fd)
+    reporter = StatusPipeWriter(order.status_fd)
     try:
         with ExitStack() as resources:
             # 2. Open everything. The sockets come first, so that an order with a wrong address
@@ -90,7 +104,7 @@ def main(words: list[str], make: MakeWorld = street_world) -> int:
                 sockets = ServerSockets(order.endpoint, order.listen, order.keys)
                 resources.enter_context(sockets)
                 processes = resources.enter_context(_ProcessWatch(order.status_fd))
-                opened = open_server(order, make)
+                opened = open_server_parts(order, make)
                 if opened.journal is not None:
                     resources.enter_context(opened.journal)
                 resources.callback(opened.world.close)
@@ -110,9 +124,9 @@ def main(words: list[str], make: MakeWorld = street_world) -> int:
         reporter.report_failure(failure)
         return _report_exit(failure, order.quiet)
     if not reason.startswith(EPOCH_OVER):
-        return WorldExit.DONE
-    write_last_line(f"wcsim: {reason}")
-    return WorldExit.EPOCH_OVER
+        return WorldExitCode.DONE
+    write_stderr_line(f"wcsim: {reason}")
+    return WorldExitCode.EPOCH_OVER
 
 
 class _StopRequest:
@@ -153,7 +167,7 @@ class _StopRequest:
 
 
 class _ServerLoop:
-    """The loop of a server: messages come in from the sockets, replies of the `WorldHost` go out.
+    """The loop of a server: messages come in from the sockets, replies of the `WorldEffectExecutor` go out.
 
     Replies that one event causes for a client travel as one message of several parts, so that the
     client wakes up once.
@@ -161,20 +175,20 @@ class _ServerLoop:
 
     def __init__(
         self,
-        order: WorldSpec,
-        opened: OpenedServer,
+        order: WorldProcessSpec,
+        opened: ServerParts,
         sockets: ServerSockets,
         processes: _ProcessWatch,
-        reporter: Reporter,
+        reporter: StatusPipeWriter,
     ) -> None:
-        """Nothing is sent or received before `run`. Raises what `RingSink` raises."""
+        """Nothing is sent or received before `run`. Raises what `SharedImageWriter` raises."""
         self._order = order
         self._core = opened.core
-        self._ring = RingSink(Path(order.ring), order.rules.capacity, order.config.cameras)
+        self._ring = SharedImageWriter(Path(order.ring), order.rules.capacity, order.config.cameras)
         self._sockets = sockets
         self._processes = processes
         self._reporter = reporter
-        self._host = WorldHost(
+        self._host = WorldEffectExecutor(
             opened.core,
             opened.world,
             self._post,
@@ -210,11 +224,11 @@ class _ServerLoop:
                 orphan = _PARENT_ENDED_REASON if self._is_orphan else ""
                 reason = stop.reason or orphan or self._cap.reason
             if not self._cap.reason:
-                self._feed(Stop(reason))
+                self._feed(StopServerEvent(reason))
         except WcsimError as error:
             for member in self._core.roster.everyone():
-                failure = m.failure_of(error, member.session)
-                self._sockets.send(member.peer, [m.encode(failure)])
+                failure = m.failure_from_error(error, member.session)
+                self._sockets.send(member.peer, [m.encode_message(failure)])
             raise
         return reason
 
@@ -231,9 +245,9 @@ class _ServerLoop:
         if is_woken or is_due:
             ended, self._is_orphan = self._processes.take_ended()
             for session in ended:
-                self._feed(Lost(session))
+                self._feed(ClientLostEvent(session))
             for session in self._sessions_of(self._sockets.take_lost()):
-                self._feed(Lost(session, "its connection was lost", may_return=True))
+                self._feed(ClientLostEvent(session, "its connection was lost", may_return=True))
         if not is_due:
             return
         self._last_clock_s = now_s = self._clock.now_s
@@ -243,9 +257,9 @@ class _ServerLoop:
         late = [p for p in members if not p.ready and now_s - p.owes_since_s > _HELD_S]
         if 0 < len(late) < len(members):
             for session in [p.session for p in late if self._processes.is_held(p.session)]:
-                self._feed(Lost(session, "a signal holds its process", may_return=True))
+                self._feed(ClientLostEvent(session, "a signal holds its process", may_return=True))
         # 5. Time: leases end, and clients that wait learn for whom.
-        self._feed(Clock())
+        self._feed(TimePassedEvent())
         # 6. Forget sessions that have left.
         present = {p.session for p in self._core.roster.everyone()}
         self._processes.forget_all_but(present)
@@ -278,7 +292,7 @@ class _ServerLoop:
             self._refuse(peer, error)
             return
         # 3. Handle it. The process of a client that has joined on this machine is watched.
-        self._feed(Received(peer, message))
+        self._feed(MessageReceivedEvent(peer, message))
         if not isinstance(message, m.Join):
             return
         self._first_peers.setdefault(message.session, peer)
@@ -286,15 +300,15 @@ class _ServerLoop:
         if not is_in or message.pid <= 0 or not peer.startswith(LOCAL):
             return
         if not self._processes.watch(message.pid, message.session):
-            self._feed(Lost(message.session))
+            self._feed(ClientLostEvent(message.session))
 
     def _refuse(self, peer: Peer, error: WcsimError) -> None:
         """Send a peer why its message is refused; a peer that is shut out loses its sessions."""
-        self._sockets.send(peer, [m.encode(m.failure_of(error))])
+        self._sockets.send(peer, [m.encode_message(m.failure_from_error(error))])
         if self._peers.is_shut_out(peer):
             reason = "it sent too many messages, or too many that could not be read"
             for session in self._sessions_of((peer,)):
-                self._feed(Lost(session, reason))
+                self._feed(ClientLostEvent(session, reason))
 
     def _sessions_of(self, peers: Container[Peer]) -> list[bytes]:
         """The sessions that joined first through these connections."""
@@ -323,7 +337,7 @@ class _ServerLoop:
             if peer.startswith(REMOTE):
                 message = msgspec.structs.replace(message, slot=-1)
             # At once: while the next frame is packed, this client can already compute its action.
-            self._sockets.send(peer, [*self._outbox.pop(peer, ()), m.encode(message)])
+            self._sockets.send(peer, [*self._outbox.pop(peer, ()), m.encode_message(message)])
             return
         # The `TickDone` of a tick is one object for all clients, and is encoded once.
         if message is not self._last_reply:
@@ -335,7 +349,7 @@ class _ServerLoop:
                     config_json=self._order.config.model_dump_json(),
                     town=self._order.town,
                 )
-            self._last_bytes = m.encode(message)
+            self._last_bytes = m.encode_message(message)
         self._outbox.setdefault(peer, []).append(self._last_bytes)
 
 
@@ -346,7 +360,7 @@ class _EpochCap:
     growth the end depends on the tick alone, so two runs with equal seeds end their epochs alike.
     """
 
-    def __init__(self, order: WorldSpec, core: ServerCore) -> None:
+    def __init__(self, order: WorldProcessSpec, core: ServerCore) -> None:
         """Set the barrier's last tick; without `epoch_ticks` no process would go on, so none."""
         self._core = core
         core.last_tick = order.epoch_ticks or None
@@ -374,7 +388,7 @@ class _EpochCap:
         return f"{EPOCH_OVER}: {self._growth or f'tick {self._core.tick}'}"
 
 
-class _ProcessWatch(Closing):
+class _ProcessWatch(ClosingContextBase):
     """Watches the processes of local clients, and the pipe to the parent; a context manager.
 
     The kernel reports the end of a process at once, whatever that process was doing.
@@ -480,7 +494,7 @@ def _as_wcsim_error(error: Exception) -> WcsimError | None:
     """The error to report; None for one that is a fault of the program."""
     if isinstance(error, WcsimError):
         return error
-    message = limit_message(error)
+    message = resource_limit_message(error)
     if not message:
         return None
     is_full = getattr(error, "errno", None) in NO_ROOM
@@ -490,10 +504,10 @@ def _as_wcsim_error(error: Exception) -> WcsimError | None:
 def _report_exit(error: WcsimError, quiet: bool = False) -> int:
     """Write an error to standard error unless `quiet`; returns its exit code."""
     if not quiet:
-        write_last_line(f"wcsim: {type(error).__name__}: {error}")
+        write_stderr_line(f"wcsim: {type(error).__name__}: {error}")
     if isinstance(error, DiskFullError):
-        return WorldExit.DISK_FULL
-    return WorldExit.USER_ERROR if isinstance(error, _ORDER_FAULTS) else WorldExit.FAILED
+        return WorldExitCode.DISK_FULL
+    return WorldExitCode.USER_ERROR if isinstance(error, _ORDER_FAULTS) else WorldExitCode.FAILED
 
 
 if __name__ == "__main__":

@@ -13,21 +13,21 @@ from typing import Final
 import msgspec
 
 from wcsim.errors import WcsimError
-from wcsim.server.host.world_host import WorldHost
-from wcsim.server.launch.states import BarrierDelay, WorldStatus
-from wcsim.server.protocol.events import BarrierState, Clock, Event, Received
-from wcsim.server.protocol.members import Member
-from wcsim.server.protocol.messages import Act, failure_of
+from wcsim.server.host.world_host import WorldEffectExecutor
+from wcsim.server.launch.states import ClientBarrierDelay, WorldStatusReport
+from wcsim.server.protocol.events import BarrierState, Event, MessageReceivedEvent, TimePassedEvent
+from wcsim.server.protocol.members import RosterClient
+from wcsim.server.protocol.messages import Act, failure_from_error
 from wcsim.server.protocol.server_core import ServerCore
-from wcsim.server.specs import rss_mb, to_line
+from wcsim.server.specs import encode_json_line, rss_mb
 
 _REPORT_EVERY_S: Final = 0.25
 _STEPS: Final = 100  # for the median
 _RATES: Final = 20  # reports that the rate is taken over
 
 
-class Reporter:
-    """Writes `WorldStatus` lines into a pipe; lines that do not fit into a full pipe are lost."""
+class StatusPipeWriter:
+    """Writes `WorldStatusReport` lines into a pipe; lines that do not fit into a full pipe are lost."""
 
     def __init__(self, pipe: int) -> None:
         """Use this descriptor; -1 for none."""
@@ -42,11 +42,11 @@ class Reporter:
 
     def report_loading(self) -> None:
         """Report that the world is not there yet."""
-        self._write(to_line(WorldStatus(stage="loading")))
+        self._write(encode_json_line(WorldStatusReport(stage="loading")))
 
     def report_failure(self, error: WcsimError) -> None:
         """Report that there is no world, or no more; the line is a `Failure`."""
-        self._write(msgspec.json.encode(failure_of(error)) + b"\n")
+        self._write(msgspec.json.encode(failure_from_error(error)) + b"\n")
 
     def record_event(self, core: ServerCore, event: Event, now_s: float, stepped_s: float) -> None:
         """Note how long the step of an event was, and who is waited for after it."""
@@ -54,12 +54,12 @@ class Reporter:
             self._steps_s.append(stepped_s)
             # The last action and the step are one event: nobody waits during the step.
             self._waiting.update((), (), now_s - stepped_s)
-        is_act = isinstance(event, Received) and isinstance(event.message, Act)
-        if is_act or stepped_s > 0.0 or isinstance(event, Clock):
+        is_act = isinstance(event, MessageReceivedEvent) and isinstance(event.message, Act)
+        if is_act or stepped_s > 0.0 or isinstance(event, TimePassedEvent):
             names, late = _names_and_late(core, core.roster.members)
             self._waiting.update(names, late, now_s)
 
-    def report(self, core: ServerCore, host: WorldHost, now_s: float) -> None:
+    def report(self, core: ServerCore, host: WorldEffectExecutor, now_s: float) -> None:
         """Report the state of the server, unless the last report is recent."""
         real_s = time.monotonic()
         if real_s - self._report_s < _REPORT_EVERY_S or self._pipe < 0:
@@ -72,7 +72,7 @@ class Reporter:
         master = core.roster.master
         is_waiting = core.stage is BarrierState.COLLECT
         owing_s = [now_s - p.owes_since_s for p in members if is_waiting and not p.ready]
-        status = WorldStatus(
+        status = WorldStatusReport(
             stage=core.stage.value,
             epoch=core.epoch,
             tick=core.tick,
@@ -88,7 +88,7 @@ class Reporter:
             waited_s=self._waiting.table(names),
             listening=self.listening,
         )
-        self._write(to_line(status))
+        self._write(encode_json_line(status))
 
     def _write(self, line: bytes) -> None:
         if self._pipe >= 0:
@@ -143,11 +143,12 @@ class _WaitingTimes:
         self._late = late if len(late) < len(members) else ()
         self._update_s = now_s
 
-    def caused(self, members: Sequence[str]) -> tuple[BarrierDelay, ...]:
+    def caused(self, members: Sequence[str]) -> tuple[ClientBarrierDelay, ...]:
         """Seconds that each of these members was waited for; those of others are forgotten."""
         self._seconds = {name: self._seconds.get(name, 0.0) for name in members}
         return tuple(
-            BarrierDelay(name=name, seconds=seconds) for name, seconds in self._seconds.items()
+            ClientBarrierDelay(name=name, seconds=seconds)
+            for name, seconds in self._seconds.items()
         )
 
     def table(self, members: Sequence[str]) -> tuple[tuple[float, ...], ...]:
@@ -161,7 +162,9 @@ class _WaitingTimes:
         )
 
 
-def _names_and_late(core: ServerCore, members: Sequence[Member]) -> tuple[list[str], list[str]]:
+def _names_and_late(
+    core: ServerCore, members: Sequence[RosterClient]
+) -> tuple[list[str], list[str]]:
     """The names of members, and of those of them that the others wait for."""
     names = _names_of(members)
     if core.stage is not BarrierState.COLLECT:
@@ -170,7 +173,7 @@ def _names_and_late(core: ServerCore, members: Sequence[Member]) -> tuple[list[s
     return names, [name for name, mate in mates if not mate.ready]
 
 
-def _names_of(members: Sequence[Member]) -> list[str]:
+def _names_of(members: Sequence[RosterClient]) -> list[str]:
     """The names of members; one that a member on a lower seat has too is given with its seat."""
     first = {mate.name: mate.seat for mate in sorted(members, key=lambda mate: -mate.seat)}
     return [

@@ -13,16 +13,16 @@ from collections.abc import Callable
 
 from wcsim.bridge.replay.player import SeatWorld
 from wcsim.errors import PhysicsError, WcsimError
-from wcsim.log.records import Admitted, Dismissed, EpochBegun, Input, Respawned, ticked
+from wcsim.log.records import Admitted, Dismissed, EpochBegun, Input, Respawned, make_ticked_record
 from wcsim.server.protocol import events as ev
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.server_core import ServerCore
-from wcsim.server.transport.shared_images import RingSink
+from wcsim.server.transport.shared_images import SharedImageWriter
 
 log = logging.getLogger("wcsim.server.host.world_host")
 
 
-class WorldHost:
+class WorldEffectExecutor:
     """A core, its world and its journal; see the module's text."""
 
     def __init__(
@@ -31,7 +31,7 @@ class WorldHost:
         world: SeatWorld,
         post: Callable[[ev.Peer, m.Reply], None],
         write: Callable[[Input], None] = lambda record: None,
-        sink: RingSink | None = None,
+        sink: SharedImageWriter | None = None,
         loading: Callable[[], object] = lambda: None,
     ) -> None:
         """Host a world.
@@ -61,44 +61,44 @@ class WorldHost:
         while todo:
             effect = todo.popleft()
             match effect:
-                case ev.Send():
+                case ev.SendMessageEffect():
                     self._post(effect.peer, effect.message)
-                case ev.SendFrame():
+                case ev.SendFrameEffect():
                     client = self._frames.get(effect.seat)
                     if client is not None:
                         slot = -1 if self._sink is None else self._sink.slot(effect.tick)
                         frame = m.Frame(effect.epoch, effect.tick, effect.life, client, slot)
                         self._post(effect.peer, frame)
-                case ev.Step():
+                case ev.StepWorldEffect():
                     todo.extend(self._step(effect, now_s))
-                case ev.Admit():
+                case ev.AdmitSeatEffect():
                     todo.extend(self._admit(effect, now_s))
-                case ev.Dismiss():
+                case ev.DismissSeatEffect():
                     self._dismiss(effect)
-                case ev.RespawnSeats():
+                case ev.RespawnSeatsEffect():
                     now = self.world.snapshot
                     self._select_slot(now.tick)
                     for seat in effect.seats:
                         self._frames[seat] = self.world.respawn(seat, self._sink)
                         self._write(Respawned(epoch=now.epoch, tick=now.tick, seat=seat))
-                case ev.RebuildWorld():
+                case ev.RebuildWorldEffect():
                     self._loading()
                     self._select_slot(0)
                     after = self.world.rebuild(effect.seed, self._sink)
                     self._write(EpochBegun(epoch=effect.epoch, seed=effect.seed))
                     self._frames = {client.seat: client for client in after.clients}
 
-    def _step(self, step: ev.Step, now_s: float) -> list[ev.Effect]:
+    def _step(self, step: ev.StepWorldEffect, now_s: float) -> list[ev.Effect]:
         start_s = time.perf_counter()
         self._select_slot(step.tick + 1)
         after = self.world.tick(step.commands, self._sink)
-        self._write(ticked(after.epoch, after.tick, step.commands, after.state_hash))
+        self._write(make_ticked_record(after.epoch, after.tick, step.commands, after.state_hash))
         self._frames = {client.seat: client for client in after.clients}
         self.step_s = time.perf_counter() - start_s
         self.ticks += 1
-        return self.core.handle(ev.Stepped(after.tick, self.step_s), now_s + self.step_s)
+        return self.core.handle(ev.WorldSteppedEvent(after.tick, self.step_s), now_s + self.step_s)
 
-    def _admit(self, admit: ev.Admit, now_s: float) -> list[ev.Effect]:
+    def _admit(self, admit: ev.AdmitSeatEffect, now_s: float) -> list[ev.Effect]:
         now = self.world.snapshot
         self._select_slot(now.tick)
         try:
@@ -123,10 +123,10 @@ class WorldHost:
         if member is None:
             raise error
         self._refused.add(seat)
-        self._post(member.peer, m.failure_of(error, member.session))
-        return self.core.handle(ev.Lost(member.session, str(error)), now_s)
+        self._post(member.peer, m.failure_from_error(error, member.session))
+        return self.core.handle(ev.ClientLostEvent(member.session, str(error)), now_s)
 
-    def _dismiss(self, dismiss: ev.Dismiss) -> None:
+    def _dismiss(self, dismiss: ev.DismissSeatEffect) -> None:
         # A refused client has no chair in the world.
         if dismiss.seat in self._refused:
             self._refused.remove(dismiss.seat)

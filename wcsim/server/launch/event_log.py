@@ -13,7 +13,7 @@ from typing import Final
 EVENTS: Final = "events.jsonl"
 
 
-class RunLog:
+class EventLogWriter:
     """Appends a line an event. A killed process loses none, and a full disk loses lines alone."""
 
     def __init__(self, folder: Path) -> None:

@@ -14,18 +14,18 @@ from enum import Enum
 from pathlib import Path
 from typing import Final
 
-from wcsim.core.processes import StopSignals
+from wcsim.core.processes import StopSignalCounter
 from wcsim.server.launch.awake_clock import AwakeClock
-from wcsim.server.launch.event_log import RunLog
+from wcsim.server.launch.event_log import EventLogWriter
 from wcsim.server.launch.states import (
-    ClientPlan,
-    ClientState,
-    LaunchOutcome,
-    LaunchRules,
-    LaunchState,
-    WorldPlan,
+    ClientLaunchPlan,
+    ClientProcessState,
+    LauncherTimeouts,
+    LaunchProcessStates,
+    LaunchResult,
+    WorldLaunchPlan,
 )
-from wcsim.server.launch.supervised import SupervisedClient, SupervisedWorld
+from wcsim.server.launch.supervised import WatchedClientProcess, WatchedWorldProcess
 
 _POLL_S: Final = 0.1
 _SHOW_S: Final = 0.25
@@ -34,7 +34,7 @@ _CLIENT_WAITS_S: Final = 240.0
 # The same where the world does not tick.
 _CLIENT_WAITS_IDLE_S: Final = 2.0
 
-Show = Callable[[LaunchState], None]
+Show = Callable[[LaunchProcessStates], None]
 
 
 class _LaunchStep(Enum):
@@ -49,12 +49,12 @@ class Launcher:
 
     def __init__(
         self,
-        world: WorldPlan | None,
-        clients: Sequence[ClientPlan],
+        world: WorldLaunchPlan | None,
+        clients: Sequence[ClientLaunchPlan],
         folder: Path,
-        rules: LaunchRules | None = None,
+        rules: LauncherTimeouts | None = None,
         show: Show | None = None,
-        signals: StopSignals | None = None,
+        signals: StopSignalCounter | None = None,
     ) -> None:
         """Prepare a launch.
 
@@ -67,20 +67,20 @@ class Launcher:
             signals: Those that request the end, where the caller has opened them. A second signal
                 kills all processes.
         """
-        self._rules = rules if rules is not None else LaunchRules()
+        self._rules = rules if rules is not None else LauncherTimeouts()
         self._show = show
         self._selector = selectors.DefaultSelector()
-        self._log = log = RunLog(folder)
+        self._log = log = EventLogWriter(folder)
         self._clients = [
-            SupervisedClient(plan, self._rules, self._selector, log) for plan in clients
+            WatchedClientProcess(plan, self._rules, self._selector, log) for plan in clients
         ]
-        self._world: SupervisedWorld | None = None
-        self._processes: list[SupervisedWorld | SupervisedClient] = [*self._clients]
+        self._world: WatchedWorldProcess | None = None
+        self._processes: list[WatchedWorldProcess | WatchedClientProcess] = [*self._clients]
         if world is not None:
-            self._world = SupervisedWorld(world, self._rules, self._selector, log)
+            self._world = WatchedWorldProcess(world, self._rules, self._selector, log)
             self._processes.insert(0, self._world)
         self._opens_signals = signals is None
-        self._stop_signals = StopSignals() if signals is None else signals
+        self._stop_signals = StopSignalCounter() if signals is None else signals
         self._stop_calls = 0
         self._step = _LaunchStep.RUN
         self._step_s = 0.0  # when it started
@@ -93,7 +93,7 @@ class Launcher:
         self._code = 0
         self._message = ""
 
-    def run(self) -> LaunchOutcome:
+    def run(self) -> LaunchResult:
         """Start all processes, and return when none of them runs any more."""
         # The time that a launcher was stopped does not count as waited.
         clock = AwakeClock(time.monotonic())
@@ -112,7 +112,7 @@ class Launcher:
             for process in reversed(self._processes):
                 process.close()
             self._selector.close()
-        return LaunchOutcome(
+        return LaunchResult(
             code=self._code,
             message=self._message,
             stopped=self._stopped,
@@ -236,7 +236,7 @@ class Launcher:
         self._shown_s = now_s
         world = self._world
         self._show(
-            LaunchState(
+            LaunchProcessStates(
                 elapsed_s=now_s,
                 world_standing="elsewhere" if world is None else world.standing,
                 world_pid=0 if world is None else world.pid,
@@ -247,5 +247,5 @@ class Launcher:
             )
         )
 
-    def _client_states(self) -> tuple[ClientState, ...]:
+    def _client_states(self) -> tuple[ClientProcessState, ...]:
         return tuple(client.state for client in self._clients)

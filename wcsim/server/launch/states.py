@@ -25,7 +25,7 @@ Standing = Literal["starting", "running", "down", "done", "stopped", "given up",
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class BarrierDelay:
+class ClientBarrierDelay:
     """How long the others have waited for one client while the barrier filled."""
 
     name: str
@@ -33,7 +33,7 @@ class BarrierDelay:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class WorldStatus:
+class WorldStatusReport:
     """What a world process reports a few times a second."""
 
     stage: str  # "loading", or a Stage
@@ -48,14 +48,14 @@ class WorldStatus:
     late_s: float = 0.0  # since when
     rss_mb: float = 0.0
     # Over the life of this process, by seat, without clients that left.
-    held: tuple[BarrierDelay, ...] = ()
+    held: tuple[ClientBarrierDelay, ...] = ()
     # What each of `members` (rows) has waited for each (columns).
     waited_s: tuple[tuple[float, ...], ...] = ()
     listening: str = ""  # the address for clients on other machines
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ClientStatus:
+class ClientStatusReport:
     """What a client process reports."""
 
     name: str
@@ -97,7 +97,7 @@ class RestartRules:
         return min(self.first_s * 2.0**doublings, self.longest_s)
 
 
-class ClientExit(IntEnum):
+class ClientExitCode(IntEnum):
     """How a client process ends; every other code, and every signal, is a crash.
 
     After a crash, STOPPED, SERVER_GONE and EVICTED it is restarted.
@@ -112,7 +112,7 @@ class ClientExit(IntEnum):
     GROWN = 7  # as planned: its work is saved, and a new process goes on with it
 
 
-class WorldExit(IntEnum):
+class WorldExitCode(IntEnum):
     """How a world process ends."""
 
     DONE = 0
@@ -123,7 +123,7 @@ class WorldExit(IntEnum):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ClientPlan:
+class ClientLaunchPlan:
     """A client process. It is started with `argv --status-fd N`, and `--resume` after a death.
 
     Its `order` is written to `order_file` before every start: files in shared memory may have been
@@ -140,7 +140,7 @@ class ClientPlan:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class WorldPlan:
+class WorldLaunchPlan:
     """A world process."""
 
     argv: tuple[str, ...]
@@ -154,7 +154,7 @@ class WorldPlan:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class LaunchRules:
+class LauncherTimeouts:
     """How long a launcher waits for what, in seconds."""
 
     # A world that sends no status for this time hangs. It has longer before its first tick, and
@@ -175,7 +175,7 @@ class LaunchRules:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ClientState:
+class ClientProcessState:
     """A client as the launcher sees it now."""
 
     name: str
@@ -183,30 +183,30 @@ class ClientState:
     standing: Standing
     pid: int = 0  # 0 while there is no process
     restarts: int = 0
-    status: ClientStatus | None = None  # the last one
+    status: ClientStatusReport | None = None  # the last one
     reason: str = ""  # of its last death
     unsaved: str = ""  # why its last work is lost, though its end was requested
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class LaunchState:
+class LaunchProcessStates:
     """All processes as the launcher sees them now."""
 
     elapsed_s: float
     world_standing: Standing
     world_pid: int
     world_restarts: int
-    world: WorldStatus | None
-    clients: tuple[ClientState, ...]
+    world: WorldStatusReport | None
+    clients: tuple[ClientProcessState, ...]
     stopping: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class LaunchOutcome:
+class LaunchResult:
     """How a launch ended."""
 
     code: int  # 0: all clients are done or it was stopped; 1: one was given up; 2: a user's mistake
     message: str
     stopped: bool
-    clients: tuple[ClientState, ...]
+    clients: tuple[ClientProcessState, ...]
     by_signal: bool = False  # it was stopped by a signal, not by `Launcher.stop`

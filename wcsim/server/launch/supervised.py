@@ -16,21 +16,21 @@ from typing import Final, Generic, TypeVar
 
 import msgspec
 
-from wcsim.core.processes import Child
+from wcsim.core.processes import CommandProcess
 from wcsim.errors import DiskFullError
-from wcsim.server.launch.event_log import RunLog
+from wcsim.server.launch.event_log import EventLogWriter
 from wcsim.server.launch.states import (
     WAIT_NO_MORE,
-    ClientExit,
-    ClientPlan,
-    ClientState,
-    ClientStatus,
-    LaunchRules,
+    ClientExitCode,
+    ClientLaunchPlan,
+    ClientProcessState,
+    ClientStatusReport,
+    LauncherTimeouts,
     RestartRules,
     Standing,
-    WorldExit,
-    WorldPlan,
-    WorldStatus,
+    WorldExitCode,
+    WorldLaunchPlan,
+    WorldStatusReport,
 )
 
 WORLD: Final = "world"
@@ -38,16 +38,16 @@ WORLD: Final = "world"
 MOST_EXCUSED_DEATHS: Final = 20
 """Deaths of a client in a row, for want of a world, that count as progress."""
 _SAVED: Final = (
-    ClientExit.STOPPED,
-    ClientExit.SERVER_GONE,
-    ClientExit.EVICTED,
-    ClientExit.GROWN,
+    ClientExitCode.STOPPED,
+    ClientExitCode.SERVER_GONE,
+    ClientExitCode.EVICTED,
+    ClientExitCode.GROWN,
 )
 # A world that ends before has made no progress.
 _PROGRESS_TICKS: Final = 10
 _ERROR_NAME: Final = re.compile(r"^[A-Za-z]+Error: ")
 
-Status = TypeVar("Status", ClientStatus, WorldStatus)
+Status = TypeVar("Status", ClientStatusReport, WorldStatusReport)
 
 
 class _Supervised(ABC, Generic[Status]):
@@ -60,7 +60,7 @@ class _Supervised(ABC, Generic[Status]):
         log_file: Path,
         restart: RestartRules,
         selector: selectors.BaseSelector,
-        log: RunLog,
+        log: EventLogWriter,
     ) -> None:
         """Nothing runs before `start`; `name` is for the `log` of events."""
         self._name = name
@@ -70,7 +70,7 @@ class _Supervised(ABC, Generic[Status]):
         self._selector = selector
         self._log = log
         # Its life of now.
-        self._child: Child | None = None
+        self._child: CommandProcess | None = None
         self._ending = False
         self.standing: Standing = "down"
         self.status: Status | None = None  # the last one
@@ -107,7 +107,7 @@ class _Supervised(ABC, Generic[Status]):
 
     def start(self, now_s: float) -> None:
         """Start a life."""
-        self._child = Child(self._argv, self._selector, self._log_file)
+        self._child = CommandProcess(self._argv, self._selector, self._log_file)
         self._log.add("restart" if self._lives else "start", who=self._name, pid=self._child.pid)
         self._lives += 1
         self.standing = "starting"
@@ -165,14 +165,14 @@ class _Supervised(ABC, Generic[Status]):
         """It has sent its status."""
 
     @abstractmethod
-    def _kill_if_hung(self, child: Child, now_s: float) -> None:
+    def _kill_if_hung(self, child: CommandProcess, now_s: float) -> None:
         """It runs: does it hang?"""
 
     @abstractmethod
     def _on_exit(self, code: int, message: str, now_s: float) -> None:
         """It has ended, with this last message."""
 
-    def _kill_hung(self, child: Child, **values: float) -> None:
+    def _kill_hung(self, child: CommandProcess, **values: float) -> None:
         self._log.add("hang", who=self._name, **values)
         child.kill()
 
@@ -215,16 +215,20 @@ class _Supervised(ABC, Generic[Status]):
         return True
 
 
-class SupervisedClient(_Supervised[ClientStatus]):
+class WatchedClientProcess(_Supervised[ClientStatusReport]):
     """Also kills a client that hangs, and excuses one that died for want of a world."""
 
     def __init__(
-        self, plan: ClientPlan, rules: LaunchRules, selector: selectors.BaseSelector, log: RunLog
+        self,
+        plan: ClientLaunchPlan,
+        rules: LauncherTimeouts,
+        selector: selectors.BaseSelector,
+        log: EventLogWriter,
     ) -> None:
-        super().__init__(plan.name, ClientStatus, plan.log, rules.client, selector, log)
+        super().__init__(plan.name, ClientStatusReport, plan.log, rules.client, selector, log)
         self.plan = plan
         self._rules = rules
-        self._world: WorldStatus | None = None
+        self._world: WorldStatusReport | None = None
         # How it ended.
         self.reason = ""
         self.unsaved = ""
@@ -242,9 +246,9 @@ class SupervisedClient(_Supervised[ClientStatus]):
         return self.standing in ("done", "stopped", "given up")
 
     @property
-    def state(self) -> ClientState:
+    def state(self) -> ClientProcessState:
         """As the launcher shows it."""
-        return ClientState(
+        return ClientProcessState(
             name=self.plan.name,
             seat=self.plan.seat,
             standing=self.standing,
@@ -261,7 +265,7 @@ class SupervisedClient(_Supervised[ClientStatus]):
         self._seat_epoch = None
         self._unseated_s = None
 
-    def set_world(self, world: WorldStatus | None) -> None:
+    def set_world(self, world: WorldStatusReport | None) -> None:
         """Set the status of its world; None while there is none."""
         self._world = world
 
@@ -283,7 +287,7 @@ class SupervisedClient(_Supervised[ClientStatus]):
         resume = ("--resume",) if self._lives or self.plan.resume else ()
         return (*self.plan.argv, *resume, "--status-fd", str(status_fd))
 
-    def _on_status(self, status: ClientStatus, now_s: float) -> None:
+    def _on_status(self, status: ClientStatusReport, now_s: float) -> None:
         self.standing = "running"
         self._crash = ""
         self._log_recovery(now_s, step=status.step)
@@ -291,7 +295,7 @@ class SupervisedClient(_Supervised[ClientStatus]):
     def _on_exit(self, code: int, message: str, now_s: float) -> None:
         step = 0 if self.status is None else self.status.step
         # 1. It is not restarted: its work is done, its end was requested, or no try would help.
-        if code == ClientExit.DONE:
+        if code == ClientExitCode.DONE:
             self._settle("done", "done", step=step)
             return
         if self._ending:
@@ -299,19 +303,19 @@ class SupervisedClient(_Supervised[ClientStatus]):
                 self.unsaved = _exit_text(code, message)
             self._settle("stopped", "stopped", code=code, step=step)
             return
-        if code == ClientExit.USER_ERROR:
+        if code == ClientExitCode.USER_ERROR:
             self.reason = message
             self.fault = (
                 message or f"client {self.plan.name} {_exit_text(code)}; see {self.plan.log}"
             )
             self._settle("given up", "refused", reason=message)
             return
-        if code == ClientExit.DISK_FULL:
+        if code == ClientExitCode.DISK_FULL:
             self.reason = f"has no disk space to save: {message}"
             self._settle("given up", "given up", reason=self.reason)
             return
         # 2. It ended as planned, and a new process goes on.
-        if code == ClientExit.GROWN:
+        if code == ClientExitCode.GROWN:
             self._crash = ""
             self._replace(message, now_s, step=step)
             return
@@ -321,7 +325,7 @@ class SupervisedClient(_Supervised[ClientStatus]):
     def _restart_after_crash(self, code: int, message: str, now_s: float, step: int) -> None:
         # Without a world it could not make progress, which is excused for a while.
         no_world = self._world is None or self._world.stage == "loading"
-        if code == ClientExit.SERVER_GONE and no_world:
+        if code == ClientExitCode.SERVER_GONE and no_world:
             self._excused_deaths += 1
         else:
             self._excused_deaths = 0
@@ -333,7 +337,7 @@ class SupervisedClient(_Supervised[ClientStatus]):
         if not self._schedule_restart(now_s, progressed):
             self._settle("given up", "given up", deaths=self._deaths)
 
-    def _kill_if_hung(self, child: Child, now_s: float) -> None:
+    def _kill_if_hung(self, child: CommandProcess, now_s: float) -> None:
         """Kill a client that lost its seat, or never gets one, and does not detect that itself."""
         world = self._world
         was_gathering = self._gathering
@@ -365,13 +369,17 @@ class SupervisedClient(_Supervised[ClientStatus]):
                 self._unseated_s = now_s
 
 
-class SupervisedWorld(_Supervised[WorldStatus]):
+class WatchedWorldProcess(_Supervised[WorldStatusReport]):
     """Also kills a world that hangs, and gives up one that dies repeatedly at the same tick."""
 
     def __init__(
-        self, plan: WorldPlan, rules: LaunchRules, selector: selectors.BaseSelector, log: RunLog
+        self,
+        plan: WorldLaunchPlan,
+        rules: LauncherTimeouts,
+        selector: selectors.BaseSelector,
+        log: EventLogWriter,
     ) -> None:
-        super().__init__(WORLD, WorldStatus, plan.log, rules.world, selector, log)
+        super().__init__(WORLD, WorldStatusReport, plan.log, rules.world, selector, log)
         self._plan = plan
         self._rules = rules
         self._status_s = 0.0  # when it last sent its status
@@ -402,7 +410,7 @@ class SupervisedWorld(_Supervised[WorldStatus]):
         _write_order(self._plan.order_file, order)
         return self._plan.argv
 
-    def _on_status(self, status: WorldStatus, now_s: float) -> None:
+    def _on_status(self, status: WorldStatusReport, now_s: float) -> None:
         self._status_s = now_s
         if status.stage != "loading":
             self.standing = "running"
@@ -412,7 +420,7 @@ class SupervisedWorld(_Supervised[WorldStatus]):
         if status.ticks > 0:
             self._log_recovery(now_s, epoch=status.epoch, tick=status.tick)
 
-    def _kill_if_hung(self, child: Child, now_s: float) -> None:
+    def _kill_if_hung(self, child: CommandProcess, now_s: float) -> None:
         file = self._plan.order_file
         if not file.parent.is_dir():
             # Its socket was in that folder, so no client could come back to this world.
@@ -438,7 +446,7 @@ class SupervisedWorld(_Supervised[WorldStatus]):
         if self._ending:
             self._settle("stopped", "end", code=code)
             return
-        if code == WorldExit.EPOCH_OVER:
+        if code == WorldExitCode.EPOCH_OVER:
             self._death_tick = -1
             self._replace(message, now_s)
             return
@@ -446,12 +454,12 @@ class SupervisedWorld(_Supervised[WorldStatus]):
         status = self.status
         tick = self._plan.last_tick(0 if status is None else status.tick)
         reason = self._log_death(code, message, now_s, tick=tick)
-        if code == WorldExit.DISK_FULL:
+        if code == WorldExitCode.DISK_FULL:
             # Where its log has no room either, there is no message.
             message = message or "the world has no disk space; make room"
             self._give_up(f"{message}; then continue (a training: wcsim resume RUN)", refused=False)
             return
-        if code == WorldExit.USER_ERROR or (code == WorldExit.FAILED and not self._loaded):
+        if code == WorldExitCode.USER_ERROR or (code == WorldExitCode.FAILED and not self._loaded):
             self._give_up(message or f"the world {reason}; see {self._log_file}", refused=True)
             return
         # 3. It died in another way.

@@ -13,14 +13,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
-from wcsim.core.closing import Closing
+from wcsim.core.closing import ClosingContextBase
 from wcsim.errors import LinkClosedError, ProtocolError, ServerGoneError, WcsimError
 from wcsim.log.records import SeenFrame
 from wcsim.log.writer import LogWriter
 from wcsim.server.launch.awake_clock import AwakeClock
 from wcsim.server.protocol import messages as m
-from wcsim.server.protocol.client_core import ClientCore, ClientPhase, FrameSeen, Outcome
-from wcsim.server.specs import WorldOrder
+from wcsim.server.protocol.client_core import ClientCore, ClientPhase, FrameOutcome, Outcome
+from wcsim.server.specs import WorldBuildSpec
 from wcsim.types import ClientSnapshot, Joystick
 
 INTERRUPTED: Final = "the previous step was interrupted or has not finished; call reset() first"
@@ -30,7 +30,7 @@ LEAVING_S: Final = 10.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Waits:
+class LinkWaitTimes:
     """Where a client's time in its link went, in seconds."""
 
     steps: int = 0
@@ -39,7 +39,7 @@ class Waits:
     worked_s: float = 0.0  # of link_s, in which something else was done: see `Seat.while_waiting`
 
 
-class Seat(Closing):
+class SeatLink(ClosingContextBase):
     """One seat of a world."""
 
     @abstractmethod
@@ -84,7 +84,7 @@ class Seat(Closing):
 
     @property
     @abstractmethod
-    def waits(self) -> Waits:
+    def waits(self) -> LinkWaitTimes:
         """Where the time went so far."""
 
     def act(self, tick: int, joystick: Joystick) -> ClientSnapshot:
@@ -131,13 +131,13 @@ class Seat(Closing):
         """
 
 
-class SeatGroup(Closing):
+class SeatLinkGroup(ClosingContextBase):
     """A world of its own with a link to each of its seats, in seat order.
 
     A link may be closed before the others.
     """
 
-    links: Sequence[Seat]
+    links: Sequence[SeatLink]
 
     def join(self) -> tuple[ClientSnapshot, ...]:
         """Take all seats; none is given away before all are requested."""
@@ -167,7 +167,7 @@ class SeatGroup(Closing):
         """Start the world again, without chairs, and make new links."""
 
 
-class WorldLink(Seat):
+class ProcessSeatLink(SeatLink):
     """One seat of a world in another process: a client core, whose messages a transport carries.
 
     A transport defines `_post`, `_pump` and `_end`.
@@ -201,7 +201,7 @@ class WorldLink(Seat):
     def _end(self) -> None:
         """Release everything."""
 
-    def _check_pictures(self, seen: FrameSeen) -> None:
+    def _check_pictures(self, seen: FrameOutcome) -> None:
         """Refuse a frame with pictures that this link cannot read. Raises ProtocolError."""
 
     def _welcomed(self, welcome: m.Welcome) -> None:
@@ -210,7 +210,7 @@ class WorldLink(Seat):
     # --- what a client calls ---
 
     def join(self) -> ClientSnapshot:
-        """See `Seat`."""
+        """See `SeatLink`."""
         if self.core.phase is ClientPhase.OFF:
             self.request_join()
         elif self._frame is not None:
@@ -218,13 +218,13 @@ class WorldLink(Seat):
         return self._await_frame()
 
     def request_join(self) -> None:
-        """See `Seat`."""
+        """See `SeatLink`."""
         self._require_open()
         self._frame = None
         self.perform(self.core.join(self._now_s()))
 
     def send(self, tick: int, joystick: Joystick) -> None:
-        """See `Seat`."""
+        """See `SeatLink`."""
         self._require_open()
         self._raise_error()
         if self.interrupted:
@@ -232,31 +232,31 @@ class WorldLink(Seat):
         self.perform(self.core.act(tick, joystick, self._now_s()))
 
     def receive(self) -> ClientSnapshot:
-        """See `Seat`."""
+        """See `SeatLink`."""
         self._require_open()
         return self._await_frame()
 
     def request_respawn(self) -> None:
-        """See `Seat`."""
+        """See `SeatLink`."""
         self._require_open()
         self._raise_error()
         self.perform(self.core.respawn(self._now_s()))
 
     def rebuild(self, seed: int) -> ClientSnapshot:
-        """See `Seat`."""
+        """See `SeatLink`."""
         self._require_open()
         self._raise_error()
         self.perform(self.core.rebuild(seed, self._now_s()))
         return self._await_frame()
 
     def beat(self, progress: int) -> None:
-        """See `Seat`."""
+        """See `SeatLink`."""
         if not self._closed:
             self.perform(self.core.beat(progress))
 
     @property
     def interrupted(self) -> bool:
-        """See `Seat`."""
+        """See `SeatLink`."""
         return self.core.waiting
 
     @property
@@ -266,7 +266,7 @@ class WorldLink(Seat):
 
     @property
     def epoch(self) -> int:
-        """See `Seat`."""
+        """See `SeatLink`."""
         return self.core.epoch
 
     @property
@@ -275,9 +275,9 @@ class WorldLink(Seat):
         return self.core.master
 
     @property
-    def waits(self) -> Waits:
-        """See `Seat`."""
-        return Waits(
+    def waits(self) -> LinkWaitTimes:
+        """See `SeatLink`."""
+        return LinkWaitTimes(
             steps=self._steps,
             simulation_s=self._simulation_s,
             link_s=self._link_s,
@@ -285,12 +285,12 @@ class WorldLink(Seat):
         )
 
     def wait_less(self) -> None:
-        """See `Seat`."""
+        """See `SeatLink`."""
         patience = self.core.patience
         self.core.patience = replace(patience, reconnect_s=min(patience.reconnect_s, LEAVING_S))
 
     def wait_no_more(self) -> None:
-        """See `Seat`."""
+        """See `SeatLink`."""
         self._waits_no_more = True
 
     def close(self) -> None:
@@ -317,7 +317,7 @@ class WorldLink(Seat):
         """Do what the client core requests."""
         for outcome in outcomes:
             match outcome:
-                case FrameSeen(epoch=epoch, tick=tick, stepped=stepped):
+                case FrameOutcome(epoch=epoch, tick=tick, stepped=stepped):
                     if self._ledger is not None:
                         self._ledger.append(SeenFrame(epoch=epoch, tick=tick, stepped=stepped))
                     self._steps += stepped
@@ -361,12 +361,12 @@ class WorldLink(Seat):
         return self._clock.look(time.monotonic())
 
 
-def new_session() -> bytes:
+def make_session_id() -> bytes:
     """Draw a name for a connection that no other client can guess."""
     return secrets.token_bytes(m.SESSION_BYTES)
 
 
-def open_group(order: WorldOrder) -> SeatGroup:
+def open_seat_links(order: WorldBuildSpec) -> SeatLinkGroup:
     """All seats of a new world, which is in this process unless another world lives here.
 
     Two worlds of one order behave the same to the bit, whichever process they are in. One caller in
@@ -377,10 +377,10 @@ def open_group(order: WorldOrder) -> SeatGroup:
     from wcsim.bridge.sumo.session import world_in_this_process
 
     if not world_in_this_process():
-        from wcsim.server.links.local import LocalGroup
+        from wcsim.server.links.local import LocalSeatLinkGroup
 
-        return LocalGroup(order)
+        return LocalSeatLinkGroup(order)
     # ZeroMQ is loaded only for a second world.
-    from wcsim.server.links.socket import ProcessGroup
+    from wcsim.server.links.socket import ProcessSeatLinkGroup
 
-    return ProcessGroup(order)
+    return ProcessSeatLinkGroup(order)

@@ -12,20 +12,20 @@ from contextlib import contextmanager
 
 from wcsim.bridge.world_rollout import rollout
 from wcsim.errors import LinkClosedError, ProtocolError, TickTimeoutError
-from wcsim.server.host.opening import street_world
-from wcsim.server.links.base import INTERRUPTED, Seat, SeatGroup, Waits
-from wcsim.server.specs import WorldOrder
+from wcsim.server.host.opening import make_street_world
+from wcsim.server.links.base import INTERRUPTED, LinkWaitTimes, SeatLink, SeatLinkGroup
+from wcsim.server.specs import WorldBuildSpec
 from wcsim.types import ClientSnapshot, Joystick, SeatSpec
 
 
 class _LocalWorld:
     """A world in this process, with the actions of its seats."""
 
-    def __init__(self, order: WorldOrder) -> None:
-        self.world = street_world(order, (None,) * order.seats, order.seed)
+    def __init__(self, order: WorldBuildSpec) -> None:
+        self.world = make_street_world(order, (None,) * order.seats, order.seed)
         self.sticks: dict[int, Joystick] = {}  # of the next tick, by seat
         self.is_broken = False  # an interrupt or an error came while the world changed
-        self.waits = Waits()
+        self.waits = LinkWaitTimes()
 
     def frame(self, seat: int) -> ClientSnapshot | None:
         """The present frame of a seat; None for a free one."""
@@ -52,10 +52,10 @@ class _LocalWorld:
             next(rollout(self.world, drivers))
         self.sticks.clear()
         total_s = time.perf_counter() - start_s + self.waits.link_s
-        self.waits = Waits(steps=self.waits.steps + 1, simulation_s=total_s, link_s=total_s)
+        self.waits = LinkWaitTimes(steps=self.waits.steps + 1, simulation_s=total_s, link_s=total_s)
 
 
-class _LocalSeat(Seat):
+class _LocalSeat(SeatLink):
     """One seat of a world in this process."""
 
     def __init__(self, home: _LocalWorld, seat: int, spec: SeatSpec) -> None:
@@ -64,18 +64,18 @@ class _LocalSeat(Seat):
         self._closed = False
 
     def join(self) -> ClientSnapshot:
-        """See `Seat`."""
+        """See `SeatLink`."""
         if self._home.frame(self.seat) is None:
             self.request_join()
         return self.receive()
 
     def request_join(self) -> None:
-        """See `Seat`."""
+        """See `SeatLink`."""
         with self._open_world().changing():
             self._home.world.admit(self.seat, self._spec)
 
     def send(self, tick: int, joystick: Joystick) -> None:
-        """See `Seat`."""
+        """See `SeatLink`."""
         home = self._open_world()
         if self.interrupted:
             raise ProtocolError(INTERRUPTED)
@@ -85,7 +85,7 @@ class _LocalSeat(Seat):
         home.sticks[self.seat] = joystick
 
     def receive(self) -> ClientSnapshot:
-        """See `Seat`."""
+        """See `SeatLink`."""
         if self.seat in self._open_world().sticks:
             self._home.tick()
         frame = self._home.frame(self.seat)
@@ -94,29 +94,29 @@ class _LocalSeat(Seat):
         return frame
 
     def request_respawn(self) -> None:
-        """See `Seat`."""
+        """See `SeatLink`."""
         with self._open_world().changing():
             self._home.world.respawn(self.seat)
 
     def rebuild(self, seed: int) -> ClientSnapshot:
-        """See `Seat`."""
+        """See `SeatLink`."""
         with self._open_world().changing():
             self._home.world.rebuild(seed)
         return self.receive()
 
     @property
     def interrupted(self) -> bool:
-        """See `Seat`."""
+        """See `SeatLink`."""
         return self._home.is_broken or self.seat in self._home.sticks
 
     @property
     def epoch(self) -> int:
-        """See `Seat`."""
+        """See `SeatLink`."""
         return self._home.world.snapshot.epoch
 
     @property
-    def waits(self) -> Waits:
-        """See `Seat`."""
+    def waits(self) -> LinkWaitTimes:
+        """See `SeatLink`."""
         return self._home.waits
 
     def close(self) -> None:
@@ -132,13 +132,13 @@ class _LocalSeat(Seat):
         return self._home
 
 
-class LocalGroup(SeatGroup):
+class LocalSeatLinkGroup(SeatLinkGroup):
     """A group whose world is in this process.
 
     Raises WorldInUseError while another world lives here.
     """
 
-    def __init__(self, order: WorldOrder) -> None:
+    def __init__(self, order: WorldBuildSpec) -> None:
         self._order = order
         self.home = _LocalWorld(order)
         self._connect()

@@ -29,25 +29,32 @@ import msgspec
 import zmq
 from zmq.utils.monitor import recv_monitor_message
 
-from wcsim.core.own_folder import OwnFolder, endpoint_in, is_abandoned
-from wcsim.core.processes import Child
+from wcsim.core.own_folder import LockedTempFolder, is_abandoned, world_endpoint_from_folder
+from wcsim.core.processes import CommandProcess
 from wcsim.errors import AccessError, ConfigError, LinkClosedError, LinkTimeoutError, ProtocolError
-from wcsim.server.launch.states import WorldStatus
-from wcsim.server.ledger import open_ledger
-from wcsim.server.links.base import SeatGroup, WorldLink, new_session
+from wcsim.server.launch.states import WorldStatusReport
+from wcsim.server.ledger import open_ledger_writer
+from wcsim.server.links.base import ProcessSeatLink, SeatLinkGroup, make_session_id
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.client_core import (
     ClientCore,
     ClientPhase,
-    FrameSeen,
-    JoinRequest,
+    FrameOutcome,
+    JoinSettings,
     Patience,
 )
-from wcsim.server.protocol.events import Rules
-from wcsim.server.specs import WORLD_ARGV, SeatRequest, WorldOrder, WorldSpec, of_line, to_line
-from wcsim.server.transport.keys import client_keys, server_public
-from wcsim.server.transport.shared_images import RingView
-from wcsim.server.transport.sockets import open_monitor
+from wcsim.server.protocol.events import ServerRules
+from wcsim.server.specs import (
+    WORLD_ARGV,
+    SeatRequest,
+    WorldBuildSpec,
+    WorldProcessSpec,
+    decode_json_line,
+    encode_json_line,
+)
+from wcsim.server.transport.keys import read_client_keys, read_server_public_key
+from wcsim.server.transport.shared_images import SharedImageReader
+from wcsim.server.transport.sockets import open_connection_monitor
 from wcsim.types import SeatSpec
 
 log = logging.getLogger("wcsim.server.links.socket")
@@ -79,13 +86,13 @@ _END_TIMEOUT_S: Final = 5.0
 _NEVER_S: Final = 1e12
 
 
-class SocketSeat(WorldLink):
+class SocketSeat(ProcessSeatLink):
     """A link to a seat of a world process, which need not run yet before `join`."""
 
     def __init__(self, order: SeatRequest) -> None:
         """Open a socket. Raises ConfigError when the endpoint, a key or the ledger is unusable."""
         self._is_local = order.endpoint.startswith(_IPC)
-        request = JoinRequest(
+        request = JoinSettings(
             claim=order.claim.encode(),
             name=order.name,
             spec=order.spec,
@@ -97,17 +104,19 @@ class SocketSeat(WorldLink):
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
         # Also for a link that is never closed: ZeroMQ would wait at the end of the process.
         self._release = weakref.finalize(self, self._context.destroy, 0)
-        self._ring: RingView | None = None
+        self._ring: SharedImageReader | None = None
         self._welcome: m.Welcome | None = None
         # Since when a connection is missing; infinite once the log has that.
         self._cut_s: float | None = None
         self._sent_leave = False
         try:
             self._socket = self._context.socket(zmq.DEALER)
-            self._monitor = open_monitor(self._socket, _REFUSED | _CONNECTED | _DISCONNECTED)
+            self._monitor = open_connection_monitor(
+                self._socket, _REFUSED | _CONNECTED | _DISCONNECTED
+            )
             _connect(self._socket, order)
-            ledger = open_ledger(Path(order.ledger), order.name) if order.ledger else None
-            super().__init__(ClientCore(request, order.patience, new_session), ledger)
+            ledger = open_ledger_writer(Path(order.ledger), order.name) if order.ledger else None
+            super().__init__(ClientCore(request, order.patience, make_session_id), ledger)
         except BaseException:
             self._release()
             raise
@@ -147,7 +156,7 @@ class SocketSeat(WorldLink):
         """Send, or drop the message when many others wait to go: requests are repeated anyway."""
         self._sent_leave = self._sent_leave or isinstance(message, m.Leave)
         with contextlib.suppress(zmq.Again):
-            self._socket.send(m.encode(message), zmq.NOBLOCK)
+            self._socket.send(m.encode_message(message), zmq.NOBLOCK)
 
     def _pump(self) -> None:
         try:
@@ -161,7 +170,7 @@ class SocketSeat(WorldLink):
             self._check_connection()
         self.perform(self.core.clock(self._now_s()))
 
-    def _check_pictures(self, seen: FrameSeen) -> None:
+    def _check_pictures(self, seen: FrameOutcome) -> None:
         if seen.slot >= 0 and self._ring is None:
             raise ProtocolError(
                 f"a frame has pictures in slot {seen.slot}, but the server named no shared memory"
@@ -173,7 +182,7 @@ class SocketSeat(WorldLink):
             raise ProtocolError(
                 "the server named a file of this machine; over the network it must not"
             )
-        self._ring = RingView(Path(welcome.ring)) if welcome.ring else None
+        self._ring = SharedImageReader(Path(welcome.ring)) if welcome.ring else None
 
     def _end(self) -> None:
         """Wait a moment for the server's goodbye, so that the seat is free when this returns."""
@@ -217,10 +226,10 @@ class SocketSeat(WorldLink):
             log.warning("wcsim: the connection to %s was lost; trying to join again", endpoint)
 
 
-class ProcessGroup(SeatGroup):
+class ProcessSeatLinkGroup(SeatLinkGroup):
     """A world process with all its seats; to start again it is replaced by a new one."""
 
-    def __init__(self, order: WorldOrder) -> None:
+    def __init__(self, order: WorldBuildSpec) -> None:
         """Start the world; raises what opening it in this process would raise."""
         self._order = order
         self._connect(order.seed)
@@ -244,16 +253,16 @@ class ProcessGroup(SeatGroup):
 class _WorldChild:
     """A world process that belongs to this one, ready for its clients."""
 
-    def __init__(self, order: WorldOrder) -> None:
+    def __init__(self, order: WorldBuildSpec) -> None:
         """Start the process and wait for its world; its first tick waits for all seats.
 
         Raises what opening the world in this process would raise.
         """
-        place = OwnFolder()
-        self.endpoint = endpoint_in(place.path)
+        place = LockedTempFolder()
+        self.endpoint = world_endpoint_from_folder(place.path)
         self._selector = selectors.DefaultSelector()
         own = {item.name: getattr(order, item.name) for item in fields(order)}
-        server = WorldSpec(
+        server = WorldProcessSpec(
             **{**own, "run": order.run and str(Path(order.run).absolute())},
             rules=_private_rules(order.seats, order.seats),
             endpoint=self.endpoint,
@@ -264,10 +273,10 @@ class _WorldChild:
         path = place.path / "order.json"
 
         def command(status_fd: int) -> tuple[str, ...]:
-            path.write_bytes(to_line(replace(server, status_fd=status_fd)))
+            path.write_bytes(encode_json_line(replace(server, status_fd=status_fd)))
             return (*WORLD_ARGV, str(path))
 
-        self.process = Child(command, self._selector)
+        self.process = CommandProcess(command, self._selector)
         self.close = weakref.finalize(self, _end, self.process, self._selector, place)
         try:
             self._await_world()
@@ -326,9 +335,9 @@ class _ChildSeat(SocketSeat):
         super()._end()
 
 
-def _private_rules(capacity: int, expected: int) -> Rules:
+def _private_rules(capacity: int, expected: int) -> ServerRules:
     """Rules of a world whose clients are all of one process: none can hang or die alone."""
-    return Rules(
+    return ServerRules(
         capacity=capacity,
         expected=expected,
         gather_s=_NEVER_S,
@@ -343,8 +352,8 @@ def _connect(socket: zmq.Socket[bytes], order: SeatRequest) -> None:
         socket.setsockopt(option, value)
     socket.setsockopt(zmq.IPV6, order.endpoint.startswith("tcp://["))
     if order.keys:
-        pair = client_keys(Path(order.keys), order.name)
-        socket.curve_serverkey = server_public(Path(order.keys))
+        pair = read_client_keys(Path(order.keys), order.name)
+        socket.curve_serverkey = read_server_public_key(Path(order.keys))
         socket.curve_publickey, socket.curve_secretkey = pair.public, pair.secret
     try:
         socket.connect(order.endpoint)
@@ -378,12 +387,14 @@ def _refusal(endpoint: str, keys: str, event: int, code: int) -> str:
 def _is_ready(line: bytes) -> bool:
     """Whether a status line reports a world; raises the error that one reports."""
     try:
-        return of_line(WorldStatus, line).stage != "loading"
+        return decode_json_line(WorldStatusReport, line).stage != "loading"
     except ConfigError:
-        raise m.error_of(msgspec.json.decode(line, type=m.Failure)) from None
+        raise m.error_from_failure(msgspec.json.decode(line, type=m.Failure)) from None
 
 
-def _end(process: Child, selector: selectors.BaseSelector, place: OwnFolder) -> None:
+def _end(
+    process: CommandProcess, selector: selectors.BaseSelector, place: LockedTempFolder
+) -> None:
     process.close(_END_TIMEOUT_S)
     selector.close()
     place.close()

@@ -18,14 +18,14 @@ from typing import Self
 from wcsim.errors import EvictedError, ProtocolError
 from wcsim.server.protocol import events as ev
 from wcsim.server.protocol import messages as m
-from wcsim.server.protocol.members import Member, Roster
+from wcsim.server.protocol.members import Roster, RosterClient
 from wcsim.types import Command
 
 
 class Barrier:
     """The state of a server and what changes it; `out` collects the effects of an event."""
 
-    def __init__(self, rules: ev.Rules, epoch: int = 0) -> None:
+    def __init__(self, rules: ev.ServerRules, epoch: int = 0) -> None:
         """No client is there, at the start of `epoch`."""
         self.rules = rules
         self.epoch = epoch
@@ -73,7 +73,9 @@ class Barrier:
         self.roster.pending = []
         admitted = [replace(p, progress_s=now_s, owes_since_s=now_s) for p in joining]
         self.roster.members += admitted
-        self.out += [ev.Admit(member.seat, member.spec, member.name) for member in admitted]
+        self.out += [
+            ev.AdmitSeatEffect(member.seat, member.spec, member.name) for member in admitted
+        ]
         for member in admitted:
             self.send_welcome(member)
         if self.roster.members:
@@ -90,7 +92,7 @@ class Barrier:
             return
         respawning = [mate for mate in self.roster.by_seat() if mate.respawning]
         if respawning:
-            self.out.append(ev.RespawnSeats(tuple(mate.seat for mate in respawning)))
+            self.out.append(ev.RespawnSeatsEffect(tuple(mate.seat for mate in respawning)))
             for mate in respawning:
                 mate.respawning = False
                 mate.life += 1
@@ -114,7 +116,7 @@ class Barrier:
             for seat, action in actions
             if action is not None
         )
-        self.out.append(ev.Step(self.tick, commands))
+        self.out.append(ev.StepWorldEffect(self.tick, commands))
 
     def commit(self, tick: int, now_s: float, step_s: float = 0.0) -> None:
         """The world has reached `tick`: all get word and a frame, then those who wait come in."""
@@ -141,7 +143,7 @@ class Barrier:
         self.epoch += 1
         self.tick = 0
         self.stage = ev.BarrierState.COLLECT
-        self.out.append(ev.RebuildWorld(self.epoch, seed))
+        self.out.append(ev.RebuildWorldEffect(self.epoch, seed))
         self._start_tick(now_s)
         restarted = m.Restarted(self.epoch, f"the world was restarted with seed {seed}")
         for mate in self.roster.by_seat():
@@ -150,15 +152,15 @@ class Barrier:
 
     # --- who goes ---
 
-    def evict(self, member: Member, reason: str, now_s: float) -> None:
+    def evict(self, member: RosterClient, reason: str, now_s: float) -> None:
         """Remove a client, and send it why, in case that it lives."""
         error = EvictedError(f"the server dropped this client: {reason}")
-        self.send(member.peer, m.failure_of(error, member.session))
+        self.send(member.peer, m.failure_from_error(error, member.session))
         self.roster.retire(member.session)
         if not self.roster.stop_waiting(member.session):
             self.remove(member, reason, now_s)
 
-    def remove(self, member: Member, reason: str, now_s: float) -> None:
+    def remove(self, member: RosterClient, reason: str, now_s: float) -> None:
         """Remove a member, and look at the barrier again: the others may owe nothing."""
         self.roster.members.remove(member)
         self.roster.going[member.seat] = reason
@@ -175,7 +177,7 @@ class Barrier:
         Also after the last tick, which no step follows.
         """
         for seat, reason in sorted(self.roster.going.items()):
-            self.out.append(ev.Dismiss(seat, reason))
+            self.out.append(ev.DismissSeatEffect(seat, reason))
         self.roster.going.clear()
 
     def watch(self, now_s: float) -> None:
@@ -200,7 +202,7 @@ class Barrier:
 
     # --- what is sent ---
 
-    def send_welcome(self, member: Member) -> None:
+    def send_welcome(self, member: RosterClient) -> None:
         """Send a client its seat, and the frame of that seat."""
         self.send(
             member.peer,
@@ -208,13 +210,15 @@ class Barrier:
         )
         self.send_frame(member)
 
-    def send_frame(self, member: Member) -> None:
+    def send_frame(self, member: RosterClient) -> None:
         """Send a client its present frame."""
-        self.out.append(ev.SendFrame(member.peer, member.seat, self.epoch, self.tick, member.life))
+        self.out.append(
+            ev.SendFrameEffect(member.peer, member.seat, self.epoch, self.tick, member.life)
+        )
 
     def send(self, peer: ev.Peer, message: m.Reply) -> None:
         """Send a message."""
-        self.out.append(ev.Send(peer, message))
+        self.out.append(ev.SendMessageEffect(peer, message))
 
     # --- inside ---
 
@@ -227,7 +231,7 @@ class Barrier:
             mate.owes_since_s = now_s
             mate.earlier_lives_s = 0.0
 
-    def _overdue_reason(self, mate: Member, now_s: float) -> str:
+    def _overdue_reason(self, mate: RosterClient, now_s: float) -> str:
         """Why a member is evicted, "" when it is not."""
         if mate.ready:
             return ""

@@ -45,7 +45,7 @@ class ClientPhase(Enum):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class JoinRequest:
+class JoinSettings:
     """A client and the seat that it requests; `claim` stays when its process is restarted."""
 
     claim: bytes
@@ -66,7 +66,7 @@ class Patience:
 
 
 @dataclass(frozen=True, slots=True)
-class FrameSeen:
+class FrameOutcome:
     """The requested frame is here."""
 
     epoch: int
@@ -76,7 +76,7 @@ class FrameSeen:
     stepped: bool  # it follows this client's action, not a join, a respawn or a new epoch
 
 
-Outcome = m.Request | FrameSeen | WcsimError | m.Welcome
+Outcome = m.Request | FrameOutcome | WcsimError | m.Welcome
 """A message to send; a frame; an error for the driver; or the seat, with its shared memory."""
 _IDLE: Final = (ClientPhase.OFF, ClientPhase.THINK, ClientPhase.GONE)
 _PHASE_AFTER: Final = {
@@ -90,7 +90,7 @@ class ClientCore:
     """A client; see the module's text. `new_session` draws 16 bytes that no other client has."""
 
     def __init__(
-        self, request: JoinRequest, patience: Patience, new_session: Callable[[], bytes]
+        self, request: JoinSettings, patience: Patience, new_session: Callable[[], bytes]
     ) -> None:
         self.request = request
         self.patience = patience
@@ -289,7 +289,7 @@ class ClientCore:
             return []  # a late copy of a request: no member is ever two ticks behind
         if failure.error == NotMasterError.__name__ and not isinstance(self.pending, m.Rebuild):
             return []  # a late copy of an answer
-        error = m.error_of(failure)
+        error = m.error_from_failure(failure)
         # The seat that this client had belongs to another one in this world; any other will do.
         takes_any = self.request.seat == m.ANY_SEAT and self.seat != m.ANY_SEAT
         if isinstance(error, SeatTakenError) and takes_any:
@@ -359,7 +359,9 @@ class ClientCore:
         self.phase = ClientPhase.THINK
         self.pending = None
         self.late = ()
-        out: list[Outcome] = [FrameSeen(frame.epoch, frame.tick, frame.client, frame.slot, is_step)]
+        out: list[Outcome] = [
+            FrameOutcome(frame.epoch, frame.tick, frame.client, frame.slot, is_step)
+        ]
         # A driver that requested the new epoch itself gets no error.
         if self._restart_reason and not is_rebuilt:
             out.append(

@@ -29,7 +29,7 @@ class BarrierState(Enum):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Rules:
+class ServerRules:
     """What a server allows; seconds are of the host's clock."""
 
     capacity: int  # seats
@@ -48,7 +48,7 @@ class Rules:
 
 
 @dataclass(frozen=True, slots=True)
-class Received:
+class MessageReceivedEvent:
     """A message has arrived."""
 
     peer: Peer
@@ -56,7 +56,7 @@ class Received:
 
 
 @dataclass(frozen=True, slots=True)
-class Lost:
+class ClientLostEvent:
     """The client of this session is dead, or only cut off: then it may join again."""
 
     session: bytes
@@ -65,33 +65,35 @@ class Lost:
 
 
 @dataclass(frozen=True, slots=True)
-class Clock:
+class TimePassedEvent:
     """Time has passed."""
 
 
 @dataclass(frozen=True, slots=True)
-class Stepped:
-    """The world has reached this tick, as `Step` requested."""
+class WorldSteppedEvent:
+    """The world has reached this tick, as `StepWorldEffect` requested."""
 
     tick: int
     step_s: float = 0.0  # duration
 
 
 @dataclass(frozen=True, slots=True)
-class Stop:
+class StopServerEvent:
     """The server shall end."""
 
     reason: str = ""
 
 
-Event = Received | Lost | Clock | Stepped | Stop
+Event = (
+    MessageReceivedEvent | ClientLostEvent | TimePassedEvent | WorldSteppedEvent | StopServerEvent
+)
 
 
 # --- effects ---
 
 
 @dataclass(frozen=True, slots=True)
-class Send:
+class SendMessageEffect:
     """Send a message."""
 
     peer: Peer
@@ -99,7 +101,7 @@ class Send:
 
 
 @dataclass(frozen=True, slots=True)
-class SendFrame:
+class SendFrameEffect:
     """Send the present frame of a seat."""
 
     peer: Peer
@@ -110,7 +112,7 @@ class SendFrame:
 
 
 @dataclass(frozen=True, slots=True)
-class Admit:
+class AdmitSeatEffect:
     """Put a chair for this seat into the world."""
 
     seat: int
@@ -119,7 +121,7 @@ class Admit:
 
 
 @dataclass(frozen=True, slots=True)
-class Dismiss:
+class DismissSeatEffect:
     """Take the seat's chair out of the world."""
 
     seat: int
@@ -127,14 +129,14 @@ class Dismiss:
 
 
 @dataclass(frozen=True, slots=True)
-class RespawnSeats:
+class RespawnSeatsEffect:
     """Start the next episodes of these seats, in this order."""
 
     seats: tuple[int, ...]
 
 
 @dataclass(frozen=True, slots=True)
-class RebuildWorld:
+class RebuildWorldEffect:
     """Start a new epoch with this seed."""
 
     epoch: int
@@ -142,11 +144,19 @@ class RebuildWorld:
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class StepWorldEffect:
     """Carry the world through tick `tick`, then report `Stepped(tick + 1)`."""
 
     tick: int
     commands: tuple[Command, ...]
 
 
-Effect = Send | SendFrame | Admit | Dismiss | RespawnSeats | RebuildWorld | Step
+Effect = (
+    SendMessageEffect
+    | SendFrameEffect
+    | AdmitSeatEffect
+    | DismissSeatEffect
+    | RespawnSeatsEffect
+    | RebuildWorldEffect
+    | StepWorldEffect
+)

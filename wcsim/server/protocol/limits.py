@@ -17,7 +17,7 @@ _OWN_FILES: Final = 40  # that a world or its launcher opens for itself
 _FILES_A_CLIENT: Final = 4
 
 
-def limit_message(error: BaseException) -> str:
+def resource_limit_message(error: BaseException) -> str:
     """What to do about an error that the system's limits cause; "" for any other error."""
     number = getattr(error, "errno", None)
     if number in NO_ROOM:
@@ -33,7 +33,7 @@ def limit_message(error: BaseException) -> str:
     return ""
 
 
-def write_last_line(text: str) -> None:
+def write_stderr_line(text: str) -> None:
     """Write a line to standard error, which may be a file on a full disk, without an error.
 
     Python's own buffer would fail again at the exit, and change the exit code.
@@ -42,7 +42,7 @@ def write_last_line(text: str) -> None:
         os.write(2, f"{text}\n".encode(errors="replace"))
 
 
-def require_files(clients: int) -> None:
+def ensure_open_file_limit(clients: int) -> None:
     """Raise the limit of open files for a launcher, its world and its clients as far as allowed.
 
     Raises:

@@ -14,7 +14,7 @@ MOST_LIVES: Final = 1000  # respawns at one tick: each is work for the world, an
 
 
 @dataclass(slots=True, kw_only=True)
-class Member:
+class RosterClient:
     """A client with a seat, or one that waits for it."""
 
     seat: int
@@ -44,26 +44,26 @@ class Roster:
     No two entries share a seat, except that a pending one may wait for an older member to go.
     """
 
-    members: list[Member] = field(default_factory=list)
-    pending: list[Member] = field(default_factory=list)  # replaced, never changed
+    members: list[RosterClient] = field(default_factory=list)
+    pending: list[RosterClient] = field(default_factory=list)  # replaced, never changed
     going: dict[int, str] = field(default_factory=dict)  # reason by seat
     retired: deque[bytes] = field(default_factory=lambda: deque(maxlen=REMEMBERED))
     forgotten: deque[bytes] = field(default_factory=lambda: deque(maxlen=REMEMBERED))
     """Sessions that were cut off, or left unjoined. So strangers cannot flush `retired`."""
 
-    def member(self, session: bytes) -> Member | None:
+    def member(self, session: bytes) -> RosterClient | None:
         """The member of this session."""
         return {p.session: p for p in self.members}.get(session)
 
-    def at(self, seat: int) -> Member | None:
+    def at(self, seat: int) -> RosterClient | None:
         """The member on this seat."""
         return {p.seat: p for p in self.members}.get(seat)
 
-    def waiting(self, session: bytes) -> Member | None:
+    def waiting(self, session: bytes) -> RosterClient | None:
         """The pending client of this session."""
         return {p.session: p for p in self.pending}.get(session)
 
-    def waiting_at(self, seat: int) -> Member | None:
+    def waiting_at(self, seat: int) -> RosterClient | None:
         """The client that waits for this seat."""
         return {p.seat: p for p in self.pending}.get(seat)
 
@@ -73,7 +73,7 @@ class Roster:
         self.pending = [p for p in self.pending if p.session != session]
         return len(self.pending) < before
 
-    def everyone(self) -> list[Member]:
+    def everyone(self) -> list[RosterClient]:
         """Members, then those who wait."""
         return [*self.members, *self.pending]
 
@@ -94,7 +94,7 @@ class Roster:
         free = set(range(capacity)) - {p.seat for p in self.everyone()}
         return min(free, default=None)
 
-    def by_seat(self) -> list[Member]:
+    def by_seat(self) -> list[RosterClient]:
         """Members in seat order.
 
         What is done to all is done in this order, never in that of arrival.
@@ -102,7 +102,7 @@ class Roster:
         return sorted(self.members, key=lambda p: p.seat)
 
     @property
-    def master(self) -> Member | None:
+    def master(self) -> RosterClient | None:
         """The member that joined first."""
         return self.members[0] if self.members else None
 

@@ -225,7 +225,7 @@ def schema_hash() -> str:
     return hashlib.blake2b(text, digest_size=8).hexdigest()
 
 
-def encode(message: Request | Reply) -> bytes:
+def encode_message(message: Request | Reply) -> bytes:
     """A message as bytes; a frame has its pictures inside unless it has a slot."""
     is_outside = isinstance(message, Frame) and message.slot >= 0
     return (_WITHOUT_PICTURES if is_outside else _ENCODER).encode(message)
@@ -256,12 +256,12 @@ def decode_reply(data: bytes, shared: _Pictures | None = None) -> Reply:
     return msgspec.structs.replace(reply, client=client)
 
 
-def failure_of(error: WcsimError, session: bytes = b"") -> Failure:
+def failure_from_error(error: WcsimError, session: bytes = b"") -> Failure:
     """The message for an error."""
     return Failure(error=type(error).__name__, message=str(error)[: b.MOST_TEXT], session=session)
 
 
-def error_of(failure: Failure) -> WcsimError:
+def error_from_failure(failure: Failure) -> WcsimError:
     """The error of a message, of the class that it names; its text is printable, whatever came."""
     kind = getattr(errors, failure.error, None)
     is_known = isinstance(kind, type) and issubclass(kind, WcsimError)

@@ -32,10 +32,10 @@ from wcsim.errors import (
 from wcsim.server.protocol import events as ev
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.barrier import Barrier
-from wcsim.server.protocol.members import MOST_LIVES, Member, Roster
+from wcsim.server.protocol.members import MOST_LIVES, Roster, RosterClient
 from wcsim.types import Joystick
 from wcsim.types.bounds import MOST_STEPS
-from wcsim.users.profiles import is_user_file, profile_names
+from wcsim.users.profiles import is_user_file_name, profile_names
 
 
 class ServerCore(Barrier):
@@ -47,15 +47,15 @@ class ServerCore(Barrier):
         if self.stage in (ev.BarrierState.EPOCH_OVER, ev.BarrierState.STOPPED):
             return []
         match event:
-            case ev.Received():
+            case ev.MessageReceivedEvent():
                 self._receive(event.peer, event.message, now_s)
-            case ev.Stepped():
+            case ev.WorldSteppedEvent():
                 self.commit(event.tick, now_s, event.step_s)
-            case ev.Lost():
+            case ev.ClientLostEvent():
                 self._lose(event, now_s)
-            case ev.Clock():
+            case ev.TimePassedEvent():
                 self.watch(now_s)
-            case ev.Stop():
+            case ev.StopServerEvent():
                 self.stop(event.reason)
         return self.out
 
@@ -83,13 +83,13 @@ class ServerCore(Barrier):
                 )
             seat = _find_seat(join, self.rules, roster)
         except WcsimError as error:
-            self.send(peer, m.failure_of(error, join.session))
+            self.send(peer, m.failure_from_error(error, join.session))
             return
         # 3. Let the client wait for the end of the tick. Those that have this seat, or wait for it,
         #    have the same claim: they are older processes of the client, and leave.
         older = (roster.waiting_at(seat), roster.at(seat))
         roster.pending.append(
-            Member(
+            RosterClient(
                 seat=seat,
                 session=join.session,
                 peer=peer,
@@ -104,7 +104,7 @@ class ServerCore(Barrier):
         if self.stage is ev.BarrierState.EMPTY:
             self.gather(now_s)
 
-    def _lose(self, lost: ev.Lost, now_s: float) -> None:
+    def _lose(self, lost: ev.ClientLostEvent, now_s: float) -> None:
         roster, session = self.roster, lost.session
         roster.stop_waiting(session)
         member = roster.member(session)
@@ -149,7 +149,7 @@ class ServerCore(Barrier):
                     self.roster.retire(member.session)
                     self.remove(member, "left", now_s)
         except WcsimError as error:
-            self.send(peer, m.failure_of(error, member.session))
+            self.send(peer, m.failure_from_error(error, member.session))
 
     def _answer_stranger(self, peer: ev.Peer, message: m.Request) -> None:
         roster, session = self.roster, message.session
@@ -167,9 +167,9 @@ class ServerCore(Barrier):
                 error = EvictedError(
                     "the server dropped this client, or it left; join again with a new session"
                 )
-            self.send(peer, m.failure_of(error, session))
+            self.send(peer, m.failure_from_error(error, session))
 
-    def _act(self, member: Member, act: m.Act, now_s: float) -> None:
+    def _act(self, member: RosterClient, act: m.Act, now_s: float) -> None:
         if self._answer_old(member, act.epoch, act.tick, act.life):
             return
         if not (-1.0 <= act.x <= 1.0 and -1.0 <= act.y <= 1.0):
@@ -187,7 +187,7 @@ class ServerCore(Barrier):
             member.action = action
             self.advance(now_s)
 
-    def _respawn(self, member: Member, respawn: m.Respawn, now_s: float) -> None:
+    def _respawn(self, member: RosterClient, respawn: m.Respawn, now_s: float) -> None:
         if self._answer_old(member, respawn.epoch, respawn.tick, respawn.life):
             return
         if member.action is not None:
@@ -206,7 +206,7 @@ class ServerCore(Barrier):
         member.earlier_lives_s += now_s - member.owes_since_s
         self.advance(now_s)
 
-    def _rebuild(self, member: Member, rebuild: m.Rebuild, now_s: float) -> None:
+    def _rebuild(self, member: RosterClient, rebuild: m.Rebuild, now_s: float) -> None:
         # An older epoch: the world was rebuilt already, at a request of this client or before it.
         if rebuild.epoch < self.epoch:
             self._send_epoch(member)
@@ -224,7 +224,7 @@ class ServerCore(Barrier):
             )
         self.rebuild(rebuild.seed, now_s)
 
-    def _answer_old(self, member: Member, epoch: int, tick: int, life: int) -> bool:
+    def _answer_old(self, member: RosterClient, epoch: int, tick: int, life: int) -> bool:
         """Answer a request that came late or twice with the present frame.
 
         Returns whether it was one; False for a request about the present frame.
@@ -248,12 +248,12 @@ class ServerCore(Barrier):
         self.send_frame(member)
         return True
 
-    def _send_epoch(self, member: Member) -> None:
+    def _send_epoch(self, member: RosterClient) -> None:
         self.send(member.peer, m.Restarted(self.epoch, "the world was restarted"))
         self.send_frame(member)
 
 
-def _find_seat(join: m.Join, rules: ev.Rules, roster: Roster) -> int:
+def _find_seat(join: m.Join, rules: ev.ServerRules, roster: Roster) -> int:
     """The seat that a client gets. Raises the error that says why it gets none."""
     _require_fit(join, rules)
     if join.session in roster.retired:
@@ -279,7 +279,7 @@ def _find_seat(join: m.Join, rules: ev.Rules, roster: Roster) -> int:
     return join.seat
 
 
-def _require_fit(join: m.Join, rules: ev.Rules) -> None:
+def _require_fit(join: m.Join, rules: ev.ServerRules) -> None:
     """Refuse another version, another configuration, and specs that no seat may have.
 
     That a start lies in the town is for the world to check.
@@ -296,7 +296,7 @@ def _require_fit(join: m.Join, rules: ev.Rules) -> None:
             f"but this one has {rules.config!r}; use the server's configuration"
         )
     spec = join.spec
-    is_recorded = is_user_file(spec.profile)
+    is_recorded = is_user_file_name(spec.profile)
     if is_recorded and rules.recordings is not None and spec.profile not in rules.recordings:
         raise ConfigError(
             "this world uses only the user files that it was started with; start it with --set "

@@ -69,12 +69,12 @@ def make_keys(folder: Path, names: Sequence[str]) -> tuple[str, ...]:
     return new
 
 
-def server_keys(folder: Path) -> _KeyPair:
+def read_server_keys(folder: Path) -> _KeyPair:
     """The server's own keys. Raises ConfigError when they are missing, or others can read them."""
     return _load_pair(folder / "server.secret")
 
 
-def client_keys(folder: Path, name: str) -> _KeyPair:
+def read_client_keys(folder: Path, name: str) -> _KeyPair:
     """The keys of a client of this name, or of the only one in the folder. Raises ConfigError."""
     own = folder / _CLIENTS / f"{name}.secret"
     if _NAME.fullmatch(name) and own.exists():
@@ -88,12 +88,12 @@ def client_keys(folder: Path, name: str) -> _KeyPair:
     return _load_pair(secrets[0])
 
 
-def known_names(folder: Path) -> tuple[str, ...]:
+def list_known_clients(folder: Path) -> tuple[str, ...]:
     """The clients whose public keys are in a folder, sorted."""
     return tuple(sorted(path.stem for path in (folder / _CLIENTS).glob("*.public")))
 
 
-def server_public(folder: Path) -> bytes:
+def read_server_public_key(folder: Path) -> bytes:
     """The server's public key, which its clients have. Raises ConfigError when it is missing."""
     return _load(folder / "server.public")[0]
 
@@ -121,7 +121,7 @@ def is_loopback(address: str) -> bool:
         return False
 
 
-class KnownKeys:
+class ClientKeyLookup:
     """The clients whose public keys are in a folder, which is read again when it changes.
 
     A key that was taken out lets no client in. Messages of its open connections are refused.

@@ -18,7 +18,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from wcsim.config import CameraConfig
-from wcsim.core.reading import PICTURES, opened
+from wcsim.core.reading import PICTURES, open_regular_file
 from wcsim.errors import ConfigError, DiskFullError, PicturesError, ProtocolError
 from wcsim.physics.buffers import Images, SeatBuffers
 from wcsim.types.arrays import U8
@@ -34,7 +34,7 @@ _PAGE: Final = 4096  # bytes
 _LINE: Final = 64  # bytes of a cache line
 
 
-class RingSink:
+class SharedImageWriter:
     """The server's side: where the pictures of all seats go; an `ImageSink` with slots.
 
     See `server/host/world_host.py`.
@@ -75,7 +75,7 @@ class RingSink:
         return self._paths[seat]
 
 
-class RingView:
+class SharedImageReader:
     """A client's side: the pictures of its seat, read-only; valid as long as any is referenced."""
 
     def __init__(self, path: Path) -> None:
@@ -86,7 +86,7 @@ class RingView:
             PicturesError: It is not of this version, and another try would not help.
         """
         try:
-            with opened(path, PICTURES) as file:
+            with open_regular_file(path, PICTURES) as file:
                 memory = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
         except ConfigError as error:
             raise ProtocolError(

@@ -18,11 +18,11 @@ import zmq
 from zmq.auth.thread import ThreadAuthenticator
 from zmq.utils.monitor import recv_monitor_message
 
-from wcsim.core.closing import Closing
+from wcsim.core.closing import ClosingContextBase
 from wcsim.errors import ConfigError
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.events import Peer
-from wcsim.server.transport.keys import KnownKeys, is_loopback, server_keys
+from wcsim.server.transport.keys import ClientKeyLookup, is_loopback, read_server_keys
 from wcsim.types.bounds import MOST_SEATS
 
 log = logging.getLogger("wcsim.server.transport.sockets")
@@ -64,7 +64,7 @@ class IncomingMessage(NamedTuple):
     key: str | None
 
 
-class ServerSockets(Closing):
+class ServerSockets(ClosingContextBase):
     """Where messages come in and go out; a context manager."""
 
     def __init__(self, endpoint: str, listen: str = "", keys: str = "") -> None:
@@ -92,7 +92,7 @@ class ServerSockets(Closing):
         # Connections that are over, as long as messages of theirs may still be in the queue.
         self._ended: set[Peer] = set()
         self._lost: set[Peer] = set()  # of these, those that `take_lost` has not returned yet
-        self._keys: KnownKeys | None = None
+        self._keys: ClientKeyLookup | None = None
         self._sockets: dict[bytes, zmq.Socket[bytes]] = {}
         try:
             self._open(LOCAL, _ipc_address(endpoint), None)
@@ -100,7 +100,7 @@ class ServerSockets(Closing):
                 # An address that is reachable from other machines needs keys.
                 is_private = is_loopback(listen)
                 if keys:
-                    self._keys = KnownKeys(Path(keys))
+                    self._keys = ClientKeyLookup(Path(keys))
                     self._guard = self._keys.guard(self._context)
                 elif not is_private:
                     raise ConfigError(
@@ -237,10 +237,12 @@ class ServerSockets(Closing):
         socket.setsockopt(zmq.IPV6, address.startswith("tcp://["))
         if side == REMOTE:
             socket.setsockopt(zmq.HANDSHAKE_IVL, _HANDSHAKE_MS)
-            self._monitor = open_monitor(socket, zmq.EVENT_ACCEPTED | zmq.EVENT_DISCONNECTED)
+            self._monitor = open_connection_monitor(
+                socket, zmq.EVENT_ACCEPTED | zmq.EVENT_DISCONNECTED
+            )
             self.watch(int(self._monitor.getsockopt(zmq.FD)))
         if keys is not None:
-            pair = server_keys(keys)
+            pair = read_server_keys(keys)
             socket.curve_server = True
             socket.curve_secretkey, socket.curve_publickey = pair.secret, pair.public
         try:
@@ -316,7 +318,7 @@ class _Account:
     faults: int = 0
 
 
-def open_monitor(socket: zmq.Socket[bytes], events: int) -> zmq.Socket[bytes]:
+def open_connection_monitor(socket: zmq.Socket[bytes], events: int) -> zmq.Socket[bytes]:
     """A socket for `recv_monitor_message`, with the events of another one's connections.
 
     To be called before that has any connection. It also has heartbeats from now on, so that

@@ -22,9 +22,9 @@ import zstandard
 
 from wcsim.core.own_folder import temporary_folder
 from wcsim.core.reading import escaped, unzstd
-from wcsim.core.sources import code_digest, version_of
+from wcsim.core.sources import code_digest, read_package_version
 from wcsim.errors import ConfigError, DiskFullError, WcsimError, WorkersError
-from wcsim.server.workers.machines import InputFiles, Work, WorkResult
+from wcsim.server.workers.machines import WorkInputFiles, WorkPiece, WorkResult
 
 MOST_BYTES: Final = 512 << 20
 """Of the input files of a piece, and of its result."""
@@ -50,14 +50,14 @@ _SHM: Final = Path("/dev/shm")  # noqa: S108 - it is only looked at
 _ERROR_CHARACTERS: Final = 300
 
 
-def facts_here() -> dict[str, str]:
+def read_machine_facts() -> dict[str, str]:
     """What this machine has.
 
     Versions by package and "Python", "code" of wcsim, "host", "cpu", "shm_mib".
     """
     return {
         # torch 2.13.0+cpu is 2.13.0.
-        **{name: version_of(name).partition("+")[0] for name in _PACKAGES},
+        **{name: read_package_version(name).partition("+")[0] for name in _PACKAGES},
         "Python": ".".join(platform.python_version_tuple()[:2]),
         "code": code_digest(),
         "host": socket.gethostname(),
@@ -66,7 +66,7 @@ def facts_here() -> dict[str, str]:
     }
 
 
-def why_refused(node: Mapping[str, str], here: Mapping[str, str]) -> str:
+def find_refusal_reason(node: Mapping[str, str], here: Mapping[str, str]) -> str:
     """What a node has other than this machine and must not, "" for nothing."""
     version = node.get("wcsim")
     code = node.get("code", "")
@@ -89,7 +89,7 @@ def why_refused(node: Mapping[str, str], here: Mapping[str, str]) -> str:
     return ""
 
 
-def notes_on(node: Mapping[str, str], here: Mapping[str, str]) -> tuple[str, ...]:
+def find_node_warnings(node: Mapping[str, str], here: Mapping[str, str]) -> tuple[str, ...]:
     """What is worth a line, and no reason to refuse a node."""
     notes = []
     if int(node["shm_mib"]) < _LEAST_SHM_MIB:
@@ -112,7 +112,7 @@ def _cpu() -> str:
     return platform.machine()
 
 
-def packed(files: InputFiles) -> dict[str, bytes]:
+def compress_input_files(files: WorkInputFiles) -> dict[str, bytes]:
     """Input files by name, each a zstd frame.
 
     Raises:
@@ -152,8 +152,8 @@ def _unpack(contents: Mapping[str, bytes], folder: Path) -> None:
         (folder / path).write_bytes(data)
 
 
-def do_work(
-    worker: str, work: Work, needed: tuple[InputFiles, ...], *contents: Mapping[str, bytes]
+def run_work_piece(
+    worker: str, work: WorkPiece, needed: tuple[WorkInputFiles, ...], *contents: Mapping[str, bytes]
 ) -> WorkResult:
     """Do a piece of work in this process, which Ray has started.
 

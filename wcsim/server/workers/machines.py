@@ -16,7 +16,7 @@ from pathlib import Path
 from time import sleep
 from typing import Any, Final, Protocol
 
-from wcsim.core.processes import kill_workers, start_worker
+from wcsim.core.processes import kill_workers, start_single_worker_pool
 from wcsim.core.reading import escaped
 from wcsim.errors import ConfigError, check_installed
 
@@ -39,7 +39,7 @@ Report = Callable[[str], object]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class InputFiles:
+class WorkInputFiles:
     """Files below a folder that a piece of work reads; they are sent to machines without them."""
 
     address: str  # what the piece calls them
@@ -48,15 +48,15 @@ class InputFiles:
     inner: str = ""  # what the address means in it: "" is the folder
 
 
-Needs = Callable[[Any], tuple[InputFiles, ...]]
+Needs = Callable[[Any], tuple[WorkInputFiles, ...]]
 
 
-def _no_files(_piece: Any) -> tuple[InputFiles, ...]:
+def _no_files(_piece: Any) -> tuple[WorkInputFiles, ...]:
     return ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Work:
+class WorkPiece:
     """One piece. Its key is the same on every machine, and each time that it is done."""
 
     key: str
@@ -79,13 +79,13 @@ class WorkResult:
     facts: Facts = field(default_factory=dict)  # for the log
 
 
-class Workers(Protocol):
+class WorkerPool(Protocol):
     """Each does one piece at a time. Workers may be added or removed at any time."""
 
     def names(self) -> tuple[str, ...]:
         """Those of now, busy or not. Raises WorkersError when it can no longer be known."""
 
-    def begin(self, worker: str, work: Work) -> None:
+    def begin(self, worker: str, work: WorkPiece) -> None:
         """Give a piece to a worker that has none."""
 
     def collect(self, timeout_s: float) -> list[WorkResult]:
@@ -110,7 +110,7 @@ class _ProcessWorkers:
         """All of them: one that has died is started again with its next piece."""
         return self._names
 
-    def begin(self, worker: str, work: Work) -> None:
+    def begin(self, worker: str, work: WorkPiece) -> None:
         """Give a piece to a process."""
         try:
             future = self._pool(worker).submit(work.call, work.piece, str)
@@ -152,7 +152,7 @@ class _ProcessWorkers:
 
     def _pool(self, worker: str) -> ProcessPoolExecutor:
         if worker not in self._pools:
-            self._pools[worker] = start_worker()
+            self._pools[worker] = start_single_worker_pool()
         return self._pools[worker]
 
     def _drop(self, worker: str) -> None:
@@ -160,14 +160,14 @@ class _ProcessWorkers:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Machines:
+class WorkerPoolSettings:
     """Where workers run."""
 
     count: int = 1  # processes, here or in a cluster that is made here
     cluster: str = ""  # "" for none, `local` for one that is made here, or HOST:PORT of a Ray head
     report: Report = lambda text: None  # of machines that join, leave, or cannot be used
 
-    def open(self, folder: Path) -> Workers:
+    def open(self, folder: Path) -> WorkerPool:
         """Start the workers; `folder` is that of the run, for the logs of a cluster.
 
         Raises:
@@ -175,16 +175,16 @@ class Machines:
         """
         if not self.cluster:
             return _ProcessWorkers(self.count)
-        from wcsim.server.workers.ray_workers import RayWorkers
+        from wcsim.server.workers.ray_workers import RayWorkerPool
 
-        return RayWorkers(self.cluster, self.count, folder / LOGS, self.report)
+        return RayWorkerPool(self.cluster, self.count, folder / LOGS, self.report)
 
 
-HERE: Final = Machines()
+HERE: Final = WorkerPoolSettings()
 """One process of this machine."""
 
 
-def require_address(address: str) -> None:
+def require_reachable_cluster(address: str) -> None:
     """Refuse what is no address of a cluster, or one without an answer. Raises ConfigError."""
     found = _ADDRESS.fullmatch(address)
     if address != LOCAL and (found is None or not 0 < int(found[2]) < 1 << 16):
@@ -206,7 +206,7 @@ def require_address(address: str) -> None:
             ) from None
 
 
-def machine_of(worker: str) -> str:
+def machine_from_worker(worker: str) -> str:
     """The machine of a worker, as ADDRESS of ADDRESS/NUMBER; "" for a process of this one.
 
     >>> machine_of("10.0.0.2/3"), machine_of("process 1")

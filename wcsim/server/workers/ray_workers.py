@@ -1,7 +1,7 @@
 """Workers that are CPUs of the nodes of a Ray cluster, and the run's driver process for Ray.
 
 Ray's driver has a process of its own: Ray ends its process when it loses the cluster, takes over
-its signals, prints to its terminal, and can hang. `RayWorkers`, in the process of the run, polls
+its signals, prints to its terminal, and can hang. `RayWorkerPool`, in the process of the run, polls
 it. What Ray raises against joining becomes one line. What must be the same on all machines is
 checked for each node, so that work gives the same result everywhere. Ray repeats no piece: the
 scheduler does, as for processes, away from the machine that lost it.
@@ -25,27 +25,27 @@ from pathlib import Path
 from signal import SIGTERM, alarm, signal
 from typing import Any, Final, Literal
 
-from wcsim.core.files import home
-from wcsim.core.own_folder import OwnFolder
-from wcsim.core.processes import die_with_parent, kill_workers, start_worker
+from wcsim.core.files import find_home_folder
+from wcsim.core.own_folder import LockedTempFolder
+from wcsim.core.processes import die_with_parent, kill_workers, start_single_worker_pool
 from wcsim.errors import ConfigError, DiskFullError, WcsimError, WorkersError
 from wcsim.server.workers.cluster_node import (
     MOST_BYTES,
-    do_work,
-    facts_here,
-    notes_on,
-    packed,
-    why_refused,
+    compress_input_files,
+    find_node_warnings,
+    find_refusal_reason,
+    read_machine_facts,
+    run_work_piece,
 )
 from wcsim.server.workers.machines import (
     LOCAL,
     Facts,
-    InputFiles,
     Report,
-    Work,
+    WorkInputFiles,
+    WorkPiece,
     WorkResult,
-    machine_of,
-    require_address,
+    machine_from_worker,
+    require_reachable_cluster,
 )
 
 _LOOPBACK: Final = re.compile(r"127\.\d+\.\d+\.\d+|localhost|\[?::1\]?")
@@ -91,7 +91,7 @@ class _Update:
     messages: list[str] = field(default_factory=list)
 
 
-class RayWorkers:
+class RayWorkerPool:
     """The CPUs of the nodes of a cluster, each of them a worker.
 
     Args:
@@ -113,22 +113,22 @@ class RayWorkers:
         report: Report,
         join_s: float = _JOIN_TIMEOUT_S,
     ) -> None:
-        require_address(address)
+        require_reachable_cluster(address)
         folder.mkdir(parents=True, exist_ok=True)
         # Ray makes its folder at a name that others know, and lets them write there, unless it lies
         # in one's own.
-        self._own = OwnFolder(prefix="wcsim-ray-")
+        self._own = LockedTempFolder(prefix="wcsim-ray-")
         self._spec = _DriverSpec(
             address=address, count=count, log=folder / _RAY_LOG, temporary=self._own.path
         )
         self._report = report
         self._piece_log = folder / _PIECE_LOG
         self._names: tuple[str, ...] = ()
-        self._to_begin: list[tuple[str, Work, tuple[InputFiles, ...]]] = []
+        self._to_begin: list[tuple[str, WorkPiece, tuple[WorkInputFiles, ...]]] = []
         self._to_stop: list[str] = []
         self._request: Future[_Update] | None = None
         self._requested_s = 0.0
-        self._driver = start_worker()
+        self._driver = start_single_worker_pool()
         try:
             self._join(join_s)
         except BaseException:
@@ -139,7 +139,7 @@ class RayWorkers:
         """The workers of nodes that may work now."""
         return self._names
 
-    def begin(self, worker: str, work: Work) -> None:
+    def begin(self, worker: str, work: WorkPiece) -> None:
         """Give a piece to a node, with the files that it needs."""
         self._to_begin.append((worker, work, work.needs(work.piece)))
 
@@ -240,7 +240,9 @@ def _lost(spec: _DriverSpec) -> WorkersError:
 
 
 def _exchange(
-    spec: _DriverSpec, to_begin: list[tuple[str, Work, tuple[InputFiles, ...]]], to_stop: list[str]
+    spec: _DriverSpec,
+    to_begin: list[tuple[str, WorkPiece, tuple[WorkInputFiles, ...]]],
+    to_stop: list[str],
 ) -> _Update:
     """Begin and stop these pieces, and return what is new.
 
@@ -342,7 +344,7 @@ def _set_environment(spec: _DriverSpec) -> None:
 
 def _has_token() -> bool:
     """Whether this user has a token, in any of the places where Ray searches."""
-    own = home()
+    own = find_home_folder()
     named = any(os.environ.get(name) for name in ("RAY_AUTH_TOKEN", "RAY_AUTH_TOKEN_PATH"))
     return named or (own is not None and (own / ".ray" / "auth_token").is_file())
 
@@ -417,7 +419,7 @@ class _Driver:
     def __init__(self, spec: _DriverSpec, ray: Any) -> None:
         self._spec = spec
         self._ray = ray
-        self._here = facts_here()
+        self._here = read_machine_facts()
         self._nodes: dict[str, _Node] = {}  # by id
         self._probes: dict[Any, str] = {}  # nodes by Ray's reference
         self._running: dict[Any, _RunningPiece] = {}
@@ -425,15 +427,15 @@ class _Driver:
         self._refusals: list[str] = []
         self._has_worked = False
         # Every piece needs its town again, and all pieces of a round need the same network.
-        self._send = lru_cache(_MOST_SENT)(lambda files: ray.put(packed(files)))
+        self._send = lru_cache(_MOST_SENT)(lambda files: ray.put(compress_input_files(files)))
         self._listed_s = float("-inf")
-        self._do = ray.remote(num_cpus=1, max_retries=0)(do_work)
-        self._probe = ray.remote(num_cpus=0, max_retries=0)(facts_here)
+        self._do = ray.remote(num_cpus=1, max_retries=0)(run_work_piece)
+        self._probe = ray.remote(num_cpus=0, max_retries=0)(read_machine_facts)
 
-    def begin(self, worker: str, work: Work, needed: tuple[InputFiles, ...]) -> None:
+    def begin(self, worker: str, work: WorkPiece, needed: tuple[WorkInputFiles, ...]) -> None:
         """Give a piece to a worker's node."""
         working = {node.name: id_ for id_, node in self._nodes.items() if node.state == "works"}
-        node = working.get(machine_of(worker), "")
+        node = working.get(machine_from_worker(worker), "")
         piece = _RunningPiece(worker=worker, node=node, key=work.key, since_s=time.monotonic())
         if not node:
             # It left while the piece was on its way here.
@@ -569,7 +571,7 @@ class _Driver:
                 "check that node"
             )
         else:
-            why = why_refused(answer, self._here)
+            why = find_refusal_reason(answer, self._here)
         messages = self._update.messages
         if why:
             node.state = "refused"
@@ -581,7 +583,7 @@ class _Driver:
         self._has_worked = True
         if self._spec.address != LOCAL:
             messages.append(f"node {node.name} ({answer['host']}) works with {node.cpus} CPUs")
-        messages += [f"node {node.name}: {note}" for note in notes_on(answer, self._here)]
+        messages += [f"node {node.name}: {note}" for note in find_node_warnings(answer, self._here)]
 
 
 def _line(error: Exception, index: int) -> str:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from wcsim.errors import WorkersError
-from wcsim.server.workers.machines import Work, Workers, WorkResult, machine_of
+from wcsim.server.workers.machines import WorkerPool, WorkPiece, WorkResult, machine_from_worker
 
 MOST_FAILURES: Final = 5
 """Deaths of workers at a piece, and times that it was late, before the run gives up."""
@@ -31,7 +31,7 @@ Store = Callable[[str, bytes], object]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class WorkerNow:
+class WorkerStatus:
     """A worker, and its piece."""
 
     name: str
@@ -41,7 +41,7 @@ class WorkerNow:
 
 @dataclass(slots=True, kw_only=True)
 class _Piece:
-    work: Work
+    work: WorkPiece
     failures: int = 0  # deaths of workers at it, and times that it was late
     times_late: int = 0
     lost_on: set[str] = field(default_factory=set)  # the machines of these workers
@@ -69,7 +69,7 @@ class Scheduler:
 
     def __init__(
         self,
-        workers: Workers,
+        workers: WorkerPool,
         store: Store,
         *,
         least_late_s: float = LEAST_LATE_S,
@@ -99,7 +99,7 @@ class Scheduler:
         self._thread.join()
         self._workers.close()
 
-    def submit(self, works: Sequence[Work]) -> None:
+    def submit(self, works: Sequence[WorkPiece]) -> None:
         """Have these done, after those submitted before; a key that was submitted is left out."""
         with self._lock:
             for work in works:
@@ -122,7 +122,7 @@ class Scheduler:
                 raise self._failure
             return frozenset(self._done.intersection(keys))
 
-    def workers_now(self) -> tuple[WorkerNow, ...]:
+    def workers_now(self) -> tuple[WorkerStatus, ...]:
         """Each worker, and its piece."""
         with self._lock:
             now_s = time.monotonic()
@@ -130,10 +130,10 @@ class Scheduler:
             for name in self._names:
                 task = self._running.get(name)
                 if task is None:
-                    found.append(WorkerNow(name=name, key=""))
+                    found.append(WorkerStatus(name=name, key=""))
                 else:
                     key = task.piece.work.key
-                    found.append(WorkerNow(name=name, key=key, for_s=now_s - task.since_s))
+                    found.append(WorkerStatus(name=name, key=key, for_s=now_s - task.since_s))
             return tuple(found)
 
     def _run(self) -> None:
@@ -173,8 +173,8 @@ class Scheduler:
 
         None that its machine has lost, unless all machines have.
         """
-        own = machine_of(name)
-        machines = {machine_of(other) for other in names}
+        own = machine_from_worker(name)
+        machines = {machine_from_worker(other) for other in names}
         for index, piece in enumerate(self._waiting):
             if own not in piece.lost_on or machines <= piece.lost_on:
                 del self._waiting[index]
@@ -225,7 +225,7 @@ class Scheduler:
 
     def _fail(self, piece: _Piece, worker: str, why: str) -> None:
         piece.failures += 1
-        piece.lost_on.add(machine_of(worker))
+        piece.lost_on.add(machine_from_worker(worker))
         if piece.failures >= MOST_FAILURES:
             raise WorkersError(
                 f"{piece.work.key} was started {MOST_FAILURES} times and never finished; the last "

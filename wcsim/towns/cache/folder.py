@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from wcsim.core.files import KERNELS, folder_bytes, home, user_cache, write_bytes
+from wcsim.core.files import KERNELS, count_folder_bytes, find_cache_folder, find_home_folder, write_bytes
 from wcsim.core.reading import escaped
 from wcsim.errors import DiskFullError
 
@@ -32,13 +32,13 @@ _KINDS = {
 
 
 def cache_folder() -> Path:
-    """Where wcsim keeps what it can make again: see `user_cache`."""
-    return user_cache()
+    """Where wcsim keeps what it can make again: see `find_cache_folder`."""
+    return find_cache_folder()
 
 
 def shown_cache() -> str:
     """The cache's folder for a message, with ~ for the home."""
-    folder, own = cache_folder(), home()
+    folder, own = cache_folder(), find_home_folder()
     return escaped(Path("~") / folder.relative_to(own) if own is not None and folder.is_relative_to(own) else folder)
 
 
@@ -108,5 +108,5 @@ def _made() -> dict[Path, tuple[str, int]]:
             begun = kind == "unfinished" or path.name.startswith(".")
             is_ours = stat.S_ISDIR if kind == "driven" or path.name.startswith(".") else stat.S_ISREG
             if kind and is_ours(status.st_mode) and not (begun and time.time() - status.st_mtime < WRITTEN_S):
-                found[path] = kind, folder_bytes(path) if stat.S_ISDIR(status.st_mode) else status.st_size
+                found[path] = kind, count_folder_bytes(path) if stat.S_ISDIR(status.st_mode) else status.st_size
     return found

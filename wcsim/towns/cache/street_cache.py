@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from wcsim.core.files import exclusive, whole_file
+from wcsim.core.files import hold_file_lock, write_file_atomically
 from wcsim.errors import DiskFullError
 from wcsim.towns.cache.folder import cache_folder
 from wcsim.towns.ground.tiles import Packed, TileStore
@@ -137,12 +137,12 @@ def cached_street(key: str, build: Callable[[], Packed]) -> Street:
     found = _read(path)
     if found is not None:
         return found
-    with exclusive(path.with_suffix(".lock")):  # worlds that begin together build it once
+    with hold_file_lock(path.with_suffix(".lock")):  # worlds that begin together build it once
         found = _read(path)  # another process may have built it meanwhile
         if found is not None:
             return found
         packed = build()
-        with suppress(DiskFullError), whole_file(path) as part:
+        with suppress(DiskFullError), write_file_atomically(path) as part:
             np.savez(part, allow_pickle=False, **packed)
     return _read(path) or unpack_street(
         packed

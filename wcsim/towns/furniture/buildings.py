@@ -9,7 +9,7 @@ import shapely
 from shapely import MultiPolygon, Polygon
 from shapely.geometry.base import BaseGeometry
 
-from wcsim.core.reading import own_data
+from wcsim.core.reading import read_module_toml
 from wcsim.core.seeding import generator
 from wcsim.towns.ground.plane_geometry import Patches, buffered, polygons_of, valid
 from wcsim.towns.osm.tags import STOREY_M, metres, number, rise_m
@@ -22,7 +22,7 @@ PASSAGE_M = 4.2  # free height of a passage through a house: buses and trams fit
 _MODELLED = 0.8  # a building covered to this share by its parts has no body of its own
 _OPEN_BELOW = 0.35  # ... unless more than this share of it would hang in the air
 _HELD = 0.5  # what lies on other bodies to this share stands on them
-_KINDS = {name: words.split() for name, words in own_data(__file__).items()}
+_KINDS = {name: words.split() for name, words in read_module_toml(__file__).items()}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

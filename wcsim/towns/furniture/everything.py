@@ -17,7 +17,7 @@ from shapely import Polygon
 from shapely.geometry.base import BaseGeometry
 
 from wcsim.core.frames import yaw_from_sumo
-from wcsim.core.reading import own_data
+from wcsim.core.reading import read_module_toml
 from wcsim.errors import TownError
 from wcsim.towns.furniture.models import FOOT_M, LOOKS
 from wcsim.towns.furniture.placement import CLEAR_M, FreeGround, StandingObject, stood
@@ -143,7 +143,7 @@ TREE_STEP_M = 8.0
 POST_STEP_M = 1.5
 LONGEST_M = 12.0  # a fence that follows a hill has a corner at least this often
 _FLAT_GROUPS = ("landuse", "waterway", "boundary", "kerb", "building", "stop")
-_DATA = own_data(__file__)
+_DATA = read_module_toml(__file__)
 _COMPASS: list[str] = _DATA["compass"].split()
 _LOOK_BY_TAG: dict[str, tuple[str, dict[str, str]]] = _DATA["by_tag"]
 _CLASS_OF_AREA = {kind: ClassId[name] for name, kinds in _DATA["areas"].items() for kind in kinds.split()}

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from wcsim.core.reading import own_data
+from wcsim.core.reading import read_module_toml
 from wcsim.towns.ground import solid_shapes
 from wcsim.towns.ground.solid_shapes import Solid
 from wcsim.types import ClassId
@@ -97,7 +97,7 @@ _PLAIN_BICYCLE = solid_shapes.joined(
 
 def _read_looks() -> Iterator[tuple[str, _FurnitureModel]]:
     """The models of `models.toml` with their kinds."""
-    for kind, look in own_data(__file__).items():
+    for kind, look in read_module_toml(__file__).items():
         length_m, width_m, height_m = look["size"]
         pieces = (_placed(row, (x, y)) for row in look["pieces"] for x, y in row.get("at", [(0.0, 0.0)]))
         yield (

@@ -9,9 +9,9 @@ import os
 import shutil
 from pathlib import Path
 
-from wcsim.core.files import whole_folder
+from wcsim.core.files import write_folder_atomically
 from wcsim.core.own_folder import temporary_folder
-from wcsim.core.reading import EDGES, NOTICE, SCENARIO, is_file, opened, own_data, read_text
+from wcsim.core.reading import EDGES, NOTICE, SCENARIO, is_file, open_regular_file, read_module_toml, read_text
 from wcsim.core.reading import read_bytes as read_plain
 from wcsim.errors import TownError
 from wcsim.towns.checks.validate import validate_net
@@ -24,7 +24,7 @@ from wcsim.towns.sumo.xml_io import MAX_XML_BYTES, content_digest, read_bytes, s
 _MAX_FILES = 500
 _SETTINGS = "gui-settings-file"  # not needed, but it makes the town look as its author likes it
 _NOTICES = ("LICENSE*", "LICENCE*", "COPYING*", "README*")
-_ROOTS = frozenset(own_data(__file__)["roots"].split())
+_ROOTS = frozenset(read_module_toml(__file__)["roots"].split())
 _FOREIGN = """\
 The files in this folder, but for this one and a town.toml, were made of somebody's scenario ({config}). They are its
 author's, under the author's licence, and wcsim gives no right to pass them on. {beside}
@@ -69,7 +69,7 @@ def adopt_scenario(
     check_inside(start, border, start)
     _files_of(config, border)  # missing files are reported before SUMO opens a large net
     validate_net(_net_of(config, border), border=border)
-    with whole_folder(out) as work:
+    with write_folder_atomically(out) as work:
         base, files = copy_scenario(config, border, work)
         names = [path.relative_to(base) for path in files]
         hashes = {str(place): content_digest(work / place) for place in names}
@@ -172,7 +172,7 @@ def _stay_inside(config: Configuration, folder: Path) -> None:
 
 def copy_file(path: Path, place: Path) -> None:
     """Copy a regular file. Raises TownError when it is none."""
-    with opened(path, SCENARIO) as source, place.open("wb") as target:
+    with open_regular_file(path, SCENARIO) as source, place.open("wb") as target:
         shutil.copyfileobj(source, target)
 
 
@@ -225,7 +225,7 @@ def _is_picture(path: Path, border: Path | None) -> bool:
     """Whether a picture that sumo-gui would show can go with the copy."""
     try:
         check_file(path, border, path)
-        with opened(path, SCENARIO) as file:
+        with open_regular_file(path, SCENARIO) as file:
             return file.read(8).startswith(_PICTURES)
     except TownError:
         return False

@@ -21,8 +21,8 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from wcsim.core.reading import own_data
-from wcsim.core.seeding import derive, generator
+from wcsim.core.reading import read_module_toml
+from wcsim.core.seeding import derive_seed, generator
 from wcsim.errors import SumoError
 from wcsim.towns.ground.plane_geometry import arc_of
 from wcsim.towns.sumo.net import Edge, Net
@@ -58,7 +58,7 @@ class _Traffic(NamedTuple):
         return self.vclass == "pedestrian"
 
 
-_DATA = own_data(__file__)
+_DATA = read_module_toml(__file__)
 MIX = tuple(_Traffic(**row) for row in _DATA["mix"])
 CLASSES = tuple(dict.fromkeys(traffic.vclass for traffic in MIX))
 
@@ -154,7 +154,7 @@ def _route(
     trips.write_text("\n".join([*lines, "</routes>"]), encoding="utf-8")
     types.write_text(vtypes_text(), encoding="utf-8")
     options = ["-n", str(net_path.resolve()), "-r", trips.name, "-a", types.name, "-o", out.name]
-    options += ["--ignore-errors", "--no-warnings", "--no-step-log", "--seed", str(derive(seed, "duarouter"))]
+    options += ["--ignore-errors", "--no-warnings", "--no-step-log", "--seed", str(derive_seed(seed, "duarouter"))]
     run = run_tool("duarouter", [*options, "--xml-validation", "never"], folder)
     if run.returncode:
         raise SumoError(f"no demand could be built: {run.reason()}")

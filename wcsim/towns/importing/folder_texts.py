@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from wcsim.config import TownFile, parse
-from wcsim.core.reading import listed
+from wcsim.core.reading import join_names
 from wcsim.errors import TownError
 from wcsim.towns.scenario.town import NOT_TOWNS, TOWN_TOML, chair_ways, own_work
 from wcsim.towns.sumo.xml_io import without_comments, write_gzip
@@ -107,6 +107,6 @@ def check_place(out: Path, *, overwrite: bool) -> None:
     work = own_work(out) if (out / "town.toml").is_file() and not overwrite else ()
     if work:
         raise TownError(
-            f"{out} contains files that were changed or added later: {listed(work, 5)}; choose another name "
+            f"{out} contains files that were changed or added later: {join_names(work, 5)}; choose another name "
             "or --out, or use --replace, which discards them"
         )

@@ -17,8 +17,8 @@ from xml.etree.ElementTree import Element
 
 from shapely.geometry.base import BaseGeometry
 
-from wcsim.core.files import whole_folder
-from wcsim.core.reading import listed, own_data
+from wcsim.core.files import write_folder_atomically
+from wcsim.core.reading import join_names, read_module_toml
 from wcsim.errors import SumoError, TownError, check_installed
 from wcsim.towns.importing.demand import CLASSES, Way, build_ways, vtypes_text, write_demand
 from wcsim.towns.importing.elevation import Heights, lift_net, make_dem
@@ -34,7 +34,7 @@ from wcsim.towns.walking.islands import largest_share, osm_ways_by_edge, stray_f
 
 log = logging.getLogger("wcsim.towns")
 
-_DATA = own_data(__file__)
+_DATA = read_module_toml(__file__)
 _LEFT_OUT = ("highway.steps", "highway.service", "highway.track")
 _LIMITS = Limits(wall_s=120.0, cpu_s=120)
 _MOST_PER_HOUR = 100_000
@@ -254,7 +254,7 @@ def import_town(
     side = ordered or side_at(*extract.box.centre)
     order = replace(order, bbox=extract.box, lefthand=side.lefthand)
     try:
-        with whole_folder(order.out) as work:
+        with write_folder_atomically(order.out) as work:
             made = _build(order, extract, side, work, meanwhile, stage)
     except (TownError, SumoError) as error:
         raise type(error)(f"town {order.name}, made of {order.osm}: {error}") from None
@@ -367,7 +367,7 @@ def _notes(order: ImportOrder, built: _BuiltNet, ways: tuple[Way, ...]) -> tuple
     """What the map or the order has and the town has not."""
     found = []
     if built.bridges:
-        names = listed(built.bridges, 8)
+        names = join_names(built.bridges, 8)
         found.append(f"left out: bridges over other streets, because a town has one level: {names}")
     found_for = {way.traffic.vclass for way in ways}
     ordered = [vclass for vclass, rate in order.per_hour.items() if rate > 0.0 and order.traffic > 0]

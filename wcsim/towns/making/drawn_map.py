@@ -17,7 +17,7 @@ import shapely
 from shapely import Polygon
 from shapely.geometry.base import BaseGeometry
 
-from wcsim.core.reading import own_data
+from wcsim.core.reading import read_module_toml
 from wcsim.towns.furniture.placement import Taken
 from wcsim.towns.ground.plane_geometry import left_of, polygons_of, unit, yaw_of
 from wcsim.towns.ground.solid_shapes import rectangle
@@ -44,7 +44,7 @@ class _Row:
     least_m: float  # width of a pavement that has it
 
 
-_DATA = own_data(__file__)
+_DATA = read_module_toml(__file__)
 _ROWS = [_Row(**row) for row in _DATA["rows"]]
 _LEFT = ("wcsim.board", "wcsim.bin", "wcsim.scooter", "wcsim.bicycle", "wcsim.box", "wcsim.planter", "wcsim.table")
 

@@ -17,10 +17,10 @@ import networkx
 import numpy as np
 from shapely.errors import GEOSException
 
-from wcsim.core.files import whole_folder
+from wcsim.core.files import write_folder_atomically
 from wcsim.core.frames import rad
-from wcsim.core.reading import own_data
-from wcsim.core.seeding import derive, generator
+from wcsim.core.reading import read_module_toml
+from wcsim.core.seeding import derive_seed, generator
 from wcsim.errors import SumoError, TownError
 from wcsim.towns.ground.plane_geometry import length_of, yaw_of
 from wcsim.towns.importing.demand import build_ways, vtypes_text, write_demand
@@ -58,7 +58,7 @@ class _StreetClass:
     closed: str  # SUMO classes that may not drive there
 
 
-_CLASSES = own_data(__file__)
+_CLASSES = read_module_toml(__file__)
 MAIN, COLLECTOR, RESIDENTIAL, WALK = (_StreetClass(name=name, **kind) for name, kind in _CLASSES.items())
 
 
@@ -339,7 +339,7 @@ def make_town(
         raise TownError(
             f"{out} contains an imported town; choose another name or --out, or use --replace, which deletes it"
         )
-    with whole_folder(out) as work:
+    with write_folder_atomically(out) as work:
         stage("drawing the streets")
         net = _bare_net(name, seed, wishes, work)
         stage("adding buildings, furniture, parked cars and routes")
@@ -356,7 +356,7 @@ def _bare_net(name: str, seed: int, wishes: Wishes, work: Path) -> Net:
     for attempt in range(_ATTEMPTS):
         rng = generator(seed, "making", "streets", attempt)
         try:
-            plan = shape_plan(draw_plan(kind, wishes.size_m, derive(seed, "making", attempt), rng, work), rng)
+            plan = shape_plan(draw_plan(kind, wishes.size_m, derive_seed(seed, "making", attempt), rng, work), rng)
             streets = _make_streets(plan, rng)
             path = _write_net(name, plan, streets, _draw_signals(rng), work, rng)
             net = read_net(path)

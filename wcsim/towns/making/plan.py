@@ -14,7 +14,7 @@ import numpy as np
 import shapely
 
 from wcsim.core.frames import rad
-from wcsim.core.seeding import derive
+from wcsim.core.seeding import derive_seed
 from wcsim.errors import SumoError
 from wcsim.towns.ground.plane_geometry import left_of, yaw_of
 from wcsim.towns.sumo.tools import Limits, run_tool
@@ -70,7 +70,15 @@ def draw_plan(kind: str, size_m: float, seed: int, rng: np.random.Generator, fol
     options = {"grid": _grid, "spider": _spider, "random": _random}[kind](size_m, rng)
     run = run_tool(
         "netgenerate",
-        [*options, "--seed", str(derive(seed, "netgenerate")), "--plain-output-prefix", "plan", "-o", "plan.net.xml"],
+        [
+            *options,
+            "--seed",
+            str(derive_seed(seed, "netgenerate")),
+            "--plain-output-prefix",
+            "plan",
+            "-o",
+            "plan.net.xml",
+        ],
         folder,
         _LIMITS,
     )

@@ -32,13 +32,13 @@ import numpy as np
 import shapely
 
 from wcsim.core.frames import rad
-from wcsim.core.reading import listed, own_data
+from wcsim.core.reading import join_names, read_module_toml
 from wcsim.towns.osm.read import Box
 from wcsim.towns.sumo.net import LaneKind, Net
 from wcsim.towns.walking.islands import osm_ways_by_edge
 from wcsim.types import F64
 
-_TAGS = {name: frozenset(words.split()) for name, words in own_data(__file__).items()}
+_TAGS = {name: frozenset(words.split()) for name, words in read_module_toml(__file__).items()}
 _COURTYARD = "courtyard"
 _PART = "part"
 _SLOWEST_KMH = 66  # just above netconvert's --crossings.guess.speed-threshold: nobody crosses a motorway on foot
@@ -353,7 +353,7 @@ class LeftOut:
         """Streets where they are more than next to nothing, and each way on foot or the longest."""
         notes = []
         if self.streets_left_out_m >= LEAST_M:
-            names = listed(self.names, TOLD)
+            names = join_names(self.names, TOLD)
             notes.append(
                 f"left out: {_km(self.streets_left_out_m)} of {_km(self.streets_m)} of streets: bridges, and streets "
                 f"connected to the rest only outside of the box{' (' + names + ')' if names else ''}; a larger --bbox "

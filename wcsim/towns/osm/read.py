@@ -20,7 +20,7 @@ from xml.etree.ElementTree import Element
 
 from wcsim.core.frames import rad
 from wcsim.core.own_folder import temporary_folder
-from wcsim.core.reading import EXTRACT, escaped, opened, own_data, regular_size
+from wcsim.core.reading import EXTRACT, escaped, open_regular_file, read_file_size, read_module_toml
 from wcsim.errors import SumoError, TownError
 from wcsim.towns.sumo.tools import Limits, run_child, sumo_home
 from wcsim.towns.sumo.xml_io import (
@@ -37,7 +37,9 @@ from wcsim.towns.sumo.xml_io import (
 LONGEST_M = 12_000.0  # of a side: netconvert and the street mesh of more take minutes and gigabytes
 _M_PER_DEG = 111_320.0
 
-_LEFT = frozenset(f"{region}/{city}" for region, cities in own_data(__file__).items() for city in cities.split())
+_LEFT = frozenset(
+    f"{region}/{city}" for region, cities in read_module_toml(__file__).items() for city in cities.split()
+)
 """IANA time zones of the countries and territories that drive on the left."""
 _SHARED = "Asia/Bangkok"  # of Thailand, and of Vietnam north of the 17th parallel, where traffic keeps right
 _VIETNAM_DEG = ((105.0, 16.5), (102.0, 18.55))  # of that zone, what lies east and north of either; Laos lies between
@@ -182,7 +184,7 @@ def _xml_of(path: Path, box: Box | None) -> bytes:
     kind = _kind(path)
     if kind == "pbf":
         return _cut_by_osmium(path, "pbf", box)
-    if kind == "osm" and regular_size(path, EXTRACT) > SMALL_BYTES:
+    if kind == "osm" and read_file_size(path, EXTRACT) > SMALL_BYTES:
         _require_tags(path)
         return _cut_by_osmium(path, kind, box)
     most = 4 * MAX_XML_BYTES if box is not None else MAX_XML_BYTES
@@ -195,7 +197,7 @@ def _xml_of(path: Path, box: Box | None) -> bytes:
 
 def _kind(path: Path) -> str:
     """How a file is packed, by its first bytes: names say it wrongly too often. Raises TownError."""
-    with opened(path, EXTRACT) as file:
+    with open_regular_file(path, EXTRACT) as file:
         head = file.read(64)
     if b"OSMHeader" in head:
         return "pbf"
@@ -209,7 +211,7 @@ def _kind(path: Path) -> str:
 
 def _unpack_bz2(path: Path, most: int) -> bytes:
     try:
-        with opened(path, EXTRACT) as file:
+        with open_regular_file(path, EXTRACT) as file:
             data = bunzip2(file, most + 1)
     except (EOFError, ValueError) as error:
         raise TownError(f"{escaped(path)}: cannot be read ({error}); {EXPECTED}") from None
@@ -220,7 +222,7 @@ def _unpack_bz2(path: Path, most: int) -> bytes:
 
 def _require_tags(path: Path) -> None:
     """Raise TownError for a large file that libosmium would take minutes to find no XML in."""
-    with opened(path, EXTRACT) as file:
+    with open_regular_file(path, EXTRACT) as file:
         while len(part := file.read(MAX_TAG_BYTES)) == MAX_TAG_BYTES:
             if b">" not in part or b"\0" in part:
                 raise TownError(

@@ -13,9 +13,9 @@ from pathlib import Path
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
-from wcsim.core.files import whole_folder
+from wcsim.core.files import write_folder_atomically
 from wcsim.core.own_folder import temporary_folder
-from wcsim.core.reading import TOWN, listed, read_text
+from wcsim.core.reading import TOWN, join_names, read_text
 from wcsim.errors import SumoError, TownError
 from wcsim.towns.checks.cures import FASTEST_MPS, Cures
 from wcsim.towns.importing.adopt import copy_scenario
@@ -102,7 +102,7 @@ def pave_town(town: Town, out: Path, fastest_mps: float = FASTEST_MPS) -> Paved:
             f"{Cures(town).netedit()}"
         )
     config = read_configuration(town.sumocfg)
-    with whole_folder(out) as work:
+    with write_folder_atomically(out) as work:
         declared = town.folder if town.declared else None
         base, files = copy_scenario(config, town.border, work, declared)
         _copy_town_toml(town, work, base)
@@ -215,14 +215,14 @@ def _with_head(before: bytes, root: Element) -> bytes:
 def _notes(paving: Paving, net: Path) -> tuple[str, ...]:
     notes = []
     if paving.parking:
-        names = listed(paving.parking, TOLD)
+        names = join_names(paving.parking, TOLD)
         notes.append(
             f"parking areas on the new pavement of their lane: {names}; if wheelchairs must pass, move them in netedit"
         )
     notes += _never_green(paving, f"add a phase in netedit, or {Cures.signals(net)}", in_net=True)
     notes += _never_green(paving, "add a phase there", in_net=False)
     if paving.lost:
-        names = listed(paving.lost, TOLD)
+        names = join_names(paving.lost, TOLD)
         notes.append(f"lanes inside junctions that no longer exist: {names}; correct the elements that name them")
     return tuple(notes)
 
@@ -237,7 +237,7 @@ def _never_green(paving: Paving, cure: str, *, in_net: bool) -> list[str]:
     if not items:
         return []
     found = dict.fromkeys(f"over {item.edge} at {item.signal}" for item in items)
-    names = listed(found, TOLD)
+    names = join_names(found, TOLD)
     place = "the net" if in_net else "an additional file"
     why = "cars may drive over them in every phase of the signal program"
     why += " (a NEMA controller shows two phases at once)" if any(item.rings for item in items) else ""

@@ -19,7 +19,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
-from wcsim.core.reading import SCENARIO, escaped, is_file, regular_size
+from wcsim.core.reading import SCENARIO, escaped, is_file, read_file_size
 from wcsim.errors import TownError
 from wcsim.towns.scenario.options import Content, SumoOption
 from wcsim.towns.sumo.xml_io import MAX_XML_BYTES, parse_root, read_bytes, scan
@@ -272,7 +272,7 @@ class FilteredFiles:
             TownError: it is not there, is no regular file, is too large, or lies outside of the border.
         """
         whole = self._note(path, named_by)
-        regular_size(whole, SCENARIO)
+        read_file_size(whole, SCENARIO)
         self.texts[whole] = None
         return whole
 

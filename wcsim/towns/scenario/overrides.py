@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from wcsim.config import WorldConfig
 from wcsim.config.world import JUPEDSIM
-from wcsim.core.reading import own_data
+from wcsim.core.reading import read_module_toml
 from wcsim.towns.scenario.options import Configuration, Treatment, read_configuration, sumo_options
 from wcsim.towns.sumo.xml_io import is_true
 
@@ -46,7 +46,7 @@ PEOPLE = "pedestrian.model"
 JUMPING = "nonInteracting"
 """Of the models of pedestrians, the one whose people have no way between two streets."""
 AGGREGATED = "elechybrid-output.aggregated"
-_DATA = own_data(__file__)
+_DATA = read_module_toml(__file__)
 RULES = tuple(_Rule(**rule) for rule in _DATA["rules"])
 WHY: dict[str, str] = _DATA["why"] | {rule.option: rule.why for rule in RULES}
 """Why something becomes of an option, by its name, or by its topic where it is one of many."""

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from wcsim.config import ChairConfig
-from wcsim.core.joystick import driven, limits_of, shaped
+from wcsim.core.joystick import advance_drive, drive_limits_from_chair, shape_joystick
 from wcsim.types import F64
 
 SAMPLE_S = 0.1  # of a joystick that is written
@@ -117,14 +117,14 @@ def predict_path(start_m: XY, heading_deg: float, stick: Sequence[Push], until_s
         (N, 4) time in s, x and y of the drive axle in m, heading counter-clockwise from east in rad.
     """
     chair = ChairConfig()
-    limits = limits_of(chair)
+    limits = drive_limits_from_chair(chair)
     x, y, yaw, v, w, a = *start_m, np.deg2rad(90.0 - heading_deg), 0.0, 0.0, 0.0
     rows = []
     for step in range(round(until_s / _STEP_S) + 1):
         time_s = step * _STEP_S
         rows.append((time_s, x, y, yaw))
-        push = shaped(*_at(stick, time_s - _LATE_S), chair.deadband, chair.shape_exponent)
-        v, w, a = driven(v, w, a, *push, limits, _STEP_S)
+        push = shape_joystick(*_at(stick, time_s - _LATE_S), chair.deadband, chair.shape_exponent)
+        v, w, a = advance_drive(v, w, a, *push, limits, _STEP_S)
         yaw += w * _STEP_S
         x, y = x + v * _STEP_S * float(np.cos(yaw)), y + v * _STEP_S * float(np.sin(yaw))
     return np.array(rows)

@@ -19,7 +19,7 @@ from types import MappingProxyType
 import numpy as np
 
 from wcsim.core import seeding
-from wcsim.core.files import whole_folder
+from wcsim.core.files import write_folder_atomically
 from wcsim.errors import ConfigError, meant
 from wcsim.towns.scene_folders.draft import (
     AFT_M,
@@ -508,8 +508,10 @@ def write_scene(family: str, seed: int, folder: Path) -> Path:
     rng = seeding.generator(seed, "scene", family)
     flipped = bool(rng.integers(2))
     draft = _DRAWN[family](rng)
-    files = files_of(mirrored(draft) if flipped else draft, f"{family}-{seed}", seeding.derive(seed, "scene", family))
-    with whole_folder(folder, flush=False) as part:
+    files = files_of(
+        mirrored(draft) if flipped else draft, f"{family}-{seed}", seeding.derive_seed(seed, "scene", family)
+    )
+    with write_folder_atomically(folder, flush=False) as part:
         for name, text in files.items():
             (part / name).write_text(text, encoding="utf-8")
     return folder

@@ -12,13 +12,13 @@ from xml.etree.ElementTree import Element
 import numpy as np
 import shapely
 
-from wcsim.core.reading import own_data
+from wcsim.core.reading import read_module_toml
 from wcsim.errors import TownError
 from wcsim.towns.sumo.net import Lane, Net, points
 from wcsim.towns.sumo.xml_io import is_true, read_root
 from wcsim.types import F64
 
-AUTHOR_KINDS: tuple[str, ...] = tuple(own_data(__file__)["kinds"].split())
+AUTHOR_KINDS: tuple[str, ...] = tuple(read_module_toml(__file__)["kinds"].split())
 
 log = logging.getLogger("wcsim.towns")
 

@@ -20,7 +20,7 @@ from typing import BinaryIO
 from xml.etree import ElementTree
 from xml.parsers import expat
 
-from wcsim.core.reading import XML, escaped, opened
+from wcsim.core.reading import XML, escaped, open_regular_file
 from wcsim.errors import TownError
 
 MAX_MEMBERS = 1 << 15  # packed one behind the other in a file; those who pack in blocks of 64 KiB need 16 for a MiB
@@ -110,7 +110,7 @@ def read_bytes(path: Path, limit: int = MAX_XML_BYTES) -> bytes:
 def read_head(path: Path, size: int) -> bytes:
     """The first `size` bytes of a plain or gzip-compressed file's content. Raises TownError."""
     try:
-        with opened(path, XML) as file:
+        with open_regular_file(path, XML) as file:
             packed = file.read(2) == b"\x1f\x8b"
             file.seek(0)
             return _unpack(file, size, _Gunzip) if packed else file.read(size)

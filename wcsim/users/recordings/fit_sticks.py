@@ -21,11 +21,11 @@ from wcsim.core.reading import escaped
 from wcsim.core.seeding import generator
 from wcsim.errors import ConfigError
 from wcsim.types import F64, Joystick
-from wcsim.users.hand import STICK_FILTER_S, Hand, SwitchHand
-from wcsim.users.profiles import UserProfile, profile, profile_names
+from wcsim.users.hand import STICK_FILTER_S, StickHandModel, SwitchHandModel
+from wcsim.users.profiles import UserProfile, find_builtin_profile, profile_names
 from wcsim.users.recordings.fit_user import FittedNumber, UserFit
-from wcsim.users.recordings.hand_series import stretches
-from wcsim.users.recordings.recorded_user import read_recording
+from wcsim.users.recordings.hand_series import find_true_spans
+from wcsim.users.recordings.recorded_user import read_stick_recording
 
 STICK_DT_S: Final = 0.02
 _BANDS_HZ: Final = (0.4, 1.0, 3.0, 8.0)
@@ -47,19 +47,19 @@ _SHORTEST_S: Final = 30.0
 _RESTLESS_PER_S: Final = 1.5
 
 
-def read_sticks(path: Path) -> F64:
+def read_recorded_sticks(path: Path) -> F64:
     """All sticks (n, 2) of a table, or of a folder, one after the other.
 
     A folder's .odom.csv files are left out.
 
     Raises:
-        ConfigError: There is no table, or one that `read_recording` refuses; or they last for less
+        ConfigError: There is no table, or one that `read_stick_recording` refuses; or they last for less
             than 30 s.
     """
     files = [path]
     if path.is_dir():
         files = [each for each in sorted(path.glob("*.csv*")) if ".odom" not in each.suffixes]
-    parts = [part for each in map(read_recording, files) for part in each.episodes or (each,)]
+    parts = [part for each in map(read_stick_recording, files) for part in each.episodes or (each,)]
     sticks = [part.at(np.arange(part.time_s[0], part.end_s, STICK_DT_S)) for part in parts]
     seconds = STICK_DT_S * sum(map(len, sticks))
     if seconds < _SHORTEST_S:
@@ -69,7 +69,7 @@ def read_sticks(path: Path) -> F64:
     return np.concatenate(sticks)
 
 
-def fit_sticks(people: Mapping[str, F64], base: UserProfile) -> UserFit:
+def fit_user_to_sticks(people: Mapping[str, F64], base: UserProfile) -> UserFit:
     """The hand of some people, or of one, by their sticks (n, 2); and the habits of all.
 
     Habits are those of "people", "fitted" and the profiles. The numbers of several people are
@@ -83,7 +83,7 @@ def fit_sticks(people: Mapping[str, F64], base: UserProfile) -> UserFit:
     if len(units) == 1:
         units = np.array_split(units[0], round(len(units[0]) * STICK_DT_S / _PIECE_S))
     step = _device_step(units)
-    own = [stick_habits(unit, base.noise_rate, step) for unit in units]
+    own = [measure_stick_habits(unit, base.noise_rate, step) for unit in units]
     rows = {"people": _means(own)}
 
     # 2. Fit the profile. A restless stick shows no hand.
@@ -100,9 +100,13 @@ def fit_sticks(people: Mapping[str, F64], base: UserProfile) -> UserFit:
 
     # 3. Measure the same task with other hands: the fitted one and those of the profiles.
     intents = [_intents_of(unit) for unit in units]
-    for each in (replace(user, name="fitted"), *map(profile, profile_names())):
-        sticks = [driven_stick(each, part, step, number) for number, part in enumerate(intents)]
-        rows[each.name] = _means([stick_habits(stick, base.noise_rate, step) for stick in sticks])
+    for each in (replace(user, name="fitted"), *map(find_builtin_profile, profile_names())):
+        sticks = [
+            simulate_hand_stick(each, part, step, number) for number, part in enumerate(intents)
+        ]
+        rows[each.name] = _means(
+            [measure_stick_habits(stick, base.noise_rate, step) for stick in sticks]
+        )
 
     # 4. Compare each person with the others.
     for name, habits in zip(people if len(people) > 2 else (), own, strict=False):
@@ -118,7 +122,7 @@ def fit_sticks(people: Mapping[str, F64], base: UserProfile) -> UserFit:
     )
 
 
-def stick_habits(stick: F64, noise_rate: float, step: float) -> dict[str, float]:
+def measure_stick_habits(stick: F64, noise_rate: float, step: float) -> dict[str, float]:
     """What a stick (n, 2) does; nan for a lag or a wander that was not seen.
 
     All are of the whole time, but movements a second of that away from rest. The speed is that
@@ -153,12 +157,16 @@ def stick_habits(stick: F64, noise_rate: float, step: float) -> dict[str, float]
     return habits
 
 
-def driven_stick(user: UserProfile, intents: F64, step: float, number: int) -> F64:
+def simulate_hand_stick(user: UserProfile, intents: F64, step: float, number: int) -> F64:
     """The stick (n, 2) of a user's hand for intents (n, 2), rounded to `step`.
 
     `number` is that of its noise. What a user sees, misses or corrects plays no part.
     """
-    hand = SwitchHand(user) if user.discrete else Hand(user, generator(0, "stick", number))
+    hand = (
+        SwitchHandModel(user)
+        if user.discrete
+        else StickHandModel(user, generator(0, "stick", number))
+    )
     found = np.empty_like(intents)
     for k, (x, y) in enumerate(intents.tolist()):
         hand.send_intent(Joystick(x, y))
@@ -201,7 +209,7 @@ def _speed(stick: F64) -> F64:
 def _movements(stick: F64) -> list[tuple[int, int]]:
     """First sample and end of each movement."""
     speed = _speed(stick)
-    spans = stretches(speed > _SLOW)
+    spans = find_true_spans(speed > _SLOW)
     return [(start, stop) for start, stop in spans if speed[start:stop].max() > _FAST]
 
 

@@ -20,19 +20,19 @@ from wcsim.core.reading import escaped
 from wcsim.errors import ConfigError
 from wcsim.log.drive import DriveRecording
 from wcsim.types import F64, Bool, Joystick
-from wcsim.users.hand import DRIVE_ABOVE, STEER_ABOVE, SwitchHand
+from wcsim.users.hand import DRIVE_ABOVE, STEER_ABOVE, SwitchHandModel
 from wcsim.users.perception import LONGEST_AWAY, UNCUT_AWAY
 from wcsim.users.profiles import PAIRS, PROFILE_LIMITS, UserProfile
-from wcsim.users.recordings.hand_likelihood import BLOCK_S, LOGS, HandEstimate, fit_hand
+from wcsim.users.recordings.hand_likelihood import BLOCK_S, LOGS, HandFitResult, fit_hand_model
 from wcsim.users.recordings.hand_series import (
     SAME_STICK,
     SHORTEST_S,
-    HandSeries,
-    at_switches,
-    check_stick,
-    correction_s,
-    hand_series,
-    stretches,
+    HandTimeSeries,
+    find_true_spans,
+    hand_series_from_drives,
+    mean_correction_interval_s,
+    require_analogue_stick,
+    switch_position_mask,
 )
 
 _RESAMPLED: Final = 400
@@ -102,7 +102,7 @@ class UserFit:
     habits: Mapping[str, Mapping[str, FittedNumber]] = field(default_factory=dict)
 
 
-def fit_user(
+def fit_user_to_drives(
     drives: Sequence[DriveRecording], base: UserProfile, true_intents: bool = True
 ) -> UserFit:
     """Fit the user model to drives of one person.
@@ -115,7 +115,7 @@ def fit_user(
 
     Raises:
         ConfigError: There is no intent, no episode of some seconds, or no stick (see
-            `check_stick`); or the drives differ in their ticks, or in how their chairs take a
+            `require_analogue_stick`); or the drives differ in their ticks, or in how their chairs take a
             stick.
     """
     # 1. Check the drives.
@@ -123,8 +123,8 @@ def fit_user(
         raise ConfigError("a drive has ticks without an intent; expected an intent in every tick")
     _require_alike(drives)
     for drive in drives:
-        check_stick(drive.name, drive.ticks)
-    series = hand_series(drives)
+        require_analogue_stick(drive.name, drive.ticks)
+    series = hand_series_from_drives(drives)
     if not series:
         raise ConfigError(
             f"no episode of {SHORTEST_S:g} s or more was recorded; "
@@ -136,7 +136,7 @@ def fit_user(
     if switched:
         found = _fit_switches(series, base)
     else:
-        found = _hand_numbers(fit_hand(series))
+        found = _hand_numbers(fit_hand_model(series))
         found |= _fit_looks(series) if true_intents else {}
     found["speed_share"] = _fit_speed(drives, series, found, true_intents)
 
@@ -150,15 +150,15 @@ def fit_user(
     )
 
 
-def is_certain(name: str, estimate: FittedNumber) -> bool:
+def is_certain_estimate(name: str, estimate: FittedNumber) -> bool:
     """Whether half the interval is less than 15 % of the value, or too small to matter."""
     half = 0.5 * (estimate.high - estimate.low)
     return half <= max(_WIDEST * abs(estimate.value), _FLOORS.get(name, 0.0))
 
 
-def _has_switches(series: Sequence[HandSeries]) -> bool:
+def _has_switches(series: Sequence[HandTimeSeries]) -> bool:
     """Whether every sample is a position that four switches stand for."""
-    return bool(at_switches(np.concatenate([item.stick for item in series])).all())
+    return bool(switch_position_mask(np.concatenate([item.stick for item in series])).all())
 
 
 def _require_alike(drives: Sequence[DriveRecording]) -> None:
@@ -190,7 +190,7 @@ def _chair_of(drive: DriveRecording) -> ChairConfig:
 # --- hand ---
 
 
-def _hand_numbers(hand: HandEstimate) -> dict[str, FittedNumber]:
+def _hand_numbers(hand: HandFitResult) -> dict[str, FittedNumber]:
     """The numbers of a hand with their intervals.
 
     There are none where nearly all of the driving lay at the gate: the rest does not show the hand.
@@ -216,10 +216,10 @@ def _has_hand(found: Mapping[str, FittedNumber]) -> bool:
 # --- attention and speed ---
 
 
-def _fit_looks(series: Sequence[HandSeries]) -> dict[str, FittedNumber]:
+def _fit_looks(series: Sequence[HandTimeSeries]) -> dict[str, FittedNumber]:
     """Looks elsewhere, or single corrections, by how intents stand still."""
     tick_s = series[0].tick_s
-    gaps = [correction_s(item.intents, tick_s) for item in series]
+    gaps = [mean_correction_interval_s(item.intents, tick_s) for item in series]
     known = [gap for gap in gaps if gap is not None]
     changes = np.concatenate(
         [(np.diff(item.intents, axis=0) != 0.0).any(axis=1) for item in series]
@@ -229,7 +229,7 @@ def _fit_looks(series: Sequence[HandSeries]) -> dict[str, FittedNumber]:
         # be told apart.
 
         def period_s(parts: F64) -> float:
-            return correction_s(parts, tick_s) or float(np.mean(known))
+            return mean_correction_interval_s(parts, tick_s) or float(np.mean(known))
 
         return {"correct_every_s": _resampled([item.intents for item in series], series, period_s)}
     rows = [_look_rows(item) for item in series]
@@ -242,14 +242,14 @@ def _fit_looks(series: Sequence[HandSeries]) -> dict[str, FittedNumber]:
     return {"away_share": away, "away_s": lasting}
 
 
-def _look_rows(item: HandSeries) -> F64:
+def _look_rows(item: HandTimeSeries) -> F64:
     """(N - 1, 3) of each tick: in a look elsewhere, driven forward, the last one of a look."""
     intents = item.intents
     driven: Bool = intents[1:, 1] > 0.0
     still: Bool = (np.diff(intents[:, 1]) == 0.0) & (np.diff(np.abs(intents[:, 0])) <= 0.0) & driven
     rows = np.zeros((len(still), 3))
     rows[:, 1] = driven
-    for start, stop in stretches(still):
+    for start, stop in find_true_spans(still):
         if (stop - start) * item.tick_s >= _LOOK_S - 1e-9:
             rows[start:stop, 0] = 1.0
             rows[stop - 1, 2] = 1.0
@@ -272,7 +272,7 @@ def _mean_look(seen_s: float) -> float:
 
 def _fit_speed(
     drives: Sequence[DriveRecording],
-    series: Sequence[HandSeries],
+    series: Sequence[HandTimeSeries],
     found: Mapping[str, FittedNumber],
     true_intents: bool,
 ) -> FittedNumber:
@@ -311,7 +311,7 @@ def _fit_speed(
 
 
 def _resampled(
-    rows: Sequence[F64], series: Sequence[HandSeries], value: Callable[[F64], float]
+    rows: Sequence[F64], series: Sequence[HandTimeSeries], value: Callable[[F64], float]
 ) -> FittedNumber:
     """A number of the rows (n, k) of all episodes; its interval by drawing stretches anew."""
     rng = seeding.generator(0, "stretches resampled")
@@ -330,7 +330,7 @@ def _resampled(
 # --- switches ---
 
 
-def _fit_switches(series: Sequence[HandSeries], base: UserProfile) -> dict[str, FittedNumber]:
+def _fit_switches(series: Sequence[HandTimeSeries], base: UserProfile) -> dict[str, FittedNumber]:
     """Delay and hold that reproduce the most samples; the others of `base` play no part.
 
     Both are searched together, on a lattice that gets finer around the best: a wrong hold makes a
@@ -366,7 +366,7 @@ def _fit_switches(series: Sequence[HandSeries], base: UserProfile) -> dict[str, 
     }
 
 
-def _first_press_s(series: Sequence[HandSeries]) -> float | None:
+def _first_press_s(series: Sequence[HandTimeSeries]) -> float | None:
     """The shortest time from an episode's first intent to its first switch.
 
     None where no episode started at rest.
@@ -383,7 +383,7 @@ def _first_press_s(series: Sequence[HandSeries]) -> float | None:
 
 
 def _best(
-    series: Sequence[HandSeries], base: UserProfile, reactions_s: F64, holds_s: F64, ticks: int
+    series: Sequence[HandTimeSeries], base: UserProfile, reactions_s: F64, holds_s: F64, ticks: int
 ) -> list[tuple[float, float]]:
     """The pairs of delay and hold of a lattice, those first that reproduce the most samples."""
     pairs = [(float(late_s), float(hold_s)) for late_s in reactions_s for hold_s in holds_s]
@@ -394,11 +394,11 @@ def _best(
     return [pairs[k] for k in np.argsort(wrong, kind="stable").tolist()]
 
 
-def _wrong_share(series: Sequence[HandSeries], user: UserProfile, ticks: int) -> float:
+def _wrong_share(series: Sequence[HandTimeSeries], user: UserProfile, ticks: int) -> float:
     """The share of the samples of so many ticks that this user's switches do not reproduce."""
     wrong = total = 0
     for item in series:
-        hand, moved = SwitchHand(user), []
+        hand, moved = SwitchHandModel(user), []
         for x, y in item.intents[:ticks].tolist():
             hand.send_intent(Joystick(x, y))
             moved.append(hand.move(item.steps, item.tick_s / item.steps))
@@ -443,7 +443,7 @@ def _profile_numbers(found: Mapping[str, FittedNumber], switched: bool) -> dict[
 def _warnings(
     found: Mapping[str, FittedNumber],
     seconds: float,
-    series: Sequence[HandSeries],
+    series: Sequence[HandTimeSeries],
     true_intents: bool,
 ) -> tuple[str, ...]:
     lines = []
@@ -470,7 +470,7 @@ def _warnings(
             f"a tremor above {fastest_hz:g} Hz looks slower"
         )
     for name, item in found.items():
-        if not is_certain(name, item):
+        if not is_certain_estimate(name, item):
             more = _MORE.get(name, "drive longer")
             lines.append(
                 f"{name} is uncertain by more than 15 %: {item.value:.3g}, "

@@ -17,7 +17,7 @@ import numpy as np
 from wcsim.core.jit import exact_kernel
 from wcsim.types import F64, Bool
 from wcsim.users.hand import TREMOR_FORWARD, TREMOR_WANDER, TREMOR_WANDER_S
-from wcsim.users.recordings.hand_series import MOVES, HandSeries
+from wcsim.users.recordings.hand_series import MOVES, HandTimeSeries
 
 BLOCK_S: Final = 10.0  # stretches that are taken as independent of each other
 _STRETCH_S: Final = 1.0  # stretches of the sum
@@ -73,7 +73,7 @@ _LossTerms = Callable[[F64], F64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class HandEstimate:
+class HandFitResult:
     """The fitted numbers of a hand, and their standard deviations by name, none where unknown."""
 
     values: dict[str, float]
@@ -82,7 +82,7 @@ class HandEstimate:
     counted_share: float  # of the samples of a stick that moves, those that counted
 
 
-def fit_hand(series: Sequence[HandSeries]) -> HandEstimate:
+def fit_hand_model(series: Sequence[HandTimeSeries]) -> HandFitResult:
     """The most probable hand.
 
     Args:
@@ -113,7 +113,7 @@ def fit_hand(series: Sequence[HandSeries]) -> HandEstimate:
     step_s = series[0].tick_s / series[0].steps
     sd["reaction_s"] = math.hypot(sd["reaction_s"], step_s / math.sqrt(12.0))
     has_tremor = len(found) == len(_NAMES)
-    return HandEstimate(
+    return HandFitResult(
         values=values,
         sd=sd,
         tremor_most=0.0 if has_tremor else _most_tremor(series, found, guess),
@@ -121,7 +121,7 @@ def fit_hand(series: Sequence[HandSeries]) -> HandEstimate:
     )
 
 
-def _most_tremor(series: Sequence[HandSeries], calm: F64, guess: F64) -> float:
+def _most_tremor(series: Sequence[HandTimeSeries], calm: F64, guess: F64) -> float:
     """How large a tremor at the likeliest frequency may be before the hand gets improbable."""
     loss = _Loss(series, calm)
     least = float(loss(calm).sum())
@@ -132,7 +132,7 @@ def _most_tremor(series: Sequence[HandSeries], calm: F64, guess: F64) -> float:
     return 0.2
 
 
-def _counted_share(series: Sequence[HandSeries], counted: Sequence[Bool]) -> float:
+def _counted_share(series: Sequence[HandTimeSeries], counted: Sequence[Bool]) -> float:
     """The share of a moving stick's samples that count.
 
     A user that only ever pushes to the gate shows no more than one that never moves.
@@ -146,7 +146,7 @@ def _counted_share(series: Sequence[HandSeries], counted: Sequence[Bool]) -> flo
 # --- where the search starts ---
 
 
-def _guess(series: Sequence[HandSeries]) -> F64:
+def _guess(series: Sequence[HandTimeSeries]) -> F64:
     """Where to start (10,): the best line of a lattice of delays and lags, the strongest swing."""
     apart_s = series[0].apart_s
     decay = math.exp(-_GUESSED_RATE * apart_s)
@@ -174,7 +174,7 @@ def _guess(series: Sequence[HandSeries]) -> F64:
     return _fitted_values(np.clip(start, np.array(_LOW) + 1e-3, _HIGH))
 
 
-def _swing(series: Sequence[HandSeries]) -> tuple[float, float]:
+def _swing(series: Sequence[HandTimeSeries]) -> tuple[float, float]:
     """Amplitude and frequency of the strongest swing to the side between 2.5 and 12 Hz."""
     from scipy.signal import welch
 
@@ -212,7 +212,7 @@ def _best_start(loss: _LossTerms, guess: F64) -> F64:
 class _Loss:
     """Minus the log-likelihood, second by second, of a hand (8,) or one with a tremor (10,)."""
 
-    def __init__(self, series: Sequence[HandSeries], reference: F64) -> None:
+    def __init__(self, series: Sequence[HandTimeSeries], reference: F64) -> None:
         """Samples count that stay clear of the gate by the hand `reference`."""
         self._series = series
         self._cached: dict[tuple[float, float], list[F64]] = {}
@@ -265,7 +265,7 @@ class _Loss:
         return self._cached[delay_s, lag_s]
 
 
-def _noiseless_hand(item: HandSeries, delay_s: float, lag_s: float) -> F64:
+def _noiseless_hand(item: HandTimeSeries, delay_s: float, lag_s: float) -> F64:
     """The hand at the samples (n, 2) without noise, gain and bias."""
     dt_s = item.tick_s / item.steps
     return _delayed_intents(item.intents, item.steps, dt_s, delay_s, lag_s, item.filter_s)[item.at]

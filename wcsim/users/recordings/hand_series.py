@@ -34,7 +34,7 @@ SHORTEST_S: Final = 5.0  # of an episode that is fitted
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class HandSeries:
+class HandTimeSeries:
     """A hand over one episode of N ticks."""
 
     tick_s: float
@@ -63,7 +63,7 @@ class HandSeries:
         return np.asarray(self.start_s + self.tick_s / self.steps * (self.at + 1), np.float64)
 
 
-def hand_series(drives: Iterable[DriveRecording]) -> tuple[HandSeries, ...]:
+def hand_series_from_drives(drives: Iterable[DriveRecording]) -> tuple[HandTimeSeries, ...]:
     """The episodes of drives with intents, one after the other; short ones are left out."""
     found, start_s = [], 0.0
     for drive in drives:
@@ -74,7 +74,7 @@ def hand_series(drives: Iterable[DriveRecording]) -> tuple[HandSeries, ...]:
     return tuple(found)
 
 
-def check_stick(name: str, ticks: Sequence[DriveTick]) -> None:
+def require_analogue_stick(name: str, ticks: Sequence[DriveTick]) -> None:
     """Refuse a drive by keys, or by the switches of a drive's page: no hand can be fitted to it.
 
     The four switches of the user model are none of these: a user that drove with them is fitted by
@@ -85,7 +85,7 @@ def check_stick(name: str, ticks: Sequence[DriveTick]) -> None:
     """
     sticks = np.array([(tick.stick.x, tick.stick.y) for tick in ticks]).reshape(-1, 2)
     moving = sticks[np.hypot(sticks[:, 0], sticks[:, 1]) > MOVES]
-    if not len(moving) or at_switches(moving).all():
+    if not len(moving) or switch_position_mask(moving).all():
         return
     count = len(np.unique(moving.round(4), axis=0))
     if count <= _MOST_POSITIONS and len(moving) >= _REPEATED * count:
@@ -96,14 +96,14 @@ def check_stick(name: str, ticks: Sequence[DriveTick]) -> None:
         )
 
 
-def at_switches(sticks: F64) -> Bool:
+def switch_position_mask(sticks: F64) -> Bool:
     """(N,) which sticks (N, 2) are positions of the user model's four switches."""
     away = np.abs(sticks[:, None, :] - np.array(SWITCH_POSITIONS)[None]).max(axis=2).min(axis=1)
     found: Bool = away < SAME_STICK
     return found
 
 
-def correction_s(intents: F64, tick_s: float) -> float | None:
+def mean_correction_interval_s(intents: F64, tick_s: float) -> float | None:
     """Mean time between changes of an intent (N, 2) without stretches at rest; None without any."""
     changed = np.flatnonzero((np.diff(intents, axis=0) != 0.0).any(axis=1))
     gaps = np.array(
@@ -112,7 +112,7 @@ def correction_s(intents: F64, tick_s: float) -> float | None:
     return float(gaps.mean()) * tick_s if len(gaps) else None
 
 
-def stretches(flags: Bool) -> Sequence[tuple[int, int]]:
+def find_true_spans(flags: Bool) -> Sequence[tuple[int, int]]:
     """(start, stop) of each run of true flags.
 
     >>> stretches(np.array([False, True, True, False, True]))
@@ -122,7 +122,7 @@ def stretches(flags: Bool) -> Sequence[tuple[int, int]]:
     return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
 
 
-def _series(ticks: Sequence[DriveTick], tick_s: float, start_s: float) -> HandSeries:
+def _series(ticks: Sequence[DriveTick], tick_s: float, start_s: float) -> HandTimeSeries:
     """The samples of one episode, thinned; where a tick has none, the stick at its start."""
     intents = np.array(
         [(0.0, 0.0) if tick.intent is None else (tick.intent.x, tick.intent.y) for tick in ticks]
@@ -143,7 +143,7 @@ def _series(ticks: Sequence[DriveTick], tick_s: float, start_s: float) -> HandSe
     thin = max(1, round(_APART_S / apart_s))
     per_sample = math.ceil(_FINE_STEPS / samples)
     chosen = np.arange(thin - 1, len(sticks), thin)
-    return HandSeries(
+    return HandTimeSeries(
         tick_s=tick_s,
         steps=samples * per_sample,
         intents=intents,

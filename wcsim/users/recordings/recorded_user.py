@@ -20,11 +20,11 @@ import numpy as np
 from wcsim.core.constants import RECORDED
 from wcsim.core.reading import STICK, escaped, read_lines
 from wcsim.errors import ConfigError, JournalError
-from wcsim.log.drive import read_drive, wcsim_version
+from wcsim.log.drive import read_drive_recording, wcsim_version
 from wcsim.log.reader import is_log
 from wcsim.log.records import DriveTick
 from wcsim.types import F64, Joystick, Outline, UserView
-from wcsim.users.hand import on_disc
+from wcsim.users.hand import clip_to_disc
 from wcsim.users.profiles import UserProfile, find_profile, profile_from_json
 from wcsim.users.user import User
 
@@ -38,7 +38,7 @@ MOST_SAMPLES = 1_000_000  # an hour of 240 a second
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _JoystickRecording:
-    """A joystick over time; see `read_recording` and `_joystick_of_drive`."""
+    """A joystick over time; see `read_stick_recording` and `_joystick_of_drive`."""
 
     name: str
     time_s: F64  # (n,) rising, from 0 to _LONGEST_GAP_S on, n >= 2
@@ -131,13 +131,13 @@ def find_user(name: str) -> UserProfile | _JoystickRecording:
         ConfigError: There is no such profile (the message names all), or the file cannot be used.
     """
     if name.startswith(RECORDED):
-        return read_recording(FilePath(name.removeprefix(RECORDED)))
+        return read_stick_recording(FilePath(name.removeprefix(RECORDED)))
     if name.startswith("{"):
         return profile_from_json(name, "a user's profile as JSON")
     return find_profile(name)
 
 
-def read_recording(path: FilePath) -> _JoystickRecording:
+def read_stick_recording(path: FilePath) -> _JoystickRecording:
     """Read and check a recorded joystick: a drive, or a table.
 
     Raises:
@@ -163,7 +163,7 @@ def read_recording(path: FilePath) -> _JoystickRecording:
             f"{escaped(path)}: {len(table)} samples; "
             f"expected at least two lines below {','.join(COLUMNS)}"
         )
-    # As `on_disc` has it, of all samples at once.
+    # As `clip_to_disc` has it, of all samples at once.
     sticks = table[:, 1:] / np.maximum(np.hypot(table[:, 1], table[:, 2]), 1.0)[:, None]
     return _JoystickRecording(name=str(path), time_s=table[:, 0], sticks=sticks)
 
@@ -226,7 +226,7 @@ def _joystick_of_drive(path: FilePath) -> _JoystickRecording:
             moved differently.
     """
     try:
-        drive = read_drive(path)
+        drive = read_drive_recording(path)
     except JournalError as error:
         raise ConfigError(str(error)) from None
     header = drive.header
@@ -260,6 +260,6 @@ def _joystick_of(ticks: Sequence[DriveTick], tick_s: float, name: str) -> _Joyst
     return _JoystickRecording(
         name=name,
         time_s=np.array(times),
-        sticks=np.array([on_disc(x, y) for x, y in sticks]),
+        sticks=np.array([clip_to_disc(x, y) for x, y in sticks]),
         intents=np.array(known) if len(known) == len(intents) else None,
     )

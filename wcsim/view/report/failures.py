@@ -25,10 +25,10 @@ from wcsim.agents.evaluation.suite.records import (
 )
 from wcsim.agents.evaluation.suite.result_files import LIST, TestResult
 from wcsim.agents.evaluation.suite.run import SuiteOrder, piece_of, town_addresses
-from wcsim.agents.opening.list_file import open_suite
-from wcsim.agents.opening.named_policy import config_for
+from wcsim.agents.opening.list_file import read_suite
+from wcsim.agents.opening.named_policy import config_from_policy_name
 from wcsim.agents.policy_api import STATE_SENSE, UNAIDED
-from wcsim.agents.runs.policy_file import policy_name
+from wcsim.agents.runs.policy_file import parse_policy_name
 from wcsim.bridge.world import World
 from wcsim.core.processes import run_in_pool
 from wcsim.core.reading import counted, is_file
@@ -204,7 +204,7 @@ def illustrated(
     blocks: dict[tuple[str, int], list[FailedEpisode]] = {}
     found_all: dict[Key, Illustration] = {}
     for failure in failures:
-        if policy_name(failure.policy).kind == "class" and failure.policy not in own:
+        if parse_policy_name(failure.policy).kind == "class" and failure.policy not in own:
             found_all[failure.policy, *failure.key] = Illustration(missing=_NOT_NAMED)
             continue
         blocks.setdefault((failure.policy, failure.key[0]), []).append(failure)
@@ -227,7 +227,7 @@ def order_of(result: TestResult, folder: Path, own: Collection[str]) -> SuiteOrd
     """
     drawn = folder / LIST  # it goes wherever its folder goes
     moved = Path(result.list_name).name == LIST and is_file(drawn)
-    suite = open_suite(str(drawn) if moved else result.list_name)
+    suite = read_suite(str(drawn) if moved else result.list_name)
     if suite.sha256 != result.list_sha256:
         raise ConfigError(
             f"list {result.list_name} has the hash {suite.sha256[:12]}; expected {result.list_sha256[:12]}, that of "
@@ -242,7 +242,7 @@ def _illustrate(wanted: tuple[Piece, Iterable[EpisodeRecord]]) -> dict[int, Illu
     piece, records = wanted
     kept = {record.seat: record for record in records}
     try:
-        config = config_for(piece.policy, piece.preset, piece.settings, in_list=True)
+        config = config_from_policy_name(piece.policy, piece.preset, piece.settings, in_list=True)
         tick_s = config.world.tick_s
 
         def draw(world: World, steps: Sequence[PlayedStep]) -> Illustration:

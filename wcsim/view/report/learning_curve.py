@@ -13,13 +13,13 @@ from wcsim.agents.runs.metrics import (
     KPI1_STEPS,
     ROW_STEPS,
     STEP_COLUMNS,
-    logs_rounds,
+    is_round_metrics_file,
     read_metrics,
-    read_rounds,
+    read_round_metrics,
 )
-from wcsim.agents.runs.run_folder import MANIFEST, METRICS, STEPS, read_json
-from wcsim.config.run_file import TrainedRound
-from wcsim.core.reading import escaped_value, is_file
+from wcsim.agents.runs.run_folder import MANIFEST, METRICS, STEPS, read_run_json
+from wcsim.config.run_file import RoundMetricsRow
+from wcsim.core.reading import escaped_repr, is_file
 from wcsim.errors import PolicyError
 from wcsim.supervisor.kpi import MAX_FOLLOW_DISTANCE
 
@@ -61,7 +61,7 @@ class Training:
     manifests: Mapping[str, Mapping[str, Any]]  # by the run's folder
     clients: Mapping[str, tuple[TrainedEpisode, ...]]  # in seat order
     steps: Mapping[str, tuple[TrainedSteps, ...]] = field(default_factory=dict)  # of the same clients
-    rounds: Mapping[str, tuple[TrainedRound, ...]] = field(default_factory=dict)  # of runs of danger networks
+    rounds: Mapping[str, tuple[RoundMetricsRow, ...]] = field(default_factory=dict)  # of runs of danger networks
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -97,13 +97,13 @@ def read_training(folders: Sequence[Path]) -> Training:
     """
     manifests, clients, steps, rounds = {}, {}, {}, {}
     for folder in folders:
-        manifest = read_json(folder, MANIFEST)
+        manifest = read_run_json(folder, MANIFEST)
         manifests[str(folder)] = manifest
         for name, home in _homes(folder, manifest):
             label = name if len(folders) == 1 or "clients" not in manifest else f"{folder.resolve().name}/{name}"
             label = str(home) if label in clients or label in rounds else label
-            if is_file(home / METRICS) and logs_rounds(home / METRICS):
-                rounds[label] = read_rounds(home / METRICS)
+            if is_file(home / METRICS) and is_round_metrics_file(home / METRICS):
+                rounds[label] = read_round_metrics(home / METRICS)
             else:
                 clients[label] = _rows(home / METRICS, COLUMNS, TrainedEpisode)
                 steps[label] = _rows(home / STEPS, STEP_COLUMNS, TrainedSteps)
@@ -122,7 +122,7 @@ def _rows(path: Path, columns: tuple[str, ...], kind: type[_Row]) -> tuple[_Row,
         try:
             read = {each.name: _READ[str(each.type)](row[_LOGGED.get(each.name, each.name)]) for each in fields(kind)}
         except ValueError:
-            where = f"{path}: is damaged at step {escaped_value(row['step'])}"
+            where = f"{path}: is damaged at step {escaped_repr(row['step'])}"
             raise PolicyError(f"{where}; expected finite numbers") from None
         found.append(kind(**read))
     return tuple(found)

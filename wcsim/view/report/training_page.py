@@ -12,12 +12,12 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Final
 
-from wcsim.agents.clients.group_run import CHOICE, KPI1, SELECTION, read_choice
-from wcsim.agents.clients.paid_times import read_paid_times
+from wcsim.agents.clients.group_run import CHOICE, KPI1, SELECTION, read_selected_client
+from wcsim.agents.clients.paid_times import read_group_run_times
 from wcsim.agents.evaluation.suite.result_files import RESULT, read_result
 from wcsim.agents.runs.metrics import KPI1_STEPS
-from wcsim.agents.runs.run_folder import read_json
-from wcsim.config.run_file import TrainedRound
+from wcsim.agents.runs.run_folder import read_run_json
+from wcsim.config.run_file import RoundMetricsRow
 from wcsim.core.reading import counted, is_file
 from wcsim.errors import PolicyError
 from wcsim.view.report.figures import Curve, curve_chart
@@ -33,7 +33,7 @@ from wcsim.view.report.learning_curve import (
 )
 from wcsim.view.report.pages import Cell, Exhibit, page, write_page
 
-Runs = Mapping[str, tuple[TrainedRound, ...]]
+Runs = Mapping[str, tuple[RoundMetricsRow, ...]]
 _Section = tuple[str, str, Sequence[Exhibit]]  # its anchor, its title, and what it shows
 _THOUSAND: Final = 1000.0
 
@@ -59,12 +59,12 @@ def _per_crash(steps: int, crashes: int) -> float:
     return steps / crashes if crashes else math.nan
 
 
-def _crash_rate(each: TrainedRound) -> float:
+def _crash_rate(each: RoundMetricsRow) -> float:
     """Crashes per 1,000 steps that a round added; NaN where it added none."""
     return _THOUSAND * each.crashes / each.new_steps if each.new_steps else math.nan
 
 
-def rounds_summary(rounds: Sequence[TrainedRound]) -> str:
+def rounds_summary(rounds: Sequence[RoundMetricsRow]) -> str:
     """A run's rounds in a line.
 
     >>> at = dict.fromkeys(TrainedRound.model_fields, 0) | {"steps": 2000, "new_steps": 2000, "crashes": 4}
@@ -80,7 +80,7 @@ def _round_figure(
     runs: Runs,
     name: str,
     label: str,
-    of: Callable[[TrainedRound], float],
+    of: Callable[[RoundMetricsRow], float],
     line: tuple[float, str] | None = None,
 ) -> Exhibit:
     curves, plain = [], list[list[Cell]]()
@@ -260,12 +260,12 @@ def _selection(run: Path, number: str) -> Exhibit | None:
 
 def _compared(run: Path, exhibit: str) -> Exhibit:
     """The clients by KPI 1."""
-    choice = read_json(run / SELECTION, CHOICE)
+    choice = read_run_json(run / SELECTION, CHOICE)
     try:
         figures = {str(name): float(of[KPI1]) for name, of in choice["clients"].items()}
     except (KeyError, TypeError, ValueError, AttributeError):
         raise PolicyError(f"{run / SELECTION / CHOICE}: is damaged; expected KPI 1 of each client") from None
-    best, by = read_choice(run, list(figures)), choice.get("by")
+    best, by = read_selected_client(run, list(figures)), choice.get("by")
     why = "The client with the lowest one continues" if by == KPI1 else f"The user chose {best}"
     return Exhibit(
         name=exhibit,
@@ -280,7 +280,7 @@ def _tested(run: Path, exhibit: str) -> Exhibit:
     """The clients by a test on a list."""
     result = read_result(run / SELECTION)
     names = [Path(row.policy.removesuffix(":phase1")).name for row in result.pooled]
-    best = read_choice(run, list(dict.fromkeys(names)))
+    best = read_selected_client(run, list(dict.fromkeys(names)))
     return Exhibit(
         name=exhibit,
         title=f"{run.resolve().name}: {result.suite} {result.set}",
@@ -302,7 +302,7 @@ def _cell(value: object) -> Cell:
 
 def _waiting(run: Path, number: str) -> Exhibit | None:
     """Who paid what of clients that shared a world; None where none did."""
-    times = read_paid_times(run)
+    times = read_group_run_times(run)
     if times is None:
         return None
     rows: list[list[Cell]] = []

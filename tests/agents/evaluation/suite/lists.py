@@ -7,9 +7,9 @@ from pathlib import Path
 from tests.support.worlds import QUICK
 from wcsim.agents.evaluation.suite.draw import DrawPlace, Wanted, free_blocks
 from wcsim.agents.evaluation.suite.drive import Piece
-from wcsim.agents.opening.list_file import BlockPlace, Suite, suite_of, write_list
+from wcsim.agents.opening.list_file import BlockSetup, HashedSuite, suite_from_file, write_suite_file
 from wcsim.config import RunConfig, resolve
-from wcsim.config.suite import BlockFile, EpisodeFile, SuiteFile, TownOfSuite
+from wcsim.config.suite import SuiteBlock, SuiteEpisode, SuiteFile, SuiteTown
 from wcsim.supervisor.actions import action_set
 from wcsim.towns.scenario.town import content_hash, find_town
 from wcsim.towns.street import load_street
@@ -22,7 +22,7 @@ def config() -> RunConfig:
 
 
 @cache
-def drawn_in(corner: Path) -> tuple[BlockFile, ...]:
+def drawn_in(corner: Path) -> tuple[SuiteBlock, ...]:
     """Two blocks of one episode each: the ways are too near each other for one block of a list."""
     town = find_town(str(corner))
     place = DrawPlace(town.name, load_street(town), config())
@@ -30,38 +30,38 @@ def drawn_in(corner: Path) -> tuple[BlockFile, ...]:
     return tuple(free_blocks(place, wanted, 1, seed)[0] for seed in (3, 4))
 
 
-def block_of(corner: Path, part: str = "free", max_steps: int = 60, handover: int = 0) -> BlockFile:
+def block_of(corner: Path, part: str = "free", max_steps: int = 60, handover: int = 0) -> SuiteBlock:
     drawn = drawn_in(corner)
     cut = {"max_steps": max_steps, "handover_step": handover}
     episodes = tuple(block.episodes[0].model_copy(update=cut) for block in drawn)
     return drawn[0].model_copy(update={"part": part, "episodes": episodes})
 
 
-def order_of(corner: Path, block: BlockFile, judged: bool = False, late_s: float = 10.0) -> tuple[Piece, BlockPlace]:
+def order_of(corner: Path, block: SuiteBlock, judged: bool = False, late_s: float = 10.0) -> tuple[Piece, BlockSetup]:
     piece = Piece(index=0, block=block, judged=judged, late_s=late_s)
-    return piece, BlockPlace(town=find_town(str(corner)), config=config(), seed=block.seed)
+    return piece, BlockSetup(town=find_town(str(corner)), config=config(), seed=block.seed)
 
 
-def suite_in(corner: Path, *blocks: BlockFile) -> Suite:
+def suite_in(corner: Path, *blocks: SuiteBlock) -> HashedSuite:
     town = find_town(str(corner))
-    named = (TownOfSuite(name=str(corner), sha256=content_hash(town)),)
+    named = (SuiteTown(name=str(corner), sha256=content_hash(town)),)
     placed = tuple(block.model_copy(update={"town": str(corner)}) for block in blocks)
-    return suite_of(SuiteFile(suite="corner-v1", set="try", settings=QUICK, towns=named, blocks=placed))
+    return suite_from_file(SuiteFile(suite="corner-v1", set="try", settings=QUICK, towns=named, blocks=placed))
 
 
 def written_list(corner: Path, folder: Path, max_steps: int) -> Path:
     """A file with a list of one block."""
     path = folder / "corner.json"
-    write_list(suite_in(corner, block_of(corner, max_steps=max_steps)).file, path)
+    write_suite_file(suite_in(corner, block_of(corner, max_steps=max_steps)).file, path)
     return path
 
 
-def episode(**changes: object) -> EpisodeFile:
+def episode(**changes: object) -> SuiteEpisode:
     plain = {
         "start_m": (0.0, 0.0), "heading_rad": 0.0, "goal_m": (9.0, 0.0), "profile": "competent", "max_steps": 50,
         "route_m": 9.0, "reference_s": 6.0,
     }  # fmt: skip
-    return EpisodeFile(**{**plain, **changes})
+    return SuiteEpisode(**{**plain, **changes})
 
 
 class Held:

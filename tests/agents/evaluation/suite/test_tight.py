@@ -5,7 +5,7 @@ import pytest
 from tests.agents.evaluation.suite.lists import Held, config
 from wcsim.agents.evaluation.suite.drive import Piece, drive_block
 from wcsim.agents.evaluation.suite.make import _tight_blocks
-from wcsim.agents.opening.list_file import open_block
+from wcsim.agents.opening.list_file import make_block_setup
 from wcsim.agents.policies.baselines import baseline
 from wcsim.errors import TownError
 
@@ -17,7 +17,7 @@ def block():
 
 
 def driven(block, work, make):
-    place = open_block(block, config(), pytest.fail, work)
+    place = make_block_setup(block, config(), pytest.fail, work)
     (record,) = drive_block(Piece(index=0, block=block, judged=True), place, make)
     return record
 
@@ -33,4 +33,4 @@ def test_the_user_alone_reverses_off_the_kerb_and_who_stands_comes_through(block
 
 def test_a_scene_that_is_another_than_the_lists_is_refused(block, tmp_path):
     with pytest.raises(TownError, match="another version"):
-        open_block(block.model_copy(update={"scene_sha256": "0" * 64}), config(), pytest.fail, tmp_path)
+        make_block_setup(block.model_copy(update={"scene_sha256": "0" * 64}), config(), pytest.fail, tmp_path)

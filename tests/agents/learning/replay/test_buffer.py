@@ -16,10 +16,10 @@ from wcsim.agents.learning.replay import frame_store
 from wcsim.agents.learning.replay.buffer import FrameReplay
 from wcsim.agents.learning.replay.frame_store import _PackedFrames, _RawFrames
 from wcsim.errors import PolicyError
-from wcsim.supervisor.observation import observation_space
+from wcsim.supervisor.observation import make_observation_space
 
 H, W = 2, 3
-SPACE = observation_space("compact", W, H)
+SPACE = make_observation_space("compact", W, H)
 ENDS = ("go", "go", "go", "go", "crash", "limit", "reset")
 
 

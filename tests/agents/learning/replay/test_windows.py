@@ -28,24 +28,24 @@ from tests.agents.toy import (
     train_toy,
 )
 from tests.support.samples import ACTIONS, stacked
-from wcsim.agents.envs.episode_view import FrameWindow, newest_frames, windowed_space
-from wcsim.agents.learning.build import build_model, network_settings
+from wcsim.agents.envs.episode_view import FrameWindow, trim_frame_window, window_observation_space
+from wcsim.agents.learning.build import build_model, default_settings_for_network
 from wcsim.agents.learning.checkpoint import _check_fit, _replay_arrays, _restore_replay, save_checkpoint
-from wcsim.agents.learning.replay.frame_store import WindowStore
+from wcsim.agents.learning.replay.frame_store import FrameWindowStore
 from wcsim.agents.learning.saved_policy import load_policy
 from wcsim.agents.learning.seqdqn import _mirror_batch
-from wcsim.agents.opening.named_policy import config_for, open_named, policy_overrides
+from wcsim.agents.opening.named_policy import config_from_policy_name, open_named_policy, policy_overrides
 from wcsim.agents.policies.baselines import baseline
 from wcsim.agents.runs.policy_file import POLICY_JSON
-from wcsim.agents.runs.run_folder import open_run, policy_path
+from wcsim.agents.runs.run_folder import open_run, policy_folder_from_name
 from wcsim.config import CameraConfig, EnvConfig, LearnConfig, RunConfig, resolve
 from wcsim.errors import ConfigError, InterruptedRunError, PolicyError
-from wcsim.supervisor.observation import observation_space
+from wcsim.supervisor.observation import make_observation_space
 
 KEYS = ("seg", "depth")
 CAMERA = toy_camera(16, 20)
 CONFIG = RunConfig(cameras=(CAMERA,), env=EnvConfig(window=3))
-WINDOWS = windowed_space(observation_space("compact", W, H), 3)
+WINDOWS = window_observation_space(make_observation_space("compact", W, H), 3)
 
 
 def numbers(observation):
@@ -61,10 +61,10 @@ def test_a_window_begins_with_its_first_image_and_ends_with_the_newest():
     window.reset()
     seen = window.add(frame(9))
     assert numbers(seen) == [9, 9, 9]
-    assert windowed_space(observation_space("compact", W, H), 3).contains(seen)
-    assert numbers(newest_frames(seen, 2)) == [9, 9]
+    assert window_observation_space(make_observation_space("compact", W, H), 3).contains(seen)
+    assert numbers(trim_frame_window(seen, 2)) == [9, 9]
     with pytest.raises(PolicyError, match=r"holds 3 images.*trained on 4.*env\.window=4"):
-        newest_frames(seen, 4)
+        trim_frame_window(seen, 4)
 
 
 def test_what_is_done_to_an_observation_does_not_change_the_next():
@@ -76,8 +76,8 @@ def test_what_is_done_to_an_observation_does_not_change_the_next():
 def test_a_window_of_one_changes_nothing():
     window, seen = FrameWindow(1), frame(4)
     assert window.add(seen) is seen
-    space = observation_space("compact", W, H)
-    assert windowed_space(space, 1) is space
+    space = make_observation_space("compact", W, H)
+    assert window_observation_space(space, 1) is space
 
 
 def test_the_environment_gives_the_images_that_it_gives_one_by_one(corner):
@@ -114,13 +114,13 @@ def test_the_environment_gives_the_images_that_it_gives_one_by_one(corner):
 
 
 def test_a_network_says_how_many_images_it_wants_and_the_user_may_say_otherwise():
-    assert network_settings(resolve("dqn")) == ("env.window=1",)
+    assert default_settings_for_network(resolve("dqn")) == ("env.window=1",)
     fig6 = resolve("dqn", ("learn.network=fig6",))
     assert (fig6.env.window, fig6.env.frames) == (None, 1)
-    resolved = resolve(fig6, network_settings(fig6))
+    resolved = resolve(fig6, default_settings_for_network(fig6))
     assert resolved == fig6.model_copy(update={"env": fig6.env.model_copy(update={"window": 4})})
-    assert network_settings(resolved) == ()
-    assert network_settings(resolve("dqn", ("learn.network=fig6", "env.window=2"))) == ()
+    assert default_settings_for_network(resolved) == ()
+    assert default_settings_for_network(resolve("dqn", ("learn.network=fig6", "env.window=2"))) == ()
 
 
 @pytest.mark.parametrize("window", [0, 17, 1.5])
@@ -136,7 +136,7 @@ def test_the_papers_floats_have_no_window():
         resolve("dqn", (floats, "env.window=2"))
     with pytest.raises(ConfigError, match=r"window 4.*set env\.window=1"):
         config = resolve("dqn", (floats, "learn.network=fig6"))
-        resolve(config, network_settings(config))
+        resolve(config, default_settings_for_network(config))
 
 
 # --- replay ---
@@ -228,7 +228,7 @@ def test_a_window_costs_no_more_than_its_newest_image():
         add(buffer, streets, ["limit" if step % 40 == 39 else "go"])
     assert buffer.windows.frames._frames.nbytes == (400 + 2) * 2 * H * W
     assert not buffer.windows.whole_windows
-    one = replay(400, space=observation_space("compact", W, H))
+    one = replay(400, space=make_observation_space("compact", W, H))
     assert one.windows.frames._frames.nbytes == 400 * 2 * H * W
 
 
@@ -246,7 +246,7 @@ def test_a_memory_that_holds_nothing_yet_can_be_kept():
 
 
 def test_a_window_with_a_forgotten_past_is_kept_whole():
-    store, a, b = WindowStore(8, 1, 2, 3), [1, 1, 1], [2, 2, 2]
+    store, a, b = FrameWindowStore(8, 1, 2, 3), [1, 1, 1], [2, 2, 2]
     store.write(4, np.array([a + a], np.uint8), np.array([True]))
     store.reset()
     store.write(9, np.array([a + b], np.uint8), np.array([False]))
@@ -258,7 +258,7 @@ def test_a_checkpoint_of_other_windows_is_refused():
     for _ in range(5):
         add(buffer, streets, ["go"])
     with pytest.raises(ValueError, match=r"end_images is uint8 \(0, 36\); expected uint8 \(0, 12\)"):
-        _check_fit(replay(400, space=observation_space("compact", W, H)), _replay_arrays(buffer))
+        _check_fit(replay(400, space=make_observation_space("compact", W, H)), _replay_arrays(buffer))
 
 
 def test_every_image_of_a_window_is_mirrored():
@@ -323,10 +323,10 @@ def test_a_checkpoint_restores_windows_and_weights(tmp_path):
 
 def test_a_policy_says_what_it_must_see(run, tmp_path):
     folder = tmp_path / "copy"
-    shutil.copytree(policy_path(str(run)), folder)
+    shutil.copytree(policy_folder_from_name(str(run)), folder)
     assert json.loads((folder / POLICY_JSON).read_text())["window"] == 3
-    assert config_for(str(folder), "dqn").env.window == 3
-    assert config_for(str(run), "dqn").env.window == 3
+    assert config_from_policy_name(str(folder), "dqn").env.window == 3
+    assert config_from_policy_name(str(run), "dqn").env.window == 3
     policy, (observation, _) = load_policy(folder), street().reset(seed=1)
     batch = {key: torch.as_tensor(value)[None] for key, value in observation.items()}
     with torch.inference_mode():
@@ -340,7 +340,7 @@ ONE_IMAGE = config(window=1, network="patch", total_steps=48)
 
 def test_a_policy_from_before_there_were_windows_sees_one_image(tmp_path):
     path = train_toy(ONE_IMAGE, tmp_path / "run", lambda: street(1))
-    file = policy_path(str(path)) / POLICY_JSON
+    file = policy_folder_from_name(str(path)) / POLICY_JSON
     data = json.loads(file.read_text())
     assert data.pop("window") == 1
     file.write_text(json.dumps(data))
@@ -354,7 +354,7 @@ def test_a_policy_from_before_there_were_windows_sees_one_image(tmp_path):
 def test_policies_with_different_windows_are_tested_in_one_environment(run, tmp_path):
     """Each drives as it does in an environment of its own."""
     single = train_toy(ONE_IMAGE, tmp_path / "run", lambda: street(1))
-    policies = [open_named(str(path), CONFIG, 0) for path in (run, single)] + [baseline("stop", CONFIG)]
+    policies = [open_named_policy(str(path), CONFIG, 0) for path in (run, single)] + [baseline("stop", CONFIG)]
     assert [policy_overrides(RunConfig(), policy)[0] for policy in policies] == [f"env.window={n}" for n in (3, 1, 1)]
     for policy, own in zip(policies, (3, 1, 1), strict=True):
         rows = [driven(policy, WindowedStreet(n, CAMERA, 20), 2, 20, seed=4) for n in (own, 3, 5)]
@@ -381,6 +381,6 @@ def test_groups_are_for_networks_that_carry_a_state():
     found = {}
     for network in ("fig6", "convlstm", "conv3d"):
         config = RunConfig(learn=LearnConfig(network=network, memory="groups"))
-        config = resolve(config, network_settings(config))
+        config = resolve(config, default_settings_for_network(config))
         found[network] = config.learn.memory, config.env.frames
     assert found == {"fig6": ("groups", 1), "convlstm": ("groups", 1), "conv3d": ("windows", 4)}

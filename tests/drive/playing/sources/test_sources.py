@@ -14,14 +14,14 @@ from tests.support.journals import nudged, rewritten
 from tests.view.report.results import score_anew
 from wcsim.agents.evaluation.suite.result_files import read_result
 from wcsim.agents.evaluation.suite.run import SuiteOrder, drive_piece, piece_of, town_addresses
-from wcsim.agents.opening.list_file import write_list
+from wcsim.agents.opening.list_file import write_suite_file
 from wcsim.bridge.sumo.session import world_in_this_process
 from wcsim.bridge.user_drives import drawn_user, record_user
-from wcsim.cli.evaluation.judged_suite import save_result
+from wcsim.cli.evaluation.judged_suite import save_test_result
 from wcsim.cli.recordings import replay
-from wcsim.cli.recordings.episode_film import episode_film
+from wcsim.cli.recordings.episode_film import send_block_film
 from wcsim.config import resolve
-from wcsim.core.files import numbered_names
+from wcsim.core.files import iter_unused_paths
 from wcsim.drive.driven import DriverKind, happened_in
 from wcsim.drive.playing.film_states import FilmAbout, FilmFrame, FilmLine, FilmNames, Said
 from wcsim.drive.playing.sources.replay_source import replay_film, state_film
@@ -31,12 +31,12 @@ from wcsim.drive.recording.session_recorder import SessionRecorder
 from wcsim.drive.session import DriveSession, Wish
 from wcsim.drive.starting import DriveStart
 from wcsim.errors import ConfigError, JournalError, TownError
-from wcsim.log.drive import read_drive
-from wcsim.log.reader import read_states
+from wcsim.log.drive import read_drive_recording
+from wcsim.log.reader import read_trace_states
 from wcsim.log.records import Ticked
 from wcsim.towns.scenario.town import Town, find_town
 from wcsim.types import Joystick
-from wcsim.users.profiles import profile
+from wcsim.users.profiles import find_builtin_profile
 
 
 class Filmed:
@@ -72,7 +72,7 @@ def test_a_journal_shows_everybody_where_they_were(run: Path, corner: Path) -> N
     for frame, record in zip(frames, ticked, strict=True):
         given = [(round(c.joystick.x, 4), round(c.joystick.y, 4)) for c in record.commands]
         assert [chair.commanded for chair in frame.chairs] == given
-    _, records = read_states(run / "beside.trace")
+    _, records = read_trace_states(run / "beside.trace")
     for frame, record in zip(frames, records, strict=False):
         places = np.array([chair.p_WB_m for chair in frame.chairs]).reshape(-1, 3)
         assert np.allclose(places, record.plants[:, :3], atol=1e-4)
@@ -98,7 +98,7 @@ def test_a_journal_that_comes_out_another_way_says_so(run: Path, tmp_path: Path)
 
 def test_a_trace_shows_places_alone(run: Path, corner: Path) -> None:
     shown = Filmed(state_film(run / "beside.trace", None, str(corner)))
-    _, records = read_states(run / "beside.trace")
+    _, records = read_trace_states(run / "beside.trace")
     frames = shown.frames()
     assert len(frames) == sum(len(record.plants) > 0 for record in records)
     chair = frames[-1].chairs[0]
@@ -138,10 +138,10 @@ def test_a_torn_journal_is_shown_up_to_its_last_whole_tick(run: Path, tmp_path: 
 
 def test_a_drive_is_made_again(corner_town: Town, tmp_path: Path) -> None:
     config = resolve("quick")
-    user = drawn_user(profile("tremor"), 3)
+    user = drawn_user(find_builtin_profile("tremor"), 3)
     record_user(tmp_path / "a.drive", corner_town, config, user, ticks=40, seed=3)
     shown = Filmed(replay_film(tmp_path / "a.drive"))
-    ticks = read_drive(tmp_path / "a.drive").ticks
+    ticks = read_drive_recording(tmp_path / "a.drive").ticks
     frames = shown.frames()
     assert len(frames) == 40
     for frame, tick in zip(frames, ticks, strict=True):
@@ -154,7 +154,7 @@ def test_a_drive_is_made_again(corner_town: Town, tmp_path: Path) -> None:
 
 def test_who_decided_in_a_drive_is_told(corner: Path, tmp_path: Path) -> None:
     """Before a handover the user alone; the assistance off and on; what was off before a file began is off in it."""
-    files = numbered_names(tmp_path / "a.drive")
+    files = iter_unused_paths(tmp_path / "a.drive")
     with DriveSession(DriveStart(town=str(corner), seed=4)) as session:
         session.place = replace(session.place, handover_step=4, episode="dev 0.0")
         session.add_observer(SessionRecorder(session, files, lambda _: None))
@@ -181,11 +181,11 @@ def test_who_decided_in_a_drive_is_told(corner: Path, tmp_path: Path) -> None:
 
 def test_an_older_drive_in_a_town_that_tells_of_no_driver_has_no_handover(corner: Path, tmp_path: Path) -> None:
     with DriveSession(DriveStart(town=str(corner), seed=4)) as session:
-        session.add_observer(SessionRecorder(session, numbered_names(tmp_path / "a.drive"), lambda _: None))
+        session.add_observer(SessionRecorder(session, iter_unused_paths(tmp_path / "a.drive"), lambda _: None))
         session.driver = DriverKind.SIMULATED  # without a word
         for _ in range(4):
             session.tick(Wish())
-    drive = read_drive(tmp_path / "a.drive")
+    drive = read_drive_recording(tmp_path / "a.drive")
     assert all(tick.intent is not None for tick in drive.ticks) and "driver" not in {e.kind for e in drive.events}
     ticks = [frame.chairs[0] for frame in Filmed(replay_film(tmp_path / "a.drive")).frames()]
     assert len(ticks) == 4 and not any(each.alone for each in ticks)
@@ -193,7 +193,7 @@ def test_an_older_drive_in_a_town_that_tells_of_no_driver_has_no_handover(corner
 
 def test_follow_decides_nothing_in_a_drive(corner: Path, tmp_path: Path) -> None:
     with DriveSession(DriveStart(town=str(corner), seed=4, policy="follow")) as session:
-        session.add_observer(SessionRecorder(session, numbered_names(tmp_path / "a.drive"), lambda _: None))
+        session.add_observer(SessionRecorder(session, iter_unused_paths(tmp_path / "a.drive"), lambda _: None))
         for on in (False, True):
             session.assist(on)
             session.tick(Wish())
@@ -207,10 +207,10 @@ def tested(corner: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of a test of `stop` on a block of two chairs."""
     folder = tmp_path_factory.mktemp("tested")
     suite = suite_in(corner, block_of(corner, max_steps=45, handover=5))
-    write_list(suite.file, folder / "corner.json")
+    write_suite_file(suite.file, folder / "corner.json")
     order = SuiteOrder(suite=suite, out=folder, forks=0)
     piece = piece_of(order, 0, "stop", town_addresses(order), judged=False)
-    save_result(order, str(folder / "corner.json"), {"stop": drive_piece(piece)})
+    save_test_result(order, str(folder / "corner.json"), {"stop": drive_piece(piece)})
     return folder
 
 
@@ -227,7 +227,7 @@ def test_an_own_network_goes_with_the_episodes_of_a_test(tested: Path) -> None:
 
 def test_an_episode_of_a_test_is_driven_as_it_was(tested: Path) -> None:
     shown = Filmed()
-    episode_film(choice(tested), shown.hear)
+    send_block_film(choice(tested), shown.hear)
     assert [line.kind for line in shown.lines] == ["end"], "nothing went another way"
     assert set(shown.names) == {0, 1}
     frames = shown.frames()
@@ -257,7 +257,7 @@ def save_again(tested: Path, folder: Path, episodes: object) -> None:
 def test_follow_decides_nothing_in_an_episode(tested: Path, tmp_path: Path) -> None:
     save_again(tested, tmp_path, json.loads((tested / "episodes.json").read_text().replace('"stop"', '"follow"')))
     shown = Filmed()
-    episode_film(choice(tmp_path), shown.hear)
+    send_block_film(choice(tmp_path), shown.hear)
     assert all(chair.unaided for frame in shown.frames() for chair in frame.chairs)
 
 
@@ -266,11 +266,11 @@ def test_an_episode_that_goes_another_way_says_so(tested: Path, tmp_path: Path) 
     episodes["stop"][0]["m"] += 1.0
     save_again(tested, tmp_path, episodes)
     shown = Filmed()
-    episode_film(choice(tmp_path), shown.hear)
+    send_block_film(choice(tmp_path), shown.hear)
     assert any(line.kind == "bad" and "differs from the saved one" in line.told for line in shown.lines)
 
 
 def test_what_is_not_in_a_test_is_refused(tested: Path) -> None:
     for changes, told in (({"block": 4}, "--block 4"), ({"policy": "dwa"}, "expected one of: stop")):
         with pytest.raises(ConfigError, match=told):
-            episode_film(choice(tested, **changes), lambda said: None)
+            send_block_film(choice(tested, **changes), lambda said: None)

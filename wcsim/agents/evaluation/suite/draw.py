@@ -19,13 +19,13 @@ import numpy as np
 from wcsim.bridge.ego.start_place import is_clear
 from wcsim.bridge.reaction.commands import ROADWAY
 from wcsim.config import RunConfig
-from wcsim.config.suite import BlockFile, EpisodeFile, Part
+from wcsim.config.suite import Part, SuiteBlock, SuiteEpisode
 from wcsim.core import seeding
 from wcsim.errors import TownError
 from wcsim.physics.wheelchair.plant import plant_spec
 from wcsim.towns.walking.routes import Router
 from wcsim.types import F64, Outline, Route, Street, WayKind
-from wcsim.users.crossing import KERB_GAP_M, Crossing, crossings
+from wcsim.users.crossing import KERB_GAP_M, RouteCrossing, find_route_crossings
 from wcsim.users.profiles import UserProfile
 from wcsim.users.recordings.recorded_user import find_user
 
@@ -43,7 +43,7 @@ XY = tuple[float, float]
 
 def _is_sound(street: Street, route: Route, outline: Outline) -> bool:
     """Whether a test may send a chair of this outline along a route."""
-    over = crossings(route, street.walk)
+    over = find_route_crossings(route, street.walk)
     # A chair that waits before a light needs room between it and the crossing before.
     room_m = outline.length_m + KERB_GAP_M
     if any(then.tls_id and then.start_m - before.end_m <= room_m for before, then in pairwise(over)):
@@ -51,7 +51,7 @@ def _is_sound(street: Street, route: Route, outline: Outline) -> bool:
     return _road_beside_m(street, route, over) <= BESIDE_M
 
 
-def _road_beside_m(street: Street, route: Route, over: Sequence[Crossing]) -> float:
+def _road_beside_m(street: Street, route: Route, over: Sequence[RouteCrossing]) -> float:
     """The longest stretch of carriageway on a route, m, that is on none of its crossings."""
     arc_m = np.arange(0.0, route.arc_m[-1], _STEP_M)
     x_m, y_m = (np.interp(arc_m, route.arc_m, route.points_W_m[:, axis]).tolist() for axis in (0, 1))
@@ -90,7 +90,7 @@ class Wanted:
     crossing_share: float = 0.5
 
 
-def free_blocks(place: DrawPlace, wanted: Wanted, blocks: int, seed: int) -> list[BlockFile]:
+def free_blocks(place: DrawPlace, wanted: Wanted, blocks: int, seed: int) -> list[SuiteBlock]:
     """Blocks of ways along the town's pavements. Raises TownError when the town is too small for one."""
     made = []
     for number in range(blocks):
@@ -103,7 +103,7 @@ def free_blocks(place: DrawPlace, wanted: Wanted, blocks: int, seed: int) -> lis
     return made
 
 
-def crossing_blocks(place: DrawPlace, wanted: Wanted, attempts: int, seed: int) -> list[BlockFile]:
+def crossing_blocks(place: DrawPlace, wanted: Wanted, attempts: int, seed: int) -> list[SuiteBlock]:
     """Blocks of attempts at crossings: each crossing in turn, both ways, until there are enough.
 
     Left out are those that no sound way leads over, see `_is_sound`.
@@ -112,7 +112,7 @@ def crossing_blocks(place: DrawPlace, wanted: Wanted, attempts: int, seed: int) 
     edges = place.street.walk.edges
     crossings = [i for i, edge in enumerate(edges) if edge.kind is WayKind.CROSSING and not edge.never_green]
     rng = seeding.generator(seed, "suite", place.name, wanted.part)
-    found: list[tuple[EpisodeFile, Route]] = []
+    found: list[tuple[SuiteEpisode, Route]] = []
     order = [crossings[i] for i in rng.permutation(len(crossings)).tolist()]
     ways = deque((crossing, back) for back in (False, True) for crossing in order)
     turn = 0
@@ -127,7 +127,7 @@ def crossing_blocks(place: DrawPlace, wanted: Wanted, attempts: int, seed: int) 
         raise TownError(
             f"{place.name}: no crossing with pavements at both ends; expected at least one: see `wcsim town check`"
         )
-    made: list[BlockFile] = []
+    made: list[SuiteBlock] = []
     while found:
         taken = _apart(iter(found))
         used = {id(episode) for episode in taken}
@@ -136,19 +136,19 @@ def crossing_blocks(place: DrawPlace, wanted: Wanted, attempts: int, seed: int) 
     return made
 
 
-def _block(place: DrawPlace, wanted: Wanted, seed: int, number: int, episodes: Sequence[EpisodeFile]) -> BlockFile:
-    return BlockFile(
+def _block(place: DrawPlace, wanted: Wanted, seed: int, number: int, episodes: Sequence[SuiteEpisode]) -> SuiteBlock:
+    return SuiteBlock(
         part=wanted.part,
         town=place.listed,
-        seed=seeding.derive(seed, "block", place.name, wanted.part, number),
+        seed=seeding.derive_seed(seed, "block", place.name, wanted.part, number),
         settings=wanted.settings,
         episodes=tuple(episodes),
     )
 
 
-def _apart(ways: Iterator[tuple[EpisodeFile, Route]]) -> list[EpisodeFile]:
+def _apart(ways: Iterator[tuple[SuiteEpisode, Route]]) -> list[SuiteEpisode]:
     """The first ways, up to SEATS, that keep APART_M from one another."""
-    taken: list[EpisodeFile] = []
+    taken: list[SuiteEpisode] = []
     lines: list[F64] = []
     for episode, route in ways:
         points_m = route.points_W_m
@@ -165,7 +165,7 @@ def _distance_m(one_m: F64, other_m: F64) -> float:
     return float(np.hypot(*(one_m[:, None, :] - other_m[None, :, :]).T).min())
 
 
-def _ways(place: DrawPlace, wanted: Wanted, who: str, rng: np.random.Generator) -> Iterator[tuple[EpisodeFile, Route]]:
+def _ways(place: DrawPlace, wanted: Wanted, who: str, rng: np.random.Generator) -> Iterator[tuple[SuiteEpisode, Route]]:
     """Sound ways; whether one leads over a crossing is drawn before it is, so that the share stays as wanted."""
     over = float(rng.random() < wanted.crossing_share)
     for _ in range(_TRIES):
@@ -182,7 +182,7 @@ def _ways(place: DrawPlace, wanted: Wanted, who: str, rng: np.random.Generator) 
 
 def _attempt(
     place: DrawPlace, crossing: int, back: bool, who: str, rng: np.random.Generator
-) -> tuple[EpisodeFile, Route] | None:
+) -> tuple[SuiteEpisode, Route] | None:
     """A way over one crossing, from a pavement near its one end to one near its other."""
     points_m = place.street.walk.edges[crossing].points_W_m
     ends = (points_m[-1], points_m[0]) if back else (points_m[0], points_m[-1])
@@ -214,13 +214,13 @@ def _clear(place: DrawPlace, start: XY, yaw_rad: float) -> bool:
     return is_clear(place.street.grid, place.outline, np.array(start), yaw_rad, 0.0, lambda _p_W_m, _reach_m: ())
 
 
-def _episode(place: DrawPlace, start: XY, yaw_rad: float, goal: XY, who: str) -> tuple[EpisodeFile, Route]:
+def _episode(place: DrawPlace, start: XY, yaw_rad: float, goal: XY, who: str) -> tuple[SuiteEpisode, Route]:
     start = (round(start[0], 3), round(start[1], 3))
     goal = (round(goal[0], 3), round(goal[1], 3))
     route = place.router.route(start, goal)
     reference_s = _reference_time_s(route, who, place.config)
     tick_s = place.config.world.tick_s
-    episode = EpisodeFile(
+    episode = SuiteEpisode(
         start_m=start,
         heading_rad=round(yaw_rad, 4),
         goal_m=goal,

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from types import FrameType
 from typing import Any, Final, Protocol
 
-from wcsim.agents.envs.episode_view import EpisodeStep, Info
-from wcsim.agents.envs.seat_driver import Agent, PolicyAgent, SeatDriver
+from wcsim.agents.envs.episode_view import EnvStepResult, Info
+from wcsim.agents.envs.seat_driver import AgentSeatDriver, ChairAgent, PolicyAgentAdapter
 from wcsim.agents.evaluation.suite.alarms import Alarms, crash_alone_s
 from wcsim.agents.evaluation.suite.records import (
     CRASHED,
@@ -23,17 +23,17 @@ from wcsim.agents.evaluation.suite.records import (
     TIMED_OUT,
     EpisodeRecord,
 )
-from wcsim.agents.opening.list_file import BlockPlace, seat_of
+from wcsim.agents.opening.list_file import BlockSetup, make_episode_seat_spec
 from wcsim.agents.policy_api import Observation, Policy, Warns
 from wcsim.bridge.sumo.run_place import RunPlace
 from wcsim.bridge.world import World
 from wcsim.bridge.world_rollout import rollout
 from wcsim.config import RunConfig, resolve
-from wcsim.config.suite import BlockFile
-from wcsim.core.plugins import described
+from wcsim.config.suite import SuiteBlock
+from wcsim.core.plugins import describe_error
 from wcsim.errors import PolicyError, WcsimError
 from wcsim.supervisor.actions import ActionSet, action_set
-from wcsim.supervisor.kpi import KpiStep, crash_of, sums_of
+from wcsim.supervisor.kpi import KpiStep, make_crash_fields, sum_kpi_steps
 from wcsim.supervisor.rewards import DISTANCE_TOLERANCE
 from wcsim.types import ClientSnapshot, Joystick
 from wcsim.users.recordings.recorded_user import find_user
@@ -50,7 +50,7 @@ class Piece:
     """What a process drives: one block with one policy; everything in it can be sent."""
 
     index: int  # of the block in its list
-    block: BlockFile
+    block: SuiteBlock
     town: str = ""  # a folder or a name
     settings: tuple[str, ...] = ()
     policy: str = ""
@@ -69,7 +69,7 @@ class Watch(Protocol):
     def seats(self) -> frozenset[int]:
         """Those that are looked at."""
 
-    def see(self, seat: int, step: EpisodeStep, world: World, policy: Policy) -> None:
+    def see(self, seat: int, step: EnvStepResult, world: World, policy: Policy) -> None:
         """A step of one of them is done; `policy` is who drives it."""
 
     def ended(self, seat: int, world: World) -> None:
@@ -77,7 +77,7 @@ class Watch(Protocol):
 
 
 def drive_block(
-    piece: Piece, place: BlockPlace, make_policy: MakePolicy, watch: Watch | None = None
+    piece: Piece, place: BlockSetup, make_policy: MakePolicy, watch: Watch | None = None
 ) -> tuple[EpisodeRecord, ...]:
     """Drive all episodes of a block, each to its end; records in the order of the block.
 
@@ -90,7 +90,7 @@ def drive_block(
     block = piece.block
     config = resolve(place.config, (*block.settings, "world.draw_threads=1"))
     policies = [make_policy() for _ in block.episodes]
-    specs = tuple(seat_of(place, *each) for each in zip(block.episodes, policies, strict=True))
+    specs = tuple(make_episode_seat_spec(place, *each) for each in zip(block.episodes, policies, strict=True))
     with World(place.town, config, specs, place.seed, RunPlace(hook=piece.hook), find_user=find_user) as world:
         seats = [_Seat(piece, config, world, number, policy) for number, policy in enumerate(policies)]
         watched = seats
@@ -121,8 +121,8 @@ class _Seat:
         self._done_m = self._before_m = 0.0
         self._free = True
         self._actions, handover = action_set(config.env.actions), self._episode.handover_step
-        agent = _Handover(PolicyAgent(policy, config.world.users_help_ticks), handover, self._actions)
-        self._driver = SeatDriver(config, agent, world.snapshot.clients[number])
+        agent = _Handover(PolicyAgentAdapter(policy, config.world.users_help_ticks), handover, self._actions)
+        self._driver = AgentSeatDriver(config, agent, world.snapshot.clients[number])
 
     def choose(self, now: ClientSnapshot) -> Joystick | None:
         """The stick of the policy, or of the user before the handover; none when it fails, which ends the episode."""
@@ -131,7 +131,7 @@ class _Seat:
             with _at_most(self._piece.late_s * (FIRST_SHARE if driven <= 0 else 1.0)):
                 stick = self._driver.choose(now)
         except Exception as error:  # whatever a policy does wrong, the others of the block go on
-            self._end(POLICY_FAILED, str(error) if isinstance(error, WcsimError) else described(error))
+            self._end(POLICY_FAILED, str(error) if isinstance(error, WcsimError) else describe_error(error))
             return None
         if driven >= 0:
             self._free = not self._world.in_danger(self.number)
@@ -153,7 +153,7 @@ class _Seat:
         events = client.events
         if events.crashed:
             tick_s, reward = self._config.world.tick_s, self._config.reward
-            self._end(CRASHED, **crash_of(events, client.contacts, self._steps, tick_s, reward))
+            self._end(CRASHED, **make_crash_fields(events, client.contacts, self._steps, tick_s, reward))
         elif events.arrived and self._episode.goal_m is not None:  # one that draws its goals goes on to the next
             self._end(FINISHED)
         elif events.gave_up and self._episode.goal_m is not None:
@@ -176,7 +176,7 @@ class _Seat:
         if self._step <= self._episode.handover_step and status != POLICY_FAILED:
             status, more = NOT_REACHED, {name: more[name] for name in ("reason", "crash") if name in more}
         tick_s = self._config.world.tick_s
-        sums = sums_of(self._steps, tick_s)
+        sums = sum_kpi_steps(self._steps, tick_s)
         crash, own = sums["steps"] if status == CRASHED else None, more.get("fault") == "own"
         warned, to_warn, false = self._alarms.warnings(crash if own else None, None if own else crash)
         (plant,) = (client.plant for client in self._world.snapshot.clients if client.seat == self.number)
@@ -210,7 +210,7 @@ class _Seat:
 class _Handover:
     """Around an agent: for so many steps of an episode the user drives alone, on the grid of actions."""
 
-    def __init__(self, agent: Agent, steps: int, actions: ActionSet) -> None:
+    def __init__(self, agent: ChairAgent, steps: int, actions: ActionSet) -> None:
         self._agent, self._actions = agent, actions
         self._steps = self._left = steps
 

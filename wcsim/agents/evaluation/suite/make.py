@@ -18,10 +18,10 @@ from typing import Final
 from wcsim.agents.evaluation.suite.draw import SEATS, DrawPlace, Wanted, crossing_blocks, free_blocks
 from wcsim.agents.evaluation.suite.records import CRASHED, EpisodeRecord
 from wcsim.agents.evaluation.suite.run import SuiteOrder, run_suite
-from wcsim.agents.opening.list_file import SCENE, SCENE_TOWN, suite_of
+from wcsim.agents.opening.list_file import SCENE, SCENE_TOWN, suite_from_file
 from wcsim.agents.policy_api import UNAIDED
 from wcsim.config import RunConfig, resolve
-from wcsim.config.suite import BlockFile, EpisodeFile, SuiteFile, TownOfSuite
+from wcsim.config.suite import SuiteBlock, SuiteEpisode, SuiteFile, SuiteTown
 from wcsim.core import seeding
 from wcsim.core.constants import RECORDED
 from wcsim.core.own_folder import temporary_folder
@@ -73,7 +73,7 @@ def make_suite(order: MakeOrder, towns: Sequence[tuple[Town, int | None]], told:
     by_name(town for town, _ in towns)
     listed = [_listed_as(town, seed) for town, seed in towns]
     named = tuple(
-        TownOfSuite(name=name, sha256=content_hash(town), made_seed=seed)
+        SuiteTown(name=name, sha256=content_hash(town), made_seed=seed)
         for name, (town, seed) in zip(listed, towns, strict=True)
     )
     streets = [(name, town.name, load_street(town)) for name, (town, _) in zip(listed, towns, strict=True)]
@@ -106,34 +106,34 @@ def _listed_as(town: Town, made_seed: int | None) -> str:
     return town.name
 
 
-def _free(place: DrawPlace, order: MakeOrder, more: bool = False) -> list[BlockFile]:
+def _free(place: DrawPlace, order: MakeOrder, more: bool = False) -> list[SuiteBlock]:
     wanted = Wanted(part="free", profiles=("ataxic", "ataxic", "inattentive"), settings=(USUAL_STREET,))
     if more:
-        return free_blocks(place, wanted, order.more_ways, seeding.derive(order.seed, "more ways"))
+        return free_blocks(place, wanted, order.more_ways, seeding.derive_seed(order.seed, "more ways"))
     return free_blocks(place, wanted, order.free_blocks, order.seed)
 
 
-def _crossing(place: DrawPlace, order: MakeOrder) -> list[BlockFile]:
+def _crossing(place: DrawPlace, order: MakeOrder) -> list[SuiteBlock]:
     """Careful and careless users, among others who look and others who look less."""
-    made: list[BlockFile] = []
+    made: list[SuiteBlock] = []
     for number, settings in enumerate((USUAL_STREET, CARELESS_STREET)):
         wanted = Wanted(part="crossing", profiles=("competent", "inattentive"), settings=(settings,))
         attempts = (order.attempts + 1 - number) // 2
         if attempts:
-            made += crossing_blocks(place, wanted, attempts, seeding.derive(order.seed, "crossing", number))
+            made += crossing_blocks(place, wanted, attempts, seeding.derive_seed(order.seed, "crossing", number))
     return made
 
 
 def _hazards(
-    order: MakeOrder, towns: tuple[TownOfSuite, ...], free: Sequence[BlockFile], config: RunConfig, told: Told
-) -> list[BlockFile]:
+    order: MakeOrder, towns: tuple[SuiteTown, ...], free: Sequence[SuiteBlock], config: RunConfig, told: Told
+) -> list[SuiteBlock]:
     first = _alone(order, towns, free, told, "free routes")
     candidates = [_crashing(block, first, index, config) for index, block in enumerate(free)]
     blocks = [block for block in candidates if block is not None]
     if not blocks:
         raise TownError(f"no drive of the user alone ended in an own crash; expected some: {_MORE}")
     again = _alone(order, towns, blocks, told, "hazards")
-    found: list[BlockFile] = []
+    found: list[SuiteBlock] = []
     left = {town.name: order.hazards for town in towns}
     for index, block in enumerate(blocks):
         taken = _crashing(block, again, index, config, taken_over=True)
@@ -150,21 +150,21 @@ def _hazards(
 
 def _settled(
     order: MakeOrder,
-    towns: tuple[TownOfSuite, ...],
-    blocks: Sequence[BlockFile],
+    towns: tuple[SuiteTown, ...],
+    blocks: Sequence[SuiteBlock],
     told: Told,
     what: str,
     keeps: Callable[[EpisodeRecord], bool],
-) -> list[BlockFile]:
+) -> list[SuiteBlock]:
     """The blocks with those episodes alone that `keeps` keeps when the user drives alone.
 
     Who is left out is missing in the street of the others, so that what is left is driven again, until all of it stays.
     """
-    done: dict[int, BlockFile] = {}
+    done: dict[int, SuiteBlock] = {}
     pending = list(enumerate(blocks))
     while pending:
         records = _alone(order, towns, [block for _, block in pending], told, what)
-        changed: list[tuple[int, BlockFile]] = []
+        changed: list[tuple[int, SuiteBlock]] = []
         for place, (number, block) in enumerate(pending):
             own = {record.seat: record for record in records if record.block == place}
             kept = tuple(episode for seat, episode in enumerate(block.episodes) if keeps(own[seat]))
@@ -185,16 +185,16 @@ def _ends_in_time(record: EpisodeRecord) -> bool:
 
 
 def _alone(
-    order: MakeOrder, towns: tuple[TownOfSuite, ...], blocks: Sequence[BlockFile], told: Told, what: str
+    order: MakeOrder, towns: tuple[SuiteTown, ...], blocks: Sequence[SuiteBlock], told: Told, what: str
 ) -> tuple[EpisodeRecord, ...]:
     file = SuiteFile(suite=order.suite, set=order.set, settings=SETTINGS, towns=towns, blocks=tuple(blocks))
-    driven = SuiteOrder(suite=suite_of(file), out=order.work, jobs=order.jobs, forks=0)
+    driven = SuiteOrder(suite=suite_from_file(file), out=order.work, jobs=order.jobs, forks=0)
     return run_suite(driven, (UNAIDED,), lambda _, done, of: told(f"{what}: {done} of {of} blocks", done / of))[UNAIDED]
 
 
 def _crashing(
-    block: BlockFile, records: Sequence[EpisodeRecord], index: int, config: RunConfig, taken_over: bool = False
-) -> BlockFile | None:
+    block: SuiteBlock, records: Sequence[EpisodeRecord], index: int, config: RunConfig, taken_over: bool = False
+) -> SuiteBlock | None:
     """The block with those of its episodes alone that crash late enough; with the handover when `taken_over`."""
     tick_s = config.world.tick_s
     episodes = []
@@ -207,7 +207,7 @@ def _crashing(
     return block.model_copy(update={"part": "hazard", "episodes": tuple(episodes[:SEATS])})
 
 
-def _handed_over(episode: EpisodeFile, record: EpisodeRecord, tick_s: float) -> EpisodeFile:
+def _handed_over(episode: SuiteEpisode, record: EpisodeRecord, tick_s: float) -> SuiteEpisode:
     """An episode whose user crashes alone, with its handover 10 s before; all its way is what half the pace reaches."""
     handover = record.steps - round(HANDOVER_S / tick_s)
     lasts_s = HANDOVER_S + AFTER_S
@@ -224,12 +224,12 @@ def _handed_over(episode: EpisodeFile, record: EpisodeRecord, tick_s: float) -> 
     )
 
 
-def _tight_blocks(seeds: Sequence[int]) -> list[BlockFile]:
+def _tight_blocks(seeds: Sequence[int]) -> list[SuiteBlock]:
     """A block for each listed family of scenes and each seed."""
     return [tight_block(family, seed) for family in LISTED for seed in seeds]
 
 
-def tight_block(family: str, seed: int) -> BlockFile:
+def tight_block(family: str, seed: int) -> SuiteBlock:
     """A block in a generated scene. Raises TownError for one without a start."""
     with temporary_folder() as work:
         folder = write_scene(family, seed, work / SCENE)
@@ -241,13 +241,13 @@ def tight_block(family: str, seed: int) -> BlockFile:
         user = spec.profile
         if user.startswith(RECORDED):
             user = f"{RECORDED}{Path(user.removeprefix(RECORDED)).name}"
-        return BlockFile(
+        return SuiteBlock(
             part="tight",
             town=family,
             scene_sha256=scene_digest(folder),
             seed=seed,
             episodes=(
-                EpisodeFile(
+                SuiteEpisode(
                     start_m=(round(start.p_W_m[0], 4), round(start.p_W_m[1], 4)),
                     heading_rad=round(start.yaw_rad, 6),
                     goal_m=(round(start.goal_W_m[0], 4), round(start.goal_W_m[1], 4)),
@@ -278,7 +278,7 @@ def town_list(
         user = re.sub(r"[^A-Za-z0-9.-]+", " ", profile).strip()[-_NAMED:].strip()
         again = f" {place + 1}" if len(profiles) > 1 and user != profile else ""  # two files may be called alike
         for number in range(episodes):
-            drawn = EpisodeFile(
+            drawn = SuiteEpisode(
                 start_m=None,
                 heading_rad=0.0,
                 goal_m=None,
@@ -288,14 +288,14 @@ def town_list(
                 reference_s=float(max_steps),
             )
             blocks.append(
-                BlockFile(
+                SuiteBlock(
                     part=f"{_word(town.name)}, {user} user{again}",
                     town=name,
-                    seed=seeding.derive(seed, "episode", number) if number else seed % (1 << 31),
+                    seed=seeding.derive_seed(seed, "episode", number) if number else seed % (1 << 31),
                     episodes=(drawn,),
                 )
             )
-    named = tuple(TownOfSuite(name=name, sha256=content_hash(town)) for town, name in zip(towns, listed, strict=True))
+    named = tuple(SuiteTown(name=name, sha256=content_hash(town)) for town, name in zip(towns, listed, strict=True))
     suite = "-".join(_word(town.name).lower() for town in towns)[:_NAMED].strip("-")
     return SuiteFile(suite=suite, set=f"seed-{seed}", settings=settings, towns=named, forks=0, blocks=tuple(blocks))
 

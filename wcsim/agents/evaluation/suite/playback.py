@@ -9,7 +9,7 @@ from typing import Any, Final, TypeVar
 
 import numpy as np
 
-from wcsim.agents.envs.episode_view import EpisodeStep, policy_observation
+from wcsim.agents.envs.episode_view import EnvStepResult, env_to_policy_observation
 from wcsim.agents.evaluation.suite.drive import Piece
 from wcsim.agents.evaluation.suite.records import EpisodeRecord
 from wcsim.agents.evaluation.suite.run import drive_piece
@@ -120,7 +120,7 @@ class _LastSteps:
         self.kept: dict[int, deque[PlayedStep]] = {seat: deque(maxlen=steps) for seat in seats}
         self.drawn: dict[int, Any] = {}
 
-    def see(self, seat: int, step: EpisodeStep, world: World, policy: Policy) -> None:
+    def see(self, seat: int, step: EnvStepResult, world: World, policy: Policy) -> None:
         """Keep a step."""
         del policy
         info, snapshot = step.info, world.snapshot
@@ -135,7 +135,7 @@ class _LastSteps:
             PlayedStep(
                 seat=seat,
                 step=info["events"].step,
-                seen=policy_observation(step.observation),
+                seen=env_to_policy_observation(step.observation),
                 asked=info["asked"],
                 given=info["given"],
                 speed_mps=info["speed_mps"],

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from typing import Any, Final
 
-from wcsim.core.reading import counted, escaped, escaped_value
+from wcsim.core.reading import counted, escaped, escaped_repr
 from wcsim.errors import ConfigError
 
 FINISHED: Final = "finished"
@@ -177,14 +177,14 @@ def undriven(policy: str, records: Sequence[EpisodeRecord]) -> list[str]:
 def record_of(data: object) -> EpisodeRecord:
     """A record from `to_json`, whoever wrote it. Raises ConfigError for anything else."""
     if not isinstance(data, Mapping):
-        raise ConfigError(f"got {escaped_value(data)}, expected an episode: {_AGAIN}")
+        raise ConfigError(f"got {escaped_repr(data)}, expected an episode: {_AGAIN}")
     kinds = {field.name: str(field.type) for field in fields(EpisodeRecord)}
     other = sorted(set(data) ^ set(kinds))
     if other:
         raise ConfigError(f"an episode without, or with an unknown, {escaped(str(other[0]))}: {_AGAIN}")
     for name, kind in kinds.items():
         if kind in _PLAIN and not _is(data[name], _PLAIN[kind]):
-            raise ConfigError(f"{name} of an episode is {escaped_value(data[name])}, expected {kind}: {_AGAIN}")
+            raise ConfigError(f"{name} of an episode is {escaped_repr(data[name])}, expected {kind}: {_AGAIN}")
     try:
         found = [Intervention(**item) for item in data["interventions"]]
         places = _points(data["path_m"]), _points([data["end_m"]])[0]

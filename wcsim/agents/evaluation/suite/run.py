@@ -13,26 +13,26 @@ from typing import Any, Final
 from wcsim.agents.evaluation.suite.drive import LATE_S, Piece, Watch, drive_block, refused
 from wcsim.agents.evaluation.suite.records import EpisodeRecord, record_of
 from wcsim.agents.evaluation.suite.result_files import TOWNS
-from wcsim.agents.opening.list_file import TIGHT, Suite, open_block, require_towns, towns_of
-from wcsim.agents.opening.named_policy import config_for, open_named, policy_overrides
-from wcsim.agents.policies.served_policy import ServedPolicy
+from wcsim.agents.opening.list_file import TIGHT, HashedSuite, load_suite_towns, make_block_setup, require_block_towns
+from wcsim.agents.opening.named_policy import config_from_policy_name, open_named_policy, policy_overrides
+from wcsim.agents.policies.served_policy import ServedPolicyClient
 from wcsim.agents.policy_api import Policy
-from wcsim.agents.runs.policy_file import policy_name
-from wcsim.agents.runs.run_folder import CONFIG, MANIFEST, PLANT, policy_path
-from wcsim.agents.runs.transfer import folder_files, require_travels, town_files
+from wcsim.agents.runs.policy_file import parse_policy_name
+from wcsim.agents.runs.run_folder import CONFIG, MANIFEST, PLANT, policy_folder_from_name
+from wcsim.agents.runs.transfer import folder_to_input_files, require_sendable_run, town_to_input_files
 from wcsim.config import RunConfig, resolve
-from wcsim.config.load import texts_of
-from wcsim.config.suite import BlockFile, repeats
+from wcsim.config.load import texts_from_override
+from wcsim.config.suite import SuiteBlock, seats_repeating_free_part
 from wcsim.core import seeding
 from wcsim.core.constants import RECORDED
-from wcsim.core.files import sha256, sha256_text, write_json
+from wcsim.core.files import sha256_from_file, sha256_from_text, write_json
 from wcsim.core.own_folder import temporary_folder
-from wcsim.core.plugins import find_class, sources_of
+from wcsim.core.plugins import find_class, find_user_class_files
 from wcsim.core.reading import BLOCK, escaped, is_file, read_json
 from wcsim.core.sources import code_digest
 from wcsim.errors import ConfigError, WcsimError
-from wcsim.server.workers.machines import HERE, InputFiles, Machines, ToLocalPath, Work, Workers
-from wcsim.server.workers.scheduler import Scheduler, WorkerNow
+from wcsim.server.workers.machines import HERE, ToLocalPath, WorkerPool, WorkerPoolSettings, WorkInputFiles, WorkPiece
+from wcsim.server.workers.scheduler import Scheduler, WorkerStatus
 from wcsim.supervisor.actions import action_set
 
 KEPT: Final = "kept"  # a folder of the blocks that are done
@@ -40,17 +40,17 @@ _LEAST_LATE_S: Final = 1800.0  # blocks differ by much
 _LOOK_S: Final = 1.0
 
 Done = Callable[[str, int, int], object]  # policy, blocks done, blocks in all
-Look = Callable[[tuple[WorkerNow, ...]], object]  # told every second who drives what
+Look = Callable[[tuple[WorkerStatus, ...]], object]  # told every second who drives what
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SuiteOrder:
     """How to drive a suite."""
 
-    suite: Suite
+    suite: HashedSuite
     out: Path
     jobs: int = 1
-    machines: Machines = HERE  # where; `jobs` says how many
+    machines: WorkerPoolSettings = HERE  # where; `jobs` says how many
     look: Look = lambda now: None
     preset: str = "quick"  # of policies that bring no settings of their own, and the rules for all
     settings: tuple[str, ...] = ()  # over those of the suite: what is changed on purpose
@@ -72,7 +72,7 @@ def run_suite(order: SuiteOrder, policies: Sequence[str], done: Done) -> dict[st
         WorkersError: Processes or machines died too often, or there are none left.
     """
     file = order.suite.file
-    require_towns(file)
+    require_block_towns(file)
     towns = town_addresses(order)
     judged = _judged_blocks(file.blocks, order.forks)
     kept: dict[tuple[str, int], tuple[EpisodeRecord, ...]] = {}
@@ -100,22 +100,24 @@ def require_usable(order: SuiteOrder, policies: Iterable[str]) -> None:
         ConfigError: The settings cannot be used.
     """
     for name in policies:
-        config = config_for(name, order.preset, (*order.suite.file.settings, *order.settings), in_list=True)
+        config = config_from_policy_name(
+            name, order.preset, (*order.suite.file.settings, *order.settings), in_list=True
+        )
         with ExitStack() as opened:
             resolve(config, policy_overrides(config, _open_in(opened, name, config, 0, order.network)))
 
 
 def _open_in(opened: ExitStack, name: str, config: RunConfig, seed: int, network: str) -> Policy:
-    """A policy that is closed with the stack, if it has something to close. Raises as `open_named` does."""
-    policy = open_named(name, config, seed, network or None)
+    """A policy that is closed with the stack, if it has something to close. Raises as `open_named_policy` does."""
+    policy = open_named_policy(name, config, seed, network or None)
     if hasattr(policy, "close"):
         opened.callback(policy.close)
     return policy
 
 
 def town_addresses(order: SuiteOrder) -> dict[str, str]:
-    """Where the list's towns are, by name. Raises TownError, see `towns_of`."""
-    return {name: str(town.address) for name, town in towns_of(order.suite.file, order.out / TOWNS).items()}
+    """Where the list's towns are, by name. Raises TownError, see `load_suite_towns`."""
+    return {name: str(town.address) for name, town in load_suite_towns(order.suite.file, order.out / TOWNS).items()}
 
 
 def piece_of(order: SuiteOrder, index: int, policy: str, towns: Mapping[str, str], judged: bool) -> Piece:
@@ -131,7 +133,7 @@ def piece_of(order: SuiteOrder, index: int, policy: str, towns: Mapping[str, str
         network=order.network,
         preset=order.preset,
         judged=judged,
-        repeats=repeats(file.blocks, index),
+        repeats=seats_repeating_free_part(file.blocks, index),
         late_s=order.late_s,
         hook=order.hook,
     )
@@ -156,7 +158,7 @@ def _drive_all(
     waiting = set(asked)
     with Scheduler(_workers(order, pieces), keep, least_late_s=_LEAST_LATE_S) as scheduler:
         scheduler.submit(
-            [Work(key=_work_key(piece), call=_drive_alone, piece=piece, needs=_needs_of) for piece in pieces]
+            [WorkPiece(key=_work_key(piece), call=_drive_alone, piece=piece, needs=_needs_of) for piece in pieces]
         )
         while waiting:
             for key in sorted(scheduler.wait(waiting, _LOOK_S)):
@@ -167,16 +169,16 @@ def _drive_all(
             order.look(scheduler.workers_now())
 
 
-def _workers(order: SuiteOrder, pieces: Iterable[Piece]) -> Workers:
+def _workers(order: SuiteOrder, pieces: Iterable[Piece]) -> WorkerPool:
     machines = replace(order.machines, count=order.jobs)
     if machines.cluster:
         policies = {piece.policy for piece in pieces}
         for policy in sorted(policies):
-            if policy_name(policy).kind == "served":
+            if parse_policy_name(policy).kind == "served":
                 told = "is a process of this machine; test other policies, or use --jobs without --cluster"
                 raise ConfigError(f"--cluster: {policy} {told}")
-        own = [policy for policy in policies if policy_name(policy).kind == "class"]
-        require_travels(RunConfig(), _all_settings(order), (*own, order.network, order.hook), _users(order))
+        own = [policy for policy in policies if parse_policy_name(policy).kind == "class"]
+        require_sendable_run(RunConfig(), _all_settings(order), (*own, order.network, order.hook), _users(order))
     return machines.open(order.out)
 
 
@@ -185,20 +187,20 @@ def _work_key(piece: Piece) -> str:
     return f"{piece.policy}/{piece.index}"
 
 
-def _needs_of(piece: Piece) -> tuple[InputFiles, ...]:
+def _needs_of(piece: Piece) -> tuple[WorkInputFiles, ...]:
     """What travels with a piece: its town, unless it is a generated scene, and its policy, unless it is a baseline."""
-    towns = (town_files(piece.town),) if piece.block.part != TIGHT else ()
-    named = policy_name(piece.policy)
+    towns = (town_to_input_files(piece.town),) if piece.block.part != TIGHT else ()
+    named = parse_policy_name(piece.policy)
     if named.kind == "baseline":
         return towns
-    policy = folder_files(named.folder, named.place) if named.kind == "onnx" else _policy_parcel(named.place)
+    policy = folder_to_input_files(named.folder, named.place) if named.kind == "onnx" else _policy_parcel(named.place)
     return (*towns, policy)
 
 
-def _policy_parcel(name: str) -> InputFiles:
+def _policy_parcel(name: str) -> WorkInputFiles:
     """A policy by its name without a level, with what its run says of it. Raises PolicyError."""
-    policy = policy_path(name).resolve()
-    alone, run = folder_files(policy, name), policy.parent.parent
+    policy = policy_folder_from_name(name).resolve()
+    alone, run = folder_to_input_files(policy, name), policy.parent.parent
     if not is_file(run / MANIFEST):
         return alone
     said = [file for file in (MANIFEST, CONFIG, PLANT) if is_file(run / file)]
@@ -208,14 +210,14 @@ def _policy_parcel(name: str) -> InputFiles:
 
 def _policy_at(name: str, at: ToLocalPath) -> str:
     """A policy's name, veto and level included, where it lies now."""
-    place = policy_name(name).place
+    place = parse_policy_name(name).place
     before, _, after = name.partition(place)
     return before + at(place) + after
 
 
 def _drive_alone(piece: Piece, at: ToLocalPath) -> bytes:
     """Drive one block in this process, wherever that is; its records as JSON."""
-    where = {name: _policy_at(name, at) for name in (piece.policy,) if policy_name(name).kind != "baseline"}
+    where = {name: _policy_at(name, at) for name in (piece.policy,) if parse_policy_name(name).kind != "baseline"}
     policy = where.get(piece.policy, piece.policy)
     records = [record.to_json() for record in drive_piece(replace(piece, town=at(piece.town), policy=policy))]
     for record in records:
@@ -227,45 +229,51 @@ def drive_piece(piece: Piece, watch: Watch | None = None) -> tuple[EpisodeRecord
     """Drive one block in this process; a policy that cannot be used there is refused, not an error."""
     from wcsim.towns.scenario.town import find_town
 
-    config = config_for(piece.policy, piece.preset, piece.settings, in_list=True)
-    seeds = (seeding.derive(piece.block.seed, "driver", seat) for seat in range(len(piece.block.episodes)))
+    config = config_from_policy_name(piece.policy, piece.preset, piece.settings, in_list=True)
+    seeds = (seeding.derive_seed(piece.block.seed, "driver", seat) for seat in range(len(piece.block.episodes)))
     with ExitStack() as opened, temporary_folder() as work:
         try:
             config = resolve(config, policy_overrides(config, _open_in(opened, piece.policy, config, 0, piece.network)))
             drivers = [_open_in(opened, piece.policy, config, seed, piece.network) for seed in seeds]
         except WcsimError as error:
             return refused(piece, str(error))
-        place = open_block(piece.block, config, lambda: find_town(piece.town), work)
+        place = make_block_setup(piece.block, config, lambda: find_town(piece.town), work)
         return drive_block(piece, place, iter(drivers).__next__, watch)
 
 
 def _policy_digest(name: str, order: SuiteOrder) -> str:
     """What a policy's result depends on besides the list: its weights or name, the settings, all code and files."""
     named = _own_files(_all_settings(order), order.network, _users(order))
-    hooks = sources_of(order.hook, "step hook") if order.hook else {}
-    own = {word: sha256(path) for word, path in (named | hooks).items()}
+    hooks = find_user_class_files(order.hook, "step hook") if order.hook else {}
+    own = {word: sha256_from_file(path) for word, path in (named | hooks).items()}
     said = [order.settings, order.forks, order.network, order.hook, own, code_digest()]
     said += _identity_of(name, order.preset)
-    return sha256_text(json.dumps(said))
+    return sha256_from_text(json.dumps(said))
 
 
 def _identity_of(name: str, preset: str) -> list[Any]:
     """What tells a policy from another one of the same name, as plain data: its weights, its file, what it says."""
-    named = policy_name(name)
+    named = parse_policy_name(name)
     if named.veto:
         return ["veto", *_identity_of(named.inner, preset)]
     if named.kind == "baseline":
         return ["baseline", name, preset]
     if named.kind == "served":
-        with closing(ServedPolicy(name, action_set(resolve(preset).env.actions).points)) as served:
+        with closing(ServedPolicyClient(name, action_set(resolve(preset).env.actions).points)) as served:
             return ["served", served.version, preset]
     if named.kind == "onnx":
         return ["onnx", preset, _hashes(Path(name))]
     if named.kind == "class":
-        read = {**sources_of(name, "policy"), **_read_by(name)}
-        return ["class", name, preset, {part: sha256(path) for part, path in read.items()}]
-    law = ["exported law"] if find_spec("torch") is None else []  # see `open_named`
-    return ["folder", preset, _hashes(policy_path(name), "**/*"), *law, *([] if named.level is None else [named.level])]
+        read = {**find_user_class_files(name, "policy"), **_read_by(name)}
+        return ["class", name, preset, {part: sha256_from_file(path) for part, path in read.items()}]
+    law = ["exported law"] if find_spec("torch") is None else []  # see `open_named_policy`
+    return [
+        "folder",
+        preset,
+        _hashes(policy_folder_from_name(name), "**/*"),
+        *law,
+        *([] if named.level is None else [named.level]),
+    ]
 
 
 def _read_by(name: str) -> dict[str, Path]:
@@ -281,17 +289,17 @@ def _own_files(settings: Iterable[str], network: str, users: Iterable[str] = ())
     >>> _own_files(("world.action_delay_ticks=2",), "fig6", ("ataxic",))
     {}
     """
-    texts = [text for setting in settings for text in texts_of(setting)]
+    texts = [text for setting in settings for text in texts_from_override(setting)]
     inner = (word.partition("=")[2].strip("'\"") for text in texts for word in text.split())  # as of collect.variants
     paths = {value: Path(value.removeprefix(RECORDED)) for value in (*texts, *inner, *users)}
     found = {value: path for value, path in paths.items() if is_file(path)}
-    return {**found, **sources_of(network, "network")} if ":" in network else found
+    return {**found, **find_user_class_files(network, "network")} if ":" in network else found
 
 
 def _hashes(folder: Path, pattern: str = "*") -> list[list[str]]:
     """What a policy consists of; one of values on top of dangers has these in a folder of its own below."""
     found = (path for path in sorted(folder.glob(pattern)) if path.is_file())
-    return [[path.relative_to(folder).as_posix(), sha256(path)] for path in found]
+    return [[path.relative_to(folder).as_posix(), sha256_from_file(path)] for path in found]
 
 
 def _all_settings(order: SuiteOrder) -> list[str]:
@@ -306,7 +314,7 @@ def _users(order: SuiteOrder) -> list[str]:
     return sorted({episode.profile for block in blocks for episode in block.episodes})
 
 
-def _judged_blocks(blocks: Sequence[BlockFile], episodes: int) -> frozenset[int]:
+def _judged_blocks(blocks: Sequence[SuiteBlock], episodes: int) -> frozenset[int]:
     """The blocks whose interventions are judged: evenly spread, as many as hold so many episodes."""
     total = sum(len(block.episodes) for block in blocks)
     if episodes >= total:
@@ -320,7 +328,7 @@ def _judged_blocks(blocks: Sequence[BlockFile], episodes: int) -> frozenset[int]
 def _kept_path(order: SuiteOrder, index: int, digest: str) -> Path:
     """By what the result of a block depends on: its list, its place in it, and the policy's digest."""
     said = json.dumps([order.suite.file.suite, order.suite.sha256, index, digest])
-    return order.out / KEPT / f"{sha256_text(said)}.json"
+    return order.out / KEPT / f"{sha256_from_text(said)}.json"
 
 
 def _read_kept(path: Path) -> tuple[EpisodeRecord, ...]:

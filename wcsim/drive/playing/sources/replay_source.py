@@ -30,7 +30,7 @@ from wcsim.bridge.replay.replayed import (
 )
 from wcsim.bridge.world import World
 from wcsim.config import ChairConfig
-from wcsim.core.reading import METRICS, escaped, opened
+from wcsim.core.reading import METRICS, escaped, open_regular_file
 from wcsim.drive.driven import DriverKind, EventKind, is_intervention, xy_of
 from wcsim.drive.playing.film_states import (
     FilmAbout,
@@ -45,7 +45,7 @@ from wcsim.drive.playing.film_states import (
 )
 from wcsim.errors import ConfigError, PolicyError, TownError
 from wcsim.log.drive import DriveRecording
-from wcsim.log.reader import LogTail, iter_inputs, read_header, read_states
+from wcsim.log.reader import LogTail, iter_journal_inputs, read_header, read_trace_states
 from wcsim.log.records import (
     Admitted,
     DriveTick,
@@ -61,7 +61,7 @@ from wcsim.log.records import (
 from wcsim.log.writer import JOURNAL
 from wcsim.physics.wheelchair.plant import plant_spec
 from wcsim.server.host.opening import EPOCH_OVER
-from wcsim.server.specs import town_of_epoch
+from wcsim.server.specs import town_name_for_epoch
 from wcsim.towns.making.asked_town import asked_town
 from wcsim.towns.scenario.town import Town, find_town
 from wcsim.towns.scene_folders.build import find_scene
@@ -88,7 +88,7 @@ def _replay_about(header: Header, ticks: int, *, epoch: int | None = None, live:
     else:
         town = header.town
         if header.more_towns:
-            town = asked_town(town_of_epoch(town, header.more_towns, epoch or 0)).address
+            town = asked_town(town_name_for_epoch(town, header.more_towns, epoch or 0)).address
             maps = [f"Maps of other towns than {Path(town).name}: the run's worlds change towns."]
         title = f"{header.name or 'journal'}, {Path(town).name}"
     return FilmAbout(
@@ -120,7 +120,7 @@ def _count_ticks(log: Path | DriveRecording, epoch: int | None = None) -> int:
     """How many ticks a log has, in one epoch or in all. Raises JournalError when it is neither journal nor drive."""
     if isinstance(log, DriveRecording):
         return len(log.ticks)
-    return sum(isinstance(record, Ticked) and epoch in (None, record.epoch) for record in iter_inputs(log))
+    return sum(isinstance(record, Ticked) and epoch in (None, record.epoch) for record in iter_journal_inputs(log))
 
 
 class _RecordScene:
@@ -235,7 +235,7 @@ def state_film(path: Path, epoch: int | None = None, town: str = "") -> Iterator
         TownError: The town is not there, or another one.
         ConfigError: There is no chair in it.
     """
-    header, records = read_states(path)
+    header, records = read_trace_states(path)
     chosen = [record for record in records if epoch in (None, record.epoch) and len(record.plants)]
     if not chosen:
         raise ConfigError(f"{escaped(path)}: has no wheelchair to follow; expected a run with --chairs")
@@ -441,7 +441,7 @@ class _Following:
 def _with_step(run: Path, name: str) -> str:
     """A client with the step that its learner was at when its last episode ended, where its folder says it."""
     try:
-        with opened(run / name / "metrics.csv", METRICS) as file:
+        with open_regular_file(run / name / "metrics.csv", METRICS) as file:
             file.seek(0, 2)
             file.seek(max(0, file.tell() - _LAST_BYTES))
             lines = file.read(_LAST_BYTES).split(b"\n")

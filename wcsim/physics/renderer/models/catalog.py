@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from wcsim.core.reading import own_data
+from wcsim.core.reading import read_module_toml
 from wcsim.physics.renderer.kernels import ModelArrays
 from wcsim.physics.renderer.models.paint import Paint, paint_table
 from wcsim.types import F64, U8, ActorKind, ActorLook, ClassId
@@ -302,7 +302,7 @@ def actor_templates() -> ModelArrays:
 
 @cache
 def _shapes() -> dict[str, Any]:
-    return own_data(Path(__file__).with_name("shapes"))
+    return read_module_toml(Path(__file__).with_name("shapes"))
 
 
 def _body_parts(model: str, class_name: str = "", body: str = "BODY") -> list[_BodyPart]:

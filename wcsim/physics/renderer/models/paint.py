@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from wcsim.core.reading import own_data
+from wcsim.core.reading import read_module_toml
 from wcsim.types import F32, F64, ClassId, Mark
 
 VARIANTS = 16  # colours a paint can take; a power of two, the rasteriser masks the seed with it
@@ -58,7 +58,7 @@ MARK_CLASS = 200  # and on: what marks have in place of a class
 STONE_CLASS = 210  # and on, in the order of STONES_M: what the stones of kerbs have
 STONES_M = (0.015, 0.05, 0.08)  # a stone of each colour is at least so high; lower ones have none
 
-_COLOURS = own_data(Path(__file__).with_name("colours"))
+_COLOURS = read_module_toml(Path(__file__).with_name("colours"))
 WALL_RGB, ROOF_RGB, LEAF_RGB, TRUNK_RGB = (_COLOURS["things"][name] for name in ("walls", "roofs", "leaves", "trunks"))
 
 
