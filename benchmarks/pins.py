@@ -12,13 +12,12 @@ from contextlib import chdir
 from pathlib import Path
 from typing import Final
 
-from wcsim.agents.opening.list_file import read_suite, write_suite_file
+from wcsim.agents.opening.list_file import open_suite, write_list
 from wcsim.cli.main import main as wcsim
 from wcsim.cli.shared.consoles import print_note
 from wcsim.core.files import sha256_from_file, write_json
 from wcsim.core.own_folder import temporary_folder
 
-_BLOCKS: Final = slice(None, None, 8)  # of the list `dev`
 _Q: Final = "--seed 1 --set learn.learning_starts=100 --set learn.phase1_steps=150"
 _COMMANDS: Final = (
     "train --preset quick --seed 1 --out rounds",
@@ -33,9 +32,9 @@ _PINNED: Final = ("rounds/data/data.json", "**/*.safetensors", "exported/*.onnx"
 def main(words: list[str]) -> int:
     """Run all commands in an empty folder; 1 if one fails, or a hash is another one than in the file."""
     file = Path(words[0]).absolute()
-    suite = read_suite("dev").file
+    suite = open_suite("dev").file
     with temporary_folder() as work, chdir(work):
-        write_suite_file(suite.model_copy(update={"blocks": suite.blocks[_BLOCKS]}), Path("list.json"))
+        write_list(suite.model_copy(update={"blocks": suite.blocks[::8]}), Path("list.json"))
         if any(wcsim(command.split()) for command in _COMMANDS):
             return 1
         found = {str(path): sha256_from_file(path) for form in _PINNED for path in sorted(Path().glob(form))}

@@ -173,11 +173,7 @@ class FakeWorld:
             images.class_id[0, 0] = seat
             frames.append(
                 CameraFrame(
-                    name=camera.name,
-                    taken_tick=tick,
-                    depth_m=images.depth_m,
-                    class_id=images.class_id,
-                    rgb=images.rgb,
+                    name=camera.name, taken_tick=tick, depth_m=images.depth_m, class_id=images.class_id, rgb=images.rgb
                 )
             )
         return tuple(frames)

@@ -14,7 +14,7 @@ from typing import Final
 from wcsim.agents.evaluation.suite.draw import DrawPlace, Wanted, free_blocks
 from wcsim.agents.evaluation.suite.make import SETTINGS, USUAL_STREET, tight_block
 from wcsim.agents.evaluation.suite.run import SuiteOrder, run_suite
-from wcsim.agents.opening.list_file import suite_from_file, write_suite_file
+from wcsim.agents.opening.list_file import suite_from_file, write_list
 from wcsim.agents.policy_api import UNAIDED
 from wcsim.cli.shared.consoles import print_note
 from wcsim.config import resolve
@@ -73,4 +73,4 @@ def _shortened(block: SuiteBlock) -> SuiteBlock:
 
 if __name__ == "__main__":
     with temporary_folder() as folder:
-        write_suite_file(demo_list(folder, 2, print_note), Path(sys.argv[1]))
+        write_list(demo_list(folder, 2, print_note), Path(sys.argv[1]))

@@ -190,11 +190,7 @@ class SettledPace:
 
 
 def long_run(
-    memory: Mapping[str, Slope],
-    disk: Slope,
-    epoch_h: float,
-    recovery_s: float,
-    client_growth_mb: float = math.inf,
+    memory: Mapping[str, Slope], disk: Slope, epoch_h: float, recovery_s: float, client_growth_mb: float = math.inf
 ) -> LongRun:
     """Bounds for `RUN_H` hours.
 

@@ -25,12 +25,7 @@ class NaiveLoop:
     """Chairs in a street of bodies; close it."""
 
     def __init__(
-        self,
-        mesh: StreetMesh,
-        camera: CameraConfig,
-        starts: Sequence[tuple[F64, float]],
-        substeps: int,
-        tick_s: float,
+        self, mesh: StreetMesh, camera: CameraConfig, starts: Sequence[tuple[F64, float]], substeps: int, tick_s: float
     ) -> None:
         """Chairs at `starts` (place, heading) in a street; a tick is `tick_s` long and has `substeps` physics steps."""
         self.bullet = Bullet()

@@ -12,7 +12,7 @@ from tests.attack import faults
 from tests.support.one_process import files_of_at_most
 from tests.view.report.results import records_of
 from wcsim.agents.evaluation.suite.run import SuiteOrder
-from wcsim.agents.opening.list_file import read_suite
+from wcsim.agents.opening.list_file import open_suite
 from wcsim.agents.policy_api import UNAIDED
 from wcsim.cli.evaluation.judged_suite import save_test_result
 from wcsim.cli.main import main
@@ -49,7 +49,7 @@ def test_nothing_waits_by_a_clock_that_may_be_set_back() -> None:
 def test_a_disk_that_is_full_while_a_test_is_written_leaves_the_earlier_result_whole(
     tmp_path: Path, room_kb: int
 ) -> None:
-    order = SuiteOrder(suite=read_suite("dev"), out=tmp_path)
+    order = SuiteOrder(suite=open_suite("dev"), out=tmp_path)
     save_test_result(order, "dev", {UNAIDED: records_of("dwa"), "mine": records_of("dwa")})
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
     with files_of_at_most(room_kb << 10), pytest.raises(DiskFullError, match="could not be written"):

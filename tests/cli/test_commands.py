@@ -15,7 +15,7 @@ import pytest
 from tests.cli.conftest import QUICK, Result, files_in
 from tests.cli.towns import TINY_BBOX, tiny_osm
 from wcsim.agents.evaluation.suite.make import town_list
-from wcsim.agents.opening.list_file import write_suite_file
+from wcsim.agents.opening.list_file import write_list
 from wcsim.cli import doctor
 from wcsim.physics import engine
 from wcsim.towns.scenario.town import find_town
@@ -291,7 +291,7 @@ def test_doctor_says_what_fails(wcsim, folder):
 def test_demo_trains_tests_and_films_it(wcsim, folder, corner, tiny):
     small = ("collect.segments=1", "collect.ticks=20", "collect.chairs=2", "collect.scene_share=0", "danger.updates=4")
     words = [word for text in (*small, "world.warmup_s=5", "cameras.0.width_px=40") for word in ("--set", text)]
-    write_suite_file(town_list([find_town(str(tiny))], ("ataxic",), 2, 10, 0), folder / "two.json")
+    write_list(town_list([find_town(str(tiny))], ("ataxic",), 2, 10, 0), folder / "two.json")
     done = wcsim("demo", "--train-town", corner, "--suite", "two.json", *words)
     assert done.code == 0
     result = read("runs/demo/test/result.json")

@@ -247,9 +247,9 @@ def test_what_is_not_there_is_refused_before_anything_is_closed(
 
 def test_an_episode_of_a_suite_begins_where_the_list_says() -> None:
     """A generated scene: the car door, with its own user, settings and start."""
-    from wcsim.agents.opening.list_file import read_suite
+    from wcsim.agents.opening.list_file import open_suite
 
-    blocks = read_suite("dev").file.blocks
+    blocks = open_suite("dev").file.blocks
     index = next(number for number, block in enumerate(blocks) if block.town == "car-door")
     with DriveSession(DriveStart(suite="dev", block=index, profile="")) as drive:
         at = drive.tick(Wish()).p_WB_m

@@ -14,7 +14,7 @@ from tests.log.drives import drive_header, tick, write_drive
 from tests.support.framing import chained
 from wcsim.config import resolve
 from wcsim.errors import ConfigError, JournalError, WcsimError
-from wcsim.log.drive import read_drive_recording
+from wcsim.log.drive import read_drive
 from wcsim.log.framing import frame_payload
 from wcsim.log.reader import is_log, read_header
 from wcsim.log.records import (
@@ -39,7 +39,7 @@ def test_what_is_recorded_is_read(tmp_path):
     ticks = [tick(1), tick(2, intent=None, helped=True), tick(3, crashed=True), tick(4, episode=1)]
     events = (Note(tick=0, time_s=0.0, kind="help", detail="a" * 1000),)
     path = write_drive(tmp_path / "deep" / "a.drive", ticks, events)
-    drive = read_drive_recording(path)
+    drive = read_drive(path)
     assert drive.header == drive_header() == read_header(path)
     assert [item.tick for item in drive.ticks] == [1, 2, 3, 4]
     assert drive.ticks[0] == changed(ticks[0], sticks=ticks[0].sticks)
@@ -54,14 +54,14 @@ def test_what_is_recorded_is_read(tmp_path):
     assert [item.ends for item in drive.ticks] == [False, False, True, False]
     assert is_log(path)
     path.write_bytes(path.read_bytes()[:-7])
-    drive = read_drive_recording(path)
+    drive = read_drive(path)
     assert (len(drive.ticks) + len(drive.events), drive.has_truncated_end) == (4, True)
 
 
 def test_a_tick_with_as_many_steps_as_a_world_may_have_is_kept_whole(tmp_path):
     steps = resolve("quick", ("world.tick_s=1.0", "world.substeps=480")).world.finest_substeps
     sticks = np.linspace(-0.5, 0.5, 2 * steps).reshape(steps, 2)
-    (kept,) = read_drive_recording(write_drive(tmp_path / "a.drive", [tick(1, sticks=sticks)], tick_s=1.0)).ticks
+    (kept,) = read_drive(write_drive(tmp_path / "a.drive", [tick(1, sticks=sticks)], tick_s=1.0)).ticks
     assert np.allclose(kept.sticks, sticks, atol=1e-7) and kept.sticks.shape == (480, 2)
 
 
@@ -102,7 +102,7 @@ def test_a_header_that_cannot_be_is_refused(tmp_path, change, says):
     data = json.loads(header_to_bytes(drive_header())) | change
     (tmp_path / "a.drive").write_bytes(chained([json.dumps(data).encode(), record_to_bytes(tick(1))]))
     with pytest.raises(JournalError, match=says):
-        read_drive_recording(tmp_path / "a.drive")
+        read_drive(tmp_path / "a.drive")
 
 
 def with_field(place, value):
@@ -146,7 +146,7 @@ def test_a_record_that_cannot_be_is_refused(tmp_path, payload):
     records = [header_to_bytes(drive_header()), record_to_bytes(tick(1)), payload]
     (tmp_path / "a.drive").write_bytes(chained(records))
     with pytest.raises(JournalError, match=r"does not belong in a log|belongs in no drive|does not follow tick 1"):
-        read_drive_recording(tmp_path / "a.drive")
+        read_drive(tmp_path / "a.drive")
 
 
 def test_numbers_that_no_reader_takes_are_not_written(tmp_path):
@@ -156,7 +156,7 @@ def test_numbers_that_no_reader_takes_are_not_written(tmp_path):
             with pytest.raises(WcsimError, match="a number is not finite or out of its bounds"):
                 recorder.append(tick(2, **wrong))
         recorder.append(tick(2))
-    assert len(read_drive_recording(tmp_path / "a.drive").ticks) == 2
+    assert len(read_drive(tmp_path / "a.drive").ticks) == 2
     with pytest.raises(WcsimError, match="closed"):
         recorder.append(tick(3))
 
@@ -167,7 +167,7 @@ def test_what_is_no_log_is_not_taken_for_a_drive(tmp_path):
     assert not any(is_log(path) for path in (*tmp_path.iterdir(), tmp_path, tmp_path / "none"))
     for path in tmp_path.iterdir():
         with pytest.raises(JournalError, match="is not a log"):
-            read_drive_recording(path)
+            read_drive(path)
 
 
 def test_a_drive_is_never_longer_than_what_can_be_read(tmp_path, monkeypatch):
@@ -178,4 +178,4 @@ def test_a_drive_is_never_longer_than_what_can_be_read(tmp_path, monkeypatch):
             recorder.append(tick(number + 1))
         with pytest.raises(WcsimError, match="is full, with 3 records"):
             recorder.append(tick(4))
-    assert len(read_drive_recording(tmp_path / "a.drive").ticks) == 3
+    assert len(read_drive(tmp_path / "a.drive").ticks) == 3

@@ -8,7 +8,7 @@ import pytest
 from tests.log.test_log import tick, write
 from tests.support.framing import chained, pieces, read_whole, record_ends
 from wcsim.errors import JournalError
-from wcsim.log.drive import read_drive_recording
+from wcsim.log.drive import read_drive
 from wcsim.log.reader import is_log, iter_journal_inputs, log_digest, read_header, read_trace_states
 from wcsim.log.writer import LogWriter
 
@@ -83,7 +83,7 @@ def test_records_cannot_be_doubled_moved_or_left_out(tmp_path):
 def test_a_file_of_an_older_format_gets_one_refusal(tmp_path, first):
     path = tmp_path / "j"
     path.write_bytes(chained([first, b"more"]))
-    for use in (read_whole, read_header, log_digest, LogWriter.append_to, read_trace_states, read_drive_recording):
+    for use in (read_whole, read_header, log_digest, LogWriter.append_to, read_trace_states, read_drive):
         with pytest.raises(JournalError, match=r"j: is of format 'wcsim-\w+(-1)?'; expected 'wcsim-log-1': use the"):
             use(path)
     assert is_log(path)

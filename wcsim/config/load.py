@@ -183,9 +183,12 @@ def _preset(name: str) -> tuple[str, dict[str, Any]]:
 def is_override_of_key(override: str, key: str) -> bool:
     """Whether a `section.key=value` sets a key or a part of it, as `section={key=value}` does.
 
-    >>> sets_key("env.profile=slow", "env.profile"), sets_key("env={profile='slow'}", "env.profile")
+    >>> (
+    ...     is_override_of_key("env.profile=slow", "env.profile"),
+    ...     is_override_of_key("env={profile='slow'}", "env.profile"),
+    ... )
     (True, True)
-    >>> sets_key("env.window=2", "env.profile")
+    >>> is_override_of_key("env.window=2", "env.profile")
     False
 
     Raises:
@@ -202,7 +205,7 @@ def is_override_of_key(override: str, key: str) -> bool:
 def texts_from_override(override: str) -> tuple[str, ...]:
     """Every text that a `section.key=value` sets, in tables and lists too.
 
-    >>> texts_of("chair={plant='my chair.toml'}"), texts_of("env.window=2")
+    >>> texts_from_override("chair={plant='my chair.toml'}"), texts_from_override("env.window=2")
     (('my chair.toml',), ())
 
     Raises:

@@ -25,7 +25,8 @@ _TYPICAL: Final[dict[str, dict[str, Any]]] = {"noise": {"depth": {}, "classes": 
 def sensor_table_from_word(key: str, given: Any) -> Any:
     """A sensor's table as given, or the table for the word "none" or "typical".
 
-    >>> by_word("odometry", "typical"), by_word("noise", "none"), by_word("noise", {"rgb": {}})
+    >>> words = (("odometry", "typical"), ("noise", "none"), ("noise", {"rgb": {}}))
+    >>> tuple(sensor_table_from_word(*pair) for pair in words)
     ({}, None, {'rgb': {}})
 
     Args:

@@ -203,7 +203,7 @@ def is_writable_folder(folder: Path) -> bool:
 def iter_unused_paths(first: Path) -> Iterator[Path]:
     """The first name, and then FILE-2, FILE-3, ..., as far as they do not exist yet.
 
-    >>> names = numbered_names(Path("no-such-folder/a.drive"))
+    >>> names = iter_unused_paths(Path("no-such-folder/a.drive"))
     >>> [str(next(names)) for _ in range(3)]
     ['no-such-folder/a.drive', 'no-such-folder/a-2.drive', 'no-such-folder/a-3.drive']
     """

@@ -65,7 +65,7 @@ def velocity_at(point: Vec3, known: Vec3, v_known: Vec3, w: Vec3) -> Vec3:
 def matrix_from_quaternion(q: Quat) -> Rotation:
     """Rotation matrix of a unit quaternion (x, y, z, w).
 
-    >>> matrix((0.0, 0.0, 0.0, 1.0))
+    >>> matrix_from_quaternion((0.0, 0.0, 0.0, 1.0))
     (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
     """
     x, y, z, w = q
@@ -104,7 +104,7 @@ def integrate_quaternion(q: Quat, w: Vec3, dt_s: float) -> Quat:
 def quaternion_from_ypr(yaw_rad: float, pitch_rad: float = 0.0, roll_rad: float = 0.0) -> Quat:
     """Unit quaternion (x, y, z, w) of yaw, pitch (nose up) and roll (right side down).
 
-    >>> [round(part, 4) for part in quaternion(math.pi / 2)]
+    >>> [round(part, 4) for part in quaternion_from_ypr(math.pi / 2)]
     [0.0, 0.0, 0.7071, 0.7071]
     """
     cy, sy = math.cos(0.5 * yaw_rad), math.sin(0.5 * yaw_rad)
@@ -137,7 +137,7 @@ def sumo_from_yaw(yaw_rad: float) -> float:
 def wrap_angle(angle_rad: float) -> float:
     """The same angle in (-pi, pi].
 
-    >>> round(wrap(3 * math.pi / 2), 4)
+    >>> round(wrap_angle(3 * math.pi / 2), 4)
     -1.5708
     """
     turned = math.fmod(angle_rad, 2.0 * math.pi)

@@ -69,11 +69,13 @@ def shape_joysticks(joysticks: F64, chair: _DriveSettings) -> F64:
 
 
 def raw_radius_from_shaped(radius: float, chair: _DriveSettings) -> float:
-    """How far out a stick must be for `shape_joystick` to give `radius`; practised drivers know this.
+    """How far out a stick must be for `shape_joystick` to give `radius`.
 
     >>> from wcsim.config import ChairConfig
-    >>> round(pushed(0.5, ChairConfig(deadband=0.1)), 3), pushed(0.0, ChairConfig())
-    (0.55, 0.08)
+    >>> round(raw_radius_from_shaped(0.5, ChairConfig(deadband=0.1)), 3)
+    0.55
+    >>> raw_radius_from_shaped(0.0, ChairConfig())
+    0.08
     """
     shape: float = radius ** (1.0 / chair.shape_exponent)
     return min(1.0, chair.deadband + (1.0 - chair.deadband) * shape)

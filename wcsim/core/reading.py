@@ -385,7 +385,7 @@ def counted(count: int, one: str, several: str = "") -> str:
 def join_names(names: Collection[str], most: int) -> str:
     """Names for a message, at most `most` of them.
 
-    >>> listed(["a", "b", "c"], 2), listed(["a", "b"], 2)
+    >>> join_names(["a", "b", "c"], 2), join_names(["a", "b"], 2)
     ('a, b and more', 'a, b')
     """
     return ", ".join(list(names)[:most]) + " and more" * (len(names) > most)

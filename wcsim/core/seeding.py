@@ -3,7 +3,7 @@
 >>> a, b = generator(7, "world"), generator(7, "world")
 >>> bool(a.integers(1 << 30) == b.integers(1 << 30))
 True
->>> int(derive(7, "sumo")) == int(derive(7, "user", 0))
+>>> int(derive_seed(7, "sumo")) == int(derive_seed(7, "user", 0))
 False
 """
 

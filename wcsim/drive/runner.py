@@ -14,7 +14,7 @@ from typing import Any, ClassVar, Final
 
 import numpy as np
 
-from wcsim.agents.opening.list_file import list_shipped_suites, read_suite
+from wcsim.agents.opening.list_file import list_shipped_suites, open_suite
 from wcsim.core.files import iter_unused_paths
 from wcsim.core.frames import deg
 from wcsim.core.reading import counted
@@ -505,7 +505,7 @@ def _refuse_in_study(_: m.PageMessage) -> None:
 def _drive_about(session: DriveSession) -> dict[str, Any]:
     """What is driven, and what else could be; said when a place has been opened, and to each page that comes."""
     suites = {
-        name: [(f"{block.part}, {block.town}", len(block.episodes)) for block in read_suite(name).file.blocks]
+        name: [(f"{block.part}, {block.town}", len(block.episodes)) for block in open_suite(name).file.blocks]
         for name in list_shipped_suites()
     }
     assistance = session.assistance

@@ -12,7 +12,7 @@ from wcsim.agents.opening.list_file import (
     list_shipped_suites,
     make_block_setup,
     make_episode_seat_spec,
-    read_suite,
+    open_suite,
     require_block_towns,
 )
 from wcsim.agents.opening.named_policy import (
@@ -88,7 +88,7 @@ def checked(start: DriveStart) -> DriveStart:
     if start.profile:
         find_user(start.profile)
     if start.suite:
-        _block(read_suite(start.suite), start)
+        _block(open_suite(start.suite), start)
     else:
         find_town(start.town)
     return start
@@ -138,7 +138,7 @@ def _of_town(start: DriveStart) -> OpenPlace:
 
 def _of_suite(start: DriveStart, held: ExitStack) -> OpenPlace:
     """An episode of a list, in a street of its own: the other chairs of its block are not there."""
-    suite = read_suite(start.suite)
+    suite = open_suite(start.suite)
     require_block_towns(suite.file)
     block = _block(suite, start)
     work = held.enter_context(temporary_folder())

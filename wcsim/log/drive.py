@@ -26,7 +26,7 @@ def wcsim_version() -> str:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DriveRecording:
-    """A whole recording; see `read_drive_recording`."""
+    """A whole recording; see `read_drive`."""
 
     name: str  # of the file
     header: Header
@@ -71,7 +71,7 @@ class DriveRecording:
         return bool(self.ticks) and all(tick.intent is not None for tick in self.ticks)
 
 
-def read_drive_recording(path: Path) -> DriveRecording:
+def read_drive(path: Path) -> DriveRecording:
     """Read a recording; a truncated last record is left out.
 
     Raises:

@@ -1,8 +1,9 @@
 """Reads logs, record by record and checked; any process may have written them, or be writing them.
 
 A log is a file: first a header, which names its kind (`Header.kind`), then the records of that kind
-(`records.py`). `read_header` gives the one, `iter_log`, `iter_journal_inputs` and `read_trace_states` the others.
-A truncated end is left out, as a killed process leaves it; damage before the end is a JournalError.
+(`records.py`). `read_header` gives the one, `iter_log`, `iter_journal_inputs` and
+`read_trace_states` the others. A truncated end is left out, as a killed process leaves it; damage
+before the end is a JournalError.
 
 A journal of a long run lies in parts, so that the file in use stays short: `journal` is the part
 that is being written, `journal.00001`, `journal.00002`, ... are those before it.
@@ -311,7 +312,7 @@ class LogTail(ClosingContextBase):
 def list_log_parts(path: Path) -> tuple[Path, ...]:
     """The parts of a journal that exist, the oldest first and the one in use last.
 
-    >>> part_files(Path("nowhere/journal"))
+    >>> list_log_parts(Path("nowhere/journal"))
     ()
     """
     rotated = re.compile(rf"{re.escape(path.name)}\.[0-9]{{{_PART_DIGITS},}}")

@@ -18,20 +18,9 @@ from typing import Final, Self
 from wcsim.core.closing import ClosingContextBase
 from wcsim.core.reading import escaped
 from wcsim.errors import ConfigError, DiskFullError, WcsimError
+from wcsim.log import records
 from wcsim.log.framing import MOST_TRUNCATED_BYTES, crc_from_record, frame_payload
 from wcsim.log.reader import LogScan
-from wcsim.log.records import (
-    ActorBody,
-    Header,
-    LogKind,
-    LogRecord,
-    WorldState,
-    changed,
-    header_from_bytes,
-    header_to_bytes,
-    record_from_bytes,
-    record_to_bytes,
-)
 
 JOURNAL: Final = "journal"  # its name in a run folder
 TRACE: Final = "trace"
@@ -43,7 +32,7 @@ _SYNC_S: Final = 1.0
 class LogWriter(ClosingContextBase):
     """Appends to a log; a context manager."""
 
-    def __init__(self, path: Path, header: Header) -> None:
+    def __init__(self, path: Path, header: records.Header) -> None:
         """Start a log; its file appears with its header.
 
         Raises:
@@ -52,8 +41,8 @@ class LogWriter(ClosingContextBase):
         """
         # 1. Check the header: with one out of bounds nothing of the log could be read again.
         try:
-            first = header_to_bytes(header)
-            header_from_bytes(first)
+            first = records.header_to_bytes(header)
+            records.header_from_bytes(first)
         except (WcsimError, ValueError) as error:
             raise ConfigError(
                 f"{escaped(path)}: its header is out of bounds ({error}); "
@@ -101,7 +90,7 @@ class LogWriter(ClosingContextBase):
             raise
 
     @classmethod
-    def append_to(cls, path: Path, expected: LogKind | None = None) -> Self:
+    def append_to(cls, path: Path, expected: records.LogKind | None = None) -> Self:
         """Continue a log after its process has died; a truncated last record is cut off and saved.
 
         `cut_bytes` is how many bytes were cut off.
@@ -133,7 +122,7 @@ class LogWriter(ClosingContextBase):
             raise
         return self
 
-    def _open(self, path: Path, file: FileIO, header: Header) -> None:
+    def _open(self, path: Path, file: FileIO, header: records.Header) -> None:
         # Two writers would overwrite each other. The kernel releases the lock with the file.
         try:
             fcntl.flock(file.fileno(), fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -154,9 +143,9 @@ class LogWriter(ClosingContextBase):
         self._records = 0
         self._unsynced = 0
         self._synced_s = time.monotonic()
-        self._bodies: dict[str, ActorBody] = {}  # as last written, by actor
+        self._bodies: dict[str, records.ActorBody] = {}  # as last written, by actor
 
-    def append(self, record: LogRecord) -> None:
+    def append(self, record: records.LogRecord) -> None:
         """Write one record; when this returns, the death of this process does not undo it.
 
         Raises:
@@ -164,11 +153,11 @@ class LogWriter(ClosingContextBase):
             WcsimError: The log is closed; or a drive's is full, or a number is out of bounds.
         """
         # A body is written when it is new or differs from the one before.
-        if isinstance(record, WorldState):
+        if isinstance(record, records.WorldState):
             new = tuple(body for body in record.bodies if self._bodies.get(body.id) != body)
             self._bodies.update((body.id, body) for body in new)
-            record = changed(record, bodies=new)
-        payload = record_to_bytes(record)
+            record = records.changed(record, bodies=new)
+        payload = records.record_to_bytes(record)
         # The numbers of a drive are of a person and a policy, so they may be anything.
         if self._is_drive:
             self._require_readable(payload)
@@ -194,7 +183,7 @@ class LogWriter(ClosingContextBase):
                 f"{escaped(self._path)}: is full, with {self._records} records; start another one"
             )
         try:
-            record_from_bytes(payload)
+            records.record_from_bytes(payload)
         except WcsimError as error:
             raise WcsimError(
                 f"{escaped(self._path)}: a number is not finite or out of its bounds ({error}); "

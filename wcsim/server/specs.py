@@ -44,7 +44,7 @@ def seat_spec_from_env(env: EnvConfig) -> SeatSpec:
 def town_name_for_epoch(town: str, more_towns: Sequence[str], epoch: int) -> str:
     """The name of the town of an epoch: a run's towns take turns, its own one first.
 
-    >>> [town_of_epoch("helsinki", ("made:7", "made:8"), epoch) for epoch in (0, 1, 3)]
+    >>> [town_name_for_epoch("helsinki", ("made:7", "made:8"), epoch) for epoch in (0, 1, 3)]
     ['helsinki', 'made:7', 'helsinki']
     """
     return (town, *more_towns)[epoch % (1 + len(more_towns))]

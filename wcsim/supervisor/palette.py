@@ -43,7 +43,7 @@ COLOURS: Final[dict[ClassId, tuple[int, int, int]]] = {
 def make_class_palette() -> U8:
     """Table (256, 3) uint8 from class id to red, green, blue; ids without a class are black.
 
-    >>> palette()[ClassId.ROAD].tolist()
+    >>> make_class_palette()[ClassId.ROAD].tolist()
     [128, 64, 128]
     """
     table = np.zeros((256, 3), np.uint8)
@@ -55,7 +55,7 @@ def make_class_palette() -> U8:
 def make_cityscapes_class_table() -> U8:
     """Table (256,) uint8 that folds wcsim's own classes: kerbs to sidewalk, crosswalk to road.
 
-    >>> int(class_fold_table()[ClassId.CROSSWALK]) == ClassId.ROAD
+    >>> int(make_cityscapes_class_table()[ClassId.CROSSWALK]) == ClassId.ROAD
     True
     """
     table = np.arange(256, dtype=np.uint8)

@@ -125,7 +125,10 @@ def describe_crash(reason: str, contacts: Sequence[Contact], config: RewardConfi
     """What happened to a chair that crashed: into what it drove, or what hit it, by SUMO's id.
 
     >>> hit = Contact(kind="car", part="body", impulse_Ns=9.0, cause="other", actor_id="v:flow.3")
-    >>> crash_words("collision", (hit,), RewardConfig()), crash_words("drop", (), RewardConfig())
+    >>> (
+    ...     describe_crash("collision", (hit,), RewardConfig()),
+    ...     describe_crash("drop", (), RewardConfig()),
+    ... )
     ('was hit by car flow.3', 'fell off a kerb')
     """
     hit = hardest_contact(reason, contacts, config)

@@ -114,7 +114,7 @@ class SwitchHandModel:
 def clip_to_disc(x: float, y: float) -> tuple[float, float]:
     """The nearest position in the joystick's round gate.
 
-    >>> on_disc(3.0, 4.0)
+    >>> clip_to_disc(3.0, 4.0)
     (0.6, 0.8)
     """
     radius = math.hypot(x, y)
@@ -124,7 +124,7 @@ def clip_to_disc(x: float, y: float) -> tuple[float, float]:
 def clip_stick_to_gate(stick: Joystick) -> Joystick:
     """A stick within its round gate; one that is not finite is at rest.
 
-    >>> in_gate(Joystick(0.0, -3.0)), in_gate(Joystick(math.nan, 1.0))
+    >>> clip_stick_to_gate(Joystick(0.0, -3.0)), clip_stick_to_gate(Joystick(math.nan, 1.0))
     (Joystick(x=0.0, y=-1.0), Joystick(x=0.0, y=0.0))
     """
     if not (math.isfinite(stick.x) and math.isfinite(stick.y)):

@@ -141,7 +141,7 @@ class User(ABC):
         self.arrived = self.arrived or arc_m > path.length_m - _ARRIVED_M
 
 
-class StickRecording(Protocol):
+class _StickRecording(Protocol):
     """A stick that was recorded in the place of a profile."""
 
     def user(self, episode: int, outline: Outline) -> User:
@@ -155,7 +155,7 @@ class StickRecording(Protocol):
         """
 
 
-FindUser = Callable[[str], UserProfile | StickRecording]
+FindUser = Callable[[str], UserProfile | _StickRecording]
 """Finds a user by its name. Raises ConfigError for an unknown one."""
 
 

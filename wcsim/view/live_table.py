@@ -124,7 +124,8 @@ def _row(client: ClientProcessState, world: WorldStatusReport | None) -> tuple[s
 def _pays_of(status: ClientStatusReport) -> str:
     """What share of its time a client spends on acting, learning and waiting, in percent.
 
-    >>> client = ClientStatus(name="a", inference_s=1.0, learning_s=6.0, simulation_s=2.0, barrier_s=2.0, overlap_s=1.0)
+    >>> times = {"inference_s": 1.0, "learning_s": 6.0, "simulation_s": 2.0, "barrier_s": 2.0}
+    >>> client = ClientStatusReport(name="a", overlap_s=1.0, **times)
     >>> _pays_of(client)
     '10/60/30'
     """

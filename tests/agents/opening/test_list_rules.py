@@ -7,7 +7,7 @@ import pytest
 from wcsim.agents.evaluation.suite import run as driving
 from wcsim.agents.evaluation.suite.run import _identity_of
 from wcsim.agents.evaluation.suite.sensitivity import CLEAN
-from wcsim.agents.opening.list_file import read_suite
+from wcsim.agents.opening.list_file import open_suite
 from wcsim.agents.opening.named_policy import (
     RULES,
     config_from_policy_name,
@@ -38,7 +38,7 @@ def run_of(folder: Path, preset: str, *settings: str) -> str:
 
 
 def listed(name: str = "dev") -> tuple[str, ...]:
-    return read_suite(name).file.settings
+    return open_suite(name).file.settings
 
 
 def drives_as_the_user(policy: RunConfig) -> RunConfig:
@@ -115,7 +115,7 @@ def test_a_block_is_driven_under_them(tmp_path, monkeypatch):
         raise PolicyError("none")
 
     monkeypatch.setattr(driving, "open_named_policy", no_policy)
-    order = driving.SuiteOrder(suite=read_suite("dev"), out=tmp_path)
+    order = driving.SuiteOrder(suite=open_suite("dev"), out=tmp_path)
     records = driving.drive_piece(driving.piece_of(order, 0, run, {}, judged=False))
     assert {record.status for record in records} == {"refused"}
     assert configs == [config_from_policy_name(run, "quick", listed(), in_list=True)] and configs[0].reward.drop
@@ -124,6 +124,6 @@ def test_a_block_is_driven_under_them(tmp_path, monkeypatch):
 @pytest.mark.parametrize(("name", "hazards", "again"), [("dev", 18, 5), ("validation", 24, 3), ("v1", 46, 21)])
 def test_hazards_that_are_free_episodes_once_more_are_known(name, hazards, again):
     """Counted in the files by another program, when the lists were looked through from outside."""
-    blocks = read_suite(name).file.blocks
+    blocks = open_suite(name).file.blocks
     assert sum(len(block.episodes) for block in blocks if block.part == "hazard") == hazards
     assert sum(len(seats_repeating_free_part(blocks, index)) for index in range(len(blocks))) == again

@@ -20,7 +20,7 @@ from wcsim.drive.recording.session_recorder import SessionRecorder
 from wcsim.drive.session import DriveSession, Wish
 from wcsim.drive.starting import DriveStart
 from wcsim.errors import ConfigError, JournalError
-from wcsim.log.drive import read_drive_recording
+from wcsim.log.drive import read_drive
 from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.observation import make_observation
 from wcsim.types import Joystick
@@ -57,7 +57,7 @@ def test_who_sees_a_drive_again_chooses_what_was_chosen(corner: Path, policy: Pa
     given = np.array([(stick.x, stick.y) for stick in sticks], np.float32)
     assert np.array_equal([seen["joystick"] for seen in ride.seen], given)
     assert ride.seen[0]["depth"].any()
-    assert again(policy, ride, config_of(read_drive_recording(path).header)) == chosen
+    assert again(policy, ride, config_of(read_drive(path).header)) == chosen
     assert len(set(chosen)) > 5
     assert len(recorded_ride(path, 7).seen) == 7
 

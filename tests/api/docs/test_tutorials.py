@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.support.tracked import ROOT
-from wcsim.agents.opening.list_file import read_suite
+from wcsim.agents.opening.list_file import open_suite
 from wcsim.users.recordings.recorded_user import read_stick_recording
 
 TUTORIALS = ROOT / "docs" / "tutorials"
@@ -63,7 +63,7 @@ def test_the_scripts_about_a_recording_and_a_list_run(tmp_path: Path) -> None:
     run(recording, tmp_path)
     assert read_stick_recording(tmp_path / "stick.csv").time_s[-1] == 19.95
     assert len(set(run(cut, tmp_path).split())) == 10
-    assert {block.part for block in read_suite(str(tmp_path / "tight.json")).file.blocks} == {"tight"}
+    assert {block.part for block in open_suite(str(tmp_path / "tight.json")).file.blocks} == {"tight"}
 
 
 def test_other_tutorials_have_no_python() -> None:

@@ -10,7 +10,7 @@ from tests.attack.files.files import logged, sound_trace
 from tests.attack.files.people import sound_drive
 from wcsim.bridge.recording.convert import convert_to_fcd
 from wcsim.bridge.recording.ros_chairs import drive_bag, trace_bag
-from wcsim.log.drive import read_drive_recording
+from wcsim.log.drive import read_drive
 from wcsim.log.reader import read_trace_states
 
 
@@ -41,7 +41,7 @@ def _take_trace(path: Path) -> bool:
 
 
 def _take_drive(path: Path) -> bool:
-    return _readable(path.with_name("a.mcap"), drive_bag(read_drive_recording(path), path.with_name("a.mcap")))
+    return _readable(path.with_name("a.mcap"), drive_bag(read_drive(path), path.with_name("a.mcap")))
 
 
 def _readable(bag: Path, counts: dict[str, int]) -> bool:

@@ -8,7 +8,7 @@ from tests.attack.scenarios.twists import toml_text, without_none
 from tests.log.drives import tick, write_drive
 from wcsim.config import parse_json, read_toml
 from wcsim.config.study import StudyFile
-from wcsim.log.drive import DriveRecording, read_drive_recording
+from wcsim.log.drive import DriveRecording, read_drive
 from wcsim.log.reader import is_log, read_header
 from wcsim.log.records import Note, header_to_bytes, record_to_bytes
 from wcsim.log.writer import LogWriter
@@ -57,7 +57,7 @@ def _take_profile(path: Path) -> bool:
 
 def _take_drive(path: Path) -> bool:
     """What is read and recorded again is the same; what is no drive for one reader is none for the others."""
-    drive = read_drive_recording(path)
+    drive = read_drive(path)
     if not is_log(path) or read_header(path) != drive.header:
         return False
     path.unlink()
@@ -66,7 +66,7 @@ def _take_drive(path: Path) -> bool:
             recorder.append(event)
         for item in drive.ticks:
             recorder.append(item)
-    return _payloads(read_drive_recording(path)) == _payloads(drive)
+    return _payloads(read_drive(path)) == _payloads(drive)
 
 
 def _payloads(drive: DriveRecording) -> list[bytes]:

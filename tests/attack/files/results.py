@@ -14,7 +14,7 @@ from tests.attack.files.people import STUDY
 from tests.attack.scenarios.twists import NASTY, cleared, json_text, toml_text
 from tests.view.report.results import write_result
 from wcsim.agents.evaluation.suite.result_files import ASKED, EPISODES, RESULT, read_result
-from wcsim.agents.opening.list_file import read_suite, write_suite_file
+from wcsim.agents.opening.list_file import open_suite, write_list
 from wcsim.agents.runs.metrics import append_round_metrics, read_round_metrics
 from wcsim.config import parse
 from wcsim.config.study import StudyFile
@@ -38,8 +38,8 @@ def families(work: Path) -> list[Family]:
         append_row(work / "t.csv", COLUMNS, {"study_sha256": "ab" * 6, "participant": str(row), "town": "a, b"})
         append_round_metrics(work / "r.csv", (row, 9 * row, 9, 0.5, row, 5, 1, 4, row, 10 * row, 0.25, 1.5, 0.5))
     table, rounds = ((work / name).read_bytes() for name in ("t.csv", "r.csv"))
-    episodes = read_suite("dev").file
-    write_suite_file(episodes.model_copy(update={"blocks": episodes.blocks[:2]}), work / "l.json")
+    episodes = open_suite("dev").file
+    write_list(episodes.model_copy(update={"blocks": episodes.blocks[:2]}), work / "l.json")
     listed = (work / "l.json").read_bytes()
     for name in (*held, "t.csv", "r.csv", "l.json"):
         cleared(work / name)
@@ -53,7 +53,7 @@ def families(work: Path) -> list[Family]:
         Family(name="study table", file="t.csv", sound=table, twist=csv_twist(_rows(table)), take=_take_table),
         Family(name="rounds", file="r.csv", sound=rounds, twist=csv_twist(_rows(rounds)), take=_take_rounds),
         Family(name="episode list", file="l.json", sound=listed, twist=model_twist(json.loads(listed), json_text),
-               take=lambda path: same(read_suite(str(path)).file)),
+               take=lambda path: same(open_suite(str(path)).file)),
     ]  # fmt: skip
 
 

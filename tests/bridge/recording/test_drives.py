@@ -20,7 +20,7 @@ from wcsim.bridge.world import World
 from wcsim.bridge.world_rollout import rollout
 from wcsim.core.seeding import generator
 from wcsim.errors import ConfigError, TownError
-from wcsim.log.drive import read_drive_recording
+from wcsim.log.drive import read_drive
 from wcsim.log.records import Admitted, DriveTick, Respawned, changed, end_fields_from_snapshot
 from wcsim.log.writer import LogWriter
 from wcsim.towns.scenario.town import Town, content_hash, find_town
@@ -45,7 +45,7 @@ def driven(corner_town: Town, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_drive_says_what_it_was_and_is_made_again_to_the_last_bit(corner_town, driven):
-    drive = read_drive_recording(driven)
+    drive = read_drive(driven)
     assert (drive.about.profile, drive.about.policy, len(drive.ticks)) == ("tremor", "follow", 60)
     assert drive.header.town_sha256 == content_hash(corner_town)
     (sat,) = (record for record in drive.records if isinstance(record, Admitted))
@@ -77,7 +77,7 @@ def test_a_user_drawn_of_a_usual_profile_is_the_one_of_the_episodes():
 
 
 def test_a_drive_that_is_not_what_it_says_is_noticed(driven):
-    drive = read_drive_recording(driven)
+    drive = read_drive(driven)
     wrong = changed(drive.ticks[20], commanded=Joystick(1.0, 0.0))
     found = verify(replace_ticks(drive, {20: wrong}))
     assert (found.ticks, found.first.tick) == (60, 21)
@@ -91,7 +91,7 @@ def test_a_drive_that_is_not_what_it_says_is_noticed(driven):
 
 
 def test_a_drive_is_replayed_as_a_user_in_its_own_town(corner, driven):
-    drive = read_drive_recording(driven)
+    drive = read_drive(driven)
     with open_world(corner, seed=2, spec=SeatSpec(profile=f"recorded:{driven}", truth=True)) as world:
         for tick in drive.ticks:
             assert world.snapshot.clients[0].user == tick.stick
@@ -126,7 +126,7 @@ def test_a_persons_drive_with_a_cut_episode_is_made_again(corner_town, tmp_path)
             recorder.append(
                 DriveTick(**at, stick=before.user, commanded=given, chosen=given, **end_fields_from_snapshot(after))
             )
-    drive = read_drive_recording(path)
+    drive = read_drive(path)
     assert (drive.about.driver, drive.about.episode, len(drive.episodes)) == ("person", "dev 1.0", 2)
     assert not drive.knows_intents
     found = verify(drive)
@@ -148,7 +148,7 @@ def test_a_driver_of_the_model_beside_a_person_wants_what_the_person_wants(corne
     user = replace(drawn_user(find_builtin_profile("competent"), 3), noise=0.0)
     config = quick_config("world.demand_scale=0")
     record_user(tmp_path / "a.drive", corner_town, config, user, ticks=120, seed=4)
-    drive = read_drive_recording(tmp_path / "a.drive")
+    drive = read_drive(tmp_path / "a.drive")
     hidden = replace_ticks(drive, {tick.tick: changed(tick, intent=None) for tick in drive.ticks})
     seen = seen_drive(hidden)
     assert len(seen.views) == 120

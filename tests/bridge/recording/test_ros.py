@@ -17,7 +17,7 @@ from wcsim.bridge.recording.ros_chairs import RosChair, _quaternion_of, drive_ba
 from wcsim.config import resolve
 from wcsim.core.frames import matrix_from_quaternion, quaternion_from_ypr
 from wcsim.errors import ConfigError, JournalError
-from wcsim.log.drive import read_drive_recording
+from wcsim.log.drive import read_drive
 from wcsim.log.records import WorldState
 from wcsim.physics.sensors.camera_geometry import mount
 from wcsim.types import CameraFrame, Joystick
@@ -43,7 +43,7 @@ def stamp_ns(header):
 def bag(tmp_path_factory):
     folder = tmp_path_factory.mktemp("bags")
     ticks = [tick(k, warning=k == 7, helped=k == 9, yaw_rad=0.001 * k) for k in range(1, TICKS + 1)]
-    drive = read_drive_recording(write_drive(folder / "a.drive", ticks))
+    drive = read_drive(write_drive(folder / "a.drive", ticks))
     counts = drive_bag(drive, folder / "a.mcap")
     return counts, list(messages(folder / "a.mcap")), folder
 
@@ -179,9 +179,7 @@ def test_without_the_extra_it_is_said_what_to_install(tmp_path, monkeypatch):
 
 
 def test_a_stick_that_is_commanded_is_the_same_forward(tmp_path):
-    drive = read_drive_recording(
-        write_drive(tmp_path / "a.drive", [tick(1, commanded=Joystick(-0.5, 0.75), intent=None)])
-    )
+    drive = read_drive(write_drive(tmp_path / "a.drive", [tick(1, commanded=Joystick(-0.5, 0.75), intent=None)]))
     counts = drive_bag(drive, tmp_path / "a.mcap")
     assert "/joy_intent" not in counts
     (told,) = [m for topic, _, _, m in messages(tmp_path / "a.mcap") if topic == "/joy_command"]

@@ -7,7 +7,7 @@ from tests.cli.training.placebo import NAMES
 from wcsim.agents.evaluation.suite.records import CRASHED
 from wcsim.agents.evaluation.suite.result_files import read_result
 from wcsim.agents.evaluation.suite.run import SuiteOrder, run_suite
-from wcsim.agents.opening.list_file import read_suite
+from wcsim.agents.opening.list_file import open_suite
 from wcsim.agents.policy_api import UNAIDED
 from wcsim.cli.main import main
 from wcsim.cli.shared.consoles import print_note
@@ -38,13 +38,13 @@ def test_help_that_always_helps_is_worth_a_drive_each_and_none_is_worth_nothing(
 
 
 def test_the_list_is_what_its_page_says():
-    file = read_suite("demo").file
+    file = open_suite("demo").file
     assert (file.suite, file.set) == ("street-help-v1", "demo")
     parts = [(block.part, len(block.episodes)) for block in file.blocks]
     seats = {part: sum(many for name, many in parts if name == part) for part, _ in parts}
     assert seats == {"hazard": 3, "tight": 4, "free": 7}
     assert {block.town for block in file.blocks if block.part == "tight"} < set(LISTED)
-    others = [read_suite(name).file for name in ("dev", "validation", "v1")]
+    others = [open_suite(name).file for name in ("dev", "validation", "v1")]
     assert not {town.sha256 for town in file.towns} & {town.sha256 for other in others for town in other.towns}
     drawn = {(block.town, block.seed) for other in others for block in other.blocks}
     assert not drawn & {(block.town, block.seed) for block in file.blocks}
@@ -57,7 +57,7 @@ def test_five_seeds_crash_less_than_the_user_alone_and_than_placebos(tmp_path, m
     for seed in SEEDS:
         assert main(["demo", "--seed", str(seed), "--out", f"seed-{seed}"]) == 0
     results = [read_result(tmp_path / f"seed-{seed}" / "test").episodes for seed in SEEDS]
-    order = SuiteOrder(suite=read_suite("demo"), out=tmp_path / "placebo", jobs=2, forks=0)
+    order = SuiteOrder(suite=open_suite("demo"), out=tmp_path / "placebo", jobs=2, forks=0)
     placebos = run_suite(order, NAMES, lambda *_: None)
     alone = np.array(crashed(results[0][UNAIDED]))
     groups = {

@@ -14,7 +14,7 @@ from tests.support.events import read_events
 from wcsim.agents.clients.group_run import ResolvedGroupRun, open_group_run_folder, read_selected_client
 from wcsim.agents.evaluation.suite.result_files import result_of
 from wcsim.agents.evaluation.suite.rows import pooled_rows
-from wcsim.agents.opening.list_file import write_suite_file
+from wcsim.agents.opening.list_file import write_list
 from wcsim.agents.runs.metrics import STEP_COLUMNS, read_metrics
 from wcsim.agents.runs.run_folder import open_run
 from wcsim.cli.main import main
@@ -149,7 +149,7 @@ def test_one_command_trains_compares_and_goes_on_with_the_best(tmp_path, corner,
 def test_what_is_stopped_while_clients_are_compared_goes_on_there(tmp_path, corner):
     file = suite_in(corner, *[block_of(corner, max_steps=60)] * 3).file
     blocks = [block.model_copy(update={"seed": seed}) for seed, block in enumerate(file.blocks)]
-    write_suite_file(file.model_copy(update={"blocks": tuple(blocks)}), tmp_path / "three.json")
+    write_list(file.model_copy(update={"blocks": tuple(blocks)}), tmp_path / "three.json")
     words = ("patch,fig6", "--town", corner, "--select-by", "three.json", "--out", "run", *STEPS, *SMALL)
     child = start(tmp_path, "train-clients", *words)
     kept = tmp_path / "run" / "selection" / "kept"

@@ -166,9 +166,9 @@ def test_a_lost_server_is_told_of(browser: Any, corner: Path) -> None:
 @pytest.mark.proof
 def test_an_obstacle_lights_the_lamps(browser: Any) -> None:
     """A drop beside the chair: driven at it, `dwa` warns, steers otherwise and marks positions, whenever one pushes."""
-    from wcsim.agents.opening.list_file import read_suite
+    from wcsim.agents.opening.list_file import open_suite
 
-    blocks = read_suite("dev").file.blocks
+    blocks = open_suite("dev").file.blocks
     index = next(number for number, block in enumerate(blocks) if block.town == "turning-beside-drop")
     with served(None, "--suite", "dev", "--block", str(index)) as (address, _):
         context = browser.new_context()

@@ -19,7 +19,7 @@ from wcsim.drive.recording.session_recorder import RecorderStatus, SessionRecord
 from wcsim.drive.session import DriveSession, Wish
 from wcsim.drive.starting import DriveStart, check_recordable
 from wcsim.errors import ConfigError, DiskFullError, TownError
-from wcsim.log.drive import DriveRecording, read_drive_recording
+from wcsim.log.drive import DriveRecording, read_drive
 from wcsim.log.records import Admitted, Dismissed, Respawned, changed
 from wcsim.log.writer import LogWriter
 from wcsim.types import Joystick
@@ -60,7 +60,7 @@ def users_of(drive: DriveRecording) -> list[object]:
 
 
 def same_again(path: Path) -> DriveRecording:
-    drive = read_drive_recording(path)
+    drive = read_drive(path)
     found = verify(drive)
     assert (found.ticks, found.mismatches, found.farthest_m) == (len(drive.ticks), 0, 0.0), found
     return drive
@@ -134,7 +134,7 @@ def test_a_change_that_is_left_out_is_noticed(kept: Kept, tmp_path: Path) -> Non
     kept.session.change_user("slow")
     kept.drive(10)
     kept.session.close()
-    drive = read_drive_recording(tmp_path / "a.drive")
+    drive = read_drive(tmp_path / "a.drive")
     assert verify(drive).mismatches == 0
     kept_records = tuple(record for record in drive.records if not isinstance(record, Respawned | Dismissed))
     first, *others = (record for record in kept_records if isinstance(record, Admitted))
@@ -179,7 +179,7 @@ def test_a_person_who_was_kept_is_a_user(kept: Kept, tmp_path: Path) -> None:
     kept.drive(20)
     kept.session.close()
     user = find_user(f"recorded:{tmp_path / 'a.drive'}")
-    drive = read_drive_recording(tmp_path / "a.drive")
+    drive = read_drive(tmp_path / "a.drive")
     assert not hasattr(user, "reaction_s")
     assert user.at(np.array([0.5]))[0] == pytest.approx((drive.ticks[5].stick.x, drive.ticks[5].stick.y))
 
@@ -255,7 +255,7 @@ def test_of_a_person_the_simulated_stretches_are_left_out_of_what_was_wanted(kep
     kept.session.drive_by(DriverKind.PERSON)
     kept.drive(8)
     kept.session.close()
-    made = with_shadow(seen_drive(read_drive_recording(tmp_path / "a.drive")), find_builtin_profile("competent"))
+    made = with_shadow(seen_drive(read_drive(tmp_path / "a.drive")), find_builtin_profile("competent"))
     assert made.knows_intents
     assert [(tick.tick, tick.episode) for tick in made.ticks] == [
         *((number, 0) for number in range(1, 9)),

@@ -14,7 +14,7 @@ from wcsim.drive.recording import study_lead
 from wcsim.drive.recording.study_lead import OpenStudy, _participant_rows, _shipped_studies, open_study
 from wcsim.drive.recording.study_plan import StepKind, read_rows, table_columns
 from wcsim.errors import ConfigError, DiskFullError, PolicyError, TownError, WcsimError
-from wcsim.log.drive import read_drive_recording
+from wcsim.log.drive import read_drive
 
 Begin = Callable[[OpenStudy], Participant]
 
@@ -86,7 +86,7 @@ def test_a_participant_goes_through_all_of_it(corner: Path, tmp_path: Path, begi
     assert rows[2]["kpi1"] == "0.00000" or float(rows[2]["kpi1"]) < 0.2
     assert float(rows[2]["distance_m"]) > 1.0 and rows[2]["level"] == "1" and rows[1]["level"] == "1.5"
     assert {row["order"] for row in rows} == {"more>alone"} and {row["policy_failed"] for row in rows[:3]} == {"no"}
-    drive = read_drive_recording(Path(rows[2]["recording"]))
+    drive = read_drive(Path(rows[2]["recording"]))
     assert len(drive.ticks) == 30 and verify(drive).mismatches == 0
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from wcsim.agents.opening.list_file import read_suite
+from wcsim.agents.opening.list_file import open_suite
 from wcsim.core import seeding
 from wcsim.errors import ConfigError, DiskFullError
 from wcsim.scenes.run import _open_scene, play
@@ -110,7 +110,7 @@ def test_another_family_takes_its_share_and_moves_no_other(monkeypatch):
 
 
 def test_lists_of_version_1_name_the_families_that_they_were_made_of():
-    named = {block.town for name in ("dev", "validation", "v1") for block in read_suite(name).file.blocks
+    named = {block.town for name in ("dev", "validation", "v1") for block in open_suite(name).file.blocks
              if block.part == "tight"}  # fmt: skip
     assert named == set(LISTED)
 

@@ -20,6 +20,7 @@ from itertools import count
 from pathlib import Path
 from typing import Any, Final, ParamSpec, TypeVar
 
+from wcsim import errors
 from wcsim.agents.clients.group_run import RECONNECT_S
 from wcsim.agents.envs.wheelchair_env import WheelchairEnv
 from wcsim.agents.learning.build import default_settings_for_network
@@ -31,21 +32,6 @@ from wcsim.agents.runs.run_folder import MANIFEST, ResolvedRun, has_results
 from wcsim.config import LearnConfig, RunConfig, parse_json, resolve
 from wcsim.config.plant import known_plants
 from wcsim.core.reading import escaped
-from wcsim.errors import (
-    AccessError,
-    ConfigError,
-    ConfigMismatchError,
-    DiskFullError,
-    EvictedError,
-    InterruptedRunError,
-    LinkError,
-    PicturesError,
-    PolicyError,
-    ServerGoneError,
-    StaleSessionError,
-    VersionMismatchError,
-    WcsimError,
-)
 from wcsim.server.launch.states import ClientExitCode, ClientStatusReport
 from wcsim.server.links.socket import SocketSeat
 from wcsim.server.protocol import messages as m
@@ -57,10 +43,10 @@ STATUS_EVERY_S: Final = 0.5  # shortest time between two status lines
 SETTLED_STEPS: Final = 200  # of a process, after which its memory counts as what it started with
 # A client that ended by one of these would do so again.
 _LASTING: Final = (
-    AccessError,
-    ConfigMismatchError,
-    PicturesError,
-    VersionMismatchError,
+    errors.AccessError,
+    errors.ConfigMismatchError,
+    errors.PicturesError,
+    errors.VersionMismatchError,
 )
 # Sections of a configuration that the world sets.
 _WORLD_PARTS: Final = ("world", "chair", "cameras", "imu", "sensors", "reward", "vary")
@@ -93,7 +79,7 @@ def train_client(
     if resume and not goes_on and out.is_dir():
         # Without its manifest the folder shows no more than this.
         if has_results(out):
-            raise PolicyError(
+            raise errors.PolicyError(
                 f"{out} holds data but no {MANIFEST}; restore that file, or move the folder away"
             )
         shutil.rmtree(out)
@@ -118,7 +104,7 @@ def train_client(
             log=log,
             wait_no_more=env.wait_no_more,
         )
-    except (InterruptedRunError, DiskFullError) as error:
+    except (errors.InterruptedRunError, errors.DiskFullError) as error:
         # With or without a last checkpoint, as any other one may fail.
         if growth.reason:
             raise _ProcessGrownError(f"{growth.reason}; a fresh one goes on") from error
@@ -166,17 +152,17 @@ def make_client_env(
         raise
 
 
-def client_exit_from_error(error: WcsimError) -> ClientExitCode:
+def client_exit_from_error(error: errors.WcsimError) -> ClientExitCode:
     """The exit code of a client that met this error."""
     if isinstance(error, _ProcessGrownError):
         return ClientExitCode.GROWN
-    if isinstance(error, InterruptedRunError):
+    if isinstance(error, errors.InterruptedRunError):
         return ClientExitCode.STOPPED
-    if isinstance(error, DiskFullError):
+    if isinstance(error, errors.DiskFullError):
         return ClientExitCode.DISK_FULL
-    if isinstance(error, EvictedError | StaleSessionError):
+    if isinstance(error, errors.EvictedError | errors.StaleSessionError):
         return ClientExitCode.EVICTED
-    if isinstance(error, LinkError) and not isinstance(error, _LASTING):
+    if isinstance(error, errors.LinkError) and not isinstance(error, _LASTING):
         return ClientExitCode.SERVER_GONE
     return ClientExitCode.USER_ERROR
 
@@ -186,10 +172,10 @@ def _join_world(order: ClientProcessSpec, seat: SocketSeat, again: bool) -> Clie
     endpoint = order.join.endpoint
     try:
         seat.join()
-    except ServerGoneError:
+    except errors.ServerGoneError:
         if again:
             raise
-        raise ConfigError(
+        raise errors.ConfigError(
             f"{endpoint}: no answer within {order.join.patience.reconnect_s:g} s; is `wcsim serve` "
             "running there? (--wait S waits longer)"
         ) from None
@@ -203,7 +189,7 @@ def _world_settings(world: m.Welcome, endpoint: str) -> dict[str, Any]:
     """The settings of a world. Raises ConfigError rather than open a file that a server names."""
     offered = parse_json(RunConfig, world.config_json, f"the configuration of {endpoint}")
     if not endpoint.startswith("ipc://") and offered.chair.plant not in known_plants():
-        raise ConfigError(
+        raise errors.ConfigError(
             f"the world of {endpoint} drives a wheelchair of a file "
             f"({escaped(offered.chair.plant, 80)!r}); expected {' or '.join(known_plants())} over "
             "the network: join on the world's own machine"
@@ -214,7 +200,7 @@ def _world_settings(world: m.Welcome, endpoint: str) -> dict[str, Any]:
     }
 
 
-class _ProcessGrownError(InterruptedRunError):
+class _ProcessGrownError(errors.InterruptedRunError):
     """The work is saved, and another process is to go on with it."""
 
 

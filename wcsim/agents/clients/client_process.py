@@ -1,7 +1,8 @@
 """A client that learns, in a process of its own: `python -m wcsim.agents.clients.client_process`.
 
 Its environment is a seat in a running world, its run folder a normal one. It ends with a code of
-`ClientExitCode`. It does not outlive its launcher: it saves its work first, but within five minutes.
+`ClientExitCode`. It does not outlive its launcher: it saves its work first, but within five
+minutes.
 """
 
 from __future__ import annotations

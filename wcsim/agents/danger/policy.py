@@ -54,7 +54,7 @@ def _next_recent(before: int, unsafe: bool, danger: float, rule: DangerRuleSetti
         danger: Of it.
         rule: See there.
 
-    >>> rule, ticks, found = DangerRule(at_once=0.6), 0, []
+    >>> rule, ticks, found = DangerRuleSettings(at_once=0.6), 0, []
     >>> for danger in (0.3, 0.0, 0.3, 0.3, 0.0):
     ...     ticks = _next_recent(ticks, danger >= rule.threshold, danger, rule)
     ...     found.append(ticks)

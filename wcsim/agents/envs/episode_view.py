@@ -1,8 +1,8 @@
 """One wheelchair as its agent sees it: frames become observations, rewards and info.
 
-Every environment, and every driver of a seat, uses this one class `SeatEnvAdapter`; so what an agent
-observes and earns does not depend on the interface. `begin` takes the first frame of an episode;
-then each step is a `command` and its `finish_step`.
+Every environment, and every driver of a seat, uses this one class `SeatEnvAdapter`; so what an
+agent observes and earns does not depend on the interface. `begin` takes the first frame of an
+episode; then each step is a `command` and its `finish_step`.
 """
 
 from __future__ import annotations

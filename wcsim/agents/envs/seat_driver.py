@@ -1,4 +1,4 @@
-"""Drives seats of a world in this process: agents choose actions, `AgentSeatDriver` carries them out."""
+"""Drives seats of a world in this process: agents choose actions, `AgentSeatDriver` acts."""
 
 from __future__ import annotations
 

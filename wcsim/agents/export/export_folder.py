@@ -63,7 +63,7 @@ def find_differing_settings(own: RunConfig, other: RunConfig) -> list[str]:
 def format_setting_overrides(settings: Iterable[tuple[str, Any]]) -> list[str]:
     """Settings as `--set` takes them.
 
-    >>> format_settings([("world.tick_s", 0.1), ("env.classes", "wcsim")])
+    >>> format_setting_overrides([("world.tick_s", 0.1), ("env.classes", "wcsim")])
     ['world.tick_s=0.1', 'env.classes=wcsim']
     """
     return [

@@ -1,10 +1,11 @@
 """One tick of a policy as a torch module for the export to ONNX: its memory goes in and comes out.
 
-A danger policy drives with NumPy and numba kernels, which no exporter can trace. `TorchDriveModel` and
-`DangerPolicyGraph` therefore compute the same a second time, with the tensor operations that ONNX has.
-Each of their methods names the function it repeats: a change of one is a change of both.
+A danger policy drives with NumPy and numba kernels, which no exporter can trace. `TorchDriveModel`
+and `DangerPolicyGraph` therefore compute the same a second time, with the tensor operations that
+ONNX has. Each of their methods names the function it repeats: a change of one is a change of both.
 `tests/agents/export/test_danger_graph.py` compares them. An operation costs more than the numbers
-in it, so there are as few as possible. `ValuePolicyGraph` repeats nothing: it calls the network itself.
+in it, so there are as few as possible. `ValuePolicyGraph` repeats nothing: it calls the network
+itself.
 """
 
 from __future__ import annotations
@@ -15,34 +16,9 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from wcsim.agents.danger import street_map
 from wcsim.agents.danger.network import DangerNet
 from wcsim.agents.danger.policy import GIVES_BACK, LESS_M, RECENT_TICKS
-from wcsim.agents.danger.street_map import (
-    BEHIND_M,
-    CELL_M,
-    COMMANDS,
-    EACH_SLICE,
-    FULL_MOTION,
-    HALF_M,
-    HEAD_M,
-    HOLD_S,
-    KEEP_TICKS,
-    LOW_M,
-    MOVER_M,
-    PLANES,
-    RASTER,
-    REACH_M,
-    SIDE,
-    SLICES,
-    SPAN_M,
-    STEP_S,
-    TILT,
-    TRAIL_TICKS,
-    TURNS,
-    hull_and_wheels,
-    kinds_of_ground,
-    movers,
-)
 from wcsim.agents.networks.encoder import image_size_from_space
 from wcsim.agents.networks.q_network import QNet
 from wcsim.agents.perception.alarm import CALM, NEWEST
@@ -243,14 +219,23 @@ class DangerPolicyGraph(nn.Module):
         self.rays = _constant(rays[:: self.stride, :: self.stride].reshape(-1, 3))
         self.eye = _constant(np.array(camera.p_BC_m))
         self.metres = _constant(decode_depth(np.arange(256, dtype=np.uint8), camera.range_m))
-        self.kinds, self.movers = _constant(kinds_of_ground()), _constant(movers())
+        self.kinds, self.movers = (
+            _constant(street_map.kinds_of_ground()),
+            _constant(street_map.movers()),
+        )
         self.points = _constant(points)
         self.commands = _constant(shape_joysticks(points, chair))
-        swept = hull_and_wheels(outline_to_box(spec.outline), np.array(spec.stand_m(), np.float64))
+        swept = street_map.hull_and_wheels(
+            outline_to_box(spec.outline), np.array(spec.stand_m(), np.float64)
+        )
         self.chair = _constant(swept)
         # (steps, 1, n) where in flat maps the one of each step and point of the chair starts.
-        each_slice = np.repeat(np.arange(SLICES), EACH_SLICE)[:, None, None]
-        self.plane = _constant(SIDE * SIDE * (each_slice + SLICES * (swept[:, 2] > 0.0)))
+        each_slice = np.repeat(np.arange(street_map.SLICES), street_map.EACH_SLICE)[:, None, None]
+        self.plane = _constant(
+            street_map.SIDE
+            * street_map.SIDE
+            * (each_slice + street_map.SLICES * (swept[:, 2] > 0.0))
+        )
         self.cells_B = _constant(_picture_cells_B())
 
     def shapes(self) -> dict[str, tuple[int, ...]]:
@@ -260,10 +245,10 @@ class DangerPolicyGraph(nn.Module):
             "state_motion": (1, 8),
             # Sent and not yet measured; the oldest one is the last that was obeyed.
             "state_waiting": (1, self.delay + 1, 2),
-            "state_sent": (1, COMMANDS, 2),
+            "state_sent": (1, street_map.COMMANDS, 2),
             # The last action, counted from 1.
             "state_last": (1, 1),
-            "state_cells": (1, 6, RASTER * RASTER),
+            "state_cells": (1, 6, street_map.RASTER * street_map.RASTER),
             # Smoothed danger of the user's own stick, and whether it warns.
             "state_alarm": (1, 2),
             # See `policy._next_recent`.
@@ -291,8 +276,11 @@ class DangerPolicyGraph(nn.Module):
         codes = self._read_cells(motion, cells)
         # 2. Roll every action out from where the next command reaches the chair.
         places, start = self._start(motion, waiting)
-        holds = [step * STEP_S < HOLD_S - 1e-9 for step in range(SLICES * EACH_SLICE)]
-        rolled = self.drive.roll_out(places, start, self.commands, holds, STEP_S)
+        holds = [
+            step * street_map.STEP_S < street_map.HOLD_S - 1e-9
+            for step in range(street_map.SLICES * street_map.EACH_SLICE)
+        ]
+        rolled = self.drive.roll_out(places, start, self.commands, holds, street_map.STEP_S)
         # 3. Dangers, and the action that the rule chooses.
         vector = self._vector(imu, motion, sent)
         danger = torch.sigmoid(self.net(codes[None] / 255.0, vector, self._sweep(rolled)))
@@ -346,19 +334,21 @@ class DangerPolicyGraph(nn.Module):
         place = self.eye + metres[:, None] * self.rays
         classes = self._sampled(seg)
         kind, may_move = self.kinds[classes], self.movers[classes]
-        used = (metres > 0.0) & (metres < self.far_m) & (place[:, 2] <= HEAD_M)
-        used = used & (place[:, :2].abs().amax(dim=1) <= REACH_M)
+        used = (metres > 0.0) & (metres < self.far_m) & (place[:, 2] <= street_map.HEAD_M)
+        used = used & (place[:, :2].abs().amax(dim=1) <= street_map.REACH_M)
         ix, iy = _cells_in_O(motion, place[:, 0], place[:, 1])
         # What is not used goes into one more cell, which is dropped.
-        slots_and_rest = RASTER * RASTER + 1
-        slot = torch.where(used, _wrapped(ix, iy, RASTER), torch.full_like(ix, RASTER * RASTER)).to(
-            torch.int64
-        )
+        slots_and_rest = street_map.RASTER * street_map.RASTER + 1
+        slot = torch.where(
+            used,
+            _wrapped(ix, iy, street_map.RASTER),
+            torch.full_like(ix, street_map.RASTER * street_map.RASTER),
+        ).to(torch.int64)
         # 2. The most of each number in each cell.
         order = torch.arange(len(kind), dtype=kind.dtype, device=kind.device)
         # The last pixel of a cell that has a kind decides, as in a loop.
         kinds = torch.where(kind > 0, 8.0 * order + kind, torch.zeros_like(kind))
-        moving = may_move * (place[:, 2] > MOVER_M).to(kind.dtype)
+        moving = may_move * (place[:, 2] > street_map.MOVER_M).to(kind.dtype)
         numbers = torch.stack(
             [_wrapped(ix, iy, _KEY_SIDE), moving, kinds, place[:, 2], -place[:, 2]]
         )
@@ -387,12 +377,12 @@ class DangerPolicyGraph(nn.Module):
     def _read_cells(self, motion: Tensor, cells: Tensor) -> Tensor:
         """Repeats `street_map._read`: (PLANES, SIDE, SIDE) in 0..255."""
         ix, iy = _cells_in_O(motion, self.cells_B[:, 0], self.cells_B[:, 1])
-        found = cells[0].index_select(1, _wrapped(ix, iy, RASTER).to(torch.int64))
+        found = cells[0].index_select(1, _wrapped(ix, iy, street_map.RASTER).to(torch.int64))
         known = (found[_TICK] > 0.0) & (found[_KEY] == _wrapped(ix, iy, _KEY_SIDE))
         tick = motion[0, 1]
         age, trail = tick - found[_TICK], tick - found[_MOVER]
-        fresh = (known & (age <= KEEP_TICKS)).to(ix.dtype)
-        moved = (known & (found[_MOVER] > 0.0) & (trail <= TRAIL_TICKS)).to(ix.dtype)
+        fresh = (known & (age <= street_map.KEEP_TICKS)).to(ix.dtype)
+        moved = (known & (found[_MOVER] > 0.0) & (trail <= street_map.TRAIL_TICKS)).to(ix.dtype)
         planes = torch.stack(
             [
                 fresh * _height_code(found[_HIGH]),
@@ -402,7 +392,7 @@ class DangerPolicyGraph(nn.Module):
                 fresh * 60.0 * found[_CLASS],
             ]
         )
-        return planes.reshape(PLANES, SIDE, SIDE)
+        return planes.reshape(street_map.PLANES, street_map.SIDE, street_map.SIDE)
 
     def _start(self, motion: Tensor, waiting: Tensor) -> tuple[Places, Motion]:
         """Repeats `StreetSense.start`: (1,) each, when the next command reaches the chair."""
@@ -414,10 +404,17 @@ class DangerPolicyGraph(nn.Module):
 
     def _vector(self, imu: Tensor, motion: Tensor, sent: Tensor) -> Tensor:
         """Repeats the vector of `FeatureExtractor.extract`."""
-        scaled = motion[:, _MOTION] / motion.new_tensor(FULL_MOTION)
+        scaled = motion[:, _MOTION] / motion.new_tensor(street_map.FULL_MOTION)
         later_s = motion.new_full((1, 1), self.delay * self.tick_s)
         vector = torch.cat(
-            [10.0 * imu[:, TILT], imu[:, TURNS], scaled, later_s, sent.reshape(1, -1)], 1
+            [
+                10.0 * imu[:, street_map.TILT],
+                imu[:, street_map.TURNS],
+                scaled,
+                later_s,
+                sent.reshape(1, -1),
+            ],
+            1,
         )
         return vector.clamp(-2.0, 2.0)
 
@@ -427,9 +424,13 @@ class DangerPolicyGraph(nn.Module):
         cos, sin = torch.cos(yaw), torch.sin(yaw)
         x = x + cos * self.chair[:, 0] - sin * self.chair[:, 1]
         y = y + sin * self.chair[:, 0] + cos * self.chair[:, 1]
-        row = (SIDE - 1 - torch.floor((x + BEHIND_M) / CELL_M)).clamp(0, SIDE - 1)
-        column = torch.floor((HALF_M - y) / CELL_M).clamp(0, SIDE - 1)
-        found = self.plane + row * SIDE + column
+        row = (
+            street_map.SIDE - 1 - torch.floor((x + street_map.BEHIND_M) / street_map.CELL_M)
+        ).clamp(0, street_map.SIDE - 1)
+        column = torch.floor((street_map.HALF_M - y) / street_map.CELL_M).clamp(
+            0, street_map.SIDE - 1
+        )
+        found = self.plane + row * street_map.SIDE + column
         return found.transpose(0, 1).reshape(1, len(self.commands), -1).to(torch.int64)
 
     def _next_alarm(self, danger: Tensor, joystick: Tensor, alarm: Tensor) -> Tensor:
@@ -545,7 +546,7 @@ def _cells_in_O(motion: Tensor, x_B_m: Tensor, y_B_m: Tensor) -> tuple[Tensor, T
     cos, sin = torch.cos(motion[0, 4]), torch.sin(motion[0, 4])
     x = motion[0, 2] + cos * x_B_m - sin * y_B_m
     y = motion[0, 3] + sin * x_B_m + cos * y_B_m
-    return torch.floor(x / CELL_M), torch.floor(y / CELL_M)
+    return torch.floor(x / street_map.CELL_M), torch.floor(y / street_map.CELL_M)
 
 
 def _wrapped(ix: Tensor, iy: Tensor, side: float) -> Tensor:
@@ -555,12 +556,16 @@ def _wrapped(ix: Tensor, iy: Tensor, side: float) -> Tensor:
 
 def _height_code(height_m: Tensor) -> Tensor:
     """Repeats `street_map._height_code`."""
-    return 1.0 + torch.floor(254.0 * ((height_m - LOW_M) / SPAN_M).clamp(0.0, 1.0))
+    return 1.0 + torch.floor(
+        254.0 * ((height_m - street_map.LOW_M) / street_map.SPAN_M).clamp(0.0, 1.0)
+    )
 
 
 def _picture_cells_B() -> np.ndarray:
     """(SIDE * SIDE, 2) middles of the picture's cells in B, in the order of `street_map._read`."""
-    rows, columns = np.meshgrid(np.arange(SIDE), np.arange(SIDE), indexing="ij")
-    x = (SIDE - rows - 0.5) * CELL_M - BEHIND_M
-    y = HALF_M - (columns + 0.5) * CELL_M
+    rows, columns = np.meshgrid(
+        np.arange(street_map.SIDE), np.arange(street_map.SIDE), indexing="ij"
+    )
+    x = (street_map.SIDE - rows - 0.5) * street_map.CELL_M - street_map.BEHIND_M
+    y = street_map.HALF_M - (columns + 0.5) * street_map.CELL_M
     return np.stack([x.reshape(-1), y.reshape(-1)], 1)

@@ -20,7 +20,7 @@ class PhaseSchedule:
     """When the phases change and how exploration and supervision fade; pure functions of the step.
 
     >>> steps = {"total_steps": 100, "phase1_steps": 20}
-    >>> plan = PhasePlan(LearnConfig(**steps, epsilon_start=0.2, epsilon_end=0.0))
+    >>> plan = PhaseSchedule(LearnConfig(**steps, epsilon_start=0.2, epsilon_end=0.0))
     >>> [plan.phase(step).value for step in (0, 19, 20)], plan.epsilon(19), plan.epsilon(60)
     ([1, 1, 2], 0.0, 0.1)
     >>> plan.margin_weight(30)

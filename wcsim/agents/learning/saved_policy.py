@@ -144,10 +144,10 @@ class _NetPolicy:
     Of a longer window than its own it sees the newest images. One that carries a state does so from
     `act` to `act`, and begins anew with each episode.
 
-    It warns by the value of the user's own stick, see `next_alarm_state`. A step of not following costs
-    at most base reward and joystick penalty (3; a crash costs 100). A stick that is worth less than
-    the best action by more than three such steps, in unscaled reward, leads to something worse: the
-    network expects a crash or a jolt.
+    It warns by the value of the user's own stick, see `next_alarm_state`. A step of not following
+    costs at most base reward and joystick penalty (3; a crash costs 100). A stick that is worth
+    less than the best action by more than three such steps, in unscaled reward, leads to something
+    worse: the network expects a crash or a jolt.
     """
 
     def __init__(self, net: QNet, name: str, file: QPolicyFile) -> None:

@@ -338,8 +338,8 @@ class _Session(SeqDqnCallback):
             )
         return DiskFullError(
             f"stopped after {done}; the policy so far is saved, but the last checkpoint could not "
-            f"be written ({self._unsaved}): {format_resume_command(path)} continues from the one before "
-            "it, or starts again if there is none; free some disk space"
+            f"be written ({self._unsaved}): {format_resume_command(path)} continues from the one "
+            "before it, or starts again if there is none; free some disk space"
         )
 
     def _save_end(self, status: Literal["done", "interrupted"]) -> None:

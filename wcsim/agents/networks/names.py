@@ -20,7 +20,7 @@ _MOST_CHARACTERS: Final = 56  # of a client's name, so that a number fits behind
 def client_name_from_network(network: str) -> str:
     """The name of a client with this network, unless its user gives one: a plain word.
 
-    >>> client_name("own_file:OwnNet"), client_name("fig6")
+    >>> client_name_from_network("own_file:OwnNet"), client_name_from_network("fig6")
     ('OwnNet', 'fig6')
     """
     return re.sub(r"[^A-Za-z0-9_-]", "_", network.rpartition(":")[2])[:_MOST_CHARACTERS]

@@ -51,7 +51,7 @@ def list_shipped_suites() -> tuple[str, ...]:
     return tuple(sorted(path.stem for path in _SHIPPED.glob("*.json")))
 
 
-def read_suite(name_or_path: str) -> HashedSuite:
+def open_suite(name_or_path: str) -> HashedSuite:
     """A set that comes with wcsim, or a list at a path.
 
     Raises:
@@ -75,7 +75,7 @@ def suite_from_file(file: SuiteFile) -> HashedSuite:
     return HashedSuite(file=file, sha256=hashlib.sha256(text.encode()).hexdigest())
 
 
-def write_suite_file(file: SuiteFile, path: Path) -> None:
+def write_list(file: SuiteFile, path: Path) -> None:
     """Write a list, an episode a line, so that a change shows in a diff. Raises OSError."""
     head = file.model_dump(mode="json", exclude={"blocks"})
     lines = [json.dumps(head)[:-1] + ', "blocks": [']

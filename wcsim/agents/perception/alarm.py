@@ -32,9 +32,9 @@ def next_alarm_state(before: AlarmState, danger: float, warn: float) -> AlarmSta
         danger: Of the user's own stick, if it is held, in 0..1.
         warn: Smoothed danger above which the user is warned.
 
-    >>> alarm, warned = Alarm(), []
+    >>> alarm, warned = AlarmState(), []
     >>> for danger in (0.9, 0.0, 0.9, 0.9, 0.4, 0.3, 0.1):
-    ...     alarm = next_alarm(alarm, danger, warn=0.5)
+    ...     alarm = next_alarm_state(alarm, danger, warn=0.5)
     ...     warned.append(alarm.on)
     >>> warned
     [False, False, True, True, True, True, False]

@@ -151,7 +151,8 @@ def time_to_contact_s(
     """Seconds from now until a held command (2,) brings the chair within `margin_m` of an obstacle.
 
     It is infinite beyond `within_s`. An obstacle that is so near already, or under the chair in
-    memory, counts only when the chair gets nearer still. For the arguments see `find_collision_free_commands`.
+    memory, counts only when the chair gets nearer still. For the arguments see
+    `find_collision_free_commands`.
     """
     now = start.copy()
     bounds_m = _distance_bounds(points, np.full(len(points), margin_m), box)

@@ -43,7 +43,10 @@ def viewing_rays(camera: CameraConfig) -> F64:
 def is_camera_mirror_symmetric(camera: CameraConfig) -> bool:
     """Whether its mirrored picture is that of the mirrored street: it looks ahead from the middle.
 
-    >>> is_mirror_symmetric(CameraConfig()), is_mirror_symmetric(CameraConfig(yaw_deg=20.0))
+    >>> (
+    ...     is_camera_mirror_symmetric(CameraConfig()),
+    ...     is_camera_mirror_symmetric(CameraConfig(yaw_deg=20.0)),
+    ... )
     (True, False)
     """
     return camera.p_BC_m[1] == 0.0 and camera.yaw_deg == 0.0 and camera.roll_deg == 0.0

@@ -227,7 +227,8 @@ class StreetMemoryGrid:
         Args:
             points_B_m: (n, 2) middles of what is in the way.
             brief: (n,) which of them can walk off.
-            low_m: (ROWS, COLUMNS) the raster of `StepObstacleDetector`, finite where something was measured.
+            low_m: (ROWS, COLUMNS) the raster of `StepObstacleDetector`, finite where something was
+                measured.
             pose_O: (3,) of the chair.
             way_m: Driven so far.
             ahead: Whether it drives ahead now.

@@ -212,7 +212,8 @@ class StreetPerception:
 def sampling_stride_px(camera: CameraConfig) -> int:
     """The step from one sampled pixel to the next, in rows and columns: more in a larger picture.
 
-    >>> [stride_px(CameraConfig(width_px=width, height_px=60)) for width in (80, 160, 320, 640)]
+    >>> cameras = [CameraConfig(width_px=width, height_px=60) for width in (80, 160, 320, 640)]
+    >>> [sampling_stride_px(camera) for camera in cameras]
     [1, 1, 2, 4]
     """
     return max(1, round(camera.width_px / 160))

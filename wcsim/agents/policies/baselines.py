@@ -193,8 +193,8 @@ class _StopBeforeObstacles(_Memoryless):
     """Follows, but without throttle while something is in the way within the stopping distance.
 
     It may still turn on the spot, so a user who steers past the obstacle can go on. The camera
-    looks forward: backwards it follows blindly. It warns, by `next_alarm_state`, a second before it would
-    stop.
+    looks forward: backwards it follows blindly. It warns, by `next_alarm_state`, a second before it
+    would stop.
     """
 
     actions: ActionSet

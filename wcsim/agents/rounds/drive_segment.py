@@ -148,7 +148,7 @@ def _is_of_scenes(config: RunConfig, key: DrivingSegmentKey) -> bool:
     """Whether a segment is driven in generated scenes; the share of all that are is kept from the first one on.
 
     >>> config = resolve(RunConfig(), ("collect.scene_share=0.3",))
-    >>> [_is_of_scenes(config, SegmentKey(run=0, round=0, index=k)) for k in range(10)].count(True)
+    >>> [_is_of_scenes(config, DrivingSegmentKey(run=0, round=0, index=k)) for k in range(10)].count(True)
     3
     """
     number = _number(config, key)
@@ -161,7 +161,7 @@ def _town_in_turn(config: RunConfig, key: DrivingSegmentKey, towns: int) -> int:
     The first one is drawn for each run, so that many short ones leave no town out.
 
     >>> config = resolve(RunConfig(), ("collect.scene_share=0.5", "collect.segments=3"))
-    >>> keys = [SegmentKey(run=0, round=n, index=k) for n in range(2) for k in range(3)]
+    >>> keys = [DrivingSegmentKey(run=0, round=n, index=k) for n in range(2) for k in range(3)]
     >>> sorted(_town_in_turn(config, key, 3) for key in keys if not _is_of_scenes(config, key))
     [0, 1, 2]
     """

@@ -62,7 +62,8 @@ class _Shared:
 def format_checkpoint_name(counted: str, number: int) -> str:
     """The name of a step's or round's checkpoint; names do not sort as their numbers do.
 
-    >>> tag("step", 5000), tag("step", 100_000_000), tag("round", 7)
+    >>> kinds = (("step", 5000), ("step", 100_000_000), ("round", 7))
+    >>> tuple(format_checkpoint_name(*kind) for kind in kinds)
     ('step-00005000', 'step-100000000', 'round-007')
     """
     return f"{counted}-{number:0{_WIDTH[counted]}d}"
@@ -101,7 +102,8 @@ def write_checkpoint(
         folder: The folder of a run's checkpoints.
         name: See `format_checkpoint_name`.
         state: Plain values.
-        arrays: By the name of their file; see `find_newest_checkpoint_arrays` for those that are saved already.
+        arrays: By the name of their file; see `find_newest_checkpoint_arrays` for those that are
+            saved already.
         alive: Called now and then while it is being written.
 
     Returns:

@@ -88,7 +88,7 @@ class DrivingSegmentKey:
     def name(self) -> str:
         """Its name in files and messages.
 
-        >>> SegmentKey(run=3, round=0, index=12).name
+        >>> DrivingSegmentKey(run=3, round=0, index=12).name
         '3-000-0012'
         """
         return f"{self.run}-{self.round:03d}-{self.index:04d}"
@@ -106,7 +106,8 @@ class DrivingSegment:
     wish: F32  # (N, 2) the stick that was answered: the user's, maybe with a random offset
     action: U8  # (N,) executed
     driver: U8  # (N,) see DRIVERS
-    # (N, A) see `crash_times_to_codes`, of the oracle that knows what the cameras showed; (N, 0) without one
+    # (N, A) see `crash_times_to_codes`, of the oracle that knows what the cameras showed; (N, 0)
+    # without one
     visible: U8
     truth: U8  # (N, A) or (N, 0), the same of the oracle that knows all
     reward: F32  # (N,) of the step
@@ -138,7 +139,7 @@ def join_segments(segments: list[DrivingSegment]) -> DrivingSegment:
 def crash_times_to_codes(first_s: F64) -> U8:
     """Seconds until a crash (A,), infinity for none, as codes of 0.05 s; 255 is safe.
 
-    >>> codes_of(np.array([0.0, 0.26, np.inf, 40.0])).tolist()
+    >>> crash_times_to_codes(np.array([0.0, 0.26, np.inf, 40.0])).tolist()
     [0, 5, 255, 254]
     """
     steps = np.where(
@@ -176,8 +177,8 @@ def segment_path(folder: Path, name: str) -> Path:
 def segment_key_from_name(name: str) -> DrivingSegmentKey:
     """The key of a segment's file. Raises PolicyError for any other name.
 
-    >>> key_of("3-010-0007.npz.zst")
-    SegmentKey(run=3, round=10, index=7)
+    >>> segment_key_from_name("3-010-0007.npz.zst")
+    DrivingSegmentKey(run=3, round=10, index=7)
     """
     found = _NAME.fullmatch(name)
     if found is None:
@@ -189,9 +190,9 @@ def segment_key_from_name(name: str) -> DrivingSegmentKey:
 
 
 def sort_segment_names(segments: Iterable[str]) -> list[str]:
-    """Names of segments in the order of learning, round by round. Raises as `segment_key_from_name`.
+    """Names of segments in the order of learning. Raises as `segment_key_from_name`.
 
-    >>> in_order(["3-1000-0000.npz.zst", "3-999-0001.npz.zst", "3-999-0000.npz.zst"])
+    >>> sort_segment_names(["3-1000-0000.npz.zst", "3-999-0001.npz.zst", "3-999-0000.npz.zst"])
     ['3-999-0000.npz.zst', '3-999-0001.npz.zst', '3-1000-0000.npz.zst']
     """
     return sorted(segments, key=lambda name: (segment_key_from_name(name).round, name))

@@ -1,6 +1,7 @@
 """Names of policies (`dwa@0.5`, `runs/a:phase1`, `veto:shipped@0.2`, `tcp:5000`); their folders.
 
-`parse_policy_name` reads such a name in one place. Nothing of the policy is loaded here, nor is torch.
+`parse_policy_name` reads such a name in one place. Nothing of the policy is loaded here, nor is
+torch.
 """
 
 from __future__ import annotations
@@ -155,9 +156,9 @@ class _PolicyName:
 def parse_policy_name(text: str) -> _PolicyName:
     """The parts of a policy's name; whether there is such a policy is not asked.
 
-    >>> policy_name("veto:dwa@0.5").kind, policy_name("runs/a:phase1@0.2").stage
+    >>> parse_policy_name("veto:dwa@0.5").kind, parse_policy_name("runs/a:phase1@0.2").stage
     ('baseline', 'phase1')
-    >>> policy_name("mine:Policy").kind
+    >>> parse_policy_name("mine:Policy").kind
     'class'
 
     Raises:

@@ -178,7 +178,7 @@ def make_run_manifest(
 def format_resume_command(path: Path) -> str:
     """The command that resumes a run, as it can be typed.
 
-    >>> how_to_resume(Path("runs/a b"))
+    >>> format_resume_command(Path("runs/a b"))
     "wcsim resume 'runs/a b'"
     """
     return shlex.join(["wcsim", "resume", str(path)])

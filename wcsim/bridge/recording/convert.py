@@ -23,7 +23,7 @@ from wcsim.bridge.world import World
 from wcsim.core import frames
 from wcsim.core.reading import escaped
 from wcsim.errors import ConfigError, ReplayMismatchError, WcsimError
-from wcsim.log.drive import read_drive_recording
+from wcsim.log.drive import read_drive
 from wcsim.log.reader import read_header, read_trace_states
 from wcsim.log.records import Header, Input, Ticked, WorldState, changed, world_state_from_snapshot
 from wcsim.types import F64, ActorKind, ClientSnapshot, Drawn
@@ -151,7 +151,7 @@ def convert_to_mcap(log: Path, out: Path, epoch: int = 0, hook: str = "") -> dic
     if header.kind == "drive":
         if epoch:
             raise ConfigError(f"{escaped(log)}: has no epoch {epoch}; a drive has epoch 0 alone: leave --epoch out")
-        return drive_bag(read_drive_recording(log), out)
+        return drive_bag(read_drive(log), out)
     chosen = [record for record in read_trace_states(log)[1] if record.epoch == epoch and len(record.plants)]
     if not chosen:
         raise ConfigError(f"{escaped(log)}: has no wheelchair in world {epoch}; expected a run with some")

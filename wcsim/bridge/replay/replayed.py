@@ -24,7 +24,7 @@ from wcsim.config import RunConfig, parse_json
 from wcsim.core.constants import RECORDED
 from wcsim.core.reading import escaped
 from wcsim.errors import ConfigError, TownError, WcsimError
-from wcsim.log.drive import DriveRecording, read_drive_recording
+from wcsim.log.drive import DriveRecording, read_drive
 from wcsim.log.reader import iter_journal_inputs, read_header
 from wcsim.log.records import Admitted, DriveTick, Ended, EpochBegun, Header, Input, Note, WorldTick, changed
 from wcsim.towns.cache.folder import cache_folder
@@ -152,7 +152,7 @@ Before = Callable[[World | None, Input], object]
 def log_of(path: Path) -> Log:
     """A file as what can be made again of it. Raises JournalError when it is none, or damaged."""
     if read_header(path).kind == "drive":
-        return read_drive_recording(path)
+        return read_drive(path)
     read_header(path, "journal")
     return path
 

@@ -1,7 +1,7 @@
 """Policies judged on a list of episodes: `wcsim test --suite`, and lists: `--make-suite`.
 
-`run_suite_and_report`, `run_suite_and_save`, `make_suite_order` and `save_test_result` also serve `wcsim test --town`, `demo` and
-`train-clients`.
+`run_suite_and_report`, `run_suite_and_save`, `make_suite_order` and `save_test_result` also serve
+`wcsim test --town`, `demo` and `train-clients`.
 """
 
 from __future__ import annotations
@@ -20,25 +20,7 @@ from tyro.conf import Positional, arg
 from wcsim.agents.opening.named_policy import config_from_policy_name
 from wcsim.agents.policy_api import BASELINES, UNAIDED, UPPER_BOUNDS
 from wcsim.cli.evaluation.result_tables import print_disturbance_sensitivity, print_test_result
-from wcsim.cli.shared.common import (
-    AllowedSettingKeys,
-    Bounds,
-    Cluster,
-    Flag,
-    Jobs,
-    OptionConstraint,
-    OutFile,
-    OutFolder,
-    Repeated,
-    WritableFile,
-    has_option,
-    json_text,
-    machines_from_options,
-    parse_options,
-    require_writable_folder,
-    stage_result_file,
-    write_json,
-)
+from wcsim.cli.shared import common
 from wcsim.cli.shared.consoles import (
     StageBar,
     print_note,
@@ -88,17 +70,17 @@ class _DriveOptions:
 
     policies: Annotated[tuple[str, ...], Positional, arg(metavar="[POLICY ...]")] = ()
     """Runs (RUN, RUN:phase1), policy folders, module:Class, or baselines. All baselines are added unless --only."""  # noqa: E501
-    jobs: Jobs = 1
+    jobs: common.Jobs = 1
     """Parallel processes; the result is the same for any number."""
-    cluster: Cluster = ""
+    cluster: common.Cluster = ""
     """HOST:PORT of a Ray cluster whose nodes drive, or `local`; the result is the same (docs/cluster.md)."""  # noqa: E501
-    out: OutFolder = None
+    out: common.OutFolder = None
     """Folder for the result and for finished blocks. (default: runs/suite-SET; none with --town)"""
     resume: bool = False
     """Continue in a folder that holds finished blocks of this test."""
     preset: str = "quick"
     """Settings of policies that have none. Its rules for street, chair and crashes apply to all policies."""  # noqa: E501
-    set: Repeated = ()
+    set: common.Repeated = ()
     """section.key=value, over the settings of the list; the result names it."""
     network: str = ""
     """Your own network as module:Class, for runs that were trained with it."""
@@ -108,12 +90,12 @@ class _DriveOptions:
 class SuiteTestOptions(_DriveOptions):
     """Who is judged on a list, and how."""
 
-    only: Flag = False
+    only: common.Flag = False
     """Drive only these policies and the user alone, no other baselines."""
-    forks: Annotated[int | None, Bounds(0, 1_000_000)] = None
+    forks: Annotated[int | None, common.Bounds(0, 1_000_000)] = None
     """Episodes whose interventions are judged: the user drives on alone in a copy.
     (default: as in the list; 0 with --town)"""
-    json: OutFile = None
+    json: common.OutFile = None
     """Also write the result to this file."""
 
 
@@ -121,7 +103,7 @@ class SuiteTestOptions(_DriveOptions):
 class _OfSuite(_DriveOptions):
     """A fixed list."""
 
-    set: Annotated[Repeated, AllowedSettingKeys(_LISTED)] = ()
+    set: Annotated[common.Repeated, common.AllowedSettingKeys(_LISTED)] = ()
     """section.key=value, over the settings of the list; the result names it."""
     suite: str = ""
     """The list: one that comes with wcsim (demo, dev, validation, v1), or a file of --make-suite."""  # noqa: E501
@@ -143,9 +125,9 @@ class _SuiteOptions(_OfSuite, SuiteTestOptions):
 class _SensitivityOptions(_OfSuite):
     """Drive a list with these policies and the user alone without disturbances, and with each alone."""  # noqa: E501
 
-    sensitivity: Flag = False
+    sensitivity: common.Flag = False
     """Which disturbance changes the score?"""
-    json: OutFile = None
+    json: common.OutFile = None
     """Also write the rows to this file."""
 
 
@@ -161,12 +143,12 @@ class _PlayedEpisodeOptions(_OfSuite):
 
 def run_suites(words: list[str]) -> int:
     """Judge policies on a list; tables for each part and for all."""
-    if has_option(words, "--play"):
-        play = parse_options(_PlayedEpisodeOptions, words, "test")
+    if common.has_option(words, "--play"):
+        play = common.parse_options(_PlayedEpisodeOptions, words, "test")
         return _play_episode(_suite_order(play, clean=play.clean), play.policies, play.play)
-    if has_option(words, "--sensitivity"):
-        return _compare_disturbances(parse_options(_SensitivityOptions, words, "test"))
-    options = parse_options(_SuiteOptions, words, "test")
+    if common.has_option(words, "--sensitivity"):
+        return _compare_disturbances(common.parse_options(_SensitivityOptions, words, "test"))
+    options = common.parse_options(_SuiteOptions, words, "test")
     return run_suite_and_report(
         _suite_order(options, options.forks, clean=options.clean), options, options.suite
     )
@@ -188,7 +170,7 @@ def run_suite_and_report(order: SuiteOrder, options: SuiteTestOptions, name: str
         line for policy, found in result.episodes.items() for line in undriven(policy, found)
     ]
     print_test_result(stdout_console(), result, without, verdict(result))
-    write_json(options.json, result.to_json())
+    common.write_json(options.json, result.to_json())
     return _exit_of(result.pooled)
 
 
@@ -231,7 +213,7 @@ def make_suite_order(
             )
             print_note(", ".join(f"{worker} {what}" for worker, what in busy))
 
-    machines = machines_from_options(options.cluster, options.jobs, "--jobs")
+    machines = common.machines_from_options(options.cluster, options.jobs, "--jobs")
     return SuiteOrder(
         suite=suite,
         out=out,
@@ -280,21 +262,21 @@ def save_test_result(
     # All files are written before one is replaced: a full disk leaves an earlier test as it was.
     with ExitStack() as opened:
         for file, content in contents.items():
-            part = opened.enter_context(stage_result_file(order.out / file))
+            part = opened.enter_context(common.stage_result_file(order.out / file))
             # Of many records half of the file would be blanks.
             indent = None if file == EPISODES else 2
-            part.write_text(json_text(order.out / file, content, indent), encoding="utf-8")
+            part.write_text(common.json_text(order.out / file, content, indent), encoding="utf-8")
     return result
 
 
 def _suite_order(options: _OfSuite, forks: int | None = None, *, clean: bool = False) -> SuiteOrder:
     """How a fixed list is driven."""
     from wcsim.agents.evaluation.suite.sensitivity import CLEAN
-    from wcsim.agents.opening.list_file import read_suite
+    from wcsim.agents.opening.list_file import open_suite
 
-    suite = read_suite(options.suite)
+    suite = open_suite(options.suite)
     out = options.out or Path("runs") / f"suite-{suite.file.set}"
-    require_writable_folder("--out", out / "x")
+    common.require_writable_folder("--out", out / "x")
     order = make_suite_order(options, suite, out, forks)
     return replace(order, settings=(*CLEAN, *order.settings)) if clean else order
 
@@ -351,9 +333,9 @@ def _compare_disturbances(options: _SensitivityOptions) -> int:
     with _resumable(order, options):
         moved = sensitivity(order, policies, print_note)
     rows = [each.to_json() for each in moved]
-    write_json(order.out / "sensitivity.json", rows)
+    common.write_json(order.out / "sensitivity.json", rows)
     print_disturbance_sensitivity(stdout_console(), f"{file.suite} {file.set}", moved)
-    write_json(options.json, {"suite": file.suite, "set": file.set, "rows": rows})
+    common.write_json(options.json, {"suite": file.suite, "set": file.set, "rows": rows})
     return _exit_of([each.row for each in moved])
 
 
@@ -451,7 +433,7 @@ def _place_of_play(text: str, blocks: int) -> tuple[int, int]:
 
 
 @dataclass(frozen=True, slots=True)
-class _Named(OptionConstraint):
+class _Named(common.OptionConstraint):
     """A name that a list can have, of so many characters at most."""
 
     most: int
@@ -475,25 +457,25 @@ class _SuiteMakeOptions:
     make_suite: str
     """A town's name, its folder, or a .sumocfg file; several are separated by commas.
     made:SEED is a generated town (`wcsim town make`)."""
-    suite_file: Annotated[Path, arg(metavar="FILE"), WritableFile()] = Path("suite.json")
+    suite_file: Annotated[Path, arg(metavar="FILE"), common.WritableFile()] = Path("suite.json")
     """The list to write. Its set is named after the file: lower-case letters, digits and - only."""
     name: Annotated[str, _Named(MOST_NAME)] = "own-suite-v1"
     """Name of the list, with its version."""
-    free: Annotated[int, Bounds(1, 10_000)] = 8
+    free: Annotated[int, common.Bounds(1, 10_000)] = 8
     """Blocks of free routes for each town, six routes each."""
-    attempts: Annotated[int, Bounds(1, 10_000)] = 40
+    attempts: Annotated[int, common.Bounds(1, 10_000)] = 40
     """Attempts at crossings for each town."""
-    hazards: Annotated[int, Bounds(0, 10_000)] = 30
+    hazards: Annotated[int, common.Bounds(0, 10_000)] = 30
     """Largest number of starts, for each town, from which the user alone crashes."""
-    more_ways: Annotated[int, Bounds(0, 10_000)] = 0
+    more_ways: Annotated[int, common.Bounds(0, 10_000)] = 0
     """Further blocks of free routes for each town, only searched for such starts."""
-    tight: Annotated[int, Bounds(0, 10_000)] = 5
+    tight: Annotated[int, common.Bounds(0, 10_000)] = 5
     """Generated scenes of each family of tight places."""
-    tight_from: Annotated[int, Bounds(0, 1_000_000)] = 0
+    tight_from: Annotated[int, common.Bounds(0, 1_000_000)] = 0
     """Their first seed."""
-    forks: Annotated[int, Bounds(0, 1_000_000)] = 1_000_000
+    forks: Annotated[int, common.Bounds(0, 1_000_000)] = 1_000_000
     """Episodes of the list whose interventions are judged, evenly spread."""
-    jobs: Jobs = 1
+    jobs: common.Jobs = 1
     """Parallel processes."""
     seed: int = 0
     """Seed of the list."""
@@ -501,12 +483,12 @@ class _SuiteMakeOptions:
 
 def run_make_suite_command(words: list[str]) -> int:
     """Make a list and write it."""
-    options = parse_options(_SuiteMakeOptions, words, "test")
+    options = common.parse_options(_SuiteMakeOptions, words, "test")
     _Named(MOST_SET).check("--suite-file", options.suite_file.stem)
 
     from wcsim.agents.evaluation.suite.make import MakeOrder, make_suite
     from wcsim.agents.evaluation.suite.result_files import TOWNS
-    from wcsim.agents.opening.list_file import parse_suite_towns, suite_from_file, write_suite_file
+    from wcsim.agents.opening.list_file import parse_suite_towns, suite_from_file, write_list
 
     with temporary_folder() as work:
         order = MakeOrder(
@@ -530,7 +512,7 @@ def run_make_suite_command(words: list[str]) -> int:
                 bar.print_line(text)
 
             file = make_suite(order, towns, show)
-    write_suite_file(file, options.suite_file)
+    write_list(file, options.suite_file)
     suite = suite_from_file(file)
     size = f"{counted(suite.episodes, 'episode')} in {counted(len(file.blocks), 'block')}"
     stdout_console().print(f"{options.suite_file}: {size}, {suite.sha256[:12]}")

@@ -122,7 +122,7 @@ def _town_order(options: Options) -> Iterator[tuple[SuiteOrder, str]]:
     # These load the simulators and torch, which a refusal must not.
     from wcsim.agents.evaluation.suite.make import town_list
     from wcsim.agents.evaluation.suite.result_files import LIST
-    from wcsim.agents.opening.list_file import suite_from_file, write_suite_file
+    from wcsim.agents.opening.list_file import suite_from_file, write_list
 
     for town in towns.values():
         overrides = list_sumo_overrides(town, config, options.seed)
@@ -141,7 +141,7 @@ def _town_order(options: Options) -> Iterator[tuple[SuiteOrder, str]]:
         # The list holds the settings already.
         order = make_suite_order(options, suite, out, options.forks)
         yield replace(order, settings=(), hook=options.hook), str(out / LIST)
-        write_suite_file(suite.file, out / LIST)
+        write_list(suite.file, out / LIST)
 
 
 def _checked_places(options: Options) -> tuple[dict[str, Town], tuple[str, ...]]:

@@ -191,9 +191,9 @@ def _fit_drives(options: _FitOptions, base: UserProfile) -> UserFit:
         return fit_user_to_sticks(
             {escaped(path): read_recorded_sticks(path) for path in options.drives}, base
         )
-    from wcsim.log.drive import read_drive_recording
+    from wcsim.log.drive import read_drive
 
-    drives = [read_drive_recording(path) for path in options.drives]
+    drives = [read_drive(path) for path in options.drives]
     # Kernels are loaded after what may be refused.
     from wcsim.users.recordings.fit_user import fit_user_to_drives
 

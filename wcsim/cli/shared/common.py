@@ -291,7 +291,7 @@ def run_subcommand(words: list[str], command: str, parts: Parts) -> int:
 def split_comma_list(text: str) -> tuple[str, ...]:
     """The items of a comma-separated option; empty ones are left out.
 
-    >>> words_of("monaco, manhattan")
+    >>> split_comma_list("monaco, manhattan")
     ('monaco', 'manhattan')
     """
     return tuple(word.strip() for word in text.split(",") if word.strip())
@@ -330,7 +330,8 @@ def machines_from_options(cluster: str, workers: int | None, option: str) -> Wor
 
     Args:
         cluster: The address as typed; "" for this machine.
-        workers: Number of workers; None for that of `resolve_worker_count`, or of a cluster's nodes.
+        workers: Number of workers; None for that of `resolve_worker_count`, or of a cluster's
+            nodes.
         option: Name of the option that sets the workers.
 
     Raises:
@@ -366,8 +367,8 @@ def require_writable_folder(option: str, folder: Path) -> None:
     """Raise ConfigError for a folder that can be neither made nor written to."""
     if not is_writable_folder(folder):
         raise ConfigError(
-            f"{option}: {escaped(find_existing_ancestor(folder))} is not a folder that can be written "
-            f"to; choose another with {option}"
+            f"{option}: {escaped(find_existing_ancestor(folder))} is not a folder that can be "
+            f"written to; choose another with {option}"
         )
 
 

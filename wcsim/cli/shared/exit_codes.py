@@ -4,29 +4,18 @@ from __future__ import annotations
 
 from enum import IntEnum
 
-from wcsim.errors import (
-    DiskFullError,
-    EvictedError,
-    InterruptedRunError,
-    LinkClosedError,
-    LinkTimeoutError,
-    PhysicsError,
-    StaleSessionError,
-    UnwritableError,
-    WcsimError,
-    WorkersError,
-)
+from wcsim import errors
 
 _ON_THE_WAY = (
     *(
-        DiskFullError,
-        LinkClosedError,
-        LinkTimeoutError,
-        EvictedError,
-        StaleSessionError,
-        PhysicsError,
+        errors.DiskFullError,
+        errors.LinkClosedError,
+        errors.LinkTimeoutError,
+        errors.EvictedError,
+        errors.StaleSessionError,
+        errors.PhysicsError,
     ),
-    WorkersError,
+    errors.WorkersError,
 )
 
 
@@ -46,9 +35,9 @@ class NothingSavedInterrupt(KeyboardInterrupt):
     """Raised when a command was stopped before there was anything to keep."""
 
 
-def exit_code_from_error(error: WcsimError) -> Exit:
+def exit_code_from_error(error: errors.WcsimError) -> Exit:
     """How a command ends that met this error."""
-    if isinstance(error, InterruptedRunError):
+    if isinstance(error, errors.InterruptedRunError):
         return Exit.STOPPED
-    failed = isinstance(error, _ON_THE_WAY) and not isinstance(error, UnwritableError)
+    failed = isinstance(error, _ON_THE_WAY) and not isinstance(error, errors.UnwritableError)
     return Exit.FAILED if failed else Exit.REFUSED

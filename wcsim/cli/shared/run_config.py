@@ -198,7 +198,7 @@ def require_known_users(*names: str) -> None:
 def make_test_command(run: Path, network: str, trained_in: Collection[str] = ()) -> str:
     """The command that tests a run, as it can be typed.
 
-    >>> how_to_test(Path("runs/a b"), "own_network:OwnNet", ("helsinki", "monaco"))
+    >>> make_test_command(Path("runs/a b"), "own_network:OwnNet", ("helsinki", "monaco"))
     "wcsim test 'runs/a b' --network own_network:OwnNet --town manhattan"
     """
     named = ["--network", network] if is_custom_network(network) else []

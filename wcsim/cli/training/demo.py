@@ -135,9 +135,9 @@ def _print(text: str, style: str | None = None) -> None:
 
 def _unseen_suite(name: str, town: Town) -> HashedSuite:
     """The list of test drives. Raises TownError when the training town is one of its towns."""
-    from wcsim.agents.opening.list_file import read_suite
+    from wcsim.agents.opening.list_file import open_suite
 
-    suite = read_suite(name)
+    suite = open_suite(name)
     if content_hash(town) in {each.sha256 for each in suite.file.towns}:
         raise TownError(f"{town.name} is a town of the list {name}; expected another --train-town")
     return suite

@@ -97,9 +97,9 @@ def _checked(options: ClientProcessOptions, run: ResolvedGroupRun, by: str) -> H
                 f"--worlds {options.worlds}: --select-by {by} tests nothing; leave --worlds out"
             )
     else:
-        from wcsim.agents.opening.list_file import read_suite
+        from wcsim.agents.opening.list_file import open_suite
 
-        suite = read_suite(by)
+        suite = open_suite(by)
     least = ROW_STEPS if by == KPI1 else 1
     unled = [client.name for client in run.clients if client.config.learn.phase1_steps < least]
     if unled:

@@ -82,7 +82,8 @@ def _train(
     """Train one network with settings that were checked; returns the exit code.
 
     Raises:
-        WcsimError: See `choose_towns_and_folder`, `resolve_training_run` and `train_single_network`.
+        WcsimError: See `choose_towns_and_folder`, `resolve_training_run` and
+            `train_single_network`.
     """
     # 1. Find the towns and choose the run folder. Refusals so far load no PyTorch.
     town, info, out = choose_towns_and_folder(options, info, config)

@@ -1,4 +1,4 @@
-"""A world process: `python -m wcsim.server.host.process ORDER_FILE`, with a `WorldProcessSpec` as JSON.
+"""A world process: `python -m wcsim.server.host.process FILE`, a `WorldProcessSpec` as JSON.
 
 `main` reads the order, opens sockets, world and journal, and runs `_ServerLoop` in its only thread
 until `_StopRequest` has a reason, or an epoch or the parent process has ended. The exit code is
@@ -22,19 +22,9 @@ from typing import Final
 
 import msgspec
 
+from wcsim import errors
 from wcsim.core.closing import ClosingContextBase
 from wcsim.core.processes import die_with_parent
-from wcsim.errors import (
-    AccessError,
-    ConfigError,
-    DiskFullError,
-    HookError,
-    JournalError,
-    OverloadedError,
-    ProtocolError,
-    TownError,
-    WcsimError,
-)
 from wcsim.log.records import Ended
 from wcsim.server.host.opening import (
     EPOCH_OVER,
@@ -78,7 +68,7 @@ _CLOCK_S: Final = 0.1
 _HELD_S: Final = 5.0
 _PARENT_ENDED: Final = signal.SIGUSR1
 _PARENT_ENDED_REASON: Final = "the process that started it is gone"
-_ORDER_FAULTS: Final = (ConfigError, TownError, HookError, JournalError)
+_ORDER_FAULTS: Final = (errors.ConfigError, errors.TownError, errors.HookError, errors.JournalError)
 
 
 def main(words: list[str], make: MakeWorld = make_street_world) -> int:
@@ -89,9 +79,9 @@ def main(words: list[str], make: MakeWorld = make_street_world) -> int:
     # 1. Read the order. Until it is read there is no pipe for errors, only standard error.
     try:
         if len(words) != 1:
-            raise ConfigError(f"got {len(words)} arguments; expected an order file")
+            raise errors.ConfigError(f"got {len(words)} arguments; expected an order file")
         order = read_spec_file(WorldProcessSpec, Path(words[0]))
-    except WcsimError as error:
+    except errors.WcsimError as error:
         return _report_exit(error)
     stop = _StopRequest()
     reporter = StatusPipeWriter(order.status_fd)
@@ -167,7 +157,7 @@ class _StopRequest:
 
 
 class _ServerLoop:
-    """The loop of a server: messages come in from the sockets, replies of the `WorldEffectExecutor` go out.
+    """The loop of a server: messages come in, replies of the `WorldEffectExecutor` go out.
 
     Replies that one event causes for a client travel as one message of several parts, so that the
     client wakes up once.
@@ -225,7 +215,7 @@ class _ServerLoop:
                 reason = stop.reason or orphan or self._cap.reason
             if not self._cap.reason:
                 self._feed(StopServerEvent(reason))
-        except WcsimError as error:
+        except errors.WcsimError as error:
             for member in self._core.roster.everyone():
                 failure = m.failure_from_error(error, member.session)
                 self._sockets.send(member.peer, [m.encode_message(failure)])
@@ -277,17 +267,17 @@ class _ServerLoop:
         if is_admitted is None:
             return
         if not is_admitted:
-            error = OverloadedError("too many messages per second; wait for the answers")
+            error = errors.OverloadedError("too many messages per second; wait for the answers")
             self._refuse(peer, error)
             return
         # 2. Decode.
         try:
             if incoming.key == "":
-                raise AccessError("the key of this connection was withdrawn; get a new one")
+                raise errors.AccessError("the key of this connection was withdrawn; get a new one")
             message = m.decode_request(incoming.data)
             if isinstance(message, m.Join):
                 message = _restricted_join(message, peer.startswith(REMOTE), incoming.key)
-        except WcsimError as error:
+        except errors.WcsimError as error:
             self._peers.add_fault(peer)
             self._refuse(peer, error)
             return
@@ -302,7 +292,7 @@ class _ServerLoop:
         if not self._processes.watch(message.pid, message.session):
             self._feed(ClientLostEvent(message.session))
 
-    def _refuse(self, peer: Peer, error: WcsimError) -> None:
+    def _refuse(self, peer: Peer, error: errors.WcsimError) -> None:
         """Send a peer why its message is refused; a peer that is shut out loses its sessions."""
         self._sockets.send(peer, [m.encode_message(m.failure_from_error(error))])
         if self._peers.is_shut_out(peer):
@@ -484,28 +474,28 @@ def _restricted_join(join: m.Join, is_remote: bool, key: str | None) -> m.Join:
     if not is_remote:
         return join
     if join.spec.start is not None:
-        raise ProtocolError(
+        raise errors.ProtocolError(
             "only a client on the world's own machine may choose its start; leave it out"
         )
     return msgspec.structs.replace(join, pid=0)
 
 
-def _as_wcsim_error(error: Exception) -> WcsimError | None:
+def _as_wcsim_error(error: Exception) -> errors.WcsimError | None:
     """The error to report; None for one that is a fault of the program."""
-    if isinstance(error, WcsimError):
+    if isinstance(error, errors.WcsimError):
         return error
     message = resource_limit_message(error)
     if not message:
         return None
     is_full = getattr(error, "errno", None) in NO_ROOM
-    return DiskFullError(message) if is_full else ConfigError(message)
+    return errors.DiskFullError(message) if is_full else errors.ConfigError(message)
 
 
-def _report_exit(error: WcsimError, quiet: bool = False) -> int:
+def _report_exit(error: errors.WcsimError, quiet: bool = False) -> int:
     """Write an error to standard error unless `quiet`; returns its exit code."""
     if not quiet:
         write_stderr_line(f"wcsim: {type(error).__name__}: {error}")
-    if isinstance(error, DiskFullError):
+    if isinstance(error, errors.DiskFullError):
         return WorldExitCode.DISK_FULL
     return WorldExitCode.USER_ERROR if isinstance(error, _ORDER_FAULTS) else WorldExitCode.FAILED
 

@@ -27,7 +27,7 @@ _RATES: Final = 20  # reports that the rate is taken over
 
 
 class StatusPipeWriter:
-    """Writes `WorldStatusReport` lines into a pipe; lines that do not fit into a full pipe are lost."""
+    """Writes lines of `WorldStatusReport` into a pipe; what a full pipe does not take is lost."""
 
     def __init__(self, pipe: int) -> None:
         """Use this descriptor; -1 for none."""
@@ -107,7 +107,7 @@ class _WaitingTimes:
     >>> times.update(("a", "b"), ("b",), 1.0)  # a has acted
     >>> times.update(("a", "b"), (), 3.5)  # b too
     >>> times.caused(("a", "b"))
-    (BarrierDelay(name='a', seconds=0.0), BarrierDelay(name='b', seconds=2.5))
+    (ClientBarrierDelay(name='a', seconds=0.0), ClientBarrierDelay(name='b', seconds=2.5))
     >>> times.table(("a", "b"))
     ((0.0, 2.5), (0.0, 0.0))
     """

@@ -18,36 +18,24 @@ import msgspec
 
 from wcsim.core.processes import CommandProcess
 from wcsim.errors import DiskFullError
+from wcsim.server.launch import states
 from wcsim.server.launch.event_log import EventLogWriter
-from wcsim.server.launch.states import (
-    WAIT_NO_MORE,
-    ClientExitCode,
-    ClientLaunchPlan,
-    ClientProcessState,
-    ClientStatusReport,
-    LauncherTimeouts,
-    RestartRules,
-    Standing,
-    WorldExitCode,
-    WorldLaunchPlan,
-    WorldStatusReport,
-)
 
 WORLD: Final = "world"
 """The world's name in events."""
 MOST_EXCUSED_DEATHS: Final = 20
 """Deaths of a client in a row, for want of a world, that count as progress."""
 _SAVED: Final = (
-    ClientExitCode.STOPPED,
-    ClientExitCode.SERVER_GONE,
-    ClientExitCode.EVICTED,
-    ClientExitCode.GROWN,
+    states.ClientExitCode.STOPPED,
+    states.ClientExitCode.SERVER_GONE,
+    states.ClientExitCode.EVICTED,
+    states.ClientExitCode.GROWN,
 )
 # A world that ends before has made no progress.
 _PROGRESS_TICKS: Final = 10
 _ERROR_NAME: Final = re.compile(r"^[A-Za-z]+Error: ")
 
-Status = TypeVar("Status", ClientStatusReport, WorldStatusReport)
+Status = TypeVar("Status", states.ClientStatusReport, states.WorldStatusReport)
 
 
 class _Supervised(ABC, Generic[Status]):
@@ -58,7 +46,7 @@ class _Supervised(ABC, Generic[Status]):
         name: str,
         status_type: type[Status],
         log_file: Path,
-        restart: RestartRules,
+        restart: states.RestartRules,
         selector: selectors.BaseSelector,
         log: EventLogWriter,
     ) -> None:
@@ -72,7 +60,7 @@ class _Supervised(ABC, Generic[Status]):
         # Its life of now.
         self._child: CommandProcess | None = None
         self._ending = False
-        self.standing: Standing = "down"
+        self.standing: states.Standing = "down"
         self.status: Status | None = None  # the last one
         # All its lives.
         self._lives = 0
@@ -190,7 +178,7 @@ class _Supervised(ABC, Generic[Status]):
         self._log.add("death", who=self._name, code=code, reason=reason, **values)
         return reason
 
-    def _settle(self, standing: Standing, event: str, **values: str | int) -> None:
+    def _settle(self, standing: states.Standing, event: str, **values: str | int) -> None:
         """It is not restarted any more."""
         self.standing = standing
         self._log.add(event, who=self._name, **values)
@@ -215,20 +203,22 @@ class _Supervised(ABC, Generic[Status]):
         return True
 
 
-class WatchedClientProcess(_Supervised[ClientStatusReport]):
+class WatchedClientProcess(_Supervised[states.ClientStatusReport]):
     """Also kills a client that hangs, and excuses one that died for want of a world."""
 
     def __init__(
         self,
-        plan: ClientLaunchPlan,
-        rules: LauncherTimeouts,
+        plan: states.ClientLaunchPlan,
+        rules: states.LauncherTimeouts,
         selector: selectors.BaseSelector,
         log: EventLogWriter,
     ) -> None:
-        super().__init__(plan.name, ClientStatusReport, plan.log, rules.client, selector, log)
+        super().__init__(
+            plan.name, states.ClientStatusReport, plan.log, rules.client, selector, log
+        )
         self.plan = plan
         self._rules = rules
-        self._world: WorldStatusReport | None = None
+        self._world: states.WorldStatusReport | None = None
         # How it ended.
         self.reason = ""
         self.unsaved = ""
@@ -246,9 +236,9 @@ class WatchedClientProcess(_Supervised[ClientStatusReport]):
         return self.standing in ("done", "stopped", "given up")
 
     @property
-    def state(self) -> ClientProcessState:
+    def state(self) -> states.ClientProcessState:
         """As the launcher shows it."""
-        return ClientProcessState(
+        return states.ClientProcessState(
             name=self.plan.name,
             seat=self.plan.seat,
             standing=self.standing,
@@ -265,7 +255,7 @@ class WatchedClientProcess(_Supervised[ClientStatusReport]):
         self._seat_epoch = None
         self._unseated_s = None
 
-    def set_world(self, world: WorldStatusReport | None) -> None:
+    def set_world(self, world: states.WorldStatusReport | None) -> None:
         """Set the status of its world; None while there is none."""
         self._world = world
 
@@ -279,7 +269,7 @@ class WatchedClientProcess(_Supervised[ClientStatusReport]):
     def wait_no_more(self) -> None:
         """Have one whose end was requested end without its world, which does not go on."""
         if self._child is not None:
-            self._child.send_signal(WAIT_NO_MORE)
+            self._child.send_signal(states.WAIT_NO_MORE)
 
     def _argv(self, status_fd: int) -> tuple[str, ...]:
         if self.plan.order_file is not None:
@@ -287,7 +277,7 @@ class WatchedClientProcess(_Supervised[ClientStatusReport]):
         resume = ("--resume",) if self._lives or self.plan.resume else ()
         return (*self.plan.argv, *resume, "--status-fd", str(status_fd))
 
-    def _on_status(self, status: ClientStatusReport, now_s: float) -> None:
+    def _on_status(self, status: states.ClientStatusReport, now_s: float) -> None:
         self.standing = "running"
         self._crash = ""
         self._log_recovery(now_s, step=status.step)
@@ -295,7 +285,7 @@ class WatchedClientProcess(_Supervised[ClientStatusReport]):
     def _on_exit(self, code: int, message: str, now_s: float) -> None:
         step = 0 if self.status is None else self.status.step
         # 1. It is not restarted: its work is done, its end was requested, or no try would help.
-        if code == ClientExitCode.DONE:
+        if code == states.ClientExitCode.DONE:
             self._settle("done", "done", step=step)
             return
         if self._ending:
@@ -303,19 +293,19 @@ class WatchedClientProcess(_Supervised[ClientStatusReport]):
                 self.unsaved = _exit_text(code, message)
             self._settle("stopped", "stopped", code=code, step=step)
             return
-        if code == ClientExitCode.USER_ERROR:
+        if code == states.ClientExitCode.USER_ERROR:
             self.reason = message
             self.fault = (
                 message or f"client {self.plan.name} {_exit_text(code)}; see {self.plan.log}"
             )
             self._settle("given up", "refused", reason=message)
             return
-        if code == ClientExitCode.DISK_FULL:
+        if code == states.ClientExitCode.DISK_FULL:
             self.reason = f"has no disk space to save: {message}"
             self._settle("given up", "given up", reason=self.reason)
             return
         # 2. It ended as planned, and a new process goes on.
-        if code == ClientExitCode.GROWN:
+        if code == states.ClientExitCode.GROWN:
             self._crash = ""
             self._replace(message, now_s, step=step)
             return
@@ -325,7 +315,7 @@ class WatchedClientProcess(_Supervised[ClientStatusReport]):
     def _restart_after_crash(self, code: int, message: str, now_s: float, step: int) -> None:
         # Without a world it could not make progress, which is excused for a while.
         no_world = self._world is None or self._world.stage == "loading"
-        if code == ClientExitCode.SERVER_GONE and no_world:
+        if code == states.ClientExitCode.SERVER_GONE and no_world:
             self._excused_deaths += 1
         else:
             self._excused_deaths = 0
@@ -369,17 +359,17 @@ class WatchedClientProcess(_Supervised[ClientStatusReport]):
                 self._unseated_s = now_s
 
 
-class WatchedWorldProcess(_Supervised[WorldStatusReport]):
+class WatchedWorldProcess(_Supervised[states.WorldStatusReport]):
     """Also kills a world that hangs, and gives up one that dies repeatedly at the same tick."""
 
     def __init__(
         self,
-        plan: WorldLaunchPlan,
-        rules: LauncherTimeouts,
+        plan: states.WorldLaunchPlan,
+        rules: states.LauncherTimeouts,
         selector: selectors.BaseSelector,
         log: EventLogWriter,
     ) -> None:
-        super().__init__(WORLD, WorldStatusReport, plan.log, rules.world, selector, log)
+        super().__init__(WORLD, states.WorldStatusReport, plan.log, rules.world, selector, log)
         self._plan = plan
         self._rules = rules
         self._status_s = 0.0  # when it last sent its status
@@ -410,7 +400,7 @@ class WatchedWorldProcess(_Supervised[WorldStatusReport]):
         _write_order(self._plan.order_file, order)
         return self._plan.argv
 
-    def _on_status(self, status: WorldStatusReport, now_s: float) -> None:
+    def _on_status(self, status: states.WorldStatusReport, now_s: float) -> None:
         self._status_s = now_s
         if status.stage != "loading":
             self.standing = "running"
@@ -446,7 +436,7 @@ class WatchedWorldProcess(_Supervised[WorldStatusReport]):
         if self._ending:
             self._settle("stopped", "end", code=code)
             return
-        if code == WorldExitCode.EPOCH_OVER:
+        if code == states.WorldExitCode.EPOCH_OVER:
             self._death_tick = -1
             self._replace(message, now_s)
             return
@@ -454,12 +444,14 @@ class WatchedWorldProcess(_Supervised[WorldStatusReport]):
         status = self.status
         tick = self._plan.last_tick(0 if status is None else status.tick)
         reason = self._log_death(code, message, now_s, tick=tick)
-        if code == WorldExitCode.DISK_FULL:
+        if code == states.WorldExitCode.DISK_FULL:
             # Where its log has no room either, there is no message.
             message = message or "the world has no disk space; make room"
             self._give_up(f"{message}; then continue (a training: wcsim resume RUN)", refused=False)
             return
-        if code == WorldExitCode.USER_ERROR or (code == WorldExitCode.FAILED and not self._loaded):
+        if code == states.WorldExitCode.USER_ERROR or (
+            code == states.WorldExitCode.FAILED and not self._loaded
+        ):
             self._give_up(message or f"the world {reason}; see {self._log_file}", refused=True)
             return
         # 3. It died in another way.

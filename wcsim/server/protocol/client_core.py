@@ -14,19 +14,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Final
 
-from wcsim.errors import (
-    BadActionError,
-    EvictedError,
-    NotMasterError,
-    ProtocolError,
-    SeatTakenError,
-    ServerGoneError,
-    StaleSessionError,
-    StaleTickError,
-    TickTimeoutError,
-    WcsimError,
-    WorldRestartedError,
-)
+from wcsim import errors
 from wcsim.server.protocol import messages as m
 from wcsim.types import ClientSnapshot, Joystick, SeatSpec
 
@@ -76,7 +64,7 @@ class FrameOutcome:
     stepped: bool  # it follows this client's action, not a join, a respawn or a new epoch
 
 
-Outcome = m.Request | FrameOutcome | WcsimError | m.Welcome
+Outcome = m.Request | FrameOutcome | errors.WcsimError | m.Welcome
 """A message to send; a frame; an error for the driver; or the seat, with its shared memory."""
 _IDLE: Final = (ClientPhase.OFF, ClientPhase.THINK, ClientPhase.GONE)
 _PHASE_AFTER: Final = {
@@ -115,7 +103,7 @@ class ClientCore:
     def join(self, now_s: float) -> list[Outcome]:
         """Request the seat. Raises ProtocolError when the client has one, or has left."""
         if self.phase is not ClientPhase.OFF:
-            raise ProtocolError(
+            raise errors.ProtocolError(
                 f"join() in phase {self.phase.value!r}; expected a client that is off"
             )
         self._request_s = now_s
@@ -129,9 +117,13 @@ class ClientCore:
         """
         self._require_thinking("act()")
         if tick != self.tick:
-            raise ProtocolError(f"an action for tick {tick}; the seat is at tick {self.tick}")
+            raise errors.ProtocolError(
+                f"an action for tick {tick}; the seat is at tick {self.tick}"
+            )
         if not (-1.0 <= joystick.x <= 1.0 and -1.0 <= joystick.y <= 1.0):
-            raise BadActionError(f"joystick ({joystick.x}, {joystick.y}); expected both in -1 to 1")
+            raise errors.BadActionError(
+                f"joystick ({joystick.x}, {joystick.y}); expected both in -1 to 1"
+            )
         return self._send_request(
             m.Act(self.session, self.epoch, tick, self.life, joystick.x, joystick.y), now_s
         )
@@ -196,7 +188,7 @@ class ClientCore:
                 if message.session in (b"", self.session):
                     self.phase = ClientPhase.GONE
                     reason = message.reason or "as requested"
-                    return [ServerGoneError(f"the server has ended: {reason}")]
+                    return [errors.ServerGoneError(f"the server has ended: {reason}")]
         return []
 
     def clock(self, now_s: float) -> list[Outcome]:
@@ -206,12 +198,16 @@ class ClientCore:
         silent_s = now_s - self._reply_s
         if silent_s > self.patience.reconnect_s:
             self.phase = ClientPhase.GONE
-            return [ServerGoneError(f"the server was silent for {silent_s:.0f} s; is it running?")]
+            return [
+                errors.ServerGoneError(
+                    f"the server was silent for {silent_s:.0f} s; is it running?"
+                )
+            ]
         waited_s = now_s - self._request_s
         if waited_s > self.patience.tick_s:
             late = ", ".join(self.late) or "other clients"
             self.phase = ClientPhase.GONE
-            return [TickTimeoutError(f"no tick for {waited_s:.0f} s: waiting for {late}")]
+            return [errors.TickTimeoutError(f"no tick for {waited_s:.0f} s: waiting for {late}")]
         if min(silent_s, now_s - self._sent_s) < self.patience.resend_s:
             return []
         # A repeated join also brings a first frame that was lost.
@@ -281,21 +277,23 @@ class ClientCore:
     def _receive_failure(self, failure: m.Failure, now_s: float) -> list[Outcome]:
         if failure.session and failure.session != self.session:
             return []
-        if failure.error == StaleSessionError.__name__:
+        if failure.error == errors.StaleSessionError.__name__:
             # Another server than the one that this client joined. A driver that thinks gets to
             # know when it acts.
             return self._join_anew(now_s) if self.waiting else []
-        if failure.error == StaleTickError.__name__:
+        if failure.error == errors.StaleTickError.__name__:
             return []  # a late copy of a request: no member is ever two ticks behind
-        if failure.error == NotMasterError.__name__ and not isinstance(self.pending, m.Rebuild):
+        if failure.error == errors.NotMasterError.__name__ and not isinstance(
+            self.pending, m.Rebuild
+        ):
             return []  # a late copy of an answer
         error = m.error_from_failure(failure)
         # The seat that this client had belongs to another one in this world; any other will do.
         takes_any = self.request.seat == m.ANY_SEAT and self.seat != m.ANY_SEAT
-        if isinstance(error, SeatTakenError) and takes_any:
+        if isinstance(error, errors.SeatTakenError) and takes_any:
             self.seat = m.ANY_SEAT
             return self._join_anew(now_s)
-        if self.phase is ClientPhase.JOINING or isinstance(error, EvictedError):
+        if self.phase is ClientPhase.JOINING or isinstance(error, errors.EvictedError):
             self.phase = ClientPhase.OFF
             self.epoch = -1
             self.tick = -1
@@ -310,7 +308,9 @@ class ClientCore:
 
     def _require_thinking(self, call: str) -> None:
         if self.phase is not ClientPhase.THINK:
-            raise ProtocolError(f"{call} in phase {self.phase.value!r}; wait for the frame first")
+            raise errors.ProtocolError(
+                f"{call} in phase {self.phase.value!r}; wait for the frame first"
+            )
 
     def _send_request(self, message: m.Act | m.Respawn | m.Rebuild, now_s: float) -> list[Outcome]:
         self._request_s = now_s
@@ -365,7 +365,7 @@ class ClientCore:
         # A driver that requested the new epoch itself gets no error.
         if self._restart_reason and not is_rebuilt:
             out.append(
-                WorldRestartedError(f"{self._restart_reason}; continue with its first frame")
+                errors.WorldRestartedError(f"{self._restart_reason}; continue with its first frame")
             )
         self._restart_reason = ""
         return out
@@ -375,4 +375,4 @@ class ClientCore:
         place = (self.epoch, self.tick, self.life)
         message = f"{fault}; the client is at epoch, tick, life {place}, {self.phase.value}"
         self.phase = ClientPhase.GONE
-        return [ProtocolError(f"{message}: a step was lost or doubled")]
+        return [errors.ProtocolError(f"{message}: a step was lost or doubled")]

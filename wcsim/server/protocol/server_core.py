@@ -13,22 +13,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from wcsim import errors
 from wcsim.core.reading import escaped
-from wcsim.errors import (
-    BadActionError,
-    ConfigError,
-    ConfigMismatchError,
-    EvictedError,
-    FutureTickError,
-    NotMasterError,
-    ProtocolError,
-    SeatTakenError,
-    StaleSessionError,
-    StaleTickError,
-    VersionMismatchError,
-    WcsimError,
-    WorldFullError,
-)
 from wcsim.server.protocol import events as ev
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.barrier import Barrier
@@ -78,11 +64,11 @@ class ServerCore(Barrier):
         # 2. Find a seat, or refuse.
         try:
             if roster.has_others(peer, join.claim):
-                raise SeatTakenError(
+                raise errors.SeatTakenError(
                     "this connection already has a seat; use one connection per client"
                 )
             seat = _find_seat(join, self.rules, roster)
-        except WcsimError as error:
+        except errors.WcsimError as error:
             self.send(peer, m.failure_from_error(error, join.session))
             return
         # 3. Let the client wait for the end of the tick. Those that have this seat, or wait for it,
@@ -148,7 +134,7 @@ class ServerCore(Barrier):
                     self.send(member.peer, m.Bye(member.session))
                     self.roster.retire(member.session)
                     self.remove(member, "left", now_s)
-        except WcsimError as error:
+        except errors.WcsimError as error:
             self.send(peer, m.failure_from_error(error, member.session))
 
     def _answer_stranger(self, peer: ev.Peer, message: m.Request) -> None:
@@ -160,11 +146,11 @@ class ServerCore(Barrier):
                 roster.forget(session)
             self.send(peer, m.Bye(session))
         elif roster.waiting(session) is None:
-            error: WcsimError = StaleSessionError(
+            error: errors.WcsimError = errors.StaleSessionError(
                 f"the server of epoch {self.epoch} does not know this session; join again"
             )
             if session in roster.retired:
-                error = EvictedError(
+                error = errors.EvictedError(
                     "the server dropped this client, or it left; join again with a new session"
                 )
             self.send(peer, m.failure_from_error(error, session))
@@ -173,14 +159,14 @@ class ServerCore(Barrier):
         if self._answer_old(member, act.epoch, act.tick, act.life):
             return
         if not (-1.0 <= act.x <= 1.0 and -1.0 <= act.y <= 1.0):
-            raise BadActionError(f"joystick ({act.x}, {act.y}): expected both from -1 to 1")
+            raise errors.BadActionError(f"joystick ({act.x}, {act.y}): expected both from -1 to 1")
         action = Joystick(act.x, act.y)
         if member.action not in (None, action):
-            raise BadActionError(
+            raise errors.BadActionError(
                 f"a different second action for tick {act.tick}; repeat the first one"
             )
         if member.respawning:
-            raise ProtocolError(
+            raise errors.ProtocolError(
                 f"an action for tick {act.tick}, but the seat waits for its respawn; wait for it"
             )
         if member.action is None:
@@ -191,14 +177,14 @@ class ServerCore(Barrier):
         if self._answer_old(member, respawn.epoch, respawn.tick, respawn.life):
             return
         if member.action is not None:
-            raise ProtocolError(
+            raise errors.ProtocolError(
                 f"a respawn at tick {respawn.tick}, but the seat has acted; "
                 "wait for the end of the tick"
             )
         if member.respawning:
             return
         if member.life >= MOST_LIVES:
-            raise ProtocolError(
+            raise errors.ProtocolError(
                 f"respawn {member.life + 1} at tick {respawn.tick}; "
                 f"expected at most {MOST_LIVES}: act first"
             )
@@ -212,14 +198,14 @@ class ServerCore(Barrier):
             self._send_epoch(member)
             return
         if rebuild.seed < 0:
-            raise ProtocolError(f"a new world of seed {rebuild.seed}; expected 0 or more")
+            raise errors.ProtocolError(f"a new world of seed {rebuild.seed}; expected 0 or more")
         if member is not self.roster.master:
-            raise NotMasterError(
+            raise errors.NotMasterError(
                 f"seat {member.seat} is not the master; "
                 "only the master may restart the shared world"
             )
         if rebuild.epoch > self.epoch or self.stage is not ev.BarrierState.COLLECT:
-            raise ProtocolError(
+            raise errors.ProtocolError(
                 f"a new world was requested in stage {self.stage.value}; request it between ticks"
             )
         self.rebuild(rebuild.seed, now_s)
@@ -233,14 +219,14 @@ class ServerCore(Barrier):
         if requested == now:
             return False
         if requested > now:
-            raise FutureTickError(
+            raise errors.FutureTickError(
                 f"a request for epoch, tick, life {requested}; the server is at {now}"
             )
         if epoch < self.epoch:
             self._send_epoch(member)
             return True
         if tick < self.tick - 1:
-            raise StaleTickError(
+            raise errors.StaleTickError(
                 f"tick {tick} of epoch {epoch} is long over; the server is at tick {self.tick}"
             )
         if tick < self.tick:
@@ -257,9 +243,9 @@ def _find_seat(join: m.Join, rules: ev.ServerRules, roster: Roster) -> int:
     """The seat that a client gets. Raises the error that says why it gets none."""
     _require_fit(join, rules)
     if join.session in roster.retired:
-        raise EvictedError("this session is over; join with a new one")
+        raise errors.EvictedError("this session is over; join with a new one")
     if join.session in roster.forgotten:
-        raise StaleSessionError(
+        raise errors.StaleSessionError(
             "the server does not know this session any more; join with a new one"
         )
     if join.seat == m.ANY_SEAT:
@@ -267,15 +253,19 @@ def _find_seat(join: m.Join, rules: ev.ServerRules, roster: Roster) -> int:
         if seat is None:
             seat = roster.free_seat(rules.capacity)
         if seat is None:
-            raise WorldFullError(
+            raise errors.WorldFullError(
                 f"all {rules.capacity} seats are taken; wait until a client leaves"
             )
         return seat
     if not 0 <= join.seat < rules.capacity:
-        raise SeatTakenError(f"seat {join.seat} does not exist; expected 0 to {rules.capacity - 1}")
+        raise errors.SeatTakenError(
+            f"seat {join.seat} does not exist; expected 0 to {rules.capacity - 1}"
+        )
     for other in (roster.at(join.seat), roster.waiting_at(join.seat)):
         if other is not None and (not join.claim or other.claim != join.claim):
-            raise SeatTakenError(f"seat {join.seat} belongs to {other.name}; choose a free one")
+            raise errors.SeatTakenError(
+                f"seat {join.seat} belongs to {other.name}; choose a free one"
+            )
     return join.seat
 
 
@@ -285,27 +275,29 @@ def _require_fit(join: m.Join, rules: ev.ServerRules) -> None:
     That a start lies in the town is for the world to check.
     """
     if (join.protocol, join.schema) != (m.PROTOCOL, m.schema_hash()):
-        raise VersionMismatchError(
+        raise errors.VersionMismatchError(
             f"the client has protocol {join.protocol}, schema {join.schema[:40]!r}; "
             f"the server has {m.PROTOCOL}, {m.schema_hash()!r}; "
             "install the same version of wcsim on both"
         )
     if join.config and join.config != rules.config:
-        raise ConfigMismatchError(
+        raise errors.ConfigMismatchError(
             f"the client expects a world with configuration {join.config[:64]!r}, "
             f"but this one has {rules.config!r}; use the server's configuration"
         )
     spec = join.spec
     is_recorded = is_user_file_name(spec.profile)
     if is_recorded and rules.recordings is not None and spec.profile not in rules.recordings:
-        raise ConfigError(
+        raise errors.ConfigError(
             "this world uses only the user files that it was started with; start it with --set "
             "env.profile=recorded:FILE (or FILE.toml), or choose one of wcsim's profiles"
         )
     if not is_recorded and spec.profile not in profile_names():
         known = ", ".join(profile_names())
-        raise ConfigError(
+        raise errors.ConfigError(
             f"unknown user profile {escaped(spec.profile, 40)!r}; expected one of: {known}"
         )
     if spec.max_steps > MOST_STEPS:
-        raise ProtocolError(f"an episode of {spec.max_steps} steps; expected 1 to {MOST_STEPS}")
+        raise errors.ProtocolError(
+            f"an episode of {spec.max_steps} steps; expected 1 to {MOST_STEPS}"
+        )

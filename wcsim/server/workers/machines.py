@@ -209,7 +209,7 @@ def require_reachable_cluster(address: str) -> None:
 def machine_from_worker(worker: str) -> str:
     """The machine of a worker, as ADDRESS of ADDRESS/NUMBER; "" for a process of this one.
 
-    >>> machine_of("10.0.0.2/3"), machine_of("process 1")
+    >>> machine_from_worker("10.0.0.2/3"), machine_from_worker("process 1")
     ('10.0.0.2', '')
     """
     return worker.rpartition("/")[0]

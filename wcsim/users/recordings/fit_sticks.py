@@ -53,8 +53,8 @@ def read_recorded_sticks(path: Path) -> F64:
     A folder's .odom.csv files are left out.
 
     Raises:
-        ConfigError: There is no table, or one that `read_stick_recording` refuses; or they last for less
-            than 30 s.
+        ConfigError: There is no table, or one that `read_stick_recording` refuses; or they last for
+            less than 30 s.
     """
     files = [path]
     if path.is_dir():

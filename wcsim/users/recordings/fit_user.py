@@ -115,8 +115,8 @@ def fit_user_to_drives(
 
     Raises:
         ConfigError: There is no intent, no episode of some seconds, or no stick (see
-            `require_analogue_stick`); or the drives differ in their ticks, or in how their chairs take a
-            stick.
+            `require_analogue_stick`); or the drives differ in their ticks, or in how their chairs
+            take a stick.
     """
     # 1. Check the drives.
     if not all(drive.knows_intents for drive in drives):

@@ -115,7 +115,7 @@ def mean_correction_interval_s(intents: F64, tick_s: float) -> float | None:
 def find_true_spans(flags: Bool) -> Sequence[tuple[int, int]]:
     """(start, stop) of each run of true flags.
 
-    >>> stretches(np.array([False, True, True, False, True]))
+    >>> find_true_spans(np.array([False, True, True, False, True]))
     [(1, 3), (4, 5)]
     """
     edges = np.flatnonzero(np.diff(np.r_[False, flags, False].astype(np.int8)))

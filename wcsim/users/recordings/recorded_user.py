@@ -20,7 +20,7 @@ import numpy as np
 from wcsim.core.constants import RECORDED
 from wcsim.core.reading import STICK, escaped, read_lines
 from wcsim.errors import ConfigError, JournalError
-from wcsim.log.drive import read_drive_recording, wcsim_version
+from wcsim.log.drive import read_drive, wcsim_version
 from wcsim.log.reader import is_log
 from wcsim.log.records import DriveTick
 from wcsim.types import F64, Joystick, Outline, UserView
@@ -226,7 +226,7 @@ def _joystick_of_drive(path: FilePath) -> _JoystickRecording:
             moved differently.
     """
     try:
-        drive = read_drive_recording(path)
+        drive = read_drive(path)
     except JournalError as error:
         raise ConfigError(str(error)) from None
     header = drive.header

@@ -25,7 +25,7 @@ from wcsim.agents.evaluation.suite.records import (
 )
 from wcsim.agents.evaluation.suite.result_files import LIST, TestResult
 from wcsim.agents.evaluation.suite.run import SuiteOrder, piece_of, town_addresses
-from wcsim.agents.opening.list_file import read_suite
+from wcsim.agents.opening.list_file import open_suite
 from wcsim.agents.opening.named_policy import config_from_policy_name
 from wcsim.agents.policy_api import STATE_SENSE, UNAIDED
 from wcsim.agents.runs.policy_file import parse_policy_name
@@ -227,7 +227,7 @@ def order_of(result: TestResult, folder: Path, own: Collection[str]) -> SuiteOrd
     """
     drawn = folder / LIST  # it goes wherever its folder goes
     moved = Path(result.list_name).name == LIST and is_file(drawn)
-    suite = read_suite(str(drawn) if moved else result.list_name)
+    suite = open_suite(str(drawn) if moved else result.list_name)
     if suite.sha256 != result.list_sha256:
         raise ConfigError(
             f"list {result.list_name} has the hash {suite.sha256[:12]}; expected {result.list_sha256[:12]}, that of "

@@ -67,8 +67,8 @@ def _crash_rate(each: RoundMetricsRow) -> float:
 def rounds_summary(rounds: Sequence[RoundMetricsRow]) -> str:
     """A run's rounds in a line.
 
-    >>> at = dict.fromkeys(TrainedRound.model_fields, 0) | {"steps": 2000, "new_steps": 2000, "crashes": 4}
-    >>> rounds_summary((TrainedRound(**at | {"updates": 50, "loss": 0.25}),))
+    >>> at = dict.fromkeys(RoundMetricsRow.model_fields, 0) | {"steps": 2000, "new_steps": 2000, "crashes": 4}
+    >>> rounds_summary((RoundMetricsRow(**at | {"updates": 50, "loss": 0.25}),))
     '1 round, 2000 steps, 50 updates, loss 0.250, 2.0 crashes per 1000 steps in the last'
     """
     last, rate = rounds[-1], _crash_rate(rounds[-1])

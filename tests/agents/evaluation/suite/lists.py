@@ -7,7 +7,7 @@ from pathlib import Path
 from tests.support.worlds import QUICK
 from wcsim.agents.evaluation.suite.draw import DrawPlace, Wanted, free_blocks
 from wcsim.agents.evaluation.suite.drive import Piece
-from wcsim.agents.opening.list_file import BlockSetup, HashedSuite, suite_from_file, write_suite_file
+from wcsim.agents.opening.list_file import BlockSetup, HashedSuite, suite_from_file, write_list
 from wcsim.config import RunConfig, resolve
 from wcsim.config.suite import SuiteBlock, SuiteEpisode, SuiteFile, SuiteTown
 from wcsim.supervisor.actions import action_set
@@ -52,7 +52,7 @@ def suite_in(corner: Path, *blocks: SuiteBlock) -> HashedSuite:
 def written_list(corner: Path, folder: Path, max_steps: int) -> Path:
     """A file with a list of one block."""
     path = folder / "corner.json"
-    write_suite_file(suite_in(corner, block_of(corner, max_steps=max_steps)).file, path)
+    write_list(suite_in(corner, block_of(corner, max_steps=max_steps)).file, path)
     return path
 
 

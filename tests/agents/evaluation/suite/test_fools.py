@@ -6,7 +6,7 @@ import pytest
 
 from wcsim.agents.evaluation.suite.rows import pooled_rows
 from wcsim.agents.evaluation.suite.run import SuiteOrder, run_suite
-from wcsim.agents.opening.list_file import read_suite, suite_from_file
+from wcsim.agents.opening.list_file import open_suite, suite_from_file
 from wcsim.agents.policy_api import UNAIDED
 
 FOOLS = ("Stands", "NeverCrosses", "FreezesBeforeWalkers", "Oscillates", "ReversesHome", "WarnsAlways")
@@ -15,7 +15,7 @@ BLOCKS = {"free": 2, "crossing": 3, "hazard": 2}  # of each part
 
 @pytest.mark.proof
 def test_every_fool_is_caught_by_its_column(tmp_path: Path) -> None:
-    file = read_suite("dev").file
+    file = open_suite("dev").file
     blocks = [b for part, many in BLOCKS.items() for b in [b for b in file.blocks if b.part == part][:many]]
     named = {f"{__package__}.fools:{name}": name for name in FOOLS}
     order = SuiteOrder(suite=suite_from_file(file.model_copy(update={"blocks": tuple(blocks)})), out=tmp_path, jobs=2)

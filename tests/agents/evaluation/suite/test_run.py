@@ -19,10 +19,10 @@ from wcsim.agents.evaluation.suite.run import (
 from wcsim.agents.opening.list_file import (
     list_shipped_suites,
     load_suite_towns,
-    read_suite,
+    open_suite,
     require_block_towns,
     suite_from_file,
-    write_suite_file,
+    write_list,
 )
 from wcsim.core.sources import code_digest
 from wcsim.errors import ConfigError, TownError
@@ -58,9 +58,9 @@ def test_a_kept_result_that_is_none_is_refused_in_a_line(tmp_path, kept):
 
 
 def test_as_many_episodes_are_judged_as_are_asked_for_and_none_for_none():
-    blocks = read_suite("dev").file.blocks
+    blocks = open_suite("dev").file.blocks
     counts = [sum(len(blocks[at].episodes) for at in _judged_blocks(blocks, wanted)) for wanted in (0, 40, 1 << 30)]
-    assert counts[0] == 0 and 20 <= counts[1] <= 60 and counts[2] == read_suite("dev").episodes
+    assert counts[0] == 0 and 20 <= counts[1] <= 60 and counts[2] == open_suite("dev").episodes
 
 
 def test_what_is_kept_is_of_the_files_that_settings_and_a_network_name(corner, tmp_path, monkeypatch):
@@ -112,8 +112,8 @@ def test_what_is_kept_is_of_the_code_that_drives(tmp_path):
 def test_a_list_that_was_changed_is_another_list(corner, tmp_path):
     block = block_of(corner)
     suite = suite_in(corner, block)
-    write_suite_file(suite.file, tmp_path / "list.json")
-    assert read_suite(str(tmp_path / "list.json")) == suite
+    write_list(suite.file, tmp_path / "list.json")
+    assert open_suite(str(tmp_path / "list.json")) == suite
     shorter = suite_in(corner, block.model_copy(update={"episodes": block.episodes[:1]}))
     moved = block.episodes[0].model_copy(update={"max_steps": 61})
     changed = suite_in(corner, block.model_copy(update={"episodes": (moved, *block.episodes[1:])}))
@@ -130,22 +130,22 @@ def test_a_town_with_other_streets_is_refused(corner, tmp_path):
 def test_a_list_that_is_none_is_refused(tmp_path):
     for name in (str(tmp_path / "nothing.json"), "a" * 5000, "~nobody-is-called-so/list.json"):
         with pytest.raises(ConfigError, match="no such list"):
-            read_suite(name)
+            open_suite(name)
     (tmp_path / "bad.json").write_text('{"suite": "x", "set": "y"}', encoding="utf-8")
     with pytest.raises(ConfigError, match="blocks"):
-        read_suite(str(tmp_path / "bad.json"))
+        open_suite(str(tmp_path / "bad.json"))
 
 
 def test_the_lists_that_come_with_wcsim_are_whole():
     names = [name for name in list_shipped_suites() if name != "demo"]  # see tests/cli/training/test_demo_helps.py
     for name in names:
-        suite = read_suite(name)
+        suite = open_suite(name)
         assert suite.file.set == name and suite.file.suite == "street-assist-v1"
         require_block_towns(suite.file)
         assert {block.part for block in suite.file.blocks} == {"free", "crossing", "hazard", "tight"}
         tight = [block.seed for block in suite.file.blocks if block.part == "tight"]
         assert len(set(tight)) * 10 == len(tight)  # each seed in each of ten families
-    seeds = [{b.seed for b in read_suite(name).file.blocks if b.part == "tight"} for name in names]
+    seeds = [{b.seed for b in open_suite(name).file.blocks if b.part == "tight"} for name in names]
     assert sum(map(len, seeds)) == len(set().union(*seeds))  # no scene is in two of them
     assert names == ["dev", "v1", "validation"]
 

@@ -117,7 +117,9 @@ def value_of_going_right(double_q, noise):
         SeqQPolicy, Biased(noise), settings=explores(1.0, 1.0, double_q=double_q),
         seed=1, gamma=0.95, learning_rate=1e-2, buffer_size=64, learning_starts=48, batch_size=32, tau=0.003,
         train_freq=1, device="cpu",
-        policy_kwargs={"spec": QNetworkSpec(head="plain", dueling=False, network="tests.attack.files.checkpoints:Tiny")},
+        policy_kwargs={
+            "spec": QNetworkSpec(head="plain", dueling=False, network="tests.attack.files.checkpoints:Tiny")
+        },
         replay_buffer_kwargs=memory_of(gamma=0.95, seed=1),
     )  # fmt: skip
     first = {key: torch.as_tensor(value)[None] for key, value in Biased().observe(False).items()}

@@ -14,7 +14,7 @@ from tests.support.journals import nudged, rewritten
 from tests.view.report.results import score_anew
 from wcsim.agents.evaluation.suite.result_files import read_result
 from wcsim.agents.evaluation.suite.run import SuiteOrder, drive_piece, piece_of, town_addresses
-from wcsim.agents.opening.list_file import write_suite_file
+from wcsim.agents.opening.list_file import write_list
 from wcsim.bridge.sumo.session import world_in_this_process
 from wcsim.bridge.user_drives import drawn_user, record_user
 from wcsim.cli.evaluation.judged_suite import save_test_result
@@ -31,7 +31,7 @@ from wcsim.drive.recording.session_recorder import SessionRecorder
 from wcsim.drive.session import DriveSession, Wish
 from wcsim.drive.starting import DriveStart
 from wcsim.errors import ConfigError, JournalError, TownError
-from wcsim.log.drive import read_drive_recording
+from wcsim.log.drive import read_drive
 from wcsim.log.reader import read_trace_states
 from wcsim.log.records import Ticked
 from wcsim.towns.scenario.town import Town, find_town
@@ -141,7 +141,7 @@ def test_a_drive_is_made_again(corner_town: Town, tmp_path: Path) -> None:
     user = drawn_user(find_builtin_profile("tremor"), 3)
     record_user(tmp_path / "a.drive", corner_town, config, user, ticks=40, seed=3)
     shown = Filmed(replay_film(tmp_path / "a.drive"))
-    ticks = read_drive_recording(tmp_path / "a.drive").ticks
+    ticks = read_drive(tmp_path / "a.drive").ticks
     frames = shown.frames()
     assert len(frames) == 40
     for frame, tick in zip(frames, ticks, strict=True):
@@ -185,7 +185,7 @@ def test_an_older_drive_in_a_town_that_tells_of_no_driver_has_no_handover(corner
         session.driver = DriverKind.SIMULATED  # without a word
         for _ in range(4):
             session.tick(Wish())
-    drive = read_drive_recording(tmp_path / "a.drive")
+    drive = read_drive(tmp_path / "a.drive")
     assert all(tick.intent is not None for tick in drive.ticks) and "driver" not in {e.kind for e in drive.events}
     ticks = [frame.chairs[0] for frame in Filmed(replay_film(tmp_path / "a.drive")).frames()]
     assert len(ticks) == 4 and not any(each.alone for each in ticks)
@@ -207,7 +207,7 @@ def tested(corner: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of a test of `stop` on a block of two chairs."""
     folder = tmp_path_factory.mktemp("tested")
     suite = suite_in(corner, block_of(corner, max_steps=45, handover=5))
-    write_suite_file(suite.file, folder / "corner.json")
+    write_list(suite.file, folder / "corner.json")
     order = SuiteOrder(suite=suite, out=folder, forks=0)
     piece = piece_of(order, 0, "stop", town_addresses(order), judged=False)
     save_test_result(order, str(folder / "corner.json"), {"stop": drive_piece(piece)})
