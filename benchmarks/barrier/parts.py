@@ -87,7 +87,7 @@ def _again(client: ClientSnapshot) -> ClientSnapshot:
 
 
 def main(words: Sequence[str]) -> int:
-    """Play a role until stdin ends, or be the world process of a `WorldSpec`."""
+    """Play a role until stdin ends, or be the world process of a `WorldProcessSpec`."""
     role, path = words
     if role == "world":
         from wcsim.server.host.process import main as host  # clients and the echo load no simulator

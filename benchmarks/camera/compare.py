@@ -70,7 +70,7 @@ def compare_renderers(
     Args:
         store: the geometry of both.
         camera: the camera.
-        poses: world to camera matrices (3, 4), see `wcsim.physics.sensors.camera.look_along`.
+        poses: world to camera matrices (3, 4), see `wcsim.physics.sensors.camera_geometry.look_along`.
         instances: the actors.
         rounds: how often each pose is drawn.
 

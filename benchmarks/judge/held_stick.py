@@ -44,7 +44,7 @@ class StickHolder:
     stick: Joystick = field(default_factory=lambda: Joystick(0.0, 0.0))
 
     def user(self, episode: int, outline: Outline) -> User:
-        """See `RecordedStick`."""
+        """See `_StickRecording`."""
         del episode, outline
         return _Held(self)
 

@@ -11,8 +11,8 @@ from wcsim.core.own_folder import LOCK, LockedTempFolder, _remove_stale
 OWNER = """
 import sys, time
 from pathlib import Path
-from wcsim.core.own_folder import OwnFolder
-print(OwnFolder(Path(sys.argv[1])).path, flush=True)
+from wcsim.core.own_folder import LockedTempFolder
+print(LockedTempFolder(Path(sys.argv[1])).path, flush=True)
 time.sleep(60)
 """
 

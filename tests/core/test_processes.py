@@ -17,7 +17,7 @@ def asked(number, frame):
     Path(sys.argv[1], "asked").touch()
 signal.signal(signal.SIGUSR1, asked)
 processes._PARENT_CHECK_S = processes._ORDERLY_END_S = 0.05
-processes.outlive_parent_by(1.0, 9, signal.SIGUSR1)
+processes.limit_orphan_lifetime(1.0, 9, signal.SIGUSR1)
 Path(sys.argv[1], "began").touch()
 time.sleep(120.0)
 Path(sys.argv[1], "outlived").touch()

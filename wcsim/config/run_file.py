@@ -136,7 +136,7 @@ class DangerRuleSettings(Model):
     danger_cost: NotNegative = 0.1
     # Danger from which one tick is enough to take the user's own away; below it, two in a row.
     at_once: Share = 0.0
-    # Warns above this smoothed danger of the user's own stick, see `next_alarm`.
+    # Warns above this smoothed danger of the user's own stick, see `next_alarm_state`.
     warn: Share = 0.3
 
 

@@ -33,7 +33,7 @@ from wcsim.users.crossing import is_red
 
 Group = Literal["vehicle", "rider", "person", "chair"]
 Facts = dict[str, float]
-"""What a scene came to, over all its seats, by the names of `SceneExpect`, which says what each is."""
+"""What a scene came to, over all its seats, by the names of `SceneExpectations`, which says what each is."""
 
 ALONE_M = 99.0
 """The gap to others when there are none."""

@@ -84,7 +84,9 @@ class WorldProcessSpec(WorldBuildSpec):
     epoch_ticks: int = 0
     # No world of this launch has been there yet, and its clients take their time to load.
     begins: bool = False
-    status_fd: int = -1  # a pipe for WorldStatus lines; the process ends when its reader is closed
+    status_fd: int = (
+        -1
+    )  # a pipe for WorldStatusReport lines; the process ends when its reader is closed
     quiet: bool = False  # errors go into that pipe alone, not to stderr too
 
 

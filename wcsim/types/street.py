@@ -24,7 +24,7 @@ AT_EDGE: Final = 128  # the least `edge_cm` of raised ground
 class ClassId(IntEnum):
     """Pixel classes: Cityscapes labelIds, and three classes of wcsim from 34 on.
 
-    `class_fold_table` folds them.
+    `make_cityscapes_class_table` folds them.
     """
 
     VOID = 0

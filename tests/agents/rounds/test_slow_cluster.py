@@ -29,13 +29,13 @@ import sys
 from pathlib import Path
 from tests.agents.rounds.small_runs import run_in
 from wcsim.agents.rounds.train_rounds import train_danger
-from wcsim.server.workers.machines import Machines
+from wcsim.server.workers.machines import WorkerPoolSettings
 from wcsim.towns.scenario.town import find_town
 
 if __name__ == "__main__":
     corner, out, address, *words = sys.argv[1:]
     run = run_in(Path(corner), Path(out), *words)
-    machines = Machines(cluster=address, report=lambda told: print(told, flush=True))
+    machines = WorkerPoolSettings(cluster=address, report=lambda told: print(told, flush=True))
     train_danger(run, find_town(corner), machines)
 """
 

@@ -65,9 +65,9 @@ STORM = """
 import sys, types, time
 from wcsim.cli import main as cli
 from wcsim.errors import InterruptedRunError
-from wcsim.core.processes import StopSignals
+from wcsim.core.processes import StopSignalCounter
 def run(words):
-    with StopSignals() as signals:
+    with StopSignalCounter() as signals:
         print("ready", flush=True)
         while signals.count < 3:
             time.sleep(0.01)

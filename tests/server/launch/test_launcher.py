@@ -356,8 +356,8 @@ def test_nothing_outlives_a_launcher_that_is_killed(tmp_path, stands):
 
 OWNER = """
 import time
-from wcsim.core.own_folder import workplace
-with workplace() as place:
+from wcsim.core.own_folder import runtime_folder
+with runtime_folder() as place:
     print(place, flush=True)
     time.sleep(60)
 """

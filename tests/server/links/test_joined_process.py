@@ -23,9 +23,9 @@ import json, sys
 import {client.__name__}, {wheelchair_env.__name__}
 from wcsim import WheelchairEnv
 from wcsim.config import RunConfig
-from wcsim.server.specs import SeatRequest, of_line
+from wcsim.server.specs import SeatRequest, decode_json_line
 config = RunConfig.model_validate_json(sys.argv[2])
-env = WheelchairEnv(config=config, join=of_line(SeatRequest, sys.argv[1].encode()))
+env = WheelchairEnv(config=config, join=decode_json_line(SeatRequest, sys.argv[1].encode()))
 env.reset()
 for _ in range(3):
     step = env.step(40)

@@ -322,8 +322,8 @@ def test_work_between_send_and_receive_is_done_while_the_world_ticks(tmp_path):
 
 KILLED = """
 import os, signal
-from wcsim.core.own_folder import OwnFolder
-folder = OwnFolder().path
+from wcsim.core.own_folder import LockedTempFolder
+folder = LockedTempFolder().path
 (folder / "seat-0").write_bytes(bytes(1000))
 print(folder, flush=True)
 os.kill(os.getpid(), signal.SIGKILL)

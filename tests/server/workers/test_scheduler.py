@@ -259,9 +259,9 @@ import time
 from tests.support.cluster.workpieces import tell_pid
 from wcsim.server.workers.scheduler import Scheduler
 from wcsim.server.workers.machines import _ProcessWorkers
-from wcsim.server.workers.machines import Work
+from wcsim.server.workers.machines import WorkPiece
 with Scheduler(_ProcessWorkers(1), lambda key, data: print(data.decode(), flush=True)) as scheduler:
-    scheduler.submit([Work(key="a", call=tell_pid, piece="")])
+    scheduler.submit([WorkPiece(key="a", call=tell_pid, piece="")])
     time.sleep(600.0)
 """
 

@@ -123,7 +123,7 @@ class GroupRunFolder:
         """Whether nothing was done: no tick of the world, no step of a client, nothing saved.
 
         A new run of which that is true is removed when it fails. For a run of one network
-        `removed_without_results` of `cli/shared/training.py` judges, by `has_results` alone.
+        `remove_run_without_results` of `cli/shared/training.py` judges, by `has_results` alone.
         """
         journal = self.path / JOURNAL
         if list_log_parts(journal) and _may_hold(
@@ -252,7 +252,7 @@ class ResolvedGroupRun:
     info: RunInfo
     resume: bool = False
     best: str = ""  # the client that was chosen after the first phase
-    last: bool = True  # whether the run is done when all have learned for `Client.steps`
+    last: bool = True  # whether the run is done when all have learned for `ResolvedClient.steps`
 
 
 def make_world_spec(

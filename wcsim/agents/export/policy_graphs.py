@@ -158,7 +158,7 @@ class TorchDriveModel:
     def _follow_speed(
         self, v: Tensor, a: Tensor, gap: Tensor, dt_s: float
     ) -> tuple[Tensor, Tensor]:
-        """Speed and acceleration `dt_s` later; repeats `joystick.follow_speed`, given the gap."""
+        """Speed and acceleration `dt_s` later; repeats `joystick.advance_speed`, given the gap."""
         limits, jerk = self._limits, self._limits[JERK]
         limit = torch.where(v * gap < 0.0, limits[DECEL], limits[ACCEL])
         ahead = gap - a * dt_s
@@ -213,7 +213,7 @@ class DangerPolicyGraph(nn.Module):
         self.drive = TorchDriveModel(
             drive_limits_from_chair(chair), chair.deadband, chair.shape_exponent
         )
-        # As `StreetSense` sees: every so many pixels, depths short of the camera's range.
+        # As `StreetPerception` sees: every so many pixels, depths short of the camera's range.
         self.far_m, self.stride = FAR_SHARE * camera.range_m, sampling_stride_px(camera)
         rays = viewing_rays(camera).reshape(camera.height_px, camera.width_px, 3)
         self.rays = _constant(rays[:: self.stride, :: self.stride].reshape(-1, 3))
@@ -297,7 +297,7 @@ class DangerPolicyGraph(nn.Module):
     def _observe_motion(
         self, imu: Tensor, odometry: Tensor, shaped: Tensor, motion: Tensor, waiting: Tensor
     ) -> tuple[Tensor, Tensor]:
-        """Repeats `EgoMotion.observe`: both of its branches are computed, and one is selected."""
+        """Repeats `EgoMotionEstimator.observe`: computes both of its branches, and selects one."""
         started = motion[:, _STARTED] > 0.5
         measured = torch.cat(
             [odometry[:, 0:1] * SPEED_FULL_SCALE, imu[:, GYRO_Z : GYRO_Z + 1] * TURN_FULL_SCALE], 1
@@ -371,7 +371,7 @@ class DangerPolicyGraph(nn.Module):
         return torch.where(seen, torch.stack([key, now, mover, kinds, high, -low]), old)[None]
 
     def _sampled(self, image: Tensor) -> Tensor:
-        """Repeats `StreetSense._sampled`: (n,) int64, one for each of `rays`."""
+        """Repeats `StreetPerception._sampled`: (n,) int64, one for each of `rays`."""
         return image[..., :: self.stride, :: self.stride].reshape(-1).to(torch.int64)
 
     def _read_cells(self, motion: Tensor, cells: Tensor) -> Tensor:
@@ -395,7 +395,7 @@ class DangerPolicyGraph(nn.Module):
         return planes.reshape(street_map.PLANES, street_map.SIDE, street_map.SIDE)
 
     def _start(self, motion: Tensor, waiting: Tensor) -> tuple[Places, Motion]:
-        """Repeats `StreetSense.start`: (1,) each, when the next command reaches the chair."""
+        """Repeats `StreetPerception.start`: (1,) each, when the next command reaches the chair."""
         here = torch.zeros_like(motion[:, 0])
         places, now = (here, here, here), (motion[:, 5], motion[:, 6], motion[:, 7])
         for number in range(self.delay):
@@ -434,7 +434,7 @@ class DangerPolicyGraph(nn.Module):
         return found.transpose(0, 1).reshape(1, len(self.commands), -1).to(torch.int64)
 
     def _next_alarm(self, danger: Tensor, joystick: Tensor, alarm: Tensor) -> Tensor:
-        """Repeats `alarm.next_alarm`, for the danger of the action nearest to the user's stick."""
+        """Repeats `alarm.next_alarm_state`, for the action nearest to the user's stick."""
         own = ((self.points[None] - joystick[:, None]) ** 2).sum(-1).argmin(dim=1)
         level = alarm[:, 0:1] + NEWEST * (danger.gather(1, own[:, None]) - alarm[:, 0:1])
         still_on = (alarm[:, 1:2] > 0.5) & (level > CALM * self.rule.warn)

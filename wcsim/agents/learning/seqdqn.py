@@ -4,10 +4,10 @@ On top of SB3's DQN: double-Q targets, n-step returns from `FrameReplay`, scaled
 target update per gradient step, the large-margin loss of DQfD (Hester et al. 2018) that makes the
 first phase supervised, advice from the oracle in the second (`aid`, beyond the paper), exploration
 near the user's joystick, and random draws from a generator of its own. `learn`, callbacks, logger,
-`save`, `load` and `EvalCallback` are SB3's. A network that carries a state (`NetSpec.stateful`)
-does so from tick to tick of an episode, and learns from groups of steps in a row (see
-`agents/learning/replay/groups.py`); any other one learns from steps drawn one by one, each with its
-window.
+`save`, `load` and `EvalCallback` are SB3's. A network that carries a state
+(`QNetworkSpec.stateful`) does so from tick to tick of an episode, and learns from groups of steps
+in a row (see `agents/learning/replay/groups.py`); any other one learns from steps drawn one by one,
+each with its window.
 """
 
 from __future__ import annotations

@@ -78,7 +78,7 @@ def _backs_blindly(
         commands: (K, 2) joystick positions as the drive takes them.
         limits: (8,) of the drive.
         box: (3,) rear, front, half the width of the chair in B.
-        cells: Of `StreetMemory`.
+        cells: Of `StreetMemoryGrid`.
         pose_O: (3,) of the chair now.
         blind: Written.
     """
@@ -145,9 +145,9 @@ def _brakes_in_time(
     Args:
         around: The street, as of the newest observation.
         care: How early, and how widely.
-        start: (6,) the state in which an action begins, see `StreetSense.start`.
+        start: (6,) the state in which an action begins, see `StreetPerception.start`.
         later_s: When that is.
-        points: (n, 5) what is in the way, `StreetSense.in_the_way` of the margin of `care`.
+        points: (n, 5) what is in the way, `StreetPerception.in_the_way` of the margin of `care`.
 
     Returns:
         (A,) whether it can, and (A,) the gap in metres.

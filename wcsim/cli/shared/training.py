@@ -116,7 +116,7 @@ def make_q_config_layers(
     more: Mapping[str, Any] | None = None,
     file: Path | None = None,
 ) -> tuple[Layer, ...]:
-    """The layers over the preset of a training by Q-learning; `resolve_run` adds the window.
+    """The layers over the preset of Q-learning; `resolve_training_run` adds the window.
 
     Args:
         options: The command's options.
@@ -312,7 +312,7 @@ def train_single_network(
 
     Raises:
         InterruptedRunError: The user stopped it.
-        NothingSaved: ... before anything was driven.
+        NothingSavedInterrupt: ... before anything was driven.
         WcsimError: A setting, the folder or a machine cannot be used.
     """
     learner = learner_of(run.config)
@@ -334,7 +334,7 @@ def remove_run_without_results(run: Path) -> Iterator[None]:
     """Remove a run folder that the block made, when the block fails without results.
 
     It stays after a full disk, and when a cluster is lost: wcsim resume continues. For a run of
-    several clients `ClientsFolder.fruitless` judges, which looks at the world's journal, too.
+    several clients `GroupRunFolder.fruitless` judges, which looks at the world's journal, too.
     """
     is_new = not run.exists()
     with remove_folders_on_failure(run.parent):

@@ -96,7 +96,7 @@ def train_clients(
 
     Raises:
         InterruptedRunError: The user stopped it.
-        NothingSaved: ... before anything was done.
+        NothingSavedInterrupt: ... before anything was done.
         WcsimError: A setting, the folder or the world cannot be used.
     """
     require_writable_folder("--out", run.out)
@@ -155,7 +155,7 @@ def train_clients(
 def _opened(run: ResolvedGroupRun) -> Iterator[GroupRunFolder]:
     """The run folder, new or to resume, locked; a new one in which nothing was done is removed.
 
-    `removed_without_results` does so for a run of one network.
+    `remove_run_without_results` does so for a run of one network.
     """
     configs = {client.name: client.config for client in run.clients}
     if run.resume:
@@ -228,7 +228,7 @@ def _finish(
 
     Raises:
         InterruptedRunError: It was stopped.
-        NothingSaved: ... before anything was done.
+        NothingSavedInterrupt: ... before anything was done.
         ConfigError: A client or the world could not use a setting.
     """
     if outcome.stopped and folder.fruitless() and not run.resume:

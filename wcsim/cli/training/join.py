@@ -125,7 +125,7 @@ def _supervised(order: ClientProcessSpec, resume: bool) -> None:
 
     Raises:
         InterruptedRunError: The user stopped it.
-        NothingSaved: ... before anything was learned.
+        NothingSavedInterrupt: ... before anything was learned.
         ConfigError: Something that was asked for cannot be used.
         PolicyError: There is no run to resume, the folder of a new one is not empty, or another
             process has it.

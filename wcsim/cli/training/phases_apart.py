@@ -55,7 +55,7 @@ def train_clients_in_phases(
 
     Raises:
         InterruptedRunError: The user stopped it.
-        NothingSaved: ... before anything was done.
+        NothingSavedInterrupt: ... before anything was done.
         WcsimError: Something that was asked for cannot be used.
     """
     ways = {client.config.learn.select_by for client in run.clients}

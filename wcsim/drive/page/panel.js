@@ -177,7 +177,7 @@ export class Panel {
   }
 
   lamps(state, before) {
-    if (lamp("lamp-warning", state.warning, state.warning ? "danger ahead" : "none") && state.warning) this.say("Warning: danger ahead.");
+    if (lamp("lamp-warning", state.warning, state.warning ? "danger ahead" : "none") && state.warning) this.say("Warning: danger ahead.");  // the lamp also in play.js
     const told = this.deeds.tell(state, performance.now());
     if (lamp("lamp-intervening", state.intervening, told.lamp) && state.intervening && !before?.intervening && told.begins) this.say("The assistance intervenes.");
     if (told.ended) this.say(`The assistance ${told.ended}.`);

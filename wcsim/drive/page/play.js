@@ -141,7 +141,7 @@ function tellChair(now) {
   grid.move(own.stick, own.commanded);
   const asked = own.stick ? `user: ${words(own.stick)}` : "user: not known";
   put(by("stick-text"), own.commanded ? `${asked} · chair: ${words(own.commanded)}` : asked);
-  lamp("lamp-warning", Boolean(own.warning), about.warns ? (own.warning ? "danger ahead" : "none") : "not known");
+  lamp("lamp-warning", Boolean(own.warning), about.warns ? (own.warning ? "danger ahead" : "none") : "not known");  // as in panel.js
   const follows = own.stick && own.commanded;
   lamp("lamp-intervening", Boolean(own.intervening), follows ? (own.intervening ? "corrects the stick" : "none") : "not known");
   lamp("lamp-crash", Boolean(now.crash), now.crash || (about.points.length ? "none" : "not known"));

@@ -111,7 +111,7 @@ class SeatLink(ClosingContextBase):
         work()
 
     def beat(self, progress: int) -> None:
-        """Show that a long computation goes on, by a counter that rises; see `Rules.lease_s`.
+        """Show that a long computation goes on, by a counter that rises; see `ServerRules.lease_s`.
 
         A closed link does nothing.
         """

@@ -144,7 +144,7 @@ class LocalSeatLinkGroup(SeatLinkGroup):
         self._connect()
 
     def close(self) -> None:
-        """See `SeatGroup.close`."""
+        """See `SeatLinkGroup.close`."""
         self.home.world.close()
         self.links = ()
 

@@ -235,7 +235,7 @@ class ProcessSeatLinkGroup(SeatLinkGroup):
         self._connect(order.seed)
 
     def close(self) -> None:
-        """See `SeatGroup.close`."""
+        """See `SeatLinkGroup.close`."""
         self.leave()
         self._child.close()
         self.links = ()

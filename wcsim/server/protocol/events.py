@@ -145,7 +145,7 @@ class RebuildWorldEffect:
 
 @dataclass(frozen=True, slots=True)
 class StepWorldEffect:
-    """Carry the world through tick `tick`, then report `Stepped(tick + 1)`."""
+    """Carry the world through tick `tick`, then report `WorldSteppedEvent(tick + 1)`."""
 
     tick: int
     commands: tuple[Command, ...]

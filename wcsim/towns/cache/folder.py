@@ -20,7 +20,8 @@ MOST_VERDICTS: Final = 4000  # of a kind, then the newer half stays: generated s
 WRITTEN_S = 3600.0  # a file that is being written is not older
 _KEY = "[0-9a-f]{32}"
 # What wcsim writes there, by its place: files and folders. Generated scenes of the driving page and generated towns of
-# suites are driven in, see `bridge/replay/replayed.py` and `drive/starting.py`; what is begun, see `files.whole_file`.
+# suites are driven in, see `bridge/replay/replayed.py` and `drive/starting.py`; what is begun, see
+# `files.write_file_atomically`.
 _KINDS = {
     "streets": re.compile(rf"street-{_KEY}\.npz"),
     "verdicts": re.compile(rf"(scenario|net)-{_KEY}\.ok"),

@@ -124,7 +124,7 @@ class _RecordedUser(User):
 def find_user(name: str) -> UserProfile | _JoystickRecording:
     """The user called `name`.
 
-    It is a profile, that of a file "FILE.toml" or of `profile_json`, or the recording of
+    It is a profile, that of a file "FILE.toml" or of `profile_to_json`, or the recording of
     "recorded:FILE".
 
     Raises:
