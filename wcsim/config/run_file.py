@@ -53,7 +53,7 @@ def _all_named(model: M) -> M:
     return model
 
 
-class FollowPriorConfig(FollowRewardConfig):
+class FollowPrior(FollowRewardConfig):
     """The reward for following the user, known for every action without learning.
 
     Its numbers are those of Tables 1 and 2 of the paper.
@@ -62,7 +62,7 @@ class FollowPriorConfig(FollowRewardConfig):
     reward_scale: Positive = 0.05
 
 
-class QNetworkSpec(Model):
+class NetSpec(Model):
     """Everything that an action-value network depends on besides the spaces."""
 
     network: Name = "patch"
@@ -71,7 +71,7 @@ class QNetworkSpec(Model):
     hidden: Annotated[int, within(1, 65_536)] = 128
     actions: Actions = "square81"
     classes: Classes = "cityscapes"
-    prior: FollowPriorConfig = FollowPriorConfig()
+    prior: FollowPrior = FollowPrior()
     stateful: bool = False  # carries a state from tick to tick, and sees one image at a time
 
 
@@ -80,7 +80,7 @@ class QPolicyFile(Model):
 
     schema_version: Literal[1]
     algorithm: Literal["SeqDQN"]
-    net: Annotated[QNetworkSpec, AfterValidator(_all_named)]
+    net: Annotated[NetSpec, AfterValidator(_all_named)]
     image_hw_px: tuple[Pixels, Pixels]
     vector_size: Annotated[int, within(3, 1024)]
     # How many of these numbers each sensor of [sensors] gives.

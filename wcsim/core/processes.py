@@ -1,12 +1,11 @@
 """Child processes: the four ways in which wcsim starts them, and the signals that end them.
 
 1. `run_command` runs a command to its end.
-2. A long-lived child is a `CommandProcess` (a command that writes status lines; `server/launch`
-restarts
-   it) or comes from `start_piped_process` (a function that exchanges objects with its parent).
+2. A long-lived child is a `CommandProcess` (a command that writes status lines, which
+   `server/launch` restarts) or comes from `start_piped_process` (a function that exchanges objects
+   with its parent).
 3. Workers come from `run_in_pool`, or one by one from `start_single_worker_pool`. `server/workers`
-gives those
-   of this machine and of a Ray cluster one interface.
+   gives those of this machine and of a Ray cluster one interface.
 4. `os.fork` copies a warm world, in `bridge/world_copy.py` alone.
 
 SIGINT and SIGTERM are counted, so that an owner of processes and files can end them in order. The

@@ -84,9 +84,8 @@ class WorldProcessSpec(WorldBuildSpec):
     epoch_ticks: int = 0
     # No world of this launch has been there yet, and its clients take their time to load.
     begins: bool = False
-    status_fd: int = (
-        -1
-    )  # a pipe for WorldStatusReport lines; the process ends when its reader is closed
+    # A pipe for lines of WorldStatusReport; the process ends when its reader is closed.
+    status_fd: int = -1
     quiet: bool = False  # errors go into that pipe alone, not to stderr too
 
 

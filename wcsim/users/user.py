@@ -173,7 +173,7 @@ class SimulatedUser(User):
         """A user that stands still until `follow` and the first `look`.
 
         Args:
-            profile: Parameters, used as they are (see `profiles.sample`).
+            profile: Parameters, used as they are (see `profiles.sample_profile`).
             rng: Source of all chance of this user.
             chair: What its drive makes of a joystick.
             outline: The chair's box.

@@ -15,7 +15,7 @@ from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.networks import registry
 from wcsim.agents.networks.q_network import SeqQPolicy
 from wcsim.agents.runs.metrics import read_metrics
-from wcsim.config.run_file import FollowPriorConfig, QNetworkSpec
+from wcsim.config.run_file import FollowPrior, NetSpec
 
 GAMMA = 0.97
 
@@ -83,7 +83,7 @@ def overestimates(folder, double_q, seed, steps=400):
 
     Double Q-learning helps as far as the two networks err independently; here the target's values begin with noise.
     """
-    spec = QNetworkSpec(network="mean-of-planes", head="plain", prior=FollowPriorConfig(reward_scale=1.0))
+    spec = NetSpec(network="mean-of-planes", head="plain", prior=FollowPrior(reward_scale=1.0))
     learner = SeqDQN(
         SeqQPolicy, Worthless(), settings=explores(1.0, 1.0, double_q=double_q),
         seed=seed, gamma=GAMMA, learning_rate=1e-3, buffer_size=2000, learning_starts=50, batch_size=32, tau=0.002,

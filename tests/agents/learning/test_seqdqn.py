@@ -9,13 +9,13 @@ from tests.agents.toy import ToyStreet, explores, logs_in, memory_of, q_config, 
 from tests.support.samples import ACTIONS
 from wcsim.agents.learning import seqdqn
 from wcsim.agents.learning.callbacks import EpisodeMetricsCallback
-from wcsim.agents.learning.phases import LearningPhase, PhaseSchedule
+from wcsim.agents.learning.phases import LearningPhase, PhasePlan
 from wcsim.agents.learning.replay.buffer import FrameReplay
 from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.networks.q_network import SeqQPolicy
 from wcsim.agents.runs.metrics import read_metrics
 from wcsim.config import LearnConfig
-from wcsim.config.run_file import FollowPriorConfig, QNetworkSpec
+from wcsim.config.run_file import FollowPrior, NetSpec
 from wcsim.errors import PolicyError
 
 CAMERA = toy_camera(24, 32)
@@ -80,11 +80,11 @@ def test_margin_loss_by_hand_and_zero_when_the_user_wins_clearly():
 
 
 def test_the_plan_fades():
-    plan = PhaseSchedule(LearnConfig(total_steps=1000, phase1_steps=200, margin=2.0, margin_fade=0.25))
+    plan = PhasePlan(LearnConfig(total_steps=1000, phase1_steps=200, margin=2.0, margin_fade=0.25))
     assert [plan.phase(s) for s in (0, 199, 200)] == [LearningPhase.ACTION_DRIVEN] * 2 + [LearningPhase.AGENT_DRIVEN]
     assert [plan.margin_weight(s) for s in (0, 199, 200, 300, 400, 999)] == pytest.approx([2, 2, 2, 1, 0, 0])
     assert [plan.epsilon(s) for s in (0, 200, 600, 1000)] == pytest.approx([0, 0.2, 0.125, 0.05])
-    hard = PhaseSchedule(LearnConfig(total_steps=10, phase1_steps=5, margin_fade=0.0))
+    hard = PhasePlan(LearnConfig(total_steps=10, phase1_steps=5, margin_fade=0.0))
     assert [hard.margin_weight(s) for s in (4, 5)] == [1.0, 0.0]
 
 
@@ -203,7 +203,7 @@ def chain_errors(n_step=1, seed=1, steps=1200, network="patch"):
         SeqQPolicy, Chain(), settings=explores(1.0, 1.0), seed=seed,
         gamma=gamma, learning_rate=1e-3, buffer_size=2000, learning_starts=100, batch_size=64, tau=0.05, train_freq=1,
         device="cpu",
-        policy_kwargs={"spec": QNetworkSpec(head="plain", prior=FollowPriorConfig(reward_scale=1.0), network=network)},
+        policy_kwargs={"spec": NetSpec(head="plain", prior=FollowPrior(reward_scale=1.0), network=network)},
         replay_buffer_kwargs=memory_of(n_step=n_step, gamma=gamma, seed=seed),
     )  # fmt: skip
     learner.learn(steps)

@@ -19,7 +19,7 @@ from wcsim.agents.networks.encoder import GROUPS, WCSIM_GROUPS, ObservationEncod
 from wcsim.agents.networks.names import NETWORK_NAMES
 from wcsim.agents.networks.q_network import QNet
 from wcsim.config import RewardConfig
-from wcsim.config.run_file import FollowPriorConfig, QNetworkSpec
+from wcsim.config.run_file import FollowPrior, NetSpec
 from wcsim.errors import PolicyError
 from wcsim.supervisor.observation import make_observation_space
 from wcsim.supervisor.rewards import _joystick_terms
@@ -47,7 +47,7 @@ def batch(height, width, joysticks, frames=1):
 
 def q_net(height=60, width=80, frames=1, **spec):
     torch.manual_seed(0)
-    return QNet(space(height, width, frames), gym.spaces.Discrete(81), QNetworkSpec(**spec))
+    return QNet(space(height, width, frames), gym.spaces.Discrete(81), NetSpec(**spec))
 
 
 @pytest.mark.parametrize("network", NETWORK_NAMES)
@@ -79,7 +79,7 @@ def test_a_fresh_plain_network_does_not():
 @settings(max_examples=25)
 @given(st.floats(-1, 1), st.floats(-1, 1))
 def test_the_known_part_is_the_rewards_joystick_part(x, y):
-    net = q_net(24, 32, prior=FollowPriorConfig(reward_scale=0.05))
+    net = q_net(24, 32, prior=FollowPrior(reward_scale=0.05))
     actions, config = ACTIONS, RewardConfig()
     stick = np.array([x, y], dtype=np.float32)
     expected = [0.05 * sum(_joystick_terms(actions.distance(a, stick), config)) for a in range(81)]

@@ -9,7 +9,7 @@ from wcsim.agents.networks.onnx_form import network_to_onnx
 from wcsim.agents.networks.q_network import QNet
 from wcsim.agents.networks.registry import preferred_window_size
 from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, IMU_KEY, JOYSTICK_KEY
-from wcsim.config.run_file import QNetworkSpec
+from wcsim.config.run_file import NetSpec
 from wcsim.supervisor.observation import make_observation_space
 
 runtime = pytest.importorskip("onnxruntime")
@@ -20,7 +20,7 @@ runtime = pytest.importorskip("onnxruntime")
 def test_an_exported_network_says_what_the_network_itself_says(name, classes):
     window, picks = preferred_window_size(name), torch.Generator().manual_seed(3)
     space = window_observation_space(make_observation_space("compact", 32, 24), window)
-    net = QNet(space, spaces.Discrete(81), QNetworkSpec(network=name, classes=classes))
+    net = QNet(space, spaces.Discrete(81), NetSpec(network=name, classes=classes))
     net.set_training_mode(False)
     seen = {
         key: torch.randint(0, most, (1, window, 24, 32), dtype=torch.uint8, generator=picks)

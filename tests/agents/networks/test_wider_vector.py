@@ -8,7 +8,7 @@ from gymnasium import spaces
 from wcsim.agents.learning.seqdqn import _mirrored
 from wcsim.agents.networks.encoder import vector_keys_from_space
 from wcsim.agents.networks.q_network import QNet
-from wcsim.config.run_file import QNetworkSpec
+from wcsim.config.run_file import NetSpec
 from wcsim.supervisor.observation import count_imu_values, make_observation_space
 from wcsim.types import Measure
 
@@ -25,7 +25,7 @@ def drawn(space):
 @pytest.mark.parametrize(("gyro", "yaw"), [(False, False), (True, False), (False, True), (True, True)])
 def test_a_network_takes_what_the_observation_has(gyro, yaw):
     space = make_observation_space("compact", 32, 24, count_imu_values(gyro, yaw))
-    net = QNet(space, spaces.Discrete(81), QNetworkSpec())
+    net = QNet(space, spaces.Discrete(81), NetSpec())
     batch = drawn(space)
     assert net(batch).shape == (1, 81)
 
@@ -46,7 +46,7 @@ def test_further_rows_of_numbers_come_last_and_nobody_names_them():
         make_observation_space("compact", 32, 24),
         make_observation_space("compact", 32, 24, measures=MEASURES),
     )
-    net, wide = QNet(paper, spaces.Discrete(81), QNetworkSpec()), QNet(more, spaces.Discrete(81), QNetworkSpec())
+    net, wide = QNet(paper, spaces.Discrete(81), NetSpec()), QNet(more, spaces.Discrete(81), NetSpec())
     assert vector_keys_from_space(paper) == ("imu", "joystick") and vector_keys_from_space(more) == (
         "imu",
         "joystick",

@@ -333,6 +333,6 @@ class _StatusPipe:
             # The reader is stopped.
             pass
         except OSError:
-            # No reader is left. The kernel requests the end itself (`parent.die_with_parent`), and
-            # a second request from here would cut the saving short.
+            # No reader is left. The kernel requests the end itself (`processes.die_with_parent`),
+            # and a second request from here would cut the saving short.
             self._descriptor = -1

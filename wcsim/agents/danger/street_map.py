@@ -148,7 +148,7 @@ def sweep(starts: F64, commands: F64, limits: F64, chair: F64, out: I32) -> None
     """Over which cells of a street map each command brings the chair.
 
     Args:
-        starts: (B, 6) states when the commands reach the chairs, see `arcs`.
+        starts: (B, 6) states when the commands reach the chairs, see `integrate_chair_state`.
         commands: (K, 2) joystick positions as the drive takes them.
         limits: (8,) of the drive.
         chair: (n, 3) see `hull_and_wheels`.

@@ -88,7 +88,7 @@ class TorchDriveModel:
         self._deadband, self._exponent = deadband, exponent
 
     def shaped(self, stick: Tensor) -> Tensor:
-        """Joystick positions (B, 2) as the drive takes them; repeats `joystick.shaped`."""
+        """Joystick positions (B, 2) as the drive takes them; repeats `joystick.shape_joysticks`."""
         radius = (stick * stick).sum(dim=1, keepdim=True).sqrt()
         pushed = (radius.clamp(max=1.0) - self._deadband) / (1.0 - self._deadband)
         out = pushed.clamp(min=0.0) ** self._exponent
@@ -105,7 +105,7 @@ class TorchDriveModel:
         return y * limits[V_MAX] * torch.where(y < 0.0, limits[REVERSE], 1.0), -x * limits[YAW_MAX]
 
     def follow(self, motion: Motion, targets: tuple[Tensor, Tensor], dt_s: float) -> Motion:
-        """The motion `dt_s` later, with what `targets` gives; repeats `joystick.driven`."""
+        """The motion `dt_s` later, with what `targets` gives; repeats `joystick.advance_drive`."""
         v, w, a = motion
         later, a = self._follow_speed(v, a, targets[0] - v, dt_s)
         return later, self._follow_turn(w, self._target_turn(targets, v), dt_s), a
@@ -113,7 +113,10 @@ class TorchDriveModel:
     def advance(
         self, places: Places, motion: Motion, command: Tensor, dt_s: float
     ) -> tuple[Places, Motion]:
-        """Places and motion (B,) `dt_s` later, with commands (B, 2); repeats `arcs.advance`."""
+        """Places and motion (B,) `dt_s` later; repeats `arcs.integrate_chair_state`.
+
+        Commands are (B, 2).
+        """
         now = self.follow(motion, self.targets(command), dt_s)
         turn, way = 0.5 * dt_s * (motion[1] + now[1]), 0.5 * dt_s * (motion[0] + now[0])
         heading = places[2] + 0.5 * turn
@@ -125,8 +128,9 @@ class TorchDriveModel:
     ) -> Places:
         """Where shaped commands (B, 2) bring chairs, (T, B) after each step.
 
-        Repeats the loop over `arcs.advance` in `street_map.sweep`. Here speeds, turn rates and
-        places are computed one after the other, each for all steps: a graph of fewer operations.
+        Repeats the loop over `arcs.integrate_chair_state` in `street_map.sweep`. Here speeds, turn
+        rates and places are computed one after the other, each for all steps: a graph of fewer
+        operations.
 
         Args:
             places: At the start, (1,) each, or (B,).
@@ -174,7 +178,7 @@ class TorchDriveModel:
         return targets[1] / (1.0 + self._limits[YAW_SLOWDOWN] * faster)
 
     def _follow_turn(self, w: Tensor, target: Tensor, dt_s: float) -> Tensor:
-        """The turn rate `dt_s` later; repeats `joystick.towards`."""
+        """The turn rate `dt_s` later; repeats `joystick.move_towards`."""
         most = self._limits[YAW_ACCEL] * dt_s
         return w + (target - w).clamp(-most, most)
 

@@ -12,7 +12,7 @@ from wcsim.agents.networks import registry
 from wcsim.agents.networks.q_network import SeqQPolicy
 from wcsim.agents.perception.depth_image import is_camera_mirror_symmetric
 from wcsim.config import LearnConfig, RunConfig
-from wcsim.config.run_file import FollowPriorConfig, QNetworkSpec
+from wcsim.config.run_file import FollowPrior, NetSpec
 from wcsim.errors import ConfigError, PolicyError
 from wcsim.supervisor.actions import action_set
 
@@ -125,17 +125,17 @@ def _learning_starts(learn: LearnConfig, seats: int) -> int:
     return max(learn.learning_starts, least)
 
 
-def _net_spec(config: RunConfig) -> QNetworkSpec:
+def _net_spec(config: RunConfig) -> NetSpec:
     """The network of a configuration."""
     learn, of_reward = config.learn, {"base", "max_follow_distance", "max_distance", "penalty"}
-    prior = FollowPriorConfig(
+    prior = FollowPrior(
         reward_scale=learn.reward_scale, **config.reward.model_dump(include=of_reward)
     )
     if learn.head == "danger":
         raise PolicyError(
             "learn.head='danger' is not a head for Q-learning; expected residual or plain here"
         )
-    return QNetworkSpec(
+    return NetSpec(
         network=learn.network,
         head=learn.head,
         dueling=learn.duel,

@@ -49,7 +49,7 @@ def save_checkpoint(
     *,
     replay: bool = True,
 ) -> Path:
-    """Save a learner, see `checkpoint.save`; `extra` is the `QTrainingProgress` beside it.
+    """Save a learner by `write_checkpoint`; `extra` is the `QTrainingProgress` beside it.
 
     Without `replay` it shares that of the newest checkpoint, if there is one.
 

@@ -16,11 +16,11 @@ class LearningPhase(IntEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class PhaseSchedule:
+class PhasePlan:
     """When the phases change and how exploration and supervision fade; pure functions of the step.
 
     >>> steps = {"total_steps": 100, "phase1_steps": 20}
-    >>> plan = PhaseSchedule(LearnConfig(**steps, epsilon_start=0.2, epsilon_end=0.0))
+    >>> plan = PhasePlan(LearnConfig(**steps, epsilon_start=0.2, epsilon_end=0.0))
     >>> [plan.phase(step).value for step in (0, 19, 20)], plan.epsilon(19), plan.epsilon(60)
     ([1, 1, 2], 0.0, 0.1)
     >>> plan.margin_weight(30)

@@ -5,7 +5,7 @@ target update per gradient step, the large-margin loss of DQfD (Hester et al. 20
 first phase supervised, advice from the oracle in the second (`aid`, beyond the paper), exploration
 near the user's joystick, and random draws from a generator of its own. `learn`, callbacks, logger,
 `save`, `load` and `EvalCallback` are SB3's. A network that carries a state
-(`QNetworkSpec.stateful`) does so from tick to tick of an episode, and learns from groups of steps
+(`NetSpec.stateful`) does so from tick to tick of an episode, and learns from groups of steps
 in a row (see `agents/learning/replay/groups.py`); any other one learns from steps drawn one by one,
 each with its window.
 """
@@ -26,7 +26,7 @@ from stable_baselines3.common.type_aliases import DictReplayBufferSamples, GymEn
 from stable_baselines3.common.utils import polyak_update
 from torch.nn import functional
 
-from wcsim.agents.learning.phases import LearningPhase, PhaseSchedule
+from wcsim.agents.learning.phases import LearningPhase, PhasePlan
 from wcsim.agents.learning.replay.buffer import FrameReplay
 from wcsim.agents.learning.replay.groups import SequenceBatch
 from wcsim.agents.networks.q_network import QNet, SeqQPolicy
@@ -103,7 +103,7 @@ class SeqDQN(DQN):
         self.settings = settings if settings is not None else LearnConfig()
         self.actions = actions
         self.mirror_signs = mirror_signs
-        self.plan = PhaseSchedule(self.settings)
+        self.plan = PhasePlan(self.settings)
         self.rng = seeding.generator(0 if seed is None else seed, "agent", "explore")
         self._offsets: npt.NDArray[np.float64] = np.zeros((0, 2))  # (N, 2) explored by each seat
         # (N,) steps for which they are still held

@@ -16,7 +16,7 @@ from torch import nn
 from wcsim.agents.networks.q_network import QNet
 from wcsim.agents.networks.registry import preferred_window_size
 from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, IMU_KEY, JOYSTICK_KEY
-from wcsim.config.run_file import QNetworkSpec
+from wcsim.config.run_file import NetSpec
 from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import action_set
 
@@ -61,7 +61,7 @@ def measure_network_cost(
     net = QNet(
         spaces.Dict({CLASS_KEY: image, DEPTH_KEY: image, **vectors}),
         actions,
-        QNetworkSpec(network=name),
+        NetSpec(network=name),
     )
     net.set_training_mode(False)
     seen = {

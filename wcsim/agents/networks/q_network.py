@@ -14,7 +14,7 @@ from torch import nn
 
 from wcsim.agents.networks.encoder import ObservationEncoder, Tensors, vector_size_from_space
 from wcsim.agents.policy_api import JOYSTICK_KEY
-from wcsim.config.run_file import QNetworkSpec
+from wcsim.config.run_file import NetSpec
 from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.rewards import DISTANCE_TOLERANCE
 
@@ -29,7 +29,7 @@ class QNet(BasePolicy):
     """
 
     def __init__(
-        self, observation_space: spaces.Dict, action_space: spaces.Discrete, spec: QNetworkSpec
+        self, observation_space: spaces.Dict, action_space: spaces.Discrete, spec: NetSpec
     ) -> None:
         super().__init__(observation_space, action_space, normalize_images=False)
         self.spec = spec
@@ -121,10 +121,10 @@ class SeqQPolicy(DQNPolicy):
         observation_space: spaces.Dict,
         action_space: spaces.Discrete,
         lr_schedule: Schedule,
-        spec: QNetworkSpec | None = None,
+        spec: NetSpec | None = None,
         optimizer_kwargs: dict[str, Any] | None = None,
     ) -> None:
-        self.spec = spec if spec is not None else QNetworkSpec()
+        self.spec = spec if spec is not None else NetSpec()
         super().__init__(
             observation_space,
             action_space,

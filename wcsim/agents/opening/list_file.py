@@ -140,7 +140,7 @@ class BlockSetup:
     """Where a block is driven: its street is there, and all its settings."""
 
     town: Town
-    # By `config_for`.
+    # By `config_from_policy_name`.
     config: RunConfig
     # Of the world.
     seed: int

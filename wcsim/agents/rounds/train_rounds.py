@@ -217,7 +217,7 @@ def _learn(learner: DangerLearner, dataset: Dataset, updates: int, now: RoundPro
 
 
 def _save_round(folder: Path, number: int, learner: DangerLearner, segments: dict[str, str]) -> None:
-    """Keep a learner after a round, see `checkpoint.save`; `segments` are those that it has learned from."""
+    """Save a learner after a round by `write_checkpoint`; `segments` are those that it has learned from."""
     state = {"updates": learner.updates, "loss": learner.loss, "segments": segments}
     write_checkpoint(folder, format_checkpoint_name("round", number), state, learner.arrays())
 

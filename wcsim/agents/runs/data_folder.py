@@ -112,7 +112,7 @@ class DrivingSegment:
     truth: U8  # (N, A) or (N, 0), the same of the oracle that knows all
     reward: F32  # (N,) of the step
     crashed: Bool  # (N,) the step ended in a crash
-    own: Bool  # (N,) in one of the chair's own fault, see `supervisor.rewards.fault`
+    own: Bool  # (N,) in one of the chair's own fault, see `supervisor.rewards.judge_crash_fault`
     ended: Bool  # (N,) it was the last one of its episode here
     delay: U8  # (N,) ticks from a command to the chair that obeys it
 

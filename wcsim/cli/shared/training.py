@@ -350,7 +350,8 @@ def remove_run_without_results(run: Path) -> Iterator[None]:
 
 def print_finished_run(options: OutputOptions, run: ResolvedRun) -> None:
     """Print where a finished run is and how to test it."""
-    print_kpi1_limit_steps(run.out)
+    if not learner_of(run.config).own_worlds:  # rounds log no KPI 1
+        print_kpi1_limit_steps(run.out)
     trained_in = (run.info.town, *run.info.more_towns)
     command = make_test_command(run.out, run.config.learn.network, trained_in)
     print(f"run folder: {run.out}    test it: {command}")

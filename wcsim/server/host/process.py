@@ -194,7 +194,7 @@ class _ServerLoop:
         self._outbox: dict[Peer, list[bytes]] = {}
         self._last_reply: m.Reply | None = None
         self._last_bytes = b""  # the encoded `_last_reply`
-        self._last_clock_s = 0.0  # of the last Clock event
+        self._last_clock_s = 0.0  # of the last TimePassedEvent
         self._is_orphan = False
         self._cap = _EpochCap(order, opened.core)
         sockets.watch(processes.fileno())

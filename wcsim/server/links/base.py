@@ -36,7 +36,9 @@ class LinkWaitTimes:
     steps: int = 0
     simulation_s: float = 0.0  # duration of the world's steps, by its own clock
     link_s: float = 0.0  # all waiting; the rest of it is for the barrier and the transport
-    worked_s: float = 0.0  # of link_s, in which something else was done: see `Seat.while_waiting`
+    worked_s: float = (
+        0.0  # of link_s, in which something else was done: see `SeatLink.while_waiting`
+    )
 
 
 class SeatLink(ClosingContextBase):

@@ -129,7 +129,7 @@ class SocketSeat(ProcessSeatLink):
         return self._welcome
 
     def while_waiting(self, work: Callable[[], object]) -> None:
-        """See `Seat`: a thread receives from the world; it has ended when this returns."""
+        """See `SeatLink`: a thread receives from the world; it has ended when this returns."""
         start_s = time.perf_counter()
         recalled = threading.Event()
         with ThreadPoolExecutor(1, "wcsim-listener") as listener:

@@ -124,7 +124,7 @@ def fate(record: EpisodeRecord) -> str:
 def _last_speed_mps(record: EpisodeRecord) -> float | None:
     """Mean speed in about the last second; None where there is no path.
 
-    A path has the place after each whole second, and the last one (`kpi.sums_of`): at 12.3 s 13 places.
+    A path has the place after each whole second, and the last one (`kpi.sum_kpi_steps`): at 12.3 s 13 places.
     """
     path_m, time_s = record.path_m, record.time_s
     if len(path_m) < 2 or time_s <= 0.0:

@@ -9,19 +9,19 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 
 from tests.agents.recall import LENGTH, Biased, Clock, Recall
 from tests.agents.toy import explores, memory_of
-from wcsim.agents.learning.replay.groups import SequenceGroupSampler
+from wcsim.agents.learning.replay.groups import Groups
 from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.networks import registry
 from wcsim.agents.networks.q_network import SeqQPolicy
-from wcsim.config.run_file import FollowPriorConfig, QNetworkSpec
+from wcsim.config.run_file import FollowPrior, NetSpec
 
 
 def recall_model(network, steps, seed=0, task=Recall):
     """A learner of a task of memory that explores less and less in half of its steps; `patch` carries no state."""
-    spec = QNetworkSpec(
+    spec = NetSpec(
         network=network,
         head="plain",
-        prior=FollowPriorConfig(reward_scale=1.0),
+        prior=FollowPrior(reward_scale=1.0),
         stateful=registry.is_recurrent_network(network),
     )
     return SeqDQN(
@@ -84,7 +84,7 @@ def _carried_over_when_it_is_asked(monkeypatch):
 
 def _never_zero_in_the_memory(monkeypatch):
     """Groups that begin an episode are learned from with a state that is not zero."""
-    stored = SequenceGroupSampler.stored_states
+    stored = Groups.stored_states
 
     def stale(self, memory, index, seats):
         states, steps = stored(self, memory, index, seats)
@@ -92,7 +92,7 @@ def _never_zero_in_the_memory(monkeypatch):
         states[begins] = 0.5
         return states, steps
 
-    monkeypatch.setattr(SequenceGroupSampler, "stored_states", stale)
+    monkeypatch.setattr(Groups, "stored_states", stale)
 
 
 @pytest.mark.proof
@@ -118,7 +118,7 @@ def value_of_going_right(double_q, noise):
         seed=1, gamma=0.95, learning_rate=1e-2, buffer_size=64, learning_starts=48, batch_size=32, tau=0.003,
         train_freq=1, device="cpu",
         policy_kwargs={
-            "spec": QNetworkSpec(head="plain", dueling=False, network="tests.attack.files.checkpoints:Tiny")
+            "spec": NetSpec(head="plain", dueling=False, network="tests.attack.files.checkpoints:Tiny")
         },
         replay_buffer_kwargs=memory_of(gamma=0.95, seed=1),
     )  # fmt: skip

@@ -31,7 +31,7 @@ from tests.support.samples import ACTIONS, stacked
 from wcsim.agents.envs.episode_view import FrameWindow, trim_frame_window, window_observation_space
 from wcsim.agents.learning.build import build_model, default_settings_for_network
 from wcsim.agents.learning.checkpoint import _check_fit, _replay_arrays, _restore_replay, save_checkpoint
-from wcsim.agents.learning.replay.frame_store import FrameWindowStore
+from wcsim.agents.learning.replay.frame_store import WindowStore
 from wcsim.agents.learning.saved_policy import load_policy
 from wcsim.agents.learning.seqdqn import _mirror_batch
 from wcsim.agents.opening.named_policy import config_from_policy_name, open_named_policy, policy_overrides
@@ -246,7 +246,7 @@ def test_a_memory_that_holds_nothing_yet_can_be_kept():
 
 
 def test_a_window_with_a_forgotten_past_is_kept_whole():
-    store, a, b = FrameWindowStore(8, 1, 2, 3), [1, 1, 1], [2, 2, 2]
+    store, a, b = WindowStore(8, 1, 2, 3), [1, 1, 1], [2, 2, 2]
     store.write(4, np.array([a + a], np.uint8), np.array([True]))
     store.reset()
     store.write(9, np.array([a + b], np.uint8), np.array([False]))

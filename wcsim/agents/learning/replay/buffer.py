@@ -40,8 +40,8 @@ from stable_baselines3.common.utils import get_device
 from stable_baselines3.common.vec_env import VecNormalize
 
 from wcsim.agents.envs.episode_view import WORLD_RESTARTED
-from wcsim.agents.learning.replay.frame_store import PACK_ABOVE_BYTES, FrameCodec, FrameWindowStore
-from wcsim.agents.learning.replay.groups import SequenceBatch, SequenceGroupSampler
+from wcsim.agents.learning.replay.frame_store import PACK_ABOVE_BYTES, BlobCodec, WindowStore
+from wcsim.agents.learning.replay.groups import Groups, SequenceBatch
 from wcsim.agents.policy_api import DEPTH_KEY
 from wcsim.config import LearnConfig
 from wcsim.core import seeding
@@ -93,14 +93,14 @@ class FrameReplay(ReplayBuffer):
         self.precrash_share = settings.precrash_share
         self.layout = _layout_of(observation_space)
         self.rng = seeding.generator(seed, "agent", "replay")
-        self.groups: SequenceGroupSampler | None = None
+        self.groups: Groups | None = None
         if settings.memory == "groups":
-            self.groups = SequenceGroupSampler(settings.group_steps, settings.burn_in)
+            self.groups = Groups(settings.group_steps, settings.burn_in)
         layout = self.layout
-        self.windows = FrameWindowStore(
+        self.windows = WindowStore(
             rows, n_envs, layout.window, layout.frame_bytes, layout.depth_bytes
         )
-        self._end_codec = FrameCodec(layout.image_bytes, 0)
+        self._end_codec = BlobCodec(layout.image_bytes, 0)
         self.vectors = np.zeros((rows, n_envs, layout.vector_size), dtype=np.float32)
         self.actions = np.zeros((rows, n_envs), dtype=np.int64)
         self.rewards = np.zeros((rows, n_envs), dtype=np.float32)

@@ -34,7 +34,7 @@ _HASH_LOG: Final = 12
 _LENGTHS: Final = struct.Struct("<II")
 
 
-class FrameCodec:
+class BlobCodec:
     """Packs frames of `size` bytes, the first `smooth` of a smooth picture with holes."""
 
     def __init__(self, size: int, smooth: int) -> None:
@@ -81,7 +81,7 @@ class FrameCodec:
         return np.frombuffer(unzstd(packed, most, self._unpack), np.uint8)
 
 
-class FrameWindowStore:
+class WindowStore:
     """Windows (frames * size,) by absolute step index and seat, of the last `steps` steps."""
 
     def __init__(self, steps: int, seats: int, frames: int, size: int, smooth: int = 0) -> None:
@@ -172,7 +172,7 @@ class _PackedFrames:
 
     def __init__(self, rows: int, seats: int, size: int, smooth: int = 0) -> None:
         self._blobs: list[list[bytes]] = [[b""] * seats for _ in range(rows)]
-        self._size, self._codec = size, FrameCodec(size, smooth)
+        self._size, self._codec = size, BlobCodec(size, smooth)
 
     def write(self, index: int, seat: int, frame: U8) -> None:
         """Store a frame (size,) of the next step."""

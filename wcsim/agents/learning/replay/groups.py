@@ -46,7 +46,7 @@ class SequenceBatch:
     after: torch.Tensor  # (K, L) int64: which of the P observations comes after them
 
 
-class SequenceGroupSampler:
+class Groups:
     """Draws a memory's groups, and holds the states that were stored for them."""
 
     def __init__(self, length: int, burn_in: int) -> None:
