@@ -143,7 +143,7 @@ class StreetPerception:
         return shaped
 
     def start(self) -> tuple[F64, float]:
-        """The state (6,) when the next command reaches the chair, and when that is; see `arcs.py`."""
+        """The state (6,) when the next command reaches the chair, and that time; see `arcs.py`."""
         waiting = self.ego.waiting
         state = predict_delayed_state(self.ego.motion, waiting, self.limits, self._tick_s)
         return state, len(waiting) * self._tick_s

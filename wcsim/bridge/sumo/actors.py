@@ -302,7 +302,7 @@ def _box(libsumo: Any, tls_id: str) -> tuple[float, float, float, float]:
 def _state(
     actor_id: str, body: _Body, front_W_m: Place, yaw_rad: float, pitch_rad: float, speed_mps: float, signals: int = 0
 ) -> ActorState:
-    """As `frames.centre_from_front` and `frames.forward_vector`, in plain numbers: it runs for each actor near, every tick."""
+    """As `frames.centre_from_front` and `frames.forward_vector`, in plain numbers: it runs for each actor."""
     flat = math.cos(pitch_rad)
     ahead_x, ahead_y, ahead_z = flat * math.cos(yaw_rad), flat * math.sin(yaw_rad), math.sin(pitch_rad)
     x, y, z = front_W_m
