@@ -22,7 +22,7 @@ import numpy as np
 from benchmarks.judge.held_stick import HeldStreet, given
 from benchmarks.judge.kerb_places import KerbCase, facing, kerb_starts
 from benchmarks.judge.starts import PLANTS, place_of
-from wcsim.agents.policy_api import ReportsUnsafe
+from wcsim.agents.policy_api import TellsUnsafe
 from wcsim.bridge.world_copy import in_copy
 from wcsim.bridge.world_rollout import rollout
 from wcsim.towns.scenario.town import find_town
@@ -174,7 +174,7 @@ def _ask_at(street: HeldStreet, kind: str, ticks: list[int], rng: np.random.Gene
         sides = (rng.permutation(np.flatnonzero(edge & safe)), rng.permutation(np.flatnonzero(edge & ~safe)))
         near = np.concatenate([side[: STICKS // 4 + 1] for side in sides])[: STICKS // 2]
         more = rng.permutation(len(safe))[: STICKS - len(near)]
-        own = street.policy.unsafe if isinstance(street.policy, ReportsUnsafe) else None
+        own = street.policy.unsafe if isinstance(street.policy, TellsUnsafe) else None
         for action in (*near.tolist(), *more.tolist()):
             stick = street.actions.points[action]
             after_s, end = json.loads(in_copy(street.world, partial(given, stick=Joystick(*stick.tolist()))))

@@ -35,7 +35,7 @@ from wcsim.agents.perception.depth_image import viewing_rays
 from wcsim.agents.perception.ego_motion import body_to_odometric, odometric_to_body
 from wcsim.agents.perception.surroundings import outline_to_box
 from wcsim.agents.policies.dwa import DynamicWindowPolicy, VetoPolicy
-from wcsim.agents.policy_api import Policy, ReportsUnsafe, SeesTruth
+from wcsim.agents.policy_api import Policy, SeesTruth, TellsUnsafe
 from wcsim.bridge.world_copy import in_copy
 from wcsim.core.constants import KERB_STEP_M
 from wcsim.core.joystick import drive_limits_from_chair, shape_joysticks
@@ -185,7 +185,7 @@ class _Site:
         return False
 
     def _unsafe(self, now: ClientSnapshot, policy: Policy) -> Bool:
-        if isinstance(policy, ReportsUnsafe):
+        if isinstance(policy, TellsUnsafe):
             return np.asarray(policy.unsafe)
         if now.truth is not None and isinstance(policy, SeesTruth):
             return ~now.truth.safe_actions

@@ -114,7 +114,7 @@ class Warns(Protocol):
 
 
 @runtime_checkable
-class TracksExecuted(Protocol):
+class HearsSent(Protocol):
     """A policy that needs to know which action was executed, as that may differ from its choice."""
 
     def choose(self, observation: Observation) -> int:
@@ -131,7 +131,7 @@ class TracksExecuted(Protocol):
 
 
 @runtime_checkable
-class NeedsDelay(Protocol):
+class HearsDelay(Protocol):
     """A policy that is given the action delay of each episode, if `[vary]` draws one."""
 
     def set_delay(self, ticks: int) -> None:
@@ -144,7 +144,7 @@ def pass_delay(policy: Policy, drawn: Drawn | None) -> None:
     Without one the policy assumes the configured delay.
     """
     if (
-        isinstance(policy, NeedsDelay)
+        isinstance(policy, HearsDelay)
         and drawn is not None
         and drawn.action_delay_ticks is not None
     ):
@@ -152,7 +152,7 @@ def pass_delay(policy: Policy, drawn: Drawn | None) -> None:
 
 
 @runtime_checkable
-class ReportsUnsafe(Protocol):
+class TellsUnsafe(Protocol):
     """A policy that says for every action whether it considers it unsafe."""
 
     @property

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from wcsim.agents.envs.seat_driver import PolicyAgentAdapter
-from wcsim.agents.policy_api import Levelled, Observation, Policy, ReportsUnsafe, TracksExecuted, Warns
+from wcsim.agents.policy_api import HearsSent, Levelled, Observation, Policy, TellsUnsafe, Warns
 from wcsim.errors import PolicyError, WcsimError
 from wcsim.supervisor.actions import ActionSet
 from wcsim.supervisor.kpi import FOLLOWED
@@ -77,7 +77,7 @@ class Assistance:
     @property
     def tells_unsafe(self) -> bool:
         """Whether the policy says of every action whether it is unsafe."""
-        return isinstance(self._agent.policy, ReportsUnsafe)
+        return isinstance(self._agent.policy, TellsUnsafe)
 
     def switch(self, on: bool) -> None:
         """Let the policy have its say, or not, which ends help; one that broke is tried again."""
@@ -146,7 +146,7 @@ class Assistance:
         if self.help_left and not isinstance(self._agent.policy, Levelled):
             chosen = self._actions.nearest(_HELPED * self._actions.points[chosen])
         sent = chosen if self.on and asked else own
-        if isinstance(self._agent.policy, TracksExecuted):
+        if isinstance(self._agent.policy, HearsSent):
             self._agent.policy.sent(sent)
         far = self._actions.distance(sent, tuple(float(part) for part in seen["joystick"]))
         warns = isinstance(self._agent.policy, Warns) and self._agent.policy.warning
@@ -185,4 +185,4 @@ class Assistance:
 
     def _unsafe(self) -> tuple[int, ...]:
         policy = self._agent.policy
-        return tuple(policy.unsafe.nonzero()[0].tolist()) if isinstance(policy, ReportsUnsafe) else ()
+        return tuple(policy.unsafe.nonzero()[0].tolist()) if isinstance(policy, TellsUnsafe) else ()

@@ -12,7 +12,7 @@ from wcsim.agents.evaluation.suite.run import _identity_of, _policy_at
 from wcsim.agents.opening.named_policy import config_from_policy_name, open_named_policy
 from wcsim.agents.policies.baselines import baseline
 from wcsim.agents.policies.dwa import VetoPolicy
-from wcsim.agents.policy_api import Levelled, NeedsSenses, ReportsUnsafe, TracksExecuted, Warns
+from wcsim.agents.policy_api import HearsSent, Levelled, NeedsSenses, TellsUnsafe, Warns
 from wcsim.agents.runs.policy_file import parse_policy_name
 from wcsim.config import CameraConfig, RunConfig
 from wcsim.errors import PolicyError
@@ -96,7 +96,7 @@ def test_where_dwa_would_take_nothing_the_policy_decides(monkeypatch):
 def test_it_has_the_senses_of_both_and_tells_the_policy_what_happens():
     inner = Doubter(AHEAD)
     policy = VetoPolicy("veto:doubter", inner, CONFIG)
-    assert all(isinstance(policy, what) for what in (TracksExecuted, Levelled, NeedsSenses, ReportsUnsafe, Warns))
+    assert all(isinstance(policy, what) for what in (HearsSent, Levelled, NeedsSenses, TellsUnsafe, Warns))
     assert policy.senses == ("odometry", "gyro", "brake") and policy.warning
     policy.begin()
     policy.set_delay(2)

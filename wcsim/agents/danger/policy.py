@@ -18,7 +18,7 @@ from wcsim.agents.danger.network import DangerNet, channels_last
 from wcsim.agents.danger.street_map import FeatureExtractor, Features
 from wcsim.agents.networks.names import NETWORK_NAMES, require_trusted_network
 from wcsim.agents.perception.alarm import AlarmState, next_alarm_state
-from wcsim.agents.policy_api import JOYSTICK_KEY, MOTION_SENSES, NotFinite, Observation, TracksExecuted, require_level
+from wcsim.agents.policy_api import JOYSTICK_KEY, MOTION_SENSES, HearsSent, NotFinite, Observation, require_level
 from wcsim.agents.runs.policy_file import read_danger_policy_file, require_danger_policy_fits
 from wcsim.agents.runs.weights import load_network, write_policy_folder
 from wcsim.config import RunConfig
@@ -104,7 +104,7 @@ def _choose(
 _SURE: Final = 60.0  # a logit beyond it says no more
 
 
-class DangerPolicy(TracksExecuted):
+class DangerPolicy(HearsSent):
     """Drives one chair: its action is the nearest to the user's stick that is safe enough.
 
     Args:

@@ -11,11 +11,11 @@ from wcsim.agents.envs.episode_view import (
     env_to_policy_observation,
 )
 from wcsim.agents.policy_api import (
+    HearsSent,
     Helping,
     Observation,
     Policy,
     SeesTruth,
-    TracksExecuted,
     pass_delay,
 )
 from wcsim.config import RunConfig
@@ -102,9 +102,9 @@ class PolicyAgentAdapter:
         return action
 
     def choose(self, observation: Observation, info: Info) -> int:
-        """As `act`; the caller handles calls for help, and sends a `TracksExecuted` the action."""
+        """As `act`; the caller handles calls for help, and sends a `HearsSent` the action."""
         self._show(info)
-        if isinstance(self.policy, TracksExecuted):
+        if isinstance(self.policy, HearsSent):
             return int(self.policy.choose(observation))
         return int(self.policy.act(observation))
 

@@ -35,12 +35,12 @@ from wcsim.agents.policy_api import (
     MOTION_SENSES,
     STATE_SENSE,
     USUAL_LEVEL,
-    NeedsDelay,
+    HearsDelay,
+    HearsSent,
     Observation,
     Policy,
-    ReportsUnsafe,
     SeesTruth,
-    TracksExecuted,
+    TellsUnsafe,
     Warns,
     require_level,
     senses_of,
@@ -164,7 +164,7 @@ def _brakes_in_time(
     return free & ~blind, gap_m
 
 
-class DynamicWindowPolicy(TracksExecuted):
+class DynamicWindowPolicy(HearsSent):
     """Chooses the action nearest to the user's stick that can be braked in time, with some room.
 
     It remembers the street around it, the road users there, and its own motion.
@@ -268,7 +268,7 @@ class DynamicWindowPolicy(TracksExecuted):
         return int(np.argmin(np.where(free, cost, np.inf)))
 
 
-class VetoPolicy(TracksExecuted):
+class VetoPolicy(HearsSent):
     """Drives one chair: its action is the policy's, or the nearest one to it that is not forbidden.
 
     Its level of assistance is that of `dwa`: how early, and how widely, it forbids.
@@ -314,7 +314,7 @@ class VetoPolicy(TracksExecuted):
 
     def set_delay(self, ticks: int) -> None:
         """Pass the delay on to a policy that takes it."""
-        if isinstance(self.inner, NeedsDelay):
+        if isinstance(self.inner, HearsDelay):
             self.inner.set_delay(ticks)
 
     def begin(self) -> None:
@@ -335,11 +335,11 @@ class VetoPolicy(TracksExecuted):
     def choose(self, observation: Observation) -> int:
         """The action, while another one may still be sent."""
         inner = self.inner
-        chooses = inner.choose if isinstance(inner, TracksExecuted) else inner.act
+        chooses = inner.choose if isinstance(inner, HearsSent) else inner.act
         chosen = int(chooses(observation))
         self._dwa.choose(observation)
         forbidden = self._dwa.unsafe
-        doubted = inner.unsafe if isinstance(inner, ReportsUnsafe) else np.zeros_like(forbidden)
+        doubted = inner.unsafe if isinstance(inner, TellsUnsafe) else np.zeros_like(forbidden)
         self.unsafe = forbidden | doubted
         # With every action forbidden `dwa` knows no better than the policy.
         if not forbidden[chosen] or forbidden.all():
@@ -350,6 +350,6 @@ class VetoPolicy(TracksExecuted):
 
     def sent(self, action: int) -> None:
         """Take the action that is executed."""
-        if isinstance(self.inner, TracksExecuted):
+        if isinstance(self.inner, HearsSent):
             self.inner.sent(action)
         self._dwa.sent(action)

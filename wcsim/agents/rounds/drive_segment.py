@@ -28,8 +28,8 @@ from wcsim.agents.policy_api import (
     JOYSTICK_KEY,
     MOTION_SENSES,
     ODOMETRY_KEY,
+    HearsSent,
     Observation,
-    TracksExecuted,
     sense_settings,
 )
 from wcsim.agents.runs.data_folder import (
@@ -223,7 +223,7 @@ def _scenes(order: SegmentOrder, config: RunConfig, work: Path) -> Iterator[_Seg
         yield _SegmentPlace(town=replace(town, passing=True), config=own, seats=seats, ticks=ticks, seed=scene.seed)
 
 
-class _Learned(TracksExecuted, Protocol):
+class _Learned(HearsSent, Protocol):
     """The network as a driver: in each step `choose` or `observe`, then `sent`."""
 
     def reset(self) -> None:

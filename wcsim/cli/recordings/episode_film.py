@@ -13,7 +13,7 @@ from wcsim.agents.evaluation.suite.playback import require_same
 from wcsim.agents.evaluation.suite.result_files import TestResult, read_result
 from wcsim.agents.evaluation.suite.run import drive_piece, piece_of, town_addresses
 from wcsim.agents.opening.named_policy import config_from_policy_name
-from wcsim.agents.policy_api import UNAIDED, Policy, ReportsUnsafe, Warns
+from wcsim.agents.policy_api import UNAIDED, Policy, TellsUnsafe, Warns
 from wcsim.agents.runs.policy_file import parse_policy_name
 from wcsim.bridge.world import World
 from wcsim.config import RunConfig
@@ -126,7 +126,7 @@ class _BlockWatch:
         alone = step.info["events"].step <= self._piece.block.episodes[seat].handover_step
         user, given = step.info["asked"], step.info["given"]
         unsafe: list[int] | None = None
-        if isinstance(policy, ReportsUnsafe):
+        if isinstance(policy, TellsUnsafe):
             unsafe = [] if alone else policy.unsafe.nonzero()[0].tolist()
         self._seats[seat] = TickSays(
             stick=xy_of(user),
@@ -155,7 +155,7 @@ class _BlockWatch:
                 camera=self._config.cameras[0].model_dump_json(),
                 actions=self._config.env.actions,
                 unknown=list(NOT_IN_EPISODES),
-                tells_unsafe=isinstance(policy, ReportsUnsafe),
+                tells_unsafe=isinstance(policy, TellsUnsafe),
                 warns=isinstance(policy, Warns),
                 tells_who=True,
             )
