@@ -16,7 +16,7 @@ from wcsim.agents.opening.list_file import open_suite, write_list
 from wcsim.cli.main import main as wcsim
 from wcsim.cli.shared.consoles import print_note
 from wcsim.core.files import sha256_from_file, write_json
-from wcsim.core.own_folder import temporary_folder
+from wcsim.core.own_folder import create_temporary_folder
 
 _Q: Final = "--seed 1 --set learn.learning_starts=100 --set learn.phase1_steps=150"
 _COMMANDS: Final = (
@@ -33,7 +33,7 @@ def main(words: list[str]) -> int:
     """Run all commands in an empty folder; 1 if one fails, or a hash is another one than in the file."""
     file = Path(words[0]).absolute()
     suite = open_suite("dev").file
-    with temporary_folder() as work, chdir(work):
+    with create_temporary_folder() as work, chdir(work):
         write_list(suite.model_copy(update={"blocks": suite.blocks[::8]}), Path("list.json"))
         if any(wcsim(command.split()) for command in _COMMANDS):
             return 1

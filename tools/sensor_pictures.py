@@ -78,7 +78,7 @@ def ride(imu: ImuConfig, street: StreetMesh, seconds: float, stick: Stick, chair
         engine.add_street(street)
         driven = Wheelchair(engine, chair, imu, seat=0)
         driven.place(np.zeros(3), 0.0)
-        driven.sensors.start({"imu": seeding.derive_key(SEED, "imu", 0, "start", 0)})
+        driven.sensors.start({"imu": seeding.derive_rng_key(SEED, "imu", 0, "start", 0)})
         told: Told = ([], [])
         for tick in range(round(seconds / TICK_S)):
             driven.command(stick(tick * TICK_S))

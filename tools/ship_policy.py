@@ -23,7 +23,7 @@ from wcsim.agents.export.onnx_export import export_policy
 from wcsim.agents.opening.learner_registry import DANGER_ROUNDS
 from wcsim.agents.policy_api import MODEL_FILE, Observation
 from wcsim.agents.rounds.train_rounds import data_of
-from wcsim.agents.runs.data_folder import DATA, SEGMENTS, data_digest, read_data_manifest, segment_key_from_name
+from wcsim.agents.runs.data_folder import DATA, SEGMENTS, hash_segments, read_data_manifest, segment_key_from_name
 from wcsim.agents.runs.policy_file import (
     EXPORTED,
     FILES,
@@ -31,7 +31,7 @@ from wcsim.agents.runs.policy_file import (
     POLICY_JSON,
     WEIGHTS,
     find_shipped_policy,
-    shipped_policy_path,
+    get_shipped_policy_path,
 )
 from wcsim.agents.runs.run_folder import MANIFEST, RunFolder, open_run
 from wcsim.config import CameraConfig, CollectConfig, resolve
@@ -179,7 +179,7 @@ def driven_by(folder: Path, segments: dict[str, str]) -> list[str]:
     where = ["--town", ",".join(read_data_manifest(folder).towns), "--out", f"data/{folder.name}"]
     return [
         shlex.join(["wcsim", "collect", *where, "--seed", str(seed), "--segments", str(count)])
-        + f"  # with the settings in its data.json; SHA-256 of the data {data_digest(segments)[:12]}"
+        + f"  # with the settings in its data.json; SHA-256 of the data {hash_segments(segments)[:12]}"
         for seed, count in sorted(seeds.items())
     ]
 
@@ -228,7 +228,7 @@ def main() -> None:
 
     run = open_run(asked.run)
     ride = reference_ride(asked.town, run.config, 200, open_named_policy(str(asked.run), run.config, 0))
-    folder = ship(run, ride, asked.result, asked.to or shipped_policy_path())
+    folder = ship(run, ride, asked.result, asked.to or get_shipped_policy_path())
     sys.stdout.write(f"shipped: {folder}\n")
 
 

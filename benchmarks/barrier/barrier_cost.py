@@ -23,13 +23,13 @@ import numpy as np
 from benchmarks.barrier.fake_world import FakeWorld
 from benchmarks.barrier.parts import TICK_TIMES, PartOrder, Sizes
 from wcsim.config import RunConfig
-from wcsim.core.own_folder import LockedTempFolder, runtime_folder
+from wcsim.core.own_folder import LockedTempFolder, create_runtime_folder
 from wcsim.errors import LinkTimeoutError
 from wcsim.server.launch.states import WorldStatusReport
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.events import ServerRules
 from wcsim.server.specs import SeatRequest, WorldBuildSpec, WorldProcessSpec, decode_json_line, encode_json_line
-from wcsim.server.transport.keys import make_keys
+from wcsim.server.transport.keys import create_missing_keys
 from wcsim.types import SeatSpec
 
 BLOCK_TICKS = 100
@@ -90,13 +90,13 @@ class _Bench:
     """All processes of a bench, ready to go."""
 
     def __init__(self, config: RunConfig, clients: int, remote: bool, held: ExitStack) -> None:
-        self._folder = held.enter_context(runtime_folder(prefix="wcsim-bench-"))
+        self._folder = held.enter_context(create_runtime_folder(prefix="wcsim-bench-"))
         ring = LockedTempFolder()
         held.callback(ring.close)
         keys = str(self._folder / "keys") if remote else ""
         names = tuple(f"client-{number}" for number in range(clients))
         if remote:
-            make_keys(Path(keys), names)
+            create_missing_keys(Path(keys), names)
         echo = f"tcp://127.0.0.1:{_free_port()}" if remote else f"ipc://{self._folder}/echo"
         self._world = _world(config, clients, keys, self._folder, ring.path, held)
         join = SeatRequest(endpoint=_listening(self._world, remote, self._folder), name="", claim="", keys=keys)

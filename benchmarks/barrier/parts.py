@@ -20,7 +20,7 @@ from benchmarks.barrier.fake_world import FakeWorld
 from wcsim.bridge.replay.player import Specs
 from wcsim.core.processes import die_with_parent
 from wcsim.server.links.base import ProcessSeatLink
-from wcsim.server.links.socket import SocketSeat
+from wcsim.server.links.socket import SocketSeatLink
 from wcsim.server.specs import SeatRequest, WorldBuildSpec
 from wcsim.server.transport.keys import ClientKeyLookup, read_client_keys, read_server_keys, read_server_public_key
 from wcsim.types import ClientSnapshot, Command, Joystick, SensorFrame, Snapshot
@@ -104,7 +104,7 @@ def main(words: Sequence[str]) -> int:
 
 
 def _client(context: zmq.Context[zmq.Socket[bytes]], order: PartOrder) -> None:
-    with SocketSeat(order.join) as link, context.socket(zmq.DEALER) as socket:
+    with SocketSeatLink(order.join) as link, context.socket(zmq.DEALER) as socket:
         _prepare(socket)
         socket.setsockopt(zmq.IDENTITY, b"%d" % (order.number + 1))
         if order.keys:

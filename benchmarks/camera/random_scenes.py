@@ -47,7 +47,7 @@ def scatter(street: Street, camera: CameraConfig, poses: int, actors: int, seed:
     Raises:
         ConfigError: when the street has no pavement in its walk graph.
     """
-    rng = seeding.generator(seed, "scatter")
+    rng = seeding.make_rng(seed, "scatter")
     walks = [i for i, edge in enumerate(street.walk.edges) if edge.kind is WayKind.SIDEWALK]
     if not walks:
         raise ConfigError("this street has no pavement in its walk graph; choose another town")

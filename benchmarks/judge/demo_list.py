@@ -19,7 +19,7 @@ from wcsim.agents.policy_api import UNAIDED
 from wcsim.cli.shared.consoles import print_note
 from wcsim.config import resolve
 from wcsim.config.suite import SuiteBlock, SuiteFile, SuiteTown
-from wcsim.core.own_folder import temporary_folder
+from wcsim.core.own_folder import create_temporary_folder
 from wcsim.towns.making.asked_town import made_town
 from wcsim.towns.scenario.town import content_hash
 from wcsim.towns.scene_folders.families import LISTED
@@ -72,5 +72,5 @@ def _shortened(block: SuiteBlock) -> SuiteBlock:
 
 
 if __name__ == "__main__":
-    with temporary_folder() as folder:
+    with create_temporary_folder() as folder:
         write_list(demo_list(folder, 2, print_note), Path(sys.argv[1]))

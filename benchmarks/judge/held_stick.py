@@ -14,10 +14,10 @@ import numpy as np
 
 from wcsim.agents.envs.seat_driver import AgentSeatDriver, PolicyAgentAdapter
 from wcsim.agents.opening.named_policy import (
-    config_from_policy_name,
+    list_policy_overrides,
     make_policy_seat_spec,
     open_named_policy,
-    policy_overrides,
+    resolve_policy_config,
 )
 from wcsim.agents.policy_api import Warns
 from wcsim.bridge.world import World
@@ -108,9 +108,9 @@ class HeldStreet(ClosingContextBase):
     def __init__(self, town: Town, policy: str, plant: str, seed: int) -> None:
         """Open the town. Raises what a world and the opening of a policy raise."""
         rules = (f"chair.plant={plant}", "world.warmup_s=20.0")
-        config = config_from_policy_name(policy, "quick", rules, in_list=True)
+        config = resolve_policy_config(policy, "quick", rules, in_list=True)
         self.policy = open_named_policy(policy, config, seed)
-        self.config = resolve(config, policy_overrides(config, self.policy))
+        self.config = resolve(config, list_policy_overrides(config, self.policy))
         self.hand = StickHolder()
         self.actions = action_set(self.config.env.actions)
         spec = replace(make_policy_seat_spec(self.policy, "held"), truth=True)

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from wcsim.agents.perception.ego_motion import body_to_odometric
-from wcsim.core.frames import rad
+from wcsim.core.frames import deg2rad
 from wcsim.types import F64, ClassId, Joystick, StartSpec, Street
 from wcsim.types.street import join_meshes
 
@@ -58,7 +58,7 @@ def kerb_starts(street: Street, case: KerbCase, near_W_m: F64, rng: np.random.Ge
     out /= np.linalg.norm(out, axis=1)[:, None]
     for number in rng.permutation(len(feet)):
         away = out[number] if case.below else -out[number]  # from the kerb to the chair
-        turn = rad(case.angle_deg) * (1.0 if rng.random() < 0.5 else -1.0)
+        turn = deg2rad(case.angle_deg) * (1.0 if rng.random() < 0.5 else -1.0)
         way = -body_to_odometric(away[None], np.array([0.0, 0.0, turn]))[0]
         place = feet[number] - case.far_m * way
         if math.dist(feet[number], near_W_m) < REACH_M and _is_free(street, feet[number], away, way, case):

@@ -150,7 +150,7 @@ def _stand_everywhere(
 
     with stage() as first:
         net = read_net(town.net, town.file.origin_m)
-        places = busy_places(net, first, warmup_s, seeding.generator(seed, "places"))
+        places = busy_places(net, first, warmup_s, seeding.make_rng(seed, "places"))
     for ranked in places.values():
         for place in ranked[:_TRIED]:
             with stage() as own:

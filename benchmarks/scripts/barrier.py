@@ -10,7 +10,7 @@ from rich.progress import Progress, TaskID
 from wcsim.cli.shared.common import Bounds, OutFile, write_json
 from wcsim.cli.shared.consoles import stderr_console
 from wcsim.config import resolve
-from wcsim.core.reading import counted
+from wcsim.core.reading import pluralize
 
 if TYPE_CHECKING:  # loads ZeroMQ, which --help must not
     from benchmarks.barrier.barrier_cost import BarrierCost
@@ -51,7 +51,7 @@ def run(options: BarrierOptions) -> int:
             costs[name] = measure_barrier(config, options.clients, options.ticks, name == "tcp", seen)
     for name, cost in costs.items():
         print(
-            f"{counted(options.clients, 'client')} over {name}: {cost.median_ms:.2f} ms a tick, "
+            f"{pluralize(options.clients, 'client')} over {name}: {cost.median_ms:.2f} ms a tick, "
             f"99 % under {cost.p99_ms:.2f}; bare echo {cost.echo_median_ms:.2f}, 99 % under {cost.echo_p99_ms:.2f}"
         )
     if options.json is not None:

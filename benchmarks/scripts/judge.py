@@ -12,7 +12,7 @@ from rich.table import Table
 
 from wcsim.cli.shared.common import Bounds, OutFile, split_nonempty_list, write_json
 from wcsim.cli.shared.consoles import stdout_console
-from wcsim.core.own_folder import temporary_folder
+from wcsim.core.own_folder import create_temporary_folder
 
 if TYPE_CHECKING:  # loads the simulators, which --help must not
     from benchmarks.judge.forks import Asked
@@ -56,7 +56,7 @@ def run(options: KerbOptions) -> int:
         found += ask_everywhere(policies, towns, options.forks, options.seed)
         console.print(_verdicts(found))
     else:
-        with temporary_folder() as work:
+        with create_temporary_folder() as work:
             for policy in policies:
                 for start in drive_list(policy, towns, options.seed, work, options.anywhere, options.why):
                     found.append(start)

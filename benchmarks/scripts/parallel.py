@@ -19,12 +19,12 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from wcsim.agents.clients.paid_times import ClientTimeShares, read_group_run_times
+from wcsim.agents.clients.paid_times import ClientTimeTotals, read_group_run_times
 from wcsim.cli.shared.common import Bounds, OutFile, Repeated, split_nonempty_list, write_json
 from wcsim.cli.shared.consoles import stdout_console
-from wcsim.cli.training.train_clients import client_names
-from wcsim.core.own_folder import temporary_folder
-from wcsim.core.reading import counted
+from wcsim.cli.training.train_clients import make_client_names
+from wcsim.core.own_folder import create_temporary_folder
+from wcsim.core.reading import pluralize
 from wcsim.errors import ConfigError, WcsimError
 
 _SHARES = ("world_s", "others_s", "acting_s", "learning_s", "overlap_s", "total_s")
@@ -69,11 +69,11 @@ def run(options: ParallelOptions) -> int:
     """Run all, print the tables."""
     networks = split_nonempty_list("--clients", options.clients)
     Bounds(1, 10_000_000).check("--steps", options.steps)
-    names, here = client_names(networks), len(os.sched_getaffinity(0))
+    names, here = make_client_names(networks), len(os.sched_getaffinity(0))
     sizes = _numbers("--sizes", options.sizes, len(networks)) or (len(networks),)
     cores = _numbers("--cores", options.cores, here) or (here,)
     console = stdout_console()
-    with temporary_folder() as work:
+    with create_temporary_folder() as work:
         alone = []
         for number, network in enumerate(networks):
             console.print(f"{network} alone ...")
@@ -81,7 +81,7 @@ def run(options: ParallelOptions) -> int:
         groups = []
         for size in sizes:
             for count in cores:
-                console.print(f"{size} clients together, {counted(count, 'core')} ...")
+                console.print(f"{size} clients together, {pluralize(count, 'core')} ...")
                 groups.append(_trained(options, networks[:size], work / f"together-{size}-{count}", count))
     apart = {name: next(iter(one.waited.values())) for name, one in zip(names, alone, strict=True)}
     told = [_print_group(console, options, group, alone, apart) for group in groups]
@@ -121,13 +121,13 @@ def _trained(options: ParallelOptions, networks: Sequence[str], folder: Path, co
     paid = read_group_run_times(folder)
     if paid is None:
         raise WcsimError(f"{folder} holds no times of its clients")
-    waited = {name: _told(paid.clients[name]) for name in client_names(networks)}
+    waited = {name: _told(paid.clients[name]) for name in make_client_names(networks)}
     rate = float(json.loads(result.read_text(encoding="utf-8"))["ticks_per_s"])
     start_s = wall_s - options.steps / rate if rate > 0.0 else wall_s
     return Trained(wall_s=wall_s, start_s=max(0.0, start_s), ticks_per_s=rate, waited=waited, cores=cores)
 
 
-def _told(shares: ClientTimeShares) -> dict[str, float]:
+def _told(shares: ClientTimeTotals) -> dict[str, float]:
     """A client's shares, and their sum."""
     return {**asdict(shares), "total_s": shares.acting_s + shares.learning_s + shares.waiting_s}
 
@@ -156,7 +156,7 @@ def _print_group(
     start_s = sum(one.start_s for one in same) - group.start_s
     rest_s = sequential_s - group.wall_s - world_s - start_s  # idle cores, less what processes take from each other
     console.print(
-        f"{len(group.waited)} clients on {counted(group.cores, 'core')}: together {group.wall_s:.1f} s, "
+        f"{len(group.waited)} clients on {pluralize(group.cores, 'core')}: together {group.wall_s:.1f} s, "
         f"one after the other {sequential_s:.1f} s: {sequential_s / group.wall_s:.2f} times as fast. "
         f"Saved: {world_s:.1f} s by one world, {start_s:.1f} s by one start, "
         f"{rest_s:.1f} s by otherwise idle cores",

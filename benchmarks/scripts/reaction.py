@@ -10,7 +10,7 @@ from rich.table import Table
 
 from wcsim.cli.shared.common import Bounds, OutFile, write_json
 from wcsim.cli.shared.consoles import stdout_console
-from wcsim.core.own_folder import temporary_folder
+from wcsim.core.own_folder import create_temporary_folder
 
 if TYPE_CHECKING:  # loads the simulators, which --help must not
     from benchmarks.reaction.battery import Battery
@@ -44,7 +44,7 @@ def run(options: ReactionOptions) -> int:
     def told(text: str) -> None:
         console.print(text, style="dim", highlight=False, markup=False)
 
-    with temporary_folder() as work:
+    with create_temporary_folder() as work:
         if options.page is not None:
             options.page.write_text(page(5, 300.0, work, told), "utf-8")
             return 0

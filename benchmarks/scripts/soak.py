@@ -14,9 +14,9 @@ from rich.progress import Progress
 
 from wcsim.cli.shared.common import Bounds, OutFile, OutFolder, Repeated, write_json
 from wcsim.cli.shared.consoles import stderr_console, stdout_console
-from wcsim.cli.shared.exit_codes import Exit
+from wcsim.cli.shared.exit_codes import ExitCode
 from wcsim.config import resolve
-from wcsim.core.own_folder import temporary_folder
+from wcsim.core.own_folder import create_temporary_folder
 from wcsim.errors import ConfigError, InterruptedRunError, WcsimError
 from wcsim.towns.scenario.town import Town, find_town
 
@@ -68,7 +68,7 @@ def run(options: SoakOptions) -> int:
     """Soak, print what was seen, and say by the exit code whether it is as it should be."""
     _check(options)
     town = find_town(options.town or ("helsinki" if options.networks else "monaco"))
-    with nullcontext(options.out) if options.out is not None else temporary_folder() as folder:
+    with nullcontext(options.out) if options.out is not None else create_temporary_folder() as folder:
         folder.mkdir(parents=True, exist_ok=True)
         if options.networks:
             try:
@@ -84,8 +84,8 @@ def run(options: SoakOptions) -> int:
     if facts.outcome.code:
         raise WcsimError(f"the soak ended early: {facts.outcome.message}")
     if facts.outcome.by_signal:
-        return Exit.STOPPED
-    return Exit.FAILED if faults_of(facts) else Exit.DONE
+        return ExitCode.STOPPED
+    return ExitCode.FAILED if faults_of(facts) else ExitCode.DONE
 
 
 def _check(options: SoakOptions) -> None:
@@ -133,7 +133,7 @@ def _of_learners(options: SoakOptions, town: Town, folder: Path) -> int:
         _print(each, wrong)
     if options.json is not None:
         write_json(options.json, {"runs": results, "wrong": wrong})
-    return Exit.FAILED if wrong else Exit.DONE
+    return ExitCode.FAILED if wrong else ExitCode.DONE
 
 
 def _faults(options: SoakOptions, asked: int | None) -> int:
@@ -144,10 +144,10 @@ def _soaked(options: SoakOptions, town: Town, folder: Path, struck: FaultOrder) 
     """One run of the learners, as `wcsim train-clients` would do it."""
     from benchmarks.soak.learners import ENDLESS, SETTINGS, LearnersOrder, slowed, soak_learners
     from wcsim.agents.clients.group_run import ResolvedGroupRun
-    from wcsim.cli.shared.run_config import add_town_to_info
+    from wcsim.cli.shared.run_config import add_town_to_run_info
     from wcsim.cli.training.clients import train_clients
-    from wcsim.cli.training.train_clients import Options, resolve_clients
-    from wcsim.server.launch.states import RestartRules
+    from wcsim.cli.training.train_clients import TrainClientsOptions, resolve_clients
+    from wcsim.server.launch.states import ProcessRestartRules
     from wcsim.server.specs import RunInfo
 
     order = LearnersOrder(
@@ -156,7 +156,7 @@ def _soaked(options: SoakOptions, town: Town, folder: Path, struck: FaultOrder) 
         steps=(options.steps or _STEPS) if options.minutes is None else None,
         seconds=60.0 * (options.minutes or 0.0),
     )
-    trained = Options(
+    trained = TrainClientsOptions(
         town=town.address,
         preset="dqn",
         clients=options.networks,
@@ -168,13 +168,15 @@ def _soaked(options: SoakOptions, town: Town, folder: Path, struck: FaultOrder) 
         json=folder.with_name(f"{folder.name}.json"),
     )
     *clients, last = resolve_clients(trained)
-    info = add_town_to_info(
+    info = add_town_to_run_info(
         RunInfo(seed=options.seed, command=("python", "-m", "benchmarks", "soak")), town, last.config
     )
     run = ResolvedGroupRun(clients=(*clients, slowed(last, options.slow or 1)), out=folder, info=info)
     told = folder.with_name(f"{folder.name}.json")
-    deaths = RestartRules().deaths + struck.kills + struck.stops  # those that faults cause, which may come in a row
-    restarts = RestartRules(deaths=deaths)
+    deaths = (
+        ProcessRestartRules().deaths + struck.kills + struck.stops
+    )  # those that faults cause, which may come in a row
+    restarts = ProcessRestartRules(deaths=deaths)
     return soak_learners(order, run, told, lambda watch: train_clients(trained, run, town, watch, restarts))
 
 

@@ -12,7 +12,7 @@ from rich.table import Table
 from wcsim.cli.shared.common import Bounds, OutFile, Repeated, split_nonempty_list, write_json
 from wcsim.cli.shared.consoles import stderr_console, stdout_console
 from wcsim.config import RunConfig, resolve
-from wcsim.core.reading import counted
+from wcsim.core.reading import pluralize
 from wcsim.errors import ConfigError
 from wcsim.towns.scenario.town import Town, find_town
 
@@ -71,7 +71,7 @@ def run(options: TickOptions) -> int:
     costs: dict[int, TickCost] = {}
     with Progress(console=stderr_console(), transient=True) as bar:
         for chairs in numbers:
-            task = bar.add_task(counted(chairs, "chair"), total=options.ticks)
+            task = bar.add_task(pluralize(chairs, "chair"), total=options.ticks)
 
             def seen(done: int, task: Any = task) -> None:
                 bar.update(task, completed=done)

@@ -22,7 +22,7 @@ from wcsim.cli.shared.common import (
 from wcsim.cli.shared.consoles import stderr_console, stdout_console
 from wcsim.config import RunConfig, resolve
 from wcsim.towns.scenario.town import Town, find_town
-from wcsim.users.profiles import find_builtin_profile, profile_names
+from wcsim.users.profiles import find_builtin_profile, list_profile_names
 
 if TYPE_CHECKING:  # loads the simulators, which --help must not
     from benchmarks.users.drives import DrivenRoute
@@ -40,7 +40,7 @@ class UsersOptions:
 
     towns: str = "helsinki,monaco,manhattan"
     """Towns that share the routes: each a town's name, its folder, or a .sumocfg file, separated by commas."""
-    profiles: str = ",".join(profile_names())
+    profiles: str = ",".join(list_profile_names())
     """Profiles to measure, separated by commas."""
     routes: int = 20
     """Routes for each profile, and for each figure below the table."""

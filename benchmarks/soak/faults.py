@@ -73,7 +73,7 @@ class Chaos:
 
     def __init__(self, seed: int, until_s: float, lease_s: float) -> None:
         """Go on until this time of the monotonic clock; clients are given up after `lease_s`."""
-        self._rng = seeding.generator(seed, "chaos")
+        self._rng = seeding.make_rng(seed, "chaos")
         self.until_s, self._lease_s = until_s, lease_s
         self._striker = Striker()
         self._base = (-1, -1)  # epoch and tick at the last fault

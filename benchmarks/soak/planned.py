@@ -41,7 +41,7 @@ class PlannedFaults:
 
     def __init__(self, order: FaultOrder, progress: Callable[[LaunchProcessStates], float]) -> None:
         """`progress` says how much of the run is over, 0..1."""
-        self._rng = seeding.generator(order.seed, "planned faults")
+        self._rng = seeding.make_rng(order.seed, "planned faults")
         self._lease_s, self._progress, self._most = order.lease_s, progress, 0.0
         kill: What = "kill"
         stop: What = "stop"

@@ -19,10 +19,10 @@ from benchmarks.soak.faults import WORLD, Chaos, Fault
 from benchmarks.soak.growth import GrowthLog, LongRun, SettledPace, Slope, long_run, predicted_s
 from benchmarks.soak.stub_client import StubSight, read_sights
 from wcsim.config import RunConfig
-from wcsim.core.own_folder import runtime_folder, world_endpoint_from_folder
+from wcsim.core.own_folder import create_runtime_folder, world_endpoint_from_folder
 from wcsim.log.reader import iter_journal_inputs
 from wcsim.log.writer import JOURNAL
-from wcsim.server.launch.launcher import Launcher
+from wcsim.server.launch.launcher import ProcessLauncher
 from wcsim.server.launch.states import ClientLaunchPlan, LauncherTimeouts, LaunchProcessStates, LaunchResult
 from wcsim.server.ledger import LedgerAuditResult, audit_ledgers, iter_ledger_frames
 from wcsim.server.protocol.events import ServerRules
@@ -101,11 +101,11 @@ def soak(order: SoakOrder, progress: Callable[[float], object] = lambda done_s: 
     """
     names = [f"c{seat}" for seat in range(order.clients)]
     watch = _Watch(order, progress)
-    with runtime_folder() as place:
+    with create_runtime_folder() as place:
         world = _server_order(order, place)
         plans = [_plan(order, world, name, seat, place) for seat, name in enumerate(names)]
         rules = LauncherTimeouts(world_lease_s=_WORLD_LEASE_S, client_lease_s=30.0)
-        launcher = Launcher(
+        launcher = ProcessLauncher(
             make_world_launch_plan(world, place, order.folder / "logs" / "world.log"),
             plans,
             order.folder,
@@ -199,7 +199,7 @@ class _Watch:
 
     def __init__(self, order: SoakOrder, progress: Callable[[float], object]) -> None:
         self.chaos, self.growth = Chaos(order.seed, math.inf, order.lease_s), GrowthLog(order.folder)
-        self.launcher: Launcher | None = None
+        self.launcher: ProcessLauncher | None = None
         self.pace = SettledPace()
         self._end_s = math.inf  # known from the first tick on: a world may take its time to load
         self._seconds, self._progress = order.seconds, progress

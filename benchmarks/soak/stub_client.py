@@ -23,7 +23,7 @@ from wcsim.core.processes import die_with_parent
 from wcsim.errors import EvictedError, LinkError, WcsimError, WorldRestartedError
 from wcsim.server.launch.states import WAIT_NO_MORE, ClientExitCode, ClientStatusReport
 from wcsim.server.links.base import ProcessSeatLink
-from wcsim.server.links.socket import SocketSeat
+from wcsim.server.links.socket import SocketSeatLink
 from wcsim.server.specs import SeatRequest, encode_json_line, read_spec_file
 from wcsim.types import ClientSnapshot
 
@@ -95,7 +95,7 @@ def main(words: Sequence[str]) -> int:
     try:
         order = read_spec_file(SeatRequest, options.order)
         notes = _Notes(options.sights, order.name, options.status_fd)
-        with SocketSeat(order) as link:
+        with SocketSeatLink(order) as link:
             signal.signal(WAIT_NO_MORE, lambda number, frame: link.wait_no_more())
             _drive(link, notes, ends, options.steps, 1e-3 * options.think_ms)
     except WcsimError as error:

@@ -12,7 +12,7 @@ import numpy as np
 
 from wcsim.config import CameraConfig, ChairConfig
 from wcsim.core.constants import GRAVITY_MPS2
-from wcsim.core.own_folder import temporary_folder
+from wcsim.core.own_folder import create_temporary_folder
 from wcsim.physics.bullet import Bullet, pybullet
 from wcsim.physics.renderer.tiny_renderer import projection_matrix, view_matrix
 from wcsim.physics.sensors.camera_geometry import camera_matrix, mount, pinhole, pose_of
@@ -66,7 +66,7 @@ class NaiveLoop:
     def _chair(self, start_W_m: F64, yaw_rad: float) -> int:
         place = (*start_W_m[:2], start_W_m[2] + 0.02)
         turn = (0, 0, np.sin(yaw_rad / 2), np.cos(yaw_rad / 2))
-        with temporary_folder() as folder:
+        with create_temporary_folder() as folder:
             path = folder / "chair.urdf"
             path.write_text(urdf(plant_spec(ChairConfig())), encoding="utf-8")
             body: int = self.bullet.loadURDF(str(path), place, turn)

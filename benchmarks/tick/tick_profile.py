@@ -16,7 +16,7 @@ from benchmarks.tick.bridgeless_world import settle
 from wcsim.bridge.world import World
 from wcsim.bridge.world_rollout import rollout
 from wcsim.config import RunConfig, resolve
-from wcsim.core.own_folder import temporary_folder
+from wcsim.core.own_folder import create_temporary_folder
 from wcsim.physics.bullet import pybullet
 from wcsim.towns.scenario.town import Town
 from wcsim.types import SeatSpec
@@ -136,7 +136,7 @@ def _name(function: Function) -> str:
 
 def _bullet_zones(world: _Watched) -> tuple[Dear, ...]:
     """What PyBullet's own profiler says of the steps of a few ticks, without the rest of what it does."""
-    with temporary_folder() as folder:
+    with create_temporary_folder() as folder:
         log = world.begin_zones(str(folder / "zones"))
         _run(world, _ZONE_TICKS)
         world.end_zones(log)

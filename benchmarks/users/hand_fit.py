@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks.users.hand_habits import HandLog
-from wcsim.core.jit import exact_kernel
+from wcsim.core.jit import compile_exact_kernel
 from wcsim.types import F64, Bool
 from wcsim.users.hand import STICK_FILTER_S
 
@@ -93,7 +93,7 @@ def _clear_of_gate(stick: F64, width: int) -> Bool:
     return use if float(use.mean()) > _LEAST_SHARE else np.ones(len(use), np.bool_)
 
 
-@exact_kernel
+@compile_exact_kernel
 def _lagged(signal: F64, dt_s: float, time_constant_s: float) -> F64:
     """A first-order low-pass over (n, 2), from rest."""
     keep = math.exp(-dt_s / time_constant_s)

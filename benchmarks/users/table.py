@@ -10,16 +10,16 @@ import numpy as np
 
 from benchmarks.users.hand_fit import HandFit, fit_hand
 from benchmarks.users.hand_habits import HandLog, Tremor, pauses, switch_holds, tremor
-from wcsim.core.frames import rad, wrap_angle
+from wcsim.core.frames import deg2rad, wrap_angle
 from wcsim.types import F64, ActorKind, UserView
 from wcsim.users.hand import DRIVE_ABOVE, PULSE_S, STEER_ABOVE
 from wcsim.users.perception import PERSON_SIGHT, PerceivedObjects
 from wcsim.users.profiles import UserProfile
-from wcsim.users.recordings.hand_series import mean_correction_interval_s
+from wcsim.users.recordings.hand_series import find_mean_correction_interval_s
 
 _SHAKES = 0.05  # a tremor below this is not averaged away before the fit
 _SHORTEST_S = 15.0  # of a route whose hand is fitted
-_SURELY_NEAR, _SURELY_AHEAD_RAD = 0.8, rad(60.0)  # what is so near and so far ahead must have been looked at
+_SURELY_NEAR, _SURELY_AHEAD_RAD = 0.8, deg2rad(60.0)  # what is so near and so far ahead must have been looked at
 _SAME_PLACE_M = 1e-6
 
 
@@ -84,7 +84,7 @@ def _of_hands(logs: Sequence[RouteLog]) -> dict[str, Statistic]:
     rows |= _of_tremors(shakes, users) if users[0].tremor > 0.0 else _of_wander(fits, users)
     if users[0].correct_every_s > 0.0:
         found = (
-            (mean_correction_interval_s(log.hand.intents, log.tick_s), log.profile.correct_every_s) for log in long
+            (find_mean_correction_interval_s(log.hand.intents, log.tick_s), log.profile.correct_every_s) for log in long
         )
         _add(rows, "correct_every_s", "s", found)
     if users[0].gain == (1.0, 1.0):

@@ -20,12 +20,12 @@ from stable_baselines3.common.logger import configure
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from tests.support.samples import ACTIONS, stacked
-from wcsim.agents.envs.episode_view import FrameWindow, window_observation_space
-from wcsim.agents.learning.build import build_model
+from wcsim.agents.envs.episode_view import FrameStacker, window_observation_space
+from wcsim.agents.learning.build import build_q_learner
 from wcsim.agents.learning.checkpoint import make_checkpoint_restorer
 from wcsim.agents.learning.replay.buffer import FrameReplay
 from wcsim.agents.learning.seqdqn import SeqDQN
-from wcsim.agents.learning.train import train
+from wcsim.agents.learning.train import train_dqn
 from wcsim.agents.runs.checkpoint import _restore_newest, _Restored
 from wcsim.agents.runs.metrics import STEP_COLUMNS, MetricsFile
 from wcsim.agents.runs.run_folder import ResolvedRun
@@ -56,8 +56,8 @@ def a_run(config: RunConfig, out: Path, seed: int, *, resume: bool = False, **in
 def train_toy(
     config: RunConfig, out: Path, make: Callable[[], Any], *more: Any, seed: int = 5, resume: bool = False, **rest: Any
 ) -> Path:
-    """Train in toy streets, and return the folder of the run; see `train` for what else may be given."""
-    return train(a_run(config, out, seed, resume=resume), make, *more, **rest)
+    """Train in toy streets, and return the folder of the run; see `train_dqn` for what else may be given."""
+    return train_dqn(a_run(config, out, seed, resume=resume), make, *more, **rest)
 
 
 def logs_in(folder: Path) -> tuple[MetricsFile, MetricsFile]:
@@ -268,7 +268,7 @@ class WindowedStreet(gym.Wrapper):
 
     def __init__(self, frames: int, camera: CameraConfig | None = None, max_steps: int = 400) -> None:
         super().__init__(ToyStreet(camera, max_steps))
-        self.window = FrameWindow(frames)
+        self.window = FrameStacker(frames)
         self.observation_space = window_observation_space(self.env.observation_space, frames)
 
     def reset(self, **options):
@@ -301,7 +301,7 @@ def q_config(camera: CameraConfig, **learn: Any) -> RunConfig:
 
 def q_learner(config: RunConfig, seed: int = 0, envs: int = 1, max_steps: int = 400) -> SeqDQN:
     """A fresh learner of the toy street, in so many seats."""
-    return build_model(config, DummyVecEnv([lambda: ToyStreet(config.eye, max_steps)] * envs), seed)
+    return build_q_learner(config, DummyVecEnv([lambda: ToyStreet(config.eye, max_steps)] * envs), seed)
 
 
 def make_replay(size: int, space: gym.spaces.Dict, seats: int = 1, **chosen: Any) -> FrameReplay:

@@ -9,7 +9,7 @@ from wcsim.core import constants, joystick
 
 HOMES = {
     "wcsim/core/constants.py": {"GRAVITY_MPS2", "KERB_STEP_CM", "KERB_STEP_M", "OTHER_LEVEL_M"},
-    "wcsim/core/joystick.py": {"shape_joystick", "raw_radius_from_shaped", "advance_speed", "yaw_rate_limit"},
+    "wcsim/core/joystick.py": {"shape_joystick", "raw_radius_from_shaped", "advance_speed", "compute_yaw_rate_limit"},
 }
 GONE = {"LOW_KERB_M", "USUAL_OUTLINE", "CHAIR_HALF_M", "CHAIR_SIZE_LWH_M", "WHEELS_B_M", "DEADBAND"}
 GRAVITY = 9.81
@@ -46,4 +46,4 @@ def test_second_homes_do_not_come_back():
 def test_units_agree():
     assert pytest.approx(constants.KERB_STEP_M) == constants.KERB_STEP_CM / 100
     assert constants.GRAVITY_MPS2 == GRAVITY
-    assert joystick.yaw_rate_limit(0.0, 1.5, 0.6) == 1.5
+    assert joystick.compute_yaw_rate_limit(0.0, 1.5, 0.6) == 1.5

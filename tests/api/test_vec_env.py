@@ -15,7 +15,7 @@ import wcsim
 from tests.agents.conftest import one_thread  # noqa: F401 - several threads wait for each other in small networks
 from tests.api.streets import LEARNABLE, TINY, action_at, closed_in_the_end, equal
 from wcsim.agents.envs.vec_env import StreetVecEnv
-from wcsim.agents.learning.build import build_model
+from wcsim.agents.learning.build import build_q_learner
 from wcsim.config import resolve
 from wcsim.errors import ConfigError, ProtocolError
 
@@ -120,7 +120,7 @@ def learned(town: Path, envs: int = 2) -> tuple[Any, list[Any]]:
     config = resolve("dqn", (*LEARNABLE, "env.truth=true", "env.max_steps=15", *words))
     vec = StreetVecEnv(str(town), chairs=envs, config=config)
     try:
-        model = build_model(config, vec, seed=2)
+        model = build_q_learner(config, vec, seed=2)
         model.learn(120)
         return model, [value.detach().numpy().copy() for value in model.policy.parameters()]
     finally:

@@ -26,8 +26,8 @@ from tests.api.streets import LEARNABLE, TINY, Counting, action_at, closed_in_th
 from wcsim.agents.envs import wheelchair_env
 from wcsim.agents.envs.vec_env import StreetVecEnv
 from wcsim.agents.envs.wheelchair_env import WheelchairEnv
-from wcsim.agents.learning.build import build_model
-from wcsim.agents.policies.baselines import baseline
+from wcsim.agents.learning.build import build_q_learner
+from wcsim.agents.policies.baselines import make_baseline_policy
 from wcsim.config import EnvConfig, resolve
 from wcsim.errors import BadActionError, ConfigError, PolicyError, ProtocolError, ReplayMismatchError
 
@@ -153,9 +153,9 @@ def test_what_learns_from_pictures_or_a_list_of_actions_says_so(corner):
     for word, told in ((STATE, "expected a Dict"), (STICK, "what chooses from a list needs one")):
         env = StreetVecEnv(str(corner), preset="dqn", overrides=(*LEARNABLE, word))
         with pytest.raises((PolicyError, ConfigError), match=told):
-            build_model(env.config, env, seed=1)
+            build_q_learner(env.config, env, seed=1)
     with pytest.raises(ConfigError, match="what chooses from a list needs one"):
-        baseline("dwa", resolve("quick", STICK))
+        make_baseline_policy("dwa", resolve("quick", STICK))
     for more in ("env.window=4", "env.truth_visible=true"):
         with pytest.raises(ConfigError, match="observation 'state'"):
             resolve("quick", (STATE, more))

@@ -19,7 +19,7 @@ from tests.attack.scenarios.twists import draws, pick
 from tests.support.tracked import ROOT
 from wcsim.agents.clients.group_run import open_group_run_folder
 from wcsim.agents.clients.paid_times import GroupRunTimes
-from wcsim.cli.shared.exit_codes import Exit
+from wcsim.cli.shared.exit_codes import ExitCode
 from wcsim.cli.training.clients import _report_of, _TickRate
 from wcsim.errors import WcsimError
 from wcsim.log.reader import iter_journal_inputs
@@ -31,7 +31,7 @@ QUICK = (
     *("--set", "learn.checkpoint_every=10", "--set", "learn.phase1_steps=20"),
 )
 FOREVER = 100_000  # steps
-AT_ONCE = (-signal.SIGTERM, Exit.TERMINATED, Exit.INTERRUPTED)  # before anything was begun
+AT_ONCE = (-signal.SIGTERM, ExitCode.TERMINATED, ExitCode.INTERRUPTED)  # before anything was begun
 
 
 @dataclass(slots=True, kw_only=True)
@@ -93,7 +93,7 @@ def begun(folder: Path, corner: Path, steps: int = FOREVER, ticks: int = 25) -> 
     folder.mkdir(parents=True, exist_ok=True)
     words = ("train-clients", "patch,patch", "--town", corner, "--steps", steps, "--out", "run", *QUICK)
     code, err = stopped_at(folder, ticks, *words)
-    assert code == Exit.STOPPED, err
+    assert code == ExitCode.STOPPED, err
     return folder / "run"
 
 
@@ -103,9 +103,12 @@ def wrong_with(run: Path, code: int, err: str, allowed: Sequence[int]) -> str:
         return f"a traceback: {err[-1500:]}"
     if code not in allowed:
         return f"exit code {code}, expected one of {sorted(allowed)}: {err[-500:]}"
-    if code == Exit.REFUSED and not 1 <= len([line for line in err.splitlines() if line.startswith("wcsim: ")]) <= 4:
+    if (
+        code == ExitCode.REFUSED
+        and not 1 <= len([line for line in err.splitlines() if line.startswith("wcsim: ")]) <= 4
+    ):
         return f"not a line: {err[-500:]}"
-    return "" if code == Exit.REFUSED else audited(run)
+    return "" if code == ExitCode.REFUSED else audited(run)
 
 
 def note_end(
@@ -141,7 +144,7 @@ def storms(folder: Path, corner: Path, count: int, seed: int) -> Row:
             if child.poll() is None:
                 child.send_signal(signal.SIGTERM)
             time.sleep(spacing_s)
-        note_end(row, run, child, (Exit.STOPPED, *AT_ONCE), f"storm {number}")
+        note_end(row, run, child, (ExitCode.STOPPED, *AT_ONCE), f"storm {number}")
     _went_on(row, folder, begin_s)
     return row
 
@@ -162,7 +165,7 @@ def full_disks(folder: Path, corner: Path, count: int, seed: int) -> Row:
                 _, err = child.communicate(timeout=120)
             limit(-1)
             row.codes[child.returncode] += 1
-            row.note(wrong_with(run, child.returncode, err, (Exit.FAILED,)), f"disk {number}")
+            row.note(wrong_with(run, child.returncode, err, (ExitCode.FAILED,)), f"disk {number}")
         _went_on(row, folder, begin_s)
     return row
 
@@ -188,7 +191,7 @@ def stops(folder: Path, corner: Path, count: int, seed: int) -> Row:
         time.sleep(0.2)
     child.send_signal(signal.SIGINT)
     _, err = child.communicate(timeout=120)
-    row.note(wrong_with(run, child.returncode, err, (Exit.STOPPED,)), f"after {count} stops")
+    row.note(wrong_with(run, child.returncode, err, (ExitCode.STOPPED,)), f"after {count} stops")
     row.seconds = time.monotonic() - begin_s
     return row
 
@@ -205,7 +208,7 @@ def flips(folder: Path, corner: Path, count: int, seed: int) -> Row:
         name = names[(number * 7) % len(names)]
         (run / name).write_bytes(flipped((run / name).read_bytes(), rng))
         child = start(folder, "resume", "run")
-        note_end(row, run, child, (Exit.DONE, Exit.REFUSED), f"flip {number} in {name}", limit_s=200.0)
+        note_end(row, run, child, (ExitCode.DONE, ExitCode.REFUSED), f"flip {number} in {name}", limit_s=200.0)
     row.seconds = time.monotonic() - begin_s
     return row
 
@@ -228,7 +231,7 @@ def flips_when_done(
             path.write_bytes(flipped(whole, rng))
             code, err = wcsim(["resume", str(run)])
             row.codes[code] += 1
-            found = wrong_with(run, code, err, (Exit.DONE, Exit.REFUSED))
+            found = wrong_with(run, code, err, (ExitCode.DONE, ExitCode.REFUSED))
             row.note(found, f"{path.relative_to(run)}, {number}")
             path.write_bytes(whole)
         for kept in (*run.glob("journal.torn*"), *run.glob("ledgers/*.torn*")):
@@ -240,7 +243,7 @@ def flips_when_done(
 def _went_on(row: Row, folder: Path, begin_s: float) -> None:
     """After all faults the run goes on, and can be stopped."""
     code, err = stopped_at(folder, 15, "resume", "run")
-    row.note(wrong_with(folder / "run", code, err, (Exit.STOPPED,)), "after the last one")
+    row.note(wrong_with(folder / "run", code, err, (ExitCode.STOPPED,)), "after the last one")
     row.seconds = time.monotonic() - begin_s
 
 

@@ -16,7 +16,7 @@ from wcsim.agents.opening.list_file import open_suite
 from wcsim.agents.policy_api import UNAIDED
 from wcsim.cli.evaluation.judged_suite import save_test_result
 from wcsim.cli.main import main
-from wcsim.cli.shared.exit_codes import Exit
+from wcsim.cli.shared.exit_codes import ExitCode
 from wcsim.errors import DiskFullError
 
 
@@ -79,12 +79,12 @@ def test_a_disk_that_is_full_early_costs_nothing(tmp_path: Path, corner: Path) -
     words = ("train-clients", "patch,patch", "--town", corner, "--steps", 60, "--out", "run", *faults.QUICK)
     child = faults.start(tmp_path, *words, before=("bash", "-c", 'ulimit -f 200; exec "$@"', "-"))
     _, err = child.communicate(timeout=120)
-    assert faults.wrong_with(run, child.returncode, err, (Exit.FAILED,)) == ""
+    assert faults.wrong_with(run, child.returncode, err, (ExitCode.FAILED,)) == ""
     assert "wcsim resume run" in err
     assert faults.ticks_of(run) > 0
     child = faults.start(tmp_path, "resume", "run")
     _, err = child.communicate(timeout=120)
-    assert faults.wrong_with(run, child.returncode, err, (Exit.DONE,)) == ""
+    assert faults.wrong_with(run, child.returncode, err, (ExitCode.DONE,)) == ""
 
 
 def test_too_few_open_files_are_told_before_anything_is_begun(tmp_path: Path, corner: Path) -> None:
@@ -92,5 +92,5 @@ def test_too_few_open_files_are_told_before_anything_is_begun(tmp_path: Path, co
     command = ("bash", "-c", 'ulimit -n 24; exec "$@"', "-", sys.executable, "-m", "wcsim", *words)
     environment = {**os.environ, "PYTHONPATH": str(faults.ROOT)}
     child = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
-    assert (child.returncode, "ulimit -n 1024" in child.stderr) == (Exit.REFUSED, True), child.stderr
+    assert (child.returncode, "ulimit -n 1024" in child.stderr) == (ExitCode.REFUSED, True), child.stderr
     assert list(tmp_path.iterdir()) == []

@@ -10,7 +10,7 @@ from wcsim.bridge.mirror import BODY_REACH_M
 from wcsim.bridge.sumo.session import world_in_this_process
 from wcsim.bridge.world import World
 from wcsim.errors import ConfigError, ProtocolError, WorldInUseError
-from wcsim.supervisor.oracle import Oracle
+from wcsim.supervisor.oracle import CrashOracle
 from wcsim.types import ActorKind, Command, Joystick, SeatSpec
 
 
@@ -145,13 +145,13 @@ def test_the_truth_knows_of_the_commands_that_wait(corner):
 
 def test_the_truth_knows_that_the_chair_speeds_up(corner, monkeypatch):
     asked_mps2 = []
-    assess = Oracle.assess
+    assess = CrashOracle.assess
 
     def heard(oracle, plant, stick, others, waiting, known, accel_mps2):
         asked_mps2.append(accel_mps2)
         return assess(oracle, plant, stick, others, waiting, known, accel_mps2)
 
-    monkeypatch.setattr(Oracle, "assess", heard)
+    monkeypatch.setattr(CrashOracle, "assess", heard)
     with open_world(corner, spec=SeatSpec(truth=True)) as world:
         for tick in range(4):
             world.tick((Command(seat=0, tick=tick, joystick=Joystick(0.0, 1.0)),))

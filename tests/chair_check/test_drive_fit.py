@@ -11,13 +11,13 @@ from hypothesis import strategies as st
 
 from wcsim.chair_check import drive_fit
 from wcsim.chair_check.drive_fit import (
+    compute_motion_errors,
     delay_motion,
     fit_drive_law,
-    motion_errors,
     simulate_drive_law,
     simulate_plant_motion,
 )
-from wcsim.chair_check.row import Setup
+from wcsim.chair_check.row import TrialSetup
 from wcsim.chair_check.stick_drives import STEP_S, RecordedDrive, read_recorded_drives
 from wcsim.cli.main import main
 from wcsim.config import ChairConfig, resolve
@@ -64,7 +64,7 @@ def test_a_law_gives_its_numbers_back():
     fit = fit_drive_law(drives, draws=0)
     for name, value in TRUE.items():
         assert fit.values[name] == pytest.approx(value, rel=0.03), name
-    assert motion_errors(drives, simulate_drive_law(drives, fit.values)).speed_rms_mps < 0.003
+    assert compute_motion_errors(drives, simulate_drive_law(drives, fit.values)).speed_rms_mps < 0.003
 
 
 @settings(max_examples=2, deadline=None, derandomize=True, phases=[Phase.generate])
@@ -137,9 +137,9 @@ def test_the_plant_in_the_engine_repeats_the_law():
     numbers = {**TRUE, "delay_s": 0.0}
     chair = resolve("quick", {"chair": {name: value for name, value in numbers.items() if name != "delay_s"}}).chair
     (drive,) = made([2], numbers)
-    errors = motion_errors([drive], [simulate_plant_motion(drive, Setup(chair=chair, hz=120))])
+    errors = compute_motion_errors([drive], [simulate_plant_motion(drive, TrialSetup(chair=chair, hz=120))])
     assert errors.speed_explained > 0.9 and errors.turn_explained > 0.9
-    worse = motion_errors([drive], [delay_motion(drive.motion, 0.3)])
+    worse = compute_motion_errors([drive], [delay_motion(drive.motion, 0.3)])
     assert worse.turn_explained < errors.turn_explained
 
 

@@ -3,7 +3,7 @@
 import pytest
 
 from tests.physics.wheelchair.plant_faults import FAULTS
-from wcsim.chair_check.row import Setup
+from wcsim.chair_check.row import TrialSetup
 from wcsim.chair_check.table import run_plant_trials
 from wcsim.config import ChairConfig
 
@@ -11,7 +11,7 @@ QUICK = ("wrong gravity", "damping left on")
 
 
 def row(name: str):
-    return next(row for row in run_plant_trials(Setup(chair=ChairConfig(), hz=240), (name,)) if row.name == name)
+    return next(row for row in run_plant_trials(TrialSetup(chair=ChairConfig(), hz=240), (name,)) if row.name == name)
 
 
 @pytest.mark.parametrize("fault", [f if f in QUICK else pytest.param(f, marks=pytest.mark.proof) for f in FAULTS])

@@ -7,7 +7,7 @@ import pytest
 
 from wcsim.chair_check import kerbs, mass_rig
 from wcsim.chair_check.kerbs import RUN_UP_M
-from wcsim.chair_check.row import Setup, TrialResult, TrialSpec, compare_rates, run_trial
+from wcsim.chair_check.row import TrialResult, TrialSetup, TrialSpec, compare_rates, run_trial
 from wcsim.chair_check.table import _trials, list_too_fast_trials, run_plant_trials
 from wcsim.config import ChairConfig, ImuConfig
 from wcsim.core.constants import KERB_STEP_M
@@ -16,7 +16,7 @@ from wcsim.physics.wheelchair.plant import plant_spec
 
 
 def table_of(plant, hz, only=(), workers=1):
-    return run_plant_trials(Setup(chair=ChairConfig(plant=plant), hz=hz), only, workers)
+    return run_plant_trials(TrialSetup(chair=ChairConfig(plant=plant), hz=hz), only, workers)
 
 
 EACH_PLANT = pytest.mark.parametrize("plant", ["rwd", "mwd"])
@@ -41,7 +41,7 @@ def test_some_rows_are_as_expected(plant):
 @pytest.mark.usefixtures("names_alone")
 @EACH_PLANT
 def test_the_table_asks_what_it_must(plant):
-    names = {trial.name for trial in _trials(Setup(chair=ChairConfig(plant=plant), hz=240))}
+    names = {trial.name for trial in _trials(TrialSetup(chair=ChairConfig(plant=plant), hz=240))}
     assert {"straight_drift_10m", "stopping_10kmh", "kerb_120mm_standstill", "event_wall_6kmh"} <= names
     assert {"tip_rear_com_50cm", "tip_lateral_com_60cm", "falls_off_30cm_at_25deg", "cross_slope_10deg"} <= names
     assert ("tip_rear_no_antitips_com_50cm" in names) == (plant == "rwd")
@@ -51,7 +51,7 @@ def test_the_table_asks_what_it_must(plant):
 
 @EACH_PLANT
 def test_a_plant_declares_what_it_does_at_the_highest_kerb_that_counts_as_lowered(plant):
-    setup = Setup(chair=ChairConfig(plant=plant), hz=240)
+    setup = TrialSetup(chair=ChairConfig(plant=plant), hz=240)
     declared = plant_spec(setup.chair).climbs
     for rises_m, run_up_m in ((declared.standstill_m, 0.0), (declared.run_up_m, RUN_UP_M)):
         assert kerbs._kerb_climbed(setup, KERB_STEP_M, run_up_m) == (KERB_STEP_M in rises_m)
@@ -72,7 +72,7 @@ WORDS = {"name": "x", "unit": "", "bound": "trial", "low": 1.0, "method": "", "s
 
 
 def test_a_row_is_red_outside_its_range_and_a_value_must_be_a_number():
-    setup = Setup(chair=ChairConfig(), hz=240)
+    setup = TrialSetup(chair=ChairConfig(), hz=240)
     assert [
         run_trial(TrialSpec(**WORDS, high=2.0, measure=lambda _, v=v: v), setup).ok for v in (0.9, 1.0, 2.0, 2.1)
     ] == [
@@ -83,12 +83,16 @@ def test_a_row_is_red_outside_its_range_and_a_value_must_be_a_number():
 
 
 FWD = str(Path(__file__).parents[2] / "examples" / "fwd.toml")
-SLOW = Setup(chair=ChairConfig(plant=FWD, v_max_mps=1.2), hz=120)
+SLOW = TrialSetup(chair=ChairConfig(plant=FWD, v_max_mps=1.2), hz=120)
 
 
 def test_rows_that_are_too_fast_for_a_plant_are_left_out():
     assert list_too_fast_trials(SLOW) == ("cruise_road", "stopping_10kmh")
-    assert list_too_fast_trials(SLOW, ("stopping_6",)) == list_too_fast_trials(Setup(chair=ChairConfig(), hz=120)) == ()
+    assert (
+        list_too_fast_trials(SLOW, ("stopping_6",))
+        == list_too_fast_trials(TrialSetup(chair=ChairConfig(), hz=120))
+        == ()
+    )
     names = {trial.name for trial in _trials(SLOW, ("cruise", "stopping", "pulling"))}
     assert names == {"cruise_indoor", "cruise_pavement", "stopping_6kmh", "pulling_400N"}
     with pytest.raises(ConfigError, match="stopping_10kmh: faster than the plant"):
@@ -105,7 +109,7 @@ def test_the_chairs_own_settings_are_driven():
 
 @pytest.mark.parametrize(("plant", "judged"), [("rwd", True), ("mwd", True), (FWD, False)])
 def test_rows_of_another_kind_of_chair_judge_no_other(plant, judged):
-    found = _trials(Setup(chair=ChairConfig(plant=plant), hz=120), ("peak", "falls_off", "kerb", "event"))
+    found = _trials(TrialSetup(chair=ChairConfig(plant=plant), hz=120), ("peak", "falls_off", "kerb", "event"))
     assert {trial.judged for trial in found if trial.bound in ("rwd, mwd", "trial")} == {judged}
     assert all(trial.judged for trial in found if trial.bound not in ("rwd, mwd", "trial"))
     row = run_trial(TrialSpec(**WORDS, high=1.0, measure=lambda _: 0.0, judged=judged), SLOW)
@@ -115,7 +119,7 @@ def test_rows_of_another_kind_of_chair_judge_no_other(plant, judged):
 def test_a_chair_too_weak_to_hold_its_heading_is_told_so(tmp_path):
     weak = Path(FWD).read_text(encoding="utf-8").replace("stall_torque_Nm = 90.0", "stall_torque_Nm = 25.0")
     (tmp_path / "weak.toml").write_text(weak, encoding="utf-8")
-    setup = Setup(chair=ChairConfig(plant=str(tmp_path / "weak.toml")), hz=120)
+    setup = TrialSetup(chair=ChairConfig(plant=str(tmp_path / "weak.toml")), hz=120)
     (row,) = run_plant_trials(setup, ("cross",))
     assert row.red and row.note.startswith(("lost its heading after", "stood still after")) and row.value < 8.0
 
@@ -140,7 +144,7 @@ def test_changes_compare_values_or_where_zero_is_expected_their_bound():
 @pytest.mark.parametrize("hz", [0, 95, 245, 2000])
 def test_a_rate_that_does_not_divide_a_tick_is_refused(hz):
     with pytest.raises(PhysicsError, match=str(hz)):
-        Setup(chair=ChairConfig(), hz=hz)
+        TrialSetup(chair=ChairConfig(), hz=hz)
 
 
 def test_unknown_plants_and_rows_are_refused():

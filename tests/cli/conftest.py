@@ -11,7 +11,7 @@ import pytest
 
 from tests.support.one_process import in_this_process
 from wcsim.cli.main import main
-from wcsim.cli.shared.exit_codes import Exit
+from wcsim.cli.shared.exit_codes import ExitCode
 from wcsim.cli.town import town_check
 from wcsim.towns.importing import demand
 
@@ -81,7 +81,7 @@ def start(folder: Path, *words: object, program: str = "wcsim", columns: int = 1
     )
 
 
-def finished(child: subprocess.Popen[str], within_s: float = 280.0, code: int = Exit.DONE) -> tuple[str, str]:
+def finished(child: subprocess.Popen[str], within_s: float = 280.0, code: int = ExitCode.DONE) -> tuple[str, str]:
     """What a command wrote, once it has ended as it should."""
     out, err = child.communicate(timeout=within_s)
     assert child.returncode == code, err

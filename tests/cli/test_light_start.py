@@ -15,7 +15,7 @@ import pytest
 
 from tests.support.typed import python_says
 from wcsim.cli.main import SUBCOMMANDS, main
-from wcsim.cli.shared.exit_codes import Exit
+from wcsim.cli.shared.exit_codes import ExitCode
 
 HEAVY = (
     *("torch", "stable_baselines3", "pettingzoo", "gymnasium"),
@@ -126,7 +126,7 @@ NESTED = ("town", "scene", "chair", "users", "log")
 @cache
 def told(words: tuple[str, ...]) -> str:
     with contextlib.redirect_stdout(io.StringIO()) as out:
-        assert main([*words, "--help"]) == Exit.DONE
+        assert main([*words, "--help"]) == ExitCode.DONE
     return out.getvalue()
 
 
@@ -182,7 +182,7 @@ def test_the_walk_finds_commands_of_commands_and_their_numbers():
 
 
 def test_no_help_loads_what_only_work_needs(outcome):
-    assert {words: outcome[words] for words in helps() if outcome[words][:2] != (Exit.DONE, [])} == {}
+    assert {words: outcome[words] for words in helps() if outcome[words][:2] != (ExitCode.DONE, [])} == {}
 
 
 @pytest.mark.parametrize(
@@ -191,7 +191,7 @@ def test_no_help_loads_what_only_work_needs(outcome):
     ids=["mistyped", "a town or setting that is not there", "what is none of those there are"],
 )
 def test_no_refusal_loads_it(outcome, lines):
-    assert {words: outcome[words] for words in lines() if outcome[words][:2] != (Exit.REFUSED, [])} == {}
+    assert {words: outcome[words] for words in lines() if outcome[words][:2] != (ExitCode.REFUSED, [])} == {}
 
 
 def test_a_refusal_says_what_is_wrong(outcome):

@@ -6,7 +6,7 @@ import signal
 import pytest
 
 from tests.cli.conftest import finished, start
-from wcsim.cli.shared.exit_codes import Exit
+from wcsim.cli.shared.exit_codes import ExitCode
 
 
 def test_a_video_comes_without_chatter_of_what_is_loaded_for_it(tmp_path, corner):
@@ -37,7 +37,7 @@ def test_ctrl_c_keeps_what_was_learned_and_resume_goes_on(wcsim, folder, corner)
     while f"/{total} steps" not in child.stderr.readline():
         assert child.poll() is None
     child.send_signal(signal.SIGINT)
-    _, err = finished(child, 200, Exit.STOPPED)
+    _, err = finished(child, 200, ExitCode.STOPPED)
     assert "Traceback" not in err
     assert "wcsim resume run" in err
     manifest = json.loads((folder / "run" / "manifest.json").read_text())
@@ -45,7 +45,7 @@ def test_ctrl_c_keeps_what_was_learned_and_resume_goes_on(wcsim, folder, corner)
     assert 0 < manifest["steps"] < total
     assert (folder / "run" / "policies" / "final" / "policy.json").is_file()
     result = wcsim("resume", "run", "--steps", total - 1)
-    assert (result.code, result.err.count("\n"), str(total - 1) in result.err) == (Exit.REFUSED, 1, True), result
+    assert (result.code, result.err.count("\n"), str(total - 1) in result.err) == (ExitCode.REFUSED, 1, True), result
     result = wcsim("resume", "run")
     assert result.code == 0, result
     assert "\nrun folder: run" in result.out
@@ -53,7 +53,7 @@ def test_ctrl_c_keeps_what_was_learned_and_resume_goes_on(wcsim, folder, corner)
     config = (folder / "run" / "config.json").read_text()
     (folder / "run" / "config.json").write_text(config.replace('"gamma": 0.9', '"gamma": 0.8'))
     result = wcsim("resume", "run")
-    assert (result.code, "damaged" in result.err) == (Exit.REFUSED, True), result
+    assert (result.code, "damaged" in result.err) == (ExitCode.REFUSED, True), result
     (folder / "run" / "config.json").write_text(config)
     result = wcsim("resume", "run", "--steps", total + 20)
     assert result.code == 0, result

@@ -7,7 +7,7 @@ from tests.support.tracked import ROOT
 from tools import settings_page
 from wcsim.config import ChairConfig
 from wcsim.config.base import _UNITS
-from wcsim.config.plant import PlantFile, known_plants, read_plant
+from wcsim.config.plant import PlantFile, list_plants, read_plant
 
 PAGE = (ROOT / "docs" / "chair.md").read_text(encoding="utf-8")
 
@@ -41,4 +41,4 @@ def test_the_table_has_no_field_that_the_file_lacks():
 def test_the_example_is_a_plant_of_another_kind():
     plant = read_plant(str(ROOT / "examples" / "fwd.toml"))
     assert max(pair.swivel_x_m for pair in plant.casters) < 0.0 and plant.mass.com_x_m < 0.0
-    assert all(max(pair.swivel_x_m for pair in read_plant(name).casters) > 0.0 for name in known_plants())
+    assert all(max(pair.swivel_x_m for pair in read_plant(name).casters) > 0.0 for name in list_plants())

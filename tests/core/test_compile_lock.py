@@ -11,13 +11,13 @@ from filelock import FileLock
 
 import wcsim
 from wcsim.core import jit
-from wcsim.core.jit import exact_kernel
+from wcsim.core.jit import compile_exact_kernel
 
 COLD = """
-from wcsim.core.jit import exact_kernel
+from wcsim.core.jit import compile_exact_kernel
 
 
-@exact_kernel
+@compile_exact_kernel
 def plus(x):
     return x + 1.0
 """
@@ -49,7 +49,7 @@ def test_processes_that_begin_together_compile_a_kernel_once(tmp_path: Path) -> 
 
 def test_a_process_that_was_stopped_is_not_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(jit, "LONGEST_WAIT_S", 0.05)
-    copy = exact_kernel(root)
+    copy = compile_exact_kernel(root)
     copy._cache._lock = FileLock(tmp_path / "k.lock")  # type: ignore[attr-defined]
     copy._cache._cache_path = str(tmp_path)  # type: ignore[attr-defined]
     with FileLock(tmp_path / "k.lock"):
@@ -58,7 +58,7 @@ def test_a_process_that_was_stopped_is_not_waited_for(tmp_path: Path, monkeypatc
 
 def test_without_a_place_for_a_lock_it_is_compiled(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("no folder")
-    copy = exact_kernel(root)
+    copy = compile_exact_kernel(root)
     copy._cache._lock = FileLock(tmp_path / "file" / "k.lock")  # type: ignore[attr-defined]
     copy._cache._cache_path = str(tmp_path)  # type: ignore[attr-defined]
     assert copy(9.0) == 3.0

@@ -12,19 +12,19 @@ import pytest
 
 from tests.attack.files.damage import CHEAP
 from wcsim.core import reading
-from wcsim.core.reading import FileKind, read_json, read_lines, read_text, read_toml
+from wcsim.core.reading import FileSpec, read_json, read_lines, read_text, read_toml
 from wcsim.errors import FileError
 
 MOST_MIB, MOST_S = 128, 10
 
 
-def all_lines(path: Path, kind: FileKind) -> None:
+def all_lines(path: Path, kind: FileSpec) -> None:
     """All lines, one after the other."""
     for _ in read_lines(path, kind):
         pass
 
 
-READERS: dict[str, tuple[Callable[[Path, FileKind], object], FileKind]] = {
+READERS: dict[str, tuple[Callable[[Path, FileSpec], object], FileSpec]] = {
     "json": (read_json, reading.RESULT),
     "toml": (read_toml, reading.SETTINGS),
     "text": (read_text, reading.RESULT),
@@ -77,7 +77,7 @@ def test_a_bomb_of_the_largest_size_is_bounded(tmp_path: Path, reader: str) -> N
 
 
 def test_no_text_may_be_larger_than_what_was_tried() -> None:
-    kinds = {name: kind for name, kind in vars(reading).items() if isinstance(kind, FileKind)}
+    kinds = {name: kind for name, kind in vars(reading).items() if isinstance(kind, FileSpec)}
     most = max(kind.limit_bytes for _, kind in READERS.values())
     assert set(kinds) >= STREAMS
     assert [name for name, kind in kinds.items() if kind.limit_bytes > most and name not in STREAMS] == []

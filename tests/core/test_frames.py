@@ -61,7 +61,7 @@ def test_net_and_world_are_inverse(p, origin):
 )
 def test_from_sumo_s_front_to_our_middle_and_back(front_net, heading_deg, slope_deg, length, origin):
     """Net to W, front to middle and all the way back, any heading and slope; a person is a vehicle in this."""
-    yaw, pitch = frames.yaw_from_sumo(heading_deg), frames.rad(slope_deg)
+    yaw, pitch = frames.yaw_from_sumo(heading_deg), frames.deg2rad(slope_deg)
     middle = frames.centre_from_front(frames.world_from_net(front_net, origin), yaw, pitch, length)
     back = frames.net_from_world(frames.front_from_centre(middle, yaw, pitch, length), origin)
     assert np.allclose(back, front_net, rtol=0.0, atol=1e-9)

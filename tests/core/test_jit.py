@@ -18,17 +18,20 @@ from numba.extending import is_jitted
 import wcsim
 from wcsim.core import jit, joystick
 from wcsim.core.files import KERNELS
-from wcsim.core.jit import _frozen_digest, exact_kernel
+from wcsim.core.jit import _frozen_digest, compile_exact_kernel
 
 ROOT = Path(wcsim.__file__).parent
 OWN = {
     "__init__": "",
-    "law": "from wcsim.core.jit import exact_kernel\n\nSLOWER = 3.0\n\n\n@exact_kernel\ndef slowed(x):\n"
+    "law": "from wcsim.core.jit import compile_exact_kernel\n\nSLOWER = 3.0\n\n\n"
+    "@compile_exact_kernel\ndef slowed(x):\n"
     "    return x / SLOWER\n",
-    "boxes": "from wcsim.core.jit import exact_kernel\n\n\n@exact_kernel\ndef apart(x):\n    return x > 1.0\n",
-    "drive": "from own.boxes import apart\nfrom own.law import slowed\nfrom wcsim.core.jit import exact_kernel\n\n\n"
-    "@exact_kernel\ndef target(x):\n    return slowed(x) + 1.0\n\n\n"
-    "@exact_kernel\ndef touches(x):\n    return not apart(x)\n",
+    "boxes": "from wcsim.core.jit import compile_exact_kernel\n\n\n"
+    "@compile_exact_kernel\ndef apart(x):\n    return x > 1.0\n",
+    "drive": "from own.boxes import apart\nfrom own.law import slowed\n"
+    "from wcsim.core.jit import compile_exact_kernel\n\n\n"
+    "@compile_exact_kernel\ndef target(x):\n    return slowed(x) + 1.0\n\n\n"
+    "@compile_exact_kernel\ndef touches(x):\n    return not apart(x)\n",
 }
 CODE = """
 import json
@@ -101,12 +104,12 @@ class Pair(NamedTuple):
 PAIR = Pair(1.0, 2.0)
 
 
-@exact_kernel
+@compile_exact_kernel
 def inner(x: float) -> float:
     return x * FACTOR + math.sqrt(4.0)
 
 
-@exact_kernel
+@compile_exact_kernel
 def outer(pair: Pair) -> float:
     """A callee, a number, an array, an enumeration, a tuple, a constant of a module, an argument with names."""
     return inner(pair.left) + TABLE[1] + Kind.LOW + PAIR.right + joystick.STILL_MPS
@@ -122,7 +125,7 @@ def outer(pair: Pair) -> float:
         (None, "PAIR", Pair(1.0, 3.0)),
         (None, "Pair", NamedTuple("Pair", [("right", float), ("left", float)])),
         (joystick, "STILL_MPS", 1.0),
-        (None, "inner", jit.kernel(inner.py_func)),
+        (None, "inner", jit.compile_fast_kernel(inner.py_func)),
     ],
 )
 def test_each_kind_of_frozen_thing_counts(
@@ -146,7 +149,7 @@ def test_what_can_be_no_constant_is_refused(monkeypatch: pytest.MonkeyPatch) -> 
 def test_old_copies_go(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for factor in range(6):
         monkeypatch.setattr(sys.modules[__name__], "FACTOR", float(factor))
-        copy = exact_kernel(inner.py_func)
+        copy = compile_exact_kernel(inner.py_func)
         copy._cache._cache_path = str(tmp_path)
         monkeypatch.setattr(copy._cache._impl.locator, "_cache_path", str(tmp_path))
         assert copy(1.0) == factor + 2.0
@@ -168,7 +171,9 @@ assert plus(3.0) == 4.0
 
 def test_a_forked_copy_of_a_process_compiles_what_nobody_has_compiled_yet(tmp_path: Path) -> None:
     """Judges of a suite are forks of the world; on a new machine one of them is the first that needs a kernel."""
-    cold = "from wcsim.core.jit import exact_kernel\n\n\n@exact_kernel\ndef plus(x):\n    return x + 1.0\n"
+    cold = (
+        "from wcsim.core.jit import compile_exact_kernel\n\n\n@compile_exact_kernel\ndef plus(x):\n    return x + 1.0\n"
+    )
     (tmp_path / "cold.py").write_text(cold, encoding="utf-8")
     done = subprocess.run([sys.executable, "-c", FORKED], cwd=tmp_path, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
@@ -176,7 +181,7 @@ def test_a_forked_copy_of_a_process_compiles_what_nobody_has_compiled_yet(tmp_pa
 
 def test_where_nothing_can_be_kept_kernels_still_work(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(jit._Copies, "_locator_classes", [])
-    assert exact_kernel(inner.py_func)(1.0) == 4.0
+    assert compile_exact_kernel(inner.py_func)(1.0) == 4.0
 
 
 def test_a_package_that_cannot_be_written_has_its_copies_in_the_users_cache(
@@ -189,7 +194,7 @@ def test_a_package_that_cannot_be_written_has_its_copies_in_the_users_cache(
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     hits = []
     for _ in range(2):
-        copy = exact_kernel(inner.py_func)
+        copy = compile_exact_kernel(inner.py_func)
         assert copy(1.0) == 4.0
         hits.append(sum(copy.stats.cache_hits.values()))
     assert hits == [0, 1] and len(list((tmp_path / "wcsim" / KERNELS).rglob("*.nbi"))) == 1

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from wcsim.core.plugins import find_class, find_user_class_files, wrap_user_code_errors
+from wcsim.core.plugins import find_user_class_files, import_class, wrap_user_code_errors
 from wcsim.errors import HookError, PolicyError
 
 
@@ -28,29 +28,29 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_a_module_of_the_current_folder_finds_its_neighbours_also_later(folder):
-    found = find_class("own_big_net:Bigger", "network")
+    found = import_class("own_big_net:Bigger", "network")
     assert found.size == 3 and found().late() == "late"
-    assert find_class("own_base_net:Base", "network") in found.__mro__
+    assert import_class("own_base_net:Base", "network") in found.__mro__
 
 
 def test_several_modules_of_the_current_folder_are_found(folder):
     for name in ("own_base_net", "own_late_part"):
         (folder / f"{name}.py").write_text("class Net:\n    pass\n")
-        assert find_class(f"{name}:Net", "network").__module__ == name
+        assert import_class(f"{name}:Net", "network").__module__ == name
 
 
 def test_what_is_nowhere_is_said(folder):
     with pytest.raises(PolicyError, match=r"was not found; expected own_missing\.py in"):
-        find_class("own_missing:Net", "network")
+        import_class("own_missing:Net", "network")
     with pytest.raises(PolicyError, match=r"failed to import: .*own_neighbour_that_is_not_there"):
-        find_class("own_broken_net:Net", "network")
+        import_class("own_broken_net:Net", "network")
 
 
 def test_what_is_installed_comes_before_the_current_folder(folder):
     (folder / "colorsys.py").write_text("class Net:\n    pass\n")
-    find_class("own_base_net:Base", "network")
+    import_class("own_base_net:Base", "network")
     with pytest.raises(PolicyError, match="colorsys has no class 'Net'"):
-        find_class("colorsys:Net", "network")
+        import_class("colorsys:Net", "network")
 
 
 def test_the_sources_of_a_class_are_its_file_and_what_it_imports_beside_it(folder):
@@ -68,7 +68,7 @@ def test_a_folder_that_is_no_package_yet_is_named(folder, monkeypatch):
     (folder / "own_parts").mkdir()
     (folder / "own_parts" / "mine.py").write_text("class Net:\n    pass\n")
     with pytest.raises(PolicyError, match=r"own_parts has no __init__\.py"):
-        find_class("own_parts.mine:Net", "network")
+        import_class("own_parts.mine:Net", "network")
     (folder / "own_parts" / "__init__.py").touch()
     for name in ("own_parts", "own_parts.mine"):
         monkeypatch.delitem(sys.modules, name, raising=False)
@@ -77,7 +77,7 @@ def test_a_folder_that_is_no_package_yet_is_named(folder, monkeypatch):
         "own_parts/mine.py",
     }
     with pytest.raises(PolicyError, match=r"expected own_parts/yours\.py in"):
-        find_class("own_parts.yours:Net", "network")
+        import_class("own_parts.yours:Net", "network")
 
 
 def test_what_ones_own_code_raises_becomes_one_line_that_says_where():

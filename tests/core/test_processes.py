@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from wcsim.core.processes import run_command, run_in_pool
+from wcsim.core.processes import run_command, run_in_process_pool
 
 CHILD = """
 import signal, sys, time
@@ -70,16 +70,16 @@ def test_a_command_that_is_not_there_is_another_fault_than_a_full_disk(tmp_path)
 
 
 def test_a_pool_gives_each_piece_its_place_and_passes_on_a_fault():
-    assert dict(run_in_pool(abs, [-3, 4, -5], 2)) == {0: 3, 1: 4, 2: 5}
+    assert dict(run_in_process_pool(abs, [-3, 4, -5], 2)) == {0: 3, 1: 4, 2: 5}
     with pytest.raises(TypeError):
-        list(run_in_pool(abs, [1, "two"], 1))
+        list(run_in_process_pool(abs, [1, "two"], 1))
 
 
 ORPHANS = """
 import os, signal, sys, time
-from wcsim.core.processes import run_in_pool
+from wcsim.core.processes import run_in_process_pool
 if __name__ == "__main__":
-    next(run_in_pool(abs, [1, 2], 1))
+    next(run_in_process_pool(abs, [1, 2], 1))
     os.kill(os.getpid(), signal.SIGKILL)
 """
 
@@ -97,5 +97,5 @@ def test_semaphores_of_a_group_that_was_killed_go_with_the_next_pool(tmp_path):
     killed.wait(60.0)
     left = [path for path in Path("/dev/shm").glob(f"sem.wcsim-*-{killed.pid}-*")]  # noqa: S108
     assert left, "its tracker was killed, too"
-    list(run_in_pool(abs, [-1], 1))
+    list(run_in_process_pool(abs, [-1], 1))
     assert not any(path.exists() for path in left)

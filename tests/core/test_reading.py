@@ -9,8 +9,9 @@ import pytest
 import zstandard
 
 from wcsim.core.reading import (
-    FileKind,
-    escaped,
+    FileSpec,
+    decompress_zstd,
+    escape,
     open_regular_file,
     parse_json,
     parse_toml,
@@ -18,16 +19,15 @@ from wcsim.core.reading import (
     read_json,
     read_text,
     read_toml,
-    unzstd,
 )
 from wcsim.errors import ConfigError, FileError, JournalError, PolicyError, TownError
 
-KIND = FileKind(what="a small file", limit_bytes=1000)
+KIND = FileSpec(what="a small file", limit_bytes=1000)
 
 
 @pytest.mark.parametrize("kind", [ConfigError, TownError, PolicyError, JournalError])
 def test_whatever_is_wrong_is_one_error(kind: type[FileError], tmp_path: Path) -> None:
-    wanted = FileKind(what="a small file", limit_bytes=10, error=kind)
+    wanted = FileSpec(what="a small file", limit_bytes=10, error=kind)
     large, latin, pipe = tmp_path / "large", tmp_path / "latin", tmp_path / "pipe"
     large.write_bytes(b"x" * 11)
     latin.write_bytes(b"\xe9")
@@ -43,7 +43,7 @@ def test_a_file_is_read_whole(tmp_path: Path) -> None:
     path.write_bytes(b"\xef\xbb\xbfa = 1\n")
     assert read_text(path, KIND) == "a = 1\n"
     assert read_toml(path, KIND) == {"a": 1}
-    assert read_bytes(path, FileKind(what="", limit_bytes=9)) == path.read_bytes()
+    assert read_bytes(path, FileSpec(what="", limit_bytes=9)) == path.read_bytes()
     with open_regular_file(path, KIND) as file:
         assert len(file.read()) == 9
     path.write_text('{"a": [1, 2.5, null]}', encoding="utf-8")
@@ -64,7 +64,7 @@ def test_json_that_is_refused(text: str) -> None:
 
 def test_json_that_would_fill_the_memory_is_not_parsed(tmp_path: Path) -> None:
     bomb = '{"a": [' + "[]," * (1 << 20) + "[]]}"
-    kind = FileKind(what="a recording", limit_bytes=1 << 30, error=JournalError)
+    kind = FileSpec(what="a recording", limit_bytes=1 << 30, error=JournalError)
     tracemalloc.start()
     try:
         with pytest.raises(JournalError, match="characters of JSON; expected at most 1048576"):
@@ -107,16 +107,16 @@ def test_a_long_text_costs_time_in_proportion_to_its_length() -> None:
 
 
 def test_what_is_shown_is_printable_and_short() -> None:
-    assert escaped("a\x1b[2Jb\n\u202ec") == "a\\x1b[2Jb\\n\\u202ec"
-    assert len(escaped("\x1b" * 10_000)) == 160
-    assert escaped("é ü") == "é ü"
+    assert escape("a\x1b[2Jb\n\u202ec") == "a\\x1b[2Jb\\n\\u202ec"
+    assert len(escape("\x1b" * 10_000)) == 160
+    assert escape("é ü") == "é ü"
 
 
 def test_a_frame_that_holds_as_much_as_allowed_is_unpacked_and_more_is_refused() -> None:
     packed = zstandard.compress(bytes(1000))
-    assert unzstd(packed, 1000) == unzstd(packed, 1000, zstandard.ZstdDecompressor()) == bytes(1000)
+    assert decompress_zstd(packed, 1000) == decompress_zstd(packed, 1000, zstandard.ZstdDecompressor()) == bytes(1000)
     with pytest.raises(ValueError, match="more than 999 bytes"):
-        unzstd(packed, 999)
+        decompress_zstd(packed, 999)
 
 
 def test_a_frame_that_says_nothing_of_its_size_is_bounded_all_the_same() -> None:
@@ -124,16 +124,16 @@ def test_a_frame_that_says_nothing_of_its_size_is_bounded_all_the_same() -> None
     packed = packer.compress(bytes(1 << 20)) + packer.flush()
     assert zstandard.frame_content_size(packed) == -1
     with pytest.raises(zstandard.ZstdError):
-        unzstd(packed, 1000)
-    assert unzstd(packed, 1 << 20) == bytes(1 << 20)
+        decompress_zstd(packed, 1000)
+    assert decompress_zstd(packed, 1 << 20) == bytes(1 << 20)
 
 
 def test_an_empty_frame_is_no_bytes() -> None:
-    assert unzstd(zstandard.compress(b""), 0) == b""
+    assert decompress_zstd(zstandard.compress(b""), 0) == b""
 
 
 def test_a_file_that_is_too_large_is_refused_unread(tmp_path: Path) -> None:
-    path, kind = tmp_path / "a", FileKind(what="a file", limit_bytes=256 << 20)
+    path, kind = tmp_path / "a", FileSpec(what="a file", limit_bytes=256 << 20)
     with path.open("wb") as file:
         file.truncate(kind.limit_bytes + 1)
     tracemalloc.start()

@@ -49,7 +49,7 @@ def test_only_what_is_needed_counts(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text, encoding="utf-8")
     monkeypatch.setattr(sources, "_ROOT", tmp_path)
-    found = sources.find_module_sources("wcsim.a")
+    found = sources.find_imported_source_files("wcsim.a")
     assert [path.relative_to(tmp_path / "wcsim").as_posix() for path in found] == [
         "a.py", "b.py", "deep/late.py", "seeds.py", "t.py",
     ]  # fmt: skip

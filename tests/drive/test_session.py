@@ -172,7 +172,7 @@ def test_the_policy_hears_the_delay_of_each_episode_before_it_begins(
     corner: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     varied = quick_config("vary.action_delay_ticks=[0,9]")
-    monkeypatch.setattr(starting, "config_from_policy_name", lambda *_, **__: varied)
+    monkeypatch.setattr(starting, "resolve_policy_config", lambda *_, **__: varied)
     with DriveSession(DriveStart(town=str(corner), policy="tests.drive.lookers:HearsDelays", seed=4)) as drive:
         drawn = [drive.client.drawn]
         for _ in range(3):

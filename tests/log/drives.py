@@ -6,7 +6,7 @@ import numpy as np
 
 from wcsim import __version__
 from wcsim.config import resolve
-from wcsim.log.records import DriveHeader, DriveTick, Header, Note, changed
+from wcsim.log.records import DriveHeader, DriveTick, Header, Note, with_fields
 from wcsim.log.writer import LogWriter
 from wcsim.types import Joystick
 
@@ -31,9 +31,9 @@ def drive_header(**changes: object) -> Header:
         seats=1,
         tick_s=TICK_S,
         config=resolve("quick").model_dump_json(),
-        drive=changed(about, **{key: value for key, value in changes.items() if key in about.__struct_fields__}),
+        drive=with_fields(about, **{key: value for key, value in changes.items() if key in about.__struct_fields__}),
     )
-    return changed(header, **{key: value for key, value in changes.items() if key in header.__struct_fields__})
+    return with_fields(header, **{key: value for key, value in changes.items() if key in header.__struct_fields__})
 
 
 def tick(number: int, **changes: object) -> DriveTick:
@@ -52,7 +52,7 @@ def tick(number: int, **changes: object) -> DriveTick:
         yaw_rad=0.0,
         speed_mps=1.0,
     )
-    return changed(made, **changes)
+    return with_fields(made, **changes)
 
 
 def write_drive(path: Path, ticks: list[DriveTick], events: tuple[Note, ...] = (), **header: object) -> Path:

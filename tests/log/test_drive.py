@@ -16,15 +16,15 @@ from wcsim.config import resolve
 from wcsim.errors import ConfigError, JournalError, WcsimError
 from wcsim.log.drive import read_drive
 from wcsim.log.framing import frame_payload
-from wcsim.log.reader import is_log, read_header
+from wcsim.log.reader import is_log_file, read_header
 from wcsim.log.records import (
     Ended,
     Note,
-    changed,
     header_to_bytes,
     make_ticked_record,
     record_from_bytes,
     record_to_bytes,
+    with_fields,
 )
 from wcsim.log.writer import LogWriter
 from wcsim.types import Joystick
@@ -42,7 +42,7 @@ def test_what_is_recorded_is_read(tmp_path):
     drive = read_drive(path)
     assert drive.header == drive_header() == read_header(path)
     assert [item.tick for item in drive.ticks] == [1, 2, 3, 4]
-    assert drive.ticks[0] == changed(ticks[0], sticks=ticks[0].sticks)
+    assert drive.ticks[0] == with_fields(ticks[0], sticks=ticks[0].sticks)
     assert drive.events == events
     assert (drive.ticks[1].intent, drive.ticks[1].helped, drive.knows_intents, drive.has_truncated_end) == (
         None,
@@ -52,7 +52,7 @@ def test_what_is_recorded_is_read(tmp_path):
     )
     assert [len(part) for part in drive.episodes] == [3, 1]
     assert [item.ends for item in drive.ticks] == [False, False, True, False]
-    assert is_log(path)
+    assert is_log_file(path)
     path.write_bytes(path.read_bytes()[:-7])
     drive = read_drive(path)
     assert (len(drive.ticks) + len(drive.events), drive.has_truncated_end) == (4, True)
@@ -164,7 +164,7 @@ def test_numbers_that_no_reader_takes_are_not_written(tmp_path):
 def test_what_is_no_log_is_not_taken_for_a_drive(tmp_path):
     (tmp_path / "a.csv").write_text("time_s,x,y\n0,0,0\n")
     (tmp_path / "a.txt").write_bytes(frame_payload(b"{}"))
-    assert not any(is_log(path) for path in (*tmp_path.iterdir(), tmp_path, tmp_path / "none"))
+    assert not any(is_log_file(path) for path in (*tmp_path.iterdir(), tmp_path, tmp_path / "none"))
     for path in tmp_path.iterdir():
         with pytest.raises(JournalError, match="is not a log"):
             read_drive(path)

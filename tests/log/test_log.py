@@ -13,7 +13,7 @@ from tests.support.framing import chained, last_crc, read_whole
 from wcsim.errors import ConfigError, DiskFullError, WcsimError
 from wcsim.log.diff import find_log_difference
 from wcsim.log.framing import frame_payload
-from wcsim.log.reader import iter_journal_inputs, iter_part_inputs, log_digest, read_header
+from wcsim.log.reader import hash_log, iter_journal_inputs, iter_journal_part_inputs, read_header
 from wcsim.log.records import (
     Admitted,
     Dismissed,
@@ -23,11 +23,11 @@ from wcsim.log.records import (
     Input,
     Respawned,
     Ticked,
-    changed,
     header_from_bytes,
     header_to_bytes,
     make_ticked_record,
     record_from_bytes,
+    with_fields,
 )
 from wcsim.log.writer import LogWriter
 from wcsim.types import Command, Joystick, SeatSpec, StartSpec
@@ -71,7 +71,7 @@ def write(path: Path, records=RECORDS, header=HEADER) -> str:
     with LogWriter(path, header) as writer:
         for record in records:
             writer.append(record)
-    return log_digest(path)
+    return hash_log(path)
 
 
 def test_commands_come_back_to_the_last_bit(tmp_path):
@@ -103,18 +103,18 @@ def test_a_tick_of_three_seats_is_small(tmp_path):
 
 def test_the_digest_is_that_of_what_happened_and_of_nothing_else(tmp_path):
     digest = write(tmp_path / "a")
-    elsewhere = changed(HEADER, name="other", town="/elsewhere", fingerprint="numpy-2")
-    assert write(tmp_path / "b", header=elsewhere) == digest == log_digest(tmp_path / "a")
-    renamed = {1: changed(RECORDS[1], name="4711"), 5: changed(RECORDS[5], reason="silent for 1.2 s")}
+    elsewhere = with_fields(HEADER, name="other", town="/elsewhere", fingerprint="numpy-2")
+    assert write(tmp_path / "b", header=elsewhere) == digest == hash_log(tmp_path / "a")
+    renamed = {1: with_fields(RECORDS[1], name="4711"), 5: with_fields(RECORDS[5], reason="silent for 1.2 s")}
     assert write(tmp_path / "c", [renamed.get(number, record) for number, record in enumerate(RECORDS)]) == digest
     assert find_log_difference(tmp_path / "a", tmp_path / "b") == ""
     assert find_log_difference(tmp_path / "a", tmp_path / "c") == ""
     others = [
         write(tmp_path / "shorter", RECORDS[:-1]),
         write(tmp_path / "swapped", (*RECORDS[:-2], *RECORDS[:-3:-1])),
-        write(tmp_path / "hash", [changed(r, state_hash="0") if isinstance(r, Ticked) else r for r in RECORDS]),
+        write(tmp_path / "hash", [with_fields(r, state_hash="0") if isinstance(r, Ticked) else r for r in RECORDS]),
         *(
-            write(tmp_path / name, header=changed(HEADER, **{name: value}))
+            write(tmp_path / name, header=with_fields(HEADER, **{name: value}))
             for name, value in {"seed": 8, "config": "{}", "town_sha256": "", "seats": 4, "hook": "a:B"}.items()
         ),
     ]
@@ -130,7 +130,7 @@ def test_a_journal_is_gone_on_with_where_it_was_torn(tmp_path):
         assert read_whole(path).records == RECORDS[:-1]
         with LogWriter.append_to(path) as writer:
             writer.append(RECORDS[-1])
-            assert log_digest(path) == digest
+            assert hash_log(path) == digest
         assert path.read_bytes() == whole.read_bytes()
     path.write_bytes(whole.read_bytes() + bytes(3 * 4096))  # pages that a machine had no time to write
     LogWriter.append_to(path).close()
@@ -173,7 +173,7 @@ def test_every_record_can_be_read_as_soon_as_it_is_written(tmp_path):
 def test_something_else_is_refused(tmp_path, data):
     if data is not None:
         (tmp_path / "j").write_bytes(data)
-    for read in (read_header, read_whole, log_digest, LogWriter.append_to):
+    for read in (read_header, read_whole, hash_log, LogWriter.append_to):
         with pytest.raises(WcsimError, match=r"j: .*(not a log|cannot be read)"):
             read(tmp_path / "j")
 
@@ -239,7 +239,7 @@ from pathlib import Path
 from tests.log.test_log import HEADER, tick
 from wcsim.errors import DiskFullError
 from tests.support.framing import read_whole
-from wcsim.log.reader import log_digest
+from wcsim.log.reader import hash_log
 from wcsim.log.writer import LogWriter
 path = Path(sys.argv[1])
 soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
@@ -255,11 +255,11 @@ with LogWriter(path, HEADER) as writer:
     journal = read_whole(path)
     assert (len(journal.records), journal.torn) == (written, False), journal
     assert 5 < written < 20
-    assert log_digest(path) == log_digest(path)
+    assert hash_log(path) == hash_log(path)
     resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     writer.append(tick(written + 1))
 assert len(read_whole(path).records) == written + 1
-assert log_digest(path) == log_digest(path)
+assert hash_log(path) == hash_log(path)
 """
 
 
@@ -320,4 +320,6 @@ def test_a_journal_has_one_writer_at_a_time(tmp_path):
 
 def test_a_journal_is_read_without_its_ticks(tmp_path):
     write(tmp_path / "j")
-    assert list(iter_part_inputs(tmp_path / "j", ticks=False)) == [r for r in RECORDS if not isinstance(r, Ticked)]
+    assert list(iter_journal_part_inputs(tmp_path / "j", ticks=False)) == [
+        r for r in RECORDS if not isinstance(r, Ticked)
+    ]

@@ -9,7 +9,7 @@ from tests.log.test_log import tick, write
 from tests.support.framing import chained, pieces, read_whole, record_ends
 from wcsim.errors import JournalError
 from wcsim.log.drive import read_drive
-from wcsim.log.reader import is_log, iter_journal_inputs, log_digest, read_header, read_trace_states
+from wcsim.log.reader import hash_log, is_log_file, iter_journal_inputs, read_header, read_trace_states
 from wcsim.log.writer import LogWriter
 
 
@@ -37,7 +37,7 @@ def test_what_is_damaged_before_its_end_is_not_cut_off(tmp_path):
     seen = []
     with pytest.raises(JournalError, match=r"is damaged at byte"):
         seen.extend(iter_journal_inputs(path))
-    for use in (read_whole, log_digest, LogWriter.append_to):
+    for use in (read_whole, hash_log, LogWriter.append_to):
         with pytest.raises(JournalError, match=r"is damaged at byte"):
             use(path)
     assert path.read_bytes() == data
@@ -83,10 +83,10 @@ def test_records_cannot_be_doubled_moved_or_left_out(tmp_path):
 def test_a_file_of_an_older_format_gets_one_refusal(tmp_path, first):
     path = tmp_path / "j"
     path.write_bytes(chained([first, b"more"]))
-    for use in (read_whole, read_header, log_digest, LogWriter.append_to, read_trace_states, read_drive):
+    for use in (read_whole, read_header, hash_log, LogWriter.append_to, read_trace_states, read_drive):
         with pytest.raises(JournalError, match=r"j: is of format 'wcsim-\w+(-1)?'; expected 'wcsim-log-1': use the"):
             use(path)
-    assert is_log(path)
+    assert is_log_file(path)
 
 
 def test_a_long_run_of_zeros_is_no_place_to_cut_at(tmp_path):

@@ -8,7 +8,7 @@ from tests.support.framing import chained, payloads_of
 from wcsim.errors import WcsimError
 from wcsim.log.diff import find_golden_difference
 from wcsim.log.reader import read_trace_states
-from wcsim.log.records import Header, WorldState, changed
+from wcsim.log.records import Header, WorldState, with_fields
 from wcsim.log.writer import LogWriter
 
 HEADER = Header(town="t", seed=1, tick_s=0.1, seats=2, fingerprint="a")
@@ -127,9 +127,9 @@ def test_difference_tells_another_number_of_chairs(tmp_path, chairs, fingerprint
     """One chair against two would be compared with each of them, three against two with nothing."""
     of_two = record(1)
     plants = np.repeat(of_two.plants[:1], chairs, axis=0)
-    write(tmp_path / "a", [changed(of_two, plants=plants[[0, 0]])])
-    other = changed(of_two, plants=plants, commands=np.zeros((chairs, 2)), state_hash="0")
-    write(tmp_path / "other", [other], changed(HEADER, seats=chairs, fingerprint=fingerprint))
+    write(tmp_path / "a", [with_fields(of_two, plants=plants[[0, 0]])])
+    other = with_fields(of_two, plants=plants, commands=np.zeros((chairs, 2)), state_hash="0")
+    write(tmp_path / "other", [other], with_fields(HEADER, seats=chairs, fingerprint=fingerprint))
     assert (
         find_golden_difference(tmp_path / "other", tmp_path / "a")
         == f"tick 1: the number of chairs is {chairs}, golden 2"

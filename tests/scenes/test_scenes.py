@@ -8,13 +8,13 @@ import pytest
 
 from tests.scenes.pinned import pinned_scenes
 from tests.scenes.planted import PLANTED, plant
-from wcsim.cli.scene import faults
+from wcsim.cli.scene import find_unmet_expectations
 from wcsim.config import read_toml
 from wcsim.config.scene import SceneExpectations, SceneFile
 from wcsim.log.diff import explain_hash_mismatch, find_golden_difference
 from wcsim.log.fingerprint import PACKAGES
 from wcsim.log.reader import read_trace_states
-from wcsim.log.records import changed
+from wcsim.log.records import with_fields
 from wcsim.log.writer import LogWriter
 from wcsim.scenes.run import TRACE_EVERY, run_in_child
 from wcsim.towns.scene_folders.build import GOLDEN, find_scene, list_scenes
@@ -51,7 +51,7 @@ def test_scene(name, tmp_path, run_pinned):
     folder = find_scene(name)
     scene = read_toml(folder / "scene.toml", SceneFile)
     facts = run_pinned(folder, tmp_path / "new.trace")
-    assert faults(facts, scene.expect) == ()
+    assert find_unmet_expectations(facts, scene.expect) == ()
     assert scene.expect != SceneExpectations(), "a scene that expects nothing shows nothing"
     assert find_golden_difference(tmp_path / "new.trace", folder / GOLDEN) == ""
     # On every Python and with either PyBullet: a processor or a C library may round otherwise, a package must not.
@@ -73,7 +73,7 @@ def test_a_planted_fault_turns_a_scene_red(fault, tmp_path, run_pinned):
     shutil.copytree(find_scene(fault.scene), folder)
     plant(folder, fault)
     facts = run_pinned(folder, tmp_path / "new.trace")
-    told = faults(facts, read_toml(folder / "scene.toml", SceneFile).expect)
+    told = find_unmet_expectations(facts, read_toml(folder / "scene.toml", SceneFile).expect)
     assert any(fault.told in line for line in told), told
     assert find_golden_difference(tmp_path / "new.trace", folder / GOLDEN)
 
@@ -81,7 +81,7 @@ def test_a_planted_fault_turns_a_scene_red(fault, tmp_path, run_pinned):
 def test_a_fault_is_named_with_what_was_got_and_expected(tmp_path, run_pinned):
     facts = run_in_child(find_scene("kerb-drop"), tmp_path / "a")  # as `wcsim scene run` does
     assert facts == run_pinned(find_scene("kerb-drop"), tmp_path / "b")
-    told = faults(facts, SceneExpectations(crashed=False, max_pitch_deg=(0.0, 1.0)))
+    told = find_unmet_expectations(facts, SceneExpectations(crashed=False, max_pitch_deg=(0.0, 1.0)))
     assert len(told) == 2
     assert "crashed is True, expected False" in told[0]
     assert "expected 0 to 1" in told[1]
@@ -92,7 +92,7 @@ def test_one_changed_number_is_found(tmp_path):
     header, ticks = read_trace_states(golden)
     plants = ticks[5].plants.copy()
     plants[0, 0] += 1e-9
-    other = changed(ticks[5], plants=plants, state_hash="0")
+    other = with_fields(ticks[5], plants=plants, state_hash="0")
     with LogWriter(tmp_path / "a", header) as writer:
         for tick in (*ticks[:5], other, *ticks[6:]):
             writer.append(tick)

@@ -15,7 +15,7 @@ from tests.server.sim_world import SimWorld, Wrong
 from wcsim.core import seeding
 from wcsim.errors import WcsimError, WorldRestartedError
 from wcsim.server.protocol import messages as m
-from wcsim.server.protocol.client_core import ClientCore, ClientPhase, FrameOutcome, JoinSettings, Outcome, Patience
+from wcsim.server.protocol.client_core import ClientCore, ClientPhase, JoinSettings, Outcome, Patience, ReceivedFrame
 from wcsim.server.protocol.events import (
     AdmitSeatEffect,
     ClientLostEvent,
@@ -26,8 +26,8 @@ from wcsim.server.protocol.events import (
     Peer,
     RebuildWorldEffect,
     RespawnSeatsEffect,
-    SendFrameEffect,
     SendMessageEffect,
+    SendSensorFrameEffect,
     ServerRules,
     StepWorldEffect,
     TimePassedEvent,
@@ -50,7 +50,7 @@ class Draws:
     """Random numbers of one seed, drawn in blocks."""
 
     def __init__(self, seed: int) -> None:
-        self._generator: np.random.Generator = seeding.generator(seed, "faults")
+        self._generator: np.random.Generator = seeding.make_rng(seed, "faults")
         self._block: Iterator[float] = iter(())
 
     def unit(self) -> float:
@@ -153,7 +153,7 @@ class Simulation:
         match effect:
             case SendMessageEffect():
                 self._post(effect.peer, effect.message)
-            case SendFrameEffect():
+            case SendSensorFrameEffect():
                 chair = self.world.show(effect.seat, effect.epoch, effect.tick, effect.life)
                 self._post(effect.peer, m.Frame(effect.epoch, effect.tick, effect.life, None, chair))
             case AdmitSeatEffect():
@@ -238,7 +238,7 @@ class Simulation:
         restarted = any(isinstance(x, WorldRestartedError) for x in outcomes)
         for outcome in outcomes:
             match outcome:
-                case FrameOutcome():
+                case ReceivedFrame():
                     self._see(process, outcome, restarted)
                 case WcsimError():
                     self._fail(process, outcome)
@@ -252,7 +252,7 @@ class Simulation:
         process.last_up_s = max(process.last_up_s, self.now_s + 0.001 + self._delay_s * self.draws.unit())
         self._at(process.last_up_s, "request", process, process.wire, message)
 
-    def _see(self, process: Process, seen: FrameOutcome, restarted: bool) -> None:
+    def _see(self, process: Process, seen: ReceivedFrame, restarted: bool) -> None:
         core = process.core
         now = (core.session, seen.epoch, seen.tick, core.life, seen.slot)
         if process.seen and not restarted:
@@ -356,7 +356,7 @@ class Simulation:
     def _fault_rival(self) -> None:
         """Somebody else claims a seat; where it is free, it gets it and never acts."""
         session, seat = next(self._sessions).to_bytes(m.SESSION_BYTES, "big"), self.draws.below(self.clients)
-        join = m.Join(m.PROTOCOL, m.schema_hash(), "", session, b"rival", seat, "c7", SeatSpec())
+        join = m.Join(m.PROTOCOL, m.hash_message_schema(), "", session, b"rival", seat, "c7", SeatSpec())
         self._at(self.now_s, "stray", b"else", join)
 
     def _fault_world(self) -> None:

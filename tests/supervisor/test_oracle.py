@@ -13,12 +13,12 @@ from tests.users.kinematics import TICK_S, Chair, Sim, plant, polyline
 from wcsim.config import ChairConfig
 from wcsim.core.frames import quaternion_from_ypr
 from wcsim.core.joystick import shape_joysticks
-from wcsim.supervisor.oracle import Oracle
+from wcsim.supervisor.oracle import CrashOracle
 from wcsim.types import ActorKind, Joystick, StreetGrid
 from wcsim.types.street import AT_EDGE
 
 STREET = strip_street()
-ORACLE = Oracle(STREET.grid, ChairConfig(), USUAL_OUTLINE, USUAL_WHEELS_M, USUAL_RIMS_M, ACTIONS.points)
+ORACLE = CrashOracle(STREET.grid, ChairConfig(), USUAL_OUTLINE, USUAL_WHEELS_M, USUAL_RIMS_M, ACTIONS.points)
 FORWARD = Joystick(0.0, 0.8)
 STOP = Joystick(0.0, 0.0)
 UP, DOWN = math.pi / 2, -math.pi / 2
@@ -69,7 +69,7 @@ def test_an_edge_is_known_to_two_centimetres_where_a_kerb_cuts_a_cell():
     firsts = []
     for edge_m in (3.96, 4.0, 4.04):
         grid = told_of_edges(STREET.grid, edge_m)
-        oracle = Oracle(grid, ChairConfig(), USUAL_OUTLINE, USUAL_WHEELS_M, USUAL_RIMS_M, ACTIONS.points)
+        oracle = CrashOracle(grid, ChairConfig(), USUAL_OUTLINE, USUAL_WHEELS_M, USUAL_RIMS_M, ACTIONS.points)
         found = [oracle.danger(plant(20.0, edge_m + 0.01 * cm, UP), Joystick(0.0, -1.0), ()) for cm in range(10, 80)]
         firsts.append(found.index(False))
         assert firsts[-1] > 0 and not any(found[firsts[-1] :])
@@ -83,7 +83,7 @@ def test_casters_swing_outwards_in_a_turn():
     fixed = USUAL_WHEELS_M * (1.0, 1.0, 0.0)
     least_m = []
     for wheels in (USUAL_WHEELS_M, fixed):
-        oracle = Oracle(grid, ChairConfig(), USUAL_OUTLINE, wheels, USUAL_RIMS_M, ACTIONS.points)
+        oracle = CrashOracle(grid, ChairConfig(), USUAL_OUTLINE, wheels, USUAL_RIMS_M, ACTIONS.points)
         away_m = edge_m + np.arange(0.44, 0.64, 0.01)
         found = [oracle.danger(plant(20.0, y_m, DOWN), Joystick(1.0, 0.0), ()) for y_m in away_m]
         least_m.append(away_m[found.index(False)] - edge_m)
@@ -244,7 +244,7 @@ def test_the_oracle_is_quick():
 
 def test_a_wider_and_longer_chair_has_less_room():
     outline = replace(USUAL_OUTLINE, width_m=0.9, length_m=1.4)
-    large = Oracle(STREET.grid, ChairConfig(), outline, USUAL_WHEELS_M, USUAL_RIMS_M, ACTIONS.points)
+    large = CrashOracle(STREET.grid, ChairConfig(), outline, USUAL_WHEELS_M, USUAL_RIMS_M, ACTIONS.points)
     beside_the_house, beside_the_pole = plant(60.0, 8.4, 0.0, 0.0), plant(22.8, 6.2, 0.0, 1.3)
     lost_m = clearance(beside_the_house, ()) - large.assess(beside_the_house, STOP, ()).clearance_m
     assert lost_m == pytest.approx(0.14, abs=0.06)
@@ -255,7 +255,7 @@ def test_a_wider_and_longer_chair_has_less_room():
 def test_casters_behind_feel_kerbs_too():
     behind = np.concatenate([USUAL_WHEELS_M, [(-0.40, 0.25, 0.0), (-0.40, -0.25, 0.0)]])
     outline = replace(USUAL_OUTLINE, middle_x_m=0.0)
-    mid = Oracle(STREET.grid, ChairConfig(), outline, behind, np.zeros((0, 3)), ACTIONS.points)  # a high frame
+    mid = CrashOracle(STREET.grid, ChairConfig(), outline, behind, np.zeros((0, 3)), ACTIONS.points)  # a high frame
     backwards = Joystick(0.0, -1.0)
     above_the_kerb = plant(15.0, 4.55, UP, 0.0)  # the road is behind
     assert not ORACLE.danger(above_the_kerb, backwards, ())
@@ -319,7 +319,9 @@ def test_seconds_count_from_now():
 
 @pytest.mark.parametrize(("tick_s", "steps"), [(0.1, 4), (0.05, 2), (0.02, 1), (0.25, 10)])
 def test_a_waiting_command_lasts_a_tick(tick_s, steps):
-    oracle = Oracle(STREET.grid, ChairConfig(), USUAL_OUTLINE, USUAL_WHEELS_M, USUAL_RIMS_M, ACTIONS.points, tick_s)
+    oracle = CrashOracle(
+        STREET.grid, ChairConfig(), USUAL_OUTLINE, USUAL_WHEELS_M, USUAL_RIMS_M, ACTIONS.points, tick_s
+    )
     rolled = oracle._steps((FORWARD, STOP))
     assert rolled.shape == (steps, 2)
     assert (rolled[: (steps + 1) // 2, 1] > 0.5).all() and (rolled[(steps + 1) // 2 :] == 0.0).all()
@@ -398,7 +400,9 @@ def test_asked_once_more_it_says_what_it_would_say_of_those_alone():
         np.testing.assert_array_equal(said.first_s, ORACLE.assess(state, FORWARD, (ahead, behind), LATE).first_s)
 
 
-SOFT = Oracle(STREET.grid, ChairConfig(decel_mps2=0.3), USUAL_OUTLINE, USUAL_WHEELS_M, USUAL_RIMS_M, ACTIONS.points)
+SOFT = CrashOracle(
+    STREET.grid, ChairConfig(decel_mps2=0.3), USUAL_OUTLINE, USUAL_WHEELS_M, USUAL_RIMS_M, ACTIONS.points
+)
 
 
 def test_who_brakes_softly_is_in_danger_from_as_far_as_it_rolls():

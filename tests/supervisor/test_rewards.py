@@ -18,7 +18,7 @@ from wcsim.supervisor.rewards import (
     _joystick_terms,
     _tilt_term,
     compute_reward_terms,
-    crash_reason,
+    find_crash_reason,
     joystick_distance,
 )
 from wcsim.types import Contact, Events, ImuFrame
@@ -153,7 +153,7 @@ def test_empty_window_is_refused():
     ],
 )
 def test_which_contacts_crash(kind, part, impulse, expected):
-    assert crash_reason(imu(), plant(), [contact(kind, part, impulse)], C) == expected
+    assert find_crash_reason(imu(), plant(), [contact(kind, part, impulse)], C) == expected
 
 
 @pytest.mark.parametrize(
@@ -167,8 +167,8 @@ def test_which_contacts_crash(kind, part, impulse, expected):
     ],
 )
 def test_a_fall_explains_what_the_ground_does_and_not_what_others_do(kind, part, impulse, expected):
-    assert crash_reason(imu((41, 0, 0)), plant(25.0), [contact(kind, part, impulse)], C, dropped=True) == expected
-    assert crash_reason(imu(), plant(), [], C, dropped=True) == "drop"
+    assert find_crash_reason(imu((41, 0, 0)), plant(25.0), [contact(kind, part, impulse)], C, dropped=True) == expected
+    assert find_crash_reason(imu(), plant(), [], C, dropped=True) == "drop"
 
 
 @pytest.mark.parametrize(
@@ -186,5 +186,5 @@ def test_a_fall_explains_what_the_ground_does_and_not_what_others_do(kind, part,
 )
 def test_crashes_by_what_was_felt(peak, roll_deg, pitch_deg, expected):
     frame, state = imu(peak), plant(roll_deg, pitch_deg)
-    assert crash_reason(frame, state, [contact("ground", "wheel")], C) == expected
-    assert crash_reason(frame, state, [contact("bus", "body")], C) == "collision"
+    assert find_crash_reason(frame, state, [contact("ground", "wheel")], C) == expected
+    assert find_crash_reason(frame, state, [contact("bus", "body")], C) == "collision"

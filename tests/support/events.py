@@ -3,11 +3,11 @@
 from pathlib import Path
 from typing import Any
 
-from wcsim.core.reading import FileKind, escaped, parse_json, read_bytes
+from wcsim.core.reading import FileSpec, escape, parse_json, read_bytes
 from wcsim.errors import JournalError
 from wcsim.server.launch.event_log import EVENTS
 
-_KIND = FileKind(what="the events of a run", limit_bytes=1 << 30, error=JournalError)
+_KIND = FileSpec(what="the events of a run", limit_bytes=1 << 30, error=JournalError)
 
 
 def read_events(folder: Path) -> list[dict[str, Any]]:
@@ -30,4 +30,4 @@ def _event(line: str) -> dict[str, Any]:
         event = parse_json(line, EVENTS, _KIND)
     except JournalError:
         event = {}
-    return event if isinstance(event.get("event"), str) else {"event": "damaged", "line": escaped(line)}
+    return event if isinstance(event.get("event"), str) else {"event": "damaged", "line": escape(line)}

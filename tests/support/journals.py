@@ -11,8 +11,8 @@ from tests.support.framing import chained, record_ends
 from tests.support.worlds import quick_config
 from wcsim.bridge.town_run import as_recorded, chair_box_m
 from wcsim.bridge.world import World
-from wcsim.log.fingerprint import fingerprint
-from wcsim.log.reader import iter_journal_inputs, log_digest, read_header
+from wcsim.log.fingerprint import make_software_fingerprint
+from wcsim.log.reader import hash_log, iter_journal_inputs, read_header
 from wcsim.log.records import (
     Admitted,
     Dismissed,
@@ -21,10 +21,10 @@ from wcsim.log.records import (
     Input,
     Respawned,
     Ticked,
-    changed,
     header_to_bytes,
     make_ticked_record,
     record_to_bytes,
+    with_fields,
     world_state_from_snapshot,
 )
 from wcsim.log.writer import LogWriter
@@ -48,7 +48,7 @@ class JournaledWorld:
             seed=seed,
             seats=seats,
             tick_s=config.world.tick_s,
-            fingerprint=fingerprint(),
+            fingerprint=make_software_fingerprint(),
         )
         self.writer = LogWriter(run / "journal", header)
         trace = Header(
@@ -56,7 +56,7 @@ class JournaledWorld:
             seed=seed,
             tick_s=config.world.tick_s,
             seats=seats,
-            fingerprint=fingerprint(),
+            fingerprint=make_software_fingerprint(),
             origin_m=town.file.origin_m,
             origin_z_m=self.world.street.net_origin_m[2],
             chair_box_m=chair_box_m(config.chair),
@@ -134,7 +134,7 @@ def eventful_run(corner: Path, run: Path) -> dict[str, object]:
             "crashes": crashes,
             "episodes": episodes,
             "state_hash": it.now.state_hash,
-            "digest": log_digest(run / "journal"),
+            "digest": hash_log(run / "journal"),
         }
 
 
@@ -151,4 +151,4 @@ def nudged(record: Input) -> Ticked:
     """A tick in which the first seat was commanded something a little else."""
     assert isinstance(record, Ticked)
     (x, y), *others = record.sticks
-    return changed(record, sticks=((x, y - 2.0**-8), *others))
+    return with_fields(record, sticks=((x, y - 2.0**-8), *others))

@@ -13,7 +13,7 @@ import pytest
 
 from wcsim.core import files
 from wcsim.server.workers import machines
-from wcsim.server.workers.scheduler import Scheduler
+from wcsim.server.workers.scheduler import WorkScheduler
 from wcsim.view.report import failures
 
 
@@ -34,7 +34,7 @@ class InlinePool:
         """Nothing is running."""
 
 
-class OneScheduler(Scheduler):
+class OneScheduler(WorkScheduler):
     """A scheduler whose pieces are done by whoever waits for them, in the thread of the test."""
 
     def __enter__(self) -> OneScheduler:
@@ -60,10 +60,10 @@ def _run_here(call: Callable[[Any], Any], pieces: Sequence[Any], jobs: int) -> I
 def in_this_process() -> Iterator[None]:
     """Pieces are driven and failures illustrated without further processes; those have tests of their own."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(failures, "run_in_pool", _run_here)
+        patch.setattr(failures, "run_in_process_pool", _run_here)
         patch.setattr(machines, "start_single_worker_pool", InlinePool)
         for asking in ("wcsim.agents.evaluation.suite.run", "wcsim.agents.rounds.collect_data"):
-            patch.setattr(f"{asking}.Scheduler", OneScheduler)
+            patch.setattr(f"{asking}.WorkScheduler", OneScheduler)
         yield
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from tests.support import actors
 from tests.support.samples import USUAL_OUTLINE
 from wcsim.config import ChairConfig
-from wcsim.core.seeding import generator
+from wcsim.core.seeding import make_rng
 from wcsim.physics.wheelchair.plant import plant_spec
 from wcsim.types import ActorKind, ActorState, Route, SignalState, Street, UserView
 from wcsim.users.profiles import find_builtin_profile
@@ -26,7 +26,7 @@ def actor(kind: ActorKind, x: float, y: float, yaw: float = 0.0, v: float = 0.0,
 
 def make_user(name: str = "competent", seed: int = 0, street: Street | None = None, **changes: float) -> SimulatedUser:
     exact = replace(find_builtin_profile(name), **changes)
-    return SimulatedUser(exact, generator(seed, "user"), ChairConfig(), USUAL_OUTLINE, street)
+    return SimulatedUser(exact, make_rng(seed, "user"), ChairConfig(), USUAL_OUTLINE, street)
 
 
 def user_view(

@@ -8,11 +8,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.support.samples import straight_route
-from wcsim.users.avoidance import PredictedChairPose, choose_lane
+from wcsim.users.avoidance import PredictedChairPose, choose_lateral_offset
 from wcsim.users.perception import DetectedObject
-from wcsim.users.route_line import RouteLine
+from wcsim.users.route_line import RoutePolyline
 
-PATH = RouteLine(straight_route())
+PATH = RoutePolyline(straight_route())
 BODY = PredictedChairPose(x_m=10.0, y_m=5.5, yaw_rad=0.0, speed_mps=1.3, arc_m=10.0, left_m=0.0, half_m=(0.57, 0.31))
 LANES = st.tuples(st.floats(-3, 3), st.floats(0.05, 3)).map(lambda t: (t[0], t[0] + t[1]))
 
@@ -60,7 +60,7 @@ def test_people_that_walk_across_are_met_elsewhere():
 
 @given(st.lists(LANES, max_size=5), st.floats(0, 1.5), st.floats(0, 1.5), st.floats(-1, 1))
 def test_a_chosen_lane_is_free_and_within_the_room(blocked, left, right, before):
-    chosen = choose_lane(blocked, (left, right), before)
+    chosen = choose_lateral_offset(blocked, (left, right), before)
     if chosen is None:
         assert any(low < 0 < high for low, high in blocked)
     else:
@@ -70,8 +70,8 @@ def test_a_chosen_lane_is_free_and_within_the_room(blocked, left, right, before)
 
 def test_the_last_side_is_held():
     blocked = [(-0.5, 0.5)]
-    assert choose_lane(blocked, (1.0, 1.0), 0.5) == 0.5
-    assert choose_lane(blocked, (1.0, 1.0), -0.5) == -0.5
+    assert choose_lateral_offset(blocked, (1.0, 1.0), 0.5) == 0.5
+    assert choose_lateral_offset(blocked, (1.0, 1.0), -0.5) == -0.5
 
 
 def test_speed_in_front_of_things():

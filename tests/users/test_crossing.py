@@ -9,10 +9,10 @@ import pytest
 from tests.support.samples import strip_street, strip_walk
 from tests.users.actors import actor, make_user, user_view
 from tests.users.kinematics import Chair, Sim, polyline
-from wcsim.core.seeding import generator
+from wcsim.core.seeding import make_rng
 from wcsim.types import ActorKind, Route, SignalState, Street, WalkGraph
 from wcsim.users.crossing import CrossingStopPlanner, _has_conflict, _has_light, find_route_crossings, is_red
-from wcsim.users.route_line import RouteLine
+from wcsim.users.route_line import RoutePolyline
 
 STREET = strip_street()
 
@@ -85,7 +85,7 @@ def test_vehicles(vehicle, conflict):
     ("colours", "from_m", "waits"), [("rGGr", 28.0, False), ("rGGr", 22.0, True), ("oooo", 28.0, True)]
 )
 def test_at_green_those_far_away_have_red_and_are_not_waited_for(colours, from_m, waits):
-    here = CrossingStopPlanner((ROAD,), RouteLine(ROUTE), None, 1.0, generator(0, "user"), 0.57)
+    here = CrossingStopPlanner((ROAD,), RoutePolyline(ROUTE), None, 1.0, make_rng(0, "user"), 0.57)
     red, now = (SignalState(tls_id="t", colours="GrrG"),), (SignalState(tls_id="t", colours=colours),)
     assert here.stop_m(10.6, 59.9, red, ()) is not None
     car = actor(ActorKind.CAR, 40.0 - from_m, -2.0, v=10.0)
@@ -115,7 +115,7 @@ def test_each_crossing_of_a_route_has_a_draw_of_its_own_whichever_is_reached():
     far = replace(ROAD, start_m=60.0, end_m=68.0)
     for seed in range(12):
         both, one = (
-            CrossingStopPlanner((ROAD, far), RouteLine(ROUTE), None, 0.5, generator(seed), 0.57) for _ in range(2)
+            CrossingStopPlanner((ROAD, far), RoutePolyline(ROUTE), None, 0.5, make_rng(seed), 0.57) for _ in range(2)
         )
         for here, places_m in ((both, (10.6, 59.0)), (one, (59.0,))):
             for arc_m in places_m:
@@ -141,7 +141,7 @@ def test_each_crossing_of_a_route_has_a_draw_of_its_own_whichever_is_reached():
 )
 def test_riders_on_the_road_are_waited_for(kind, x, y, yaw, v, waits):
     here = CrossingStopPlanner(
-        find_route_crossings(ROUTE, walk()), RouteLine(ROUTE), STREET.grid, 1.0, generator(0, "user"), 0.57
+        find_route_crossings(ROUTE, walk()), RoutePolyline(ROUTE), STREET.grid, 1.0, make_rng(0, "user"), 0.57
     )
     assert (here.stop_m(10.6, 1.0, (), (actor(kind, x, y, yaw, v),)) is not None) == waits
 

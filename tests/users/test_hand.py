@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from wcsim.core.seeding import generator
+from wcsim.core.seeding import make_rng
 from wcsim.types import Joystick
 from wcsim.users.hand import StickHandModel, SwitchHandModel, clip_to_disc
-from wcsim.users.profiles import find_builtin_profile, profile_names
+from wcsim.users.profiles import find_builtin_profile, list_profile_names
 
 DT_S = 1 / 240
 TICK_S = 0.1
@@ -25,7 +25,7 @@ def moved(hand, intent, seconds, dt_s=DT_S):
 
 
 def test_nothing_moves_before_the_reaction_time_and_then_with_the_lag():
-    path = moved(StickHandModel(QUIET, generator(0)), Joystick(0.0, 0.8), 1.5)[:, 1]
+    path = moved(StickHandModel(QUIET, make_rng(0)), Joystick(0.0, 0.8), 1.5)[:, 1]
     assert np.abs(path[: int(0.29 / DT_S)]).max() == 0.0
     reached = int(np.argmax(path > 0.8 * (1 - math.exp(-1)))) * DT_S
     assert reached == pytest.approx(0.3 + 0.1 + 0.02, abs=0.015)
@@ -36,7 +36,7 @@ def test_nothing_moves_before_the_reaction_time_and_then_with_the_lag():
 def test_the_wander_has_its_size_and_pace_at_any_step():
     for dt_s in (1 / 240, 1 / 120):
         user = replace(QUIET, noise=0.1, noise_rate=4.0)
-        path = moved(StickHandModel(user, generator(1)), Joystick(0.0, 0.0), 200.0, dt_s)
+        path = moved(StickHandModel(user, make_rng(1)), Joystick(0.0, 0.0), 200.0, dt_s)
         assert path.std(axis=0) == pytest.approx([0.1, 0.1], rel=0.15)
         later = round(0.25 / dt_s)  # one time constant
         assert np.corrcoef(path[:-later, 0], path[later:, 0])[0, 1] == pytest.approx(math.exp(-1), abs=0.1)
@@ -44,7 +44,7 @@ def test_the_wander_has_its_size_and_pace_at_any_step():
 
 def test_tremor_has_its_amplitude_and_frequency():
     user = replace(QUIET, tremor=0.25, tremor_hz=4.5)
-    path = moved(StickHandModel(user, generator(2)), Joystick(0.0, 0.0), 60.0)[:, 0]
+    path = moved(StickHandModel(user, make_rng(2)), Joystick(0.0, 0.0), 60.0)[:, 0]
     power = np.abs(np.fft.rfft(path)) ** 2
     peak_hz = np.fft.rfftfreq(len(path), DT_S)[power.argmax()]
     assert peak_hz == pytest.approx(4.5, abs=0.4)
@@ -52,10 +52,10 @@ def test_tremor_has_its_amplitude_and_frequency():
 
 
 @settings(max_examples=40)
-@given(st.sampled_from(profile_names()), st.integers(0, 999), st.floats(-9, 9), st.floats(-9, 9))
+@given(st.sampled_from(list_profile_names()), st.integers(0, 999), st.floats(-9, 9), st.floats(-9, 9))
 def test_the_stick_stays_on_the_disc(name, seed, x, y):
     user = find_builtin_profile(name)
-    hand = SwitchHandModel(user) if user.discrete else StickHandModel(user, generator(seed))
+    hand = SwitchHandModel(user) if user.discrete else StickHandModel(user, make_rng(seed))
     path = moved(hand, Joystick(x, y), 1.0)
     assert np.isfinite(path).all()
     assert np.hypot(*path.T).max() <= 1.0 + 1e-9

@@ -7,7 +7,7 @@ import pytest
 
 from tests.users.actors import actor, user_view
 from tests.users.kinematics import polyline
-from wcsim.core.seeding import generator
+from wcsim.core.seeding import make_rng
 from wcsim.types import ActorKind
 from wcsim.users.perception import UserPerception, actor_to_discs
 from wcsim.users.profiles import find_builtin_profile
@@ -16,7 +16,7 @@ ROUTE = polyline((0, 0), (20, 0))
 
 
 def notices(name, seed, **what) -> bool:
-    seen = UserPerception(find_builtin_profile(name), generator(seed)).update(user_view(ROUTE, **what))
+    seen = UserPerception(find_builtin_profile(name), make_rng(seed)).update(user_view(ROUTE, **what))
     return bool(seen.things or seen.vehicles)
 
 
@@ -28,7 +28,7 @@ def test_the_chance_to_notice_is_the_profiles():
 
 def test_what_was_missed_stays_missed_and_what_was_seen_stays_seen():
     for seed in range(30):
-        perception = UserPerception(find_builtin_profile("inattentive"), generator(seed))
+        perception = UserPerception(find_builtin_profile("inattentive"), make_rng(seed))
         answers = {
             len(perception.update(user_view(ROUTE, 0.1 * i, obstacles=[(2.0, 0.01 * i, 0.1)])).things)
             for i in range(30)
@@ -59,7 +59,7 @@ def test_how_far_and_where_things_are_detected(what, expected):
 
 
 def look(*actors, name="competent", seed=0):
-    return UserPerception(find_builtin_profile(name), generator(seed)).update(user_view(ROUTE, actors=actors))
+    return UserPerception(find_builtin_profile(name), make_rng(seed)).update(user_view(ROUTE, actors=actors))
 
 
 @pytest.mark.parametrize("kind", [ActorKind.BICYCLE, ActorKind.SCOOTER])
@@ -89,21 +89,21 @@ def test_a_vehicle_far_away_is_watched_and_nothing_to_go_around_yet(ahead_m, nea
 
 
 def test_attention_has_its_share_and_length():
-    perception = UserPerception(find_builtin_profile("inattentive"), generator(3))
+    perception = UserPerception(find_builtin_profile("inattentive"), make_rng(3))
     attentive = np.array([perception.step_attention(0.1) for _ in range(40_000)])
     assert 1.0 - attentive.mean() == pytest.approx(0.3, abs=0.03)
     ends = np.count_nonzero(attentive[1:] & ~attentive[:-1])
     assert np.count_nonzero(~attentive) * 0.1 / ends == pytest.approx(2.0, abs=0.2)
     lengths = np.diff(np.flatnonzero(np.diff(attentive.astype(int))))
     assert lengths[attentive[np.flatnonzero(np.diff(attentive.astype(int)))[1:]] == 0].max() <= 42
-    turning = UserPerception(find_builtin_profile("inattentive"), generator(3))
+    turning = UserPerception(find_builtin_profile("inattentive"), make_rng(3))
     assert all(turning.step_attention(0.1, calm=False) for _ in range(1000))
     turning.step_attention(0.1, calm=True)
     assert not turning.attentive  # what was put off comes when there is time for it
     turning.step_attention(0.1, calm=True)
     assert turning.step_attention(0.1, heeds=True)  # a light ahead ends it,
     assert all(turning.step_attention(0.1, heeds=True) for _ in range(1000))  # and puts the next one off
-    always = UserPerception(find_builtin_profile("competent"), generator(3))
+    always = UserPerception(find_builtin_profile("competent"), make_rng(3))
     assert all(always.step_attention(0.1) for _ in range(100))
 
 

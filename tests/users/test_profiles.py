@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wcsim.core.seeding import generator
+from wcsim.core.seeding import make_rng
 from wcsim.errors import ConfigError
 from wcsim.users.profiles import (
     PROFILE_LIMITS,
@@ -16,8 +16,8 @@ from wcsim.users.profiles import (
     filter_user_file_names,
     find_builtin_profile,
     is_user_file_name,
+    list_profile_names,
     profile_from_json,
-    profile_names,
     profile_to_json,
     profile_to_toml,
     sample_profile,
@@ -26,8 +26,8 @@ from wcsim.users.recordings.recorded_user import find_user
 
 
 def test_all_are_there():
-    assert profile_names() == ("competent", "slow", "tremor", "ataxic", "inattentive", "switch", "recorded")
-    assert all(find_builtin_profile(name).name == name for name in profile_names())
+    assert list_profile_names() == ("competent", "slow", "tremor", "ataxic", "inattentive", "switch", "recorded")
+    assert all(find_builtin_profile(name).name == name for name in list_profile_names())
 
 
 def test_an_unknown_name_is_answered_with_the_known():
@@ -35,11 +35,11 @@ def test_an_unknown_name_is_answered_with_the_known():
         find_builtin_profile("drunk")
 
 
-@given(st.sampled_from(profile_names()), st.integers(0, 2**20))
+@given(st.sampled_from(list_profile_names()), st.integers(0, 2**20))
 def test_a_sample_stays_within_30_percent_and_shares_stay_shares(name, seed):
     base, drawn = (
         asdict(find_builtin_profile(name)),
-        asdict(sample_profile(find_builtin_profile(name), generator(seed, "user"))),
+        asdict(sample_profile(find_builtin_profile(name), make_rng(seed, "user"))),
     )
     for key, value in drawn.items():
         if key in ("name", "discrete"):
@@ -55,15 +55,13 @@ def test_a_sample_stays_within_30_percent_and_shares_stay_shares(name, seed):
 
 
 def test_a_sample_depends_on_the_seed_only():
-    first, again, other = (
-        sample_profile(find_builtin_profile("tremor"), generator(seed, "user")) for seed in (1, 1, 2)
-    )
+    first, again, other = (sample_profile(find_builtin_profile("tremor"), make_rng(seed, "user")) for seed in (1, 1, 2))
     assert first == again != other
 
 
 def test_a_bias_ahead_is_spread_as_one_to_the_side_is():
     base = replace(find_builtin_profile("ataxic"), bias=(0.12, 0.1))
-    drawn = np.array([sample_profile(base, generator(seed, "user")).bias for seed in range(40)]) / base.bias
+    drawn = np.array([sample_profile(base, make_rng(seed, "user")).bias for seed in range(40)]) / base.bias
     assert (drawn.min(axis=0) < 0.8).all() and (drawn.max(axis=0) > 1.2).all()
     assert (np.abs(drawn - 1.0) < base.spread + 1e-9).all()
 
@@ -71,9 +69,9 @@ def test_a_bias_ahead_is_spread_as_one_to_the_side_is():
 # --- files ---
 
 
-@pytest.mark.parametrize("name", profile_names())
+@pytest.mark.parametrize("name", list_profile_names())
 def test_what_is_written_is_read(tmp_path, name):
-    user = replace(sample_profile(find_builtin_profile(name), generator(3, "user")), spread=0.1)
+    user = replace(sample_profile(find_builtin_profile(name), make_rng(3, "user")), spread=0.1)
     file = tmp_path / "me.toml"
     file.write_text(profile_to_toml(user, {"lag_s": "0.1 to 0.2"}, "a head\nof two lines"))
     assert _read_profile(file) == find_user(str(file)) == user
@@ -84,7 +82,7 @@ def test_what_is_written_is_read(tmp_path, name):
 def test_every_number_of_a_profile_has_bounds_and_every_profile_is_within_them():
     numbers = {item.name for item in fields(UserProfile)} - {"name", "discrete"}
     assert numbers == set(PROFILE_LIMITS)
-    for name in profile_names():
+    for name in list_profile_names():
         for key, (low, high) in PROFILE_LIMITS.items():
             value = asdict(find_builtin_profile(name))[key]
             assert all(low <= part <= high for part in (value if isinstance(value, tuple) else (value,))), (name, key)
@@ -96,7 +94,7 @@ def test_what_is_left_out_is_the_bases(tmp_path):
     assert _read_profile(file) == replace(
         find_builtin_profile("slow"), name="my-tired-user", reaction_s=0.9, spread=0.0
     )
-    assert sample_profile(_read_profile(file), generator(1, "user")) == _read_profile(file)
+    assert sample_profile(_read_profile(file), make_rng(1, "user")) == _read_profile(file)
 
 
 @pytest.mark.parametrize(

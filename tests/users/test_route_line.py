@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 from tests.users.kinematics import polyline
 from wcsim.errors import ConfigError
 from wcsim.types import Route
-from wcsim.users.route_line import RouteLine
+from wcsim.users.route_line import RoutePolyline
 
 ROUTE = polyline((0, 0), (10, 0), (10, 10), (20, 10))
-PATH = RouteLine(ROUTE)
+PATH = RoutePolyline(ROUTE)
 
 
 @given(st.floats(0.5, 29.5), st.floats(-0.4, 0.4))
@@ -34,7 +34,7 @@ def test_length_heading_and_both_ends():
 
 
 def test_a_route_that_returns_is_not_mixed_up():
-    there_and_back = RouteLine(polyline((0, 0), (20, 0), (20, 0.5), (0, 0.5)))
+    there_and_back = RoutePolyline(polyline((0, 0), (20, 0), (20, 0.5), (0, 0.5)))
     assert there_and_back.project(5.0, 0.3, 5.0).arc_m == pytest.approx(5.0)
     assert there_and_back.project(5.0, 0.2, 35.0).arc_m == pytest.approx(35.5)
 
@@ -49,7 +49,7 @@ def test_corners_slow_down_and_straights_do_not():
     assert at_corner < 0.4
     limits = [PATH.speed_limit(arc, 0.6, 0.6, 5.0) for arc in np.arange(5.5, 10.0, 0.25)]
     assert limits == sorted(limits, reverse=True)
-    gentle = RouteLine(polyline((0, 0), (10, 0), (20, 0.8)))
+    gentle = RoutePolyline(polyline((0, 0), (10, 0), (20, 0.8)))
     assert gentle.speed_limit(10.0, 0.6, 0.6, 5.0) == math.inf
 
 
@@ -57,13 +57,15 @@ def test_a_round_corner_counts_like_a_sharp_one_of_its_radius():
     angles = np.linspace(-math.pi / 2, 0, 20)
     for radius, slow in ((0.4, True), (8.0, False)):
         arc = np.c_[radius * np.cos(angles), radius + radius * np.sin(angles)]
-        limit = RouteLine(polyline((-10, 0), *map(tuple, arc), step_m=0.2)).speed_limit(10.0 + radius, 0.6, 0.6, 1.0)
+        limit = RoutePolyline(polyline((-10, 0), *map(tuple, arc), step_m=0.2)).speed_limit(
+            10.0 + radius, 0.6, 0.6, 1.0
+        )
         assert (limit < 0.5) == slow, radius
 
 
 def test_odd_routes():
     twice = Route(points_W_m=np.zeros((3, 2)), arc_m=np.zeros(3), edge_index=np.zeros(3, np.int32))
-    assert RouteLine(twice).length_m < 0.01
+    assert RoutePolyline(twice).length_m < 0.01
     empty = Route(points_W_m=np.zeros((0, 2)), arc_m=np.zeros(0), edge_index=np.zeros(0, np.int32))
     with pytest.raises(ConfigError, match="no points"):
-        RouteLine(empty)
+        RoutePolyline(empty)

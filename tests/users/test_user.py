@@ -13,18 +13,18 @@ from tests.users.kinematics import Chair, Sim, lateral, polyline
 from tests.users.test_crossing import lit, over_the_road
 from wcsim.config import ChairConfig
 from wcsim.core.joystick import raw_radius_from_shaped, shape_joystick
-from wcsim.core.seeding import generator
+from wcsim.core.seeding import make_rng
 from wcsim.errors import ConfigError
-from wcsim.supervisor.oracle import Oracle
+from wcsim.supervisor.oracle import CrashOracle
 from wcsim.types import ActorKind, Joystick, SignalState
 from wcsim.users.avoidance import PredictedChairPose
 from wcsim.users.crossing import CrossingStopPlanner, find_route_crossings
-from wcsim.users.profiles import find_builtin_profile, profile_names, sample_profile
-from wcsim.users.route_line import RouteLine
+from wcsim.users.profiles import find_builtin_profile, list_profile_names, sample_profile
+from wcsim.users.route_line import RoutePolyline
 from wcsim.users.user import SimulatedUser, plan_stick_to_goal
 
 STREET = strip_street()
-ORACLE = Oracle(STREET.grid, ChairConfig(), USUAL_OUTLINE, USUAL_WHEELS_M, USUAL_RIMS_M, ACTIONS.points)
+ORACLE = CrashOracle(STREET.grid, ChairConfig(), USUAL_OUTLINE, USUAL_WHEELS_M, USUAL_RIMS_M, ACTIONS.points)
 CORNERS = polyline((0, 0), (20, 0), (20, 15), (40, 15), step_m=2.0)
 PERSON, CAR = ActorKind.PEDESTRIAN, ActorKind.CAR
 
@@ -53,7 +53,7 @@ def nearest(sim: Sim, seconds: float, actors) -> float:
 @pytest.mark.parametrize("quantised", [False, True])
 def test_the_competent_user_holds_its_line_around_corners(quantised):
     for seed in range(3):
-        rng = generator(seed, "user")
+        rng = make_rng(seed, "user")
         user = SimulatedUser(sample_profile(find_builtin_profile("competent"), rng), rng, ChairConfig(), USUAL_OUTLINE)
         sim = Sim(user, CORNERS, Chair(), quantised)
         off = lateral(sim.run(90.0).array(), CORNERS)
@@ -72,7 +72,7 @@ def test_a_straight_is_driven_straight_at_the_desired_speed():
     assert np.std(track.yaw_rate[cruising]) < 0.06
 
 
-@pytest.mark.parametrize("name", profile_names())
+@pytest.mark.parametrize("name", list_profile_names())
 def test_every_profile_gets_around_the_corners(name):
     arrived = 0
     for seed in range(3):
@@ -91,7 +91,7 @@ def test_on_the_inside_of_a_hairpin_the_user_looks_farther_along(lane_m):
     route = polyline((0, 0), (10, 0), (4, 5), step_m=0.5)
     user.follow(route)
     user._lanes.offset_m = -lane_m
-    path = RouteLine(route)
+    path = RoutePolyline(route)
     for arc_m in np.arange(7.0, 12.0, 0.1).tolist():
         x, y = path.at(arc_m)
         for yaw_rad in np.arange(0.0, 6.2, 0.3).tolist():
@@ -262,7 +262,7 @@ def test_a_look_away_lets_the_steering_go_and_goes_on_braking():
 def stops(route, ground=None, law_share=1.0) -> CrossingStopPlanner:
     found = find_route_crossings(route, lit(STREET).walk)
     return CrossingStopPlanner(
-        found, RouteLine(route), ground, law_share, generator(0, "user"), USUAL_OUTLINE.half_lw_m[0]
+        found, RoutePolyline(route), ground, law_share, make_rng(0, "user"), USUAL_OUTLINE.half_lw_m[0]
     )
 
 
@@ -320,10 +320,10 @@ def test_a_lawful_user_watches_a_light_from_just_before_the_kerb():
         assert here.heeds_light(arc_m) == heeds
     careless = CrossingStopPlanner(
         find_route_crossings(over_the_road(), lit(STREET).walk),
-        RouteLine(over_the_road()),
+        RoutePolyline(over_the_road()),
         None,
         0.0,
-        generator(0),
+        make_rng(0),
         0.57,
     )
     careless.stop_m(10.0, 0.0, light(0.0)(0.0), ())

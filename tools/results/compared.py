@@ -123,7 +123,7 @@ def left_of(nets: Sequence[Counts], follow: Counts, oracle: Counts) -> tuple[flo
 
 
 def _drawn(count: int) -> npt.NDArray[np.int64]:
-    return seeding.generator(0, "bootstrap", count).integers(0, count, (DRAWS, count))
+    return seeding.make_rng(0, "bootstrap", count).integers(0, count, (DRAWS, count))
 
 
 def _left(result: TestResult, runs: Sequence[str]) -> Wanted:

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from wcsim.config import RunConfig
 from wcsim.core.plugins import wrap_user_code_errors
-from wcsim.core.reading import escaped
+from wcsim.core.reading import escape
 from wcsim.errors import PolicyError
 from wcsim.types import Bool, Drawn, Truth
 
@@ -236,7 +236,7 @@ def level_of(name: str) -> float:
         level = -1.0
     if not 0.0 <= level <= HIGHEST_LEVEL:
         raise PolicyError(
-            f"policy {escaped(name)!r} has no such level of assistance; expected "
+            f"policy {escape(name)!r} has no such level of assistance; expected "
             f"{LEVELLED}@L with L from 0 to {HIGHEST_LEVEL:g}: "
             f"{LEVELLED}@{USUAL_LEVEL:g} is {LEVELLED}"
         )

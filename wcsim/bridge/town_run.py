@@ -20,7 +20,7 @@ from wcsim.bridge.world_rollout import RolloutStep, rollout
 from wcsim.config import ChairConfig, RunConfig
 from wcsim.core.closing import ClosingContextBase
 from wcsim.errors import SumoError
-from wcsim.log.fingerprint import fingerprint
+from wcsim.log.fingerprint import make_software_fingerprint
 from wcsim.log.records import Header, world_state_from_snapshot
 from wcsim.log.writer import TRACE, LogWriter
 from wcsim.physics.wheelchair.plant import plant_spec
@@ -179,7 +179,7 @@ def _header(town: Town, config: RunConfig, order: RecordOrder, net_z_m: float) -
         seed=order.seed,
         tick_s=config.world.tick_s,
         seats=order.chairs,
-        fingerprint=fingerprint(),
+        fingerprint=make_software_fingerprint(),
         origin_m=town.file.origin_m,
         origin_z_m=net_z_m,
         chair_box_m=chair_box_m(config.chair),

@@ -19,9 +19,9 @@ from wcsim.bridge.world import World
 from wcsim.bridge.world_rollout import rollout
 from wcsim.config import RunConfig
 from wcsim.core import seeding
-from wcsim.log.drive import DriveRecording, wcsim_version
-from wcsim.log.fingerprint import fingerprint
-from wcsim.log.records import DriveHeader, DriveTick, EpochBegun, Header, Input, changed, end_fields_from_snapshot
+from wcsim.log.drive import DriveRecording, read_wcsim_version
+from wcsim.log.fingerprint import make_software_fingerprint
+from wcsim.log.records import DriveHeader, DriveTick, EpochBegun, Header, Input, end_fields_from_snapshot, with_fields
 from wcsim.log.writer import LogWriter
 from wcsim.supervisor.actions import ActionSet, action_set
 from wcsim.towns.scenario.town import Town, content_hash
@@ -66,7 +66,7 @@ def with_shadow(seen: _SeenDrive, user: UserProfile) -> DriveRecording:
     wishes: list[Joystick] = []
     for tick, view in zip(seen.drive.ticks, seen.views, strict=True):
         if shadow is None or before is None or tick.episode != before[0]:
-            rng = seeding.generator(seen.drive.header.seed, "shadow", tick.episode)
+            rng = seeding.make_rng(seen.drive.header.seed, "shadow", tick.episode)
             shadow = SimulatedUser(careful, rng, chair, seen.outline, seen.street)
             before = None
         if before is None or before[1] is not view.route:
@@ -74,7 +74,7 @@ def with_shadow(seen: _SeenDrive, user: UserProfile) -> DriveRecording:
         shadow.look(view)
         wishes.append(shadow.intent)
         before = (tick.episode, view.route)
-    ticks = tuple(changed(tick, intent=wish) for tick, wish in zip(seen.drive.ticks, wishes, strict=True))
+    ticks = tuple(with_fields(tick, intent=wish) for tick, wish in zip(seen.drive.ticks, wishes, strict=True))
     return replace(seen.drive, records=_persons(seen.drive, ticks))
 
 
@@ -87,7 +87,7 @@ def _persons(drive: DriveRecording, ticks: tuple[DriveTick, ...]) -> tuple[Drive
         now = (was.episode, was.by_person)
         if now[1]:
             episode += now != before
-            kept.append(changed(tick, episode=episode))
+            kept.append(with_fields(tick, episode=episode))
         before = now
     return tuple(kept)
 
@@ -102,7 +102,7 @@ def drive_header(town: Town, config: RunConfig, seed: int, **driven: str) -> Hea
         driven: Of `DriveHeader`: profile, policy, level, episode and scene.
     """
     return Header(
-        fingerprint=fingerprint(),
+        fingerprint=make_software_fingerprint(),
         town=town.address,
         town_name=town.name,
         town_sha256=content_hash(town),
@@ -110,7 +110,7 @@ def drive_header(town: Town, config: RunConfig, seed: int, **driven: str) -> Hea
         seats=1,
         tick_s=config.world.tick_s,
         config=config.model_dump_json(),
-        drive=DriveHeader(wcsim=wcsim_version(), **driven),
+        drive=DriveHeader(wcsim=read_wcsim_version(), **driven),
     )
 
 
@@ -120,7 +120,7 @@ ENDLESS = 1_000_000_000  # steps of an episode that only a crash ends
 
 def drawn_user(base: UserProfile, seed: int) -> UserProfile:
     """One user of a profile, who is then nobody else in any episode."""
-    return replace(sample_profile(base, seeding.generator(seed, "drive", "user")), spread=0.0)
+    return replace(sample_profile(base, seeding.make_rng(seed, "drive", "user")), spread=0.0)
 
 
 def record_user(

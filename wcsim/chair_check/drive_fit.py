@@ -12,12 +12,12 @@ from typing import Any, Final, cast
 
 import numpy as np
 
-from wcsim.chair_check.rig import Rig, make_heightfield_street
-from wcsim.chair_check.row import TICK_S, Setup
+from wcsim.chair_check.rig import ChairTestRig, make_heightfield_street
+from wcsim.chair_check.row import TICK_S, TrialSetup
 from wcsim.chair_check.stick_drives import STEP_S, RecordedDrive
 from wcsim.config import ChairConfig
 from wcsim.core import seeding
-from wcsim.core.jit import exact_kernel
+from wcsim.core.jit import compile_exact_kernel
 from wcsim.core.joystick import advance_drive, drive_limits_from_chair, shape_joystick
 from wcsim.types import F64, Joystick
 
@@ -60,14 +60,14 @@ class MotionErrors:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class DriveFit:
+class DriveLawFit:
     """The numbers of a chair's controller, and their 95 % intervals; one drive gives none."""
 
     values: dict[str, float]  # by their names in [chair]; and delay_s, from the stick to the wheels
     intervals: dict[str, tuple[float, float]]
 
 
-def fit_drive_law(drives: Sequence[RecordedDrive], draws: int = _DRAWS) -> DriveFit:
+def fit_drive_law(drives: Sequence[RecordedDrive], draws: int = _DRAWS) -> DriveLawFit:
     """Fit by least squares, speed and turn rate weighted by their variance.
 
     The intervals come from drives that are drawn anew.
@@ -83,7 +83,7 @@ def fit_drive_law(drives: Sequence[RecordedDrive], draws: int = _DRAWS) -> Drive
     found = min(
         (_solved(drives, start, usual, pull) for start in starts), key=lambda pair: pair[1]
     )[0]
-    rng = seeding.generator(0, "drives drawn anew")
+    rng = seeding.make_rng(0, "drives drawn anew")
     drawn = [found]
     for _ in range(draws if len(drives) > 1 else 0):
         chosen = [drives[k] for k in rng.integers(len(drives), size=len(drives)).tolist()]
@@ -92,7 +92,7 @@ def fit_drive_law(drives: Sequence[RecordedDrive], draws: int = _DRAWS) -> Drive
     intervals = (
         dict(zip(_NUMBERS, zip(low, high, strict=True), strict=True)) if len(drawn) > 1 else {}
     )
-    return DriveFit(
+    return DriveLawFit(
         values=dict(zip(_NUMBERS, np.exp(found).tolist(), strict=True)), intervals=intervals
     )
 
@@ -136,7 +136,7 @@ def _solved(
 
 
 def simulate_drive_law(drives: Sequence[RecordedDrive], values: Mapping[str, float]) -> list[F64]:
-    """Speeds and turn rates (n, 2) by the law alone, of numbers as in a `DriveFit`.
+    """Speeds and turn rates (n, 2) by the law alone, of numbers as in a `DriveLawFit`.
 
     Their samples are those of the drives.
     """
@@ -147,7 +147,7 @@ def simulate_drive_law(drives: Sequence[RecordedDrive], values: Mapping[str, flo
     return [_followed(drive.stick, numbers) for drive in drives]
 
 
-@exact_kernel
+@compile_exact_kernel
 def _followed(stick: F64, numbers: F64) -> F64:
     """Speeds and turn rates (n, 2) of a drive (n, 2) that begins at rest."""
     out = np.empty(stick.shape)
@@ -165,7 +165,7 @@ def _followed(stick: F64, numbers: F64) -> F64:
     return out
 
 
-def simulate_plant_motion(drive: RecordedDrive, setup: Setup) -> F64:
+def simulate_plant_motion(drive: RecordedDrive, setup: TrialSetup) -> F64:
     """Speeds and turn rates (n, 2) of the chair in PyBullet on a level yard.
 
     It gets the stick once a tick. The next sample after a tick's beginning is the first that may
@@ -174,7 +174,9 @@ def simulate_plant_motion(drive: RecordedDrive, setup: Setup) -> F64:
     ticks = round(TICK_S / STEP_S)
     found = [(0.0, 0.0)]
     half_m = _SPARE_M + setup.chair.v_max_mps * STEP_S * len(drive.stick)
-    with Rig(setup, make_heightfield_street(lambda x, y: 0.0, half_m, half_m, 2.0 * half_m)) as rig:
+    with ChairTestRig(
+        setup, make_heightfield_street(lambda x, y: 0.0, half_m, half_m, 2.0 * half_m)
+    ) as rig:
         for x, y in drive.stick[::ticks].tolist():
             state = rig.drive(Joystick(x, y), TICK_S).states[-1]
             found.append((float(state.v_B_mps[0]), float(state.w_B_radps[2])))
@@ -188,7 +190,7 @@ def delay_motion(motion: F64, delay_s: float) -> F64:
     return np.concatenate([np.zeros((samples, 2)), motion])[: len(motion)]
 
 
-def motion_errors(drives: Sequence[RecordedDrive], motions: Sequence[F64]) -> MotionErrors:
+def compute_motion_errors(drives: Sequence[RecordedDrive], motions: Sequence[F64]) -> MotionErrors:
     """What lies between motions (n, 2) and those measured in all drives together."""
     measured = np.concatenate([drive.motion for drive in drives])
     missed = np.mean((np.concatenate(list(motions)) - measured) ** 2, axis=0)

@@ -9,16 +9,16 @@ from typing import Final
 
 import numpy as np
 
-from wcsim.chair_check.rig import FORWARD, NEUTRAL, Rig, make_sloped_street
-from wcsim.chair_check.row import Setup, TrialSpec, UnfinishedMeasurement, make_trial_spec
+from wcsim.chair_check.rig import FORWARD, NEUTRAL, ChairTestRig, make_sloped_street
+from wcsim.chair_check.row import TrialSetup, TrialSpec, UnfinishedMeasurement, make_trial_spec
 from wcsim.config import PROFILE_SPEED_MPS
-from wcsim.core.frames import rad
-from wcsim.core.joystick import yaw_rate_limit
+from wcsim.core.frames import deg2rad
+from wcsim.core.joystick import compute_yaw_rate_limit
 from wcsim.physics.wheelchair.drive_controller import stopping_distance_m
 from wcsim.physics.wheelchair.plant import PlantSpec, plant_spec
 from wcsim.types import Joystick, PlantState
 
-_SLOPE_RAD: Final = rad(10.0)
+_SLOPE_RAD: Final = deg2rad(10.0)
 _PULL_N: Final = 400.0
 _ROAD_MPS: Final = PROFILE_SPEED_MPS["road"]
 _KMH: Final = 1.0 / 3.6
@@ -31,7 +31,7 @@ _ACROSS_M: Final = 8.0
 _LOST_RAD: Final = 0.5  # off the heading that the stick was held for
 
 
-def make_driving_trials(setup: Setup) -> Iterator[TrialSpec]:
+def make_driving_trials(setup: TrialSetup) -> Iterator[TrialSpec]:
     """The rows of one plant."""
     yield make_trial_spec("straight_drift_10m", _straight_drift_m)
     for name, speed in PROFILE_SPEED_MPS.items():
@@ -41,7 +41,7 @@ def make_driving_trials(setup: Setup) -> Iterator[TrialSpec]:
     # Of full stick: the corner is pulled to the unit circle.
     diagonal = math.sqrt(0.5)
     most = partial(
-        yaw_rate_limit,
+        compute_yaw_rate_limit,
         yaw_max_radps=setup.chair.yaw_rate_max_radps,
         slowdown_s_per_m=setup.chair.yaw_slowdown_s_per_m,
     )
@@ -61,7 +61,7 @@ def make_driving_trials(setup: Setup) -> Iterator[TrialSpec]:
     yield from _slopes(setup)
 
 
-def _slopes(setup: Setup) -> Iterator[TrialSpec]:
+def _slopes(setup: TrialSetup) -> Iterator[TrialSpec]:
     yield make_trial_spec(
         "climb_10deg", partial(_climb_mps, slope_rad=_SLOPE_RAD), setup.chair.v_max_mps
     )
@@ -97,9 +97,9 @@ def _top_speed_mps(spec: PlantSpec, pull_N: float) -> float:
     )
 
 
-def _straight_drift_m(setup: Setup) -> float:
+def _straight_drift_m(setup: TrialSetup) -> float:
     """How far beside the straight line it is after 10 m at full stick from rest."""
-    with Rig(setup) as rig:
+    with ChairTestRig(setup) as rig:
         rig.place(-_BACK_M, yaw_rad=_HEADING_RAD)
         start = rig.chair.state().p_WB_m
         way = (
@@ -110,68 +110,68 @@ def _straight_drift_m(setup: Setup) -> float:
     return float(np.abs(aside).max())
 
 
-def _cruise_mps(setup: Setup) -> float:
+def _cruise_mps(setup: TrialSetup) -> float:
     """Mean speed of two seconds straight ahead at full stick."""
-    with Rig(setup) as rig:
+    with ChairTestRig(setup) as rig:
         rig.place(-_BACK_M, yaw_rad=_HEADING_RAD)
         rig.drive(FORWARD, _START_S + setup.chair.v_max_mps)
         return float(rig.drive(FORWARD, 2.0).speed_mps.mean())
 
 
-def cruise_peak_accel_mps2(setup: Setup) -> float:
+def measure_cruise_peak_accel_mps2(setup: TrialSetup) -> float:
     """The largest low-passed acceleration while it cruises straight on level ground."""
-    with Rig(setup) as rig:
+    with ChairTestRig(setup) as rig:
         rig.place(-_BACK_M, yaw_rad=_HEADING_RAD)
         rig.drive(FORWARD, _START_S + setup.chair.v_max_mps)
         return rig.drive(FORWARD, 4.0).peak_mps2
 
 
-def _turn_radps(setup: Setup, stick: Joystick) -> float:
+def _turn_radps(setup: TrialSetup, stick: Joystick) -> float:
     """Mean turn rate of six seconds, after the casters have come round."""
-    with Rig(setup) as rig:
+    with ChairTestRig(setup) as rig:
         rig.drive(stick, _ROUND_S)
         return float(np.mean([state.w_B_radps[2] for state in rig.drive(stick, 6.0).states]))
 
 
-def _stopping_m(setup: Setup) -> float:
+def _stopping_m(setup: TrialSetup) -> float:
     """Way from the moment the stick is let go, at full speed, until it stands."""
-    with Rig(setup) as rig:
+    with ChairTestRig(setup) as rig:
         rig.place(-3.0 * _BACK_M)
         start = rig.drive(FORWARD, _START_S + setup.chair.v_max_mps).p_m[-1]
         end = rig.drive(NEUTRAL, 6.0).p_m[-1]
     return math.dist(start, end)
 
 
-def _climb_mps(setup: Setup, slope_rad: float) -> float:
+def _climb_mps(setup: TrialSetup, slope_rad: float) -> float:
     """Speed straight up a slope at full stick, after it has become steady."""
-    with Rig(setup, make_sloped_street(ahead_rad=slope_rad)) as rig:
+    with ChairTestRig(setup, make_sloped_street(ahead_rad=slope_rad)) as rig:
         rig.drive(FORWARD, _START_S + setup.chair.v_max_mps)
         return float(rig.drive(FORWARD, 1.0).speed_mps.mean())
 
 
-def _pulling_mps(setup: Setup, pull_N: float) -> float:
+def _pulling_mps(setup: TrialSetup, pull_N: float) -> float:
     """Steady speed at full stick on level ground against a constant pull from behind."""
-    with Rig(setup) as rig:
+    with ChairTestRig(setup) as rig:
         rig.place(-2.0 * _BACK_M)
         rig.drive(FORWARD, _START_S + 2.0 * setup.chair.v_max_mps, pull_N=pull_N)
         return float(rig.drive(FORWARD, 1.0, pull_N=pull_N).speed_mps.mean())
 
 
-def _creep_m(setup: Setup, ahead_rad: float, left_rad: float) -> float:
+def _creep_m(setup: TrialSetup, ahead_rad: float, left_rad: float) -> float:
     """How far it moves in five seconds on a slope without stick, after one second to settle."""
-    with Rig(setup, make_sloped_street(ahead_rad, left_rad)) as rig:
+    with ChairTestRig(setup, make_sloped_street(ahead_rad, left_rad)) as rig:
         start = rig.drive(NEUTRAL, 1.0).p_m[-1]
         end = rig.drive(NEUTRAL, 5.0).p_m[-1]
     return math.dist(start, end)
 
 
-def _cross_slope_drift_m(setup: Setup, slope_rad: float) -> float | UnfinishedMeasurement:
+def _cross_slope_drift_m(setup: TrialSetup, slope_rad: float) -> float | UnfinishedMeasurement:
     """How far downhill it is after 8 m across a slope with a straight stick, if it gets there."""
 
     def ends(state: PlantState) -> bool:
         return float(state.p_WB_m[0]) > _ACROSS_M or abs(state.yaw_rad) > _LOST_RAD
 
-    with Rig(setup, make_sloped_street(left_rad=slope_rad)) as rig:
+    with ChairTestRig(setup, make_sloped_street(left_rad=slope_rad)) as rig:
         ride = rig.drive(FORWARD, 30.0, ends)
     aside_m = float(np.abs(ride.p_m[:, 1]).max()) / math.cos(slope_rad)
     far_m, turned_rad = float(ride.p_m[-1, 0]), ride.states[-1].yaw_rad

@@ -19,13 +19,13 @@ from wcsim.chair_check.rig import (
     FACE_X_M,
     FORWARD,
     NEUTRAL,
-    Rig,
+    ChairTestRig,
     make_heightfield_street,
     make_step_street,
 )
-from wcsim.chair_check.row import Setup, TrialSpec, make_trial_spec
+from wcsim.chair_check.row import TrialSetup, TrialSpec, make_trial_spec
 from wcsim.config import RewardConfig
-from wcsim.core.frames import deg, rad
+from wcsim.core.frames import deg2rad, rad2deg
 from wcsim.physics.wheelchair.drive_controller import stopping_distance_m
 from wcsim.physics.wheelchair.plant import PlantSpec, plant_spec
 from wcsim.types import ClassId, Joystick, PlantState
@@ -55,11 +55,12 @@ _LEAST_UPRIGHT: Final = 0.5
 
 # Twisted ramps.
 # Twist over the wheelbase.
-_TWIST_RAD: Final = rad(3.0)
+_TWIST_RAD: Final = deg2rad(3.0)
 # Fall of the ramp, 1 in 14.
-_RAMP_RAD: Final = rad(4.0)
+_RAMP_RAD: Final = deg2rad(4.0)
 _RAMP: Final = (
-    f"ramp of {deg(_RAMP_RAD):.0f} degrees, twisted by {deg(_TWIST_RAD):.0f} over the wheelbase"
+    f"ramp of {rad2deg(_RAMP_RAD):.0f} degrees, "
+    f"twisted by {rad2deg(_TWIST_RAD):.0f} over the wheelbase"
 )
 _STEADY_STICK: Final = Joystick(0.0, 0.5)
 _CELL_M: Final = 0.1
@@ -73,7 +74,7 @@ _TURN_S: Final = 1.5
 _STOP_S: Final = 4.0
 
 
-def make_kerb_trials(setup: Setup) -> Iterator[TrialSpec]:
+def make_kerb_trials(setup: TrialSetup) -> Iterator[TrialSpec]:
     """The rows of one plant."""
     spec = plant_spec(setup.chair)
     yield from _climbs(spec)
@@ -84,7 +85,7 @@ def make_kerb_trials(setup: Setup) -> Iterator[TrialSpec]:
     yield from _falls(spec, judged=has_peaks or _has_no_rear_casters(spec))
 
 
-def make_twisted_ramp_trials(_setup: Setup) -> Iterator[TrialSpec]:
+def make_twisted_ramp_trials(_setup: TrialSetup) -> Iterator[TrialSpec]:
     """The rows of one plant."""
     yield make_trial_spec("twisted_ramp_load", _least_load_share, ramp=_RAMP)
     yield make_trial_spec("twisted_ramp_stop", _stopping_share, ramp=_RAMP)
@@ -113,7 +114,7 @@ def _events(spec: PlantSpec) -> Iterator[TrialSpec]:
     low, high = RewardConfig().accel_window_mps2
     window = f"penalty window {low:g} to {high:g} m/s2"
     yield make_trial_spec("event_driving", _driving_peak_mps2, low, window=window)
-    yield make_trial_spec("event_cruise", driving.cruise_peak_accel_mps2, window=window)
+    yield make_trial_spec("event_cruise", driving.measure_cruise_peak_accel_mps2, window=window)
     # Sprung casters take a kerb softly, so a plant with them meets it faster.
     speed = 1.67 if any(pair.arm is not None for pair in spec.casters) else 1.0
     over = partial(_step_peak_mps2, rise_m=0.04)
@@ -163,7 +164,7 @@ def _falls(spec: PlantSpec, *, judged: bool) -> Iterator[TrialSpec]:
     for drop_m, angle_deg, tips in cases:
         yield make_trial_spec(
             "falls_off_{cm}cm_at_{angle}deg",
-            partial(_tips_off, drop_m=drop_m, approach_rad=rad(angle_deg)),
+            partial(_tips_off, drop_m=drop_m, approach_rad=deg2rad(angle_deg)),
             tips,
             speed_mps=_OFF_KERB_MPS,
             judged=judged,
@@ -189,7 +190,7 @@ def _rear_axle_x_m(spec: PlantSpec) -> float:
     return min([0.0, *(pair.swivel_x_m - pair.trail_m for pair in spec.casters)])
 
 
-def _kerb_climbed(setup: Setup, rise_m: float, run_up_m: float) -> float:
+def _kerb_climbed(setup: TrialSetup, rise_m: float, run_up_m: float) -> float:
     """1 when it comes up a kerb square on with all its wheels, 0 when it does not.
 
     Args:
@@ -197,7 +198,7 @@ def _kerb_climbed(setup: Setup, rise_m: float, run_up_m: float) -> float:
         rise_m: Height of the kerb.
         run_up_m: Way of the foremost wheel to the kerb, from rest; 0 to begin with the wheel at it.
     """
-    with Rig(setup, make_step_street(rise_m)) as rig:
+    with ChairTestRig(setup, make_step_street(rise_m)) as rig:
         spec = rig.chair.spec
         rig.place(FACE_X_M - _foremost_x_m(spec) - max(run_up_m, _TOUCHING_M))
         up_m = FACE_X_M + 0.3 - _rear_axle_x_m(spec)
@@ -206,13 +207,13 @@ def _kerb_climbed(setup: Setup, rise_m: float, run_up_m: float) -> float:
     return float(end[0] > FACE_X_M and abs(end[2] - rise_m) < _LEVEL_M)
 
 
-def _step_peak_mps2(setup: Setup, rise_m: float, face: ClassId = ClassId.KERB) -> float:
+def _step_peak_mps2(setup: TrialSetup, rise_m: float, face: ClassId = ClassId.KERB) -> float:
     """The largest low-passed acceleration as it meets a step up (or down) square on at full speed.
 
     It is the mean over runs whose starts lie a fraction of a step's way apart.
     """
     # Where within a step a wheel meets an edge is chance, and moves a single peak by up to a fifth.
-    with Rig(setup, make_step_street(rise_m, face)) as rig:
+    with ChairTestRig(setup, make_step_street(rise_m, face)) as rig:
         spec = rig.chair.spec
         speed_mps = setup.chair.v_max_mps
         start_m = FACE_X_M - _foremost_x_m(spec) - _APPROACH_M
@@ -226,13 +227,13 @@ def _step_peak_mps2(setup: Setup, rise_m: float, face: ClassId = ClassId.KERB) -
     return float(np.mean(peaks))
 
 
-def _wall_peak_mps2(setup: Setup) -> float:
+def _wall_peak_mps2(setup: TrialSetup) -> float:
     return _step_peak_mps2(setup, _WALL_M, ClassId.BUILDING)
 
 
-def _driving_peak_mps2(setup: Setup) -> float:
+def _driving_peak_mps2(setup: TrialSetup) -> float:
     """The largest low-passed acceleration of driving: off, straight, full turn, to a stop."""
-    with Rig(setup) as rig:
+    with ChairTestRig(setup) as rig:
         # The chair was put down from a millimetre.
         rig.drive(NEUTRAL, 1.0)
         drives = [
@@ -243,7 +244,7 @@ def _driving_peak_mps2(setup: Setup) -> float:
     return max(ride.peak_mps2 for ride in drives)
 
 
-def _tips_off(setup: Setup, drop_m: float, approach_rad: float) -> float:
+def _tips_off(setup: TrialSetup, drop_m: float, approach_rad: float) -> float:
     """1 when it falls on its side as it drives off a kerb, 0 when it stays upright.
 
     Args:
@@ -252,7 +253,7 @@ def _tips_off(setup: Setup, drop_m: float, approach_rad: float) -> float:
         approach_rad: Angle between its way and the kerb's edge.
     """
     heading = 0.5 * math.pi - approach_rad
-    with Rig(setup, make_step_street(-drop_m)) as rig:
+    with ChairTestRig(setup, make_step_street(-drop_m)) as rig:
         outline = rig.chair.spec.outline
         ahead_m = outline.middle_x_m + 0.5 * outline.length_m
         aside_m = 0.5 * outline.width_m
@@ -270,7 +271,7 @@ def _lies_on_side(state: PlantState) -> bool:
     return bool(np.cos(state.roll_rad) * np.cos(state.pitch_rad) < _LEAST_UPRIGHT)
 
 
-def _least_load_share(setup: Setup) -> float:
+def _least_load_share(setup: TrialSetup) -> float:
     """The least load of a drive wheel at rest on a twisted ramp, over that on level ground."""
     level = _loads_N(setup, lambda _x, _y: 0.0)
     least = [
@@ -282,12 +283,12 @@ def _least_load_share(setup: Setup) -> float:
     return min(least)
 
 
-def _stopping_share(setup: Setup) -> float:
+def _stopping_share(setup: TrialSetup) -> float:
     """The longest way to a stop down a ramp that twists to and fro, over that on a level."""
     return max(_ramp_stop_m(setup, phase) for phase in range(_PHASES)) / _level_stop_m(setup)
 
 
-def _turned_share(setup: Setup) -> float:
+def _turned_share(setup: TrialSetup) -> float:
     """The least turn in 1.5 s down a ramp that twists to and fro, over that on a level.
 
     Below 0 if it turns the other way.
@@ -306,13 +307,13 @@ def _wheelbase_m(spec: PlantSpec) -> float:
     return max(abs(pair.swivel_x_m) for pair in spec.casters)
 
 
-def _twisted_ramp(setup: Setup, twist: float, fall_rad: float) -> HeightAt:
+def _twisted_ramp(setup: TrialSetup, twist: float, fall_rad: float) -> HeightAt:
     """A ramp whose cross slope grows with x, level across below the drive axle."""
     per_m = twist * _TWIST_RAD / _wheelbase_m(plant_spec(setup.chair))
     return lambda x, y: -math.tan(fall_rad) * x + y * math.tan(per_m * x)
 
 
-def _wavy_ramp(setup: Setup, phase: int) -> HeightAt:
+def _wavy_ramp(setup: TrialSetup, phase: int) -> HeightAt:
     """A ramp that falls along x and twists to and fro, nowhere more than the saddle."""
     per_m = 1.0 / _wheelbase_m(plant_spec(setup.chair))
     shift = 2.0 * math.pi * phase / _PHASES
@@ -321,33 +322,37 @@ def _wavy_ramp(setup: Setup, phase: int) -> HeightAt:
     )
 
 
-def _loads_N(setup: Setup, height: HeightAt) -> dict[str, float]:
+def _loads_N(setup: TrialSetup, height: HeightAt) -> dict[str, float]:
     """Mean loads of the drive wheels at rest in the middle."""
-    with Rig(
+    with ChairTestRig(
         setup, make_heightfield_street(height, _HALF_WIDTH_M, _HALF_WIDTH_M, 0.5 * _CELL_M)
     ) as rig:
         loads = rig.weigh_N()
     return {name: loads.get(name, 0.0) for name in ("wheel_l", "wheel_r")}
 
 
-def _ramp_stop_m(setup: Setup, phase: int) -> float:
+def _ramp_stop_m(setup: TrialSetup, phase: int) -> float:
     height = _wavy_ramp(setup, phase)
-    with Rig(setup, make_heightfield_street(height, _HALF_LENGTH_M, _HALF_WIDTH_M, _CELL_M)) as rig:
+    with ChairTestRig(
+        setup, make_heightfield_street(height, _HALF_LENGTH_M, _HALF_WIDTH_M, _CELL_M)
+    ) as rig:
         rig.place(-_START_M, z_m=height(-_START_M, 0.0))
         start = rig.drive(_STEADY_STICK, _RUN_S).states[-1]
         end = rig.drive(NEUTRAL, _STOP_S).states[-1]
     return math.dist(start.p_WB_m, end.p_WB_m)
 
 
-def _level_stop_m(setup: Setup) -> float:
-    with Rig(setup) as rig:
+def _level_stop_m(setup: TrialSetup) -> float:
+    with ChairTestRig(setup) as rig:
         rig.place(-_START_M)
         v_mps = float(rig.drive(_STEADY_STICK, _RUN_S).speed_mps[-1])
     return stopping_distance_m(v_mps, setup.chair.decel_mps2, setup.chair.jerk_mps3)
 
 
-def _turned_rad(setup: Setup, stick: Joystick, height: HeightAt) -> float:
-    with Rig(setup, make_heightfield_street(height, _HALF_LENGTH_M, _HALF_WIDTH_M, _CELL_M)) as rig:
+def _turned_rad(setup: TrialSetup, stick: Joystick, height: HeightAt) -> float:
+    with ChairTestRig(
+        setup, make_heightfield_street(height, _HALF_LENGTH_M, _HALF_WIDTH_M, _CELL_M)
+    ) as rig:
         rig.place(-_START_M, z_m=height(-_START_M, 0.0))
         states = [*rig.drive(_STEADY_STICK, _RUN_S).states[-1:], *rig.drive(stick, _TURN_S).states]
     return sum(

@@ -16,22 +16,29 @@ from typing import Final
 
 import numpy as np
 
-from wcsim.chair_check.rig import FORWARD, NEUTRAL, Rig
-from wcsim.chair_check.row import TICK_S, Setup, TrialResult, TrialSpec, make_trial_spec, run_trial
+from wcsim.chair_check.rig import FORWARD, NEUTRAL, ChairTestRig
+from wcsim.chair_check.row import (
+    TICK_S,
+    TrialResult,
+    TrialSetup,
+    TrialSpec,
+    make_trial_spec,
+    run_trial,
+)
 from wcsim.chair_check.static_balance import (
     FORWARD_DOWN,
     LEFT_DOWN,
     REAR_DOWN,
     StaticChair,
     Vec2,
-    inertia_kgm2,
-    level_loads_N,
-    static_chair,
-    tip_angle_rad,
-    uphill_feet,
-    worst_swivel_rad,
+    compute_inertia_kgm2,
+    compute_level_loads_N,
+    compute_tip_angle_rad,
+    find_uphill_feet,
+    find_worst_swivel_rad,
+    make_static_chair,
 )
-from wcsim.core.frames import deg, rad
+from wcsim.core.frames import deg2rad, rad2deg
 from wcsim.physics.bullet import pybullet
 from wcsim.physics.engine import GRAVITY_MPS2
 from wcsim.physics.wheelchair.plant import PlantSpec, plant_spec
@@ -49,12 +56,12 @@ _UNIT_AXES: Final = np.eye(3)
 _AXIS_NAMES: Final = ("roll", "pitch", "yaw")
 
 # The tilt table.
-_SLOW_TILT_RADPS: Final = rad(0.2)
+_SLOW_TILT_RADPS: Final = deg2rad(0.2)
 # A faster table lets the chair fall hard onto its anti-tips.
-_FAST_TILT_RADPS: Final = rad(4.0)
+_FAST_TILT_RADPS: Final = deg2rad(4.0)
 # The slow part begins so far below the tilt that is expected, and is given up so far above it.
-_SLOW_FROM_RAD: Final = rad(2.0)
-_GIVE_UP_RAD: Final = rad(3.0)
+_SLOW_FROM_RAD: Final = deg2rad(2.0)
+_GIVE_UP_RAD: Final = deg2rad(3.0)
 _SETTLE_S: Final = 10.0
 _QUIET_RADPS: Final = 1e-3
 _STAGE_SHARES: Final = (1 / 3, 2 / 3, 1.0)
@@ -65,14 +72,14 @@ _COM_HEIGHTS_M: Final = (0.50, 0.60)
 _TIP_ROW: Final = "{way}_com_{cm}cm"
 
 
-def make_mass_rig_trials(setup: Setup) -> Iterator[TrialSpec]:
+def make_mass_rig_trials(setup: TrialSetup) -> Iterator[TrialSpec]:
     """The rows of one plant."""
     spec = plant_spec(setup.chair)
     yield make_trial_spec("mass", _mass_kg, spec.whole_kg)
-    chair = static_chair(spec)
-    loads = level_loads_N(chair)
+    chair = make_static_chair(spec)
+    loads = compute_level_loads_N(chair)
     yield make_trial_spec("drive_wheel_share", _drive_wheel_share, _share_on_wheels(loads))
-    for axis, inertia in enumerate(inertia_kgm2(spec)):
+    for axis, inertia in enumerate(compute_inertia_kgm2(spec)):
         measure = partial(_turning_inertia_kgm2, axis=axis)
         yield make_trial_spec("inertia_{axis}", measure, float(inertia), axis=_AXIS_NAMES[axis])
     yield make_trial_spec("turning_loss", _turning_loss_per_s)
@@ -85,7 +92,7 @@ def make_mass_rig_trials(setup: Setup) -> Iterator[TrialSpec]:
     yield make_trial_spec("grip", _grip, grip)
 
 
-def make_tip_trials(setup: Setup, only: Sequence[str] = ()) -> Iterator[TrialSpec]:
+def make_tip_trials(setup: TrialSetup, only: Sequence[str] = ()) -> Iterator[TrialSpec]:
     """The rows of one plant: each way to tip at each height of the centre of mass.
 
     What is expected takes a moment to find, so rows whose names begin with none of the words of
@@ -95,14 +102,16 @@ def make_tip_trials(setup: Setup, only: Sequence[str] = ()) -> Iterator[TrialSpe
         for height_m in _COM_HEIGHTS_M:
             if only and not _tip_row_name(name, height_m).startswith(tuple(only)):
                 continue
-            expected_deg = deg(_expected_tip_rad(setup.at_com_height(height_m), downhill, antitips))
+            expected_deg = rad2deg(
+                _expected_tip_rad(setup.at_com_height(height_m), downhill, antitips)
+            )
             measure = partial(_tip_deg, height_m=height_m, downhill=downhill, antitips=antitips)
             yield make_trial_spec(
                 _TIP_ROW, measure, expected_deg, way=name, cm=round(100 * height_m)
             )
 
 
-def tip_ratio_rows(setup: Setup, rows: Mapping[str, TrialResult]) -> Iterator[TrialResult]:
+def tip_ratio_rows(setup: TrialSetup, rows: Mapping[str, TrialResult]) -> Iterator[TrialResult]:
     """Share of each tip angle that is left as the centre of mass is raised; same pivots."""
     low_m, high_m = _COM_HEIGHTS_M
     for name, _, _ in _tip_cases(setup):
@@ -115,15 +124,15 @@ def tip_ratio_rows(setup: Setup, rows: Mapping[str, TrialResult]) -> Iterator[Tr
         )
 
 
-def _mass_kg(setup: Setup) -> float:
+def _mass_kg(setup: TrialSetup) -> float:
     """Mass of chair and user: what the scales under all wheels show."""
-    with Rig(setup) as rig:
+    with ChairTestRig(setup) as rig:
         return sum(rig.weigh_N().values()) / GRAVITY_MPS2
 
 
-def _drive_wheel_share(setup: Setup) -> float:
+def _drive_wheel_share(setup: TrialSetup) -> float:
     """Share of the weight that rests on the drive wheels."""
-    with Rig(setup) as rig:
+    with ChairTestRig(setup) as rig:
         return _share_on_wheels(rig.weigh_N())
 
 
@@ -132,20 +141,20 @@ def _share_on_wheels(loads_N: Mapping[str, float]) -> float:
     return on_wheels_N / sum(loads_N.values())
 
 
-def _turning_inertia_kgm2(setup: Setup, axis: int) -> float:
+def _turning_inertia_kgm2(setup: TrialSetup, axis: int) -> float:
     """Moment of inertia about an axis: 0 roll, 1 pitch, 2 yaw.
 
     A known torque acts for half a second; the rate gives the inertia.
     """
-    with Rig(setup) as rig:
+    with ChairTestRig(setup) as rig:
         _lift_off(rig)
         _apply_torque(rig, _UNIT_AXES[axis])
         return _TORQUE_NM * _PUSH_S / float(_angular_rate_radps(rig)[axis])
 
 
-def _turning_loss_per_s(setup: Setup) -> float:
+def _turning_loss_per_s(setup: TrialSetup) -> float:
     """Share of its yaw rate that a floating chair loses in a second: by damping alone."""
-    with Rig(setup) as rig:
+    with ChairTestRig(setup) as rig:
         _lift_off(rig)
         _apply_torque(rig, _UNIT_AXES[2])
         before = float(_angular_rate_radps(rig)[2])
@@ -154,9 +163,9 @@ def _turning_loss_per_s(setup: Setup) -> float:
         return 0.5 * (1.0 - float(_angular_rate_radps(rig)[2]) / before)
 
 
-def _coasting_mps2(setup: Setup) -> float:
+def _coasting_mps2(setup: TrialSetup) -> float:
     """How fast it slows down on level ground with its motors off, from its top speed."""
-    with Rig(setup) as rig:
+    with ChairTestRig(setup) as rig:
         before = rig.drive(FORWARD, 4.0).speed_mps[-1]
         wheels = [index for name, index in rig.links().items() if name.startswith("wheel")]
         for _ in range(round(_COAST_S * setup.hz)):
@@ -170,9 +179,9 @@ def _coasting_mps2(setup: Setup) -> float:
     return (float(before) - after) / _COAST_S
 
 
-def _grip(setup: Setup) -> float:
+def _grip(setup: TrialSetup) -> float:
     """Pull along the ground at which it slides with held wheels, as a share of its weight."""
-    with Rig(setup) as rig:
+    with ChairTestRig(setup) as rig:
         rig.drive(NEUTRAL, 2.0)
         rig.lock("wheel", "caster", "swivel")
         spec = rig.chair.spec
@@ -193,7 +202,7 @@ def _grip(setup: Setup) -> float:
         return pull_N / (spec.whole_kg * GRAVITY_MPS2)
 
 
-def _lift_off(rig: Rig) -> None:
+def _lift_off(rig: ChairTestRig) -> None:
     """Lift the chair off the ground, without gravity, every joint held."""
     place, turn = rig.bullet.getBasePositionAndOrientation(rig.body)
     up = (place[0], place[1], place[2] + _LIFT_M)
@@ -202,7 +211,7 @@ def _lift_off(rig: Rig) -> None:
     rig.lock()
 
 
-def _apply_torque(rig: Rig, axis: F64) -> None:
+def _apply_torque(rig: ChairTestRig, axis: F64) -> None:
     """Give the chair a torque about an axis of the world for a while, as a pair of forces."""
     lever = np.roll(axis, 1)
     force = _TORQUE_NM * np.cross(axis, lever) / 2.0
@@ -219,15 +228,15 @@ def _apply_torque(rig: Rig, axis: F64) -> None:
         rig.engine.step()
 
 
-def _angular_rate_radps(rig: Rig) -> F64:
+def _angular_rate_radps(rig: ChairTestRig) -> F64:
     return np.array(rig.bullet.getBaseVelocity(rig.body)[1])
 
 
-def _known_value(_setup: Setup, value: float) -> float:
+def _known_value(_setup: TrialSetup, value: float) -> float:
     return value
 
 
-def _tip_cases(setup: Setup) -> Iterator[tuple[str, Vec2, bool]]:
+def _tip_cases(setup: TrialSetup) -> Iterator[tuple[str, Vec2, bool]]:
     yield "tip_forward", FORWARD_DOWN, True
     yield "tip_rear", REAR_DOWN, True
     antitips_x_m = [pair.p_m[0] for pair in plant_spec(setup.chair).antitips]
@@ -242,12 +251,12 @@ def _tip_row_name(way: str, height_m: float) -> str:
     return _TIP_ROW.format(way=way, cm=round(100 * height_m))
 
 
-def _expected_tip_rad(setup: Setup, downhill: Vec2, antitips: bool) -> float:
+def _expected_tip_rad(setup: TrialSetup, downhill: Vec2, antitips: bool) -> float:
     """The tilt at which a chair tips, from the masses and contact points that its file declares."""
-    return tip_angle_rad(_chair_on_table(setup, downhill, antitips), downhill)
+    return compute_tip_angle_rad(_chair_on_table(setup, downhill, antitips), downhill)
 
 
-def _tip_deg(setup: Setup, height_m: float, downhill: Vec2, antitips: bool) -> float:
+def _tip_deg(setup: TrialSetup, height_m: float, downhill: Vec2, antitips: bool) -> float:
     """The tilt at which the simulated chair's uphill wheels carry nothing any more.
 
     It is at most 3 degrees above the expected one.
@@ -260,8 +269,8 @@ def _tip_deg(setup: Setup, height_m: float, downhill: Vec2, antitips: bool) -> f
     """
     setup = setup.at_com_height(height_m)
     expected = _expected_tip_rad(setup, downhill, antitips)
-    upper = uphill_feet(_chair_on_table(setup, downhill, antitips), downhill)
-    with Rig(setup, iterations=_SOLVER_ITERATIONS) as rig:
+    upper = find_uphill_feet(_chair_on_table(setup, downhill, antitips), downhill)
+    with ChairTestRig(setup, iterations=_SOLVER_ITERATIONS) as rig:
         # 1. Hold the joints, and wait on level ground.
         _hold_joints(rig, downhill, antitips)
         table = _TiltTable(rig, downhill, upper)
@@ -274,12 +283,12 @@ def _tip_deg(setup: Setup, height_m: float, downhill: Vec2, antitips: bool) -> f
             table.settle()
 
         # 3. Tilt slowly until it tips.
-        return deg(table.tip_angle_rad(start_rad + _SLOW_FROM_RAD + _GIVE_UP_RAD))
+        return rad2deg(table.tip_angle_rad(start_rad + _SLOW_FROM_RAD + _GIVE_UP_RAD))
 
 
-def _chair_on_table(setup: Setup, downhill: Vec2, antitips: bool) -> StaticChair:
+def _chair_on_table(setup: TrialSetup, downhill: Vec2, antitips: bool) -> StaticChair:
     spec = plant_spec(setup.chair)
-    chair = static_chair(spec, _swivel_rad(spec, downhill))
+    chair = make_static_chair(spec, _swivel_rad(spec, downhill))
     return chair if antitips else chair.without("antitip")
 
 
@@ -293,10 +302,10 @@ def _wheels_roll(spec: PlantSpec, downhill: Vec2) -> bool:
 
 
 def _swivel_rad(spec: PlantSpec, downhill: Vec2) -> float:
-    return 0.0 if _wheels_roll(spec, downhill) else worst_swivel_rad(spec, downhill)
+    return 0.0 if _wheels_roll(spec, downhill) else find_worst_swivel_rad(spec, downhill)
 
 
-def _hold_joints(rig: Rig, downhill: Vec2, antitips: bool) -> None:
+def _hold_joints(rig: ChairTestRig, downhill: Vec2, antitips: bool) -> None:
     spec = rig.chair.spec
     rig.turn_swivels(_swivel_rad(spec, downhill))
     if _wheels_roll(spec, downhill):
@@ -314,7 +323,7 @@ def _hold_joints(rig: Rig, downhill: Vec2, antitips: bool) -> None:
 class _TiltTable:
     """A table under a chair that tilts downhill."""
 
-    def __init__(self, rig: Rig, downhill: Vec2, upper: frozenset[str]) -> None:
+    def __init__(self, rig: ChairTestRig, downhill: Vec2, upper: frozenset[str]) -> None:
         self._rig = rig
         self._downhill = downhill
         self._upper = upper

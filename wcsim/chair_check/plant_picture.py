@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from wcsim.chair_check.static_balance import SupportFoot, static_chair
+from wcsim.chair_check.static_balance import SupportFoot, make_static_chair
 from wcsim.config import ChairConfig
 from wcsim.core.frames import Vec3
 from wcsim.physics.wheelchair.plant import FORK_M, PlantSpec, plant_spec
@@ -51,7 +51,7 @@ def _plant_image(spec: PlantSpec, name: str) -> Image:
     for view in (side, above):
         for box in spec.frame.boxes:
             view.box(box.centre_m, box.size_m, _FRAME)
-        for foot in static_chair(spec).feet:
+        for foot in make_static_chair(spec).feet:
             _draw_foot(view, foot)
         _draw_pivots(view, spec)
         _draw_com(view, spec)

@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from wcsim.chair_check.row import TICK_S, Setup
+from wcsim.chair_check.row import TICK_S, TrialSetup
 from wcsim.core.closing import ClosingContextBase
 from wcsim.core.frames import forward_vector
 from wcsim.physics.bullet import Bullet, pybullet
@@ -96,7 +96,7 @@ class _Ride:
         return float(np.max(self.peaks_mps2))
 
 
-class Rig(ClosingContextBase):
+class ChairTestRig(ClosingContextBase):
     """An engine with a street and one chair, placed at the origin.
 
     Args:
@@ -106,7 +106,7 @@ class Rig(ClosingContextBase):
     """
 
     def __init__(
-        self, setup: Setup, street: StreetMesh | None = None, iterations: int = 50
+        self, setup: TrialSetup, street: StreetMesh | None = None, iterations: int = 50
     ) -> None:
         self.engine: Final = Engine(1.0 / setup.hz, iterations)
         self.setup: Final = setup

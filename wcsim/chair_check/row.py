@@ -24,7 +24,7 @@ settings, wcsim, what its own plants felt, or an experiment with a rear-wheel dr
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Setup:
+class TrialSetup:
     """The chair that is tried and the rate of its physics.
 
     Raises:
@@ -47,15 +47,15 @@ class Setup:
         """Physics steps in a tick of 0.1 s."""
         return self.hz // 10
 
-    def at_speed(self, v_max_mps: float) -> Setup:
+    def at_speed(self, v_max_mps: float) -> TrialSetup:
         """The same chair with another top speed."""
         return self._with(v_max_mps=v_max_mps, profile="custom")
 
-    def at_com_height(self, com_height_m: float) -> Setup:
+    def at_com_height(self, com_height_m: float) -> TrialSetup:
         """The same chair with its centre of mass at another height."""
         return self._with(com_height_m=com_height_m)
 
-    def _with(self, **changed: float | str) -> Setup:
+    def _with(self, **changed: float | str) -> TrialSetup:
         return replace(self, chair=self.chair.model_copy(update=changed))
 
 
@@ -67,7 +67,7 @@ class UnfinishedMeasurement:
     what: str
 
 
-Measure = Callable[[Setup], float | UnfinishedMeasurement]
+Measure = Callable[[TrialSetup], float | UnfinishedMeasurement]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -160,7 +160,7 @@ def make_trial_spec(
     )
 
 
-def run_trial(trial: TrialSpec, setup: Setup) -> TrialResult:
+def run_trial(trial: TrialSpec, setup: TrialSetup) -> TrialResult:
     """Do a trial. Raises PhysicsError when its value is not finite."""
     found = trial.measure(setup if trial.speed_mps is None else setup.at_speed(trial.speed_mps))
     value, note = (

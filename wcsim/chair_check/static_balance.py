@@ -17,7 +17,7 @@ from typing import Final
 import numpy as np
 
 from wcsim.config.plant import CasterArmPart, CasterPart
-from wcsim.core.frames import rad
+from wcsim.core.frames import deg2rad
 from wcsim.errors import PhysicsError
 from wcsim.physics.engine import GRAVITY_MPS2
 from wcsim.physics.wheelchair.plant import FORK_COM_M, FORK_M, PlantSpec
@@ -42,9 +42,9 @@ _TYRE_N_PER_M: Final = 1e7
 _SAME_HEIGHT_M: Final = 1e-6
 
 # The search for the tip angle.
-_COARSE_STEP_RAD: Final = rad(1.0)
-_FINE_STEP_RAD: Final = rad(0.01)
-_MAX_TILT_RAD: Final = rad(60.0)
+_COARSE_STEP_RAD: Final = deg2rad(1.0)
+_FINE_STEP_RAD: Final = deg2rad(0.01)
+_MAX_TILT_RAD: Final = deg2rad(60.0)
 # Of the weight: uphill feet with less carry nothing.
 _LEAST_LOAD_SHARE: Final = 1e-6
 # Guesses of a pose downhill, where the chair may lean on an anti-tip or a stop in the end.
@@ -108,24 +108,24 @@ class StaticChair:
         return StaticChair(mass_kg=self.mass_kg, com_m=self.com_m, feet=feet)
 
 
-def static_chair(spec: PlantSpec, swivel_rad: float = 0.0) -> StaticChair:
+def make_static_chair(spec: PlantSpec, swivel_rad: float = 0.0) -> StaticChair:
     """The chair with every caster's fork turned to an angle (0 is trailing), arms at rest."""
     feet = [*_wheels(spec), *_casters(spec, swivel_rad), *_antitips(spec)]
     return StaticChair(mass_kg=spec.whole_kg, com_m=_com_m(spec, swivel_rad), feet=tuple(feet))
 
 
-def worst_swivel_rad(spec: PlantSpec, downhill: Vec2) -> float:
+def find_worst_swivel_rad(spec: PlantSpec, downhill: Vec2) -> float:
     """The swivel angle with the tip line nearest to the centre of mass, without anti-tips."""
     angles = [2.0 * math.pi * k / _SWIVEL_ANGLES for k in range(_SWIVEL_ANGLES)]
     return min(
         angles,
         key=lambda angle: _rigid_tip_angle_rad(
-            static_chair(spec, angle).without("antitip"), downhill
+            make_static_chair(spec, angle).without("antitip"), downhill
         ),
     )
 
 
-def inertia_kgm2(spec: PlantSpec) -> F64:
+def compute_inertia_kgm2(spec: PlantSpec) -> F64:
     """Moments of inertia (3,) about the centre of mass, along B's axes, casters trailing."""
     about = np.array(_com_m(spec))
     total = np.zeros(3)
@@ -140,7 +140,7 @@ def inertia_kgm2(spec: PlantSpec) -> F64:
     return total
 
 
-def uphill_feet(chair: StaticChair, downhill: Vec2) -> frozenset[str]:
+def find_uphill_feet(chair: StaticChair, downhill: Vec2) -> frozenset[str]:
     """Names of the feet that carry nothing when the chair tips downhill.
 
     Sideways these are the feet of the upper side; forward and back all but those farthest downhill.
@@ -154,7 +154,7 @@ def uphill_feet(chair: StaticChair, downhill: Vec2) -> frozenset[str]:
     return frozenset(name for name, place_m in along.items() if place_m < least)
 
 
-def level_loads_N(chair: StaticChair) -> dict[str, float]:
+def compute_level_loads_N(chair: StaticChair) -> dict[str, float]:
     """Normal load of each foot on level ground. Raises PhysicsError when it does not stand."""
     level = _TiltedChair(chair, 0.0, FORWARD_DOWN)
     pose = level.solve_rest(_START_POSE)
@@ -163,7 +163,7 @@ def level_loads_N(chair: StaticChair) -> dict[str, float]:
     return level.loads(pose)
 
 
-def tip_angle_rad(chair: StaticChair, downhill: Vec2) -> float:
+def compute_tip_angle_rad(chair: StaticChair, downhill: Vec2) -> float:
     """Tilt of the table at which the uphill feet carry nothing, with springs and anti-tips.
 
     Args:
@@ -174,7 +174,7 @@ def tip_angle_rad(chair: StaticChair, downhill: Vec2) -> float:
         PhysicsError: It does not tip below 60 degrees, or never stands.
     """
     # 1. Find the rest on level ground.
-    upper = uphill_feet(chair, downhill)
+    upper = find_uphill_feet(chair, downhill)
     pose = _rest_with_uphill_load(chair, 0.0, downhill, _START_POSE, upper, (0.0,))
     if pose is None:
         raise PhysicsError(_TIPS_AT_REST)
@@ -511,7 +511,7 @@ def _beam(pair: CasterPart) -> _Beam | None:
     mass_kg = sum(part for part, _ in parts)
     return _Beam(
         pivot_z_m=pair.beam.pivot_z_m,
-        stop_rad=rad(pair.beam.stop_deg),
+        stop_rad=deg2rad(pair.beam.stop_deg),
         weight_N=mass_kg * GRAVITY_MPS2,
         com_z_m=sum(part * z_m for part, z_m in parts) / mass_kg,
     )

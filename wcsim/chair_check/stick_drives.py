@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from wcsim.core.reading import CHAIR, escaped, is_file, read_lines
+from wcsim.core.reading import CHAIR, escape, is_file, read_lines
 from wcsim.errors import ConfigError
 from wcsim.types import F64
 
@@ -60,19 +60,19 @@ def _read(path: Path) -> RecordedDrive:
     name, found, _ = path.name.partition(".joy.csv")
     if not found:
         raise ConfigError(
-            f"{escaped(path)}: expected the name of a file as NAME.joy.csv or NAME.joy.csv.gz"
+            f"{escape(path)}: expected the name of a file as NAME.joy.csv or NAME.joy.csv.gz"
         )
     beside = [path.with_name(f"{name}.odom.csv{end}") for end in ("", ".gz")]
     stick = _table(path, _STICK)
     odometry = _table(next(filter(is_file, beside), beside[0]), _ODOMETRY)
     if np.abs(stick[:, 1:]).max() > 1.1:
         raise ConfigError(
-            f"{escaped(path)}: the stick is at {np.abs(stick[:, 1:]).max():g}; expected -1 to 1"
+            f"{escape(path)}: the stick is at {np.abs(stick[:, 1:]).max():g}; expected -1 to 1"
         )
     first_s, last_s = max(stick[0, 0], odometry[0, 0]), min(stick[-1, 0], odometry[-1, 0])
     if not _SHORTEST_S <= last_s - first_s <= _LONGEST_S:
         raise ConfigError(
-            f"{escaped(path)}: stick and odometry have {last_s - first_s:.1f} s in common; "
+            f"{escape(path)}: stick and odometry have {last_s - first_s:.1f} s in common; "
             f"expected {_SHORTEST_S:g} s to a day: record both by one clock"
         )
     at_s = np.arange(first_s, last_s, STEP_S)
@@ -91,19 +91,18 @@ def _table(path: Path, columns: str) -> F64:
         rows = np.loadtxt(lines, delimiter=",", ndmin=2)
     except ValueError as error:
         raise ConfigError(
-            f"{escaped(path)}: is no table ({escaped(error, 80)}); expected {CHAIR.what}"
+            f"{escape(path)}: is no table ({escape(error, 80)}); expected {CHAIR.what}"
         ) from None
     if head.strip() != columns:
         raise ConfigError(
-            f"{escaped(path)}: begins with {escaped(head, 40)!r}; "
-            f"expected {columns}, in {CHAIR.what}"
+            f"{escape(path)}: begins with {escape(head, 40)!r}; expected {columns}, in {CHAIR.what}"
         )
     apart_s = (
         np.diff(rows[:, 0]) if rows.shape[1] == 3 and np.isfinite(rows).all() else np.array([])
     )
     if not len(apart_s) or apart_s.min() < 0.0 or apart_s.max() > _LONGEST_GAP_S:
         raise ConfigError(
-            f"{escaped(path)}: expected rows of three finite numbers whose times rise by at most "
+            f"{escape(path)}: expected rows of three finite numbers whose times rise by at most "
             f"{_LONGEST_GAP_S:g} s; split it where the recording stopped"
         )
     return rows

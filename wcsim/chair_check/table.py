@@ -9,8 +9,8 @@ from typing import Final
 from wcsim.chair_check.driving import make_driving_trials
 from wcsim.chair_check.kerbs import make_kerb_trials, make_twisted_ramp_trials
 from wcsim.chair_check.mass_rig import make_mass_rig_trials, make_tip_trials, tip_ratio_rows
-from wcsim.chair_check.row import Setup, TrialResult, TrialSpec, run_trial
-from wcsim.core.processes import run_in_pool
+from wcsim.chair_check.row import TrialResult, TrialSetup, TrialSpec, run_trial
+from wcsim.core.processes import run_in_process_pool
 from wcsim.errors import ConfigError
 from wcsim.physics.wheelchair.plant import plant_spec
 
@@ -23,7 +23,7 @@ _MAKERS: Final = (
 )
 
 
-def _trials(setup: Setup, only: Sequence[str] = ()) -> tuple[TrialSpec, ...]:
+def _trials(setup: TrialSetup, only: Sequence[str] = ()) -> tuple[TrialSpec, ...]:
     """The trials of a plant whose names begin with one of some words; all if none.
 
     Raises ConfigError or PhysicsError for a plant that cannot be.
@@ -37,7 +37,7 @@ def _trials(setup: Setup, only: Sequence[str] = ()) -> tuple[TrialSpec, ...]:
     return (*slow_enough, *make_tip_trials(setup, only))
 
 
-def list_too_fast_trials(setup: Setup, only: Sequence[str] = ()) -> tuple[str, ...]:
+def list_too_fast_trials(setup: TrialSetup, only: Sequence[str] = ()) -> tuple[str, ...]:
     """Names of the rows that are left out: they need more than the plant's `limits.speed_mps`."""
     most_mps = plant_spec(setup.chair).limits.speed_mps
     return tuple(
@@ -47,7 +47,7 @@ def list_too_fast_trials(setup: Setup, only: Sequence[str] = ()) -> tuple[str, .
     )
 
 
-def _made(setup: Setup, only: Sequence[str]) -> Iterator[TrialSpec]:
+def _made(setup: TrialSetup, only: Sequence[str]) -> Iterator[TrialSpec]:
     for make in _MAKERS:
         yield from (
             trial for trial in make(setup) if not only or trial.name.startswith(tuple(only))
@@ -55,7 +55,7 @@ def _made(setup: Setup, only: Sequence[str]) -> Iterator[TrialSpec]:
 
 
 def run_plant_trials(
-    setup: Setup, only: Sequence[str] = (), workers: int = 1, progress: Progress | None = None
+    setup: TrialSetup, only: Sequence[str] = (), workers: int = 1, progress: Progress | None = None
 ) -> list[TrialResult]:
     """The table of a plant.
 
@@ -85,9 +85,9 @@ def run_plant_trials(
 
 
 def _done(
-    chosen: Sequence[TrialSpec], setup: Setup, workers: int
+    chosen: Sequence[TrialSpec], setup: TrialSetup, workers: int
 ) -> Iterator[tuple[int, TrialResult]]:
     """Each row with its place, as it is done."""
     if workers == 1:
         return enumerate(run_trial(trial, setup) for trial in chosen)
-    return run_in_pool(partial(run_trial, setup=setup), chosen, workers)
+    return run_in_process_pool(partial(run_trial, setup=setup), chosen, workers)

@@ -21,8 +21,8 @@ from wcsim.chair_check.row import (
     SLOWEST_HZ,
     TICK_S,
     RateComparison,
-    Setup,
     TrialResult,
+    TrialSetup,
     compare_rates,
 )
 from wcsim.cli.shared.common import (
@@ -37,19 +37,19 @@ from wcsim.cli.shared.common import (
     run_subcommand,
     split_comma_list,
     split_nonempty_list,
-    stage_result_file,
     write_json,
+    write_result_atomically,
 )
 from wcsim.cli.shared.consoles import show_table, stderr_console, stdout_console
 from wcsim.config import ChairConfig, RunConfig, parse, resolve
-from wcsim.config.plant import PlantFile, plant_path, read_plant
-from wcsim.core.processes import run_in_pool
-from wcsim.core.reading import SETTINGS, escaped, parse_toml, read_text
+from wcsim.config.plant import PlantFile, find_plant_path, read_plant
+from wcsim.core.processes import run_in_process_pool
+from wcsim.core.reading import SETTINGS, escape, parse_toml, read_text
 from wcsim.errors import ConfigError, check_installed
 from wcsim.types import F64
 
 if TYPE_CHECKING:  # loads the engine, which --help must not
-    from wcsim.chair_check.drive_fit import DriveFit, MotionErrors
+    from wcsim.chair_check.drive_fit import DriveLawFit, MotionErrors
     from wcsim.chair_check.stick_drives import RecordedDrive
 
 _WORKERS: Final = 2
@@ -144,13 +144,13 @@ def _check(options: _CheckOptions) -> int:
     return _compare_rates(setups, options) if options.compare_hz else _judge(setups, options)
 
 
-def _setup(plant: str, hz: int, settings: Sequence[str] = ()) -> Setup:
+def _setup(plant: str, hz: int, settings: Sequence[str] = ()) -> TrialSetup:
     """A plant with the settings of its own file, changed by `settings`."""
     config = resolve(RunConfig(), (f"chair.plant={json.dumps(plant)}", *settings))
-    return Setup(chair=config.chair, imu=config.imu, hz=hz)
+    return TrialSetup(chair=config.chair, imu=config.imu, hz=hz)
 
 
-def _judge(setups: Mapping[str, Setup], options: _CheckOptions) -> int:
+def _judge(setups: Mapping[str, TrialSetup], options: _CheckOptions) -> int:
     """Measure all rows of each plant and print them against their ranges."""
     found = {plant: _measure(plant, setup, options) for plant, setup in setups.items()}
     plain: dict[str, Any] = {}
@@ -171,7 +171,7 @@ def _judge(setups: Mapping[str, Setup], options: _CheckOptions) -> int:
     return 1 if any(row.red for rows in found.values() for row in rows) else 0
 
 
-def _compare_rates(setups: Mapping[str, Setup], options: _CheckOptions) -> int:
+def _compare_rates(setups: Mapping[str, TrialSetup], options: _CheckOptions) -> int:
     """Measure all rows of each plant at several rates and print how they change."""
     rates = _rates(options.compare_hz)
     found = {
@@ -185,7 +185,7 @@ def _compare_rates(setups: Mapping[str, Setup], options: _CheckOptions) -> int:
     return 0 if all(row.ok for rows in found.values() for row in rows) else 1
 
 
-def _measure(plant: str, setup: Setup, options: _CheckOptions) -> list[TrialResult]:
+def _measure(plant: str, setup: TrialSetup, options: _CheckOptions) -> list[TrialResult]:
     from wcsim.chair_check.table import run_plant_trials  # loads the engine, which --help must not
 
     what = f"{plant} at {setup.hz} Hz"
@@ -260,16 +260,16 @@ def _fit(options: _FitOptions) -> int:
     if options.picture is not None:
         if options.picture.suffix not in (".png", ".svg"):
             raise ConfigError(
-                f"--picture {escaped(options.picture)}: expected a name that ends in .png or .svg"
+                f"--picture {escape(options.picture)}: expected a name that ends in .png or .svg"
             )
         check_installed("--picture needs matplotlib", "report", "matplotlib")
     read_plant(options.base)
     chair = _setup(options.base, _FIT_HZ).chair
     from wcsim.chair_check.drive_fit import (
         DELAY_S,
+        compute_motion_errors,
         delay_motion,
         fit_drive_law,
-        motion_errors,
         simulate_drive_law,
     )
     from wcsim.chair_check.stick_drives import read_recorded_drives
@@ -282,8 +282,10 @@ def _fit(options: _FitOptions) -> int:
     as_set = {**dict(chair), DELAY_S: 0.0}
     motions = {"law": simulate_drive_law(drives, fit.values)}
     errors = {
-        "all, fitted": motion_errors(drives, motions["law"]),
-        f"all, as {options.base} is set": motion_errors(drives, simulate_drive_law(drives, as_set)),
+        "all, fitted": compute_motion_errors(drives, motions["law"]),
+        f"all, as {options.base} is set": compute_motion_errors(
+            drives, simulate_drive_law(drives, as_set)
+        ),
         **left_out,
     }
     # 3. The whole chair in PyBullet with the fitted numbers, which obeys some ticks late.
@@ -293,7 +295,7 @@ def _fit(options: _FitOptions) -> int:
         driven = _drive_plant(drives, fitted)
         for ticks in range(_DELAYS_TICKS):
             late = [delay_motion(motion, ticks * TICK_S) for motion in driven]
-            errors[f"{options.base}, {ticks} ticks late"] = motion_errors(drives, late)
+            errors[f"{options.base}, {ticks} ticks late"] = compute_motion_errors(drives, late)
         motions[f"{options.base} in PyBullet"] = [
             delay_motion(motion, fit.values[DELAY_S]) for motion in driven
         ]
@@ -318,7 +320,7 @@ def _left_out_errors(drives: Sequence[RecordedDrive], words: str) -> dict[str, M
     Raises:
         ConfigError: A word, whole between `_`, `.` and `-`, is in no name, or in all.
     """
-    from wcsim.chair_check.drive_fit import fit_drive_law, motion_errors, simulate_drive_law
+    from wcsim.chair_check.drive_fit import compute_motion_errors, fit_drive_law, simulate_drive_law
 
     # All words are checked before the first fit.
     chosen: dict[str, list[bool]] = {}
@@ -339,11 +341,11 @@ def _left_out_errors(drives: Sequence[RecordedDrive], words: str) -> dict[str, M
         rest = [*compress(drives, [not out for out in is_left_out])]
         with stderr_console().status(f"fitting without {word}"):
             motions = simulate_drive_law(left, fit_drive_law(rest, draws=0).values)
-        errors[f"{word}, left out"] = motion_errors(left, motions)
+        errors[f"{word}, left out"] = compute_motion_errors(left, motions)
         all_left += left
         all_motions += motions
     if chosen:
-        errors["each left out"] = motion_errors(all_left, all_motions)
+        errors["each left out"] = compute_motion_errors(all_left, all_motions)
     return errors
 
 
@@ -351,14 +353,14 @@ def _drive_plant(drives: Sequence[RecordedDrive], chair: ChairConfig) -> list[F6
     """The motion of the whole chair in PyBullet, for each drive."""
     from wcsim.chair_check.drive_fit import simulate_plant_motion
 
-    work = partial(simulate_plant_motion, setup=Setup(chair=chair, hz=_FIT_HZ))
+    work = partial(simulate_plant_motion, setup=TrialSetup(chair=chair, hz=_FIT_HZ))
     with stderr_console().status(f"driving {chair.plant} in PyBullet"):
-        found = dict(run_in_pool(work, drives, _WORKERS))
+        found = dict(run_in_process_pool(work, drives, _WORKERS))
     return [found[place] for place in range(len(drives))]
 
 
 def _print_fit(
-    fit: DriveFit, as_set: Mapping[str, float], errors: Mapping[str, MotionErrors]
+    fit: DriveLawFit, as_set: Mapping[str, float], errors: Mapping[str, MotionErrors]
 ) -> None:
     numbers = []
     for name, value in fit.values.items():
@@ -383,7 +385,7 @@ def _draw_longest(
     place = max(range(len(drives)), key=lambda index: len(drives[index].motion))
     drive = drives[place]
     shown = {name: each[place] for name, each in motions.items()}
-    with stage_result_file(path) as part:
+    with write_result_atomically(path) as part:
         motion_chart(part, path.suffix[1:], drive.name, STEP_S, drive.motion, shown)
 
 
@@ -396,7 +398,7 @@ def _write_plant(path: Path, own: ChairConfig, numbers: Mapping[str, float], not
     from wcsim.physics.wheelchair.plant import plant_spec  # loads the engine, which --help must not
 
     plant_spec(own)
-    text = read_text(plant_path(own.plant), SETTINGS)
+    text = read_text(find_plant_path(own.plant), SETTINGS)
     section = _CHAIR_SECTION.search(text)
     start, end = section.span() if section else (len(text), len(text))
     # Its other numbers stay, with their comments.
@@ -410,8 +412,8 @@ def _write_plant(path: Path, own: ChairConfig, numbers: Mapping[str, float], not
         others + text[end:],
     ]
     made = "\n".join(lines).rstrip() + "\n"
-    where = f"{escaped(own.plant)} with a new [chair]"
+    where = f"{escape(own.plant)} with a new [chair]"
     parse(PlantFile, parse_toml(made, where, SETTINGS), where)
-    with stage_result_file(path) as part:
+    with write_result_atomically(path) as part:
         part.write_text(made, encoding="utf-8")
     print(f"wrote {path}; drive it: --set chair.plant={path}")

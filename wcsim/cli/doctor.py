@@ -18,7 +18,7 @@ from rich.table import Column
 from wcsim.cli.shared.common import Flag, OutFile, parse_options, write_json
 from wcsim.cli.shared.consoles import show_table
 from wcsim.core.files import is_writable_folder
-from wcsim.core.reading import counted, escaped
+from wcsim.core.reading import escape, pluralize
 from wcsim.core.sources import read_package_version
 from wcsim.errors import ConfigError, WcsimError
 
@@ -169,19 +169,19 @@ def _check_tick_rate(town: str, seed: int) -> _Finding:
         return False, str(error)
 
 
-def cache(words: list[str]) -> int:
+def run_cache(words: list[str]) -> int:
     """Print it, and clear the cache if requested."""
     from wcsim.towns.cache.folder import cache_facts, clear_cache
 
     options = parse_options(_CacheOptions, words, "cache")
     before = cache_facts()
     left = clear_cache() if options.clear else before
-    checked = counted(before.verdicts, "checked net or scenario", "checked nets and scenarios")
+    checked = pluralize(before.verdicts, "checked net or scenario", "checked nets and scenarios")
     content = (
-        f"{counted(before.streets, 'street')}, {checked}, {counted(before.kernels, 'kernel')}, "
-        f"{counted(before.driven, 'generated place')} to drive in, {before.unfinished} unfinished"
+        f"{pluralize(before.streets, 'street')}, {checked}, {pluralize(before.kernels, 'kernel')}, "
+        f"{pluralize(before.driven, 'generated place')} to drive in, {before.unfinished} unfinished"
     )
-    print(f"{escaped(before.folder)}: {content}, {before.size_bytes / 1e6:.1f} MB")
+    print(f"{escape(before.folder)}: {content}, {before.size_bytes / 1e6:.1f} MB")
     if options.clear:
         print(f"removed {(before.size_bytes - left.size_bytes) / 1e6:.1f} MB")
     else:
@@ -192,7 +192,7 @@ def cache(words: list[str]) -> int:
     )
     if options.clear and left.size_bytes:
         raise ConfigError(
-            f"{escaped(left.folder)}: {left.size_bytes} bytes are left; expected files that you "
+            f"{escape(left.folder)}: {left.size_bytes} bytes are left; expected files that you "
             "may remove"
         )
     return 0

@@ -11,8 +11,8 @@ from tyro.conf import arg
 from wcsim.cli.shared.common import (
     Bounds,
     OutFolder,
-    PageOptions,
     SomeTown,
+    WebPageOptions,
     WritableFile,
     has_option,
     parse_options,
@@ -32,7 +32,7 @@ _LOADING: Final = "loading the simulator and the page ..."
 
 
 @dataclass(kw_only=True)
-class _AssistedOptions(PageOptions):
+class _AssistedOptions(WebPageOptions):
     """The policy that assists, the user's stick, and the recording."""
 
     policy: str = "dwa"
@@ -80,7 +80,7 @@ class _EpisodeOptions(_AssistedOptions):
 
 
 @dataclass(kw_only=True)
-class _StudyOptions(PageOptions):
+class _StudyOptions(WebPageOptions):
     """Run a study with a participant."""
 
     study: Annotated[str, arg(metavar="FILE.toml")]

@@ -19,8 +19,8 @@ from pathlib import Path
 from types import FrameType
 from typing import Final
 
-from wcsim.cli.shared.exit_codes import Exit, exit_code_from_error
-from wcsim.core.reading import escaped, has_surrogates
+from wcsim.cli.shared.exit_codes import ExitCode, exit_code_from_error
+from wcsim.core.reading import escape, has_surrogates
 from wcsim.errors import ConfigError, WcsimError, meant
 
 _PATH_ERRORS: Final = frozenset(
@@ -63,7 +63,7 @@ SUBCOMMANDS: Final = (
         "demo", "training.demo", "learn", "train a network, and see what its help is worth"
     ),
     _Subcommand("train", "training.train", "learn", "train a danger network, in rounds of driving"),
-    _Subcommand("train-q", "training.train:run_q", "learn", "train a network by Q-learning"),
+    _Subcommand("train-q", "training.train:run_train_q", "learn", "train a network by Q-learning"),
     _Subcommand(
         "train-clients",
         "training.train_clients",
@@ -87,19 +87,19 @@ SUBCOMMANDS: Final = (
         "networks", "networks", "test", "show what networks cost: parameters, memory, time"
     ),
     _Subcommand("chair", "chair", "test", "test wheelchairs on a yard, as ISO 7176 does"),
-    _Subcommand("look", "pictures:look", "look", "make a picture and a video of a town"),
+    _Subcommand("look", "pictures:run_look", "look", "make a picture and a video of a town"),
     _Subcommand(
         "snapshot",
-        "pictures:snapshot",
+        "pictures:run_snapshot",
         "look",
         "make a picture from a camera: colours, classes, depth",
     ),
     _Subcommand(
-        "video", "pictures:video", "look", "make a video from a chair's camera, with a map"
+        "video", "pictures:run_video", "look", "make a video from a chair's camera, with a map"
     ),
     _Subcommand(
         "watch",
-        "recordings.replay:watch",
+        "recordings.replay:run_watch",
         "look",
         "watch a training of several clients on a web page",
     ),
@@ -120,7 +120,7 @@ SUBCOMMANDS: Final = (
         "join", "training.join", "machines", "train a network in a world started by wcsim serve"
     ),
     _Subcommand(
-        "cache", "doctor:cache", "machines", "show the cache of built streets, or clear it"
+        "cache", "doctor:run_cache", "machines", "show the cache of built streets, or clear it"
     ),
     _Subcommand("doctor", "doctor", "machines", "check that all that wcsim needs works here"),
 )
@@ -146,7 +146,7 @@ def run_with_exit_code(work: Callable[[list[str]], int], arguments: list[str] | 
     try:
         with _sigterm_interrupts(own_process):
             code = _run(work, words, own_process)
-            stopped = code in (Exit.STOPPED, Exit.INTERRUPTED, Exit.TERMINATED)
+            stopped = code in (ExitCode.STOPPED, ExitCode.INTERRUPTED, ExitCode.TERMINATED)
             if own_process and stopped and _in_main_thread():
                 # A further signal may not change the code of a process that ends as requested.
                 for number in (signal.SIGINT, signal.SIGTERM):
@@ -156,7 +156,7 @@ def run_with_exit_code(work: Callable[[list[str]], int], arguments: list[str] | 
     except BrokenPipeError:
         # The reader of the output, such as `head`, has closed it: nothing may be flushed at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return Exit.BROKEN_PIPE
+        return ExitCode.BROKEN_PIPE
 
 
 @contextmanager
@@ -197,7 +197,7 @@ def _run(work: Callable[[list[str]], int], words: list[str], own_process: bool) 
         for word in filter(has_surrogates, words):
             # No record of a run could hold it.
             raise ConfigError(
-                f"argument '{escaped(word)}' is not valid UTF-8; "
+                f"argument '{escape(word)}' is not valid UTF-8; "
                 "rename that file, or set LANG=C.UTF-8"
             )
         return work(words)
@@ -206,10 +206,10 @@ def _run(work: Callable[[list[str]], int], words: list[str], own_process: bool) 
         return exit_code_from_error(error)
     except _Terminated:
         print("wcsim: terminated", file=sys.stderr)
-        return Exit.TERMINATED
+        return ExitCode.TERMINATED
     except KeyboardInterrupt as stop:
         print(f"wcsim: {str(stop) or 'interrupted'}", file=sys.stderr)
-        return Exit.INTERRUPTED
+        return ExitCode.INTERRUPTED
     except BrokenPipeError:
         raise
     except Exception as error:
@@ -220,7 +220,7 @@ def _run(work: Callable[[list[str]], int], words: list[str], own_process: bool) 
         return code
     except SystemExit as leave:
         # From the parser of options: 0 after --help, 2 after a mistake.
-        return leave.code if isinstance(leave.code, int) else Exit.REFUSED
+        return leave.code if isinstance(leave.code, int) else ExitCode.REFUSED
 
 
 def _prepare_streams() -> None:
@@ -260,20 +260,20 @@ def _run_command(words: list[str]) -> int:
     command = words[0] if words else "--help"
     if command in ("-h", "--help", "help"):
         print(_usage())
-        return Exit.DONE
+        return ExitCode.DONE
     if command in ("-V", "--version"):
         from wcsim import __version__
 
         print(__version__)
-        return Exit.DONE
+        return ExitCode.DONE
     modules = {item.name: item.module for item in SUBCOMMANDS}
     if command not in modules:
         expected = f"expected one of: {', '.join(modules)}{meant(command, [*modules])}"
         print(f"wcsim: unknown command {command!r}; {expected}", file=sys.stderr)
-        return Exit.REFUSED
+        return ExitCode.REFUSED
     module, _, function = modules[command].partition(":")
     work = getattr(importlib.import_module(f"wcsim.cli.{module}"), function or "run")
-    return int(work(words[1:]) or Exit.DONE)
+    return int(work(words[1:]) or ExitCode.DONE)
 
 
 def _usage() -> str:
@@ -289,32 +289,32 @@ def _usage() -> str:
 
 def _printable(text: str) -> str:
     """Text of others without control characters, which a terminal would obey; lines stay lines."""
-    return "\n".join(escaped(line, len(line) * 10) for line in text.split("\n"))
+    return "\n".join(escape(line, len(line) * 10) for line in text.split("\n"))
 
 
-def _explain(error: Exception) -> tuple[str, Exit]:
+def _explain(error: Exception) -> tuple[str, ExitCode]:
     """What to do about an error caused outside wcsim, and its code; "" for a fault of wcsim."""
-    from wcsim.server.protocol.limits import resource_limit_message  # rarely needed
+    from wcsim.server.protocol.limits import explain_resource_limit_error  # rarely needed
 
-    limit = resource_limit_message(error)
+    limit = explain_resource_limit_error(error)
     if limit:
-        return limit, Exit.FAILED
+        return limit, ExitCode.FAILED
     if isinstance(error, ModuleNotFoundError) and error.name in _TRAIN_PACKAGES:
         needs = f"to train and to load networks this needs {error.name}, which is not installed"
-        return f"{needs}: pip install 'wcsim[train]'", Exit.REFUSED
+        return f"{needs}: pip install 'wcsim[train]'", ExitCode.REFUSED
     last = [frame for frame, _ in traceback.walk_tb(error.__traceback__)][-1:]
     variables = [name for name in os.environ if name.startswith("NUMBA_")]
     in_numba = any(frame.f_globals["__name__"].startswith("numba.") for frame in last)
     if isinstance(error, ValueError) and variables and in_numba:
-        refused = f"numba refuses its settings ({escaped(error)})"
-        return f"{refused}; try again after: unset {' '.join(variables)}", Exit.REFUSED
+        refused = f"numba refuses its settings ({escape(error)})"
+        return f"{refused}; try again after: unset {' '.join(variables)}", ExitCode.REFUSED
     # A program that wcsim itself starts and that is missing is no path of the user.
     in_subprocess = any(frame.f_code.co_name == "_execute_child" for frame in last)
     if isinstance(error, OSError) and error.errno in _PATH_ERRORS and not in_subprocess:
         message = _explain_path(error)
         if message:
-            return message, Exit.REFUSED
-    return "", Exit.FAILED
+            return message, ExitCode.REFUSED
+    return "", ExitCode.FAILED
 
 
 def _explain_path(error: OSError) -> str:
@@ -326,5 +326,5 @@ def _explain_path(error: OSError) -> str:
     path = error.filename2 or error.filename
     if not isinstance(path, str | bytes) or _PACKAGE in Path(os.fsdecode(path)).parents:
         return ""
-    reason = f"{escaped(os.fsdecode(path))}: {error.strerror}"
+    reason = f"{escape(os.fsdecode(path))}: {error.strerror}"
     return f"{reason}; choose another path, or make this one usable"

@@ -8,7 +8,7 @@ from typing import Annotated
 from wcsim.agents.networks.names import NETWORK_NAMES, require_known_network
 from wcsim.cli.shared.common import Bounds, OutFile, parse_options, split_nonempty_list, write_json
 from wcsim.cli.shared.consoles import show_table
-from wcsim.cli.shared.exit_codes import Exit
+from wcsim.cli.shared.exit_codes import ExitCode
 
 
 @dataclass
@@ -66,4 +66,4 @@ def run(words: list[str]) -> int:
     write_json(
         options.json, [{**asdict(cost), "within_100_ms": cost.within_100_ms} for cost in costs]
     )
-    return Exit.DONE
+    return ExitCode.DONE

@@ -14,9 +14,9 @@ from wcsim.cli.shared.common import (
     Repeated,
     SomeTown,
     WritableFile,
-    note_created_folder,
     parse_options,
-    stage_result_file,
+    report_created_folder,
+    write_result_atomically,
 )
 from wcsim.cli.shared.consoles import StageBar
 from wcsim.cli.shared.run_config import require_known_users, require_usable_policy
@@ -53,7 +53,7 @@ class _LookOptions:
     """section.key=value, over the settings, such as chair.plant=mine.toml; may be given several times."""  # noqa: E501
 
 
-def look(words: list[str]) -> int:
+def run_look(words: list[str]) -> int:
     """Drive once: film it from where it shows a street, and picture the moment that shows most."""
     options = parse_options(_LookOptions, words, "look")
     town = find_town(options.town)
@@ -68,7 +68,7 @@ def look(words: list[str]) -> int:
     from wcsim.view.street_pictures import StillPictures
 
     with (
-        note_created_folder(video),
+        report_created_folder(video),
         StageBar("filming") as bar,
         FilmedDrive(town, options.seed, _LOOK_PX, FilmDriver(settings=options.set), video) as film,
     ):
@@ -84,7 +84,7 @@ def look(words: list[str]) -> int:
             if busiest.look(before * film.tick_s, stills.on_way):
                 seen = stills.draw()
         # Something to look at while it is filmed.
-        with stage_result_file(street) as part:
+        with write_result_atomically(street) as part:
             write_png(part, seen)
         # 2. Film.
         frames = round(options.seconds / film.tick_s)
@@ -97,7 +97,7 @@ def look(words: list[str]) -> int:
             )
     # 3. Write the pictures.
     place = f"{options.town}, seed {options.seed}"
-    with stage_result_file(street) as part:
+    with write_result_atomically(street) as part:
         write_png(part, seen)
     print(f"{street}: {place}, the chair from behind")
     _write_shot(picture, busiest.shot, place)
@@ -123,7 +123,7 @@ class _SnapshotOptions:
     """section.key=value, over the settings, such as chair.plant=mine.toml; may be given several times."""  # noqa: E501
 
 
-def snapshot(words: list[str]) -> int:
+def run_snapshot(words: list[str]) -> int:
     """Take the picture at the moment that shows most."""
     options = parse_options(_SnapshotOptions, words, "snapshot")
     town = find_town(options.town)
@@ -144,7 +144,7 @@ def _write_shot(out: Path, shot: Shot, place: str) -> None:
     """Write a moment as a picture, and print what it shows."""
     from wcsim.view.pictures import write_png
 
-    with stage_result_file(out) as part:
+    with write_result_atomically(out) as part:
         write_png(part, shot.picture)
     print(
         f"{out}: {place}, after {shot.after_s:.1f} s, {shot.in_view} "
@@ -181,7 +181,7 @@ class _VideoOptions:
     """section.key=value, over those of the policy, such as chair.plant=mine.toml; may be given several times."""  # noqa: E501
 
 
-def video(words: list[str]) -> int:
+def run_video(words: list[str]) -> int:
     """Film it."""
     options = parse_options(_VideoOptions, words, "video")
     profile = options.profile or ("inattentive" if options.policy else "competent")
@@ -199,7 +199,7 @@ def video(words: list[str]) -> int:
         policy=options.policy, network=options.network, profile=profile, settings=options.set
     )
     with (
-        note_created_folder(options.out),
+        report_created_folder(options.out),
         StageBar("filming") as bar,
         FilmedDrive(town, options.seed, options.width, driver, options.out) as film,
     ):

@@ -14,8 +14,8 @@ from wcsim.cli.shared.common import OutFile, Parts, WritableFile, run_subcommand
 from wcsim.cli.shared.consoles import show_table
 from wcsim.config import read_toml
 from wcsim.config.scene import SceneExpectations, SceneFile
-from wcsim.core.own_folder import temporary_folder
-from wcsim.core.reading import counted, escaped
+from wcsim.core.own_folder import create_temporary_folder
+from wcsim.core.reading import escape, pluralize
 from wcsim.errors import ConfigError
 from wcsim.scenes.template import write_scene
 from wcsim.towns.scene_folders.build import GOLDEN, NETCONVERT_FILES, find_scene, list_scenes
@@ -157,7 +157,7 @@ def _list(_: _ListOptions) -> int:
         except ConfigError as error:
             broken.append(str(error))
             continue
-        shows = escaped(scene.shows, 2000)
+        shows = escape(scene.shows, 2000)
         rows.append((folder.name, f"{scene.duration_s:g}", str(len(scene.seats)), shows))
     show_table(("scene", "seconds", "chairs", "what it tests"), rows, show_lines=True)
     if broken:
@@ -174,10 +174,10 @@ def _outcome(folder: Path, name: str) -> _Outcome:
     golden = folder / GOLDEN
     scene = read_toml(folder / "scene.toml", SceneFile)
     note = ""
-    with temporary_folder() as work:
+    with create_temporary_folder() as work:
         trace = work / _TRACE
         facts = run_in_child(folder, trace)
-        found = faults(facts, scene.expect)
+        found = find_unmet_expectations(facts, scene.expect)
         if not golden.is_file():
             found += (
                 "no golden trace; when the scene is right, save one: "
@@ -190,7 +190,7 @@ def _outcome(folder: Path, name: str) -> _Outcome:
     return _Outcome(name, facts, found, note)
 
 
-def faults(facts: Facts, expect: SceneExpectations) -> tuple[str, ...]:
+def find_unmet_expectations(facts: Facts, expect: SceneExpectations) -> tuple[str, ...]:
     """Where what happened is not what the scene must show; empty when all is well."""
     found = []
     if expect.crashed is not None and facts["crashed"] != expect.crashed:
@@ -213,13 +213,15 @@ def _bless(options: _BlessOptions) -> int:
     from wcsim.scenes.run import run_in_child  # loads the simulators, which --help must not
 
     for name, folder in folders:
-        with temporary_folder() as work:
+        with create_temporary_folder() as work:
             trace, golden = work / _TRACE, folder / GOLDEN
             facts = run_in_child(folder, trace)
             reason = _bless_reason(trace, golden)
             if reason:
                 shutil.copyfile(trace, golden)
-            wrong = faults(facts, read_toml(folder / "scene.toml", SceneFile).expect)
+            wrong = find_unmet_expectations(
+                facts, read_toml(folder / "scene.toml", SceneFile).expect
+            )
         result = f"blessed, {reason}" if reason else "unchanged"
         but = f"; but its [expect] fails: {'; '.join(wrong)}" if wrong else ""
         print(f"{name}: {result}; {_facts_text(facts)}{but}")
@@ -278,7 +280,7 @@ def _facts_text(facts: Facts) -> str:
     nearest = "no road user near"
     if facts["closest_actor_m"] < _NEAR_M:
         nearest = f"closest {facts['closest_actor_m']:.2f} m"
-    road_users = counted(int(facts["actors_seen"]), "road user")
+    road_users = pluralize(int(facts["actors_seen"]), "road user")
     return (
         f"{crash}, {facts['travelled_m']:.1f} m, drop {facts['drop_m']:.2f} m, "
         f"roll {facts['max_roll_deg']:.1f} deg, pitch {facts['max_pitch_deg']:.1f} deg, "

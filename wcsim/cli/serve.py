@@ -21,20 +21,20 @@ from wcsim.cli.shared.common import (
     split_nonempty_list,
 )
 from wcsim.cli.shared.consoles import choose_result_console, print_sumo_overrides, warn
-from wcsim.cli.shared.exit_codes import Exit
+from wcsim.cli.shared.exit_codes import ExitCode
 from wcsim.cli.shared.run_config import list_sumo_overrides
 from wcsim.config import RunConfig, resolve
-from wcsim.core.own_folder import runtime_folder, world_endpoint_from_folder
-from wcsim.core.reading import require_no_links
+from wcsim.core.own_folder import create_runtime_folder, world_endpoint_from_folder
+from wcsim.core.reading import require_no_outward_links
 from wcsim.errors import ConfigError
 from wcsim.log.reader import list_log_parts
-from wcsim.log.writer import JOURNAL, LogWriter, truncation_message
-from wcsim.server.launch.launcher import Launcher
+from wcsim.log.writer import JOURNAL, LogWriter, format_truncation_warning
+from wcsim.server.launch.launcher import ProcessLauncher
 from wcsim.server.launch.states import LaunchProcessStates
 from wcsim.server.protocol.events import ServerRules
 from wcsim.server.protocol.limits import ensure_open_file_limit
 from wcsim.server.specs import WorldProcessSpec, make_world_launch_plan
-from wcsim.server.transport.keys import is_loopback, list_known_clients, make_keys
+from wcsim.server.transport.keys import create_missing_keys, is_loopback, list_known_clients
 from wcsim.towns.checks.validate import validate_net
 from wcsim.towns.scenario.town import Town, find_town
 from wcsim.types.bounds import MOST_SEATS
@@ -87,7 +87,7 @@ def run(words: list[str]) -> int:
     ensure_open_file_limit(options.seats)
     town = find_town(options.town)
     validate_net(town.net)
-    with runtime_folder() as place:
+    with create_runtime_folder() as place:
         return _serve(options, town, config, place)
 
 
@@ -112,13 +112,13 @@ def _serve(options: _Options, town: Town, config: RunConfig, place: Path) -> int
 
         order = _order(options, town, config, place)
         world = make_world_launch_plan(order, place, folder / "logs" / "world.log")
-        outcome = Launcher(world, (), folder, show=show).run()
-    if outcome.code == Exit.REFUSED:
+        outcome = ProcessLauncher(world, (), folder, show=show).run()
+    if outcome.code == ExitCode.REFUSED:
         raise ConfigError(outcome.message)
     if outcome.code:
         warn(outcome.message)
-        return Exit.FAILED
-    return Exit.DONE
+        return ExitCode.FAILED
+    return ExitCode.DONE
 
 
 def _how_to_join(endpoint: str, listening: str, options: _Options) -> str:
@@ -158,7 +158,7 @@ def _prepare_network(options: _Options) -> None:
         if options.keys is None:
             raise ConfigError("--make-keys: add --keys FOLDER, where to write them")
         require_writable_folder("--keys", options.keys)
-        make_keys(options.keys, split_nonempty_list("--make-keys", options.make_keys))
+        create_missing_keys(options.keys, split_nonempty_list("--make-keys", options.make_keys))
     if options.keys is not None and not options.listen:
         raise ConfigError(
             "--keys without --listen: keys are for clients of other machines; add --listen "
@@ -186,11 +186,11 @@ def _prepare_folder(folder: Path) -> None:
             "world"
         )
     if folder.exists():
-        require_no_links(folder, ConfigError)
+        require_no_outward_links(folder, ConfigError)
     if journal.is_file():
         with LogWriter.append_to(journal) as writer:
             if writer.cut_bytes:
-                warn(truncation_message(journal, writer.cut_bytes))
+                warn(format_truncation_warning(journal, writer.cut_bytes))
 
 
 def _order(options: _Options, town: Town, config: RunConfig, place: Path) -> WorldProcessSpec:

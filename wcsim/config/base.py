@@ -9,7 +9,7 @@ from typing import Annotated, Any, ClassVar, Final, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, model_validator
 
-from wcsim.core.reading import escaped, read_module_toml
+from wcsim.core.reading import escape, read_module_toml
 from wcsim.errors import meant
 
 # Of numbers that nothing else bounds: nothing that is computed from them overflows.
@@ -42,7 +42,7 @@ def within(low: float, high: float) -> Any:
     return Field(ge=low, le=high)
 
 
-def exclude_at(default: Any) -> Any:
+def exclude_if(default: Any) -> Any:
     """A mark for `Annotated`: a field is not written while it has this value."""
     # A setting that is younger than the first files: without it their digests would change.
     return Field(exclude_if=lambda value: value == default)
@@ -88,14 +88,14 @@ class Model(BaseModel):
         return schema
 
 
-def validation_error_text(model: type[BaseModel], item: Any) -> str:
+def format_validation_error(model: type[BaseModel], item: Any) -> str:
     """The message of pydantic's error: the key, the fault, the value with its unit, the bounds."""
-    key = escaped(".".join(str(part) for part in item["loc"]), 200) or "(file)"
+    key = escape(".".join(str(part) for part in item["loc"]), 200) or "(file)"
     if item["type"] == "extra_forbidden":
         return f"unknown key {key!r}: remove it or correct its name" + _known(model, item["loc"])
     if item["type"] == "missing":
         keys = item["input"] if isinstance(item["input"], dict) else {}
-        beside = escaped(", ".join(map(str, keys)), 200)
+        beside = escape(", ".join(map(str, keys)), 200)
         return f"{key}: is missing" + (f"; expected it beside {beside}" if beside else "")
     value = json.dumps(item["input"], default=str)[:80]
     if item["type"] in ("tuple_type", "list_type"):

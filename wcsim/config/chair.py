@@ -6,7 +6,7 @@ from typing import Annotated, Any, Final, Literal
 
 from pydantic import model_validator
 
-from wcsim.config.base import Model, Share, Text, TopSpeed, UserMass, exclude_at, within
+from wcsim.config.base import Model, Share, Text, TopSpeed, UserMass, exclude_if, within
 
 # The measured chair slows its turns down far less, by 0.06 to 0.10 (docs/chair.md).
 YAW_SLOWDOWN_S_PER_M: Final = 0.6
@@ -32,7 +32,7 @@ class ChairConfig(Model):
     jerk_mps3: Annotated[float, within(0.1, 1000.0)] = 4.0  # Rate of change of the acceleration.
     yaw_rate_max_radps: Annotated[float, within(0.05, 20.0)] = 1.5  # Turn rate at full stick.
     # How the turn rate falls with the speed v: as 1 / (1 + this v). 0: it does not.
-    yaw_slowdown_s_per_m: Annotated[float, within(0.0, 5.0), exclude_at(YAW_SLOWDOWN_S_PER_M)] = (
+    yaw_slowdown_s_per_m: Annotated[float, within(0.0, 5.0), exclude_if(YAW_SLOWDOWN_S_PER_M)] = (
         YAW_SLOWDOWN_S_PER_M
     )
     deadband: Annotated[float, within(0.0, 0.5)] = 0.08  # Stick travel without effect, as a share.

@@ -6,7 +6,7 @@ from typing import Annotated, Final, Literal, Self
 
 from pydantic import Field, model_validator
 
-from wcsim.config.base import Finite, Model, NotNegative, Positive, Text, exclude_at, within
+from wcsim.config.base import Finite, Model, NotNegative, Positive, Text, exclude_if, within
 
 JoystickDistance = Annotated[float, Field(gt=0.0, le=100.0)]
 
@@ -72,7 +72,7 @@ class EnvConfig(Model):
     # (state).
     observation: Form = "compact"
     # Name of the camera that networks see. Empty: the first.
-    camera: Annotated[str, Field(max_length=40), exclude_at("")] = ""
+    camera: Annotated[str, Field(max_length=40), exclude_if("")] = ""
     classes: Classes = "cityscapes"  # Classes of Cityscapes, or wcsim's with kerbs and crosswalks.
     observe_gyro: bool = False  # Whether the observation contains turn rates. Not in the paper.
     observe_yaw: bool = False  # Whether the observation contains the heading. Not in the paper.

@@ -15,7 +15,7 @@ from wcsim.config.base import (
     Text,
     Texts,
     Word,
-    exclude_at,
+    exclude_if,
     within,
 )
 from wcsim.config.env import EpisodeSteps
@@ -78,9 +78,9 @@ class CollectConfig(Model):
     network_share: Share = 0.75  # Share of episodes that the network drives, once there is one.
     astray_share: Share = 0.33  # Share of time with a random offset on the stick.
     # Standard deviation of each component of that offset.
-    astray_spread: Annotated[float, within(0.0, 2.0), exclude_at(0.5)] = 0.5
+    astray_spread: Annotated[float, within(0.0, 2.0), exclude_if(0.5)] = 0.5
     # Shortest and longest time for which it is held.
-    astray_ticks: Annotated[tuple[Count, Count], exclude_at((4, 12))] = (4, 12)
+    astray_ticks: Annotated[tuple[Count, Count], exclude_if((4, 12))] = (4, 12)
 
     @model_validator(mode="after")
     def _can_be_held(self) -> CollectConfig:
@@ -98,10 +98,10 @@ class LearnConfig(Model):
     # Steps of the first phase, which executes the user's actions.
     phase1_steps: StepsOrNone = 5_000
     # Loss beside TD in the first phase: margin, cross-entropy (supervised), or none (td).
-    phase1: Annotated[Literal["margin", "supervised", "td"], exclude_at("margin")] = "margin"
+    phase1: Annotated[Literal["margin", "supervised", "td"], exclude_if("margin")] = "margin"
     # Selects the client for the second phase: kpi1, a client's name, a suite or list. Empty: all
     # continue.
-    select_by: Annotated[Word, exclude_at("")] = ""
+    select_by: Annotated[Word, exclude_if("")] = ""
     network: Word = "patch"  # Network by name (wcsim networks), or module:Class.
 
     # Of three departures from the paper, the known reward alone keeps up with the user
@@ -110,7 +110,7 @@ class LearnConfig(Model):
     # Follow reward plus a residual, plain values, or dangers.
     head: Literal["residual", "plain", "danger"] = "residual"
     # Whether the head splits values into one of the state and advantages of the actions (dueling).
-    duel: Annotated[bool, exclude_at(True)] = True
+    duel: Annotated[bool, exclude_if(True)] = True
     # Discount factor. Above 0.991 crashing pays better than waiting.
     gamma: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.97
     learning_rate: Positive = 3e-4  # Learning rate of Adam.
@@ -119,7 +119,7 @@ class LearnConfig(Model):
     batch_size: Annotated[int, within(1, 4096)] = 32  # Steps in a batch.
     replay_frames: Annotated[int, within(100, 10**7)] = 50_000  # Steps in the replay memory.
     # Memory in MB, beyond a full replay, after which a client's process is restarted.
-    process_growth_mb: Annotated[float, within(10.0, 10**6), exclude_at(PROCESS_GROWTH_MB)] = (
+    process_growth_mb: Annotated[float, within(10.0, 10**6), exclude_if(PROCESS_GROWTH_MB)] = (
         PROCESS_GROWTH_MB
     )
     # What the replay samples (docs/learning.md).
@@ -130,7 +130,7 @@ class LearnConfig(Model):
     learning_starts: StepsOrNone = 500  # Steps before the first update.
     train_every: Annotated[int, within(1, 10**4)] = 4  # Steps between updates.
     # When updates run: before an action, or while waiting for the world.
-    updates: Annotated[UpdateTime, exclude_at("before_acting")] = "before_acting"
+    updates: Annotated[UpdateTime, exclude_if("before_acting")] = "before_acting"
     n_step: Annotated[int, within(1, 50)] = 5  # Rewards summed before the value is used.
     tau: PositiveShare = 0.01  # Share by which an update moves the target network.
     reward_scale: Positive = 0.05  # Factor on the reward.
@@ -149,7 +149,7 @@ class LearnConfig(Model):
     aid_weight: NotNegative = 1.0  # Weight of the oracle's loss in the second phase.
     mirror: bool = False  # Whether half of the batches are mirrored left to right.
     # Whether to write TensorBoard scalars, if it is installed.
-    tensorboard: Annotated[bool, exclude_at(False)] = False
+    tensorboard: Annotated[bool, exclude_if(False)] = False
     checkpoint_every: Steps = 5_000  # Steps between checkpoints.
     threads: Annotated[int, within(1, 64)] = 1  # Threads of PyTorch.
     device: Word = "cpu"  # cpu, or cuda.

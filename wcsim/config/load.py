@@ -17,12 +17,12 @@ from typing import Any, Final, TypeVar
 
 from pydantic import ValidationError
 
-from wcsim.config.base import Model, validation_error_text
+from wcsim.config.base import Model, format_validation_error
 from wcsim.config.chair import PROFILE_SPEED_MPS
 from wcsim.config.run import RunConfig
 from wcsim.config.sensors import sensor_table_from_word
 from wcsim.core import reading
-from wcsim.core.reading import CONFIG, SETTINGS, VALUE, FileKind, escaped
+from wcsim.core.reading import CONFIG, SETTINGS, VALUE, FileSpec, escape
 from wcsim.errors import ConfigError, meant
 
 _PLANTS: Final = Path(__file__).parent / "plants"
@@ -43,13 +43,13 @@ Layer = Path | str | Mapping[str, Any] | Sequence[str] | None
 """A TOML file, a `section.key=value` (or several), or tables of keys; None adds nothing."""
 
 
-def read_toml(path: Path, model: type[M], kind: FileKind = SETTINGS) -> M:
+def read_toml(path: Path, model: type[M], kind: FileSpec = SETTINGS) -> M:
     """Read a TOML file as `model`.
 
     Raises:
         ConfigError: It lists the file's faults with their keys; or the error of its kind.
     """
-    return parse(model, reading.read_toml(path, kind), escaped(path))
+    return parse(model, reading.read_toml(path, kind), escape(path))
 
 
 def parse(model: type[M], data: dict[str, Any], where: str) -> M:
@@ -62,7 +62,7 @@ def parse(model: type[M], data: dict[str, Any], where: str) -> M:
         return model.model_validate(data)
     except ValidationError as error:
         causes = _causes(error.errors())
-        faults = [validation_error_text(model, item) for item in causes[:_MOST_FAULTS]]
+        faults = [format_validation_error(model, item) for item in causes[:_MOST_FAULTS]]
         if len(causes) > _MOST_FAULTS:
             faults.append("and more")
         raise ConfigError(f"{where}: " + "; ".join(faults)) from None
@@ -124,11 +124,11 @@ def _tables(layer: Layer) -> list[tuple[str, dict[str, Any]]]:
     if layer is None:
         return []
     if isinstance(layer, Path):
-        return [(escaped(layer), reading.read_toml(layer, SETTINGS))]
+        return [(escape(layer), reading.read_toml(layer, SETTINGS))]
     if isinstance(layer, Mapping):
         return [("configuration", dict(layer))]
     texts = (layer,) if isinstance(layer, str) else layer
-    return [(f"--set {escaped(text)}", _override(text)) for text in texts]
+    return [(f"--set {escape(text)}", _override(text)) for text in texts]
 
 
 def _chairs(tables: Sequence[tuple[str, dict[str, Any]]]) -> list[dict[str, Any]]:
@@ -163,7 +163,7 @@ def _chair_of_plant(plant: str) -> dict[str, Any]:
     return chair if isinstance(chair, dict) else {}
 
 
-def read_presets_table() -> str:
+def format_presets_table() -> str:
     """What each preset learns from, for how long, and its results: a table in Markdown."""
     return (_PRESETS / "presets.md").read_text(encoding="utf-8")
 
@@ -174,7 +174,7 @@ def _preset(name: str) -> tuple[str, dict[str, Any]]:
     if not path.is_file():
         known = sorted(item.stem for item in _PRESETS.glob("*.toml"))
         raise ConfigError(
-            f"unknown preset {escaped(name)!r}; expected one of: {', '.join(known)}"
+            f"unknown preset {escape(name)!r}; expected one of: {', '.join(known)}"
             + meant(name, known)
         )
     return f"preset {name}", reading.read_toml(path, SETTINGS)
@@ -224,10 +224,10 @@ def texts_from_override(override: str) -> tuple[str, ...]:
 def _override(text: str) -> dict[str, Any]:
     key, equals, value = text.partition("=")
     parts = key.strip().split(".")
-    where = f"--set {escaped(text)}"
+    where = f"--set {escape(text)}"
     if not equals or not all(parts) or len(parts) > _MOST_PARTS:
         raise ConfigError(
-            f"--set {escaped(text)!r} is not section.key=value, for example learn.total_steps=2000"
+            f"--set {escape(text)!r} is not section.key=value, for example learn.total_steps=2000"
         )
     try:
         table = reading.parse_toml(f"value = {value}", where, VALUE)
@@ -252,7 +252,7 @@ def _laid(old: Any, value: Any, key: str) -> Any:
     if isinstance(old, dict) and isinstance(value, dict):
         return _merged(old, value)
     if isinstance(old, list) and isinstance(value, dict):
-        strange = [escaped(item, 40) for item in value if item not in map(str, range(len(old)))]
+        strange = [escape(item, 40) for item in value if item not in map(str, range(len(old)))]
         if strange:
             raise ConfigError(_no_such_item(key, strange[0], len(old)))
         return [

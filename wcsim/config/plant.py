@@ -179,7 +179,7 @@ class PlantFile(Model):
     chair: ChairConfig = ChairConfig()
 
 
-def known_plants() -> tuple[str, ...]:
+def list_plants() -> tuple[str, ...]:
     """Names of the plants that come with wcsim, sorted."""
     return tuple(sorted(path.stem for path in _PLANTS.glob("*.toml")))
 
@@ -196,17 +196,17 @@ def read_plant(plant: str) -> PlantFile:
 # A world asks for its chairs' plant several times, and a file of the package stays as it is.
 @cache
 def _shipped_plant(plant: str) -> PlantFile:
-    return read_toml(plant_path(plant), PlantFile)
+    return read_toml(find_plant_path(plant), PlantFile)
 
 
-def plant_path(plant: str) -> Path:
+def find_plant_path(plant: str) -> Path:
     """The file of a plant by its name or path. Raises ConfigError when no plant has that name."""
     if plant.endswith(".toml"):
         return Path(plant)
-    if plant not in known_plants():
+    if plant not in list_plants():
         raise ConfigError(
-            f"chair.plant is {reading.escaped(plant)!r}; expected one of: "
-            f"{', '.join(known_plants())}, or the path of a .toml file"
+            f"chair.plant is {reading.escape(plant)!r}; expected one of: "
+            f"{', '.join(list_plants())}, or the path of a .toml file"
         )
     return _PLANTS / f"{plant}.toml"
 
@@ -219,7 +219,7 @@ def read_own_plant_bytes(plant: str) -> bytes:
     """
     if not plant.endswith(".toml"):
         return b""
-    where = reading.escaped(plant)
+    where = reading.escape(plant)
     text = reading.read_text(Path(plant), SETTINGS)
     parse(PlantFile, reading.parse_toml(text, where, SETTINGS), where)
     return text.encode()

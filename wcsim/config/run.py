@@ -7,7 +7,7 @@ from typing import Annotated, Final, Self
 
 from pydantic import Field, model_validator
 
-from wcsim.config.base import Model, exclude_at
+from wcsim.config.base import Model, exclude_if
 from wcsim.config.chair import ChairConfig
 from wcsim.config.env import EnvConfig, RewardConfig
 from wcsim.config.learn import CollectConfig, DangerConfig, LearnConfig
@@ -46,8 +46,8 @@ class RunConfig(Model):
     env: EnvConfig = EnvConfig()
     learn: LearnConfig = LearnConfig()
     vary: VaryConfig = VaryConfig()
-    collect: Annotated[CollectConfig, exclude_at(CollectConfig())] = CollectConfig()
-    danger: Annotated[DangerConfig, exclude_at(DangerConfig())] = DangerConfig()
+    collect: Annotated[CollectConfig, exclude_if(CollectConfig())] = CollectConfig()
+    danger: Annotated[DangerConfig, exclude_if(DangerConfig())] = DangerConfig()
 
     @property
     def eye(self) -> CameraConfig:

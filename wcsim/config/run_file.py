@@ -256,7 +256,7 @@ class QTrainingProgress(Model):
     owes_updates: StrictBool = False
 
 
-class QCheckpointFile(Model):
+class QTrainingCheckpoint(Model):
     """`state.json` in a checkpoint of Q-learning."""
 
     n_updates: Count
@@ -266,7 +266,7 @@ class QCheckpointFile(Model):
     extra: QTrainingProgress
 
 
-class DangerCheckpointFile(Model):
+class DangerTrainingCheckpoint(Model):
     """`state.json` in a checkpoint of a danger network."""
 
     updates: Count
@@ -292,7 +292,7 @@ class RoundMetricsRow(Model):
     learn_s: _Measured  # wall clock
 
 
-class GuardSettings(Model):
+class PolicyGuardSettings(Model):
     """What the driver of an exported policy trusts, and what happens when it cannot."""
 
     oldest_s: _Seconds = 0.3  # a frame that was taken earlier is too old
@@ -306,7 +306,7 @@ class GuardSettings(Model):
 class ExportedGuardSection(Model):
     """The `guard` of the `meaning.json` of an exported policy."""
 
-    guard: Annotated[GuardSettings, AfterValidator(_all_named)]
+    guard: Annotated[PolicyGuardSettings, AfterValidator(_all_named)]
 
 
 class ShippedPolicyHashes(Model):

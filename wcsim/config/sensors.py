@@ -7,7 +7,7 @@ from typing import Annotated, Any, Final, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from wcsim.config.base import Model, Share, exclude_at, within
+from wcsim.config.base import Model, Share, exclude_if, within
 from wcsim.types import Measure
 
 Along = Annotated[float, Field(ge=-2.0, le=2.0, allow_inf_nan=False)]
@@ -96,7 +96,7 @@ class CameraNoiseConfig(Model):
     classes: ClassNoiseConfig | None = None
     rgb: _ColourNoiseConfig | None = None
     # Errors about whole things that last, as of a good, usual or poor network (docs/senses.md).
-    objects: Annotated[Literal["good", "usual", "poor"] | None, exclude_at(None)] = None
+    objects: Annotated[Literal["good", "usual", "poor"] | None, exclude_if(None)] = None
 
     @field_validator("depth", "classes", "rgb", "objects", mode="before")
     @classmethod
@@ -120,7 +120,7 @@ class CameraConfig(Model):
     # Direction, upwards. Negative looks down.
     pitch_deg: Annotated[float, within(-80.0, 80.0)] = -15.0
     # Rotation about its direction, right side down.
-    roll_deg: Annotated[float, within(-180.0, 180.0), exclude_at(0.0)] = 0.0
+    roll_deg: Annotated[float, within(-180.0, 180.0), exclude_if(0.0)] = 0.0
     every_ticks: Annotated[int, within(1, 100)] = 1  # Ticks between two images.
     lost_share: Annotated[float, within(0.0, 0.95)] = 0.0  # Share of images that never arrive.
     rgb: bool = False  # Whether to draw a colour image too, for people.
@@ -152,7 +152,7 @@ class ImuConfig(Model):
     # Position x, y, z in the chair's frame, near its centre of mass.
     p_BI_m: tuple[Along, Along, Height] = (0.18, 0.0, 0.50)
     # Roll, pitch and yaw in the chair's frame. Rewards and crashes do not change with them.
-    rpy_deg: Annotated[tuple[Turn, Turn, Turn], exclude_at(UNTURNED)] = UNTURNED
+    rpy_deg: Annotated[tuple[Turn, Turn, Turn], exclude_if(UNTURNED)] = UNTURNED
     # Corner frequency of the low-pass for the peak acceleration.
     lowpass_hz: Annotated[float, within(0.1, 100.0)] = 20.0
     # Largest acceleration that it measures. The default is 16 g.
@@ -174,7 +174,7 @@ class ImuConfig(Model):
     # Source of the agent's roll and pitch.
     tilt: Literal["ideal", "accelerometer", "complementary"] = "ideal"
     # Largest roll and pitch that the tilt sensor measures.
-    tilt_range_deg: Annotated[float, within(1.0, 180.0), exclude_at(180.0)] = 180.0
+    tilt_range_deg: Annotated[float, within(1.0, 180.0), exclude_if(180.0)] = 180.0
     # Time constant with which the accelerometer corrects the gyroscope.
     tilt_tau_s: Annotated[float, within(0.05, 10.0)] = 1.0
     # White noise of the tilt in each tick. The ideal sensor has none.
@@ -242,7 +242,7 @@ class SensorsConfig(Model):
 
     # A field is the name of a kind in `physics/sensors/registry.py`. A sensor that is not there is
     # not written either, so that old files and their hashes stay.
-    odometry: Annotated[OdometryConfig | None, exclude_at(None)] = None
+    odometry: Annotated[OdometryConfig | None, exclude_if(None)] = None
 
     def on(self) -> dict[str, SensorConfig]:
         """The sections of the sensors that are there, by name."""

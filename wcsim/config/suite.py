@@ -19,7 +19,7 @@ MOST_SET: Final = 32
 Part = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9 ,.-]{0,127}$")]
 
 
-def suite_name_pattern(most: int) -> str:
+def make_suite_name_pattern(most: int) -> str:
     """What the name of a list or a set is like that has at most so many characters."""
     return rf"^[a-z0-9][a-z0-9-]{{0,{most - 1}}}$"
 
@@ -57,7 +57,7 @@ class SuiteBlock(Model):
     episodes: Annotated[tuple[SuiteEpisode, ...], Field(min_length=1, max_length=MOST_SEATS)]
 
 
-def seats_repeating_free_part(blocks: Sequence[SuiteBlock], index: int) -> frozenset[int]:
+def find_seats_repeating_free_part(blocks: Sequence[SuiteBlock], index: int) -> frozenset[int]:
     """The hazards of a block that have street, start and user of an episode of part `free`."""
     if blocks[index].part != "hazard":
         return frozenset()
@@ -84,9 +84,9 @@ class SuiteFile(Model):
     """The whole file; what it hashes to is the suite's identity."""
 
     # With its version: street-assist-v1.
-    suite: Annotated[str, Field(pattern=suite_name_pattern(MOST_NAME))]
+    suite: Annotated[str, Field(pattern=make_suite_name_pattern(MOST_NAME))]
     set: Annotated[
-        str, Field(pattern=suite_name_pattern(MOST_SET))
+        str, Field(pattern=make_suite_name_pattern(MOST_SET))
     ]  # dev, validation, v1, or a town's
     settings: Texts  # section.key=value, over the policy's own
     towns: Annotated[tuple[SuiteTown, ...], Field(min_length=1, max_length=64)]

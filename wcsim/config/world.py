@@ -7,7 +7,7 @@ from typing import Annotated, Any, Final, Literal, TypeVar
 
 from pydantic import AfterValidator, Field, model_validator
 
-from wcsim.config.base import Finite, Model, Share, UserMass, Word, exclude_at, within
+from wcsim.config.base import Finite, Model, Share, UserMass, Word, exclude_if, within
 
 Number = TypeVar("Number", int, float)
 
@@ -72,7 +72,7 @@ class VaryConfig(Model):
     action_delay_ticks: Range[Delay] | None = None  # Delay of actions.
     plant: Spans = Field(default_factory=dict)  # Any number of the plant's file, by dotted name.
     # Any number of a sensor, by section.key.
-    sensors: Annotated[Spans, exclude_at({})] = Field(default_factory=dict)
+    sensors: Annotated[Spans, exclude_if({})] = Field(default_factory=dict)
     # Share of road users who look for this chair, by class.
     attention: Shares = Field(default_factory=dict)
     reaction: Reactions = Field(default_factory=dict)  # Reaction time in seconds, by class.
@@ -121,11 +121,11 @@ class WorldConfig(Model):
     action_delay_ticks: Annotated[int, within(0, 10)] = 0
     # Ticks after which a new world replaces a shared one. None: 10 episodes, at least 6,000. 0:
     # never.
-    epoch_ticks: Annotated[int | None, within(0, 10**9), exclude_at(None)] = None
+    epoch_ticks: Annotated[int | None, within(0, 10**9), exclude_if(None)] = None
     # Time for which a request for help raises the assistance. 0: never.
-    help_s: Annotated[float, within(0.0, 600.0), exclude_at(HELP_S)] = HELP_S
+    help_s: Annotated[float, within(0.0, 600.0), exclude_if(HELP_S)] = HELP_S
     # Whether requests of simulated users raise it too. Without it they are only counted.
-    help_users: Annotated[bool, exclude_at(False)] = False
+    help_users: Annotated[bool, exclude_if(False)] = False
     # Threads that draw camera images. 0: one per core.
     draw_threads: Annotated[int, within(0, 64)] = 0
 

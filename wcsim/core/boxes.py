@@ -7,14 +7,14 @@ from __future__ import annotations
 
 import math
 
-from wcsim.core.jit import exact_kernel
+from wcsim.core.jit import compile_exact_kernel
 from wcsim.types import ActorState
 
 # x, y, cos, sin of the heading, half length, half width
 Box = tuple[float, float, float, float, float, float]
 
 
-@exact_kernel
+@compile_exact_kernel
 def boxes_touch(
     ax: float, ay: float, a_cos: float, a_sin: float, a_long: float, a_wide: float,
     bx: float, by: float, b_cos: float, b_sin: float, b_long: float, b_wide: float,
@@ -33,7 +33,7 @@ def boxes_touch(
     )
 
 
-@exact_kernel
+@compile_exact_kernel
 def gap_to_box(
     px: float, py: float, x: float, y: float, cos: float, sin: float, long: float, wide: float
 ) -> float:

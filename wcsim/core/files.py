@@ -22,7 +22,7 @@ from typing import Any, Final
 
 from filelock import FileLock
 
-from wcsim.core.reading import is_folder, require_no_links
+from wcsim.core.reading import is_folder, require_no_outward_links
 from wcsim.errors import DiskFullError, PolicyError, UnwritableError
 
 KERNELS: Final = "kernels"  # the folder in the user's cache for machine code
@@ -121,12 +121,12 @@ def write_json(path: Path, data: Any) -> None:
     write_bytes(path, (json.dumps(data, indent=2, allow_nan=False) + "\n").encode())
 
 
-def write_sealed_json(path: Path, data: Mapping[str, Any]) -> None:
+def write_json_with_checksum(path: Path, data: Mapping[str, Any]) -> None:
     """As `write_json`, with a seal: a hash over all of its content."""
     write_json(path, {**data, _SEAL: _seal_of(data)})
 
 
-def check_and_remove_seal(data: dict[str, Any], where: str, cure: str = "") -> bool:
+def verify_and_remove_checksum(data: dict[str, Any], where: str, cure: str = "") -> bool:
     """Remove the seal from a file's content; whether there was one, as older versions wrote none.
 
     Raises:
@@ -169,7 +169,7 @@ def lock_run_folder(path: Path) -> Iterator[None]:
             ) from None
         except OSError:  # a file system without locks
             pass
-        require_no_links(path, PolicyError)
+        require_no_outward_links(path, PolicyError)
         yield
     finally:
         os.close(descriptor)

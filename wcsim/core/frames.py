@@ -48,7 +48,7 @@ def add_vectors(a: Vec3, b: Vec3) -> Vec3:
     return (a[0] + b[0], a[1] + b[1], a[2] + b[2])
 
 
-def velocity_at(point: Vec3, known: Vec3, v_known: Vec3, w: Vec3) -> Vec3:
+def compute_point_velocity(point: Vec3, known: Vec3, v_known: Vec3, w: Vec3) -> Vec3:
     """Velocity of a point of a rigid body, all in one frame.
 
     `v_known` is the velocity of the point `known`, `w` the angular velocity.
@@ -180,11 +180,11 @@ def net_from_world(p_W_m: F64, origin_m: tuple[float, float]) -> F64:
     return moved
 
 
-def rad(angle_deg: float) -> float:
+def deg2rad(angle_deg: float) -> float:
     """A configured angle (key `*_deg`) in radians."""
     return math.radians(angle_deg)
 
 
-def deg(angle_rad: float) -> float:
+def rad2deg(angle_rad: float) -> float:
     """An angle in degrees, for a file or a person."""
     return math.degrees(angle_rad)

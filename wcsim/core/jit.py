@@ -49,12 +49,12 @@ _FAST: Final = {"contract", "nsz"}
 _WORD: Final = re.compile(r"\w+")
 
 
-def kernel(function: Callable[P, R]) -> Callable[P, R]:
+def compile_fast_kernel(function: Callable[P, R]) -> Callable[P, R]:
     """Compile a drawing kernel on its first call: no GIL, products fused, no division errors."""
     return _compiled(function, nogil=True, error_model="numpy", fastmath=_FAST)
 
 
-def exact_kernel(function: Callable[P, R]) -> Callable[P, R]:
+def compile_exact_kernel(function: Callable[P, R]) -> Callable[P, R]:
     """Compile a kernel whose numbers must be those of Python."""
     return _compiled(function)
 

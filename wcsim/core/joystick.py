@@ -12,7 +12,7 @@ from typing import Final, Protocol
 
 import numpy as np
 
-from wcsim.core.jit import exact_kernel
+from wcsim.core.jit import compile_exact_kernel
 from wcsim.types import F64
 
 STILL_MPS: Final = 1e-3
@@ -81,7 +81,7 @@ def raw_radius_from_shaped(radius: float, chair: _DriveSettings) -> float:
     return min(1.0, chair.deadband + (1.0 - chair.deadband) * shape)
 
 
-@exact_kernel
+@compile_exact_kernel
 def shape_joystick(x: float, y: float, deadband: float, exponent: float) -> tuple[float, float]:
     """A joystick position within the unit disc, without the deadband, shaped along its radius."""
     radius = math.sqrt(x * x + y * y)
@@ -91,13 +91,13 @@ def shape_joystick(x: float, y: float, deadband: float, exponent: float) -> tupl
     return x / radius * out, y / radius * out
 
 
-@exact_kernel
-def yaw_rate_limit(v_mps: float, yaw_max_radps: float, slowdown_s_per_m: float) -> float:
+@compile_exact_kernel
+def compute_yaw_rate_limit(v_mps: float, yaw_max_radps: float, slowdown_s_per_m: float) -> float:
     """The fastest turn at a speed, in rad/s: full in place, slower the faster the chair drives."""
     return yaw_max_radps / (1.0 + slowdown_s_per_m * abs(v_mps))
 
 
-@exact_kernel
+@compile_exact_kernel
 def target_speeds(x: float, y: float, v_now_mps: float, limits: F64) -> tuple[float, float]:
     """The target speeds of a shaped joystick position: forward in m/s, turn to the left in rad/s.
 
@@ -106,18 +106,18 @@ def target_speeds(x: float, y: float, v_now_mps: float, limits: F64) -> tuple[fl
     v = y * limits[V_MAX]
     if y < 0.0:
         v *= limits[REVERSE]
-    return v, 0.0 - x * yaw_rate_limit(
+    return v, 0.0 - x * compute_yaw_rate_limit(
         max(abs(v), abs(v_now_mps)), limits[YAW_MAX], limits[YAW_SLOWDOWN]
     )
 
 
-@exact_kernel
+@compile_exact_kernel
 def move_towards(value: float, goal: float, most: float) -> float:
     """A value moved towards a goal, by so much at most."""
     return value + min(max(goal - value, -most), most)
 
 
-@exact_kernel
+@compile_exact_kernel
 def advance_speed(
     v_mps: float, a_mps2: float, v_target_mps: float, limits: F64, dt_s: float
 ) -> tuple[float, float]:
@@ -136,7 +136,7 @@ def advance_speed(
     return v_mps + move, a_mps2
 
 
-@exact_kernel
+@compile_exact_kernel
 def advance_drive(
     v: float, w: float, a: float, stick_x: float, stick_y: float, limits: F64, dt_s: float
 ) -> tuple[float, float, float]:

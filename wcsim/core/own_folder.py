@@ -66,7 +66,7 @@ class LockedTempFolder:
             self._lock = -1
 
 
-def is_abandoned(folder: Path) -> bool:
+def is_abandoned_folder(folder: Path) -> bool:
     """Whether the owner of a world's folder has ended, so that none restarts it; else False."""
     try:
         lock = os.open(folder / LOCK, _FLAGS)
@@ -82,7 +82,7 @@ def is_abandoned(folder: Path) -> bool:
 
 
 @contextmanager
-def runtime_folder(home: Path | None = None, prefix: str = _PREFIX) -> Iterator[Path]:
+def create_runtime_folder(home: Path | None = None, prefix: str = _PREFIX) -> Iterator[Path]:
     """A new folder that only its user can enter, while open."""
     folder = LockedTempFolder(home, prefix)
     try:
@@ -91,9 +91,9 @@ def runtime_folder(home: Path | None = None, prefix: str = _PREFIX) -> Iterator[
         folder.close()
 
 
-def temporary_folder() -> AbstractContextManager[Path]:
+def create_temporary_folder() -> AbstractContextManager[Path]:
     """A new folder for temporary files, while open; those of killed processes are removed first."""
-    return runtime_folder(Path(tempfile.gettempdir()), WORK_PREFIX)
+    return create_runtime_folder(Path(tempfile.gettempdir()), WORK_PREFIX)
 
 
 def world_endpoint_from_folder(folder: Path) -> str:

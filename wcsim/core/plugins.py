@@ -20,7 +20,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, Final
 
-from wcsim.core.reading import escaped, is_file
+from wcsim.core.reading import escape, is_file
 from wcsim.errors import PolicyError, WcsimError
 
 _SUFFIX: Final = ".py"
@@ -29,7 +29,7 @@ _MOST_CHARACTERS: Final = 200  # of an error's message
 _NAME: Final = re.compile(r"[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*")
 
 
-def find_class(name: str, what: str, error: type[WcsimError] = PolicyError) -> type:
+def import_class(name: str, what: str, error: type[WcsimError] = PolicyError) -> type:
     """The class that `module:Class` names, from the Python path or a file in the current folder.
 
     Args:
@@ -42,12 +42,12 @@ def find_class(name: str, what: str, error: type[WcsimError] = PolicyError) -> t
     """
     # A path, absolute or with "..", would reach any file.
     if not _NAME.fullmatch(name):
-        raise error(f"{what} {escaped(name)!r} is not module:Class, as in own_file:OwnClass")
+        raise error(f"{what} {escape(name)!r} is not module:Class, as in own_file:OwnClass")
     module_name, _, class_name = name.partition(":")
     if module_name.endswith(_SUFFIX):
         right = f"{module_name.removesuffix(_SUFFIX)}:{class_name}"
         raise error(
-            f"{what} {escaped(name)!r} names a file; expected module:Class, without {_SUFFIX}: "
+            f"{what} {escape(name)!r} names a file; expected module:Class, without {_SUFFIX}: "
             f"{right}"
         )
     found = getattr(_module(module_name, what, error), class_name, None)
@@ -75,10 +75,10 @@ def wrap_user_code_errors(
     except WcsimError:
         raise
     except Exception as fault:  # the user's own code may raise anything
-        raise error(f"{what}: {describe_error(fault)}; {cure}") from fault
+        raise error(f"{what}: {describe_user_code_error(fault)}; {cure}") from fault
 
 
-def describe_error(fault: Exception) -> str:
+def describe_user_code_error(fault: Exception) -> str:
     """An error of a user's code, and its place."""
     line = traceback.extract_tb(fault.__traceback__)[-1]
     message = str(fault).strip()[:_MOST_CHARACTERS]
@@ -98,7 +98,7 @@ def find_user_class_files(name: str, what: str) -> dict[str, Path]:
         PolicyError: There is no such class.
     """
     module = name.partition(":")[0]
-    find_class(name, what)
+    import_class(name, what)
     own = Path(sys.modules[module].__file__ or "").absolute()
     folder = own.parents[module.count(".") + (own.name == _PACKAGE)]
     if str(folder) in map(sysconfig.get_path, ("purelib", "platlib", "stdlib")):

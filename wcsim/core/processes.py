@@ -4,8 +4,8 @@
 2. A long-lived child is a `CommandProcess` (a command that writes status lines, which
    `server/launch` restarts) or comes from `start_piped_process` (a function that exchanges objects
    with its parent).
-3. Workers come from `run_in_pool`, or one by one from `start_single_worker_pool`. `server/workers`
-   gives those of this machine and of a Ray cluster one interface.
+3. Workers come from `run_in_process_pool`, or one by one from `start_single_worker_pool`.
+   `server/workers` gives those of this machine and of a Ray cluster one interface.
 4. `os.fork` copies a warm world, in `bridge/world_copy.py` alone.
 
 SIGINT and SIGTERM are counted, so that an owner of processes and files can end them in order. The
@@ -217,7 +217,7 @@ def start_piped_process(
     return own_end, process
 
 
-def run_in_pool(
+def run_in_process_pool(
     call: Callable[[_Piece], _Result], pieces: Sequence[_Piece], jobs: int
 ) -> Iterator[tuple[int, _Result]]:
     """Call a function of a module with each piece, in `jobs` processes.

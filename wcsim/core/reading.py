@@ -1,6 +1,6 @@
 """The one way to read files that others may have written.
 
-They must be regular, of bounded size, depth and numbers, in UTF-8. A `FileKind` is what a file
+They must be regular, of bounded size, depth and numbers, in UTF-8. A `FileSpec` is what a file
 should be; whatever is wrong with one, its reader raises the kind's error and no other. Nothing here
 executes or follows a file's content.
 """
@@ -49,7 +49,7 @@ _MESSAGE_CHARACTERS: Final = 200
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class FileKind:
+class FileSpec:
     """What a file is expected to be."""
 
     what: str  # "a TOML file", for messages
@@ -63,86 +63,86 @@ class FileKind:
 # lines or pieces may be larger.
 
 # Settings, and what people write.
-SETTINGS: Final = FileKind(what="a TOML file of at most a megabyte", limit_bytes=_MIB)
-CONFIG: Final = FileKind(what="a configuration", limit_bytes=_MIB)
-VALUE: Final = FileKind(what="a value in TOML's syntax", limit_bytes=_MIB)
-PROFILE: Final = FileKind(what="a user's profile as TOML", limit_bytes=_MIB // 16)
-STUDY_TABLE: Final = FileKind(what="a study's table", limit_bytes=16 * _MIB)
-STICK: Final = FileKind(what="a recorded joystick", limit_bytes=64 * _MIB)  # in lines
+SETTINGS: Final = FileSpec(what="a TOML file of at most a megabyte", limit_bytes=_MIB)
+CONFIG: Final = FileSpec(what="a configuration", limit_bytes=_MIB)
+VALUE: Final = FileSpec(what="a value in TOML's syntax", limit_bytes=_MIB)
+PROFILE: Final = FileSpec(what="a user's profile as TOML", limit_bytes=_MIB // 16)
+STUDY_TABLE: Final = FileSpec(what="a study's table", limit_bytes=16 * _MIB)
+STICK: Final = FileSpec(what="a recorded joystick", limit_bytes=64 * _MIB)  # in lines
 # In lines.
-CHAIR: Final = FileKind(
+CHAIR: Final = FileSpec(
     what="CSV of at most 64 MiB, plain or compressed by gzip", limit_bytes=64 * _MIB
 )
 
 # Towns and scenes.
-TOWN: Final = FileKind(what="a town.toml", limit_bytes=_MIB, error=TownError)
-SCENE: Final = FileKind(what="a scene.toml", limit_bytes=_MIB, error=TownError)
-XML: Final = FileKind(
+TOWN: Final = FileSpec(what="a town.toml", limit_bytes=_MIB, error=TownError)
+SCENE: Final = FileSpec(what="a scene.toml", limit_bytes=_MIB, error=TownError)
+XML: Final = FileSpec(
     what="an XML file, plain or gzip-compressed", limit_bytes=200 * _MIB, error=TownError
 )
-SCENARIO: Final = FileKind(what="a file of a scenario", limit_bytes=200 * _MIB, error=TownError)
-EDGES: Final = FileKind(what="a list of edges", limit_bytes=16 * _MIB, error=TownError)
-NOTICE: Final = FileKind(what="a notice", limit_bytes=_MIB, error=TownError)
-HEIGHTS: Final = FileKind(what="a GeoTIFF of heights", limit_bytes=100 * _MIB, error=TownError)
-EXTRACT: Final = FileKind(
+SCENARIO: Final = FileSpec(what="a file of a scenario", limit_bytes=200 * _MIB, error=TownError)
+EDGES: Final = FileSpec(what="a list of edges", limit_bytes=16 * _MIB, error=TownError)
+NOTICE: Final = FileSpec(what="a notice", limit_bytes=_MIB, error=TownError)
+HEIGHTS: Final = FileSpec(what="a GeoTIFF of heights", limit_bytes=100 * _MIB, error=TownError)
+EXTRACT: Final = FileSpec(
     what="an OpenStreetMap extract: .osm, .osm.xml, plain, .gz or .bz2, or .osm.pbf",
     limit_bytes=1 << 40,  # by a child with limits of its own
     error=TownError,
 )
 
 # Runs, data and policies.
-RUN: Final = FileKind(
+RUN: Final = FileSpec(
     what="a file of `wcsim train`: restore it or train again", limit_bytes=_MIB, error=PolicyError
 )
-METRICS: Final = FileKind(what="the log of a run", limit_bytes=16 * _MIB, error=PolicyError)
+METRICS: Final = FileSpec(what="the log of a run", limit_bytes=16 * _MIB, error=PolicyError)
 # Where a run goes on with it.
-METRIC_LINES: Final = FileKind(what="the log of a run", limit_bytes=64 * _MIB, error=PolicyError)
-CLAIM: Final = FileKind(what="a client's claim", limit_bytes=1 << 10, error=PolicyError)
-LEARNED: Final = FileKind(
+METRIC_LINES: Final = FileSpec(what="the log of a run", limit_bytes=64 * _MIB, error=PolicyError)
+CLAIM: Final = FileSpec(what="a client's claim", limit_bytes=1 << 10, error=PolicyError)
+LEARNED: Final = FileSpec(
     what="the learned_data.json of a run", limit_bytes=16 * _MIB, error=PolicyError
 )
-ORDERS: Final = FileKind(
+ORDERS: Final = FileSpec(
     what="the orders.json of a data folder", limit_bytes=16 * _MIB, error=PolicyError
 )
-DATA: Final = FileKind(
+DATA: Final = FileSpec(
     what="the data.json of a data folder", limit_bytes=16 * _MIB, error=PolicyError
 )
-SEGMENT: Final = FileKind(
+SEGMENT: Final = FileSpec(
     what="a segment of recorded driving", limit_bytes=1 << 30, error=PolicyError
 )
-STATE: Final = FileKind(
+STATE: Final = FileSpec(
     what="the state.json of a checkpoint", limit_bytes=16 * _MIB, error=PolicyError
 )
-ARRAYS: Final = FileKind(what="the arrays of a checkpoint", limit_bytes=64 << 30, error=PolicyError)
-POLICY: Final = FileKind(
+ARRAYS: Final = FileSpec(what="the arrays of a checkpoint", limit_bytes=64 << 30, error=PolicyError)
+POLICY: Final = FileSpec(
     what="the policy.json of a policy folder", limit_bytes=_MIB, error=PolicyError
 )
-HASHES: Final = FileKind(
+HASHES: Final = FileSpec(
     what="the files.json of the shipped policy", limit_bytes=_MIB, error=PolicyError
 )
-WEIGHTS: Final = FileKind(what="the weights of a policy", limit_bytes=1 << 30, error=PolicyError)
-MEANING: Final = FileKind(
+WEIGHTS: Final = FileSpec(what="the weights of a policy", limit_bytes=1 << 30, error=PolicyError)
+MEANING: Final = FileSpec(
     what="the meaning.json of an exported policy", limit_bytes=4 * _MIB, error=PolicyError
 )
-ONNX_TOML: Final = FileKind(what="the policy.toml of an ONNX folder", limit_bytes=_MIB)
-ANSWER: Final = FileKind(what="an answer of a policy", limit_bytes=1 << 16, error=PolicyError)
-KEY: Final = FileKind(what="a key of 32 bytes", limit_bytes=32, error=PolicyError)
+ONNX_TOML: Final = FileSpec(what="the policy.toml of an ONNX folder", limit_bytes=_MIB)
+ANSWER: Final = FileSpec(what="an answer of a policy", limit_bytes=1 << 16, error=PolicyError)
+KEY: Final = FileSpec(what="a key of 32 bytes", limit_bytes=32, error=PolicyError)
 
 # Tests and what a world writes.
-EPISODES: Final = FileKind(what="a list of test episodes", limit_bytes=16 * _MIB)
-BLOCK: Final = FileKind(what="a saved block of `wcsim test`: remove it", limit_bytes=16 * _MIB)
-RESULT: Final = FileKind(what="a file of `wcsim test`: run it again", limit_bytes=32 * _MIB)
+EPISODES: Final = FileSpec(what="a list of test episodes", limit_bytes=16 * _MIB)
+BLOCK: Final = FileSpec(what="a saved block of `wcsim test`: remove it", limit_bytes=16 * _MIB)
+RESULT: Final = FileSpec(what="a file of `wcsim test`: run it again", limit_bytes=32 * _MIB)
 # In records.
-LOG: Final = FileKind(what="a log written by wcsim", limit_bytes=1 << 62, error=JournalError)
-WHOLE_LOG: Final = FileKind(
+LOG: Final = FileSpec(what="a log written by wcsim", limit_bytes=1 << 62, error=JournalError)
+WHOLE_LOG: Final = FileSpec(
     what="a log whose ticks are read at once", limit_bytes=256 * _MIB, error=JournalError
 )
-PICTURES: Final = FileKind(what="the pictures of a seat", limit_bytes=1 << 50)  # shared memory
-ORDER: Final = FileKind(what="an order to a process of wcsim", limit_bytes=16 * _MIB)
+PICTURES: Final = FileSpec(what="the pictures of a seat", limit_bytes=1 << 50)  # shared memory
+ORDER: Final = FileSpec(what="an order to a process of wcsim", limit_bytes=16 * _MIB)
 
 
 @contextmanager
-def open_regular_file(path: Path, kind: FileKind) -> Iterator[BinaryIO]:
+def open_regular_file(path: Path, kind: FileSpec) -> Iterator[BinaryIO]:
     """A regular file, open for reading; what fails while it is open becomes `kind.error`.
 
     A pipe, a device or a folder is refused unread, so that none can hang or fill this process.
@@ -154,7 +154,7 @@ def open_regular_file(path: Path, kind: FileKind) -> Iterator[BinaryIO]:
         number = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC)
         with os.fdopen(number, "rb") as file:
             if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
-                raise kind.error(f"{escaped(path)}: is not a regular file; expected {kind.what}")
+                raise kind.error(f"{escape(path)}: is not a regular file; expected {kind.what}")
             yield file
     except OSError as error:
         reason = error.strerror or error
@@ -163,19 +163,19 @@ def open_regular_file(path: Path, kind: FileKind) -> Iterator[BinaryIO]:
         raise _unreadable(path, kind, error) from None
 
 
-def read_bytes(path: Path, kind: FileKind) -> bytes:
+def read_bytes(path: Path, kind: FileSpec) -> bytes:
     """The whole content of a file. Raises FileError, of the kind's class."""
     with open_regular_file(path, kind) as file:
         size = os.fstat(file.fileno()).st_size
         data = file.read(kind.limit_bytes + 1) if size <= kind.limit_bytes else b""
     if max(size, len(data)) > kind.limit_bytes:
         raise kind.error(
-            f"{escaped(path)}: is larger than {kind.limit_bytes} bytes; expected {kind.what}"
+            f"{escape(path)}: is larger than {kind.limit_bytes} bytes; expected {kind.what}"
         )
     return data
 
 
-def read_text(path: Path, kind: FileKind, costs: Mapping[str, int] = _COSTS) -> str:
+def read_text(path: Path, kind: FileSpec, costs: Mapping[str, int] = _COSTS) -> str:
     """The content of a file in UTF-8, with or without its mark, or packed as .gz.
 
     `costs` are the bytes of what is made of the text, by character. Raises FileError of its kind.
@@ -187,20 +187,20 @@ def read_text(path: Path, kind: FileKind, costs: Mapping[str, int] = _COSTS) -> 
         text = data.removeprefix(codecs.BOM_UTF8).decode("utf-8")
     except UnicodeDecodeError as error:
         raise kind.error(
-            f"{escaped(path)}: is not in UTF-8 ({error.reason} at byte {error.start}); "
+            f"{escape(path)}: is not in UTF-8 ({error.reason} at byte {error.start}); "
             "save it as UTF-8"
         ) from None
     # One character beyond Latin makes all others wider, and what is made of them holds them again.
     made = sum(cost * text.count(character) for character, cost in costs.items())
     if 2 * sys.getsizeof(text) + made > kind.memory_bytes:
         raise kind.error(
-            f"{escaped(path)}: would take more than {kind.memory_bytes >> 20} MiB to read; "
+            f"{escape(path)}: would take more than {kind.memory_bytes >> 20} MiB to read; "
             f"expected {kind.what}"
         )
     return text
 
 
-def read_lines(path: Path, kind: FileKind) -> Iterator[str]:
+def read_lines(path: Path, kind: FileSpec) -> Iterator[str]:
     """The lines of a text in UTF-8, plain or packed as .gz; it is never held as a whole.
 
     Raises:
@@ -218,31 +218,31 @@ def read_lines(path: Path, kind: FileKind) -> Iterator[str]:
                 lines += 1
                 if left < 0 or lines > MOST_LINES or len(line) > MOST_LINE:
                     raise kind.error(
-                        f"{escaped(path)}:{lines}: more than {kind.limit_bytes} bytes or "
+                        f"{escape(path)}:{lines}: more than {kind.limit_bytes} bytes or "
                         f"{MOST_LINES} lines, or a line of more than {MOST_LINE} letters; "
                         f"expected {kind.what}"
                     )
                 yield line
         except UnicodeDecodeError:
             raise kind.error(
-                f"{escaped(path)}:{lines + 1}: is not in UTF-8; save it as UTF-8"
+                f"{escape(path)}:{lines + 1}: is not in UTF-8; save it as UTF-8"
             ) from None
         except (EOFError, zlib.error) as error:
             raise _unreadable(path, kind, error) from None
 
 
-def read_json(path: Path, kind: FileKind) -> dict[str, Any]:
+def read_json(path: Path, kind: FileSpec) -> dict[str, Any]:
     """A JSON object from a file. Raises FileError, of the kind's class."""
-    return parse_json(read_text(path, kind, _JSON_COSTS), escaped(path), kind, kind.limit_bytes)
+    return parse_json(read_text(path, kind, _JSON_COSTS), escape(path), kind, kind.limit_bytes)
 
 
-def read_toml(path: Path, kind: FileKind) -> dict[str, Any]:
+def read_toml(path: Path, kind: FileSpec) -> dict[str, Any]:
     """The table of a TOML file. Raises FileError, of the kind's class."""
-    return parse_toml(read_text(path, kind), escaped(path), kind)
+    return parse_toml(read_text(path, kind), escape(path), kind)
 
 
 def parse_json(
-    text: str, where: str, kind: FileKind, most_bytes: int = MOST_JSON_BYTES
+    text: str, where: str, kind: FileSpec, most_bytes: int = MOST_JSON_BYTES
 ) -> dict[str, Any]:
     """JSON text as an object; a key must not occur twice, as readers differ in which one counts.
 
@@ -268,7 +268,7 @@ def parse_json(
     return data
 
 
-def parse_toml(text: str, where: str, kind: FileKind) -> dict[str, Any]:
+def parse_toml(text: str, where: str, kind: FileSpec) -> dict[str, Any]:
     """TOML text as a table. Raises FileError, of the kind's class, beginning with `where`."""
     if _DOTTED.search(text):
         raise kind.error(
@@ -282,7 +282,7 @@ def parse_toml(text: str, where: str, kind: FileKind) -> dict[str, Any]:
     return data
 
 
-def unzstd(
+def decompress_zstd(
     packed: bytes, most_bytes: int, unpacker: zstandard.ZstdDecompressor | None = None
 ) -> bytes:
     """The content of a zstd frame, at most so many bytes; for many frames pass one `unpacker`.
@@ -301,13 +301,13 @@ def unzstd(
     return (unpacker or zstandard.ZstdDecompressor()).decompress(packed, max_output_size=limit)
 
 
-def read_file_size(path: Path, kind: FileKind) -> int:
+def read_file_size(path: Path, kind: FileSpec) -> int:
     """Bytes of a file that a library will read itself. Raises FileError when it must not."""
     with open_regular_file(path, kind) as file:
         size = os.fstat(file.fileno()).st_size
     if size > kind.limit_bytes:
         raise kind.error(
-            f"{escaped(path)}: is larger than {kind.limit_bytes} bytes; expected {kind.what}"
+            f"{escape(path)}: is larger than {kind.limit_bytes} bytes; expected {kind.what}"
         )
     return size
 
@@ -328,7 +328,7 @@ def is_folder(path: Path) -> bool:
         return False
 
 
-def require_no_links(folder: Path, error: type[FileError]) -> None:
+def require_no_outward_links(folder: Path, error: type[FileError]) -> None:
     """Refuse a folder that others may have made when a name in it leads out of it.
 
     It will be written to, and writing would follow the link. Two names in the folder for one file
@@ -356,10 +356,10 @@ def require_no_links(folder: Path, error: type[FileError]) -> None:
             raise _link_refused(paths[0], error)
 
 
-def escaped(text: object, most: int = 160) -> str:
+def escape(text: object, most: int = 160) -> str:
     r"""A foreign path or text for a message: printable, of at most `most` characters, else its end.
 
-    >>> escaped("a\x1b[31mb")
+    >>> escape("a\x1b[31mb")
     'a\\x1b[31mb'
     """
     printable = "".join(
@@ -369,12 +369,12 @@ def escaped(text: object, most: int = 160) -> str:
     return printable if len(printable) <= most else "..." + printable[3 - most :]
 
 
-def counted(count: int, one: str, several: str = "") -> str:
+def pluralize(count: int, one: str, several: str = "") -> str:
     """A number with its noun.
 
-    >>> counted(1, "crash"), counted(2, "crash"), counted(0, "tick")
+    >>> pluralize(1, "crash"), pluralize(2, "crash"), pluralize(0, "tick")
     ('1 crash', '2 crashes', '0 ticks')
-    >>> counted(3, "policy", "policies")
+    >>> pluralize(3, "policy", "policies")
     '3 policies'
     """
     if count == 1:
@@ -391,10 +391,10 @@ def join_names(names: Collection[str], most: int) -> str:
     return ", ".join(list(names)[:most]) + " and more" * (len(names) > most)
 
 
-def escaped_repr(value: object, most: int = 60) -> str:
+def escape_repr(value: object, most: int = 60) -> str:
     """An argument of a function, for a message, as Python writes it."""
     try:
-        return escaped(repr(value), most)
+        return escape(repr(value), most)
     except ValueError:  # an integer of thousands of digits
         return f"a very large {type(value).__name__}"
 
@@ -412,25 +412,25 @@ def has_surrogates(text: str) -> bool:
     return not text.isascii() and any("\ud800" <= character <= "\udfff" for character in text)
 
 
-def _unreadable(path: Path, kind: FileKind, reason: object) -> FileError:
-    return kind.error(f"{escaped(path)}: cannot be read ({reason}); expected {kind.what}")
+def _unreadable(path: Path, kind: FileSpec, reason: object) -> FileError:
+    return kind.error(f"{escape(path)}: cannot be read ({reason}); expected {kind.what}")
 
 
-def _gunzipped(data: bytes, path: Path, kind: FileKind) -> bytes:
+def _gunzipped(data: bytes, path: Path, kind: FileSpec) -> bytes:
     unpack = zlib.decompressobj(wbits=zlib.MAX_WBITS | 16)  # gzip alone
     unpacked = b""
     with suppress(zlib.error):
         unpacked = unpack.decompress(data, kind.limit_bytes)
     if not unpack.eof or unpack.unused_data:
         raise kind.error(
-            f"{escaped(path)}: is no single gzip file of at most {kind.limit_bytes} bytes "
+            f"{escape(path)}: is no single gzip file of at most {kind.limit_bytes} bytes "
             f"unpacked; expected {kind.what}"
         )
     return unpacked
 
 
 def _require_bounded(
-    data: Any, where: str, kind: FileKind, name: object = "it", depth: int = 0
+    data: Any, where: str, kind: FileSpec, name: object = "it", depth: int = 0
 ) -> None:
     """Refuse nesting beyond `MAX_DEPTH`, and what `_require_plain` refuses.
 
@@ -454,17 +454,17 @@ def _require_bounded(
         _require_bounded(value, where, kind, key, depth + 1)
 
 
-def _require_plain(value: Any, where: str, name: object, kind: FileKind) -> None:
+def _require_plain(value: Any, where: str, name: object, kind: FileSpec) -> None:
     """Refuse a number that is not finite or beyond `MAX_INTEGER`, and text that is no Unicode."""
     fault = ""
     if isinstance(value, str) and has_surrogates(value):
-        fault = f"contains half a character, {escaped(value, 40)!r}; expected text in valid UTF-8"
+        fault = f"contains half a character, {escape(value, 40)!r}; expected text in valid UTF-8"
     if isinstance(value, int) and abs(value) > MAX_INTEGER:
         fault = f"is a number of {value.bit_length()} bits; expected at most 64"
     if isinstance(value, float) and not math.isfinite(value):
         fault = f"is the number {value}; expected a finite one"
     if fault:
-        raise kind.error(f"{where}: {escaped(name, 40)} {fault}")
+        raise kind.error(f"{where}: {escape(name, 40)} {fault}")
 
 
 def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -473,13 +473,13 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         seen = set[str]()
         for key, _ in pairs:
             if key in seen:
-                raise ValueError(f"the key {escaped(key, 40)!r} occurs twice")
+                raise ValueError(f"the key {escape(key, 40)!r} occurs twice")
             seen.add(key)
     return data
 
 
 def _link_refused(path: str, error: type[FileError]) -> FileError:
-    return error(f"{escaped(path)}: is a link; expected a file, as writing would follow the link")
+    return error(f"{escape(path)}: is a link; expected a file, as writing would follow the link")
 
 
 def _no_constant(word: str) -> NoReturn:
@@ -487,4 +487,4 @@ def _no_constant(word: str) -> NoReturn:
 
 
 def _short(error: BaseException) -> str:
-    return escaped(str(error)[:_MESSAGE_CHARACTERS], _MESSAGE_CHARACTERS) or type(error).__name__
+    return escape(str(error)[:_MESSAGE_CHARACTERS], _MESSAGE_CHARACTERS) or type(error).__name__

@@ -1,6 +1,6 @@
 """One tree of seeds: every component has a child of its own, by name, not by order of creation.
 
->>> a, b = generator(7, "world"), generator(7, "world")
+>>> a, b = make_rng(7, "world"), make_rng(7, "world")
 >>> bool(a.integers(1 << 30) == b.integers(1 << 30))
 True
 >>> int(derive_seed(7, "sumo")) == int(derive_seed(7, "user", 0))
@@ -20,7 +20,7 @@ def _sequence(seed: int, *path: str | int) -> np.random.SeedSequence:
     return np.random.SeedSequence(seed, spawn_key=key)
 
 
-def generator(seed: int, *path: str | int) -> np.random.Generator:
+def make_rng(seed: int, *path: str | int) -> np.random.Generator:
     """A random generator of its own for the component at `path`."""
     return np.random.Generator(np.random.Philox(_sequence(seed, *path)))
 
@@ -30,6 +30,6 @@ def derive_seed(seed: int, *path: str | int) -> int:
     return int(_sequence(seed, *path).generate_state(1, np.uint32)[0] >> 1)
 
 
-def derive_key(seed: int, *path: str | int) -> int:
+def derive_rng_key(seed: int, *path: str | int) -> int:
     """A 64-bit key for numbers that depend on a key and a place, such as a pixel's noise."""
     return int(_sequence(seed, *path).generate_state(1, np.uint64)[0])

@@ -30,7 +30,7 @@ _SAME_BYTES: Final = {"3.2.8": "3.2.7"}
 Imported = tuple[str, str, str]
 
 
-def find_module_sources(module: str) -> tuple[Path, ...]:
+def find_imported_source_files(module: str) -> tuple[Path, ...]:
     """The files of the package that a module needs, its own among them, sorted.
 
     What is imported for type checkers alone does not count; what a function imports does. A name
@@ -60,7 +60,7 @@ def find_module_sources(module: str) -> tuple[Path, ...]:
     return tuple(sorted(files))
 
 
-def code_digest(root: Path = _ROOT / _NAME) -> str:
+def hash_package_code(root: Path = _ROOT / _NAME) -> str:
     """SHA-256 over every file of the package in `root` that a drive may run or read.
 
     Commands and pictures are none.

@@ -8,7 +8,7 @@ from typing import Annotated, ClassVar, Final
 import msgspec
 
 from wcsim.config.study import MOST_QUESTIONS, MOST_STEPS
-from wcsim.core.reading import escaped
+from wcsim.core.reading import escape
 from wcsim.drive.driven import LEAST_SENSITIVITY, LEAST_SPEED, MOST_SENSITIVITY, DriverKind
 from wcsim.errors import ProtocolError
 from wcsim.supervisor.kpi import KpiTotals
@@ -206,7 +206,7 @@ def of_page(data: str | bytes) -> PageMessage:
         message: PageMessage = _PAGE.decode(data)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
         raise ProtocolError(
-            f"got a message that this server does not know: {escaped(str(error), 200)}; reload the page"
+            f"got a message that this server does not know: {escape(str(error), 200)}; reload the page"
         ) from None
     return message
 

@@ -16,8 +16,8 @@ import numpy as np
 
 from wcsim.agents.opening.list_file import list_shipped_suites, open_suite
 from wcsim.core.files import iter_unused_paths
-from wcsim.core.frames import deg
-from wcsim.core.reading import counted
+from wcsim.core.frames import rad2deg
+from wcsim.core.reading import pluralize
 from wcsim.drive import messages as m
 from wcsim.drive.driven import DriveRecord, DriverKind, EventKind, xy_of
 from wcsim.drive.recording.session_recorder import RecorderStatus, SessionRecorder
@@ -31,7 +31,7 @@ from wcsim.log.records import DriveTick, Note
 from wcsim.towns.scenario.town import list_towns
 from wcsim.types import Joystick
 from wcsim.types.chair import AT_REST
-from wcsim.users.profiles import profile_names
+from wcsim.users.profiles import list_profile_names
 from wcsim.view.street_pictures import Moment, PageLooks, StreetPictures, clamped, moment_of
 
 JSON, PICTURES, LINE, DONE = b"J", b"P", b"L", b"D"  # what a message to the server is; the last: a slow wish is done
@@ -266,7 +266,7 @@ class _DriveRunner(PageRunner):
             metrics = session.metrics
             told = (
                 f"{session.place.told}: {session.time_s / 60.0:.1f} min, {session.way_m:.0f} m, "
-                f"{counted(metrics.arrivals, 'arrival')}, {counted(metrics.crashes, 'crash')}"
+                f"{pluralize(metrics.arrivals, 'arrival')}, {pluralize(metrics.crashes, 'crash')}"
             )
             session.close()
             with suppress(BrokenPipeError, OSError):
@@ -517,7 +517,7 @@ def _drive_about(session: DriveSession) -> dict[str, Any]:
         "profile": session.profile,
         "points": session.actions.points.tolist(),
         "towns": [town.name for town in list_towns()],
-        "profiles": profile_names(),
+        "profiles": list_profile_names(),
         "suites": suites,  # by set: part and town of each block, and its seats
         "levels": assistance.levels,  # that which assists least, and most; None for a policy without
         "own_level": assistance.own_level,
@@ -551,7 +551,7 @@ def _drive_state(session: DriveSession, clock: _DriveClock, waiting: str, let_go
         "on_road": session.client.events.on_carriageway,  # the chair's middle, also on a crossing
         "speed_mps": round(last.speed_mps, 3),
         "left_m": round(session.left_m, 1),
-        "bearing_deg": round(deg(session.bearing_rad)),  # of the way ahead, from the chair's heading to the left
+        "bearing_deg": round(rad2deg(session.bearing_rad)),  # of the way ahead, from the chair's heading to the left
         "crash": session.crash_told,
         "profile": session.profile,
         "kpis": m.kpis_of(session.metrics, session.tick_s),

@@ -23,7 +23,7 @@ from wcsim.drive.starting import DriveStart, OpenPlace, open_place
 from wcsim.log.records import Admitted, DriveTick, Note, Respawned, end_fields_from_snapshot
 from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.kpi import KpiTotals
-from wcsim.supervisor.rewards import hardest_contact
+from wcsim.supervisor.rewards import find_hardest_contact
 from wcsim.types import F64, ClientSnapshot, Joystick, Route, StartSpec
 from wcsim.types.chair import AT_REST
 from wcsim.users.hand import clip_stick_to_gate
@@ -141,7 +141,7 @@ class DriveSession(ClosingContextBase):
     def _crash_side(self) -> str:
         """On which side of the chair it is what was hit: a road user, or the nearest wall; "" for ground and kerbs."""
         plant, outline = self.client.plant, self.world.seats[0].chair.outline
-        touch = hardest_contact(self.client.events.crash_reason, self.client.contacts, self.world.config.reward)
+        touch = find_hardest_contact(self.client.events.crash_reason, self.client.contacts, self.world.config.reward)
         if touch is None or touch.kind in ("ground", "kerb"):
             return ""
         hit = next((actor.p_W_m for actor in self.world.snapshot.actors if actor.id == touch.actor_id), None)

@@ -16,24 +16,24 @@ from wcsim.agents.opening.list_file import (
     require_block_towns,
 )
 from wcsim.agents.opening.named_policy import (
-    config_from_policy_name,
+    list_policy_overrides,
     make_policy_seat_spec,
     open_named_policy,
-    policy_overrides,
+    resolve_policy_config,
 )
 from wcsim.agents.policy_api import Policy
 from wcsim.config import RunConfig, resolve
 from wcsim.config.suite import SuiteBlock
 from wcsim.core import seeding
 from wcsim.core.constants import RECORDED
-from wcsim.core.own_folder import temporary_folder
-from wcsim.core.reading import escaped
+from wcsim.core.own_folder import create_temporary_folder
+from wcsim.core.reading import escape
 from wcsim.errors import ConfigError, TownError
 from wcsim.towns.cache.folder import cache_folder
 from wcsim.towns.making.asked_town import made_town
 from wcsim.towns.scenario.town import Town, content_hash, find_town, list_towns
 from wcsim.types import SeatSpec
-from wcsim.users.profiles import profile_names
+from wcsim.users.profiles import list_profile_names
 from wcsim.users.recordings.recorded_user import find_user
 
 PRESET = "quick"
@@ -101,12 +101,12 @@ def check_offered(start: DriveStart, begun: DriveStart) -> DriveStart:
     """
     offered: tuple[tuple[str, str, str, Callable[[], Collection[str]]], ...] = (
         ("town", start.town, begun.town, lambda: [town.name for town in list_towns()]),
-        ("user", start.profile, begun.profile, profile_names),
+        ("user", start.profile, begun.profile, list_profile_names),
         ("list", start.suite, begun.suite, list_shipped_suites),
     )
     for what, wanted, own, names in offered:
         if wanted and wanted != own and wanted not in names():
-            raise ConfigError(f"{what} {escaped(wanted, 80)!r} is not one that the page offers; choose one of its list")
+            raise ConfigError(f"{what} {escape(wanted, 80)!r} is not one that the page offers; choose one of its list")
     return start
 
 
@@ -114,21 +114,21 @@ def check_recordable(start: DriveStart) -> DriveStart:
     """The same start. Raises ConfigError for one whose drive could not be made again from a file."""
     if start.profile.startswith(RECORDED):
         raise ConfigError(
-            f"the recorded user {escaped(start.profile, 80)} cannot be part of a recorded drive; expected a profile: "
+            f"the recorded user {escape(start.profile, 80)} cannot be part of a recorded drive; expected a profile: "
             "choose another user"
         )
     return start
 
 
 def _of_town(start: DriveStart) -> OpenPlace:
-    config = config_from_policy_name(start.policy, PRESET, ())
+    config = resolve_policy_config(start.policy, PRESET, ())
     policy = open_named_policy(start.policy, config, start.seed, start.network or None)
     town = find_town(start.town)
     find_user(start.profile)
     return OpenPlace(
         start=start,
         town=town,
-        config=resolve(config, policy_overrides(config, policy)),
+        config=resolve(config, list_policy_overrides(config, policy)),
         policy=policy,
         spec=replace(make_policy_seat_spec(policy, start.profile), max_steps=LONGEST_STEPS),
         seed=start.seed,
@@ -141,14 +141,14 @@ def _of_suite(start: DriveStart, held: ExitStack) -> OpenPlace:
     suite = open_suite(start.suite)
     require_block_towns(suite.file)
     block = _block(suite, start)
-    work = held.enter_context(temporary_folder())
-    config = config_from_policy_name(start.policy, PRESET, (*suite.file.settings, *block.settings), in_list=True)
+    work = held.enter_context(create_temporary_folder())
+    config = resolve_policy_config(start.policy, PRESET, (*suite.file.settings, *block.settings), in_list=True)
     driver_seed = seeding.derive_seed(block.seed, "driver", start.seat)
     policy = open_named_policy(start.policy, config, driver_seed, start.network or None)
     episode = block.episodes[start.seat]
     if start.profile:
         episode = episode.model_copy(update={"profile": start.profile})
-    config = resolve(config, policy_overrides(config, policy))
+    config = resolve(config, list_policy_overrides(config, policy))
     place = make_block_setup(block, config, lambda: _town_of(suite, block), work)
     return OpenPlace(
         start=start,

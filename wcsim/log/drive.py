@@ -9,7 +9,7 @@ from itertools import groupby
 from pathlib import Path
 from typing import Final
 
-from wcsim.core.reading import escaped
+from wcsim.core.reading import escape
 from wcsim.errors import JournalError
 from wcsim.log.reader import scan_small_log
 from wcsim.log.records import DriveHeader, DriveTick, Ended, Header, Input, Note, Ticked
@@ -19,7 +19,7 @@ from wcsim.log.writer import MOST_RECORDS
 _SAME_MOTION: Final = ("0.1.0",)
 
 
-def wcsim_version() -> str:
+def read_wcsim_version() -> str:
     """The version that a header names."""
     return version("wcsim")
 
@@ -37,13 +37,13 @@ class DriveRecording:
     def about(self) -> DriveHeader:
         """The driver, as in the header. Raises JournalError for the header of another log."""
         if self.header.drive is None:
-            raise JournalError(f"{escaped(self.name)}: is not a drive; record it again")
+            raise JournalError(f"{escape(self.name)}: is not a drive; record it again")
         return self.header.drive
 
     @property
     def moves_as_here(self) -> bool:
         """Whether a stick moved the chair, in the version that recorded it, as in this one."""
-        return self.about.wcsim in (wcsim_version(), *_SAME_MOTION)
+        return self.about.wcsim in (read_wcsim_version(), *_SAME_MOTION)
 
     @cached_property
     def ticks(self) -> tuple[DriveTick, ...]:
@@ -83,19 +83,19 @@ def read_drive(path: Path) -> DriveRecording:
     for record in scan.records():
         if isinstance(record, Ticked | Ended) or not isinstance(record, Input | Note):
             raise JournalError(
-                f"{escaped(path)}: has a record that belongs in no drive; record it again"
+                f"{escape(path)}: has a record that belongs in no drive; record it again"
             )
         if isinstance(record, DriveTick):
             if before is not None and not _follows(before, record):
                 raise JournalError(
-                    f"{escaped(path)}: tick {record.tick} does not follow tick {before.tick}; "
+                    f"{escape(path)}: tick {record.tick} does not follow tick {before.tick}; "
                     "record it again"
                 )
             before = record
         records.append(record)
         if len(records) > MOST_RECORDS:
             raise JournalError(
-                f"{escaped(path)}: more than {MOST_RECORDS} records; expected a drive of a day at "
+                f"{escape(path)}: more than {MOST_RECORDS} records; expected a drive of a day at "
                 "most"
             )
     return DriveRecording(

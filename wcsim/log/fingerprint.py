@@ -15,12 +15,12 @@ PACKAGES: Final = ("libsumo", "pybullet", "numpy", "numba", "shapely", "networkx
 _CPU_KIND: Final = ("vendor_id", "cpu family", "model")
 
 
-def fingerprint() -> str:
-    """`engines_fingerprint` and the version of wcsim, for what is made again to the last bit."""
-    return f"wcsim-{read_package_version('wcsim')} {engines_fingerprint()}"
+def make_software_fingerprint() -> str:
+    """`make_engine_fingerprint` and the version of wcsim, for what is made to the last bit."""
+    return f"wcsim-{read_package_version('wcsim')} {make_engine_fingerprint()}"
 
 
-def engines_fingerprint() -> str:
+def make_engine_fingerprint() -> str:
     """Versions of what computes a trace, the kind of CPU, and whether the C library is pinned.
 
     A pinned one uses code that all CPUs have. The version of wcsim is left out: a golden trace must

@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import BinaryIO, Final
 
 from wcsim.core.closing import ClosingContextBase
-from wcsim.core.reading import LOG, WHOLE_LOG, escaped, open_regular_file, read_file_size
+from wcsim.core.reading import LOG, WHOLE_LOG, escape, open_regular_file, read_file_size
 from wcsim.errors import FileError, JournalError, WcsimError
 from wcsim.log.framing import FramedRecord, count_truncated_bytes, iter_whole_records
 from wcsim.log.records import (
@@ -32,14 +32,14 @@ from wcsim.log.records import (
     LogKind,
     LogRecord,
     WorldState,
-    changed,
-    compared_header_bytes,
+    encode_header_for_comparison,
     header_from_bytes,
     is_header_payload,
     is_ticked_payload,
     record_from_bytes,
     record_to_bytes,
     strip_uncompared_fields,
+    with_fields,
 )
 
 _MADE_BY: Final[dict[LogKind, str]] = {
@@ -52,7 +52,7 @@ _PART_DIGITS: Final = 5
 _LOCKS: Final = Path("/proc/locks")
 
 
-def is_log(path: Path) -> bool:
+def is_log_file(path: Path) -> bool:
     """Whether a file begins as a log, of whatever version; False for what cannot be read."""
     try:
         with open_regular_file(path, LOG) as file:
@@ -80,10 +80,12 @@ def iter_log(path: Path) -> Iterator[LogRecord]:
 def iter_journal_inputs(path: Path) -> Iterator[Input]:
     """What was done to the world of a journal, of all its parts. Raises as `iter_log`."""
     first, *others = _parts(path)
-    return chain(iter_part_inputs(first), *(iter_part_inputs(part) for part in others))
+    return chain(
+        iter_journal_part_inputs(first), *(iter_journal_part_inputs(part) for part in others)
+    )
 
 
-def iter_part_inputs(path: Path, ticks: bool = True) -> Iterator[Input]:
+def iter_journal_part_inputs(path: Path, ticks: bool = True) -> Iterator[Input]:
     """As `iter_journal_inputs`, of one part of a journal alone.
 
     Without `ticks` those of `Ticked` are left out, unread: nearly all inputs are, and reading them
@@ -110,12 +112,12 @@ def scan_small_log(path: Path, expected: LogKind) -> LogScan:
     return LogScan(path, expected)
 
 
-def log_digest(path: Path) -> str:
+def hash_log(path: Path) -> str:
     """A hash (hex) over what was done in a log; two equal runs have the same one.
 
     Names, reasons, places and versions are left out. Raises JournalError as `iter_log`.
     """
-    header = compared_header_bytes(read_header(path))
+    header = encode_header_for_comparison(read_header(path))
     records = (record_to_bytes(strip_uncompared_fields(record)) for record in iter_log(path))
     digest = hashlib.blake2b(digest_size=16)
     for payload in chain([header], records):
@@ -148,18 +150,18 @@ class LogScan:
             first = next(iter_whole_records(log), None)
         if first is None:
             raise JournalError(
-                f"{escaped(path)}: is not a log, or was truncated in its first record; expected a "
+                f"{escape(path)}: is not a log, or was truncated in its first record; expected a "
                 "whole file written by wcsim: copy it again, or record it again"
             )
         try:
             self.header = header_from_bytes(first.payload)
         except WcsimError as error:
-            raise JournalError(f"{escaped(path)}: {error}") from None
+            raise JournalError(f"{escape(path)}: {error}") from None
         self.end = first.end
         self.after = first.crc
         if expected is not None and expected != self.header.kind:
             raise JournalError(
-                f"{escaped(path)}: is not a {expected} but a {self.header.kind}; "
+                f"{escape(path)}: is not a {expected} but a {self.header.kind}; "
                 f"expected {_MADE_BY[expected]}"
             )
 
@@ -183,7 +185,7 @@ class LogScan:
                     record = record_from_bytes(item.payload)
                 except WcsimError as error:
                     raise JournalError(
-                        f"{escaped(self._path)}: after {self.end} bytes: {error}"
+                        f"{escape(self._path)}: after {self.end} bytes: {error}"
                     ) from None
             # Before the yield: a caller that stops here, and reads on later, gets the next record.
             self.end = end
@@ -207,13 +209,13 @@ class LogScan:
                 rest = count_truncated_bytes(file, self.end, self.after)
         if isinstance(rest, str):
             raise JournalError(
-                f"{escaped(self._path)}: is damaged at byte {self.end}; restore it from a copy, or "
+                f"{escape(self._path)}: is damaged at byte {self.end}; restore it from a copy, or "
                 "record it again in a new file"
             )
         self.truncated_bytes = rest
 
 
-class LogTail(ClosingContextBase):
+class LogFollower(ClosingContextBase):
     """Follows a log that is being written: from its newest part on, and into a newer one.
 
     Of parts that come and go between two calls it reads the newest alone.
@@ -351,10 +353,10 @@ def _with_bodies(state: WorldState, known: dict[str, ActorBody], path: Path) -> 
     known.update((body.id, body) for body in state.bodies)
     # Of a trace without any bodies none is expected.
     if not known:
-        return changed(state, bodies=())
+        return with_fields(state, bodies=())
     try:
-        return changed(state, bodies=tuple(known[name] for name in state.actor_ids))
+        return with_fields(state, bodies=tuple(known[name] for name in state.actor_ids))
     except KeyError as error:
         raise JournalError(
-            f"{escaped(path)}: tick {state.tick} has no size of actor {error}; record it again"
+            f"{escape(path)}: tick {state.tick} has no size of actor {error}; record it again"
         ) from None

@@ -364,7 +364,7 @@ def is_header_payload(payload: bytes) -> bool:
     return payload.startswith(_HEADER_STARTS)
 
 
-def compared_header_bytes(header: Header) -> bytes:
+def encode_header_for_comparison(header: Header) -> bytes:
     """What the headers of two equal runs share, for the digest: no names, places or versions."""
     same = ("town_sha256", "config", "seed", "seats", "tick_s", "hook", "recovery")
     return msgspec.json.encode(
@@ -380,14 +380,14 @@ def record_to_bytes(record: LogRecord) -> bytes:
 def strip_uncompared_fields(record: LogRecord) -> LogRecord:
     """A record without what may differ between equal runs: names, reasons, claims.
 
-    `log_digest` and `wcsim log compare` both compare such records.
+    `hash_log` and `wcsim log compare` both compare such records.
     """
     if isinstance(record, Admitted):
-        return changed(record, name="", claim="")
-    return changed(record, reason="") if isinstance(record, Dismissed | Ended) else record
+        return with_fields(record, name="", claim="")
+    return with_fields(record, reason="") if isinstance(record, Dismissed | Ended) else record
 
 
-def changed(record: S, **fields: Any) -> S:
+def with_fields(record: S, **fields: Any) -> S:
     """A record or header with other values in some fields, as by `dataclasses.replace`."""
     return msgspec.structs.replace(record, **fields)
 

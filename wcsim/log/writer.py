@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Final, Self
 
 from wcsim.core.closing import ClosingContextBase
-from wcsim.core.reading import escaped
+from wcsim.core.reading import escape
 from wcsim.errors import ConfigError, DiskFullError, WcsimError
 from wcsim.log import records
 from wcsim.log.framing import MOST_TRUNCATED_BYTES, crc_from_record, frame_payload
@@ -45,8 +45,7 @@ class LogWriter(ClosingContextBase):
             records.header_from_bytes(first)
         except (WcsimError, ValueError) as error:
             raise ConfigError(
-                f"{escaped(path)}: its header is out of bounds ({error}); "
-                "change seed, tick or steps"
+                f"{escape(path)}: its header is out of bounds ({error}); change seed, tick or steps"
             ) from None
         # 2. Make a file beside it.
         beside = path.with_name(f".{path.name}.new")
@@ -59,7 +58,7 @@ class LogWriter(ClosingContextBase):
         except OSError as error:
             reason = error.strerror or error
             raise ConfigError(
-                f"{escaped(path)}: cannot be created ({reason}); choose the name of a new file"
+                f"{escape(path)}: cannot be created ({reason}); choose the name of a new file"
             ) from None
         # 3. Lock it. Where that fails another process starts this log: the file stays.
         try:
@@ -85,7 +84,7 @@ class LogWriter(ClosingContextBase):
             beside.unlink(missing_ok=True)
             if isinstance(error, OSError):
                 raise DiskFullError(
-                    f"{escaped(path)}: cannot be created ({error.strerror}); check the disk"
+                    f"{escape(path)}: cannot be created ({error.strerror}); check the disk"
                 ) from None
             raise
 
@@ -104,7 +103,7 @@ class LogWriter(ClosingContextBase):
         try:
             file = FileIO(path, "r+b")
         except OSError as error:
-            raise ConfigError(f"{escaped(path)}: cannot be continued ({error.strerror})") from None
+            raise ConfigError(f"{escape(path)}: cannot be continued ({error.strerror})") from None
         self = cls.__new__(cls)
         try:
             self._open(path, file, scan.header)
@@ -128,7 +127,7 @@ class LogWriter(ClosingContextBase):
             fcntl.flock(file.fileno(), fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             raise ConfigError(
-                f"{escaped(path)}: another process is writing this log; wait for it, or stop that "
+                f"{escape(path)}: another process is writing this log; wait for it, or stop that "
                 "run"
             ) from None
         except OSError:  # a file system without locks
@@ -156,7 +155,7 @@ class LogWriter(ClosingContextBase):
         if isinstance(record, records.WorldState):
             new = tuple(body for body in record.bodies if self._bodies.get(body.id) != body)
             self._bodies.update((body.id, body) for body in new)
-            record = records.changed(record, bodies=new)
+            record = records.with_fields(record, bodies=new)
         payload = records.record_to_bytes(record)
         # The numbers of a drive are of a person and a policy, so they may be anything.
         if self._is_drive:
@@ -180,13 +179,13 @@ class LogWriter(ClosingContextBase):
         """Raise WcsimError for what `read_drive` would refuse."""
         if self._records >= MOST_RECORDS:
             raise WcsimError(
-                f"{escaped(self._path)}: is full, with {self._records} records; start another one"
+                f"{escape(self._path)}: is full, with {self._records} records; start another one"
             )
         try:
             records.record_from_bytes(payload)
         except WcsimError as error:
             raise WcsimError(
-                f"{escaped(self._path)}: a number is not finite or out of its bounds ({error}); "
+                f"{escape(self._path)}: a number is not finite or out of its bounds ({error}); "
                 "expected sticks of -1 to 1, and a place in the town"
             ) from None
 
@@ -194,7 +193,7 @@ class LogWriter(ClosingContextBase):
         """Write a record, unbuffered; on a full disk the part that was written is taken back."""
         if self._file.closed:
             raise WcsimError(
-                f"{escaped(self._path)}: this log is closed; open it again to continue it"
+                f"{escape(self._path)}: this log is closed; open it again to continue it"
             )
         data = frame_payload(payload, self._after)
         try:
@@ -213,7 +212,7 @@ class LogWriter(ClosingContextBase):
                 # Nothing may follow half a record.
                 self._file.close()
             raise DiskFullError(
-                f"{escaped(self._path)}: a record could not be written ({reason}); the first "
+                f"{escape(self._path)}: a record could not be written ({reason}); the first "
                 f"{self._end} bytes are intact: make room"
             )
         self._end += len(data)
@@ -225,14 +224,14 @@ class LogWriter(ClosingContextBase):
                 os.fdatasync(self._file.fileno())
         except OSError as error:
             raise DiskFullError(
-                f"{escaped(self._path)}: could not be flushed to disk ({error.strerror}); check "
+                f"{escape(self._path)}: could not be flushed to disk ({error.strerror}); check "
                 "the disk"
             ) from None
         self._unsynced = 0
         self._synced_s = time.monotonic()
 
 
-def truncation_message(path: Path, cut_bytes: int) -> str:
+def format_truncation_warning(path: Path, cut_bytes: int) -> str:
     """That the end of a log was cut off, for its user."""
     return (
         f"{path}: the last {cut_bytes} bytes were an incomplete record and were cut off; see "

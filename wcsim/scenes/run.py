@@ -22,11 +22,11 @@ from wcsim.bridge.world import World
 from wcsim.bridge.world_rollout import RolloutStep, rollout
 from wcsim.config import CameraConfig, RunConfig
 from wcsim.config.scene import SceneFile, SceneSeat
-from wcsim.core.own_folder import WORK_PREFIX, temporary_folder
+from wcsim.core.own_folder import WORK_PREFIX, create_temporary_folder
 from wcsim.core.processes import run_command
 from wcsim.errors import TownError, WcsimError
-from wcsim.log.fingerprint import engines_fingerprint
-from wcsim.log.records import Header, changed, world_state_from_snapshot
+from wcsim.log.fingerprint import make_engine_fingerprint
+from wcsim.log.records import Header, with_fields, world_state_from_snapshot
 from wcsim.log.writer import LogWriter
 from wcsim.physics.wheelchair.plant import plant_spec
 from wcsim.scenes.meter import Facts, SceneMeter
@@ -66,7 +66,7 @@ def _run_scene(folder: Path, trace: Path) -> Facts:
             digest.update(snapshot.state_hash.encode())
             if snapshot.tick % TRACE_EVERY == 0 or snapshot.tick == last:
                 writer.append(
-                    changed(world_state_from_snapshot(snapshot, step.commands), state_hash=digest.hexdigest())
+                    with_fields(world_state_from_snapshot(snapshot, step.commands), state_hash=digest.hexdigest())
                 )
         return meter.facts()
 
@@ -77,7 +77,7 @@ def _open_scene(folder: Path, cameras: tuple[CameraConfig, ...] = _SMALL_CAMERAS
 
     Raises TownError when the scene cannot be built, or a seat starts where there is no street.
     """
-    with temporary_folder() as work:
+    with create_temporary_folder() as work:
         try:
             town, scene = build_scene(folder, work)
             specs = seat_specs(folder, scene, town.file.origin_m)
@@ -135,7 +135,7 @@ def _header(world: World, scene: SceneFile) -> Header:
         seed=scene.seed,
         tick_s=world.config.world.tick_s,
         seats=len(scene.seats),
-        fingerprint=engines_fingerprint(),
+        fingerprint=make_engine_fingerprint(),
     )
 
 

@@ -16,7 +16,7 @@ from wcsim.bridge.sumo.run_place import RunPlace
 from wcsim.config import EnvConfig, RunConfig
 from wcsim.core.reading import ORDER, read_bytes
 from wcsim.errors import ConfigError, WcsimError
-from wcsim.log.reader import iter_part_inputs
+from wcsim.log.reader import iter_journal_part_inputs
 from wcsim.log.records import EpochBegun, Ticked
 from wcsim.log.writer import JOURNAL
 from wcsim.server.launch.states import ClientStatusReport, WorldLaunchPlan, WorldStatusReport
@@ -192,7 +192,7 @@ def _last_tick(run: str, reported: int) -> int:
     tick = 0
     try:
         # A world that died while it loaded has not reported its epoch: the last one counts.
-        for record in iter_part_inputs(journal):
+        for record in iter_journal_part_inputs(journal):
             if isinstance(record, EpochBegun):
                 tick = 0
             elif isinstance(record, Ticked):
@@ -207,7 +207,7 @@ def read_spec_file(kind: type[T], path: Path) -> T:
     return decode_json_line(kind, read_bytes(path, ORDER))
 
 
-def rss_mb() -> float:
+def measure_rss_mb() -> float:
     """Memory of this process, in MB of 2**20 bytes."""
     pages = Path("/proc/self/statm").read_text(encoding="ascii").split()[1]
     return int(pages) * os.sysconf("SC_PAGE_SIZE") / 2**20

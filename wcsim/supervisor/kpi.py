@@ -14,7 +14,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from wcsim.config import RewardConfig
-from wcsim.supervisor.rewards import DISTANCE_TOLERANCE, hardest_contact, judge_crash_fault
+from wcsim.supervisor.rewards import DISTANCE_TOLERANCE, find_hardest_contact, judge_crash_fault
 from wcsim.types import F64, Bool, Contact, Events, Joystick
 
 MAX_FOLLOW_DISTANCE: Final = 0.1768  # Table 1, sqrt(0.125^2 + 0.125^2)
@@ -157,7 +157,7 @@ def make_crash_fields(
         in_red = step.events.on_carriageway and (in_red or step.events.entered_red)
     if at_fault == "other" and (still_s >= _ON_ROAD_S - 1e-9 or in_red):
         at_fault = "own"
-    hit = hardest_contact(events.crash_reason, contacts, config)
+    hit = find_hardest_contact(events.crash_reason, contacts, config)
     return {
         "reason": events.crash_reason,
         "fault": at_fault,

@@ -23,7 +23,7 @@ from gymnasium import spaces
 
 from wcsim.config import RunConfig
 from wcsim.config.env import Form
-from wcsim.core.jit import exact_kernel
+from wcsim.core.jit import compile_exact_kernel
 from wcsim.errors import ConfigError
 from wcsim.supervisor.palette import make_cityscapes_class_table, make_class_palette
 from wcsim.types import F32, F64, U8, CameraFrame, ClientSnapshot, ImuFrame, Measure, SensorFrame
@@ -224,7 +224,7 @@ def encode_depth(depth_m: F32, range_m: float) -> U8:
     return code
 
 
-@exact_kernel
+@compile_exact_kernel
 def _look_up(bits: npt.NDArray[np.uint32], codes: U8, out: U8) -> None:
     for i in range(len(bits)):
         out[i] = codes[bits[i] >> _MANTISSA_BITS_DROPPED]

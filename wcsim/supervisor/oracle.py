@@ -26,8 +26,8 @@ from wcsim.supervisor.rollout import (
     ChairShape,
     StreetRasters,
     compute_clearance_m,
-    longest_roll_out_s,
-    roll_out,
+    compute_max_prediction_s,
+    predict_crash_times,
 )
 from wcsim.types import (
     F64,
@@ -51,7 +51,7 @@ _FASTEST_MPS: Final = 5.0  # of any chair
 _FAR_M: Final = 25.5
 
 
-class Oracle:
+class CrashOracle:
     """Looks half a second and a braking distance ahead, for one street, chair and action set."""
 
     def __init__(
@@ -86,7 +86,7 @@ class Oracle:
         self._commands = shape_joysticks(actions, chair)
         self._limits = drive_limits_from_chair(chair)
         self._tick_s = tick_s
-        roll_s = float(longest_roll_out_s(self._limits))
+        roll_s = float(compute_max_prediction_s(self._limits))
         self._roll_s = max(_ROLL_OUT_S, roll_s)
         self._reach_m = max(_REACH_M, outline.length_m + chair.v_max_mps * 0.5 * (HOLD_S + roll_s))
 
@@ -203,7 +203,7 @@ class Oracle:
         r, wheels = matrix_from_quaternion(plant.q_WB.tolist()), self._body.wheels[:, :2]
         wheels_W_m = plant.p_WB_m + wheels @ np.array([(r[0], r[3], r[6]), (r[1], r[4], r[7])])
         above_m = wheels_W_m[:, 2] - (0.0 if grid.relief is FLAT else grid.relief.at(wheels_W_m))
-        first_s: F64 = roll_out(
+        first_s: F64 = predict_crash_times(
             _state(plant, accel_mps2),
             self._steps(waiting),
             commands,

@@ -18,8 +18,8 @@ from typing import Final, Literal, Protocol
 import numpy as np
 
 from wcsim.config import RewardConfig
-from wcsim.core.frames import rad
-from wcsim.core.plugins import find_class
+from wcsim.core.frames import deg2rad
+from wcsim.core.plugins import import_class
 from wcsim.errors import ConfigError
 from wcsim.types import F64, ClientSnapshot, Contact, Events, ImuFrame, PlantState, RewardTerms
 
@@ -70,7 +70,7 @@ def joystick_distance(user: F64, agent: F64, config: RewardConfig) -> float:
     return min(float(np.hypot(user[0] - agent[0], user[1] - agent[1])), config.max_distance)
 
 
-def crash_reason(
+def find_crash_reason(
     imu: ImuFrame,
     plant: PlantState,
     contacts: Sequence[Contact],
@@ -93,13 +93,13 @@ def crash_reason(
         return "collision"
     if any(abs(float(axis)) > config.accel_window_mps2[1] for axis in imu.accel_peak_mps2):
         return "acceleration"
-    roll_max, pitch_max = rad(config.roll_window_deg[1]), rad(config.pitch_window_deg[1])
+    roll_max, pitch_max = deg2rad(config.roll_window_deg[1]), deg2rad(config.pitch_window_deg[1])
     if abs(plant.roll_rad) > roll_max or abs(plant.pitch_rad) > pitch_max:
         return "tilt"
     return ""
 
 
-def hardest_contact(
+def find_hardest_contact(
     reason: str, contacts: Sequence[Contact], config: RewardConfig
 ) -> Contact | None:
     """The touch with the largest impulse that counts as a collision; None of another crash."""
@@ -112,7 +112,7 @@ def hardest_contact(
 
 def judge_crash_fault(reason: str, contacts: Sequence[Contact], config: RewardConfig) -> Fault:
     """Who is at fault: the cause of the hardest touch; without a collision the chair's own."""
-    hit = hardest_contact(reason, contacts, config)
+    hit = find_hardest_contact(reason, contacts, config)
     return "own" if hit is None else hit.cause
 
 
@@ -131,7 +131,7 @@ def describe_crash(reason: str, contacts: Sequence[Contact], config: RewardConfi
     ... )
     ('was hit by car flow.3', 'fell off a kerb')
     """
-    hit = hardest_contact(reason, contacts, config)
+    hit = find_hardest_contact(reason, contacts, config)
     if hit is None:
         return _NO_TOUCH.get(reason, reason)
     # A part of an articulated vehicle has the name of the whole.
@@ -157,7 +157,7 @@ def is_reward_term(value: object) -> bool:
 
 def make_reward_term(name: str) -> RewardTerm:
     """A new reward term of the class `module:Class`. Raises ConfigError if it is none."""
-    term_class = find_class(name, "reward term")
+    term_class = import_class(name, "reward term")
     if not is_reward_term(term_class):
         raise ConfigError(
             f"reward term {name!r} needs the methods reset() and reward(before, after); "
@@ -194,8 +194,8 @@ def _accel_term(accel_peak_mps2: F64, config: RewardConfig) -> float:
 
 def _tilt_term(roll_rad: float, pitch_rad: float, config: RewardConfig) -> float:
     """Penalty for leaning: Table 1 rows "roll" (5..20 deg) and "pitch" (20..30 deg)."""
-    roll_low, roll_high = (rad(angle) for angle in config.roll_window_deg)
-    pitch_low, pitch_high = (rad(angle) for angle in config.pitch_window_deg)
+    roll_low, roll_high = (deg2rad(angle) for angle in config.roll_window_deg)
+    pitch_low, pitch_high = (deg2rad(angle) for angle in config.pitch_window_deg)
     leaning = _intensity(abs(roll_rad), roll_low, roll_high) + _intensity(
         abs(pitch_rad), pitch_low, pitch_high
     )

@@ -16,8 +16,8 @@ import numpy as np
 
 from wcsim.core.boxes import boxes_touch, gap_to_box
 from wcsim.core.constants import GRAVITY_MPS2, KERB_STEP_CM
-from wcsim.core.frames import rad
-from wcsim.core.jit import exact_kernel
+from wcsim.core.frames import deg2rad
+from wcsim.core.jit import compile_exact_kernel
 from wcsim.core.joystick import ACCEL, DECEL, JERK, V_MAX, YAW_ACCEL, YAW_MAX, advance_drive
 from wcsim.supervisor.walkers import (
     HALF_L,
@@ -26,7 +26,7 @@ from wcsim.supervisor.walkers import (
     filter_reachable_people,
     has_possible_person_collision,
     has_steady_person_collision,
-    person_gap,
+    measure_gap_to_person,
     set_people_margins,
 )
 from wcsim.types import F64, I64, U8, Bool
@@ -41,8 +41,8 @@ SOFTEST_S: Final = 60.0  # and never longer than this
 
 # When it goes wrong.
 # Table 1's maximum of the roll, below the 27 deg at which the plant tips.
-LEAN_LIMIT: Final = math.tan(rad(20.0))
-PITCH_LIMIT: Final = math.tan(rad(30.0))
+LEAN_LIMIT: Final = math.tan(deg2rad(20.0))
+PITCH_LIMIT: Final = math.tan(deg2rad(30.0))
 BUMP_MPS: Final = 0.7  # a slower wheel is stopped by a kerb
 ASKEW_CM: Final = 8  # a chair that climbs with one side alone gets no higher than this
 DEEPENING_M: Final = 0.03  # a chair that touches may move, if hardly closer
@@ -88,8 +88,8 @@ class StreetRasters(NamedTuple):
     frame_m: F64  # (3,) their origin in W, and the size of a cell
 
 
-@exact_kernel
-def roll_out(
+@compile_exact_kernel
+def predict_crash_times(
     state: F64,
     waiting: F64,
     commands: F64,
@@ -161,14 +161,14 @@ def roll_out(
     return first_s
 
 
-@exact_kernel
-def longest_roll_out_s(limits: F64) -> float:
+@compile_exact_kernel
+def compute_max_prediction_s(limits: F64) -> float:
     """Seconds, at most, of a held command and of the way to a stop; of a drive's limits (8,)."""
     straight_s = limits[V_MAX] / limits[DECEL] + (limits[ACCEL] + limits[DECEL]) / limits[JERK]
     return float(min(SOFTEST_S, HOLD_S + max(straight_s, limits[YAW_MAX] / limits[YAW_ACCEL])))
 
 
-@exact_kernel
+@compile_exact_kernel
 def compute_clearance_m(
     state: F64, hull: F64, land: StreetRasters, boxes: F64, people: F64
 ) -> float:
@@ -198,14 +198,14 @@ def compute_clearance_m(
         )  # fmt: skip
         nearest = min(nearest, gap)
     for i in range(len(people)):
-        nearest = min(nearest, person_gap(state[0], state[1], state[2], hull, people[i]))
+        nearest = min(nearest, measure_gap_to_person(state[0], state[1], state[2], hull, people[i]))
     return max(0.0, nearest)
 
 
 # --- roll-outs ---
 
 
-@exact_kernel
+@compile_exact_kernel
 def _held_goes_wrong_s(
     state: F64, waiting: F64, command: F64, limits: F64, body: ChairShape, allowed_gap: float,
     rims: F64, around: tuple[float, float, float], places: F64, start_cm: I64, hanging: Bool,
@@ -285,7 +285,7 @@ def _held_goes_wrong_s(
     return np.inf
 
 
-@exact_kernel
+@compile_exact_kernel
 def _released_meets_s(
     state: F64, waiting: F64, command: F64, limits: F64, hull: F64, people: F64, tick_s: float
 ) -> float:
@@ -304,20 +304,20 @@ def _released_meets_s(
     return np.inf
 
 
-@exact_kernel
+@compile_exact_kernel
 def _sticks(waiting: F64, command: F64, held_s: float, limits: F64) -> tuple[F64, int]:
     """Joystick positions (n, 2) of a roll-out's steps, and the step that releases the stick."""
     waits = len(waiting)
     # A hair less: rounding of the quotient must not add a step.
     held = waits + math.ceil(held_s / STEP_S - 1e-6)
-    steps = int(max(LONGEST_S, longest_roll_out_s(limits) + _SPARE_S) / STEP_S)
+    steps = int(max(LONGEST_S, compute_max_prediction_s(limits) + _SPARE_S) / STEP_S)
     sticks = np.zeros((waits + steps, 2))
     sticks[:waits] = waiting
     sticks[waits:held] = command
     return sticks, held
 
 
-@exact_kernel
+@compile_exact_kernel
 def _moved(
     x: float, y: float, yaw: float, v: float, w: float, a: float, stick: F64, limits: F64
 ) -> tuple[float, float, float, float, float, float]:
@@ -333,7 +333,7 @@ def _moved(
     return x, y, yaw, v, w, a
 
 
-@exact_kernel
+@compile_exact_kernel
 def _in_W(
     x: float, y: float, cos: float, sin: float, ahead: float, left: float
 ) -> tuple[float, float]:
@@ -344,7 +344,7 @@ def _in_W(
 # --- the ground below the wheels ---
 
 
-@exact_kernel
+@compile_exact_kernel
 def _tips(now: I64, start_cm: I64, wheels: F64, aside_mps2: float, stops: bool) -> bool:
     """Whether a chair with its wheels at these heights (W,) leans too far.
 
@@ -360,7 +360,7 @@ def _tips(now: I64, start_cm: I64, wheels: F64, aside_mps2: float, stops: bool) 
     return bool(tips)
 
 
-@exact_kernel
+@compile_exact_kernel
 def _wheel_places(state: F64, wheels: F64) -> F64:
     """Places (W, 2) in W where the wheels stand: casters behind the way of their swivels."""
     cos, sin, v, w = math.cos(state[2]), math.sin(state[2]), state[3], state[4]
@@ -374,7 +374,7 @@ def _wheel_places(state: F64, wheels: F64) -> F64:
     return at
 
 
-@exact_kernel
+@compile_exact_kernel
 def _stance(
     state: F64, body: ChairShape, places: F64, above_cm: I64, reach_m: float, land: StreetRasters
 ) -> tuple[I64, Bool, F64]:
@@ -405,7 +405,7 @@ def _stance(
     return start_cm, hanging, rims
 
 
-@exact_kernel
+@compile_exact_kernel
 def _circle(places: F64) -> tuple[float, float, float]:
     """The middle and radius in metres of a circle around places (n, 2 or more) in B; 0 for none."""
     if not len(places):
@@ -415,7 +415,7 @@ def _circle(places: F64) -> tuple[float, float, float]:
     return x, y, np.sqrt((places[:, 0] - x) ** 2 + (places[:, 1] - y) ** 2).max()
 
 
-@exact_kernel
+@compile_exact_kernel
 def _bumps(
     x: float, y: float, cos: float, sin: float, wheels: F64, now: I64, rims: F64,
     around: tuple[float, float, float], height_cm: U8, edge_cm: U8, frame_m: F64,
@@ -433,7 +433,7 @@ def _bumps(
     return False
 
 
-@exact_kernel
+@compile_exact_kernel
 def _rise_cm(
     x: float, y: float, cos: float, sin: float, wheels: F64, now: I64, rim: F64,
     height_cm: U8, edge_cm: U8, frame_m: F64,
@@ -445,14 +445,14 @@ def _rise_cm(
     return float(_height_cm(px, py, 0, height_cm, edge_cm, frame_m) - axle_cm - ahead_cm)
 
 
-@exact_kernel
+@compile_exact_kernel
 def _cell(x: float, y: float, shape: tuple[int, int], frame_m: F64) -> tuple[int, int]:
     """Row and column of a place; of one outside those of the nearest cell."""
     row, col = math.floor((y - frame_m[1]) / frame_m[2]), math.floor((x - frame_m[0]) / frame_m[2])
     return min(max(row, 0), shape[0] - 1), min(max(col, 0), shape[1] - 1)
 
 
-@exact_kernel
+@compile_exact_kernel
 def _height_cm(
     x: float, y: float, carried_cm: int, height_cm: U8, edge_cm: U8, frame_m: F64
 ) -> int:
@@ -466,7 +466,7 @@ def _height_cm(
     return _height_beside_edge_cm(x, y, carried_cm, height_cm, edge_cm, frame_m)
 
 
-@exact_kernel
+@compile_exact_kernel
 def _height_beside_edge_cm(
     x: float, y: float, carried_cm: int, height_cm: U8, edge_cm: U8, frame_m: F64
 ) -> int:
@@ -491,7 +491,7 @@ def _height_beside_edge_cm(
 # --- solid things ---
 
 
-@exact_kernel
+@compile_exact_kernel
 def _solid_gap(
     x: float, y: float, yaw: float, hull: F64, clearance_dm: U8, frame_m: F64, beyond_m: float
 ) -> float:
@@ -520,7 +520,7 @@ def _solid_gap(
     return gap
 
 
-@exact_kernel
+@compile_exact_kernel
 def _clearance(x: float, y: float, clearance_dm: U8, frame_m: F64) -> float:
     """The raster between its cell centres, in metres."""
     col = (x - frame_m[0]) / frame_m[2] - 0.5
@@ -539,7 +539,7 @@ def _clearance(x: float, y: float, clearance_dm: U8, frame_m: F64) -> float:
 # --- vehicles ---
 
 
-@exact_kernel
+@compile_exact_kernel
 def _set_box_margins(state: F64, hull: F64, boxes: F64) -> None:
     """Set a small margin, except for those within it already: they would forbid every move."""
     cos, sin = math.cos(state[2]), math.sin(state[2])
@@ -550,7 +550,7 @@ def _set_box_margins(state: F64, hull: F64, boxes: F64) -> None:
         box[BOX_MARGIN] = 0.0 if near else VEHICLE_MARGIN_M
 
 
-@exact_kernel
+@compile_exact_kernel
 def _touches(
     x: float, y: float, cos: float, sin: float, hull: F64, later_s: float, boxes: F64
 ) -> bool:
@@ -563,7 +563,7 @@ def _touches(
     return False
 
 
-@exact_kernel
+@compile_exact_kernel
 def _overlap(
     cx: float, cy: float, cos: float, sin: float, hull: F64,
     ox: float, oy: float, box: F64, margin: float,
@@ -575,7 +575,7 @@ def _overlap(
     )  # fmt: skip
 
 
-@exact_kernel
+@compile_exact_kernel
 def _corners_to_box(
     ax: float, ay: float, acos: float, asin: float, al: float, aw: float,
     bx: float, by: float, bcos: float, bsin: float, bl: float, bw: float,

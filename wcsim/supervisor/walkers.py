@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 
 from wcsim.core.constants import SIDESTEP_MPS
-from wcsim.core.jit import exact_kernel
+from wcsim.core.jit import compile_exact_kernel
 from wcsim.types import F64
 
 _PEOPLE_MARGIN_M: Final = 0.05
@@ -29,16 +29,16 @@ _X, _Y, _COS, _SIN, _RADIUS_M, _AHEAD_MPS, _LEFT_MPS, _ASIDE_M, _MARGIN = range(
 MIDDLE, HALF_L, HALF_W = range(3)
 
 
-@exact_kernel
+@compile_exact_kernel
 def set_people_margins(x: float, y: float, yaw: float, hull: F64, people: F64) -> None:
     """Set a small margin, except for those within it already: they would forbid every move."""
     for i in range(len(people)):
-        gap_m = person_gap(x, y, yaw, hull, people[i])
+        gap_m = measure_gap_to_person(x, y, yaw, hull, people[i])
         people[i, _MARGIN] = 0.0 if gap_m <= _PEOPLE_MARGIN_M else _PEOPLE_MARGIN_M
 
 
-@exact_kernel
-def person_gap(x: float, y: float, yaw: float, hull: F64, person: F64) -> float:
+@compile_exact_kernel
+def measure_gap_to_person(x: float, y: float, yaw: float, hull: F64, person: F64) -> float:
     """Metres from a chair's footprint to a person now, negative in one another."""
     cos, sin = math.cos(yaw), math.sin(yaw)
     dx, dy = person[_X] - x, person[_Y] - y
@@ -48,7 +48,7 @@ def person_gap(x: float, y: float, yaw: float, hull: F64, person: F64) -> float:
     return math.hypot(out_l, out_w) - float(person[_RADIUS_M])
 
 
-@exact_kernel
+@compile_exact_kernel
 def filter_reachable_people(
     x: float, y: float, way_m: float, within_s: float, hull: F64, people: F64
 ) -> F64:
@@ -64,7 +64,7 @@ def filter_reachable_people(
     return near[:many]
 
 
-@exact_kernel
+@compile_exact_kernel
 def has_steady_person_collision(
     x: float, y: float, yaw: float, v: float, w: float, hull: F64, later_s: float, people: F64
 ) -> bool:
@@ -79,7 +79,7 @@ def has_steady_person_collision(
     return False
 
 
-@exact_kernel
+@compile_exact_kernel
 def has_possible_person_collision(
     x: float, y: float, yaw: float, v: float, w: float, hull: F64, later_s: float, people: F64
 ) -> bool:
@@ -118,7 +118,7 @@ def has_possible_person_collision(
     return False
 
 
-@exact_kernel
+@compile_exact_kernel
 def _reach_m(hull: F64, person: F64, later_s: float) -> float:
     """Metres from the drive axle, at most, to a person now who touches the chair in `later_s`."""
     most_mps = abs(person[_AHEAD_MPS]) + max(abs(person[_LEFT_MPS]), SIDESTEP_MPS)
@@ -132,7 +132,7 @@ def _reach_m(hull: F64, person: F64, later_s: float) -> float:
     )
 
 
-@exact_kernel
+@compile_exact_kernel
 def _meets(
     x: float, y: float, cos: float, sin: float, v: float, w: float, hull: F64,
     person: F64, later_s: float, ahead_mps: float, left_mps: float,

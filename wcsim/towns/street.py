@@ -13,7 +13,7 @@ from importlib.metadata import version
 from threading import Event, Thread
 from types import MappingProxyType
 
-from wcsim.core.sources import find_module_sources
+from wcsim.core.sources import find_imported_source_files
 from wcsim.towns.cache.street_cache import cached_street, unpack_street
 from wcsim.towns.ground.tiles import Packed
 from wcsim.towns.scenario.town import Town, content_hash
@@ -94,7 +94,7 @@ def _maker_digest() -> str:
     """SHA-256 over the code that makes a street, its text and data, and the versions of libraries that it uses."""
     versions = " ".join(version(distribution) for distribution in LIBRARIES.values())
     digest = hashlib.sha256(versions.encode())
-    for path in find_module_sources(_BUILDER):
+    for path in find_imported_source_files(_BUILDER):
         digest.update(path.read_bytes())
         data = path.with_suffix(".toml")  # that a module reads stands beside it
         digest.update(data.read_bytes() if data.is_file() else b"")

@@ -50,6 +50,6 @@ NameOrNone = Annotated[str, msgspec.Meta(max_length=64, pattern=r"\A[A-Za-z0-9_.
 Key = Annotated[str, msgspec.Meta(max_length=128, pattern=r"\A[A-Za-z0-9_.*-]*\Z")]
 Line = Annotated[str, msgspec.Meta(max_length=256, pattern=r"\A[^\x00-\x1f\x7f-\x9f]*\Z")]
 Place = Annotated[str, msgspec.Meta(max_length=4096, pattern=r"\A[^\x00-\x1f\x7f-\x9f]*\Z")]
-# Printed only as `reading.escaped` gives it.
+# Printed only as `reading.escape` gives it.
 Text = Annotated[str, msgspec.Meta(max_length=MOST_TEXT)]
 Document = Annotated[str, msgspec.Meta(max_length=1 << 20)]

@@ -16,10 +16,10 @@ from typing import Final
 import numpy as np
 
 from wcsim.core.constants import KERB_STEP_CM
-from wcsim.core.jit import exact_kernel
+from wcsim.core.jit import compile_exact_kernel
 from wcsim.types import F64, U8, ClassId, Ground
 from wcsim.users.perception import DetectedObject
-from wcsim.users.route_line import RouteLine
+from wcsim.users.route_line import RoutePolyline
 
 _HORIZON_M: Final = 4.5  # standing things farther along the route are not steered around yet
 _NEAR_M: Final = 10.0
@@ -66,7 +66,7 @@ class PredictedChairPose:
     half_m: tuple[float, float]  # half the length and width of the chair's box
 
     def blocked_lanes(
-        self, path: RouteLine, things: Sequence[DetectedObject], desired_mps: float
+        self, path: RoutePolyline, things: Sequence[DetectedObject], desired_mps: float
     ) -> list[tuple[float, float]]:
         """Offsets (low, high; left positive) that lead into something within the horizon."""
         lanes = []
@@ -125,17 +125,17 @@ class PredictedChairPose:
         return limit_mps
 
 
-class LanePlanner:
+class LateralOffsetPlanner:
     """The lateral offset at which a user drives along one route."""
 
-    def __init__(self, path: RouteLine, ground: Ground | None) -> None:
+    def __init__(self, path: RoutePolyline, ground: Ground | None) -> None:
         """Start on the route. Without a ground the user stays near it and sees no edge."""
         self.offset_m = 0.0  # beside the route, left positive
         self._path = path
-        self._edges = None if ground is None else PavementEdges(ground, path)
+        self._edges = None if ground is None else PavementWidthScanner(ground, path)
 
     def slope_ahead(self, arc_m: float, ahead_m: float) -> float:
-        """As `PavementEdges.slope_ahead`; infinity without a ground."""
+        """As `PavementWidthScanner.slope_ahead`; infinity without a ground."""
         return math.inf if self._edges is None else self._edges.slope_ahead(arc_m, ahead_m)
 
     def change_lane(
@@ -156,7 +156,7 @@ class LanePlanner:
             left_m, right_m = self._edges.room(body.arc_m, _HORIZON_M)
             beside_m = body.half_m[1] + _EDGE_MARGIN_M
             room_m = (left_m - beside_m, right_m - beside_m)
-        lane_m = choose_lane(blocked, room_m, self.offset_m, home_m)
+        lane_m = choose_lateral_offset(blocked, room_m, self.offset_m, home_m)
         if lane_m is None:
             return _CHANGE_SPEED * desired_mps
         self.offset_m = lane_m
@@ -164,7 +164,7 @@ class LanePlanner:
         return _CHANGE_SPEED * desired_mps if is_off else math.inf
 
 
-def choose_lane(
+def choose_lateral_offset(
     blocked: Sequence[tuple[float, float]],
     room: tuple[float, float],
     before_m: float,
@@ -179,11 +179,11 @@ def choose_lane(
         before_m: The offset of the tick before.
         home_m: The offset where nothing is in the way.
 
-    >>> choose_lane([(-0.2, 0.9)], (1.0, 1.0), 0.0)
+    >>> choose_lateral_offset([(-0.2, 0.9)], (1.0, 1.0), 0.0)
     -0.2
-    >>> choose_lane([(-0.2, 0.9)], (1.0, 0.1), 0.0)
+    >>> choose_lateral_offset([(-0.2, 0.9)], (1.0, 0.1), 0.0)
     0.9
-    >>> choose_lane([(-5.0, 5.0)], (1.0, 1.0), 0.0) is None
+    >>> choose_lateral_offset([(-5.0, 5.0)], (1.0, 1.0), 0.0) is None
     True
     """
     edges = [edge for lane in blocked for edge in lane if -room[1] <= edge <= room[0]]
@@ -205,10 +205,10 @@ def _meet_s(gap_m: float, closing_mps: float) -> float:
     return gap_m / closing_mps if closing_mps > _CLOSING_MPS else math.inf
 
 
-class PavementEdges:
+class PavementWidthScanner:
     """How far the street goes on beside a route, looked at in pieces as the user comes near."""
 
-    def __init__(self, ground: Ground, path: RouteLine) -> None:
+    def __init__(self, ground: Ground, path: RoutePolyline) -> None:
         self._ground = ground
         self._path = path
         self._room_m = np.zeros((0, 2))  # (stations, left and right)
@@ -292,7 +292,7 @@ def smooth_offsets(offset_m: F64) -> F64:
     return np.asarray(windows.mean(axis=1), np.float64)
 
 
-@exact_kernel
+@compile_exact_kernel
 def _measure_room(
     line: F64,
     left: F64,

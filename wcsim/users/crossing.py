@@ -21,7 +21,7 @@ from wcsim.types import (
     WalkGraph,
     WayKind,
 )
-from wcsim.users.route_line import RouteLine
+from wcsim.users.route_line import RoutePolyline
 
 KERB_GAP_M: Final = 0.3  # left between footplate and road while waiting
 MOVING_MPS: Final = 0.5
@@ -75,7 +75,7 @@ class CrossingStopPlanner:
     def __init__(
         self,
         items: Sequence[RouteCrossing],
-        path: RouteLine,
+        path: RoutePolyline,
         ground: Ground | None,
         law_share: float,
         rng: np.random.Generator,
@@ -255,7 +255,7 @@ def find_route_crossings(route: Route, walk: WalkGraph) -> tuple[RouteCrossing, 
     return tuple(found)
 
 
-def find_kerb_arc_m(ground: Ground, path: RouteLine, start_m: float) -> float:
+def find_kerb_arc_m(ground: Ground, path: RoutePolyline, start_m: float) -> float:
     """Arc where a route to a crossing comes near to the road.
 
     It is at the crossing's start, or before it on a way along the kerb.
@@ -270,7 +270,7 @@ def find_kerb_arc_m(ground: Ground, path: RouteLine, start_m: float) -> float:
     return start_m
 
 
-def _road_arc_m(ground: Ground, path: RouteLine, start_m: float) -> float:
+def _road_arc_m(ground: Ground, path: RoutePolyline, start_m: float) -> float:
     """Arc where a route to a crossing gets onto the road.
 
     It is at the crossing's start, or before it where the kerb runs aslant.

@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from wcsim.core.jit import exact_kernel
+from wcsim.core.jit import compile_exact_kernel
 from wcsim.types import F64, Joystick
 from wcsim.types.chair import AT_REST
 from wcsim.users.profiles import UserProfile
@@ -182,7 +182,7 @@ def _filter_share(dt_s: float, time_constant_s: float) -> float:
     return 1.0 - math.exp(-dt_s / max(time_constant_s, 1e-9))
 
 
-@exact_kernel
+@compile_exact_kernel
 def _move(intents: F64, normals: F64, c: F64, state: F64) -> F64:
     """The stick (N, 2) after each of N steps; `state` is carried on in place.
 

@@ -8,12 +8,12 @@ from typing import Final
 
 import numpy as np
 
-from wcsim.core.frames import rad, wrap_angle
+from wcsim.core.frames import deg2rad, wrap_angle
 from wcsim.types import ActorKind, ActorState, UserView
 from wcsim.users.crossing import MOVING_MPS, RIDERS
 from wcsim.users.profiles import UserProfile
 
-_HALF_VIEW_RAD: Final = rad(80.0)
+_HALF_VIEW_RAD: Final = deg2rad(80.0)
 _BESIDE_M: Final = 1.0  # so near, things are detected without being looked at
 # Actors are detected from so many times farther away than a post.
 PERSON_SIGHT: Final = 1.5

@@ -18,8 +18,8 @@ import numpy as np
 from wcsim.core.constants import RECORDED
 from wcsim.core.reading import (
     PROFILE,
-    escaped,
-    escaped_repr,
+    escape,
+    escape_repr,
     parse_json,
     read_module_toml,
     read_toml,
@@ -74,17 +74,17 @@ class UserProfile:
 def find_builtin_profile(name: str) -> UserProfile:
     """The profile called `name`. Raises ConfigError with the known names."""
     if name not in _DATA:
-        names = ", ".join(profile_names())
+        names = ", ".join(list_profile_names())
         raise ConfigError(
             f"unknown user profile {name!r}; expected one of: {names}, FILE.toml, or recorded:FILE"
-            f"{meant(name, profile_names())}"
+            f"{meant(name, list_profile_names())}"
         )
     numbers = _DATA["competent"] | _DATA[name]
     pairs = {key: tuple(numbers[key]) for key in PAIRS}
     return UserProfile(name=name, **numbers | pairs)
 
 
-def profile_names() -> tuple[str, ...]:
+def list_profile_names() -> tuple[str, ...]:
     """The names of all profiles."""
     return tuple(_DATA)
 
@@ -197,11 +197,11 @@ def _read_profile(path: Path) -> UserProfile:
     base = data.pop("base", "competent")
     if not isinstance(base, str):
         raise ConfigError(
-            f"{escaped(path)}: base: got {escaped_repr(base)}; "
+            f"{escape(path)}: base: got {escape_repr(base)}; "
             "expected the name of one of wcsim's profiles"
         )
     plain = replace(find_builtin_profile(base), name=profile_name_from_text(path.stem), spread=0.0)
-    return _with_values(plain, data, escaped(path))
+    return _with_values(plain, data, escape(path))
 
 
 def _with_values(base: UserProfile, data: dict[str, Any], where: str) -> UserProfile:
@@ -210,7 +210,7 @@ def _with_values(base: UserProfile, data: dict[str, Any], where: str) -> UserPro
     strange = sorted(key for key in data if key not in known)
     if strange:
         raise ConfigError(
-            f"{where}: unknown key {escaped(strange[0], 40)!r}; "
+            f"{where}: unknown key {escape(strange[0], 40)!r}; "
             f"expected one of: base, {', '.join(sorted(known))}"
         )
     return replace(base, **{key: _value(key, value, where) for key, value in data.items()})
@@ -221,19 +221,19 @@ def _value(key: str, value: Any, where: str) -> Any:
         if isinstance(value, str) and _NAME.fullmatch(value):
             return value
         raise ConfigError(
-            f"{where}: name: got {escaped_repr(value)}; expected 1 to 64 letters, digits, - _ or ."
+            f"{where}: name: got {escape_repr(value)}; expected 1 to 64 letters, digits, - _ or ."
         )
     if key == "discrete":
         if isinstance(value, bool):
             return value
-        raise ConfigError(f"{where}: discrete: got {escaped_repr(value)}; expected true or false")
+        raise ConfigError(f"{where}: discrete: got {escape_repr(value)}; expected true or false")
     low, high = PROFILE_LIMITS[key]
     numbers = value if key in PAIRS and isinstance(value, list) else [value]
     fits = len(numbers) == (2 if key in PAIRS else 1)
     if not fits or not all(_is_number(number) and low <= number <= high for number in numbers):
         what = "two numbers, each" if key in PAIRS else "a number,"
         raise ConfigError(
-            f"{where}: {key}: got {escaped_repr(value)}; expected {what} {low:g} to {high:g}"
+            f"{where}: {key}: got {escape_repr(value)}; expected {what} {low:g} to {high:g}"
         )
     return tuple(map(float, numbers)) if key in PAIRS else float(value)
 

@@ -8,7 +8,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from wcsim.core.jit import exact_kernel
+from wcsim.core.jit import compile_exact_kernel
 from wcsim.errors import ConfigError
 from wcsim.types import F64, Route
 
@@ -27,7 +27,7 @@ class _RoutePoint(NamedTuple):
     left_m: float  # beside it, left positive
 
 
-class RouteLine:
+class RoutePolyline:
     """A route prepared for quick queries; immutable."""
 
     def __init__(self, route: Route) -> None:
@@ -109,7 +109,7 @@ class RouteLine:
         return corners
 
 
-@exact_kernel
+@compile_exact_kernel
 def _nearest(
     points: F64, unit: F64, lengths: F64, x_m: float, y_m: float, first: int, last: int
 ) -> tuple[int, float, float, float]:

@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 
 from wcsim.core.constants import KERB_STEP_CM
-from wcsim.core.jit import exact_kernel
+from wcsim.core.jit import compile_exact_kernel
 from wcsim.types import F64, U8, Bool, Ground, Outline
 
 _STEP_M: Final = 0.2
@@ -186,7 +186,7 @@ def _reachable(shifts_m: F64, fits: Bool) -> list[int]:
     return found
 
 
-@exact_kernel
+@compile_exact_kernel
 def _measure_room(
     pivots: F64,
     yaw_rad: float,
@@ -220,7 +220,7 @@ def _measure_room(
     return found
 
 
-@exact_kernel
+@compile_exact_kernel
 def _scan_around(
     pivot: F64,
     height_cm: U8,
@@ -251,7 +251,7 @@ def _scan_around(
             before_cm = here_cm
 
 
-@exact_kernel
+@compile_exact_kernel
 def _fits(yaw_rad: float, hull: F64, wheels: F64, walls_m: F64, drops_m: F64) -> bool:
     for ray in range(_RAYS):
         angle = ray * math.tau / _RAYS - yaw_rad
@@ -264,7 +264,7 @@ def _fits(yaw_rad: float, hull: F64, wheels: F64, walls_m: F64, drops_m: F64) ->
     return True
 
 
-@exact_kernel
+@compile_exact_kernel
 def _reach(cos: float, sin: float, box_m: F64) -> float:
     """How far a rectangle (rear, front, half width) reaches from the axle in a direction."""
     along_m = across_m = np.inf

@@ -17,16 +17,16 @@ import numpy as np
 
 from wcsim.config import ChairConfig
 from wcsim.core.frames import wrap_angle
-from wcsim.core.joystick import raw_radius_from_shaped, yaw_rate_limit
+from wcsim.core.joystick import compute_yaw_rate_limit, raw_radius_from_shaped
 from wcsim.errors import ConfigError
 from wcsim.types import F64, Joystick, Outline, Route, Street, UserView
 from wcsim.types.chair import AT_REST
-from wcsim.users.avoidance import LanePlanner, PredictedChairPose
+from wcsim.users.avoidance import LateralOffsetPlanner, PredictedChairPose
 from wcsim.users.crossing import CrossingStopPlanner, RouteCrossing, find_route_crossings
 from wcsim.users.hand import StickHandModel, SwitchHandModel, clip_to_disc
 from wcsim.users.perception import PerceivedObjects, UserPerception
 from wcsim.users.profiles import UserProfile
-from wcsim.users.route_line import RouteLine
+from wcsim.users.route_line import RoutePolyline
 from wcsim.users.turning import ActiveTurn, AxlePose, TurnPlan, plan_turn
 
 _LONGEST_STEP_S: Final = 0.05
@@ -91,12 +91,12 @@ class User(ABC):
         self.requests_help = False  # at the last look; it moves no stick
         self.patient = False  # never gives up: another driver drives, and this one knows the way
         self._sticks = sticks
-        self._path: RouteLine | None = None
+        self._path: RoutePolyline | None = None
         self._arc_m = 0.0  # of the chair's middle along the route
 
     def follow(self, route: Route) -> None:
         """Take a new destination. Raises ConfigError for a route without points."""
-        self._path = RouteLine(route)
+        self._path = RoutePolyline(route)
         self._arc_m = 0.0
         self.arrived = self.gave_up = False
 
@@ -128,14 +128,14 @@ class User(ABC):
         """How far along the present route the chair is."""
         return self._arc_m
 
-    def _middle_arc_m(self, path: RouteLine, view: UserView, middle_x_m: float) -> float:
+    def _middle_arc_m(self, path: RoutePolyline, view: UserView, middle_x_m: float) -> float:
         """The place of the chair's middle on the route, searched around its last place."""
         x_m, y_m, yaw_rad = float(view.p_W_m[0]), float(view.p_W_m[1]), view.yaw_rad
         x_m += middle_x_m * math.cos(yaw_rad)
         y_m += middle_x_m * math.sin(yaw_rad)
         return path.project(x_m, y_m, self._arc_m).arc_m
 
-    def _move_along(self, path: RouteLine, arc_m: float) -> None:
+    def _move_along(self, path: RoutePolyline, arc_m: float) -> None:
         """Set the place on the route; near its end the user has arrived."""
         self._arc_m = arc_m
         self.arrived = self.arrived or arc_m > path.length_m - _ARRIVED_M
@@ -211,7 +211,7 @@ class SimulatedUser(User):
             ConfigError: The route has no points.
         """
         super().follow(route)
-        path = RouteLine(route)
+        path = RoutePolyline(route)
         street = self._street
         ground = None if street is None else street.grid
         # Whether the user obeys the law is drawn by a generator of each route: it does not depend
@@ -225,7 +225,7 @@ class SimulatedUser(User):
             law_rng,
             self._outline.half_lw_m[0],
         )
-        self._lanes = LanePlanner(path, ground)
+        self._lanes = LateralOffsetPlanner(path, ground)
         self._stop_m: float | None = None  # where the chair's middle is to stop
         self._turn: ActiveTurn | None = None
         self._last_turn: ActiveTurn | None = None
@@ -314,7 +314,7 @@ class SimulatedUser(User):
         # 6. Send the intent on its way. The hand gets it after the reaction time.
         self._hand.send_intent(self._intent)
 
-    def _plan(self, view: UserView, body: PredictedChairPose, path: RouteLine) -> Joystick:
+    def _plan(self, view: UserView, body: PredictedChairPose, path: RoutePolyline) -> Joystick:
         """The stick for what the user sees; sets stop, lane, turn and request for help."""
         profile = self.profile
         desired_mps = profile.speed_share * self._chair.v_max_mps
@@ -361,7 +361,7 @@ class SimulatedUser(User):
         turn = self._turn_in_place(body, goal, seen, view.time_s)
         return self._steer(body, goal, speed_mps) if turn is None else turn
 
-    def _predicted_body(self, view: UserView, path: RouteLine) -> PredictedChairPose:
+    def _predicted_body(self, view: UserView, path: RoutePolyline) -> PredictedChairPose:
         """The chair's middle where it will be when the hand answers: drivers steer ahead of it."""
         delay_s = self._delay_s
         ahead_m = self._outline.middle_x_m
@@ -418,7 +418,9 @@ class SimulatedUser(User):
         slope_m = self._lanes.slope_ahead(rear_m, _SLOPE_AHEAD_M)
         return math.hypot(_SLOPE_MPS, _stopping_speed(slope_m - self._outline.length_m))
 
-    def _goal(self, body: PredictedChairPose, path: RouteLine, arc_m: float) -> tuple[float, float]:
+    def _goal(
+        self, body: PredictedChairPose, path: RoutePolyline, arc_m: float
+    ) -> tuple[float, float]:
         """Where to steer at or beyond a place of the route: far enough off to give a direction.
 
         On the inside of a sharp bend, a place well ahead may be right beside the chair's axle. A
@@ -531,7 +533,7 @@ def plan_stick_to_goal(
         speed_mps = 0.0
     else:
         speed_mps *= math.cos(error_rad) ** 2
-    w_limit_radps = yaw_rate_limit(
+    w_limit_radps = compute_yaw_rate_limit(
         max(abs(body.speed_mps), speed_mps), chair.yaw_rate_max_radps, chair.yaw_slowdown_s_per_m
     )
     stable_per_s = _GAIN_DELAY / (delay_s + _DRIVE_DELAY_S)

@@ -15,16 +15,16 @@ from wcsim.agents.envs.episode_view import Info
 from wcsim.agents.envs.seat_driver import AgentSeatDriver, PolicyAgentAdapter
 from wcsim.agents.evaluation.suite.playback import PlayedStep
 from wcsim.agents.opening.named_policy import (
-    config_from_policy_name,
+    list_policy_overrides,
     make_policy_seat_spec,
     open_named_policy,
-    policy_overrides,
+    resolve_policy_config,
 )
 from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, STATE_SENSE, Observation, Policy, Warns, calling
 from wcsim.bridge.world import World
 from wcsim.bridge.world_rollout import rollout
 from wcsim.config import CameraConfig, RunConfig, WorldConfig, resolve
-from wcsim.core.frames import rad
+from wcsim.core.frames import deg2rad
 from wcsim.errors import ConfigError
 from wcsim.supervisor.observation import decode_depth
 from wcsim.towns.scenario.town import Town
@@ -218,7 +218,7 @@ class FilmedDrive:
         """Actors within reach, inside the camera's horizontal field of view, and not behind something nearer."""
         plant = snapshot.clients[0].plant
         frame = snapshot.clients[0].sensors.cameras[-1]
-        half = np.tan(rad(self.camera.hfov_deg) / 2)
+        half = np.tan(deg2rad(self.camera.hfov_deg) / 2)
         ahead = np.array([np.cos(plant.yaw_rad), np.sin(plant.yaw_rad)])
         right = np.array([ahead[1], -ahead[0]])
         count = 0
@@ -240,11 +240,11 @@ def _senses(driver: FilmDriver, seed: int, width: int) -> tuple[RunConfig, SeatS
     if not driver.policy:
         config = RunConfig(cameras=(camera,), world=WorldConfig(mirror_radius_m=SIGHT_M))
         return resolve(config, driver.settings), SeatSpec(profile=driver.profile), None
-    own = config_from_policy_name(driver.policy, "quick", driver.settings)
+    own = resolve_policy_config(driver.policy, "quick", driver.settings)
     film = camera.model_copy(update={"name": _FILM_CAMERA})
     own = own.model_copy(update={"cameras": (*own.cameras, film)})
     policy = open_named_policy(driver.policy, own, seed, driver.network or None)
-    return resolve(own, policy_overrides(own, policy)), make_policy_seat_spec(policy, driver.profile), policy
+    return resolve(own, list_policy_overrides(own, policy)), make_policy_seat_spec(policy, driver.profile), policy
 
 
 class BusiestMoment:

@@ -12,7 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from wcsim.core.closing import ClosingContextBase
-from wcsim.core.reading import counted
+from wcsim.core.reading import pluralize
 from wcsim.server.launch.states import ClientProcessState, ClientStatusReport, LaunchProcessStates, WorldStatusReport
 
 PAYS = "acts/learns/waits %"
@@ -79,7 +79,7 @@ def _head_of(state: LaunchProcessStates) -> str:
     """The world, and for whom it waits."""
     world = state.world
     if world is None or state.world_standing != "running":
-        again = f" (started again {counted(state.world_restarts, 'time')})" if state.world_restarts else ""
+        again = f" (started again {pluralize(state.world_restarts, 'time')})" if state.world_restarts else ""
         is_so = "loading" if state.world_standing == "starting" else state.world_standing
         return f"the world is {is_so}{again}"
     parts = [
@@ -147,6 +147,6 @@ def _brief(client: ClientProcessState) -> str:
     status = client.status
     far = "" if status is None else f" {status.step}/{status.total_steps}"
     kpi1 = "" if status is None or status.kpi1 is None else f", KPI 1 {status.kpi1:.3f}"
-    again = f", {counted(client.restarts, 'restart')}" if client.restarts else ""
+    again = f", {pluralize(client.restarts, 'restart')}" if client.restarts else ""
     standing = "" if client.standing == "running" else f" ({client.standing})"
     return f"{client.name}{far}{kpi1}{again}{standing}"

@@ -19,7 +19,7 @@ import numpy as np
 from wcsim.bridge.ego.start_place import bearing_rad
 from wcsim.bridge.world import World
 from wcsim.config import CameraConfig
-from wcsim.core.frames import rad
+from wcsim.core.frames import deg2rad
 from wcsim.errors import ConfigError
 from wcsim.physics.buffers import Images, new_images
 from wcsim.physics.renderer.base import Pinhole, Renderer
@@ -59,7 +59,7 @@ _ROOM_M: Final = 3.5  # from so far away a chair is seen whole, with some street
 _LEAST_M: Final = 1.2
 _TILTS_RAD: Final = tuple(math.radians(step) for step in range(0, 75, 12))  # above the one that was asked for
 _LAG_S: Final = 0.3
-_FIELD_RAD: Final = rad(54.0)  # of the picture's shorter side, about
+_FIELD_RAD: Final = deg2rad(54.0)  # of the picture's shorter side, about
 _QUALITY: Final = 80
 _CAMERA_PX: Final = (320, 240)
 _MAP_PX, _MAP_SPAN_M = 320, 60.0
@@ -549,7 +549,7 @@ def _pinhole(looks: PageLooks) -> Pinhole:
 def _lens(front: CameraConfig) -> Pinhole:
     """A camera for people where the chair's own is: it sees as far as they do."""
     width, height = _CAMERA_PX
-    focal = focal_px(width, rad(front.hfov_deg))
+    focal = focal_px(width, deg2rad(front.hfov_deg))
     return Pinhole(width_px=width, height_px=height, focal_px=focal, near_m=front.near_m, range_m=SIGHT_M)
 
 

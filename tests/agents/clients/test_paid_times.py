@@ -6,7 +6,7 @@ import pytest
 
 from wcsim.agents.clients.paid_times import (
     WAITS,
-    ClientTimeShares,
+    ClientTimeTotals,
     GroupRunTimes,
     GroupRunTimesFile,
     read_group_run_times,
@@ -49,7 +49,7 @@ def test_lives_of_clients_and_worlds_add_up(tmp_path):
     log.save()
     times = read_group_run_times(tmp_path)
     assert times == log.times
-    assert times.clients["a"] == ClientTimeShares(
+    assert times.clients["a"] == ClientTimeTotals(
         acting_s=1.0, learning_s=7.5, overlap_s=1.0, world_s=2.0, others_s=3.0
     )
     assert (times.clients["b"].learning_s, times.clients["b"].waiting_s) == (14.0, 8.0)
@@ -112,7 +112,7 @@ def test_a_table_says_who_waits_for_whom(tmp_path):
 
 
 def test_parts_of_waiting_sum_to_it_where_most_of_it_was_spent_on_learning(monkeypatch, tmp_path):
-    paid = ClientTimeShares(acting_s=10.0, learning_s=50.0, overlap_s=35.0, world_s=40.0)
+    paid = ClientTimeTotals(acting_s=10.0, learning_s=50.0, overlap_s=35.0, world_s=40.0)
     monkeypatch.setattr(
         training_page, "read_group_run_times", lambda _: GroupRunTimes(clients={"a": paid}, waited_s={})
     )

@@ -100,8 +100,8 @@ def test_each_part_learns_with_other_seeds(part, seed, streets):
 
 
 def _a_tick_late(monkeypatch):
-    labels = dataset_module.find_unsafe_actions_ahead
-    monkeypatch.setattr(dataset_module, "find_unsafe_actions_ahead", lambda *of: np.roll(labels(*of), 1, axis=0))
+    labels = dataset_module.mask_soon_unsafe_actions
+    monkeypatch.setattr(dataset_module, "mask_soon_unsafe_actions", lambda *of: np.roll(labels(*of), 1, axis=0))
 
 
 def _mirrored_in_part(monkeypatch, pictures_alone):
@@ -126,8 +126,8 @@ def _all_but_pictures(monkeypatch):
 
 def _upside_down(monkeypatch):
     """The sign is wrong: what is safe counts as unsafe."""
-    labels = dataset_module.find_unsafe_actions_ahead
-    monkeypatch.setattr(dataset_module, "find_unsafe_actions_ahead", lambda *of: ~labels(*of))
+    labels = dataset_module.mask_soon_unsafe_actions
+    monkeypatch.setattr(dataset_module, "mask_soon_unsafe_actions", lambda *of: ~labels(*of))
 
 
 @pytest.mark.proof

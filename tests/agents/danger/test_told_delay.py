@@ -10,7 +10,7 @@ from tests.agents.driven import Script, driven
 from tests.agents.evaluation.suite.lists import Held, block_of, order_of
 from wcsim.agents.danger.policy import DangerPolicy
 from wcsim.agents.evaluation.suite.drive import drive_block
-from wcsim.agents.policies.baselines import baseline
+from wcsim.agents.policies.baselines import make_baseline_policy
 from wcsim.agents.policy_api import HearsDelay, pass_delay
 from wcsim.config import resolve
 from wcsim.types import Drawn
@@ -58,7 +58,7 @@ def test_without_a_drawn_delay_the_configured_one_stays():
         pass_delay(policy, drawn)
         pass_delay(told, drawn)
     assert policy.extractor.around.ego.delay_ticks == 2 and told.heard == []
-    assert isinstance(policy, HearsDelay) and not isinstance(baseline("dwa", small_config()), HearsDelay)
+    assert isinstance(policy, HearsDelay) and not isinstance(make_baseline_policy("dwa", small_config()), HearsDelay)
 
 
 def test_a_test_in_a_town_tells_each_episodes_delay_before_it_begins():

@@ -20,7 +20,7 @@ from wcsim.agents.perception.depth_image import viewing_rays
 from wcsim.agents.runs.data_folder import SAFE, DrivingSegment
 from wcsim.config import RunConfig
 from wcsim.config.run_file import DangerRuleSettings
-from wcsim.core.jit import exact_kernel
+from wcsim.core.jit import compile_exact_kernel
 from wcsim.supervisor.observation import encode_depth
 from wcsim.types import ClassId
 
@@ -95,7 +95,7 @@ class Street:
         return found
 
 
-@exact_kernel
+@compile_exact_kernel
 def _held(chair, commands, limits):
     """(K, STEPS, 3) x, y, yaw after each tick, when each command is held for HELD ticks and then let go."""
     poses, rest = np.empty((len(commands), STEPS, 3)), np.zeros(2)

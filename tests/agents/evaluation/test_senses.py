@@ -8,8 +8,8 @@ from tests.agents.evaluation.suite.lists import Held, block_of, config, order_of
 from tests.support.one_process import in_this_process
 from wcsim.agents.evaluation.suite.drive import drive_block
 from wcsim.agents.evaluation.suite.run import SuiteOrder, run_suite
-from wcsim.agents.opening.named_policy import policy_overrides
-from wcsim.agents.policies.baselines import baseline
+from wcsim.agents.opening.named_policy import list_policy_overrides
+from wcsim.agents.policies.baselines import make_baseline_policy
 from wcsim.agents.policy_api import sense_settings, senses_of
 from wcsim.config import resolve
 from wcsim.errors import ConfigError
@@ -52,12 +52,12 @@ def test_senses_are_added_and_a_sensor_that_is_there_stays():
 def test_images_that_are_asked_for_are_given_to_who_is_no_network():
     plain = config()
     several = resolve(plain, ("env.window=3",))
-    assert [resolve(one, policy_overrides(one, Numb(one))).env.window for one in (plain, several)] == [1, 3]
+    assert [resolve(one, list_policy_overrides(one, Numb(one))).env.window for one in (plain, several)] == [1, 3]
 
 
 def test_dwa_asks_for_what_a_chair_has_and_who_does_not_ask_gets_nothing():
-    assert senses_of(baseline("dwa", config())) == BOTH
-    assert senses_of(baseline("follow", config())) == ()
+    assert senses_of(make_baseline_policy("dwa", config())) == BOTH
+    assert senses_of(make_baseline_policy("follow", config())) == ()
 
 
 def test_the_world_is_the_same_with_further_senses_in_it(corner):

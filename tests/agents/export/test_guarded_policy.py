@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 from tests.support.samples import ACTIONS
 from wcsim.agents.export.guard import GuardedPolicy
 from wcsim.agents.policy_api import NotFinite
-from wcsim.config.run_file import GuardSettings
+from wcsim.config.run_file import PolicyGuardSettings
 
 EXAMPLE = runpy.run_path(str(Path(__file__).parents[3] / "examples" / "exported_policy.py"), run_name="example")
-RULE = GuardSettings()
+RULE = PolicyGuardSettings()
 SIDE = st.floats(-1.0, 1.0)
 GOOD = st.tuples(st.tuples(SIDE, SIDE), st.just(True), st.just(0.0), st.just(0.0))
 TICKS = st.tuples(  # wanted, finite, age and time of the answer
@@ -27,7 +27,10 @@ TICKS = st.tuples(  # wanted, finite, age and time of the answer
 )
 MOSTLY_GOOD = st.lists(st.one_of(GOOD, TICKS), max_size=60)
 RULES = st.builds(
-    GuardSettings, stop_s=st.sampled_from([0.05, 0.3, 0.5, 2.0]), good_ticks=st.integers(1, 12), tick_s=st.just(0.1)
+    PolicyGuardSettings,
+    stop_s=st.sampled_from([0.05, 0.3, 0.5, 2.0]),
+    good_ticks=st.integers(1, 12),
+    tick_s=st.just(0.1),
 )
 
 
@@ -36,7 +39,7 @@ def is_good(tick: tuple[Any, ...]) -> bool:
     return wanted is not None and finite and age_s <= RULE.oldest_s and took_s <= RULE.deadline_s
 
 
-def driven(rule: GuardSettings, ticks: list[tuple[Any, ...]]) -> list[tuple[tuple[float, float], bool, bool]]:
+def driven(rule: PolicyGuardSettings, ticks: list[tuple[Any, ...]]) -> list[tuple[tuple[float, float], bool, bool]]:
     """The stick after each tick, whether the guard has tripped, and whether the tick was good."""
     guard, states = EXAMPLE["Guard"](rule.model_dump()), [((0.0, 0.0), False, True)]
     for tick in ticks:

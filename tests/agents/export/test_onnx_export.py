@@ -18,7 +18,7 @@ from wcsim.agents.policies.onnx_policy import read_onnx_policy_file
 from wcsim.agents.policy_api import Policy
 from wcsim.agents.runs.policy_file import CAMERA_KEYS
 from wcsim.config import resolve
-from wcsim.config.run_file import DangerRuleSettings, GuardSettings
+from wcsim.config.run_file import DangerRuleSettings, PolicyGuardSettings
 from wcsim.errors import PolicyError
 
 RIDE = ride(200)
@@ -41,7 +41,7 @@ def test_200_steps_are_those_of_the_network_and_of_wcsim(made):
     assert facts.same_as_wcsim > 0.97, "cells at a border may go either way"
     meaning = json.loads((folder / MEANING).read_text())
     assert meaning["rule"]["threshold"] == 0.35 and meaning["facts"]["steps"] == 200
-    assert read_guard_rule(folder) == GuardSettings()
+    assert read_guard_rule(folder) == PolicyGuardSettings()
     for key in ("gravity", "mean_gravity"):  # one of what is judged, one of the input: side by side they want a word
         assert key in meaning["senses"]["imu"] and key in meaning["senses_meaning"]
 

@@ -13,7 +13,7 @@ from tests.agents.export.test_danger_graph import CONFIG, network, ride
 from tests.support.tracked import ROOT
 from wcsim.agents.danger.policy import save_danger
 from wcsim.agents.evaluation.suite.run import _identity_of
-from wcsim.agents.opening.named_policy import config_from_policy_name, open_named_policy
+from wcsim.agents.opening.named_policy import open_named_policy, resolve_policy_config
 from wcsim.agents.rounds.train_rounds import LEARNED
 from wcsim.agents.runs import policy_file, run_folder
 from wcsim.agents.runs.data_folder import write_data_manifest
@@ -45,7 +45,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def there(made: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setattr(policy_file, "shipped_policy_path", lambda: made)
+    monkeypatch.setattr(policy_file, "get_shipped_policy_path", lambda: made)
     return made
 
 
@@ -53,7 +53,7 @@ def test_a_folder_that_was_dropped_there_is_the_policy_of_that_name(there):
     assert {path.name for path in there.iterdir()} == {*policy_file.HELD, policy_file.FILES, "README.md"}
     assert policy_folder_from_name("shipped") == policy_folder_from_name("shipped@0.2") == there
     assert parse_policy_name("shipped").kind == "shipped" and _identity_of("shipped@0.2", "quick")[-1] == 0.2
-    policy = open_named_policy("shipped@0.2", config_from_policy_name("shipped", "quick"), 0)
+    policy = open_named_policy("shipped@0.2", resolve_policy_config("shipped", "quick"), 0)
     policy.begin()
     policy.reset()
     assert 0 <= policy.act(ride(1)[0]) < 81
@@ -129,7 +129,7 @@ def test_a_file_that_is_not_what_was_shipped_is_refused(there, name):
 
 
 def test_where_none_came_with_wcsim_the_name_is_refused_in_a_line(tmp_path, monkeypatch):
-    monkeypatch.setattr(policy_file, "shipped_policy_path", lambda: tmp_path)
+    monkeypatch.setattr(policy_file, "get_shipped_policy_path", lambda: tmp_path)
     with pytest.raises(PolicyError, match=r"this wcsim comes without a policy.*tools/ship_policy\.py RUN"):
         run_folder.policy_folder_from_name("shipped")
 

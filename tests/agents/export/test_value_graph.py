@@ -13,13 +13,13 @@ from torch import nn
 
 from tests.agents.export.test_danger_graph import ride
 from tests.agents.toy import ToyStreet, WindowedStreet, toy_camera
-from wcsim.agents.envs.episode_view import FrameWindow
+from wcsim.agents.envs.episode_view import FrameStacker
 from wcsim.agents.export import onnx_export
 from wcsim.agents.export.export_folder import WRITTEN
 from wcsim.agents.export.footprint import OnnxModelCost
 from wcsim.agents.export.guard import MEANING
 from wcsim.agents.export.onnx_export import MOST_OFF, ExportMeasurements, export_policy
-from wcsim.agents.learning.build import build_model, default_settings_for_network
+from wcsim.agents.learning.build import build_q_learner, default_settings_for_network
 from wcsim.agents.learning.saved_policy import load_policy, save_policy
 from wcsim.agents.networks.names import NETWORK_NAMES
 from wcsim.agents.opening.learner_registry import Q_LEARNING
@@ -49,7 +49,7 @@ def saved(folder: Path, config: RunConfig) -> Path:
     """A policy whose choice depends on all that it is shown."""
     torch.manual_seed(5)
     window, (camera,) = config.env.frames, config.cameras
-    model = build_model(config, WindowedStreet(window, camera) if window > 1 else ToyStreet(camera), 0)
+    model = build_q_learner(config, WindowedStreet(window, camera) if window > 1 else ToyStreet(camera), 0)
     with torch.no_grad():
         for value in model.q_net.parameters():
             value.add_(0.5 * torch.randn_like(value) * (value.abs().mean() + 0.02))
@@ -86,7 +86,7 @@ def test_the_folder_has_what_the_network_says_and_means(made):
 def test_over_several_episodes_the_folder_chooses_what_the_policy_of_wcsim_chooses(made):
     folder, _, policy = made
     own, other = load_policy(policy), open_named_policy(str(folder), RunConfig(cameras=(CAMERA,)), 0)
-    view, chosen = FrameWindow(own.file.window), []
+    view, chosen = FrameStacker(own.file.window), []
     for each in (own, other):
         each.begin()
     for episode in (RIDE[:11], RIDE[5:7], RIDE[7:25]):
@@ -99,7 +99,7 @@ def test_over_several_episodes_the_folder_chooses_what_the_policy_of_wcsim_choos
 
 def test_beside_a_policy_that_needs_a_window_it_sees_the_newest_picture_alone(made):
     folder, _, _ = made
-    view, alone, beside = FrameWindow(4), OnnxPolicy(folder, "one", 81), OnnxPolicy(folder, "other", 81)
+    view, alone, beside = FrameStacker(4), OnnxPolicy(folder, "one", 81), OnnxPolicy(folder, "other", 81)
     for policy in (alone, beside):
         policy.reset()
     assert [alone.act(seen) for seen in RIDE[:9]] == [beside.act(view.add(dict(seen))) for seen in RIDE[:9]]

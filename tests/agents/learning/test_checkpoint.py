@@ -10,7 +10,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 
 from tests.agents.toy import load_checkpoint, train_toy
 from tests.attack.files.checkpoints import Bench, config, content, street
-from wcsim.agents.learning.build import build_model
+from wcsim.agents.learning.build import build_q_learner
 from wcsim.agents.learning.checkpoint import save_checkpoint
 from wcsim.agents.runs.checkpoint import STATE, list_checkpoints
 from wcsim.agents.runs.metrics import read_metrics
@@ -98,7 +98,7 @@ def test_a_state_with_another_value_is_passed_over(bench, folder, key, sealed):
     file.write_text(json.dumps({**data, key: BAD[key]}))
     if sealed:
         del data["seal"]
-        files.write_sealed_json(file, {**data, key: BAD[key]})
+        files.write_json_with_checksum(file, {**data, key: BAD[key]})
     loaded = load_checkpoint(folder, bench.model)
     assert loaded.path.name == "step-00000080"
     assert [path.name for path in loaded.passed_over] == ["step-00000120"]
@@ -187,13 +187,13 @@ def learn_on(wrote, folder):
 
 
 def test_checkpoints_of_weights_share_the_newest_replay_and_restore(tmp_path):
-    wrote = build_model(config(), DummyVecEnv([street]), 1)
+    wrote = build_q_learner(config(), DummyVecEnv([street]), 1)
     wrote.learn(60)
     first = save_checkpoint(tmp_path, wrote, {})
     newest = learn_on(wrote, tmp_path)
     assert newest.name == "step-00000140"
     assert (newest / "replay.safetensors").samefile(next(tmp_path.glob("step-*")) / "replay.safetensors")
-    again = build_model(config(), DummyVecEnv([street]), 2)
+    again = build_q_learner(config(), DummyVecEnv([street]), 2)
     assert load_checkpoint(tmp_path, again).path == newest
     assert (again.num_timesteps, again.replay_buffer.total) == (140, 60)
     assert all(torch.equal(a, b) for a, b in zip(wrote.q_net.parameters(), again.q_net.parameters(), strict=True))
@@ -201,5 +201,5 @@ def test_checkpoints_of_weights_share_the_newest_replay_and_restore(tmp_path):
     newest = learn_on(wrote, tmp_path)
     assert not first.exists()
     (newest / "replay.safetensors").write_bytes(b"damaged")  # all that share it
-    found = load_checkpoint(tmp_path, build_model(config(), DummyVecEnv([street]), 2))
+    found = load_checkpoint(tmp_path, build_q_learner(config(), DummyVecEnv([street]), 2))
     assert found.path.name == "step-00000120" and len(found.passed_over) == 3, "the last one with the replay before"

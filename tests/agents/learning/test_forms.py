@@ -11,11 +11,11 @@ import pytest
 
 from tests.agents.toy import ToyStreet, a_run, toy_camera
 from tests.support.samples import stacked
-from wcsim.agents.envs.episode_view import FrameWindow, trim_frame_window, window_observation_space
+from wcsim.agents.envs.episode_view import FrameStacker, trim_frame_window, window_observation_space
 from wcsim.agents.learning.replay.buffer import _layout_of
 from wcsim.agents.learning.saved_policy import load_policy
-from wcsim.agents.learning.train import train
-from wcsim.agents.opening.named_policy import config_from_policy_name, open_named_policy
+from wcsim.agents.learning.train import train_dqn
+from wcsim.agents.opening.named_policy import open_named_policy, resolve_policy_config
 from wcsim.config import RunConfig, resolve
 from wcsim.errors import InterruptedRunError, PolicyError
 from wcsim.supervisor.observation import make_observation_space
@@ -65,11 +65,11 @@ def config(form: str, *words: str) -> RunConfig:
 @pytest.mark.parametrize(("form", "words"), FORMS)
 def test_a_network_learns_from_it_goes_on_and_is_loaded(tmp_path: Path, form: str, words: tuple[str, ...]) -> None:
     asked = a_run(config(form, *words), tmp_path / "whole", 1)
-    whole = train(asked, lambda: Formed(form))
+    whole = train_dqn(asked, lambda: Formed(form))
     again = replace(asked, out=tmp_path / "parts")
     with pytest.raises(InterruptedRunError):
-        train(again, lambda: Formed(form, stop_at=30))
-    assert train(replace(again, resume=True), lambda: Formed(form)) == again.out
+        train_dqn(again, lambda: Formed(form, stop_at=30))
+    assert train_dqn(replace(again, resume=True), lambda: Formed(form)) == again.out
     policy = load_policy(whole / "policies" / "final")
     assert policy.file.observation == form
     env = Formed(form)
@@ -78,7 +78,7 @@ def test_a_network_learns_from_it_goes_on_and_is_loaded(tmp_path: Path, form: st
     assert values.shape == (81,) and np.ptp(values) > 0.0
     other = {**seen, "depth": np.zeros_like(seen["depth"])}
     assert not np.array_equal(values, policy.values(other)), "it looks at the picture"
-    settings = config_from_policy_name(str(whole), "quick")
+    settings = resolve_policy_config(str(whole), "quick")
     assert open_named_policy(str(whole), settings, 0).name == str(whole)
     plain = settings.model_copy(update={"env": settings.env.model_copy(update={"observation": "compact"})})
     with pytest.raises(PolicyError, match=f"sees env.observation={form}, this test has compact"):
@@ -101,7 +101,7 @@ def test_colours_have_a_window_too() -> None:
     space = window_observation_space(make_observation_space("compact_rgb", 20, 16), 3)
     assert {key: space[key].shape[0] for key in ("seg", "depth", "rgb")} == {"seg": 3, "depth": 3, "rgb": 9}
     assert _layout_of(space).window == 3
-    env, window = Formed("compact_rgb"), FrameWindow(3)
+    env, window = Formed("compact_rgb"), FrameStacker(3)
     frames = [env.reset(seed=n)[0] for n in range(3)]
     seen = [window.add(frame) for frame in frames][-1]
     assert space.contains({**seen, "joystick": seen["joystick"]})

@@ -9,7 +9,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 
 from tests.agents.learning.test_train import weights
 from tests.agents.toy import ToyStreet, load_checkpoint, q_config, same_from_here_on, toy_camera, train_toy
-from wcsim.agents.learning.build import build_model
+from wcsim.agents.learning.build import build_q_learner
 from wcsim.agents.learning.checkpoint import save_checkpoint
 from wcsim.agents.runs.checkpoint import list_checkpoints
 from wcsim.agents.runs.run_folder import open_run
@@ -76,10 +76,10 @@ def test_killed_with_groups_it_learns_what_it_would_have_learned(tmp_path, epsil
 
 
 def test_a_checkpoint_restores_states(tmp_path):
-    wrote = build_model(config(), DummyVecEnv([Fixed]), 1)
+    wrote = build_q_learner(config(), DummyVecEnv([Fixed]), 1)
     wrote.learn(120)
     save_checkpoint(tmp_path / "checkpoints", wrote, {})
-    again = build_model(config(), DummyVecEnv([Fixed]), 2)
+    again = build_q_learner(config(), DummyVecEnv([Fixed]), 2)
     load_checkpoint(tmp_path / "checkpoints", again)
     assert len(again.replay_buffer.groups.states) > 10
     assert same_from_here_on(wrote, again, batch=16)

@@ -11,7 +11,7 @@ from tests.agents.toy import ToyStreet, q_config, toy_camera, train_toy
 from wcsim.agents.learning.replay.buffer import FrameReplay
 from wcsim.agents.learning.saved_policy import load_policy
 from wcsim.agents.learning.seqdqn import SeqDQN
-from wcsim.agents.policies.baselines import baseline
+from wcsim.agents.policies.baselines import make_baseline_policy
 from wcsim.agents.runs.metrics import read_metrics
 from wcsim.agents.runs.run_folder import policy_folder_from_name
 
@@ -41,7 +41,7 @@ def has_learned(learned, follow):
 def test_it_learns_to_avoid_what_the_user_does_not_see(tmp_path):
     settings = config(**SHORT)
     run = train_toy(settings, tmp_path / "run", lambda: ToyStreet(CAMERA), seed=0)
-    follow = drive(baseline("follow", settings), 8000)  # 2000 steps hold 9 to 17 crashes for equal policies
+    follow = drive(make_baseline_policy("follow", settings), 8000)  # 2000 steps hold 9 to 17 crashes for equal policies
     obedient, learned = (
         drive(load_policy(policy_folder_from_name(f"{run}:{stage}")), 8000) for stage in ("phase1", "final")
     )
@@ -60,7 +60,7 @@ def test_it_learns_with_other_seeds_and_more_time(seed, tmp_path):
     settings = config(total_steps=16_000, phase1_steps=2000)
     run = train_toy(settings, tmp_path / "run", lambda: ToyStreet(CAMERA), seed=seed)
     follow, learned = (
-        drive(baseline("follow", settings), 8000),
+        drive(make_baseline_policy("follow", settings), 8000),
         drive(load_policy(policy_folder_from_name(str(run))), 8000),
     )
     assert per_1000(learned) <= 0.25 * per_1000(follow)
@@ -89,7 +89,7 @@ def test_a_learner_with_a_planted_fault_is_found_out(fault, tmp_path, monkeypatc
     settings = config(**SHORT)
     run = train_toy(settings, tmp_path / "run", lambda: ToyStreet(CAMERA), seed=0)
     follow, learned = (
-        drive(baseline("follow", settings), 2000),
+        drive(make_baseline_policy("follow", settings), 2000),
         drive(load_policy(policy_folder_from_name(str(run))), 2000),
     )
     assert not has_learned(learned, follow), learned

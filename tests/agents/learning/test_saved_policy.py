@@ -12,7 +12,7 @@ from safetensors.torch import load_file, save_file
 
 import wcsim.agents
 from tests.agents.toy import ToyStreet, q_config, q_learner, toy_camera
-from wcsim.agents.learning.build import build_model
+from wcsim.agents.learning.build import build_q_learner
 from wcsim.agents.learning.saved_policy import load_policy, save_policy
 from wcsim.agents.networks import registry
 from wcsim.agents.networks.convolutional import PatchNet
@@ -180,7 +180,7 @@ def test_a_policy_says_which_further_sensors_it_reads_and_only_then(original, sa
     assert "sensors" not in json.loads((saved / POLICY_JSON).read_text())
     env = WithWheels(ToyStreet(CAMERA))
     config = q_config(CAMERA, replay_frames=100)
-    folder = save_policy(tmp_path / "wheels", build_model(config, env, 0), CAMERA)
+    folder = save_policy(tmp_path / "wheels", build_q_learner(config, env, 0), CAMERA)
     policy, data = load_policy(folder), json.loads((folder / POLICY_JSON).read_text())
     assert data["sensors"] == {"wheels": 2} and data["vector_size"] == 9
     observation, _ = env.reset(seed=2)

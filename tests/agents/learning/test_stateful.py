@@ -10,7 +10,7 @@ from torch.nn import functional
 
 from tests.agents.toy import ToyStreet, WindowedStreet, q_config, q_learner, toy_camera
 from wcsim.agents.envs.episode_view import WORLD_RESTARTED
-from wcsim.agents.learning.build import build_model, default_settings_for_network
+from wcsim.agents.learning.build import build_q_learner, default_settings_for_network
 from wcsim.agents.learning.saved_policy import load_policy, save_policy
 from wcsim.agents.learning.seqdqn import _burned_in, _group_targets, _group_values, _sequence_loss
 from wcsim.config import resolve
@@ -73,7 +73,7 @@ def test_a_carried_state_replaces_the_window():
     assert model().q_net.spec.stateful
     assert not model(network="patch").q_net.spec.stateful
     with pytest.raises(PolicyError, match=r"sees 3 images at a time.*env\.window=1"):
-        build_model(config(), DummyVecEnv([lambda: WindowedStreet(3, CAMERA)]), 0)
+        build_q_learner(config(), DummyVecEnv([lambda: WindowedStreet(3, CAMERA)]), 0)
 
 
 @pytest.mark.parametrize(
@@ -101,7 +101,7 @@ def test_settings_have_bounds(key, value):
 @pytest.mark.parametrize(("network", "window"), [("patch", 1), ("conv3d", 3)])
 def test_a_network_without_a_state_learns_from_all_three(memory, network, window):
     given = config(window=window, network=network, memory=memory)
-    learner = build_model(given, DummyVecEnv([lambda: WindowedStreet(window, CAMERA, 23)]), 0)
+    learner = build_q_learner(given, DummyVecEnv([lambda: WindowedStreet(window, CAMERA, 23)]), 0)
     learner.learn(80)
     assert np.isfinite(learner.last_loss)
     assert learner._n_updates > 0
@@ -191,7 +191,7 @@ class Restarted(gym.Wrapper):
 @pytest.mark.parametrize("learn", [{}, {"network": "patch", "memory": "steps"}])
 def test_a_step_that_was_never_driven_as_the_world_began_again_is_not_learned_from(learn):
     street = Restarted(ToyStreet(CAMERA, max_steps=23))
-    learner = build_model(config(**learn), DummyVecEnv([lambda: street]), 0)
+    learner = build_q_learner(config(**learn), DummyVecEnv([lambda: street]), 0)
     learner.learn(60)
     buffer = learner.replay_buffer
     assert (learner.num_timesteps, buffer.total) == (60, 59)

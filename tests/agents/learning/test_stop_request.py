@@ -6,7 +6,7 @@ import pytest
 
 from tests.agents.learning.test_train import Nervous, config
 from tests.agents.toy import a_run, stopped_while_away, train_toy
-from wcsim.agents.learning.train import train
+from wcsim.agents.learning.train import train_dqn
 from wcsim.agents.runs.checkpoint import newest_checkpoint_number
 from wcsim.agents.runs.run_folder import open_run
 from wcsim.errors import InterruptedRunError, ServerGoneError
@@ -58,6 +58,6 @@ def test_a_second_signal_that_was_sent_to_all_does_not_tear_what_a_client_saves(
 
     run = a_run(config(), tmp_path / "run", 5)
     with pytest.raises(InterruptedRunError):
-        train(run, lambda: Nervous(150, ask), alive=saves, wait_no_more=lambda: asked.append(False))
+        train_dqn(run, lambda: Nervous(150, ask), alive=saves, wait_no_more=lambda: asked.append(False))
     assert newest_checkpoint_number(tmp_path / "run" / "checkpoints") == 152
     assert False in asked

@@ -21,12 +21,12 @@ import wcsim
 from tests.agents.toy import ToyStreet, a_run, full_once, q_config, toy_camera, train_toy
 from tests.support.events import read_events
 from wcsim.agents.envs.episode_view import WORLD_RESTARTED
-from wcsim.agents.learning.build import build_model
+from wcsim.agents.learning.build import build_q_learner
 from wcsim.agents.learning.checkpoint import _generator_state, _restored_generator
 from wcsim.agents.learning.saved_policy import load_policy
 from wcsim.agents.learning.seqdqn import SeqDQN
-from wcsim.agents.learning.train import train
-from wcsim.agents.opening.named_policy import config_from_policy_name, open_named_policy
+from wcsim.agents.learning.train import train_dqn
+from wcsim.agents.opening.named_policy import open_named_policy, resolve_policy_config
 from wcsim.agents.runs.metrics import COLUMNS, STEP_COLUMNS, MetricsFile, read_metrics
 from wcsim.agents.runs.run_folder import (
     create_run_folder,
@@ -89,7 +89,7 @@ def weights(path, stage="final"):
 def run(tmp_path_factory):
     seen, heard = [], []
     asked = a_run(config(), tmp_path_factory.mktemp("a") / "run", 5, town="toy", town_sha256="00")
-    path = train(asked, street, seen.append, alive=lambda: heard.append(len(list(asked.out.rglob("step-*")))))
+    path = train_dqn(asked, street, seen.append, alive=lambda: heard.append(len(list(asked.out.rglob("step-*")))))
     return path, seen, heard
 
 
@@ -162,10 +162,10 @@ def test_what_a_policy_was_made_with_can_be_asked(run, tmp_path):
     path, *_ = run
     for name in (str(path), f"{path}:phase1", str(path / "policies" / "final")):
         assert run_from_policy_name(name) == open_run(path)
-        assert config_from_policy_name(name, "dqn", ("learn.gamma=0.5",)).learn == config(gamma=0.5).learn
+        assert resolve_policy_config(name, "dqn", ("learn.gamma=0.5",)).learn == config(gamma=0.5).learn
     shutil.copytree(path / "policies" / "final", tmp_path / "copy")
     assert run_from_policy_name(str(tmp_path / "copy")) is None
-    alone = config_from_policy_name(str(tmp_path / "copy"), "dqn", ("env.max_steps=7",))
+    alone = resolve_policy_config(str(tmp_path / "copy"), "dqn", ("env.max_steps=7",))
     assert (alone.cameras, alone.env.max_steps) == ((CAMERA,), 7)
     assert open_named_policy(str(tmp_path / "copy"), alone, 0).name == str(tmp_path / "copy")
     with pytest.raises(PolicyError, match="20x16 images"):
@@ -223,8 +223,8 @@ def test_the_first_decision_of_a_sitting_explores_as_any_other(tmp_path, monkeyp
     always = {"phase1_steps": 0, "epsilon_start": 0.7, "epsilon_end": 0.7}
     asked = a_run(config(total_steps=60, **always), tmp_path / "run", 5)
     with pytest.raises(InterruptedRunError):
-        train(asked, lambda: Nervous(30, lambda: signal.raise_signal(signal.SIGINT)))
-    train(replace(asked, resume=True), street)
+        train_dqn(asked, lambda: Nervous(30, lambda: signal.raise_signal(signal.SIGINT)))
+    train_dqn(replace(asked, resume=True), street)
     assert rates == [pytest.approx(0.7)] * 60
 
 
@@ -263,8 +263,8 @@ def test_a_disk_that_is_full_at_the_switch_costs_no_policy(run, tmp_path, monkey
     full_once(monkeypatch, "wcsim.agents.learning.train.save_policy", "phase1")
     asked = a_run(config(total_steps=100), tmp_path / "run", 5, town="toy", town_sha256="00")
     with pytest.raises(DiskFullError, match=r"make room, then continue: wcsim resume"):
-        train(asked, street)
-    again = train(replace(asked, resume=True), street)
+        train_dqn(asked, street)
+    again = train_dqn(replace(asked, resume=True), street)
     assert weights(again, "phase1") == weights(run[0], "phase1")
 
 
@@ -288,11 +288,11 @@ def test_wrong_folders_are_explained(run, tmp_path):
     with pytest.raises(PolicyError, match="not a run"):
         open_run(tmp_path)
     with pytest.raises(PolicyError, match="another configuration"):
-        train(a_run(config(gamma=0.5), path, 5, town="toy", town_sha256="00", resume=True), street)
+        train_dqn(a_run(config(gamma=0.5), path, 5, town="toy", town_sha256="00", resume=True), street)
     with pytest.raises(PolicyError, match="another town_sha256"):
-        train(a_run(config(), path, 5, town="other", town_sha256="01", resume=True), street)
+        train_dqn(a_run(config(), path, 5, town="other", town_sha256="01", resume=True), street)
     with pytest.raises(PolicyError, match="another rewards"):
-        train(a_run(config(), path, 5, town="toy", town_sha256="00", rewards=("a:B",), resume=True), street)
+        train_dqn(a_run(config(), path, 5, town="toy", town_sha256="00", rewards=("a:B",), resume=True), street)
     with pytest.raises(PolicyError, match="unknown stage"):
         policy_folder_from_name(f"{path}:best")
     fresh = create_run_folder(tmp_path / "new", config(), make_run_manifest(config(), RunInfo(seed=1, town="t")))
@@ -410,4 +410,4 @@ def test_a_replay_beyond_the_memory_is_named(monkeypatch):
 
     monkeypatch.setattr("wcsim.agents.learning.build.SeqDQN", full)
     with pytest.raises(ConfigError, match=r"learn\.replay_frames=200 do not fit into memory"):
-        build_model(config(), ToyStreet(CAMERA), 0)
+        build_q_learner(config(), ToyStreet(CAMERA), 0)

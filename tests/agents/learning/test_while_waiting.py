@@ -11,10 +11,10 @@ from pydantic import ValidationError
 
 from tests.agents.learning.test_train import Nervous, config, street, weights
 from tests.agents.toy import ToyStreet, a_run, toy_camera, train_toy
-from wcsim.agents.learning.train import train
+from wcsim.agents.learning.train import train_dqn
 from wcsim.config import LearnConfig
 from wcsim.errors import InterruptedRunError
-from wcsim.server.links.socket import SocketSeat
+from wcsim.server.links.socket import SocketSeatLink
 
 SHORT = {"total_steps": 100, "phase1_steps": 20}
 HASTY = {"learning_rate": 0.03, "phase1_steps": 20, "epsilon_start": 0.0}  # an update changes what is chosen
@@ -73,7 +73,7 @@ def test_a_danger_network_cannot_wait():
         LearnConfig(head="danger", updates="while_waiting")
 
 
-class Heard(SocketSeat):
+class Heard(SocketSeatLink):
     """A seat that hears by `listen` what it is to hear."""
 
     def __init__(self, listen):
@@ -134,7 +134,7 @@ def test_updates_that_are_due_when_a_run_is_stopped_are_done_when_it_goes_on(tmp
     done.clear()
     asked = a_run(config(**SHORT, **fading), tmp_path / "parts", 1)
     with pytest.raises(InterruptedRunError):
-        train(asked, lambda: Nervous(79, lambda: signal.raise_signal(signal.SIGTERM)))
+        train_dqn(asked, lambda: Nervous(79, lambda: signal.raise_signal(signal.SIGTERM)))
     assert len(done) < len(straight)
-    train(replace(asked, resume=True), street)
+    train_dqn(replace(asked, resume=True), street)
     assert done == straight, "none is lost between"

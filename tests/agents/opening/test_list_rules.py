@@ -10,13 +10,13 @@ from wcsim.agents.evaluation.suite.sensitivity import CLEAN
 from wcsim.agents.opening.list_file import open_suite
 from wcsim.agents.opening.named_policy import (
     RULES,
-    config_from_policy_name,
     describe_rule_differences,
+    resolve_policy_config,
 )
 from wcsim.agents.runs.policy_file import POLICY_JSON
 from wcsim.agents.runs.run_folder import RunInfo, create_run_folder, make_run_manifest
 from wcsim.config import RunConfig, resolve
-from wcsim.config.suite import seats_repeating_free_part
+from wcsim.config.suite import find_seats_repeating_free_part
 from wcsim.errors import PolicyError
 
 OWN = (
@@ -43,14 +43,14 @@ def listed(name: str = "dev") -> tuple[str, ...]:
 
 def drives_as_the_user(policy: RunConfig) -> RunConfig:
     """Under the rules of the user alone, who is given back."""
-    user = config_from_policy_name("follow", "quick", listed(), in_list=True)
+    user = resolve_policy_config("follow", "quick", listed(), in_list=True)
     assert [getattr(policy, name) for name in RULES] == [getattr(user, name) for name in RULES]
     return user
 
 
 def test_a_run_of_the_paper_drives_under_the_rules_of_whom_it_is_compared_with(tmp_path):
     run = run_of(tmp_path / "run", "paper")
-    policy = config_from_policy_name(run, "quick", listed(), in_list=True)
+    policy = resolve_policy_config(run, "quick", listed(), in_list=True)
     user = drives_as_the_user(policy)
     assert user.reward.drop and user.world.button
     assert policy.cameras[0].width_px == 320 and policy.cameras[0].noise == user.cameras[0].noise
@@ -62,8 +62,8 @@ def test_a_run_of_the_paper_drives_under_the_rules_of_whom_it_is_compared_with(t
 def test_a_run_keeps_what_it_senses_and_does_and_brings_no_street_chair_or_range(tmp_path):
     run = run_of(tmp_path / "run", "quick", *OWN)
     own, policy = (
-        config_from_policy_name(run, "quick", ()),
-        config_from_policy_name(run, "quick", listed(), in_list=True),
+        resolve_policy_config(run, "quick", ()),
+        resolve_policy_config(run, "quick", listed(), in_list=True),
     )
     drives_as_the_user(policy)
     assert policy.world.action_delay_ticks == 2 and policy.vary.nothing
@@ -78,10 +78,10 @@ def test_a_run_keeps_what_it_senses_and_does_and_brings_no_street_chair_or_range
 
 def test_what_is_typed_for_the_test_holds_for_all(tmp_path):
     run, typed = run_of(tmp_path / "run", "paper", "world.tick_s=0.05"), ("reward.drop=false", "world.tick_s=0.2")
-    found = [config_from_policy_name(name, "quick", (*listed(), *typed), in_list=True) for name in ("follow", run)]
+    found = [resolve_policy_config(name, "quick", (*listed(), *typed), in_list=True) for name in ("follow", run)]
     assert found[0].world == found[1].world and found[0].reward == found[1].reward
     assert not found[1].reward.drop and found[1].world.tick_s == 0.2
-    paper = [config_from_policy_name(name, "paper", listed(), in_list=True) for name in ("follow", run)]
+    paper = [resolve_policy_config(name, "paper", listed(), in_list=True) for name in ("follow", run)]
     assert not paper[0].reward.drop and paper[0].reward == paper[1].reward and paper[0].world == paper[1].world
 
 
@@ -89,7 +89,7 @@ def test_what_is_typed_for_the_test_holds_for_all(tmp_path):
 @pytest.mark.parametrize("more", [(), CLEAN])
 def test_presets_that_change_no_rule_are_tested_as_their_runs_learned(tmp_path, name, more):
     policy, settings = "shipped" if name == "shipped" else run_of(tmp_path / "run", name), (*listed(), *more)
-    assert config_from_policy_name(policy, "quick", settings, in_list=True) == config_from_policy_name(
+    assert resolve_policy_config(policy, "quick", settings, in_list=True) == resolve_policy_config(
         policy, "quick", settings
     )
     assert not list(describe_rule_differences([policy], "quick", settings))
@@ -99,7 +99,7 @@ def test_a_model_in_onnx_drives_under_the_rules_too(tmp_path):
     (tmp_path / "policy.onnx").write_bytes(b"")
     told = '"reward.drop=false", "chair.plant=mwd", "cameras.0.width_px=32"'
     (tmp_path / "policy.toml").write_text(f'preset = "quick"\nsettings = [{told}]\n')
-    found = config_from_policy_name(str(tmp_path), "quick", listed(), in_list=True)
+    found = resolve_policy_config(str(tmp_path), "quick", listed(), in_list=True)
     drives_as_the_user(found)
     assert found.cameras[0].width_px == 32
     (line,) = describe_rule_differences([str(tmp_path)], "quick", listed())
@@ -118,7 +118,7 @@ def test_a_block_is_driven_under_them(tmp_path, monkeypatch):
     order = driving.SuiteOrder(suite=open_suite("dev"), out=tmp_path)
     records = driving.drive_piece(driving.piece_of(order, 0, run, {}, judged=False))
     assert {record.status for record in records} == {"refused"}
-    assert configs == [config_from_policy_name(run, "quick", listed(), in_list=True)] and configs[0].reward.drop
+    assert configs == [resolve_policy_config(run, "quick", listed(), in_list=True)] and configs[0].reward.drop
 
 
 @pytest.mark.parametrize(("name", "hazards", "again"), [("dev", 18, 5), ("validation", 24, 3), ("v1", 46, 21)])
@@ -126,4 +126,4 @@ def test_hazards_that_are_free_episodes_once_more_are_known(name, hazards, again
     """Counted in the files by another program, when the lists were looked through from outside."""
     blocks = open_suite(name).file.blocks
     assert sum(len(block.episodes) for block in blocks if block.part == "hazard") == hazards
-    assert sum(len(seats_repeating_free_part(blocks, index)) for index in range(len(blocks))) == again
+    assert sum(len(find_seats_repeating_free_part(blocks, index)) for index in range(len(blocks))) == again

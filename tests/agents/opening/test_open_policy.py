@@ -6,8 +6,8 @@ import pytest
 from tests.agents.driven import Script, driven
 from tests.agents.toy import toy_camera
 from wcsim.agents.opening import named_policy
-from wcsim.agents.opening.named_policy import config_from_policy_name, open_named_policy
-from wcsim.agents.policies.baselines import baseline
+from wcsim.agents.opening.named_policy import open_named_policy, resolve_policy_config
+from wcsim.agents.policies.baselines import make_baseline_policy
 from wcsim.agents.policies.onnx_policy import ExportedDangerPolicy
 from wcsim.agents.policy_api import MOTION_SENSES
 from wcsim.agents.runs.policy_file import find_shipped_policy
@@ -30,7 +30,7 @@ def test_the_oracle_is_shown_the_truth_of_the_moment_it_answers_to():
             return {**info, "truth": replace(info["truth"], first_s=first_s)} if self.truth else info
 
     asked: list[int] = []
-    oracle = baseline("oracle", CONFIG)
+    oracle = make_baseline_policy("oracle", CONFIG)
     assert driven(oracle, Danger(crash_at=4), episodes=1, max_steps=9).kpi2 == 4
     assert asked == [0, 1, 2, 3]
     with pytest.raises(PolicyError, match=r"env\.truth"):
@@ -39,7 +39,7 @@ def test_the_oracle_is_shown_the_truth_of_the_moment_it_answers_to():
 
 @pytest.mark.parametrize("delay", [0, 2])
 def test_without_torch_shipped_drives_as_with_it(delay, monkeypatch):
-    config = config_from_policy_name("shipped", "quick", (f"world.action_delay_ticks={delay}",))
+    config = resolve_policy_config("shipped", "quick", (f"world.action_delay_ticks={delay}",))
     policies = [open_named_policy("shipped", config, 0)]
     monkeypatch.setattr(named_policy, "find_spec", lambda name: None)
     policies.append(open_named_policy("shipped", config, 0))
@@ -60,10 +60,10 @@ def test_without_torch_shipped_drives_as_with_it(delay, monkeypatch):
 def test_without_torch_nothing_drives_by_a_law_that_is_not_its_own(monkeypatch):
     for module in ("wcsim.errors", "wcsim.agents.opening.named_policy"):
         monkeypatch.setattr(f"{module}.find_spec", lambda name: None)
-    config = config_from_policy_name("shipped", "quick")
+    config = resolve_policy_config("shipped", "quick")
     others = ("@0.3", "world.tick_s=0.1"), ("", "world.action_delay_ticks=1"), ("", "chair.v_max_mps=1.0")
     for level, other in others:
-        policy = open_named_policy(f"shipped{level}", config_from_policy_name("shipped", "quick", (other,)), 0)
+        policy = open_named_policy(f"shipped{level}", resolve_policy_config("shipped", "quick", (other,)), 0)
         assert not isinstance(policy, ExportedDangerPolicy)
     with pytest.raises(PolicyError, match=r"pip install 'wcsim\[train\]'"):
         open_named_policy("veto:shipped", config, 0)

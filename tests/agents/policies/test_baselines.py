@@ -7,7 +7,7 @@ from tests.agents.driven import driven
 from tests.agents.toy import ToyStreet, camera_rays, toy_camera
 from tests.support.samples import ACTIONS, USUAL_OUTLINE
 from wcsim.agents.perception.depth_image import viewing_rays
-from wcsim.agents.policies.baselines import _CorridorWatch, _in_corridor, baseline
+from wcsim.agents.policies.baselines import _CorridorWatch, _in_corridor, make_baseline_policy
 from wcsim.agents.policy_api import BASELINES, UPPER_BOUND, VISIBLE_BOUND, SeesTruth
 from wcsim.agents.runs.policy_file import parse_policy_name
 from wcsim.config import CameraConfig, ChairConfig, RunConfig
@@ -117,7 +117,7 @@ def test_two_derivations_of_the_viewing_rays_agree():
 @pytest.mark.parametrize("name", BASELINES)
 def test_every_baseline_drives(name):
     config = RunConfig(cameras=(toy_camera(),))
-    policy = baseline(name, config, seed=3)
+    policy = make_baseline_policy(name, config, seed=3)
     assert policy.name == name
     observation, _ = ToyStreet(toy_camera()).reset(seed=0)
     assert 0 <= policy.act(observation) < 81
@@ -128,7 +128,7 @@ def test_baselines_in_the_toy_street_rank_as_they_must():
     camera = toy_camera()
     config = RunConfig(cameras=(camera,), chair=ChairConfig(v_max_mps=1.6))
     rows = {
-        name: driven(baseline(name, config, seed=3), ToyStreet(camera, max_steps=200), 4, 200, seed=11)
+        name: driven(make_baseline_policy(name, config, seed=3), ToyStreet(camera, max_steps=200), 4, 200, seed=11)
         for name in BASELINES
     }
     assert rows["follow"].kpi1_within == pytest.approx(1.0)
@@ -144,12 +144,14 @@ def test_baselines_in_the_toy_street_rank_as_they_must():
 
 
 def test_random_is_seeded_and_stop_keeps_turning():
-    randoms = [baseline("random", CONFIG, seed=s) for s in (1, 1, 2)]
+    randoms = [make_baseline_policy("random", CONFIG, seed=s) for s in (1, 1, 2)]
     drives = [[policy.act({}) for _ in range(9)] for policy in randoms]
     assert drives[0] == drives[1] != drives[2]
     view = {**looking_at(box(1.5, 3.0, -3, 3, 0, 3)), "joystick": np.array([0.5, 0.8], np.float32)}
-    assert tuple(ACTIONS.points[baseline("stop", CONFIG).act(view)]) == (0.5, 0.0)
-    assert tuple(ACTIONS.points[baseline("stop", CONFIG).act({**view, "joystick": np.array([0.5, -0.8])})]) == (
+    assert tuple(ACTIONS.points[make_baseline_policy("stop", CONFIG).act(view)]) == (0.5, 0.0)
+    assert tuple(
+        ACTIONS.points[make_baseline_policy("stop", CONFIG).act({**view, "joystick": np.array([0.5, -0.8])})]
+    ) == (
         0.5,
         -0.75,
     )
@@ -158,7 +160,7 @@ def test_random_is_seeded_and_stop_keeps_turning():
 def test_stop_warns_of_a_wall_that_it_sees_twice_and_of_none_that_flickers():
     ahead = {**looking_at(WALL), "joystick": np.array([0.0, 0.8], np.float32)}
     turning = {**ahead, "joystick": np.array([0.8, 0.0], np.float32)}
-    policy, told = baseline("stop", CONFIG), []
+    policy, told = make_baseline_policy("stop", CONFIG), []
     for view in (ahead, turning, turning, ahead, ahead, turning, turning):
         policy.act(view)
         told.append(policy.warning)
@@ -172,12 +174,12 @@ def test_stop_warns_of_a_wall_that_it_sees_twice_and_of_none_that_flickers():
 
 def test_an_unknown_baseline_is_refused():
     with pytest.raises(PolicyError, match="follow"):
-        baseline("expert", RunConfig())
+        make_baseline_policy("expert", RunConfig())
 
 
 def test_the_oracle_takes_the_safe_action_nearest_to_the_stick():
-    oracle = baseline(UPPER_BOUND, CONFIG)
-    assert isinstance(oracle, SeesTruth) and not isinstance(baseline("dwa", CONFIG), SeesTruth)
+    oracle = make_baseline_policy(UPPER_BOUND, CONFIG)
+    assert isinstance(oracle, SeesTruth) and not isinstance(make_baseline_policy("dwa", CONFIG), SeesTruth)
     ahead = {"joystick": np.array([0.1, 0.9], np.float32)}
 
     def chosen(safe, first_s=1.0):
@@ -200,7 +202,7 @@ def test_the_oracle_takes_the_safe_action_nearest_to_the_stick():
 
 
 def test_the_oracle_that_sees_as_the_cameras_do_takes_its_own_part_of_the_truth():
-    full, visible = (baseline(name, CONFIG) for name in (UPPER_BOUND, VISIBLE_BOUND))
+    full, visible = (make_baseline_policy(name, CONFIG) for name in (UPPER_BOUND, VISIBLE_BOUND))
     assert isinstance(visible, SeesTruth) and parse_policy_name(VISIBLE_BOUND).kind == "baseline"
     assert (full.name, visible.name) == ("oracle", "oracle-visible")
     ahead = {"joystick": np.array([0.0, 1.0], np.float32)}

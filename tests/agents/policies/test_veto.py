@@ -9,8 +9,8 @@ from tests.agents.danger.sights import observation
 from tests.agents.policies.test_baselines import box, ground, looking_at
 from tests.support.samples import ACTIONS
 from wcsim.agents.evaluation.suite.run import _identity_of, _policy_at
-from wcsim.agents.opening.named_policy import config_from_policy_name, open_named_policy
-from wcsim.agents.policies.baselines import baseline
+from wcsim.agents.opening.named_policy import open_named_policy, resolve_policy_config
+from wcsim.agents.policies.baselines import make_baseline_policy
 from wcsim.agents.policies.dwa import VetoPolicy
 from wcsim.agents.policy_api import HearsSent, Levelled, NeedsSenses, TellsUnsafe, Warns
 from wcsim.agents.runs.policy_file import parse_policy_name
@@ -60,13 +60,13 @@ class Doubter:
 
 
 def test_where_dwa_forbids_nothing_the_policy_drives():
-    policy = VetoPolicy("veto:follow", baseline("follow", CONFIG), CONFIG)
+    policy = VetoPolicy("veto:follow", make_baseline_policy("follow", CONFIG), CONFIG)
     assert policy.act(seen(ground)) == ACTIONS.nearest(AHEAD)
     assert not policy.unsafe[ACTIONS.nearest(AHEAD)]
 
 
 def test_before_a_wall_the_nearest_action_that_is_allowed_is_taken():
-    policy = VetoPolicy("veto:follow", baseline("follow", CONFIG), CONFIG)
+    policy = VetoPolicy("veto:follow", make_baseline_policy("follow", CONFIG), CONFIG)
     chosen = ACTIONS.points[policy.act(seen(WALL))]
     assert policy.unsafe[ACTIONS.nearest(AHEAD)] and not policy.unsafe[ACTIONS.nearest(chosen)]
     distance = ACTIONS.distances(AHEAD[None].astype(np.float64))[0]
@@ -107,7 +107,7 @@ def test_it_has_the_senses_of_both_and_tells_the_policy_what_happens():
 
 
 def test_its_level_is_that_of_dwa():
-    policy = VetoPolicy("veto:follow", baseline("follow", CONFIG), CONFIG)
+    policy = VetoPolicy("veto:follow", make_baseline_policy("follow", CONFIG), CONFIG)
     allowed = []
     for level in (0.0, 1.0, 2.0):
         policy.set_level(level)
@@ -131,7 +131,7 @@ def test_names():
     assert (parse_policy_name("b@home").place, parse_policy_name("dwa@0.5").level) == ("b@home", 0.5)
     assert _policy_at("veto:runs/a@0.2", lambda address: f"/far/{address}") == "veto:/far/runs/a@0.2"
     assert _identity_of("veto:dwa", "quick") == ["veto", "baseline", "dwa", "quick"] != _identity_of("dwa", "quick")
-    assert config_from_policy_name("veto:dwa", "quick", ()) == config_from_policy_name("dwa", "quick", ())
+    assert resolve_policy_config("veto:dwa", "quick", ()) == resolve_policy_config("dwa", "quick", ())
 
 
 def test_a_policy_that_sees_the_truth_needs_no_veto():
@@ -143,7 +143,7 @@ def test_a_policy_that_sees_the_truth_needs_no_veto():
 
 
 def test_the_shipped_policy_drives_behind_a_veto():
-    config = config_from_policy_name("veto:shipped", "quick", ())
+    config = resolve_policy_config("veto:shipped", "quick", ())
     policy = open_named_policy("veto:shipped", config, 0)
     assert policy.name == "veto:shipped"
     policy.begin()

@@ -13,7 +13,7 @@ from wcsim.agents.danger.network import DangerNet, spec_of
 from wcsim.agents.danger.policy import save_danger
 from wcsim.agents.rounds.collect_data import DataOrder, collect_data
 from wcsim.agents.rounds.drive_segment import SegmentOrder
-from wcsim.agents.runs.data_folder import read_data_manifest, segment_path
+from wcsim.agents.runs.data_folder import read_data_manifest, segment_path_from_name
 from wcsim.config import RunConfig
 from wcsim.config.run_file import DangerRuleSettings
 from wcsim.core.files import lock_run_folder
@@ -42,7 +42,7 @@ class OneDies:
         for number, order in enumerate(orders):
             if self.dies and number == 1:
                 raise KeyboardInterrupt
-            path = segment_path(self._folder, order.key.name)
+            path = segment_path_from_name(self._folder, order.key.name)
             found[path.name] = write_segment(path, a_segment(seed=order.key.index))
         return found
 

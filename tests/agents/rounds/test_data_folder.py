@@ -16,12 +16,12 @@ from wcsim.agents.runs import data_folder
 from wcsim.agents.runs.data_folder import (
     DrivingSegment,
     DrivingSegmentKey,
-    data_digest,
+    hash_segments,
     join_segments,
     read_data_manifest,
     read_segment,
     require_same_data_settings,
-    segment_path,
+    segment_path_from_name,
     write_data_manifest,
 )
 from wcsim.errors import PolicyError
@@ -54,7 +54,7 @@ def a_segment(rows: int = 7, seed: int = 0) -> DrivingSegment:
 
 
 def test_a_segment_is_read_as_it_was_written_and_its_bytes_follow_from_it_alone(tmp_path: Path):
-    segment, path = a_segment(), segment_path(tmp_path, KEY.name)
+    segment, path = a_segment(), segment_path_from_name(tmp_path, KEY.name)
     sha256 = write_segment(path, segment)
     for name, column in read_segment(path, sha256).arrays().items():
         assert column.dtype == segment.arrays()[name].dtype and (column == segment.arrays()[name]).all(), name
@@ -188,7 +188,7 @@ def test_data_of_another_camera_is_refused_and_told(tmp_path: Path):
     write_data_manifest(tmp_path, config, {"corner": TOWN}, {"b": "1" * 64, "a": "2" * 64})
     file = read_data_manifest(tmp_path)
     require_same_data_settings(tmp_path, file, dqn_config("learn.gamma=0.9"))
-    assert file.data_sha256 == data_digest({"a": "2" * 64, "b": "1" * 64})
+    assert file.data_sha256 == hash_segments({"a": "2" * 64, "b": "1" * 64})
     for other in (
         "world.tick_s=0.05",
         "cameras.0.width_px=40",
@@ -229,7 +229,7 @@ def test_a_folder_is_a_dataset_of_minari(tmp_path: Path, monkeypatch: pytest.Mon
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "minari"))
     ends = np.array([0, 0, 1, 0, 0, 0, 1], np.bool_)
     segment = replace(a_segment(), ended=ends, crashed=ends & (np.arange(7) < 3))
-    write_segment(segment_path(tmp_path, KEY), segment)
+    write_segment(segment_path_from_name(tmp_path, KEY), segment)
     monkeypatch.setattr(sys, "argv", ["to_minari.py", str(tmp_path), "wcsim/street-v0"])
     runpy.run_path(str(EXAMPLES / "to_minari.py"))
     episodes = list(minari.load_dataset("wcsim/street-v0").iterate_episodes())

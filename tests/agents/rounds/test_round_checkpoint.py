@@ -23,11 +23,11 @@ from wcsim.agents.rounds import train_rounds
 from wcsim.agents.rounds.drive_segment import SegmentOrder
 from wcsim.agents.rounds.train_rounds import RoundProgress, _restoring, _save_round, train_danger
 from wcsim.agents.runs.checkpoint import _restore_newest, checkpoint_number_from_path, format_checkpoint_name
-from wcsim.agents.runs.data_folder import DrivingSegmentKey, segment_path, write_data_manifest
+from wcsim.agents.runs.data_folder import DrivingSegmentKey, segment_path_from_name, write_data_manifest
 from wcsim.agents.runs.metrics import read_round_metrics
 from wcsim.agents.runs.run_folder import ResolvedRun
 from wcsim.agents.runs.weights import write_policy_folder
-from wcsim.cli.shared.run_config import learner_fixed_settings
+from wcsim.cli.shared.run_config import settings_from_learner
 from wcsim.config import RunConfig, resolve
 from wcsim.core import files
 from wcsim.errors import ConfigError, DiskFullError, InterruptedRunError, PolicyError
@@ -54,7 +54,7 @@ class NoiseCrew:
 
     def take(self, orders: Sequence[SegmentOrder], told: object) -> dict[str, str]:
         self.ask(orders)
-        paths = {segment_path(self._folder, order.key.name): order.key for order in orders}
+        paths = {segment_path_from_name(self._folder, order.key.name): order.key for order in orders}
         return {path.name: write_segment(path, a_segment(seed=key.round)) for path, key in paths.items()}
 
 
@@ -131,7 +131,9 @@ def test_folders_without_driving_are_refused_where_nobody_drives(
 
 def others_drive(folder: Path, count: int) -> dict[str, str]:
     """A data folder with so many segments of noise; their SHA-256 by file name."""
-    paths = [segment_path(folder, DrivingSegmentKey(run=8, round=0, index=index).name) for index in range(count)]
+    paths = [
+        segment_path_from_name(folder, DrivingSegmentKey(run=8, round=0, index=index).name) for index in range(count)
+    ]
     held = {path.name: write_segment(path, a_segment(seed=50 + number)) for number, path in enumerate(paths)}
     write_data_manifest(folder, dqn_config(*SMALL), {"corner": "0" * 64}, held)
     return held
@@ -139,7 +141,7 @@ def others_drive(folder: Path, count: int) -> dict[str, str]:
 
 def whole(run: ResolvedRun) -> ResolvedRun:
     """As the command line resolves it."""
-    return replace(run, config=resolve(run.config, learner_fixed_settings(run.config)))
+    return replace(run, config=resolve(run.config, settings_from_learner(run.config)))
 
 
 def a_learner() -> DangerLearner:
@@ -282,4 +284,4 @@ def resealed(path: Path, **changes: Any) -> None:
     """Say something else, under a seal that fits."""
     state = {**json.loads(path.read_text()), **changes}
     del state["seal"]
-    files.write_sealed_json(path, state)
+    files.write_json_with_checksum(path, state)

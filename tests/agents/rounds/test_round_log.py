@@ -2,7 +2,7 @@ from pathlib import Path
 
 import pytest
 
-from wcsim.agents.runs.metrics import append_round_metrics, is_round_metrics_file, read_round_metrics
+from wcsim.agents.runs.metrics import append_round_metrics, has_metrics_per_round, read_round_metrics
 from wcsim.errors import PolicyError
 
 FIRST = (0, 2000, 1500, 0.25, 4, 300, 1, 500, 2, 50, 0.5, 1.25, 2.5)
@@ -14,7 +14,7 @@ def test_rows_come_back_and_a_round_that_is_done_again_stands_once(tmp_path: Pat
     for row in (FIRST, (1, 9999, *SECOND[2:]), SECOND):
         append_round_metrics(path, row)
     first, second = read_round_metrics(path)
-    assert is_round_metrics_file(path)
+    assert has_metrics_per_round(path)
     assert (first.steps, first.new_steps, first.tight_share, first.wait_s) == (2000, 1500, 0.25, 1.25)
     assert (second.round, second.steps, second.crashes, second.updates, second.learn_s) == (1, 4500, 3, 100, 3.0)
     assert (first.network_steps, first.network_crashes, first.user_steps, first.user_crashes) == (300, 1, 500, 2)
@@ -42,7 +42,7 @@ def test_a_damaged_row_is_refused(tmp_path: Path, row: str) -> None:
 def test_another_log_is_none_of_rounds(tmp_path: Path) -> None:
     path = tmp_path / "metrics.csv"
     path.write_text("step,episode\n")
-    assert not is_round_metrics_file(path)
+    assert not has_metrics_per_round(path)
     with pytest.raises(PolicyError, match="expected those of this version"):
         read_round_metrics(path)
 

@@ -80,7 +80,7 @@ def _once(x):
 def _twice(x):
     return x
 
-@exact_kernel
+@compile_exact_kernel
 def _fast(x):
     return x
 

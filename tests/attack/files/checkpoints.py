@@ -15,7 +15,7 @@ from tests.agents.toy import ToyStreet, load_checkpoint, toy_camera, train_toy
 from tests.attack.files.damage import ANY, Damage, bomb, change, edited, flipped
 from tests.attack.outcomes import Case
 from tests.attack.scenarios.twists import Rng, draws, integer, pick
-from wcsim.agents.learning.build import build_model
+from wcsim.agents.learning.build import build_q_learner
 from wcsim.agents.learning.checkpoint import (
     _generator_state,
     _model_arrays,
@@ -63,7 +63,7 @@ class Bench:
 
     def __init__(self, work: Path) -> None:
         self.sound = train_toy(config(), work / "sound", street) / "checkpoints"
-        self.model = build_model(config(), DummyVecEnv([street]), 7)
+        self.model = build_q_learner(config(), DummyVecEnv([street]), 7)
         self._nets = [copy.deepcopy(net.state_dict()) for net in (self.model.q_net, self.model.q_net_target)]
         self._optimizer = copy.deepcopy(self.model.policy.optimizer.state_dict())
         self._rngs = _generator_state(self.model.rng), _generator_state(self.model.replay_buffer.rng)

@@ -14,7 +14,7 @@ from tests.support.events import read_events
 from tests.support.framing import chained, pieces, read_whole
 from wcsim.agents.runs.metrics import COLUMNS, MetricsFile, read_metrics
 from wcsim.log.framing import MAX_RECORD_BYTES, frame_payload
-from wcsim.log.reader import iter_journal_inputs, log_digest
+from wcsim.log.reader import hash_log, iter_journal_inputs
 from wcsim.log.records import Ended, Input, LogRecord, SeenFrame, header_to_bytes
 from wcsim.log.writer import LogWriter
 from wcsim.server.launch.event_log import EVENTS, EventLogWriter
@@ -83,14 +83,14 @@ def check_log(path: Path, data: bytes, whole: bytes) -> bool:
     """Reading it, and going on with it; a refusal leaves it as it was."""
     try:
         seen = read_whole(path)
-        digest, ledger = log_digest(path), seen.header.kind == "ledger"
+        digest, ledger = hash_log(path), seen.header.kind == "ledger"
         sound: tuple[LogRecord, ...] = FRAMES if ledger else LONG
         read: tuple[LogRecord, ...] = tuple(iter_ledger_frames(path) if ledger else iter_journal_inputs(path))
         if seen.records != sound[: len(seen.records)] or read != seen.records:
             return False
         with LogWriter.append_to(path) as writer:
             cut = writer.cut_bytes
-            if log_digest(path) != digest or seen.torn != (cut > 0):
+            if hash_log(path) != digest or seen.torn != (cut > 0):
                 return False
             writer.append(sound[0])
     except Exception:

@@ -23,7 +23,7 @@ from tests.attack.outcomes import LIMIT_BYTES, Case
 from tests.attack.scenarios.parts import ENCODINGS, PACKINGS
 from tests.cli.towns import tiny_osm
 from tests.towns.fuzz.flipped_bytes import DISK, RAW, pick
-from wcsim.core.seeding import generator
+from wcsim.core.seeding import make_rng
 from wcsim.errors import WcsimError
 from wcsim.towns.checks.validate import _scan_net
 from wcsim.towns.importing.elevation import Heights, _own_projections, make_dem
@@ -109,7 +109,7 @@ def cases(count: int, seed: int, work: Path) -> Iterator[Case]:
 
 
 def _feed(kind: str, number: int, seed: int, work: Path) -> bool:
-    target, rng = targets()[kind], generator(seed, "maps", number)
+    target, rng = targets()[kind], make_rng(seed, "maps", number)
     sound = (number // len(_KINDS)) % SOUND_EVERY == 0
     with _place(work / f"map-{number}") as folder, warnings.catch_warnings():
         warnings.simplefilter("error")

@@ -9,7 +9,7 @@ from tests.log.drives import tick, write_drive
 from wcsim.config import parse_json, read_toml
 from wcsim.config.study import StudyFile
 from wcsim.log.drive import DriveRecording, read_drive
-from wcsim.log.reader import is_log, read_header
+from wcsim.log.reader import is_log_file, read_header
 from wcsim.log.records import Note, header_to_bytes, record_to_bytes
 from wcsim.log.writer import LogWriter
 from wcsim.users.profiles import _read_profile, profile_to_toml
@@ -58,7 +58,7 @@ def _take_profile(path: Path) -> bool:
 def _take_drive(path: Path) -> bool:
     """What is read and recorded again is the same; what is no drive for one reader is none for the others."""
     drive = read_drive(path)
-    if not is_log(path) or read_header(path) != drive.header:
+    if not is_log_file(path) or read_header(path) != drive.header:
         return False
     path.unlink()
     with LogWriter(path, drive.header) as recorder:

@@ -12,7 +12,7 @@ from tests.attack.outcomes import Case
 from tests.attack.scenarios.twists import draws, pick, toml_text, without_none
 from tests.physics.rig import rig, step_street
 from wcsim.config import ChairConfig
-from wcsim.config.plant import PlantFile, known_plants, override_plant_values, read_plant
+from wcsim.config.plant import PlantFile, list_plants, override_plant_values, read_plant
 from wcsim.physics.wheelchair.plant import plant_spec
 from wcsim.physics.wheelchair.plant_body import urdf
 from wcsim.types import Joystick
@@ -25,7 +25,7 @@ _SCHEMA = PlantFile.model_json_schema()
 
 def cases(count: int, seed: int, work: Path) -> Iterator[Case]:
     """Each bound of each plant alone, in turn, and then draws of many."""
-    bounds = [(plant, key, value) for plant in known_plants() for key, both in _bounds(plant) for value in both]
+    bounds = [(plant, key, value) for plant in list_plants() for key, both in _bounds(plant) for value in both]
     _drives("rwd", {}, work)  # machine code is made once
     for number, rng in draws(count, seed):
         plant, key, value = bounds[(number // 2 * 7919) % len(bounds)]

@@ -25,7 +25,7 @@ from tests.attack.scenarios.twists import (
     spoiled,
     twisted,
 )
-from wcsim.agents.learning.build import build_model
+from wcsim.agents.learning.build import build_q_learner
 from wcsim.agents.learning.saved_policy import load_policy, save_policy
 from wcsim.agents.runs.policy_file import POLICY_JSON, WEIGHTS
 from wcsim.config import LearnConfig, RunConfig
@@ -52,7 +52,7 @@ def sound_policy(work: Path, network: str = "patch") -> Sound:
     """A small one, of a network that was never trained."""
     config = RunConfig(cameras=(CAMERA,), learn=LearnConfig(replay_frames=100, network=network))
     env = ToyStreet(CAMERA)
-    folder = save_policy(work / "sound", build_model(config, env, 0), CAMERA, "ab" * 32)
+    folder = save_policy(work / "sound", build_q_learner(config, env, 0), CAMERA, "ab" * 32)
     about, weights = json.loads((folder / POLICY_JSON).read_text()), (folder / WEIGHTS).read_bytes()
     cleared(folder)
     return Sound(about=about, weights=weights, observation=env.reset(seed=2)[0])

@@ -18,12 +18,12 @@ from wcsim.agents.opening.list_file import open_suite, write_list
 from wcsim.agents.runs.metrics import append_round_metrics, read_round_metrics
 from wcsim.config import parse
 from wcsim.config.study import StudyFile
-from wcsim.core.reading import FileKind, parse_toml
+from wcsim.core.reading import FileSpec, parse_toml
 from wcsim.drive.recording.study_plan import append_row, read_rows, table_columns
 from wcsim.view.report.failures import failures_of
 from wcsim.view.report.suite_page import write_suite_page
 
-COLUMNS = table_columns(parse(StudyFile, parse_toml(toml_text(STUDY), "a study", FileKind(what="", limit_bytes=1)), ""))
+COLUMNS = table_columns(parse(StudyFile, parse_toml(toml_text(STUDY), "a study", FileSpec(what="", limit_bytes=1)), ""))
 
 _ODD = (*NASTY, *("/../../../x", "../../../x", "a/../../../../x") * 4)
 

@@ -87,7 +87,9 @@ def _say_some(socket: zmq.Socket[bytes], kinds: list[Any], rng: Rng) -> None:
 
 def _readable(rng: Rng, epoch: int, tick: int) -> m.Request:
     session = rng.bytes(16)
-    join = m.Join(m.PROTOCOL, m.schema_hash(), "", session, rng.bytes(8), int(rng.integers(-1, 4)), "evil", SeatSpec())
+    join = m.Join(
+        m.PROTOCOL, m.hash_message_schema(), "", session, rng.bytes(8), int(rng.integers(-1, 4)), "evil", SeatSpec()
+    )
     said: tuple[m.Request, ...] = (
         join, m.Act(session, epoch, tick, 0, 0.1, 0.2),
         m.Respawn(session, epoch, tick, 0), m.Rebuild(session, epoch, 7), m.Beat(session, 1), m.Leave(session),

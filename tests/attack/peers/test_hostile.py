@@ -15,7 +15,7 @@ from wcsim.log.reader import iter_journal_inputs
 from wcsim.log.writer import JOURNAL
 from wcsim.server.ledger import audit_ledgers, iter_ledger_frames
 from wcsim.server.protocol.events import ServerRules
-from wcsim.server.transport.keys import make_keys
+from wcsim.server.transport.keys import create_missing_keys
 
 NAMES = ("a", "b", "c", "d")
 
@@ -25,7 +25,7 @@ def besieged(
 ) -> tuple[dict[str, float], list[hostile.Phase]]:
     """Let four clients drive a world through phases of its address and keys: what they lost, and the phases."""
     keys = folder / "keys"
-    make_keys(keys, ("evil",))
+    create_missing_keys(keys, ("evil",))
     rules = ServerRules(capacity=4, expected=4, gather_s=120.0, lease_s=60.0, notice_s=1.0)
     listen = {"listen": "tcp://127.0.0.1:*", "keys": str(keys), "run": str(folder / "run")}
     order = stand_in_order(folder, rules=rules, **listen)

@@ -14,10 +14,10 @@ from tests.attack.peers.peers import Attacker, a_join, real_order, refusal
 from tests.attack.peers.wire import shapes
 from tests.server.servers import AHEAD, Server, stand_in_order
 from tests.support.samples import write_recording
-from wcsim.server.links.socket import SocketSeat
+from wcsim.server.links.socket import SocketSeatLink
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.events import ServerRules
-from wcsim.server.transport.keys import make_keys
+from wcsim.server.transport.keys import create_missing_keys
 from wcsim.types import ClientSnapshot, Joystick, SeatSpec, StartSpec
 from wcsim.users.profiles import filter_user_file_names
 
@@ -36,7 +36,7 @@ STARTS = [
 class Town:
     """A world process with an honest client in it."""
 
-    def __init__(self, server: Server, honest: SocketSeat, network: str) -> None:
+    def __init__(self, server: Server, honest: SocketSeatLink, network: str) -> None:
         self.server, self.honest, self.network = server, honest, network
         self.seen = honest.join()
 
@@ -53,7 +53,7 @@ def town(corner: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Tow
     folder = tmp_path_factory.mktemp("town")
     with Server(real_order(corner, folder), folder) as server:
         network = server.status().listening
-        with SocketSeat(server.seat("honest")) as honest:
+        with SocketSeatLink(server.seat("honest")) as honest:
             yield Town(server, honest, network)
 
 
@@ -80,7 +80,7 @@ def test_a_recording_that_the_world_was_started_with_is_replayed(corner: Path, t
     rules = ServerRules(capacity=1, expected=1, recordings=filter_user_file_names(["competent", profile]))
     with Server(real_order(corner, tmp_path, rules=rules), tmp_path) as server:
         network = server.status().listening
-        with SocketSeat(server.seat("own", endpoint=network, spec=SeatSpec(profile=profile))) as seat:
+        with SocketSeatLink(server.seat("own", endpoint=network, spec=SeatSpec(profile=profile))) as seat:
             first = seat.join()
             assert seat.act(first.tick, AHEAD).user.y == pytest.approx(0.7)
 
@@ -109,7 +109,7 @@ def test_a_start_is_chosen_on_the_worlds_own_machine_only(town: Town) -> None:
     with Attacker(town.network) as peer:
         assert "own machine may choose its start" in refusal(peer.say(a_join(SeatSpec(start=start)))).message
     with ThreadPoolExecutor() as pool:
-        with SocketSeat(town.server.seat("second", spec=SeatSpec(start=start))) as second:
+        with SocketSeatLink(town.server.seat("second", spec=SeatSpec(start=start))) as second:
             joining = pool.submit(second.join)
             driving = pool.submit(town.goes_on, 1)
             while not joining.done():  # as soon as it is in, the other's tick waits for it
@@ -143,7 +143,7 @@ def test_nobody_waits_for_a_client_that_is_not_heard_any_more(tmp_path: Path) ->
     rules = ServerRules(capacity=2, expected=2, gather_s=60.0, lease_s=1e6, notice_s=60.0)
     with Server(stand_in_order(tmp_path, rules=rules), tmp_path) as server, ThreadPoolExecutor() as pool:
         server.status()
-        with SocketSeat(server.seat("honest")) as honest, Attacker(server.order.endpoint) as peer:
+        with SocketSeatLink(server.seat("honest")) as honest, Attacker(server.order.endpoint) as peer:
             joining = pool.submit(honest.join)
             peer.shout(a_join(name="mad"))
             seen = joining.result()
@@ -167,7 +167,7 @@ def test_an_empty_claim_takes_no_seat_of_another_empty_claim(tmp_path: Path) -> 
 
 def test_a_client_is_known_by_the_name_of_its_key_and_a_key_can_be_taken_back(tmp_path: Path) -> None:
     keys = tmp_path / "keys"
-    make_keys(keys, ("ann", "ben"))
+    create_missing_keys(keys, ("ann", "ben"))
     rules = ServerRules(capacity=4, expected=3, gather_s=60.0, notice_s=60.0)
     order = stand_in_order(tmp_path, rules=rules, listen="tcp://127.0.0.1:*", keys=str(keys))
     with Server(order, tmp_path) as server:
@@ -192,7 +192,7 @@ def test_a_client_is_known_by_the_name_of_its_key_and_a_key_can_be_taken_back(tm
 
 def test_what_strangers_say_does_not_grow_the_world(tmp_path: Path) -> None:
     order = stand_in_order(tmp_path, rules=ServerRules(capacity=1, expected=1, notice_s=60.0))
-    with Server(order, tmp_path) as server, SocketSeat(server.seat("honest")) as honest:
+    with Server(order, tmp_path) as server, SocketSeatLink(server.seat("honest")) as honest:
         server.status()
         seen = honest.join()
         for _ in range(50):
@@ -212,7 +212,7 @@ def test_what_strangers_say_does_not_grow_the_world(tmp_path: Path) -> None:
         assert server.status().rss_mb - before_mb < 16.0
 
 
-def _drive(honest: SocketSeat, seen: ClientSnapshot) -> ClientSnapshot:
+def _drive(honest: SocketSeatLink, seen: ClientSnapshot) -> ClientSnapshot:
     """As long as a world needs to meet its street, also on the way that is driven among hostile messages."""
     for _ in range(300):
         seen = honest.act(seen.tick, (seen.first or seen).user)
@@ -227,11 +227,11 @@ def test_fifty_thousand_hostile_messages_leave_the_world_as_large_as_it_was(corn
     kinds = [shape for shape in shapes() if shape.request]
     (tmp_path / "first").mkdir()
     order = real_order(corner, tmp_path / "first", seats=1)
-    with Server(order, tmp_path / "first") as server, SocketSeat(server.seat("honest")) as honest:
+    with Server(order, tmp_path / "first") as server, SocketSeatLink(server.seat("honest")) as honest:
         _drive(honest, honest.join())  # where nothing is compiled yet, compiling grows the first world
     with Server(real_order(corner, tmp_path, seats=1), tmp_path) as server:  # a guest who stays would hold it
         network = server.status().listening
-        with SocketSeat(server.seat("honest")) as honest:
+        with SocketSeatLink(server.seat("honest")) as honest:
             seen = _drive(honest, honest.join())
             before_mb = server.status().rss_mb
             for number in range(2000):

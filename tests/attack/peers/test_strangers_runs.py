@@ -13,14 +13,14 @@ from wcsim.agents.runs.run_folder import MANIFEST, create_run_folder, make_run_m
 from wcsim.bridge.replay.replayed import verify
 from wcsim.cli.main import _printable, main
 from wcsim.core.files import lock_run_folder, write_json
-from wcsim.core.plugins import find_class
+from wcsim.core.plugins import import_class
 from wcsim.errors import ConfigError, PolicyError, WcsimError
-from wcsim.log.records import Header, changed, header_from_bytes, header_to_bytes
-from wcsim.server.links.socket import SocketSeat
+from wcsim.log.records import Header, header_from_bytes, header_to_bytes, with_fields
+from wcsim.server.links.socket import SocketSeatLink
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.events import ServerRules
 from wcsim.server.specs import ClientProcessSpec, RunInfo, SeatRequest
-from wcsim.server.transport.keys import make_keys
+from wcsim.server.transport.keys import create_missing_keys
 from wcsim.towns.scenario.town import Town, streets_hash
 
 HEADER = Header(name="x", town="helsinki", town_sha256="0", config="{}", seed=1, seats=2, tick_s=0.1, fingerprint="f")
@@ -33,14 +33,14 @@ def test_a_class_is_named_by_words_not_by_paths(tmp_path: Path, monkeypatch: pyt
     for file in (tmp_path / "run" / "evil.py", tmp_path / "evil.py"):
         file.write_text("raise SystemExit('it ran')\n", encoding="utf-8")
     with pytest.raises(PolicyError, match="is not module:Class") as caught:
-        find_class(name, "step hook")
+        import_class(name, "step hook")
     assert "\x1b" not in str(caught.value)
 
 
 def test_a_journals_hook_is_named_on_the_command_line_or_not_loaded(tmp_path: Path) -> None:
     from wcsim.log.writer import LogWriter
 
-    with LogWriter(tmp_path / "journal", changed(HEADER, hook="evil:H")):
+    with LogWriter(tmp_path / "journal", with_fields(HEADER, hook="evil:H")):
         pass
     for hook in ("", "other:H"):
         with pytest.raises(ConfigError, match="a hook is code"):
@@ -84,11 +84,11 @@ def test_a_run_in_use_keeps_its_steps(a_small_run: Path) -> None:
 @pytest.fixture
 def a_small_run(tmp_path: Path, corner: Path, corner_town: Town) -> Path:
     """A run folder as `wcsim train` leaves it, but for its policies."""
-    from wcsim.cli.shared.run_config import learner_fixed_settings
+    from wcsim.cli.shared.run_config import settings_from_learner
     from wcsim.config import resolve
 
     config = resolve("dqn", ("learn.total_steps=30", "learn.network=patch"))
-    config = resolve(config, learner_fixed_settings(config))
+    config = resolve(config, settings_from_learner(config))
     words = ("wcsim", "train", "--town", str(corner))
     info = RunInfo(seed=1, town=corner_town.name, town_sha256=streets_hash(corner_town), command=words)
     return create_run_folder(tmp_path / "run", config, make_run_manifest(config, info)).path
@@ -133,7 +133,7 @@ def test_a_clients_folder_with_work_and_no_manifest_is_kept(tmp_path: Path) -> N
 def test_a_journals_header_asks_for_no_boundless_world(changes: dict[str, float]) -> None:
     assert header_from_bytes(header_to_bytes(HEADER)) == HEADER
     with pytest.raises(WcsimError, match="expected"):
-        header_from_bytes(header_to_bytes(changed(HEADER, **changes)))  # type: ignore[arg-type]
+        header_from_bytes(header_to_bytes(with_fields(HEADER, **changes)))  # type: ignore[arg-type]
 
 
 def test_a_seat_asked_for_by_number_is_not_an_empty_claims(tmp_path: Path) -> None:
@@ -147,11 +147,11 @@ def test_a_seat_asked_for_by_number_is_not_an_empty_claims(tmp_path: Path) -> No
 
 def test_a_key_that_was_taken_back_is_not_heard_through_an_old_connection(tmp_path: Path) -> None:
     keys = tmp_path / "keys"
-    make_keys(keys, ("ann", "ben"))
+    create_missing_keys(keys, ("ann", "ben"))
     rules = ServerRules(capacity=2, expected=1, notice_s=60.0)
     with Server(stand_in_order(tmp_path, rules=rules, listen="tcp://127.0.0.1:*", keys=str(keys)), tmp_path) as server:
         network = server.status().listening
-        with SocketSeat(server.seat("honest")) as honest, Attacker(network, keys, "ben") as ben:
+        with SocketSeatLink(server.seat("honest")) as honest, Attacker(network, keys, "ben") as ben:
             seen = honest.join()
             assert refusal(ben.say(m.Beat(b"x" * 16, 0))).error == "StaleSessionError"
             (keys / "clients" / "ben.public").unlink()

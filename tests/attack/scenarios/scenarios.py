@@ -18,7 +18,7 @@ from tests.attack.scenarios.oracle import escapes
 from tests.attack.scenarios.parts import Theirs, furnish, write_scenario
 from tests.attack.scenarios.twists import cleared
 from tests.towns.made import hostile
-from wcsim.core.seeding import generator
+from wcsim.core.seeding import make_rng
 from wcsim.errors import SumoError, WcsimError
 from wcsim.towns.importing.adopt import _files_of
 from wcsim.towns.scenario.options import read_configuration
@@ -109,7 +109,7 @@ def _start(number: int, seed: int, work: Path, net: bytes, lane: str) -> Outcome
 def _made(number: int, seed: int, place: Path, net: bytes, lane: str) -> Theirs:
     folder, canary = place / "theirs", place / "canary"
     furnish(folder, canary)
-    theirs = Theirs(folder=folder, canary=canary, rng=generator(seed, "scenarios", number), lane=lane)
+    theirs = Theirs(folder=folder, canary=canary, rng=make_rng(seed, "scenarios", number), lane=lane)
     write_scenario(theirs, net, hostile=number % SOUND_EVERY != 0, devices=True)
     return theirs
 

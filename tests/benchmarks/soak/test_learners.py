@@ -11,7 +11,7 @@ from benchmarks.soak.planned import FaultOrder
 from tests.cli.conftest import start
 from tests.cli.training.test_clients import SMALL
 from wcsim.errors import InterruptedRunError
-from wcsim.server.launch.states import RestartRules
+from wcsim.server.launch.states import ProcessRestartRules
 
 NOTHING = dict.fromkeys(("lost", "doubled", "unrecovered", "orphans", "leaked_shm"), 0)
 SIX = "fig6,conv3d,patch,fig6,patch,convlstm"
@@ -40,7 +40,7 @@ def test_a_learner_is_not_given_up_for_the_deaths_that_a_soak_causes(corner_town
     monkeypatch.setattr("benchmarks.soak.learners.soak_learners", lambda order, run, told, train: train(None))
     options = SoakOptions(networks="patch,fig6", kills=150, stops=140)
     _soaked(options, corner_town, tmp_path / "run-1", FaultOrder(kills=150, stops=140, lease_s=10.0))
-    plain = RestartRules()
+    plain = ProcessRestartRules()
     assert asked == [replace(plain, deaths=290 + plain.deaths)]
     assert asked[0].wait_s(290) == plain.longest_s
 

@@ -23,7 +23,7 @@ from wcsim.config import resolve
 from wcsim.errors import ConfigError
 from wcsim.towns.scenario.town import Town, find_town
 from wcsim.types import SeatSpec
-from wcsim.users.profiles import profile_names
+from wcsim.users.profiles import list_profile_names
 from wcsim.users.recordings.recorded_user import find_user, read_stick_recording
 
 TOWNS = ("helsinki", "monaco", "manhattan")
@@ -48,7 +48,7 @@ TOLERANCES = {
 }
 # People who come so near that an inattentive user must have noticed or missed them are few: more chairs meet more.
 CROWD = "world.demand_scale=5"
-SEATS = (*profile_names(), *("inattentive",) * 5)
+SEATS = (*list_profile_names(), *("inattentive",) * 5)
 FEWEST_MET = {"inattentive": 60}  # so that the bound is more than two standard deviations of the share
 FEWEST_MET_OTHERS = 20
 
@@ -115,7 +115,7 @@ def test_an_unknown_user_is_refused_before_the_first_tick(corner_town: Town, nam
 @pytest.mark.proof
 def test_every_statistic_of_every_profile_over_twenty_routes():
     config = resolve("quick", (*TINY_CAMERA, CROWD))
-    logs = {name: [] for name in profile_names()}
+    logs = {name: [] for name in list_profile_names()}
     for number, town in enumerate(TOWNS):
         share = len(range(number, 20, len(TOWNS)))
         # A seed of its own for each town: with one for all, the same few users would be drawn in each again.

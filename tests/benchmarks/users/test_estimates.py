@@ -12,11 +12,11 @@ from benchmarks.users.table import RouteLog, meet, statistics
 from tests.support.samples import strip_street
 from tests.users.actors import actor, make_user
 from tests.users.kinematics import Chair, Sim, polyline
-from wcsim.core.seeding import generator
+from wcsim.core.seeding import make_rng
 from wcsim.types import ActorKind, Joystick
 from wcsim.users.hand import StickHandModel
 from wcsim.users.profiles import find_builtin_profile
-from wcsim.users.recordings.hand_series import mean_correction_interval_s
+from wcsim.users.recordings.hand_series import find_mean_correction_interval_s
 
 DT_S, STEPS, TICK_S = 0.1 / 24, 24, 0.1
 STREET = strip_street()
@@ -31,7 +31,7 @@ def wishes(seconds: float, seed: int = 2) -> np.ndarray:
 
 def log_of(user, seconds=40.0, seed=1, stretch=1.0) -> HandLog:
     """A hand that is given wishes; with `stretch` its clock runs wrong."""
-    hand, sticks, wanted = StickHandModel(user, generator(seed, "hand")), [], wishes(seconds)
+    hand, sticks, wanted = StickHandModel(user, make_rng(seed, "hand")), [], wishes(seconds)
     for x, y in wanted:
         hand.send_intent(Joystick(x, y))
         sticks.append(hand.move(STEPS, stretch * DT_S))
@@ -104,8 +104,8 @@ def test_pauses_are_where_an_intent_stands_still_but_not_rest_backing_up_or_turn
 def test_corrections_are_counted_without_the_rests_between_them():
     steps = np.repeat(np.random.default_rng(0).normal(0.0, 0.3, (30, 2)), 4, axis=0)
     steps[40:80] = 0.0
-    assert mean_correction_interval_s(steps, TICK_S) == pytest.approx(0.4)
-    assert mean_correction_interval_s(np.zeros((30, 2)), TICK_S) is None
+    assert find_mean_correction_interval_s(steps, TICK_S) == pytest.approx(0.4)
+    assert find_mean_correction_interval_s(np.zeros((30, 2)), TICK_S) is None
 
 
 def test_how_long_switches_are_held():

@@ -10,7 +10,7 @@ from tests.support.actors import actor as car
 from tests.support.worlds import follow, quick_config
 from wcsim.bridge.ego import ego
 from wcsim.bridge.world import World
-from wcsim.core.seeding import generator
+from wcsim.core.seeding import make_rng
 from wcsim.errors import ConfigError, ProtocolError
 from wcsim.physics.buffers import SeatBuffers, new_images
 from wcsim.towns.scenario.town import find_town
@@ -183,7 +183,7 @@ def test_a_user_knows_of_a_car_three_seconds_away(world):
     x, y, _ = world.seats[0].plant.p_WB_m.tolist()
     coming = car(x=x - 41.0, y=y, speed=13.9)
     view = world.seats[0].view(0.0, (coming,), ())
-    assert UserPerception(find_builtin_profile("competent"), generator(0)).update(view).vehicles == (coming,)
+    assert UserPerception(find_builtin_profile("competent"), make_rng(0)).update(view).vehicles == (coming,)
 
 
 def test_a_chair_keeps_for_a_second_of_its_worlds_ticks_who_came_into_whom(corner):

@@ -7,7 +7,7 @@ import pytest
 from tests.support.samples import cell_middles, straight_route, strip_street
 from wcsim.bridge.ego.street_obstacles import ObstacleWatch, _label_pieces
 from wcsim.types import F64, StreetGrid
-from wcsim.users.profiles import find_builtin_profile, profile_names
+from wcsim.users.profiles import find_builtin_profile, list_profile_names
 
 ROUTE = straight_route(5.5)
 
@@ -40,7 +40,7 @@ def test_a_thing_keeps_one_number_from_first_to_last(box):
 
 def test_a_thing_is_offered_from_as_far_as_the_sharpest_user_notices_one():
     sharpest_m = max(
-        find_builtin_profile(name).see_m * (1.0 + find_builtin_profile(name).spread) for name in profile_names()
+        find_builtin_profile(name).see_m * (1.0 + find_builtin_profile(name).spread) for name in list_profile_names()
     )
     watch = ObstacleWatch(with_boxes((20.0, 5.4, 20.2, 5.6)))
     met_m = next(m for m in np.arange(0.0, 20.0, 0.05) if len(watch.on_way(ROUTE, m)))

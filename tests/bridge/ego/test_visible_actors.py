@@ -15,7 +15,7 @@ from wcsim.bridge.ego.ego import _ShownActors
 from wcsim.bridge.world import World
 from wcsim.config import ChairConfig, WorldConfig
 from wcsim.physics.sensors.camera import CameraRig
-from wcsim.supervisor.oracle import Oracle
+from wcsim.supervisor.oracle import CrashOracle
 from wcsim.towns.scenario.town import find_town
 from wcsim.towns.street import load_street
 from wcsim.types import ActorKind, Command, Joystick, SeatSpec, StartSpec, Truth, WayKind
@@ -61,7 +61,7 @@ def said(place, others, history=()) -> tuple[np.ndarray, np.ndarray]:
     `history`: (tick, place, others) of pictures that were taken before; the last one is of tick 100.
     """
     street = strip_street()
-    oracle = Oracle(street.grid, ChairConfig(), USUAL_OUTLINE, USUAL_WHEELS_M, USUAL_RIMS_M, ACTIONS.points)
+    oracle = CrashOracle(street.grid, ChairConfig(), USUAL_OUTLINE, USUAL_WHEELS_M, USUAL_RIMS_M, ACTIONS.points)
     shown = _ShownActors(WorldConfig())
     with CameraRig(street.mesh, (SMALL,), seats=1) as rig:
         for tick, at, actors in (*history, (100, place, others)):

@@ -18,17 +18,17 @@ from wcsim.bridge.user_drives import (
 )
 from wcsim.bridge.world import World
 from wcsim.bridge.world_rollout import rollout
-from wcsim.core.seeding import generator
+from wcsim.core.seeding import make_rng
 from wcsim.errors import ConfigError, TownError
 from wcsim.log.drive import read_drive
-from wcsim.log.records import Admitted, DriveTick, Respawned, changed, end_fields_from_snapshot
+from wcsim.log.records import Admitted, DriveTick, Respawned, end_fields_from_snapshot, with_fields
 from wcsim.log.writer import LogWriter
 from wcsim.towns.scenario.town import Town, content_hash, find_town
 from wcsim.types import Joystick, SeatSpec
 from wcsim.users.profiles import (
     _read_profile,
     find_builtin_profile,
-    profile_names,
+    list_profile_names,
     profile_to_json,
     profile_to_toml,
     sample_profile,
@@ -71,18 +71,18 @@ def test_a_user_drawn_of_a_wide_profile_can_be_recorded(tmp_path, own):
 
 
 def test_a_user_drawn_of_a_usual_profile_is_the_one_of_the_episodes():
-    for name in profile_names():
-        drawn = sample_profile(find_builtin_profile(name), generator(3, "drive", "user"))
+    for name in list_profile_names():
+        drawn = sample_profile(find_builtin_profile(name), make_rng(3, "drive", "user"))
         assert drawn_user(find_builtin_profile(name), 3) == replace(drawn, spread=0.0)
 
 
 def test_a_drive_that_is_not_what_it_says_is_noticed(driven):
     drive = read_drive(driven)
-    wrong = changed(drive.ticks[20], commanded=Joystick(1.0, 0.0))
+    wrong = with_fields(drive.ticks[20], commanded=Joystick(1.0, 0.0))
     found = verify(replace_ticks(drive, {20: wrong}))
     assert (found.ticks, found.first.tick) == (60, 21)
     assert found.mismatches >= 39 and found.farthest_m > 0.01
-    moved = changed(drive.ticks[30], p_WB_m=drive.ticks[30].p_WB_m + np.array([0.0, 1e-9, 0.0]))
+    moved = with_fields(drive.ticks[30], p_WB_m=drive.ticks[30].p_WB_m + np.array([0.0, 1e-9, 0.0]))
     found = verify(replace_ticks(drive, {30: moved}))
     assert (found.mismatches, found.first.tick) == (1, 31)
     with pytest.raises(TownError, match=r"\(cdcdcdcdcdcd\).*expected the same town") as caught:
@@ -140,7 +140,7 @@ def replace_ticks(drive, others):
 
 
 def replace_header(drive, **changes):
-    return replace(drive, header=changed(drive.header, **changes))
+    return replace(drive, header=with_fields(drive.header, **changes))
 
 
 def test_a_driver_of_the_model_beside_a_person_wants_what_the_person_wants(corner_town, tmp_path):
@@ -149,7 +149,7 @@ def test_a_driver_of_the_model_beside_a_person_wants_what_the_person_wants(corne
     config = quick_config("world.demand_scale=0")
     record_user(tmp_path / "a.drive", corner_town, config, user, ticks=120, seed=4)
     drive = read_drive(tmp_path / "a.drive")
-    hidden = replace_ticks(drive, {tick.tick: changed(tick, intent=None) for tick in drive.ticks})
+    hidden = replace_ticks(drive, {tick.tick: with_fields(tick, intent=None) for tick in drive.ticks})
     seen = seen_drive(hidden)
     assert len(seen.views) == 120
     made = with_shadow(seen, user)

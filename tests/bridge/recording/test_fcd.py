@@ -11,7 +11,7 @@ from wcsim.bridge.town_run import TRACE, RecordOrder, record_town
 from wcsim.config import ChairConfig
 from wcsim.errors import WcsimError
 from wcsim.log.reader import read_trace_states
-from wcsim.log.records import Header, WorldState, changed
+from wcsim.log.records import Header, WorldState, with_fields
 from wcsim.log.writer import LogWriter
 from wcsim.physics.wheelchair.plant import plant_spec
 from wcsim.towns.sumo.tools import sumo_home
@@ -111,7 +111,7 @@ def test_what_cannot_be_replayed_is_refused(run, tmp_path):
     assert read_trace_states(tmp_path / "old")[1][0].bodies == ()
     with pytest.raises(WcsimError, match="older version"):
         convert_to_fcd(tmp_path / "old", tmp_path / "x.xml")
-    chair = changed(old, actor_ids=(), actors=np.zeros((0, 8)), plants=np.zeros((1, 15)), commands=np.zeros((1, 2)))
+    chair = with_fields(old, actor_ids=(), actors=np.zeros((0, 8)), plants=np.zeros((1, 15)), commands=np.zeros((1, 2)))
     with LogWriter(tmp_path / "c", Header(town="o", seed=1, tick_s=0.1, seats=1, fingerprint="f")) as writer:
         writer.append(chair)
     with pytest.raises(WcsimError, match="without the sizes of actors and chairs"):

@@ -12,7 +12,7 @@ from wcsim.bridge.sumo.session import world_in_this_process
 from wcsim.drive.playing.sources.replay_source import _replay_about
 from wcsim.errors import ConfigError, ReplayMismatchError, TownError, WcsimError
 from wcsim.log.diff import find_log_difference
-from wcsim.log.reader import log_digest, read_header, read_trace_states
+from wcsim.log.reader import hash_log, read_header, read_trace_states
 from wcsim.log.records import (
     Admitted,
     Dismissed,
@@ -21,8 +21,8 @@ from wcsim.log.records import (
     Header,
     Respawned,
     Ticked,
-    changed,
     make_ticked_record,
+    with_fields,
 )
 from wcsim.log.writer import LogWriter
 from wcsim.towns.scenario.town import find_town, towns_hash
@@ -34,7 +34,7 @@ def run(corner, tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("journaled")
     facts = eventful_run(corner, folder)
     assert facts["episodes"] >= 2  # that ended within a tick
-    assert facts["digest"] == log_digest(folder / "journal")
+    assert facts["digest"] == hash_log(folder / "journal")
     return folder
 
 
@@ -125,7 +125,7 @@ def test_a_run_is_the_same_floating_car_data_from_trace_and_journal(run, tmp_pat
 def test_records_that_do_not_follow_from_each_other_are_refused(run, records, tmp_path):
     at = place_of(records, 0, 30)
     for change, told in (
-        (changed(records[at], tick=31), "tick 31 follows epoch 0, tick 29; expected the next tick"),
+        (with_fields(records[at], tick=31), "tick 31 follows epoch 0, tick 29; expected the next tick"),
         (Dismissed(epoch=0, tick=29, seat=2), "seat 2 is free"),
         (Admitted(epoch=0, tick=28, seat=2, spec=records[1 + 5].spec), "expected this one"),
     ):
@@ -144,7 +144,7 @@ def test_what_a_journal_is_made_of_must_still_be_there(run, tmp_path):
         ({"config": '{"wrld": 1}'}, ConfigError, "wrld"),
     ):
         path = tmp_path / f"{len(list(tmp_path.iterdir()))}"
-        LogWriter(path, changed(header, **change)).close()
+        LogWriter(path, with_fields(header, **change)).close()
         with pytest.raises(kind, match=told):
             list(replayed(path))
     LogWriter(tmp_path / "empty", header).close()
@@ -155,7 +155,9 @@ def test_what_a_journal_is_made_of_must_still_be_there(run, tmp_path):
 def test_worlds_of_a_journal_of_several_towns_take_turns(run, corner, tmp_path, monkeypatch):
     words = (str(corner), build_scene(find_scene("two-chairs"), tmp_path / "two-chairs")[0].address)
     towns = [find_town(word) for word in words]
-    header = changed(read_header(run / "journal"), town=words[0], more_towns=words[1:], town_sha256=towns_hash(towns))
+    header = with_fields(
+        read_header(run / "journal"), town=words[0], more_towns=words[1:], town_sha256=towns_hash(towns)
+    )
     monkeypatch.setattr("wcsim.bridge.replay.replayed.World", lambda town, *given, epoch, find_user: town)
     make = worlds_of(header)
     assert [make((None,), 0, epoch) for epoch in range(3)] == [*towns, towns[0]]
@@ -163,7 +165,7 @@ def test_worlds_of_a_journal_of_several_towns_take_turns(run, corner, tmp_path, 
     assert [film.town for film in about] == [town.address for town in towns]
     assert all("change towns" in film.unknown[-1] for film in about)
     with pytest.raises(TownError, match="a net has changed"):
-        worlds_of(changed(header, more_towns=words[:1]))
+        worlds_of(with_fields(header, more_towns=words[:1]))
 
 
 def test_the_first_difference_of_two_journals_is_told_in_words(run, records, tmp_path):
@@ -178,19 +180,21 @@ def test_the_first_difference_of_two_journals_is_told_in_words(run, records, tmp
 
     last = len(records) - 1
     assert against() == ""
-    assert against(head=changed(header, name="other", fingerprint="x")) == ""
-    assert against(head=changed(header, seed=6)) == "header: seed is 5 and 6"
+    assert against(head=with_fields(header, name="other", fingerprint="x")) == ""
+    assert against(head=with_fields(header, seed=6)) == "header: seed is 5 and 6"
     assert "ends after Ticked (epoch 1, tick 59); the other one continues with Ticked (epoch 1, tick 60)" in against(
         kept=records[:-1]
     )
-    assert against({last: changed(records[last], state_hash="ff")}).startswith("Ticked (epoch 1, tick 60): state_hash")
+    assert against({last: with_fields(records[last], state_hash="ff")}).startswith(
+        "Ticked (epoch 1, tick 60): state_hash"
+    )
     one = place_of(records, 1, 60)
     assert "commands for seats [0, 1, 2] and [1, 2]" in against(
-        {one: changed(records[one], seats=records[one].seats[1:], sticks=records[one].sticks[1:])}
+        {one: with_fields(records[one], seats=records[one].seats[1:], sticks=records[one].sticks[1:])}
     )
     assert against({1: Ended()}) == "Ticked (epoch 0, tick 1) against Ended"
-    assert against({6: changed(records[6], name="x")}) == ""
-    told = against({6: changed(records[6], spec=replace(records[6].spec, truth=True))})
+    assert against({6: with_fields(records[6], name="x")}) == ""
+    told = against({6: with_fields(records[6], spec=replace(records[6].spec, truth=True))})
     assert told.startswith("Admitted (epoch 0, tick 5, seat 1): spec is SeatSpec(profile='competent'")
 
 
@@ -205,11 +209,11 @@ def test_the_first_difference_of_two_traces_is_told_in_words(run, tmp_path):
         return find_log_difference(run / "beside.trace", tmp_path / "other")
 
     def with_other(**fields) -> list:
-        return [*ticks[:40], changed(ticks[40], **fields), *ticks[41:]]
+        return [*ticks[:40], with_fields(ticks[40], **fields), *ticks[41:]]
 
     assert against() == ""
-    assert against(head=changed(header, fingerprint="x", name="y")) == ""
-    assert against(head=changed(header, seed=6)) == "header: seed is 5 and 6"
+    assert against(head=with_fields(header, fingerprint="x", name="y")) == ""
+    assert against(head=with_fields(header, seed=6)) == "header: seed is 5 and 6"
     assert "ends after WorldState (epoch 0, tick 89); the other one continues with WorldState" in against(
         kept=ticks[:-1]
     )
@@ -220,7 +224,7 @@ def test_the_first_difference_of_two_traces_is_told_in_words(run, tmp_path):
     assert against(with_other(plants=ticks[40].plants + 0.5)).endswith("tick 41): seat 0 is 0.5 m away from the other")
     body, *others = ticks[40].bodies
     ids = ("v:x", *ticks[40].actor_ids[1:])
-    told = against(with_other(actor_ids=ids, bodies=(changed(body, id="v:x"), *others)))
+    told = against(with_other(actor_ids=ids, bodies=(with_fields(body, id="v:x"), *others)))
     assert told == f"WorldState (epoch 0, tick 41): actors {sorted([body.id, 'v:x'])} are in one trace only"
     assert against(with_other(epoch=1)) == "WorldState (epoch 0, tick 41) against WorldState (epoch 1, tick 41)"
 

@@ -13,7 +13,7 @@ from tests.support.framing import chained, read_whole
 from tests.support.journals import eventful_run, nudged, rewritten
 from wcsim.log.reader import iter_journal_inputs, read_header
 from wcsim.log.records import Ticked, header_to_bytes, record_to_bytes
-from wcsim.log.records import changed as with_fields
+from wcsim.log.records import with_fields as with_fields
 
 
 @pytest.fixture(scope="module")

@@ -11,18 +11,18 @@ import pytest
 
 from wcsim import errors
 from wcsim.cli import main as cli
-from wcsim.cli.shared.exit_codes import Exit, NothingSavedInterrupt, exit_code_from_error
+from wcsim.cli.shared.exit_codes import ExitCode, NothingSavedInterrupt, exit_code_from_error
 
 CODES = {
-    errors.InterruptedRunError: Exit.STOPPED,
-    errors.DiskFullError: Exit.FAILED,
-    errors.UnwritableError: Exit.REFUSED,
-    errors.ServerGoneError: Exit.FAILED,
-    errors.PhysicsError: Exit.FAILED,
-    errors.ConfigError: Exit.REFUSED,
-    errors.PolicyError: Exit.REFUSED,
-    errors.JournalError: Exit.REFUSED,
-    errors.WorldFullError: Exit.REFUSED,
+    errors.InterruptedRunError: ExitCode.STOPPED,
+    errors.DiskFullError: ExitCode.FAILED,
+    errors.UnwritableError: ExitCode.REFUSED,
+    errors.ServerGoneError: ExitCode.FAILED,
+    errors.PhysicsError: ExitCode.FAILED,
+    errors.ConfigError: ExitCode.REFUSED,
+    errors.PolicyError: ExitCode.REFUSED,
+    errors.JournalError: ExitCode.REFUSED,
+    errors.WorldFullError: ExitCode.REFUSED,
 }
 
 
@@ -34,11 +34,11 @@ def test_every_error_has_a_code(kind):
 @pytest.mark.parametrize(
     ("error", "code", "told"),
     [
-        (NothingSavedInterrupt("nothing is kept"), Exit.INTERRUPTED, "nothing is kept"),
-        (KeyboardInterrupt(), Exit.INTERRUPTED, "interrupted"),
-        (OSError(errno.ENOSPC, "No space left on device"), Exit.FAILED, "make room"),
-        (OSError(errno.EMFILE, "Too many open files"), Exit.FAILED, "ulimit -n 1024"),
-        (errors.DiskFullError("x: no room"), Exit.FAILED, "no room"),
+        (NothingSavedInterrupt("nothing is kept"), ExitCode.INTERRUPTED, "nothing is kept"),
+        (KeyboardInterrupt(), ExitCode.INTERRUPTED, "interrupted"),
+        (OSError(errno.ENOSPC, "No space left on device"), ExitCode.FAILED, "make room"),
+        (OSError(errno.EMFILE, "Too many open files"), ExitCode.FAILED, "ulimit -n 1024"),
+        (errors.DiskFullError("x: no room"), ExitCode.FAILED, "no room"),
     ],
     ids=lambda value: type(value).__name__,
 )
@@ -86,4 +86,4 @@ def test_the_code_of_a_stopped_run_survives_a_storm_of_signals():
         while child.poll() is None:
             child.send_signal(signal.SIGTERM)
         child.communicate(timeout=10)
-        assert child.returncode == Exit.STOPPED
+        assert child.returncode == ExitCode.STOPPED

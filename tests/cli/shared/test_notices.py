@@ -10,7 +10,7 @@ from pathlib import Path
 from tests.cli.conftest import QUICK, files_in
 from wcsim.cli import serve
 from wcsim.cli.main import main
-from wcsim.server.transport.keys import make_keys
+from wcsim.server.transport.keys import create_missing_keys
 
 SMALL = ("--set", "learn.total_steps=8", "--set", "learn.phase1_steps=4", *QUICK)
 
@@ -76,7 +76,7 @@ def test_on_a_terminal_the_bar_and_what_is_said_beside_it_have_lines_of_their_ow
 
 def test_an_address_that_listens_everywhere_is_told_by_the_name_of_the_machine(tmp_path, monkeypatch):
     keys = tmp_path / "the keys"
-    make_keys(keys, ("ben", "ann"))
+    create_missing_keys(keys, ("ben", "ann"))
     monkeypatch.setattr(serve.socket, "gethostname", lambda: "lab3")
     options = serve._Options(listen="tcp://0.0.0.0:5599", keys=keys)
     lines = serve._how_to_join("ipc:///dev/shm/w", "tcp://0.0.0.0:5599", options).splitlines()

@@ -7,11 +7,11 @@ import pytest
 from tests.cli.training.test_clients import q_config
 from wcsim.agents.opening.learner_registry import DANGER_ROUNDS, Q_LEARNING
 from wcsim.cli.shared.run_config import (
-    learner_fixed_settings,
     list_sumo_overrides,
-    require_command_learner,
+    require_matching_learner,
     require_usable_policy,
-    resolve_training_run,
+    resolve_run_settings,
+    settings_from_learner,
 )
 from wcsim.cli.training.train import _QLearningOptions
 from wcsim.config import resolve
@@ -36,17 +36,17 @@ def test_what_is_laid_over_what(tmp_path):
 def test_a_run_is_learned_with_episodes_of_its_own_length():
     config = q_config(_QLearningOptions(set=("learn.episode_steps=123", "learn.aid=oracle")))
     assert (config.env.max_steps, config.env.truth) == (123, True)
-    assert config == resolve(config, learner_fixed_settings(config))
+    assert config == resolve(config, settings_from_learner(config))
 
 
 def test_a_resolved_run_says_all_of_its_town_and_its_network_and_nothing_is_left_to_do(corner, tmp_path):
     town, config = find_town(str(corner)), q_config(_QLearningOptions(), "fig6")
     assert config.env.window is None
-    run = resolve_training_run(config, INFO, town, tmp_path / "run")
+    run = resolve_run_settings(config, INFO, town, tmp_path / "run")
     assert run.config == config.model_copy(update={"env": config.env.model_copy(update={"window": 4})})
     assert run.info.overrides == list_sumo_overrides(town, config, 3) != ()
     assert replace(run.info, overrides=()) == replace(INFO, town=town.name, town_sha256=streets_hash(town))
-    assert resolve_training_run(run.config, run.info, town, run.out) == run
+    assert resolve_run_settings(run.config, run.info, town, run.out) == run
     assert not run.out.exists()
 
 
@@ -58,7 +58,7 @@ def test_what_cannot_be_used_is_refused(corner, tmp_path):
         (replace(INFO, rewards=("nonesuch:Term",)), tmp_path / "run", PolicyError),
     ):
         with pytest.raises(error):
-            resolve_training_run(config, info, town, out)
+            resolve_run_settings(config, info, town, out)
 
 
 def test_what_needs_pytorch_says_so_before_a_street_is_built(monkeypatch):
@@ -73,9 +73,9 @@ def test_each_command_refuses_the_other_kind_of_learning():
         ("quick", DANGER_ROUNDS, Q_LEARNING, "preset dqn or paper"),
         ("dqn", Q_LEARNING, DANGER_ROUNDS, "preset quick, laptop"),
     ):
-        require_command_learner(resolve(preset), own)
+        require_matching_learner(resolve(preset), own)
         with pytest.raises(ConfigError, match=told):
-            require_command_learner(resolve(preset), other)
+            require_matching_learner(resolve(preset), other)
 
 
 def test_a_first_phase_that_the_user_gave_is_taken_as_it_is(tmp_path):

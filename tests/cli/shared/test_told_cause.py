@@ -11,7 +11,7 @@ import pytest
 import wcsim
 from wcsim.cli import main as cli
 from wcsim.cli.main import _explain
-from wcsim.cli.shared.exit_codes import Exit
+from wcsim.cli.shared.exit_codes import ExitCode
 
 
 def _run(words: str, folder: Path, **more: str) -> tuple[int, str]:
@@ -38,12 +38,12 @@ def _run(words: str, folder: Path, **more: str) -> tuple[int, str]:
 def test_a_command_in_bad_surroundings_ends_with_a_line_and_code_2(tmp_path: Path, words: str, told: str) -> None:
     package = str(Path(wcsim.__file__).parents[1])
     code, err = _run(words, tmp_path, PYTHONPATH=package)
-    assert (code, err.count("\n")) == (Exit.REFUSED, 1), err
+    assert (code, err.count("\n")) == (ExitCode.REFUSED, 1), err
     assert err.startswith(f"wcsim: {told}")
 
 
 def test_help_in_a_terminal_of_two_columns_is_laid_out(tmp_path: Path) -> None:
-    assert _run("wcsim snapshot --help >/dev/null", tmp_path, COLUMNS="2") == (Exit.DONE, "")
+    assert _run("wcsim snapshot --help >/dev/null", tmp_path, COLUMNS="2") == (ExitCode.DONE, "")
 
 
 def _caught(raised: Exception) -> Exception:
@@ -56,17 +56,17 @@ def _caught(raised: Exception) -> Exception:
 @pytest.mark.parametrize(
     ("raised", "code", "told"),
     [
-        (FileNotFoundError(errno.ENOENT, "No such file", "/proc/x"), Exit.REFUSED, "/proc/x: No such file; choose"),
-        (OSError(errno.ENAMETOOLONG, "File name too long", 5000 * "y"), Exit.REFUSED, "yyy: File name too long"),
-        (OSError(errno.ENOSPC, "No space left"), Exit.FAILED, "the disk is full"),
-        (FileNotFoundError(errno.ENOENT, "No such file", str(Path(wcsim.__file__).parent / "x")), Exit.FAILED, ""),
-        (OSError(errno.EBADF, "Bad file descriptor"), Exit.FAILED, ""),
-        (ValueError("ours"), Exit.FAILED, ""),
-        (ModuleNotFoundError("No module", name="torch"), Exit.REFUSED, "pip install 'wcsim[train]'"),
-        (ModuleNotFoundError("No module", name="other"), Exit.FAILED, ""),
+        (FileNotFoundError(errno.ENOENT, "No such file", "/proc/x"), ExitCode.REFUSED, "/proc/x: No such file; choose"),
+        (OSError(errno.ENAMETOOLONG, "File name too long", 5000 * "y"), ExitCode.REFUSED, "yyy: File name too long"),
+        (OSError(errno.ENOSPC, "No space left"), ExitCode.FAILED, "the disk is full"),
+        (FileNotFoundError(errno.ENOENT, "No such file", str(Path(wcsim.__file__).parent / "x")), ExitCode.FAILED, ""),
+        (OSError(errno.EBADF, "Bad file descriptor"), ExitCode.FAILED, ""),
+        (ValueError("ours"), ExitCode.FAILED, ""),
+        (ModuleNotFoundError("No module", name="torch"), ExitCode.REFUSED, "pip install 'wcsim[train]'"),
+        (ModuleNotFoundError("No module", name="other"), ExitCode.FAILED, ""),
     ],
 )
-def test_the_cause_decides_what_is_told(raised: Exception, code: Exit, told: str) -> None:
+def test_the_cause_decides_what_is_told(raised: Exception, code: ExitCode, told: str) -> None:
     line, ends = _explain(_caught(raised))
     assert ends == code
     assert told in line if told else line == ""
@@ -89,6 +89,6 @@ def test_a_fault_of_ours_comes_with_its_traceback(monkeypatch: pytest.MonkeyPatc
     def broken(_words: list[str]) -> int:
         raise KeyError("ours")
 
-    monkeypatch.setattr("wcsim.cli.doctor.cache", broken)
+    monkeypatch.setattr("wcsim.cli.doctor.run_cache", broken)
     with pytest.raises(KeyError):
         cli.main(["cache"])

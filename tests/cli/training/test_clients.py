@@ -17,18 +17,18 @@ from wcsim.agents.networks.registry import NETWORKS
 from wcsim.agents.opening.learner_registry import Q_LEARNING
 from wcsim.agents.runs.run_folder import create_run_folder, make_run_manifest, open_run
 from wcsim.cli.main import main
-from wcsim.cli.shared.exit_codes import Exit
-from wcsim.cli.shared.run_config import learner_fixed_settings
+from wcsim.cli.shared.exit_codes import ExitCode
+from wcsim.cli.shared.run_config import settings_from_learner
 from wcsim.cli.shared.training import make_q_config_layers
 from wcsim.cli.training.clients import ALL_DONE, ClientProcessOptions, _stop_message, train_clients
 from wcsim.cli.training.train import _QLearningOptions as QOptions
-from wcsim.cli.training.train_clients import Options, client_names, resolve_clients
+from wcsim.cli.training.train_clients import TrainClientsOptions, make_client_names, resolve_clients
 from wcsim.config import resolve
 from wcsim.errors import ConfigError, InterruptedRunError, PolicyError
 from wcsim.log.reader import iter_journal_inputs, read_header
 from wcsim.log.records import EpochBegun
 from wcsim.log.writer import JOURNAL
-from wcsim.server.launch.states import ClientProcessState, ClientStatusReport, LaunchProcessStates, RestartRules
+from wcsim.server.launch.states import ClientProcessState, ClientStatusReport, LaunchProcessStates, ProcessRestartRules
 from wcsim.server.specs import RunInfo
 from wcsim.towns.scenario.town import find_town, streets_hash
 from wcsim.towns.scene_folders.build import build_scene, find_scene
@@ -61,9 +61,9 @@ def places(child):
 
 
 def test_names_of_clients():
-    assert client_names(("fig6", "fig6", "fig6")) == ("fig6", "fig6-2", "fig6-3")
-    assert client_names(("a.b:world", "a.b:logs")) == ("world-2", "logs-2")
-    assert client_names(("deep.file:Net", "file:Net", "patch")) == ("Net", "Net-2", "patch")
+    assert make_client_names(("fig6", "fig6", "fig6")) == ("fig6", "fig6-2", "fig6-3")
+    assert make_client_names(("a.b:world", "a.b:logs")) == ("world-2", "logs-2")
+    assert make_client_names(("deep.file:Net", "file:Net", "patch")) == ("Net", "Net-2", "patch")
 
 
 def test_names_of_networks_are_known_without_torch():
@@ -87,12 +87,12 @@ def test_steps_shorten_a_first_phase_that_would_be_most_of_it():
 def test_clients_differ_in_what_they_learn_with_and_share_the_world(tmp_path):
     own = tmp_path / "own.toml"
     own.write_text("[learn]\ngamma = 0.5\n[env]\nwindow = 2\n")
-    options = Options(clients="patch,fig6", steps=100, config_for=(f"fig6={own}",))
+    options = TrainClientsOptions(clients="patch,fig6", steps=100, config_for=(f"fig6={own}",))
     patch, fig6 = resolve_clients(options)
     assert [(c.name, c.seat) for c in (patch, fig6)] == [("patch", 0), ("fig6", 1)]
     assert [c.config.learn.network for c in (patch, fig6)] == ["patch", "fig6"]
     assert (patch.config.learn.gamma, fig6.config.learn.gamma, fig6.config.env.window) == (0.97, 0.5, 2)
-    assert patch.config == resolve(patch.config, learner_fixed_settings(patch.config))
+    assert patch.config == resolve(patch.config, settings_from_learner(patch.config))
     own.write_text("[world]\ntick_s = 0.05\nsubsteps = 12\n")
     with pytest.raises(ConfigError, match="patch and fig6 ask for different worlds"):
         resolve_clients(options)
@@ -109,7 +109,7 @@ def halfway(tmp_path, corner):
     town = find_town(str(corner))
     words = ("wcsim", "train", "--town", str(corner), "--preset", "dqn")
     info = RunInfo(seed=1, town="corner", town_sha256=streets_hash(town), command=words)
-    clients = resolve_clients(Options(clients="patch,fig6", steps=STEPS, preset="dqn"))
+    clients = resolve_clients(TrainClientsOptions(clients="patch,fig6", steps=STEPS, preset="dqn"))
     configs, world = {client.name: client.config for client in clients}, clients[0].config
     folder = create_group_run_folder(tmp_path / "run", world, make_run_manifest(world, info), configs)
     create_run_folder(folder.path / "patch", world, make_run_manifest(world, info)).with_status("done", STEPS)
@@ -137,7 +137,7 @@ def ended(monkeypatch, halfway, states=(), ends=None, last=True, **asked):
     """What comes of a run whose processes do that."""
     monkeypatch.setattr(NoProcesses, "states", states)
     monkeypatch.setattr(NoProcesses, "ends", None if ends is None else staticmethod(ends))
-    monkeypatch.setattr("wcsim.cli.training.clients.Launcher", NoProcesses)
+    monkeypatch.setattr("wcsim.cli.training.clients.ProcessLauncher", NoProcesses)
     run, town = halfway
     return train_clients(ClientProcessOptions(), replace(run, last=last), town, **asked)
 
@@ -152,7 +152,7 @@ def test_a_stop_that_comes_while_a_part_of_a_run_is_told_ends_the_run(monkeypatc
     try:
         with pytest.raises(InterruptedRunError, match="wcsim resume"):
             ended(monkeypatch, halfway, last=False)
-        assert ended(monkeypatch, halfway) == Exit.DONE, "nothing is to follow"
+        assert ended(monkeypatch, halfway) == ExitCode.DONE, "nothing is to follow"
     finally:
         for number, handler in zip((signal.SIGINT, signal.SIGTERM), before, strict=True):
             signal.signal(number, handler)
@@ -170,10 +170,10 @@ def test_work_that_a_client_could_not_save_when_it_was_stopped_is_not_called_kep
 
 
 def test_who_kills_processes_on_purpose_says_when_they_are_given_up(monkeypatch, halfway):
-    for asked in (RestartRules(deaths=99), None):
+    for asked in (ProcessRestartRules(deaths=99), None):
         ended(monkeypatch, halfway, (learning_state(1.0, 1.0),), restarts=asked)
         rules = NoProcesses.rules
-        assert rules.client == rules.world == (asked or RestartRules())
+        assert rules.client == rules.world == (asked or ProcessRestartRules())
 
 
 def learning_state(elapsed_s, learned_s, step=1):
@@ -244,14 +244,14 @@ def test_two_networks_learn_in_one_world_of_a_town_a_generation(tmp_path, corner
     journal = tmp_path / "run" / JOURNAL
     assert read_header(journal).more_towns == (str(other),)
     assert [record.epoch for record in iter_journal_inputs(journal) if isinstance(record, EpochBegun)] == [0, 1]
-    assert main(["log", "verify", str(journal)]) == Exit.DONE
+    assert main(["log", "verify", str(journal)]) == ExitCode.DONE
 
 
 def test_more_cameras_than_a_ring_has_places_for_are_refused(wcsim, folder, corner):
     camera = '[[cameras]]\nname = "c%d"\nwidth_px = 16\nheight_px = 12\n'
     (folder / "many.toml").write_text("".join(camera % number for number in range(65)))
     told = wcsim("train-clients", "patch", "--town", corner, "--config", "many.toml", "--out", "run")
-    assert (told.code, "64" in told.err, "Traceback" in told.err) == (Exit.REFUSED, True, False), told
+    assert (told.code, "64" in told.err, "Traceback" in told.err) == (ExitCode.REFUSED, True, False), told
     assert not (folder / "run").exists()
 
 
@@ -274,7 +274,7 @@ def test_what_was_stopped_goes_on_with_resume(tmp_path, corner):
     waited(lambda: (tmp_path / "run" / "fig6" / "metrics.csv").is_file())
     waited(lambda: len((tmp_path / "run" / "fig6" / "metrics.csv").read_text().splitlines()) > 1)
     child.send_signal(signal.SIGINT)
-    _, err = finished(child, 200, Exit.STOPPED)
+    _, err = finished(child, 200, ExitCode.STOPPED)
     assert "wcsim resume run" in err
     assert places(child) == []
     assert open_group_run_folder(tmp_path / "run").manifest.status == "interrupted"

@@ -14,7 +14,7 @@ from wcsim.cli.training import join
 from wcsim.config import RunConfig
 from wcsim.core.files import lock_run_folder
 from wcsim.errors import ConfigError, PolicyError, ServerGoneError
-from wcsim.server.links.socket import SocketSeat
+from wcsim.server.links.socket import SocketSeatLink
 from wcsim.server.protocol.client_core import ClientPhase, Patience
 from wcsim.server.specs import ClientProcessSpec, RunInfo, SeatRequest
 
@@ -31,7 +31,7 @@ def joins(tmp_path, monkeypatch):
             do(make_env(), alive)
             return run.out
 
-        monkeypatch.setattr("wcsim.agents.learning.train.train", train)
+        monkeypatch.setattr("wcsim.agents.learning.train.train_dqn", train)
         with Server(stand_in_order(tmp_path), tmp_path) as server:
             server.status()
             assert join.run([server.order.endpoint, *WORDS]) == 0
@@ -106,8 +106,8 @@ def test_a_run_that_somebody_looks_after_is_not_looked_after_twice(tmp_path):
 
 
 def test_a_client_that_is_refused_once_it_has_a_seat_gives_it_back(tmp_path, monkeypatch):
-    closed, close = [], SocketSeat.close
-    monkeypatch.setattr(SocketSeat, "close", lambda seat: (closed.append(seat.core.phase), close(seat)))
+    closed, close = [], SocketSeatLink.close
+    monkeypatch.setattr(SocketSeatLink, "close", lambda seat: (closed.append(seat.core.phase), close(seat)))
     (tmp_path / "run").mkdir()
     (tmp_path / "run" / "thesis.txt").touch()
     with Server(stand_in_order(tmp_path), tmp_path) as server:

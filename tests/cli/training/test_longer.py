@@ -5,7 +5,7 @@ import pytest
 from tests.support.one_process import die_after
 from wcsim.agents.runs.run_folder import create_run_folder, make_run_manifest, open_run
 from wcsim.cli.main import main
-from wcsim.cli.shared.run_config import learner_fixed_settings
+from wcsim.cli.shared.run_config import settings_from_learner
 from wcsim.cli.training.resume import _Options, _resumed
 from wcsim.config import RunConfig, resolve
 from wcsim.errors import PolicyError
@@ -49,7 +49,7 @@ def test_a_run_goes_on_without_options_that_it_would_not_hear_of(corner, tmp_pat
     info = RunInfo(seed=1, town=str(corner), town_sha256=streets_hash(town))
     refused = {"quick": ("--steps 40000", "learns in 2 rounds"), "dqn": ("--cluster local", "learns from every step")}
     for preset, (typed, told) in refused.items():
-        config = resolve(resolve(preset), learner_fixed_settings(resolve(preset)))
+        config = resolve(resolve(preset), settings_from_learner(resolve(preset)))
         create_run_folder(tmp_path / preset, config, make_run_manifest(config, info))
         assert main(["resume", str(tmp_path / preset), *typed.split()]) == 2
         assert told in capsys.readouterr().err
@@ -66,7 +66,7 @@ def test_a_run_of_wcsim_join_is_told_to_join_again(run, corner):
 def test_folders_of_data_are_kept_by_their_whole_path(run, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     config = resolve(open_run(run).config, 'collect.data=["mine"]')
-    config = resolve(config, learner_fixed_settings(config))
+    config = resolve(config, settings_from_learner(config))
     assert config.collect.data == (str(tmp_path / "mine"),)
     monkeypatch.chdir(tmp_path.parent)
-    assert resolve(config, learner_fixed_settings(config)) == config
+    assert resolve(config, settings_from_learner(config)) == config

@@ -11,17 +11,17 @@ from tests.agents.evaluation.suite.lists import block_of, suite_in, written_list
 from tests.cli.conftest import finished, start
 from tests.cli.training.test_clients import SMALL, waited
 from tests.support.events import read_events
-from wcsim.agents.clients.group_run import ResolvedGroupRun, open_group_run_folder, read_selected_client
+from wcsim.agents.clients.group_run import ResolvedGroupRun, open_group_run_folder, read_chosen_client_name
 from wcsim.agents.evaluation.suite.result_files import result_of
 from wcsim.agents.evaluation.suite.rows import pooled_rows
 from wcsim.agents.opening.list_file import write_list
 from wcsim.agents.runs.metrics import STEP_COLUMNS, read_metrics
 from wcsim.agents.runs.run_folder import open_run
 from wcsim.cli.main import main
-from wcsim.cli.shared.exit_codes import Exit
+from wcsim.cli.shared.exit_codes import ExitCode
 from wcsim.cli.training import phases_apart
 from wcsim.cli.training.phases_apart import _best_of, _figures_of, _first_phase, _policy_of, _second_phase
-from wcsim.cli.training.train_clients import Options, resolve_clients
+from wcsim.cli.training.train_clients import TrainClientsOptions, resolve_clients
 from wcsim.config import resolve
 from wcsim.errors import PolicyError
 from wcsim.server.specs import RunInfo
@@ -37,7 +37,7 @@ def suite(corner, tmp_path_factory):
 
 
 def a_group(*words):
-    options = Options(clients="patch,fig6", steps=100, set=words)
+    options = TrainClientsOptions(clients="patch,fig6", steps=100, set=words)
     return ResolvedGroupRun(clients=resolve_clients(options), out=Path("x"), info=RunInfo(seed=1))
 
 
@@ -79,12 +79,12 @@ def test_the_highest_score_goes_on_then_fewer_crashes_then_the_first_seat():
 
 
 def test_a_choice_that_names_no_client_is_refused(tmp_path):
-    assert read_selected_client(tmp_path, ["a"]) == ""
+    assert read_chosen_client_name(tmp_path, ["a"]) == ""
     (tmp_path / "selection").mkdir()
     for best in ('"b"', "3", "null"):
         (tmp_path / "selection" / "choice.json").write_text(f'{{"best": {best}}}')
         with pytest.raises(PolicyError, match="names no client"):
-            read_selected_client(tmp_path, ["a"])
+            read_chosen_client_name(tmp_path, ["a"])
 
 
 def check(run, best, left):
@@ -105,13 +105,15 @@ def test_the_lowest_kpi_1_of_the_first_phase_goes_on_or_whom_the_user_names(tmp_
         lines = [f"{100 * (n + 1)},{phase},{kpi1},{n}.0" for n, (kpi1, phase) in enumerate(rows)]
         (tmp_path / name).mkdir()
         (tmp_path / name / "steps.csv").write_text("\n".join([",".join(STEP_COLUMNS), *lines, ""]))
-    options = Options(clients="patch,fig6")
+    options = TrainClientsOptions(clients="patch,fig6")
     assert phases_apart._choose(options, run, "kpi1", None) == "patch"
     choice = {"by": "kpi1", "clients": {"patch": {"kpi1": 0.3}, "fig6": {"kpi1": 0.35}}, "best": "patch"}
     assert json.loads((tmp_path / "selection" / "choice.json").read_text()) == choice
     assert "KPI 1, last 2000 steps" in (told := capsys.readouterr().out) and "learns the second phase" in told
     assert (
-        phases_apart._choose(options, run, "fig6", None) == "fig6" == read_selected_client(tmp_path, ["patch", "fig6"])
+        phases_apart._choose(options, run, "fig6", None)
+        == "fig6"
+        == read_chosen_client_name(tmp_path, ["patch", "fig6"])
     )
     ((_, title, (exhibit,)),) = _client_sections(Training(manifests={str(tmp_path): {}}, clients={}))
     assert exhibit.csv.splitlines() == ["client,KPI 1,learned on", "patch,0.3,", "fig6,0.35,second phase"]
@@ -156,12 +158,12 @@ def test_what_is_stopped_while_clients_are_compared_goes_on_there(tmp_path, corn
     waited(lambda: list(kept.glob("*.json")), within_s=280.0)
     child.send_signal(signal.SIGINT)
     _, err = child.communicate(timeout=60)
-    assert (child.returncode, "while clients were compared" in err) == (Exit.STOPPED, True), err
+    assert (child.returncode, "while clients were compared" in err) == (ExitCode.STOPPED, True), err
     before = {path.name: path.stat().st_mtime_ns for path in kept.glob("*.json")}
     assert len(before) < 9 and not (kept.parent / "choice.json").exists()
     child = start(tmp_path, "resume", "run")
     finished(child)
     after = {path.name: path.stat().st_mtime_ns for path in kept.glob("*.json")}
     assert len(after) == 9 and {name: after[name] for name in before} == before
-    best = read_selected_client(tmp_path / "run", ["patch", "fig6"])
+    best = read_chosen_client_name(tmp_path / "run", ["patch", "fig6"])
     check(tmp_path / "run", best, *({"patch", "fig6"} - {best}))

@@ -15,7 +15,12 @@ from wcsim.agents.rounds.train_rounds import RoundProgress
 from wcsim.agents.runs.run_folder import ResolvedRun
 from wcsim.cli.shared.consoles import StageBar
 from wcsim.cli.shared.exit_codes import NothingSavedInterrupt
-from wcsim.cli.shared.training import remove_run_without_results, share_of_rounds, step_display, train_single_network
+from wcsim.cli.shared.training import (
+    compute_finished_share,
+    make_progress_callback,
+    remove_run_without_results,
+    train_single_network,
+)
 from wcsim.config import resolve
 from wcsim.errors import ConfigError, DiskFullError, InterruptedRunError, WorkersError
 from wcsim.server.specs import RunInfo
@@ -75,16 +80,18 @@ def test_a_log_file_says_when_a_round_is_driven_and_when_it_is_learned(run, corn
 def test_the_work_of_rounds_adds_up():
     config = resolve("quick", ("collect.rounds=3",))
     of = config.collect.segments
-    shares = [share_of_rounds(RoundProgress(round=0, rounds=3, segments=back, of=of), config) for back in range(of + 1)]
+    shares = [
+        compute_finished_share(RoundProgress(round=0, rounds=3, segments=back, of=of), config) for back in range(of + 1)
+    ]
     for number in range(3):
         for learned in (1, config.danger.updates):
             now = RoundProgress(round=number, rounds=3, segments=of, of=of, learned=learned)
-            shares.append(share_of_rounds(now, config))
-        shares.append(share_of_rounds(replace(now, updates=config.danger.updates * (number + 1)), config))
+            shares.append(compute_finished_share(now, config))
+        shares.append(compute_finished_share(replace(now, updates=config.danger.updates * (number + 1)), config))
     assert shares[0] == 0.0 and shares[-1] == pytest.approx(1.0)
     assert shares == sorted(shares)
     without = resolve("quick", ("collect.segments=0",))
-    assert share_of_rounds(RoundProgress(round=1, rounds=2, segments=0, of=0), without) == pytest.approx(0.5)
+    assert compute_finished_share(RoundProgress(round=1, rounds=2, segments=0, of=0), without) == pytest.approx(0.5)
 
 
 def test_a_demo_says_what_its_settings_make_it_do():
@@ -125,5 +132,5 @@ def test_work_stays_whatever_has_ended_it(tmp_path, kept):
 
 def test_no_more_steps_are_told_than_there_are_to_do(capsys):
     with StageBar("loading the town") as bar:
-        step_display(bar)(TrainProgress(step=52, total_steps=50, phase=2, episodes=1, crashes=0, kpi1=None))
+        make_progress_callback(bar)(TrainProgress(step=52, total_steps=50, phase=2, episodes=1, crashes=0, kpi1=None))
     assert capsys.readouterr().err == "phase 2: 50/50 steps, 1 episode, 0 crashes\n"

@@ -14,7 +14,7 @@ import pytest
 from tests.drive.page.stage import IN_CHROMIUM, axe_finds_nothing
 from tests.drive.page.test_page import open_page, picture_of, wait
 from tests.drive.serving.served import PATIENCE_S, serving
-from wcsim.log.reader import log_digest
+from wcsim.log.reader import hash_log
 
 pytestmark = [*IN_CHROMIUM, pytest.mark.timeout(1800)]
 AT = "Number(document.body.dataset.at)"
@@ -99,7 +99,7 @@ def test_a_watched_run_is_the_run_that_nobody_watched(browser: Any, corner: Path
         if process.poll() is None:
             process.send_signal(signal.SIGTERM)
             process.wait(PATIENCE_S)
-    assert log_digest(watched / "journal") == log_digest(alone / "journal")
+    assert hash_log(watched / "journal") == hash_log(alone / "journal")
     for name in ("patch", "fig6"):
         weights = [next((run / name / "policies" / "final").glob("*.safetensors")) for run in (alone, watched)]
         assert weights[0].read_bytes() == weights[1].read_bytes()

@@ -20,7 +20,7 @@ from wcsim.drive.session import DriveSession, Wish
 from wcsim.drive.starting import DriveStart, check_recordable
 from wcsim.errors import ConfigError, DiskFullError, TownError
 from wcsim.log.drive import DriveRecording, read_drive
-from wcsim.log.records import Admitted, Dismissed, Respawned, changed
+from wcsim.log.records import Admitted, Dismissed, Respawned, with_fields
 from wcsim.log.writer import LogWriter
 from wcsim.types import Joystick
 from wcsim.users.profiles import find_builtin_profile
@@ -153,7 +153,7 @@ def test_ways_end_as_they_did(corner: Path, tmp_path: Path, monkeypatch: pytest.
     session.close()
     made = same_again(tmp_path / "a.drive")
     assert sum(tick.arrived for tick in made.ticks) >= 2 and not any(tick.intent for tick in made.ticks)
-    late = [changed(tick, arrived=False) for tick in made.ticks]
+    late = [with_fields(tick, arrived=False) for tick in made.ticks]
     firsts = made.records[:2]
     assert verify(replace(made, records=(*firsts, *late))).mismatches >= 2, "an end that differs is noticed"
 

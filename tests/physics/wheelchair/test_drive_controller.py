@@ -64,8 +64,10 @@ def test_more_stick_never_asks_for_less(angle, a, b):
 def test_targets_stay_within_the_limits(stick, v_now):
     v, w = drive_controller._target(stick.x, stick.y, v_now, SETTING)
     assert -CHAIR.reverse_share * CHAIR.v_max_mps - 1e-12 <= v <= CHAIR.v_max_mps + 1e-12
-    assert abs(w) <= joystick.yaw_rate_limit(v_now, CHAIR.yaw_rate_max_radps, CHAIR.yaw_slowdown_s_per_m) + 1e-12
-    assert abs(w) <= joystick.yaw_rate_limit(v, CHAIR.yaw_rate_max_radps, CHAIR.yaw_slowdown_s_per_m) + 1e-12
+    assert (
+        abs(w) <= joystick.compute_yaw_rate_limit(v_now, CHAIR.yaw_rate_max_radps, CHAIR.yaw_slowdown_s_per_m) + 1e-12
+    )
+    assert abs(w) <= joystick.compute_yaw_rate_limit(v, CHAIR.yaw_rate_max_radps, CHAIR.yaw_slowdown_s_per_m) + 1e-12
 
 
 @given(sticks, speeds)
@@ -77,7 +79,7 @@ def test_left_and_right_are_mirror_images(stick, v_now):
 def test_right_is_clockwise_and_back_is_slower():
     assert drive_controller._target(1.0, 0.0, 0.0, SETTING)[1] == pytest.approx(-1.5)
     assert drive_controller._target(0.0, -1.0, 0.0, SETTING)[0] == pytest.approx(-0.668)
-    assert joystick.yaw_rate_limit(1.67, CHAIR.yaw_rate_max_radps, CHAIR.yaw_slowdown_s_per_m) == pytest.approx(
+    assert joystick.compute_yaw_rate_limit(1.67, CHAIR.yaw_rate_max_radps, CHAIR.yaw_slowdown_s_per_m) == pytest.approx(
         1.5 / (1 + 0.6 * 1.67)
     )
 

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from tests.physics.rig import FORWARD, NEUTRAL, rig, step_street
 from tests.support.samples import USUAL_OUTLINE
 from wcsim.config import ChairConfig, ImuConfig
-from wcsim.config.plant import known_plants
+from wcsim.config.plant import list_plants
 from wcsim.errors import ConfigError, PhysicsError
 from wcsim.physics.wheelchair.plant import PlantSpec, _check_plant, plant_spec, varied
 from wcsim.physics.wheelchair.plant_body import urdf
@@ -51,7 +51,7 @@ def body_of(chair) -> tuple[dict[str, tuple], dict[str, np.ndarray]]:
 
 
 def test_three_plants_come_with_wcsim():
-    assert known_plants() == ("mwd", "rwd", "whill")
+    assert list_plants() == ("mwd", "rwd", "whill")
     assert [pair.arm is None for pair in RWD.casters] == [True]
     assert [pair.arm is None for pair in MWD.casters] == [False, False]
 
@@ -223,7 +223,7 @@ def test_a_sprung_caster_gives_way_and_comes_back():
     assert after == pytest.approx(at_rest, abs=5e-4)
 
 
-@pytest.mark.parametrize("plant", known_plants())
+@pytest.mark.parametrize("plant", list_plants())
 def test_parked_across_a_slope_it_does_not_creep(plant):
     slope = step_street(0.0)
     tilted = replace(slope, vertices_W_m=slope.vertices_W_m + np.outer(slope.vertices_W_m[:, 1], (0, 0, 0.176)))

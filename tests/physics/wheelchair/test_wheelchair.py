@@ -11,8 +11,8 @@ from tests.physics.rig import FORWARD, NEUTRAL, actor, fan_street, flat_street, 
 from tests.support.samples import KERB_M, strip_street
 from tests.support.typed import python_says
 from wcsim.config import ChairConfig, ImuConfig
-from wcsim.config.plant import known_plants
-from wcsim.core.joystick import yaw_rate_limit
+from wcsim.config.plant import list_plants
+from wcsim.core.joystick import compute_yaw_rate_limit
 from wcsim.errors import ConfigError, PhysicsError
 from wcsim.physics.engine import PARK_Z_M, SUSPECT_N, Engine
 from wcsim.physics.kinematic_bodies import BodyMove, BodyPool
@@ -22,7 +22,7 @@ from wcsim.physics.wheelchair.wheelchair import Wheelchair
 from wcsim.types import ActorKind, ClassId, Joystick
 
 START_TICKS = 30  # after these a chair cruises
-EACH_PLANT = pytest.mark.parametrize("plant", known_plants())
+EACH_PLANT = pytest.mark.parametrize("plant", list_plants())
 
 
 @pytest.fixture
@@ -67,7 +67,7 @@ def test_turns_at_the_rate_asked_for(each, x, y, plant):
     ride = each.drive(Joystick(x, y), 50)
     stick = (math.hypot(x, y) - 0.08) / 0.92 / math.hypot(x, y)
     speed = 1.67 * y * stick
-    rate = -x * stick * yaw_rate_limit(speed, each.config.yaw_rate_max_radps, each.config.yaw_slowdown_s_per_m)
+    rate = -x * stick * compute_yaw_rate_limit(speed, each.config.yaw_rate_max_radps, each.config.yaw_slowdown_s_per_m)
     assert np.mean(ride.yaw_rate[START_TICKS:]) == pytest.approx(rate, rel=0.03)
     assert np.mean(ride.speed[START_TICKS:]) == pytest.approx(speed, rel=0.03, abs=0.02)
 
@@ -118,7 +118,7 @@ def reach_m(spec, rise_m: float) -> float:
     return pair.swivel_x_m - pair.trail_m + math.sqrt(pair.radius_m**2 - above**2)
 
 
-DECLARED = {name: plant_spec(ChairConfig(plant=name)).climbs for name in known_plants()}
+DECLARED = {name: plant_spec(ChairConfig(plant=name)).climbs for name in list_plants()}
 CLIMBS = [(name, rise, 0.0) for name, climbs in DECLARED.items() for rise in climbs.standstill_m]
 CLIMBS += [(name, rise, 0.5) for name, climbs in DECLARED.items() for rise in climbs.run_up_m]
 REFUSES = [(name, rise, run) for name, climbs in DECLARED.items() for rise in climbs.refused_m for run in (0.0, 0.5)]

@@ -13,7 +13,14 @@ from tests.server.servers import AHEAD, Server, stand_in_order, together
 from tests.server.servers import driven as driven_through
 from tests.support.worlds import quick_config
 from wcsim.config import resolve
-from wcsim.log.reader import iter_journal_inputs, iter_part_inputs, list_log_parts, log_digest, read_header, rotate_log
+from wcsim.log.reader import (
+    hash_log,
+    iter_journal_inputs,
+    iter_journal_part_inputs,
+    list_log_parts,
+    read_header,
+    rotate_log,
+)
 from wcsim.log.records import Admitted, Dismissed, Ended, EpochBegun
 from wcsim.log.writer import JOURNAL
 from wcsim.server.host.opening import EPOCH_OVER, _epoch_seed, open_server_parts
@@ -79,14 +86,14 @@ def test_an_epoch_ends_at_its_cap_and_all_go_on_in_the_next_one(first):
         assert {(epoch, tick) for epoch in (0, 1) for tick in range(1, CAP + 1)} <= seen
     parts = list_log_parts(folder / "run" / JOURNAL)
     assert [part.name for part in parts] == ["journal.00001", "journal.00002", "journal"]
-    begun = [[r.epoch for r in iter_part_inputs(part) if isinstance(r, EpochBegun)] for part in parts]
+    begun = [[r.epoch for r in iter_journal_part_inputs(part) if isinstance(r, EpochBegun)] for part in parts]
     assert begun == [[0], [1], [2]]
     assert sum(isinstance(record, EpochBegun) for record in records) == 3
 
 
 def test_everybody_comes_back_before_the_next_epoch_begins_so_equal_runs_stay_equal(first, tmp_path):
     driven(tmp_path / "b", TICKS)
-    one, other = (log_digest(folder / "run" / JOURNAL) for folder in (first[0], tmp_path / "b"))
+    one, other = (hash_log(folder / "run" / JOURNAL) for folder in (first[0], tmp_path / "b"))
     assert one == other
 
 
@@ -119,7 +126,7 @@ def test_a_world_that_ended_while_it_was_made_leaves_its_epoch_to_the_next_one(t
     for _ in range(2):  # the second one comes upon a part in which nothing has begun
         with pytest.raises(SystemExit):
             open_server_parts(order, dying)
-        assert len(list_log_parts(path)) == 2 and list(iter_part_inputs(path)) == []
+        assert len(list_log_parts(path)) == 2 and list(iter_journal_part_inputs(path)) == []
     opened = open_server_parts(order, FakeWorld)
     opened.journal.close()
     assert (opened.core.epoch, opened.core.rules.expected) == (1, 2)
@@ -133,7 +140,7 @@ def test_who_leaves_at_the_last_tick_of_an_epoch_is_not_waited_for_in_the_next_o
         b.close()
         a.send(CAP, AHEAD)
         assert server.wait() == WorldExitCode.EPOCH_OVER
-    *_, gone, last = iter_part_inputs(tmp_path / "run" / JOURNAL)
+    *_, gone, last = iter_journal_part_inputs(tmp_path / "run" / JOURNAL)
     assert gone == Dismissed(epoch=0, tick=CAP, seat=1, reason="left") and isinstance(last, Ended)
     opened = open_server_parts(capped(tmp_path), FakeWorld)
     assert opened.core.rules.expected == 1 and opened.journal is not None
@@ -150,7 +157,7 @@ def full_at(core, tick):
 
 def test_an_epoch_ends_early_when_its_process_has_grown(tmp_path, monkeypatch):
     sizes = iter((500.0, 1400.0, 1600.0))
-    monkeypatch.setattr("wcsim.server.host.process.rss_mb", lambda: next(sizes))
+    monkeypatch.setattr("wcsim.server.host.process.measure_rss_mb", lambda: next(sizes))
     order = replace(stand_in_order(tmp_path, run=str(tmp_path)), epoch_ticks=6000)
     core = ServerCore(BOTH)
     cap = _EpochCap(order, core)

@@ -22,11 +22,11 @@ from wcsim.log.writer import JOURNAL
 from wcsim.server.host.process import main
 from wcsim.server.launch.states import WorldExitCode
 from wcsim.server.ledger import audit_ledgers, iter_ledger_frames
-from wcsim.server.links.socket import SocketSeat
+from wcsim.server.links.socket import SocketSeatLink
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.events import ServerRules
 from wcsim.server.specs import encode_json_line
-from wcsim.server.transport.keys import make_keys
+from wcsim.server.transport.keys import create_missing_keys
 
 BOTH = ServerRules(capacity=2, expected=2, gather_s=60.0, lease_s=10.0 * WAIT_S, notice_s=0.2)
 
@@ -39,7 +39,7 @@ def two_seats(server, folder):
 def two_linked(order, folder):
     """A world, the links of its two clients, and what closes them."""
     with Server(order, folder) as server, ExitStack() as held:
-        yield server, [held.enter_context(SocketSeat(seat)) for seat in two_seats(server, folder)], held
+        yield server, [held.enter_context(SocketSeatLink(seat)) for seat in two_seats(server, folder)], held
 
 
 def audited(folder):
@@ -200,7 +200,7 @@ def test_a_client_whose_connection_was_lost_for_a_moment_joins_again(tmp_path):
     with Server(order, tmp_path) as server, ExitStack() as held:
         cable = Cable(held, server.status().listening)
         near, far = two_seats(server, tmp_path)
-        links = [held.enter_context(SocketSeat(seat)) for seat in (near, replace(far, endpoint=cable.address))]
+        links = [held.enter_context(SocketSeatLink(seat)) for seat in (near, replace(far, endpoint=cable.address))]
         assert [seen.tick for seen in driven(links, 5)] == [5, 5]
         cable.cut()
         assert server.status(lambda s: s.members == ("a",))
@@ -224,7 +224,7 @@ def test_a_client_whose_connection_was_lost_for_a_moment_joins_again(tmp_path):
 
 def test_it_ends_when_it_is_asked_to_and_says_goodbye(tmp_path):
     order = stand_in_order(tmp_path, run=str(tmp_path / "run"))
-    with Server(order, tmp_path) as server, SocketSeat(server.seat("a")) as a:
+    with Server(order, tmp_path) as server, SocketSeatLink(server.seat("a")) as a:
         driven([a], 5)
         assert stat.S_IMODE((tmp_path / "s").stat().st_mode) == 0o700
         assert stat.S_IMODE((tmp_path / "s" / "world").stat().st_mode) == 0o600
@@ -252,7 +252,7 @@ def test_a_full_disk_ends_it_with_a_word_to_everybody(tmp_path):
         resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 16, 1 << 16))
 
     order = stand_in_order(tmp_path, run=str(tmp_path / "run"))
-    with Server(order, tmp_path, little_room) as server, SocketSeat(server.seat("a")) as a:
+    with Server(order, tmp_path, little_room) as server, SocketSeatLink(server.seat("a")) as a:
         a.join()
         with pytest.raises(DiskFullError, match="make room"):
             for tick in range(2000):
@@ -296,23 +296,26 @@ def test_what_is_no_order_is_refused(tmp_path, capfd):
 
 def test_clients_of_other_machines_need_a_key_that_the_server_knows(tmp_path):
     keys, others = tmp_path / "keys", tmp_path / "others"
-    make_keys(keys, ("far",))
-    make_keys(others, ("far",))
+    create_missing_keys(keys, ("far",))
+    create_missing_keys(others, ("far",))
     stranger, mistaken = tmp_path / "stranger", tmp_path / "mistaken"
     for folder, server_of, client_of in ((stranger, keys, others), (mistaken, others, keys)):
-        make_keys(folder, ("far",))
+        create_missing_keys(folder, ("far",))
         (folder / "server.public").write_bytes((server_of / "server.public").read_bytes())
         (folder / "clients" / "far.secret").write_bytes((client_of / "clients" / "far.secret").read_bytes())
     order = stand_in_order(tmp_path, listen="tcp://127.0.0.1:*", keys=str(keys), rules=BOTH)
     with Server(order, tmp_path) as server:
         far = server.seat("far", endpoint=server.status().listening)
         for folder, told in ((stranger, "does not know the public key"), (mistaken, "is not that of this server")):
-            with SocketSeat(replace(far, keys=str(folder))) as link, pytest.raises(AccessError, match=told) as refused:
+            with (
+                SocketSeatLink(replace(far, keys=str(folder))) as link,
+                pytest.raises(AccessError, match=told) as refused,
+            ):
                 link.join()
             assert f"{folder}" in str(refused.value) and "code" not in str(refused.value)
-        with SocketSeat(far) as link, pytest.raises(AccessError, match=r"needs a key; .*--keys FOLDER"):
+        with SocketSeatLink(far) as link, pytest.raises(AccessError, match=r"needs a key; .*--keys FOLDER"):
             link.join()  # no keys at all
-        with SocketSeat(replace(far, keys=str(keys))) as far_link, SocketSeat(server.seat("near")) as near:
+        with SocketSeatLink(replace(far, keys=str(keys))) as far_link, SocketSeatLink(server.seat("near")) as near:
             frames = driven([far_link, near], 5)
             assert [seen.tick for seen in frames] == [5, 5]
             pictures = [seen.sensors.cameras[0].depth_m for seen in frames]
@@ -333,16 +336,16 @@ def has_ipv6() -> bool:
 @pytest.mark.skipif(not has_ipv6(), reason="this machine has no IPv6")
 def test_addresses_of_ipv6_can_be_listened_at_and_joined(tmp_path):
     keys = tmp_path / "keys"
-    make_keys(keys, ("far",))
+    create_missing_keys(keys, ("far",))
     with Server(stand_in_order(tmp_path, listen="tcp://[::1]:*", keys=str(keys)), tmp_path) as server:
         address = server.status().listening
         assert address.startswith("tcp://[::1]:")
-        with SocketSeat(server.seat("far", endpoint=address, keys=str(keys))) as link:
+        with SocketSeatLink(server.seat("far", endpoint=address, keys=str(keys))) as link:
             assert driven([link], 2)[0].tick == 2
 
 
 def test_the_server_tells_its_clients_what_world_it_is(tmp_path):
-    with Server(stand_in_order(tmp_path), tmp_path) as server, SocketSeat(server.seat("a")) as a:
+    with Server(stand_in_order(tmp_path), tmp_path) as server, SocketSeatLink(server.seat("a")) as a:
         told: list[m.Welcome] = []
         a._welcomed = lambda welcome, then=a._welcomed: (told.append(welcome), then(welcome))
         a.join()

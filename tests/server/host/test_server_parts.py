@@ -18,7 +18,7 @@ from wcsim.log.records import Ended
 from wcsim.log.writer import JOURNAL, LogWriter
 from wcsim.server.host.opening import EPOCH_OVER, REGATHER_S, open_server_parts
 from wcsim.server.host.process import _ProcessWatch
-from wcsim.server.launch.awake_clock import LEAP_S, AwakeClock
+from wcsim.server.launch.awake_clock import LEAP_S, SuspendSafeClock
 from wcsim.server.protocol.events import ServerRules
 from wcsim.server.transport.sockets import BURST, MAX_PEERS, MOST_FAULTS, PeerLimits, ServerSockets
 
@@ -28,7 +28,7 @@ def nobody():
 
 
 def test_the_clock_leaps_over_time_in_which_the_server_was_stopped_but_not_over_steps():
-    clock = AwakeClock(100.0)
+    clock = SuspendSafeClock(100.0)
     assert clock.look(100.2) == pytest.approx(0.2)
     assert clock.look(4000.0) == pytest.approx(0.2 + LEAP_S)
     assert clock.look(4030.0, 29.9) == pytest.approx(0.3 + LEAP_S + 29.9)

@@ -6,10 +6,10 @@ from pathlib import Path
 from benchmarks.soak.stub_client import read_sights
 from tests.server.servers import STAND_IN
 from tests.support.worlds import quick_config
-from wcsim.core.own_folder import runtime_folder, world_endpoint_from_folder
+from wcsim.core.own_folder import create_runtime_folder, world_endpoint_from_folder
 from wcsim.log.reader import iter_journal_inputs
 from wcsim.log.writer import JOURNAL
-from wcsim.server.launch.launcher import Launcher
+from wcsim.server.launch.launcher import ProcessLauncher
 from wcsim.server.launch.states import ClientLaunchPlan, LaunchProcessStates
 from wcsim.server.ledger import audit_ledgers, iter_ledger_frames
 from wcsim.server.protocol.events import ServerRules
@@ -41,7 +41,7 @@ def plan(place: Path, folder: Path, seat: int) -> ClientLaunchPlan:
 
 def test_all_step_at_its_pace_nobody_loses_a_tick_and_it_is_named(tmp_path: Path):
     states: list[LaunchProcessStates] = []
-    with runtime_folder() as place:
+    with create_runtime_folder() as place:
         order = WorldProcessSpec(
             town="",
             config=quick_config(),
@@ -53,7 +53,7 @@ def test_all_step_at_its_pace_nobody_loses_a_tick_and_it_is_named(tmp_path: Path
         )
         plans = [plan(place, tmp_path, seat) for seat in range(6)]
         argv = (sys.executable, "-m", STAND_IN)
-        outcome = Launcher(
+        outcome = ProcessLauncher(
             make_world_launch_plan(order, place, tmp_path / "logs" / "world.log", argv),
             plans,
             tmp_path,

@@ -13,9 +13,9 @@ import pytest
 
 from tests.support.events import read_events
 from wcsim.config import RunConfig
-from wcsim.core.own_folder import runtime_folder, world_endpoint_from_folder
-from wcsim.server.launch.launcher import Launcher
-from wcsim.server.launch.states import ClientLaunchPlan, LauncherTimeouts, RestartRules
+from wcsim.core.own_folder import create_runtime_folder, world_endpoint_from_folder
+from wcsim.server.launch.launcher import ProcessLauncher
+from wcsim.server.launch.states import ClientLaunchPlan, LauncherTimeouts, ProcessRestartRules
 from wcsim.server.launch.supervised import MOST_EXCUSED_DEATHS
 from wcsim.server.protocol.events import ServerRules
 from wcsim.server.specs import WorldProcessSpec, make_world_launch_plan
@@ -29,8 +29,8 @@ QUICK = LauncherTimeouts(
     saving_s=60.0,
     leaving_s=0.1,
     ending_s=60.0,
-    client=RestartRules(first_s=0.01, longest_s=0.05),
-    world=RestartRules(first_s=0.01, longest_s=0.05),
+    client=ProcessRestartRules(first_s=0.01, longest_s=0.05),
+    world=ProcessRestartRules(first_s=0.01, longest_s=0.05),
 )
 
 
@@ -72,7 +72,7 @@ def launcher(
         for seat, (name, words) in enumerate(clients.items())
     ]
     plan = make_world_launch_plan(order, place, folder / "logs" / "world.log", world_argv)
-    return Launcher(plan, plans, folder, rules, show)
+    return ProcessLauncher(plan, plans, folder, rules, show)
 
 
 @pytest.fixture
@@ -356,8 +356,8 @@ def test_nothing_outlives_a_launcher_that_is_killed(tmp_path, stands):
 
 OWNER = """
 import time
-from wcsim.core.own_folder import runtime_folder
-with runtime_folder() as place:
+from wcsim.core.own_folder import create_runtime_folder
+with create_runtime_folder() as place:
     print(place, flush=True)
     time.sleep(60)
 """
@@ -368,11 +368,11 @@ def test_the_place_of_a_killed_launcher_is_removed_by_the_next_one(tmp_path):
     left = Path(child.stdout.readline().strip())
     assert left.is_dir()
     assert left.stat().st_mode & 0o077 == 0
-    with runtime_folder():
+    with create_runtime_folder():
         assert left.is_dir()  # its owner lives
     child.kill()
     child.communicate()
-    with runtime_folder() as mine:
+    with create_runtime_folder() as mine:
         assert not left.exists()
         assert mine.is_dir()
     assert not mine.exists()

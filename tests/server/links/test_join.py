@@ -42,7 +42,7 @@ def hall(corner: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
         open_now.append(LocalServer(make_street_world(order, (None,) * order.seats, order.seed), seats, expected))
         return open_now[-1]
 
-    monkeypatch.setattr(socket, "SocketSeat", opened)
+    monkeypatch.setattr(socket, "SocketSeatLink", opened)
     yield make
     for server in open_now:
         server.world.close()

@@ -33,12 +33,12 @@ from wcsim.errors import (
 from wcsim.server.links import base
 from wcsim.server.links.base import ProcessSeatLink, SeatLink, open_seat_links
 from wcsim.server.links.local import LocalSeatLinkGroup
-from wcsim.server.links.socket import ProcessSeatLinkGroup, SocketSeat
+from wcsim.server.links.socket import ProcessSeatLinkGroup, SocketSeatLink
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.client_core import ClientCore, JoinSettings, Patience
 from wcsim.server.protocol.events import ServerRules
 from wcsim.server.specs import SeatRequest, WorldBuildSpec
-from wcsim.server.transport.keys import make_keys
+from wcsim.server.transport.keys import create_missing_keys
 from wcsim.types import SeatSpec
 
 SEED, CONFIG, SPEC = 4, quick_config(), SeatSpec(max_steps=25, truth_visible=True)
@@ -69,7 +69,7 @@ def over_tcp(corner, folder, keys: str) -> Iterator[ProcessSeatLink]:
     world = far_order(folder, corner, config=CONFIG, seed=SEED, keys=keys)
     with Server(world, folder) as server:
         address = server.status().listening
-        with SocketSeat(SeatRequest(endpoint=address, name="far", claim="x", spec=SPEC, keys=keys)) as link:
+        with SocketSeatLink(SeatRequest(endpoint=address, name="far", claim="x", spec=SPEC, keys=keys)) as link:
             yield link
 
 
@@ -85,7 +85,7 @@ def opened(request, corner, reference, tmp_path_factory):
             folder, keys = tmp_path_factory.mktemp("far"), ""
             if request.param == "tcp+curve":
                 keys = str(folder / "keys")
-                make_keys(folder / "keys", ("far",))
+                create_missing_keys(folder / "keys", ("far",))
             link = held.enter_context(over_tcp(corner, folder, keys))
         yield Opened(link, frames_of(link, TICKS))
 
@@ -163,8 +163,8 @@ def arrived(link):
 
 
 def test_two_clients_step_together_and_one_that_leaves_does_not_stop_the_other(hall):
-    with SocketSeat(hall.seat("a")) as a:
-        with SocketSeat(hall.seat("b")) as b:
+    with SocketSeatLink(hall.seat("a")) as a:
+        with SocketSeatLink(hall.seat("b")) as b:
             here = b.join().tick
             arrived(a)  # who comes later gets in after the next tick
             assert b.act(here, AHEAD).tick == a.receive().tick == here + 1
@@ -175,24 +175,24 @@ def test_two_clients_step_together_and_one_that_leaves_does_not_stop_the_other(h
 
 
 def test_who_does_not_fit_hears_why(hall):
-    with SocketSeat(hall.seat("a", seat=1)) as a:
+    with SocketSeatLink(hall.seat("a", seat=1)) as a:
         a.join()
-        with SocketSeat(hall.seat("b", seat=1)) as b, pytest.raises(SeatTakenError, match="seat 1 belongs to a"):
+        with SocketSeatLink(hall.seat("b", seat=1)) as b, pytest.raises(SeatTakenError, match="seat 1 belongs to a"):
             b.join()
-        with SocketSeat(hall.seat("c", seat=7)) as c, pytest.raises(SeatTakenError, match="0 to 2"):
+        with SocketSeatLink(hall.seat("c", seat=7)) as c, pytest.raises(SeatTakenError, match="0 to 2"):
             c.join()
-        with SocketSeat(hall.seat("d", config="xyz")) as d, pytest.raises(ConfigMismatchError, match=r"xyz.*abc"):
+        with SocketSeatLink(hall.seat("d", config="xyz")) as d, pytest.raises(ConfigMismatchError, match=r"xyz.*abc"):
             d.join()
-        with SocketSeat(hall.seat("e", config="abc")) as e, SocketSeat(hall.seat("f")) as f:
+        with SocketSeatLink(hall.seat("e", config="abc")) as e, SocketSeatLink(hall.seat("f")) as f:
             arrived(e)
             arrived(f)
-            with SocketSeat(hall.seat("g")) as g, pytest.raises(WorldFullError, match="all 3 seats"):
+            with SocketSeatLink(hall.seat("g")) as g, pytest.raises(WorldFullError, match="all 3 seats"):
                 g.join()
 
 
 def test_another_version_is_named(hall, monkeypatch):
     monkeypatch.setattr(m, "PROTOCOL", 99)
-    with SocketSeat(hall.seat("a")) as a, pytest.raises(VersionMismatchError, match=r"protocol 99.*server has 8"):
+    with SocketSeatLink(hall.seat("a")) as a, pytest.raises(VersionMismatchError, match=r"protocol 99.*server has 8"):
         a.join()
 
 
@@ -200,14 +200,14 @@ def test_nobody_there_is_said_in_time(tmp_path):
     order = SeatRequest(
         endpoint=f"ipc://{tmp_path}/nobody", name="a", claim="a", patience=replace(QUICK, reconnect_s=0.5)
     )
-    with SocketSeat(order) as a, pytest.raises(ServerGoneError, match="is it running"):
+    with SocketSeatLink(order) as a, pytest.raises(ServerGoneError, match="is it running"):
         a.join()
 
 
 @contextmanager
 def sole_client(folder, **order):
     """A stand-in for a world, and a client that is in it alone."""
-    with Server(stand_in_order(folder, **order), folder) as server, SocketSeat(server.seat("a")) as a:
+    with Server(stand_in_order(folder, **order), folder) as server, SocketSeatLink(server.seat("a")) as a:
         a.join()
         yield server, a
 
@@ -289,7 +289,7 @@ def test_a_world_of_this_machine_that_dies_in_the_handshake_has_refused_nobody(t
         request = SeatRequest(
             endpoint=f"ipc://{tmp_path}/world", name="a", claim="a", patience=Patience(resend_s=0.2, reconnect_s=1.5)
         )
-        with SocketSeat(request) as link, pytest.raises(ServerGoneError):
+        with SocketSeatLink(request) as link, pytest.raises(ServerGoneError):
             link.join()
         door.shutdown(socket.SHUT_RDWR)
         greeter.join()
@@ -300,7 +300,7 @@ def test_work_between_send_and_receive_is_done_while_the_world_ticks(tmp_path):
     """The master works longer than the others wait for word of it, and its world has gone on all the same."""
     rules = ServerRules(capacity=2, expected=2, gather_s=60.0, notice_s=0.2)
     with Server(stand_in_order(tmp_path, rules=rules), tmp_path) as server, ExitStack() as held:
-        links = [held.enter_context(SocketSeat(server.seat(name, seat=k))) for k, name in enumerate("ab")]
+        links = [held.enter_context(SocketSeatLink(server.seat(name, seat=k))) for k, name in enumerate("ab")]
         driven(links, 3)
         master, other = links if links[0].master else links[::-1]
         ticked = threading.Event()

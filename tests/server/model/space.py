@@ -22,8 +22,8 @@ from wcsim.server.protocol.events import (
     Peer,
     RebuildWorldEffect,
     RespawnSeatsEffect,
-    SendFrameEffect,
     SendMessageEffect,
+    SendSensorFrameEffect,
     StepWorldEffect,
     WorldSteppedEvent,
 )
@@ -204,7 +204,7 @@ class Space:
                 case SendMessageEffect():
                     self._names_the_master(at, effect.message)
                     at = self._post(at, effect.peer, effect.message)
-                case SendFrameEffect():
+                case SendSensorFrameEffect():
                     at = self._show(at, effect)
                 case AdmitSeatEffect():
                     at = replace(at, shadow=at.shadow.admit(effect.seat, effect.name))
@@ -228,7 +228,7 @@ class Space:
             if message.master != oldest:
                 raise Violation(f"the master is said to be seat {message.master}; seat {oldest} is the oldest")
 
-    def _show(self, at: World, show: SendFrameEffect) -> World:
+    def _show(self, at: World, show: SendSensorFrameEffect) -> World:
         chair = at.shadow.at(show.seat)
         seen, is_so = (show.epoch, show.tick), (at.shadow.epoch, at.shadow.tick)
         if chair is None or (*seen, show.life) != (*is_so, chair.life):

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from tests.server.model.scope import Violation
 from wcsim.errors import WcsimError
 from wcsim.server.protocol import messages as m
-from wcsim.server.protocol.client_core import ClientCore, ClientPhase, FrameOutcome, Outcome
+from wcsim.server.protocol.client_core import ClientCore, ClientPhase, Outcome, ReceivedFrame
 
 Last = tuple[int, int, int, int]  # epoch, tick, life, chair
 
@@ -27,7 +27,7 @@ def hear(view: View, before: ClientCore, after: ClientCore, outcomes: tuple[Outc
 
     That it was evicted may be said only where some are given up that live.
     """
-    seen = next((x for x in outcomes if isinstance(x, FrameOutcome)), None)
+    seen = next((x for x in outcomes if isinstance(x, ReceivedFrame)), None)
     errors = [type(x).__name__ for x in outcomes if isinstance(x, WcsimError)]
     told_restart = "WorldRestartedError" in errors
     asked_rebuild = isinstance(before.pending, m.Rebuild)

@@ -27,7 +27,7 @@ def join_of(who: int, **other: object) -> m.Join:
     """What a client says first; `other` replaces fields."""
     fields: dict[str, object] = {
         "protocol": m.PROTOCOL,
-        "schema": m.schema_hash(),
+        "schema": m.hash_message_schema(),
         "config": "",
         "session": session_of(who),
         "claim": bytes([who]),

@@ -11,10 +11,10 @@ from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.client_core import (
     ClientCore,
     ClientPhase,
-    FrameOutcome,
     JoinSettings,
     Outcome,
     Patience,
+    ReceivedFrame,
 )
 from wcsim.types import Joystick, SeatSpec
 
@@ -32,8 +32,8 @@ def frame(tick: int, epoch: int = 0, life: int = 0) -> m.Frame:
     return m.Frame(epoch, tick, life, None)
 
 
-def seen(tick: int, epoch: int = 0, stepped: bool = False) -> FrameOutcome:
-    return FrameOutcome(epoch, tick, None, -1, stepped)
+def seen(tick: int, epoch: int = 0, stepped: bool = False) -> ReceivedFrame:
+    return ReceivedFrame(epoch, tick, None, -1, stepped)
 
 
 def welcome(core: ClientCore, epoch: int = 0, tick: int = 0) -> m.Welcome:

@@ -20,8 +20,8 @@ from wcsim.server.protocol.events import (
     MessageReceivedEvent,
     RebuildWorldEffect,
     RespawnSeatsEffect,
-    SendFrameEffect,
     SendMessageEffect,
+    SendSensorFrameEffect,
     ServerRules,
     StepWorldEffect,
     TimePassedEvent,
@@ -244,7 +244,7 @@ class AnyRequests(RuleBasedStateMachine):
                 assert acted == [(chair.seat, self.world.tick) for chair in self.world.chairs]
                 self.world = self.world.stepped()
                 todo += self.core.handle(WorldSteppedEvent(self.world.tick), self.now_s)
-            elif isinstance(effect, SendFrameEffect):
+            elif isinstance(effect, SendSensorFrameEffect):
                 assert self.world.at(effect.seat) is not None
             elif not isinstance(effect, SendMessageEffect):
                 self.world = changed(self.world, effect)

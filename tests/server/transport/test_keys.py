@@ -4,8 +4,8 @@ import pytest
 
 from wcsim.errors import ConfigError
 from wcsim.server.transport.keys import (
+    create_missing_keys,
     is_loopback,
-    make_keys,
     read_client_keys,
     read_server_keys,
     read_server_public_key,
@@ -13,9 +13,9 @@ from wcsim.server.transport.keys import (
 
 
 def test_keys_are_made_once_and_secrets_are_their_owners_alone(tmp_path):
-    assert make_keys(tmp_path, ("a", "b")) == ("a", "b")
+    assert create_missing_keys(tmp_path, ("a", "b")) == ("a", "b")
     before = read_server_keys(tmp_path)
-    assert make_keys(tmp_path, ("b", "c")) == ("c",)
+    assert create_missing_keys(tmp_path, ("b", "c")) == ("c",)
     assert read_server_keys(tmp_path) == before
     assert read_server_public_key(tmp_path) == before.public
     assert read_client_keys(tmp_path, "a") != read_client_keys(tmp_path, "b")
@@ -26,9 +26,9 @@ def test_keys_are_made_once_and_secrets_are_their_owners_alone(tmp_path):
 
 
 def test_the_only_secret_serves_a_client_of_another_name(tmp_path):
-    make_keys(tmp_path, ("a",))
+    create_missing_keys(tmp_path, ("a",))
     assert read_client_keys(tmp_path, "fig6") == read_client_keys(tmp_path, "a")
-    make_keys(tmp_path, ("b",))
+    create_missing_keys(tmp_path, ("b",))
     with pytest.raises(ConfigError, match="2 other secret keys"):
         read_client_keys(tmp_path, "fig6")
     with pytest.raises(ConfigError, match="2 other secret keys"):
@@ -37,10 +37,10 @@ def test_the_only_secret_serves_a_client_of_another_name(tmp_path):
 
 def test_what_cannot_be_a_key_is_refused(tmp_path):
     with pytest.raises(ConfigError, match=r"client name '\.\./x'"):
-        make_keys(tmp_path, ("../x",))
+        create_missing_keys(tmp_path, ("../x",))
     with pytest.raises(ConfigError, match=r"server\.public"):
         read_server_public_key(tmp_path)
-    make_keys(tmp_path, ("a",))
+    create_missing_keys(tmp_path, ("a",))
     (tmp_path / "server.secret").chmod(0o644)
     with pytest.raises(ConfigError, match="chmod 600"):
         read_server_keys(tmp_path)

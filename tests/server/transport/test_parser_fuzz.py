@@ -19,7 +19,7 @@ from tests.server.servers import AHEAD, Server, stand_in_order
 from tests.support.worlds import quick_config
 from wcsim.errors import OverloadedError, ProtocolError
 from wcsim.server.ledger import audit_ledgers, iter_ledger_frames
-from wcsim.server.links.socket import SocketSeat
+from wcsim.server.links.socket import SocketSeatLink
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.events import ServerRules
 from wcsim.server.specs import WorldBuildSpec
@@ -147,7 +147,7 @@ class Vandal(threading.Thread):
 
 def test_a_good_client_loses_nothing_whatever_others_send(tmp_path):
     order = stand_in_order(tmp_path, rules=ServerRules(capacity=2, expected=1))
-    with Server(order, tmp_path) as server, SocketSeat(server.seat("a", ledger=f"{tmp_path}/a")) as a:
+    with Server(order, tmp_path) as server, SocketSeatLink(server.seat("a", ledger=f"{tmp_path}/a")) as a:
         server.status()
         seen: list[bytes] = []
         a._post = lambda message, then=a._post: (seen.append(m.encode_message(message)), then(message))
@@ -186,5 +186,5 @@ def test_who_sends_too_much_is_told_and_then_not_heard(tmp_path):
         assert told.count("OverloadedError") <= 20
         # a machine that has other work to do may read them so slowly that they are not too many
         assert len(told) < 40_000 or BURST + MESSAGES_PER_S * lasted_s >= 40_000
-        with SocketSeat(server.seat("a")) as a:
+        with SocketSeatLink(server.seat("a")) as a:
             assert a.join().tick == 0

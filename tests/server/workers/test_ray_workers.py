@@ -17,11 +17,11 @@ from tests.support.cluster.workpieces import (
     itself,
     take_in_a_bomb,
 )
-from wcsim.cli.shared.common import machines_from_options
+from wcsim.cli.shared.common import workers_from_options
 from wcsim.config import resolve
 from wcsim.errors import ConfigError
 from wcsim.server.workers import machines, ray_workers
-from wcsim.server.workers.cluster_node import MOST_BYTES, find_node_warnings, find_refusal_reason, read_machine_facts
+from wcsim.server.workers.cluster_node import MOST_BYTES, collect_machine_info, find_node_mismatch, find_node_warnings
 from wcsim.server.workers.machines import WorkInputFiles, WorkPiece, WorkResult
 from wcsim.server.workers.ray_workers import RayWorkerPool, _DriverSpec
 
@@ -29,7 +29,7 @@ from wcsim.server.workers.ray_workers import RayWorkerPool, _DriverSpec
 @pytest.mark.parametrize("address", ["ray://10.0.0.1:10001", "auto", "10.0.0.1", "10.0.0.1:0", "10.0.0.1:70000", "-"])
 def test_what_is_no_address_is_refused(address):
     with pytest.raises(ConfigError, match=r"expected `local`, or HOST:PORT"):
-        machines_from_options(address, 1, "--worlds")
+        workers_from_options(address, 1, "--worlds")
 
 
 def test_nobody_at_an_address_is_told_within_seconds(monkeypatch):
@@ -38,18 +38,18 @@ def test_nobody_at_an_address_is_told_within_seconds(monkeypatch):
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))  # bound, and nobody listens
         with pytest.raises(ConfigError, match=r"no answer within .*`ray start --head"):
-            machines_from_options(f"127.0.0.1:{taken.getsockname()[1]}", 1, "--worlds")
+            workers_from_options(f"127.0.0.1:{taken.getsockname()[1]}", 1, "--worlds")
 
 
 def test_without_ray_the_extra_is_named(monkeypatch):
     monkeypatch.setattr("wcsim.errors.find_spec", lambda name: None)
     with pytest.raises(ConfigError, match=r"pip install 'wcsim\[cluster\]'"):
-        machines_from_options("local", 1, "--jobs")
+        workers_from_options("local", 1, "--jobs")
 
 
 def test_the_nodes_say_how_many_work_at_once():
     with pytest.raises(ConfigError, match="--num-cpus"):
-        machines_from_options("10.0.0.1:6379", 2, "--jobs")
+        workers_from_options("10.0.0.1:6379", 2, "--jobs")
 
 
 def test_what_lies_on_this_machine_alone_is_refused():
@@ -69,14 +69,14 @@ def test_what_lies_on_this_machine_alone_is_refused():
 
 
 def test_a_node_of_another_version_or_code_is_refused_and_a_small_one_is_not():
-    here = read_machine_facts()
-    assert find_refusal_reason(here, here) == ""
-    assert "code 0000" in find_refusal_reason(here | {"code": "0000"}, here)
-    assert "libsumo 9.9" in find_refusal_reason(here | {"libsumo": "9.9"}, here)
-    assert "torch none" in find_refusal_reason(here | {"torch": ""}, here)
-    assert "wcsim 9.9" in find_refusal_reason(here | {"wcsim": "9.9"}, here)
-    assert "wcsim None" in find_refusal_reason({"host": "old"}, here)
-    assert "Python 3.99" in find_refusal_reason(here | {"Python": "3.99"}, here)
+    here = collect_machine_info()
+    assert find_node_mismatch(here, here) == ""
+    assert "code 0000" in find_node_mismatch(here | {"code": "0000"}, here)
+    assert "libsumo 9.9" in find_node_mismatch(here | {"libsumo": "9.9"}, here)
+    assert "torch none" in find_node_mismatch(here | {"torch": ""}, here)
+    assert "wcsim 9.9" in find_node_mismatch(here | {"wcsim": "9.9"}, here)
+    assert "wcsim None" in find_node_mismatch({"host": "old"}, here)
+    assert "Python 3.99" in find_node_mismatch(here | {"Python": "3.99"}, here)
     small = find_node_warnings(here | {"shm_mib": "64", "cpu": "another"}, here)
     assert "64 MiB" in small[0] and "--shm-size=1g" in small[0] and "another" in small[1]
 

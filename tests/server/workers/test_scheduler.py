@@ -17,7 +17,7 @@ from tests.support.cluster.workpieces import always_die, blunder, die_once, echo
 from wcsim.core.processes import kill_workers, start_single_worker_pool
 from wcsim.errors import DiskFullError, TownError, WorkersError
 from wcsim.server.workers.machines import WorkPiece, WorkResult, _ProcessWorkers
-from wcsim.server.workers.scheduler import MOST_FAILURES, Scheduler, _Piece, _Task
+from wcsim.server.workers.scheduler import MOST_FAILURES, WorkScheduler, _Piece, _Task
 
 
 def work(key: str, call: Callable[..., bytes] = echo, piece: Any = "") -> WorkPiece:
@@ -28,14 +28,14 @@ def drop(key: str, data: bytes) -> None:
     """A result that no test reads."""
 
 
-def done_by(scheduler: Scheduler, keys: set[str], limit_s: float = 60.0) -> None:
+def done_by(scheduler: WorkScheduler, keys: set[str], limit_s: float = 60.0) -> None:
     until_s, left = time.monotonic() + limit_s, set(keys)
     while left and time.monotonic() < until_s:
         left -= scheduler.wait(left, 0.2)
     assert not left
 
 
-def do(scheduler: Scheduler, keys: str) -> None:
+def do(scheduler: WorkScheduler, keys: str) -> None:
     scheduler.submit([work(key) for key in keys])
     done_by(scheduler, set(keys))
 
@@ -115,7 +115,7 @@ class HangingBeside(Hanging):
 
 def test_processes_do_all_pieces_and_go_on_after_one_has_died(tmp_path):
     kept: dict[str, bytes] = {}
-    with Scheduler(_ProcessWorkers(2), kept.__setitem__) as scheduler:
+    with WorkScheduler(_ProcessWorkers(2), kept.__setitem__) as scheduler:
         scheduler.submit([work("a"), work("b", die_once, str(tmp_path / "once")), work("c")])
         done_by(scheduler, {"a", "b", "c"})
         assert [each.name for each in scheduler.workers_now()] == ["process 1", "process 2"]
@@ -124,7 +124,7 @@ def test_processes_do_all_pieces_and_go_on_after_one_has_died(tmp_path):
 
 def test_a_process_that_was_stopped_is_killed_and_its_piece_done_again(tmp_path):
     kept: dict[str, bytes] = {}
-    with Scheduler(_ProcessWorkers(1), kept.__setitem__, least_late_s=2.0) as scheduler:
+    with WorkScheduler(_ProcessWorkers(1), kept.__setitem__, least_late_s=2.0) as scheduler:
         scheduler.submit([work("a", hang_once, str(tmp_path / "once"))])
         done_by(scheduler, {"a"})
     assert kept == {"a": b"lived"}
@@ -132,7 +132,7 @@ def test_a_process_that_was_stopped_is_killed_and_its_piece_done_again(tmp_path)
 
 def test_what_is_asked_for_twice_is_done_once():
     workers, kept = Scripted(w=[]), []
-    with Scheduler(workers, lambda key, data: kept.append(key)) as scheduler:
+    with WorkScheduler(workers, lambda key, data: kept.append(key)) as scheduler:
         scheduler.submit([work("a")])
         scheduler.submit([work("a"), work("b")])
         done_by(scheduler, {"a", "b"})
@@ -141,7 +141,7 @@ def test_what_is_asked_for_twice_is_done_once():
 
 def test_a_piece_that_is_late_goes_to_another_worker_and_counts_once():
     workers, kept = Scripted(slow=["hang"], quick=[]), []
-    with Scheduler(workers, lambda key, data: kept.append(key), least_late_s=0.1) as scheduler:
+    with WorkScheduler(workers, lambda key, data: kept.append(key), least_late_s=0.1) as scheduler:
         do(scheduler, "abc")
     assert sorted(kept) == ["a", "b", "c"]
     assert workers.stopped == ["slow"]
@@ -151,7 +151,7 @@ def test_a_piece_that_is_late_goes_to_another_worker_and_counts_once():
 @pytest.mark.parametrize(("workers", "late_s"), [(Scripted(w=["dead"] * 5), 180.0), (Hanging(w=[]), 0.05)])
 def test_a_piece_that_kills_its_workers_or_hangs_is_given_up_in_a_line(workers, late_s):
     with (
-        Scheduler(workers, drop, least_late_s=late_s) as scheduler,
+        WorkScheduler(workers, drop, least_late_s=late_s) as scheduler,
         pytest.raises(WorkersError, match=r"a was started 5 times and never finished; .*wcsim resume"),
     ):
         do(scheduler, "a")
@@ -164,7 +164,7 @@ HUNG = HangingBeside(**{"sick/1": [], "sick/2": [], "well/1": []}), 0.05
 @pytest.mark.parametrize(("workers", "late_s"), [DYING, HUNG])
 def test_a_machine_on_which_all_dies_or_hangs_ends_no_run_while_another_is_well(workers, late_s):
     kept = []
-    with Scheduler(workers, lambda key, data: kept.append(key), least_late_s=late_s) as scheduler:
+    with WorkScheduler(workers, lambda key, data: kept.append(key), least_late_s=late_s) as scheduler:
         do(scheduler, "abcdef")
     assert sorted(kept) == list("abcdef")
     sick = [key for worker, key in workers.begun if worker.startswith("sick")]
@@ -173,7 +173,7 @@ def test_a_machine_on_which_all_dies_or_hangs_ends_no_run_while_another_is_well(
 
 @pytest.mark.parametrize("came", [{"data": b"x"}, {"error": TownError("x")}])
 def test_what_comes_of_a_piece_that_was_given_to_somebody_else_is_dropped(came):
-    scheduler = Scheduler(Scripted(w=[]), lambda key, data: pytest.fail("kept"), least_late_s=10.0)
+    scheduler = WorkScheduler(Scripted(w=[]), lambda key, data: pytest.fail("kept"), least_late_s=10.0)
     piece = _Piece(work=work("a"), failures=MOST_FAILURES - 2, times_late=1)
     for age_s, late in ((15.0, []), (25.0, [piece])):  # the second time it has twice as long
         scheduler._running = {"w": _Task(piece=piece, since_s=time.monotonic() - age_s)}
@@ -197,19 +197,19 @@ def test_a_process_that_is_killed_in_the_middle_of_a_result_is_not_waited_for():
 
 
 def test_machines_may_go_as_often_as_they_like():
-    with Scheduler(Scripted(w=["gone"] * 12), drop) as scheduler:
+    with WorkScheduler(Scripted(w=["gone"] * 12), drop) as scheduler:
         do(scheduler, "a")
 
 
 def test_somebody_who_comes_later_does_what_is_left_and_nobody_at_all_ends_the_run():
     workers = Scripted()
-    with Scheduler(workers, drop) as scheduler:
+    with WorkScheduler(workers, drop) as scheduler:
         scheduler.submit([work("a")])
         time.sleep(0.1)
         workers.ends["late"] = []
         done_by(scheduler, {"a"})
     with (
-        Scheduler(Scripted(), drop, no_worker_s=0.1) as scheduler,
+        WorkScheduler(Scripted(), drop, no_worker_s=0.1) as scheduler,
         pytest.raises(WorkersError, match="no machine has been there to work"),
     ):
         do(scheduler, "a")
@@ -220,7 +220,7 @@ ENDS = [(refuse, TownError), (blunder, ZeroDivisionError), (always_die, WorkersE
 
 @pytest.mark.parametrize(("call", "error"), ENDS)
 def test_what_cannot_be_done_is_raised_where_it_is_waited_for(call, error):
-    with Scheduler(_ProcessWorkers(1), drop) as scheduler, pytest.raises(error):
+    with WorkScheduler(_ProcessWorkers(1), drop) as scheduler, pytest.raises(error):
         scheduler.submit([work("a", call)])
         done_by(scheduler, {"a"})
 
@@ -229,7 +229,7 @@ def test_a_full_disk_is_raised_where_it_is_waited_for():
     def full(key: str, data: bytes) -> None:
         raise DiskFullError("no room")
 
-    with Scheduler(Scripted(w=[]), full) as scheduler, pytest.raises(DiskFullError):
+    with WorkScheduler(Scripted(w=[]), full) as scheduler, pytest.raises(DiskFullError):
         do(scheduler, "a")
 
 
@@ -241,7 +241,7 @@ def is_worker(process: psutil.Process) -> bool:
 
 
 def test_closing_leaves_no_process(tmp_path: Path):
-    with Scheduler(_ProcessWorkers(1), drop) as scheduler:
+    with WorkScheduler(_ProcessWorkers(1), drop) as scheduler:
         scheduler.submit([work("a"), work("b", hang_once, str(tmp_path / "once"))])
         done_by(scheduler, {"a"})
         time.sleep(0.3)
@@ -257,10 +257,10 @@ def test_closing_leaves_no_process(tmp_path: Path):
 LEADER = """
 import time
 from tests.support.cluster.workpieces import tell_pid
-from wcsim.server.workers.scheduler import Scheduler
+from wcsim.server.workers.scheduler import WorkScheduler
 from wcsim.server.workers.machines import _ProcessWorkers
 from wcsim.server.workers.machines import WorkPiece
-with Scheduler(_ProcessWorkers(1), lambda key, data: print(data.decode(), flush=True)) as scheduler:
+with WorkScheduler(_ProcessWorkers(1), lambda key, data: print(data.decode(), flush=True)) as scheduler:
     scheduler.submit([WorkPiece(key="a", call=tell_pid, piece="")])
     time.sleep(600.0)
 """
@@ -281,7 +281,7 @@ def test_a_worker_that_does_not_hear_that_it_is_to_be_killed_is_told_again(tmp_p
     workers = Scripted(deaf=["hang", "done"], other=["done"])
     asked = []
     workers.stop = asked.append
-    with Scheduler(workers, drop, least_late_s=0.05) as scheduler:
+    with WorkScheduler(workers, drop, least_late_s=0.05) as scheduler:
         do(scheduler, "a")
         until_s = time.monotonic() + 20.0
         while len(asked) < 2 and time.monotonic() < until_s:

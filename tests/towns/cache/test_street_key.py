@@ -89,7 +89,7 @@ def test_a_file_in_a_folder_below_counts_from_the_import_on(copy: Path, corner_t
 
 
 def test_the_versions_of_all_its_libraries_count(corner_town: Town, monkeypatch: pytest.MonkeyPatch) -> None:
-    files = sources.find_module_sources(build_street.__name__)
+    files = sources.find_imported_source_files(build_street.__name__)
     used = {name for path in files for name in sources._parsed(path)[1]} - sys.stdlib_module_names
     assert used == set(street.LIBRARIES)
     key, known = key_of(corner_town), {name: version(name) for name in street.LIBRARIES.values()}

@@ -11,7 +11,7 @@ from xml.etree.ElementTree import Element
 from numpy.random import Generator
 
 from tests.towns.fuzz.flipped_bytes import DISK, RAW, Disk, deadly, pick
-from wcsim.core.seeding import generator
+from wcsim.core.seeding import make_rng
 from wcsim.towns.scenario.options import SumoOption, Treatment, sumo_options
 
 Tree = Callable[[Element, Generator], None]
@@ -48,7 +48,7 @@ def make_case(number: int) -> Case:
         return Case(number=number, family="net", changes=("deadly",), spoil=deadly)
     if number < 0:
         return Case(number=number, family=FAMILIES[-1 - number], changes=(), spoil=lambda path: None)
-    rng = generator(number, "fuzz")
+    rng = make_rng(number, "fuzz")
     family = FAMILIES[_ORDER[number % len(_ORDER)]]
     if rng.random() < 0.15:
         name = pick(rng, (*RAW, *DISK))

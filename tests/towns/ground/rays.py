@@ -1,7 +1,7 @@
 import numpy as np
 import shapely
 
-from wcsim.core.seeding import generator
+from wcsim.core.seeding import make_rng
 from wcsim.towns.ground.tiles import CELL_M
 from wcsim.types import F64, ClassId, Street
 
@@ -31,7 +31,7 @@ def _places(street: Street, count: int) -> F64:
     """Middles (n, 2) of decimetre cells of road and pavement, up to `count` of them, drawn from all over the town."""
     corners = street.mesh.vertices_W_m[:, :2].astype(np.float64)
     low, high = corners.min(axis=0), corners.max(axis=0)
-    rng, found, number = generator(0, "rays"), [np.zeros((0, 2))], 0
+    rng, found, number = make_rng(0, "rays"), [np.zeros((0, 2))], 0
     for _ in range(_ROUNDS):
         drawn = np.concatenate([rng.uniform(low, high, (count, 2)) for _ in range(_DRAWS // _ROUNDS)])
         xy_m = np.floor(drawn / CELL_M) * CELL_M + 0.5 * CELL_M

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import shapely
 
-from wcsim.core.seeding import generator
+from wcsim.core.seeding import make_rng
 from wcsim.towns.ground.surfaces import lane_area
 from wcsim.towns.making.drawn_map import _build_blocks, _dress, draw_map
 from wcsim.towns.making.maker import _make_streets, _Signals, _write_net
@@ -17,7 +17,7 @@ from wcsim.towns.sumo.xml_io import read_root
 
 @pytest.fixture(scope="module", params=[False, True], ids=["righthand", "lefthand"])
 def net(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Net:
-    folder, rng = tmp_path_factory.mktemp("net"), generator(2, "test")
+    folder, rng = tmp_path_factory.mktemp("net"), make_rng(2, "test")
     shaped = shape_plan(draw_plan("random", 500.0, 2, rng, folder), rng)
     signals = _Signals(share=0.5, crossing_m=4.0, corner_m=4.0, lefthand=request.param)
     net = read_net(_write_net("n", shaped, _make_streets(shaped, rng), signals, folder, rng))
@@ -26,7 +26,7 @@ def net(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 
 
 def test_houses_stand_beside_the_streets_and_beside_each_other(net: Net) -> None:
-    blocks = _build_blocks(net, generator(2, "blocks"))
+    blocks = _build_blocks(net, make_rng(2, "blocks"))
     outlines = [outline for outline, _ in blocks.houses]
     assert len(outlines) > 40
     streets = shapely.union_all([lane_area(lane) for edge in net.edges for lane in edge.lanes])
@@ -40,7 +40,7 @@ def test_houses_stand_beside_the_streets_and_beside_each_other(net: Net) -> None
 
 
 def test_posts_stand_at_the_kerb_and_nothing_on_road_or_crossing(net: Net) -> None:
-    mapped, placed = _dress(net, generator(2, "dress"))
+    mapped, placed = _dress(net, make_rng(2, "dress"))
     road = shapely.union_all([lane_area(lane) for lane in net.lanes(LaneKind.MOTOR, LaneKind.CROSSING)])
     places = [xy_m for _, xy_m in mapped] + [xy_m for _, xy_m, _ in placed]
     assert len(places) > 200
@@ -51,7 +51,7 @@ def test_posts_stand_at_the_kerb_and_nothing_on_road_or_crossing(net: Net) -> No
 
 
 def test_what_is_left_in_the_way_lies_on_pavements_that_are_wide_enough(net: Net) -> None:
-    placed = [thing for seed in range(8) for thing in _dress(net, generator(seed, "left"))[1]]
+    placed = [thing for seed in range(8) for thing in _dress(net, make_rng(seed, "left"))[1]]
     assert placed
     wide = [lane for lane in net.lanes(LaneKind.SIDEWALK, LaneKind.SHARED) if lane.width_m >= 2.4]
     ground = shapely.union_all([lane_area(lane) for lane in wide]).buffer(0.1)
@@ -59,7 +59,7 @@ def test_what_is_left_in_the_way_lies_on_pavements_that_are_wide_enough(net: Net
 
 
 def test_each_crossing_has_a_kerb_at_both_ends_and_those_at_signals_are_low(net: Net, tmp_path: Path) -> None:
-    poly, ground, _ = draw_map(net, "made", tmp_path, generator(2, "map"))
+    poly, ground, _ = draw_map(net, "made", tmp_path, make_rng(2, "map"))
     crossings = net.lanes(LaneKind.CROSSING)
     kerbs = [item for item in read_root(poly) if item.get("type", "").startswith("kerb.")]
     assert len(kerbs) == 2 * len(crossings)

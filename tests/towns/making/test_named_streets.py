@@ -8,7 +8,7 @@ import networkx
 import numpy as np
 import pytest
 
-from wcsim.core.seeding import generator
+from wcsim.core.seeding import make_rng
 from wcsim.towns.making.asked_town import KINDS
 from wcsim.towns.making.maker import COLLECTOR, MAIN, RESIDENTIAL, WALK, _make_streets
 from wcsim.towns.making.plan import StreetPlan, _connected, _least_angle_rad, _merged, draw_plan, shape_plan
@@ -18,7 +18,7 @@ DRAWS = [(kind, seed) for kind in KINDS for seed in range(4)]
 
 @cache  # nobody changes one
 def shaped_plan(kind: str, seed: int) -> StreetPlan:
-    rng = generator(seed, "test")
+    rng = make_rng(seed, "test")
     with TemporaryDirectory() as folder:
         plan = draw_plan(kind, 700.0, seed, rng, Path(folder))
         assert not list(Path(folder).iterdir())
@@ -41,7 +41,7 @@ def test_plans_are_as_large_as_ordered_and_have_room_at_junctions(kind: str, see
 @pytest.mark.parametrize(("kind", "seed"), DRAWS)
 def test_every_link_is_of_one_street_and_everybody_gets_everywhere(kind: str, seed: int) -> None:
     shaped = shaped_plan(kind, seed)
-    streets = _make_streets(shaped, generator(seed, "streets"))
+    streets = _make_streets(shaped, make_rng(seed, "streets"))
     assert sorted(link for street in streets for link in street.links) == list(range(len(shaped.links)))
     driven = networkx.DiGraph()
     for street in streets:
@@ -56,7 +56,7 @@ def test_every_link_is_of_one_street_and_everybody_gets_everywhere(kind: str, se
 
 def test_one_way_streets_and_streets_for_walkers_exist() -> None:
     streets = [
-        street for seed in range(6) for street in _make_streets(shaped_plan("grid", seed), generator(seed, "streets"))
+        street for seed in range(6) for street in _make_streets(shaped_plan("grid", seed), make_rng(seed, "streets"))
     ]
     assert any(street.oneway and street.kind is RESIDENTIAL for street in streets)
     assert any(street.kind is WALK for street in streets)

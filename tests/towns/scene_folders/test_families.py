@@ -116,7 +116,7 @@ def test_lists_of_version_1_name_the_families_that_they_were_made_of():
 
 
 def test_a_mirror_turned_over_twice_changes_nothing() -> None:
-    draft = _scooter_cuts_in(seeding.generator(1, "mirror"))
+    draft = _scooter_cuts_in(seeding.make_rng(1, "mirror"))
     other = mirrored(draft)
     assert other.place.edges != draft.place.edges
     assert other.lefthand

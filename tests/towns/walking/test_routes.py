@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from shapely import Polygon, box
 
 from tests.support.samples import strip_walk
-from wcsim.core.seeding import generator
+from wcsim.core.seeding import make_rng
 from wcsim.errors import TownError
 from wcsim.towns.scenario.town import find_town
 from wcsim.towns.street import load_street
@@ -56,12 +56,12 @@ def test_drawn_routes_are_fine_and_repeatable(manhattan: Street) -> None:
     router = Router(manhattan.walk)
     drawn = []
     for _ in range(2):
-        rng = generator(5, "test")
+        rng = make_rng(5, "test")
         start, yaw_rad = router.random_start(rng)
         goal = router.random_goal(rng, start, 60.0, 200.0)
         drawn.append((start, yaw_rad, goal))
     assert drawn[0] == drawn[1]
-    rng = generator(6, "test")
+    rng = make_rng(6, "test")
     lengths_m = []
     for _ in range(25):
         start, yaw_rad = router.random_start(rng)
@@ -80,7 +80,7 @@ def test_drawn_routes_are_fine_and_repeatable(manhattan: Street) -> None:
 
 def over_a_crossing(street: Street, share: float, seed: int, routes: int = 40) -> float:
     """The share of drawn routes that lead over a crossing within the first 80 m."""
-    router, rng, found = Router(street.walk), generator(seed, "share"), 0
+    router, rng, found = Router(street.walk), make_rng(seed, "share"), 0
     for _ in range(routes):
         start, _ = router.random_start(rng)
         items = find_route_crossings(
@@ -101,14 +101,14 @@ def test_without_a_crossing_in_reach_any_destination_is_taken() -> None:
     nodes = np.array([[0.0, 0.0], [300.0, 0.0]])
     line = WalkEdge(sumo_id=":w", start=0, end=1, points_W_m=nodes, kind=WayKind.SIDEWALK, width_m=2.0)
     router = Router(WalkGraph(nodes_W_m=nodes, edges=(line,)))
-    x, y = router.random_goal(generator(1, "goal"), (10.0, 0.0), 60.0, 200.0, 1.0)
+    x, y = router.random_goal(make_rng(1, "goal"), (10.0, 0.0), 60.0, 200.0, 1.0)
     assert 0.0 < x < 300.0 and y == 0.0
 
 
 def test_no_share_draws_as_if_there_were_none(manhattan: Street) -> None:
     router = Router(manhattan.walk)
-    start, _ = router.random_start(generator(4, "test"))
-    plain, none = generator(4, "goal"), generator(4, "goal")
+    start, _ = router.random_start(make_rng(4, "test"))
+    plain, none = make_rng(4, "goal"), make_rng(4, "goal")
     assert router.random_goal(plain, start, 60.0, 400.0) == router.random_goal(none, start, 60.0, 400.0, 0.0)
     assert plain.random() == none.random()
 

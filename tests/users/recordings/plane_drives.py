@@ -11,9 +11,9 @@ from tests.log.drives import drive_header
 from tests.support.samples import USUAL_OUTLINE
 from tests.users.kinematics import SUBSTEPS, TICK_S, Chair, Sim, polyline
 from wcsim.config import ChairConfig
-from wcsim.core.seeding import generator
+from wcsim.core.seeding import make_rng
 from wcsim.log.drive import DriveRecording
-from wcsim.log.records import DriveTick, changed
+from wcsim.log.records import DriveTick, with_fields
 from wcsim.types import Joystick
 from wcsim.users.profiles import UserProfile
 from wcsim.users.user import SimulatedUser
@@ -25,7 +25,7 @@ def plane_drive(user: UserProfile, seconds: float, seed: int) -> DriveRecording:
     """A drive of one user along ways with turns of all sizes, one way an episode."""
     rng, ticks = np.random.default_rng(seed), []
     for episode in range(1000):
-        ticks += _way(user, generator(seed, "plane", episode), rng, len(ticks), episode)
+        ticks += _way(user, make_rng(seed, "plane", episode), rng, len(ticks), episode)
         if len(ticks) * TICK_S >= seconds:
             break
     records = tuple(ticks[: round(seconds / TICK_S)])
@@ -36,7 +36,7 @@ def plane_drive(user: UserProfile, seconds: float, seed: int) -> DriveRecording:
 def thinned(drive: DriveRecording, samples: int) -> DriveRecording:
     """The same, with the stick so many times a tick; with 0 only at its beginning."""
     every = SUBSTEPS // samples if samples else 1
-    ticks = (changed(t, sticks=t.sticks[every - 1 :: every] if samples else np.zeros((0, 2))) for t in drive.ticks)
+    ticks = (with_fields(t, sticks=t.sticks[every - 1 :: every] if samples else np.zeros((0, 2))) for t in drive.ticks)
     return replace(drive, records=tuple(ticks))
 
 

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wcsim.core.seeding import generator
-from wcsim.users.profiles import find_builtin_profile, profile_names
+from wcsim.core.seeding import make_rng
+from wcsim.users.profiles import find_builtin_profile, list_profile_names
 from wcsim.users.recordings.fit_sticks import STICK_DT_S, fit_user_to_sticks, measure_stick_habits, simulate_hand_stick
 
 BASE, CALM = find_builtin_profile("slow"), replace(find_builtin_profile("competent"), noise=0.01)
@@ -17,7 +17,7 @@ BASE, CALM = find_builtin_profile("slow"), replace(find_builtin_profile("compete
 
 def driven(user, seed: int, seconds: float = 90.0) -> np.ndarray:
     """The stick of a person that aims at another place every one or two seconds, and rests now and then."""
-    rng, intents = generator(seed, "stairs"), []
+    rng, intents = make_rng(seed, "stairs"), []
     while sum(map(len, intents)) < seconds / STICK_DT_S:
         place = (rng.uniform(-0.6, 0.6), rng.choice([0.0, 0.35, 0.5, 0.7]))
         intents.append(np.tile(place if rng.random() < 0.8 else (0.0, 0.0), (int(rng.integers(50, 100)), 1)))
@@ -75,7 +75,7 @@ def test_people_are_their_mean_and_one_unlike_the_others_is_out_of_the_range_tha
     assert fit.estimates["lag_s"].low < 0.13 < fit.estimates["lag_s"].high and fit.estimates["lag_s"].n == 5
     assert fit.profile.noise == pytest.approx(0.01, rel=0.25) and "in steps of 0.01," in fit.warnings[0]
     rows = fit.habits
-    assert list(rows) == ["people", "fitted", *profile_names(), *(f"person {name}" for name in people)]
+    assert list(rows) == ["people", "fitted", *list_profile_names(), *(f"person {name}" for name in people)]
     lags = [rows[f"person {name}"]["lag_s"] for name in people]
     assert [item.low < item.value < item.high for item in lags] == [True] * 4 + [False] and lags[4].n == 4
     for name in ("rest_share", "gate_share", "below_1_hz", "noise"):

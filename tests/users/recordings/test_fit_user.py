@@ -10,11 +10,17 @@ import pytest
 
 from tests.users.recordings.plane_drives import plane_drive, thinned
 from wcsim.config import resolve
-from wcsim.core.seeding import generator
+from wcsim.core.seeding import make_rng
 from wcsim.errors import ConfigError
-from wcsim.log.records import changed
+from wcsim.log.records import with_fields
 from wcsim.types import Joystick
-from wcsim.users.profiles import _read_profile, find_builtin_profile, profile_names, profile_to_toml, sample_profile
+from wcsim.users.profiles import (
+    _read_profile,
+    find_builtin_profile,
+    list_profile_names,
+    profile_to_toml,
+    sample_profile,
+)
 from wcsim.users.recordings.fit_user import _has_switches, fit_user_to_drives, is_certain_estimate
 from wcsim.users.recordings.hand_series import hand_series_from_drives
 
@@ -31,7 +37,7 @@ SCANNED = [(0.0, 0.0), (0.0, 1.0), (0.0, 0.5), (-0.25, 0.75), (0.25, 0.75), (-0.
 
 
 def drawn(name, seed):
-    return sample_profile(find_builtin_profile(name), generator(seed, "user"))
+    return sample_profile(find_builtin_profile(name), make_rng(seed, "user"))
 
 
 def numbers(user):
@@ -98,7 +104,7 @@ def test_switches_are_known_and_fitted(shaking):
 def test_the_file_of_a_fit_is_a_profile(fit, tmp_path):
     (tmp_path / "me.toml").write_text(profile_to_toml(fit.profile, {}))
     assert _read_profile(tmp_path / "me.toml") == fit.profile
-    assert sample_profile(fit.profile, generator(1, "user")) == fit.profile
+    assert sample_profile(fit.profile, make_rng(1, "user")) == fit.profile
 
 
 def test_intents_of_the_model_show_nothing_of_looks_elsewhere(shaking):
@@ -112,24 +118,24 @@ def test_drives_that_show_too_little_are_refused(shaking):
     with pytest.raises(ConfigError, match="no episode of 5 s"):
         fit_user_to_drives([replace(drive, records=drive.ticks[:30])], BASE)
     with pytest.raises(ConfigError, match="ticks without an intent"):
-        fit_user_to_drives([replace(drive, records=(changed(drive.ticks[0], intent=None), *drive.ticks[1:]))], BASE)
+        fit_user_to_drives([replace(drive, records=(with_fields(drive.ticks[0], intent=None), *drive.ticks[1:]))], BASE)
 
 
 def test_drives_of_other_ticks_or_of_a_chair_that_takes_a_stick_otherwise_are_refused(shaking):
     """Counted together, times are those of the first drive's ticks, and the speed is that of its chair."""
     drive = shaking[1]
-    slow = replace(drive, name="slow.drive", header=changed(drive.header, tick_s=0.2))
+    slow = replace(drive, name="slow.drive", header=with_fields(drive.header, tick_s=0.2))
     with pytest.raises(ConfigError, match=r"slow\.drive: was driven with world\.tick_s 0\.2, plane with 0\.1; exp"):
         fit_user_to_drives([drive, slow], BASE)
     dull = resolve("quick", ("chair.deadband=0.4",)).model_dump_json()
     with pytest.raises(ConfigError, match=r"plane: was driven with chair\.deadband 0\.08, .* with 0\.4; expected"):
-        fit_user_to_drives([replace(drive, header=changed(drive.header, config=dull)), drive], BASE)
+        fit_user_to_drives([replace(drive, header=with_fields(drive.header, config=dull)), drive], BASE)
 
 
 def at_positions(drive, positions):
     """The same by somebody who only ever takes the nearest of these, as keys do, once a tick."""
     near = [Joystick(*min(positions, key=lambda p: math.dist(p, (tick.stick.x, tick.stick.y)))) for tick in drive.ticks]
-    ticks = (changed(tick, stick=at, sticks=np.zeros((0, 2))) for tick, at in zip(drive.ticks, near, strict=True))
+    ticks = (with_fields(tick, stick=at, sticks=np.zeros((0, 2))) for tick, at in zip(drive.ticks, near, strict=True))
     return replace(drive, records=tuple(ticks))
 
 
@@ -150,7 +156,7 @@ def test_pushes_to_the_gate_alone_leave_the_hand_of_the_base():
 
 
 @pytest.mark.proof
-@pytest.mark.parametrize("name", profile_names())
+@pytest.mark.parametrize("name", list_profile_names())
 def test_ten_minutes_show_a_user_to_15_per_cent(name):
     user = drawn(name, 7)
     fit = fit_user_to_drives([plane_drive(user, 600.0, 8)], BASE)

@@ -25,18 +25,18 @@ from wcsim.agents.clients.group_run import RECONNECT_S
 from wcsim.agents.envs.wheelchair_env import WheelchairEnv
 from wcsim.agents.learning.build import default_settings_for_network
 from wcsim.agents.learning.callbacks import SeqDqnCallback, TrainProgress
-from wcsim.agents.learning.train import train
+from wcsim.agents.learning.train import train_dqn
 from wcsim.agents.networks.device import validate_device_name
 from wcsim.agents.networks.registry import find_network
 from wcsim.agents.runs.run_folder import MANIFEST, ResolvedRun, has_results
 from wcsim.config import LearnConfig, RunConfig, parse_json, resolve
-from wcsim.config.plant import known_plants
-from wcsim.core.reading import escaped
+from wcsim.config.plant import list_plants
+from wcsim.core.reading import escape
 from wcsim.server.launch.states import ClientExitCode, ClientStatusReport
-from wcsim.server.links.socket import SocketSeat
+from wcsim.server.links.socket import SocketSeatLink
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.client_core import Patience
-from wcsim.server.specs import ClientProcessSpec, encode_json_line, rss_mb
+from wcsim.server.specs import ClientProcessSpec, encode_json_line, measure_rss_mb
 from wcsim.supervisor.rewards import make_reward_term
 
 STATUS_EVERY_S: Final = 0.5  # shortest time between two status lines
@@ -71,7 +71,7 @@ def train_client(
     Raises:
         InterruptedRunError: A stop was requested; the work is saved.
         _ProcessGrownError: Another process is to go on.
-        WcsimError: See `agents.train.train` and `WheelchairEnv`.
+        WcsimError: See `agents.train.train_dqn` and `WheelchairEnv`.
     """
     # 1. The run folder; a process may have been ended while it made it.
     out = Path(order.out)
@@ -93,7 +93,7 @@ def train_client(
     pipe = _StatusPipe(order.join.name, status_fd, env, shares, growth)
     beats = count(1)
     try:
-        train(
+        train_dqn(
             run,
             lambda: env,
             pipe.show,
@@ -141,7 +141,7 @@ def make_client_env(
             order.info.town, config=config, reward_terms=terms, join=order.join
         )
     # 3. Any other world is joined first: the environment needs its settings.
-    seat = SocketSeat(order.join)
+    seat = SocketSeatLink(order.join)
     try:
         order = _join_world(order, seat, again)
         return order, WheelchairEnv(
@@ -167,7 +167,7 @@ def client_exit_from_error(error: errors.WcsimError) -> ClientExitCode:
     return ClientExitCode.USER_ERROR
 
 
-def _join_world(order: ClientProcessSpec, seat: SocketSeat, again: bool) -> ClientProcessSpec:
+def _join_world(order: ClientProcessSpec, seat: SocketSeatLink, again: bool) -> ClientProcessSpec:
     """Take a seat in a world that another process looks after; the order with its settings."""
     endpoint = order.join.endpoint
     try:
@@ -188,10 +188,10 @@ def _join_world(order: ClientProcessSpec, seat: SocketSeat, again: bool) -> Clie
 def _world_settings(world: m.Welcome, endpoint: str) -> dict[str, Any]:
     """The settings of a world. Raises ConfigError rather than open a file that a server names."""
     offered = parse_json(RunConfig, world.config_json, f"the configuration of {endpoint}")
-    if not endpoint.startswith("ipc://") and offered.chair.plant not in known_plants():
+    if not endpoint.startswith("ipc://") and offered.chair.plant not in list_plants():
         raise errors.ConfigError(
             f"the world of {endpoint} drives a wheelchair of a file "
-            f"({escaped(offered.chair.plant, 80)!r}); expected {' or '.join(known_plants())} over "
+            f"({escape(offered.chair.plant, 80)!r}); expected {' or '.join(list_plants())} over "
             "the network: join on the world's own machine"
         )
     return {
@@ -219,7 +219,7 @@ class _ProcessGrowth:
     def __init__(
         self,
         learn: LearnConfig,
-        memory_mb: Callable[[], float] = rss_mb,
+        memory_mb: Callable[[], float] = measure_rss_mb,
         end: Callable[[], object] = lambda: os.kill(os.getpid(), signal.SIGTERM),
     ) -> None:
         self._limit_mb = learn.process_growth_mb

@@ -18,7 +18,7 @@ from typing import Final
 from wcsim.core.processes import die_with_parent, limit_orphan_lifetime
 from wcsim.errors import WcsimError
 from wcsim.server.launch.states import WAIT_NO_MORE, ClientExitCode
-from wcsim.server.protocol.limits import NO_ROOM, resource_limit_message, write_stderr_line
+from wcsim.server.protocol.limits import NO_ROOM, explain_resource_limit_error, write_stderr_line
 from wcsim.server.specs import ClientProcessSpec, read_spec_file
 
 SAVING_S: Final = 300.0  # longest life after that of the launcher
@@ -55,7 +55,7 @@ def main(words: Sequence[str]) -> int:
         write_stderr_line(f"wcsim: {error}")
         return client_exit_from_error(error)
     except Exception as error:
-        message = resource_limit_message(error)
+        message = explain_resource_limit_error(error)
         if not message:
             raise
         write_stderr_line(f"wcsim: {message}")

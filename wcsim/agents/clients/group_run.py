@@ -206,7 +206,7 @@ def open_group_run_folder(path: Path) -> GroupRunFolder:
     return GroupRunFolder(path=path, config=config, manifest=manifest, clients=tuple(clients))
 
 
-def read_selected_client(path: Path, clients: Collection[str]) -> str:
+def read_chosen_client_name(path: Path, clients: Collection[str]) -> str:
     """The client of a run that was chosen to go on; "" where none was.
 
     Raises PolicyError when the file is damaged.
@@ -357,7 +357,7 @@ def _write_manifest(folder: GroupRunFolder, next_sha256: Mapping[str, str] | Non
     data = {**asdict(folder.manifest), "clients": list(folder.clients), _FILES: hashes}
     if next_sha256:
         data[_FILES_TO_COME] = dict(next_sha256)
-    files.write_sealed_json(folder.path / MANIFEST, data)
+    files.write_json_with_checksum(folder.path / MANIFEST, data)
 
 
 def _check_sealed(path: Path, data: dict[str, Any]) -> None:
@@ -366,7 +366,7 @@ def _check_sealed(path: Path, data: dict[str, Any]) -> None:
     Raises:
         PolicyError: The manifest, or a file that it has the hash of, is not as it was written.
     """
-    sealed = files.check_and_remove_seal(data, str(path / MANIFEST), "; restore it")
+    sealed = files.verify_and_remove_checksum(data, str(path / MANIFEST), "; restore it")
     hashes = data.pop(_FILES, {})
     next_hashes = data.pop(_FILES_TO_COME, {})
     if not sealed:

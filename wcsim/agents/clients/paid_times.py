@@ -23,7 +23,7 @@ SAVE_EVERY_S: Final = 60.0  # a launcher that is killed loses so much at most
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ClientTimeShares:
+class ClientTimeTotals:
     """Where a client's time went, in seconds."""
 
     acting_s: float = 0.0
@@ -37,10 +37,10 @@ class ClientTimeShares:
         """Waiting in which nothing else was done."""
         return max(0.0, self.world_s + self.others_s - self.overlap_s)
 
-    def plus(self, now: ClientTimeShares, before: ClientTimeShares) -> ClientTimeShares:
+    def plus(self, now: ClientTimeTotals, before: ClientTimeTotals) -> ClientTimeTotals:
         """This, and what has been added from `before` to `now`, two readings of one life."""
         names = [each.name for each in fields(self)]
-        return ClientTimeShares(
+        return ClientTimeTotals(
             **{k: getattr(self, k) + getattr(now, k) - getattr(before, k) for k in names}
         )
 
@@ -49,7 +49,7 @@ class ClientTimeShares:
 class GroupRunTimes:
     """The times of all clients; `waited_s` by the one that waited, then by the awaited one."""
 
-    clients: dict[str, ClientTimeShares]
+    clients: dict[str, ClientTimeTotals]
     waited_s: dict[str, dict[str, float]]
 
 
@@ -60,7 +60,7 @@ def read_group_run_times(run: Path) -> GroupRunTimes | None:
     data = read_run_json(run, WAITS)
     try:
         clients = {
-            name: ClientTimeShares(**_seconds(shares)) for name, shares in data["clients"].items()
+            name: ClientTimeTotals(**_seconds(shares)) for name, shares in data["clients"].items()
         }
         waited_s = {name: _seconds(row) for name, row in data["waited_s"].items()}
         return GroupRunTimes(clients=clients, waited_s=waited_s)
@@ -79,7 +79,7 @@ class GroupRunTimesFile:
         self._run = run
         self.times = read_group_run_times(run) or GroupRunTimes(clients={}, waited_s={})
         self._last: dict[
-            str, tuple[int, ClientTimeShares]
+            str, tuple[int, ClientTimeTotals]
         ] = {}  # process and reading of each client
         self._saved_s = 0.0
         self._world_pid = 0
@@ -108,18 +108,18 @@ class GroupRunTimesFile:
                 files.write_json(self._run / WAITS, asdict(self.times))
 
     def _add_shares(self, name: str, status: ClientStatusReport) -> None:
-        now = ClientTimeShares(
+        now = ClientTimeTotals(
             acting_s=status.inference_s,
             learning_s=status.learning_s,
             overlap_s=status.overlap_s,
             world_s=status.simulation_s,
             others_s=status.barrier_s,
         )
-        last_pid, before = self._last.get(name, (status.pid, ClientTimeShares()))
+        last_pid, before = self._last.get(name, (status.pid, ClientTimeTotals()))
         # A process counts from zero.
         if status.pid != last_pid:
-            before = ClientTimeShares()
-        sums = self.times.clients.get(name, ClientTimeShares())
+            before = ClientTimeTotals()
+        sums = self.times.clients.get(name, ClientTimeTotals())
         self.times.clients[name] = sums.plus(now, before)
         self._last[name] = status.pid, now
 

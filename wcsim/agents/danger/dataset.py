@@ -23,9 +23,9 @@ from wcsim.agents.danger.street_map import (
 )
 from wcsim.agents.perception.depth_image import is_camera_mirror_symmetric
 from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, IMU_KEY, JOYSTICK_KEY, ODOMETRY_KEY
-from wcsim.agents.runs.data_folder import ORACLE, DrivingSegment, find_unsafe_actions_ahead
+from wcsim.agents.runs.data_folder import ORACLE, DrivingSegment, mask_soon_unsafe_actions
 from wcsim.config import RunConfig
-from wcsim.core.reading import unzstd
+from wcsim.core.reading import decompress_zstd
 from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import ActionSet, action_set
 from wcsim.types import F32, F64, I64, U8, Bool
@@ -163,7 +163,7 @@ class Dataset:
             told = f"a segment has labels for {labels} actions; expected {actions}"
             raise PolicyError(f"{told}: collect it again, with an oracle as danger.teacher")
         codes = segment.truth if danger.teacher == "truth" else segment.visible
-        return find_unsafe_actions_ahead(codes, segment.ended, danger.ahead).astype(np.uint8)
+        return mask_soon_unsafe_actions(codes, segment.ended, danger.ahead).astype(np.uint8)
 
     def begin(self, rng: np.random.Generator) -> None:
         """Draw with this generator from now on."""
@@ -251,5 +251,5 @@ def _unpacked(blobs: list[bytes], size: int) -> U8:
     """The frames of blobs, (K, size)."""
     unpacker, out = zstandard.ZstdDecompressor(), np.empty((len(blobs), size), np.uint8)
     for row, blob in zip(out, blobs, strict=True):
-        row[:] = np.frombuffer(unzstd(blob, size, unpacker), np.uint8)
+        row[:] = np.frombuffer(decompress_zstd(blob, size, unpacker), np.uint8)
     return out

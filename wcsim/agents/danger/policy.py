@@ -23,7 +23,7 @@ from wcsim.agents.runs.policy_file import read_danger_policy_file, require_dange
 from wcsim.agents.runs.weights import load_network, write_policy_folder
 from wcsim.config import RunConfig
 from wcsim.config.run_file import DangerRuleSettings
-from wcsim.core.reading import escaped
+from wcsim.core.reading import escape
 from wcsim.supervisor.actions import ActionSet, action_set
 from wcsim.types import F64, Bool
 
@@ -222,7 +222,7 @@ def load_net(folder: Path, network: str | None = None) -> tuple[DangerNet, Dange
     """
     file = read_danger_policy_file(folder)
     if file.net.eye != "map" and file.net.network not in NETWORK_NAMES:
-        require_trusted_network(escaped(folder), file.net.network, network)
+        require_trusted_network(escape(folder), file.net.network, network)
     net = load_network(folder, file.weights_sha256, lambda: DangerNet(file))
     net.train(False)
     return channels_last(net), file.rule

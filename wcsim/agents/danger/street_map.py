@@ -19,7 +19,7 @@ from wcsim.agents.perception.arcs import integrate_chair_state
 from wcsim.agents.perception.surroundings import StreetPerception
 from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, IMU_KEY, JOYSTICK_KEY, ODOMETRY_KEY, Observation
 from wcsim.config import RunConfig
-from wcsim.core.jit import exact_kernel
+from wcsim.core.jit import compile_exact_kernel
 from wcsim.errors import PolicyError
 from wcsim.physics.wheelchair.plant import plant_spec
 from wcsim.supervisor.actions import action_set
@@ -74,7 +74,7 @@ def movers() -> Bool:
     return table
 
 
-@exact_kernel
+@compile_exact_kernel
 def _write(
     depth: F32, classes: U8, rays: F32, eye: F64, far_m: float, pose: F64, tick: int, kinds: U8, movers: Bool,
     cells: I64, heights: F32,
@@ -106,7 +106,7 @@ def _write(
             cell[_MOVER] = tick
 
 
-@exact_kernel
+@compile_exact_kernel
 def _read(pose: F64, tick: int, cells: I64, heights: F32, out: U8) -> None:
     cos, sin = math.cos(pose[2]), math.sin(pose[2])
     out[:] = 0
@@ -129,7 +129,7 @@ def _read(pose: F64, tick: int, cells: I64, heights: F32, out: U8) -> None:
                 out[TRAIL, i, j] = 255 - 12 * (tick - cell[_MOVER])
 
 
-@exact_kernel
+@compile_exact_kernel
 def _height_code(height_m: float) -> int:
     return 1 + int(254.0 * min(max((height_m - LOW_M) / SPAN_M, 0.0), 1.0))
 
@@ -143,7 +143,7 @@ def hull_and_wheels(box: F64, wheels_m: F64) -> F64:
     return np.array(rows, np.float64)
 
 
-@exact_kernel
+@compile_exact_kernel
 def sweep(starts: F64, commands: F64, limits: F64, chair: F64, out: I32) -> None:
     """Over which cells of a street map each command brings the chair.
 

@@ -25,7 +25,7 @@ from wcsim.agents.envs.episode_view import (
     window_observation_space,
 )
 from wcsim.config import RunConfig, resolve
-from wcsim.core.reading import MAX_INTEGER, escaped_repr
+from wcsim.core.reading import MAX_INTEGER, escape_repr
 from wcsim.errors import ConfigError, ProtocolError, meant
 from wcsim.server.links.base import SeatLink, SeatLinkGroup, open_seat_links
 from wcsim.server.specs import WorldBuildSpec, seat_spec_from_env
@@ -149,7 +149,7 @@ def make_env_settings(
     # The characters of a string would be taken for overrides.
     if isinstance(overrides, str):
         raise ConfigError(
-            f"overrides={escaped_repr(overrides)} is one string; expected several: "
+            f"overrides={escape_repr(overrides)} is one string; expected several: "
             f"overrides=[{overrides!r}]"
         )
     resolved = resolve(
@@ -187,7 +187,7 @@ def validate_seed(seed: object) -> int | None:
         number = -1
     if not 0 <= number <= MAX_INTEGER:
         raise ConfigError(
-            f"seed {escaped_repr(seed)} cannot be used; expected an integer from 0 to {MAX_INTEGER}"
+            f"seed {escape_repr(seed)} cannot be used; expected an integer from 0 to {MAX_INTEGER}"
         )
     return number
 
@@ -304,6 +304,6 @@ def _require_terms(terms: object) -> None:
         isinstance(term, type) or not is_reward_term(term) for term in terms
     ):
         raise ConfigError(
-            f"reward_terms={escaped_repr(terms)}; expected a list of objects with the methods "
+            f"reward_terms={escape_repr(terms)}; expected a list of objects with the methods "
             "reset() and reward(before, after), see examples/own_reward.py"
         )

@@ -21,7 +21,7 @@ import numpy.typing as npt
 from wcsim.agents import policy_api
 from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, JOYSTICK_KEY, RGB_KEY, STATE_SENSE
 from wcsim.config import RunConfig
-from wcsim.core.reading import escaped_repr
+from wcsim.core.reading import escape_repr
 from wcsim.errors import BadActionError, ConfigMismatchError, PolicyError, ProtocolError
 from wcsim.supervisor.actions import MAX_DISTANCE, action_set
 from wcsim.supervisor.observation import NEAR, Observation, make_observation, make_state_observation
@@ -74,7 +74,7 @@ class SeatEnvAdapter:
         self._actions = action_set(config.env.lattice)
         self._any_stick = config.env.actions == "stick"
         self._state = config.env.observation == "state"
-        self._window = FrameWindow(config.env.frames)
+        self._window = FrameStacker(config.env.frames)
         self._observation: EnvObservation = {}  # the last one
         self._given = Joystick(0.0, 0.0)  # as commanded last
         self._arrived = False  # at a destination of this episode
@@ -137,7 +137,7 @@ class SeatEnvAdapter:
         most = len(self._actions) - 1
         if not 0 <= index <= most:
             raise BadActionError(
-                f"action {escaped_repr(action)} is not in the action set; expected an integer "
+                f"action {escape_repr(action)} is not in the action set; expected an integer "
                 f"from 0 to {most}"
             )
         return index
@@ -156,7 +156,7 @@ class SeatEnvAdapter:
         # NaN is not within the bounds either.
         if xy.shape != (2,) or not (np.abs(xy) <= 1.0).all():
             raise BadActionError(
-                f"action {escaped_repr(action)} is no stick; expected x and y from -1 to 1"
+                f"action {escape_repr(action)} is no stick; expected x and y from -1 to 1"
             )
         # The gate of a joystick is round: what lies beyond it is pushed that way, up to the gate.
         return Joystick(*(xy / max(1.0, float(np.hypot(*xy)))).tolist())
@@ -310,14 +310,14 @@ def env_to_policy_observation(observation: EnvObservation) -> Observation:
     return {STATE_SENSE: observation, JOYSTICK_KEY: observation[0, 1:3].copy()}
 
 
-def episode_delay_ticks(config: RunConfig, drawn: Drawn | None) -> int:
+def find_episode_delay_ticks(config: RunConfig, drawn: Drawn | None) -> int:
     """The delay from a command to the chair's motion, as drawn for an episode or configured."""
     if drawn is None or drawn.action_delay_ticks is None:
         return config.world.action_delay_ticks
     return drawn.action_delay_ticks
 
 
-class FrameWindow:
+class FrameStacker:
     """Puts the last `frames` images of an episode into its observations, the newest last.
 
     The first image of an episode fills the window. IMU and joystick are the latest ones. With one
@@ -350,7 +350,7 @@ class FrameWindow:
 
 
 def window_observation_space(space: gymnasium.spaces.Dict, frames: int) -> gymnasium.spaces.Dict:
-    """The space of the observations that `FrameWindow` makes of the compact ones in `space`."""
+    """The space of the observations that `FrameStacker` makes of the compact ones in `space`."""
     if frames == 1:
         return space
     parts = dict(space.spaces)

@@ -248,9 +248,9 @@ class WheelchairEnv(gymnasium.Env[EnvObservation, np.int64 | F32]):
             self._link = self._join
         else:
             # ZeroMQ is loaded only for a world of another process.
-            from wcsim.server.links.socket import SocketSeat
+            from wcsim.server.links.socket import SocketSeatLink
 
-            self._link = SocketSeat(self._join)
+            self._link = SocketSeatLink(self._join)
         # Requested before there was a link.
         if self._waits_no_more:
             self._link.wait_no_more()

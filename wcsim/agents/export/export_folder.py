@@ -13,7 +13,7 @@ from wcsim.agents.policies.onnx_policy import ABOUT_FILE
 from wcsim.agents.policy_api import MODEL_FILE
 from wcsim.agents.runs.policy_file import CAMERA_KEYS
 from wcsim.config import RunConfig
-from wcsim.core.reading import escaped, is_folder
+from wcsim.core.reading import escape, is_folder
 from wcsim.errors import ConfigError, PolicyError
 
 REFERENCE: Final = "reference.npz"
@@ -90,7 +90,7 @@ def require_matching_recording(
     if settings:
         options = " ".join(f"--set {shlex.quote(setting)}" for setting in settings)
         raise PolicyError(
-            f"{escaped(file)} lacks inputs of {escaped(policy)}; expected a recording with "
+            f"{escape(file)} lacks inputs of {escape(policy)}; expected a recording with "
             f"{', '.join(settings)}: record it again with the same command and {options}, or with "
             f"wcsim drive --policy {shlex.quote(policy)} --record FILE, which needs no settings"
         )
@@ -106,9 +106,9 @@ def require_replaceable_folder(option: str, folder: Path) -> None:
         return
     others = sorted(path.name for path in folder.iterdir() if path.name not in _EXPECTED)
     if others:
-        named = ", ".join(escaped(name, 80) for name in others[:_MOST_NAMED])
+        named = ", ".join(escape(name, 80) for name in others[:_MOST_NAMED])
         more = " and more" if len(others) > _MOST_NAMED else ""
         raise ConfigError(
-            f"{option} {escaped(folder)} holds {named}{more}, which is not from an export; "
+            f"{option} {escape(folder)} holds {named}{more}, which is not from an export; "
             "expected a new folder, or an earlier export, which is replaced: choose another one"
         )

@@ -16,9 +16,9 @@ import numpy as np
 
 from wcsim.agents.policy_api import JOYSTICK_KEY, NotFinite, Observation, Policy
 from wcsim.config import parse
-from wcsim.config.run_file import ExportedGuardSection, GuardSettings
+from wcsim.config.run_file import ExportedGuardSection, PolicyGuardSettings
 from wcsim.core import reading
-from wcsim.core.reading import escaped, is_file, read_json
+from wcsim.core.reading import escape, is_file, read_json
 from wcsim.errors import ConfigError, PolicyError
 from wcsim.supervisor.actions import ActionSet
 
@@ -38,7 +38,7 @@ class GuardedPolicy:
         rule: How fast the chair stops, and when the policy drives again.
     """
 
-    def __init__(self, policy: Policy, actions: ActionSet, rule: GuardSettings) -> None:
+    def __init__(self, policy: Policy, actions: ActionSet, rule: PolicyGuardSettings) -> None:
         self._policy, self._actions, self._rule = policy, actions, rule
         self.name = policy.name
         self._rest()
@@ -92,7 +92,7 @@ class GuardedPolicy:
         return x, y
 
 
-def read_guard_rule(folder: Path) -> GuardSettings | None:
+def read_guard_rule(folder: Path) -> PolicyGuardSettings | None:
     """The guard of an ONNX folder; None where it has none. Raises PolicyError for a faulty one."""
     path = folder / MEANING
     if not is_file(path):
@@ -101,6 +101,6 @@ def read_guard_rule(folder: Path) -> GuardSettings | None:
     if not isinstance(guard, dict):
         return None
     try:
-        return parse(ExportedGuardSection, {"guard": guard}, escaped(path)).guard
+        return parse(ExportedGuardSection, {"guard": guard}, escape(path)).guard
     except ConfigError as error:
         raise PolicyError(str(error)) from None

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 
 import wcsim
-from wcsim.agents.envs.episode_view import FrameWindow, trim_frame_window
+from wcsim.agents.envs.episode_view import FrameStacker, trim_frame_window
 from wcsim.agents.export.export_folder import (
     LOOP,
     REFERENCE,
@@ -44,9 +44,9 @@ from wcsim.agents.policy_api import (
     senses_of,
 )
 from wcsim.config import RunConfig, resolve
-from wcsim.config.run_file import GuardSettings
+from wcsim.config.run_file import PolicyGuardSettings
 from wcsim.core import files
-from wcsim.core.reading import escaped, is_file
+from wcsim.core.reading import escape, is_file
 from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import ActionSet, action_set
 from wcsim.supervisor.observation import count_imu_values
@@ -172,7 +172,7 @@ def export_policy(
     graph.train(False)
     config = resolve(config, sense_settings(config, senses_of(own)))
     ride = [trim_frame_window(seen, 1) for seen in ride]
-    window = FrameWindow(graph.window)
+    window = FrameStacker(graph.window)
     own.begin()
     own.reset()
     chosen = [own.act(window.add(dict(seen))) for seen in ride]
@@ -336,7 +336,7 @@ def _loop_source() -> Path:
         if is_file(place / "examples" / LOOP):
             return place / "examples" / LOOP
     raise PolicyError(
-        f"wcsim has no examples/{LOOP}; expected one in {escaped(package)} or beside it: install "
+        f"wcsim has no examples/{LOOP}; expected one in {escape(package)} or beside it: install "
         "it again"
     )
 
@@ -377,7 +377,7 @@ def _meaning_of(graph: Graph, config: RunConfig) -> dict[str, Any]:
         "chair": config.chair.model_dump(mode="json"),
         "tick_s": config.world.tick_s,
         "action_delay_ticks": config.world.action_delay_ticks,
-        "guard": GuardSettings(
+        "guard": PolicyGuardSettings(
             tick_s=config.world.tick_s, deadline_s=config.world.tick_s
         ).model_dump(),
         "guard_meaning": _GUARD,

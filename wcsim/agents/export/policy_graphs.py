@@ -173,7 +173,7 @@ class TorchDriveModel:
         return v + torch.where(there, gap, move), torch.where(there, 0.0, a)
 
     def _target_turn(self, targets: tuple[Tensor, Tensor], v: Tensor) -> Tensor:
-        """The turn rate that is demanded at a speed; repeats `joystick.yaw_rate_limit`."""
+        """The turn rate that is demanded at a speed; repeats `joystick.compute_yaw_rate_limit`."""
         faster = torch.maximum(targets[0].abs(), v.abs())
         return targets[1] / (1.0 + self._limits[YAW_SLOWDOWN] * faster)
 
@@ -534,7 +534,7 @@ class ValuePolicyGraph(nn.Module):
             return (self.net(seen),)
         (earlier,) = states
         newest = torch.stack([seen[DEPTH_KEY], seen[CLASS_KEY]], 1).to(torch.float32) + 1.0
-        # The first picture of an episode fills the window, as in `FrameWindow`.
+        # The first picture of an episode fills the window, as in `FrameStacker`.
         pictures = torch.cat([torch.where(earlier > 0.0, earlier, newest), newest], 2)
         depth, classes = (pictures - 1.0).unbind(1)
         return self.net({**seen, DEPTH_KEY: depth, CLASS_KEY: classes}), pictures[:, :, 1:]

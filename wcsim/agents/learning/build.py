@@ -37,7 +37,7 @@ def default_settings_for_network(config: RunConfig) -> tuple[str, ...]:
     return tuple(settings)
 
 
-def build_model(config: RunConfig, env: GymEnv, seed: int) -> SeqDQN:
+def build_q_learner(config: RunConfig, env: GymEnv, seed: int) -> SeqDQN:
     """A fresh learner.
 
     Raises:

@@ -29,8 +29,8 @@ from wcsim.agents.runs.checkpoint import (
 )
 from wcsim.agents.runs.weights import validate_tensors
 from wcsim.config import parse
-from wcsim.config.run_file import QCheckpointFile, QTrainingProgress
-from wcsim.core.reading import unzstd
+from wcsim.config.run_file import QTrainingCheckpoint, QTrainingProgress
+from wcsim.core.reading import decompress_zstd
 from wcsim.errors import PolicyError
 from wcsim.types import I64
 
@@ -85,7 +85,7 @@ def make_checkpoint_restorer(
     def restore(step: int, state: dict[str, Any], arrays: dict[str, Arrays]) -> QTrainingProgress:
         memory, optimizer = model.replay_buffer, model.policy.optimizer
         # 1. Counters and the memory are checked before the learner is touched.
-        file = parse(QCheckpointFile, state, STATE)
+        file = parse(QTrainingCheckpoint, state, STATE)
         alive()
         _check_fit(memory, arrays["replay"])
         # 2. Both networks, and the optimiser with its moments.
@@ -327,7 +327,7 @@ def _restore_frames(
     by_seat = [blobs[seat * each : (seat + 1) * each] for seat in range(replay.n_envs)]
     restored, size = 0, replay.layout.frame_bytes
     for parts in zip(*by_seat, strict=True):
-        raw = [unzstd(blob, _CHUNK_FRAMES * size) for blob in parts]
+        raw = [decompress_zstd(blob, _CHUNK_FRAMES * size) for blob in parts]
         frames = np.stack([np.frombuffer(each, np.uint8).reshape(-1, size) for each in raw], axis=1)
         steps = index[restored : restored + len(frames)]
         for step, frame in zip(steps, frames, strict=True):  # frame: (seats, frame_bytes)

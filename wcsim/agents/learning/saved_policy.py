@@ -28,7 +28,7 @@ from wcsim.agents.runs.policy_file import SIGHT_KEYS, read_value_policy_file
 from wcsim.agents.runs.weights import load_network, write_policy_folder
 from wcsim.config import CameraConfig, RunConfig
 from wcsim.config.run_file import QPolicyFile
-from wcsim.core.reading import escaped
+from wcsim.core.reading import escape
 from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.observation import count_imu_values, make_observation_space
@@ -73,7 +73,7 @@ def load_policy(path: Path, network: str | None = None) -> _NetPolicy:
     """
     file = read_value_policy_file(path)
     if file.net.network not in NETWORKS:
-        require_trusted_network(escaped(path), file.net.network, network)
+        require_trusted_network(escape(path), file.net.network, network)
     net = load_network(
         path, file.weights_sha256, lambda: _empty_net(file), own=file.net.network in NETWORK_NAMES
     )
@@ -201,7 +201,7 @@ class _NetPolicy:
             values = np.asarray(found[0].numpy(), dtype=np.float32)
         if not np.isfinite(values).all():
             raise PolicyError(
-                f"policy {escaped(self.name)!r} returns values that are not finite; train it again"
+                f"policy {escape(self.name)!r} returns values that are not finite; train it again"
             )
         return values, after
 

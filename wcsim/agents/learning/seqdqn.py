@@ -104,7 +104,7 @@ class SeqDQN(DQN):
         self.actions = actions
         self.mirror_signs = mirror_signs
         self.plan = PhasePlan(self.settings)
-        self.rng = seeding.generator(0 if seed is None else seed, "agent", "explore")
+        self.rng = seeding.make_rng(0 if seed is None else seed, "agent", "explore")
         self._offsets: npt.NDArray[np.float64] = np.zeros((0, 2))  # (N, 2) explored by each seat
         # (N,) steps for which they are still held
         self._held: npt.NDArray[np.int64] = np.zeros(0, dtype=np.int64)

@@ -19,7 +19,7 @@ import gymnasium
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import DummyVecEnv
 
-from wcsim.agents.learning.build import build_model, default_settings_for_network
+from wcsim.agents.learning.build import build_q_learner, default_settings_for_network
 from wcsim.agents.learning.callbacks import (
     EpisodeMetricsCallback,
     EventReportCallback,
@@ -62,7 +62,7 @@ SAVE_EVERY_S: Final = {True: 900.0, False: 60.0}
 _now_s = time.monotonic
 
 
-def train(
+def train_dqn(
     run: ResolvedRun,
     make_env: MakeEnv,
     progress: Progress | None = None,
@@ -112,7 +112,7 @@ def train(
         env = DummyVecEnv([make_env])
         try:
             # 3. The learner. An environment that waits for its world does the updates meanwhile.
-            model = build_model(run.config, env, run.info.seed)
+            model = build_q_learner(run.config, env, run.info.seed)
             inner = env.envs[0].unwrapped
             if model.settings.updates == "while_waiting" and hasattr(inner, "due_work"):
                 inner.due_work = model.due_updates
@@ -209,7 +209,7 @@ class _Session(SeqDqnCallback):
         self._save_at_s = {full: _now_s() + every_s for full, every_s in SAVE_EVERY_S.items()}
 
     def learn(self, callbacks: Sequence[BaseCallback]) -> Path:
-        """Learn what is left of both phases, and save the end. Raises as `train`."""
+        """Learn what is left of both phases, and save the end. Raises as `train_dqn`."""
         model = self.learner
         try:
             # 1. Drive and learn. What is due between two rollouts does `_on_rollout_start`.

@@ -9,8 +9,8 @@ import re
 import sys
 from typing import Final
 
-from wcsim.core.plugins import find_class
-from wcsim.core.reading import escaped
+from wcsim.core.plugins import import_class
+from wcsim.core.reading import escape
 from wcsim.errors import PolicyError, meant
 
 NETWORK_NAMES: Final = ("conv3d", "convlstm", "fig6", "patch")
@@ -41,7 +41,7 @@ def require_known_network(name: str) -> None:
     # A caller that registered own names has loaded it.
     registry = sys.modules.get("wcsim.agents.networks.registry")
     if is_custom_network(name):
-        find_class(name, "network")
+        import_class(name, "network")
     elif name not in NETWORK_NAMES and not (registry is not None and name in registry.NETWORKS):
         raise unknown_network_error(name, NETWORK_NAMES)
 
@@ -49,7 +49,7 @@ def require_known_network(name: str) -> None:
 def unknown_network_error(name: str, known: tuple[str, ...]) -> PolicyError:
     """The error for a name that no network has."""
     names = ", ".join(sorted(known))
-    message = f"unknown network {escaped(name, 80)!r}; expected one of {names}, or module:Class"
+    message = f"unknown network {escape(name, 80)!r}; expected one of {names}, or module:Class"
     return PolicyError(message + meant(name, known))
 
 
@@ -66,6 +66,6 @@ def require_trusted_network(where: str, name: str, named: str | None) -> None:
     """
     if name != named:
         raise PolicyError(
-            f"{where} uses the network {escaped(name, 80)!r}, which is not part of wcsim, and "
-            f"loading it runs its code; if you trust it, name it: --network {escaped(name, 80)}"
+            f"{where} uses the network {escape(name, 80)!r}, which is not part of wcsim, and "
+            f"loading it runs its code; if you trust it, name it: --network {escape(name, 80)}"
         )

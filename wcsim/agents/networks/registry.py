@@ -34,7 +34,7 @@ from torch import nn
 
 from wcsim.agents.networks.convolutional import Conv3dNet, ConvLstmNet, Figure6Net, PatchNet
 from wcsim.agents.networks.names import unknown_network_error
-from wcsim.core.plugins import find_class
+from wcsim.core.plugins import import_class
 from wcsim.errors import PolicyError
 
 NetworkClass = Callable[[Any, int], nn.Module]  # (image_shape, vector_size)
@@ -66,7 +66,7 @@ def find_network(name: str) -> NetworkClass:
         return NETWORKS[name]
     if ":" not in name:
         raise unknown_network_error(name, tuple(NETWORKS))
-    found = find_class(name, "network")
+    found = import_class(name, "network")
     if not issubclass(found, nn.Module):
         raise PolicyError(
             f"network {name!r} is not a torch.nn.Module; expected a subclass (see examples/)"

@@ -20,7 +20,7 @@ from wcsim.agents.runs.policy_file import (
 from wcsim.agents.runs.run_folder import ResolvedRun, open_run
 from wcsim.config import RunConfig
 from wcsim.config.run_file import DangerPolicyFile, QPolicyFile
-from wcsim.core.reading import counted
+from wcsim.core.reading import pluralize
 from wcsim.errors import PolicyError
 from wcsim.server.workers.machines import WorkerPoolSettings
 from wcsim.supervisor.rewards import make_reward_term
@@ -160,7 +160,7 @@ class _QLearning(Learner):
     ) -> Path:
         """See `Learner`."""
         from wcsim.agents.envs.wheelchair_env import WheelchairEnv
-        from wcsim.agents.learning.train import train
+        from wcsim.agents.learning.train import train_dqn
 
         info = run.info
         terms = tuple(make_reward_term(name) for name in info.rewards)
@@ -177,7 +177,7 @@ class _QLearning(Learner):
             env.on_town = lambda word: open_run(run.out).event("town", town=Path(word).name)
             return env
 
-        return train(run, make_env, display.show_step, log=display.warn)
+        return train_dqn(run, make_env, display.show_step, log=display.warn)
 
     def read_policy(self, folder: Path) -> QPolicyFile:
         """See `Learner`."""
@@ -244,7 +244,7 @@ class _DangerRounds(Learner):
             drivers = "simulated users and the network drive"
             source = "crashes that happened, without an oracle"
         return (
-            f"{counted(collect.rounds, 'round')} of {collect.segments} x {collect.ticks} ticks "
+            f"{pluralize(collect.rounds, 'round')} of {collect.segments} x {collect.ticks} ticks "
             f"with {collect.chairs} "
             f"chairs, fewer in scenes: {drivers}. A network learns from {source}, in "
             f"{config.danger.updates} updates per round: which joystick positions end badly."
@@ -324,13 +324,13 @@ DANGER_ROUNDS: Final = _DangerRounds()
 LEARNERS: Final[tuple[Learner, ...]] = (Q_LEARNING, DANGER_ROUNDS)
 
 
-def learner_of(config: RunConfig) -> Learner:
+def learner_from_config(config: RunConfig) -> Learner:
     """The learner that `learn.head` of a configuration chooses."""
     (found,) = (learner for learner in LEARNERS if config.learn.head in learner.heads)
     return found
 
 
-def learner_of_policy(folder: Path) -> Learner:
+def learner_from_policy(folder: Path) -> Learner:
     """The learner of a policy folder. Raises PolicyError when it is no policy folder."""
     algorithm = read_policy_algorithm(folder)
     for learner in LEARNERS:

@@ -14,7 +14,7 @@ from wcsim.agents.policy_api import Policy
 from wcsim.config import RunConfig, parse
 from wcsim.config.suite import SuiteBlock, SuiteEpisode, SuiteFile
 from wcsim.core.constants import RECORDED
-from wcsim.core.reading import EPISODES, escaped, is_file, read_json
+from wcsim.core.reading import EPISODES, escape, is_file, read_json
 from wcsim.errors import ConfigError, TownError
 from wcsim.towns.making.asked_town import made_seed, made_town
 from wcsim.towns.scenario.town import Town, content_hash, expanded, find_town
@@ -62,9 +62,9 @@ def open_suite(name_or_path: str) -> HashedSuite:
     if not is_file(path):
         known = ", ".join(list_shipped_suites()) or "(none)"
         raise ConfigError(
-            f"--suite {escaped(name_or_path)!r}: there is no such list; expected {known}, or a file"
+            f"--suite {escape(name_or_path)!r}: there is no such list; expected {known}, or a file"
         )
-    return suite_from_file(parse(SuiteFile, read_json(path, EPISODES), escaped(path)))
+    return suite_from_file(parse(SuiteFile, read_json(path, EPISODES), escape(path)))
 
 
 def suite_from_file(file: SuiteFile) -> HashedSuite:
@@ -140,7 +140,7 @@ class BlockSetup:
     """Where a block is driven: its street is there, and all its settings."""
 
     town: Town
-    # By `config_from_policy_name`.
+    # By `resolve_policy_config`.
     config: RunConfig
     # Of the world.
     seed: int

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from wcsim.agents.export.guard import GuardedPolicy, read_guard_rule
-from wcsim.agents.opening.learner_registry import learner_of_policy
+from wcsim.agents.opening.learner_registry import learner_from_policy
 from wcsim.agents.policies.onnx_policy import (
     ExportedDangerPolicy,
     OnnxPolicy,
@@ -39,7 +39,7 @@ from wcsim.agents.runs.policy_file import (
 from wcsim.agents.runs.run_folder import policy_folder_from_name, run_from_policy_name
 from wcsim.config import RunConfig, resolve
 from wcsim.config.run_file import QPolicyFile
-from wcsim.core.plugins import find_class, wrap_user_code_errors
+from wcsim.core.plugins import import_class, wrap_user_code_errors
 from wcsim.core.reading import is_file
 from wcsim.errors import PolicyError, check_installed
 from wcsim.supervisor.actions import action_set
@@ -86,9 +86,9 @@ def open_named_policy(
         return _own_policy(name, config)
     if named.kind == "baseline":
         # Loads kernels, too.
-        from wcsim.agents.policies.baselines import baseline
+        from wcsim.agents.policies.baselines import make_baseline_policy
 
-        return baseline(name, config, seed)
+        return make_baseline_policy(name, config, seed)
     folder = policy_folder_from_name(name)
     # A law has the level of its policy, and knows no network of the user's own.
     is_exported = named.level is None and network is None
@@ -110,7 +110,7 @@ def _law_without_torch(folder: Path, config: RunConfig) -> str:
 
 
 def _own_policy(name: str, config: RunConfig) -> Policy:
-    policy_class = find_class(name, "policy")
+    policy_class = import_class(name, "policy")
     what = f"policy {name!r} could not be created with the configuration as its only argument"
     with wrap_user_code_errors(what, "correct it, or test the others without it"):
         policy: Policy = policy_class(config)
@@ -135,12 +135,12 @@ def _network(name: str, config: RunConfig, network: str | None) -> Policy:
     # times as long as the work takes.
     torch.set_num_threads(1)
     path = policy_folder_from_name(name)
-    return learner_of_policy(path).load_policy(
+    return learner_from_policy(path).load_policy(
         path, name, config, parse_policy_name(name).level, network
     )
 
 
-def policy_overrides(config: RunConfig, policy: Policy) -> tuple[str, ...]:
+def list_policy_overrides(config: RunConfig, policy: Policy) -> tuple[str, ...]:
     """The settings of a policy's senses, and of as many images in an observation as it needs."""
     # A network of Q-learning needs as many images as it was trained on; `env.window` may give more.
     from wcsim.agents.policies.dwa import VetoPolicy
@@ -162,7 +162,7 @@ def make_policy_seat_spec(policy: Policy, profile: str) -> SeatSpec:
     )
 
 
-def config_from_policy_name(
+def resolve_policy_config(
     policy: str, preset: str, settings: Sequence[str] = (), *, in_list: bool = False
 ) -> RunConfig:
     """The configuration that a policy drives with: its own or else the preset's, under `settings`.
@@ -188,7 +188,7 @@ def config_from_policy_name(
         run = run_from_policy_name(policy)
         if run is None:
             folder = policy_folder_from_name(policy)
-            own = resolve(base, learner_of_policy(folder).policy_settings(folder))
+            own = resolve(base, learner_from_policy(folder).policy_settings(folder))
         else:
             own = run.config
     if in_list:
@@ -204,13 +204,13 @@ def describe_rule_differences(
     """A line for each policy that was trained under other rules than the list's.
 
     Raises:
-        PolicyError, ConfigError: See `config_from_policy_name`.
+        PolicyError, ConfigError: See `resolve_policy_config`.
     """
     for policy in policies:
         if parse_policy_name(policy).kind in ("baseline", "served", "class"):
             continue
-        learned = config_from_policy_name(policy, preset, settings, in_list=False)
-        tested = config_from_policy_name(policy, preset, settings, in_list=True)
+        learned = resolve_policy_config(policy, preset, settings, in_list=False)
+        tested = resolve_policy_config(policy, preset, settings, in_list=True)
         other = list(_others(learned, tested))
         if other:
             was = ", ".join(f"{name}={_text(value)}" for name, value, _ in other)

@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from wcsim.core.jit import exact_kernel
+from wcsim.core.jit import compile_exact_kernel
 from wcsim.core.joystick import advance_drive
 from wcsim.types import F64, Bool
 
@@ -24,7 +24,7 @@ CLOSER_M: Final = 0.02
 NEAR_M: Final = 0.6
 
 
-@exact_kernel
+@compile_exact_kernel
 def integrate_drive_motion(motion: F64, command: F64, limits: F64, dt_s: float) -> None:
     """Move `motion` (3,) v, w, acceleration on by `dt_s` towards a command (2,)."""
     motion[0], motion[1], motion[2] = advance_drive(
@@ -32,7 +32,7 @@ def integrate_drive_motion(motion: F64, command: F64, limits: F64, dt_s: float) 
     )
 
 
-@exact_kernel
+@compile_exact_kernel
 def integrate_chair_state(state: F64, command: F64, limits: F64, dt_s: float) -> None:
     """Move a state (6,) on by `dt_s` towards a command (2,)."""
     v, w = state[3], state[4]
@@ -44,7 +44,7 @@ def integrate_chair_state(state: F64, command: F64, limits: F64, dt_s: float) ->
     state[2] += turn
 
 
-@exact_kernel
+@compile_exact_kernel
 def predict_delayed_state(motion: F64, waiting: F64, limits: F64, tick_s: float) -> F64:
     """The state (6,) once the commands `waiting` (M, 2) have been obeyed, one a tick."""
     state = np.zeros(6)
@@ -54,7 +54,7 @@ def predict_delayed_state(motion: F64, waiting: F64, limits: F64, tick_s: float)
     return state
 
 
-@exact_kernel
+@compile_exact_kernel
 def find_collision_free_commands(
     start: F64,
     later_s: float,
@@ -91,7 +91,7 @@ def find_collision_free_commands(
     return free
 
 
-@exact_kernel
+@compile_exact_kernel
 def _distance_bounds(points: F64, margin_m: F64, box: F64) -> F64:
     """(n,) how near each point may come: `margin_m` (n,), or hardly nearer than it is now."""
     bounds_m = np.empty(len(points))
@@ -101,7 +101,7 @@ def _distance_bounds(points: F64, margin_m: F64, box: F64) -> F64:
     return bounds_m
 
 
-@exact_kernel
+@compile_exact_kernel
 def _arc(
     start: F64,
     later_s: float,
@@ -137,7 +137,7 @@ def _arc(
     return least, True
 
 
-@exact_kernel
+@compile_exact_kernel
 def time_to_contact_s(
     start: F64,
     later_s: float,
@@ -165,7 +165,7 @@ def time_to_contact_s(
     return np.inf
 
 
-@exact_kernel
+@compile_exact_kernel
 def measure_obstacle_gaps(state: F64, at_s: float, box: F64, points: F64) -> F64:
     """(n,) from the chair in a state (6,) to each obstacle at a time; below 0 inside it."""
     cos, sin = math.cos(state[2]), math.sin(state[2])
@@ -177,7 +177,7 @@ def measure_obstacle_gaps(state: F64, at_s: float, box: F64, points: F64) -> F64
     return gap_m
 
 
-@exact_kernel
+@compile_exact_kernel
 def _box_gap(dx: float, dy: float, cos: float, sin: float, box: F64) -> float:
     """Distance from the chair to a place that far from its axle; below 0 inside it: how deep."""
     ahead = abs(dx * cos + dy * sin - 0.5 * (box[0] + box[1])) - 0.5 * (box[1] - box[0])

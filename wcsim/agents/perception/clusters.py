@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from scipy.ndimage import label
 
-from wcsim.core.jit import exact_kernel
+from wcsim.core.jit import compile_exact_kernel
 from wcsim.types import F32, F64, I64, U8, Bool, ClassId
 
 FEWEST_PX: Final = 4  # less is noise
@@ -89,7 +89,7 @@ def find_movable_clusters(
     return clusters[:found], points[:count], owner
 
 
-@exact_kernel
+@compile_exact_kernel
 def mask_points_near_cells(points_B_m: F64, cells_B_m: F64) -> Bool:
     """(n,) which of the points lie in a cell of `cells_B_m` (k, 2), or right beside it."""
     near = np.zeros(len(points_B_m), np.bool_)
@@ -104,7 +104,7 @@ def mask_points_near_cells(points_B_m: F64, cells_B_m: F64) -> Bool:
     return near
 
 
-@exact_kernel
+@compile_exact_kernel
 def _cell(depth: float, ray: F32, eye: F64, far_m: float, up: F64) -> tuple[int, int, float, float]:
     """Row and column of a pixel, -1 outside the grid, and its place in B."""
     if not 0.0 < depth < far_m:
@@ -117,7 +117,7 @@ def _cell(depth: float, ray: F32, eye: F64, far_m: float, up: F64) -> tuple[int,
     return row, column, x, y
 
 
-@exact_kernel
+@compile_exact_kernel
 def _number_cells(
     kind: U8, depth_m: F32, rays: F32, eye: F64, far_m: float, up: F64, cells: I64, points: F64
 ) -> int:
@@ -135,7 +135,7 @@ def _number_cells(
     return count
 
 
-@exact_kernel
+@compile_exact_kernel
 def _measure(
     kind: U8, width: int, depth_m: F32, rays: F32, eye: F64, far_m: float, up: F64, cells: I64,
     pose: F64, owner: I64, clusters: F64,
@@ -182,7 +182,7 @@ def _measure(
     return valid
 
 
-@exact_kernel
+@compile_exact_kernel
 def _is_fringe(clusters: F64, index: int) -> bool:
     """Whether a cluster is the background at the border of a nearer, larger one."""
     one = clusters[index]

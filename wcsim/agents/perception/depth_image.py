@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from wcsim.config import CameraConfig
-from wcsim.core.frames import rad
+from wcsim.core.frames import deg2rad
 from wcsim.supervisor.observation import decode_depth
 from wcsim.types import F32, F64, U8
 
@@ -23,12 +23,12 @@ def depth_image_to_metres(image: U8 | F32, range_m: float) -> F32:
 def viewing_rays(camera: CameraConfig) -> F64:
     """(H * W, 3) directions in B per metre of depth along the optical axis, from the top left."""
     height, width = camera.height_px, camera.width_px
-    focal_px = width / 2.0 / math.tan(rad(camera.hfov_deg) / 2.0)
+    focal_px = width / 2.0 / math.tan(deg2rad(camera.hfov_deg) / 2.0)
     right, down = np.meshgrid(
         (np.arange(width) + 0.5 - width / 2.0) / focal_px,
         (np.arange(height) + 0.5 - height / 2.0) / focal_px,
     )
-    pitch, yaw, roll = rad(camera.pitch_deg), rad(camera.yaw_deg), rad(camera.roll_deg)
+    pitch, yaw, roll = deg2rad(camera.pitch_deg), deg2rad(camera.yaw_deg), deg2rad(camera.roll_deg)
     right, down = (
         right * math.cos(roll) - down * math.sin(roll),
         right * math.sin(roll) + down * math.cos(roll),

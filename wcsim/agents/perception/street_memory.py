@@ -18,7 +18,7 @@ from typing import Final
 
 import numpy as np
 
-from wcsim.core.jit import exact_kernel
+from wcsim.core.jit import compile_exact_kernel
 from wcsim.types import F32, F64, I64, Bool
 
 CELL_M: Final = 0.1
@@ -97,7 +97,7 @@ class StepObstacleDetector:
         return self.points_B_m[:count]
 
 
-@exact_kernel
+@compile_exact_kernel
 def _fill_raster(
     depth_m: F32,
     rays: F32,
@@ -151,7 +151,7 @@ def _fill_raster(
     return count
 
 
-@exact_kernel
+@compile_exact_kernel
 def _add_steps(seen: F32, high: F32, box: F64, points: F64, count: int) -> int:
     """Write cells that hold a step, and steps between cells; returns the number of points."""
     # Between the unseen ground below the chair and the first ground that it sees may lie a step.
@@ -175,7 +175,7 @@ def _add_steps(seen: F32, high: F32, box: F64, points: F64, count: int) -> int:
     return count
 
 
-@exact_kernel
+@compile_exact_kernel
 def _add_step(
     low: F32, row: int, column: int, down: int, right: int, points: F64, count: int
 ) -> int:
@@ -247,7 +247,7 @@ class StreetMemoryGrid:
         return self._found_B_m[:count]
 
 
-@exact_kernel
+@compile_exact_kernel
 def is_free_ground(cells: I64, x_O_m: float, y_O_m: float) -> bool:
     """Whether a place in O is surely ground: seen or stood on, and without an obstacle."""
     ix, iy = math.floor(x_O_m / CELL_M), math.floor(y_O_m / CELL_M)
@@ -260,7 +260,7 @@ def is_free_ground(cells: I64, x_O_m: float, y_O_m: float) -> bool:
     )
 
 
-@exact_kernel
+@compile_exact_kernel
 def is_known_place(cells: I64, x_O_m: float, y_O_m: float) -> bool:
     """Whether a place in O was seen, stood on or stood beside, whatever is there."""
     ix, iy = math.floor(x_O_m / CELL_M), math.floor(y_O_m / CELL_M)
@@ -270,7 +270,7 @@ def is_known_place(cells: I64, x_O_m: float, y_O_m: float) -> bool:
     )
 
 
-@exact_kernel
+@compile_exact_kernel
 def _claim_cell(cells: I64, x_O_m: float, y_O_m: float) -> tuple[int, int]:
     """The cell of a place; it is emptied first if it was another place's."""
     ix, iy = math.floor(x_O_m / CELL_M), math.floor(y_O_m / CELL_M)
@@ -281,7 +281,7 @@ def _claim_cell(cells: I64, x_O_m: float, y_O_m: float) -> tuple[int, int]:
     return i, j
 
 
-@exact_kernel
+@compile_exact_kernel
 def _write_obstacles(
     cells: I64, places: F64, points: F64, brief: Bool, pose: F64, tick: int, way_m: float
 ) -> None:
@@ -297,7 +297,7 @@ def _write_obstacles(
         places[i, j, _X], places[i, j, _Y], places[i, j, _WAY] = x, y, way_m
 
 
-@exact_kernel
+@compile_exact_kernel
 def _write_ground(cells: I64, places: F64, low: F32, pose: F64, tick: int) -> None:
     """Where ground is measured, mark it, and take evidence from an older obstacle there."""
     cos, sin = math.cos(pose[2]), math.sin(pose[2])
@@ -318,7 +318,7 @@ def _write_ground(cells: I64, places: F64, low: F32, pose: F64, tick: int) -> No
                 cells[i, j, _GROUND] = _SEEN
 
 
-@exact_kernel
+@compile_exact_kernel
 def _would_show(low: F32, row: int, column: int) -> bool:
     """Whether a step at a cell would show: ground before it, towards the chair, was measured."""
     aside = column - COLUMNS // 2
@@ -330,7 +330,7 @@ def _would_show(low: F32, row: int, column: int) -> bool:
     return False
 
 
-@exact_kernel
+@compile_exact_kernel
 def _write_footprint(cells: I64, box: F64, around_m: float, pose: F64) -> None:
     """Mark the ground under the chair, and so far around it."""
     cos, sin = math.cos(pose[2]), math.sin(pose[2])
@@ -348,7 +348,7 @@ def _write_footprint(cells: I64, box: F64, around_m: float, pose: F64) -> None:
             cells[i, j, _GROUND] = max(cells[i, j, _GROUND], _SEEN if under else _AROUND)
 
 
-@exact_kernel
+@compile_exact_kernel
 def _collect_obstacles(
     cells: I64, places: F64, pose: F64, tick: int, way_m: float, brief_ticks: int, found: F64
 ) -> int:

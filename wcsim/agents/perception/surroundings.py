@@ -34,7 +34,7 @@ from wcsim.agents.perception.street_memory import (
 from wcsim.agents.perception.tracker import MoverTracker, TrackedMover
 from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, IMU_KEY, JOYSTICK_KEY, Observation
 from wcsim.config import CameraConfig, RunConfig
-from wcsim.core.jit import exact_kernel
+from wcsim.core.jit import compile_exact_kernel
 from wcsim.core.joystick import drive_limits_from_chair, shape_joysticks
 from wcsim.supervisor.actions import ActionSet
 from wcsim.types import F32, F64, I64, U8, Outline
@@ -233,7 +233,7 @@ def _up_in_body(imu: F32) -> F64:
     return np.array([np.sin(pitch), np.cos(pitch) * np.sin(roll), np.cos(pitch) * np.cos(roll)])
 
 
-@exact_kernel
+@compile_exact_kernel
 def _extend_edges(points: F64, cells: I64, pose_O: F64, added: F64) -> int:
     """Extend the longest straight edge on either side, over what was never seen.
 
@@ -265,7 +265,7 @@ def _extend_edges(points: F64, cells: I64, pose_O: F64, added: F64) -> int:
     return count
 
 
-@exact_kernel
+@compile_exact_kernel
 def _gather_beside(points: F64, side: float, near: F64) -> int:
     """Write the points ahead on one side; every second one, and so on, when there are too many."""
     total = 0
@@ -281,12 +281,12 @@ def _gather_beside(points: F64, side: float, near: F64) -> int:
     return count
 
 
-@exact_kernel
+@compile_exact_kernel
 def _is_beside(x: float, aside: float) -> bool:
     return bool(_NEAREST_M < x < _FARTHEST_M and _LEAST_ASIDE_M < aside < _MOST_ASIDE_M)
 
 
-@exact_kernel
+@compile_exact_kernel
 def _line(points: F64) -> tuple[float, float, float]:
     """The line y = aside + slope x with most points, and its first x, infinite without a line."""
     best, best_aside, best_slope, best_first = _FEWEST - 1, 0.0, 0.0, np.inf

@@ -95,7 +95,7 @@ class _Random(_Memoryless):
 
     def begin(self) -> None:
         """Start the draws again: they are the same in every test."""
-        self.rng = seeding.generator(self.seed, "agent", "random")
+        self.rng = seeding.make_rng(self.seed, "agent", "random")
 
     def act(self, observation: Observation) -> int:
         """Draw an action, uniformly."""
@@ -261,7 +261,7 @@ class _OracleDriver(_Memoryless):
         return int(np.argmin(np.where(latest, distances, np.inf)))
 
 
-def baseline(name: str, config: RunConfig, seed: int = 0) -> Policy:
+def make_baseline_policy(name: str, config: RunConfig, seed: int = 0) -> Policy:
     """A baseline for a run's actions, camera and chair. Raises PolicyError for an unknown name."""
     actions = action_set(config.env.actions)
     if name == "follow":

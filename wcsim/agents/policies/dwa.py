@@ -46,7 +46,7 @@ from wcsim.agents.policy_api import (
     senses_of,
 )
 from wcsim.config import RunConfig
-from wcsim.core.jit import exact_kernel
+from wcsim.core.jit import compile_exact_kernel
 from wcsim.errors import PolicyError
 from wcsim.physics.wheelchair.plant import plant_spec
 from wcsim.supervisor.actions import ActionSet, action_set
@@ -59,7 +59,7 @@ _COMFORT_COST: Final = 0.15
 _WARN_MARGIN_M: Final = 0.03
 
 
-@exact_kernel
+@compile_exact_kernel
 def _backs_blindly(
     start: F64,
     hold_s: float,
@@ -98,7 +98,7 @@ def _backs_blindly(
                 break
 
 
-@exact_kernel
+@compile_exact_kernel
 def _rear_is_known(now: F64, box: F64, cells: I64, pose: F64) -> bool:
     cos, sin = math.cos(now[2]), math.sin(now[2])
     for side in (-1.0, 0.0, 1.0):

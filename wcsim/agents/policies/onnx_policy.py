@@ -30,7 +30,7 @@ from wcsim.agents.policy_api import (
 )
 from wcsim.config import RunConfig, parse
 from wcsim.config.run_file import OnnxPolicySettings
-from wcsim.core.reading import ONNX_TOML, escaped, is_file, read_toml
+from wcsim.core.reading import ONNX_TOML, escape, is_file, read_toml
 from wcsim.errors import ConfigError, PolicyError
 from wcsim.supervisor.actions import action_set
 
@@ -49,7 +49,7 @@ def read_onnx_policy_file(path: Path) -> OnnxPolicySettings:
     if not is_file(file):
         return OnnxPolicySettings()
     try:
-        return parse(OnnxPolicySettings, read_toml(file, ONNX_TOML), escaped(file))
+        return parse(OnnxPolicySettings, read_toml(file, ONNX_TOML), escape(file))
     except ConfigError as error:
         raise PolicyError(f"{error}; expected the keys preset and settings") from None
 
@@ -82,13 +82,13 @@ class OnnxPolicy:
         for key in self._shapes:
             if f"{_NEXT}{key}" not in self._outputs:
                 raise PolicyError(
-                    f"{escaped(path)}: input {escaped(key, 40)!r} has no output "
-                    f"{_NEXT + escaped(key, 40)!r}; expected one"
+                    f"{escape(path)}: input {escape(key, 40)!r} has no output "
+                    f"{_NEXT + escape(key, 40)!r}; expected one"
                 )
         size = 4 * sum(math.prod(shape) for shape in self._shapes.values())
         if size > _LIMIT_BYTES:
             raise PolicyError(
-                f"{escaped(path)}: its states have {size} bytes; expected at most {_LIMIT_BYTES}"
+                f"{escape(path)}: its states have {size} bytes; expected at most {_LIMIT_BYTES}"
             )
         self._state: dict[str, Any] = {}
 
@@ -119,7 +119,7 @@ class OnnxPolicy:
             raise
         except Exception as error:  # the runtime has a class of its own for each kind of mistake
             raise PolicyError(
-                f"{self.name}: its model refuses the observation: {escaped(error)}"
+                f"{self.name}: its model refuses the observation: {escape(error)}"
             ) from None
         if values.shape != (self._actions,) or not np.isfinite(values).all():
             kind = PolicyError if values.shape != (self._actions,) else NotFinite
@@ -139,7 +139,7 @@ class OnnxPolicy:
         values = _bounded(
             lambda: self._session.run(None, given, options),
             lambda: setattr(options, "terminate", True),
-            f"{escaped(self.name)}: its model gave no answer for {ANSWER_S:g} s; expected one a "
+            f"{escape(self.name)}: its model gave no answer for {ANSWER_S:g} s; expected one a "
             "tick: make it faster",
         )
         return dict(zip(self._outputs, values, strict=True))
@@ -208,7 +208,7 @@ def _input(key: str, shape: Sequence[Any], observation: Observation) -> Any:
     """An input of that shape; of a window with more images than the model names, the newest."""
     if key not in observation:
         raise PolicyError(
-            f"the model wants an input {escaped(key, 40)!r}; this test observes "
+            f"the model wants an input {escape(key, 40)!r}; this test observes "
             f"{', '.join(sorted(observation))}"
         )
     # With 0 the slice takes all images.
@@ -227,7 +227,7 @@ def open_onnx_session(path: Path) -> Any:
 
     size = path.stat().st_size
     if size > _LIMIT_BYTES:
-        raise PolicyError(f"{escaped(path)} has {size} bytes; expected at most {_LIMIT_BYTES}")
+        raise PolicyError(f"{escape(path)} has {size} bytes; expected at most {_LIMIT_BYTES}")
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     # A failure is raised; the log would show a model's own text unescaped.
@@ -245,11 +245,11 @@ def open_onnx_session(path: Path) -> Any:
                 str(path), options, providers=["CPUExecutionProvider"]
             ),
             lambda: options.set_load_cancellation_flag(True),
-            f"{escaped(path)} could not be loaded within {ANSWER_S:g} s; expected a smaller model",
+            f"{escape(path)} could not be loaded within {ANSWER_S:g} s; expected a smaller model",
         )
     except PolicyError:
         raise
     except Exception as error:  # the runtime has a class of its own for each kind of mistake
         raise PolicyError(
-            f"{escaped(path)} cannot be loaded: {escaped(error)}; expected an ONNX model"
+            f"{escape(path)} cannot be loaded: {escape(error)}; expected an ONNX model"
         ) from None

@@ -27,7 +27,7 @@ import numpy as np
 import numpy.typing as npt
 
 from wcsim.agents.policy_api import ANSWER_S, SERVED, Observation
-from wcsim.core.reading import ANSWER, escaped, parse_json
+from wcsim.core.reading import ANSWER, escape, parse_json
 from wcsim.errors import PolicyError
 
 _CONNECT_TIMEOUT_S: Final = 10.0
@@ -51,7 +51,7 @@ class ServedPolicyClient:
         host, _, port = address.removeprefix(SERVED).rpartition(":")
         if not port.isdecimal() or not 0 < int(port) < 1 << 16:
             raise PolicyError(
-                f"{escaped(address)!r} is not an address of a policy; expected tcp:PORT or "
+                f"{escape(address)!r} is not an address of a policy; expected tcp:PORT or "
                 "tcp:HOST:PORT"
             )
         try:
@@ -61,15 +61,15 @@ class ServedPolicyClient:
             self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         except OSError as error:
             raise PolicyError(
-                f"{escaped(address)}: no policy is served there ({error}); start it first"
+                f"{escape(address)}: no policy is served there ({error}); start it first"
             ) from None
         about = self._request("hello", {}, actions=points.tolist())
         self.version = f"{about.get('name', '')} {about.get('version', '')}"
         # Results are distinguished by it, so it must not be cut.
-        if self.version != escaped(self.version):
+        if self.version != escape(self.version):
             self.close()
             raise PolicyError(
-                f"{self.name}: is called {escaped(self.version, 60)!r}; expected a printable name "
+                f"{self.name}: is called {escape(self.version, 60)!r}; expected a printable name "
                 "and version of at most 160 letters"
             )
 
@@ -98,7 +98,7 @@ class ServedPolicyClient:
             or not 0 <= action < self._actions
         ):
             raise PolicyError(
-                f"{self.name}: answered {escaped(str(answer), 80)}; expected an action, a whole "
+                f"{self.name}: answered {escape(str(answer), 80)}; expected an action, a whole "
                 f"number from 0 to {self._actions - 1}"
             )
         self.warning = answer.get("warning") is True

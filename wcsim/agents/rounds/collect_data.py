@@ -22,7 +22,7 @@ from wcsim.agents.runs.data_folder import (
     read_data_manifest,
     read_segment,
     require_same_data_settings,
-    segment_path,
+    segment_path_from_name,
     segment_to_bytes,
     write_data_manifest,
 )
@@ -39,10 +39,10 @@ from wcsim.core.files import (
     write_bytes,
     write_json,
 )
-from wcsim.core.reading import escaped, is_file, read_json
+from wcsim.core.reading import escape, is_file, read_json
 from wcsim.errors import PolicyError
 from wcsim.server.workers.machines import HERE, LOGS, ToLocalPath, WorkerPoolSettings, WorkInputFiles, WorkPiece
-from wcsim.server.workers.scheduler import LEAST_LATE_S, Scheduler, WorkerStatus
+from wcsim.server.workers.scheduler import LEAST_LATE_S, WorkerStatus, WorkScheduler
 from wcsim.towns.scenario.town import Town, content_hash, find_town, streets_hash
 
 _LOOK_S = 1.0
@@ -67,7 +67,7 @@ class SegmentCrew:
         if machines.cluster:
             require_sendable_run(config, own_code=(config.learn.network,))
         self._folder = data
-        self._scheduler = Scheduler(machines.open(logs), self._keep, least_late_s=LEAST_LATE_S)
+        self._scheduler = WorkScheduler(machines.open(logs), self._keep, least_late_s=LEAST_LATE_S)
         self._sha256: dict[str, str] = {}  # of what has come, by name
 
     def __enter__(self) -> SegmentCrew:
@@ -80,7 +80,7 @@ class SegmentCrew:
     def ask(self, orders: Sequence[SegmentOrder]) -> None:
         """Begin to drive what is not there yet."""
         self._scheduler.submit(
-            [_work(order) for order in orders if not segment_path(self._folder, order.key.name).is_file()]
+            [_work(order) for order in orders if not segment_path_from_name(self._folder, order.key.name).is_file()]
         )
 
     def take(self, orders: Sequence[SegmentOrder], told: Told) -> dict[str, str]:
@@ -97,7 +97,7 @@ class SegmentCrew:
             name = order.key.name
             kept = "" if name in self._sha256 else self._kept(name)
             if kept:
-                found[segment_path(self._folder, name).name] = kept
+                found[segment_path_from_name(self._folder, name).name] = kept
             else:
                 asked.append(_work(order))
         self._scheduler.submit(asked)
@@ -106,18 +106,18 @@ class SegmentCrew:
         while left:
             for name in sorted(self._scheduler.wait(left, _LOOK_S)):
                 left.remove(name)
-                found[segment_path(self._folder, name).name] = self._sha256[name]
+                found[segment_path_from_name(self._folder, name).name] = self._sha256[name]
             told(len(found), self._scheduler.workers_now())
         return found
 
     def _keep(self, name: str, data: bytes) -> None:
         """In the scheduler's thread: what has come is on the disk before anybody hears of it."""
-        write_bytes(segment_path(self._folder, name), data)
+        write_bytes(segment_path_from_name(self._folder, name), data)
         self._sha256[name] = hashlib.sha256(data).hexdigest()
 
     def _kept(self, name: str) -> str:
         """The SHA-256 of a segment from before, "" where there is none that is whole."""
-        path = segment_path(self._folder, name)
+        path = segment_path_from_name(self._folder, name)
         if path.is_file():  # one that comes meanwhile is not to be removed
             with contextlib.suppress(PolicyError):
                 read_segment(path)
@@ -203,7 +203,7 @@ def collect_data(order: DataOrder, told: Callable[[int, int], object] = lambda d
     """
     require_recordable(order.config)
     if order.policy:
-        require_danger_policy_fits(Path(order.policy), escaped(order.policy), order.config)
+        require_danger_policy_fits(Path(order.policy), escape(order.policy), order.config)
     found = [find_town(name) for name in order.towns]
     order.folder.mkdir(parents=True, exist_ok=True)
     with lock_run_folder(order.folder):  # what it says of itself is read, added to and written back
@@ -251,7 +251,7 @@ def _require_same_order(order: DataOrder, towns: Sequence[Town]) -> None:
     digest = sha256_from_text(json.dumps(said, sort_keys=True))
     if begun.get(seed, digest) != digest:
         raise PolicyError(
-            f"{escaped(order.folder)} holds segments of seed {seed} that were driven with other settings, in other "
+            f"{escape(order.folder)} holds segments of seed {seed} that were driven with other settings, in other "
             "towns or by another policy; expected the same: choose another --seed, or another --out"
         )
     write_json(path, {**begun, seed: digest})

@@ -19,7 +19,7 @@ from typing import Any, Final, Protocol
 
 import numpy as np
 
-from wcsim.agents.envs.episode_view import Info, episode_delay_ticks
+from wcsim.agents.envs.episode_view import Info, find_episode_delay_ticks
 from wcsim.agents.envs.seat_driver import AgentSeatDriver
 from wcsim.agents.policy_api import (
     CLASS_KEY,
@@ -47,8 +47,8 @@ from wcsim.bridge.world import World
 from wcsim.bridge.world_rollout import rollout
 from wcsim.config import CollectConfig, RunConfig, resolve
 from wcsim.core import seeding
-from wcsim.core.own_folder import temporary_folder
-from wcsim.core.reading import escaped
+from wcsim.core.own_folder import create_temporary_folder
+from wcsim.core.reading import escape
 from wcsim.errors import ConfigError
 from wcsim.supervisor.actions import ActionSet, action_set
 from wcsim.supervisor.rewards import judge_crash_fault
@@ -123,7 +123,7 @@ def require_recordable(config: RunConfig) -> None:
             _require_drivable(resolve(config, tuple(variant.split())))
         except ConfigError as error:
             raise ConfigError(
-                f"collect.variants: {escaped(variant)!r} cannot be used ({error}); expected section.key=value, several "
+                f"collect.variants: {escape(variant)!r} cannot be used ({error}); expected section.key=value, several "
                 "separated by blanks, and no blanks within a value"
             ) from None
 
@@ -140,7 +140,7 @@ def _drawn_settings(config: RunConfig, key: DrivingSegmentKey) -> tuple[str, ...
     variants = config.collect.variants
     if not variants:
         return ()
-    draw = seeding.generator(key.run, "collect", key.round, key.index, "variant")
+    draw = seeding.make_rng(key.run, "collect", key.round, key.index, "variant")
     return tuple(variants[int(draw.integers(len(variants)))].split())
 
 
@@ -199,7 +199,7 @@ def _places_of(order: SegmentOrder, work: Path) -> Iterator[_SegmentPlace]:
 
 def _street(order: SegmentOrder, config: RunConfig) -> _SegmentPlace:
     key, collect = order.key, config.collect
-    rng = seeding.generator(key.run, "collect", key.round, key.index, "street")
+    rng = seeding.make_rng(key.run, "collect", key.round, key.index, "street")
     town = find_town(order.towns[_town_in_turn(order.config, key, len(order.towns))])
     drawn = rng.permutation(len(collect.profiles))
     who = [collect.profiles[int(drawn[seat % len(drawn)])] for seat in range(collect.chairs)]
@@ -212,7 +212,7 @@ def _street(order: SegmentOrder, config: RunConfig) -> _SegmentPlace:
 
 def _scenes(order: SegmentOrder, config: RunConfig, work: Path) -> Iterator[_SegmentPlace]:
     key = order.key
-    rng = seeding.generator(key.run, "collect", key.round, key.index, "scenes")
+    rng = seeding.make_rng(key.run, "collect", key.round, key.index, "scenes")
     for number in range(_MOST_SCENES):
         seed = _SCENE_SEEDS + int(rng.integers(1 << 24))
         folder = write_scene(family_of(seed), seed, work / f"scene-{number}")
@@ -310,7 +310,7 @@ def collect(order: SegmentOrder, make_learned: MakeLearned | None) -> DrivingSeg
         ConfigError: The chairs lack a sense that data needs.
     """
     key, parts = order.key, list[DrivingSegment]()
-    with temporary_folder() as work:
+    with create_temporary_folder() as work:
         for number, place in enumerate(_places_of(order, work)):
             seed = seeding.derive_seed(
                 key.run, "collect", key.round, key.index, "drivers", number
@@ -325,11 +325,11 @@ def _driven(place: _SegmentPlace, make_learned: MakeLearned | None, seed: int) -
     specs = tuple(replace(spec, truth=asked, truth_visible=asked) for spec in place.seats)
     with World(place.town, place.config, specs, place.seed, find_user=find_user) as world:
         # Starts off the way have draws of their own, so that a share of them shifts nobody else's.
-        draws = [seeding.generator(seed, "off way", number) for number in range(place.off_way)]
+        draws = [seeding.make_rng(seed, "off way", number) for number in range(place.off_way)]
         for number, rng in enumerate(draws):
             _begin_off_way(world, number, rng)
         seats = [
-            _Seat(place.config, client, make_learned, seeding.generator(seed, "collect", number), number < len(draws))
+            _Seat(place.config, client, make_learned, seeding.make_rng(seed, "collect", number), number < len(draws))
             for number, client in enumerate(world.snapshot.clients)
         ]
         steps = rollout(world, {number: seat.driver.choose for number, seat in enumerate(seats)})
@@ -374,7 +374,7 @@ class _Seat:
 
     def reset(self, info: Info) -> None:
         """Draw who drives the episode that begins."""
-        self._delay = episode_delay_ticks(self._config, info["drawn"])
+        self._delay = find_episode_delay_ticks(self._config, info["drawn"])
         learned = None if self._make is None else self._make(self._delay)
         self._agent = _DataDriver(self._config.collect, self._actions, self._rng, learned, self._pushed)
 

@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from wcsim.agents.envs.episode_view import Info, episode_delay_ticks
+from wcsim.agents.envs.episode_view import Info, find_episode_delay_ticks
 from wcsim.agents.envs.seat_driver import AgentSeatDriver
 from wcsim.agents.policy_api import JOYSTICK_KEY, Observation, Policy, sense_settings, senses_of
 from wcsim.bridge.replay.replayed import Log, config_of, log_of, replayed
@@ -18,7 +18,7 @@ from wcsim.bridge.world import World
 from wcsim.bridge.world_rollout import rollout
 from wcsim.config import RunConfig, resolve
 from wcsim.core import seeding
-from wcsim.core.reading import escaped
+from wcsim.core.reading import escape
 from wcsim.errors import ConfigError
 from wcsim.log.reader import read_header
 from wcsim.log.records import Dismissed, DriveTick, Header, Input, Respawned, WorldTick
@@ -80,7 +80,7 @@ class _Pushed:
 
 def _pushed_sticks(steps: int, seed: int) -> F32:
     """The stick at each step, (steps, 2) in -1..1; NaN where it is the user's own."""
-    angles_rad = seeding.generator(seed, "pushes").uniform(-_WIDEST_RAD, _WIDEST_RAD, steps // PUSH_TICKS + 1)
+    angles_rad = seeding.make_rng(seed, "pushes").uniform(-_WIDEST_RAD, _WIDEST_RAD, steps // PUSH_TICKS + 1)
     rows = [
         (math.sin(angles_rad[step // PUSH_TICKS]), math.cos(angles_rad[step // PUSH_TICKS]))
         if step // PUSH_TICKS % 2
@@ -124,7 +124,7 @@ def recorded_ride(path: Path, steps: int, seat: int = 0) -> _RecordedRide:
             if watch.over:
                 break
     if not watch.seen:
-        raise ConfigError(f"{escaped(path)}: seat {seat} has no tick; expected another --seat")
+        raise ConfigError(f"{escape(path)}: seat {seat} has no tick; expected another --seat")
     delay = watch.delays[0]  # that of the episode
     return _RecordedRide(seen=tuple(watch.seen), actions=tuple(watch.actions), delay_ticks=delay)
 
@@ -168,4 +168,4 @@ class _SeatWatch:
             action = record.action
         self.seen.append(seen)
         self.actions.append(action)
-        self.delays.append(episode_delay_ticks(self._config, client.drawn))
+        self.delays.append(find_episode_delay_ticks(self._config, client.drawn))

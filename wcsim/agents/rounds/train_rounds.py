@@ -51,15 +51,15 @@ from wcsim.agents.runs.run_folder import (
     METRICS,
     ResolvedRun,
     RunFolder,
-    absolute_data_folders,
     format_resume_command,
     open_or_create_run,
+    resolve_data_folders,
 )
 from wcsim.agents.runs.weights import hash_network_weights
 from wcsim.config import RunConfig, parse
-from wcsim.config.run_file import DangerCheckpointFile, DangerRuleSettings, LearnedDataFile
+from wcsim.config.run_file import DangerRuleSettings, DangerTrainingCheckpoint, LearnedDataFile
 from wcsim.core import files, reading, seeding
-from wcsim.core.reading import escaped, is_file, read_json
+from wcsim.core.reading import escape, is_file, read_json
 from wcsim.errors import ConfigError, InterruptedRunError, PolicyError, TownError
 from wcsim.server.workers.machines import HERE, WorkerPoolSettings
 from wcsim.server.workers.scheduler import WorkerStatus
@@ -79,11 +79,11 @@ def data_of(run: RunFolder) -> dict[str, dict[str, str]]:
     path = run.path / LEARNED
     if is_file(path):
         try:
-            return parse(LearnedDataFile, read_json(path, reading.LEARNED), escaped(path)).folders
+            return parse(LearnedDataFile, read_json(path, reading.LEARNED), escape(path)).folders
         except ConfigError as error:
             raise PolicyError(str(error)) from None
     found = {}
-    for folder in absolute_data_folders(run.config)["collect"]["data"]:
+    for folder in resolve_data_folders(run.config)["collect"]["data"]:
         file = read_data_manifest(Path(folder))
         require_same_data_settings(Path(folder), file, run.config)
         found[folder] = file.segments
@@ -100,7 +100,7 @@ def _learned_segments(run: RunFolder) -> Iterator[DrivingSegment]:
     found, path = data_of(run), run.path / LEARNED
     if not any(found.values()) and run.config.collect.segments == 0:
         raise PolicyError(
-            f"{', '.join(map(escaped, found)) or 'collect.data'}: holds no data to learn from; expected segments of "
+            f"{', '.join(map(escape, found)) or 'collect.data'}: holds no data to learn from; expected segments of "
             "`wcsim collect`, or collect.segments of 1 or more"
         )
     if found and not is_file(path):
@@ -111,7 +111,7 @@ def _learned_segments(run: RunFolder) -> Iterator[DrivingSegment]:
                 yield read_segment(Path(folder) / SEGMENTS / name, segments[name])
             except PolicyError as error:
                 told = "the run needs the data that it started with: restore it, or start a new run"
-                raise PolicyError(f"{error}; {escaped(path)} names it, as {told}") from None
+                raise PolicyError(f"{error}; {escape(path)} names it, as {told}") from None
 
 
 TOWNS: Final = "towns"
@@ -187,7 +187,7 @@ def _train_rounds(
                 for place, driver in ((0, NETWORK), (2, FOLLOW)):
                     mine = segment.driver == driver
                     driven[place : place + 2] += int(mine.sum()), int(segment.crashed[mine].sum())
-            dataset.begin(seeding.generator(seed, "agent", "lectures", number))
+            dataset.begin(seeding.make_rng(seed, "agent", "lectures", number))
             torch.manual_seed(
                 seeding.derive_seed(seed, "agent", "learn", number)
             )  # of networks that draw, as by dropout
@@ -226,7 +226,7 @@ def _restoring(learner: DangerLearner) -> Restore[dict[str, str]]:
     """Brings a learner to where it was after a round, and tells the segments that it had learned from."""
 
     def restore(_: int, state: dict[str, Any], arrays: dict[str, Arrays]) -> dict[str, str]:
-        said = parse(DangerCheckpointFile, state, STATE)
+        said = parse(DangerTrainingCheckpoint, state, STATE)
         sort_segment_names(said.segments)
         learner.restore(arrays, said.updates, said.loss)
         return said.segments
@@ -322,7 +322,7 @@ def train_danger(
     """
     _require_driving(run.config)
     require_recordable(run.config)
-    folder = open_or_create_run(run, absolute_data_folders)
+    folder = open_or_create_run(run, resolve_data_folders)
     with files.lock_run_folder(folder.path), temporary_torch_settings(folder.config.learn):
         towns = towns_of(town, folder.manifest.more_towns, folder.config, folder.path, folder.manifest.seed, stage)
         data_of(folder)  # what cannot be learned from is refused before worlds load

@@ -23,7 +23,7 @@ from safetensors.numpy import load_file, save_file
 
 from wcsim.agents.runs.run_folder import RunFolder
 from wcsim.core import files, reading
-from wcsim.core.reading import escaped, is_folder, read_file_size, read_json
+from wcsim.core.reading import escape, is_folder, read_file_size, read_json
 from wcsim.errors import PolicyError, WcsimError
 
 STATE: Final = "state.json"
@@ -127,13 +127,13 @@ def write_checkpoint(
                         target / file,
                     )
                 except SafetensorError as error:  # its error for a full disk
-                    raise OSError(errno.ENOSPC, escaped(error)) from None
+                    raise OSError(errno.ENOSPC, escape(error)) from None
                 alive()
                 hashes[file] = files.sha256_from_file(target / file)
             sizes[file] = (target / file).stat().st_size
             alive()
         data = {"schema_version": _VERSION, "name": name, **state, "sha256": hashes, "bytes": sizes}
-        files.write_sealed_json(target / STATE, data)
+        files.write_json_with_checksum(target / STATE, data)
     _drop_old(folder, folder / name)
     return folder / name
 
@@ -160,7 +160,7 @@ def _restore_newest(folder: Path, restore: Restore[T]) -> _Restored[T]:
             value = restore(checkpoint_number_from_path(path), state, arrays)
         except Exception as error:  # whatever is wrong with it, the one before may be sound
             kind = "" if isinstance(error, WcsimError) else f"{type(error).__name__}: "
-            passed[path] = escaped(f"{kind}{error}", 300)
+            passed[path] = escape(f"{kind}{error}", 300)
             continue
         return _Restored(path=path, value=value, passed_over=passed)
     faults = "; ".join(f"{path.name}: {reason}" for path, reason in passed.items()) or "none found"
@@ -214,10 +214,10 @@ def _read_state(path: Path) -> dict[str, Any]:
     version = state.get("schema_version")
     if version != _VERSION:
         raise PolicyError(
-            f"{STATE} is of version {escaped(version)}, expected {_VERSION}: finish the run with "
+            f"{STATE} is of version {escape(version)}, expected {_VERSION}: finish the run with "
             "the wcsim that began it, or start a new one"
         )
-    sealed = files.check_and_remove_seal(state, STATE)
+    sealed = files.verify_and_remove_checksum(state, STATE)
     name, hashes = state.get("name"), state.get("sha256")
     if (
         not sealed
@@ -226,7 +226,7 @@ def _read_state(path: Path) -> dict[str, Any]:
         or not all(map(_FILE.fullmatch, hashes))
     ):
         raise PolicyError(
-            f"{STATE} is of {escaped(name)}, with the keys {escaped(sorted(state))}; it is damaged"
+            f"{STATE} is of {escape(name)}, with the keys {escape(sorted(state))}; it is damaged"
         )
     return {key: value for key, value in state.items() if key not in ("schema_version", "name")}
 

@@ -24,7 +24,7 @@ from wcsim.config import ChairConfig, RunConfig, parse
 from wcsim.config.plant import read_own_plant_bytes
 from wcsim.config.run_file import DrivingDataFile
 from wcsim.core import files, reading
-from wcsim.core.reading import SEGMENT, escaped, read_bytes, read_json, unzstd
+from wcsim.core.reading import SEGMENT, decompress_zstd, escape, read_bytes, read_json
 from wcsim.errors import ConfigError, PolicyError
 from wcsim.types import F32, F64, U8, Bool
 
@@ -149,7 +149,7 @@ def crash_times_to_codes(first_s: F64) -> U8:
     return codes
 
 
-def find_unsafe_actions_ahead(codes: U8, ends: Bool, ahead: int) -> Bool:
+def mask_soon_unsafe_actions(codes: U8, ends: Bool, ahead: int) -> Bool:
     """(N, A) the positions that are unsafe now or within `ahead` steps, as long as one is safe.
 
     Args:
@@ -169,7 +169,7 @@ def find_unsafe_actions_ahead(codes: U8, ends: Bool, ahead: int) -> Bool:
     return unsafe
 
 
-def segment_path(folder: Path, name: str) -> Path:
+def segment_path_from_name(folder: Path, name: str) -> Path:
     """Where the segment of that name lies, see `DrivingSegmentKey`."""
     return folder / SEGMENTS / f"{name}.npz.zst"
 
@@ -183,7 +183,7 @@ def segment_key_from_name(name: str) -> DrivingSegmentKey:
     found = _NAME.fullmatch(name)
     if found is None:
         raise PolicyError(
-            f"{escaped(name)!r} is no segment's file; expected SEED-ROUND-INDEX.npz.zst"
+            f"{escape(name)!r} is no segment's file; expected SEED-ROUND-INDEX.npz.zst"
         )
     run, number, index = map(int, found.groups())
     return DrivingSegmentKey(run=run, round=number, index=index)
@@ -213,14 +213,14 @@ def read_segment(path: Path, sha256: str = "") -> DrivingSegment:
     digest = hashlib.sha256(data).hexdigest()
     if sha256 and digest != sha256:
         raise PolicyError(
-            f"{escaped(path)} has SHA-256 {digest[:12]}..., expected {sha256[:12]}...: damaged or "
+            f"{escape(path)} has SHA-256 {digest[:12]}..., expected {sha256[:12]}...: damaged or "
             "replaced; collect it again"
         )
     try:
         columns = _columns(data)
     except Exception as error:  # of zstd, zipfile or NumPy, by what is wrong with the bytes
         raise PolicyError(
-            f"{escaped(path)} cannot be read ({escaped(error)}); expected a segment as `wcsim "
+            f"{escape(path)} cannot be read ({escape(error)}); expected a segment as `wcsim "
             "collect` writes it"
         ) from None
     _require_whole(path, columns)
@@ -233,12 +233,12 @@ def write_data_manifest(
     """Write the folder's settings, its towns with their hashes, and the segments' hashes by name.
 
     Returns:
-        The SHA-256 of all segments, see `data_digest`.
+        The SHA-256 of all segments, see `hash_segments`.
 
     Raises:
         ConfigError: The user's own plant file cannot be read.
     """
-    digest = data_digest(segments)
+    digest = hash_segments(segments)
     data = {
         "schema_version": 1,
         "settings_sha256": _settings_digest(config),
@@ -256,7 +256,7 @@ def read_data_manifest(folder: Path) -> DrivingDataFile:
     """Read `data.json`. Raises PolicyError."""
     try:
         return parse(
-            DrivingDataFile, read_json(folder / MANIFEST, reading.DATA), escaped(folder / MANIFEST)
+            DrivingDataFile, read_json(folder / MANIFEST, reading.DATA), escape(folder / MANIFEST)
         )
     except ConfigError as error:
         raise PolicyError(str(error)) from None
@@ -274,7 +274,7 @@ def require_same_data_settings(folder: Path, file: DrivingDataFile, config: RunC
     other = [name for name in _COMPARED if _part(recorded, name) != _part(own, name)]
     if other or file.settings_sha256 != _settings_digest(config):
         raise PolicyError(
-            f"{escaped(folder)} was driven with other settings "
+            f"{escape(folder)} was driven with other settings "
             f"({', '.join(other) or 'of another version'}); expected "
             "those of this run: train with the configuration in its data.json"
         )
@@ -309,7 +309,7 @@ def _by_content(dumped: dict[str, Any], plant_sha256: str) -> dict[str, Any]:
     return {**dumped, "chair": {**chair, "plant": plant_sha256}}
 
 
-def data_digest(segments: dict[str, str]) -> str:
+def hash_segments(segments: dict[str, str]) -> str:
     """SHA-256 over all segments, in any order."""
     return hashlib.sha256(
         "\n".join(f"{name} {segments[name]}" for name in sorted(segments)).encode()
@@ -332,7 +332,7 @@ def _columns(data: bytes) -> dict[str, np.ndarray]:
     Raises:
         Exception: The bytes are damaged: an error of NumPy, zipfile or zstd, or ValueError.
     """
-    unpacked = unzstd(data, min(SEGMENT.limit_bytes, _FREE_BYTES + _MAX_RATIO * len(data)))
+    unpacked = decompress_zstd(data, min(SEGMENT.limit_bytes, _FREE_BYTES + _MAX_RATIO * len(data)))
     with zipfile.ZipFile(io.BytesIO(unpacked)) as held:
         # Stored items alone, so that none unpacks to more.
         if any(item.compress_type != zipfile.ZIP_STORED for item in held.infolist()):
@@ -353,7 +353,7 @@ def _require_whole(path: Path, columns: dict[str, np.ndarray]) -> None:
     wrong = [name for name, (kind, wide) in COLUMNS.items() if not _fits(columns[name], kind, wide)]
     if wrong:
         raise PolicyError(
-            f"{escaped(path)} has another form ({', '.join(wrong)}); expected a segment of this "
+            f"{escape(path)} has another form ({', '.join(wrong)}); expected a segment of this "
             "version"
         )
     lengths = {len(column) for column in columns.values()}
@@ -364,7 +364,7 @@ def _require_whole(path: Path, columns: dict[str, np.ndarray]) -> None:
     )
     if len(lengths) != 1 or not finite:
         raise PolicyError(
-            f"{escaped(path)} has columns of {sorted(lengths)} rows, or numbers not finite or too "
+            f"{escape(path)} has columns of {sorted(lengths)} rows, or numbers not finite or too "
             "large; collect it again"
         )
     pictures = columns["depth"].shape == columns["seg"].shape
@@ -377,7 +377,7 @@ def _require_whole(path: Path, columns: dict[str, np.ndarray]) -> None:
         or columns["driver"].max() >= len(DRIVERS)
     ):
         raise PolicyError(
-            f"{escaped(path)} has columns that do not fit each other; collect it again"
+            f"{escape(path)} has columns that do not fit each other; collect it again"
         )
 
 

@@ -17,7 +17,7 @@ from wcsim.config import parse
 from wcsim.config.run_file import RoundMetricsRow
 from wcsim.core import files, reading
 from wcsim.core.closing import ClosingContextBase
-from wcsim.core.reading import escaped, read_lines, read_text
+from wcsim.core.reading import escape, read_lines, read_text
 from wcsim.errors import ConfigError, DiskFullError, PolicyError
 
 COLUMNS: Final = (
@@ -101,7 +101,7 @@ def _checked(path: Path, columns: tuple[str, ...], lines: Iterable[str]) -> Iter
     try:
         head = next(rows, [])
         if tuple(head) != columns:
-            names = escaped(", ".join(head)) or "none"
+            names = escape(", ".join(head)) or "none"
             raise PolicyError(
                 f"{path} has columns {names}; expected those of this version: {', '.join(columns)}"
             )
@@ -117,7 +117,7 @@ def _checked(path: Path, columns: tuple[str, ...], lines: Iterable[str]) -> Iter
             yield row
     except csv.Error as error:
         raise PolicyError(
-            f"{escaped(path)}: is damaged ({error}); expected the log of a run"
+            f"{escape(path)}: is damaged ({error}); expected the log of a run"
         ) from None
 
 
@@ -145,7 +145,7 @@ def append_round_metrics(path: Path, row: Sequence[float]) -> None:
     )
 
 
-def is_round_metrics_file(path: Path) -> bool:
+def has_metrics_per_round(path: Path) -> bool:
     """Whether a metrics.csv is one of rounds."""
     return next(read_lines(path, reading.METRIC_LINES), "").startswith(
         ",".join(_ROUND_COLUMNS[:2]) + ","
@@ -162,10 +162,10 @@ def read_round_metrics(path: Path) -> tuple[RoundMetricsRow, ...]:
         found = tuple(parse(RoundMetricsRow, row, path.name) for row in rows)
     except ConfigError as error:
         raise PolicyError(
-            f"{escaped(path)}: is damaged ({error}); expected the numbers of a round in each row"
+            f"{escape(path)}: is damaged ({error}); expected the numbers of a round in each row"
         ) from None
     if [row.round for row in found] != list(range(len(found))):
-        raise PolicyError(f"{escaped(path)}: is damaged; expected a row for each round, from 0 on")
+        raise PolicyError(f"{escape(path)}: is damaged; expected a row for each round, from 0 on")
     return found
 
 

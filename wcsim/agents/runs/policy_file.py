@@ -25,7 +25,7 @@ from wcsim.agents.policy_api import (
 from wcsim.config import RunConfig, parse
 from wcsim.config.run_file import DangerPolicyFile, QPolicyFile, ShippedPolicyHashes
 from wcsim.core import files
-from wcsim.core.reading import HASHES, POLICY, escaped, is_file, is_folder, read_json
+from wcsim.core.reading import HASHES, POLICY, escape, is_file, is_folder, read_json
 from wcsim.errors import ConfigError, PolicyError
 
 POLICY_JSON: Final = "policy.json"
@@ -76,7 +76,7 @@ def read_policy_algorithm(path: Path) -> object:
 
 def _parsed(model: type[File], path: Path) -> File:
     try:
-        return parse(model, _read(path), escaped(path / POLICY_JSON))
+        return parse(model, _read(path), escape(path / POLICY_JSON))
     except ConfigError as error:
         raise PolicyError(str(error)) from None
 
@@ -84,13 +84,13 @@ def _parsed(model: type[File], path: Path) -> File:
 def _read(path: Path) -> dict[str, Any]:
     if not is_file(path / POLICY_JSON):
         raise PolicyError(
-            f"{escaped(path)} is not a policy folder: it has no {POLICY_JSON}; expected a folder "
+            f"{escape(path)} is not a policy folder: it has no {POLICY_JSON}; expected a folder "
             "as `wcsim train` writes it, for example runs/a/policies/final, or RUN:phase1"
         )
     return read_json(path / POLICY_JSON, POLICY)
 
 
-def shipped_policy_path() -> Path:
+def get_shipped_policy_path() -> Path:
     """Where it lies in this wcsim, whether it is there or not."""
     return Path(wcsim.__file__).parent / "agents" / SHIPPED
 
@@ -104,16 +104,14 @@ def find_shipped_policy(place: Path | None = None) -> Path:
     Raises:
         PolicyError: None came with this wcsim, or a file differs from what was shipped.
     """
-    folder = shipped_policy_path() if place is None else place
+    folder = get_shipped_policy_path() if place is None else place
     if not is_file(folder / FILES):
         raise PolicyError(
-            f"this wcsim comes without a policy: {escaped(folder)} has no {FILES}; expected one "
+            f"this wcsim comes without a policy: {escape(folder)} has no {FILES}; expected one "
             "made by tools/ship_policy.py RUN: name a run of your own"
         )
     try:
-        file = parse(
-            ShippedPolicyHashes, read_json(folder / FILES, HASHES), escaped(folder / FILES)
-        )
+        file = parse(ShippedPolicyHashes, read_json(folder / FILES, HASHES), escape(folder / FILES))
     except ConfigError as error:
         raise PolicyError(str(error)) from None
     hashes = file.sha256
@@ -125,7 +123,7 @@ def find_shipped_policy(place: Path | None = None) -> Path:
     ]
     if missing or other:
         raise PolicyError(
-            f"{escaped(folder)} differs from what was shipped: {', '.join(missing + other)} "
+            f"{escape(folder)} differs from what was shipped: {', '.join(missing + other)} "
             f"{'missing' if missing else 'damaged or replaced'}; install wcsim again"
         )
     return folder
@@ -189,7 +187,7 @@ def _with_threshold(name: str) -> tuple[str, float | None]:
     level = float(text)
     if not 0.0 < level <= 1.0:
         raise PolicyError(
-            f"policy {escaped(name)!r} has no such level of assistance; expected RUN@L with a "
+            f"policy {escape(name)!r} has no such level of assistance; expected RUN@L with a "
             "danger threshold L above 0 and at most 1"
         )
     return head, level

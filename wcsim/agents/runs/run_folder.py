@@ -41,7 +41,7 @@ from wcsim.config.plant import read_own_plant_bytes
 from wcsim.config.run_file import RunManifestFile
 from wcsim.core import files
 from wcsim.core.processes import run_command
-from wcsim.core.reading import METRIC_LINES, RUN, escaped, is_file, is_folder, read_lines
+from wcsim.core.reading import METRIC_LINES, RUN, escape, is_file, is_folder, read_lines
 from wcsim.core.reading import read_json as read_bounded_json
 from wcsim.core.sources import read_package_version
 from wcsim.errors import ConfigError, PolicyError, meant
@@ -243,7 +243,7 @@ def run_manifest_from_json(data: dict[str, Any], path: Path) -> RunManifest:
 
 def _checked_manifest(data: dict[str, Any], file: Path) -> RunManifestFile:
     try:
-        return parse(RunManifestFile, data, escaped(file))
+        return parse(RunManifestFile, data, escape(file))
     except ConfigError as error:
         raise PolicyError(f"{error}: not a manifest of this version; train again") from None
 
@@ -253,7 +253,7 @@ def _saved_plant(path: Path) -> Layer:
     return {"chair": {"plant": str(path / PLANT)}} if is_file(path / PLANT) else None
 
 
-def absolute_data_folders(config: RunConfig) -> dict[str, dict[str, list[str]]]:
+def resolve_data_folders(config: RunConfig) -> dict[str, dict[str, list[str]]]:
     """The absolute paths of a configuration's data folders: a run may be resumed elsewhere."""
     return {"collect": {"data": [str(Path(folder).absolute()) for folder in config.collect.data]}}
 
@@ -275,13 +275,13 @@ def policy_folder_from_name(name: str) -> Path:
     if stage not in STAGES:
         known = " or RUN:".join(STAGES)
         raise PolicyError(
-            f"policy {escaped(named.place)!r}: unknown stage {escaped(stage)!r}; expected RUN, "
+            f"policy {escape(named.place)!r}: unknown stage {escape(stage)!r}; expected RUN, "
             f"RUN:{known}, or module:Class of your own"
         )
     if not is_folder(named.folder):
         names = (*BASELINES, *UPPER_BOUNDS)
         raise PolicyError(
-            f"{escaped(named.folder)} is not a run: no such folder; expected one that `wcsim "
+            f"{escape(named.folder)} is not a run: no such folder; expected one that `wcsim "
             f"train` made, {SHIPPED}, module:Class of your own, or a baseline: "
             f"{', '.join(names)}{meant(str(named.folder), (SHIPPED, *names))}"
         )
@@ -290,7 +290,7 @@ def policy_folder_from_name(name: str) -> Path:
     if not is_file(policy / POLICY_JSON):
         stages = [each for each in STAGES if is_file(run.policy(each) / POLICY_JSON)]
         raise PolicyError(
-            f"run {escaped(named.folder)} has no policy {stage!r} (it has: "
+            f"run {escape(named.folder)} has no policy {stage!r} (it has: "
             f"{', '.join(stages) or 'none'}; status: {run.manifest.status}); "
             f"continue it: {format_resume_command(named.folder)}"
         )
@@ -316,7 +316,7 @@ def read_run_json(path: Path, name: str) -> dict[str, Any]:
     file = path / name
     if not is_file(file):
         raise PolicyError(
-            f"{escaped(path)} is not a run: it has no {name}; expected a folder that `wcsim train` "
+            f"{escape(path)} is not a run: it has no {name}; expected a folder that `wcsim train` "
             "made"
         )
     data = read_bounded_json(file, RUN)

@@ -20,7 +20,7 @@ from typing import Final
 
 from wcsim.config import RunConfig
 from wcsim.core.constants import RECORDED
-from wcsim.core.reading import KEY, escaped, read_bytes
+from wcsim.core.reading import KEY, escape, read_bytes
 from wcsim.errors import ConfigError, FileError, PolicyError, TownError
 from wcsim.server.workers.machines import WorkInputFiles
 from wcsim.towns.cache.folder import cache_folder
@@ -40,8 +40,8 @@ def town_to_input_files(address: str) -> WorkInputFiles:
     outside = [path for path in files if not path.is_relative_to(folder)]
     if outside:
         raise TownError(
-            f"town {town.name} has a file outside of its folder, {escaped(outside[0])}; expected "
-            f"all in {escaped(folder)}, as the folder is sent to other machines"
+            f"town {town.name} has a file outside of its folder, {escape(outside[0])}; expected "
+            f"all in {escape(folder)}, as the folder is sent to other machines"
         )
     names = tuple(sorted(path.relative_to(folder).as_posix() for path in files))
     inner = "" if Path(town.address).is_dir() else town.sumocfg.name
@@ -73,9 +73,9 @@ def require_sendable_run(
     """
     users = (config.env.profile, *config.collect.profiles, *users)
     words = " ".join((*settings, *config.collect.variants)).split()
-    parts = [f"class {escaped(name, 80)}" for name in own_code if ":" in name]
-    parts += [f"user {escaped(user, 80)}" for user in users if is_user_file_name(user)]
-    parts += [escaped(word, 80) for word in words if ".toml" in word or RECORDED in word]
+    parts = [f"class {escape(name, 80)}" for name in own_code if ":" in name]
+    parts += [f"user {escape(user, 80)}" for user in users if is_user_file_name(user)]
+    parts += [escape(word, 80) for word in words if ".toml" in word or RECORDED in word]
     if parts:
         raise ConfigError(
             f"--cluster: {', '.join(parts)} exists on this machine only and cannot be sent; "
@@ -110,10 +110,10 @@ def require_trusted_classes(
     unnamed = [name for name in classes if name not in named]
     if not unnamed or (mark and hmac.compare_digest(mark, _mark(_key(make=False), classes))):
         return
-    names = ", ".join(escaped(name, 80) for name in unnamed)
+    names = ", ".join(escape(name, 80) for name in unnamed)
     raise PolicyError(
         f"{path} was made elsewhere with custom classes ({names}); resuming runs their code: name "
-        f"each if you trust it, as --trust {escaped(unnamed[0], 80)}"
+        f"each if you trust it, as --trust {escape(unnamed[0], 80)}"
     )
 
 

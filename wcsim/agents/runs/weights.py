@@ -13,7 +13,7 @@ from safetensors.torch import load, save
 
 from wcsim.agents.runs.policy_file import POLICY_JSON, WEIGHTS
 from wcsim.core import files, reading
-from wcsim.core.reading import escaped, read_bytes, read_file_size
+from wcsim.core.reading import escape, read_bytes, read_file_size
 from wcsim.core.sources import read_package_version
 from wcsim.errors import PolicyError
 
@@ -67,8 +67,8 @@ def load_network(folder: Path, sha256: str, make: Callable[[], Net], *, own: boo
     try:
         tensors = load(data)
     except Exception as error:  # of safetensors or PyTorch, by what is wrong with the bytes
-        raise PolicyError(f"{escaped(path)} is not a safetensors file: {escaped(error)}") from None
-    net.load_state_dict(validate_tensors(escaped(path), tensors, net.state_dict()))
+        raise PolicyError(f"{escape(path)} is not a safetensors file: {escape(error)}") from None
+    net.load_state_dict(validate_tensors(escape(path), tensors, net.state_dict()))
     return net
 
 
@@ -82,14 +82,14 @@ def _read_weights(path: Path, sha256: str, tensors: Iterable[torch.Tensor]) -> b
     least = sum(tensor.numel() * tensor.element_size() for tensor in tensors)
     if not least <= size <= least + _MAX_HEADER_BYTES:
         raise PolicyError(
-            f"{escaped(path)} has {size} bytes, and the network that policy.json describes has "
+            f"{escape(path)} has {size} bytes, and the network that policy.json describes has "
             f"weights of {least}; copy the whole policy folder again"
         )
     data = read_bytes(path, reading.WEIGHTS)
     found = hashlib.sha256(data).hexdigest()
     if found != sha256:
         raise PolicyError(
-            f"{escaped(path)} has SHA-256 {found[:12]}..., policy.json says {sha256[:12]}...: "
+            f"{escape(path)} has SHA-256 {found[:12]}..., policy.json says {sha256[:12]}...: "
             "the file was damaged or replaced; copy the whole policy folder again"
         )
     return data
@@ -112,7 +112,7 @@ def validate_tensors(
     if odd:
         first = odd[0]
         raise PolicyError(
-            f"{where} does not fit {of}: {escaped(first, 80)} is "
+            f"{where} does not fit {of}: {escape(first, 80)} is "
             f"{found.get(first, 'missing')}, expected {facts.get(first, 'nothing')} "
             f"({len(odd)} tensors differ); use the weights it was trained with"
         )

@@ -12,7 +12,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Final
 
 from wcsim.core.boxes import box_from_actor, boxes_touch
-from wcsim.core.jit import exact_kernel
+from wcsim.core.jit import compile_exact_kernel
 from wcsim.types import U8, ActorState, Ground, PlantState
 
 SLOWER_MPS: Final = 0.5  # a wheel so slow climbs for many steps
@@ -87,7 +87,7 @@ def meets_body(
     return False
 
 
-@exact_kernel
+@compile_exact_kernel
 def _rises(height_cm: U8, cell_m: float, x_m: float, y_m: float, to_x: float, to_y: float, reach_m: float) -> bool:
     """Whether the ground rises by a kerb's edge on a straight way from a little behind a place to `reach_m` ahead."""
     rows, cols = height_cm.shape

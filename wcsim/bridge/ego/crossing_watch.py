@@ -17,7 +17,7 @@ from wcsim.bridge.reaction.commands import ROADWAY, GreenRequest
 from wcsim.config import WorldConfig
 from wcsim.types import F64, ActorState, Bool, Ground, Route, SignalState, Street, WalkGraph, WayKind
 from wcsim.users.crossing import RouteCrossing, find_kerb_arc_m, find_route_crossings, is_red
-from wcsim.users.route_line import RouteLine
+from wcsim.users.route_line import RoutePolyline
 
 BESIDE_M = 1.0  # so far beside the painted strip a chair is still on the crossing
 BEFORE_M = 1.0  # and so far before its ends
@@ -156,7 +156,7 @@ class CrossingButton:
 
     def __init__(self, route: Route, street: Street, half_length_m: float, world: WorldConfig) -> None:
         """`half_length_m` is the chair's; `world` says whether it presses."""
-        path = RouteLine(route)
+        path = RoutePolyline(route)
         self._items = tuple(
             _Reach(
                 crossing=item,

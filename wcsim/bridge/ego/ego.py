@@ -35,8 +35,8 @@ from wcsim.physics.wheelchair.plant import plant_spec, refuse_cameras_inside
 from wcsim.physics.wheelchair.wheelchair import Wheelchair, fell
 from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.observation import NEAR
-from wcsim.supervisor.oracle import Oracle
-from wcsim.supervisor.rewards import crash_reason, describe_crash
+from wcsim.supervisor.oracle import CrashOracle
+from wcsim.supervisor.rewards import describe_crash, find_crash_reason
 from wcsim.towns.checks.validate import require_pavement
 from wcsim.towns.scenario.town import Town, content_hash
 from wcsim.towns.walking.routes import Router, edges_ahead
@@ -128,7 +128,7 @@ class Ego:
         wheels_m = np.column_stack([plant.stand_m(), plant.trails_m()])
         rims_m = np.array(plant.rims_m()).reshape(-1, 3)  # none of a high frame
         points, tick_s = action_set(config.env.lattice).points, config.world.tick_s
-        self._oracle = Oracle(street.grid, config.chair, plant.outline, wheels_m, rims_m, points, tick_s)
+        self._oracle = CrashOracle(street.grid, config.chair, plant.outline, wheels_m, rims_m, points, tick_s)
         self._variation = Randomization(config, index)
         self.chair: Wheelchair  # of this epoch: from `build` on
         self._rig: CameraRig
@@ -181,7 +181,7 @@ class Ego:
         others = {"cameras": self._config.cameras, **self._config.sensors.on()}
         tick_s = self._config.world.tick_s
         self.chair = Wheelchair(engine, self._config.chair, self._config.imu, self.index, others, rig, tick_s)
-        self._keys = {name: seeding.derive_key(seed, name, self.index) for name in self.chair.sensors.names}
+        self._keys = {name: seeding.derive_rng_key(seed, name, self.index) for name in self.chair.sensors.names}
 
     def spawn(self, taken: TakenNear, habits: AttentionModel) -> None:
         """Begin the next episode: a clear start, where it has yet to `stand`, a user and a route.
@@ -191,7 +191,7 @@ class Ego:
         self._vary()
         self.habits = None if self.fitting is None else habits.towards(self.fitting.drawn)
         # A generator for each episode: its start does not depend on how much earlier ones drew.
-        rng = seeding.generator(self._seed, "seat", self.index, self._episode + 1)
+        rng = seeding.make_rng(self._seed, "seat", self.index, self._episode + 1)
         fixed, self._next_start = self._next_start or self.spec.start, None
         if fixed is None:
             start = self._draw_start(rng, taken)
@@ -251,7 +251,7 @@ class Ego:
         self._stands = True
         self.chair.place(self._start.p_W_m, self._start.yaw_rad)
         at = (self.index, "start", self._episode)
-        self.chair.sensors.start({name: seeding.derive_key(self._seed, name, *at) for name in self._keys})
+        self.chair.sensors.start({name: seeding.derive_rng_key(self._seed, name, *at) for name in self._keys})
 
     def end_tick(self, tick: int) -> None:
         """Close the tick's measurements, whose noise is keyed by seat, sensor and tick, and move the user's hand."""
@@ -271,7 +271,7 @@ class Ego:
         """After an arrival, or when the user gave up: the episode goes on to another place."""
         x, y, _ = self.chair.state().p_WB_m.tolist()
         # By step, as one episode may have several destinations.
-        rng = seeding.generator(self._seed, "goal", self.index, self._episode, self._step)
+        rng = seeding.make_rng(self._seed, "goal", self.index, self._episode, self._step)
         self._follow(self._router.route((x, y), self._draw_goal(rng, (x, y))))
 
     def surroundings(
@@ -336,7 +336,7 @@ class Ego:
     def _crash_reason(self) -> str:
         chair, config = self.chair, self._config.reward
         dropped = config.drop and fell(*chair.wheel_track(), self._street.grid)
-        return crash_reason(chair.imu(), chair.state(), chair.contacts(), config, dropped=dropped)
+        return find_crash_reason(chair.imu(), chair.state(), chair.contacts(), config, dropped=dropped)
 
     def truth(self, others: Sequence[ActorState]) -> Truth | None:
         """Danger, and when each action goes wrong, on the true geometry; for a seat that asked for it."""
@@ -412,7 +412,7 @@ class Ego:
         exact = self.person
         if not isinstance(exact, UserProfile):
             return exact.user(self._episode, self.chair.outline)
-        rng = seeding.generator(self._seed, "user", self.index, self._episode)
+        rng = seeding.make_rng(self._seed, "user", self.index, self._episode)
         return SimulatedUser(
             sample_profile(exact, rng) if self.spec.start is None else exact,
             rng,

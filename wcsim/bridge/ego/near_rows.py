@@ -13,7 +13,7 @@ import numpy as np
 from wcsim.bridge.reaction.commands import ROADWAY
 from wcsim.core.boxes import box_from_actor, gap_to_box
 from wcsim.core.constants import KERB_STEP_CM, OTHER_LEVEL_M
-from wcsim.core.jit import exact_kernel
+from wcsim.core.jit import compile_exact_kernel
 from wcsim.supervisor.observation import (
     MOST_OTHERS,
     OTHERS_REACH_M,
@@ -65,7 +65,7 @@ def near_rows(
 _Pose = tuple[float, float, float, float]  # x, y, cosine and sine of the heading, in W
 
 
-@exact_kernel
+@compile_exact_kernel
 def _way(rows: F64, pose: _Pose, progress_m: float, arc_m: F64, points_W_m: F64) -> None:
     """Points of the route ahead, the destination again and again where it ends, with their headings."""
     x, y, cos, sin = pose
@@ -84,7 +84,7 @@ def _way(rows: F64, pose: _Pose, progress_m: float, arc_m: F64, points_W_m: F64)
         rows[k, 5], rows[k, 6] = (along_x * cos + along_y * sin) / long, (along_y * cos - along_x * sin) / long
 
 
-@exact_kernel
+@compile_exact_kernel
 def _find_road(rows: F64, pose: _Pose, ground_class: U8, origin_m: F64, cell_m: float) -> None:
     """Tell the points of the way that are on a carriageway."""
     x, y, cos, sin = pose
@@ -123,7 +123,7 @@ def _road_users(plant: PlantState, pose: _Pose, others: Sequence[ActorState]) ->
     return [row for _, row in sorted(seen, key=lambda item: item[0])[:MOST_OTHERS]]
 
 
-@exact_kernel
+@compile_exact_kernel
 def _standing(rows: F64, pose: _Pose, height_cm: U8, clearance_dm: U8, origin_m: F64, cell_m: float) -> None:
     """The nearest solid cell and the nearest edge of a kerb in each sector, those and these from near to far."""
     x, y, cos, sin = pose
@@ -155,14 +155,14 @@ def _standing(rows: F64, pose: _Pose, height_cm: U8, clearance_dm: U8, origin_m:
                 rows[block * SECTORS + k, :3] = one[1:]
 
 
-@exact_kernel
+@compile_exact_kernel
 def _span(from_m: float, cell_m: float, cells: int) -> tuple[int, int]:
     """The cells of one axis within reach, the last one excluded."""
     first = max(0, math.floor((from_m - SOLID_REACH_M) / cell_m))
     return first, min(cells, math.floor((from_m + SOLID_REACH_M) / cell_m) + 1)
 
 
-@exact_kernel
+@compile_exact_kernel
 def _keep(found: F64, kind: int, dx: float, dy: float, cos: float, sin: float) -> None:
     """Put a place into its sector where it is nearer than what is there; the first of those as near stays."""
     far2 = dx * dx + dy * dy

@@ -77,12 +77,12 @@ def _draw(vary: VaryConfig, cameras: int, seed: int, seat: int, episode: int, at
     def numbers(name: str, span: tuple[float, float] | None, count: int = 1) -> list[float]:
         if span is None:
             return []
-        rng = seeding.generator(seed, "vary", seat, episode, name, attempt)
+        rng = seeding.make_rng(seed, "vary", seat, episode, name, attempt)
         return [float(value) for value in rng.uniform(*span, count)]
 
     def by_class(name: str, spans: Iterable[tuple[str, tuple[float, float]]]) -> tuple[tuple[str, float], ...]:
         return tuple(
-            (key, float(seeding.generator(seed, "vary", seat, episode, name, key).uniform(*span)))
+            (key, float(seeding.make_rng(seed, "vary", seat, episode, name, key).uniform(*span)))
             for key, span in sorted(spans)
         )
 
@@ -90,13 +90,15 @@ def _draw(vary: VaryConfig, cameras: int, seed: int, seat: int, episode: int, at
     turns = numbers("camera_turn_deg", vary.camera_turn_deg, 2 * cameras)
     ticks = vary.action_delay_ticks
     # Without the attempt: no delay keeps a chair from standing, so it is never drawn again.
-    rng = seeding.generator(seed, "vary", seat, episode, "action_delay_ticks")
+    rng = seeding.make_rng(seed, "vary", seat, episode, "action_delay_ticks")
     return Drawn(
         light=_first(numbers("light", vary.light)),
         friction=_first(numbers("friction", vary.friction)),
         user_mass_kg=_first(numbers("user_mass_kg", vary.user_mass_kg)),
         camera_shift_m=tuple((x, y, z) for x, y, z in zip(*(shifts[k::3] for k in range(3)), strict=True)),
-        camera_turn_rad=tuple((frames.rad(a), frames.rad(b)) for a, b in zip(turns[::2], turns[1::2], strict=True)),
+        camera_turn_rad=tuple(
+            (frames.deg2rad(a), frames.deg2rad(b)) for a, b in zip(turns[::2], turns[1::2], strict=True)
+        ),
         action_delay_ticks=None if ticks is None else int(rng.integers(ticks[0], ticks[1] + 1)),
         plant=tuple((name, numbers(name, span)[0]) for name, span in sorted(vary.plant.items())),
         attention=by_class("attention", vary.attention.items()),
@@ -123,7 +125,7 @@ def moved(cameras: tuple[CameraConfig, ...], drawn: Drawn) -> tuple[CameraConfig
     shifts = drawn.camera_shift_m or ((0.0, 0.0, 0.0),) * len(cameras)
     turns = drawn.camera_turn_rad or ((0.0, 0.0),) * len(cameras)
     return tuple(
-        _mounted(camera, shift, frames.deg(yaw_rad), frames.deg(pitch_rad))
+        _mounted(camera, shift, frames.rad2deg(yaw_rad), frames.rad2deg(pitch_rad))
         for camera, shift, (yaw_rad, pitch_rad) in zip(cameras, shifts, turns, strict=True)
     )
 

@@ -10,7 +10,7 @@ from bisect import bisect_left
 
 import numpy as np
 
-from wcsim.core.jit import exact_kernel
+from wcsim.core.jit import compile_exact_kernel
 from wcsim.types import F64, I32, Bool, Ground, Route
 
 LOOK_AHEAD_M = 8.0  # no user of wcsim's profiles notices a post from farther: 1.3 times 6 m
@@ -23,7 +23,7 @@ KEY_CELLS = 5  # things are known again by squares of so many cells
 NOTHING: F64 = np.zeros((0, 4))
 
 
-@exact_kernel
+@compile_exact_kernel
 def _label_pieces(solid: Bool, labels: I32) -> int:
     """Number what hangs together in an image, corners too, from 1 on; one more than the last.
 

@@ -18,7 +18,7 @@ from wcsim.types import ActorKind, ActorState, Drawn
 @lru_cache(10_000)
 def _chance(seed: int, actor_id: str) -> float:
     # A generator for each id: who looks does not depend on who came before.
-    return float(seeding.generator(seed, "attention", actor_id).random())
+    return float(seeding.make_rng(seed, "attention", actor_id).random())
 
 
 @dataclass(frozen=True, slots=True)

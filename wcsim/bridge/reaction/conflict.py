@@ -10,7 +10,7 @@ import numpy as np
 from wcsim.bridge.reaction.swept_path import AHEAD_M, STEP_M, Tube
 from wcsim.core import frames
 from wcsim.core.boxes import boxes_touch
-from wcsim.core.jit import exact_kernel
+from wcsim.core.jit import compile_exact_kernel
 from wcsim.types import F64, I32, ActorState
 
 ROOM_M = 0.6  # free width beside a vehicle's own that lets it pass
@@ -46,7 +46,7 @@ class SweptOverlap:
         return tuple(sorted(places, key=abs))
 
 
-@exact_kernel
+@compile_exact_kernel
 def _touches(
     poses: F64, i: int, left_m: float, skew: float, long: float, wide: float, chair: F64, chair_x: float, chair_y: float
 ) -> bool:
@@ -60,7 +60,7 @@ def _touches(
     return boxes_touch(x, y, cos, sin, long, wide, chair_x, chair_y, chair[2], chair[3], chair[4], chair[5])
 
 
-@exact_kernel
+@compile_exact_kernel
 def _first_touching_poses(
     poses: F64, first: int, last: int, long: float, wide: float, left_m: float, skew: float, gaps_m: F64, chair: F64,
     now: float, pose_s: float, sooner_s: float, out: I32,

@@ -20,7 +20,7 @@ from wcsim.bridge.reaction.commands import CHAIR, LET_GO, VEHICLE, ActorCommand,
 from wcsim.bridge.reaction.crowd import PEOPLE_AHEAD_M, Vehicle, Walker, crowd_of, near, vehicles_near
 from wcsim.core.boxes import Box, gap_to_box
 from wcsim.core.constants import SIDESTEP_MPS
-from wcsim.core.jit import exact_kernel
+from wcsim.core.jit import compile_exact_kernel
 from wcsim.types import U8, ActorState, ClassId, Ground, StreetGrid
 
 # Walking round
@@ -464,12 +464,12 @@ def _can_stand(grid: StreetGrid, x: float, y: float, cos: float, sin: float, rad
 # Kernels: small looks at the street's raster, many of them in every tick.
 
 
-@exact_kernel
+@compile_exact_kernel
 def _cell(at_m: float, first_m: float, cell_m: float, count: int) -> int:
     return min(max(math.floor((at_m - first_m) / cell_m), 0), count - 1)
 
 
-@exact_kernel
+@compile_exact_kernel
 def _stands(
     classes: U8, clearance_dm: U8, first_x: float, first_y: float, cell_m: float,
     x: float, y: float, sx: float, sy: float,
@@ -487,7 +487,7 @@ def _stands(
     return True
 
 
-@exact_kernel
+@compile_exact_kernel
 def _opens(
     classes: U8, clearance_dm: U8, first_x: float, first_y: float, cell_m: float, at_x: float, at_y: float,
     x: float, y: float, cos: float, sin: float, ahead_m: float, side_m: float,

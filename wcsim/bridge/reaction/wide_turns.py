@@ -20,7 +20,7 @@ import numpy as np
 from wcsim.bridge.reaction.articulated import piece_lengths
 from wcsim.bridge.reaction.swept_path import AHEAD_M, TAIL_M, Roads, Tube, way_ahead
 from wcsim.core import frames
-from wcsim.core.jit import exact_kernel
+from wcsim.core.jit import compile_exact_kernel
 from wcsim.core.joystick import move_towards
 from wcsim.types import F64, U8, ActorKind, ActorState, ClassId, Ground
 
@@ -106,7 +106,7 @@ def _profiles(line_W_m: F64, behind: int, body_m: tuple[float, float], ground: G
     return found
 
 
-@exact_kernel
+@compile_exact_kernel
 def _fill(
     row: F64, classes: U8, first_x: float, first_y: float, cell_m: float, is_low: np.ndarray,
     x: float, y: float, cos: float, sin: float, half_m: float,
@@ -160,7 +160,7 @@ def _cheapest(off_m2: F64, now_m: F64, lag: int, held: int) -> F64:
     return chosen
 
 
-@exact_kernel
+@compile_exact_kernel
 def _path(cost: F64, held: int) -> F64:
     """The cheapest state (n,) in each row of (n, states), from row to row the same or one beside; free when held."""
     count, states = cost.shape

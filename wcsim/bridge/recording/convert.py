@@ -21,11 +21,11 @@ from wcsim.bridge.replay.replayed import replayed, require_hook
 from wcsim.bridge.town_run import as_recorded, chair_box_m
 from wcsim.bridge.world import World
 from wcsim.core import frames
-from wcsim.core.reading import escaped
+from wcsim.core.reading import escape
 from wcsim.errors import ConfigError, ReplayMismatchError, WcsimError
 from wcsim.log.drive import read_drive
 from wcsim.log.reader import read_header, read_trace_states
-from wcsim.log.records import Header, Input, Ticked, WorldState, changed, world_state_from_snapshot
+from wcsim.log.records import Header, Input, Ticked, WorldState, with_fields, world_state_from_snapshot
 from wcsim.types import F64, ActorKind, ClientSnapshot, Drawn
 
 _CHAIR_TYPE = ActorKind.WHEELCHAIR.value
@@ -109,7 +109,7 @@ def _line(
     return (
         f'id={quoteattr(name)} x="{front_m[0]:.2f}" y="{front_m[1]:.2f}" z="{front_m[2] + head.origin_z_m:.2f}" '
         f'angle="{frames.sumo_from_yaw(yaw_rad):.2f}" type="{kind}" speed="{speed:.2f}" '
-        f'slope="{frames.deg(pitch_rad):.2f}"'
+        f'slope="{frames.rad2deg(pitch_rad):.2f}"'
     )
 
 
@@ -123,7 +123,7 @@ def convert_to_fcd(log: Path, out: Path, epoch: int = 0, hook: str = "") -> int:
     header = read_header(log)
     require_hook(header, hook)
     if header.kind == "drive":
-        raise ConfigError(f"{escaped(log)}: is a drive, which holds no traffic; expected a trace or a journal")
+        raise ConfigError(f"{escape(log)}: is a drive, which holds no traffic; expected a trace or a journal")
     if header.kind == "trace":
         return _write_fcd(log, out, epoch)
     with closing(replayed(log, epoch, None, hook)) as steps:
@@ -150,11 +150,11 @@ def convert_to_mcap(log: Path, out: Path, epoch: int = 0, hook: str = "") -> dic
         return _journal_bag(log, out, epoch, hook)
     if header.kind == "drive":
         if epoch:
-            raise ConfigError(f"{escaped(log)}: has no epoch {epoch}; a drive has epoch 0 alone: leave --epoch out")
+            raise ConfigError(f"{escape(log)}: has no epoch {epoch}; a drive has epoch 0 alone: leave --epoch out")
         return drive_bag(read_drive(log), out)
     chosen = [record for record in read_trace_states(log)[1] if record.epoch == epoch and len(record.plants)]
     if not chosen:
-        raise ConfigError(f"{escaped(log)}: has no wheelchair in world {epoch}; expected a run with some")
+        raise ConfigError(f"{escape(log)}: has no wheelchair in world {epoch}; expected a run with some")
     return trace_bag(header.tick_s, chosen, out)
 
 
@@ -203,7 +203,7 @@ def _ticks(steps: Iterable[tuple[World, Input]]) -> Iterator[WorldState]:
 
 
 def _trace_header(header: Header, world: World) -> Header:
-    return changed(
+    return with_fields(
         header,
         origin_m=world.town.file.origin_m,
         origin_z_m=world.street.net_origin_m[2],

@@ -22,11 +22,11 @@ from wcsim.bridge.sumo.run_place import RunPlace
 from wcsim.bridge.world import World
 from wcsim.config import RunConfig, parse_json
 from wcsim.core.constants import RECORDED
-from wcsim.core.reading import escaped
+from wcsim.core.reading import escape
 from wcsim.errors import ConfigError, TownError, WcsimError
 from wcsim.log.drive import DriveRecording, read_drive
 from wcsim.log.reader import iter_journal_inputs, read_header
-from wcsim.log.records import Admitted, DriveTick, Ended, EpochBegun, Header, Input, Note, WorldTick, changed
+from wcsim.log.records import Admitted, DriveTick, Ended, EpochBegun, Header, Input, Note, WorldTick, with_fields
 from wcsim.towns.cache.folder import cache_folder
 from wcsim.towns.making.asked_town import asked_town
 from wcsim.towns.scenario.town import Town, content_hash, find_town, towns_hash
@@ -47,7 +47,7 @@ def _made_scene(told: str) -> Path:
     found = _NAME.fullmatch(told)
     if found is None or found[1] not in FAMILIES:
         raise TownError(
-            f"the drive was in the scene {escaped(told, 80)}, which this wcsim does not know; expected one of "
+            f"the drive was in the scene {escape(told, 80)}, which this wcsim does not know; expected one of "
             f"{', '.join(FAMILIES)}, with seed and hash: use the wcsim that recorded it"
         )
     family, seed, sha256 = found[1], int(found[2]), found[3]
@@ -86,7 +86,7 @@ def _held(name: str, make: Callable[[Path], object]) -> Path:
                 if not folder.is_dir():  # else somebody else was there first
                     raise
     except OSError as error:
-        told = f"{escaped(folder)}: cannot be written ({error.strerror}); free some space, or clear the cache"
+        told = f"{escape(folder)}: cannot be written ({error.strerror}); free some space, or clear the cache"
         raise TownError(told) from None
     return folder
 
@@ -104,7 +104,7 @@ def _drive_inputs(drive: DriveRecording) -> Iterator[Input]:
     for record in drive.records:
         if isinstance(record, Admitted) and not record.spec.profile:
             stick = _made_scene(drive.about.scene) / _SCENE / _STICK
-            yield changed(record, spec=replace(record.spec, profile=f"{RECORDED}{stick}"))
+            yield with_fields(record, spec=replace(record.spec, profile=f"{RECORDED}{stick}"))
         elif not isinstance(record, Note):
             yield record
 
@@ -135,7 +135,7 @@ def town_of_drive(header: Header) -> Town:
         if here == header.town_sha256:
             return town
         refused = TownError(
-            f"the drive was in {escaped(header.town_name, 80)} ({header.town_sha256[:12]}), this is {town.name} "
+            f"the drive was in {escape(header.town_name, 80)} ({header.town_sha256[:12]}), this is {town.name} "
             f"({here[:12]}); expected the same town: restore its files"
         )
     raise refused or TownError("the drive names no town; record it again")
@@ -238,7 +238,7 @@ def require_hook(header: Header, hook: str) -> None:
     """Raise ConfigError unless this is the step hook of a log."""
     if header.hook != hook:
         raise ConfigError(
-            f"the {header.kind} was made with the step hook {escaped(header.hook or 'none', 80)!r}, got "
+            f"the {header.kind} was made with the step hook {escape(header.hook or 'none', 80)!r}, got "
             f"{hook or 'none'!r}; a hook is code: name it with --hook if you trust it"
         )
 

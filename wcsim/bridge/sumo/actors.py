@@ -235,7 +235,7 @@ class ActorReader:
     def _vehicle(self, name: str, front_W_m: Place) -> ActorState:
         vehicle = self._api.vehicle
         body = self._body("v:" + name, vehicle, name)
-        yaw_rad, pitch_rad = frames.yaw_from_sumo(vehicle.getAngle(name)), frames.rad(vehicle.getSlope(name))
+        yaw_rad, pitch_rad = frames.yaw_from_sumo(vehicle.getAngle(name)), frames.deg2rad(vehicle.getSlope(name))
         speed_mps, signals = vehicle.getSpeed(name), vehicle.getSignals(name)
         return _state("v:" + name, body, front_W_m, yaw_rad, pitch_rad, speed_mps, signals)
 

@@ -17,7 +17,7 @@ from xml.etree import ElementTree
 
 from wcsim.bridge.sumo.run_place import RunPlace
 from wcsim.config.world import JUPEDSIM
-from wcsim.core.own_folder import temporary_folder
+from wcsim.core.own_folder import create_temporary_folder
 from wcsim.errors import SumoError, TownError
 from wcsim.towns.cache.folder import cache_folder, write_verdict
 from wcsim.towns.scenario.options import read_configuration
@@ -44,7 +44,7 @@ def open_scenario(town: Town, settings: Settings, place: RunPlace, held: ExitSta
     Raises:
         TownError: a file is missing or broken, or SUMO refuses the scenario or dies of it.
     """
-    folder = held.enter_context(temporary_folder()) if place.folder is None else _fresh(place.folder)
+    folder = held.enter_context(create_temporary_folder()) if place.folder is None else _fresh(place.folder)
     scenario = stage_scenario(town, settings, folder, place.outputs)
     for note in scenario.notes:
         log.info("%s: %s", town.name, note)
@@ -63,7 +63,7 @@ def _try_scenario(town: Town, settings: Settings, digest: str) -> None:
     verdict = cache_folder() / f"scenario-{key}.ok"
     if verdict.is_file():
         return
-    with temporary_folder() as work:
+    with create_temporary_folder() as work:
         # One seed for all, as the verdict is on the files and kept for every seed.
         staged = stage_scenario(town, replace(settings, seed=1), work)
         tick_s = settings.world.tick_s

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from types import ModuleType
 from typing import Any
 
-from wcsim.core.plugins import find_class, wrap_user_code_errors
+from wcsim.core.plugins import import_class, wrap_user_code_errors
 from wcsim.errors import HookError
 
 _METHODS = ("before_step", "after_step")
@@ -20,7 +20,7 @@ _METHODS = ("before_step", "after_step")
 
 def find_hook(name: str) -> type:
     """The class that `module:Class` names. Raises HookError when there is none, or it has no method to call."""
-    kind = find_class(name, "step hook", HookError)
+    kind = import_class(name, "step hook", HookError)
     if not any(callable(getattr(kind, method, None)) for method in _METHODS):
         raise HookError(
             f"step hook {name!r} has neither {' nor '.join(_METHODS)}; expected a method (self, time_s, chairs)"

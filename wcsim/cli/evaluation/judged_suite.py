@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 from rich.table import Column
 from tyro.conf import Positional, arg
 
-from wcsim.agents.opening.named_policy import config_from_policy_name
+from wcsim.agents.opening.named_policy import resolve_policy_config
 from wcsim.agents.policy_api import BASELINES, UNAIDED, UPPER_BOUNDS
 from wcsim.cli.evaluation.result_tables import print_disturbance_sensitivity, print_test_result
 from wcsim.cli.shared import common
@@ -28,10 +28,10 @@ from wcsim.cli.shared.consoles import (
     stderr_console,
     stdout_console,
 )
-from wcsim.cli.shared.exit_codes import Exit
-from wcsim.config.suite import MOST_NAME, MOST_SET, suite_name_pattern
-from wcsim.core.own_folder import temporary_folder
-from wcsim.core.reading import counted, escaped, is_file
+from wcsim.cli.shared.exit_codes import ExitCode
+from wcsim.config.suite import MOST_NAME, MOST_SET, make_suite_name_pattern
+from wcsim.core.own_folder import create_temporary_folder
+from wcsim.core.reading import escape, is_file, pluralize
 from wcsim.errors import ConfigError, InterruptedRunError
 from wcsim.server.workers.scheduler import WorkerStatus
 
@@ -213,7 +213,7 @@ def make_suite_order(
             )
             print_note(", ".join(f"{worker} {what}" for worker, what in busy))
 
-    machines = common.machines_from_options(options.cluster, options.jobs, "--jobs")
+    machines = common.workers_from_options(options.cluster, options.jobs, "--jobs")
     return SuiteOrder(
         suite=suite,
         out=out,
@@ -262,10 +262,10 @@ def save_test_result(
     # All files are written before one is replaced: a full disk leaves an earlier test as it was.
     with ExitStack() as opened:
         for file, content in contents.items():
-            part = opened.enter_context(common.stage_result_file(order.out / file))
+            part = opened.enter_context(common.write_result_atomically(order.out / file))
             # Of many records half of the file would be blanks.
             indent = None if file == EPISODES else 2
-            part.write_text(common.json_text(order.out / file, content, indent), encoding="utf-8")
+            part.write_text(common.format_json(order.out / file, content, indent), encoding="utf-8")
     return result
 
 
@@ -293,7 +293,7 @@ def _require_usable(order: SuiteOrder, options: _DriveOptions) -> None:
         )
     suite, console = order.suite, stderr_console()
     listed = f"{suite.file.suite} {suite.file.set}, list {suite.sha256[:12]}"
-    console.print(f"{listed}: {counted(suite.episodes, 'episode')} a policy")
+    console.print(f"{listed}: {pluralize(suite.episodes, 'episode')} a policy")
     for line in describe_rule_differences(
         options.policies, order.preset, (*suite.file.settings, *order.settings)
     ):
@@ -339,8 +339,8 @@ def _compare_disturbances(options: _SensitivityOptions) -> int:
     return _exit_of([each.row for each in moved])
 
 
-def _exit_of(rows: Iterable[ResultRow]) -> Exit:
-    return Exit.FAILED if any(row.without_result for row in rows) else Exit.DONE
+def _exit_of(rows: Iterable[ResultRow]) -> ExitCode:
+    return ExitCode.FAILED if any(row.without_result for row in rows) else ExitCode.DONE
 
 
 def _play_episode(order: SuiteOrder, policies: Sequence[str], place: str) -> int:
@@ -366,7 +366,7 @@ def _play_episode(order: SuiteOrder, policies: Sequence[str], place: str) -> int
     # 1. Drive it, and film its end.
     require_usable(order, policies)
     piece = piece_of(order, index, policies[0], town_addresses(order), judged=False)
-    config = config_from_policy_name(piece.policy, piece.preset, piece.settings, in_list=True)
+    config = resolve_policy_config(piece.policy, piece.preset, piece.settings, in_list=True)
     saved = read_episodes(order.out).get(policies[0], ()) if is_file(order.out / EPISODES) else ()
     film = (
         order.out / "play" / f"{re.sub(r'[^A-Za-z0-9_.-]+', '-', policies[0])}-{index}.{seat}.webm"
@@ -426,7 +426,7 @@ def _place_of_play(text: str, blocks: int) -> tuple[int, int]:
     if found is None or int(found[1]) >= blocks:
         most = blocks - 1
         raise ConfigError(
-            f"--play {escaped(text)!r}: expected BLOCK.SEAT, such as 0.1, with a block from 0 to "
+            f"--play {escape(text)!r}: expected BLOCK.SEAT, such as 0.1, with a block from 0 to "
             f"{most}"
         )
     return int(found[1]), int(found[2])
@@ -440,11 +440,11 @@ class _Named(common.OptionConstraint):
 
     def check(self, option: str, value: str) -> None:
         """See `OptionConstraint`."""
-        if re.fullmatch(suite_name_pattern(self.most), value):
+        if re.fullmatch(make_suite_name_pattern(self.most), value):
             return
         proposed = re.sub(r"[^a-z0-9]+", "-", value.lower()).strip("-")[: self.most]
         raise ConfigError(
-            f"{option}: got the name {escaped(value, 80)!r}; expected at most {self.most} "
+            f"{option}: got the name {escape(value, 80)!r}; expected at most {self.most} "
             "lower-case letters, digits "
             "and -" + f", such as {proposed}" * bool(proposed)
         )
@@ -490,7 +490,7 @@ def run_make_suite_command(words: list[str]) -> int:
     from wcsim.agents.evaluation.suite.result_files import TOWNS
     from wcsim.agents.opening.list_file import parse_suite_towns, suite_from_file, write_list
 
-    with temporary_folder() as work:
+    with create_temporary_folder() as work:
         order = MakeOrder(
             suite=options.name,
             set=options.suite_file.stem,
@@ -514,6 +514,6 @@ def run_make_suite_command(words: list[str]) -> int:
             file = make_suite(order, towns, show)
     write_list(file, options.suite_file)
     suite = suite_from_file(file)
-    size = f"{counted(suite.episodes, 'episode')} in {counted(len(file.blocks), 'block')}"
+    size = f"{pluralize(suite.episodes, 'episode')} in {pluralize(len(file.blocks), 'block')}"
     stdout_console().print(f"{options.suite_file}: {size}, {suite.sha256[:12]}")
     return 0

@@ -17,7 +17,7 @@ from wcsim.cli.shared.common import (
     require_writable_folder,
 )
 from wcsim.cli.shared.consoles import print_note, stderr_console, stdout_console
-from wcsim.core.reading import counted, escaped, is_file, is_folder
+from wcsim.core.reading import escape, is_file, is_folder, pluralize
 from wcsim.errors import ConfigError, FileError, check_installed
 
 if TYPE_CHECKING:  # loads the simulators, which --help must not
@@ -51,7 +51,7 @@ def run(words: list[str]) -> int:
     kinds = [_is_test(folder) for folder in options.folders]
     if not kinds or (len(kinds) > 1 and any(kinds)):
         raise ConfigError(
-            f"got {counted(len(kinds), 'folder')}, {sum(kinds)} of tests; expected one, or "
+            f"got {pluralize(len(kinds), 'folder')}, {sum(kinds)} of tests; expected one, or "
             "several of `wcsim train`"
         )
     out = options.out or (options.folders[0] if len(kinds) == 1 else Path("runs") / "report")
@@ -70,7 +70,7 @@ def _is_test(folder: Path) -> bool:
     is_test, is_run = (is_file(folder / name) for name in ("result.json", "manifest.json"))
     if not is_folder(folder) or not (is_test or is_run):
         raise ConfigError(
-            f"{escaped(folder)}: nothing to report; expected a folder of `wcsim test --suite` or "
+            f"{escape(folder)}: nothing to report; expected a folder of `wcsim test --suite` or "
             "`wcsim train`"
         )
     return is_test

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
 
 from wcsim.agents.networks.names import require_known_network
-from wcsim.agents.opening.named_policy import config_from_policy_name
+from wcsim.agents.opening.named_policy import resolve_policy_config
 from wcsim.agents.policy_api import UNAIDED
 from wcsim.agents.runs.policy_file import parse_policy_name
 from wcsim.agents.runs.run_folder import run_from_policy_name
@@ -40,7 +40,7 @@ from wcsim.cli.shared.run_config import (
     require_usable_policy,
 )
 from wcsim.core.constants import RECORDED
-from wcsim.core.own_folder import temporary_folder
+from wcsim.core.own_folder import create_temporary_folder
 from wcsim.errors import ConfigError, TownError
 from wcsim.towns.checks.validate import validate_net
 from wcsim.towns.scenario.town import (
@@ -59,7 +59,7 @@ _MAX_STEPS: Final = 1_000_000  # as in env.max_steps
 
 
 @dataclass
-class Options(SuiteTestOptions):
+class PolicyTestOptions(SuiteTestOptions):
     """Test policies: runs (RUN, RUN:phase1), shipped, your own module:Class, or baselines.
 
     The episodes are drawn for --town. With --suite LIST they come from a fixed list
@@ -99,13 +99,13 @@ def run(words: list[str]) -> int:
         return run_make_suite_command(words)
     if has_option(words, "--suite"):
         return run_suites(words)
-    options = parse_options(Options, words, "test")
+    options = parse_options(PolicyTestOptions, words, "test")
     with _town_order(options) as (order, name):
         return run_suite_and_report(order, options, name)
 
 
 @contextlib.contextmanager
-def _town_order(options: Options) -> Iterator[tuple[SuiteOrder, str]]:
+def _town_order(options: PolicyTestOptions) -> Iterator[tuple[SuiteOrder, str]]:
     """How the episodes of a town are driven, and the name of their list.
 
     The list is written once all of it is driven. Without `--out` its folder is temporary.
@@ -117,7 +117,7 @@ def _town_order(options: Options) -> Iterator[tuple[SuiteOrder, str]]:
         raise ConfigError("--resume needs the folder of the test: --out FOLDER")
     for name in options.policies:
         require_usable_policy(name, options.network)
-    config = config_from_policy_name(UNAIDED, options.preset, options.set, in_list=True)
+    config = resolve_policy_config(UNAIDED, options.preset, options.set, in_list=True)
 
     # These load the simulators and torch, which a refusal must not.
     from wcsim.agents.evaluation.suite.make import town_list
@@ -137,14 +137,14 @@ def _town_order(options: Options) -> Iterator[tuple[SuiteOrder, str]]:
     )
     suite = suite_from_file(file)
     with contextlib.ExitStack() as opened:
-        out = options.out or opened.enter_context(temporary_folder())
+        out = options.out or opened.enter_context(create_temporary_folder())
         # The list holds the settings already.
         order = make_suite_order(options, suite, out, options.forks)
         yield replace(order, settings=(), hook=options.hook), str(out / LIST)
         write_list(suite.file, out / LIST)
 
 
-def _checked_places(options: Options) -> tuple[dict[str, Town], tuple[str, ...]]:
+def _checked_places(options: PolicyTestOptions) -> tuple[dict[str, Town], tuple[str, ...]]:
     """The towns by name and the profiles of a test.
 
     Raises:
@@ -181,7 +181,7 @@ def _town_options(name: str, sha256: str) -> str:
     return ""
 
 
-def _checked_town(name: str, options: Options) -> Town:
+def _checked_town(name: str, options: PolicyTestOptions) -> Town:
     """The town to test in. Raises TownError for one that networks are trained in."""
     town = find_town(name)
     validate_net(town.net)

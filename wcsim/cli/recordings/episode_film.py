@@ -12,7 +12,7 @@ from wcsim.agents.evaluation.suite.drive import Piece
 from wcsim.agents.evaluation.suite.playback import require_same
 from wcsim.agents.evaluation.suite.result_files import TestResult, read_result
 from wcsim.agents.evaluation.suite.run import drive_piece, piece_of, town_addresses
-from wcsim.agents.opening.named_policy import config_from_policy_name
+from wcsim.agents.opening.named_policy import resolve_policy_config
 from wcsim.agents.policy_api import UNAIDED, Policy, TellsUnsafe, Warns
 from wcsim.agents.runs.policy_file import parse_policy_name
 from wcsim.bridge.world import World
@@ -49,7 +49,7 @@ def send_block_film(source: FilmSource, send: Callable[[Said], object]) -> None:
     policy, index = _chosen_block(result, source)
     order = order_of(result, source.path, source.own)
     piece = piece_of(order, index, policy, town_addresses(order), judged=False)
-    config = config_from_policy_name(piece.policy, piece.preset, piece.settings, in_list=True)
+    config = resolve_policy_config(piece.policy, piece.preset, piece.settings, in_list=True)
     records = drive_piece(piece, _BlockWatch(result.suite, piece, config, send))
     saved = {(one.block, one.seat): one for one in result.episodes[policy]}
     for record in records:

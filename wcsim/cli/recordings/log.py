@@ -14,16 +14,16 @@ from tyro.conf import Positional, arg
 from wcsim.cli.shared.common import (
     Bounds,
     OutFile,
-    PageOptions,
     Parts,
     Seat,
+    WebPageOptions,
     WritableFile,
     run_subcommand,
     serve_page,
-    stage_result_file,
     write_json,
+    write_result_atomically,
 )
-from wcsim.core.reading import escaped, is_file, is_folder
+from wcsim.core.reading import escape, is_file, is_folder
 from wcsim.errors import ConfigError, check_installed
 from wcsim.log.diff import find_log_difference
 from wcsim.log.reader import read_header
@@ -47,7 +47,7 @@ class _LogOptions:
 
 
 @dataclass(kw_only=True)
-class _PlayOptions(_LogOptions, PageOptions):
+class _PlayOptions(_LogOptions, WebPageOptions):
     """Play a recording in your browser: pause, speed, single steps, jumps to crashes and interventions."""  # noqa: E501
 
     seat: Seat = None
@@ -113,12 +113,12 @@ def _log_in(run: Path, first: str = "journal") -> Path:
             if is_file(run / name):
                 return run / name
         raise ConfigError(
-            f"{escaped(run)}: has no trace and no journal; expected a run folder of a server or "
+            f"{escape(run)}: has no trace and no journal; expected a run folder of a server or "
             "of wcsim town run"
         )
     if not is_file(run):
         raise ConfigError(
-            f"{escaped(run)}: is not there; expected a run folder, a trace, a journal or a "
+            f"{escape(run)}: is not there; expected a run folder, a trace, a journal or a "
             "recorded drive"
         )
     return run
@@ -149,13 +149,13 @@ def _verify(options: _VerifyOptions) -> int:
     path = _log_in(options.log)
     header = read_header(path)
     from wcsim.bridge.replay.replayed import log_of, verify
-    from wcsim.log.fingerprint import fingerprint
+    from wcsim.log.fingerprint import make_software_fingerprint
 
-    here = fingerprint()
+    here = make_software_fingerprint()
     if header.fingerprint != here:
         print(
             f"the {header.kind} was made with other versions, so results may differ: "
-            f"{escaped(header.fingerprint)}; here: {here}",
+            f"{escape(header.fingerprint)}; here: {here}",
             file=sys.stderr,
         )
 
@@ -197,7 +197,7 @@ def _convert(options: _ConvertOptions) -> int:
     out, kind = options.out, options.out.suffix.lower()
     if kind not in (_FCD, _MCAP):
         raise ConfigError(
-            f"{escaped(out)}: expected a file name that ends in {_FCD} (FCD) or {_MCAP} (ROS 2)"
+            f"{escape(out)}: expected a file name that ends in {_FCD} (FCD) or {_MCAP} (ROS 2)"
         )
     WritableFile().check("FILE", out)
     path = _log_in(options.log, "trace" if kind == _FCD else "journal")
@@ -207,7 +207,7 @@ def _convert(options: _ConvertOptions) -> int:
     found: dict[str, Any] = {"log": str(options.log), "file": str(out)}
     if kind == _MCAP:
         check_installed("a .mcap file needs rosbags", "bag", "rosbags")
-    with stage_result_file(out) as part:
+    with write_result_atomically(out) as part:
         if kind == _FCD:
             found["steps"] = convert_to_fcd(path, part, options.epoch or 0, options.hook)
             content = f"{found['steps']} time steps"

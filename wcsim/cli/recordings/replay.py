@@ -10,9 +10,9 @@ from tyro.conf import Positional, arg
 
 from wcsim.agents.runs.policy_file import parse_policy_name
 from wcsim.agents.runs.run_folder import MANIFEST, read_run_json
-from wcsim.cli.shared.common import Bounds, PageOptions, Seat, parse_options, serve_page
+from wcsim.cli.shared.common import Bounds, Seat, WebPageOptions, parse_options, serve_page
 from wcsim.cli.shared.run_config import require_usable_policy
-from wcsim.core.reading import escaped, is_file, is_folder
+from wcsim.core.reading import escape, is_file, is_folder
 from wcsim.errors import ConfigError
 
 if TYPE_CHECKING:  # loads the simulators, which --help must not
@@ -24,7 +24,7 @@ _MOST_FAILED: Final = 200
 
 
 @dataclass(kw_only=True)
-class _Options(PageOptions):
+class _Options(WebPageOptions):
     """Drive an episode of a suite's test again, in your browser: at first the worst failure.
 
     `wcsim log play` plays recordings. docs/watching.md
@@ -53,7 +53,7 @@ def _episode_start(options: _Options) -> PlayStart:
     folder = options.result.parent if options.result.name == RESULT else options.result
     if not is_file(folder / RESULT):
         raise ConfigError(
-            f"{escaped(options.result)}: is no finished test; expected the folder of a wcsim test "
+            f"{escape(options.result)}: is no finished test; expected the folder of a wcsim test "
             "--suite: play a recording with wcsim log play"
         )
     from wcsim.agents.evaluation.suite.result_files import read_result
@@ -93,7 +93,7 @@ def _failure_text(failure: FailedEpisode) -> str:
 
 
 @dataclass(kw_only=True)
-class _WatchOptions(PageOptions):
+class _WatchOptions(WebPageOptions):
     """Watch a run live in your browser: its street, chairs, joysticks and KPIs.
 
     For runs with a journal: `wcsim train-clients`, `wcsim serve --run`. Does not change the run. docs/watching.md
@@ -107,13 +107,12 @@ class _WatchOptions(PageOptions):
     """Your own step hook, module:Class, that the run was started with; its code runs only when you name it."""  # noqa: E501
 
 
-def watch(words: list[str]) -> int:
+def run_watch(words: list[str]) -> int:
     """Serve the page until Ctrl-C."""
     options = parse_options(_WatchOptions, words, "watch")
     if not is_folder(options.run):
         raise ConfigError(
-            f"{escaped(options.run)}: is not there; expected the folder of a wcsim train-clients "
-            "run"
+            f"{escape(options.run)}: is not there; expected the folder of a wcsim train-clients run"
         )
     from wcsim.bridge.replay.replayed import worlds_of
     from wcsim.log.reader import list_log_parts, read_header
@@ -125,7 +124,7 @@ def watch(words: list[str]) -> int:
         worlds_of(read_header(options.run / JOURNAL), options.hook)
     elif is_file(options.run / MANIFEST) and "clients" not in read_run_json(options.run, MANIFEST):
         raise ConfigError(
-            f"{escaped(options.run)}: this run has no journal and cannot be watched; expected a "
+            f"{escape(options.run)}: this run has no journal and cannot be watched; expected a "
             "run of wcsim train-clients NETWORK (one client is enough), or of wcsim serve --run"
         )
     from wcsim.drive.playing.play_runner import PlayStart  # loads the simulators

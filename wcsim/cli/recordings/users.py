@@ -21,13 +21,13 @@ from wcsim.cli.shared.common import (
     TownWord,
     WritableFile,
     run_subcommand,
-    stage_result_file,
     write_json,
+    write_result_atomically,
 )
 from wcsim.cli.shared.consoles import show_table
 from wcsim.config import resolve
 from wcsim.core.constants import RECORDED
-from wcsim.core.reading import counted, escaped
+from wcsim.core.reading import escape, pluralize
 from wcsim.errors import ConfigError
 from wcsim.towns.scenario.town import find_town
 from wcsim.users.profiles import (
@@ -40,7 +40,7 @@ from wcsim.users.profiles import (
 
 if TYPE_CHECKING:  # loads what --help must not
     from wcsim.log.drive import DriveRecording
-    from wcsim.users.recordings.fit_user import FittedNumber, UserFit
+    from wcsim.users.recordings.fit_user import FittedParameter, UserFitResult
 
 # The simulated user does not look at the pictures.
 SMALL_CAMERA: Final = ("cameras.0.width_px=16", "cameras.0.height_px=12")
@@ -79,7 +79,7 @@ def _record(options: _RecordOptions) -> int:
     """Drive and record."""
     if options.profile.startswith(RECORDED):
         raise ConfigError(
-            f"--profile {escaped(options.profile, 80)} is a recording; "
+            f"--profile {escape(options.profile, 80)} is a recording; "
             "expected a profile, or FILE.toml"
         )
     base = find_profile(options.profile)
@@ -102,7 +102,7 @@ def _record(options: _RecordOptions) -> int:
     )
     print(
         f"wrote {options.out}: {ticks} ticks of a {user.name} user in {town.name}, "
-        f"{counted(crashes, 'crash')}"
+        f"{pluralize(crashes, 'crash')}"
     )
     write_json(
         options.json,
@@ -158,7 +158,7 @@ def _fit(options: _FitOptions) -> int:
         intervals.setdefault(key, []).append(f"{item.low:.4g} to {item.high:.4g}")
     notes = {key: "95 %: " + ", ".join(parts) for key, parts in intervals.items()}
     text = profile_to_toml(fit.profile, notes, head + "\n".join(fit.warnings))
-    with stage_result_file(options.out) as part:
+    with write_result_atomically(options.out) as part:
         part.write_text(text, encoding="utf-8")
     _print_fit(fit)
     print(
@@ -173,7 +173,7 @@ def _fit(options: _FitOptions) -> int:
     return 0
 
 
-def _fit_drives(options: _FitOptions, base: UserProfile) -> UserFit:
+def _fit_drives(options: _FitOptions, base: UserProfile) -> UserFitResult:
     """The user behind drives, or the hand behind stick tables."""
     if any(path.is_dir() or ".csv" in path.suffixes for path in options.drives):
         if base.discrete:
@@ -189,7 +189,7 @@ def _fit_drives(options: _FitOptions, base: UserProfile) -> UserFit:
         from wcsim.users.recordings.fit_sticks import fit_user_to_sticks, read_recorded_sticks
 
         return fit_user_to_sticks(
-            {escaped(path): read_recorded_sticks(path) for path in options.drives}, base
+            {escape(path): read_recorded_sticks(path) for path in options.drives}, base
         )
     from wcsim.log.drive import read_drive
 
@@ -201,7 +201,7 @@ def _fit_drives(options: _FitOptions, base: UserProfile) -> UserFit:
     return fit_user_to_drives(drives, base) if known else _fit_without_intents(drives, base)
 
 
-def _fit_without_intents(drives: list[DriveRecording], base: UserProfile) -> UserFit:
+def _fit_without_intents(drives: list[DriveRecording], base: UserProfile) -> UserFitResult:
     """The user behind drives without intents: each fit's delays give the intents of the next."""
     from wcsim.bridge.replay.replayed import town_of_drive
     from wcsim.bridge.user_drives import seen_drive, with_shadow
@@ -223,7 +223,7 @@ def _fit_without_intents(drives: list[DriveRecording], base: UserProfile) -> Use
     return fit
 
 
-def _print_fit(fit: UserFit) -> None:
+def _print_fit(fit: UserFitResult) -> None:
     from wcsim.users.recordings.fit_user import is_certain_estimate
 
     rows = []
@@ -245,7 +245,7 @@ def _print_fit(fit: UserFit) -> None:
         show_table(headings, habits, box=None, padding=(0, 1, 0, 0))
 
 
-def _hundredfold(item: FittedNumber | None) -> str:
+def _hundredfold(item: FittedParameter | None) -> str:
     if item is None:
         return "-"
     return "\n".join(f"{100.0 * number:.1f}" for number in (item.value, item.low, item.high))

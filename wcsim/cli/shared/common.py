@@ -18,9 +18,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, TypeVar, get_args, get_
 import tyro
 from tyro.conf import FlagCreatePairsOff, Positional, UseAppendAction, arg
 
-from wcsim.config.load import is_override_of_key, read_presets_table
+from wcsim.config.load import format_presets_table, is_override_of_key
 from wcsim.core.files import find_existing_ancestor, is_writable_folder, write_file_atomically
-from wcsim.core.reading import escaped, is_folder
+from wcsim.core.reading import escape, is_folder
 from wcsim.errors import ConfigError, meant, nearest
 from wcsim.server.workers.machines import LOCAL, WorkerPoolSettings, require_reachable_cluster
 
@@ -101,7 +101,7 @@ class AllowedSettingKeys(OptionConstraint):
                     raise ConfigError(f"{option} {key}: is not used here; {advice}")
             if self.sections and text.strip().partition(".")[0] not in self.sections:
                 expected = " or ".join(f"[{section}]" for section in self.sections)
-                raise ConfigError(f"{option} {escaped(text)}: expected a key of {expected}")
+                raise ConfigError(f"{option} {escape(text)}: expected a key of {expected}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +118,7 @@ class WritableFile(OptionConstraint):
         if is_folder(value):
             raise ConfigError(f"{option} {value} is a folder; expected the name of a file")
         if self.new and os.path.lexists(value):
-            raise ConfigError(f"{option} {escaped(value)} exists; expected the name of a new file")
+            raise ConfigError(f"{option} {escape(value)} exists; expected the name of a new file")
         require_writable_folder(option, value.parent)
 
 
@@ -168,7 +168,7 @@ class SettingsOptions:
 
 
 @dataclass(kw_only=True)
-class PageOptions:
+class WebPageOptions:
     """Where a page is served."""
 
     port: Annotated[int, Bounds(0, 65535)] = 8080
@@ -186,7 +186,7 @@ def parse_options(options: type[T], words: list[str], command: str, program: str
     """
     _require_bare(options, words, command)
     if issubclass(options, SettingsOptions) and words[-1:] == ["--preset"]:
-        print(read_presets_table(), end="")
+        print(format_presets_table(), end="")
         raise SystemExit(0)
     prog = f"{program} {command}"
     parsed = tyro.cli(
@@ -256,7 +256,7 @@ def _number(word: str, kind: type[int | float]) -> float:
         return kind(word)
     except ValueError:
         expected = "a whole number, such as 1000" if kind is int else "a number, such as 2.5"
-        raise ValueError(f"got {escaped(word, 40)!r}, expected {expected}") from None
+        raise ValueError(f"got {escape(word, 40)!r}, expected {expected}") from None
 
 
 def run_subcommand(words: list[str], command: str, parts: Parts) -> int:
@@ -325,7 +325,7 @@ def resolve_worker_count(count: int | None) -> int:
     return min(cores(), _USUAL_WORLDS)
 
 
-def machines_from_options(cluster: str, workers: int | None, option: str) -> WorkerPoolSettings:
+def workers_from_options(cluster: str, workers: int | None, option: str) -> WorkerPoolSettings:
     """The machines of `--cluster`, or this one.
 
     Args:
@@ -350,7 +350,7 @@ def machines_from_options(cluster: str, workers: int | None, option: str) -> Wor
     return WorkerPoolSettings(count=count, cluster=cluster)
 
 
-def serve_page(start: DriveOrder | PlayStart, page: PageOptions) -> int:
+def serve_page(start: DriveOrder | PlayStart, page: WebPageOptions) -> int:
     """Serve a page until Ctrl-C: a film, or a drive."""
     import asyncio
 
@@ -367,7 +367,7 @@ def require_writable_folder(option: str, folder: Path) -> None:
     """Raise ConfigError for a folder that can be neither made nor written to."""
     if not is_writable_folder(folder):
         raise ConfigError(
-            f"{option}: {escaped(find_existing_ancestor(folder))} is not a folder that can be "
+            f"{option}: {escape(find_existing_ancestor(folder))} is not a folder that can be "
             f"written to; choose another with {option}"
         )
 
@@ -376,12 +376,12 @@ def write_json(path: Path | None, data: Any) -> None:
     """Write a result file where there is a path, in one step; it never holds NaN or infinity."""
     if path is None:
         return
-    text = json_text(path, data)
-    with stage_result_file(path) as part:
+    text = format_json(path, data)
+    with write_result_atomically(path) as part:
         part.write_text(text, encoding="utf-8")
 
 
-def json_text(path: Path, data: Any, indent: int | None = 2) -> str:
+def format_json(path: Path, data: Any, indent: int | None = 2) -> str:
     """The text of a result file. Raises ConfigError for NaN and infinity."""
     try:
         return json.dumps(data, indent=indent, allow_nan=False) + "\n"
@@ -392,14 +392,14 @@ def json_text(path: Path, data: Any, indent: int | None = 2) -> str:
 
 
 @contextmanager
-def stage_result_file(path: Path) -> Iterator[Path]:
+def write_result_atomically(path: Path) -> Iterator[Path]:
     """As `write_file_atomically`, and notes that it made a folder for it.
 
     Raises:
         ConfigError: Its folder cannot be made.
         DiskFullError: There is no room.
     """
-    with note_created_folder(path):
+    with report_created_folder(path):
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
@@ -425,9 +425,9 @@ def remove_folders_on_failure(folder: Path) -> Iterator[None]:
 
 
 @contextmanager
-def note_created_folder(path: Path) -> Iterator[None]:
+def report_created_folder(path: Path) -> Iterator[None]:
     """Note at the end which folder was made for a result, so that a mistyped one is seen."""
     missing = [folder for folder in reversed(path.parents) if not folder.exists()]
     yield
     if missing:
-        print(f"note: made the folder {escaped(missing[0])}", file=sys.stderr)
+        print(f"note: made the folder {escape(missing[0])}", file=sys.stderr)

@@ -14,7 +14,7 @@ from rich.progress import BarColumn, Progress, TaskID, TextColumn
 from rich.table import Column, Table
 
 from wcsim.core.closing import ClosingContextBase
-from wcsim.core.reading import escaped
+from wcsim.core.reading import escape
 
 if TYPE_CHECKING:
     from wcsim.towns.scenario.overrides import Override
@@ -176,7 +176,7 @@ def print_sumo_overrides(
     if verbose:
         console.print(_table(town, overrides))
     elif overrides:
-        names = ", ".join(escaped(row.option, 80) for row in overrides)
+        names = ", ".join(escape(row.option, 80) for row in overrides)
         where = "--verbose says why"
         if in_manifest:
             where += ", as does the run's manifest"
@@ -189,7 +189,7 @@ def print_sumo_overrides(
             if row.author and row.option == _CALIBRATED
         ]
         for line in lines:
-            console.print(escaped(line, _MOST_CHARACTERS), highlight=False)
+            console.print(escape(line, _MOST_CHARACTERS), highlight=False)
     for note in notes:
         console.print(f"note: {note}", highlight=False)
 
@@ -208,7 +208,7 @@ def _table(town: str, overrides: Sequence[Override]) -> Table:
     for row in overrides:
         table.add_row(
             *(
-                escaped(cell, _MOST_CHARACTERS)
+                escape(cell, _MOST_CHARACTERS)
                 for cell in (row.option, row.author or "-", row.wcsim, row.why)
             )
         )

@@ -19,7 +19,7 @@ _ON_THE_WAY = (
 )
 
 
-class Exit(IntEnum):
+class ExitCode(IntEnum):
     """The codes; 130, 141 and 143 are those that a shell gives to the signals."""
 
     DONE = 0  # all that was asked for
@@ -35,9 +35,9 @@ class NothingSavedInterrupt(KeyboardInterrupt):
     """Raised when a command was stopped before there was anything to keep."""
 
 
-def exit_code_from_error(error: errors.WcsimError) -> Exit:
+def exit_code_from_error(error: errors.WcsimError) -> ExitCode:
     """How a command ends that met this error."""
     if isinstance(error, errors.InterruptedRunError):
-        return Exit.STOPPED
+        return ExitCode.STOPPED
     failed = isinstance(error, _ON_THE_WAY) and not isinstance(error, errors.UnwritableError)
-    return Exit.FAILED if failed else Exit.REFUSED
+    return ExitCode.FAILED if failed else ExitCode.REFUSED

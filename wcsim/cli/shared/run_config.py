@@ -13,18 +13,18 @@ from wcsim.agents.networks.names import (
     require_known_network,
     require_trusted_network,
 )
-from wcsim.agents.opening.learner_registry import Learner, learner_of, learner_of_policy
+from wcsim.agents.opening.learner_registry import Learner, learner_from_config, learner_from_policy
 from wcsim.agents.policy_api import VETO
 from wcsim.agents.runs.policy_file import EXPORTED, parse_policy_name
-from wcsim.agents.runs.run_folder import ResolvedRun, absolute_data_folders, policy_folder_from_name
+from wcsim.agents.runs.run_folder import ResolvedRun, policy_folder_from_name, resolve_data_folders
 from wcsim.bridge.sumo.step_hook import find_hook
 from wcsim.cli.shared.common import require_writable_folder
 from wcsim.config import RunConfig, resolve
 from wcsim.config.load import is_override_of_key
 from wcsim.core import reading, seeding
 from wcsim.core.constants import RECORDED
-from wcsim.core.plugins import find_class
-from wcsim.core.reading import SETTINGS, escaped, is_file
+from wcsim.core.plugins import import_class
+from wcsim.core.reading import SETTINGS, escape, is_file
 from wcsim.errors import ConfigError, PolicyError, check_installed
 from wcsim.server.specs import RunInfo
 from wcsim.supervisor.rewards import make_reward_term
@@ -52,34 +52,34 @@ def require_usable_policy(
     used = ""
     if bare_for and named.veto:
         raise PolicyError(
-            f"{escaped(name)}: {bare_for} uses the network alone; expected {escaped(named.inner)}, "
+            f"{escape(name)}: {bare_for} uses the network alone; expected {escape(named.inner)}, "
             f"without {VETO}"
         )
     if named.kind == "class":
-        find_class(named.inner, "policy")
+        import_class(named.inner, "policy")
     elif named.is_network:
         path = policy_folder_from_name(name)
-        used = learner_of_policy(path).read_policy(path).net.network
+        used = learner_from_policy(path).read_policy(path).net.network
         if is_custom_network(used):
-            require_trusted_network(escaped(name), used, network)
+            require_trusted_network(escape(name), used, network)
         by_law = (
             named.level is None
             and not named.veto
             and any(is_file(path / law) for law in EXPORTED.values())
         )
         if not by_law:
-            check_installed(f"{escaped(name)} needs PyTorch", "train", "torch", error=PolicyError)
+            check_installed(f"{escape(name)} needs PyTorch", "train", "torch", error=PolicyError)
     if alone and network:
         require_known_network(network)
         if used != network:
             raise PolicyError(
-                f"--network {escaped(network, 80)}: {escaped(name)} does not use it; leave it out"
+                f"--network {escape(network, 80)}: {escape(name)} does not use it; leave it out"
             )
 
 
-def require_command_learner(config: RunConfig, expected: Learner) -> None:
+def require_matching_learner(config: RunConfig, expected: Learner) -> None:
     """Raise ConfigError for settings of another learner than a command's own."""
-    found = learner_of(config)
+    found = learner_from_config(config)
     if found is not expected:
         raise ConfigError(
             f"learn.head={config.learn.head}: this command {expected.method}; expected preset "
@@ -119,14 +119,14 @@ def refuse_held_out_users(
     if "profile" in own or any(is_override_of_key(text, "env.profile") for text in settings):
         name = config.env.profile
         raise ConfigError(
-            f"env.profile={escaped(name)}: a network that learns in rounds draws its users from "
-            f"collect.profiles; expected --set 'collect.profiles=[\"{escaped(name)}\"]', or wcsim "
+            f"env.profile={escape(name)}: a network that learns in rounds draws its users from "
+            f"collect.profiles; expected --set 'collect.profiles=[\"{escape(name)}\"]', or wcsim "
             "train-q, which learns with that user"
         )
     require_known_users(*config.collect.profiles)
 
 
-def resolve_training_run(
+def resolve_run_settings(
     config: RunConfig, info: RunInfo, town: Town, out: Path, resume: bool = False
 ) -> ResolvedRun:
     """The run of a configuration in a town, with all that learner, network and town fix.
@@ -154,19 +154,19 @@ def resolve_training_run(
     from wcsim.agents.networks.registry import find_network
 
     find_network(config.learn.network)
-    fit = resolve(config, learner_fixed_settings(config), default_settings_for_network(config))
+    fit = resolve(config, settings_from_learner(config), default_settings_for_network(config))
     return ResolvedRun(
-        config=fit, out=out, info=add_town_to_info(info, town, config), resume=resume
+        config=fit, out=out, info=add_town_to_run_info(info, town, config), resume=resume
     )
 
 
-def add_town_to_info(info: RunInfo, town: Town, config: RunConfig) -> RunInfo:
+def add_town_to_run_info(info: RunInfo, town: Town, config: RunConfig) -> RunInfo:
     """The run's facts, with those of its town."""
     overrides = list_sumo_overrides(town, config, info.seed)
     return replace(info, town=town.name, town_sha256=streets_hash(town), overrides=overrides)
 
 
-def learner_fixed_settings(config: RunConfig) -> dict[str, Any]:
+def settings_from_learner(config: RunConfig) -> dict[str, Any]:
     """The settings that a learner fixes: the length of episodes, and the truth for its oracle.
 
     Learning in rounds sets the truth of its worlds itself.
@@ -176,7 +176,7 @@ def learner_fixed_settings(config: RunConfig) -> dict[str, Any]:
         "truth": config.learn.aid == "oracle",
         "truth_visible": False,
     }
-    return {"env": env, **absolute_data_folders(config)}
+    return {"env": env, **resolve_data_folders(config)}
 
 
 def require_known_users(*names: str) -> None:
@@ -195,10 +195,10 @@ def require_known_users(*names: str) -> None:
         find_user(name)
 
 
-def make_test_command(run: Path, network: str, trained_in: Collection[str] = ()) -> str:
+def format_test_command(run: Path, network: str, trained_in: Collection[str] = ()) -> str:
     """The command that tests a run, as it can be typed.
 
-    >>> make_test_command(Path("runs/a b"), "own_network:OwnNet", ("helsinki", "monaco"))
+    >>> format_test_command(Path("runs/a b"), "own_network:OwnNet", ("helsinki", "monaco"))
     "wcsim test 'runs/a b' --network own_network:OwnNet --town manhattan"
     """
     named = ["--network", network] if is_custom_network(network) else []

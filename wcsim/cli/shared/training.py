@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
-from wcsim.agents.opening.learner_registry import Q_LEARNING, learner_of
+from wcsim.agents.opening.learner_registry import Q_LEARNING, learner_from_config
 from wcsim.agents.runs.run_folder import ResolvedRun, has_results
 from wcsim.cli.shared.common import (
     ExistingName,
@@ -19,23 +19,23 @@ from wcsim.cli.shared.common import (
     Repeated,
     SettingsOptions,
     Steps,
-    machines_from_options,
     remove_folders_on_failure,
     split_nonempty_list,
+    workers_from_options,
     write_json,
 )
 from wcsim.cli.shared.consoles import StageBar, choose_result_console, print_sumo_overrides, warn
 from wcsim.cli.shared.exit_codes import NothingSavedInterrupt
 from wcsim.cli.shared.run_config import (
-    learner_fixed_settings,
-    make_test_command,
+    format_test_command,
     refuse_held_out_users,
-    require_command_learner,
+    require_matching_learner,
+    settings_from_learner,
 )
 from wcsim.config import LearnConfig, RunConfig, resolve
 from wcsim.config.load import Layer, is_override_of_key
 from wcsim.core import reading
-from wcsim.core.reading import SETTINGS, counted
+from wcsim.core.reading import SETTINGS, pluralize
 from wcsim.errors import (
     ConfigError,
     DiskFullError,
@@ -116,7 +116,7 @@ def make_q_config_layers(
     more: Mapping[str, Any] | None = None,
     file: Path | None = None,
 ) -> tuple[Layer, ...]:
-    """The layers over the preset of Q-learning; `resolve_training_run` adds the window.
+    """The layers over the preset of Q-learning; `resolve_run_settings` adds the window.
 
     Args:
         options: The command's options.
@@ -142,9 +142,9 @@ def make_q_config_layers(
         parts = _shrunk_parts(config.learn, options.steps, own)
         layers = (*layers, {"learn": {"total_steps": options.steps, **parts}})
         config = resolve(options.preset, *layers)
-    require_command_learner(config, Q_LEARNING)
+    require_matching_learner(config, Q_LEARNING)
     refuse_held_out_users(config)
-    return (*layers, learner_fixed_settings(config))
+    return (*layers, settings_from_learner(config))
 
 
 def _shrunk_parts(learn: LearnConfig, steps: int, own: set[str]) -> dict[str, int]:
@@ -176,7 +176,7 @@ def choose_towns_and_folder(
     towns = [find_training_town(word, options.allow_test_town) for word in words]
     if len(by_name(towns)) < len(towns):
         raise ConfigError(f"--town {options.town}: a town comes twice; expected each once")
-    if len(towns) > 1 and not learner_of(config).own_worlds and not config.epoch_ticks:
+    if len(towns) > 1 and not learner_from_config(config).own_worlds and not config.epoch_ticks:
         raise ConfigError(
             f"--town {options.town}: with world.epoch_ticks=0 the world never changes town; set it "
             "above 0"
@@ -209,13 +209,13 @@ class _TrainingBar(StageBar):
     """
 
     def __init__(self, town: str, run: ResolvedRun, note: str, verbose: bool) -> None:
-        super().__init__(learner_of(run.config).first_stage)
+        super().__init__(learner_from_config(run.config).first_stage)
         self._town = town
         self._run = run
         self._note = note
         self._verbose = verbose
         self._printed = False
-        self._show_step = step_display(self)
+        self._show_step = make_progress_callback(self)
 
     def print_note(self) -> None:
         """Print how the network learns, above the bar."""
@@ -247,12 +247,12 @@ class _TrainingBar(StageBar):
         at = f"update {now.learned}" if learns else f"segment {now.segments} of {now.of}"
         text = f"round {now.round + 1} of {now.rounds}, "
         stage = "learning" if learns else "driving"
-        self.show(share_of_rounds(now, self._run.config), text + at, stage)
+        self.show(compute_finished_share(now, self._run.config), text + at, stage)
         if self.is_terminal:
             return
         text += f"{now.segments} of {now.of} segments"
         if now.updates:
-            self.print_line(f"{text}, {counted(now.updates, 'update')}, loss {now.loss:.4f}")
+            self.print_line(f"{text}, {pluralize(now.updates, 'update')}, loss {now.loss:.4f}")
         elif now.segments == now.of and not now.learned:
             self.print_line(f"{text}: learning")
 
@@ -261,7 +261,7 @@ class _TrainingBar(StageBar):
         warn(text)
 
 
-def step_display(bar: StageBar) -> Callable[[TrainProgress], None]:
+def make_progress_callback(bar: StageBar) -> Callable[[TrainProgress], None]:
     """Shows the progress of Q-learning; a log gets a line for each tenth of the run."""
     tenths = 0
 
@@ -270,7 +270,7 @@ def step_display(bar: StageBar) -> Callable[[TrainProgress], None]:
         # The last steps are done together, and may be a few more.
         step = min(now.step, now.total_steps)
         kpi1 = "" if now.kpi1 is None else f", KPI 1 {now.kpi1:.3f}"
-        known = f"{counted(now.episodes, 'episode')}, {counted(now.crashes, 'crash')}{kpi1}"
+        known = f"{pluralize(now.episodes, 'episode')}, {pluralize(now.crashes, 'crash')}{kpi1}"
         text = f"{step}/{now.total_steps} steps, {known}"
         phase = f"phase {now.phase}"
         bar.show(step / now.total_steps, text, phase)
@@ -281,7 +281,7 @@ def step_display(bar: StageBar) -> Callable[[TrainProgress], None]:
     return show
 
 
-def share_of_rounds(now: RoundProgress, config: RunConfig) -> float:
+def compute_finished_share(now: RoundProgress, config: RunConfig) -> float:
     """Which share of a run's work is done, 0 to 1.
 
     A step that is driven and one in a batch that is learned from cost about the same on two cores.
@@ -315,8 +315,8 @@ def train_single_network(
         NothingSavedInterrupt: ... before anything was driven.
         WcsimError: A setting, the folder or a machine cannot be used.
     """
-    learner = learner_of(run.config)
-    machines = machines or machines_from_options("", None, "--worlds")
+    learner = learner_from_config(run.config)
+    machines = machines or workers_from_options("", None, "--worlds")
     with _TrainingBar(town.name, run, note, verbose) as bar:
         try:
             with remove_run_without_results(run.out):
@@ -350,10 +350,10 @@ def remove_run_without_results(run: Path) -> Iterator[None]:
 
 def print_finished_run(options: OutputOptions, run: ResolvedRun) -> None:
     """Print where a finished run is and how to test it."""
-    if not learner_of(run.config).own_worlds:  # rounds log no KPI 1
+    if not learner_from_config(run.config).own_worlds:  # rounds log no KPI 1
         print_kpi1_limit_steps(run.out)
     trained_in = (run.info.town, *run.info.more_towns)
-    command = make_test_command(run.out, run.config.learn.network, trained_in)
+    command = format_test_command(run.out, run.config.learn.network, trained_in)
     print(f"run folder: {run.out}    test it: {command}")
     write_json(options.json, {"run": str(run.out), "town": run.info.town, "seed": run.info.seed})
 

@@ -27,10 +27,10 @@ def run(words: list[str]) -> int:
             else import_.OsmImportOptions,
             import_.run,
         ),
-        "make": (import_.TownMakeOptions, import_.make),
+        "make": (import_.TownMakeOptions, import_.run_town_make),
         "list": (_ListOptions, _list),
         "check": (town_check.TownCheckOptions, town_check.run),
-        "pave": (import_.TownPaveOptions, import_.pave),
+        "pave": (import_.TownPaveOptions, import_.run_town_pave),
         "run": (traffic.TownRunOptions, lambda options: traffic.run(options, words)),
     }
     return run_subcommand(words, "town", parts)

@@ -26,8 +26,8 @@ from wcsim.cli.shared.common import (
 )
 from wcsim.cli.shared.consoles import print_note
 from wcsim.cli.town.town_check import check_town_with_sumo, print_town_report, try_town_in_sumo
-from wcsim.core.own_folder import temporary_folder
-from wcsim.core.reading import counted
+from wcsim.core.own_folder import create_temporary_folder
+from wcsim.core.reading import pluralize
 from wcsim.errors import ConfigError
 from wcsim.towns.checks.cures import FASTEST_MPS
 from wcsim.towns.importing.adopt import adopt_scenario
@@ -218,7 +218,7 @@ def _build(options: OsmImportOptions, out: Path) -> tuple[TownReport, dict[str, 
     from wcsim.towns.street import load_street
 
     # 2. Download the map where there is no file, and build.
-    with temporary_folder() as folder:
+    with create_temporary_folder() as folder:
         order = ImportOrder(
             osm=options.osm or download(_bbox(options.bbox), folder, options.url),
             bbox=box,
@@ -276,7 +276,7 @@ def _bbox(text: str) -> Box:
     return box
 
 
-def make(options: TownMakeOptions) -> int:
+def run_town_make(options: TownMakeOptions) -> int:
     """Generate, check, and print the result; 0 when the town has no faults, else 1."""
     started_s = time.monotonic()
     out = options.out or _TOWNS / options.name
@@ -303,7 +303,7 @@ def make(options: TownMakeOptions) -> int:
     return print_town_report(check_town_with_sumo(town, show=print_note), started_s, json)
 
 
-def pave(options: TownPaveOptions) -> int:
+def run_town_pave(options: TownPaveOptions) -> int:
     """Pave a copy, let SUMO try it, check it; 0 when the copy has no faults, else 1."""
     started_s = time.monotonic()
     require_writable_folder("--out", options.out)
@@ -331,17 +331,17 @@ def _print_paved(paved: Paved) -> None:
     _print_written(paved.sumocfg, paved.sumocfg)
     streets = []
     if paved.streets or not paved.had:
-        streets.append(f"{counted(paved.streets, 'street')} got a pavement")
+        streets.append(f"{pluralize(paved.streets, 'street')} got a pavement")
     if paved.had:
-        streets.append(f"{counted(paved.had, 'street')} already had one")
+        streets.append(f"{pluralize(paved.had, 'street')} already had one")
     print(
-        f"{', '.join(streets)}; added {counted(paved.crossings, 'crossing')} and "
-        f"{counted(paved.walkingareas, 'walking area')}; checked "
-        f"{counted(paved.placed, 'element')} on lanes (stops, detectors, ...) and "
-        f"{counted(paved.programs, 'signal program')}"
+        f"{', '.join(streets)}; added {pluralize(paved.crossings, 'crossing')} and "
+        f"{pluralize(paved.walkingareas, 'walking area')}; checked "
+        f"{pluralize(paved.placed, 'element')} on lanes (stops, detectors, ...) and "
+        f"{pluralize(paved.programs, 'signal program')}"
     )
     if paved.moved_m:
-        positions = counted(len(paved.moved_m), "position")
+        positions = pluralize(len(paved.moved_m), "position")
         print(f"{positions} moved off junctions that grew; the farthest, in m:")
         for name, along_m in paved.moved_m[:_MOST_MOVED]:
             print(f"  {name}: {along_m:.2f}")

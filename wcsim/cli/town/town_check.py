@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any, Final
 from wcsim.cli.shared.common import OutFile, TownWord, write_json
 from wcsim.cli.shared.consoles import show_table, stdout_console
 from wcsim.config import resolve
-from wcsim.core.own_folder import temporary_folder
-from wcsim.core.reading import counted, join_names
+from wcsim.core.own_folder import create_temporary_folder
+from wcsim.core.reading import join_names, pluralize
 from wcsim.errors import SumoError, TownError
 from wcsim.towns.checks.cures import Cures
 from wcsim.towns.scenario.options import read_configuration
@@ -75,7 +75,7 @@ def check_town_with_sumo(
 
 def _collisions_note(town: Town) -> tuple[str, ...]:
     """Collisions that SUMO reports in the first COLLIDING_S of a town's traffic, or its timeout."""
-    with temporary_folder() as work:
+    with create_temporary_folder() as work:
         staged = stage_scenario(town, Settings(world=resolve("quick").world, seed=1), work)
         seed = read_configuration(town.sumocfg).value("seed")
         found = work / "collisions.xml"
@@ -100,9 +100,9 @@ def _collisions_note(town: Town) -> tuple[str, ...]:
         return ()
     vehicles = join_names(hits.values(), _MOST_NAMED)
     return (
-        f"SUMO itself reports {counted(len(hits), 'collision')} in the first {COLLIDING_S:g} s of "
-        f"this traffic: {vehicles}; its junction rules permit that, mostly for bicycles, and the "
-        "vehicles pass through each other; half the traffic collides about half as often: "
+        f"SUMO itself reports {pluralize(len(hits), 'collision')} in the first {COLLIDING_S:g} s "
+        f"of this traffic: {vehicles}; its junction rules permit that, mostly for bicycles, and "
+        "the vehicles pass through each other; half the traffic collides about half as often: "
         f"{Cures(town).traffic_alone()} --set world.demand_scale=0.5",
     )
 

@@ -32,11 +32,11 @@ from wcsim.agents.runs.run_folder import (
 )
 from wcsim.cli.shared.common import Lease, Worlds, require_writable_folder, write_json
 from wcsim.cli.shared.consoles import print_sumo_overrides, show_table, stdout_console, warn
-from wcsim.cli.shared.exit_codes import Exit, NothingSavedInterrupt
-from wcsim.cli.shared.run_config import make_test_command
+from wcsim.cli.shared.exit_codes import ExitCode, NothingSavedInterrupt
+from wcsim.cli.shared.run_config import format_test_command
 from wcsim.cli.shared.training import OutputOptions, print_kpi1_limit_steps
 from wcsim.core.files import lock_run_folder
-from wcsim.core.own_folder import runtime_folder
+from wcsim.core.own_folder import create_runtime_folder
 from wcsim.core.processes import StopSignalCounter
 from wcsim.errors import (
     ConfigError,
@@ -45,15 +45,15 @@ from wcsim.errors import (
     JournalError,
     WcsimError,
 )
-from wcsim.log.reader import iter_journal_inputs, list_log_parts, log_digest
-from wcsim.log.writer import JOURNAL, LogWriter, truncation_message
-from wcsim.server.launch.launcher import Launcher
+from wcsim.log.reader import hash_log, iter_journal_inputs, list_log_parts
+from wcsim.log.writer import JOURNAL, LogWriter, format_truncation_warning
+from wcsim.server.launch.launcher import ProcessLauncher
 from wcsim.server.launch.states import (
     ClientProcessState,
     LauncherTimeouts,
     LaunchProcessStates,
     LaunchResult,
-    RestartRules,
+    ProcessRestartRules,
 )
 from wcsim.server.ledger import LedgerAuditResult, audit_ledgers, iter_ledger_frames
 from wcsim.server.protocol.limits import ensure_open_file_limit
@@ -82,7 +82,7 @@ def train_clients(
     run: ResolvedGroupRun,
     town: Town,
     watch: Callable[[LaunchProcessStates], bool] = lambda state: False,
-    restarts: RestartRules | None = None,
+    restarts: ProcessRestartRules | None = None,
 ) -> int:
     """Train all clients; returns the exit code: FAILED when a client or the world was given up.
 
@@ -104,7 +104,7 @@ def train_clients(
     with StopSignalCounter() as signals, ExitStack() as stack:
         # 1. Open the run folder, and plan a process for the world and for each client.
         folder = stack.enter_context(_opened(run))
-        place = stack.enter_context(runtime_folder())
+        place = stack.enter_context(create_runtime_folder())
         left = [client for client in run.clients if not folder.done(client.name, client.steps)]
         plans = tuple(make_client_plan(run, folder, place, client) for client in left)
         order = make_world_spec(run, town.address, folder, place, len(left), options.lease)
@@ -133,11 +133,11 @@ def train_clients(
                 if watch(state) and not state.stopping:
                     launcher.stop()
 
-            again = RestartRules() if restarts is None else restarts
+            again = ProcessRestartRules() if restarts is None else restarts
             rules = LauncherTimeouts(
                 client_lease_s=max(30.0, options.lease), client=again, world=again
             )
-            launcher = Launcher(world, plans, folder.path, rules, show, signals=signals)
+            launcher = ProcessLauncher(world, plans, folder.path, rules, show, signals=signals)
             outcome = launcher.run() if left else ALL_DONE
 
         # 3. Write the status, and report.
@@ -203,7 +203,7 @@ def _cut_truncated(folder: GroupRunFolder) -> None:
     for log in ([path] if path.exists() else []) + ledgers:
         with LogWriter.append_to(log) as writer:
             if writer.cut_bytes:
-                warn(truncation_message(log, writer.cut_bytes))
+                warn(format_truncation_warning(log, writer.cut_bytes))
 
 
 def _lengthen(run: Path, client: ResolvedClient) -> None:
@@ -237,7 +237,7 @@ def _finish(
     reported = {each.name: each.status.step for each in outcome.clients if each.status is not None}
     steps = sum(max(reported.get(name, 0), folder.steps(name)) for name in folder.clients)
     folder = _with_status(run, folder, steps)
-    if outcome.code == Exit.REFUSED:
+    if outcome.code == ExitCode.REFUSED:
         raise ConfigError(outcome.message)
     report = _report_of(folder, run.info.seed, *measured)
     _print_report(report, measured[1])
@@ -252,13 +252,13 @@ def _finish(
         ]
         again = f"{folder.path} is kept; continue it: {format_resume_command(folder.path)}"
         warn(f"{outcome.message}{''.join(unsaved)}; {again}")
-        return Exit.FAILED
+        return ExitCode.FAILED
     print_kpi1_limit_steps(folder.path)
     if run.last:
         best = folder.path / (run.best or folder.clients[0])
-        test = make_test_command(best, "", (run.info.town, *run.info.more_towns))
+        test = format_test_command(best, "", (run.info.town, *run.info.more_towns))
         print(f"run folder: {folder.path}    test one: {test}")
-    return Exit.DONE
+    return ExitCode.DONE
 
 
 def _with_status(run: ResolvedGroupRun, folder: GroupRunFolder, steps: int) -> GroupRunFolder:
@@ -346,7 +346,7 @@ def _report_of(
         "status": folder.manifest.status,
         "clients": [{"name": name, **row} for name, row in zip(folder.clients, rows, strict=True)],
         "ticks": whole.ticks,
-        "journal_hash": "" if journal is None else log_digest(path),
+        "journal_hash": "" if journal is None else hash_log(path),
         "ticks_per_s": rate.ticks_per_s,
         "waits": asdict(waits),
     }

@@ -16,18 +16,18 @@ from wcsim.cli.shared.common import (
     OutFile,
     OutFolder,
     SettingsOptions,
-    machines_from_options,
     parse_options,
     require_writable_folder,
     split_nonempty_list,
+    workers_from_options,
     write_json,
 )
 from wcsim.cli.shared.consoles import warn
-from wcsim.cli.shared.exit_codes import Exit
+from wcsim.cli.shared.exit_codes import ExitCode
 from wcsim.cli.shared.run_config import refuse_held_out_users, require_usable_policy
 from wcsim.cli.shared.training import find_training_town
 from wcsim.config import resolve
-from wcsim.core.reading import counted
+from wcsim.core.reading import pluralize
 from wcsim.errors import InterruptedRunError
 
 
@@ -66,7 +66,7 @@ def run(words: list[str]) -> int:
         require_usable_policy(options.policy, config.learn.network, bare_for="collecting")
     refuse_held_out_users(config, (options.set, options.config))
     machines = replace(
-        machines_from_options(options.cluster, options.worlds, "--worlds"), report=warn
+        workers_from_options(options.cluster, options.worlds, "--worlds"), report=warn
     )
     towns = [
         find_training_town(name, False) for name in split_nonempty_list("--town", options.town)
@@ -93,9 +93,9 @@ def run(words: list[str]) -> int:
         if not segments:
             raise
         raise InterruptedRunError(
-            f"stopped; {out} holds {counted(segments, 'segment')}; the same command continues"
+            f"stopped; {out} holds {pluralize(segments, 'segment')}; the same command continues"
         ) from None
     learn = f"wcsim train --preset laptop --data {shlex.quote(str(out))}"
     print(f"data folder: {out}, SHA-256 {sha256}    train on it: {learn}")
     write_json(options.json, {"data": str(out), "sha256": sha256, "segments": options.segments})
-    return Exit.DONE
+    return ExitCode.DONE

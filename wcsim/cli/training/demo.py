@@ -16,8 +16,8 @@ from wcsim.cli.shared.common import OutFolder, Repeated, parse_options, require_
 from wcsim.cli.shared.consoles import StageBar, stdout_console
 from wcsim.cli.shared.run_config import (
     refuse_held_out_users,
-    require_command_learner,
-    resolve_training_run,
+    require_matching_learner,
+    resolve_run_settings,
 )
 from wcsim.cli.shared.training import find_training_town, train_single_network
 from wcsim.config import RunConfig, resolve
@@ -82,7 +82,7 @@ def run(words: list[str]) -> int:
     out = options.out or next(iter_unused_paths(Path("runs") / "demo"))
     require_writable_folder("--out", out)
     config = resolve(_PRESET, (*_SHORT, *options.set))
-    require_command_learner(config, DANGER_ROUNDS)
+    require_matching_learner(config, DANGER_ROUNDS)
     refuse_held_out_users(config, (options.set, None))
     suite = _unseen_suite(options.suite, town)
     _print(
@@ -96,7 +96,7 @@ def run(words: list[str]) -> int:
     _print(f"\n1/3 training in {town.name}", "bold")
     _print(DANGER_ROUNDS.describe(config), "dim")
     info = RunInfo(seed=options.seed, command=("wcsim", "demo", *words))
-    train_single_network(resolve_training_run(config, info, town, out), town)
+    train_single_network(resolve_run_settings(config, info, town, out), town)
 
     # 3. Test beside the user alone, and beside a chair that stands still, by the rules of training.
     _print(

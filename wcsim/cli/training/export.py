@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Annotated, Final
 from tyro.conf import Positional, arg
 
 from wcsim.agents.export.export_folder import require_replaceable_folder
-from wcsim.agents.opening.learner_registry import learner_of_policy
+from wcsim.agents.opening.learner_registry import learner_from_policy
 from wcsim.agents.opening.named_policy import (
-    config_from_policy_name,
+    list_policy_overrides,
     open_named_policy,
-    policy_overrides,
+    resolve_policy_config,
 )
 from wcsim.agents.policy_api import BASELINES, UPPER_BOUNDS, Observation, Policy
 from wcsim.agents.runs.policy_file import SHIPPED, parse_policy_name
@@ -29,10 +29,10 @@ from wcsim.cli.shared.common import (
     require_writable_folder,
     write_json,
 )
-from wcsim.cli.shared.exit_codes import Exit
+from wcsim.cli.shared.exit_codes import ExitCode
 from wcsim.cli.shared.run_config import require_usable_policy
 from wcsim.config import RunConfig, resolve
-from wcsim.core.reading import counted, escaped, is_folder
+from wcsim.core.reading import escape, is_folder, pluralize
 from wcsim.errors import ConfigError, PolicyError, meant
 
 if TYPE_CHECKING:
@@ -78,7 +78,7 @@ def run(words: list[str]) -> int:
     require_replaceable_folder("--onnx", options.onnx)
     if options.ride is not None and not options.ride.exists():
         raise ConfigError(
-            f"--ride {escaped(options.ride)}: not found; expected a recorded drive, a journal, or "
+            f"--ride {escape(options.ride)}: not found; expected a recorded drive, a journal, or "
             "the folder of a run"
         )
     path = _network(options.policy)
@@ -88,12 +88,12 @@ def run(words: list[str]) -> int:
     from wcsim.agents.networks.onnx_form import require_onnx_installed
 
     require_onnx_installed()
-    learner = learner_of_policy(path)
-    own = config_from_policy_name(options.policy, learner.export_preset)
+    learner = learner_from_policy(path)
+    own = resolve_policy_config(options.policy, learner.export_preset)
     policy = open_named_policy(
         options.policy, resolve(own, _delay(options.delay_ticks)), 0, options.network or None
     )
-    own = resolve(own, policy_overrides(own, policy))
+    own = resolve(own, list_policy_overrides(own, policy))
     delay, seen, actions, by = _ride(options, own, policy)
     bar_ms = LIMIT_MS - RESERVE_MS
     config, level = resolve(own, delay), parse_policy_name(options.policy).level
@@ -110,7 +110,7 @@ def run(words: list[str]) -> int:
         print(_beside_recording(facts.same_as_recorded, by, options.policy))
     print(_costs(facts, bar_ms))
     write_json(options.json, asdict(facts))
-    return Exit.DONE
+    return ExitCode.DONE
 
 
 def _network(name: str) -> Path:
@@ -122,16 +122,16 @@ def _network(name: str) -> Path:
     named = parse_policy_name(name)
     if not named.is_network:
         raise PolicyError(
-            f"{escaped(name)} has no network that can be exported; expected a run that `wcsim "
+            f"{escape(name)} has no network that can be exported; expected a run that `wcsim "
             f"train` made, RUN:phase1, a policy folder, or {SHIPPED}"
         )
     if named.kind != "shipped" and not is_folder(named.folder):
         raise PolicyError(
-            f"{escaped(named.place)} is not a run: there is no such folder; expected one that "
+            f"{escape(named.place)} is not a run: there is no such folder; expected one that "
             f"`wcsim train` made, a policy folder, or {SHIPPED}{meant(named.place, (SHIPPED,))}"
         )
     path = policy_folder_from_name(name)
-    learner_of_policy(path).require_exportable(path, name)
+    learner_from_policy(path).require_exportable(path, name)
     return path
 
 
@@ -139,27 +139,27 @@ def _compared(facts: ExportMeasurements) -> str:
     """How the model compares with the network and with wcsim."""
     borders = ""
     if facts.border_steps:
-        steps = counted(facts.border_steps, "step")
+        steps = pluralize(facts.border_steps, "step")
         borders = f" ({facts.border_off:.1g} in {steps} at borders of map cells)"
     return (
         f"{facts.bytes / 1e6:.1f} MB, outputs differ by at most {facts.most_off:.1g} of the largest"
         f"{borders}\n"
         f"{facts.same_actions:.1%} of {facts.steps} actions match the network, "
         f"{facts.same_as_wcsim:.1%} match wcsim's "
-        f"policy; {counted(facts.interventions, 'intervention')}, "
-        f"{counted(facts.warnings, 'step')} with a warning"
+        f"policy; {pluralize(facts.interventions, 'intervention')}, "
+        f"{pluralize(facts.warnings, 'step')} with a warning"
     )
 
 
 def _beside_recording(same: float, by: str, policy: str) -> str:
     """How the network's own actions compare with those of a recording."""
-    driver = f", which {escaped(by, 80)} drove" if by else ""
+    driver = f", which {escape(by, 80)} drove" if by else ""
     text = f"{same:.1%} of the actions match the recording{driver}"
     if same >= _SAME_POLICY and by.partition("@")[0] not in (*BASELINES, *UPPER_BOUNDS):
         return text
     return (
         f"{text}: another policy or threshold. The reference ride holds the actions of "
-        f"{escaped(policy)} for these observations. Record it while it drives: wcsim drive "
+        f"{escape(policy)} for these observations. Record it while it drives: wcsim drive "
         f"--policy {shlex.quote(policy)} --record FILE"
     )
 

@@ -18,19 +18,19 @@ from wcsim.agents.opening.learner_registry import Q_LEARNING
 from wcsim.agents.runs.run_folder import ResolvedRun, has_results, open_run, require_empty_folder
 from wcsim.cli.shared.common import Bounds, Flag, OutFolder, parse_options, require_writable_folder
 from wcsim.cli.shared.consoles import StageBar
-from wcsim.cli.shared.exit_codes import Exit, NothingSavedInterrupt
-from wcsim.cli.shared.run_config import make_test_command, require_known_users
+from wcsim.cli.shared.exit_codes import ExitCode, NothingSavedInterrupt
+from wcsim.cli.shared.run_config import format_test_command, require_known_users
 from wcsim.cli.shared.training import (
     QLearningBaseOptions,
+    make_progress_callback,
     make_q_config_layers,
     remove_run_without_results,
-    step_display,
 )
 from wcsim.config import RunConfig, resolve
 from wcsim.core.files import lock_run_folder
-from wcsim.core.own_folder import runtime_folder
+from wcsim.core.own_folder import create_runtime_folder
 from wcsim.errors import ConfigError, InterruptedRunError, ServerGoneError
-from wcsim.server.launch.launcher import Launcher
+from wcsim.server.launch.launcher import ProcessLauncher
 from wcsim.server.launch.states import ClientLaunchPlan
 from wcsim.server.protocol.client_core import Patience
 from wcsim.server.protocol.messages import ANY_SEAT
@@ -103,21 +103,26 @@ def run(words: list[str]) -> int:
         _joined(order, options.resume)
     if options.steps is not None:
         print(f"note: {Q_LEARNING.describe(config)}")
-    print(f"run folder: {out}    test it: {make_test_command(out, config.learn.network)}")
-    return Exit.DONE
+    print(f"run folder: {out}    test it: {format_test_command(out, config.learn.network)}")
+    return ExitCode.DONE
 
 
 def _joined(order: ClientProcessSpec, resume: bool) -> None:
     # torch is loaded here, before there is a seat for which others would wait
     from wcsim.agents.clients.client import make_client_env
-    from wcsim.agents.learning.train import train
+    from wcsim.agents.learning.train import train_dqn
 
     out, beats = Path(order.out), count(1)
     with remove_run_without_results(out):
         order, street = make_client_env(order)
         with street, StageBar("loading the town") as bar:
             run = ResolvedRun(config=order.config, out=out, info=order.info, resume=resume)
-            train(run, lambda: street, step_display(bar), alive=lambda: street.beat(next(beats)))
+            train_dqn(
+                run,
+                lambda: street,
+                make_progress_callback(bar),
+                alive=lambda: street.beat(next(beats)),
+            )
 
 
 def _supervised(order: ClientProcessSpec, resume: bool) -> None:
@@ -151,7 +156,7 @@ def _supervised(order: ClientProcessSpec, resume: bool) -> None:
 
 def _launched(order: ClientProcessSpec, resume: bool, beside: Path) -> None:
     out, name = order.out, order.join.name
-    with runtime_folder() as place, LiveTable() as table:
+    with create_runtime_folder() as place, LiveTable() as table:
         file = place / f"{name}.json"
         plan = ClientLaunchPlan(
             name=name,
@@ -162,8 +167,8 @@ def _launched(order: ClientProcessSpec, resume: bool, beside: Path) -> None:
             order=encode_json_line(order),
             order_file=file,
         )
-        outcome = Launcher(None, (plan,), beside, show=table.show).run()
-    if outcome.code == Exit.REFUSED:
+        outcome = ProcessLauncher(None, (plan,), beside, show=table.show).run()
+    if outcome.code == ExitCode.REFUSED:
         raise ConfigError(outcome.message)
     if outcome.code:
         raise ServerGoneError(outcome.message)

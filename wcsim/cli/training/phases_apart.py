@@ -20,7 +20,7 @@ from wcsim.agents.clients.group_run import (
     SELECTION,
     ResolvedClient,
     ResolvedGroupRun,
-    read_selected_client,
+    read_chosen_client_name,
 )
 from wcsim.agents.networks.names import is_custom_network
 from wcsim.agents.runs.metrics import KPI1_STEPS, ROW_STEPS
@@ -28,10 +28,10 @@ from wcsim.agents.runs.run_folder import format_resume_command
 from wcsim.cli.evaluation.judged_suite import save_test_result
 from wcsim.cli.shared.common import resolve_worker_count, write_json
 from wcsim.cli.shared.consoles import print_note, show_table, stderr_console
-from wcsim.cli.shared.exit_codes import Exit
+from wcsim.cli.shared.exit_codes import ExitCode
 from wcsim.cli.training.clients import ClientProcessOptions, train_clients
 from wcsim.core.files import lock_run_folder
-from wcsim.core.reading import counted, escaped
+from wcsim.core.reading import escape, pluralize
 from wcsim.errors import ConfigError, InterruptedRunError
 from wcsim.server.launch.event_log import EventLogWriter
 from wcsim.towns.scenario.town import Town
@@ -60,7 +60,7 @@ def train_clients_in_phases(
     """
     ways = {client.config.learn.select_by for client in run.clients}
     if len(ways) > 1:
-        names = ", ".join(sorted(map(escaped, ways)))
+        names = ", ".join(sorted(map(escape, ways)))
         raise ConfigError(
             f"clients have different learn.select_by ({names}); expected the same for all"
         )
@@ -74,11 +74,13 @@ def train_clients_in_phases(
         return train_clients(options, run, town)
     suite = _checked(options, run, by)
     chosen = (
-        read_selected_client(run.out, [client.name for client in run.clients]) if run.resume else ""
+        read_chosen_client_name(run.out, [client.name for client in run.clients])
+        if run.resume
+        else ""
     )
     if not chosen:
         code = train_clients(options, _first_phase(run), town)
-        if code != Exit.DONE:
+        if code != ExitCode.DONE:
             return code
         chosen = _choose(options, run, by, suite)
     return train_clients(options, _second_phase(run, chosen), town)
@@ -182,7 +184,7 @@ def _tested(
     console = stderr_console()
     by = f"{suite.file.suite} {suite.file.set}"
     console.print(
-        f"first phase done; comparing clients on {by}: {counted(suite.episodes, 'episode')} each"
+        f"first phase done; comparing clients on {by}: {pluralize(suite.episodes, 'episode')} each"
     )
 
     # The own code that each policy needs; all that need none share their processes.

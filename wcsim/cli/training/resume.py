@@ -13,7 +13,7 @@ from typing import Annotated
 from tyro.conf import Positional, arg
 
 from wcsim.agents.clients.group_run import ResolvedClient, ResolvedGroupRun, open_group_run_folder
-from wcsim.agents.opening.learner_registry import learner_of
+from wcsim.agents.opening.learner_registry import learner_from_config
 from wcsim.agents.runs.run_folder import (
     CONFIG,
     MANIFEST,
@@ -29,13 +29,13 @@ from wcsim.cli.shared.common import (
     Repeated,
     Steps,
     Worlds,
-    machines_from_options,
     parse_options,
     require_writable_folder,
     split_nonempty_list,
+    workers_from_options,
 )
-from wcsim.cli.shared.exit_codes import Exit
-from wcsim.cli.shared.run_config import add_town_to_info, resolve_training_run
+from wcsim.cli.shared.exit_codes import ExitCode
+from wcsim.cli.shared.run_config import add_town_to_run_info, resolve_run_settings
 from wcsim.cli.shared.training import OutputOptions, print_finished_run, train_single_network
 from wcsim.cli.training.clients import LEASE_S, ClientProcessOptions
 from wcsim.cli.training.phases_apart import train_clients_in_phases
@@ -70,7 +70,7 @@ def run(words: list[str]) -> int:
     options = parse_options(_Options, words, "resume")
     require_writable_folder("RUN", options.run)
     was = None if "clients" in read_run_json(options.run, MANIFEST) else open_run(options.run)
-    learner = None if was is None else learner_of(was.config)
+    learner = None if was is None else learner_from_config(was.config)
     if options.cluster and (learner is None or not learner.own_worlds):
         raise ConfigError(
             f"--cluster: {options.run} learns from every step, on this machine; leave it out"
@@ -82,7 +82,7 @@ def run(words: list[str]) -> int:
             f"--steps: {options.run} learns in {learner.length(was.config)}, not steps; leave it "
             "out"
         )
-    machines = machines_from_options(options.cluster, options.worlds, "--worlds")
+    machines = workers_from_options(options.cluster, options.worlds, "--worlds")
     again, town = _resumed(options)
     if (
         was.manifest.status == "done"
@@ -93,7 +93,7 @@ def run(words: list[str]) -> int:
         print(f"note: {options.run} is finished: {done}{extend_it}", file=sys.stderr)
     train_single_network(again, town, verbose=options.verbose, machines=machines)
     print_finished_run(options, again)
-    return Exit.DONE
+    return ExitCode.DONE
 
 
 def _resumed(options: _Options) -> tuple[ResolvedRun, Town]:
@@ -120,7 +120,7 @@ def _resumed(options: _Options) -> tuple[ResolvedRun, Town]:
         with lock_run_folder(path):  # by nobody else at work: a run in use keeps its steps
             extend_run_steps(path, steps)
         run = open_run(path)
-    return resolve_training_run(run.config, run.manifest.info, town, path, resume=True), town
+    return resolve_run_settings(run.config, run.manifest.info, town, path, resume=True), town
 
 
 def _resume_group(options: _Options) -> int:
@@ -133,7 +133,7 @@ def _resume_group(options: _Options) -> int:
     for seat, (name, config) in enumerate(configs.items()):
         longer = resolve(config, {"learn": {"total_steps": _steps_of(options, config)}})
         clients.append(ResolvedClient(name=name, seat=seat, config=longer))
-    info = add_town_to_info(folder.manifest.info, town, clients[0].config)
+    info = add_town_to_run_info(folder.manifest.info, town, clients[0].config)
     try:
         lease_s = float(_value_of(info.command, "lease") or LEASE_S)
     except ValueError:

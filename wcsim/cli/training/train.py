@@ -7,13 +7,13 @@ from typing import Annotated
 
 from tyro.conf import arg
 
-from wcsim.agents.opening.learner_registry import DANGER_ROUNDS, learner_of
-from wcsim.cli.shared.common import Cluster, Repeated, Worlds, machines_from_options, parse_options
-from wcsim.cli.shared.exit_codes import Exit
+from wcsim.agents.opening.learner_registry import DANGER_ROUNDS, learner_from_config
+from wcsim.cli.shared.common import Cluster, Repeated, Worlds, parse_options, workers_from_options
+from wcsim.cli.shared.exit_codes import ExitCode
 from wcsim.cli.shared.run_config import (
     refuse_held_out_users,
-    require_command_learner,
-    resolve_training_run,
+    require_matching_learner,
+    resolve_run_settings,
 )
 from wcsim.cli.shared.training import (
     NewQTrainingOptions,
@@ -56,16 +56,16 @@ class _QLearningOptions(NewQTrainingOptions):
 def run(words: list[str]) -> int:
     """Train a danger network, and leave a run folder."""
     options = parse_options(_RoundsOptions, words, "train")
-    machines = machines_from_options(options.cluster, options.worlds, "--worlds")
+    machines = workers_from_options(options.cluster, options.worlds, "--worlds")
     data = {"collect": {"data": list(options.data)}} if options.data else None
     config = resolve(options.preset, options.config, options.set, data)
-    require_command_learner(config, DANGER_ROUNDS)
+    require_matching_learner(config, DANGER_ROUNDS)
     refuse_held_out_users(config, (options.set, options.config))
     info = RunInfo(seed=options.seed, command=("wcsim", "train", *words))
     return _train(options, info, config, machines)
 
 
-def run_q(words: list[str]) -> int:
+def run_train_q(words: list[str]) -> int:
     """Train by Q-learning, and leave a run folder."""
     options = parse_options(_QLearningOptions, words, "train-q")
     board = {"learn": {"tensorboard": True}} if options.tensorboard else None
@@ -82,19 +82,19 @@ def _train(
     """Train one network with settings that were checked; returns the exit code.
 
     Raises:
-        WcsimError: See `choose_towns_and_folder`, `resolve_training_run` and
+        WcsimError: See `choose_towns_and_folder`, `resolve_run_settings` and
             `train_single_network`.
     """
     # 1. Find the towns and choose the run folder. Refusals so far load no PyTorch.
     town, info, out = choose_towns_and_folder(options, info, config)
 
     # 2. Fill in what the network and the town fix: its window, the options of SUMO.
-    run = resolve_training_run(config, info, town, out)
+    run = resolve_run_settings(config, info, town, out)
 
     # 3. Train, and leave a run folder.
-    note = learner_of(config).describe(config)
+    note = learner_from_config(config).describe(config)
     train_single_network(run, town, note=note, verbose=options.verbose, machines=machines)
 
     # 4. Report where it is, and how to test it.
     print_finished_run(options, run)
-    return Exit.DONE
+    return ExitCode.DONE

@@ -13,7 +13,7 @@ from tyro.conf import Positional, arg
 from wcsim.agents.clients.group_run import ResolvedClient, ResolvedGroupRun
 from wcsim.agents.networks.names import NETWORK_NAMES, client_name_from_network
 from wcsim.cli.shared.common import Repeated, parse_options, split_nonempty_list
-from wcsim.cli.shared.run_config import add_town_to_info, require_known_users
+from wcsim.cli.shared.run_config import add_town_to_run_info, require_known_users
 from wcsim.cli.shared.training import (
     NewQTrainingOptions,
     choose_towns_and_folder,
@@ -38,7 +38,7 @@ _TAKEN = (
 
 
 @dataclass(kw_only=True)
-class Options(NewQTrainingOptions, ClientProcessOptions):
+class TrainClientsOptions(NewQTrainingOptions, ClientProcessOptions):
     """Train several networks at once in one shared world, by Q-learning, each in a process of its own."""  # noqa: E501 - help text
 
     clients: Annotated[str, Positional, arg(metavar="A,B,...")]
@@ -52,7 +52,7 @@ class Options(NewQTrainingOptions, ClientProcessOptions):
 
 def run(words: list[str]) -> int:
     """Train them, and leave a run folder."""
-    options = parse_options(Options, words, "train-clients")
+    options = parse_options(TrainClientsOptions, words, "train-clients")
     clients = resolve_clients(options)
     config = clients[0].config
     town, info, out = choose_towns_and_folder(
@@ -60,12 +60,12 @@ def run(words: list[str]) -> int:
     )
     return train_clients_in_phases(
         options,
-        ResolvedGroupRun(clients=clients, out=out, info=add_town_to_info(info, town, config)),
+        ResolvedGroupRun(clients=clients, out=out, info=add_town_to_run_info(info, town, config)),
         town,
     )
 
 
-def resolve_clients(options: Options) -> tuple[ResolvedClient, ...]:
+def resolve_clients(options: TrainClientsOptions) -> tuple[ResolvedClient, ...]:
     """The clients with their names, seats and configurations.
 
     Raises:
@@ -74,7 +74,7 @@ def resolve_clients(options: Options) -> tuple[ResolvedClient, ...]:
     networks = split_nonempty_list("clients", options.clients)
     if len(networks) > MOST_CLIENTS:
         raise ConfigError(f"{len(networks)} clients; expected at most {MOST_CLIENTS}")
-    names = client_names(networks)
+    names = make_client_names(networks)
     files = _files(options.config_for, names)
     learn: dict[str, object] = {"tensorboard": True} if options.tensorboard else {}
     if options.select_by is not None:
@@ -97,10 +97,10 @@ def resolve_clients(options: Options) -> tuple[ResolvedClient, ...]:
     return tuple(clients)
 
 
-def client_names(networks: Sequence[str]) -> tuple[str, ...]:
+def make_client_names(networks: Sequence[str]) -> tuple[str, ...]:
     """A name for each client: its network's, numbered where it comes again.
 
-    >>> client_names(("fig6", "own_file:OwnNet", "fig6"))
+    >>> make_client_names(("fig6", "own_file:OwnNet", "fig6"))
     ('fig6', 'OwnNet', 'fig6-2')
 
     Raises:

@@ -8,11 +8,11 @@ from pathlib import Path
 
 from wcsim.bridge.replay.replayed import first_inputs
 from wcsim.bridge.user_drives import drive_header
-from wcsim.core.reading import escaped
+from wcsim.core.reading import escape
 from wcsim.drive.driven import DriveRecord, DriverKind, EventKind
 from wcsim.drive.session import DriveSession
 from wcsim.errors import WcsimError
-from wcsim.log.records import MOST_DETAIL, Admitted, Dismissed, DriveTick, Header, Input, Note, changed
+from wcsim.log.records import MOST_DETAIL, Admitted, Dismissed, DriveTick, Header, Input, Note, with_fields
 from wcsim.log.writer import LogWriter
 from wcsim.users.profiles import profile_to_json
 
@@ -104,7 +104,7 @@ class SessionRecorder:
             self._recorder.append(event)
         self._waiting = []
         self._tell(
-            RecorderStatus(on=True, file=self._file, log=f"recording to {escaped(path)}: {self._session.place.told}")
+            RecorderStatus(on=True, file=self._file, log=f"recording to {escape(path)}: {self._session.place.told}")
         )
         return self._recorder
 
@@ -115,9 +115,9 @@ class SessionRecorder:
                 self._stop(_RECORDED)
                 return
             self._write(Dismissed(epoch=0, tick=record.tick, seat=0))
-            record = changed(record, spec=replace(record.spec, profile=profile_to_json(user)))
+            record = with_fields(record, spec=replace(record.spec, profile=profile_to_json(user)))
         elif isinstance(record, Note):
-            record = changed(record, detail=record.detail[:MOST_DETAIL])
+            record = with_fields(record, detail=record.detail[:MOST_DETAIL])
         self._write(record)
 
     def _write(self, record: DriveRecord | Dismissed) -> None:
@@ -125,7 +125,7 @@ class SessionRecorder:
         place: dict[str, float] = {"tick": record.tick - self._before}
         if isinstance(record, DriveTick | Note):
             place["time_s"] = place["tick"] * self._session.tick_s
-        record = changed(record, **place)
+        record = with_fields(record, **place)
         if self._recorder is None and not isinstance(record, DriveTick):
             self._waiting.append(record)
             return
@@ -151,5 +151,5 @@ class SessionRecorder:
             recorder, self._recorder = self._recorder, None
             recorder.close()
             minutes = self._kept * self._session.tick_s / 60.0
-            log = f"wrote {escaped(self._file)}: {self._kept} ticks, {minutes:.1f} min"
+            log = f"wrote {escape(self._file)}: {self._kept} ticks, {minutes:.1f} min"
             self._tell(RecorderStatus(on=False, file=self._file, log=log))

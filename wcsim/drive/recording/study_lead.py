@@ -13,13 +13,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
-from wcsim.agents.opening.named_policy import config_from_policy_name, open_named_policy
+from wcsim.agents.opening.named_policy import open_named_policy, resolve_policy_config
 from wcsim.agents.policy_api import Levelled
 from wcsim.agents.runs.policy_file import parse_policy_name
 from wcsim.config import parse
 from wcsim.config.study import StudyFile, StudyPlace
 from wcsim.core.files import iter_unused_paths
-from wcsim.core.reading import SETTINGS, escaped, is_file, parse_toml, read_text
+from wcsim.core.reading import SETTINGS, escape, is_file, parse_toml, read_text
 from wcsim.drive.recording.study_plan import (
     END,
     Row,
@@ -39,7 +39,7 @@ from wcsim.drive.recording.study_plan import (
 from wcsim.drive.session import DriveSession
 from wcsim.drive.starting import PRESET, DriveStart, check_recordable, checked
 from wcsim.errors import ConfigError, WcsimError
-from wcsim.log.drive import wcsim_version
+from wcsim.log.drive import read_wcsim_version
 from wcsim.towns.scenario.town import expanded
 
 _MOST_PARTICIPANTS: Final = 9999
@@ -99,16 +99,16 @@ def open_study(
     path = _SHIPPED / f"{name_or_path}.toml" if name_or_path in _shipped_studies() else expanded(name_or_path)
     if not is_file(path):
         known = ", ".join(_shipped_studies())
-        raise ConfigError(f"--study {escaped(name_or_path)}: there is no such study; expected {known}, or a TOML file")
+        raise ConfigError(f"--study {escape(name_or_path)}: there is no such study; expected {known}, or a TOML file")
     text = read_text(path, SETTINGS)
-    file = parse(StudyFile, parse_toml(text, escaped(path), SETTINGS), escaped(path))
+    file = parse(StudyFile, parse_toml(text, escape(path), SETTINGS), escape(path))
     digest = hashlib.sha256(text.encode()).hexdigest()
-    _require_named(file.policy, named, escaped(path))
+    _require_named(file.policy, named, escape(path))
     place_of_results = out or Path("studies") / file.name
     study = OpenStudy(file=file, sha256=digest, participant=participant, out=place_of_results, network=network)
     for place in (*file.places, *([file.practice_place] if file.practice_place else [])):
         check_recordable(checked(study_start(file, place, network)))
-    _require_levels(study, escaped(path))
+    _require_levels(study, escape(path))
     _participant_rows(study)
     return study
 
@@ -119,7 +119,7 @@ def _participant_rows(study: OpenStudy) -> tuple[dict[str, str], ...]:
     other = next((row for row in rows if row["study_sha256"] != study.sha256[:12]), None)
     if other is not None:
         raise ConfigError(
-            f"{escaped(study.table)}: belongs to another study file ({escaped(other['study_sha256'], 12)}, this is "
+            f"{escape(study.table)}: belongs to another study file ({escape(other['study_sha256'], 12)}, this is "
             f"{study.sha256[:12]}); expected the same file: restore it, or name another folder with --out"
         )
     return tuple(row for row in rows if row["participant"] == str(study.participant))
@@ -136,12 +136,12 @@ def study_start(file: StudyFile, place: StudyPlace, network: str) -> DriveStart:
 def _require_named(policy: str, named: str, where: str) -> None:
     """Raise ConfigError for another policy than the file's, or a class that is loaded without being named again."""
     if named and named != policy:
-        told = f"{where} says policy = {escaped(policy)!r}"
-        raise ConfigError(f"--policy {escaped(named)} with --study: {told}; leave --policy out")
+        told = f"{where} says policy = {escape(policy)!r}"
+        raise ConfigError(f"--policy {escape(named)} with --study: {told}; leave --policy out")
     if parse_policy_name(policy).kind == "class" and not named:
         raise ConfigError(
-            f"{where}: its policy is the class {escaped(policy)}, and loading it runs its code; if you "
-            f"trust it, name it: --policy {shlex.quote(escaped(policy))}"
+            f"{where}: its policy is the class {escape(policy)}, and loading it runs its code; if you "
+            f"trust it, name it: --policy {shlex.quote(escape(policy))}"
         )
 
 
@@ -150,7 +150,7 @@ def _require_levels(study: OpenStudy, where: str) -> None:
     file = study.file
     blocks = [*file.blocks, *([file.practice] if file.practice else [])]
     wanted = {block.level: block.name for block in blocks if block.level is not None}
-    policy = open_named_policy(file.policy, config_from_policy_name(file.policy, PRESET, ()), 0, study.network or None)
+    policy = open_named_policy(file.policy, resolve_policy_config(file.policy, PRESET, ()), 0, study.network or None)
     try:
         for level, name in wanted.items():
             levels = policy.levels if isinstance(policy, Levelled) else None
@@ -206,7 +206,7 @@ def _head(study: OpenStudy, block: str) -> dict[str, str]:
     return {
         "study": study.file.name,
         "study_sha256": study.sha256[:12],
-        "wcsim": wcsim_version(),
+        "wcsim": read_wcsim_version(),
         "participant": str(study.participant),
         "order": study.order,
         "block": block,
@@ -250,7 +250,7 @@ class StudyLead:
         left = [part.block.name for part in dict.fromkeys(step.part for step in self._steps) if part is not None]
         hands.say(
             f"study {study.file.name}, participant {study.participant}: order {study.order}; "
-            f"to do: {', '.join(left) or 'nothing'}; table {escaped(study.table)}"
+            f"to do: {', '.join(left) or 'nothing'}; table {escape(study.table)}"
         )
 
     @property
@@ -362,7 +362,7 @@ class StudyLead:
         try:
             if path is None:
                 raise WcsimError(
-                    f"{escaped(self._study.folder / name)}: all file names for this part are taken; remove old attempts"
+                    f"{escape(self._study.folder / name)}: all file names for this part are taken; remove old attempts"
                 )
             session = self._hands.open(study_start(self._study.file, part.place, self._study.network), path)
             if part.block.level is not None:
@@ -400,7 +400,7 @@ class StudyLead:
         rows = read_rows(path, table_columns(self._study.file))
         found = tuple(row for row in rows if row["study_sha256"] == self._study.sha256[:12])[-1:]
         if found:
-            self._hands.say(f"{part.block.name} was driven before; only its questions are left: {escaped(path)}")
+            self._hands.say(f"{part.block.name} was driven before; only its questions are left: {escape(path)}")
         return found
 
     def _forget(self, part: StudyPart) -> None:
@@ -410,7 +410,7 @@ class StudyLead:
             path.unlink(missing_ok=True)
         except OSError as error:
             self._hands.say(
-                f"{escaped(path)}: cannot be removed ({error.strerror}); its row is in the table: remove the file"
+                f"{escape(path)}: cannot be removed ({error.strerror}); its row is in the table: remove the file"
             )
 
     def _result(self, part: StudyPart) -> Path:
@@ -418,7 +418,7 @@ class StudyLead:
 
     def _write(self, row: Row, answers: Row) -> None:
         append_row(self._study.table, table_columns(self._study.file), {**row, **answers})
-        self._hands.say(f"participant {self._study.participant}: {row['block']} saved in {escaped(self._study.table)}")
+        self._hands.say(f"participant {self._study.participant}: {row['block']} saved in {escape(self._study.table)}")
 
     # --- what is shown ---
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from wcsim.config.study import StudyBlock, StudyFile, StudyPlace, StudyQuestion
-from wcsim.core.reading import STUDY_TABLE, counted, escaped, read_text
+from wcsim.core.reading import STUDY_TABLE, escape, pluralize, read_text
 from wcsim.errors import ConfigError, DiskFullError
 
 END = "end"
@@ -174,18 +174,18 @@ def read_rows(path: Path, columns: Sequence[str]) -> tuple[dict[str, str], ...]:
         return ()
     text = read_text(path, STUDY_TABLE)
     if text and not text.endswith("\n"):
-        raise ConfigError(f"{escaped(path)}: its last line is incomplete; complete it, or remove it")
+        raise ConfigError(f"{escape(path)}: its last line is incomplete; complete it, or remove it")
     try:
         lines = [line for line in csv.reader(io.StringIO(text, newline=""), strict=True) if line]
     except csv.Error:
         lines = []
     if not lines or tuple(lines[0]) != tuple(columns):
         raise ConfigError(
-            f"{escaped(path)}: its columns are not those of this study; expected the table of the same study file: "
+            f"{escape(path)}: its columns are not those of this study; expected the table of the same study file: "
             "name another folder with --out"
         )
     if len(lines) > _MOST_ROWS or any(len(line) != len(columns) for line in lines):
-        raise ConfigError(f"{escaped(path)}: is not a table with {len(columns)} columns; expected one that wcsim wrote")
+        raise ConfigError(f"{escape(path)}: is not a table with {len(columns)} columns; expected one that wcsim wrote")
     return tuple(dict(zip(columns, line, strict=True)) for line in lines[1:])
 
 
@@ -200,7 +200,7 @@ def append_row(path: Path, columns: Sequence[str], row: Row) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o644)
     except OSError as error:
-        raise ConfigError(f"{escaped(path)}: cannot be written ({error.strerror}); choose another --out") from None
+        raise ConfigError(f"{escape(path)}: cannot be written ({error.strerror}); choose another --out") from None
     try:
         with contextlib.suppress(OSError):  # a file system without locks
             fcntl.flock(handle, fcntl.LOCK_EX)  # another participant's drive may write on it at the same time
@@ -215,7 +215,7 @@ def append_row(path: Path, columns: Sequence[str], row: Row) -> None:
         if reason:
             os.ftruncate(handle, end)
             raise DiskFullError(
-                f"{escaped(path)}: a row could not be written ({reason}); free some disk space, and press again"
+                f"{escape(path)}: a row could not be written ({reason}); free some disk space, and press again"
             )
         os.fsync(handle)
     finally:
@@ -273,7 +273,7 @@ def _how_long(step: StudyStep) -> str:
     minutes = f"{block.minutes:g} minute{'' if block.minutes == 1.0 else 's'}"
     if block.arrivals is None:
         return f"You drive for {minutes}. You can pause at any time; pauses do not count."
-    places = counted(block.arrivals, "place")
+    places = pluralize(block.arrivals, "place")
     return f"You drive until you have arrived at {places}, for at most {minutes}. You can pause at any time."
 
 

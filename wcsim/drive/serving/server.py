@@ -27,7 +27,7 @@ from aiohttp.http import HttpProcessingError
 from aiohttp.typedefs import Handler
 
 from wcsim.core.processes import start_piped_process
-from wcsim.core.reading import escaped
+from wcsim.core.reading import escape
 from wcsim.drive import messages as m
 from wcsim.drive.playing.play_runner import PlayStart
 from wcsim.drive.runner import DONE, JSON, LINE, PICTURES, DriveOrder
@@ -500,6 +500,6 @@ def _in_a_line(record: logging.LogRecord) -> bool:
     if record.exc_info and isinstance(record.exc_info[1], HttpProcessingError):
         return False  # no request at all, which anybody may say as often as they like
     if record.exc_info and record.exc_info[1] is not None:
-        record.msg, record.args = escaped(f"{record.getMessage()}: {record.exc_info[1]!r}"), ()
+        record.msg, record.args = escape(f"{record.getMessage()}: {record.exc_info[1]!r}"), ()
         record.exc_info = None
     return True

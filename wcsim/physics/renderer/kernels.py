@@ -12,11 +12,11 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from wcsim.core.jit import kernel
+from wcsim.core.jit import compile_fast_kernel
 from wcsim.types import F32, F64, I32, U8, Bool
 
 
-@kernel
+@compile_fast_kernel
 def place_models(p_W_m: F64, yaw: F64, pitch: F64, roll: F64, scale: F64, T_WM: F64) -> None:
     """Unit model box to world: T_WM (n, 3, 4) = place . yaw . pitch (nose up) . roll . size."""
     for i in range(len(yaw)):
@@ -32,7 +32,7 @@ def place_models(p_W_m: F64, yaw: F64, pitch: F64, roll: F64, scale: F64, T_WM: 
             T[row, 3] = p_W_m[i, row]
 
 
-@kernel
+@compile_fast_kernel
 def _half_diagonal(T: F64) -> float:
     """Half the diagonal of a placed model's box, with room for a stride and for rounding; T (3, 4) its place."""
     total = 0.0
@@ -42,7 +42,7 @@ def _half_diagonal(T: F64) -> float:
     return float(0.54 * np.sqrt(total) + 1e-3)
 
 
-@kernel
+@compile_fast_kernel
 def put_round(T_WM: F64, balls: F32) -> None:
     """Write the ball (x, y, z of W, radius) round each placed model; T_WM (n, 3, 4), balls (n, 4)."""
     for i in range(len(T_WM)):
@@ -124,7 +124,7 @@ class Target(NamedTuple):
     words: U32Array  # (H, W), or (0, 0) when neither colours nor instances are drawn
 
 
-@kernel
+@compile_fast_kernel
 def _fill(
     x0: float, y0: float, w0: float, x1: float, y1: float, w1: float, x2: float, y2: float, w2: float,
     class_id: int, word: Word, out: Target,
@@ -184,7 +184,7 @@ def _fill(
                 class_row[i] = class_byte if nearer else class_row[i]
 
 
-@kernel
+@compile_fast_kernel
 def _clip_and_fill(p: F32, a: int, b: int, c: int, class_id: int, word: Word, view: View, out: Target) -> None:
     """Cut the triangle of a, b, c of p, on both sides of the near plane, there; fill what is in front of it."""
     height, width = out.inverse_z.shape
@@ -213,7 +213,7 @@ def _clip_and_fill(p: F32, a: int, b: int, c: int, class_id: int, word: Word, vi
         _fill(ax * f * wa + cx, ay * f * wa + cy, wa, px, py, wn, qx, qy, wn, class_id, word, out)
 
 
-@kernel
+@compile_fast_kernel
 def _to_camera(vertices: F32, first: int, end: int, T: F64, out: F32) -> None:
     """Transform vertices first:end into the first rows of `out`."""
     for i in range(first, end):
@@ -222,7 +222,7 @@ def _to_camera(vertices: F32, first: int, end: int, T: F64, out: F32) -> None:
             out[i - first, k] = T[k, 0] * x + T[k, 1] * y + T[k, 2] * z + T[k, 3]
 
 
-@kernel
+@compile_fast_kernel
 def _to_screen(p: F32, count: int, view: View, width: int, height: int, screen: F64) -> None:
     """Project the first points of p (n, 3): column, row and 1/z into `screen` (3, n); naught for one behind."""
     cx, cy = 0.5 * width, 0.5 * height
@@ -233,7 +233,7 @@ def _to_screen(p: F32, count: int, view: View, width: int, height: int, screen: 
         screen[2, i] = w
 
 
-@kernel
+@compile_fast_kernel
 def _on_screen(x0: float, y0: float, x1: float, y1: float, x2: float, y2: float, width: int, height: int) -> bool:
     """Whether a screen triangle may cover the middle of a pixel."""
     top, bottom, left, right = min(y0, y1, y2), max(y0, y1, y2), min(x0, x1, x2), max(x0, x1, x2)
@@ -243,7 +243,7 @@ def _on_screen(x0: float, y0: float, x1: float, y1: float, x2: float, y2: float,
     return bool(np.ceil(top - 0.5) < np.ceil(bottom - 0.5) and np.ceil(left - 0.5) < np.ceil(right - 0.5))
 
 
-@kernel
+@compile_fast_kernel
 def draw_chunk(street: StreetArrays, chunk: int, plain: bool, view: View, p: F32, screen: F64, out: Target) -> None:
     """Draw one chunk of the street; its words are its faces, or with `plain` their colours.
 
@@ -267,7 +267,7 @@ def draw_chunk(street: StreetArrays, chunk: int, plain: bool, view: View, p: F32
             _fill(x0, y0, screen[2, a], x1, y1, screen[2, b], x2, y2, screen[2, c], street.face_class[face], word, out)
 
 
-@kernel
+@compile_fast_kernel
 def _lit_paint(paint: int, lamps: int) -> int:
     """The paint of a face of an actor whose signals are `lamps`."""
     if paint == TAILLIGHT and lamps & BRAKE_BIT:
@@ -276,7 +276,7 @@ def _lit_paint(paint: int, lamps: int) -> int:
     return TURNING if turns else paint
 
 
-@kernel
+@compile_fast_kernel
 def _draw_model(
     models: ModelArrays,
     t: int,
@@ -332,7 +332,7 @@ def _draw_model(
             _fill(x0, y0, screen[2, a], x1, y1, screen[2, b], x2, y2, screen[2, c], models.face_class[face], word, out)
 
 
-@kernel
+@compile_fast_kernel
 def cull(balls: F32, view: View, width: int, height: int, depth: F32) -> None:
     """Depth of the middle of each ball (n, 4: x, y, z of W, radius), or OUT where the whole ball is out of view."""
     t0, t1, t2, t3 = view.T_CW[2, 0], view.T_CW[2, 1], view.T_CW[2, 2], view.T_CW[2, 3]
@@ -354,7 +354,7 @@ def cull(balls: F32, view: View, width: int, height: int, depth: F32) -> None:
             depth[i] = ahead
 
 
-@kernel
+@compile_fast_kernel
 def _near_first(depth: F32, range_m: float, order: I32) -> int:
     """Write the numbers of what is not OUT into `order`, near ones first to 1/BUCKETS of the range; how many."""
     # A counting sort keeps the numbers' order within a bucket, and with it who is drawn first at equal depth.
@@ -374,7 +374,7 @@ def _near_first(depth: F32, range_m: float, order: I32) -> int:
     return count
 
 
-@kernel
+@compile_fast_kernel
 def _visible(
     street: StreetArrays,
     actors: InstanceArrays,
@@ -397,7 +397,7 @@ def _visible(
     return _near_first(depth, view.range_m, order)
 
 
-@kernel
+@compile_fast_kernel
 def draw(
     street: StreetArrays,
     models: ModelArrays,
@@ -450,7 +450,7 @@ def draw(
     _finish(view, out)
 
 
-@kernel
+@compile_fast_kernel
 def _finish(view: View, out: Target) -> None:
     """Turn 1/z into depth; what lies beyond the range is sky."""
     height, width = out.inverse_z.shape

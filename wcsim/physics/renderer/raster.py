@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from wcsim.core.jit import kernel
+from wcsim.core.jit import compile_fast_kernel
 from wcsim.physics.buffers import Images, new_images
 from wcsim.physics.renderer import kernels
 from wcsim.physics.renderer.base import Pinhole, check_images
@@ -123,7 +123,7 @@ SHADOW_M, SHADOWS_M, FOOT_M, DARKEST = 0.18, 40.0, 0.2, 0.42
 FOOT_OF_WALL_M, NO_M = np.float32(0.7), np.float32(0.0)
 
 
-@kernel
+@compile_fast_kernel
 def _draw_marks(marks: StreetArrays, view: View, out: Target) -> None:
     """Put the colours of marks on the ground into the words of a drawn picture; its depth and classes stay."""
     height, width = out.inverse_z.shape
@@ -142,7 +142,7 @@ def _draw_marks(marks: StreetArrays, view: View, out: Target) -> None:
             draw_chunk(marks, chunk, True, view, p, screen, beside)
 
 
-@kernel
+@compile_fast_kernel
 def _overlay(street: StreetArrays, face: int, x: float, y: float, z: float) -> np.uint32:
     """The colour word that a face's pattern puts over its own colour at a point of W, or 0."""
     bay = x * street.frame[face, 0] + y * street.frame[face, 1] - street.frame[face, 2]
@@ -154,7 +154,7 @@ def _overlay(street: StreetArrays, face: int, x: float, y: float, z: float) -> n
     return WINDOW_WORD if beside < WINDOW_HALF and above < WINDOW_HALF else NO_WORD
 
 
-@kernel
+@compile_fast_kernel
 def _dice(i: int, j: int) -> np.float32:
     """A number from 0 to 1 for a cell of the ground, the same each time."""
     n = (i * 374761393 + j * 668265263) & 0xFFFFFFFF
@@ -162,7 +162,7 @@ def _dice(i: int, j: int) -> np.float32:
     return np.float32(n >> 16) * np.float32(1.0 / 65535.0)
 
 
-@kernel
+@compile_fast_kernel
 def _grain(pattern: int, x: np.float32, y: np.float32, far_m: np.float32) -> np.uint32:
     """How bright the ground is at a point of W, in 256ths: slabs with joints, or patches; all fades with distance."""
     near = np.float32(1.0) - min(far_m * NEAR_GROUND, np.float32(0.85))
@@ -182,14 +182,14 @@ def _grain(pattern: int, x: np.float32, y: np.float32, far_m: np.float32) -> np.
     return np.uint32(240.0 + 16.0 * (patch * (np.float32(2.0) * near) + np.float32(1.0) - near))
 
 
-@kernel
+@compile_fast_kernel
 def _dimmed(word: np.uint32, share: np.uint32) -> np.uint32:
     """A colour word, so bright in 256ths."""
     even = (word & EVEN) * share >> BYTE & EVEN  # red and blue at once
     return even | (word >> BYTE & LOW) * share & HIGH
 
 
-@kernel
+@compile_fast_kernel
 def _stand(T_WM: F64, shown: Bool, view: View, T_WC: F64, depth_m: F32, words: U32Array, rgb: U8) -> None:
     """Soft shadows on the ground under all that stands on it: darker towards the middle of its outline."""
     height, width = depth_m.shape
@@ -224,7 +224,7 @@ def _stand(T_WM: F64, shown: Bool, view: View, T_WC: F64, depth_m: F32, words: U
                         rgb[row, column, k] = np.uint8(rgb[row, column, k] * (DARKEST + (1.0 - DARKEST) * q * q))
 
 
-@kernel
+@compile_fast_kernel
 def _sky_ramp(view: View) -> U8:
     """Colours (SKY_STEPS + 1, 3) of the sky from the horizon up."""
     ramp = np.empty((SKY_STEPS + 1, 3), np.uint8)
@@ -234,7 +234,7 @@ def _sky_ramp(view: View) -> U8:
     return ramp
 
 
-@kernel
+@compile_fast_kernel
 def _colour(street: StreetArrays, view: View, T_WC: F64, depth_m: F32, words: U32Array, rgb: U8) -> None:
     """Write the shaded picture (H, W, 3) from words and depth: faces with their patterns, actors, haze, sky."""
     height, width = depth_m.shape
@@ -279,7 +279,7 @@ def _colour(street: StreetArrays, view: View, T_WC: F64, depth_m: F32, words: U3
             rgb[row, i, 2] = word >> TWO_BYTES & LOW
 
 
-@kernel
+@compile_fast_kernel
 def brighten(rgb: U8, table: U8) -> None:
     """Replace each colour value of a picture (H, W, 3) by that of the table (256,), in place."""
     height, width, _ = rgb.shape
@@ -289,7 +289,7 @@ def brighten(rgb: U8, table: U8) -> None:
                 rgb[row, i, k] = table[rgb[row, i, k]]
 
 
-@kernel
+@compile_fast_kernel
 def _write_instances(words: U32Array, class_id: U8, instance: I32) -> None:
     """Write the row of the instance that each pixel shows, -1 for the street and the sky, from a numbered picture."""
     height, width = words.shape

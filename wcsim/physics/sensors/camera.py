@@ -17,7 +17,7 @@ import numpy.typing as npt
 from wcsim.config import CameraConfig, CameraNoiseConfig, DepthNoiseConfig
 from wcsim.core import frames, seeding
 from wcsim.core.closing import ClosingContextBase
-from wcsim.core.jit import kernel
+from wcsim.core.jit import compile_fast_kernel
 from wcsim.errors import ConfigError
 from wcsim.physics.buffers import Images, SeatBuffers, new_images
 from wcsim.physics.renderer.base import Pinhole, Renderer
@@ -36,7 +36,7 @@ _STATED_PX = 320 * 240
 """The picture for which numbers of pixels are stated; in one of another size they are scaled by its share of this."""
 
 
-@kernel
+@compile_fast_kernel
 def _count(instance: I32, counts: npt.NDArray[np.int64]) -> None:
     for row in range(instance.shape[0]):
         for i in instance[row]:
@@ -91,9 +91,9 @@ def _depth_noise(camera: CameraConfig, depth: DepthNoiseConfig, pinhole: Pinhole
     return DepthNoise(
         focal_px=pinhole.focal_px,
         shift_px_m=pinhole.focal_px * depth.baseline_m,
-        match_px_m=focal_px(depth.matcher_width_px, frames.rad(camera.hfov_deg)) * depth.baseline_m,
+        match_px_m=focal_px(depth.matcher_width_px, frames.deg2rad(camera.hfov_deg)) * depth.baseline_m,
         range_m=camera.range_m,
-        grazing_sin=math.sin(frames.rad(depth.grazing_deg)),
+        grazing_sin=math.sin(frames.deg2rad(depth.grazing_deg)),
         **known,
     )
 
@@ -238,7 +238,7 @@ class CameraRig(ClosingContextBase):
         """Take the noise of the pictures from this seed on; each seat and camera has its own."""
         for seat, shutters in enumerate(self._shutters):
             for shutter, camera in zip(shutters, self.cameras, strict=True):
-                shutter.key = seeding.derive_key(seed, "camera", seat, camera.name)
+                shutter.key = seeding.derive_rng_key(seed, "camera", seat, camera.name)
                 shutter.last = None
 
     def mount(self, seat: int, cameras: Sequence[CameraConfig], light: float) -> None:

@@ -22,7 +22,7 @@ def pinhole(camera: CameraConfig) -> Pinhole:
     return Pinhole(
         width_px=camera.width_px,
         height_px=camera.height_px,
-        focal_px=focal_px(camera.width_px, frames.rad(camera.hfov_deg)),
+        focal_px=focal_px(camera.width_px, frames.deg2rad(camera.hfov_deg)),
         near_m=camera.near_m,
         range_m=camera.range_m,
     )
@@ -39,7 +39,7 @@ def focal_px(width_px: int, hfov_rad: float) -> float:
 
 def mount(camera: CameraConfig) -> F64:
     """Pose (3, 4) of the camera's mount in the chair's frame B: x the way it looks, y left, z up."""
-    turns = frames.rad(camera.yaw_deg), frames.rad(camera.pitch_deg), frames.rad(camera.roll_deg)
+    turns = frames.deg2rad(camera.yaw_deg), frames.deg2rad(camera.pitch_deg), frames.deg2rad(camera.roll_deg)
     return pose_of(camera.p_BC_m, *turns)
 
 

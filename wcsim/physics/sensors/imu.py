@@ -23,8 +23,8 @@ import numpy as np
 
 from wcsim.config import ImuConfig
 from wcsim.core.constants import GRAVITY_MPS2
-from wcsim.core.frames import Rotation, Vec3, rad, rpy_from_matrix
-from wcsim.core.jit import exact_kernel
+from wcsim.core.frames import Rotation, Vec3, deg2rad, rpy_from_matrix
+from wcsim.core.jit import compile_exact_kernel
 from wcsim.errors import PhysicsError
 from wcsim.physics.sensors.base import BodyMotion, Sensor
 from wcsim.physics.sensors.camera_geometry import turn_of
@@ -70,7 +70,7 @@ class _TiltSensor:
 
     def start(self, drawn: F64) -> None:
         """Begin an episode with a mounting error; `drawn` (2,) is standard normal, zero for none."""
-        scale = rad(self._config.tilt_bias_deg)
+        scale = deg2rad(self._config.tilt_bias_deg)
         self._bias = (scale * float(drawn[0]), scale * float(drawn[1]))
         self._now = None
 
@@ -89,7 +89,7 @@ class _TiltSensor:
             drawn: (2,) standard normal, zero for no noise.
         """
         roll, pitch = self._felt(true, force_B_mps2, w_B_radps, dt_s, drawn)
-        most = rad(self._config.tilt_range_deg)
+        most = deg2rad(self._config.tilt_range_deg)
         return min(max(roll, -most), most), min(max(pitch, -most), most)
 
     def _felt(self, true: Tilt, force_B_mps2: F64, w_B_radps: F64, dt_s: float, drawn: F64) -> Tilt:
@@ -105,7 +105,7 @@ class _TiltSensor:
             turn = math.remainder(felt[0] - ahead[0], 2.0 * math.pi)  # the short way round
             felt = (math.remainder(ahead[0] + share * turn, 2.0 * math.pi), ahead[1] + share * (felt[1] - ahead[1]))
         self._now = felt
-        scale = rad(self._config.tilt_noise_deg)
+        scale = deg2rad(self._config.tilt_noise_deg)
         return (
             felt[0] + self._bias[0] + scale * float(drawn[0]),
             felt[1] + self._bias[1] + scale * float(drawn[1]),
@@ -117,7 +117,7 @@ STATE = 9  # velocity of the mount in W, the two stages of the low-pass
 RESULT = 12  # see `_filter_tick`
 
 
-@exact_kernel
+@compile_exact_kernel
 def _filter_tick(
     rows: F64, state: F64, arm_B_m: F64, per_s: float, gravity_mps2: float, felt_mps2: float, alpha: float, low: F64
 ) -> F64:
@@ -182,7 +182,7 @@ class Imu(Sensor):
         self._felt_mps2 = GRAVITY_MPS2 if config.gravity == "included" else 0.0
         self._errors = _Errors(config)
         self._tilt = _TiltSensor(config)
-        roll, pitch, yaw = (rad(turn) for turn in config.rpy_deg)
+        roll, pitch, yaw = (deg2rad(turn) for turn in config.rpy_deg)
         self._R_BS = turn_of(yaw, pitch, roll) if any(config.rpy_deg) else None  # None costs nothing
         self._low = np.zeros((0, 3))
         self.reset(BodyMotion())
@@ -272,13 +272,13 @@ class _Errors:
     """
 
     def __init__(self, config: ImuConfig) -> None:
-        mg, deg = 1e-3 * STANDARD_GRAVITY_MPS2, rad(1.0)
+        mg, deg = 1e-3 * STANDARD_GRAVITY_MPS2, deg2rad(1.0)
         three = np.ones(3)
         self._tau_s = config.bias_tau_s
         self._density = np.r_[1e-3 * mg * config.accel_density_ug * three, deg * config.gyro_density_deg * three]
         self._turn_on = np.r_[mg * config.accel_bias_mg * three, deg * config.gyro_bias_deg * three]
         self._drift = np.r_[mg * config.accel_instability_mg * three, deg * config.gyro_instability_deg * three]
-        self._most_mps2, self._most_radps = config.saturation_mps2, rad(config.gyro_range_deg)
+        self._most_mps2, self._most_radps = config.saturation_mps2, deg2rad(config.gyro_range_deg)
         self.start(None)
 
     def start(self, noise_key: int | None) -> None:

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from wcsim.core.jit import kernel
+from wcsim.core.jit import compile_fast_kernel
 from wcsim.core.reading import read_module_toml
 from wcsim.physics.buffers import Images
 from wcsim.physics.renderer.base import Pinhole
@@ -135,13 +135,13 @@ def _law_of(rates: dict[str, Any], camera: Pinhole, tick_s: float) -> _Law:
     return _Law(**{name: known[name] for name in _Law._fields})
 
 
-@kernel
+@compile_fast_kernel
 def _share(key: np.uint64, number: int) -> float:
     """A number from 0 to 1 of a key."""
     return np.float64(random_word(key, number) >> S32) / WORDS
 
 
-@kernel
+@compile_fast_kernel
 def _cell_key(key: np.uint64, x: float, y: float, z: float) -> np.uint64:
     """The key of the cell of the world in which a point is; cells have edges of 1."""
     column, row, level = int(np.floor(x + OFF)), int(np.floor(y + OFF)), int(np.floor(z + OFF))
@@ -149,7 +149,7 @@ def _cell_key(key: np.uint64, x: float, y: float, z: float) -> np.uint64:
     return random_word(key, column << 42 | row << 21 | level)
 
 
-@kernel
+@compile_fast_kernel
 def _name_of(key: np.uint64, tick: int, c: int, factor: float, law: _Law) -> int:
     """What a thing of class c is called in this tick; `factor` multiplies the odds that it is called wrong.
 
@@ -176,7 +176,7 @@ def _name_of(key: np.uint64, tick: int, c: int, factor: float, law: _Law) -> int
     return int(law.names[c, k])
 
 
-@kernel
+@compile_fast_kernel
 def _names(instance: I32, depth_m: F32, seeds: U32Array, key: np.uint64, tick: int, law: _Law) -> U8:
     """What each actor's pixels of each class are called, (n, CLASSES); only of those that are in the picture (H, W)."""
     height, width = instance.shape
@@ -201,7 +201,7 @@ def _names(instance: I32, depth_m: F32, seeds: U32Array, key: np.uint64, tick: i
     return names
 
 
-@kernel
+@compile_fast_kernel
 def _err(
     class_id: U8,
     depth_m: F32,
@@ -223,7 +223,7 @@ def _err(
     _fail_stereo(depth_m, T_CW, keys[4], now_s / law.patch_s, law)
 
 
-@kernel
+@compile_fast_kernel
 def _in_world(T_CW: F64, u: float, v: float, z: float) -> tuple[float, float, float]:
     """Where in W is what is seen at depth z in the direction (u, v, 1) of the camera frame."""
     x, y, z = z * u - T_CW[0, 3], z * v - T_CW[1, 3], z - T_CW[2, 3]
@@ -235,7 +235,7 @@ def _in_world(T_CW: F64, u: float, v: float, z: float) -> tuple[float, float, fl
     )
 
 
-@kernel
+@compile_fast_kernel
 def _rename(
     class_id: U8, depth_m: F32, instance: I32, names: U8, T_CW: F64, key: np.uint64, tick: int, law: _Law
 ) -> None:
@@ -263,7 +263,7 @@ def _rename(
             _see_through(class_id[row], depth_m[row])
 
 
-@kernel
+@compile_fast_kernel
 def _see_through(class_id: U8, depth_m: F32) -> None:
     """Call what is missed in a row (W,) what stands beside it, on the side that is farther away; nothing: no class."""
     width, start = len(class_id), 0
@@ -283,7 +283,7 @@ def _see_through(class_id: U8, depth_m: F32) -> None:
         start = end
 
 
-@kernel
+@compile_fast_kernel
 def _add_false(class_id: U8, depth_m: F32, T_CW: F64, ground_m: float, key: np.uint64, now_s: float, law: _Law) -> None:
     """Name pixels of people who are not there; the world is cut into squares, and time into slots."""
     reach = int(np.ceil(law.false_far_m / SQUARE_M))
@@ -304,7 +304,7 @@ def _add_false(class_id: U8, depth_m: F32, T_CW: F64, ground_m: float, key: np.u
                 _draw_false(class_id, depth_m, p_C_m, law)
 
 
-@kernel
+@compile_fast_kernel
 def _draw_false(class_id: U8, depth_m: F32, p_C_m: F64, law: _Law) -> None:
     """Name the pixels of an ellipse with its middle at a point (3,) of the camera frame, where nothing is nearer."""
     height, width = class_id.shape
@@ -320,7 +320,7 @@ def _draw_false(class_id: U8, depth_m: F32, p_C_m: F64, law: _Law) -> None:
                 class_id[row, i] = PERSON_ID
 
 
-@kernel
+@compile_fast_kernel
 def _wander(class_id: U8, key: np.uint64, now: float, law: _Law, table: F32) -> None:
     """Shift borders on the ground by an offset that changes slowly over picture and time; `now` in units of `border_s`.
 
@@ -359,7 +359,7 @@ def _wander(class_id: U8, key: np.uint64, now: float, law: _Law, table: F32) -> 
                         class_id[r, i] = name
 
 
-@kernel
+@compile_fast_kernel
 def _fail_stereo(depth_m: F32, T_CW: F64, key: np.uint64, now: float, law: _Law) -> None:
     """Lose or invent the surfaces in some cubes of the world, each for `patch_s`; `now` in units of it."""
     height, width = depth_m.shape

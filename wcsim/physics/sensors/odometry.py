@@ -13,7 +13,7 @@ from collections import deque
 import numpy as np
 
 from wcsim.config import OdometryConfig
-from wcsim.core.frames import rad
+from wcsim.core.frames import deg2rad
 from wcsim.physics.sensors.base import BodyMotion, Sensor
 from wcsim.physics.sensors.pixel_noise import child, normals
 from wcsim.types import F64
@@ -33,7 +33,7 @@ class Odometry(Sensor):
         self._config = config
         self._nominal_m, self._track_m, self._dt_s = wheel_radius_m, track_m, dt_s
         self._per_rad = config.ticks_per_turn / (2.0 * math.pi)
-        self._density = np.array([config.speed_density_mps, rad(config.turn_density_deg)])
+        self._density = np.array([config.speed_density_mps, deg2rad(config.turn_density_deg)])
         self.start(None)
         self.reset(BodyMotion())
 

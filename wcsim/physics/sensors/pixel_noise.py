@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from wcsim.core.jit import kernel
+from wcsim.core.jit import compile_fast_kernel
 from wcsim.types import F32, F64, U8
 
 _MASK = (1 << 64) - 1
@@ -100,7 +100,7 @@ def normal_quantiles() -> F32:
     return np.array([-TAIL, *inner, TAIL], np.float32)
 
 
-@kernel
+@compile_fast_kernel
 def random_word(key: np.uint64, place: int) -> np.uint64:
     """64 random bits of a place."""
     x = key + np.uint64(place + 1) * STEP
@@ -109,7 +109,7 @@ def random_word(key: np.uint64, place: int) -> np.uint64:
     return x ^ (x >> S31)
 
 
-@kernel
+@compile_fast_kernel
 def random_normal(bits: np.uint64, table: F32) -> np.float32:
     """A standard normal number from 32 random bits: a cell of the table, and a place in it."""
     cell = bits >> CELL_BITS
@@ -118,7 +118,7 @@ def random_normal(bits: np.uint64, table: F32) -> np.float32:
     return np.float32(low + rest * (table[np.int64(cell) + 1] - low))
 
 
-@kernel
+@compile_fast_kernel
 def _normals(key: np.uint64, count: int, table: F32) -> F64:
     out = np.empty(count, np.float64)
     for i in range(count):
@@ -126,13 +126,13 @@ def _normals(key: np.uint64, count: int, table: F32) -> F64:
     return out
 
 
-@kernel
+@compile_fast_kernel
 def _least(a: np.float32, b: np.float32) -> np.float32:
     """The one of two numbers that is nearer to 0."""
     return a if abs(a) < abs(b) else b
 
 
-@kernel
+@compile_fast_kernel
 def _disturb_depth(depth_m: F32, key: np.uint64, noise: DepthNoise, table: F32) -> None:
     """Measure a true depth picture (H, W) as a stereo camera does, in place; 0 is where nothing was measured.
 
@@ -195,7 +195,7 @@ def _disturb_depth(depth_m: F32, key: np.uint64, noise: DepthNoise, table: F32) 
             depth_m[row, i] = measured if measured >= z_min else np.float32(0.0)
 
 
-@kernel
+@compile_fast_kernel
 def _disturb_classes(class_id: U8, key: np.uint64, noise: ClassNoise) -> None:
     """Name pixels (H, W) as a network does, in place: borders are frayed, and patches have no class.
 
@@ -228,7 +228,7 @@ def _disturb_classes(class_id: U8, key: np.uint64, noise: ClassNoise) -> None:
             class_id[row, i] = VOID_ID if lost[patch_of[i]] else seen
 
 
-@kernel
+@compile_fast_kernel
 def _disturb_colours(rgb: U8, key: np.uint64, sigma: float, table: F32) -> None:
     """Add normal noise of `sigma` steps of 255 to each colour of a picture (H, W, 3), in place."""
     height, width, _ = rgb.shape

@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 
 from wcsim.config import ChairConfig
-from wcsim.core.jit import exact_kernel
+from wcsim.core.jit import compile_exact_kernel
 from wcsim.core.joystick import (
     ACCEL,
     DECEL,
@@ -94,7 +94,7 @@ def speed_mps(axle_mps: float, wheels_mps: float) -> float:
     return wheels_mps + min(max(axle_mps - wheels_mps, -SLIP_MPS), SLIP_MPS)
 
 
-@exact_kernel
+@compile_exact_kernel
 def _target(x: float, y: float, v_ref_mps: float, setting: F64) -> tuple[float, float]:
     """The speeds that a joystick position asks for: forward in m/s, turn to the left in rad/s.
 
@@ -111,13 +111,13 @@ def _target(x: float, y: float, v_ref_mps: float, setting: F64) -> tuple[float, 
     return target_speeds(sx, sy, v_ref_mps, setting)
 
 
-@exact_kernel
+@compile_exact_kernel
 def _motor_torque_Nm(wheel_radps: float, setting: F64) -> float:
     """What a motor gives at most at a wheel speed: falling from the stall torque to the no-load speed."""
     return float(setting[_STALL] * max(setting[_LEAST_SHARE], 1.0 - abs(wheel_radps) / setting[_NO_LOAD]))
 
 
-@exact_kernel
+@compile_exact_kernel
 def _control(state: F64, v_mps: float, setting: F64) -> None:
     """Throttle or brake: the motors' speed moves on by the acceleration that the controller in charge gives.
 
@@ -147,13 +147,13 @@ def _control(state: F64, v_mps: float, setting: F64) -> None:
     state[V_MOTOR_MPS] = min(max(motor, v_ref - SPEED_BAND_MPS), v_ref + SPEED_BAND_MPS)
 
 
-@exact_kernel
+@compile_exact_kernel
 def _steered(ahead_radps: float, push_radps: float) -> float:
     """Share of its torque for a wheel that is ahead of the other one and is pushed on."""
     return max(0.0, 1.0 - STEER_S * abs(ahead_radps)) if ahead_radps * push_radps > 0.0 else 1.0
 
 
-@exact_kernel
+@compile_exact_kernel
 def _damped(state: F64, x: float, y: float, setting: F64) -> None:
     """The controller's low-pass against a trembling hand."""
     share = setting[_SMOOTHING]
@@ -166,7 +166,7 @@ def _damped(state: F64, x: float, y: float, setting: F64) -> None:
         state[STICK_Y] += share * (y - state[STICK_Y])
 
 
-@exact_kernel
+@compile_exact_kernel
 def step(
     state: F64, setting: F64, x: float, y: float, v_mps: float, left_radps: float, right_radps: float
 ) -> tuple[float, float, float, float]:

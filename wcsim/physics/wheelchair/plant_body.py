@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from typing import Final
 
 from wcsim.config.plant import CasterArmPart, CasterBeamPart, CasterPart
-from wcsim.core.frames import Vec3, rad
-from wcsim.core.own_folder import temporary_folder
+from wcsim.core.frames import Vec3, deg2rad
+from wcsim.core.own_folder import create_temporary_folder
 from wcsim.errors import ConfigError, PhysicsError
 from wcsim.physics.bullet import Bullet, pybullet
 from wcsim.physics.engine import Engine
@@ -83,7 +83,7 @@ def _beam(name: str, pair: CasterPart, beam: CasterBeamPart) -> Iterator[str]:
     """A rod as long as the pair's track, level with the swivels; its pivot's axis is x."""
     com = (0.0, 0.0, pair.radius_m + FORK_M - beam.pivot_z_m)
     yield f'<link name="{name}">{_inertial(beam.mass_kg, beam_inertia_kgm2(beam, pair.track_m), com)}</link>'
-    stop_rad = rad(beam.stop_deg)
+    stop_rad = deg2rad(beam.stop_deg)
     limit = f'<limit lower="{-stop_rad}" upper="{stop_rad}" effort="{_BEAM_EFFORT_NM}" velocity="{_BEAM_RADPS}"/>'
     yield _joint(name, "frame", (pair.swivel_x_m, 0.0, beam.pivot_z_m), axis="1 0 0", kind="revolute", limit=limit)
 
@@ -214,7 +214,7 @@ def dressed(engine: Engine, number: int, spec: PlantSpec, v_max_mps: float) -> C
 def _load(text: str, bullet: Bullet) -> int:
     # Otherwise Bullet guesses inertias from the shapes, and takes a wheel for a prism that rattles.
     flags = pybullet.URDF_USE_INERTIA_FROM_FILE | pybullet.URDF_USE_IMPLICIT_CYLINDER
-    with temporary_folder() as folder:
+    with create_temporary_folder() as folder:
         path = folder / "chair.urdf"
         path.write_text(text, encoding="utf-8")
         try:

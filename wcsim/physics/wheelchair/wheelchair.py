@@ -23,14 +23,14 @@ from wcsim.core.frames import (
     Rotation,
     Vec3,
     add_vectors,
+    compute_point_velocity,
     matrix_from_quaternion,
     quaternion_from_ypr,
     rotate_vector,
     rotate_vector_inverse,
     rpy_from_matrix,
-    velocity_at,
 )
-from wcsim.core.jit import exact_kernel
+from wcsim.core.jit import compile_exact_kernel
 from wcsim.errors import PhysicsError
 from wcsim.physics.bullet import Bullet, pybullet
 from wcsim.physics.engine import PARK_Z_M, SUSPECT_N, BodyTag, Engine, Role
@@ -125,7 +125,7 @@ def fell(p_W_m: F64, speed_mps: F64, ground: Ground) -> bool:
     return bool((sank & _after_edge(ground.raised_at(p_W_m))).any())
 
 
-@exact_kernel
+@compile_exact_kernel
 def _sank(p_W_m: F64, speed_mps: F64, window: int, sank: Bool) -> bool:
     """Note in `sank` (n, W) where a wheel is that much lower than in the samples before, when the chair was fast."""
     found = False
@@ -385,7 +385,7 @@ class Wheelchair:
         r = self._rotation
         cx, cy, cz = self._com_B_m
         origin = add_vectors(self._p_com_W_m, rotate_vector(r, -cx, -cy, -cz))
-        v_origin = velocity_at(origin, self._p_com_W_m, self._v_W_mps, self._w_W_radps)
+        v_origin = compute_point_velocity(origin, self._p_com_W_m, self._v_W_mps, self._w_W_radps)
         roll, pitch, yaw = rpy_from_matrix(r)
         return PlantState(
             p_WB_m=np.array(origin),
@@ -501,7 +501,7 @@ class Wheelchair:
         part = self._body.part.get(point[3]) or self._frame_part(point[5])
         touch = ContactPoint(
             point_W_m=point[5],
-            v_chair_W_mps=velocity_at(point[5], before.p_W_m, before.v_W_mps, before.w_W_radps),
+            v_chair_W_mps=compute_point_velocity(point[5], before.p_W_m, before.v_W_mps, before.w_W_radps),
             normal_to_chair=point[7],
         )
         self._log.add(point[2], part, point[9] * self._engine.step_s, tag, touch)

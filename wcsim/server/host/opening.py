@@ -14,10 +14,10 @@ from wcsim.bridge.replay.player import Seats, SeatWorld, Specs
 from wcsim.bridge.world import World
 from wcsim.core import seeding
 from wcsim.errors import ConfigError
-from wcsim.log.fingerprint import fingerprint
-from wcsim.log.reader import iter_part_inputs, list_log_parts, read_header, rotate_log
+from wcsim.log.fingerprint import make_software_fingerprint
+from wcsim.log.reader import iter_journal_part_inputs, list_log_parts, read_header, rotate_log
 from wcsim.log.records import Ended, EpochBegun, Header
-from wcsim.log.writer import JOURNAL, LogWriter, truncation_message
+from wcsim.log.writer import JOURNAL, LogWriter, format_truncation_warning
 from wcsim.server.launch.event_log import EventLogWriter
 from wcsim.server.protocol.events import ServerRules
 from wcsim.server.protocol.server_core import ServerCore
@@ -122,7 +122,7 @@ def _header(order: WorldProcessSpec, has_town: bool) -> Header:
         seed=order.seed,
         seats=order.rules.capacity,
         tick_s=order.config.world.tick_s,
-        fingerprint=fingerprint(),
+        fingerprint=make_software_fingerprint(),
         hook=order.hook,
     )
 
@@ -143,7 +143,7 @@ def _last_epoch(parts: Sequence[Path]) -> _LastEpoch:
     """How the last epoch of a journal ended; a part whose world ended while loading has none."""
     for part in reversed(parts):
         seats, epoch, is_over = Seats(), -1, False
-        for record in iter_part_inputs(part, ticks=False):
+        for record in iter_journal_part_inputs(part, ticks=False):
             seats.note(record)
             if isinstance(record, EpochBegun):
                 epoch = max(epoch, record.epoch)
@@ -159,7 +159,7 @@ def _append_to(path: Path) -> LogWriter:
     journal = LogWriter.append_to(path)
     if journal.cut_bytes:
         EventLogWriter(path.parent).add(
-            "torn", who="world", reason=truncation_message(path, journal.cut_bytes)
+            "torn", who="world", reason=format_truncation_warning(path, journal.cut_bytes)
         )
     return journal
 

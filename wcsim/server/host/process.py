@@ -35,7 +35,7 @@ from wcsim.server.host.opening import (
 )
 from wcsim.server.host.status import StatusPipeWriter
 from wcsim.server.host.world_host import WorldEffectExecutor
-from wcsim.server.launch.awake_clock import AwakeClock
+from wcsim.server.launch.awake_clock import SuspendSafeClock
 from wcsim.server.launch.states import WorldExitCode
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.events import (
@@ -47,9 +47,9 @@ from wcsim.server.protocol.events import (
     StopServerEvent,
     TimePassedEvent,
 )
-from wcsim.server.protocol.limits import NO_ROOM, resource_limit_message, write_stderr_line
+from wcsim.server.protocol.limits import NO_ROOM, explain_resource_limit_error, write_stderr_line
 from wcsim.server.protocol.server_core import ServerCore
-from wcsim.server.specs import WorldProcessSpec, read_spec_file, rss_mb
+from wcsim.server.specs import WorldProcessSpec, measure_rss_mb, read_spec_file
 from wcsim.server.transport.shared_images import SharedImageWriter
 from wcsim.server.transport.sockets import (
     LOCAL,
@@ -187,7 +187,7 @@ class _ServerLoop:
             self._ring,
             reporter.report_loading,
         )
-        self._clock = AwakeClock(time.monotonic())
+        self._clock = SuspendSafeClock(time.monotonic())
         self._peers = PeerLimits()
         # The connection of each session's first join: another one may repeat its messages.
         self._first_peers: dict[bytes, Peer] = {}
@@ -362,7 +362,7 @@ class _EpochCap:
         core = self._core
         if core.last_tick is None or core.tick < SETTLED_TICKS:
             return
-        now_mb = rss_mb()
+        now_mb = measure_rss_mb()
         if self._start_mb is None:
             self._start_mb = now_mb
         if now_mb - self._start_mb > _GROWTH_MB:
@@ -484,7 +484,7 @@ def _as_wcsim_error(error: Exception) -> errors.WcsimError | None:
     """The error to report; None for one that is a fault of the program."""
     if isinstance(error, errors.WcsimError):
         return error
-    message = resource_limit_message(error)
+    message = explain_resource_limit_error(error)
     if not message:
         return None
     is_full = getattr(error, "errno", None) in NO_ROOM

@@ -19,7 +19,7 @@ from wcsim.server.protocol.events import BarrierState, Event, MessageReceivedEve
 from wcsim.server.protocol.members import RosterClient
 from wcsim.server.protocol.messages import Act, failure_from_error
 from wcsim.server.protocol.server_core import ServerCore
-from wcsim.server.specs import encode_json_line, rss_mb
+from wcsim.server.specs import encode_json_line, measure_rss_mb
 
 _REPORT_EVERY_S: Final = 0.25
 _STEPS: Final = 100  # for the median
@@ -83,7 +83,7 @@ class StatusPipeWriter:
             master="" if master is None else names[members.index(master)],
             late=tuple(late),
             late_s=max(owing_s, default=0.0),
-            rss_mb=rss_mb(),
+            rss_mb=measure_rss_mb(),
             held=self._waiting.caused(names),
             waited_s=self._waiting.table(names),
             listening=self.listening,

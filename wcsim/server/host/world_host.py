@@ -63,7 +63,7 @@ class WorldEffectExecutor:
             match effect:
                 case ev.SendMessageEffect():
                     self._post(effect.peer, effect.message)
-                case ev.SendFrameEffect():
+                case ev.SendSensorFrameEffect():
                     client = self._frames.get(effect.seat)
                     if client is not None:
                         slot = -1 if self._sink is None else self._sink.slot(effect.tick)

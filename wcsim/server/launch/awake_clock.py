@@ -7,7 +7,7 @@ from typing import Final
 LEAP_S: Final = 0.5
 
 
-class AwakeClock:
+class SuspendSafeClock:
     """Time that advances by at most `LEAP_S` between two readings, beyond the steps of a world."""
 
     def __init__(self, real_s: float) -> None:

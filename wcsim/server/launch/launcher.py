@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Final
 
 from wcsim.core.processes import StopSignalCounter
-from wcsim.server.launch.awake_clock import AwakeClock
+from wcsim.server.launch.awake_clock import SuspendSafeClock
 from wcsim.server.launch.event_log import EventLogWriter
 from wcsim.server.launch.states import (
     ClientLaunchPlan,
@@ -44,7 +44,7 @@ class _LaunchStep(Enum):
     OVER = "over"
 
 
-class Launcher:
+class ProcessLauncher:
     """A launch; `run` does it once."""
 
     def __init__(
@@ -96,7 +96,7 @@ class Launcher:
     def run(self) -> LaunchResult:
         """Start all processes, and return when none of them runs any more."""
         # The time that a launcher was stopped does not count as waited.
-        clock = AwakeClock(time.monotonic())
+        clock = SuspendSafeClock(time.monotonic())
         try:
             with self._stop_signals if self._opens_signals else nullcontext():
                 for process in self._processes:

@@ -75,7 +75,7 @@ class ClientStatusReport:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class RestartRules:
+class ProcessRestartRules:
     """When a process that died is restarted, and when it is given up."""
 
     # Before the first restart; it doubles with each further death without progress.
@@ -86,9 +86,9 @@ class RestartRules:
     def wait_s(self, deaths_without_progress: int) -> float | None:
         """Seconds until the restart after so many deaths in a row; None to give up.
 
-        >>> [RestartRules().wait_s(deaths) for deaths in (1, 2, 3, 4, 5)]
+        >>> [ProcessRestartRules().wait_s(deaths) for deaths in (1, 2, 3, 4, 5)]
         [0.5, 1.0, 2.0, 4.0, None]
-        >>> RestartRules(deaths=10_000).wait_s(2_000)
+        >>> ProcessRestartRules(deaths=10_000).wait_s(2_000)
         30.0
         """
         if deaths_without_progress >= self.deaths:
@@ -170,8 +170,8 @@ class LauncherTimeouts:
     saving_s: float = 300.0
     leaving_s: float = 2.0
     ending_s: float = 30.0
-    client: RestartRules = RestartRules()
-    world: RestartRules = RestartRules()
+    client: ProcessRestartRules = ProcessRestartRules()
+    world: ProcessRestartRules = ProcessRestartRules()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -209,4 +209,4 @@ class LaunchResult:
     message: str
     stopped: bool
     clients: tuple[ClientProcessState, ...]
-    by_signal: bool = False  # it was stopped by a signal, not by `Launcher.stop`
+    by_signal: bool = False  # it was stopped by a signal, not by `ProcessLauncher.stop`

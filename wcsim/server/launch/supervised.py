@@ -46,7 +46,7 @@ class _Supervised(ABC, Generic[Status]):
         name: str,
         status_type: type[Status],
         log_file: Path,
-        restart: states.RestartRules,
+        restart: states.ProcessRestartRules,
         selector: selectors.BaseSelector,
         log: EventLogWriter,
     ) -> None:

@@ -17,9 +17,9 @@ from wcsim.core.closing import ClosingContextBase
 from wcsim.errors import LinkClosedError, ProtocolError, ServerGoneError, WcsimError
 from wcsim.log.records import SeenFrame
 from wcsim.log.writer import LogWriter
-from wcsim.server.launch.awake_clock import AwakeClock
+from wcsim.server.launch.awake_clock import SuspendSafeClock
 from wcsim.server.protocol import messages as m
-from wcsim.server.protocol.client_core import ClientCore, ClientPhase, FrameOutcome, Outcome
+from wcsim.server.protocol.client_core import ClientCore, ClientPhase, Outcome, ReceivedFrame
 from wcsim.server.specs import WorldBuildSpec
 from wcsim.types import ClientSnapshot, Joystick
 
@@ -183,7 +183,7 @@ class ProcessSeatLink(SeatLink):
         self._closed = False
         self._waits_no_more = False
         # Time in which this process itself was stopped does not count as waiting.
-        self._clock = AwakeClock(time.monotonic())
+        self._clock = SuspendSafeClock(time.monotonic())
         self._steps = 0
         self._simulation_s = 0.0
         self._link_s = 0.0
@@ -203,7 +203,7 @@ class ProcessSeatLink(SeatLink):
     def _end(self) -> None:
         """Release everything."""
 
-    def _check_pictures(self, seen: FrameOutcome) -> None:
+    def _check_pictures(self, seen: ReceivedFrame) -> None:
         """Refuse a frame with pictures that this link cannot read. Raises ProtocolError."""
 
     def _welcomed(self, welcome: m.Welcome) -> None:
@@ -319,7 +319,7 @@ class ProcessSeatLink(SeatLink):
         """Do what the client core requests."""
         for outcome in outcomes:
             match outcome:
-                case FrameOutcome(epoch=epoch, tick=tick, stepped=stepped):
+                case ReceivedFrame(epoch=epoch, tick=tick, stepped=stepped):
                     if self._ledger is not None:
                         self._ledger.append(SeenFrame(epoch=epoch, tick=tick, stepped=stepped))
                     self._steps += stepped

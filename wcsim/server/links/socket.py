@@ -29,7 +29,7 @@ import msgspec
 import zmq
 from zmq.utils.monitor import recv_monitor_message
 
-from wcsim.core.own_folder import LockedTempFolder, is_abandoned, world_endpoint_from_folder
+from wcsim.core.own_folder import LockedTempFolder, is_abandoned_folder, world_endpoint_from_folder
 from wcsim.core.processes import CommandProcess
 from wcsim.errors import AccessError, ConfigError, LinkClosedError, LinkTimeoutError, ProtocolError
 from wcsim.server.launch.states import WorldStatusReport
@@ -39,9 +39,9 @@ from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.client_core import (
     ClientCore,
     ClientPhase,
-    FrameOutcome,
     JoinSettings,
     Patience,
+    ReceivedFrame,
 )
 from wcsim.server.protocol.events import ServerRules
 from wcsim.server.specs import (
@@ -86,7 +86,7 @@ _END_TIMEOUT_S: Final = 5.0
 _NEVER_S: Final = 1e12
 
 
-class SocketSeat(ProcessSeatLink):
+class SocketSeatLink(ProcessSeatLink):
     """A link to a seat of a world process, which need not run yet before `join`."""
 
     def __init__(self, order: SeatRequest) -> None:
@@ -170,7 +170,7 @@ class SocketSeat(ProcessSeatLink):
             self._check_connection()
         self.perform(self.core.clock(self._now_s()))
 
-    def _check_pictures(self, seen: FrameOutcome) -> None:
+    def _check_pictures(self, seen: ReceivedFrame) -> None:
         if seen.slot >= 0 and self._ring is None:
             raise ProtocolError(
                 f"a frame has pictures in slot {seen.slot}, but the server named no shared memory"
@@ -218,7 +218,7 @@ class SocketSeat(ProcessSeatLink):
         if self._cut_s is None:
             return
         # 2. The launcher of that world has ended, too, so nothing will start the world again.
-        if self._is_local and is_abandoned(Path(endpoint.removeprefix(_IPC)).parent):
+        if self._is_local and is_abandoned_folder(Path(endpoint.removeprefix(_IPC)).parent):
             self.wait_less()
         # 3. Log it once.
         if self._welcome is not None and self._now_s() - self._cut_s > _CUT_S:
@@ -308,7 +308,7 @@ class _WorldChild:
         )
 
 
-class _ChildSeat(SocketSeat):
+class _ChildSeat(SocketSeatLink):
     """A seat of a world process that belongs to this one, and whose end raises an error."""
 
     def __init__(self, child: _WorldChild, spec: SeatSpec, seat: int) -> None:

@@ -18,11 +18,11 @@ from typing import Self
 from wcsim.errors import EvictedError, ProtocolError
 from wcsim.server.protocol import events as ev
 from wcsim.server.protocol import messages as m
-from wcsim.server.protocol.members import Roster, RosterClient
+from wcsim.server.protocol.members import ClientRoster, RosterClient
 from wcsim.types import Command
 
 
-class Barrier:
+class TickBarrier:
     """The state of a server and what changes it; `out` collects the effects of an event."""
 
     def __init__(self, rules: ev.ServerRules, epoch: int = 0) -> None:
@@ -33,7 +33,7 @@ class Barrier:
         self.stage = ev.BarrierState.EMPTY
         self.last_tick: int | None = None  # of this epoch, if another server is to go on
         self.gathering = True  # until the first clients are admitted
-        self.roster = Roster()
+        self.roster = ClientRoster()
         self.out: list[ev.Effect] = []
         self._gather_since_s: float | None = None  # since when a client waits for the others
         self._last_notice_s = -math.inf  # when those who wait last got a `Waiting`
@@ -213,7 +213,7 @@ class Barrier:
     def send_frame(self, member: RosterClient) -> None:
         """Send a client its present frame."""
         self.out.append(
-            ev.SendFrameEffect(member.peer, member.seat, self.epoch, self.tick, member.life)
+            ev.SendSensorFrameEffect(member.peer, member.seat, self.epoch, self.tick, member.life)
         )
 
     def send(self, peer: ev.Peer, message: m.Reply) -> None:

@@ -54,7 +54,7 @@ class Patience:
 
 
 @dataclass(frozen=True, slots=True)
-class FrameOutcome:
+class ReceivedFrame:
     """The requested frame is here."""
 
     epoch: int
@@ -64,7 +64,7 @@ class FrameOutcome:
     stepped: bool  # it follows this client's action, not a join, a respawn or a new epoch
 
 
-Outcome = m.Request | FrameOutcome | errors.WcsimError | m.Welcome
+Outcome = m.Request | ReceivedFrame | errors.WcsimError | m.Welcome
 """A message to send; a frame; an error for the driver; or the seat, with its shared memory."""
 _IDLE: Final = (ClientPhase.OFF, ClientPhase.THINK, ClientPhase.GONE)
 _PHASE_AFTER: Final = {
@@ -332,7 +332,7 @@ class ClientCore:
         return [
             m.Join(
                 protocol=m.PROTOCOL,
-                schema=m.schema_hash(),
+                schema=m.hash_message_schema(),
                 config=request.config,
                 session=self.session,
                 claim=request.claim,
@@ -360,7 +360,7 @@ class ClientCore:
         self.pending = None
         self.late = ()
         out: list[Outcome] = [
-            FrameOutcome(frame.epoch, frame.tick, frame.client, frame.slot, is_step)
+            ReceivedFrame(frame.epoch, frame.tick, frame.client, frame.slot, is_step)
         ]
         # A driver that requested the new epoch itself gets no error.
         if self._restart_reason and not is_rebuilt:

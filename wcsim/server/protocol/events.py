@@ -101,7 +101,7 @@ class SendMessageEffect:
 
 
 @dataclass(frozen=True, slots=True)
-class SendFrameEffect:
+class SendSensorFrameEffect:
     """Send the present frame of a seat."""
 
     peer: Peer
@@ -153,7 +153,7 @@ class StepWorldEffect:
 
 Effect = (
     SendMessageEffect
-    | SendFrameEffect
+    | SendSensorFrameEffect
     | AdmitSeatEffect
     | DismissSeatEffect
     | RespawnSeatsEffect

@@ -17,7 +17,7 @@ _OWN_FILES: Final = 40  # that a world or its launcher opens for itself
 _FILES_A_CLIENT: Final = 4
 
 
-def resource_limit_message(error: BaseException) -> str:
+def explain_resource_limit_error(error: BaseException) -> str:
     """What to do about an error that the system's limits cause; "" for any other error."""
     number = getattr(error, "errno", None)
     if number in NO_ROOM:

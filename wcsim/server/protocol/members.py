@@ -38,7 +38,7 @@ class RosterClient:
 
 
 @dataclass(slots=True)
-class Roster:
+class ClientRoster:
     """The lists of clients, in the order of joining.
 
     No two entries share a seat, except that a pending one may wait for an older member to go.
@@ -116,9 +116,9 @@ class Roster:
         if session not in self.forgotten:
             self.forgotten.append(session)
 
-    def copied(self) -> Roster:
+    def copied(self) -> ClientRoster:
         """A copy that shares nothing that changes."""
-        return Roster(
+        return ClientRoster(
             [replace(p) for p in self.members],
             list(self.pending),
             dict(self.going),

@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from wcsim import errors
-from wcsim.core.reading import escaped
+from wcsim.core.reading import escape
 from wcsim.errors import ProtocolError, WcsimError
 from wcsim.physics.buffers import Images
 from wcsim.types import F32, F64, CameraFrame, ClientSnapshot, SeatSpec, Truth, Verdict
@@ -214,7 +214,7 @@ _REPLIES: Final[msgspec.msgpack.Decoder[Reply]] = msgspec.msgpack.Decoder(Reply,
 
 
 @cache
-def schema_hash() -> str:
+def hash_message_schema() -> str:
     """A short hash of all fields of all messages: with the same one, programs fit each other."""
     # The classes' docstrings count, too: to change one shuts out all clients of other versions.
     kinds = (*Request.__args__, *Reply.__args__)
@@ -265,7 +265,7 @@ def error_from_failure(failure: Failure) -> WcsimError:
     """The error of a message, of the class that it names; its text is printable, whatever came."""
     kind = getattr(errors, failure.error, None)
     is_known = isinstance(kind, type) and issubclass(kind, WcsimError)
-    return (kind if is_known else WcsimError)(escaped(failure.message, b.MOST_TEXT))  # type: ignore[misc]
+    return (kind if is_known else WcsimError)(escape(failure.message, b.MOST_TEXT))  # type: ignore[misc]
 
 
 def _decode(data: bytes, decoder: msgspec.msgpack.Decoder[Any], limit_bytes: int) -> Any:
@@ -280,7 +280,7 @@ def _decode(data: bytes, decoder: msgspec.msgpack.Decoder[Any], limit_bytes: int
         return message
     except (msgspec.MsgspecError, TypeError, ValueError, ArithmeticError, RecursionError) as error:
         raise ProtocolError(
-            f"a message does not fit protocol {PROTOCOL}: {escaped(error, 200)}"
+            f"a message does not fit protocol {PROTOCOL}: {escape(error, 200)}"
         ) from None
 
 

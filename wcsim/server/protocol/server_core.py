@@ -14,17 +14,17 @@ from __future__ import annotations
 from dataclasses import replace
 
 from wcsim import errors
-from wcsim.core.reading import escaped
+from wcsim.core.reading import escape
 from wcsim.server.protocol import events as ev
 from wcsim.server.protocol import messages as m
-from wcsim.server.protocol.barrier import Barrier
-from wcsim.server.protocol.members import MOST_LIVES, Roster, RosterClient
+from wcsim.server.protocol.barrier import TickBarrier
+from wcsim.server.protocol.members import MOST_LIVES, ClientRoster, RosterClient
 from wcsim.types import Joystick
 from wcsim.types.bounds import MOST_STEPS
-from wcsim.users.profiles import is_user_file_name, profile_names
+from wcsim.users.profiles import is_user_file_name, list_profile_names
 
 
-class ServerCore(Barrier):
+class ServerCore(TickBarrier):
     """A server: the barrier, and what it receives and answers; see the module's text."""
 
     def handle(self, event: ev.Event, now_s: float) -> list[ev.Effect]:
@@ -239,7 +239,7 @@ class ServerCore(Barrier):
         self.send_frame(member)
 
 
-def _find_seat(join: m.Join, rules: ev.ServerRules, roster: Roster) -> int:
+def _find_seat(join: m.Join, rules: ev.ServerRules, roster: ClientRoster) -> int:
     """The seat that a client gets. Raises the error that says why it gets none."""
     _require_fit(join, rules)
     if join.session in roster.retired:
@@ -274,10 +274,10 @@ def _require_fit(join: m.Join, rules: ev.ServerRules) -> None:
 
     That a start lies in the town is for the world to check.
     """
-    if (join.protocol, join.schema) != (m.PROTOCOL, m.schema_hash()):
+    if (join.protocol, join.schema) != (m.PROTOCOL, m.hash_message_schema()):
         raise errors.VersionMismatchError(
             f"the client has protocol {join.protocol}, schema {join.schema[:40]!r}; "
-            f"the server has {m.PROTOCOL}, {m.schema_hash()!r}; "
+            f"the server has {m.PROTOCOL}, {m.hash_message_schema()!r}; "
             "install the same version of wcsim on both"
         )
     if join.config and join.config != rules.config:
@@ -292,10 +292,10 @@ def _require_fit(join: m.Join, rules: ev.ServerRules) -> None:
             "this world uses only the user files that it was started with; start it with --set "
             "env.profile=recorded:FILE (or FILE.toml), or choose one of wcsim's profiles"
         )
-    if not is_recorded and spec.profile not in profile_names():
-        known = ", ".join(profile_names())
+    if not is_recorded and spec.profile not in list_profile_names():
+        known = ", ".join(list_profile_names())
         raise errors.ConfigError(
-            f"unknown user profile {escaped(spec.profile, 40)!r}; expected one of: {known}"
+            f"unknown user profile {escape(spec.profile, 40)!r}; expected one of: {known}"
         )
     if spec.max_steps > MOST_STEPS:
         raise errors.ProtocolError(

@@ -43,7 +43,7 @@ class _KeyPair:
     secret: bytes
 
 
-def make_keys(folder: Path, names: Sequence[str]) -> tuple[str, ...]:
+def create_missing_keys(folder: Path, names: Sequence[str]) -> tuple[str, ...]:
     """Make the missing keys of the server and of these clients; returns the new clients.
 
     Raises:

@@ -20,9 +20,9 @@ from typing import Final
 
 import zstandard
 
-from wcsim.core.own_folder import temporary_folder
-from wcsim.core.reading import escaped, unzstd
-from wcsim.core.sources import code_digest, read_package_version
+from wcsim.core.own_folder import create_temporary_folder
+from wcsim.core.reading import decompress_zstd, escape
+from wcsim.core.sources import hash_package_code, read_package_version
 from wcsim.errors import ConfigError, DiskFullError, WcsimError, WorkersError
 from wcsim.server.workers.machines import WorkInputFiles, WorkPiece, WorkResult
 
@@ -50,7 +50,7 @@ _SHM: Final = Path("/dev/shm")  # noqa: S108 - it is only looked at
 _ERROR_CHARACTERS: Final = 300
 
 
-def read_machine_facts() -> dict[str, str]:
+def collect_machine_info() -> dict[str, str]:
     """What this machine has.
 
     Versions by package and "Python", "code" of wcsim, "host", "cpu", "shm_mib".
@@ -59,14 +59,14 @@ def read_machine_facts() -> dict[str, str]:
         # torch 2.13.0+cpu is 2.13.0.
         **{name: read_package_version(name).partition("+")[0] for name in _PACKAGES},
         "Python": ".".join(platform.python_version_tuple()[:2]),
-        "code": code_digest(),
+        "code": hash_package_code(),
         "host": socket.gethostname(),
         "cpu": _cpu(),
         "shm_mib": str(shutil.disk_usage(_SHM).total >> 20 if os.path.isdir(_SHM) else 0),  # noqa: PTH112
     }
 
 
-def find_refusal_reason(node: Mapping[str, str], here: Mapping[str, str]) -> str:
+def find_node_mismatch(node: Mapping[str, str], here: Mapping[str, str]) -> str:
     """What a node has other than this machine and must not, "" for nothing."""
     version = node.get("wcsim")
     code = node.get("code", "")
@@ -122,7 +122,7 @@ def compress_input_files(files: WorkInputFiles) -> dict[str, bytes]:
     size = sum((files.folder / name).stat().st_size for name in files.names)
     if size > MOST_BYTES or len(files.names) > _MOST_FILES:
         raise ConfigError(
-            f"{escaped(files.folder)} has {len(files.names)} files of {size >> 20} MiB; expected "
+            f"{escape(files.folder)} has {len(files.names)} files of {size >> 20} MiB; expected "
             f"at most {_MOST_FILES} of {MOST_BYTES >> 20} MiB, as they travel to other machines: "
             "drive it without --cluster"
         )
@@ -144,9 +144,9 @@ def _unpack(contents: Mapping[str, bytes], folder: Path) -> None:
         path = PurePosixPath(name)
         if path.is_absolute() or ".." in path.parts:
             raise ValueError(
-                f"a file is called {escaped(name, 80)!r}; expected a name below its folder"
+                f"a file is called {escape(name, 80)!r}; expected a name below its folder"
             )
-        data = unzstd(content, left)
+        data = decompress_zstd(content, left)
         left -= len(data)
         (folder / path).parent.mkdir(parents=True, exist_ok=True)
         (folder / path).write_bytes(data)
@@ -168,7 +168,7 @@ def run_work_piece(
     pid = os.getpid()
     end = partial(WorkResult, worker=worker, key=key, facts={"pid": pid})
     try:
-        with temporary_folder() as own:
+        with create_temporary_folder() as own:
             paths = {}
             for number, (files, content) in enumerate(zip(needed, contents, strict=True)):
                 # The folder keeps its name: a town may be called by it.

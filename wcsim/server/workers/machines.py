@@ -17,7 +17,7 @@ from time import sleep
 from typing import Any, Final, Protocol
 
 from wcsim.core.processes import kill_workers, start_single_worker_pool
-from wcsim.core.reading import escaped
+from wcsim.core.reading import escape
 from wcsim.errors import ConfigError, check_installed
 
 LOGS: Final = "cluster"
@@ -189,7 +189,7 @@ def require_reachable_cluster(address: str) -> None:
     found = _ADDRESS.fullmatch(address)
     if address != LOCAL and (found is None or not 0 < int(found[2]) < 1 << 16):
         raise ConfigError(
-            f"--cluster {escaped(address, 80)!r}: expected `local`, or HOST:PORT as "
+            f"--cluster {escape(address, 80)!r}: expected `local`, or HOST:PORT as "
             "`ray start --head` prints it, such as 10.0.0.1:6379"
         )
     check_installed("--cluster needs Ray", "cluster", "ray")

@@ -31,10 +31,10 @@ from wcsim.core.processes import die_with_parent, kill_workers, start_single_wor
 from wcsim.errors import ConfigError, DiskFullError, WcsimError, WorkersError
 from wcsim.server.workers.cluster_node import (
     MOST_BYTES,
+    collect_machine_info,
     compress_input_files,
+    find_node_mismatch,
     find_node_warnings,
-    find_refusal_reason,
-    read_machine_facts,
     run_work_piece,
 )
 from wcsim.server.workers.machines import (
@@ -419,7 +419,7 @@ class _Driver:
     def __init__(self, spec: _DriverSpec, ray: Any) -> None:
         self._spec = spec
         self._ray = ray
-        self._here = read_machine_facts()
+        self._here = collect_machine_info()
         self._nodes: dict[str, _Node] = {}  # by id
         self._probes: dict[Any, str] = {}  # nodes by Ray's reference
         self._running: dict[Any, _RunningPiece] = {}
@@ -430,7 +430,7 @@ class _Driver:
         self._send = lru_cache(_MOST_SENT)(lambda files: ray.put(compress_input_files(files)))
         self._listed_s = float("-inf")
         self._do = ray.remote(num_cpus=1, max_retries=0)(run_work_piece)
-        self._probe = ray.remote(num_cpus=0, max_retries=0)(read_machine_facts)
+        self._probe = ray.remote(num_cpus=0, max_retries=0)(collect_machine_info)
 
     def begin(self, worker: str, work: WorkPiece, needed: tuple[WorkInputFiles, ...]) -> None:
         """Give a piece to a worker's node."""
@@ -571,7 +571,7 @@ class _Driver:
                 "check that node"
             )
         else:
-            why = find_refusal_reason(answer, self._here)
+            why = find_node_mismatch(answer, self._here)
         messages = self._update.messages
         if why:
             node.state = "refused"

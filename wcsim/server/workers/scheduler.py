@@ -57,7 +57,7 @@ class _Task:
     stopped_s: float = 0.0
 
 
-class Scheduler:
+class WorkScheduler:
     """Workers, and the work that is left; a context manager.
 
     Args:
@@ -90,7 +90,7 @@ class Scheduler:
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._run, name="scheduler", daemon=True)
 
-    def __enter__(self) -> Scheduler:
+    def __enter__(self) -> WorkScheduler:
         self._thread.start()
         return self
 

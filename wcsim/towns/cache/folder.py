@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Final
 
 from wcsim.core.files import KERNELS, count_folder_bytes, find_cache_folder, find_home_folder, write_bytes
-from wcsim.core.reading import escaped
+from wcsim.core.reading import escape
 from wcsim.errors import DiskFullError
 
 MOST_VERDICTS: Final = 4000  # of a kind, then the newer half stays: generated scenes leave one each
@@ -40,7 +40,7 @@ def cache_folder() -> Path:
 def shown_cache() -> str:
     """The cache's folder for a message, with ~ for the home."""
     folder, own = cache_folder(), find_home_folder()
-    return escaped(Path("~") / folder.relative_to(own) if own is not None and folder.is_relative_to(own) else folder)
+    return escape(Path("~") / folder.relative_to(own) if own is not None and folder.is_relative_to(own) else folder)
 
 
 def write_verdict(path: Path) -> None:

@@ -17,7 +17,7 @@ import shapely
 from shapely.geometry.base import BaseGeometry
 
 from wcsim.config import RunConfig
-from wcsim.core.own_folder import temporary_folder
+from wcsim.core.own_folder import create_temporary_folder
 from wcsim.errors import SumoError, TownError
 from wcsim.towns.checks.cures import FOR_ROUTES, PAVED_LATER, Cures
 from wcsim.towns.checks.validate import validate_net
@@ -244,7 +244,7 @@ def _unroutable_trips(town: Town) -> int:
     """How many trips and flows that start in the first ten minutes have no way through the net."""
     if not town.routes:
         return 0
-    with temporary_folder() as folder:
+    with create_temporary_folder() as folder:
         met = FilteredFiles(folder, town.border)  # duarouter follows what they include
         routes = [str(met.place(path, town.sumocfg)) for path in town.routes]
         needed = _for_routes([met.place(path, town.sumocfg) for path in town.additional])

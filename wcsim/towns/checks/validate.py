@@ -8,7 +8,7 @@ import math
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
-from wcsim.core.own_folder import temporary_folder
+from wcsim.core.own_folder import create_temporary_folder
 from wcsim.errors import SumoError, TownError
 from wcsim.towns.cache.folder import cache_folder, write_verdict
 from wcsim.towns.checks.cures import Cures
@@ -41,7 +41,7 @@ def validate_net(net: Path, *, border: Path | None = None) -> None:
     if verdict.is_file():
         return
     _scan_net(parse_root(data, str(net)), str(net))
-    with temporary_folder() as work:
+    with create_temporary_folder() as work:
         files = FilteredFiles(work, border or net.parent)
         safe = files.place(net, net)  # a net may name outputs too, which must not appear anywhere
         options = ["-n", str(safe.resolve()), "--end", "1", "--no-step-log", "--no-warnings"]

@@ -10,7 +10,7 @@ from shapely import MultiPolygon, Polygon
 from shapely.geometry.base import BaseGeometry
 
 from wcsim.core.reading import read_module_toml
-from wcsim.core.seeding import generator
+from wcsim.core.seeding import make_rng
 from wcsim.towns.ground.plane_geometry import Patches, buffered, polygons_of, valid
 from wcsim.towns.osm.tags import STOREY_M, metres, number, rise_m
 from wcsim.towns.sumo.additional import Item
@@ -235,7 +235,7 @@ def _height_m(item: Item, area_m2: float) -> float:
             roof_m = STOREY_M * float(np.clip(number(item.tags, "roof:levels"), 0.0, 4.0))
         return STOREY_M * storeys + float(np.clip(roof_m, 0.0, 30.0)) + 1.0
     low_m, high_m = _usual_m(item.detail, area_m2)
-    return round(float(generator(0, "building", item.id).uniform(low_m, high_m)), 1)
+    return round(float(make_rng(0, "building", item.id).uniform(low_m, high_m)), 1)
 
 
 def _usual_m(detail: str, area_m2: float) -> tuple[float, float]:

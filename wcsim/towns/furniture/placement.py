@@ -11,7 +11,7 @@ import shapely
 from shapely import Polygon
 from shapely.geometry.base import BaseGeometry
 
-from wcsim.core.seeding import generator
+from wcsim.core.seeding import make_rng
 from wcsim.towns.furniture.models import LOOKS
 from wcsim.towns.ground import solid_shapes
 from wcsim.towns.ground.solid_shapes import Solid
@@ -119,7 +119,7 @@ def stood(kind: str, xy_m: F64, yaw_rad: float, size_lwh_m: tuple[float, float, 
     look = LOOKS[kind]
     size_m = size_lwh_m or look.size_lwh_m
     # Things may lie within a millimetre of each other on two machines, and must look the same on both.
-    pieces = look.make(generator(0, kind, *(int(abs(c) * 10) for c in xy_m))) if look.make else look.pieces
+    pieces = look.make(make_rng(0, kind, *(int(abs(c) * 10) for c in xy_m))) if look.make else look.pieces
     piece = solid_shapes.joined(pieces)
     if size_lwh_m is not None:
         l0, w0, h0 = look.size_lwh_m

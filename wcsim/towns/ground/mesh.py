@@ -14,7 +14,7 @@ from shapely import Polygon
 from shapely.geometry.base import BaseGeometry
 
 from wcsim.core.constants import KERB_STEP_M
-from wcsim.core.jit import exact_kernel
+from wcsim.core.jit import compile_exact_kernel
 from wcsim.towns.ground.kerb_heights import STEEPEST, Kerbing
 from wcsim.towns.ground.plane_geometry import WHOLE_M, Patches, buffered, cross_z
 from wcsim.towns.ground.solid_shapes import Solid, joined, triangles_of
@@ -322,7 +322,7 @@ class GridMaker:
         return cast(U8, far_dm.astype(np.uint8))
 
 
-@exact_kernel
+@compile_exact_kernel
 def _near_edges(edges: F64, far: F64) -> None:
     """Lower each cell's distance to that of the nearest of `edges` (n, 2, 2), all in cells."""
     rows, cols = far.shape
@@ -339,7 +339,7 @@ def _near_edges(edges: F64, far: F64) -> None:
                 far[row, col] = min(far[row, col], off)
 
 
-@exact_kernel
+@compile_exact_kernel
 def _fill(triangles: F64, classes: U8, height_cm: U8, ground_class: U8) -> None:
     """Write every cell whose middle lies in a triangle (borders belong to the later one)."""
     rows, cols = height_cm.shape

@@ -10,7 +10,7 @@ import shutil
 from pathlib import Path
 
 from wcsim.core.files import write_folder_atomically
-from wcsim.core.own_folder import temporary_folder
+from wcsim.core.own_folder import create_temporary_folder
 from wcsim.core.reading import EDGES, NOTICE, SCENARIO, is_file, open_regular_file, read_module_toml, read_text
 from wcsim.core.reading import read_bytes as read_plain
 from wcsim.errors import TownError
@@ -129,7 +129,7 @@ def _files_of(config: Configuration, border: Path | None) -> tuple[Path, ...]:
     Raises:
         TownError: One is missing, broken, outside of `border`, or of no kind of SUMO's.
     """
-    with temporary_folder() as folder:
+    with create_temporary_folder() as folder:
         met = FilteredFiles(folder, border)
         for item in config.given:
             if item.option.treatment is Treatment.INPUT and item.value:

@@ -22,7 +22,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from wcsim.core.reading import read_module_toml
-from wcsim.core.seeding import derive_seed, generator
+from wcsim.core.seeding import derive_seed, make_rng
 from wcsim.errors import SumoError
 from wcsim.towns.ground.plane_geometry import arc_of
 from wcsim.towns.sumo.net import Edge, Net
@@ -99,7 +99,7 @@ def _draw(net: Net, traffic: _Traffic, seed: int) -> list[tuple[str, str]]:
     wanted = _wanted_flows(net, traffic) * 5
     if len(edges) < 2 or not wanted:
         return []
-    rng = generator(seed, "demand", traffic.types)
+    rng = make_rng(seed, "demand", traffic.types)
     first = _weights(edges, {e.end for e in edges}, traffic, start=True)
     last = _weights(edges, {e.start for e in edges}, traffic, start=False)
     middle_m = np.array([_middle_m(e) for e in edges])  # (E, 2)
@@ -194,7 +194,7 @@ def _flows_text(
         if not mine or per_s <= 0.0:
             continue
         if traffic.walks:
-            lines += _walks(mine, traffic, per_s, generator(seed, "demand", "slices"))
+            lines += _walks(mine, traffic, per_s, make_rng(seed, "demand", "slices"))
             continue
         for number, way in enumerate(mine):
             head = f'id="{traffic.types}.{number}" type="{traffic.types}" begin="0" end="{END_S}"'

@@ -25,8 +25,8 @@ from xml.etree.ElementTree import Element
 import cv2
 import numpy as np
 
-from wcsim.core.reading import HEIGHTS, escaped, read_bytes
-from wcsim.core.seeding import generator
+from wcsim.core.reading import HEIGHTS, escape, read_bytes
+from wcsim.core.seeding import make_rng
 from wcsim.errors import TownError
 from wcsim.towns.ground.relief import steepest_run
 from wcsim.towns.osm.read import Box
@@ -142,7 +142,7 @@ def _shape(area: Box) -> tuple[int, int]:
 
 def _hill(height_m: float, shape: tuple[int, int], seed: int) -> F64:
     """A few broad bumps (rows, cols) between 0 and the given height."""
-    rng = generator(seed, "hill")
+    rng = make_rng(seed, "hill")
     row, col = np.meshgrid(np.linspace(0.0, 1.0, shape[0]), np.linspace(0.0, 1.0, shape[1]), indexing="ij")
     field = np.zeros(shape)
     for _ in range(4):
@@ -234,7 +234,7 @@ def _read(path: Path, area: Box, max_grade: float) -> Dem:
     except TownError:
         raise
     except Exception as error:  # GDAL's errors have no base in common
-        why = escaped(" ".join(str(error).split()), 300)
+        why = escape(" ".join(str(error).split()), 300)
         raise TownError(f"--dem {path}: cannot be read ({why}); {_WANTED}") from None
     height_m = np.where(np.isfinite(found) & (np.abs(found) < _HIGHEST_M), found, np.nan).astype(np.float64)
     known = float(np.isfinite(height_m).mean())

@@ -18,8 +18,8 @@ import shapely
 from shapely import Polygon
 from shapely.geometry.base import BaseGeometry
 
-from wcsim.core.frames import deg
-from wcsim.core.seeding import generator
+from wcsim.core.frames import rad2deg
+from wcsim.core.seeding import make_rng
 from wcsim.towns.furniture.road_marks import GROUP, KIND, crossing_lines
 from wcsim.towns.ground.plane_geometry import yaw_of
 from wcsim.towns.ground.solid_shapes import rectangle
@@ -183,7 +183,7 @@ def find_parking(net: Net, poly: Path, taken: float, seed: int) -> tuple[list[st
     lines = [shapely.LineString(lane.points_m) for lane in lanes]
     town, used = _town_and_used(net, root)
     tree, left = shapely.STRtree(lines), _MOST_SPACES
-    rng = generator(seed, "parking")
+    rng = make_rng(seed, "parking")
     for lot_id, lot in lots:
         marks = ((space, space.footprint()) for space in _spaces(lot))
         spaces = [space for space, mark in marks if town.contains(mark) and not used.intersects(mark)][:left]
@@ -281,7 +281,7 @@ def _area(name: str, lane: Lane, line: shapely.LineString, lot: Polygon, spaces:
     for space in spaces:
         nose = np.array([np.cos(space.yaw_rad), np.sin(space.yaw_rad)])
         x_m, y_m = space.middle_m + _CAR_NOSE_M * nose
-        angle_deg = (90.0 + deg(space.yaw_rad)) % 360.0  # SUMO's spaces turn counter-clockwise from south
+        angle_deg = (90.0 + rad2deg(space.yaw_rad)) % 360.0  # SUMO's spaces turn counter-clockwise from south
         size = f'width="{space.width_m}" length="{space.length_m}" angle="{angle_deg:.1f}"'
         lines.append(f'    <space x="{x_m:.2f}" y="{y_m:.2f}" z="{z_m:.2f}" {size}/>')
     return [*lines, "</parkingArea>"]

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from wcsim.core.reading import escaped
+from wcsim.core.reading import escape
 from wcsim.errors import ConfigError, TownError
 from wcsim.towns.cache.folder import cache_folder
 from wcsim.towns.scenario.town import Town, find_town, open_town, own_work
@@ -74,7 +74,7 @@ def made_seed(word: str) -> int | None:
     if kind != MADE or not colon:
         return None
     if not seed.isdecimal() or int(seed) >= 1 << 31:
-        raise ConfigError(f"town {escaped(word)!r}: expected {MADE}:SEED with a seed below 2147483648")
+        raise ConfigError(f"town {escape(word)!r}: expected {MADE}:SEED with a seed below 2147483648")
     return int(seed)
 
 

@@ -18,9 +18,9 @@ import numpy as np
 from shapely.errors import GEOSException
 
 from wcsim.core.files import write_folder_atomically
-from wcsim.core.frames import rad
+from wcsim.core.frames import deg2rad
 from wcsim.core.reading import read_module_toml
-from wcsim.core.seeding import derive_seed, generator
+from wcsim.core.seeding import derive_seed, make_rng
 from wcsim.errors import SumoError, TownError
 from wcsim.towns.ground.plane_geometry import length_of, yaw_of
 from wcsim.towns.importing.demand import build_ways, vtypes_text, write_demand
@@ -37,7 +37,7 @@ from wcsim.towns.sumo.tools import Limits, run_tool
 from wcsim.towns.walking.islands import largest_share, walkable_parts
 from wcsim.types import F64
 
-_STRAIGHT_RAD = rad(38.0)  # a street goes on where it bends by less
+_STRAIGHT_RAD = deg2rad(38.0)  # a street goes on where it bends by less
 _MAIN_SHARE = (0.12, 0.3)  # of all streets' length
 _COLLECTOR_SHARE = 0.3
 _TRAM_SHARE = 0.35  # of the towns have trams on their longest street
@@ -352,9 +352,9 @@ def _bare_net(name: str, seed: int, wishes: Wishes, work: Path) -> Net:
 
     Raises TownError.
     """
-    kind = wishes.kind or str(generator(seed, "making", "kind").choice(KINDS))
+    kind = wishes.kind or str(make_rng(seed, "making", "kind").choice(KINDS))
     for attempt in range(_ATTEMPTS):
-        rng = generator(seed, "making", "streets", attempt)
+        rng = make_rng(seed, "making", "streets", attempt)
         try:
             plan = shape_plan(draw_plan(kind, wishes.size_m, derive_seed(seed, "making", attempt), rng, work), rng)
             streets = _make_streets(plan, rng)
@@ -374,7 +374,7 @@ def _bare_net(name: str, seed: int, wishes: Wishes, work: Path) -> Net:
 
 def _lifted(path: Path, seed: int, wishes: Wishes) -> Net:
     """The net on its land, which is level or a few broad bumps."""
-    rng = generator(seed, "making", "land")
+    rng = make_rng(seed, "making", "land")
     hill_m, grade = float(rng.choice(_HILLS_M)), rng.uniform(*_GRADES)
     hill_m = hill_m if wishes.hill_m is None else wishes.hill_m
     if hill_m > 0.0:
@@ -387,7 +387,7 @@ def _lifted(path: Path, seed: int, wishes: Wishes) -> Net:
 
 def _fill(name: str, seed: int, wishes: Wishes, net: Net, work: Path, stage: Stage) -> None:
     """Write all files of the town's folder."""
-    poly, ground, left = draw_map(net, name, work, generator(seed, "making", "map"))
+    poly, ground, left = draw_map(net, name, work, make_rng(seed, "making", "map"))
     marks, (lots, cars) = map_marks(net, poly, ground), find_parking(net, poly, wishes.parked, seed)
     ground.unlink()
     ways = build_ways(net, work / f"{name}.net.xml", work, seed) if wishes.traffic > 0.0 else ()

@@ -13,7 +13,7 @@ import networkx
 import numpy as np
 import shapely
 
-from wcsim.core.frames import rad
+from wcsim.core.frames import deg2rad
 from wcsim.core.seeding import derive_seed
 from wcsim.errors import SumoError
 from wcsim.towns.ground.plane_geometry import left_of, yaw_of
@@ -23,13 +23,13 @@ from wcsim.types import F64
 
 _LIMITS = Limits(wall_s=60.0, cpu_s=60)
 _STUB_M = (30.0, 70.0)  # streets that lead out of the town
-_WIDE_RAD = rad(55.0)
+_WIDE_RAD = deg2rad(55.0)
 _APART_M = 40.0  # between an added link and streets that it does not meet
 _SHORTEST_M = 55.0  # of a link
 _LINKS_PER_HA = 3.4  # of a random net, so many that its rim can be cut off
 _SCALES = (1.0, 0.7, 0.5, 0.3, 0.15, 0.0)  # of the moves: the first that leaves room for junctions
-_LEAST_ANGLE_RAD = rad(42.0)  # between two streets at a junction
-_STRAIGHT_RAD = rad(35.0)  # where a street may lose the junction that it bends at
+_LEAST_ANGLE_RAD = deg2rad(42.0)  # between two streets at a junction
+_STRAIGHT_RAD = deg2rad(35.0)  # where a street may lose the junction that it bends at
 _LEAST_LINK_M = 48.0
 _LEAST_STUB_M = 25.0
 _CLEAR_M = 24.0  # between streets that do not meet

@@ -31,7 +31,7 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 import shapely
 
-from wcsim.core.frames import rad
+from wcsim.core.frames import deg2rad
 from wcsim.core.reading import join_names, read_module_toml
 from wcsim.towns.osm.read import Box
 from wcsim.towns.sumo.net import LaneKind, Net
@@ -233,7 +233,7 @@ def _places(root: Element) -> dict[str, tuple[float, float]]:
 def _built_ways(root: Element, keep_service: bool) -> list[_Way]:
     places = _places(root)
     middle = np.mean(list(places.values()) or [(0.0, 0.0)], axis=0)
-    scale_m = _M_PER_DEG * np.array([np.cos(rad(float(middle[1]))), 1.0])
+    scale_m = _M_PER_DEG * np.array([np.cos(deg2rad(float(middle[1]))), 1.0])
     found: list[_Way] = []
     for element in root.iterfind("way"):
         tag = _read_tags(element)

@@ -18,9 +18,9 @@ from urllib.parse import urlsplit
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
-from wcsim.core.frames import rad
-from wcsim.core.own_folder import temporary_folder
-from wcsim.core.reading import EXTRACT, escaped, open_regular_file, read_file_size, read_module_toml
+from wcsim.core.frames import deg2rad
+from wcsim.core.own_folder import create_temporary_folder
+from wcsim.core.reading import EXTRACT, escape, open_regular_file, read_file_size, read_module_toml
 from wcsim.errors import SumoError, TownError
 from wcsim.towns.sumo.tools import Limits, run_child, sumo_home
 from wcsim.towns.sumo.xml_io import (
@@ -75,7 +75,7 @@ class Box(NamedTuple):
     @property
     def size_m(self) -> tuple[float, float]:
         """Width and height in metres."""
-        wide_m = (self.east - self.west) * _M_PER_DEG * math.cos(rad((self.south + self.north) / 2))
+        wide_m = (self.east - self.west) * _M_PER_DEG * math.cos(deg2rad((self.south + self.north) / 2))
         return wide_m, (self.north - self.south) * _M_PER_DEG
 
     @property
@@ -91,7 +91,7 @@ class Box(NamedTuple):
     def grown(self, margin_m: float) -> Box:
         """The same with a margin in metres on each side, within the globe."""
         high = margin_m / _M_PER_DEG
-        wide = high / max(0.05, math.cos(rad((self.south + self.north) / 2)))
+        wide = high / max(0.05, math.cos(deg2rad((self.south + self.north) / 2)))
         west, south = max(-180.0, self.west - wide), max(-90.0, self.south - high)
         return Box(west, south, min(180.0, self.east + wide), min(90.0, self.north + high))
 
@@ -190,7 +190,7 @@ def _xml_of(path: Path, box: Box | None) -> bytes:
     most = 4 * MAX_XML_BYTES if box is not None else MAX_XML_BYTES
     data = _unpack_bz2(path, most) if kind == "bz2" else read_bytes(path, most)
     if len(data) > SMALL_BYTES and box is not None:
-        check_plain_xml(data, escaped(path), 8 * MAX_TAGS)
+        check_plain_xml(data, escape(path), 8 * MAX_TAGS)
         return _cut_by_osmium(path, {"gz": "osm.gz", "bz2": "osm.bz2"}.get(kind, "osm"), box)
     return data
 
@@ -214,9 +214,9 @@ def _unpack_bz2(path: Path, most: int) -> bytes:
         with open_regular_file(path, EXTRACT) as file:
             data = bunzip2(file, most + 1)
     except (EOFError, ValueError) as error:
-        raise TownError(f"{escaped(path)}: cannot be read ({error}); {EXPECTED}") from None
+        raise TownError(f"{escape(path)}: cannot be read ({error}); {EXPECTED}") from None
     if len(data) > most:
-        raise TownError(f"{escaped(path)}: more than {most >> 20} MiB of XML; clip it to a smaller area")
+        raise TownError(f"{escape(path)}: more than {most >> 20} MiB of XML; clip it to a smaller area")
     return data
 
 
@@ -226,13 +226,13 @@ def _require_tags(path: Path) -> None:
         while len(part := file.read(MAX_TAG_BYTES)) == MAX_TAG_BYTES:
             if b">" not in part or b"\0" in part:
                 raise TownError(
-                    f"{escaped(path)}: is not XML, or has a tag of more than {MAX_TAG_BYTES} bytes; {EXPECTED}"
+                    f"{escape(path)}: is not XML, or has a tag of more than {MAX_TAG_BYTES} bytes; {EXPECTED}"
                 )
 
 
 def _cut_by_osmium(path: Path, file_format: str, box: Box | None) -> bytes:
     place = [",".join(map(repr, box.grown(MARGIN_M)))] if box is not None else []
-    with temporary_folder() as folder:
+    with create_temporary_folder() as folder:
         out = folder / "cut.osm"
         words = ["-m", "wcsim.towns.osm.cut", str(path.resolve()), file_format, str(out), *place]
         run = run_child("osmium", [sys.executable, *words], folder, os.environ, _LIMITS)
@@ -276,9 +276,9 @@ def _place(node: Element, path: Path) -> tuple[float, float] | None:
         longitude = latitude = math.nan
     if abs(longitude) <= 180 and abs(latitude) <= 90:  # false for what is no number
         return longitude, latitude
-    where = ", ".join(escaped(str(text), 40) for text in told)
+    where = ", ".join(escape(str(text), 40) for text in told)
     raise TownError(
-        f"{path}: node {escaped(node.get('id', '?'), 40)} lies at {where}; expected degrees of longitude and latitude"
+        f"{path}: node {escape(node.get('id', '?'), 40)} lies at {where}; expected degrees of longitude and latitude"
     )
 
 

@@ -14,7 +14,7 @@ from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 from wcsim.core.files import write_folder_atomically
-from wcsim.core.own_folder import temporary_folder
+from wcsim.core.own_folder import create_temporary_folder
 from wcsim.core.reading import TOWN, join_names, read_text
 from wcsim.errors import SumoError, TownError
 from wcsim.towns.checks.cures import FASTEST_MPS, Cures
@@ -168,7 +168,7 @@ def _why_none(town: Town, net: Net, out: Path, fastest_mps: float) -> str:
 
 def _convert(net: Path, unpaved: list[str], fastest_mps: float) -> None:
     """Let netconvert add what is missing, in place."""
-    with temporary_folder() as folder:
+    with create_temporary_folder() as folder:
         given, made = folder / "given.net.xml", folder / "made.net.xml"
         given.write_bytes(read_bytes(net))
         options = ["-s", given.name, "--sidewalks.guess", "--crossings.guess", "--walkingareas", "-o", made.name]

@@ -19,7 +19,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
-from wcsim.core.reading import SCENARIO, escaped, is_file, read_file_size
+from wcsim.core.reading import SCENARIO, escape, is_file, read_file_size
 from wcsim.errors import TownError
 from wcsim.towns.scenario.options import Content, SumoOption
 from wcsim.towns.sumo.xml_io import MAX_XML_BYTES, parse_root, read_bytes, scan
@@ -53,9 +53,9 @@ def check_inside(path: Path, border: Path | None, named_by: Path) -> None:
         if border is None or real.is_relative_to(os.path.realpath(border)):
             return
     except ValueError as error:  # NUL in the path
-        raise TownError(f"{escaped(named_by)}: names {escaped(path)} ({error}); correct the name") from None
+        raise TownError(f"{escape(named_by)}: names {escape(path)} ({error}); correct the name") from None
     raise TownError(
-        f"{escaped(named_by)}: names {escaped(path)}, which is outside of its folder {escaped(border)}; move it there "
+        f"{escape(named_by)}: names {escape(path)}, which is outside of its folder {escape(border)}; move it there "
         f"and correct the name, or permit files elsewhere: {_trust(named_by)}"
     )
 
@@ -67,7 +67,7 @@ def _trust(named_by: Path) -> str:
         return f"{some}, and of wcsim town import, which makes a copy for all others"
     path, name = named_by.absolute(), re.sub(r"[^A-Za-z0-9_-]", "_", named_by.absolute().parent.name)[:64] or "town"
     return (
-        f"{some}, or a copy for all commands: wcsim town import --sumocfg {shlex.quote(escaped(path, 4096))} "
+        f"{some}, or a copy for all commands: wcsim town import --sumocfg {shlex.quote(escape(path, 4096))} "
         f"--name {name} {_ALLOW}"
     )
 
@@ -77,11 +77,11 @@ def check_file(path: Path, border: Path | None, named_by: Path) -> None:
     check_inside(path, border, named_by)
     if not is_file(path):
         raise TownError(
-            f"{escaped(named_by)}: names a file that does not exist: {escaped(path)}; restore it or correct "
-            f"{escaped(named_by.name)}"
+            f"{escape(named_by)}: names a file that does not exist: {escape(path)}; restore it or correct "
+            f"{escape(named_by.name)}"
         )
     if "," in str(path):
-        raise TownError(f"{escaped(path)}: SUMO splits file names at commas; rename the file or its folder")
+        raise TownError(f"{escape(path)}: SUMO splits file names at commas; rename the file or its folder")
 
 
 def with_included(files: Iterable[Path], border: Path | None) -> tuple[Path, ...]:
@@ -102,7 +102,7 @@ def with_included(files: Iterable[Path], border: Path | None) -> tuple[Path, ...
 
 def _follow(path: Path, border: Path | None, above: tuple[Path, ...], found: dict[Path, Path]) -> None:
     real = Path(os.path.realpath(path))
-    below = _below(above, real, escaped(path))
+    below = _below(above, real, escape(path))
     if real in found:
         return
     found[real] = path
@@ -130,7 +130,7 @@ def _included(path: Path) -> list[str]:
         if tag.rpartition(":")[2] == "include":
             names.append(dict(zip(attributes[::2], attributes[1::2], strict=True)).get("href", ""))
 
-    scan(data, escaped(path), visit)
+    scan(data, escape(path), visit)
     return [name for name in names if name]
 
 
@@ -199,9 +199,9 @@ class _NamesFiles:
         """An element with an attribute that names a file, or may do so."""
         emission, projection = attributes.get("emissionClass", ""), attributes.get("projParameter", "")
         if ".." in emission or emission.startswith("/"):
-            raise TownError(f"{self._where}: has emissionClass={escaped(emission, 60)!r}; expected a name: correct it")
+            raise TownError(f"{self._where}: has emissionClass={escape(emission, 60)!r}; expected a name: correct it")
         if _GRIDS.search(projection):
-            told = escaped(projection, 60)
+            told = escape(projection, 60)
             raise TownError(f"{self._where}: has projParameter={told!r}, which names a file; expected one without")
         for key, value in attributes.items():
             name = key.rpartition(":")[2]
@@ -290,12 +290,12 @@ class FilteredFiles:
         return whole
 
     def _filtered(self, path: Path, above: tuple[Path, ...]) -> Path:
-        data, names = read_bytes(path, MAX_XML_BYTES), _NamesFiles(escaped(path))
-        scan(data, escaped(path), names)
+        data, names = read_bytes(path, MAX_XML_BYTES), _NamesFiles(escape(path))
+        scan(data, escape(path), names)
         plain = _PLAIN.fullmatch(str(path)) is not None
         if plain and not names.found:
             return path
-        root = without_namespaces(parse_root(data, escaped(path)))
+        root = without_namespaces(parse_root(data, escape(path)))
         changes = [self._change(element, path, above) for element in root.iter()]
         if plain and not any(changes):
             return path

@@ -12,7 +12,7 @@ from pathlib import Path
 from urllib.parse import unquote
 from xml.etree import ElementTree
 
-from wcsim.core.own_folder import temporary_folder
+from wcsim.core.own_folder import create_temporary_folder
 from wcsim.errors import SumoError, TownError
 from wcsim.towns.sumo.tools import Limits, run_tool
 from wcsim.towns.sumo.xml_io import read_head, read_root, without_comments
@@ -149,7 +149,7 @@ def sumo_options() -> dict[str, SumoOption]:
     Raises:
         SumoError: SUMO cannot be run.
     """
-    with temporary_folder() as folder:
+    with create_temporary_folder() as folder:
         run = run_tool("sumo", ["--save-template", "options.xml"], folder, _LIMITS)
         if run.returncode:
             raise SumoError(f"SUMO did not list its options: {run.reason()}; install the eclipse-sumo wheel again")

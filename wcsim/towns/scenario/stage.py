@@ -9,7 +9,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from wcsim.config import RunConfig
-from wcsim.core.own_folder import temporary_folder
+from wcsim.core.own_folder import create_temporary_folder
 from wcsim.errors import ConfigError, TownError
 from wcsim.towns.scenario.files import NOWHERE, FilteredFiles, OutputNames
 from wcsim.towns.scenario.options import (
@@ -94,7 +94,7 @@ def files_of(town: Town, config: RunConfig) -> tuple[Path, ...]:
     Raises:
         TownError: as `stage_scenario`: one is not there, or cannot be read. SUMO opens none of them.
     """
-    with temporary_folder() as folder:
+    with create_temporary_folder() as folder:
         inputs = stage_scenario(town, Settings(world=config.world, seed=1), folder).inputs
     known = town.folder.absolute() / "town.toml"
     return tuple(dict.fromkeys((town.sumocfg.absolute(), *inputs, *((known,) if known.is_file() else ()))))

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from wcsim.config import TownFile, read_toml
 from wcsim.config.scene import ChairWay
-from wcsim.core.reading import HEIGHTS, TOWN, escaped, is_file, is_folder, read_bytes
+from wcsim.core.reading import HEIGHTS, TOWN, escape, is_file, is_folder, read_bytes
 from wcsim.errors import ConfigError, TownError, meant
 from wcsim.towns.scenario.files import check_file, check_inside, with_included
 from wcsim.towns.scenario.options import Configuration, read_configuration
@@ -82,7 +82,7 @@ def find_town(name_or_path: str, *, outside: bool = False) -> Town:
 
 
 def _unknown_town(name_or_path: str) -> TownError:
-    named = escaped(name_or_path, 160)
+    named = escape(name_or_path, 160)
     if name_or_path.endswith(".sumocfg") or "/" in name_or_path:
         what = "file" if name_or_path.endswith(".sumocfg") else "folder"
         return TownError(

@@ -480,7 +480,7 @@ def family_of(seed: int) -> str:
     >>> family_of(3)
     'person-turns-round'
     """
-    return max(FAMILIES, key=lambda name: float(seeding.generator(seed, "family", name).random()))
+    return max(FAMILIES, key=lambda name: float(seeding.make_rng(seed, "family", name).random()))
 
 
 def write_scene(family: str, seed: int, folder: Path) -> Path:
@@ -505,7 +505,7 @@ def write_scene(family: str, seed: int, folder: Path) -> Path:
         raise ConfigError(f"seed {seed} cannot be used; expected 0 or more")
     if folder.exists():
         raise ConfigError(f"{folder} already exists; choose another name, or remove it first")
-    rng = seeding.generator(seed, "scene", family)
+    rng = seeding.make_rng(seed, "scene", family)
     flipped = bool(rng.integers(2))
     draft = _DRAWN[family](rng)
     files = files_of(

@@ -20,7 +20,7 @@ from typing import BinaryIO
 from xml.etree import ElementTree
 from xml.parsers import expat
 
-from wcsim.core.reading import XML, escaped, open_regular_file
+from wcsim.core.reading import XML, escape, open_regular_file
 from wcsim.errors import TownError
 
 MAX_MEMBERS = 1 << 15  # packed one behind the other in a file; those who pack in blocks of 64 KiB need 16 for a MiB
@@ -101,9 +101,7 @@ def read_bytes(path: Path, limit: int = MAX_XML_BYTES) -> bytes:
     """Content of a plain or gzip-compressed file, at most `limit` bytes after decompression. Raises TownError."""
     data = read_head(path, limit + 1)
     if len(data) > limit:
-        raise TownError(
-            f"{escaped(path)}: more than {limit >> 20} MiB of XML; expected less: clip it to a smaller area"
-        )
+        raise TownError(f"{escape(path)}: more than {limit >> 20} MiB of XML; expected less: clip it to a smaller area")
     return data
 
 
@@ -115,12 +113,12 @@ def read_head(path: Path, size: int) -> bytes:
             file.seek(0)
             return _unpack(file, size, _Gunzip) if packed else file.read(size)
     except (EOFError, zlib.error) as error:
-        raise TownError(f"{escaped(path)}: cannot be read ({error}); expected {XML.what}") from None
+        raise TownError(f"{escape(path)}: cannot be read ({error}); expected {XML.what}") from None
 
 
 def read_root(path: Path, limit: int = MAX_XML_BYTES) -> ElementTree.Element:
     """Root element of an XML file; document type definitions are refused. Raises TownError."""
-    return parse_root(read_bytes(path, limit), escaped(path))
+    return parse_root(read_bytes(path, limit), escape(path))
 
 
 def parse_root(data: bytes, where: str) -> ElementTree.Element:
@@ -191,7 +189,7 @@ def check_plain_xml(data: bytes, where: str, most_tags: int = MAX_TAGS) -> None:
     if _DECLARED.match(head):
         found = _DECLARATION.match(head)
         if found is None or not _ENCODING.fullmatch((found["encoding"] or b"utf-8").decode("ascii")):
-            beginning = escaped(ascii(head.partition(b">")[0][:120])[2:-1], 120)
+            beginning = escape(ascii(head.partition(b">")[0][:120])[2:-1], 120)
             raise TownError(f"{where}: begins with {beginning}; expected XML 1.0 in UTF-8: save it so")
     if b"<!DOCTYPE" in data:
         raise TownError(f"{where}: has a document type definition; expected plain UTF-8 XML: remove it")

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from wcsim.core.constants import KERB_STEP_M
-from wcsim.core.frames import rad
+from wcsim.core.frames import deg2rad
 from wcsim.types import F64, ClassId, Ground, StartSpec
 
 WITHIN_M: Final = 60.0  # of the chair that begins anew
@@ -49,6 +49,6 @@ def off_way_start(ground: Ground, near_W_m: F64, rng: np.random.Generator) -> St
         before = along_m < first_m[nearest]
         if not FAR_M[0] < first_m[nearest] < FAR_M[1] or (ground.clearance_at(line[nearest, before]) < CLEAR_M).any():
             continue
-        yaw_rad = float(turns[nearest] + rng.uniform(-1.0, 1.0) * rad(ASIDE_DEG))
+        yaw_rad = float(turns[nearest] + rng.uniform(-1.0, 1.0) * deg2rad(ASIDE_DEG))
         return StartSpec(p_W_m=(float(place[0]), float(place[1])), yaw_rad=yaw_rad, goal_W_m=goal)
     return None

@@ -17,13 +17,13 @@ from typing import Any, Final
 
 import numpy as np
 
-from wcsim.core.reading import escaped
-from wcsim.core.seeding import generator
+from wcsim.core.reading import escape
+from wcsim.core.seeding import make_rng
 from wcsim.errors import ConfigError
 from wcsim.types import F64, Joystick
 from wcsim.users.hand import STICK_FILTER_S, StickHandModel, SwitchHandModel
-from wcsim.users.profiles import UserProfile, find_builtin_profile, profile_names
-from wcsim.users.recordings.fit_user import FittedNumber, UserFit
+from wcsim.users.profiles import UserProfile, find_builtin_profile, list_profile_names
+from wcsim.users.recordings.fit_user import FittedParameter, UserFitResult
 from wcsim.users.recordings.hand_series import find_true_spans
 from wcsim.users.recordings.recorded_user import read_stick_recording
 
@@ -64,12 +64,12 @@ def read_recorded_sticks(path: Path) -> F64:
     seconds = STICK_DT_S * sum(map(len, sticks))
     if seconds < _SHORTEST_S:
         raise ConfigError(
-            f"{escaped(path)}: {seconds:.0f} s in .csv or .csv.gz files; expected 30 s or more"
+            f"{escape(path)}: {seconds:.0f} s in .csv or .csv.gz files; expected 30 s or more"
         )
     return np.concatenate(sticks)
 
 
-def fit_user_to_sticks(people: Mapping[str, F64], base: UserProfile) -> UserFit:
+def fit_user_to_sticks(people: Mapping[str, F64], base: UserProfile) -> UserFitResult:
     """The hand of some people, or of one, by their sticks (n, 2); and the habits of all.
 
     Habits are those of "people", "fitted" and the profiles. The numbers of several people are
@@ -100,7 +100,7 @@ def fit_user_to_sticks(people: Mapping[str, F64], base: UserProfile) -> UserFit:
 
     # 3. Measure the same task with other hands: the fitted one and those of the profiles.
     intents = [_intents_of(unit) for unit in units]
-    for each in (replace(user, name="fitted"), *map(find_builtin_profile, profile_names())):
+    for each in (replace(user, name="fitted"), *map(find_builtin_profile, list_profile_names())):
         sticks = [
             simulate_hand_stick(each, part, step, number) for number, part in enumerate(intents)
         ]
@@ -117,7 +117,7 @@ def fit_user_to_sticks(people: Mapping[str, F64], base: UserProfile) -> UserFit:
             if habits[key] >= 0.0
         }
     seconds = STICK_DT_S * sum(map(len, units))
-    return UserFit(
+    return UserFitResult(
         profile=user, estimates=found, seconds=seconds, warnings=(*warnings,), habits=rows
     )
 
@@ -165,7 +165,7 @@ def simulate_hand_stick(user: UserProfile, intents: F64, step: float, number: in
     hand = (
         SwitchHandModel(user)
         if user.discrete
-        else StickHandModel(user, generator(0, "stick", number))
+        else StickHandModel(user, make_rng(0, "stick", number))
     )
     found = np.empty_like(intents)
     for k, (x, y) in enumerate(intents.tolist()):
@@ -180,7 +180,9 @@ def _device_step(sticks: Sequence[F64]) -> float:
     return float(np.median(np.diff(np.unique(np.r_[0.0, 1e-3, ahead]))))
 
 
-def _means(rows: Sequence[Mapping[str, float]], one_more: float = 0.0) -> dict[str, FittedNumber]:
+def _means(
+    rows: Sequence[Mapping[str, float]], one_more: float = 0.0
+) -> dict[str, FittedParameter]:
     """Means of what is known at least twice, with the range of 95 % by Student's t.
 
     The range is that of the mean, or, with `one_more` 1, that of one more value.
@@ -194,7 +196,9 @@ def _means(rows: Sequence[Mapping[str, float]], one_more: float = 0.0) -> dict[s
         if n > 1:
             mean = float(known.mean())
             half = float(stdtrit(n - 1, 0.975) * known.std(ddof=1)) * math.sqrt(1.0 / n + one_more)
-            found[name] = FittedNumber(value=mean, low=max(0.0, mean - half), high=mean + half, n=n)
+            found[name] = FittedParameter(
+                value=mean, low=max(0.0, mean - half), high=mean + half, n=n
+            )
     return found
 
 

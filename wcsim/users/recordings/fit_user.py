@@ -16,7 +16,7 @@ import numpy as np
 
 from wcsim.config import ChairConfig, RunConfig, parse_json
 from wcsim.core import seeding
-from wcsim.core.reading import escaped
+from wcsim.core.reading import escape
 from wcsim.errors import ConfigError
 from wcsim.log.drive import DriveRecording
 from wcsim.types import F64, Bool, Joystick
@@ -28,11 +28,11 @@ from wcsim.users.recordings.hand_series import (
     SAME_STICK,
     SHORTEST_S,
     HandTimeSeries,
+    find_mean_correction_interval_s,
     find_true_spans,
     hand_series_from_drives,
-    mean_correction_interval_s,
+    mask_switch_positions,
     require_analogue_stick,
-    switch_position_mask,
 )
 
 _RESAMPLED: Final = 400
@@ -81,7 +81,7 @@ _AS_GOOD: Final = 0.002
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class FittedNumber:
+class FittedParameter:
     """A number of a user, and its interval of 95 %."""
 
     value: float
@@ -91,20 +91,20 @@ class FittedNumber:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class UserFit:
+class UserFitResult:
     """What drives show of their user."""
 
     profile: UserProfile
-    estimates: dict[str, FittedNumber]  # gain and bias as gain_x, gain_y, bias_x, bias_y
+    estimates: dict[str, FittedParameter]  # gain and bias as gain_x, gain_y, bias_x, bias_y
     seconds: float  # driven
     warnings: tuple[str, ...]
     # Of sticks, by their owners.
-    habits: Mapping[str, Mapping[str, FittedNumber]] = field(default_factory=dict)
+    habits: Mapping[str, Mapping[str, FittedParameter]] = field(default_factory=dict)
 
 
 def fit_user_to_drives(
     drives: Sequence[DriveRecording], base: UserProfile, true_intents: bool = True
-) -> UserFit:
+) -> UserFitResult:
     """Fit the user model to drives of one person.
 
     Args:
@@ -142,7 +142,7 @@ def fit_user_to_drives(
 
     # 3. Put the numbers into a profile.
     seconds = sum(len(item.intents) * item.tick_s for item in series)
-    return UserFit(
+    return UserFitResult(
         profile=replace(base, discrete=switched, spread=0.0, **_profile_numbers(found, switched)),
         estimates=found,
         seconds=seconds,
@@ -150,7 +150,7 @@ def fit_user_to_drives(
     )
 
 
-def is_certain_estimate(name: str, estimate: FittedNumber) -> bool:
+def is_certain_estimate(name: str, estimate: FittedParameter) -> bool:
     """Whether half the interval is less than 15 % of the value, or too small to matter."""
     half = 0.5 * (estimate.high - estimate.low)
     return half <= max(_WIDEST * abs(estimate.value), _FLOORS.get(name, 0.0))
@@ -158,7 +158,7 @@ def is_certain_estimate(name: str, estimate: FittedNumber) -> bool:
 
 def _has_switches(series: Sequence[HandTimeSeries]) -> bool:
     """Whether every sample is a position that four switches stand for."""
-    return bool(switch_position_mask(np.concatenate([item.stick for item in series])).all())
+    return bool(mask_switch_positions(np.concatenate([item.stick for item in series])).all())
 
 
 def _require_alike(drives: Sequence[DriveRecording]) -> None:
@@ -177,8 +177,8 @@ def _require_alike(drives: Sequence[DriveRecording]) -> None:
         for name, value in other.items():
             if value != measures[0][name]:
                 raise ConfigError(
-                    f"{escaped(drive.name)}: was driven with {name} {value:g}, "
-                    f"{escaped(drives[0].name)} with {measures[0][name]:g}; "
+                    f"{escape(drive.name)}: was driven with {name} {value:g}, "
+                    f"{escape(drives[0].name)} with {measures[0][name]:g}; "
                     f"expected the same {name}: fit them separately"
                 )
 
@@ -190,7 +190,7 @@ def _chair_of(drive: DriveRecording) -> ChairConfig:
 # --- hand ---
 
 
-def _hand_numbers(hand: HandFitResult) -> dict[str, FittedNumber]:
+def _hand_numbers(hand: HandFitResult) -> dict[str, FittedParameter]:
     """The numbers of a hand with their intervals.
 
     There are none where nearly all of the driving lay at the gate: the rest does not show the hand.
@@ -203,23 +203,23 @@ def _hand_numbers(hand: HandFitResult) -> dict[str, FittedNumber]:
         low, high = value - half, value + half
         if name in LOGS:
             low, high = value * math.exp(-half), value * math.exp(half)
-        found[name] = FittedNumber(value=value, low=low, high=high)
+        found[name] = FittedParameter(value=value, low=low, high=high)
     if "tremor" not in found:
-        found["tremor"] = FittedNumber(value=0.0, low=0.0, high=hand.tremor_most)
+        found["tremor"] = FittedParameter(value=0.0, low=0.0, high=hand.tremor_most)
     return found
 
 
-def _has_hand(found: Mapping[str, FittedNumber]) -> bool:
+def _has_hand(found: Mapping[str, FittedParameter]) -> bool:
     return "reaction_s" in found  # of a stick and of switches
 
 
 # --- attention and speed ---
 
 
-def _fit_looks(series: Sequence[HandTimeSeries]) -> dict[str, FittedNumber]:
+def _fit_looks(series: Sequence[HandTimeSeries]) -> dict[str, FittedParameter]:
     """Looks elsewhere, or single corrections, by how intents stand still."""
     tick_s = series[0].tick_s
-    gaps = [mean_correction_interval_s(item.intents, tick_s) for item in series]
+    gaps = [find_mean_correction_interval_s(item.intents, tick_s) for item in series]
     known = [gap for gap in gaps if gap is not None]
     changes = np.concatenate(
         [(np.diff(item.intents, axis=0) != 0.0).any(axis=1) for item in series]
@@ -229,7 +229,7 @@ def _fit_looks(series: Sequence[HandTimeSeries]) -> dict[str, FittedNumber]:
         # be told apart.
 
         def period_s(parts: F64) -> float:
-            return mean_correction_interval_s(parts, tick_s) or float(np.mean(known))
+            return find_mean_correction_interval_s(parts, tick_s) or float(np.mean(known))
 
         return {"correct_every_s": _resampled([item.intents for item in series], series, period_s)}
     rows = [_look_rows(item) for item in series]
@@ -273,9 +273,9 @@ def _mean_look(seen_s: float) -> float:
 def _fit_speed(
     drives: Sequence[DriveRecording],
     series: Sequence[HandTimeSeries],
-    found: Mapping[str, FittedNumber],
+    found: Mapping[str, FittedParameter],
     true_intents: bool,
-) -> FittedNumber:
+) -> FittedParameter:
     """The usual speed as a share of the chair's: the most that the stick usually commands.
 
     Without true intents it is the stick without this hand's gain and bias, averaged over a second.
@@ -312,9 +312,9 @@ def _fit_speed(
 
 def _resampled(
     rows: Sequence[F64], series: Sequence[HandTimeSeries], value: Callable[[F64], float]
-) -> FittedNumber:
+) -> FittedParameter:
     """A number of the rows (n, k) of all episodes; its interval by drawing stretches anew."""
-    rng = seeding.generator(0, "stretches resampled")
+    rng = seeding.make_rng(0, "stretches resampled")
     parts: list[F64] = []
     for table, item in zip(rows, series, strict=True):
         seconds = len(item.intents) * item.tick_s
@@ -324,13 +324,15 @@ def _resampled(
         chosen = rng.integers(len(parts), size=len(parts)).tolist()
         drawn.append(value(np.concatenate([parts[k] for k in chosen])))
     found, half = value(np.concatenate(list(rows))), _SD * float(np.std(drawn))
-    return FittedNumber(value=found, low=max(0.0, found - half), high=found + half)
+    return FittedParameter(value=found, low=max(0.0, found - half), high=found + half)
 
 
 # --- switches ---
 
 
-def _fit_switches(series: Sequence[HandTimeSeries], base: UserProfile) -> dict[str, FittedNumber]:
+def _fit_switches(
+    series: Sequence[HandTimeSeries], base: UserProfile
+) -> dict[str, FittedParameter]:
     """Delay and hold that reproduce the most samples; the others of `base` play no part.
 
     Both are searched together, on a lattice that gets finer around the best: a wrong hold makes a
@@ -412,19 +414,19 @@ def _wrong_share(series: Sequence[HandTimeSeries], user: UserProfile, ticks: int
     return wrong / max(1, total)
 
 
-def _interval(values: F64, wrong: F64) -> FittedNumber:
+def _interval(values: F64, wrong: F64) -> FittedParameter:
     """The middle of the best values, and the least and the most that fit nearly as well."""
     best = values[wrong <= wrong.min()]
     fits = values[wrong <= wrong.min() + _AS_GOOD]
     half_s = 0.5 * float(values[1] - values[0])
     low, high = max(0.0, float(fits.min()) - half_s), float(fits.max()) + half_s
-    return FittedNumber(value=float(best.mean()), low=low, high=high)
+    return FittedParameter(value=float(best.mean()), low=low, high=high)
 
 
 # --- the result ---
 
 
-def _profile_numbers(found: Mapping[str, FittedNumber], switched: bool) -> dict[str, Any]:
+def _profile_numbers(found: Mapping[str, FittedParameter], switched: bool) -> dict[str, Any]:
     """The numbers of a profile, within its bounds and rounded to what they show."""
 
     def bounded(key: str, name: str) -> float:
@@ -441,7 +443,7 @@ def _profile_numbers(found: Mapping[str, FittedNumber], switched: bool) -> dict[
 
 
 def _warnings(
-    found: Mapping[str, FittedNumber],
+    found: Mapping[str, FittedParameter],
     seconds: float,
     series: Sequence[HandTimeSeries],
     true_intents: bool,

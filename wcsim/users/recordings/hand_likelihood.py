@@ -14,7 +14,7 @@ from typing import Final
 
 import numpy as np
 
-from wcsim.core.jit import exact_kernel
+from wcsim.core.jit import compile_exact_kernel
 from wcsim.types import F64, Bool
 from wcsim.users.hand import TREMOR_FORWARD, TREMOR_WANDER, TREMOR_WANDER_S
 from wcsim.users.recordings.hand_series import MOVES, HandTimeSeries
@@ -300,7 +300,7 @@ def _natural_values(params: F64) -> dict[str, float]:
     return {name: math.exp(value) if name in LOGS else value for name, value in pairs}
 
 
-@exact_kernel
+@compile_exact_kernel
 def _delayed_intents(
     intents: F64, steps: int, dt_s: float, delay_s: float, lag_s: float, filter_s: float
 ) -> F64:
@@ -329,7 +329,7 @@ def _delayed_intents(
     return out
 
 
-@exact_kernel
+@compile_exact_kernel
 def _negative_log_density(
     hand: F64, intent: F64, free: Bool, noise: F64, line: F64, counted: Bool, clear: Bool
 ) -> F64:
@@ -388,7 +388,7 @@ def _negative_log_density(
     return out
 
 
-@exact_kernel
+@compile_exact_kernel
 def _predict_covariance(p: F64, decay: float, cos: float, sin: float) -> None:
     """Carry the covariance (3, 3) of wander and tremor on by a sample, without what is new."""
     p01, p02 = p[0, 1], p[0, 2]
@@ -401,7 +401,7 @@ def _predict_covariance(p: F64, decay: float, cos: float, sin: float) -> None:
     p[1, 2] = p[2, 1] = cos * sin * (p11 - p22) + (cos * cos - sin * sin) * p12
 
 
-@exact_kernel
+@compile_exact_kernel
 def _update_state(x: F64, p: F64, new: float, variance: float) -> None:
     """Take a sample into the state (3,) of wander and tremor and its covariance (3, 3)."""
     seen = p[:, 0] + p[:, 1]

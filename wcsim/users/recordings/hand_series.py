@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from wcsim.core.reading import escaped
+from wcsim.core.reading import escape
 from wcsim.errors import ConfigError
 from wcsim.log.drive import DriveRecording
 from wcsim.log.records import DriveTick
@@ -85,25 +85,25 @@ def require_analogue_stick(name: str, ticks: Sequence[DriveTick]) -> None:
     """
     sticks = np.array([(tick.stick.x, tick.stick.y) for tick in ticks]).reshape(-1, 2)
     moving = sticks[np.hypot(sticks[:, 0], sticks[:, 1]) > MOVES]
-    if not len(moving) or switch_position_mask(moving).all():
+    if not len(moving) or mask_switch_positions(moving).all():
         return
     count = len(np.unique(moving.round(4), axis=0))
     if count <= _MOST_POSITIONS and len(moving) >= _REPEATED * count:
         raise ConfigError(
-            f"{escaped(name)}: its stick took only {count} position{'s' * (count > 1)}, "
+            f"{escape(name)}: its stick took only {count} position{'s' * (count > 1)}, "
             "as with keys or switches, which do not show delay, gain and tremor; "
             "expected a drive by gamepad, pointer or finger: leave this one out"
         )
 
 
-def switch_position_mask(sticks: F64) -> Bool:
+def mask_switch_positions(sticks: F64) -> Bool:
     """(N,) which sticks (N, 2) are positions of the user model's four switches."""
     away = np.abs(sticks[:, None, :] - np.array(SWITCH_POSITIONS)[None]).max(axis=2).min(axis=1)
     found: Bool = away < SAME_STICK
     return found
 
 
-def mean_correction_interval_s(intents: F64, tick_s: float) -> float | None:
+def find_mean_correction_interval_s(intents: F64, tick_s: float) -> float | None:
     """Mean time between changes of an intent (N, 2) without stretches at rest; None without any."""
     changed = np.flatnonzero((np.diff(intents, axis=0) != 0.0).any(axis=1))
     gaps = np.array(

@@ -18,10 +18,10 @@ from typing import Final
 import numpy as np
 
 from wcsim.core.constants import RECORDED
-from wcsim.core.reading import STICK, escaped, read_lines
+from wcsim.core.reading import STICK, escape, read_lines
 from wcsim.errors import ConfigError, JournalError
-from wcsim.log.drive import read_drive, wcsim_version
-from wcsim.log.reader import is_log
+from wcsim.log.drive import read_drive, read_wcsim_version
+from wcsim.log.reader import is_log_file
 from wcsim.log.records import DriveTick
 from wcsim.types import F64, Joystick, Outline, UserView
 from wcsim.users.hand import clip_to_disc
@@ -80,7 +80,7 @@ class _JoystickRecording:
         """
         if self.town_sha256 and self.town_sha256 != (here := town_sha256()):
             raise ConfigError(
-                f"{escaped(self.name)}: was driven in {escaped(self.town, 80)} "
+                f"{escape(self.name)}: was driven in {escape(self.town, 80)} "
                 f"({self.town_sha256[:12]}), this is {town} ({here[:12]}); "
                 "expected the same town: name it, or restore its files"
             )
@@ -145,11 +145,11 @@ def read_stick_recording(path: FilePath) -> _JoystickRecording:
             bounds, not later than the one before, or more than 0.5 s later; with the line, the
             value and what was expected. Or it is a drive of another version of wcsim.
     """
-    if is_log(path):
+    if is_log_file(path):
         return _joystick_of_drive(path)
     numbers = array("d")
     for line, row, right in _rows(path):
-        where = f"{escaped(path)}:{line}"
+        where = f"{escape(path)}:{line}"
         if len(numbers) >= 3 * MOST_SAMPLES:
             raise ConfigError(
                 f"{where}: more than {MOST_SAMPLES} samples; expected at most so many: cut the file"
@@ -160,7 +160,7 @@ def read_stick_recording(path: FilePath) -> _JoystickRecording:
     table = np.array(numbers).reshape(-1, 3)
     if len(table) < 2:
         raise ConfigError(
-            f"{escaped(path)}: {len(table)} samples; "
+            f"{escape(path)}: {len(table)} samples; "
             f"expected at least two lines below {','.join(COLUMNS)}"
         )
     # As `clip_to_disc` has it, of all samples at once.
@@ -177,7 +177,7 @@ def _rows(path: FilePath) -> Iterator[tuple[int, list[str], float]]:
     names = tuple(word.strip(' \t\r\n"') for word in next(lines, "").split(","))
     if names not in (COLUMNS, _ROS_COLUMNS):
         expected = f"expected the line {','.join(COLUMNS)} (or {','.join(_ROS_COLUMNS)})"
-        raise ConfigError(f"{escaped(path)}:1: other column names; {expected}")
+        raise ConfigError(f"{escape(path)}:1: other column names; {expected}")
     for number, line in enumerate(lines, start=2):
         for row in csv.reader((line,)):
             if row:
@@ -232,12 +232,12 @@ def _joystick_of_drive(path: FilePath) -> _JoystickRecording:
     header = drive.header
     if not drive.moves_as_here:
         raise ConfigError(
-            f"{escaped(path)}: was driven with wcsim {escaped(drive.about.wcsim, 40)}, "
-            f"this is {wcsim_version()}; "
+            f"{escape(path)}: was driven with wcsim {escape(drive.about.wcsim, 40)}, "
+            f"this is {read_wcsim_version()}; "
             "expected the same, as chairs and streets may differ: record it again"
         )
     if not drive.ticks:
-        raise ConfigError(f"{escaped(path)}: is empty; expected a drive with at least one tick")
+        raise ConfigError(f"{escape(path)}: is empty; expected a drive with at least one tick")
     episodes = tuple(_joystick_of(part, header.tick_s, str(path)) for part in drive.episodes)
     return replace(
         episodes[0], town=header.town_name, town_sha256=header.town_sha256, episodes=episodes

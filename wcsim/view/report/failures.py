@@ -26,12 +26,12 @@ from wcsim.agents.evaluation.suite.records import (
 from wcsim.agents.evaluation.suite.result_files import LIST, TestResult
 from wcsim.agents.evaluation.suite.run import SuiteOrder, piece_of, town_addresses
 from wcsim.agents.opening.list_file import open_suite
-from wcsim.agents.opening.named_policy import config_from_policy_name
+from wcsim.agents.opening.named_policy import resolve_policy_config
 from wcsim.agents.policy_api import STATE_SENSE, UNAIDED
 from wcsim.agents.runs.policy_file import parse_policy_name
 from wcsim.bridge.world import World
-from wcsim.core.processes import run_in_pool
-from wcsim.core.reading import counted, is_file
+from wcsim.core.processes import run_in_process_pool
+from wcsim.core.reading import is_file, pluralize
 from wcsim.errors import ConfigError, WcsimError
 from wcsim.types import U8, ActorKind
 from wcsim.view.filming import around_picture, near, seen_picture, sticks
@@ -118,7 +118,7 @@ def fate(record: EpisodeRecord) -> str:
         return f"{record.reason}{with_} ({_FAULTS.get(record.fault, record.fault)}) after {record.time_s:.0f} s"
     said = "no crash" if record.status == TIMED_OUT and record.part not in ON_THE_WAY else ""
     said = said or ("arrived" if record.status == FINISHED else record.status.replace("_", " "))
-    return f"{said}, {counted(record.red_entries, 'red light')}" if record.red_entries else said
+    return f"{said}, {pluralize(record.red_entries, 'red light')}" if record.red_entries else said
 
 
 def _last_speed_mps(record: EpisodeRecord) -> float | None:
@@ -213,7 +213,7 @@ def illustrated(
         for (policy, block), found in blocks.items()
     ]
     wheres = list(blocks)
-    for number, (place, pictures) in enumerate(run_in_pool(_illustrate, pieces, jobs), start=1):
+    for number, (place, pictures) in enumerate(run_in_process_pool(_illustrate, pieces, jobs), start=1):
         found_all |= {(*wheres[place], seat): picture for seat, picture in pictures.items()}
         done(number, len(pieces))
     return found_all
@@ -242,7 +242,7 @@ def _illustrate(wanted: tuple[Piece, Iterable[EpisodeRecord]]) -> dict[int, Illu
     piece, records = wanted
     kept = {record.seat: record for record in records}
     try:
-        config = config_from_policy_name(piece.policy, piece.preset, piece.settings, in_list=True)
+        config = resolve_policy_config(piece.policy, piece.preset, piece.settings, in_list=True)
         tick_s = config.world.tick_s
 
         def draw(world: World, steps: Sequence[PlayedStep]) -> Illustration:

@@ -23,7 +23,7 @@ from wcsim.agents.evaluation.suite.records import STATUSES, EpisodeRecord
 from wcsim.agents.evaluation.suite.result_files import TOWNS, TestResult
 from wcsim.agents.evaluation.suite.rows import ResultRow
 from wcsim.agents.opening.list_file import TIGHT
-from wcsim.core.reading import counted
+from wcsim.core.reading import pluralize
 from wcsim.errors import WcsimError
 from wcsim.towns.scenario.town import find_town
 from wcsim.towns.street import load_street
@@ -261,7 +261,7 @@ def _draw_ways(axes: Axes, here: Sequence[tuple[str, EpisodeRecord]], places: Ma
             if len(e.path_m) > 1:
                 axes.plot(*np.transpose(e.path_m), color=colour, linewidth=0.7, alpha=0.75)
         ends = np.reshape([e.end_m for e in driven if e.own], (-1, 2))
-        label = f"{_short(name)}: {counted(len(ends), 'own crash')}"
+        label = f"{_short(name)}: {pluralize(len(ends), 'own crash')}"
         axes.scatter(ends[:, 0], ends[:, 1], marker="x", s=22, linewidths=1.3, color=colour, label=label)
     axes.set_aspect("equal")
     axes.set_xlabel("east, m")

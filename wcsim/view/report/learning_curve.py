@@ -13,13 +13,13 @@ from wcsim.agents.runs.metrics import (
     KPI1_STEPS,
     ROW_STEPS,
     STEP_COLUMNS,
-    is_round_metrics_file,
+    has_metrics_per_round,
     read_metrics,
     read_round_metrics,
 )
 from wcsim.agents.runs.run_folder import MANIFEST, METRICS, STEPS, read_run_json
 from wcsim.config.run_file import RoundMetricsRow
-from wcsim.core.reading import escaped_repr, is_file
+from wcsim.core.reading import escape_repr, is_file
 from wcsim.errors import PolicyError
 from wcsim.supervisor.kpi import MAX_FOLLOW_DISTANCE
 
@@ -102,7 +102,7 @@ def read_training(folders: Sequence[Path]) -> Training:
         for name, home in _homes(folder, manifest):
             label = name if len(folders) == 1 or "clients" not in manifest else f"{folder.resolve().name}/{name}"
             label = str(home) if label in clients or label in rounds else label
-            if is_file(home / METRICS) and is_round_metrics_file(home / METRICS):
+            if is_file(home / METRICS) and has_metrics_per_round(home / METRICS):
                 rounds[label] = read_round_metrics(home / METRICS)
             else:
                 clients[label] = _rows(home / METRICS, COLUMNS, TrainedEpisode)
@@ -122,7 +122,7 @@ def _rows(path: Path, columns: tuple[str, ...], kind: type[_Row]) -> tuple[_Row,
         try:
             read = {each.name: _READ[str(each.type)](row[_LOGGED.get(each.name, each.name)]) for each in fields(kind)}
         except ValueError:
-            where = f"{path}: is damaged at step {escaped_repr(row['step'])}"
+            where = f"{path}: is damaged at step {escape_repr(row['step'])}"
             raise PolicyError(f"{where}; expected finite numbers") from None
         found.append(kind(**read))
     return tuple(found)

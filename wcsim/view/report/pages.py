@@ -14,7 +14,7 @@ from typing import Final
 import jinja2
 
 from wcsim.core.files import write_bytes
-from wcsim.core.reading import counted
+from wcsim.core.reading import pluralize
 
 _MOST_STEM: Final = 80
 Cell = str | int | float | None
@@ -59,7 +59,7 @@ TEMPLATES: Final = jinja2.Environment(
     lstrip_blocks=True,
 )
 TEMPLATES.filters["data_uri"] = _data_uri
-TEMPLATES.globals["counted"] = counted
+TEMPLATES.globals["counted"] = pluralize
 
 
 def page(template: str, **shown: object) -> str:

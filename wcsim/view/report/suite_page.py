@@ -13,7 +13,7 @@ from wcsim.agents.evaluation.suite.result_files import TestResult
 from wcsim.agents.evaluation.suite.rows import COLUMNS, GROUPS, LOOK, Column, ResultRow
 from wcsim.agents.policy_api import UNAIDED
 from wcsim.core.constants import RECORDED
-from wcsim.core.reading import counted
+from wcsim.core.reading import pluralize
 from wcsim.view.report.comparisons import Paired, compared, verdict
 from wcsim.view.report.failures import FailedEpisode, Illustration, Key, where_typed
 from wcsim.view.report.figures import figures_of
@@ -76,7 +76,7 @@ def write_suite_page(
     }
     text = page(
         "suite.jinja",
-        title=f"{result.suite} {result.set}: {counted(len(result.episodes), 'policy', 'policies')}",
+        title=f"{result.suite} {result.set}: {pluralize(len(result.episodes), 'policy', 'policies')}",
         result=result,
         verdict=verdict(result),
         look=LOOK,

@@ -12,13 +12,13 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Final
 
-from wcsim.agents.clients.group_run import CHOICE, KPI1, SELECTION, read_selected_client
+from wcsim.agents.clients.group_run import CHOICE, KPI1, SELECTION, read_chosen_client_name
 from wcsim.agents.clients.paid_times import read_group_run_times
 from wcsim.agents.evaluation.suite.result_files import RESULT, read_result
 from wcsim.agents.runs.metrics import KPI1_STEPS
 from wcsim.agents.runs.run_folder import read_run_json
 from wcsim.config.run_file import RoundMetricsRow
-from wcsim.core.reading import counted, is_file
+from wcsim.core.reading import is_file, pluralize
 from wcsim.errors import PolicyError
 from wcsim.view.report.figures import Curve, curve_chart
 from wcsim.view.report.learning_curve import (
@@ -73,7 +73,7 @@ def rounds_summary(rounds: Sequence[RoundMetricsRow]) -> str:
     """
     last, rate = rounds[-1], _crash_rate(rounds[-1])
     told = "" if math.isnan(rate) else f", {rate:.1f} crashes per 1000 steps in the last"
-    return f"{counted(len(rounds), 'round')}, {last.steps} steps, {last.updates} updates, loss {last.loss:.3f}{told}"
+    return f"{pluralize(len(rounds), 'round')}, {last.steps} steps, {last.updates} updates, loss {last.loss:.3f}{told}"
 
 
 def _round_figure(
@@ -265,7 +265,7 @@ def _compared(run: Path, exhibit: str) -> Exhibit:
         figures = {str(name): float(of[KPI1]) for name, of in choice["clients"].items()}
     except (KeyError, TypeError, ValueError, AttributeError):
         raise PolicyError(f"{run / SELECTION / CHOICE}: is damaged; expected KPI 1 of each client") from None
-    best, by = read_selected_client(run, list(figures)), choice.get("by")
+    best, by = read_chosen_client_name(run, list(figures)), choice.get("by")
     why = "The client with the lowest one continues" if by == KPI1 else f"The user chose {best}"
     return Exhibit(
         name=exhibit,
@@ -280,7 +280,7 @@ def _tested(run: Path, exhibit: str) -> Exhibit:
     """The clients by a test on a list."""
     result = read_result(run / SELECTION)
     names = [Path(row.policy.removesuffix(":phase1")).name for row in result.pooled]
-    best = read_selected_client(run, list(dict.fromkeys(names)))
+    best = read_chosen_client_name(run, list(dict.fromkeys(names)))
     return Exhibit(
         name=exhibit,
         title=f"{run.resolve().name}: {result.suite} {result.set}",

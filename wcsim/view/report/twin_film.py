@@ -11,7 +11,7 @@ from wcsim.agents.evaluation.suite.playback import PlayedStep, play, require_sam
 from wcsim.agents.evaluation.suite.records import CRASHED, FINISHED
 from wcsim.agents.evaluation.suite.result_files import TestResult
 from wcsim.agents.evaluation.suite.run import SuiteOrder, piece_of, town_addresses
-from wcsim.agents.opening.named_policy import config_from_policy_name
+from wcsim.agents.opening.named_policy import resolve_policy_config
 from wcsim.agents.policy_api import UNAIDED
 from wcsim.bridge.world import World
 from wcsim.types import U8
@@ -64,7 +64,7 @@ def film_twins(
     """
     towns, told, end = town_addresses(order), [], 0  # end: the step at which the user alone ends
     halves: list[list[U8]] = []
-    tick_s = config_from_policy_name(
+    tick_s = resolve_policy_config(
         UNAIDED, order.preset, (*order.suite.file.settings, *order.settings), in_list=True
     ).world.tick_s
     for name, title in ((UNAIDED, "alone"), (policy, "with help")):

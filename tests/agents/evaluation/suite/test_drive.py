@@ -24,14 +24,14 @@ from wcsim.agents.evaluation.suite import drive
 from wcsim.agents.evaluation.suite.alarms import _users_alone
 from wcsim.agents.evaluation.suite.drive import Piece, drive_block, refused
 from wcsim.agents.evaluation.suite.records import EpisodeRecord
-from wcsim.agents.policies.baselines import baseline
+from wcsim.agents.policies.baselines import make_baseline_policy
 from wcsim.bridge.world_rollout import rollout
 from wcsim.types import SeatSpec
 from wcsim.users.user import SimulatedUser
 
 
 def follow():
-    return baseline("follow", config())
+    return make_baseline_policy("follow", config())
 
 
 def test_who_follows_obeys_and_ends_in_one_of_the_ways_that_there_are(corner):

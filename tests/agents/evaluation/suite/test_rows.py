@@ -10,7 +10,7 @@ from tests.agents.evaluation.suite.test_records import GOOD
 from tests.support.tracked import ROOT
 from wcsim.agents.evaluation.suite.records import SCORE_VERSION, Intervention
 from wcsim.agents.evaluation.suite.rows import COLUMNS, LOOK, ResultRow, pooled_rows, row_of
-from wcsim.agents.policies.baselines import baseline
+from wcsim.agents.policies.baselines import make_baseline_policy
 from wcsim.config import RunConfig
 
 CRASH = replace(GOOD, status="chair_crashed", fault="own", reason="collision")
@@ -114,7 +114,7 @@ def test_arrivals_count_where_there_is_a_destination():
 
 def test_the_indicators_of_a_scripted_drive():
     env = Script(crash_at=6)
-    found = driven(baseline("follow", RunConfig()), env, episodes=2, max_steps=100, seed=7, tick_s=10.0)
+    found = driven(make_baseline_policy("follow", RunConfig()), env, episodes=2, max_steps=100, seed=7, tick_s=10.0)
     assert found.kpi1 == pytest.approx(0.25)
     assert found.kpi1_within == pytest.approx(2 / 6)
     assert found.kpi1_free == pytest.approx(0.05)  # 0.0 and 0.1: the truth of the moment that was answered
@@ -130,12 +130,12 @@ def test_the_indicators_of_a_scripted_drive():
 
 def test_a_policy_that_stands_freezes_on_the_carriageway():
     env = Script(crash_at=6, speed_mps=0.0)
-    found = driven(baseline("follow", RunConfig()), env, episodes=2, max_steps=100, tick_s=1.0)
+    found = driven(make_baseline_policy("follow", RunConfig()), env, episodes=2, max_steps=100, tick_s=1.0)
     assert (found.freezes, found.road_s) == (2, 6.0)  # one an episode; 3 steps of each on the road
 
 
 def test_a_cut_episode_survived():
-    found = driven(baseline("follow", RunConfig()), Script(crash_at=99), episodes=1, max_steps=5)
+    found = driven(make_baseline_policy("follow", RunConfig()), Script(crash_at=99), episodes=1, max_steps=5)
     assert (found.kpi2, found.crashes_own, found.crashes_per_km, found.crashed) == (5, 0, None, 0.0)
 
 

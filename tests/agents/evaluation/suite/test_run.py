@@ -24,7 +24,7 @@ from wcsim.agents.opening.list_file import (
     suite_from_file,
     write_list,
 )
-from wcsim.core.sources import code_digest
+from wcsim.core.sources import hash_package_code
 from wcsim.errors import ConfigError, TownError
 
 
@@ -98,14 +98,14 @@ def test_what_is_kept_is_of_the_code_that_drives(tmp_path):
     for name in ("agents/drive.py", "config/presets/quick.toml", "view/page.py", "cli/main.py", "README.md"):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text("1")
-    before = code_digest(tmp_path)
+    before = hash_package_code(tmp_path)
     for name in ("view/page.py", "cli/main.py", "README.md"):
         (tmp_path / name).write_text("2")
-        assert code_digest(tmp_path) == before
+        assert hash_package_code(tmp_path) == before
     seen = {before}
     for name in ("agents/drive.py", "config/presets/quick.toml"):
         (tmp_path / name).write_text("2")
-        seen.add(code_digest(tmp_path))
+        seen.add(hash_package_code(tmp_path))
     assert len(seen) == 3
 
 

@@ -6,7 +6,7 @@ from tests.agents.evaluation.suite.lists import Held, config
 from wcsim.agents.evaluation.suite.drive import Piece, drive_block
 from wcsim.agents.evaluation.suite.make import _tight_blocks
 from wcsim.agents.opening.list_file import make_block_setup
-from wcsim.agents.policies.baselines import baseline
+from wcsim.agents.policies.baselines import make_baseline_policy
 from wcsim.errors import TownError
 
 
@@ -24,7 +24,7 @@ def driven(block, work, make):
 
 @pytest.mark.proof
 def test_the_user_alone_reverses_off_the_kerb_and_who_stands_comes_through(block, tmp_path):
-    alone = driven(block, tmp_path / "a", lambda: baseline("follow", config()))
+    alone = driven(block, tmp_path / "a", lambda: make_baseline_policy("follow", config()))
     assert alone.part == "tight" and alone.own and alone.missed and alone.score == 0.0
     held = driven(block, tmp_path / "b", lambda: Held(0.0, 0.0))
     assert held.status == "timed_out" and not held.own

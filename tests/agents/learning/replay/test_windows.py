@@ -28,14 +28,14 @@ from tests.agents.toy import (
     train_toy,
 )
 from tests.support.samples import ACTIONS, stacked
-from wcsim.agents.envs.episode_view import FrameWindow, trim_frame_window, window_observation_space
-from wcsim.agents.learning.build import build_model, default_settings_for_network
+from wcsim.agents.envs.episode_view import FrameStacker, trim_frame_window, window_observation_space
+from wcsim.agents.learning.build import build_q_learner, default_settings_for_network
 from wcsim.agents.learning.checkpoint import _check_fit, _replay_arrays, _restore_replay, save_checkpoint
 from wcsim.agents.learning.replay.frame_store import WindowStore
 from wcsim.agents.learning.saved_policy import load_policy
 from wcsim.agents.learning.seqdqn import _mirror_batch
-from wcsim.agents.opening.named_policy import config_from_policy_name, open_named_policy, policy_overrides
-from wcsim.agents.policies.baselines import baseline
+from wcsim.agents.opening.named_policy import list_policy_overrides, open_named_policy, resolve_policy_config
+from wcsim.agents.policies.baselines import make_baseline_policy
 from wcsim.agents.runs.policy_file import POLICY_JSON
 from wcsim.agents.runs.run_folder import open_run, policy_folder_from_name
 from wcsim.config import CameraConfig, EnvConfig, LearnConfig, RunConfig, resolve
@@ -56,7 +56,7 @@ def numbers(observation):
 
 
 def test_a_window_begins_with_its_first_image_and_ends_with_the_newest():
-    window = FrameWindow(3)
+    window = FrameStacker(3)
     assert [numbers(window.add(frame(n))) for n in (5, 6, 7, 8)] == [[5, 5, 5], [5, 5, 6], [5, 6, 7], [6, 7, 8]]
     window.reset()
     seen = window.add(frame(9))
@@ -68,13 +68,13 @@ def test_a_window_begins_with_its_first_image_and_ends_with_the_newest():
 
 
 def test_what_is_done_to_an_observation_does_not_change_the_next():
-    window = FrameWindow(2)
+    window = FrameStacker(2)
     window.add(frame(1))["seg"][:] = 99
     assert numbers(window.add(frame(2))) == [1, 2]
 
 
 def test_a_window_of_one_changes_nothing():
-    window, seen = FrameWindow(1), frame(4)
+    window, seen = FrameStacker(1), frame(4)
     assert window.add(seen) is seen
     space = make_observation_space("compact", W, H)
     assert window_observation_space(space, 1) is space
@@ -146,7 +146,7 @@ class Street:
     """Drives one seat of a replay; `record` holds every observation as it was added, by absolute index."""
 
     def __init__(self):
-        self.count, self.window, self.record, self.after = 0, FrameWindow(3), [], []
+        self.count, self.window, self.record, self.after = 0, FrameStacker(3), [], []
         self.now = self.see()
 
     def see(self):
@@ -314,7 +314,7 @@ def test_a_run_that_is_stopped_while_its_town_loads_goes_on(tmp_path):
 
 
 def test_a_checkpoint_restores_windows_and_weights(tmp_path):
-    wrote, again = (build_model(config(), DummyVecEnv([street]), seed) for seed in (1, 2))
+    wrote, again = (build_q_learner(config(), DummyVecEnv([street]), seed) for seed in (1, 2))
     wrote.learn(130)  # the oldest windows reach back to images that are forgotten
     save_checkpoint(tmp_path, wrote, {})
     load_checkpoint(tmp_path, again)
@@ -325,8 +325,8 @@ def test_a_policy_says_what_it_must_see(run, tmp_path):
     folder = tmp_path / "copy"
     shutil.copytree(policy_folder_from_name(str(run)), folder)
     assert json.loads((folder / POLICY_JSON).read_text())["window"] == 3
-    assert config_from_policy_name(str(folder), "dqn").env.window == 3
-    assert config_from_policy_name(str(run), "dqn").env.window == 3
+    assert resolve_policy_config(str(folder), "dqn").env.window == 3
+    assert resolve_policy_config(str(run), "dqn").env.window == 3
     policy, (observation, _) = load_policy(folder), street().reset(seed=1)
     batch = {key: torch.as_tensor(value)[None] for key, value in observation.items()}
     with torch.inference_mode():
@@ -354,8 +354,12 @@ def test_a_policy_from_before_there_were_windows_sees_one_image(tmp_path):
 def test_policies_with_different_windows_are_tested_in_one_environment(run, tmp_path):
     """Each drives as it does in an environment of its own."""
     single = train_toy(ONE_IMAGE, tmp_path / "run", lambda: street(1))
-    policies = [open_named_policy(str(path), CONFIG, 0) for path in (run, single)] + [baseline("stop", CONFIG)]
-    assert [policy_overrides(RunConfig(), policy)[0] for policy in policies] == [f"env.window={n}" for n in (3, 1, 1)]
+    policies = [open_named_policy(str(path), CONFIG, 0) for path in (run, single)] + [
+        make_baseline_policy("stop", CONFIG)
+    ]
+    assert [list_policy_overrides(RunConfig(), policy)[0] for policy in policies] == [
+        f"env.window={n}" for n in (3, 1, 1)
+    ]
     for policy, own in zip(policies, (3, 1, 1), strict=True):
         rows = [driven(policy, WindowedStreet(n, CAMERA, 20), 2, 20, seed=4) for n in (own, 3, 5)]
         assert rows[0] == rows[1] == rows[2]
@@ -370,7 +374,7 @@ def test_baselines_look_at_the_newest_image(name):
     def chosen(*images):
         seen = {**free, **{key: np.concatenate([image[key] for image in images]) for key in KEYS}}
         seen["joystick"] = np.array([0.0, 1.0], np.float32)
-        policy = baseline(name, RunConfig(cameras=(camera,)))
+        policy = make_baseline_policy(name, RunConfig(cameras=(camera,)))
         return [policy.act(seen) for _ in range(12)]
 
     assert chosen(wall, wall, free) == chosen(free, free, free) == chosen(free)

@@ -14,8 +14,8 @@ from wcsim.drive.playing.film_states import FilmAbout, FilmFrame, FilmLine, Film
 from wcsim.drive.playing.sources import replay_source
 from wcsim.drive.playing.sources.replay_source import follow_film
 from wcsim.errors import ConfigError, JournalError
-from wcsim.log.reader import LogTail, iter_part_inputs, read_header, rotate_log
-from wcsim.log.records import Ended, EpochBegun, Ticked, changed
+from wcsim.log.reader import LogFollower, iter_journal_part_inputs, read_header, rotate_log
+from wcsim.log.records import Ended, EpochBegun, Ticked, with_fields
 from wcsim.log.writer import LogWriter
 from wcsim.server.host.opening import EPOCH_OVER
 
@@ -100,7 +100,7 @@ def test_it_goes_over_to_the_newest_epoch_when_it_is_far_behind(
 def test_a_part_that_is_put_aside_is_read_to_its_end(whole: bytes, tmp_path: Path) -> None:
     journal = tmp_path / "journal"
     (tmp_path / "all").write_bytes(whole)
-    records = list(iter_part_inputs(tmp_path / "all"))
+    records = list(iter_journal_part_inputs(tmp_path / "all"))
     second = next(
         number for number, record in enumerate(records) if isinstance(record, EpochBegun) and record.epoch == 1
     )
@@ -145,7 +145,7 @@ def damaged(whole: bytes) -> bytearray:
 
 def test_a_hook_is_not_loaded_because_a_journal_names_it(whole: bytes, tmp_path: Path) -> None:
     (tmp_path / "all").write_bytes(whole)
-    with LogWriter(tmp_path / "journal", changed(read_header(tmp_path / "all"), hook="own:Hook")):
+    with LogWriter(tmp_path / "journal", with_fields(read_header(tmp_path / "all"), hook="own:Hook")):
         pass
     with pytest.raises(ConfigError, match="a hook is code"):
         Watched(tmp_path, iter([None])).follow()
@@ -153,8 +153,8 @@ def test_a_hook_is_not_loaded_because_a_journal_names_it(whole: bytes, tmp_path:
 
 def test_a_tail_says_who_writes(whole: bytes, tmp_path: Path) -> None:
     (tmp_path / "all").write_bytes(whole)
-    records = [record for record in iter_part_inputs(tmp_path / "all") if not isinstance(record, Ticked)]
-    with LogTail(tmp_path / "journal") as tail:
+    records = [record for record in iter_journal_part_inputs(tmp_path / "all") if not isinstance(record, Ticked)]
+    with LogFollower(tmp_path / "journal") as tail:
         assert tail.read() == []
         assert tail.is_written() is None
         with LogWriter(tmp_path / "journal", read_header(tmp_path / "all")) as writer:
@@ -172,10 +172,10 @@ def test_what_is_written_between_two_looks_at_a_part_that_ends_is_read(
     """A watcher has the lowest priority: it may stand between any two of its lines for as long as an epoch needs."""
     journal = tmp_path / "journal"
     (tmp_path / "all").write_bytes(whole)
-    records = list(iter_part_inputs(tmp_path / "all"))
-    header, is_over, late = read_header(tmp_path / "all"), LogTail._is_rotated, [records[3:]]
+    records = list(iter_journal_part_inputs(tmp_path / "all"))
+    header, is_over, late = read_header(tmp_path / "all"), LogFollower._is_rotated, [records[3:]]
 
-    def stood_meanwhile(tail: LogTail) -> bool:
+    def stood_meanwhile(tail: LogFollower) -> bool:
         if late:
             with LogWriter.append_to(journal) as writer:
                 for record in late.pop():
@@ -187,8 +187,8 @@ def test_what_is_written_between_two_looks_at_a_part_that_ends_is_read(
     with LogWriter(journal, header) as writer:
         for record in records[:3]:
             writer.append(record)
-    monkeypatch.setattr(LogTail, "_is_rotated", stood_meanwhile)
-    with LogTail(journal) as tail:
+    monkeypatch.setattr(LogFollower, "_is_rotated", stood_meanwhile)
+    with LogFollower(journal) as tail:
         assert tail.read() == records[:3]
         assert tail.read() == records[3:]
         assert tail.read() == []

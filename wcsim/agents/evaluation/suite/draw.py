@@ -94,7 +94,7 @@ def free_blocks(place: DrawPlace, wanted: Wanted, blocks: int, seed: int) -> lis
     """Blocks of ways along the town's pavements. Raises TownError when the town is too small for one."""
     made = []
     for number in range(blocks):
-        rng = seeding.generator(seed, "suite", place.name, wanted.part, number)
+        rng = seeding.make_rng(seed, "suite", place.name, wanted.part, number)
         who = wanted.profiles[number % len(wanted.profiles)]
         episodes = _apart(_ways(place, wanted, who, rng))
         if not episodes:
@@ -111,7 +111,7 @@ def crossing_blocks(place: DrawPlace, wanted: Wanted, attempts: int, seed: int) 
     """
     edges = place.street.walk.edges
     crossings = [i for i, edge in enumerate(edges) if edge.kind is WayKind.CROSSING and not edge.never_green]
-    rng = seeding.generator(seed, "suite", place.name, wanted.part)
+    rng = seeding.make_rng(seed, "suite", place.name, wanted.part)
     found: list[tuple[SuiteEpisode, Route]] = []
     order = [crossings[i] for i in rng.permutation(len(crossings)).tolist()]
     ways = deque((crossing, back) for back in (False, True) for crossing in order)

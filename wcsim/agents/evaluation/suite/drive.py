@@ -30,7 +30,7 @@ from wcsim.bridge.world import World
 from wcsim.bridge.world_rollout import rollout
 from wcsim.config import RunConfig, resolve
 from wcsim.config.suite import SuiteBlock
-from wcsim.core.plugins import describe_error
+from wcsim.core.plugins import describe_user_code_error
 from wcsim.errors import PolicyError, WcsimError
 from wcsim.supervisor.actions import ActionSet, action_set
 from wcsim.supervisor.kpi import KpiStep, make_crash_fields, sum_kpi_steps
@@ -131,7 +131,7 @@ class _Seat:
             with _at_most(self._piece.late_s * (FIRST_SHARE if driven <= 0 else 1.0)):
                 stick = self._driver.choose(now)
         except Exception as error:  # whatever a policy does wrong, the others of the block go on
-            self._end(POLICY_FAILED, str(error) if isinstance(error, WcsimError) else describe_error(error))
+            self._end(POLICY_FAILED, str(error) if isinstance(error, WcsimError) else describe_user_code_error(error))
             return None
         if driven >= 0:
             self._free = not self._world.in_danger(self.number)

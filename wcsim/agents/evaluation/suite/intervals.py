@@ -53,7 +53,7 @@ def bootstrapped(values: Sequence[float] | F64, weights: Sequence[float] | F64 |
     weight = np.ones(len(value)) if weights is None else np.asarray(weights, np.float64)
     if len(value) < FEWEST or weight.sum() <= 0.0:
         return None
-    drawn = seeding.generator(0, "bootstrap", len(value)).integers(0, len(value), (_DRAWS, len(value)))
+    drawn = seeding.make_rng(0, "bootstrap", len(value)).integers(0, len(value), (_DRAWS, len(value)))
     total = weight[drawn].sum(1)
     means = np.where(total > 0.0, (value * weight)[drawn].sum(1) / np.maximum(total, 1e-12), np.nan)
     low, high = np.nanpercentile(means, (2.5, 97.5)).tolist()

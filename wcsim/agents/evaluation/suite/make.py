@@ -24,8 +24,8 @@ from wcsim.config import RunConfig, resolve
 from wcsim.config.suite import SuiteBlock, SuiteEpisode, SuiteFile, SuiteTown
 from wcsim.core import seeding
 from wcsim.core.constants import RECORDED
-from wcsim.core.own_folder import temporary_folder
-from wcsim.core.reading import counted
+from wcsim.core.own_folder import create_temporary_folder
+from wcsim.core.reading import pluralize
 from wcsim.errors import TownError
 from wcsim.towns.scenario.town import Town, by_name, content_hash, find_town
 from wcsim.towns.scene_folders.build import build_scene, scene_digest, seat_specs
@@ -144,7 +144,7 @@ def _hazards(
     settled_ones = _settled(order, towns, found, told, "hazards to the end", _ends_in_time)
     number = sum(len(block.episodes) for block in settled_ones)
     none = f"no hazards found: no crash of the user alone happened again without the other chairs; {_MORE}"
-    told(f"found {counted(number, 'hazard')}" if number else none, 0.0)
+    told(f"found {pluralize(number, 'hazard')}" if number else none, 0.0)
     return settled_ones
 
 
@@ -231,7 +231,7 @@ def _tight_blocks(seeds: Sequence[int]) -> list[SuiteBlock]:
 
 def tight_block(family: str, seed: int) -> SuiteBlock:
     """A block in a generated scene. Raises TownError for one without a start."""
-    with temporary_folder() as work:
+    with create_temporary_folder() as work:
         folder = write_scene(family, seed, work / SCENE)
         town, scene = build_scene(folder, work / SCENE_TOWN)
         (spec,) = seat_specs(folder, scene, town.file.origin_m)

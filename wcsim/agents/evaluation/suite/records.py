@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from typing import Any, Final
 
-from wcsim.core.reading import counted, escaped, escaped_repr
+from wcsim.core.reading import escape, escape_repr, pluralize
 from wcsim.errors import ConfigError
 
 FINISHED: Final = "finished"
@@ -166,32 +166,32 @@ def undriven(policy: str, records: Sequence[EpisodeRecord]) -> list[str]:
     for status, word in ((REFUSED, "refused"), (POLICY_FAILED, "failed")):
         reasons = Counter(record.reason for record in records if record.status == status)
         if reasons:
-            other = counted(len(reasons) - 1, "other reason")
+            other = pluralize(len(reasons) - 1, "other reason")
             more = f" (and {other}, see episodes.json)" if len(reasons) > 1 else ""
             reason = " ".join(reasons.most_common(1)[0][0].split())
-            of = counted(len(records), "episode")
-            told.append(f"{policy}: {word} in {reasons.total()} of {of}: {escaped(reason, 400)}{more}")
+            of = pluralize(len(records), "episode")
+            told.append(f"{policy}: {word} in {reasons.total()} of {of}: {escape(reason, 400)}{more}")
     return told
 
 
 def record_of(data: object) -> EpisodeRecord:
     """A record from `to_json`, whoever wrote it. Raises ConfigError for anything else."""
     if not isinstance(data, Mapping):
-        raise ConfigError(f"got {escaped_repr(data)}, expected an episode: {_AGAIN}")
+        raise ConfigError(f"got {escape_repr(data)}, expected an episode: {_AGAIN}")
     kinds = {field.name: str(field.type) for field in fields(EpisodeRecord)}
     other = sorted(set(data) ^ set(kinds))
     if other:
-        raise ConfigError(f"an episode without, or with an unknown, {escaped(str(other[0]))}: {_AGAIN}")
+        raise ConfigError(f"an episode without, or with an unknown, {escape(str(other[0]))}: {_AGAIN}")
     for name, kind in kinds.items():
         if kind in _PLAIN and not _is(data[name], _PLAIN[kind]):
-            raise ConfigError(f"{name} of an episode is {escaped_repr(data[name])}, expected {kind}: {_AGAIN}")
+            raise ConfigError(f"{name} of an episode is {escape_repr(data[name])}, expected {kind}: {_AGAIN}")
     try:
         found = [Intervention(**item) for item in data["interventions"]]
         places = _points(data["path_m"]), _points([data["end_m"]])[0]
     except (TypeError, ValueError) as error:
         raise ConfigError(f"a part of an episode is damaged ({error}): {_AGAIN}") from None
     if data["status"] not in STATUSES:
-        raise ConfigError(f"status {escaped(data['status'])!r}; expected one of {', '.join(STATUSES)}: {_AGAIN}")
+        raise ConfigError(f"status {escape(data['status'])!r}; expected one of {', '.join(STATUSES)}: {_AGAIN}")
     return EpisodeRecord(**{**data, "interventions": tuple(found), "path_m": places[0], "end_m": places[1]})
 
 

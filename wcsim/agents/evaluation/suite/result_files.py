@@ -13,7 +13,7 @@ from wcsim.agents.evaluation.suite.records import SCORE_VERSION, EpisodeRecord, 
 from wcsim.agents.evaluation.suite.rows import ResultRow, pooled_rows
 from wcsim.agents.policy_api import UNAIDED
 from wcsim.core import reading
-from wcsim.core.reading import escaped, is_file, read_json
+from wcsim.core.reading import escape, is_file, read_json
 from wcsim.errors import ConfigError
 
 RESULT: Final = "result.json"
@@ -83,11 +83,11 @@ def read_episodes(folder: Path) -> dict[str, tuple[EpisodeRecord, ...]]:
     found = {}
     for name, items in read_json(path, reading.RESULT).items():
         if not isinstance(items, list) or not items:
-            raise ConfigError(f"{escaped(path)}: is damaged; expected a list of episodes for each policy")
+            raise ConfigError(f"{escape(path)}: is damaged; expected a list of episodes for each policy")
         try:
             found[name] = tuple(map(record_of, items))
         except ConfigError as error:
-            raise ConfigError(f"{escaped(path)}: {error}") from None
+            raise ConfigError(f"{escape(path)}: {error}") from None
     return found
 
 
@@ -98,7 +98,7 @@ def read_result(folder: Path) -> TestResult:
     asked = read_json(folder / ASKED, reading.RESULT) if is_file(folder / ASKED) else {}
     changed = data.get("changed")
     if not isinstance(changed, list):
-        raise ConfigError(f"{escaped(path)}: is damaged; expected the list `changed`: run the test again")
+        raise ConfigError(f"{escape(path)}: is damaged; expected the list `changed`: run the test again")
     said = {name: data.get(name) for name in ("suite", "set", "list_sha256")}
     said |= {name: asked.get(name, usual) for name, usual in (("preset", "quick"), ("network", ""), ("out", ""))}
     said["list_name"] = asked.get("suite", data.get("set"))
@@ -106,7 +106,7 @@ def read_result(folder: Path) -> TestResult:
     result = result_of(read_episodes(folder), changed=tuple(_text(word, path) for word in changed), **texts)
     if _plain(data) != _plain(result.to_json()):
         raise ConfigError(
-            f"{escaped(path)}: is not what {EPISODES} beside it gives by version {SCORE_VERSION} of the score; "
+            f"{escape(path)}: is not what {EPISODES} beside it gives by version {SCORE_VERSION} of the score; "
             "expected both of one test: run it again with --resume, which keeps what was driven"
         )
     return result
@@ -119,5 +119,5 @@ def _plain(said: Any) -> Any:
 
 def _text(value: object, path: Path) -> str:
     if not isinstance(value, str) or len(value) > _MOST_TEXT:
-        raise ConfigError(f"{escaped(path)}: is damaged; got {str(value)[:40]!r}, expected a text: run the test again")
+        raise ConfigError(f"{escape(path)}: is damaged; got {str(value)[:40]!r}, expected a text: run the test again")
     return value

@@ -14,7 +14,7 @@ from wcsim.agents.evaluation.suite.drive import LATE_S, Piece, Watch, drive_bloc
 from wcsim.agents.evaluation.suite.records import EpisodeRecord, record_of
 from wcsim.agents.evaluation.suite.result_files import TOWNS
 from wcsim.agents.opening.list_file import TIGHT, HashedSuite, load_suite_towns, make_block_setup, require_block_towns
-from wcsim.agents.opening.named_policy import config_from_policy_name, open_named_policy, policy_overrides
+from wcsim.agents.opening.named_policy import list_policy_overrides, open_named_policy, resolve_policy_config
 from wcsim.agents.policies.served_policy import ServedPolicyClient
 from wcsim.agents.policy_api import Policy
 from wcsim.agents.runs.policy_file import parse_policy_name
@@ -22,17 +22,17 @@ from wcsim.agents.runs.run_folder import CONFIG, MANIFEST, PLANT, policy_folder_
 from wcsim.agents.runs.transfer import folder_to_input_files, require_sendable_run, town_to_input_files
 from wcsim.config import RunConfig, resolve
 from wcsim.config.load import texts_from_override
-from wcsim.config.suite import SuiteBlock, seats_repeating_free_part
+from wcsim.config.suite import SuiteBlock, find_seats_repeating_free_part
 from wcsim.core import seeding
 from wcsim.core.constants import RECORDED
 from wcsim.core.files import sha256_from_file, sha256_from_text, write_json
-from wcsim.core.own_folder import temporary_folder
-from wcsim.core.plugins import find_class, find_user_class_files
-from wcsim.core.reading import BLOCK, escaped, is_file, read_json
-from wcsim.core.sources import code_digest
+from wcsim.core.own_folder import create_temporary_folder
+from wcsim.core.plugins import find_user_class_files, import_class
+from wcsim.core.reading import BLOCK, escape, is_file, read_json
+from wcsim.core.sources import hash_package_code
 from wcsim.errors import ConfigError, WcsimError
 from wcsim.server.workers.machines import HERE, ToLocalPath, WorkerPool, WorkerPoolSettings, WorkInputFiles, WorkPiece
-from wcsim.server.workers.scheduler import Scheduler, WorkerStatus
+from wcsim.server.workers.scheduler import WorkerStatus, WorkScheduler
 from wcsim.supervisor.actions import action_set
 
 KEPT: Final = "kept"  # a folder of the blocks that are done
@@ -100,11 +100,9 @@ def require_usable(order: SuiteOrder, policies: Iterable[str]) -> None:
         ConfigError: The settings cannot be used.
     """
     for name in policies:
-        config = config_from_policy_name(
-            name, order.preset, (*order.suite.file.settings, *order.settings), in_list=True
-        )
+        config = resolve_policy_config(name, order.preset, (*order.suite.file.settings, *order.settings), in_list=True)
         with ExitStack() as opened:
-            resolve(config, policy_overrides(config, _open_in(opened, name, config, 0, order.network)))
+            resolve(config, list_policy_overrides(config, _open_in(opened, name, config, 0, order.network)))
 
 
 def _open_in(opened: ExitStack, name: str, config: RunConfig, seed: int, network: str) -> Policy:
@@ -133,7 +131,7 @@ def piece_of(order: SuiteOrder, index: int, policy: str, towns: Mapping[str, str
         network=order.network,
         preset=order.preset,
         judged=judged,
-        repeats=seats_repeating_free_part(file.blocks, index),
+        repeats=find_seats_repeating_free_part(file.blocks, index),
         late_s=order.late_s,
         hook=order.hook,
     )
@@ -156,7 +154,7 @@ def _drive_all(
     # The longest first: a block of many episodes at the end would leave all other processes without work.
     pieces = sorted((piece for piece, _ in asked.values()), key=lambda piece: -len(piece.block.episodes))
     waiting = set(asked)
-    with Scheduler(_workers(order, pieces), keep, least_late_s=_LEAST_LATE_S) as scheduler:
+    with WorkScheduler(_workers(order, pieces), keep, least_late_s=_LEAST_LATE_S) as scheduler:
         scheduler.submit(
             [WorkPiece(key=_work_key(piece), call=_drive_alone, piece=piece, needs=_needs_of) for piece in pieces]
         )
@@ -229,11 +227,13 @@ def drive_piece(piece: Piece, watch: Watch | None = None) -> tuple[EpisodeRecord
     """Drive one block in this process; a policy that cannot be used there is refused, not an error."""
     from wcsim.towns.scenario.town import find_town
 
-    config = config_from_policy_name(piece.policy, piece.preset, piece.settings, in_list=True)
+    config = resolve_policy_config(piece.policy, piece.preset, piece.settings, in_list=True)
     seeds = (seeding.derive_seed(piece.block.seed, "driver", seat) for seat in range(len(piece.block.episodes)))
-    with ExitStack() as opened, temporary_folder() as work:
+    with ExitStack() as opened, create_temporary_folder() as work:
         try:
-            config = resolve(config, policy_overrides(config, _open_in(opened, piece.policy, config, 0, piece.network)))
+            config = resolve(
+                config, list_policy_overrides(config, _open_in(opened, piece.policy, config, 0, piece.network))
+            )
             drivers = [_open_in(opened, piece.policy, config, seed, piece.network) for seed in seeds]
         except WcsimError as error:
             return refused(piece, str(error))
@@ -246,7 +246,7 @@ def _policy_digest(name: str, order: SuiteOrder) -> str:
     named = _own_files(_all_settings(order), order.network, _users(order))
     hooks = find_user_class_files(order.hook, "step hook") if order.hook else {}
     own = {word: sha256_from_file(path) for word, path in (named | hooks).items()}
-    said = [order.settings, order.forks, order.network, order.hook, own, code_digest()]
+    said = [order.settings, order.forks, order.network, order.hook, own, hash_package_code()]
     said += _identity_of(name, order.preset)
     return sha256_from_text(json.dumps(said))
 
@@ -278,7 +278,7 @@ def _identity_of(name: str, preset: str) -> list[Any]:
 
 def _read_by(name: str) -> dict[str, Path]:
     """The files that a class of somebody's own names in `files`, as far as they are there."""
-    named = getattr(find_class(name, "policy"), "files", ())
+    named = getattr(import_class(name, "policy"), "files", ())
     words = (word for word in named if isinstance(word, str)) if isinstance(named, tuple | list) else ()
     return {word: Path(word) for word in words if is_file(Path(word))}
 
@@ -337,4 +337,4 @@ def _read_kept(path: Path) -> tuple[EpisodeRecord, ...]:
     try:
         return tuple(record_of(record) for record in data["records"])
     except (ConfigError, KeyError, TypeError, ValueError) as error:
-        raise ConfigError(f"{escaped(path)}: is damaged ({error}); expected {BLOCK.what}") from None
+        raise ConfigError(f"{escape(path)}: is damaged ({error}); expected {BLOCK.what}") from None

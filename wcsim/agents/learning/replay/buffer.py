@@ -92,7 +92,7 @@ class FrameReplay(ReplayBuffer):
         self.gamma = settings.gamma
         self.precrash_share = settings.precrash_share
         self.layout = _layout_of(observation_space)
-        self.rng = seeding.generator(seed, "agent", "replay")
+        self.rng = seeding.make_rng(seed, "agent", "replay")
         self.groups: Groups | None = None
         if settings.memory == "groups":
             self.groups = Groups(settings.group_steps, settings.burn_in)

@@ -22,7 +22,7 @@ from typing import Final
 import numpy as np
 import zstandard
 
-from wcsim.core.reading import unzstd
+from wcsim.core.reading import decompress_zstd
 from wcsim.types import I64, U8, Bool
 
 ZSTD_LEVEL: Final = 1
@@ -78,7 +78,7 @@ class BlobCodec:
         return frame
 
     def _part(self, packed: bytes, most: int) -> U8:
-        return np.frombuffer(unzstd(packed, most, self._unpack), np.uint8)
+        return np.frombuffer(decompress_zstd(packed, most, self._unpack), np.uint8)
 
 
 class WindowStore:

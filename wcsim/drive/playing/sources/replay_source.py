@@ -30,7 +30,7 @@ from wcsim.bridge.replay.replayed import (
 )
 from wcsim.bridge.world import World
 from wcsim.config import ChairConfig
-from wcsim.core.reading import METRICS, escaped, open_regular_file
+from wcsim.core.reading import METRICS, escape, open_regular_file
 from wcsim.drive.driven import DriverKind, EventKind, is_intervention, xy_of
 from wcsim.drive.playing.film_states import (
     FilmAbout,
@@ -45,7 +45,7 @@ from wcsim.drive.playing.film_states import (
 )
 from wcsim.errors import ConfigError, PolicyError, TownError
 from wcsim.log.drive import DriveRecording
-from wcsim.log.reader import LogTail, iter_journal_inputs, read_header, read_trace_states
+from wcsim.log.reader import LogFollower, iter_journal_inputs, read_header, read_trace_states
 from wcsim.log.records import (
     Admitted,
     DriveTick,
@@ -238,7 +238,7 @@ def state_film(path: Path, epoch: int | None = None, town: str = "") -> Iterator
     header, records = read_trace_states(path)
     chosen = [record for record in records if epoch in (None, record.epoch) and len(record.plants)]
     if not chosen:
-        raise ConfigError(f"{escaped(path)}: has no wheelchair to follow; expected a run with --chairs")
+        raise ConfigError(f"{escape(path)}: has no wheelchair to follow; expected a run with --chairs")
     place = _town(header, town)
     yield FilmAbout(
         title=f"trace of {place.name}, seed {header.seed}",
@@ -260,7 +260,7 @@ def _town(header: Header, name: str) -> Town:
     except TownError as error:
         if name:
             raise
-        raise TownError(f"the trace is of a town {escaped(header.town, 80)!r}: {error}; name it with --town") from None
+        raise TownError(f"the trace is of a town {escape(header.town, 80)!r}: {error}; name it with --town") from None
     if tuple(town.file.origin_m) != tuple(header.origin_m):
         raise TownError(
             f"the trace has its origin at {header.origin_m}, {town.name} at {town.file.origin_m}; expected the town "
@@ -342,7 +342,7 @@ def follow_film(run: Path, hook: str, say: Callable[[Said], object], gone: Gone,
         TownError, ConfigError: Its world cannot be made here.
         WcsimError: Its records do not follow from each other.
     """
-    with LogTail(run / JOURNAL) as tail:
+    with LogFollower(run / JOURNAL) as tail:
         first = tail.read()
         while tail.header is None:
             say(FilmLine(kind="now", told="The run has not started yet."))
@@ -382,7 +382,7 @@ class _Following:
                 self._player.seats.note(self._queue.popleft())
             self._say(FilmLine(kind="mark", told=f"{left} ticks were skipped to reach the newest world."))
 
-    def turn(self, tail: LogTail, gone: Gone, clock: Clock) -> bool:
+    def turn(self, tail: LogFollower, gone: Gone, clock: Clock) -> bool:
         """Do the next record again, or wait for one; False when nobody listens any more."""
         now_s = clock()
         if not self._queue or now_s - self._asked_s > _POLL_S:
@@ -412,7 +412,7 @@ class _Following:
             self._differed = True
             self._say(FilmLine(kind="bad", told="The film differs from the run: its version or machine is another."))
 
-    def _status(self, tail: LogTail, now_s: float) -> str:
+    def _status(self, tail: LogFollower, now_s: float) -> str:
         """What goes on with the run."""
         behind = sum(isinstance(record, Ticked) for record in self._queue)
         if behind > _BEHIND:
