@@ -2,7 +2,9 @@
 
 import json
 import os
+import re
 import signal
+from pathlib import Path
 
 import pytest
 
@@ -18,6 +20,7 @@ from wcsim.server.links.socket import SocketSeatLink
 from wcsim.server.protocol.client_core import ClientPhase, Patience
 from wcsim.server.specs import ClientProcessSpec, RunInfo, SeatRequest
 
+ROOT = Path(__file__).parents[3]
 WORDS = ("--network", "patch", "--steps", "20")
 
 
@@ -115,3 +118,18 @@ def test_a_client_that_is_refused_once_it_has_a_seat_gives_it_back(tmp_path, mon
         with pytest.raises(PolicyError, match="not empty"):
             join.run([server.order.endpoint, *WORDS, "--out", str(tmp_path / "run")])
     assert len(closed) == 1 and closed[0] is not ClientPhase.JOINING
+
+
+def test_commands_of_the_compose_file_hold_for_their_images(wcsim):
+    text = (ROOT / "compose.yaml").read_text()
+    stages = re.findall(r" AS (\w+)\n", (ROOT / "Dockerfile").read_text())
+    assert set(re.findall(r"target: (\w+)", text)) <= set(stages)
+    served, *joined = (" ".join(lines.split()) for lines in re.findall(r">-\n((?:      .+\n)+)", text))
+
+    assert (
+        "unknown town 'nowhere'" in wcsim(*served.replace("helsinki", "nowhere").replace("/keys", "keys").split()).err
+    )
+    names = [command.split("--name ")[1].split()[0] for command in joined]
+    assert f"--make-keys {','.join(names)} " in served
+    for command in joined:
+        assert "expected ipc://FILE or tcp://HOST:PORT" in wcsim(*command.replace("tcp:", "udp:").split()).err
