@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from tools.pages import table
 from wcsim.towns.scenario.overrides import AGGREGATED, RULES, WHY
+from wcsim.towns.sumo.warning_log import ERROR_LOG
 
 PAGE = """# SUMO options that wcsim overrides
 
@@ -24,6 +25,14 @@ Every file that SUMO would read is checked first, at any depth of `<include>`:
 A run prints which options differ, shows the reasons with `--verbose`, and saves both in its manifest. The filtered
 `RUN/sumo/TOWN.sumocfg` opens in sumo and sumo-gui. Without a run folder, as in a Gymnasium environment, SUMO's
 outputs are deleted when the world closes. A world that starts again overwrites its outputs.
+
+SUMO's warnings go to `RUN/sumo/sumo-warnings.log`, or to the scenario's `error-log`, until it has 4 MiB; later ones are
+only counted. A scenario with `output.format` `parquet` has no such file. `town run` prints the first warning of each
+kind, and `town check` those of 300 s.
+
+SUMO dies when it writes some outputs as parquet. Such a scenario is refused by the name of the output: `tripinfo`,
+`personinfo`, `vehroute`, `personroute`, `full`, `netstate-dump`, logs, and `fcd` with `stage`, `vehicle`, `all` or a
+leader distance.
 
 ## Steps shorter than the author's
 
@@ -58,8 +67,8 @@ edges, and the signal whose button it has pressed. Both calls get the state befo
 list is empty.
 
 `examples/own_signals.py` has signals that are red at times, and a crossing that stays green while a chair is on it. A
-hook may do anything to vehicles and signals, but must not step, load or close the simulation. Hooks are loaded from
-the command line only: a town cannot name one.
+hook may do anything to vehicles and signals. One that steps, loads or closes the simulation ends the run with an
+error. Hooks are loaded from the command line only: a town cannot name one.
 """
 
 
@@ -74,6 +83,7 @@ def page() -> str:
             (f"`{name}`", told, WHY[name])
             for name, told in (
                 ("device.ssm.file", "`RUN/sumo/ssm.xml`, unless the scenario names a file"),
+                (ERROR_LOG, "`RUN/sumo/sumo-warnings.log`, unless the scenario names a file"),
                 ("save-state.prefix", "`RUN/sumo/state`, unless the scenario names one"),
                 (AGGREGATED, "true if there is such an output"),
             )

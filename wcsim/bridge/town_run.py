@@ -118,6 +118,8 @@ class TrafficFacts:
     episodes: int
     crashes: int  # of wheelchairs
     crashed: tuple[CrashFact, ...] = ()  # the same, one by one
+    warnings: int = 0  # SUMO's own, since the scenario began
+    warned: tuple[str, ...] = ()  # the first of each kind
 
 
 def record_town(
@@ -125,7 +127,7 @@ def record_town(
     config: RunConfig,
     order: RecordOrder,
     opened: Callable[[Scenario], None],
-    progress: Progress | None = None,
+    progress: Progress = lambda done, ticks: None,
     stage: Stage = lambda told: None,
 ) -> TrafficFacts:
     """Run and record a town; without a chair no street is built.
@@ -168,9 +170,11 @@ def record_town(
             everyone = world.sumo.everyone()
             writer.append(world_state_from_snapshot(step.after, step.commands, as_recorded(step.after, everyone)))
             meter.add(step.after, everyone)
-            if progress is not None:
-                progress(done, ticks)
-        return meter.facts(ticks, order.chairs)
+            progress(done, ticks)
+        facts = meter.facts(ticks, order.chairs)
+    # SUMO writes the last of its warnings when it ends.
+    log = world.sumo.warnings
+    return replace(facts, warnings=log.count, warned=tuple(log.first.values()))
 
 
 def _header(town: Town, config: RunConfig, order: RecordOrder, net_z_m: float) -> Header:

@@ -51,6 +51,44 @@ class Fails:
         if time_s > 0.25:
             raise RuntimeError("no more")
 
+class Meddles:
+    """Does one of what only wcsim may, at its first call."""
+
+    def __init__(self, libsumo):
+        self.libsumo, self.calls = libsumo, 0
+
+    def before_step(self, time_s, chairs):
+        self.calls += 1
+        if self.calls == 1:
+            self.meddle()
+
+class Steps(Meddles):
+    def meddle(self):
+        self.libsumo.simulationStep()
+
+class Loads(Meddles):
+    def meddle(self):
+        self.libsumo.load(["-c", self.libsumo.simulation.getOption("configuration-file")])
+
+class Restarts(Meddles):
+    def meddle(self):
+        self.libsumo.start(["sumo", "-c", self.libsumo.simulation.getOption("configuration-file")])
+
+class Closes(Meddles):
+    def meddle(self):
+        self.libsumo.close()
+
+class ClosesAfterwards(Closes):
+    before_step = None
+
+    def after_step(self, time_s, chairs):
+        Meddles.before_step(self, time_s, chairs)
+
+class LoadsAtOnce(Loads):
+    def __init__(self, libsumo):
+        self.libsumo = libsumo
+        self.meddle()
+
 class Wrong:
     def __init__(self, libsumo):
         pass
@@ -125,6 +163,15 @@ def test_a_failing_hook_is_named_with_its_line(corner, signals):
     ):
         for _ in range(5):
             here.tick(())
+
+
+@pytest.mark.parametrize("chairs", [0, 1])
+@pytest.mark.parametrize("name", ["Steps", "Loads", "Restarts", "Closes", "ClosesAfterwards", "LoadsAtOnce"])
+def test_a_hook_that_does_what_only_wcsim_may_is_named(corner, signals, name, chairs):
+    said = rf"'{signals}:{name}' stepped, loaded or closed the simulation in (before_step|after_step|__init__); "
+    with pytest.raises(HookError, match=said), world(corner, f"{signals}:{name}", *[SeatSpec()] * chairs) as here:
+        follow(here)
+    assert not world_in_this_process()
 
 
 @pytest.mark.parametrize(

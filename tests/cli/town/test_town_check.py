@@ -53,17 +53,29 @@ def test_collisions_of_the_traffic_are_told_with_a_command(corner, folder: Path,
         return ToolRun(name=name, returncode=0, output="")
 
     monkeypatch.setattr(town_check, "run_tool", sumo)
-    (note,) = town_check._collisions_note(town)
+    (note,) = town_check._traffic_notes(town)
     assert "reports 2 collisions in the first 300 s of this traffic: b with a on :j_0_0, p with q on e_0;" in note
     parse_options(TownRunOptions, shlex.split(printed(note, "about half as often"))[3:], "town run")
     hits.clear()
-    assert town_check._collisions_note(town) == ()
+    assert list(town_check._traffic_notes(town)) == []
 
 
 def test_collisions_are_those_that_plain_sumo_reports(folder: Path, monkeypatch) -> None:
     monkeypatch.setattr(town_check, "COLLIDING_S", 30.0)
-    (note,) = town_check._collisions_note(open_town(build_street(folder, HITTING, lanes=1)))
+    *_, note = town_check._traffic_notes(open_town(build_street(folder, HITTING, lanes=1)))
     assert "reports 1 collision in the first 30 s" in note and "behind with ahead on " in note
+
+
+def test_warnings_are_told_with_a_command_that_writes_them(wcsim: Run, folder: Path) -> None:
+    phases = '<phase duration="9" state="GgrrgGG"/><phase duration="9" state="rrGGrrr"/>'
+    light = f'<tlLogic id="C" type="static" programID="own" offset="0">{phases}</tlLogic>'
+    town = build_street(folder / "street", HITTING, light, "traffic_light", lanes=1)
+    note = next(line for line in wcsim("town", "check", town).out.splitlines() if "SUMO warns 5 times in " in line)
+    assert "the first 30 s of this traffic: Missing yellow phase in tlLogic 'C'" in note and "performs emer" in note
+    words = (*shlex.split(printed(note, "into a file"))[1:], "--seconds", 9, "--out")
+    assert "warnings of SUMO: 5, in run/sumo; the first of each kind:\nMissing yellow " in wcsim(*words, "run").out
+    assert Path("run/sumo/sumo-warnings.log").read_text().count("Warning: ") == 5
+    assert f"wcsim town check {town}\n" in wcsim(*words, "empty", "--set", "world.demand_scale=0").out
 
 
 def test_an_import_says_it_too(wcsim: Run, folder: Path, corner) -> None:

@@ -27,7 +27,8 @@ from wcsim.towns.sumo.net import read_net
 
 _TYPES = '<vType id="slow" vClass="passenger" maxSpeed="9"/>'
 _LOST = """<vehicle id="lost" depart="50400"><route edges="elsewhere nowhere"/></vehicle>
-<trip id="found" type="slow" depart="50400" from="A0B0" to="B1C1"/>"""
+<trip id="found" type="slow" depart="50400" from="A0B0" to="B1C1"/>
+<trip id="below" type="slow" depart="50399" from="A0B0" to="B1C1"/>"""
 
 
 @pytest.fixture
@@ -74,7 +75,7 @@ def _with_an_island(net: Path) -> None:
 
 
 def test_trips_without_a_way_are_dropped_by_what_is_printed(theirs: Town, tmp_path: Path) -> None:
-    assert _unroutable_trips(theirs) == 1
+    assert _unroutable_trips(theirs) == 2
     (fault,) = _faults_of(theirs, read_net(theirs.net), replace(FINE, unroutable=1))
     assert "move each <calibrator> of u.add.xml into a file of its own" in fault
     _apart(theirs.folder / "u.add.xml", "calibrator")
@@ -84,6 +85,7 @@ def test_trips_without_a_way_are_dropped_by_what_is_printed(theirs: Town, tmp_pa
     better = named(theirs, "u.rou.xml", "better.rou.xml")
     text = better.routes[0].read_text(encoding="utf-8")
     assert _unroutable_trips(better) == 0 and 'id="found"' in text and 'id="lost"' not in text
+    assert 'id="below"' in text
     assert 'busStop="stop"' in text and 'departLane="0"' in text
     run_in_sumo(better.sumocfg, BEGIN_S + 60.0, tmp_path)
 

@@ -52,7 +52,7 @@ def test_no_option_of_sumo_can_write_outside_the_folder(write_theirs: WriteScena
     sumocfg = write_theirs(options)
     staged = assert_nothing_escapes(sumocfg, escape, tmp_path)
     made = bytes_in(tmp_path / "run")
-    assert {"stop-output.xml", "a.sumocfg"} <= set(made)
+    assert {"stop-output.xml", "a.sumocfg", Path(staged.warnings).name} <= set(made) - {"sumo-warnings.log"}
     assert len(made) > 30
     kept = {row.option: row for row in staged.overrides}
     assert kept["remote-port"].wcsim == kept["output-prefix"].wcsim == "(left out)"
@@ -79,10 +79,37 @@ def test_no_element_can_write_outside_the_folder(write_theirs: WriteScenario, la
 
 def test_a_socket_and_the_console_become_files(write_theirs: WriteScenario, tmp_path: Path) -> None:
     options = '<summary value="localhost:9999"/><tripinfo value="stdout"/><fcd-output value="/dev/null"/>'
+    options += '<error-log value="NUL"/>'
     staged = staged_in(tmp_path, write_theirs(options))
     run_staged(staged.sumocfg, 2.0)
     names = {path.name for path in (tmp_path / "run").iterdir()}
-    assert names == {"a.sumocfg", "localhost_9999", "tripinfo-output.xml"}
+    assert names == {"a.sumocfg", "localhost_9999", "tripinfo-output.xml", "sumo-warnings.log"}
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        '<tripinfo-output value="t.parquet"/>',
+        '<personroute-output value="sub/r.parquet"/>',
+        '<full-output value="f.csv"/><output.format value="parquet"/>',
+        '<log value="l.txt"/><output.format value="parquet"/>',
+        '<fcd-output value="f.parquet"/><fcd-output.attributes value="x, vehicle,signals"/>',
+        '<fcd-output value="f.parquet"/><fcd-output.max-leader-distance value="9"/>',
+    ],
+)
+def test_what_sumo_cannot_write_as_parquet_is_refused_by_name(
+    write_theirs: WriteScenario, tmp_path: Path, options: str
+) -> None:
+    said = rf"a\.sumocfg: SUMO dies when it writes {options.partition(' ')[0]}> as parquet; .* in \.xml, without "
+    with pytest.raises(TownError, match=said):
+        staged_in(tmp_path, write_theirs(options))
+
+
+@pytest.mark.parametrize("given", ["", '<output.format value="parquet"/>'])
+def test_what_sumo_can_write_as_parquet_it_writes(write_theirs: WriteScenario, tmp_path: Path, given: str) -> None:
+    fcd = '<fcd-output value="f.parquet"/><fcd-output.attributes value="x,y,speed"/>'
+    run_staged(staged_in(tmp_path, write_theirs(f'{fcd}<summary value="s.parquet"/>{given}')).sumocfg)
+    assert (tmp_path / "run" / "f.parquet").read_bytes()[:4] == (tmp_path / "run" / "s.parquet").read_bytes()[:4]
 
 
 def test_outputs_of_one_name_stay_apart_and_one_file_stays_one(

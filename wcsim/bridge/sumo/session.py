@@ -35,6 +35,7 @@ from wcsim.towns.scenario.overrides import JUMPING, PEOPLE, Settings, forced
 from wcsim.towns.scenario.stage import Scenario
 from wcsim.towns.scenario.town import Town
 from wcsim.towns.sumo.tools import UTF_8, missing_library
+from wcsim.towns.sumo.warning_log import WarningLog
 from wcsim.types import F64, ActorState, SignalState
 
 try:
@@ -80,6 +81,7 @@ class SumoOptions:
     settings: Settings
     z_origin_m: float = 0.0  # the net's own height of W's z = 0
     author_scale: float = 1.0  # the scenario's own, which demand_scale multiplies
+    warnings: str = ""  # the file that SUMO writes them into
     hook: str = ""  # a user's own module:Class, see `bridge/sumo/step_hook.py`
 
     def arguments(self) -> list[str]:
@@ -120,6 +122,7 @@ class SumoSession(ClosingContextBase):
         self.come: frozenset[str] = frozenset()  # in the last step, as in `ActorState.id`: departed, or off a teleport
         self.mishaps = (0, 0)  # since the scenario began, warm-up included: teleports, and collisions that began
         self._colliding: frozenset[frozenset[str]] = frozenset()
+        self.warnings = WarningLog(self._options.warnings)
 
     def step(self, chairs: Callable[[], tuple[HookChair, ...]] = tuple) -> None:
         """Advance SUMO by one step, with the user's hook around it, and log jams that it dissolved.
@@ -132,6 +135,7 @@ class SumoSession(ClosingContextBase):
         self._guarded(libsumo.simulationStep)
         if self._hook is not None:
             self._hook.after_step(self.time_s(), hook_chairs)
+        self.warnings.read()
         jammed = libsumo.simulation.getStartingTeleportIDList()
         landed = libsumo.simulation.getEndingTeleportIDList()
         vehicles, people = libsumo.simulation.getDepartedIDList(), libsumo.simulation.getDepartedPersonIDList()
@@ -202,6 +206,7 @@ class SumoSession(ClosingContextBase):
         if self._open:
             self._open = False
             libsumo.close()
+            self.warnings.read()
 
     def _guarded(self, call: Any) -> None:
         """Run a libsumo call and turn its exceptions into SumoError."""
@@ -233,6 +238,7 @@ def open_session(
         settings=settings,
         z_origin_m=net_z_m,
         author_scale=scenario.author_scale,
+        warnings=scenario.warnings,
         hook=place.hook,
     )
     return scenario, held.enter_context(SumoSession(options))

@@ -16,6 +16,7 @@ from wcsim.core.plugins import import_class, wrap_user_code_errors
 from wcsim.errors import HookError
 
 _METHODS = ("before_step", "after_step")
+_MARK = "wcsim.step-hook"  # a parameter of the net, which a net that is loaded later does not have
 
 
 def find_hook(name: str) -> type:
@@ -46,7 +47,8 @@ class StepHook:
 
     def __init__(self, name: str, libsumo: ModuleType) -> None:
         """Make it. Raises HookError when there is no such class, it has no method to call, or making it failed."""
-        self.name = name
+        self.name, self._libsumo = name, libsumo
+        libsumo.simulation.setParameter("", _MARK, name)
         self._own = self._run("__init__", find_hook(name), libsumo)
 
     def before_step(self, time_s: float, chairs: Sequence[HookChair]) -> None:
@@ -63,6 +65,16 @@ class StepHook:
             self._run(method, own, time_s, chairs)
 
     def _run(self, what: str, call: Callable[..., Any], *arguments: object) -> Any:
-        what = f"step hook {self.name!r} failed in {what}"
-        with wrap_user_code_errors(what, "correct it, or run without --hook", HookError):
-            return call(*arguments)
+        hook, before = f"step hook {self.name!r}", self._moment()
+        with wrap_user_code_errors(f"{hook} failed in {what}", "correct it, or run without --hook", HookError):
+            returned = call(*arguments)
+        if self._moment() != before:
+            raise HookError(
+                f"{hook} stepped, loaded or closed the simulation in {what}; expected wcsim alone to do so: remove that"
+            )
+        return returned
+
+    def _moment(self) -> object:
+        """What no hook may change: SUMO's time, and the net's mark; False where no simulation is loaded."""
+        sumo = self._libsumo
+        return sumo.isLoaded() and (sumo.simulation.getTime(), sumo.simulation.getParameter("", _MARK))

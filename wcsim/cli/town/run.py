@@ -82,6 +82,17 @@ def run(options: TownRunOptions, words: Sequence[str]) -> int:
     show_table((f"town {town.name}", ""), _summary(facts).items())
     for line in _crash_lines(facts.crashed):
         print(line)
+    if facts.warnings:
+        print(
+            f"warnings of SUMO: {facts.warnings}, in {out}/sumo; the first of each kind:",
+            *shorten_lines(facts.warned, "kinds"),
+            sep="\n",
+        )
+    if not facts.vehicles:
+        print(
+            "no vehicles: the demand has none, or none in this time; look for faults: "
+            f"wcsim town check {shlex.quote(str(town.sumocfg))}"
+        )
     if not facts.persons:
         stdout_console().print(_no_persons(town), soft_wrap=True)
     place = shlex.quote(str(out))

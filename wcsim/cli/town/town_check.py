@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -21,6 +21,7 @@ from wcsim.towns.scenario.overrides import Settings
 from wcsim.towns.scenario.stage import stage_scenario
 from wcsim.towns.scenario.town import Town, find_town
 from wcsim.towns.sumo.tools import Limits, run_tool
+from wcsim.towns.sumo.warning_log import WarningLog
 from wcsim.towns.sumo.xml_io import read_root
 
 if TYPE_CHECKING:  # loads what builds streets, which --help must not
@@ -70,11 +71,11 @@ def check_town_with_sumo(
     except TownError as refused:
         return replace(report, faults=(*report.faults, str(refused)))
     show(f"testing {COLLIDING_S:g} s of traffic in SUMO")
-    return replace(report, notes=(*report.notes, *_collisions_note(town)))
+    return replace(report, notes=(*report.notes, *_traffic_notes(town)))
 
 
-def _collisions_note(town: Town) -> tuple[str, ...]:
-    """Collisions that SUMO reports in the first COLLIDING_S of a town's traffic, or its timeout."""
+def _traffic_notes(town: Town) -> Iterator[str]:
+    """SUMO's warnings and collisions in the first COLLIDING_S of the traffic, or its timeout."""
     with create_temporary_folder() as work:
         staged = stage_scenario(town, Settings(world=resolve("quick").world, seed=1), work)
         seed = read_configuration(town.sumocfg).value("seed")
@@ -83,28 +84,35 @@ def _collisions_note(town: Town) -> tuple[str, ...]:
         words += ["--collision-output", str(found), *(("--seed", seed) if seed else ())]
         try:
             run_tool("sumo", words, work, _LIMITS)
-            collisions = [
-                (hit.get("collider", ""), hit.get("victim", ""), hit.get("lane", ""))
+            log = WarningLog(staged.warnings)
+            log.read()
+            # Two vehicles collide once, however many steps that takes.
+            hits = {
+                frozenset((hit.get("collider"), hit.get("victim"))): (
+                    f"{hit.get('collider')} with {hit.get('victim')} on {hit.get('lane')}"
+                )
                 for hit in read_root(found)
-            ]
+            }
         except (SumoError, TownError):
-            return (
+            yield (
                 f"SUMO did not finish the first {COLLIDING_S:g} s of this traffic within "
-                f"{_LIMITS.wall_s:g} s",
+                f"{_LIMITS.wall_s:g} s"
             )
-    # Two vehicles collide once, however many steps that takes.
-    hits = {
-        frozenset((one, other)): f"{one} with {other} on {lane}" for one, other, lane in collisions
-    }
-    if not hits:
-        return ()
-    vehicles = join_names(hits.values(), _MOST_NAMED)
-    return (
-        f"SUMO itself reports {pluralize(len(hits), 'collision')} in the first {COLLIDING_S:g} s "
-        f"of this traffic: {vehicles}; its junction rules permit that, mostly for bicycles, and "
-        "the vehicles pass through each other; half the traffic collides about half as often: "
-        f"{Cures(town).traffic_alone()} --set world.demand_scale=0.5",
-    )
+            return
+    if log.count:
+        yield (
+            f"SUMO warns {pluralize(log.count, 'time')} in the first {COLLIDING_S:g} s of this "
+            f"traffic: {join_names(log.first.values(), _MOST_NAMED)}; to write all into a file: "
+            f"{Cures(town).traffic_alone()}"
+        )
+    if hits:
+        vehicles = join_names(hits.values(), _MOST_NAMED)
+        yield (
+            f"SUMO itself reports {pluralize(len(hits), 'collision')} in the first {COLLIDING_S:g} s "
+            f"of this traffic: {vehicles}; its junction rules permit that, mostly for bicycles, "
+            "and the vehicles pass through each other; half the traffic collides about half as "
+            f"often: {Cures(town).traffic_alone()} --set world.demand_scale=0.5"
+        )
 
 
 def try_town_in_sumo(town: Town) -> None:

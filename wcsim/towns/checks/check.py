@@ -25,6 +25,7 @@ from wcsim.towns.ground.plane_geometry import length_of
 from wcsim.towns.ground.relief import fit_relief, on_land, steepest_grade
 from wcsim.towns.ground.surfaces import ground_of
 from wcsim.towns.scenario.files import FilteredFiles, with_included
+from wcsim.towns.scenario.options import read_configuration
 from wcsim.towns.scenario.stage import files_of
 from wcsim.towns.scenario.town import Town, find_changes, polygons_among
 from wcsim.towns.street import load_street
@@ -165,7 +166,8 @@ def _demand(town: Town, net: Net, found: TownReport) -> list[str]:
         lines.append(f"the demand has no pedestrians; {cure}")
     if found.unroutable:
         lines.append(
-            f"{found.unroutable} trips have no route through the net; to drop or repair them, {Cures(town).routes()}"
+            f"{found.unroutable} trips have no route through the net, or SUMO ignores them below a later one in their "
+            f"file; to drop or repair them, {Cures(town).routes()}"
         )
     return lines
 
@@ -174,7 +176,7 @@ _CHECKED_S = 600.0  # of the demand, from its begin
 _DEFAULT_CLASSES = {"DEFAULT_VEHTYPE": "passenger", "DEFAULT_PEDTYPE": "pedestrian", "DEFAULT_BIKETYPE": "bicycle"}
 _NO_WAY = re.compile(
     r"vehicle '([^']+)' has no valid route|person '([^']+)' because|found for person '([^']+)'"
-    r"|within the route [a-z ]*'([^']+)' is not known"
+    r"|within the route [a-z ]*'([^']+)' is not known|sorted by departure time, ignoring '([^']+)'"
 )
 
 
@@ -188,7 +190,7 @@ class TownReport:
     walkable_largest_share: float  # of the area of all pavements and crossings, in the largest connected part
     walk_km: float  # length of the ways that wheelchairs can use
     classes: tuple[str, ...]  # SUMO vehicle classes in the demand, sorted
-    unroutable: int  # trips of the first ten minutes that have no way
+    unroutable: int  # trips of the first ten minutes that have no way, or that SUMO ignores for their place in a file
     lefthand: bool
     overlaps: tuple[_Overlap, ...] = ()  # streets on the pavements of others
     cut_off: tuple[CutOff, ...] = ()  # walkable parts beside the largest, largest first
@@ -241,7 +243,7 @@ def _demand_classes(town: Town) -> tuple[str, ...]:
 
 
 def _unroutable_trips(town: Town) -> int:
-    """How many trips and flows that start in the first ten minutes have no way through the net."""
+    """How many trips and flows that start in the first ten minutes have no way, or are ignored for their place."""
     if not town.routes:
         return 0
     with create_temporary_folder() as folder:
@@ -253,6 +255,8 @@ def _unroutable_trips(town: Town) -> int:
         begin_s = Cures(town).own_time()[0]  # SUMO drops who departs before
         options += ["-a", "needed.add.xml", "-b", f"{begin_s:.12g}", "-e", f"{begin_s + _CHECKED_S:.12g}"]
         options += ["-o", "out.rou.xml", "--ignore-errors", "--no-step-log", "--xml-validation", "never"]
+        if read_configuration(town.sumocfg).seconds("route-steps", "200") <= 0.0:  # read as a whole, in any order
+            options.append("--unsorted-input")
         run = run_tool("duarouter", options, folder, Limits(wall_s=180.0))
     if run.returncode:
         files = ", ".join(path.name for path in (*town.routes, *town.additional, town.net))

@@ -136,7 +136,7 @@ class Cures:
         return (
             f"{_before_routing(deadly, twice)}create {_ROUTED} with this command, and name it in {self._sumocfg}: "
             f"{_tool('duarouter')} -n {self._net} -r {_paths(town.routes)}{more} "
-            f"--ignore-errors -o {self._beside(_ROUTED)}"
+            f"--unsorted-input --ignore-errors -o {self._beside(_ROUTED)}"
         )
 
     def _beside(self, name: str) -> str:

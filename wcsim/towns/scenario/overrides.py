@@ -101,7 +101,7 @@ def _forced_rows(config: Configuration, settings: Settings) -> Iterator[Override
         author, default = config.value(name), sumo_options()[name].default
         if not _same(default if author is None else author, value):
             given = f"{default} (default)" if author is None and name == STEP else author or ""
-            why = WHY[name] + _faster(author or default, config, settings) * (name == STEP)
+            why = WHY[name] + _faster(config, settings) * (name == STEP)
             yield Override(option=name, author=given, wcsim=value, why=why)
 
 
@@ -121,17 +121,10 @@ def _idle_rows(config: Configuration) -> Iterator[Override]:
             yield Override(option="end", author=item.value, wcsim="(not the run's end)", why=WHY[name])
 
 
-def _faster(author: str, config: Configuration, settings: Settings) -> str:
+def _faster(config: Configuration, settings: Settings) -> str:
     """What shorter steps than the author's do to the traffic, unless the drivers' decision interval is set."""
     chosen = settings.world.action_step_s is not None or config.value(_ACTION_STEP) is not None
-    return _FASTER if _seconds(author) > settings.world.tick_s and not chosen else ""
-
-
-def _seconds(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        return 0.0  # as hours:minutes:seconds, which no step is written in
+    return _FASTER if config.number(STEP, 1.0) > settings.world.tick_s and not chosen else ""
 
 
 def _same(author: str, value: str) -> bool:

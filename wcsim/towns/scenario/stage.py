@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,7 +23,14 @@ from wcsim.towns.scenario.options import (
 )
 from wcsim.towns.scenario.overrides import AGGREGATED, JUMPING, Override, Settings, forced, overrides_of
 from wcsim.towns.scenario.town import Town
+from wcsim.towns.sumo.warning_log import ERROR_LOG
 from wcsim.towns.sumo.xml_io import is_true
+
+_UNEVEN = (  # the name of an output, what fcd-output writes, and its leader distance
+    r"((tripinfo|personinfo|vehroute|personroute|full)-output|netstate-dump|(message-|error-)?log|"
+    r"save-state\.(prefix|files)) "
+    r"|fcd-output (.*\b(all|stage|vehicle)\b|.* [0.]*[1-9])"
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,7 +40,8 @@ class Scenario:
     sumocfg: Path  # the filtered copy, to be opened with sumo or sumo-gui as it is
     overrides: tuple[Override, ...]
     notes: tuple[str, ...]  # what its users should know
-    outputs: tuple[Path, ...]  # files that it may write, besides ssm.xml of safety devices
+    outputs: tuple[Path, ...]  # files that it may write, besides warnings, and ssm.xml of safety devices
+    warnings: str  # the file of SUMO's warnings; "" where there is none
     author_scale: float
     begin_s: float
     digest: str  # SHA-256 over everything SUMO reads, without seed and place
@@ -68,6 +77,15 @@ def stage_scenario(town: Town, settings: Settings, folder: Path, outputs: Sequen
     ]
     kept += _asked_for(outputs, config, names)
     kept += [(sumo_options()[name], value) for name, value in (set_here | unasked).items()]
+    # SUMO writes some outputs as parquet until two of their elements differ; then it aborts the process.
+    fcd = f"{config.value('fcd-output.attributes')} {config.value('fcd-output.max-leader-distance')}"
+    for option, value in kept:
+        parquet = value.endswith(".parquet") or config.value("output.format") == "parquet"
+        if parquet and re.match(_UNEVEN, f"{option.name} {fcd}"):
+            raise TownError(
+                f"{config.path}: SUMO dies when it writes <{option.name}> as parquet; expected XML or CSV: end its "
+                "file's name in .xml, without <output.format>"
+            )
     text = _configuration_text(kept)
     sumocfg = names.folder / town.sumocfg.name
     sumocfg.write_text(text, encoding="utf-8")
@@ -81,6 +99,7 @@ def stage_scenario(town: Town, settings: Settings, folder: Path, outputs: Sequen
         overrides=overrides_of(config, settings, led),
         notes=_notes_of(config),
         outputs=names.paths,
+        warnings=next((value for option, value in kept if option.name == ERROR_LOG), ""),
         author_scale=config.scale,
         begin_s=config.seconds("begin", "0"),
         digest=_digest(text, settings, names.folder, files),
@@ -149,6 +168,9 @@ def _unasked_outputs(config: Configuration, names: OutputNames) -> dict[str, str
         found["save-state.prefix"] = str(names.place("state", names.folder, "state"))
     if config.value("elechybrid-output"):
         found[AGGREGATED] = "true"
+    # SUMO dies of warnings that it shall write as parquet.
+    if (config.value(ERROR_LOG) or "") in NOWHERE and config.value("output.format") != "parquet":
+        found[ERROR_LOG] = str(names.folder / names.unique("sumo-warnings.log"))
     return found
 
 
