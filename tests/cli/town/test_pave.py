@@ -21,15 +21,15 @@ def test_a_scenario_without_pavements_is_cured_by_what_is_printed(wcsim: Run, fo
     assert refused.code == 2 and shlex.join(words) in " ".join(refused.err.split())
     assert words[:3] == ["wcsim", "town", "pave"]
     paved = wcsim(*words[1:], "--json", "paved.json")
-    assert paved.code == 1 and "fault: the demand has no pedestrians" in paved.out, paved.err
+    assert paved.code == 0 and "note: the demand has no pedestrians" in paved.out, paved.err
     assert "24 streets got a pavement; " in paved.out and "10 signal programs" in paved.out
     later = printed(paved.out, "create walkers")
     written = json.loads(Path("paved.json").read_text())
     assert written["walkable_largest_share"] > 0.95 and written["paved"]["streets"] == 24
     ours = find_town(written["paved"]["sumocfg"])
-    (fault,) = written["faults"]
-    assert shlex.split(later) == shlex.split(printed(fault, "no pedestrians")), "it was for the copy"
-    code, message = typed(printed(fault, "no pedestrians"), folder)
+    (note,) = [note for note in written["notes"] if "no pedestrians" in note]
+    assert shlex.split(later) == shlex.split(printed(note, "no pedestrians")), "it was for the copy"
+    code, message = typed(printed(note, "no pedestrians"), folder)
     assert code == 0, message
     text = (ours.folder / "walkers.rou.xml").read_text()
     departs_s = [float(found) for found in re.findall(r'<person id="[^"]*" depart="([^"]*)"', text)]
@@ -60,11 +60,11 @@ def test_a_paved_copy_is_checked_where_its_files_lie_apart(wcsim: Run, folder: P
     (theirs.parent / "u.net.xml").rename(folder / "theirs" / "net" / "u.net.xml")
     theirs.write_text(theirs.read_text().replace('"u.net.xml"', '"../net/u.net.xml"'))
     result = wcsim("town", "pave", theirs, "--allow-outside", "--out", "trusted copy")
-    assert result.code == 1 and "walkable area" in result.out, result.err
+    assert result.code == 0 and "walkable area" in result.out, result.err
     assert "sumo-gui -c 'trusted copy/runs/u.sumocfg'\n" in result.out
     (folder / "theirs" / "town.toml").write_text('name = "apart"\nsplit = "test"\nsumocfg = "runs/u.sumocfg"\n')
     result = wcsim("town", "pave", folder / "theirs", "--out", "declared")
-    assert result.code == 1 and "town apart" in result.out, result.err
+    assert result.code == 0 and "town apart" in result.out, result.err
     assert open_town(folder / "declared").net == folder / "declared" / "runs" / "../net/u.net.xml"
 
 
@@ -72,7 +72,7 @@ def test_the_place_of_a_town_toml_above_the_scenario_is_kept(wcsim: Run, folder:
     theirs = write_unpaved(folder / "theirs" / "runs")
     (folder / "theirs" / "town.toml").write_text('name = "above"\nsplit = "test"\nsumocfg = "runs/u.sumocfg"\n')
     result = wcsim("town", "pave", folder / "theirs", "--out", "ours")
-    assert result.code == 1, result.err
+    assert result.code == 0, result.err
     assert open_town(folder / "ours").sumocfg.relative_to(folder / "ours") == theirs.relative_to(folder / "theirs")
 
 

@@ -182,7 +182,38 @@ def test_a_scenario_of_fast_streets_is_told_how_fast_they_are(tmp_path: Path, mo
         command == Cures(fast).pave().partition(": ")[2] and command.endswith(" --max-speed 25") and FASTEST_MPS < 25.0
     )
     code, said = asked(command)
-    assert code == 1 and "24 streets got a pavement" in said and "fault: the demand has no pedestrians" in said, said
+    assert code == 0 and "24 streets got a pavement" in said and "note: the demand has no pedestrians" in said, said
+
+
+def test_the_cure_of_a_check_and_of_a_paved_copy_is_one_that_works(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    mixed = open_town(made(tmp_path / "mixed", ("--grid", "--grid.number", "2", "--grid.length", "60"), persons=False))
+    root = ElementTree.parse(mixed.net)  # noqa: S314 - our own
+    for lane in root.iterfind("./edge/lane"):
+        if not lane.get("id", "").startswith(("A0A1", ":")):
+            lane.set("speed", "22.5")
+    root.write(mixed.net)
+    (tmp_path / "mixed-paved").mkdir()
+    (fault,) = _faults_of(mixed, read_net(mixed.net), replace(FINE, walkingareas=0))
+    assert "--out mixed-paved-2 --max-speed 23" in fault
+    assert asked(printed(fault, "add pavements"))[0] == 0
+    code, said = asked(f"wcsim town pave {mixed.sumocfg} --out slow")
+    lines = [line for line in said.splitlines() if "--max-speed 23" in line]
+    assert code == 1 and len(lines) == 2 and lines[0].split(": ")[-1] == lines[1].split(": ")[-1]
+    assert asked(printed(lines[1], "pave the fast streets too"))[0] == 0
+
+
+def test_a_park_gets_walking_areas(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    park = open_town(made(tmp_path / "park", ("--grid", "--grid.number", "3", "--grid.length", "60"), persons=False))
+    text = park.net.read_text(encoding="utf-8").replace(' speed="', ' allow="pedestrian" speed="')
+    park.net.write_text(text, encoding="utf-8")
+    park.routes[0].write_text('<routes><person id="p" depart="0"><walk edges="A0A1"/></person></routes>')
+    (fault,) = _faults_of(park, read_net(park.net), replace(FINE, walkingareas=0, crossings=0))
+    code, said = asked(printed(fault, "no walking areas"))
+    assert code == 0 and "walking areas" in said, said
 
 
 def test_a_scenario_of_rails_is_told_that_there_is_no_street(tmp_path: Path) -> None:
@@ -192,7 +223,7 @@ def test_a_scenario_of_rails_is_told_that_there_is_no_street(tmp_path: Path) -> 
     (fault,) = (fault for fault in _faults_of(rails, read_net(rails.net), replace(FINE, walkingareas=0)))
     assert "no street is open to cars" in fault and "town pave" not in fault
     code, said = asked(f"wcsim town pave {rails.sumocfg} --out {tmp_path / 'ours'}")
-    assert code == 2 and "none is open to cars" in said
+    assert code == 2 and "no street is open to cars" in said
 
 
 def test_types_of_two_files_are_not_told_twice(theirs: Town) -> None:

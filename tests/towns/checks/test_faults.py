@@ -8,12 +8,21 @@ import pytest
 from tests.cli.towns import tiny_osm
 from tests.support.typed import printed
 from tests.towns.made.nets import edge, lane, write_net
+from tests.towns.made.unpaved import write_unpaved
 from tests.towns.osm.test_bridges import net_of
-from wcsim.towns.checks.check import TownReport, _demand_classes, _faults_of, _find_notes, _Overlap, check_town
+from wcsim.towns.checks.check import (
+    TownReport,
+    _demand_classes,
+    _faults_of,
+    _find_notes,
+    _no_walkers,
+    _Overlap,
+    check_town,
+)
 from wcsim.towns.importing.importer import ImportOrder, _build_net, _convert_net
 from wcsim.towns.osm.clean import filter_osm
 from wcsim.towns.osm.read import Box, read_extract
-from wcsim.towns.scenario.town import Town, chair_ways
+from wcsim.towns.scenario.town import Town, chair_ways, open_town
 from wcsim.towns.sumo.net import Net, read_net
 from wcsim.towns.sumo.xml_io import read_bytes
 from wcsim.towns.walking.islands import _linked, largest_share, stray_footways, walkable_parts
@@ -33,11 +42,8 @@ FINE = TownReport(
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        ({"walkingareas": 0}, "no walking areas.*wcsim town pave /.*sumocfg --out .*-paved"),
-        ({"crossings": 0}, "no crossings.*wcsim town pave /.*sumocfg --out"),
         ({"walkable_largest_share": 0.6}, "only 60.0% of the walkable.*join the parts: .*/netedit'? -s .*net.xml.gz"),
         ({"unroutable": 7}, "7 trips have no route.*/duarouter'? -n .* -r .* --ignore-errors -o ."),
-        ({"classes": ("bus",)}, "no pedestrians.*/randomTrips.py'? -n .* --pedestrians .* -b 0 -e 3600 "),
     ],
 )
 def test_each_fault_comes_with_its_cure(corner_town: Town, change: dict[str, object], told: str) -> None:
@@ -48,10 +54,24 @@ def test_each_fault_comes_with_its_cure(corner_town: Town, change: dict[str, obj
     assert len(_find_notes(replace(corner_town, poly=None), net)) == 1
 
 
+def test_a_demand_without_walkers_is_a_note_with_its_cure(corner_town: Town) -> None:
+    (note,) = _no_walkers(corner_town, read_net(corner_town.net), replace(FINE, classes=("bus",)))
+    assert re.search("no pedestrians.*/randomTrips.py'? -n .* --pedestrians .* -b 0 -e 3600 ", note)
+    assert not _faults_of(corner_town, read_net(corner_town.net), replace(FINE, classes=("bus",)))
+
+
+@pytest.mark.parametrize(("lacks", "told"), [("walkingareas", "no walking areas"), ("crossings", "no crossings")])
+def test_a_net_without_ways_on_foot_is_paved(lacks: str, told: str, tmp_path: Path) -> None:
+    town = open_town(write_unpaved(tmp_path / "u"))
+    (fault,) = _faults_of(town, read_net(town.net), replace(FINE, **{lacks: 0}))  # type: ignore[arg-type]
+    assert re.search(told + ".*wcsim town pave /.*sumocfg --out .*-paved", fault) and "\n" not in fault
+
+
 def test_nobody_is_told_to_make_walkers_for_a_net_where_no_way_can_be_laid(corner_town: Town, tmp_path: Path) -> None:
     track = write_net(tmp_path, edge("t", lane("0,0 60,0", 'allow="rail"')))
     faults = _faults_of(corner_town, track, replace(FINE, walkingareas=0, classes=("rail",)))
     assert [fault for fault in faults if "walk" in fault] == [fault for fault in faults if "no walking areas" in fault]
+    assert not _no_walkers(corner_town, track, replace(FINE, walkingareas=0, classes=("rail",)))
 
 
 def test_streets_over_the_pavements_of_others_are_a_note_however_many(corner_town: Town) -> None:

@@ -10,6 +10,7 @@ from wcsim.errors import SumoError, TownError
 from wcsim.towns.build_street import build_street
 from wcsim.towns.checks.validate import validate_net
 from wcsim.towns.scenario.town import Town
+from wcsim.towns.sumo.net import read_net
 from wcsim.towns.sumo.tools import Limits, run_tool
 
 LANE = '<edge id="a" from="x" to="y"><lane id="a_0" index="0" speed="5" length="9" shape="0,0 9,0"/></edge>'
@@ -17,6 +18,15 @@ LANE = '<edge id="a" from="x" to="y"><lane id="a_0" index="0" speed="5" length="
 SIDES = "".join(LANE.replace("0,0 9,0", f"24.93,{y} 24.97,{y}") for y in (58.6, 61.7))  # metres wide all the same
 NODES = '<junction id="x" type="priority" x="24.93" y="60.17"/><junction id="y" type="priority" x="24.97" y="60.15"/>'
 DEGREES = LANE.replace("0,0 9,0", "24.93,60.17 24.94,60.18")
+
+
+@pytest.mark.parametrize("change", [("9,0", "nan,0"), ("9,0", "9,0,inf"), ('"5"', '"nan"'), ('"9"', '"1e999"')])
+def test_every_reader_of_a_net_names_the_lane_with_a_number_that_is_none(
+    tmp_path: Path, change: tuple[str, str]
+) -> None:
+    (tmp_path / "a.net.xml").write_text(f"<net>{LANE.replace(*change)}</net>")
+    with pytest.raises(TownError, match=r"a\.net\.xml: <lane id='a_0'> has .*; expected numbers: correct it"):
+        read_net(tmp_path / "a.net.xml")
 
 
 @pytest.mark.parametrize(

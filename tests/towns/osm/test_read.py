@@ -10,6 +10,7 @@ from wcsim.errors import TownError
 from wcsim.towns.osm import read
 from wcsim.towns.osm.read import Box, read_extract
 
+TINY = tiny_osm().encode()
 BOX = Box(24.999, 59.9995, 25.0046, 60.0023)
 
 
@@ -39,6 +40,47 @@ def test_every_format_gives_the_same_extract(tiny: Path, box: Box | None) -> Non
     for path in (*tiny.parent.glob("*.*z*"), tiny.with_name("misnamed.gz"), as_pbf(tiny)):
         found = read_extract(path, box)
         assert (found.xml(), found.box) == (wanted.xml(), wanted.box), path.name
+
+
+def test_a_pbf_that_was_cut_off_is_told_apart(tiny: Path) -> None:
+    data = as_pbf(tiny).read_bytes()
+    tiny.with_name("b.osm.pbf").write_bytes(data[:-200])
+    with pytest.raises(TownError, match=r"ends in the middle; .*: download it again"):
+        read_extract(tiny.with_name("b.osm.pbf"), BOX)
+
+
+def test_o5m_gives_the_same_extract(tmp_path: Path) -> None:
+    def signed(number: int) -> bytes:
+        value, found = 2 * number if number >= 0 else -2 * number - 1, b""
+        while value > 127:
+            value, found = value >> 7, found + bytes([value & 127 | 128])
+        return found + bytes([value])
+
+    def item(kind: int, *parts: bytes) -> bytes:
+        return bytes([kind, len(b"".join(parts))]) + b"".join(parts)
+
+    nodes = [
+        item(0x10, signed(step), b"\0", signed(lon), signed(lat))
+        for step, lon, lat in ((1, 250_000_000, 600_000_000), (1, 10_000, 0), (1, 0, 10_000))
+    ]
+    refs = signed(1) * 3
+    way = item(0x11, signed(5), b"\0", bytes([len(refs)]), refs, b"\0highway\0residential\0")
+    (tmp_path / "a.o5m").write_bytes(b"\xff\xe0\x04o5m2" + b"".join(nodes) + b"\xff" + way + b"\xfe")
+    root = read_extract(tmp_path / "a.o5m").root
+    assert [each.get("lat") for each in root.iterfind("node")] == ["60.0000000", "60.0000000", "60.0010000"]
+    assert [nd.get("ref") for nd in root.iter("nd")] == ["1", "2", "3"]
+
+
+def test_a_box_that_is_too_large_is_answered_with_one_that_has_streets(tmp_path: Path) -> None:
+    far = TINY.replace(b'lat="60.', b'lat="60.2').replace(b'lon="25.', b'lon="25.3').replace(b'id="', b'id="9')
+    both = TINY.replace(b"</osm>", far[far.index(b"<node") :].replace(b'ref="', b'ref="9'))
+    for name, box in (("a.osm", None), ("b.osm", Box(24.9, 59.9, 25.5, 60.5))):
+        (tmp_path / name).write_bytes(both)
+        with pytest.raises(TownError, match="where most streets are: --bbox=") as caught:
+            read_extract(tmp_path / name, box)
+        told = Box.of(str(caught.value).partition("--bbox=")[2])
+        assert 1100.0 < min(told.size_m) <= max(told.size_m) < 1300.0
+        assert len(read_extract(tmp_path / name, told).root) == 20
 
 
 def test_a_pbf_keeps_the_box_of_its_header(tiny: Path) -> None:
@@ -109,6 +151,28 @@ def test_names_of_mappers_are_not_kept(tiny: Path) -> None:
         ("a.osm.bz2", b"BZh9 rubbish", "cannot be read"),
         ("a.osm.pbf", b"rubbish", "not a .pbf file"),
         ("a.osm.pbf", b"\0\0\0\x0d\n\x09OSMHeader\x18\x04rubbish", "cannot be read as an extract"),
+        ("a.osm", TINY[:900], "ends in the middle; expected .*: download it again"),
+        (
+            "a.osm",
+            TINY.replace(b'v="both"', b'v="both"/><tag k="width:lanes" v="3|NaN"'),
+            "way 109 has width:lanes='3|NaN'",
+        ),
+        (
+            "a.osm",
+            TINY.replace(b'k="building" v="yes"', b'k="height" v="1e999"'),
+            "way 200 has height='1e999'; expected a number",
+        ),
+        ("a.osm.gz", gzip.compress(TINY, mtime=0)[:-60], "ends in the middle"),
+        ("a.osm.bz2", bz2.compress(TINY)[:-60], "ends in the middle"),
+        ("a.osm", TINY.replace(b"<node", b"<n"), r"6 of its 6 streets have no nodes.*\(\._;>;\); out body;"),
+        ("a.osm", b"<osm><remark>Query timed out</remark></osm>", "the server said: Query timed out"),
+        ("a.osm.gz", gzip.compress(b'{"version": 0.6, "osm3s": {}}', mtime=0), r"is JSON of Overpass.*\[out:xml\]"),
+        ("a.json", b'\n[{"type": "Feature"}]', "is GeoJSON.*raw OpenStreetMap data"),
+        ("a.json", b"[]", "is JSON, not XML"),
+        ("a.osc.bz2", bz2.compress(b"<osmChange/>"), "osmium apply-changes EXTRACT /.*a.osc.bz2 -o"),
+        ("a.o5m", b"\xff\xe0\x04o5c2\xfe", "is a file of changes"),
+        ("a.osm", b'<?xml version="1.0"?>\n<!DOCTYPE html>', "is a web page"),
+        ("a.xodr", b"<OpenDRIVE/>", "import it with --opendrive /.*a.xodr"),
         ("a.zip", b"PK\x03\x04", "packed as zip"),
         ("a.osm.xz", b"\xfd7zXZ\0", "packed as xz"),
     ],
@@ -122,8 +186,9 @@ def test_what_cannot_be_read_is_said(tmp_path: Path, name: str, data: bytes, tol
 
 
 def test_a_box_elsewhere_is_answered_with_where_the_streets_are(tiny: Path) -> None:
-    with pytest.raises(TownError, match=r"its streets are in 24\.9999\d,59\.9999\d,25\.0036\d,60\.0018\d"):
+    with pytest.raises(TownError, match=r"its streets are in 24\.9999\d,59\.9999\d,25\.0036\d,60\.0018\d") as caught:
         read_extract(tiny, Box(4.9, 59.9, 5.0, 60.0))
+    assert len(read_extract(tiny, Box.of(str(caught.value).partition("--bbox=")[2])).root) == 20
 
 
 def test_elements_that_are_no_map_are_left_out(tiny: Path) -> None:

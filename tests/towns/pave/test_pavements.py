@@ -246,7 +246,7 @@ def test_streets_that_are_too_fast_are_counted_and_paved_by_what_is_printed(thei
     again = pave_town(open_town(Path(options.town)), options.out, options.max_speed)
     assert again.streets == 24 and not [note for note in again.notes if "got no pavement" in note]
     with pytest.raises(
-        TownError, match=r"none of its.*faster than 2 m/s; to include them: wcsim town pave /.* --out .*/ours"
+        TownError, match=r"none of its.*of up to 2 m/s; add pavements and crossings: wcsim town pave /.* --out .*/ours"
     ):
         pave_town(open_town(theirs), tmp_path / "ours", 2.0)
     assert not (tmp_path / "ours").exists()

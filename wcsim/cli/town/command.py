@@ -24,6 +24,8 @@ def run(words: list[str]) -> int:
         "import": (
             import_.ScenarioImportOptions
             if has_option(words, "--sumocfg")
+            else import_.XodrImportOptions
+            if has_option(words, "--opendrive")
             else import_.OsmImportOptions,
             import_.run,
         ),

@@ -212,6 +212,7 @@ def _no_persons(town: Town) -> str:
     net = read_net(town.net)
     if net.lanes(LaneKind.WALKINGAREA):
         return f"{reason}; {Cures(town).walkers()}"
-    text = f"{reason}, and the net has no walking areas; {Cures(town).pave()}"
+    cure = Cures(town).pave()
     # Without a street to pave there will be no copy to continue with.
-    return text if net.slowest_mps is None else f"{text}\n{PAVED_LATER}"
+    later = f"\n{PAVED_LATER}" if "town pave" in cure else ""
+    return f"{reason}, and the net has no walking areas; {cure}{later}"

@@ -34,7 +34,10 @@ _MOST_NAMED: Final = 3
 
 @dataclass
 class TownCheckOptions:
-    """Check a town: connected pavements, routes, and whether SUMO runs it."""
+    """Check a town: connected pavements, routes, and whether SUMO runs it.
+
+    Ends with 0 when the town has no faults (notes are none), 1 when it has, 2 when none was read.
+    """
 
     town: TownWord
     """A town's name, its folder, or a .sumocfg file."""

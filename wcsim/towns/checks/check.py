@@ -19,7 +19,7 @@ from shapely.geometry.base import BaseGeometry
 from wcsim.config import RunConfig
 from wcsim.core.own_folder import create_temporary_folder
 from wcsim.errors import SumoError, TownError
-from wcsim.towns.checks.cures import FOR_ROUTES, PAVED_LATER, Cures
+from wcsim.towns.checks.cures import ENOUGH_SHARE, FOR_ROUTES, PAVED_LATER, Cures
 from wcsim.towns.checks.validate import validate_net
 from wcsim.towns.ground.plane_geometry import length_of
 from wcsim.towns.ground.relief import fit_relief, on_land, steepest_grade
@@ -35,7 +35,6 @@ from wcsim.towns.sumo.tools import Limits, run_tool
 from wcsim.towns.sumo.xml_io import read_root
 from wcsim.towns.walking.islands import CutOff, cut_off, largest_share, walkable_parts
 
-_ENOUGH_SHARE = 0.95
 _WALKER = "pedestrian"
 _LARGEST_M = 200_000.0  # across; a net that is larger was projected wrongly
 STEEPEST = 0.25
@@ -47,9 +46,14 @@ LEAST_M2 = 3.0  # of one pair: less comes of rounded corners
 APART_M = 2.0  # ways with more between their heights pass over each other
 
 
-def _faults_of(town: Town, net: Net, found: TownReport) -> tuple[str, ...]:
-    """The faults of a town; none when all is well."""
-    lines = [*_ways(town, net, found), *_demand(town, net, found), *_foreign_polygons(town, net)]
+def _faults_of(town: Town, net: Net, found: TownReport, faster: tuple[float, str] = (0.0, "")) -> tuple[str, ...]:
+    """The faults of a town; none when all is well. `faster` is that of `Paved`."""
+    lines = [*_ways(town, net, found, faster), *_foreign_polygons(town, net)]
+    if found.unroutable:
+        lines.append(
+            f"{found.unroutable} trips have no route through the net, or SUMO ignores them below a later one in their "
+            f"file; to drop or repair them, {Cures(town).routes()}"
+        )
     grade = steepest_grade(net)
     if grade > STEEPEST:
         lines.append(
@@ -119,10 +123,13 @@ def _built_up(town: Town, net: Net) -> bool:
     return any(item.kind in _BUILT_UP for item in read_items(files, town.file.origin_m, net))
 
 
-def _ways(town: Town, net: Net, found: TownReport) -> list[str]:
-    imported = "town import" in town.file.rebuild
+def _ways(town: Town, net: Net, found: TownReport, faster: tuple[float, str]) -> list[str]:
+    imported = "--osm" in town.file.rebuild
+    fast_too = f"pave the fast streets too, in another folder: {faster[1]}"
 
     def paving() -> str:
+        if faster[0]:
+            return fast_too
         return Cures(town).larger() if imported else Cures(town).pave()
 
     if not found.walkingareas:
@@ -134,10 +141,11 @@ def _ways(town: Town, net: Net, found: TownReport) -> list[str]:
     lines = []
     if _lacks_crossings(net, found):
         lines.append(f"the net has no crossings, so pedestrians cannot cross a street; {paving()}")
-    if found.walkable_largest_share < _ENOUGH_SHARE:
+    if found.walkable_largest_share < ENOUGH_SHARE:
         share = f"{found.walkable_largest_share:.1%} of the walkable area is connected"
         cure = Cures(town).larger() if imported else f"join the parts: {Cures(town).netedit()}"
-        lines.append(f"only {share}; expected {_ENOUGH_SHARE:.0%}: {_parts(found.cut_off)}{cure}")
+        cure = fast_too if faster[0] > found.walkable_largest_share else cure
+        lines.append(f"only {share}; expected {ENOUGH_SHARE:.0%}: {_parts(found.cut_off)}{cure}")
     return lines
 
 
@@ -152,24 +160,17 @@ def _parts(cut_off: tuple[CutOff, ...]) -> str:
     return f"cut off: the parts around {parts}{more}; " if parts else ""
 
 
-def _demand(town: Town, net: Net, found: TownReport) -> list[str]:
-    lines = []
-    if _WALKER not in found.classes and (found.walkingareas or net.slowest_mps is not None):
-        # Walkers need a paved copy of the scenario first, where there can be one.
-        unpaved = not found.walkingareas or _lacks_crossings(net, found)
-        later = unpaved and "town import" not in town.file.rebuild and net.slowest_mps is not None
-        cure = PAVED_LATER if later else Cures(town).walkers()
-        words = shlex.split(town.file.rebuild)
-        if "--traffic" in words[:-1] and words[words.index("--traffic") + 1] == "0":
-            words[words.index("--traffic") + 1] = "1"
-            cure = Cures(town).again("add them", shlex.join(words))
-        lines.append(f"the demand has no pedestrians; {cure}")
-    if found.unroutable:
-        lines.append(
-            f"{found.unroutable} trips have no route through the net, or SUMO ignores them below a later one in their "
-            f"file; to drop or repair them, {Cures(town).routes()}"
-        )
-    return lines
+def _no_walkers(town: Town, net: Net, found: TownReport) -> list[str]:
+    if _WALKER in found.classes or not (found.walkingareas or net.lanes(LaneKind.MOTOR, *WALK_KINDS)):
+        return []
+    # Walkers need a paved copy of the scenario first, where there can be one.
+    unpaved = not found.walkingareas or _lacks_crossings(net, found)
+    cure = PAVED_LATER if unpaved and "--osm" not in town.file.rebuild else Cures(town).walkers()
+    words = shlex.split(town.file.rebuild)
+    if "--traffic" in words[:-1] and words[words.index("--traffic") + 1] == "0":
+        words[words.index("--traffic") + 1] = "1"
+        cure = Cures(town).again("add them", shlex.join(words))
+    return [f"the demand has no pedestrians; {cure}"]
 
 
 _CHECKED_S = 600.0  # of the demand, from its begin
@@ -198,8 +199,8 @@ class TownReport:
     notes: tuple[str, ...] = ()
 
 
-def check_town(town: Town, share: float | None = None) -> TownReport:
-    """Check a town; `share` is the walkable share when it is known already.
+def check_town(town: Town, share: float | None = None, faster: tuple[float, str] = (0.0, "")) -> TownReport:
+    """Check a town; `share` is the walkable share when it is known already, and `faster` that of `Paved` for a copy.
 
     Raises TownError when the town cannot be read at all, or its net is not in metres.
     """
@@ -222,7 +223,8 @@ def check_town(town: Town, share: float | None = None) -> TownReport:
         overlaps=_find_overlaps(on_land(net, fit_relief(net))),
         cut_off=cut_off(net, parts),
     )
-    return replace(found, faults=_faults_of(town, net, found), notes=_find_notes(town, net, found.overlaps))
+    notes = (*_find_notes(town, net, found.overlaps), *_no_walkers(town, net, found))
+    return replace(found, faults=_faults_of(town, net, found, faster), notes=notes)
 
 
 def _demand_classes(town: Town) -> tuple[str, ...]:

@@ -12,13 +12,15 @@ from collections.abc import Sequence
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
+from wcsim.core.own_folder import create_temporary_folder
+from wcsim.errors import SumoError, TownError
 from wcsim.towns.osm.read import Box
 from wcsim.towns.scenario.files import with_included
 from wcsim.towns.scenario.options import read_configuration
 from wcsim.towns.scenario.town import Town, own_work
-from wcsim.towns.sumo.net import read_net
-from wcsim.towns.sumo.tools import sumo_home
-from wcsim.towns.sumo.xml_io import read_root
+from wcsim.towns.sumo.net import WALK_KINDS, LaneKind, net_of, read_net
+from wcsim.towns.sumo.tools import Limits, by_file, run_tool, sumo_home
+from wcsim.towns.sumo.xml_io import parse_root, read_bytes, read_root, without_comments
 
 _HOUR_S = 3600.0
 _ROUTED = "better.rou.xml"
@@ -30,9 +32,12 @@ FOR_ROUTES = frozenset(
 )  # fmt: skip
 """Elements of additional files that a demand needs to be routed."""
 DEADLY = "calibrator"  # duarouter 1.28 dies of one that has flows
+ENOUGH_SHARE = 0.95  # of the walkable area, in one part
 PAVED_LATER = "the check of the paved copy says how to add them"
 _WIDER = 0.3  # of a box's size, on each of its sides
 FASTEST_MPS = 13.9  # 50 km/h: faster streets get no pavement by default
+_SLOWEST_MPS = 1.0  # of streets that get one
+_LIMITS = Limits(wall_s=300.0, cpu_s=280)
 
 
 class Cures:
@@ -43,14 +48,68 @@ class Cures:
         self._sumocfg, self._net = _path(town.sumocfg), _path(town.net)
         self._outside = " --allow-outside" if town.border is None else ""
 
-    def pave(self) -> str:
-        """The command that adds pavements and crossings to a scenario, or why there is none."""
+    def pave(self, out: Path | None = None) -> str:
+        """The command that adds pavements and crossings to a scenario, tried on its net here, or why there is none."""
         net = read_net(self._town.net)
-        slowest_mps = net.slowest_mps
-        if slowest_mps is None:
-            return "no street is open to cars, so no pavement can be added; choose another scenario"
-        command = self.pave_into(Path(f"{self._town.name}-paved"), max(FASTEST_MPS, slowest_mps))
+        share, limit_mps = self.paved_share(FASTEST_MPS), FASTEST_MPS
+        # Fast streets are paved only where the ways on foot do not hang together without them.
+        fastest_mps = max(net.speeds_mps.values(), default=0.0)
+        if share < ENOUGH_SHARE and fastest_mps > FASTEST_MPS and (more := self.paved_share(fastest_mps)) > share:
+            share, limit_mps = more, fastest_mps
+        if not share:
+            hand = f"netconvert finds no place for pavements in it; draw them: {self.netedit()}"
+            return (
+                hand
+                if fastest_mps
+                else "no street is open to cars, so no pavement can be added; choose another scenario"
+            )
+        # Not where an earlier try lies.
+        place = out or Path(f"{self._town.name}-paved")
+        while place.exists():
+            place = place.with_name(f"{place.name}-2")
+        command = self.pave_into(place, limit_mps)
         return f"{'add crossings and walking areas' if net.paved_streets else 'add pavements and crossings'}: {command}"
+
+    def paved_share(self, fastest_mps: float) -> float:
+        """The walkable share in one part that `town pave` makes of the net; 0 where it adds nothing to walk on."""
+        # It loads what builds streets, which --help must not.
+        from wcsim.towns.walking.islands import largest_share, walkable_parts
+
+        try:
+            net = net_of(parse_root(self.add_pavements(self._town.net, fastest_mps), "the paved net"), "the paved net")
+        except (SumoError, TownError):
+            return 0.0
+        before, after = (len(each.lanes(*WALK_KINDS, LaneKind.WALKINGAREA)) for each in (read_net(self._town.net), net))
+        joined = after > before and net.lanes(LaneKind.WALKINGAREA)
+        return largest_share(walkable_parts(net, self._town.file.chair_ways)) if joined else 0.0
+
+    @staticmethod
+    def add_pavements(path: Path, fastest_mps: float) -> bytes:
+        """A net with pavements beside streets of up to `fastest_mps`, crossings and walking areas.
+
+        Raises:
+            TownError: It is not a net.
+            SumoError: netconvert failed.
+        """
+        # Tracks, paths and closed streets get no pavement.
+        bare = [edge.id for edge in read_net(path).streets if not edge.has(LaneKind.MOTOR)]
+        with create_temporary_folder() as folder:
+            given, made = folder / "given.net.xml", folder / "made.net.xml"
+            given.write_bytes(read_bytes(path))
+            options = ["-s", given.name, "--sidewalks.guess", "--crossings.guess", "--walkingareas", "-o", made.name]
+            options += [
+                "--sidewalks.guess.min-speed",
+                str(_SLOWEST_MPS),
+                "--sidewalks.guess.max-speed",
+                str(fastest_mps),
+            ]
+            options += ["--crossings.guess.speed-threshold", str(fastest_mps), "--offset.disable-normalization"]
+            options += ["--no-internal-links", "false"]  # crossings lie on such; netconvert gives none to a net without
+            options += by_file("sidewalks.guess.exclude", bare, folder / "unpaved.netccfg") if bare else []
+            run = run_tool("netconvert", [*options, "--xml-validation", "never"], folder, _LIMITS)
+            if run.returncode or not made.is_file():
+                raise SumoError(f"{path.name}: cannot be given pavements: {run.reason()}; repair it in netedit")
+            return without_comments(made.read_bytes())
 
     def pave_into(self, out: Path, fastest_mps: float) -> str:
         """The command that paves a scenario into a new folder, streets of up to `fastest_mps` too."""

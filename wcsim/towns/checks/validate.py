@@ -14,6 +14,7 @@ from wcsim.towns.cache.folder import cache_folder, write_verdict
 from wcsim.towns.checks.cures import Cures
 from wcsim.towns.scenario.files import FilteredFiles
 from wcsim.towns.scenario.town import Town
+from wcsim.towns.sumo.net import scan_numbers
 from wcsim.towns.sumo.tools import Limits, run_tool
 from wcsim.towns.sumo.xml_io import MAX_XML_BYTES, parse_root, read_bytes
 from wcsim.types import Street
@@ -22,8 +23,6 @@ _CHECK = 5  # raise it when the check becomes stricter
 _LIMITS = Limits(wall_s=60.0, cpu_s=50, memory_bytes=3 << 30, file_bytes=1 << 20)
 _SMALLEST_M, LARGEST_M = 1.0, 500e3
 _STRETCHED, _STRETCHED_M = 20.0, 2000.0  # drawn so many times as long as it says, and longer than this
-_NUMBERS = ("shape", "outlineShape", "customShape", "x", "y", "z", "length", "width", "speed", "friction", "radius")
-_SINGLE = ("x", "y")
 
 
 def validate_net(net: Path, *, border: Path | None = None) -> None:
@@ -64,7 +63,7 @@ def _scan_net(root: Element, where: str) -> None:
         raise TownError(f"{where}: has no edge with lanes; expected a street net: build it with netconvert")
     if root.find("junction") is None:
         raise TownError(f"{where}: has no junction; expected a street net: build it with netconvert")
-    _scan_numbers(root, where)
+    scan_numbers(root, where)
     _refuse_degrees(root, edges, where)
     _refuse_stretched(edges, where)
     _refuse_sprawling(root, where)
@@ -78,16 +77,6 @@ def require_pavement(street: Street, town: Town) -> None:
             f"{town.net}: has no pavement, walking area or crossing, so a wheelchair cannot drive there (without "
             f"wheelchairs it runs: {cures.traffic_alone()}); {cures.pave()}"
         )
-
-
-def _scan_numbers(root: Element, where: str) -> None:
-    for element in root.iter():
-        for key in _NUMBERS:
-            text = element.get(key)
-            if text is not None and not _all_finite([text] if key in _SINGLE else text.replace(",", " ").split()):
-                raise TownError(
-                    f"{where}: <{element.tag} id={element.get('id')!r}> has {key}={text[:40]!r}; expected numbers"
-                )
 
 
 def _refuse_degrees(root: Element, edges: list[Element], where: str) -> None:
@@ -142,10 +131,3 @@ def _places(element: Element) -> list[tuple[float, float]]:
     """The points of a shape in the plane."""
     points = [place.split(",") for place in element.get("shape", "").split()]
     return [(float(point[0]), float(point[1])) for point in points if len(point) > 1]
-
-
-def _all_finite(parts: list[str]) -> bool:
-    try:
-        return all(math.isfinite(float(part)) for part in parts)
-    except ValueError:
-        return False

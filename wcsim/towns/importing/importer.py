@@ -1,4 +1,4 @@
-"""Import a town from OpenStreetMap: read, clean, netconvert, polyconvert, demand, and a folder that opens in sumo-gui.
+"""Import a town from a map: read, clean, netconvert, polyconvert, demand, and a folder that opens in sumo-gui.
 
 Everything is made in a folder beside the target and moved into place at the end; the same order gives the same bytes. A
 town's net is built without parts that cannot be reached on foot. SUMO's own tools make it of cleaned data, with cures
@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import logging
 import shlex
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
@@ -18,7 +19,7 @@ from xml.etree.ElementTree import Element
 from shapely.geometry.base import BaseGeometry
 
 from wcsim.core.files import write_folder_atomically
-from wcsim.core.reading import join_names, read_module_toml
+from wcsim.core.reading import escape, join_names, read_module_toml
 from wcsim.errors import SumoError, TownError, check_installed
 from wcsim.towns.importing.demand import CLASSES, Way, build_ways, vtypes_text, write_demand
 from wcsim.towns.importing.elevation import Heights, lift_net, make_dem
@@ -29,7 +30,7 @@ from wcsim.towns.osm.read import Box, Extract, Side, read_extract, side_at
 from wcsim.towns.scenario.town import CYCLE_PATHS, Town, chair_ways, hash_files, open_town
 from wcsim.towns.sumo.net import LaneKind, Net, read_net
 from wcsim.towns.sumo.tools import Limits, ToolRun, by_file, run_tool, sumo_home
-from wcsim.towns.sumo.xml_io import write_gzip, xml_bytes
+from wcsim.towns.sumo.xml_io import MAX_XML_BYTES, parse_root, read_bytes, write_gzip, xml_bytes
 from wcsim.towns.walking.islands import largest_share, osm_ways_by_edge, stray_footways, stray_ways, walkable_parts
 
 log = logging.getLogger("wcsim.towns")
@@ -62,7 +63,8 @@ Stage = Callable[[str], None]  # what begins now, in words
 class ImportOrder:
     """What to import and where to put it."""
 
-    osm: Path  # .osm, .osm.xml, plain, .gz or .bz2, or .osm.pbf
+    osm: Path  # .osm, .osm.xml, plain, .gz or .bz2, or .osm.pbf; .xodr, plain or .gz, for an OpenDRIVE map
+    opendrive: bool = False
     bbox: Box | None = None  # west, south, east, north; None: all of the extract
     name: str
     split: str  # "train" or "test"
@@ -92,14 +94,19 @@ def _convert_net(order: ImportOrder, extract: str, folder: Path, more: Sequence[
                 log.warning("town %s: %s; the net was built without %s", order.name, first.reason(), " ".join(left_out))
             return folder / f"{order.name}.net.xml"
         first = first or run
-        if "No edges" in run.output or "No nodes" in run.output:
+        if order.opendrive or "No edges" in run.output or "No nodes" in run.output:
             break
     assert first is not None  # noqa: S101 - the ladder is not empty
-    raise SumoError(f"no net could be built: {first.reason()}; check the extract and the bounding box")
+    raise SumoError(f"no net could be built: {first.reason()}; check the map and the bounding box")
 
 
 def _net_options(order: ImportOrder, extract: str) -> list[str]:
-    maps = ",".join(str(sumo_home() / "data" / "typemap" / name) for name in _DATA["typemaps"].split())
+    typemaps = _DATA["opendrive-typemap" if order.opendrive else "typemaps"].split()
+    maps = ",".join(str(sumo_home() / "data" / "typemap" / name) for name in typemaps)
+    if order.opendrive:
+        maps += f",{Path(__file__).with_name('opendrive.typ.xml')}"
+        options = ["--opendrive-files", extract, "--type-files", maps, *_DATA["opendrive"].split()]
+        return [*options, "-o", f"{order.name}.net.xml"]
     left_out = _LEFT_OUT[:1] if order.keep_service else _LEFT_OUT
     options = ["--osm-files", extract, "--type-files", maps, *_DATA["netconvert"].split()]
     options += ["--remove-edges.by-type", ",".join(left_out)]
@@ -262,6 +269,56 @@ def import_town(
     return replace(made, town=open_town(place))
 
 
+def import_opendrive(order: ImportOrder, stage: Stage) -> tuple[Town, tuple[str, ...]]:
+    """Build the town of an OpenDRIVE map as `import_town` does, and say in notes what it lacks of the map.
+
+    The map's sidewalks and cycle lanes are lanes of the net. Beside other streets netconvert guesses pavements.
+
+    Raises:
+        TownError: The order or the map cannot be used, or the folder holds something else or edited files.
+        SumoError: One of SUMO's tools failed.
+    """
+    order = replace(order, out=order.out.resolve())
+    _check(order)
+    name, data = order.name, read_bytes(order.osm, MAX_XML_BYTES)
+    root = parse_root(data, escape(order.osm))
+    if root.tag.rpartition("}")[2] != "OpenDRIVE":
+        raise TownError(f"{order.osm}: is not an OpenDRIVE map (root <{escape(root.tag, 40)}>); expected <OpenDRIVE>")
+    stage("building the net")
+    try:
+        with write_folder_atomically(order.out) as work:
+            (work / "opendrive").mkdir()
+            (work / "map.xodr").write_bytes(data)
+            net = _read(_convert_net(order, "map.xodr", work))
+            (work / "map.xodr").unlink()
+            write_gzip(work / "opendrive" / f"{name}.xodr.gz", data)
+            stage("adding routes, and testing the traffic")
+            ways = build_ways(net, work / f"{name}.net.xml", work, order.seed) if order.traffic > 0 else ()
+            (work / f"{name}.poly.xml").write_text("<additional/>\n", encoding="utf-8")
+            write_scenario(work, name, order.seed, vtypes_text())
+            write_demand(work / f"{name}.sumocfg", net, ways, order.seed, order.traffic)
+            order = replace(
+                order, source=order.source or f"OpenDRIVE map {order.osm.name}; ask its author for the licence"
+            )
+            notice = _DATA["notice"].format(name=name, source=order.source)
+            (work / "LICENSE-DATA").write_text(notice, encoding="utf-8")
+            _write_manifest(order, work, net)
+    except (TownError, SumoError) as error:
+        raise type(error)(f"town {name}, made of {order.osm}: {error}") from None
+    return open_town(order.out), _lost(root, net)
+
+
+def _lost(root: Element, net: Net) -> tuple[str, ...]:
+    """What an OpenDRIVE map has and the town has not."""
+    lanes = Counter(lane.get("type") for lane in root.iterfind(".//{*}lane") if lane.get("id") != "0")
+    left = {told: len(root.findall(path)) for path, told in _DATA["lost"].items()}
+    left |= {f"{kind} lanes": number for kind, number in lanes.items() if kind not in _DATA["lanes"]}
+    told = ", ".join(f"{kind} ({number})" for kind, number in left.items() if number)
+    lights = len({link.tls_id for link in net.connections if link.tls_id})
+    guessed = "" if lanes["sidewalk"] else "; the map has no sidewalks, so all pavements are guessed"
+    return (f"left out of the map: {told or 'nothing'}; traffic lights, with netconvert's programs: {lights}{guessed}",)
+
+
 def _check(order: ImportOrder) -> None:
     check_words(order.name, order.split)
     if order.bbox is not None:
@@ -304,7 +361,7 @@ def _build(
     ways = build_ways(built.net, net_path, work, order.seed) if order.traffic > 0 else ()
     write_scenario(work, name, order.seed, vtypes_text((*lots, *marks.elements)))
     _write_beside(order, work)
-    _write_manifest(order, work, built)
+    _write_manifest(order, work, built.net)
     stage("building the street and testing the traffic")
     with ThreadPoolExecutor(1) as pool:
         traffic = order.seed, order.traffic, order.per_hour, cars
@@ -312,7 +369,7 @@ def _build(
         if meanwhile is not None:
             meanwhile(_unfinished(work, order))
         demand.result()
-    _write_manifest(order, work, built)
+    _write_manifest(order, work, built.net)
     counts = {
         "parked": len(cars),
         "crossings_mapped": crossings_mapped,
@@ -391,8 +448,8 @@ def _write_beside(order: ImportOrder, work: Path) -> None:
     (work / "osm" / "bbox").write_text(",".join(map(str, order.bbox or ())) + "\n", encoding="utf-8")
 
 
-def _write_manifest(order: ImportOrder, work: Path, built: _BuiltNet) -> None:
-    low_m, high_m = built.net.corners_m()
+def _write_manifest(order: ImportOrder, work: Path, net: Net) -> None:
+    low_m, high_m = net.corners_m()
     middle_m = 0.5 * (low_m + high_m)
     text = town_toml_text(
         name=order.name,
@@ -401,7 +458,7 @@ def _write_manifest(order: ImportOrder, work: Path, built: _BuiltNet) -> None:
         cycle_paths=order.cycle_paths,
         hashes=hash_files(work, order.name),
         source=order.source,
-        attribution="(c) OpenStreetMap contributors, ODbL 1.0",
+        attribution="" if order.opendrive else "(c) OpenStreetMap contributors, ODbL 1.0",
         rebuild=_rebuild_command(order),
     )
     (work / "town.toml").write_text(text, encoding="utf-8")
@@ -409,10 +466,16 @@ def _write_manifest(order: ImportOrder, work: Path, built: _BuiltNet) -> None:
 
 def _rebuild_command(order: ImportOrder) -> str:
     """The command that makes the same town again from what its folder holds, run in that folder."""
-    words = ["--name", order.name, "--split", order.split, "--osm", f"osm/{order.name}.osm.xml.gz", "--out", "."]
-    words += [order.bbox.option] if order.bbox is not None else []
-    words += ["--lefthand" if order.lefthand else "--righthand"]
-    words += ["--seed", str(order.seed), "--traffic", f"{order.traffic:g}", "--parked", f"{order.parked:g}"]
+    words = ["--name", order.name, "--split", order.split]
+    given = (
+        ["--opendrive", f"opendrive/{order.name}.xodr.gz"]
+        if order.opendrive
+        else ["--osm", f"osm/{order.name}.osm.xml.gz"]
+    )
+    words += [*given, "--out", ".", *([order.bbox.option] if order.bbox is not None else [])]
+    words += [] if order.opendrive else ["--lefthand" if order.lefthand else "--righthand"]
+    words += ["--seed", str(order.seed), "--traffic", f"{order.traffic:g}"]
+    words += [] if order.opendrive else ["--parked", f"{order.parked:g}"]
     if order.per_hour:
         words += ["--per-hour", ",".join(f"{key}={value:g}" for key, value in order.per_hour.items())]
     if order.relief.dem is not None:

@@ -10,7 +10,11 @@ from __future__ import annotations
 
 import math
 import os
+import re
+import shlex
 import sys
+import zlib
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -27,19 +31,17 @@ from wcsim.towns.sumo.xml_io import (
     MAX_TAG_BYTES,
     MAX_TAGS,
     MAX_XML_BYTES,
-    bunzip2,
     check_plain_xml,
     parse_root,
-    read_bytes,
+    unpack,
     xml_bytes,
 )
 
 LONGEST_M = 12_000.0  # of a side: netconvert and the street mesh of more take minutes and gigabytes
 _M_PER_DEG = 111_320.0
 
-_LEFT = frozenset(
-    f"{region}/{city}" for region, cities in read_module_toml(__file__).items() for city in cities.split()
-)
+_DATA = read_module_toml(__file__)
+_LEFT = frozenset(f"{region}/{city}" for region, cities in _DATA["left"].items() for city in cities.split())
 """IANA time zones of the countries and territories that drive on the left."""
 _SHARED = "Asia/Bangkok"  # of Thailand, and of Vietnam north of the 17th parallel, where traffic keeps right
 _VIETNAM_DEG = ((105.0, 16.5), (102.0, 18.55))  # of that zone, what lies east and north of either; Laos lies between
@@ -59,17 +61,19 @@ class Box(NamedTuple):
         west, south, east, north = (float(part) for part in text.split(","))
         return cls(west, south, east, north)
 
-    def check(self) -> None:
-        """Raise TownError unless it is one that a town can be made of."""
+    def check(self, part: Box | None = None) -> None:
+        """Raise TownError unless it is one that a town can be made of; `part` is one of it that is."""
         if not (-180 <= self.west < self.east <= 180 and -84 <= self.south < self.north <= 84):
-            raise TownError(f"bounding box {tuple(self)} is not west,south,east,north in degrees, from -84 to 84 north")
+            raise TownError(
+                f"--bbox {tuple(self)} is empty or outside of the globe; expected west < east and south < north, in "
+                "degrees, from -84 to 84 north"
+            )
         wide_m, high_m = self.size_m
         if max(wide_m, high_m) > LONGEST_M:
-            middle = Box(*self.centre, *self.centre).grown(500.0)
-            core = Box(*(round(side, 5) for side in middle))
+            where = f", such as where most streets are: {part.option}" if part is not None else ""
             raise TownError(
                 f"the bounding box is {wide_m / 1e3:.0f} x {high_m / 1e3:.0f} km; expected at most "
-                f"{LONGEST_M / 1e3:.0f} km each way: choose a part of it, such as its middle: {core.option}"
+                f"{LONGEST_M / 1e3:.0f} km each way: choose a part of it{where}"
             )
 
     @property
@@ -131,8 +135,12 @@ SMALL_BYTES = 48 << 20  # of XML; more is cut by libosmium first, which is faste
 MARGIN_M = 150.0  # around the box: buildings and trees beside streets that reach out of it
 FAR_M = 20_000.0  # nodes farther outside are left out of their ways: ferries, or the other side of the 180th meridian
 EXPECTED = f"expected {EXTRACT.what}"
-_OTHERS = {b"PK\x03\x04": "zip", b"\xfd7zXZ": "xz", b"\x28\xb5\x2f\xfd": "zstd", b"7z\xbc\xaf": "7z"}
+_ENDS = re.compile("ends too early|EOF|no element found|unclosed")  # how parsers and unpackers call a lost end
+_HEAD_BYTES = 4096
+_CELL_M = 1200.0  # along a side of the box that is proposed: a hundredth of a degree, and a little
 _LIMITS = Limits(wall_s=90.0, cpu_s=120, memory_bytes=6 << 30, file_bytes=MAX_XML_BYTES)
+_MEASURE = re.compile("width|height|speed|lanes|layer|level|incline|^ele$")  # of keys whose values are numbers
+_NO_NUMBER = re.compile(r"(?i)(^|[|;\s])[+-]?(nan|inf|infinity|\d[\d.]*e\+?\d{3,})($|[|;\s])")
 _CHILDREN = ("nd", "tag", "member")  # SUMO's tools follow an <include>, and die of one that names nothing
 WAIT_S = 120.0
 _CURE = "try again later or with another --url, or download the area by hand and pass it with --osm FILE"
@@ -156,39 +164,57 @@ def read_extract(path: Path, box: Box | None = None) -> Extract:
 
     Raises TownError when it is no extract, or holds no streets there.
     """
-    root = parse_root(_xml_of(path, box), str(path))
+    try:
+        root = parse_root(_xml_of(path, box), str(path))
+    except TownError as error:
+        if _ENDS.search(str(error)):
+            why = "cannot be read, for it ends in the middle"
+            raise TownError(f"{escape(path)}: {why}; {EXPECTED}: download it again") from None
+        raise
     if root.tag != "osm":
-        raise TownError(f"{path}: is not an OpenStreetMap extract (root <{root.tag}>); {EXPECTED}")
+        other = f"is not an OpenStreetMap extract (root <{root.tag}>): export the area as raw OpenStreetMap data (.osm)"
+        raise _other(path, _DATA["roots"].get(root.tag, other))
     places = _places(root, path)
     streets = _streets(root)
-    cover = _cover(places, streets)
-    if cover is None:
-        raise TownError(f"{path}: is not an OpenStreetMap extract with streets in it; {EXPECTED}, with streets")
-    named = box or _bounds(root)
+    found = [[places[ref] for nd in way.iterfind("nd") if (ref := nd.get("ref", "")) in places] for way in streets]
+    bare = sum(len(ends) < 2 for ends in found)
+    if 2 * bare > len(streets):
+        raise TownError(
+            f"{path}: {bare} of its {len(streets)} streets have no nodes, as after Overpass' out geom; {EXPECTED}, "
+            "with nodes: end the query with (._;>;); out body;"
+        )
+    if not streets:
+        remark = root.findtext("remark", "").strip()
+        said = f" (the server said: {escape(remark, 200)})" if remark else ""
+        raise TownError(f"{path}: is not an OpenStreetMap extract with streets in it{said}; {EXPECTED}, with streets")
+    nodes = [place for ends in found for place in ends]
+    cover, named = _cover(nodes), box or _bounds(root)
     try:
         box = named or cover
-        box.check()
+        box.check(_densest([place for place in nodes if box.holds(place)] or nodes))
+        _cut(root, places, box)
     except TownError as error:
         raise TownError(f"{path}: {error}") from None
-    _cut(root, places, box)
     if not _streets(root):
         cover_text = ",".join(f"{value:.5f}" for value in cover)
         raise TownError(
             f"{path}: no street lies in the bounding box {tuple(box)}; its streets are in {cover_text}: choose a box "
-            "there"
+            f"there, such as where most of them are: {_densest(nodes).option}"
         )
     return Extract(root=root, box=box, bounded=named is not None)
 
 
 def _xml_of(path: Path, box: Box | None) -> bytes:
     kind = _kind(path)
-    if kind == "pbf":
-        return _cut_by_osmium(path, "pbf", box)
+    if kind in ("pbf", "o5m"):
+        return _cut_by_osmium(path, kind, box)
     if kind == "osm" and read_file_size(path, EXTRACT) > SMALL_BYTES:
         _require_tags(path)
         return _cut_by_osmium(path, kind, box)
     most = 4 * MAX_XML_BYTES if box is not None else MAX_XML_BYTES
-    data = _unpack_bz2(path, most) if kind == "bz2" else read_bytes(path, most)
+    data = _unpacked(path, most + 1)
+    if len(data) > most:
+        raise TownError(f"{escape(path)}: more than {most >> 20} MiB of XML; clip it to a smaller area")
     if len(data) > SMALL_BYTES and box is not None:
         check_plain_xml(data, escape(path), 8 * MAX_TAGS)
         return _cut_by_osmium(path, {"gz": "osm.gz", "bz2": "osm.bz2"}.get(kind, "osm"), box)
@@ -201,23 +227,30 @@ def _kind(path: Path) -> str:
         head = file.read(64)
     if b"OSMHeader" in head:
         return "pbf"
-    for magic, name in _OTHERS.items():
-        if head.startswith(magic):
-            raise TownError(f"{path}: is packed as {name}; {EXPECTED}: unpack it")
+    # What it is shows when it is unpacked.
+    beginning = _unpacked(path, _HEAD_BYTES).decode("latin-1").lstrip("\xef\xbb\xbf \t\r\n")
+    for pattern, told in _DATA["others"].items():
+        if re.match(pattern, beginning):
+            raise _other(path, told)
     if path.suffix == ".pbf":
         raise TownError(f"{path}: is not a .pbf file; {EXPECTED}: download it again, or check it: osmium fileinfo")
-    return "gz" if head.startswith(b"\x1f\x8b") else "bz2" if head.startswith(b"BZh") else "osm"
+    kinds = {"\x1f\x8b": "gz", "BZ": "bz2", "\xff\xe0": "o5m"}
+    return kinds.get(head[:2].decode("latin-1"), "osm")
 
 
-def _unpack_bz2(path: Path, most: int) -> bytes:
+def _other(path: Path, told: str) -> TownError:
+    """What is said of a file of another kind, which is `told`: what it is, and what to do."""
+    what, _, cure = told.partition(": ")
+    return TownError(f"{path}: {what}; {EXPECTED}: {cure.format(file=shlex.quote(str(path)))}")
+
+
+def _unpacked(path: Path, most: int) -> bytes:
+    """The first `most` bytes of what a file holds. Raises TownError."""
     try:
         with open_regular_file(path, EXTRACT) as file:
-            data = bunzip2(file, most + 1)
-    except (EOFError, ValueError) as error:
+            return unpack(file, most)
+    except (EOFError, ValueError, zlib.error) as error:
         raise TownError(f"{escape(path)}: cannot be read ({error}); {EXPECTED}") from None
-    if len(data) > most:
-        raise TownError(f"{escape(path)}: more than {most >> 20} MiB of XML; clip it to a smaller area")
-    return data
 
 
 def _require_tags(path: Path) -> None:
@@ -286,16 +319,19 @@ def _streets(root: Element) -> list[Element]:
     return [way for way in root.iterfind("way") if any(item.get("k") == "highway" for item in way.iterfind("tag"))]
 
 
-def _cover(places: dict[str, tuple[float, float]], streets: list[Element]) -> Box | None:
+def _cover(nodes: list[tuple[float, float]]) -> Box:
     """The box of nearly all street nodes: an extract holds streets whole, and a few reach far out of it."""
-    found = [places[ref] for way in streets for nd in way.iterfind("nd") if (ref := nd.get("ref", "")) in places]
-    if not found:
-        return None
-    few = len(found) // 100
-    longitudes, latitudes = (sorted(values) for values in zip(*found, strict=True))
+    few = len(nodes) // 100
+    longitudes, latitudes = (sorted(values) for values in zip(*nodes, strict=True))
     margin = 1e-5  # a street that runs along the edge is inside
     west, east = longitudes[few] - margin, longitudes[-1 - few] + margin
     return Box(west, latitudes[few] - margin, east, latitudes[-1 - few] + margin)
+
+
+def _densest(nodes: list[tuple[float, float]]) -> Box:
+    """A box around the cell of a hundredth of a degree that has the most street nodes."""
+    ((middle, _),) = Counter((round(east, 2), round(north, 2)) for east, north in nodes).most_common(1)
+    return Box(*(round(side, 5) for side in Box(*middle, *middle).grown(_CELL_M / 2)))
 
 
 def _bounds(root: Element) -> Box | None:
@@ -321,6 +357,11 @@ def _cut(root: Element, places: dict[str, tuple[float, float]], box: Box) -> Non
         for key in ("version", "timestamp", "changeset", "uid", "user", "visible", "action"):
             item.attrib.pop(key, None)
         item[:] = [child for child in item if child.tag in _CHILDREN]
+        for tag in item.iterfind("tag"):
+            key, value = tag.get("k", ""), tag.get("v", "")
+            if _MEASURE.search(key) and _NO_NUMBER.search(value):
+                told = f"{item.tag} {item.get('id')} has {escape(key, 40)}={escape(value, 40)!r}"
+                raise TownError(f"{told}; expected a number: correct it, or remove the tag")
         if item.tag == "node":
             longitude, latitude = places[item.attrib["id"]]
             item.attrib |= {"lat": f"{latitude:.7f}", "lon": f"{longitude:.7f}"}

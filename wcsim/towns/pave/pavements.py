@@ -14,9 +14,8 @@ from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 from wcsim.core.files import write_folder_atomically
-from wcsim.core.own_folder import create_temporary_folder
 from wcsim.core.reading import TOWN, join_names, read_text
-from wcsim.errors import SumoError, TownError
+from wcsim.errors import TownError
 from wcsim.towns.checks.cures import FASTEST_MPS, Cures
 from wcsim.towns.importing.adopt import copy_scenario
 from wcsim.towns.importing.folder_texts import check_new
@@ -25,8 +24,7 @@ from wcsim.towns.scenario.files import without_namespaces
 from wcsim.towns.scenario.options import read_configuration
 from wcsim.towns.scenario.town import Town
 from wcsim.towns.sumo.net import LaneKind, Net, net_of, read_net
-from wcsim.towns.sumo.tools import Limits, by_file, run_tool
-from wcsim.towns.sumo.xml_io import read_bytes, without_comments, write_gzip, xml_bytes
+from wcsim.towns.sumo.xml_io import read_bytes, write_gzip, xml_bytes
 
 
 def _keep_programs(before: Element, after: Element, paving: Paving) -> bool:
@@ -54,9 +52,7 @@ def _keep_programs(before: Element, after: Element, paving: Paving) -> bool:
     return True
 
 
-_SLOWEST_MPS = 1.0  # of streets that get a pavement
 TOLD = 5  # of each kind of thing in a note
-_LIMITS = Limits(wall_s=300.0, cpu_s=280)
 _HEAD = re.compile(
     rb"""(?s)(?:\xef\xbb\xbf)?\s*(?:<\?xml[^>]*?(?:encoding\s*=\s*["'](?P<encoding>[\w.-]+)["'][^>]*)?\?>)?"""
     rb"""(?:\s|<!--.*?-->)*"""
@@ -76,6 +72,7 @@ class Paved:
     placed: int  # stops, detectors, ... that lie on a lane
     programs: int  # of signals, that were given the new links
     moved_m: tuple[tuple[str, float], ...]  # places that a junction has grown over, and how far they gave way
+    faster: tuple[float, str]  # with the fast streets too: the walkable share in one part, and the command; or 0, ""
     notes: tuple[str, ...]
 
 
@@ -108,8 +105,7 @@ def pave_town(town: Town, out: Path, fastest_mps: float = FASTEST_MPS) -> Paved:
         _copy_town_toml(town, work, base)
         place = work / Path(os.path.normpath(town.net.absolute())).relative_to(base)
         before = _root(place)
-        closed = [edge.id for edge in net.streets if not edge.has(LaneKind.MOTOR)]
-        _convert(place, closed, fastest_mps)  # to cars: tracks, paths and closed ones get no pavement
+        _write(place, Cures.add_pavements(place, fastest_mps))
         after = _root(place)
         nets = net_of(before, place.name), net_of(after, place.name)
         paving = Paving(*nets)
@@ -117,18 +113,22 @@ def pave_town(town: Town, out: Path, fastest_mps: float = FASTEST_MPS) -> Paved:
             _write(place, xml_bytes(after))
         _change(tuple(work / path.relative_to(base) for path in files), place, paving)
         crossings, streets = _count(nets[1], "crossing"), sum(map(paving.lanes.shift, paving.lanes.before))
-        if not crossings and not streets:
-            raise TownError(_why_none(town, net, out, fastest_mps))
+        walkingareas = _count(nets[1], "walkingarea") - _count(nets[0], "walkingarea")
+        if not crossings and not streets and not walkingareas:
+            none = f"{town.net}: none of its streets got a pavement, of up to {fastest_mps:g} m/s"
+            raise TownError(f"{none}; {Cures(town).pave(out)}")
+        faster, fast_note = _fast_streets(town, net, out, fastest_mps)
     return Paved(
         sumocfg=out / Path(os.path.normpath(config.path.absolute())).relative_to(base),
         streets=streets,
         had=net.paved_streets,
         crossings=crossings,
-        walkingareas=_count(nets[1], "walkingarea") - _count(nets[0], "walkingarea"),
+        walkingareas=walkingareas,
         placed=paving.placed,
         programs=paving.programs,
         moved_m=tuple(sorted(paving.moved_m.items(), key=lambda item: -item[1])),
-        notes=(*_net_notes(town, net, out, fastest_mps), *_notes(paving, out / place.relative_to(work))),
+        faster=faster,
+        notes=(*fast_note, *_net_notes(net), *_notes(paving, out / place.relative_to(work))),
     )
 
 
@@ -136,50 +136,25 @@ def _count(net: Net, function: str) -> int:
     return sum(edge.function == function for edge in net.edges)
 
 
-def _net_notes(town: Town, net: Net, out: Path, fastest_mps: float) -> tuple[str, ...]:
-    """How many streets have no pavement for their speed, with the command that gives them one; what junctions got."""
+def _fast_streets(town: Town, net: Net, out: Path, fastest_mps: float) -> tuple[tuple[float, str], tuple[str, ...]]:
+    """What paving the streets too that are left out for their speed would give, see `Paved`, and the note of it."""
     bare = (edge for edge in net.edges if not edge.has(LaneKind.SIDEWALK))
     limits = net.speeds_mps
     fast = [limits[edge.id] for edge in bare if limits.get(edge.id, 0.0) > fastest_mps]
-    notes = []
-    if fast:
-        other = out.with_name(f"{out.name}-{math.ceil(max(fast))}")
-        notes.append(
-            f"{len(fast)} of {len(limits)} streets are faster than {fastest_mps:g} m/s and got no pavement; to include "
-            f"them, in another folder: {Cures(town).pave_into(other, max(fast))}"
-        )
-    if not any(edge.function == "internal" for edge in net.edges):
-        notes.append(
-            "lanes inside junctions were added, because crossings need them; vehicles no longer jump over junctions"
-        )
-    return tuple(notes)
+    if not fast:
+        return (0.0, ""), ()
+    share = Cures(town).paved_share(max(fast))
+    command = Cures(town).pave_into(out.with_name(f"{out.name}-{math.ceil(max(fast))}"), max(fast))
+    left = f"{len(fast)} of {len(limits)} streets are faster than {fastest_mps:g} m/s and got no pavement"
+    with_them = f"with them, {share:.1%} of the walkable area is connected; in another folder: {command}"
+    return (share, command), (f"{left}; {with_them if share else 'netconvert finds no place for one'}",)
 
 
-def _why_none(town: Town, net: Net, out: Path, fastest_mps: float) -> str:
-    problem, slowest_mps = f"{town.net}: none of its streets got a pavement: ", net.slowest_mps
-    if slowest_mps is None:
-        return f"{problem}none is open to cars; choose another scenario"
-    if slowest_mps <= fastest_mps:
-        return f"{problem}netconvert guessed none; draw them in netedit"
-    return (
-        f"{problem}all are faster than {fastest_mps:g} m/s; to include them: {Cures(town).pave_into(out, slowest_mps)}"
-    )
-
-
-def _convert(net: Path, unpaved: list[str], fastest_mps: float) -> None:
-    """Let netconvert add what is missing, in place."""
-    with create_temporary_folder() as folder:
-        given, made = folder / "given.net.xml", folder / "made.net.xml"
-        given.write_bytes(read_bytes(net))
-        options = ["-s", given.name, "--sidewalks.guess", "--crossings.guess", "--walkingareas", "-o", made.name]
-        options += ["--sidewalks.guess.min-speed", str(_SLOWEST_MPS), "--sidewalks.guess.max-speed", str(fastest_mps)]
-        options += ["--crossings.guess.speed-threshold", str(fastest_mps), "--offset.disable-normalization"]
-        options += ["--no-internal-links", "false"]  # crossings lie on such; netconvert gives none to a net without
-        options += by_file("sidewalks.guess.exclude", unpaved, folder / "unpaved.netccfg") if unpaved else []
-        run = run_tool("netconvert", [*options, "--xml-validation", "never"], folder, _LIMITS)
-        if run.returncode or not made.is_file():
-            raise SumoError(f"{net.name}: cannot be given pavements: {run.reason()}; repair it in netedit")
-        _write(net, without_comments(made.read_bytes()))
+def _net_notes(net: Net) -> tuple[str, ...]:
+    """What the junctions got."""
+    if any(edge.function == "internal" for edge in net.edges):
+        return ()
+    return ("lanes inside junctions were added, because crossings need them; vehicles no longer jump over junctions",)
 
 
 def _write(path: Path, text: bytes) -> None:

@@ -313,7 +313,11 @@ def own_work(folder: Path) -> tuple[str, ...]:
     except (ConfigError, TownError):
         return ("town.toml",)
     name = file.name
-    written = {*BESIDE, f"osm/{name}.osm.xml.gz", *(f"{name}.{kind}" for kind in KINDS)} if file.rebuild else set()
+    written = (
+        {*BESIDE, f"osm/{name}.osm.xml.gz", f"opendrive/{name}.xodr.gz", *(f"{name}.{kind}" for kind in KINDS)}
+        if file.rebuild
+        else set()
+    )
     there = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if not path.is_dir()}
     changed = set(find_changes(folder, file)) | ({folder / "town.toml"} if _by_hand(file) else set())
     return tuple(sorted(name for name in there if name not in written or folder / name in changed))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from enum import Enum
@@ -16,6 +17,8 @@ from wcsim.types import F64
 
 _DEFAULT_LANE_WIDTH_M = 3.2  # SUMO's, for lanes that state none
 WIDEST_M = 60.0  # a wider lane is a slip of the pen
+_NUMBERS = ("shape", "outlineShape", "customShape", "x", "y", "z", "length", "width", "speed", "friction", "radius")
+_SINGLE = ("x", "y")
 _NO_Z = np.zeros(1)
 _WALKERS = {"pedestrian", "wheelchair"}
 _RIDERS = {"bicycle", "scooter"}
@@ -180,11 +183,29 @@ def net_of(root: Element, path: str, origin_m: tuple[int, int] = (0, 0)) -> Net:
         junctions = tuple(_junction(element, origin_m) for element in root.iterfind("junction"))
         lefthand = is_true(root.get("lefthand", "0"))
     except (KeyError, ValueError) as error:
+        scan_numbers(root, path)
         raise TownError(f"{path}: is not a usable net ({error!r}); build it again with netconvert") from None
     if not any(edge.lanes for edge in edges):
         raise TownError(f"{path}: has no edge with lanes; expected a street net: build it with netconvert")
     phases = read_phases(root)
     return _levelled(Net(edges=edges, connections=connections, junctions=junctions, lefthand=lefthand, phases=phases))
+
+
+def scan_numbers(root: Element, where: str) -> None:
+    """Raise TownError that names the first element of a net with something else where a finite number belongs."""
+    for element in root.iter():
+        for key in _NUMBERS:
+            text = element.get(key)
+            if text is not None and not _all_finite([text] if key in _SINGLE else text.replace(",", " ").split()):
+                told = f"<{element.tag} id={element.get('id')!r}> has {key}={text[:40]!r}"
+                raise TownError(f"{where}: {told}; expected numbers: correct it, or build the net again")
+
+
+def _all_finite(parts: list[str]) -> bool:
+    try:
+        return all(math.isfinite(float(part)) for part in parts)
+    except ValueError:
+        return False
 
 
 def _levelled(net: Net) -> Net:
@@ -239,7 +260,7 @@ def _edge(element: Element, origin_m: tuple[int, int]) -> Edge:
 def _lane(element: Element, edge: Element, function: str, origin_m: tuple[int, int]) -> Lane:
     allow, disallow = _permissions(element)
     points_m, z_m = _shape(element.attrib["shape"], origin_m)
-    width_m = float(element.get("width", _DEFAULT_LANE_WIDTH_M))  # SUMO writes -1 for one that was not set
+    width_m = _finite(element.get("width", _DEFAULT_LANE_WIDTH_M))  # SUMO writes -1 for one that was not set
     return Lane(
         id=element.attrib["id"],
         edge_id=edge.attrib["id"],
@@ -249,11 +270,18 @@ def _lane(element: Element, edge: Element, function: str, origin_m: tuple[int, i
         points_m=points_m,
         z_m=z_m,
         width_m=width_m if 0.0 < width_m < WIDEST_M else _DEFAULT_LANE_WIDTH_M,
-        length_m=float(element.get("length", "0")),
-        speed_mps=float(element.get("speed", "13.89")),
+        length_m=_finite(element.get("length", "0")),
+        speed_mps=_finite(element.get("speed", "13.89")),
         allow=allow,
         disallow=disallow,
     )
+
+
+def _finite(text: str | float) -> float:
+    """A number. Raises ValueError for another one than a finite one."""
+    if math.isfinite(value := float(text)):
+        return value
+    raise ValueError(f"{text!r} is not finite")
 
 
 def _permissions(element: Element) -> tuple[frozenset[str] | None, frozenset[str]]:

@@ -25,6 +25,7 @@ from wcsim.errors import TownError
 
 MAX_MEMBERS = 1 << 15  # packed one behind the other in a file; those who pack in blocks of 64 KiB need 16 for a MiB
 _CHUNK_BYTES = 1 << 16
+_GZIP = b"\x1f\x8b"
 MAX_XML_BYTES = XML.limit_bytes
 MAX_NESTING = 100  # elements inside each other; SUMO's own files need ten
 MAX_TAGS = 10_000_000  # each takes memory, however short it is
@@ -65,9 +66,13 @@ class _Gunzip:
         return part
 
 
-def bunzip2(file: BinaryIO, most: int) -> bytes:
-    """The first `most` bytes of what a bzip2 file holds. Raises EOFError or OSError when it is broken."""
-    return _unpack(file, most, bz2.BZ2Decompressor)
+def unpack(file: BinaryIO, most: int) -> bytes:
+    """The first `most` bytes of what a gzip, bzip2 or plain file holds. Raises as `_unpack` when it is broken."""
+    head = file.read(3)
+    file.seek(0)
+    if head == b"BZh":
+        return _unpack(file, most, bz2.BZ2Decompressor)
+    return _unpack(file, most, _Gunzip) if head[:2] == _GZIP else file.read(most)
 
 
 def _unpack(file: BinaryIO, most: int, make: Callable[[], _Gunzip | bz2.BZ2Decompressor]) -> bytes:
@@ -109,7 +114,7 @@ def read_head(path: Path, size: int) -> bytes:
     """The first `size` bytes of a plain or gzip-compressed file's content. Raises TownError."""
     try:
         with open_regular_file(path, XML) as file:
-            packed = file.read(2) == b"\x1f\x8b"
+            packed = file.read(2) == _GZIP
             file.seek(0)
             return _unpack(file, size, _Gunzip) if packed else file.read(size)
     except (EOFError, zlib.error) as error:
